@@ -28,9 +28,7 @@ EPOCH = (1980, 1, 1, 0, 0, 0)  # the time of every file, so that the same files 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=ROOT / "dist")
     parser.add_argument("--levels", default=",".join(LEVELS))
     args = parser.parse_args()
@@ -54,17 +52,7 @@ def runs_here(level: str) -> bool:
 
 def build_pure_wheel(folder: Path) -> Path:
     """The wheel that `pip install .` makes."""
-    words = [
-        "-m",
-        "pip",
-        "wheel",
-        "--quiet",
-        "--no-deps",
-        "--no-build-isolation",
-        "-w",
-        str(folder),
-        str(ROOT),
-    ]
+    words = ["-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "-w", str(folder), str(ROOT)]
     subprocess.run([sys.executable, *words], check=True)
     (wheel,) = folder.glob("*.whl")
     return wheel
@@ -96,9 +84,7 @@ def python(tree: Path, settings: dict[str, str], *words: str) -> "subprocess.Pop
     dropped = ("NUMBA_", "CASTER_", "PYTHON")
     kept = {name: value for name, value in os.environ.items() if not name.startswith(dropped)}
     environment = kept | {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"} | settings
-    return subprocess.Popen(
-        [sys.executable, "-P", *words], env=environment, text=True, stdout=subprocess.PIPE
-    )
+    return subprocess.Popen([sys.executable, "-P", *words], env=environment, text=True, stdout=subprocess.PIPE)
 
 
 def write_wheel(tree: Path, pure_name: str, out: Path) -> Path:

@@ -63,9 +63,7 @@ DEPTH = ("depth",)
 BY_DEFAULT = ("hit", "depth", "normal", "position", "diffuse")  # what `caster render` writes unasked
 
 
-def seconds(
-    process: subprocess.Popen[str], scene: str, aovs: Sequence[str], culling: str | None = None
-) -> float:
+def seconds(process: subprocess.Popen[str], scene: str, aovs: Sequence[str], culling: str | None = None) -> float:
     """What one process takes for the AOVs of one scene, one thread; no culling: as planned."""
     assert process.stdin and process.stdout
     with suppress(BrokenPipeError):  # no answer will come, which is reported below

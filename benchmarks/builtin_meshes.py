@@ -35,9 +35,7 @@ def unit(p: np.ndarray) -> np.ndarray:
 
 def octahedron(levels: int) -> tuple[list[np.ndarray], list[tuple[int, int, int]]]:
     """(points on the unit sphere, triangles that wind counter-clockwise seen from outside)."""
-    points = [
-        np.array(p, float) for p in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
-    ]
+    points = [np.array(p, float) for p in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))]
     faces = [(0, 2, 4), (2, 1, 4), (1, 3, 4), (3, 0, 4), (2, 0, 5), (1, 2, 5), (3, 1, 5), (0, 3, 5)]
     for _ in range(levels):
         middles: dict[tuple[int, int], int] = {}
@@ -74,15 +72,11 @@ def lattice_noise(p: np.ndarray, frequency: float, seed: int) -> float:
 
 def scan() -> tuple[np.ndarray, np.ndarray]:
     points, faces = octahedron(LEVELS)
-    p = np.array(
-        [q * (1.0 + 0.3 * lattice_noise(q, 2.0, 1) + 0.06 * lattice_noise(q, 7.0, 2)) for q in points]
-    )
+    p = np.array([q * (1.0 + 0.3 * lattice_noise(q, 2.0, 1) + 0.06 * lattice_noise(q, 7.0, 2)) for q in points])
     p = np.array([q * (1.0 + 0.003 * uniform(3, i)) for i, q in enumerate(p)])
     for number, (a, b, c) in enumerate(faces):
         choice = uniform(4, number)
-        if (
-            choice < 0.02
-        ):  # all corners close together: a triangle down to a millionth of its neighbours' size
+        if choice < 0.02:  # all corners close together: a triangle down to a millionth of its neighbours' size
             k = int(3 + 18 * uniform(5, number))
             p[b], p[c] = p[a] + (p[b] - p[a]) * 2.0**-k, p[a] + (p[c] - p[a]) * 2.0**-k
         elif choice < 0.04:  # a corner next to another: a needle

@@ -26,33 +26,17 @@ WITHOUT_BOUNDS = (
         "inside = (t > t_min) & (t <= t_max)",
     ),
     ("caster/kernels/math/vec.py", "(t + off <= t_min) | (t - off > t_max), t, off)", "not inside, t, 0.0)"),
-    (
-        "caster/kernels/raster/tile.py",
-        "tile[DOUBT + i] = 1.0 if abs(ahead) <= margin else tile[DOUBT + i]\n",
-        "pass\n",
-    ),
+    ("caster/kernels/raster/tile.py", "tile[DOUBT + i] = 1.0 if abs(ahead) <= margin else tile[DOUBT + i]\n", "pass\n"),
     ("kernels/triangles.py", "error = pre[5] * size(d) + TINY", "error = 0.0"),
-    (
-        "kernels/triangles.py",
-        "steep = (abs(slope) > 2.0 * slope_error) & bounded",
-        "steep = slope != 0.0",
-    ),
+    ("kernels/triangles.py", "steep = (abs(slope) > 2.0 * slope_error) & bounded", "steep = slope != 0.0"),
     (
         "caster/kernels/math/quadric_roots.py",
         "steady & (within > 2.0 * within_off), steady & (within < -within_off)",
         "within > 0.0, within <= 0.0",
     ),
     ("caster/kernels/math/quadric_roots.py", "met &= 2.0 * q_off < abs(q)", "met &= abs(q) > 0.0"),
-    (
-        "shapes/plane.py",
-        "steep = (abs(slope) > 2.0 * slope_off) & (abs(slope) < math.inf)",
-        "steep = slope != 0.0",
-    ),
-    (
-        "shapes/disk.py",
-        "steep = (abs(e[2]) > 2.0 * slope_off) & (abs(e[2]) < math.inf)",
-        "steep = e[2] != 0.0",
-    ),
+    ("shapes/plane.py", "steep = (abs(slope) > 2.0 * slope_off) & (abs(slope) < math.inf)", "steep = slope != 0.0"),
+    ("shapes/disk.py", "steep = (abs(e[2]) > 2.0 * slope_off) & (abs(e[2]) < math.inf)", "steep = e[2] != 0.0"),
     (
         "shapes/disk.py",
         "steep & (beyond < -beyond_off), edge_on | (steep & (beyond > beyond_off))",
@@ -75,9 +59,7 @@ def take_away_bounds(folder: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="*")
     args = parser.parse_args()
     scenes = args.scenes or [str(HERE / "scenes" / f"{name}.toml") for name in SCENES + CAMERAS]

@@ -21,9 +21,7 @@ from caster.shapes.heightfield import tessellate_heightfield
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--triangles", type=int, default=70_000)
     parser.add_argument("--turns", type=int, default=7)
     args = parser.parse_args()
@@ -31,11 +29,7 @@ def main() -> None:
     mesh = tessellate_heightfield(2.0, max(1, round((args.triangles / 2) ** 0.5)), 0.2, 8, 1)
     with tempfile.TemporaryDirectory() as folder:
         print(f"{len(mesh.faces)} triangles     caster    Mitsuba   ratio")
-        for name, write in (
-            ("binary.ply", write_binary),
-            ("ascii.ply", write_ascii),
-            ("mesh.obj", write_obj),
-        ):
+        for name, write in (("binary.ply", write_binary), ("ascii.ply", write_ascii), ("mesh.obj", write_obj)):
             path = Path(folder) / name
             write(path, mesh)
             ours, theirs = paired(path, args.turns)
@@ -45,10 +39,7 @@ def main() -> None:
 def paired(path: Path, turns: int) -> tuple[float, float]:
     """Median seconds of the caster and of Mitsuba."""
     plugin = {"type": path.suffix[1:], "filename": str(path)}
-    both = [
-        seconds(lambda: load_mesh(path)),
-        seconds(lambda: mi.load_dict(plugin)),
-    ]  # the first is for the caches
+    both = [seconds(lambda: load_mesh(path)), seconds(lambda: mi.load_dict(plugin))]  # the first is for the caches
     both = [(seconds(lambda: load_mesh(path)), seconds(lambda: mi.load_dict(plugin))) for _ in range(turns)]
     ours, theirs = zip(*both, strict=True)
     return statistics.median(ours), statistics.median(theirs)

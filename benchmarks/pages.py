@@ -8,9 +8,7 @@ from caster.system.atomic_files import check_folder, write_bytes, write_text
 WIDTH = 120  # characters of a line of prose
 
 
-def write_page(
-    folder: Path, page: str, lines: Iterable[str], image_folder: str, images: Mapping[str, bytes]
-) -> None:
+def write_page(folder: Path, page: str, lines: Iterable[str], image_folder: str, images: Mapping[str, bytes]) -> None:
     """Write a Markdown page, and its images into a folder beside it. Raises OutputError."""
     target = check_folder(folder / image_folder)
     for name, content in images.items():

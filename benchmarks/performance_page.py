@@ -135,9 +135,7 @@ def reading() -> str:
 def conditions(run: Run) -> Iterator[str]:
     """The machine, and how often."""
     it = run.settings
-    few = (
-        "" if it["alternations"] >= MIN_ROUNDS else f", fewer than the {MIN_ROUNDS} that a report is to have"
-    )
+    few = "" if it["alternations"] >= MIN_ROUNDS else f", fewer than the {MIN_ROUNDS} that a report is to have"
     yield textwrap.fill(
         f"{len(run.scenes)} scenes of {it['size']} x {it['size']} pixels or as many rays, {it['threads']} threads, "
         f"medians of {it['alternations']} alternations{few}. Seed {it['seed']}.",
@@ -265,8 +263,7 @@ def footnote_on_coherence(run: Run) -> Iterator[str]:
     if found:
         ratios = ", ".join(f"{name} {ratio:.2f}" for name, ratio in found)
         yield textwrap.fill(
-            f"Mitsuba's hint `coherent`: without it, `ray_intersect` takes so many times as long: {ratios}.",
-            WIDTH,
+            f"Mitsuba's hint `coherent`: without it, `ray_intersect` takes so many times as long: {ratios}.", WIDTH
         )
         yield ""
 

@@ -85,9 +85,7 @@ def between(above: str, below: str) -> Measure:
 
 def fastest(*keys: str) -> Measure:
     """How many times as fast as the fastest of these rows we are."""
-    return lambda scene: min(
-        (r for key in keys if (r := scene.ratio(key, REFERENCE_ROW)) is not None), default=None
-    )
+    return lambda scene: min((r for key in keys if (r := scene.ratio(key, REFERENCE_ROW)) is not None), default=None)
 
 
 def largest(*measures: Measure) -> Measure:

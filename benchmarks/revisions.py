@@ -58,9 +58,7 @@ def compare(scene: str, culling: str, limit: float, measure: Callable[[], Pairs]
 
 def verdict(every: Sequence[Compared], limit: float) -> tuple[int, str]:
     """The exit code and the last line."""
-    slower = [
-        f"{each.scene} ({each.culling}) {ratio(each.pairs):.2f}" for each in every if each.slower(limit)
-    ]
+    slower = [f"{each.scene} ({each.culling}) {ratio(each.pairs):.2f}" for each in every if each.slower(limit)]
     if not every:
         return USAGE, "nothing was compared"
     if slower:
@@ -86,9 +84,7 @@ def sources_of(revision: str, folder: Path) -> Path:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("revision")
     parser.add_argument("scenes", nargs="*")
     parser.add_argument("--limit", type=float, default=LIMIT)

@@ -101,9 +101,7 @@ def draw_wrong(axes: Any, sweep: SweepResult) -> None:
 
 def shares(sweep: SweepResult, witness: Witness, what: str, floor: float) -> np.ndarray:
     found = numbers([value(setting, witness.key, what) for setting in sweep.settings])
-    count = [
-        setting.rays if what == "wrong_masks" else setting.exact.adjudicated for setting in sweep.settings
-    ]
+    count = [setting.rays if what == "wrong_masks" else setting.exact.adjudicated for setting in sweep.settings]
     return np.maximum(found / np.maximum(count, 1), floor)
 
 

@@ -9,14 +9,7 @@ from caster.cli import COMMANDS, application
 from caster.system import process
 
 ABOUT = "A ray caster in float64."
-CODES = (
-    process.OK,
-    process.USAGE,
-    process.FILE,
-    process.NOTHING_SELECTED,
-    process.INTERNAL,
-    process.INTERRUPTED,
-)
+CODES = (process.OK, process.USAGE, process.FILE, process.NOTHING_SELECTED, process.INTERNAL, process.INTERRUPTED)
 
 
 # Objects made until the next search for circles among them: Python's 700 are a hundred searches while modules load.

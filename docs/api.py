@@ -85,9 +85,7 @@ def member_lines(value: type) -> list[str]:
         thing = getattr(thing, "func", thing)  # a cached property
         if not name.startswith(("_", "model_")) and inspect.isfunction(thing) and thing.__doc__:
             about = inspect.cleandoc(thing.__doc__).replace("\n\n", "\n").replace("\n", " ")
-            heading = (
-                name if isinstance(member, property) or thing is not member else f"{name}{signature(thing)}"
-            )
+            heading = name if isinstance(member, property) or thing is not member else f"{name}{signature(thing)}"
             lines.append(f"- `{heading}`: {about}")
     return [*lines, ""] if lines else []
 

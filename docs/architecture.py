@@ -89,9 +89,7 @@ class Source(NamedTuple):
 
 def read_sources(root: Path = ROOT) -> list[Source]:
     """All files of the root packages, sorted by path."""
-    return [
-        source_of(path, root) for package in ROOT_PACKAGES for path in sorted((root / package).rglob("*.py"))
-    ]
+    return [source_of(path, root) for package in ROOT_PACKAGES for path in sorted((root / package).rglob("*.py"))]
 
 
 def source_of(path: Path, root: Path) -> Source:
@@ -262,9 +260,7 @@ def package_of(module: str) -> str:
 
 def imports_between(graph: Graph) -> dict[tuple[str, str], int]:
     """(importing package, imported package) -> how many pairs of their modules."""
-    pairs = Counter(
-        (package_of(module), package_of(target)) for module, targets in graph.items() for target in targets
-    )
+    pairs = Counter((package_of(module), package_of(target)) for module, targets in graph.items() for target in targets)
     return {pair: count for pair, count in sorted(pairs.items()) if all(pair) and pair[0] != pair[1]}
 
 
@@ -291,9 +287,7 @@ def modules_with_one_importer(graph: Graph) -> dict[str, str]:
 
 def crowded_packages(sources: Iterable[Source], root: Path) -> dict[str, int]:
     """Packages with more modules beside sub-packages than MODULES_OF_PACKAGE."""
-    counts = Counter(
-        source.path.parent.relative_to(root).as_posix() for source in sources if not source.is_package
-    )
+    counts = Counter(source.path.parent.relative_to(root).as_posix() for source in sources if not source.is_package)
     return {folder: count for folder, count in sorted(counts.items()) if count > MODULES_OF_PACKAGE}
 
 
@@ -316,10 +310,7 @@ def in_words(found: Mapping[str, Any]) -> str:
         ("circles of imports", f"{len(found['circles'])}"),
         ("imports against the flow of packages", f"{sum(found['against_flow'].values())}"),
         ("modules with exactly one importer", f"{len(found['one_importer'])}"),
-        (
-            "  registry members, imported by their own package alone",
-            f"{len(found['one_importer_registry_members'])}",
-        ),
+        ("  registry members, imported by their own package alone", f"{len(found['one_importer_registry_members'])}"),
         ("file names that stand more than once", f"{len(repeated)}"),
     )
     width = max(len(name) for name, _ in rows)

@@ -31,20 +31,14 @@ class Table(NamedTuple):
 
 TABLES = (
     Table("what is compared with Mitsuba", "reference/test_planted_faults", "test_a_planted_fault_fails_by"),
-    Table(
-        "options, and thresholds in scene units", "reference/test_option_and_scale_faults", "test_a_planted"
-    ),
+    Table("options, and thresholds in scene units", "reference/test_option_and_scale_faults", "test_a_planted"),
     Table("one route alone", "reference/test_route_faults", "test_a_planted"),
     Table("written images", "reference/test_file_faults", "test_a_planted"),
     Table("mesh files and generated meshes", "reference/test_reader_faults", "test_a_planted"),
-    Table(
-        "packing, processes, key of the cache", "reference/test_packing_crash_key_faults", "test_a_planted"
-    ),
+    Table("packing, processes, key of the cache", "reference/test_packing_crash_key_faults", "test_a_planted"),
     Table("error bounds that are too small", "reference/test_bound_faults", "test_a_bound", ("BOUNDS",)),
     Table("intersections, for fuzz", "reference/test_fuzz_faults", "test_a_planted"),
-    Table(
-        "lanes and tiles, compiled", "agreement/test_lane_faults", "test_a_fault", ("FAULTS", "TILE_FAULTS")
-    ),
+    Table("lanes and tiles, compiled", "agreement/test_lane_faults", "test_a_fault", ("FAULTS", "TILE_FAULTS")),
 )
 MESSAGE_LENGTH = 150  # characters
 
@@ -108,9 +102,7 @@ class Recorder:
         for table in TABLES:
             if f"tests/{table.module}.py::{table.test}" in place:
                 said = caught(report.capstdout, report.nodeid) if report.passed else NOT_CAUGHT
-                self.rows[table.module, row_key(parameter[:-1])] = said._replace(
-                    message=printable(said.message)
-                )
+                self.rows[table.module, row_key(parameter[:-1])] = said._replace(message=printable(said.message))
 
 
 def rows_of_page(text: str) -> dict[tuple[str, str], Row]:
@@ -159,9 +151,7 @@ def page(rows: dict[tuple[str, str], Row]) -> str:
         for name, family in faults:
             row = rows.get((table.module, row_key(name)))
             if row is not None:
-                lines.append(
-                    f"| {name}{f' ({family})' if family else ''} | {row.caught_by} | {row.message} |"
-                )
+                lines.append(f"| {name}{f' ({family})' if family else ''} | {row.caught_by} | {row.message} |")
         lines.append("")
     return "\n".join(lines)
 

@@ -79,9 +79,7 @@ def transitive_reduction(edges: Iterable[Edge]) -> list[Edge]:
         return reached[node]
 
     return [
-        (start, end)
-        for start, end in edges
-        if not any(end in reach(other) for other in targets[start] if other != end)
+        (start, end) for start, end in edges if not any(end in reach(other) for other in targets[start] if other != end)
     ]
 
 
@@ -113,9 +111,7 @@ def fewest_crossings(order: Order, routes: Mapping[Edge, list[str]]) -> Order:
     for sweep in range(SWEEPS):
         order = [list(each) for each in order]
         downwards = sweep % 2 == 0
-        neighbours, depths = (
-            (above, range(1, len(order))) if downwards else (below, range(len(order) - 2, -1, -1))
-        )
+        neighbours, depths = (above, range(1, len(order))) if downwards else (below, range(len(order) - 2, -1, -1))
         for depth in depths:
             place = {node: i for i, node in enumerate(order[depth + (-1 if downwards else 1)])}
             now = {node: i for i, node in enumerate(order[depth])}
@@ -146,9 +142,7 @@ def swapped(order: Order, above: Mapping[str, list[str]], below: Mapping[str, li
                         place = {node: k for k, node in enumerate(order[other])}
                         left = [place[each] for each in neighbours.get(layer[i], ())]
                         right = [place[each] for each in neighbours.get(layer[i + 1], ())]
-                        gain += sum(a > b for a in left for b in right) - sum(
-                            a < b for a in left for b in right
-                        )
+                        gain += sum(a > b for a in left for b in right) - sum(a < b for a in left for b in right)
                 if gain > 0:
                     layer[i], layer[i + 1] = layer[i + 1], layer[i]
                     better = True
@@ -168,9 +162,7 @@ def crossings(order: Order, below: Mapping[str, list[str]]) -> int:
 # --- coordinates
 
 
-def coordinates(
-    order: Order, routes: Mapping[Edge, list[str]], width: Mapping[str, float]
-) -> dict[str, Point]:
+def coordinates(order: Order, routes: Mapping[Edge, list[str]], width: Mapping[str, float]) -> dict[str, Point]:
     """The middle of each node and bend: near its neighbours, in order, and never closer than GAP."""
     near = defaultdict(list)
     for route in routes.values():
@@ -196,9 +188,7 @@ def coordinates(
             x |= dict(zip(layer, spread(wanted, [width.get(node, 0.0) for node in layer]), strict=True))
     left = min((x[node] - width.get(node, 0.0) / 2 for layer in order for node in layer), default=0.0)
     return {
-        node: Point(
-            round(x[node] - left + MARGIN, 1), round(MARGIN + BOX_HEIGHT / 2 + depth * LAYER_HEIGHT, 1)
-        )
+        node: Point(round(x[node] - left + MARGIN, 1), round(MARGIN + BOX_HEIGHT / 2 + depth * LAYER_HEIGHT, 1))
         for depth, layer in enumerate(order)
         for node in layer
     }
@@ -217,8 +207,7 @@ def spread(wanted: Sequence[float], widths: Sequence[float]) -> list[float]:
             mean, count = (before * members + mean * count) / (members + count), members + count
         pools.append((mean, count))
     return [
-        mean + off
-        for (mean, off) in zip([mean for mean, count in pools for _ in range(count)], offset, strict=True)
+        mean + off for (mean, off) in zip([mean for mean, count in pools for _ in range(count)], offset, strict=True)
     ]
 
 
@@ -241,8 +230,7 @@ def on_curve(a: Point, b: Point, t: float) -> Point:
     weights = s**3, 3 * s * s * t, 3 * s * t * t, t**3
     xs, ys = (a.x, a.x, b.x, b.x), (a.y, a.y + half, b.y - half, b.y)
     return Point(
-        sum(w * v for w, v in zip(weights, xs, strict=True)),
-        sum(w * v for w, v in zip(weights, ys, strict=True)),
+        sum(w * v for w, v in zip(weights, xs, strict=True)), sum(w * v for w, v in zip(weights, ys, strict=True))
     )
 
 
@@ -325,10 +313,7 @@ def drawing(boxes: Sequence[Box], weights: Mapping[Edge, int], notes: Sequence[s
 
 
 def ends_apart(
-    edge: Edge,
-    routes: Mapping[Edge, list[str]],
-    place: Mapping[str, Point],
-    width: Mapping[str, float],
+    edge: Edge, routes: Mapping[Edge, list[str]], place: Mapping[str, Point], width: Mapping[str, float]
 ) -> list[Point]:
     """The points of an arrow, whose ends share their boxes' sides with those of other arrows, in order."""
     start, end = edge

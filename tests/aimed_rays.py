@@ -123,9 +123,7 @@ def spots(part: Any, rng: Rng, count: int, edges: float) -> Spots:
         q = direction(rng, count)
         return Spots(part.center[0] + part.radius[0] * q, q)
     if hasattr(part, "normal"):
-        across = (
-            np.cross(part.normal[0], rng.normal(size=(count, 3))) * decades(rng, 1e-2, 1e3, count)[:, None]
-        )
+        across = np.cross(part.normal[0], rng.normal(size=(count, 3))) * decades(rng, 1e-2, 1e3, count)[:, None]
         return Spots(part.point[0] + across, np.tile(part.normal[0], (count, 1)))
     q, n = spots_of_unit(type(part).__name__, rng, on_edge)
     n = n @ part.to_object[0]

@@ -53,9 +53,7 @@ def pytest_report_header() -> list[str]:
     from mitsuba_ref.cli.doctor import CHROMIUM, report
 
     found = {finding.name: finding for finding in report()}
-    old = (
-        OLD_LLVM if OLD_LLVM.exists() else "none: an abort of Mitsuba's own is not tested, a synthetic one is"
-    )
+    old = OLD_LLVM if OLD_LLVM.exists() else "none: an abort of Mitsuba's own is not tested, a synthetic one is"
     peers = ", ".join(f"{name} {'found' if importlib.util.find_spec(name) else NO_PEER}" for name in PEERS)
     chromium = next(filter(None, map(shutil.which, CHROMIUM)), NO_CHROMIUM)
     return [

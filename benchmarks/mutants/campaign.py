@@ -129,9 +129,7 @@ COMPILED_TESTS = tuple(
     f"{folder}/test_{name}.py" for folder, names in _COMPILED_TESTS.items() for name in names.split()
 )
 SLOWEST_TEST_S = 4.0  # CPU seconds without the compiler, lines recorded; a slower test is not used
-FILE_LIMIT_S = (
-    60.0  # CPU seconds for the measurement of one file of tests; what comes later in it is not used
-)
+FILE_LIMIT_S = 60.0  # CPU seconds for the measurement of one file of tests; what comes later in it is not used
 FIRST_S, FIRST_FILES = 1.5, 5  # the tests that are tried first: CPU seconds, files
 START_S = 20.0  # CPU seconds that a fork may take beside ten times its tests' own
 
@@ -302,9 +300,7 @@ def sampled(settings: Settings, group: str) -> tuple[dict[str, int], list[tuple[
         found = mutants_of(source)
         counts[module] = len(found)
         if settings.module in module:
-            every += [
-                (module, mutant, key) for mutant, key in zip(found, keys_of(source, found), strict=True)
-            ]
+            every += [(module, mutant, key) for mutant, key in zip(found, keys_of(source, found), strict=True)]
     chosen = random.Random(f"{settings.seed} {group}").sample(every, len(every))
     return counts, chosen[: settings.sample or None]
 
@@ -351,9 +347,7 @@ def kills_in(out: Path) -> Counter[tuple[str, str]]:
     return Counter((row["module"], row["by"]) for row in results(out) if row["status"] == "killed")
 
 
-def tried(
-    tree: Tree, source: bytes, outcome: Outcome, mutant: Mutant, chosen: Iterator[list[Test]], out: Path
-) -> None:
+def tried(tree: Tree, source: bytes, outcome: Outcome, mutant: Mutant, chosen: Iterator[list[Test]], out: Path) -> None:
     """Run the mutant's tests until one fails; the tree is as before afterwards."""
     tree.plant(outcome.module, mutant.applied(source))
     try:
@@ -398,14 +392,7 @@ def run(settings: Settings) -> dict[str, Any]:
         group, module, mutant, key = item
         source = (settings.root / module).read_bytes()
         outcome = Outcome(
-            f"{module} {key}",
-            group,
-            module,
-            mutant.line,
-            mutant.where,
-            mutant.operator,
-            mutant.old,
-            mutant.new,
+            f"{module} {key}", group, module, mutant.line, mutant.where, mutant.operator, mutant.old, mutant.new
         )
         compiled = is_compiled(settings, group)
         os.environ["CASTER_JIT"] = str(int(compiled))
@@ -421,12 +408,9 @@ def run(settings: Settings) -> dict[str, Any]:
     parallel(settings.jobs, jobs, work)
     for group in settings.sources:
         populations.setdefault(
-            group,
-            {m: len(mutants_of((settings.root / m).read_bytes())) for m in module_files(settings, group)},
+            group, {m: len(mutants_of((settings.root / m).read_bytes())) for m in module_files(settings, group)}
         )
-    commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], cwd=settings.root, capture_output=True, text=True
-    )
+    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=settings.root, capture_output=True, text=True)
     result = {"commit": commit.stdout.strip(), "populations": populations, "outcomes": results(out)}
     (out / "campaign.json").write_text(json.dumps(result, indent=1), encoding="utf-8")
     return result
@@ -438,9 +422,7 @@ SURVIVED = ("survived", "not executed")
 def results(out: Path) -> list[dict[str, Any]]:
     """The last outcome of each mutant."""
     path = out / "results.jsonl"
-    rows = (
-        [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.exists() else []
-    )
+    rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.exists() else []
     return list({row["key"]: row for row in rows}.values())
 
 

@@ -12,22 +12,13 @@ from mitsuba_ref.fuzz.findings import Tally
 from mitsuba_ref.reference.mitsuba_process import ResidentSession
 from mitsuba_ref.report.validation import validate_scene
 
-pytestmark = pytest.mark.filterwarnings(
-    "ignore::RuntimeWarning"
-)  # NumPy's scalars warn where machine code does not
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # NumPy's scalars warn where machine code does not
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = 2  # of each family and group
 GROUPS = 6 if COMPILED else 2
 FILM = (9, 7)
 SEED = 11
-LARGE = (
-    "hills-131072-triangles",
-    "every-shape",
-    "torus-smooth",
-    "teapot",
-    "two-thousand-spheres",
-    "transforms",
-)
+LARGE = ("hills-131072-triangles", "every-shape", "torus-smooth", "teapot", "two-thousand-spheres", "transforms")
 SCENES = sorted(
     path for path in (ROOT / "scenes").glob("*.toml") if COMPILED or path.stem not in LARGE
 )  # the large ones are slow without the compiler

@@ -145,9 +145,7 @@ class _Walk:
         elif _has_effect(node):
             yield self.edit("dropped statement", node, "pass", where)
         elif isinstance(node, ast.Continue | ast.Break):
-            yield self.edit(
-                "returned early", node, "break" if isinstance(node, ast.Continue) else "continue", where
-            )
+            yield self.edit("returned early", node, "break" if isinstance(node, ast.Continue) else "continue", where)
         elif isinstance(node, ast.Return) and node.value is not None and not _is_none(node.value):
             yield self.edit("returned early", node.value, "None", where)
 
@@ -219,14 +217,7 @@ COMMUTATIVE = {
     *("min", "max", "minimum", "maximum", "dot", "hypot", "isinstance", "logical_and", "logical_or"),
     *("multiply", "intersect1d", "row_distance", "add", "component_min", "component_max"),
 }
-EXCHANGED = {
-    "min": "max",
-    "max": "min",
-    "minimum": "maximum",
-    "maximum": "minimum",
-    "any": "all",
-    "all": "any",
-}
+EXCHANGED = {"min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum", "any": "all", "all": "any"}
 
 
 def _constants(value: Any, in_index: bool) -> Iterator[tuple[str, str]]:
@@ -249,17 +240,13 @@ def _is_none(node: ast.expr) -> bool:
 
 
 def _is_text(node: ast.expr) -> bool:
-    return isinstance(node, ast.JoinedStr) or (
-        isinstance(node, ast.Constant) and isinstance(node.value, str | bytes)
-    )
+    return isinstance(node, ast.JoinedStr) or (isinstance(node, ast.Constant) and isinstance(node.value, str | bytes))
 
 
 def _is_type(node: ast.BinOp) -> bool:
     """`int | None`: a union of types."""
     parts = (node.left, node.right)
-    return isinstance(node.op, ast.BitOr) and any(
-        _is_none(part) or _name(part)[:1].isupper() for part in parts
-    )
+    return isinstance(node.op, ast.BitOr) and any(_is_none(part) or _name(part)[:1].isupper() for part in parts)
 
 
 def _is_log(node: ast.expr) -> bool:
@@ -286,11 +273,5 @@ def _is_excluded(node: ast.stmt) -> bool:
         return True
     if isinstance(node, ast.If) and _name(node.test) == "TYPE_CHECKING":
         return True
-    targets = (
-        node.targets
-        if isinstance(node, ast.Assign)
-        else [node.target]
-        if isinstance(node, ast.AnnAssign)
-        else []
-    )
+    targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
     return any(_name(target) == "__all__" for target in targets)

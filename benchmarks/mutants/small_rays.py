@@ -55,9 +55,7 @@ def test_rays_of_one_point_or_direction_find_as_fans_what_brute_force_finds(comm
     rays = Rays(*(a[: SAMPLED_RAYS + RAYS] for a in rays))
     if common == "in one direction":
         rays.d[:], rays.t_max[:] = rays.d[place], math.inf
-    stray = np.setdiff1d(np.arange(len(rays.d)), np.linspace(0, len(rays.d) - 1, SAMPLED_RAYS).astype(int))[
-        ::3
-    ]
+    stray = np.setdiff1d(np.arange(len(rays.d)), np.linspace(0, len(rays.d) - 1, SAMPLED_RAYS).astype(int))[::3]
     rays.d[stray] = rng.normal(size=(len(stray), 3))
     if common != "in one direction":
         rays.o[stray] += rng.normal(size=(len(stray), 3))

@@ -22,15 +22,7 @@ from typing import Any, NamedTuple
 import pytest
 
 PACKAGES = ("caster", "mitsuba_ref")
-LIBRARIES = (
-    "numpy.ma",
-    "numpy.random",
-    "numpy.typing",
-    "pydantic.main",
-    "pydantic.json_schema",
-    "hypothesis",
-    "PIL",
-)
+LIBRARIES = ("numpy.ma", "numpy.random", "numpy.typing", "pydantic.main", "pydantic.json_schema", "hypothesis", "PIL")
 OPTIONS = (
     "-q",
     "-q",
@@ -91,11 +83,7 @@ def _in_child(tree: Path, files: Sequence[str], plugin: Any, cpu: float) -> int:
     os.chdir(tree)
     os.environ["PYTHONPATH"] = str(tree)
     sys.path.insert(0, str(tree))
-    return int(
-        pytest.main(
-            [*OPTIONS, *plugin.options, "--rootdir", str(tree), *files], plugins=[plugin, Determined()]
-        )
-    )
+    return int(pytest.main([*OPTIONS, *plugin.options, "--rootdir", str(tree), *files], plugins=[plugin, Determined()]))
 
 
 def load_libraries() -> None:
@@ -154,9 +142,7 @@ class Chosen:
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        items[:] = sorted(
-            (i for i in items if i.nodeid in self.order), key=lambda item: self.order[item.nodeid]
-        )
+        items[:] = sorted((i for i in items if i.nodeid in self.order), key=lambda item: self.order[item.nodeid])
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.failed:

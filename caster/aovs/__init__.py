@@ -68,9 +68,7 @@ def register(aov: Any) -> None:
     missing = [name for name in (*Aov.__annotations__, "evaluate") if not hasattr(aov, name)]
     if missing:
         raise ValueError(f"aov {getattr(aov, 'NAME', aov)!r}: does not declare {', '.join(missing)}")
-    taken = {"A", *(channel for other in AOVS for channel in other.CHANNELS)} - (
-        {"A"} if aov is hit else set()
-    )
+    taken = {"A", *(channel for other in AOVS for channel in other.CHANNELS)} - ({"A"} if aov is hit else set())
     if aov.NAME in BY_NAME or taken & set(aov.CHANNELS):
         raise ValueError(f"aov {aov.NAME!r}: this name or one of its channels {aov.CHANNELS} is taken")
     if unknown := set(aov.NEEDS) - set(NEEDED_FIELDS):

@@ -10,14 +10,6 @@ from caster.cameras.pinhole import Pinhole
 from caster.cameras.single_ray import Ray
 from caster.description.registry import Registry
 
-__all__ = [
-    "CAMERAS",
-    "Fisheye",
-    "Orthographic",
-    "Panorama",
-    "Parabolic",
-    "Pinhole",
-    "Ray",
-]
+__all__ = ["CAMERAS", "Fisheye", "Orthographic", "Panorama", "Parabolic", "Pinhole", "Ray"]
 
 CAMERAS: Registry[Any] = Registry(Pinhole, Orthographic, Fisheye, Panorama, Parabolic, Ray)

@@ -45,11 +45,7 @@ class Fisheye(Camera):
     def pack(self, width: int, height: int) -> FisheyeRays:
         right, up, forward = self.frame
         half = math.radians(self.fov) / 2.0
-        most = (
-            curvature_bound(half + MAX_HULL_ANGLE)
-            if half + MAX_HULL_ANGLE < MAX_PROJECTED_ANGLE
-            else math.inf
-        )
+        most = curvature_bound(half + MAX_HULL_ANGLE) if half + MAX_HULL_ANGLE < MAX_PROJECTED_ANGLE else math.inf
         return FisheyeRays(self.eye, right, up, forward, film_circle(width, height), half, most)
 
 
@@ -98,9 +94,7 @@ def _project_bounding_sphere(camera: Any, center: Any, r: float) -> Any:
 
 
 ANGLE_ERROR = 2.0**-40  # radians; roundings of angles are below 2^-48
-MIN_AXIS_SINE = (
-    2.0**-100
-)  # sine of an angle below all rounding of the projection; squares of less may underflow
+MIN_AXIS_SINE = 2.0**-100  # sine of an angle below all rounding of the projection; squares of less may underflow
 MIN_CURVATURE_ANGLE = 0.5  # radians; the bound is monotonic and 0 / 0 at 0, so smaller angles use this one
 
 

@@ -22,14 +22,7 @@ from caster.classroom.grammar import (
     tokens_of,
 )
 from caster.classroom.scene_conversion import Falloff, SceneBuilder, build_scene_data
-from caster.description.errors import (
-    Diagnostic,
-    FileMissing,
-    SceneError,
-    diagnostics_of,
-    join_words,
-    suggestion,
-)
+from caster.description.errors import Diagnostic, FileMissing, SceneError, diagnostics_of, join_words, suggestion
 from caster.description.parsing import format_excerpt, list_errors, read_text
 from caster.scene.files import MeshFolders, resolve_mesh_files
 from caster.scene.model import Scene
@@ -113,9 +106,7 @@ class Parser:
             token = self._peek()
             value = None if token is None else token.number
             if token is None or value is None:
-                self._error(
-                    token or at, f"{where} must be {form.text}, got {_token_text(token)} after {len(numbers)}"
-                )
+                self._error(token or at, f"{where} must be {form.text}, got {_token_text(token)} after {len(numbers)}")
                 if token is not None and token.text not in "{}" and token.text not in KEYWORDS:
                     self._next()  # a misspelt number: continue after it and the rest
                     self._skip_numbers()
@@ -169,9 +160,7 @@ class Parser:
         if self._next_is("{"):
             self._next()
             return True
-        self._error(
-            self._peek() or at, f"{at.text} must be followed by '{{', got {_token_text(self._peek())}"
-        )
+        self._error(self._peek() or at, f"{at.text} must be followed by '{{', got {_token_text(self._peek())}")
         return False
 
     def _expect_close_brace(self, at: Token, where: str) -> None:
@@ -252,9 +241,7 @@ def load_course_scene(
         kind_of_error = FileMissing if len(missing) == len(bad) else SceneError
         raise kind_of_error(_format_errors(bad, text, str(path)))
     assert scene is not None  # or there would be faults
-    left_out = tuple(
-        f"{path}:{at.line}:{at.column}: left out: {what}" for at, what in _by_position(builder.left_out)
-    )
+    left_out = tuple(f"{path}:{at.line}:{at.column}: left out: {what}" for at, what in _by_position(builder.left_out))
     return CourseScene(scene, builder.background, tuple(builder.colors), tuple(builder.falloffs), left_out)
 
 

@@ -154,9 +154,7 @@ class Field(NamedTuple):
     @property
     def words(self) -> str:
         """The field as in the file."""
-        return " ".join(
-            [self.name, *(f"{x:g}" for x in self.numbers), *([self.word.text] if self.word else [])]
-        )
+        return " ".join([self.name, *(f"{x:g}" for x in self.numbers), *([self.word.text] if self.word else [])])
 
 
 @dataclass

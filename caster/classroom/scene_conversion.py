@@ -4,16 +4,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from caster.classroom.grammar import (
-    CAMERAS,
-    FILE_START,
-    TEXTURES,
-    TRANSFORM_FIELDS,
-    Field,
-    Node,
-    SourceMessage,
-    Token,
-)
+from caster.classroom.grammar import CAMERAS, FILE_START, TEXTURES, TRANSFORM_FIELDS, Field, Node, SourceMessage, Token
 
 Path = tuple[str | int, ...]
 
@@ -102,9 +93,7 @@ def _ambient(out: SceneBuilder, node: Node | None) -> tuple[tuple[float, ...], T
     return (BLACK, node.at) if ambient is None else (ambient.numbers, ambient.at)
 
 
-def _color(
-    out: SceneBuilder, into: dict[str, Any], key: str, node: Node, factor: float, *path: str | int
-) -> None:
+def _color(out: SceneBuilder, into: dict[str, Any], key: str, node: Node, factor: float, *path: str | int) -> None:
     """Set the radiometric quantity of a light: the course reflects reflectance times color, here it is over pi."""
     found = node.get("color")
     if found is None:
@@ -121,9 +110,7 @@ def _point_falloff(out: SceneBuilder, light: dict[str, Any], node: Node, path: P
         falloff = Falloff(0.0, 0.0, of_2011.numbers[0])
     at_one = sum(falloff)
     if not at_one > 0.0:
-        out.errors.append(
-            SourceMessage(node.at, "PointLight: its attenuation must leave light at a distance of 1")
-        )
+        out.errors.append(SourceMessage(node.at, "PointLight: its attenuation must leave light at a distance of 1"))
         at_one = 1.0
     out.falloffs.append(falloff)
     _color(out, light, "intensity", node, math.pi / at_one, *path)
@@ -190,10 +177,7 @@ def add_materials(out: SceneBuilder, node: Node | None) -> None:
         materials[name] = out.put({"reflectance": clipped}, each.at, "material", name)
         out.put(clipped, at, "material", name, "reflectance")
         if clipped != list(rgb):
-            out.omit(
-                at,
-                f"the part beyond 1 of {color.words if color else 'it'}: a reflectance is at most 1",
-            )
+            out.omit(at, f"the part beyond 1 of {color.words if color else 'it'}: a reflectance is at most 1")
         if each.kind in TEXTURES:
             out.omit(each.at, f"{each.kind}: no textures here; replaced by grey")
         for item in each.items:

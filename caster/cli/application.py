@@ -13,12 +13,7 @@ from caster import __version__
 from caster.cli.shared_arguments import checked_paths
 from caster.system.process import INTERRUPTED, end_process, exit_codes_help, run_command
 
-__all__ = [
-    "Command",
-    "announce",
-    "build_parser",
-    "main",
-]
+__all__ = ["Command", "announce", "build_parser", "main"]
 
 
 class Command(NamedTuple):
@@ -38,9 +33,7 @@ class Command(NamedTuple):
         parser.set_defaults(run=getattr(module, self.run))
 
 
-def main(
-    name: str, about: str, commands: Sequence[Command], codes: Sequence[int], argv: Sequence[str] | None
-) -> int:
+def main(name: str, about: str, commands: Sequence[Command], codes: Sequence[int], argv: Sequence[str] | None) -> int:
     """Run one of the commands and return its exit code. codes: those that --help explains.
 
     argv: the words after the program's name, default those of this process. Only the command's own module is imported.
@@ -76,11 +69,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def build_parser(
-    name: str,
-    about: str,
-    commands: Sequence[Command],
-    codes: Sequence[int],
-    loaded: Sequence[str] | None = None,
+    name: str, about: str, commands: Sequence[Command], codes: Sequence[int], loaded: Sequence[str] | None = None
 ) -> argparse.ArgumentParser:
     """The parser of a program. loaded: the commands whose arguments it needs, default all."""
     epilog = exit_codes_help(*codes)

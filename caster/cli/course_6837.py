@@ -21,12 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("-input", metavar="SCENE.txt", type=InputPath, required=True, help="a scene file of the course")
     add("-size", nargs=2, type=int, metavar=("W", "H"), default=(100, 100), help="default: 100 100")
-    add(
-        "-output",
-        metavar="IMAGE",
-        type=OutputFile,
-        help="the colours: diffuse and ambient light, .png or .tga",
-    )
+    add("-output", metavar="IMAGE", type=OutputFile, help="the colours: diffuse and ambient light, .png or .tga")
     add(
         "-depth",
         nargs=3,
@@ -71,11 +66,7 @@ def run(args: argparse.Namespace) -> int:
     for option, path in wanted.items():
         write_image(path, encoders[option]())
     height, width = images.hit.shape
-    found = (
-        f"t {images.t[images.hit].min():.6g} to {images.t[images.hit].max():.6g}"
-        if images.hit.any()
-        else "no hit"
-    )
+    found = f"t {images.t[images.hit].min():.6g} to {images.t[images.hit].max():.6g}" if images.hit.any() else "no hit"
     print(f"{', '.join(wanted.values())}: {width} x {height} pixels, {int(images.hit.sum())} hit, {found}")
     return OK
 

@@ -23,16 +23,7 @@ if TYPE_CHECKING:
     from caster.rendering.warm_up import WarmUpCounts
     from caster.scene.model import Scene
 
-__all__ = [
-    "Finding",
-    "Package",
-    "exit_code",
-    "find_package",
-    "format_json",
-    "print_findings",
-    "report",
-    "usable",
-]
+__all__ = ["Finding", "Package", "exit_code", "find_package", "format_json", "print_findings", "report", "usable"]
 
 
 class Package(NamedTuple):

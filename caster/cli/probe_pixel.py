@@ -69,9 +69,7 @@ def probe_to_text(found: Probe, path: str) -> str:
     film = found.scene.film
     head = f"pixel ({found.x}, {found.y}) of {path}, film {film.width} x {film.height}"
     if found.t_max < 0.0:
-        return (
-            f"{head}\nno ray: the pixel lies outside the image circle of the {found.scene.camera.type} camera"
-        )
+        return f"{head}\nno ray: the pixel lies outside the image circle of the {found.scene.camera.type} camera"
     lines = [head, *_ray_lines(found), *_hit_lines(found), *_tested_lines(found), *_near_lines(found)]
     return "\n".join(lines)
 
@@ -107,9 +105,7 @@ def _tested(tried: PrimitiveResult, scene: Scene) -> dict[str, Any]:
 
 
 def _surface(found: Probe) -> dict[str, Any]:
-    return {
-        key: item for name, value in found.surface.items() for key, item in _with_hex(name, value).items()
-    }
+    return {key: item for name, value in found.surface.items() for key, item in _with_hex(name, value).items()}
 
 
 def _ray_lines(found: Probe) -> Iterator[str]:
@@ -173,9 +169,7 @@ def _box_text(tried: PrimitiveResult) -> str:
     if tried.box is None:
         return "no bounds"
     return (
-        "passes its box by"
-        if tried.box_span is None
-        else "in its box for t {:.6g} to {:.6g}".format(*tried.box_span)
+        "passes its box by" if tried.box_span is None else "in its box for t {:.6g} to {:.6g}".format(*tried.box_span)
     )
 
 

@@ -42,20 +42,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     add = parser.add_argument
     add(
-        "-o",
-        "--output",
-        metavar="OUT.exr",
-        type=OutputFile,
-        help="default: the scene's name with .exr, in this folder",
+        "-o", "--output", metavar="OUT.exr", type=OutputFile, help="default: the scene's name with .exr, in this folder"
     )
     add("--aov", type=str, metavar="A,B,...", help=f"of {AOV_NAMES}; default: {DEFAULT_AOV_LIST}")
-    add(
-        "--crop",
-        nargs=4,
-        type=int,
-        metavar=CROP_METAVARS,
-        help="render these pixels only; X1 and Y1 are exclusive",
-    )
+    add("--crop", nargs=4, type=int, metavar=CROP_METAVARS, help="render these pixels only; X1 and Y1 are exclusive")
     add_threads(parser)
     add(
         "--compression",
@@ -193,9 +183,7 @@ def check_file(path: str, mesh_dirs: list[str]) -> int:
     except SceneError as error:
         print(error)
         return error.exit_code
-    print(
-        f"{path}: ok, {len(scene.shapes)} shapes" + (f"; faces never hit: {never_hit}" if never_hit else "")
-    )
+    print(f"{path}: ok, {len(scene.shapes)} shapes" + (f"; faces never hit: {never_hit}" if never_hit else ""))
     return OK
 
 

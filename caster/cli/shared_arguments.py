@@ -203,14 +203,11 @@ def checked_paths(args: argparse.Namespace) -> Iterator[None]:
         for _, source in inputs:
             if _is_or_contains(source, path):
                 raise SceneError(
-                    f"{_option(name)} {path}: expected another path than the input {source}: "
-                    "it would be overwritten"
+                    f"{_option(name)} {path}: expected another path than the input {source}: it would be overwritten"
                 )
         for other, earlier in outputs[:place]:
             if isinstance(path, OutputFile) and _same(path, earlier):
-                raise SceneError(
-                    f"{_option(name)} {path}: expected another file than that of {_option(other)}"
-                )
+                raise SceneError(f"{_option(name)} {path}: expected another file than that of {_option(other)}")
     with recorded_inputs(), contextlib.ExitStack() as stack:
         for _, source in inputs:
             for file in _files(source):

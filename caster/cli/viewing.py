@@ -24,9 +24,7 @@ from caster.system.process import NOTHING_SELECTED, OK
 
 
 def add_info_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "file", metavar="FILE.exr", type=InputPath, help="an EXR file; of a multi-part one, all parts"
-    )
+    parser.add_argument("file", metavar="FILE.exr", type=InputPath, help="an EXR file; of a multi-part one, all parts")
     parser.add_argument("--json", action="store_true", help="as JSON, with all of the provenance")
 
 
@@ -36,9 +34,7 @@ def info(args: argparse.Namespace) -> int:
 
     found = describe_exr(args.file)
     as_json = args.json
-    print(
-        json.dumps(found, indent=2, allow_nan=False) if as_json else format_info(found, sys.stdout.encoding)
-    )
+    print(json.dumps(found, indent=2, allow_nan=False) if as_json else format_info(found, sys.stdout.encoding))
     return OK
 
 
@@ -47,12 +43,7 @@ def info(args: argparse.Namespace) -> int:
 
 def add_preview_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add(
-        "file",
-        metavar="FILE.exr",
-        type=InputPath,
-        help="a file of `caster render`, or of verdicts or differences",
-    )
+    add("file", metavar="FILE.exr", type=InputPath, help="a file of `caster render`, or of verdicts or differences")
     add(
         "-o",
         "--output",
@@ -93,22 +84,10 @@ def add_sheet_arguments(parser: argparse.ArgumentParser) -> None:
     add("scenes", metavar="SCENE|DIR", type=InputPath, nargs="+", help="scene files, or folders of them")
     add("-o", "--output", metavar="PNG", type=OutputFile, default="sheet.png", help="default: sheet.png")
     add(
-        "--aov",
-        type=str,
-        metavar="A",
-        default="diffuse",
-        help="default: diffuse, and normals of scenes without lights",
+        "--aov", type=str, metavar="A", default="diffuse", help="default: diffuse, and normals of scenes without lights"
     )
-    add(
-        "--side",
-        type=positive_int,
-        metavar="N",
-        default=160,
-        help="longer side of each, in pixels; default: 160",
-    )
-    add(
-        "--columns", type=positive_int, metavar="N", help="default: so many that the sheet is wider than high"
-    )
+    add("--side", type=positive_int, metavar="N", default=160, help="longer side of each, in pixels; default: 160")
+    add("--columns", type=positive_int, metavar="N", help="default: so many that the sheet is wider than high")
     add_threads(parser)
     add_mesh_dirs(parser)
 

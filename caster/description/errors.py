@@ -8,15 +8,7 @@ from difflib import get_close_matches
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
-__all__ = [
-    "Diagnostic",
-    "FileMissing",
-    "SceneError",
-    "diagnostics_of",
-    "error_prefix",
-    "join_words",
-    "suggestion",
-]
+__all__ = ["Diagnostic", "FileMissing", "SceneError", "diagnostics_of", "error_prefix", "join_words", "suggestion"]
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
@@ -164,9 +156,7 @@ def _subject(path: DataPath, data: Any, model: Model) -> str:
 CROSS_ELEMENT_ERROR = "cross_element"  # type of the error of a check across several elements
 
 
-MAX_SUGGESTIONS = (
-    1000  # unknown keys of one file for which the most similar known one is searched: 30 us each
-)
+MAX_SUGGESTIONS = 1000  # unknown keys of one file for which the most similar known one is searched: 30 us each
 
 
 def diagnostics_of(error: ValidationError, data: Any, model: Model) -> list[Diagnostic]:
@@ -256,9 +246,7 @@ def _unknown_type(got: Any, noun: str, models: Sequence[Model]) -> str:
     kind = child_of(got, "type")
     if kind is None:
         return f"needs the key 'type': {join_words(known)}"
-    return (
-        f"unknown {noun} type {format_value(kind)}{suggestion(str(kind), known)} (known: {', '.join(known)})"
-    )
+    return f"unknown {noun} type {format_value(kind)}{suggestion(str(kind), known)} (known: {', '.join(known)})"
 
 
 def _text(kind: str, got: Any, ctx: Mapping[str, Any]) -> str:

@@ -99,9 +99,7 @@ def check_elsewhere(target: Any, start: str, values: Mapping[str, Any]) -> Any:
     """Validate that the direction from a field of `values` to the target is defined."""
     if target is not None and start in values:
         if target == values[start]:
-            raise expectation_error(
-                f"another point than {start}, so that the viewing direction is defined", target
-            )
+            raise expectation_error(f"another point than {start}, so that the viewing direction is defined", target)
         if not np.isfinite(transform.subtract(target, values[start])).all():
             raise expectation_error(f"nearer to {start}, at a finite distance", target)
     return target
@@ -112,9 +110,7 @@ def check_up(up: Any, view: Any) -> None:
     try:
         transform.frame(transform.unit(view), up)
     except ValueError:
-        raise expectation_error(
-            f"a direction across the view {format_value(list(view))}, not along it", up
-        ) from None
+        raise expectation_error(f"a direction across the view {format_value(list(view))}, not along it", up) from None
 
 
 class _OrNumber:
@@ -165,9 +161,7 @@ class Step(Description):
         if not given:
             raise field_error(f"needs one of the keys {join_words(type(self).model_fields)}")
         if len(given) > 1:
-            raise field_error(
-                f"must have one key, got {join_words(given, 'and')}: write a list of steps instead"
-            )
+            raise field_error(f"must have one key, got {join_words(given, 'and')}: write a list of steps instead")
         return self
 
     def as_matrix(self) -> transform.Matrix:

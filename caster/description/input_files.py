@@ -8,22 +8,12 @@ from typing import IO
 
 from caster.description.errors import FileMissing, SceneError
 
-__all__ = [
-    "MAX_TEXT_BYTES",
-    "is_input",
-    "opened_input",
-    "read_input",
-    "read_own",
-    "record_input",
-    "recorded_inputs",
-]
+__all__ = ["MAX_TEXT_BYTES", "is_input", "opened_input", "read_input", "read_own", "record_input", "recorded_inputs"]
 
 MAX_TEXT_BYTES = 2**28  # of a scene file: a million spheres are half of it
 MAX_MESH_BYTES = 2**32  # of a mesh file: 80 million triangles in binary PLY
 
-_FileId = tuple[
-    int, int
-]  # device, inode: the same for hard links, symbolic links and other spellings of a path
+_FileId = tuple[int, int]  # device, inode: the same for hard links, symbolic links and other spellings of a path
 
 # Each with the path that it was read by. None: outside of a command, where a file may be read and written again.
 _recorded: dict[_FileId, str] | None = None
@@ -102,16 +92,12 @@ def opened_input(path: str | os.PathLike[str], what: str) -> Iterator[tuple[IO[b
     name = os.fspath(path)
     if "\0" in str(name):
         raise FileMissing(f"{name!r}: cannot read this {what}: a NUL character in its name")
-    flags = (
-        os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
-    )
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
     try:
         with os.fdopen(os.open(name, flags), "rb") as file:
             status = os.fstat(file.fileno())
             if not stat.S_ISREG(status.st_mode):
-                raise FileMissing(
-                    f"{name}: cannot read this {what}: expected a file, got {_kind(status.st_mode)}"
-                )
+                raise FileMissing(f"{name}: cannot read this {what}: expected a file, got {_kind(status.st_mode)}")
             yield file, status.st_size
     except OSError as error:
         raise FileMissing(f"{name}: cannot read this {what}: {error.strerror or error}") from error

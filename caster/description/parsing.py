@@ -162,11 +162,7 @@ def is_nested_deeper(data: Any, depth: int) -> bool:
     """Whether lists and tables are nested deeper than that; without recursion."""
     level = [data]
     for _ in range(depth + 1):
-        inner = [
-            each.values() if isinstance(each, dict) else each
-            for each in level
-            if isinstance(each, (dict, list))
-        ]
+        inner = [each.values() if isinstance(each, dict) else each for each in level if isinstance(each, (dict, list))]
         level = [each for values in inner for each in values if isinstance(each, (dict, list))]
         if not level:
             return False
@@ -233,9 +229,7 @@ def _syntax_error(error: ValueError, text: str, kind: SceneFormat, origin: str) 
     span = Span(line, column, 1)
     rest = text.split("\n")[line - 1][column - 1 :]
     hint = ": a number needs a digit before its point" if re.match(r"[+-]?\.\d", rest) else ""
-    return format_excerpt(
-        span, f"not valid {kind.upper()}: {message[0].lower()}{message[1:]}{hint}", text, origin
-    )
+    return format_excerpt(span, f"not valid {kind.upper()}: {message[0].lower()}{message[1:]}{hint}", text, origin)
 
 
 def _error_position(error: ValueError, text: str) -> tuple[int, int, str]:

@@ -23,15 +23,7 @@ from caster.kernels.bvh.build import bounding_boxes
 from caster.kernels.protocol import hull_size
 from caster.kernels.triangles import Triangles as Triangles
 
-__all__ = [
-    "Packed",
-    "Triangles",
-    "concatenate_parts",
-    "forget_packed",
-    "pack",
-    "packed",
-    "primitive_count",
-]
+__all__ = ["Packed", "Triangles", "concatenate_parts", "forget_packed", "pack", "packed", "primitive_count"]
 
 
 @dataclass(frozen=True)
@@ -127,10 +119,7 @@ def pack(scene: ShapeCollection, rounded: Rounding = as_given) -> Packed:
     return Packed(tuple(kinds), parts, first, kind_of, start)
 
 
-CACHED_AS: dict[Rounding, str] = {
-    as_given: "packed",
-    as_float32: "packed float32",
-}  # keys of ShapeCollection.derived
+CACHED_AS: dict[Rounding, str] = {as_given: "packed", as_float32: "packed float32"}  # keys of ShapeCollection.derived
 
 
 def packed(scene: ShapeCollection, rounded: Rounding = as_given) -> Packed:
@@ -168,9 +157,7 @@ def _check_lengths(part: Triangles, shape: str) -> None:
     vertices, faces = len(part.vertices), len(part.faces)
     for name, expected in (("normals", vertices), ("uv", vertices), ("smooth", faces), ("textured", faces)):
         if (found := len(getattr(part, name))) != expected:
-            raise ValueError(
-                f"{shape}.pack: {name} must have {expected} rows, got {found}; fill up with zeros"
-            )
+            raise ValueError(f"{shape}.pack: {name} must have {expected} rows, got {found}; fill up with zeros")
 
 
 def _not_finite(scene: ShapeCollection, i: int) -> SceneError:
@@ -290,9 +277,7 @@ def _rejected_of_mesh(mesh: Any, vertices: np.ndarray) -> RejectedFaces:
     return RejectedFaces(*total.tolist())
 
 
-def _count_rejected(
-    faces: np.ndarray, vertices: np.ndarray, finite: np.ndarray, usable: np.ndarray
-) -> np.ndarray:
+def _count_rejected(faces: np.ndarray, vertices: np.ndarray, finite: np.ndarray, usable: np.ndarray) -> np.ndarray:
     """The counts of RejectedFaces as an array. finite, usable: (v,) bool, of the vertices."""
     sound, good = finite[faces].all(axis=1), usable[faces].all(axis=1)
     flat = _count_degenerate(vertices[faces[good]])
@@ -305,10 +290,7 @@ def _count_degenerate(corners: np.ndarray) -> int:
     repeated, corners = int(alike.sum()), corners[~alike]
     e, f = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     terms = np.roll(e, -1, axis=1) * np.roll(f, 1, axis=1), np.roll(e, 1, axis=1) * np.roll(f, -1, axis=1)
-    sure = (
-        np.abs(terms[0] - terms[1])
-        > CROSS_RELATIVE_ERROR * (np.abs(terms[0]) + np.abs(terms[1])) + CROSS_UNDERFLOW
-    )
+    sure = np.abs(terms[0] - terms[1]) > CROSS_RELATIVE_ERROR * (np.abs(terms[0]) + np.abs(terms[1])) + CROSS_UNDERFLOW
     return repeated + sum(_is_degenerate(face) for face in corners[~sure.any(axis=1)].tolist())
 
 

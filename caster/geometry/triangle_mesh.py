@@ -84,9 +84,7 @@ def _weighted_normals(corners: Floats) -> Floats:
     edges = np.roll(corners, -1, axis=1) - corners  # edge i runs from corner i to the next one
     edges = _rescale_rows(edges.reshape(-1, 9)).reshape(-1, 3, 3)
     cross = np.cross(edges[:, 0], edges[:, 1])
-    sine = np.sqrt(
-        np.sum(cross * cross, axis=1, keepdims=True)
-    )  # scaled by two edge lengths, like the cosine
+    sine = np.sqrt(np.sum(cross * cross, axis=1, keepdims=True))  # scaled by two edge lengths, like the cosine
     cosine = -np.sum(edges * np.roll(edges, 1, axis=1), axis=2)
     angle = np.arctan2(sine, cosine)
     weighted: Floats = normalize_rows(cross)[:, None, :] * angle[:, :, None]

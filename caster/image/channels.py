@@ -10,12 +10,7 @@ from caster.geometry.packing import in_words
 from caster.image.exr import NO_ID, write_exr
 from caster.scene.model import Scene
 
-__all__ = [
-    "aovs_to_channels",
-    "channels_to_aovs",
-    "provenance",
-    "write_render",
-]
+__all__ = ["aovs_to_channels", "channels_to_aovs", "provenance", "write_render"]
 
 
 def aovs_to_channels(aovs: Aovs) -> dict[str, np.ndarray]:

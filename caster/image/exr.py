@@ -165,11 +165,7 @@ def read_exr(path: str | os.PathLike[str]) -> Exr:
 
 
 def _provenance(header: Mapping[str, Any]) -> dict[str, str]:
-    return {
-        key: value
-        for key, value in header.items()
-        if key.startswith(PROVENANCE_PREFIX) and isinstance(value, str)
-    }
+    return {key: value for key, value in header.items() if key.startswith(PROVENANCE_PREFIX) and isinstance(value, str)}
 
 
 def _inclusive(window: Window) -> tuple[tuple[int, int], tuple[int, int]]:

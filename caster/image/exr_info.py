@@ -142,9 +142,7 @@ def _first(mask: np.ndarray, window: Window) -> list[int] | None:
     return [window[0] + int(x), window[1] + int(y)]
 
 
-def _warnings(
-    channels: Mapping[str, np.ndarray], mask: np.ndarray | None, source: str, window: Window
-) -> list[str]:
+def _warnings(channels: Mapping[str, np.ndarray], mask: np.ndarray | None, source: str, window: Window) -> list[str]:
     """Warnings on NaN, on infinities other than the depth of a miss, and on a mask that contradicts the depth."""
     found = []
     for name, values in channels.items():
@@ -155,9 +153,7 @@ def _warnings(
     if mask is not None and "depth.Z" in channels:
         stray = np.isfinite(channels["depth.Z"]) & ~mask
         found.append((stray, f"depth.Z is finite where {source} is a miss"))
-    return [
-        f"{text} in {int(bad.sum())} pixels, first {_first(bad, window)}" for bad, text in found if bad.any()
-    ]
+    return [f"{text} in {int(bad.sum())} pixels, first {_first(bad, window)}" for bad, text in found if bad.any()]
 
 
 def _windows(info: Mapping[str, Any]) -> list[str]:
@@ -169,9 +165,7 @@ def _windows(info: Mapping[str, Any]) -> list[str]:
 def _parts(info: Mapping[str, Any]) -> list[str]:
     """Parts of a multi-part file with their channels."""
     parts = [str(Part(part["name"], tuple(part["channels"]))) for part in info["parts"]]
-    return (
-        [f"{len(parts)} parts as one image:", *(f"  {_truncated(part)}" for part in parts)] if parts else []
-    )
+    return [f"{len(parts)} parts as one image:", *(f"  {_truncated(part)}" for part in parts)] if parts else []
 
 
 def _hits(info: Mapping[str, Any]) -> str:
@@ -186,9 +180,7 @@ def _table(channels: Mapping[str, Mapping[str, Any]], ramp: str) -> list[str]:
     keys = ("type", "min", "max", "nan", "plus_inf", "minus_inf", "no_id")
     rows: list[tuple[str, ...]] = [TABLE_COLUMNS]
     for name, entry in channels.items():
-        rows.append(
-            (name, *(_cell(entry[key]) for key in keys), f"|{histogram_text(entry['histogram'], ramp)}|")
-        )
+        rows.append((name, *(_cell(entry[key]) for key in keys), f"|{histogram_text(entry['histogram'], ramp)}|"))
     widths = [max(len(row[i]) for row in rows) for i in range(len(TABLE_COLUMNS))]
     sides = [str.ljust, str.ljust, *[str.rjust] * len(keys[1:]), str.ljust]
     return ["  ".join(map(_aligned, sides, row, widths)).rstrip() for row in rows]
@@ -208,17 +200,12 @@ def _provenance(provenance: Mapping[str, str]) -> list[str]:
     if not provenance:
         return ["provenance: none (no attribute under caster/)"]
     width = max(map(len, provenance))
-    return [
-        "provenance:",
-        *(f"  {key.ljust(width)}  {_truncated(value)}" for key, value in provenance.items()),
-    ]
+    return ["provenance:", *(f"  {key.ljust(width)}  {_truncated(value)}" for key, value in provenance.items())]
 
 
 def _truncated(value: str) -> str:
     # Text from a file: its control characters must not reach the terminal.
     shown = "".join(c if c.isprintable() else " " for c in value[: MAX_VALUE_CHARACTERS + 1])
     return (
-        shown
-        if len(value) <= MAX_VALUE_CHARACTERS
-        else f"{shown[:MAX_VALUE_CHARACTERS]}... ({len(value)} characters)"
+        shown if len(value) <= MAX_VALUE_CHARACTERS else f"{shown[:MAX_VALUE_CHARACTERS]}... ({len(value)} characters)"
     )

@@ -36,9 +36,7 @@ def common_shape(channels: Mapping[str, np.ndarray]) -> tuple[int, int]:
     for name, values in channels.items():
         _check_name("channel", name)
         if np.ndim(values) != 2 or np.size(values) == 0:
-            raise SceneError(
-                f"channel '{name}': expected a (height, width) array, got shape {np.shape(values)}"
-            )
+            raise SceneError(f"channel '{name}': expected a (height, width) array, got shape {np.shape(values)}")
         if np.shape(values) != shape:
             raise SceneError(f"channel '{name}' has shape {np.shape(values)}, channel '{first}' has {shape}")
     return int(shape[0]), int(shape[1])
@@ -46,9 +44,7 @@ def common_shape(channels: Mapping[str, np.ndarray]) -> tuple[int, int]:
 
 def _check_name(kind: str, name: object) -> None:
     if not isinstance(name, str) or not name or "\0" in name or len(_utf8(kind, name)) > MAX_NAME_BYTES:
-        raise SceneError(
-            f"{kind} name {name!r:.60}: expected 1 to {MAX_NAME_BYTES} bytes of text without NUL"
-        )
+        raise SceneError(f"{kind} name {name!r:.60}: expected 1 to {MAX_NAME_BYTES} bytes of text without NUL")
 
 
 def _utf8(what: str, text: str) -> bytes:
@@ -123,14 +119,10 @@ def check_parts(path: Path, headers: Sequence[Mapping[str, Any]], window: Callab
     """
     deep = [_part_name(each) for each in headers if "deep" in str(each.get("type"))]
     if deep:
-        raise UnreadableExr(
-            f"{path}: deep data, many samples a pixel, in part {_quoted_list(deep)}; write flat parts"
-        )
+        raise UnreadableExr(f"{path}: deep data, many samples a pixel, in part {_quoted_list(deep)}; write flat parts")
     views = dict.fromkeys(str(each["view"]) for each in headers if each.get("view"))
     if len(views) > 1:
-        raise UnreadableExr(
-            f"{path}: images of {len(views)} views ({_quoted_list(views)}); write one of them"
-        )
+        raise UnreadableExr(f"{path}: images of {len(views)} views ({_quoted_list(views)}); write one of them")
     windows = [window(each["dataWindow"]) for each in headers]
     if len(set(windows)) > 1:
         shown = [f"'{_part_name(each)}' shows {box}" for each, box in zip(headers, windows, strict=True)]
@@ -144,9 +136,7 @@ def check_all_read(path: Path, headers: Sequence[Mapping[str, Any]], read: Seque
     """Raise UnreadableExr for parts of the file that the library dropped without decoding them."""
     left = [name for name in map(_part_name, headers) if name not in read]
     if left:
-        raise UnreadableExr(
-            f"{path}: cannot read part {_quoted_list(left)}: damaged, truncated or of a kind not known"
-        )
+        raise UnreadableExr(f"{path}: cannot read part {_quoted_list(left)}: damaged, truncated or of a kind not known")
 
 
 def merged_channel_names(path: Path, parts: Mapping[str, Sequence[str]]) -> dict[tuple[str, str], str]:
@@ -157,8 +147,7 @@ def merged_channel_names(path: Path, parts: Mapping[str, Sequence[str]]) -> dict
     plain = {(part, channel): _merged_name(part, channel) for part, each in parts.items() for channel in each}
     times = Counter(plain.values())
     names = {
-        (part, channel): f"{part}.{channel}" if times[name] > 1 else name
-        for (part, channel), name in plain.items()
+        (part, channel): f"{part}.{channel}" if times[name] > 1 else name for (part, channel), name in plain.items()
     }
     twice = sorted(name for name, count in Counter(names.values()).items() if count > 1)
     if twice:
@@ -178,9 +167,7 @@ def merged_provenance(path: Path, parts: Sequence[Mapping[str, str]]) -> dict[st
     for each in parts:
         for key, value in each.items():
             if whole.setdefault(key, value) != value:
-                raise UnreadableExr(
-                    f"{path}: its parts have different values of '{key}': parts of several files?"
-                )
+                raise UnreadableExr(f"{path}: its parts have different values of '{key}': parts of several files?")
     return dict(sorted(whole.items()))
 
 

@@ -25,11 +25,7 @@ Array = np.ndarray[Any, np.dtype[Any]]
 # OKLab by B. Ottosson (2020), a perceptually uniform space: lightness and two opponent axes. Its two matrices, as
 # published: the cube roots of cone responses (LMS) -> Lab is the inverse of the first.
 LMS_FROM_OKLAB = np.array(
-    [
-        [1.0, 0.3963377774, 0.2158037573],
-        [1.0, -0.1055613458, -0.0638541728],
-        [1.0, -0.0894841775, -1.2914855480],
-    ]
+    [[1.0, 0.3963377774, 0.2158037573], [1.0, -0.1055613458, -0.0638541728], [1.0, -0.0894841775, -1.2914855480]]
 )
 LINEAR_SRGB_FROM_LMS = np.array(
     [
@@ -139,9 +135,7 @@ def aov_view(name: str, values: Array, hit: Array) -> LabelledImage:
     if broken.any():
         legend += f"; {non_finite_counts(values, broken)}: magenta"
     pixels = np.where(shown[..., None], pixels, checkerboard(hit.shape))
-    return LabelledImage(
-        name, np.where(broken[..., None], np.array(NON_FINITE_COLOR, np.uint8), pixels), legend
-    )
+    return LabelledImage(name, np.where(broken[..., None], np.array(NON_FINITE_COLOR, np.uint8), pixels), legend)
 
 
 def non_finite_counts(values: Array, broken: Array) -> str:
@@ -172,21 +166,14 @@ def _depth(values: Array, shown: Array) -> Colored:
     elif middle < LOG_DEPTH_RATIO * near:
         how, closeness, farthest, nearest = "by 1 / depth, ", near / t, near / far, 1.0
     else:
-        how, closeness, farthest, nearest = (
-            "by its logarithm, ",
-            -np.log(t / near),
-            -math.log(far / near),
-            0.0,
-        )
+        how, closeness, farthest, nearest = ("by its logarithm, ", -np.log(t / near), -math.log(far / near), 0.0)
     span = nearest - farthest
     scale = (closeness - farthest) / span if span > 0.0 else np.ones(t.shape)
     return colormap_lookup(scale), f"{how}{near:.6g} (light) to {far:.6g} (dark)"
 
 
 def _direction(values: Array, shown: Array) -> Colored:
-    return to_bytes(
-        0.5 + 0.5 * np.where(shown[..., None], values, 0.0)
-    ), "x, y, z from -1 to 1 as red, green, blue"
+    return to_bytes(0.5 + 0.5 * np.where(shown[..., None], values, 0.0)), "x, y, z from -1 to 1 as red, green, blue"
 
 
 def _position(values: Array, shown: Array) -> Colored:
@@ -208,9 +195,7 @@ def _radiance(values: Array, shown: Array) -> Colored:
     lit = values[shown].max(axis=-1)
     white = float(np.quantile(lit[lit > 0.0], WHITE_QUANTILE)) if (lit > 0.0).any() else 1.0
     cut = int((lit > white).sum())
-    return _srgb_bytes(
-        values / white, shown
-    ), f"0 to {white:.4g} on an sRGB screen, {cut} pixels are brighter"
+    return _srgb_bytes(values / white, shown), f"0 to {white:.4g} on an sRGB screen, {cut} pixels are brighter"
 
 
 def _reflectance(values: Array, shown: Array) -> Colored:
@@ -244,10 +229,7 @@ COLORINGS: Mapping[str, Coloring] = {
 
 
 def class_map_view(
-    classes: Array,
-    names: Mapping[int, str],
-    colors: Mapping[int, tuple[int, int, int]],
-    hit: Array,
+    classes: Array, names: Mapping[int, str], colors: Mapping[int, tuple[int, int, int]], hit: Array
 ) -> LabelledImage:
     """The image of a class map, (h, w) integers, with counts in the legend.
 
@@ -257,9 +239,7 @@ def class_map_view(
     for code, color in colors.items():
         pixels[classes == code] = color
     found, counts = np.unique(classes[hit], return_counts=True)
-    legend = ", ".join(
-        f"{names.get(int(code), str(code))} {n}" for code, n in zip(found, counts, strict=True)
-    )
+    legend = ", ".join(f"{names.get(int(code), str(code))} {n}" for code, n in zip(found, counts, strict=True))
     return LabelledImage("class", np.where(hit[..., None], pixels, checkerboard(classes.shape)), legend)
 
 
@@ -311,20 +291,12 @@ def _joined(parts: Sequence[Array], axis: int) -> Array:
 # ---- previews ----
 
 CLASS_MAP = "class"  # the layer of an EXR file of verdicts or differences
-DEFAULT_PREVIEWS = (
-    "diffuse",
-    CLASS_MAP,
-    "normal",
-    "depth",
-)  # the first of these that exists is shown by default
+DEFAULT_PREVIEWS = ("diffuse", CLASS_MAP, "normal", "depth")  # the first of these that exists is shown by default
 
 
 def aov_images(aovs: Aovs, names: Sequence[str]) -> list[LabelledImage]:
     """Images of AOVs of a render; without names, of a default one. Raises SceneError for an AOV not rendered."""
-    return [
-        aov_view(name, _image(aovs, name), aovs.hit)
-        for name in names or _default_names(list(aovs) or ["hit"])
-    ]
+    return [aov_view(name, _image(aovs, name), aovs.hit) for name in names or _default_names(list(aovs) or ["hit"])]
 
 
 def exr_images(path: str | PathLike[str], names: Sequence[str]) -> list[LabelledImage]:
@@ -339,9 +311,7 @@ def exr_images(path: str | PathLike[str], names: Sequence[str]) -> list[Labelled
         raise SceneError(f"{path}: nothing to show: expected the channels of an AOV or class.I")
     for name in names:
         if name not in known:
-            raise SceneError(
-                f"{path}: no '{name}' in it{suggestion(name, known)} (it has {', '.join(known)})"
-            )
+            raise SceneError(f"{path}: no '{name}' in it{suggestion(name, known)} (it has {', '.join(known)})")
     return [
         _classes(exr, hit) if name == CLASS_MAP else aov_view(name, _image(aovs, name), hit)
         for name in names or _default_names(known)
@@ -351,9 +321,7 @@ def exr_images(path: str | PathLike[str], names: Sequence[str]) -> list[Labelled
 def write_preview(path: str, images: Sequence[LabelledImage], about: Mapping[str, str] = {}) -> list[str]:
     """Write images as a strip; returns the legend lines, which a PNG also contains. Raises OutputError."""
     lines = [f"{each.name}: {each.legend}" for each in images]
-    write_image(
-        path, strip(images), {"Software": f"caster {__version__}", "Description": "\n".join(lines), **about}
-    )
+    write_image(path, strip(images), {"Software": f"caster {__version__}", "Description": "\n".join(lines), **about})
     return lines
 
 
@@ -401,9 +369,7 @@ def thumbnail(
     """A scene rendered at a longer side of `side` pixels; a smaller film is enlarged by an integer factor."""
     film = scene.film
     share = min(1.0, side / max(film.width, film.height))
-    small = scene.with_film(
-        width=max(1, round(share * film.width)), height=max(1, round(share * film.height))
-    )
+    small = scene.with_film(width=max(1, round(share * film.width)), height=max(1, round(share * film.height)))
     aov = aov if aov != "diffuse" or scene.lights else UNLIT_AOV
     aovs = render(small, (aov,))
     image = aov_view(aov, aovs[aov].astype(np.float64) if aov == "hit" else aovs[aov], aovs.hit)

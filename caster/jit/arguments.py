@@ -23,16 +23,9 @@ SCALARS: dict[type, str] = {
     bool: BOOLEAN,
     np.bool: BOOLEAN,
 }
-CLASSES = {
-    form: tuple(kind for kind, its in SCALARS.items() if its == form) for form in (INTEGER, REAL, BOOLEAN)
-}
+CLASSES = {form: tuple(kind for kind, its in SCALARS.items() if its == form) for form in (INTEGER, REAL, BOOLEAN)}
 
-C: dict[str, Any] = {
-    ARRAY: ctypes.c_int64,
-    INTEGER: ctypes.c_int64,
-    REAL: ctypes.c_double,
-    BOOLEAN: ctypes.c_uint8,
-}
+C: dict[str, Any] = {ARRAY: ctypes.c_int64, INTEGER: ctypes.c_int64, REAL: ctypes.c_double, BOOLEAN: ctypes.c_uint8}
 
 MISMATCH = object()
 """Returned by a call that was made for other classes of arguments."""
@@ -118,9 +111,7 @@ def checked_call(args: tuple[Any, ...], entry: Callable[..., int], gives: str) -
     return made
 
 
-def _unfold(
-    name: str, value: str, arg: Any, known: dict[str, Any], tests: list[str], flat: list[str]
-) -> None:
+def _unfold(name: str, value: str, arg: Any, known: dict[str, Any], tests: list[str], flat: list[str]) -> None:
     """Tests for one argument, and what is handed over; `value` is the expression that gives it its name."""
     kind, this = type(arg), f"({name} := {value})" if name != value else name
     known[f"k_{name}"] = kind

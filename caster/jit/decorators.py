@@ -13,15 +13,7 @@ from functools import cache, update_wrapper
 from typing import Any, TypeVar
 
 from caster.jit import machine_code
-from caster.jit.arguments import (
-    INTEGER,
-    MISMATCH,
-    REAL,
-    argument_forms,
-    checked_call,
-    named_tuple_names,
-    signature_key,
-)
+from caster.jit.arguments import INTEGER, MISMATCH, REAL, argument_forms, checked_call, named_tuple_names, signature_key
 from caster.jit.command_list import BoundCall
 from caster.jit.kernel_cache import COMPILED, CompileResultCache, cache_folder
 from caster.jit.simd import (
@@ -88,8 +80,7 @@ def _class_ids(args: Any) -> list[Any]:
 def _cacheable_signature(types: Any) -> bool:
     """Whether that holds for the classes of all tuples in a signature of Numba, or among some of its types."""
     return all(
-        is_cacheable(getattr(each, "instance_class", int))
-        and _cacheable_signature(getattr(each, "types", ()))
+        is_cacheable(getattr(each, "instance_class", int)) and _cacheable_signature(getattr(each, "types", ()))
         for each in getattr(types, "args", types)
     )
 
@@ -100,9 +91,7 @@ class CompilationLog:
     def __init__(self) -> None:
         self.compiled: list[str] = []
         self.loaded: list[str] = []  # from the cache
-        self.slowly: list[
-            str
-        ] = []  # of these, what only Numba can call: loading it takes long, and so does each call
+        self.slowly: list[str] = []  # of these, what only Numba can call: loading it takes long, and so does each call
         self.compiling: Callable[[str], None] = lambda name: None
 
 
@@ -257,9 +246,9 @@ class Kernel:
             name = _named(self.__name__, args)
             with _announcing(numba, name):
                 dispatcher.compile(types)
-            (
-                COMPILATION_LOG.loaded if dispatcher.stats.cache_hits.get(types) else COMPILATION_LOG.compiled
-            ).append(name)
+            (COMPILATION_LOG.loaded if dispatcher.stats.cache_hits.get(types) else COMPILATION_LOG.compiled).append(
+                name
+            )
         return dispatcher.overloads[types]
 
 
@@ -282,9 +271,7 @@ def _announcing(numba: Any, name: str) -> Iterator[None]:
         yield
 
 
-def _loaded(
-    code: machine_code.ObjectCode | None, symbol: str, args: tuple[Any, ...]
-) -> Callable[..., Any] | None:
+def _loaded(code: machine_code.ObjectCode | None, symbol: str, args: tuple[Any, ...]) -> Callable[..., Any] | None:
     """Machine code in this process, to be called with such arguments; None where it is none that LLVM can load."""
     if code is None or code.symbol != symbol:
         return None
@@ -360,9 +347,7 @@ def _overload_lanes(numba: Any) -> None:
         boxes_below: lambda boxes, node, limits: lambda boxes, node, limits: below(boxes, node, limits),
         boxes_reach_lines: lambda boxes, node, lines: lambda boxes, node, lines: reaching(boxes, node, lines),
         lanes_within_lines: lambda xy, i, j, lines: lambda xy, i, j, lines: within(xy, i, j, lines),
-        lanes_not_above: lambda tile, x, y, z, plane: (
-            lambda tile, x, y, z, plane: not_above(tile, x, y, z, plane)
-        ),
+        lanes_not_above: lambda tile, x, y, z, plane: lambda tile, x, y, z, plane: not_above(tile, x, y, z, plane),
         lanes_in_range: lambda a, i, least, end: lambda a, i, least, end: in_range(a, i, least, end),
         prefetch: lambda rows, k: lambda rows, k: fetch(rows, k),
         numbers_in_range: lambda a, i, least, end, lanes, into: (
@@ -429,9 +414,7 @@ def _declared(stub: Function, options: dict[str, Any]) -> Function:
     entry = Generic(stub, options)
     with _LOCK:
         _GENERICS[entry.call] = entry
-        if (
-            _numba.cache_info().currsize
-        ):  # reading a mesh compiles kernels before those of rendering are imported
+        if _numba.cache_info().currsize:  # reading a mesh compiles kernels before those of rendering are imported
             entry.overload(_numba())
     return entry.call  # type: ignore[return-value]  # called like the stub
 

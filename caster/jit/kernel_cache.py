@@ -17,12 +17,7 @@ from typing import Any
 PACKAGE = Path(__file__).resolve().parents[1]
 MAX_CACHE_FOLDERS = 4  # one for each of a few checkouts that are worked on in turn
 COMPILERS = ("numba", "llvmlite")
-WITHOUT_KERNELS = (
-    "classroom",
-    "cli",
-    "image",
-    "system",
-)  # folders that no kernel, and no argument of one, comes from
+WITHOUT_KERNELS = ("classroom", "cli", "image", "system")  # folders that no kernel, and no argument of one, comes from
 INSTALLED = PACKAGE / "jit" / "object_code"  # in wheels that bring object code (.ci/wheel_with_kernels.py)
 NOWHERE = Path(os.devnull) / "kernels"  # a folder that cannot exist: nothing is read, nothing written
 

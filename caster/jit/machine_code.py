@@ -95,9 +95,7 @@ RUNTIME_SOURCE = {
     "numba_frexp": EXPONENT,
 }
 
-MATHEMATICS = (
-    "acos asin atan atan2 ceil cos exp fabs floor fma fmod frexp hypot ldexp log pow rint round sin sqrt tan"
-)
+MATHEMATICS = "acos asin atan atan2 ceil cos exp fabs floor fma fmod frexp hypot ldexp log pow rint round sin sqrt tan"
 C_LIBRARY_SYMBOLS = {*MATHEMATICS.split(" "), "trunc", "malloc", "free", "memcpy", "memmove", "memset"}
 """What object code may call of the C library; anything else would be Numba's own."""
 
@@ -264,10 +262,7 @@ _V3 = [
     "ssse3",
     "xsave",
 ]
-LEVELS = {
-    "x86-64-v4": [*_V3, "avx512bw", "avx512cd", "avx512dq", "avx512f", "avx512vl"],
-    "x86-64-v3": _V3,
-}
+LEVELS = {"x86-64-v4": [*_V3, "avx512bw", "avx512cd", "avx512dq", "avx512f", "avx512vl"], "x86-64-v3": _V3}
 TUNING = {"x86-64-v4": ",-prefer-256-bit"}
 
 
@@ -302,9 +297,7 @@ def target_description() -> str:
 
     settings = [f"{name}={value}" for name, value in sorted(os.environ.items()) if name.startswith("NUMBA_")]
     features = llvm.get_host_cpu_features().flatten()
-    return "\n".join(
-        [platform.python_version(), np.__version__, llvm.get_host_cpu_name(), features, *settings]
-    )
+    return "\n".join([platform.python_version(), np.__version__, llvm.get_host_cpu_name(), features, *settings])
 
 
 class ObjectCode:
@@ -377,9 +370,7 @@ def _made_runner() -> Callable[[int], int]:
     target = llvm.Target.from_default_triple().create_target_machine(opt=0)
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(RUN_COMMANDS), target)
     engine.finalize_object()
-    run: Any = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64)(
-        int(engine.get_function_address("caster_run_commands"))
-    )
+    run: Any = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64)(int(engine.get_function_address("caster_run_commands")))
     run.engine = engine  # which owns the code
     return run
 
@@ -396,9 +387,7 @@ def _load(symbol: str, data: bytes) -> int:
     return address
 
 
-def extract_object_code(
-    library: Any, function: str, symbol: str, taken: list[Form], gives: str
-) -> ObjectCode | None:
+def extract_object_code(library: Any, function: str, symbol: str, taken: list[Form], gives: str) -> ObjectCode | None:
     """The object code of what Numba compiled, with an entry; None if it needs Numba to run.
 
     library, function: Numba's code library and the name of the kernel in it. taken: `arguments.forms`.
@@ -460,11 +449,7 @@ def _entry(module: Any, function: str, symbol: str, taken: list[Form], gives: st
             passed.append("ptr null" if kind == NONE else f"{LLVM[kind]} %a{n}")
     types = ", ".join(str(argument.type) for argument in module.get_function(function).arguments)
     if gives:
-        lines_after = [
-            "%value = load i64, ptr %answer",
-            "%to = inttoptr i64 %out to ptr",
-            "store i64 %value, ptr %to",
-        ]
+        lines_after = ["%value = load i64, ptr %answer", "%to = inttoptr i64 %out to ptr", "store i64 %value, ptr %to"]
     else:
         lines_after = []
     body = [

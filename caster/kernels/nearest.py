@@ -254,9 +254,7 @@ def merge(nearest: Any, found: Any, ids: Any, contested: Any, start: int, stop: 
 
 
 @jit
-def cast_brute_force(
-    mode: Any, prims: Any, count: int, rays: Any, record: Any, start: int, stop: int
-) -> None:
+def cast_brute_force(mode: Any, prims: Any, count: int, rays: Any, record: Any, start: int, stop: int) -> None:
     """Rays start..stop against all `count` primitives of a kind; rays in a row from one origin share `prepare`."""
     if start >= stop:
         return

@@ -116,9 +116,7 @@ def _prepare(prims: Any, prim: Any, o: Vec3) -> PreparedTriangle:
     p, q, r, n, spread = prim
     a, b, c = sub(p, o), sub(q, o), sub(r, o)
     m = max(max_norm(a), max_norm(b), max_norm(c))
-    height_error = (
-        PLANE_ERROR * (abs(a[0]) * spread[0] + (abs(a[1]) * spread[1] + abs(a[2]) * spread[2])) + TINY
-    )
+    height_error = PLANE_ERROR * (abs(a[0]) * spread[0] + (abs(a[1]) * spread[1] + abs(a[2]) * spread[2])) + TINY
     return PreparedTriangle(
         cross(b, c),
         cross(c, a),
@@ -454,18 +452,10 @@ def _fast_surface(prims: Any, scratch: Any, x: Any, o: Vec3, d: Vec3, t: float) 
     known, weights = fast_barycentrics(sub(a, o), sub(b, o), sub(c, o), d)
     p = add(scaled(weights[0], a), add(scaled(weights[1], b), scaled(weights[2], c)))
     wide, n = fast_triangle_normal(a, b, c)
-    n0, n1, n2 = (
-        get_lane(scratch, LANE_NA + x),
-        get_lane(scratch, LANE_NB + x),
-        get_lane(scratch, LANE_NC + x),
-    )
+    n0, n1, n2 = (get_lane(scratch, LANE_NA + x), get_lane(scratch, LANE_NB + x), get_lane(scratch, LANE_NC + x))
     long, between = fast_interpolated_normal(weights, n0, n1, n2)
     smooth = scratch[LANE_SMOOTH + x] != 0.0
-    sh_n = (
-        between[0] if smooth else n[0],
-        between[1] if smooth else n[1],
-        between[2] if smooth else n[2],
-    )
+    sh_n = (between[0] if smooth else n[0], between[1] if smooth else n[1], between[2] if smooth else n[2])
     return known & wide & (long | (not smooth)), p, n, sh_n, weights
 
 

@@ -154,9 +154,7 @@ FAN_REACH = 16.0
 """Rays belong to fans that start within so many times the largest coordinate of what has a tree."""
 
 
-def fans_to(
-    light: PointLight | DirectionalLight, center: Vec3, extent: float, deviation: float = 0.0
-) -> list[Fan]:
+def fans_to(light: PointLight | DirectionalLight, center: Vec3, extent: float, deviation: float = 0.0) -> list[Fan]:
     """The fans of all shadow rays to a light, those from around `center` first; extent: the largest |coordinate|.
 
     deviation: by how much rays may pass a point light, along an axis, beyond what shadow rays of films do.
@@ -233,9 +231,7 @@ def fan_bounds(kind: Kind, fan: Fan, threads: int | None) -> FanBounds:
 
 def boxes_along(fan: Fan, tree: Tree) -> list[tuple[np.ndarray, np.ndarray]]:
     """(least x, y; largest x, y) of each box of a root as a fan sees it, rounded; all if it reaches behind."""
-    sides = (
-        np.asarray(tree.boxes[0], np.float64) * tree.unit
-    )  # least x, y, z, largest x, y, z of CHILDREN boxes
+    sides = np.asarray(tree.boxes[0], np.float64) * tree.unit  # least x, y, z, largest x, y, z of CHILDREN boxes
     found = []
     for j in np.flatnonzero((sides[:3] <= sides[3:]).all(axis=0)):
         low, high = sides[:3, j], sides[3:, j]

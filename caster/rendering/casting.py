@@ -30,13 +30,7 @@ from caster.kernels.nearest import (
 from caster.kernels.raster.tile import store_blocked, store_blocked_rays, store_ray_range, store_rays
 from caster.rendering.bvh_construction import bvh_of, has_bvh, uses_bvh
 from caster.rendering.ray_fans import FanCaster
-from caster.rendering.ray_tiles import (
-    MIN_RAYS_PER_THREAD,
-    Record,
-    for_ray_tiles,
-    new_workspace,
-    tile_caster,
-)
+from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, Record, for_ray_tiles, new_workspace, tile_caster
 from caster.rendering.threads import parallel_for, unwritten_array
 
 __all__ = ["Culling", "find_any", "find_nearest"]
@@ -45,12 +39,7 @@ Culling = Literal["brute-force", "raster", "bvh"]
 
 
 def find_nearest(
-    packed: Packed,
-    rays: Rays,
-    culling: Culling = "bvh",
-    threads: int | None = None,
-    *,
-    always_fans: bool = False,
+    packed: Packed, rays: Rays, culling: Culling = "bvh", threads: int | None = None, *, always_fans: bool = False
 ) -> Nearest:
     """The nearest hit of any rays. always_fans: as fans, if they can be, even where that does not pay: same bits."""
     count = len(rays.t_min)
@@ -84,9 +73,7 @@ def find_nearest(
     return decide_uncertain(packed, rays, nearest, uncertain, threads)
 
 
-def find_any(
-    packed: Packed, rays: Rays, threads: int | None = None, *, always_fans: bool = False
-) -> np.ndarray:
+def find_any(packed: Packed, rays: Rays, threads: int | None = None, *, always_fans: bool = False) -> np.ndarray:
     """(n,) bool: whether rays hit anything at all (any-hit). Traversal ends at the first certain hit."""
     count = len(rays.t_min)
     blocked, uncertain = np.zeros(count, bool), np.zeros(count, bool)
@@ -111,9 +98,7 @@ def find_any(
 Mode = NearestMode | CountCandidates | ListCandidates
 
 
-def _brute_force_caster(
-    mode: Mode, kind: Kind, rays: Rays, record: UncertainHits
-) -> Callable[[int, int], None]:
+def _brute_force_caster(mode: Mode, kind: Kind, rays: Rays, record: UncertainHits) -> Callable[[int, int], None]:
     return lambda start, stop: cast_brute_force(mode, kind.prims, len(kind.ids), rays, record, start, stop)
 
 

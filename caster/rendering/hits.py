@@ -92,9 +92,7 @@ class RayHits:
         window = Window(0, 0, WIDTH, -(-count // WIDTH))
         images = {name: new_image(name, window, dtype) for name in aovs}
         planned, prim = plan(self.scene, aovs, "bvh"), self._prim_in_tile()
-        shader = TileShader(
-            self.scene, self.packed, planned, images, start=self._start(window), exact_shadows=True
-        )
+        shader = TileShader(self.scene, self.packed, planned, images, start=self._start(window), exact_shadows=True)
 
         def begin() -> list[Command]:
             workspace = take()
@@ -138,9 +136,7 @@ class RayHits:
         return ~find_any(self.packed, out, self.threads)
 
 
-def trace_rays(
-    scene: Scene, packed: Packed, rays: Rays, start: np.ndarray, threads: int | None = None
-) -> RayHits:
+def trace_rays(scene: Scene, packed: Packed, rays: Rays, start: np.ndarray, threads: int | None = None) -> RayHits:
     """Cast given rays; `start` (n,) is what the depth of each counts from, beyond its origin."""
     return RayHits(scene, packed, rays, find_nearest(packed, rays, threads=threads), start, threads)
 
@@ -173,9 +169,7 @@ class Hits:
         return self.view.surfaces
 
 
-def cast(
-    scene: Scene, o: ArrayLike, d: ArrayLike, *, t_min: ArrayLike = 0.0, t_max: ArrayLike = np.inf
-) -> Hits:
+def cast(scene: Scene, o: ArrayLike, d: ArrayLike, *, t_min: ArrayLike = 0.0, t_max: ArrayLike = np.inf) -> Hits:
     """Find the first surface along each ray.
 
     o, d: (n, 3), scene units; d need not be of unit length, t counts in lengths of d, t_min < t <= t_max,
@@ -209,13 +203,7 @@ def occluded(
 
 
 def trace(
-    scene: Scene,
-    o: ArrayLike,
-    d: ArrayLike,
-    t_max: np.ndarray,
-    start: np.ndarray,
-    *,
-    rounded: Rounding = as_given,
+    scene: Scene, o: ArrayLike, d: ArrayLike, t_max: np.ndarray, start: np.ndarray, *, rounded: Rounding = as_given
 ) -> RayHits:
     """Cast rays with limits of their own, for AOVs of what they hit.
 
@@ -232,9 +220,7 @@ def validated_rays(o: ArrayLike, d: ArrayLike, t_min: ArrayLike, t_max: ArrayLik
     return validated_rays_with_range(o, d, t_min, t_max)[0]
 
 
-def validated_rays_with_range(
-    o: ArrayLike, d: ArrayLike, t_min: ArrayLike, t_max: ArrayLike
-) -> tuple[Rays, bool]:
+def validated_rays_with_range(o: ArrayLike, d: ArrayLike, t_min: ArrayLike, t_max: ArrayLike) -> tuple[Rays, bool]:
     """The same, and whether all their lengths are far from what float64 cannot square."""
     origins, directions = _rows(o, "o"), _rows(d, "d")
     if len(origins) != len(directions):
@@ -253,9 +239,7 @@ def validated_rays_with_range(
     )
     if bad := [i for i in found if i >= 0]:
         i = min(bad)
-        raise SceneError(
-            f"rays[{i}]: o and d must be finite and d not zero, got o {origins[i]} and d {directions[i]}"
-        )
+        raise SceneError(f"rays[{i}]: o and d must be finite and d not zero, got o {origins[i]} and d {directions[i]}")
     rays = Rays(origins, directions, *(unwritten_array(limits.shape, np.float64) for limits in (start, end)))
     rays.t_min[:], rays.t_max[:] = start, end
     return rays, OUT_OF_RANGE not in found
@@ -265,9 +249,7 @@ def _limits(t: ArrayLike, name: str, count: int) -> np.ndarray:
     """(count,) float64, a view of a number that is the same for all."""
     numbers = _float64(t, name)
     if numbers.shape not in ((), (count,)):
-        raise SceneError(
-            f"rays: {name} must be a number, or one for each of {count} rays, got shape {numbers.shape}"
-        )
+        raise SceneError(f"rays: {name} must be a number, or one for each of {count} rays, got shape {numbers.shape}")
     return np.broadcast_to(numbers, (count,))
 
 

@@ -31,15 +31,8 @@ from caster.rendering.rasterization import (
     release_workspace,
 )
 from caster.rendering.ray_tiles import TileWorkspace, kind_command, prim_offsets, spare_workspaces
-from caster.rendering.shading import (
-    NO_BOX,
-    TileShader,
-    new_image,
-)
-from caster.rendering.threads import (
-    parallel_for,
-    unwritten_array,
-)
+from caster.rendering.shading import NO_BOX, TileShader, new_image
+from caster.rendering.threads import parallel_for, unwritten_array
 from caster.scene.model import Scene
 
 __all__ = ["camera_rays", "evaluate", "film_window", "render", "trace_film"]
@@ -75,9 +68,7 @@ class FilmCounts:
 
     decided_exactly: int  # pixels whose answer had to be found exactly
     shadow_rays: int
-    on_film: (
-        tuple[int, ...] | None
-    )  # primitives of each kind that some pixel was tested for; None: no such list
+    on_film: tuple[int, ...] | None  # primitives of each kind that some pixel was tested for; None: no such list
 
 
 @dataclass(frozen=True)
@@ -160,9 +151,7 @@ class FilmRenderer:
             parallel_for_tiles(begin, rows[seen], self.threads, self.on_progress)
         parallel_for_tiles(self.shader.miss_commands, rows[~seen], self.threads, self.on_progress)
 
-    def _commands(
-        self, take: Callable[[], TileWorkspace], kinds: list[BinnedKind] | None
-    ) -> Iterator[Command]:
+    def _commands(self, take: Callable[[], TileWorkspace], kinds: list[BinnedKind] | None) -> Iterator[Command]:
         """What renders tiles where something may be hit. kinds: None for trees."""
         workspace = take()
         tile = workspace.tile
@@ -204,9 +193,7 @@ def _farthest_origin(camera: Any, window: Window) -> float:
 def check_names(aovs: Sequence[str]) -> None:
     for name in aovs:
         if name not in BY_NAME:
-            raise SceneError(
-                f"aov {name!r}: unknown{suggestion(name, BY_NAME)}; known are {', '.join(BY_NAME)}"
-            )
+            raise SceneError(f"aov {name!r}: unknown{suggestion(name, BY_NAME)}; known are {', '.join(BY_NAME)}")
 
 
 def film_window(scene: Scene) -> Window:
@@ -232,17 +219,13 @@ def trace_film(
     camera = scene.camera.pack(scene.film.width, scene.film.height)
     culling = culling or culling_for(camera)[0]
     if culling == "raster":
-        nearest = find_nearest_on_film(
-            prims, rays, camera, film_window(scene), scene.camera.shares_origin, threads
-        )
+        nearest = find_nearest_on_film(prims, rays, camera, film_window(scene), scene.camera.shares_origin, threads)
     else:
         nearest = find_nearest(prims, rays, culling, threads)
     return RayHits(scene, prims, rays, nearest, np.zeros(len(rays.t_min)), threads)
 
 
-def evaluate(
-    hits: RayHits, aovs: Sequence[str], window: Window, dtype: type[np.floating] = np.float64
-) -> Aovs:
+def evaluate(hits: RayHits, aovs: Sequence[str], window: Window, dtype: type[np.floating] = np.float64) -> Aovs:
     """AOVs of the rays of a window, as images."""
     shape = (window.height, window.width)
     images = {name: rows.reshape(shape + rows.shape[1:]) for name, rows in hits.evaluate(aovs, dtype).items()}

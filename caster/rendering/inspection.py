@@ -91,9 +91,7 @@ def _try(packed: Packed, kind: Kind, rows: np.ndarray, rays: Rays) -> Iterator[P
         box = (boxes[0][k], boxes[1][k]) if boxes else None
         box_span = box and box_interval(rays.o[0], rays.d[0], *box)
         edges = edge_distances(kind.prims, k, rays.o[0], rays.d[0])
-        yield PrimitiveResult(
-            int(shapes[j]), int(numbers[j]), float(t[j]), float(error[j]), edges, box, box_span
-        )
+        yield PrimitiveResult(int(shapes[j]), int(numbers[j]), float(t[j]), float(error[j]), edges, box, box_span)
 
 
 def intersect_rows(kind: Kind, rows: np.ndarray, rays: Rays) -> tuple[np.ndarray, np.ndarray]:
@@ -104,16 +102,12 @@ def intersect_rows(kind: Kind, rows: np.ndarray, rays: Rays) -> tuple[np.ndarray
     if len(undecided):
         again = Rays(*(np.repeat(a, len(undecided), axis=0) for a in rays))
         found, starts = no_hits(len(undecided)), np.arange(len(undecided) + 1)
-        nearest_of_candidates(
-            kind.prims, again, starts, rows[undecided].astype(np.int32), found, 0, len(undecided)
-        )
+        nearest_of_candidates(kind.prims, again, starts, rows[undecided].astype(np.int32), found, 0, len(undecided))
         t[undecided] = found.t
     return t, error
 
 
-def box_interval(
-    o: np.ndarray, d: np.ndarray, low: np.ndarray, high: np.ndarray
-) -> tuple[float, float] | None:
+def box_interval(o: np.ndarray, d: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[float, float] | None:
     """t where the line enters and leaves a box, within some roundings; None where it passes by or lies behind."""
     enter, leave = -math.inf, math.inf
     for a, way, start, end in zip(o.tolist(), d.tolist(), low.tolist(), high.tolist(), strict=True):
@@ -313,10 +307,7 @@ def _lines(rendered: RenderResult, counted: dict[str, Any]) -> Iterator[tuple[st
     yield "surfaces", done if found["worked_out"] else f"skipped: {found['reason']}"
     shadows = counted["shadow_rays"]
     number = "" if shadows["cast"] is None else f"{shadows['cast']} "
-    yield (
-        "shadow rays",
-        f"{number}{shadows['reason']}" if shadows["runs"] else f"skipped: {shadows['reason']}",
-    )
+    yield ("shadow rays", f"{number}{shadows['reason']}" if shadows["runs"] else f"skipped: {shadows['reason']}")
     yield "AOVs", ", ".join(counted["aovs"])
     yield "skipped", ", ".join(counted["skipped_aovs"]) or "no AOV"
 

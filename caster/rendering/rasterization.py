@@ -126,9 +126,7 @@ def cast_commands(cast: Callable[..., None], kinds: list[BinnedKind], tile: np.n
 
 
 PIECES_PER_THREAD = 32  # so few that steps of Python do not count, enough to share the work evenly
-MAX_TILES_PER_PIECE = (
-    16  # signals are handled and progress is reported between pieces, of large films as well
-)
+MAX_TILES_PER_PIECE = 16  # signals are handled and progress is reported between pieces, of large films as well
 
 
 def parallel_for_tiles(

@@ -41,13 +41,7 @@ from caster.rendering.ray_tiles import (
     for_ray_tiles,
     spare_workspaces,
 )
-from caster.rendering.threads import (
-    CHUNKS_PER_THREAD,
-    even_pieces,
-    parallel_for,
-    parallel_for_pieces,
-    thread_count,
-)
+from caster.rendering.threads import CHUNKS_PER_THREAD, even_pieces, parallel_for, parallel_for_pieces, thread_count
 
 __all__ = ["find_rows"]
 
@@ -199,11 +193,7 @@ class FanCaster:
         return FanCaster(caster, common, sample.corners)
 
     def cast(
-        self,
-        rays: Rays,
-        cast_others: Callable[[int, np.ndarray], None],
-        record: Record,
-        threads: int | None,
+        self, rays: Rays, cast_others: Callable[[int, np.ndarray], None], record: Record, threads: int | None
     ) -> None:
         """cast_others: casts the first so many rays of a tile; for rays that do not have the point in common."""
         self._caster.prepare(threads)
@@ -246,11 +236,7 @@ class FanCaster:
             for_ray_tiles(cast_others, rays, record, threads, rest)
 
     def _cast_sorted(
-        self,
-        rays: Rays,
-        cast_others: Callable[[int, np.ndarray], None],
-        record: Record,
-        threads: int | None,
+        self, rays: Rays, cast_others: Callable[[int, np.ndarray], None], record: Record, threads: int | None
     ) -> None:
         fan, outward = self._caster.first_fan, self._common.outward
         count = len(rays.t_min)
@@ -328,12 +314,7 @@ def project_sample(fan: Fan, rays: Rays, outward: bool) -> ProjectedSample:
 
 
 def sort_rays(
-    fan: Fan,
-    rays: Rays,
-    common: CommonPoint,
-    ray_range: tuple[int, int],
-    corners: Corners,
-    threads: int | None,
+    fan: Fan, rays: Rays, common: CommonPoint, ray_range: tuple[int, int], corners: Corners, threads: int | None
 ) -> tuple[np.ndarray, int]:
     """(numbers of rays, how many of them have the point in common): these first, sorted by keys (ray_sorting.py)."""
     first, stop = ray_range
@@ -351,9 +332,7 @@ def sort_rays(
     # each bucket has a part for each piece, in the order of the rays
     places = (np.cumsum(counts.T.ravel()) - counts.T.ravel()).reshape(BUCKETS, len(pieces)).T.copy()
     starts = np.append(places[0], stop - first)
-    in_pieces(
-        lambda n, piece: scatter_to_buckets(pairs, places[n], piece[0] - first, piece[1] - first, scattered)
-    )
+    in_pieces(lambda n, piece: scatter_to_buckets(pairs, places[n], piece[0] - first, piece[1] - first, scattered))
 
     def sort(buckets: tuple[int, int]) -> None:
         sort_buckets(scattered, starts, buckets, np.empty(LOWER_CELLS, np.int64), order)

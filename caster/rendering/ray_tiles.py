@@ -55,9 +55,7 @@ class Record(NamedTuple):
     ray_range: Callable[[np.ndarray, int, int], None]  # (tile, first, stop): of rays first..stop
     # (tile, first, width, box): of a box of rays that lie in rows, `width` of them each, from ray `first` on
     window: Callable[[np.ndarray, int, int, Box], None]
-    sorted_rays: Callable[
-        [np.ndarray, np.ndarray, int, int], None
-    ]  # (tile, order, first, stop): of order[first:stop]
+    sorted_rays: Callable[[np.ndarray, np.ndarray, int, int], None]  # (tile, order, first, stop): of order[first:stop]
 
 
 # To wake a second thread takes as long as so many rays, about.
@@ -101,10 +99,7 @@ def kind_command(
 
 def tile_caster(packed: Packed, any_hit: bool = False) -> Callable[[int, np.ndarray], None]:
     """Cast the first so many rays of a tile; until they have met anything, if that will do."""
-    kinds = [
-        _kind_caster(kind, base, any_hit)
-        for kind, base in zip(packed.kinds, prim_offsets(packed), strict=True)
-    ]
+    kinds = [_kind_caster(kind, base, any_hit) for kind, base in zip(packed.kinds, prim_offsets(packed), strict=True)]
 
     def go(count: int, tile: np.ndarray) -> None:
         workspace = new_workspace()
@@ -126,9 +121,7 @@ def _kind_caster(kind: Kind, base: int, any_hit: bool) -> Callable[[int, np.ndar
     """Cast so many rays of a tile at a kind."""
     if uses_bvh(kind):
         tree = bvh_of(kind)
-        return lambda count, tile, workspace: cast_packets(
-            kind.prims, tree, base, count, tile, workspace, any_hit
-        )
+        return lambda count, tile, workspace: cast_packets(kind.prims, tree, base, count, tile, workspace, any_hit)
     return lambda count, tile, workspace: cast_packets_brute_force(
         kind.prims, len(kind.ids), base, count, tile, any_hit
     )
@@ -210,9 +203,7 @@ class ShadowCaster:
 
         return go
 
-    def commands(
-        self, tile: np.ndarray, groups: RayGroups, when: Condition | None = None
-    ) -> Iterator[Command]:
+    def commands(self, tile: np.ndarray, groups: RayGroups, when: Condition | None = None) -> Iterator[Command]:
         """Cast the first rays of this tile, whole rows of it; what is hit before fans ends the search for the rest."""
         yield from (kind_command(kind, base, tile, self._any_hit, when) for kind, base in self._before_fans)
         if self._fans:

@@ -17,21 +17,7 @@ from caster.jit.decorators import bind, implements
 from caster.kernels.nearest import Rays
 from caster.kernels.protocol import fast_surface, fast_uv
 from caster.kernels.raster.screen_bounds import Window
-from caster.kernels.raster.tile import (
-    BOX,
-    COUNT,
-    DX,
-    DY,
-    DZ,
-    OX,
-    OY,
-    OZ,
-    T_MAX,
-    T_MIN,
-    UNCERTAIN,
-    T,
-    kind_numbers,
-)
+from caster.kernels.raster.tile import BOX, COUNT, DX, DY, DZ, OX, OY, OZ, T_MAX, T_MIN, UNCERTAIN, T, kind_numbers
 from caster.kernels.surface.lighting import (
     add_ambient,
     add_light,
@@ -138,13 +124,9 @@ class TileShader:
 
     def _material_step(self, scene: Scene, packed: Packed) -> Step:
         materials, of_shapes = distinct_materials(scene)
-        of_prims = (
-            of_shapes[packed.prim_shapes] if len(materials) > 1 else of_shapes[:1]
-        )  # which nobody reads
+        of_prims = of_shapes[packed.prim_shapes] if len(materials) > 1 else of_shapes[:1]  # which nobody reads
         tables = of_prims, *material_tables(materials)
-        return lambda ws: [
-            Command(bind(materials_in_tile, ws.tile, NO_BOX, *tables, ws.surface, given=(1,)), (BOX,))
-        ]
+        return lambda ws: [Command(bind(materials_in_tile, ws.tile, NO_BOX, *tables, ws.surface, given=(1,)), (BOX,))]
 
     def _light_steps(self, scene: Scene, packed: Packed, plan: Plan, exact: bool) -> list[Step]:
         pixels = max((math.prod(image.shape[:2]) for image in self.images.values()), default=0)
@@ -156,14 +138,10 @@ class TileShader:
             caster = ShadowCaster(packed, light, pixels)
             self._shadow_casters.append(caster)
             steps.append(partial(_add_light, light, caster, packed, exact, self._shadow_rays))
-        ambient = np.array([light.radiance for light in scene.lights if light.type == "ambient"]).reshape(
-            -1, 3
-        )
+        ambient = np.array([light.radiance for light in scene.lights if light.type == "ambient"]).reshape(-1, 3)
         if len(ambient):
             steps.append(
-                lambda ws: [
-                    Command(bind(add_ambient, ws.tile, NO_BOX, ws.surface, ambient, given=(1,)), (BOX,))
-                ]
+                lambda ws: [Command(bind(add_ambient, ws.tile, NO_BOX, ws.surface, ambient, given=(1,)), (BOX,))]
             )
         return steps
 
@@ -192,9 +170,7 @@ def _single_fields(images: Mapping[str, np.ndarray], plan: Plan) -> list[str] | 
     """For each of SINGLE_FIELDS the AOV that needs it alone, "" for none; None where others need surfaces as well."""
     if plan.shading.runs or not plan.surfaces or plan.surfaces == ("normals",):
         return None
-    wanting = {
-        name: BY_NAME[name].NEEDS for name in images if {*SINGLE_FIELDS, "uv"} & {*BY_NAME[name].NEEDS}
-    }
+    wanting = {name: BY_NAME[name].NEEDS for name in images if {*SINGLE_FIELDS, "uv"} & {*BY_NAME[name].NEEDS}}
     found = {needs[0]: name for name, needs in wanting.items() if len(needs) == 1 and needs[0] != "uv"}
     return [found.get(field, "") for field in SINGLE_FIELDS] if len(found) == len(wanting) else None
 
@@ -215,12 +191,7 @@ def _add_unshadowed_light(light: Any, workspace: TileWorkspace) -> Iterator[Comm
 
 
 def _add_light(
-    light: Any,
-    cast: ShadowCaster,
-    packed: Packed,
-    exact: bool,
-    counts: list[np.ndarray],
-    workspace: TileWorkspace,
+    light: Any, cast: ShadowCaster, packed: Packed, exact: bool, counts: list[np.ndarray], workspace: TileWorkspace
 ) -> Iterator[Command]:
     """Radiance of what a light reaches; `counts` gets an array of the number of shadow rays."""
     tile, surface, shadow_tile = workspace.tile, workspace.surface, workspace.shadow_tile
@@ -295,9 +266,7 @@ def decide_shadows(packed: Packed, shadow_tile: np.ndarray, count: int) -> None:
 
     rows = np.flatnonzero((values(UNCERTAIN) != 0.0) & (values(T) == np.inf))
     if len(rows):
-        o, d = (
-            np.stack([values(axis)[rows] for axis in axes], axis=1) for axes in ((OX, OY, OZ), (DX, DY, DZ))
-        )
+        o, d = (np.stack([values(axis)[rows] for axis in axes], axis=1) for axes in ((OX, OY, OZ), (DX, DY, DZ)))
         blocked = exact_nearest(packed, Rays(o, d, values(T_MIN)[rows], values(T_MAX)[rows]), 1).prim >= 0
         values(T)[rows] = np.where(blocked, 0.0, np.inf)
         values(UNCERTAIN)[rows] = 0.0
@@ -308,9 +277,7 @@ def _primitive_ids(packed: Packed, needs: frozenset[str]) -> PrimitiveIds:
         return NO_IDS
     shapes = packed.prim_shapes
     numbers = packed.index_in_shape(packed.prim_ids)
-    return PrimitiveIds(
-        shapes if "shape_id" in needs else NO_IDS.shape, numbers if "prim_id" in needs else NO_IDS.prim
-    )
+    return PrimitiveIds(shapes if "shape_id" in needs else NO_IDS.shape, numbers if "prim_id" in needs else NO_IDS.prim)
 
 
 def distinct_materials(scene: Scene) -> tuple[list[Diffuse], np.ndarray]:

@@ -38,9 +38,7 @@ def thread_count(requested: int | None = None) -> int:
     return requested or _default_threads or core_count()
 
 
-def parallel_for(
-    work: Callable[[int, int], None], count: int, threads: int | None = None, *, least: int = 1
-) -> None:
+def parallel_for(work: Callable[[int, int], None], count: int, threads: int | None = None, *, least: int = 1) -> None:
     """Call work(start, stop) over 0..count in pieces, of no fewer than `least` for a second thread to begin."""
     least = max(least, 1)
     workers = max(1, min(thread_count(threads), count // least))

@@ -17,14 +17,7 @@ from caster.jit.simd import LANES
 from caster.kernels.bvh.build import LEAF_SIZE, MAX_PRIMITIVES
 from caster.kernels.bvh.traversal import cast_packets_brute_force
 from caster.kernels.nearest import Rays, exact_hit, no_hits, precedes
-from caster.kernels.raster.tile import (
-    WIDTH,
-    load_ray_range,
-    load_rays_from,
-    new_tile,
-    store_blocked_rays,
-    store_rays,
-)
+from caster.kernels.raster.tile import WIDTH, load_ray_range, load_rays_from, new_tile, store_blocked_rays, store_rays
 from caster.rendering.casting import Culling, exact_nearest, find_any, find_nearest
 from caster.rendering.hits import validated_rays
 from caster.rendering.images import DEFAULT_AOVS, render_film
@@ -68,9 +61,7 @@ def warm_up(scenes: Iterable[tuple[str, Scene]], on_scene: Callable[[str], None]
     for name, scene in scenes:
         on_scene(name)
         _warm_one(scene)
-    return WarmUpCounts(
-        len(COMPILATION_LOG.compiled) - before.compiled, len(COMPILATION_LOG.loaded) - before.loaded
-    )
+    return WarmUpCounts(len(COMPILATION_LOG.compiled) - before.compiled, len(COMPILATION_LOG.loaded) - before.loaded)
 
 
 def _warm_one(scene: Scene) -> None:

@@ -71,9 +71,7 @@ class MeshFolders(NamedTuple):
         return f"; tried {', '.join(map(str, tried))}" if len(tried) > 1 else ""
 
 
-def resolve_mesh_files(
-    data: Any, reach: MeshFolders, model: Model
-) -> tuple[Any, list[Diagnostic], list[Diagnostic]]:
+def resolve_mesh_files(data: Any, reach: MeshFolders, model: Model) -> tuple[Any, list[Diagnostic], list[Diagnostic]]:
     """Data with absolute mesh paths, diagnostics of invalid meshes, and those of missing ones.
 
     Each mesh is read here; its shape caches the result.
@@ -83,10 +81,7 @@ def resolve_mesh_files(
     for key in ("shape", "shapes"):
         shapes = child_of(data, key)
         if isinstance(shapes, list):
-            found = [
-                _resolve_mesh_file(shape, (key, i, "file"), data, reach, model)
-                for i, shape in enumerate(shapes)
-            ]
+            found = [_resolve_mesh_file(shape, (key, i, "file"), data, reach, model) for i, shape in enumerate(shapes)]
             data = data | {key: [shape for shape, _, _ in found]}
             for _, problem, absent in found:
                 (missing if absent else problems).extend(problem)
@@ -109,11 +104,7 @@ def _resolve_mesh_file(
     except (SceneError, ValueError, OSError) as error:
         text = str(error).removeprefix(f"{where}: ").replace(str(where), file)
         text += reach.paths_tried(file) if isinstance(error, FileMissing) else ""
-        return (
-            shape,
-            [value_diagnostic(path, f"cannot be used: {text}", data, model)],
-            isinstance(error, FileMissing),
-        )
+        return (shape, [value_diagnostic(path, f"cannot be used: {text}", data, model)], isinstance(error, FileMissing))
     return shape | {"file": str(where)}, [], False
 
 
@@ -166,9 +157,7 @@ def types_in_file(path: str | PathLike[str]) -> frozenset[str]:
         types = {each["type"] for each in named if isinstance(each.get("type"), str)}
     except (SceneError, MemoryError, KeyError, AttributeError, TypeError):
         return frozenset()
-    meshes = {
-        type_name(shape) for shape in SHAPES if issubclass(shape, (MeshShape, Triangle, Rectangle, Cube))
-    }
+    meshes = {type_name(shape) for shape in SHAPES if issubclass(shape, (MeshShape, Triangle, Rectangle, Cube))}
     return frozenset(types | {"triangles"} if types & meshes else types)
 
 
@@ -204,10 +193,7 @@ def mesh_scene(path: str | PathLike[str]) -> Scene:
             look_at=tuple(center),
             fov=MESH_FOV,
         ),
-        lights=[
-            Directional(direction=MESH_LIGHT, irradiance=(2.5, 2.5, 2.5)),
-            Ambient(radiance=(0.1, 0.1, 0.1)),
-        ],
+        lights=[Directional(direction=MESH_LIGHT, irradiance=(2.5, 2.5, 2.5)), Ambient(radiance=(0.1, 0.1, 0.1))],
         materials={"mesh": Diffuse(reflectance=(0.6, 0.6, 0.6), two_sided=True)},
         shapes=[shape],
     )

@@ -28,15 +28,7 @@ from caster.kernels.surface.lighting import DirectionalLight, PointLight
 from caster.scene.export import canonical_json, fingerprint, to_toml
 from caster.shapes import SHAPES
 
-__all__ = [
-    "MAX_FILM_SIDE",
-    "Ambient",
-    "Check",
-    "Diffuse",
-    "Film",
-    "Point",
-    "Scene",
-]
+__all__ = ["MAX_FILM_SIDE", "Ambient", "Check", "Diffuse", "Film", "Point", "Scene"]
 
 # ---- lights and materials ----
 
@@ -116,9 +108,7 @@ class Film(Description):
             raise field_error(f"must hold at least one pixel, x0 < x1 and y0 < y1, got {format_value(crop)}")
         width, height = info.data.get("width", x1), info.data.get("height", y1)
         if x1 > width or y1 > height:
-            raise field_error(
-                f"must lie inside the film, x1 <= {width} and y1 <= {height}, got {format_value(crop)}"
-            )
+            raise field_error(f"must lie inside the film, x1 <= {width} and y1 <= {height}, got {format_value(crop)}")
         return crop
 
     @property

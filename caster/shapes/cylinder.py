@@ -132,12 +132,7 @@ def _prepare(prims: Any, prim: Any, o: Any) -> PreparedCylinder:
     center, m, across_off, along_off = prim
     f, error = to_object_space(m, sub(o, center))
     return PreparedCylinder(
-        m,
-        quadric_setup((f[0], f[1], 0.0), 1.0, error[0] + error[1]),
-        f[2],
-        error[2],
-        across_off,
-        along_off,
+        m, quadric_setup((f[0], f[1], 0.0), 1.0, error[0] + error[1]), f[2], error[2], across_off, along_off
     )
 
 

@@ -104,9 +104,7 @@ def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tupl
     x_off = 2.0 * (f_error[0] + abs(t) * e_off[0] * d1 + abs(e[0]) * error)
     y_off = 2.0 * (f_error[1] + abs(t) * e_off[1] * d1 + abs(e[1]) * error)
     beyond = x * x + y * y - 1.0
-    beyond_off = (
-        (2.0 * abs(x) + x_off) * x_off + (2.0 * abs(y) + y_off) * y_off + 4.0 * U * (x * x + y * y + 1.0)
-    )
+    beyond_off = (2.0 * abs(x) + x_off) * x_off + (2.0 * abs(y) + y_off) * y_off + 4.0 * U * (x * x + y * y + 1.0)
     t, error = certain_in_range(t, error, t_min, t_max)
     edge_on = all_products_zero(m[2], d)
     return filter_result(steep & (beyond < -beyond_off), edge_on | (steep & (beyond > beyond_off)), t, error)

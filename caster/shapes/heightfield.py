@@ -95,9 +95,7 @@ def _surface(x: Floats, y: Floats, waves: list[_Wave]) -> tuple[Floats, Floats]:
 
 
 def _faces(resolution: int) -> Ints:
-    number = np.arange((resolution + 1) ** 2, dtype=np.int32).reshape(
-        resolution + 1, resolution + 1
-    )  # rows along y
+    number = np.arange((resolution + 1) ** 2, dtype=np.int32).reshape(resolution + 1, resolution + 1)  # rows along y
     here, right = number[:-1, :-1], number[:-1, 1:]
     above, opposite = number[1:, :-1], number[1:, 1:]
     quads = np.empty((resolution, resolution, 6), np.int32)

@@ -165,9 +165,7 @@ def _plane_uv(p: Any, point: Any, right: Any, ahead: Any) -> Any:
     return dot(q, right), dot(q, ahead)
 
 
-LANE_NORMAL, LANE_POINT, LANE_RIGHT, LANE_AHEAD = (
-    LANE_SETUP + lane(SURFACE_LANES * field) for field in (0, 3, 6, 9)
-)
+LANE_NORMAL, LANE_POINT, LANE_RIGHT, LANE_AHEAD = (LANE_SETUP + lane(SURFACE_LANES * field) for field in (0, 3, 6, 9))
 
 
 @implement(surface_setup, Planes)

@@ -149,9 +149,7 @@ class SphereCloud(Shape):
         return pack_spheres(*self.spheres(), self.matrix, rounded)
 
 
-def pack_spheres(
-    centers: np.ndarray, radii: np.ndarray, matrix: np.ndarray, rounded: Rounding
-) -> Spheres | Ellipsoids:
+def pack_spheres(centers: np.ndarray, radii: np.ndarray, matrix: np.ndarray, rounded: Rounding) -> Spheres | Ellipsoids:
     """Spheres with centers (n, 3) and radii (n,) under a matrix (4, 4), as arrays in world space.
 
     Each row has the bits that it has alone, so products are summed component by component, in one order.
@@ -161,9 +159,7 @@ def pack_spheres(
     moved = rounded(x * linear[:, 0] + y * linear[:, 1] + z * linear[:, 2] + matrix[:3, 3])
     if not is_similarity(linear):
         to_world = rounded(radii[:, None, None] * linear)
-        _, first, same = np.unique(
-            radii, return_index=True, return_inverse=True
-        )  # an exact inverse takes 100 us
+        _, first, same = np.unique(radii, return_index=True, return_inverse=True)  # an exact inverse takes 100 us
         return Ellipsoids(moved, to_world, np.stack([inverse(to_world[i]) for i in first])[same])
     scale = similarity_scale(linear)
     turn = np.broadcast_to(rounded(linear.T / scale), (len(centers), 3, 3))
@@ -263,9 +259,7 @@ def _hull_size(prims: Any) -> int:
 
 @implement(hull_point, Spheres)
 def _hull_point(prims: Any, k: int, j: int) -> Any:
-    return point_at(
-        row(prims.center, k), prims.radius[k], (1.0 - 2.0 * (j & 1), 1.0 - (j & 2), 1.0 - 0.5 * (j & 4))
-    )
+    return point_at(row(prims.center, k), prims.radius[k], (1.0 - 2.0 * (j & 1), 1.0 - (j & 2), 1.0 - 0.5 * (j & 4)))
 
 
 @implement(tight_sphere, Spheres)
@@ -363,8 +357,6 @@ def _edge_distances(prims: Spheres, k: int, o: np.ndarray, d: np.ndarray) -> tup
 
 
 @edge_distances.register
-def _edge_distances_ellipsoid(
-    prims: Ellipsoids, k: int, o: np.ndarray, d: np.ndarray
-) -> tuple[EdgeDistance, ...]:
+def _edge_distances_ellipsoid(prims: Ellipsoids, k: int, o: np.ndarray, d: np.ndarray) -> tuple[EdgeDistance, ...]:
     f, e = exact_object_space_ray(prims, k, o, d)
     return (signed_distance("silhouette", Fraction(1), square(cross(f, e)) / square(e), UNIT_RADII),)

@@ -72,9 +72,7 @@ class Torus(MeshShape):
     @model_validator(mode="after")
     def _leaves_a_hole(self) -> "Torus":
         if self.minor_radius >= self.major_radius:
-            raise ValueError(
-                f"minor_radius must be < major_radius {self.major_radius}, got {self.minor_radius}"
-            )
+            raise ValueError(f"minor_radius must be < major_radius {self.major_radius}, got {self.minor_radius}")
         return self
 
     def mesh(self) -> Mesh:

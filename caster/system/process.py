@@ -90,9 +90,7 @@ def _os_error_text(error: OSError) -> str:
     """The file and what is wrong with it; where an error names no file, the folder of temporary files."""
     if error.filename is not None:
         return f"{os.fsdecode(error.filename)}: {error.strerror or error}"
-    return (
-        f"{error.strerror or error} (a file without a name; temporary files are in {tempfile.gettempdir()})"
-    )
+    return f"{error.strerror or error} (a file without a name; temporary files are in {tempfile.gettempdir()})"
 
 
 def reopen_closed_streams() -> None:

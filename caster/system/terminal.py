@@ -22,14 +22,7 @@ if TYPE_CHECKING:
     from rich.live import Live
 
 
-__all__ = [
-    "CompileProgress",
-    "ProgressBar",
-    "StatusLine",
-    "announce_compilation",
-    "printable",
-    "unfiltered",
-]
+__all__ = ["CompileProgress", "ProgressBar", "StatusLine", "announce_compilation", "printable", "unfiltered"]
 
 
 def printable(text: str, keep: str = "\n\t") -> str:
@@ -124,11 +117,7 @@ class StatusLine:
 
         if self._display is None:
             self._display = _started_display(self.stream)
-        line = (
-            Text(printable(content, keep=""), no_wrap=True, overflow="crop")
-            if isinstance(content, str)
-            else content
-        )
+        line = Text(printable(content, keep=""), no_wrap=True, overflow="crop") if isinstance(content, str) else content
         self._display.update(line, refresh=True)
 
     def erase(self) -> None:
@@ -148,9 +137,7 @@ def _started_display(stream: TextIO) -> Live:
     from rich.live import Live
 
     console = Console(file=stream, force_terminal=True, highlight=False)
-    display = Live(
-        console=console, auto_refresh=False, transient=True, redirect_stdout=False, redirect_stderr=False
-    )
+    display = Live(console=console, auto_refresh=False, transient=True, redirect_stdout=False, redirect_stderr=False)
     display.start()
     return display
 

@@ -82,9 +82,7 @@ def faulty_view(scene: object, rays: object) -> RayHits:
     if (scene.film.width, scene.film.height, len(scene.shapes)) != FAULTY_SCENE:
         return view
     row = next(i for i in range(len(view.hit)) if pixel_of(scene, i) == PIXEL)
-    t = np.where(
-        view.nearest.prim == view.nearest.prim[row], view.nearest.t * (1.0 + 2.0**-20), view.nearest.t
-    )
+    t = np.where(view.nearest.prim == view.nearest.prim[row], view.nearest.t * (1.0 + 2.0**-20), view.nearest.t)
     return replace(view, nearest=view.nearest._replace(t=t))
 
 
@@ -100,9 +98,7 @@ def shoot(index: Path, shots: Sequence[Shot] = SHOTS) -> None:
         browser.close()
 
 
-def picture(
-    browser: Browser, index: Path, name: str, place: str, size: dict[str, int], theme: str, keys: str
-) -> None:
+def picture(browser: Browser, index: Path, name: str, place: str, size: dict[str, int], theme: str, keys: str) -> None:
     page = browser.new_page(viewport=size, color_scheme=theme)
     page.goto(f"{index.resolve().as_uri()}{place}")
     page.wait_for_selector("#pixel section >> nth=2" if place else ".row")

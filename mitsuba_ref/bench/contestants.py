@@ -6,18 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from mitsuba_ref.bench.entries import (
-    ANY,
-    AOVS,
-    DEFAULT,
-    FILM,
-    NEAREST,
-    PROCESS,
-    ROBUST,
-    SHADING,
-    VALIDATION,
-    Work,
-)
+from mitsuba_ref.bench.entries import ANY, AOVS, DEFAULT, FILM, NEAREST, PROCESS, ROBUST, SHADING, VALIDATION, Work
 from mitsuba_ref.reference import variants
 
 OURS, MITSUBA, PEER, MACHINE = "ours", "mitsuba", "peer", "machine"
@@ -68,9 +57,7 @@ class Contestant:
 def of_mitsuba(
     key: str, title: str, entry: str, workloads: tuple[str, ...], *, every_aov: bool = False, **options: Any
 ) -> Contestant:
-    return Contestant(
-        key, title, MITSUBA, entry, workloads, options, variant=variants.LLVM, every_aov=every_aov
-    )
+    return Contestant(key, title, MITSUBA, entry, workloads, options, variant=variants.LLVM, every_aov=every_aov)
 
 
 def of_shading(key: str, title: str, *aovs: str, shadows: bool = True) -> Contestant:
@@ -78,9 +65,7 @@ def of_shading(key: str, title: str, *aovs: str, shadows: bool = True) -> Contes
     return Contestant(key, title, OURS, OWN, (SHADING,), options)
 
 
-def of_process(
-    key: str, title: str, side: str, workload: str, variant: str = "", **options: Any
-) -> Contestant:
+def of_process(key: str, title: str, side: str, workload: str, variant: str = "", **options: Any) -> Contestant:
     more = options | ({"variant": variant} if variant else {})
     return Contestant(key, title, side, COMMAND, (workload,), more, variant=variant, every_aov=True)
 
@@ -108,17 +93,10 @@ CONTESTANTS = (
     of_shading("shade-normal", "depth and normal", "depth", "normal"),
     of_shading("shade-smooth", "depth, normal, shading normal", "depth", "normal", "shading_normal"),
     of_shading(
-        "shade-unshadowed",
-        "depth, normal, diffuse without shadows",
-        "depth",
-        "normal",
-        "diffuse",
-        shadows=False,
+        "shade-unshadowed", "depth, normal, diffuse without shadows", "depth", "normal", "diffuse", shadows=False
     ),
     of_shading("shade-shadowed", "depth, normal, diffuse with shadows", "depth", "normal", "diffuse"),
-    of_mitsuba(
-        "raw-robust", "Mitsuba LLVM, robust, ray_intersect", RAW, ALL_TASKS, every_aov=True, mode=ROBUST
-    ),
+    of_mitsuba("raw-robust", "Mitsuba LLVM, robust, ray_intersect", RAW, ALL_TASKS, every_aov=True, mode=ROBUST),
     of_mitsuba("raw-default", "Mitsuba LLVM, default, ray_intersect", RAW, ALL_TASKS, mode=DEFAULT),
     of_mitsuba(
         "raw-robust-incoherent",
@@ -139,12 +117,7 @@ CONTESTANTS = (
         variant=variants.LLVM,
     ),
     of_mitsuba(
-        "aov-default",
-        "Mitsuba LLVM, default, AOV integrator",
-        INTEGRATOR,
-        (FILM,),
-        mode=DEFAULT,
-        variant=variants.LLVM,
+        "aov-default", "Mitsuba LLVM, default, AOV integrator", INTEGRATOR, (FILM,), mode=DEFAULT, variant=variants.LLVM
     ),
     Contestant(
         "scalar-aov",
@@ -175,9 +148,7 @@ CONTESTANTS = (
     of_process("llvm-process", "mitsuba, LLVM", MITSUBA, PROCESS, variants.LLVM, program="mitsuba"),
     of_process("scalar-process", "mitsuba, scalar", MITSUBA, PROCESS, variants.SCALAR, program="mitsuba"),
     of_process("validate", "validate, no store of answers", OURS, VALIDATION, program="validate"),
-    of_process(
-        "validate-store", "validate, answers stored", OURS, VALIDATION, program="validate", store=True
-    ),
+    of_process("validate-store", "validate, answers stored", OURS, VALIDATION, program="validate", store=True),
 )
 BY_KEY = {contestant.key: contestant for contestant in CONTESTANTS}
 

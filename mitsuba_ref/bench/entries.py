@@ -33,10 +33,7 @@ PROCESS, VALIDATION = "process", "validation"
 
 SCENE_FILE, MESH_FILE, RAYS_FILE = "scene.pickle", "mesh.npz", "rays.npz"  # files of a folder
 ROBUST, DEFAULT = "robust", "default"  # folders within: a scene for Mitsuba in Embree's two modes
-FIRST_RAY = (
-    np.zeros((1, 3), np.float32),
-    np.ones((1, 3), np.float32),
-)  # for trees that are built on the first ray
+FIRST_RAY = (np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))  # for trees that are built on the first ray
 SHADOW_END = 1.0  # t_max of shadow rays: t = 1 is the light
 
 
@@ -152,11 +149,7 @@ class Ours:
 
     def _render(self, scene: caster.Scene) -> None:
         self.caster.render(
-            scene,
-            self.aovs,
-            threads=self.work.threads,
-            culling=self.work.options.get("culling"),
-            dtype=np.float32,
+            scene, self.aovs, threads=self.work.threads, culling=self.work.options.get("culling"), dtype=np.float32
         )
 
     def _cast(self, o: np.ndarray, d: np.ndarray) -> None:

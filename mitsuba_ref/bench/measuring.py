@@ -20,13 +20,7 @@ from mitsuba_ref.bench.scenes import BenchScene
 from mitsuba_ref.bench.scoring import ExactAnswers, write_scene
 from mitsuba_ref.bench.worker import STATUS_READY
 from mitsuba_ref.judge.adjudication import PreparedScene
-from mitsuba_ref.reference.subprocess_runner import (
-    ProcessEnd,
-    ProcessEnded,
-    ResidentProcess,
-    exit_name,
-    import_path,
-)
+from mitsuba_ref.reference.subprocess_runner import ProcessEnd, ProcessEnded, ResidentProcess, exit_name, import_path
 
 LAST_WORDS = 300  # characters kept of a dead contestant's output
 WORKER = (sys.executable, "-P", "-m", "mitsuba_ref.bench.worker")

@@ -128,10 +128,7 @@ FAMILIES = (
 
 
 def run_sweep(
-    family: ScalingFamily,
-    settings: Settings,
-    on_progress: Progress = lambda words: None,
-    start: Start = start_process,
+    family: ScalingFamily, settings: Settings, on_progress: Progress = lambda words: None, start: Start = start_process
 ) -> Sweep:
     """Every setting, by the few contestants that matter most."""
     contestants = [BY_KEY[key] for key in SWEPT_ROWS + (SWEPT_PEERS if settings.peers else ())]
@@ -171,9 +168,7 @@ def empty_run(scenes: Sequence[BenchScene], settings: Settings) -> Run:
 class BenchmarkRun:
     """Times scenes and sweeps; `run` holds the results so far."""
 
-    def __init__(
-        self, scenes: Sequence[BenchScene], settings: Settings, start: Start = start_process
-    ) -> None:
+    def __init__(self, scenes: Sequence[BenchScene], settings: Settings, start: Start = start_process) -> None:
         self.scenes, self.settings, self.start = scenes, settings, start
         self.run = empty_run(scenes, settings)
 

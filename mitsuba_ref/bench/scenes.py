@@ -174,10 +174,7 @@ def fisheye(folder: Path) -> Scene:
 
 
 LIT: dict[str, Any] = {
-    "lights": [
-        Point(position=(2.0, -3.0, 3.0), intensity=(40.0, 40.0, 40.0)),
-        Ambient(radiance=(0.05, 0.05, 0.05)),
-    ],
+    "lights": [Point(position=(2.0, -3.0, 3.0), intensity=(40.0, 40.0, 40.0)), Ambient(radiance=(0.05, 0.05, 0.05))],
     "materials": {"grey": Diffuse(reflectance=(0.5, 0.5, 0.5))},
 }
 
@@ -306,20 +303,12 @@ SCENES = (
     BenchScene("grazing-plane", "a square of two triangles, seen at half a thousandth of a radian", grazing),
     BenchScene("orthographic", "the mesh of 70,224 triangles, parallel rays", orthographic),
     BenchScene("fisheye", "the mesh of 70,224 triangles, a fisheye of 180 degrees", fisheye),
-    BenchScene(
-        "rays-coherent", "the camera's rays at the mesh of 70,224 triangles, handed over", ring, NEAREST
-    ),
-    BenchScene(
-        "rays-incoherent", "rays in any order at the mesh of 70,224 triangles", ring, NEAREST, incoherent
-    ),
-    BenchScene(
-        "rays-shadow", "whether anything lies between the mesh and a light", ring, ANY, shadow_rays_to_light
-    ),
+    BenchScene("rays-coherent", "the camera's rays at the mesh of 70,224 triangles, handed over", ring, NEAREST),
+    BenchScene("rays-incoherent", "rays in any order at the mesh of 70,224 triangles", ring, NEAREST, incoherent),
+    BenchScene("rays-shadow", "whether anything lies between the mesh and a light", ring, ANY, shadow_rays_to_light),
     BenchScene("lit-mesh", "shading the mesh of 70,224 triangles by one point light", lit_ring, SHADING),
     BenchScene("lit-spheres", "shading 200 spheres by one point light", lit_spheres, SHADING),
-    BenchScene(
-        "lit-teapot", "shading a smooth teapot of 6,320 triangles by one point light", lit_teapot, SHADING
-    ),
+    BenchScene("lit-teapot", "shading a smooth teapot of 6,320 triangles by one point light", lit_teapot, SHADING),
     *in_each_set(BenchScene("kinds", "a teapot, spheres, cylinders and disks on a plane", several_kinds)),
     BenchScene("process", "the teapot from a file to an EXR file", teapot_as_described, PROCESS),
     BenchScene("process-256", "the same in 256 x 256 pixels", teapot_as_described, PROCESS, side=256),

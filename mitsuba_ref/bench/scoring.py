@@ -74,9 +74,7 @@ def at_edges(rng: Rng, ready: PreparedScene, rows: np.ndarray) -> RayArrays:
     return o.astype(np.float32), unit(p - o).astype(np.float32)
 
 
-def features(
-    rng: Rng, ready: PreparedScene, sizes: np.ndarray, o: np.ndarray, d: np.ndarray | None
-) -> np.ndarray:
+def features(rng: Rng, ready: PreparedScene, sizes: np.ndarray, o: np.ndarray, d: np.ndarray | None) -> np.ndarray:
     """(n, 3) a place for each ray; primitives are as likely as they are many."""
     which = rng.choice(len(sizes), len(o), p=sizes / sizes.sum())
     places = np.zeros((len(o), 3))
@@ -126,9 +124,7 @@ def points_on_silhouettes(rng: Rng, part: Any, o: np.ndarray, d: np.ndarray | No
 class ExactAnswers:
     """Rays of the film and rays aimed at edges, with their exact answers."""
 
-    def __init__(
-        self, ready: PreparedScene, workload: str, seed: int, sample: int = EXACT_RAYS_PER_SORT
-    ) -> None:
+    def __init__(self, ready: PreparedScene, workload: str, seed: int, sample: int = EXACT_RAYS_PER_SORT) -> None:
         rng = np.random.default_rng([seed, 7])
         some = np.sort(rng.choice(len(ready.o), min(sample, len(ready.o)), replace=False))
         edges = at_edges(rng, ready, some)

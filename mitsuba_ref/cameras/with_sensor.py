@@ -83,12 +83,7 @@ def pinhole_random_fields(rng: np.random.Generator, size: float, view: RandomVie
 
 
 PINHOLE = CameraReference(
-    Pinhole,
-    pinhole_rays,
-    pinhole_to_xml,
-    pinhole_amplification,
-    pinhole_random_fields,
-    covers_film=True,
+    Pinhole, pinhole_rays, pinhole_to_xml, pinhole_amplification, pinhole_random_fields, covers_film=True
 )
 
 
@@ -118,9 +113,5 @@ def orthographic_random_fields(rng: np.random.Generator, size: float, view: Rand
 
 
 ORTHOGRAPHIC = CameraReference(
-    Orthographic,
-    orthographic_rays,
-    orthographic_to_xml,
-    random_fields=orthographic_random_fields,
-    covers_film=True,
+    Orthographic, orthographic_rays, orthographic_to_xml, random_fields=orthographic_random_fields, covers_film=True
 )

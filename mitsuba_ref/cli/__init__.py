@@ -109,8 +109,6 @@ COMMANDS = (
         arguments="add_schema_arguments",
     ),
     Command(
-        "doctor",
-        "list what was found on this machine, and what each missing part would add",
-        "mitsuba_ref.cli.doctor",
+        "doctor", "list what was found on this machine, and what each missing part would add", "mitsuba_ref.cli.doctor"
     ),
 )

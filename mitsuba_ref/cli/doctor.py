@@ -14,15 +14,7 @@ from pkgutil import resolve_name
 from typing import Any
 
 from caster.cli import installation as caster_doctor
-from caster.cli.installation import (
-    Finding,
-    Package,
-    exit_code,
-    find_package,
-    format_json,
-    print_findings,
-    usable,
-)
+from caster.cli.installation import Finding, Package, exit_code, find_package, format_json, print_findings, usable
 from caster.system.process import OK
 from mitsuba_ref.reference import subprocess_runner
 
@@ -33,11 +25,7 @@ __all__ = ["Finding", "exit_code", "format_json", "report", "usable"]
 PINNED = {"mitsuba": "3.9.1", "drjit": "1.5.0"}
 INSTALL_COMMAND = "pip install " + " ".join(f"{name}=={version}" for name, version in PINNED.items())
 MATPLOTLIB = Package(
-    "matplotlib",
-    "matplotlib",
-    "3.9",
-    "the plots of `probe --picture`, `make stress` and `make bench`",
-    needed=False,
+    "matplotlib", "matplotlib", "3.9", "the plots of `probe --picture`, `make stress` and `make bench`", needed=False
 )
 PEER_PURPOSE = "another ray caster for `bench --peers`"
 PEERS = (
@@ -140,10 +128,7 @@ def _parse_description(output: str) -> tuple[dict[str, Any], str]:
 
 def _exit_description(code: int, output: str) -> str:
     return ": ".join(
-        [
-            f"importing Mitsuba ended with {subprocess_runner.exit_name(code)}",
-            *output.strip().splitlines()[-1:],
-        ]
+        [f"importing Mitsuba ended with {subprocess_runner.exit_name(code)}", *output.strip().splitlines()[-1:]]
     )
 
 

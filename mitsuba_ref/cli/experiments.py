@@ -30,9 +30,7 @@ def add_stress_arguments(parser: argparse.ArgumentParser) -> None:
     add("--rays", metavar="N", type=positive_int, help="rays of each setting; default: 400, watertight 10000")
     add("--seed", metavar="S", type=options.whole, default=0, help="of the rays; default: 0")
     options.add_json(parser)
-    options.add_candidate(
-        parser, "another ray caster, in place of ours: one that takes rays (docs/candidates.md)"
-    )
+    options.add_candidate(parser, "another ray caster, in place of ours: one that takes rays (docs/candidates.md)")
     options.add_skip_unsupported(parser, "families")
 
 
@@ -120,17 +118,9 @@ def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
         help="also time each mesh file of this folder; default: what MITSUBA_REF_MESHES names, if it is set",
     )
     add(
-        "--peers",
-        action="store_true",
-        help="also time Open3D, embreex and trimesh; pip install 'ray-reference[peers]'",
+        "--peers", action="store_true", help="also time Open3D, embreex and trimesh; pip install 'ray-reference[peers]'"
     )
-    add(
-        "--size",
-        metavar="N",
-        type=positive_int,
-        default=DEFAULT_SIZE,
-        help=f"pixels a side; default: {DEFAULT_SIZE}",
-    )
+    add("--size", metavar="N", type=positive_int, default=DEFAULT_SIZE, help=f"pixels a side; default: {DEFAULT_SIZE}")
     add(
         "--alternations",
         metavar="N",
@@ -140,11 +130,7 @@ def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--threads", metavar="N", type=positive_int, help="processors that each may use; default: all")
     add(
-        "--seed",
-        metavar="S",
-        type=options.whole,
-        default=0,
-        help="of the rays that errors are measured on; default: 0",
+        "--seed", metavar="S", type=options.whole, default=0, help="of the rays that errors are measured on; default: 0"
     )
     add("--sweeps", action="store_true", help="also time against triangles, pixels and threads")
     options.add_json(parser)

@@ -35,22 +35,10 @@ def add_compare_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("ours", metavar="OURS.exr", type=InputPath)
     add("reference", metavar="REF.exr", type=InputPath)
-    add(
-        "-o",
-        "--output",
-        metavar="DIFF.exr",
-        type=OutputFile,
-        help="write the differences, and a class for each pixel",
-    )
+    add("-o", "--output", metavar="DIFF.exr", type=OutputFile, help="write the differences, and a class for each pixel")
     for name, what in NUMBERS.items():
         add(f"--{name.replace('_', '-')}", type=float, metavar="TOL", help=f"tolerance {what}")
-    add(
-        "--max-pixels",
-        type=int,
-        default=0,
-        metavar="N",
-        help="so many pixels may differ (never by NaN or inf)",
-    )
+    add("--max-pixels", type=int, default=0, metavar="N", help="so many pixels may differ (never by NaN or inf)")
     add(
         "--ignore",
         type=str,
@@ -106,9 +94,7 @@ def add_approve_arguments(parser: argparse.ArgumentParser) -> None:
         help="missing: only where there is none; changed, the default: also those that have changed or are stale; "
         "all: also those whose pixels are the same, but not the versions they name",
     )
-    parser.add_argument(
-        "--yes", action="store_true", help="write without confirmation; required without a terminal"
-    )
+    parser.add_argument("--yes", action="store_true", help="write without confirmation; required without a terminal")
 
 
 def add_check_arguments(parser: argparse.ArgumentParser) -> None:
@@ -161,11 +147,7 @@ def run_approve(args: argparse.Namespace) -> int:
             return propose(scene, entry.name, entry.path, folder, args.update, render)
         except (SceneError, MemoryError) as error:
             return Proposal(
-                entry.name,
-                folder / f"{entry.name}.exr",
-                "failed",
-                False,
-                tuple(problem_of(error).splitlines()),
+                entry.name, folder / f"{entry.name}.exr", "failed", False, tuple(problem_of(error).splitlines())
             )
 
     out = sys.stdout  # itself: readers of EXR files in other threads replace sys.stdout while they read
@@ -203,8 +185,7 @@ def approved(args: argparse.Namespace, count: int) -> bool:
         return True
     if not (sys.stdin and sys.stdin.isatty()):
         print(
-            "nothing was written: no terminal to confirm at; look at the changes above, then add --yes",
-            file=sys.stderr,
+            "nothing was written: no terminal to confirm at; look at the changes above, then add --yes", file=sys.stderr
         )
         return False
     print(f"write {count} references? [y/N] ", end="", file=sys.stderr, flush=True)

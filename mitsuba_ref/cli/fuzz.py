@@ -30,13 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--time", metavar="T", type=seconds, help="stop after this time, such as 60s, 5m, 1h; default: 60s")
     add("--examples", metavar="N|A..B", type=numbers, help="number of examples, or those from A to B")
-    add(
-        "--seed",
-        metavar="S",
-        type=options.whole,
-        default=0,
-        help="example i of seed S is always the same; default: 0",
-    )
+    add("--seed", metavar="S", type=options.whole, default=0, help="example i of seed S is always the same; default: 0")
     add(
         "--family",
         type=str,
@@ -68,12 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="one scene in N, on average, is also compared with Mitsuba; 0: none; default: 16",
     )
     add("--replay", metavar="FILE|DIR", type=InputPath, help="check kept scenes again, and nothing else")
-    add(
-        "--rays",
-        metavar="N",
-        type=options.whole,
-        help="the long run: N rays a shape against exact arithmetic alone",
-    )
+    add("--rays", metavar="N", type=options.whole, help="the long run: N rays a shape against exact arithmetic alone")
     add(
         "--shape",
         type=str,
@@ -82,9 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="with --rays: only this shape; may be given several times",
     )
-    options.add_candidate(
-        parser, "another ray caster, judged in place of ours in each scene (docs/candidates.md)"
-    )
+    options.add_candidate(parser, "another ray caster, judged in place of ours in each scene (docs/candidates.md)")
 
 
 def seconds(text: str) -> float:
@@ -99,9 +86,7 @@ def numbers(text: str) -> range:
     """The numbers of examples: N for the first N, A..B for those from A to B."""
     first, dots, last = text.partition("..")
     if not first.isdecimal() or (dots and not last.isdecimal()) or (dots and int(first) > int(last)):
-        raise argparse.ArgumentTypeError(
-            f"expected how many, such as 100, or from..to, such as 41..41, got '{text}'"
-        )
+        raise argparse.ArgumentTypeError(f"expected how many, such as 100, or from..to, such as 41..41, got '{text}'")
     return range(int(first), int(last) + 1) if dots else range(int(first))
 
 
@@ -150,16 +135,12 @@ def plan_of(args: argparse.Namespace) -> Plan:
 
     for name in args.family:
         if name not in BY_NAME:
-            raise SceneError(
-                f"--family {name}: unknown{suggestion(name, BY_NAME)} (known: {', '.join(BY_NAME)})"
-            )
+            raise SceneError(f"--family {name}: unknown{suggestion(name, BY_NAME)} (known: {', '.join(BY_NAME)})")
     families = tuple(BY_NAME[name] for name in dict.fromkeys(args.family)) or FAMILIES
     limit = args.time if args.time is not None or args.examples is not None else DEFAULT_SECONDS
     examples: Iterable[int] = itertools.count() if args.examples is None else args.examples
     subject, words = candidate_of(args)
-    return Plan(
-        args.seed, families, examples, limit, Path(args.out), args.keep, args.judge_every, subject, words
-    )
+    return Plan(args.seed, families, examples, limit, Path(args.out), args.keep, args.judge_every, subject, words)
 
 
 def candidate_of(args: argparse.Namespace) -> tuple[Subject, tuple[str, ...]]:
@@ -172,9 +153,7 @@ def candidate_of(args: argparse.Namespace) -> tuple[Subject, tuple[str, ...]]:
 def work_through(campaign: Campaign, line: StatusLine) -> None:
     for outcome in campaign.run():
         total = outcome.total
-        line.show(
-            f"{total.examples} examples, {total.rays} rays, {total.findings} findings, {outcome.seconds:.0f} s"
-        )
+        line.show(f"{total.examples} examples, {total.rays} rays, {total.findings} findings, {outcome.seconds:.0f} s")
 
 
 def write_json(args: argparse.Namespace, content: dict[str, Any]) -> None:
@@ -199,8 +178,7 @@ def replay(args: argparse.Namespace) -> int:
     subject, _ = candidate_of(args)
     with ResidentSession() as resident:
         lines = [
-            (file, one.kind, [f"{f.kind}: {f.what}" for f in recheck(one, resident, subject)])
-            for file, one in cases
+            (file, one.kind, [f"{f.kind}: {f.what}" for f in recheck(one, resident, subject)]) for file, one in cases
         ]
     print(findings.replay_text(lines))
     return DIFFERENCES if any(wrong for _, _, wrong in lines) else OK

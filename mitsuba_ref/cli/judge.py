@@ -39,14 +39,7 @@ SHADOW_T_MIN = 2.0**-10  # lengths of d, the way to a point light: a shadow ray 
 def add_rays_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     add = parser.add_argument
-    add(
-        "-o",
-        "--output",
-        metavar="RAYS",
-        type=OutputFile,
-        required=True,
-        help=".npz, or .npy for the rows alone",
-    )
+    add("-o", "--output", metavar="RAYS", type=OutputFile, required=True, help=".npz, or .npy for the rows alone")
     help_ = "camera (default); random; aimed at edges, vertices or silhouettes; from surfaces; mixed; shadow: from "
     help_ += "what the camera sees to a light"
     add("--kind", choices=RAY_KINDS, default="camera", help=help_)
@@ -256,11 +249,7 @@ def hits_entries(args: argparse.Namespace) -> list[SceneEntry]:
         if ("any_hit" if any_hit else "t") in hits:
             subject = HitsFile(args.hits, arrays, args.precision, any_hit)
             title = f"{name} any-hit" if any_hit and "t" in hits else name
-            about: dict[str, Any] = {
-                "options": option_words(args),
-                "command": "judge",
-                "ray_range": (first, end),
-            }
+            about: dict[str, Any] = {"options": option_words(args), "command": "judge", "ray_range": (first, end)}
             entries.append(SceneEntry(film_scene, title, source, subject=subject, rays=shared, **about))
     return entries
 

@@ -29,12 +29,7 @@ if TYPE_CHECKING:
 CANDIDATE_SECONDS = REFERENCE_SECONDS = 300.0
 PRECISIONS = ("float32", "float64")
 MAX_SECONDS = 100_000.0  # a day; the system's waits take milliseconds in 31 bits, of some times as long
-BUILTIN_SETS = (
-    "triangles",
-    "spheres",
-    "others",
-    "all",
-)  # folders of mitsuba_ref/runner/builtin, and all of them
+BUILTIN_SETS = ("triangles", "spheres", "others", "all")  # folders of mitsuba_ref/runner/builtin, and all of them
 DEFAULT_SCENES = [InputPath("scenes")]
 HTML_SUFFIX = ".html"  # of --html: one file, and else a folder
 
@@ -158,8 +153,7 @@ class ServedProgram(str):
 
 
 def add_candidate(
-    parser: argparse.ArgumentParser,
-    title: str = "another ray caster, judged in place of ours (docs/candidates.md)",
+    parser: argparse.ArgumentParser, title: str = "another ray caster, judged in place of ours (docs/candidates.md)"
 ) -> None:
     """--candidate, its precision and its time limit."""
     group = parser.add_argument_group(title)
@@ -209,9 +203,7 @@ def requested_candidate(args: argparse.Namespace, *, takes_rays: bool = False) -
             raise SceneError(f"{option}: expected --candidate X beside it, whose {option[12:]} it is")
         for name in READING_OPTIONS:
             if getattr(args, name, None):
-                raise SceneError(
-                    f"--{name}: expected a --candidate with {{exr}} beside it, whose images it is about"
-                )
+                raise SceneError(f"--{name}: expected a --candidate with {{exr}} beside it, whose images it is about")
         return None
     if getattr(args, "resume", False):
         raise SceneError(
@@ -243,9 +235,7 @@ def reading_images(candidate: Subject, args: argparse.Namespace) -> Subject:
     given = {name: getattr(args, name, None) for name in READING_OPTIONS}
     if not isinstance(candidate, CommandSubject):
         for name in (name for name, value in given.items() if value):
-            raise SceneError(
-                f"--{name}: expected a --candidate with {{exr}} beside it, whose images it is about"
-            )
+            raise SceneError(f"--{name}: expected a --candidate with {{exr}} beside it, whose images it is about")
         return candidate
     reading = Reading(tuple(given["map"] or ()), given["depth"], given["miss"], given["near"])
     return replace(candidate, convert=partial(candidate_image, reading=reading))
@@ -291,12 +281,7 @@ def add_reading(parser: argparse.ArgumentParser, more: str = "") -> Callable[...
         help="what depth is: along the ray, along z, or from the near plane",
     )
     add("--miss", type=str, metavar="VALUE", help="the depth of a miss, such as 0, inf, 1e10 or FLT_MAX")
-    add(
-        "--near",
-        type=float,
-        metavar="N",
-        help="of the near plane, along the view axis, if depth counts from there",
-    )
+    add("--near", type=float, metavar="N", help="of the near plane, along the view axis, if depth counts from there")
     return add
 
 
@@ -362,13 +347,7 @@ def add_item_selection(parser: argparse.ArgumentParser, what: str, words: str) -
     add = parser.add_argument
     add(plural, metavar=what.upper(), type=str, nargs="*", help=words)
     example = "'scale and not mesh'" if what == "family" else "'mesh and not lit'"
-    add(
-        "-k",
-        type=str,
-        metavar="EXPR",
-        dest="expression",
-        help=f"{plural} whose name matches, such as {example}",
-    )
+    add("-k", type=str, metavar="EXPR", dest="expression", help=f"{plural} whose name matches, such as {example}")
     add("--list", action="store_true", help=f"list the {plural} and stop")
 
 

@@ -14,13 +14,7 @@ from caster.cli.shared_arguments import OutputFile, add_pixel, add_scene, load
 from caster.description.errors import error_prefix
 from caster.system.process import DIFFERENCES, OK
 from caster.system.terminal import printable
-from mitsuba_ref.cli.options import (
-    add_candidate,
-    add_reading,
-    add_timeout,
-    candidate_words,
-    requested_candidate,
-)
+from mitsuba_ref.cli.options import add_candidate, add_reading, add_timeout, candidate_words, requested_candidate
 
 if TYPE_CHECKING:
     from caster.scene.model import Scene
@@ -33,10 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_pixel(parser)
     parser.add_argument("--json", action="store_true", help="as JSON")
     parser.add_argument(
-        "--save",
-        metavar="FILE",
-        type=OutputFile,
-        help="write this ray and what it may hit as a scene of its own",
+        "--save", metavar="FILE", type=OutputFile, help="write this ray and what it may hit as a scene of its own"
     )
     parser.add_argument(
         "--picture",
@@ -70,9 +61,7 @@ def run(args: argparse.Namespace) -> int:
     return OK if found.ok else DIFFERENCES
 
 
-def write_files(
-    args: argparse.Namespace, scene: Scene, found: PixelVerdict, probed: Crash | ProbeEvidence
-) -> None:
+def write_files(args: argparse.Namespace, scene: Scene, found: PixelVerdict, probed: Crash | ProbeEvidence) -> None:
     """Write --save and --picture."""
     if args.save:
         save(args, probed, about_candidate(args, found))
@@ -87,10 +76,7 @@ def about_candidate(args: argparse.Namespace, found: PixelVerdict) -> list[str]:
     words = found.candidate.problem or found.candidate.why
     summary = f"{found.candidate.verdict}: {words}".splitlines()[0]
     again = shlex.join(["mitsuba-ref", "probe", "THIS-FILE", "0", "0", *candidate_words(args)])
-    return [
-        f"Candidate: {printable(summary)}",
-        *(f"           {printable(line)}" for line in again.splitlines()),
-    ]
+    return [f"Candidate: {printable(summary)}", *(f"           {printable(line)}" for line in again.splitlines())]
 
 
 def save(args: argparse.Namespace, probed: Crash | ProbeEvidence, more: Sequence[str]) -> None:

@@ -79,18 +79,8 @@ def run_render(args: argparse.Namespace) -> int:
 def add_import_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("file", metavar="FILE", type=InputPath, help="Mitsuba's .xml, or .txt of MIT 6.837")
-    add(
-        "-o", "--output", metavar="SCENE.toml", type=OutputFile, required=True, help="the scene file to write"
-    )
-    add(
-        "-D",
-        type=str,
-        dest="parameters",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="a $NAME of the XML",
-    )
+    add("-o", "--output", metavar="SCENE.toml", type=OutputFile, required=True, help="the scene file to write")
+    add("-D", type=str, dest="parameters", action="append", default=[], metavar="NAME=VALUE", help="a $NAME of the XML")
     add("--size", nargs=2, type=int, metavar=("W", "H"), help="film in pixels, instead of the file's own")
     add_mesh_dirs(parser)
 
@@ -169,12 +159,7 @@ def folders_beyond(scene: object, folder: Path) -> set[str]:
 def add_export_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     parser.add_argument(
-        "-o",
-        "--output",
-        metavar="DIR",
-        type=OutputFolder,
-        required=True,
-        help="folder to write into; made if need be",
+        "-o", "--output", metavar="DIR", type=OutputFolder, required=True, help="folder to write into; made if need be"
     )
 
 

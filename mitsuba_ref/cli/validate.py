@@ -31,9 +31,7 @@ from mitsuba_ref.cli.options import (
     write_verdict_files,
 )
 
-UNSUPPORTED_SCENE = (
-    "unsupported"  # of the judge, which takes long to load (tests/unit/test_cli_help.py compares)
-)
+UNSUPPORTED_SCENE = "unsupported"  # of the judge, which takes long to load (tests/unit/test_cli_help.py compares)
 
 if TYPE_CHECKING:
     from mitsuba_ref.judge.verdict import Verdict
@@ -47,10 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_selection(parser)
     add = parser.add_argument
     add(
-        "--out",
-        metavar="DIR",
-        type=OutputFolder,
-        help="write verdict.json, EXR files and reproducers into this folder",
+        "--out", metavar="DIR", type=OutputFolder, help="write verdict.json, EXR files and reproducers into this folder"
     )
     add_verdict_files(parser)
     html_help = f"write a report for the browser: a folder, or one file if PATH ends in {HTML_SUFFIX}"
@@ -144,9 +139,7 @@ def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:
     if any(isinstance(error, OutputError) for error in errors):
         return FILE
     codes = [error.exit_code if isinstance(error, SceneError) else USAGE for error in errors]
-    alone = sum(not (scene.ok or scene.waived) for scene in verdict.scenes) + len(verdict.not_judged) == len(
-        codes
-    )
+    alone = sum(not (scene.ok or scene.waived) for scene in verdict.scenes) + len(verdict.not_judged) == len(codes)
     return min(codes) if codes and alone else DIFFERENCES
 
 

@@ -24,22 +24,14 @@ class Bounds(NamedTuple):
         return np.isfinite(self.at.t_error)
 
 
-def reference_bounds(
-    model: SceneModel, prim: np.ndarray, o: np.ndarray, d: np.ndarray, t: np.ndarray
-) -> Bounds:
+def reference_bounds(model: SceneModel, prim: np.ndarray, o: np.ndarray, d: np.ndarray, t: np.ndarray) -> Bounds:
     """The intersection of ray i with prim[i] (n,) that is nearest to t[i]; prim -1 is a miss."""
     own = intersections_at(model, prim, (o, d), t, KU_OURS, ours=True)
     return Bounds(own, intersections_at(model, prim, (o, d), t, KU, ours=False))
 
 
 def intersections_at(
-    model: SceneModel,
-    prim: np.ndarray,
-    line: tuple[np.ndarray, np.ndarray],
-    t: np.ndarray,
-    ku: float,
-    *,
-    ours: bool,
+    model: SceneModel, prim: np.ndarray, line: tuple[np.ndarray, np.ndarray], t: np.ndarray, ku: float, *, ours: bool
 ) -> Intersections:
     """The same with the error bounds of one arithmetic. line: o, d (n, 3); ku, ours: as of SceneModel.intersect."""
     out = missing_intersections(len(prim))
@@ -122,10 +114,7 @@ ErrorModels = Sequence[Callable[[Any], ErrorModel]]  # for each shape, from its 
 
 
 def t_bounds(
-    models: ErrorModels,
-    packed: Packed,
-    hits: tuple[np.ndarray, np.ndarray],
-    rays: tuple[np.ndarray, np.ndarray],
+    models: ErrorModels, packed: Packed, hits: tuple[np.ndarray, np.ndarray], rays: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
     """(n,) bound on |t - exact t| of each hit; inf where float64 cannot resolve it, NaN on a miss.
 

@@ -93,9 +93,7 @@ class Bracket:
         allowed[~seen] = claims.shape[~seen] == CLAIMED_MISS
         return BracketResult(allowed, untestable)
 
-    def _pairs(
-        self, o: np.ndarray, d: np.ndarray, also: np.ndarray | None
-    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    def _pairs(self, o: np.ndarray, d: np.ndarray, also: np.ndarray | None) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """What is near the rays, and the primitives in `also`. Each ray is in one piece only."""
         if also is None:
             yield from self.model.distinct.pairs(o, d)
@@ -106,11 +104,7 @@ class Bracket:
         yield together[0], together[1]
 
     def blocked(
-        self,
-        o: np.ndarray,
-        d: np.ndarray,
-        t_max: np.ndarray,
-        leaving: tuple[np.ndarray, np.ndarray] | None = None,
+        self, o: np.ndarray, d: np.ndarray, t_max: np.ndarray, leaving: tuple[np.ndarray, np.ndarray] | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """(something may block the way, something does): rays o + t d, 0 < t < t_max.
 
@@ -139,9 +133,7 @@ class Bracket:
         if not found:
             return RayIntersections(np.zeros(0, int), np.zeros(0, int), no_intersections())
         at = Intersections(*(np.concatenate(a) for a in zip(*(f.at for f in found), strict=True)))
-        return RayIntersections(
-            np.concatenate([f.ray for f in found]), np.concatenate([f.prim for f in found]), at
-        )
+        return RayIntersections(np.concatenate([f.ray for f in found]), np.concatenate([f.prim for f in found]), at)
 
     def _intersect_in_range(self, ray: np.ndarray, prim: np.ndarray, line: RaySegments) -> RayIntersections:
         """The possible intersections in range."""
@@ -170,12 +162,10 @@ class Bracket:
             named &= without_t | (claims.t[ray] <= latest[ray] + t_rounding)
         named &= within_error(claims.n, ray, at.n, at.n_error)
         with np.errstate(invalid="ignore"):  # inf, of a claimed miss
-            matches = (
-                named & np.isfinite(at.t_error) & (np.abs(claims.t[ray] - at.t) <= at.t_error + t_rounding)
-            ) | (named & without_t)
-        matches &= within_error(claims.sh_n, ray, at.sh_n, at.sh_error) & within_error(
-            claims.p, ray, p, at.p_error
-        )
+            matches = (named & np.isfinite(at.t_error) & (np.abs(claims.t[ray] - at.t) <= at.t_error + t_rounding)) | (
+                named & without_t
+            )
+        matches &= within_error(claims.sh_n, ray, at.sh_n, at.sh_error) & within_error(claims.p, ray, p, at.p_error)
         if len(claims.uv):
             rows = np.flatnonzero(matches)
             uv = self.model.uv_points(found.prim[rows], claims.uv[ray[rows]], ours=self.ours)
@@ -231,9 +221,7 @@ def _latest_at_edges(found: RayIntersections) -> np.ndarray:
     if len(rows):
         keys = np.column_stack([found.ray[rows], edge[rows]])
         which = row_groups(keys)
-        left, right = (
-            np.bincount(which[side[rows] == s], minlength=which.max() + 1) > 0 for s in (-1.0, 1.0)
-        )
+        left, right = (np.bincount(which[side[rows] == s], minlength=which.max() + 1) > 0 for s in (-1.0, 1.0))
         last = np.full(which.max() + 1, -np.inf)
         np.maximum.at(last, which, (found.at.t + found.at.t_error)[rows])
         latest[rows] = np.where(left & right, last, np.inf)[which]

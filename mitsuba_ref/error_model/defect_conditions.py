@@ -74,9 +74,7 @@ class KnownDefect(NamedTuple):
     number: int
     name: str
     priority: int  # of several whose conditions hold, the least is the pixel's
-    subject: Literal[
-        "hit", "named", "either"
-    ]  # whether the kind is hit exactly, named by the reference, or either
+    subject: Literal["hit", "named", "either"]  # whether the kind is hit exactly, named by the reference, or either
     condition: Callable[[DefectFeatures], bool]
 
     def applies(self, kind: str, features: DefectFeatures) -> bool:
@@ -102,11 +100,7 @@ STARTS_ON_CURVED = KnownDefect(
     lambda m: m.at_zero and m.t == 0.0,
 )
 GRAZED_FLAT = KnownDefect(
-    43,
-    "a disk or a plane at grazing incidence",
-    13,
-    "either",
-    lambda m: m.cosine < GRAZING_COSINE and m.nearly,
+    43, "a disk or a plane at grazing incidence", 13, "either", lambda m: m.cosine < GRAZING_COSINE and m.nearly
 )
 STRETCHED = KnownDefect(
     8,

@@ -27,10 +27,7 @@ def transform_error_ratio(shape: Shape) -> float:
     size = np.eye(4)
     for step in shape.to_world:
         size = np.abs(_matrix(step)) @ size
-    bound = (
-        K * (1 + len(shape.to_world)) * 2.0**-53 * (size + np.linalg.norm(size[:3, :3]))
-        + np.finfo(float).tiny
-    )
+    bound = K * (1 + len(shape.to_world)) * 2.0**-53 * (size + np.linalg.norm(size[:3, :3])) + np.finfo(float).tiny
     return float(np.max(np.abs(shape.matrix - expected) / bound))
 
 

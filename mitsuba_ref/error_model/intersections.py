@@ -25,9 +25,7 @@ class Intersections(NamedTuple):
     p_error: np.ndarray  # (m,) bound on the position, scene units
     uv: np.ndarray  # (m, 3) uv as a point of the kind's UvSpace
     uv_error: np.ndarray  # (m,) bound on that point
-    edge: np.ndarray | None = (
-        None  # (m, 6) the end points of the one edge a triangle is not certain of, else NaN
-    )
+    edge: np.ndarray | None = None  # (m, 6) the end points of the one edge a triangle is not certain of, else NaN
     side: np.ndarray | None = None  # (m,) on which side of that edge the triangle lies, -1 or 1
 
     def take(self, rows: np.ndarray) -> "Intersections":
@@ -57,9 +55,7 @@ class UvSpace(NamedTuple):
     """
 
     subject: UvPoints = plain_uv
-    reference: UvPoints | None = (
-        plain_uv  # of the reference's uv, whose axes may be others; None: of another surface
-    )
+    reference: UvPoints | None = plain_uv  # of the reference's uv, whose axes may be others; None: of another surface
 
 
 class ErrorModel(NamedTuple):
@@ -176,9 +172,7 @@ def by_normal(_prims: Any, _k: np.ndarray, n: np.ndarray, _o: np.ndarray, _d: np
     return key
 
 
-def by_corner(
-    axis: int, prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray
-) -> np.ndarray:
+def by_corner(axis: int, prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
     """Faces on rings and grids: what is rounded is one coordinate of many corners, relative to the ray's origin."""
     corner: np.ndarray = np.abs(prims.vertices[prims.faces[k, 0], axis])
     return corner[:, None]

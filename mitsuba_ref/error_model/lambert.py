@@ -131,17 +131,11 @@ def smallest_error_ratio(ours: np.ndarray, fixed: np.ndarray, choices: LightChoi
 def _uncertain_lights_first(choices: LightChoices) -> LightChoices:
     """The lights of each pixel in another order: those in doubt come first."""
     order = np.argsort(~choices.doubt, axis=0, kind="stable")
-    first, first_error, second, second_error = (
-        np.take_along_axis(a, order[..., None], axis=0) for a in choices[:4]
-    )
-    return LightChoices(
-        first, first_error, second, second_error, np.take_along_axis(choices.doubt, order, axis=0)
-    )
+    first, first_error, second, second_error = (np.take_along_axis(a, order[..., None], axis=0) for a in choices[:4])
+    return LightChoices(first, first_error, second, second_error, np.take_along_axis(choices.doubt, order, axis=0))
 
 
-def _share(
-    ours: np.ndarray, fixed: np.ndarray, choices: LightChoices, switched: np.ndarray, ku: float
-) -> np.ndarray:
+def _share(ours: np.ndarray, fixed: np.ndarray, choices: LightChoices, switched: np.ndarray, ku: float) -> np.ndarray:
     first, error = choices.first, choices.first_error
     if switched.any():
         first = np.where(switched, choices.second, first)
@@ -172,9 +166,7 @@ class ShadowRays(NamedTuple):
     t_max: np.ndarray  # (m,)
 
 
-def reference_shadow_rays(
-    hit: ShadingPoints, lit: LightContribution, p: np.ndarray, n: np.ndarray
-) -> ShadowRays:
+def reference_shadow_rays(hit: ShadingPoints, lit: LightContribution, p: np.ndarray, n: np.ndarray) -> ShadowRays:
     """From Mitsuba's own p (m, 3), moved along its normal n to the light's side, to just before the light."""
     near = np.isfinite(lit.reach)
     way = np.where(near[:, None], hit.p + lit.to_light - p, lit.to_light)

@@ -15,13 +15,7 @@ from caster.geometry.packing import Packed
 from mitsuba_ref.error_model.intersections import ErrorModel, Intersections, norm, unit
 from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.oracle.interface import lowest_identical
-from mitsuba_ref.oracle.oracle import (
-    BRANCHING_FACTOR,
-    BoxLevel,
-    box_levels,
-    columns_in_order,
-    whole_groups,
-)
+from mitsuba_ref.oracle.oracle import BRANCHING_FACTOR, BoxLevel, box_levels, columns_in_order, whole_groups
 
 
 class PairIntersections(NamedTuple):
@@ -40,9 +34,7 @@ class SceneModel:
     kinds: tuple[Any, ...]  # the same, joined by kind
     models: tuple[ErrorModel, ...]  # one for each kind
 
-    def intersect(
-        self, prim: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float, *, ours: bool
-    ) -> PairIntersections:
+    def intersect(self, prim: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float, *, ours: bool) -> PairIntersections:
         """Primitive prim[i] (m,) with ray i (m, 3), (m, 3), for each i; ours: as our caster has it."""
         kind, k = self._kinds_of(prim)
         pairs, found = [], []
@@ -201,9 +193,7 @@ class BoxRays:
         self.low, self.high = (np.ascontiguousarray(columns + side * margin) for side in (1.0, -1.0))
         self.over_d = 1.0 / np.where(d.T == 0.0, np.finfo(np.float64).tiny, d.T)
 
-    def passed_members(
-        self, ray: np.ndarray, group: np.ndarray, level: BoxLevel
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def passed_members(self, ray: np.ndarray, group: np.ndarray, level: BoxLevel) -> tuple[np.ndarray, np.ndarray]:
         """(ray, box) of the boxes in group[i] that ray[i] passes, for each i."""
         found = [(ray[:0], group[:0])]
         with np.errstate(over="ignore", invalid="ignore"):
@@ -279,17 +269,13 @@ class UncertainRaysModel(SceneModel):
         """The same with more rays, for the few pixels that are disputed."""
         return replace(self, around=REFINED_RAYS_PER_RING, rings=REFINED_RING_RADII)
 
-    def intersect(
-        self, prim: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float, *, ours: bool
-    ) -> PairIntersections:
+    def intersect(self, prim: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float, *, ours: bool) -> PairIntersections:
         """Each intersection, widened by those of neighbouring rays with the same primitive and root."""
         met = super().intersect(prim, o, d, ku, ours=ours)
         found = [met.at]
         for across in self._around(d):
             found.append(
-                super()
-                .intersect(prim, o + self.shift * across, d + self._turned(d) * across, ku, ours=ours)
-                .at
+                super().intersect(prim, o + self.shift * across, d + self._turned(d) * across, ku, ours=ours).at
             )
         # A shift along the ray moves no point, but t by as much.
         return PairIntersections(met.pair, enclosing_intersections(found, self.shift / norm(d)[met.pair]))
@@ -330,9 +316,7 @@ def enclosing_intersections(found: list[Intersections], along: np.ndarray) -> In
     edge, side = middle.edge, middle.side
     assert edge is not None and side is not None  # with_edges
     edge, side = edge.copy(), side.copy()
-    steady = np.all(
-        [at.certain | (_side(at) != 0.0) for at in found], axis=0
-    )  # nowhere is more than one edge in doubt
+    steady = np.all([at.certain | (_side(at) != 0.0) for at in found], axis=0)  # nowhere is more than one edge in doubt
     for at in map(with_edges, found[1:]):
         assert at.edge is not None and at.side is not None
         take = (side == 0.0) & (at.side != 0.0)

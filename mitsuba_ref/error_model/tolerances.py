@@ -36,9 +36,7 @@ MAJORITY = 0.5  # what is reported of all wrong t at once has to be true of more
 # cover. Or where a hundredth of the error is left, of a caster that has lost digits beside. No pixel passes or fails by
 # these.
 FIT_FACTOR, LARGEST_RESIDUAL = 2.0, 0.01
-NEARLY_ALL = (
-    0.9  # of the wrong pixels: a hypothesis that explains so many is the cause, and no other is looked for
-)
+NEARLY_ALL = 0.9  # of the wrong pixels: a hypothesis that explains so many is the cause, and no other is looked for
 MIN_FITTED_PIXELS = 3  # from which a constant is fitted: one is always fitted, a second may be alike
 
 # A separator is reported where one threshold has so many of the wrong pixels on one side, and of the right ones on the

@@ -82,14 +82,7 @@ class ReferenceChecks:
 
 
 def check_scene(
-    scene: Scene,
-    name: str,
-    source: str,
-    path: Path,
-    scratch: Path,
-    variant: str | None,
-    fresh: bool,
-    max_pixels: int,
+    scene: Scene, name: str, source: str, path: Path, scratch: Path, variant: str | None, fresh: bool, max_pixels: int
 ) -> ReferenceCheck:
     """Compare our render, or with `fresh` Mitsuba's, with the reference at path.
 
@@ -156,9 +149,7 @@ def _check_fresh(scene: Scene, name: str, source: str, path: Path, before: Refer
     return ReferenceCheck(name, str(path), False, words, refused=True)
 
 
-def compare_with_reference(
-    scene: Scene, before: Reference
-) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
+def compare_with_reference(scene: Scene, before: Reference) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
     """(our channels, along the rays and on the geometry that Mitsuba was given; (h, w) bool: the geometry of the pixel
     is within the bounds that `validate` derives; (h, w) bool: its lighting is, too)."""
     rays = shared_rays(scene)
@@ -175,9 +166,7 @@ def compare_with_reference(
     before_aovs = channels_to_aovs(before.channels)
     pixels = PixelPairs(ours, before_aovs, bounds, answer, np.linalg.norm(d, axis=1), point)
     geometry = compare(pixels, scene.checks).agrees
-    light = geometry & lighting_agrees(
-        scene, pixels, ShadingPoints(point, d, aov_rows(ours, "shape_id"), bounds.at)
-    )
+    light = geometry & lighting_agrees(scene, pixels, ShadingPoints(point, d, aov_rows(ours, "shape_id"), bounds.at))
     shape = window.height, window.width
     return aovs_to_channels(ours), geometry.reshape(shape), light.reshape(shape)
 
@@ -198,9 +187,7 @@ def lighting_agrees(scene: Scene, pixels: PixelPairs, hit: ShadingPoints) -> np.
 
 def without_classes(found: Reference) -> Reference:
     """Mitsuba's own channels: a class depends on our caster as well."""
-    return replace(
-        found, channels={name: plane for name, plane in found.channels.items() if name != CLASS_CHANNEL}
-    )
+    return replace(found, channels={name: plane for name, plane in found.channels.items() if name != CLASS_CHANNEL})
 
 
 MISSING, ALL = "missing", "all"
@@ -219,12 +206,7 @@ class Proposal(NamedTuple):
 
 
 def propose(
-    scene: Scene,
-    name: str,
-    source: str,
-    folder: Path,
-    mode: str,
-    render: Callable[[Scene, str], Reference | Crash],
+    scene: Scene, name: str, source: str, folder: Path, mode: str, render: Callable[[Scene, str], Reference | Crash]
 ) -> Proposal:
     """Render the scene unless nothing would be written, and compare with the stored reference. source: its file."""
     path = folder / f"{name}.exr"
@@ -257,8 +239,4 @@ def _compare_proposal(before: Reference, fresh: Reference, name: str, path: Path
 
 def unused_references(folder: Path, names: set[str]) -> list[str]:
     """Names of files in the folder that belong to none of the scenes."""
-    return (
-        sorted(path.name for path in folder.glob("*.exr") if path.stem not in names)
-        if folder.is_dir()
-        else []
-    )
+    return sorted(path.name for path in folder.glob("*.exr") if path.stem not in names) if folder.is_dir() else []

@@ -60,9 +60,7 @@ class Reference:
         words = {key: value for key, value in self.about.items() if key != DIGEST}
         sha256.update(json.dumps([sorted(words.items()), self.window, self.film]).encode())
         for name, plane in sorted(self.channels.items()):
-            sha256.update(
-                f"\n{name} {plane.dtype} {plane.shape}\n".encode() + np.ascontiguousarray(plane).tobytes()
-            )
+            sha256.update(f"\n{name} {plane.dtype} {plane.shape}\n".encode() + np.ascontiguousarray(plane).tobytes())
         return sha256.hexdigest()
 
     def write(self, path: Path) -> None:
@@ -84,9 +82,7 @@ def render_fresh(
         return witness
     shape = film_window(scene).height, film_window(scene).width
     images = aovs_of(witness, rays, shape, AOVS)
-    classes = (
-        Judge(scene, model, pair_images(scene, rays, answer_of_view(scene, view), witness)).judge().classes
-    )
+    classes = Judge(scene, model, pair_images(scene, rays, answer_of_view(scene, view), witness)).judge().classes
     versions = witness.answer.versions
     versions = versions | {"libllvm": Path(versions.get("libllvm", "none")).name, "command": command}
     about = provenance(scene, __version__, Path(path).name)

@@ -121,9 +121,7 @@ def _row(group: GroupResult) -> tuple[str, ...]:
     return group.name, str(group.agree), str(group.differ), str(group.non_finite), ratio, at, group.bound
 
 
-def result_messages(
-    result: FileComparison, channels: int, next_steps: list[str], notes: list[str]
-) -> list[str]:
+def result_messages(result: FileComparison, channels: int, next_steps: list[str], notes: list[str]) -> list[str]:
     """The lines below the table: pass or fail, how far, where to look. channels: how many were compared."""
     if result.exit_code == 5:
         return [

@@ -83,18 +83,14 @@ def misses_of(exr: Exr, requested: str | None = None) -> Misses:
     if requested is not None:
         value = MISS_SENTINELS.get(requested, None)
         value = float(np.float32(float(requested))) if value is None else value
-        return Misses(
-            depth == value, f"a miss is depth {requested}, as given ({int((depth == value).sum())} pixels)"
-        )
+        return Misses(depth == value, f"a miss is depth {requested}, as given ({int((depth == value).sum())} pixels)")
     there = {name: depth == value for name, value in MISS_SENTINELS.items() if (depth == value).any()}
     by_mask = _misses_by_mask(exr)
     blind = ("A",) if by_mask is not None and there and not by_mask.missed.any() else ()
     if by_mask is not None and not blind:
         values = np.unique(depth[by_mask.missed])
         shown = f"depth {_sentinel_name(float(values[0]))}" if len(values) == 1 else "any depth"
-        return Misses(
-            by_mask.missed, f"a miss is {by_mask.words}, with {shown} ({int(by_mask.missed.sum())} pixels)"
-        )
+        return Misses(by_mask.missed, f"a miss is {by_mask.words}, with {shown} ({int(by_mask.missed.sum())} pixels)")
     if len(there) > 1:
         counts = ", ".join(f"{name} ({int(rows.sum())} pixels)" for name, rows in there.items())
         raise AmbiguousConvention(
@@ -166,21 +162,15 @@ def convention_of(
             depth,
             f"assumed to be {CONVENTION_MEANINGS[DISTANCE]}; {reason} ({shown} agree to {CONVENTION_RTOL:g})",
         )
-    rivals = [
-        name for name in distances if name != best and not middle[name] >= DECISIVE_ERROR_RATIO * middle[best]
-    ]
-    apart = [
-        name for name in rivals if (np.abs(distances[name] - distances[best]) > KU * np.abs(other))[hit].any()
-    ]
+    rivals = [name for name in distances if name != best and not middle[name] >= DECISIVE_ERROR_RATIO * middle[best]]
+    apart = [name for name in rivals if (np.abs(distances[name] - distances[best]) > KU * np.abs(other))[hit].any()]
     if apart and middle[best] > 0.0:
         raise AmbiguousConvention(
             f"depth may be {' or '.join(CONVENTION_MEANINGS[name] for name in (best, *apart))}: "
             f"the numbers fit both ({shown}); "
             f"--depth {best}, or another"
         )
-    return Convention(
-        best, distances[best], f"{CONVENTION_MEANINGS[best]} ({shown} agree to {CONVENTION_RTOL:g})"
-    )
+    return Convention(best, distances[best], f"{CONVENTION_MEANINGS[best]} ({shown} agree to {CONVENTION_RTOL:g})")
 
 
 # ---- the rays of an image, from its positions

@@ -49,7 +49,7 @@ VECTORS: Mapping[str, Sequence[str]] = {
     "position": ("Position", "P", "Pworld", "worldposition"),
 }
 SCALARS: Mapping[str, Sequence[str]] = {
-    "depth": ("depth.T", "dd.y.T", "Depth.Z", "Depth.V", "Depth", "Z", "zdepth", "z"),
+    "depth": ("depth.T", "dd.y.T", "Depth.Z", "Depth.V", "Depth", "Z", "zdepth", "z")
 }
 COLOR_CHANNELS = ("R", "G", "B")
 COMPONENTS = ("XYZ", "xyz", "RGB", "rgb")
@@ -79,9 +79,7 @@ def _take(found: dict[str, str], group: str, layers: Sequence[tuple[str, ...]]) 
     both = [*known, *layers]
     if len(both) > 1:
         shown = [each[0] if len(each) == 1 else each[0].rpartition(".")[0] for each in both]
-        raise AmbiguousChannel(
-            f"{' and '.join(shown)} may both be the {group}: --map {group}={shown[0]}, or another"
-        )
+        raise AmbiguousChannel(f"{' and '.join(shown)} may both be the {group}: --map {group}={shown[0]}, or another")
     if layers:
         found.update(zip(ours, layers[0], strict=True))
 
@@ -116,9 +114,7 @@ def mapped(options: Iterable[str], names: Iterable[str]) -> dict[str, str]:
         ours = LAYERS.get(key) or tuple(n for layer in LAYERS.values() for n in layer if n == key)
         if not ours:
             known = [*LAYERS, *(n for layer in LAYERS.values() for n in layer)]
-            raise SceneError(
-                f"--map {option!r}: unknown{suggestion(key, known)}; known are {', '.join(LAYERS)}"
-            )
+            raise SceneError(f"--map {option!r}: unknown{suggestion(key, known)}; known are {', '.join(LAYERS)}")
         if len(ours) == 1:
             found.update({ours[0]: value} if value in names else {})
             continue
@@ -255,9 +251,7 @@ def _scene_mismatch(a: Exr, b: Exr) -> list[str]:
     hashes = {exr.provenance.get(SCENE_HASH) for exr in (a, b)} - {None}
     if len(hashes) < 2:
         return []
-    return [
-        f"the files are of different scenes, by their attributes ({SCENE_HASH}); --other-scene compares anyway"
-    ]
+    return [f"the files are of different scenes, by their attributes ({SCENE_HASH}); --other-scene compares anyway"]
 
 
 def _window_mismatch(a: Exr, b: Exr) -> list[str]:

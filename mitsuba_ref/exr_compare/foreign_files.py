@@ -40,14 +40,7 @@ from mitsuba_ref.exr_compare.exr_pair import (
 )
 from mitsuba_ref.judge.scene_checks import pixel_centers
 from mitsuba_ref.reference.shared_input import SharedRays
-from mitsuba_ref.subjects.subject import (
-    FLOAT32,
-    Answer,
-    CastRequest,
-    NoAnswer,
-    cast_ours,
-    checked_answer,
-)
+from mitsuba_ref.subjects.subject import FLOAT32, Answer, CastRequest, NoAnswer, cast_ours, checked_answer
 
 GEOMETRY = ("normal", "shading_normal", "position")  # groups whose values on a miss mean nothing
 
@@ -126,9 +119,7 @@ def to_our_conventions(a: Exr, b: Exr, reading: Reading) -> ConvertedFiles:
     return ConvertedFiles(files[0], files[1], tuple(stated), tuple(left))
 
 
-def candidate_image(
-    exr: Exr, request: CastRequest, reading: Reading = READ_BY_NAMES
-) -> tuple[Exr, tuple[str, ...]]:
+def candidate_image(exr: Exr, request: CastRequest, reading: Reading = READ_BY_NAMES) -> tuple[Exr, tuple[str, ...]]:
     """What a candidate's command wrote, in our names and conventions, and the steps.
 
     An image with a channel depth.Z in one part is used as it is, unless the reading says otherwise. The convention of
@@ -168,18 +159,13 @@ def _channel_names(exr: Exr, mapped_names: Mapping[str, str]) -> dict[str, str]:
         known = recognised(rest)
     except AmbiguousChannel:
         known = recognised([n for n in rest if not _mapped_elsewhere(n, mapped_names)])
-    return {
-        **{ours: theirs for ours, theirs in known.items() if ours.partition(".")[0] not in groups},
-        **mapped_names,
-    }
+    return {**{ours: theirs for ours, theirs in known.items() if ours.partition(".")[0] not in groups}, **mapped_names}
 
 
 def _mapped_elsewhere(name: str, mapped_names: Mapping[str, str]) -> bool:
     """Whether --map assigns another channel to what this one would be recognised as."""
     try:
-        return bool(recognised([name]).keys() & mapped_names.keys()) or _layer_mapped_elsewhere(
-            name, mapped_names
-        )
+        return bool(recognised([name]).keys() & mapped_names.keys()) or _layer_mapped_elsewhere(name, mapped_names)
     except AmbiguousChannel:
         return False
 
@@ -323,9 +309,7 @@ def own_rays(name: str, exr: Exr, scene: Scene, reading: Reading) -> tuple[OwnRa
     dx, dy = found.x - x + 0.5, found.y - y + 0.5
     shift = ray_shift(dx[near], dy[near], found.rounding[near])
     beside = (0.5, 0.5) if shift.common is None else shift.common
-    places = [
-        np.where(near, v, c - 0.5 + b) for v, c, b in zip((found.x, found.y), (x, y), beside, strict=True)
-    ]
+    places = [np.where(near, v, c - 0.5 + b) for v, c, b in zip((found.x, found.y), (x, y), beside, strict=True)]
     there = np.ones(len(x), bool) if shift.common is not None else covered | _all_alike(scene, x, y, shift)
     rays = reference_of_camera(scene.camera).rays(scene.camera, scene.film, *places)
     o, d = rays.o.astype(np.float32), rays.d.astype(np.float32)

@@ -126,9 +126,7 @@ def _is_empty(pair: ExrPair) -> bool:
     return not any(exr.channels[name].any() for exr in (pair.ours, pair.reference) for name in pair.names)
 
 
-def _counted(
-    blank: FileComparison, pair: ExrPair, judged: list[Judged], tolerances: Tolerances
-) -> FileComparison:
+def _counted(blank: FileComparison, pair: ExrPair, judged: list[Judged], tolerances: Tolerances) -> FileComparison:
     broken = np.any([j.broken for j in judged], axis=0)
     bad = int((np.any([j.differ for j in judged], axis=0) | broken).sum())
     failed = bool(broken.any()) or bad > tolerances.max_pixels
@@ -162,11 +160,7 @@ def _next_steps(result: FileComparison, pair: ExrPair, diff: FileName | None) ->
     replay = f"      replay: mitsuba-ref probe {shlex.quote(scene)} {at}"
     info = f"      next:   caster info {shlex.quote(result.ours)}"
     note = "      note:   rounding decides edges and shadow borders; see validate; --max-pixels N allows them"
-    return [
-        *([look] if diff is not None else []),
-        replay if scene and scene.isprintable() else info,
-        note,
-    ]
+    return [*([look] if diff is not None else []), replay if scene and scene.isprintable() else info, note]
 
 
 def _half_notes(pair: ExrPair) -> list[str]:
@@ -269,9 +263,7 @@ def _normal_bound(condition: Conditioning | None, tol: Tolerances, stored: Array
     return _bound_at_displaced_hit(condition, b, stored + NORMAL_ATOL, 1.0, f"{NORMAL_ATOL:.2g}")
 
 
-def _shade_bound(
-    condition: Conditioning | None, group: str, tol: Tolerances, stored: Array, b: Array
-) -> Bound:
+def _shade_bound(condition: Conditioning | None, group: str, tol: Tolerances, stored: Array, b: Array) -> Bound:
     typical = _typical_magnitude(b)
     given = (0.0, tol.uv_atol) if group == "uv" else (tol.color_rtol, tol.color_atol)
     rtol = (0.0 if group == "uv" else COLOR_RTOL) if given[0] is None else given[0]
@@ -294,9 +286,7 @@ def _bound_at_displaced_hit(
     if condition is None:
         return plain, text
     lever = (_surface_slope(field, condition) * condition.position_error)[..., None]
-    return plain + np.where(
-        lever < LARGEST_FIRST_ORDER_SHARE * scale, lever, 0.0
-    ), f"{text} + slope K u S (1 + 1/cos)"
+    return plain + np.where(lever < LARGEST_FIRST_ORDER_SHARE * scale, lever, 0.0), f"{text} + slope K u S (1 + 1/cos)"
 
 
 def _surface_slope(field: Array, condition: Conditioning) -> Array:
@@ -358,13 +348,7 @@ def _group(
 ) -> GroupResult:
     agree, differ, non_finite = counts
     return GroupResult(
-        name=name,
-        channels=channels,
-        bound=bound,
-        agree=agree,
-        differ=differ,
-        non_finite=non_finite,
-        worst=worst,
+        name=name, channels=channels, bound=bound, agree=agree, differ=differ, non_finite=non_finite, worst=worst
     )
 
 
@@ -378,9 +362,7 @@ def _depth_of_a_miss(group: str, values: Array, hit: Array) -> Array:
     return np.asarray((values == np.inf) & ~hit[..., None] & (group == "depth"))
 
 
-def _worst(
-    pair: ExrPair, names: tuple[str, ...], a: Array, b: Array, bound: Array, eligible: Array
-) -> Worst | None:
+def _worst(pair: ExrPair, names: tuple[str, ...], a: Array, b: Array, bound: Array, eligible: Array) -> Worst | None:
     with np.errstate(all="ignore"):
         error = np.abs(a - b)
         ratio = np.where(error == 0.0, 0.0, error / bound)

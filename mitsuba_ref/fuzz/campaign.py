@@ -36,12 +36,7 @@ from mitsuba_ref.fuzz.findings import Failure, Finding, Outcome, Tally, first_of
 from mitsuba_ref.fuzz.settings import Fields, random_camera, random_setting, random_shape
 from mitsuba_ref.fuzz.shrink import SHRINK_ATTEMPTS, Budget, smallest_case
 from mitsuba_ref.judge.independent_checks.adversarial_rays import RayBatch, Setting, Targets, aimed_rays
-from mitsuba_ref.judge.independent_checks.knife_edges import (
-    cast_by_culling,
-    concatenated,
-    prepared_scene,
-    with_limits,
-)
+from mitsuba_ref.judge.independent_checks.knife_edges import cast_by_culling, concatenated, prepared_scene, with_limits
 from mitsuba_ref.judge.verdict import UNDECIDED, WRONG, SceneVerdict
 from mitsuba_ref.reference.mitsuba_process import ResidentSession
 from mitsuba_ref.reference.shared_input import SharedRays, packed_float32
@@ -104,9 +99,7 @@ class Plan:
     folder: Path = Path("fuzz-failures")
     keep: int = KEPT_PER_KIND_AND_FAMILY
     judge_every: int = 16  # one example in so many, on average, is also compared with Mitsuba; 0: none
-    subject: Subject = (
-        OURS  # a candidate is judged alone, by the comparison with Mitsuba and exact arithmetic
-    )
+    subject: Subject = OURS  # a candidate is judged alone, by the comparison with Mitsuba and exact arithmetic
     options: tuple[str, ...] = ()  # of the command line that name the candidate, for replays
 
 
@@ -162,12 +155,8 @@ class Campaign:
         self.outcome.failures.append(self._write(tried, finding, case))
         by_mitsuba = finding.kind in MITSUBA_KINDS
         subject = self.plan.subject
-        judge = (
-            (lambda case: mitsuba_findings(case, resident, Tally(), subject)) if by_mitsuba else findings_of
-        )
-        budget = Budget(
-            MITSUBA_SHRINK_ATTEMPTS if by_mitsuba else SHRINK_ATTEMPTS, self.deadline + SHRINK_GRACE_S
-        )
+        judge = (lambda case: mitsuba_findings(case, resident, Tally(), subject)) if by_mitsuba else findings_of
+        budget = Budget(MITSUBA_SHRINK_ATTEMPTS if by_mitsuba else SHRINK_ATTEMPTS, self.deadline + SHRINK_GRACE_S)
         small = smallest_case(case, finding, judge, budget)
         again = next((f for f in judge(small) if f.mode == finding.mode), finding)
         self.outcome.failures[index] = self._write(tried, again, small)
@@ -209,9 +198,7 @@ def case_of(data: dict[str, Any], ray: RayBatch | None) -> Case:
     return Case.of(data)._replace(ray=ray)
 
 
-def candidate_findings(
-    tried: Example, subject: Subject, resident: ResidentSession, tally: Tally
-) -> list[Finding]:
+def candidate_findings(tried: Example, subject: Subject, resident: ResidentSession, tally: Tally) -> list[Finding]:
     """Findings of the judge about a candidate's image and, if it takes rays, its hits along the example's rays."""
     image = case_of(tried.data, None)
     findings = mitsuba_findings(image, resident, tally, subject)
@@ -236,9 +223,7 @@ def candidate_findings(
     return findings
 
 
-def mitsuba_findings(
-    case: Case, resident: ResidentSession, tally: Tally, subject: Subject = OURS
-) -> list[Finding]:
+def mitsuba_findings(case: Case, resident: ResidentSession, tally: Tally, subject: Subject = OURS) -> list[Finding]:
     """Findings of the judge about a case."""
     try:
         scene = case.scene()
@@ -258,11 +243,7 @@ def recheck(one: cases.KeptCase, resident: ResidentSession, subject: Subject = O
 
 
 def compare_with_mitsuba(
-    scene: Scene,
-    resident: ResidentSession,
-    tally: Tally,
-    subject: Subject = OURS,
-    rays: SharedRays | None = None,
+    scene: Scene, resident: ResidentSession, tally: Tally, subject: Subject = OURS, rays: SharedRays | None = None
 ) -> list[Finding]:
     """Findings of the judge about a scene. Vacuous scenes pass: images of a few pixels may hit nothing.
 

@@ -16,15 +16,7 @@ from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    AllowInfNan,
-    BaseModel,
-    BeforeValidator,
-    PlainSerializer,
-    Strict,
-    ValidationError,
-)
+from pydantic import AfterValidator, AllowInfNan, BaseModel, BeforeValidator, PlainSerializer, Strict, ValidationError
 
 from caster.description.errors import FileMissing, SceneError
 from caster.scene.export import SECTION_ORDER, format_toml
@@ -53,11 +45,7 @@ class Case(NamedTuple):
         """The scene; a single ray becomes its camera, without its t_min."""
         if self.ray is None:
             return {"film": self.film, "camera": self.camera, "shape": self.shapes, **self.rest}
-        camera: dict[str, Any] = {
-            "type": "ray",
-            "origin": self.ray.o[0].tolist(),
-            "direction": self.ray.d[0].tolist(),
-        }
+        camera: dict[str, Any] = {"type": "ray", "origin": self.ray.o[0].tolist(), "direction": self.ray.d[0].tolist()}
         if 0.0 < self.ray.t_max[0] < np.inf:
             camera["t_max"] = float(self.ray.t_max[0])
         return {"film": {"width": 1, "height": 1}, "camera": camera, "shape": self.shapes, **self.rest}
@@ -166,13 +154,7 @@ class KeptCase:
 
 
 def write_kept(
-    folder: Path,
-    name: str,
-    kind: str,
-    what: str,
-    found_by: str,
-    case: Case,
-    options: Sequence[str] = (),
+    folder: Path, name: str, kind: str, what: str, found_by: str, case: Case, options: Sequence[str] = ()
 ) -> Path:
     """Write the case and the meshes it needs; the file. options: that name a candidate. Raises OutputError."""
     check_folder(folder)
@@ -251,7 +233,5 @@ def kept_files(place: str) -> list[Path]:
     if path.is_dir():
         return sorted(path.glob("*.toml"))
     if not path.is_file():
-        raise FileMissing(
-            f"{place}: expected a scene file that fuzz has kept, or a folder of them, found nothing"
-        )
+        raise FileMissing(f"{place}: expected a scene file that fuzz has kept, or a folder of them, found nothing")
     return [path]

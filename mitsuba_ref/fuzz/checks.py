@@ -44,9 +44,7 @@ def cast_publicly(scene: Scene, packed: Packed, rays: RayBatch) -> tuple[np.ndar
     free = (rays.t_min == 0.0) & np.isinf(rays.t_max)
     calls = [np.flatnonzero(free), *np.flatnonzero(~free)[:LIMITED_PUBLIC_CALLS, None]]
     found = [
-        NearestHits(*nearest_of_hits(_cast_public(scene, rays.taken(rows)), packed))
-        for rows in calls
-        if len(rows)
+        NearestHits(*nearest_of_hits(_cast_public(scene, rays.taken(rows)), packed)) for rows in calls if len(rows)
     ]
     rows = np.concatenate(calls)
     return rows, NearestHits(*(np.concatenate(column) for column in zip(*found, strict=True)))
@@ -64,12 +62,8 @@ def check_rays(subject: PreparedScene, rays: RayBatch, tally: Tally, rng: Rng | 
     ours = cast_by_culling(subject.packed, rays, "bvh")
     rows, public = cast_publicly(subject.scene, subject.packed, rays)
     findings = [
-        *_culling_differences(
-            rays, ours, cast_by_culling(subject.packed, rays, "brute-force"), "brute-force"
-        ),
-        *_culling_differences(
-            rays.taken(rows), NearestHits(ours.t[rows], ours.prim[rows]), public, "caster.cast"
-        ),
+        *_culling_differences(rays, ours, cast_by_culling(subject.packed, rays, "brute-force"), "brute-force"),
+        *_culling_differences(rays.taken(rows), NearestHits(ours.t[rows], ours.prim[rows]), public, "caster.cast"),
         *check_surfaces(subject.scene, rays),
     ]
     return findings + adjudicate(subject, rays, ours, tally)
@@ -99,9 +93,7 @@ def count_exact_hits(tally: Tally, answers: list[ExactAnswer], bounds: np.ndarra
     tally.unbounded += int(np.isinf(bounds).sum())
 
 
-def _culling_differences(
-    rays: RayBatch, ours: NearestHits, other: NearestHits, name: str
-) -> Iterator[Finding]:
+def _culling_differences(rays: RayBatch, ours: NearestHits, other: NearestHits, name: str) -> Iterator[Finding]:
     differs = (ours.t.view(np.int64) != other.t.view(np.int64)) | (ours.prim != other.prim)
     for i in np.flatnonzero(differs):
         one, two = (f"primitive {found.prim[i]} at t {t_text(found.t[i])}" for found in (ours, other))
@@ -135,8 +127,7 @@ def cullings_for(subject: PreparedScene) -> tuple[Culling, ...]:
 def check_image(subject: PreparedScene, tally: Tally) -> list[Finding]:
     """Findings about the image of the scene's own camera."""
     images = {
-        culling: render(subject.scene, IMAGE_AOVS, culling=culling, threads=1)
-        for culling in cullings_for(subject)
+        culling: render(subject.scene, IMAGE_AOVS, culling=culling, threads=1) for culling in cullings_for(subject)
     }
     expected = images["brute-force"]
     findings = [f for name in images for f in _image_differences(subject, expected, images[name], name)]
@@ -185,14 +176,8 @@ def _adjudicate_image(subject: PreparedScene, image: Aovs, tally: Tally) -> list
     depth = image["depth"].ravel()
     number = np.where(shape < 0, -1, packed.first[np.maximum(shape, 0)] + prim)
     found = NearestHits(depth / length, number)
-    bounds = t_bounds(error_models(scene), packed, found, (rays.o, rays.d)) + DEPTH_ULPS * np.spacing(
-        np.abs(found.t)
-    )
+    bounds = t_bounds(error_models(scene), packed, found, (rays.o, rays.d)) + DEPTH_ULPS * np.spacing(np.abs(found.t))
     count_exact_hits(tally, answers, bounds)
     rows = zip(answers, found.t.tolist(), found.prim.tolist(), bounds.tolist(), strict=True)
     wrong = ((i, discrepancy(answer, *rest)) for i, (answer, *rest) in enumerate(rows))
-    return [
-        Finding(kind, what, rays.taken(slice(i, i + 1)), pixel_of(scene, i))
-        for i, (kind, what) in wrong
-        if kind
-    ]
+    return [Finding(kind, what, rays.taken(slice(i, i + 1)), pixel_of(scene, i)) for i, (kind, what) in wrong if kind]

@@ -76,9 +76,7 @@ def triangle_fan(rng: Rng, setting: Setting) -> Shapes:
     rim, tip = to_setting(rim @ turn.T, setting), to_setting(np.zeros((1, 3)), setting)[0]
     faces = [np.array([tip, rim[i], rim[(i + 1) % count]]) for i in range(count)]
     if rng.random() < 0.25:
-        faces = [
-            np.where(face == 0.0, 0.0, perturbed_by_ulps(rng, face, 1)) for face in faces
-        ]  # no denormals
+        faces = [np.where(face == 0.0, 0.0, perturbed_by_ulps(rng, face, 1)) for face in faces]  # no denormals
     return [triangle_of(np.roll(face, int(rng.integers(3)), axis=0)) for face in faces]
 
 
@@ -126,11 +124,7 @@ def nearly_equal_spheres(rng: Rng, setting: Setting) -> Shapes:
     center = np.array(setting.center) + setting.size * setting.on_lattice(rng.uniform(-1.0, 1.0, 3))
     radius = setting.size * float(rng.choice([1.0, 0.625, rng.uniform(0.1, 1.0)]))
     return [
-        {
-            "type": "sphere",
-            "center": center.tolist(),
-            "radius": abs(float(perturbed_by_ulps(rng, np.array(radius), 1))),
-        }
+        {"type": "sphere", "center": center.tolist(), "radius": abs(float(perturbed_by_ulps(rng, np.array(radius), 1)))}
         for _ in range(int(rng.integers(2, 7)))
     ]
 
@@ -139,9 +133,7 @@ def coincident_squares(rng: Rng, setting: Setting) -> Shapes:
     """The square [-1, 1]^2 as a rectangle, two triangles, a plane, the side of a cube, and with a disk in it."""
     step = [{"scale": setting.size}, {"translate": list(setting.center)}]
     below = [{"translate": [0.0, 0.0, -1.0]}, *step]
-    corners = np.array(setting.center) + setting.size * np.array(
-        [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
-    )
+    corners = np.array(setting.center) + setting.size * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     shapes: Shapes = [
         {"type": "rectangle", "to_world": step},
         {"type": "disk", "to_world": step},
@@ -290,9 +282,7 @@ def options(rng: Rng) -> tuple[Setting, Shapes]:
     """Of two kinds at most in half of the scenes, so that most kinds come twice."""
     setting = random_setting(rng, decades_of_size=1.0)
     kinds = rng.choice(shape_types(), 2) if rng.random() < 0.5 else shape_types()
-    return setting, [
-        random_shape(rng, str(rng.choice(kinds)), setting) for _ in range(int(rng.integers(1, 5)))
-    ]
+    return setting, [random_shape(rng, str(rng.choice(kinds)), setting) for _ in range(int(rng.integers(1, 5)))]
 
 
 # Products of three lengths stay below 2^1024 and, where they are not cancelled by 2^120, above 2^-1022. Faces with a
@@ -329,21 +319,14 @@ FAMILIES: tuple[Family, ...] = (
         (adversarial_rays.through_two_points, adversarial_rays.along_axes, adversarial_rays.tangents),
     ),
     Family(
-        "lattice",
-        "whole coordinates, axis directions, zeros of either sign",
-        shapes_of(random_lattice_setting, "", 4),
+        "lattice", "whole coordinates, axis directions, zeros of either sign", shapes_of(random_lattice_setting, "", 4)
     ),
     Family("slivers", "needles, caps, and faces without an area", in_random_setting(slivers)),
     Family(
-        "extremes",
-        "sizes from 1e-100 to 1e17, denormal components",
-        shapes_of(tiny_or_huge, "", 3),
-        fits_float32=False,
+        "extremes", "sizes from 1e-100 to 1e17, denormal components", shapes_of(tiny_or_huge, "", 3), fits_float32=False
     ),
     Family(
-        "transforms",
-        "stretched, sheared and mirrored shapes, condition up to 1e6",
-        shapes_of(stretched, "bounded", 4),
+        "transforms", "stretched, sheared and mirrored shapes, condition up to 1e6", shapes_of(stretched, "bounded", 4)
     ),
     Family(
         "offsets",
@@ -368,11 +351,7 @@ FAMILIES: tuple[Family, ...] = (
         view=view_from_within,
         finish=put_around_the_eye,
     ),
-    Family(
-        "similarities",
-        "matrices within 10^-1 to 10^-16 of a similarity",
-        in_random_setting(nearly_similar),
-    ),
+    Family("similarities", "matrices within 10^-1 to 10^-16 of a similarity", in_random_setting(nearly_similar)),
     Family(
         "magnitudes",
         "scenes and directions of 2^-300 to 2^300",
@@ -384,14 +363,7 @@ FAMILIES: tuple[Family, ...] = (
         "options",
         "everything a scene file can say: films, crops, cameras, lights, materials",
         options,
-        cameras=(
-            *["pinhole"] * 4,
-            "orthographic",
-            "fisheye",
-            "panorama",
-            "parabolic",
-            "ray",
-        ),  # by their options
+        cameras=(*["pinhole"] * 4, "orthographic", "fisheye", "panorama", "parabolic", "ray"),  # by their options
         finish=with_options,
         always_judged=True,
     ),

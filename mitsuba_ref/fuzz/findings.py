@@ -170,9 +170,7 @@ def _summary(outcome: Outcome) -> Iterator[str]:
     if outcome.candidate:
         work = f"{total.pixels} rays of {total.judged} films and lists judged against Mitsuba and exact arithmetic"
     else:
-        work = (
-            f"{total.rays} rays adjudicated by exact arithmetic, {total.judged} scenes judged against Mitsuba"
-        )
+        work = f"{total.rays} rays adjudicated by exact arithmetic, {total.judged} scenes judged against Mitsuba"
     rays = total.pixels if outcome.candidate else total.rays
     yield (
         f"seed {outcome.seed}: {total.examples} examples, {work}, in {outcome.seconds:.1f} s "

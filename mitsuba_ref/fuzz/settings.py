@@ -77,9 +77,7 @@ def registered(known: Mapping[str, T], kind: str, what: str) -> T:
 
 
 def random_shapes(rng: Rng, setting: Setting, kinds: Sequence[str], at_most: int) -> list[Fields]:
-    return [
-        random_shape(rng, str(rng.choice(kinds)), setting) for _ in range(int(rng.integers(1, at_most + 1)))
-    ]
+    return [random_shape(rng, str(rng.choice(kinds)), setting) for _ in range(int(rng.integers(1, at_most + 1)))]
 
 
 def triangle_of(corners: np.ndarray) -> Fields:
@@ -301,10 +299,7 @@ def _point(rng: Rng, setting: Setting) -> Fields:
 
 
 def _directional(rng: Rng, setting: Setting) -> Fields:
-    return {
-        "direction": random_directions(rng, 1)[0].tolist(),
-        "irradiance": vector(rng.uniform(0.1, 2.0, 3)),
-    }
+    return {"direction": random_directions(rng, 1)[0].tolist(), "irradiance": vector(rng.uniform(0.1, 2.0, 3))}
 
 
 def _ambient(rng: Rng, setting: Setting) -> Fields:

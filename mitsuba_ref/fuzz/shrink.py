@@ -210,9 +210,7 @@ Judge = Callable[[Case], list[Finding]]
 MAX_EXPANDED_FACES = 2000  # faces of a mesh that is rewritten as triangles
 
 
-def smallest_case(
-    case: Case, finding: Finding, judge: Judge = findings_of, budget: Budget | None = None
-) -> Case:
+def smallest_case(case: Case, finding: Finding, judge: Judge = findings_of, budget: Budget | None = None) -> Case:
     """The smallest case of the same failure mode; of a single ray instead of a pixel, if that fails as well."""
 
     def fails(data: Data) -> bool:

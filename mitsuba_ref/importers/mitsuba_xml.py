@@ -41,9 +41,7 @@ def add_shape(out: SceneBuilder, node: Node, outer: tuple[Step, ...] = (), name:
         return  # invisible by itself
     if node.kind == "instance":
         if outer:
-            out.error(
-                node, f"{node.words()}: an instance inside a shapegroup, which Mitsuba does not take either"
-            )
+            out.error(node, f"{node.words()}: an instance inside a shapegroup, which Mitsuba does not take either")
         else:
             _add_instance(out, node)
         return
@@ -214,11 +212,7 @@ def _window(out: SceneBuilder, node: Node, matrix: np.ndarray, near: float, far:
     across, up, along = np.linalg.norm(matrix[:3, :3], axis=0)
     if abs(up - across) > SQUARE_PIXEL_RTOL * across:
         out.note(node, f"pixels that are {up / across:g} times as high as wide: pixels are square here")
-    return {
-        "width": 2.0 * float(across),
-        "near": near * float(along),
-        "far": near * float(along) + far - near,
-    }
+    return {"width": 2.0 * float(across), "near": near * float(along), "far": near * float(along) + far - near}
 
 
 # ---- the whole scene ----
@@ -258,9 +252,7 @@ def _add_all(out: SceneBuilder, path: str) -> None:
         there = f", got {join_words((node.kind for node in sensors), 'and')}" if sensors else ""
         position = sensors[0].position if sensors else SourcePosition(path, 1, 1)
         document.errors.append(
-            ImportDiagnostic(
-                position, f"needs a sensor of a supported kind: {join_words(CAMERA_KINDS)}{there}"
-            )
+            ImportDiagnostic(position, f"needs a sensor of a supported kind: {join_words(CAMERA_KINDS)}{there}")
         )
     _add_rest(out, usable[:1])
 
@@ -303,6 +295,4 @@ def _with_position(out: SceneBuilder, problem: Diagnostic) -> ImportDiagnostic:
     path = problem.path
     while path and path not in out.positions:
         path = path[:-1]
-    return ImportDiagnostic(
-        out.positions.get(path, SourcePosition(next(iter(out.document.texts)), 1, 1)), problem.text
-    )
+    return ImportDiagnostic(out.positions.get(path, SourcePosition(next(iter(out.document.texts)), 1, 1)), problem.text)

@@ -7,13 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mitsuba_ref.scene_xml.documents import (
-    ImportDiagnostic,
-    Node,
-    SourcePosition,
-    XmlDocument,
-    resolve_reference,
-)
+from mitsuba_ref.scene_xml.documents import ImportDiagnostic, Node, SourcePosition, XmlDocument, resolve_reference
 
 Path = tuple[str | int, ...]
 
@@ -68,9 +62,7 @@ class SceneBuilder:
             return default
         value = self.numbers(child, "value", 1)[0]
         if value != int(value):
-            self.error(
-                child, f"{child.words()}: expected a whole number, got {child.attributes.get('value')}"
-            )
+            self.error(child, f"{child.words()}: expected a whole number, got {child.attributes.get('value')}")
         return int(value)
 
     def boolean(self, node: Node, name: str) -> bool:
@@ -128,9 +120,7 @@ def transform_steps(out: SceneBuilder, node: Node, name: str = "to_world") -> li
         return []
     for child in transform.children:
         if child.tag not in TRANSFORM_TAGS:
-            out.error(
-                child, f"unknown step <{child.tag}> of a transform (known: {', '.join(TRANSFORM_TAGS)})"
-            )
+            out.error(child, f"unknown step <{child.tag}> of a transform (known: {', '.join(TRANSFORM_TAGS)})")
     return [_step(out, child) for child in transform.children if child.tag in TRANSFORM_TAGS]
 
 
@@ -144,11 +134,7 @@ def _step(out: SceneBuilder, node: Node) -> Step:
     if node.tag == "lookat":
         up = out.numbers(node, "up", 3) if "up" in node.attributes else [0.0, 1.0, 0.0]
         return {
-            "look_at": {
-                "origin": out.numbers(node, "origin", 3),
-                "target": out.numbers(node, "target", 3),
-                "up": up,
-            }
+            "look_at": {"origin": out.numbers(node, "origin", 3), "target": out.numbers(node, "target", 3), "up": up}
         }
     return {"matrix": _matrix(out, node)}
 
@@ -196,11 +182,7 @@ def composed_matrix(steps: list[Step]) -> np.ndarray | None:
 # ---- <bsdf> as diffuse materials, <emitter> as lights ----
 
 WRAPPERS = ("twosided", "mask", "bumpmap", "normalmap")  # around one bsdf
-DIFFUSE_COLOR_NAMES = (
-    "reflectance",
-    "diffuse_reflectance",
-    "base_color",
-)  # names of the diffuse colour of bsdfs
+DIFFUSE_COLOR_NAMES = ("reflectance", "diffuse_reflectance", "base_color")  # names of the diffuse colour of bsdfs
 DEFAULT_REFLECTANCE = [0.5, 0.5, 0.5]  # Mitsuba's default of diffuse
 
 
@@ -241,9 +223,7 @@ def _build_material(out: SceneBuilder, node: Node) -> dict[str, Any]:
     if node.kind in WRAPPERS:
         out.in_progress.add(id(node))
         inner = [resolve_reference(out.document, child) for child in node.all("bsdf", "ref")]
-        made = next(
-            (_build_material(out, each) for each in inner if each is not None and each.tag == "bsdf"), {}
-        )
+        made = next((_build_material(out, each) for each in inner if each is not None and each.tag == "bsdf"), {})
         out.in_progress.remove(id(node))
         out.consumed.update(id(child) for child in node.all("bsdf", "ref"))
         if node.kind == "twosided":
@@ -314,9 +294,7 @@ def add_emitter(out: SceneBuilder, node: Node) -> None:
 def _point(out: SceneBuilder, node: Node) -> dict[str, Any] | None:
     matrix = composed_matrix(transform_steps(out, node))
     start = (0.0, 0.0, 0.0) if matrix is None else tuple(matrix[:3, 3].tolist())
-    return _with_color(
-        out, node, "intensity", {"type": "point", "position": out.vector(node, "position", start)}
-    )
+    return _with_color(out, node, "intensity", {"type": "point", "position": out.vector(node, "position", start)})
 
 
 def _directional(out: SceneBuilder, node: Node) -> dict[str, Any] | None:

@@ -65,9 +65,7 @@ class Adjudication:
         return np.isin(rows, self.rows[self.right])
 
 
-def needs_adjudication(
-    plain: np.ndarray, hit: np.ndarray, certain: np.ndarray, shape: tuple[int, int]
-) -> np.ndarray:
+def needs_adjudication(plain: np.ndarray, hit: np.ndarray, certain: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Rows to adjudicate: pixels that disagree, pixels near an edge, and some of the rest by a fixed seed.
 
     plain, hit, certain: (n,) bool; hit by ours, certain to be hit for the reference; shape: of the image.

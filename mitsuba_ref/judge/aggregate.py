@@ -82,17 +82,10 @@ def scene_statistics(scene: Scene) -> SceneStatistics:
 
 def findings(judge: Judge, diagnosis: Diagnosis) -> tuple[Finding, ...]:
     """Each cause once, with its pixels, most first; second causes of the same pixels, and what has none, at the end."""
-    ordered = sorted(
-        diagnosis.causes, key=lambda each: (each.what == NOT_ADJUDICATED, each.second, -len(each.rows))
-    )
+    ordered = sorted(diagnosis.causes, key=lambda each: (each.what == NOT_ADJUDICATED, each.second, -len(each.rows)))
     return tuple(
         Finding(
-            len(cause.rows),
-            cause.what,
-            *pixel_of(judge.scene, int(cause.rows[0])),
-            cause.of,
-            cause.remedy,
-            cause.where,
+            len(cause.rows), cause.what, *pixel_of(judge.scene, int(cause.rows[0])), cause.of, cause.remedy, cause.where
         )
         for cause in ordered
     )
@@ -108,8 +101,7 @@ def listed_failures(judge: Judge, judgement: Judgement, diagnosis: Diagnosis) ->
     cause_of = {int(row): what for what, rows in diagnosis.rows_of.items() for row in rows}
     leading = {cause_of[row]: row for row in reversed(order)}
     most_first = sorted(
-        leading.values(),
-        key=lambda row: (cause_of[row] == NOT_ADJUDICATED, -len(diagnosis.rows_of[cause_of[row]])),
+        leading.values(), key=lambda row: (cause_of[row] == NOT_ADJUDICATED, -len(diagnosis.rows_of[cause_of[row]]))
     )
     chosen = list(dict.fromkeys([*most_first, *rows]))[:MAX_LISTED_FAILURES]
     return tuple(failure_at(judge, judgement, by_row, row) for row in chosen)
@@ -132,9 +124,7 @@ def failing_by_check(judgement: Judgement) -> dict[str, np.ndarray]:
     return {name: failing for name, failing in found.items() if len(failing)}
 
 
-def failure_at(
-    judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str], row: int, check: str = ""
-) -> Failure:
+def failure_at(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str], row: int, check: str = "") -> Failure:
     """One pixel that fails. check: the one to report; "": the one that finds most."""
     check = check or decisive_check(judgement, row)
     text = pixel_answers(judge, judgement, row, check)
@@ -196,10 +186,7 @@ def pixel_errors(packed: Packed, pair: ImagePair, bounds: Bounds) -> PixelErrors
     with np.errstate(invalid="ignore", divide="ignore"):
         error = pair.result.t - pair.t
         share = np.where(error == 0.0, 0.0, error / bounds.at.t_error)
-        turned = (
-            row_distance(aov_rows(pair.subject, "normal"), aov_rows(pair.reference, "normal"))
-            / bounds.at.n_error
-        )
+        turned = row_distance(aov_rows(pair.subject, "normal"), aov_rows(pair.reference, "normal")) / bounds.at.n_error
         same = aov_rows(pair.subject, "shape_id") == aov_rows(pair.reference, "shape_id")
         near = (np.abs(share) <= 1.0) & np.isfinite(bounds.at.t_error)
     hit = (pair.prim >= 0) & pair.result.hit & near
@@ -301,8 +288,7 @@ def check_bias(found: ErrorStatistics) -> SceneCheck:
     """Fails where the errors of a kind with enough groups lean to one side by more than chance explains."""
     leaning = [bias for bias in found.biases if bias.enough_groups and not abs(bias.z) <= LARGEST_Z]
     words = [
-        f"{bias.kind} lean: z {bias.z:.1f} of {bias.groups} groups, {LARGEST_Z:g} at most by chance"
-        for bias in leaning
+        f"{bias.kind} lean: z {bias.z:.1f} of {bias.groups} groups, {LARGEST_Z:g} at most by chance" for bias in leaning
     ] or [
         f"{bias.kind} z {bias.z:.1f} of {bias.groups} groups{'' if bias.enough_groups else ', too few to tell'}"
         for bias in found.biases
@@ -364,8 +350,7 @@ def _worst_checks(windows: Sequence[SceneVerdict]) -> tuple[SceneCheck, ...]:
     names = dict.fromkeys(check.name for check in (*longest, *(c for w in windows for c in w.checks)))
     every = [check for window in windows for check in window.checks]
     return tuple(
-        max((check for check in every if check.name == name), key=lambda check: _badness(check.ratio))
-        for name in names
+        max((check for check in every if check.name == name), key=lambda check: _badness(check.ratio)) for name in names
     )
 
 

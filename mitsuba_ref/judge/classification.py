@@ -90,9 +90,7 @@ class Judgement:
     ratios: Mapping[str, np.ndarray]  # (n,) error over bound of each check, `exact` included
     allowed: Mapping[str, float]  # the scene's own shares of bounds
     exact: Adjudication
-    cases: dict[
-        int, int | None
-    ]  # pixel where the reference is wrong -> number of the known defect, if listed
+    cases: dict[int, int | None]  # pixel where the reference is wrong -> number of the known defect, if listed
     exact_seconds: float  # spent on exact arithmetic
     not_adjudicated: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))  # rows like wrong ones
 
@@ -144,9 +142,7 @@ class Judge:
             numbers = model.packed.index_in_shape(self.reference_prim).reshape(pair.shape)
             reference = Aovs({**reference, "prim_id": numbers}, reference.hit)
         uv = self._uv_pair() if "uv" in pair.subject else None
-        self.pixels = PixelPairs(
-            pair.subject, reference, self.bounds, self.answer, pair.length, self.point, uv
-        )
+        self.pixels = PixelPairs(pair.subject, reference, self.bounds, self.answer, pair.length, self.point, uv)
         # No rounding excuses images that contradict themselves.
         self.inconsistent = inconsistent_aovs(scene, model.packed, pair)
 
@@ -156,9 +152,7 @@ class Judge:
         ours = self.model.uv_points(prim, aov_rows(self.pair.subject, "uv"), ours=True)
         reference = self.model.uv_points(prim, theirs, ours=False)
         known, bound = self.model.reference_has_uv(prim), self.bounds.at.uv_error.copy()
-        rows = np.flatnonzero(
-            (prim >= 0) & (self.reference_prim >= 0) & (self.reference_prim != prim) & known
-        )
+        rows = np.flatnonzero((prim >= 0) & (self.reference_prim >= 0) & (self.reference_prim != prim) & known)
         if len(rows):
             other, (o, d, _) = self.reference_prim[rows], (a[rows] for a in self.reference_lines)
             at = intersections_at(self.model, other, (o, d), self.reference_t[rows], KU, ours=False)
@@ -166,9 +160,7 @@ class Judge:
             reference[rows], bound[rows] = ours[rows] + moved, at.uv_error
         return UvPair(ours, np.where(known[:, None], reference, ours), bound)
 
-    def _as_subject(
-        self, prim: np.ndarray, lines: tuple[np.ndarray, np.ndarray], t: np.ndarray
-    ) -> Intersections:
+    def _as_subject(self, prim: np.ndarray, lines: tuple[np.ndarray, np.ndarray], t: np.ndarray) -> Intersections:
         answer = self.answer
         return intersections_at(self.view, prim, lines, t, answer.ku, ours=not answer.as_exported)
 
@@ -190,11 +182,7 @@ class Judge:
     @property
     def n(self) -> np.ndarray | None:
         """(n, 3) the subject's geometric normals, if it gives any."""
-        return (
-            aov_rows(self.pair.subject, "normal")
-            if self.answer.n is None and self.names_prims
-            else self.answer.n
-        )
+        return aov_rows(self.pair.subject, "normal") if self.answer.n is None and self.names_prims else self.answer.n
 
     @cached_property
     def consistent(self) -> np.ndarray:
@@ -309,9 +297,7 @@ class Judge:
         """
         found = np.zeros(count, bool)
         shape = self.result.shape_id[rows] if len(self.model.packed.parts) <= MAX_KINDS_OF_SHAPES else 0
-        kind = row_groups(
-            np.column_stack([np.broadcast_to(shape, len(rows)), self.result.hit[rows], self.hit[rows]])
-        )
+        kind = row_groups(np.column_stack([np.broadcast_to(shape, len(rows)), self.result.hit[rows], self.hit[rows]]))
         for group in np.flatnonzero(np.bincount(kind) > WRONG_PIXELS_ADJUDICATED):
             members = rows[kind == group]
             sample = sample_rows(members, WRONG_PIXELS_ADJUDICATED)
@@ -328,9 +314,7 @@ class Judge:
         answers = oracle_answers(self.oracle, self.o[rows], self.d[rows], self.t_max[rows], self.t_min[rows])
         answer = self.answer
         if answer.prim is not None:
-            nearest = ratios_of_named(
-                answers, answer.prim[rows], answer.t[rows], self.bounds.own.t_error[rows]
-            )
+            nearest = ratios_of_named(answers, answer.prim[rows], answer.t[rows], self.bounds.own.t_error[rows])
         else:
             nearest = ratios_of_any_tie(
                 answers, answer.rows(rows), lambda of, *at: self.near(rows[of], *at), self.model.packed
@@ -371,20 +355,11 @@ class Judge:
         classes[rows[(found.open & ~allowed) | (allowed & useless)]] = CLASS_CODE[OUT_OF_DOMAIN]
         classes[rows[allowed & ~useless]] = CLASS_CODE[EXPLAINED]
         own_o, own_d = self.o[rows], self.d[rows]
-        exponent = (
-            self.pair.rays.rows(rows).reference_exponent
-            if self.pair.rays.is_list
-            else np.zeros(len(rows), int)
-        )
+        exponent = self.pair.rays.rows(rows).reference_exponent if self.pair.rays.is_list else np.zeros(len(rows), int)
         same = (o == own_o).all(axis=1) & (np.ldexp(d, exponent[:, None]) == own_d).all(axis=1)
         answers = [exact.of(row) if alike else None for row, alike in zip(rows, same, strict=True)]
         tied = claims_other_tie(
-            self.model,
-            own_o,
-            own_d,
-            claims._replace(t=self.result.t[rows]),
-            answers,
-            LARGEST_USEFUL_NORMAL_ERROR,
+            self.model, own_o, own_d, claims._replace(t=self.result.t[rows]), answers, LARGEST_USEFUL_NORMAL_ERROR
         )
         classes[rows[tied]] = CLASS_CODE[TIE]
 
@@ -405,9 +380,7 @@ class Judge:
             return np.zeros(len(rows), bool)
         return np.any(self._inexact_within_rounding(rows, exact), axis=0)
 
-    def _inexact_within_rounding(
-        self, rows: np.ndarray, exact: Adjudication
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _inexact_within_rounding(self, rows: np.ndarray, exact: Adjudication) -> tuple[np.ndarray, np.ndarray]:
         """(m,) bool each: the subject's rounding allows its answer; float32, or its camera, cannot resolve it."""
         claims = self._subject_claims(rows)
         lines = self.o[rows], self.d[rows], self.t_max[rows]
@@ -462,9 +435,7 @@ class Judge:
         chosen[np.random.default_rng(1).choice(agreeing, count, replace=False)] = True
         return chosen
 
-    def _known_cases(
-        self, rows: np.ndarray, agreeing: np.ndarray, exact: Adjudication
-    ) -> dict[int, int | None]:
+    def _known_cases(self, rows: np.ndarray, agreeing: np.ndarray, exact: Adjudication) -> dict[int, int | None]:
         """Which known defect each pixel is where the reference is wrong. Wrong light on a right surface is none."""
         cases: dict[int, int | None] = {int(row): None for row in rows}
         rows = rows[~agreeing[rows]]
@@ -529,9 +500,7 @@ def judge_of(
         with ScratchFolder() as folder:
             files = files_of(scene) if with_files else ()
             meshes = [for_mitsuba(file, Path(folder), i) for i, file in enumerate(files)]
-            result = trace_reference(
-                scene, model, traced, lights=lights, mesh_files=meshes, timeout=timeout, send=send
-            )
+            result = trace_reference(scene, model, traced, lights=lights, mesh_files=meshes, timeout=timeout, send=send)
     if isinstance(result, Crash):
         return result
     if rays.is_list:

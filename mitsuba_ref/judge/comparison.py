@@ -135,9 +135,7 @@ class PixelPairs:
         subject, reference = self.hits
         return subject & reference
 
-    def larger_error_ratio(
-        self, name: str, bound: np.ndarray, own: np.ndarray, own_bound: np.ndarray
-    ) -> np.ndarray:
+    def larger_error_ratio(self, name: str, bound: np.ndarray, own: np.ndarray, own_bound: np.ndarray) -> np.ndarray:
         """(n,) where both hit, the larger of two error ratios: from the reference, and from the value (n, 3) of the
         subject's own primitive; 0 elsewhere."""
         between = error_over_bound(self.distance(name), bound)
@@ -199,9 +197,7 @@ def position_bound(pixels: PixelPairs) -> np.ndarray:
 
 
 def position_ratio(pixels: PixelPairs) -> np.ndarray:
-    return pixels.larger_error_ratio(
-        "position", position_bound(pixels), pixels.point, pixels.bounds.own.p_error
-    )
+    return pixels.larger_error_ratio("position", position_bound(pixels), pixels.point, pixels.bounds.own.p_error)
 
 
 def normal_bound(pixels: PixelPairs) -> np.ndarray:
@@ -314,9 +310,7 @@ class Comparison:
 def compare(pixels: PixelPairs, checks: Mapping[str, Check]) -> Comparison:
     """All checks. checks: the scene's own [check.AOV]."""
     ratios = {check.name: check.ratio(pixels) for check in checks_of(pixels)}
-    return Comparison(
-        ratios, {name: checks[name].ratio if name in checks else 1.0 for name in (*ratios, "diffuse")}
-    )
+    return Comparison(ratios, {name: checks[name].ratio if name in checks else 1.0 for name in (*ratios, "diffuse")})
 
 
 def check_allowances(checks: Mapping[str, Check]) -> None:

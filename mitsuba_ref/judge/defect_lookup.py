@@ -38,9 +38,7 @@ def defect_name(number: int) -> str:
 def defect_of(features: DefectFeatures) -> int | None:
     """The number of the first defect whose condition holds; None: wrong in a way that is not listed."""
     involved = [kind for kind in KINDS.values() if kind.name in features.kinds]
-    found = [
-        defect for kind in involved for defect in kind.known_defects if defect.applies(kind.name, features)
-    ]
+    found = [defect for kind in involved for defect in kind.known_defects if defect.applies(kind.name, features)]
     if NAN_T.condition(features):
         found.append(NAN_T)
     return min(found, key=lambda defect: defect.priority).number if found else None
@@ -97,13 +95,7 @@ class FeatureMeasurement:
         return claims._replace(n=n, sh_n=sh_n, p=p), normless
 
     def _measured(
-        self,
-        o: np.ndarray,
-        d: np.ndarray,
-        t: float,
-        answer: ExactAnswer,
-        prim: int,
-        at_zero: bool,
+        self, o: np.ndarray, d: np.ndarray, t: float, answer: ExactAnswer, prim: int, at_zero: bool
     ) -> DefectFeatures:
         hit, named = answer.prim, prim
         views = {each: self._view(each, o, d, t) for each in (hit, named) if each >= 0}

@@ -89,9 +89,7 @@ class _Causes:
         self.left = np.zeros(len(judge.t_max), bool)
         self.left[failing_rows(judgement)] = True
 
-    def take(
-        self, what: str, rows: np.ndarray, of: int = 0, remedy: str = "", *, where: bool = False
-    ) -> None:
+    def take(self, what: str, rows: np.ndarray, of: int = 0, remedy: str = "", *, where: bool = False) -> None:
         """Of these rows those that are left. where: look for a separator."""
         mine = rows[self.left[rows]]
         if not len(mine):
@@ -245,10 +243,7 @@ def _wrong_ids(f: WrongPixels) -> Iterator[Explained]:
     if answer.prim is not None:
         other = answer.prim[f.rows] != f.prim
         yield Explained("another primitive than the first one, at the same t", "", other)
-    given = (
-        ("shape", answer.shape_id, packed.shape_of),
-        ("primitive", answer.prim_id, packed.index_in_shape),
-    )
+    given = (("shape", answer.shape_id, packed.shape_of), ("primitive", answer.prim_id, packed.index_in_shape))
     columns = [(name, ids, right) for name, ids, right in given if ids is not None and len(f.rows)]
     hit = f.judge.hit
     named = {tuple(numbers) for numbers in zip(*(ids[hit] for _, ids, _ in columns), strict=True)}
@@ -288,9 +283,7 @@ def _names_another_hit(f: WrongPixels) -> np.ndarray:
     return found
 
 
-def _wrong_surface(
-    judge: Judge, judgement: Judgement, rows: np.ndarray
-) -> Iterator[tuple[Explained, np.ndarray]]:
+def _wrong_surface(judge: Judge, judgement: Judgement, rows: np.ndarray) -> Iterator[tuple[Explained, np.ndarray]]:
     """Rows where the primitive and t are right: what else of the subject is beyond float64's bounds there."""
     if not judge.names_prims or not len(rows):
         return
@@ -408,9 +401,7 @@ def separator_text(judge: Judge, judgement: Judgement, wrong: np.ndarray) -> str
         return opposite
     for name, values in features:
         if "{" not in name and (share := necessary_share(values == 1.0, is_wrong, len(features))) is not None:
-            return (
-                f"only where {name}: all {len(wrong)} wrong pixels, {100.0 * share:.2g} % of the right ones"
-            )
+            return f"only where {name}: all {len(wrong)} wrong pixels, {100.0 * share:.2g} % of the right ones"
     return ""
 
 

@@ -39,11 +39,7 @@ class LightAnswers(NamedTuple):
 
 
 def judge_diffuse(
-    scene: Scene,
-    pair: ImagePair,
-    bounds: Bounds,
-    rows: np.ndarray,
-    brackets: tuple[Bracket, Bracket],
+    scene: Scene, pair: ImagePair, bounds: Bounds, rows: np.ndarray, brackets: tuple[Bracket, Bracket]
 ) -> DiffuseComparison:
     """Compare the pixels `rows`, where geometry agrees; brackets: the subject's and the reference's."""
     count = len(pair.t)
@@ -91,11 +87,7 @@ def shading_points(pair: ImagePair, at: Intersections, rows: np.ndarray) -> Shad
 
 def _lit(scene: Scene, hit: ShadingPoints, ku: float) -> list[LightContribution]:
     materials = materials_of(scene)
-    return [
-        lambert.light_contribution(materials, light, hit, ku)
-        for light in scene.lights
-        if light.type != "ambient"
-    ]
+    return [lambert.light_contribution(materials, light, hit, ku) for light in scene.lights if light.type != "ambient"]
 
 
 def materials_of(scene: Scene) -> Materials:
@@ -119,9 +111,7 @@ def _stacked(values: list[np.ndarray], rows: np.ndarray) -> np.ndarray:
 
 
 def _share(pair: ImagePair, rows: np.ndarray, choices: LightChoices) -> np.ndarray:
-    return smallest_error_ratio(
-        aov_rows(pair.subject, "diffuse")[rows], pair.result.ambient[rows], choices, KU
-    )
+    return smallest_error_ratio(aov_rows(pair.subject, "diffuse")[rows], pair.result.ambient[rows], choices, KU)
 
 
 def _choices(
@@ -142,9 +132,7 @@ def _choices(
         for i, lit in enumerate(lights.each):
             doubt[i] |= _shadow_may_differ(lights.visible[i], lit, hit, pair, rows, brackets)
     bright = np.asarray(lights.given.any(axis=-1))[..., None]
-    lit_value = np.where(
-        doubtful[..., None], *(_of(lights, name, rows) for name in ("either_side", "radiance"))
-    )
+    lit_value = np.where(doubtful[..., None], *(_of(lights, name, rows) for name in ("either_side", "radiance")))
     second = np.where(bright, 0.0, lit_value)
     second_error = np.where(bright, 0.0, _of(lights, "error", rows))
     return LightChoices(lights.given, lights.error, second, second_error, doubt)

@@ -165,13 +165,7 @@ def _diffuse(judge: Judge, judgement: Judgement, row: int) -> str:
 # ---- answers of a pixel: shape and t, in decimal and to the bit ----
 
 MAX_TIES_SHOWN = 6  # members of an exact tie set on one line; JSON has all
-AOVS_SHOWN = (
-    "position",
-    "normal",
-    "shading_normal",
-    "uv",
-    "diffuse",
-)  # beside shape and depth, if they are compared
+AOVS_SHOWN = ("position", "normal", "shading_normal", "uv", "diffuse")  # beside shape and depth, if they are compared
 
 
 class TieMember(NamedTuple):
@@ -226,9 +220,7 @@ def exact_answer(judge: Judge, judgement: Judgement, row: int) -> ExactAnswer | 
     known = judgement.exact.of(row)
     if known is not None or judge.t_max[row] < 0.0:
         return known
-    return judge.oracle.first_hit(
-        judge.o[row], judge.d[row], float(judge.t_min[row]), float(judge.t_max[row])
-    )
+    return judge.oracle.first_hit(judge.o[row], judge.d[row], float(judge.t_min[row]), float(judge.t_max[row]))
 
 
 class PixelText(NamedTuple):

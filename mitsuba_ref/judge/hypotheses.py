@@ -118,9 +118,7 @@ class Explained(NamedTuple):
     what: str
     remedy: str
     fits: np.ndarray  # (m,) bool
-    single: bool = (
-        False  # also of fewer than MIN_FITTED_PIXELS: nothing is fitted, and chance makes none right
-    )
+    single: bool = False  # also of fewer than MIN_FITTED_PIXELS: nothing is fitted, and chance makes none right
 
 
 # wrong pixels, right ones (which must stay so) -> what it explains; nothing where it does not apply
@@ -162,9 +160,7 @@ def other_quantity(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
     for factor, what, remedy in factors:
         fits = f.right_under(f.hit, f.t * factor, f.at.t_error * np.abs(factor))
         with np.errstate(invalid="ignore"):
-            fits &= (
-                np.abs(f.t * factor - f.t) > f.at.t_error
-            )  # elsewhere it is t itself, and explains nothing
+            fits &= np.abs(f.t * factor - f.t) > f.at.t_error  # elsewhere it is t itself, and explains nothing
         yield Explained(what, remedy, fits & f.hit, single=True)
     some = f.given_hit & f.hit & np.isfinite(f.given_t)
     if some.sum() < MIN_FITTED_PIXELS:
@@ -182,14 +178,8 @@ def other_quantity(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
     if abs(scale - 1.0) > DISTINCT_RTOL or _is_kept(f, stay):  # no chance meets a scale that is far from 1
         yield Explained(what, "look for a wrong unit, a scale or a length that is not 1", fits & f.hit)
     with np.errstate(all="ignore"):
-        for words, t in (
-            ("the square of t", f.t**2),
-            ("1 / t", 1.0 / f.t),
-            ("the logarithm of t", np.log(f.t)),
-        ):
-            yield Explained(
-                f"{words} in place of t", "return t itself", f.right_under(f.hit, t, f.at.t_error) & f.hit
-            )
+        for words, t in (("the square of t", f.t**2), ("1 / t", 1.0 / f.t), ("the logarithm of t", np.log(f.t))):
+            yield Explained(f"{words} in place of t", "return t itself", f.right_under(f.hit, t, f.at.t_error) & f.hit)
 
 
 # ---- pixels in other places, rays that are others
@@ -202,11 +192,7 @@ def _image_orders(shape: tuple[int, int], is_list: bool) -> Iterator[tuple[str, 
     if is_list:
         yield "the answers are in reverse order", "return them in the order of the rays", rows.ravel()[::-1]
         for step in (1, -1):
-            yield (
-                f"the answers are moved by {step} ray",
-                "return them in the order of the rays",
-                np.roll(rows, step),
-            )
+            yield (f"the answers are moved by {step} ray", "return them in the order of the rays", np.roll(rows, step))
         return
     yield "the image is mirrored, left for right", "turn the sign of x", rows[:, ::-1]
     yield "the image is upside down", "row 0 is the top one: turn the sign of y", rows[::-1]
@@ -217,11 +203,7 @@ def _image_orders(shape: tuple[int, int], is_list: bool) -> Iterator[tuple[str, 
         yield what, remedy, np.argsort(rows.ravel(order="F"))
     else:
         for turns, words in ((1, "left"), (3, "right")):
-            yield (
-                f"the image is turned by a quarter to the {words}",
-                "exchange x and y",
-                np.rot90(rows, turns),
-            )
+            yield (f"the image is turned by a quarter to the {words}", "exchange x and y", np.rot90(rows, turns))
     for y, x in product((0, 1, -1), repeat=2):
         if x or y:
             where = f"{x:+d} to the right, {y:+d} down"
@@ -246,9 +228,7 @@ def _explains_hits(f: WrongPixels, fits: np.ndarray) -> bool:
     """Whether hits fit, not misses alone."""
     hits = f.given_hit & f.off
     good = (fits & hits).sum()
-    return bool(
-        good >= MIN_FITTED_PIXELS and good >= NEARLY_ALL * hits.sum() and fits[f.off].mean() >= NEARLY_ALL
-    )
+    return bool(good >= MIN_FITTED_PIXELS and good >= NEARLY_ALL * hits.sum() and fits[f.off].mean() >= NEARLY_ALL)
 
 
 def _is_kept(f: WrongPixels, stay: np.ndarray) -> bool:
@@ -386,9 +366,7 @@ def shifted_image(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
         remedy = "the centre of pixel (x, y) is at (x + 0.5, y + 0.5)"
         what = f"rays beside the pixel centres, by {where}"
         fits = _first_hits(f, *_rays_at(f, shift))
-        if _explains_hits(f, fits) and _is_kept(
-            f, _first_hits(right, *_rays_at(right, shift), or_exact=True)
-        ):
+        if _explains_hits(f, fits) and _is_kept(f, _first_hits(right, *_rays_at(right, shift), or_exact=True)):
             yield Explained(what, remedy, fits)
 
 
@@ -544,9 +522,7 @@ def first_one_missed(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
         behind[f.roots.ray[on_one]] = True
         behind &= farther & f.hit
     if missed.any() and behind.any():
-        yield Explained(
-            "the first surface is missed, and what lies behind it is hit, if anything", "", missed | behind
-        )
+        yield Explained("the first surface is missed, and what lies behind it is hit, if anything", "", missed | behind)
     yield Explained("a surface that lies behind the first one", "", behind)
 
 

@@ -150,8 +150,7 @@ def _packing_error_ratio(claim: ExpectedNumbers, rounding: float, normal: float)
 def check_materials(scene: Scene) -> SceneCheck:
     """Each shape's material is the one it names: Mitsuba gets what the caster looks up."""
     ratios = [
-        0.0 if scene.material_of(shape) == _described_material(scene, shape) else np.inf
-        for shape in scene.shapes
+        0.0 if scene.material_of(shape) == _described_material(scene, shape) else np.inf for shape in scene.shapes
     ]
     if not ratios:
         return SceneCheck("materials", 0.0, "no shape")
@@ -192,9 +191,7 @@ def check_render(scene: Scene) -> SceneCheck:
         differs &= rays.t_min == 0.0
         differs[rows] = ~_within_float64(scene, ours, rows, _segments(rays, rows))
     found = worst_pixel("render", {"pixel": np.where(differs, np.inf, 0.0)}, np.ones(len(o), bool), scene)
-    sampled = (
-        f"; {len(rows)} of {differing} pixels with other bits looked at" if len(rows) < differing else ""
-    )
+    sampled = f"; {len(rows)} of {differing} pixels with other bits looked at" if len(rows) < differing else ""
     return replace(found, what=found.what + sampled)
 
 
@@ -256,9 +253,7 @@ def _on_rim(scene: Scene, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     middle_x, middle_y = film.width / 2.0, film.height / 2.0
     seen = []
     for scale in (1.0 - KU_OURS, 1.0 + KU_OURS):
-        rays = reference.rays(
-            scene.camera, film, middle_x + scale * (x - middle_x), middle_y + scale * (y - middle_y)
-        )
+        rays = reference.rays(scene.camera, film, middle_x + scale * (x - middle_x), middle_y + scale * (y - middle_y))
         seen.append(rays.t_max >= 0.0)
     differs: np.ndarray = seen[0] != seen[1]
     return differs
@@ -321,19 +316,11 @@ def _relative(ours: np.ndarray, expected: np.ndarray) -> np.ndarray:
 
 
 # Of the input of every subject: shapes in the world, and rays.
-CHECKS_OF_SHARED_INPUT: tuple[Callable[[Scene], SceneCheck], ...] = (
-    check_placement,
-    check_geometry,
-    check_camera,
-)
+CHECKS_OF_SHARED_INPUT: tuple[Callable[[Scene], SceneCheck], ...] = (check_placement, check_geometry, check_camera)
 
 CHECKS_OF_RAY_LISTS: tuple[Callable[[Scene], SceneCheck], ...] = (check_placement, check_geometry)
 
-CHECKS_OF_OUR_SHAPES: tuple[Callable[[Scene], SceneCheck], ...] = (
-    check_placement,
-    check_geometry,
-    check_materials,
-)
+CHECKS_OF_OUR_SHAPES: tuple[Callable[[Scene], SceneCheck], ...] = (check_placement, check_geometry, check_materials)
 
 # Of the film's window.
 CHECKS_OF_OUR_FILM: tuple[Callable[[Scene], SceneCheck], ...] = (check_camera, check_render, check_culling)

@@ -18,14 +18,9 @@ CLASSES = ("agree", "explained", "tie", "reference_wrong", "out_of_domain", "wro
 AGREE, EXPLAINED, TIE, REFERENCE_WRONG, OUT_OF_DOMAIN, WRONG, UNDECIDED = CLASSES
 EVIDENCE = (AGREE, TIE)  # subject and reference were compared, and are right
 EXCUSED = (EXPLAINED, OUT_OF_DOMAIN, REFERENCE_WRONG)  # the subject was compared with exact arithmetic alone
-JUDGED_WITHOUT_REFERENCE = (
-    *EXCUSED,
-    TIE,
-)  # the reference hits another surface: nothing of it bounds the subject
+JUDGED_WITHOUT_REFERENCE = (*EXCUSED, TIE)  # the reference hits another surface: nothing of it bounds the subject
 FAILING = (WRONG, UNDECIDED)
-UNLISTED = (
-    "unlisted"  # the case of a pixel where the reference is wrong in no known way (judge/defect_lookup.py)
-)
+UNLISTED = "unlisted"  # the case of a pixel where the reference is wrong in no known way (judge/defect_lookup.py)
 UNSUPPORTED, EXPECTED = "unsupported", "expected"  # a scene that is waived: declined, or a known failure
 VERDICT_FORMAT = 3  # of verdict.json: raised when a name in it changes its meaning or goes away
 MAX_LISTED_FAILURES = 10  # of one scene; all are counted
@@ -195,10 +190,7 @@ class SceneVerdict:
     options: tuple[str, ...] = ()  # of the command line, beside --size, that a replay has to repeat
     replay: str = ""  # the command that shows the scene again
     command: str = "validate"  # that judged it: validate or judge
-    rays: tuple[int, int] = (
-        0,
-        0,
-    )  # first and end of the rays judged of a list, which fill `size`; (0, 0): a film
+    rays: tuple[int, int] = (0, 0)  # first and end of the rays judged of a list, which fill `size`; (0, 0): a film
     # what the verdict rests on, for the HTML report; None if it was not kept
     seen: Annotated[Any, Field(exclude=True)] = field(default=None, repr=False, compare=False)
 

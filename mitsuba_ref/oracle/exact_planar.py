@@ -70,10 +70,7 @@ def usable_plane(prims: Any) -> np.ndarray:
 
 PLANES = ExactKind(infinite_boxes, prepare_plane, intersect_plane, usable=usable_plane)
 DISKS = ExactKind(
-    exact_quadrics.disk_boxes,
-    exact_quadrics.prepare_affine,
-    intersect_disk,
-    usable=exact_quadrics.usable_affine,
+    exact_quadrics.disk_boxes, exact_quadrics.prepare_affine, intersect_disk, usable=exact_quadrics.usable_affine
 )
 
 
@@ -119,9 +116,7 @@ def intersect_triangle(face: IntegerTriangle, ray: IntegerRay) -> LineIntersecti
     return LineIntersections(((t, WHERE[(u == 0) + (v == 0) + (w == 0)]),))
 
 
-def _edge_on(
-    corners: tuple[Integers3, Integers3, Integers3], ray: IntegerRay, scale: int
-) -> LineIntersections:
+def _edge_on(corners: tuple[Integers3, Integers3, Integers3], ray: IntegerRay, scale: int) -> LineIntersections:
     """The ray lies in the triangle's plane: no hit, but it may run along the triangle, from `first` to `last`.
 
     Projected along d, all corners lie on one line through the ray, at offsets s. The ray crosses corners with s = 0,
@@ -131,9 +126,7 @@ def _edge_on(
     flat = [cross(corner, ray.d) for corner in corners]
     line = next((f for f in flat if any(f)), (0, 0, 0))
     offsets = [dot(f, line) for f in flat]
-    steps = [
-        Fraction(corner[axis], ray.d[axis]) for corner in corners
-    ]  # t of the feet of corners beside the ray
+    steps = [Fraction(corner[axis], ray.d[axis]) for corner in corners]  # t of the feet of corners beside the ray
     crossed = [step for offset, step in zip(offsets, steps, strict=True) if offset == 0]
     for i, j in ((0, 1), (1, 2), (2, 0)):
         if offsets[i] * offsets[j] < 0:
@@ -142,9 +135,7 @@ def _edge_on(
         return NO_INTERSECTION
     a, b, c = corners
     why = "edge_on" if any(cross(sub(b, a), sub(c, a))) else "degenerate"
-    first, last = (
-        Root(t.numerator, 0, 0, t.denominator, ray.kd - scale) for t in (min(crossed), max(crossed))
-    )
+    first, last = (Root(t.numerator, 0, 0, t.denominator, ray.kd - scale) for t in (min(crossed), max(crossed)))
     return LineIntersections((), (Contact(why, first, last),))
 
 
@@ -201,6 +192,4 @@ def _edge_function(p: np.ndarray, q: np.ndarray, d: np.ndarray) -> tuple[np.ndar
     return edge, size
 
 
-TRIANGLES = ExactKind(
-    triangle_boxes, prepare_triangle, intersect_triangle, may_intersect, present=finite_faces
-)
+TRIANGLES = ExactKind(triangle_boxes, prepare_triangle, intersect_triangle, may_intersect, present=finite_faces)

@@ -15,14 +15,7 @@ from mitsuba_ref.oracle.exact_numbers import (
     sign_with_root,
     sub,
 )
-from mitsuba_ref.oracle.interface import (
-    NO_INTERSECTION,
-    Contact,
-    ExactKind,
-    LineIntersections,
-    next_above,
-    next_below,
-)
+from mitsuba_ref.oracle.interface import NO_INTERSECTION, Contact, ExactKind, LineIntersections, next_above, next_below
 
 
 class Affine(NamedTuple):
@@ -86,10 +79,7 @@ def cylinder_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
     axis = prims.to_world[:, :, 2]
     with np.errstate(over="ignore"):
         reach = np.abs(prims.to_world[:, :, :2]).sum(axis=2) * ROUNDED_UP
-        low, high = (
-            next_below(prims.center + np.minimum(axis, 0.0)),
-            next_above(prims.center + np.maximum(axis, 0.0)),
-        )
+        low, high = (next_below(prims.center + np.minimum(axis, 0.0)), next_above(prims.center + np.maximum(axis, 0.0)))
         return next_below(low - reach), next_above(high + reach)
 
 

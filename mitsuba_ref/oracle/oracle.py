@@ -71,11 +71,7 @@ class Oracle:
         return answer
 
     def first_hits(
-        self,
-        o: np.ndarray,
-        d: np.ndarray,
-        t_min: np.ndarray | float = 0.0,
-        t_max: np.ndarray | float = math.inf,
+        self, o: np.ndarray, d: np.ndarray, t_min: np.ndarray | float = 0.0, t_max: np.ndarray | float = math.inf
     ) -> list[ExactAnswer]:
         """First hits of rays (n, 3), (n, 3), with one t_min and t_max for all or (n,) of them; faster per ray.
 
@@ -146,15 +142,11 @@ def tie_set(best: Root | None, ties: dict[int, tuple[PrimitiveArray, int, str]])
     return tuple(ExactHit(prim, best, ties[prim][2]) for prim in sorted(ties))
 
 
-def contacts_before(
-    contacts: Iterable[Contact], span: tuple[float, float], best: Root | None
-) -> frozenset[str]:
+def contacts_before(contacts: Iterable[Contact], span: tuple[float, float], best: Root | None) -> frozenset[str]:
     """Kinds of contacts after t_min and not after the first hit, or else t_max."""
     end = span[1] if best is None else best
     return frozenset(
-        why
-        for why, first, last in contacts
-        if first is None or last is None or (first <= end and last > span[0])
+        why for why, first, last in contacts if first is None or last is None or (first <= end and last > span[0])
     )
 
 
@@ -173,9 +165,7 @@ def part_of(prims: Any, ids: np.ndarray) -> PrimitiveArray:
     return PrimitiveArray(EXACT_KINDS[type(prims)], prims, ids, {}, *identical_groups(lowest, ids))
 
 
-def identical_groups(
-    lowest: np.ndarray | None, ids: np.ndarray
-) -> tuple[dict[int, np.ndarray], np.ndarray | None]:
+def identical_groups(lowest: np.ndarray | None, ids: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray | None]:
     """({row: numbers of all that are identical to it, ascending}, rows that need not be tried for a lower one is)."""
     if lowest is None:
         return {}, None
@@ -263,9 +253,7 @@ class BoxTree:
         """
         count = rays.o.shape[1]
         found = BoxCrossings(
-            np.arange(count if self.levels else 0),
-            np.zeros(count if self.levels else 0, np.int64),
-            np.zeros(0),
+            np.arange(count if self.levels else 0), np.zeros(count if self.levels else 0, np.int64), np.zeros(0)
         )
         for level in reversed(self.levels):
             if len(found.ray) * BRANCHING_FACTOR > MAX_RAY_BOX_PAIRS and count > 1:
@@ -286,9 +274,7 @@ def crossed_members(rays: RayColumns, ray: np.ndarray, group: np.ndarray, level:
     return BoxCrossings(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
-def slab_test(
-    rays: RayColumns, ray: np.ndarray, low: np.ndarray, high: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def slab_test(rays: RayColumns, ray: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(whether ray[i] passes box i, the least t at which it may); boxes (3, ...), whose shape ray broadcasts to."""
     beside, near, far = np.zeros(low.shape[1:], bool), np.array(-np.inf), np.array(np.inf)
     for axis in range(3):
@@ -339,9 +325,7 @@ class PrimitiveArray(NamedTuple):
     prims: Any
     ids: np.ndarray  # (n,) the number of each in the scene
     ready: dict[int, Any]  # prepared primitives, by row
-    identical: dict[
-        int, np.ndarray
-    ]  # row -> numbers in the scene of all primitives with its bits, where several have
+    identical: dict[int, np.ndarray]  # row -> numbers in the scene of all primitives with its bits, where several have
     repeated: np.ndarray | None  # (n,) bool: identical to a lower row, which stands for it; None: none is
 
     def intersect(self, k: int, ray: IntegerRay) -> LineIntersections:

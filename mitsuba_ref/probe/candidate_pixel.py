@@ -33,16 +33,12 @@ def errors_from_exact(judge: Judge, exact: ExactAnswer | None) -> dict[str, Any]
     row = np.zeros(len(prim), int)
     at = judge.near(row, prim, np.full(len(prim), float(exact.t)))
     off = exact.t.off(t) * -exact.t.compare(t)
-    t_share = [
-        ratio_to_bound(abs(off), float(bound)) for bound in at.t_error + np.ravel(judge.answer.t_rounding)[0]
-    ]
+    t_share = [ratio_to_bound(abs(off), float(bound)) for bound in at.t_error + np.ravel(judge.answer.t_rounding)[0]]
     found: dict[str, Any] = {"t": off, "t_ulps": in_ulps(off, exact, np.dtype(judge.answer.precision))}
     if judge.answer.n is None or judge.answer.is_broken[0]:
         return found | {"t_share": min(t_share)}
     turned = row_distance(judge.answer.n[row], at.n)
-    n_share = [
-        ratio_to_bound(float(each), float(bound)) for each, bound in zip(turned, at.n_error, strict=True)
-    ]
+    n_share = [ratio_to_bound(float(each), float(bound)) for each, bound in zip(turned, at.n_error, strict=True)]
     best = int(np.argmin(np.maximum(t_share, n_share)))
     return found | {
         "t_share": t_share[best],
@@ -112,9 +108,7 @@ class CandidatePixel:
         return found | {"ok": self.ok}
 
 
-def probe_candidate(
-    candidate: Subject, scene: Scene, pixel: tuple[int, int], pair: ImagePair
-) -> CandidatePixel:
+def probe_candidate(candidate: Subject, scene: Scene, pixel: tuple[int, int], pair: ImagePair) -> CandidatePixel:
     """Ask and judge. pair: ours and Mitsuba's answers along this pixel's ray. Raises SceneError."""
     x, y = pixel
     x0, y0, x1, y1 = scene.film.window
@@ -176,9 +170,7 @@ def _marks_a_miss(judge: Judge, everywhere: np.ndarray) -> bool:
 def _answer_record(judge: Judge) -> dict[str, Any]:
     """Numbers as they are; a normal of length 1, NaN where it was not finite."""
     aovs = judge.pair.subject
-    given = {"t": judge.answer.t} | {
-        name: aov_rows(aovs, name) for name in ("depth", "normal") if name in aovs
-    }
+    given = {"t": judge.answer.t} | {name: aov_rows(aovs, name) for name in ("depth", "normal") if name in aovs}
     hit, t = bool(judge.answer.hit[0]), float(judge.answer.t[0])
     return {"hit": hit, "t_hex": t.hex()} | {
         name: values[0].tolist() for name, values in given.items() if hit or name != "normal"

@@ -55,9 +55,7 @@ class PixelVerdict:
     problem: str = ""
     why: str = ""
     case: str = ""  # where the reference is wrong: the number of the known case, or "unlisted"
-    witnesses: tuple[
-        WitnessAnswer, ...
-    ] = ()  # a candidate, ours, exact, Mitsuba in each of its variants and modes
+    witnesses: tuple[WitnessAnswer, ...] = ()  # a candidate, ours, exact, Mitsuba in each of its variants and modes
     candidate: CandidatePixel | None = None  # if one was requested
 
     @property
@@ -117,9 +115,7 @@ def probe_with_evidence(
     judge = scene_judge(scene, whole=whole, timeout=timeout)
     if isinstance(judge, Crash):
         problem = judge.message
-        return PixelVerdict(
-            x, y, UNDECIDED, _ray(shared_rays(scene)), {}, {}, {}, {}, {}, (), {}, problem
-        ), judge
+        return PixelVerdict(x, y, UNDECIDED, _ray(shared_rays(scene)), {}, {}, {}, {}, {}, (), {}, problem), judge
     pair, judgement = judge.pair, judge.judge()
     exact = exact_answer(judge, judgement, 0)
     theirs = None if candidate is None else probe_candidate(candidate, asked_for, (x, y), pair)
@@ -139,9 +135,7 @@ def probe_with_evidence(
         pair.result.answer.versions,
         why=full_reason(judge, judgement, diagnose(judge, judgement).by_row(), 0),
         case=_case(judgement),
-        witnesses=found_witnesses
-        if theirs is None or theirs.witness is None
-        else (theirs.witness, *found_witnesses),
+        witnesses=found_witnesses if theirs is None or theirs.witness is None else (theirs.witness, *found_witnesses),
         candidate=theirs,
     )
     return found, ProbeEvidence(judge, judgement)

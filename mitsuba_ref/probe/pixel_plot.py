@@ -127,9 +127,7 @@ def draw_beside(ax: Any, judge: Judge, scene: Scene, x: int, y: int) -> dict[str
     wide = float(np.linalg.norm(right))
     label = f"steps of d, {unit:.3g} each: a unit of its last place in float32"
     label += f"\n(of a pixel: {unit / wide:.2g})" if wide > 0.0 else ""
-    frame(
-        ax, (-reach, reach), (reach, -reach), f"beside the ray of ({x}, {y}), by single roundings", label, ""
-    )
+    frame(ax, (-reach, reach), (reach, -reach), f"beside the ray of ({x}, {y}), by single roundings", label, "")
     return named
 
 
@@ -167,9 +165,7 @@ def mark_differences(ax: Any, ours: np.ndarray, witness: ReferenceResult) -> Non
     for which, marker, label in ((lost, "x", "Mitsuba misses"), (other, "o", "Mitsuba hits another shape")):
         if which.any():
             spots = columns[which] - DIRECTION_STEPS, rows[which] - DIRECTION_STEPS
-            ax.plot(
-                *spots, marker, color="#990000", ms=3.5, mew=1.0, ls="none", label=f"{label}: {which.sum()}"
-            )
+            ax.plot(*spots, marker, color="#990000", ms=3.5, mew=1.0, ls="none", label=f"{label}: {which.sum()}")
 
 
 def draw_patch(ax: Any, patch: Patch, scene: Scene, extent: Extent) -> dict[str, str]:
@@ -223,9 +219,7 @@ def square(x: float, y: float, size: float, **style: Any) -> Any:
     return Rectangle((x, y), size, size, **style)
 
 
-def frame(
-    ax: Any, across: tuple[float, float], down: tuple[float, float], title: str, x: str, y: str
-) -> None:
+def frame(ax: Any, across: tuple[float, float], down: tuple[float, float], title: str, x: str, y: str) -> None:
     ax.set(xlim=across, ylim=down, title=title, xlabel=x, ylabel=y, aspect="equal")
 
 
@@ -235,6 +229,4 @@ def legend(ax: Any, named: dict[str, str]) -> None:
 
     swatches = [Swatch(facecolor=color, edgecolor="#888888", label=name) for name, color in named.items()]
     marks, _ = ax.get_legend_handles_labels()
-    ax.legend(
-        handles=[*swatches, *marks], loc="upper center", bbox_to_anchor=(0.5, -0.19), ncols=2, frameon=False
-    )
+    ax.legend(handles=[*swatches, *marks], loc="upper center", bbox_to_anchor=(0.5, -0.19), ncols=2, frameon=False)

@@ -31,9 +31,7 @@ class WitnessAnswer:
     shape: str  # "miss" on a miss
     prim: int  # within its shape, -1 on a miss
     t: float
-    right: bool | None = (
-        None  # one of the surfaces that are hit exactly, with t within its bound; None: undecided
-    )
+    right: bool | None = None  # one of the surfaces that are hit exactly, with t within its bound; None: undecided
     off: float | None = None  # t less the exact one; None on a miss, or where another surface is hit
     ulps: float | None = None  # the same, in units of the last place of the format it computes in
     format: str = ""  # which that is
@@ -57,9 +55,7 @@ def witness_answers(judge: Judge, answer: ExactAnswer | None) -> tuple[WitnessAn
     return tuple(rows)
 
 
-def other_variant_answers(
-    judge: Judge, variant: str
-) -> Iterator[tuple[tuple[str, str], TraceResponse | Crash | str]]:
+def other_variant_answers(judge: Judge, variant: str) -> Iterator[tuple[tuple[str, str], TraceResponse | Crash | str]]:
     """Answers by (variant, mode), but for the one that the judge has; a child of its own for each variant."""
     works = variants.usable_variants()
     for name in set(variants.VARIANT_NAMES) - set(works.names):
@@ -92,9 +88,7 @@ def _exact(judge: Judge, answer: ExactAnswer) -> WitnessAnswer:
     return WitnessAnswer("exact", *_surface(judge, answer.prim), t, right=True)
 
 
-def _of_mitsuba(
-    who: str, found: TraceResponse | Crash | str, judge: Judge, exact: ExactAnswer | None
-) -> WitnessAnswer:
+def _of_mitsuba(who: str, found: TraceResponse | Crash | str, judge: Judge, exact: ExactAnswer | None) -> WitnessAnswer:
     if isinstance(found, str):
         return WitnessAnswer(who, "", -1, np.nan, problem=found)
     if isinstance(found, Crash):

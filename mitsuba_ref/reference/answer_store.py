@@ -28,9 +28,7 @@ SUFFIX = ".answer"
 
 # The child's side, whose edits are other answers.
 SOURCES = (Path(__file__).with_name("mitsuba_calls.py"), Path(messages.__file__))
-OUTSIDE = re.compile(
-    r'="(/|~|[A-Za-z]:|[^"]*\.\.[/\\])'
-)  # a value of XML that may name a file of another folder
+OUTSIDE = re.compile(r'="(/|~|[A-Za-z]:|[^"]*\.\.[/\\])')  # a value of XML that may name a file of another folder
 
 
 class AnswerStore(Protocol):

@@ -167,9 +167,7 @@ class TraceResponse:
             _check("sensor_t_max", self.sensor_t_max, (pixels,), np.float32)
         known = (self.shape >= 0) & (self.shape < len(self.names))
         if np.any(known != (self.t != np.inf)):
-            raise ValueError(
-                "shape: expected one of the named where t is not inf and -1 elsewhere, got others"
-            )
+            raise ValueError("shape: expected one of the named where t is not inf and -1 elsewhere, got others")
 
 
 class LoadedMesh(NamedTuple):
@@ -217,10 +215,7 @@ def run_request(
         folder = Path(name)
         request.write(folder)
         end = run(
-            [*command, name],
-            timeout,
-            cwd=folder,
-            environment={**(environment or {}), "PYTHONPATH": import_path()},
+            [*command, name], timeout, cwd=folder, environment={**(environment or {}), "PYTHONPATH": import_path()}
         )
         return response_in(folder, request, end) if end.code == 0 else crash_of(end, timeout)
 

@@ -130,12 +130,7 @@ def _centers(offset: int, size: int) -> np.ndarray:
 
 
 def _versions(variant: str) -> dict[str, str]:
-    return {
-        "mitsuba": mi.__version__,
-        "drjit": dr.__version__,
-        "variant": variant,
-        "libllvm": _libllvm(variant),
-    }
+    return {"mitsuba": mi.__version__, "drjit": dr.__version__, "variant": variant, "libllvm": _libllvm(variant)}
 
 
 def _libllvm(variant: str) -> str:
@@ -240,9 +235,7 @@ def _trace_llvm(scene: Any, request: TraceRequest) -> dict[str, np.ndarray]:
     si = scene.ray_intersect(ray, int(mi.RayFlags.All), True)  # coherent: a hint that changes no bit
     hit = si.is_valid()
     albedo = si.bsdf().eval_diffuse_reflectance(si, hit) if request.lights else mi.Color3f(0.0)
-    lights = [
-        _llvm_light(scene, emitter, si, hit) for emitter in (scene.emitters() if request.lights else [])
-    ]
+    lights = [_llvm_light(scene, emitter, si, hit) for emitter in (scene.emitters() if request.lights else [])]
     dr.eval(si, hit, albedo, lights)
     return _llvm_surface(scene, si, hit, count) | _llvm_lighting(albedo, lights, hit, count)
 

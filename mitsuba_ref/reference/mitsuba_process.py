@@ -23,12 +23,7 @@ from caster.system.process import die_with_parent
 from mitsuba_ref.reference import messages, variants
 from mitsuba_ref.reference.answer_store import local_store, request_key, stored_response
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
-from mitsuba_ref.reference.subprocess_runner import (
-    ProcessEnded,
-    ResidentProcess,
-    import_path,
-    serve,
-)
+from mitsuba_ref.reference.subprocess_runner import ProcessEnded, ResidentProcess, import_path, serve
 
 DEFAULT_TIMEOUT = 300.0  # seconds; a scene of 256 x 256 pixels takes one to three
 
@@ -91,9 +86,7 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_idle_sessions.clear)
 
 
-def send_requests(
-    requests: Sequence[TraceRequest], timeout: float = DEFAULT_TIMEOUT
-) -> list[TraceResponse | Crash]:
+def send_requests(requests: Sequence[TraceRequest], timeout: float = DEFAULT_TIMEOUT) -> list[TraceResponse | Crash]:
     """Trace rays through several scenes in one child; what ends without a response is sent again, by halves.
 
     requests: of one variant, without lights and sensor. `seconds` of each response are those of the whole child.
@@ -123,16 +116,14 @@ def merge_responses(responses: Sequence[TraceResponse]) -> TraceResponse:
     if not rest:
         return first
     rows: dict[str, Any] = {
-        name: np.concatenate([getattr(response, name) for response in responses])
-        for name in TraceResponse.ROWS
+        name: np.concatenate([getattr(response, name) for response in responses]) for name in TraceResponse.ROWS
     }
     starts = np.cumsum([0, *(len(response.names) for response in responses)])
     owner = np.repeat(np.arange(len(responses)), [len(response.t) for response in responses])
     rows["shape"] = np.where(rows["shape"] < 0, -1, rows["shape"] + starts[owner]).astype(np.int32)
     names = [f"{i}:{name}" for i, response in enumerate(responses) for name in response.names]
     lit: dict[str, Any] = {
-        name: np.concatenate([getattr(response, name) for response in responses], axis=1)
-        for name in LIGHT_ARRAYS
+        name: np.concatenate([getattr(response, name) for response in responses], axis=1) for name in LIGHT_ARRAYS
     }
     seconds = sum(response.seconds for response in responses)
     return replace(first, names=names, seconds=seconds, **rows, **lit)

@@ -15,14 +15,7 @@ from mitsuba_ref.error_model.lambert import ambient_radiance
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_request
-from mitsuba_ref.reference.shared_input import (
-    SharedRays,
-    export,
-    model_of,
-    packed_float32,
-    shape_ids,
-    shared_rays,
-)
+from mitsuba_ref.reference.shared_input import SharedRays, export, model_of, packed_float32, shape_ids, shared_rays
 from mitsuba_ref.reference.variants import variant_for
 from mitsuba_ref.shapes import reference_of
 
@@ -142,18 +135,12 @@ def aovs_of(
     for name in names:
         values = flat[name] if flat[name].dtype.kind != "f" else flat[name].astype(np.float64)
         there = hit if values.ndim == 1 else hit[:, None]
-        images[name] = (
-            np.where(there, values, misses[name]).astype(values.dtype).reshape(shape + values.shape[1:])
-        )
+        images[name] = np.where(there, values, misses[name]).astype(values.dtype).reshape(shape + values.shape[1:])
     return Aovs(images, hit.reshape(shape))
 
 
 def render_reference(
-    scene: Scene,
-    aovs: Sequence[str] = REFERENCE_AOVS,
-    *,
-    variant: str | None = None,
-    timeout: float = DEFAULT_TIMEOUT,
+    scene: Scene, aovs: Sequence[str] = REFERENCE_AOVS, *, variant: str | None = None, timeout: float = DEFAULT_TIMEOUT
 ) -> tuple[Aovs, dict[str, str]] | Crash:
     """Render a scene by Mitsuba: (images as `caster.render` gives them, versions), or how Mitsuba ended."""
     rays = shared_rays(scene)

@@ -64,9 +64,7 @@ class SharedRays(NamedTuple):
             return self
         o = _float32(self.o + self.t_min[:, None] * self.d)
         with np.errstate(invalid="ignore"):
-            left = np.where(
-                self.t_max < 0.0, -1.0, np.ldexp(self.t_max - self.t_min, self.reference_exponent)
-            )
+            left = np.where(self.t_max < 0.0, -1.0, np.ldexp(self.t_max - self.t_min, self.reference_exponent))
         d = np.ldexp(self.d, -self.reference_exponent[:, None])
         return SharedRays(o, _float32(d), _float32(left), self.start)
 
@@ -110,9 +108,7 @@ def model_of(scene: Scene, packed: Packed, rays: SharedRays) -> SceneModel:
     references = [reference_of(shape) for shape in scene.shapes]
     real = rays.t_max >= 0.0
     o, d = rays.o[real].astype(np.float64), rays.d[real].astype(np.float64)
-    parts = tuple(
-        reference.stand_in(part, o, d) for reference, part in zip(references, packed.parts, strict=True)
-    )
+    parts = tuple(reference.stand_in(part, o, d) for reference, part in zip(references, packed.parts, strict=True))
     members = [np.flatnonzero(packed.kind_of == place) for place in range(len(packed.kinds))]
     kinds = tuple(concatenate_parts([parts[s] for s in shapes]) for shapes in members)
     models = tuple(_model(references, packed, shapes) for shapes in members)
@@ -164,10 +160,7 @@ def export(scene: Scene, model: SceneModel, *, robust: bool = True) -> SceneExpo
 
 def shape_ids(scene: Scene) -> list[str]:
     """One id per shape: its name, unless Mitsuba would read a parameter in it, or this program a part."""
-    return [
-        f"shapes[{i}]" if "$" in name or name.endswith("}") else name
-        for i, name in enumerate(scene.shape_names())
-    ]
+    return [f"shapes[{i}]" if "$" in name or name.endswith("}") else name for i, name in enumerate(scene.shape_names())]
 
 
 def clip_range(scene: Scene, model: SceneModel) -> ClipRange:
@@ -185,12 +178,7 @@ def clip_range(scene: Scene, model: SceneModel) -> ClipRange:
 
 
 def scene_document(
-    scene: Scene,
-    shapes: Sequence[XmlElement],
-    sensor: XmlElement | None,
-    out: ShapeWriter,
-    *,
-    robust: bool = True,
+    scene: Scene, shapes: Sequence[XmlElement], sensor: XmlElement | None, out: ShapeWriter, *, robust: bool = True
 ) -> str:
     """The whole document. Without a sensor, rays have to be handed over. robust: Embree's mode of that name."""
     root = Element("scene", version="3.0.0")

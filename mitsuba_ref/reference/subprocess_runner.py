@@ -141,10 +141,7 @@ class ResidentProcess:
     """
 
     def __init__(
-        self,
-        command: Sequence[str],
-        arguments: Sequence[str] = (),
-        environment: Mapping[str, str] | None = None,
+        self, command: Sequence[str], arguments: Sequence[str] = (), environment: Mapping[str, str] | None = None
     ) -> None:
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 - it lives as long as the process
         self._replies, writing = os.pipe()
@@ -245,12 +242,7 @@ class BinaryProcess:
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 - it lives as long as the process
         try:
             self.process = _start(
-                command,
-                self._output,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                cwd=None,
-                environment=None,
+                command, self._output, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=None, environment=None
             )
         except BaseException:
             self._output.close()
@@ -275,9 +267,7 @@ class BinaryProcess:
             self.close()
             raise
 
-    def _exchange(
-        self, data: bytes, begin: float, timeout: float, length_of: Callable[[bytes], int]
-    ) -> bytes:
+    def _exchange(self, data: bytes, begin: float, timeout: float, length_of: Callable[[bytes], int]) -> bytes:
         left, reply, expected = memoryview(data), bytearray(), HEAD_BYTES
         while left or len(reply) < expected:
             seconds = max(begin + timeout - time.monotonic(), 0.0)
@@ -370,9 +360,7 @@ def _wait_interruptibly(child: subprocess.Popen[bytes], interrupt_seconds: float
         return None
 
 
-def serve(
-    answer: Callable[[Iterator[str]], Iterable[str]], replies: int, idle_seconds: float | None = None
-) -> None:
+def serve(answer: Callable[[Iterator[str]], Iterable[str]], replies: int, idle_seconds: float | None = None) -> None:
     """The child's side of `ResidentProcess`: a reply to each request line, until stdin, or `answer`, ends.
 
     replies: the pipe's descriptor; idle_seconds: without a request, which end it, too.

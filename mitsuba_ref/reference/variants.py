@@ -55,9 +55,7 @@ def smoke_test(variant: str, settings: Mapping[str, str]) -> str:
         (folder / "scene.xml").write_text(SMOKE_TEST_XML)
         fresh = {**settings, "DRJIT_CACHE_DIR": name}  # a cached kernel would hide an abort
         return _response_problem(
-            messages.run_request(
-                _smoke_request(folder / "scene.xml", variant), SMOKE_TEST_TIMEOUT_SECONDS, fresh
-            )
+            messages.run_request(_smoke_request(folder / "scene.xml", variant), SMOKE_TEST_TIMEOUT_SECONDS, fresh)
         )
 
 
@@ -70,9 +68,7 @@ def _smoke_request(xml: Path, variant: str) -> TraceRequest:
 def _response_problem(response: TraceResponse | Crash) -> str:
     if isinstance(response, Crash):
         return f"{response.kind} ({response.exit}) {response.headline}".strip()
-    right = response.t.tolist() == [8.0, np.inf] and np.allclose(
-        response.sh_n, [[0, 0, 1], [0, 0, 0]], atol=1e-6
-    )
+    right = response.t.tolist() == [8.0, np.inf] and np.allclose(response.sh_n, [[0, 0, 1], [0, 0, 0]], atol=1e-6)
     return "" if right else f"wrong answer: t {response.t.tolist()}, normals {response.sh_n.tolist()}"
 
 
@@ -111,9 +107,7 @@ class Variants:
 
     @property
     def names(self) -> tuple[str, ...]:
-        return tuple(
-            name for name, works in zip(VARIANT_NAMES, (self.scalar, self.llvm), strict=True) if works
-        )
+        return tuple(name for name, works in zip(VARIANT_NAMES, (self.scalar, self.llvm), strict=True) if works)
 
 
 _usable_by_key: dict[str, Variants] = {}
@@ -237,9 +231,7 @@ def _load_cached(key: str, candidates: list[str]) -> Variants | None:
         found = Variants(**values)
     except (OSError, ValueError, TypeError, RecursionError):
         return None
-    library = (
-        found.libllvm in candidates if found.llvm is True else found.llvm is False and found.libllvm is None
-    )
+    library = found.libllvm in candidates if found.llvm is True else found.llvm is False and found.libllvm is None
     return found if found.scalar is True and isinstance(found.why, str) and library else None
 
 

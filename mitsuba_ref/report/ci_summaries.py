@@ -34,9 +34,7 @@ RESERVED_BYTES = 2048  # of it, for the list of omissions and the closing tags
 PLAIN = re.compile(r"[A-Za-z0-9 .,:/()=+-]")  # characters without a meaning in Markdown, within a line
 
 
-def append(
-    path: str | os.PathLike[str], verdict: Verdict, seconds: float, limit: int = SUMMARY_LIMIT_BYTES
-) -> None:
+def append(path: str | os.PathLike[str], verdict: Verdict, seconds: float, limit: int = SUMMARY_LIMIT_BYTES) -> None:
     """Append the summary to a file such as $GITHUB_STEP_SUMMARY, which grows to `limit` bytes at most.
 
     Raises OutputError.
@@ -72,9 +70,7 @@ def markdown(verdict: Verdict, seconds: float, limit: int = SUMMARY_LIMIT_BYTES)
     )
     left = [f"{len(every) - len(shown)} {what}" for every, shown, what in wanted if len(shown) < len(every)]
     if left:
-        parts.append(
-            f"\nLeft out, for the size that a summary may have: {', '.join(left)}. verdict.json has all.\n"
-        )
+        parts.append(f"\nLeft out, for the size that a summary may have: {', '.join(left)}. verdict.json has all.\n")
     text = "".join(parts)
     return text if utf8_size(text) <= limit else ""  # a file that is full already
 
@@ -122,12 +118,7 @@ def _head(verdict: Verdict, seconds: float) -> Sequence[str]:
 
 
 def _table_head(verdict: Verdict, *last: str) -> str:
-    names = [
-        "scene",
-        "hit",
-        *map(class_text, CLASSES),
-        *last,
-    ]
+    names = ["scene", "hit", *map(class_text, CLASSES), *last]
     aligned = ["---", *["---:"] * (1 + len(CLASSES)), *["---"] * len(last)]
     return "".join(f"| {' | '.join(cells)} |\n" for cells in (names, aligned))
 
@@ -150,11 +141,7 @@ def _failing_row(scene: SceneVerdict) -> str:
 
 
 def _far(worst: Failure) -> str:
-    return (
-        f"{worst.check} {worst.ratio:.3g}x its bound"
-        if math.isfinite(worst.ratio)
-        else f"{worst.check} is another"
-    )
+    return f"{worst.check} {worst.ratio:.3g}x its bound" if math.isfinite(worst.ratio) else f"{worst.check} is another"
 
 
 def _first_line(scene: SceneVerdict) -> str:
@@ -264,6 +251,4 @@ def what_fails(scene: SceneVerdict) -> str:
 
 def _errors(scene: SceneVerdict) -> str:
     found = scene.statistics
-    return (
-        f"k_t={found.k_t.largest:.2f} k_normal={found.k_normal.largest:.2f} z={found.z:.1f} " if found else ""
-    )
+    return f"k_t={found.k_t.largest:.2f} k_normal={found.k_normal.largest:.2f} z={found.z:.1f} " if found else ""

@@ -104,9 +104,7 @@ class LayerBound(NamedTuple):
 
     between: np.ndarray | None = None  # (n,) of the difference between both sides
     alone: np.ndarray | None = None  # (n,) bool: the bound of the subject at its own surface decides instead
-    own: np.ndarray | None = (
-        None  # (n,) of the subject's arithmetic, from the surface that the reference names
-    )
+    own: np.ndarray | None = None  # (n,) of the subject's arithmetic, from the surface that the reference names
 
 
 @dataclass(frozen=True)
@@ -154,9 +152,7 @@ class Evidence:
         judge, pixels = self.judge, self.judge.pixels
         if not judge.names_prims:
             own = judge.bounds.own
-            error = (
-                own.n_error if name == "normal" else (own.t_error + judge.answer.t_rounding) * pixels.length
-            )
+            error = own.n_error if name == "normal" else (own.t_error + judge.answer.t_rounding) * pixels.length
             return LayerBound(own=np.where(pixels.both_hit, error, 0.0))
         bound_of = BOUND_OF_AOV.get(name)
         if bound_of is None:
@@ -202,9 +198,7 @@ class Evidence:
 # ---- projection of edges onto the film, for the page ----
 
 MAX_TRIANGLES_DRAWN = 4096  # of a scene: some 100 kB
-LARGEST_PIXEL_OFFSET = (
-    0.01  # of a fitted projection from the centre of a pixel; at 128 points a pixel, one point
-)
+LARGEST_PIXEL_OFFSET = 0.01  # of a fitted projection from the centre of a pixel; at 128 points a pixel, one point
 NEAR_SHARE = 1e-6  # of the largest depth: edges end there instead of behind the camera
 
 

@@ -90,9 +90,7 @@ class HtmlReport:
 
     def holds(self, verdict: SceneVerdict) -> bool:
         """Whether the record of a verdict of the same inputs is in the folder; never in one file."""
-        return (
-            verdict.pixels > MAX_PIXELS_WITH_IMAGES or self.one_file or self._of_earlier(verdict) is not None
-        )
+        return verdict.pixels > MAX_PIXELS_WITH_IMAGES or self.one_file or self._of_earlier(verdict) is not None
 
     def _of_earlier(self, verdict: SceneVerdict) -> ManifestEntry | None:
         if self.one_file or not verdict.inputs:
@@ -105,9 +103,7 @@ class HtmlReport:
         if before is not None:
             self._data.add(verdict.name, [file_of(verdict)], **before.labels)
             with self._lock:
-                self._kept[verdict.name] = WrittenScene(
-                    file_of(verdict), before.labels.get("thumbnail", ""), {}
-                )
+                self._kept[verdict.name] = WrittenScene(file_of(verdict), before.labels.get("thumbnail", ""), {})
         seen = verdict.seen
         found = page_record(verdict, one_file=self.one_file) if isinstance(seen, Evidence) else seen
         if found is None:
@@ -241,9 +237,7 @@ def _in_order(rows: Sequence[Mapping[str, Any]], layers: Sequence[str]) -> Itera
 
 def left_out(sizes: Sizes, chosen: Chosen) -> dict[str, list[str]]:
     """Scene -> its omitted parts."""
-    missing = {
-        scene: [part for part in parts if (scene, part) not in chosen] for scene, parts in sizes.items()
-    }
+    missing = {scene: [part for part in parts if (scene, part) not in chosen] for scene, parts in sizes.items()}
     return {scene: parts for scene, parts in missing.items() if parts}
 
 
@@ -372,9 +366,7 @@ def index_row(verdict: SceneVerdict, file: str, thumbnail: str) -> dict[str, Any
         "seconds": round(verdict.seconds, 2),
         "kept": verdict.kept,
         "failed_at": sorted({each.check for each in verdict.failures} | _failed_checks(verdict)),
-        "failure": ""
-        if verdict.ok
-        else re.sub("^FAIL", mark_of(verdict), failure_text(verdict), flags=re.MULTILINE),
+        "failure": "" if verdict.ok else re.sub("^FAIL", mark_of(verdict), failure_text(verdict), flags=re.MULTILINE),
         "replay": replay(verdict),
         "replay_pixel": replay_around(verdict),
         "pixel": None if first is None else [first.x, first.y],

@@ -16,9 +16,7 @@ from caster.description.input_files import read_own
 from caster.system.atomic_files import OutputError, append_text, write_text
 from mitsuba_ref.judge.verdict import FileRecord, SceneVerdict, Verdict
 
-MANIFEST = (
-    "written.jsonl"  # a line for each file, added to as they are written; the last line of a file counts
-)
+MANIFEST = "written.jsonl"  # a line for each file, added to as they are written; the last line of a file counts
 
 
 def record_of(path: Path) -> FileRecord | None:
@@ -72,9 +70,7 @@ class RemovedFiles:
         parts = []
         if self.removed:
             files = "file" if len(self.removed) == 1 else "files"
-            parts.append(
-                f"removed {len(self.removed)} {files} that an earlier run wrote and this one did not"
-            )
+            parts.append(f"removed {len(self.removed)} {files} that an earlier run wrote and this one did not")
         if self.altered:
             parts.append(f"left {len(self.altered)} that were altered since: {', '.join(self.altered)}")
         return f"{folder}: {'; '.join(parts)}" if parts else ""
@@ -97,9 +93,7 @@ class OutputManifest:
         """
         found = {file: digest for file in files if (digest := record_of(self.folder / file)) is not None}
         entries = [
-            ManifestEntry(
-                file=file, scene=scene, bytes=each.bytes, sha256=each.sha256, run=self.run, labels=labels
-            )
+            ManifestEntry(file=file, scene=scene, bytes=each.bytes, sha256=each.sha256, run=self.run, labels=labels)
             for file, each in found.items()
         ]
         with self.lock:
@@ -159,9 +153,7 @@ def remove(path: Path) -> None:
     try:
         path.unlink(missing_ok=True)
     except OSError as error:
-        raise OutputError(
-            f"{path}: cannot remove what an earlier run wrote: {error.strerror or error}"
-        ) from error
+        raise OutputError(f"{path}: cannot remove what an earlier run wrote: {error.strerror or error}") from error
 
 
 IMAGES = ("ours", "reference", "verdict")
@@ -193,9 +185,7 @@ class OutFolder:
     def has_files(self, verdict: SceneVerdict) -> bool:
         """Whether every file of a verdict is listed in it, and exists with the same bytes."""
         known = verdict.files
-        return all(
-            file in known and is_unchanged(self.folder / file, known[file]) for file in files_of(verdict)
-        )
+        return all(file in known and is_unchanged(self.folder / file, known[file]) for file in files_of(verdict))
 
     def sweep(self, verdict: Verdict, selected: Collection[str] | None) -> RemovedFiles:
         """Remove files of earlier runs. Spared: scenes that are not judged yet, and those of other shards.
@@ -203,9 +193,7 @@ class OutFolder:
         selected: names of the scenes of all shards; None for a run of single scenes, which leaves others alone.
         """
         judged = {scene.name for scene in verdict.scenes}
-        return self.written.sweep(
-            lambda scene: scene not in judged and (selected is None or scene in selected)
-        )
+        return self.written.sweep(lambda scene: scene not in judged and (selected is None or scene in selected))
 
 
 def files_of(verdict: SceneVerdict) -> tuple[str, ...]:

@@ -41,9 +41,7 @@ class Reproducer(NamedTuple):
         """A scene file. head: lines of comment to begin with, the first of which is the purpose of the file."""
         lines = [*head, *(f"note: {note}" for note in self.notes)]
         comment = "".join(f"# {line}".rstrip() + "\n" for line in lines)
-        return (
-            comment + "\n" + format_toml(with_hex_floats(tomllib.loads(self.scene.to_toml())), SECTION_ORDER)
-        )
+        return comment + "\n" + format_toml(with_hex_floats(tomllib.loads(self.scene.to_toml())), SECTION_ORDER)
 
 
 def with_hex_floats(value: Any) -> Any:
@@ -64,9 +62,7 @@ def reproducer(judge: Judge, row: int, *, lit: bool = False) -> Reproducer:
     if rays.t_max[row] < 0.0:
         raise SceneError("there is no ray through this pixel, so there is nothing to reproduce")
     t_max = float(rays.t_max[row])
-    camera = Ray(
-        origin=rays.o[row], direction=rays.d[row], t_max=t_max if np.isfinite(t_max) and t_max > 0.0 else None
-    )
+    camera = Ray(origin=rays.o[row], direction=rays.d[row], t_max=t_max if np.isfinite(t_max) and t_max > 0.0 else None)
     prims = tuple(sorted(involved_prims(judge, row, lit)))
     shapes: list[dict[str, Any]] = []
     notes: list[str] = []
@@ -100,9 +96,7 @@ def involved_prims(judge: Judge, row: int, lit: bool = False) -> set[int]:
             if light.type != "ambient":
                 to_light, reach = direction_to_light(light, judge.point[row : row + 1])
                 found |= set(
-                    judge.reference_bracket.possible_hits(
-                        judge.point[row : row + 1], to_light, reach
-                    ).prim.tolist()
+                    judge.reference_bracket.possible_hits(judge.point[row : row + 1], to_light, reach).prim.tolist()
                 )
     return found - {-1}
 
@@ -146,9 +140,7 @@ class StoredReproducers(NamedTuple):
     left_out: int  # pixels of the same classes without a file
 
 
-def write_reproducers(
-    folder: Path, name: str, judge: Judge, judgement: Judgement, source: str
-) -> StoredReproducers:
+def write_reproducers(folder: Path, name: str, judge: Judge, judgement: Judgement, source: str) -> StoredReproducers:
     """NAME.CASE.X-Y.toml for pixels where ours or the reference is wrong, some for each case. Raises OutputError."""
     files: list[str] = []
     left_out = 0
@@ -199,10 +191,7 @@ def reproduces(found: Reproducer, judge: Judge, judgement: Judgement, row: int) 
     if verdict == before and (t == t_before or (np.isnan(t) and np.isnan(t_before))):
         return True, "Checked:   this file alone gives the same class, and the same t of Mitsuba."
     differs = f"class {verdict}, Mitsuba: {format_primitive(again, 0, subject=False)}"
-    return (
-        False,
-        f"Checked:   NOT THE SAME from this file alone, so what else is in the scene matters: {differs}.",
-    )
+    return (False, f"Checked:   NOT THE SAME from this file alone, so what else is in the scene matters: {differs}.")
 
 
 def _rows_by_label(judgement: Judgement) -> dict[str, list[int]]:

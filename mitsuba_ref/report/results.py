@@ -83,12 +83,7 @@ def largest(values: np.ndarray) -> float | None:
 # ---- tables ----
 
 UNLIMITED_WIDTH = 10_000  # characters: lines of a log are never wrapped or cut
-STATUS_STYLES = {
-    "PASS": "green",
-    "FAIL": "bold red",
-    "SKIP": "yellow",
-    "KNOWN": "yellow",
-}
+STATUS_STYLES = {"PASS": "green", "FAIL": "bold red", "SKIP": "yellow", "KNOWN": "yellow"}
 
 
 class Column(NamedTuple):
@@ -99,16 +94,12 @@ class Column(NamedTuple):
     width: int = 0
 
 
-def format_table(
-    columns: Sequence[Column], rows: Iterable[Sequence[str]], *, header: bool = True, gap: int = 2
-) -> str:
+def format_table(columns: Sequence[Column], rows: Iterable[Sequence[str]], *, header: bool = True, gap: int = 2) -> str:
     """Rows under their titles as plain text, without blanks at line ends. gap: blanks between columns."""
     table = Table(box=None, pad_edge=False, padding=(0, gap, 0, 0), show_header=header, header_style="")
     for column in columns:
         title = Text(column.title)
-        table.add_column(
-            title, justify=column.justify, min_width=column.width, no_wrap=True, vertical="bottom"
-        )
+        table.add_column(title, justify=column.justify, min_width=column.width, no_wrap=True, vertical="bottom")
     for row in rows:
         table.add_row(*(Text(printable(cell, keep="")) for cell in row))
     out = StringIO()

@@ -34,11 +34,7 @@ def packed(values: np.ndarray, like: np.ndarray | None = None) -> Packed:
     values = _in_a_row(values)
     bits = values.view(f"<u{values.itemsize}")
     if like is not None:
-        return {
-            "type": _type(values),
-            "xor": 1,
-            "z": _deflated(bits ^ base_bits(_in_a_row(like), values.dtype)),
-        }
+        return {"type": _type(values), "xor": 1, "z": _deflated(bits ^ base_bits(_in_a_row(like), values.dtype))}
     plain, delta = _deflated(bits), _deflated(np.diff(bits, prepend=bits.dtype.type(0)))
     if len(delta) < len(plain):
         return {"type": _type(values), "delta": 1, "z": delta}

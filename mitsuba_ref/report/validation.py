@@ -73,10 +73,7 @@ class Validation(Verdict):
 
 
 def validate(
-    scene: Scene | str | Path,
-    *,
-    candidate: str | Callable[..., Any] | None = None,
-    timeout: float = DEFAULT_TIMEOUT,
+    scene: Scene | str | Path, *, candidate: str | Callable[..., Any] | None = None, timeout: float = DEFAULT_TIMEOUT
 ) -> Validation:
     """Compare our caster with Mitsuba on one scene, given as a Scene or as the path of its file.
 
@@ -160,9 +157,7 @@ def _judge_bands(
         _, first, _, end = band.film.window
         middle = number == len(bands) // 2
         images = f"{name}.rows-{first:05}-{end - 1:05}"
-        found, of_band = _judge_window(
-            band, name, path, keep=keep, whole_scene=middle, images=images, **options
-        )
+        found, of_band = _judge_window(band, name, path, keep=keep, whole_scene=middle, images=images, **options)
         rank = found.failing, not found.checks_pass, middle
         if rank > best:
             best, shown, seen = rank, number, found.seen
@@ -279,10 +274,7 @@ def _judge_window(
         reproducers=stored.files,
         not_stored=stored.left_out,
         failing_by={check: len(rows) for check, rows in by_check.items()},
-        worst_by={
-            check: failure_at(judge, judgement, by_row, int(rows[0]), check)
-            for check, rows in by_check.items()
-        },
+        worst_by={check: failure_at(judge, judgement, by_row, int(rows[0]), check) for check, rows in by_check.items()},
         candidate=subject.name,
         precision="" if ours else answer.precision,
         unjudged=quantities_not_given(answer),
@@ -318,10 +310,7 @@ def notes_on_misses(judge: Judge) -> tuple[str, ...]:
 BYTES_PER_PIXEL, BYTES_PER_PIXEL_AND_LIGHT, LIGHTS_WITHIN = 1450, 290, 2
 CGROUP_LIMITS = (
     (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory.current")),
-    (
-        Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"),
-        Path("/sys/fs/cgroup/memory/memory.usage_in_bytes"),
-    ),
+    (Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"), Path("/sys/fs/cgroup/memory/memory.usage_in_bytes")),
 )
 
 

@@ -57,9 +57,7 @@ def table_row(scene: SceneVerdict, width: int) -> str:
     if len(row) <= TABLE_CHARACTERS:
         return row
     row = format_table(table_columns(width), [(*cells, "")], header=False, gap=1)
-    return "\n".join(
-        [row, *wrap(", ".join(others), TABLE_CHARACTERS, initial_indent=INDENT, subsequent_indent=INDENT)]
-    )
+    return "\n".join([row, *wrap(", ".join(others), TABLE_CHARACTERS, initial_indent=INDENT, subsequent_indent=INDENT)])
 
 
 INDENT = 6 * " "  # below the name of a scene
@@ -194,8 +192,7 @@ def summary_text(verdict: Verdict, seconds: float) -> str:
         if counts[name] or name == AGREE
     ]
     lines = [
-        f"{verdict.scene_count} scenes: {passed} pass, {count_text(verdict)}"
-        f"{_not_run(verdict)}, in {seconds:.1f} s",
+        f"{verdict.scene_count} scenes: {passed} pass, {count_text(verdict)}{_not_run(verdict)}, in {seconds:.1f} s",
         *waiver_lines(verdict),
         *wrap(f"hit pixels: {', '.join(shares)}", TABLE_CHARACTERS, subsequent_indent=12 * " "),
         f"exact:      {verdict.adjudicated} pixels were adjudicated by exact arithmetic, "
@@ -206,9 +203,7 @@ def summary_text(verdict: Verdict, seconds: float) -> str:
         *_stored_lines(verdict),
         *_kept_lines(verdict),
     ]
-    lines += [
-        f"note:       {scene.name} allows {_allowed(scene)}" for scene in verdict.scenes if scene.allowed
-    ]
+    lines += [f"note:       {scene.name} allows {_allowed(scene)}" for scene in verdict.scenes if scene.allowed]
     return "\n".join([*lines, *(f"reference:  {versions}" for versions in verdict.versions)])
 
 
@@ -226,11 +221,7 @@ def waiver_lines(verdict: Verdict) -> Iterator[str]:
     """Scenes that the run does not fail by, known failures that are mended, and whether enough scenes were judged."""
     for scene in verdict.scenes:
         if scene.waived:
-            words = (
-                scene.problem.partition("\n")[0]
-                if scene.problem
-                else f"{', '.join(sorted(checks_of(scene)))}"
-            )
+            words = scene.problem.partition("\n")[0] if scene.problem else f"{', '.join(sorted(checks_of(scene)))}"
             yield f"{mark_of(scene).lower() + ':':<11} {scene.name}: {words}"
     if verdict.mended:
         names = ", ".join(verdict.mended)
@@ -344,10 +335,7 @@ def common_traits(scenes: Sequence[SceneVerdict]) -> list[str]:
     passing = [scene for scene in scenes if scene.ok]
     if len(failing) < MIN_FAILING_SCENES:
         return []
-    traits = [
-        f"{each} fails" if each != NO_ANSWER else f"there is {each}"
-        for each in _common_to(failing, checks_of)
-    ]
+    traits = [f"{each} fails" if each != NO_ANSWER else f"there is {each}" for each in _common_to(failing, checks_of)]
     for what, of in (("shape", shapes_of), ("camera", cameras_of)):
         for each in _common_to(failing, of):
             also = sum(each in of(scene) for scene in passing)
@@ -383,9 +371,7 @@ def simplest_failing(scenes: Sequence[SceneVerdict]) -> SceneVerdict | None:
     known = [scene for scene in failing if scene.composition.primitives]
     if len(failing) < MIN_FAILING_SCENES or not known:
         return None
-    return min(
-        known, key=lambda s: (s.composition.primitives, sum(s.composition.shapes.values()), s.pixels, s.name)
-    )
+    return min(known, key=lambda s: (s.composition.primitives, sum(s.composition.shapes.values()), s.pixels, s.name))
 
 
 def _cause_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
@@ -406,9 +392,7 @@ def _cause_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
 def _kind_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
     """How many of the scenes with each kind of primitive fail, where several kinds of several scenes were judged."""
     judged = [scene for scene in scenes if not scene.waived]
-    fails = {
-        kind: [not s.ok for s in judged if kind in shapes_of(s)] for s in judged for kind in shapes_of(s)
-    }
+    fails = {kind: [not s.ok for s in judged if kind in shapes_of(s)] for s in judged for kind in shapes_of(s)}
     if sum(not scene.ok for scene in judged) < MIN_FAILING_SCENES or len(fails) < 2:
         return
     order = sorted(fails, key=lambda kind: (-sum(fails[kind]) / len(fails[kind]), -len(fails[kind]), kind))

@@ -19,10 +19,7 @@ from typing import Any, Generic, NoReturn, TypeVar
 from caster.system.atomic_files import ScratchFolder
 from caster.system.process import PARENT_VARIABLE, die_with_parent
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
-from mitsuba_ref.reference.subprocess_runner import (
-    exit_name,
-    kill_subprocesses,
-)
+from mitsuba_ref.reference.subprocess_runner import exit_name, kill_subprocesses
 
 Result = TypeVar("Result")
 
@@ -63,9 +60,7 @@ class Worker:
     def _serve(self, function: Callable[..., Any], requests: Connection) -> NoReturn:
         """The fork's side."""
         try:
-            signal.set_wakeup_fd(
-                -1
-            )  # the parent's, who would take a signal of this process for one of its own
+            signal.set_wakeup_fd(-1)  # the parent's, who would take a signal of this process for one of its own
             for number in (signal.SIGINT, signal.SIGHUP):  # come by way of the parent, as SIGTERM
                 signal.signal(number, signal.SIG_IGN)
             signal.signal(signal.SIGTERM, signal.default_int_handler)

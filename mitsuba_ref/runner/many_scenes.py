@@ -83,9 +83,7 @@ class SceneSource:
 
     def load(self) -> SceneEntry:
         """Read the file. Raises SceneError, FileMissing."""
-        return load_entry(
-            self.path, self.name, size=self.size, mesh_dirs=self.mesh_dirs, options=self.options
-        )
+        return load_entry(self.path, self.name, size=self.size, mesh_dirs=self.mesh_dirs, options=self.options)
 
 
 Entry = SceneEntry | SceneSource
@@ -287,9 +285,7 @@ def judge_in_fork(entry: Entry, folder: Path | None, threads: int | None, **opti
 ISOLATED = Isolated(judge_in_fork)
 
 
-def judge_entry(
-    entry: Entry, folder: Path | None, *, threads: int | None = None, **options: Any
-) -> SceneVerdict:
+def judge_entry(entry: Entry, folder: Path | None, *, threads: int | None = None, **options: Any) -> SceneVerdict:
     """`judge_here` in a fork, whose end is a `problem` of the verdict; in this process for other subjects than ours.
 
     threads: of the fork.
@@ -396,9 +392,7 @@ class _Reader:
             return lambda path: word in Path(path).stem
         wanted, known = word.removeprefix(TYPE_PREFIX), known_types()
         if wanted not in known:
-            raise SceneError(
-                f"-k {word}: unknown type{suggestion(wanted, known)} (known: {', '.join(known)})"
-            )
+            raise SceneError(f"-k {word}: unknown type{suggestion(wanted, known)} (known: {', '.join(known)})")
         return lambda path: wanted in types_of(path)
 
     def _take(self, token: str) -> bool:

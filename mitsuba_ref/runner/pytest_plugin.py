@@ -104,9 +104,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         help="film in pixels, instead of the scenes' own; also the ini option mitsuba_ref_size",
     )
     for name, what in CANDIDATE_OPTIONS.items():
-        group.addoption(
-            f"--mitsuba-ref-{name}", default=None, metavar="X", help=f"{what}; also an ini option"
-        )
+        group.addoption(f"--mitsuba-ref-{name}", default=None, metavar="X", help=f"{what}; also an ini option")
         parser.addini(f"mitsuba_ref_{name.replace('-', '_')}", what, default="")
     parser.addini("mitsuba_ref_size", "film of the scenes in pixels: W H", type="args", default=[])
     folders = "folders beyond a scene's own whose meshes it may use"
@@ -131,9 +129,7 @@ class ScenePlugin:
             raise pytest.UsageError("mitsuba_ref_candidate: not together with mitsuba_ref_candidate_serve")
         self.candidate = self.words["candidate"] or self.words["candidate-serve"]
         if self.words["candidate-precision"] and not self.candidate:
-            raise pytest.UsageError(
-                "mitsuba_ref_candidate_precision: expected mitsuba_ref_candidate beside it"
-            )
+            raise pytest.UsageError("mitsuba_ref_candidate_precision: expected mitsuba_ref_candidate beside it")
         self.mesh_dirs = [str(path) for path in config.getini("mitsuba_ref_mesh_dirs")]
         given = getattr(config, "workerinput", {}).get(WORKER_INPUT_KEY)
         self.shared: Path | None = Path(given) if given else None  # of this run alone, for all its processes
@@ -321,9 +317,7 @@ def check_problem(found: SceneVerdict | str, check: str) -> str:
         return no_verdict(failure_text(found))
     if check in PIXEL_CHECKS:
         return pixel_failure(found, check) if found.failing_by.get(check) else ""
-    return "\n".join(
-        check_failure(found, each) for each in found.checks if each.name == check and not each.ok
-    )
+    return "\n".join(check_failure(found, each) for each in found.checks if each.name == check and not each.ok)
 
 
 def is_not_judged(found: SceneVerdict | str, check: str) -> bool:

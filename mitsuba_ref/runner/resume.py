@@ -41,9 +41,7 @@ def read_verdict(path: str | os.PathLike[str]) -> Verdict:
     except FileMissing as error:
         if Path(path).exists():
             raise UnreadableVerdict(str(error)) from error
-        raise FileMissing(
-            f"{path}: expected what `mitsuba-ref validate --json` writes, found no file"
-        ) from None
+        raise FileMissing(f"{path}: expected what `mitsuba-ref validate --json` writes, found no file") from None
     except MALFORMED as error:
         raise UnreadableVerdict(f"{path}: expected JSON, got something else: {error}") from error
     if not isinstance(record, dict) or record.get("format") != VERDICT_FORMAT:
@@ -94,15 +92,7 @@ def check_ok(record: dict[str, Any], scene: SceneVerdict) -> None:
 
 
 PACKAGES = ("caster", "mitsuba_ref")
-VERDICT_LIBRARIES = (
-    "numpy",
-    "numba",
-    "llvmlite",
-    "mitsuba",
-    "drjit",
-    "OpenEXR",
-    "pydantic",
-)  # that verdicts depend on
+VERDICT_LIBRARIES = ("numpy", "numba", "llvmlite", "mitsuba", "drjit", "OpenEXR", "pydantic")  # that verdicts depend on
 
 
 @cache

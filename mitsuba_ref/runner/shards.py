@@ -20,10 +20,7 @@ from mitsuba_ref.runner.resume import UnreadableVerdict
 
 # Python, OpenEXR and pydantic read and write; these compute.
 COMPUTING_LIBRARIES = ("mitsuba", "drjit", "numpy", "numba", "llvmlite")
-RECORDED_PER_SCENE = (
-    "mitsuba",
-    "drjit",
-)  # versions in each answer of Mitsuba; variants differ between scenes
+RECORDED_PER_SCENE = ("mitsuba", "drjit")  # versions in each answer of Mitsuba; variants differ between scenes
 NONE = "none"
 MAX_MISSING_LISTED = 50  # shards; --shard 1/100000000 is valid
 
@@ -77,9 +74,7 @@ def _recorded_versions(part: Verdict) -> Iterator[tuple[str, str]]:
 def combined_versions(parts: Sequence[Verdict]) -> dict[str, str]:
     """`judged_with` of all parts; different versions joined by "and"."""
     kinds = dict.fromkeys(what for part in parts for what in part.judged_with)
-    return {
-        what: " and ".join(dict.fromkeys(part.judged_with.get(what, "?") for part in parts)) for what in kinds
-    }
+    return {what: " and ".join(dict.fromkeys(part.judged_with.get(what, "?") for part in parts)) for what in kinds}
 
 
 class Shard(NamedTuple):
@@ -125,9 +120,7 @@ class DifferentRuns(SceneError):  # noqa: N818 - names a state
     exit_code = NOT_COMPARABLE
 
 
-def merge_verdicts(
-    parts: Sequence[tuple[str, Verdict]], *, any_versions: bool = False
-) -> tuple[Verdict, list[str]]:
+def merge_verdicts(parts: Sequence[tuple[str, Verdict]], *, any_versions: bool = False) -> tuple[Verdict, list[str]]:
     """(one verdict of all, missing shards as text); parts: (file, verdict).
 
     any_versions: parts that were judged with other versions are parts of one run, too. A scene of a shard that is
@@ -138,9 +131,7 @@ def merge_verdicts(
     for place, part in parts:
         shard = shard_in(part, place, len(parts))
         if shard.parts != shard_in(first, first_place, len(parts)).parts or part.selected != first.selected:
-            raise DifferentRuns(
-                f"{place}: expected a shard of the same run as {first_place}, got one of another"
-            )
+            raise DifferentRuns(f"{place}: expected a shard of the same run as {first_place}, got one of another")
         if shard.part in files:
             raise DifferentRuns(f"{place}: shard {shard} once more; it is in {files[shard.part]}")
         files[shard.part] = place
@@ -165,9 +156,7 @@ def merge_verdicts(
     if strange:
         raise DifferentRuns(f"scenes that the run did not select: {', '.join(strange)}")
     judged_with = combined_versions([part for _, part in parts])
-    whole = replace(
-        first, shard="", selected=(), scene_count=len(names), names=names, judged_with=judged_with
-    )
+    whole = replace(first, shard="", selected=(), scene_count=len(names), names=names, judged_with=judged_with)
     mended = tuple(name for _, part in parts for name in part.mended)
     whole = replace(whole, mended=mended, scenes=tuple(scenes[name] for name in names if name in scenes))
     return whole, missing_shards(count, files)

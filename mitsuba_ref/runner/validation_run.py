@@ -48,9 +48,7 @@ class RunOptions:
 class ValidationRun:
     """Judges scenes one after the other; `verdict` and `finish` hold for those that are done so far."""
 
-    def __init__(
-        self, entries: Sequence[Entry], options: RunOptions, candidate: Subject | None = None
-    ) -> None:
+    def __init__(self, entries: Sequence[Entry], options: RunOptions, candidate: Subject | None = None) -> None:
         """entries: the scenes of all shards; candidate: in place of our caster. Raises OutputError."""
         self.every, self.options, self.candidate = entries, options, candidate
         self.entries = scenes_of_shard(entries, options.shard) if options.shard else list(entries)
@@ -67,13 +65,7 @@ class ValidationRun:
             self.out.begin()
         record = self.html.keep if self.html else None
         running = many_scenes.run(
-            self.entries,
-            self._workers,
-            self.options.maxfail,
-            self.options.out,
-            judge,
-            record,
-            self.errors.append,
+            self.entries, self._workers, self.options.maxfail, self.options.out, judge, record, self.errors.append
         )
         with closing(running), closing(many_scenes.progress_bar(self.entries)) as bar:
             for verdict in running:
@@ -136,11 +128,7 @@ class ValidationRun:
 
     def _judge_unwaived(self) -> JudgeScene:
         page_of = partial(page_record, one_file=self.html.one_file) if self.html else None
-        options: dict[str, Any] = {
-            "timeout": self.options.timeout,
-            "store": self.options.store,
-            "page_of": page_of,
-        }
+        options: dict[str, Any] = {"timeout": self.options.timeout, "store": self.options.store, "page_of": page_of}
         if self.candidate is not None:
             judge = candidate_judge(self.candidate, **options)
             return recorded(judge, self.out) if self.out else judge
@@ -185,9 +173,7 @@ class ExpectedFailures(BaseModel):
         """Whether a scene fails in a known way, and in no other."""
         listed = [each for each in self.failure if each.scene == found.name]
         checks = checks_of(found)
-        return not found.ok and any(
-            checks <= set(each.checks) and found.failing <= each.pixels for each in listed
-        )
+        return not found.ok and any(checks <= set(each.checks) and found.failing <= each.pixels for each in listed)
 
     def mended(self, done: Sequence[SceneVerdict]) -> tuple[str, ...]:
         """Names of scenes that are listed, and pass."""

@@ -93,8 +93,7 @@ def parse(text: str, file: str) -> Node:
         if len(open_nodes) == MAX_ELEMENT_DEPTH:
             raise SceneError(
                 format_diagnostics(
-                    [ImportDiagnostic(here(), f"elements are nested deeper than {MAX_ELEMENT_DEPTH}")],
-                    {file: text},
+                    [ImportDiagnostic(here(), f"elements are nested deeper than {MAX_ELEMENT_DEPTH}")], {file: text}
                 )
             )
         node = Node(tag, attributes, here())
@@ -135,9 +134,7 @@ class XmlDocument:
     """All elements of a scene with its includes, and the errors so far."""
 
     folder: Path
-    nodes: list[Node] = field(
-        default_factory=list
-    )  # children of the root; an include is replaced by its content
+    nodes: list[Node] = field(default_factory=list)  # children of the root; an include is replaced by its content
     by_id: dict[str, Node] = field(default_factory=dict)
     texts: dict[str, str] = field(default_factory=dict)  # of each file
     errors: list[ImportDiagnostic] = field(default_factory=list)
@@ -156,9 +153,7 @@ def load_document(path: str, given: Mapping[str, str]) -> XmlDocument:
     for name in given:
         if not any(f"${name}" in text or f'"{name}"' in text for text in document.texts.values()):
             position = SourcePosition(path, 1, 1)
-            document.errors.append(
-                ImportDiagnostic(position, f"no parameter ${name} in it, which -D {name} names")
-            )
+            document.errors.append(ImportDiagnostic(position, f"no parameter ${name} in it, which -D {name} names"))
     return document
 
 

@@ -98,9 +98,7 @@ class ShapeWriter:
         self.notes.append(f"{self.name}: an instance of a {plugin}, which Mitsuba itself does not stretch")
         return [group, element]
 
-    def native_many(
-        self, shape: Shape, plugin: str, centers: np.ndarray, linear: np.ndarray
-    ) -> list[XmlElement]:
+    def native_many(self, shape: Shape, plugin: str, centers: np.ndarray, linear: np.ndarray) -> list[XmlElement]:
         """As many of `native` as there are rows in centers (n, 3) and linear (n, 3, 3), with one material.
 
         They are a file that the scene includes, written as text: an element tree of a million takes a minute and 2 GB.
@@ -119,9 +117,7 @@ class ShapeWriter:
         self, shared: str, attributes: str, referred: XmlElement, centers: np.ndarray, linear: np.ndarray
     ) -> list[XmlElement]:
         """<include> of a file of shapes that refer to one element. shared: the text of that element."""
-        name, shared_id = (
-            escape(each, {'"': "&quot;", "%": "%%"}) for each in (self.name, referred.attrib["id"])
-        )
+        name, shared_id = (escape(each, {'"': "&quot;", "%": "%%"}) for each in (self.name, referred.attrib["id"]))
         shape = f'<shape {attributes} id="{part_id(name, "%d")}"><ref id="{shared_id}"/>'
         matrix = " ".join(["%r"] * 12)
         row = f'{shape}<transform name="to_world"><matrix value="{matrix} 0 0 0 1"/></transform></shape>'

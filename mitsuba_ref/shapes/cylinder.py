@@ -69,9 +69,7 @@ def to_xml(out: ShapeWriter, shape: Cylinder, part: Any) -> list[XmlElement]:
 
 # Mitsuba refuses a cylinder whose matrix, as rotation times stretching, shears by more than this many scene units.
 LARGEST_SHEAR = 1e-6
-SHEAR_ROUNDING = (
-    8 * U32
-)  # of the matrix's own size: by how much float32 shears one that has no shear, here and there
+SHEAR_ROUNDING = 8 * U32  # of the matrix's own size: by how much float32 shears one that has no shear, here and there
 
 
 def mitsuba_accepts_matrix(linear: np.ndarray) -> bool:
@@ -88,9 +86,7 @@ def polar_decomposition(linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return u @ v, v.T @ np.diag(sizes) @ v
 
 
-def intersect(
-    prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
-) -> tuple[Intersections, ...]:
+def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
     """Ray i with cylinder k[i]: the unit circle in the x, y of object space, then the ends."""
     to_object = prims.to_object[k]
     rays = rays_in_object_space(prims.center[k], to_object, o, d)
@@ -120,9 +116,7 @@ def intersect(
             p_error = position_error(o, d, t, t_error, ku) + pull * away
             uv = np.column_stack([out[:, :2], q[:, 2]])
             uv_error = error + slide * t_error + end_error + TURN * ku
-            found.append(
-                Intersections(t, t_error, n, n_error, n, n_error, possible, certain, p_error, uv, uv_error)
-            )
+            found.append(Intersections(t, t_error, n, n_error, n, n_error, possible, certain, p_error, uv, uv_error))
     return tuple(found)
 
 
@@ -166,11 +160,7 @@ def on_cylinders(prims: Any, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoint
 def unit_cylinder_points(rng: Rng, count: int, sort: str) -> UnitPoints:
     c, s = unit_circle_points(rng, count)
     zero, one = np.zeros(count), np.ones(count)
-    z = (
-        rng.integers(0, 2, count).astype(float)
-        if sort in ("corner", "beside")
-        else random_fractions(rng, count)[:, 0]
-    )
+    z = rng.integers(0, 2, count).astype(float) if sort in ("corner", "beside") else random_fractions(rng, count)[:, 0]
     if sort == "beside":
         z += 10.0 ** rng.uniform(*BESIDE_DECADES, count) * np.where(z > 0.0, 1.0, -1.0)
     around, upright = np.column_stack([-s, c, zero]), np.column_stack([zero, zero, one])
@@ -202,39 +192,17 @@ def import_cylinder(xml: XmlShape) -> Fields:
 
 
 TANGENT = KnownDefect(
-    55,
-    "a cylinder that a ray touches along its wall, exactly",
-    6,
-    "hit",
-    lambda m: m.missed and "tangent" in m.where,
+    55, "a cylinder that a ray touches along its wall, exactly", 6, "hit", lambda m: m.missed and "tangent" in m.where
 )
-RIM = KnownDefect(
-    56,
-    "a ray through the end of a cylinder, exactly",
-    9,
-    "hit",
-    lambda m: m.missed and "rim" in m.where,
-)
+RIM = KnownDefect(56, "a ray through the end of a cylinder, exactly", 9, "hit", lambda m: m.missed and "rim" in m.where)
 ALONG_AXIS = KnownDefect(
-    53,
-    "a ray nearly along the axis of a cylinder",
-    14,
-    "either",
-    lambda m: m.axis_angle < ALONG_AXIS_SINE and m.nearly,
+    53, "a ray nearly along the axis of a cylinder", 14, "either", lambda m: m.axis_angle < ALONG_AXIS_SINE and m.nearly
 )
 THIN_AND_FAR = KnownDefect(
-    57,
-    "a cylinder that is thin and far away",
-    16,
-    "either",
-    lambda m: m.distance > FAR_IN_SIZES and m.nearly,
+    57, "a cylinder that is thin and far away", 16, "either", lambda m: m.distance > FAR_IN_SIZES and m.nearly
 )
 FAR_FROM_ORIGIN = KnownDefect(
-    61,
-    "a cylinder far from the origin",
-    22,
-    "either",
-    lambda m: m.offset > FAR_IN_SIZES and m.nearly,
+    61, "a cylinder far from the origin", 22, "either", lambda m: m.offset > FAR_IN_SIZES and m.nearly
 )
 
 CYLINDERS = PrimitiveReference(

@@ -59,9 +59,7 @@ def to_xml(out: ShapeWriter, shape: Disk, part: Any) -> list[XmlElement]:
     return [out.native(shape, "disk", part.center[0], part.to_world[0])]
 
 
-def intersect(
-    prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
-) -> tuple[Intersections, ...]:
+def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
     """Ray i with disk k[i]: the plane z = 0 of object space, then the rim."""
     to_object = prims.to_object[k]
     rays = rays_in_object_space(prims.center[k], to_object, o, d)
@@ -128,25 +126,15 @@ def import_disk(xml: XmlShape) -> Fields:
     return unit_shape_importer("disk")(xml)
 
 
-RIM = KnownDefect(
-    45, "a ray through the rim of a disk, exactly", 8, "hit", lambda m: m.missed and "rim" in m.where
-)
+RIM = KnownDefect(45, "a ray through the rim of a disk, exactly", 8, "hit", lambda m: m.missed and "rim" in m.where)
 FAR_FROM_ORIGIN = KnownDefect(
-    47,
-    "a disk far from the origin",
-    21,
-    "either",
-    lambda m: m.offset > FAR_IN_SIZES and m.nearly,
+    47, "a disk far from the origin", 21, "either", lambda m: m.offset > FAR_IN_SIZES and m.nearly
 )
 
 DISKS = PrimitiveReference(
     Disks,
     ErrorModel(
-        intersect,
-        affine_bounds,
-        ours_through_object_space(intersect, used=(1.0, 1.0, 0.0)),
-        exact=EXACT_DISKS,
-        uv=UV,
+        intersect, affine_bounds, ours_through_object_space(intersect, used=(1.0, 1.0, 0.0)), exact=EXACT_DISKS, uv=UV
     ),
     describe_disk,
     on_disks,

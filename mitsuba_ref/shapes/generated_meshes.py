@@ -76,13 +76,9 @@ def expected_torus(shape: Any) -> Iterator[ExpectedNumbers]:
     rho = np.hypot(grid[..., 0], grid[..., 1])
     slack = 1.0 - far / rho
     gradient = np.stack([slack * grid[..., 0], slack * grid[..., 1], grid[..., 2]], axis=2) / near
-    yield ExpectedNumbers(
-        "normals of a torus", mesh.normals, gradient.reshape(-1, 3), np.asarray(turned / near)
-    )
+    yield ExpectedNumbers("normals of a torus", mesh.normals, gradient.reshape(-1, 3), np.asarray(turned / near))
     i, j = np.divmod(mesh.faces, n)
-    apart = [
-        (np.ptp((steps - steps[:, :1] + 1) % count, axis=1) == 1).all() for steps, count in ((i, m), (j, n))
-    ]
+    apart = [(np.ptp((steps - steps[:, :1] + 1) % count, axis=1) == 1).all() for steps, count in ((i, m), (j, n))]
     yield exactly("faces of neighbours", [len(mesh.faces), *apart], [2 * m * n, 1, 1])
     yield closed(mesh.faces, m * n)
     sines = np.sin(2.0 * np.pi / m) * np.sin(2.0 * np.pi / n)
@@ -93,9 +89,7 @@ def expected_icosphere(shape: Any) -> Iterator[ExpectedNumbers]:
     """Twenty triangles of an icosahedron, split in four by the middles of their sides, out on the unit sphere."""
     mesh, levels = shape.mesh(), shape.subdivisions
     count = 4**levels
-    yield exactly(
-        "number of faces and vertices", [len(mesh.faces), len(mesh.vertices)], [20 * count, 10 * count + 2]
-    )
+    yield exactly("number of faces and vertices", [len(mesh.faces), len(mesh.vertices)], [20 * count, 10 * count + 2])
     if len(mesh.faces) != 20 * count:
         return
     corners = mesh.vertices[mesh.faces].reshape(20, count, 3, 3)
@@ -115,9 +109,7 @@ def expected_icosphere(shape: Any) -> Iterator[ExpectedNumbers]:
         ab, bc, ca = (middle / norm(middle)[:, None] for middle in (a + b, b + c, c + a))
         quarters = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
         triangles = np.stack([np.stack(each, axis=1) for each in quarters], axis=1).reshape(-1, 3, 3)
-    yield ExpectedNumbers(
-        "split triangles", corners, triangles.reshape(corners.shape), np.asarray(1.0 + levels)
-    )
+    yield ExpectedNumbers("split triangles", corners, triangles.reshape(corners.shape), np.asarray(1.0 + levels))
     yield ExpectedNumbers("unit sphere", norm(mesh.vertices), np.ones(len(mesh.vertices)), np.ones(()))
     yield exactly("normals of a sphere", mesh.normals, mesh.vertices)
     yield closed(mesh.faces, len(mesh.vertices))
@@ -144,10 +136,7 @@ def expected_heightfield(shape: Any) -> Iterator[ExpectedNumbers]:
     yield ExpectedNumbers("points of the waves", mesh.vertices, points, size)
     normals = np.stack([-slope.real, -slope.imag, np.ones(len(slope))], axis=1)
     yield ExpectedNumbers(
-        "normals of the waves",
-        mesh.normals,
-        normals / norm(normals)[:, None],
-        1.0 + (height * np.abs(wave)) @ reach,
+        "normals of the waves", mesh.normals, normals / norm(normals)[:, None], 1.0 + (height * np.abs(wave)) @ reach
     )
     yield exactly("uv of the waves", mesh.uv, np.stack([u, v], axis=1))
     j, i = np.divmod(mesh.faces, n + 1)
@@ -155,9 +144,7 @@ def expected_heightfield(shape: Any) -> Iterator[ExpectedNumbers]:
     doubled = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
     widths = np.concatenate([np.ptp(i, axis=1), np.ptp(j, axis=1)])
     yield exactly(
-        "faces of half a cell",
-        [len(doubled), np.abs(doubled - 1).max(), np.abs(widths - 1).max()],
-        [2 * n * n, 0, 0],
+        "faces of half a cell", [len(doubled), np.abs(doubled - 1).max(), np.abs(widths - 1).max()], [2 * n * n, 0, 0]
     )
     yield exactly("open at the rim alone", unpaired_edges(mesh.faces, len(place)), [0, 4 * n])
 
@@ -261,12 +248,7 @@ def _turned(profile: Any) -> list[np.ndarray]:
         quarter = np.array([radius, radius - 1j * beside, beside - 1j * radius, -1j * radius])
         rings.append([(quarter * (-1j) ** k, z) for k in range(4)])
     return [
-        np.array(
-            [
-                np.stack([ring.real, ring.imag, np.full(4, z)], axis=1)
-                for ring, z in (each[k] for each in rings)
-            ]
-        )
+        np.array([np.stack([ring.real, ring.imag, np.full(4, z)], axis=1) for ring, z in (each[k] for each in rings)])
         for k in range(4)
     ]
 
@@ -303,16 +285,12 @@ def expected_teapot(shape: Any) -> Iterator[ExpectedNumbers]:
     poles[is_pole, 0] = True
     across[poles] = np.sign(points[poles] - (0.0, 0.0, 1.0)) * (0.0, 0.0, 1.0)  # up on the knob, down below
     length = norm(across.reshape(-1, 3)).reshape(across.shape[:3])
-    tangents = (
-        norm(du.reshape(-1, 3)) * 8.0 + norm(dv.reshape(-1, 3)) * 8.0
-    )  # each tangent is off by roundings of 8
+    tangents = norm(du.reshape(-1, 3)) * 8.0 + norm(dv.reshape(-1, 3)) * 8.0  # each tangent is off by roundings of 8
     spread = np.where(poles, 1.0, 1.0 + tangents.reshape(length.shape) / length)[..., None]
     unit = across / length[..., None]
     spread = np.broadcast_to(spread, unit.shape)
     if given.shape == expected.shape and mesh.normals is not None:
-        yield ExpectedNumbers(
-            "normals of the patches", mesh.normals[mesh.faces], at_corners(unit), at_corners(spread)
-        )
+        yield ExpectedNumbers("normals of the patches", mesh.normals[mesh.faces], at_corners(unit), at_corners(spread))
 
 
 def _de_casteljau(nets: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

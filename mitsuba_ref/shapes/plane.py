@@ -28,20 +28,8 @@ from mitsuba_ref.error_model.intersections import (
 from mitsuba_ref.oracle.exact_planar import PLANES as EXACT_PLANES
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes import surface_errors
-from mitsuba_ref.shapes.shape_reference import (
-    Fields,
-    PrimitiveReference,
-    ShapeReference,
-    unit_vector_rounding_to,
-)
-from mitsuba_ref.shapes.targets import (
-    Rng,
-    SurfacePoints,
-    coin_flip,
-    random_directions,
-    random_fractions,
-    random_point,
-)
+from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference, unit_vector_rounding_to
+from mitsuba_ref.shapes.targets import Rng, SurfacePoints, coin_flip, random_directions, random_fractions, random_point
 
 PATCH_RINGS = 24  # 2^24 times the square: beyond that, float32 does not separate the hit from the horizon
 LARGEST_PATCH_COORDINATE = 1e10  # Embree's triangles are right up to about here (docs/method.md, "Domain")
@@ -126,9 +114,7 @@ def to_xml(out: ShapeWriter, shape: Plane, part: Patches) -> list[XmlElement]:
     return [out.mesh(shape, as_triangles(part))]
 
 
-def intersect(
-    prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
-) -> tuple[Intersections, ...]:
+def intersect(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
     """Ray i with plane k[i]. The bound is that of the triangle around the hit, and the rounding of its corners.
 
     Hits beyond the patch have no bound: there is nothing for the reference to hit. It is certain to hit where one of
@@ -178,9 +164,7 @@ def _uv(n: np.ndarray, q: np.ndarray, p_error: np.ndarray, ku: float) -> tuple[n
     return uv, p_error + (AXES_ERROR * ku + np.where(either, 2.0, 0.0)) * norm(q)
 
 
-def intersect_ours(
-    prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
-) -> tuple[Intersections, ...]:
+def intersect_ours(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
     """Ray i with the plane k[i] itself: its height above the origin and its slope, each a rounded dot product."""
     n, point = prims.normal[k], prims.point[k]
     slope = dot(n, d)

@@ -67,9 +67,7 @@ def note_normal_side(xml: XmlShape, flipped: bool) -> None:
     if flipped:
         xml.note("flip_normals: the normal is not flipped here")
     elif matrix is not None and np.linalg.det(matrix[:3, :3]) < 0.0:
-        xml.note(
-            "the side of its normal: Mitsuba's mirrored geometric and shading normals point to different sides"
-        )
+        xml.note("the side of its normal: Mitsuba's mirrored geometric and shading normals point to different sides")
 
 
 Fields = dict[str, Any]  # of a shape, as a scene file gives them
@@ -207,9 +205,7 @@ def unit_vector_rounding_to(n: np.ndarray) -> np.ndarray:
     if abs(float(n @ n) - 1.0) <= 2.0**-52:
         return n
     single = np.abs(n).astype(np.float32)
-    half = [
-        0.5 * (np.nextafter(single, np.float32(end)).astype(np.float64) - single) for end in (0.0, np.inf)
-    ]
+    half = [0.5 * (np.nextafter(single, np.float32(end)).astype(np.float64) - single) for end in (0.0, np.inf)]
     low, high = (single + np.where(n == 0.0, 0.0, ROUNDING_INTERVAL_FRACTION * each) for each in half)
     across = high - low
     a, b, c = across @ across, low @ across, low @ low - 1.0

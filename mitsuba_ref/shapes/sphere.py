@@ -9,13 +9,7 @@ import numpy as np
 
 from caster.shapes.sphere import Ellipsoids, Sphere, SphereCloud, Spheres
 from caster.system.atomic_files import write_bytes
-from mitsuba_ref.error_model.defect_conditions import (
-    FAR_IN_SIZES,
-    STARTS_ON_CURVED,
-    STRETCHED,
-    DefectView,
-    KnownDefect,
-)
+from mitsuba_ref.error_model.defect_conditions import FAR_IN_SIZES, STARTS_ON_CURVED, STRETCHED, DefectView, KnownDefect
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expected_point, up_to_rounding
 from mitsuba_ref.error_model.intersections import (
     ErrorModel,
@@ -81,9 +75,7 @@ def cloud_to_xml(out: ShapeWriter, shape: SphereCloud, part: Any) -> list[XmlEle
     return out.native_many(shape, "sphere", part.center, part.radius[:, None, None] * np.eye(3))
 
 
-def intersect(
-    prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
-) -> tuple[Intersections, ...]:
+def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
     """Ray i with sphere k[i]: near root, far root."""
     center, r = by_columns(prims.center[k]), prims.radius[k]
     o, d = by_columns(o), by_columns(d)
@@ -153,9 +145,7 @@ def intersect_ellipsoid(
         pulled = norm(mat_vec_rows(prims.to_world[k], q)) * away
         p_error = position_error(o, d, t, t_error, ku) + pulled
         uv, uv_error = sphere_uv(q, error + slide * t_error, ku)
-        found.append(
-            Intersections(t, t_error, n, n_error, n, n_error, possible, certain, p_error, uv, uv_error)
-        )
+        found.append(Intersections(t, t_error, n, n_error, n, n_error, possible, certain, p_error, uv, uv_error))
     return tuple(found)
 
 
@@ -241,11 +231,7 @@ def unit_sphere_points(rng: Rng, count: int, sort: str) -> UnitPoints:
 
 
 def random_fields(rng: Rng, lattice: bool) -> Fields:
-    return (
-        {"center": random_point(rng, lattice), "radius": random_length(rng, lattice)}
-        if coin_flip(rng)
-        else {}
-    )
+    return {"center": random_point(rng, lattice), "radius": random_length(rng, lattice)} if coin_flip(rng) else {}
 
 
 def random_cloud(rng: Rng, lattice: bool) -> Fields:
@@ -297,11 +283,7 @@ TANGENT = KnownDefect(
     lambda m: m.missed and "tangent" in m.where,
 )
 SMALL_AND_FAR = KnownDefect(
-    2,
-    "a sphere that is small and far away",
-    17,
-    "either",
-    lambda m: m.distance > FAR_IN_SIZES and m.nearly,
+    2, "a sphere that is small and far away", 17, "either", lambda m: m.distance > FAR_IN_SIZES and m.nearly
 )
 FAR_FROM_ORIGIN = KnownDefect(
     9,
@@ -314,9 +296,7 @@ DEFECTS = (STARTS_ON_CURVED, TANGENT, SMALL_AND_FAR, FAR_FROM_ORIGIN)
 
 SPHERES = PrimitiveReference(
     Spheres,
-    ErrorModel(
-        intersect, sphere_bounds, exact=EXACT_SPHERES, uv=UvSpace(sphere_uv_points, reference_uv_points)
-    ),
+    ErrorModel(intersect, sphere_bounds, exact=EXACT_SPHERES, uv=UvSpace(sphere_uv_points, reference_uv_points)),
     describe_sphere,
     on_spheres,
     describe_all=describe_spheres,

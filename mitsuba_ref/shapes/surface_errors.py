@@ -30,9 +30,7 @@ from mitsuba_ref.oracle.exact_planar import TRIANGLES
 UNRESOLVABLE = 0.5
 
 
-def intersect(
-    prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
-) -> tuple[Intersections, ...]:
+def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
     """Ray i with triangle k[i], by its plane and its three edge functions."""
     corners = [by_columns(prims.vertices[prims.faces[k, j]]) for j in range(3)]
     o, d = by_columns(o), by_columns(d)
@@ -51,9 +49,7 @@ def intersect(
         possible = (np.all(edges >= -edge_errors, axis=1) | np.all(edges <= edge_errors, axis=1)) & traced
         inside = edges * np.sign(total)[:, None] > edge_errors
         sure = resolvable & possible & np.isfinite(t)
-        weight_errors = (edge_errors + np.abs(weights) * edge_errors.sum(axis=1)[:, None]) / np.abs(total)[
-            :, None
-        ]
+        weight_errors = (edge_errors + np.abs(weights) * edge_errors.sum(axis=1)[:, None]) / np.abs(total)[:, None]
         sh_n, sh_error = _shading(prims, k, n, n_error, weights, weight_errors, ku)
         p_error = _position_error(corners, weights, weight_errors, ku)
         uv, uv_error = _uv(prims, k, weights, weight_errors, ku)
@@ -62,24 +58,18 @@ def intersect(
     t = finite_or_zero(t, t_error)
     certain = inside.all(axis=1) & sure
     return (
-        Intersections(
-            t, t_error, n, n_error, sh_n, sh_error, possible, certain, p_error, uv, uv_error, edge, side
-        ),
+        Intersections(t, t_error, n, n_error, sh_n, sh_error, possible, certain, p_error, uv, uv_error, edge, side),
     )
 
 
-def intersect_ours(
-    prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
-) -> tuple[Intersections, ...]:
+def intersect_ours(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
     """The same for ours, whose position is held to o + t d, where a ray from afar is rounded more than the corners."""
     (at,) = intersect(prims, k, o, d, ku)
     with np.errstate(invalid="ignore"):  # a needle whose barycentrics are not resolved
         return (at._replace(p_error=at.p_error + position_error(o, d, at.t, at.t_error, ku)),)
 
 
-def _position_error(
-    corners: list[np.ndarray], weights: np.ndarray, weight_errors: np.ndarray, ku: float
-) -> np.ndarray:
+def _position_error(corners: list[np.ndarray], weights: np.ndarray, weight_errors: np.ndarray, ku: float) -> np.ndarray:
     """Mitsuba's position is the corners' mean by barycentrics: off by their errors and by its own rounding."""
     p = sum(weights[:, j : j + 1] * corners[j] for j in range(3))
     moved = sum(weight_errors[:, j] * norm(corners[j] - p) for j in range(3))
@@ -162,9 +152,7 @@ def _t_error(
     lever = dot(np.abs(t[:, None] * d - a), spread)
     rho = ku * (dot(np.abs(n), np.abs(d)) + dot(np.abs(d), spread)) / steepness
     resolvable = rho < UNRESOLVABLE
-    return ku * ((displacement + lever) / steepness + np.abs(t)) / (
-        1.0 - np.minimum(rho, UNRESOLVABLE)
-    ), resolvable
+    return ku * ((displacement + lever) / steepness + np.abs(t)) / (1.0 - np.minimum(rho, UNRESOLVABLE)), resolvable
 
 
 def _shading(
@@ -241,15 +229,11 @@ class ObjectRays(NamedTuple):
         return self.rows * (self.o_size + np.abs(t) * self.d_size)[:, None] + self.offset
 
 
-def rays_in_object_space(
-    center: np.ndarray, to_object: np.ndarray, o: np.ndarray, d: np.ndarray
-) -> ObjectRays:
+def rays_in_object_space(center: np.ndarray, to_object: np.ndarray, o: np.ndarray, d: np.ndarray) -> ObjectRays:
     """Rays (m, 3) in the object space of primitives with center (m, 3) and inverse matrix (m, 3, 3)."""
     rows = np.sqrt(np.einsum("ijk,ijk->ij", to_object, to_object))
     offset = np.abs(mat_vec_rows(to_object, center))
-    return ObjectRays(
-        mat_vec_rows(to_object, o - center), mat_vec_rows(to_object, d), rows, offset, norm(o), norm(d)
-    )
+    return ObjectRays(mat_vec_rows(to_object, o - center), mat_vec_rows(to_object, d), rows, offset, norm(o), norm(d))
 
 
 def ours_through_object_space(
@@ -303,9 +287,7 @@ def sphere_roots(f: np.ndarray, d: np.ndarray, r: np.ndarray) -> tuple[np.ndarra
         return middle, distance, np.sqrt(np.maximum((r - distance) * (r + distance), 0.0))
 
 
-def world_normal(
-    to_object: np.ndarray, n: np.ndarray, n_error: np.ndarray, ku: float
-) -> tuple[np.ndarray, np.ndarray]:
+def world_normal(to_object: np.ndarray, n: np.ndarray, n_error: np.ndarray, ku: float) -> tuple[np.ndarray, np.ndarray]:
     """A normal of the unit shape taken to world space, and its bound there."""
     world = np.einsum("ikj,ik->ij", to_object, n)
     length = norm(world)

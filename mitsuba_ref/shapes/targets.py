@@ -35,9 +35,7 @@ def to_world_points(prims: Any, k: np.ndarray, unit: UnitPoints) -> SurfacePoint
     to_world, to_object = prims.to_world[k], prims.to_object[k]
     moved = prims.center[k] + np.einsum("ijk,ik->ij", to_world, p)
     across = np.einsum("ikj,ik->ij", to_object, n)
-    return SurfacePoints(
-        moved, np.einsum("ijk,ik->ij", to_world, along), across / np.abs(across).max(initial=1e-300)
-    )
+    return SurfacePoints(moved, np.einsum("ijk,ik->ij", to_world, along), across / np.abs(across).max(initial=1e-300))
 
 
 def pushed_outside(rng: Rng, p: np.ndarray, sort: str) -> np.ndarray:
@@ -141,9 +139,7 @@ def _mesh_folder() -> ScratchFolder:
 @functools.cache
 def mesh_files() -> tuple[str, ...]:
     """These meshes as OBJ files, in a folder that goes away with this process."""
-    return tuple(
-        _write_obj(Path(_mesh_folder().name) / f"{make.__name__}.obj", *make()) for make in MESH_BUILDERS
-    )
+    return tuple(_write_obj(Path(_mesh_folder().name) / f"{make.__name__}.obj", *make()) for make in MESH_BUILDERS)
 
 
 def _write_obj(path: Path, vertices: np.ndarray, faces: np.ndarray) -> str:

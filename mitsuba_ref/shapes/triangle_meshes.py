@@ -88,9 +88,7 @@ def describe_triangle(part: Triangles, k: int) -> Fields:
 
 def on_triangles(prims: Any, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoints:
     corners = prims.vertices[prims.faces[k]]
-    corners = np.take_along_axis(
-        corners, rng.permuted(np.tile(np.arange(3), (len(k), 1)), axis=1)[..., None], 1
-    )
+    corners = np.take_along_axis(corners, rng.permuted(np.tile(np.arange(3), (len(k), 1)), axis=1)[..., None], 1)
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     share = random_fractions(rng, len(k))
     along = np.where(rng.random((len(k), 1)) < 0.7, b - a, (b - a) + share * (c - a))
@@ -142,11 +140,7 @@ def numbers_of_triangle(part: Triangles, k: int) -> list[np.ndarray]:
 
 
 NO_AREA = KnownDefect(
-    21,
-    "a triangle without any area that Embree's robust mode hits all the same",
-    3,
-    "named",
-    lambda m: m.without_area,
+    21, "a triangle without any area that Embree's robust mode hits all the same", 3, "named", lambda m: m.without_area
 )
 BEYOND_CORNERS = KnownDefect(
     28,
@@ -170,32 +164,16 @@ COLLINEAR = KnownDefect(
     lambda m: m.slenderness < COLLINEAR_HEIGHT_RATIO and m.nearly,
 )
 SLIVER = KnownDefect(
-    19,
-    "a sliver of a triangle",
-    11,
-    "either",
-    lambda m: m.slenderness < SLIVER_HEIGHT_RATIO and m.nearly,
+    19, "a sliver of a triangle", 11, "either", lambda m: m.slenderness < SLIVER_HEIGHT_RATIO and m.nearly
 )
 GRAZED = KnownDefect(
-    26,
-    "a triangle at grazing incidence",
-    12,
-    "either",
-    lambda m: m.cosine < GRAZING_COSINE and m.nearly,
+    26, "a triangle at grazing incidence", 12, "either", lambda m: m.cosine < GRAZING_COSINE and m.nearly
 )
 SMALL_AND_FAR = KnownDefect(
-    35,
-    "a triangle that is small and far away",
-    18,
-    "either",
-    lambda m: m.distance > FAR_IN_SIZES and m.nearly,
+    35, "a triangle that is small and far away", 18, "either", lambda m: m.distance > FAR_IN_SIZES and m.nearly
 )
 FAR_FROM_ORIGIN = KnownDefect(
-    34,
-    "a triangle far from the origin",
-    20,
-    "either",
-    lambda m: m.offset > FAR_IN_SIZES and m.nearly,
+    34, "a triangle far from the origin", 20, "either", lambda m: m.offset > FAR_IN_SIZES and m.nearly
 )
 
 TRIANGLES = PrimitiveReference(
@@ -241,9 +219,7 @@ def expected_mesh(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
     if smooth and given.normals is not None:
         yield ExpectedNumbers("normals", part.normals, *transformed_normals(shape.matrix, given.normals))
     elif smooth:
-        yield ExpectedNumbers(
-            "generated normals", part.normals, *angle_weighted_normals(part.vertices, part.faces)
-        )
+        yield ExpectedNumbers("generated normals", part.normals, *angle_weighted_normals(part.vertices, part.faces))
 
 
 def expected_triangle(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
@@ -353,12 +329,7 @@ RECTANGLE = triangle_mesh_reference(
     expected_rectangle_uv,
 )
 CUBE = triangle_mesh_reference(
-    Cube,
-    no_fields,
-    expected_cube,
-    frozenset({"flat", "mesh"}),
-    {"cube": unit_shape_importer("cube")},
-    expected_cube_uv,
+    Cube, no_fields, expected_cube, frozenset({"flat", "mesh"}), {"cube": unit_shape_importer("cube")}, expected_cube_uv
 )
 ICOSPHERE = triangle_mesh_reference(Icosphere, random_icosphere, closed_form=expected_icosphere)
 TORUS = triangle_mesh_reference(Torus, random_torus, closed_form=expected_torus)

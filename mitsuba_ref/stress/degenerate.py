@@ -36,10 +36,7 @@ def grazing_rays(rng: Rng, angle: float, axes: np.ndarray, center: np.ndarray, n
     """Rays to points of the plane through `center` that axes[0], axes[1] span, at an angle to it."""
     aim = center + rng.uniform(-AIM_HALF_SIDES, AIM_HALF_SIDES, (number, 2)) @ axes[:2]
     n = np.tile(axes[2] / np.linalg.norm(axes[2]), (number, 1))
-    back = (
-        np.cos(angle) * random_perpendicular(rng, n)
-        + rng.choice([-1.0, 1.0], (number, 1)) * np.sin(angle) * n
-    )
+    back = np.cos(angle) * random_perpendicular(rng, n) + rng.choice([-1.0, 1.0], (number, 1)) * np.sin(angle) * n
     return towards(aim + EYE_DISTANCE * back, aim)
 
 
@@ -67,9 +64,7 @@ def grazing_disk(rng: Rng, angle: float, count: int) -> Setting:
 
     axes = part.to_world[0].T
     return Setting(
-        angle,
-        scene,
-        *select_rays(lambda number: grazing_rays(rng, angle, axes, part.center[0], number), hits, count),
+        angle, scene, *select_rays(lambda number: grazing_rays(rng, angle, axes, part.center[0], number), hits, count)
     )
 
 
@@ -112,14 +107,7 @@ def sliver_triangle(rng: Rng, aspect: float, count: int) -> Setting:
     return Setting(aspect, scene, *select_rays(candidates, hits, count))
 
 
-SLIVER = Family(
-    "sliver",
-    "how thin a triangle is",
-    "height over base",
-    ASPECTS,
-    ASPECTS[-1],
-    sliver_triangle,
-)
+SLIVER = Family("sliver", "how thin a triangle is", "height over base", ASPECTS, ASPECTS[-1], sliver_triangle)
 
 
 TANGENCY_GAPS = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
@@ -168,9 +156,7 @@ def along_cylinder(rng: Rng, angle: float, count: int) -> Setting:
 
     def candidates(number: int) -> Rays:
         turned = rng.uniform(0.0, 2.0 * np.pi, number)
-        height = np.where(
-            rng.random(number) < 0.6, rng.uniform(0.05, 0.5, number), rng.uniform(0.7, 0.95, number)
-        )
+        height = np.where(rng.random(number) < 0.6, rng.uniform(0.05, 0.5, number), rng.uniform(0.7, 0.95, number))
         start = np.column_stack([*rng.uniform(-0.3, 0.3, (2, number)), height])
         lean = np.column_stack([np.cos(turned), np.sin(turned), np.full(number, 1.0 / LENGTH_TIMES_ANGLE)])
         matrix = part.to_world[0].T

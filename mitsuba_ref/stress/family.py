@@ -181,9 +181,7 @@ def icosphere_scene(rng: Rng, radius: float, center: np.ndarray) -> Scene:
     return scene_of(Icosphere(subdivisions=1, face_normals=True, to_world=place))
 
 
-def setting_around(
-    rng: Rng, x: float, scene: Scene, view: tuple[np.ndarray, float, float], count: int
-) -> Setting:
+def setting_around(rng: Rng, x: float, scene: Scene, view: tuple[np.ndarray, float, float], count: int) -> Setting:
     """Rays from all directions to a sphere, view = (its centre, its radius, distance of the origins)."""
     center, radius, distance = view
     part = part_of(scene)

@@ -102,9 +102,7 @@ DISTANCES = (1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8)
 
 
 def distant_triangle(rng: Rng, distance: float, count: int) -> Setting:
-    corners = np.array([[1.0, 0.1, 0.0], [-0.6, 0.8, 0.1], [-0.4, -0.9, -0.1]]) + rng.normal(
-        scale=0.1, size=(3, 3)
-    )
+    corners = np.array([[1.0, 0.1, 0.0], [-0.6, 0.8, 0.1], [-0.4, -0.9, -0.1]]) + rng.normal(scale=0.1, size=(3, 3))
     scene = scene_of(Triangle(vertices=corners))
     part = part_of(scene)
     n = unit_normal(corners)
@@ -129,12 +127,7 @@ DISTANCE_TRIANGLE = Family(
     distant_triangle,
 )
 DISTANCE_SPHERE = Family(
-    "distance-sphere",
-    "how far rays come to a sphere",
-    "distance over radius",
-    DISTANCES,
-    DISTANCES[0],
-    distant_sphere,
+    "distance-sphere", "how far rays come to a sphere", "distance over radius", DISTANCES, DISTANCES[0], distant_sphere
 )
 
 
@@ -158,12 +151,8 @@ def sphere_by_length(rng: Rng, length: float, count: int) -> Setting:
     return with_length(setting_around(rng, length, scene, (center, 1.0, EYE_DISTANCE), count), length)
 
 
-LENGTH_MESH = Family(
-    "length-mesh", "how long d is, at triangles", "length of d", LENGTHS, 1.0, mesh_by_length
-)
-LENGTH_SPHERE = Family(
-    "length-sphere", "how long d is, at a sphere", "length of d", LENGTHS, 1.0, sphere_by_length
-)
+LENGTH_MESH = Family("length-mesh", "how long d is, at triangles", "length of d", LENGTHS, 1.0, mesh_by_length)
+LENGTH_SPHERE = Family("length-sphere", "how long d is, at a sphere", "length of d", LENGTHS, 1.0, sphere_by_length)
 
 
 FOV_DEGREES = (1e-3, 1e-2, 1e-1, 1.0, 10.0, 45.0, 90.0, 120.0, 150.0, 170.0, 179.0, 179.9, 179.99)  # degrees

@@ -17,13 +17,7 @@ from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import intersections_at
 from mitsuba_ref.error_model.bracket import Bracket
 from mitsuba_ref.error_model.intersections import Intersections
-from mitsuba_ref.judge.adjudication import (
-    ExactHits,
-    PreparedScene,
-    claims_of,
-    prepare_scene,
-    ratios_of_any_tie,
-)
+from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, claims_of, prepare_scene, ratios_of_any_tie
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_requests
 from mitsuba_ref.reference.shared_input import SharedRays, export, shape_ids
@@ -163,9 +157,7 @@ def _observation(ready: PreparedSetting, answer: TraceResponse | Crash) -> Obser
         return Absent("crash", f"{answer.kind} ({answer.exit}) {answer.headline}".strip())
     place = {name: index for index, name in enumerate(shape_ids(ready.scene))}
     shapes = np.array([*(place.get(name, -1) for name in answer.names), -1])
-    return Observation(
-        answer.t.astype(np.float64), scene_prim_ids(ready.packed, shapes[answer.shape], answer.prim)
-    )
+    return Observation(answer.t.astype(np.float64), scene_prim_ids(ready.packed, shapes[answer.shape], answer.prim))
 
 
 # Scores of witnesses in one setting: wrong hits and misses, wrong primitives, errors of t.
@@ -242,9 +234,7 @@ def exact_answers(ready: PreparedSetting, reported_misses: np.ndarray) -> ExactA
     hit = np.ones(count, bool)
     hit[rows] = hits.hit
     if ready.setting.closed and not hit.all():
-        raise AssertionError(
-            f"ray {int(np.argmin(hit))} leaves a closed mesh from inside by exact arithmetic"
-        )
+        raise AssertionError(f"ray {int(np.argmin(hit))} leaves a closed mesh from inside by exact arithmetic")
     return ExactAnswers(hit, rows, hits)
 
 

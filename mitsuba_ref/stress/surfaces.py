@@ -37,9 +37,7 @@ GAPS = (0.0, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 
 def coincident_triangles(rng: Rng, gap: float, count: int) -> Setting:
     """A large triangle and its copy, moved along the normal; the copy is in front for half of the rays."""
-    corners = np.array([[1.0, 0.1, 0.2], [-0.6, 0.8, -0.3], [-0.4, -0.9, 0.1]]) + rng.normal(
-        scale=0.1, size=(3, 3)
-    )
+    corners = np.array([[1.0, 0.1, 0.2], [-0.6, 0.8, -0.3], [-0.4, -0.9, 0.1]]) + rng.normal(scale=0.1, size=(3, 3))
     n = unit_normal(corners)
     scene = scene_of(Triangle(vertices=corners), Triangle(vertices=corners + gap * n))
 
@@ -157,9 +155,7 @@ def watertight_setting(aim: PointSampler) -> Callable[[Rng, float, int], Setting
         """`count` rays from as many eyes as that takes."""
         move = offset * random_directions(rng, 1)[0]
         scene = scene_of(
-            Icosphere(
-                subdivisions=SUBDIVISIONS, face_normals=True, to_world=[random_turn(rng), {"translate": move}]
-            )
+            Icosphere(subdivisions=SUBDIVISIONS, face_normals=True, to_world=[random_turn(rng), {"translate": move}])
         )
         part = part_of(scene)
         check_closed(part.faces)
@@ -174,9 +170,7 @@ def watertight_setting(aim: PointSampler) -> Callable[[Rng, float, int], Setting
             origins.append(np.tile(eye, (len(d), 1)))
             aimed.append(d)
             done += len(d)
-        return Setting(
-            offset, scene, np.concatenate(origins), np.concatenate(aimed), camera_rays=found, closed=True
-        )
+        return Setting(offset, scene, np.concatenate(origins), np.concatenate(aimed), camera_rays=found, closed=True)
 
     return make
 
@@ -212,9 +206,7 @@ def project_to_pixels(camera: Pinhole, d: np.ndarray) -> tuple[np.ndarray, np.nd
     with np.errstate(all="ignore"):
         x = np.floor(0.5 * (1.0 + d @ right / depth) * CUBE_MAP_SIDE)
         y = np.floor(0.5 * (1.0 - d @ up / depth) * CUBE_MAP_SIDE)
-    inside = np.flatnonzero(
-        (depth > 0.0) & (x >= 0.0) & (x < CUBE_MAP_SIDE) & (y >= 0.0) & (y < CUBE_MAP_SIDE)
-    )
+    inside = np.flatnonzero((depth > 0.0) & (x >= 0.0) & (x < CUBE_MAP_SIDE) & (y >= 0.0) & (y < CUBE_MAP_SIDE))
     pixels, first = np.unique((y[inside] * CUBE_MAP_SIDE + x[inside]).astype(int), return_index=True)
     order = np.argsort(first)
     return inside[first[order]], pixels[order]

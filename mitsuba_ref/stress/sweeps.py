@@ -109,9 +109,7 @@ class SweepResult:
         """Why the sweep fails, in lines."""
         if self.declined:
             return [f"{self.name}: the candidate declined every setting: {self.declined}"]
-        return [
-            line for setting in self.settings for line in (*self._vacuous(setting), *self._faults(setting))
-        ]
+        return [line for setting in self.settings for line in (*self._vacuous(setting), *self._faults(setting))]
 
     def _vacuous(self, setting: SettingResult) -> Iterator[str]:
         counts = {"hits": setting.exact.hits} | ({"misses": setting.exact.misses} if self.misses else {})
@@ -165,18 +163,14 @@ class StressRun:
     versions: Mapping[str, str]
     requested: tuple[str, ...]
     families: tuple[SweepResult, ...]
-    skip_unsupported: bool = (
-        False  # families that the candidate declined do not fail the run, others being judged
-    )
+    skip_unsupported: bool = False  # families that the candidate declined do not fail the run, others being judged
     format: int = JSON_FORMAT
 
     @computed_field  # type: ignore[prop-decorator]
     @property
     def ok(self) -> bool:
         judged = [sweep for sweep in self.families if not (self.skip_unsupported and sweep.declined)]
-        return (
-            all(sweep.ok for sweep in judged) and bool(judged) and len(self.families) == len(self.requested)
-        )
+        return all(sweep.ok for sweep in judged) and bool(judged) and len(self.families) == len(self.requested)
 
 
 def sweep(
@@ -196,9 +190,7 @@ def sweep(
     if candidate and (declined := declined_words(candidate, settings)):
         return SweepResult.of(family, (), time.perf_counter() - start, declined)
     results = []
-    for i, (ready, observations) in enumerate(
-        zip(settings, observe(settings, on_progress, candidate), strict=True)
-    ):
+    for i, (ready, observations) in enumerate(zip(settings, observe(settings, on_progress, candidate), strict=True)):
         on_progress(f"exact answers {i + 1}/{len(settings)}")
         results.append(score_setting(ready, observations))
     return SweepResult.of(family, results, time.perf_counter() - start)
@@ -224,9 +216,7 @@ def observe(
     try:
         with ScratchFolder() as folder:
             submitted = {
-                witness.key: pool.submit(
-                    score.trace_by_reference, witness, settings, Path(folder) / witness.key
-                )
+                witness.key: pool.submit(score.trace_by_reference, witness, settings, Path(folder) / witness.key)
                 for witness in references
             }
             own: list[Observations] = []
@@ -252,9 +242,7 @@ def score_setting(ready: PreparedSetting, observations: Observations) -> Setting
     exact = exact_answers(ready, np.any(missed, axis=0))
     scorer = Scorer(ready, exact)
     scores = {
-        key: scorer.score_candidate(found)
-        if isinstance(found, Answer)
-        else scorer.score(found, ours=key in OUR_KEYS)
+        key: scorer.score_candidate(found) if isinstance(found, Answer) else scorer.score(found, ours=key in OUR_KEYS)
         for key, found in observations.items()
     }
     hits, count = int(exact.hit.sum()), len(ready.o)

@@ -53,9 +53,7 @@ from mitsuba_ref.subjects.subject import (
 SCENE_PLACEHOLDERS = ("xml", "toml")
 PLACEHOLDERS = (*SCENE_PLACEHOLDERS, "exr", "width", "height")
 RAY_PLACEHOLDERS = ("rays", "rays.raw", "hits", "hits.raw", "mesh", "mesh.raw", "scene")
-OWN_CAMERA_NOTE = (
-    "its rays are its own camera's, and it is allowed what rounding to float32 may do to those, too"
-)
+OWN_CAMERA_NOTE = "its rays are its own camera's, and it is allowed what rounding to float32 may do to those, too"
 ESCAPE_BRACES_HINT = "a brace that is meant is written twice"
 
 UNSUPPORTED_CODE = 77  # exit code of a program that declines a scene, as of a skipped test in Automake
@@ -79,9 +77,7 @@ def split_command(text: str, placeholders: Sequence[str]) -> tuple[tuple[str, ..
         raise SceneError(f"--candidate {text!r}: {error}; {ESCAPE_BRACES_HINT}") from error
     for _, name, form, conversion in fields:
         if form or conversion:
-            raise SceneError(
-                f"--candidate {text!r}: {{{name}}} is a name and nothing behind it; {ESCAPE_BRACES_HINT}"
-            )
+            raise SceneError(f"--candidate {text!r}: {{{name}}} is a name and nothing behind it; {ESCAPE_BRACES_HINT}")
     named = {name for _, name, _, _ in fields if name is not None}
     if unknown := named - set(placeholders):
         known = ", ".join(f"{{{name}}}" for name in placeholders)
@@ -134,9 +130,7 @@ class CommandSubject:
         camera = request.scene.camera
         exported = export(request.scene, request.model)
         if "<sensor" not in exported.xml:
-            raise Unsupported(
-                f"Mitsuba has no {camera.type} camera, so the XML has none; read {{toml}} for this scene"
-            )
+            raise Unsupported(f"Mitsuba has no {camera.type} camera, so the XML has none; read {{toml}} for this scene")
         return exported.write(request.folder)
 
     def _picture(self, path: Path, request: CastRequest) -> Exr:
@@ -206,9 +200,7 @@ def answer_from_positions(exr: Exr, request: CastRequest, *, precision: str | No
     A position farther beside its ray than rounding allows is no answer: that of the camera, of o + t d or of
     barycentric coordinates, K times each, and of the file.
     """
-    n = _normals(
-        exr.channels, (*POSITION, MASK), "the position of what is hit, and what A has to mark as hit"
-    )
+    n = _normals(exr.channels, (*POSITION, MASK), "the position of what is hit, and what A has to mark as hit")
     precision = precision or FLOAT32
     o, d = request.rays.o.astype(np.float64), request.rays.d.astype(np.float64)
     p = np.stack([exr.channels[name].ravel() for name in POSITION], axis=1).astype(np.float64)
@@ -352,9 +344,7 @@ def raw_hits(data: bytes, count: int, precision: str | None, where: str) -> dict
     return hit_columns(np.frombuffer(data, f"<f{size}").reshape(count, columns), where)
 
 
-def answer_of_rows(
-    hits: dict[str, np.ndarray], request: CastRequest, of: "RayCommand | ServedCommand"
-) -> Answer:
+def answer_of_rows(hits: dict[str, np.ndarray], request: CastRequest, of: "RayCommand | ServedCommand") -> Answer:
     """The answer to a request from the hits of its rays; prim is numbered through all triangles. Raises NoAnswer."""
     there = request.rays.t_max >= 0.0
     prim = hits.pop("prim_id", None)
@@ -424,9 +414,7 @@ class ServedCommand:
             raise NoAnswer(f"the program gave no answer to read: {error}") from error
         except ProcessEnded as ended:
             raise_if_failed(ended.end, self.seconds)
-            raise NoAnswer(
-                f"the program ended before its response was whole{_output_tail(ended.end.output)}"
-            ) from None
+            raise NoAnswer(f"the program ended before its response was whole{_output_tail(ended.end.output)}") from None
 
 
 def length_first(data: bytes) -> bytes:
@@ -440,9 +428,7 @@ def write_mesh(path: Path, packed: Packed) -> ArrayPath:
     Raises NoAnswer for a scene with other primitives.
     """
     if others := {type(part).__name__ for part in packed.parts if not hasattr(part, "faces")}:
-        raise Unsupported(
-            f"{{mesh}}: the scene has {', '.join(sorted(others))} beside triangles; read {{scene}}"
-        )
+        raise Unsupported(f"{{mesh}}: the scene has {', '.join(sorted(others))} beside triangles; read {{scene}}")
     first = np.cumsum([0, *(len(part.vertices) for part in packed.parts)])
     vertices = np.concatenate([part.vertices for part in packed.parts]).astype("<f4")
     numbers = [part.faces + start for part, start in zip(packed.parts, first, strict=False)]

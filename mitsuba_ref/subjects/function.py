@@ -51,9 +51,7 @@ def import_function(text: str, precision: str | None = None) -> "FunctionSubject
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # SystemExit, too, which would end the program with its own exit code
-        raise SceneError(
-            f"--candidate {text}: cannot import {module}: {_exception_with_calls(error)}"
-        ) from error
+        raise SceneError(f"--candidate {text}: cannot import {module}: {_exception_with_calls(error)}") from error
     for name in path.split("."):
         if not hasattr(found, name):
             raise SceneError(f"--candidate {text}: {module} has no '{path}'")
@@ -63,9 +61,7 @@ def import_function(text: str, precision: str | None = None) -> "FunctionSubject
     return function_subject(found, text, precision)
 
 
-def function_subject(
-    call: Callable[..., Any], name: str = "", precision: str | None = None
-) -> "FunctionSubject":
+def function_subject(call: Callable[..., Any], name: str = "", precision: str | None = None) -> "FunctionSubject":
     """A function as a candidate; its attribute `precision` counts where none is given. Raises SceneError."""
     name = name or getattr(call, "__name__", type(call).__name__)
     declared = precision or getattr(call, "precision", None)
@@ -126,9 +122,7 @@ def _pair(returned: Any) -> tuple[Any, Any]:
     """(t, n). Raises NoAnswer."""
     if inspect.iscoroutine(returned):
         returned.close()
-        raise NoAnswer(
-            "expected two arrays (t, n), got a coroutine; a plain function is called, no async one"
-        )
+        raise NoAnswer("expected two arrays (t, n), got a coroutine; a plain function is called, no async one")
     if not isinstance(returned, tuple | list) or len(returned) != 2:
         raise NoAnswer(f"expected two arrays (t, n), got {_type_text(returned)}")
     t, n = returned
@@ -152,14 +146,9 @@ def _scatter_answer(some: Answer, there: np.ndarray, t_max: np.ndarray) -> Answe
 
 def _exception_with_calls(error: BaseException) -> str:
     """The exception, and the last calls that led there."""
-    calls = [
-        call
-        for call in traceback.extract_tb(error.__traceback__)
-        if not call.filename.startswith(HIDDEN_FRAMES)
-    ]
+    calls = [call for call in traceback.extract_tb(error.__traceback__) if not call.filename.startswith(HIDDEN_FRAMES)]
     where = "".join(
-        f"\n  {call.filename}:{call.lineno}, in {call.name}: {call.line}"
-        for call in calls[-MAX_TRACEBACK_FRAMES:]
+        f"\n  {call.filename}:{call.lineno}, in {call.name}: {call.line}" for call in calls[-MAX_TRACEBACK_FRAMES:]
     )
     return f"{type(error).__name__}: {exception_text(error)}{where}"
 

@@ -136,9 +136,7 @@ def read_rays(path: str | Path) -> RayList:
 def checked_rays(rows: np.ndarray, where: str, width: int = 0) -> RayList:
     """Rays that can be traced. Raises SceneError that names the first which cannot."""
     if rows.ndim != 2 or rows.shape[1] != COLUMNS:
-        raise SceneError(
-            f"{where}: expected rays of shape (n, {COLUMNS}): o, d, t_min, t_max; got {rows.shape}"
-        )
+        raise SceneError(f"{where}: expected rays of shape (n, {COLUMNS}): o, d, t_min, t_max; got {rows.shape}")
     native = rows.dtype.newbyteorder("=")
     if native not in (np.float32, np.float64):
         raise SceneError(f"{where}: expected float32 or float64 rays, got {rows.dtype}")
@@ -160,9 +158,7 @@ def checked_rays(rows: np.ndarray, where: str, width: int = 0) -> RayList:
     shifted = line[:, :3].astype(np.float64) + limits[:, :1].astype(np.float64) * line[:, 3:]
     if not (ok := (np.abs(shifted) <= np.finfo(np.float32).max).all(axis=1)).all():
         i = int(np.argmin(ok))
-        raise SceneError(
-            f"{where}: rays[{i}]: its start o + t_min d lies beyond float32, in which Mitsuba traces"
-        )
+        raise SceneError(f"{where}: rays[{i}]: its start o + t_min d lies beyond float32, in which Mitsuba traces")
     return RayList(rows, width if 0 < width <= MAX_FILM_SIDE else 0)
 
 
@@ -228,9 +224,7 @@ def hit_columns(rows: np.ndarray, where: str) -> dict[str, np.ndarray]:
         found["n"] = rows[:, 1:4]
     if rows.shape[1] == 5:
         whole = np.isfinite(rows[:, 4]) & (np.abs(rows[:, 4]) < 2.0**31)
-        found["prim_id"] = np.where(whole & (rows[:, 4] == np.floor(rows[:, 4])), rows[:, 4], -2).astype(
-            np.int64
-        )
+        found["prim_id"] = np.where(whole & (rows[:, 4] == np.floor(rows[:, 4])), rows[:, 4], -2).astype(np.int64)
     return found
 
 

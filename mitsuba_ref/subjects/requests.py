@@ -125,9 +125,7 @@ def parse_candidate(
     if "{rays" in text or "{hits" in text:
         words, named = split_command(text, RAY_PLACEHOLDERS)
         if not named & {"rays", "rays.raw"} or not named & {"hits", "hits.raw"}:
-            raise SceneError(
-                f"--candidate {text!r}: expected {{rays}}, the file to read, and {{hits}}, that to write"
-            )
+            raise SceneError(f"--candidate {text!r}: expected {{rays}}, the file to read, and {{hits}}, that to write")
         return RayCommand(text, words, named, precision, seconds)
     if any(f"{{{name}}}" in text for name in PLACEHOLDERS):
         return command_of(text, precision, seconds)

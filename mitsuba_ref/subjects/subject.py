@@ -76,9 +76,7 @@ class Answer:
         broken = {why: found[rows] for why, found in self.broken.items() if found[rows].any()}
         names = ("n", "prim", "shape_id", "prim_id")
         given = {name: getattr(self, name) for name in names}
-        some: dict[str, Any] = {
-            name: None if values is None else values[rows] for name, values in given.items()
-        }
+        some: dict[str, Any] = {name: None if values is None else values[rows] for name, values in given.items()}
         return replace(self, t=self.t[rows], broken=broken, t_rounding=t_rounding, images=None, **some)
 
     @property
@@ -108,9 +106,7 @@ def checked_answer(t: Any, n: Any, count: int, *, precision: str | None = None, 
         broken[NOT_FINITE] = hit & ~whole
         broken["the normal has no length on a hit"] = hit & whole & ~fine
         n = _directions(np.where(fine[:, None], n, 0.0))
-    return Answer(
-        t, n, precision, {why: rows for why, rows in broken.items() if rows.any()}, hints=hints, **more
-    )
+    return Answer(t, n, precision, {why: rows for why, rows in broken.items() if rows.any()}, hints=hints, **more)
 
 
 def _directions(n: np.ndarray) -> np.ndarray:
@@ -135,9 +131,7 @@ def _floats(name: str, values: Any, shape: tuple[int, ...], nothing: float) -> n
         a = np.asarray(values)
     except KeyboardInterrupt:
         raise
-    except (
-        BaseException
-    ) as error:  # whatever a foreign array type raises; SystemExit would end the run with a 0
+    except BaseException as error:  # whatever a foreign array type raises; SystemExit would end the run with a 0
         raise NoAnswer(f"{name} is no array: {type(error).__name__}: {exception_text(error)}") from error
     if a.dtype == object and not a.shape:
         raise NoAnswer(f"{name}: expected an array of {expected}, got {type(values).__name__}")
@@ -310,9 +304,7 @@ def cast_ours(scene: Scene, rays: SharedRays) -> RayHits:
     return trace(scene, rays.o, rays.d, rays.t_max, rays.start, rounded=as_float32)
 
 
-def answer_of_view(
-    scene: Scene, view: RayHits, aovs: Sequence[str] = (*COMPARED_AOVS, *DERIVED_AOVS)
-) -> Answer:
+def answer_of_view(scene: Scene, view: RayHits, aovs: Sequence[str] = (*COMPARED_AOVS, *DERIVED_AOVS)) -> Answer:
     """The answer to the rays of a view, one a pixel of the film's window."""
     images = evaluate(view, aovs, film_window(scene))
     nearest = view.nearest

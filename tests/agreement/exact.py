@@ -109,9 +109,7 @@ def disk(prims: Any, k: int, o: Any, d: Any) -> Answer:
     beyond = p[0] * p[0] + p[1] * p[1] - 1
     hit = t > 0 and beyond <= 0
     condition_of_t = float(loss / (abs(t) * norm(e))) if t else 1.0
-    return Answer(
-        t if hit else None, condition_of_t, float(min(abs(beyond) / (loss + 1), abs(f[2]) / norm(f)))
-    )
+    return Answer(t if hit else None, condition_of_t, float(min(abs(beyond) / (loss + 1), abs(f[2]) / norm(f))))
 
 
 def roots(f: Any, e: Any) -> list[Decimal]:

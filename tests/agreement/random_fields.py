@@ -102,14 +102,9 @@ FIELDS: dict[str, Draw] = {
 GROUPS: dict[str, tuple[set[str], Draw]] = {
     "plane": (
         {"point", "offset"},
-        lambda rng, size: (
-            {"point": point(rng, size)} if rng.random() < 0.5 else {"offset": rng.normal() * size}
-        ),
+        lambda rng, size: {"point": point(rng, size)} if rng.random() < 0.5 else {"offset": rng.normal() * size},
     ),
-    "spheres": (
-        {"file", "centers", "radii", "radius"},
-        lambda rng, size: some_spheres(rng, size),
-    ),
+    "spheres": ({"file", "centers", "radii", "radius"}, lambda rng, size: some_spheres(rng, size)),
 }
 
 

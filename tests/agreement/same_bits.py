@@ -17,9 +17,7 @@ def assert_same_bits(expected: Arrays, got: Arrays, what: str) -> None:
     assert expected.keys() == got.keys(), f"{what}: {sorted(expected)} against {sorted(got)}"
     for name, a in expected.items():
         b = got[name]
-        assert (a.shape, a.dtype) == (b.shape, b.dtype), (
-            f"{what}: {name}: {a.shape} {a.dtype}, {b.shape} {b.dtype}"
-        )
+        assert (a.shape, a.dtype) == (b.shape, b.dtype), f"{what}: {name}: {a.shape} {a.dtype}, {b.shape} {b.dtype}"
         differ = np.argwhere(bits(a) != bits(b))
         if len(differ):
             at = tuple(int(i) for i in differ[0])

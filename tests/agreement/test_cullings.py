@@ -75,9 +75,7 @@ def test_every_culling_gives_numbers_of_the_type_that_is_requested():
     """Rounded once, at the end; ids stay what they are."""
     scene, names = random_scene(np.random.default_rng(6), [Sphere], Pinhole), ("depth", "normal", "shape_id")
     images = render(scene, names)
-    expected = {name: images[name].astype(np.float32) for name in names[:2]} | {
-        "shape_id": images["shape_id"]
-    }
+    expected = {name: images[name].astype(np.float32) for name in names[:2]} | {"shape_id": images["shape_id"]}
     for culling in ("brute-force", *cullings_for(scene)):
         found = render(scene, names, culling=culling, dtype=np.float32)
         assert_same_bits(expected, found, f"float32, {culling}")
@@ -118,9 +116,7 @@ FILM = {"width": 32, "height": 24}
         # Every centre of a pixel is a corner of six triangles, or very near to one.
         *(
             (
-                Heightfield(
-                    size=2.0, resolution=64, amplitude=0.2, to_world=[{"translate": (aside, 0.0, 0.0)}]
-                ),
+                Heightfield(size=2.0, resolution=64, amplitude=0.2, to_world=[{"translate": (aside, 0.0, 0.0)}]),
                 Orthographic(eye=(0.0, 0.0, 5.0), direction=(0.0, 0.0, -1.0), up=(0.0, 1.0, 0.0), width=2.0),
             )
             for aside in (0.0, 2.0**-50, -(2.0**-50), 1e-4, 2.0**-10 / 16.0)

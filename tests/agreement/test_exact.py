@@ -77,9 +77,7 @@ def test_intersect_agrees_with_exact_arithmetic(shape):
         assert worst <= T_ULPS
         total += hits, misses, close
         kinds.add(type(packed.parts[0]))
-    assert total[0] >= 50 and total[1] >= 15 and total[2] <= total.sum() // 10, (
-        f"{total} hits, misses, too close"
-    )
+    assert total[0] >= 50 and total[1] >= 15 and total[2] <= total.sum() // 10, f"{total} hits, misses, too close"
     assert kinds == {type(random_shape(shape, rng).pack(as_given)) for _ in range(30)}, "a kind was left out"
 
 
@@ -106,9 +104,7 @@ def test_the_far_root_is_hit_from_inside():
     outwards = rng.normal(size=(200, 3))
     outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
     depth = 10.0 ** rng.uniform(-8.0, 0.0, (200, 1))  # below the surface, in radii
-    hits, misses, worst, _ = compare(
-        ball(center, radius), center + radius * (1.0 - depth) * outwards, outwards
-    )
+    hits, misses, worst, _ = compare(ball(center, radius), center + radius * (1.0 - depth) * outwards, outwards)
     assert hits >= 190 and misses == 0
     assert worst <= T_ULPS
 
@@ -116,9 +112,7 @@ def test_the_far_root_is_hit_from_inside():
 def test_a_tangent_touches_a_sphere_and_one_ulp_beyond_it_passes():
     x = np.array([1.0, np.nextafter(1.0, 0.0), np.nextafter(1.0, 2.0)])
     o = np.stack([x, np.zeros(3), np.full(3, -5.0)], axis=1)
-    ours = find_nearest(
-        ball((0, 0, 0), 1.0), validated_rays(o, np.tile([0.0, 0.0, 1.0], (3, 1)), 0.0, np.inf)
-    )
+    ours = find_nearest(ball((0, 0, 0), 1.0), validated_rays(o, np.tile([0.0, 0.0, 1.0], (3, 1)), 0.0, np.inf))
     half_chord = np.sqrt((1.0 - x[1]) * (1.0 + x[1]))
     assert ours.t[0] == 5.0
     assert abs(ours.t[1] - (5.0 - half_chord)) <= ULP * 5.0

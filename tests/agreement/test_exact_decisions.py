@@ -19,9 +19,7 @@ from caster.scene.model import Film, Scene
 from caster.shapes import SHAPES, Cube, Cylinder, Disk, Icosphere, Plane, Sphere, Triangle
 
 FEW = 12  # rays of a family whose every primitive is asked exactly
-SMALL = [
-    shape for shape in SHAPES if name(shape) in ("sphere", "plane", "triangle", "disk", "cube", "cylinder")
-]
+SMALL = [shape for shape in SHAPES if name(shape) in ("sphere", "plane", "triangle", "disk", "cube", "cylinder")]
 
 
 def obviously_nearest(packed: Packed, rays: Rays, i: int) -> int:
@@ -76,9 +74,7 @@ def test_without_the_exact_kernels_answers_are_wrong(monkeypatch):
     families = hard_rays(packed(corners), rng, 40)
     rays = [validated_rays(*families[name], 0.0, np.inf) for name in ("at_corners", "at_edge_midpoints")]
     assert sum(count_wrong(packed(corners), each) for each in rays) == 0
-    monkeypatch.setattr(
-        casting, "exact_nearest", lambda packed, rays, *_, **__: casting.no_hits(len(rays.t_min))
-    )
+    monkeypatch.setattr(casting, "exact_nearest", lambda packed, rays, *_, **__: casting.no_hits(len(rays.t_min)))
     assert sum(count_wrong(packed(corners), each) for each in rays) >= 20
 
 
@@ -87,9 +83,7 @@ def test_t_keeps_its_digits_where_scaled_rays_would_lose_them():
     least = float.fromhex("0x0.0000000000001p-1022")
     triangle = Triangle(vertices=((0.0, 0.0, 1.0), (0.0, -1.0, -1.0), (-least, 1.0, 0.0)))
     hits = cast(
-        Scene(shapes=[triangle], camera=Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0))),
-        [[0, 0, 0]],
-        [[-(2.0**-1022), 0, 0]],
+        Scene(shapes=[triangle], camera=Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0))), [[0, 0, 0]], [[-(2.0**-1022), 0, 0]]
     )
     assert hits.t[0] == float.fromhex("0x1.5555555555555p-54")
 
@@ -104,9 +98,7 @@ def test_many_candidates_take_turns_and_identical_ones_cost_nothing(monkeypatch)
     asked = []
     exactly = casting.nearest_of_candidates
     monkeypatch.setattr(casting, "MAX_LISTED_CANDIDATES", 3000)
-    monkeypatch.setattr(
-        casting, "nearest_of_candidates", lambda *args: asked.append(args[3]) or exactly(*args)
-    )
+    monkeypatch.setattr(casting, "nearest_of_candidates", lambda *args: asked.append(args[3]) or exactly(*args))
     hits = cast(scene, o, np.tile([0.0, 0.0, -1.0], (50, 1)))
     assert (hits.shape_id == np.where(np.arange(50) % 2, 0, -1)).all()
     sizes = {id(candidates): len(candidates) for candidates in asked}
@@ -128,9 +120,7 @@ def test_a_hit_nearer_than_the_smallest_float64_is_a_hit():
     """t is some 2^-1127: what bounds its error rounds to 0, and t, which is more than 0, to the least float64."""
     tiny = float.fromhex("0x0.0000000000002p-1022")
     corners = np.array([[8.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 1.0, -tiny]])
-    scene = Scene(
-        camera=Pinhole(eye=(0, 0, 9), look_at=(0, 0, 0), up=(0, 1, 0)), shapes=[Triangle(vertices=corners)]
-    )
+    scene = Scene(camera=Pinhole(eye=(0, 0, 9), look_at=(0, 0, 0), up=(0, 1, 0)), shapes=[Triangle(vertices=corners)])
     along = np.array([[8.0 * tiny, 0.0, -(2.0**53)], [8.0 * tiny, 0.0, 2.0**53]])
     hits = cast(scene, np.zeros((2, 3)), along)
     assert hits.shape_id.tolist() == [0, -1] and hits.t[0] == np.nextafter(0.0, 1.0)
@@ -171,9 +161,7 @@ def test_a_corner_nearer_than_the_inverse_of_the_largest_number_is_in_the_image(
     corners = [(0, 0, 1e-310), (1, 0, 1.1), (1, 0.5, 1)]
     eye = Pinhole(eye=(0, 0, 0), look_at=(0, 0, 1), up=(0, 1, 0), fov=90)
     scene = Scene(camera=eye, film=Film(width=32, height=32), shapes=[Triangle(vertices=corners)])
-    seen = [
-        (trace_film(scene, culling=culling).nearest.prim >= 0).sum() for culling in ("raster", "brute-force")
-    ]
+    seen = [(trace_film(scene, culling=culling).nearest.prim >= 0).sum() for culling in ("raster", "brute-force")]
     assert seen[0] == seen[1] > 50
 
 

@@ -62,12 +62,7 @@ FAULTS = (
         "self.builder.gep(data, [self.builder.add(at, at.type(1))])",
     ),
     Fault("the tail of a reduction dropped", "lane_max", "range(half, 2 * half)", "range(half)"),
-    Fault(
-        "least and largest swapped",
-        "lane_min",
-        'fcmp_ordered("<", a, b)',
-        'fcmp_ordered(">", a, b)',
-    ),
+    Fault("least and largest swapped", "lane_min", 'fcmp_ordered("<", a, b)', 'fcmp_ordered(">", a, b)'),
     Fault(
         "an equal sum does not reach",
         "any_sum_reaches",
@@ -75,12 +70,7 @@ FAULTS = (
         'ordered(">", total, vectors.all(arguments[3])',
     ),
     Fault("the last axis forgotten", "one ray", "for axis in (1, 2):", "for axis in (1,):"),
-    Fault(
-        "far sides unpadded",
-        "one ray",
-        "vectors.lesser(builder.fmul(leave, padding), ",
-        "vectors.lesser(leave, ",
-    ),
+    Fault("far sides unpadded", "one ray", "vectors.lesser(builder.fmul(leave, padding), ", "vectors.lesser(leave, "),
     Fault("an endless t stored", "several rays", "vectors.lesser(enter, latest)", "enter"),
     Fault(
         "rounded to float32",
@@ -92,17 +82,9 @@ FAULTS = (
     Fault("x twice", "gather_corners", "range(axis, 2 * self.lanes, 2)", "range(0, 2 * self.lanes, 2)"),
     Fault("y for z", "gather_corners", "builder.add(start, INT64(2))", "builder.add(start, INT64(1))"),
     Fault("one corner three times", "gather_corners", "builder.add(at, INT64(corner))", "at"),
+    Fault("corners one coordinate apart", "gather_corners", "INT64(3 * corner + axis)", "INT64(corner + axis)"),
     Fault(
-        "corners one coordinate apart",
-        "gather_corners",
-        "INT64(3 * corner + axis)",
-        "INT64(corner + axis)",
-    ),
-    Fault(
-        "the end in the range",
-        "lanes_in_range",
-        'fcmp_ordered("<", numbers, end)',
-        'fcmp_ordered("<=", numbers, end)',
+        "the end in the range", "lanes_in_range", 'fcmp_ordered("<", numbers, end)', 'fcmp_ordered("<=", numbers, end)'
     ),
     Fault(
         "the least out of the range",
@@ -112,12 +94,7 @@ FAULTS = (
     ),
     Fault("counted from 0", "numbers_in_range", "builder.fsub(numbers, least)", "numbers"),
     Fault("the highest bit for the lowest", "lowest_bit", "builder.cttz", "builder.ctlz"),
-    Fault(
-        "one array twice in a sum",
-        "lane_max_of_sums",
-        "builder.fadd(first, *more)",
-        "builder.fadd(first, first)",
-    ),
+    Fault("one array twice in a sum", "lane_max_of_sums", "builder.fadd(first, *more)", "builder.fadd(first, first)"),
 )
 QUICK = ("the first lane masked out", "the tail of a reduction dropped", "loaded one lane late")
 CHOSEN = [each for each in FAULTS if each.what in QUICK or os.environ.get("FAULTS") == "all"]
@@ -134,11 +111,7 @@ def edited(old: str = "", new: str = "", of: types.ModuleType = vector_intrinsic
     return module
 
 
-GIVEN = {
-    "lanes_in_range": a_range,
-    "numbers_in_range": a_range_and_lanes,
-    "gather_corners": some_faces,
-}
+GIVEN = {"lanes_in_range": a_range, "numbers_in_range": a_range_and_lanes, "gather_corners": some_faces}
 
 
 def differs(vectors: types.ModuleType, name: str) -> bool:
@@ -150,21 +123,14 @@ def differs(vectors: types.ModuleType, name: str) -> bool:
     if name in ("one ray", "several rays"):
         which = "intersect_boxes" if name == "one ray" else "intersect_boxes_packet"
         inner = made(getattr(vectors, which)(CHILDREN, numba.types, FAR_PADDING, LARGEST_T))
-        boxes_entered = numba.njit(error_model="numpy")(
-            lambda b, k, v, t, u, near: inner(b, k, v, t, u, near)
-        )
+        boxes_entered = numba.njit(error_model="numpy")(lambda b, k, v, t, u, near: inner(b, k, v, t, u, near))
         plain, view_of = getattr(simd, which), one_view if name == "one ray" else several_views
         for k in range(ROUNDS):
             boxes, view, node = some_boxes(rng), view_of(rng), int(rng.integers(5))
-            if (
-                which == "intersect_boxes" and k % 4 == 0
-            ):  # left half an ulp before it is entered: padding decides
+            if which == "intersect_boxes" and k % 4 == 0:  # left half an ulp before it is entered: padding decides
                 view = view._replace(inverse=(0.0,) * 3, enter=(1.0,) * 3, leave=(1.0 - 2.0**-53,) * 3)
             near, limits = np.zeros((2, CHILDREN)), (0.0, float(rng.choice([1.0, 10.0, np.inf])))
-            masks = (
-                boxes_entered(boxes, node, view, *limits, near[0]),
-                plain(boxes, node, view, *limits, near[1]),
-            )
+            masks = (boxes_entered(boxes, node, view, *limits, near[0]), plain(boxes, node, view, *limits, near[1]))
             if masks[0] != masks[1] or near[0].tobytes() != near[1].tobytes():
                 return True
         return False
@@ -209,9 +175,7 @@ def test_without_a_fault_nothing_differs(name):
 
 
 def test_every_edit_fits_the_source_of_today():
-    assert len({fault.what for fault in FAULTS}) == len(FAULTS) >= 6 and set(QUICK) <= {
-        f.what for f in FAULTS
-    }
+    assert len({fault.what for fault in FAULTS}) == len(FAULTS) >= 6 and set(QUICK) <= {f.what for f in FAULTS}
     for fault in FAULTS:
         edited(fault.old, fault.new)
 
@@ -312,9 +276,7 @@ TILE_FAULTS = (
     ),
 )
 QUICK_OF_TILES = ("a partial vector at the right border left out", "a lane that is no number is nearer")
-CHOSEN_OF_TILES = [
-    each for each in TILE_FAULTS if each.what in QUICK_OF_TILES or os.environ.get("FAULTS") == "all"
-]
+CHOSEN_OF_TILES = [each for each in TILE_FAULTS if each.what in QUICK_OF_TILES or os.environ.get("FAULTS") == "all"]
 
 
 def some_tile(rng: np.random.Generator) -> np.ndarray:
@@ -365,9 +327,7 @@ def _agrees(compiled: Callable[..., Any], name: str, rng: np.random.Generator) -
         tile[int(tiles.SCRATCH) :] = 1e9  # of an earlier tile
         return bool(compiled(tile, box) == reach.max())
     if name == "min_t_per_depth":
-        ahead = (
-            field_of(tile, tiles.DX) * 0.5 + field_of(tile, tiles.DY) * 0.25 + field_of(tile, tiles.DZ) * 2.0
-        )
+        ahead = field_of(tile, tiles.DX) * 0.5 + field_of(tile, tiles.DY) * 0.25 + field_of(tile, tiles.DZ) * 2.0
         return bool(compiled(tile, box, (0.5, 0.25, 2.0)) == 1.0 / ahead[seen].max())
     if name == "bounds_in_tile":
         pixels = np.array([[1000 + x0, 500 + y0, 1000 + x1, 500 + y1]])
@@ -381,9 +341,7 @@ def _agrees(compiled: Callable[..., Any], name: str, rng: np.random.Generator) -
         return bool(compiled(tile, rect, float(part.max())) and not compiled(tile, rect, float(above)))
     if name == "packet_bounds":
         first = LANES * int(rng.integers(tiles.PIXELS // LANES))
-        parts = [
-            field_of(tile, field).ravel()[first : first + LANES] for field in (tiles.DX, tiles.DY, tiles.DZ)
-        ]
+        parts = [field_of(tile, field).ravel()[first : first + LANES] for field in (tiles.DX, tiles.DY, tiles.DZ)]
         return bool(compiled(tile, first) == (tuple(p.min() for p in parts), tuple(p.max() for p in parts)))
     return _folds_like_numpy(compiled, tile, rng)
 
@@ -404,9 +362,7 @@ def _folds_like_numpy(fold: Callable[..., Any], tile: np.ndarray, rng: np.random
     margin = before[1, :LANES] + error
     nearer, unclear = number & (ahead > margin), number & (np.abs(ahead) <= margin)
     expected = before.copy()
-    for row, new, which in zip(
-        expected, (t, error, 7.0, 1.0), (nearer, nearer, nearer, unclear), strict=True
-    ):
+    for row, new, which in zip(expected, (t, error, 7.0, 1.0), (nearer, nearer, nearer, unclear), strict=True):
         row[:LANES] = np.where(which, new, row[:LANES])
     after = np.stack([field_of(tile, name).ravel()[: LANES + 1] for name in names])
     return after.tobytes() == expected.tobytes()

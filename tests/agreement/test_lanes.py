@@ -84,9 +84,7 @@ def one_view(rng):
 def several_views(rng):
     one, most = one_view(rng), tuple(rng.normal(size=3).tolist())
     enter = tuple(-np.inf if rng.random() < 0.1 else x for x in one.enter)
-    return PacketBoxSetup(
-        one.near, one.far, one.inverse, most, enter, one.leave, 2.0 ** int(rng.integers(-3, 4))
-    )
+    return PacketBoxSetup(one.near, one.far, one.inverse, most, enter, one.leave, 2.0 ** int(rng.integers(-3, 4)))
 
 
 @compiled_only
@@ -242,9 +240,7 @@ def test_aovs_of_single_fields_are_those_of_the_surfaces(fields, longest_run):
         surfaces_in_tile(prims, numbers, tile, box, buffer, False)
         for by_lanes in (False, True):
             images = [np.full((64, 128, 3) if name else (0, 0, 3), 7.0) for name in names]
-            out = tuple(
-                (kernel_of(name or "normal"), image) for name, image in zip(names, images, strict=True)
-            )
+            out = tuple((kernel_of(name or "normal"), image) for name, image in zip(names, images, strict=True))
             if by_lanes:
                 aovs_in_tile_by_lanes(prims, numbers, tile, box, new_lanes(), misses, out)
             else:

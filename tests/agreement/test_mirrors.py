@@ -22,9 +22,7 @@ MIRRORS = ((-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, -1.0, 1.
 
 
 def mirrored_scene(scene: Scene, mirror: np.ndarray) -> Scene:
-    shapes = [
-        shape.model_copy(update={"to_world": (*shape.to_world, {"scale": mirror})}) for shape in scene.shapes
-    ]
+    shapes = [shape.model_copy(update={"to_world": (*shape.to_world, {"scale": mirror})}) for shape in scene.shapes]
     return scene.model_copy(update={"shapes": shapes})
 
 
@@ -38,9 +36,7 @@ def what_is_cast(scene: Scene, o: np.ndarray, d: np.ndarray, mirror: np.ndarray)
 def count_hits_where_mirrors_agree(scene: Scene, mirror: np.ndarray, o: np.ndarray, d: np.ndarray) -> int:
     """How many rays hit; fails where the mirrored scene is not exactly that."""
     expected = what_is_cast(scene, o, d, np.ones(3))
-    assert_same_bits(
-        expected, what_is_cast(mirrored_scene(scene, mirror), o, d, mirror), f"mirrored by {mirror}"
-    )
+    assert_same_bits(expected, what_is_cast(mirrored_scene(scene, mirror), o, d, mirror), f"mirrored by {mirror}")
     return int((expected["shape"] >= 0).sum())
 
 

@@ -33,9 +33,7 @@ def plain(share: int, out: Path) -> dict[str, np.ndarray]:
 def test_numba_and_plain_python_give_the_same_bits(share, tmp_path):
     """A third of the cameras for each shape, both cullings among them, or all."""
     slow, compiled = plain(share, tmp_path / "plain.npz"), everything_cast(share)
-    assert compiled.pop("compiled") and not slow.pop("compiled"), (
-        "one of the two must be compiled, and one not"
-    )
+    assert compiled.pop("compiled") and not slow.pop("compiled"), "one of the two must be compiled, and one not"
     assert_same_bits(slow, compiled, "Numba against plain Python")
     hits = sum(int((array >= 0).sum()) for key, array in slow.items() if key.endswith(("prim", "prim_id")))
     assert hits >= 5000 / share

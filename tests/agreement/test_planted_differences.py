@@ -126,9 +126,6 @@ def test_a_new_field_without_random_values_is_named():
         mirrors: int = 2
 
     rng = np.random.default_rng(82)
-    for cls, message in (
-        (Cone, "cone: .* 'tip_angle': add a line"),
-        (Periscope, "periscope: .* 'mirrors': add"),
-    ):
+    for cls, message in ((Cone, "cone: .* 'tip_angle': add a line"), (Periscope, "periscope: .* 'mirrors': add")):
         with pytest.raises(AssertionError, match=message + r".*tests/agreement/random_fields\.py"):
             own_fields(cls, rng, 1.0)

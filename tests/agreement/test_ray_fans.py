@@ -69,9 +69,7 @@ def points(arrays, rng, size):
 def aims(arrays, rng, size):
     """Points to aim at: of hulls, and close beside them."""
     through = hull_points(arrays, rng, COUNT)
-    return through + size * rng.choice([0.0, 1e-15, 1e-9, 1e-3, 0.2], (COUNT, 1)) * rng.normal(
-        size=(COUNT, 3)
-    )
+    return through + size * rng.choice([0.0, 1e-15, 1e-9, 1e-3, 0.2], (COUNT, 1)) * rng.normal(size=(COUNT, 3))
 
 
 def from_point(o, arrays, rng, size):
@@ -200,9 +198,7 @@ def test_rays_in_order_past_everything_or_few_are_no_fans(monkeypatch):
     middle = hull_points(arrays, rng, 1)[0]
     eye = middle + np.array([0.0, 0.0, 6.0])
     x, y = np.meshgrid(np.linspace(-0.5, 0.5, 128), np.linspace(-0.5, 0.5, 128))
-    rows = validated_rays(
-        np.tile(eye, (x.size, 1)), np.stack([x, y, -np.ones_like(x)], -1).reshape(-1, 3), 0.0, np.inf
-    )
+    rows = validated_rays(np.tile(eye, (x.size, 1)), np.stack([x, y, -np.ones_like(x)], -1).reshape(-1, 3), 0.0, np.inf)
     mixed = Rays(*(a[rng.permutation(x.size)] for a in rows))
     mixed = mixed._replace(d=rows.d[rng.permutation(x.size)])
 
@@ -331,13 +327,7 @@ def test_no_rows_are_found_where_there_are_none():
     square = np.arange(len(rays.d)).reshape(120, 200)
     there_and_back = np.where(np.arange(120)[:, None] % 2, square[:, ::-1], square).ravel()
     uneven = np.delete(square.ravel(), [200 * 57 + 3])
-    for order in (
-        rng.permutation(square.ravel()),
-        there_and_back,
-        uneven,
-        square[:, :50].ravel(),
-        square[:2].ravel(),
-    ):
+    for order in (rng.permutation(square.ravel()), there_and_back, uneven, square[:, :50].ravel(), square[:2].ravel()):
         assert ray_fans.find_rows(Rays(*(a[order] for a in rays))) is None
     assert ray_fans.find_rows(rays._replace(d=np.tile(rays.d[0], (len(rays.d), 1)))) is None
     assert ray_fans.find_rows(rays._replace(t_max=np.full(len(rays.d), -1.0))) is None
@@ -372,9 +362,7 @@ def test_sorted_rays_are_in_the_order_of_their_keys(monkeypatch):
 
 def spoilt_fans(monkeypatch, **changes):
     real = ray_tiles.fans_to
-    monkeypatch.setattr(
-        ray_tiles, "fans_to", lambda *about: [fan._replace(**changes) for fan in real(*about)]
-    )
+    monkeypatch.setattr(ray_tiles, "fans_to", lambda *about: [fan._replace(**changes) for fan in real(*about)])
 
 
 @pytest.mark.parametrize(
@@ -398,8 +386,6 @@ def test_too_small_a_deviation_is_found(monkeypatch):
     rays = to_point(next(points(arrays, rng, 1.0)), arrays, rng, 1.0, "float32")
     assert_any_hit_is_the_same(arrays, rays, "right")
     real = ray_tiles.fans_to
-    monkeypatch.setattr(
-        ray_tiles, "fans_to", lambda light, center, extent, off: real(light, center, extent, -off)
-    )
+    monkeypatch.setattr(ray_tiles, "fans_to", lambda light, center, extent, off: real(light, center, extent, -off))
     with pytest.raises(AssertionError):
         assert_any_hit_is_the_same(arrays, rays, "wrong")

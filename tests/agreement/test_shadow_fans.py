@@ -37,9 +37,7 @@ def hull_points(arrays, rng, count):
 def shadow_rays(light, arrays, rng, size):
     """Rays to a light, RUN neighbours from about one place: behind a hull point by much, little or nothing, or any."""
     runs = COUNT // RUN
-    through = np.where(
-        rng.random((runs, 1)) < 0.8, hull_points(arrays, rng, runs), size * rng.normal(size=(runs, 3))
-    )
+    through = np.where(rng.random((runs, 1)) < 0.8, hull_points(arrays, rng, runs), size * rng.normal(size=(runs, 3)))
     far = rng.choice([0.0, 1e-9, 0.1, 0.3, 1.0], (runs, 1))
     if isinstance(light, PointLight):
         origins = through + np.minimum(far, 1.0) * (through - np.array(light.position))

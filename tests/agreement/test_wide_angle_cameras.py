@@ -22,9 +22,7 @@ def assert_cullings_agree(camera: Any, shapes: list[dict[str, Any]], film: dict[
 
 
 @pytest.mark.parametrize("camera", BENDING)
-@pytest.mark.parametrize(
-    "at", [(0.0, 0.0, 0.0), (0.0, 0.0, 1e-130)], ids=["in the middle", "too near for squares"]
-)
+@pytest.mark.parametrize("at", [(0.0, 0.0, 0.0), (0.0, 0.0, 1e-130)], ids=["in the middle", "too near for squares"])
 def test_of_spheres_around_the_eye_the_inner_one_is_detected(camera, at):
     """Their distance has no square, or none at all: nothing may be said of how near they are."""
     balls = [{"type": "sphere", "center": at, "radius": radius} for radius in (0.5, 0.1)]
@@ -34,8 +32,7 @@ def test_of_spheres_around_the_eye_the_inner_one_is_detected(camera, at):
 @pytest.mark.parametrize("camera", BENDING)
 def test_of_tiny_spheres_the_nearer_one_is_detected(camera):
     far, near = (
-        {"type": "sphere", "center": (0.0, 0.0, z), "radius": r}
-        for z, r in ((3e-130, 1e-130), (1e-130, 7e-131))
+        {"type": "sphere", "center": (0.0, 0.0, z), "radius": r} for z, r in ((3e-130, 1e-130), (1e-130, 7e-131))
     )
     assert_cullings_agree(camera(**AHEAD), [far, near])
 
@@ -44,9 +41,7 @@ def test_of_tiny_spheres_the_nearer_one_is_detected(camera):
 def test_a_corner_straight_behind_has_no_image(camera):
     """To either side of it, or where it rounds to, the picture would be anywhere."""
     corners = [(0.0, 0.0, -1.0), (0.9, 0.3, 0.1), (0.9, 0.32, 0.12)]
-    assert_cullings_agree(
-        camera(**AHEAD), [{"type": "triangle", "vertices": corners}], {"width": 256, "height": 256}
-    )
+    assert_cullings_agree(camera(**AHEAD), [{"type": "triangle", "vertices": corners}], {"width": 256, "height": 256})
 
 
 AROUND = [(0.3, 0.1, -3), (-0.5, -0.9, -2.8), (0.1, 3, -0.1), (-0.2, -3, 0.1), (3, 0.2, 0.1), (-3, 0.1, -0.4)]

@@ -44,9 +44,7 @@ def packed(*arrays: Any) -> Packed:
     """Arrays of primitives as a scene, each kind one shape, numbered in their order."""
     counts = [primitive_count(prims) for prims in arrays]
     first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    kinds = [
-        Kind(a, np.arange(i, j, dtype=np.int32)) for a, i, j in zip(arrays, first, first[1:], strict=False)
-    ]
+    kinds = [Kind(a, np.arange(i, j, dtype=np.int32)) for a, i, j in zip(arrays, first, first[1:], strict=False)]
     places = np.arange(len(arrays))
     return Packed(tuple(kinds), arrays, first, places, np.zeros(len(arrays), np.int64))
 
@@ -98,10 +96,7 @@ def aim_at_triangles(rng: Rng, n: int) -> tuple[Any, np.ndarray, np.ndarray]:
     v[flat, :, 2] = v[flat, :1, 2]  # in a plane z = constant: its box has no height
     thin = rng.random(n) < 0.1
     v[thin, 2] = 2.0 * v[thin, 1] - v[thin, 0]  # no area
-    weights = (
-        np.array([[4, 0, 0], [0, 2, 2], [2, 0, 2], [1, 1, 2], [3, 1, 0], [5, 0, -1]])[rng.integers(0, 6, n)]
-        / 4.0
-    )
+    weights = np.array([[4, 0, 0], [0, 2, 2], [2, 0, 2], [1, 1, 2], [3, 1, 0], [5, 0, -1]])[rng.integers(0, 6, n)] / 4.0
     p = np.einsum("ij,ijk->ik", weights, v)
     d = directions(rng, n, v[:, 1] - v[:, 0])
     return triangles(v), p, d
@@ -122,30 +117,17 @@ def aim_at_planes(rng: Rng, n: int) -> tuple[Any, np.ndarray, np.ndarray]:
     return Planes(normal, point), point + across, directions(rng, n, across)
 
 
-CIRCLE = (
-    np.array([[3, 4, 0], [-4, 3, 0], [5, 0, 0], [0, -5, 0], [-3, -4, 0], [3, 0, 0], [0, 0, 0], [4, 4, 0]])
-    / 5.0
-)
-AROUND = (
-    np.array([[-4, 3, 0], [-3, -4, 0], [0, 5, 0], [5, 0, 0], [4, -3, 0], [0, 5, 0], [5, 5, 0], [4, -4, 0]])
-    / 5.0
-)
-BALL = (
-    np.array([[3, 4, 0], [0, 3, 4], [5, 0, 0], [0, 0, -5], [-4, 0, 3], [3, 0, 0], [0, 0, 0], [4, 4, 0]]) / 5.0
-)
-BESIDE = (
-    np.array([[-4, 3, 5], [5, 4, -3], [0, 5, 5], [5, 5, 0], [3, 5, 4], [0, 5, 5], [5, 5, 5], [4, -4, 5]])
-    / 5.0
-)
+CIRCLE = np.array([[3, 4, 0], [-4, 3, 0], [5, 0, 0], [0, -5, 0], [-3, -4, 0], [3, 0, 0], [0, 0, 0], [4, 4, 0]]) / 5.0
+AROUND = np.array([[-4, 3, 0], [-3, -4, 0], [0, 5, 0], [5, 0, 0], [4, -3, 0], [0, 5, 0], [5, 5, 0], [4, -4, 0]]) / 5.0
+BALL = np.array([[3, 4, 0], [0, 3, 4], [5, 0, 0], [0, 0, -5], [-4, 0, 3], [3, 0, 0], [0, 0, 0], [4, 4, 0]]) / 5.0
+BESIDE = np.array([[-4, 3, 5], [5, 4, -3], [0, 5, 5], [5, 5, 0], [3, 5, 4], [0, 5, 5], [5, 5, 5], [4, -4, 5]]) / 5.0
 
 
 def unit_aims(rng: Rng, n: int, p: np.ndarray, tangent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Points of the unit shape (the last three are inside or beside it), and directions: tangent or anywhere."""
     place = rng.integers(0, len(p), n)
     touching = rng.random((n, 1)) < 0.4
-    return p[place], np.where(
-        touching, tangent[place] * rng.choice([-1.0, 1.0, 2.0], (n, 1)), whole(rng, n, 3, size=4)
-    )
+    return p[place], np.where(touching, tangent[place] * rng.choice([-1.0, 1.0, 2.0], (n, 1)), whole(rng, n, 3, size=4))
 
 
 def aim_at_spheres(rng: Rng, n: int) -> tuple[Any, np.ndarray, np.ndarray]:

@@ -73,11 +73,7 @@ def order(x: Solution, y: Solution) -> int:
 
 
 def exactly(numbers: Any) -> Any:
-    return (
-        [F(float(x)) for x in numbers]
-        if len(getattr(numbers, "shape", (0,))) == 1
-        else [*map(exactly, numbers)]
-    )
+    return [F(float(x)) for x in numbers] if len(getattr(numbers, "shape", (0,))) == 1 else [*map(exactly, numbers)]
 
 
 def dot(a: Vector, b: Vector) -> Fraction:
@@ -89,11 +85,7 @@ def sub(a: Vector, b: Vector) -> Vector:
 
 
 def det(a: Vector, b: Vector, c: Vector) -> Fraction:
-    return (
-        a[0] * (b[1] * c[2] - b[2] * c[1])
-        - a[1] * (b[0] * c[2] - b[2] * c[0])
-        + a[2] * (b[0] * c[1] - b[1] * c[0])
-    )
+    return a[0] * (b[1] * c[2] - b[2] * c[1]) - a[1] * (b[0] * c[2] - b[2] * c[0]) + a[2] * (b[0] * c[1] - b[1] * c[0])
 
 
 def solved(m: list[Vector], *right: Vector) -> list[Vector] | None:

@@ -25,19 +25,16 @@ def test_the_data_reports_of_every_case_that_mitsuba_can_be_requested():
     assert set(kept) == askable and len(askable) > 70
     for number, variants in kept.items():
         asked = [name for name in variants if not name.endswith("probes")]
-        assert asked in (
-            [],
-            [f"{variant} {mode}" for variant in ("scalar", "llvm") for mode in behaviour.MODES],
-        ), number
+        assert asked in ([], [f"{variant} {mode}" for variant in ("scalar", "llvm") for mode in behaviour.MODES]), (
+            number
+        )
         assert all(variants[name]["rays"] > 0 for name in asked)
         probed = set(variants) - set(asked)
         assert probed == ({"scalar probes", "llvm probes"} if int(number) in PROBES else set()), number
 
 
 @pytest.mark.filterwarnings("default::test_edge_cases_mitsuba.MitsubaDiffers")
-@pytest.mark.slow(
-    "asks Mitsuba about every edge case in every variant: it changes with Mitsuba, not with this tree"
-)
+@pytest.mark.slow("asks Mitsuba about every edge case in every variant: it changes with Mitsuba, not with this tree")
 def test_mitsuba_does_what_it_did():
     """What differs is a warning of the run."""
     assert usable_variants().names, f"no variant of Mitsuba works here: {usable_variants().why}"

@@ -40,9 +40,7 @@ def test_cases_about_every_shape_request_every_shape(precision):
     assert len(spread) >= 8
     for case in spread:
         asked = {
-            shape.type
-            for question in case.questions(Maker(case.number, precision))
-            for shape in question.scene.shapes
+            shape.type for question in case.questions(Maker(case.number, precision)) for shape in question.scene.shapes
         }
         assert asked == registered, f"case {case.number} leaves out {registered - asked}"
 
@@ -71,9 +69,7 @@ def a_question():
     make = Maker(1, FLOAT64)
     scene = make.scene([Sphere(center=(0.1, 0.2, 0.3)), shape_of("cube", make.rng, 1.0, (3.0, 0.0, 0.0))])
     first, second = (rays_at(make, part, 12) for part in scene.derived["packed"].parts)
-    return make.ask(
-        "planted", scene, *(np.concatenate(pair) for pair in zip(first, second, strict=True)), hit=15
-    )
+    return make.ask("planted", scene, *(np.concatenate(pair) for pair in zip(first, second, strict=True)), hit=15)
 
 
 def planted(monkeypatch, fault):

@@ -139,9 +139,7 @@ def shaded(rng: Rng, prims: Triangles) -> Triangles:
     normals, uv = prims.normals.copy(), prims.uv.copy()
     normals[rng.integers(0, len(normals), 5)] += 1.0
     uv[rng.integers(0, len(uv), 5), 1] += 1.0
-    return prims._replace(
-        normals=normals, uv=uv, smooth=rng.random(len(prims.faces)) < 0.5, textured=prims.textured
-    )
+    return prims._replace(normals=normals, uv=uv, smooth=rng.random(len(prims.faces)) < 0.5, textured=prims.textured)
 
 
 @pytest.mark.parametrize("collide", [False, True])
@@ -155,17 +153,13 @@ def test_rows_are_identical_where_all_their_bytes_are(monkeypatch, collide):
         prims = shaded(rng, pile_of_triangles(rng))
         if seed % 2:
             rows = rng.integers(0, len(prims.faces), len(prims.vertices))
-            prims = prims._replace(
-                faces=prims.faces[rows], smooth=prims.smooth[rows], textured=prims.textured[rows]
-            )
+            prims = prims._replace(faces=prims.faces[rows], smooth=prims.smooth[rows], textured=prims.textured[rows])
         shape = rng.integers(0, 2, len(prims.faces))
         for shading, more in ((False, []), (True, []), (True, [shape])):
             expected = in_plain_python(prims, more, shading=shading)
             found = lowest_identical(prims, more, shading=shading)
             rows = list(range(len(expected))) if found is None else found.tolist()
-            if (
-                shading and seed % 2
-            ):  # arrays of vertices are taken for those of faces, too: fewer are identical
+            if shading and seed % 2:  # arrays of vertices are taken for those of faces, too: fewer are identical
                 assert [expected[row] for row in rows] == expected
             else:
                 assert rows == expected
@@ -247,10 +241,7 @@ def test_brackets_of_piles_judge_as_if_each_primitive_was_looked_at(monkeypatch,
                 one = some.judge(o, d, t_max, Claims(t, shape, n, prim=prim), also=extra)
                 other = each.judge(o, d, t_max, Claims(t, shape, n, prim=prim), also=extra)
                 assert all(map(np.array_equal, one, other)), seed
-                allowed_some, refused_some = (
-                    allowed_some + one.allowed.sum(),
-                    refused_some + (~one.allowed).sum(),
-                )
+                allowed_some, refused_some = (allowed_some + one.allowed.sum(), refused_some + (~one.allowed).sum())
         start = np.full(len(o), -1)
         start[ray] = hits.prim[taken]
         p = np.where(np.isfinite(t)[:, None], o + np.where(np.isfinite(t), t, 0.0)[:, None] * d, o)

@@ -60,11 +60,7 @@ def test_what_is_sorted_out_is_not_hit(kind):
 
 @pytest.mark.parametrize(
     ("module", "name", "value"),
-    [
-        (oracle, "PAD_RTOL", 0.0),
-        (oracle, "PAD_RTOL", -(2.0**-50)),
-        (triangles_module, "EDGE_RTOL", -(2.0**-50)),
-    ],
+    [(oracle, "PAD_RTOL", 0.0), (oracle, "PAD_RTOL", -(2.0**-50)), (triangles_module, "EDGE_RTOL", -(2.0**-50))],
 )
 def test_a_bound_that_is_too_small_is_detected(module, name, value, monkeypatch):
     monkeypatch.setattr(module, name, value)
@@ -142,9 +138,7 @@ def test_a_box_tree_passes_what_its_boxes_pass():
     """Boxes that are points, planes of boxes, equal boxes, and boxes of 1e300 and 1e-300."""
     rng = np.random.default_rng(5)
     middle = np.concatenate([rng.normal(size=(500, 3)), np.zeros((40, 3)), 1e300 * rng.normal(size=(100, 3))])
-    size = np.concatenate(
-        [10.0 ** rng.uniform(-300, 0, (500, 3)), np.zeros((40, 3)), np.full((100, 3), 1e299)]
-    )
+    size = np.concatenate([10.0 ** rng.uniform(-300, 0, (500, 3)), np.zeros((40, 3)), np.full((100, 3), 1e299)])
     size[::7, 1] = 0.0
     low, high = middle - size, middle + size
     target = middle[rng.integers(0, 640, 400)]

@@ -76,9 +76,7 @@ def test_every_root_lies_in_its_interval(kind):
             found = oracle.roots(i, o[i], d[i])
             assert len(found) == len(balls), (scale, i)
             for hit, ball in zip(found, balls, strict=True):
-                low, high = (
-                    oracle_interval.arb(str(x.numerator)) / x.denominator for x in hit.t.bracket(300)
-                )
+                low, high = (oracle_interval.arb(str(x.numerator)) / x.denominator for x in hit.t.bracket(300))
                 assert low.union(high).overlaps(ball), (scale, i)
             decided, hits = decided + 1, hits + len(found)
     assert decided >= 100 and hits >= 50, (decided, hits)
@@ -89,12 +87,7 @@ def test_every_kind_that_shapes_pack_to_is_checked():
 
 
 FAULTS = {
-    "an edge function has the wrong sign": (
-        "Triangles",
-        exact_planar,
-        "cross",
-        lambda a, b: one_sign_off(a, b),
-    ),
+    "an edge function has the wrong sign": ("Triangles", exact_planar, "cross", lambda a, b: one_sign_off(a, b)),
     "the corners are not shifted alike": ("Triangles", exact_planar, "shifted", lambda v, bits: v),
     "the plane's height is not shifted": ("Planes", exact_planar, "shifted", lambda v, bits: v),
     "squares are compared without their signs": (
@@ -116,18 +109,8 @@ FAULTS = {
         "to_object_space",
         lambda by, ray: to_object_space(by._replace(adjugate=tuple(zip(*by.adjugate, strict=True))), ray),
     ),
-    "both roots are the far one": (
-        "Spheres",
-        exact_quadrics,
-        "Root",
-        lambda p, q, r, s, e: Root(p, abs(q), r, s, e),
-    ),
-    "the circle of a disk is open": (
-        "Disks",
-        exact_planar,
-        "Root",
-        lambda p, q, r, s, e: Root(p + 1, q, r, s, e),
-    ),
+    "both roots are the far one": ("Spheres", exact_quadrics, "Root", lambda p, q, r, s, e: Root(p, abs(q), r, s, e)),
+    "the circle of a disk is open": ("Disks", exact_planar, "Root", lambda p, q, r, s, e: Root(p + 1, q, r, s, e)),
 }
 
 

@@ -37,10 +37,7 @@ def test_a_ray_in_object_space_is_the_one_that_its_matrix_brings_back(seed, mirr
     if (np.linalg.det(matrix) < 0.0) is not mirrored:
         matrix[0] *= -1.0
     prims = SimpleNamespace(center=rng.normal(size=(2, 3)), to_world=np.stack([np.eye(3), matrix]))
-    o, d = (
-        rng.normal(size=3) * 2.0 ** rng.integers(-20, 20),
-        rng.normal(size=3) * 2.0 ** rng.integers(-20, 20),
-    )
+    o, d = (rng.normal(size=3) * 2.0 ** rng.integers(-20, 20), rng.normal(size=3) * 2.0 ** rng.integers(-20, 20))
     affine = exact_quadrics.prepare_affine(prims, 1)
     ray = exact_quadrics.to_object_space(affine, integer_ray(o.tolist(), d.tolist()))
     assert affine.determinant > 0 and ray.size > 0
@@ -114,9 +111,7 @@ RAYS = [
 def test_a_ray_outside_of_the_domain_is_named_with_its_numbers(change, said):
     """The second and the third of four are the same."""
     plain = {"o": (0.0, 0.0, 0.0), "d": (0.0, 0.0, 1.0), "t_min": 0.0, "t_max": np.inf}
-    rows = {
-        name: np.array([plain[name], *[(plain | change)[name]] * 2, plain[name]], float) for name in plain
-    }
+    rows = {name: np.array([plain[name], *[(plain | change)[name]] * 2, plain[name]], float) for name in plain}
     if said is None:
         check_rays(**rows)
         return
@@ -138,9 +133,7 @@ def test_the_roots_of_each_primitive_are_its_own_wherever_others_are_nowhere():
         for prim in range(7):
             found = oracle.roots(prim, (0.5**9, 0.0, -1.0), (0.0, 0.0, 2.0))
             heights = [] if prim in (3, 6) else [prim] if prim % 2 else [prim - 0.25, prim + 0.25]
-            assert [float(hit.t) for hit in found] == pytest.approx(
-                [(z + 1.0) / 2.0 for z in heights], abs=1e-4
-            )
+            assert [float(hit.t) for hit in found] == pytest.approx([(z + 1.0) / 2.0 for z in heights], abs=1e-4)
             assert all(hit.prim == prim for hit in found)
         for wrong in (-1, 7):
             with pytest.raises(IndexError):
@@ -164,10 +157,7 @@ def crossing(line, box) -> tuple[Fraction, Fraction] | None:
                 return None
             continue
         ends = sorted([(low - o) / d, (high - o) / d])
-        near, far = (
-            (ends[0] if near is None else max(near, ends[0])),
-            (ends[1] if far is None else min(far, ends[1])),
-        )
+        near, far = ((ends[0] if near is None else max(near, ends[0])), (ends[1] if far is None else min(far, ends[1])))
     return None if near > far else (near, far)
 
 
@@ -225,8 +215,7 @@ def test_boxes_are_in_the_order_of_their_centres_along_the_curve(size):
     low = np.vstack([rng.integers(0, 1024, (60, 3)), np.zeros((1, 3)), np.full((1, 3), 1023)]) + 0.25
     cells = np.floor(low).astype(int).tolist()
     codes = [
-        sum(((cell[axis] >> bit) & 1) << (3 * bit + axis) for bit in range(10) for axis in range(3))
-        for cell in cells
+        sum(((cell[axis] >> bit) & 1) << (3 * bit + axis) for bit in range(10) for axis in range(3)) for cell in cells
     ]
     middle = low - 0.25  # of boxes that are 1 wide and centred there
     order = morton_order((middle - 0.5) * size, (middle + 0.5) * size)
@@ -247,9 +236,7 @@ def test_a_ray_in_the_plane_of_a_primitive_runs_along_it_between_its_ends(scale,
     disk = SimpleNamespace(center=np.array([[3.0, 0.25, 0.75]]) * scale, to_world=turned)
     along = np.array([[[0.0, 0, 2], [1, 0, 0], [0, 1, 0]]]) * scale
     wall = SimpleNamespace(center=np.array([[1.0, -0.75, 0.75]]) * scale, to_world=along)
-    back = SimpleNamespace(
-        center=np.array([[3.0, -0.75, 0.75]]) * scale, to_world=along * np.array([1, 1, -1])
-    )
+    back = SimpleNamespace(center=np.array([[3.0, -0.75, 0.75]]) * scale, to_world=along * np.array([1, 1, -1]))
     found = [
         (exact_planar.intersect_triangle(exact_planar.prepare_triangle(faces, 0), ray), (1, 2.5)),
         (exact_planar.intersect_disk(exact_quadrics.prepare_affine(disk, 0), ray), (2, 4)),

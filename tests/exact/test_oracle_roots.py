@@ -95,12 +95,7 @@ def test_squaring_without_signs_is_detected(name, planted, monkeypatch):
 
 def test_the_sign_of_a_sum_that_is_zero_is_zero():
     assert sign_with_root(-6, 2, 9) == sign_with_root(6, -3, 4) == sign_with_root(0, 5, 0) == 0
-    assert (
-        sign_with_roots(0, 3, 8, -6, 2)
-        == sign_with_roots(-5, 1, 4, 1, 9)
-        == sign_with_roots(1, 1, 4, -1, 9)
-        == 0
-    )
+    assert sign_with_roots(0, 3, 8, -6, 2) == sign_with_roots(-5, 1, 4, 1, 9) == sign_with_roots(1, 1, 4, -1, 9) == 0
     assert sign_with_roots(0, 0, 7, 0, 3) == 0
     # sqrt(2) + sqrt(3) against sqrt(5 + 2 sqrt 6) rounded down and up
     below = math.isqrt((5 << 200) + math.isqrt(24 << 400))
@@ -116,11 +111,7 @@ def test_a_root_compares_with_every_number_of_python():
     assert two < math.inf and two > -math.inf and two != math.inf
     assert not (two < math.nan or two >= math.nan or two == math.nan) and two != "2"
     assert [Root(0, -1, 3).sign(), Root(2, -1, 4).sign(), Root(0, 1, 1, -1).sign()] == [-1, 0, -1]
-    assert (
-        Root(1, 0, 0, 1, -1100) > 0.0
-        and Root(1, 0, 0, 1, -1100) < 5e-324
-        and Root(1, 0, 0, 1, 1100) > 1.7e308
-    )
+    assert Root(1, 0, 0, 1, -1100) > 0.0 and Root(1, 0, 0, 1, -1100) < 5e-324 and Root(1, 0, 0, 1, 1100) > 1.7e308
 
 
 def test_the_float_of_a_root_is_the_nearest():

@@ -92,9 +92,7 @@ def test_the_first_hit_of_all_is_that_of_trying_all_in_fractions():
     for scale in SCALES:
         assert wrong_answers(scale, seen) == 0, scale
     print(dict(seen))
-    assert set(seen) >= {"inside", "edge", "vertex", "rim", "tangent", "miss"} and min(seen.values()) >= 5, (
-        seen
-    )
+    assert set(seen) >= {"inside", "edge", "vertex", "rim", "tangent", "miss"} and min(seen.values()) >= 5, seen
     assert seen["tie"] >= 100
 
 
@@ -143,9 +141,7 @@ def test_the_order_of_primitives_changes_only_their_numbers():
         back = Oracle(packed(*(reversed_order(prims) for prims in arrays[::-1]))).first_hits(o, d)
         for one, other in zip(there, back, strict=True):
             assert one.t == other.t and one.flags == other.flags
-            assert {(hit.prim, hit.where) for hit in one.ties} == {
-                (total - 1 - h.prim, h.where) for h in other.ties
-            }
+            assert {(hit.prim, hit.where) for hit in one.ties} == {(total - 1 - h.prim, h.where) for h in other.ties}
             ties, hits = ties + (len(one.ties) > 1), hits + one.hit
     assert hits >= 100
 
@@ -161,9 +157,7 @@ def test_one_ray_is_answered_as_among_many():
 
 def test_faces_around_a_corner_tie_and_the_lowest_is_named():
     """A fan of eight faces, each twice: through its middle all 16, through a spoke 4, inside of one 2."""
-    spokes = np.array(
-        [[2, 0, 1], [2, 2, 1], [0, 2, 1], [-2, 2, 0], [-2, 0, 1], [-2, -2, 1], [0, -2, 1], [2, -2, 1]]
-    )
+    spokes = np.array([[2, 0, 1], [2, 2, 1], [0, 2, 1], [-2, 2, 0], [-2, 0, 1], [-2, -2, 1], [0, -2, 1], [2, -2, 1]])
     corners = np.vstack([[0, 0, 2], spokes])
     fan = np.array([[0, 1 + i, 1 + (i + 1) % 8] for i in range(8)])
     oracle = Oracle(packed(triangles(corners, np.vstack([fan, fan[:, [1, 2, 0]]]))))
@@ -171,9 +165,7 @@ def test_faces_around_a_corner_tie_and_the_lowest_is_named():
     assert (middle.t, middle.prim, len(middle.ties)) == (3, 0, 16)
     assert {hit.where for hit in middle.ties} == {"vertex"}
     spoke = oracle.first_hit((1, 1, 5), (0, 0, -1))
-    assert (
-        spoke.t == 3.5 and [hit.prim for hit in spoke.ties] == [0, 1, 8, 9] and spoke.ties[0].where == "edge"
-    )
+    assert spoke.t == 3.5 and [hit.prim for hit in spoke.ties] == [0, 1, 8, 9] and spoke.ties[0].where == "edge"
     within = oracle.first_hit((1, 0.5, 5), (0, 0, -1))
     assert [(hit.prim, hit.where) for hit in within.ties] == [(0, "inside"), (8, "inside")]
     assert oracle.first_hit((3, 0, 5), (0, 0, -1)).prim == -1
@@ -198,9 +190,7 @@ def test_a_sphere_an_ellipsoid_and_a_disk_tie_where_they_touch():
     oracle = Oracle(packed(ball, egg))
     answer = oracle.first_hit((1.7, 9.1, 4.3), (-0.1, -1, -0.2))
     assert [hit.prim for hit in answer.ties] == [0, 1]
-    top = Oracle(packed(ball, egg, affine(Disks, np.array([[1.0, 2.0, 6.0]]), EYE3))).first_hit(
-        (1, 2, 9), (0, 0, -2)
-    )
+    top = Oracle(packed(ball, egg, affine(Disks, np.array([[1.0, 2.0, 6.0]]), EYE3))).first_hit((1, 2, 9), (0, 0, -2))
     assert top.t == 1.5 and [hit.prim for hit in top.ties] == [0, 1, 2]
 
 
@@ -227,8 +217,7 @@ def test_what_is_hit_on_the_way_and_is_no_hit_is_flagged():
     assert along.first_hit((-1, 5, 0), (1, 0, 0)).flags == frozenset()  # in its plane, beside it
     assert along.first_hit((-1, 4, 0), (1, 0, 0)).flags == {"edge_on"}  # past its corner
     assert (
-        along.first_hit((9, -1, 0), (-1, 0, 0)).flags == frozenset()
-        and along.first_hit((9, -1, 0), (-1, 0, 0)).t == 3
+        along.first_hit((9, -1, 0), (-1, 0, 0)).flags == frozenset() and along.first_hit((9, -1, 0), (-1, 0, 0)).t == 3
     )
     no_area = Oracle(packed(triangles(np.array([[[0, 0, 0], [2, 0, 0], [6, 0, 0]]]))))
     assert no_area.first_hit((3, 0, 5), (0, 0, -1)) == no_area.first_hit((3, 5, 0), (0, -1, 0))
@@ -237,9 +226,7 @@ def test_what_is_hit_on_the_way_and_is_no_hit_is_flagged():
         and not no_area.first_hit((3, 0, 5), (0, 0, -1)).hit
     )
     assert (
-        no_area.first_hit((7, 0, 5), (0, 0, -1)).flags
-        == no_area.first_hit((3, 1, 5), (0, 0, -1)).flags
-        == frozenset()
+        no_area.first_hit((7, 0, 5), (0, 0, -1)).flags == no_area.first_hit((3, 1, 5), (0, 0, -1)).flags == frozenset()
     )
     plane = Oracle(packed(Planes(np.array([[0.0, 0.0, 1.0]]), np.zeros((1, 3)))))
     assert (
@@ -253,15 +240,8 @@ def test_what_is_hit_on_the_way_and_is_no_hit_is_flagged():
     )
     assert disk.first_hit((3, 0, 0), (1, 0, 0)).flags == set()
     tube = Oracle(packed(affine(Cylinders, np.zeros((1, 3)), EYE3)))
-    assert (
-        tube.first_hit((1, 0, -3), (0, 0, 1)).flags == {"edge_on"}
-        and not tube.first_hit((1, 0, -3), (0, 0, 1)).hit
-    )
-    assert (
-        tube.first_hit((0, 0, -3), (0, 0, 1)).flags
-        == tube.first_hit((1, 0, 3), (0, 0, 1)).flags
-        == frozenset()
-    )
+    assert tube.first_hit((1, 0, -3), (0, 0, 1)).flags == {"edge_on"} and not tube.first_hit((1, 0, -3), (0, 0, 1)).hit
+    assert tube.first_hit((0, 0, -3), (0, 0, 1)).flags == tube.first_hit((1, 0, 3), (0, 0, 1)).flags == frozenset()
     flat = Oracle(packed(affine(Ellipsoids, np.zeros((1, 3)), np.diag([1.0, 1.0, 0.0])[None])))
     assert (
         flat.first_hit((0, 0, 3), (0, 0, -1)).flags == {"degenerate"}
@@ -277,14 +257,8 @@ def test_faces_that_are_too_large_are_dropped_and_flagged_where_they_were():
     corners = np.array([[[-large, -1, 5], [1, -1, 5], [0, 2, 5]], [[-below, -1, 6], [1, -1, 6], [0, 2, 6]]])
     oracle = Oracle(packed(triangles(corners)))
     answer = oracle.first_hit((0, 0, 0), (0, 0, 1))
-    assert (answer.t, answer.prim, answer.flags) == (6, 1, {"dropped"}) and oracle.roots(
-        0, (0, 0, 0), (0, 0, 1)
-    ) == ()
-    assert (
-        oracle.first_hit((0, 0, 5.5), (0, 0, 1)).flags
-        == oracle.first_hit((9, 0, 0), (0, 0, 1)).flags
-        == frozenset()
-    )
+    assert (answer.t, answer.prim, answer.flags) == (6, 1, {"dropped"}) and oracle.roots(0, (0, 0, 0), (0, 0, 1)) == ()
+    assert oracle.first_hit((0, 0, 5.5), (0, 0, 1)).flags == oracle.first_hit((9, 0, 0), (0, 0, 1)).flags == frozenset()
 
 
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])

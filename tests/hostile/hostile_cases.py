@@ -160,23 +160,11 @@ def cases(seed: int, count: int) -> list[Case]:
         "mutated": shuffled(order, [(file, line) for file, line in lines() if file]),
         "option": shuffled(order, list(options())),
         "no file": shuffled(
-            order,
-            [(*pair, kind) for pair in lines() if pair[0] for kind in NO_FILES if is_possible(pair[0], kind)],
+            order, [(*pair, kind) for pair in lines() if pair[0] for kind in NO_FILES if is_possible(pair[0], kind)]
         ),
         "disk": shuffled(order, [line for _, line in lines() if "out/" in line]),
     }
-    turns = (
-        "mutated",
-        "mutated",
-        "option",
-        "mutated",
-        "no file",
-        "mutated",
-        "option",
-        "mutated",
-        "mutated",
-        "disk",
-    )
+    turns = ("mutated", "mutated", "option", "mutated", "no file", "mutated", "option", "mutated", "mutated", "disk")
     found: list[Case] = []
     for number in range(count):
         rng = random.Random(f"{seed} {number}")
@@ -186,9 +174,7 @@ def cases(seed: int, count: int) -> list[Case]:
             continue
         kind = turns[number % len(turns)]
         pool = pools[kind]
-        chosen = pool[
-            (number // len(turns) * turns.count(kind) + turns[: number % len(turns)].count(kind)) % len(pool)
-        ]
+        chosen = pool[(number // len(turns) * turns.count(kind) + turns[: number % len(turns)].count(kind)) % len(pool)]
         found.append(MAKERS[kind](number, rng, chosen))
     return found
 
@@ -227,9 +213,7 @@ def with_content(case: Case, seed: int, samples: Path, kernels: Sequence[Path]) 
         return replace(case, file=f"cache/{file.parent.name}/{file.name}", data=done.data, what=done.what)
     if case.what != "mutated":
         return case
-    done = mutated(
-        random.Random(f"{seed} {case.number} content"), (samples / case.file).read_bytes(), case.file
-    )
+    done = mutated(random.Random(f"{seed} {case.number} content"), (samples / case.file).read_bytes(), case.file)
     return replace(case, data=done.data, what=done.what)
 
 

@@ -96,12 +96,7 @@ def mutated(rng: random.Random, data: bytes, name: str) -> Mutation:
         kind = rng.choice(sorted(group))
         try:
             data = group[kind](rng, data, suffix)
-        except (
-            ValueError,
-            LookupError,
-            zipfile.BadZipFile,
-            RecursionError,
-        ):  # of a second one: no such place left
+        except (ValueError, LookupError, zipfile.BadZipFile, RecursionError):  # of a second one: no such place left
             kind = f"no {kind}"
         done.append(kind)
     return Mutation(data, ", ".join(done))
@@ -204,11 +199,7 @@ def as_bytes(text: str) -> bytes:
 @mutation(TEXTUAL)
 def with_mark(rng: random.Random, data: bytes, suffix: str) -> bytes:
     return rng.choice(
-        (
-            b"\xef\xbb\xbf" + data,
-            as_bytes("\ufeff" + as_text(data)),
-            as_text(data).encode("utf-16", "replace"),
-        )
+        (b"\xef\xbb\xbf" + data, as_bytes("\ufeff" + as_text(data)), as_text(data).encode("utf-16", "replace"))
     )
 
 
@@ -259,9 +250,7 @@ def nested(rng: random.Random, data: bytes, suffix: str) -> bytes:
     text = as_text(data)
     one = rng.choice(list(re.finditer(r"-?\d+(\.\d+)?|\"[^\"]*\"", text)))
     depth = rng.choice((5, 33, 2000, 100_000))
-    opens, closes = rng.choice(
-        (("[", "]"), ('{"a":', "}"), ("{a=", "}"), ("<shape>", "</shape>"), ("{ ", " }"))
-    )
+    opens, closes = rng.choice((("[", "]"), ('{"a":', "}"), ("{a=", "}"), ("<shape>", "</shape>"), ("{ ", " }")))
     end = closes * depth if rng.random() < 0.5 else ""
     return as_bytes(text[: one.start()] + opens * depth + "1" + end + text[one.end() :])
 
@@ -359,9 +348,7 @@ def ply_counts(rng: random.Random, data: bytes, suffix: str) -> bytes:
     """Lengths of lists in the body."""
     head, end, body = data.partition(b"end_header\n")
     at = rng.randrange(max(1, len(body)))
-    return (
-        head + end + body[:at] + rng.choice((b"\xff", b"\x00", b"\xff\xff\xff\x7f", b"\x80")) + body[at + 1 :]
-    )
+    return head + end + body[:at] + rng.choice((b"\xff", b"\x00", b"\xff\xff\xff\x7f", b"\x80")) + body[at + 1 :]
 
 
 @only(".xml")
@@ -426,9 +413,7 @@ def replaced_leaf(rng: random.Random, data: bytes, suffix: str) -> bytes:
     here = record
     for step in path[:-1]:
         here = here[step]
-    new = rng.choice(
-        [*NUMBERS, "[" * 100_000, '"' + "x" * 100_000 + '"', '{"": null}', '"../../x"', '"\\u001b[2J"']
-    )
+    new = rng.choice([*NUMBERS, "[" * 100_000, '"' + "x" * 100_000 + '"', '{"": null}', '"../../x"', '"\\u001b[2J"'])
     if path and isinstance(here, dict) and rng.random() < 0.2:
         del here[path[-1]]
         return json.dumps(record).encode() + end + rest
@@ -481,9 +466,7 @@ def npy_values(rng: random.Random, data: bytes, suffix: str) -> bytes:
     end = data.index(b"\n") + 1
     values = np.frombuffer(data[end:], "<f8" if b"<f8" in data[:end] else "<f4").copy()
     for _ in range(rng.choice((1, 3, 30))):
-        values[rng.randrange(len(values))] = rng.choice(
-            (np.nan, np.inf, -np.inf, 1e38, -1e38, -0.0, 1e-45, 0.0, -1.0)
-        )
+        values[rng.randrange(len(values))] = rng.choice((np.nan, np.inf, -np.inf, 1e38, -1e38, -0.0, 1e-45, 0.0, -1.0))
     return data[:end] + values.tobytes()
 
 
@@ -527,16 +510,7 @@ def zipped(members: list[tuple[str, bytes]]) -> bytes:
 def exr_header(rng: random.Random, data: bytes, suffix: str) -> bytes:
     """A word of the header, an attribute's size, the window, or the table of offsets."""
     end = min(len(data), 4000)
-    names = [
-        b"channels",
-        b"dataWindow",
-        b"displayWindow",
-        b"compression",
-        b"lineOrder",
-        b"chlist",
-        b"box2i",
-        b"string",
-    ]
+    names = [b"channels", b"dataWindow", b"displayWindow", b"compression", b"lineOrder", b"chlist", b"box2i", b"string"]
     found = [match for name in names for match in re.finditer(name, data[:end])]
     one = rng.choice(found)
     if rng.random() < 0.3:

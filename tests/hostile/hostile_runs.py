@@ -42,9 +42,7 @@ MAX_WALL_SECONDS = 60.0  # another user of the machine must not decide
 MAX_KERNEL_BYTES = 50_000  # of a compiled kernel that is damaged: it is compiled again within a few seconds
 MAX_SAID = 2**22  # bytes that a run may print
 MAX_RSS = 10**9  # bytes, of the largest process
-STARTED_RSS = (
-    256 << 20
-)  # bytes, of a command with its modules loaded; what the warm process has beyond, no run took
+STARTED_RSS = 256 << 20  # bytes, of a command with its modules loaded; what the warm process has beyond, no run took
 ADDRESS_SPACE = 3 << 30  # bytes beyond those of the warm process, so that a run cannot take the machine
 CONTROL = re.compile(rb"[\x00-\x08\x0b-\x1f\x7f]")
 SHOWN = 300  # characters of a run's messages
@@ -90,11 +88,7 @@ class Bench:
         from hostile_cases import split
 
         program, words = split(line)
-        with (
-            contextlib.chdir(self.samples),
-            open(os.devnull, "w") as nowhere,
-            contextlib.redirect_stdout(nowhere),
-        ):
+        with contextlib.chdir(self.samples), open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
             return MAINS[program](words)
 
     def start(self, case: Case) -> "Started":
@@ -185,19 +179,12 @@ class Started:
             yield f"takes {seconds:.0f} s"
         if rss > MAX_RSS:
             yield f"takes {rss >> 20} MB"
-        if (
-            self.case.disk is not None
-            and code == 4
-            and str(self.home).encode() not in said
-            and b"out/" not in said
-        ):
+        if self.case.disk is not None and code == 4 and str(self.home).encode() not in said and b"out/" not in said:
             yield "does not name the file"
         after = digests(self.home)
         named = {os.path.realpath(self.home / name) for name in self.case.outputs}
         touched = [name for name in {*self.before, *after} if self.before.get(name) != after.get(name)]
-        foreign = [
-            name for name in touched if name.startswith("in/") and not is_below(self.home / name, named)
-        ]
+        foreign = [name for name in touched if name.startswith("in/") and not is_below(self.home / name, named)]
         if foreign:
             yield f"changed or wrote among inputs: {', '.join(foreign)}"
         left = [name for name in after if name.startswith("tmp/") or ".part" in name]
@@ -210,9 +197,7 @@ class Started:
 
 def is_below(path: Path, named: set[str]) -> bool:
     """Whether a file was named as an output, or is in a folder that was."""
-    return any(
-        os.path.realpath(each) in named or os.path.abspath(each) in named for each in (path, *path.parents)
-    )
+    return any(os.path.realpath(each) in named or os.path.abspath(each) in named for each in (path, *path.parents))
 
 
 def is_whole(path: Path) -> bool:
@@ -301,12 +286,8 @@ def run_case(case: Case, home: Path, said: int) -> NoReturn:
         if case.process:
             module = case.program.replace("-", "_")
             words = [word for word in case.words if "\0" not in word]
-            environment = {"PYTHONPATH": str(ROOT)} | (
-                {"NUMBA_CACHE_DIR": str(home / "cache")} if case.cache else {}
-            )
-            code = subprocess.run(
-                [sys.executable, "-m", module, *words], env=os.environ | environment
-            ).returncode
+            environment = {"PYTHONPATH": str(ROOT)} | ({"NUMBA_CACHE_DIR": str(home / "cache")} if case.cache else {})
+            code = subprocess.run([sys.executable, "-m", module, *words], env=os.environ | environment).returncode
             code = 128 - code if code < 0 else code
         else:
             code = MAINS[case.program](case.words)
@@ -325,9 +306,7 @@ def report(runs: list[Run], seconds: float) -> str:
     """Failures, then counts."""
     failing = [run for run in runs if run.wrong]
     codes = Counter(run.code for run in runs)
-    commands = {(run.case.program, run.case.words[0] if run.case.words else "") for run in runs} & set(
-        parsers()
-    )
+    commands = {(run.case.program, run.case.words[0] if run.case.words else "") for run in runs} & set(parsers())
     slowest, largest = max(runs, key=lambda run: run.seconds), max(runs, key=lambda run: run.rss)
     ends = ", ".join(f"{count} x {code} {MEANINGS.get(code, '')}" for code, count in sorted(codes.items()))
     rows = [run.text() for run in sorted(failing, key=lambda run: run.case.number)]
@@ -354,9 +333,7 @@ def main() -> int:
     runs = []
     try:
         bench = Bench(folder)
-        chosen = [
-            case for case in cases(args.seed, args.count) if args.only is None or case.number in args.only
-        ]
+        chosen = [case for case in cases(args.seed, args.count) if args.only is None or case.number in args.only]
         ready = [with_content(case, args.seed, bench.samples, bench.kernels) for case in chosen]
         for run in bench.run(ready, args.jobs):
             if run.is_late:  # kernels may have been compiled in this time: they are there now

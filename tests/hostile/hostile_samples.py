@@ -114,10 +114,7 @@ READERS: dict[str, tuple[str, ...]] = {
         "mitsuba-ref judge --scene FILE --rays in/rays.npz --hits in/hits.npz --out out/j",
     ),
     "in/scene.json": read_by(
-        "caster check FILE",
-        "caster render FILE -o out/o.exr",
-        "caster doctor --warm FILE",
-        "mitsuba-ref validate FILE",
+        "caster check FILE", "caster render FILE -o out/o.exr", "caster doctor --warm FILE", "mitsuba-ref validate FILE"
     ),
     "in/meshes.toml": read_by(
         "caster check FILE", "caster check FILE --mesh-dir in", "caster sheet in -o out/o.png --side 4"
@@ -166,9 +163,7 @@ READERS: dict[str, tuple[str, ...]] = {
         "mitsuba-ref judge --scene in/scene.toml --rays FILE --hits in/hits.npz --out out/j --html out/h"
     ),
     "in/rays.npy": read_by("mitsuba-ref judge --scene in/scene.toml --rays FILE --hits in/hits.npz"),
-    "in/hits.npz": read_by(
-        "mitsuba-ref judge --scene in/scene.toml --rays in/rays.npz --hits FILE --rows 3:9"
-    ),
+    "in/hits.npz": read_by("mitsuba-ref judge --scene in/scene.toml --rays in/rays.npz --hits FILE --rows 3:9"),
     "in/hits.npy": read_by(
         "mitsuba-ref judge --scene in/scene.toml --rays in/rays.npy --hits FILE --precision float32"
     ),
@@ -181,32 +176,23 @@ READERS: dict[str, tuple[str, ...]] = {
         "mitsuba-ref merge FILE FILE --other-versions",
     ),
     "out/verdict.json": read_by(
-        "mitsuba-ref validate in/scene.toml --out out --resume",
-        "mitsuba-ref validate in/scene.toml --out out",
+        "mitsuba-ref validate in/scene.toml --out out --resume", "mitsuba-ref validate in/scene.toml --out out"
     ),
     "out/judged.jsonl": read_by(
-        "mitsuba-ref validate in/scene.toml --out out --resume",
-        "mitsuba-ref validate in/scene.toml --out out",
+        "mitsuba-ref validate in/scene.toml --out out --resume", "mitsuba-ref validate in/scene.toml --out out"
     ),
     "out/written.jsonl": read_by(
-        "mitsuba-ref validate in/scene.toml --out out --resume",
-        "mitsuba-ref validate in/scene.toml --out out",
+        "mitsuba-ref validate in/scene.toml --out out --resume", "mitsuba-ref validate in/scene.toml --out out"
     ),
     "out/scene.ours.exr": read_by("mitsuba-ref validate in/scene.toml --out out --resume --html out/h"),
     "in/references/scene.exr": read_by(
         "mitsuba-ref check in/scene.toml --references in/references --json",
         "mitsuba-ref check in/scene.toml --references in/references --fresh",
     ),
-    "out/references/scene.exr": read_by(
-        "mitsuba-ref approve in/scene.toml --references out/references --yes"
-    ),
-    "in/bench.json": read_by(
-        "mitsuba-ref bench --from FILE --json out/b.json", "mitsuba-ref bench --from FILE"
-    ),
+    "out/references/scene.exr": read_by("mitsuba-ref approve in/scene.toml --references out/references --yes"),
+    "in/bench.json": read_by("mitsuba-ref bench --from FILE --json out/b.json", "mitsuba-ref bench --from FILE"),
     "in/kept.toml": read_by("mitsuba-ref fuzz --replay FILE", "mitsuba-ref fuzz --replay in/kept"),
-    "out/unfinished.txt": read_by(
-        "mitsuba-ref fuzz --examples 1 --judge-every 0 --out out --json out/f.json"
-    ),
+    "out/unfinished.txt": read_by("mitsuba-ref fuzz --examples 1 --judge-every 0 --out out --json out/f.json"),
 }
 
 # Commands without an input file: their options alone are hostile.
@@ -242,11 +228,7 @@ def write_samples(folder: Path, run: Callable[[str], int]) -> None:
     for name, text in files.items():
         (source / name).write_text(text)
     (source / "kept" / "a.toml").write_text(files["kept.toml"])
-    for name, encoding in (
-        ("ascii", "ascii"),
-        ("little", "binary_little_endian"),
-        ("big", "binary_big_endian"),
-    ):
+    for name, encoding in (("ascii", "ascii"), ("little", "binary_little_endian"), ("big", "binary_big_endian")):
         (source / f"{name}.ply").write_bytes(ply(encoding))
     bench = json.loads((ROOT / "docs/performance/run.json").read_text())
     bench["scenes"], bench["sweeps"] = bench["scenes"][:1], bench["sweeps"][:1]
@@ -273,9 +255,7 @@ def write_samples(folder: Path, run: Callable[[str], int]) -> None:
     t = hits.t
     np.savez(source / "hits.npz", t=t.astype("f4"), n=n.astype("f4"))
     np.save(source / "hits.npy", np.column_stack([t, n]).astype("f4"))
-    (source / "expected.toml").write_text(
-        '[[failure]]\nscene = "scene"\nchecks = ["depth"]\npixels = 3\nwhy = "x"\n'
-    )
+    (source / "expected.toml").write_text('[[failure]]\nscene = "scene"\nchecks = ["depth"]\npixels = 3\nwhy = "x"\n')
     (source / "answer.npy").write_bytes((source / "hits.npy").read_bytes())
     (source / "answer.exr").write_bytes((source / "image.exr").read_bytes())
     verdict = (folder / "out" / "verdict.json").read_bytes()
@@ -283,9 +263,7 @@ def write_samples(folder: Path, run: Callable[[str], int]) -> None:
     (folder / "out" / "judged.jsonl").write_text(json.dumps(json.loads(verdict)["scenes"][0]) + "\n")
     (folder / "out" / "unfinished.txt").write_text("mitsuba-ref fuzz --seed 3 --examples 4..4\n")
     (folder / "out" / "references").mkdir()
-    (folder / "out" / "references" / "scene.exr").write_bytes(
-        (source / "references" / "scene.exr").read_bytes()
-    )
+    (folder / "out" / "references" / "scene.exr").write_bytes((source / "references" / "scene.exr").read_bytes())
 
 
 def ply(encoding: str) -> bytes:
@@ -296,9 +274,7 @@ def ply(encoding: str) -> bytes:
     ).encode()
     faces = [(0, 1, 2, 3), (0, 1, 2)]
     if encoding == "ascii":
-        rows = [" ".join(map(str, row)) for row in VERTICES] + [
-            f"{len(f)} " + " ".join(map(str, f)) for f in faces
-        ]
+        rows = [" ".join(map(str, row)) for row in VERTICES] + [f"{len(f)} " + " ".join(map(str, f)) for f in faces]
         return head + "\n".join(rows).encode() + b"\n"
     order = "<" if "little" in encoding else ">"
     lists = b"".join(bytes([len(f)]) + np.array(f, order + "i4").tobytes() for f in faces)

@@ -14,14 +14,7 @@ from mitsuba_ref.error_model.defect_conditions import GRAZED_FLAT, STARTS_ON_FLA
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, up_to_rounding
 from mitsuba_ref.error_model.intersections import ErrorModel, Intersections, by_normal
 from mitsuba_ref.oracle.exact_numbers import IntegerRay, Integers3, Root, scaled, shifted, sub
-from mitsuba_ref.oracle.interface import (
-    NO_INTERSECTION,
-    Contact,
-    ExactKind,
-    LineIntersections,
-    next_above,
-    next_below,
-)
+from mitsuba_ref.oracle.interface import NO_INTERSECTION, Contact, ExactKind, LineIntersections, next_above, next_below
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes import disk, register
 from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference
@@ -46,9 +39,7 @@ def as_disks(prims: Coins) -> Disks:
     return Disks(prims.center, r * np.eye(3), np.eye(3) / r)
 
 
-def intersect(
-    prims: Coins, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
-) -> tuple[Intersections, ...]:
+def intersect(prims: Coins, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
     return disk.intersect(as_disks(prims), k, o, d, ku)
 
 
@@ -122,13 +113,7 @@ COINS = PrimitiveReference(
 )
 register(
     ShapeReference(
-        Coin,
-        to_xml,
-        (COINS,),
-        expected_coin,
-        random_fields,
-        groups=frozenset({"flat", "small"}),
-        analytic=True,
+        Coin, to_xml, (COINS,), expected_coin, random_fields, groups=frozenset({"flat", "small"}), analytic=True
     )
 )
 

@@ -105,9 +105,7 @@ class Forks:
         order = {"tree": tree, "module": module, "argv": argv, "out": out, "err": err}
         order |= {"memory": self.memory, "without": without}
         code = self.obeyed(self.server(tree), json.dumps(order, default=str))
-        return subprocess.CompletedProcess(
-            argv, code, *(file.read_text(encoding="utf-8") for file in (out, err))
-        )
+        return subprocess.CompletedProcess(argv, code, *(file.read_text(encoding="utf-8") for file in (out, err)))
 
     def obeyed(self, server: "subprocess.Popen[str]", order: str) -> int:
         """The exit code. Whoever takes longer than DEADLINE is killed, and the process with it: an error here."""

@@ -20,14 +20,7 @@ from pathlib import Path
 from typing import Any
 
 PACKAGES = ("caster", "mitsuba_ref")
-LIBRARIES = (
-    "numpy.ma",
-    "numpy.random",
-    "numpy.typing",
-    "pydantic.main",
-    "pydantic.json_schema",
-    "tree_sitter",
-)
+LIBRARIES = ("numpy.ma", "numpy.random", "numpy.typing", "pydantic.main", "pydantic.json_schema", "tree_sitter")
 COMMANDS = (  # what they load
     "mitsuba_ref.runner.validation_run",
     "mitsuba_ref.probe.pixel",
@@ -55,9 +48,7 @@ def serve(home: str | None = None) -> None:
         print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 
 
-def obey(
-    tree: str, module: str, argv: list[str], out: str, err: str, memory: str | None, without: list[str]
-) -> None:
+def obey(tree: str, module: str, argv: list[str], out: str, err: str, memory: str | None, without: list[str]) -> None:
     """What `python -P -m module argv` does with PYTHONPATH=tree; its words go to the files out and err.
 
     without: names of checks of our caster that `validate` shall pass over.

@@ -6,23 +6,15 @@ KERNELS = "caster/kernels"
 TREE, ROOTS, TRIANGLES, NEAREST = (
     f"{KERNELS}/{name}.py" for name in ("bvh/traversal", "math/quadric_roots", "triangles", "nearest")
 )
-SCREEN, INTEGERS, BOXES = (
-    f"{KERNELS}/{name}.py" for name in ("raster/tile_casting", "exact/numbers", "bvh/build")
-)
+SCREEN, INTEGERS, BOXES = (f"{KERNELS}/{name}.py" for name in ("raster/tile_casting", "exact/numbers", "bvh/build"))
 LEAF_OF_RAY, LEAF_OF_PACKET = (
     f"\n                k = tree.order[at]\n                {then}" for then in ("pre", "cast_lanes")
 )
 PLANAR = QUADRIC = f"{KERNELS}/exact/primitives.py"
 EXACT_ROOT, SPANS = f"{KERNELS}/exact/numbers.py", f"{KERNELS}/raster/screen_bounds.py"
 LANES, VECTORS = "caster/jit/simd.py", "caster/jit/vector_intrinsics.py"
-CASTING, HITS, PLACING = (
-    "caster/rendering/casting.py",
-    "caster/rendering/hits.py",
-    "caster/geometry/world_space.py",
-)
-SPHERE, CYLINDER, DISK, PLANE = (
-    f"caster/shapes/{name}.py" for name in ("sphere", "cylinder", "disk", "plane")
-)
+CASTING, HITS, PLACING = ("caster/rendering/casting.py", "caster/rendering/hits.py", "caster/geometry/world_space.py")
+SPHERE, CYLINDER, DISK, PLANE = (f"caster/shapes/{name}.py" for name in ("sphere", "cylinder", "disk", "plane"))
 PANORAMA = "caster/cameras/panorama.py"
 
 
@@ -119,11 +111,7 @@ FAULTS = (
         ),
     ),
     fault(
-        "edges excluded",
-        "edges",
-        4,
-        "missed prim",
-        (PLANAR, "if sign(u) * sign(v) < 0:", "if sign(u) * sign(v) <= 0:"),
+        "edges excluded", "edges", 4, "missed prim", (PLANAR, "if sign(u) * sign(v) < 0:", "if sign(u) * sign(v) <= 0:")
     ),
     fault(
         "edge functions of two neighbours not antisymmetric",
@@ -162,11 +150,7 @@ FAULTS = (
         ),
     ),
     fault(
-        "tubes open at the top",
-        "tangents",
-        10,
-        "missed prim t",
-        (QUADRIC, "slope, root.r) <= 0", "slope, root.r) < 0"),
+        "tubes open at the top", "tangents", 10, "missed prim t", (QUADRIC, "slope, root.r) <= 0", "slope, root.r) < 0")
     ),
     fault(
         "tangents excluded",
@@ -208,11 +192,7 @@ FAULTS = (
         (CASTING, "    if len(rows):\n        exact", "    if len(rows) < 0:\n        exact"),
     ),
     fault(
-        "ties to the higher number",
-        "ties",
-        4,
-        "prim",
-        (NEAREST, "(first == 0 and k < j)", "(first == 0 and k > j)"),
+        "ties to the higher number", "ties", 4, "prim", (NEAREST, "(first == 0 and k < j)", "(first == 0 and k > j)")
     ),
     fault(
         "ties between kinds to whichever came first",
@@ -226,11 +206,7 @@ FAULTS = (
         "planes",
         8,
         "missed prim",
-        (
-            PLANE,
-            "filter_result(steep, all_products_zero(n, d), t, error)",
-            "filter_result(steep, not steep, t, error)",
-        ),
+        (PLANE, "filter_result(steep, all_products_zero(n, d), t, error)", "filter_result(steep, not steep, t, error)"),
     ),
     fault(
         "the last bit of a number lost in the exact arithmetic",

@@ -172,9 +172,7 @@ def mirrored(v, axis):
 def scene_of(name: str, folder: Path, width: int = 24, height: int = 18) -> Scene:
     """A shipped scene, or one of these, with a small film. folder: for files of meshes."""
     if name not in MADE:
-        return load_scene(Path(__file__).parents[2] / "scenes" / f"{name}.toml").with_film(
-            width=width, height=height
-        )
+        return load_scene(Path(__file__).parents[2] / "scenes" / f"{name}.toml").with_film(width=width, height=height)
     camera = {"type": "pinhole", "eye": (0.3, 0.2, 5.0), "look_at": (0, 0, 0), "fov": 40}
     files = (folder / f"{name}-{i}.obj" for i in range(9))
     shapes = [mesh_file(next(files), *s) if isinstance(s, tuple) else s for s in MADE[name]]
@@ -212,9 +210,7 @@ def normals_from_the_origin(scene, o, d, t, n):
 
     hits = caster.cast(scene, o, d)
     with np.errstate(invalid="ignore"):
-        corners = np.stack(
-            [corners_of(scene)[s][p] for s, p in zip(hits.shape_id, hits.prim_id, strict=True)]
-        )
+        corners = np.stack([corners_of(scene)[s][p] for s, p in zip(hits.shape_id, hits.prim_id, strict=True)])
         seen = corners.astype(np.float32) - o.astype(np.float32)[:, None]
         n = np.cross(seen[:, 1] - seen[:, 0], seen[:, 2] - seen[:, 0])
     n[np.isinf(t)] = 0.0
@@ -228,22 +224,11 @@ def corners_of(scene):
 
 FACES, SPHERE = "cornell-box", "one-sphere"
 MISTAKES = [
-    Mistake(
-        "t is a distance",
-        answering(lambda s, o, d, t, n: (t * length(d), n)),
-        FACES,
-        "distance in place of t",
-    ),
-    Mistake(
-        "d normalised", casting(lambda s, o, d: (o, d / length(d)[:, None])), SPHERE, "distance in place of t"
-    ),
-    Mistake(
-        "constant epsilon", answering(lambda s, o, d, t, n: (t - 1e-4, n)), SPHERE, "t is 0.0001 too small"
-    ),
+    Mistake("t is a distance", answering(lambda s, o, d, t, n: (t * length(d), n)), FACES, "distance in place of t"),
+    Mistake("d normalised", casting(lambda s, o, d: (o, d / length(d)[:, None])), SPHERE, "distance in place of t"),
+    Mistake("constant epsilon", answering(lambda s, o, d, t, n: (t - 1e-4, n)), SPHERE, "t is 0.0001 too small"),
     Mistake("z depth", answering(camera_z), SPHERE, "depth along z, the view axis"),
-    Mistake(
-        "t scaled", answering(lambda s, o, d, t, n: (t * 100.0, n)), FACES, "t is 100 times what it should be"
-    ),
+    Mistake("t scaled", answering(lambda s, o, d, t, n: (t * 100.0, n)), FACES, "t is 100 times what it should be"),
     Mistake("1 / t", answering(lambda s, o, d, t, n: (1.0 / t, n)), FACES, "1 / t in place of t"),
     Mistake("t squared", answering(lambda s, o, d, t, n: (t * t, n)), FACES, "the square of t"),
     Mistake("float32 inside", answering(in_float32), FACES, "computed in float32"),
@@ -272,30 +257,14 @@ MISTAKES = [
         "by (-0.25, -0.25) of a pixel",
     ),
     Mistake("d reversed", casting(lambda s, o, d: (o, -d)), "inside-sphere", "the directions are reversed"),
+    Mistake("x of d turned", casting(lambda s, o, d: (o, mirrored(d, 0))), "inside-sphere", "the x axis of directions"),
     Mistake(
-        "x of d turned",
-        casting(lambda s, o, d: (o, mirrored(d, 0))),
-        "inside-sphere",
-        "the x axis of directions",
+        "left handed", casting(lambda s, o, d: (mirrored(o, 2), mirrored(d, 2))), "inside-sphere", "another handedness"
     ),
-    Mistake(
-        "left handed",
-        casting(lambda s, o, d: (mirrored(o, 2), mirrored(d, 2))),
-        "inside-sphere",
-        "another handedness",
-    ),
-    Mistake(
-        "z up",
-        casting(lambda s, o, d: (o, d[:, [0, 2, 1]])),
-        "inside-sphere",
-        "(x, z, y) in place of (x, y, z)",
-    ),
+    Mistake("z up", casting(lambda s, o, d: (o, d[:, [0, 2, 1]])), "inside-sphere", "(x, z, y) in place of (x, y, z)"),
     Mistake("origin forgotten", casting(lambda s, o, d: (0 * o, d)), "inside-sphere", "taken for (0, 0, 0)"),
     Mistake(
-        "vertices in other units",
-        edited(vertices=lambda self, s, v: v * 10.0),
-        "torus-smooth",
-        "10 times as large",
+        "vertices in other units", edited(vertices=lambda self, s, v: v * 10.0), "torus-smooth", "10 times as large"
     ),
     Mistake("far root", edited(root=lambda self, near, far: far), SPHERE, "another root of the surface"),
     Mistake("inside missed", edited(both_roots=False), "inside-sphere", "the surface's first root is behind"),
@@ -305,22 +274,13 @@ MISTAKES = [
         "layers",
         "the last surface in the order of the scene",
     ),
-    Mistake(
-        "back faces culled", edited(seen=lambda self, det: det < 0), "triangles", "back faces are culled"
-    ),
+    Mistake("back faces culled", edited(seen=lambda self, det: det < 0), "triangles", "back faces are culled"),
     Mistake("front faces culled", edited(seen=lambda self, det: det > 0), FACES, "front faces are culled"),
     Mistake("normal turned", answering(lambda s, o, d, t, n: (t, -n)), FACES, "the normal is turned round"),
     Mistake("normal to the ray", answering(facing), "inside-sphere", "turned towards the ray"),
     Mistake("normals interpolated", answering(interpolated), "torus-smooth", "the interpolated normal"),
-    Mistake(
-        "normal's x", answering(lambda s, o, d, t, n: (t, mirrored(n, 0))), SPHERE, "(-x, y, z) in place of"
-    ),
-    Mistake(
-        "normal's axes",
-        answering(lambda s, o, d, t, n: (t, n[:, [0, 2, 1]])),
-        SPHERE,
-        "(x, z, y) in place of",
-    ),
+    Mistake("normal's x", answering(lambda s, o, d, t, n: (t, mirrored(n, 0))), SPHERE, "(-x, y, z) in place of"),
+    Mistake("normal's axes", answering(lambda s, o, d, t, n: (t, n[:, [0, 2, 1]])), SPHERE, "(x, z, y) in place of"),
     Mistake("camera's normals", answering(camera_normals), SPHERE, "in the camera's axes"),
     Mistake(
         "normals as colours",
@@ -340,9 +300,7 @@ MISTAKES = [
         "torus-smooth",
         "computed from corners minus the ray's origin",
     ),
-    Mistake(
-        "everything missed", answering(lambda s, o, d, t, n: (t + np.inf, n)), SPHERE, "misses everything"
-    ),
+    Mistake("everything missed", answering(lambda s, o, d, t, n: (t + np.inf, n)), SPHERE, "misses everything"),
 ]
 
 # Defects of some pixels: one quantity separates wrong from right ones.
@@ -354,10 +312,7 @@ DEFECTS = [
         "the determinant |d . (e1 x e2)| is below",
     ),
     Mistake(
-        "flat boxes",
-        edited(thick=lambda self, *abc: (np.ptp(abc, axis=0) > 0).all()),
-        "mixed",
-        "has no thickness",
+        "flat boxes", edited(thick=lambda self, *abc: (np.ptp(abc, axis=0) > 0).all()), "mixed", "has no thickness"
     ),
     Mistake(
         "flat boxes at times",
@@ -367,10 +322,7 @@ DEFECTS = [
     ),
     Mistake("absolute t_min", edited(t_min=3.2), SPHERE, "t is below 3.2"),
     Mistake(
-        "last triangles left out",
-        edited(faces=lambda self, s, f: f[:2000]),
-        "torus-smooth",
-        "number of the primitive",
+        "last triangles left out", edited(faces=lambda self, s, f: f[:2000]), "torus-smooth", "number of the primitive"
     ),
     Mistake(
         "no third edge",

@@ -19,9 +19,7 @@ def write(folder: Path, content: str, name: str = "scene.xml") -> Path:
     return path
 
 
-def shape(
-    plugin: str, name: str, x: float, y: float = 0.0, content: str = DIFFUSE, stretch: str = "1 1 1"
-) -> str:
+def shape(plugin: str, name: str, x: float, y: float = 0.0, content: str = DIFFUSE, stretch: str = "1 1 1") -> str:
     """One shape of about unit size around (x, y, 0)."""
     a, b, c = stretch.split()
     matrix = f"{a} 0 0 {x} 0 {b} 0 {y} 0 0 {c} 0 0 0 0 1"

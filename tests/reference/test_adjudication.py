@@ -98,9 +98,7 @@ def test_a_tie_has_to_be_right_by_float64_all_the_same(brought):
 def test_an_eye_in_the_plane_of_a_quad_sees_past_it(judged):
     upright = [{"rotate": {"axis": [1, 0, 0], "degrees": -90}}]
     camera = caster.Pinhole(eye=(0, 0, 5), look_at=(0, 1, 0), fov=40)
-    found = judged(
-        scene_of(caster.Rectangle(to_world=upright), caster.Sphere(center=(0, 1, 0)), camera=camera)
-    )
+    found = judged(scene_of(caster.Rectangle(to_world=upright), caster.Sphere(center=(0, 1, 0)), camera=camera))
     assert found.ok and found.counts["agree"] == found.hit_pixels >= 250, found.counts
 
 
@@ -121,9 +119,8 @@ def test_a_reference_that_is_wrong_everywhere_is_no_evidence(judged):
     floor = caster.Plane(normal=(0, 1, 0), offset=0)
     found = judged(scene_of(floor, caster.Sphere(center=(0, 1, 0)), camera=camera))
     assert not found.ok and found.counts["reference_wrong"] > 800 and found.failing == 0
-    assert (
-        "the reference is wrong at 864 pixels and right at 0, so it is no evidence about ours here"
-        in failure_text(found)
+    assert "the reference is wrong at 864 pixels and right at 0, so it is no evidence about ours here" in failure_text(
+        found
     )
 
 
@@ -327,9 +324,7 @@ def test_a_reproducer_holds_the_very_numbers_and_shows_the_same(brought):
 def test_the_command_probe_writes_one_that_every_command_takes(tmp_path):
     scene = tmp_path / "skinny.toml"
     more = [caster.Sphere(name="far off", center=(900, 900, 900)), SKINNY]
-    scene.write_text(
-        Scene(film=caster.Film(width=2, height=1), camera=PAST, shapes=more).to_toml(), encoding="utf-8"
-    )
+    scene.write_text(Scene(film=caster.Film(width=2, height=1), camera=PAST, shapes=more).to_toml(), encoding="utf-8")
     saved = tmp_path / "saved.toml"
     found = run(ROOT, "probe", str(scene), "1", "0", "--save", str(saved))
     assert found.returncode == 0 and "saved.toml: written; it shows the same" in found.stderr, found.stderr

@@ -175,9 +175,7 @@ def test_scenes_that_are_requested_together_have_keys_of_their_own(request_, tmp
     (tmp_path / "more").mkdir()
     second = replace(request_, xml=write(tmp_path / "more", shape("sphere", "egg", 0)), lights=False)
     first = replace(request_, lights=False)
-    orders = [
-        mitsuba_process.merge_requests(each) for each in ([first, second], [second, first], [first, first])
-    ]
+    orders = [mitsuba_process.merge_requests(each) for each in ([first, second], [second, first], [first, first])]
     shifted = replace(orders[0], more=((second.xml, RAYS - 1),))
     assert len({request_key(each) for each in (first, second, *orders, shifted)}) == 6
 

@@ -92,25 +92,13 @@ def replaced(here, name, **planes):
 
 def test_a_reference_states_where_it_comes_from_and_names_no_folder(here):
     found = load_reference(here / "refs/ball.exr")
-    assert {
-        "A",
-        "depth.Z",
-        "normal.X",
-        "shading_normal.Z",
-        "position.Y",
-        "R",
-        "id.shape",
-        CLASS_CHANNEL,
-    } <= set(found.channels)
+    assert {"A", "depth.Z", "normal.X", "shading_normal.Z", "position.Y", "R", "id.shape", CLASS_CHANNEL} <= set(
+        found.channels
+    )
     about = found.about
     assert about["caster/reference/mitsuba"] == "3.9.1" and about["caster/reference/variant"] == "scalar_rgb"
-    assert (
-        about["caster/reference/command"] == "mitsuba-ref approve ball.toml"
-        and about["caster/scene"] == "ball.toml"
-    )
-    assert {"caster/scene_sha256", "caster/version", "caster/reference/drjit"} <= set(
-        about
-    ) and "uv" not in AOVS
+    assert about["caster/reference/command"] == "mitsuba-ref approve ball.toml" and about["caster/scene"] == "ball.toml"
+    assert {"caster/scene_sha256", "caster/version", "caster/reference/drjit"} <= set(about) and "uv" not in AOVS
     assert not any(str(here) in words or "/usr/" in words for words in about.values())
 
 
@@ -168,11 +156,7 @@ def test_only_all_renews_what_differs_in_versions_alone(here, capsys):
 def test_files_without_a_scene_are_named_and_left(here, capsys):
     (here / "scenes/ball.toml").unlink()
     code, out, _ = said(capsys, "approve", "scenes")
-    assert (
-        code == 0
-        and "note     ball.exr: no scene of this selection" in out
-        and (here / "refs/ball.exr").exists()
-    )
+    assert code == 0 and "note     ball.exr: no scene of this selection" in out and (here / "refs/ball.exr").exists()
 
 
 def test_a_crash_of_mitsuba_writes_nothing_and_fails(here, capsys, monkeypatch):
@@ -251,12 +235,7 @@ def test_a_reference_that_is_missing_is_a_missing_file_and_no_pass(here, capsys)
 @pytest.mark.parametrize(
     ("file", "old", "new", "says"),
     [
-        (
-            "ball.toml",
-            "radius = 1.3",
-            "radius = 1.31",
-            "stale: shape of the scene has changed since it was approved",
-        ),
+        ("ball.toml", "radius = 1.3", "radius = 1.31", "stale: shape of the scene has changed since it was approved"),
         ("ball.toml", "width = 12", "width = 13", "stale: film of the scene has changed"),
         ("ball.toml", "# A ball", "# The same ball", None),
         ("tile.obj", "v 1 -1 0", "v 1 -1 0.001", "stale: a mesh file of the scene has changed"),
@@ -280,9 +259,7 @@ def test_an_altered_file_is_refused(here, capsys):
     exr = read_exr(path)
     depth = exr.channels["depth.Z"].copy()
     depth[5, 6] = np.nextafter(depth[5, 6], np.float32(0))
-    write_exr(
-        path, exr.channels | {"depth.Z": depth}, exr.provenance
-    )  # a careful editor: one bit, a whole file
+    write_exr(path, exr.channels | {"depth.Z": depth}, exr.provenance)  # a careful editor: one bit, a whole file
     code, out, _ = said(capsys, "check", "scenes")
     assert code == 1 and "FAIL  ball  refs/ball.exr: altered after it was approved" in out
     assert "damaged  -> ball" in said(capsys, "approve", "scenes")[1]
@@ -290,12 +267,7 @@ def test_an_altered_file_is_refused(here, capsys):
     assert "altered after it was approved" in said(capsys, "check", "scenes")[1]
     write_exr(path, exr.channels, {k: v for k, v in exr.provenance.items() if "sha256" not in k})
     assert "no reference of `mitsuba-ref approve`" in said(capsys, "check", "scenes")[1]
-    for broken in (
-        good[: len(good) // 2],
-        b"",
-        b"not an image",
-        good[:2000] + bytes([good[2000] ^ 64]) + good[2001:],
-    ):
+    for broken in (good[: len(good) // 2], b"", b"not an image", good[:2000] + bytes([good[2000] ^ 64]) + good[2001:]):
         path.write_bytes(broken)
         code, out, _ = said(capsys, "check", "scenes")
         assert code == 4 and "FAIL  ball  " in out and "PASS  mesh" in out and "nothing was checked" in out

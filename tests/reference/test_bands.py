@@ -67,17 +67,13 @@ def test_the_verdict_is_that_of_the_whole_film(small_bands, send, name):
     assert (bands.pixels, bands.hit_pixels, bands.counts) == (whole.pixels, whole.hit_pixels, whole.counts)
     assert bands.cases == whole.cases and bands.size == whole.size
     assert [check.name for check in bands.checks] == [check.name for check in whole.checks]
-    assert {"culling", "routes", "sensor", "bias", "geometry", "knife_edges"} <= {
-        c.name for c in bands.checks
-    }
+    assert {"culling", "routes", "sensor", "bias", "geometry", "knife_edges"} <= {c.name for c in bands.checks}
     assert bands.notes[0].startswith("judged in ") and not whole.notes
     one, other = whole.statistics, bands.statistics
     assert one is not None and other is not None and other.pixels == one.pixels > 0
     assert {bias.kind for bias in other.biases} == {bias.kind for bias in one.biases}
     assert abs(other.z) < LARGEST_Z
-    planes = any(
-        shape.type == "plane" for shape in scene(name).shapes
-    )  # their stand-ins are cut to the band's rays
+    planes = any(shape.type == "plane" for shape in scene(name).shapes)  # their stand-ins are cut to the band's rays
     assert other.k_t.largest < K if planes else (other.k_t, other.k_normal) == (one.k_t, one.k_normal)
 
 
@@ -102,25 +98,19 @@ def with_wrong_normals_below(scene, o, d):
 def test_a_fault_in_some_bands_fails_with_all_its_pixels_and_the_evidence_of_one_band(
     small_bands, send, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(
-        classification, "WRONG_PIXELS_ADJUDICATED", 60 * 42
-    )  # of each band as of the whole: all
+    monkeypatch.setattr(classification, "WRONG_PIXELS_ADJUDICATED", 60 * 42)  # of each band as of the whole: all
     subject = function_subject(with_wrong_normals_below)
     found = {}
     for on in (False, True):
         small_bands(on)
-        found[on] = validate_scene(
-            scene("one-sphere"), "s", subject=subject, send=send, keep=True, folder=tmp_path
-        )
+        found[on] = validate_scene(scene("one-sphere"), "s", subject=subject, send=send, keep=True, folder=tmp_path)
     whole, bands = found[False], found[True]
     assert not bands.ok and bands.counts == whole.counts and 0 < bands.counts[WRONG] < bands.counts[AGREE] * 2
     assert bands.failing_by == whole.failing_by and set(bands.worst_by) == set(whole.worst_by)
     assert {f.what: f.pixels for f in bands.findings} == {f.what: f.pixels for f in whole.findings}
     x0, y0, x1, y1 = bands.seen.scene.film.window
     assert (x1 - x0, y1 - y0) == (60, 7) and any(f"rows {y0} to {y1 - 1}" in note for note in bands.notes)
-    assert all(
-        y0 <= failure.y < y1 for failure in (bands.failures[0], bands.findings[0])
-    )  # which the page can show
+    assert all(y0 <= failure.y < y1 for failure in (bands.failures[0], bands.findings[0]))  # which the page can show
     assert (bands.seen.judgement.classes == CLASSES.index(WRONG)).any()
     files = sorted(path.name for path in tmp_path.glob("s.rows-*.verdict.exr"))
     assert len(files) == 6 and files[-1] == "s.rows-00035-00041.verdict.exr"

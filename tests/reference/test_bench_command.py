@@ -42,9 +42,7 @@ def test_a_small_image_is_timed_and_judged(tmp_path, monkeypatch, capsys):
     assert 1e-2 < scalar["ulps"] < 100.0 and scalar["bounds"] < 1.0
     assert rows["scalar-loop"]["score"] == scalar  # the same intersector
     out = capsys.readouterr().out
-    assert (
-        "Mitsuba scalar, robust, AOV integrator" in out and "1 of 1 scenes, 3 rows, 0 without numbers" in out
-    )
+    assert "Mitsuba scalar, robust, AOV integrator" in out and "1 of 1 scenes, 3 rows, 0 without numbers" in out
 
 
 @pytest.mark.parametrize(
@@ -65,9 +63,7 @@ def test_mitsubas_llvm_variant_is_requested_what_is_timed(name, keys):
 def test_a_file_and_a_candidate_are_timed_and_judged_beside_ours(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(run, "contestants_for", lambda asks, **more: [BY_KEY["ours"]])
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "box.obj").write_text(
-        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
-    )
+    (tmp_path / "box.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n")
     (tmp_path / "timed_caster.py").write_text(
         "import caster\nscenes = []\n\n\ndef cast(scene, o, d):\n    if all(scene is not each for each in scenes):\n"
         "        scenes.append(scene)\n    assert len(scenes) <= 4, 'each build of the contestant is one scene'\n"
@@ -90,9 +86,7 @@ def test_a_file_and_a_candidate_are_timed_and_judged_beside_ours(tmp_path, monke
 def test_a_candidate_that_cannot_be_timed_is_no_result(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(run, "contestants_for", lambda asks, **more: [BY_KEY["ours"]])
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "untimed_caster.py").write_text(
-        "def cast(scene, o, d):\n    raise NotImplementedError('spheres')\n"
-    )
+    (tmp_path / "untimed_caster.py").write_text("def cast(scene, o, d):\n    raise NotImplementedError('spheres')\n")
     words = ["bench", "one-sphere", "--size", "8", "--alternations", "1", "--candidate"]
     assert main([*words, "untimed_caster:cast"]) == 1
     assert "untimed_caster:cast raised NotImplementedError: spheres" in capsys.readouterr().out

@@ -9,9 +9,7 @@ import re
 import pytest
 from edited_tree import ROOT, copy_tree, edit, run
 
-VEC, ROOTS, TRIANGLES = (
-    f"caster/kernels/{name}.py" for name in ("math/vec", "math/quadric_roots", "triangles")
-)
+VEC, ROOTS, TRIANGLES = (f"caster/kernels/{name}.py" for name in ("math/vec", "math/quadric_roots", "triangles"))
 SIZE = ("30", "20")  # 150 aimed rays
 
 # what is trusted to the last bit: (scene, file, text, what it becomes)
@@ -19,7 +17,7 @@ BOUNDS = {
     "edge functions": ("shared-edges-icosphere", TRIANGLES, "EDGE_ERROR = 16.0 * U", "EDGE_ERROR = 0.0"),
     "heights over triangles": ("flat-shapes", TRIANGLES, "= 9.0 * U, 8.0 * U", "= 0.0, 8.0 * U"),
     "object space": ("flat-shapes", VEC, "TO_OBJECT_SPACE_ERROR = 6.0 * U", "TO_OBJECT_SPACE_ERROR = 0.0"),
-    "closest approach": ("one-sphere", ROOTS, "    within_error = (", "    within_error = 0.0 * ("),
+    "closest approach": ("one-sphere", ROOTS, "    within_error = moved *", "    within_error = 0.0\n    _ = moved *"),
     "the smaller root": ("ellipsoids", ROOTS, "small_error = 2.0 * (", "small_error = 0.0 * ("),
     "every sum and product": ("one-sphere", VEC, "U = 2.0**-53  #", "U = 2.0**-80  #"),
 }

@@ -126,10 +126,7 @@ channels = {"depth.Z": depth, "A": np.isfinite(depth)} | {f"normal.{axis}": norm
 SAVE = "\nwrite_exr(exr, channels)\n"
 
 FAILING = [
-    (
-        "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)",
-        "the program was ended by SIGSEGV; it printed nothing",
-    ),
+    ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "the program was ended by SIGSEGV; it printed nothing"),
     ("print('no licence'); raise SystemExit(3)", "ended with exit code 3; its last words:\nno licence"),
     ("import time; print('slow', flush=True); time.sleep(60)", "killed after 1 s; its last words:\nslow"),
     ("pass", "ended well, but wrote no {exr}"),
@@ -137,10 +134,7 @@ FAILING = [
     (WRITE + SAVE + "open(exr, 'r+').truncate(400)", "a damaged or truncated EXR"),
     (WRITE + "del channels['depth.Z']" + SAVE, "the image has no channel depth.Z"),
     (WRITE + "del channels['normal.Y']" + SAVE, "has normal.X, normal.Z, but not all of"),
-    (
-        WRITE + "channels = {n: a[:-1] for n, a in channels.items()}" + SAVE,
-        "expected (0, 0, 16, 12) of the film",
-    ),
+    (WRITE + "channels = {n: a[:-1] for n, a in channels.items()}" + SAVE, "expected (0, 0, 16, 12) of the film"),
     (WRITE + "channels['A'] = 0 * normal + 1" + SAVE, "A and depth.Z contradict each other at 192 pixels"),
     (WRITE + "depth[2, 3] = np.nan" + SAVE, "at 1 pixels, first (3, 2): A is 0, depth nan"),
     (WRITE + "depth[2, 3] = -np.inf" + SAVE, "at 1 pixels, first (3, 2): A is 0, depth -inf"),
@@ -225,9 +219,7 @@ def test_a_served_program_of_blanks_is_refused(blanks):
 
 def test_a_program_ends_with_the_run_that_started_it(judged, tmp_path):
     """Ctrl-C reaches the judge alone: it stops what it has started."""
-    (tmp_path / "program.py").write_text(
-        f"open({str(tmp_path / 'started')!r}, 'w')\nimport time; time.sleep(60)"
-    )
+    (tmp_path / "program.py").write_text(f"open({str(tmp_path / 'started')!r}, 'w')\nimport time; time.sleep(60)")
     command = f"{PYTHON} {tmp_path / 'program.py'} {{exr}} {{toml}}"
     found: list[SceneVerdict] = []
     work = threading.Thread(target=lambda: found.append(judged(command, small("one-sphere"))))
@@ -284,15 +276,7 @@ def test_a_function_that_ends_the_process_is_no_pass_and_leaves_no_earlier_verdi
 
 def test_a_function_that_ends_the_process_after_the_verdict_does_not_change_it(tmp_path):
     (tmp_path / "ends.py").write_text(ENDS)
-    words = [
-        "validate",
-        str(ROOT / "scenes/one-sphere.toml"),
-        "--size",
-        "8",
-        "8",
-        "--candidate",
-        "ends:exits_later",
-    ]
+    words = ["validate", str(ROOT / "scenes/one-sphere.toml"), "--size", "8", "8", "--candidate", "ends:exits_later"]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(tmp_path)])}
     done = subprocess.run([sys.executable, "-m", "mitsuba_ref", *words], env=environment, cwd=tmp_path)
     assert done.returncode == 1
@@ -359,7 +343,5 @@ def test_what_is_read_so_is_judged_all_the_same(tmp_path, capsys):
 def test_options_about_images_need_a_command_that_writes_some(capsys):
     assert main(["validate", str(SCENES / "one-sphere.toml"), "--depth", "z"]) == 2
     assert "--depth: expected a --candidate with {exr} beside it" in capsys.readouterr().err
-    assert (
-        main(["validate", str(SCENES / "one-sphere.toml"), "--map", "a=b", "--candidate", "os:getcwd"]) == 2
-    )
+    assert main(["validate", str(SCENES / "one-sphere.toml"), "--map", "a=b", "--candidate", "os:getcwd"]) == 2
     assert "--map: expected a --candidate with {exr} beside it" in capsys.readouterr().err

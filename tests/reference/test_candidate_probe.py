@@ -158,9 +158,7 @@ def test_the_text_has_the_candidate_between_ours_and_mitsuba(at, monkeypatch, br
 
 def test_a_probe_of_a_function_is_looked_after_and_deletes_nothing():
     words = ["probe", "--json", "scene.toml", "1", "2", "--candidate", "mine:trace"]
-    assert __main__.needs_supervision(words) and __main__.needs_supervision(
-        [*words[:5], "--candidate=mine:trace"]
-    )
+    assert __main__.needs_supervision(words) and __main__.needs_supervision([*words[:5], "--candidate=mine:trace"])
     assert not __main__.needs_supervision(words[:5])
     assert list(__main__.output_paths(words)) == []  # after `validate`, --json has a file behind it
 

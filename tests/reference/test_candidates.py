@@ -125,12 +125,7 @@ FAULTS = [
     (candidates.depth_along_z, "triangles", EVERYWHERE, "depth along z, the view axis"),
     (candidates.the_last_surface, "closest-of-several", 0.1, "a surface that lies behind the first one"),
     (candidates.negative_t, "one-sphere", EVERYWHERE, "no answer: t is negative"),
-    (
-        candidates.normals_of_no_length,
-        "one-sphere",
-        EVERYWHERE,
-        "no answer: the normal has no length on a hit",
-    ),
+    (candidates.normals_of_no_length, "one-sphere", EVERYWHERE, "no answer: the normal has no length on a hit"),
 ]
 
 
@@ -235,17 +230,11 @@ ANSWERS = [
     (lambda scene, o, d: (np.zeros((len(o), 1)), None), "t: expected shape (n,) = (432,), got (432, 1)"),
     (lambda scene, o, d: (np.zeros(len(o)), o[:, :2]), "n: expected shape (n, 3) = (432, 3), got (432, 2)"),
     (lambda scene, o, d: (np.zeros(len(o), int), None), "t: expected float32 or float64 numbers, got int64"),
-    (
-        lambda scene, o, d: (np.zeros(len(o), np.float16), None),
-        "expected float32 or float64 numbers, got float16",
-    ),
+    (lambda scene, o, d: (np.zeros(len(o), np.float16), None), "expected float32 or float64 numbers, got float16"),
     (lambda scene, o, d: ([None] * len(o), None), "t: expected float32 or float64 numbers, got object"),
     (lambda scene, o, d: ([10**400] * len(o), None), "t: expected float32 or float64 numbers, got object"),
     (lambda scene, o, d: (Leaving(), None), "t is no array: SystemExit: 0"),
-    (
-        lambda scene, o, d: ((v for v in o), None),
-        "t: expected an array of shape (n,) = (432,), got generator",
-    ),
+    (lambda scene, o, d: ((v for v in o), None), "t: expected an array of shape (n,) = (432,), got generator"),
     (lambda scene, o, d: (None, None), "t: expected an array of shape (n,) = (432,), got NoneType"),
     (masked, "values are masked; fill them, such as t.filled(inf)"),
     (speechless, "raised Speechless: (its message raises ValueError)"),
@@ -335,9 +324,7 @@ WILD = [
 def test_wild_numbers_are_wrong_in_the_ordinary_way(send, trace, says, tmp_path):
     """No warning, and pictures all the same: 1e308 is beyond what their files hold."""
     candidate, scene = FunctionSubject(trace.__name__, trace), small("one-sphere", 12, 9)
-    found = validate_scene(
-        scene, "wild", "wild.toml", subject=candidate, send=send, folder=tmp_path, keep=True
-    )
+    found = validate_scene(scene, "wild", "wild.toml", subject=candidate, send=send, folder=tmp_path, keep=True)
     assert not found.problem and found.counts[WRONG] > 20 and says in found.findings[0].what
     assert (read_exr(tmp_path / "wild.verdict.exr").channels["class.I"] == CLASSES.index(WRONG)).any()
     assert np.isfinite(read_exr(tmp_path / "wild.candidate.exr").channels["depth.Z"]).sum() > 20
@@ -378,12 +365,7 @@ def test_python_may_name_the_function_itself():
 def test_the_command_line_has_exit_codes_files_and_a_precision(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(ROOT)
     one = ["validate", "scenes/one-sphere.toml", "--size", "24", "18", "--candidate"]
-    assert (
-        main(
-            [*one, "docs.candidates.plain:trace", "--out", str(tmp_path), "--candidate-precision", "float32"]
-        )
-        == 0
-    )
+    assert main([*one, "docs.candidates.plain:trace", "--out", str(tmp_path), "--candidate-precision", "float32"]) == 0
     out = capsys.readouterr().out
     assert "PASS  one-sphere" in out and " wrong" not in out  # classes without pixels are left out
     names = {path.name for path in tmp_path.iterdir()}

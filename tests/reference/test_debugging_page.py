@@ -57,9 +57,7 @@ def test_both_faces_have_the_ray_on_an_edge_and_miss(story):
 def test_pdb_stops_at_the_fault_and_shows_the_sign(story):
     module, tree, _, _ = story
     said = module.stepping(tree).text
-    assert (
-        f"(Pdb) tbreak {module.FILE}:{tree.line()}" in PAGE
-    )  # else the page is of another source: make it anew
+    assert f"(Pdb) tbreak {module.FILE}:{tree.line()}" in PAGE  # else the page is of another source: make it anew
     assert f"{module.FILE}({tree.line()})exact_triangle()\n-> {module.BAD.strip()}" in said
     assert "(Pdb) p sign(u), sign(v)\n(0, 1)" in said and "-> return no_root()" in said
     assert "Traceback" not in said and "internal error" not in said
@@ -75,9 +73,7 @@ def test_pdb_stops_where_a_primitive_is_tried_and_prints_its_t(story):
     said = tree.run(f"pdb caster probe {module.SCENE} 7 3 --size 15 15", typed).text
     assert f"caster/kernels/triangles.py({line})_intersect()" in said
     t, off = (float(number) for number in re.search(r"\(([\d.e+-]+), ([\d.e+-]+)\)\n", said).groups())
-    assert (
-        1.0 <= t <= 3.0**0.5 and 0.0 < off < 1e-12 and "Traceback" not in said
-    )  # of a cube around its origin
+    assert 1.0 <= t <= 3.0**0.5 and 0.0 < off < 1e-12 and "Traceback" not in said  # of a cube around its origin
 
 
 def test_with_the_line_put_right_everything_passes(story):

@@ -47,9 +47,7 @@ class Asked:
     def judge(self, view: RayHits) -> Judge:
         """Ours as it is seen there, the reference's bounds of the right geometry along the right rays."""
         return Judge(
-            self.scene,
-            self.model,
-            pair_images(self.scene, self.rays, answer_of_view(self.scene, view), self.witness),
+            self.scene, self.model, pair_images(self.scene, self.rays, answer_of_view(self.scene, view), self.witness)
         )
 
     def altered(self, alter: Callable[[Any], None]) -> RayHits:
@@ -74,9 +72,7 @@ class Asked:
         camera = self.scene.camera
         assert isinstance(camera, caster.Pinhole)
         across, above = camera.principal_point
-        moved = camera.model_copy(
-            update={"principal_point": (across + pixels / self.scene.film.width, above)}
-        )
+        moved = camera.model_copy(update={"principal_point": (across + pixels / self.scene.film.width, above)})
         return cast_ours(self.scene, shared_rays(self.scene.model_copy(update={"camera": moved})))
 
 

@@ -20,9 +20,7 @@ CAMERA = caster.Pinhole(eye=(0.3, 0.2, 2.5), look_at=(0, 0, 0), fov=60)
 SHAPES = (
     caster.Sphere(name="room", center=(0.7, -0.4, 1.1), radius=4.0),
     caster.Sphere(name="ball", center=(-0.7, 0.3, 0.2), radius=0.5),
-    caster.Torus(
-        name="ring", to_world=[{"scale": 0.6}, TURN, {"translate": [0.5, -0.4, 0]}], segments=9, sides=5
-    ),
+    caster.Torus(name="ring", to_world=[{"scale": 0.6}, TURN, {"translate": [0.5, -0.4, 0]}], segments=9, sides=5),
     caster.Rectangle(name="wall", to_world=[{"scale": 0.6}, {"translate": [0.5, 0.6, -0.5]}]),
 )
 
@@ -47,9 +45,7 @@ def agreed(right):
 
 def answering(judge: Judge, **change) -> Judge:
     answer: Answer = replace(judge.answer, **change)
-    return Judge(
-        judge.scene, judge.model, pair_images(judge.scene, judge.pair.rays, answer, judge.result), judge.view
-    )
+    return Judge(judge.scene, judge.model, pair_images(judge.scene, judge.pair.rays, answer, judge.result), judge.view)
 
 
 def causes_of(judge: Judge):
@@ -96,9 +92,7 @@ def test_misses_in_place_of_hits_and_both_ways_of_t_are_causes_of_their_own(righ
     t[missed], n[missed] = np.inf, 0.0
     t[before] *= 1.0 - uneven(len(before))
     t[behind] *= 1.0 + uneven(len(behind))
-    found = {
-        cause.what.split(" what")[0]: cause.rows.tolist() for cause in causes_of(answering(right, t=t, n=n))
-    }
+    found = {cause.what.split(" what")[0]: cause.rows.tolist() for cause in causes_of(answering(right, t=t, n=n))}
     assert found == {
         "missed; exact arithmetic hits": missed.tolist(),
         "t is off: before": before.tolist(),
@@ -130,9 +124,7 @@ def test_a_mistake_of_most_pixels_is_the_first_cause_and_the_rest_is_described(r
     rest = every[::20]
     t[rest] = right.answer.t[rest] * (1.0 + uneven(len(rest)))
     first, other = causes_of(answering(right, t=t))
-    assert first.what == "t is 1.5 times what it should be" and first.of == len(every) == len(
-        first.rows
-    ) + len(rest)
+    assert first.what == "t is 1.5 times what it should be" and first.of == len(every) == len(first.rows) + len(rest)
     assert other.what.startswith("t is off: behind what is hit") and other.rows.tolist() == rest.tolist()
 
 
@@ -143,10 +135,7 @@ def numbers(judge: Judge) -> dict[str, np.ndarray]:
     prim, packed = judge.reference_prim, judge.model.packed
     hit = prim >= 0
     at = np.maximum(prim, 0)
-    return {
-        "shape_id": np.where(hit, packed.shape_of(at), -1),
-        "prim_id": np.where(hit, packed.index_in_shape(at), -1),
-    }
+    return {"shape_id": np.where(hit, packed.shape_of(at), -1), "prim_id": np.where(hit, packed.index_in_shape(at), -1)}
 
 
 @pytest.mark.parametrize(("step", "remedy"), [(1, "subtract 1"), (-1, "add 1")])

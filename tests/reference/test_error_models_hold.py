@@ -83,9 +83,7 @@ def test_every_hit_and_miss_is_one_that_rounding_allows(observed):
         unclear += int(found.open_ended.sum())
         certain += int(found.certain.sum())
     total = COUNT * len(settings)
-    print(
-        f"\n{kind}: {differ} of {total} hits and misses differ from float64's, {unclear} open, {certain} certain"
-    )
+    print(f"\n{kind}: {differ} of {total} hits and misses differ from float64's, {unclear} open, {certain} certain")
     assert unclear <= 0.01 * total
     assert certain >= 0.3 * total
     assert differ >= 100 or kind == "planes"

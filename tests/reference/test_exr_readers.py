@@ -72,6 +72,4 @@ def test_mitsubas_own_image_of_our_export_passes_with_its_conventions_stated(tmp
     assert result.ok, result.format_table()
     assert {group.name for group in result.groups} >= {"hit", "depth", "normal", "shading_normal", "position"}
     stated = "\n".join(result.stated)
-    assert (
-        "depth.T is depth.Z" in stated and "depth is the distance from the near plane along the ray" in stated
-    )
+    assert "depth.T is depth.Z" in stated and "depth is the distance from the near plane along the ray" in stated

@@ -27,11 +27,7 @@ class Fault(NamedTuple):
 
 FAULTS = (
     Fault(
-        "X and Y of normals exchanged",
-        r"normal\.[XY] at ",
-        NORMAL,
-        '"normal.X", "normal.Y"',
-        '"normal.Y", "normal.X"',
+        "X and Y of normals exchanged", r"normal\.[XY] at ", NORMAL, '"normal.X", "normal.Y"', '"normal.Y", "normal.X"'
     ),
     Fault("red and blue exchanged", r"[RB] at ", DIFFUSE, '"R", "G", "B"', '"B", "G", "R"'),
     Fault("a channel of another name", r"channels A, .*expected", NORMAL, '"normal.Z"', '"normal.W"'),

@@ -46,9 +46,7 @@ def coins(tmp_path) -> Path:
 
 
 def test_a_foreign_kind_is_rendered_judged_reported_and_probed(coins):
-    rendered = run_with(
-        coins, "render", str(coins / "coins.toml"), "-o", str(coins / "out.exr"), module="caster"
-    )
+    rendered = run_with(coins, "render", str(coins / "coins.toml"), "-o", str(coins / "out.exr"), module="caster")
     assert (rendered.returncode, rendered.stderr) == (0, "")
     found = run_with(
         coins,

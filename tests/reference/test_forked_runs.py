@@ -37,10 +37,7 @@ def alone(unedited, tmp_path_factory):
     """What processes of their own state of the unedited tree and of a wrong one, by tree."""
     wrong = copy_tree(tmp_path_factory.mktemp("wrong"), unedited)
     edit(
-        wrong,
-        "caster/kernels/surface/lighting.py",
-        "albedo[0] / math.pi * irradiance[0]",
-        "albedo[0] * irradiance[0]",
+        wrong, "caster/kernels/surface/lighting.py", "albedo[0] / math.pi * irradiance[0]", "albedo[0] * irradiance[0]"
     )
     return {tree: run(tree, *SCENE) for tree in (unedited, wrong)}
 
@@ -53,9 +50,7 @@ def test_a_fork_states_what_a_process_states_of_a_right_tree_and_of_a_wrong_one(
         forked = forks.run(tree, *SCENE)
         assert said(forked) == said(alone[tree])
         codes.append(forked.returncode)
-    assert (
-        codes == [0, 1, 0] and len(list(memory.iterdir())) == 1
-    )  # the fault alters nothing that Mitsuba is given
+    assert codes == [0, 1, 0] and len(list(memory.iterdir())) == 1  # the fault alters nothing that Mitsuba is given
 
 
 @pytest.mark.slow("a test of tests: some processes of their own")
@@ -78,11 +73,7 @@ def test_whatever_mitsuba_is_given_counts(tmp_path):
     first = job(xml, "scalar_rgb", [[0, 0, 5]], [[0, 0, -1]])
     ray = np.nextafter(first.o, np.float32(9))
     others = (replace(first, o=ray), replace(first, d=-first.d), replace(first, t_max=first.o[:, 2]))
-    others += (
-        replace(first, variant="llvm_ad_rgb"),
-        replace(first, lights=False),
-        replace(first, sensor=True),
-    )
+    others += (replace(first, variant="llvm_ad_rgb"), replace(first, lights=False), replace(first, sensor=True))
     told = [everything_given(first, {}), everything_given(first, {"LIBRARY": "x"})]
     told += [everything_given(other, {}) for other in others]
     mesh.write_bytes(b"ply ")

@@ -177,9 +177,7 @@ def test_an_interruption_keeps_and_reports_what_was_done(tmp_path):
         out, err = child.communicate(timeout=30)
     assert child.returncode == 130, err
     # a kernel that is being compiled, on a machine that has none yet, cannot be waited for
-    assert err.splitlines()[-1] in ("interrupted", "interrupted: ended before what was running could end"), (
-        err
-    )
+    assert err.splitlines()[-1] in ("interrupted", "interrupted: ended before what was running could end"), err
     assert json.loads(told.read_text())["interrupted"]
     assert "seed 0: " in out
 
@@ -199,9 +197,7 @@ def test_what_was_found_before_an_interruption_is_kept_and_reported(fuzz, fault,
 
 def test_where_compiled_code_died_is_reported_by_the_next_run(fuzz, tmp_path):
     (tmp_path / "kept").mkdir()
-    (tmp_path / "kept" / campaign.TRACE_FILE).write_text(
-        "mitsuba-ref fuzz --seed 1 --family any --examples 7..7\n"
-    )
+    (tmp_path / "kept" / campaign.TRACE_FILE).write_text("mitsuba-ref fuzz --seed 1 --family any --examples 7..7\n")
     code, _, err, _ = fuzz("--examples", "1", "--judge-every", "0")
     assert code == 0 and "died" in err and "--seed 1 --family any --examples 7..7" in err
     assert not (tmp_path / "kept" / campaign.TRACE_FILE).exists()
@@ -238,9 +234,7 @@ def test_a_crash_of_every_process_is_a_finding_and_the_next_scene_gets_a_new_chi
         scene = load_scene(SCENE).with_film(width=8, height=8)
         compare_with_mitsuba(scene, resident, Tally())
         (child,) = resident.processes.values()
-        child.process.send_signal(
-            signal.SIGSTOP
-        )  # so that it is there when it is asked, and dies of the question
+        child.process.send_signal(signal.SIGSTOP)  # so that it is there when it is asked, and dies of the question
         usual = child.request
 
         def dying(folder, timeout):

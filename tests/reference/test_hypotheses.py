@@ -37,9 +37,7 @@ CAMERA = caster.Pinhole(eye=(0.3, 0.2, 1.5), look_at=(0, 0, 0), fov=70)
 MIXED = (
     caster.Sphere(name="room", center=(0.7, -0.4, 1.1), radius=4.0),
     caster.Sphere(name="ball", center=(-0.5, 0.3, 0.2), radius=0.5),
-    caster.Torus(
-        name="ring", to_world=[{"scale": 0.4}, TURN, {"translate": [0.5, -0.4, 0]}], segments=9, sides=5
-    ),
+    caster.Torus(name="ring", to_world=[{"scale": 0.4}, TURN, {"translate": [0.5, -0.4, 0]}], segments=9, sides=5),
     caster.Rectangle(name="wall", to_world=[{"scale": 0.7}, TURN, {"translate": [0.7, 0.6, -1]}]),
 )
 BALLS = (
@@ -75,9 +73,7 @@ def answering(judge: Judge, t=None, n=None) -> Judge:
     """The same, of another answer."""
     given = judge.answer
     answer = replace(given, t=given.t if t is None else t, n=given.n if n is None else n)
-    return Judge(
-        judge.scene, judge.model, pair_images(judge.scene, judge.pair.rays, answer, judge.result), judge.view
-    )
+    return Judge(judge.scene, judge.model, pair_images(judge.scene, judge.pair.rays, answer, judge.result), judge.view)
 
 
 def pixels(judge: Judge, rows: np.ndarray) -> WrongPixels:
@@ -182,13 +178,9 @@ def test_a_distance_is_not_taken_for_t_where_d_is_no_unit_vector(brought_candida
     distance = judge.answer.t * np.linalg.norm(judge.d, axis=1)
     every = pixels(judge, np.arange(WIDTH * HEIGHT))
     judge.d = 0.25 * judge.d
-    every = replace(
-        every, t=4.0 * every.t, at=every.at._replace(t=4.0 * every.at.t, t_error=4.0 * every.at.t_error)
-    )
+    every = replace(every, t=4.0 * every.t, at=every.at._replace(t=4.0 * every.at.t, t_error=4.0 * every.at.t_error))
     judge.answer.t[:] = distance
-    found = {
-        each.what: each for hypothesis in HYPOTHESES[:4] for each in hypothesis(every, every.take(~every.off))
-    }
+    found = {each.what: each for hypothesis in HYPOTHESES[:4] for each in hypothesis(every, every.take(~every.off))}
     best = found["distance in place of t, which counts in lengths of d"]
     assert best.fits.all() and best.single and "divide the distance by |d|" in best.remedy
     assert found["t is 0.25 times what it should be"].fits.all()  # as true, and said after it
@@ -246,9 +238,7 @@ def test_other_rays_are_what_their_sentence_states(ray):
 TOO_SMALL = ("0.001", "0.01", "0.0254")  # scenes that are not hit at all
 
 
-@pytest.mark.parametrize(
-    "what", [each for each in RAY_MISTAKES if not any(f" {s} " in each for s in TOO_SMALL)]
-)
+@pytest.mark.parametrize("what", [each for each in RAY_MISTAKES if not any(f" {s} " in each for s in TOO_SMALL)])
 def test_t_along_other_rays_is_named_by_what_they_are(brought_candidate, what):
     judge = brought_candidate()
     change, factor = RAY_MISTAKES[what]
@@ -270,9 +260,7 @@ def test_a_shift_by_parts_of_a_pixel_is_computed_from_t(brought_candidate, shift
     t = caster.cast(judge.scene, rays.o, rays.d).t
     where = f"({shift[0]:+.2f}, {shift[1]:+.2f}) of a pixel to the right and down"
     found = explained(answering(judge, t))[1]
-    assert_named(
-        answering(judge, t), f"rays beside the pixel centres, by {where}", "(x + 0.5, y + 0.5)", 0.97
-    )
+    assert_named(answering(judge, t), f"rays beside the pixel centres, by {where}", "(x + 0.5, y + 0.5)", 0.97)
     assert found
     half = np.arange(len(t)) % 16 < 8
     _, found = explained(answering(judge, np.where(half, t, judge.answer.t)))
@@ -504,18 +492,13 @@ def test_normals_of_corners_minus_the_origin_lose_digits(send):
     judge = scene_judge(scene, FunctionSubject("right", cast, "float32"), send=send)
     mesh, prim = packed_float32(scene).parts[0], judge.reference_prim
     rows = np.flatnonzero(prim >= 0)
-    seen = (
-        mesh.vertices[mesh.faces[prim[rows]]].astype(np.float32) - judge.o[rows].astype(np.float32)[:, None]
-    )
+    seen = mesh.vertices[mesh.faces[prim[rows]]].astype(np.float32) - judge.o[rows].astype(np.float32)[:, None]
     n = judge.answer.n.copy()
     n[rows] = np.cross(seen[:, 1] - seen[:, 0], seen[:, 2] - seen[:, 0])
     n[rows] /= np.linalg.norm(n[rows], axis=1, keepdims=True)
     count, found = normals_explained(judge, n, rows)
     what = "the normal is computed from corners minus the ray's origin, and lost digits there"
-    assert count > 30 and found[what][0] > 0.9 * count and "the edges of the face" in found[what][1], (
-        found,
-        count,
-    )
+    assert count > 30 and found[what][0] > 0.9 * count and "the edges of the face" in found[what][1], (found, count)
     third = rows[::3]
     other = judge.answer.n.copy()
     other[rows] += 1e-3 * np.roll(other[rows], 1, axis=1)
@@ -531,10 +514,7 @@ def test_t_that_was_stored_in_float32_may_be_off_by_that_as_well(brought_candida
     for share, fits in ((0.9, True), (1.1, False)):
         wrong = answering(judge, judge.answer.t + share * (single + 1e-3))
         wrong = Judge(
-            wrong.scene,
-            wrong.model,
-            replace(wrong.pair, answer=replace(wrong.answer, t_rounding=1e-3)),
-            wrong.view,
+            wrong.scene, wrong.model, replace(wrong.pair, answer=replace(wrong.answer, t_rounding=1e-3)), wrong.view
         )
         f = pixels(wrong, np.arange(WIDTH * HEIGHT))
         (found,) = float32_inside(f, f)

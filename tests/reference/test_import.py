@@ -73,9 +73,7 @@ def test_a_radius_that_is_off_by_one_rounding_does_not_come_back_as_the_same(tmp
     ball = scene.shapes[0]
     off = ball.model_copy(update={"radius": float(np.nextafter(np.float32(ball.radius), np.float32(9)))})
     a, b = (lines_of(export_scene(s).xml) for s in (scene, scene.model_copy(update={"shapes": (off,)})))
-    assert [
-        pair for pair in zip(a, b, strict=True) if pair[0] != pair[1] and not same_but_for_roundings(*pair)
-    ]
+    assert [pair for pair in zip(a, b, strict=True) if pair[0] != pair[1] and not same_but_for_roundings(*pair)]
 
 
 OBJ = "v -1 -1 0\nv 1 -1 0\nv 1 1 0.25\nv -1 1 0.5\nf 1 2 3 4\n"
@@ -154,10 +152,7 @@ def test_mitsuba_hits_the_same_in_an_imported_scene(folder):
     )
     assert np.array_equal(theirs.sensor_o, ours.sensor_o) and np.array_equal(theirs.sensor_d, ours.sensor_d)
     rays = theirs.sensor_o, theirs.sensor_d
-    a, b = (
-        send_request(job(xml, variant, *rays, lights=False, strict=False))
-        for xml in (folder / "scene.xml", again)
-    )
+    a, b = (send_request(job(xml, variant, *rays, lights=False, strict=False)) for xml in (folder / "scene.xml", again))
     hit = np.isfinite(a.t)
     assert np.array_equal(hit, np.isfinite(b.t)) and 1000 < hit.sum() < 48 * 32
     assert set(np.array(a.names)[a.shape]) >= {"quad", "pair", "ball", "tube", "lid", ""}
@@ -183,11 +178,7 @@ LEFT_OUT = [
 ERRORS = [
     ('name="res" value="48"', 'name="ress" value="48"', "parameter $res has no value, did you mean 'ress'?"),
     ("parts/parts.xml", "parts/gone.xml", "cannot read this scene file: No such file or directory"),
-    (
-        "parts/parts.xml",
-        "../outside.xml",
-        "include must lie in the scene's folder or below it, got ../outside.xml",
-    ),
+    ("parts/parts.xml", "../outside.xml", "include must lie in the scene's folder or below it, got ../outside.xml"),
     ('<ref id="group"/>', '<ref id="grop"/>', "no element has the id \"grop\", did you mean 'group'?"),
     ('name="radius" value="0.5"', 'name="radius" value="-"', "float radius: value must be a number, got '-'"),
     ('name="radius" value="0.3"', 'name="radius" value="0"', "radius must be a length > 0, got 0"),
@@ -304,17 +295,13 @@ def test_a_text_of_the_course_is_imported_too(tmp_path, capsys, monkeypatch):
     Path("s.txt").write_text(COURSE)
     assert main(["import", "s.txt", "-o", "s.toml", "--size", "41", "21"]) == 0
     said = capsys.readouterr().out
-    assert "the window stands 3 farther back" in said and said.endswith(
-        "s.toml: 1 shape, 2 left out or changed\n"
-    )
+    assert "the window stands 3 farther back" in said and said.endswith("s.toml: 1 shape, 2 left out or changed\n")
     depth = render(load_scene("s.toml"), ("depth",))["depth"]
     assert depth.shape == (21, 41) and depth[10, 20] == 2.0
 
 
 @pytest.mark.parametrize(("color", "told"), [("0 0.5 0", True), ("0 0 0", False)])
-def test_a_background_of_the_course_is_reported_unless_it_is_black_as_ours(
-    tmp_path, capsys, monkeypatch, color, told
-):
+def test_a_background_of_the_course_is_reported_unless_it_is_black_as_ours(tmp_path, capsys, monkeypatch, color, told):
     monkeypatch.chdir(tmp_path)
     Path("s.txt").write_text(f"Background {{ color {color} }}\n" + COURSE)
     assert main(["import", "s.txt", "-o", "s.toml"]) == 0

@@ -36,9 +36,7 @@ SHAPES = (
     caster.Sphere(name="ball", center=(-0.9, 0.3, 0), radius=0.6),
     caster.Disk(name="lid", to_world=[{"scale": 0.6}, TURN, {"translate": [0.5, 0.7, 0]}]),
     caster.Cylinder(name="tube", to_world=[{"scale": 0.4}, TURN, {"translate": [0.8, -0.6, 0]}]),
-    caster.Torus(
-        name="ring", to_world=[{"scale": 0.4}, TURN, {"translate": [-0.5, -0.7, 0.4]}], segments=9, sides=5
-    ),
+    caster.Torus(name="ring", to_world=[{"scale": 0.4}, TURN, {"translate": [-0.5, -0.7, 0.4]}], segments=9, sides=5),
     caster.Rectangle(name="wall", to_world=[{"scale": 1.4}, {"translate": [0, 0, -1]}]),
 )
 LIGHTS = (
@@ -66,8 +64,7 @@ def first(one) -> Judgement:
     assert found.is_class("agree").all() and set(np.unique(shapes)) == {-1, 0, 1, 2, 3, 4}
     assert all((found.ratio(name)[shapes < 0] == 0.0).all() for name in found.names)
     assert all(
-        (found.ratio(name)[shapes >= 0] > 0.0).any()
-        for name in ("depth", "position", "normal", "uv", "diffuse")
+        (found.ratio(name)[shapes >= 0] > 0.0).any() for name in ("depth", "position", "normal", "uv", "diffuse")
     )
     return found
 
@@ -257,9 +254,7 @@ def test_mitsubas_light_is_held_to_a_few_roundings(one, part):
         total = judge.pair.result.diffuse
         light *= 1.0 + share
         changed = np.abs(judge.pair.result.diffuse - total).max(axis=1)
-        rows = np.flatnonzero(
-            judge.hit & (changed > 0.3 * share * total.max(axis=1)) & (total > 0.0).all(axis=1)
-        )
+        rows = np.flatnonzero(judge.hit & (changed > 0.3 * share * total.max(axis=1)) & (total > 0.0).all(axis=1))
         found = again(judge).judge()
         assert len(rows) > 50 and classes_at(found, rows) == {expected}
         assert (found.ratio("diffuse")[rows] > 0.0).all()
@@ -272,9 +267,7 @@ def miss(judge: Judge, rows: np.ndarray) -> None:
     """Ours misses at these rows, in all that it gives."""
     judge.answer.t[rows], judge.answer.prim[rows] = np.inf, -1
     for name in judge.pair.subject:
-        aov_rows(judge.pair.subject, name)[rows] = {"depth": np.inf, "shape_id": -1, "prim_id": -1}.get(
-            name, 0
-        )
+        aov_rows(judge.pair.subject, name)[rows] = {"depth": np.inf, "shape_id": -1, "prim_id": -1}.get(name, 0)
     judge.pair.subject.hit.ravel()[rows] = False
 
 
@@ -282,29 +275,20 @@ def reference_misses(judge: Judge, rows: np.ndarray) -> None:
     judge.pair.result.t[rows] = judge.pair.result.answer.t[rows] = np.inf
     judge.pair.result.shape_id[rows] = -1
     for name in judge.pair.reference:
-        aov_rows(judge.pair.reference, name)[rows] = {"depth": np.inf, "shape_id": -1, "prim_id": -1}.get(
-            name, 0
-        )
+        aov_rows(judge.pair.reference, name)[rows] = {"depth": np.inf, "shape_id": -1, "prim_id": -1}.get(name, 0)
     judge.pair.reference.hit.ravel()[rows] = False
 
 
 def some_of_each_shape(judge: Judge, count: int = 3) -> np.ndarray:
     """Rows away from edges, of every shape."""
     shapes = aov_rows(judge.pair.subject, "shape_id")
-    rows = [
-        np.flatnonzero((shapes == shape) & judge.bounds.at.certain)[:count] for shape in range(len(SHAPES))
-    ]
+    rows = [np.flatnonzero((shapes == shape) & judge.bounds.at.certain)[:count] for shape in range(len(SHAPES))]
     return np.sort(np.concatenate(rows))
 
 
 HIT_FAULTS = {
     "ours misses": (miss, "wrong", {"mask", "shape_id", "exact"}, "missed; exact arithmetic hits"),
-    "Mitsuba misses": (
-        reference_misses,
-        "reference_wrong",
-        {"mask", "shape_id"},
-        "Mitsuba wrong in no known way",
-    ),
+    "Mitsuba misses": (reference_misses, "reference_wrong", {"mask", "shape_id"}, "Mitsuba wrong in no known way"),
     "both miss": (
         lambda judge, rows: (miss(judge, rows), reference_misses(judge, rows)),
         "wrong",
@@ -353,11 +337,7 @@ def test_another_primitive_than_the_one_that_is_hit_is_wrong(one):
     rows = rows[aov_rows(judge.pair.subject, "prim_id")[rows] < 88]
     name_another(judge, rows)
     found = again(judge).judge()
-    assert (
-        len(rows) >= 5
-        and classes_at(found, rows) == {"wrong"}
-        and np.isinf(found.ratio("on_surface")[rows]).any()
-    )
+    assert len(rows) >= 5 and classes_at(found, rows) == {"wrong"} and np.isinf(found.ratio("on_surface")[rows]).any()
 
 
 def test_a_normal_without_a_useful_bound_agrees_with_nothing(one, monkeypatch):

@@ -84,9 +84,7 @@ def test_ours_is_diagnosed_by_the_same_engine(monkeypatch):
 
 def test_a_cause_that_several_scenes_share_is_said_once_before_all():
     turned = mistakes.answering(lambda s, o, d, t, n: (t, -n))
-    scenes = [
-        judged("turned", turned, mistakes.scene_of(name, Path())) for name in ("cornell-box", "one-sphere")
-    ]
+    scenes = [judged("turned", turned, mistakes.scene_of(name, Path())) for name in ("cornell-box", "one-sphere")]
     said = failures_text(Verdict(tuple(scenes), 2)).splitlines()
     assert said[0] == "cause:      in 2 of 2 that fail: the normal is turned round"
 
@@ -175,9 +173,7 @@ def test_wrong_numbers_of_primitives_are_named(change, says):
 def test_numbers_that_are_minus_one_at_every_hit_are_not_given():
     scene = mistakes.scene_of("torus-smooth", Path())
     right = Naming(lambda scene, o, d, hits: (hits.shape_id, hits.prim_id))
-    named, unnamed = (
-        validate_scene(scene, "scene", "", subject=subject) for subject in (right, Naming(none))
-    )
+    named, unnamed = (validate_scene(scene, "scene", "", subject=subject) for subject in (right, Naming(none)))
     assert named.ok and unnamed.ok
     assert "shape_id" in unnamed.unjudged and "shape_id" not in named.unjudged
 

@@ -56,21 +56,12 @@ def many(tmp_path):
     """Every kind of shape, and lights among them."""
     corners = random_mesh(tmp_path / "strewn.ply", np.random.default_rng(1))
     light = point_light("0 3 9", "1 2 3")
-    return write(
-        tmp_path, "\n".join([GROUP, light, *SHAPES_APART.values(), sun("0.2 -1 -1", "3 2 1")])
-    ), corners
+    return write(tmp_path, "\n".join([GROUP, light, *SHAPES_APART.values(), sun("0.2 -1 -1", "3 2 1")])), corners
 
 
 @pytest.mark.parametrize("variant", HERE)
 def test_a_hit_names_its_shape_and_an_instance_goes_before_what_it_repeats(asked, many, variant):
-    aimed = {
-        "ball": (-4, 2),
-        "square": (0, 2),
-        "lid": (4, 2),
-        "egg 1": (0, -2),
-        "egg 2": (4, -2),
-        "box": (0, 6),
-    }
+    aimed = {"ball": (-4, 2), "square": (0, 2), "lid": (4, 2), "egg 1": (0, -2), "egg 2": (4, -2), "box": (0, 6)}
     tube = {"tube": ((-6, -2.1, 1), (1, 0, 0))}
     down = {name: ((x + 0.3, y + 0.1, 9), (0, 0, -1)) for name, (x, y) in aimed.items()} | tube
     answer = asked(many[0], variant, *zip(*down.values(), strict=True))
@@ -145,9 +136,7 @@ def test_no_rays_and_no_shapes_are_answered_too(asked, tmp_path, many, variant):
 @pytest.mark.parametrize("variant", HERE)
 def test_lights_come_in_the_order_of_the_document(asked, tmp_path, variant):
     """Each of 24 lights shines straight down on the floor, with its number as its strength."""
-    lights = [
-        point_light("0 0 1", f"{k} {k} {k}") if k % 3 else sun("0 0 -1", f"{k} {k} {k}") for k in range(1, 25)
-    ]
+    lights = [point_light("0 0 1", f"{k} {k} {k}") if k % 3 else sun("0 0 -1", f"{k} {k} {k}") for k in range(1, 25)]
     floor = shape("rectangle", "floor", 0)
     content = "\n".join([*lights[:7], floor, *lights[7:]])
     answer = asked(write(tmp_path, content), variant, [[0, 0, 0.5]], [[0, 0, -1]])
@@ -248,9 +237,7 @@ def test_the_sensors_rays_are_those_of_the_formula(asked, tmp_path, variant, cro
     x0, y0, w, h = crop or (0, 0, width, height)
     y, x = np.mgrid[y0 : y0 + h, x0 : x0 + w] + 0.5
     t = np.tan(np.radians(65) / 2)
-    local = np.stack(
-        [(1 - 2 * x / width) * t, (1 - 2 * y / height) * t * height / width, np.ones_like(x)], -1
-    )
+    local = np.stack([(1 - 2 * x / width) * t, (1 - 2 * y / height) * t * height / width, np.ones_like(x)], -1)
     length = np.linalg.norm(local, axis=-1).ravel()
     d = local.reshape(-1, 3) / length[:, None] @ columns.T
     assert np.abs(answer.sensor_d - d).max() <= 4 * U
@@ -298,9 +285,7 @@ def test_spheres_of_one_shape_answer_as_its_primitives(variant, stretch):
     rng = np.random.default_rng(4)
     placed = {"to_world": {"scale": [1, stretch, 1]}}
     names = ("a{1}", 'b "&<%d>', "c$x", "a", "shapes[0]{")
-    centers = np.array([[x, y, 0.0] for x in range(-2, 3) for y in range(-2, 3)]) + rng.uniform(
-        -0.1, 0.1, (25, 3)
-    )
+    centers = np.array([[x, y, 0.0] for x in range(-2, 3) for y in range(-2, 3)]) + rng.uniform(-0.1, 0.1, (25, 3))
     order = rng.permutation(25).reshape(5, 5)
     shapes = [
         caster.SphereCloud(name=name, centers=centers[rows], radius=0.3, **placed)

@@ -97,9 +97,7 @@ def test_a_real_abort_in_an_old_libllvm_is_a_result(tmp_path, monkeypatch):
     monkeypatch.setenv("DRJIT_CACHE_DIR", str(tmp_path))  # a kernel from another libLLVM would hide it
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     random_mesh(tmp_path / "strewn.ply", np.random.default_rng(1))
-    found = mitsuba_process.send_alone(
-        job(write(tmp_path, MESH), "llvm_ad_rgb", [[0, 0, 5]], [[0, 0, -1]]), 60
-    )
+    found = mitsuba_process.send_alone(job(write(tmp_path, MESH), "llvm_ad_rgb", [[0, 0, 5]], [[0, 0, -1]]), 60)
     if "avx512" not in Path("/proc/cpuinfo").read_text():
         assert isinstance(found, TraceResponse)
         return
@@ -148,9 +146,7 @@ def test_a_hang_ends_in_time_and_leaves_no_process(ball, in_place_of_mitsuba, tm
 def test_a_waiting_request_gets_a_crash_when_all_are_stopped(ball, in_place_of_mitsuba, tmp_path):
     in_place_of_mitsuba(HANG.format(pids=str(tmp_path / "pid")))
     found: list[TraceResponse | Crash] = []
-    threads = [
-        threading.Thread(target=lambda: found.append(mitsuba_process.send_alone(ball, 60))) for _ in range(2)
-    ]
+    threads = [threading.Thread(target=lambda: found.append(mitsuba_process.send_alone(ball, 60))) for _ in range(2)]
     for thread in threads:
         thread.start()
     wait_for(lambda: len(subprocess_runner._running) == 2)
@@ -217,14 +213,8 @@ def test_a_warning_is_an_error(tmp_path):
 
 
 def test_a_missing_file_and_an_unknown_variant_are_refused(tmp_path, ball):
-    assert (
-        "file does not exist"
-        in crash(job(tmp_path / "nope.xml", "scalar_rgb", [[0, 0, 5]], [[0, 0, -1]])).output
-    )
-    assert (
-        "unsupported variant"
-        in crash(TraceRequest(ball.xml, "scalar_rgbx", ball.o, ball.d, ball.t_max)).output
-    )
+    assert "file does not exist" in crash(job(tmp_path / "nope.xml", "scalar_rgb", [[0, 0, 5]], [[0, 0, -1]])).output
+    assert "unsupported variant" in crash(TraceRequest(ball.xml, "scalar_rgbx", ball.o, ball.d, ball.t_max)).output
 
 
 @pytest.mark.parametrize(
@@ -234,16 +224,10 @@ def test_a_missing_file_and_an_unknown_variant_are_refused(tmp_path, ball):
         ("(folder / 'answer.json').write_text('{')", "JSONDecodeError"),
         ("(folder / 'answer.json').write_text('[]')", "TypeError"),
         ("(folder / 'answer.npz').unlink()", "No such file"),
-        (
-            "(folder / 'answer.npz').write_bytes((folder / 'answer.npz').read_bytes()[:-200])",
-            "no whole answer",
-        ),
+        ("(folder / 'answer.npz').write_bytes((folder / 'answer.npz').read_bytes()[:-200])", "no whole answer"),
         ("(folder / 'answer.npz').write_bytes(b'')", "no whole answer"),
         ("change(t=whole['t'][:-1])", "t: expected float32[2], got float32[1]"),
-        (
-            "change(**{name: value[:1] for name, value in whole.items()})",
-            "expected float32[2], got float32[1]",
-        ),
+        ("change(**{name: value[:1] for name, value in whole.items()})", "expected float32[2], got float32[1]"),
         ("change(n=whole['n'].astype(float))", "n: expected float32[2, 3], got float64[2, 3]"),
         ("change(light_visible=whole['light_visible'][:, :1])", "light_visible: expected bool[0, 2]"),
         ("change(shape=whole['shape'] + 1)", "shape: expected"),
@@ -299,27 +283,17 @@ def test_a_users_own_mitsuba_py_in_the_current_folder_is_not_imported(ball, tmp_
     monkeypatch.delenv("PYTHONPATH", raising=False)
     if path is not None:
         monkeypatch.setenv("PYTHONPATH", path)
-    answer = mitsuba_process.send_alone(
-        TraceRequest(Path("scene.xml"), "scalar_rgb", ball.o, ball.d, ball.t_max)
-    )
+    answer = mitsuba_process.send_alone(TraceRequest(Path("scene.xml"), "scalar_rgb", ball.o, ball.d, ball.t_max))
     assert isinstance(answer, TraceResponse), answer
 
 
 def test_asking_imports_no_mitsuba_and_the_child_nothing_slow():
     program = "import sys; from mitsuba_ref.reference import mitsuba_process; print(*sys.modules)"
-    asking = subprocess.run(
-        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
-    )
+    asking = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
     assert not {"mitsuba", "drjit", "numba", "pydantic"} & set(asking.stdout.split())
-    program = (
-        "import sys; from mitsuba_ref.reference import mitsuba_calls, mitsuba_process; print(*sys.modules)"
-    )
-    child_side = subprocess.run(
-        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    assert not {"numba", "pydantic", "OpenEXR", "caster.scene", "caster.kernels"} & set(
-        child_side.stdout.split()
-    )
+    program = "import sys; from mitsuba_ref.reference import mitsuba_calls, mitsuba_process; print(*sys.modules)"
+    child_side = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert not {"numba", "pydantic", "OpenEXR", "caster.scene", "caster.kernels"} & set(child_side.stdout.split())
 
 
 def test_a_job_and_its_rays_survive_the_disk_bit_for_bit(tmp_path):
@@ -335,6 +309,4 @@ def test_a_job_and_its_rays_survive_the_disk_bit_for_bit(tmp_path):
 
 def test_rays_that_are_not_float32_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"d: expected float32\[1, 3\], got float64\[1, 3\]"):
-        TraceRequest(
-            tmp_path, "scalar_rgb", np.zeros((1, 3), np.float32), np.zeros((1, 3)), np.zeros(1, np.float32)
-        )
+        TraceRequest(tmp_path, "scalar_rgb", np.zeros((1, 3), np.float32), np.zeros((1, 3)), np.zeros(1, np.float32))

@@ -73,10 +73,7 @@ def test_a_shape_without_reference_renders_but_is_refused_by_validate(plugin):
     found = run_with(plugin, "validate", scene)
     assert (found.returncode, said_beside_progress(found)) == (1, [])
     assert f"FAIL  flat-true  cannot be judged: {SENTENCE}\n" in found.stdout
-    for command in (
-        ["render", scene, "-o", str(plugin / "ref.exr")],
-        ["export", scene, "-o", str(plugin / "xml")],
-    ):
+    for command in (["render", scene, "-o", str(plugin / "ref.exr")], ["export", scene, "-o", str(plugin / "xml")]):
         refused = run_with(plugin, *command)
         assert (refused.returncode, refused.stdout) == (2, "") and refused.stderr.strip().endswith(SENTENCE)
 

@@ -33,22 +33,8 @@ class Fault(NamedTuple):
 
 
 OPTION_FAULTS = (
-    (
-        "fov_axis larger of a portrait film is x",
-        "options 41..41",
-        "judged",
-        PINHOLE,
-        'else "larger")',
-        'else "none")',
-    ),
-    (
-        "second ambient light",
-        "options 9..10",
-        "judged",
-        TILES,
-        '== "ambient"]).reshape',
-        '== "ambient"][:1]).reshape',
-    ),
+    ("fov_axis larger of a portrait film is x", "options 41..41", "judged", PINHOLE, 'else "larger")', 'else "none")'),
+    ("second ambient light", "options 9..10", "judged", TILES, '== "ambient"]).reshape', '== "ambient"][:1]).reshape'),
     (
         "principal point where primitives are projected",
         "options 9..9",

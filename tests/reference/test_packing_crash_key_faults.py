@@ -13,11 +13,7 @@ from typing import NamedTuple
 import pytest
 from edited_tree import DEADLINE, ROOT, copy_tree, edit, run
 
-CACHE, WORLD, SPHERE = (
-    "caster/jit/kernel_cache.py",
-    "caster/geometry/world_space.py",
-    "caster/shapes/sphere.py",
-)
+CACHE, WORLD, SPHERE = ("caster/jit/kernel_cache.py", "caster/geometry/world_space.py", "caster/shapes/sphere.py")
 CHECKS = "mitsuba_ref/judge/scene_checks.py"
 SIZE = ("--size", "12", "10")
 KEY_TEST, GEOMETRY_TEST = (
@@ -152,15 +148,7 @@ ENDS = {
 }
 EXIT_CODES = {"memory runs out": 2, "calls itself for ever": 70, "an exception of Python": 70}  # of others 1
 END_FAULTS = tuple(
-    Fault(
-        "process",
-        what,
-        "one-sphere",
-        rf"FAIL  one-sphere  [^\n]*(?:{message})",
-        SPHERE,
-        PACK,
-        f"    {code}\n{PACK}",
-    )
+    Fault("process", what, "one-sphere", rf"FAIL  one-sphere  [^\n]*(?:{message})", SPHERE, PACK, f"    {code}\n{PACK}")
     for what, (code, message) in ENDS.items()
 )
 
@@ -172,23 +160,15 @@ KEYS = {
     "the size of each file": (CONTENT, "str(path.stat().st_size).encode()"),
     "seven bits of each byte": (CONTENT, f"bytes(byte & 127 for byte in {CONTENT})"),
     "no names of files": ('path.relative_to(PACKAGE).as_posix().encode() + b"\\0"', 'b"\\0"'),
-    "no version of the compiler": (
-        "version.encode() + (sources or source_digest())",
-        "(sources or source_digest())",
-    ),
+    "no version of the compiler": ("version.encode() + (sources or source_digest())", "(sources or source_digest())"),
     "no files in folders of folders": ('PACKAGE.rglob("*.py")', 'PACKAGE.glob("*/*.py")'),
     "one bit of the digest": ("source_digest())).hexdigest()[:16]", "source_digest())).hexdigest()[:1]"),
     "nothing but __init__.py": ('PACKAGE.rglob("*.py")', 'PACKAGE.rglob("__init__.py")'),
 }
-KEY_FAULTS = tuple(
-    Fault("cache key", what, KEY_TEST, r"assert", CACHE, *change) for what, change in KEYS.items()
-)
+KEY_FAULTS = tuple(Fault("cache key", what, KEY_TEST, r"assert", CACHE, *change) for what, change in KEYS.items())
 
 FAULTS = (*PACKING_FAULTS, *END_FAULTS, *KEY_FAULTS)
-QUICK = (
-    "radius off by 1e-12 of itself",
-    "the C library aborts",
-)  # of the key, test_kernel_cache_key plants some
+QUICK = ("radius off by 1e-12 of itself", "the C library aborts")  # of the key, test_kernel_cache_key plants some
 CHOSEN = [fault for fault in FAULTS if fault.what in QUICK or os.environ.get("FAULTS") == "all"]
 
 

@@ -45,9 +45,7 @@ def one_nan(aov: str) -> Fault:
 
 AOVS, HITS, IMAGES = "caster/aovs", "caster/rendering/hits.py", "caster/rendering/images.py"
 ROOTS, TRIANGLES = "caster/kernels/math/quadric_roots.py", "caster/kernels/triangles.py"
-SPHERE, CYLINDER, DISK, PLANE = (
-    f"caster/shapes/{name}.py" for name in ("sphere", "cylinder", "disk", "plane")
-)
+SPHERE, CYLINDER, DISK, PLANE = (f"caster/shapes/{name}.py" for name in ("sphere", "cylinder", "disk", "plane"))
 PINHOLE, ORTHOGRAPHIC = "caster/cameras/pinhole.py", "caster/cameras/orthographic.py"
 UV = f"{AOVS}/uv.py"
 LIGHTS, TILES = "caster/scene/model.py", "caster/rendering/shading.py"
@@ -185,14 +183,7 @@ FAULTS = (
         "def _load(prims: Any, k: int) -> Any:\n    return row(prims.center, k), prims.radius[k]",
         "def _load(prims: Any, k: int) -> Any:\n    return row(prims.center, k), prims.radius[k] * 1.000003",
     ),
-    Fault(
-        "depth as z",
-        "one-sphere",
-        "depth",
-        f"{AOVS}/depth.py",
-        "hit.t * length(hit.d)",
-        "hit.t * abs(hit.d[2])",
-    ),
+    Fault("depth as z", "one-sphere", "depth", f"{AOVS}/depth.py", "hit.t * length(hit.d)", "hit.t * abs(hit.d[2])"),
     Fault("depth from the near plane", "near-far-clip", "depth", f"{AOVS}/depth.py", "hit.start + ", ""),
     Fault(
         "flipped normal of triangles",
@@ -267,22 +258,8 @@ FAULTS = (
         "return 2 - hit.shape_id",
     ),
     *(one_nan(aov) for aov in ("depth", "normal", "shading_normal", "position", "uv", "diffuse")),
-    Fault(
-        "depth 0 on a miss",
-        "one-sphere",
-        "depth",
-        f"{AOVS}/depth.py",
-        "np.float64, math.inf",
-        "np.float64, 0.0",
-    ),
-    Fault(
-        "light on a miss",
-        "one-sphere",
-        "diffuse",
-        f"{AOVS}/diffuse.py",
-        "np.float64, 0.0",
-        "np.float64, 0.1",
-    ),
+    Fault("depth 0 on a miss", "one-sphere", "depth", f"{AOVS}/depth.py", "np.float64, math.inf", "np.float64, 0.0"),
+    Fault("light on a miss", "one-sphere", "diffuse", f"{AOVS}/diffuse.py", "np.float64, 0.0", "np.float64, 0.1"),
     # ---- uv ----
     Fault("u and v exchanged", "one-sphere", "uv", UV, "return hit.uv", "return hit.uv[1], hit.uv[0]"),
     Fault("u mirrored", "one-sphere", "uv", UV, "return hit.uv", "return 1.0 - hit.uv[0], hit.uv[1]"),
@@ -298,12 +275,7 @@ FAULTS = (
         "weights[1] * a[0] + (weights[0] * b[0]",
     ),
     Fault(
-        "v from the top",
-        "flat-shapes",
-        "uv",
-        TRIANGLES,
-        "        weights[0] * a[1]",
-        "        1.0 - weights[0] * a[1]",
+        "v from the top", "flat-shapes", "uv", TRIANGLES, "        weights[0] * a[1]", "        1.0 - weights[0] * a[1]"
     ),
     Fault(
         "barycentrics for the second triangle of a rectangle",
@@ -377,9 +349,7 @@ FAULTS = (
         "turn_fraction(y, x) if",
         "math.atan2(y, x) / (2.0 * math.pi) if",
     ),
-    Fault(
-        "a disk's distance squared", "flat-shapes", "uv", DISK, "math.sqrt(x * x + y * y)", "x * x + y * y"
-    ),
+    Fault("a disk's distance squared", "flat-shapes", "uv", DISK, "math.sqrt(x * x + y * y)", "x * x + y * y"),
     Fault(
         "a plane's second axis the other way",
         "spheres-on-plane",
@@ -555,14 +525,7 @@ FAULTS = (
         "sine = square * math.sin(half) ** 2\n    sideways = 2.0 * math.sin(half) * math.sqrt(max(1.0 - sine, 0.0))\n"
         "    d = combine_axes(camera, sideways * across, sideways * above, 1.0 - 2.0 * sine)",
     ),
-    Fault(
-        "a panorama inside out",
-        "panorama",
-        "camera",
-        "caster/cameras/panorama.py",
-        "level * east",
-        "-level * east",
-    ),
+    Fault("a panorama inside out", "panorama", "camera", "caster/cameras/panorama.py", "level * east", "-level * east"),
     Fault(
         "a spherical mirror for a parabolic one",
         "parabolic",
@@ -573,12 +536,7 @@ FAULTS = (
     ),
     # ---- light ----
     Fault(
-        "no 1/pi",
-        "one-sphere",
-        "diffuse",
-        LIGHT,
-        "albedo[0] / math.pi * irradiance[0]",
-        "albedo[0] * irradiance[0]",
+        "no 1/pi", "one-sphere", "diffuse", LIGHT, "albedo[0] / math.pi * irradiance[0]", "albedo[0] * irradiance[0]"
     ),
     Fault(
         "light without shadows on the dark side",
@@ -628,14 +586,7 @@ FAULTS = (
         "if two_sided else (cosine",
         "if False else (cosine",
     ),
-    Fault(
-        "ambient light twice",
-        "fisheye",
-        "diffuse",
-        LIGHT,
-        "sum_ += buffer",
-        "sum_ += 2.0 * buffer",
-    ),
+    Fault("ambient light twice", "fisheye", "diffuse", LIGHT, "sum_ += buffer", "sum_ += 2.0 * buffer"),
     Fault(
         "the sun from the other side",
         "lights-and-shadows",
@@ -652,14 +603,7 @@ FAULTS = (
         "sub(light.position, p), 1.0",
         "sub(light.position, p), math.inf",
     ),
-    Fault(
-        "no shadows",
-        "spheres-on-plane",
-        "diffuse",
-        TILES,
-        "if not plan.shadows.runs:",
-        "if plan.shadows.runs:",
-    ),
+    Fault("no shadows", "spheres-on-plane", "diffuse", TILES, "if not plan.shadows.runs:", "if plan.shadows.runs:"),
     Fault(
         "surfaces that shadow themselves",
         "spheres-on-plane",
@@ -785,14 +729,7 @@ FAULTS = (
         "TileShader(scene, packed",
         "TileShader(scene.model_copy(update={'lights': ()}), packed",
     ),
-    Fault(
-        "triangles reversed",
-        "triangles",
-        "geometry",
-        "caster/shapes/triangle.py",
-        "[[0, 1, 2]]",
-        "[[0, 2, 1]]",
-    ),
+    Fault("triangles reversed", "triangles", "geometry", "caster/shapes/triangle.py", "[[0, 1, 2]]", "[[0, 2, 1]]"),
     Fault(
         "a rectangle half as large",
         "flat-shapes",
@@ -841,14 +778,7 @@ FAULTS = (
         "return hit.normal",
         "return tuple(np.array(hit.normal, np.float32).tolist())",
     ),
-    Fault(
-        "a mask turned round",
-        "one-sphere",
-        "mask",
-        f"{AOVS}/hit.py",
-        "return 1.0",
-        "return 0.0",
-    ),
+    Fault("a mask turned round", "one-sphere", "mask", f"{AOVS}/hit.py", "return 1.0", "return 0.0"),
     Fault(
         "prim_id that counts from one",
         "cornell-box",
@@ -868,9 +798,7 @@ FAULTS = (
 )
 
 FIRST_OF_CHECK = {fault.check: fault.what for fault in reversed(FAULTS)}
-CHOSEN = [
-    each for each in FAULTS if FIRST_OF_CHECK[each.check] == each.what or os.environ.get("FAULTS") == "all"
-]
+CHOSEN = [each for each in FAULTS if FIRST_OF_CHECK[each.check] == each.what or os.environ.get("FAULTS") == "all"]
 CASES = sorted({(fault.scene, *fault.size) for fault in CHOSEN})
 
 
@@ -949,15 +877,7 @@ def picture(forks, tree, folder, module, name):
     """One sphere as an EXR file, by `caster` or by `mitsuba_ref`."""
     words = ["--aov", "hit,depth,normal,shading_normal,position,diffuse,shape_id"]
     found = forks.run(
-        tree,
-        "render",
-        "scenes/one-sphere.toml",
-        "--size",
-        *FILM,
-        "-o",
-        str(folder / name),
-        *words,
-        module=module,
+        tree, "render", "scenes/one-sphere.toml", "--size", *FILM, "-o", str(folder / name), *words, module=module
     )
     assert found.returncode == 0, found.stderr
     return folder / name
@@ -1024,10 +944,7 @@ IN_DATA = {
         name: (pixels if pixels.dtype == np.uint32 else 0.5 * (pixels + np.roll(pixels, 1, axis=1)))
         for name, pixels in channels.items()
     },
-    "unnormalised normal": lambda channels: {
-        **channels,
-        "normal.Z": channels["normal.Z"] * np.float32(1.001),
-    },
+    "unnormalised normal": lambda channels: {**channels, "normal.Z": channels["normal.Z"] * np.float32(1.001)},
     **{
         f"one {value} in {channel}": spoilt(channel, value)
         for channel in ("R", "depth.Z", "normal.X", "shading_normal.Y", "position.Z")

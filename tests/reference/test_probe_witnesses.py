@@ -32,10 +32,7 @@ subdivisions = 1
 @pytest.mark.parametrize(("width", "height"), [(40, 30), (20000, 20000), (60000, 7)])
 def test_one_pixel_does_not_cost_what_the_film_does(width, height):
     """A plane's patch is cut to the film's rays, of a larger film to as many with the same view."""
-    view = {
-        "camera": caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)),
-        "film": {"width": width, "height": height},
-    }
+    view = {"camera": caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), "film": {"width": width, "height": height}}
     assert stand_in_rays(caster.Scene(shapes=[caster.Sphere()], **view)) is None
     rays = stand_in_rays(caster.Scene(shapes=[caster.Plane(offset=-1.0)], **view))
     assert len(rays.d) <= STAND_IN_PIXELS
@@ -102,12 +99,7 @@ def test_a_witness_is_off_by_so_many_units_of_its_own_last_place(said):
 
 @pytest.mark.parametrize(
     ("kind", "off", "right"),
-    [
-        (np.float64, 1e-15, True),
-        (np.float64, 1e-12, False),
-        (np.float32, 1e-7, True),
-        (np.float32, 1e-5, False),
-    ],
+    [(np.float64, 1e-15, True), (np.float64, 1e-12, False), (np.float32, 1e-7, True), (np.float32, 1e-5, False)],
 )
 def test_a_witness_on_the_right_surface_at_a_wrong_distance_is_wrong(probed, kind, off, right):
     from mitsuba_ref.judge.classification import scene_judge
@@ -136,11 +128,7 @@ def test_a_variant_that_does_not_work_is_a_row_that_states_why(said, monkeypatch
     monkeypatch.setattr(variants, "usable_variants", lambda: only)
     monkeypatch.setattr(witnesses, "send_requests", lambda jobs: ["asked"] * len(jobs))
     rows = dict(witnesses.other_variant_answers(_FakeJudge(), "scalar_rgb"))
-    assert (
-        rows["llvm_ad_rgb", "robust"]
-        == rows["llvm_ad_rgb", "default"]
-        == "does not work here: no libLLVM found"
-    )
+    assert rows["llvm_ad_rgb", "robust"] == rows["llvm_ad_rgb", "default"] == "does not work here: no libLLVM found"
     assert rows["scalar_rgb", "default"] == "asked" and ("scalar_rgb", "robust") not in rows
 
 
@@ -152,9 +140,7 @@ class _FakeJudge:
         from caster.geometry.world_space import as_float32
         from mitsuba_ref.reference.shared_input import model_of
 
-        self.scene = caster.Scene(
-            camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), shapes=[caster.Sphere()]
-        )
+        self.scene = caster.Scene(camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), shapes=[caster.Sphere()])
         self.scene = self.scene.with_film(width=1, height=1)
         rays = shared_rays(self.scene)
         self.model = model_of(self.scene, pack(self.scene, as_float32), rays)

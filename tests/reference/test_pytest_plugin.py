@@ -77,9 +77,7 @@ def test_the_entry_point_is_this_plug_in():
     assert import_module("mitsuba_ref.runner.pytest_plugin").OPTION == "--mitsuba-ref"
 
 
-@pytest.mark.parametrize(
-    ("words", "never"), [((), PLAIN), (("--mitsuba-ref", "--collect-only", "-q"), HEAVY)]
-)
+@pytest.mark.parametrize(("words", "never"), [((), PLAIN), (("--mitsuba-ref", "--collect-only", "-q"), HEAVY)])
 def test_nothing_heavy_is_loaded_without_the_option_nor_to_collect(folder, words, never):
     folder.makeconftest(
         f"""
@@ -119,9 +117,7 @@ def summary_of(text: str) -> list[str]:
 @pytest.mark.parametrize("service", [False, True])
 def test_a_scene_that_fails_one_check_fails_that_test_with_its_replay(folder, monkeypatch, service):
     monkeypatch.setenv("CI", "true") if service else monkeypatch.delenv("CI", raising=False)
-    monkeypatch.delenv(
-        "BUILD_NUMBER", raising=False
-    )  # pytest takes either for a service that wants all the words
+    monkeypatch.delenv("BUILD_NUMBER", raising=False)  # pytest takes either for a service that wants all the words
     folder.makeini("[pytest]\nmitsuba_ref_size = 20 16\n")
     found = run(folder, "--mitsuba-ref", "scenes")
     found.assert_outcomes(passed=2 * len(NAMES) - 2, failed=2)
@@ -131,10 +127,7 @@ def test_a_scene_that_fails_one_check_fails_that_test_with_its_replay(folder, mo
     assert "FAILED scenes/strict.toml::depth - FAIL  strict  depth: " in text
     assert "FAILED scenes/strict.toml::verdict" in text and "Traceback" not in text
     summary = text[text.index("short test summary info") :].splitlines()
-    assert [line.partition(" ")[0] for line in summary[1:-1]] == [
-        "FAILED",
-        "FAILED",
-    ]  # a line each, even there
+    assert [line.partition(" ")[0] for line in summary[1:-1]] == ["FAILED", "FAILED"]  # a line each, even there
     assert "mitsuba-ref: films of 20 x 16" in text
 
 
@@ -179,11 +172,7 @@ def test_a_scene_file_that_is_not_valid_is_reported_with_its_place(folder, crash
 
 def test_meshes_may_lie_in_folders_that_the_ini_file_names(folder, crashing):
     folder.mkdir("meshes").joinpath("tile.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    mesh = (
-        SCENE.format(more="")
-        .replace('"sphere"', '"mesh"')
-        .replace("radius = 1.3", 'file = "../meshes/tile.obj"')
-    )
+    mesh = SCENE.format(more="").replace('"sphere"', '"mesh"').replace("radius = 1.3", 'file = "../meshes/tile.obj"')
     Path("scenes/mesh.toml").write_text(mesh)
     refused = run(folder, "--mitsuba-ref", "scenes/mesh.toml::depth")
     assert "--mesh-dir" in refused.stdout.str() and not crashing()

@@ -30,14 +30,7 @@ to_world = [{ scale = 3 }, { translate = [0, 0, -2] }]
 
 def validate(tmp_path, command, *more, door="--candidate-rays"):
     (tmp_path / "scene.toml").write_text(SCENE)
-    words = [
-        "validate",
-        str(tmp_path / "scene.toml"),
-        door,
-        command,
-        "--json",
-        str(tmp_path / "v.json"),
-    ]
+    words = ["validate", str(tmp_path / "scene.toml"), door, command, "--json", str(tmp_path / "v.json")]
     code = main([*words, *more])
     return code, json.loads((tmp_path / "v.json").read_text())["scenes"][0]
 
@@ -66,11 +59,7 @@ def compiled(tmp_path, source):
 def test_the_caster_in_c_passes_with_normals_and_prim_ids(tmp_path):
     code, scene = validate(tmp_path, compiled(tmp_path, (EXAMPLES / "caster.c").read_text()))
     assert code == 0, scene
-    assert (
-        scene["precision"] == "float32"
-        and scene["counts"]["agree"] > 100
-        and "shape_id" not in scene["unjudged"]
-    )
+    assert scene["precision"] == "float32" and scene["counts"]["agree"] > 100 and "shape_id" not in scene["unjudged"]
 
 
 FAULTS = {
@@ -144,11 +133,7 @@ def c(tmp_path):
     return compiled(tmp_path, (EXAMPLES / "caster.c").read_text()).split()[0]
 
 
-SERVING = {
-    "cc": c,
-    "node": lambda folder: f"node {EXAMPLES / 'caster.js'}",
-    "rustc": rust,
-}
+SERVING = {"cc": c, "node": lambda folder: f"node {EXAMPLES / 'caster.js'}", "rustc": rust}
 
 
 @pytest.mark.parametrize("tool", SERVING)

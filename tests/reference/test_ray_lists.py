@@ -92,14 +92,7 @@ def given(folder):
 def judge(folder, hits, *more, rays="rays.npy"):
     np.savez(folder / "hits.npz", **hits)
     out = folder / "verdict.json"
-    words = [
-        "--scene",
-        str(folder / "scene.toml"),
-        "--rays",
-        str(folder / rays),
-        "--hits",
-        str(folder / "hits.npz"),
-    ]
+    words = ["--scene", str(folder / "scene.toml"), "--rays", str(folder / rays), "--hits", str(folder / "hits.npz")]
     code = main(["judge", *words, "--json", str(out), *more])
     return code, json.loads(out.read_text())["scenes"]
 
@@ -200,14 +193,7 @@ def test_files_of_a_failing_run_and_the_replay_of_one_ray(folder, given, tmp_pat
     """verdict.json, JUnit, report, images and reproducers name rays; a replay judges the one ray to the same class."""
     rows, hits = given
     wrong, _ = planted("flipped normal", rows, hits)
-    out = [
-        "--out",
-        str(tmp_path / "out"),
-        "--html",
-        str(tmp_path / "r.html"),
-        "--junit",
-        str(tmp_path / "j.xml"),
-    ]
+    out = ["--out", str(tmp_path / "out"), "--html", str(tmp_path / "r.html"), "--junit", str(tmp_path / "j.xml")]
     code, (scene,) = judge(folder, wrong, *out)
     text = capsys.readouterr().out
     row = int(np.flatnonzero(np.isfinite(hits["t"]))[7])
@@ -437,10 +423,7 @@ def shifted(scene):
     return x + 0.25, y - 0.125
 
 
-OWN_RAYS = {
-    "jittered": (jittered, "not the same everywhere"),
-    "shifted": (shifted, "through (0.7500, 0.3750) of"),
-}
+OWN_RAYS = {"jittered": (jittered, "not the same everywhere"), "shifted": (shifted, "through (0.7500, 0.3750) of")}
 
 
 @pytest.mark.parametrize("which", OWN_RAYS)

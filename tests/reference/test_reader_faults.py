@@ -75,9 +75,7 @@ class Fault(NamedTuple):
     edits: tuple[tuple[str, str, str], ...]
 
 
-def fault(
-    what: str, shape: str, says: str, file: str, old: str, new: str, *more: tuple[str, str, str]
-) -> Fault:
+def fault(what: str, shape: str, says: str, file: str, old: str, new: str, *more: tuple[str, str, str]) -> Fault:
     return Fault(what, shape, says, ((file, old, new), *more))
 
 
@@ -344,9 +342,7 @@ def test_a_planted_fault_is_named(planted, tmp_path):
     print(f"{planted.what}: {found[0]}")
 
 
-@pytest.mark.parametrize(
-    "shape", sorted({each.shape for each in FAULTS}) if len(CHOSEN) > len(QUICK) else ["mesh.obj"]
-)
+@pytest.mark.parametrize("shape", sorted({each.shape for each in FAULTS}) if len(CHOSEN) > len(QUICK) else ["mesh.obj"])
 def test_without_a_fault_it_passes(shape, tmp_path):
     code, said = judged(ROOT, tmp_path, shape)
     assert code == 0, said

@@ -238,9 +238,7 @@ SCENES = ("one-sphere", "cylinders", "triangles", "orthographic")
 
 def verdicts(tmp_path: Path) -> list[dict]:
     files = [str(ROOT / "scenes" / f"{name}.toml") for name in SCENES]
-    assert (
-        main(["validate", *files, "--size", "24", "20", "-j", "1", "--json", str(tmp_path / "v.json")]) == 0
-    )
+    assert main(["validate", *files, "--size", "24", "20", "-j", "1", "--json", str(tmp_path / "v.json")]) == 0
     found = json.loads((tmp_path / "v.json").read_text())["scenes"]
     times = ("seconds", "reference_seconds", "exact_seconds")
     return [{name: value for name, value in scene.items() if name not in times} for scene in found]
@@ -256,8 +254,6 @@ def verdicts_without_residents(tmp_path_factory) -> list[dict]:
 
 @pytest.mark.parametrize("at", [1, 2, 3])
 @pytest.mark.slow("each starts Mitsuba three times")
-def test_verdicts_are_equal_when_the_resident_dies_at_any_scene(
-    tmp_path, plant, verdicts_without_residents, at
-):
+def test_verdicts_are_equal_when_the_resident_dies_at_any_scene(tmp_path, plant, verdicts_without_residents, at):
     plant("os.kill(os.getpid(), signal.SIGKILL)", at)
     assert verdicts(tmp_path) == verdicts_without_residents

@@ -68,8 +68,7 @@ ROUTE_FAULTS = (
         IMAGES,
         RETURNED,
         "        if dtype is np.float32:\n"
-        "            film.images['position'] = np.nextafter(film.images['position'], np.float32(0))\n"
-        + RETURNED,
+        "            film.images['position'] = np.nextafter(film.images['position'], np.float32(0))\n" + RETURNED,
     ),
     Fault(
         "routes",

@@ -24,9 +24,7 @@ ROBUST, PLAIN = (Witness(str(robust), "", SCALAR, robust=robust) for robust in (
 
 def easiest() -> dict[str, SettingResult]:
     """All families at once, where they are easiest, by all witnesses."""
-    settings = [
-        setting for family in FAMILIES for setting in family.settings(0, RAYS) if setting.x == family.easiest
-    ]
+    settings = [setting for family in FAMILIES for setting in family.settings(0, RAYS) if setting.x == family.easiest]
     ready = [score.prepare_setting(setting) for setting in settings]
     said = sweeps.observe(ready, lambda words: None)
     outcomes = (sweeps.score_setting(each, sights) for each, sights in zip(ready, said, strict=True))
@@ -64,9 +62,7 @@ def test_the_robust_mode_is_switched_off_where_that_is_requested():
 
 def test_a_scene_is_exported_for_the_robust_mode_by_default():
     ready = score.prepare_setting(next(iter(WATERTIGHT_EDGES.settings(0, RAYS))))
-    robust, plain = (
-        export(ready.setting.scene, ready.model, **options).xml for options in ({}, {"robust": False})
-    )
+    robust, plain = (export(ready.setting.scene, ready.model, **options).xml for options in ({}, {"robust": False}))
     flag = '<boolean name="embree_use_robust_intersections" value="{}" />'
     said = [(text.count(flag.format("true")), text.count(flag.format("false"))) for text in (robust, plain)]
     assert said == [(1, 0), (0, 1)]
@@ -83,9 +79,7 @@ def scenes(tmp_path) -> list[TraceRequest]:
     jobs = []
     for i in range(3):
         balls = "".join(shape("sphere", f"ball-{k}", 3.0 * k) for k in range(i + 1))
-        o = np.column_stack(
-            [rng.uniform(-1.0, 3.0 * i + 1.0, 40), rng.uniform(-1.0, 1.0, 40), np.full(40, 5.0)]
-        )
+        o = np.column_stack([rng.uniform(-1.0, 3.0 * i + 1.0, 40), rng.uniform(-1.0, 1.0, 40), np.full(40, 5.0)])
         xml = write(tmp_path, balls, f"scene-{i}.xml")
         jobs.append(job(xml, SCALAR, o[: 10 + 10 * i], [[0.0, 0.0, -1.0]] * (10 + 10 * i), lights=False))
     return jobs
@@ -111,9 +105,7 @@ def test_scenes_requested_together_answer_as_they_do_alone(scenes, monkeypatch):
 
 def test_a_scene_that_is_refused_takes_no_other_with_it(scenes, tmp_path):
     broken = write(tmp_path, '<shape type="no-such-shape"/>', "broken.xml")
-    found = mitsuba_process.send_requests(
-        [job(broken, SCALAR, scenes[2].o, scenes[2].d, lights=False), *scenes[:2]]
-    )
+    found = mitsuba_process.send_requests([job(broken, SCALAR, scenes[2].o, scenes[2].d, lights=False), *scenes[:2]])
     assert [type(each) for each in found] == [Crash, TraceResponse, TraceResponse]
     assert "no-such-shape" in found[0].output
     assert [len(each.t) for each in found[1:]] == [10, 20] and found[2].names == ["ball-0", "ball-1"]

@@ -97,11 +97,7 @@ def test_the_default_is_the_folder_scenes():
         (["--out", "{folder}/ball.toml"], 4, "ball.toml"),
         (["--html", "{folder}/ball.toml"], 4, "ball.toml"),
         (["--html", "{folder}/none/report.html"], 4, "none"),
-        (
-            ["{folder}/nowhere.toml"],
-            4,
-            "nowhere.toml: expected a scene file or a folder of them, found nothing",
-        ),
+        (["{folder}/nowhere.toml"], 4, "nowhere.toml: expected a scene file or a folder of them, found nothing"),
         (["{folder}/nowhere"], 4, "nowhere: expected a scene file or a folder of them, found nothing"),
     ],
 )
@@ -222,17 +218,13 @@ def test_a_failure_is_in_json_and_junit_with_where_and_why(tmp_path):
     )
     words = ["--json", tmp_path / "v.json", "--junit", tmp_path / "v.xml", "--out", tmp_path / "out"]
     words += ["--html", tmp_path / "html"]
-    found = started(
-        "validate", "scenes/inside-sphere.toml", "scenes/shared-edges-cube.toml", *SIZE, *words, tree=tree
-    )
+    found = started("validate", "scenes/inside-sphere.toml", "scenes/shared-edges-cube.toml", *SIZE, *words, tree=tree)
     assert found.returncode == 1
     bad, good = strict_json(tmp_path / "v.json")["scenes"]
     assert (bad["ok"], good["ok"]) == (False, True)
     assert strict_json(tmp_path / "out/verdict.json")["scenes"] == [bad, good]
     first = bad["failures"][0]
-    assert (
-        set(first) == {*(field.name for field in fields(Failure)), "replay"} and float(first["ratio"]) > 1e6
-    )
+    assert set(first) == {*(field.name for field in fields(Failure)), "replay"} and float(first["ratio"]) > 1e6
     assert any(failure["ratio"] == "inf" for failure in (*bad["failures"], *bad["worst_by"].values()))
     assert first["replay"].startswith("mitsuba-ref probe scenes/inside-sphere.toml ")
     assert first["verdict"] == "wrong" and re.match(r"(shell|ball), prim 0 \(inside\) at t ", first["exact"])
@@ -267,9 +259,7 @@ def fake_mitsuba(tmp_path):
     def plant(source):
         tree = copy_tree(tmp_path / "tree")
         (tree / "mitsuba.py").write_text(source, encoding="utf-8")
-        kernels = str(
-            cache_folder().parent
-        )  # those of the same sources, which nobody has to compile once more
+        kernels = str(cache_folder().parent)  # those of the same sources, which nobody has to compile once more
         cache = {"CASTER_JIT": "1", "NUMBA_CACHE_DIR": kernels, "XDG_CACHE_HOME": str(tmp_path / "cache")}
         return {"tree": tree, **cache}
 
@@ -306,12 +296,7 @@ def test_an_interruption_keeps_what_is_done_and_leaves_no_child(tmp_path):
     temporary.mkdir()
     mark = f"caster-test-{os.getpid()}-{time.monotonic_ns()}"
     words = [sys.executable, "-P", "-m", "mitsuba_ref", "validate", "scenes", *SIZE, "-j", "2"]
-    environment = os.environ | {
-        "PYTHONPATH": str(ROOT),
-        "CASTER_JIT": "0",
-        "MARK": mark,
-        "TMPDIR": str(temporary),
-    }
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "CASTER_JIT": "0", "MARK": mark, "TMPDIR": str(temporary)}
     child = subprocess.Popen(
         [*words, "--json", str(tmp_path / "v.json")],
         cwd=ROOT,
@@ -339,10 +324,7 @@ def test_an_interruption_keeps_what_is_done_and_leaves_no_child(tmp_path):
     rows = ROW.findall("".join(lines) + out)
     kept = [scene["name"] for scene in done["scenes"]]
     assert kept[: len(rows)] == [row[1] for row in rows]
-    assert len(kept) - len(rows) in (
-        0,
-        1,
-    )  # the signal may come between keeping a verdict and printing its row
+    assert len(kept) - len(rows) in (0, 1)  # the signal may come between keeping a verdict and printing its row
     assert 0 < len(rows) < done["scene_count"] and done["ok"] is False and " not judged, in " in out
     assert list(temporary.iterdir()) == []
     assert [pid for pid in running_with(mark) if pid != child.pid] == []
@@ -377,9 +359,7 @@ def test_probe_gives_the_class_that_validate_gave(ref, tmp_path):
     assert seen == {"agree", "tie"}
 
 
-@pytest.mark.parametrize(
-    "scene", ["one-sphere", "near-far-clip", "crop-window", "fisheye", "lights-and-shadows"]
-)
+@pytest.mark.parametrize("scene", ["one-sphere", "near-far-clip", "crop-window", "fisheye", "lights-and-shadows"])
 def test_two_renders_of_a_scene_compare_equal(ref, tmp_path, scene):
     size = ("--size", "24", "20")  # at others, a shadow's border goes through a pixel centre up to rounding
     ours, reference = tmp_path / "ours.exr", tmp_path / "reference.exr"

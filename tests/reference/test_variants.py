@@ -12,12 +12,7 @@ from mitsuba_scenes import job, shape, write
 
 from mitsuba_ref.reference import messages, mitsuba_process, variants
 from mitsuba_ref.reference.messages import Crash, TraceResponse
-from mitsuba_ref.reference.variants import (
-    LIBLLVM_ENVIRONMENT_VARIABLE,
-    VariantError,
-    usable_variants,
-    variant_for,
-)
+from mitsuba_ref.reference.variants import LIBLLVM_ENVIRONMENT_VARIABLE, VariantError, usable_variants, variant_for
 
 ROOT = Path(__file__).resolve().parents[2]
 OLD_LLVM = Path("/usr/lib/x86_64-linux-gnu/libLLVM-15.so.1")
@@ -59,10 +54,7 @@ def libraries(tmp_path, monkeypatch):
     monkeypatch.delenv(LIBLLVM_ENVIRONMENT_VARIABLE, raising=False)
     monkeypatch.setattr(variants, "LIBLLVM_PATTERNS", ())
     monkeypatch.setenv("LD_LIBRARY_PATH", f"{folder}:")
-    return [
-        str(folder / name)
-        for name in ("libLLVM.so.21.1", "libLLVM.so.19.1", "libLLVM-14.so.1", "libLLVM-9.so")
-    ]
+    return [str(folder / name) for name in ("libLLVM.so.21.1", "libLLVM.so.19.1", "libLLVM-14.so.1", "libLLVM-9.so")]
 
 
 def forget(monkeypatch):
@@ -78,21 +70,14 @@ def test_what_is_stated_to_work_here_works(tmp_path):
     for variant in found.names:
         answer = mitsuba_process.send_request(job(xml, variant, [[0.5, 0.25, 5]], [[0, 0, -1]]), 60)
         assert isinstance(answer, TraceResponse) and answer.t.tolist() == [4.0], answer
-        assert answer.versions["libllvm"] == "none" or os.path.samefile(
-            answer.versions["libllvm"], found.libllvm
-        )
+        assert answer.versions["libllvm"] == "none" or os.path.samefile(answer.versions["libllvm"], found.libllvm)
 
 
 def test_the_child_process_describes_it():
     describe = "from mitsuba_ref.reference.mitsuba_calls import describe_installation"
     program = f"import json; {describe}; print(json.dumps(describe_installation()))"
-    run = subprocess.run(
-        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    assert json.loads(run.stdout) == {
-        "variants": list(usable_variants().names),
-        "libllvm": usable_variants().libllvm,
-    }
+    run = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert json.loads(run.stdout) == {"variants": list(usable_variants().names), "libllvm": usable_variants().libllvm}
 
 
 @pytest.mark.parametrize("missing", ["/nonexistent/libLLVM.so", str(Path(__file__))])
@@ -150,11 +135,7 @@ def test_the_newest_library_that_works_is_taken(libraries, trials):
     trials.says["llvm_ad_rgb", libraries[0]] = "abort"
     found = usable_variants()
     assert found.names == variants.VARIANT_NAMES and found.libllvm == libraries[1]
-    assert trials.tried == [
-        ("scalar_rgb", None),
-        ("llvm_ad_rgb", libraries[0]),
-        ("llvm_ad_rgb", libraries[1]),
-    ]
+    assert trials.tried == [("scalar_rgb", None), ("llvm_ad_rgb", libraries[0]), ("llvm_ad_rgb", libraries[1])]
     assert found.why == f"{libraries[0]}: abort"
     assert list(variants._candidates()) == libraries
 
@@ -198,8 +179,7 @@ def test_another_library_or_another_mitsuba_is_tried_again(libraries, trials, mo
 
 
 @pytest.mark.parametrize(
-    "content",
-    ["", "{", "[]", "7", '{"scalar": true}', '{"scalar": 1, "llvm": true, "libllvm": null, "why": ""}'],
+    "content", ["", "{", "[]", "7", '{"scalar": true}', '{"scalar": 1, "llvm": true, "libllvm": null, "why": ""}']
 )
 def test_a_broken_memory_costs_time_only(libraries, trials, monkeypatch, tmp_path, content):
     first = usable_variants()
@@ -241,9 +221,7 @@ def test_a_chosen_variant_is_used_for_every_scene(libraries, trials, monkeypatch
 
 def test_an_unknown_choice_is_an_error_that_lists_the_known_ones(monkeypatch):
     monkeypatch.setenv(variants.VARIANT_ENVIRONMENT_VARIABLE, "cuda_rgb")
-    with pytest.raises(
-        VariantError, match=r"^MITSUBA_REF_VARIANT 'cuda_rgb': expected scalar_rgb or llvm_ad_rgb$"
-    ):
+    with pytest.raises(VariantError, match=r"^MITSUBA_REF_VARIANT 'cuda_rgb': expected scalar_rgb or llvm_ad_rgb$"):
         variant_for(False)
 
 

@@ -74,9 +74,7 @@ def verdicts() -> dict[str, SceneVerdict]:
     """A scene that passes, one with faults at four pixels, and one whose reference gave no answer."""
     with pytest.MonkeyPatch.context() as patch:
         bad = planted.bad(patch)
-    crashed = SceneVerdict(
-        "crashed", "scenes/crashed.toml", 480, problem="Mitsuba ended (SIGSEGV): <b>words</b>"
-    )
+    crashed = SceneVerdict("crashed", "scenes/crashed.toml", 480, problem="Mitsuba ended (SIGSEGV): <b>words</b>")
     return {"good": planted.good(), "bad": bad, "crashed": crashed}
 
 
@@ -89,9 +87,7 @@ def judged() -> dict[str, SceneVerdict]:
 @pytest.fixture(scope="session")
 def folder(verdicts: dict[str, SceneVerdict], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The report of these three, as a folder: its index.html."""
-    return Validation(tuple(verdicts.values()), scene_count=4).write_html(
-        tmp_path_factory.mktemp("report") / "html"
-    )
+    return Validation(tuple(verdicts.values()), scene_count=4).write_html(tmp_path_factory.mktemp("report") / "html")
 
 
 @pytest.fixture(scope="session")

@@ -17,12 +17,7 @@ from mitsuba_ref.subjects.function import function_subject
 from mitsuba_ref.subjects.subject import cast_ours
 
 WIDTH, HEIGHT = 24, 20
-OURS_WRONG, REFERENCE_MISSES, NAN, INFINITE = (
-    (11, 9),
-    (14, 6),
-    (8, 12),
-    (4, 17),
-)  # x, y of pixels that are hit
+OURS_WRONG, REFERENCE_MISSES, NAN, INFINITE = ((11, 9), (14, 6), (8, 12), (4, 17))  # x, y of pixels that are hit
 
 Plant = Callable[[TraceResponse], None]
 Trace = Callable[[Scene, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray | None]]

@@ -88,9 +88,7 @@ def test_what_is_not_given_is_stated_and_not_drawn(visit, report):
     assert page.locator(".pane.ours .legend").inner_text() == ""
     page.wait_for_timeout(100)  # the next frame
     painted, lightest = page.evaluate(PAINTED)
-    assert 0.0 < painted < 0.1 and lightest > 180, (
-        "light words on what stays dark in both themes, and no picture"
-    )
+    assert 0.0 < painted < 0.1 and lightest > 180, "light words on what stays dark in both themes, and no picture"
     page.click("[data-layer=shape_id]")
     page.wait_for_selector(".pane.reference .legend >> text=a colour a number")
     assert page.locator(".pane.ours .legend").inner_text() == ""
@@ -118,11 +116,7 @@ def test_no_answer_is_words_and_what_is_not_kept_is_no_number(visit, report):
     assert "checks" not in page.inner_text("#pixel dl") and "inf" not in page.inner_text("#pixel")
 
 
-PATCHES = [
-    (6, 4, 1.01),
-    (15, 4, 1.01),
-    (2, 13, -1.0),
-]  # x, y of the corner of 3 x 3 pixels, and the factor of t or n
+PATCHES = [(6, 4, 1.01), (15, 4, 1.01), (2, 13, -1.0)]  # x, y of the corner of 3 x 3 pixels, and the factor of t or n
 
 
 def patched(scene, o, d):
@@ -140,9 +134,7 @@ def patched(scene, o, d):
 def patches(tmp_path_factory):
     scene = planted.scene().with_film(width=SIZE[0], height=SIZE[1])
     found = [planted.judged_candidate(f"patches-{i}", patched, scene) for i in range(2)]
-    return Validation(tuple(found), scene_count=2).write_html(
-        tmp_path_factory.mktemp("patches") / "page.html"
-    )
+    return Validation(tuple(found), scene_count=2).write_html(tmp_path_factory.mktemp("patches") / "page.html")
 
 
 def test_n_goes_from_region_to_region_and_a_cause_chooses_its_pixels(visit, patches):
@@ -172,9 +164,7 @@ def test_n_goes_from_region_to_region_and_a_cause_chooses_its_pixels(visit, patc
 
 def test_the_list_has_the_common_cause_on_top_and_a_meter_of_pixels_that_fail(visit, patches):
     page = visit(patches).page
-    assert page.inner_text("#common").startswith(
-        "cause: in 2 of 2 that fail: t is 1.01 times what it should be"
-    )
+    assert page.inner_text("#common").startswith("cause: in 2 of 2 that fail: t is 1.01 times what it should be")
     assert "% fail" in page.inner_text(".row .worst >> nth=0")
     width = page.evaluate("document.querySelector('.meter.over i').style.width")
     assert 2.0 <= float(width.rstrip("%")) < 100.0

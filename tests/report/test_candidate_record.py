@@ -97,9 +97,7 @@ def test_rows_and_pages_name_the_candidate(judged, tmp_path):
     assert "wrong" in index_row(judged["inside"], "", "")["counts"]
     index = Validation(tuple(judged.values())).write_html(tmp_path / "page.html")
     text = index.read_text(encoding="utf-8")
-    assert (
-        '"candidate":"docs.candidates.inside:trace"' in text and f'"wrong","undecided","{UNLISTED}"' in text
-    )
+    assert '"candidate":"docs.candidates.inside:trace"' in text and f'"wrong","undecided","{UNLISTED}"' in text
     assert "<caption>candidate docs.candidates.inside:trace: 1 of 4 scenes pass</caption>" in text
     plain = text[text.index('<table id="plain">') : text.index("</table>")]
     assert '<th scope="col">candidate wrong</th>' in plain and "ours" not in plain

@@ -111,9 +111,7 @@ def test_numbers_are_those_that_were_compared_to_the_bit(visit, folder, verdicts
     row, pair = planted.row_of(planted.OURS_WRONG), verdicts["bad"].seen
     for layer in ("depth", "normal", "shading_normal", "position", "uv", "diffuse"):
         text = section(page, layer.replace("_", " ")).inner_text()
-        sides = np.column_stack(
-            [np.atleast_1d(aov_rows(aovs, layer)[row]) for aovs in (pair.ours, pair.reference)]
-        )
+        sides = np.column_stack([np.atleast_1d(aov_rows(aovs, layer)[row]) for aovs in (pair.ours, pair.reference)])
         assert NUMBERS.findall(text) == [float(value).hex() for value in sides.ravel()]
         assert {float(value) for value in sides.ravel()} <= decimals(text)
 
@@ -131,9 +129,7 @@ def test_the_bound_that_counts_is_named(visit, folder, verdicts):
     x, y = planted.REFERENCE_MISSES
     page.evaluate(f"location.hash = '{at((x - 1, y), a='depth')}'")
     page.wait_for_selector(f"#pixel .xy:text-is('{x - 1}, {y}')")
-    told = re.search(
-        r"^depth\s+([\d.e-]+) \u00d7 bound ([\d.e-]+)$", section(page, "depth").inner_text(), re.M
-    )
+    told = re.search(r"^depth\s+([\d.e-]+) \u00d7 bound ([\d.e-]+)$", section(page, "depth").inner_text(), re.M)
     assert told is not None and float(told[1]) == pytest.approx(judged, rel=0.01)
 
 
@@ -221,14 +217,7 @@ def test_keys_and_what_is_remembered(visit, folder):
     for key, layer in ready_layers.items():
         page.keyboard.press(key)
         page.wait_for_selector(f"[data-layer={layer}][aria-pressed=true]")
-    for key, view in {
-        "d": "difference",
-        "x": "ratio",
-        "l": "class",
-        "b": "blink",
-        "w": "wipe",
-        "o": "ours",
-    }.items():
+    for key, view in {"d": "difference", "x": "ratio", "l": "class", "b": "blink", "w": "wipe", "o": "ours"}.items():
         page.keyboard.press(key)
         page.wait_for_selector(f"[data-view={view}][aria-pressed=true]")
     page.keyboard.down("Shift")
@@ -272,9 +261,7 @@ def test_one_file_states_where_it_rounds(visit, one_file, verdicts):
     page = visit(one_file, at((x, y), "good", a="depth")).page
     ready(page)
     pair = verdicts["good"].seen
-    sides = [
-        np.float32(aov_rows(aovs, "depth")[planted.row_of((x, y))]) for aovs in (pair.ours, pair.reference)
-    ]
+    sides = [np.float32(aov_rows(aovs, "depth")[planted.row_of((x, y))]) for aovs in (pair.ours, pair.reference)]
     text = section(page, "depth").inner_text()
     assert NUMBERS.findall(text) == [float(value).hex() for value in sides] and "Rounded to float32" in text
     exact = visit(one_file, at((x, y), BAD, a="depth")).page
@@ -341,9 +328,7 @@ def test_a_waived_scene_is_no_failure_and_is_counted(visit, verdicts, tmp_path):
     assert visit(index, "#s=known").page.inner_text("#scene-mark") == "KNOWN"
     plain = visit(index, java_script_enabled=False).page.locator("#plain tbody tr").all_inner_texts()
     assert [row.split("\t")[1] for row in plain] == ["SKIP", "KNOWN", "PASS"] and "FAIL" not in "".join(plain)
-    failing = Validation((known, verdicts["bad"], passing), scene_count=3).write_html(
-        tmp_path / "failing.html"
-    )
+    failing = Validation((known, verdicts["bad"], passing), scene_count=3).write_html(tmp_path / "failing.html")
     page = visit(failing).page
     assert page.locator(".row .badge").all_inner_texts() == ["FAIL", "KNOWN", "PASS"]
     assert page.get_attribute("#total", "class") == "bad"

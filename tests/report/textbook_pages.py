@@ -61,8 +61,6 @@ def verdicts() -> dict[str, SceneVerdict]:
     return {
         "inside": planted.judged_candidate("inside", remembered("inside", trace), inside_sphere()),
         "outside": planted.judged_candidate("outside", trace, planted.scene()),
-        "single": planted.judged_candidate(
-            "single", remembered("single", trace_depth_in_float32), inside_sphere()
-        ),
+        "single": planted.judged_candidate("single", remembered("single", trace_depth_in_float32), inside_sphere()),
         "silent": planted.judged_candidate("silent", lambda *given: None, planted.scene()),
     }

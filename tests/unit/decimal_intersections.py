@@ -121,8 +121,4 @@ def disk(q: Quadric) -> tuple[Met, ...]:
     return (Met(t, n, n, (q.d[:, 2] != 0) & (p[:, 0] ** 2 + p[:, 1] ** 2 <= 1)),)
 
 
-ROUND: dict[str, Callable[[Quadric], tuple[Met, ...]]] = {
-    "Ellipsoids": ellipsoid,
-    "Cylinders": cylinder,
-    "Disks": disk,
-}
+ROUND: dict[str, Callable[[Quadric], tuple[Met, ...]]] = {"Ellipsoids": ellipsoid, "Cylinders": cylinder, "Disks": disk}

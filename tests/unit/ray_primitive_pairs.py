@@ -52,9 +52,7 @@ class Pairs:
 
     def _solve_triangles(self, off: Off, o: np.ndarray, d: np.ndarray) -> tuple[Met, ...]:
         """Differences of corners and origin are what is rounded; the normal is made of differences of corners."""
-        corners, normals = (
-            exactly(a[self.prims.faces[self.k]]) for a in (self.prims.vertices, self.prims.normals)
-        )
+        corners, normals = (exactly(a[self.prims.faces[self.k]]) for a in (self.prims.vertices, self.prims.normals))
         (met,) = exact.triangle(off(corners - o[:, None, :]), d, off(normals))
         n = exact.unit(exact.cross(*(off(corners[:, j] - corners[:, 0]) for j in (1, 2))))
         sh_n = np.where(self.prims.smooth[self.k][:, None], met.sh_n, n)

@@ -36,9 +36,7 @@ def members(annotation: Any) -> tuple[Any, ...]:
 
 
 def models_of(annotation: Any) -> tuple[type[BaseModel], ...]:
-    return tuple(
-        each for each in members(annotation) if isinstance(each, type) and issubclass(each, BaseModel)
-    )
+    return tuple(each for each in members(annotation) if isinstance(each, type) and issubclass(each, BaseModel))
 
 
 def label(model: type[BaseModel]) -> str:
@@ -135,9 +133,7 @@ def value_text(field: FieldInfo, value: Any) -> str:
 def aspects(scene: Scene) -> Iterator[str]:
     """Conditions across fields that this scene meets."""
     film, camera = scene.film, scene.camera
-    aspect = (
-        "square" if film.width == film.height else "portrait" if film.width < film.height else "landscape"
-    )
+    aspect = "square" if film.width == film.height else "portrait" if film.width < film.height else "landscape"
     yield f"{aspect} film"
     yield f"{aspect} film of {label(type(camera))}"
     for name, field in type(camera).model_fields.items():
@@ -146,17 +142,10 @@ def aspects(scene: Scene) -> Iterator[str]:
     if film.crop:
         x0, y0, x1, y1 = film.crop
         yield f"crop of {label(type(camera))}"
-        for edge, cut in (
-            ("left", x0 > 0),
-            ("top", y0 > 0),
-            ("right", x1 < film.width),
-            ("bottom", y1 < film.height),
-        ):
+        for edge, cut in (("left", x0 > 0), ("top", y0 > 0), ("right", x1 < film.width), ("bottom", y1 < film.height)):
             yield f"crop {'cuts' if cut else 'keeps'} the {edge} edge"
     for light in scene.lights:
-        colours = [
-            value for value in vars(light).values() if isinstance(value, tuple) and len(set(value)) == 3
-        ]
+        colours = [value for value in vars(light).values() if isinstance(value, tuple) and len(set(value)) == 3]
         yield from (f"three channels of {label(type(light))}" for _ in colours[-1:])
     for shape in scene.shapes:
         yield from (f"{each} of {label(type(shape))}" for each in matrix_kinds(shape.matrix[:3, :3]))
@@ -175,9 +164,7 @@ def matrix_kinds(linear: np.ndarray) -> Iterator[str]:
 def demanded_aspects(scene: type[Scene]) -> Iterator[str]:
     """Conditions across fields that have to be met by some scene, for each registered kind."""
     cameras = models_of(scene.model_fields["camera"].annotation)
-    shapes, lights = (
-        models_of(element_types(scene.model_fields[name].annotation)[1]) for name in ("shapes", "lights")
-    )
+    shapes, lights = (models_of(element_types(scene.model_fields[name].annotation)[1]) for name in ("shapes", "lights"))
     for aspect in ("square", "portrait", "landscape"):
         yield f"{aspect} film"
         for camera in cameras:
@@ -188,9 +175,7 @@ def demanded_aspects(scene: type[Scene]) -> Iterator[str]:
                     yield from (f"{aspect} film, {name} {value!r}" for value in typing.get_args(plain))
     yield from (f"crop of {label(camera)}" for camera in cameras)
     yield from (
-        f"crop {how} the {edge} edge"
-        for how in ("cuts", "keeps")
-        for edge in ("left", "top", "right", "bottom")
+        f"crop {how} the {edge} edge" for how in ("cuts", "keeps") for edge in ("left", "top", "right", "bottom")
     )
     yield from (f"three channels of {label(light)}" for light in lights)
     kinds = ("a mirrored transform", "an upright transform", "a similarity", "a stretching transform")

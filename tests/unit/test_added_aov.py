@@ -79,9 +79,7 @@ def test_an_aov_of_the_tree_is_a_field_of_the_hit_and_its_miss_in_every_channel(
     assert per_hit(kernel, HIT) == expected and len(BY_NAME[name].CHANNELS) == channels
     assert kernel.miss == MISSES.get(name, 0) and kernel.misses == (kernel.miss,) * channels
     ids = name in ("shape_id", "prim_id")
-    assert BY_NAME[name].DTYPE is (np.int32 if ids else np.float64) and type(kernel.miss) is (
-        int if ids else float
-    )
+    assert BY_NAME[name].DTYPE is (np.int32 if ids else np.float64) and type(kernel.miss) is (int if ids else float)
 
 
 def test_an_aov_needs_the_fields_that_it_reads_and_no_others():

@@ -71,9 +71,7 @@ def test_boxes_are_spread_no_closer_than_the_gap():
 
 
 def rectangles(svg: str) -> list[tuple[float, ...]]:
-    found = re.findall(
-        r'<rect class="(?:first|second)" x="(\S+)" y="(\S+)" width="(\S+)" height="(\S+)"', svg
-    )
+    found = re.findall(r'<rect class="(?:first|second)" x="(\S+)" y="(\S+)" width="(\S+)" height="(\S+)"', svg)
     return [tuple(map(float, each)) for each in found]
 
 
@@ -125,9 +123,7 @@ def test_the_table_of_folders_is_the_flow():
     assert [folder.replace("/", ".") for folder in folders] == list(architecture.FLOW)
 
 
-@pytest.mark.parametrize(
-    "place", sorted(set(re.findall(r"`((?:caster|mitsuba_ref)/[\w/.]+(?::[\w.]+)?)`", PAGE)))
-)
+@pytest.mark.parametrize("place", sorted(set(re.findall(r"`((?:caster|mitsuba_ref)/[\w/.]+(?::[\w.]+)?)`", PAGE))))
 def test_what_the_page_names_is_there(place):
     path, _, name = place.partition(":")
     assert (ROOT / path).exists()

@@ -108,9 +108,7 @@ def test_one_unit_in_the_last_place_is_one_unit(truth):
     off = np.nextafter(truth.t.astype(np.float32), np.float32(np.inf)).astype(np.float64)
     assert 0.5 <= truth.score(off, ours=False).ulps <= 1.5
     assert truth.score(off, ours=False).beyond == 0
-    assert (
-        truth.score(off, ours=True).beyond == truth.score(off, ours=True).rays
-    )  # which float64 has no excuse for
+    assert truth.score(off, ours=True).beyond == truth.score(off, ours=True).rays  # which float64 has no excuse for
 
 
 def test_a_missed_edge_is_detected(truth):
@@ -200,9 +198,7 @@ class Fake:
         self.closed = True
 
 
-def timed(
-    keys: list[str], dying: dict[str, int], alternations: int = 3
-) -> tuple[SceneResult, dict[str, Fake]]:
+def timed(keys: list[str], dying: dict[str, int], alternations: int = 3) -> tuple[SceneResult, dict[str, Fake]]:
     Fake.log = []
     fakes = {key: Fake(key, dying.get(key)) for key in keys}
     timed = [replace(BY_KEY[key], variant="", package="", first=0) for key in keys]
@@ -224,9 +220,7 @@ def test_contestants_take_turns_and_none_is_always_first():
 
 
 def test_a_crash_of_one_peer_leaves_the_others_running():
-    found, fakes = timed(
-        ["ours", "raw-robust", "open3d"], {"raw-robust": measuring.WARM_UP_CASTS + 2, "open3d": 0}
-    )
+    found, fakes = timed(["ours", "raw-robust", "open3d"], {"raw-robust": measuring.WARM_UP_CASTS + 2, "open3d": 0})
     ours, raw, open3d = found.rows
     assert len(ours.seconds) == 3 and ours.why == ""
     assert len(raw.seconds) == 1 and raw.why == "died: SIGSEGV" and raw.score is None
@@ -400,11 +394,7 @@ FIXED = Run(
             (row("ours-process", (0.5,)), row("llvm-process", (1.0,)), row("scalar-process", (0.4,))),
         ),
     ),
-    sweeps=(
-        Sweep(
-            "triangles", "triangles of hills", (Series("ours", "ours", (1e2, 1e3, 1e4), (1e-3, 2e-3, 2e-2)),)
-        ),
-    ),
+    sweeps=(Sweep("triangles", "triangles of hills", (Series("ours", "ours", (1e2, 1e3, 1e4), (1e-3, 2e-3, 2e-2)),)),),
     bytes_of_pixel=16,
 )
 
@@ -419,9 +409,7 @@ def test_json_brings_the_run_back_and_what_follows_from_it(tmp_path):
     assert told["aov-robust"]["ratio"] == pytest.approx(6.0) and told["ours"]["ns"] == pytest.approx(10.0)
     assert told["open3d"]["ratio"] is None
     slopes = data["sweeps"][0]["series"][0]
-    assert slopes["slope"] == pytest.approx(math.log10(20.0) / 2.0) and slopes["end_slope"] == pytest.approx(
-        1.0
-    )
+    assert slopes["slope"] == pytest.approx(math.log10(20.0) / 2.0) and slopes["end_slope"] == pytest.approx(1.0)
 
 
 def test_targets_are_reached_missed_or_not_measured():
@@ -440,9 +428,7 @@ def test_meshes_have_targets_in_each_set():
     def timed(name: str, theirs: float) -> SceneResult:
         return SceneResult(name, "", FILM, 1, (row("ours", (1.0,)), row("raw-robust", (theirs,))), aovs=AOVS)
 
-    both = tuple(
-        timed(name + end, t) for name, t in (("a", 4.0), ("b", 1.0)) for end in ("", "-smooth", "-lit")
-    )
+    both = tuple(timed(name + end, t) for name, t in (("a", 4.0), ("b", 1.0)) for end in ("", "-smooth", "-lit"))
     run = replace(FIXED, requested=tuple(each.name for each in both), scenes=both)
     worst, mean, *_ = performance_targets.outcomes(run)
     assert (worst.reached, worst.where, worst.ok) == (1.0, "b", False)

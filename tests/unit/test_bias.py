@@ -187,9 +187,7 @@ def test_the_check_fails_on_a_bias_and_states_of_what():
         assert found.name == "bias" and not found.ok and found.ratio == pytest.approx(abs(z) / 5.0)
         assert found.what == f"Spheres lean: z {z:.1f} of 900 groups, 5 at most by chance"
     within = check_bias(errors_of(KindBias("Spheres", 900, -4.9), KindBias("Disks", 1, 1.0)))
-    assert (
-        within.ok and within.what == "Spheres z -4.9 of 900 groups; Disks z 1.0 of 1 groups, too few to tell"
-    )
+    assert within.ok and within.what == "Spheres z -4.9 of 900 groups; Disks z 1.0 of 1 groups, too few to tell"
     assert check_bias(errors_of()).ok
 
 
@@ -202,9 +200,7 @@ def test_a_kind_with_few_groups_is_recorded_and_never_the_one_that_leans_most():
 def test_sizes_of_errors():
     k = np.r_[np.full(990, 0.5), np.full(10, 3.0)]
     assert (
-        extremes(k).largest == 3.0
-        and extremes(k).p99 == pytest.approx(0.5, abs=0.1)
-        and extremes(k[:0]) == Extremes()
+        extremes(k).largest == 3.0 and extremes(k).p99 == pytest.approx(0.5, abs=0.1) and extremes(k[:0]) == Extremes()
     )
     assert looseness(k) == K / 0.5 and looseness(np.zeros(3)) == looseness(k[:0]) == math.inf
 
@@ -222,13 +218,8 @@ def test_the_verdict_reports_it():
         "z": -15.0,
         "biases": [{"kind": "Spheres", "groups": 900, "z": -15.0, "enough_groups": True}],
     }
-    assert (
-        not scene.checks_pass
-        and "bias: 3x its bound; Spheres lean: z -15.0 of 900 groups" in failure_text(scene)
-    )
-    assert "of t at most 1.25 of 4 roundings (ball); bias at most |z| 15.0 of 5 (ball)" in summary_text(
-        verdict, 1.0
-    )
+    assert not scene.checks_pass and "bias: 3x its bound; Spheres lean: z -15.0 of 900 groups" in failure_text(scene)
+    assert "of t at most 1.25 of 4 roundings (ball); bias at most |z| 15.0 of 5 (ball)" in summary_text(verdict, 1.0)
     assert "k_t=1.25 k_normal=0.75 z=-15.0" in junit(verdict)
 
 

@@ -35,15 +35,7 @@ def bracket(shapes: list[Any], o: Any, d: Any, *, ours: bool = False) -> Bracket
 
 
 def judged(
-    shapes: list[Any],
-    o: Any,
-    d: Any,
-    t: float,
-    shape: int,
-    n: Any = UP,
-    *,
-    t_max: float = np.inf,
-    ours: bool = False,
+    shapes: list[Any], o: Any, d: Any, t: float, shape: int, n: Any = UP, *, t_max: float = np.inf, ours: bool = False
 ) -> BracketResult:
     """One ray, one claim; the claimed point follows from t."""
     o, d, n = (np.asarray(v, float)[None] for v in (o, d, n))
@@ -166,9 +158,7 @@ def test_a_wrong_t_is_refused(t):
     assert not allows([BALL], ABOVE, DOWN, t, 0)
 
 
-@pytest.mark.parametrize(
-    "n", [DOWN, [0, 0, 2], [0, 0, 0.99999], [1e-4, 0, 1], [np.nan] * 3, [0, 0, 0]], ids=str
-)
+@pytest.mark.parametrize("n", [DOWN, [0, 0, 2], [0, 0, 0.99999], [1e-4, 0, 1], [np.nan] * 3, [0, 0, 0]], ids=str)
 def test_a_wrong_normal_is_refused(n):
     assert allows([BALL], ABOVE, DOWN, 4.0, 0, UP)
     assert not allows([BALL], ABOVE, DOWN, 4.0, 0, n)
@@ -203,15 +193,10 @@ def test_a_triangle_seen_edge_on_leaves_open_where_it_is_hit_and_nothing_else():
         assert not judged(alone, o, d, 4.9, 0, -up).open[0]  # its normal is known all the same
         assert not judged(alone, o, d, *MISS).open[0]
         assert not judged(shapes, o, d, 4.9, 0, up).open[0]  # behind the ball, which is certain
-        assert not judged(shapes, o, d, 1.5, 1, d).open[
-            0
-        ]  # a normal of the ball turned round is no edge-on triangle
+        assert not judged(shapes, o, d, 1.5, 1, d).open[0]  # a normal of the ball turned round is no edge-on triangle
 
 
-START = (
-    np.array([0, 0]),
-    np.array([1e-15, 1e-15]),
-)  # the primitive they leave, and how far off it they start
+START = (np.array([0, 0]), np.array([1e-15, 1e-15]))  # the primitive they leave, and how far off it they start
 
 
 def test_shadow_rays_do_not_count_the_surface_they_leave():

@@ -53,9 +53,7 @@ class Met(NamedTuple):
 class Made:
     """A scene model with these intersections of each ray; the number of a ray is the x of its origin."""
 
-    def __init__(
-        self, met: list[list[Met]], identical: list[int] | None, beside: tuple[int, ...] = ()
-    ) -> None:
+    def __init__(self, met: list[list[Met]], identical: list[int] | None, beside: tuple[int, ...] = ()) -> None:
         """beside: primitives whose boxes no ray passes."""
         self.met, self.identical = met, None if identical is None else np.array(identical)
         self.beside = beside
@@ -76,12 +74,7 @@ class Made:
 
     def intersect(self, prim: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float, *, ours: bool) -> Any:
         assert (ku, ours) == (0.25, True)
-        found = [
-            (i, each)
-            for i, number in enumerate(prim)
-            for each in self.met[int(o[i, 0])]
-            if each.prim == number
-        ]
+        found = [(i, each) for i, number in enumerate(prim) for each in self.met[int(o[i, 0])] if each.prim == number]
         pair = np.array([i for i, _ in found], int)
         columns = zip(*(each[1:] for _, each in found), strict=True) if found else [()] * 13
         arrays = [np.array(column) for column in columns]
@@ -172,9 +165,7 @@ class Claim(NamedTuple):
     uv: tuple[float, float]
 
 
-def verdict(
-    met: list[Met], claim: Claim, line: Any, said: set[str], identical: list[int] | None
-) -> tuple[bool, bool]:
+def verdict(met: list[Met], claim: Claim, line: Any, said: set[str], identical: list[int] | None) -> tuple[bool, bool]:
     """(allowed, open) of one ray by the rules. line: o, d, t_min, t_max; said: which parts are claimed at all."""
     o, d, t_min, t_max = line
     met = in_range(met, t_min, t_max)
@@ -189,11 +180,7 @@ def verdict(
             number = FIRST[shape] + claim.prim
             within = claim.prim >= 0 and number < FIRST[shape + 1]
             same = (
-                number == each.prim
-                if identical is None
-                else identical[number] == identical[each.prim]
-                if within
-                else 0
+                number == each.prim if identical is None else identical[number] == identical[each.prim] if within else 0
             )
             named = named and within and bool(same)
         named = named and (math.isnan(claim.t) or claim.t <= latest + claim.rounding)
@@ -260,9 +247,7 @@ def test_a_claim_is_allowed_or_open_by_the_rules(said, identical):
     ]
     wrong = [i for i in range(RAYS) if (bool(found.allowed[i]), bool(found.open[i])) != expected[i]]
     assert not wrong, (met[wrong[0]], claims[wrong[0]], t_min[wrong[0]], t_max[wrong[0]], expected[wrong[0]])
-    assert 0.05 < np.mean([allowed for allowed, _ in expected]) < 0.95 and any(
-        is_open for _, is_open in expected
-    )
+    assert 0.05 < np.mean([allowed for allowed, _ in expected]) < 0.95 and any(is_open for _, is_open in expected)
 
 
 def test_a_primitive_beside_the_ray_counts_where_it_is_named():
@@ -270,9 +255,7 @@ def test_a_primitive_beside_the_ray_counts_where_it_is_named():
     met = [made_ray(rng) for _ in range(RAYS)]
     o, d, t_min, t_max = made_lines(rng)
     also = rng.choice([-1, 0, 4, 5], RAYS)
-    claims = Claims(
-        rng.choice([1.0, 2.0, INF], RAYS), rng.choice([ANY_SHAPE, 2, CLAIMED_MISS], RAYS), NOT_CLAIMED
-    )
+    claims = Claims(rng.choice([1.0, 2.0, INF], RAYS), rng.choice([ANY_SHAPE, 2, CLAIMED_MISS], RAYS), NOT_CLAIMED)
     claims.t[claims.shape == CLAIMED_MISS] = INF
     for named in (also, np.full(RAYS, -1)):
         model = Made(met, None, beside=(0, 4, 5))
@@ -358,9 +341,7 @@ def test_a_surface_at_the_height_that_a_start_may_be_off_is_near_it():
     near = near_ray_start(found, d, off)
     rows = zip(*(a.tolist() for a in (found.ray, found.at.t, found.at.t_error, found.at.n)), strict=True)
     blank = Met(0, 0, 0, (0, 0, 0), 0, (0, 0, 0), 0, True, True, 0, (0, 0, 0), 0, (), 0)
-    expected = [
-        starts_near(blank._replace(t=t, t_error=e, n=n), d[i].tolist(), off[i]) for i, t, e, n in rows
-    ]
+    expected = [starts_near(blank._replace(t=t, t_error=e, n=n), d[i].tolist(), off[i]) for i, t, e, n in rows]
     assert near.tolist() == expected and 0.1 < np.mean(expected) < 0.9
 
 

@@ -9,35 +9,20 @@ from caster.geometry.world_space import as_float32
 from caster.shapes import Plane
 from mitsuba_ref.error_model import scene_model
 from mitsuba_ref.error_model.intersections import row_groups
-from mitsuba_ref.error_model.scene_model import (
-    BRANCHING_FACTOR,
-    BroadPhase,
-    SceneModel,
-    morton_order,
-    spread_bits,
-)
+from mitsuba_ref.error_model.scene_model import BRANCHING_FACTOR, BroadPhase, SceneModel, morton_order, spread_bits
 from mitsuba_ref.error_model.tolerances import KU_OURS
 from mitsuba_ref.reference.shared_input import SharedRays, model_of
 
-SETTINGS = (
-    Setting(),
-    Setting(distances=(1e3, 1e4)),
-    Setting(size=10.0, offset=1e5),
-    Setting(distances=(1e-3, 1.0)),
-)
+SETTINGS = (Setting(), Setting(distances=(1e3, 1e4)), Setting(size=10.0, offset=1e5), Setting(distances=(1e-3, 1.0)))
 
 
-def crowd(
-    kind: str, seed: list[int], setting: Setting, rays: int
-) -> tuple[SceneModel, np.ndarray, np.ndarray]:
+def crowd(kind: str, seed: list[int], setting: Setting, rays: int) -> tuple[SceneModel, np.ndarray, np.ndarray]:
     """A scene of many primitives with a plane among them, and rays at every one."""
     rng = np.random.default_rng(seed)
     scene = scene_of(kind, rng, setting, 1 if kind == "meshes" else 70)
     o, d = rays_at(scene, rng, setting, rays)
     if kind != "planes":
-        scene = scene.model_copy(
-            update={"shapes": (*scene.shapes, Plane(point=o[0] + 1.0, normal=(0, 0.6, 0.8)))}
-        )
+        scene = scene.model_copy(update={"shapes": (*scene.shapes, Plane(point=o[0] + 1.0, normal=(0, 0.6, 0.8)))})
     shared = SharedRays(*(a.astype(np.float32) for a in (o, d, np.full(len(o), np.inf))), np.zeros(len(o)))
     return model_of(scene, pack(scene, as_float32), shared), o, d
 

@@ -69,9 +69,7 @@ def test_the_builtin_meshes_are_small_and_the_scan_has_what_scans_have():
     mesh = load_mesh(BUILTIN / "triangles" / "scan.ply")
     corners = mesh.vertices[mesh.faces]
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-    area = (
-        np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2.0
-    )
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2.0
     typical = np.median(area)
     assert (area == 0.0).any() and ((area > 0.0) & (area < 1e-6 * typical)).any()
     heights = 2.0 * area / np.maximum(edges.max(axis=1), 1e-30)

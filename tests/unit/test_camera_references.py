@@ -69,9 +69,7 @@ def test_directions_are_of_length_one(camera):
 Fault = Callable[[Scene], Any]
 
 
-def rays_of(
-    scene: Scene, camera: Any, film: Film, move: Callable[[Any, Any], Any] = lambda x, y: (x, y)
-) -> Rays:
+def rays_of(scene: Scene, camera: Any, film: Film, move: Callable[[Any, Any], Any] = lambda x, y: (x, y)) -> Rays:
     """What the second formula gives another camera, another film or other pixels."""
     x, y = pixel_centers(scene)
     found = reference_of_camera(camera).rays(camera, film, *move(x, y))
@@ -211,13 +209,7 @@ def test_roundings_of_a_pinhole_are_magnified_by_its_half_extents_and_its_offset
     film = caster.Film(width=8, height=4)
     fov = 2.0 * np.rad2deg(np.arctan(2.0))
     for offset, expected in (((0.0, 0.0), 3.0), ((0.25, -0.5), 1.0 + 2.0 * 1.75)):
-        view = {
-            "eye": (0, 0, 1),
-            "look_at": (0, 0, 0),
-            "fov": fov,
-            "fov_axis": "x",
-            "principal_point": offset,
-        }
+        view = {"eye": (0, 0, 1), "look_at": (0, 0, 0), "fov": fov, "fov_axis": "x", "principal_point": offset}
         assert pinhole_amplification(caster.Pinhole(**view), film) == pytest.approx(expected)
 
 

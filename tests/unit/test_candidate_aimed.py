@@ -121,10 +121,7 @@ def test_an_intersection_is_widened_until_it_holds_those_of_all_rays():
         off = [abs(at.t[0] - first.t[0]) + at.t_error[0] + along[i] for at in rows]
         assert wide.t_error[i] == (math.inf if any(map(math.isnan, off)) else max(off))
         for what, error in (("n", "n_error"), ("sh_n", "sh_error")):
-            apart = [
-                math.dist(getattr(at, what)[0], getattr(first, what)[0]) + getattr(at, error)[0]
-                for at in rows
-            ]
+            apart = [math.dist(getattr(at, what)[0], getattr(first, what)[0]) + getattr(at, error)[0] for at in rows]
             assert getattr(wide, error)[i] == pytest.approx(max(apart), rel=1e-15)
         assert wide.possible[i] == any(at.possible[0] for at in rows)
         assert wide.certain[i] == all(at.certain[0] for at in rows)
@@ -137,9 +134,7 @@ def test_an_intersection_is_widened_until_it_holds_those_of_all_rays():
     assert hanging > 100 and np.isinf(wide.p_error).all() and np.isinf(wide.uv_error).all()
     assert all(getattr(wide, name) is getattr(found[0], name) for name in ("t", "n", "sh_n", "uv"))
     alone = enclosing_intersections(found[:1], np.zeros(3000))
-    assert np.array_equal(alone.side, found[0].side) and np.array_equal(
-        alone.edge, found[0].edge, equal_nan=True
-    )
+    assert np.array_equal(alone.side, found[0].side) and np.array_equal(alone.edge, found[0].edge, equal_nan=True)
 
 
 def test_intersections_of_kinds_without_edges_are_widened_without_any():

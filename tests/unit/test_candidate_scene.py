@@ -54,9 +54,7 @@ def clouds(to_world=()):
 STRETCHED = ({"scale": (1.0, 0.9, 1.3)},)
 
 
-@pytest.mark.parametrize(
-    ("to_world", "types"), [((), ["spheres", "plane"]), (STRETCHED, ["sphere", "plane"])]
-)
+@pytest.mark.parametrize(("to_world", "types"), [((), ["spheres", "plane"]), (STRETCHED, ["sphere", "plane"])])
 def test_a_cloud_is_handed_on_whole_and_its_ids_are_those_of_the_scene(to_world, types):
     seen = []
 
@@ -105,8 +103,7 @@ def test_what_is_no_answer_at_a_pixel_is_noted_by_its_reason():
 
 
 @pytest.mark.parametrize(
-    ("kinds", "precision"),
-    [("dd", "float64"), ("ff", "float32"), ("df", "float32"), ("fd", "float32")],
+    ("kinds", "precision"), [("dd", "float64"), ("ff", "float32"), ("df", "float32"), ("fd", "float32")]
 )
 def test_the_coarser_type_decides_the_bounds(kinds, precision):
     t, n = np.full(3, 0.1, kinds[0]), np.ones((3, 3), kinds[1])

@@ -12,11 +12,7 @@ from mitsuba_ref.report.reproducers import replay
 # order). `file` is GitLab's. Everything else is refused.
 SCHEMA = {
     "testsuites": ({"name", "tests", "failures", "errors", "time"}, {"skipped"}, ("testsuite",)),
-    "testsuite": (
-        {"name", "tests", "failures", "errors", "skipped", "time"},
-        set(),
-        ("properties", "testcase"),
-    ),
+    "testsuite": ({"name", "tests", "failures", "errors", "skipped", "time"}, set(), ("properties", "testcase")),
     "properties": (set(), set(), ("property",)),
     "property": ({"name", "value"}, set(), ()),
     "testcase": ({"classname", "name", "time"}, {"file"}, ("skipped", "error", "failure", "system-out")),
@@ -59,9 +55,7 @@ def parsed(found):
 VERDICTS = {
     "passes": verdict(scene("a"), scene("b")),
     "fails": verdict(scene("a"), scene("b", ok=False)),
-    "crash": verdict(
-        scene("a", ok=False, problem="Mitsuba ended without an answer (SIGABRT)\nlast \x1b[31mwords\x00")
-    ),
+    "crash": verdict(scene("a", ok=False, problem="Mitsuba ended without an answer (SIGABRT)\nlast \x1b[31mwords\x00")),
     "not judged": verdict(scene("a"), names=("b", "c")),
     "nothing": verdict(),
     "nasty": verdict(scene('<a & "b">\x07\'\ud800', ok=False)),
@@ -102,18 +96,12 @@ def test_the_check_finds_what_is_planted():
 
 
 def test_a_failure_states_in_one_line_and_in_full_and_an_error_is_no_failure():
-    top = parsed(
-        verdict(scene("good"), scene("bad", ok=False), scene("gone", ok=False, problem="it crashed\nwords"))
-    )
+    top = parsed(verdict(scene("good"), scene("bad", ok=False), scene("gone", ok=False, problem="it crashed\nwords")))
     cases = {case.get("name"): case for case in top.iter("testcase")}
     failure, error = cases["bad"].find("failure"), cases["gone"].find("error")
     assert failure.get("message").startswith("FAIL  bad  depth: 1 wrong of 100 hit pixels")
-    assert (
-        failure.get("type") == "wrong" and "replay:    mitsuba-ref probe scenes/bad.toml 3 4" in failure.text
-    )
-    assert (
-        error.get("type") == "no_answer" and "words" in error.text and cases["gone"].find("failure") is None
-    )
+    assert failure.get("type") == "wrong" and "replay:    mitsuba-ref probe scenes/bad.toml 3 4" in failure.text
+    assert error.get("type") == "no_answer" and "words" in error.text and cases["gone"].find("failure") is None
     assert cases["good"].get("classname") == "scenes" and cases["good"].get("file") == "scenes/good.toml"
     assert float(cases["good"].get("time")) == 1.25
 
@@ -129,12 +117,7 @@ def test_what_was_not_judged_is_an_error_and_what_was_kept_took_no_time():
 
 @pytest.mark.parametrize(
     ("path", "name"),
-    [
-        ("scenes/a.toml", "scenes"),
-        ("a.toml", "scenes"),
-        ("/x/tests/renders/a.toml", "tests.renders"),
-        ("", "scenes"),
-    ],
+    [("scenes/a.toml", "scenes"), ("a.toml", "scenes"), ("/x/tests/renders/a.toml", "tests.renders"), ("", "scenes")],
 )
 def test_scenes_are_grouped_by_their_folder(path, name):
     top = parsed(verdict(scene("a", path=path)))
@@ -143,9 +126,7 @@ def test_scenes_are_grouped_by_their_folder(path, name):
 
 def test_a_replay_repeats_what_was_requested():
     typed = ("--mesh-dir", "my meshes", "--candidate", "a {xml} -o {exr}", "--candidate-timeout", "5")
-    told = replay(
-        scene(candidate="a {xml} -o {exr}", precision="float32", resized=True, options=typed), (3, 4)
-    )
+    told = replay(scene(candidate="a {xml} -o {exr}", precision="float32", resized=True, options=typed), (3, 4))
     assert told.endswith(
         "probe scenes/ball.toml 3 4 --size 12 10 --mesh-dir 'my meshes' --candidate 'a {xml} -o {exr}' "
         "--candidate-timeout 5"

@@ -49,17 +49,7 @@ def commands():
 
 def test_the_pages_have_commands_of_both_programs():
     said = " ".join(commands())
-    every = (
-        "validate",
-        "merge",
-        "approve",
-        "check",
-        "doctor --warm",
-        "--resume",
-        "--summary-md",
-        "--shard",
-        "probe",
-    )
+    every = ("validate", "merge", "approve", "check", "doctor --warm", "--resume", "--summary-md", "--shard", "probe")
     for words in every:
         assert words in said
 

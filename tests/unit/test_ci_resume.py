@@ -63,9 +63,7 @@ def test_the_same_inputs_are_taken_over_and_shown_as_such(judged, capsys):
     said = capsys.readouterr().out
     assert said.count("  kept") == 3 and "kept:       3 scenes were not judged now" in said
     assert "FAIL  b  depth: 1 wrong" in said  # a failure that is kept fails
-    assert (
-        judged("--resume")[1] == [] and judged() == (1, ["a", "b", "m"]) and kept() == []
-    )  # without it: anew
+    assert judged("--resume")[1] == [] and judged() == (1, ["a", "b", "m"]) and kept() == []  # without it: anew
 
 
 @pytest.mark.parametrize(
@@ -183,9 +181,7 @@ def test_what_is_kept_outlives_an_interruption_of_the_run_that_goes_on(judged, t
 def test_a_crash_of_mitsuba_is_not_kept(judged, monkeypatch):
     healthy = many_scenes.judge_entry
     monkeypatch.setattr(
-        many_scenes,
-        "judge_entry",
-        judging(lambda entry, folder: made(entry.name, ok=False, problem="crash")),
+        many_scenes, "judge_entry", judging(lambda entry, folder: made(entry.name, ok=False, problem="crash"))
     )
     assert judged() == (1, []) and written()["scenes"][0]["problem"] == "crash"
     monkeypatch.setattr(many_scenes, "judge_entry", healthy)

@@ -20,9 +20,7 @@ CAMERA = caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0))
 
 def entries(sizes):
     return [
-        SceneEntry(
-            caster.Scene(film=caster.Film(width=w, height=h), camera=CAMERA), f"scene-{i}", f"scene-{i}.toml"
-        )
+        SceneEntry(caster.Scene(film=caster.Film(width=w, height=h), camera=CAMERA), f"scene-{i}", f"scene-{i}.toml")
         for i, (w, h) in enumerate(sizes)
     ]
 
@@ -40,10 +38,7 @@ def test_every_scene_is_in_exactly_one_shard_and_none_is_much_larger(parts):
     largest = max(e.scene.film.width * e.scene.film.height for e in every)
     assert max(loads) <= sum(loads) / parts + largest  # of any greedy choice
     shuffled = every[::-1]
-    again = [
-        {entry.name for entry in scenes_of_shard(shuffled, Shard(part, parts))}
-        for part in range(1, parts + 1)
-    ]
+    again = [{entry.name for entry in scenes_of_shard(shuffled, Shard(part, parts))} for part in range(1, parts + 1)]
     assert again == [{entry.name for entry in shard} for shard in shards]
 
 
@@ -141,10 +136,7 @@ def test_a_scene_that_fails_or_was_left_in_its_shard_fails_the_whole(folder, cap
             replace(shard("2/2", left=("b", "d")), requested_candidate="mine:trace"),
             "2.json: it judged mine:trace, and 1.json judged ours",
         ),
-        (
-            of("2/2", resized=True),
-            "2.json: it has films of 12 x 10, and 1.json has films of the scenes' own sizes",
-        ),
+        (of("2/2", resized=True), "2.json: it has films of 12 x 10, and 1.json has films of the scenes' own sizes"),
         (replace(shard("", "b", "d"), selected=()), "expected a shard, got a run that was not divided"),
     ],
 )
@@ -168,14 +160,8 @@ LLVM_19 = {"variant": "llvm_ad_rgb", "libllvm": "/usr/lib/x86_64-linux-gnu/libLL
 @pytest.mark.parametrize(
     ("other", "says"),
     [
-        (
-            with_versions("2/2", "bd", mitsuba="3.9.0"),
-            "2.json was judged with mitsuba 3.9.0, 1.json with 3.9.1\n",
-        ),
-        (
-            with_versions("2/2", "bd", {"drjit": "1.4.0"}),
-            "2.json was judged with drjit 1.4.0, 1.json with 1.5.0\n",
-        ),
+        (with_versions("2/2", "bd", mitsuba="3.9.0"), "2.json was judged with mitsuba 3.9.0, 1.json with 3.9.1\n"),
+        (with_versions("2/2", "bd", {"drjit": "1.4.0"}), "2.json was judged with drjit 1.4.0, 1.json with 1.5.0\n"),
         (with_versions("2/2", "bd", numpy="2.0"), "2.json was judged with numpy 2.0, 1.json with 2.1\n"),
         (
             with_versions("2/2", "bd", LLVM_19 | {"libllvm": "/opt/libLLVM-18.so.1"}),
@@ -193,13 +179,10 @@ def test_shards_of_other_versions_are_put_together_only_if_requested(folder, cap
     code, _, err = merged(capsys, "1.json", "2.json")
     assert code == 3 and says in err and "--other-versions" in err and not (folder / "all.json").exists()
     code, out, err = merged(capsys, "1.json", "2.json", "--other-versions")
-    assert (
-        code == 0 and f"{says.strip()}: merged all the same, by --other-versions" in err and "4 pass" in out
-    )
+    assert code == 0 and f"{says.strip()}: merged all the same, by --other-versions" in err and "4 pass" in out
     together = read_verdict("all.json").judged_with
     assert together == {
-        what: " and ".join(dict.fromkeys((version, other.judged_with[what])))
-        for what, version in WITH.items()
+        what: " and ".join(dict.fromkeys((version, other.judged_with[what]))) for what, version in WITH.items()
     }
 
 
@@ -237,9 +220,7 @@ def test_a_file_that_is_no_verdict_is_reported(folder, capsys):
 
 
 def test_a_verdict_comes_back_from_json_as_it_was():
-    whole = Verdict(
-        (made("a"), made("b", ok=False), made("c", ok=False, problem="crash")), 4, ("a", "b", "c", "d")
-    )
+    whole = Verdict((made("a"), made("b", ok=False), made("c", ok=False, problem="crash")), 4, ("a", "b", "c", "d"))
     assert verdict_of(json.loads(json.dumps(whole.to_dict()))) == whole
 
 
@@ -251,18 +232,14 @@ def test_a_verdict_on_a_candidate_comes_back_from_json_as_it_was():
     record = json.loads(json.dumps(whole.to_dict()))
     assert record["counts"]["wrong"] == 1 and record["candidate"] == "mine:trace"
     assert verdict_of(record) == whole
-    nothing = Verdict(
-        (), 1, ("a",), requested_candidate="mine:trace"
-    )  # interrupted before the first scene was done
+    nothing = Verdict((), 1, ("a",), requested_candidate="mine:trace")  # interrupted before the first scene was done
     assert verdict_of(json.loads(json.dumps(nothing.to_dict()))) == nothing
 
 
 def test_shards_of_other_scenes_of_the_same_names_are_of_different_runs(tmp_path):
     part = Shard(1, 2)
     entries = [SceneEntry(caster.load_scene("scenes/one-sphere.toml"), "a", "a.toml")]
-    other = [
-        SceneEntry(caster.load_scene("scenes/one-sphere.toml").with_film(width=8, height=8), "a", "a.toml")
-    ]
+    other = [SceneEntry(caster.load_scene("scenes/one-sphere.toml").with_film(width=8, height=8), "a", "a.toml")]
     assert run_identity(entries, part) == run_identity(list(entries), part) and run_identity(entries, part)[
         "selected"
     ] == ("a",)

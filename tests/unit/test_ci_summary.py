@@ -9,16 +9,7 @@ from verdict_factory import scene, verdict
 from caster.system.atomic_files import OutputError
 from mitsuba_ref.report.ci_summaries import SUMMARY_LIMIT_BYTES, append, markdown
 
-NASTY = (
-    "a|b",
-    "<img src=x onerror=alert(1)>",
-    "`code`",
-    "**bold**",
-    "[link](http://x)",
-    "_under_",
-    "x\ny",
-    "é€😀",
-)
+NASTY = ("a|b", "<img src=x onerror=alert(1)>", "`code`", "**bold**", "[link](http://x)", "_under_", "x\ny", "é€😀")
 
 
 def matrix_rows(text):
@@ -79,9 +70,7 @@ def test_any_name_stays_in_its_cell_and_means_nothing(name, ok):
 
 
 def test_what_does_not_fit_is_left_out_and_counted():
-    many = verdict(
-        *(scene(f"bad-{i}", ok=False) for i in range(40)), *(scene(f"good-{i}") for i in range(400))
-    )
+    many = verdict(*(scene(f"bad-{i}", ok=False) for i in range(40)), *(scene(f"good-{i}") for i in range(400)))
     whole = markdown(many, 1.0)
     assert "Left out" not in whole and len(whole) < SUMMARY_LIMIT_BYTES
     for limit in (4096, 16384, 40000):

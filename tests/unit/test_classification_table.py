@@ -38,9 +38,7 @@ def adjudicated(ratio, answered=None, rows=None) -> Adjudication:
     answered = np.ones(len(ratio), bool) if answered is None else answered
     rows = np.arange(len(ratio)) if rows is None else rows
     return Adjudication(
-        rows,
-        [SimpleNamespace(row=row) if yes else None for row, yes in zip(rows, answered, strict=True)],
-        ratio,
+        rows, [SimpleNamespace(row=row) if yes else None for row, yes in zip(rows, answered, strict=True)], ratio
     )
 
 
@@ -54,28 +52,17 @@ def test_right_and_wrong_are_of_what_was_answered():
     assert found.are_right(np.array([1, 2, 3, 5, 9])).tolist() == [False, True, True, False, False]
     judgement = Judgement(np.array([0, 5]), {}, {}, found, {}, 0.0)
     assert (
-        judgement.is_right(3)
-        and not judgement.is_right(5)
-        and not judgement.is_right(4)
-        and not judgement.is_right(9)
+        judgement.is_right(3) and not judgement.is_right(5) and not judgement.is_right(4) and not judgement.is_right(9)
     )
     assert judgement.is_class("agree").tolist() == [True, False] and len(judgement.not_adjudicated) == 0
-    judgement = Judgement(
-        np.array([0]), {"a": np.array([0.5]), EXACT: np.array([3.0])}, {"a": 0.25}, found, {}, 0.0
-    )
-    assert (
-        judgement.excess("a") == [2.0]
-        and judgement.excess(EXACT) == [3.0]
-        and judgement.names == ("a", EXACT)
-    )
+    judgement = Judgement(np.array([0]), {"a": np.array([0.5]), EXACT: np.array([3.0])}, {"a": 0.25}, found, {}, 0.0)
+    assert judgement.excess("a") == [2.0] and judgement.excess(EXACT) == [3.0] and judgement.names == ("a", EXACT)
 
 
 # ---- the reference's answer where the subject is exactly right
 
 
-def reference_classes(
-    monkeypatch, allowed, is_open, miss, at_origin, loose, unresolved, tied, *, is_list=False
-):
+def reference_classes(monkeypatch, allowed, is_open, miss, at_origin, loose, unresolved, tied, *, is_list=False):
     count = len(allowed)
     shape = np.where(miss, CLAIMED_MISS, 4)
     claims = Claims(np.where(at_origin, 0.0, 2.0), shape, *np.zeros((3, count, 3)))
@@ -137,9 +124,7 @@ def test_whose_rounding_excuses_an_inexact_answer(monkeypatch, exact_visibility,
     count = table.shape[1]
     rows = np.flatnonzero(wrong)
     claims = Claims(
-        np.where(at_origin, 0.0, 2.0)[rows],
-        np.where(miss, CLAIMED_MISS, 4)[rows],
-        *np.zeros((3, len(rows), 3)),
+        np.where(at_origin, 0.0, 2.0)[rows], np.where(miss, CLAIMED_MISS, 4)[rows], *np.zeros((3, len(rows), 3))
     )
     found = SimpleNamespace(allowed=allowed[rows], open=is_open[rows])
     asked = []
@@ -196,9 +181,7 @@ def test_what_becomes_of_light(monkeypatch, allowed):
         pair=SimpleNamespace(subject=None), bounds=SimpleNamespace(own=own),
     )  # fmt: skip
     monkeypatch.setattr(
-        classification,
-        "judge_diffuse",
-        lambda *given: DiffuseComparison(ratio.copy(), explained, unresolvable),
+        classification, "judge_diffuse", lambda *given: DiffuseComparison(ratio.copy(), explained, unresolvable)
     )
     monkeypatch.setattr(classification, "aov_rows", lambda images, name: np.arange(count))
     monkeypatch.setattr(classification, "shading_points", lambda pair, at, rows: rows)
@@ -314,13 +297,7 @@ FITS = {
 def test_mitsubas_answer_lies_on_the_primitive_that_it_names(monkeypatch, what):
     change, fits = FITS[what]
     plain = {"t": 2.0, "model_t": 2.0, "possible": True, "n": (0.0, 0.0, 1.0), "hit": True} | change
-    bounds = at(
-        possible=[plain["possible"]],
-        t=[plain["model_t"]],
-        t_error=[0.25],
-        n=[(0.0, 0.0, 1.0)],
-        n_error=[0.01],
-    )
+    bounds = at(possible=[plain["possible"]], t=[plain["model_t"]], t_error=[0.25], n=[(0.0, 0.0, 1.0)], n_error=[0.01])
     monkeypatch.setattr(classification, "aov_rows", lambda images, name: np.array([plain["n"]]))
     result = SimpleNamespace(hit=np.array([plain["hit"]]), answer=SimpleNamespace(t=np.array([plain["t"]])))
     judge = judge_with(
@@ -351,9 +328,7 @@ def test_a_miss_where_something_may_be_hit_is_adjudicated(monkeypatch):
 
     def possible(o, d, t_max, t_min):
         asked.append(o[:, 0].astype(int).tolist())
-        assert (
-            (t_max == o[:, 0] + 1.0).all() and (t_min == o[:, 0] + 0.5).all() and (d[:, 1] == o[:, 0]).all()
-        )
+        assert (t_max == o[:, 0] + 1.0).all() and (t_min == o[:, 0] + 0.5).all() and (d[:, 1] == o[:, 0]).all()
         return SimpleNamespace(ray=np.flatnonzero(o[:, 0] % 3 == 0))
 
     rows = np.arange(count)
@@ -366,8 +341,7 @@ def test_a_miss_where_something_may_be_hit_is_adjudicated(monkeypatch):
     )  # fmt: skip
     assert np.flatnonzero(judge._may_hit()).tolist() == [0, 12, 18]
     assert (
-        list(itertools.chain(*asked)) == [row for row in range(0, count, 2) if row != 6]
-        and max(map(len, asked)) == 4
+        list(itertools.chain(*asked)) == [row for row in range(0, count, 2) if row != 6] and max(map(len, asked)) == 4
     )
 
 
@@ -426,15 +400,11 @@ def test_a_case_is_looked_up_where_geometry_is_wrong_and_not_where_light_is(monk
             pass
 
         def all_of(self, lines, claims, answers, prims):
-            seen.update(
-                o=lines[0].tolist(), answers=[each.row for each in answers], prims=prims, claims=claims
-            )
+            seen.update(o=lines[0].tolist(), answers=[each.row for each in answers], prims=prims, claims=claims)
             return [f"features {prim}" for prim in prims]
 
     monkeypatch.setattr(classification, "FeatureMeasurement", Measurement)
-    monkeypatch.setattr(
-        classification, "defect_of", lambda features: 30 if features == "features 12" else None
-    )
+    monkeypatch.setattr(classification, "defect_of", lambda features: 30 if features == "features 12" else None)
     judge = judge_with(
         reference_lines=(np.arange(6), np.zeros(6), np.zeros(6)), model=None, oracle=None,
         pair=SimpleNamespace(rays=SimpleNamespace(is_list=False)), reference_prim=np.arange(10, 16),

@@ -64,17 +64,11 @@ def test_what_our_model_lacks_is_listed_with_its_place(tmp_path):
 
 @pytest.mark.parametrize(
     ("fading", "intensity", "left_out"),
-    [
-        ("falloff 4", 0.25, 0),
-        ("attenuation 0 0 4", 0.25, 0),
-        ("attenuation 1 0 3", 0.25, 1),
-        ("", 1.0, 1),
-    ],
+    [("falloff 4", 0.25, 0), ("attenuation 0 0 4", 0.25, 0), ("attenuation 1 0 3", 0.25, 1), ("", 1.0, 1)],
 )
 def test_point_lights_that_fade_as_ours_are_kept_whole(tmp_path, fading, intensity, left_out):
     text = SCENE.format(count=1, objects="Sphere { center 0 0 0 radius 1 }").replace(
-        "DirectionalLight { direction 0 0 -2 color 1 0.5 0",
-        f"PointLight {{ position 0 0 9 color 1 1 1 {fading}",
+        "DirectionalLight { direction 0 0 -2 color 1 0.5 0", f"PointLight {{ position 0 0 9 color 1 1 1 {fading}"
     )
     course = read(tmp_path, text)
     assert course.scene.lights[0].intensity[0] == pytest.approx(3.141592653589793 * intensity, rel=1e-15)
@@ -83,8 +77,7 @@ def test_point_lights_that_fade_as_ours_are_kept_whole(tmp_path, fading, intensi
 
 def test_textures_of_later_assignments_are_read_over_and_reported(tmp_path):
     text = SCENE.format(count=1, objects="Sphere { center 0 0 0 radius 1 }").replace(
-        "  Material { diffuseColor 0 1 0 }",
-        "  Checkerboard { Matrix { 1 2 } materialIndex 0 materialIndex 1 }",
+        "  Material { diffuseColor 0 1 0 }", "  Checkerboard { Matrix { 1 2 } materialIndex 0 materialIndex 1 }"
     )
     course = read(tmp_path, text)
     assert course.scene.materials["material-1"].reflectance == (0.5, 0.5, 0.5)
@@ -151,14 +144,8 @@ def test_an_error_shows_the_line_and_marks_the_place(tmp_path):
         (("angle 30", "angle nan"), "angle must be a number, got 'nan' after 0"),
         (("Background", "} Background"), "a '}' too many"),
         (("Background", "Group { numObjects 0 } Background"), "Group occurs twice; the first is in line 4"),
-        (
-            ("PerspectiveCamera { center 0 0 10 direction 0 0 -1 up 0 1 0 angle 30 }", ""),
-            "the scene needs a block Per",
-        ),
-        (
-            ("PerspectiveCamera", "OrthographicCamera"),
-            "OrthographicCamera: unknown word angle (known: center",
-        ),
+        (("PerspectiveCamera { center 0 0 10 direction 0 0 -1 up 0 1 0 angle 30 }", ""), "the scene needs a block Per"),
+        (("PerspectiveCamera", "OrthographicCamera"), "OrthographicCamera: unknown word angle (known: center"),
         (("color 1 0.5 0", "color 1 0.5 -1"), "DirectionalLight: color 1 0.5 -1 must be a colour >= 0"),
     ],
 )
@@ -198,29 +185,13 @@ def test_whatever_the_text_errors_are_errors_of_the_scene(tmp_path):
     """No text ends in anything else: words of a valid one are lost, doubled, swapped and replaced."""
     objects = "Transform { Scale 1 2 1 Rotate { 0 1 0 30 } Matrix { 1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1 } "
     words = SCENE.format(count=1, objects=objects + "Sphere { center 0 0 0 radius 1 } }").split()
-    strange = [
-        "{",
-        "}",
-        "0",
-        "-1",
-        "1e400",
-        "nan",
-        "1_0",
-        "\0",
-        "Group",
-        "Matrix",
-        "MaterialIndex",
-        "up",
-        "1e308",
-    ]
+    strange = ["{", "}", "0", "-1", "1e400", "nan", "1_0", "\0", "Group", "Matrix", "MaterialIndex", "up", "1e308"]
     rng, valid = random.Random(5), 0
     for _ in range(400):
         text = list(words)
         for _ in range(rng.randint(1, 3)):
             i, j = rng.randrange(len(text)), rng.randrange(len(text))
-            text[i : i + rng.randint(0, 1)] = rng.choice(
-                [[], [text[j]], [rng.choice(strange)], text[j : j + 9]]
-            )
+            text[i : i + rng.randint(0, 1)] = rng.choice([[], [text[j]], [rng.choice(strange)], text[j : j + 9]])
         try:
             read(tmp_path, " ".join(text))
             valid += 1

@@ -34,8 +34,7 @@ def box(hit):
 
 
 @pytest.mark.parametrize(
-    ("size", "spans"),
-    [((40, 40), (10, 29, 10, 29)), ((40, 20), (10, 29, 0, 19)), ((20, 40), (0, 19, 10, 29))],
+    ("size", "spans"), [((40, 40), (10, 29, 10, 29)), ((40, 20), (10, 29, 0, 19)), ((20, 40), (0, 19, 10, 29))]
 )
 def test_the_orthographic_size_is_that_of_the_longer_side(tmp_path, size, spans):
     """A disk of width 2 in a window of 4: half of it, whatever the shape of the film."""
@@ -87,13 +86,14 @@ def test_transforms_act_in_the_order_of_the_course(tmp_path, steps, expected):
 
 def test_x_and_y_rotations_turn_counter_clockwise_about_their_axes(tmp_path):
     """(0, 1, 0) turned by 90 degrees about x is (0, 0, 1), and (0, 0, 1) about y is (1, 0, 0)."""
-    nearer = drawn(
-        tmp_path, f"Transform {{ XRotate 90 Translate 0 1 0 UniformScale 0.5 {SPHERE} }}", size=(41, 41)
-    )
+    nearer = drawn(tmp_path, f"Transform {{ XRotate 90 Translate 0 1 0 UniformScale 0.5 {SPHERE} }}", size=(41, 41))
     assert nearer.t[20, 20] == pytest.approx(10.0 - 1.0 - 0.5, abs=1e-14)
-    assert box(
-        drawn(tmp_path, f"Transform {{ YRotate 90 Translate 0 0 1 UniformScale 0.5 {SPHERE} }}").hit
-    ) == (25, 34, 15, 24)
+    assert box(drawn(tmp_path, f"Transform {{ YRotate 90 Translate 0 0 1 UniformScale 0.5 {SPHERE} }}").hit) == (
+        25,
+        34,
+        15,
+        24,
+    )
 
 
 def test_depth_is_grey_from_white_at_near_to_black_at_far(tmp_path):
@@ -188,11 +188,7 @@ def test_the_command_writes_its_images_and_lists_what_it_left_out(tmp_path, monk
         ("-input s.txt -output o.jpg", 2, "-output o.jpg: expected a name that ends in .png or .tga"),
         ("-input s.txt -depth 3 2 d.png", 2, "-depth 3 2 d.png: expected NEAR < FAR"),
         ("-input s.txt -depth a 2 d.png", 2, "-depth a 2 d.png: expected two numbers and a file name"),
-        (
-            "-input gone.txt -output o.png",
-            4,
-            "gone.txt: cannot read this scene file: No such file or directory",
-        ),
+        ("-input gone.txt -output o.png", 4, "gone.txt: cannot read this scene file: No such file or directory"),
         ("-input s.txt -output gone/o.png", 4, "cannot write: No such file or directory"),
         ("-input s.txt -output o.png -size 0 4", 2, "-size 0 4: film: width must be >= 1, got 0"),
         ("-input s.txt -output o.png -gui", 2, "unrecognized arguments: -gui"),

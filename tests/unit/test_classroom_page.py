@@ -76,9 +76,7 @@ def test_its_check_finds_mistakes(folder, capsys, right, wrong, says):
 
 
 def test_a_camera_inside_the_sphere_needs_the_second_root(folder, capsys):
-    (folder / "lesson.toml").write_text(
-        as_shown("lesson.toml").replace("eye = [0.4, 1.1, 5]", "eye = [0.4, 0.3, 0.1]")
-    )
+    (folder / "lesson.toml").write_text(as_shown("lesson.toml").replace("eye = [0.4, 1.1, 5]", "eye = [0.4, 0.3, 0.1]"))
     assert "hit by one of the two alone: 0" in check(capsys)
     sys.modules.pop("student", None)
     code = as_shown("student.py").replace("np.where(first > 0.0, first, second)", "first")

@@ -55,11 +55,7 @@ BAD_SCENES = {
         {},
         ":4:1: camera (pinhole): look_at must be another point than eye",
     ),
-    "fov 0": (
-        CAMERA + "fov = 0\n",
-        {},
-        ":5:1: camera (pinhole): fov must be an angle > 0 and < 180 degrees, got 0",
-    ),
+    "fov 0": (CAMERA + "fov = 0\n", {}, ":5:1: camera (pinhole): fov must be an angle > 0 and < 180 degrees, got 0"),
     "fov 180": (
         CAMERA + "fov = 180\n",
         {},
@@ -242,10 +238,7 @@ def test_a_wrong_option_is_2_and_nothing_is_written(folder, capsys, options, mes
         (["render", "s.toml", "--size", "8"], "argument --size: expected 2 arguments"),
         (["render", "s.toml", "--size", "8", "x"], "argument --size: invalid int value: 'x'"),
         (["render", "s.toml", "--threads", "0"], "argument --threads: expected a whole number >= 1, got '0'"),
-        (
-            ["render", "s.toml", "--threads", "two"],
-            "argument --threads: expected a whole number >= 1, got 'two'",
-        ),
+        (["render", "s.toml", "--threads", "two"], "argument --threads: expected a whole number >= 1, got 'two'"),
         (["render", "s.toml", "--colour"], "unrecognized arguments: --colour"),
         (["render", "s.toml", "--expl"], "unrecognized arguments: --expl"),
         (["probe", "s.toml", "1"], "the following arguments are required: Y"),
@@ -283,9 +276,7 @@ def test_an_output_that_is_a_folder_is_4(folder, capsys):
     assert "expected a file to write, this is a folder" in refused(capsys, 4, "render", "s.toml")
 
 
-def test_an_output_that_cannot_be_written_is_reported_before_the_scene_is_rendered(
-    folder, capsys, monkeypatch
-):
+def test_an_output_that_cannot_be_written_is_reported_before_the_scene_is_rendered(folder, capsys, monkeypatch):
     put(folder, CAMERA + SPHERE)
     monkeypatch.setattr("caster.rendering.images.trace_film", None)  # calling it would end with 70
     refused(capsys, 4, "render", "s.toml", "-o", "no/s.exr")

@@ -32,12 +32,7 @@ SLOW = {"numba", "llvmlite", "mitsuba", "drjit", "OpenEXR", "numpy", "pydantic",
 def python(*argv, **options):
     environment = {"PYTHONPATH": str(ROOT), "PATH": os.environ["PATH"], "CASTER_JIT": "0"}
     return subprocess.Popen(
-        [sys.executable, *argv],
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        **options,
+        [sys.executable, *argv], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options
     )
 
 
@@ -46,17 +41,7 @@ def python(*argv, **options):
 
 def test_the_commands_are_those_of_the_contract(capsys):
     """6837, preview and sheet are beyond it (CHANGELOG.md)."""
-    assert sorted(NAMES) == [
-        "6837",
-        "check",
-        "doctor",
-        "info",
-        "preview",
-        "probe",
-        "render",
-        "schema",
-        "sheet",
-    ]
+    assert sorted(NAMES) == ["6837", "check", "doctor", "info", "preview", "probe", "render", "schema", "sheet"]
     assert main(["--help"]) == 0
     said = capsys.readouterr().out
     assert all(f"    {name} " in said for name in NAMES) and "exit codes: 0 pass, 2 wrong usage" in said
@@ -64,9 +49,7 @@ def test_the_commands_are_those_of_the_contract(capsys):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_help_of_a_command_loads_nothing_slow(name):
-    source = (
-        "import sys; from caster.__main__ import main; code = main(sys.argv[1:]); print(code, *sys.modules)"
-    )
+    source = "import sys; from caster.__main__ import main; code = main(sys.argv[1:]); print(code, *sys.modules)"
     out, err = python("-c", source, name, "--help").communicate()
     said, _, last = out.rstrip().rpartition("\n")
     code, *modules = last.split()

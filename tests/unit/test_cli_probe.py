@@ -63,10 +63,7 @@ def test_every_pixel_has_the_bits_of_render(folder, camera):
         found = probe(scene, x, y)
         assert (found.hit is not None) == images.hit[y, x]
         if found.hit:
-            assert (found.hit.shape_id, found.hit.prim_id) == (
-                images["shape_id"][y, x],
-                images["prim_id"][y, x],
-            )
+            assert (found.hit.shape_id, found.hit.prim_id) == (images["shape_id"][y, x], images["prim_id"][y, x])
             assert all(np.array_equal(found.surface[key], images[aov][y, x]) for aov, key in SURFACE.items())
             assert np.float32(found.hit.t) == np.float32(images["depth"][y, x])  # d is of length 1 to an ulp
 
@@ -148,9 +145,7 @@ def test_far_candidates_are_counted_on_the_terminal_and_listed_in_json(folder, c
     (folder / "s.toml").write_text(camera + planes)
     assert main(["probe", "s.toml", "7", "3"]) == 0
     said = capsys.readouterr().out
-    assert (
-        said.partition("\nnear ")[0].count("(plane), prim 0") == 1 + 8 and "and 4 shapes farther away" in said
-    )
+    assert said.partition("\nnear ")[0].count("(plane), prim 0") == 1 + 8 and "and 4 shapes farther away" in said
     assert len(probed(capsys, 7, 3)["candidates"]) == 12
 
 
@@ -213,10 +208,7 @@ def test_each_primitive_answers_as_if_it_stood_alone(folder):
         hits = [tried for tried in found.tried if np.isfinite(tried.t)]
         assert [tried.t for tried in hits] == sorted(tried.t for tried in hits)
         assert (found.hit is None) == (not hits)
-        assert found.hit is None or (hits[0].shape_id, hits[0].prim_id) == (
-            found.hit.shape_id,
-            found.hit.prim_id,
-        )
+        assert found.hit is None or (hits[0].shape_id, hits[0].prim_id) == (found.hit.shape_id, found.hit.prim_id)
     assert len(kinds) >= 3
 
 
@@ -258,8 +250,6 @@ def test_of_many_primitives_the_near_ones_are_shown(folder, capsys):
     (folder / "s.toml").write_text(MESH.replace("subdivisions = 1", "subdivisions = 4"))
     found = probed(capsys, 5, 4)
     assert found["tried"]["prims"] == 20 * 4**4 + 3 and len(found["near"]) == 256
-    assert (
-        found["near"][0].items() >= {k: v for k, v in found["hit"].items() if k in ("t", "prim_id")}.items()
-    )
+    assert found["near"][0].items() >= {k: v for k, v in found["hit"].items() if k in ("t", "prim_id")}.items()
     hits = [each for each in found["near"] if each["t"] is not None]
     assert len([each for each in hits if each["shape"] == "mesh"]) == 2  # a closed mesh: in and out

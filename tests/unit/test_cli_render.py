@@ -116,12 +116,7 @@ def test_a_crop_is_cut_out_of_the_whole_image_bit_by_bit(folder):
     render("--aov", ALL, "-o", "whole.exr")
     render("--aov", ALL, "--crop", "5", "3", "17", "11", "-o", "part.exr")
     whole, part = caster.read_exr("whole.exr"), caster.read_exr("part.exr")
-    assert part.data_window == (5, 3, 17, 11) and part.display_window == whole.display_window == (
-        0,
-        0,
-        24,
-        16,
-    )
+    assert part.data_window == (5, 3, 17, 11) and part.display_window == whole.display_window == (0, 0, 24, 16)
     assert part.channels["A"].any() and not part.channels["A"].all()
     for name, image in whole.channels.items():
         assert np.array_equal(part.channels[name], image[3:11, 5:17]), name
@@ -173,9 +168,7 @@ def test_explain_reports_trees_surfaces_and_shadows_where_there_are_any(folder, 
     nodes = len(bvh_of(cube).links)
     assert nodes >= 1 and "culling      bvh: " in said and f"triangles, 12: a BVH of {nodes} nodes" in said
     assert "hits: position, normals\n" in said and "trees        1 grown: camera rays traverse them" in said
-    assert re.search(
-        r"shadow rays  \d+ from each hit to the lights it faces, until anything is in the way", said
-    )
+    assert re.search(r"shadow rays  \d+ from each hit to the lights it faces, until anything is in the way", said)
     (folder / "s.toml").write_text(one_ray + "[shading]\nshadows = false\n")
     render("--explain")
     assert "shadow rays  skipped: the scene switches shadows off" in capsys.readouterr().out

@@ -111,9 +111,7 @@ def test_a_failing_kernel_and_a_failing_function_end_the_list_which_can_be_run_a
         if n == 2:
             raise KeyError(n)
 
-    commands = CommandList(
-        [Command(refuse, (0,)), Command(bind(overflow, numbers, 0, given=(1,)), (0,))], rows
-    )
+    commands = CommandList([Command(refuse, (0,)), Command(bind(overflow, numbers, 0, given=(1,)), (0,))], rows)
     with pytest.raises(KeyError):
         commands.run(0, 4)
     assert seen == [0, 1, 2] and numbers.tolist() == [1, 1] + [0] * 8

@@ -38,10 +38,7 @@ A, B = scene("a", ("sphere", "mesh"), checks=("depth", "exact")), scene("b", che
             ["depth fails", "shape sphere (in 1 of 2 that pass)"],
         ),
         ([A, B, scene("p", ok=True)], ["depth fails"]),  # all have a sphere, also what passes
-        (
-            [A, scene("b", ("disk",), checks=("normal",), camera="fisheye"), scene("p", ("torus",), ok=True)],
-            [],
-        ),
+        ([A, scene("b", ("disk",), checks=("normal",), camera="fisheye"), scene("p", ("torus",), ok=True)], []),
         (
             [scene("a", ("disk",), camera="fisheye"), scene("b", camera="fisheye"), scene("p", ok=True)],
             ["depth fails", "camera fisheye (in 0 of 1 that pass)"],
@@ -49,10 +46,7 @@ A, B = scene("a", ("sphere", "mesh"), checks=("depth", "exact")), scene("b", che
         ([scene("a", checks=("exact",)), scene("b", checks=("exact",))], ["exact fails"]),
         ([A, scene("b", problem="crash")], []),
         ([scene("a", problem="crash"), scene("b", problem="no mesh")], ["there is no comparison"]),
-        (
-            [replace(A, composition=SceneStatistics()), B, scene("p", ("disk",), ok=True)],
-            ["depth fails"],
-        ),  # not told
+        ([replace(A, composition=SceneStatistics()), B, scene("p", ("disk",), ok=True)], ["depth fails"]),  # not told
     ],
 )
 def test_only_what_is_so_in_all_that_fail_and_not_in_all_that_pass_is_stated(scenes, told):
@@ -75,9 +69,7 @@ def test_the_simplest_has_the_fewest_primitives_then_shapes_then_pixels():
 
 
 def test_the_summaries_say_it_with_the_command_and_leave_it_out_where_there_is_nothing_to_say():
-    failing = verdict(
-        A, replace(B, composition=replace(B.composition, primitives=9)), scene("p", ("disk",), ok=True)
-    )
+    failing = verdict(A, replace(B, composition=replace(B.composition, primitives=9)), scene("p", ("disk",), ok=True))
     lines = failures_text(failing).splitlines()
     assert lines[0] == "by shape:   scenes that fail: sphere 2 of 2, mesh 1 of 1, disk 0 of 1"
     assert next(i for i, line in enumerate(lines) if line.startswith("FAIL  a  ")) > 3
@@ -91,9 +83,7 @@ def test_the_summaries_say_it_with_the_command_and_leave_it_out_where_there_is_n
         assert not any(words in failures_text(few) for words in ("in common", "look first", "by shape"))
 
 
-def test_a_verdict_has_the_composition_of_its_scene_also_without_comparison(
-    monkeypatch,
-):
+def test_a_verdict_has_the_composition_of_its_scene_also_without_comparison(monkeypatch):
     ball = caster.Scene(
         camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), shapes=[caster.Sphere(), caster.Cube()]
     )

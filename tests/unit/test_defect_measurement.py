@@ -77,9 +77,7 @@ def test_the_least_angle_of_both_counts():
     assert other.theirs == "Disks" and other.cosine == pytest.approx(0.6)
 
 
-@pytest.mark.parametrize(
-    ("off", "nearly"), [(0.5, True), (0.97, True), (1.05, False), (-0.97, True), (-1.05, False)]
-)
+@pytest.mark.parametrize(("off", "nearly"), [(0.5, True), (0.97, True), (1.05, False), (-0.97, True), (-1.05, False)])
 def test_nearly_is_within_sixteen_bounds(off, nearly):
     found = measured((1.0, 0.25, 3.0), (0.0, 0.0, -1.0), prim=0, off=off * WIDENED_BOUNDS_FACTOR)
     assert found.theirs == "Triangles" and found.nearly is nearly
@@ -141,17 +139,10 @@ def test_claims_without_a_normal_get_that_of_the_primitive(monkeypatch):
     whole, normless = measurement_of(model=model)._with_normals(o, d, claims, np.array([4, 0, -1, 3, 9]))
     assert asked == [([0, 9], o[[1, 4]].tolist(), d[[1, 4]].tolist(), KU, False)]
     assert normless.tolist() == [False, False, False, False, True]
-    assert (
-        whole.n[[0, 1, 4]].tolist() == [[0.25] * 3, [1.0, 0, 0], [0, 1.0, 0]] and np.isnan(whole.n[2:4]).all()
-    )
+    assert whole.n[[0, 1, 4]].tolist() == [[0.25] * 3, [1.0, 0, 0], [0, 1.0, 0]] and np.isnan(whole.n[2:4]).all()
     assert whole.sh_n[[0, 1, 4]].tolist() == [[0.125] * 3, [2.0, 0, 0], [0, 2.0, 0]]
-    assert (
-        whole.p[1].tolist() == (o[1] + 2.5 * d[1]).tolist()
-        and whole.p[4].tolist() == (o[4] + 5.5 * d[4]).tolist()
-    )
-    assert (
-        whole.p[[0, 2, 3]].tolist() == [[7.0] * 3] * 3 and np.isnan(claims.n[1, 0]) and claims.p[1, 0] == 7.0
-    )
+    assert whole.p[1].tolist() == (o[1] + 2.5 * d[1]).tolist() and whole.p[4].tolist() == (o[4] + 5.5 * d[4]).tolist()
+    assert whole.p[[0, 2, 3]].tolist() == [[7.0] * 3] * 3 and np.isnan(claims.n[1, 0]) and claims.p[1, 0] == 7.0
     fine = claims._replace(n=np.zeros((5, 3)))
     _, normless = measurement_of(model=None)._with_normals(o, d, fine, np.zeros(5, int))
     assert not normless.any()
@@ -183,11 +174,7 @@ def test_a_hit_at_zero_is_within_its_bound_or_exactly_there(
 
     def exact_roots(each, o, d):
         asked.append(each)
-        return (
-            [SimpleNamespace(t=2.0), SimpleNamespace(t=exact[each])]
-            if each in exact
-            else [SimpleNamespace(t=2.0)]
-        )
+        return [SimpleNamespace(t=2.0), SimpleNamespace(t=exact[each])] if each in exact else [SimpleNamespace(t=2.0)]
 
     low = np.zeros((10, 3))
     low[5:, 0] = [1.0, 2.0, 9.0, -1.0, 0.5]  # 9 begins 1/2 beside the origin, 7 ends 3/4 before it
@@ -200,9 +187,7 @@ def test_a_hit_at_zero_is_within_its_bound_or_exactly_there(
     )  # fmt: skip
     kind = SimpleNamespace(model=SimpleNamespace(unfold={} if unfolds else None))
     monkeypatch.setattr(defect_lookup, "kind_of", lambda prims: kind)
-    measurement = measurement_of(
-        model=model, oracle=SimpleNamespace(roots=exact_roots), _place=lambda prim: (None, 0)
-    )
+    measurement = measurement_of(model=model, oracle=SimpleNamespace(roots=exact_roots), _place=lambda prim: (None, 0))
     o, d = np.array([0.0, 1.0, 1.0]), np.array([1.0, 0.0, 0.0])
     assert measurement._at_zero(shape, prim, o, d) is found and asked == tested
     if tested[:1] == [8]:
@@ -224,12 +209,8 @@ def test_a_hit_at_zero_is_within_its_bound_or_exactly_there(
 def test_distance_and_offset_count_in_the_primitives_size(low, high, expected):
     """From (1, 0.5, 8) to a box, and from the origin to its farthest corner."""
     boxes = np.array([[9.0] * 3, low], float), np.array([[9.0] * 3, high], float)
-    found = measurement_of(model=SimpleNamespace(boxes=boxes))._distance_and_offset(
-        1, np.array([1.0, 0.5, 8.0])
-    )
-    away = np.linalg.norm(
-        np.maximum(np.maximum(np.array(low) - [1, 0.5, 8], [1, 0.5, 8] - np.array(high, float)), 0.0)
-    )
+    found = measurement_of(model=SimpleNamespace(boxes=boxes))._distance_and_offset(1, np.array([1.0, 0.5, 8.0]))
+    away = np.linalg.norm(np.maximum(np.maximum(np.array(low) - [1, 0.5, 8], [1, 0.5, 8] - np.array(high, float)), 0.0))
     size = float(np.max(np.subtract(high, low)))
     if np.isfinite(size) and size > 0.0:
         assert found == (pytest.approx(away / size), expected[1])

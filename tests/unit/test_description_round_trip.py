@@ -19,11 +19,7 @@ from mitsuba_ref.shapes import KINDS, REFERENCES, kind_of
 from mitsuba_ref.shapes.shape_reference import unit_vector_rounding_to
 from mitsuba_ref.subjects.subject import describe_primitive, packs_identically
 
-STRETCH = [
-    {"scale": [0.913, -1.7, 0.4]},
-    {"rotate": {"axis": [1, 2, 3], "degrees": 37}},
-    {"translate": [0.3, 9, -4]},
-]
+STRETCH = [{"scale": [0.913, -1.7, 0.4]}, {"rotate": {"axis": [1, 2, 3], "degrees": 37}}, {"translate": [0.3, 9, -4]}]
 TURN = STRETCH[1:]
 PRIMS = 25  # of each shape
 
@@ -32,10 +28,7 @@ def shapes_of(cls: type, folder) -> Iterator[caster.Sphere]:
     """Some of the kind: turned and moved, and stretched and mirrored too."""
     own = {
         "plane": {"normal": [0.3, 0.2, 0.9], "offset": 1.7},
-        "triangle": {
-            "vertices": [[0.1, 0, 0], [1, 0.3, 0], [0, 1, 0.7]],
-            "normals": [[1, 2, 9], [3, 1, 8], [0, 1, 5]],
-        },
+        "triangle": {"vertices": [[0.1, 0, 0], [1, 0.3, 0], [0, 1, 0.7]], "normals": [[1, 2, 9], [3, 1, 8], [0, 1, 5]]},
         "mesh": {"file": str(folder / "mesh.ply")},
         "spheres": {"centers": [[0.1, 2, 3], [-1, 0.7, 0]], "radii": [0.3, 1.7]},
         "heightfield": {},
@@ -49,9 +42,7 @@ def shapes_of(cls: type, folder) -> Iterator[caster.Sphere]:
 def folder(tmp_path):
     rng = np.random.default_rng(5)
     corners = "".join(f"{x} {y} {z}\n" for x, y, z in rng.normal(size=(12, 3)))
-    header = (
-        "ply\nformat ascii 1.0\nelement vertex 12\nproperty float x\nproperty float y\nproperty float z\n"
-    )
+    header = "ply\nformat ascii 1.0\nelement vertex 12\nproperty float x\nproperty float y\nproperty float z\n"
     faces = "element face 4\nproperty list uchar int vertex_indices\nend_header\n"
     text = header + faces + corners + "".join(f"3 {i} {i + 1} {i + 2}\n" for i in (0, 3, 6, 9))
     (tmp_path / "mesh.ply").write_text(text, encoding="utf-8")
@@ -69,9 +60,7 @@ def test_every_shape_packs_to_the_same_bits_again(shape, folder):
             again = pack_one(read_back(describe_primitive(part, k)))
             assert packs_identically(part, k, again), (one, k)
             for a, b in zip(numbers(again.parts[0], 0), numbers(part, k), strict=True):
-                assert (np.asarray(a) + 0.0).tobytes() == (
-                    np.asarray(b) + 0.0
-                ).tobytes()  # zeros lose their signs
+                assert (np.asarray(a) + 0.0).tobytes() == (np.asarray(b) + 0.0).tobytes()  # zeros lose their signs
             checked += 1
     assert checked >= 2
 

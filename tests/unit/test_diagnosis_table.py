@@ -43,9 +43,7 @@ def causes_with(failing, count=9) -> diagnosis._Causes:
 def test_a_row_belongs_to_the_first_cause_that_takes_it(monkeypatch):
     separators = []
     monkeypatch.setattr(
-        diagnosis,
-        "separator_text",
-        lambda judge, judgement, rows: separators.append(rows.tolist()) or f"at {rows[0]}",
+        diagnosis, "separator_text", lambda judge, judgement, rows: separators.append(rows.tolist()) or f"at {rows[0]}"
     )
     causes = causes_with([1, 2, 3, 5, 7])
     causes.take("a", np.array([2, 4, 1]), 5, "remedy")
@@ -55,8 +53,7 @@ def test_a_row_belongs_to_the_first_cause_that_takes_it(monkeypatch):
     causes.take("b", np.array([7]))
     assert separators == [[3]] and not causes.left.any()
     found = [
-        (cause.what, cause.rows.tolist(), cause.of, cause.remedy, cause.where)
-        for cause in causes.diagnosis().causes
+        (cause.what, cause.rows.tolist(), cause.of, cause.remedy, cause.where) for cause in causes.diagnosis().causes
     ]
     assert found == [("a", [1, 2, 5], 6, "other", ""), ("b", [3, 7], 0, "", "at 3")]
 
@@ -69,10 +66,7 @@ def test_a_cause_beside_another_is_a_second_one():
     diagnosis._take_or_add(causes, Explained("n", "turn", np.array([True, True, False, False])), f)
     diagnosis._take_or_add(causes, Explained("first", "mend", np.array([True, True, False, False])), f)
     diagnosis._take_or_add(causes, Explained("m", "", np.array([False] * 4)), f)
-    found = [
-        (each.what, each.rows.tolist(), each.of, each.remedy, each.second)
-        for each in causes.diagnosis().causes
-    ]
+    found = [(each.what, each.rows.tolist(), each.of, each.remedy, each.second) for each in causes.diagnosis().causes]
     assert found == [
         ("first", [1, 2], 4, "mend", False), ("n", [3], 4, "turn", False), ("n", [1], 4, "turn", True),
         ("n", [1, 2], 4, "turn", True),
@@ -102,16 +96,7 @@ def test_one_number_at_all_misses_is_a_mark(t, hit, t_max, hits_only, found):
 
 def test_causes_are_looked_for_in_their_order(monkeypatch):
     """One row of each kind, and the last of each is taken by what comes before."""
-    classes = [
-        "agree",
-        *["wrong"] * 6,
-        "reference_wrong",
-        "wrong",
-        "undecided",
-        "undecided",
-        "wrong",
-        "wrong",
-    ]
+    classes = ["agree", *["wrong"] * 6, "reference_wrong", "wrong", "undecided", "undecided", "wrong", "wrong"]
     count = len(classes)
     not_answered = np.zeros(count, bool)
     not_answered[[2, 12]] = True
@@ -122,13 +107,7 @@ def test_causes_are_looked_for_in_their_order(monkeypatch):
     judge.hit[12] = False
     judgement = judgement_of(classes, right=[5, 6, 8, 11], cases={7: None, 0: 8})
     judgement = Judgement(
-        judgement.classes,
-        judgement.ratios,
-        judgement.allowed,
-        judgement.exact,
-        judgement.cases,
-        0.0,
-        np.array([9]),
+        judgement.classes, judgement.ratios, judgement.allowed, judgement.exact, judgement.cases, 0.0, np.array([9])
     )
     seen = {}
 
@@ -243,10 +222,7 @@ def explanation(monkeypatch, exact, given, hypotheses=(), descriptions=(), same=
 
 
 def texts(causes) -> list:
-    return [
-        (each.what, each.rows.tolist(), each.of, each.remedy, each.where)
-        for each in causes.diagnosis().causes
-    ]
+    return [(each.what, each.rows.tolist(), each.of, each.remedy, each.where) for each in causes.diagnosis().causes]
 
 
 def test_what_explains_nearly_all_is_the_cause_of_pixels_that_are_off(monkeypatch):
@@ -267,15 +243,10 @@ def test_what_explains_nearly_all_is_the_cause_of_pixels_that_are_off(monkeypatc
 
 def test_what_explains_some_is_a_cause_if_it_is_most_of_what_is_left(monkeypatch):
     exact, given = [1.0] * 10, [2.0] * 10
-    half, third = (
-        hypothesis(*[1] * 5 + [0] * 5, what="half"),
-        hypothesis(*[0] * 5 + [1, 1] + [0] * 3, what="two"),
-    )
+    half, third = (hypothesis(*[1] * 5 + [0] * 5, what="half"), hypothesis(*[0] * 5 + [1, 1] + [0] * 3, what="two"))
     rest = hypothesis(*[0] * 7 + [1] * 3, what="three")
     one = hypothesis(*[0] * 7 + [1] + [0] * 2, what="one", single=True)
-    causes, f = explanation(
-        monkeypatch, exact, given, (half, third, one, rest), (hypothesis(*[1] * 10, what="words"),)
-    )
+    causes, f = explanation(monkeypatch, exact, given, (half, third, one, rest), (hypothesis(*[1] * 10, what="words"),))
     diagnosis._explain(causes, f)
     assert texts(causes) == [
         ("half", [0, 1, 2, 3, 4], 10, "mend", ""), ("one", [7], 10, "mend", ""),
@@ -318,11 +289,7 @@ def test_numbers_and_normals_are_looked_at_where_the_surface_is_right(monkeypatc
     found((one,))
     assert seen == {"ids": [0, 1, 2, 4, 5, 6], "normals": [0, 1, 2, 4, 5, 6]}
     named = found((), [("off by one", "add 1", [4]), ("another", "", [6])])
-    assert (
-        seen["normals"] == [4, 5]
-        and ("off by one", [4], 3, "add 1") in named
-        and ("another", [6], 3, "") in named
-    )
+    assert seen["normals"] == [4, 5] and ("off by one", [4], 3, "add 1") in named and ("another", [6], 3, "") in named
     seen.clear()
     assert found((), n=False)[-1] == off and list(seen) == ["ids"]
 
@@ -331,8 +298,7 @@ def test_what_no_hypothesis_explains_is_described(monkeypatch):
     monkeypatch.setattr(diagnosis, "_outline_text", lambda f: f" [{f.rows.tolist()}]")
     exact, given = [2.0, INF, 2.0, 4.0, 2.0, 4.0, 0.0, 2.0], [INF, 3.0, 1.0, 1.0, 3.0, 7.0, 0.0, 2.0]
     found = [
-        (what, np.flatnonzero(fits).tolist())
-        for what, fits in diagnosis._plain_descriptions(pixels(exact, given))
+        (what, np.flatnonzero(fits).tolist()) for what, fits in diagnosis._plain_descriptions(pixels(exact, given))
     ]
     assert found == [
         ("missed; exact arithmetic hits", [0]), ("a hit; exact arithmetic misses [[1]]", [1]),
@@ -396,9 +362,9 @@ def test_few_numbers_for_many_primitives():
     assert found == [("the same primitive is named at all 10 hits", remedy, list(range(1, 10)))]
     hit = [1] * 8 + [0] * 2
     found = ids(PRIMS, prim_id=[0] * 4 + [3] * 4 + [8, 9], hit=hit)
-    assert found == [
-        ("no more than 2 primitives are named at all 8 hits", remedy, [1, 2, 4, 5, 6, 7, 8, 9])
-    ] or (found[0][0] == "no more than 2 primitives are named at all 8 hits")
+    assert found == [("no more than 2 primitives are named at all 8 hits", remedy, [1, 2, 4, 5, 6, 7, 8, 9])] or (
+        found[0][0] == "no more than 2 primitives are named at all 8 hits"
+    )
     assert ids(PRIMS[:3], prim_id=[5] * 3)[0][0].startswith("the same primitive is")
     assert ids(PRIMS[:2] * 2, prim_id=[5] * 4)[0][0] == ANOTHER  # three times as many primitives, or more
 
@@ -417,14 +383,7 @@ def test_numbers_of_another_surface_along_the_ray():
     remedy = "keep the number together with the smallest t"
     right, other = [p // 10 for p in first], [p // 10 for p in behind]
     beside = [number - 40 for number in other]  # of nothing on the ray
-    for far, wrong, named in (
-        (8, 0, True),
-        (3, 3, True),
-        (3, 4, False),
-        (2, 0, False),
-        (4, 4, True),
-        (3, 0, True),
-    ):
+    for far, wrong, named in ((8, 0, True), (3, 3, True), (3, 4, False), (2, 0, False), (4, 4, True), (3, 0, True)):
         shapes = other[:far] + beside[far : far + wrong] + right[far + wrong :]
         found = ids(first, shapes, roots=roots)
         rest = [(ANOTHER, "", list(range(far, far + wrong)))] if wrong else []
@@ -462,9 +421,7 @@ def test_a_number_is_that_of_another_hit_of_the_ray(roots, shape, number, named)
 
 def test_what_is_beyond_float64_at_a_right_surface_is_named_by_its_check(monkeypatch):
     monkeypatch.setattr(
-        diagnosis,
-        "explain_normals",
-        lambda f, n: [Explained("n", "mend", bools(3, 0, 2))] if len(f.rows) else [],
+        diagnosis, "explain_normals", lambda f, n: [Explained("n", "mend", bools(3, 0, 2))] if len(f.rows) else []
     )
     own = intersections([1.0] * 5)
     judge = SimpleNamespace(
@@ -475,9 +432,7 @@ def test_what_is_beyond_float64_at_a_right_surface_is_named_by_its_check(monkeyp
     )  # fmt: skip
     judgement = judgement_of(["wrong"] * 5, ratios={"diffuse": np.array([9.0, 1.0, NAN, 1.5, 0.0])})
     rows = np.array([1, 3, 4])
-    found = [
-        (each.what, each.remedy, at.tolist()) for each, at in diagnosis._wrong_surface(judge, judgement, rows)
-    ]
+    found = [(each.what, each.remedy, at.tolist()) for each, at in diagnosis._wrong_surface(judge, judgement, rows)]
     beyond = "beyond what float64 rounding allows at the primitive that is hit, in"
     expected = [
         ("n", "mend", [1, 4]),
@@ -507,9 +462,7 @@ def outline(points, bound=1.0, exact=None, hits_only=False, d=Z) -> str:
     count = len(points)
     o = np.array(points, float) + TRIANGLE[0] - 5.0 * np.array(d)
     given = [5.0] * count
-    f = pixels(
-        [INF] * count if exact is None else exact, given, bound, o=o, d=[d] * count, hits_only=hits_only
-    )
+    f = pixels([INF] * count if exact is None else exact, given, bound, o=o, d=[d] * count, hits_only=hits_only)
     numbers = packed(scene)
     corners = hypotheses.triangle_corners(
         SimpleNamespace(model=SimpleNamespace(packed=numbers)), np.arange(numbers.first[-1])
@@ -529,10 +482,7 @@ def test_hits_beyond_an_outline_are_described_with_their_distance():
     # on the plane: within a thousandth of an edge, and twice the bound of t
     assert outline([(2.0, -0.5, 0.0039)]) != "" and outline([(2.0, -0.5, 0.0041)]) == ""
     near = {"exact": [5.0], "d": (0.0, 0.0, 2.0)}
-    assert (
-        outline([(2.0, -0.5, 0.0039)], 0.001, **near) != ""
-        and outline([(2.0, -0.5, 0.0039)], 0.0009, **near) == ""
-    )
+    assert outline([(2.0, -0.5, 0.0039)], 0.001, **near) != "" and outline([(2.0, -0.5, 0.0039)], 0.0009, **near) == ""
 
 
 # ---- separators
@@ -565,13 +515,7 @@ def test_a_threshold_lies_between_wrong_and_right_values(sign):
 
 def test_a_threshold_is_no_chance_of_many_tries():
     """8 wrong ones of 24: (1/3)^8 = 1.5e-4, times 2 sides; of 48, (1/6)^8 = 6e-7, and of 96 (1/12)^8 = 2.3e-9."""
-    for count, tried, found in (
-        (24, 1, False),
-        (48, 0.8, True),
-        (48, 0.9, False),
-        (96, 200, True),
-        (96, 240, False),
-    ):
+    for count, tried, found in ((24, 1, False), (48, 0.8, True), (48, 0.9, False), (96, 200, True), (96, 240, False)):
         wrong = np.arange(count) < 8
         assert (split(np.where(wrong, 1.0, 3.0), wrong, tried) is not None) is found
     wrong = np.arange(96) < 8  # as many thresholds as different values
@@ -645,9 +589,7 @@ def test_a_separator_states_its_threshold_and_its_shares(monkeypatch):
     assert text(("the size is {}", np.zeros(120))) == "" == text()
     part = ("a torus is hit", np.arange(400) < 145)
     only = "only where a torus is hit: all 60 wrong pixels, 25 % of the right ones"
-    assert (
-        text(part, count=400, wrong=60) == text(("x is {}", np.zeros(400)), part, count=400, wrong=60) == only
-    )
+    assert text(part, count=400, wrong=60) == text(("x is {}", np.zeros(400)), part, count=400, wrong=60) == only
     assert text(("the size is {}", part[1]), count=400, wrong=60) == ""
 
 
@@ -662,21 +604,11 @@ def test_a_separator_needs_eight_pixels_on_either_side_that_hit(monkeypatch):
     assert seen["rows"] == list(range(12, 120)) and text == ""
     assert separated(monkeypatch, [size], hit=np.arange(120) >= 13)[1] == {}
     # exact answers count in place of the reference's
-    answers = {
-        12: SimpleNamespace(prim=7),
-        13: None,
-        30: SimpleNamespace(prim=-1),
-        2: SimpleNamespace(prim=3),
-    }
+    answers = {12: SimpleNamespace(prim=7), 13: None, 30: SimpleNamespace(prim=-1), 2: SimpleNamespace(prim=3)}
     _, seen = separated(monkeypatch, [size], hit=np.arange(120) >= 11, answers=answers, prims=np.full(120, 5))
     place = dict(zip(seen["rows"], seen["prim"], strict=True))
     assert (
-        place[12] == 7
-        and place[2] == 3
-        and 13 not in place
-        and 30 not in place
-        and 1 not in place
-        and place[40] == 5
+        place[12] == 7 and place[2] == 3 and 13 not in place and 30 not in place and 1 not in place and place[40] == 5
     )
     assert all(row < 20 for row in seen["rows"][:9]) and sorted(seen["rows"][9:]) == seen["rows"][9:]
 
@@ -728,9 +660,7 @@ def test_features_of_rays_and_primitives():
 
     triangles = {0: np.array(TRIANGLE), 2: np.array(slanted), 5: corners[5]}
     outline = [NAN if prim[i] == 1 else distance(p[i], triangles[prim[i]]) for i in range(5)]
-    corner = [
-        NAN if prim[i] == 1 else np.linalg.norm(triangles[prim[i]] - p[i], axis=1).min() for i in range(5)
-    ]
+    corner = [NAN if prim[i] == 1 else np.linalg.norm(triangles[prim[i]] - p[i], axis=1).min() for i in range(5)]
     u = d[rows] / np.linalg.norm(d[rows], axis=1)[:, None]
     cosines = (n * u).sum(1)
     expected = {
@@ -754,9 +684,7 @@ def test_features_of_rays_and_primitives():
     }  # fmt: skip
     assert list(found) == list(expected)
     for name, values in expected.items():
-        assert np.asarray(found[name]) == pytest.approx(np.asarray(values, float), rel=1e-5, nan_ok=True), (
-            name
-        )
+        assert np.asarray(found[name]) == pytest.approx(np.asarray(values, float), rel=1e-5, nan_ok=True), name
     judge.pair.rays.is_list = True
     assert list(dict(diagnosis._features(judge, rows, prim))) == list(expected)[:-2]
 

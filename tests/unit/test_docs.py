@@ -86,11 +86,7 @@ def test_every_planted_fault_has_its_row():
         ("PASS  a  1\nFAIL  a    12  0.1\n\nFAIL  a  uv: 3 wrong", "`uv` of a", "3 wrong"),
         ("x: FAIL  judged: wrong: diffuse", "fuzz: judged", "wrong: diffuse"),
         ("x: caught by fuzz as t, miss", "fuzz: t, miss", "t, miss"),
-        (
-            "FAILED tests/unit/test_x.py::test_y[1] - assert 1 == 2",
-            "`tests/unit/test_x.py::test_y`",
-            "assert 1 == 2",
-        ),
+        ("FAILED tests/unit/test_x.py::test_y[1] - assert 1 == 2", "`tests/unit/test_x.py::test_y`", "assert 1 == 2"),
         ("", "`tests/t.py::test_z`", "other numbers than NumPy's or plain Python's"),
     ],
 )

@@ -51,13 +51,9 @@ def test_matplotlib_is_looked_for_with_the_projects_least_version_and_is_not_nee
 
 
 def test_a_judge_without_matplotlib_is_usable_and_states_what_it_would_add(monkeypatch):
-    monkeypatch.setattr(
-        judge_doctor, "MATPLOTLIB", judge_doctor.MATPLOTLIB._replace(distribution="no-such-matplotlib")
-    )
+    monkeypatch.setattr(judge_doctor, "MATPLOTLIB", judge_doctor.MATPLOTLIB._replace(distribution="no-such-matplotlib"))
     finding = describe(variants=["scalar_rgb"])["no-such-matplotlib"]
-    assert (
-        not finding.found and finding.detail == "not installed" and finding.way_out.startswith("pip install")
-    )
+    assert not finding.found and finding.detail == "not installed" and finding.way_out.startswith("pip install")
     assert judge_doctor.exit_code([finding]) == 0
     assert "would add the plots" in installation.format_table([finding])
 

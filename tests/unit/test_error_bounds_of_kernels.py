@@ -30,11 +30,7 @@ from caster.shapes.cylinder import clip_to_height
 
 SLACK = 1e-9  # of what is computed here in float64, far below the errors that are planted
 MOVED = 12  # inputs moved at random, for each that is looked at
-PLACED = [
-    {"scale": [0.5, 2.0, 1.0]},
-    {"rotate": {"axis": [1, 2, 3], "degrees": 50}},
-    {"translate": [1, 2, 3]},
-]
+PLACED = [{"scale": [0.5, 2.0, 1.0]}, {"rotate": {"axis": [1, 2, 3], "degrees": 50}}, {"translate": [1, 2, 3]}]
 
 
 def prims_of(shape):
@@ -72,9 +68,7 @@ def test_roots_of_a_sphere_hold_for_every_centre_and_direction_within_their_erro
                 assert space > -SLACK * size
                 roots = (b + np.array([-1.0, 1.0]) * math.sqrt(max(space, 0.0))) / a
                 off = np.abs(roots - [found.near, found.far])
-                assert (
-                    off <= np.array([found.near_error, found.far_error]) + SLACK * np.abs(roots).max()
-                ).all()
+                assert (off <= np.array([found.near_error, found.far_error]) + SLACK * np.abs(roots).max()).all()
     assert min(said.values()) >= 60
 
 
@@ -107,14 +101,7 @@ def test_a_sphere_is_hit_or_missed_at_its_rim_as_exact_arithmetic_decides():
 def test_roots_are_known_where_the_larger_one_is_known_to_half_of_itself(f):
     """q = b +- sqrt(a within), 3 in length here; its error is stated by `b_error`."""
     setup, d = quadric_setup(f, 1.0, 0.0), (1.0, 0.0, 0.0)
-    for b_error, met in (
-        (1e-3, True),
-        (1.4999, True),
-        (1.5001, False),
-        (2.9, False),
-        (3.1, False),
-        (9.0, False),
-    ):
+    for b_error, met in ((1e-3, True), (1.4999, True), (1.5001, False), (2.9, False), (3.1, False), (9.0, False)):
         found = quadric_roots(setup._replace(b_error=b_error), d, 0.0)
         assert (found.met, found.missed) == (met, False)
 
@@ -224,13 +211,7 @@ def test_a_disk_without_errors_is_decided_up_to_rounding():
 
 def test_a_plane_or_disk_whose_slope_is_beyond_float64_is_left_to_exact_arithmetic():
     """It is hit at t = 2^-7: a height of 2^1023 over a slope of 2^1030."""
-    n, d, height, limits, none = (
-        (0.0, 0.0, 2.0**1000),
-        (0.0, 0.0, 2.0**30),
-        2.0**1023,
-        (2.0**-9, 1.0),
-        (0.0,) * 3,
-    )
+    n, d, height, limits, none = ((0.0, 0.0, 2.0**1000), (0.0, 0.0, 2.0**30), 2.0**1023, (2.0**-9, 1.0), (0.0,) * 3)
     plane, disk = prims_of(Plane(normal=(0.0, 0.0, 1.0), offset=0.0)), prims_of(Disk())
     assert intersect(plane, (n, height, 0.0, 0.0), d, *limits) == UNDECIDED
     rows = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), n
@@ -291,9 +272,7 @@ def test_a_plane_is_hit_for_every_input_within_its_errors(axis):
                     slope = d[axis] + more * slope_error * np.abs(d).sum()
                     assert abs((height + up * height_error) / slope - t) <= error + SLACK * t
     assert hits >= 60
-    d = tuple(
-        np.roll([0.25, 0.5, 0.25], axis - 1).tolist()
-    )  # an error of more than half of the slope says nothing
+    d = tuple(np.roll([0.25, 0.5, 0.25], axis - 1).tolist())  # an error of more than half of the slope says nothing
     for share, known in ((0.9, False), (0.501, False), (0.499, True)):
         pre = (tuple(n), 1.0, 0.0, share * 0.5)  # slopes are 0.5, for a d whose components have a sum of 1
         assert (intersect(prims, pre, d, 0.0, math.inf)[0] > 0.0) == known
@@ -465,8 +444,7 @@ def test_an_aov_of_another_type_or_without_channels_is_refused(changed):
 
 
 @pytest.mark.parametrize(
-    "changed",
-    [{"NAME": "depth"}, {"CHANNELS": ("new.X", "depth.Z")}, {"CHANNELS": ("A",)}, {"CHANNELS": ("R",)}],
+    "changed", [{"NAME": "depth"}, {"CHANNELS": ("new.X", "depth.Z")}, {"CHANNELS": ("A",)}, {"CHANNELS": ("R",)}]
 )
 def test_an_aov_whose_name_or_channel_is_taken_is_refused(changed):
     with pytest.raises(ValueError, match=r"this name or one of its channels .* is taken"):

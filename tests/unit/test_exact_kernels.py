@@ -8,14 +8,7 @@ import numpy as np
 import pytest
 
 from caster.kernels.exact import numbers as big
-from caster.kernels.exact.numbers import (
-    AS_FLOAT_REL_ERROR,
-    Root,
-    as_float,
-    compare,
-    is_within,
-    surd_of_float,
-)
+from caster.kernels.exact.numbers import AS_FLOAT_REL_ERROR, Root, as_float, compare, is_within, surd_of_float
 from caster.kernels.nearest import Rays, nearest_of_candidates, no_hits
 from caster.kernels.protocol import same_geometry
 from caster.kernels.triangles import Triangles
@@ -38,8 +31,7 @@ def some_floats(count):
 def some_integers(count):
     """Of up to 40 digits of 2^26, and the borders where a carry begins."""
     found = [
-        int(x) * (1 << int(k)) + int(y)
-        for x, k, y in RNG.integers(-(2**40), 2**40, (count, 3)) % [2**41, 900, 2**41]
+        int(x) * (1 << int(k)) + int(y) for x, k, y in RNG.integers(-(2**40), 2**40, (count, 3)) % [2**41, 900, 2**41]
     ]
     for bits in (26, 52, 78, 26 * 5):
         found += [2**bits, 2**bits - 1, -(2**bits), 1 - 2**bits, -(2**bits) - 1]
@@ -123,9 +115,7 @@ def precisely(key):
 
 def same(x, y):
     """Whether two keys are the same number: their difference times its conjugates is zero."""
-    return abs(precisely(x) - precisely(y)) < Fraction(
-        1, 1 << 300
-    )  # unequal ones of this size are farther apart
+    return abs(precisely(x) - precisely(y)) < Fraction(1, 1 << 300)  # unequal ones of this size are farther apart
 
 
 def test_the_sign_of_a_surd_is_that_of_the_number():
@@ -198,9 +188,7 @@ def test_of_candidates_the_first_exactly_is_the_hit_and_on_a_tie_the_one_of_the_
     rng = np.random.default_rng(240)
     for _ in range(40):
         lists = [rng.permutation(5)[: rng.integers(6)] for _ in range(4)]
-        rays = Rays(
-            np.zeros((4, 3)), np.tile([0.0, 0.0, 4.0], (4, 1)), np.full(4, t_min), np.full(4, math.inf)
-        )
+        rays = Rays(np.zeros((4, 3)), np.tile([0.0, 0.0, 4.0], (4, 1)), np.full(4, t_min), np.full(4, math.inf))
         rays.t_max[2] = 0.5
         starts = np.cumsum([0, *map(len, lists)])
         found = no_hits(4)

@@ -106,21 +106,14 @@ def test_a_number_in_place_of_inf_is_reported_where_mitsuba_misses(t, hits_only,
     assert found == ([] if told is None else [(marked_miss(9.0), told)])
     assert not list(
         _marked_misses(
-            SimpleNamespace(
-                **{**vars(judge), "result": SimpleNamespace(hit=np.array([True, False, True, True]))}
-            )
+            SimpleNamespace(**{**vars(judge), "result": SimpleNamespace(hit=np.array([True, False, True, True]))})
         )
     )
 
 
 @pytest.mark.parametrize(
     ("ours", "theirs", "kinds"),
-    [
-        ("sphere", "disk", {"sphere", "disk"}),
-        ("sphere", "", {"sphere"}),
-        ("", "disk", {"disk"}),
-        ("", "", set()),
-    ],
+    [("sphere", "disk", {"sphere", "disk"}), ("sphere", "", {"sphere"}), ("", "disk", {"disk"}), ("", "", set())],
 )
 def test_kinds_of_a_defect_are_those_that_somebody_hits(ours, theirs, kinds):
     kinds_of = DefectFeatures.kinds.fget

@@ -97,19 +97,14 @@ def test_the_callers_arrays_and_dicts_stay_as_they_are(tmp_path):
 def test_the_same_input_gives_the_same_bytes(tmp_path):
     a, b = ramp(1), ramp(2)
     write_exr(tmp_path / "1.exr", {"A": a, "depth.Z": b}, {"version": "1", "depth": "along the ray"})
-    write_exr(
-        tmp_path / "another-name.exr", {"depth.Z": b, "A": a}, {"depth": "along the ray", "version": "1"}
-    )
+    write_exr(tmp_path / "another-name.exr", {"depth.Z": b, "A": a}, {"depth": "along the ray", "version": "1"})
     assert (tmp_path / "1.exr").read_bytes() == (tmp_path / "another-name.exr").read_bytes()
 
 
 def test_the_header_is_single_part_zip_scanline_without_a_name(tmp_path):
     write_exr(tmp_path / "a.exr", {"Z": ramp(), "id.prim": np.zeros(SHAPE, np.uint32)})
     data = (tmp_path / "a.exr").read_bytes()
-    assert struct.unpack("<II", data[:8]) == (
-        20000630,
-        2,
-    )  # version 2 and no flag: neither tiled, deep nor parts
+    assert struct.unpack("<II", data[:8]) == (20000630, 2)  # version 2 and no flag: neither tiled, deep nor parts
     header = OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True).header()
     assert "name" not in header and "capDate" not in header
     assert header["compression"] == OpenEXR.ZIP_COMPRESSION

@@ -19,9 +19,7 @@ NOT_COMPARABLE = 3
 
 HEIGHT, WIDTH = 12, 16
 MIDDLE, EDGE = (6, 8), (6, 3)  # (y, x): inside of the disk, and its leftmost pixel in that row
-WIDE_OPEN = [
-    f"--{name}=1e30" for name in ("depth-rtol", "normal-atol", "uv-atol", "color-rtol", "color-atol")
-]
+WIDE_OPEN = [f"--{name}=1e30" for name in ("depth-rtol", "normal-atol", "uv-atol", "color-rtol", "color-atol")]
 
 
 def picture() -> Channels:
@@ -83,10 +81,7 @@ CANARIES = {
     "a renamed layer": (renamed_layer, NOT_COMPARABLE),
     "another size": (other_size, NOT_COMPARABLE),
 }
-ABOUT = {
-    "ours": {"caster/version": "0"},
-    "foreign": {},
-}  # of files that say they are ours, and of those that do not
+ABOUT = {"ours": {"caster/version": "0"}, "foreign": {}}  # of files that say they are ours, and of those that do not
 
 
 @pytest.mark.parametrize("about", ABOUT)

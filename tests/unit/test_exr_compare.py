@@ -210,11 +210,7 @@ def test_one_missed_pixel_fails_and_is_named(tmp_path):
         values[INSIDE] = {"depth.Z": np.inf, "id.shape": NO_ID}.get(name, 0)
     result = compared(tmp_path, ours)
     assert result.exit_code == 1 and result.differing_pixels == 1
-    assert (group(result, "hit").differ, group(result, "hit").worst.x, group(result, "hit").worst.y) == (
-        1,
-        15,
-        14,
-    )
+    assert (group(result, "hit").differ, group(result, "hit").worst.x, group(result, "hit").worst.y) == (1, 15, 14)
     assert group(result, "depth").differ == group(result, "depth").non_finite == 0  # counted once, as a hit
     assert result.hit_ours == HIT.sum() - 1 and result.hit_either == HIT.sum()
     assert f"FAIL  hit: 1 of {HIT.sum()} hit pixels" in text(result) and "(15, 14)" in text(result)
@@ -487,9 +483,7 @@ def test_max_pixels_counts_each_pixel_once(tmp_path):
     assert passed.ok and "PASS  2 pixels differ, 2 may" in text(passed)
 
 
-@pytest.mark.parametrize(
-    "option", ["depth_rtol", "normal_atol", "uv_atol", "color_rtol", "color_atol", "max_pixels"]
-)
+@pytest.mark.parametrize("option", ["depth_rtol", "normal_atol", "uv_atol", "color_rtol", "color_atol", "max_pixels"])
 @pytest.mark.parametrize("value", [-1.0, np.nan, np.inf])
 def test_a_tolerance_that_is_no_tolerance_is_an_error(option, value):
     with pytest.raises(SceneError, match=f"--{option.replace('_', '-')}: expected a number >= 0"):

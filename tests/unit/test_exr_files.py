@@ -11,12 +11,7 @@ from caster.__main__ import main
 from caster.aovs import AOVS, Aovs
 from caster.image.channels import aovs_to_channels, channels_to_aovs
 from caster.image.exr import NO_ID
-from mitsuba_ref.judge.independent_checks.exr_round_trip import (
-    CHANNELS,
-    WrittenImage,
-    difference,
-    stored_planes,
-)
+from mitsuba_ref.judge.independent_checks.exr_round_trip import CHANNELS, WrittenImage, difference, stored_planes
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENE, SIZE, CROP = str(ROOT / "scenes/every-shape.toml"), (24, 18), (5, 3, 20, 17)
@@ -44,9 +39,7 @@ def test_the_names_of_channels_are_those_of_the_page_and_of_every_aov():
         given = re.findall(r"`([\w.]+)`", channels)
         whole = [name if not name.startswith(".") else given[0].partition(".")[0] + name for name in given]
         words = re.findall(r"`(\w+)`", names)
-        listed |= dict(
-            zip(words, [(each,) for each in whole] if len(words) > 1 else [tuple(whole)], strict=True)
-        )
+        listed |= dict(zip(words, [(each,) for each in whole] if len(words) > 1 else [tuple(whole)], strict=True))
     assert listed == CHANNELS == {aov.NAME: tuple(aov.CHANNELS) for aov in AOVS}
 
 

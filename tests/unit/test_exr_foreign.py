@@ -51,9 +51,7 @@ def named(ours: Channels, depth: str = "", miss: float = np.inf, **layers: str) 
 def compared(folder: Path, ours: Channels, theirs: Channels, **reading: object) -> FileComparison:
     """Our file, with its provenance, against theirs, without any."""
     write_exr(folder / "ours.exr", ours, provenance(SCENE, __version__))
-    OpenEXR.File({}, {name: np.ascontiguousarray(a) for name, a in theirs.items()}).write(
-        str(folder / "theirs.exr")
-    )
+    OpenEXR.File({}, {name: np.ascontiguousarray(a) for name, a in theirs.items()}).write(str(folder / "theirs.exr"))
     return compare_exr(folder / "ours.exr", folder / "theirs.exr", reading=Reading(**reading))
 
 
@@ -100,9 +98,7 @@ def test_two_channels_that_may_be_the_same_are_a_question_not_a_guess(tmp_path, 
     theirs = named(ours, depth="ViewLayer.Depth.Z") | named(ours, depth="Close.Depth.Z")
     result = compared(tmp_path, ours, theirs)
     assert result.exit_code == 3
-    assert "Close.Depth.Z and ViewLayer.Depth.Z may both be the depth: --map depth=Close.Depth.Z" in text(
-        result
-    )
+    assert "Close.Depth.Z and ViewLayer.Depth.Z may both be the depth: --map depth=Close.Depth.Z" in text(result)
     said = compared(tmp_path, ours, theirs, maps=("depth=ViewLayer.Depth.Z",))
     assert said.ok, text(said)
 
@@ -196,9 +192,7 @@ def test_a_near_plane_that_the_camera_does_not_have_may_be_given(tmp_path, ours)
 def test_parallel_rays_along_the_axis_leave_nothing_to_request(tmp_path):
     along = caster.Orthographic(eye=(0.1, 0.2, 5), look_at=(0, 0, 0), width=4)
     scene = SCENE.model_copy(update={"camera": along})
-    given = {
-        n: a.astype(np.float32) for n, a in aovs_to_channels(caster.render(scene, aovs=("depth",))).items()
-    }
+    given = {n: a.astype(np.float32) for n, a in aovs_to_channels(caster.render(scene, aovs=("depth",))).items()}
     write_exr(tmp_path / "a.exr", given, provenance(scene, __version__))
     OpenEXR.File({}, named(given, depth="Z", miss=0.0)).write(str(tmp_path / "b.exr"))
     assert compare_exr(tmp_path / "a.exr", tmp_path / "b.exr").ok
@@ -254,9 +248,7 @@ def test_a_depth_of_no_convention_fails_and_states_it(tmp_path, ours):
 def test_where_two_conventions_fit_it_is_a_question(tmp_path):
     """A view so narrow that z and distance are nearly the same, and a picture that is not exact enough to tell."""
     narrow = scene_of(fov=1.0, eye=(0.3, 0, 500.0), look_at=(0.3, 0, 0))
-    given = {
-        n: a.astype(np.float32) for n, a in aovs_to_channels(caster.render(narrow, aovs=("depth",))).items()
-    }
+    given = {n: a.astype(np.float32) for n, a in aovs_to_channels(caster.render(narrow, aovs=("depth",))).items()}
     theirs = {"Z": np.where(given["A"] == 1, given["depth.Z"] * np.float32(1.0001), 0).astype(np.float32)}
     write_exr(tmp_path / "a.exr", given, provenance(narrow, __version__))
     OpenEXR.File({}, theirs).write(str(tmp_path / "b.exr"))
@@ -266,9 +258,7 @@ def test_where_two_conventions_fit_it_is_a_question(tmp_path):
 
 def test_two_foreign_files_are_taken_as_they_are_and_that_is_stated(tmp_path, ours):
     for name in "ab":
-        OpenEXR.File({}, named(ours, depth="ViewLayer.Depth.Z", miss=1e10)).write(
-            str(tmp_path / f"{name}.exr")
-        )
+        OpenEXR.File({}, named(ours, depth="ViewLayer.Depth.Z", miss=1e10)).write(str(tmp_path / f"{name}.exr"))
     result = compare_exr(tmp_path / "a.exr", tmp_path / "b.exr")
     assert result.ok and "neither file states its convention (--depth)" in text(result)
 

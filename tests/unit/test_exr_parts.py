@@ -121,11 +121,7 @@ REFUSED = {
 def test_parts_that_make_no_image_are_refused_by_every_command(tmp_path, capfd, why):
     parts, headers, says = REFUSED[why]
     path = save(tmp_path / "a.exr", parts, **headers)
-    for command in (
-        [caster_main, "info", path],
-        [main, "compare", path, path],
-        [caster_main, "preview", path],
-    ):
+    for command in ([caster_main, "info", path], [main, "compare", path, path], [caster_main, "preview", path]):
         assert command[0]([str(word) for word in command[1:]]) == FILE
         out, err = capfd.readouterr()
         assert out == "" and err.startswith(f"{path}: ") and says in err, err
@@ -177,19 +173,10 @@ def by_program(ours, program):
     z = z.astype(np.float32)
     if program == "Blender":
         normal, position = layer(ours, "shading_normal"), layer(ours, "position")
-        given = {
-            "Combined": {"A": np.ones_like(z)},
-            "Depth": {"Z": z},
-            "Normal": normal,
-            "Position": position,
-        }
+        given = {"Combined": {"A": np.ones_like(z)}, "Depth": {"Z": z}, "Normal": normal, "Position": position}
         return {f"V.{part}": {f"V.{part}.{c}": a for c, a in each.items()} for part, each in given.items()}
     if program == "Nuke":
-        return {
-            "rgba": {"A": ours["A"], "R": ours["A"]},
-            "depth": {"Z": z},
-            "N": layer(ours, "shading_normal"),
-        }
+        return {"rgba": {"A": ours["A"], "R": ours["A"]}, "depth": {"Z": z}, "N": layer(ours, "shading_normal")}
     rgb = layer(ours, "shading_normal", called="RGB")
     return {"RGBA": {"A": ours["A"]}, "Z": {"Z": z}, "N": rgb, "P": layer(ours, "position", called="RGB")}
 
@@ -197,18 +184,12 @@ def by_program(ours, program):
 @pytest.mark.parametrize(
     ("program", "groups", "says"),
     [
-        (
-            "Blender",
-            {"depth", "shading_normal", "position"},
-            "V.Combined (A), V.Depth (Z), V.Normal (X, Y, Z)",
-        ),
+        ("Blender", {"depth", "shading_normal", "position"}, "V.Combined (A), V.Depth (Z), V.Normal (X, Y, Z)"),
         ("Nuke", {"depth", "shading_normal"}, "3 parts as one image: rgba (A, R), depth (Z), N (X, Y, Z)"),
         ("Arnold", {"depth", "shading_normal", "position"}, "RGBA (A), Z (Z), N (B, G, R), P (B, G, R)"),
     ],
 )
-def test_the_parts_of_other_programs_are_compared_layer_by_layer_and_stated(
-    tmp_path, ours, program, groups, says
-):
+def test_the_parts_of_other_programs_are_compared_layer_by_layer_and_stated(tmp_path, ours, program, groups, says):
     parts = by_program(ours, program)
     result = compared(tmp_path, ours, parts)
     text = result.format_table()
@@ -230,9 +211,7 @@ def test_two_parts_that_hold_the_same_layer_are_a_question(tmp_path, ours):
     parts = {"near": {"depth.Z": ours["depth.Z"]}, "far": {"depth.Z": ours["depth.Z"]}}
     result = compared(tmp_path, ours, parts)
     assert result.exit_code == NOT_COMPARABLE
-    assert (
-        "far.depth.Z and near.depth.Z may both be the depth: --map depth=far.depth.Z" in result.format_table()
-    )
+    assert "far.depth.Z and near.depth.Z may both be the depth: --map depth=far.depth.Z" in result.format_table()
 
 
 def test_info_lists_the_parts(tmp_path, capsys):

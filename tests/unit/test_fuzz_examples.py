@@ -62,9 +62,7 @@ def test_every_kind_of_primitive_has_places_to_aim_at(examples):
 
 def test_transforms_are_mirrored_and_reach_a_condition_of_a_million():
     matrices = [
-        shape.matrix[:3, :3]
-        for each in drawn([BY_NAME["transforms"]], 60)
-        for shape in scene_of(each.data).shapes
+        shape.matrix[:3, :3] for each in drawn([BY_NAME["transforms"]], 60) for shape in scene_of(each.data).shapes
     ]
     assert max(np.linalg.cond(matrix) for matrix in matrices) > 1e5
     assert sum(np.linalg.det(matrix) < 0.0 for matrix in matrices) > len(matrices) / 4
@@ -118,14 +116,8 @@ def test_nudged_moves_by_units_in_the_last_place():
 @pytest.mark.parametrize(
     ("draw", "says"),
     [
-        (
-            lambda rng: random_shape(rng, "cone", Setting()),
-            r"type 'cone' .*mitsuba_ref.shapes",
-        ),
-        (
-            lambda rng: random_camera(rng, Setting(), ["drone"]),
-            r"type 'drone' .*mitsuba_ref.cameras",
-        ),
+        (lambda rng: random_shape(rng, "cone", Setting()), r"type 'cone' .*mitsuba_ref.shapes"),
+        (lambda rng: random_camera(rng, Setting(), ["drone"]), r"type 'drone' .*mitsuba_ref.cameras"),
         (lambda rng: kind_of(Setting()), r"Setting: .*mitsuba_ref.shapes .*adding-a-shape"),
     ],
 )

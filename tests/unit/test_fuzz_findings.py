@@ -72,9 +72,7 @@ def test_a_wrong_answer_is_found_and_named(subject, row, t, prim, kind):
 
 def test_the_last_bits_of_t_are_free_and_no_more(subject):
     """4 units in the last place of o, d and the corners, times their condition: here some 20 of t."""
-    bits = [
-        k for k in range(1, 60) if not found_by(subject, [2.0 + k * 2.0**-51, 2.0, 2.0, np.inf], RIGHT[1])[0]
-    ]
+    bits = [k for k in range(1, 60) if not found_by(subject, [2.0 + k * 2.0**-51, 2.0, 2.0, np.inf], RIGHT[1])[0]]
     assert bits == list(range(1, len(bits) + 1)) and 4 <= len(bits) <= 40
 
 

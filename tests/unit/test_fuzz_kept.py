@@ -114,9 +114,7 @@ def test_a_good_record_passes():
 
 
 def test_a_plain_scene_is_no_kept_one(tmp_path):
-    (tmp_path / "plain.toml").write_text(
-        '[camera]\ntype = "panorama"\neye = [0, 0, 0]\nlook_at = [1, 0, 0]\n'
-    )
+    (tmp_path / "plain.toml").write_text('[camera]\ntype = "panorama"\neye = [0, 0, 0]\nlook_at = [1, 0, 0]\n')
     with pytest.raises(SceneError, match="expected one line that begins with '# fuzz:', found 0"):
         cases.read_kept(tmp_path / "plain.toml")
 

@@ -42,9 +42,7 @@ def test_always_the_simplest_leads_to_zero(x):
     assert first == 0.0 if x != 0.0 else first in (None, 0.0)
 
 
-@pytest.mark.parametrize(
-    ("simple", "less"), [(0.0, 1.0), (1.0, 3.0), (0.5, 0.75), (3.0, 0.1), (-1.0, 1e-300)]
-)
+@pytest.mark.parametrize(("simple", "less"), [(0.0, 1.0), (1.0, 3.0), (0.5, 0.75), (3.0, 0.1), (-1.0, 1e-300)])
 def test_cost_orders_numbers_by_bits_then_by_size(simple, less):
     assert complexity(simple) < complexity(less)
 
@@ -61,8 +59,7 @@ def has_three_and_seven(data):
 
 def a_case():
     shapes = [
-        {"type": "sphere", "radius": r, "center": [r, 0.1, -r], "name": f"n{r}"}
-        for r in np.linspace(0.1, 9.7, 25)
+        {"type": "sphere", "radius": r, "center": [r, 0.1, -r], "name": f"n{r}"} for r in np.linspace(0.1, 9.7, 25)
     ]
     return {"film": {}, "camera": {}, "shape": shapes}
 

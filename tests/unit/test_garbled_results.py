@@ -29,9 +29,7 @@ MARK = "@@garbled@@"
 def leaves(value, path=()):
     """Paths of all values that hold no others, and of all lists and tables."""
     yield path
-    children = (
-        value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    )
+    children = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, child in children:
         yield from leaves(child, (*path, key))
 

@@ -39,10 +39,7 @@ def ratios(shape: Any, mesh: Made) -> dict[str, float]:
     with np.errstate(all="ignore"):
         claims = list(reference_of(shape).closed_form(given))
         precision = PRECISIONS[0]
-        return {
-            c.what: _packing_error_ratio(c, precision.unit_roundoff, precision.smallest_normal)
-            for c in claims
-        }
+        return {c.what: _packing_error_ratio(c, precision.unit_roundoff, precision.smallest_normal) for c in claims}
 
 
 def mesh_of(shape: Any) -> Made:
@@ -62,12 +59,7 @@ CLAIMS = {
     ],
     "teapot": ["number of faces", "points of the patches", "normals of the patches"],
 }  # fmt: skip
-KIND = {
-    "small torus": "torus",
-    "icosahedron": "icosphere",
-    "square": "heightfield",
-    "coarse teapot": "teapot",
-}
+KIND = {"small torus": "torus", "icosahedron": "icosphere", "square": "heightfield", "coarse teapot": "teapot"}
 
 
 @pytest.mark.parametrize("name", SHAPES)
@@ -87,19 +79,13 @@ def test_a_vertex_or_normal_that_is_off_by_a_billionth_is_found_wherever_it_is(n
                 other = getattr(mesh, field).copy()
                 other[row, axis] += 1e-9
                 found = ratios(SHAPES[name], mesh._replace(**{field: other}))
-                assert any(ratio > 1.0 for what, ratio in found.items() if what != "volume"), (
-                    field,
-                    row,
-                    axis,
-                )
+                assert any(ratio > 1.0 for what, ratio in found.items() if what != "volume"), (field, row, axis)
 
 
 FAULTS = {
     "a face less": lambda mesh: mesh._replace(faces=mesh.faces[:-1]),
     "a face twice": lambda mesh: mesh._replace(faces=np.vstack([mesh.faces, mesh.faces[:1]])),
-    "a face in place of another": lambda mesh: mesh._replace(
-        faces=np.vstack([mesh.faces[1:], mesh.faces[1:2]])
-    ),
+    "a face in place of another": lambda mesh: mesh._replace(faces=np.vstack([mesh.faces[1:], mesh.faces[1:2]])),
     "a face reversed": lambda mesh: mesh._replace(faces=np.vstack([mesh.faces[:1, ::-1], mesh.faces[1:]])),
     "all faces reversed": lambda mesh: mesh._replace(faces=mesh.faces[:, ::-1]),
     "another corner": lambda mesh: mesh._replace(
@@ -194,9 +180,7 @@ def test_the_teapot_is_that_of_its_published_control_points():
     ]
     assert bent[:4].min() == -3.0 and bent[4:].max() == 3.525 and np.abs(bent[..., 1]).max() == 0.66
     assert lid.max(axis=(0, 1, 2)).tolist() == [1.3, 1.3, 3.15] and lid[..., 2].min() == 2.4
-    assert (
-        bottom[..., 2].min() == 0.0 and bottom[..., 2].max() == 0.15 and np.abs(bottom[..., :2]).max() == 1.5
-    )
+    assert bottom[..., 2].min() == 0.0 and bottom[..., 2].max() == 0.15 and np.abs(bottom[..., :2]).max() == 1.5
     for part, mirrors in ((pot, "xy"), (bent, "y"), (lid, "xy"), (bottom, "xy")):
         points = {tuple(p) for p in np.round(part.reshape(-1, 3), 9).tolist()}
         for axis in mirrors:

@@ -103,9 +103,7 @@ def test_one_claim_that_is_off_in_one_precision_is_found(monkeypatch, shape, wha
 
     monkeypatch.setattr(scene_checks, "PRECISIONS", tuple(map(noting, PRECISIONS)))
     assert check_geometry(scene_of(shape)).ok
-    monkeypatch.setattr(
-        scene_checks, "reference_of", lambda shape: replace(reference_of(shape), expected=placed)
-    )
+    monkeypatch.setattr(scene_checks, "reference_of", lambda shape: replace(reference_of(shape), expected=placed))
     found = check_geometry(scene_of(shape))
     assert not found.ok
     assert found.what == f"{what} of shape-0 ({precision})"
@@ -143,9 +141,7 @@ def test_both_precisions_are_those_that_are_cast():
     assert [each.packing for each in PRECISIONS] == [packed, packed_float32]
     assert [each.name for each in PRECISIONS] == ["float64", "float32"]
     assert [each.unit_roundoff for each in PRECISIONS] == [2.0**-53, 2.0**-24]
-    assert [each.smallest_normal for each in PRECISIONS] == [
-        np.finfo(kind).tiny for kind in (np.float64, np.float32)
-    ]
+    assert [each.smallest_normal for each in PRECISIONS] == [np.finfo(kind).tiny for kind in (np.float64, np.float32)]
 
 
 def test_a_mesh_is_generated_once_for_the_closed_form_and_both_precisions(monkeypatch):

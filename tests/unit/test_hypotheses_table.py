@@ -64,9 +64,7 @@ UNDER = [
 
 
 @pytest.mark.parametrize(("exact", "given", "predicted", "bound", "rounding", "right"), UNDER)
-def test_a_pixel_is_right_under_what_is_within_twice_its_bound(
-    exact, given, predicted, bound, rounding, right
-):
+def test_a_pixel_is_right_under_what_is_within_twice_its_bound(exact, given, predicted, bound, rounding, right):
     own = 0.0 if right is not None else 5.0  # not off
     f = pixels([exact], [given], own, t_rounding=rounding)
     t, bounds = np.array([predicted]), np.array([bound])
@@ -87,10 +85,7 @@ def test_float32s_bounds_are_float64s_times_their_roundings():
     given = [2.0 + 0.99 * wide, 2.0 + 1.01 * wide, 2.0 - 0.99 * wide, INF, 2.0 + wide, NAN]
     f = pixels([2.0, 2.0, 2.0, 2.0, INF, 2.0], given, 1.0)
     (found,) = explained(hypotheses.float32_inside, f).values()
-    assert found[0] == [True, False, True, False, False, False] and found[1:] == (
-        hypotheses.FLOAT32_REMEDY,
-        False,
-    )
+    assert found[0] == [True, False, True, False, False, False] and found[1:] == (hypotheses.FLOAT32_REMEDY, False)
     rounded = pixels([2.0] * 2, [2.0 + 1.01 * wide, 2.0 + 1.2 * wide], 1.0, t_rounding=0.1 * wide)
     assert next(hypotheses.float32_inside(rounded, rounded)).fits.tolist() == [True, False]
     far = pixels([2.0, 2.0**30, INF], [INF, 2.0**30 + 1.0, 2.0], [INF, 1.0, INF])
@@ -112,9 +107,7 @@ def test_distance_and_depth_are_distinguished_from_t(monkeypatch):
         [True, True, False, True, False, False], "divide the distance by |d|, or leave d as it is given", True,
     )  # fmt: skip
     assert DEPTH not in found
-    monkeypatch.setattr(
-        hypotheses, "camera_axes", lambda camera: np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]])
-    )
+    monkeypatch.setattr(hypotheses, "camera_axes", lambda camera: np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]]))
     f = pixels(exact, [1.0, 0.0, 3.0, 3.2, INF, 0.5], 0.125, d=d, camera="pinhole")
     found = explained(hypotheses.other_quantity, f)
     assert found[DEPTH] == (
@@ -191,14 +184,8 @@ def test_orders_of_an_image_are_what_their_sentences_state(shape):
     place = {(y, x): y * w + x for y in range(h) for x in range(w)}
     turned = {
         "the image is mirrored, left for right": (lambda y, x: (y, w - 1 - x), "turn the sign of x"),
-        "the image is upside down": (
-            lambda y, x: (h - 1 - y, x),
-            "row 0 is the top one: turn the sign of y",
-        ),
-        "the image is turned by half a turn": (
-            lambda y, x: (h - 1 - y, w - 1 - x),
-            "turn the signs of x and y",
-        ),
+        "the image is upside down": (lambda y, x: (h - 1 - y, x), "row 0 is the top one: turn the sign of y"),
+        "the image is turned by half a turn": (lambda y, x: (h - 1 - y, w - 1 - x), "turn the signs of x and y"),
     }
     expected = [(what, remedy, [place[of(y, x)] for y, x in place]) for what, (of, remedy) in turned.items()]
     transposed, rows_first = "the image is transposed, x for y", "rows come first: index y * width + x"
@@ -216,16 +203,14 @@ def test_orders_of_an_image_are_what_their_sentences_state(shape):
             rows = [place[(y - down) % h, (x - across) % w] for y, x in place]
             expected.append((what, "look for an index that counts from 1", rows))
     found = [
-        (what, remedy, rows.ravel().tolist())
-        for what, remedy, rows in hypotheses._image_orders(shape, is_list=False)
+        (what, remedy, rows.ravel().tolist()) for what, remedy, rows in hypotheses._image_orders(shape, is_list=False)
     ]
     assert found == expected
 
 
 def test_orders_of_a_list():
     found = [
-        (what, remedy, rows.ravel().tolist())
-        for what, remedy, rows in hypotheses._image_orders((1, 4), is_list=True)
+        (what, remedy, rows.ravel().tolist()) for what, remedy, rows in hypotheses._image_orders((1, 4), is_list=True)
     ]
     remedy = "return them in the order of the rays"
     assert found == [
@@ -239,9 +224,7 @@ def test_an_order_explains_nearly_all_hits_and_leaves_right_ones_alone():
     t = np.array([1.0, 2.0, 3.0, 4.0, 5.0, INF])
     f = pixels(t, t[::-1])
     f.judge.result = SimpleNamespace(hit=np.isfinite(t), t=t)
-    reverse = {
-        "the answers are in reverse order": ([True] * 6, "return them in the order of the rays", False)
-    }
+    reverse = {"the answers are in reverse order": ([True] * 6, "return them in the order of the rays", False)}
     assert explained(hypotheses.other_order, f) == reverse
     kept = pixels(t, t)
     assert not explained(hypotheses.other_order, f, kept)
@@ -356,9 +339,7 @@ def test_the_answer_is_the_first_or_last_of_the_roots_that_are_kept(roots, exact
     """The second of two rays; a root that would be right is left out, and another ray has one."""
     rows = [(1, 0, t) for t, _, _ in roots]
     errors, certain = [each[1] for each in roots], [each[2] for each in roots]
-    every = roots_of(
-        (0, 0, given), *rows, (1, 0, given), t_error=[0.0, *errors, 0.0], certain=[True, *certain, True]
-    )
+    every = roots_of((0, 0, given), *rows, (1, 0, given), t_error=[0.0, *errors, 0.0], certain=[True, *certain, True])
     f = pixels([9.0, exact], [0.5, given], [0.0, 0.25 if exact == 1.0 else 0.0], t_max=[INF, 6.0])
     kept = np.arange(len(every.ray)) <= len(rows)
     assert hypotheses._right_among(f, every, kept, **options)[1] == expected
@@ -454,9 +435,7 @@ def test_a_shift_of_the_image_is_said_in_pixels(monkeypatch, shift, count, optio
         assert not found and len(steps) == (0 if options or count < 16 else 3)
         return
     what = f"rays beside the pixel centres, by {where} of a pixel to the right and down"
-    assert found == {
-        what: ([True] * (count + 3), "the centre of pixel (x, y) is at (x + 0.5, y + 0.5)", False)
-    }
+    assert found == {what: ([True] * (count + 3), "the centre of pixel (x, y) is at (x + 0.5, y + 0.5)", False)}
     assert [each for each, _ in steps] == [count] * 3 and steps[0][1] == [0.0, 0.0]
     kept = pixels([2.0] * 9, [2.0] * 9)
     monkeypatch.setattr(hypotheses, "_first_hits", lambda f, at, same, **more: np.full(len(f.rows), not more))
@@ -478,9 +457,7 @@ def test_rays_at_another_place_of_their_pixels_are_those_of_other_pixels():
     for shift, step in (((1.0, 0.0), 1), ((0.0, 1.0), 5), ((1.0, 1.0), 6)):
         moved = hypotheses._rays_at(f, np.array(shift))
         for row in (0, 6, 7, 13):
-            assert moved[0][row] == pytest.approx(o[row + step]) and moved[1][row] == pytest.approx(
-                d[row + step]
-            )
+            assert moved[0][row] == pytest.approx(o[row + step]) and moved[1][row] == pytest.approx(d[row + step])
 
 
 def test_other_rays_are_tried_on_a_few_pixels_first(monkeypatch):
@@ -514,14 +491,7 @@ def test_corners_of_primitives_are_those_of_their_faces(tmp_path):
     scene = Scene(film=caster.Film(width=2, height=2), camera=camera, shapes=shapes)
     judge = SimpleNamespace(model=SimpleNamespace(packed=packed(scene)))
     found = hypotheses.triangle_corners(judge, np.array([4, 0, 1, 2, -1, 3]))
-    expected = [
-        second[faces[1]],
-        first[faces[0]],
-        first[faces[1]],
-        [[NAN] * 3] * 3,
-        [[NAN] * 3] * 3,
-        second[faces[0]],
-    ]
+    expected = [second[faces[1]], first[faces[0]], first[faces[1]], [[NAN] * 3] * 3, [[NAN] * 3] * 3, second[faces[0]]]
     assert np.array_equal(found, np.array(expected), equal_nan=True)
 
 
@@ -532,9 +502,7 @@ def random_roots(seed: int):
     """Pixels with up to six roots of three primitives each, some behind, normals of either side."""
     rng = np.random.default_rng(seed)
     rows = [
-        (ray, int(rng.integers(3)), float(rng.integers(-3, 6)))
-        for ray in range(6)
-        for _ in range(rng.integers(0, 7))
+        (ray, int(rng.integers(3)), float(rng.integers(-3, 6))) for ray in range(6) for _ in range(rng.integers(0, 7))
     ]
     n = np.where(rng.random((len(rows), 1)) < 0.5, 1.0, -1.0) * np.array(Z)
     n[rng.random(len(rows)) < 0.1] = 0.0
@@ -612,10 +580,7 @@ def test_what_lies_behind_is_on_another_root_by_more_than_a_thousandth():
 
 def test_hits_outside_of_a_ray_are_before_its_start_or_beyond_its_end():
     f = pixels([3.0] * 5, [1.0, 2.0, 4.0, 4.5, INF], t_min=[2.0] * 5, t_max=[4.0] * 5)
-    before, beyond = (
-        "a hit before t_min, where the ray begins",
-        "a hit beyond t_max, where the ray ends",
-    )
+    before, beyond = ("a hit before t_min, where the ray begins", "a hit beyond t_max, where the ray ends")
     expected = {
         before: ([True, False, False, False, False], "leave out hits with t <= t_min", True),
         beyond: ([False, False, False, True, False], "leave out hits with t > t_max", True),
@@ -626,9 +591,7 @@ def test_hits_outside_of_a_ray_are_before_its_start_or_beyond_its_end():
 
 
 def corners_of(*triangles):
-    return lambda judge, prim: np.array(
-        [triangles[p] if p >= 0 else np.full((3, 3), NAN) for p in prim], float
-    )
+    return lambda judge, prim: np.array([triangles[p] if p >= 0 else np.full((3, 3), NAN) for p in prim], float)
 
 
 FLAT = [[5, 7, 9], [7, 7, 9], [5, 10, 9]]
@@ -643,14 +606,10 @@ def test_the_remedy_of_a_subject_that_hits_nothing_states_determinants(monkeypat
     epsilon = ", is every epsilon below the determinants of 0.25 to 12 here"
     remedy = f"is the scene read, do rays reach t = 7{epsilon}?"
     fits = [True, True, False, True]
-    assert explained(hypotheses.everything_missed, f) == {
-        "the candidate misses everything": (fits, remedy, True)
-    }
+    assert explained(hypotheses.everything_missed, f) == {"the candidate misses everything": (fits, remedy, True)}
     ours = pixels([3.0, 4.0], missing[:2], prim=[2, 2], exact_visibility=True)
     remedy = "is the scene read, do rays reach t = 4?"
-    assert explained(hypotheses.everything_missed, ours) == {
-        "ours misses everything": ([True, True], remedy, True)
-    }
+    assert explained(hypotheses.everything_missed, ours) == {"ours misses everything": ([True, True], remedy, True)}
     assert not explained(hypotheses.everything_missed, pixels([3.0], [INF]))
     assert not explained(hypotheses.everything_missed, pixels([3.0, 3.0], [INF, 3.0]))
 
@@ -870,15 +829,10 @@ def test_normals_of_corners_in_float32_seen_from_the_origin(monkeypatch):
         return hypotheses._of_corners_seen_from_the_origin(f, n, error)
 
     x = np.array([1.0, 0.0, 0.0])
-    assert (
-        found(predicted).all() and not found(right).any() and not found(predicted, precision="float64").any()
-    )
+    assert found(predicted).all() and not found(right).any() and not found(predicted, precision="float64").any()
     assert found(predicted + 1.99e-9 * x).all() and not found(predicted + 2.01e-9 * x).any()
     off = predicted + 1e-3 * x
-    assert (
-        found(off, 1.0, error=np.full(8, 2.1e-3)).all()
-        and not found(off, 1.0, error=np.full(8, 1.9e-3)).any()
-    )
+    assert found(off, 1.0, error=np.full(8, 2.1e-3)).all() and not found(off, 1.0, error=np.full(8, 1.9e-3)).any()
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -34,16 +34,10 @@ KERNEL_LANGUAGE = (
 
 # What descriptions are made of: the checks of fields, and transforms of geometry to world space.
 DESCRIBING = ("caster.description", "caster.geometry", "pydantic")
-PLUGGED_IN = {
-    "shapes": DESCRIBING,
-    "cameras": DESCRIBING,
-    "aovs": (),
-}
+PLUGGED_IN = {"shapes": DESCRIBING, "cameras": DESCRIBING, "aovs": ()}
 
 # The names that make a kernel of a function; the counts of compiled kernels may be read anywhere.
-MAKE_KERNELS = tuple(
-    f"{NUMBA_DOOR}.{name}" for name in ("generic", "generic_inlined", "implement", "inlined", "jit")
-)
+MAKE_KERNELS = tuple(f"{NUMBA_DOOR}.{name}" for name in ("generic", "generic_inlined", "implement", "inlined", "jit"))
 
 # Both packages in the order of the flow of data: each imports what stands before it.
 FLOW = tuple(architecture.FLOW)
@@ -70,12 +64,7 @@ class Rule(NamedTuple):
 
 RULES = (
     Rule("caster", "caster does not depend on its judge", never=("mitsuba_ref", "mitsuba", "drjit")),
-    Rule(
-        "caster",
-        "only caster/image/exr.py imports OpenEXR",
-        never=("OpenEXR",),
-        except_in=("caster.image.exr",),
-    ),
+    Rule("caster", "only caster/image/exr.py imports OpenEXR", never=("OpenEXR",), except_in=("caster.image.exr",)),
     Rule(
         "caster",
         "only caster/image/image_files.py imports Pillow",
@@ -91,11 +80,7 @@ RULES = (
     ),
     Rule("caster.kernels", "a kernel imports math, numpy and kernels", only=KERNEL_LANGUAGE),
     *(
-        Rule(
-            f"caster.{folder}",
-            "folders that the kernel cache leaves out define no kernel",
-            never=MAKE_KERNELS,
-        )
+        Rule(f"caster.{folder}", "folders that the kernel cache leaves out define no kernel", never=MAKE_KERNELS)
         for folder in WITHOUT_KERNELS
     ),
     *(
@@ -253,16 +238,10 @@ def test_the_walk_reads_the_whole_tree():
 def test_what_the_rules_name_is_there():
     """A rule about a module that was renamed forbids nothing."""
     modules = {source.module for source in architecture.read_sources(ROOT)}
-    named = {rule.where for rule in RULES} | {
-        each.removesuffix(".*") for rule in RULES for each in rule.except_in
-    }
-    listed = {
-        each for rule in RULES for each in rule.only or () if each.startswith(("caster.", "mitsuba_ref."))
-    }
+    named = {rule.where for rule in RULES} | {each.removesuffix(".*") for rule in RULES for each in rule.except_in}
+    listed = {each for rule in RULES for each in rule.only or () if each.startswith(("caster.", "mitsuba_ref."))}
     assert named <= modules
-    assert {
-        each for each in listed if each not in modules and each.rpartition(".")[0] not in modules
-    } == set()
+    assert {each for each in listed if each not in modules and each.rpartition(".")[0] not in modules} == set()
 
 
 # --- planted violations
@@ -280,11 +259,7 @@ def plant(root: Path, path: str, source: str) -> list[str]:
     ("path", "source", "reason"),
     [
         ("caster/rendering/images.py", "import mitsuba_ref", "does not depend on its judge"),
-        (
-            "caster/rendering/images.py",
-            "def f():\n    from mitsuba import load_file",
-            "does not depend on its judge",
-        ),
+        ("caster/rendering/images.py", "def f():\n    from mitsuba import load_file", "does not depend on its judge"),
         ("caster/rendering/images.py", "import OpenEXR", "only caster/image/exr.py"),
         ("caster/cli/scene_commands.py", "from PIL import Image", "only caster/image/image_files.py"),
         ("caster/rendering/images.py", "from numba import njit", "only caster/jit/decorators.py"),
@@ -314,31 +289,15 @@ def plant(root: Path, path: str, source: str) -> list[str]:
         ),
         ("mitsuba_ref/judge/verdict.py", "from caster import kernels", "never imports kernels"),
         ("mitsuba_ref/judge/verdict.py", "from caster.kernels.math.vec import dot", "never imports kernels"),
-        (
-            "mitsuba_ref/judge/verdict.py",
-            "import mitsuba as mi",
-            "only mitsuba_ref/reference/mitsuba_calls.py",
-        ),
-        (
-            "mitsuba_ref/reference/mitsuba_process.py",
-            "import drjit",
-            "only mitsuba_ref/reference/mitsuba_calls.py",
-        ),
+        ("mitsuba_ref/judge/verdict.py", "import mitsuba as mi", "only mitsuba_ref/reference/mitsuba_calls.py"),
+        ("mitsuba_ref/reference/mitsuba_process.py", "import drjit", "only mitsuba_ref/reference/mitsuba_calls.py"),
         ("mitsuba_ref/reference/rendering.py", "import OpenEXR", "only caster, and what reads"),
         ("mitsuba_ref/probe/pixel.py", "import open3d", "a peer is imported by its entry alone"),
         ("mitsuba_ref/oracle/oracle.py", "from caster.geometry.triangle_mesh import Mesh", "shares no code"),
         ("mitsuba_ref/oracle/oracle.py", "from caster.geometry.packing import joined", "shares no code"),
-        (
-            "mitsuba_ref/oracle/oracle.py",
-            "from mitsuba_ref.error_model.bracket import Bracket",
-            "shares no code",
-        ),
+        ("mitsuba_ref/oracle/oracle.py", "from mitsuba_ref.error_model.bracket import Bracket", "shares no code"),
         ("mitsuba_ref/oracle/interface.py", "from caster.geometry.packing import Packed", "shares no code"),
-        (
-            "mitsuba_ref/oracle/interface.py",
-            "from mitsuba_ref.error_model.intersections import dot",
-            "shares no code",
-        ),
+        ("mitsuba_ref/oracle/interface.py", "from mitsuba_ref.error_model.intersections import dot", "shares no code"),
         ("mitsuba_ref/oracle/interface.py", "import flint", "shares no code"),
         ("mitsuba_ref/judge/verdict.py", "from caster.scene.model import Secret", "names in __all__"),
         ("mitsuba_ref/judge/verdict.py", "from caster import scene", "names in __all__"),
@@ -357,10 +316,7 @@ def test_a_planted_import_is_caught_with_its_line_and_rule(tmp_path, path, sourc
         ("mitsuba_ref/judge/independent_checks/exr_round_trip.py", "import OpenEXR"),
         ("caster/jit/decorators.py", "import os\nimport numba.extending"),
         ("caster/jit/machine_code.py", "import llvmlite.binding"),
-        (
-            "caster/kernels/bvh/build.py",
-            "import math\nfrom typing import NamedTuple\nfrom ..math.vec import dot",
-        ),
+        ("caster/kernels/bvh/build.py", "import math\nfrom typing import NamedTuple\nfrom ..math.vec import dot"),
         ("caster/shapes/__init__.py", "from caster.shapes.sphere import Sphere"),
         (
             "caster/shapes/disk.py",
@@ -379,11 +335,7 @@ def test_an_import_the_rules_allow_is_left_alone(tmp_path, path, source):
 
 @pytest.mark.parametrize(
     "later",
-    [
-        "from caster.b import B",
-        "def f():\n    import caster.b",
-        "if TYPE_CHECKING:\n    from caster.b import B",
-    ],
+    ["from caster.b import B", "def f():\n    import caster.b", "if TYPE_CHECKING:\n    from caster.b import B"],
 )
 def test_a_planted_circle_is_found(tmp_path, later):
     (tmp_path / "caster").mkdir()

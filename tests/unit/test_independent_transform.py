@@ -57,9 +57,7 @@ def test_both_sides_agree_on_random_steps():
     assert np.median(shares) > 1e-3  # not vacuous: they do round differently
 
 
-@pytest.mark.parametrize(
-    ("first", "then"), [(TURN, MOVE), (STRETCH, TURN), (LOOK, STRETCH), (ROWS, MOVE)], ids=str
-)
+@pytest.mark.parametrize(("first", "then"), [(TURN, MOVE), (STRETCH, TURN), (LOOK, STRETCH), (ROWS, MOVE)], ids=str)
 def test_steps_in_the_wrong_order_are_detected(first, then):
     right, wrong = Disk(to_world=[first, then]), Disk(to_world=[then, first])
     assert transform_error_ratio(right) <= 1.0
@@ -131,9 +129,7 @@ def test_a_normal_turns_as_a_cross_product_of_turned_edges_does():
         matrix[:3] = rng.normal(size=(3, 4)) * 2.0 ** rng.integers(-20, 20)
         linear, given = matrix[:3, :3], np.cross(u, v)
         found, size = transformed_normals(matrix, given)
-        across = np.cross(
-            u @ linear.T, v @ linear.T
-        )  # whichever way it is mirrored, the outside stays outside
+        across = np.cross(u @ linear.T, v @ linear.T)  # whichever way it is mirrored, the outside stays outside
         across *= np.sign(np.linalg.det(linear)) / np.linalg.norm(across, axis=1)[:, None]
         assert np.abs(found - across).max() < 1e-11
         lengths = np.linalg.norm(linear, axis=0)

@@ -40,13 +40,7 @@ def test_channels_ranges_hits_and_provenance_are_reported(tmp_path):
     assert (info["width"], info["height"], info["hit_pixels"], info["hit_channel"]) == (3, 2, 4, "A")
     assert info["bytes"] == (tmp_path / "a.exr").stat().st_size
     depth, shape = info["channels"]["depth.Z"], info["channels"]["id.shape"]
-    assert (depth["type"], depth["min"], depth["max"], depth["plus_inf"], depth["nan"]) == (
-        "float",
-        2.0,
-        3.5,
-        2,
-        0,
-    )
+    assert (depth["type"], depth["min"], depth["max"], depth["plus_inf"], depth["nan"]) == ("float", 2.0, 3.5, 2, 0)
     assert (shape["type"], shape["min"], shape["max"], shape["no_id"]) == ("uint", 0, 7, 2)
     assert info["provenance"] == {"caster/version": "1.2"}
     assert info["warnings"] == []
@@ -57,11 +51,7 @@ def test_channels_ranges_hits_and_provenance_are_reported(tmp_path):
 
 
 def test_the_json_is_strict_even_for_an_image_of_nan(tmp_path):
-    nothing = {
-        "A": np.full((2, 2), np.nan),
-        "Z": np.full((2, 2), np.inf),
-        "id.prim": np.full((2, 2), NO_ID, np.uint32),
-    }
+    nothing = {"A": np.full((2, 2), np.nan), "Z": np.full((2, 2), np.inf), "id.prim": np.full((2, 2), NO_ID, np.uint32)}
     write_exr(tmp_path / "a.exr", nothing)
     info = json.loads(json.dumps(describe_exr(tmp_path / "a.exr"), allow_nan=False))
     assert info["channels"]["A"]["nan"] == 4 and info["channels"]["A"]["min"] is None
@@ -145,9 +135,7 @@ def test_histograms_count_every_finite_value_once(tmp_path):
     told = describe_exr(tmp_path / "a.exr")["channels"]["x.Y"]["histogram"]
     finite = values[np.isfinite(values)].astype(np.float64)
     assert sum(told) == finite.size == 40 * 50 - 3 and len(told) == BINS
-    assert (
-        np.abs(np.array(told) - np.histogram(finite, BINS)[0]).sum() <= 2
-    )  # a value on an edge may go either way
+    assert np.abs(np.array(told) - np.histogram(finite, BINS)[0]).sum() <= 2  # a value on an edge may go either way
 
 
 @pytest.mark.parametrize(

@@ -13,9 +13,7 @@ from caster.geometry.mesh_files import load_mesh, ply
 from caster.image.exr import UnreadableExr, read_exr
 from caster.scene.files import load_scene, scene_from_text
 
-CAMERA = (
-    '[film]\nwidth = 8\nheight = 8\n[camera]\ntype = "orthographic"\nlook_at = [0, 0, 0]\neye = [0, 0, 5]\n'
-)
+CAMERA = '[film]\nwidth = 8\nheight = 8\n[camera]\ntype = "orthographic"\nlook_at = [0, 0, 0]\neye = [0, 0, 5]\n'
 FACES = "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n"
 
 
@@ -59,9 +57,7 @@ def test_a_key_of_thousands_of_parts_is_found_before_it_is_parsed(head, part):
         scene_from_text("# one line\n" + head.format(key=key))
 
 
-@pytest.mark.parametrize(
-    "harmless", ["# " + "a." * 60, 'name = "' + "a." * 60 + '"', "x = [" + "1.5, " * 60 + "]"]
-)
+@pytest.mark.parametrize("harmless", ["# " + "a." * 60, 'name = "' + "a." * 60 + '"', "x = [" + "1.5, " * 60 + "]"])
 def test_dots_that_are_no_key_are_harmless(harmless):
     assert parsing.LONG_KEY.search(harmless) is None
 
@@ -102,16 +98,11 @@ def test_nothing_is_allocated_for_rows_that_the_file_cannot_hold(tmp_path, encod
     done = subprocess.run(
         [sys.executable, "-c", code, str(tmp_path / "a.ply")], capture_output=True, text=True, timeout=60
     )
-    assert (
-        done.returncode == 1 and "SceneError" in done.stderr and str(tmp_path) in done.stderr.splitlines()[-1]
-    )
+    assert done.returncode == 1 and "SceneError" in done.stderr and str(tmp_path) in done.stderr.splitlines()[-1]
 
 
 def test_elements_and_properties_of_a_ply_are_counted(tmp_path):
-    for what, limit in (
-        ("property float p{}", ply.MAX_PROPERTIES),
-        ("element e{} 0", ply.MAX_ELEMENTS),
-    ):
+    for what, limit in (("property float p{}", ply.MAX_PROPERTIES), ("element e{} 0", ply.MAX_ELEMENTS)):
         lines = "".join(what.format(i) + "\n" for i in range(limit + 1))
         (tmp_path / "a.ply").write_text("ply\nformat ascii 1.0\nelement vertex 1\n" + lines + FACES)
         with pytest.raises(SceneError, match=f"PLY header: expected at most {limit} "):

@@ -30,15 +30,9 @@ def allocate():
 ENDS = {
     "segfault": (crash, "the process that casts and judges ended: SIGSEGV"),
     "exit": (lambda: os._exit(3), "the process that casts and judges ended: exit code 3"),
-    "killed": (
-        lambda: os.kill(os.getpid(), signal.SIGKILL),
-        "the process that casts and judges ended: SIGKILL",
-    ),
+    "killed": (lambda: os.kill(os.getpid(), signal.SIGKILL), "the process that casts and judges ended: SIGKILL"),
     "memory": (allocate, "cannot be judged: not enough memory: Unable to allocate 9 TiB"),
-    "hang": (
-        lambda: time.sleep(60),
-        "the process that casts and judges ended: killed after 1 s without an answer",
-    ),
+    "hang": (lambda: time.sleep(60), "the process that casts and judges ended: killed after 1 s without an answer"),
 }
 
 
@@ -71,9 +65,7 @@ def test_every_end_is_a_row_and_the_rest_is_judged(judging, capsys, workers, tmp
         assert not found[name]["ok"] and f"FAIL  {name}  {problem}" in out
     assert "test_isolation.py" in found["segfault"]["problem"]  # the calls that led there
     cases = {case.get("name"): case for case in ElementTree.parse("j.xml").iter("testcase")}
-    assert {name for name, case in cases.items() if len(case)} >= set(ENDS) and Path(
-        "report/index.html"
-    ).exists()
+    assert {name for name, case in cases.items() if len(case)} >= set(ENDS) and Path("report/index.html").exists()
 
 
 def test_a_fork_serves_many_calls_and_a_dead_one_is_replaced():

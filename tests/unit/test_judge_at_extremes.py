@@ -45,9 +45,7 @@ def behind_a_near_plane(near: float = 0.25, **lens: Any) -> Scene:
     return Scene(camera=camera, film={"width": 8, "height": 8}, shapes=shapes)
 
 
-@pytest.mark.parametrize(
-    "lens", [{"type": "orthographic", "width": 0.3}, {"type": "pinhole", "fov": 40}], ids=str
-)
+@pytest.mark.parametrize("lens", [{"type": "orthographic", "width": 0.3}, {"type": "pinhole", "fov": 40}], ids=str)
 def test_a_near_plane_far_from_the_origin_is_no_fault(lens):
     """Where the rays are moved to it they are rounded by more than t_error, which assumes no move."""
     scene = behind_a_near_plane(**lens)
@@ -105,9 +103,7 @@ def test_an_image_that_forgets_the_near_plane_is_detected(monkeypatch):
 @pytest.mark.parametrize("camera", [Pinhole, Orthographic])
 def test_a_sensor_has_its_near_plane_before_its_far_plane(camera, near, far):
     """Where the scene reaches to 1e9, a near plane of the judge's own would lie beyond a far plane at 18.7."""
-    given = camera(
-        eye=(0, 0, 0), direction=(0, 0, 1), up=(0, 1, 0), near=near, **({"far": far} if far else {})
-    )
+    given = camera(eye=(0, 0, 0), direction=(0, 0, 1), up=(0, 1, 0), near=near, **({"far": far} if far else {}))
     planes = clip_planes(given, ClipRange(2.0**-20 * 1e9, 2.0**10 * 1e9))
     assert 0.0 < planes["near_clip"] < planes["far_clip"]
     assert not near or planes["near_clip"] == near
@@ -275,6 +271,4 @@ def test_corners_that_are_off_by_more_than_that_are_detected():
     right = ExpectedNumbers("vertices", np.zeros(3), np.full(3, 2.0**-149), np.full(3, 2.0**-149))
     assert scene_checks._packing_error_ratio(right, *float32) <= 1.0
     assert scene_checks._packing_error_ratio(right._replace(expected=right.packed + off), *float32) > 1.0
-    assert (
-        scene_checks._packing_error_ratio(right._replace(size=np.zeros(3), rounded=False), *float32) == np.inf
-    )
+    assert scene_checks._packing_error_ratio(right._replace(size=np.zeros(3), rounded=False), *float32) == np.inf

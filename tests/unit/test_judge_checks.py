@@ -190,9 +190,7 @@ def test_a_packed_number_may_be_off_by_sixteen_roundings_of_its_size(share, prec
         expected = np.zeros((2, 3))
         packed = np.zeros(shape)
         packed[1, 2:] = off
-        return scene_checks._packing_error_ratio(
-            ExpectedNumbers("what", packed, expected, size, rounded), *given
-        )
+        return scene_checks._packing_error_ratio(ExpectedNumbers("what", packed, expected, size, rounded), *given)
 
     for size in (5.0, 5.0 * 2.0**60, 5.0 * 2.0**-60):
         assert ratio(size, share * 16 * unit * size) == pytest.approx(share)
@@ -211,9 +209,7 @@ def test_precisions_are_those_of_float64_and_float32():
         assert precision.name == kind.__name__ and precision.smallest_normal == float(limits.tiny)
         assert precision.unit_roundoff == float(limits.eps) / 2.0
         parts = precision.packing(scene_of()).parts
-        assert (
-            all((array == array.astype(kind)).all() for part in parts for array in part) and len(parts) == 2
-        )
+        assert all((array == array.astype(kind)).all() for part in parts for array in part) and len(parts) == 2
 
 
 def test_a_placement_and_a_material_are_checked_at_every_shape(monkeypatch):
@@ -246,9 +242,7 @@ def flipped(images: Aovs, name: str, row: int) -> Aovs:
     return Aovs(copies, images.hit)
 
 
-@pytest.mark.parametrize(
-    "name", ["depth", "normal", "shading_normal", "position", "shape_id", "prim_id", "diffuse"]
-)
+@pytest.mark.parametrize("name", ["depth", "normal", "shading_normal", "position", "shape_id", "prim_id", "diffuse"])
 def test_one_other_bit_of_render_fails_culling_and_behind_a_near_plane_render(monkeypatch, name):
     scene = scene_of()
     assert check_culling(scene).ratio == 0.0 and check_render(scene).ratio == 0.0
@@ -297,9 +291,7 @@ def test_float64_holds_every_pixel_of_render_hits_and_misses_alike():
     ours = scene_checks.render(scene, scene_checks.CHECKED_AOVS)
     assert scene_checks._within_float64(scene, ours, rows, scene_checks._segments(rays, rows)).all()
     assert 0 < ours.hit.sum() < ours.hit.size
-    empty = Aovs(
-        {name: np.full_like(ours[name], np.inf if name == "depth" else -1) for name in ours}, ~ours.hit
-    )
+    empty = Aovs({name: np.full_like(ours[name], np.inf if name == "depth" else -1) for name in ours}, ~ours.hit)
     right = scene_checks._within_float64(scene, empty, rows, scene_checks._segments(rays, rows))
     assert np.array_equal(right, ~ours.hit.ravel())
 
@@ -500,9 +492,7 @@ def test_one_other_ray_of_a_fan_fails_routes(monkeypatch, call):
         calls.append(always_fans)
         found = real(*given, always_fans=always_fans)
         values = found.t if call == "find_nearest" else found
-        values[-1:] = (
-            np.where(values[-1:] == 0.0, 1.0, values[-1:] * 0.5) if call == "find_nearest" else ~values[-1:]
-        )
+        values[-1:] = np.where(values[-1:] == 0.0, 1.0, values[-1:] * 0.5) if call == "find_nearest" else ~values[-1:]
         return found if always_fans else real(*given)
 
     monkeypatch.setattr(public_routes, call, other)
@@ -516,9 +506,7 @@ def test_one_other_ray_of_a_fan_fails_routes(monkeypatch, call):
 def test_a_film_that_is_cast_row_by_row_is_compared(monkeypatch):
     """Some of its rows, as `cast` takes them: one other hit of them fails."""
     scene = caster.Scene(
-        camera=larger().camera,
-        film=caster.Film(width=140, height=9),
-        shapes=(caster.Icosphere(subdivisions=2),),
+        camera=larger().camera, film=caster.Film(width=140, height=9), shapes=(caster.Icosphere(subdivisions=2),)
     )
     assert not route_differences(scene)
     real, stored = casting.store_rays, []
@@ -539,9 +527,7 @@ def test_a_fan_without_margins_fails_routes(monkeypatch):
     scene = larger().model_copy(update={"shapes": (caster.Icosphere(subdivisions=2),)})
     assert not route_differences(scene)
     real = ray_tiles.fans_to
-    monkeypatch.setattr(
-        ray_tiles, "fans_to", lambda *given: [fan._replace(slack=-0.1) for fan in real(*given)]
-    )
+    monkeypatch.setattr(ray_tiles, "fans_to", lambda *given: [fan._replace(slack=-0.1) for fan in real(*given)])
     assert {each.route.split("(")[0] for each in route_differences(scene)} >= {"find_nearest"}
 
 

@@ -137,9 +137,7 @@ HIT, MISS = answer_at((7, 2.0)), answer_at(miss=True)
 )
 def test_the_error_of_a_subject_that_names_what_it_hits(answer, prim, t, bound, ratio):
     assert exact_error_ratio(answer, prim, t, bound) == ratio
-    found = ratios_of_named(
-        [answer, None], np.array([prim, prim]), np.array([t, t]), np.array([bound, bound])
-    )
+    found = ratios_of_named([answer, None], np.array([prim, prim]), np.array([t, t]), np.array([bound, bound]))
     assert found.best.tolist() == [ratio, INF] and found.of_first.tolist() == [ratio <= 1.0, False]
 
 
@@ -147,9 +145,7 @@ def candidate(t, n=None, **more) -> Answer:
     return Answer(np.array(t, float), None if n is None else np.array(n, float), "float64", {}, **more)
 
 
-PACKED = SimpleNamespace(
-    shape_of=lambda prim: prim // 10, index_in_shape=lambda prim: prim % 10, parts=[0] * 3
-)
+PACKED = SimpleNamespace(shape_of=lambda prim: prim // 10, index_in_shape=lambda prim: prim % 10, parts=[0] * 3)
 UP, SIDE = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
 
 
@@ -232,12 +228,9 @@ def test_what_a_subject_claims():
     named = claims_of(replace(given, shape_id=np.array([0, 0, -1, 3]), n=None, hits_only=True), PACKED)
     assert named.shape.tolist() == [0, CLAIMED_MISS, 3, 3] and named.n is NOT_CLAIMED
     assert np.isnan(named.t).tolist() == [True, False, True, True] and named.t[1] == INF
-    assert claims_of(replace(given, shape_id=np.array([2, 0, 1, 0])), PACKED).shape.tolist() == [
-        2,
-        -1,
-        1,
-        0,
-    ] or (CLAIMED_MISS != -1)
+    assert claims_of(replace(given, shape_id=np.array([2, 0, 1, 0])), PACKED).shape.tolist() == [2, -1, 1, 0] or (
+        CLAIMED_MISS != -1
+    )
 
 
 OTHER_TIE = {
@@ -272,9 +265,7 @@ def test_a_claim_is_that_of_another_tie_within_its_bounds_there(monkeypatch, wha
         monkeypatch.setattr(adjudication, "nearest_root", nearest_root)
         asked = []
         model = SimpleNamespace(
-            packed=PACKED,
-            identical=None,
-            intersect=lambda prim, *rest, **more: asked.append(prim.tolist()) or "met",
+            packed=PACKED, identical=None, intersect=lambda prim, *rest, **more: asked.append(prim.tolist()) or "met"
         )
         plain = {"t": t, "shape": 2, "n": SIDE, "sh_n": UP, "p": np.array([exact, 0.0, 0.0])} | change
         rows = {name: np.array([value, value]) for name, value in plain.items()}
@@ -386,9 +377,7 @@ def test_limits_are_just_before_at_and_beyond_the_hit():
     t = rng.uniform(0.5, 2.0, count)
     prim = np.where(np.arange(count) % 5 == 0, -1, 3)
     t[::10], t[1::10] = 0.0, INF
-    rays = RayBatch(
-        np.arange(3.0 * count).reshape(-1, 3), np.ones((count, 3)), np.zeros(count), np.zeros(count)
-    )
+    rays = RayBatch(np.arange(3.0 * count).reshape(-1, 3), np.ones((count, 3)), np.zeros(count), np.zeros(count))
     found = with_limits(rng, rays, NearestHits(t, prim), count)
     row = (found.o[:, 0] / 3).astype(int)
     at = t[row]
@@ -396,9 +385,7 @@ def test_limits_are_just_before_at_and_beyond_the_hit():
     before, after = np.nextafter(at, 0.0), np.nextafter(at, INF)
     starts = {"t": at, "before": before, "after": after, "half": 0.5 * at, "0": 0.0 * at}
     counts = {name: int((found.t_min == value).sum()) for name, value in starts.items()}
-    assert sum(counts.values()) == len(row) and all(
-        len(row) / 8 < n < len(row) / 2.5 for n in counts.values()
-    )
+    assert sum(counts.values()) == len(row) and all(len(row) / 8 < n < len(row) / 2.5 for n in counts.values())
     ends = {"t": at, "before": before, "2t": 2.0 * at, "inf": INF + at}
     shares = {name: (found.t_max == value).mean() for name, value in ends.items()}
     assert sum(shares.values()) == 1.0 and min(shares.values()) > 0.1 and (found.t_max >= found.t_min).all()
@@ -585,12 +572,7 @@ def test_more_than_chance_is_by_hoeffdings_bound():
     """k of j on one side, of m wrong among n: exp(-j KL(k / j || m / n)) times the tries, below 1e-6."""
     assert diagnosis._log_ratio(0.0, 0.5) == 0.0
     assert diagnosis._log_ratio(0.5, 0.25) == pytest.approx(0.5 * np.log(2.0))
-    for k, j, m, n, tried in (
-        (20, 20, 20, 200, 1),
-        (6, 6, 20, 200, 1),
-        (10, 20, 20, 200, 3),
-        (0, 0, 5, 50, 1),
-    ):
+    for k, j, m, n, tried in ((20, 20, 20, 200, 1), (6, 6, 20, 200, 1), (10, 20, 20, 200, 3), (0, 0, 5, 50, 1)):
         p, q = k / max(j, 1), m / n
         kl = sum(a * np.log(a / b) for a, b in ((p, q), (1 - p, 1 - q)) if a > 0.0)
         assert diagnosis._is_significant(k, j, m, n, tried) is bool(tried * np.exp(-j * kl) < 1e-6)
@@ -632,12 +614,7 @@ GOOD, BAD = SceneCheck("good", 1.0, ""), SceneCheck("bad", 1.0000001, "")
     ],
 )
 def test_a_scene_passes_by_evidence_alone(verdict, ok, failing, evidence, excused):
-    assert (verdict.ok, verdict.failing, verdict.evidence, verdict.excused) == (
-        ok,
-        failing,
-        evidence,
-        excused,
-    )
+    assert (verdict.ok, verdict.failing, verdict.evidence, verdict.excused) == (ok, failing, evidence, excused)
     assert verdict.to_dict()["ok"] is ok
 
 
@@ -672,11 +649,7 @@ def test_a_run_passes_where_every_scene_does_or_is_waived(verdict, ok):
 
 def test_a_run_adds_up_its_scenes():
     run = Verdict(
-        (
-            replace(PASSED, adjudicated=3, cases={"8": 2}),
-            replace(EXPECTED, adjudicated=4, cases={"8": 1, "9": 5}),
-        ),
-        2,
+        (replace(PASSED, adjudicated=3, cases={"8": 2}), replace(EXPECTED, adjudicated=4, cases={"8": 1, "9": 5})), 2
     )
     assert run.counts["agree"] == 199 and run.counts["wrong"] == 1 and run.adjudicated == 7
     assert run.cases == {"8": 3, "9": 5} and run.waived == {"expected": 1}
@@ -736,12 +709,7 @@ def test_windows_are_added_up_and_the_worst_of_each_is_kept():
         cases={"8": 1, "9": 1}, failing_by={"depth": 1, "uv": 1}, reproducers=("e",), notes=("n",),
     )  # fmt: skip
     found = merge_windows([one, two])
-    assert (found.pixels, found.hit_pixels, found.counts["agree"], found.counts["wrong"]) == (
-        240,
-        200,
-        198,
-        2,
-    )
+    assert (found.pixels, found.hit_pixels, found.counts["agree"], found.counts["wrong"]) == (240, 200, 198, 2)
     assert found.ratios == {"depth": 0.5, "normal": 0.125} and not found.reference_stored
     assert [(check.name, check.what) for check in found.checks] == [("camera", "nan"), ("more", "")]
     assert [(each.reason, each.x) for each in found.failures[:2]] == [
@@ -753,10 +721,7 @@ def test_windows_are_added_up_and_the_worst_of_each_is_kept():
     assert (found.seconds, found.reference_seconds, found.exact_seconds) == (3.25, 5.0, 0.75)
     assert found.cases == {"8": 3, "9": 1} and found.failing_by == {"depth": 4, "uv": 1}
     assert found.reproducers == ("e", "f") and found.notes == ("n", "m")
-    assert [(each.what, each.pixels, each.of, each.x) for each in found.findings] == [
-        ("x", 6, 12, 0),
-        ("y", 1, 0, 2),
-    ]
+    assert [(each.what, each.pixels, each.of, each.x) for each in found.findings] == [("x", 6, 12, 0), ("y", 1, 0, 2)]
     assert merge_windows([one, replace(two, problem="p")]).problem == "p" and found.problem == ""
 
 

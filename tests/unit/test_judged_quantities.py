@@ -82,9 +82,7 @@ def test_near_grazing_either_face_may_be_the_one_that_is_seen():
         (-1e-9, 1e-8, [True, True, True, False]),
         (-0.5, 1e-8, [False, False, True, False]),
     ):
-        found = diffuse.diffuse_within_float64(
-            scene, hits_at(4, facing, 0.0, sh_error), np.zeros(4, int), values, None
-        )
+        found = diffuse.diffuse_within_float64(scene, hits_at(4, facing, 0.0, sh_error), np.zeros(4, int), values, None)
         assert found.tolist() == expected
     none = lit_scene(shadows=False, ambient=False).model_copy(update={"lights": ()})
     zero = np.zeros((4, 3))
@@ -126,19 +124,13 @@ LIGHT = [
 
 @pytest.mark.parametrize("shadows", [True, False])
 def test_light_is_compared_where_geometry_agrees(monkeypatch, shadows):
-    count = (
-        len(LIGHT) + 3
-    )  # the first is not judged, the last but one has no bound, the last is lit by the other alone
+    count = len(LIGHT) + 3  # the first is not judged, the last but one has no bound, the last is lit by the other alone
     values = {"bright": AMBIENT + POINT + SUN, "dark": AMBIENT + SUN, "other": AMBIENT + 3.0 * SUN}
-    given = np.array(
-        [values["other"], *(values[each[0]] for each in LIGHT), values["other"], values["bright"]]
-    )
+    given = np.array([values["other"], *(values[each[0]] for each in LIGHT), values["other"], values["bright"]])
     visible = np.array([True, *(each[1] for each in LIGHT), True, True])
     flags = np.array([(0, 0, 0, 0), *(each[2] for each in LIGHT), (0, 0, 0, 0), (0, 0, 0, 0)], bool)
     rows = np.arange(1, count)
-    at = intersections([2.0] * count, sh_n=Z)._replace(
-        p_error=np.where(np.arange(count) == count - 2, 9.0, 0.0)
-    )
+    at = intersections([2.0] * count, sh_n=Z)._replace(p_error=np.where(np.arange(count) == count - 2, 9.0, 0.0))
     place = np.arange(count)
 
     def visibility(which, *, theirs):
@@ -160,8 +152,7 @@ def test_light_is_compared_where_geometry_agrees(monkeypatch, shadows):
     monkeypatch.setattr(diffuse.lambert, "reference_visibility", reference)
     monkeypatch.setattr(diffuse.lambert, "our_visibility", ours)
     images = Aovs(
-        {"diffuse": given.reshape(1, count, 3), "shape_id": np.ones((1, count), int)},
-        np.ones((1, count), bool),
+        {"diffuse": given.reshape(1, count, 3), "shape_id": np.ones((1, count), int)}, np.ones((1, count), bool)
     )
     theirs = Aovs(
         {
@@ -172,9 +163,7 @@ def test_light_is_compared_where_geometry_agrees(monkeypatch, shadows):
     )
     unshadowed = np.array([np.tile(POINT, (count, 1)), np.tile(SUN, (count, 1))])
     result = SimpleNamespace(
-        visible=np.array([visible, np.ones(count, bool)]),
-        unshadowed=unshadowed,
-        ambient=np.tile(AMBIENT, (count, 1)),
+        visible=np.array([visible, np.ones(count, bool)]), unshadowed=unshadowed, ambient=np.tile(AMBIENT, (count, 1))
     )
     o = np.zeros((count, 3))
     o[:, 2] = 2.0
@@ -226,16 +215,12 @@ def test_quantities_that_a_subject_lacks(given, lacking):
 
 
 def test_hits_and_failures_are_counted_by_class():
-    judgement = judgement_of(
-        ["agree", "agree", "wrong", "undecided", "tie", "tie"], cases={0: None, 1: 8, 2: 8, 3: 30}
-    )
+    judgement = judgement_of(["agree", "agree", "wrong", "undecided", "tie", "tie"], cases={0: None, 1: 8, 2: 8, 3: 30})
     counts = aggregate.class_counts(judgement, np.array([1, 0, 0, 1, 1, 0], bool))
     assert counts == dict.fromkeys(CLASSES, 0) | {"agree": 1, "wrong": 1, "undecided": 1, "tie": 1}
     assert list(counts) == list(CLASSES)
     assert list(aggregate.defect_counts(judgement).items()) == [("8", 2), ("30", 1), ("unlisted", 1)]
-    some = judgement_of(
-        ["agree", "wrong", "agree"], {"a": [0.25, 9.0, 0.5], "b": [0.125, 0.0, 0.0]}, [0.0, 5.0, 0.75]
-    )
+    some = judgement_of(["agree", "wrong", "agree"], {"a": [0.25, 9.0, 0.5], "b": [0.125, 0.0, 0.0]}, [0.0, 5.0, 0.75])
     assert aggregate.largest_ratios(some) == {"a": 0.5, "b": 0.125, EXACT: 0.75}
     assert aggregate.largest_ratios(judgement_of(["wrong"], {"a": [3.0]})) == {"a": 0.0, EXACT: 0.0}
 
@@ -243,9 +228,7 @@ def test_hits_and_failures_are_counted_by_class():
 def test_the_cameras_shapes_and_primitives_are_counted():
     shapes = [caster.Cube(), caster.Sphere(), caster.Cube(name="b")]
     camera = caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0))
-    found = aggregate.scene_statistics(
-        Scene(film=caster.Film(width=2, height=2), camera=camera, shapes=shapes)
-    )
+    found = aggregate.scene_statistics(Scene(film=caster.Film(width=2, height=2), camera=camera, shapes=shapes))
     assert (found.camera, found.shapes, found.primitives) == ("pinhole", {"cube": 2, "sphere": 1}, 25)
 
 
@@ -273,11 +256,7 @@ def test_failures_are_listed_one_of_each_cause_then_the_worst(monkeypatch, names
     monkeypatch.setattr(aggregate, "MAX_LISTED_FAILURES", 5)
     ratios = {"a": [0.0, 9.0, 2.0, 7.0, 3.0, 8.0, 4.0, 0.0], "b": [0.0, 0.0, 8.5, 0.0, 0.0, 0.0, 0.0, 0.0]}
     judgement = judgement_of(["agree", *["wrong"] * 6, "agree"], ratios)
-    causes = (
-        Cause(NOT_ADJUDICATED, np.array([1, 2, 3])),
-        Cause("one", np.array([4])),
-        Cause("two", np.array([5, 6])),
-    )
+    causes = (Cause(NOT_ADJUDICATED, np.array([1, 2, 3])), Cause("one", np.array([4])), Cause("two", np.array([5, 6])))
     found = aggregate.listed_failures(SimpleNamespace(names_prims=names_prims), judgement, Diagnosis(causes))
     rows = [row for row, _ in found]
     assert rows == [5, 4, 1, 2, 3]
@@ -294,11 +273,7 @@ def test_pixels_fail_under_each_check_that_finds_more_than_it_allows():
         allowed={"a": 0.5},
     )  # fmt: skip
     found = {name: rows.tolist() for name, rows in aggregate.failing_by_check(judgement).items()}
-    assert {name: sorted(rows) for name, rows in found.items()} == {
-        "a": [0, 1, 3, 4, 5],
-        "b": [1],
-        EXACT: [0],
-    }
+    assert {name: sorted(rows) for name, rows in found.items()} == {"a": [0, 1, 3, 4, 5], "b": [1], EXACT: [0]}
     assert [row for row in found["a"] if row != 4] == [1, 0, 3, 5]
     plain = judgement_of(["undecided", "wrong"], {"a": [0.5, 1.0]}, [1.0, 0.0])
     assert {k: v.tolist() for k, v in aggregate.failing_by_check(plain).items()} == {EXACT: [0, 1]}
@@ -311,25 +286,13 @@ def test_pixels_fail_under_each_check_that_finds_more_than_it_allows():
 def test_a_failure_has_its_place_its_check_and_its_words(monkeypatch):
     text = SimpleNamespace(subject="s", reference="r", exact="e")
     monkeypatch.setattr(aggregate, "pixel_answers", lambda judge, judgement, row, check: text)
-    monkeypatch.setattr(
-        aggregate, "full_reason", lambda judge, judgement, diagnosed, row: f"full {diagnosed[row]}"
-    )
-    monkeypatch.setattr(
-        aggregate, "reason", lambda judge, judgement, diagnosed, row: f"plain {diagnosed[row]}"
-    )
-    judgement = judgement_of(
-        ["agree"] * 5 + ["undecided", "wrong"], {"a": [0.0] * 6 + [3.0], "b": [0.0] * 6 + [2.0]}
-    )
+    monkeypatch.setattr(aggregate, "full_reason", lambda judge, judgement, diagnosed, row: f"full {diagnosed[row]}")
+    monkeypatch.setattr(aggregate, "reason", lambda judge, judgement, diagnosed, row: f"plain {diagnosed[row]}")
+    judgement = judgement_of(["agree"] * 5 + ["undecided", "wrong"], {"a": [0.0] * 6 + [3.0], "b": [0.0] * 6 + [2.0]})
     for names, check, ratio, word in ((True, "", 3.0, "full"), (False, "b", 2.0, "plain")):
         judge = SimpleNamespace(scene=SCENE, names_prims=names)
         found = aggregate.failure_at(judge, judgement, {6: "why"}, 6, check)
-        assert (found.x, found.y, found.verdict, found.check, found.ratio) == (
-            4,
-            2,
-            "wrong",
-            check or "a",
-            ratio,
-        )
+        assert (found.x, found.y, found.verdict, found.check, found.ratio) == (4, 2, "wrong", check or "a", ratio)
         assert (found.subject, found.reference, found.exact, found.reason) == ("s", "r", "e", f"{word} why")
 
 
@@ -371,9 +334,7 @@ def test_errors_count_where_both_name_the_same_surface_within_its_bounds(monkeyp
     count = len(table)
 
     def images(n, shape):
-        return Aovs(
-            {"normal": n.reshape(1, count, 3), "shape_id": shape.reshape(1, count)}, np.ones((1, count), bool)
-        )
+        return Aovs({"normal": n.reshape(1, count, 3), "shape_id": shape.reshape(1, count)}, np.ones((1, count), bool))
 
     pair = SimpleNamespace(
         t=np.full(count, 2.0), prim=columns["prim"], subject=images(np.tile(Z, (count, 1)), np.full(count, 4)),
@@ -402,9 +363,7 @@ def test_groups_of_a_kind_are_by_its_roundings_in_the_variant(monkeypatch):
         return key
 
     references = {
-        "a": SimpleNamespace(
-            name="A", rounding_groups=(way(1.0), way(0.0)), rounding_groups_llvm=(way(5.0),)
-        ),
+        "a": SimpleNamespace(name="A", rounding_groups=(way(1.0), way(0.0)), rounding_groups_llvm=(way(5.0),)),
         "b": SimpleNamespace(name="B", rounding_groups=(way(1.0),), rounding_groups_llvm=None),
     }
     monkeypatch.setattr(aggregate, "kind_of", lambda prims: references[prims])
@@ -433,10 +392,7 @@ def test_groups_of_a_kind_are_by_its_roundings_in_the_variant(monkeypatch):
         }
 
     b = [([1004.875], [3.0], [2])]
-    assert found("scalar_rgb") == {
-        "A": [([3.875, 15.875], [0.375, 0.5], [2, 1]), ([0.875], [0.875], [3])],
-        "B": b,
-    }
+    assert found("scalar_rgb") == {"A": [([3.875, 15.875], [0.375, 0.5], [2, 1]), ([0.875], [0.875], [3])], "B": b}
     assert found("llvm_ad_rgb") == {"A": [([15.875, 75.875], [0.375, 0.5], [2, 1])], "B": b}
     # two tied pixels of the second kind, of two: no evidence there
     assert found("scalar_rgb", [3, 4])["B"] == [([], [], [])]
@@ -445,9 +401,7 @@ def test_groups_of_a_kind_are_by_its_roundings_in_the_variant(monkeypatch):
 def test_statistics_of_all_windows():
     def window(k_t, k_normal, **groups):
         sums = {
-            name: tuple(
-                aggregate.group_sums(np.array(keys)[:, None], np.array(errors)) for keys, errors in ways
-            )
+            name: tuple(aggregate.group_sums(np.array(keys)[:, None], np.array(errors)) for keys, errors in ways)
             for name, ways in groups.items()
         }
         return aggregate.PixelErrors(np.array(k_t), np.array(k_normal), sums)
@@ -541,9 +495,7 @@ def test_hits_and_ids_are_the_same_or_not():
 def test_t_is_held_to_its_bound_and_what_it_was_stored_as():
     hit = {"hit": [1, 1, 1, 0, 1]}
     own = {"t": np.full(5, 2.0), "t_error": np.full(5, 0.25), "possible": np.array([1, 1, 0, 0, 1], bool)}
-    found = pairs(
-        hit, {"hit": [1, 1, 1, 1, 0]}, None, own, t=np.array([2.25, 1.0, 2.0, 9.0, 2.5]), t_rounding=0.25
-    )
+    found = pairs(hit, {"hit": [1, 1, 1, 1, 0]}, None, own, t=np.array([2.25, 1.0, 2.0, 9.0, 2.5]), t_rounding=0.25)
     assert ratio_of("surface_ratio", found) == [0.5, 2.0, INF, 0.0, 1.0]
     assert ratio_of("depth_to_named_surface", found) == [0.5, 2.0, INF, 0.0, 0.0]
 
@@ -583,9 +535,7 @@ def test_uv_of_another_face_are_held_to_that_face_wherever_both_hit_and_mitsuba_
     def at(model, other, lines, t, ku, *, ours):
         calls.append((other.tolist(), lines[0][:, 0].tolist(), t.tolist(), ours))
         off = uv[0, : len(other)] + 2.0**-9
-        return SimpleNamespace(
-            uv=np.column_stack([off[:, 0] + other, off[:, 1]]), uv_error=np.full(len(other), 7.0)
-        )
+        return SimpleNamespace(uv=np.column_stack([off[:, 0] + other, off[:, 1]]), uv_error=np.full(len(other), 7.0))
 
     monkeypatch.setattr(classification, "intersections_at", at)
     model = SimpleNamespace(
@@ -627,8 +577,7 @@ def test_allowances_are_of_quantities_with_bounds():
     check_allowances({"depth": None, "uv": None})
     for name in ("mask", "shape_id", "nonsense"):
         with pytest.raises(
-            SceneError,
-            match=rf"^check\.{name}: is compared exactly or not at all; there are bounds of depth, ",
+            SceneError, match=rf"^check\.{name}: is compared exactly or not at all; there are bounds of depth, "
         ):
             check_allowances({"depth": None, name: None})
 
@@ -648,10 +597,7 @@ def test_images_of_an_answer_count_depth_from_the_eye():
     answer = Answer(np.array([3.0, INF]), n, "float64", {}, shape_id=np.array([4, 5]))
     found = _images_of(answer, rays, (2, 1))
     assert found["depth"].tolist() == [[7.0], [INF]] and found.hit.tolist() == [[True], [False]]
-    assert found["normal"].tolist() == n.reshape(2, 1, 3).tolist() and found["shape_id"].tolist() == [
-        [4],
-        [5],
-    ]
+    assert found["normal"].tolist() == n.reshape(2, 1, 3).tolist() and found["shape_id"].tolist() == [[4], [5]]
     assert set(found) == {"depth", "normal", "shape_id"}
     marked = {NOT_FINITE: np.array([True, False])}
     broken = replace(answer, shape_id=None, prim_id=np.array([7, 8]), broken=marked)
@@ -660,9 +606,7 @@ def test_images_of_an_answer_count_depth_from_the_eye():
     assert found["prim_id"].tolist() == [[7, 8]] and set(found) == {"depth", "normal", "prim_id"}
     assert set(_images_of(Answer(answer.t, None, "float64", {}), rays, (1, 2))) == {"depth"}
     pair = ImagePair(rays, answer, found, None, SimpleNamespace(hit=np.array([False, False])))
-    assert (
-        pair.any_hit.tolist() == [True, False] and pair.shape == (1, 2) and pair.length.tolist() == [2.0, 5.0]
-    )
+    assert pair.any_hit.tolist() == [True, False] and pair.shape == (1, 2) and pair.length.tolist() == [2.0, 5.0]
     pair.result.hit[1] = True
     assert pair.any_hit.all()
 
@@ -687,16 +631,9 @@ def test_what_is_allowed_is_a_share_of_the_bound():
 
     ratios = {"a": np.array([0.5, 0.51, 0.2, NAN]), "b": np.array([1.0, 0.0, 1.1, 0.0])}
     found = Comparison(ratios, {"a": 0.5, "b": 1.0})
-    assert found.agrees.tolist() == [True, False, False, False] and found.derived.tolist() == [
-        True,
-        True,
-        False,
-        False,
-    ]
+    assert found.agrees.tolist() == [True, False, False, False] and found.derived.tolist() == [True, True, False, False]
     hit = {"hit": [1, 0], "shape_id": [1, -1]}
-    given = pairs(
-        hit, {"hit": [1, 1], "shape_id": [2, 1]}, prim=None, hits_only=True, n=None, shape_id=1, prim_id=None
-    )
+    given = pairs(hit, {"hit": [1, 1], "shape_id": [2, 1]}, prim=None, hits_only=True, n=None, shape_id=1, prim_id=None)
     found = compare(given, {"diffuse": SimpleNamespace(ratio=0.25), "other": SimpleNamespace(ratio=9.0)})
     assert found.allowed == {"mask": 1.0, "shape_id": 1.0, "diffuse": 0.25}
     assert {name: ratio.tolist() for name, ratio in found.ratios.items()} == {
@@ -718,9 +655,7 @@ def test_normals_and_positions_are_held_to_the_surface_that_is_named():
 def test_self_checks_hold_what_float64_resolves():
     from mitsuba_ref.judge.comparison import fails_self_check, self_checks
 
-    images = {name: [[0.5, 0, 0]] * 4 for name in ("normal", "shading_normal", "position")} | {
-        "hit": [1, 1, 1, 0]
-    }
+    images = {name: [[0.5, 0, 0]] * 4 for name in ("normal", "shading_normal", "position")} | {"hit": [1, 1, 1, 0]}
     zero = np.zeros((4, 3))
     own = {
         "n": zero, "sh_n": zero + np.array([0.25, 0, 0]), "n_error": np.full(4, 0.5), "sh_error": np.full(4, 0.125),

@@ -317,9 +317,7 @@ def test_object_code_that_does_not_fit_is_compiled_anew(tree, tmp_path, spoil):
     """Each kernel, and with the same answers, which the program checks."""
     spoil(tree)
     done = run(tmp_path / "home", "-c", SMALL, tree=tree)
-    assert done.returncode == 0 and done.stdout.endswith("compiled 3 loaded 0 True\n"), (
-        done.stdout + done.stderr
-    )
+    assert done.returncode == 0 and done.stdout.endswith("compiled 3 loaded 0 True\n"), done.stdout + done.stderr
 
 
 def test_the_owner_of_the_program_may_own_its_object_code(tmp_path, monkeypatch):

@@ -48,10 +48,7 @@ def test_many_rays_hit_edges_rims_and_tangents_of_every_shape():
     ("spoil", "words"),
     [
         (lambda hits: hits._replace(t=np.nextafter(hits.t, np.inf) * (1.0 + 1e-9)), "off"),
-        (
-            lambda hits: hits._replace(prim=np.full_like(hits.prim, -1), t=np.full_like(hits.t, np.inf)),
-            "ours misses",
-        ),
+        (lambda hits: hits._replace(prim=np.full_like(hits.prim, -1), t=np.full_like(hits.t, np.inf)), "ours misses"),
         (lambda hits: hits._replace(prim=np.where(hits.prim == 2, 3, hits.prim)), "ours hits primitive 3"),
         (lambda hits: hits._replace(t=np.where(hits.prim == 1, np.nan, hits.t)), "nan off"),
     ],

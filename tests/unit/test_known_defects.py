@@ -15,21 +15,7 @@ from mitsuba_ref.shapes.triangle_meshes import has_area
 
 INSIDE = frozenset({"inside"})
 ORDINARY = DefectFeatures(
-    "Triangles",
-    "Triangles",
-    INSIDE,
-    frozenset(),
-    4.2,
-    False,
-    0.7,
-    False,
-    False,
-    0.3,
-    5.0,
-    3.0,
-    1.0,
-    1.0,
-    True,
+    "Triangles", "Triangles", INSIDE, frozenset(), 4.2, False, 0.7, False, False, 0.3, 5.0, 3.0, 1.0, 1.0, True
 )
 FAR, EDGE_ON, ALONG = (
     2.0 * defect_conditions.FAR_IN_SIZES,

@@ -19,10 +19,7 @@ LIGHTS = [
     {"type": "ambient", "radiance": [0.1, 0.2, 0.3]},
     {"type": "ambient", "radiance": [0.01, 0.0, 0.02]},
 ]
-MATERIALS = {
-    "one": {"reflectance": [0.5, 0.25, 0.75]},
-    "both": {"reflectance": [0.2, 0.9, 0.4], "two_sided": True},
-}
+MATERIALS = {"one": {"reflectance": [0.5, 0.25, 0.75]}, "both": {"reflectance": [0.2, 0.9, 0.4], "two_sided": True}}
 SCENE = Scene(
     camera={"type": "pinhole", "eye": [0, 0, 9], "look_at": [0, 0, 0], "up": [0, 1, 0]},
     lights=LIGHTS,
@@ -38,14 +35,10 @@ def units(rng: np.random.Generator) -> np.ndarray:
     return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
-def hits(
-    rng: np.random.Generator, p: Any, d: Any, sh_n: Any, p_error: float, sh_error: float
-) -> ShadingPoints:
+def hits(rng: np.random.Generator, p: Any, d: Any, sh_n: Any, p_error: float, sh_error: float) -> ShadingPoints:
     flat, none = np.zeros(COUNT), np.zeros(COUNT, bool)
     errors = np.full(COUNT, sh_error)
-    at = Intersections(
-        flat, flat, sh_n, errors, sh_n, errors, ~none, ~none, np.full(COUNT, p_error), sh_n, flat
-    )
+    at = Intersections(flat, flat, sh_n, errors, sh_n, errors, ~none, ~none, np.full(COUNT, p_error), sh_n, flat)
     return ShadingPoints(p, d, np.arange(COUNT) % 2, at)
 
 
@@ -95,9 +88,7 @@ def test_the_bound_holds_for_points_and_normals_that_are_off_by_theirs(light, er
     for _ in range(10):
         n = hit.at.sh_n + error * units(rng)
         moved = hits(rng, hit.p + error * units(rng), hit.d, n, 0.0, 0.0)
-        change = np.abs(
-            light_contribution(SHAPE_MATERIALS, SCENE.lights[light], moved, KU).radiance - found.radiance
-        )
+        change = np.abs(light_contribution(SHAPE_MATERIALS, SCENE.lights[light], moved, KU).radiance - found.radiance)
         sure = ~found.doubtful  # where either side may be seen, the judge tries both
         with np.errstate(invalid="ignore"):
             share = np.where(change[sure] == 0.0, 0.0, change[sure] / found.error[sure]).max(axis=1)
@@ -158,13 +149,7 @@ def test_the_bound_is_the_stated_one_on_either_side_of_the_surface(light, sh_err
     [
         ((1.0, 0.0, -0.25 - KU), (-1.0, 0.0, 0.0), 0.0, 0.25 + KU, False),  # behind by exactly its error
         ((1.0, 0.0, -0.25 - 2.0 * KU), (-1.0, 0.0, 0.0), 0.0, 0.0, False),
-        (
-            (0.25 + KU, 0.0, -1.0),
-            (-1.0, 0.0, 0.0),
-            0.0,
-            0.25 + KU,
-            True,
-        ),  # from the side by exactly its error
+        ((0.25 + KU, 0.0, -1.0), (-1.0, 0.0, 0.0), 0.0, 0.25 + KU, True),  # from the side by exactly its error
         ((0.25 + 2.0 * KU, 0.0, -1.0), (-1.0, 0.0, 0.0), 0.0, 0.0, False),
         ((0.0, 0.0, 1.0), (0.0, 0.0, -1.0), 0.25, math.inf, False),  # its direction is off by 1/2
         ((0.0, 0.0, 1.0), (0.0, 0.0, -1.0), 0.125, (1.5 + KU) / 0.5625 - 1.0 + KU, False),
@@ -174,12 +159,7 @@ def test_the_bound_at_its_limits(n, d, p_error, error, doubtful):
     """A light of flux pi at a distance of 1, above; sh_error is 1/4."""
     light = SCENE.lights[0].model_copy(update={"position": (0.0, 0.0, 1.0), "intensity": (math.pi,) * 3})
     hit = hits(
-        np.random.default_rng(0),
-        np.zeros((COUNT, 3)),
-        np.tile(d, (COUNT, 1)),
-        np.tile(n, (COUNT, 1)),
-        p_error,
-        0.25,
+        np.random.default_rng(0), np.zeros((COUNT, 3)), np.tile(d, (COUNT, 1)), np.tile(n, (COUNT, 1)), p_error, 0.25
     )
     found = light_contribution(lambert.Materials(np.ones((2, 3)), np.zeros(2, bool)), light, hit, KU)
     assert np.all(found.error == pytest.approx(error, rel=1e-14)) and (found.doubtful == doubtful).all()

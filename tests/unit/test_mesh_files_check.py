@@ -48,11 +48,7 @@ def ply(encoding, polygons=POLYGONS, name="vertex_indices", newline="\n") -> byt
         return head + (newline.join(rows) + newline).encode()
     order = "<" if "little" in encoding else ">"
     body = bytes([3, 4]) + b"".join(struct.pack(f"{order}dhdd", x, -7, y, z) for x, y, z in POINTS)
-    return (
-        head
-        + body
-        + b"".join(struct.pack(f"{order}B{len(each)}iB", len(each), *each, 9) for each in polygons)
-    )
+    return head + body + b"".join(struct.pack(f"{order}B{len(each)}iB", len(each), *each, 9) for each in polygons)
 
 
 def stl_binary() -> bytes:
@@ -174,9 +170,7 @@ def smooth(tmp_path):
     path = tmp_path / "smooth.obj"
     path.write_text("\n".join(lines) + "\n")
     mesh = load_mesh(path)
-    corners, normals, uv = (
-        values[mesh.faces].astype(np.float32) for values in (mesh.vertices, mesh.normals, mesh.uv)
-    )
+    corners, normals, uv = (values[mesh.faces].astype(np.float32) for values in (mesh.vertices, mesh.normals, mesh.uv))
     return path, LoadedMesh(corners.astype(float), normals.astype(float), uv.astype(float))
 
 
@@ -227,12 +221,7 @@ def test_where_float64_lies_between_two_float32_either_is_right(tmp_path):
     path.write_text(f"v {middle!r} 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\n")
     corners = np.array([[[1.0, 0, 0], [0, 1, 0], [0, 0, 1]]])
     nothing = np.zeros((1, 3, 3)), np.zeros((1, 3, 2))
-    for value, right in (
-        (1.0, True),
-        (1.0 + 2.0**-23, True),
-        (1.0 + 2.0**-22, False),
-        (1.0 - 2.0**-24, False),
-    ):
+    for value, right in ((1.0, True), (1.0 + 2.0**-23, True), (1.0 + 2.0**-22, False), (1.0 - 2.0**-24, False)):
         corners[0, 0, 0] = value
         assert verdict(path, LoadedMesh(corners.copy(), *nothing)).ok is right
 
@@ -368,9 +357,7 @@ def test_all_normals_and_uv_of_a_file_are_there_and_no_others(mixed, smooth):
 def test_normals_generated_where_faces_are_not_finite_or_cancel_are_no_failure(tmp_path):
     """Two faces back to back, whose normals cancel; one with a corner at infinity, which has no part in any normal."""
     path = tmp_path / "back.obj"
-    path.write_text(
-        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv inf 0 1\nv 9e99 1 1\nvn 0 0 1\nf 1 2 3//1\nf 1 3 2\nf 1//1 2 4\n"
-    )
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv inf 0 1\nv 9e99 1 1\nvn 0 0 1\nf 1 2 3//1\nf 1 3 2\nf 1//1 2 4\n")
     mesh, plain = load_mesh(path), read_plainly(path)
     found = mesh_files._where_there_is_none(mesh, plain)
     assert found["generated normals"] == 0.0 and np.isfinite(mesh.normals).all()

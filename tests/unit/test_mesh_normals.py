@@ -55,9 +55,7 @@ def test_three_right_angles_at_a_corner_weigh_alike():
 def test_normals_are_weighted_by_angle_not_by_area():
     """The face in z = 0 has the larger area at vertex 0, the upright one the larger angle."""
     narrow, wide = math.radians(30), math.radians(90)
-    vertices = np.array(
-        [(0, 0, 0), (9, 0, 0), (9 * math.cos(narrow), 9 * math.sin(narrow), 0), (0, 0, 0.1)], float
-    )
+    vertices = np.array([(0, 0, 0), (9, 0, 0), (9 * math.cos(narrow), 9 * math.sin(narrow), 0), (0, 0, 0.1)], float)
     normal = vertex_normals(vertices, np.array([(0, 1, 2), (0, 3, 1)], np.int32))[0]
     expected = np.array([0, wide, narrow]) / math.hypot(wide, narrow)
     assert np.abs(normal - expected).max() <= ROUNDING
@@ -97,9 +95,7 @@ def test_a_degenerate_face_adds_nothing():
 
 
 def test_unit_rows_keeps_zeros_and_spans_all_magnitudes():
-    rows = normalize_rows(
-        np.array([(0, 0, 0), (3e300, 4e300, 0), (0, 3e-320, 4e-320), (0, 0, -5e-324)], float)
-    )
+    rows = normalize_rows(np.array([(0, 0, 0), (3e300, 4e300, 0), (0, 3e-320, 4e-320), (0, 0, -5e-324)], float))
     # 3e-320 has 13 bits only: its direction is off by 2^-13
     assert np.abs(rows - [(0, 0, 0), (0.6, 0.8, 0), (0, 0.6, 0.8), (0, 0, -1)]).max() <= 2.0**-12
     assert np.abs(np.linalg.norm(rows[1:], axis=1) - 1).max() <= ROUNDING
@@ -124,10 +120,7 @@ def test_degenerate_faces_are_accepted():
         ({"normals": CORNER}, r"normal of vertex 0 .*\(0, 0, 0\)"),
         ({"normals": np.full((4, 3), math.nan)}, "normal of vertex 0 .*nan"),
         ({"normals": one_changed(np.ones((4, 3)), (2, 1), math.nan)}, r"normal of vertex 2 .*\(1, nan, 1\)"),
-        (
-            {"normals": one_changed(np.ones((4, 3)), (3, 0), -math.inf)},
-            r"normal of vertex 3 .*\(-inf, 1, 1\)",
-        ),
+        ({"normals": one_changed(np.ones((4, 3)), (3, 0), -math.inf)}, r"normal of vertex 3 .*\(-inf, 1, 1\)"),
         ({"normals": np.ones((3, 3))}, r"normals must be one per vertex \(4\), got 3"),
         ({"uv": np.full((4, 2), math.inf)}, "uv of vertex 0 .*inf"),
         ({"uv": one_changed(np.ones((4, 2)), (1, 1), math.nan)}, r"uv of vertex 1 .*\(1, nan\)"),

@@ -229,9 +229,7 @@ def test_a_binary_stl_file_has_84_bytes_and_50_for_each_facet_and_a_text_any_num
     assert len(binary) == size
     _check_stl_size(binary, "x.stl")
     for wrong in (binary[:-1], binary + b"\0"):
-        with pytest.raises(
-            SceneError, match=rf"^x.stl: binary STL: expected {size} bytes, .* got {len(wrong)};"
-        ):
+        with pytest.raises(SceneError, match=rf"^x.stl: binary STL: expected {size} bytes, .* got {len(wrong)};"):
             _check_stl_size(wrong, "x.stl")
     _check_stl_size(b"solid a\n" + b"facet normal 0 0 1\n" * facets + b"facet", "x.stl")
 
@@ -244,9 +242,7 @@ def test_a_stl_file_is_loaded_after_its_size_is_checked(tmp_path):
         load_mesh(path)
 
 
-@pytest.mark.parametrize(
-    ("name", "data"), [("x.off", b"OFF\n3 0 0\n0 0 0\n1 0 0\n0 1 0\n"), ("x.stl", bytes(84))]
-)
+@pytest.mark.parametrize(("name", "data"), [("x.off", b"OFF\n3 0 0\n0 0 0\n1 0 0\n0 1 0\n"), ("x.stl", bytes(84))])
 def test_a_file_of_another_format_that_has_no_faces_is_refused(tmp_path, name, data):
     pytest.importorskip("trimesh")
     path = tmp_path / name

@@ -44,9 +44,7 @@ def number(draw: random.Random) -> str:
     if kind == 4:  # a float64 of 53 bits and half a step: 2^53 + odd
         return f"{2**53 + 2 * draw.randrange(10**6) + 1}{draw.choice(['', '.0', 'E0', '.00000001'])}"
     if kind == 5:
-        return draw.choice(
-            ["0", "-0", "-0.0", "1.", ".5", "-.25e1", "1e400", "5e-324", "0e999999999999", "00012.5"]
-        )
+        return draw.choice(["0", "-0", "-0.0", "1.", ".5", "-.25e1", "1e400", "5e-324", "0e999999999999", "00012.5"])
     return f"{draw.uniform(-1, 1):.9g}"
 
 
@@ -152,9 +150,7 @@ def test_what_is_not_plain_is_left_to_the_slow_reader(spoilt):
     assert read_plain_obj(good + spoilt + b"\n" + good) is None
 
 
-@pytest.mark.parametrize(
-    "corner", [b"/1", b"//1", b"/1/1", b"/", b"1/", b"1/1/", b"1//", b"1///1", b"1/1/1/"]
-)
+@pytest.mark.parametrize("corner", [b"/1", b"//1", b"/1/1", b"/", b"1/", b"1/1/", b"1//", b"1///1", b"1/1/1/"])
 def test_a_corner_without_one_of_its_numbers_is_left_to_the_slow_reader(corner):
     tables = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\n"
     assert read_plain_obj(tables + b"f 1/1/1 2//1 3/1\n") is not None
@@ -201,15 +197,7 @@ def outcome(data: bytes) -> object:
 
 @pytest.mark.parametrize(
     ("text", "end"),
-    [
-        ("v 1", 1),
-        ("vt\n", 2),
-        ("usemtl a", 6),
-        ("seven77 ", 7),
-        ("eightlet ", PARSE_FAILED),
-        ("v#", 1),
-        ("#", 0),
-    ],
+    [("v 1", 1), ("vt\n", 2), ("usemtl a", 6), ("seven77 ", 7), ("eightlet ", PARSE_FAILED), ("v#", 1), ("#", 0)],
 )
 def test_a_keyword_is_read_up_to_seven_letters(text, end):
     code, found = read_keyword(np.frombuffer((text + "\n\n").encode(), np.uint8), 0)

@@ -311,8 +311,6 @@ def test_of_normals_that_are_not_finite_the_first_is_named(load):
     head = ["ply", "format ascii 1.0", "element vertex 4", *(f"property float {name}" for name in names)]
     head += ["element face 1", "property list uchar int vertex_indices", "end_header"]
     rows = ["0 0 0 0 0 1", "1 0 0 0 nan 2", "1 1 0 3 0 1", "0 1 0 inf 5 1", "3 0 1 2"]
-    with pytest.raises(
-        SceneError, match=r"nx, ny, nz of vertex 1 must be finite numbers, got .*nan.*2"
-    ) as error:
+    with pytest.raises(SceneError, match=r"nx, ny, nz of vertex 1 must be finite numbers, got .*nan.*2") as error:
         load("\n".join([*head, *rows]).encode())
     assert "inf" not in str(error.value)

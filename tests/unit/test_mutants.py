@@ -39,9 +39,7 @@ from caster.module import largest
 def test_largest():
     assert (largest(1, 2), largest(2, 1), largest(3, 3)) == (2, 2, 3)
 """
-EMPTY = ASSERTING.replace(
-    "assert (largest(1, 2), largest(2, 1), largest(3, 3)) == (2, 2, 3)", "largest(1, 2)"
-)
+EMPTY = ASSERTING.replace("assert (largest(1, 2), largest(2, 1), largest(3, 3)) == (2, 2, 3)", "largest(1, 2)")
 
 
 def test_each_operator_makes_its_edits_and_no_others():

@@ -16,9 +16,7 @@ from mitsuba_ref.report.html_report import MAX_PIXELS_WITH_IMAGES, HtmlReport
 from mitsuba_ref.report.output_manifest import IMAGES, MANIFEST, OutputManifest, files_of
 from mitsuba_ref.runner import many_scenes
 
-SCENE = (
-    '# {name}\n[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n[[shape]]\ntype = "sphere"\n'
-)
+SCENE = '# {name}\n[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n[[shape]]\ntype = "sphere"\n'
 REMOVED = "files that an earlier run wrote and this one did not"
 
 
@@ -179,10 +177,7 @@ def test_a_file_that_cannot_be_removed_is_an_output_error(judged, monkeypatch, c
 
     monkeypatch.setattr(Path, "unlink", unlink)
     assert judged() == OutputError.exit_code
-    assert (
-        "out/a.ours.exr: cannot remove what an earlier run wrote: Permission denied"
-        in capsys.readouterr().err
-    )
+    assert "out/a.ours.exr: cannot remove what an earlier run wrote: Permission denied" in capsys.readouterr().err
 
 
 KILLED = """
@@ -207,10 +202,7 @@ def test_a_run_that_is_killed_while_it_writes_leaves_no_half_image_under_its_nam
 
 def test_a_folder_whose_list_cannot_be_written_is_stated_before_any_work(judged, capsys):
     Path(f"out/{MANIFEST}").mkdir(parents=True)
-    assert (
-        judged() == OutputError.exit_code
-        and f"out/{MANIFEST}: expected a file to write" in capsys.readouterr().err
-    )
+    assert judged() == OutputError.exit_code and f"out/{MANIFEST}: expected a file to write" in capsys.readouterr().err
 
 
 # ---- --html ----
@@ -280,16 +272,11 @@ def test_data_of_another_verdict_are_not_those_of_a_kept_scene(tmp_path, report,
 def test_one_file_has_no_data_to_keep_and_huge_films_have_none_at_all(tmp_path):
     kept = replace(made("a", inputs="same"), kept=True)
     one = HtmlReport(tmp_path / "r.html", 1)
-    assert one.holds(kept) and HtmlReport(tmp_path / "page", 1).holds(
-        replace(kept, pixels=MAX_PIXELS_WITH_IMAGES + 1)
-    )
+    assert one.holds(kept) and HtmlReport(tmp_path / "page", 1).holds(replace(kept, pixels=MAX_PIXELS_WITH_IMAGES + 1))
     one.close()
 
 
 def test_resume_judges_a_scene_anew_whose_page_is_not_there(judged, tmp_path, capsys):
     judged()
     assert judged("--resume", "--html", "page") == 0 and "kept" not in capsys.readouterr().out
-    assert (
-        judged("--resume", "--html", "page.html") == 0
-        and "3 scenes were not judged" in capsys.readouterr().out
-    )
+    assert judged("--resume", "--html", "page.html") == 0 and "3 scenes were not judged" in capsys.readouterr().out

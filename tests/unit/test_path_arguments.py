@@ -22,10 +22,7 @@ from caster.system.atomic_files import OutputError, ScratchFolder, atomic_write,
 from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
 from mitsuba_ref.cli.options import html_output
 
-PROGRAMS = {
-    "caster": (caster.__main__.main, COMMANDS),
-    "mitsuba-ref": (mitsuba_ref.__main__.main, JUDGE_COMMANDS),
-}
+PROGRAMS = {"caster": (caster.__main__.main, COMMANDS), "mitsuba-ref": (mitsuba_ref.__main__.main, JUDGE_COMMANDS)}
 OUTPUT_TYPES = (OutputFile, output_file_unless_number, html_output)
 NUMBERS = {int, float}
 
@@ -87,9 +84,7 @@ def test_every_option_declares_whether_it_names_a_path(program, name, parser):
         assert action.type is not None, (
             f"{program} {name} {action.dest}: expected type=InputPath, OutputFile, ... or str"
         )
-        path_like = any(
-            mark in str(action.metavar) for mark in ("FILE", "DIR", "PATH", "PNG", "IMAGE", ".exr")
-        )
+        path_like = any(mark in str(action.metavar) for mark in ("FILE", "DIR", "PATH", "PNG", "IMAGE", ".exr"))
         if path_like:
             assert action.type in (InputPath, OutputFolder, *OUTPUT_TYPES), f"{program} {name} {action.dest}"
 
@@ -128,9 +123,7 @@ def test_a_mesh_of_the_scene_is_no_output(tmp_path, capsys):
         "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
     )
     before = mesh.read_bytes()
-    scene = (
-        '[film]\nwidth = 4\nheight = 4\n[camera]\ntype = "pinhole"\neye = [0, 0, 3]\nlook_at = [0, 0, 0]\n'
-    )
+    scene = '[film]\nwidth = 4\nheight = 4\n[camera]\ntype = "pinhole"\neye = [0, 0, 3]\nlook_at = [0, 0, 0]\n'
     (tmp_path / "s.toml").write_text(scene + '[[shape]]\ntype = "mesh"\nfile = "a.ply"\n')
     os.link(mesh, tmp_path / "s.exr")
     argv = ["render", str(tmp_path / "s.toml"), "-o", str(tmp_path / "s.exr"), "--aov", "depth"]

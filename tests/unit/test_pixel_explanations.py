@@ -50,12 +50,7 @@ def judgement_of(*classes, ratios=None, right=(), answered=None, cases=None, all
     given = {"depth": np.zeros(count), EXACT: np.zeros(count)} | (ratios or {})
     codes = np.array([CLASS_CODE[name] for name in classes])
     return Judgement(
-        codes,
-        {name: np.asarray(each, float) for name, each in given.items()},
-        allowed or {},
-        exact,
-        cases or {},
-        0.0,
+        codes, {name: np.asarray(each, float) for name, each in given.items()}, allowed or {}, exact, cases or {}, 0.0
     )
 
 
@@ -72,52 +67,17 @@ def subject(*, ours: bool, precision="float64") -> SimpleNamespace:
     ("ours", "name", "right", "words"),
     [
         (True, "agree", True, "every quantity is within its bound"),
-        (
-            True,
-            "explained",
-            True,
-            "ours is exactly right, and rounding in float32 allows Mitsuba's answer, too",
-        ),
+        (True, "explained", True, "ours is exactly right, and rounding in float32 allows Mitsuba's answer, too"),
         (True, "tie", True, "ours is the first of them, Mitsuba's is another"),
         (True, "out_of_domain", True, "ours is exactly right; float32 cannot resolve this pixel"),
-        (
-            True,
-            "reference_wrong",
-            True,
-            "ours is right, and Mitsuba's answer is beyond what float32 allows; case 8: ",
-        ),
+        (True, "reference_wrong", True, "ours is right, and Mitsuba's answer is beyond what float32 allows; case 8: "),
         (False, "agree", True, "within the bounds of the candidate's arithmetic"),
         (False, "tie", True, "any of them is a right answer"),
-        (
-            False,
-            "reference_wrong",
-            True,
-            "the candidate is right, and Mitsuba's answer is beyond what float32",
-        ),
-        (
-            False,
-            "explained",
-            True,
-            "the candidate is exactly right, and rounding in float32 allows Mitsuba's",
-        ),
-        (
-            False,
-            "explained",
-            False,
-            "rounding in float16 allows the candidate's answer, which is not the exact one",
-        ),
-        (
-            False,
-            "out_of_domain",
-            True,
-            "the candidate is exactly right; float32, in which Mitsuba computes, cannot",
-        ),
-        (
-            False,
-            "out_of_domain",
-            False,
-            "float16, in which the candidate computes, cannot resolve this pixel",
-        ),
+        (False, "reference_wrong", True, "the candidate is right, and Mitsuba's answer is beyond what float32"),
+        (False, "explained", True, "the candidate is exactly right, and rounding in float32 allows Mitsuba's"),
+        (False, "explained", False, "rounding in float16 allows the candidate's answer, which is not the exact one"),
+        (False, "out_of_domain", True, "the candidate is exactly right; float32, in which Mitsuba computes, cannot"),
+        (False, "out_of_domain", False, "float16, in which the candidate computes, cannot resolve this pixel"),
     ],
 )
 def test_every_class_has_its_reason(ours, name, right, words):
@@ -153,12 +113,8 @@ def test_why_a_pixel_is_undecided(words):
 def test_the_larger_error_of_both_sides_is_said():
     judge = subject(ours=True)
     judge.self_checks = (
-        SelfCheck(
-            "depth", np.array([6.0, 1.0, 6.0]), np.array([2.0, 2.0, 0.0]), np.array([True, True, True])
-        ),
-        SelfCheck(
-            "normal", np.array([np.nan, 9.0, 0.0]), np.array([2.0, 3.0, 1.0]), np.array([True, False, True])
-        ),
+        SelfCheck("depth", np.array([6.0, 1.0, 6.0]), np.array([2.0, 2.0, 0.0]), np.array([True, True, True])),
+        SelfCheck("normal", np.array([np.nan, 9.0, 0.0]), np.array([2.0, 3.0, 1.0]), np.array([True, False, True])),
     )
     judgement = judgement_of(
         "wrong", "wrong", "wrong", ratios={"depth": [0.5, 0.75, 7.0], "normal": [0.25, 0.125, 0.0]}
@@ -183,8 +139,7 @@ def assert_said(ours, theirs, name, resolved, ray, answered):
         bounds=SimpleNamespace(own=SimpleNamespace(t_error=np.array([1.0 if resolved else INF]))),
     )  # fmt: skip
     zero = {
-        each: [0.0]
-        for each in ("depth", "position", "normal", "shading_normal", "uv", "on_surface", "diffuse", EXACT)
+        each: [0.0] for each in ("depth", "position", "normal", "shading_normal", "uv", "on_surface", "diffuse", EXACT)
     }
     judgement = judgement_of(name, ratios=zero, answered=[0] if answered else [])
     found = not_judged(judge, judgement, 0)
@@ -195,9 +150,7 @@ def assert_said(ours, theirs, name, resolved, ray, answered):
         why = "nothing is hit" if ours == theirs else "ours alone hits" if ours else "Mitsuba alone hits"
         assert {found[each] for each in compared} == {why}
     assert found.get("on_surface") == (None if ours else "ours hits nothing")
-    assert found.get(EXACT) == (
-        None if answered else "exact arithmetic gave no answer" if ray else "there is no ray"
-    )
+    assert found.get(EXACT) == (None if answered else "exact arithmetic gave no answer" if ray else "there is no ray")
     light = found.get("diffuse", "")
     if not ours:
         assert light == "ours hits nothing"
@@ -206,9 +159,7 @@ def assert_said(ours, theirs, name, resolved, ray, answered):
     elif name in ("wrong", "undecided"):
         assert light == f"what is hit, or where, is {name} already"
     else:
-        expected = (
-            "it is what float64 gives on ours" if resolved else "float64 does not resolve where the hit is"
-        )
+        expected = "it is what float64 gives on ours" if resolved else "float64 does not resolve where the hit is"
         assert expected in light
     # what has a ratio was compared, whatever else was not
     known = judgement_of(name, ratios=zero | {"depth": [0.25], "diffuse": [INF]}, answered=[])
@@ -233,9 +184,7 @@ def test_exact_answers_on_one_line():
     assert format_exact(SCENE, PACKED, exact(12)) == "mesh, prim 2 (edge) at t 1.5 0x1.8000000000000p+0"
     two = "ball, prim 3 (edge) = mesh, prim 2 (edge)"
     assert format_exact_hit(SCENE, PACKED, exact(3, 12, flags=["x"])) == f"{two} (x on the way)"
-    assert format_exact(SCENE, PACKED, exact(3, 12, flags=["x"])).endswith(
-        "x1.8000000000000p+0 (x on the way)"
-    )
+    assert format_exact(SCENE, PACKED, exact(3, 12, flags=["x"])).endswith("x1.8000000000000p+0 (x on the way)")
     six = format_exact_hit(SCENE, PACKED, exact(*range(6)))
     assert six.count(" = ") == 5 and "more" not in six
     eight = format_exact_hit(SCENE, PACKED, exact(*range(8)))

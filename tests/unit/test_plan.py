@@ -74,21 +74,14 @@ def test_shadow_rays_are_those_of_hits_that_face_the_light():
         facing += int(((n * to_light).sum(axis=1) > 0.0).sum())
     what = told(a_scene, "diffuse")
     assert what["shadow_rays"]["cast"] == facing > 200
-    assert what["shading"] == {
-        "runs": True,
-        "reason": "diffuse was requested, and 2 lights come from somewhere",
-    }
+    assert what["shading"] == {"runs": True, "reason": "diffuse was requested, and 2 lights come from somewhere"}
 
 
 @pytest.mark.parametrize(
     ("a_scene", "aovs", "reason"),
     [
         (scene(lights=[LAMP]), ("depth",), "diffuse was not requested"),
-        (
-            scene(lights=[Ambient(radiance=(1, 1, 1))]),
-            ("diffuse",),
-            "no light of the scene comes from anywhere",
-        ),
+        (scene(lights=[Ambient(radiance=(1, 1, 1))]), ("diffuse",), "no light of the scene comes from anywhere"),
         (scene(lights=[LAMP], shading={"shadows": False}), ("diffuse",), "the scene switches shadows off"),
     ],
     ids=["not asked for", "ambient", "switched off"],
@@ -119,9 +112,7 @@ def test_what_lies_behind_or_beside_is_not_looked_for(camera):
     places = [(0, 0, 0), (0, 0, 9), (99, 0, 0)]  # in view, behind the eye, far off the film
     cubes = [Cube(to_world=[{"scale": 0.5}, {"translate": place}]) for place in places]
     (kind,) = told(scene(camera, shapes=cubes), "depth")["primitives"]
-    assert (
-        kind["count"] == 36 and 4 <= kind["looked_for"] <= 12
-    )  # faces of the first cube; some show no pixel centre
+    assert kind["count"] == 36 and 4 <= kind["looked_for"] <= 12  # faces of the first cube; some show no pixel centre
 
 
 def test_the_account_is_the_same_in_words_and_as_json(tmp_path, monkeypatch, capsys):
@@ -160,17 +151,7 @@ def test_kernels_of_absent_shapes_and_of_what_is_not_requested_are_not_loaded(tm
     kernels = json.loads(run.stdout)["kernels"]
     used = [*kernels["compiled"], *kernels["loaded"]]
     assert any("Spheres" in name for name in used)
-    others = [
-        "Triangles",
-        "Ellipsoids",
-        "Cylinders",
-        "Disks",
-        "Planes",
-        "Tree",
-        "Light",
-        "Orthographic",
-        "Fisheye",
-    ]
+    others = ["Triangles", "Ellipsoids", "Cylinders", "Disks", "Planes", "Tree", "Light", "Orthographic", "Fisheye"]
     assert not [name for name in used for other in others if other in name]
     asked_of = {name.partition("(")[0] for name in used}
     assert not asked_of & {"surfaces_in_tile", "shadow_rays_in_tile", "materials_in_tile"}

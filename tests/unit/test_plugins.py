@@ -64,8 +64,7 @@ def test_a_foreign_kind_renders_like_a_disk_of_the_tree(plugin, culling):
 @pytest.mark.slow("compiles the kernels of a foreign camera")
 def test_a_foreign_camera_renders_like_an_orthographic_one(plugin):
     found, expected = (
-        caster.render(scene_from_text(FILM + camera + LAMP + COINS), AOVS)
-        for camera in (SCANNER, ORTHOGRAPHIC)
+        caster.render(scene_from_text(FILM + camera + LAMP + COINS), AOVS) for camera in (SCANNER, ORTHOGRAPHIC)
     )
     assert found.hit.any() and not found.hit.all()
     for name in AOVS:

@@ -84,14 +84,7 @@ def test_the_scale_fits_a_screen_and_its_steps_are_even():
 
 
 def test_light_is_shown_by_the_curve_of_srgb():
-    assert to_bytes(srgb_encoded(np.array([-1.0, 0.0, 0.002, 0.5, 1.0, 9.0]))).tolist() == [
-        0,
-        0,
-        7,
-        188,
-        255,
-        255,
-    ]
+    assert to_bytes(srgb_encoded(np.array([-1.0, 0.0, 0.002, 0.5, 1.0, 9.0]))).tolist() == [0, 0, 7, 188, 255, 255]
 
 
 def test_numbers_have_colours_of_their_own():
@@ -125,10 +118,7 @@ def test_values_that_are_not_finite_are_magenta_and_counted():
     hit[1, 2] = False
     shown = aov_view("depth", values, hit)
     assert shown.legend.endswith("; 1 pixel NaN, 2 pixels infinite: magenta")
-    assert (shown.pixels == NON_FINITE_COLOR).all(axis=-1).tolist() == [
-        [False, True, False],
-        [True, True, False],
-    ]
+    assert (shown.pixels == NON_FINITE_COLOR).all(axis=-1).tolist() == [[False, True, False], [True, True, False]]
     assert aov_view("normal", np.full((1, 1, 3), np.nan), np.ones((1, 1), bool)).legend.startswith(
         "nothing to show; 1 "
     )
@@ -136,9 +126,7 @@ def test_values_that_are_not_finite_are_magenta_and_counted():
 
 def test_the_checker_has_squares_of_two_greys():
     squares = checkerboard((2 * CHECKER_PIXELS, CHECKER_PIXELS))
-    assert (squares[:CHECKER_PIXELS] == CHECKER_GREYS[0]).all() and (
-        squares[CHECKER_PIXELS:] == CHECKER_GREYS[1]
-    ).all()
+    assert (squares[:CHECKER_PIXELS] == CHECKER_GREYS[0]).all() and (squares[CHECKER_PIXELS:] == CHECKER_GREYS[1]).all()
 
 
 def one_row(name, *values):
@@ -167,10 +155,7 @@ def test_a_flat_depth_is_one_colour():
 
 def test_directions_positions_uv_and_light_have_known_colours():
     assert one_row("normal", [-1.0, 0.0, 1.0]).pixels[0, 0].tolist() == [0, 128, 255]
-    assert one_row("position", [1.0, 5.0, 7.0], [3.0, 5.0, 6.0]).pixels[0].tolist() == [
-        [0, 0, 255],
-        [255, 0, 0],
-    ]
+    assert one_row("position", [1.0, 5.0, 7.0], [3.0, 5.0, 6.0]).pixels[0].tolist() == [[0, 0, 255], [255, 0, 0]]
     assert one_row("uv", [0.0, 1.0], [0.2, 0.6]).pixels[0].tolist() == [[0, 255, 0], [51, 153, 0]]
     assert one_row("uv", [-0.8, 2.6]).pixels[0].tolist() == [[51, 153, 0]]
     assert one_row("albedo", [0.0, 0.5, 1.0]).pixels[0, 0].tolist() == [0, 188, 255]
@@ -205,11 +190,7 @@ def test_render_writes_a_preview_and_states_what_it_shows(folder, capsys):
 def test_several_aovs_become_a_strip(folder, capsys):
     assert main(["render", "s.toml", "--preview", "p.tga", "--preview-aov", "depth,normal,hit"]) == 0
     assert read_image("p.tga").shape == (16 + LABEL_PIXELS, 3 * 24 + 2 * GAP_PIXELS, 3)
-    assert [line.split(": ")[1] for line in capsys.readouterr().err.splitlines()] == [
-        "depth",
-        "normal",
-        "hit",
-    ]
+    assert [line.split(": ")[1] for line in capsys.readouterr().err.splitlines()] == ["depth", "normal", "hit"]
 
 
 def test_a_file_is_shown_as_its_render_was(folder, capsys):
@@ -266,9 +247,7 @@ def test_a_sheet_of_scenes_shows_each_in_its_size(folder, capsys):
     assert capsys.readouterr().out == "all.png: 2 scenes\n"
     found = read_image("all.png")
     assert found.shape == (8 + LABEL_PIXELS, 2 * 12 + GAP_PIXELS, 3)
-    assert (
-        len(np.unique(found[:8, :12].reshape(-1, 3), axis=0)) > 10
-    )  # normals: without lights, colours are black
+    assert len(np.unique(found[:8, :12].reshape(-1, 3), axis=0)) > 10  # normals: without lights, colours are black
     (folder / "empty").mkdir()
     assert main(["sheet", "empty"]) == 5
 

@@ -14,31 +14,15 @@ from caster.description.fields import Shape
 from caster.geometry.edge_distances import edge_distances, nearest_float
 from caster.geometry.packing import pack
 from caster.jit.decorators import implements
-from caster.kernels.protocol import (
-    camera_ray,
-    hull_point,
-    hull_size,
-    intersect,
-    load,
-    prepare,
-    project,
-    t_lower_bound,
-)
+from caster.kernels.protocol import camera_ray, hull_point, hull_size, intersect, load, prepare, project, t_lower_bound
 from caster.kernels.raster.screen_bounds import surely_beyond_edge
 from caster.kernels.triangles import Triangles
 from caster.rendering.images import render
 from caster.scene.model import Scene
 from caster.shapes import Cylinder, Disk, Sphere, Triangle, plane
 
-ALONG_AXES = [
-    {"scale": [1.0, 2.0, 0.5]},
-    {"translate": [0.3, -0.7, 5.0]},
-]  # so that boxes touch what they hold
-TURNED = [
-    {"scale": [0.5, 1.5, 1.0]},
-    {"rotate": {"axis": [1.0, 2.0, 3.0], "degrees": 50.0}},
-    {"translate": [1, 2, 3]},
-]
+ALONG_AXES = [{"scale": [1.0, 2.0, 0.5]}, {"translate": [0.3, -0.7, 5.0]}]  # so that boxes touch what they hold
+TURNED = [{"scale": [0.5, 1.5, 1.0]}, {"rotate": {"axis": [1.0, 2.0, 3.0], "degrees": 50.0}}, {"translate": [1, 2, 3]}]
 CONVEX = {
     "sphere": Sphere(center=(0.1, 0.2, 0.3), radius=0.7),
     "ellipsoid": Sphere(center=(0.1, 0.2, 0.3), radius=0.7, to_world=ALONG_AXES),
@@ -52,9 +36,7 @@ HITS = 1500
 
 def scene_of(shape: Shape) -> Scene:
     return Scene(
-        film={"width": 8, "height": 6},
-        camera=CAMERAS[0](eye=(0.0, 0.0, 0.0), look_at=(0.0, 0.0, 1.0)),
-        shapes=[shape],
+        film={"width": 8, "height": 6}, camera=CAMERAS[0](eye=(0.0, 0.0, 0.0), look_at=(0.0, 0.0, 1.0)), shapes=[shape]
     )
 
 
@@ -84,9 +66,7 @@ def from_axis(to_object: np.ndarray, center: np.ndarray, o: np.ndarray, d: np.nd
     return float(np.linalg.norm(f - e * (e @ f) / (e @ e)))
 
 
-@pytest.mark.parametrize(
-    ("shape", "axes"), [(Sphere(to_world=TURNED), 3), (Cylinder(radius=0.4, to_world=TURNED), 2)]
-)
+@pytest.mark.parametrize(("shape", "axes"), [(Sphere(to_world=TURNED), 3), (Cylinder(radius=0.4, to_world=TURNED), 2)])
 def test_the_distance_from_a_silhouette_is_that_of_least_squares(shape, axes):
     (kind,) = pack(scene_of(shape)).kinds
     rng = np.random.default_rng([151, axes])
@@ -147,10 +127,7 @@ def test_the_axes_of_a_cylinder_are_perpendicular_and_those_of_the_world_where_t
     columns = kind.prims.to_world[0]
     lengths = [0.75, 0.75, np.linalg.norm(axis)]
     gram = columns.T @ columns
-    assert (
-        gram == pytest.approx(np.diag(np.square(lengths)), rel=1e-12, abs=1e-12)
-        and np.linalg.det(columns) > 0.0
-    )
+    assert gram == pytest.approx(np.diag(np.square(lengths)), rel=1e-12, abs=1e-12) and np.linalg.det(columns) > 0.0
     assert columns[:, 2] == pytest.approx(axis, abs=1e-15)
     if axis.tolist() == [0.0, 0.0, 2.0]:
         assert np.array_equal(columns, np.diag(lengths))
@@ -169,9 +146,7 @@ def test_the_axes_of_a_cylinder_are_perpendicular_and_those_of_the_world_where_t
 def test_uv_of_a_plane_run_across_the_x_axis_or_the_y_axis_where_its_normal_is_nearer_to_x(n, side):
     right, ahead = plane._axes(n)
     expected = np.cross(side, n) / np.linalg.norm(np.cross(side, n))
-    assert right == pytest.approx(expected, abs=1e-15) and ahead == pytest.approx(
-        np.cross(n, expected), abs=1e-15
-    )
+    assert right == pytest.approx(expected, abs=1e-15) and ahead == pytest.approx(np.cross(n, expected), abs=1e-15)
 
 
 def test_the_distance_from_an_edge_is_that_of_two_lines_with_the_sign_of_the_inside():

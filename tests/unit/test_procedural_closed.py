@@ -79,10 +79,7 @@ def test_icosphere_normals_are_its_positions():
 
 
 def test_numbers_that_are_not_given_are_those_of_the_api_page():
-    for shape, made in (
-        (Torus(), tessellate_torus(1.0, 0.3, 64, 32)),
-        (Icosphere(), tessellate_icosphere(3)),
-    ):
+    for shape, made in ((Torus(), tessellate_torus(1.0, 0.3, 64, 32)), (Icosphere(), tessellate_icosphere(3))):
         mesh = shape.mesh()
         assert np.array_equal(mesh.vertices, made.vertices) and np.array_equal(mesh.faces, made.faces)
 
@@ -105,9 +102,7 @@ def test_torus_vertices_and_normals_satisfy_its_equation():
 
 
 def test_torus_comes_close_to_its_volume():
-    assert signed_volume(tessellate_torus(2.0, 0.3, 200, 100)) == pytest.approx(
-        2 * math.pi**2 * 2.0 * 0.3**2, rel=2e-3
-    )
+    assert signed_volume(tessellate_torus(2.0, 0.3, 200, 100)) == pytest.approx(2 * math.pi**2 * 2.0 * 0.3**2, rel=2e-3)
 
 
 @pytest.mark.parametrize("subdivisions", [-1, 10, 2.0, True])

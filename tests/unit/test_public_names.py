@@ -21,9 +21,7 @@ REGISTERED = {entry.__name__: entry for entry in (*SHAPES, *CAMERAS, *LIGHTS)}
 
 def python(source: str) -> str:
     """What a fresh interpreter prints."""
-    return subprocess.run(
-        [sys.executable, "-c", source], cwd=ROOT, capture_output=True, text=True, check=True
-    ).stdout
+    return subprocess.run([sys.executable, "-c", source], cwd=ROOT, capture_output=True, text=True, check=True).stdout
 
 
 def test_all_names_what_there_is_and_nothing_else():
@@ -64,9 +62,7 @@ def test_no_module_of_the_package_hides_a_public_name():
 def test_mypy_finds_every_name_and_no_other(tmp_path):
     """Each name gets a line; reveal_type is Any where mypy does not know what it is."""
     user = tmp_path / "user.py"
-    user.write_text(
-        "\n".join(["import caster", *(f"reveal_type(caster.{n})" for n in [*caster.__all__, "rendr"])])
-    )
+    user.write_text("\n".join(["import caster", *(f"reveal_type(caster.{n})" for n in [*caster.__all__, "rendr"])]))
     command = [sys.executable, "-m", "mypy", str(user)]  # with the cache that `make lint` has
     said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False).stdout.splitlines()
     (error,) = [line for line in said if " error: " in line]

@@ -136,10 +136,7 @@ def test_of_the_boxes_of_a_node_the_first_is_next_and_what_lies_beyond_a_limit_i
     """On the stack the others have what is in them beside where they are entered; the lowest is always entered."""
     rng = np.random.default_rng(225)
     for _ in range(300):
-        links, node = (
-            rng.permutation(5 * CHILDREN).reshape(5, CHILDREN).astype(np.int32),
-            int(rng.integers(5)),
-        )
+        links, node = (rng.permutation(5 * CHILDREN).reshape(5, CHILDREN).astype(np.int32), int(rng.integers(5)))
         near, mask = rng.permutation(CHILDREN) * 0.5, int(rng.integers(1, 1 << CHILDREN))
         stack, entries = np.full(12, -1, np.int32), np.full(12, math.nan)
         entries[0] = -math.inf
@@ -225,9 +222,7 @@ def fan_tile(rng, fan, outward, rows):
             if kind == "none" or (n != stray and rng.random() < 0.1):
                 continue
             if n == stray and kind in ("aside", "behind"):
-                place = (
-                    place * [1.0, 1.0, -1.0] if kind == "behind" else [*(3.0 * place[2], place[1]), place[2]]
-                )
+                place = place * [1.0, 1.0, -1.0] if kind == "behind" else [*(3.0 * place[2], place[1]), place[2]]
             o = np.array(fan.origin) + (0.0 if outward else place)
             if n == stray and kind == "far away":
                 o += np.array([0.0, 51.0, 0.0])
@@ -245,15 +240,9 @@ def test_runs_of_a_fan_are_bounded_by_their_rays_and_blocks_by_their_runs(name, 
     tile, groups = fan_tile(rng, fan, outward, rows), new_ray_groups()
     groups.taken[5] = 1  # by an earlier fan
     group_rays(fan, tile, rows, groups, outward)
-    field = {
-        at: tile[int(at) : int(at) + PIXELS].reshape(-1, RUNS_ACROSS, LANES) for at in (DX, DY, DZ, T, T_MAX)
-    }
+    field = {at: tile[int(at) : int(at) + PIXELS].reshape(-1, RUNS_ACROSS, LANES) for at in (DX, DY, DZ, T, T_MAX)}
     from_o = [tile[int(at) : int(at) + PIXELS].reshape(-1, RUNS_ACROSS, LANES) for at in (OX, OY, OZ)]
-    away = (
-        [field[at] for at in (DX, DY, DZ)]
-        if outward
-        else [a - b for a, b in zip(from_o, fan.origin, strict=True)]
-    )
+    away = [field[at] for at in (DX, DY, DZ)] if outward else [a - b for a, b in zip(from_o, fan.origin, strict=True)]
     there, depth = field[T_MAX] >= 0.0, away[2]
     over = np.where((depth > 0.0) & bool(fan.perspective), depth, 1.0)
     x, y = away[0] / over, away[1] / over
@@ -289,14 +278,9 @@ def test_runs_of_a_fan_are_bounded_by_their_rays_and_blocks_by_their_runs(name, 
             assert boxes[block, :, r].tolist() == expected.tolist(), (block, r)
         least = boxes[block].min(axis=1)
         assert blocks[block // CHILDREN, :, block % CHILDREN].tolist() == least.tolist()
-    assert (
-        groups.counts.tolist() == counts
-        and min(counts[0], counts[1] + (fan.perspective == 0.0) * 99) > 20 // LANES
-    )
+    assert groups.counts.tolist() == counts and min(counts[0], counts[1] + (fan.perspective == 0.0) * 99) > 20 // LANES
     kept = belongs[:rows] & there[:rows].any(axis=2)
     for at, expected in ((FAN_X, np.where(there, x, np.nan)), (FAN_Y, y)):
         found = tile[int(at) : int(at) + PIXELS].reshape(-1, RUNS_ACROSS, LANES)[:rows]
         kept[0, 5] = False
-        np.testing.assert_array_equal(
-            found[kept][there[:rows][kept]], expected[:rows][kept][there[:rows][kept]]
-        )
+        np.testing.assert_array_equal(found[kept][there[:rows][kept]], expected[:rows][kept][there[:rows][kept]])

@@ -31,20 +31,14 @@ def test_a_direction_without_a_square_is_brought_to_one(length):
     ball = '[[shape]]\ntype = "sphere"\n'
     depths = []
     for size in (length, "1"):
-        text = LINE.format(
-            o="[0.25, 0, 5]", d=f'[0, 0, "-{size}"]' if size.startswith("0x") else f"[0, 0, -{size}]"
-        )
+        text = LINE.format(o="[0.25, 0, 5]", d=f'[0, 0, "-{size}"]' if size.startswith("0x") else f"[0, 0, -{size}]")
         depths.append(
-            render(scene_from_text("[film]\nwidth = 1\nheight = 1\n" + text + ball), ("depth",))["depth"][
-                0, 0
-            ]
+            render(scene_from_text("[film]\nwidth = 1\nheight = 1\n" + text + ball), ("depth",))["depth"][0, 0]
         )
     assert depths[0] == depths[1] == pytest.approx(5 - np.sqrt(1 - 0.0625), abs=1e-14)
 
 
-@pytest.mark.parametrize(
-    ("written", "sign"), [("0", 1), ("0.0", 1), ("-0.0", -1), ('"0x0p0"', 1), ('"-0x0p0"', -1)]
-)
+@pytest.mark.parametrize(("written", "sign"), [("0", 1), ("0.0", 1), ("-0.0", -1), ('"0x0p0"', 1), ('"-0x0p0"', -1)])
 def test_zeros_keep_their_signs(written, sign):
     ray = scene_from_text(LINE.format(o=f"[{written}, 0, 0]", d=f"[1, {written}, 0]")).camera
     assert math.copysign(1.0, ray.origin[0]) == math.copysign(1.0, ray.direction[1]) == sign

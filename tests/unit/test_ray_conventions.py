@@ -96,15 +96,7 @@ def test_validate_says_a_convention_before_the_first_row(tmp_path, monkeypatch, 
     )
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
-    words = [
-        "validate",
-        str(SCENES / "one-sphere.toml"),
-        "--size",
-        "24",
-        "20",
-        "--candidate",
-        "distances:cast",
-    ]
+    words = ["validate", str(SCENES / "one-sphere.toml"), "--size", "24", "20", "--candidate", "distances:cast"]
     assert main(words) == 1
     out = capsys.readouterr().out
     expected = "conventions: t is a distance, it has to count in lengths of d (divide it by |d|): right for |d| = 1, "
@@ -116,8 +108,5 @@ def test_what_is_wrong_already_or_not_there_is_not_judged():
     assert checked(changed(lambda d, t: 1.1 * t)).what == "not judged: rays of |d| = 1 are wrong already"
     assert checked(declines).what == "declined"
     away = scene_of("one-sphere").model_copy(update={"shapes": ()})
-    assert (
-        check_ray_conventions(FunctionSubject("candidate", right), away).what
-        == "no ray of the camera hits anything"
-    )
+    assert check_ray_conventions(FunctionSubject("candidate", right), away).what == "no ray of the camera hits anything"
     assert not command_of("true {xml} -o {exr}", None, 1.0).takes_rays  # so that it is not asked

@@ -282,9 +282,7 @@ def test_a_tile_of_sorted_rays_holds_these_alone_and_gives_back_the_hit_of_each(
     assert nearest.prim[kept].tolist() == np.where(prim >= 0, ids[prim], -1).tolist()
     assert nearest.error[kept].tolist() == error.tolist() and uncertain[kept].tolist() == unsure.tolist()
     others = np.setdiff1d(np.arange(count), kept)
-    assert (
-        (nearest.t[others] == 9.0).all() and (nearest.prim[others] == 9).all() and not uncertain[others].any()
-    )
+    assert (nearest.t[others] == 9.0).all() and (nearest.prim[others] == 9).all() and not uncertain[others].any()
 
     t[: len(kept) // 2] = math.inf
     field(tile, T)[place] = t

@@ -92,9 +92,7 @@ def test_a_mesh_with_arrays_of_other_lengths_is_a_mistake_of_its_shape(field, ro
             return part._replace(**{field: getattr(part, field)[:-1]})
 
     collection = SimpleNamespace(shapes=[Short()])
-    with pytest.raises(
-        ValueError, match=rf"^Short\.pack: {field} must have {rows} rows, got {rows - 1}; fill up"
-    ):
+    with pytest.raises(ValueError, match=rf"^Short\.pack: {field} must have {rows} rows, got {rows - 1}; fill up"):
         pack_shape(collection, 0, as_given)
 
 

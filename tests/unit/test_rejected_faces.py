@@ -74,10 +74,7 @@ def test_without_area_is_decided_exactly(tmp_path):
     third = 1.0 / 3.0
     a, b = (third, 2.0 * third, 4.0 * third), (7.0 * third, 14.0 * third, 28.0 * third)
     mean = [0.5 * (x + y) for x, y in zip(a, b, strict=True)]
-    rows = [
-        f"v {p[0]!r} {p[1]!r} {p[2]!r}\n"
-        for p in (a, b, mean, (np.nextafter(mean[0], 9.0).item(), *mean[1:]))
-    ]
+    rows = [f"v {p[0]!r} {p[1]!r} {p[2]!r}\n" for p in (a, b, mean, (np.nextafter(mean[0], 9.0).item(), *mean[1:]))]
     (got,) = rejected_faces(a_mesh(tmp_path, "".join(rows) + "f 5 6 7\nf 5 6 8\n")).values()
     assert got == RejectedFaces(0, 0, 1)
 
@@ -123,10 +120,7 @@ TOO_LARGE = {
 def test_a_check_refuses_a_shape_that_leaves_float64_with_the_words_of_packing(name):
     shape, camera = getattr(caster, name), caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0))
     fine, huge = (shape(to_world=steps, **TOO_LARGE[name]) for steps in ([], [{"scale": FAR}]))
-    assert check_shapes(caster.Scene(shapes=[fine], camera=camera)) in (
-        "",
-        "shape-0: 1 too far out",
-    )
+    assert check_shapes(caster.Scene(shapes=[fine], camera=camera)) in ("", "shape-0: 1 too far out")
     scene, said = caster.Scene(shapes=[fine, huge], camera=camera), []
     for refused in (check_shapes, pack):
         with pytest.raises(SceneError, match="must stay finite in world space") as caught:

@@ -72,9 +72,7 @@ def test_the_bound_itself_stays_what_decides():
 
 
 def rays_of(camera, width=20, height=14):
-    scene = caster.Scene(
-        camera=camera, film=caster.Film(width=width, height=height), shapes=[caster.Sphere()]
-    )
+    scene = caster.Scene(camera=camera, film=caster.Film(width=width, height=height), shapes=[caster.Sphere()])
     rays = shared_rays(scene)
     return scene, rays.o.astype(np.float64), rays.d.astype(np.float64)
 

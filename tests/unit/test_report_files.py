@@ -10,14 +10,7 @@ import pytest
 from caster.system.atomic_files import OutputError
 from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneVerdict
 from mitsuba_ref.report import evidence, html_report
-from mitsuba_ref.report.html_report import (
-    ONE_FILE_LIMIT_BYTES,
-    SCRIPTS,
-    HtmlReport,
-    as_json,
-    index_row,
-    page,
-)
+from mitsuba_ref.report.html_report import ONE_FILE_LIMIT_BYTES, SCRIPTS, HtmlReport, as_json, index_row, page
 from mitsuba_ref.report.validation import Validation
 from mitsuba_ref.report.verdict_text import failure_text
 
@@ -97,9 +90,7 @@ def test_a_run_that_is_cut_off_has_its_page(tmp_path):
 
 def test_no_text_ends_its_script():
     evil = "</script><script>alert(1)</script><!--\u2028"
-    text = "".join(
-        page({"summary": evil, "candidate": evil, "classes": []}, matrix_rows(replace(FAILING, name=evil)))
-    )
+    text = "".join(page({"summary": evil, "candidate": evil, "classes": []}, matrix_rows(replace(FAILING, name=evil))))
     assert text.count("<script") == 3 and "alert(1)<" not in text and "\u2028" not in as_json(evil)
     assert json.loads(as_json(evil)) == evil
 
@@ -157,19 +148,14 @@ def test_a_place_that_cannot_be_written_is_refused_at_once(tmp_path):
 
 
 def test_a_verdict_writes_itself(tmp_path):
-    assert (
-        Validation((FAILING, PASSING), scene_count=2).write_html(tmp_path / "r")
-        == tmp_path / "r" / "index.html"
-    )
+    assert Validation((FAILING, PASSING), scene_count=2).write_html(tmp_path / "r") == tmp_path / "r" / "index.html"
     assert Validation((PASSING,)).write_html(tmp_path / "r.html") == tmp_path / "r.html"
 
 
 def test_classes_have_the_same_colours_on_the_page_as_in_files():
     script = (resources.files("mitsuba_ref.report") / "page/colors.js").read_text(encoding="utf-8")
     listed = script.partition("const CLASS_COLORS = {")[2].partition("}")[0]
-    found = {
-        name: tuple(map(int, rgb.split(","))) for name, rgb in re.findall(r"(\w+): \[([^\]]+)\]", listed)
-    }
+    found = {name: tuple(map(int, rgb.split(","))) for name, rgb in re.findall(r"(\w+): \[([^\]]+)\]", listed)}
     assert found.keys() == {*CLASSES, "unlisted"} and len(set(found.values())) == len(found)
     assert {name: found[name] for name in CLASSES} == evidence.CLASS_COLORS
 

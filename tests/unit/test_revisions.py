@@ -61,9 +61,7 @@ def test_nothing_compared_is_no_pass(revisions):
     assert revisions.verdict([], 1.25)[0] == 2
 
 
-@pytest.mark.parametrize(
-    "words", [["no-such-revision"], ["HEAD", "--limit", "nan"], ["HEAD", "--turns", "0"]]
-)
+@pytest.mark.parametrize("words", [["no-such-revision"], ["HEAD", "--limit", "nan"], ["HEAD", "--turns", "0"]])
 def test_a_mistake_is_not_a_slower_caster(revisions, words, capfd, monkeypatch):
     def nobody(*_: object) -> None:
         raise ValueError("no-such-revision: no commit")

@@ -39,19 +39,11 @@ def camera(kind, line):
 
 
 ONE_LINERS = [
-    (
-        "typo",
-        shape("sphere", "radus = 1"),
-        "7:1: shapes[0] (sphere): radus is an unknown key, did you mean 'radius'?",
-    ),
+    ("typo", shape("sphere", "radus = 1"), "7:1: shapes[0] (sphere): radus is an unknown key, did you mean 'radius'?"),
     ("no idea", shape("sphere", "qqq = 1"), "7:1: shapes[0] (sphere): qqq is an unknown key"),
     ("top level", CAMERA + "[flim]\n", "5:1: scene: flim is an unknown key, did you mean 'film'?"),
     ("plural", CAMERA + "[lihgts]\n", "5:1: scene: lihgts is an unknown key, did you mean 'light'?"),
-    (
-        "both spellings",
-        shape("cube", "[[shapes]]"),
-        "7:1: scene: shapes is a second 'shape': write one of them only",
-    ),
+    ("both spellings", shape("cube", "[[shapes]]"), "7:1: scene: shapes is a second 'shape': write one of them only"),
     (
         "no axis",
         shape("cylinder", "p0 = [1, 2, 3]\np1 = [1, 2, 3]"),
@@ -90,8 +82,7 @@ ONE_LINERS = [
     (
         "too many",
         shape("triangle", "vertices = [[0,0,0],[1,0,0],[0,1,0],[0,0,1]]"),
-        "7:1: shapes[0] (triangle): vertices must be 3 items, got 4: [[0, 0, 0], [1, 0, 0], [0, 1, 0], "
-        "[0, 0, 1]]",
+        "7:1: shapes[0] (triangle): vertices must be 3 items, got 4: [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]",
     ),
     (
         "a missing key is told at the header",
@@ -122,20 +113,17 @@ ONE_LINERS = [
     (
         "up along the view",
         camera("pinhole", "look_at = [0, 0, 0]\nup = [0, 0, 3]"),
-        "5:1: camera (pinhole): up must be a direction across the view [0, 0, -5], not along it, got "
-        "[0, 0, 3]",
+        "5:1: camera (pinhole): up must be a direction across the view [0, 0, -5], not along it, got [0, 0, 3]",
     ),
     (
         "the default up along the view",
         camera("pinhole", "direction = [0, 2, 0]"),
-        "1:1: camera (pinhole): up must be a direction across the view [0, 1, 0], not along it, got [0, "
-        "1, 0]",
+        "1:1: camera (pinhole): up must be a direction across the view [0, 1, 0], not along it, got [0, 1, 0]",
     ),
     (
         "up without a direction",
         camera("fisheye", "direction = [1, 0, 0]\nup = [0, 0, 0]"),
-        "5:1: camera (fisheye): up must be a direction across the view [1, 0, 0], not along it, got [0, "
-        "0, 0]",
+        "5:1: camera (fisheye): up must be a direction across the view [1, 0, 0], not along it, got [0, 0, 0]",
     ),
     (
         "no direction",
@@ -159,22 +147,10 @@ ONE_LINERS = [
         .replace("= [0, 0, 1]", "= [1.7e308, 0, 1]"),
         "4:1: camera (pinhole): look_at must be nearer to eye, at a finite distance, got [1.7e+308, 0, 1]",
     ),
-    (
-        "fov 0",
-        CAMERA + "fov = 0\n",
-        "5:1: camera (pinhole): fov must be an angle > 0 and < 180 degrees, got 0",
-    ),
-    (
-        "fov 180",
-        CAMERA + "fov = 180\n",
-        "5:1: camera (pinhole): fov must be an angle > 0 and < 180 degrees, got 180",
-    ),
+    ("fov 0", CAMERA + "fov = 0\n", "5:1: camera (pinhole): fov must be an angle > 0 and < 180 degrees, got 0"),
+    ("fov 180", CAMERA + "fov = 180\n", "5:1: camera (pinhole): fov must be an angle > 0 and < 180 degrees, got 180"),
     ("zero-size film", CAMERA + "[film]\nwidth = 0\n", "6:1: film: width must be >= 1, got 0"),
-    (
-        "a film of mid-pixels",
-        CAMERA + "[film]\nheight = 2.5\n",
-        "6:1: film: height must be a whole number, got 2.5",
-    ),
+    ("a film of mid-pixels", CAMERA + "[film]\nheight = 2.5\n", "6:1: film: height must be a whole number, got 2.5"),
     (
         "a crop outside",
         CAMERA + "[film]\nwidth = 8\nheight = 8\ncrop = [0, 0, 9, 8]\n",
@@ -185,11 +161,7 @@ ONE_LINERS = [
         CAMERA + "[film]\ncrop = [4, 0, 4, 8]\n",
         "6:1: film: crop must hold at least one pixel, x0 < x1 and y0 < y1, got [4, 0, 4, 8]",
     ),
-    (
-        "a crop left of it",
-        CAMERA + "[film]\ncrop = [-1, 0, 4, 8]\n",
-        "6:9: film: crop[0] must be >= 0, got -1",
-    ),
+    ("a crop left of it", CAMERA + "[film]\ncrop = [-1, 0, 4, 8]\n", "6:9: film: crop[0] must be >= 0, got -1"),
     (
         "an axis without direction",
         shape("cube", "to_world = [{ rotate = { axis = [0, 0, 0], degrees = 9 } }]"),
@@ -223,14 +195,12 @@ ONE_LINERS = [
     (
         "two keys in a step",
         shape("cube", "to_world = [{ scale = 2, translate = [1, 0, 0] }]"),
-        "7:13: shapes[0] (cube): to_world[0] must have one key, got translate and scale: write a list "
-        "of steps instead",
+        "7:13: shapes[0] (cube): to_world[0] must have one key, got translate and scale: write a list of steps instead",
     ),
     (
         "a step of nothing",
         shape("cube", "to_world = [{}]"),
-        "7:13: shapes[0] (cube): to_world[0] needs one of the keys translate, rotate, scale, look_at or "
-        "matrix",
+        "7:13: shapes[0] (cube): to_world[0] needs one of the keys translate, rotate, scale, look_at or matrix",
     ),
     (
         "an unknown step",
@@ -251,35 +221,21 @@ ONE_LINERS = [
     (
         "an unknown shape",
         CAMERA + '[[shape]]\ntype = "shpere"\n',
-        "6:1: shapes[0] (shpere): unknown shape type \"shpere\", did you mean 'sphere'? (known: sphere, "
-        "plane, ",
+        "6:1: shapes[0] (shpere): unknown shape type \"shpere\", did you mean 'sphere'? (known: sphere, plane, ",
     ),
     (
         "a shape without type",
         CAMERA + "[[shape]]\nradius = 1\n",
         "5:1: shapes[0]: needs the key 'type': sphere, plane, ",
     ),
-    (
-        "a number for a type",
-        CAMERA + "[[shape]]\ntype = 3\n",
-        "6:1: shapes[0]: unknown shape type 3 (known: sphere, ",
-    ),
+    ("a number for a type", CAMERA + "[[shape]]\ntype = 3\n", "6:1: shapes[0]: unknown shape type 3 (known: sphere, "),
     (
         "an unknown camera",
         camera("pinhol", ""),
-        "2:1: camera (pinhol): unknown camera type \"pinhol\", did you mean 'pinhole'? (known: pinhole, "
-        "orthographic, ",
+        "2:1: camera (pinhol): unknown camera type \"pinhol\", did you mean 'pinhole'? (known: pinhole, orthographic, ",
     ),
-    (
-        "an unknown light",
-        CAMERA + '[[light]]\ntype = "spot"\n',
-        '6:1: lights[0] (spot): unknown light type "spot"',
-    ),
-    (
-        "shapes as a table",
-        CAMERA + '[shape]\ntype = "cube"\n',
-        "5:1: scene: shape must be a list, got a table",
-    ),
+    ("an unknown light", CAMERA + '[[light]]\ntype = "spot"\n', '6:1: lights[0] (spot): unknown light type "spot"'),
+    ("shapes as a table", CAMERA + '[shape]\ntype = "cube"\n', "5:1: scene: shape must be a list, got a table"),
     ("a number for a table", "film = 3\n" + CAMERA, "1:1: film: must be a table, got 3"),
     (
         "bright materials",
@@ -289,8 +245,7 @@ ONE_LINERS = [
     (
         "an unknown material",
         shape("cube", 'material = "rde"') + "[material.red]\n[material.blue]\n",
-        '7:1: shapes[0] (cube): material must be one of the materials of this scene, got "rde", did '
-        "you mean 'red'?",
+        "7:1: shapes[0] (cube): material must be one of the materials of this scene, got \"rde\", did you mean 'red'?",
     ),
     (
         "a material without any",
@@ -335,9 +290,7 @@ ONE_LINERS = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("text", "says"), [case[1:] for case in ONE_LINERS], ids=[case[0] for case in ONE_LINERS]
-)
+@pytest.mark.parametrize(("text", "says"), [case[1:] for case in ONE_LINERS], ids=[case[0] for case in ONE_LINERS])
 def test_one_mistake_gives_one_located_sentence(text, says):
     said = errors(text)
     assert said.startswith(f"scenes/x.toml:{says}")
@@ -365,9 +318,7 @@ file = "../out/of/reach.ply"
 width = 0
 """
     heads = [line for line in errors(text).splitlines() if line.startswith("scenes/")]
-    assert [head.split(": ")[0] for head in heads] == [
-        f"scenes/x.toml:{line}:1" for line in (3, 4, 9, 10, 14, 17)
-    ]
+    assert [head.split(": ")[0] for head in heads] == [f"scenes/x.toml:{line}:1" for line in (3, 4, 9, 10, 14, 17)]
 
 
 def test_a_default_that_does_not_fit_is_reported_beside_another_error():

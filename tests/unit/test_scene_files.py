@@ -52,9 +52,7 @@ def test_a_byte_order_mark_is_no_part_of_the_scene(tmp_path):
 
 
 def test_a_missing_scene_file_is_reported_and_is_its_own_kind_of_error(tmp_path):
-    with pytest.raises(
-        FileMissing, match=r"^no/such\.toml: cannot read this scene file: No such file or directory$"
-    ):
+    with pytest.raises(FileMissing, match=r"^no/such\.toml: cannot read this scene file: No such file or directory$"):
         load_scene("no/such.toml")
     assert (FileMissing.exit_code, SceneError.exit_code) == (4, 2)
 
@@ -67,8 +65,7 @@ def test_a_folder_is_no_scene_file(tmp_path):
 
 def test_an_unknown_ending_is_an_error():
     with pytest.raises(
-        SceneError,
-        match=r"^a\.yaml: unknown scene format: expected a file ending in \.toml or \.json, or a mesh: ",
+        SceneError, match=r"^a\.yaml: unknown scene format: expected a file ending in \.toml or \.json, or a mesh: "
     ):
         load_scene("a.yaml")
 
@@ -109,26 +106,20 @@ def test_a_mesh_out_of_reach_is_refused_with_the_way_out(scenes, file):
 def test_the_way_out_of_the_refusal_works(scenes):
     said = refusal(SceneError, scenes, mesh("../meshes/t.obj"))
     mesh_dir = said.splitlines()[0].split("--mesh-dir ")[-1]
-    assert load(scenes, mesh("../meshes/t.obj"), mesh_dirs=[mesh_dir]).shapes[0].load().vertices.shape == (
-        3,
-        3,
-    )
+    assert load(scenes, mesh("../meshes/t.obj"), mesh_dirs=[mesh_dir]).shapes[0].load().vertices.shape == (3, 3)
 
 
 def test_a_missing_mesh_is_a_missing_file_at_its_line(scenes):
     said = refusal(FileMissing, scenes, mesh("no.obj"))
     assert said.startswith(
-        "x.toml:7:1: shapes[0] (mesh): file cannot be used: cannot read this mesh file: No such file or "
-        "directory\n"
+        "x.toml:7:1: shapes[0] (mesh): file cannot be used: cannot read this mesh file: No such file or directory\n"
     )
 
 
 def test_a_broken_mesh_is_reported_with_both_lines(scenes):
     (scenes / "bad.obj").write_text(TRIANGLE + "f 1 2\n")
     said = refusal(SceneError, scenes, mesh("bad.obj"))
-    assert said.startswith(
-        "x.toml:7:1: shapes[0] (mesh): file cannot be used: bad.obj:5: a face needs at least 3"
-    )
+    assert said.startswith("x.toml:7:1: shapes[0] (mesh): file cannot be used: bad.obj:5: a face needs at least 3")
 
 
 def test_a_missing_mesh_beside_another_error_is_an_invalid_scene(scenes):

@@ -28,34 +28,10 @@ SCENE = {
     ],
     "check": {"depth": {"ratio": 2}},
 }
-JARGON = (
-    "Input should",
-    "something else",
-    "ydantic",
-    "validation",
-    "Value error",
-    "Traceback",
-    "NoneType",
-    "<class",
-)
+JARGON = ("Input should", "something else", "ydantic", "validation", "Value error", "Traceback", "NoneType", "<class")
 
 words = st.sampled_from(
-    [
-        "type",
-        "shape",
-        "shapes",
-        "light",
-        "sphere",
-        "mesh",
-        "file",
-        "pinhole",
-        "up",
-        "red",
-        "",
-        "\x00",
-        "a\nb",
-        "0x1p3",
-    ]
+    ["type", "shape", "shapes", "light", "sphere", "mesh", "file", "pinhole", "up", "red", "", "\x00", "a\nb", "0x1p3"]
 )
 leaves = st.one_of(
     st.none(),
@@ -67,9 +43,7 @@ leaves = st.one_of(
     st.just(10**400),
     st.just("\ud800"),
 )
-values = st.recursive(
-    leaves, lambda v: st.lists(v, max_size=4) | st.dictionaries(words, v, max_size=3), max_leaves=6
-)
+values = st.recursive(leaves, lambda v: st.lists(v, max_size=4) | st.dictionaries(words, v, max_size=3), max_leaves=6)
 
 
 def places(value, path=()):

@@ -7,19 +7,7 @@ import pytest
 
 from caster.cameras import Pinhole
 from caster.kernels.nearest import new_rays
-from caster.kernels.raster.tile import (
-    DX,
-    OX,
-    PIXELS,
-    PRIM,
-    STRIDE,
-    T_MAX,
-    T_MIN,
-    UNCERTAIN,
-    WIDTH,
-    T,
-    new_tile,
-)
+from caster.kernels.raster.tile import DX, OX, PIXELS, PRIM, STRIDE, T_MAX, T_MIN, UNCERTAIN, WIDTH, T, new_tile
 from caster.kernels.surface.lighting import (
     SHADOW_OFFSET,
     add_ambient,
@@ -203,9 +191,7 @@ def lit_and_flux(light, p, n, sh_n, o, d, t, sides, extent):
     """By formula: (whether it is lit, flux, start of the shadow ray, its direction, its t_min)."""
     way = np.array(light.position) - p if hasattr(light, "position") else np.broadcast_to(light.back, p.shape)
     square = (way * way).sum(axis=-1, keepdims=True)
-    arriving = (
-        np.array(light.intensity) / square if hasattr(light, "position") else np.array(light.irradiance)
-    )
+    arriving = np.array(light.intensity) / square if hasattr(light, "position") else np.array(light.irradiance)
     cosine = (unit(way) * sh_n).sum(axis=-1)
     faced = -(d * sh_n).sum(axis=-1)
     lit = np.where(sides, cosine * faced > 0.0, (cosine > 0.0) & (faced > 0.0))
@@ -238,9 +224,7 @@ def test_hits_of_a_tile_are_lit_as_the_formula_states(name):
     assert count == cast.sum() and 10 < count < cast.size
     assert np.array_equal(field(shadow_tile, T_MAX, 1) >= 0.0, cast)
     assert (field(shadow_tile, T_MAX, 1)[cast] == (1.0 if name == "point" else math.inf)).all()
-    assert (field(shadow_tile, T_MAX, 1)[~cast] == -1.0).all() and (
-        field(shadow_tile, T, 1) == math.inf
-    ).all()
+    assert (field(shadow_tile, T_MAX, 1)[~cast] == -1.0).all() and (field(shadow_tile, T, 1) == math.inf).all()
     for at, expected in ((OX, start), (DX, along), (T_MIN, t_min)):
         found = field(shadow_tile, at, 3 if expected.ndim == 3 else 1)[cast]
         assert found == pytest.approx(expected[cast], rel=1e-9, abs=0.0 if at == T_MIN else 1e-12)
@@ -276,11 +260,7 @@ def test_light_without_shadows_is_what_arrives_where_no_ray_is_blocked(name, one
     light, (tile, buffer) = LIGHTS[name], a_tile_of_hits(np.random.default_rng(232))
     for y in (1, 3):
         tile[int(PRIM) + y * WIDTH : int(PRIM) + (y + 1) * WIDTH] = -1.0
-    tables = (
-        (SHAPES_OF % 1, REFLECTANCE[1:2], TWO_SIDED[1:2])
-        if one_material
-        else (SHAPES_OF, REFLECTANCE, TWO_SIDED)
-    )
+    tables = (SHAPES_OF % 1, REFLECTANCE[1:2], TWO_SIDED[1:2]) if one_material else (SHAPES_OF, REFLECTANCE, TWO_SIDED)
     materials_in_tile(tile, BOX, *tables, buffer)
     hit, shape = field(tile, PRIM, 1) >= 0.0, tables[0][np.maximum(field(tile, PRIM, 1).astype(int), 0)]
     assert np.array_equal(field(buffer, ALBEDO)[hit], tables[1][shape[hit]])
@@ -288,9 +268,7 @@ def test_light_without_shadows_is_what_arrives_where_no_ray_is_blocked(name, one
     free, shadow_tile = buffer.copy(), new_tile()
     shadow_tile[:] = 7.0
     for _ in range(2):
-        count = shadow_rays_in_tile(
-            light, tile, BOX, SHAPES_OF, EXTENTS, buffer, shadow_tile, np.zeros(1, int)
-        )
+        count = shadow_rays_in_tile(light, tile, BOX, SHAPES_OF, EXTENTS, buffer, shadow_tile, np.zeros(1, int))
         add_light(tile, BOX, buffer, shadow_tile)
         add_unshadowed_light(light, tile, BOX, free)
     assert 5 < count < hit.sum() and (field(shadow_tile, T_MAX, 1)[[1, 3]] == -1.0).all()
@@ -310,9 +288,7 @@ def test_shadow_rays_of_some_rays_are_those_of_the_formula(name):
     about = surfaces.p, n, n, rays.o, rays.d, t, False, extents
     _, _, start, along, t_min = (each[where] for each in lit_and_flux(light, *about))
     assert out.o == pytest.approx(start, rel=1e-9, abs=1e-12)
-    assert out.d == pytest.approx(along, rel=1e-9, abs=1e-12) and out.t_min == pytest.approx(
-        t_min, rel=1e-9, abs=0.0
-    )
+    assert out.d == pytest.approx(along, rel=1e-9, abs=1e-12) and out.t_min == pytest.approx(t_min, rel=1e-9, abs=0.0)
     assert (out.t_max == (1.0 if name == "point" else math.inf)).all()
 
 

@@ -47,9 +47,7 @@ def test_a_scene_may_be_nothing_but_a_camera():
 
 
 def test_elements_may_be_plain_data():
-    scene = Scene(
-        camera={"type": "panorama", "eye": [0, 0, 0], "direction": [0, 0, 1]}, shapes=[{"type": "cube"}]
-    )
+    scene = Scene(camera={"type": "panorama", "eye": [0, 0, 0], "direction": [0, 0, 1]}, shapes=[{"type": "cube"}])
     assert scene.camera.type == "panorama" and scene.shapes == (Cube(),)
 
 
@@ -57,11 +55,7 @@ def test_all_errors_of_a_python_scene_come_at_once():
     with pytest.raises(SceneError) as caught:
         Scene(
             camera={"type": "pinhole", "eye": [0, 0, 0], "look_at": [0, 0, 1], "fov": 200},
-            shapes=[
-                Sphere(name="a", material="gold"),
-                {"type": "disk", "name": "a"},
-                {"type": "cube", "raduis": 2},
-            ],
+            shapes=[Sphere(name="a", material="gold"), {"type": "disk", "name": "a"}, {"type": "cube", "raduis": 2}],
         )
     assert str(caught.value).splitlines() == [
         "camera (pinhole): fov must be an angle > 0 and < 180 degrees, got 200",
@@ -121,9 +115,7 @@ def test_what_was_computed_from_a_scene_stays_with_it_alone():
 
 def test_a_scene_is_packed_and_its_bvhs_are_built_once_for_each_rounding(monkeypatch):
     built_trees, build = [], bvh_construction.build_tree
-    monkeypatch.setattr(
-        bvh_construction, "build_tree", lambda *args: built_trees.append(args) or build(*args)
-    )
+    monkeypatch.setattr(bvh_construction, "build_tree", lambda *args: built_trees.append(args) or build(*args))
     camera = Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0))
     scene = Scene(camera=camera, film=Film(width=8, height=6), shapes=[Icosphere(subdivisions=3)])
     rays = camera_rays(scene)
@@ -197,9 +189,7 @@ def test_a_shape_is_open_to_a_scene_once_it_is_in_the_registry():
         inside: one_of((*SHAPES, Egg))  # type: ignore[valid-type]
 
     assert Nest(inside={"type": "egg", "pointed": True}).inside == Egg(pointed=True)
-    with pytest.raises(
-        SceneError, match=r"inside.* type \"eg\", did you mean 'egg'\? \(known: sphere, .*, egg\)"
-    ):
+    with pytest.raises(SceneError, match=r"inside.* type \"eg\", did you mean 'egg'\? \(known: sphere, .*, egg\)"):
         Nest(inside={"type": "eg"})
     with pytest.raises(SceneError, match=r"inside.pionted is an unknown key, did you mean 'pointed'\?"):
         Nest(inside={"type": "egg", "pionted": True})

@@ -36,9 +36,7 @@ def test_a_hex_float_string_is_the_number_to_the_bit(x):
     assert Thing(number=x.hex()).number == x
 
 
-@pytest.mark.parametrize(
-    ("text", "x"), [("0x1.8p-3", 0.1875), ("-0X1P+4", -16.0), ("0x10", 16.0), ("+0x1.", 1.0)]
-)
+@pytest.mark.parametrize(("text", "x"), [("0x1.8p-3", 0.1875), ("-0X1P+4", -16.0), ("0x10", 16.0), ("+0x1.", 1.0)])
 def test_hex_floats_may_be_spelled_in_these_ways(text, x):
     assert Thing(number=text).number == x
 

@@ -27,9 +27,7 @@ def options_of(scene):
 
 @pytest.fixture(scope="module")
 def shipped():
-    return {
-        option for path in sorted(Path("scenes").glob("*.toml")) for option in options_of(load_scene(path))
-    }
+    return {option for path in sorted(Path("scenes").glob("*.toml")) for option in options_of(load_scene(path))}
 
 
 @pytest.fixture(scope="module")
@@ -98,10 +96,7 @@ def test_a_new_option_is_demanded_by_its_name(option):
 @pytest.mark.parametrize(
     ("leave_out", "named"),
     [
-        (
-            lambda scene: scene.camera.type == "pinhole" and scene.camera.fov_axis == "larger",
-            "fov_axis: 'larger'",
-        ),
+        (lambda scene: scene.camera.type == "pinhole" and scene.camera.fov_axis == "larger", "fov_axis: 'larger'"),
         (lambda scene: len([each for each in scene.lights if each.type == "ambient"]) > 1, "two of Ambient"),
         (lambda scene: scene.film.width < scene.film.height, "portrait film"),
         (lambda scene: scene.film.crop is not None and scene.camera.type == "panorama", "crop of Panorama"),

@@ -58,10 +58,7 @@ def test_the_process_that_hands_out_scenes_loads_none(folder):
 
 
 ERRORS = {
-    "s04": (
-        MemoryError("Unable to allocate 64. GiB"),
-        "cannot be judged: not enough memory: Unable to allocate",
-    ),
+    "s04": (MemoryError("Unable to allocate 64. GiB"), "cannot be judged: not enough memory: Unable to allocate"),
     "s05": (OutputError("s05.ours.exr: cannot write: full"), "cannot be written: s05.ours.exr"),
     "s06": (OSError(5, "Input/output error", "mesh.ply"), "cannot be judged: mesh.ply: Input/output error"),
     "s07": (ZeroDivisionError("division by zero"), "internal error, please report it: ZeroDivisionError"),
@@ -109,11 +106,7 @@ def test_of_the_last_scenes_alone_the_long_ones_are_begun_first(workers):
     order, tail = start_order(costs, workers), 30 - 4 * workers
     assert sorted(order) == list(range(30)) and order[:tail] == list(range(tail))
     assert [costs[place] for place in order[tail:]] == sorted(costs[tail:], reverse=True)
-    assert (
-        start_order([5, 5, 5], 2) == [0, 1, 2]
-        and start_order([1, 2], 8) == [1, 0]
-        and start_order([], 1) == []
-    )
+    assert start_order([5, 5, 5], 2) == [0, 1, 2] and start_order([1, 2], 8) == [1, 0] and start_order([], 1) == []
 
 
 def test_a_long_description_counts_as_work(tmp_path):

@@ -7,17 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from caster.cameras import (
-    Fisheye,
-    Orthographic,
-    Panorama,
-    Parabolic,
-    Pinhole,
-    fisheye,
-    panorama,
-    parabolic,
-    pinhole,
-)
+from caster.cameras import Fisheye, Orthographic, Panorama, Parabolic, Pinhole, fisheye, panorama, parabolic, pinhole
 from caster.jit.simd import LANES
 from caster.kernels.protocol import (
     camera_ray,
@@ -40,11 +30,7 @@ from caster.kernels.raster.screen_bounds import (
 from caster.kernels.raster.tile import DX, DY, DZ, PRIM, T_ERROR, UNCERTAIN, T, generate_camera_rays, new_tile
 from caster.kernels.raster.tile import HEIGHT as TILE_HEIGHT
 from caster.kernels.raster.tile import WIDTH as TILE_WIDTH
-from caster.kernels.raster.tile_casting import (
-    cast_shared_origin,
-    direction_bounds,
-    direction_bounds_from_corners,
-)
+from caster.kernels.raster.tile_casting import cast_shared_origin, direction_bounds, direction_bounds_from_corners
 from caster.kernels.triangles import Triangles
 
 WIDTH, HEIGHT = 300, 200
@@ -169,9 +155,7 @@ def test_the_distortion_bound_holds_for_edges(name):
 def test_a_bend_that_is_taken_for_a_twentieth_of_it_is_detected(name, monkeypatch):
     for camera in (fisheye, panorama, parabolic):
         monkeypatch.setattr(
-            camera,
-            "hull_distortion_bound",
-            lambda angle, bend: (0.01 * bend * angle * angle, 0.9, angle <= 0.1),
+            camera, "hull_distortion_bound", lambda angle, bend: (0.01 * bend * angle * angle, 0.9, angle <= 0.1)
         )
     camera = CAMERAS[name].pack(FINE * WIDTH, FINE * HEIGHT)
     assert max(off_the_line(camera, np.random.default_rng(144))) > 1.0
@@ -203,9 +187,7 @@ def test_the_pixels_of_a_triangle_hold_its_curved_edges_on_every_side(name):
     for k in range(count):
         a, b = points[3 * k : 3 * k + 2]
         seen = np.array([project(camera, tuple(a + s * (b - a))) for s in np.linspace(0.0, 1.0, 17)])
-        if (
-            not seen[:, 4].all() or np.abs(np.diff(seen[:, :2], axis=0)).max() > min(size) / 4
-        ):  # around the seam
+        if not seen[:, 4].all() or np.abs(np.diff(seen[:, :2], axis=0)).max() > min(size) / 4:  # around the seam
             continue
         low, high = np.clip(seen[:, :2].min(axis=0), 0, size), np.clip(seen[:, :2].max(axis=0), 0, size)
         pixels = bounds.pixels[k]
@@ -229,18 +211,12 @@ def test_no_ray_of_a_packet_hits_a_triangle_before_its_lower_bound_of_t():
     for _ in range(600):
         prims, o = random_triangle(rng), tuple(rng.normal(size=3))
         wide = 10.0 ** rng.uniform(-3, -0.3)
-        middle = (
-            rng.dirichlet((1.0, 1.0, 1.0)) @ prims.vertices - o if rng.random() < 0.7 else rng.normal(size=3)
-        )
+        middle = rng.dirichlet((1.0, 1.0, 1.0)) @ prims.vertices - o if rng.random() < 0.7 else rng.normal(size=3)
         many = middle / np.linalg.norm(middle) + wide * rng.uniform(-0.5, 0.5, (12, 3))
         low, high = tuple(many.min(axis=0)), tuple(many.max(axis=0))
         pre = prepare(prims, load(prims, 0), o)
         least = t_lower_bound(prims, pre, low, high)
-        met = [
-            t
-            for t, off in (intersect(prims, pre, tuple(d), 0.0, math.inf) for d in many)
-            if 0.0 < t < math.inf
-        ]
+        met = [t for t, off in (intersect(prims, pre, tuple(d), 0.0, math.inf) for d in many) if 0.0 < t < math.inf]
         assert all(t >= least for t in met), (met, least)
         hits, never = hits + len(met), never + (least == math.inf)
         near.extend(t / least for t in met if wide < 0.01)
@@ -266,10 +242,7 @@ def test_what_a_tile_has_covered_hides_what_lies_behind_and_changes_no_hit():
     faces = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
     none = np.zeros((3 * count, 3)), np.zeros((3 * count, 2)), np.zeros(count, bool), np.zeros(count, bool)
     prims, pixels = Triangles(np.array(points), faces, *none), np.array([box, *small], np.int32)
-    near, unused = (
-        np.array([2.0, *(min(at) for at in depths)]),
-        (np.zeros((0, 3), np.int32), np.zeros((0, 4))),
-    )
+    near, unused = (np.array([2.0, *(min(at) for at in depths)]), (np.zeros((0, 3), np.int32), np.zeros((0, 4))))
     bounds = ScreenBounds(pixels, near, *unused, (0.0, 0.0, 1.0), 1.0)
     found = []
     for first in (0, 1):  # with the second wall and without it
@@ -281,11 +254,7 @@ def test_what_a_tile_has_covered_hides_what_lies_behind_and_changes_no_hit():
         cast_shared_origin(prims, order, (first, count), bounds, 10, box, tile)
         found.append([fields(tile, box, field) for field in (T, T_ERROR, PRIM, UNCERTAIN)])
     assert np.array_equal(*found)
-    assert np.unique(found[0][2]).tolist() == [
-        -1.0,
-        11.0,
-        13.0,
-    ]  # nothing but the wall, and what is before it
+    assert np.unique(found[0][2]).tolist() == [-1.0, 11.0, 13.0]  # nothing but the wall, and what is before it
 
 
 @pytest.mark.parametrize("fov", [0.01, 40.0, 120.0, 179.9])
@@ -333,8 +302,7 @@ def test_tangents_of_a_circle_are_rounded_outwards():
             assert aside > 0 and aside**2 >= Fraction(r) ** 2 * (1 + Fraction(m) ** 2), (x, z, r, side)
             nearer = m - side * 2.0**-40 * abs(m)
             tight += (
-                Fraction(r) ** 2 * (1 + Fraction(nearer) ** 2)
-                > (Fraction(nearer) * Fraction(z) - Fraction(x)) ** 2
+                Fraction(r) ** 2 * (1 + Fraction(nearer) ** 2) > (Fraction(nearer) * Fraction(z) - Fraction(x)) ** 2
             )
     assert tight > 3000  # of 6000, that are not much larger than they have to be
 
@@ -366,9 +334,7 @@ def test_a_triangle_around_one_pixel_centre_has_that_pixel_just_where_it_holds_t
     wide = 2.0**-20
     projected = np.column_stack([corners.reshape(-1, 2), np.full((3 * count, 2), (wide, 1.0))])
     faces = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
-    bounds = ScreenBounds(
-        np.zeros((count, 4), np.int32), np.zeros(count), faces, projected, (0.0, 0.0, 0.0), 0.0
-    )
+    bounds = ScreenBounds(np.zeros((count, 4), np.int32), np.zeros(count), faces, projected, (0.0, 0.0, 0.0), 0.0)
     bound_triangles(Window(0, 0, WIDTH, HEIGHT), bounds, (0.0, wide), 0, count)
     low, high = corners.min(axis=1), corners.max(axis=1)
     first = np.maximum(np.ceil(low - wide - 0.5), 0).astype(int)

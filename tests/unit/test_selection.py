@@ -85,9 +85,7 @@ def test_a_file_that_is_named_is_taken_whatever_its_suffix_and_only_once(tmp_pat
 
 
 def test_a_place_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(
-        FileMissing, match=r"nowhere: expected a scene file or a folder of them, found nothing"
-    ):
+    with pytest.raises(FileMissing, match=r"nowhere: expected a scene file or a folder of them, found nothing"):
         scene_files([str(tmp_path / "nowhere")])
 
 

@@ -47,9 +47,7 @@ class Element:
         self.notes.append(text)
 
 
-def imported(
-    name: str, *steps: Any, instanced: bool = False, **properties: Any
-) -> tuple[dict[str, Any], list[str]]:
+def imported(name: str, *steps: Any, instanced: bool = False, **properties: Any) -> tuple[dict[str, Any], list[str]]:
     element = Element(properties, list(steps), instanced)
     return IMPORTERS[name](element), element.notes
 
@@ -74,9 +72,7 @@ def test_these_shapes_of_mitsubas_are_imported():
         ((STRETCH,), {"flip_normals": True}, (0, 0, 0), 3.0, [INWARD, IGNORED]),
     ],
 )
-def test_a_sphere_is_one_of_the_center_and_radius_that_its_matrix_gives(
-    steps, properties, center, radius, notes
-):
+def test_a_sphere_is_one_of_the_center_and_radius_that_its_matrix_gives(steps, properties, center, radius, notes):
     fields, found = imported("sphere", *steps, **properties)
     assert set(fields) == {"type", "center", "radius"} and fields["type"] == "sphere" and found == notes
     assert fields["center"] == pytest.approx(center, abs=1e-15) and fields["radius"] == pytest.approx(radius)

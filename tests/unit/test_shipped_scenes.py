@@ -110,9 +110,7 @@ def test_a_scene_shows_something_and_no_nan(path):
 
 
 def test_every_mesh_file_is_below_20_kb_and_used():
-    used = {
-        Path(shape.file) for path in SCENES for shape in scene_of(path).shapes if getattr(shape, "file", None)
-    }
+    used = {Path(shape.file) for path in SCENES for shape in scene_of(path).shapes if getattr(shape, "file", None)}
     assert {file.resolve() for file in used} == {file.resolve() for file in (FOLDER / "meshes").iterdir()}
     assert [file.name for file in used if file.stat().st_size >= 20_000] == []
 
@@ -126,9 +124,7 @@ def test_a_mesh_has_more_than_100000_triangles():
 
 
 def largest_mesh(scene: Scene) -> int:
-    return max(
-        (primitive_count(part) for part in pack(scene).parts if isinstance(part, Triangles)), default=0
-    )
+    return max((primitive_count(part) for part in pack(scene).parts if isinstance(part, Triangles)), default=0)
 
 
 def test_a_scene_has_more_than_1500_spheres():

@@ -56,8 +56,7 @@ def started(folder: Path, what: str) -> subprocess.Popen[str]:
 
 
 @pytest.mark.parametrize(
-    ("what", "number"),
-    [("compiled", signal.SIGTERM), ("threads", signal.SIGHUP), ("orderly", signal.SIGINT)],
+    ("what", "number"), [("compiled", signal.SIGTERM), ("threads", signal.SIGHUP), ("orderly", signal.SIGINT)]
 )
 def test_a_signal_ends_the_command_in_time_without_leftovers(what, number, tmp_path):
     child = started(tmp_path, what)
@@ -96,11 +95,7 @@ def test_a_child_of_a_dead_parent_ends():
     source = "from caster.system.process import die_with_parent; die_with_parent(); print('lives')"
     found = {}
     for parent in (os.getpid(), 1):
-        environment = {
-            **os.environ,
-            process.PARENT_VARIABLE: str(parent),
-            "PYTHONPATH": os.pathsep.join(sys.path),
-        }
+        environment = {**os.environ, process.PARENT_VARIABLE: str(parent), "PYTHONPATH": os.pathsep.join(sys.path)}
         done = subprocess.run(
             [sys.executable, "-c", source], env=environment, capture_output=True, text=True, check=False
         )

@@ -18,12 +18,7 @@ from mitsuba_ref.judge.scene_checks import check_geometry
 
 CAMERA = caster.Pinhole(eye=(0.3, 0.7, 6.1), look_at=(0, 0, 0), fov=40)
 TURN = [{"scale": 1.3}, {"rotate": {"axis": [1, 2, 3], "degrees": 37}}, {"translate": [0.3, 0.1, -0.4]}]
-PLACES = {
-    "as it is": [],
-    "turned": TURN,
-    "mirrored": [{"scale": -0.7}],
-    "stretched": [{"scale": [1, 0.8, 1.7]}, *TURN],
-}
+PLACES = {"as it is": [], "turned": TURN, "mirrored": [{"scale": -0.7}], "stretched": [{"scale": [1, 0.8, 1.7]}, *TURN]}
 
 
 def some_spheres(count: int = 40) -> tuple[np.ndarray, np.ndarray]:
@@ -56,15 +51,10 @@ def test_a_cloud_has_the_bits_of_single_spheres(place):
     centers, radii = some_spheres()
     cloud = scene_of([caster.SphereCloud(centers=centers, radii=radii, to_world=PLACES[place])])
     alone = scene_of(
-        [
-            caster.Sphere(center=c, radius=r, to_world=PLACES[place])
-            for c, r in zip(centers, radii, strict=True)
-        ]
+        [caster.Sphere(center=c, radius=r, to_world=PLACES[place]) for c, r in zip(centers, radii, strict=True)]
     )
     for rounded in (as_given, as_float32):
-        for one, other in zip(
-            pack(cloud, rounded).kinds[0].prims, pack(alone, rounded).kinds[0].prims, strict=True
-        ):
+        for one, other in zip(pack(cloud, rounded).kinds[0].prims, pack(alone, rounded).kinds[0].prims, strict=True):
             assert one.tobytes() == other.tobytes()
     names = set(BY_NAME) - {"shape_id", "prim_id"}
     one, other = render(cloud, tuple(names | {"prim_id"})), render(alone, tuple(names | {"shape_id"}))
@@ -156,9 +146,7 @@ def test_a_bad_vertex_is_named_with_its_number(tmp_path, kind, radius):
     )
     centers[7, 1] = np.inf
     where = write_ply(tmp_path / "b.ply", centers, None, kind)
-    with pytest.raises(
-        SceneError, match=r"vertex 7 must be finite numbers, got \(.*inf.*\(1 of 9 are wrong\)"
-    ):
+    with pytest.raises(SceneError, match=r"vertex 7 must be finite numbers, got \(.*inf.*\(1 of 9 are wrong\)"):
         caster.SphereCloud(file=where).load()
 
 
@@ -214,9 +202,9 @@ def test_the_judge_finds_a_cloud_that_is_packed_wrongly(monkeypatch):
                     patch.setattr(
                         caster.SphereCloud,
                         "pack",
-                        lambda self, rounded, name=name, change=change, right=right: (
-                            part := right(rounded)
-                        )._replace(**{name: change(getattr(part, name))}),
+                        lambda self, rounded, name=name, change=change, right=right: (part := right(rounded))._replace(
+                            **{name: change(getattr(part, name))}
+                        ),
                     )
                     assert check_geometry(scene_of([shape])).ratio > 1.0, (place, name)
 

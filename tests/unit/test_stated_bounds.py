@@ -59,14 +59,7 @@ PACKED_SHAPES = {
     "steep heightfield": caster.Heightfield(resolution=2, size=5.0, amplitude=2.0, waves=3, seed=4),
     "teapot": caster.Teapot(subdivisions=2, to_world=PLACE),
 }
-TARGETS = [
-    (0.5, 0.5, 0.5),
-    (0.1, 0.6, 0.4),
-    (0.9, 0.2, 0.7),
-    (0.0, 0.5, 0.5),
-    (0.3, 0.3, 0.35),
-    (1.0, 1.0, 0.2),
-]
+TARGETS = [(0.5, 0.5, 0.5), (0.1, 0.6, 0.4), (0.9, 0.2, 0.7), (0.0, 0.5, 0.5), (0.3, 0.3, 0.35), (1.0, 1.0, 0.2)]
 ORIGINS = [(7.0, 3.0, 5.0), (0.25, -9.0, -40.0)]
 SIDES = [
     ("reference", KU, False),
@@ -94,12 +87,9 @@ def bounds_of(name: str) -> dict[str, Any]:
     for side, ku, ours in SIDES:
         met = model.intersect(np.zeros(len(o), np.int64), o, d, ku, ours=ours)
         order = np.lexsort([np.nan_to_num(met.at.t), met.pair])
-        fields = {
-            field: np.asarray(value)[order] for field, value in met.at._asdict().items() if value is not None
-        }
+        fields = {field: np.asarray(value)[order] for field, value in met.at._asdict().items() if value is not None}
         found[side] = {"pair": met.pair[order].tolist()} | {
-            field: np.asarray(value, float).reshape(len(order), -1).tolist()
-            for field, value in fields.items()
+            field: np.asarray(value, float).reshape(len(order), -1).tolist() for field, value in fields.items()
         }
     return found
 
@@ -114,15 +104,8 @@ def expectations_of(name: str) -> dict[str, list[Any]]:
     for each in (*reference.expected(shape, make_packed(scene).parts[0]), *reference.closed_form(shape)):
         expected = np.asarray(each.expected, float)
         size = np.broadcast_to(each.size, expected.shape)
-        assert np.shape(each.packed) == expected.shape and each.packed == pytest.approx(
-            expected, rel=1e-9, abs=1e-9
-        )
-        found[each.what] = [
-            expected.size,
-            bool(each.rounded),
-            float(np.abs(expected).sum()),
-            float(size.sum()),
-        ]
+        assert np.shape(each.packed) == expected.shape and each.packed == pytest.approx(expected, rel=1e-9, abs=1e-9)
+        found[each.what] = [expected.size, bool(each.rounded), float(np.abs(expected).sum()), float(size.sum())]
     return found
 
 
@@ -163,9 +146,7 @@ def test_what_is_expected_and_its_size_do_not_depend_on_what_was_packed(name):
     """An infinite or large number in its place would else have an infinite or large bound."""
     shape = PACKED_SHAPES[name]
     scene = Scene(
-        film=caster.Film(width=2, height=2),
-        camera=caster.Pinhole(eye=(0, 0, 9), look_at=(0, 0, 0)),
-        shapes=[shape],
+        film=caster.Film(width=2, height=2), camera=caster.Pinhole(eye=(0, 0, 9), look_at=(0, 0, 0)), shapes=[shape]
     )
     part, reference = make_packed(scene).parts[0], reference_of(shape)
     spoiled = type(part)(*(array * 3 + 7 if array.dtype.kind == "f" else array for array in part))
@@ -174,9 +155,7 @@ def test_what_is_expected_and_its_size_do_not_depend_on_what_was_packed(name):
     changed = 0
     for one, other in zip(right, wrong, strict=True):
         if one.what not in OF_PACKED_NUMBERS:
-            assert np.array_equal(one.expected, other.expected) and np.array_equal(one.size, other.size), (
-                one.what
-            )
+            assert np.array_equal(one.expected, other.expected) and np.array_equal(one.size, other.size), one.what
             changed += not np.array_equal(one.packed, other.packed)
     floats = sum(array.dtype.kind == "f" and array.size > 0 for array in part)
     assert 0 < changed <= floats + 2

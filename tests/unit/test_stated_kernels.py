@@ -102,12 +102,7 @@ TARGETS = [
 ]
 # of rays: where they start beside the box of the shape, in boxes, and how long d is
 STARTS = [
-    *(
-        ((3.0, 1.0, 2.0), 1.0),
-        ((0.25, -4.0, -19.0), 0.25),
-        ((0.5, 0.45, 0.5), 7.0),
-        ((-300.0, 200.0, 90.0), 1.0),
-    ),
+    *(((3.0, 1.0, 2.0), 1.0), ((0.25, -4.0, -19.0), 0.25), ((0.5, 0.45, 0.5), 7.0), ((-300.0, 200.0, 90.0), 1.0)),
     ((1.0, 0.5, 0.5), 3.0),
     *(((3.0, 1.0, 2.0), 1e-305), ((3.0, 1.0, 2.0), 1e-160), ((3.0, 1.0, 2.0), 1e150)),
 ]
@@ -253,9 +248,7 @@ def scattered(cls: str) -> list[Any]:
             found.append(caster.Sphere(center=center, radius=size))
         else:
             turns = [TURN] * (i % 5)
-            found.append(
-                caster.Disk(to_world=[{"scale": [size, 2 * size, 1]}, *turns, {"translate": center}])
-            )
+            found.append(caster.Disk(to_world=[{"scale": [size, 2 * size, 1]}, *turns, {"translate": center}]))
     return found
 
 
@@ -306,11 +299,7 @@ def screen_bounds(name: str) -> Iterator[Any]:
 def quadrics(_: str) -> Iterator[Any]:
     """Roots, closest approaches and normals of spheres of many sizes, for inputs that are off by so much."""
     for r in (1.0, 0.01, 40.0):
-        for f in (
-            (3.0 * r, 0.5 * r, -0.25 * r),
-            (0.25 * r, -0.125 * r, 0.5 * r),
-            (-1e5 * r, 2e4 * r, 3e4 * r),
-        ):
+        for f in ((3.0 * r, 0.5 * r, -0.25 * r), (0.25 * r, -0.125 * r, 0.5 * r), (-1e5 * r, 2e4 * r, 3e4 * r)):
             for f_error, d_error in ((0.0, 0.0), (1e-6 * r, 0.0), (0.0, 1e-7), (1e-5 * r, 1e-6)):
                 setup = quadric_setup(f, r, f_error)
                 yield setup
@@ -319,10 +308,7 @@ def quadrics(_: str) -> Iterator[Any]:
     for r in (1.0, 0.5, 3.0, 1e-3):
         for f in ((2.0, 0.5, -0.25), (-0.25, 0.125, 0.5), (0.9, 0.0, 0.0), (0.0, 1.5, 0.1)):
             for t in (-0.5, 0.0, 1e-9, 0.75, 2.0, 40.0):
-                yield (
-                    outward_normal(f, (-0.6, 0.0, 0.8), t, r),
-                    fast_outward_normal(f, (-0.6, 0.0, 0.8), t, r),
-                )
+                yield (outward_normal(f, (-0.6, 0.0, 0.8), t, r), fast_outward_normal(f, (-0.6, 0.0, 0.8), t, r))
                 yield outward_normal(f, (-3.0, 1.0, 0.25), t, r)
     for t in np.nextafter(2.0, [0.0, 3.0]).tolist():  # the ends of a chord that t hardly separates
         for r in (3.0, 2.5, 2.0, 1.0, 0.25):
@@ -378,10 +364,7 @@ def trees(_: str) -> Iterator[Any]:
 def fans(name: str) -> Iterator[Any]:
     """Spheres or triangles as fans see them, with the slack of roundings and with a large one."""
     kind = kind_of(*scattered(name))
-    tree, lights = (
-        bvh_of(kind),
-        (PointLight(POSE["eye"], NO_POINT), DirectionalLight((0.6, 0.0, -0.8), NO_POINT)),
-    )
+    tree, lights = (bvh_of(kind), (PointLight(POSE["eye"], NO_POINT), DirectionalLight((0.6, 0.0, -0.8), NO_POINT)))
     for light in lights:
         for deviation in (0.0, 0.01):
             fan = fans_to(light, tree.center, kind.extent, deviation)[0]
@@ -395,10 +378,7 @@ def fans(name: str) -> Iterator[Any]:
 
 def shadow_rays(_: str) -> Iterator[Any]:
     """Where rays to a light start and end, and what arrives."""
-    lights = (
-        PointLight((1.0, 5.0, 2.0), (3.0, 2.0, 1.0)),
-        DirectionalLight((0.5, -1.0, 0.25), (1.0, 2.0, 4.0)),
-    )
+    lights = (PointLight((1.0, 5.0, 2.0), (3.0, 2.0, 1.0)), DirectionalLight((0.5, -1.0, 0.25), (1.0, 2.0, 4.0)))
     for light in lights:
         for p in ((0.0, 0.0, 0.0), (7.0, -3.0, 2.0), (1.0, 5.0, 2.0), (1e6, 5.0, 2.0)):
             for n in ((0.0, 1.0, 0.0), (0.6, -0.8, 0.0), (0.0, 0.0, 1.0)):

@@ -80,9 +80,7 @@ def test_every_tolerance_is_the_stated_number():
     assert found == pytest.approx(TOLERANCES, rel=1e-15, abs=0.0)
 
 
-@pytest.mark.parametrize(
-    ("module", "numbers"), OTHERS, ids=lambda each: getattr(each, "__name__", "").split(".")[-1]
-)
+@pytest.mark.parametrize(("module", "numbers"), OTHERS, ids=lambda each: getattr(each, "__name__", "").split(".")[-1])
 def test_every_limit_of_an_error_model_is_the_stated_number(module, numbers):
     found = constants(module)
     assert {name: found[name] for name in numbers} == pytest.approx(numbers, rel=1e-15, abs=0.0)
@@ -96,9 +94,7 @@ def test_a_tolerance_is_not_negative_and_there_is_none_unless_it_is_given():
     for name in names:
         assert getattr(Tolerances(**{name: 0}), name) == 0 and getattr(Tolerances(**{name: 1}), name) == 1
         for wrong in (-1, -1e-300, math.inf, math.nan):
-            with pytest.raises(
-                SceneError, match=f"^--{name.replace('_', '-')}: expected a number >= 0, got "
-            ):
+            with pytest.raises(SceneError, match=f"^--{name.replace('_', '-')}: expected a number >= 0, got "):
                 Tolerances(**{name: wrong})
 
 
@@ -131,19 +127,7 @@ def met(pair, t) -> PairIntersections:
     numbers, flags = np.array(t, float), np.ones(len(t), bool)
     rows = np.tile(numbers[:, None], 3)
     at = bounds.Intersections(
-        numbers,
-        numbers,
-        rows,
-        numbers,
-        rows,
-        numbers,
-        flags,
-        flags,
-        numbers,
-        rows,
-        numbers,
-        np.tile(rows, 2),
-        numbers,
+        numbers, numbers, rows, numbers, rows, numbers, flags, flags, numbers, rows, numbers, np.tile(rows, 2), numbers
     )
     return PairIntersections(np.array(pair), at)
 

@@ -101,9 +101,7 @@ def test_ours_is_exact_in_every_setting_and_every_setting_shows_something(name):
         assert ours.compared == exact.hits >= outcome.rays // 8
         assert exact.misses >= (outcome.rays // 10 if BY_NAME[name].misses else 0)
         assert outcome.bound.float64 > 0.0 and ours.worst <= 1.0
-        assert all(
-            outcome.witnesses[key] == Absent("missing", "planted: nothing works") for key in REFERENCES
-        )
+        assert all(outcome.witnesses[key] == Absent("missing", "planted: nothing works") for key in REFERENCES)
 
 
 def test_the_screen_is_requested_where_rays_share_an_eye():
@@ -162,9 +160,7 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize(
-    ("fault", "name"), [(fault, name) for fault, names in FAULTS.items() for name in names]
-)
+@pytest.mark.parametrize(("fault", "name"), [(fault, name) for fault, names in FAULTS.items() for name in names])
 def test_a_fault_of_ours_fails_the_run(fault, name, monkeypatch, capsys):
     honest = score.cast_by_bvh
     monkeypatch.setattr(score, "cast_by_bvh", lambda ready: fault(honest(ready)))
@@ -263,8 +259,7 @@ def test_the_first_breakdown_is_looked_for_on_both_sides_of_the_easiest_setting(
     outcomes = [
         replace(
             outcome,
-            witnesses=outcome.witnesses
-            | {"ours": replace(outcome.witnesses["ours"], false_hits=wrong.get(i, 0))},
+            witnesses=outcome.witnesses | {"ours": replace(outcome.witnesses["ours"], false_hits=wrong.get(i, 0))},
         )
         for i, outcome in enumerate(sweep.settings)
     ]
@@ -318,9 +313,7 @@ def test_leaks_are_added_up(monkeypatch):
     monkeypatch.setattr(score, "cast_by_bvh", lambda ready: without_a_primitive(honest(ready)))
     sweep = run("watertight-vertices", 0, 1)
     lost = sum(outcome.witnesses["ours"].false_misses for outcome in sweep.settings)
-    assert lost > 0 and f"leaks of {2 * RAYS} rays: ours {lost}, screen 0, scalar missing" in sweeps.as_text(
-        sweep
-    )
+    assert lost > 0 and f"leaks of {2 * RAYS} rays: ours {lost}, screen 0, scalar missing" in sweeps.as_text(sweep)
 
 
 @pytest.mark.parametrize("name", ["watertight-edges", "coincident-triangles", "scale-mesh"])
@@ -329,12 +322,7 @@ def test_an_image_is_well_formed_small_and_the_same_again(name):
     picture = stress_plots.as_svg(sweep)
     words = " ".join(ElementTree.fromstring(picture).itertext())
     assert picture == stress_plots.as_svg(sweep) and len(picture) < 90_000
-    for word in (
-        sweep.quantity,
-        sweep.error,
-        "ours, by BVH",
-        "predicted bound of float32",
-    ):
+    for word in (sweep.quantity, sweep.error, "ours, by BVH", "predicted bound of float32"):
         assert word in words
     assert ("ours, by rasterization" in words) == name.startswith("watertight")
 
@@ -368,9 +356,7 @@ def test_a_part_of_the_name_selects_all_that_begin_with_it():
         "scale-mesh",
         "axis",
     ]
-    assert [family.name for family in select(FAMILIES, "family", [], "shadow and not mesh")] == [
-        "shadow-sphere"
-    ]
+    assert [family.name for family in select(FAMILIES, "family", [], "shadow and not mesh")] == ["shadow-sphere"]
 
 
 @pytest.mark.parametrize(
@@ -492,9 +478,7 @@ def test_a_candidate_that_declines_or_raises_is_no_pass():
     assert not sweep.ok and "declined every setting" in sweep.problems[0]
 
 
-def test_families_that_a_candidate_declines_are_skipped_where_that_is_requested(
-    tmp_path, monkeypatch, capsys
-):
+def test_families_that_a_candidate_declines_are_skipped_where_that_is_requested(tmp_path, monkeypatch, capsys):
     families = (short("sliver", 0, -1), short("tangency", 0, -1))
     monkeypatch.setattr("mitsuba_ref.stress.FAMILIES", families)
     (tmp_path / "triangles_alone.py").write_text(
@@ -516,9 +500,7 @@ def test_families_that_a_candidate_declines_are_skipped_where_that_is_requested(
 
     assert main(["stress", "sliver", "tangency", "--skip-unsupported", *words]) == 0
     out = capsys.readouterr().out
-    assert (
-        "SKIP  tangency" in out and "PASS  sliver" in out and "1 declined by the candidate: tangency" in out
-    )
+    assert "SKIP  tangency" in out and "PASS  sliver" in out and "1 declined by the candidate: tangency" in out
     run = json.loads((tmp_path / "run.json").read_text())
     assert run["ok"] and [bool(each["declined"]) for each in run["families"]] == [False, True]
 

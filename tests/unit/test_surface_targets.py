@@ -31,10 +31,7 @@ SHAPES = {
     Ellipsoids: (caster.Sphere(to_world=PLACE), caster.Sphere(center=(3, 0, 1), radius=0.5, to_world=PLACE)),
     Disks: (caster.Disk(to_world=PLACE), caster.Disk(to_world=[{"translate": [1, 2, 3]}])),
     Cylinders: (caster.Cylinder(to_world=PLACE), caster.Cylinder(p0=(1, 0, 0), p1=(4, 1, 1), radius=0.25)),
-    Planes: (
-        caster.Plane(point=(1, 2, 3), normal=(1, 2, 4)),
-        caster.Plane(point=(0, 5, 0), normal=(0, -1, 0)),
-    ),
+    Planes: (caster.Plane(point=(1, 2, 3), normal=(1, 2, 4)), caster.Plane(point=(0, 5, 0), normal=(0, -1, 0))),
     Triangles: tuple(caster.Triangle(vertices=each) for each in CORNERS),
 }
 
@@ -49,11 +46,7 @@ def prims_of(kind: type) -> Any:
 def drawn(kind: type, sort: str, seed: int = 3) -> tuple[Any, np.ndarray, targets.SurfacePoints]:
     """(primitives, which (m,), points on them), of two primitives in turn."""
     prims, k = prims_of(kind), np.arange(COUNT) % 2
-    return (
-        prims,
-        k,
-        KINDS[kind].surface_points(prims, k, np.random.default_rng([seed, SORTS.index(sort)]), sort),
-    )
+    return (prims, k, KINDS[kind].surface_points(prims, k, np.random.default_rng([seed, SORTS.index(sort)]), sort))
 
 
 def in_object_space(
@@ -72,11 +65,7 @@ def in_object_space(
 def decades_are_spread(x: np.ndarray) -> bool:
     """From 1e-16 to 1e-2, all of them alike; float64 shows them from 1e-14 or so on."""
     seen = np.log10(x[x > 1e-13])
-    return (
-        x.min() > -1e-13
-        and x.max() < 1.001e-2
-        and np.histogram(seen, 5, (-13.0, -2.0))[0].min() > 0.08 * len(x)
-    )
+    return x.min() > -1e-13 and x.max() < 1.001e-2 and np.histogram(seen, 5, (-13.0, -2.0))[0].min() > 0.08 * len(x)
 
 
 def is_across(a: np.ndarray, b: np.ndarray) -> bool:
@@ -86,10 +75,7 @@ def is_across(a: np.ndarray, b: np.ndarray) -> bool:
 
 def is_parallel(a: np.ndarray, b: np.ndarray) -> bool:
     return bool(
-        (
-            np.linalg.norm(np.cross(a, b), axis=1)
-            < 1e-13 * np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
-        ).all()
+        (np.linalg.norm(np.cross(a, b), axis=1) < 1e-13 * np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)).all()
     )
 
 
@@ -185,11 +171,7 @@ def test_points_lie_at_corners_and_on_edges_of_a_triangle_beside_them_or_inside(
         assert min(places.values()) > 0.2 * COUNT and len(places) == 3 and 0.6 < along_edge.mean() < 0.95
         return
     if sort == "inside":
-        assert (
-            weights.min() > -1e-12
-            and np.median(weights.min(axis=1)) > 0.02
-            and 0.6 < along_edge.mean() < 0.95
-        )
+        assert weights.min() > -1e-12 and np.median(weights.min(axis=1)) > 0.02 and 0.6 < along_edge.mean() < 0.95
         for column in np.sort(weights, axis=1).T[1:]:
             assert np.ptp(column) > 0.3
         return
@@ -231,18 +213,13 @@ def test_fractions_are_eighths_or_any():
 
 def test_points_and_lengths_are_of_the_lattice_or_any():
     rng = np.random.default_rng(6)
-    on, off = (
-        np.array([targets.random_point(rng, lattice) for _ in range(700)]) for lattice in (True, False)
-    )
+    on, off = (np.array([targets.random_point(rng, lattice) for _ in range(700)]) for lattice in (True, False))
     assert set((on * 8.0).ravel()) == set(range(-8, 9)) and on.shape == (700, 3)
     assert (off * 8.0 % 1.0 != 0.0).all() and np.histogram(off, 8, (-1.0, 1.0))[0].min() > 0.1 * off.size
-    on, off = (
-        np.array([targets.random_length(rng, lattice) for _ in range(700)]) for lattice in (True, False)
-    )
+    on, off = (np.array([targets.random_length(rng, lattice) for _ in range(700)]) for lattice in (True, False))
     assert set(on * 8.0) == set(range(1, 9))
     assert (
-        np.histogram(np.log10(off), 5, (-1.5, 0.0))[0].min() > 0.15 * 700
-        and 10.0**-1.5 <= off.min() <= off.max() < 1.0
+        np.histogram(np.log10(off), 5, (-1.5, 0.0))[0].min() > 0.15 * 700 and 10.0**-1.5 <= off.min() <= off.max() < 1.0
     )
     assert 300 < sum(targets.coin_flip(rng) for _ in range(700)) < 400
 
@@ -279,9 +256,7 @@ def test_the_octahedron_is_closed_and_has_its_outside_outside():
     assert is_closed(faces) and faces.shape == (8, 3)
     assert {tuple(v) for v in vertices.tolist()} == {tuple(s * e) for e in np.eye(3) for s in (1.0, -1.0)}
     middles = vertices[faces].mean(axis=1)
-    assert np.array_equal(
-        doubled_areas(vertices, faces), 3.0 * middles
-    )  # each faces away, with sides of sqrt(2)
+    assert np.array_equal(doubled_areas(vertices, faces), 3.0 * middles)  # each faces away, with sides of sqrt(2)
 
 
 def test_the_dented_icosphere_is_an_icosahedron_with_other_radii():
@@ -307,9 +282,7 @@ def test_the_fan_has_twelve_needles_each_about_seven_times_as_wide_as_the_one_be
 def test_the_sheet_is_a_square_of_eight_triangles_with_lines_points_and_one_more_among_them():
     vertices, faces = targets.pinched_sheet()
     areas = doubled_areas(vertices, faces)
-    assert {tuple(v) for v in vertices.tolist()} == {
-        (x, y, 0.0) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)
-    }
+    assert {tuple(v) for v in vertices.tolist()} == {(x, y, 0.0) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)}
     assert len(vertices) == 9 and areas[:8].tolist() == [[0.0, 0.0, 1.0]] * 8 and not areas[8:].any()
     assert len({frozenset(map(tuple, vertices[f].tolist())) for f in faces[:8]}) == 8
     inner = Counter(frozenset((int(f[j]), int(f[(j + 1) % 3]))) for f in faces[:8] for j in range(3))
@@ -322,9 +295,9 @@ def test_the_doubled_square_has_each_half_as_given_reversed_and_of_other_vertice
     places = [tuple(map(tuple, vertices[f].tolist())) for f in faces]
     assert len(vertices) == 8 and np.array_equal(vertices[:4], vertices[4:])
     assert {*map(tuple, vertices.tolist())} == {(x, y, 0.0) for x in (-1.0, 1.0) for y in (-1.0, 1.0)}
-    assert [set(place) for place in places] == [set(places[i % 2]) for i in range(6)] and set(
-        places[0]
-    ) != set(places[1])
+    assert [set(place) for place in places] == [set(places[i % 2]) for i in range(6)] and set(places[0]) != set(
+        places[1]
+    )
     assert doubled_areas(vertices, faces)[:, 2].tolist() == [4.0, 4.0, -4.0, -4.0, 4.0, 4.0]
     assert faces[:4].max() == 3 and faces[4:].min() == 4 and places[4:] == places[:2]
 
@@ -332,9 +305,7 @@ def test_the_doubled_square_has_each_half_as_given_reversed_and_of_other_vertice
 def test_mesh_files_are_these_meshes():
     for path, make in zip(targets.mesh_files(), targets.MESH_BUILDERS, strict=True):
         mesh, (vertices, faces) = MeshFile(file=path).mesh(), make()
-        assert path.endswith(f"{make.__name__}.obj") and np.array_equal(
-            mesh.vertices[mesh.faces], vertices[faces]
-        )
+        assert path.endswith(f"{make.__name__}.obj") and np.array_equal(mesh.vertices[mesh.faces], vertices[faces])
 
 
 # ---- fields of shapes and cameras
@@ -370,16 +341,11 @@ def test_random_quadrics_are_plain_half_of_the_time_and_else_of_about_unit_size(
         assert all(set(each) in (set(), set(names)) for each in found)
         assert 0.43 < share(found, "radius") < 0.57
         for name in names:
-            assert (
-                on_lattice(values(found, name)) is lattice and 0.8 < np.abs(values(found, name)).max() <= 2.0
-            )
+            assert on_lattice(values(found, name)) is lattice and 0.8 < np.abs(values(found, name)).max() <= 2.0
     assert all(each["p0"] != each["p1"] for each in tubes if each)
     counts = Counter(len(each["centers"]) for each in clouds)
     assert set(counts) == set(range(1, 9)) and min(counts.values()) > 30
-    assert (
-        all(("radius" in each) is not ("radii" in each) for each in clouds)
-        and 0.43 < share(clouds, "radius") < 0.57
-    )
+    assert all(("radius" in each) is not ("radii" in each) for each in clouds) and 0.43 < share(clouds, "radius") < 0.57
     assert all(len(each["radii"]) == len(each["centers"]) for each in clouds if "radii" in each)
     assert on_lattice(np.concatenate([each["centers"] for each in clouds])) is lattice
     assert on_lattice(values(clouds, "radius")) is lattice
@@ -405,29 +371,17 @@ def test_random_flat_shapes_are_of_the_lattice_where_it_says_so(lattice):
     assert all(set(each) in ({"normal", "point"}, {"normal", "offset"}) for each in planes)
     assert 0.43 < share(planes, "point") < 0.57
     for found in (values(planes, "point"), values(planes, "offset"), values(triangles, "vertices")):
-        assert (
-            on_lattice(found) is lattice
-            and found.min() < -0.9
-            and found.max() > 0.9
-            and np.abs(found).max() <= 1.0
-        )
+        assert on_lattice(found) is lattice and found.min() < -0.9 and found.max() > 0.9 and np.abs(found).max() <= 1.0
     assert values(triangles, "vertices").shape == (400, 3, 3)
     assert np.linalg.norm(values(planes, "normal"), axis=1).min() > 0.99
-    assert all(
-        not REFERENCES_BY_NAME[name].random_fields(None, lattice) for name in ("disk", "cube", "rectangle")
-    )
+    assert all(not REFERENCES_BY_NAME[name].random_fields(None, lattice) for name in ("disk", "cube", "rectangle"))
 
 
 def test_random_meshes_are_small_and_of_every_size_there_may_be():
     expected: dict[str, dict[str, set[Any]]] = {
         "mesh": {"file": set(targets.mesh_files())},
         "icosphere": {"subdivisions": {0, 1}},
-        "torus": {
-            "major_radius": {0.75},
-            "minor_radius": {0.25},
-            "segments": {3, 4, 5, 6},
-            "sides": {3, 4, 5},
-        },
+        "torus": {"major_radius": {0.75}, "minor_radius": {0.25}, "segments": {3, 4, 5, 6}, "sides": {3, 4, 5}},
         "heightfield": {"amplitude": {0.0, 0.25}, "resolution": {1, 2, 3, 4}, "waves": {2}},
         "teapot": {"subdivisions": {1}},
     }
@@ -453,9 +407,7 @@ def cameras_of(name: str, size: float) -> list[dict[str, Any]]:
 
 
 def is_uniform(x: np.ndarray, low: float, high: float) -> bool:
-    return bool(
-        low <= x.min() and x.max() < high and np.histogram(x, 5, (low, high))[0].min() > 0.12 * len(x)
-    )
+    return bool(low <= x.min() and x.max() < high and np.histogram(x, 5, (low, high))[0].min() > 0.12 * len(x))
 
 
 @pytest.mark.parametrize("size", [1.0, 40.0])
@@ -463,15 +415,9 @@ def test_random_cameras_have_near_and_far_planes_now_and_then(size):
     found = cameras_of("pinhole", size)
     assert all(each.items() >= VIEW.items() for each in found)
     assert 0.26 < share(found, "near") < 0.34 and 0.17 < share(found, "far") < 0.23
-    assert is_uniform(values(found, "near") / size, 0.0, 1.5) and is_uniform(
-        values(found, "far") / size, 2.0, 9.0
-    )
+    assert is_uniform(values(found, "near") / size, 0.0, 1.5) and is_uniform(values(found, "far") / size, 2.0, 9.0)
     fov = values(found, "fov")
-    assert (
-        len(fov) == len(found)
-        and 0.45 < np.mean(fov == 90.0) < 0.55
-        and is_uniform(fov[fov != 90.0], 5.0, 150.0)
-    )
+    assert len(fov) == len(found) and 0.45 < np.mean(fov == 90.0) < 0.55 and is_uniform(fov[fov != 90.0], 5.0, 150.0)
     found = cameras_of("orthographic", size)
     assert all(each.items() >= VIEW.items() and "far" not in each for each in found)
     widths = Counter((values(found, "width") / size).tolist())
@@ -506,9 +452,7 @@ def test_random_cameras_without_a_sensor_are_views_and_a_fisheye_of_any_angle():
 def test_a_t_is_beyond_the_corners_of_a_triangle_before_the_nearest_or_behind_the_farthest(t, beyond):
     """Corners at t = 2, 3 and 4 of a ray of length 2; 1e-6 beyond them is rounding."""
     prims = Triangles(
-        np.array([[5.0, 0, 2], [-1, 7, 4], [2, -3, 6]]),
-        np.array([[0, 1, 2]]),
-        *([None] * (len(Triangles._fields) - 2)),
+        np.array([[5.0, 0, 2], [-1, 7, 4], [2, -3, 6]]), np.array([[0, 1, 2]]), *([None] * (len(Triangles._fields) - 2))
     )
     o, d = np.array([7.0, 0.0, -2.0]), np.array([0.0, 0.0, 2.0])
     assert view_triangle(prims, 0, o, d, t).beyond_corners is beyond
@@ -524,6 +468,4 @@ def test_a_triangle_is_as_slender_as_its_height_over_its_longest_edge():
     views = [view_triangle(prims, k, np.ones(3), d, 1.0) for k in range(4)]
     assert [view.slenderness for view in views] == [0.125, 0.125, 0.0, 0.0]
     assert [view.without_area for view in views] == [False, False, True, True]
-    assert [view.cosine for view in views] == pytest.approx([0.8, 0.8, 1.0, 1.0]) and math.isfinite(
-        views[3].cosine
-    )
+    assert [view.cosine for view in views] == pytest.approx([0.8, 0.8, 1.0, 1.0]) and math.isfinite(views[3].cosine)

@@ -105,8 +105,6 @@ def test_a_scene_that_nothing_hits_says_where_its_shapes_are(tmp_path):
     scene = load_scene(ROOT / "scenes/one-sphere.toml").with_film(width=4, height=3)
     away = scene.model_copy(update={"camera": scene.camera.model_copy(update={"look_at": (0.0, 0.0, 99.0)})})
     text = failure_text(
-        validate_scene(
-            away, "away", subject=FunctionSubject("none", lambda scene, o, d: (o[:, 0] + np.inf, 0 * o))
-        )
+        validate_scene(away, "away", subject=FunctionSubject("none", lambda scene, o, d: (o[:, 0] + np.inf, 0 * o)))
     )
     assert "no pixel hits anything" in text and "the shapes lie between (" in text and "starts at (" in text

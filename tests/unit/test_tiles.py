@@ -343,11 +343,7 @@ def test_an_answer_is_nearer_where_both_errors_allow_it_and_uncertain_where_they
             changed = np.flatnonzero(tile != before)
             assert set(changed.tolist()) <= {int(at) + 9 for at in fields}
             mode, best = NearestMode(np.zeros(1, np.int32)), (held, held_error, 4, bool(unsure))
-            assert update_best(mode, best, 0, 6, (t, error)) == (
-                *expected[:2],
-                int(expected[2]),
-                bool(unsure or near),
-            )
+            assert update_best(mode, best, 0, 6, (t, error)) == (*expected[:2], int(expected[2]), bool(unsure or near))
 
 
 @pytest.mark.parametrize("new", [new_tile, new_lanes])
@@ -357,9 +353,7 @@ def test_fields_begin_at_a_cache_line(new):
     assert len(new_tile()) == TILE_SIZE and len(new_lanes()) == LANE_FIELDS * SURFACE_LANES
 
 
-@pytest.mark.parametrize(
-    ("width", "height"), [(1, 1), (WIDTH, HEIGHT), (3 * WIDTH + 5, 2 * HEIGHT + 1), (130, 200)]
-)
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (WIDTH, HEIGHT), (3 * WIDTH + 5, 2 * HEIGHT + 1), (130, 200)])
 def test_tiles_cover_each_pixel_of_a_window_once_row_by_row(width, height):
     covered = np.zeros((height, width), int)
     corners = []

@@ -8,16 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from caster.description import transform
-from caster.description.transform import (
-    compose,
-    frame,
-    is_invertible,
-    look_at,
-    rotate,
-    scale,
-    translate,
-    unit,
-)
+from caster.description.transform import compose, frame, is_invertible, look_at, rotate, scale, translate, unit
 
 U = 2.0**-53
 seeded = settings(derandomize=True, deadline=None)  # the same examples in every run
@@ -145,8 +136,7 @@ def test_uniform_scales_of_any_size_can_be_undone(size):
 
 
 @pytest.mark.parametrize(
-    "flat",
-    [scale(0), scale([1, 0, 1]), scale([1, 1, 2.0**-52]), scale(1e-320), np.ones((4, 4)) - np.eye(4)[3]],
+    "flat", [scale(0), scale([1, 0, 1]), scale([1, 1, 2.0**-52]), scale(1e-320), np.ones((4, 4)) - np.eye(4)[3]]
 )
 def test_what_float64_cannot_undo_is_singular(flat):
     assert not is_invertible(flat)

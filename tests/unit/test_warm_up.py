@@ -127,9 +127,7 @@ def test_a_terminal_gets_one_line_and_a_file_one_for_each_scene(monkeypatch):
             progress.compiling("cast_shared_origin(Spheres)")
         progress.end()
         drawn = stream.getvalue()
-        assert (
-            drawn.count("\n") - drawn.count("\x1b[1A") == expected
-        )  # a line that is left behind: none of a bar
+        assert drawn.count("\n") - drawn.count("\x1b[1A") == expected  # a line that is left behind: none of a bar
         assert "cast_shared_origin" in stream.getvalue() or not stream.isatty()
 
 
@@ -164,9 +162,7 @@ def test_films_are_warmed_with_shadows_and_without(monkeypatch):
     """Lights have a kernel for each of the two."""
     warmed = set()
     monkeypatch.setattr(
-        warm_up,
-        "render_film",
-        lambda scene, aovs, **options: warmed.add(("diffuse" in aovs, scene.shading.shadows)),
+        warm_up, "render_film", lambda scene, aovs, **options: warmed.add(("diffuse" in aovs, scene.shading.shadows))
     )
     for kernels in ("_warm_decisions", "_warm_shadows", "_warm_fans"):
         monkeypatch.setattr(warm_up, kernels, lambda *args: None)

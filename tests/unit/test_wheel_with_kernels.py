@@ -48,9 +48,7 @@ def test_the_same_files_make_the_same_wheel(unpacked, tmp_path):
     assert first.read_bytes() == second.read_bytes()
 
 
-@pytest.mark.parametrize(
-    "best, built", [("x86-64-v4", [True, True]), ("x86-64-v3", [False, True]), ("", [False] * 2)]
-)
+@pytest.mark.parametrize("best, built", [("x86-64-v4", [True, True]), ("x86-64-v3", [False, True]), ("", [False] * 2)])
 def test_a_level_is_built_where_its_kernels_can_run(monkeypatch, best, built):
     monkeypatch.setattr(wheel_with_kernels, "best_level", lambda: best)
     assert [wheel_with_kernels.runs_here(level) for level in machine_code.LEVELS] == built

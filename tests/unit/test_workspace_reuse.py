@@ -54,9 +54,7 @@ def no_spare_memory(monkeypatch):
 
 
 def a_large_scene() -> Scene:
-    lit = a_scene().model_copy(
-        update={"lights": (Point(position=(2.0, 3.0, 4.0), intensity=(9.0, 9.0, 9.0)),)}
-    )
+    lit = a_scene().model_copy(update={"lights": (Point(position=(2.0, 3.0, 4.0), intensity=(9.0, 9.0, 9.0)),)})
     return lit.with_film(width=256, height=192)
 
 
@@ -102,9 +100,7 @@ def test_no_more_memory_than_a_limit_is_kept(no_spare_memory, monkeypatch):
 def test_large_images_at_the_same_time_have_memory_of_their_own(no_spare_memory):
     expected = render(a_large_scene(), ("position",))["position"].copy()
     with ThreadPoolExecutor(4) as pool:
-        found = list(
-            pool.map(lambda _: render(a_large_scene(), ("position",), threads=1)["position"], range(24))
-        )
+        found = list(pool.map(lambda _: render(a_large_scene(), ("position",), threads=1)["position"], range(24)))
     assert all(np.array_equal(each, expected) for each in found)
     assert len({each.ctypes.data for each in found}) == 24
 
@@ -114,10 +110,7 @@ def test_a_kind_that_no_tile_has_is_not_looked_for(monkeypatch):
     scene = Scene(
         film=Film(width=512, height=64),
         camera=Pinhole(eye=(0.0, 0.0, 4.0), look_at=(0.0, 0.0, 0.0)),
-        shapes=[
-            Icosphere(subdivisions=3, to_world=[{"translate": (-1.0, 0.0, 0.0)}, {"scale": 0.2}]),
-            Sphere(),
-        ],
+        shapes=[Icosphere(subdivisions=3, to_world=[{"translate": (-1.0, 0.0, 0.0)}, {"scale": 0.2}]), Sphere()],
     )
     for aovs, name in (
         (("normal",), "normals_in_tile"),

@@ -74,9 +74,7 @@ def _parser_for(where: str) -> Callable[[bytes, str], Mesh]:
     parse = _parse_by_trimesh if ending in TRIMESH_SUFFIXES else FORMATS.get(ending)
     if parse is None:
         expected = f"{', '.join(MESH_SUFFIXES[:-1])} or {MESH_SUFFIXES[-1]}"
-        raise SceneError(
-            f"{where}: unknown mesh format '{Path(where).suffix}': expected {expected}; convert it first"
-        )
+        raise SceneError(f"{where}: unknown mesh format '{Path(where).suffix}': expected {expected}; convert it first")
     return parse
 
 

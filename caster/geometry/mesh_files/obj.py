@@ -39,12 +39,7 @@ def _index(text: bytes, count: int, kind: str) -> int:
 
 
 def join_corners(
-    positions: Floats,
-    uv: Floats,
-    normals: Floats,
-    known: dict[bytes, Corner],
-    words: list[bytes],
-    sizes: list[int],
+    positions: Floats, uv: Floats, normals: Floats, known: dict[bytes, Corner], words: list[bytes], sizes: list[int]
 ) -> Mesh:
     """The mesh of polygons with `sizes` corners each; `words` are all corners in order."""
     table = np.array(list(known.values()), np.int64).reshape(-1, 3)
@@ -87,9 +82,7 @@ def join_table(
     )
 
 
-def _normals_of(
-    used: NDArray[np.int64], normals: Floats, positions: Floats, faces: NDArray[np.int32]
-) -> Floats | None:
+def _normals_of(used: NDArray[np.int64], normals: Floats, positions: Floats, faces: NDArray[np.int32]) -> Floats | None:
     """The normals of the file; generated ones for corners without, if some have one."""
     absent = used[:, 2] < 0
     if absent.all():

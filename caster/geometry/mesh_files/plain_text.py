@@ -291,9 +291,7 @@ def read_corner(text: Any, at: int, counts: Any, corner: Any, n: int) -> int:
         if not (at < len(text) and text[at] == SLASH):
             break
         at += 1
-        if c == 2 or (
-            is_word_end(text, at) or text[at] == HASH
-        ):  # v/ and v/vt/ are diagnosed by the Python reader
+        if c == 2 or (is_word_end(text, at) or text[at] == HASH):  # v/ and v/vt/ are diagnosed by the Python reader
             return PARSE_FAILED
     return at if is_word_end(text, at) or (at < len(text) and text[at] == HASH) else PARSE_FAILED
 
@@ -379,9 +377,7 @@ def read_plain_rows(data: bytes, at: int, count: int, width: int) -> tuple[Float
     return rows, end
 
 
-def read_plain_lists(
-    data: bytes, at: int, count: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], int] | None:
+def read_plain_lists(data: bytes, at: int, count: int) -> tuple[NDArray[np.int64], NDArray[np.int64], int] | None:
     """Read `count` lines of a list: sizes, all values, and the offset of the next line."""
     sizes = np.empty(count, np.int64)
     values = np.empty((len(data) - at) // 2, np.int64)  # at least a digit and a blank each

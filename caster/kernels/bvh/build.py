@@ -166,17 +166,13 @@ def best_split_bin(counts: Any, bounds: Any) -> int:
 
 
 @jit
-def build_binary(
-    boxes: Any, order: Any, start: int, stop: int, enough: int, node_boxes: Any, links: Any
-) -> int:
+def build_binary(boxes: Any, order: Any, start: int, stop: int, enough: int, node_boxes: Any, links: Any) -> int:
     """Fill nodes of two over order[start:stop], down to runs of at most `enough`; return how many there are.
 
     The first child of an inner node follows it. node_boxes: (room, 6); links: (room, 2), (second child, -1), or in a
     leaf (start in order, how many).
     """
-    stack = np.zeros(
-        (BUILD_STACK_SIZE, 4), np.int64
-    )  # start, stop, node whose second child this run is, depth
+    stack = np.zeros((BUILD_STACK_SIZE, 4), np.int64)  # start, stop, node whose second child this run is, depth
     counts, bounds = np.zeros(BINS, np.int64), np.zeros((BINS, 6))
     stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = start, stop, -1, 0
     top, nodes = 1, 0

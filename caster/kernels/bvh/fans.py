@@ -156,9 +156,7 @@ def project_vector(fan: Fan, a: Vec3) -> Vec3:
 def project_vertices_along(fan: Any, vertices: Any, points: Any, start: int, stop: int) -> None:
     """points (v, 3): x, y, depth of vertices start..stop."""
     for i in range(start, stop):
-        points[i, 0], points[i, 1], points[i, 2] = fan_project(
-            fan, (vertices[i, 0], vertices[i, 1], vertices[i, 2])
-        )
+        points[i, 0], points[i, 1], points[i, 2] = fan_project(fan, (vertices[i, 0], vertices[i, 1], vertices[i, 2]))
 
 
 @jit
@@ -204,14 +202,7 @@ def nothing() -> Extent:
 @inlined
 def with_point(box: Extent, p: Vec3) -> Extent:
     x, y, depth = p
-    return (
-        min(box[0], x),
-        min(box[1], -x),
-        min(box[2], y),
-        min(box[3], -y),
-        min(box[4], depth),
-        min(box[5], -depth),
-    )
+    return (min(box[0], x), min(box[1], -x), min(box[2], y), min(box[3], -y), min(box[4], depth), min(box[5], -depth))
 
 
 @inlined
@@ -558,9 +549,7 @@ def cast_fan_outward(
                         low &= low - 1
                         first = lane(corner + r * WIDTH)
                         found[count] = block * ROWS + r
-                        count += (
-                            1 if lanes_within_lines(tile, FAN_X + first, FAN_Y + first, lines) != 0 else 0
-                        )
+                        count += 1 if lanes_within_lines(tile, FAN_X + first, FAN_Y + first, lines) != 0 else 0
                 if count == 0:
                     continue
                 pre, prim_number = prepare(prims, load(prims, k), fan.origin), float(base + k)

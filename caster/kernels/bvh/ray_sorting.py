@@ -171,15 +171,7 @@ def projection_key(fan: Fan, a: Vec3, low: Any, scale: Any) -> int:
 
 @jit
 def find_keys(
-    fan: Any,
-    rays: Any,
-    outward: bool,
-    deviation: float,
-    corners: Any,
-    first: int,
-    piece: Any,
-    pairs: Any,
-    counts: Any,
+    fan: Any, rays: Any, outward: bool, deviation: float, corners: Any, first: int, piece: Any, pairs: Any, counts: Any
 ) -> None:
     """pairs[i - first]: key << 32 | i of rays piece[0]..piece[1]; counts (BUCKETS,): how many are in each bucket.
 
@@ -276,9 +268,7 @@ NOWHERE, ALONG_Z = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 
 
 @jit
-def store_sorted(
-    tile: Any, order: Any, start: int, stop: int, ids: Any, nearest: Any, uncertain: Any
-) -> None:
+def store_sorted(tile: Any, order: Any, start: int, stop: int, ids: Any, nearest: Any, uncertain: Any) -> None:
     """The nearest hits of rays order[start:stop] of a tile into the record; ids: by place, the number in the scene."""
     for n in range(start, stop):
         i, into = place_in_tile(n - start), order[n]

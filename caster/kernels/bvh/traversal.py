@@ -15,16 +15,7 @@ from caster.jit.simd import (
 )
 from caster.kernels.bvh.build import LEAF_SIZE_BASE
 from caster.kernels.nearest import NearestMode
-from caster.kernels.protocol import (
-    Vec3,
-    intersect,
-    load,
-    load_best,
-    prepare,
-    store_best,
-    surely_misses,
-    update_best,
-)
+from caster.kernels.protocol import Vec3, intersect, load, load_best, prepare, store_best, surely_misses, update_best
 from caster.kernels.raster.tile import (
     DX,
     DY,
@@ -146,17 +137,13 @@ def traverse(mode: Any, prims: Any, tree: Any, i: int, ray: Any, best: Any, work
 
 
 @jit
-def cast_bvh(
-    mode: Any, prims: Any, tree: Any, rays: Any, record: Any, ray_range: Any, workspace: Any
-) -> None:
+def cast_bvh(mode: Any, prims: Any, tree: Any, rays: Any, record: Any, ray_range: Any, workspace: Any) -> None:
     """Rays ray_range[0]..ray_range[1] against one kind."""
     for i in range(ray_range[0], ray_range[1]):
         o = rays.o[i, 0], rays.o[i, 1], rays.o[i, 2]
         d = rays.d[i, 0], rays.d[i, 1], rays.d[i, 2]
         ray = o, d, rays.t_min[i], rays.t_max[i]
-        store_best(
-            mode, record, i, traverse(mode, prims, tree, i, ray, load_best(mode, record, i), workspace)
-        )
+        store_best(mode, record, i, traverse(mode, prims, tree, i, ray, load_best(mode, record, i), workspace))
 
 
 # Packets: neighbours in a tile traverse the tree together.
@@ -199,9 +186,7 @@ COHERENCE_LIMIT = 0.06
 def is_coherent(tree: Any, tile: Any, first: Any, origins: Bounds3, directions: Bounds3) -> bool:
     """Whether the rays of a packet intersect much the same boxes. It changes no bit."""
     turn = abs(tile[DX + first]) + abs(tile[DY + first]) + abs(tile[DZ + first])
-    return (l1_extent(origins) <= COHERENCE_LIMIT * tree.unit) & (
-        l1_extent(directions) <= COHERENCE_LIMIT * turn
-    )
+    return (l1_extent(origins) <= COHERENCE_LIMIT * tree.unit) & (l1_extent(directions) <= COHERENCE_LIMIT * turn)
 
 
 @inlined
@@ -251,9 +236,7 @@ def axis_setup(
 
 
 @jit
-def cast_rays_singly(
-    prims: Any, tree: Any, base: int, tile: Any, first: Any, workspace: Any, any_hit: bool
-) -> None:
+def cast_rays_singly(prims: Any, tree: Any, base: int, tile: Any, first: Any, workspace: Any, any_hit: bool) -> None:
     """Nearest hits of a packet's rays, one by one."""
     mode = NearestMode(tree.order, any_hit)  # whose numbers are not read
     for i in range(first, first + PACKET_SIZE):
@@ -267,9 +250,7 @@ def cast_rays_singly(
 
 
 @jit
-def cast_packets(
-    prims: Any, tree: Any, base: int, count: int, tile: Any, workspace: Any, any_hit: bool
-) -> None:
+def cast_packets(prims: Any, tree: Any, base: int, count: int, tile: Any, workspace: Any, any_hit: bool) -> None:
     """The first `count` rays of a tile against a kind whose places begin at `base`.
 
     any_hit: whether to stop at anything that is hit for sure.
@@ -279,9 +260,7 @@ def cast_packets(
 
 
 @inlined
-def cast_neighbours(
-    prims: Any, tree: Any, base: int, tile: Any, first: Any, workspace: Any, any_hit: bool
-) -> None:
+def cast_neighbours(prims: Any, tree: Any, base: int, tile: Any, first: Any, workspace: Any, any_hit: bool) -> None:
     """LANES rays from `first` on, as a packet if they have much in common."""
     origins, directions = packet_bounds(tile, OX, first), packet_bounds(tile, DX, first)
     if is_coherent(tree, tile, first, origins, directions):
@@ -293,14 +272,7 @@ def cast_neighbours(
 
 @inlined
 def cast_packet(
-    prims: Any,
-    tree: Any,
-    base: int,
-    tile: Any,
-    first: Any,
-    view: PacketBoxSetup,
-    workspace: Any,
-    any_hit: bool,
+    prims: Any, tree: Any, base: int, tile: Any, first: Any, view: PacketBoxSetup, workspace: Any, any_hit: bool
 ) -> None:
     """Nearest hits of a packet's rays together: `traverse` for boxes that any of them may enter."""
     stack, entries, near = workspace
@@ -324,9 +296,7 @@ def cast_packet(
 
 
 @jit
-def cast_packets_brute_force(
-    prims: Any, number: int, base: int, count: int, tile: Any, any_hit: bool
-) -> None:
+def cast_packets_brute_force(prims: Any, number: int, base: int, count: int, tile: Any, any_hit: bool) -> None:
     """The same for a kind without a tree: all of its primitives."""
     for k in range(number):
         prim, prim_number = load(prims, k), float(base + k)

@@ -246,9 +246,7 @@ def compare(x: Root, y: Root) -> int:
     first = sign(a)
     if first == 0 or roots == 0 or first == roots:
         return first if first != 0 else roots
-    rest = minus(
-        minus(times(a, a), bbr), ccr
-    )  # a^2 - (b sqrt(x.r) + c sqrt(y.r))^2, but for 2 b c sqrt(x.r y.r)
+    rest = minus(minus(times(a, a), bbr), ccr)  # a^2 - (b sqrt(x.r) + c sqrt(y.r))^2, but for 2 b c sqrt(x.r y.r)
     product = times(b, c)
     return first * sign_of_surd(rest, signed(-1, plus(product, product)), times(x.r, y.r))
 

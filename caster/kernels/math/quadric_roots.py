@@ -76,15 +76,7 @@ def quadric_setup(f: Vec3, r: float, f_error: float) -> QuadricSetup:
     f1, rr = l1_norm(f), r * r
     c_error = 5.0 * U * (f1 * f1 + rr) + (3.0 * f1 + 2.0 * f_error) * f_error + TINY
     return QuadricSetup(
-        f,
-        f1,
-        r,
-        1.0 / r,
-        rr,
-        dot(f, f) - rr,
-        c_error,
-        5.0 * U * f1 + 2.0 * f_error,
-        12.0 * U * f1 + 2.0 * f_error,
+        f, f1, r, 1.0 / r, rr, dot(f, f) - rr, c_error, 5.0 * U * f1 + 2.0 * f_error, 12.0 * U * f1 + 2.0 * f_error
     )
 
 
@@ -99,9 +91,7 @@ def closest_approach(setup: Any, d: Vec3, d_error: float) -> ClosestApproach:
     f, moved, lean = setup.f, setup.moved, 0.0
     a, b = dot(d, d), -dot(f, d)
     steady = (
-        (a > MIN_SQUARED_DIRECTION)
-        & (a < MAX_SQUARED_DIRECTION)
-        & (d_error * d_error < MAX_DIRECTION_ERROR_SHARE * a)
+        (a > MIN_SQUARED_DIRECTION) & (a < MAX_SQUARED_DIRECTION) & (d_error * d_error < MAX_DIRECTION_ERROR_SHARE * a)
     )
     over_a = 1.0 / (a if steady else 1.0)
     s = b * over_a
@@ -112,9 +102,7 @@ def closest_approach(setup: Any, d: Vec3, d_error: float) -> ClosestApproach:
     gg = x * x + y * y + z * z
     within = setup.rr - gg
     # 2 g <= g^2 / r + r, with hardly more than equality where it matters, at the rim
-    within_error = (
-        moved * (gg * setup.over_r + setup.r) + moved * moved + lean + 8.0 * U * (gg + setup.rr) + TINY
-    )
+    within_error = moved * (gg * setup.over_r + setup.r) + moved * moved + lean + 8.0 * U * (gg + setup.rr) + TINY
     met, missed = steady & (within > 2.0 * within_error), steady & (within < -within_error)
     return ClosestApproach(met, missed, a, over_a, b, within, within_error)
 
@@ -151,9 +139,7 @@ def outward_normal(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
     largest, along_d = max(abs(f[0]), abs(f[1]), abs(f[2])), unit_direction(d)
     reach = t * dot(d, along_d)
     if not (r > MIN_RANGE and max(r, largest) < MAX_RANGE):
-        e = min(
-            -math.frexp(r)[1], MAX_SQUARABLE_EXPONENT - math.frexp(largest)[1]
-        )  # so that all squares are numbers
+        e = min(-math.frexp(r)[1], MAX_SQUARABLE_EXPONENT - math.frexp(largest)[1])  # so that all squares are numbers
         f, r = (times_power(f[0], e), times_power(f[1], e), times_power(f[2], e)), math.ldexp(r, e)
         reach = times_power(reach, e)
         return normalize_in_range(scaled_near_one(radial_vector(f, along_d, reach, r)))
@@ -206,20 +192,13 @@ def radial_vector(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
     side = 1.0 if beyond > (4.0 * U * abs(s) if dot(f, f) > r * r else 0.0) else -1.0
     out = point_at(closest, side * half_chord, d)
     there = l1_norm(out) > 0.0  # else r has no square, and the ray passes through the centre
-    return (
-        out[0] if there else side * d[0],
-        out[1] if there else side * d[1],
-        out[2] if there else side * d[2],
-    )
+    return (out[0] if there else side * d[0], out[1] if there else side * d[1], out[2] if there else side * d[2])
 
 
 @jit
 def is_in_range(center: Vec3, r: float, reach: float) -> bool:
     """Whether `outward_normal_in_range` will do, for origins whose coordinates are at most `reach`."""
-    return (
-        r > MIN_RANGE
-        and max(r, abs(center[0]) + reach, abs(center[1]) + reach, abs(center[2]) + reach) < MAX_RANGE
-    )
+    return r > MIN_RANGE and max(r, abs(center[0]) + reach, abs(center[1]) + reach, abs(center[2]) + reach) < MAX_RANGE
 
 
 @jit

@@ -180,11 +180,7 @@ TO_OBJECT_SPACE_ERROR = 6.0 * U
 def to_object_space(m: tuple[Vec3, Vec3, Vec3], v: Vec3) -> tuple[Vec3, Vec3]:
     """(m v, how far off each component may be): for rows m of the rounded inverse of a matrix."""
     x, y, z = abs_dot(m[0], v), abs_dot(m[1], v), abs_dot(m[2], v)
-    return rows_times_vec(m, v), (
-        TO_OBJECT_SPACE_ERROR * x,
-        TO_OBJECT_SPACE_ERROR * y,
-        TO_OBJECT_SPACE_ERROR * z,
-    )
+    return rows_times_vec(m, v), (TO_OBJECT_SPACE_ERROR * x, TO_OBJECT_SPACE_ERROR * y, TO_OBJECT_SPACE_ERROR * z)
 
 
 @jit

@@ -41,9 +41,7 @@ class ScreenBounds(NamedTuple):
 
     pixels: np.ndarray  # (n, 4) int32: x_start, y_start, x_stop, y_stop in the window
     near: np.ndarray  # (n,) float64: nothing of it has a smaller depth
-    faces: (
-        np.ndarray
-    )  # (n, 3) int32: of triangles, their corners' indices in `projected`; of other kinds (0, 3)
+    faces: np.ndarray  # (n, 3) int32: of triangles, their corners' indices in `projected`; of other kinds (0, 3)
     projected: np.ndarray  # (m, 4) float64, a projection each, in pixels of the window
     # The direction along which depth is measured. 0: depth is the distance from the eye, or the camera is not
     # rectilinear, so that depth bounds are looser.
@@ -78,13 +76,7 @@ def box_union_point(box: tuple[float, float, float, float, float], point: Projec
     """A box and least depth that hold one more point."""
     x, y, wide, depth = point
     left, top, right, bottom, least = box
-    return (
-        min(left, x - wide),
-        min(top, y - wide),
-        max(right, x + wide),
-        max(bottom, y + wide),
-        min(least, depth),
-    )
+    return (min(left, x - wide), min(top, y - wide), max(right, x + wide), max(bottom, y + wide), min(least, depth))
 
 
 @inlined
@@ -152,9 +144,7 @@ def bound_spheres(
 
 
 @jit
-def project_vertices(
-    points: Any, camera: Any, window: Any, projected: Any, reach: Any, start: int, stop: int
-) -> None:
+def project_vertices(points: Any, camera: Any, window: Any, projected: Any, reach: Any, start: int, stop: int) -> None:
     """projected (n, 4): points start..stop, which several triangles share."""
     for i in range(start, stop):
         x, y, wide, depth = project_point(camera, (points[i, 0], points[i, 1], points[i, 2]), reach)
@@ -169,11 +159,7 @@ def project_vertices(
 def misses_pixel_center(a: ProjectedPoint, b: ProjectedPoint, c: ProjectedPoint, x: int, y: int) -> bool:
     """Whether a triangle is sure not to hold the centre of a pixel."""
     p, q = x + 0.5, y + 0.5
-    return (
-        surely_beyond_edge(a, b, c, p, q)
-        | surely_beyond_edge(b, c, a, p, q)
-        | surely_beyond_edge(c, a, b, p, q)
-    )
+    return surely_beyond_edge(a, b, c, p, q) | surely_beyond_edge(b, c, a, p, q) | surely_beyond_edge(c, a, b, p, q)
 
 
 @inlined
@@ -194,11 +180,7 @@ def surely_beyond_edge(a: ProjectedPoint, b: ProjectedPoint, c: ProjectedPoint, 
 def bound_triangles(window: Any, bounds: Any, reach: Any, start: int, stop: int) -> None:
     """The same as `bound_hulls`, for triangles between projected points."""
     for k in range(start, stop):
-        a, b, c = (
-            projected_corner(bounds, k, 0),
-            projected_corner(bounds, k, 1),
-            projected_corner(bounds, k, 2),
-        )
+        a, b, c = (projected_corner(bounds, k, 0), projected_corner(bounds, k, 1), projected_corner(bounds, k, 2))
         box, deepest = (
             box_union_point(box_union_point(box_union_point(empty_box(), a), b), c),
             max(max(a[3], b[3]), c[3]),
@@ -222,9 +204,7 @@ def bound_by_spheres(
 
 
 @inlined
-def bound_by_sphere(
-    prims: Any, camera: Any, window: Any, bounds: Any, reach: Any, k: int, corners: int
-) -> None:
+def bound_by_sphere(prims: Any, camera: Any, window: Any, bounds: Any, reach: Any, k: int, corners: int) -> None:
     """Of primitive k, which has so many points."""
     center, r = bounding_sphere(prims, k, corners)
     left, top, right, bottom, least, valid = project_bounding_sphere(camera, center, r + reach[0])
@@ -258,14 +238,8 @@ def bound_distorted_triangles(
 ) -> None:
     """The same for triangles between projected points; for large ones by bounding spheres."""
     for k in range(start, stop):
-        a, b, c = (
-            projected_corner(bounds, k, 0),
-            projected_corner(bounds, k, 1),
-            projected_corner(bounds, k, 2),
-        )
-        left, top, right, bottom, least = box_union_point(
-            box_union_point(box_union_point(empty_box(), a), b), c
-        )
+        a, b, c = (projected_corner(bounds, k, 0), projected_corner(bounds, k, 1), projected_corner(bounds, k, 2))
+        left, top, right, bottom, least = box_union_point(box_union_point(box_union_point(empty_box(), a), b), c)
         wide, high = right - left, bottom - top
         more, share, valid = distortion_bound(camera, math.sqrt(wide * wide + high * high))
         if not valid or more > wide + high:

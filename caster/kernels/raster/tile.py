@@ -27,9 +27,7 @@ lane = np.uint64 if COMPILED else int
 STRIDE = PIXELS + 8
 
 FIELDS = 12
-T, T_ERROR, PRIM, UNCERTAIN, T_MIN, T_MAX, DX, DY, DZ, OX, OY, OZ = (
-    lane(STRIDE * field) for field in range(FIELDS)
-)
+T, T_ERROR, PRIM, UNCERTAIN, T_MIN, T_MAX, DX, DY, DZ, OX, OY, OZ = (lane(STRIDE * field) for field in range(FIELDS))
 # T, T_ERROR: the nearest so far, the true t within T_ERROR; PRIM: number of the primitive, kind by kind, -1 for none;
 # UNCERTAIN: 1 where something else may come first. The rest are the ray's; T_MAX < 0: there is none.
 
@@ -82,11 +80,7 @@ def tile_rows(width: int, height: int, kinds: int, runs: Sequence[np.ndarray] | 
         if runs is not None:
             rows[:, at.run.start], rows[:, at.run.start + 1] = runs[k][:-1], runs[k][1:]
             present = runs[k][:-1] < runs[k][1:]
-        rows[:, at.present], rows[:, at.first], rows[:, at.later] = (
-            present,
-            present & ~earlier,
-            present & earlier,
-        )
+        rows[:, at.present], rows[:, at.first], rows[:, at.later] = (present, present & ~earlier, present & earlier)
         earlier |= present
     return rows
 
@@ -199,9 +193,7 @@ def generate_camera_rays(camera: Any, window: Any, box: Box, tile: Any) -> None:
 
 
 @jit
-def store_ray_range(
-    tile: Any, at: int, ids: Any, start: int, stop: int, nearest: Any, uncertain: Any
-) -> None:
+def store_ray_range(tile: Any, at: int, ids: Any, start: int, stop: int, nearest: Any, uncertain: Any) -> None:
     """From `at` on into the record of rays start..stop; ids[place] is the primitive's number in the scene.
 
     Where there is no ray, a fan has left a t of what is no hit.
@@ -271,8 +263,7 @@ def is_on_film(pixels: Any, k: int) -> bool:
 def depth_bucket(bits: int, last: int) -> int:
     """The depth bucket of a primitive. bits, last: the bits of its depth and of the largest depth, as int64."""
     return min(
-        max(DEPTH_BUCKETS - 1 - ((last >> DEPTH_BUCKET_SHIFT) - (bits >> DEPTH_BUCKET_SHIFT)), 0),
-        DEPTH_BUCKETS - 1,
+        max(DEPTH_BUCKETS - 1 - ((last >> DEPTH_BUCKET_SHIFT) - (bits >> DEPTH_BUCKET_SHIFT)), 0), DEPTH_BUCKETS - 1
     )
 
 

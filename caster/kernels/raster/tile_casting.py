@@ -261,9 +261,7 @@ def cast_own_origins(prims: Any, order: Any, run: Any, bounds: Any, base: int, b
                 if small or any_lane_visible(tile, first, near):
                     for i in range(first, first + lane(LANES)):
                         o = tile[OX + i], tile[OY + i], tile[OZ + i]
-                        t, error = intersect(
-                            prims, prepare(prims, prim, o), d, tile[T_MIN + i], tile[T_MAX + i]
-                        )
+                        t, error = intersect(prims, prepare(prims, prim, o), d, tile[T_MIN + i], tile[T_MAX + i])
                         update_nearest(tile, i, prim_number, t, error)
         tried += tries
         if tried >= patience:

@@ -127,9 +127,7 @@ def shadow_rays_of(light: Any, surfaces: Any, rays: Any, t: Any, extents: Any, w
 
 
 @jit
-def materials_in_tile(
-    tile: Any, box: Box, materials: Any, reflectance: Any, two_sided: Any, buffer: Any
-) -> None:
+def materials_in_tile(tile: Any, box: Box, materials: Any, reflectance: Any, two_sided: Any, buffer: Any) -> None:
     """ALBEDO and SIDES of the hits, from tables by material; materials[prim] is a primitive's. RADIANCE: 0."""
     for y in range(box[3] - box[1]):
         if len(two_sided) == 1:  # nothing to look up, so that several pixels are filled at once

@@ -8,24 +8,8 @@ from typing import Any
 from caster.jit.decorators import inlined, jit
 from caster.jit.simd import ALL_LANES, LANES, lanes_in_range
 from caster.kernels.protocol import Vec3, fast_normal, normal, normal_setup
-from caster.kernels.raster.tile import (
-    PRIM,
-    T_ERROR,
-    T_MAX,
-    T_MIN,
-    WIDTH,
-    Box,
-    T,
-    lane,
-)
-from caster.kernels.surface.per_hit import (
-    UNKNOWN,
-    Hit,
-    per_hit,
-    ray_of,
-    store_misses,
-    store_value,
-)
+from caster.kernels.raster.tile import PRIM, T_ERROR, T_MAX, T_MIN, WIDTH, Box, T, lane
+from caster.kernels.surface.per_hit import UNKNOWN, Hit, per_hit, ray_of, store_misses, store_value
 
 # Once all is cast, three fields of a tile are free for normals.
 NX, NY, NZ = T_ERROR, T_MIN, T_MAX

@@ -63,9 +63,7 @@ NEEDED_FIELDS = tuple(name for name in Hit._fields if name not in RAY_FIELDS)
 
 # Fields of a surface buffer, like those of a tile; SIDES: whether both sides are lit, FLUX: what arrives from the light
 # at hand.
-P, N, SH_N, UV, ALBEDO, SIDES, FLUX, RADIANCE = (
-    lane(STRIDE * field) for field in (0, 3, 6, 9, 11, 14, 15, 18)
-)
+P, N, SH_N, UV, ALBEDO, SIDES, FLUX, RADIANCE = (lane(STRIDE * field) for field in (0, 3, 6, 9, 11, 14, 15, 18))
 SURFACE_FIELDS = 21
 ONE, TWO = lane(STRIDE), lane(2 * STRIDE)
 
@@ -298,9 +296,7 @@ def store_misses(image: Any, y: Any, start: Any, stop: Any, miss: Any) -> None:
 
 
 @inlined
-def store_pixel(
-    aov: Any, tile: Any, buffer: Any, ids: Any, start: float, i: Any, image: Any, y: Any, x: Any
-) -> None:
+def store_pixel(aov: Any, tile: Any, buffer: Any, ids: Any, start: float, i: Any, image: Any, y: Any, x: Any) -> None:
     """The AOV of pixel i of the tile, at y, x of the image."""
     inside, hit = tile[PRIM + i] >= 0.0, load_hit(tile, buffer, ids, start, i)
     # without a branch once compiled, so that several pixels are written at once
@@ -329,9 +325,7 @@ def write_aov(aov: Any, tile: Any, box: Box, buffer: Any, ids: Any, start: Any, 
 
 
 @jit
-def aovs_in_tile_by_lanes(
-    prims: Any, numbers: Any, tile: Any, box: Box, scratch: Any, misses: bool, out: Any
-) -> None:
+def aovs_in_tile_by_lanes(prims: Any, numbers: Any, tile: Any, box: Box, scratch: Any, misses: bool, out: Any) -> None:
     """AOVs that need one field of the surface each, of hits on one kind with a body for `fast_surface`.
 
     out: for position, normal and shading normal an AOV and its image; without size: not written. misses: whether to
@@ -406,11 +400,7 @@ def store_lanes(aov: Any, numbers: Any, tile: Any, first: Any, scratch: Any, ima
 def hit_of_lane(tile: Any, first: Any, scratch: Any, x: Any) -> Hit:
     """The hit of a lane, with its ray, position and normals alone."""
     o, d = ray_of(tile, first + x)
-    p, n, sh_n = (
-        get_lane(scratch, LANE_P + x),
-        get_lane(scratch, LANE_N + x),
-        get_lane(scratch, LANE_SH_N + x),
-    )
+    p, n, sh_n = (get_lane(scratch, LANE_P + x), get_lane(scratch, LANE_N + x), get_lane(scratch, LANE_SH_N + x))
     return Hit(o, d, tile[T + first + x], 0.0, p, n, sh_n, (0.0, 0.0), UNKNOWN, UNKNOWN, -1, -1)
 
 

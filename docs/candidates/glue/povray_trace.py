@@ -14,10 +14,7 @@ rays = np.fromfile(rays, "<f4").reshape(-1, 8).astype(float)
 given = (v, f, rays[:, :3], rays[:, 3:6])
 v, f, o, d = ([f"<{','.join(map(repr, row))}>" for row in each.tolist()] for each in given)
 vectors, faces = (f"{{ {len(each)}, {','.join(each)} }}" for each in (v, f))
-lines = [
-    f"#declare M = mesh2 {{ vertex_vectors {vectors} face_indices {faces} }}",
-    f'#fopen F "{hits}.txt" write',
-]
+lines = [f"#declare M = mesh2 {{ vertex_vectors {vectors} face_indices {faces} }}", f'#fopen F "{hits}.txt" write']
 lines += ["#macro R(o, d) #local N = <0, 0, 0>; #local P = trace(M, o, d, N);"]
 lines += ['#write(F, vstr(3, P, " ", 0, 17), " ", vstr(3, -N, " ", 0, 17), "\\n") #end']  # left-handed
 scene = hits.with_suffix(".pov")

@@ -20,10 +20,7 @@ def trace(scene, o, d):
     faces = np.concatenate([mesh.faces + a for mesh, a in zip(meshes, first, strict=False)])
     with wp.ScopedDevice("cpu"):
         v = wp.array(np.concatenate([mesh.vertices for mesh in meshes]), dtype=wp.vec3)
-        mesh, (o, d) = (
-            wp.Mesh(v, wp.array(faces.ravel(), dtype=int)),
-            (wp.array(a, dtype=wp.vec3) for a in (o, d)),
-        )
+        mesh, (o, d) = (wp.Mesh(v, wp.array(faces.ravel(), dtype=int)), (wp.array(a, dtype=wp.vec3) for a in (o, d)))
         t, n = wp.zeros(len(o), dtype=float), wp.zeros(len(o), dtype=wp.vec3)
         wp.launch(cast, len(o), [mesh.id, o, d, t, n])
     return t.numpy(), n.numpy()

@@ -60,11 +60,7 @@ class Targets:
 
     def points(self, rng: Rng, picks: PrimitivePicks, sort: str | None = None) -> SurfacePoints:
         """A point on each of them, of this kind of point or of a random one."""
-        sorts = (
-            np.full(len(picks.k), sort)
-            if sort
-            else rng.choice(POINT_KINDS, len(picks.k), p=(0.3, 0.3, 0.2, 0.2))
-        )
+        sorts = np.full(len(picks.k), sort) if sort else rng.choice(POINT_KINDS, len(picks.k), p=(0.3, 0.3, 0.2, 0.2))
         out = SurfacePoints(*np.zeros((3, len(picks.k), 3)))
         for shape in np.unique(picks.shape):
             for each in np.unique(sorts):
@@ -182,9 +178,7 @@ UNUSUAL_SHARE = 0.1  # share of rays whose direction gets an unusual length or a
 DENORMAL_AND_TINY = (-0.0, 0.0, 5e-324, -5e-324, 1e-310, -2.3e-308, 1e-200, 1e-30)
 
 
-def aimed_rays(
-    rng: Rng, targets: Targets, setting: Setting, count: int, aims: Sequence[Aim] = ALL_AIMS
-) -> RayBatch:
+def aimed_rays(rng: Rng, targets: Targets, setting: Setting, count: int, aims: Sequence[Aim] = ALL_AIMS) -> RayBatch:
     """`count` rays, each by one of the aims; all finite, none without a direction."""
     which = rng.integers(len(aims), size=count)
     o, d = np.zeros((count, 3)), np.zeros((count, 3))
@@ -207,9 +201,7 @@ def _perturb_some(rng: Rng, o: np.ndarray, d: np.ndarray) -> OriginsAndDirection
 
 def _make_some_unusual(rng: Rng, d: np.ndarray) -> np.ndarray:
     count = len(d)
-    length = np.where(
-        rng.random((count, 1)) < UNUSUAL_SHARE, 10.0 ** rng.uniform(-30.0, 30.0, (count, 1)), 1.0
-    )
+    length = np.where(rng.random((count, 1)) < UNUSUAL_SHARE, 10.0 ** rng.uniform(-30.0, 30.0, (count, 1)), 1.0)
     with np.errstate(all="ignore"):
         d = d * length
     thin = (rng.random((count, 1)) < UNUSUAL_SHARE) & (np.arange(3) == rng.integers(3, size=(count, 1)))

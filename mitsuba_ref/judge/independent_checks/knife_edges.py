@@ -17,14 +17,7 @@ from caster.rendering.images import camera_rays
 from caster.scene.model import Film, Scene
 from mitsuba_ref.error_model.bounds import ErrorModels, t_bounds
 from mitsuba_ref.error_model.bounds import error_over_bound as ratio_of
-from mitsuba_ref.judge.independent_checks.adversarial_rays import (
-    ALL_AIMS,
-    Aim,
-    RayBatch,
-    Setting,
-    Targets,
-    aimed_rays,
-)
+from mitsuba_ref.judge.independent_checks.adversarial_rays import ALL_AIMS, Aim, RayBatch, Setting, Targets, aimed_rays
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 from mitsuba_ref.shapes import reference_of
@@ -148,9 +141,7 @@ def t_text(t: float) -> str:
 # Rays of one scene: one for every so many pixels of its film, within limits, so that a small film stays quick.
 PIXELS_PER_AIMED_RAY = 4
 MIN_AIMED_RAYS, MAX_AIMED_RAYS = 32, 320
-SHARE_OF_OTHERS = (
-    0.1  # more rays of the scene's own camera, and as many cast again with t_min or t_max at the hit
-)
+SHARE_OF_OTHERS = 0.1  # more rays of the scene's own camera, and as many cast again with t_min or t_max at the hit
 SIZE_SAMPLES = 64  # points that the size of the scene is taken from
 REPRODUCERS = 2  # files of one scene
 
@@ -176,9 +167,7 @@ def knife_edges(scene: Scene) -> tuple[SceneCheck, tuple[AimedFailure, ...]]:
     bad = np.flatnonzero(ratios > 1.0)
     if not len(bad):
         return SceneCheck("knife_edges", float(ratios.max()), f"{len(ratios)} aimed rays"), ()
-    found = tuple(
-        _failure(subject, rays.taken(slice(i, i + 1)), prims[i], texts[i]) for i in bad[:REPRODUCERS]
-    )
+    found = tuple(_failure(subject, rays.taken(slice(i, i + 1)), prims[i], texts[i]) for i in bad[:REPRODUCERS])
     o, d = (a[bad[0]].tolist() for a in (rays.o, rays.d))
     words = f"{len(bad)} of {len(ratios)} aimed rays, first from {o} along {d}: {texts[bad[0]]}"
     return SceneCheck("knife_edges", float(ratios.max()), words), found

@@ -21,12 +21,7 @@ from caster.shapes.mesh import MeshFile
 from caster.shapes.sphere import SphereCloud
 from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.independent_transform import angle_weighted_normals
-from mitsuba_ref.error_model.tolerances import (
-    FILE_NORMAL_ROUNDINGS,
-    FILE_UV_ROUNDINGS,
-    TRANSFORM_ROUNDINGS,
-    U32,
-)
+from mitsuba_ref.error_model.tolerances import FILE_NORMAL_ROUNDINGS, FILE_UV_ROUNDINGS, TRANSFORM_ROUNDINGS, U32
 from mitsuba_ref.judge.scene_checks import Shares
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.messages import LoadedMesh
@@ -129,9 +124,7 @@ def _against_mitsuba(mesh: Any, theirs: LoadedMesh, found: PlainMesh | None, fil
     if not as_is or shares["corners"] != 0.0:
         return shares
     of_uv, of_normals = (None, None) if found is None else (found.has("vt"), found.has("vn"))
-    some_uv, some_normals = (
-        given_at_some(file.read_bytes()) if found is None and ending == ".obj" else (False, False)
-    )
+    some_uv, some_normals = given_at_some(file.read_bytes()) if found is None and ending == ".obj" else (False, False)
     if some_normals:
         shares[f"normals {AT_SOME}"] = 0.0
     elif mesh.normals is not None:
@@ -154,14 +147,10 @@ def _where_there_is_none(mesh: Any, found: PlainMesh) -> dict[str, float]:
         return {}
     shares = {"uv or none": _present(mesh.uv, of_uv), "normals or none": _present(mesh.normals, of_normals)}
     if mesh.uv is not None and not of_uv.all():
-        shares["uv where the file has none"] = _share(
-            mesh.uv[mesh.faces], np.zeros((*of_uv.shape, 2)), 0.0, ~of_uv
-        )
+        shares["uv where the file has none"] = _share(mesh.uv[mesh.faces], np.zeros((*of_uv.shape, 2)), 0.0, ~of_uv)
     if mesh.normals is not None and not of_normals.all():
         normals, bound = _generated_normals(found)
-        among = ~of_normals & np.isfinite(
-            bound[..., 0]
-        )  # but those that cancel: their direction is undefined
+        among = ~of_normals & np.isfinite(bound[..., 0])  # but those that cancel: their direction is undefined
         shares["generated normals"] = _share(mesh.normals[mesh.faces], normals, bound, among)
     return shares
 
@@ -192,11 +181,7 @@ def _share(ours: np.ndarray, theirs: np.ndarray, bound: Any, among: np.ndarray |
 
 def _same(ours: np.ndarray, expected: np.ndarray) -> float:
     """0 if they are the same numbers, NaN included; else inf."""
-    return (
-        0.0
-        if ours.shape == expected.shape and np.array_equal(ours, expected, equal_nan=True)
-        else float("inf")
-    )
+    return 0.0 if ours.shape == expected.shape and np.array_equal(ours, expected, equal_nan=True) else float("inf")
 
 
 def _same_in_float32(ours: np.ndarray, theirs: np.ndarray) -> float:
@@ -291,8 +276,7 @@ def plain_ply_spheres(data: bytes, most: int) -> tuple[np.ndarray, np.ndarray]:
     """(centres (n, 3), radii (n, 1) or (n, 0)) of the first vertices of a PLY file, at most so many."""
     rows = (row for element, row in plain_ply_rows(data) if element == "vertex")
     found = [
-        ([float(row[axis][0]) for axis in "xyz"], list(map(float, row.get("radius", []))))
-        for row in islice(rows, most)
+        ([float(row[axis][0]) for axis in "xyz"], list(map(float, row.get("radius", [])))) for row in islice(rows, most)
     ]
     return np.array([center for center, _ in found]), np.array([radius for _, radius in found])
 
@@ -328,11 +312,7 @@ def plain_stl(data: bytes) -> PlainMesh:
         facets = struct.iter_unpack("<12fH", data[STL_HEAD:])
         return PlainMesh(np.array([facet[3:12] for facet in facets]).reshape(-1, 3, 3), False)
     words = data.split()
-    rows = [
-        [float(number) for number in words[i + 1 : i + 4]]
-        for i, word in enumerate(words)
-        if word == b"vertex"
-    ]
+    rows = [[float(number) for number in words[i + 1 : i + 4]] for i, word in enumerate(words) if word == b"vertex"]
     return PlainMesh(np.array(rows).reshape(-1, 3, 3), False)
 
 

@@ -34,10 +34,7 @@ USUAL_SETS = (("depth", "normal"), ("normal",), ("depth",))
 CROPS, SETS_OF_CROPS = 3, 10
 CROP_SHARE, CROP_SIDES = 8, (3, 48)  # pixels: each side is at most the root of that share
 FILM_SHARE = 8
-SMALL_FILM, FILM_SIZES = (
-    4096,
-    (1, 3),
-)  # pixels; films of other sizes for a film smaller than that, and for others
+SMALL_FILM, FILM_SIZES = (4096, (1, 3))  # pixels; films of other sizes for a film smaller than that, and for others
 TILE_WIDTHS = (1, 2)  # of 128 pixels, that a film is as wide as, or one narrower or wider
 MAX_ROWS = 7  # pixels of the other side of such a film
 BRUTE_FORCE_TESTS = 1 << 17  # rays times primitives that are tried without any culling
@@ -129,9 +126,7 @@ def _differences(scene: Scene, on_route: Callable[[], None]) -> Iterator[RouteDi
 
 def _seed(scene: Scene) -> int:
     film = scene.film
-    return zlib.crc32(
-        repr((film.width, film.height, film.crop, scene.camera)).encode(), content_seed(packed(scene))
-    )
+    return zlib.crc32(repr((film.width, film.height, film.crop, scene.camera)).encode(), content_seed(packed(scene)))
 
 
 # ---- images
@@ -172,18 +167,12 @@ def _text(value: Any) -> str:
 
 
 def _call(
-    aovs: Sequence[str],
-    crop: Sequence[int] | None = None,
-    size: tuple[int, int] | None = None,
-    **options: Any,
+    aovs: Sequence[str], crop: Sequence[int] | None = None, size: tuple[int, int] | None = None, **options: Any
 ) -> str:
     film = [f"width={size[0]}, height={size[1]}"] if size else []
     film += [f"crop={tuple(int(n) for n in crop)}"] if crop is not None else []
     scene = f"scene.with_film({', '.join(film)})" if film else "scene"
-    texts = {
-        key: f"np.{value.__name__}" if isinstance(value, type) else repr(value)
-        for key, value in options.items()
-    }
+    texts = {key: f"np.{value.__name__}" if isinstance(value, type) else repr(value) for key, value in options.items()}
     words = "".join(f", {key}={text}" for key, text in texts.items())
     return f"caster.render({scene}, {tuple(aovs)!r}{words})"
 
@@ -290,9 +279,7 @@ def _ray_by_ray(scene: Scene, rng: Rng, whole: Aovs, edges: np.ndarray) -> Found
     rows = rows[rays.t_max[rows] >= 0.0]
     if not len(rows):
         return
-    limits, member = np.unique(
-        np.column_stack([rays.t_min[rows], rays.t_max[rows]]), axis=0, return_inverse=True
-    )
+    limits, member = np.unique(np.column_stack([rays.t_min[rows], rays.t_max[rows]]), axis=0, return_inverse=True)
     order = np.argsort(-np.bincount(member.ravel()))[:LIMITS]
     for number in order.tolist():
         some, (t_min, t_max) = rows[member.ravel() == number], limits[number].tolist()
@@ -318,12 +305,7 @@ def _limits(rng: Rng, depth: np.ndarray) -> Iterator[tuple[float, float]]:
 
 
 def _hits_differences(
-    scene: Scene,
-    o: np.ndarray,
-    d: np.ndarray,
-    limits: tuple[float, float],
-    rows: np.ndarray,
-    whole: Aovs,
+    scene: Scene, o: np.ndarray, d: np.ndarray, limits: tuple[float, float], rows: np.ndarray, whole: Aovs
 ) -> Iterator[RouteDifference]:
     """Fields of Hits, each of a call of its own where one field may be found without the others."""
     t_min, t_max = limits
@@ -409,9 +391,7 @@ def _rows_differ(
     x0, y0, x1, _ = scene.film.window
     a, b = (np.ascontiguousarray(values) for values in (expected, got))
     if a.shape != b.shape or a.dtype != b.dtype:
-        yield RouteDifference(
-            route, name, x0, y0, f"{a.shape} {a.dtype}", f"{b.shape} {b.dtype}", int(a.shape[0])
-        )
+        yield RouteDifference(route, name, x0, y0, f"{a.shape} {a.dtype}", f"{b.shape} {b.dtype}", int(a.shape[0]))
         return
     if not len(a):
         return

@@ -123,9 +123,7 @@ def check_scaling(scene: Scene) -> SceneCheck:
     seed = content_seed(packed(scene))
     exponents = exponents_of(scene, seed)
     if not exponents:
-        return SceneCheck(
-            "scaling", 0.0, "not compared: at another scale lengths or their products leave float64"
-        )
+        return SceneCheck("scaling", 0.0, "not compared: at another scale lengths or their products leave float64")
     part = scene.with_film(crop=_random_window(np.random.default_rng(seed), scene.film.window))
     try:
         different = scaling_differences(part, exponents)
@@ -172,7 +170,5 @@ def _bits_differ_scaled(expected: np.ndarray, found: np.ndarray, exponent: int) 
     if a.dtype.kind == "f":
         a, b = a + 0.0, b + 0.0
     kind = f"u{a.itemsize}"
-    different: np.ndarray = (np.ascontiguousarray(a).view(kind) != np.ascontiguousarray(b).view(kind)).any(
-        axis=1
-    )
+    different: np.ndarray = (np.ascontiguousarray(a).view(kind) != np.ascontiguousarray(b).view(kind)).any(axis=1)
     return different

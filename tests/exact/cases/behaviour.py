@@ -132,9 +132,7 @@ def write(cases: Mapping[str, dict[str, Counts]]) -> None:
     DATA.write_text(head + ",\n".join(lines) + "\n  }\n}\n", encoding="utf-8")
 
 
-def differences(
-    now: Mapping[str, Mapping[str, Counts]], before: Mapping[str, Mapping[str, Counts]]
-) -> Iterator[str]:
+def differences(now: Mapping[str, Mapping[str, Counts]], before: Mapping[str, Mapping[str, Counts]]) -> Iterator[str]:
     """What is measured now and was measured otherwise."""
     for number, variants in now.items():
         for name, counts in variants.items():

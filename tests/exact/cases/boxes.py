@@ -52,9 +52,7 @@ def trees() -> int:
             *hardly_moving(make),
         ):
             rays = scaled_rays(question)
-            tree, every = (
-                find_nearest(question.scene.derived["packed"], rays, how) for how in ("bvh", "brute-force")
-            )
+            tree, every = (find_nearest(question.scene.derived["packed"], rays, how) for how in ("bvh", "brute-force"))
             assert tree.t.tobytes() == every.t.tobytes() and (tree.prim == every.prim).all(), question.name
             count += len(question.o)
     return count
@@ -109,9 +107,7 @@ def same_zero() -> int:
     count = 0
     for precision in PRECISIONS:
         for plus, minus in zip(
-            on_a_slab_plane(Maker(64, precision), 0.0),
-            on_a_slab_plane(Maker(64, precision), -0.0),
-            strict=True,
+            on_a_slab_plane(Maker(64, precision), 0.0), on_a_slab_plane(Maker(64, precision), -0.0), strict=True
         ):
             packed = plus.scene.derived["packed"]
             first, second = (find_nearest(packed, scaled_rays(q)) for q in (plus, minus))
@@ -127,18 +123,14 @@ def hardly_moving(make: Maker) -> Iterator[Question]:
         o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(80))
         tiny = make.rng.random(d.shape) < 0.4
         d = np.where(tiny, make.rng.choice([least, -least], d.shape), d)
-        yield make.ask(
-            "the smallest components", scene, o, np.where(tiny.all(axis=1, keepdims=True), 1.0, d), hit=3
-        )
+        yield make.ask("the smallest components", scene, o, np.where(tiny.all(axis=1, keepdims=True), 1.0, d), hit=3)
     x = [float(make.beside(1.0, step)) for step in (-1, 0, 1)]
     for along in x:
         for height in (0.25, 1.0, along):
             inside = max(along, height) < 1.0 or (max(along, height) < 1.0 and along <= 1.0)
             wants = {"hit": 2} if inside else {}
             o = [[along, height, 5.0], [height, 5.0, along]]
-            yield make.ask(
-                f"beside a cube's side at {along!r}", [Cube()], o, [[0, 0, -1.0], [0, -1.0, 0]], **wants
-            )
+            yield make.ask(f"beside a cube's side at {along!r}", [Cube()], o, [[0, 0, -1.0], [0, -1.0, 0]], **wants)
     for each in integer_shapes.each(make.rng, (integer_shapes.cube,), 2):
         m = each.shape.matrix[:3, :3]
         rows = np.flatnonzero(~each.inside)

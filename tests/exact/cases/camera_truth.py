@@ -26,9 +26,7 @@ AOVS = ("hit", "depth", "normal", "position", "prim_id", "shape_id")
 def turned_camera(make: Maker, **more: Any) -> Pinhole:
     """In a random pose at about 5 from the middle."""
     eye = 5.0 * direction(make.rng, 1)[0]
-    return Pinhole(
-        **({"eye": eye, "look_at": 0.2 * make.rng.normal(size=3), "up": direction(make.rng, 1)[0]} | more)
-    )
+    return Pinhole(**({"eye": eye, "look_at": 0.2 * make.rng.normal(size=3), "up": direction(make.rng, 1)[0]} | more))
 
 
 def exact_directions(camera: Pinhole, film: Film, rows: list[int], picture: np.ndarray) -> np.ndarray:
@@ -42,9 +40,7 @@ def exact_directions(camera: Pinhole, film: Film, rows: list[int], picture: np.n
         x, y = picture[i]
         a = (2 * (arb(float(x)) + arb(0.5)) / film.width - 1) * half_x
         b = (1 - 2 * (arb(float(y)) + arb(0.5)) / film.height) * half_y
-        out.append(
-            [float(v) for v in unit([a * r + b * u + f for r, u, f in zip(right, up, forward, strict=True)])]
-        )
+        out.append([float(v) for v in unit([a * r + b * u + f for r, u, f in zip(right, up, forward, strict=True)])])
     return np.array(out)
 
 
@@ -80,9 +76,7 @@ def right_directions(camera: Pinhole, film: Film, count: int = 64) -> int:
     sine = np.linalg.norm(np.cross(forward, np.array(camera.up) / np.linalg.norm(camera.up)))
     most = U * (DIRECTION_US / sine + FILM_US * half / length)
     apart = np.linalg.norm(rays.d[rows] - exact, axis=1)
-    assert (apart <= most).all(), (
-        f"{camera}: directions are off by {(apart / most).max():.3g} of their bounds"
-    )
+    assert (apart <= most).all(), f"{camera}: directions are off by {(apart / most).max():.3g} of their bounds"
     assert np.array_equal(rays.o, np.tile(camera.eye, (len(rays.o), 1)))
     return len(rows)
 

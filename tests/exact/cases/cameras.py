@@ -26,11 +26,7 @@ def fields_of_view() -> int:
             camera = turned_camera(make, fov=fov, look_at=(0.0, 0.0, 0.0))
             count += right_directions(camera, film)
         camera = turned_camera(make, fov=fov, look_at=(0.0, 0.0, 0.0))
-        shapes = [
-            Sphere(),
-            Sphere(center=(0.0, 0.3, 0.0), radius=1e-4),
-            Plane(normal=(0.1, 1.0, 0.2), offset=-2.0),
-        ]
+        shapes = [Sphere(), Sphere(center=(0.0, 0.3, 0.0), radius=1e-4), Plane(normal=(0.1, 1.0, 0.2), offset=-2.0)]
         hit = in_the_picture(Scene(film=Film(width=12, height=9), camera=camera, shapes=shapes))
         assert hit > 5
         count += hit
@@ -79,9 +75,7 @@ def far_planes() -> int:
         count += hit
     for near, far in ((1.0, 1.0), (2.0, 1.0)):
         planes = {"near": near, "far": far}
-        count += refused(
-            lambda planes=planes: Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0), **planes), "near", "far"
-        )
+        count += refused(lambda planes=planes: Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0), **planes), "near", "far")
     return count
 
 
@@ -126,11 +120,7 @@ def far_cameras() -> int:
     for away in (1e2, 1e4, 1e6, 1e8, 1e14):
         pose = {"eye": away * direction(make.rng, 1)[0], "up": direction(make.rng, 1)[0]}
         camera = Pinhole(look_at=(0.0, 0.0, 0.0), fov=math.degrees(4.0 / away), **pose)
-        shapes = [
-            Sphere(radius=0.8),
-            shape_of("cube", make.rng, 0.5, (0.5, 0.3, 0.2)),
-            shape_of("disk", make.rng),
-        ]
+        shapes = [Sphere(radius=0.8), shape_of("cube", make.rng, 0.5, (0.5, 0.3, 0.2)), shape_of("disk", make.rng)]
         hit = in_the_picture(Scene(film=Film(width=14, height=14), camera=camera, shapes=shapes))
         assert hit > 5
         count += hit

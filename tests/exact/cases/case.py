@@ -68,9 +68,7 @@ class Maker:
 
     def scene(self, shapes: Sequence[Any]) -> Scene:
         """A scene whose packed numbers have this precision."""
-        scene = Scene(
-            film=Film(width=1, height=1), camera=Pinhole(eye=(9, 0, 0), look_at=(0, 0, 0)), shapes=shapes
-        )
+        scene = Scene(film=Film(width=1, height=1), camera=Pinhole(eye=(9, 0, 0), look_at=(0, 0, 0)), shapes=shapes)
         scene.derived["packed"] = pack(scene, self.rounded)
         return scene
 

@@ -39,9 +39,7 @@ class Conditions(NamedTuple):
     """In units of t."""
 
     size: np.ndarray  # (n,) what rounding scales with; inf where t is not resolved at all
-    slack: (
-        np.ndarray
-    )  # (n,) what the kernel's bound has on top: OFF_SHARE of half a chord, or what may underflow
+    slack: np.ndarray  # (n,) what the kernel's bound has on top: OFF_SHARE of half a chord, or what may underflow
     stretch: np.ndarray  # (n,) |d| + 1 / |d| of what is round: the kernel's bounds take 1 + |d|^2 for 2 |d|
 
     def off_limit(self) -> np.ndarray:
@@ -108,9 +106,7 @@ def disks(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, t: np.ndarray
     return (of_f[:, 2] + t * of_e[:, 2]) / np.abs(e[:, 2])
 
 
-def chord(
-    f: np.ndarray, d: np.ndarray, r: np.ndarray, of_f: np.ndarray, of_d: np.ndarray, t: np.ndarray
-) -> Found:
+def chord(f: np.ndarray, d: np.ndarray, r: np.ndarray, of_f: np.ndarray, of_d: np.ndarray, t: np.ndarray) -> Found:
     """Half a chord h is sqrt(r^2 - g^2), and g is off as f and t d are: by r / h times that."""
     length = np.sqrt(inner(d, d))
     g = np.cross(f, d / length[:, None])

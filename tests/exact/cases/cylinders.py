@@ -68,16 +68,9 @@ def ends(make: Maker) -> Iterator[Question]:
         (float(make.beside(1.0, -1)), True),
         (float(make.beside(1.0, 1)), False),
     ):
-        for name, shape in (
-            ("cylinder", Cylinder()),
-            ("elliptic cylinder", Cylinder(to_world=[{"scale": [1, 2, 1]}])),
-        ):
+        for name, shape in (("cylinder", Cylinder()), ("elliptic cylinder", Cylinder(to_world=[{"scale": [1, 2, 1]}]))):
             yield make.ask(
-                f"{name}, z = {z!r}",
-                [shape],
-                (-3.0, 0.25, z),
-                (1.0, 0.0, 0.0),
-                **{"hit" if inside else "miss": 1},
+                f"{name}, z = {z!r}", [shape], (-3.0, 0.25, z), (1.0, 0.0, 0.0), **{"hit" if inside else "miss": 1}
             )
     for each in integer_shapes.each(make.rng, TUBES, 3):
         rows = np.flatnonzero(~each.inside)
@@ -87,11 +80,7 @@ def ends(make: Maker) -> Iterator[Question]:
         )
         for step in (-1, 1):
             yield make.ask(
-                f"{each.kind}, turned, step {step}",
-                [each.shape],
-                make.beside(each.p[rows] - 2.0 * d, step),
-                d,
-                hit=1,
+                f"{each.kind}, turned, step {step}", [each.shape], make.beside(each.p[rows] - 2.0 * d, step), d, hit=1
             )
 
 
@@ -151,9 +140,7 @@ def outward_inside() -> int:
 def far_wall(make: Maker) -> Iterator[Question]:
     """From the middle to a point of the wall at t = 1 exactly, with t_max there and beside."""
     for each in integer_shapes.each(
-        make.rng,
-        (integer_shapes.cylinder, integer_shapes.elliptic, integer_shapes.sphere, integer_shapes.ellipsoid),
-        2,
+        make.rng, (integer_shapes.cylinder, integer_shapes.elliptic, integer_shapes.sphere, integer_shapes.ellipsoid), 2
     ):
         center = each.shape.matrix[:3, 3] + (np.array(each.shape.center) if each.kind == "sphere" else 0.0)
         if "cylinder" in each.kind:
@@ -164,13 +151,7 @@ def far_wall(make: Maker) -> Iterator[Question]:
             other = {"hit": "miss", "miss": "hit"}[meets]
             t_max = float(make.beside(1.0, step))
             yield make.ask(
-                f"{each.kind}, step {step}",
-                [each.shape],
-                center,
-                d,
-                t_max=t_max,
-                never=(other,),
-                **{meets: 8},
+                f"{each.kind}, step {step}", [each.shape], center, d, t_max=t_max, never=(other,), **{meets: 8}
             )
 
 

@@ -19,8 +19,7 @@ def in_or_above(make: Maker) -> Iterator[Question]:
     """In the plane, and parallel to it at a distance: never a hit."""
     yield from in_the_plane(make, (integer_shapes.rectangle, integer_shapes.disk, integer_shapes.plane))
     for each in integer_shapes.each(
-        make.rng,
-        (integer_shapes.rectangle, integer_shapes.disk, integer_shapes.plane, integer_shapes.triangle),
+        make.rng, (integer_shapes.rectangle, integer_shapes.disk, integer_shapes.plane, integer_shapes.triangle)
     ):
         rows = make.rng.integers(0, len(each.p), make.count(25))
         d = each.tangent[rows] * integer_shapes.UNIT
@@ -46,11 +45,7 @@ def borders(make: Maker) -> Iterator[Question]:
             yield make.ask(f"upright, ({x!r}, {y!r})", [Rectangle()], o, (0.0, 0.0, -1.0), **wants)
     along = make.rng.integers(-15, 16, make.count(20)) / 16.0
     yield make.ask(
-        "upright diagonal",
-        [Rectangle()],
-        np.column_stack([-along, along, along * 0 + 2]),
-        (0.0, 0.0, -1.0),
-        tie=20,
+        "upright diagonal", [Rectangle()], np.column_stack([-along, along, along * 0 + 2]), (0.0, 0.0, -1.0), tie=20
     )
     for each in integer_shapes.each(
         make.rng, (integer_shapes.rectangle, integer_shapes.triangle, integer_shapes.cube), 2
@@ -62,11 +57,7 @@ def borders(make: Maker) -> Iterator[Question]:
         yield make.ask(f"{each.kind}, turned", [each.shape], o, d, hit=least, exact=least)
         if each.kind != "cube":
             yield make.ask(
-                f"{each.kind}, beside",
-                [each.shape],
-                make.beside(o, int(make.rng.choice([-1, 1]))),
-                d,
-                exact=0,
+                f"{each.kind}, beside", [each.shape], make.beside(o, int(make.rng.choice([-1, 1]))), d, exact=0
             )
 
 
@@ -81,9 +72,7 @@ def rims(make: Maker) -> Iterator[Question]:
         d = (each.n[rows] + each.tangent[rows]) * integer_shapes.UNIT
         yield make.ask("turned", [each.shape], each.p[rows] - d, d, rim=12, exact=12, never=("miss",))
         for step in (-1, 1):
-            yield make.ask(
-                f"turned, step {step}", [each.shape], make.beside(each.p[rows] - d, step), d, hit=1, miss=1
-            )
+            yield make.ask(f"turned, step {step}", [each.shape], make.beside(each.p[rows] - d, step), d, hit=1, miss=1)
 
 
 def mixed_scales(make: Maker) -> Iterator[Question]:
@@ -117,9 +106,7 @@ def singular() -> int:
     for shape in every_kind(np.random.default_rng(49)):
         for factors in ([1, 1, 0], [0, 1, 1], [1e-20, 1, 1]):
             steps = [{"scale": factors}, turned]
-            count += refused(
-                lambda s=shape[1], t=steps: s.model_copy(update={"to_world": t}), "to_world", "invertible"
-            )
+            count += refused(lambda s=shape[1], t=steps: s.model_copy(update={"to_world": t}), "to_world", "invertible")
     return count
 
 
@@ -210,9 +197,7 @@ def normals_in_a_mirror() -> int:
 
 EXACT = "exact"
 CASES = (
-    Case(
-        42, "in the plane of something flat, or parallel above it", "a miss, decided in integers", in_or_above
-    ),
+    Case(42, "in the plane of something flat, or parallel above it", "a miss, decided in integers", in_or_above),
     Case(43, "grazing rectangles, disks and planes at 10^-1 to 10^-12 radians", EXACT, grazing_flat),
     Case(
         44,
@@ -237,17 +222,6 @@ CASES = (
         "a plane has no end; t is rounded a few times, however far it is",
         horizon,
     ),
-    Case(
-        51,
-        "two in one plane",
-        "where both are, exactly, the first of the scene; else the one in front",
-        coplanar,
-    ),
-    Case(
-        52,
-        "mirrored shapes",
-        "outside stays outside, for every shape",
-        reflected,
-        {"mirrored": normals_in_a_mirror},
-    ),
+    Case(51, "two in one plane", "where both are, exactly, the first of the scene; else the one in front", coplanar),
+    Case(52, "mirrored shapes", "outside stays outside, for every shape", reflected, {"mirrored": normals_in_a_mirror}),
 )

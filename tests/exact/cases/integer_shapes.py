@@ -110,16 +110,11 @@ def disk(rng: Rng) -> Whole:
     q = np.concatenate([IN_CIRCLE, ON_CIRCLE])
     p = np.column_stack([q, np.zeros(len(q))])
     shape = Disk(to_world=matrix_steps(m * (5.0 * s), c))
-    return finished(
-        "disk", shape, rng, c + (p * s) @ m.T, np.tile(m[:, 2], (len(p), 1)), np.arange(len(q)) < 4
-    )
+    return finished("disk", shape, rng, c + (p * s) @ m.T, np.tile(m[:, 2], (len(p), 1)), np.arange(len(q)) < 4)
 
 
 WEIGHTS = (
-    np.array(
-        [[2, 1, 1], [1, 2, 1], [1, 1, 2], [0, 2, 2], [3, 1, 0], [1, 0, 3], [4, 0, 0], [0, 4, 0], [0, 0, 4]]
-    )
-    / 4.0
+    np.array([[2, 1, 1], [1, 2, 1], [1, 1, 2], [0, 2, 2], [3, 1, 0], [1, 0, 3], [4, 0, 0], [0, 4, 0], [0, 0, 4]]) / 4.0
 )
 
 
@@ -130,29 +125,12 @@ def triangle(rng: Rng) -> Whole:
         return triangle(rng)
     p = WEIGHTS @ corners
     return finished(
-        "triangle",
-        Triangle(vertices=corners * UNIT),
-        rng,
-        p,
-        np.tile(n / 16.0, (len(p), 1)),
-        (WEIGHTS > 0).all(axis=1),
+        "triangle", Triangle(vertices=corners * UNIT), rng, p, np.tile(n / 16.0, (len(p), 1)), (WEIGHTS > 0).all(axis=1)
     )
 
 
 SQUARE = (
-    np.array(
-        [
-            [1, 0, 0],
-            [-2, 3, 0],
-            [3, 1, 0],
-            [4, 1, 0],
-            [-4, 0, 0],
-            [2, 4, 0],
-            [4, 4, 0],
-            [-4, 4, 0],
-            [2, -2, 0],
-        ]
-    )
+    np.array([[1, 0, 0], [-2, 3, 0], [3, 1, 0], [4, 1, 0], [-4, 0, 0], [2, 4, 0], [4, 4, 0], [-4, 4, 0], [2, -2, 0]])
     / 4.0
 )
 
@@ -162,12 +140,7 @@ def rectangle(rng: Rng) -> Whole:
     (m, _), c, s = whole_turn(rng), whole(rng, 3), 4.0 * rng.integers(1, 4, 3)
     p = c + (SQUARE * s) @ m.T
     return finished(
-        "rectangle",
-        Rectangle(to_world=matrix_steps(m * s, c)),
-        rng,
-        p,
-        np.tile(m[:, 2], (len(p), 1)),
-        np.arange(9) < 3,
+        "rectangle", Rectangle(to_world=matrix_steps(m * s, c)), rng, p, np.tile(m[:, 2], (len(p), 1)), np.arange(9) < 3
     )
 
 

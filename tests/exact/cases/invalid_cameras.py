@@ -23,9 +23,7 @@ def nowhere_to_look() -> int:
     count = 0
     for step in steps:
         count += refused(lambda step=step: Rectangle(to_world=[{"look_at": step}]), "to_world")
-        pose = {"eye": step["origin"], "look_at": step["target"]} | {
-            k: v for k, v in step.items() if k == "up"
-        }
+        pose = {"eye": step["origin"], "look_at": step["target"]} | {k: v for k, v in step.items() if k == "up"}
         count += refused(lambda pose=pose: Pinhole(**pose), "pinhole")
     count += refused(lambda: Pinhole(eye=(0, 0, 0), direction=(0, 0, 0)), "direction")
     return count + refused(lambda: Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0), up=(1e-30, 0, 1)), "up")
@@ -58,9 +56,7 @@ def rotation(axis: np.ndarray, degrees: float) -> np.ndarray:
     return Rectangle(to_world=[{"rotate": {"axis": axis, "degrees": degrees}}]).matrix[:3, :3]
 
 
-BALL = Scene(
-    film=Film(width=1, height=1), camera=Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), shapes=(Sphere(),)
-)
+BALL = Scene(film=Film(width=1, height=1), camera=Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), shapes=(Sphere(),))
 GOOD = ((0.1, 0.2, 3.0), (0.0, 0.0, -1.0))
 
 
@@ -107,11 +103,7 @@ CASES = (
         shapes="cameras, `to_world`",
     ),
     Case(
-        72,
-        "films without a pixel",
-        "refused with the line of the file",
-        checks={"refused": no_film},
-        shapes="cameras",
+        72, "films without a pixel", "refused with the line of the file", checks={"refused": no_film}, shapes="cameras"
     ),
     Case(
         74,
@@ -128,10 +120,6 @@ CASES = (
         {"refused": no_numbers},
     ),
     Case(
-        76,
-        "a direction of zero",
-        "refused with the number of the ray",
-        checks={"refused": no_direction},
-        shapes="rays",
+        76, "a direction of zero", "refused with the number of the ray", checks={"refused": no_direction}, shapes="rays"
     ),
 )

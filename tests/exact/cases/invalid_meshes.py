@@ -54,16 +54,12 @@ def same_without(vertices: np.ndarray, faces: np.ndarray, o: np.ndarray, d: np.n
     """Bit for bit as if the bad faces were not in the file, and they are counted; (hits, faces left out)."""
     make, kept = Maker(77, FLOAT64), usable(vertices, faces)
     scene = make.scene([mesh_of(vertices, faces)])
-    clean = make.scene(
-        [mesh_of(vertices[faces[kept]].reshape(-1, 3), np.arange(3 * kept.sum()).reshape(-1, 3))]
-    )
+    clean = make.scene([mesh_of(vertices[faces[kept]].reshape(-1, 3), np.arange(3 * kept.sum()).reshape(-1, 3))])
     found, wanted = cast(scene, o, d), cast(clean, o, d)
     hit = wanted.prim_id >= 0
     number = np.flatnonzero(kept)
     assert found.t.tobytes() == wanted.t.tobytes()
-    assert (
-        np.array_equal(found.prim_id[hit], number[wanted.prim_id[hit]]) and (found.prim_id[~hit] == -1).all()
-    )
+    assert np.array_equal(found.prim_id[hit], number[wanted.prim_id[hit]]) and (found.prim_id[~hit] == -1).all()
     assert np.isfinite(found.surface.n).all() and np.array_equal(found.surface.n, wanted.surface.n)
     counted = rejected_faces(scene).get("shape-0")
     bad = int((~kept).sum())

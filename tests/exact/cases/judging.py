@@ -114,9 +114,7 @@ def powers(d: np.ndarray) -> np.ndarray:
     return exponents
 
 
-def of_t(
-    question: Question, packed: Packed, hits: Hits, answers: list[ExactAnswer], rows: np.ndarray
-) -> Iterator[str]:
+def of_t(question: Question, packed: Packed, hits: Hits, answers: list[ExactAnswer], rows: np.ndarray) -> Iterator[str]:
     t, (off, most, limit) = hits.t[rows], measured(question, packed, hits, rows)
     least = math.ulp(0.0)
     for j, i in enumerate(rows.tolist()):
@@ -165,6 +163,4 @@ def short_of(question: Question, met: Counter[str]) -> list[str]:
         for what, least in question.wants.items()
         if met[what] < least
     ]
-    return few + [
-        f"{question.name}: {met[what]} of {what}, expected none" for what in question.never if met[what]
-    ]
+    return few + [f"{question.name}: {met[what]} of {what}, expected none" for what in question.never if met[what]]

@@ -23,13 +23,7 @@ def at_t_max(make: Maker) -> Iterator[Question]:
             other = {"hit": "miss", "miss": "hit"}[meets]
             o = each.p[rows] - 2.0 * d
             yield make.ask(
-                f"{each.kind}, t_max {t_max!r}",
-                [each.shape],
-                o,
-                d,
-                t_max=t_max,
-                never=(other,),
-                **{meets: 20},
+                f"{each.kind}, t_max {t_max!r}", [each.shape], o, d, t_max=t_max, never=(other,), **{meets: 20}
             )
         yield make.ask(f"{each.kind}, t_min 2", [each.shape], o, d, t_min=2.0)
 
@@ -48,9 +42,7 @@ def at_t_min(make: Maker) -> Iterator[Question]:
 
 def odd_directions(make: Maker) -> Iterator[Question]:
     """Components of -0.0, 10^-19, 10^-30, 10^-45 and the smallest beside one that is not small."""
-    small = np.array(
-        [0.0, -0.0, 1e-19, -1e-19, 1e-30, 1e-45, *(() if make.single else (1e-300, -(2.0**-1074)))]
-    )
+    small = np.array([0.0, -0.0, 1e-19, -1e-19, 1e-30, 1e-45, *(() if make.single else (1e-300, -(2.0**-1074)))])
     for kind, shape in every_kind(make.rng):
         scene = make.scene([shape])
         p, _ = rays_at(make, scene.derived["packed"].parts[0], make.count(40), aim=Aim((1e-9, 2e-9)))
@@ -180,9 +172,7 @@ def crowd() -> int:
     make = Maker(41, FLOAT64)
     scene = make.scene([mesh_of(corners, np.tile([[0, 1, 2]], (REPEATED_FACES, 1)))])
     o = np.array([[5.0, 6.0, 7.0]])
-    hits, alone = (
-        cast(s, o, corners.mean(axis=0) - o) for s in (scene, make.scene([Triangle(vertices=corners)]))
-    )
+    hits, alone = (cast(s, o, corners.mean(axis=0) - o) for s in (scene, make.scene([Triangle(vertices=corners)])))
     assert hits.prim_id[0] == alone.prim_id[0] == 0 and hits.t.tobytes() == alone.t.tobytes()
     return REPEATED_FACES
 
@@ -249,10 +239,6 @@ CASES = (
         shapes="mesh",
     ),
     Case(
-        41,
-        "100,000 times the same triangle",
-        "the first is hit; the tree stops halving",
-        small_crowd,
-        {"faces": crowd},
+        41, "100,000 times the same triangle", "the first is hit; the tree stops halving", small_crowd, {"faces": crowd}
     ),
 )

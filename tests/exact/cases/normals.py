@@ -118,9 +118,7 @@ def _sphere(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float, off: flo
     return min(approached, reached) + 1.0
 
 
-def _through_matrix(
-    prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float, off: float, flat: bool
-) -> float:
+def _through_matrix(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float, off: float, flat: bool) -> float:
     m, away = prims.to_object[k], o - prims.center[k]
     q, e = m @ (away + t * d), m @ d
     reach = np.abs(m) @ (np.abs(away) + np.abs(t * d))

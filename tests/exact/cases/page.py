@@ -67,9 +67,7 @@ def probes(cases: Sequence[Case], behaviour: Mapping[str, Any]) -> list[str]:
     for case in cases:
         counts = behaviour.get(str(case.number), {})
         scalar, llvm = (counts.get(f"{variant} probes", {}) for variant in ("scalar", "llvm"))
-        rows += [
-            f"| {case.number} | {name} | {cells} | {llvm.get(name, '-')} |" for name, cells in scalar.items()
-        ]
+        rows += [f"| {case.number} | {name} | {cells} | {llvm.get(name, '-')} |" for name, cells in scalar.items()]
     return rows
 
 
@@ -78,9 +76,7 @@ def cell(counts: Mapping[str, Any] | None) -> str:
         return "-"
     wrong = f"{counts['missed']} + {counts['invented']} of {counts['rays']}; t {counts['worst t']:g}"
     more = [
-        f"{counts[what]} {name}"
-        for what, name in (("no number", "NaN"), ("refused", "refused"))
-        if counts.get(what)
+        f"{counts[what]} {name}" for what, name in (("no number", "NaN"), ("refused", "refused")) if counts.get(what)
     ]
     return "; ".join([wrong, *more])
 

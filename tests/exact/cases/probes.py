@@ -78,9 +78,7 @@ FACELESS, CORNERS_ONLY = mesh("faceless.ply", np.eye(3), np.zeros((0, 3), int))
 RIGHT = ([(0.25, 0.125, 3.0)] * 2, [(0.0, 0.0, -1.0)] * 2)
 
 PROBES: dict[int, tuple[Probe | Sensor, ...]] = {
-    11: tuple(
-        Probe(f"radius {r:g}", shape("sphere", number("radius", r)), *DOWN) for r in (0.0, -1.0, 1e-38)
-    ),
+    11: tuple(Probe(f"radius {r:g}", shape("sphere", number("radius", r)), *DOWN) for r in (0.0, -1.0, 1e-38)),
     39: tuple(indexed(i) for i in (3, 10**6, 0xFFFFFFFF)),
     40: (
         Probe("nothing", "", *DOWN),
@@ -97,17 +95,11 @@ PROBES: dict[int, tuple[Probe | Sensor, ...]] = {
         for fov in (0.001, 0.1, 1.0, 45.0, 120.0, 170.0, 179.9, 179.99)
     ),
     67: tuple(
-        Sensor(
-            f"near {near:g}", Pinhole(eye=(1, 2, 5), look_at=(0, 0, 0), near=near), Film(width=16, height=16)
-        )
+        Sensor(f"near {near:g}", Pinhole(eye=(1, 2, 5), look_at=(0, 0, 0), near=near), Film(width=16, height=16))
         for near in (1e-4, 0.1, 5.0)
     ),
     68: tuple(
-        Sensor(
-            f"far {far:g}",
-            Pinhole(eye=(1, 2, 5), look_at=(0, 0, 0), near=0.1, far=far),
-            Film(width=16, height=16),
-        )
+        Sensor(f"far {far:g}", Pinhole(eye=(1, 2, 5), look_at=(0, 0, 0), near=0.1, far=far), Film(width=16, height=16))
         for far in (1.0, 1e4)
     ),
     69: tuple(
@@ -115,11 +107,7 @@ PROBES: dict[int, tuple[Probe | Sensor, ...]] = {
         for w, h in ((1, 1), (1, 7), (7, 1), (2, 2), (3, 3))
     ),
     70: tuple(
-        Sensor(
-            f"{w} wide",
-            Pinhole(eye=(1, 2, 5), look_at=(0, 0, 0)),
-            Film(width=w, height=1, crop=(0, 0, 500, 1)),
-        )
+        Sensor(f"{w} wide", Pinhole(eye=(1, 2, 5), look_at=(0, 0, 0)), Film(width=w, height=1, crop=(0, 0, 500, 1)))
         for w in (4096, 65536)
     ),
     71: tuple(
@@ -131,11 +119,7 @@ PROBES: dict[int, tuple[Probe | Sensor, ...]] = {
     ),
     72: tuple(Probe(f"film {w}x{h}", sensor(STANDING, film(w, h)), *DOWN) for w, h in ((0, 1), (1, 0))),
     73: tuple(
-        Sensor(
-            f"from {away:g}",
-            Pinhole(eye=(0.6 * away, 0, 0.8 * away), look_at=(0, 0, 0)),
-            Film(width=16, height=16),
-        )
+        Sensor(f"from {away:g}", Pinhole(eye=(0.6 * away, 0, 0.8 * away), look_at=(0, 0, 0)), Film(width=16, height=16))
         for away in (1e2, 1e4, 1e6, 1e8)
     ),
     74: (
@@ -149,10 +133,7 @@ PROBES: dict[int, tuple[Probe | Sensor, ...]] = {
     75: (
         Probe("origins with NaN and inf", shape("sphere"), BAD, [DOWN[1][0]] * len(BAD)),
         Probe("directions with NaN and inf", shape("sphere"), [DOWN[0][0]] * len(BAD), BAD),
-        *(
-            Probe(f"t_max {t_max:g}", shape("sphere"), *DOWN, t_max=t_max)
-            for t_max in (math.nan, -1.0, 0.0, 3.4e38)
-        ),
+        *(Probe(f"t_max {t_max:g}", shape("sphere"), *DOWN, t_max=t_max) for t_max in (math.nan, -1.0, 0.0, 3.4e38)),
     ),
     76: (Probe("no direction", shape("sphere"), *DOWN[:1], [(0.0, 0.0, 0.0)]),),
 }
@@ -167,9 +148,7 @@ def probed(numbers: Sequence[int], variant: str, folder: Path) -> dict[str, dict
         if isinstance(probe, Probe)
     ]
     found: dict[str, dict[str, str]] = {}
-    for (i, probe, _), answer in zip(
-        asked, send_requests([job for _, _, job in asked]) if asked else [], strict=True
-    ):
+    for (i, probe, _), answer in zip(asked, send_requests([job for _, _, job in asked]) if asked else [], strict=True):
         found.setdefault(str(i), {})[probe.name] = told(answer)
     for j, (i, probe) in enumerate(chosen):
         if isinstance(probe, Sensor):
@@ -185,13 +164,7 @@ def job(probe: Probe, variant: str, folder: Path) -> TraceRequest:
         (folder / name).write_bytes(content)
     o, d = np.array(probe.o, np.float32), np.array(probe.d, np.float32)
     return TraceRequest(
-        folder / "scene.xml",
-        variant,
-        o,
-        d,
-        np.full(len(o), probe.t_max, np.float32),
-        lights=False,
-        strict=False,
+        folder / "scene.xml", variant, o, d, np.full(len(o), probe.t_max, np.float32), lights=False, strict=False
     )
 
 
@@ -209,9 +182,7 @@ def directions(probe: Sensor, variant: str, folder: Path) -> str:
     xml = export(scene, model_of(scene, pack(scene, as_float32), shared_rays(scene))).write(folder)
     none = np.zeros((0, 3), np.float32)
     answer = send_request(
-        TraceRequest(
-            xml, variant, none, none, np.zeros(0, np.float32), lights=False, sensor=True, strict=False
-        )
+        TraceRequest(xml, variant, none, none, np.zeros(0, np.float32), lights=False, sensor=True, strict=False)
     )
     if isinstance(answer, Crash) or answer.sensor_d is None or answer.sensor_o is None:
         return told(answer) if isinstance(answer, Crash) else "no sensor"

@@ -60,9 +60,7 @@ def ply_of(vertices: np.ndarray, faces: np.ndarray, number: str = "double") -> b
         f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n{names}"
         f"element face {len(faces)}\nproperty list uchar uint vertex_indices\nend_header\n"
     )
-    return (
-        header.encode() + vertices.astype("<f8" if number == "double" else "<f4").tobytes() + rows.tobytes()
-    )
+    return header.encode() + vertices.astype("<f8" if number == "double" else "<f4").tobytes() + rows.tobytes()
 
 
 def turn(rng: Rng) -> dict[str, Any]:
@@ -85,9 +83,7 @@ ROUND = ("sphere", "ellipsoid", "cylinder", "elliptic cylinder")
 CLOSED = ("sphere", "ellipsoid", "cube", "icosphere", "torus")
 
 
-def shape_of(
-    kind: str, rng: Rng, size: float = 1.0, middle: Any = (0.0, 0.0, 0.0), stretch: Any = 1.0
-) -> Shape:
+def shape_of(kind: str, rng: Rng, size: float = 1.0, middle: Any = (0.0, 0.0, 0.0), stretch: Any = 1.0) -> Shape:
     """A shape about `size` large around `middle`, turned; stretched, where it can be, along its own axes."""
     steps = place(rng, size, middle, stretch)
     if kind == "mesh":
@@ -163,9 +159,7 @@ def rays_at(
     """Rays (n, 3), (n, 3) in the maker's precision, d of about unit length, at points of one shape's arrays."""
     rng, aim = make.rng, aim or Aim()
     p, n = spots_on(part, rng, count, aim.edges, size)
-    n = np.where(
-        np.isfinite(n).all(axis=1, keepdims=True), n, direction(rng, len(n))
-    )  # a face without area has none
+    n = np.where(np.isfinite(n).all(axis=1, keepdims=True), n, direction(rng, len(n)))  # a face without area has none
     slope = (decades(rng, *aim.slopes, len(p)) * rng.choice([-1.0, 1.0], len(p)))[:, None]
     away = slope * n + np.sqrt(1.0 - slope * slope) * across(rng, n)
     o = make.rounded(p + size * decades(rng, *aim.distances, len(p))[:, None] * away)

@@ -18,9 +18,7 @@ def distances(make: Maker) -> Iterator[Question]:
     """From 10 to 10^8 sizes away, through the middle and at rims."""
     for kind, shape in every_kind(make.rng):
         scene = make.scene([shape])
-        o, d = rays_at(
-            make, scene.derived["packed"].parts[0], make.count(60), aim=Aim((10.0, 1e8), (0.05, 1.0))
-        )
+        o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(60), aim=Aim((10.0, 1e8), (0.05, 1.0)))
         yield make.ask(kind, scene, o, d, hit=10)
 
 
@@ -51,11 +49,7 @@ def huge(make: Maker) -> Iterator[Question]:
     for kind in ROUND:
         for size in (1e3, 1e5, 1e8):
             turned = turn(make.rng)
-            stretch = {
-                "ellipsoid": [1.0, 1.0, 0.5],
-                "elliptic cylinder": [1.0, 0.5, 3.0],
-                "cylinder": [1.0, 1.0, 3.0],
-            }
+            stretch = {"ellipsoid": [1.0, 1.0, 0.5], "elliptic cylinder": [1.0, 0.5, 3.0], "cylinder": [1.0, 1.0, 3.0]}
             steps = [{"scale": size * np.array(stretch.get(kind, 1.0))}, turned]
             shape = Cylinder(to_world=steps) if "cylinder" in kind else Sphere(to_world=steps)
             count = make.count(40)
@@ -143,9 +137,7 @@ def on_the_surface(make: Maker) -> Iterator[Question]:
         rows = make.rng.integers(0, len(each.p), make.count(30))
         sort = make.rng.integers(0, 3, len(rows))[:, None]
         d = np.where(sort == 0, each.n[rows], np.where(sort == 1, -each.n[rows], each.tangent[rows]))
-        yield make.ask(
-            f"{each.kind}, exact", [each.shape], each.p[rows], d * integer_shapes.UNIT, exact=5, miss=5
-        )
+        yield make.ask(f"{each.kind}, exact", [each.shape], each.p[rows], d * integer_shapes.UNIT, exact=5, miss=5)
 
 
 def lengths(make: Maker) -> Iterator[Question]:
@@ -173,9 +165,7 @@ def one_ray() -> int:
             assert int(picture["shape_id"][0, 0]) == hits.shape_id[0], f"{kind}, 2^{exponent}: depth {depth}"
             if hits.shape_id[0] == 0:
                 away = hits.t[0] * np.linalg.norm(d)
-                assert abs(depth - away) <= DEPTH_RTOL * away, (
-                    f"{kind}, 2^{exponent}: depth {depth}, not {away}"
-                )
+                assert abs(depth - away) <= DEPTH_RTOL * away, f"{kind}, 2^{exponent}: depth {depth}, not {away}"
             count += 1
     for shape, away in ((Cube(), 3.0), (Disk(), 4.0)):
         picture = through(make.scene([shape]), (0.3, 0.25, 4.0), (0.0, 0.0, -(2.0**-1074)))
@@ -211,10 +201,7 @@ def scales(
 def radii(make: Maker) -> Iterator[Question]:
     """Down to the smallest numbers there are."""
     for r in (1e-38, 2.0**-149, *(() if make.single else (1e-300, 2.0**-1074))):
-        for kind, shape in (
-            ("sphere", Sphere(radius=r)),
-            ("cylinder", Cylinder(radius=max(r, 1e-300), p0=(0, 0, -1))),
-        ):
+        for kind, shape in (("sphere", Sphere(radius=r)), ("cylinder", Cylinder(radius=max(r, 1e-300), p0=(0, 0, -1)))):
             if make.single and kind == "cylinder" and r < 1e-38:
                 continue  # its inverse is beyond what float32 numbers lead to
             o, d = through_the_origin(make, make.count(20), 4.0)
@@ -254,12 +241,7 @@ def concentric(make: Maker) -> Iterator[Question]:
     }.items():
         o = make.rounded(10.0 * direction(make.rng, rays))
         yield make.ask(
-            name,
-            pair,
-            o,
-            make.rounded(0.5 * direction(make.rng, rays)) - o,
-            hit=10,
-            exact=0 if make.single else 10,
+            name, pair, o, make.rounded(0.5 * direction(make.rng, rays)) - o, hit=10, exact=0 if make.single else 10
         )
 
 
@@ -294,12 +276,7 @@ CASES = (
     ),
     Case(3, "huge and passed near its silhouette", EXACT, huge),
     Case(4, "touched in one point, exactly", "a hit (closed), decided in integers", tangent),
-    Case(
-        5,
-        "one unit in the last place beside a tangent",
-        "the sign of the discriminant is exact",
-        nearly_tangent,
-    ),
+    Case(5, "one unit in the last place beside a tangent", "the sign of the discriminant is exact", nearly_tangent),
     Case(6, "from inside, down to 10^-16 off the wall", EXACT, inside),
     Case(
         7,
@@ -332,10 +309,7 @@ CASES = (
         stretched,
     ),
     Case(
-        13,
-        "two surfaces one unit in the last place apart",
-        "the order of the roots is decided in integers",
-        concentric,
+        13, "two surfaces one unit in the last place apart", "the order of the roots is decided in integers", concentric
     ),
     Case(
         14,

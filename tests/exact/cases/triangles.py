@@ -51,13 +51,9 @@ def closed_edges(make: Maker) -> Iterator[Question]:
         rows = pairs[make.rng.integers(0, len(pairs), make.count(120))]
         share = make.rng.choice([0.25, 0.5, 0.75], (len(rows), 1))
         first, second = vertices[rows[:, 0]] - o, vertices[rows[:, 1]] - o
-        yield make.ask(
-            f"exact, at {middle[0]:g}", scene, o, first + share * (second - first), edge=80, never=("miss",)
-        )
+        yield make.ask(f"exact, at {middle[0]:g}", scene, o, first + share * (second - first), edge=80, never=("miss",))
         share = make.rng.random((len(rows), 1))
-        yield make.ask(
-            f"rounded, at {middle[0]:g}", scene, o, first + share * (second - first), never=("miss",)
-        )
+        yield make.ask(f"rounded, at {middle[0]:g}", scene, o, first + share * (second - first), never=("miss",))
     ring = tessellate_torus(1.0, 0.3, 24, 12)
     m, n = integer_shapes.whole_turn(make.rng)
     vertices = np.rint(ring.vertices @ m.T / n * 2.0**18) / 2.0**18
@@ -79,9 +75,7 @@ def closed_corners(make: Maker) -> Iterator[Question]:
         mesh, vertices, _ = grid_ball(make, middle)
         o = inside_of(vertices)
         rows = make.rng.integers(0, len(vertices), make.count(150))
-        yield make.ask(
-            f"at {middle[0]:g}", [mesh], o, vertices[rows] - o, vertex=140, tie=140, never=("miss",)
-        )
+        yield make.ask(f"at {middle[0]:g}", [mesh], o, vertices[rows] - o, vertex=140, tie=140, never=("miss",))
     shape = Icosphere(subdivisions=2, to_world=[turn(make.rng)])
     scene = make.scene([shape])
     vertices = scene.derived["packed"].parts[0].vertices
@@ -98,12 +92,7 @@ def lattice(make: Maker) -> Iterator[Question]:
     half = make.rng.integers(0, 2, (count, 2)) / 16.0
     yield make.ask("corners", scene, o, p - o, vertex=140, never=("miss",))
     yield make.ask(
-        "edges and diagonals",
-        scene,
-        o,
-        p + np.column_stack([half, np.zeros(count)]) - o,
-        edge=60,
-        never=("miss",),
+        "edges and diagonals", scene, o, p + np.column_stack([half, np.zeros(count)]) - o, edge=60, never=("miss",)
     )
 
 
@@ -171,12 +160,7 @@ def without_area(make: Maker) -> Iterator[Question]:
         corners = np.array([a, a + v, a + 2 * v, a + w[0], a + w[1]]) * integer_shapes.UNIT
         mesh = mesh_of(corners, [[0, 1, 2], [0, 2, 3], [0, 4, 2]])
         yield make.ask(
-            "between two faces",
-            [mesh],
-            o * integer_shapes.UNIT,
-            (aim - o) * integer_shapes.UNIT,
-            hit=8,
-            edge=5,
+            "between two faces", [mesh], o * integer_shapes.UNIT, (aim - o) * integer_shapes.UNIT, hit=8, edge=5
         )
 
 
@@ -188,9 +172,7 @@ def nearly_in_a_line(make: Maker) -> Iterator[Question]:
         count = make.count(30)
         aim = make.rounded(a + make.rng.random((count, 1)) * v)
         o = make.rounded(2.0 * direction(make.rng, count))
-        yield make.ask(
-            "a line", [mesh_of(corners, [[0, 1, 2]])], o, aim - o, miss=10, exact=0 if make.single else 3
-        )
+        yield make.ask("a line", [mesh_of(corners, [[0, 1, 2]])], o, aim - o, miss=10, exact=0 if make.single else 3)
 
 
 def in_an_axis_line(make: Maker) -> Iterator[Question]:
@@ -204,32 +186,20 @@ def in_an_axis_line(make: Maker) -> Iterator[Question]:
         yield make.ask("a line", [mesh_of(corners, [[0, 1, 2]])], o, aim - o, never=("hit",))
         along = np.column_stack([np.full(20, x), y[0] + make.rng.uniform(1, 9, 20), np.full(20, z)])
         yield make.ask(
-            "along it",
-            [mesh_of(corners, [[0, 1, 2]])],
-            along,
-            (0.0, -1.0, 0.0),
-            degenerate=18,
-            never=("hit",),
+            "along it", [mesh_of(corners, [[0, 1, 2]])], along, (0.0, -1.0, 0.0), degenerate=18, never=("hit",)
         )
 
 
 def in_the_plane(
     make: Maker,
-    makers: tuple = (
-        integer_shapes.triangle,
-        integer_shapes.rectangle,
-        integer_shapes.disk,
-        integer_shapes.plane,
-    ),
+    makers: tuple = (integer_shapes.triangle, integer_shapes.rectangle, integer_shapes.disk, integer_shapes.plane),
 ) -> Iterator[Question]:
     """Along the surface, from a point of its plane: no hit, by the convention that edge-on is a miss."""
     for each in integer_shapes.each(make.rng, makers, 2):
         rows = make.rng.integers(0, len(each.p), make.count(25))
         d = each.tangent[rows] * integer_shapes.UNIT
         o = each.p[rows] - d * make.rng.integers(0, 3, (len(rows), 1))
-        exact = (
-            0 if each.kind in ("disk", "plane") else 12
-        )  # a product with 0 is seen to be 0 without integers
+        exact = 0 if each.kind in ("disk", "plane") else 12  # a product with 0 is seen to be 0 without integers
         yield make.ask(f"{each.kind}, turned", [each.shape], o, d, edge_on=12, exact=exact, never=("hit",))
     cube = integer_shapes.cube(make.rng)
     d = cube.tangent * integer_shapes.UNIT
@@ -240,9 +210,7 @@ def nearly_in_the_plane(make: Maker) -> Iterator[Question]:
     """The same after a turn that rounds."""
     for kind in ("triangle", "rectangle", "disk", "plane", "mesh"):
         scene = make.scene([shape_of(kind, make.rng)])
-        o, d = rays_at(
-            make, scene.derived["packed"].parts[0], make.count(60), aim=Aim((1.0, 5.0), (1e-18, 1e-17))
-        )
+        o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(60), aim=Aim((1.0, 5.0), (1e-18, 1e-17)))
         yield make.ask(kind, scene, o, d, miss=3, exact=0 if make.single else 8)
 
 
@@ -253,9 +221,7 @@ def grazing(make: Maker, kinds: tuple[str, ...] = GRAZED) -> Iterator[Question]:
     """At 10^-1 to 10^-12 radians."""
     for kind in kinds:
         scene = make.scene([shape_of(kind, make.rng)])
-        o, d = rays_at(
-            make, scene.derived["packed"].parts[0], make.count(60), aim=Aim((1.0, 10.0), (1e-12, 1e-1), 0.1)
-        )
+        o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(60), aim=Aim((1.0, 10.0), (1e-12, 1e-1), 0.1))
         yield make.ask(kind, scene, o, d, hit=5)
 
 
@@ -263,10 +229,7 @@ def upright_grazing(make: Maker) -> Iterator[Question]:
     """Across an axis: slopes of 10^-2 down to the smallest number."""
     corners = [[-2.0, -2.0, 0.0], [2.0, -2.0, 0.0], [0.0, 3.0, 0.0]]
     least = 2.0**-149 if make.single else 2.0**-1074
-    for shape in (
-        Triangle(vertices=corners),
-        shape_of("rectangle", make.rng).model_copy(update={"to_world": ()}),
-    ):
+    for shape in (Triangle(vertices=corners), shape_of("rectangle", make.rng).model_copy(update={"to_world": ()})):
         slopes = np.array(
             [*10.0 ** -np.arange(2.0, 38.0), 1e-40, least, *(() if make.single else (1e-200, 1e-300, 1e-310))]
         )
@@ -291,9 +254,7 @@ def skinny(make: Maker) -> Iterator[Question]:
     yield make.ask("one that Embree's robust mode hits", [kept], o, d, miss=1)
     for _ in range(8):
         base = [[0.0, 0.0, 0.0], [11.2, 0.0, 0.0], [9.6, 0.9, 0.0]]
-        shape = Triangle(
-            vertices=base, to_world=[turn(make.rng), {"translate": 60.0 * make.rng.normal(size=3)}]
-        )
+        shape = Triangle(vertices=base, to_world=[turn(make.rng), {"translate": 60.0 * make.rng.normal(size=3)}])
         scene = make.scene([shape])
         aim = Aim((50.0, 600.0), (1e-6, 2e-3), 0.6)
         o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(60), aim=aim)
@@ -302,9 +263,7 @@ def skinny(make: Maker) -> Iterator[Question]:
 
 EXACT = "exact: edge functions whose sign float64 does not resolve are decided in integers"
 CASES = (
-    Case(
-        15, "from inside a closed mesh, at its edges", f"{EXACT}; nothing leaks, at any offset", closed_edges
-    ),
+    Case(15, "from inside a closed mesh, at its edges", f"{EXACT}; nothing leaks, at any offset", closed_edges),
     Case(
         16,
         "from inside a closed mesh, at its corners",
@@ -322,15 +281,10 @@ CASES = (
     Case(20, "slivers along an axis", EXACT, upright_slivers),
     Case(21, "triangles without an area, exactly", "never hit; their neighbours are", without_area),
     Case(
-        22,
-        "three corners in a line but for rounding",
-        "what is left of the area is there, exactly",
-        nearly_in_a_line,
+        22, "three corners in a line but for rounding", "what is left of the area is there, exactly", nearly_in_a_line
     ),
     Case(23, "three corners on a line along an axis", "never hit", in_an_axis_line),
-    Case(
-        24, "in the plane of something flat, exactly", "edge-on is a miss, decided in integers", in_the_plane
-    ),
+    Case(24, "in the plane of something flat, exactly", "edge-on is a miss, decided in integers", in_the_plane),
     Case(25, "in the plane but for rounding", EXACT, nearly_in_the_plane),
     Case(26, "grazing triangles at 10^-1 to 10^-12 radians", EXACT, grazing),
     Case(
