@@ -274,6 +274,7 @@ class OwnRaysImage:
     precision: str | None = None
     reads_xml: bool = False
     takes_rays: bool = False
+    takes_limits: bool = False
     any_hit: bool = False
 
     def answer(self, request: CastRequest) -> Answer:

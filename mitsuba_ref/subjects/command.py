@@ -108,6 +108,7 @@ class CommandSubject:
     precision: str | None
     seconds: float
     takes_rays: bool = False
+    takes_limits: bool = False
     # (image, request) -> the image in our names and conventions, and what was done; None: it has to be so already
     convert: Callable[[Exr, CastRequest], tuple[Exr, tuple[str, ...]]] | None = None
 
@@ -234,6 +235,7 @@ class ExrFile:
     by_position: bool = False  # its position channels, not its depth
     reads_xml: bool = False
     takes_rays: bool = False
+    takes_limits: bool = False
 
     def answer(self, request: CastRequest) -> Answer:
         """Its channels. Raises NoAnswer."""
@@ -298,6 +300,7 @@ class RayCommand:
     seconds: float
     reads_xml: bool = False
     takes_rays: bool = True
+    takes_limits: bool = True
     any_hit: bool = False
 
     def answer(self, request: CastRequest) -> Answer:
@@ -330,7 +333,8 @@ class RayCommand:
 def ray_rows(request: CastRequest, precision: str | None) -> np.ndarray:
     """(n, 8) the rays that there are, little-endian."""
     rays = request.rays
-    rows = np.column_stack([rays.o, rays.d, np.zeros(len(rays.t_max)), rays.t_max])[rays.t_max >= 0.0]
+    t_min = np.broadcast_to(rays.t_min, len(rays.t_max))
+    rows = np.column_stack([rays.o, rays.d, t_min, rays.t_max])[rays.t_max >= 0.0]
     return rows.astype("<f8" if precision == FLOAT64 else "<f4")
 
 
@@ -374,6 +378,7 @@ class ServedCommand:
     seconds: float
     reads_xml: bool = False
     takes_rays: bool = True
+    takes_limits: bool = True
     any_hit: bool = False
     running: list[BinaryProcess] = field(default_factory=list, compare=False)  # at most one
     turn: Any = field(default_factory=threading.Lock, compare=False)  # scenes are judged several at a time

@@ -79,6 +79,7 @@ class FunctionSubject:
     precision: str | None = None  # None: that of the arrays it returns
     reads_xml: bool = False
     takes_rays: bool = True
+    takes_limits: bool = False
 
     def answer(self, request: CastRequest) -> Answer:
         """Ask about the rays that there are, float64 arrays of float32 values; a hit beyond t_max is a miss.

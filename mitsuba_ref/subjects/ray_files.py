@@ -238,6 +238,7 @@ class HitsFile:
     any_hit: bool = False  # its any-hit answers, not its nearest hits
     reads_xml: bool = False
     takes_rays: bool = False
+    takes_limits: bool = False
 
     def answer(self, request: CastRequest) -> Answer:
         """The arrays, checked for form. Raises NoAnswer."""

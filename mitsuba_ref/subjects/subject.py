@@ -286,6 +286,10 @@ class Subject(Protocol):
     def takes_rays(self) -> bool:
         """Whether it casts the rays that it is given, so that it can be given some of them."""
 
+    @property
+    def takes_limits(self) -> bool:
+        """Whether it is given t_min and t_max of each ray."""
+
     def answer(self, request: CastRequest) -> Answer:
         """The answer to every ray. Raises NoAnswer."""
 
@@ -318,6 +322,7 @@ class OurCaster:
     name: str = ""
     reads_xml: bool = False
     takes_rays: bool = True
+    takes_limits: bool = False
 
     def answer(self, request: CastRequest) -> Answer:
         """Cast the request's rays."""

@@ -133,6 +133,7 @@ class Naming:
     any_hit: bool = False
     reads_xml: bool = False
     takes_rays: bool = True
+    takes_limits: bool = False
 
     def answer(self, request: CastRequest) -> Answer:
         o, d = (v.astype(np.float64) for v in (request.rays.o, request.rays.d))

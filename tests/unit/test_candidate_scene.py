@@ -59,7 +59,7 @@ def test_a_cloud_is_handed_on_whole_and_its_ids_are_those_of_the_scene(to_world,
     seen = []
 
     class Named:
-        name, reads_xml, takes_rays = "named", False, True
+        name, reads_xml, takes_rays, takes_limits = "named", False, True, False
 
         def __init__(self, off=0):
             self.off = off

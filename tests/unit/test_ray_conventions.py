@@ -1,5 +1,6 @@
 """A candidate's conventions, from rays of other lengths and mirrored ones, which no image of unit directions shows."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import caster
 from caster.scene.files import load_scene
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.judge.independent_checks.ray_conventions import RAYS, check_ray_conventions
-from mitsuba_ref.subjects.command import command_of
+from mitsuba_ref.subjects.command import RayCommand, command_of
 from mitsuba_ref.subjects.function import FunctionSubject
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
@@ -110,3 +111,39 @@ def test_what_is_wrong_already_or_not_there_is_not_judged():
     away = scene_of("one-sphere").model_copy(update={"shapes": ()})
     assert check_ray_conventions(FunctionSubject("candidate", right), away).what == "no ray of the camera hits anything"
     assert not command_of("true {xml} -o {exr}", None, 1.0).takes_rays  # so that it is not asked
+
+
+CASTER = """import sys
+import numpy as np
+from caster import cast, load_scene
+
+rays = np.load(sys.argv[2]).astype(float)
+o, d, t_min, t_max = rays[:, :3], rays[:, 3:6], rays[:, 6], rays[:, 7]
+scene = load_scene(sys.argv[1])
+{body}
+np.save(sys.argv[3], np.column_stack([hits.t, hits.normal]))
+"""
+LIMITED = [
+    ("hits = cast(scene, o, d, t_min=t_min, t_max=t_max)", True, f"{7 * RAYS} rays"),
+    ("hits = cast(scene, o, d)", False, "t_min and t_max are not heeded: a hit has t_min < t <= t_max: "),
+    ("hits = cast(scene, o, d, t_min=t_min)", False, "t_max is not heeded: "),
+    ("hits = cast(scene, o, d, t_max=t_max)", False, "t_min is not heeded: "),
+    ("hits = cast(scene, o, d, t_min=2 * t_min, t_max=t_max)", False, "t_min and t_max are heeded otherwise: "),
+    (
+        "hits = cast(scene, o, d, t_min=t_min, t_max=np.nextafter(t_max, 0))",
+        True,
+        f"{7 * RAYS} rays; a hit at t_max is missed: ",
+    ),
+]
+
+
+@pytest.mark.parametrize("name", ["one-sphere", "triangles"])
+@pytest.mark.parametrize(("body", "ok", "says"), LIMITED)
+def test_limits_of_t_that_a_program_is_given_are_heeded(tmp_path, name, body, ok, says):
+    """Also by one that has spheres alone."""
+    program = tmp_path / "program.py"
+    program.write_text(CASTER.format(body=body))
+    words = sys.executable, str(program), "{scene}", "{rays}", "{hits}"
+    subject = RayCommand("program", words, frozenset({"scene", "rays", "hits"}), "float64", 60.0)
+    found = check_ray_conventions(subject, scene_of(name))
+    assert found.ok is ok and found.what.startswith(says), found.what

@@ -1,10 +1,13 @@
-"""Rays of the camera with directions of other lengths, and mirrored: conventions that unit directions do not show."""
+"""Conventions that the rays of a camera do not show: directions of other lengths, mirrored ones, limits of t."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from caster.cameras.single_ray import Ray
 from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.tolerances import MAJORITY, MATCH_RTOL, NEARLY_ALL
@@ -20,7 +23,19 @@ RAYS, RAYS_TRIED = 16, 1024  # of each group, which hit something; of the film, 
 
 
 def check_ray_conventions(subject: Subject, scene: Scene) -> SceneCheck:
-    """A candidate that takes rays: t counts in lengths of d, whatever they are, and any direction is traced alike.
+    """A candidate that takes rays: t counts in lengths of d, any direction is traced alike, hits lie within the limits.
+
+    What it makes of hits at the very ends of the limits is stated, and passes.
+    """
+    limits = _mistaken_limits(subject) if subject.takes_limits else ""
+    if limits and not limits.startswith(AT_THE_ENDS):
+        return SceneCheck(NAME, np.inf, limits)
+    found = _check_directions(subject, scene)
+    return replace(found, what=f"{found.what}; {limits}") if limits and found.ok else found
+
+
+def _check_directions(subject: Subject, scene: Scene) -> SceneCheck:
+    """Along rays of the camera, of other lengths and mirrored.
 
     A group of rays is wrong where most of its t are off by more than MATCH_RTOL, far more than rounding: at edges few
     may be. Where the rays of length 1 are not nearly all right, the image shows it, and the others are not judged.
@@ -58,6 +73,83 @@ def check_ray_conventions(subject: Subject, scene: Scene) -> SceneCheck:
     rows = [i for i, name in enumerate(groups) if name in wrong]
     length = np.linalg.norm(batch.d, axis=1).reshape(t.shape)[rows]
     return SceneCheck(NAME, np.inf, f"{_cause(given[rows], t[rows], length)}: {_places(first, wrong)}")
+
+
+# ---- limits of t, where every number is exact
+
+
+class Limits(NamedTuple):
+    """t_min and t_max of a ray along +z that meets surfaces at t = 2 and 4, and what it then hits."""
+
+    t_min: float
+    t_max: float
+    t: float
+
+
+LIMITS = (
+    Limits(0.0, np.inf, 2.0),
+    Limits(0.0, 3.0, 2.0),
+    Limits(0.0, 2.0, 2.0),
+    Limits(0.0, 1.5, np.inf),
+    Limits(1.5, np.inf, 2.0),
+    Limits(2.0, np.inf, 4.0),
+    Limits(2.5, np.inf, 4.0),
+    Limits(2.0, 4.0, 4.0),
+    Limits(2.5, 3.5, np.inf),
+    Limits(4.0, np.inf, np.inf),
+)
+# What a caster may take for t_min < t <= t_max.
+AT_THE_ENDS = "a hit at "
+RULES = {
+    "t_min and t_max are not heeded": lambda t, low, high: t > 0.0,
+    "t_max is not heeded": lambda t, low, high: low < t,
+    "t_min is not heeded": lambda t, low, high: 0.0 < t <= high,
+    "a hit at t_max is missed": lambda t, low, high: low < t < high,
+    "a hit at t_min is taken": lambda t, low, high: max(low, 1e-9) <= t <= high,
+    "a hit at t_min is taken, one at t_max is missed": lambda t, low, high: max(low, 1e-9) <= t < high,
+}
+TRIANGLES = [{"type": "triangle", "vertices": [(-4, -4, z), (8, -4, z), (-4, 8, z)]} for z in (2, 4)]
+SPHERE = [{"type": "sphere", "center": (0.0, 0.0, 3.0), "radius": 1.0}]
+
+
+def _mistaken_limits(subject: Subject) -> str:
+    """What a subject makes of t_min and t_max, along rays whose hits have a t that all arithmetic is exact about.
+
+    "" where that is right, or nothing is known: it has to hit both surfaces at all.
+    """
+    for shapes, at in ((TRIANGLES, (0.5, 0.25, 0.0)), (SPHERE, (0.0, 0.0, 0.0))):
+        scene = Scene.model_validate({"camera": Ray(**Ray.MINIMAL), "shape": shapes})
+        o, d = (np.tile(np.array(v, np.float32), (len(LIMITS), 1)) for v in (at, (0.0, 0.0, 1.0)))
+        t_min, t_max, expected = (np.array(column) for column in zip(*LIMITS, strict=True))
+        rays = SharedRays(o, d, t_max.astype(np.float32), np.zeros(len(o)), t_min)
+        try:
+            with ScratchFolder() as folder:
+                given = subject.answer(
+                    CastRequest(scene, model_of(scene, packed_float32(scene), rays), rays, Path(folder))
+                ).t
+        except Unsupported:  # such as shapes that it does not have
+            continue
+        except NoAnswer:
+            return ""
+        if given[0] != expected[0]:
+            return ""  # the image shows what is wrong
+        wrong = np.flatnonzero(given != expected)
+        if not len(wrong):
+            return ""
+        names = [name for name, rule in RULES.items() if np.array_equal(given, _hits_by(rule))]
+        i, cause = wrong[0], names[0] if names else "t_min and t_max are heeded otherwise"
+        return (
+            f"{cause}: a hit has t_min < t <= t_max: surfaces at t = 2 and 4, t_min {t_min[i]:g}, t_max {t_max[i]:g}: "
+            f"expected t = {expected[i]:g}, got {given[i]:g}"
+        )
+    return ""
+
+
+def _hits_by(rule: Callable[[float, float, float], bool]) -> np.ndarray:
+    return np.array([min((t for t in (2.0, 4.0) if rule(t, low, high)), default=np.inf) for low, high, _ in LIMITS])
+
+
+# ---- lengths and directions
 
 
 def _hitting_rays(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
