@@ -82,7 +82,18 @@ def mesh_dir_options(args: argparse.Namespace) -> tuple[str, ...]:
 
 def add_threads(parser: argparse.ArgumentParser) -> None:
     """Add --threads."""
-    parser.add_argument("--threads", type=positive_int, metavar="N", help="default: one for each core")
+    parser.add_argument("--threads", type=thread_number, metavar="N", help="default: one for each core")
+
+
+MAX_THREADS = 1024  # more than any machine that this runs on has processors
+
+
+def thread_number(text: str) -> int:
+    """Parse a number of threads, or raise argparse's error."""
+    number = positive_int(text)
+    if number > MAX_THREADS:
+        raise argparse.ArgumentTypeError(f"expected at most {MAX_THREADS} threads, got {text}")
+    return number
 
 
 def positive_int(text: str) -> int:

@@ -57,7 +57,7 @@ def normalize_rows(vectors: Floats) -> Floats:
 
 def check_mesh(mesh: Mesh, where: str) -> None:
     """Validate a mesh. Degenerate faces and vertices that are not finite are valid: such faces are rejected when packed
-    (rejected.py).
+    (packing.py).
 
     Raises SceneError that starts with `where` and names the first bad vertex, face or normal.
     """

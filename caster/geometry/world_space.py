@@ -39,7 +39,7 @@ SIMILARITY_RTOL = 128 * 2.0**-53
 
 
 # Embree silently rejects a triangle with a vertex that is not finite or this far out (its FLT_LARGE). So do we, and
-# count it (rejected.py). Scene units.
+# count it (packing.py). Scene units.
 LARGEST_COORDINATE = 1.844e18
 
 

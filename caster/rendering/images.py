@@ -193,7 +193,8 @@ def _farthest_origin(camera: Any, window: Window) -> float:
 def check_names(aovs: Sequence[str]) -> None:
     for name in aovs:
         if name not in BY_NAME:
-            raise SceneError(f"aov {name!r}: unknown{suggestion(name, BY_NAME)}; known are {', '.join(BY_NAME)}")
+            what = f"unknown{suggestion(name, BY_NAME)}" if name else "no name between two commas"
+            raise SceneError(f"aov {name!r}: {what}; known are {', '.join(BY_NAME)}")
 
 
 def film_window(scene: Scene) -> Window:

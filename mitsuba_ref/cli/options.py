@@ -157,7 +157,8 @@ def add_candidate(
 ) -> None:
     """--candidate, its precision and its time limit."""
     group = parser.add_argument_group(title)
-    group.add_argument(
+    one = group.add_mutually_exclusive_group()
+    one.add_argument(
         "--candidate",
         "--candidate-rays",
         dest="candidate",
@@ -167,7 +168,7 @@ def add_candidate(
         "and writes an EXR file, such as 'my-renderer {xml} -o {exr}' ({toml}, {width}, {height}); or one that reads "
         "rays and writes hits, such as 'my-caster {mesh} {rays} {hits}' (docs/rays-and-hits.md)",
     )
-    group.add_argument(
+    one.add_argument(
         "--candidate-serve",
         dest="candidate",
         type=ServedProgram,

@@ -193,12 +193,16 @@ def _random_linear(rng: Rng, setting: Setting) -> np.ndarray:
 
 OPTION_FILMS = ((5, 3), (3, 5), (4, 4), (8, 2), (2, 8), (6, 5))  # pixels: landscape, portrait, square
 MATERIALS = ("first", "second")
+MANY_LIGHTS = 5
 CHECKED = ("depth", "diffuse")  # AOVs that a table `check` names
 
 
 def with_options(rng: Rng, setting: Setting, data: dict[str, Any]) -> dict[str, Any]:
     """The scene with a random choice of everything that a scene file can say."""
     materials = {name: _material(rng) for name in MATERIALS[: int(rng.integers(3))]}
+    if materials and coin_flip(rng):  # it differs by its sides alone
+        first = materials[MATERIALS[0]]
+        materials["twin"] = {**first, "two_sided": not first.get("two_sided", False)}
     scene = {
         "film": _film(rng),
         "camera": _camera(rng, setting, data["camera"]),
@@ -211,13 +215,14 @@ def with_options(rng: Rng, setting: Setting, data: dict[str, Any]) -> dict[str, 
 
 
 def _lights(rng: Rng, setting: Setting, camera: Fields) -> list[Fields]:
-    """None, one or two of each kind. The last of a kind is on the viewer's side, so that what is seen is lit by it.
+    """None, one, two or MANY_LIGHTS of each kind; the last of a kind is on the viewer's side and lights what is seen.
 
     Light from behind mostly falls on surfaces that nobody sees, and a fault of its colour would change no pixel.
     """
     lights = []
     for kind, fields in LIGHT_FIELDS.items():
-        drawn = [{"type": kind, **fields(rng, setting)} for _ in range(int(rng.integers(3)))]
+        count = int(rng.integers(3)) if rng.random() < 0.9 else MANY_LIGHTS
+        drawn = [{"type": kind, **fields(rng, setting)} for _ in range(count)]
         lights += [*drawn[:-1], *(_from_the_viewer(light, setting, camera) for light in drawn[-1:])]
     return lights
 

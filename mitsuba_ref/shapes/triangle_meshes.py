@@ -14,6 +14,7 @@ import numpy as np
 
 from caster.description.fields import Shape
 from caster.geometry.packing import Triangles
+from caster.geometry.world_space import LARGEST_COORDINATE
 from caster.shapes.cube import Cube
 from caster.shapes.heightfield import Heightfield
 from caster.shapes.icosphere import Icosphere
@@ -206,11 +207,19 @@ def expected_mesh(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
     """Corners, which side of each face is outside, uv and vertex normals where there are to be some."""
     given = shape.mesh()
     linear = shape.matrix[:3, :3]
-    corners = np.einsum("jk,ik->ij", linear, given.vertices) + shape.matrix[:3, 3]
-    size = np.abs(given.vertices) @ np.abs(linear.T) + np.abs(shape.matrix[:3, 3])
+    with np.errstate(invalid="ignore", over="ignore"):
+        corners = np.einsum("jk,ik->ij", linear, given.vertices) + shape.matrix[:3, 3]
+        size = np.abs(given.vertices) @ np.abs(linear.T) + np.abs(shape.matrix[:3, 3])
+    # Where a corner is not finite or too far out, any other stands in for it, and its faces become points.
+    usable = (np.abs(corners) < LARGEST_COORDINATE).all(axis=1)
+    corners[~usable], size[~usable] = part.vertices[~usable], 0.0
     yield ExpectedNumbers("vertices", part.vertices, corners, size)
+    yield exactly("usable vertices", (np.abs(part.vertices) < LARGEST_COORDINATE).all(axis=1), np.ones(len(corners)))
     mirrored = np.linalg.slogdet(linear)[0] < 0.0
-    yield exactly("faces", part.faces, given.faces[:, [0, 2, 1]] if mirrored else given.faces)
+    faces = given.faces[:, [0, 2, 1]] if mirrored else given.faces.copy()
+    rejected = ~usable[faces].all(axis=1)
+    faces[rejected] = part.faces[rejected, :1]
+    yield exactly("faces", part.faces, faces)
     yield exactly("textured", part.textured, np.full(len(given.faces), given.uv is not None))
     if given.uv is not None:
         yield ExpectedNumbers("uv", part.uv, given.uv, np.abs(given.uv))

@@ -22,6 +22,7 @@ from caster.description.errors import FileMissing, SceneError
 from caster.rendering.images import DEFAULT_AOVS
 from caster.scene.files import scene_schema
 from caster.system import process
+from mitsuba_ref.__main__ import main as judge_main
 from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -211,3 +212,20 @@ def test_a_command_imports_no_other_command(program, name):
 def test_every_entry_of_a_registry_can_be_loaded(registry):
     for command in registry:
         command.load(argparse.ArgumentParser())
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["caster", "render", "a.toml", "--threads", "1000000"], "expected at most 1024 threads, got 1000000"),
+        (["caster", "render", "scenes/one-sphere.toml", "--aov", ","], "aov '': no name between two commas"),
+        (["mitsuba-ref", "validate", "--candidate", "a:b", "--candidate-serve", "c"], "not allowed with argument"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(words, says, capsys):
+    run = main if words[0] == "caster" else judge_main
+    try:
+        code = run(words[1:])
+    except SystemExit as error:
+        code = error.code
+    assert code == 2 and says in capsys.readouterr().err

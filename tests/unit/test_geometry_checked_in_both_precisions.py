@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from caster.cameras import Pinhole
 from caster.description.fields import Shape
 from caster.geometry.packing import packed
 from caster.geometry.world_space import as_given
@@ -29,6 +30,7 @@ from caster.shapes import (
     Triangle,
 )
 from mitsuba_ref.judge import scene_checks
+from mitsuba_ref.judge.independent_checks.scaling import check_scaling
 from mitsuba_ref.judge.scene_checks import PRECISIONS, Precision, Shares, check_geometry
 from mitsuba_ref.reference.shared_input import packed_float32
 from mitsuba_ref.shapes import reference_of
@@ -158,3 +160,36 @@ def test_a_mesh_is_generated_once_for_the_closed_form_and_both_precisions(monkey
     before = len(made)
     assert check_geometry(scene).ratio <= 1.0
     assert before >= 2 and len(made) == before + 1
+
+
+CORNERS = [(0, 0, 0), (1, 0, 0), (0, 1, 0.2), (1, 1, 0.5), (2, 2, 0)]
+
+
+@pytest.mark.parametrize("face_normals", [True, False])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e19, 1e30])
+@pytest.mark.parametrize("faces", [[(0, 1, 2), (1, 3, 2)], [(0, 1, 2), (1, 3, 4)]], ids=["unused", "of a face"])
+def test_what_stands_in_for_a_corner_beyond_use_is_no_fault(tmp_path, monkeypatch, bad, face_normals, faces):
+    """Other scales are compared where they do not bring it back; a face that is not rejected stays as it is."""
+    corners = np.array(CORNERS)
+    corners[4, 1] = bad
+    lines = [f"v {x} {y} {z}" for x, y, z in corners.tolist()] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    (tmp_path / "a.obj").write_text("\n".join(lines))
+    shape = MeshFile(file=str(tmp_path / "a.obj"), face_normals=face_normals, name="mesh")
+    scene = Scene(camera=Pinhole(eye=(0.4, 0.5, 3.3), look_at=(0.3, 0.4, 0.0)), shapes=[shape]).with_film(
+        width=9, height=7
+    )
+    assert check_geometry(scene).ok and check_scaling(scene).ok
+    pack = MeshFile.pack
+
+    def swapped(self, rounded):
+        part = pack(self, rounded)
+        return part._replace(faces=np.concatenate([part.faces[:1, [0, 2, 1]], part.faces[1:]]))
+
+    def dropped(self, rounded):
+        part = pack(self, rounded)
+        return part._replace(faces=np.concatenate([part.faces[:1] * 0, part.faces[1:]]))
+
+    for wrong in (swapped, dropped):
+        monkeypatch.setattr(MeshFile, "pack", wrong)
+        found = check_geometry(scene.model_copy())
+        assert not found.ok and found.what.startswith("faces of mesh")

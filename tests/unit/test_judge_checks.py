@@ -1,6 +1,9 @@
 """Each check that is made once a scene, given one input just inside of its bound and one just outside."""
 
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,7 +17,7 @@ from mitsuba_ref.error_model.independent_transform import ExpectedNumbers
 from mitsuba_ref.judge import scene_checks
 from mitsuba_ref.judge.independent_checks import exr_round_trip, public_routes
 from mitsuba_ref.judge.independent_checks.exr_round_trip import WrittenImage, check_exr_files, stored_planes
-from mitsuba_ref.judge.independent_checks.public_routes import check_routes, route_differences
+from mitsuba_ref.judge.independent_checks.public_routes import _program, check_routes, route_differences
 from mitsuba_ref.judge.scene_checks import (
     BRUTE_FORCE_TESTS,
     PRECISIONS,
@@ -477,8 +480,10 @@ def test_an_occluded_ray_that_cast_finds_free_fails_routes(monkeypatch):
         monkeypatch.setattr(public_routes, "occluded", occluded)
         (found,) = route_differences(scene)
         assert found.aov == "t" and found.pixels > 16 and f"{calls[number][0]!r}, t_min=" in found.route
-        assert len(calls) == 5
+        assert len(calls) == 6
+    *calls, (each_max, each_min) = calls  # the last with its own limits for each ray, one of the five
     t_max, t_min = zip(*calls, strict=True)
+    assert np.array_equal(np.column_stack([each_max, each_min]), np.resize(calls, (len(each_max), 2)))
     assert (t_max[0], t_min[0], t_min[1], t_min[2], t_max[3]) == (np.inf, 0.0, 0.0, 0.0, np.inf)
     assert t_max[1] == t_min[3] == np.nextafter(t_max[2], np.inf) and 0.0 < t_min[4] < t_max[4] < np.inf
 
@@ -498,9 +503,27 @@ def test_one_other_ray_of_a_fan_fails_routes(monkeypatch, call):
     monkeypatch.setattr(public_routes, call, other)
     found = [each for each in route_differences(larger()) if each.route.startswith(call)]
     assert any(calls) and all(each.pixels == 1 for each in found)
-    assert [each.aov for each in found] == [{"find_nearest": "depth", "find_any": "t"}[call]]
+    expected = {"find_nearest": ["depth", "t", "t"], "find_any": ["t", "t", "t"]}  # twice with limits
+    assert [each.aov for each in found] == expected[call]
     check = check_routes(larger(), "some.toml").what
-    assert f"print({call}(packed(scene), " in check and "import rays_back" in check
+    assert f"print({call}(packed(scene), " in check and "import limited_rays, rays_back" in check
+
+
+def test_limits_of_each_ray_that_are_not_its_own_fail_routes(monkeypatch):
+    """The first one's taken for all: what a scalar gives is right."""
+    for name in ("cast", "occluded"):
+        real = getattr(public_routes, name)
+
+        def first_of_all(scene, o, d, *t_max, real=real, **limits):
+            return real(scene, o, d, *(np.ravel(t)[0] for t in t_max), **{k: np.ravel(t)[0] for k, t in limits.items()})
+
+        with monkeypatch.context() as patch:
+            patch.setattr(public_routes, name, first_of_all)
+            (found,) = route_differences(larger())
+        assert found.aov == "t" and found.route.startswith(f"caster.{name}(scene, o, d, t_min=np.resize([")
+        program = _program(found.route, str(Path(__file__).resolve().parents[2] / "scenes/one-sphere.toml"))
+        again = ["bash", "-c", f"{sys.executable} -c '{program}'"]
+        assert subprocess.run(again, capture_output=True, check=True).stdout
 
 
 def test_a_film_that_is_cast_row_by_row_is_compared(monkeypatch):

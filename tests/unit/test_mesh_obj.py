@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from caster.description.errors import FileMissing, SceneError
-from caster.geometry.mesh_files import _check_stl_size, load_mesh
+from caster.geometry.mesh_files import _check_stl_size, load_mesh, parse_off
 from caster.geometry.mesh_files.obj import join_table
 from caster.geometry.triangle_mesh import vertex_normals
 from caster.shapes.mesh import MeshFile
@@ -250,6 +250,47 @@ def test_a_file_of_another_format_that_has_no_faces_is_refused(tmp_path, name, d
     with pytest.raises(SceneError) as caught:
         load_mesh(path)
     assert str(caught.value) == f"{path}: the mesh has no faces: expected at least one triangle"
+
+
+QUAD = b"OFF\n5 2 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n.5 2 1\n4 0 1 2 3\n3 0 3 4\n"
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        QUAD,
+        QUAD.replace(b"OFF\n", b"OFF "),
+        QUAD.replace(b"OFF\n", b"# a comment\n\nCOFF # another\n").replace(b"1 1 0\n", b"1 1 0 255 0 0 255\n"),
+        QUAD.replace(b"\n", b"\r\n").replace(b"3 0 3 4", b"3 0 3 4 0.5 0.5 0.5"),
+    ],
+    ids=["plain", "counts beside the header", "colours and comments", "other line ends"],
+)
+def test_polygons_of_an_off_file_are_fans_in_the_order_of_the_file(data):
+    mesh = parse_off(data, "x.off")
+    assert mesh.faces.tolist() == [[0, 1, 2], [0, 2, 3], [0, 3, 4]] and mesh.faces.dtype == np.int32
+    assert mesh.vertices.tolist() == [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 2, 1]]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        (b"OFF", b"BYU", "x.off: expected an OFF file in text"),
+        (b"OFF", b"OFF BINARY", "x.off: expected an OFF file in text"),
+        (b"5 2 0", b"5", "x.off:2: expected 2 numbers, got '5'"),
+        (b"5 2 0", b"5 3 0", "x.off: expected lines of 5 vertices and 3 faces, got 7"),
+        (b"5 2 0", b"-5 2 0", "x.off: expected lines of -5 vertices"),
+        (b"1 1 0", b"1 one 0", "x.off:5: expected 3 numbers, got '1 one 0'"),
+        (b"1 1 0", b"1 1", "x.off:5: expected 3 numbers, got '1 1'"),
+        (b"4 0 1 2 3", b"4 0 1 2", "x.off:8: expected 5 numbers, got '4 0 1 2'"),
+        (b"3 0 3 4", b"2 0 3", "x.off:9: expected at least 3 of the vertices 0 to 4, got [0, 3]"),
+        (b"3 0 3 4", b"3 0 3 5", "x.off:9: expected at least 3 of the vertices 0 to 4, got [0, 3, 5]"),
+        (b"3 0 3 4", b"0", "x.off:9: expected at least 3 of the vertices 0 to 4, got []"),
+    ],
+)
+def test_a_broken_off_file_is_refused_with_its_line(old, new, says):
+    with pytest.raises(SceneError) as caught:
+        parse_off(QUAD.replace(old, new, 1), "x.off")
+    assert str(caught.value).startswith(says)
 
 
 def test_tables_too_large_for_an_integer_key_are_joined_to_the_same_mesh():

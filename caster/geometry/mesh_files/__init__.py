@@ -1,7 +1,8 @@
-"""Readers of mesh files: OBJ and PLY, strict, since a face lost silently is a wrong image; others by trimesh."""
+"""Readers of mesh files: OBJ, PLY and OFF, strict, since a face lost silently is a wrong image; others by trimesh."""
 
 import io
 import os
+import re
 from collections.abc import Callable
 from functools import lru_cache
 from os import PathLike
@@ -12,15 +13,14 @@ import numpy as np
 
 from caster.description.errors import SceneError
 from caster.description.input_files import MAX_MESH_BYTES, read_input
-from caster.geometry.mesh_files.obj import parse_obj
+from caster.geometry.mesh_files.obj import parse_obj, quote_bytes
 from caster.geometry.mesh_files.ply import Points, parse_ply, parse_ply_points
-from caster.geometry.triangle_mesh import Mesh, check_mesh, normalize_rows
+from caster.geometry.triangle_mesh import Mesh, check_mesh, normalize_rows, triangle_fans
 
 __all__ = ["MESH_SUFFIXES", "load_mesh", "load_once", "load_points"]
 
-FORMATS: dict[str, Callable[[bytes, str], Mesh]] = {".obj": parse_obj, ".ply": parse_ply}
-TRIMESH_SUFFIXES = (".stl", ".off", ".glb", ".gltf")
-MESH_SUFFIXES = (*FORMATS, *TRIMESH_SUFFIXES)
+TRIMESH_SUFFIXES = (".stl", ".glb", ".gltf")
+MESH_SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 
 
 def load_mesh(path: str | PathLike[str]) -> Mesh:
@@ -71,11 +71,61 @@ def _loaded(load: Callable[[str], Any], path: str, changed: int, size: int) -> A
 
 def _parser_for(where: str) -> Callable[[bytes, str], Mesh]:
     ending = Path(where).suffix.lower()
-    parse = _parse_by_trimesh if ending in TRIMESH_SUFFIXES else FORMATS.get(ending)
+    readers = {".obj": parse_obj, ".ply": parse_ply, ".off": parse_off}
+    parse = _parse_by_trimesh if ending in TRIMESH_SUFFIXES else readers.get(ending)
     if parse is None:
         expected = f"{', '.join(MESH_SUFFIXES[:-1])} or {MESH_SUFFIXES[-1]}"
         raise SceneError(f"{where}: unknown mesh format '{Path(where).suffix}': expected {expected}; convert it first")
     return parse
+
+
+OFF_HEADERS = re.compile(rb"(ST)?C?N?OFF")  # x, y, z come first in every row of these
+
+
+def parse_off(data: bytes, where: str) -> Mesh:
+    """Text of an OFF file -> Mesh; colours and what else stands behind corners and faces is skipped.
+
+    trimesh sorts polygons by their number of corners. Raises SceneError with `where`:line.
+    """
+    rows = [(n, words) for n, line in enumerate(data.splitlines(), 1) if (words := line.split(b"#")[0].split())]
+    if not rows or not OFF_HEADERS.fullmatch(rows[0][1][0]) or b"BINARY" in rows[0][1]:
+        raise SceneError(f"{where}: expected an OFF file in text, which begins with OFF, COFF, NOFF or STOFF")
+    rows[0][1].pop(0)
+    rows = rows if rows[0][1] else rows[1:]
+    counts = _off_numbers(rows[:1], where, int, 2)
+    vertices, faces = counts[0] if counts else (0, 0)
+    if len(rows) - 1 < vertices + faces or min(vertices, faces) < 0:
+        raise SceneError(f"{where}: expected lines of {vertices} vertices and {faces} faces, got {len(rows) - 1}")
+    points = _off_numbers(rows[1 : 1 + vertices], where, float, 3)
+    polygons = []
+    for line, words in rows[1 + vertices : 1 + vertices + faces]:
+        ((size,),) = _off_numbers([(line, words)], where, int, 1)
+        (polygon,) = _off_numbers([(line, words)], where, int, 1 + max(size, 0))
+        if size < 3 or min(polygon[1:]) < 0 or max(polygon[1:]) >= vertices:
+            raise SceneError(
+                f"{where}:{line}: expected at least 3 of the vertices 0 to {vertices - 1}, got {polygon[1:]}"
+            )
+        polygons.append(polygon[1:])
+    if not polygons:
+        raise SceneError(f"{where}: the mesh has no faces: expected at least one triangle")
+    corners = np.array([i for polygon in polygons for i in polygon], np.int32)
+    fans = triangle_fans(np.array([len(polygon) for polygon in polygons]))
+    return Mesh(np.array(points, np.float64).reshape(-1, 3), corners[fans])
+
+
+def _off_numbers(
+    rows: list[tuple[int, list[bytes]]], where: str, kind: Callable[[bytes], Any], least: int
+) -> list[Any]:
+    """The first `least` numbers of each row."""
+    found = []
+    for line, words in rows:
+        try:
+            found.append([kind(word) for word in words[:least]])
+        except ValueError:
+            raise SceneError(f"{where}:{line}: expected {least} numbers, got {quote_bytes(b' '.join(words))}") from None
+        if len(words) < least:
+            raise SceneError(f"{where}:{line}: expected {least} numbers, got {quote_bytes(b' '.join(words))}")
+    return found
 
 
 def _parse_by_trimesh(data: bytes, where: str) -> Mesh:
@@ -111,7 +161,7 @@ def _parse_by_trimesh(data: bytes, where: str) -> Mesh:
 def _check_stl_size(data: bytes, where: str) -> None:
     """Raise SceneError for a binary STL file of another size than that of its facets."""
     facets = int.from_bytes(data[80:84], "little")
-    if len(data) != 84 + 50 * facets and b"facet" not in data[:1024]:
+    if len(data) != 84 + 50 * facets and b"facet" not in data[:1024].lower():
         raise SceneError(
             f"{where}: binary STL: expected {84 + 50 * facets} bytes, 84 and 50 for each of {facets} facets, "
             f"got {len(data)}; copy or export it again"

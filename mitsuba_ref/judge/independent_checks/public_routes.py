@@ -18,7 +18,7 @@ from caster.geometry.packing import packed
 from caster.rendering.casting import Culling, find_any, find_nearest
 from caster.rendering.hits import trace_rays
 from caster.rendering.images import camera_rays, evaluate, film_window, render, trace_film
-from caster.rendering.ray_fans import find_rows
+from caster.rendering.ray_fans import SAMPLED_RAYS, find_rows
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.independent_checks.knife_edges import content_seed
@@ -95,7 +95,7 @@ def _program(route: str, path: str) -> str:
         rays = (
             "from caster.geometry.packing import packed; from caster.rendering.images import camera_rays; "
             "from caster.rendering.casting import find_any, find_nearest; "
-            f"from {__name__} import rays_back; "
+            f"from {__name__} import limited_rays, rays_back; "
         )
     head = f'import caster, numpy as np; from numpy import inf; scene = caster.load_scene("{path}")'
     return f"{head}; {rays}print({route})".replace("'", '"')
@@ -211,10 +211,9 @@ def _crops(scene: Scene, rng: Rng, whole: Aovs, edges: np.ndarray) -> Found:
             whole.hit[top:bottom, left:right],
         )
         yield _compare(part, _call(ALL_AOVS, crop), cut, render(part, ALL_AOVS))
-        if number == 0:
-            options: dict[str, Any] = {"dtype": np.float32, "threads": int(rng.integers(1, 4))}
-            image = render(part, ALL_AOVS, **options)
-            yield _compare(part, _call(ALL_AOVS, crop, **options), cut, image, np.float32)
+        options: dict[str, Any] = {"dtype": np.float32, "threads": int(rng.integers(1, 4))}
+        image = render(part, ALL_AOVS, **options)
+        yield _compare(part, _call(ALL_AOVS, crop, **options), cut, image, np.float32)
         for names in sets[number * share : (number + 1) * share]:
             yield _compare(part, _call(names, crop, threads=1), cut, render(part, names, threads=1))
 
@@ -284,12 +283,28 @@ def _ray_by_ray(scene: Scene, rng: Rng, whole: Aovs, edges: np.ndarray) -> Found
     for number in order.tolist():
         some, (t_min, t_max) = rows[member.ravel() == number], limits[number].tolist()
         yield _hits_differences(scene, rays.o[some], rays.d[some], (t_min, t_max), some, whole)
-    for t_min, t_max in _limits(rng, aov_rows(whole, "depth")[rows]):
-        o, d = rays.o[rows], rays.d[rows]
+    o, d, every = rays.o[rows], rays.d[rows], np.array(list(_limits(rng, aov_rows(whole, "depth")[rows])))
+    for t_min, t_max in every.tolist():
         blocked = occluded(scene, o, d, t_max, t_min=t_min)
         hit = np.isfinite(cast(scene, o, d, t_min=t_min, t_max=t_max).t)
         route = f"caster.occluded(scene, o, d, {t_max!r}, t_min={t_min!r})"
         yield _rows_differ(scene, route, "t", hit, blocked, rows)
+    yield from _own_limits(scene, (o, d), every, rows)
+
+
+def _own_limits(scene: Scene, lines: tuple[np.ndarray, np.ndarray], limits: np.ndarray, rows: np.ndarray) -> Found:
+    """Limits (m, 2) of which each ray has its own: what each gets where all have that."""
+    t_min, t_max = (np.resize(column, len(rows)) for column in limits.T)
+    alone = [cast(scene, *lines, t_min=low, t_max=high).t for low, high in limits.tolist()]
+    expected = np.choose(np.arange(len(rows)) % len(limits), alone)
+    words = (
+        f"t_m{end}=np.resize({column.tolist()}, len(o))" for end, column in zip(("in", "ax"), limits.T, strict=True)
+    )
+    arrays = ", ".join(words)
+    together = cast(scene, *lines, t_min=t_min, t_max=t_max).t
+    yield _rows_differ(scene, f"caster.cast(scene, o, d, {arrays}).t", "t", expected, together, rows)
+    blocked = occluded(scene, *lines, t_max, t_min=t_min)
+    yield _rows_differ(scene, f"caster.occluded(scene, o, d, {arrays})", "t", np.isfinite(expected), blocked, rows)
 
 
 def _limits(rng: Rng, depth: np.ndarray) -> Iterator[tuple[float, float]]:
@@ -346,6 +361,15 @@ def _as_fans(scene: Scene, rng: Rng, whole: Aovs, edges: np.ndarray) -> Found:
         if some is rows or find_rows(part) is not None:
             found = find_nearest(numbers, part, always_fans=True)
             yield _fan_differences(scene, part.d, found, some, whole)
+    for strays in (0, 2):
+        limited = _limited(part, found.t, strays)
+        slow, fan = (find_nearest(numbers, limited, always_fans=fans) for fans in (False, True))
+        route = f"find_nearest(packed(scene), limited_rays(scene, {strays}), always_fans=True)"
+        yield _rows_differ(scene, route, "t", slow.t, fan.t, rows)
+        yield _rows_differ(scene, route, "prim_id", slow.prim, fan.prim, rows)
+        blocked, soon = (find_any(numbers, limited, always_fans=fans) for fans in (False, True))
+        route = f"find_any(packed(scene), limited_rays(scene, {strays}), always_fans=True)"
+        yield _rows_differ(scene, route, "t", blocked, soon, rows)
     back, hit = _rays_back(rays, found.t, rows)
     if len(hit) >= MIN_FAN_RAYS:
         free, fast = (find_any(numbers, back, always_fans=fans) for fans in (False, True))
@@ -376,6 +400,28 @@ def _rays_back(rays: Any, t: np.ndarray, rows: np.ndarray) -> tuple[Any, np.ndar
     hit = np.isfinite(d).all(axis=1) & d.any(axis=1)
     count = int(hit.sum())
     return type(rays)(o[hit], d[hit], np.zeros(count), np.ones(count)), rows[hit]
+
+
+def _limited(rays: Any, t: np.ndarray, strays: int) -> Any:
+    """These rays from the first quarter of the hits to the last; some that hit start elsewhere, and have no limits.
+
+    None of those is of the sample, at equal distances, in which `cast` looks for a common origin.
+    """
+    hits = np.sort(t[np.isfinite(t)])
+    low, high = (float(hits[len(hits) // 4]), float(hits[3 * len(hits) // 4])) if len(hits) else (0.0, np.inf)
+    count, o = len(t), rays.o.copy()
+    t_min, t_max = np.full(count, low), np.full(count, high)
+    sampled = np.linspace(0, count - 1, SAMPLED_RAYS).astype(int)
+    astray = np.setdiff1d(np.flatnonzero(np.isfinite(t)), sampled)[:strays]
+    o[astray] += 0.5 * low * rays.d[astray]
+    t_min[astray], t_max[astray] = 0.0, np.inf
+    return type(rays)(o, rays.d, t_min, t_max)
+
+
+def limited_rays(scene: Scene, strays: int) -> Any:
+    """The camera's rays with limits among their hits, `strays` of which start elsewhere than all others."""
+    rays = camera_rays(scene)
+    return _limited(rays, find_nearest(packed(scene), rays).t, strays)
 
 
 def rays_back(scene: Scene) -> Any:
