@@ -23,7 +23,16 @@ from caster.kernels.bvh.build import bounding_boxes
 from caster.kernels.protocol import hull_size
 from caster.kernels.triangles import Triangles as Triangles
 
-__all__ = ["Packed", "Triangles", "concatenate_parts", "forget_packed", "pack", "packed", "primitive_count"]
+__all__ = [
+    "Packed",
+    "Triangles",
+    "concatenate_parts",
+    "forget_packed",
+    "pack",
+    "packed",
+    "primitive_count",
+    "rejected_faces",
+]
 
 
 @dataclass(frozen=True)

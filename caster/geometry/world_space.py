@@ -16,7 +16,7 @@ from caster.description.fields import Shape
 from caster.geometry.triangle_mesh import Mesh, vertex_normals
 from caster.kernels.triangles import Triangles
 
-__all__ = ["Rounding", "as_float32", "as_given"]
+__all__ = ["LARGEST_COORDINATE", "Rounding", "as_float32", "as_given"]
 
 Rounding = Callable[[np.ndarray], np.ndarray]
 

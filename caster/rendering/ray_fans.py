@@ -43,7 +43,7 @@ from caster.rendering.ray_tiles import (
 )
 from caster.rendering.threads import CHUNKS_PER_THREAD, even_pieces, parallel_for, parallel_for_pieces, thread_count
 
-__all__ = ["find_rows"]
+__all__ = ["SAMPLED_RAYS", "find_rows"]
 
 
 class CommonPoint(NamedTuple):

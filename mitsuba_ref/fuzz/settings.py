@@ -193,7 +193,7 @@ def _random_linear(rng: Rng, setting: Setting) -> np.ndarray:
 
 OPTION_FILMS = ((5, 3), (3, 5), (4, 4), (8, 2), (2, 8), (6, 5))  # pixels: landscape, portrait, square
 MATERIALS = ("first", "second")
-MANY_LIGHTS = 5
+MAX_LIGHTS_OF_A_KIND = 5
 CHECKED = ("depth", "diffuse")  # AOVs that a table `check` names
 
 
@@ -215,13 +215,13 @@ def with_options(rng: Rng, setting: Setting, data: dict[str, Any]) -> dict[str, 
 
 
 def _lights(rng: Rng, setting: Setting, camera: Fields) -> list[Fields]:
-    """None, one, two or MANY_LIGHTS of each kind; the last of a kind is on the viewer's side and lights what is seen.
+    """None, one, two or MAX_LIGHTS_OF_A_KIND of each kind; the last of a kind is on the viewer's side and lights what is seen.
 
     Light from behind mostly falls on surfaces that nobody sees, and a fault of its colour would change no pixel.
     """
     lights = []
     for kind, fields in LIGHT_FIELDS.items():
-        count = int(rng.integers(3)) if rng.random() < 0.9 else MANY_LIGHTS
+        count = int(rng.integers(3)) if rng.random() < 0.9 else MAX_LIGHTS_OF_A_KIND
         drawn = [{"type": kind, **fields(rng, setting)} for _ in range(count)]
         lights += [*drawn[:-1], *(_from_the_viewer(light, setting, camera) for light in drawn[-1:])]
     return lights
