@@ -215,7 +215,7 @@ def with_options(rng: Rng, setting: Setting, data: dict[str, Any]) -> dict[str, 
 
 
 def _lights(rng: Rng, setting: Setting, camera: Fields) -> list[Fields]:
-    """None, one, two or MAX_LIGHTS_OF_A_KIND of each kind; the last of a kind is on the viewer's side and lights what is seen.
+    """None, one, two or MAX_LIGHTS_OF_A_KIND of each; the last of a kind is on the viewer's side and lights it.
 
     Light from behind mostly falls on surfaces that nobody sees, and a fault of its colour would change no pixel.
     """
