@@ -253,6 +253,9 @@ UNRESOLVED_SIZE_IN_CIRCLES = 8.0
 class UncertainRaysModel(SceneModel):
     """The model of rays that are known up to a turn and a shift, of a subject with a camera of its own.
 
+    Where its geometry is that of the scene's file as well, in numbers that nobody rounded to float32, each intersection
+    is widened to enclose those with these primitives, too.
+
     Such rays differ from ours by no more than the rounding of a camera. All that they may intersect lies within what
     eight rays around ours intersect, on a circle so wide that their octagon holds every one of them: an edge that one
     of them crosses, one of the eight has crossed, and between them t and normals change steadily. So each intersection
@@ -262,6 +265,7 @@ class UncertainRaysModel(SceneModel):
 
     turn: float = 0.0  # of the direction, as a share of its length
     shift: float = 0.0  # of the origin, scene units
+    as_described: SceneModel | None = None  # the primitives in float64, where they are others
     around: int = RAYS_PER_RING  # rays on each ring
     rings: tuple[float, ...] = RING_RADII  # shares of the circle that holds all rays there may be
 
@@ -272,11 +276,14 @@ class UncertainRaysModel(SceneModel):
     def intersect(self, prim: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float, *, ours: bool) -> PairIntersections:
         """Each intersection, widened by those of neighbouring rays with the same primitive and root."""
         met = super().intersect(prim, o, d, ku, ours=ours)
-        found = [met.at]
+        found, described = [met.at], self.as_described
+        if described:
+            found.append(described.intersect(prim, o, d, ku, ours=ours).at)
         for across in self._around(d):
-            found.append(
-                super().intersect(prim, o + self.shift * across, d + self._turned(d) * across, ku, ours=ours).at
-            )
+            ray = o + self.shift * across, d + self._turned(d) * across
+            found.append(super().intersect(prim, *ray, ku, ours=ours).at)
+            if described:
+                found.append(described.intersect(prim, *ray, ku, ours=ours).at)
         # A shift along the ray moves no point, but t by as much.
         return PairIntersections(met.pair, enclosing_intersections(found, self.shift / norm(d)[met.pair]))
 

@@ -281,7 +281,8 @@ class OwnRaysImage:
         """What was read. Raises NoAnswer."""
         found = checked_answer(self.t, self.n, len(self.t), precision=self.precision or FLOAT32)
         broken = dict(found.broken) | ({BESIDE_PIXEL: self.beside} if self.beside.any() else {})
-        return replace(found, t_rounding=self.t_rounding, own_camera=True, notes=self.notes, broken=broken)
+        found = replace(found, t_rounding=self.t_rounding, notes=self.notes, broken=broken)
+        return replace(found, own_camera=True, own_geometry=True)
 
 
 def own_rays(name: str, exr: Exr, scene: Scene, reading: Reading) -> tuple[OwnRaysImage, SharedRays]:

@@ -115,6 +115,18 @@ def model_of(scene: Scene, packed: Packed, rays: SharedRays) -> SceneModel:
     return SceneModel(packed, parts, kinds, models)
 
 
+def described_model(scene: Scene, model: SceneModel) -> SceneModel | None:
+    """The same in the float64 numbers of the scene, without stand-ins; None where these are float32 numbers."""
+    described, rounded = packed(scene), packed_float32(scene)
+    if all(
+        np.array_equal(a, b)
+        for ours, theirs in zip(described.parts, rounded.parts, strict=True)
+        for a, b in zip(ours, theirs, strict=True)
+    ):
+        return None
+    return SceneModel(described, described.parts, tuple(kind.prims for kind in described.kinds), model.models)
+
+
 def _model(references: Sequence[ShapeReference], packed: Packed, shapes: np.ndarray) -> ErrorModel:
     first = int(shapes[0])
     return references[first].model_of(packed.parts[first])

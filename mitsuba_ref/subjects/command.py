@@ -241,7 +241,7 @@ class ExrFile:
         """Its channels. Raises NoAnswer."""
         check_window(self.exr, request.scene)
         read = answer_from_positions if self.by_position else answer_from_exr
-        return read(self.exr, request, precision=self.precision)
+        return replace(read(self.exr, request, precision=self.precision), own_geometry=True)
 
 
 def _normals(channels: Mapping[str, np.ndarray], needed: Sequence[str], what: str) -> np.ndarray | None:

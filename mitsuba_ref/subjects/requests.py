@@ -12,7 +12,14 @@ from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.cameras.camera_reference import clip_planes
 from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
-from mitsuba_ref.reference.shared_input import SharedRays, clip_range, model_of, packed_float32, shared_rays
+from mitsuba_ref.reference.shared_input import (
+    SharedRays,
+    clip_range,
+    described_model,
+    model_of,
+    packed_float32,
+    shared_rays,
+)
 from mitsuba_ref.subjects.command import (
     PLACEHOLDERS,
     RAY_PLACEHOLDERS,
@@ -81,7 +88,9 @@ def subject_view(answer: Answer, scene: Scene, model: SceneModel) -> SceneModel:
     """The model as a subject may see it: rays of a camera of its own are known up to the rounding of a camera."""
     if not answer.own_camera:
         return model
-    return UncertainRaysModel(model.packed, model.parts, model.kinds, model.models, *camera_rounding(scene))
+    described = described_model(scene, model) if answer.own_geometry else None
+    about = model.packed, model.parts, model.kinds, model.models
+    return UncertainRaysModel(*about, *camera_rounding(scene), as_described=described)
 
 
 def _answer_to_one_ray(subject: Subject, request: CastRequest, row: int) -> Answer | NoAnswer | None:

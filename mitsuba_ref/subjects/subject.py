@@ -49,6 +49,7 @@ class Answer:
     broken: Mapping[str, np.ndarray]  # what is no answer at all -> (n,) bool
     t_rounding: float | np.ndarray = 0.0  # (n,) how far t is off because it was stored as something else
     own_camera: bool = False  # its rays came from a camera of its own, not from us
+    own_geometry: bool = False  # its primitives are those of the scene's file, which nobody rounded to float32
     as_exported: bool = False  # it saw what Mitsuba saw: patches in place of planes
     notes: tuple[str, ...] = ()
     hints: tuple[str, ...] = field(default=())  # reported only if a pixel fails

@@ -386,6 +386,49 @@ def test_a_fault_of_one_pixel_in_an_exr_fails(folder, tmp_path, exr, change, fai
     assert code == 1 and [scene["ok"] for scene in scenes] == failing
 
 
+TORUS = """
+[film]
+width = 48
+height = 40
+[camera]
+type = "pinhole"
+eye = [0.5, -3.1, 2.3]
+look_at = [0, 0, 0]
+up = [0, 0, 1]
+[[shape]]
+type = "torus"
+to_world = [{rotate = {axis = [0.3, 0.2, 1], degrees = 17}}, {scale = 0.7}]
+"""
+
+
+def tilted(share):
+    def change(channels):
+        where = tuple(np.argwhere(channels["A"] != 0)[200])
+        n = np.array([channels[f"normal.{c}"][where] for c in "XYZ"])
+        across = np.cross(n, np.roll(n, 1))
+        for c, x in zip("XYZ", n + share * across / np.linalg.norm(across), strict=True):
+            channels[f"normal.{c}"][where] = x
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "passes"),
+    [(None, True), (tilted(1e-4), False), (scaled("depth.Z", 1.0001), False), (lost, False)],
+    ids=["none", "tilted", "depth", "lost"],
+)
+def test_an_image_of_geometry_that_float32_rounds_is_judged_by_both(tmp_path, change, passes):
+    """Its file has the float64 vertices, what is traced beside it those that are rounded: normals differ by 3e-6."""
+    path = tmp_path / "scene.toml"
+    path.write_text(TORUS)
+    scene = caster.load_scene(path)
+    write_render(str(tmp_path / "out.exr"), scene, caster.render(scene, ("hit", "depth", "normal")), "scene.toml")
+    code, scenes = judged_exr(tmp_path, tmp_path, read_exr(tmp_path / "out.exr"), change)
+    assert code == (0 if passes else 1) and scenes[0]["hit_pixels"] > 300
+    counts = scenes[0]["counts"]
+    assert counts["wrong"] + counts["undecided"] == (0 if passes else 1), counts
+
+
 # ---- an image along its own rays
 
 
