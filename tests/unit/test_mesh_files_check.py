@@ -1,7 +1,10 @@
 """Mesh files read a second and a third time: each reader by small files, and each comparison by one wrong number."""
 
+import base64
+import json
 import struct
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -389,3 +392,101 @@ def test_what_only_some_corners_of_a_large_file_have_is_reported_as_not_compared
     reported = [f"{what} {mesh_files.AT_SOME}" for what in ("normals", "uv")]
     assert found == {"corners": 0.0, **dict.fromkeys(reported, 0.0)}
     assert not verdict(path, loaded._replace(corners=loaded.corners + 1.0)).ok
+
+
+# ---- glTF
+
+
+def gltf_of(nodes, *, stride=12, mode=None, extra=None):
+    """Two triangles of POINTS, with indices, and one without; nodes: of meshes 0 and 1."""
+    points = np.array(POINTS[:6], np.float32)
+    rows = np.zeros((6, stride // 4), np.float32)
+    rows[:, :3] = points
+    indices = np.array([0, 1, 2, 2, 3, 4], np.uint16).tobytes()
+    data = rows.tobytes() + indices
+    accessor = {"bufferView": 0, "componentType": 5126, "type": "VEC3"}
+    part = {"attributes": {"POSITION": 0}, "indices": 1}
+    tree = {
+        "asset": {"version": "2.0"},
+        "buffers": [
+            {"byteLength": len(data), "uri": "data:application/octet-stream;base64," + base64.b64encode(data).decode()}
+        ],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": 0, "byteLength": len(rows.tobytes()), "byteStride": stride},
+            {"buffer": 0, "byteOffset": len(rows.tobytes()), "byteLength": len(indices)},
+        ],
+        "accessors": [
+            {**accessor, "count": 6},
+            {"bufferView": 1, "componentType": 5123, "type": "SCALAR", "count": 6},
+            {**accessor, "count": 3, "byteOffset": 3 * stride},
+        ],
+        "meshes": [
+            {"primitives": [part if mode is None else {**part, "mode": mode}]},
+            {"primitives": [{"attributes": {"POSITION": 2}}]},
+        ],
+        "nodes": nodes,
+        "scenes": [{"nodes": [0]}],
+        "scene": 0,
+    }
+    return json.dumps(tree | (extra or {}))
+
+
+NODES = {
+    "one": [{"mesh": 0}],
+    "moved": [{"mesh": 0, "translation": [1.5, -2.25, 0.1]}],
+    "turned and mirrored": [{"mesh": 0, "rotation": [0.5, 0.1, -0.3, 0.8], "scale": [1.1, -0.7, 2.0]}],
+    "instances below a matrix": [
+        {"children": [1, 2, 3], "matrix": [0, 2, 0, 0, -2, 0, 0, 0, 0, 0, 2, 0, 7, 8, 9, 1]},
+        {"mesh": 1, "scale": [0.3, 0.3, 0.3]},
+        {"mesh": 0, "translation": [1, 1, 1]},
+        {"mesh": 1, "rotation": [0, 0, 0.6, 0.8]},
+    ],
+}
+
+
+@pytest.mark.parametrize("stride", [12, 32])
+@pytest.mark.parametrize("nodes", NODES.values(), ids=NODES)
+def test_the_triangles_of_a_gltf_scene_are_compared_in_any_order(tmp_path, nodes, stride, monkeypatch):
+    pytest.importorskip("trimesh")
+    path = tmp_path / "a.gltf"
+    path.write_text(gltf_of(nodes, stride=stride))
+    refused = LoadedMesh(np.zeros((0, 3, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3, 2)), "no such file type")
+    found = verdict(path, refused)
+    assert found.ok and found.what == "triangles of a.gltf", found
+    mesh = load_mesh(path)
+    shuffled = mesh._replace(faces=mesh.faces[::-1])
+    wrong = {
+        "moved": mesh._replace(vertices=mesh.vertices + np.array([0.0, 0.0, 1e-9])),
+        "turned": mesh._replace(faces=mesh.faces[:, [0, 2, 1]]),
+        "twice": mesh._replace(faces=np.concatenate([mesh.faces, mesh.faces[:1]])),
+        "one lost": mesh._replace(faces=mesh.faces[1:]),
+    }
+    assert mesh_files._against_gltf(shuffled, path)["triangles"] < 1.0
+    for name, other in wrong.items():
+        assert mesh_files._against_gltf(other, path)["triangles"] > 1.0, name
+
+
+def test_what_few_gltf_files_have_is_reported_as_not_compared(tmp_path):
+    path = tmp_path / "a.gltf"
+    mesh = SimpleNamespace(vertices=np.zeros((3, 3)), faces=np.zeros((1, 3), int))
+    others = {"extensionsRequired": ["packed"]}, {"nodes": []}, {"buffers": [{"uri": "none.bin"}]}, {"accessors": [{}]}
+    for text in (gltf_of(NODES["one"], mode=5), *(gltf_of(NODES["one"], extra=extra) for extra in others)):
+        path.write_text(text)
+        assert mesh_files._against_gltf(mesh, path) == {READ_ONCE: 0.0}
+
+
+def test_a_glb_file_and_a_buffer_beside_are_read(tmp_path):
+    tree = json.loads(gltf_of(NODES["moved"]))
+    data = base64.b64decode(tree["buffers"][0].pop("uri").partition(",")[2])
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = [(text, b"JSON"), (data + bytes(-len(data) % 4), b"BIN\0")]
+    body = b"".join(len(chunk).to_bytes(4, "little") + kind + chunk for chunk, kind in chunks)
+    head = b"glTF" + (2).to_bytes(4, "little") + (12 + len(body)).to_bytes(4, "little")
+    (tmp_path / "a.glb").write_bytes(head + body)
+    tree["buffers"][0]["uri"] = "a%20b.bin"
+    (tmp_path / "a b.bin").write_bytes(data)
+    (tmp_path / "a.gltf").write_text(json.dumps(tree))
+    found = [mesh_files.plain_gltf(tmp_path / name) for name in ("a.glb", "a.gltf")]
+    points = np.array(POINTS[:6], np.float32) + np.array([1.5, -2.25, 0.1])
+    assert all(np.allclose(each.corners, points[[[0, 1, 2], [2, 3, 4]]], atol=1e-15) for each in found)
