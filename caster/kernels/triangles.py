@@ -199,16 +199,6 @@ def dominant_axis(d: Vec3) -> int:
     return 1 if y >= z else 2
 
 
-@jit
-def sheared(p: Vec3, d: Vec3, axis: int) -> tuple[float, float]:
-    """p sheared along d onto the plane across the axis, times d[axis]."""
-    if axis == 0:
-        return p[1] * d[0] - d[1] * p[0], p[2] * d[0] - d[2] * p[0]
-    if axis == 1:
-        return p[2] * d[1] - d[2] * p[1], p[0] * d[1] - d[0] * p[1]
-    return p[0] * d[2] - d[0] * p[2], p[1] * d[2] - d[1] * p[2]
-
-
 # A sheared coordinate is off by 3 u (|p d| + |p d|) <= 6 u m |d|, m the largest coordinate of a corner; a product of
 # two that are at most s, off by r each, by 2 s r + r^2 and its rounding. Six products and their sum are off by
 # 12 s r + 6 r^2 + 15 u s^2.
@@ -220,20 +210,11 @@ def barycentrics(a: Vec3, b: Vec3, c: Vec3, d: Vec3, t: float) -> Vec3:
     """Of the point t d, where a ray from 0 meets the triangle.
 
     From the corners sheared along d, so near to 0 that little cancels (Woop, Benthin, Wald 2013); their division by
-    d[axis] is left out, since it scales all three alike. What belongs to the second and third corner is added up
-    first, here and in `surface`: a mirrored shape swaps the two, and so no bit changes.
+    the dominant component of d is left out, since it scales all three alike. What belongs to the second and third
+    corner is added up first, here and in `surface`: a mirrored shape swaps the two, and so no bit changes.
     """
-    axis = dominant_axis(d)
-    p, q, r = sheared(a, d, axis), sheared(b, d, axis), sheared(c, d, axis)
-    u = r[0] * q[1] - r[1] * q[0]
-    v = p[0] * r[1] - p[1] * r[0]
-    w = q[0] * p[1] - q[1] * p[0]
-    area = u + (v + w)
-    widest = max(abs(p[0]), abs(p[1]), abs(q[0]), abs(q[1]), abs(r[0]), abs(r[1]))
-    error = SHEAR_ERROR * max(max_norm(a), max_norm(b), max_norm(c)) * abs(d[axis])
-    if abs(area) > 2.0 * (12.0 * widest * error + 6.0 * error * error + 15.0 * U * widest * widest):
-        return u / area, v / area, w / area
-    return barycentrics_edge_on(a, b, c, scaled(t, d))
+    known, weights = fast_barycentrics(a, b, c, d)
+    return weights if known else barycentrics_edge_on(a, b, c, scaled(t, d))
 
 
 @jit
@@ -432,7 +413,7 @@ def _setup_lanes(prims: Any, scratch: Any, wants_uv: bool) -> None:
 
 @inlined
 def dominant_last(axis0: bool, axis1: bool, v: Vec3) -> Vec3:
-    """v turned so that component 0, 1 or else 2 is last, the others in the order in which `sheared` takes them."""
+    """v turned so that component 0, 1 or else 2 is last."""
     return (
         v[1] if axis0 else (v[2] if axis1 else v[0]),
         v[2] if axis0 else (v[0] if axis1 else v[1]),
@@ -442,7 +423,7 @@ def dominant_last(axis0: bool, axis1: bool, v: Vec3) -> Vec3:
 
 @inlined
 def sheared_last(p: Vec3, d: Vec3) -> tuple[float, float]:
-    """`sheared` of vectors whose dominant component is last."""
+    """p sheared along d onto the plane across the last axis, times d[2], which is the dominant component of d."""
     return p[0] * d[2] - d[0] * p[2], p[1] * d[2] - d[1] * p[2]
 
 

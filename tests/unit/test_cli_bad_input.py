@@ -218,7 +218,7 @@ def test_check_reports_all_errors_of_all_files(folder, capsys):
         (["--crop", "4", "4", "4", "9"], "--crop 4 4 4 9: film: crop must hold at least one pixel"),
         (["--crop", "-1", "0", "4", "9"], "--crop -1 0 4 9: film: crop[0] must be >= 0, got -1"),
         (["--aov", "dept"], "aov 'dept': unknown, did you mean 'depth'?; known are hit, depth, "),
-        (["--aov", ""], "aov '': unknown; known are hit, depth, "),
+        (["--aov", ""], "aov '': no name between two commas; known are hit, depth, "),
         (["-o", "s.png"], "-o s.png: expected a name that ends in .exr"),
     ],
     ids=" ".join,
