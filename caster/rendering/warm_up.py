@@ -73,6 +73,7 @@ def _warm_one(scene: Scene) -> None:
                 render_film(small, aovs, threads=1, culling=culling)
     unshadowed = small.model_copy(update={"shading": Shading(shadows=False)})
     render_film(unshadowed, ("diffuse",), threads=1)  # its lights have a kernel of their own
+    render_film(small.model_copy(update={"shapes": ()}), WARM_UP_AOV_SETS[-1], threads=1)  # tiles without anything
     _warm_decisions(pack(small))
     _warm_shadows(pack(small), small)
     _warm_fans(pack(small))
@@ -113,7 +114,8 @@ def _warm_fans(packed: Packed) -> None:
     parallel = Rays(d, np.ones((count, 3)), np.zeros(count), np.full(count, np.inf))
     for rays in (outward, Rays(d, -d, np.zeros(count), np.ones(count)), parallel):
         find_nearest(packed, rays, threads=1, always_fans=True)
-        find_any(packed, rays, threads=1, always_fans=True)
+        for always_fans in (False, True):
+            find_any(packed, rays, threads=1, always_fans=always_fans)
     find_rows(outward)
     validated_rays(origin, d, 0.0, math.inf)
     tile, box, ids = new_tile(), (0, 0, count, 1), packed.prim_ids

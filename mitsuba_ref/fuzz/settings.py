@@ -200,9 +200,6 @@ CHECKED = ("depth", "diffuse")  # AOVs that a table `check` names
 def with_options(rng: Rng, setting: Setting, data: dict[str, Any]) -> dict[str, Any]:
     """The scene with a random choice of everything that a scene file can say."""
     materials = {name: _material(rng) for name in MATERIALS[: int(rng.integers(3))]}
-    if materials and coin_flip(rng):  # it differs by its sides alone
-        first = materials[MATERIALS[0]]
-        materials["twin"] = {**first, "two_sided": not first.get("two_sided", False)}
     scene = {
         "film": _film(rng),
         "camera": _camera(rng, setting, data["camera"]),
@@ -211,18 +208,30 @@ def with_options(rng: Rng, setting: Setting, data: dict[str, Any]) -> dict[str, 
         "material": materials,
         "check": {name: _sometimes(rng, {"ratio": 2.0}, 0.3) for name in CHECKED[: int(rng.integers(3))]},
     }
-    return scene | _sometimes(rng, {"shading": {"shadows": coin_flip(rng)}})
+    scene |= _sometimes(rng, {"shading": {"shadows": coin_flip(rng)}})
+    _add_twin(rng.spawn(1)[0], scene)
+    return scene
+
+
+def _add_twin(rng: Rng, scene: dict[str, Any]) -> None:
+    """Half of the shapes of the first material get one that differs from it by its sides alone."""
+    for shape in scene["shape"]:
+        if shape.get("material") == MATERIALS[0] and coin_flip(rng):
+            first = scene["material"][MATERIALS[0]]
+            scene["material"]["twin"] = {**first, "two_sided": not first.get("two_sided", False)}
+            shape["material"] = "twin"
 
 
 def _lights(rng: Rng, setting: Setting, camera: Fields) -> list[Fields]:
-    """None, one, two or MAX_LIGHTS_OF_A_KIND of each; the last of a kind is on the viewer's side and lights it.
+    """None, one, two or, rarely, MAX_LIGHTS_OF_A_KIND of each; the last is on the viewer's side and lights it.
 
     Light from behind mostly falls on surfaces that nobody sees, and a fault of its colour would change no pixel.
     """
-    lights = []
+    lights, more = [], rng.spawn(1)[0]
     for kind, fields in LIGHT_FIELDS.items():
-        count = int(rng.integers(3)) if rng.random() < 0.9 else MAX_LIGHTS_OF_A_KIND
-        drawn = [{"type": kind, **fields(rng, setting)} for _ in range(count)]
+        drawn = [{"type": kind, **fields(rng, setting)} for _ in range(int(rng.integers(3)))]
+        if drawn and more.random() < 0.1:
+            drawn[:0] = [{"type": kind, **fields(more, setting)} for _ in range(MAX_LIGHTS_OF_A_KIND - len(drawn))]
         lights += [*drawn[:-1], *(_from_the_viewer(light, setting, camera) for light in drawn[-1:])]
     return lights
 
