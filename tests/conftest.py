@@ -41,9 +41,10 @@ def pytest_configure(config: pytest.Config) -> None:
     # Without bytecode each of some hundred processes that tests start would compile every module that it loads.
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     sys.dont_write_bytecode = False  # what pytest makes of the tests themselves, too
-    # Ignored, as in a job that a shell began in the background, it would be ignored by the children of tests, too.
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    # Ignored, as in a job in the background or under nohup, they would be ignored by the children of tests, too.
+    for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, handler)
     for kind, what in KINDS.items():
         config.addinivalue_line("markers", f"{kind}: {what} (everything in tests/{kind})")
 
