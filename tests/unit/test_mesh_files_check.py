@@ -470,7 +470,14 @@ def test_what_few_gltf_files_have_is_reported_as_not_compared(tmp_path):
     path = tmp_path / "a.gltf"
     mesh = SimpleNamespace(vertices=np.zeros((3, 3)), faces=np.zeros((1, 3), int))
     others = {"extensionsRequired": ["packed"]}, {"nodes": []}, {"buffers": [{"uri": "none.bin"}]}, {"accessors": [{}]}
-    for text in (gltf_of(NODES["one"], mode=5), *(gltf_of(NODES["one"], extra=extra) for extra in others)):
+    circle = [{"children": [1]}, {"children": [0], "mesh": 0}]
+    texts = [
+        gltf_of(NODES["one"], mode=5),
+        gltf_of(circle),
+        "[]",
+        *(gltf_of(NODES["one"], extra=extra) for extra in others),
+    ]
+    for text in texts:
         path.write_text(text)
         assert mesh_files._against_gltf(mesh, path) == {READ_ONCE: 0.0}
 

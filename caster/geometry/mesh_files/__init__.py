@@ -98,12 +98,12 @@ def parse_off(data: bytes, where: str) -> Mesh:
         raise SceneError(f"{where}: expected lines of {vertices} vertices and {faces} faces, got {len(rows) - 1}")
     points = _off_numbers(rows[1 : 1 + vertices], where, float, 3)
     polygons = []
-    for line, words in rows[1 + vertices : 1 + vertices + faces]:
-        ((size,),) = _off_numbers([(line, words)], where, int, 1)
-        (polygon,) = _off_numbers([(line, words)], where, int, 1 + max(size, 0))
-        if size < 3 or min(polygon[1:]) < 0 or max(polygon[1:]) >= vertices:
+    for row in rows[1 + vertices : 1 + vertices + faces]:
+        size = int(row[1][0]) if row[1][0].isdigit() else 0
+        (polygon,) = _off_numbers([row], where, int, 1 + size)
+        if size < 3 or min(polygon) < 0 or max(polygon[1:]) >= vertices:
             raise SceneError(
-                f"{where}:{line}: expected at least 3 of the vertices 0 to {vertices - 1}, got {polygon[1:]}"
+                f"{where}:{row[0]}: expected at least 3 of the vertices 0 to {vertices - 1}, got {polygon[1:]}"
             )
         polygons.append(polygon[1:])
     if not polygons:
@@ -120,6 +120,8 @@ def _off_numbers(
     found = []
     for line, words in rows:
         try:
+            if b"_" in b"".join(words[:least]):  # Python accepts 1_000
+                raise ValueError
             found.append([kind(word) for word in words[:least]])
         except ValueError:
             raise SceneError(f"{where}:{line}: expected {least} numbers, got {quote_bytes(b' '.join(words))}") from None

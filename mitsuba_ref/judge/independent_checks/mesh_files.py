@@ -359,7 +359,7 @@ def _against_gltf(mesh: Any, file: Path) -> dict[str, float]:
     """
     try:
         found = plain_gltf(file) if file.stat().st_size <= MAX_PLAIN_BYTES else None
-    except (LookupError, TypeError, ValueError, OSError):  # what is left out that the format demands
+    except (LookupError, TypeError, ValueError, AttributeError, OSError):  # the file is not what the format demands
         found = None
     if found is None:
         return {READ_ONCE: 0.0}
@@ -369,7 +369,8 @@ def _against_gltf(mesh: Any, file: Path) -> dict[str, float]:
     weights = np.random.default_rng(0).normal(size=(9, GLTF_PROJECTIONS))
     weights /= np.abs(weights).sum(axis=0)
     ours, theirs = (np.sort(np.nan_to_num(each).reshape(-1, 9) @ weights, axis=0) for each in (given, found.corners))
-    return {"triangles": float(np.abs(ours - theirs).max() / (2.0 * found.error))}
+    apart = np.abs(ours - theirs)
+    return {"triangles": float(error_over_bound(apart, np.full(apart.shape, 2.0 * found.error)).max(initial=0.0))}
 
 
 def plain_gltf(file: Path) -> PlacedTriangles | None:
@@ -402,10 +403,13 @@ def plain_gltf(file: Path) -> PlacedTriangles | None:
 
     scene = tree.get("scenes", [{}])[tree.get("scene", 0)]
     waiting = [(node, np.eye(4), np.eye(4), 1) for node in scene.get("nodes", range(len(tree.get("nodes", []))))]
-    found, sizes = [], [0.0]
+    found, sizes, visited = [], [0.0], 0
     try:
         while waiting:
             number, matrix, size, depth = waiting.pop()
+            visited += 1
+            if visited > len(tree["nodes"]):  # no tree: a node has several parents, or is below itself
+                raise NotImplementedError
             node = tree["nodes"][number]
             own = _gltf_matrix(node)
             matrix, size = matrix @ own, size @ np.abs(own)
