@@ -4,8 +4,8 @@
 
 `make wheel` runs it, in some minutes. The pure wheel of this tree is unpacked, `caster doctor --warm` compiles its
 kernels for each level of processors (caster/jit/machine_code.py:LEVELS), and their object code goes into
-caster/jit/object_code/HASH/LEVEL, HASH being that of the sources in the wheel. Sources without a compiler make the same
-wheel but for that folder, and `pip install .` keeps making that one.
+caster/jit/object_code/LEVEL. Sources without a compiler make the same wheel but for that folder, and `pip install .`
+keeps making that one.
 """
 
 import argparse
@@ -60,8 +60,7 @@ def build_pure_wheel(folder: Path) -> Path:
 
 def add_object_code(tree: Path, levels: list[str], scratch: Path) -> None:
     """Compile the kernels of an unpacked wheel for each level, one process a level, and copy them into it."""
-    name = python(tree, {}, "-c", "from caster.jit.kernel_cache import source_hash; print(source_hash(''))")
-    target = tree / FOLDER / name.communicate()[0].strip()
+    target = tree / FOLDER
     running = {level: warm(tree, level, scratch / level) for level in levels}
     for level, process in running.items():
         process.communicate()

@@ -7,6 +7,7 @@ import json
 import sys
 from collections.abc import Sequence
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -77,6 +78,7 @@ def run(args: argparse.Namespace) -> int:
         scene = cropped(load(args), args.crop)
     output = output_path(args)
     from caster.image.channels import write_render
+    from caster.jit.decorators import compiled_ahead
     from caster.rendering.images import check_names, render_film
     from caster.rendering.threads import thread_count
     from caster.system.atomic_files import check_writable
@@ -85,7 +87,8 @@ def run(args: argparse.Namespace) -> int:
     check_names(aovs)
     shown = preview_names(args, aovs)
     check_writable(output)  # before a render that may take long
-    with error_prefix(args.scene), announce_compilation(type_names(scene)), closing(bar_for(scene)) as bar:
+    ahead = compiled_ahead(partial(_warm_film, scene, aovs))
+    with error_prefix(args.scene), announce_compilation(type_names(scene)), ahead, closing(bar_for(scene)) as bar:
         rendered = render_film(scene, aovs, threads=args.threads, on_progress=bar.add)
     images = rendered.aovs
     threads = thread_count(args.threads)
@@ -106,6 +109,12 @@ def run(args: argparse.Namespace) -> int:
     height, width = images.hit.shape
     print(f"{output}: {width} x {height} pixels, {int(images.hit.sum())} hit; {', '.join(aovs)}")
     return OK
+
+
+def _warm_film(scene: Scene, aovs: Sequence[str]) -> None:
+    from caster.rendering.warm_up import warm_film  # only where a kernel has to be compiled
+
+    warm_film(scene, aovs)
 
 
 def output_path(args: argparse.Namespace) -> str:

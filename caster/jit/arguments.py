@@ -74,6 +74,15 @@ def _tuple_word(kind: Any, length: int) -> str:
     return f"{kind.__module__}.{kind.__qualname__}/{length}"
 
 
+def tuple_classes(args: tuple[Any, ...]) -> tuple[type, ...]:
+    """The classes of all tuples among some arguments, in order."""
+    found: list[type] = []
+    for arg in args:
+        if isinstance(arg, tuple):
+            found += [type(arg), *tuple_classes(arg)]
+    return tuple(found)
+
+
 def argument_forms(args: tuple[Any, ...]) -> list[Form]:
     """The form of each argument, members of tuples one by one; of arguments that have a key."""
     found: list[Form] = []

@@ -5,17 +5,33 @@ loaded when a kernel is first compiled: what has been compiled before runs witho
 """
 
 import contextlib
+import gc
 import hashlib
 import importlib
 import inspect
+import os
+import signal
+import threading
 from collections.abc import Callable, Iterator
-from functools import cache, update_wrapper
+from functools import cache, cached_property, update_wrapper
 from typing import Any, TypeVar
 
+import numpy as np
+
 from caster.jit import machine_code
-from caster.jit.arguments import INTEGER, MISMATCH, REAL, argument_forms, checked_call, named_tuple_names, signature_key
+from caster.jit.arguments import (
+    INTEGER,
+    MISMATCH,
+    REAL,
+    argument_forms,
+    checked_call,
+    named_tuple_names,
+    signature_key,
+    tuple_classes,
+)
+from caster.jit.code_digest import code_digest, compiler_digest
 from caster.jit.command_list import BoundCall
-from caster.jit.kernel_cache import COMPILED, CompileResultCache, cache_folder
+from caster.jit.kernel_cache import COMPILED, cache_folder, claim
 from caster.jit.simd import (
     CHILDREN,
     FAN_FIELDS,
@@ -49,42 +65,6 @@ GIVES = {"none": "", "int64": INTEGER, "float64": REAL}  # what machine code can
 _LOCK = machine_code.LLVM_LOCK  # of the lists below as well
 
 
-_PACKAGE = __name__.partition(".")[0]
-_EXTENDED: set[type] = set()  # classes of this package for which some other module has given a body
-
-
-def is_cacheable(kind: type) -> bool:
-    """Whether what is compiled for arguments of a class may be kept on disk.
-
-    The cache folder is named after the sources of this package (kernel_cache.py). A class from elsewhere, or one that
-    has bodies from elsewhere, has kernels that may change without a change of these: they are compiled anew in each
-    process.
-    """
-    return kind not in _EXTENDED and (_is_own(kind.__module__) or kind.__module__ == "builtins")
-
-
-def _is_own(module: str) -> bool:
-    return module.partition(".")[0] == _PACKAGE
-
-
-def _all_cacheable(args: Any) -> bool:
-    """Whether that holds for the classes of all tuples among some arguments."""
-    return all(is_cacheable(type(arg)) and _all_cacheable(arg) for arg in args if isinstance(arg, tuple))
-
-
-def _class_ids(args: Any) -> list[Any]:
-    """The identity of all tuples' classes among some arguments; all of them stay as long as the process."""
-    return [(id(type(arg)), _class_ids(arg)) for arg in args if isinstance(arg, tuple)]
-
-
-def _cacheable_signature(types: Any) -> bool:
-    """Whether that holds for the classes of all tuples in a signature of Numba, or among some of its types."""
-    return all(
-        is_cacheable(getattr(each, "instance_class", int)) and _cacheable_signature(getattr(each, "types", ()))
-        for each in getattr(types, "args", types)
-    )
-
-
 class CompilationLog:
     """What this process did to have its kernels, by their names; `compiling` is called before one is compiled."""
 
@@ -102,11 +82,15 @@ COMPILATION_LOG = CompilationLog()
 def _numba() -> Any:
     numba: Any = importlib.import_module("numba")
     importlib.import_module("numba.extending")
-    importlib.import_module("numba.core.event")
     for entry in _GENERICS.values():
         entry.overload(numba)
-    _overload_lanes(numba)
+    _register_intrinsics()
     return numba
+
+
+def _compiler() -> Any:
+    """The module caster.jit.compiler, which loads Numba."""
+    return importlib.import_module("caster.jit.compiler")
 
 
 class Kernel:
@@ -119,15 +103,13 @@ class Kernel:
         update_wrapper(self, function)
         self.function = function
         self.options = {**OPTIONS, **options}
-        self._codes: dict[str | None, machine_code.ObjectCode] = {}  # by `signature_key` the arguments
-        self._calls: dict[str | None, Callable[..., Any]] = {}  # by `signature_key` the arguments
+        self._symbols: dict[Any, str] = {}  # by `_key` of the arguments
+        self._codes: dict[str, machine_code.ObjectCode] = {}  # by symbol
+        self._calls: dict[str | None, Callable[..., Any]] = {}  # by symbol; None: whatever has none
         self._latest: dict[type, Callable[..., Any]] = {}  # by the class of the first argument
-        # by `signature_key`: `_kept`, as long as no class has a body from elsewhere
-        self._keeps: dict[str, bool] = {}
-        self._dispatcher: Any = None
 
     def __call__(self, *args: Any) -> Any:
-        call = self._latest.get(type(args[0]))
+        call = self._latest.get(type(args[0])) if args else None
         if call is not None:
             answer = call(*args)
             if answer is not MISMATCH:
@@ -139,95 +121,120 @@ class Kernel:
     def __reduce__(self) -> str:
         return self.__qualname__
 
-    @property
+    @cached_property
     def dispatcher(self) -> Any:
-        """Numba's own object for this function."""
-        with _LOCK:
-            if self._dispatcher is None:
-                self._dispatcher = _numba().njit(**self.options)(self.function)
-                if _is_own(self.function.__module__):
-                    name = f"{self.function.__module__}.{self.function.__qualname__}"
-                    self._dispatcher._cache = CompileResultCache(name, _cacheable_signature, _numba())
-            return self._dispatcher
+        """Numba's object for this function where kernels call it."""
+        _numba()
+        return _compiler().dispatcher_of(self.function, self.options)
+
+    @cached_property
+    def _python_dispatcher(self) -> Any:
+        """Numba's object for this function where only Numba can pass its arguments or its answer."""
+        _numba()
+        return _compiler().dispatcher_of(self.function, self.options, from_python=True)
 
     @property
     def _numba_type_(self) -> Any:
         """Numba type of a kernel that is called in another one."""
-        return _numba().types.Dispatcher(self.dispatcher)
+        return _compiler().types.Dispatcher(self.dispatcher)
 
     def _prepared(self, args: tuple[Any, ...]) -> Callable[..., Any]:
         """What to call with such arguments: machine code from the cache or just compiled, else Numba."""
-        key = self._key(args) if machine_code.is_supported() else None
+        if _THREAD.interprets:
+            return self.function
         with _LOCK:
-            call = self._calls.get(key) if key is not None else None
+            symbol = self._symbol(args)
+            call = self._calls.get(symbol)
+            if call is None and symbol is not None:
+                call = self._found(symbol, args)
+                if call is None and _AHEAD and not _THREAD.shares:
+                    _share(_AHEAD.pop())
+                with claim(cache_folder() / self._file(symbol), wait=not _THREAD.shares) as mine:
+                    if not mine:
+                        return self._interpreted
+                    # another process may have compiled it meanwhile
+                    call = call or self._found(symbol, args) or self._made(symbol, args)
             if call is None:
-                call = None if key is None else self._found(key, args) or self._made(key, args)
-                if call is None:
-                    self._compiled(args)
-                    COMPILATION_LOG.slowly.append(_named(self.__name__, args))
-                    call = self.dispatcher
-                self._calls[key] = call
-        if call is not self._dispatcher:  # which serves all arguments
-            self._latest[type(args[0])] = call
+                COMPILATION_LOG.slowly.append(_named(self.__name__, args))
+                call = self._python_dispatcher  # which compiles, and serves all arguments
+                self._calls[symbol] = call
+                return call
+            self._calls[symbol] = call
+        self._latest[type(args[0])] = call
         return call
+
+    def _interpreted(self, *args: Any) -> Any:
+        """The function as plain Python, with all that it calls."""
+        _THREAD.interprets = True
+        try:
+            with np.errstate(all="ignore"):  # as in machine code
+                return self.function(*args)
+        finally:
+            _THREAD.interprets = False
 
     def code(self, args: tuple[Any, ...]) -> machine_code.ObjectCode | None:
         """Machine code for such arguments, with its entries; None where only Numba can call this kernel."""
-        key = self._key(args)
-        if key not in self._codes:
+        symbol = self._symbol(args)
+        if symbol is None:
+            return None
+        if symbol not in self._codes:
             self._prepared(args)
         with _LOCK:
-            code = self._codes.get(key)
+            code = self._codes.get(symbol)
             if code is not None:
                 _ = code.block_address  # found by LLVM when it is first wanted
             return code
 
-    def _key(self, args: tuple[Any, ...]) -> str | None:
-        """Key of machine code: in all processes, or, with classes from elsewhere, in this one."""
-        key = signature_key(args)
-        if key is None:
+    def _symbol(self, args: tuple[Any, ...]) -> str | None:
+        """Name of the machine code for such arguments; None where there can be none."""
+        signature = signature_key(args) if machine_code.is_supported() else None
+        if signature is None:
             return None
-        kept = self._keeps.get(key) if not _EXTENDED else None
-        if kept is None:
-            kept = self._keeps[key] = self._kept(args)
-        return key if kept else f"{key} {_class_ids(args)}"
+        key = signature, tuple_classes(args), len(_IMPLEMENTED)
+        symbol = self._symbols.get(key)
+        if symbol is None:
+            symbol = self._symbols[key] = self._named_after(args, signature, machine_code.target_description())
+        return symbol
 
-    def _place(self, key: str, target: str) -> tuple[str, str]:
-        """Name of the entry, and of the file it is kept in."""
-        words = "\n".join([self.__module__, self.__qualname__, key, target])
-        symbol = f"caster_{hashlib.sha256(words.encode()).hexdigest()[:32]}"
-        return symbol, f"{self.__name__}-{symbol}.o"
+    def _named_after(self, args: tuple[Any, ...], signature: str, target: str) -> str:
+        """A name made of all that the machine code depends on."""
+        digest = code_digest(self.function, tuple_classes(args), _GENERICS)
+        words = [self.__module__, self.__qualname__, str(self.options), signature, digest, compiler_digest(), target]
+        return "caster_" + hashlib.sha256("\n".join(words).encode()).hexdigest()[:32]
 
-    def _kept(self, args: tuple[Any, ...]) -> bool:
-        return _is_own(self.function.__module__) and _all_cacheable(args)
+    def _file(self, symbol: str) -> str:
+        return f"{self.__name__}-{symbol}.o"
 
-    def _found(self, key: str, args: tuple[Any, ...]) -> Callable[..., Any] | None:
+    def _found(self, symbol: str, args: tuple[Any, ...]) -> Callable[..., Any] | None:
         """Machine code from the cache, or else of the wheel; None if there is none that can be loaded."""
-        if not self._kept(args):
-            return None
-        symbol, file = self._place(key, machine_code.target_description())
-        call = self._loaded(key, machine_code.read(cache_folder() / file), symbol, args)
+        call = self._loaded(symbol, machine_code.read(cache_folder() / self._file(symbol)), symbol, args)
         installed = machine_code.installed_code() if call is None else None
         if installed is not None:
             folder, target = installed
-            symbol, file = self._place(key, target)
-            call = self._loaded(key, machine_code.read(folder / file, installed=True), symbol, args)
+            shipped = self._named_after(args, signature_key(args) or "", target)
+            code = machine_code.read(folder / self._file(shipped), installed=True)
+            call = self._loaded(symbol, code, shipped, args)
         if call is not None:
             COMPILATION_LOG.loaded.append(_named(self.__name__, args))
         return call
 
-    def _made(self, key: str, args: tuple[Any, ...]) -> Callable[..., Any] | None:
+    def _made(self, symbol: str, args: tuple[Any, ...]) -> Callable[..., Any] | None:
         """Compiled, and kept; None if it needs Numba to run."""
-        result = self._compiled(args)
-        gives = GIVES.get(str(result.signature.return_type))
-        if gives is None:
-            return None
-        symbol, file = self._place(key, machine_code.target_description())
-        function = result.fndesc.llvm_func_name
-        code = machine_code.extract_object_code(result.library, function, symbol, argument_forms(args), gives)
-        if code is not None and self._kept(args):
-            code.write(cache_folder() / file)
-        return self._loaded(key, code, symbol, args)
+        name = _named(self.__name__, args)
+        COMPILATION_LOG.compiling(name)
+        types = tuple(_numba().typeof(arg) for arg in args)
+        with _no_garbage_collection():
+            self.dispatcher.compile(types)
+            result = self.dispatcher.overloads[types]
+            gives = GIVES.get(str(result.signature.return_type))
+            if gives is None:
+                return None
+            function = result.fndesc.llvm_func_name
+            code = machine_code.extract_object_code(result.library, function, symbol, argument_forms(args), gives)
+        COMPILATION_LOG.compiled.append(name)
+        if code is not None:
+            code.write(cache_folder() / self._file(symbol))
+        return self._loaded(symbol, code, symbol, args)
 
     def _loaded(
         self, key: str, code: machine_code.ObjectCode | None, symbol: str, args: tuple[Any, ...]
@@ -238,37 +245,82 @@ class Kernel:
             self._codes[key] = code
         return call
 
-    def _compiled(self, args: tuple[Any, ...]) -> Any:
-        """Numba's result for such arguments, counted once."""
-        numba, dispatcher = _numba(), self.dispatcher
-        types = tuple(numba.typeof(arg) for arg in args)
-        if types not in dispatcher.overloads:
-            name = _named(self.__name__, args)
-            with _announcing(numba, name):
-                dispatcher.compile(types)
-            (COMPILATION_LOG.loaded if dispatcher.stats.cache_hits.get(types) else COMPILATION_LOG.compiled).append(
-                name
-            )
-        return dispatcher.overloads[types]
+
+# ---- compilation by several processes ----
+
+MAX_PROCESSES = 4  # of them; each compiles the functions that many kernels call once more
+
+
+class _Thread(threading.local):
+    shares = False  # kernels that another process compiles are interpreted meanwhile
+    interprets = False  # every kernel is plain Python
+
+
+_THREAD = _Thread()
+_AHEAD: list[Callable[[], None]] = []  # what to run before a kernel is compiled
 
 
 @contextlib.contextmanager
-def _announcing(numba: Any, name: str) -> Iterator[None]:
-    """Say that a kernel is being compiled, once Numba has not found it in its own cache."""
-    reported = False
+def compiled_ahead(work: Callable[[], None]) -> Iterator[None]:
+    """Should the body have to compile a kernel, several processes run `work` first and share its kernels.
 
-    class Listener(numba.core.event.Listener):  # type: ignore[misc]  # Numba has no types
-        def on_start(self, event: Any) -> None:
-            nonlocal reported
-            if not reported:
-                reported = True
-                COMPILATION_LOG.compiling(name)
-
-        def on_end(self, event: Any) -> None:
-            pass
-
-    with numba.core.event.install_listener("numba:compile", Listener()):
+    Each process compiles what no other has claimed and interprets what another is compiling. So `work` is what the
+    body does, on an input of a few primitives and pixels.
+    """
+    _AHEAD.append(work)
+    try:
         yield
+    finally:
+        if work in _AHEAD:
+            _AHEAD.remove(work)
+
+
+def _share(work: Callable[[], None]) -> None:
+    count = min(len(os.sched_getaffinity(0)), MAX_PROCESSES) if hasattr(os, "sched_getaffinity") else 1
+    children = [_forked(work) for _ in range(count - 1)]
+    try:
+        _run_sharing(work)
+    except BaseException:
+        for child in children:
+            os.kill(child, signal.SIGKILL)
+        raise
+    finally:
+        for child in children:
+            os.waitpid(child, 0)
+
+
+def _forked(work: Callable[[], None]) -> int:
+    child = os.fork()
+    if child == 0:
+        try:
+            nowhere = os.open(os.devnull, os.O_RDWR)
+            for stream in range(3):
+                os.dup2(nowhere, stream)
+            COMPILATION_LOG.compiling = lambda name: None
+            _run_sharing(work)
+        finally:
+            os._exit(0)
+    return child
+
+
+def _run_sharing(work: Callable[[], None]) -> None:
+    _THREAD.shares = True
+    try:
+        work()
+    finally:
+        _THREAD.shares = False
+
+
+@contextlib.contextmanager
+def _no_garbage_collection() -> Iterator[None]:
+    """The compiler makes a great many objects, nearly all of which go by themselves: a tenth of its time."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def _loaded(code: machine_code.ObjectCode | None, symbol: str, args: tuple[Any, ...]) -> Callable[..., Any] | None:
@@ -304,61 +356,28 @@ def bind(function: Callable[..., Any], *args: Any, given: tuple[int, ...]) -> Bo
     return BoundCall(function, args, given, function.code(args) if isinstance(function, Kernel) else None)
 
 
-def _overload_lanes(numba: Any) -> None:
+def _register_intrinsics() -> None:
     """What LLVM is to make of the functions of caster/jit/simd.py."""
-    vectors, types = importlib.import_module("caster.jit.vector_intrinsics"), numba.types
-    reaches, least, most, sums, one, several, lowest = map(
-        numba.extending.intrinsic,
-        (
-            vectors.any_sum_reaches(LANES, types),
-            vectors.lane_min(LANES, types),
-            vectors.lane_max(LANES, types),
-            vectors.lane_max_of_sums(LANES, types),
-            vectors.intersect_boxes(CHILDREN, types, FAR_PADDING, LARGEST_T),
-            vectors.intersect_boxes_packet(CHILDREN, types, FAR_PADDING, LARGEST_T),
-            vectors.lowest_bit(types),
-        ),
-    )
-    below, reaching, within, not_above, gather, in_range, counted, fetch = map(
-        numba.extending.intrinsic,
-        (
-            vectors.boxes_below(CHILDREN, types, FAN_FIELDS),
-            vectors.boxes_reach_lines(CHILDREN, types, FAN_FIELDS),
-            vectors.lanes_within_lines(LANES, types),
-            vectors.lanes_not_above(LANES, types, PLANE_ATOL),
-            vectors.gather_corners(LANES, types),
-            vectors.lanes_in_range(LANES, types),
-            vectors.numbers_in_range(LANES, types),
-            vectors.prefetch(types),
-        ),
-    )
-    made = {
-        any_sum_reaches: lambda a, i, j, limit: lambda a, i, j, limit: reaches(a, i, j, limit),
-        lane_min: lambda a, i: lambda a, i: least(a, i),
-        lane_max: lambda a, i: lambda a, i: most(a, i),
-        lane_max_of_sums: lambda a, i, j: lambda a, i, j: sums(a, i, j),
-        intersect_boxes: lambda boxes, node, view, t_min, t_max, near: (
-            lambda boxes, node, view, t_min, t_max, near: one(boxes, node, view, t_min, t_max, near)
-        ),
-        intersect_boxes_packet: lambda boxes, node, view, t_min, t_max, near: (
-            lambda boxes, node, view, t_min, t_max, near: several(boxes, node, view, t_min, t_max, near)
-        ),
-        lowest_bit: lambda mask: lambda mask: lowest(mask),
-        boxes_below: lambda boxes, node, limits: lambda boxes, node, limits: below(boxes, node, limits),
-        boxes_reach_lines: lambda boxes, node, lines: lambda boxes, node, lines: reaching(boxes, node, lines),
-        lanes_within_lines: lambda xy, i, j, lines: lambda xy, i, j, lines: within(xy, i, j, lines),
-        lanes_not_above: lambda tile, x, y, z, plane: lambda tile, x, y, z, plane: not_above(tile, x, y, z, plane),
-        lanes_in_range: lambda a, i, least, end: lambda a, i, least, end: in_range(a, i, least, end),
-        prefetch: lambda rows, k: lambda rows, k: fetch(rows, k),
-        numbers_in_range: lambda a, i, least, end, lanes, into: (
-            lambda a, i, least, end, lanes, into: counted(a, i, least, end, lanes, into)
-        ),
-        gather_corners: lambda rows, faces, lanes, numbers, into, step: (
-            lambda rows, faces, lanes, numbers, into, step: gather(rows, faces, lanes, numbers, into, step)
-        ),
-    }
-    for stub, choose in made.items():
-        numba.extending.overload(stub, jit_options={"forceinline": True}, strict=False)(choose)
+    vectors, compiler = importlib.import_module("caster.jit.vector_intrinsics"), _compiler()
+    types = compiler.types
+    for stub, definition in {
+        any_sum_reaches: vectors.any_sum_reaches(LANES, types),
+        lane_min: vectors.lane_min(LANES, types),
+        lane_max: vectors.lane_max(LANES, types),
+        lane_max_of_sums: vectors.lane_max_of_sums(LANES, types),
+        intersect_boxes: vectors.intersect_boxes(CHILDREN, types, FAR_PADDING, LARGEST_T),
+        intersect_boxes_packet: vectors.intersect_boxes_packet(CHILDREN, types, FAR_PADDING, LARGEST_T),
+        lowest_bit: vectors.lowest_bit(types),
+        boxes_below: vectors.boxes_below(CHILDREN, types, FAN_FIELDS),
+        boxes_reach_lines: vectors.boxes_reach_lines(CHILDREN, types, FAN_FIELDS),
+        lanes_within_lines: vectors.lanes_within_lines(LANES, types),
+        lanes_not_above: vectors.lanes_not_above(LANES, types, PLANE_ATOL),
+        gather_corners: vectors.gather_corners(LANES, types),
+        lanes_in_range: vectors.lanes_in_range(LANES, types),
+        numbers_in_range: vectors.numbers_in_range(LANES, types),
+        prefetch: vectors.prefetch(types),
+    }.items():
+        compiler.register_intrinsic(stub, definition)
 
 
 class Generic:
@@ -398,6 +417,7 @@ class Generic:
 
 
 _GENERICS: dict[Callable[..., Any], Generic] = {}
+_IMPLEMENTED: list[Any] = []  # all bodies; what a kernel reaches may change with each
 
 
 def generic(stub: Function) -> Function:
@@ -424,8 +444,7 @@ def implement(function: Callable[..., Any], kind: type) -> Callable[[Function], 
 
     def keep(body: Function) -> Function:
         _GENERICS[function].bodies[kind] = body
-        if not _is_own(body.__module__):
-            _EXTENDED.add(kind)
+        _IMPLEMENTED.append(body)
         return body
 
     return keep

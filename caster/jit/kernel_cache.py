@@ -1,23 +1,20 @@
-"""Folders of compiled kernels, named after the sources: the cache, and what a wheel brings. Files have a digest."""
+"""The folder of compiled kernels. Each file is named after all that its content depends on, and has a digest."""
 
 import atexit
 import contextlib
 import hashlib
 import os
-import pickle
 import shutil
 import stat
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 PACKAGE = Path(__file__).resolve().parents[1]
-MAX_CACHE_FOLDERS = 4  # one for each of a few checkouts that are worked on in turn
+MAX_KEPT_KERNELS = 2000  # some ten times as many as there are: for a few versions of each, 100 MB
 COMPILERS = ("numba", "llvmlite")
-WITHOUT_KERNELS = ("classroom", "cli", "image", "system")  # folders that no kernel, and no argument of one, comes from
 INSTALLED = PACKAGE / "jit" / "object_code"  # in wheels that bring object code (.ci/wheel_with_kernels.py)
 NOWHERE = Path(os.devnull) / "kernels"  # a folder that cannot exist: nothing is read, nothing written
 
@@ -34,66 +31,31 @@ def compiler_version() -> str:
 COMPILED = os.environ.get("CASTER_JIT", "1") != "0" and compiler_version() != ""
 
 
-def source_hash(version: str, sources: bytes | None = None) -> str:
-    """A name for these sources, by default those of now, and this compiler.
-
-    Numba does not see an edit in a file that a cached kernel calls into, and a stale kernel is a wrong
-    answer: the cache folder changes its name with every source file that could have to do with one instead.
-    """
-    return hashlib.sha256(version.encode() + (sources or source_digest())).hexdigest()[:16]
-
-
-def source_digest() -> bytes:
-    digest = hashlib.sha256()
-    for path in sorted(PACKAGE.rglob("*.py")):
-        if path.relative_to(PACKAGE).parts[0] in WITHOUT_KERNELS:
-            continue
-        digest.update(path.relative_to(PACKAGE).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
-    return digest.digest()
-
-
-_digest_at_start = cache(source_digest)  # of the sources that this process runs
-
-
 # Why kernels compiled by this process are not kept: "FOLDER: what is wrong with it".
 refusals: list[str] = []
 
 
 @cache
 def cache_folder() -> Path:
-    """The folder for this source; below NUMBA_CACHE_DIR if that is set, else below XDG_CACHE_HOME.
+    """The folder of compiled kernels: NUMBA_CACHE_DIR if that is set, else below XDG_CACHE_HOME.
 
     What is loaded from it is run, so nobody else may have written it: a folder that another user owns or may write
     is listed in `refusals`, and a temporary one takes its place.
     """
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "caster"
-    parents = [Path(chosen)] if chosen else [home, home / "kernels"]
-    folder = parents[-1] / source_hash(compiler_version(), _digest_at_start())
+    folders = [Path(chosen)] if chosen else [home, home / "kernels"]
     try:
-        for each in (*parents, folder):
+        for each in folders:
             each.mkdir(mode=0o700, parents=True, exist_ok=True)
             if why := distrust(each.stat()):
                 refusals.append(f"{each}: {why}")
                 return _temporary_folder()
-        os.utime(folder)
     except OSError:  # a home that cannot be written: compile anew in every process
         return _temporary_folder()
     if not chosen:
-        _drop_old_caches(folder.parent)
-    return folder
-
-
-@cache
-def installed_folder() -> Path | None:
-    """What the wheel brought for these very sources, a folder for each level of processors; None: nothing.
-
-    The compiler that made it need not be the installed one: object code calls nothing of it.
-    """
-    if not INSTALLED.is_dir():
-        return None
-    folder = INSTALLED / source_hash("", _digest_at_start())
-    return folder if folder.is_dir() and not distrust_installed(folder.stat()) else None
+        _drop_old_files(folders[-1])
+    return folders[-1]
 
 
 def distrust_installed(found: os.stat_result) -> str:
@@ -123,11 +85,41 @@ def _temporary_folder() -> Path:
     return folder
 
 
-def _drop_old_caches(parent: Path) -> None:
+def _drop_old_files(folder: Path) -> None:
+    """Keep the most recently used kernels, those of a few versions of the sources."""
     with contextlib.suppress(OSError):  # another process drops the same ones
-        folders = sorted(parent.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
-        for old in folders[MAX_CACHE_FOLDERS:]:
-            shutil.rmtree(old, ignore_errors=True)
+        files = sorted(folder.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
+        for old in files[MAX_KEPT_KERNELS:]:
+            old.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def claim(path: Path, *, wait: bool) -> Iterator[bool]:
+    """Keep other processes from making the same file; yields whether this one may make it.
+
+    Where another process is making it: False, or with `wait` once it is done or has ended. Without a folder or locks
+    everybody may.
+    """
+    lock = path.with_suffix(".lock")
+    try:
+        import fcntl
+
+        handle = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    except (OSError, ImportError):
+        yield True
+        return
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except BlockingIOError:
+            yield False
+            return
+        try:
+            yield True
+        finally:
+            lock.unlink(missing_ok=True)
+    finally:
+        os.close(handle)
 
 
 def write_atomically(path: Path, data: bytes) -> None:
@@ -166,45 +158,3 @@ def read_sealed(path: Path, distrusted: Callable[[os.stat_result], str] = distru
 
 def _seal(path: Path, data: bytes) -> bytes:
     return hashlib.sha256(path.name.encode() + b"\0" + data).hexdigest().encode()
-
-
-class CompileResultCache:
-    """Numba's cache interface of one dispatcher over sealed files; what cannot be loaded is compiled again.
-
-    Numba's own files are pickles without a digest: a flipped bit in one is executed. name: of the function; keeps:
-    whether results for a signature may be kept; numba: the loaded module. Nothing here raises: without a cache
-    everything is compiled.
-    """
-
-    cache_path = None  # Numba lists it among a dispatcher's statistics
-
-    def __init__(self, name: str, keeps: Callable[[Any], bool], numba: Any) -> None:
-        self._name, self._keeps, self._numba = name, keeps, numba
-
-    def load_overload(self, signature: Any, context: Any) -> Any:
-        if not self._keeps(signature):
-            return None
-        context.refresh()
-        key = (signature, context.codegen().magic_tuple())
-        path = self._path(key)
-        try:
-            kept_key, payload = pickle.loads(read_sealed(path))
-            if kept_key != key:  # two classes of one name
-                return None
-            return self._numba.core.compiler.CompileResult._rebuild(context, *payload)
-        except FileNotFoundError:
-            return None
-        except Exception:  # whatever a damaged or foreign file leads to: it is compiled once more
-            with contextlib.suppress(OSError):
-                path.unlink()
-            return None
-
-    def save_overload(self, signature: Any, result: Any) -> None:
-        if not self._keeps(signature) or result.lifted or result.library.has_dynamic_globals:
-            return
-        key = (signature, result.codegen.magic_tuple())
-        write_sealed(self._path(key), self._numba.core.serialize.dumps((key, result._reduce())))
-
-    def _path(self, key: Any) -> Path:
-        digest = hashlib.sha256(f"{self._name}\n{key}".encode()).hexdigest()[:32]
-        return cache_folder() / f"{self._name.rpartition('.')[2]}-{digest}.numba"

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from caster.jit.arguments import ARRAY, BOOLEAN, DONE, INTEGER, NONE, REAL, C, Form
-from caster.jit.kernel_cache import distrust, distrust_installed, installed_folder, read_sealed, write_sealed
+from caster.jit.kernel_cache import INSTALLED, compiler_version, distrust, distrust_installed, read_sealed, write_sealed
 
 # A record as Numba's code reads it: count of references, two fields for others, address of the data, size of the data.
 RECORD = 64  # bytes, of which it reads 40
@@ -295,9 +295,10 @@ def target_description() -> str:
         return level_description(level)
     import llvmlite.binding as llvm
 
+    versions = [platform.python_version(), np.__version__, compiler_version()]
     settings = [f"{name}={value}" for name, value in sorted(os.environ.items()) if name.startswith("NUMBA_")]
     features = llvm.get_host_cpu_features().flatten()
-    return "\n".join([platform.python_version(), np.__version__, llvm.get_host_cpu_name(), features, *settings])
+    return "\n".join([*versions, llvm.get_host_cpu_name(), features, *settings])
 
 
 class ObjectCode:
@@ -329,10 +330,8 @@ class ObjectCode:
 
 def installed_code() -> tuple[Path, str] | None:
     """Folder and description of the wheel's object code for this processor; None where it brought none that fits."""
-    folder, level = installed_folder(), ""
-    if folder is not None:
-        level = best_level()
-    return (folder / level, level_description(level)) if folder is not None and level else None
+    level = best_level() if INSTALLED.is_dir() and not distrust_installed(INSTALLED.stat()) else ""
+    return (INSTALLED / level, level_description(level)) if level else None
 
 
 def read(path: Path, *, installed: bool = False) -> ObjectCode | None:
@@ -394,7 +393,7 @@ def extract_object_code(library: Any, function: str, symbol: str, taken: list[Fo
     """
     import llvmlite.binding as llvm
 
-    module = llvm.parse_bitcode(library._get_module_for_linking().as_bitcode())
+    module = library.linked_copy()
     wanted = [str(argument.type) for argument in module.get_function(function).arguments]
     given = ["ptr", "ptr", *(type_ for form in taken for type_ in _passed(form))]
     if given != wanted:
@@ -404,11 +403,11 @@ def extract_object_code(library: Any, function: str, symbol: str, taken: list[Fo
     for name in [f.name for f in module.functions if f.is_declaration and f.name in RUNTIME_SOURCE]:
         module.link_in(llvm.parse_assembly(_head(module) + RUNTIME_SOURCE[name]))
     _keep_only(module, symbol, library._codegen._tm)
-    module.verify()
+    data = library.object_code(module)
     if any(f.is_declaration and not _known(f.name) for f in module.functions):
         return None
     forms = "".join(form for form, _, _ in taken if form != NONE)
-    return ObjectCode(symbol, forms, gives, library._codegen._tm.emit_object(module))
+    return ObjectCode(symbol, forms, gives, data)
 
 
 def _known(name: str) -> bool:

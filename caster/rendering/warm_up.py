@@ -1,7 +1,8 @@
 """Compile ahead what `caster render` may need: small films of every kind of primitive, through every camera."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import count
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
@@ -11,7 +12,8 @@ from caster.cameras import CAMERAS
 from caster.description.registry import type_name
 from caster.geometry.mesh_files.obj import parse_obj
 from caster.geometry.mesh_files.ply import parse_ply
-from caster.geometry.packing import Packed, pack
+from caster.geometry.packing import Packed, pack, packed
+from caster.geometry.world_space import as_given
 from caster.jit.decorators import COMPILATION_LOG
 from caster.jit.simd import LANES
 from caster.kernels.bvh.build import LEAF_SIZE, MAX_PRIMITIVES
@@ -26,6 +28,7 @@ from caster.rendering.ray_fans import SAMPLED_RAYS, find_rows
 from caster.rendering.ray_tiles import ShadowCaster, new_ray_groups
 from caster.scene.model import Ambient, Directional, Point, Scene, Shading
 from caster.shapes import SHAPES
+from caster.shapes.triangle import Triangle
 
 # Each alone, the default ones, and all at once: other sets share most kernels with these.
 WARM_UP_AOV_SETS: tuple[tuple[str, ...], ...] = (
@@ -77,6 +80,34 @@ def _warm_one(scene: Scene) -> None:
     _warm_decisions(pack(small))
     _warm_shadows(pack(small), small)
     _warm_fans(pack(small))
+
+
+def warm_film(scene: Scene, aovs: Sequence[str]) -> None:
+    """Compile or load the kernels of a film: of a small one with the same camera, lights and kinds of primitives."""
+    kinds = {type(kind.prims) for kind in packed(scene).kinds}
+    shapes = [shape for kind, few in _few_of_each_kind().items() if kind in kinds for shape in few]
+    camera = type(scene.camera)
+    small = Scene(camera=camera(**camera.MINIMAL), shapes=shapes, lights=scene.lights, shading=scene.shading)
+    render_film(small.with_film(width=WARM_UP_FILM_SIDE, height=WARM_UP_FILM_SIDE), aovs, threads=1)
+
+
+def _few_of_each_kind() -> dict[type, list[Any]]:
+    """Shapes of one primitive, of each kind as many as get a tree; no two coincide, which would be decided exactly."""
+    found: dict[type, list[Any]] = {}
+    number = count()
+    for shape in SHAPES:
+        if hasattr(shape, "load") or (hasattr(shape, "mesh") and shape is not Triangle):
+            continue
+        for placed in ([], [STRETCHED]):
+            few = [shape(**shape.MINIMAL, to_world=[*placed, *_turned(next(number))]) for _ in range(LEAF_SIZE + 1)]
+            found[type(few[0].pack(as_given))] = few
+    return found
+
+
+def _turned(i: int) -> list[Any]:
+    """Other transforms for each i, after which no ray of a small film meets an edge or two surfaces at once."""
+    rotated = {"rotate": {"axis": (0.31, -0.17, 1.0), "degrees": 17.3 + 5.9 * i}}
+    return [rotated, {"translate": (0.0071 * i, 0.0053 * i, 0.0037 * i)}]
 
 
 def _warm_decisions(packed: Packed) -> None:

@@ -98,7 +98,7 @@ class Bench:
         os.mkfifo(home / "in" / "fifo")
         (home / "in" / "loop").symlink_to("loop")
         if case.cache:
-            shutil.copytree(cache_folder(), home / "cache" / cache_folder().name, copy_function=os.link)
+            shutil.copytree(cache_folder(), home / "cache", copy_function=os.link)
             (home / "cache").chmod(0o700)
         replace_file(home / case.file, case)
         return Started(case, home)

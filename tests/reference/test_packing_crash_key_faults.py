@@ -13,7 +13,7 @@ from typing import NamedTuple
 import pytest
 from edited_tree import DEADLINE, ROOT, copy_tree, edit, run
 
-CACHE, WORLD, SPHERE = ("caster/jit/kernel_cache.py", "caster/geometry/world_space.py", "caster/shapes/sphere.py")
+DIGEST, WORLD, SPHERE = ("caster/jit/code_digest.py", "caster/geometry/world_space.py", "caster/shapes/sphere.py")
 CHECKS = "mitsuba_ref/judge/scene_checks.py"
 SIZE = ("--size", "12", "10")
 KEY_TEST, GEOMETRY_TEST = (
@@ -152,20 +152,23 @@ END_FAULTS = tuple(
     for what, (code, message) in ENDS.items()
 )
 
-CONTENT = "path.read_bytes()"
 KEYS = {
-    "the first 4,096 bytes of each file": (CONTENT, f"{CONTENT}[:4096]"),
-    "all but the last byte": (CONTENT, f"{CONTENT}[:-1]"),
-    "every second byte": (CONTENT, f"{CONTENT}[::2]"),
-    "the size of each file": (CONTENT, "str(path.stat().st_size).encode()"),
-    "seven bits of each byte": (CONTENT, f"bytes(byte & 127 for byte in {CONTENT})"),
-    "no names of files": ('path.relative_to(PACKAGE).as_posix().encode() + b"\\0"', 'b"\\0"'),
-    "no version of the compiler": ("version.encode() + (sources or source_digest())", "(sources or source_digest())"),
-    "no files in folders of folders": ('PACKAGE.rglob("*.py")', 'PACKAGE.glob("*/*.py")'),
-    "one bit of the digest": ("source_digest())).hexdigest()[:16]", "source_digest())).hexdigest()[:1]"),
-    "nothing but __init__.py": ('PACKAGE.rglob("*.py")', 'PACKAGE.rglob("__init__.py")'),
+    "no constants": ("label(constant) for constant in constants if", "str() for constant in constants if"),
+    "no byte code": ("code.co_code.hex(), ", ""),
+    "constants without their values": ("{type(value).__name__} {value!r}", "{type(value).__name__}"),
+    "arrays without their numbers": (" {value.tobytes().hex()}", ""),
+    "arrays without their types": ("array {value.dtype.str} ", "array "),
+    "no members of tuples": ("""return f"({', '.join(map(label, value))})\"""", 'return "()"'),
+    "no functions that are called": ("waiting += own.functions", "pass"),
+    "no bodies of the protocol": ("waiting += [_plain(g.bodies[c]) for", "_ = [_plain(g.bodies[c]) for"),
+    "no classes of the arguments": ("{object, *classes}", "{object}"),
+    "no classes made within": ("classes.append(value)", "pass"),
+    "no fields of classes": ("{getattr(kind, '_fields', '')}", ""),
+    "no closures": ("or (), strict=True):", "or (), strict=True) and ():"),
+    "no code within code": ("yield from _codes(constant)", "pass"),
+    "the first file of the package alone": ('.glob("*.py"))', '.glob("*.py"))[:1]'),
 }
-KEY_FAULTS = tuple(Fault("cache key", what, KEY_TEST, r"assert", CACHE, *change) for what, change in KEYS.items())
+KEY_FAULTS = tuple(Fault("cache key", what, KEY_TEST, r"assert", DIGEST, *change) for what, change in KEYS.items())
 
 FAULTS = (*PACKING_FAULTS, *END_FAULTS, *KEY_FAULTS)
 QUICK = ("radius off by 1e-12 of itself", "the C library aborts")  # of the key, test_kernel_cache_key plants some

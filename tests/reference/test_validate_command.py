@@ -259,7 +259,7 @@ def fake_mitsuba(tmp_path):
     def plant(source):
         tree = copy_tree(tmp_path / "tree")
         (tree / "mitsuba.py").write_text(source, encoding="utf-8")
-        kernels = str(cache_folder().parent)  # those of the same sources, which nobody has to compile once more
+        kernels = str(cache_folder())  # which nobody has to compile once more
         cache = {"CASTER_JIT": "1", "NUMBA_CACHE_DIR": kernels, "XDG_CACHE_HOME": str(tmp_path / "cache")}
         return {"tree": tree, **cache}
 

@@ -10,8 +10,6 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from caster.jit.kernel_cache import WITHOUT_KERNELS
-
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.append(str(ROOT / "docs"))
 
@@ -20,6 +18,7 @@ import architecture  # noqa: E402 - docs/architecture.py, which reads the import
 STDLIB = frozenset(sys.stdlib_module_names)
 TYPING = ("typing", "collections.abc")  # words for the type checker; nothing of them runs per ray
 NUMBA_DOOR = "caster.jit.decorators"
+NUMBA_USERS = (NUMBA_DOOR, "caster.jit.compiler")
 
 # What a kernel is written with.
 KERNEL_LANGUAGE = (
@@ -71,7 +70,7 @@ RULES = (
         never=("PIL",),
         except_in=("caster.image.image_files",),
     ),
-    Rule("caster", "only caster/jit/decorators.py imports numba", never=("numba",), except_in=(NUMBA_DOOR,)),
+    Rule("caster", "only caster/jit/compiler.py imports numba", never=("numba",), except_in=NUMBA_USERS),
     Rule("caster", "only caster/jit imports llvmlite", never=("llvmlite",), except_in=("caster.jit.*",)),
     Rule(
         "caster.jit",
@@ -79,10 +78,7 @@ RULES = (
         only=(*STDLIB, "numpy", "numba", "llvmlite", "caster.jit"),
     ),
     Rule("caster.kernels", "a kernel imports math, numpy and kernels", only=KERNEL_LANGUAGE),
-    *(
-        Rule(f"caster.{folder}", "folders that the kernel cache leaves out define no kernel", never=MAKE_KERNELS)
-        for folder in WITHOUT_KERNELS
-    ),
+    Rule("caster.cli", "commands define no kernel", never=MAKE_KERNELS),
     *(
         Rule(
             f"caster.{kind}",
@@ -262,14 +258,14 @@ def plant(root: Path, path: str, source: str) -> list[str]:
         ("caster/rendering/images.py", "def f():\n    from mitsuba import load_file", "does not depend on its judge"),
         ("caster/rendering/images.py", "import OpenEXR", "only caster/image/exr.py"),
         ("caster/cli/scene_commands.py", "from PIL import Image", "only caster/image/image_files.py"),
-        ("caster/rendering/images.py", "from numba import njit", "only caster/jit/decorators.py"),
-        ("caster/jit/simd.py", "from numba import njit", "only caster/jit/decorators.py"),
+        ("caster/rendering/images.py", "from numba import njit", "only caster/jit/compiler.py"),
+        ("caster/jit/simd.py", "from numba import njit", "only caster/jit/compiler.py"),
         (
             "caster/rendering/images.py",
             "import importlib\nimportlib.import_module('numba')",
-            "only caster/jit/decorators.py",
+            "only caster/jit/compiler.py",
         ),
-        ("caster/kernels/bvh/build.py", "import numba.extending", "only caster/jit/decorators.py"),
+        ("caster/kernels/bvh/build.py", "import numba.extending", "only caster/jit/compiler.py"),
         ("caster/kernels/bvh/build.py", "import os", "a kernel imports"),
         ("caster/kernels/bvh/build.py", "from ...scene import model", "a kernel imports"),
         ("caster/kernels/nearest.py", "from caster.jit.kernel_cache import cache_folder", "a kernel imports"),

@@ -1,104 +1,187 @@
-"""The cache folder of kernels changes its name with any byte of any source, and with whatever makes machine code."""
+"""A kernel's file is named after all that its machine code depends on: the code that it reaches, types, target."""
 
 import os
-import random
-import shutil
+from typing import Any
 
 import pytest
 
-from caster.jit import kernel_cache, machine_code
-from caster.jit.kernel_cache import COMPILED, PACKAGE, WITHOUT_KERNELS, compiler_version, source_hash
+from caster.jit import code_digest as digests
+from caster.jit import decorators, kernel_cache, machine_code
+from caster.jit.kernel_cache import COMPILED, compiler_version
 
-BLOCK = 4096  # bytes; a hash of only the first block of each file passed the tests once
+# Two kinds with a body each for one function of the protocol, and a kernel that reaches it for the class it is given.
+SOURCE = '''
+from typing import Any, NamedTuple
+import math
+import numpy as np
+from caster.jit.decorators import generic, implement, jit, inlined
 
+SCALE, SHIFTS, TABLE = 2.0, (1, 2.5), np.array([1.0, 2.0])
+UNUSED = 1
 
-@pytest.fixture(scope="module")
-def copy(tmp_path_factory):
-    """A copy of the package, to edit."""
-    folder = tmp_path_factory.mktemp("copy") / PACKAGE.name
-    shutil.copytree(PACKAGE, folder, ignore=shutil.ignore_patterns("__pycache__", *WITHOUT_KERNELS))
-    return folder
+@jit
+def helper(x: float) -> float:
+    """What it does."""
+    return x * SCALE + SHIFTS[1]  # a comment
 
+def made(step):
+    @jit
+    def inner(x):
+        return x + step
+    return inner
 
-def unchanged(copy, random) -> list[str]:
-    """The bytes that may change without the hash: the ends of every source, and some between of the largest."""
-    sources = sorted(copy.rglob("*.py"), key=lambda path: -path.stat().st_size)
-    assert len(sources) > 50 and sources[0].stat().st_size > 3 * BLOCK
-    known, found = source_hash("1"), []
-    for place, path in enumerate(sources):
-        data = path.read_bytes()
-        middle = [random.randrange(len(data)) for _ in range(8)] if place < 12 else []
-        for at in sorted({0, len(data) - 1, *middle}) if data else ():
-            path.write_bytes(data[:at] + bytes([data[at] ^ 1 << random.randrange(8)]) + data[at + 1 :])
-            if source_hash("1") == known:
-                found.append(f"{path.relative_to(copy)}:{at}")
-        path.write_bytes(data)
-    assert source_hash("1") == known
-    return found
+stepped = made(3)
 
+@generic
+def area(prims: Any, k: int) -> Any:
+    """The area of primitive k."""
 
-def test_any_byte_of_any_source_is_part_of_the_key(copy, monkeypatch):
-    monkeypatch.setattr(kernel_cache, "PACKAGE", copy)
-    assert unchanged(copy, random.Random(1)) == []
+class Squares(NamedTuple):
+    sides: np.ndarray
 
+class Circles(NamedTuple):
+    radii: np.ndarray
 
-@pytest.mark.parametrize(
-    "digest_of",
-    [
-        lambda data: data[:BLOCK],
-        lambda data: data.strip(),
-        lambda data: bytes(len(data)),
-        lambda data: b"".join(sorted(data.splitlines()[:100])),
-    ],
-    ids=["first block", "stripped", "size", "first lines"],
-)
-@pytest.mark.slow("each tries every source file", keep=1)
-def test_a_digest_that_leaves_out_a_part_is_found(copy, monkeypatch, digest_of):
-    class Planted(type(copy)):
-        def read_bytes(self):
-            return digest_of(super().read_bytes())
+class Result(NamedTuple):
+    value: float
 
-    monkeypatch.setattr(kernel_cache, "PACKAGE", Planted(copy))
-    assert unchanged(copy, random.Random(1))
+@implement(area, Squares)
+@jit
+def _square(prims, k):
+    return prims.sides[k] * prims.sides[k]
 
+@implement(area, Circles)
+@jit
+def _circle(prims, k):
+    return math.pi * prims.radii[k] ** 2
 
-def test_names_borders_and_new_files_are_part_of_the_key(copy, monkeypatch):
-    """The same bytes under another name, or divided between two files elsewhere, are another source."""
-    monkeypatch.setattr(kernel_cache, "PACKAGE", copy)
-    known, new = source_hash("1"), copy / "kernels" / "new.py"
-    hashes = {known}
-    for content in (b"", b"x"):
-        new.write_bytes(content)
-        hashes.add(source_hash("1"))
-    hashes.add(source_hash("2"))
-    new = new.rename(new.with_name("newer.py"))
-    hashes.add(source_hash("1"))
-    new.unlink()
-    assert len(hashes) == 5 and source_hash("1") == known
+@implement(area, Result)
+@jit
+def _result(prims, k):
+    return prims.value
+
+@jit
+def total(prims, count):
+    found = Result(helper(area(prims, 0)) + stepped(1.0) + TABLE[1])
+    return sum([area(prims, k) for k in range(count)]) + found.value
+'''
 
 
-def test_no_source_outside_of_the_key_has_kernels():
-    for folder in WITHOUT_KERNELS:
-        for path in (PACKAGE / folder).rglob("*.py"):
-            lines = path.read_text(encoding="utf-8").splitlines()
-            assert not [line for line in lines if line.lstrip().startswith("@") and "kernel" in line], path
+def digest(source: str, kind: str = "Squares") -> str:
+    """Of `total` for one kind, in a module with this source."""
+    module: dict[str, Any] = {"__name__": "made_up_module"}
+    kept = decorators.jit
+    try:
+        decorators.jit = lambda function: decorators.Kernel(function, {})  # also where nothing is compiled
+        exec(compile(source, "made_up_module.py", "exec"), module)
+    finally:
+        decorators.jit = kept
+    return digests.code_digest(module["total"].function, (module[kind],), decorators._GENERICS)
+
+
+CHANGES = {
+    "a constant": ("SCALE, SHIFTS, TABLE = 2.0", "SCALE, SHIFTS, TABLE = 2.0000000000000004"),
+    "a member of a constant": ("(1, 2.5)", "(1, 3.5)"),
+    "an array": ("np.array([1.0, 2.0])", "np.array([1.0, 4.0])"),
+    "the type of an array": ("np.array([1.0, 2.0])", "np.array([1, 2])"),
+    "an operator of a function that is called": ("return x * SCALE", "return x / SCALE"),
+    "a literal": ("stepped(1.0)", "stepped(1.5)"),
+    "what a closure holds": ("made(3)", "made(4)"),
+    "the body for the class of an argument": ("prims.sides[k] * prims.sides[k]", "prims.sides[k] * 1.0"),
+    "the body for a class made within": ("return prims.value", "return -prims.value"),
+    "the fields of a class": ("sides: np.ndarray", "sides: np.ndarray\n    more: np.ndarray"),
+    "which function is called": ("TABLE[1])", "TABLE[1] + helper(0.0))"),
+    "how a function is compiled": ("@jit\ndef helper", "@inlined\ndef helper"),
+    "code within code": ("for k in range(count)", "for k in range(1, count)"),
+    "what a name stands for": ("stepped = made(3)", "stepped = helper"),
+}
+NO_CHANGES = {
+    "a comment": ("# a comment", "# another"),
+    "a docstring": ("What it does.", "What it does, in other words."),
+    "lines between": ("\n@jit\ndef total", "\n\n\n\n@jit\ndef total"),
+    "a constant that nothing names": ("UNUSED = 1", "UNUSED = 2"),
+    "the body for another class": ("math.pi * prims.radii[k] ** 2", "3.0 * prims.radii[k] ** 2"),
+    "a type hint": ("def helper(x: float) -> float", "def helper(x: Any) -> Any"),
+}
+
+
+def edited(change: tuple[str, str]) -> str:
+    assert SOURCE.count(change[0]) == 1, change
+    return SOURCE.replace(*change)
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_what_a_kernel_can_reach_is_part_of_its_name(change):
+    assert digest(edited(change)) != digest(SOURCE)
+
+
+@pytest.mark.parametrize("change", NO_CHANGES.values(), ids=NO_CHANGES)
+def test_what_it_cannot_reach_is_not(change):
+    assert digest(edited(change)) == digest(SOURCE)
+
+
+def test_another_class_is_another_name():
+    assert digest(SOURCE, "Circles") != digest(SOURCE, "Squares")
+
+
+@pytest.mark.parametrize("left_out", ["text", "functions", "generics", "classes"])
+def test_a_digest_that_leaves_out_a_part_is_found(monkeypatch, left_out):
+    """Each part of what is read of a function is needed by some change above."""
+    real = digests._own_code
+
+    def planted(function: Any, generics: Any) -> digests.OwnCode:
+        found = real(function, generics)
+        return found._replace(**{left_out: "" if left_out == "text" else ()})
+
+    monkeypatch.setattr(digests, "_own_code", planted)
+    assert any(digest(edited(change)) == digest(SOURCE) for change in CHANGES.values())
+
+
+@pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")
+def test_signature_options_target_and_this_package_are_part_of_the_name(monkeypatch):
+    """Each alone gives the file another name."""
+    from caster.kernels.raster.tile import clear_rays, new_tile
+
+    args = (new_tile(), 0, 4)
+    found = {clear_rays._symbol(args), clear_rays._symbol((args[0], 0, 4.0))}
+    for place, name, value in (
+        (machine_code, "target_description", lambda: "another"),
+        (decorators, "compiler_digest", lambda: "another"),
+        (clear_rays, "options", {"forceinline": True}),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(clear_rays, "_symbols", {})
+            patch.setattr(place, name, value)
+            found.add(clear_rays._symbol(args))
+    assert len(found) == 5 and clear_rays._symbol(args) in found
+
+
+def test_every_source_of_this_package_is_part_of_its_digest(tmp_path, monkeypatch):
+    """An edit of any module by which functions become machine code."""
+    monkeypatch.setattr(digests, "__file__", str(tmp_path / "code_digest.py"))
+    found = set()
+    for name, text in (("a.py", "x"), ("a.py", "y"), ("b.py", "z"), ("a.py", "yb.py\0z")):
+        (tmp_path / name).write_text(text)
+        found.add(digests.compiler_digest.__wrapped__())
+    assert len(found) == 4
 
 
 @pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")
 @pytest.mark.parametrize("library", kernel_cache.COMPILERS)
-def test_another_version_of_the_compiler_is_another_key(library, tmp_path, monkeypatch):
-    before, find = compiler_version(), kernel_cache.find_spec
+def test_another_version_of_the_compiler_is_another_target(library, tmp_path, monkeypatch):
+    describe, find = machine_code.target_description.__wrapped__, kernel_cache.find_spec
+    before = describe()
     (tmp_path / "_version.py").write_text("version = 'another'")
 
     class Spec:
         origin = str(tmp_path / "__init__.py")
 
     monkeypatch.setattr(kernel_cache, "find_spec", lambda name: Spec if name == library else find(name))
-    assert compiler_version() != before and source_hash(compiler_version()) != source_hash(before)
+    assert "another" in compiler_version() and describe() != before
 
 
 @pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")
-def test_processor_versions_and_settings_are_part_of_the_key(monkeypatch):
+def test_processor_versions_and_settings_are_part_of_the_target(monkeypatch):
     """Each alone gives another description of the target, which the name of every kernel's file is made of."""
     import llvmlite.binding as llvm
 

@@ -1,0 +1,161 @@
+"""A digest of all code that a kernel can reach, so that machine code is stale only when something in it has changed.
+
+Numba turns global names into constants when it compiles. So a function's digest covers its byte code, its constants and
+the values of the globals that it names. Functions among them are followed; so are the bodies of a function of the
+protocol (`generic`) for all classes within reach. Comments, line numbers and docstrings are left out.
+"""
+
+import hashlib
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from functools import cache
+from pathlib import Path
+from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+# Of these a name says enough: their versions are part of what machine code is made for.
+WITHOUT_SOURCE = {*sys.stdlib_module_names, "numpy", "numba", "llvmlite"}
+
+
+class OwnCode(NamedTuple):
+    """What one function is made of, and what it names."""
+
+    text: str
+    functions: tuple[FunctionType, ...]
+    generics: tuple[Any, ...]  # decorators.Generic
+    classes: tuple[type, ...]
+
+
+def code_digest(function: Callable[..., Any], classes: Iterable[type], generics: dict[Any, Any]) -> str:
+    """Hexadecimal digest of the code that a function reaches with arguments of some classes.
+
+    generics: the functions of the protocol (decorators.Generic), by what stands for them in code.
+    """
+    known_classes: set[type] = {object, *classes}
+    known_generics: set[Any] = set()
+    texts = {_class_text(kind) for kind in known_classes}
+    reached: set[Any] = set()
+    waiting: list[Any] = [function]
+    while waiting:
+        each = waiting.pop()
+        if each in reached:
+            continue
+        reached.add(each)
+        own = _own_code(each, generics)
+        texts.add(own.text)
+        waiting += own.functions
+        new_classes, new_generics = {*own.classes} - known_classes, {*own.generics} - known_generics
+        known_classes |= new_classes
+        known_generics |= new_generics
+        pairs = {(g, c) for g in new_generics for c in known_classes} | {
+            (g, c) for g in known_generics for c in new_classes
+        }
+        waiting += [_plain(g.bodies[c]) for g, c in pairs if c in g.bodies]
+        texts.update(f"{_name(g.stub)} for {_name(c)}: {_name(_plain(g.bodies[c]))}" for g, c in pairs if c in g.bodies)
+    return hashlib.sha256("\0".join(sorted(texts)).encode()).hexdigest()
+
+
+@cache
+def compiler_digest() -> str:
+    """Digest of this package's sources, by which functions become machine code."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+_OWN_CODES: dict[Any, OwnCode] = {}  # by function: each stays as long as the process
+
+
+def _own_code(function: Any, generics: dict[Any, Any]) -> OwnCode:
+    found = _OWN_CODES.get(function)
+    if found is None:
+        found = _OWN_CODES[function] = _read(function, generics)
+    return found
+
+
+def _read(function: FunctionType, generics: dict[Any, Any]) -> OwnCode:
+    functions: list[FunctionType] = []
+    named_generics: list[Any] = []
+    classes: list[type] = []
+
+    def label(value: Any) -> str:
+        """A value as part of the text; what can be followed is noted."""
+        if isinstance(value, type):
+            classes.append(value)
+            return _class_text(value)
+        if isinstance(value, ModuleType):
+            return f"module {value.__name__} {_source_digest(value)}"
+        if isinstance(value, BuiltinFunctionType | np.ufunc):
+            return f"{type(value).__name__} {_name(value)}"
+        if _is_function(value):
+            if value in generics:
+                named_generics.append(generics[value])
+            elif _has_source(_plain(value)):
+                functions.append(_plain(value))
+            return f"function {_name(_plain(value))} {getattr(value, 'options', '')}"
+        if isinstance(value, tuple):
+            return f"({', '.join(map(label, value))})"
+        if isinstance(value, np.ndarray):
+            return f"array {value.dtype.str} {value.shape} {value.tobytes().hex()}"
+        if isinstance(value, frozenset):
+            return f"set {sorted(map(label, value))}"
+        if value is None or isinstance(value, bool | int | float | complex | str | bytes | np.generic):
+            return f"{type(value).__name__} {value!r}"
+        return f"some {type(value).__module__}.{type(value).__qualname__}"  # nothing that Numba takes
+
+    words = [_name(function), label(function.__defaults__)]
+    for code in _codes(function.__code__):
+        # a docstring is the first constant, where there is one
+        constants = code.co_consts[1:] if code.co_consts[:1] == (function.__doc__,) else code.co_consts
+        words += [code.co_code.hex(), str((code.co_argcount, code.co_kwonlyargcount, code.co_flags))]
+        words += [str((code.co_varnames, code.co_freevars, code.co_cellvars))]
+        words += [label(constant) for constant in constants if not isinstance(constant, CodeType)]
+        words += [
+            f"{name} = {label(function.__globals__[name])}" for name in code.co_names if name in function.__globals__
+        ]
+        words += [name for name in code.co_names if name not in function.__globals__]
+    for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
+        words.append(f"{name} = {label(cell.cell_contents)}")
+    return OwnCode("\n".join(words), tuple(functions), tuple(named_generics), tuple(classes))
+
+
+def _class_text(kind: type) -> str:
+    return f"class {_name(kind)} {getattr(kind, '_fields', '')}"
+
+
+def _codes(code: CodeType) -> Iterator[CodeType]:
+    """A code object, and those of functions within it."""
+    yield code
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _codes(constant)
+
+
+@cache
+def _source_digest(module: ModuleType) -> str:
+    """Of a module that a kernel takes attributes of: all of its source."""
+    path = getattr(module, "__file__", None)
+    if module.__name__.partition(".")[0] in WITHOUT_SOURCE or path is None:
+        return ""
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+def _is_function(value: Any) -> bool:
+    return isinstance(_plain(value), FunctionType)
+
+
+def _plain(value: Any) -> Any:
+    """The function behind a kernel."""
+    return getattr(value, "function", value)
+
+
+def _has_source(function: FunctionType) -> bool:
+    package = function.__module__.partition(".")[0]
+    return package not in WITHOUT_SOURCE and not function.__module__.startswith(__package__)
+
+
+def _name(thing: Any) -> str:
+    return f"{getattr(thing, '__module__', '')}.{getattr(thing, '__qualname__', getattr(thing, '__name__', ''))}"

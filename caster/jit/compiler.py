@@ -1,0 +1,133 @@
+"""Numba set up to make object code: each function is lowered once, and only whole kernels are optimised and emitted.
+
+Numba's own dispatchers make every function callable from Python: they optimise it, emit machine code for it, and wrap
+it for CPython and for C. Most functions here are called by kernels alone, so this target stops at LLVM IR. That takes
+half the time. Imported when the first kernel is compiled: it loads Numba.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import llvmlite.binding as llvm
+from numba.core import codegen, compiler, cpu, dispatcher, registry, target_extension, types, typing
+from numba.core.compiler_lock import require_global_compiler_lock
+from numba.core.typing import templates
+
+TARGET = "caster"
+WITHOUT_WRAPPERS = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
+
+class KernelLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]  # Numba has no types
+    """The LLVM module of one function with all that it calls, optimised when machine code is wanted."""
+
+    _is_emitted = False
+
+    def finalize(self) -> None:
+        """Link what the function calls."""
+        require_global_compiler_lock()
+        self._raise_if_finalized()
+        for library in dict.fromkeys(self._linking_libraries):
+            self._reload_init.update(library._reload_init)
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """Address of a function's machine code, for Python to call; 0 if there is no such function."""
+        self._ensure_finalized()
+        if not self._is_emitted:
+            self._is_emitted = True
+            self._optimize_final_module()
+            self._final_module.verify()
+            self._finalize_final_module()
+        return int(super().get_pointer_to_function(name))
+
+    def linked_copy(self) -> Any:
+        """An LLVM module with the function and all that it calls, not yet optimised."""
+        return llvm.parse_bitcode(self._get_module_for_linking().as_bitcode())
+
+    def object_code(self, module: Any) -> bytes:
+        """A module made from `linked_copy`, optimised and emitted."""
+        for settings in ({"loop_vectorize": self._codegen._loopvect, "slp_vectorize": False, "cost": "cheap"}, {}):
+            passes, builder = self._codegen._module_pass_manager(**settings)
+            passes.run(module, builder)
+        module.verify()
+        emitted: bytes = self._codegen._tm.emit_object(module)
+        return emitted
+
+
+class KernelCodegen(codegen.JITCPUCodegen):  # type: ignore[misc]  # likewise
+    _library_class = KernelLibrary
+
+
+class Entry:
+    """What Numba knows a function by that has no wrapper to call it with."""
+
+
+class KernelContext(cpu.CPUContext):  # type: ignore[misc]  # likewise
+    def init(self) -> None:
+        super().init()
+        self._internal_codegen = KernelCodegen("caster.kernels")
+
+    def get_executable(self, library: Any, fndesc: Any, env: Any) -> Any:
+        library._ensure_finalized()
+        try:
+            library.get_function(fndesc.llvm_cpython_wrapper_name)
+        except NameError:
+            return Entry()
+        return super().get_executable(library, fndesc, env)
+
+
+class KernelTarget(registry.CPUTarget):  # type: ignore[misc]  # likewise
+    _contexts: tuple[Any, Any] | None = None
+
+    def _made(self) -> tuple[Any, Any]:
+        if self._contexts is None:
+            typing_context = typing.Context()
+            self._contexts = typing_context, KernelContext(typing_context, TARGET)
+        return self._contexts
+
+    @property
+    def typing_context(self) -> Any:
+        return self._made()[0]
+
+    @property
+    def target_context(self) -> Any:
+        return self._made()[1]
+
+
+class KernelDispatcher(dispatcher.Dispatcher):
+    """A function and its compile results, by the types of its arguments."""
+
+    targetdescr = KernelTarget(TARGET)
+
+    def add_overload(self, result: Any) -> None:
+        if isinstance(result.entry_point, Entry):
+            self.overloads[tuple(result.signature.args)] = result
+        else:
+            super().add_overload(result)
+
+
+class KernelClass(target_extension.CPU):  # type: ignore[misc]  # likewise
+    """Under which Numba finds the decorator for functions of its own that a kernel calls."""
+
+
+def dispatcher_of(function: Callable[..., Any], options: dict[str, Any], *, from_python: bool = False) -> Any:
+    """A dispatcher for a function that kernels call; from_python: that Python can call as well."""
+    every = {"nopython": True, **({} if from_python else WITHOUT_WRAPPERS), **options}
+    return KernelDispatcher(function, targetoptions=every, pipeline_class=compiler.Compiler)
+
+
+def _inner_jit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    return lambda function: dispatcher_of(function, options)
+
+
+target_extension.target_registry[TARGET] = KernelClass
+target_extension.dispatcher_registry[KernelClass] = KernelDispatcher
+target_extension.jit_registry[KernelClass] = _inner_jit
+
+
+def register_intrinsic(stub: Callable[..., Any], definition: Callable[..., Any]) -> None:
+    """Have LLVM code take the place of calls of a Python function; definition: as for numba.extending.intrinsic."""
+    template = templates.make_intrinsic_template(stub, definition, stub.__name__)
+    templates.infer(template)
+    templates.infer_global(stub, types.Function(template))
