@@ -14,7 +14,7 @@ INSTALLED := .venv/installed-$(HERE)
 # Without bytecode every process would compile every module that it loads: tests start hundreds.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 .DELETE_ON_ERROR:
-.PHONY: help install validate test slow lint docs stress bench guard wheel fuzz faults hostile mutants nightly clean
+.PHONY: help install validate test slow lint docs stress bench guard wheel fuzz faults isa hostile mutants nightly clean
 
 help: ## this list
 	@echo 'make TARGET [PYTHON=python3.12] [JOBS=N] [ARGS="options of the command behind it"]'
@@ -37,13 +37,16 @@ fuzz: $(INSTALLED) ## random scenes against exact arithmetic and Mitsuba for a m
 faults: $(INSTALLED) ## plant every fault there is in a copy of the caster: fuzz or validate has to find each; ten minutes
 	@FAULTS=all $(BIN)/python -m pytest -n $(JOBS) tests/reference/test_planted_faults.py tests/reference/test_fuzz_faults.py tests/agreement/test_lane_faults.py tests/reference/test_bound_faults.py tests/reference/test_packing_crash_key_faults.py tests/reference/test_reader_faults.py tests/reference/test_route_faults.py tests/reference/test_file_faults.py tests/reference/test_option_and_scale_faults.py $(ARGS)
 
+isa: $(INSTALLED) ## scenes and tests with Mitsuba limited to SSE4.2, AVX and AVX2, as other machines have it; half an hour
+	@PYTHONPATH=tests/isa $(BIN)/python -P -m isa_runs --jobs $(JOBS) $(ARGS)
+
 mutants: $(INSTALLED) ## plant small faults by rule, a sample of each group of modules: writes docs/mutants.md; hours
 	@PYTHONPATH=benchmarks $(BIN)/python -P -m mutants --page docs/mutants.md $(ARGS)
 
 hostile: $(INSTALLED) ## a thousand broken and hostile inputs to every command: none may crash, hang or leave anything
 	@PYTHONPATH=tests/hostile $(BIN)/python -P -m hostile_runs --count 1000 $(ARGS)
 
-nightly: $(INSTALLED) slow faults hostile ## what make test has no time for: all faults, 200,000 hard rays a shape, 12 million at edges and corners
+nightly: $(INSTALLED) slow faults isa hostile ## what make test has no time for: all faults, 200,000 hard rays a shape, 12 million at edges and corners
 	@$(BIN)/mitsuba-ref fuzz --rays 200000
 	@$(BIN)/mitsuba-ref stress watertight --rays 1000000
 	@PYTHONPATH=benchmarks $(BIN)/python -P -m mutants --seed $$(date +%j) --out build/mutants-nightly

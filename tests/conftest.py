@@ -20,6 +20,7 @@ KINDS = {
     "agreement": "two ways to the same bits: cullings, threads, Numba and plain Python",
     "exact": "against exact arithmetic",
     "reference": "asks Mitsuba, and fails without it",
+    "isa": "Mitsuba limited to older instruction sets",
     "report": "looks at reports in a browser",
     "hostile": "broken and hostile inputs to every command",
 }
@@ -31,6 +32,8 @@ NAMED_IN_HEADER = ("numba", "mitsuba", "variants", "libLLVM", "browser")
 PEERS = ("open3d", "embreex")
 NO_PEER = "is not installed, its example of docs/candidates is not tested"
 
+
+NO_CC = "none: Mitsuba is not limited to older instruction sets, no example in C is tested (apt install gcc libc6-dev)"
 
 # Firefox, which doctor also takes for a browser, opens reports, but is not what the tests drive.
 NO_CHROMIUM = "no Chromium: tests/report is skipped where it opens pages (apt install chromium)"
@@ -60,6 +63,7 @@ def pytest_report_header() -> list[str]:
     return [
         *(f"{name}: {found[name].detail}" for name in NAMED_IN_HEADER),
         f"libLLVM that aborts: {old}",
+        f"cc: {shutil.which('cc') or NO_CC}",
         f"peers: {peers}",
         f"reports: {chromium}",
     ]

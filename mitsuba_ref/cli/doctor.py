@@ -36,7 +36,7 @@ PEERS = (
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
 BROWSERS = (*CHROMIUM, "firefox")
 PROBE_TIMEOUT_SECONDS = 60  # an import takes well under a second; a Mitsuba that hangs is a finding, too
-# describe_installation() -> {"variants": [the variants that work here], "libllvm": the path in use, or None}
+# describe_installation() -> {"variants": [the variants that work here], "libllvm": the path in use, or None, "why": ""}
 PROBE_SCRIPT = """
 import json
 from mitsuba_ref.reference.mitsuba_calls import describe_installation
@@ -134,13 +134,17 @@ def _exit_description(code: int, output: str) -> str:
 
 def _variants(answer: dict[str, Any], problem: str) -> Finding:
     names = answer.get("variants", [])
+    works = any(name.startswith("scalar") for name in names)  # spheres, disks and cylinders need that one
     detail = ", ".join(names) or problem or "Mitsuba loads, but no variant of it works"
-    return Finding("variants", bool(names), True, detail, "Mitsuba's own ray intersections")
+    if not works and answer.get("why"):
+        detail += f"; {answer['why']}"
+    return Finding("variants", works, True, detail, "Mitsuba's own ray intersections")
 
 
 def _llvm(answer: dict[str, Any]) -> Finding:
     path = answer.get("libllvm")
-    detail = path or "none that Mitsuba's LLVM variant works with"
+    why = answer.get("why")
+    detail = path or "none that Mitsuba's LLVM variant works with" + (f": {why}" if why else "")
     adds = "speed: rays in batches, through Mitsuba's LLVM variant"
     return Finding("libLLVM", bool(path), False, detail, adds, "" if path else "apt install libllvm19")
 

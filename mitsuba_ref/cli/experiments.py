@@ -47,6 +47,9 @@ def run_stress(args: argparse.Namespace) -> int:
         return OK
     options.check_json(args)
     candidate = options.requested_candidate(args, takes_rays=True)
+    from mitsuba_ref.reference import variants
+
+    variants.require_variants()  # without Mitsuba's columns a run would pass with its evidence missing
     done: list[SweepResult] = []
     try:
         sweep_all(families, args, done, candidate)

@@ -114,7 +114,7 @@ def search(args: argparse.Namespace) -> int:
     if plan.judge_every or args.candidate is not None:
         from mitsuba_ref.reference import variants
 
-        variants.variant_for(has_quadrics=False)  # a wrong choice of variant fails before any work
+        variants.require_variants()  # a wrong choice of variant fails before any work
     if last := campaign.unfinished_example(plan.folder):
         print(f"an earlier run with this folder died, or is still running, in: {last}", file=sys.stderr)
     search_run, line = Campaign(plan), StatusLine()

@@ -189,7 +189,7 @@ def run(args: argparse.Namespace) -> int:
     from mitsuba_ref.reference import variants
     from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun
 
-    variants.variant_for(has_quadrics=False)
+    variants.require_variants()
     start = time.perf_counter()
     options = RunOptions(out=Path(args.out) if args.out else None, html=args.html)
     running = ValidationRun(entries, options, entries[0].subject)

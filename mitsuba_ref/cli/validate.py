@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
     from mitsuba_ref.reference import variants
     from mitsuba_ref.runner.validation_run import ValidationRun
 
-    variants.variant_for(has_quadrics=False)
+    variants.require_variants()
     start = time.perf_counter()
     running = ValidationRun(entries, run_options(args), candidate)
     try:

@@ -29,9 +29,9 @@ dr: Any = drjit
 
 
 def describe_installation() -> dict[str, Any]:
-    """{"variants": those that work here, "libllvm": the path in use, or None}."""
+    """{"variants": those that work here, "libllvm": the path in use, or None, "why": why others do not work}."""
     found = variants.usable_variants()
-    return {"variants": list(found.names), "libllvm": found.libllvm}
+    return {"variants": list(found.names), "libllvm": found.libllvm, "why": found.why}
 
 
 def trace_request(request: TraceRequest) -> TraceResponse:

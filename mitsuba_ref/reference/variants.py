@@ -23,6 +23,17 @@ from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 
 SMOKE_TEST_TIMEOUT_SECONDS = 60.0  # it takes one or two
 
+# Relative errors of Mitsuba where everything is a small integer or half of one, and so exact but for the reciprocal at
+# the end, whose bits differ between CPUs. In units of U = 2^-24, to first order:
+#   t = rcp(den) * T in Embree: x86 starts at rcpps, off by at most 1.5 * 2^-12, and one Newton step leaves its square,
+#   2.25; the step's last two roundings add 2 (1 with fma), the product 1. Two steps from 2^-8 on aarch64 leave less.
+#   z * rsqrt(z z) in Dr.Jit: one step from rsqrtps, off by 1.5 * 2^-12, leaves 1.5 times its square, 3.375; of z z, two
+#   products and a difference half counts, two more products count in full: 4.
+U = 2.0**-24
+EXACT_T_ERROR, EXACT_NORMAL_ERROR = 5.25 * U, 8.0 * U
+
+SMOKE_TEST_T = 8.0
+
 # Without normals in the file Mitsuba computes them, with an instruction that an old libLLVM aborts at.
 SMOKE_TEST_PLY = """ply
 format ascii 1.0
@@ -68,10 +79,18 @@ def _smoke_request(xml: Path, variant: str) -> TraceRequest:
 def _response_problem(response: TraceResponse | Crash) -> str:
     if isinstance(response, Crash):
         return f"{response.kind} ({response.exit}) {response.headline}".strip()
-    right = response.t.tolist() == [8.0, np.inf] and np.allclose(response.sh_n, [[0, 0, 1], [0, 0, 0]], atol=1e-6)
-    return "" if right else f"wrong answer: t {response.t.tolist()}, normals {response.sh_n.tolist()}"
+    (t, miss), normals = response.t.tolist(), response.sh_n.astype(np.float64)
+    right = (
+        abs(t - SMOKE_TEST_T) <= EXACT_T_ERROR * SMOKE_TEST_T
+        and miss == np.inf
+        and np.max(np.abs(normals - [[0, 0, 1], [0, 0, 0]])) <= EXACT_NORMAL_ERROR
+    )
+    return "" if right else f"{WRONG_ANSWER}: t {response.t.tolist()}, normals {response.sh_n.tolist()}"
 
 
+WRONG_ANSWER = "wrong answer"
+NO_LIBLLVM = "no libLLVM found"
+WAY_OUT = "`mitsuba-ref doctor` names a way out"
 SCALAR, LLVM = VARIANT_NAMES = ("scalar_rgb", "llvm_ad_rgb")
 VARIANT_ENVIRONMENT_VARIABLE = "MITSUBA_REF_VARIANT"  # use this one for every scene
 LIBLLVM_ENVIRONMENT_VARIABLE = "DRJIT_LIBLLVM_PATH"  # environment variable of Dr.Jit
@@ -109,6 +128,11 @@ class Variants:
     def names(self) -> tuple[str, ...]:
         return tuple(name for name, works in zip(VARIANT_NAMES, (self.scalar, self.llvm), strict=True) if works)
 
+    @property
+    def llvm_is_broken(self) -> bool:
+        """Whether there is a libLLVM, and the LLVM variant works with none."""
+        return not self.llvm and not self.why.endswith(NO_LIBLLVM)
+
 
 _usable_by_key: dict[str, Variants] = {}
 
@@ -125,12 +149,23 @@ def usable_variants() -> Variants:
 def variant_for(has_quadrics: bool) -> str:
     """The variant for a scene: with spheres, cylinders or disks the scalar one, which is float64 inside.
 
-    Raises VariantError where MITSUBA_REF_VARIANT chooses one that does not exist or does not work here.
+    Raises VariantError where it does not work here, or MITSUBA_REF_VARIANT chooses one that does not exist.
     """
     chosen = os.environ.get(VARIANT_ENVIRONMENT_VARIABLE)
     if chosen:
         return check_variant(chosen, VARIANT_ENVIRONMENT_VARIABLE)
-    return LLVM if not has_quadrics and usable_variants().llvm else SCALAR
+    if not has_quadrics and usable_variants().llvm:
+        return LLVM
+    if not usable_variants().scalar:
+        raise VariantError(f"Mitsuba's {SCALAR} does not work here: {usable_variants().why}; {WAY_OUT}")
+    return SCALAR
+
+
+def require_variants() -> None:
+    """Before any work: raise VariantError where spheres have no variant; a line where a libLLVM does not work."""
+    chosen, found = variant_for(has_quadrics=True), usable_variants()
+    if found.llvm_is_broken and not os.environ.get(VARIANT_ENVIRONMENT_VARIABLE):
+        print(f"{LLVM} does not work here, {chosen} traces all scenes ({WAY_OUT}): {found.why}", file=sys.stderr)
 
 
 def environment_for(variant: str) -> dict[str, str]:
@@ -198,7 +233,7 @@ def _file_stamp(path: str) -> list[str]:
 
 
 def _try_variants(candidates: list[str], key: str) -> Variants:
-    """Try scalar, then LLVM with one library after the other. A time-out is not cached."""
+    """Try scalar, then LLVM with one library after the other; kept if another try would end alike."""
     scalar = smoke_test(SCALAR, {})
     problems = [f"{SCALAR}: {scalar}"] if scalar else []
     library = None
@@ -209,9 +244,10 @@ def _try_variants(candidates: list[str], key: str) -> Variants:
             break
         problems.append(f"{path}: {problem}")
     if not candidates:
-        problems.append("no libLLVM found")
+        problems.append(NO_LIBLLVM)
     found = Variants(not scalar, library is not None, library, "; ".join(problems))
-    if found.scalar and "timeout" not in found.why:  # a busy machine, perhaps
+    # A Mitsuba that cannot be imported may be half installed; the other two, a machine that is busy or out of memory.
+    if not scalar.startswith("error") and not any(word in found.why for word in ("timeout", "SIGKILL")):
         _store_cached(key, found)
     return found
 
@@ -232,7 +268,7 @@ def _load_cached(key: str, candidates: list[str]) -> Variants | None:
     except (OSError, ValueError, TypeError, RecursionError):
         return None
     library = found.libllvm in candidates if found.llvm is True else found.llvm is False and found.libllvm is None
-    return found if found.scalar is True and isinstance(found.why, str) and library else None
+    return found if isinstance(found.scalar, bool) and isinstance(found.why, str) and library else None
 
 
 def _store_cached(key: str, found: Variants) -> None:

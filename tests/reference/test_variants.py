@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mitsuba_scenes import job, shape, write
+from mitsuba_scenes import has_t, job, shape, write
 
+from mitsuba_ref.__main__ import main
 from mitsuba_ref.reference import messages, mitsuba_process, variants
 from mitsuba_ref.reference.messages import Crash, TraceResponse
 from mitsuba_ref.reference.variants import LIBLLVM_ENVIRONMENT_VARIABLE, VariantError, usable_variants, variant_for
@@ -69,7 +70,7 @@ def test_what_is_stated_to_work_here_works(tmp_path):
     xml = write(tmp_path, shape("cube", "box", 0))
     for variant in found.names:
         answer = mitsuba_process.send_request(job(xml, variant, [[0.5, 0.25, 5]], [[0, 0, -1]]), 60)
-        assert isinstance(answer, TraceResponse) and answer.t.tolist() == [4.0], answer
+        assert isinstance(answer, TraceResponse) and has_t(answer, 4.0), answer
         assert answer.versions["libllvm"] == "none" or os.path.samefile(answer.versions["libllvm"], found.libllvm)
 
 
@@ -77,7 +78,8 @@ def test_the_child_process_describes_it():
     describe = "from mitsuba_ref.reference.mitsuba_calls import describe_installation"
     program = f"import json; {describe}; print(json.dumps(describe_installation()))"
     run = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert json.loads(run.stdout) == {"variants": list(usable_variants().names), "libllvm": usable_variants().libllvm}
+    found = usable_variants()
+    assert json.loads(run.stdout) == {"variants": list(found.names), "libllvm": found.libllvm, "why": found.why}
 
 
 @pytest.mark.parametrize("missing", ["/nonexistent/libLLVM.so", str(Path(__file__))])
@@ -90,7 +92,7 @@ def test_without_libllvm_there_is_the_scalar_variant(tmp_path, monkeypatch, miss
     assert variant_for(False) == variant_for(True) == "scalar_rgb"
     xml = write(tmp_path, shape("rectangle", "floor", 0))
     answer = mitsuba_process.send_request(job(xml, variant_for(False), [[0, 0, 3]], [[0, 0, -1]]), 60)
-    assert isinstance(answer, TraceResponse) and answer.t.tolist() == [3.0]
+    assert isinstance(answer, TraceResponse) and has_t(answer, 3.0)
     refused = mitsuba_process.send_request(job(xml, "llvm_ad_rgb", [[0, 0, 3]], [[0, 0, -1]]), 60)
     assert isinstance(refused, Crash) and refused.kind == "error" and "LLVM" in refused.output
 
@@ -99,9 +101,8 @@ def test_without_libllvm_there_is_the_scalar_variant(tmp_path, monkeypatch, miss
 def test_an_old_libllvm_that_aborts_is_found_out(monkeypatch):
     monkeypatch.setenv(LIBLLVM_ENVIRONMENT_VARIABLE, str(OLD_LLVM))
     found = usable_variants()
-    assert found.scalar
-    if "avx512" in Path("/proc/cpuinfo").read_text():
-        assert not found.llvm and "abort (SIGABRT) LLVM ERROR" in found.why and "fminimum" in found.why
+    assert found.scalar and not found.llvm and found.llvm_is_broken
+    assert "abort (SIGABRT) LLVM ERROR" in found.why and "fminimum" in found.why
 
 
 def test_each_trial_compiles_its_kernels_anew(monkeypatch):
@@ -119,16 +120,45 @@ def test_each_trial_compiles_its_kernels_anew(monkeypatch):
     assert folders[0] != folders[1] and not folders[0].exists()
 
 
-@pytest.mark.parametrize("wrong", ["t", "sh_n"])
-def test_a_wrong_answer_is_no_working_variant(monkeypatch, wrong):
-    def put(job, timeout, settings):
-        answer = real(job, timeout, settings)
-        getattr(answer, wrong)[0] *= np.float32(1.001)
-        return answer
+def planted_answer(t=(8.0, np.inf), normal=(0.0, 0.0, 1.0)) -> TraceResponse:
+    """An answer to the smoke test."""
+    answer = object.__new__(TraceResponse)
+    object.__setattr__(answer, "t", np.array(t, np.float32))
+    object.__setattr__(answer, "sh_n", np.array([normal, (0.0, 0.0, 0.0)], np.float32))
+    return answer
 
-    real = messages.run_request
-    monkeypatch.setattr(messages, "run_request", put)
-    assert variants.smoke_test("scalar_rgb", {}).startswith("wrong answer")
+
+def ulps(x: float, count: int) -> float:
+    """The float32 number so many places from x."""
+    return float((np.array([x], np.float32).view(np.int32) + count).view(np.float32)[0])
+
+
+@pytest.mark.parametrize("t", [ulps(8.0, -5), ulps(8.0, -1), 8.0, ulps(8.0, 2)])
+@pytest.mark.parametrize("z", [ulps(1.0, -8), 1.0, ulps(1.0, 4)])
+def test_what_the_reciprocals_of_any_cpu_leave_is_right(t, z):
+    """Below 8 and 1 a place is 2^-24 of the number, above twice that."""
+    assert variants._response_problem(planted_answer((t, np.inf), (0.0, 0.0, z))) == ""
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"t": (ulps(8.0, -6), np.inf)},
+        {"t": (ulps(8.0, 3), np.inf)},
+        {"t": (9.0, np.inf)},
+        {"t": (np.nan, np.inf)},
+        {"t": (np.inf, np.inf)},
+        {"t": (8.0, 8.0)},
+        {"t": (8.0, np.nan)},
+        {"normal": (0.0, 0.0, ulps(1.0, -9))},
+        {"normal": (0.0, 0.0, -1.0)},
+        {"normal": (0.0, 1e-6, 1.0)},
+        {"normal": (0.0, 0.0, np.nan)},
+    ],
+    ids=str,
+)
+def test_a_wrong_answer_is_no_working_variant(wrong):
+    assert variants._response_problem(planted_answer(**wrong)).startswith("wrong answer: t [")
 
 
 def test_the_newest_library_that_works_is_taken(libraries, trials):
@@ -207,6 +237,26 @@ def test_a_machine_that_was_only_busy_or_unfinished_is_tried_again(libraries, tr
     assert usable_variants().scalar
 
 
+@pytest.mark.parametrize("problem", ["wrong answer: t [7.0, inf]", "abort (SIGABRT) LLVM ERROR", "signal (SIGILL)"])
+@pytest.mark.parametrize("variant", variants.VARIANT_NAMES)
+def test_what_would_end_alike_is_not_tried_again(libraries, trials, monkeypatch, variant, problem):
+    """Each process would try all libraries again, for seconds."""
+    trials.says.update({(variant, library): problem for library in (None, *libraries)})
+    first = usable_variants()
+    tried = len(trials.tried)
+    assert variant not in first.names and len(first.names) == 1
+    forget(monkeypatch)
+    assert usable_variants() == first and len(trials.tried) == tried
+
+
+def test_a_killed_library_is_tried_again(libraries, trials, monkeypatch):
+    trials.says.update({("llvm_ad_rgb", library): "signal (SIGKILL)" for library in libraries})
+    assert not usable_variants().llvm
+    forget(monkeypatch)
+    trials.says.clear()
+    assert usable_variants().llvm
+
+
 def test_triangles_go_to_llvm_and_curved_shapes_to_the_scalar_variant(libraries, trials):
     assert variant_for(has_quadrics=False) == "llvm_ad_rgb"
     assert variant_for(has_quadrics=True) == "scalar_rgb"
@@ -230,6 +280,52 @@ def test_a_choice_that_does_not_work_here_is_an_error_that_states_why(libraries,
     monkeypatch.setenv(variants.VARIANT_ENVIRONMENT_VARIABLE, "llvm_ad_rgb")
     with pytest.raises(VariantError, match=r"'llvm_ad_rgb': it does not work here: .*libLLVM-14.so.1: abort"):
         variant_for(False)
+
+
+WRONG = "wrong answer: t [7.0, inf], normals [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]"
+
+
+def test_without_the_scalar_variant_no_sphere_is_traced(libraries, trials):
+    trials.says["scalar_rgb", None] = WRONG
+    assert variant_for(has_quadrics=False) == "llvm_ad_rgb"
+    for choose in (lambda: variant_for(has_quadrics=True), variants.require_variants):
+        with pytest.raises(VariantError, match=r"^Mitsuba's scalar_rgb does not work here: scalar_rgb: wrong answer: "):
+            choose()
+
+
+@pytest.mark.parametrize(
+    "command", [("validate", "scenes", "-k", "one-sphere"), ("stress", "scale"), ("fuzz", "--time", "1s")]
+)
+def test_a_command_without_a_reference_fails_before_any_work(libraries, trials, monkeypatch, capsys, command):
+    """`stress` would pass without Mitsuba's columns."""
+    monkeypatch.chdir(ROOT)
+    trials.says.update({("llvm_ad_rgb", library): "abort (SIGABRT)" for library in libraries})
+    trials.says["scalar_rgb", None] = WRONG
+    assert main([*command]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == "" and "Mitsuba's scalar_rgb does not work here: scalar_rgb: wrong answer" in printed.err
+    assert "`mitsuba-ref doctor`" in printed.err
+
+
+def test_a_libllvm_that_does_not_work_is_stated_once(libraries, trials, monkeypatch, capsys):
+    variants.require_variants()
+    assert capsys.readouterr().err == ""
+    forget(monkeypatch)
+    Path(libraries[0]).unlink()  # so that they are tried again
+    trials.says.update({("llvm_ad_rgb", library): "abort (SIGABRT)" for library in libraries})
+    variants.require_variants()
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("llvm_ad_rgb does not work here, scalar_rgb traces all scenes (`mitsuba-ref doctor` ")
+    assert f"{libraries[1]}: abort (SIGABRT); {libraries[2]}: abort" in line
+    monkeypatch.setenv(variants.VARIANT_ENVIRONMENT_VARIABLE, "scalar_rgb")
+    variants.require_variants()
+    assert capsys.readouterr().err == ""
+
+
+def test_a_machine_without_libllvm_is_as_it_should_be(libraries, trials, monkeypatch, capsys):
+    monkeypatch.delenv("LD_LIBRARY_PATH")
+    variants.require_variants()
+    assert capsys.readouterr().err == "" and not usable_variants().llvm_is_broken
 
 
 def test_a_library_that_only_the_kept_file_names_is_not_loaded(libraries, trials, monkeypatch):

@@ -130,8 +130,21 @@ def test_the_libllvm_in_use_is_named():
 
 
 def test_no_working_variant_makes_the_judge_unusable():
-    found = describe(variants=[], libllvm=None)
+    found = describe(variants=[], libllvm=None, why="scalar_rgb: wrong answer: t [7.0, inf]")
     assert found["variants"].needed and not found["variants"].found
+    assert found["variants"].detail.endswith("no variant of it works; scalar_rgb: wrong answer: t [7.0, inf]")
+
+
+def test_the_llvm_variant_alone_is_not_enough():
+    """Spheres, disks and cylinders need the scalar one."""
+    found = describe(variants=["llvm_ad_rgb"], libllvm="/usr/lib/libLLVM.so.19.1", why="scalar_rgb: abort (SIGABRT)")
+    assert not found["variants"].found and found["variants"].detail == "llvm_ad_rgb; scalar_rgb: abort (SIGABRT)"
+
+
+def test_a_libllvm_that_does_not_work_is_named_with_its_reason():
+    found = describe(variants=["scalar_rgb"], libllvm=None, why="/usr/lib/libLLVM-15.so.1: abort (SIGABRT)")
+    assert found["variants"].found and found["variants"].detail == "scalar_rgb"
+    assert found["libLLVM"].detail.endswith("works with: /usr/lib/libLLVM-15.so.1: abort (SIGABRT)")
 
 
 @pytest.mark.parametrize(
