@@ -64,9 +64,13 @@ def _run(path: str, *argv: str, module: str, compiled: bool = False) -> subproce
     )
 
 
+# How far a run of some seconds had come; and of a machine with an old libLLVM, that it does not work.
+NO_REMARKS = ("validating: ", "llvm_ad_rgb does not work here")
+
+
 def said_beside_progress(found: subprocess.CompletedProcess[str]) -> list[str]:
-    """Lines of stderr but the first, that there is no compiler, and how far a run of some seconds had come."""
-    return [line for line in found.stderr.splitlines()[1:] if not line.startswith("validating: ")]
+    """Lines of stderr that are remarks, but for the first: what is loaded, or that there is no compiler."""
+    return [line for line in found.stderr.splitlines()[1:] if not line.startswith(NO_REMARKS)]
 
 
 class Forks:

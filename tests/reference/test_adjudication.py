@@ -46,7 +46,8 @@ def scene_of(*shapes: Any, **more: Any) -> Scene:
     return Scene(**(usual | more), shapes=shapes)
 
 
-# Case 28 of the catalogue: a skinny triangle nearly edge-on, which the ray misses.
+# Case 28 of the catalogue: a skinny triangle nearly edge-on, which the ray misses. Mitsuba hits it, with operations
+# fused or not: the signs that decide come before any reciprocal, so they are the same on every CPU with either.
 H = float.fromhex
 SKINNY = caster.Triangle(
     vertices=[
@@ -56,8 +57,8 @@ SKINNY = caster.Triangle(
     ]
 )
 PAST = caster.Ray(
-    origin=[H("0x1.014626p+9"), H("0x1.ae3188p+7"), H("-0x1.2bf194p+8")],
-    direction=[H("-0x1.76f022p-1"), H("-0x1.1ca874p-2"), H("0x1.3e4a02p-1")],
+    origin=[H("0x1.014626p+9"), H("0x1.ae318cp+7"), H("-0x1.2bf190p+8")],
+    direction=[H("-0x1.76effap-1"), H("-0x1.1ca8acp-2"), H("0x1.3e49eap-1")],
 )
 
 
@@ -364,7 +365,7 @@ def test_the_command_probe_writes_one_that_every_command_takes(tmp_path):
         "# class:     reference_wrong, case 28: ",
         "# exact:     miss",
         "# caster:    miss",
-        "# Mitsuba:   shape-1, prim 0 at t 1505.9088134765625 0x1.787a2a0000000p+10",
+        "# Mitsuba:   shape-1, prim 0 at t ",
         "# versions:  mitsuba 3.9.1, ",
         "# Checked:   this file alone gives the same class, and the same t of Mitsuba.",
     ):

@@ -1,4 +1,4 @@
-"""What Mitsuba does in each case: measured, kept as data, and never asserted."""
+"""What Mitsuba does in each case: measured, kept as data, and held to what is the same on every CPU."""
 
 import json
 import math
@@ -11,6 +11,7 @@ import numpy as np
 
 from cases.case import FLOAT32, Case, Maker, Question
 from cases.probes import probed
+from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.mitsuba_process import send_requests
@@ -132,10 +133,25 @@ def write(cases: Mapping[str, dict[str, Counts]]) -> None:
     DATA.write_text(head + ",\n".join(lines) + "\n  }\n}\n", encoding="utf-8")
 
 
+def on_any_cpu(name: str, counts: Counts) -> dict[str, Any]:
+    """Of one variant's counts in one mode, what does not depend on the CPU in the cases that a test asks about.
+
+    How many rays are missed or invented depends on whether operations are fused; a reciprocal, which is each CPU's own,
+    comes behind these decisions and is part of t alone. In those cases it is the same with fused operations and without
+    whether any ray is missed or invented, and whether rounding explains the errors of t; but not in the mode that lets
+    rays slip through edges. Where few rays are missed, as in cases 6 and 50, even that differs.
+    """
+    fixed = {key: count for key, count in counts.items() if key in ("rays", "refused", "no number")}
+    fixed["invented"] = counts["invented"] > 0
+    if name.endswith("robust"):
+        fixed |= {"missed": counts["missed"] > 0, "t within rounding": counts["worst t"] <= KU / U}
+    return fixed
+
+
 def differences(now: Mapping[str, Mapping[str, Counts]], before: Mapping[str, Mapping[str, Counts]]) -> Iterator[str]:
-    """What is measured now and was measured otherwise."""
+    """What is measured now and was measured otherwise, beyond what differs between CPUs."""
     for number, variants in now.items():
         for name, counts in variants.items():
             old = before.get(number, {}).get(name)
-            if old != counts:
+            if old is None or on_any_cpu(name, old) != on_any_cpu(name, counts):
                 yield f"case {number}, {name}: now {counts}, kept {old}"

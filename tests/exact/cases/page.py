@@ -23,8 +23,9 @@ caster with the exact oracle (`mitsuba_ref/oracle/oracle.py`):
 Every case states how many hits, tangents, ties, misses and exactly decided rays it has to contain, and fails if it does
 not contain them. `{MORE}=20` casts twenty times as many rays.
 
-The behaviour of Mitsuba 3.9.1 is recorded, not asserted: `tests/exact/mitsuba_behaviour.json` compares a few rays of
-each case, in float32 numbers and with directions of any length, with exact arithmetic. A test warns where it changes.
+The behaviour of Mitsuba 3.9.1 is recorded in `tests/exact/mitsuba_behaviour.json`: a few rays of each case, in float32
+numbers and with directions of any length, against exact arithmetic. The counts are those of a CPU with AVX-512, and
+differ on others; a test holds ten cases to what is the same with operations fused or not (`make isa`).
 This page and the data are written by
 
     python tests/exact/edge_cases.py
