@@ -88,7 +88,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture
 def warm(monkeypatch: pytest.MonkeyPatch) -> None:
     """Standard error is as it is once kernels are compiled, also in the first run after an edit."""
-    monkeypatch.setattr("caster.system.terminal.announce_compilation", lambda what: contextlib.nullcontext())
+    monkeypatch.setattr("caster.system.terminal.compilation_reported", contextlib.nullcontext)
 
 
 def keep_some_cases(items: list[pytest.Item]) -> None:

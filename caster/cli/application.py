@@ -25,6 +25,7 @@ class Command(NamedTuple):
     run: str = "run"
     arguments: str = "add_arguments"
     starts_with: str = ""  # what it does first, said at once by commands that load for long
+    compiles: bool = False  # it may compile kernels
 
     def load(self, parser: argparse.ArgumentParser) -> None:
         """Import the module and add its arguments to the parser of the command."""
@@ -46,7 +47,8 @@ def main(name: str, about: str, commands: Sequence[Command], codes: Sequence[int
         with checked_paths(args):
             if argv is None:
                 announce(name, commands, chosen)
-            return int(args.run(args))
+            with reporting(commands, chosen):
+                return int(args.run(args))
 
     code = run_command(run)
     if code == INTERRUPTED and argv is None:
@@ -60,6 +62,15 @@ def announce(name: str, commands: Sequence[Command], chosen: str) -> None:
         if text:
             with contextlib.suppress(OSError):  # whoever closed standard error does not wait for it
                 print(f"{name} {chosen}: {text}", file=sys.stderr, flush=True)
+
+
+def reporting(commands: Sequence[Command], chosen: str) -> contextlib.AbstractContextManager[None]:
+    """A context in which the kernels that the command compiles are reported."""
+    if not any(command.compiles for command in commands if command.name == chosen):
+        return contextlib.nullcontext()
+    from caster.system import terminal
+
+    return terminal.compilation_reported()
 
 
 class _Parser(argparse.ArgumentParser):

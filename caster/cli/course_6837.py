@@ -5,14 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from caster.cli.shared_arguments import (
-    InputPath,
-    OutputFile,
-    add_mesh_dirs,
-    add_threads,
-    output_file_unless_number,
-    type_names,
-)
+from caster.cli.shared_arguments import InputPath, OutputFile, add_mesh_dirs, add_threads, output_file_unless_number
 from caster.description.errors import SceneError, error_prefix
 from caster.system.process import OK
 
@@ -49,14 +42,12 @@ def run(args: argparse.Namespace) -> int:
     from caster.classroom.course_files import load_course_scene
     from caster.classroom.course_images import depth_image, normal_image, render_course, to_bytes_truncated
     from caster.image.image_files import write_image
-    from caster.system.terminal import announce_compilation
 
     options = {"shade_back": args.shade_back, "shadows": args.shadows, "mesh_dirs": args.mesh_dir}
-    with announce_compilation("mesh files"):
-        course = load_course_scene(args.input, *args.size, **options)
+    course = load_course_scene(args.input, *args.size, **options)
     for text in course.left_out:
         print(text, file=sys.stderr)
-    with error_prefix(args.input), announce_compilation(type_names(course.scene)):
+    with error_prefix(args.input):
         images = render_course(course, args.threads)
     encoders = {
         "-output": lambda: to_bytes_truncated(images.color),

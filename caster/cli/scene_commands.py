@@ -23,7 +23,6 @@ from caster.cli.shared_arguments import (
     check_exr_suffix,
     comma_separated,
     load,
-    type_names,
 )
 from caster.description.errors import SceneError, error_prefix
 from caster.system.process import FILE, OK, USAGE
@@ -72,10 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Render, write the file and print a summary. Raises SceneError, FileMissing, OutputError."""
-    from caster.system.terminal import announce_compilation
-
-    with announce_compilation("mesh files"):
-        scene = cropped(load(args), args.crop)
+    scene = cropped(load(args), args.crop)
     output = output_path(args)
     from caster.image.channels import write_render
     from caster.jit.decorators import compiled_ahead
@@ -88,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
     shown = preview_names(args, aovs)
     check_writable(output)  # before a render that may take long
     ahead = compiled_ahead(partial(_warm_film, scene, aovs))
-    with error_prefix(args.scene), announce_compilation(type_names(scene)), ahead, closing(bar_for(scene)) as bar:
+    with error_prefix(args.scene), ahead, closing(bar_for(scene)) as bar:
         rendered = render_film(scene, aovs, threads=args.threads, on_progress=bar.add)
     images = rendered.aovs
     threads = thread_count(args.threads)

@@ -39,7 +39,6 @@ __all__ = [
     "output_file_unless_number",
     "positive_int",
     "scene_files",
-    "type_names",
 ]
 
 if TYPE_CHECKING:
@@ -169,12 +168,6 @@ def display_names(files: Sequence[str]) -> list[str]:
 def path_as_name(file: str) -> str:
     """A path with its separators replaced, usable as a file name."""
     return file.replace(os.sep, "-").lstrip(".-")
-
-
-def type_names(scene: Scene) -> str:
-    """The types of the shapes and the camera of a scene: "sphere, mesh, pinhole"."""
-    things: list[Any] = [*scene.shapes, scene.camera]
-    return ", ".join(dict.fromkeys(thing.type for thing in things))
 
 
 # ---- paths: no output is an input, and no two runs write into one folder ----

@@ -15,7 +15,6 @@ from caster.cli.shared_arguments import (
     display_names,
     positive_int,
     scene_files,
-    type_names,
 )
 from caster.description.errors import error_prefix
 from caster.system.process import NOTHING_SELECTED, OK
@@ -99,7 +98,6 @@ def sheet(args: argparse.Namespace) -> int:
     from caster.rendering.images import check_names, render
     from caster.scene.files import load_scene
     from caster.system.atomic_files import check_writable
-    from caster.system.terminal import announce_compilation
 
     check_image_name("-o", args.output)
     check_names([args.aov])
@@ -111,7 +109,7 @@ def sheet(args: argparse.Namespace) -> int:
     scenes = [load_scene(file, args.mesh_dir) for file in files]  # all errors before any rendering
     images, draw = [], partial(render, threads=args.threads)
     for file, scene, name in zip(files, scenes, display_names(files), strict=True):
-        with error_prefix(file), announce_compilation(type_names(scene)):
+        with error_prefix(file):
             images.append(previews.thumbnail(scene, name, args.side, args.aov, draw))
     columns = args.columns or previews.sheet_columns(len(images))
     about = {"Description": ", ".join(image.name for image in images)}

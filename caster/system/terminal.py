@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rich.live import Live
 
 
-__all__ = ["CompileProgress", "ProgressBar", "StatusLine", "announce_compilation", "printable", "unfiltered"]
+__all__ = ["CompileProgress", "ProgressBar", "StatusLine", "compilation_reported", "printable", "unfiltered"]
 
 
 def printable(text: str, keep: str = "\n\t") -> str:
@@ -93,9 +93,10 @@ QUIET_SECONDS = 1.0  # work shorter than this draws nothing on a terminal
 REFRESH_SECONDS = 0.1  # between two updates of the terminal
 LOG_SECONDS = 10.0  # before the first and between further lines of a log, which keeps them all
 BAR_CHARACTERS = 24  # width of the bar on a terminal
+ERASE_LINE = "\r\x1b[K"  # where another process draws a bar, which it draws again
 DUMB_TERMINALS = ("dumb", "unknown")  # values of TERM without cursor movement
 
-COMPILE_TIME_HINT = "once, some 5 to 30 s"
+COMPILE_TIME_HINT = "once: some 20 to 60 of them, about 1 s each"
 
 
 class StatusLine:
@@ -221,22 +222,57 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60.0:.0f} min" if seconds < 6000.0 else f"{seconds / 3600.0:.1f} h"
 
 
+class CompilationNotice:
+    """Lines on standard error about kernels that a command compiles: one at once, then a count now and then.
+
+    Forks count together with the process that made this: kernels of all of them are one run. Two that begin within
+    the same microsecond may both write the first line.
+    """
+
+    def __init__(self, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic) -> None:
+        """stream: default standard error, as it is at each line."""
+        import mmap
+
+        self.stream, self.clock = stream, clock
+        self._shared = memoryview(mmap.mmap(-1, 3 * 8)).cast("d")  # kernels, when the first began, of the next line
+
+    @property
+    def kernels(self) -> int:
+        """How many were begun."""
+        return int(self._shared[0])
+
+    def compiling(self, name: str) -> None:
+        """Count a kernel whose compilation starts."""
+        now = self.clock()
+        self._shared[0] += 1
+        if self.kernels == 1:
+            self._shared[1], self._shared[2] = now, now + LOG_SECONDS
+            self._write(f"compiling kernels, {COMPILE_TIME_HINT}; `caster doctor --warm` does it ahead")
+            report_refused_cache()
+        elif now >= self._shared[2]:
+            self._shared[2] = now + LOG_SECONDS
+            self._write(f"compiling kernel {self.kernels}, after {duration(now - self._shared[1])}")
+
+    def _write(self, text: str) -> None:
+        line = StatusLine(self.stream)
+        with contextlib.suppress(OSError):  # whoever closed standard error does not wait for it
+            line.log(f"{ERASE_LINE}{text}" if line.live else text)
+
+
 @contextlib.contextmanager
-def announce_compilation(what: str) -> Iterator[None]:
-    """Print one line on standard error when the body compiles its first kernel; none if all are cached."""
+def compilation_reported(stream: TextIO | None = None) -> Iterator[None]:
+    """Report what the body compiles, in this process and in its forks; nothing if all kernels are cached.
+
+    stream: default standard error.
+    """
     from caster.jit.decorators import COMPILATION_LOG
 
-    def announce(name: str) -> None:
-        COMPILATION_LOG.compiling = _ignore
-        text = f"compiling the kernels for {what}: {COMPILE_TIME_HINT}; `caster doctor --warm` does it ahead"
-        print(text, file=sys.stderr, flush=True)
-        report_refused_cache()
-
-    COMPILATION_LOG.compiling = announce
+    before = COMPILATION_LOG.compiling
+    COMPILATION_LOG.compiling = CompilationNotice(stream).compiling
     try:
         yield
     finally:
-        COMPILATION_LOG.compiling = _ignore
+        COMPILATION_LOG.compiling = before
 
 
 @cache
@@ -248,10 +284,6 @@ def report_refused_cache() -> None:
     hint = "remove it, or name a folder of your own as XDG_CACHE_HOME"
     for refusal in refusals:
         print(f"compiled kernels are not kept: {refusal}; {hint}", file=sys.stderr, flush=True)
-
-
-def _ignore(name: str) -> None:
-    pass
 
 
 class CompileProgress:

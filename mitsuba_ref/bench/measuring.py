@@ -1,6 +1,7 @@
 """Timing: contestants in processes of their own cast in turns, round after round."""
 
 import json
+import os
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -37,7 +38,9 @@ class ContestantProcess:
         self, work: Work, environment: Mapping[str, str] | None = None, command: Sequence[str] = WORKER
     ) -> None:
         settings = {**(environment or {}), "PYTHONPATH": import_path()}
-        self.process = ResidentProcess(command, [work.to_json()], settings)
+        with os.fdopen(os.dup(2), "w") as notices:  # for what it compiles: all else that it says is captured
+            fd = notices.fileno()
+            self.process = ResidentProcess(command, [work.to_json(), str(fd)], settings, pass_fds=(fd,))
 
     def request(self, timeout: float, **request: Any) -> dict[str, Any]:
         """The reply to {"do": ...}, within so many seconds. Raises ContestantEnded; the process is then gone, too."""

@@ -1,6 +1,8 @@
 """A contestant's process, which stays and answers requests, a line of JSON each, so that contestants can take turns.
 
-python -m mitsuba_ref.bench.worker REPLIES WORK      REPLIES: a pipe's number; WORK: Work as JSON
+python -m mitsuba_ref.bench.worker REPLIES WORK NOTICES
+
+REPLIES: a pipe's number; WORK: Work as JSON; NOTICES: number of the file that compilation is reported to
 """
 
 import gc
@@ -16,13 +18,14 @@ from typing import Any
 
 import numpy as np
 
+from caster.system.terminal import compilation_reported
 from mitsuba_ref.bench.entries import CannotRun, Entry, Work
 from mitsuba_ref.reference.subprocess_runner import serve
 
 STATUS_READY, STATUS_CANNOT = "ready", "cannot"
 
 
-def main(replies: int, work: Work) -> None:
+def main(replies: int, work: Work, notices: int) -> None:
     """Answer questions until stdin ends."""
     pin_to_processors(work.threads)
     entry: Entry | None = None
@@ -38,7 +41,8 @@ def main(replies: int, work: Work) -> None:
         except (CannotRun, ImportError) as reason:
             return json.dumps({"status": STATUS_CANNOT, "why": " ".join(str(reason).split())})
 
-    serve(partial(map, reply_to), replies)
+    with os.fdopen(notices, "w") as stream, compilation_reported(stream):
+        serve(partial(map, reply_to), replies)
 
 
 def new_entry(work: Work) -> Entry:
@@ -97,4 +101,4 @@ def peak_memory() -> int:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), Work(**json.loads(sys.argv[2])))
+    main(int(sys.argv[1]), Work(**json.loads(sys.argv[2])), int(sys.argv[3]))

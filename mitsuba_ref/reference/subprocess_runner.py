@@ -141,7 +141,11 @@ class ResidentProcess:
     """
 
     def __init__(
-        self, command: Sequence[str], arguments: Sequence[str] = (), environment: Mapping[str, str] | None = None
+        self,
+        command: Sequence[str],
+        arguments: Sequence[str] = (),
+        environment: Mapping[str, str] | None = None,
+        pass_fds: Sequence[int] = (),
     ) -> None:
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 - it lives as long as the process
         self._replies, writing = os.pipe()
@@ -153,7 +157,7 @@ class ResidentProcess:
                 stdin=subprocess.PIPE,
                 cwd=tempfile.gettempdir(),
                 environment=environment,
-                pass_fds=(writing,),
+                pass_fds=(writing, *pass_fds),
             )
         except BaseException:
             os.close(self._replies)

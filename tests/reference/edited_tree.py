@@ -64,8 +64,8 @@ def _run(path: str, *argv: str, module: str, compiled: bool = False) -> subproce
     )
 
 
-# How far a run of some seconds had come; and of a machine with an old libLLVM, that it does not work.
-NO_REMARKS = ("validating: ", "llvm_ad_rgb does not work here")
+# How far a run of some seconds, or a compiler, had come; and of a machine with an old libLLVM, that it does not work.
+NO_REMARKS = ("validating: ", "compiling ", "llvm_ad_rgb does not work here")
 
 
 def said_beside_progress(found: subprocess.CompletedProcess[str]) -> list[str]:

@@ -34,7 +34,7 @@ SCENE = ROOT / "scenes" / "one-sphere.toml"
 
 
 @pytest.fixture
-def fuzz(tmp_path, capsys):
+def fuzz(tmp_path, capsys, warm):
     """Run it; (exit code, stdout, stderr, JSON or None)."""
 
     def run(*argv, out=tmp_path / "kept"):

@@ -2,15 +2,18 @@
 
 import io
 import json
+import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from caster.__main__ import main
 from caster.cameras import CAMERAS, Pinhole
-from caster.cli import installation
+from caster.cli import COMMANDS as CASTER_COMMANDS
+from caster.cli import application, installation
 from caster.geometry.packing import pack
 from caster.jit import decorators
 from caster.jit.kernel_cache import COMPILED
@@ -19,7 +22,9 @@ from caster.kernels.protocol import intersect
 from caster.rendering import casting, ray_fans, ray_tiles, warm_up
 from caster.scene.model import LIGHTS, Scene
 from caster.shapes.icosphere import Icosphere
-from caster.system.terminal import CompileProgress, announce_compilation
+from caster.system.terminal import CompilationNotice, CompileProgress, compilation_reported
+from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
+from mitsuba_ref.runner.isolation import Isolated
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENE = "scenes/one-sphere.toml"
@@ -103,14 +108,46 @@ def test_a_scene_that_is_not_there_is_reported_before_anything_is_compiled(capsy
     assert "nowhere.toml" in capsys.readouterr().err
 
 
-def test_one_line_is_stated_before_the_first_kernel_is_compiled(capsys, monkeypatch):
-    monkeypatch.setattr(decorators.COMPILATION_LOG, "compiling", decorators.COMPILATION_LOG.compiling)
-    with announce_compilation("sphere, pinhole"):
+def test_a_command_reports_before_its_first_kernel_is_compiled_and_then_now_and_then():
+    times, stream = iter([5.0, 6.0, 15.0, 16.0, 24.0, 25.5]), io.StringIO()
+    notice = CompilationNotice(stream, lambda: next(times))
+    for _ in range(6):
+        notice.compiling("a kernel")
+    first, *further = stream.getvalue().splitlines()
+    assert first.startswith("compiling kernels, once: ") and "doctor --warm" in first
+    assert further == ["compiling kernel 3, after 10 s", "compiling kernel 6, after 20 s"]
+
+
+def test_nothing_is_reported_after_a_command(capsys):
+    with compilation_reported():
         decorators.COMPILATION_LOG.compiling("one")
-        decorators.COMPILATION_LOG.compiling("another")
     decorators.COMPILATION_LOG.compiling("later")
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("compiling the kernels for sphere, pinhole: once") and "doctor --warm" in line
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no forks")
+def test_forks_report_together(capfd):
+    """`validate` compiles in one fork for each scene at a time."""
+    compiling = Isolated(lambda name: decorators.COMPILATION_LOG.compiling(name))
+    with compilation_reported(), compiling.kept(), ThreadPoolExecutor(2) as threads:
+        list(threads.map(compiling, "abcd"))
+        decorators.COMPILATION_LOG.compiling("e")
+    assert capfd.readouterr().err.count("\n") == 1
+
+
+COMPILING = [command for command in (*CASTER_COMMANDS, *JUDGE_COMMANDS) if command.compiles]
+
+
+@pytest.mark.parametrize("command", COMPILING, ids=lambda command: f"{command.module} {command.name}")
+def test_every_command_that_compiles_reports_it(command, capsys, monkeypatch):
+    """Whatever it does, it does within the report."""
+
+    def load(self, parser):
+        parser.set_defaults(run=lambda args: decorators.COMPILATION_LOG.compiling("a kernel") or 0)
+
+    monkeypatch.setattr(type(command), "load", load)
+    assert application.main("program", "about", [command], [0], [command.name]) == 0
+    assert capsys.readouterr().err.startswith("compiling kernels, once")
 
 
 def test_a_terminal_gets_one_line_and_a_file_one_for_each_scene(monkeypatch):
