@@ -210,6 +210,8 @@ def requested_candidate(args: argparse.Namespace, *, takes_rays: bool = False) -
         raise SceneError(
             "--resume: not with --candidate, whose program may have changed since; judge all scenes, or use shards"
         )
+    if getattr(args, "thorough", False):
+        raise SceneError("--thorough: not with --candidate, since the checks that it adds test our own caster")
     from mitsuba_ref.subjects.requests import parse_candidate
 
     served = isinstance(args.candidate, ServedProgram)

@@ -30,6 +30,7 @@ from mitsuba_ref.cli.options import (
     verdict_json,
     write_verdict_files,
 )
+from mitsuba_ref.judge import THOROUGH_CHECKS
 
 UNSUPPORTED_SCENE = "unsupported"  # of the judge, which takes long to load (tests/unit/test_cli_help.py compares)
 
@@ -67,6 +68,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--resume",
         action="store_true",
         help="reuse from --out what was judged of the very same scene, code, variant and options",
+    )
+    add(
+        "--thorough",
+        action="store_true",
+        help=f"also test our caster beyond the judged film: {', '.join(THOROUGH_CHECKS)}; compiles more kernels",
     )
     add_timeout(parser)
     add_store(parser)
@@ -171,6 +177,7 @@ def run_options(args: argparse.Namespace) -> RunOptions:
         args.shard,
         args.timeout,
         args.store,
+        args.thorough,
         read_expected(args.expected) if args.expected else None,
         args.skip_unsupported,
         args.min_scenes,

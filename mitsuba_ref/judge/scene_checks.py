@@ -288,19 +288,27 @@ BRUTE_FORCE_TESTS = 1 << 24  # rays times primitives that are tried without any 
 
 
 def check_culling(scene: Scene) -> SceneCheck:
-    """`render`, as it is planned for this scene, against the way that pixels are judged, and a sample of rays against
-    every primitive there is: the same bits."""
-    names = ("depth", "normal", "shading_normal", "position", "shape_id", "prim_id", "diffuse")
+    """`render`, as it is planned for this scene, against the way that pixels are judged: the same bits."""
     rays = camera_rays(scene)
     judged = trace_rays(scene, packed(scene), rays, np.zeros(len(rays.o)))
-    planned, tree = render(scene, names), evaluate(judged, names, film_window(scene))
-    differs = np.any([bits_differ(planned, tree, name) for name in names], axis=0)
-    rows = _sampled_rays(len(rays.o), int(judged.packed.first[-1]))
-    obvious = find_nearest(judged.packed, type(rays)(*(a[rows] for a in rays)), "brute-force")
-    found = judged.nearest
-    differs[rows] |= (obvious.t != found.t[rows]) | (obvious.prim != found.prim[rows])
-    shares = {"bits": np.where(differs, np.inf, 0.0)}
-    return worst_pixel("culling", shares, np.ones(len(differs), bool), scene)
+    planned, tree = render(scene, CHECKED_AOVS), evaluate(judged, CHECKED_AOVS, film_window(scene))
+    differs = np.any([bits_differ(planned, tree, name) for name in CHECKED_AOVS], axis=0)
+    return _same_bits("culling", differs, scene)
+
+
+def check_brute_force(scene: Scene) -> SceneCheck:
+    """The way that pixels are judged against every primitive there is, on a sample of rays: the same bits."""
+    rays, numbers = camera_rays(scene), packed(scene)
+    rows = _sampled_rays(len(rays.o), int(numbers.first[-1]))
+    obvious = find_nearest(numbers, type(rays)(*(a[rows] for a in rays)), "brute-force")
+    found, differs = find_nearest(numbers, rays), np.zeros(len(rays.o), bool)
+    differs[rows] = (obvious.t != found.t[rows]) | (obvious.prim != found.prim[rows])
+    return _same_bits("brute_force", differs, scene)
+
+
+def _same_bits(name: str, differs: np.ndarray, scene: Scene) -> SceneCheck:
+    """A check that allows no difference; differs: (n,) bool, of the window's pixels."""
+    return worst_pixel(name, {"bits": np.where(differs, np.inf, 0.0)}, np.ones(len(differs), bool), scene)
 
 
 def _sampled_rays(rays: int, prims: int) -> np.ndarray:
@@ -313,14 +321,3 @@ def _relative(ours: np.ndarray, expected: np.ndarray) -> np.ndarray:
     with np.errstate(invalid="ignore"):
         error = np.abs(ours - expected) / np.maximum(np.abs(expected), np.finfo(np.float64).tiny)
     return np.where(ours == expected, 0.0, error)
-
-
-# Of the input of every subject: shapes in the world, and rays.
-CHECKS_OF_SHARED_INPUT: tuple[Callable[[Scene], SceneCheck], ...] = (check_placement, check_geometry, check_camera)
-
-CHECKS_OF_RAY_LISTS: tuple[Callable[[Scene], SceneCheck], ...] = (check_placement, check_geometry)
-
-CHECKS_OF_OUR_SHAPES: tuple[Callable[[Scene], SceneCheck], ...] = (check_placement, check_geometry, check_materials)
-
-# Of the film's window.
-CHECKS_OF_OUR_FILM: tuple[Callable[[Scene], SceneCheck], ...] = (check_camera, check_render, check_culling)

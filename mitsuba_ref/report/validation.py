@@ -12,6 +12,8 @@ from caster.geometry.packing import forget_packed
 from caster.geometry.world_space import as_given
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
+from mitsuba_ref.judge import CANDIDATE, check_names
+from mitsuba_ref.judge import OURS as OUR_CHECKS
 from mitsuba_ref.judge.aggregate import (
     NEVER_GIVEN,
     PixelErrors,
@@ -31,16 +33,19 @@ from mitsuba_ref.judge.aggregate import (
 )
 from mitsuba_ref.judge.classification import Judge, judge_of
 from mitsuba_ref.judge.diagnosis import diagnose
-from mitsuba_ref.judge.independent_checks.knife_edges import knife_edges
+from mitsuba_ref.judge.independent_checks.knife_edges import AimedFailure, knife_edges
 from mitsuba_ref.judge.independent_checks.mesh_files import check_mesh_files
 from mitsuba_ref.judge.independent_checks.public_routes import check_routes
 from mitsuba_ref.judge.independent_checks.ray_conventions import check_ray_conventions
 from mitsuba_ref.judge.independent_checks.scaling import check_scaling
 from mitsuba_ref.judge.scene_checks import (
-    CHECKS_OF_OUR_FILM,
-    CHECKS_OF_OUR_SHAPES,
-    CHECKS_OF_RAY_LISTS,
-    CHECKS_OF_SHARED_INPUT,
+    check_brute_force,
+    check_camera,
+    check_culling,
+    check_geometry,
+    check_materials,
+    check_placement,
+    check_render,
     check_sensor,
 )
 from mitsuba_ref.judge.verdict import FAILING, SceneCheck, SceneVerdict, Verdict
@@ -73,19 +78,23 @@ class Validation(Verdict):
 
 
 def validate(
-    scene: Scene | str | Path, *, candidate: str | Callable[..., Any] | None = None, timeout: float = DEFAULT_TIMEOUT
+    scene: Scene | str | Path,
+    *,
+    candidate: str | Callable[..., Any] | None = None,
+    timeout: float = DEFAULT_TIMEOUT,
+    thorough: bool = False,
 ) -> Validation:
     """Compare our caster with Mitsuba on one scene, given as a Scene or as the path of its file.
 
     candidate: another ray caster in place of ours: a function(scene, o, d) -> (t, n), or what --candidate takes
-    (docs/candidates.md). Raises SceneError for a scene that is not valid, FileMissing where there is none,
-    MissingReferenceError for a shape without a reference. A crash of Mitsuba is a verdict that does not pass. The
-    verdict keeps both images, for its write_html.
+    (docs/candidates.md). thorough: also test our caster beyond the judged film, as --thorough does. Raises SceneError
+    for a scene that is not valid, FileMissing where there is none, MissingReferenceError for a shape without a
+    reference. A crash of Mitsuba is a verdict that does not pass. The verdict keeps both images, for its write_html.
     """
     subject: Subject = OURS
     if candidate is not None:
         subject = parse_candidate(candidate) if isinstance(candidate, str) else function_subject(candidate)
-    options: dict[str, Any] = {"subject": subject, "timeout": timeout, "keep": True}
+    options: dict[str, Any] = {"subject": subject, "timeout": timeout, "keep": True, "thorough": thorough}
     if isinstance(scene, Scene):
         found = validate_scene(scene, "scene", **options)
     else:
@@ -105,14 +114,22 @@ def validate_scene(
     timeout: float = DEFAULT_TIMEOUT,
     send: SendRequest = send_stored,
     keep: bool = False,
+    thorough: bool = False,
 ) -> SceneVerdict:
     """The verdict of one scene that is loaded; what a candidate does wrong is in the verdict.
 
     rays: of a list, laid out as the film, in place of the camera's, and the number of the first;
-    folder: where the images of both sides go; send: the way to Mitsuba; keep: keep what the verdict rests on.
+    folder: where the images of both sides go; send: the way to Mitsuba; keep: keep what the verdict rests on;
+    thorough: make every check of judge/__init__.py.
     """
     start = time.perf_counter()
-    options: dict[str, Any] = {"subject": subject, "folder": folder, "timeout": timeout, "send": send}
+    options: dict[str, Any] = {
+        "subject": subject,
+        "folder": folder,
+        "timeout": timeout,
+        "send": send,
+        "thorough": thorough,
+    }
     bands = bands_of(scene) if subject.takes_rays and rays is None else [scene]
     check_memory(bands[0])
     if len(bands) == 1:
@@ -182,6 +199,7 @@ def _judge_window(
     folder: Path | None,
     timeout: float,
     send: SendRequest,
+    thorough: bool,
     rays: SharedRays | None = None,
     first_ray: int = 0,
     keep: bool = False,
@@ -195,19 +213,13 @@ def _judge_window(
     images: name of EXR files, if not the scene's.
     """
     ours = subject is OURS
-    checks: tuple[SceneCheck, ...] = ()
+    names = check_names(
+        OUR_CHECKS if ours else CANDIDATE, thorough=thorough, whole_scene=whole_scene, camera=rays is None
+    )
     stored = StoredReproducers((), 0)
-    if ours and whole_scene:
-        checks = tuple(check(scene) for check in CHECKS_OF_OUR_SHAPES)
-    if ours:
-        checks = (*checks, *(check(scene) for check in CHECKS_OF_OUR_FILM))
-    if ours and whole_scene:
-        at_edges, wrong_rays = knife_edges(scene)
-        checks = (*checks, at_edges, check_scaling(scene))
-        if folder:
-            stored = write_aimed_reproducers(folder, name, wrong_rays, path or name)
-    if ours:
-        checks = (*checks, check_routes(scene, path))
+    checks, wrong_rays = checks_of_scene(names, scene, path) if ours else ((), ())
+    if folder:
+        stored = write_aimed_reproducers(folder, name, wrong_rays, path or name)
     if whole_film:  # what follows is in float32; of ten million triangles, both together take a gigabyte more
         forget_packed(scene, as_given, LARGE_SCENE)
 
@@ -222,6 +234,7 @@ def _judge_window(
             unsupported=unsupported,
             size=(scene.film.width, scene.film.height),
             candidate=subject.name,
+            thorough=thorough,
             unjudged=() if ours else NEVER_GIVEN,
             reproducers=stored.files,
         )
@@ -243,14 +256,13 @@ def _judge_window(
     if folder and rays is not None:
         stored = write_answer_reproducers(folder, name, judge, judgement, diagnosis.rows_of, first_ray)
     if not ours:
-        given = CHECKS_OF_SHARED_INPUT if rays is None else CHECKS_OF_RAY_LISTS
-        checks = tuple(check(response.scene) for check in given)
-        if rays is None and whole_scene and subject.takes_rays and not judgement.is_class(*FAILING).any():
+        checks, _ = checks_of_scene(names, response.scene, path)
+        if "ray_conventions" in names and subject.takes_rays and not judgement.is_class(*FAILING).any():
             checks = (check_ray_conventions(subject, response.scene), *checks)
     checks = (*checks, *files)
-    if whole_scene:
+    if "mesh_files" in names:
         checks = (*checks, check_mesh_files(response.scene, pair.result.answer.meshes))
-    if rays is None:
+    if "sensor" in names:
         checks = (*checks, check_sensor(response.scene, pair.result))
     by_check, by_row = failing_by_check(judgement), diagnosis.by_row()
     verdict = SceneVerdict(
@@ -276,6 +288,7 @@ def _judge_window(
         failing_by={check: len(rows) for check, rows in by_check.items()},
         worst_by={check: failure_at(judge, judgement, by_row, int(rows[0]), check) for check, rows in by_check.items()},
         candidate=subject.name,
+        thorough=thorough,
         precision="" if ours else answer.precision,
         unjudged=quantities_not_given(answer),
         findings=findings(judge, diagnosis),
@@ -286,6 +299,36 @@ def _judge_window(
         seen=Evidence(judge, judgement, diagnosis) if keep else None,
     )
     return verdict, pixel_errors(judge.model.packed, pair, judge.bounds) if ours else None
+
+
+# Checks that need the scene alone.
+MADE_OF_SCENE: dict[str, Callable[[Scene], SceneCheck]] = {
+    "placement": check_placement,
+    "geometry": check_geometry,
+    "materials": check_materials,
+    "camera": check_camera,
+    "render": check_render,
+    "culling": check_culling,
+    "brute_force": check_brute_force,
+    "scaling": check_scaling,
+}
+
+
+def checks_of_scene(
+    names: Sequence[str], scene: Scene, path: str
+) -> tuple[tuple[SceneCheck, ...], tuple[AimedFailure, ...]]:
+    """The checks among these names that need no answer, in their order; and aimed rays that fail."""
+    checks: list[SceneCheck] = []
+    wrong_rays: tuple[AimedFailure, ...] = ()
+    for name in names:
+        if name == "knife_edges":
+            check, wrong_rays = knife_edges(scene)
+            checks.append(check)
+        elif name == "routes":
+            checks.append(check_routes(scene, path))
+        elif name in MADE_OF_SCENE:
+            checks.append(MADE_OF_SCENE[name](scene))
+    return tuple(checks), wrong_rays
 
 
 def notes_on_misses(judge: Judge) -> tuple[str, ...]:

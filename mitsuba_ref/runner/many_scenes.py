@@ -240,6 +240,7 @@ def judge_here(
     *,
     timeout: float = DEFAULT_TIMEOUT,
     store: bool = True,
+    thorough: bool = False,
     subject: Subject | None = None,
     inputs_of: Callable[[SceneEntry], str] | None = None,
     known: str = "",
@@ -247,16 +248,17 @@ def judge_here(
 ) -> SceneVerdict:
     """Load and judge one scene in this process. Raises what loading and judging raise.
 
-    timeout: seconds for Mitsuba; store: take its answer to the very same request in an earlier run; subject: in place
-    of our caster, where the entry has none of its own; inputs_of: a hash of all that the verdict depends on, recorded
-    as its `inputs`; known: such a hash for which nothing is judged, and the verdict says nothing else; page_of: what of
-    the verdict and its evidence the report needs, which takes the place of the evidence.
+    timeout: seconds for Mitsuba; store: take its answer to the very same request in an earlier run; thorough: make
+    every check of our caster; subject: in place of our caster, where the entry has none of its own; inputs_of: a hash
+    of all that the verdict depends on, recorded as its `inputs`; known: such a hash for which nothing is judged, and
+    the verdict says nothing else; page_of: what of the verdict and its evidence the report needs, which takes the place
+    of the evidence.
     """
     loaded = entry.load()
     inputs = inputs_of(loaded) if inputs_of else ""
     if inputs and inputs == known:
         return SceneVerdict(entry.name, entry.path, entry.pixels, inputs=inputs)
-    given: dict[str, Any] = {"timeout": timeout, "keep": page_of is not None}
+    given: dict[str, Any] = {"timeout": timeout, "keep": page_of is not None, "thorough": thorough}
     if not store:
         given["send"] = send_request
     if loaded.rays is not None:
@@ -268,7 +270,7 @@ def judge_here(
     except OutputError:
         raise
     except SceneError as error:  # no reference for a shape, or numbers beyond float32
-        verdict = SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem_of(error))
+        verdict = SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem_of(error), thorough=thorough)
     about: dict[str, Any] = {"resized": loaded.resized, "options": loaded.options, "command": loaded.command}
     composition = scene_statistics(loaded.scene)
     found = replace(verdict, **about, rays=loaded.ray_range, composition=composition, inputs=inputs)
@@ -297,7 +299,8 @@ def judge_entry(entry: Entry, folder: Path | None, *, threads: int | None = None
             return ISOLATED(entry, folder, threads, **options)
     except WorkerEnded as ended:
         problem = f"the process that casts and judges ended: {ended}"
-        return with_replay(SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem))
+        thorough = bool(options.get("thorough"))
+        return with_replay(SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem, thorough=thorough))
 
 
 def progress_bar(entries: Sequence[Entry]) -> ProgressBar:

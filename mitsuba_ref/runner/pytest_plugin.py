@@ -12,10 +12,13 @@ import json
 import shutil
 import tempfile
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+
+from mitsuba_ref.judge import CANDIDATE, OURS, THOROUGH_CHECKS, check_names
 
 if TYPE_CHECKING:
     from mitsuba_ref.judge.verdict import SceneVerdict
@@ -25,8 +28,8 @@ if TYPE_CHECKING:
 OPTION = "--mitsuba-ref"
 PLUGIN = "mitsuba-ref-scenes"
 
-# Checks of a pixel, then those of a scene, by their names in a verdict. Stated here as well, since loading the judge
-# loads the kernels (tests/reference/test_pytest_plugin.py compares).
+# Checks of a pixel, by their names in a verdict. Stated here as well, since loading the judge loads the kernels
+# (tests/reference/test_pytest_plugin.py compares).
 PIXEL_CHECKS = (
     "mask",
     "shape_id",
@@ -39,35 +42,8 @@ PIXEL_CHECKS = (
     "diffuse",
     "exact",
 )
-SCENE_CHECKS = (
-    "placement",
-    "geometry",
-    "materials",
-    "camera",
-    "render",
-    "culling",
-    "knife_edges",
-    "scaling",
-    "routes",
-    "mesh_files",
-    "sensor",
-    "bias",
-)
 # Of a candidate, which gives t and what else it has: of what `validate` compares the rest is skipped.
-CANDIDATE_CHECKS = (
-    "mask",
-    "shape_id",
-    "prim_id",
-    "depth",
-    "normal",
-    "exact",
-    "ray_conventions",
-    "placement",
-    "geometry",
-    "camera",
-    "mesh_files",
-    "sensor",
-)
+CANDIDATE_PIXEL_CHECKS = ("mask", "shape_id", "prim_id", "depth", "normal", "exact")
 VERDICT = "verdict"  # the scene as a whole: it loads, Mitsuba answers, and there is evidence
 SUFFIXES = (".toml", ".json")
 SCENE_MARKERS = ("[camera]", "[[shape]]", '"camera"', '"shape"')  # a file without any of them is no scene
@@ -103,6 +79,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         default=None,
         help="film in pixels, instead of the scenes' own; also the ini option mitsuba_ref_size",
     )
+    thorough = f"also test our caster beyond the judged films: {', '.join(THOROUGH_CHECKS)}"
+    group.addoption(
+        "--mitsuba-ref-thorough", action="store_true", default=False, help=f"{thorough}; also an ini option"
+    )
+    parser.addini("mitsuba_ref_thorough", thorough, type="bool", default=False)
     for name, what in CANDIDATE_OPTIONS.items():
         group.addoption(f"--mitsuba-ref-{name}", default=None, metavar="X", help=f"{what}; also an ini option")
         parser.addini(f"mitsuba_ref_{name.replace('-', '_')}", what, default="")
@@ -128,6 +109,9 @@ class ScenePlugin:
         if self.words["candidate"] and self.words["candidate-serve"]:
             raise pytest.UsageError("mitsuba_ref_candidate: not together with mitsuba_ref_candidate_serve")
         self.candidate = self.words["candidate"] or self.words["candidate-serve"]
+        self.thorough = bool(config.getoption("mitsuba_ref_thorough") or config.getini("mitsuba_ref_thorough"))
+        if self.thorough and self.candidate:
+            raise pytest.UsageError("mitsuba_ref_thorough: not together with a candidate: it tests our own caster")
         if self.words["candidate-precision"] and not self.candidate:
             raise pytest.UsageError("mitsuba_ref_candidate_precision: expected mitsuba_ref_candidate beside it")
         self.mesh_dirs = [str(path) for path in config.getini("mitsuba_ref_mesh_dirs")]
@@ -159,7 +143,8 @@ class ScenePlugin:
 
     def pytest_report_header(self) -> str:
         film = f"films of {self.size[0]} x {self.size[1]}" if self.size else "the scenes' own films"
-        return f"mitsuba-ref: {film}" + (f", candidate {self.candidate}" if self.candidate else "")
+        about = f", candidate {self.candidate}" if self.candidate else ", thorough" if self.thorough else ""
+        return f"mitsuba-ref: {film}{about}"
 
     def verdict_of(self, path: Path) -> SceneVerdict | str:
         """The verdict, or what is wrong with the scene file."""
@@ -192,7 +177,8 @@ class ScenePlugin:
         entry = many_scenes.source_of(named, path.stem, **about)
         errors: list[Exception] = []
         try:
-            judge = self._candidate_judge() if self.candidate else None
+            ours = partial(many_scenes.judge_entry, thorough=self.thorough)
+            judge = self._candidate_judge() if self.candidate else ours
         except SceneError as error:
             return str(error)
         (verdict,) = many_scenes.run([entry], workers=1, judge=judge, on_error=errors.append)
@@ -262,7 +248,8 @@ class SceneFile(pytest.File):
     def collect(self) -> Iterator[CheckItem]:
         plugin = self.config.pluginmanager.get_plugin(PLUGIN)
         of_candidate = isinstance(plugin, ScenePlugin) and plugin.candidate
-        for name in (VERDICT, *(CANDIDATE_CHECKS if of_candidate else (*PIXEL_CHECKS, *SCENE_CHECKS))):
+        pixel, of = (CANDIDATE_PIXEL_CHECKS, CANDIDATE) if of_candidate else (PIXEL_CHECKS, OURS)
+        for name in (VERDICT, *pixel, *check_names(of)):
             yield CheckItem.from_parent(self, name=name)
 
 
@@ -278,6 +265,8 @@ class CheckItem(pytest.Item):
     def runtest(self) -> None:
         plugin = self.config.pluginmanager.get_plugin(PLUGIN)
         assert isinstance(plugin, ScenePlugin)  # it collected this item
+        if self.name in THOROUGH_CHECKS and not plugin.thorough:
+            pytest.skip("not judged: only --mitsuba-ref-thorough makes this check")
         found = plugin.verdict_of(self.path)
         if plugin.candidate and is_not_judged(found, self.name):
             pytest.skip(f"not judged: {plugin.candidate} does not give it, or it is no check of this scene")

@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import fields, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -116,7 +116,7 @@ def environment() -> dict[str, str]:
     return found
 
 
-def inputs_hash(entry: SceneEntry) -> str:
+def inputs_hash(entry: SceneEntry, *, thorough: bool = False) -> str:
     """A hash of all that the verdict of a scene depends on: scene and mesh bytes, code, versions, variant, options.
 
     "" for a scene without a variant: it cannot be judged, so its result is not reused.
@@ -133,6 +133,7 @@ def inputs_hash(entry: SceneEntry) -> str:
         "path": entry.path,  # replays name it
         "resized": entry.resized,
         "options": entry.options,
+        "thorough": thorough,
         "variant": variant,
         "settings": variants.environment_for(variant),  # libLLVM
         **environment(),
@@ -162,10 +163,12 @@ class ResumableResults:
         judge: JudgeScene,
         *,
         resume: bool,
+        thorough: bool = False,
         has_page: Callable[[SceneVerdict], bool] = lambda verdict: True,
     ) -> None:
-        """has_page: whether the requested HTML report holds the record of a verdict."""
+        """thorough: as `judge` judges; has_page: whether the requested HTML report holds the record of a verdict."""
         self.has_page = has_page
+        self.inputs_of = partial(inputs_hash, thorough=thorough)
         self.out, self.folder, self.journal = out, out.folder, out.folder / JOURNAL
         self.judge_anew = judge
         self.lock = threading.Lock()
@@ -179,7 +182,7 @@ class ResumableResults:
         known = self.known.get(entry.name)
         whole = known is not None and not known.problem and self.out.has_files(known) and self.has_page(known)
         inputs = known.inputs if known is not None and whole else ""
-        verdict = self.judge_anew(entry, folder, inputs_of=inputs_hash, known=inputs)
+        verdict = self.judge_anew(entry, folder, inputs_of=self.inputs_of, known=inputs)
         if known is not None and inputs and verdict.inputs == inputs and not verdict.problem:
             return self.out.record(replace(known, kept=True))
         verdict = self.out.record(verdict)

@@ -39,6 +39,7 @@ class RunOptions:
     shard: Shard | None = None
     timeout: float = DEFAULT_TIMEOUT  # seconds that Mitsuba may take for one scene
     store: bool = True  # take what Mitsuba answered in earlier runs to the very same request
+    thorough: bool = False  # make every check of our caster (judge/__init__.py)
     expected: "ExpectedFailures | None" = None  # known failures, by which the run does not fail
     skip_unsupported: bool = False  # nor by scenes that the candidate declines
     min_scenes: int = 0  # that have to be judged for the run to pass
@@ -135,12 +136,14 @@ class ValidationRun:
         if self.options.timeout > DEFAULT_TIMEOUT:
             many_scenes.ISOLATED.seconds = CALL_TIMEOUTS * self.options.timeout
         threads = many_scenes.threads_per_worker(self._workers, len(self.entries))
-        judge = partial(many_scenes.judge_entry, threads=threads, **options)
+        thorough = self.options.thorough
+        judge = partial(many_scenes.judge_entry, threads=threads, thorough=thorough, **options)
         if self.out is None:
             return judge
-        if self.html is None:
-            return ResumableResults(self.out, judge, resume=self.options.resume).judge
-        return ResumableResults(self.out, judge, resume=self.options.resume, has_page=self.html.holds).judge
+        about: dict[str, Any] = {"resume": self.options.resume, "thorough": thorough}
+        if self.html is not None:
+            about["has_page"] = self.html.holds
+        return ResumableResults(self.out, judge, **about).judge
 
 
 # ---- known failures ----

@@ -69,17 +69,12 @@ def obey(tree: str, module: str, argv: list[str], out: str, err: str, memory: st
 
 
 def pass_over(name: str) -> None:
-    """A check is not made, and passes."""
-    from mitsuba_ref.judge.verdict import SceneCheck
-    from mitsuba_ref.report import validation
+    """A check is not made."""
+    from mitsuba_ref import judge
 
-    passed = SceneCheck(name, 0.0, "passed over by this test")
-    function = "knife_edges" if name == "knife_edges" else f"check_{name}"
-    group = validation.CHECKS_OF_OUR_FILM
-    kept = tuple(check for check in group if check.__name__ != function)
-    assert len(kept) < len(group) or callable(getattr(validation, function)), function
-    validation.CHECKS_OF_OUR_FILM = kept
-    setattr(validation, function, lambda *given: (passed, ()) if name == "knife_edges" else passed)
+    kept = tuple(check for check in judge.SCENE_CHECKS if check.name != name)
+    assert len(kept) < len(judge.SCENE_CHECKS), name
+    judge.SCENE_CHECKS = kept
 
 
 def ask_once(memory: Path) -> None:

@@ -164,7 +164,7 @@ def test_a_planted_fault_is_found(tmp_path, fault):
         words = ["fuzz", "--family", family, "--examples", examples, "--time", "60s", "--keep", "0", *judged]
         pattern = rf"^\d+ findings: .*\d+ (?:{fault.message})\b"
     else:
-        words = ["validate", f"scenes/{fault.found_by}.toml", *SIZE, "-j", "1"]
+        words = ["validate", f"scenes/{fault.found_by}.toml", "--thorough", *SIZE, "-j", "1"]
         pattern = rf"^FAIL  {fault.found_by}  (.*\n +)?.*{fault.message}"
     found = run(tree, *words, *out)
     print(f"{fault.what}: {found.stdout}")

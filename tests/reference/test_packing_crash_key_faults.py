@@ -193,7 +193,7 @@ def test_a_planted_fault_is_found(tmp_path, fault):
         found = run_test(tree, fault.found_by)
     else:
         scenes = (f"scenes/{fault.found_by}.toml", "scenes/triangles.toml")
-        found = run(tree, "validate", *dict.fromkeys(scenes), *SIZE, "-j", "1")
+        found = run(tree, "validate", *dict.fromkeys(scenes), "--thorough", *SIZE, "-j", "1")
     print(found.stdout)
     code = EXIT_CODES.get(fault.what, 1)
     assert found.returncode == code, f"this passes: {fault.what}\n{found.stdout}{found.stderr}"

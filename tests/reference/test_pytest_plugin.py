@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from mitsuba_ref.judge import CANDIDATE, OURS, THOROUGH_CHECKS, check_names
 from mitsuba_ref.judge.classification import EXACT
 from mitsuba_ref.judge.comparison import CHECKS
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.runner.pytest_plugin import PIXEL_CHECKS, SCENE_CHECKS, VERDICT
+from mitsuba_ref.runner.pytest_plugin import CANDIDATE_PIXEL_CHECKS, PIXEL_CHECKS, VERDICT
 
 pytest_plugins = "pytester"
 
@@ -31,7 +32,8 @@ name = "ball"
 radius = 1.3
 """
 STRICT = "[check.depth]\nratio = 1e-6\n"
-NAMES = (VERDICT, *PIXEL_CHECKS, *SCENE_CHECKS)
+NAMES = (VERDICT, *PIXEL_CHECKS, *check_names(OURS))
+SKIPPED = len(THOROUGH_CHECKS)  # of each scene, without --mitsuba-ref-thorough
 HEAVY = ("numba", "mitsuba", "drjit", "caster.jit.decorators")
 PLAIN = (*HEAVY, "numpy", "pydantic", "caster.scene", "mitsuba_ref.runner.many_scenes")
 
@@ -96,8 +98,9 @@ def test_nothing_heavy_is_loaded_without_the_option_nor_to_collect(folder, words
         found.assert_outcomes(passed=1)
 
 
-def test_the_names_are_those_of_the_judge(judged):
+def test_the_names_are_those_of_the_judge(send):
     import caster
+    from mitsuba_ref.report.validation import validate_scene
 
     assert (*(check.name for check in CHECKS), "diffuse", EXACT) == PIXEL_CHECKS
     scene = caster.Scene(
@@ -105,7 +108,10 @@ def test_the_names_are_those_of_the_judge(judged):
         camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)),
         shapes=[caster.Sphere()],
     )
-    assert tuple(check.name for check in judged(scene).checks) == SCENE_CHECKS
+    for thorough in (False, True):
+        found = validate_scene(scene, "scene", send=send, thorough=thorough)
+        assert tuple(check.name for check in found.checks) == check_names(OURS, thorough=thorough)
+        assert {*check_names(OURS)} == {check.name for check in found.checks} | {*found.left_out}
 
 
 def summary_of(text: str) -> list[str]:
@@ -120,7 +126,7 @@ def test_a_scene_that_fails_one_check_fails_that_test_with_its_replay(folder, mo
     monkeypatch.delenv("BUILD_NUMBER", raising=False)  # pytest takes either for a service that wants all the words
     folder.makeini("[pytest]\nmitsuba_ref_size = 20 16\n")
     found = run(folder, "--mitsuba-ref", "scenes")
-    found.assert_outcomes(passed=2 * len(NAMES) - 2, failed=2)
+    found.assert_outcomes(passed=2 * (len(NAMES) - SKIPPED) - 2, failed=2, skipped=2 * SKIPPED)
     text = found.stdout.str()
     assert re.search(r"FAIL  strict  depth: \d+ of \d+ hit pixels, worst ", text)
     assert text.count("replay:    mitsuba-ref probe scenes/strict.toml ") == 2 and " --size 20 16" in text
@@ -149,7 +155,7 @@ def crashing(monkeypatch, tmp_path_factory):
 
 def test_a_crash_fails_every_test_and_is_requested_once(folder, crashing):
     found = run(folder, "--mitsuba-ref", "scenes/good.toml", "--mitsuba-ref-size", "8", "6")
-    found.assert_outcomes(failed=len(NAMES))
+    found.assert_outcomes(failed=len(NAMES) - SKIPPED, skipped=SKIPPED)
     text = found.stdout.str()
     assert "FAIL  good  Mitsuba ended without an answer (SIGABRT)" in text and "last words" in text
     assert len(crashing()) == 1
@@ -164,7 +170,7 @@ def test_an_expression_selects_and_one_check_alone_does_not_pass_for_want_of_a_v
 def test_a_scene_file_that_is_not_valid_is_reported_with_its_place(folder, crashing):
     Path("scenes/bad.toml").write_text(SCENE.format(more="foov = 3"))
     found = run(folder, "--mitsuba-ref", "scenes/bad.toml")
-    found.assert_outcomes(failed=len(NAMES))
+    found.assert_outcomes(failed=len(NAMES) - SKIPPED, skipped=SKIPPED)
     text = found.stdout.str()
     assert "scenes/bad.toml:9:1: " in text and "foov is an unknown key" in text and "Traceback" not in text
     assert "FAILED scenes/bad.toml::depth - scenes/bad.toml:9:1: " in text and not crashing()
@@ -212,7 +218,7 @@ def test_with_several_workers_each_scene_is_judged_once(folder, tmp_path, monkey
     folder.makeconftest(MADE_UP.format(tests=str(ROOT / "tests/unit"), log=str(log)))
     words = ("-p", "xdist.plugin", "-n", "2", "--dist", "load", "--mitsuba-ref", "scenes")
     found = run(folder, *words, inside=False)
-    found.assert_outcomes(failed=1, passed=2 * len(NAMES) - 1)
+    found.assert_outcomes(failed=1, passed=2 * (len(NAMES) - SKIPPED) - 1, skipped=2 * SKIPPED)
     assert sorted(log.read_text().split()) == ["good", "strict"]
     assert "FAIL  strict  depth: 1 wrong" in found.stdout.str()
     assert summary_of(found.stdout.str()) == ["FAILED"]
@@ -248,7 +254,6 @@ def test_the_checks_of_a_candidate_are_those_of_its_verdict(send):
         found = caster.cast(scene, o, d)
         return found.t, found.normal
 
-    plugin = import_module("mitsuba_ref.runner.pytest_plugin")
     found = validate_scene(
         caster.Scene(
             film=caster.Film(width=8, height=8),
@@ -260,7 +265,7 @@ def test_the_checks_of_a_candidate_are_those_of_its_verdict(send):
         send=send,
     )
     named = {*(check.name for check in found.checks), *found.ratios}
-    assert named <= {*plugin.CANDIDATE_CHECKS} and "ray_conventions" in named
+    assert named <= {*CANDIDATE_PIXEL_CHECKS, *check_names(CANDIDATE)} and "ray_conventions" in named
 
 
 def test_a_candidate_is_judged_and_what_it_does_not_give_is_skipped(folder):

@@ -201,7 +201,8 @@ def test_a_planted_fault_is_found(tmp_path, fault):
     if fault.found_by.endswith(".py"):
         found = run_test(tree, fault.found_by)
     else:
-        found = run(tree, "validate", f"scenes/{fault.found_by}.toml", "--size", *fault.size, "-j", "1")
+        words = ["validate", f"scenes/{fault.found_by}.toml", "--thorough", "--size", *fault.size, "-j", "1"]
+        found = run(tree, *words)
     print(found.stdout)
     assert found.returncode == 1, f"this passes: {fault.what}\n{found.stdout}{found.stderr}"
     assert re.search(fault.message, found.stdout), found.stdout

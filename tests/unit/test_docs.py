@@ -1,6 +1,5 @@
 """The pages of docs/: what is made from sources is up to date, no link leads nowhere, every page can be found."""
 
-import ast
 import importlib.util
 import re
 from pathlib import Path
@@ -28,32 +27,6 @@ def test_the_index_names_every_page():
     named = set(links_of(ROOT / "docs/README.md"))
     there = {page.name for page in ROOT.glob("docs/*.md")} - {"README.md"} - MADE_BY_ANOTHER
     assert named == there
-
-
-def names_of_checks() -> set[str]:
-    """First arguments of SceneCheck and worst_pixel in the judge, those that are a constant of the module included."""
-    found = set()
-    for file in ROOT.glob("mitsuba_ref/**/*.py"):
-        tree = ast.parse(file.read_text(encoding="utf-8"))
-        constants = {
-            node.targets[0].id: node.value.value
-            for node in tree.body
-            if isinstance(node, ast.Assign)
-            and isinstance(node.value, ast.Constant)
-            and isinstance(node.targets[0], ast.Name)
-        }
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("SceneCheck", "worst_pixel"):
-                first = node.args[0]
-                found |= {first.value} if isinstance(first, ast.Constant) else {constants.get(first.id)}
-    return found - {None}
-
-
-def test_the_method_has_a_row_for_each_check_of_a_scene():
-    text = (ROOT / "docs/method.md").read_text(encoding="utf-8")
-    table = text[text.index("| check of a scene |") :].split("\n\n")[0]
-    rows = re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)
-    assert sorted(rows) == sorted(names_of_checks()) and len(rows) >= 14
 
 
 def program(name):

@@ -22,6 +22,7 @@ from mitsuba_ref.judge.scene_checks import (
     BRUTE_FORCE_TESTS,
     PRECISIONS,
     Shares,
+    check_brute_force,
     check_camera,
     check_culling,
     check_geometry,
@@ -319,18 +320,22 @@ def test_a_render_that_forgets_the_far_plane_or_moves_it_fails(monkeypatch, near
 
 
 @pytest.mark.parametrize("field", ["t", "prim"])
-def test_a_ray_that_brute_force_finds_otherwise_fails_culling(monkeypatch, field):
+def test_a_ray_that_brute_force_finds_otherwise_fails(monkeypatch, field):
     scene = scene_of()
+    assert check_brute_force(scene).ratio == 0.0
     real, row = scene_checks.find_nearest, 27
 
-    def other(packed, rays, culling, *more):
-        found = real(packed, rays, culling, *more)
+    def other(packed, rays, culling="bvh"):
+        found = real(packed, rays, culling)
+        if culling == "bvh":
+            return found
         values = getattr(found, field).copy()
         values[row] += 1
         return found._replace(**{field: values})
 
     monkeypatch.setattr(scene_checks, "find_nearest", other)
-    assert check_culling(scene).what == "bits at (6, 5)" and not check_culling(scene).ok
+    found = check_brute_force(scene)
+    assert (found.name, found.what, found.ok) == ("brute_force", "bits at (6, 5)", False)
 
 
 def test_rays_are_tried_against_every_primitive_as_far_as_there_is_time():
