@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from caster.cli.shared_arguments import InputPath, positive_int
 from caster.description.errors import SceneError
+from caster.system import processor
 from caster.system.process import OK, PARENT_VARIABLE, die_with_parent
 
 if TYPE_CHECKING:
@@ -160,8 +161,14 @@ def _warm_summary(done: WarmUpCounts) -> str:
 
 
 def report() -> list[Finding]:
-    """Findings on Python and on every package that the ray caster uses."""
-    return [_python(), *(find_package(part) for part in PACKAGES)]
+    """Findings on Python, the processor and every package that the ray caster uses."""
+    return [_python(), _processor(), *(find_package(part) for part in PACKAGES)]
+
+
+def _processor() -> Finding:
+    """Reported: images of the caster do not depend on it, last bits of Mitsuba's do."""
+    adds = "nothing to images of caster; last bits to those of Mitsuba"
+    return Finding("processor", True, False, processor.description(), adds)
 
 
 def usable(findings: Sequence[Finding]) -> bool:

@@ -150,7 +150,7 @@ def _llvm(answer: dict[str, Any]) -> Finding:
 
 
 def _gpu() -> Finding:
-    """Reported, though unused: the reference runs on the CPU, so that every machine has the same one."""
+    """Reported, though unused: the reference runs on the CPU, whether there is a GPU or not."""
     library = find_library("cuda")
     adds = "nothing yet: the reference uses the CPU"
     return Finding("GPU", library is not None, False, library or "no CUDA driver", adds)

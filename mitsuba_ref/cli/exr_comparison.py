@@ -196,7 +196,7 @@ def approved(args: argparse.Namespace, count: int) -> bool:
 
 
 def approve_command(args: argparse.Namespace, path: str) -> str:
-    """The command that renders this reference, without folders: every machine has to write the same bytes."""
+    """The command that renders this reference, without folders, which differ between machines."""
     size = f" --size {args.size[0]} {args.size[1]}" if args.size else ""
     variant = f" --variant {args.variant}" if args.variant else ""
     return f"mitsuba-ref approve {Path(path).name}{size}{variant}"

@@ -260,7 +260,7 @@ def run_merge(args: argparse.Namespace) -> int:
     from mitsuba_ref.report.results import print_lines
     from mitsuba_ref.report.verdict_text import failures_text, summary_text
     from mitsuba_ref.runner.resume import read_verdict
-    from mitsuba_ref.runner.shards import merge_verdicts, other_versions
+    from mitsuba_ref.runner.shards import merge_verdicts, other_processors, other_versions
 
     check_verdict_files(args)
     places = [str(Path(place) / "verdict.json") if Path(place).is_dir() else place for place in args.verdicts]
@@ -268,6 +268,8 @@ def run_merge(args: argparse.Namespace) -> int:
     verdict, missing = merge_verdicts(parts, any_versions=args.other_versions)
     for difference in other_versions(parts):
         print(f"{difference}: merged all the same, by --other-versions", file=sys.stderr)
+    for difference in other_processors(parts):
+        print(f"{difference}: merged; only last bits of Mitsuba's answers depend on it", file=sys.stderr)
     seconds = sum(scene.seconds for scene in verdict.scenes if not scene.kept)
     write_verdict_files(verdict, args, seconds)
     if failures := failures_text(verdict):

@@ -34,7 +34,8 @@ AOVS = ("hit", "depth", "normal", "shading_normal", "position", "diffuse", "shap
 PREFIX = "caster/reference/"
 DIGEST = PREFIX + "sha256"
 VARIANT = PREFIX + "variant"
-VERSIONS = ("caster/version", PREFIX + "mitsuba", PREFIX + "drjit")
+VERSIONS = ("caster/version", PREFIX + "mitsuba", PREFIX + "drjit", PREFIX + "libllvm")
+PROCESSOR = PREFIX + "processor"
 SCENE_HASH = "caster/scene_sha256"
 SCENE_JSON = "caster/scene_json"
 
@@ -72,8 +73,8 @@ class Reference:
 def render_fresh(
     scene: Scene, path: str, *, variant: str | None, command: str, timeout: float = DEFAULT_TIMEOUT
 ) -> Reference | Crash:
-    """A fresh one. path, command: recorded without folders, so that every machine writes the same bytes; command: the
-    one that renders it again. timeout: seconds for Mitsuba's answer."""
+    """A fresh one. path, command: recorded without folders, so that every machine with the same processor writes the
+    same bytes; command: the one that renders it again. timeout: seconds for Mitsuba's answer."""
     rays = shared_rays(scene)
     view = cast_ours(scene, rays)
     model = model_of(scene, view.packed, rays)
@@ -169,8 +170,8 @@ def comparable(before: Reference, now: Reference) -> bool:
 
 
 def describe_changes(before: Reference, now: Reference) -> Iterator[str]:
-    """For a terminal: versions, hit mask, channels."""
-    for key in (*VERSIONS, VARIANT):
+    """For a terminal: versions, processor, hit mask, channels."""
+    for key in (*VERSIONS, VARIANT, PROCESSOR):
         old, new = before.about.get(key, "none"), now.about.get(key, "none")
         if old != new:
             yield f"{key.removeprefix(PREFIX).removeprefix('caster/') or key}: {old} -> {new}"

@@ -265,7 +265,7 @@ class Verdict:
     shard: str = ""  # such as "2/4": these are the scenes of one of several runs
     selected: tuple[str, ...] = ()  # names of the scenes of all shards
     code: str = ""  # a hash of the sources that judged; of one of several runs, of all their scenes, too
-    judged_with: dict[str, str] = field(default_factory=dict)  # versions, variants, machine
+    judged_with: dict[str, str] = field(default_factory=dict)  # versions, variants, machine, processor
     min_scenes: int = 0  # scenes that have to be judged, and not declined, for the run to pass
     mended: tuple[str, ...] = ()  # scenes that --expected lists as failing, and that pass
     requested_candidate: str = ""  # the candidate that was requested, also if no scene is judged; "" for ours

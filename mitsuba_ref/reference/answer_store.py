@@ -1,8 +1,8 @@
 """Store of Mitsuba's responses: what was answered once to the very same request is not asked again.
 
 A response is kept under a hash of all that it depends on: rays, the exported scene to the byte, variant, what is asked
-for, the versions of Mitsuba, Dr.Jit and libLLVM, and the sources that ask. Each is checked when it is read; one that is
-damaged is asked anew. Only whole responses are kept, no crash and no time-out.
+for, the processor, the versions of Mitsuba, Dr.Jit and libLLVM, and the sources that ask. Each is checked when it is
+read; one that is damaged is asked anew. Only whole responses are kept, no crash and no time-out.
 """
 
 import contextlib
@@ -16,6 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
+from caster.system import processor
 from caster.system.atomic_files import distrust, read_sealed, write_sealed
 from mitsuba_ref.reference import messages, variants
 from mitsuba_ref.reference.messages import TraceRequest, TraceResponse
@@ -155,7 +156,7 @@ def request_key(request: TraceRequest) -> str:
 
 @cache
 def request_dependencies() -> str:
-    """Versions, machine and sources that every answer depends on."""
-    parts = [platform.system(), platform.machine()]
+    """Versions, processor and sources that every answer depends on."""
+    parts = [platform.system(), platform.machine(), processor.description()]
     parts += [variants.installed_version(name) for name in ("mitsuba", "drjit", "numpy")]
     return "\0".join([*parts, *(source.read_text(encoding="utf-8") for source in SOURCES)])

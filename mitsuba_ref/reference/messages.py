@@ -105,7 +105,7 @@ class TraceResponse:
     sensor_o: np.ndarray | None  # (m, 3) float32, through the pixel centres of the crop window, row by row
     sensor_d: np.ndarray | None  # (m, 3) float32
     sensor_t_max: np.ndarray | None  # (m,) float32
-    versions: dict[str, str]  # mitsuba, drjit, variant, libllvm
+    versions: dict[str, str]  # mitsuba, drjit, variant, libllvm, processor
     seconds: float  # loading and tracing, without starting Python
     stored: bool = False  # answered earlier, to the same request; no Mitsuba ran, and `seconds` is 0
     # of the mesh files: (f, 3, 8) float32, position, normal and uv at the corners of all faces

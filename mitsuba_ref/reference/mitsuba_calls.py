@@ -15,6 +15,7 @@ import drjit
 import mitsuba
 import numpy as np
 
+from caster.system import processor
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.messages import TraceRequest, TraceResponse
 from mitsuba_ref.scene_xml.elements import shape_and_part
@@ -130,7 +131,13 @@ def _centers(offset: int, size: int) -> np.ndarray:
 
 
 def _versions(variant: str) -> dict[str, str]:
-    return {"mitsuba": mi.__version__, "drjit": dr.__version__, "variant": variant, "libllvm": _libllvm(variant)}
+    return {
+        "mitsuba": mi.__version__,
+        "drjit": dr.__version__,
+        "variant": variant,
+        "libllvm": _libllvm(variant),
+        "processor": processor.description(),
+    }
 
 
 def _libllvm(variant: str) -> str:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from caster.description.errors import SceneError
+from caster.system import processor
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.reference import messages
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
@@ -205,7 +206,7 @@ def _version(path: str) -> tuple[list[int], str]:
 
 def _cache_key(candidates: list[str]) -> str:
     """A hash of everything that the outcome depends on."""
-    parts = [*(file.read_text(encoding="utf-8") for file in SOURCES), platform.node(), platform.machine()]
+    parts = [*(file.read_text(encoding="utf-8") for file in SOURCES), platform.node(), processor.description()]
     parts += [
         os.environ.get(LIBLLVM_ENVIRONMENT_VARIABLE, ""),
         installed_version("mitsuba"),

@@ -17,6 +17,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from caster.description.errors import FileMissing, SceneError
 from caster.description.input_files import MAX_TEXT_BYTES, read_input, read_own
+from caster.system import processor
 from caster.system.atomic_files import append_text, write_text
 from mitsuba_ref.judge.verdict import VERDICT_FORMAT, SceneVerdict, Verdict
 from mitsuba_ref.reference import variants
@@ -108,8 +109,8 @@ def code_hash() -> str:
 
 @cache
 def environment() -> dict[str, str]:
-    """Versions of the libraries, and the machine."""
-    found = {"python": platform.python_version(), "machine": platform.machine(), "code": code_hash()}
+    """Versions of the libraries, and the processor."""
+    found = {"python": platform.python_version(), "processor": processor.description(), "code": code_hash()}
     for name in VERDICT_LIBRARIES:
         with suppress(importlib.metadata.PackageNotFoundError):
             found[name] = importlib.metadata.version(name)

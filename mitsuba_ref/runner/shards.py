@@ -5,13 +5,14 @@ import heapq
 import importlib.metadata
 import platform
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
 from caster.description.errors import SceneError
+from caster.system import processor
 from caster.system.process import NOT_COMPARABLE
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.reference import variants
@@ -22,15 +23,17 @@ from mitsuba_ref.runner.resume import UnreadableVerdict
 COMPUTING_LIBRARIES = ("mitsuba", "drjit", "numpy", "numba", "llvmlite")
 RECORDED_PER_SCENE = ("mitsuba", "drjit")  # versions in each answer of Mitsuba; variants differ between scenes
 NONE = "none"
+PROCESSOR = "processor"  # of `judged_with`; parts of a run may have different ones
 MAX_MISSING_LISTED = 50  # shards; --shard 1/100000000 is valid
 
 
 def judged_with() -> dict[str, str]:
-    """Versions, variants and machine of this run. Raises VariantError."""
+    """Versions, variants, architecture and processor of this run. Raises VariantError."""
     flat, quadrics = (variants.variant_for(has_quadrics=each) for each in (False, True))
     library = variants.usable_variants().libllvm if variants.LLVM in (flat, quadrics) else None
     return {
         "machine": platform.machine(),
+        PROCESSOR: processor.description(),
         **{name: _installed(name) for name in COMPUTING_LIBRARIES},
         "variant of triangles": flat,
         "variant of quadrics": quadrics,
@@ -52,10 +55,21 @@ def version_in(library: str) -> str:
 
 def other_versions(parts: Sequence[tuple[str, Verdict]]) -> list[str]:
     """Differences between the versions of parts, a sentence each; parts: (file, verdict)."""
+    return _differences([(place, _recorded_versions(part)) for place, part in parts])
+
+
+def other_processors(parts: Sequence[tuple[str, Verdict]]) -> list[str]:
+    """Differences between the processors of parts, likewise: merged all the same, as verdicts do not depend on it."""
+    return _differences(
+        [(place, ((PROCESSOR, part.judged_with[PROCESSOR]),)) for place, part in parts if PROCESSOR in part.judged_with]
+    )
+
+
+def _differences(parts: Sequence[tuple[str, Iterable[tuple[str, str]]]]) -> list[str]:
     known: dict[str, tuple[str, str]] = {}
     found: dict[str, None] = {}
-    for place, part in parts:
-        for what, version in _recorded_versions(part):
+    for place, recorded in parts:
+        for what, version in recorded:
             first, before = known.setdefault(what, (place, version))
             if version != before:
                 found[f"{place} was judged with {what} {version}, {first} with {before}"] = None
@@ -63,7 +77,7 @@ def other_versions(parts: Sequence[tuple[str, Verdict]]) -> list[str]:
 
 
 def _recorded_versions(part: Verdict) -> Iterator[tuple[str, str]]:
-    yield from part.judged_with.items()
+    yield from ((what, version) for what, version in part.judged_with.items() if what != PROCESSOR)
     for scene in part.scenes:
         yield from ((name, scene.versions[name]) for name in RECORDED_PER_SCENE if name in scene.versions)
         library = scene.versions.get("libllvm", NONE)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from mitsuba_scenes import job, shape, write
 
+from caster.system import processor
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.cli.doctor import answer_store as finding
 from mitsuba_ref.reference import answer_store, mitsuba_process, variants
@@ -130,6 +131,12 @@ def other_version_of(name):
     return changed
 
 
+def other_processor(request, patch):
+    patch.setattr(processor, "description", lambda: "GenuineIntel family 6 model 142 (x86-64-v3)")
+    answer_store.request_dependencies.cache_clear()
+    return request
+
+
 CHANGES = {
     "ray": other_rays,
     "direction": lambda request, patch: replace(request, d=-request.d),
@@ -148,6 +155,7 @@ CHANGES = {
     "mesh file": lambda request, patch: replace(request, mesh_files=(request.xml,)),
     "libLLVM": other_library,
     "source": other_source,
+    "processor": other_processor,
     "Mitsuba": other_version_of("mitsuba"),
     "Dr.Jit": other_version_of("drjit"),
 }

@@ -13,8 +13,9 @@ import pytest
 from forked_runs import ask_once
 
 from caster.image.exr import read_exr, write_exr
+from caster.system import processor
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.exr_compare.approved_reference import AOVS, CLASS_CHANNEL, channel_changes, load_reference
+from mitsuba_ref.exr_compare.approved_reference import AOVS, CLASS_CHANNEL, PROCESSOR, channel_changes, load_reference
 from mitsuba_ref.judge.verdict import CLASSES
 from mitsuba_ref.reference.mitsuba_process import ResidentSession
 
@@ -99,6 +100,7 @@ def test_a_reference_states_where_it_comes_from_and_names_no_folder(here):
     assert about["caster/reference/mitsuba"] == "3.9.1" and about["caster/reference/variant"] == "scalar_rgb"
     assert about["caster/reference/command"] == "mitsuba-ref approve ball.toml" and about["caster/scene"] == "ball.toml"
     assert {"caster/scene_sha256", "caster/version", "caster/reference/drjit"} <= set(about) and "uv" not in AOVS
+    assert about["caster/reference/processor"] == processor.description()
     assert not any(str(here) in words or "/usr/" in words for words in about.values())
 
 
@@ -292,6 +294,56 @@ def test_a_fresh_render_is_held_to_the_bit(here, capsys):
     assert said(capsys, "check", "scenes", "-k", "ball")[0] == 0  # a bit is within any bound
     code, out, _ = said(capsys, "check", "scenes", "--fresh", "-k", "ball")
     assert code == 1 and f"depth.Z: 1 pixels differ, by at most 4.76837158e-07, at ({x}, {y})" in out
+
+
+def one_bit_off(plane, hit):
+    return np.where(hit, np.nextafter(plane, np.float32(0)), plane)
+
+
+OTHER = "GenuineIntel family 6 model 142 (x86-64-v3)"
+
+
+@pytest.mark.parametrize("recorded", [OTHER, None])
+def test_last_bits_of_another_processor_are_named_and_no_change(here, capsys, recorded):
+    """Also those of a reference that names none."""
+    before = load_reference(here / "refs/ball.exr")
+    about = {key: words for key, words in before.about.items() if key != PROCESSOR}
+    about |= {PROCESSOR: recorded} if recorded else {}
+    depth = one_bit_off(before.channels["depth.Z"], before.channels["A"] != 0)
+    replace(before, about=about, channels=before.channels | {"depth.Z": depth}).write(here / "refs/ball.exr")
+    code, out, _ = said(capsys, "approve", "scenes", "-k", "ball")
+    assert code == 0 and "same        ball  but for last bits" in out and "0 references to write" in out
+    assert f"processor: {recorded or 'none'} -> {processor.description()}" in out and "depth.Z: " in out
+    code, out, _ = said(capsys, "check", "scenes", "--fresh", "-k", "ball")
+    assert code == 0 and "PASS  ball  a fresh render by scalar_rgb has other bits; both are within the bounds" in out
+    assert f"processor: {recorded or 'none'} -> {processor.description()}" in out
+    code, out, _ = said(capsys, "approve", "scenes", "-k", "ball", "--update", "all", "--yes")
+    assert code == 0 and load_reference(here / "refs/ball.exr").about[PROCESSOR] == processor.description()
+
+
+@pytest.mark.parametrize(
+    ("channel", "change", "more"),
+    [
+        ("depth.Z", lambda plane, hit: np.where(hit, plane * (1 + 2.0**-16), plane), {}),
+        ("normal.X", lambda plane, hit: np.where(hit, plane * (1 + 2.0**-9), plane), {}),
+        ("R", lambda plane, hit: np.where(hit, plane * (1 + 2.0**-9), plane), {}),
+        ("R", lambda plane, hit: np.where(hit, plane, 2.0**-149), {}),
+        ("A", lambda plane, hit: np.zeros_like(plane), {}),
+        ("id.shape", lambda plane, hit: plane + 1, {}),
+        ("depth.Z", one_bit_off, {"caster/reference/mitsuba": "3.9.0"}),
+        ("depth.Z", one_bit_off, {PROCESSOR: processor.description()}),
+    ],
+)
+def test_more_than_another_processor_explains_is_a_change(here, capsys, channel, change, more):
+    before = load_reference(here / "refs/ball.exr")
+    plane = before.channels[channel]
+    plane = change(plane, before.channels["A"] != 0).astype(plane.dtype)
+    about = before.about | {PROCESSOR: OTHER} | more
+    replace(before, about=about, channels=before.channels | {channel: plane}).write(here / "refs/ball.exr")
+    code, out, _ = said(capsys, "approve", "scenes", "-k", "ball")
+    assert code == 1 and "changed  -> ball" in out
+    code, out, _ = said(capsys, "check", "scenes", "--fresh", "-k", "ball")
+    assert code == 1 and "FAIL  ball  a fresh render by scalar_rgb has other bits\n" in out
 
 
 def test_no_row_is_lost_while_another_thread_has_standard_output_redirected(here, capsys, monkeypatch):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from mitsuba_scenes import has_t, job, shape, write
 
+from caster.system import processor
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.reference import messages, mitsuba_process, variants
 from mitsuba_ref.reference.messages import Crash, TraceResponse
@@ -188,7 +189,7 @@ def test_what_was_found_is_remembered_by_the_next_process(libraries, trials, mon
     assert usable_variants() == first and len(trials.tried) == 2
 
 
-@pytest.mark.parametrize("change", ["mtime", "size", "gone", "versions", "chosen"])
+@pytest.mark.parametrize("change", ["mtime", "size", "gone", "versions", "processor", "chosen"])
 def test_another_library_or_another_mitsuba_is_tried_again(libraries, trials, monkeypatch, change):
     usable_variants()
     forget(monkeypatch)
@@ -202,6 +203,8 @@ def test_another_library_or_another_mitsuba_is_tried_again(libraries, trials, mo
         Path(libraries[0]).unlink()
     elif change == "versions":
         monkeypatch.setattr(variants, "installed_version", lambda name: "9.9.9")
+    elif change == "processor":
+        monkeypatch.setattr(processor, "description", lambda: "GenuineIntel family 6 model 142 (x86-64-v3)")
     else:
         monkeypatch.setenv(LIBLLVM_ENVIRONMENT_VARIABLE, libraries[0])
     usable_variants()

@@ -110,7 +110,7 @@ def test_a_verdict_that_does_not_say_what_was_written_is_judged_anew(judged, tmp
 
 
 @pytest.mark.parametrize(
-    "other", [{"code": "another"}, {"mitsuba": "3.9.0"}, {"numpy": "1.0"}, {"machine": "another"}], ids=str
+    "other", [{"code": "another"}, {"mitsuba": "3.9.0"}, {"numpy": "1.0"}, {"processor": "another"}], ids=str
 )
 def test_other_code_or_versions_judge_all_anew(judged, monkeypatch, other):
     judged()

@@ -8,6 +8,7 @@ import pytest
 from verdict_factory import scene as made
 
 import caster
+from caster.system import processor
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.judge.verdict import Finding, Verdict
 from mitsuba_ref.runner.many_scenes import SceneEntry
@@ -186,6 +187,18 @@ def test_shards_of_other_versions_are_put_together_only_if_requested(folder, cap
     }
 
 
+def test_shards_of_other_processors_are_put_together_and_it_is_said(folder, capsys):
+    intel, amd = "GenuineIntel family 6 model 142 (x86-64-v3)", "AuthenticAMD family 25 model 17 (x86-64-v4)"
+    write("1.json", with_versions("1/2", "ac", processor=intel))
+    write("2.json", with_versions("2/2", "bd", processor=amd))
+    code, out, err = merged(capsys, "1.json", "2.json")
+    assert code == 0 and "4 pass" in out
+    assert f"2.json was judged with processor {amd}, 1.json with {intel}: merged; only last bits" in err
+    assert read_verdict("all.json").judged_with["processor"] == f"{intel} and {amd}"
+    write("2.json", with_versions("2/2", "bd", processor=intel))
+    assert merged(capsys, "1.json", "2.json")[2] == ""
+
+
 def test_the_same_libraries_in_other_folders_and_scenes_of_other_variants_are_alike(folder, capsys):
     write("1.json", with_versions("1/2", "ac", LLVM_19))
     write("2.json", with_versions("2/2", "bd", LLVM_19 | {"libllvm": "/usr/lib64/libLLVM.so.19.1"}))
@@ -197,6 +210,7 @@ def test_the_same_libraries_in_other_folders_and_scenes_of_other_variants_are_al
 def test_a_run_states_what_it_judged_with(monkeypatch):
     found = judged_with()
     assert found["mitsuba"] == "3.9.1" and found["variant of quadrics"] == "scalar_rgb"
+    assert found["processor"] == processor.description()
     monkeypatch.setenv("MITSUBA_REF_VARIANT", "scalar_rgb")
     assert judged_with()["variant of triangles"] == "scalar_rgb" and judged_with()["libLLVM"] == "none"
     assert version_in("/usr/lib/llvm-19/lib/libLLVM.so.19.1") == "19.1"

@@ -1,0 +1,48 @@
+"""The processor, as far as Mitsuba's last bits depend on it.
+
+Embree and Dr.Jit take reciprocals from tables (rcpps, rsqrtps, rcp14) that differ between vendors and models, by code
+that they choose by the features of the processor. What is rendered, stored or judged by Mitsuba names it.
+"""
+
+import platform
+from functools import cache
+from pathlib import Path
+
+__all__ = ["description"]
+
+CPUINFO = Path("/proc/cpuinfo")
+
+# The best first; by Linux's names of flags. AVX without AVX2 is no level, but Embree has code of its own for it.
+LEVELS = {
+    "x86-64-v4": "avx2 fma avx512f avx512bw avx512cd avx512dq avx512vl",
+    "x86-64-v3": "avx2 fma bmi1 bmi2 f16c movbe",
+    "x86-64-v2 with AVX": "avx sse4_2",
+    "x86-64-v2": "sse4_2 ssse3 popcnt",
+    "x86-64": "",
+}
+
+
+@cache
+def description() -> str:
+    """Vendor, family, model and level, such as "AuthenticAMD family 25 model 17 (x86-64-v4)".
+
+    Where the system has no /proc/cpuinfo, the architecture and what the system calls the processor, which may be less
+    than a model.
+    """
+    try:
+        return described(CPUINFO.read_text(errors="replace"), platform.machine())
+    except OSError:
+        return described("", platform.machine()) + (f" ({name})" if (name := platform.processor()) else "")
+
+
+def described(cpuinfo: str, machine: str) -> str:
+    """The same from the text of /proc/cpuinfo, whose first processor counts, and the architecture."""
+    lines = (line.partition(":") for line in cpuinfo.partition("\n\n")[0].splitlines())
+    found = {key.strip(): value.strip() for key, _, value in lines}
+    if "vendor_id" in found and "flags" in found:
+        flags = set(found["flags"].split())
+        level = next(level for level, needed in LEVELS.items() if flags.issuperset(needed.split()))
+        return f"{found['vendor_id']} family {found.get('cpu family')} model {found.get('model')} ({level})"
+    if "CPU implementer" in found:
+        return f"{machine} implementer {found['CPU implementer']} part {found.get('CPU part')}"
+    return f"{machine}, unknown model"

@@ -1,0 +1,62 @@
+"""The processor as results name it."""
+
+import sys
+
+import pytest
+
+from caster.system import processor
+
+V2 = "fpu sse sse2 ssse3 cx16 sse4_1 sse4_2 popcnt lahf_lm"
+V3 = f"{V2} avx avx2 fma bmi1 bmi2 f16c movbe abm"
+V4 = f"{V3} avx512f avx512dq avx512cd avx512bw avx512vl"
+
+
+def cpuinfo(flags, vendor="GenuineIntel", model=142):
+    """Two processors of one kind, as Linux lists them."""
+    lines = ["processor\t: {}", f"vendor_id\t: {vendor}", "cpu family\t: 6", f"model\t\t: {model}"]
+    one = "\n".join([*lines, "model name\t: Some CPU: @ 2 GHz", f"flags\t\t: {flags}"])
+    return f"{one.format(0)}\n\n{one.format(1)}\n\n"
+
+
+@pytest.mark.parametrize(
+    ("flags", "level"),
+    [
+        (V4, "x86-64-v4"),
+        (V3, "x86-64-v3"),
+        (V4.replace("avx512vl", ""), "x86-64-v3"),
+        (f"{V2} avx", "x86-64-v2 with AVX"),
+        (V2, "x86-64-v2"),
+        ("fpu sse sse2", "x86-64"),
+    ],
+)
+def test_vendor_family_model_and_level(flags, level):
+    assert processor.described(cpuinfo(flags), "x86_64") == f"GenuineIntel family 6 model 142 ({level})"
+
+
+def test_another_vendor_or_model_is_another_processor():
+    """Tables of reciprocals differ between them at the same level."""
+    kinds = {
+        processor.described(cpuinfo(V3, *which), "x86_64") for which in ((), ("AuthenticAMD",), ("GenuineIntel", 85))
+    }
+    assert len(kinds) == 3
+
+
+def test_arm_has_an_implementer_and_a_part():
+    text = "processor\t: 0\nBogoMIPS\t: 243.75\nFeatures\t: fp asimd\nCPU implementer\t: 0x41\nCPU part\t: 0xd0c\n\n"
+    assert processor.described(text, "aarch64") == "aarch64 implementer 0x41 part 0xd0c"
+
+
+def test_what_is_not_known_is_said(monkeypatch, tmp_path):
+    assert processor.described("", "arm64") == "arm64, unknown model"
+    monkeypatch.setattr(processor, "CPUINFO", tmp_path / "none")
+    monkeypatch.setattr("platform.processor", lambda: "arm")
+    monkeypatch.setattr("platform.machine", lambda: "arm64")
+    processor.description.cache_clear()
+    found = processor.description()
+    processor.description.cache_clear()
+    assert found == "arm64, unknown model (arm)"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="others have no /proc/cpuinfo")
+def test_this_one_is_known():
+    assert "unknown" not in processor.description() and "None" not in processor.description()
