@@ -7,6 +7,8 @@ shape, camera and light.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from caster.system import platforms as _platforms
+
 if TYPE_CHECKING:
     from caster.cameras import *  # noqa: F403 - a registry, whatever is in it
     from caster.description.errors import SceneError as SceneError
@@ -50,6 +52,8 @@ _REGISTRIES = {"caster.shapes": "SHAPES", "caster.cameras": "CAMERAS", "caster.s
 if not TYPE_CHECKING:  # a type checker is to tell misspelt names
 
     def __getattr__(name: str) -> Any:
+        if not _platforms.runs_here() and not name.startswith("__"):
+            raise ImportError(_platforms.NOT_HERE)
         if name in _HOMES:
             value = getattr(import_module(_HOMES[name]), name)
         elif name == "__all__":

@@ -17,9 +17,6 @@ from caster.description.errors import SceneError
 from caster.description.input_files import is_input
 from caster.jit.kernel_cache import distrust, read_sealed, write_sealed
 
-if os.name == "posix":  # elsewhere nothing is locked, and nothing abandoned is removed
-    import fcntl
-
 __all__ = [
     "OutputError",
     "ScratchFolder",
@@ -176,6 +173,8 @@ def _try_lock(file: int) -> bool:
     """Lock an open file or folder; False if another process has. File systems without locks: True."""
     if os.name != "posix":
         return True
+    import fcntl  # POSIX alone
+
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -208,6 +207,8 @@ def _remove_abandoned(folder: Path, names: re.Pattern[str]) -> None:
 
 
 def _remove_if_abandoned(path: str) -> None:
+    import fcntl  # POSIX alone
+
     file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
     try:
         if os.fstat(file).st_uid == os.getuid():

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 import pickle
-import resource
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -342,6 +341,8 @@ class WholeProcess:
 
     def peak_memory(self) -> int:
         """Bytes, of the largest of its processes."""
+        import resource  # POSIX alone
+
         peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
         return peak if sys.platform == "darwin" else peak * 1024
 

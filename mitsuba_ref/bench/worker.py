@@ -8,7 +8,6 @@ REPLIES: a pipe's number; WORK: Work as JSON; NOTICES: number of the file that c
 import gc
 import json
 import os
-import resource
 import sys
 import time
 from functools import partial
@@ -92,6 +91,8 @@ def peak_memory() -> int:
 
     Linux counts in ru_maxrss also what the process had that started this one, but not in VmHWM.
     """
+    import resource  # POSIX alone
+
     try:
         status = Path("/proc/self/status").read_text()
         return next(int(line.split()[1]) * 1024 for line in status.splitlines() if line.startswith("VmHWM"))

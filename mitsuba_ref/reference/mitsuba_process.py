@@ -9,7 +9,6 @@ import atexit
 import contextlib
 import gc
 import os
-import resource
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -230,6 +229,8 @@ def replies(folders: Iterator[str]) -> Iterator[str]:
 
 def resident_bytes() -> int:
     """Memory of this process; where the system does not show it, the most that it ever had."""
+    import resource  # POSIX alone
+
     try:
         return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
     except OSError:

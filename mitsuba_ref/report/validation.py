@@ -1,6 +1,5 @@
 """Validation of one scene: a subject and Mitsuba along the same rays, to its verdict."""
 
-import resource
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -382,6 +381,8 @@ def _limits() -> Iterator[float]:
         numbers = _text(limit).strip(), _text(used).strip()
         if all(number.isdecimal() for number in numbers):
             yield max(float(numbers[0]) - float(numbers[1]), 0.0)
+    import resource  # POSIX alone
+
     soft, _ = resource.getrlimit(resource.RLIMIT_AS)
     pages = _text(Path("/proc/self/statm")).split()
     if soft != resource.RLIM_INFINITY and pages:

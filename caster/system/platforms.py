@@ -1,0 +1,14 @@
+"""Where both programs run."""
+
+import sys
+
+__all__ = ["NOT_HERE", "runs_here"]
+
+NOT_HERE = (
+    "caster and mitsuba-ref run on Linux and other POSIX systems, not on Windows itself: install and run them in the "
+    "Windows Subsystem for Linux (wsl --install)"
+)
+
+
+def runs_here() -> bool:
+    return sys.platform != "win32"
