@@ -5,6 +5,8 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 from caster.description.fields import Camera, WideFieldOfView
 from caster.jit.decorators import implement, inlined
+from caster.kernels.math.angles import arcsine, arctangent, sinc_and_cos, sine_and_cosine_of
+from caster.kernels.math.vec import hypotenuse
 from caster.kernels.protocol import Vec3, camera_ray, distortion_bound, project, project_bounding_sphere
 from caster.kernels.raster.wide_angle import (
     ANGLE_ROUNDING,
@@ -13,7 +15,6 @@ from caster.kernels.raster.wide_angle import (
     film_circle,
     hull_distortion_bound,
     off_film,
-    sinc_and_cos,
     sphere_in_camera_space,
     to_circle_units,
     unit_or_forward,
@@ -76,7 +77,7 @@ def _project_bounding_sphere(camera: Any, center: Any, r: float) -> Any:
     """
     place, distance, valid = sphere_in_camera_space(camera, center, r)
     aside = math.sqrt(place[0] * place[0] + place[1] * place[1])
-    angle, reach = math.atan2(aside, place[2]), math.asin(r / distance if valid else 0.0)
+    angle, reach = arctangent(aside, place[2]), arcsine(r / distance if valid else 0.0)
     if valid and angle - reach > camera.half_angle + ANGLE_ERROR:
         return off_film(distance - r)
     if not valid or angle + reach > MAX_PROJECTED_ANGLE:
@@ -87,8 +88,8 @@ def _project_bounding_sphere(camera: Any, center: Any, r: float) -> Any:
     x, y, radius = camera.circle
     pixels = radius / camera.half_angle
     more = 0.5 * reach * reach * curvature_bound(angle + reach) + ANGLE_ROUNDING
-    wide = pixels * (math.hypot(reach * across, around * above) + more)
-    high = pixels * (math.hypot(reach * above, around * across) + more)
+    wide = pixels * (hypotenuse(reach * across, around * above) + more)
+    high = pixels * (hypotenuse(reach * above, around * across) + more)
     x, y = x + pixels * angle * across, y - pixels * angle * above
     return x - wide, y - high, x + wide, y + high, distance - r, True
 
@@ -107,7 +108,7 @@ def curvature_bound(angle: float) -> float:
     w'^2 (sin a cos a - a) outwards and 2 a' w' (1 - a cot a) around, with |w'| <= 1 / sin a and |a' w'| <= 1 / 2 sin a.
     """
     a = max(angle, MIN_CURVATURE_ANGLE)
-    sine, cosine = math.sin(a), math.cos(a)
+    sine, cosine = sine_and_cosine_of(a)
     return (a - sine * cosine) / (sine * sine) + (1.0 - a * cosine / sine) / sine
 
 
@@ -115,7 +116,7 @@ def curvature_bound(angle: float) -> float:
 def _project(camera: Any, p: Any) -> Any:
     place, distance, valid = sphere_in_camera_space(camera, p, 0.0)
     aside = math.sqrt(place[0] * place[0] + place[1] * place[1])
-    angle = math.atan2(aside, place[2])
+    angle = arctangent(aside, place[2])
     if not valid or angle > MAX_PROJECTED_ANGLE:
         return 0.0, 0.0, 0.0, distance, False
     x, y, radius = camera.circle

@@ -5,11 +5,12 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 from caster.description.fields import Camera
 from caster.jit.decorators import implement
+from caster.kernels.math.angles import arcsine, arctangent, sinc_and_cos
+from caster.kernels.math.vec import hypotenuse
 from caster.kernels.protocol import Vec3, camera_ray, distortion_bound, project, project_bounding_sphere
 from caster.kernels.raster.wide_angle import (
     combine_axes,
     hull_distortion_bound,
-    sinc_and_cos,
     sphere_in_camera_space,
     unit_or_forward,
     unknown_projection,
@@ -62,13 +63,13 @@ def _project_bounding_sphere(camera: Any, center: Any, r: float) -> Any:
     if not valid:
         return unknown_projection(distance - r)
     level = math.sqrt(place[0] * place[0] + place[2] * place[2])
-    latitude, reach = math.atan2(place[1], level), math.asin(r / distance)
+    latitude, reach = arctangent(place[1], level), arcsine(r / distance)
     wide, high = camera.size[0] / (2.0 * math.pi), camera.size[1] / math.pi
     top, bottom = high * (0.5 * math.pi - latitude - reach), high * (0.5 * math.pi - latitude + reach)
     share = r * ASIN_SENSITIVITY / level if level > 0.0 else 1.0
     if not share < 1.0:
         return -math.inf, top, math.inf, bottom, distance - r, True
-    longitude, reach = math.atan2(place[0], place[2]), math.asin(share)
+    longitude, reach = arctangent(place[0], place[2]), arcsine(share)
     if abs(longitude) + reach > math.pi:
         return -math.inf, top, math.inf, bottom, distance - r, True
     x = camera.size[0] * 0.5 + wide * longitude
@@ -77,17 +78,17 @@ def _project_bounding_sphere(camera: Any, center: Any, r: float) -> Any:
 
 # Points closer to a pole or to the seam are not projected; bounding spheres of primitives are. Within MAX_HULL_ANGLE of
 # a projected point, longitudes differ by at most 0.25, so that no hull crosses the seam.
-MAX_LATITUDE_SINE, MAX_LONGITUDE = math.sin(math.pi / 3.0), math.pi - 0.3
+MAX_LATITUDE_SINE, MAX_LONGITUDE = 0.5 * math.sqrt(3.0), math.pi - 0.3
 
 
 @implement(project, PanoramaRays)
 def _project(camera: Any, p: Any) -> Any:
     place, distance, valid = sphere_in_camera_space(camera, p, 0.0)
-    longitude, rise = math.atan2(place[0], place[2]), place[1] / (distance if valid else 1.0)
+    longitude, rise = arctangent(place[0], place[2]), place[1] / (distance if valid else 1.0)
     if not valid or abs(longitude) > MAX_LONGITUDE or abs(rise) > MAX_LATITUDE_SINE:
         return 0.0, 0.0, 0.0, distance, False
     wide, high = camera.size[0] / (2.0 * math.pi), camera.size[1] / math.pi
-    x, y = 0.5 * camera.size[0] + wide * longitude, 0.5 * camera.size[1] - high * math.asin(rise)
+    x, y = 0.5 * camera.size[0] + wide * longitude, 0.5 * camera.size[1] - high * arcsine(rise)
     return x, y, MAX_STRETCH * max(wide, high) / distance, distance, True
 
 
@@ -103,4 +104,4 @@ def _distortion_bound(camera: Any, extent: float) -> Any:
     latitude tan a: 5.4 and 2.3 at pi / 3 + MAX_HULL_ANGLE.
     """
     wide, high = camera.size[0] / (2.0 * math.pi), camera.size[1] / math.pi
-    return hull_distortion_bound(extent / min(wide, high), math.hypot(5.4 * wide, 2.3 * high))
+    return hull_distortion_bound(extent / min(wide, high), hypotenuse(5.4 * wide, 2.3 * high))

@@ -6,6 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 from pydantic import Field, model_validator
 
 from caster.description.fields import Camera, FieldOfView, NonNegative, Number, Positive
+from caster.description.trigonometry import tangent
 from caster.jit.decorators import implement, inlined
 from caster.kernels.math.vec import U, add, dot, l1_norm, scaled, sub
 from caster.kernels.protocol import Vec3, camera_ray, project, project_bounding_sphere
@@ -58,7 +59,7 @@ class Pinhole(Camera):
     def half_extent(self, width: int, height: int) -> tuple[float, float]:
         """Half width and half height of the image plane at distance 1."""
         aspect = width / height
-        tan = math.tan(math.radians(self.fov) / 2.0)
+        tan = tangent(math.radians(self.fov) / 2.0)
         if self.fov_axis == "diagonal":
             x = tan / math.sqrt(1.0 + 1.0 / (aspect * aspect))
         elif self.fov_axis == "y" or self.fov_axis == ("smaller" if aspect >= 1.0 else "larger"):

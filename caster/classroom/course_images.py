@@ -9,6 +9,7 @@ from caster.cameras import Orthographic
 from caster.classroom.course_files import CourseScene
 from caster.classroom.scene_conversion import Falloff
 from caster.description.fields import Shape
+from caster.description.transform import dot_rows, row_lengths, transform_points, transform_vectors
 from caster.geometry.world_space import as_given, world_vertices
 from caster.rendering.hits import RayHits
 from caster.rendering.images import film_window, trace_film
@@ -37,26 +38,26 @@ def with_window_behind_scene(scene: Scene) -> tuple[Scene, float]:
 def _entry_bound(scene: Scene, camera: Orthographic, shape: Shape) -> float:
     """A lower bound of t at which a ray of the window hits the shape."""
     forward, eye = np.array(camera.frame[2]), np.array(camera.eye)
-    linear, move = shape.matrix[:3, :3], shape.matrix[:3, 3]
     if isinstance(shape, Sphere):
-        center = linear @ np.array(shape.center) + move
-        return float(forward @ (center - eye) - shape.radius * np.linalg.norm(linear.T @ forward))
+        center = transform_points(shape.matrix, np.array([shape.center]))
+        reach = row_lengths(transform_vectors(shape.matrix[:3, :3].T, forward[None]))
+        return float((dot_rows(center - eye, forward) - shape.radius * reach)[0])
     if isinstance(shape, Plane):
         return _plane_entry_bound(scene, camera, shape)
     assert hasattr(shape, "mesh")  # a triangle or a mesh
-    return float(np.min((world_vertices(shape.mesh(), shape.matrix, as_given) - eye) @ forward))
+    return float(np.min(dot_rows(world_vertices(shape.mesh(), shape.matrix, as_given) - eye, forward)))
 
 
 def _plane_entry_bound(scene: Scene, camera: Orthographic, shape: Plane) -> float:
     """The least t over the window: t is linear, so it is at a corner. inf for a plane parallel to the rays."""
     part = shape.pack(as_given)
-    n, point = part.normal[0], part.point[0]
     right, up, forward = (np.array(v) for v in camera.frame)
     half = 0.5 * camera.width
     tall = half * scene.film.height / scene.film.width
     corners = [np.array(camera.eye) + x * half * right + y * tall * up for x in (-1, 1) for y in (-1, 1)]
-    slope = float(n @ forward)
-    return min(float(n @ (point - corner)) / slope for corner in corners) if slope else np.inf
+    slope = float(dot_rows(part.normal, forward)[0])
+    heights = dot_rows(part.point - np.array(corners), part.normal)
+    return float((heights / slope).min()) if slope else np.inf
 
 
 # ---- the three images ----

@@ -1,10 +1,32 @@
-"""Affine transforms as 4x4 float64 matrices acting on column vectors, p' = M p."""
+"""Affine transforms as 4x4 float64 matrices acting on column vectors, p' = M p.
+
+Sums of products are taken in a stated order, element by element, and inverses exactly: NumPy's own (`@`, `np.linalg`)
+call a BLAS, whose last bits depend on the processor.
+"""
 
 import math
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from caster.description.trigonometry import sine_and_cosine
+
+__all__ = [
+    "compose",
+    "dot_rows",
+    "inverse",
+    "is_mirrored",
+    "look_at",
+    "product",
+    "rotate",
+    "row_lengths",
+    "scale",
+    "transform_points",
+    "transform_vectors",
+    "translate",
+]
 
 Matrix = NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -72,16 +94,105 @@ def compose(steps: Iterable[ArrayLike]) -> Matrix:
     total = np.eye(4)
     with np.errstate(over="ignore", invalid="ignore"):  # callers check the result
         for step in steps:
-            m = np.asarray(step, np.float64)
-            a, b, c, e = (m[:, k, None] * total[None, k, :] for k in range(4))
-            total = a + b + c + e + 0.0  # in this order, without BLAS; + 0.0 leaves no negative zeros
+            total = product(np.asarray(step, np.float64), total) + 0.0  # which leaves no negative zeros
     return total
+
+
+def product(a: Matrix, b: Matrix) -> Matrix:
+    """The product of two matrices, or of rows (n, k) and a matrix (k, m), summed from the first column of a on."""
+    total: Matrix = a[:, 0, None] * b[None, 0, :]
+    for k in range(1, len(b)):
+        total = total + a[:, k, None] * b[None, k, :]
+    return total
+
+
+ROWS_PER_CHUNK = 1 << 11  # temporaries stay in the cache of a core
+
+
+def transform_points(matrix: Matrix, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points (n, 3) under an affine matrix (4, 4): ((m0 x + m1 y) + m2 z) + m3 for each coordinate."""
+    moved = transform_vectors(matrix[:3, :3], points)
+    moved += matrix[:3, 3]
+    return moved
+
+
+def transform_vectors(linear: Matrix, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vectors (n, 3) under a matrix (3, 3): (m0 x + m1 y) + m2 z for each coordinate."""
+    turned = np.empty((len(vectors), 3))
+    for start in range(0, len(vectors), ROWS_PER_CHUNK):
+        x, y, z = np.ascontiguousarray(vectors[start : start + ROWS_PER_CHUNK].T, np.float64)
+        for i, (a, b, c) in enumerate(linear.tolist()):
+            turned[start : start + ROWS_PER_CHUNK, i] = (a * x + b * y) + c * z
+    return turned
+
+
+def dot_rows(vectors: NDArray[np.float64], v: Any) -> NDArray[np.float64]:
+    """(n,): the dot products of vectors (n, 3) with v, (3,) or (n, 3), summed in the order of x, y, z."""
+    x, y, z = (vectors * v).T
+    return np.asarray(x + y + z)
+
+
+def row_lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n,): the lengths of vectors (n, 3) whose squares are numbers."""
+    return np.sqrt(dot_rows(vectors, vectors))
 
 
 def is_invertible(matrix: Matrix) -> bool:
     """Whether a finite affine matrix is invertible in float64. Small and large uniform scales are."""
     linear = matrix[:3, :3]
-    return bool(np.linalg.cond(linear) < LARGEST_CONDITION and np.isfinite(np.linalg.inv(linear)).all())
+    try:
+        return bool(_row_norm(linear) * _row_norm(inverse(linear)) < LARGEST_CONDITION)
+    except np.linalg.LinAlgError:
+        return False
+
+
+def _row_norm(m: Matrix) -> float:
+    """The largest sum of magnitudes of a row: the norm that belongs to the largest component of vectors."""
+    return max(abs(x) + abs(y) + abs(z) for x, y, z in m.tolist())
+
+
+def inverse(m: Matrix) -> Matrix:
+    """The inverse of a 3x3 matrix, every entry rounded once. Raises LinAlgError if it does not exist in float64."""
+    if not np.isfinite(m).all():
+        raise np.linalg.LinAlgError("not finite")
+    rows, denominator = _integers(m)
+    cofactors = _cofactors(rows)
+    determinant = sum(rows[0][j] * cofactors[j][0] for j in range(3))
+    if determinant == 0:
+        raise np.linalg.LinAlgError("singular")
+    try:
+        rounded = [[denominator * x / determinant for x in row] for row in cofactors]
+    except OverflowError:
+        raise np.linalg.LinAlgError("too small to be inverted in float64") from None
+    if any(
+        x == 0.0 and exact != 0
+        for row, line in zip(rounded, cofactors, strict=True)
+        for x, exact in zip(row, line, strict=True)
+    ):
+        raise np.linalg.LinAlgError("too large to be inverted in float64")
+    return np.array(rounded)
+
+
+def is_mirrored(linear: Matrix) -> bool:
+    """Whether the determinant of a finite 3x3 matrix is negative, exactly."""
+    rows, _ = _integers(linear)
+    cofactors = _cofactors(rows)
+    return sum(rows[0][j] * cofactors[j][0] for j in range(3)) < 0
+
+
+def _integers(m: Matrix) -> tuple[list[list[int]], int]:
+    """The entries times a power of two that makes integers of all, and that power."""
+    ratios = [[x.as_integer_ratio() for x in row] for row in m.tolist()]
+    common = max(q for row in ratios for _, q in row)
+    return [[p * (common // q) for p, q in row] for row in ratios], common
+
+
+def _cofactors(rows: list[list[int]]) -> list[list[int]]:
+    """The transposed matrix of cofactors: times the matrix, it is the determinant times the identity."""
+    return [
+        [rows[j - 2][i - 2] * rows[j - 1][i - 1] - rows[j - 2][i - 1] * rows[j - 1][i - 2] for j in range(3)]
+        for i in range(3)
+    ]
 
 
 def frame(forward: Vector, up: Sequence[float]) -> tuple[Vector, Vector, Vector]:
@@ -129,5 +240,5 @@ def _cos_sin(degrees: float) -> tuple[float, float]:
     rest = math.remainder(degrees, 360.0)  # exact, and so is what follows down to the two functions
     quarters = round(rest / 90.0)
     angle = math.radians(rest - 90.0 * quarters)
-    c, s = math.cos(angle), math.sin(angle)
+    s, c = sine_and_cosine(angle)
     return ((c, s), (-s, c), (-c, -s), (s, -c))[quarters % 4]

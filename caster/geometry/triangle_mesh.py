@@ -1,5 +1,6 @@
 """Triangle meshes: arrays, generated vertex normals, validation and triangulation of polygons."""
 
+import inspect
 import math
 from typing import Any, NamedTuple
 
@@ -7,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caster.description.errors import SceneError
+from caster.kernels.math.angles import eighths_and_rest
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -37,11 +39,13 @@ def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
     Source: Thuermer and Wuethrich, Computing Vertex Normals from Polygonal Facets (1998), as Mitsuba does.
     """
     vertices = np.asarray(vertices, np.float64)
-    finite = np.isfinite(vertices[faces]).all(axis=(1, 2))
-    faces = faces[finite]
-    weighted = _weighted_normals(vertices[faces])
+    faces = faces[np.isfinite(vertices).all(axis=1).take(faces).all(axis=1)]
+    weighted = np.empty((3, len(faces), 3))
+    for start in range(0, len(faces), FACES_PER_CHUNK):
+        chunk = slice(start, start + FACES_PER_CHUNK)
+        weighted[:, chunk] = _weighted_normals(vertices[faces[chunk]])
     owner = np.ravel(faces)
-    sums = [np.bincount(owner, weighted[:, :, axis].ravel(), len(vertices)) for axis in range(3)]
+    sums = [np.bincount(owner, each.ravel(), len(vertices)) for each in weighted]
     total = np.stack(sums, axis=1).astype(np.float64)
     normals = normalize_rows(total)
     normals[~total.any(axis=1)] = NO_NORMAL
@@ -50,9 +54,20 @@ def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
 
 def normalize_rows(vectors: Floats) -> Floats:
     """Each row of (n, 3) normalized; rows of zeros stay zero."""
-    rows = _rescale_rows(vectors)
-    length = np.sqrt(np.sum(rows * rows, axis=1, keepdims=True))
-    return rows / np.where(length == 0.0, 1.0, length)
+    return _normalize(np.transpose(vectors)).T
+
+
+def _normalize(v: Floats) -> Floats:
+    """Each column of (3, n) normalized."""
+    scaled = np.ldexp(v, -_exponents(v))
+    length = np.sqrt(_dot(scaled, scaled))
+    unit: Floats = scaled / np.where(length == 0.0, 1.0, length)
+    return unit
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    """The products of the columns of (3, n), summed in the order of x, y, z."""
+    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
 
 
 def check_mesh(mesh: Mesh, where: str) -> None:
@@ -79,24 +94,30 @@ def format_row(numbers: Any) -> str:
     return "(" + ", ".join(f"{float(x):g}" for x in numbers) + ")"
 
 
+FACES_PER_CHUNK = 1 << 11  # temporaries stay in the cache of a core
+
+_angle_parts = inspect.unwrap(eighths_and_rest)  # of arrays
+
+
 def _weighted_normals(corners: Floats) -> Floats:
-    """For each corner of faces (m, 3, 3), the unit normal of the face times the angle at the corner: (m, 3, 3)."""
-    edges = np.roll(corners, -1, axis=1) - corners  # edge i runs from corner i to the next one
-    edges = _rescale_rows(edges.reshape(-1, 9)).reshape(-1, 3, 3)
-    cross = np.cross(edges[:, 0], edges[:, 1])
-    sine = np.sqrt(np.sum(cross * cross, axis=1, keepdims=True))  # scaled by two edge lengths, like the cosine
-    cosine = -np.sum(edges * np.roll(edges, 1, axis=1), axis=2)
-    angle = np.arctan2(sine, cosine)
-    weighted: Floats = normalize_rows(cross)[:, None, :] * angle[:, :, None]
+    """(3, m, 3): x, y, z of each face's unit normal times the angle at each corner; corners: (m, 3, 3), finite."""
+    at = np.ascontiguousarray(corners.transpose(1, 2, 0))
+    edges = np.roll(at, -1, axis=0) - at  # edge i runs from corner i to the next one
+    edges = np.ldexp(edges, -_exponents(edges.reshape(9, -1)))
+    a, b = edges[0], edges[1]
+    cross = np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    sine = np.sqrt(_dot(cross, cross))  # scaled by two edge lengths, like the cosine
+    unit = _normalize(cross)
+    weighted = np.empty((3, len(corners), 3))
+    for i in range(3):
+        eighths, rest = _angle_parts(sine, -_dot(edges[i], edges[i - 1]))
+        weighted[:, :, i] = unit * (0.25 * math.pi * eighths + rest)
     return weighted
 
 
-def _rescale_rows(rows: Floats) -> Floats:
-    """Rows scaled exactly, by powers of two, so that their squares neither overflow nor underflow."""
-    largest = np.max(np.abs(rows), axis=1, initial=0.0)
-    exponent = np.frexp(largest)[1]
-    scaled: Floats = np.ldexp(rows, -exponent[:, None])
-    return scaled
+def _exponents(columns: Floats) -> Ints:
+    """(n,): scaled by 2 to minus these, squares of columns neither overflow nor underflow."""
+    return np.asarray(np.frexp(np.max(np.abs(columns), axis=0, initial=0.0))[1])
 
 
 def _check_finite(rows: Floats, what: str, where: str) -> None:

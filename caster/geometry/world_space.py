@@ -7,12 +7,12 @@ numbers (inverses, normals) are float64 in both cases.
 
 import math
 from collections.abc import Callable
-from fractions import Fraction
 from typing import Any, Protocol
 
 import numpy as np
 
 from caster.description.fields import Shape
+from caster.description.transform import inverse, is_mirrored, product, row_lengths, transform_points, transform_vectors
 from caster.geometry.triangle_mesh import Mesh, vertex_normals
 from caster.kernels.triangles import Triangles
 
@@ -54,7 +54,7 @@ def as_float32(numbers: np.ndarray) -> np.ndarray:
 def is_similarity(linear: np.ndarray) -> bool:
     """Whether a 3x3 matrix is a similarity: rotation, reflection and uniform scale."""
     ratios = linear / np.abs(linear).max()  # squares neither overflow nor underflow
-    gram = ratios.T @ ratios
+    gram = product(ratios.T, ratios)
     size = np.trace(gram) / 3.0
     return bool(np.all(np.abs(gram - size * np.eye(3)) <= SIMILARITY_RTOL * size))
 
@@ -66,39 +66,12 @@ def similarity_scale(linear: np.ndarray) -> float:
     return largest * math.sqrt(float((ratios * ratios).sum()) / 3.0)
 
 
-def is_mirrored(matrix: np.ndarray) -> bool:
-    linear = matrix[:3, :3]
-    return bool(np.linalg.det(linear / np.abs(linear).max()) < 0.0)
-
-
 def affine_arrays(
     center: np.ndarray, linear: np.ndarray, rounded: Rounding
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(center, to_world, to_object) of one image of a unit shape, each with a leading axis of 1."""
     to_world = rounded(linear)
     return rounded(center)[None], to_world[None], inverse(to_world)[None]
-
-
-def inverse(m: np.ndarray) -> np.ndarray:
-    """The inverse of a 3x3 matrix, every entry rounded once. Raises LinAlgError if it does not exist in float64."""
-    if not np.isfinite(m).all():
-        raise np.linalg.LinAlgError("not finite")
-    rows = [[Fraction(x) for x in row] for row in m.tolist()]
-    cofactors = [
-        [rows[j - 2][i - 2] * rows[j - 1][i - 1] - rows[j - 2][i - 1] * rows[j - 1][i - 2] for j in range(3)]
-        for i in range(3)
-    ]
-    determinant = sum(rows[0][j] * cofactors[j][0] for j in range(3))
-    if determinant == 0:
-        raise np.linalg.LinAlgError("singular")
-    exact = [[x / determinant for x in row] for row in cofactors]
-    try:
-        rounded = np.array([[float(x) for x in row] for row in exact])
-    except OverflowError:
-        raise np.linalg.LinAlgError("too small to be inverted in float64") from None
-    if np.any((rounded == 0.0) & (np.array(exact) != 0)):
-        raise np.linalg.LinAlgError("too large to be inverted in float64")
-    return rounded
 
 
 def transform_mesh(mesh: Mesh, matrix: np.ndarray, rounded: Rounding, face_normals: bool) -> Triangles:
@@ -111,7 +84,7 @@ def transform_mesh(mesh: Mesh, matrix: np.ndarray, rounded: Rounding, face_norma
     vertices = world_vertices(mesh, matrix, rounded)
     if not np.isfinite(vertices).any():
         raise np.linalg.LinAlgError("no corner is finite")
-    faces = mesh.faces[:, [0, 2, 1]] if is_mirrored(matrix) else mesh.faces
+    faces = mesh.faces[:, [0, 2, 1]] if is_mirrored(matrix[:3, :3]) else mesh.faces
     vertices, faces = _collapse_rejected(vertices, faces)
     normals = np.zeros((len(vertices), 3))
     if not face_normals:
@@ -130,7 +103,7 @@ def transform_mesh(mesh: Mesh, matrix: np.ndarray, rounded: Rounding, face_norma
 def world_vertices(mesh: Mesh, matrix: np.ndarray, rounded: Rounding) -> np.ndarray:
     """(n, 3) vertices in world space; not finite where the mesh's are not, or on overflow."""
     with np.errstate(all="ignore"):
-        return rounded(mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3])
+        return rounded(transform_points(matrix, mesh.vertices))
 
 
 def is_usable(vertices: np.ndarray) -> np.ndarray:
@@ -159,8 +132,8 @@ def _world_normals(mesh: Mesh, matrix: np.ndarray, vertices: np.ndarray, faces: 
 def given_normals(mesh: Mesh, matrix: np.ndarray) -> np.ndarray:
     """(n, 3) normals of a mesh that has some, in world space."""
     assert mesh.normals is not None
-    turned = mesh.normals @ np.linalg.inv(matrix[:3, :3])
-    length = np.linalg.norm(turned, axis=1, keepdims=True)
+    turned = transform_vectors(inverse(matrix[:3, :3]).T, mesh.normals)
+    length = row_lengths(turned)[:, None]
     unit: np.ndarray = np.divide(turned, length, out=turned, where=length > 0.0)
     return unit
 

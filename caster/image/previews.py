@@ -12,6 +12,7 @@ import numpy as np
 from caster import __version__
 from caster.aovs import AOVS, BY_NAME, Aovs
 from caster.description.errors import SceneError, suggestion
+from caster.description.transform import row_lengths, transform_vectors
 from caster.image.channels import channels_to_aovs
 from caster.image.exr import Exr, read_exr
 from caster.image.exr_info import hit_mask
@@ -42,7 +43,8 @@ GOLDEN_RATIO_CONJUGATE = 0.6180339887498949
 
 def oklab_to_linear_srgb(lab: Array) -> Array:
     """OKLab (..., 3) -> linear sRGB, outside 0..1 where the colour is out of gamut."""
-    return (lab @ LMS_FROM_OKLAB.T) ** 3 @ LINEAR_SRGB_FROM_LMS.T
+    roots = transform_vectors(LMS_FROM_OKLAB, lab.reshape(-1, 3))
+    return transform_vectors(LINEAR_SRGB_FROM_LMS, roots * roots * roots).reshape(lab.shape)
 
 
 def srgb_encoded(linear: Array) -> Array:
@@ -68,7 +70,7 @@ def colormap_path(t: Array) -> Array:
 def colormap() -> Array:
     """The colormap, (COLORMAP_STEPS, 3) bytes: perceptually uniform, with increasing lightness."""
     t = np.linspace(0.0, 1.0, 16 * COLORMAP_STEPS)
-    steps = np.linalg.norm(np.diff(colormap_path(t), axis=0), axis=1)
+    steps = row_lengths(np.diff(colormap_path(t), axis=0))
     along = np.concatenate([[0.0], np.cumsum(steps)])
     even = np.interp(np.linspace(0.0, along[-1], COLORMAP_STEPS), along, t)
     return to_bytes(srgb_encoded(oklab_to_linear_srgb(colormap_path(even))))

@@ -11,7 +11,9 @@ from functools import partial
 import numpy as np
 
 from caster.description.errors import SceneError
+from caster.description.transform import dot_rows
 from caster.geometry.packing import Kind
+from caster.geometry.triangle_mesh import normalize_rows
 from caster.jit.simd import CHILDREN
 from caster.kernels.bvh.build import (
     BOX_PADDING,
@@ -169,9 +171,8 @@ def point_fans(point: Vec3, center: Vec3, extent: float, deviation: float = 0.0)
     ahead = np.subtract(center, point)
     largest = np.abs(ahead).max()
     forward = ahead / largest if largest > 0.0 else np.array([1.0, 0.0, 0.0])
-    forward /= np.linalg.norm(forward)
-    across = np.cross(forward, np.eye(3)[np.argmin(np.abs(forward))])
-    across /= np.linalg.norm(across)
+    forward = normalize_rows(forward[None])[0]
+    across = normalize_rows(np.cross(forward, np.eye(3)[np.argmin(np.abs(forward))])[None])[0]
     up = np.cross(forward, across)
     reach = FAN_REACH * max(extent, *map(abs, point))
     axes = ((forward, across, up), (across, up, forward), (up, forward, across))
@@ -195,7 +196,7 @@ def parallel_fan(back: Vec3, extent: float) -> Fan:
     """The fan of rays in one direction, of any length."""
     axis = int(np.argmax(np.abs(back)))
     x, y, z = np.roll(np.eye(3), -axis - 1, axis=0)
-    across, up = (e - (np.dot(e, back) / back[axis]) * z for e in (x, y))
+    across, up = (e - (back[np.argmax(e)] / back[axis]) * z for e in (x, y))
     away = -np.copysign(1.0, back[axis]) * z
     reach = FAN_REACH * extent
     frame = _vector(across), _vector(up), _vector(away)
@@ -237,7 +238,7 @@ def boxes_along(fan: Fan, tree: Tree) -> list[tuple[np.ndarray, np.ndarray]]:
         low, high = sides[:3, j], sides[3:, j]
         corners = np.array(list(itertools.product(*zip(low, high, strict=True)))) + tree.center
         away = corners - fan.origin
-        x, y, depth = away @ fan.across, away @ fan.up, away @ fan.forward
+        x, y, depth = (dot_rows(away, axis) for axis in (fan.across, fan.up, fan.forward))
         over = depth if fan.perspective else np.ones(len(depth))
         if (over > 0.0).all():
             projected = np.column_stack([x, y]) / over[:, None]

@@ -10,6 +10,7 @@ import numpy as np
 
 from caster.aovs import BY_NAME
 from caster.description.errors import SceneError
+from caster.description.transform import dot_rows, row_lengths
 from caster.geometry.edge_distances import EDGE_ON, EdgeDistance, edge_distances
 from caster.geometry.packing import Kind, Packed, in_words, rejected_faces
 from caster.kernels.nearest import Rays, intersect_each, nearest_of_candidates, no_hits
@@ -76,9 +77,9 @@ def _near(packed: Packed, rays: Rays) -> Iterator[tuple[Kind, np.ndarray]]:
 def ray_box_distances(o: np.ndarray, d: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """(n,) distances of bounding spheres of boxes from the ray, 0 where it passes through; more behind its origin."""
     with np.errstate(all="ignore"):
-        center, radius = 0.5 * low + 0.5 * high, 0.5 * np.linalg.norm(high - low, axis=1)
-        ahead = np.maximum((center - o) @ d / (d @ d), 0.0)
-        away = np.linalg.norm(o + ahead[:, None] * d - center, axis=1) - radius
+        center, radius = 0.5 * low + 0.5 * high, 0.5 * row_lengths(high - low)
+        ahead = np.maximum(dot_rows(center - o, d) / dot_rows(d[None], d), 0.0)
+        away = row_lengths(o + ahead[:, None] * d - center) - radius
     return np.where(np.isfinite(away), np.maximum(away, 0.0), np.inf)
 
 
@@ -195,7 +196,7 @@ def pixel_size(scene: Scene, x: int, y: int, t: float) -> float | None:
     rays = camera_rays(scene.with_film(crop=(ends[0], y, ends[1] + 1, y + 1)))
     if (rays.t_max < 0.0).any():
         return None
-    return float(np.linalg.norm((rays.o[1] + t * rays.d[1]) - (rays.o[0] + t * rays.d[0])))
+    return math.dist((rays.o[1] + t * rays.d[1]).tolist(), (rays.o[0] + t * rays.d[0]).tolist())
 
 
 def _each_alone(packed: Packed, rays: Rays) -> Iterator[Candidate]:

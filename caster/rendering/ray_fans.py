@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from caster.description.transform import dot_rows, inverse, row_lengths
 from caster.geometry.packing import Packed
 from caster.kernels.bvh.build import MAX_PRIMITIVES
 from caster.kernels.bvh.fans import Fan
@@ -82,11 +83,12 @@ def common_point(rays: Rays, any_hit: bool) -> CommonPoint | None:
         return CommonPoint(DirectionalLight(_vec3(some.d[0]), NO_INTENSITY), False, 0.0)
     if not np.isfinite(some.t_max).all():
         return None
-    unit = some.d / np.linalg.norm(some.d, axis=1, keepdims=True)
+    unit = some.d / row_lengths(some.d)[:, None]
     across = np.eye(3) - unit[:, :, None] * unit[:, None, :]
     with suppress(np.linalg.LinAlgError), np.errstate(all="ignore"):
         middle = some.o.mean(axis=0)
-        point = middle + np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, some.o - middle))
+        pulled = (across * (some.o - middle)[:, None, :]).sum(axis=(0, 2))
+        point = middle + dot_rows(inverse(across.sum(axis=0)), pulled)
         size = float(np.abs(some.o).max() + np.abs(point).max())
         if np.isfinite(size):
             off = largest_deviation(some, _vec3(point), 0, len(sample))

@@ -23,6 +23,7 @@ from caster.description.errors import (
 )
 from caster.description.parsing import SceneFormat, format_diagnostics, parse, read_text
 from caster.description.registry import type_name
+from caster.description.trigonometry import sine_and_cosine
 from caster.geometry.mesh_files import MESH_SUFFIXES
 from caster.geometry.world_space import MeshShape
 from caster.scene.model import Ambient, Diffuse, Directional, Film, Scene
@@ -181,15 +182,15 @@ def mesh_scene(path: str | PathLike[str]) -> Scene:
     corners = mesh.vertices[np.unique(mesh.faces)]
     corners = corners[np.isfinite(corners).all(axis=1)]
     low, high = (corners.min(axis=0), corners.max(axis=0)) if len(corners) else (np.zeros(3), np.zeros(3))
-    center, radius = low / 2.0 + high / 2.0, float(np.linalg.norm(high / 2.0 - low / 2.0))
+    center, radius = low / 2.0 + high / 2.0, math.hypot(*(high / 2.0 - low / 2.0).tolist())
     if not 0.0 < radius < math.inf:
         raise SceneError(
             f"{os.fspath(path)}: expected a mesh with an extent, got bounds {low.tolist()} to {high.tolist()}"
         )
-    distance = MESH_MARGIN * radius / math.sin(math.radians(MESH_FOV) / 2.0)
+    distance = MESH_MARGIN * radius / sine_and_cosine(math.radians(MESH_FOV) / 2.0)[0]
     scene = Scene(
         camera=Pinhole(
-            eye=tuple(center + distance * np.array(MESH_VIEW) / np.linalg.norm(MESH_VIEW)),
+            eye=tuple(center + distance * np.array(MESH_VIEW) / math.hypot(*MESH_VIEW)),
             look_at=tuple(center),
             fov=MESH_FOV,
         ),

@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import model_validator
 
 from caster.description.fields import Positive, Shape, Vec3
+from caster.description.transform import product, transform_points
 from caster.geometry.edge_distances import (
     UNIT_RADII,
     EdgeDistance,
@@ -15,10 +16,12 @@ from caster.geometry.edge_distances import (
     exact_object_space_ray,
     signed_distance,
 )
+from caster.geometry.triangle_mesh import normalize_rows
 from caster.geometry.world_space import Rounding, affine_arrays
 from caster.jit.decorators import implement, inlined
 from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import exact_unit_cylinder, ray_in_object_space
+from caster.kernels.math.angles import turn_fraction
 from caster.kernels.math.quadric_roots import (
     QuadricSetup,
     closest_approach,
@@ -47,7 +50,6 @@ from caster.kernels.math.vec import (
     to_object_space,
     transposed_mat_vec,
     transposed_rows_times_vec,
-    turn_fraction,
 )
 from caster.kernels.protocol import (
     exact_intersect,
@@ -93,19 +95,17 @@ class Cylinder(Shape):
         return self
 
     def pack(self, rounded: Rounding) -> Cylinders:
-        linear = self.matrix[:3, :3]
-        center = linear @ np.array(self.p0) + self.matrix[:3, 3]
-        return Cylinders(*affine_arrays(center, linear @ self._own_axes(), rounded))
+        center = transform_points(self.matrix, np.array([self.p0]))[0]
+        return Cylinders(*affine_arrays(center, product(self.matrix[:3, :3], self._own_axes()), rounded))
 
     def _own_axes(self) -> np.ndarray:
         """Columns: two radii perpendicular to the axis, and the axis; right-handed."""
-        axis = np.array(self.p1) - np.array(self.p0)
-        along = axis / np.linalg.norm(axis)
+        axis = np.subtract(self.p1, self.p0)
+        along = normalize_rows(axis[None])[0]
         if along[0] == along[1] == 0.0 and along[2] > 0.0:
             first = np.array([1.0, 0.0, 0.0])
         else:
-            first = np.cross(np.eye(3)[np.argmin(np.abs(along))], along)
-            first /= np.linalg.norm(first)
+            first = normalize_rows(np.cross(np.eye(3)[np.argmin(np.abs(along))], along)[None])[0]
         return np.column_stack([self.radius * first, self.radius * np.cross(along, first), axis])
 
 
@@ -231,5 +231,5 @@ def _edge_distances(prims: Cylinders, k: int, o: np.ndarray, d: np.ndarray) -> t
     across = e[0] * e[0] + e[1] * e[1]
     if across == 0:
         return (EdgeDistance("along the axis", 0.0, UNIT_RADII),)
-    away = (f[0] * e[1] - f[1] * e[0]) ** 2 / across
-    return (signed_distance("silhouette", Fraction(1), away, UNIT_RADII),)
+    off = f[0] * e[1] - f[1] * e[0]
+    return (signed_distance("silhouette", Fraction(1), off * off / across, UNIT_RADII),)

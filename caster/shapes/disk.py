@@ -19,6 +19,7 @@ from caster.geometry.world_space import Rounding, affine_arrays
 from caster.jit.decorators import implement
 from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import exact_disk
+from caster.kernels.math.angles import turn_fraction
 from caster.kernels.math.vec import (
     TINY,
     TO_OBJECT_SPACE_ERROR,
@@ -38,7 +39,6 @@ from caster.kernels.math.vec import (
     sub,
     to_object_space,
     transposed_mat_vec,
-    turn_fraction,
 )
 from caster.kernels.protocol import (
     exact_intersect,

@@ -1,5 +1,6 @@
 """A triangulated terrain whose height is a seeded sum of sine waves."""
 
+import inspect
 import math
 from random import Random
 from typing import Annotated, Literal, NamedTuple
@@ -9,8 +10,10 @@ from pydantic import Field
 
 from caster.description.errors import SceneError
 from caster.description.fields import NonNegative, Positive
+from caster.description.trigonometry import power, sine_and_cosine
 from caster.geometry.triangle_mesh import Floats, Ints, Mesh, check_integer, check_length, normalize_rows
 from caster.geometry.world_space import MeshShape
+from caster.kernels.math.angles import sinc_and_cos
 
 __all__ = ["Heightfield", "tessellate_heightfield"]
 
@@ -18,6 +21,8 @@ MAX_RESOLUTION = 4096  # 33,554,432 faces
 MAX_WAVES = 64
 
 VERTICES_PER_CHUNK = 1 << 16  # vertices; temporaries take some 200 bytes each
+
+_series_of_arrays = inspect.unwrap(sinc_and_cos)
 
 # Periods across the square: fewer than one look flat, more than a dozen need a fine grid.
 MIN_PERIODS_ACROSS, MAX_PERIODS_ACROSS = 1.0, 12.0
@@ -31,22 +36,22 @@ def tessellate_heightfield(size: float, resolution: int, amplitude: float, waves
     Normals are the exact surface's; uv runs from (0, 0) to (1, 1). Raises SceneError for anything else.
     """
     _check(size, resolution, amplitude, waves, seed)
-    drawn = _draw(size, amplitude, waves, seed)
     side = resolution + 1
-    mesh = Mesh(np.empty((side**2, 3)), _faces(resolution), np.empty((side**2, 3)), np.empty((side**2, 2)))
+    drawn = [_on_grid(wave, size, resolution) for wave in _draw(size, amplitude, waves, seed)]
+    count = side * side
+    mesh = Mesh(np.empty((count, 3)), _faces(resolution), np.empty((count, 3)), np.empty((count, 2)))
     rows = max(1, VERTICES_PER_CHUNK // side)
     for first in range(0, side, rows):
         _fill(mesh, drawn, size, resolution, np.arange(first, min(first + rows, side), dtype=np.int32))
     return mesh
 
 
-def _fill(mesh: Mesh, waves: list["_Wave"], size: float, resolution: int, rows: Ints) -> None:
+def _fill(mesh: Mesh, waves: list["_GridWave"], size: float, resolution: int, rows: Ints) -> None:
     """Vertices, normals and uv of some rows along y."""
     u, v = (axis.ravel() for axis in np.meshgrid(np.arange(resolution + 1) / resolution, rows / resolution))
-    x, y = (u - 0.5) * size, (v - 0.5) * size
-    z, normals = _surface(x, y, waves)
+    z, normals = _surface(waves, slice(rows[0], rows[-1] + 1))
     band = slice(rows[0] * (resolution + 1), (rows[-1] + 1) * (resolution + 1))
-    mesh.vertices[band] = np.stack([x, y, z], axis=1)
+    mesh.vertices[band] = np.stack([(u - 0.5) * size, (v - 0.5) * size, z], axis=1)
     if mesh.normals is not None and mesh.uv is not None:
         mesh.normals[band], mesh.uv[band] = normals, np.stack([u, v], axis=1)
 
@@ -58,6 +63,19 @@ class _Wave(NamedTuple):
     ky: float
     phase: float
     height: float
+
+
+class _GridWave(NamedTuple):
+    """The sines and cosines that make a wave on a grid: of kx x for its columns, of ky y + phase for its rows."""
+
+    wave: _Wave
+    columns: tuple[Floats, Floats]
+    rows: tuple[Floats, Floats]
+
+
+def _on_grid(wave: _Wave, size: float, resolution: int) -> _GridWave:
+    place = (np.arange(resolution + 1) / resolution - 0.5) * size
+    return _GridWave(wave, _sines_and_cosines(wave.kx * place), _sines_and_cosines(wave.ky * place + wave.phase))
 
 
 def _check(size: float, resolution: int, amplitude: float, waves: int, seed: int) -> None:
@@ -72,30 +90,46 @@ def _check(size: float, resolution: int, amplitude: float, waves: int, seed: int
 def _draw(size: float, amplitude: float, waves: int, seed: int) -> list[_Wave]:
     """Random waves of about equal steepness: amplitudes are proportional to wavelengths and add up to `amplitude`."""
     draw = Random(seed).random  # unlike NumPy's generators, guaranteed never to change
-    across = [MIN_PERIODS_ACROSS * (MAX_PERIODS_ACROSS / MIN_PERIODS_ACROSS) ** draw() for _ in range(waves)]
+    across = [MIN_PERIODS_ACROSS * power(MAX_PERIODS_ACROSS / MIN_PERIODS_ACROSS, draw()) for _ in range(waves)]
     scale = amplitude / sum(1.0 / n for n in across)
     result = []
     for n in across:
-        k, direction = 2.0 * math.pi * n / size, 2.0 * math.pi * draw()
+        k, (y, x) = 2.0 * math.pi * n / size, sine_and_cosine(2.0 * math.pi * draw())
         phase = 2.0 * math.pi * draw()
-        result.append(_Wave(k * math.cos(direction), k * math.sin(direction), phase, scale / n))
+        result.append(_Wave(k * x, k * y, phase, scale / n))
     return result
 
 
-def _surface(x: Floats, y: Floats, waves: list[_Wave]) -> tuple[Floats, Floats]:
-    """z and the unit normal, (-dz/dx, -dz/dy, 1) normalized."""
-    z, slope_x, slope_y = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
-    for wave in waves:
-        angle = wave.kx * x + wave.ky * y + wave.phase
-        z += wave.height * np.sin(angle)
-        cosine = np.cos(angle)
-        slope_x += wave.height * wave.kx * cosine
-        slope_y += wave.height * wave.ky * cosine
-    return z, normalize_rows(np.stack([-slope_x, -slope_y, np.ones_like(x)], axis=1))
+def _surface(waves: list[_GridWave], rows: slice) -> tuple[Floats, Floats]:
+    """z and the unit normal, (-dz/dx, -dz/dy, 1) normalized, of some rows; by the sine and cosine of a sum."""
+    z, slope_x, slope_y = np.zeros((3, rows.stop - rows.start, len(waves[0].columns[0])))
+    for wave, (sine_x, cosine_x), along in waves:
+        sine_y, cosine_y = (each[rows, None] for each in along)
+        z += wave.height * (sine_x * cosine_y + cosine_x * sine_y)
+        slope = wave.height * (cosine_x * cosine_y - sine_x * sine_y)
+        slope_x += wave.kx * slope
+        slope_y += wave.ky * slope
+    normals = np.stack([-slope_x, -slope_y, np.ones_like(z)], axis=2)
+    return z.ravel(), normalize_rows(normals.reshape(-1, 3))
+
+
+# The quarter turn as a sum of two numbers, of which the first has so few bits that its multiples are exact.
+QUARTER_TURN = 1.5707963267341256, 6.077100506506192e-11
+
+
+def _sines_and_cosines(angles: Floats) -> tuple[Floats, Floats]:
+    """(sin, cos) of angles below 2^20 radians, each within 2^-51; the same bits on every machine."""
+    quarters = np.rint(angles / (0.5 * math.pi))
+    h = (angles - quarters * QUARTER_TURN[0]) - quarters * QUARTER_TURN[1]
+    sinc, cosine = _series_of_arrays(h * h)
+    swap, place = quarters % 2.0, quarters % 4.0
+    sine, cosine = swap * cosine + (1.0 - swap) * (h * sinc), swap * (h * sinc) + (1.0 - swap) * cosine
+    return np.where(place >= 2.0, -sine, sine), np.where((place == 1.0) | (place == 2.0), -cosine, cosine)
 
 
 def _faces(resolution: int) -> Ints:
-    number = np.arange((resolution + 1) ** 2, dtype=np.int32).reshape(resolution + 1, resolution + 1)  # rows along y
+    side = resolution + 1
+    number = np.arange(side * side, dtype=np.int32).reshape(side, side)  # rows along y
     here, right = number[:-1, :-1], number[:-1, 1:]
     above, opposite = number[1:, :-1], number[1:, 1:]
     quads = np.empty((resolution, resolution, 6), np.int32)

@@ -8,6 +8,8 @@ import numpy as np
 from pydantic import model_validator
 
 from caster.description.fields import Number, Shape, UnitVec3, Vec3
+from caster.description.transform import inverse, transform_points, transform_vectors
+from caster.geometry.triangle_mesh import normalize_rows
 from caster.geometry.world_space import Rounding
 from caster.jit.decorators import implement, inlined
 from caster.kernels.exact.numbers import Root
@@ -72,12 +74,12 @@ class Plane(Shape):
         return self
 
     def pack(self, rounded: Rounding) -> Planes:
-        n = np.array(self.normal)
-        point = np.array(self.point) if self.point is not None else self.offset * n
-        linear = self.matrix[:3, :3]
-        world_normal = n @ np.linalg.inv(linear)
-        world_point = linear @ point + self.matrix[:3, 3]
-        return Planes(rounded(world_normal / np.linalg.norm(world_normal))[None], rounded(world_point)[None])
+        n = np.array([self.normal])
+        point = self.offset * n if self.point is None else np.array([self.point])
+        world_normal = transform_vectors(inverse(self.matrix[:3, :3]).T, n)
+        if not world_normal.any():
+            raise np.linalg.LinAlgError("too large to be inverted in float64")
+        return Planes(rounded(normalize_rows(world_normal)), rounded(transform_points(self.matrix, point)))
 
 
 # The error of a dot product is 3 u of its terms' magnitudes, 4 u with the rounding of the difference in it.

@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from caster.description.errors import SceneError
 from caster.description.fields import Positive
+from caster.description.trigonometry import sine_and_cosine
 from caster.geometry.triangle_mesh import Floats, Ints, Mesh, check_integer, check_length
 from caster.geometry.world_space import MeshShape
 
@@ -24,11 +25,10 @@ def tessellate_torus(major_radius: float, minor_radius: float, segments: int, si
     Raises SceneError for anything else.
     """
     _check(major_radius, minor_radius, segments, sides)
-    around, across = _turn(segments)[:, None], _turn(sides)[None, :]
-    x, y = np.cos(around) * np.cos(across), np.sin(around) * np.cos(across)
-    z = np.broadcast_to(np.sin(across), x.shape)
-    normals = np.stack([x, y, z], axis=2)
-    middle = np.stack([np.cos(around), np.sin(around), np.zeros_like(around)], axis=2)
+    (sine, cosine), (rise, level) = _circle(segments)[:, :, None], _circle(sides)[:, None, :]
+    x, y = cosine * level, sine * level
+    normals = np.stack([x, y, np.broadcast_to(rise, x.shape)], axis=2)
+    middle = np.stack([cosine, sine, np.zeros_like(sine)], axis=2)
     vertices = major_radius * middle + minor_radius * normals
     return Mesh(vertices.reshape(-1, 3), _faces(segments, sides), normals.reshape(-1, 3))
 
@@ -44,8 +44,10 @@ def _check(major_radius: float, minor_radius: float, segments: int, sides: int) 
     check_integer("torus", "sides", sides, 3, MAX_PARTS)
 
 
-def _turn(parts: int) -> Floats:
-    return 2.0 * math.pi * np.arange(parts) / parts
+def _circle(parts: int) -> Floats:
+    """(2, parts) sines and cosines of the parts of a turn."""
+    angles = 2.0 * math.pi * np.arange(parts) / parts
+    return np.array([sine_and_cosine(angle) for angle in angles.tolist()]).T
 
 
 def _faces(segments: int, sides: int) -> Ints:

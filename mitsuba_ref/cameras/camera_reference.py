@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.description.fields import Camera, Description
+from caster.description.transform import dot_rows, row_lengths
 from caster.scene.model import Film
 from mitsuba_ref.error_model.intersections import stacked_columns, unit
 from mitsuba_ref.scene_xml.elements import XmlElement
@@ -84,11 +85,11 @@ class CameraReference:
 def camera_axes(camera: Camera) -> np.ndarray:
     """(3, 3) float64, rows right, up, forward: the orthobasis of eye, view and up (Gram-Schmidt)."""
     view = np.array(camera.direction if camera.look_at is None else np.subtract(camera.look_at, camera.eye))
-    forward = view / np.linalg.norm(view)
+    forward = view / row_lengths(view[None])
     up = np.array(camera.up, np.float64)
-    up = up / np.linalg.norm(up)
-    up = up - np.dot(up, forward) * forward
-    up = up / np.linalg.norm(up)
+    up = up / row_lengths(up[None])
+    up = up - dot_rows(up[None], forward) * forward
+    up = up / row_lengths(up[None])
     return np.stack([np.cross(forward, up), up, forward])
 
 

@@ -105,6 +105,12 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return stacked_columns(ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx)
 
 
+def ceil_log2(x: np.ndarray) -> np.ndarray:
+    """The least whole k with x <= 2^k, exactly, for finite x > 0; a logarithm would be rounded."""
+    fraction, exponent = np.frexp(x)
+    return np.asarray(exponent - (fraction == 0.5), np.int64)
+
+
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Row-wise dot product."""
     return np.einsum("ij,ij->i", a, b)

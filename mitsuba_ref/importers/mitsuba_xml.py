@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from caster.description.errors import Diagnostic, FileMissing, SceneError, diagnostics_of, join_words
+from caster.description.transform import is_mirrored, row_lengths
 from caster.scene.files import MeshFolders, resolve_mesh_files
 from caster.scene.model import Scene
 from mitsuba_ref.importers.scene_builder import (
@@ -183,7 +184,7 @@ def _pose(out: SceneBuilder, node: Node, steps: list[Step], matrix: np.ndarray) 
     if len(steps) == 1 and "look_at" in steps[0]:
         look = steps[0]["look_at"]
         return {"eye": look["origin"], "look_at": look["target"], "up": look["up"]}
-    if np.linalg.det(matrix[:3, :3]) < 0.0:
+    if is_mirrored(matrix[:3, :3]):
         out.note(node, "the mirroring of its to_world: the image is flipped horizontally here")
     eye, up, view = matrix[:3, 3], matrix[:3, 1], matrix[:3, 2]
     return {"eye": eye.tolist(), "direction": view.tolist(), "up": up.tolist()}
@@ -209,7 +210,7 @@ def _window(out: SceneBuilder, node: Node, matrix: np.ndarray, near: float, far:
 
     Along the view, the near plane is scaled, the distance from near to far plane is not.
     """
-    across, up, along = np.linalg.norm(matrix[:3, :3], axis=0)
+    across, up, along = row_lengths(matrix[:3, :3].T)
     if abs(up - across) > SQUARE_PIXEL_RTOL * across:
         out.note(node, f"pixels that are {up / across:g} times as high as wide: pixels are square here")
     return {"width": 2.0 * float(across), "near": near * float(along), "far": near * float(along) + far - near}

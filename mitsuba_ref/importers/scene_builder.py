@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from caster.description.trigonometry import sine_and_cosine
 from mitsuba_ref.scene_xml.documents import ImportDiagnostic, Node, SourcePosition, XmlDocument, resolve_reference
 
 Path = tuple[str | int, ...]
@@ -148,7 +149,8 @@ def _rotation(axis: list[float], degrees: float) -> Step:
     angle = math.radians(degrees)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     outer = np.outer(axis, axis)
-    linear = math.cos(angle) * np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * outer
+    sine, cosine = sine_and_cosine(angle)
+    linear = cosine * np.eye(3) + sine * cross + (1.0 - cosine) * outer
     return {"matrix": matrix_rows(linear, [0.0, 0.0, 0.0])}
 
 

@@ -8,13 +8,14 @@ from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 import numpy as np
 
+from caster.description.transform import row_lengths
 from caster.geometry.packing import Packed, concatenate_parts, packed
 from caster.geometry.world_space import as_float32
 from caster.rendering.images import camera_rays
 from caster.scene.model import Diffuse, Scene
 from caster.system.atomic_files import check_folder, write_bytes, write_text
 from mitsuba_ref.cameras import ClipRange, reference_of_camera
-from mitsuba_ref.error_model.intersections import ErrorModel
+from mitsuba_ref.error_model.intersections import ErrorModel, ceil_log2
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement, format_floats
 from mitsuba_ref.shapes import reference_of
@@ -54,9 +55,8 @@ class SharedRays(NamedTuple):
 
         Its spheres and ellipsoids take the distance to the centre for t, and lose digits where d is longer than 1.
         """
-        length = np.linalg.norm(self.d.astype(np.float64), axis=1)
-        unit = np.abs(length - 1.0) <= UNIT_LENGTH_ATOL
-        return np.where(unit, 0, np.ceil(np.log2(length))).astype(int)
+        length = row_lengths(self.d.astype(np.float64))
+        return np.where(np.abs(length - 1.0) <= UNIT_LENGTH_ATOL, 0, ceil_log2(length))
 
     def for_reference(self) -> "SharedRays":
         """The rays as Mitsuba traces them: float32, from t_min on, since it has none; camera rays are so already."""

@@ -10,6 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from caster.description.transform import dot_rows, product, row_lengths
+from caster.description.trigonometry import sine_and_cosine
 from caster.geometry.packing import Triangles
 from caster.shapes.plane import Plane, Planes
 from mitsuba_ref.error_model.defect_conditions import GRAZED_FLAT, STARTS_ON_FLAT, DefectView, abs_cosine
@@ -19,6 +21,7 @@ from mitsuba_ref.error_model.intersections import (
     Intersections,
     UvSpace,
     by_normal,
+    ceil_log2,
     dot,
     finite_or_zero,
     norm,
@@ -55,16 +58,18 @@ def patches(part: Planes, o: np.ndarray, d: np.ndarray) -> Patches:
 
 
 def _patch(normal: np.ndarray, point: np.ndarray, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, ...]:
-    n = normal / np.linalg.norm(normal)
+    n = normal / row_lengths(normal[None])
     eye = o.mean(axis=0) if len(o) else point
-    center = eye - n * np.dot(n, eye - point)
-    first = unit(np.cross(n, np.eye(3)[np.argmin(np.abs(n))])[None])[0]
+    center = eye - n * dot_rows(n[None], eye - point)
+    first = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
+    first = first / row_lengths(first[None])
     second = np.cross(n, first)
-    turned = np.cos(PATCH_ROTATION) * first + np.sin(PATCH_ROTATION) * second
+    sine, cosine = sine_and_cosine(PATCH_ROTATION)
+    turned = cosine * first + sine * second
     axes = np.stack([turned, np.cross(n, turned)])
     half = _half_side(n, point, center, o, d)
     sizes = half * 2.0 ** np.arange(PATCH_RINGS + 1)
-    corners = center + (sizes[:, None, None] * (SQUARE_CORNERS @ axes)).reshape(-1, 3)
+    corners = center + (sizes[:, None, None] * product(SQUARE_CORNERS, axes)).reshape(-1, 3)
     return n, point, center, axes, np.array(half), corners.astype(np.float32).astype(np.float64)
 
 
@@ -75,7 +80,7 @@ SMALLEST_HALF_SIDE = 2.0**-60
 def _half_side(n: np.ndarray, point: np.ndarray, center: np.ndarray, o: np.ndarray, d: np.ndarray) -> float:
     """As far from the centre as the nearest tenth of all hits."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        t = (point - o) @ n / (d @ n)
+        t = dot_rows(point - o, n) / dot_rows(d, n)
     met = np.isfinite(t) & (t > 0.0)
     away = norm(o[met] + t[met, None] * d[met] - center)
     size = float(np.quantile(away, 0.1)) if len(away) else 1.0
@@ -190,7 +195,7 @@ def _face_of_hit(
     away = o + np.where(np.isfinite(t), t, 0.0)[:, None] * d - prims.center[k]
     u, v = (dot(away, prims.axes[k, axis]) / prims.half[k] for axis in range(2))
     size = np.maximum(np.abs(u), np.abs(v))
-    ring = np.ceil(np.log2(np.maximum(size, 1.0))).astype(int)
+    ring = ceil_log2(np.maximum(size, 1.0))
     side = np.where(np.abs(v) >= np.abs(u), np.where(v > 0, 0, 2), np.where(u > 0, 3, 1))
     within = (ring <= PATCH_RINGS) & (size * prims.half[k] <= LARGEST_PATCH_COORDINATE / 4.0) & np.isfinite(t)
     ring = np.clip(ring, 0, PATCH_RINGS)
@@ -201,7 +206,7 @@ def _height(corners: np.ndarray) -> np.ndarray:
     """The smallest height of triangles with corners (m, 3, 3)."""
     edges = np.roll(corners, -1, axis=1) - corners
     area = norm(np.cross(edges[:, 0], edges[:, 1]))
-    return area / np.sqrt(np.einsum("ijk,ijk->ij", edges, edges)).max(axis=1)
+    return area / np.sqrt((edges * edges).sum(axis=2)).max(axis=1)
 
 
 def _least_height(half: np.ndarray, face: np.ndarray) -> np.ndarray:

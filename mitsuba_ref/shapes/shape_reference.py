@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from caster.description.fields import Shape
+from caster.description.transform import dot_rows, is_mirrored
 from mitsuba_ref.error_model.defect_conditions import DefectView, KnownDefect
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, ExpectedPacking
 from mitsuba_ref.error_model.intersections import ErrorModel, GroupKey, single_group
@@ -66,7 +67,7 @@ def note_normal_side(xml: XmlShape, flipped: bool) -> None:
     matrix = xml.matrix
     if flipped:
         xml.note("flip_normals: the normal is not flipped here")
-    elif matrix is not None and np.linalg.det(matrix[:3, :3]) < 0.0:
+    elif matrix is not None and is_mirrored(matrix[:3, :3]):
         xml.note("the side of its normal: Mitsuba's mirrored geometric and shading normals point to different sides")
 
 
@@ -202,12 +203,13 @@ def unit_vector_rounding_to(n: np.ndarray) -> np.ndarray:
     of all that round to n. On the way from the box's corner that is nearest to 0 to the farthest, lengths grow, and
     somewhere they are 1.
     """
-    if abs(float(n @ n) - 1.0) <= 2.0**-52:
+    if abs(float(dot_rows(n[None], n)[0]) - 1.0) <= 2.0**-52:
         return n
     single = np.abs(n).astype(np.float32)
     half = [0.5 * (np.nextafter(single, np.float32(end)).astype(np.float64) - single) for end in (0.0, np.inf)]
     low, high = (single + np.where(n == 0.0, 0.0, ROUNDING_INTERVAL_FRACTION * each) for each in half)
     across = high - low
-    a, b, c = across @ across, low @ across, low @ low - 1.0
+    a, b, c = dot_rows(np.array([across, low, low]), np.array([across, across, low])).tolist()
+    c -= 1.0
     s = -c / (b + np.sqrt(max(b * b - a * c, 0.0)))
     return np.copysign(low + min(max(s, 0.0), 1.0) * across, n)

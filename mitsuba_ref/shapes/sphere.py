@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from caster.description.transform import is_mirrored, row_lengths, transform_points
 from caster.shapes.sphere import Ellipsoids, Sphere, SphereCloud, Spheres
 from caster.system.atomic_files import write_bytes
 from mitsuba_ref.error_model.defect_conditions import FAR_IN_SIZES, STARTS_ON_CURVED, STRETCHED, DefectView, KnownDefect
@@ -262,17 +263,17 @@ def import_sphere(xml: XmlShape) -> Fields:
     inward = xml.boolean("flip_normals") != (radius < 0.0)
     matrix = xml.matrix
     if matrix is not None and not xml.instanced:  # an instance keeps the orientation of the normal
-        inward ^= bool(np.linalg.det(matrix[:3, :3]) < 0.0)
+        inward ^= is_mirrored(matrix[:3, :3])
     if inward:
         xml.note("its normal, which points inwards: normals point outwards here")
     shape = {"type": "sphere", "center": center, "radius": abs(radius)}
     if matrix is None or xml.instanced:
         return shape | to_world_fields(xml)
-    sizes = np.linalg.norm(matrix[:3, :3], axis=0)
+    sizes = row_lengths(matrix[:3, :3].T)
     if np.ptp(sizes) > UNIFORM_SCALE_RTOL * sizes.max():
         xml.note("the non-uniform scale, which Mitsuba ignores as well: the radius is that along x")
-    center = (matrix[:3, :3] @ center + matrix[:3, 3]).tolist()
-    return {"type": "sphere", "center": center, "radius": float(abs(radius) * sizes[0])}
+    center = transform_points(matrix, np.array([center]))[0]
+    return {"type": "sphere", "center": center.tolist(), "radius": float(abs(radius) * sizes[0])}
 
 
 TANGENT = KnownDefect(

@@ -1,50 +1,138 @@
-"""What Numba and plain Python both cast; as a program, it writes what it gets to a file."""
+"""What every machine casts and packs to the same bits. As a program, it does so elsewhere:
 
+    python plain_python.py INPUTS OUT    # files of arrays: what is to be cast, and what came of it
+
+Scenes and rays are drawn once and handed on: random numbers are made by NumPy and the C library, whose last bits are
+the machine's.
+"""
+
+import hashlib
+import math
+import os
+import subprocess
 import sys
+import tempfile
+from pathlib import Path
 
 import numpy as np
 from hard_rays import hard_rays
 from random_scenes import VIEWS, name, random_scene
 
+from caster import load_scene
 from caster.aovs import BY_NAME
 from caster.cameras import Pinhole
+from caster.geometry.world_space import as_float32, as_given
 from caster.jit.kernel_cache import COMPILED
+from caster.kernels.math.angles import polar_fraction, turn_fraction
 from caster.rendering.casting import find_nearest
 from caster.rendering.hits import packed, validated_rays
-from caster.rendering.images import render
+from caster.rendering.images import camera_rays, render
+from caster.scene.files import scene_from_text
 from caster.shapes import SHAPES
+
+ROOT = Path(__file__).resolve().parents[2]
+PATIENCE = 3600  # seconds; takes about 10 where nothing is compiled, and minutes where everything is
 
 FILM = (13, 9)
 RAYS = 40  # of each family
 
+Arrays = dict[str, np.ndarray]
 
-def everything_cast(share: int = 1) -> dict[str, np.ndarray]:
-    """Every AOV of every shape before every camera, or a share of the cameras, and hard rays.
+
+def inputs(share: int) -> Arrays:
+    """Scenes of every shape before every camera, or before one camera in `share`, and hard rays; share 0: no shape.
 
     Of the two cullings that a film may go through, neighbours take turns: each shape and each camera has both.
     """
-    results = {"compiled": np.array(COMPILED)}
-    for i, shape in enumerate(SHAPES):
+    found = {"points": np.random.default_rng(33).normal(size=(500, 2))}
+    for j, camera in enumerate(VIEWS):
+        found[f"view {name(camera)}"] = drawn([32, j], SHAPES[0], camera)
+    for i, shape in enumerate(SHAPES if share else ()):
         for j, camera in enumerate(VIEWS):
-            if (i + j // 2) % share:
-                continue
-            scene = random_scene(np.random.default_rng([30, i, j]), [shape], camera, count=5, film=FILM)
-            culling = (None, "bvh")[(i + j) % 2]
-            aovs = render(scene, tuple(BY_NAME), threads=1, culling=culling)
-            results |= {f"{name(shape)} {name(camera)} {culling} {aov}": aovs[aov] for aov in aovs}
-        results |= rays_cast(np.random.default_rng([31, i]), shape)
-    return results
+            if (i + j // 2) % share == 0:
+                culling = (None, "bvh")[(i + j) % 2]
+                found[f"film {name(shape)} {name(camera)} {culling}"] = drawn([30, i, j], shape, camera)
+        rng = np.random.default_rng([31, i])
+        scene = random_scene(rng, [shape], Pinhole, count=5)
+        found[f"shape {name(shape)}"] = np.array(scene.canonical_json())
+        for family, rays in hard_rays(packed(scene), rng, RAYS).items():
+            found[f"rays {name(shape)}/{family}"] = np.array(rays)
+    return found
 
 
-def rays_cast(rng: np.random.Generator, shape: type) -> dict[str, np.ndarray]:
-    scene = random_scene(rng, [shape], Pinhole, count=5)
-    results = {}
-    for family, (o, d) in hard_rays(packed(scene), rng, RAYS).items():
-        nearest = find_nearest(packed(scene), validated_rays(o, d, 0.0, np.inf), threads=1)
-        results |= {f"{name(shape)} {family} {key}": array for key, array in nearest._asdict().items()}
-        results |= {f"{name(shape)} {family} o": o, f"{name(shape)} {family} d": d}
-    return results
+def drawn(seed: list[int], shape: type, camera: type) -> np.ndarray:
+    return np.array(random_scene(np.random.default_rng(seed), [shape], camera, count=5, film=FILM).canonical_json())
+
+
+def everything(given: Arrays) -> Arrays:
+    """All that is to be the same, by name, and what is not: `libraries`, and whether it was compiled."""
+    return {"compiled": np.array(COMPILED), **libraries(), **everything_packed(), **everything_cast(given)}
+
+
+def everything_cast(given: Arrays) -> Arrays:
+    """Every AOV of the films, the nearest hits of the rays, rays of the views; angles of the points."""
+    found = {"turns": np.array([turn_fraction(y, x) for y, x in given["points"].tolist()])}
+    found["polar angles"] = np.array([polar_fraction(x / (1.0 + abs(x))) for x in given["points"][:, 0].tolist()])
+    for key, array in given.items():
+        kind, _, what = key.partition(" ")
+        if kind == "view":
+            found |= {f"{what} {field}": rows for field, rows in camera_rays(scene_of(array))._asdict().items()}
+        elif kind == "film":
+            culling = {"None": None, "bvh": "bvh"}[what.split()[-1]]
+            aovs = render(scene_of(array), tuple(BY_NAME), threads=1, culling=culling)
+            found |= {f"{what} {aov}": aovs[aov] for aov in aovs}
+        elif kind == "rays":
+            prims = packed(scene_of(given[f"shape {what.partition('/')[0]}"]))
+            nearest = find_nearest(prims, validated_rays(*array, 0.0, np.inf), threads=1)
+            found |= {f"{what} {field}": rows for field, rows in nearest._asdict().items()}
+    return found
+
+
+def scene_of(text: np.ndarray):
+    return scene_from_text(str(text), "json", mesh_dirs=[tempfile.gettempdir()])  # where meshes were written
+
+
+def everything_packed() -> Arrays:
+    """Digests of all that the shipped scenes pack to, in float64 and rounded to float32, and of their cameras."""
+    found = {}
+    for file in sorted(ROOT.glob("scenes/*.toml")):
+        scene = load_scene(file)
+        for rounded in (as_given, as_float32):
+            for shape, part in zip(scene.shape_names(), packed(scene, rounded).parts, strict=True):
+                for field, array in part._asdict().items():
+                    found[f"{file.stem} {shape} {rounded.__name__} {field}"] = digest(array)
+        found[f"{file.stem} camera"] = digest(np.hstack(scene.camera.pack(scene.film.width, scene.film.height)))
+    return found
+
+
+def digest(array: np.ndarray) -> np.ndarray:
+    return np.frombuffer(hashlib.sha256(np.ascontiguousarray(array).tobytes()).digest(), np.uint64)
+
+
+def libraries() -> Arrays:
+    """Numbers that the machine's libraries make, and that nothing of ours may be made of."""
+    numbers = np.random.default_rng(34).random((3000, 3))
+    return {
+        "BLAS": digest(numbers @ np.array([[0.1, 0.7, 0.3], [0.4, 0.2, 0.9], [0.8, 0.6, 0.5]])),
+        "NumPy": digest(np.arctan2(numbers[:, 0], numbers[:, 1])),
+        "C": digest(np.array([math.sin(x) for x in numbers.ravel().tolist()])),
+    }
+
+
+def elsewhere(folder: Path, given: Arrays, **environment: str) -> Arrays:
+    """`everything` in another process, with other variables in its environment; folder: for files on the way."""
+    np.savez(folder / "inputs.npz", **given)
+    variables = os.environ | {"PYTHONPATH": str(ROOT)} | environment
+    command = [sys.executable, "-W", "error", __file__, str(folder / "inputs.npz"), str(folder / "out.npz")]
+    run = subprocess.run(command, env=variables, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE)
+    assert run.returncode == 0, run.stderr
+    return loaded(folder / "out.npz")
+
+
+def loaded(path: Path) -> Arrays:
+    with np.load(path) as arrays:
+        return dict(arrays)
 
 
 if __name__ == "__main__":
-    np.savez(sys.argv[1], **everything_cast(int(sys.argv[2])))
+    np.savez(sys.argv[2], **everything(loaded(Path(sys.argv[1]))))

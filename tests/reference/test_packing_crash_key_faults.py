@@ -44,8 +44,8 @@ PACKING_FAULTS = (
         "triangles",
         r"geometry: .* vertices of .* \(float64\)",
         WORLD,
-        "return rounded(mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3])",
-        f"return {ONLY_FLOAT64.format(1e-9)} * rounded(mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3])",
+        "return rounded(transform_points(matrix, mesh.vertices))",
+        f"return {ONLY_FLOAT64.format(1e-9)} * rounded(transform_points(matrix, mesh.vertices))",
     ),
     Fault(
         "packing",
@@ -131,7 +131,7 @@ PACKING_FAULTS = (
 )
 
 # Ends of the process that casts, in the first line of packing a sphere: the scene of triangles is judged all the same.
-PACK = "    linear = matrix[:3, :3]\n    x, y, z = centers"
+PACK = "    linear = matrix[:3, :3]\n    moved = rounded("
 ENDS = {
     "a null pointer is read": ("__import__('ctypes').string_at(0)", "SIGSEGV"),
     "the C library aborts": ("__import__('os').abort()", "SIGABRT"),

@@ -11,7 +11,8 @@ from caster.geometry.world_space import Rounding
 from caster.jit.decorators import implement
 from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import exact_disk
-from caster.kernels.math.vec import U, add, filter_result, point_at, row, scaled, sub, turn_fraction
+from caster.kernels.math.angles import turn_fraction
+from caster.kernels.math.vec import U, add, filter_result, point_at, row, scaled, sub
 from caster.kernels.protocol import (
     camera_ray,
     exact_intersect,

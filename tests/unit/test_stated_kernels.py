@@ -157,8 +157,8 @@ def intersections(name: str) -> Iterator[Any]:
 
 def towards(point: np.ndarray, o: Any, length: float) -> Any:
     """A vector of that length from o to a point."""
-    along = point - np.array(o)
-    return tuple((along * (length / math.sqrt(along @ along))).tolist())
+    x, y, z = along = point - np.array(o)
+    return tuple((along * (length / math.sqrt(x * x + y * y + z * z))).tolist())  # a BLAS would depend on the machine
 
 
 SURE_HIT, UNDECIDED, SURE_MISS = range(3)

@@ -152,6 +152,12 @@ def rows_times_vec(m: tuple[Vec3, Vec3, Vec3], v: Vec3) -> Vec3:
 
 
 @jit
+def hypotenuse(a: float, b: float) -> float:
+    """The root of a^2 + b^2, where that is a number: the same bits on every machine, as the C library's are not."""
+    return math.sqrt(a * a + b * b)
+
+
+@jit
 def transposed_rows_times_vec(m: tuple[Vec3, Vec3, Vec3], v: Vec3) -> Vec3:
     """The transpose of the matrix with these rows times v: `transposed_mat_vec` without an array."""
     return (
@@ -208,13 +214,6 @@ def transposed_mat_vec(m: Any, k: int, v: Vec3) -> Vec3:
         m[k, 0, 1] * v[0] + m[k, 1, 1] * v[1] + m[k, 2, 1] * v[2],
         m[k, 0, 2] * v[0] + m[k, 1, 2] * v[1] + m[k, 2, 2] * v[2],
     )
-
-
-@jit
-def turn_fraction(y: float, x: float) -> float:
-    """atan2(y, x) as a fraction of a turn in [0, 1)."""
-    turn = math.atan2(y, x) / (2.0 * math.pi)
-    return turn + 1.0 if turn < 0.0 else turn
 
 
 # What follows has no branch, so that loops over rays can test several at once (SIMD).

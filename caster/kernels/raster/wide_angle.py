@@ -1,8 +1,4 @@
-"""What fisheyes, panoramas and parabolic cameras share: spheres and hulls in their projections, and sines and cosines.
-
-Those go without a branch or a call, so that loops over pixels can work several out at once. Their bits are the same
-with and without compiling, on every machine: only sums and products of float64 are taken.
-"""
+"""What fisheyes, panoramas and parabolic cameras share: spheres and hulls in their projections."""
 
 import math
 from typing import Any
@@ -10,22 +6,6 @@ from typing import Any
 from caster.jit.decorators import inlined, jit
 from caster.kernels.math.vec import add, dot, l1_norm, scaled, sub
 from caster.kernels.protocol import Vec3
-
-# The Taylor series of sin(h) / h and cos(h) in h^2. At h = pi / 2 the first terms left out are
-# (pi / 2)^24 / 25! = 3e-21 and (pi / 2)^24 / 24! = 8e-20: nothing beside a rounding, 1e-16.
-SERIES_TERMS = 12
-SINE = tuple((-1.0) ** k / math.factorial(2 * k + 1) for k in range(SERIES_TERMS))
-COSINE = tuple((-1.0) ** k / math.factorial(2 * k) for k in range(SERIES_TERMS))
-
-
-@inlined
-def sinc_and_cos(square: float) -> tuple[float, float]:
-    """(sin(h) / h, cos(h)) for square = h^2 and h at most a quarter turn, each within 2^-51."""
-    sine, cosine = SINE[SERIES_TERMS - 1], COSINE[SERIES_TERMS - 1]
-    for k in range(SERIES_TERMS - 2, -1, -1):
-        sine, cosine = sine * square + SINE[k], cosine * square + COSINE[k]
-    return sine, cosine
-
 
 # What the cameras that see around share: the eye, its axes, and the circle inscribed in the film.
 
