@@ -110,6 +110,7 @@ class TraceResponse:
     stored: bool = False  # answered earlier, to the same request; no Mitsuba ran, and `seconds` is 0
     # of the mesh files: (f, 3, 8) float32, position, normal and uv at the corners of all faces
     mesh_corners: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 8), np.float32))
+    mesh_vertices: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int32))  # their numbers in the mesh
     mesh_faces: Sequence[int] = ()  # how many of them are of each file
     mesh_problems: Sequence[str] = ()  # why Mitsuba's loader did not read each file; "": it did
 
@@ -117,9 +118,12 @@ class TraceResponse:
     def meshes(self) -> tuple["LoadedMesh", ...]:
         """The mesh files of the request."""
         ends = np.cumsum(self.mesh_faces, dtype=int)
-        parts = np.split(self.mesh_corners.astype(np.float64), ends[:-1]) if len(ends) else []
-        rows = zip(parts, self.mesh_problems, strict=True)
-        return tuple(LoadedMesh(c[..., :3], c[..., 3:6], c[..., 6:], problem) for c, problem in rows)
+        corners, vertices = (
+            np.split(each, ends[:-1]) if len(ends) else []
+            for each in (self.mesh_corners.astype(np.float64), self.mesh_vertices)
+        )
+        rows = zip(corners, vertices, self.mesh_problems, strict=True)
+        return tuple(LoadedMesh(c[..., :3], c[..., 3:6], c[..., 6:], *rest) for c, *rest in rows)
 
     def write(self, folder: Path) -> None:
         _write(self, folder / "answer")
@@ -158,6 +162,7 @@ class TraceResponse:
         _check("light_rgb", self.light_rgb, (lights, rays, 3), np.float32)
         _check("light_visible", self.light_visible, (lights, rays), np.bool_)
         _check("mesh_corners", self.mesh_corners, (sum(self.mesh_faces), 3, 8), np.float32)
+        _check("mesh_vertices", self.mesh_vertices, (sum(self.mesh_faces), 3), np.int32)
         if len(self.mesh_faces) != len(self.mesh_problems):
             raise ValueError("mesh_problems: expected one for each mesh file")
         if self.sensor_o is not None:
@@ -176,6 +181,7 @@ class LoadedMesh(NamedTuple):
     corners: np.ndarray  # (f, 3, 3)
     normals: np.ndarray  # (f, 3, 3), 0 where there are none
     uv: np.ndarray  # (f, 3, 2), 0 where there are none
+    vertices: np.ndarray  # (f, 3) int32: corners with the same number share a vertex
     problem: str = ""  # its message where it refuses the file
 
 

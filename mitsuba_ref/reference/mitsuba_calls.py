@@ -89,31 +89,34 @@ def _sensor_rays(scene: Any, request: TraceRequest) -> dict[str, Any]:
 def _meshes(request: TraceRequest) -> dict[str, Any]:
     """The request's mesh files by Mitsuba's loader, corner by corner; its message where it refuses one."""
     mi.logger().set_error_level(mi.LogLevel.Error)  # a warning about a file is not one about the scene
-    found, problems = [np.zeros((0, 3, 8), np.float32)], []
+    found, faces, problems = [np.zeros((0, 3, 8), np.float32)], [np.zeros((0, 3), np.int32)], []
     for file in request.mesh_files:
         try:
             mesh = mi.load_dict({"type": file.suffix[1:].lower(), "filename": str(file)})
-            found.append(_corners(mi.traverse(mesh)))
+            parameters = mi.traverse(mesh)
+            faces.append(np.array(parameters["faces"], np.int32).reshape(-1, 3))
+            found.append(_vertices(parameters)[faces[-1]])
             problems.append("")
         except RuntimeError as error:
+            faces.append(faces[0])
             found.append(found[0])
             problems.append(str(error))
     return {
         "mesh_corners": np.concatenate(found),
+        "mesh_vertices": np.concatenate(faces),
         "mesh_faces": [len(each) for each in found[1:]],
         "mesh_problems": problems,
     }
 
 
-def _corners(parameters: Any) -> np.ndarray:
-    """(f, 3, 8) position, normal and uv of each face's corners; 0 where the mesh has none."""
-    faces = np.array(parameters["faces"]).reshape(-1, 3)
+def _vertices(parameters: Any) -> np.ndarray:
+    """(n, 8) position, normal and uv of each vertex; 0 where the mesh has none."""
     rows = np.zeros((np.array(parameters["vertex_positions"]).size // 3, 8), np.float32)
     for name, columns in (("positions", slice(0, 3)), ("normals", slice(3, 6)), ("texcoords", slice(6, 8))):
         values = np.array(parameters[f"vertex_{name}"], np.float32)
         if values.size:
             rows[:, columns] = values.reshape(len(rows), -1)
-    return rows[faces]
+    return rows
 
 
 def _pixel_centers(film: Any) -> tuple[np.ndarray, np.ndarray]:

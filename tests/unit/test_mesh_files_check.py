@@ -11,6 +11,7 @@ import pytest
 
 import caster
 from caster.geometry.mesh_files import load_mesh
+from caster.geometry.triangle_mesh import vertex_normals
 from caster.scene.model import Scene
 from mitsuba_ref.judge.independent_checks import mesh_files
 from mitsuba_ref.judge.independent_checks.mesh_files import (
@@ -110,10 +111,11 @@ def test_plain_python_reads_the_faces_of_every_kind_of_file(file):
     found = read_plainly(path)
     expected = CORNERS.astype(np.float32).astype(float) if name == "stl" else CORNERS
     assert np.array_equal(found.corners, expected) and found.plain is FILES[name][2]
-    assert (found.indices is not None) is (path.suffix == ".obj")
-    if path.suffix in (".obj", ".ply"):  # the others are trimesh's, which need not be here
+    assert found.vertices == (3 * len(CORNERS) if path.suffix == ".stl" else len(POINTS))
+    if path.suffix != ".stl":  # that is trimesh's, which need not be here
         mesh = load_mesh(path)
         assert np.array_equal(mesh.vertices[mesh.faces], found.corners)
+        assert set(mesh_files._against_plain(mesh, found).values()) == {0.0}
 
 
 def test_mitsuba_gets_the_file_or_the_same_faces_in_one_that_it_supports(file, tmp_path):
@@ -147,8 +149,8 @@ def test_the_corners_that_have_uv_or_a_normal_are_separated():
         (b"f 1/1 2 3//1 1/1/1\n", [[1, 0, 0], [1, 0, 1]], [[0, 0, 1], [0, 1, 1]]),
     ):
         found = mesh_files.plain_obj(whole + faces)
-        assert found.has("vt").tolist() == uv and found.has("vn").tolist() == normals
-    assert mesh_files.plain_ply(ply("ascii")).has("vn") is None
+        assert found.has(mesh_files.UV).tolist() == uv and found.has(mesh_files.NORMAL).tolist() == normals
+    assert not mesh_files.plain_ply(ply("ascii")).has(mesh_files.NORMAL).any()
     last = list(obj_statements(b"v 1 2 3\nvt 0 0\nvn 0 0 1\nf -1/-1/-1\n"))[-1]
     assert last == ([b"f", b"1/1/1"], False)
 
@@ -174,7 +176,7 @@ def smooth(tmp_path):
     path.write_text("\n".join(lines) + "\n")
     mesh = load_mesh(path)
     corners, normals, uv = (values[mesh.faces].astype(np.float32) for values in (mesh.vertices, mesh.normals, mesh.uv))
-    return path, LoadedMesh(corners.astype(float), normals.astype(float), uv.astype(float))
+    return path, LoadedMesh(corners.astype(float), normals.astype(float), uv.astype(float), mesh.faces)
 
 
 def verdict(path, loaded):
@@ -223,7 +225,7 @@ def test_where_float64_lies_between_two_float32_either_is_right(tmp_path):
     middle = 1.0 + 2.0**-24
     path.write_text(f"v {middle!r} 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\n")
     corners = np.array([[[1.0, 0, 0], [0, 1, 0], [0, 0, 1]]])
-    nothing = np.zeros((1, 3, 3)), np.zeros((1, 3, 2))
+    nothing = np.zeros((1, 3, 3)), np.zeros((1, 3, 2)), np.arange(3)[None]
     for value, right in ((1.0, True), (1.0 + 2.0**-23, True), (1.0 + 2.0**-22, False), (1.0 - 2.0**-24, False)):
         corners[0, 0, 0] = value
         assert verdict(path, LoadedMesh(corners.copy(), *nothing)).ok is right
@@ -235,7 +237,7 @@ def test_another_float64_than_plain_pythons_is_found_where_float32_is_the_same(s
 
     def off(file):
         found = read(file)
-        found.corners[5, 0, 1] = np.nextafter(found.corners[5, 0, 1], 2.0)
+        found.points[2, 1] = np.nextafter(found.points[2, 1], 2.0)
         return found
 
     monkeypatch.setattr(mesh_files, "read_plainly", off)
@@ -282,6 +284,103 @@ def test_a_file_that_neither_reads_fails(smooth, monkeypatch):
         assert list(found.values()) == [ratio] and (READ_ONCE in found) is (ending == ".glb")
 
 
+def merged(mesh):
+    """Vertices at one place are one."""
+    vertices, number = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    return mesh._replace(vertices=vertices, faces=number.ravel()[mesh.faces])
+
+
+def split(mesh):
+    """Every corner has a vertex of its own."""
+    return mesh._replace(
+        vertices=mesh.vertices[mesh.faces].reshape(-1, 3), faces=np.arange(mesh.faces.size).reshape(-1, 3)
+    )
+
+
+def one_joined(mesh):
+    """The last corner names another vertex at the same place: a new one."""
+    faces = mesh.faces.copy()
+    faces[-1, -1] = len(mesh.vertices)
+    return mesh._replace(vertices=np.concatenate([mesh.vertices, mesh.vertices[mesh.faces[-1:, -1]]]), faces=faces)
+
+
+# Readers whose corners are all where they should be, as numbers in any order.
+WRONG_MESHES = {
+    "merged": merged,
+    "split": split,
+    "one vertex twice": one_joined,
+    "a vertex that no face has": lambda m: m._replace(vertices=np.concatenate([m.vertices, m.vertices[:1]])),
+    "normals that the file lacks": lambda m: m._replace(normals=vertex_normals(m.vertices, m.faces)),
+    "uv that the file lacks": lambda m: m._replace(uv=m.vertices[:, :2]),
+    "the last face first": lambda m: m._replace(faces=np.roll(m.faces, 1, axis=0)),
+    "two faces exchanged": lambda m: m._replace(faces=np.concatenate([m.faces[1::-1], m.faces[2:]])),
+    "faces begun elsewhere": lambda m: m._replace(faces=np.roll(m.faces, 1, axis=1)),
+    "inside out": lambda m: m._replace(faces=m.faces[:, ::-1]),
+    "one face inside out": lambda m: m._replace(faces=np.concatenate([m.faces[:1, ::-1], m.faces[1:]])),
+}
+# of these, kinds of files in which it is no other mesh
+RIGHT = {("merged", ".obj"), ("merged", ".ply"), ("merged", ".off"), ("merged", ".gltf"), ("split", ".stl")}
+
+
+@pytest.mark.parametrize("wrong", WRONG_MESHES)
+@pytest.mark.parametrize("kind", ["obj", "ply", "stl", "stl in text", "off", "gltf"])
+def test_a_reader_that_keeps_positions_and_gets_all_else_wrong_is_found(tmp_path, kind, wrong):
+    """By plain Python alone: of STL, OFF and glTF Mitsuba has no reader."""
+    pytest.importorskip("trimesh")
+    name, content, _ = FILES.get(kind, ("a.gltf", gltf_of(NODES["turned and mirrored"]).encode(), False))
+    path = tmp_path / name
+    path.write_bytes(content)
+
+    def shares(mesh):
+        if kind == "gltf":
+            return mesh_files._against_gltf(mesh, path)
+        return mesh_files._against_plain(mesh, read_plainly(path))
+
+    mesh = load_mesh(path)
+    assert max(shares(mesh).values()) == 0.0
+    other = WRONG_MESHES[wrong](mesh)
+    assert (max(shares(other).values()) > 1.0) is ((wrong, path.suffix) not in RIGHT)
+
+
+def test_of_a_file_too_large_for_plain_python_mitsuba_says_which_corners_share_a_vertex(smooth, monkeypatch):
+    path, loaded = smooth
+    monkeypatch.setattr(mesh_files, "MAX_PLAIN_BYTES", 10)
+    assert verdict(path, loaded).ok
+    renumbered = (loaded.vertices * 3 + 1) % 7
+    assert verdict(path, loaded._replace(vertices=renumbered)).ok  # each loader counts in its own order
+    apart, together = loaded.vertices.copy(), loaded.vertices.copy()
+    apart[-1, -1], together[together == 6] = 7, 0
+    for vertices in (apart, together, loaded.vertices[:-1]):
+        found = verdict(path, loaded._replace(vertices=vertices))
+        assert (found.what, found.ratio) == ("shared vertices of smooth.obj", np.inf)
+
+
+@pytest.mark.parametrize("digits", ["float32", "an ulp"])
+def test_normals_and_uv_of_a_file_are_those_of_plain_python_in_float64(smooth, digits):
+    """Mitsuba's are float32, and of a PLY with polygons it gets the positions alone."""
+    path, _ = smooth
+    ply = path.with_suffix(".ply")
+    rows = [
+        f"{x} {y} {z} {i / 7} {0.1 * i} {' '.join(map(str, n))}"
+        for i, ((x, y, z), n) in enumerate(zip(POINTS, NORMALS, strict=True))
+    ]
+    head = "".join(f"property double {name}\n" for name in ("x", "y", "z", "s", "t", "nx", "ny", "nz"))
+    faces = [f"{len(each)} {' '.join(map(str, each))}" for each in POLYGONS]
+    ply.write_text(
+        f"ply\nformat ascii 1.0\nelement vertex 7\n{head}element face {len(faces)}\n"
+        "property list uchar int vertex_indices\nend_header\n" + "\n".join(rows + faces) + "\n"
+    )
+    for file in (path, ply):
+        mesh, plain = load_mesh(file), read_plainly(file)
+        assert max(mesh_files._against_plain(mesh, plain).values()) < 1.0 and mesh.uv is not None
+        for what in ("normals", "uv"):
+            values = getattr(mesh, what)
+            off = values.astype(np.float32).astype(float) if digits == "float32" else np.nextafter(values, 9.0)
+            found = mesh_files._against_plain(mesh._replace(**{what: off}), plain)
+            beyond = [name for name, share in found.items() if share > 1.0]
+            assert beyond == ([] if (what, digits) == ("normals", "an ulp") else [f"float64 {what}"])
+
+
 def test_normals_are_compared_where_the_file_itself_was_read(smooth, tmp_path):
     """The copy of a PLY has positions alone; that of an OBJ has all. Mixed corners have normals of their own rule."""
     path, loaded = smooth
@@ -289,14 +388,14 @@ def test_normals_are_compared_where_the_file_itself_was_read(smooth, tmp_path):
     mesh, plain = load_mesh(path), read_plainly(path)
 
     def compared(found, ending) -> set[str]:
-        return set(mesh_files._against_mitsuba(mesh, wrong, found, Path(f"a{ending}"))) - {"corners"}
+        return set(mesh_files._against_mitsuba(mesh, wrong, found, Path(f"a{ending}"))) - {"corners", "shared vertices"}
 
     both = {"normals", "uv"}
     assert compared(plain, ".obj") == compared(plain._replace(plain=False), ".obj") == both
     assert compared(None, ".ply") == compared(plain, ".ply") == both
     assert compared(plain._replace(plain=False), ".ply") == set()
     bare = mesh._replace(normals=None, uv=None)
-    assert set(mesh_files._against_mitsuba(bare, wrong, plain, Path("a.obj"))) == {"corners"}
+    assert set(mesh_files._against_mitsuba(bare, wrong, plain, Path("a.obj"))) == {"corners", "shared vertices"}
 
 
 MIXED = """vt 0.25 0.125
@@ -319,14 +418,14 @@ def mixed(tmp_path):
     path.write_text("".join(f"v {x} {y} {z}\n" for x, y, z in POINTS) + MIXED)
     mesh, plain = load_mesh(path), read_plainly(path)
     corners, normals, uv = (values[mesh.faces].copy() for values in mesh[:1] + mesh[2:])
-    normals[~plain.has("vn")], uv[~plain.has("vt")] = np.nan, 7.0
-    return path, LoadedMesh(corners.astype(np.float32).astype(float), normals, uv)
+    normals[~plain.has(mesh_files.NORMAL)], uv[~plain.has(mesh_files.UV)] = np.nan, 7.0
+    return path, LoadedMesh(corners.astype(np.float32).astype(float), normals, uv, mesh.faces)
 
 
 def shares_of(path, loaded, mesh) -> dict[str, float]:
     plain = read_plainly(path)
     against = mesh_files._against_mitsuba(mesh, loaded, plain, Path("a.obj"))
-    return against | mesh_files._where_there_is_none(mesh, plain)
+    return against | mesh_files._against_plain(mesh, plain)
 
 
 def test_where_some_corners_have_a_normal_each_is_compared_with_mitsubas_or_generated_again(mixed):
@@ -336,13 +435,13 @@ def test_where_some_corners_have_a_normal_each_is_compared_with_mitsubas_or_gene
     assert verdict(path, loaded).ratio < 0.7
     for row in np.unique(mesh.faces):
         at = mesh.faces == row
-        for what, column in (("normals", "vn"), ("uv", "vt")):
+        for what, column in (("normals", mesh_files.NORMAL), ("uv", mesh_files.UV)):
             values = getattr(mesh, what).copy()
             values[row] = np.roll(values[row], 1) + 1e-3
             found = shares_of(path, loaded, mesh._replace(**{what: values}))
             generated = {"normals": "generated normals", "uv": "uv where the file has none"}[what]
-            expected = what if plain.has(column)[at].all() else generated
-            assert [name for name, share in found.items() if share > 1.0] == [expected]
+            expected = [what, f"float64 {what}"] if plain.has(column)[at].all() else [generated]
+            assert [name for name, share in found.items() if share > 1.0] == expected
 
 
 def test_all_normals_and_uv_of_a_file_are_there_and_no_others(mixed, smooth):
@@ -353,7 +452,7 @@ def test_all_normals_and_uv_of_a_file_are_there_and_no_others(mixed, smooth):
         assert [name for name, share in found.items() if share > 1.0] == [f"{what} or none"]
     path.write_bytes(obj(TRIANGLES))
     mesh, bare = load_mesh(smooth[0]), read_plainly(path)
-    found = mesh_files._where_there_is_none(mesh, bare)
+    found = mesh_files._against_plain(mesh, bare)
     assert found["normals or none"] == found["uv or none"] == np.inf
 
 
@@ -362,7 +461,7 @@ def test_normals_generated_where_faces_are_not_finite_or_cancel_are_no_failure(t
     path = tmp_path / "back.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv inf 0 1\nv 9e99 1 1\nvn 0 0 1\nf 1 2 3//1\nf 1 3 2\nf 1//1 2 4\n")
     mesh, plain = load_mesh(path), read_plainly(path)
-    found = mesh_files._where_there_is_none(mesh, plain)
+    found = mesh_files._against_plain(mesh, plain)
     assert found["generated normals"] == 0.0 and np.isfinite(mesh.normals).all()
 
 
@@ -390,7 +489,7 @@ def test_what_only_some_corners_of_a_large_file_have_is_reported_as_not_compared
     assert verdict(path, loaded).ok
     found = mesh_files._against_mitsuba(load_mesh(path), loaded, None, path)
     reported = [f"{what} {mesh_files.AT_SOME}" for what in ("normals", "uv")]
-    assert found == {"corners": 0.0, **dict.fromkeys(reported, 0.0)}
+    assert found == {"corners": 0.0, "shared vertices": 0.0, **dict.fromkeys(reported, 0.0)}
     assert not verdict(path, loaded._replace(corners=loaded.corners + 1.0)).ok
 
 
@@ -446,22 +545,25 @@ NODES = {
 
 @pytest.mark.parametrize("stride", [12, 32])
 @pytest.mark.parametrize("nodes", NODES.values(), ids=NODES)
-def test_the_triangles_of_a_gltf_scene_are_compared_in_any_order(tmp_path, nodes, stride, monkeypatch):
+def test_the_meshes_of_a_gltf_scene_are_compared_in_any_order(tmp_path, nodes, stride):
     pytest.importorskip("trimesh")
     path = tmp_path / "a.gltf"
     path.write_text(gltf_of(nodes, stride=stride))
-    refused = LoadedMesh(np.zeros((0, 3, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3, 2)), "no such file type")
+    nothing = np.zeros((0, 3, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3, 2)), np.zeros((0, 3), int)
+    refused = LoadedMesh(*nothing, "no such file type")
     found = verdict(path, refused)
     assert found.ok and found.what == "triangles of a.gltf", found
     mesh = load_mesh(path)
-    shuffled = mesh._replace(faces=mesh.faces[::-1])
+    last_first = mesh._replace(faces=np.roll(mesh.faces, 1, axis=0))
     wrong = {
         "moved": mesh._replace(vertices=mesh.vertices + np.array([0.0, 0.0, 1e-9])),
         "turned": mesh._replace(faces=mesh.faces[:, [0, 2, 1]]),
+        "begun elsewhere": mesh._replace(faces=mesh.faces[:, [1, 2, 0]]),
         "twice": mesh._replace(faces=np.concatenate([mesh.faces, mesh.faces[:1]])),
         "one lost": mesh._replace(faces=mesh.faces[1:]),
+        "in the middle of a mesh": mesh._replace(faces=mesh.faces[::-1]),
     }
-    assert mesh_files._against_gltf(shuffled, path)["triangles"] < 1.0
+    assert (mesh_files._against_gltf(last_first, path)["triangles"] == 0.0) is (len(nodes) > 1)
     for name, other in wrong.items():
         assert mesh_files._against_gltf(other, path)["triangles"] > 1.0, name
 
@@ -496,4 +598,5 @@ def test_a_glb_file_and_a_buffer_beside_are_read(tmp_path):
     (tmp_path / "a.gltf").write_text(json.dumps(tree))
     found = [mesh_files.plain_gltf(tmp_path / name) for name in ("a.glb", "a.gltf")]
     points = np.array(POINTS[:6], np.float32) + np.array([1.5, -2.25, 0.1])
-    assert all(np.allclose(each.corners, points[[[0, 1, 2], [2, 3, 4]]], atol=1e-15) for each in found)
+    corners = points[[[0, 1, 2], [2, 3, 4]]]
+    assert all(np.allclose(each.meshes[0].corners, corners, atol=1e-15) and len(each.meshes) == 1 for each in found)

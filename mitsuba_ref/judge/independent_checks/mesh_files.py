@@ -2,9 +2,10 @@
 
 A mesh reaches both sides of a comparison as the caster has read it, so no pixel shows an error of its reader. Here the
 original file goes to Mitsuba's `obj` or `ply` plug-in: its faces, corner by corner in the file's order, are the
-caster's. Mitsuba parses a number to the nearest float32 at once, the caster to float64, which is rounded to float32
-later. Both agree, but where that float64 lies in the middle between two float32, when either of these is right. The
-same faces by Python's `float` and `struct` show what float32 does not: they are the caster's to the bit.
+caster's, and corners share a vertex where they do there. Mitsuba parses a number to the nearest float32 at once, the
+caster to float64, which is rounded to float32 later. Both agree, but where that float64 lies in the middle between two
+float32, when either of these is right. The same file by Python's `float` and `struct` shows what float32 does not:
+positions and uv are the caster's to the bit, and so is the number of vertices, on which generated normals depend.
 """
 
 import base64
@@ -24,6 +25,7 @@ from caster.shapes.mesh import MeshFile
 from caster.shapes.sphere import SphereCloud
 from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.independent_transform import angle_weighted_normals
+from mitsuba_ref.error_model.intersections import unit
 from mitsuba_ref.error_model.tolerances import FILE_NORMAL_ROUNDINGS, FILE_UV_ROUNDINGS, TRANSFORM_ROUNDINGS, U32
 from mitsuba_ref.judge.scene_checks import Shares
 from mitsuba_ref.judge.verdict import SceneCheck
@@ -38,18 +40,34 @@ READ_ONCE = "not compared, large, or with what plain Python does not read: trian
 AT_SOME = "not compared, some corners of a large file have none: those"
 
 
+POSITION, UV, NORMAL = range(3)  # columns of PlainMesh.indices
+
+
 class PlainMesh(NamedTuple):
-    """A file's faces as triangles. plain: Mitsuba's loader supports all that is in it."""
+    """A file's numbers, and its faces as triangles of them. Corners with the same three indices share a vertex."""
 
-    corners: np.ndarray  # (f, 3, 3) float64
-    plain: bool
-    points: np.ndarray | None = None  # (n, 3) float64, of an OBJ
-    indices: np.ndarray | None = None  # (f, 3, 3) of v, vt and vn at each corner of an OBJ, -1 for none
+    points: np.ndarray  # (n, 3) float64
+    indices: np.ndarray  # (f, 3, 3) of position, uv and normal at each corner, -1 for none
+    vertices: int  # of the mesh
+    plain: bool = False  # Mitsuba's loader supports all that is in the file
+    uv: np.ndarray = np.zeros((0, 2))  # as the mesh has them
+    normals: np.ndarray = np.zeros((0, 3))  # of any length
 
-    def has(self, statement: str) -> np.ndarray | None:
-        """(f, 3) bool: the corners that have a "vt" or "vn"; None where the file has one for every vertex or none."""
-        column = ("v", "vt", "vn").index(statement)
-        return None if self.indices is None else self.indices[..., column] >= 0
+    @property
+    def corners(self) -> np.ndarray:
+        """(f, 3, 3) float64: the positions."""
+        return self.points[self.indices[..., POSITION]]
+
+    def has(self, column: int) -> np.ndarray:
+        """(f, 3) bool: the corners that have a UV or NORMAL."""
+        return self.indices[..., column] >= 0
+
+
+def positions_alone(points: np.ndarray, faces: np.ndarray, plain: bool = False) -> PlainMesh:
+    """A mesh of points (n, 3), whose faces (f, 3) have neither normals nor uv."""
+    indices = np.full((*faces.shape, 3), -1)
+    indices[..., POSITION] = faces
+    return PlainMesh(points, indices, len(points), plain)
 
 
 def files_of(scene: Scene) -> dict[Path, Any]:
@@ -92,8 +110,7 @@ def check_mesh_files(scene: Scene, loaded: tuple[LoadedMesh, ...]) -> SceneCheck
         is_gltf = file.suffix.lower() in GLTF_SUFFIXES
         claims = _against_gltf(mesh, file) if is_gltf else _against_mitsuba(mesh, theirs, found, file)
         if found is not None:
-            claims["float64"] = _same(mesh.vertices[mesh.faces], found.corners)
-            claims |= _where_there_is_none(mesh, found)
+            claims |= _against_plain(mesh, found)
         shown = file.name if names.count(file.name) == 1 else file
         for what, share in claims.items():
             shares.add(f"{what} of {shown}", share)
@@ -127,7 +144,8 @@ def _against_mitsuba(mesh: Any, theirs: LoadedMesh, found: PlainMesh | None, fil
     as_is = found is None or found.plain or ending == ".obj"  # or the copy has positions alone
     if not as_is or shares["corners"] != 0.0:
         return shares
-    of_uv, of_normals = (None, None) if found is None else (found.has("vt"), found.has("vn"))
+    shares["shared vertices"] = _one_to_one(mesh.faces, theirs.vertices)
+    of_uv, of_normals = (None, None) if found is None else (found.has(UV), found.has(NORMAL))
     some_uv, some_normals = given_at_some(file.read_bytes()) if found is None and ending == ".obj" else (False, False)
     if some_normals:
         shares[f"normals {AT_SOME}"] = 0.0
@@ -144,29 +162,68 @@ def _against_mitsuba(mesh: Any, theirs: LoadedMesh, found: PlainMesh | None, fil
     return shares
 
 
-def _where_there_is_none(mesh: Any, found: PlainMesh) -> dict[str, float]:
-    """Of an OBJ: generated normals and uv (0, 0) where other corners have one; where none has, there are none."""
-    of_uv, of_normals = found.has("vt"), found.has("vn")
-    if of_uv is None or of_normals is None or of_uv.shape != mesh.faces.shape:
-        return {}
-    shares = {"uv or none": _present(mesh.uv, of_uv), "normals or none": _present(mesh.normals, of_normals)}
-    if mesh.uv is not None and not of_uv.all():
-        shares["uv where the file has none"] = _share(mesh.uv[mesh.faces], np.zeros((*of_uv.shape, 2)), 0.0, ~of_uv)
-    if mesh.normals is not None and not of_normals.all():
-        normals, bound = _generated_normals(found)
-        among = ~of_normals & np.isfinite(bound[..., 0])  # but those that cancel: their direction is undefined
-        shares["generated normals"] = _share(mesh.normals[mesh.faces], normals, bound, among)
+def _against_plain(mesh: Any, found: PlainMesh) -> dict[str, float]:
+    """Vertices and faces, normals and uv where the file has some, generated normals and uv (0, 0) where it has none."""
+    shares = {"float64": _same(mesh.vertices[mesh.faces], found.corners)} | _vertices(mesh, found)
+    of_uv, of_normals = found.has(UV), found.has(NORMAL)
+    if of_uv.shape != mesh.faces.shape:
+        return shares
+    if mesh.uv is not None:
+        uv, expected = mesh.uv[mesh.faces], found.uv[found.indices[..., UV]] if of_uv.any() else None
+        if expected is not None:
+            shares["float64 uv"] = _share(uv, expected, 0.0, of_uv)
+        if not of_uv.all():
+            shares["uv where the file has none"] = _share(uv, np.zeros(uv.shape), 0.0, ~of_uv)
+    if mesh.normals is not None and of_normals.any():
+        normals = mesh.normals[mesh.faces]
+        expected = unit(_near_one(found.normals))[found.indices[..., NORMAL]]
+        shares["float64 normals"] = _share(normals, expected, 2.0 * FILE_NORMAL_ROUNDINGS * 2.0**-53, of_normals)
+        if not of_normals.all():
+            expected, bound = _generated_normals(found)
+            among = ~of_normals & np.isfinite(bound[..., 0])  # but those that cancel: their direction is undefined
+            shares["generated normals"] = _share(normals, expected, bound, among)
     return shares
+
+
+def _vertices(mesh: Any, found: PlainMesh) -> dict[str, float]:
+    """What generated normals and smooth shading depend on, beside positions.
+
+    The number of vertices, which corners share one, and that there are normals and uv where the file has some.
+    """
+    _, triple = np.unique(found.indices.reshape(-1, 3), axis=0, return_inverse=True)
+    return {
+        "number of vertices": 0.0 if len(mesh.vertices) == found.vertices else float("inf"),
+        "shared vertices by plain Python": _one_to_one(mesh.faces, triple.reshape(found.indices.shape[:2])),
+        "uv or none": _present(mesh.uv, found.has(UV)),
+        "normals or none": _present(mesh.normals, found.has(NORMAL)),
+    }
 
 
 def _present(values: np.ndarray | None, given: np.ndarray) -> float:
     return 0.0 if (values is not None) == bool(given.any()) else float("inf")
 
 
+def _one_to_one(ours: np.ndarray, theirs: np.ndarray) -> float:
+    """0 if corners (f, 3) have the same number on one side where they do on the other; else inf."""
+    if ours.shape != theirs.shape:
+        return float("inf")
+    same = True
+    for a, b in ((ours, theirs), (theirs, ours)):
+        other = np.zeros(int(a.max(initial=0)) + 1, np.int64)
+        other[a] = b
+        same = same and bool((other[a] == b).all())
+    return 0.0 if same else float("inf")
+
+
+def _near_one(vectors: np.ndarray) -> np.ndarray:
+    """(n, 3) the same times powers of two, so that squares neither overflow nor underflow."""
+    scaled: np.ndarray = np.ldexp(vectors, -np.frexp(np.abs(vectors).max(axis=1, initial=0.0))[1][:, None])
+    return scaled
+
+
 def _generated_normals(found: PlainMesh) -> tuple[np.ndarray, np.ndarray]:
     """(normals (f, 3, 3) at the corners, by the angles of all finite faces; how far ours may be off)."""
-    assert found.points is not None and found.indices is not None
-    of_corners = found.indices[..., 0]
+    of_corners = found.indices[..., POSITION]
     faces = of_corners[np.isfinite(found.corners).all(axis=(1, 2))]
     used = np.isin(np.arange(len(found.points)), faces)
     normals, size = angle_weighted_normals(np.where(used[:, None], found.points, 0.0), faces)
@@ -238,19 +295,28 @@ def _absolute(word: bytes, counts: list[int]) -> bytes:
 
 
 def plain_obj(data: bytes) -> PlainMesh:
-    """Faces of an OBJ file; polygons as fans around their first corner."""
-    rows: list[list[float]] = []
+    """An OBJ file; polygons as fans around their first corner.
+
+    A file with normals or uv has a vertex for each combination in use, any other those of the file.
+    """
+    rows: dict[bytes, list[list[float]]] = {b"v": [], b"vt": [], b"vn": []}
     triangles: list[tuple[list[int], list[int], list[int]]] = []
     plain = True
     for words, as_is in obj_statements(data):
         plain = plain and as_is
-        if words[0] == b"v":
-            rows.append([float(word) for word in words[1:4]])
-        elif words[0] == b"f":
+        if words[0] == b"f":
             parts = [(word + b"//").split(b"/")[:3] for word in words[1:]]
             triangles += _fan([[int(text) - 1 if text else -1 for text in part] for part in parts])
-    points, indices = np.array(rows), np.array(triangles)
-    return PlainMesh(points[indices[..., 0]], plain, points, indices)
+        elif words[0] == b"vt":
+            u, v = [*map(float, words[1:3]), 0.0][:2]
+            rows[b"vt"].append([u, 1.0 - v])
+        else:
+            rows[words[0]].append([float(word) for word in words[1:4]])
+    indices, points = np.array(triangles), np.array(rows[b"v"])
+    joined = bool((indices[..., UV:] >= 0).any())
+    vertices = len(np.unique(indices.reshape(-1, 3), axis=0)) if joined else len(points)
+    uv, normals = np.array(rows[b"vt"]).reshape(-1, 2), np.array(rows[b"vn"]).reshape(-1, 3)
+    return PlainMesh(points, indices, vertices, plain, uv, normals)
 
 
 def _fan(polygon: list[T]) -> list[tuple[T, T, T]]:
@@ -263,17 +329,26 @@ PLY_TYPES = {
 }  # fmt: skip
 
 
+PLY_NAMES = ("x y z", "u v", "s t", "texture_u texture_v", "nx ny nz")  # of positions, uv and normals
+
+
 def plain_ply(data: bytes) -> PlainMesh:
-    """Faces of a PLY file, number by number; polygons as fans around their first corner."""
-    points: list[list[float]] = []
+    """A PLY file, number by number; polygons as fans around their first corner."""
+    rows: dict[str, list[list[float]]] = {names: [] for names in PLY_NAMES}
     polygons: list[list[int]] = []
     for element, row in plain_ply_rows(data):
         if element == "vertex":
-            points.append([float(row[axis][0]) for axis in "xyz"])
+            for names, numbers in rows.items():
+                if all(name in row for name in names.split()):
+                    numbers.append([float(row[name][0]) for name in names.split()])
         elif element == "face":
             polygons.append([int(i) for i in row.get("vertex_indices", row.get("vertex_index", []))])
-    triangles = [triangle for polygon in polygons for triangle in _fan(polygon)]
-    return PlainMesh(np.array(points)[np.array(triangles)], all(len(polygon) == 3 for polygon in polygons))
+    triangles = np.array([triangle for polygon in polygons for triangle in _fan(polygon)])
+    points, *every_uv, normals = map(np.array, rows.values())
+    uv = next((each for each in every_uv if len(each)), np.zeros((0, 2)))
+    indices = np.stack([triangles if len(each) else np.full(triangles.shape, -1) for each in (points, uv, normals)], 2)
+    plain = all(len(polygon) == 3 for polygon in polygons)
+    return PlainMesh(points, indices, len(points), plain, uv, normals.reshape(-1, 3))
 
 
 def plain_ply_spheres(data: bytes, most: int) -> tuple[np.ndarray, np.ndarray]:
@@ -310,28 +385,30 @@ def plain_ply_rows(data: bytes) -> Iterator[tuple[str, dict[str, list[float]]]]:
 
 
 def plain_stl(data: bytes) -> PlainMesh:
-    """Facets of an STL file, binary where its size is that of so many facets."""
+    """Facets of an STL file, binary where its size is that of so many facets; each has three vertices of its own."""
     size = STL_HEAD + STL_FACET * (int.from_bytes(data[80:84], "little") if len(data) >= STL_HEAD else 0)
     if len(data) == size:
         facets = struct.iter_unpack("<12fH", data[STL_HEAD:])
-        return PlainMesh(np.array([facet[3:12] for facet in facets]).reshape(-1, 3, 3), False)
-    words = data.split()
-    rows = [[float(number) for number in words[i + 1 : i + 4]] for i, word in enumerate(words) if word == b"vertex"]
-    return PlainMesh(np.array(rows).reshape(-1, 3, 3), False)
+        points = np.array([facet[3:12] for facet in facets]).reshape(-1, 3)
+    else:
+        words = data.split()
+        rows = [[float(number) for number in words[i + 1 : i + 4]] for i, word in enumerate(words) if word == b"vertex"]
+        points = np.array(rows).reshape(-1, 3)
+    return positions_alone(points, np.arange(len(points)).reshape(-1, 3))
 
 
 STL_HEAD, STL_FACET = 84, 50  # bytes
 
 
 def plain_off(data: bytes) -> PlainMesh:
-    """Faces of an OFF file in text; polygons as fans around their first corner."""
+    """An OFF file in text; polygons as fans around their first corner."""
     rows = [words for line in data.splitlines() if (words := line.split(b"#")[0].split())]
     counts, *rows = [rows[0][1:], *rows[1:]] if len(rows[0]) > 1 else rows[1:]  # behind OFF, or in the next line
     vertices, faces = int(counts[0]), int(counts[1])
     points = [[float(word) for word in row[:3]] for row in rows[:vertices]]
     polygons = ([int(i) for i in row[1 : 1 + int(row[0])]] for row in rows[vertices : vertices + faces])
     triangles = [each for polygon in polygons for each in _fan(polygon)]
-    return PlainMesh(np.array(points)[np.array(triangles)], False)
+    return positions_alone(np.array(points), np.array(triangles))
 
 
 # ---- glTF, whose nodes place meshes; trimesh decides on their order
@@ -341,21 +418,19 @@ GLTF_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5
 GLTF_COLUMNS = {"SCALAR": 1, "VEC3": 3}
 GLB_HEAD = 12  # bytes: magic, version, length
 GLTF_TRIANGLES = 4  # the mode of a primitive, by default
-GLTF_PROJECTIONS = 8  # of triangles as points of nine numbers
 
 
-class PlacedTriangles(NamedTuple):
-    """Those of a glTF scene."""
+class PlacedMeshes(NamedTuple):
+    """Those of a glTF scene in its world: one for each primitive of each node that has a mesh."""
 
-    corners: np.ndarray  # (f, 3, 3) float64
+    meshes: list[PlainMesh]
     error: float  # of a coordinate: two readers differ by no more than twice that
 
 
 def _against_gltf(mesh: Any, file: Path) -> dict[str, float]:
-    """Whether the triangles are those of the file, in any order.
+    """Whether the triangles are those of the file's meshes: face by face in each, and one mesh after the other.
 
-    Numbers in ascending order differ by no more than those in any other order do: so do the dot products of all
-    triangles with any nine weights, whose magnitudes add up to 1.
+    Which mesh comes first is not the file's to say, so any order of them will do.
     """
     try:
         found = plain_gltf(file) if file.stat().st_size <= MAX_PLAIN_BYTES else None
@@ -363,18 +438,38 @@ def _against_gltf(mesh: Any, file: Path) -> dict[str, float]:
         found = None
     if found is None:
         return {READ_ONCE: 0.0}
-    given = mesh.vertices[mesh.faces]
-    if given.shape != found.corners.shape:
-        return {"triangles": np.inf}
-    weights = np.random.default_rng(0).normal(size=(9, GLTF_PROJECTIONS))
-    weights /= np.abs(weights).sum(axis=0)
-    ours, theirs = (np.sort(np.nan_to_num(each).reshape(-1, 9) @ weights, axis=0) for each in (given, found.corners))
-    apart = np.abs(ours - theirs)
-    return {"triangles": float(error_over_bound(apart, np.full(apart.shape, 2.0 * found.error)).max(initial=0.0))}
+    placed = _in_order_of(mesh.vertices[mesh.faces], found)
+    return {"triangles": np.inf} if placed is None else {"triangles": 0.0} | _vertices(mesh, placed)
 
 
-def plain_gltf(file: Path) -> PlacedTriangles | None:
-    """The triangles of a glTF file's scene in its world; None for strips, sparse or packed data, as few have."""
+def _in_order_of(given: np.ndarray, found: PlacedMeshes) -> PlainMesh | None:
+    """The placed meshes as one, in the order in which corners (f, 3, 3) follow each other; None if in none."""
+    left, start = list(found.meshes), 0
+    chosen: list[PlainMesh] = []
+    while left and start < len(given):
+        place = next((i for i, each in enumerate(left) if _begins_with(given[start:], each, found.error)), None)
+        if place is None:
+            return None
+        chosen.append(left.pop(place))
+        start += len(chosen[-1].indices)
+    if start < len(given) or any(len(each.indices) for each in left):
+        return None
+    chosen += left
+    first = np.cumsum([0, *(len(each.points) for each in chosen)])
+    faces = [each.indices[..., POSITION] + shift for each, shift in zip(chosen, first[:-1], strict=True)]
+    return positions_alone(np.concatenate([each.points for each in chosen]), np.concatenate(faces))
+
+
+def _begins_with(given: np.ndarray, mesh: PlainMesh, error: float) -> bool:
+    """Whether the first of these corners (f, 3, 3) are those of a mesh."""
+    expected = mesh.corners
+    with np.errstate(over="ignore"):
+        apart = np.abs(np.nan_to_num(given[: len(expected)]) - np.nan_to_num(expected[: len(given)]))
+    return len(given) >= len(expected) and bool((apart <= 2.0 * error).all())
+
+
+def plain_gltf(file: Path) -> PlacedMeshes | None:
+    """The meshes of a glTF file's scene in its world; None for strips, sparse or packed data, as few have."""
     data, chunks = file.read_bytes(), []
     if data[:4] == b"glTF":
         at = GLB_HEAD
@@ -403,7 +498,8 @@ def plain_gltf(file: Path) -> PlacedTriangles | None:
 
     scene = tree.get("scenes", [{}])[tree.get("scene", 0)]
     waiting = [(node, np.eye(4), np.eye(4), 1) for node in scene.get("nodes", range(len(tree.get("nodes", []))))]
-    found, sizes, visited = [], [0.0], 0
+    sizes, visited = [0.0], 0
+    found: list[PlainMesh] = []
     try:
         while waiting:
             number, matrix, size, depth = waiting.pop()
@@ -419,12 +515,13 @@ def plain_gltf(file: Path) -> PlacedTriangles | None:
                     raise NotImplementedError
                 points = numbers(part["attributes"]["POSITION"]).astype(np.float64)
                 order = numbers(part["indices"])[:, 0] if "indices" in part else np.arange(len(points))
-                corners = (points @ matrix[:3, :3].T + matrix[:3, 3])[order.reshape(-1, 3)]
-                found.append(corners[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0.0 else corners)
+                placed, faces = points @ matrix[:3, :3].T + matrix[:3, 3], order.reshape(-1, 3).astype(int)
+                mirrored = np.linalg.det(matrix[:3, :3]) < 0.0
+                found.append(positions_alone(placed, faces[:, ::-1] if mirrored else faces))
                 sizes.append(depth * float((np.abs(points) @ size[:3, :3].T + size[:3, 3]).max(initial=0.0)))
     except NotImplementedError:
         return None
-    return PlacedTriangles(np.concatenate([np.zeros((0, 3, 3)), *found]), GLTF_ROUNDINGS * 2.0**-53 * max(sizes))
+    return PlacedMeshes(found, GLTF_ROUNDINGS * 2.0**-53 * max(sizes))
 
 
 # Of a coordinate and each matrix on its way: 7 for a sum of four products, and 9 for an entry of a rotation by a
