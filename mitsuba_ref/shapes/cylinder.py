@@ -1,6 +1,7 @@
 """Cylinders: Mitsuba's cylinder, or an instance of one where it is stretched; error model and targets."""
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -120,12 +121,12 @@ def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
     return tuple(found)
 
 
-def uv_points(_prims: Any, _k: np.ndarray, uv: np.ndarray) -> np.ndarray:
+def uv_points(_prims: Any, _k: np.ndarray, uv: np.ndarray, whole_turn: bool = False) -> np.ndarray:
     """u is the angle as a fraction of a turn, v the height: the point of the wall of the unit cylinder."""
-    return np.column_stack([on_circle(uv[:, 0]), uv[:, 1]])
+    return np.column_stack([on_circle(uv[:, 0], whole_turn), uv[:, 1]])
 
 
-UV = UvSpace(uv_points, uv_points)
+UV = UvSpace(uv_points, partial(uv_points, whole_turn=True))
 
 
 def describe_cylinder(part: Cylinders, k: int) -> Fields:

@@ -1,6 +1,7 @@
 """Disks: Mitsuba's disk, which takes any matrix; error model and targets."""
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -84,13 +85,13 @@ def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
     return (Intersections(t, t_error, n, n_error, n, n_error, possible, certain, p_error, uv, uv_error),)
 
 
-def uv_points(_prims: Any, _k: np.ndarray, uv: np.ndarray) -> np.ndarray:
+def uv_points(_prims: Any, _k: np.ndarray, uv: np.ndarray, whole_turn: bool = False) -> np.ndarray:
     """u is the distance from the centre, v the angle as a fraction of a turn: the point of the unit disk."""
     radius = np.where(uv[:, :1] >= 0.0, uv[:, :1], np.nan)
-    return np.column_stack([radius * on_circle(uv[:, 1]), np.zeros(len(uv))])
+    return np.column_stack([radius * on_circle(uv[:, 1], whole_turn), np.zeros(len(uv))])
 
 
-UV = UvSpace(uv_points, uv_points)
+UV = UvSpace(uv_points, partial(uv_points, whole_turn=True))
 
 
 def describe_disk(part: Disks, k: int) -> Fields:

@@ -116,7 +116,7 @@ TURN_ERROR = math.sqrt(3.0)
 
 def reference_uv_points(prims: Spheres, k: np.ndarray, uv: np.ndarray) -> np.ndarray:
     """Mitsuba's sphere is exported without its turn, so that its uv are those of world axes."""
-    return mat_vec_rows(prims.turn[k], sphere_uv_points(prims, k, uv))
+    return mat_vec_rows(prims.turn[k], sphere_uv_points(prims, k, uv, whole_turn=True))
 
 
 def intersect_ellipsoid(

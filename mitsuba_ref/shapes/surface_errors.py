@@ -308,16 +308,20 @@ def affine_bounds(prims: Any) -> tuple[np.ndarray, np.ndarray]:
 TURN = 2.0 * math.pi
 
 
-def on_circle(fraction: np.ndarray) -> np.ndarray:
-    """(m, 2) the point of the unit circle at this fraction of a turn; NaN where that is not in [0, 1]."""
-    angle = TURN * np.where((fraction >= 0.0) & (fraction <= 1.0), fraction, np.nan)
+def on_circle(fraction: np.ndarray, whole_turn: bool = False) -> np.ndarray:
+    """(m, 2) the point of the unit circle at this fraction of a turn; NaN where that is not in [0, 1).
+
+    whole_turn: 1 is a fraction, too: the reference adds 2 pi to an angle below 0, which may round to 2 pi.
+    """
+    inside = (fraction >= 0.0) & ((fraction <= 1.0) if whole_turn else (fraction < 1.0))
+    angle = TURN * np.where(inside, fraction, np.nan)
     return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def sphere_uv_points(_prims: Any, _k: np.ndarray, uv: np.ndarray) -> np.ndarray:
+def sphere_uv_points(_prims: Any, _k: np.ndarray, uv: np.ndarray, whole_turn: bool = False) -> np.ndarray:
     """u is the azimuth as a fraction of a turn, v the polar angle over pi: the point of the unit sphere."""
     polar = math.pi * np.where((uv[:, 1] >= 0.0) & (uv[:, 1] <= 1.0), uv[:, 1], np.nan)
-    return np.column_stack([np.sin(polar)[:, None] * on_circle(uv[:, 0]), np.cos(polar)])
+    return np.column_stack([np.sin(polar)[:, None] * on_circle(uv[:, 0], whole_turn), np.cos(polar)])
 
 
 def sphere_uv(q: np.ndarray, error: np.ndarray, ku: float) -> tuple[np.ndarray, np.ndarray]:
@@ -336,4 +340,4 @@ def sphere_uv(q: np.ndarray, error: np.ndarray, ku: float) -> tuple[np.ndarray, 
     return stacked_columns(*(s * away.T), z), s * turned + risen + TURN * ku
 
 
-SPHERE_UV = UvSpace(sphere_uv_points, sphere_uv_points)
+SPHERE_UV = UvSpace(sphere_uv_points, functools.partial(sphere_uv_points, whole_turn=True))

@@ -58,7 +58,10 @@ SCREEN, TREE, PLACING = (
 )
 TILE, BUNDLE = "caster/kernels/raster/tile.py", "caster/kernels/bvh/traversal.py"
 
+VEC, WHOLE_TURN = "caster/kernels/math/vec.py", "return 0.0 if turn >= 1.0 else turn"
+
 ODD = "15", "15"  # pixel centres on the edges that faces share
+SEAMS = "33", "3"  # those of the middle row, on the seams
 FAULTS = (
     # ---- which hit ----
     Fault(
@@ -358,6 +361,44 @@ FAULTS = (
         PLANE,
         "return right, cross(n, right)",
         "return right, cross(right, n)",
+    ),
+    Fault("u of 1 in place of 0 on seams", "uv-seams", "uv", VEC, WHOLE_TURN, f"{WHOLE_TURN} or 1.0", SEAMS),
+    Fault("u of 1 less than a rounding beside seams", "uv-seams", "uv", VEC, WHOLE_TURN, "return turn", SEAMS),
+    Fault(
+        "a disk's v of 1 on its seam",
+        "uv-seams",
+        "uv",
+        DISK,
+        "turn_fraction(y, x) if wants_uv",
+        "(turn_fraction(y, x) or 1.0) if wants_uv",
+        SEAMS,
+    ),
+    Fault(
+        "a cylinder's u of 1 on its seam",
+        "uv-seams",
+        "uv",
+        CYLINDER,
+        "turn_fraction(y, x) if wants_uv",
+        "1.0 - turn_fraction(-y, x) if wants_uv",
+        SEAMS,
+    ),
+    Fault(
+        "a sphere's turn by a remainder",
+        "uv-seams",
+        "uv",
+        SPHERE,
+        "return turn_fraction(q[1], q[0])",
+        "return math.atan2(q[1], q[0]) / (2.0 * math.pi) % 1.0",
+        SEAMS,
+    ),
+    Fault(
+        "a whole turn as it is stored",
+        "uv-seams",
+        "uv",
+        UV,
+        "return hit.uv",
+        "return hit.uv[0] or 1.0, hit.uv[1]",
+        SEAMS,
     ),
     # ---- where shapes stand ----
     Fault(
