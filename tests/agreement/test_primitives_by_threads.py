@@ -1,0 +1,191 @@
+"""Work that threads share: no number of them loses a primitive, or has it twice.
+
+A primitive that is in no tile or no leaf is invisible, and seldom is it one that a pixel shows. So for several numbers
+of threads, most of which divide no number of primitives, each has to be in every tile of the film that its bounds
+reach into, once, and in one leaf of a tree. Threads share few primitives only here.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from caster.cameras import Pinhole
+from caster.geometry.packing import packed
+from caster.kernels.bvh.build import EMPTY_LINK, LEAF_SIZE_BASE, Tree
+from caster.kernels.raster.screen_bounds import Window
+from caster.kernels.raster.tile import HEIGHT, WIDTH
+from caster.rendering import bvh_construction, rasterization, threads
+from caster.rendering.bvh_construction import build_tree
+from caster.rendering.images import film_window
+from caster.rendering.rasterization import BinnedKind, bin_kinds
+from caster.scene.model import Scene
+
+THREADS = (1, 2, 3, 5, 7)
+
+
+def undone_parts(size: int) -> Iterator[str]:
+    """Indices below `size` that `parallel_for` leaves out, or passes twice."""
+    for number in THREADS:
+        for least in (1, 16):
+            times = np.zeros(size, np.int64)
+
+            def count(start: int, stop: int, times: np.ndarray = times) -> None:
+                times[start:stop] += 1
+
+            threads.parallel_for(count, size, number, least=least)
+            if (times != 1).any():
+                place = int(np.argmax(times != 1))
+                yield f"{number} threads do item {place} of {size} {times[place]} times"
+
+
+def wrong_tiles(found: BinnedKind, expected: np.ndarray, window: Window, threads: int) -> Iterator[str]:
+    """Primitives that are not in all tiles that they reach into, once each.
+
+    expected: (n, 4) pixels x0, y0, x1, y1 of the bounds, by one thread.
+    """
+    pixels, count, words = found.bounds.pixels, len(expected), f"{threads} threads"
+    different = (pixels != expected).any(axis=1)
+    if different.any():
+        yield f"{words} bound primitive {int(np.argmax(different))} of {count} otherwise than one does"
+        return
+    x0, y0, x1, y1 = pixels.T.astype(np.int64)
+    on_film = (x0 < x1) & (y0 < y1)
+    first, last = (x0 // WIDTH, y0 // HEIGHT), ((x1 - 1) // WIDTH, (y1 - 1) // HEIGHT)
+    reached = np.where(on_film, (last[0] - first[0] + 1) * (last[1] - first[1] + 1), 0)
+    prim, tile = found.order.astype(np.int64), np.repeat(np.arange(len(found.runs) - 1), np.diff(found.runs))
+    if len(prim) != len(tile) or ((prim < 0) | (prim >= count)).any():
+        yield f"{words} put {len(prim)} primitives into tiles that have {len(tile)}"
+        return
+    row, column = np.divmod(tile, len(range(0, window.width, WIDTH)))
+    inside = (first[0][prim] <= column) & (column <= last[0][prim]) & (first[1][prim] <= row) & (row <= last[1][prim])
+    pairs = np.unique(np.stack([tile, prim])[:, inside & on_film[prim]], axis=1)
+    times = np.bincount(pairs[1], minlength=count)
+    wrong = (times != reached) | (np.bincount(prim, minlength=count) != reached)
+    if wrong.any():
+        place = int(np.argmax(wrong))
+        yield f"{words} put primitive {place} of {count} into {times[place]} of the {reached[place]} tiles it reaches"
+
+
+def wrong_leaves(tree: Tree, count: int, words: str) -> Iterator[str]:
+    """Primitives that are not in one leaf of a tree, and nodes that are not below one other."""
+    links = tree.links.ravel()
+    start, number = np.divmod(~links[(links < 0) & (links != EMPTY_LINK)].astype(np.int64), LEAF_SIZE_BASE)
+    within = np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number)
+    places = np.repeat(start, number) + within
+    if not np.array_equal(np.sort(links[links > 0]), np.arange(1, len(tree.links))):
+        yield f"{words}: not every node is below one other"
+    if (places >= len(tree.order)).any():
+        yield f"{words}: a leaf has primitives beyond the last"
+        return
+    times = np.bincount(tree.order[places], minlength=count)
+    if len(times) != count or (times != 1).any():
+        place = int(np.argmax(times != 1))
+        yield f"{words} has primitive {place} of {count} in {times[place]} leaves"
+
+
+@pytest.fixture
+def scene(monkeypatch) -> Scene:
+    """320 triangles over several tiles, of which some are off the film."""
+    monkeypatch.setattr(rasterization, "PARALLEL_MIN_PRIMITIVES", 16)
+    monkeypatch.setattr(bvh_construction, "PARALLEL_MIN_PRIMITIVES", 64)
+    camera = Pinhole(eye=(0.3, 0.2, 2.1), look_at=(0.4, 0.0, 0.0), up=(0.0, 1.0, 0.0))
+    found = Scene(camera=camera, shapes=[{"type": "icosphere", "subdivisions": 2}])
+    return found.with_film(width=300, height=70)
+
+
+def binned(scene: Scene, number: int) -> BinnedKind:
+    """The triangles of the scene in tiles, by so many threads; arrays of earlier images hold other numbers first."""
+    (kind,) = packed(scene).kinds
+    points = len(kind.prims.vertices)
+    kind.spare[:] = [(np.full((320, 4), -1, np.int32), np.full(320, np.nan), np.full((points, 4), np.nan))]
+    (found,) = bin_kinds(packed(scene), scene.camera.pack(300, 70), film_window(scene), 2.1, threads=number)
+    assert len(found.runs) > 3 and 0 < found.binned < 320
+    return found
+
+
+def test_each_primitive_is_once_in_each_tile_it_reaches(scene):
+    expected = binned(scene, 1).bounds.pixels.copy()
+    for number in THREADS:
+        said = "; ".join(wrong_tiles(binned(scene, number), expected, film_window(scene), number))
+        assert said == "", said
+
+
+def test_each_primitive_is_in_one_leaf(scene):
+    boxes = packed(scene).kinds[0].boxes()
+    trees = {number: build_tree(*boxes, number) for number in THREADS}
+    for number, tree in trees.items():
+        said = "; ".join(wrong_leaves(tree, 320, f"the tree of {number} threads"))
+        assert said == "", said
+        assert all(map(np.array_equal, tree, trees[1])), f"the tree of {number} threads is another one"
+
+
+@pytest.mark.parametrize("size", [0, 1, 2, 97, 320])
+def test_each_part_of_the_work_is_done_once(size):
+    said = "; ".join(undone_parts(size))
+    assert said == "", said
+
+
+# ---- what those three say of a fault
+
+
+def test_primitives_that_are_not_in_each_of_their_tiles_once_are_found(scene):
+    found, window = binned(scene, 3), film_window(scene)
+    order, pixels = found.order, found.bounds.pixels
+    twice, elsewhere, unknown, fewer = order.copy(), order.copy(), order.copy(), found.runs.copy()
+    twice[0], unknown[-1] = twice[1], 320
+    swap = [found.runs[1] - 1, found.runs[-2]]
+    elsewhere[swap] = elsewhere[swap[::-1]]
+    fewer[-1] -= 1
+    for wrong, said in (
+        ({"order": order[::-1]}, "put primitive"),
+        ({"order": twice}, "put primitive"),
+        ({"order": elsewhere}, "put primitive"),
+        ({"order": order[:-1], "runs": fewer}, f"put primitive {order[-1]} of 320 into"),
+        ({"order": order[:-1]}, "primitives into tiles"),
+        ({"order": unknown}, "primitives into tiles"),
+    ):
+        (what,) = wrong_tiles(replace(found, **wrong), pixels, window, 3)
+        assert what.startswith("3 threads ") and said in what
+    moved = pixels.copy()
+    moved[7, 2] += 1
+    (what,) = wrong_tiles(found, moved, window, 5)
+    assert what == "5 threads bound primitive 7 of 320 otherwise than one does"
+
+
+def test_a_primitive_that_is_not_in_one_leaf_is_found(scene):
+    tree = build_tree(*packed(scene).kinds[0].boxes(), 1)
+    leaf, node = (tuple(np.argwhere(which)[-1]) for which in ((tree.links < -1), tree.links > 0))
+    shorter, beyond, longer, orphan, order = (array.copy() for array in (*4 * [tree.links], tree.order))
+    shorter[leaf] += 1  # ~(8 start + number)
+    longer[leaf] -= 1
+    beyond[leaf] -= 8 * 320
+    orphan[node] = 1
+    order[0] = order[1]
+    for wrong, said in (
+        ({"links": shorter}, "leaves"),
+        ({"links": longer}, "lea"),  # or beyond the last
+        ({"links": beyond}, "beyond the last"),
+        ({"order": order}, "leaves"),
+        ({"links": orphan}, "not every node"),
+    ):
+        assert any(said in what for what in wrong_leaves(tree._replace(**wrong), 320, "the tree")), said
+
+
+def test_parts_that_are_left_out_or_done_twice_are_found(monkeypatch):
+    share = threads.parallel_for
+
+    def one_short(work, count, number, *, least):
+        share(work, count - (number == 3), number, least=least)
+
+    def one_more(work, count, number, *, least):
+        share(work, count, number, least=least)
+        work(0, int(number == 7))
+
+    for wrong, said in (
+        (one_short, "3 threads do item 96 of 97 0 times"),
+        (one_more, "7 threads do item 0 of 97 2 times"),
+    ):
+        monkeypatch.setattr(threads, "parallel_for", wrong)
+        assert set(undone_parts(97)) == {said}
