@@ -34,6 +34,7 @@ from mitsuba_ref.judge.hypotheses import (
     range_text,
     triangle_corners,
 )
+from mitsuba_ref.judge.scene_checks import unrounded_arrays
 from mitsuba_ref.judge.verdict import FAILING, REFERENCE_WRONG, UNDECIDED, WRONG
 from mitsuba_ref.shapes import kind_of
 
@@ -114,7 +115,7 @@ def diagnose(judge: Judge, judgement: Judgement) -> Diagnosis:
         causes.take(f"no answer: {why}", np.flatnonzero(broken))
     causes.take("a hit where the camera has no ray", np.flatnonzero((judge.t_max < 0.0) & judge.hit))
     of_mitsuba = np.flatnonzero(judgement.classes == CLASS_CODE[REFERENCE_WRONG])
-    causes.take(f"{subject_name(judge)} is right, and Mitsuba wrong in no known way", of_mitsuba)
+    causes.take(_of_two_right_answers(judge) if len(of_mitsuba) else "", of_mitsuba)
     wrong = np.flatnonzero(causes.left & (judgement.classes == CLASS_CODE[WRONG]))
     exact = judgement.exact
     inexact = np.intersect1d(wrong, exact.rows[exact.wrong])
@@ -130,6 +131,13 @@ def diagnose(judge: Judge, judgement: Judgement) -> Diagnosis:
         causes.take(explained.what, rows, len(wrong) if explained.remedy else 0, explained.remedy)
     causes.take("not what is there, in no way that is recognised", np.flatnonzero(causes.left))
     return causes.diagnosis()
+
+
+def _of_two_right_answers(judge: Judge) -> str:
+    """Why exact arithmetic says that the subject is right, and Mitsuba's answer lies beyond its bounds."""
+    if any(unrounded_arrays(part, "float32") for part in judge.model.packed.parts):
+        return "each is right for its own numbers: those of the subject were not rounded to float32, as Mitsuba's are"
+    return f"{subject_name(judge)} is right, and Mitsuba wrong in no known way"
 
 
 def _marked_misses(judge: Judge) -> Iterator[tuple[str, np.ndarray]]:

@@ -1,6 +1,7 @@
-"""Checks made once a scene: the transform, packing and material of each shape, and `render` against the judged rays."""
+"""Checks made once a scene: the transform, packing and material of each shape, film and camera, `render` against the
+judged rays."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
@@ -8,13 +9,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.aovs import Aovs
+from caster.description.errors import SceneError
 from caster.description.fields import Camera, Shape
 from caster.geometry.packing import Packed, packed
 from caster.geometry.world_space import as_given
 from caster.rendering.casting import find_nearest
 from caster.rendering.hits import trace, trace_rays
 from caster.rendering.images import camera_rays, evaluate, film_window, render
-from caster.scene.model import Diffuse, Scene
+from caster.scene.model import MAX_FILM_SIDE, Diffuse, Film, Scene
 from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import camera_axes, no_sensor
 from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound, nearest_root
@@ -27,7 +29,7 @@ from mitsuba_ref.judge.diffuse import diffuse_within_float64
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.rendering import ReferenceResult
 from mitsuba_ref.reference.shared_input import SharedRays, model_of, packed_float32
-from mitsuba_ref.shapes import reference_of
+from mitsuba_ref.shapes import kind_of, reference_of
 
 
 class Shares:
@@ -88,7 +90,7 @@ def check_placement(scene: Scene) -> SceneCheck:
 class Precision(NamedTuple):
     """How the numbers of a shape are rounded when it is packed."""
 
-    name: str
+    name: str  # of NumPy's type
     packing: Callable[[Scene], Packed]
     unit_roundoff: float
     # Below it the spacing of numbers stays what it is there, and so does what a rounding may take: half of it, the
@@ -129,11 +131,24 @@ def check_geometry(scene: Scene) -> SceneCheck:
     for precision in PRECISIONS:
         parts = precision.packing(scene).parts
         for name, shape, part in zip(scene.shape_names(), scene.shapes, parts, strict=True):
+            for field in unrounded_arrays(part, precision.name):
+                shares.add(f"{field} of {name} not rounded to {precision.name}", np.inf)
             for claim in reference_of(shape).expected(described(shape), part):
                 share = _packing_error_ratio(claim, precision.unit_roundoff, precision.smallest_normal)
                 shares.add(f"{claim.what} of {name} ({precision.name})", share)
     worst, share = shares.worst()
     return SceneCheck("geometry", share, worst)
+
+
+def unrounded_arrays(part: Any, dtype: str) -> list[str]:
+    """Arrays of a packed shape that hold other numbers than those of a type, which both sides have to trace.
+
+    float64 numbers lie within the bounds of float32, so that no bound shows that they were not rounded.
+    """
+    derived = kind_of(part).derived
+    floats = {name: array for name, array in part._asdict().items() if array.dtype.kind == "f" and name not in derived}
+    with np.errstate(over="ignore"):
+        return [name for name, array in floats.items() if not np.array_equal(array, array.astype(dtype))]
 
 
 def _packing_error_ratio(claim: ExpectedNumbers, rounding: float, normal: float) -> float:
@@ -223,9 +238,13 @@ def _within_float64(scene: Scene, ours: Aovs, rows: np.ndarray, rays: RaySegment
 
 
 def check_camera(scene: Scene) -> SceneCheck:
-    """Our rays in float64 against the camera's formula, written a second time."""
+    """The film's window, and our float64 rays against the camera's formula; both are worked out a second time."""
+    if wrong := wrong_windows(scene):
+        return SceneCheck("camera", np.inf, wrong[0])
     ours = camera_rays(scene)
     x, y = pixel_centers(scene)
+    if len(ours.o) != len(x):
+        return SceneCheck("camera", np.inf, f"{len(ours.o)} rays, the window has {len(x)} pixels")
     expected = reference_of_camera(scene.camera).rays(scene.camera, scene.film, x, y)
     size = float(np.abs(expected.o).max(initial=np.finfo(np.float64).tiny))
     rounding = CAMERA_ROUNDINGS * KU_OURS / _up_sine(scene.camera)
@@ -239,6 +258,70 @@ def check_camera(scene: Scene) -> SceneCheck:
         "far": _relative(ours.t_max, expected.t_max) / rounding,
     }
     return worst_pixel("camera", shares, (seen | (ours.t_max >= 0.0)) & ~rim, scene)
+
+
+Size = tuple[int, int]  # of a film: width, height
+
+
+def wrong_windows(scene: Scene) -> list[str]:
+    """What is wrong with the window of a scene's film, with those of films of other sizes, and with parts of it.
+
+    A film that is resized keeps all pixels that its crop reaches into. Both sides get the same film, so that no pixel
+    shows one that was lost with its last column.
+    """
+    film, bare = scene.film, _bare(scene)
+    width, height = film.width, film.height
+    x0, y0, x1, y1 = whole = film.crop or (0, 0, width, height)
+    found = [] if film.window == whole else [f"window {film.window}, expected {whole}"]
+    found += wrongly_resized(scene, _other_sizes(film))
+    for inside in (whole, (x1 - 1, y0, x1, y1), (x0, y0, x0 + 1, y0 + 1)):
+        given = bare.with_film(crop=inside).film
+        if (given.width, given.height, given.crop, given.window) != (width, height, inside, inside):
+            found.append(f"window {inside} of {width} x {height} is {given.window} of {given.width} x {given.height}")
+    return found
+
+
+def wrongly_resized(scene: Scene, sizes: Sequence[Size]) -> list[str]:
+    """What is wrong with the films that `Scene.with_film` makes of a scene's film."""
+    return list(_wrongly_resized(scene.film, _bare(scene), sizes))
+
+
+def _wrongly_resized(film: Film, bare: Scene, sizes: Sequence[Size]) -> Iterator[str]:
+    before = f"crop {film.crop} of {film.width} x {film.height}"
+    for width, height in sizes:
+        expected = film.crop and _pixels_reached(film, film.crop, width, height)
+        try:
+            given = bare.with_film(width=width, height=height).film
+        except SceneError as error:
+            yield f"{before} is refused for {width} x {height}: {error}"
+            continue
+        if (given.width, given.height, given.crop) != (width, height, expected):
+            after = f"{given.crop} of {given.width} x {given.height}"
+            yield f"{before} is {after}, expected {expected} of {width} x {height}"
+
+
+def _bare(scene: Scene) -> Scene:
+    """Film and camera alone: a copy of thousands of shapes takes its time."""
+    return scene.model_copy(update={"shapes": (), "lights": (), "materials": {}, "checks": {}})
+
+
+def _other_sizes(film: Film) -> list[Size]:
+    """The film's own, and larger and smaller ones that few sizes divide."""
+    width, height = film.width, film.height
+    sizes = [(width, height), (width + 1, height + 1), (2 * width + 1, 3 * height), (7, 5), (101, 97)]
+    sizes += [(max(1, width // 2), max(1, height // 3)), (max(1, width - 1), 2 * height - 1)]
+    return [size for size in sizes if max(size) <= MAX_FILM_SIDE]
+
+
+def _pixels_reached(film: Film, crop: Sequence[int], width: int, height: int) -> tuple[int, ...]:
+    """x0, y0, x1, y1 of the pixels of a film of another size that overlap the crop of this one."""
+    ends = []
+    for begin, end, old, new in ((crop[0], crop[2], film.width, width), (crop[1], crop[3], film.height, height)):
+        pixel = np.arange(new)
+        inside = np.flatnonzero(((pixel + 1) * old > begin * new) & (pixel * old < end * new))
+        ends.append((int(inside[0]), int(inside[-1]) + 1))
+    (x0, x1), (y0, y1) = ends
+    return x0, y0, x1, y1
 
 
 def _up_sine(camera: Camera) -> float:

@@ -123,7 +123,7 @@ class TraceResponse:
             for each in (self.mesh_corners.astype(np.float64), self.mesh_vertices)
         )
         rows = zip(corners, vertices, self.mesh_problems, strict=True)
-        return tuple(LoadedMesh(c[..., :3], c[..., 3:6], c[..., 6:], *rest) for c, *rest in rows)
+        return tuple(LoadedMesh(c[..., :3], c[..., 3:6], c[..., 6:], v, problem) for c, v, problem in rows)
 
     def write(self, folder: Path) -> None:
         _write(self, folder / "answer")

@@ -20,7 +20,8 @@ from caster.system import process
 from caster.system.atomic_files import OutputError
 from caster.system.terminal import ProgressBar
 from mitsuba_ref.judge.aggregate import scene_statistics
-from mitsuba_ref.judge.verdict import SceneVerdict
+from mitsuba_ref.judge.scene_checks import wrongly_resized
+from mitsuba_ref.judge.verdict import SceneCheck, SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request
 from mitsuba_ref.reference.shared_input import SharedRays
@@ -42,6 +43,7 @@ class SceneEntry:
     name: str
     path: str
     resized: bool = False  # by --size, which a replay has to repeat
+    wrong_film: str = ""  # what is wrong with the film that --size has made of the scene's own; "": nothing
     options: tuple[str, ...] = ()  # others that a replay has to repeat
     subject: Subject | None = None  # of this entry alone: answers that were given beforehand
     rays: SharedRays | None = None  # of a list, which the film is filled with
@@ -124,11 +126,14 @@ def load_entry(
     Raises SceneError, FileMissing.
     """
     scene = load_scene(path, mesh_dirs)
+    wrong: list[str] = []
     if size:
         with error_prefix("--size", *size):
-            scene = scene.with_film(width=size[0], height=size[1])
+            resized = scene.with_film(width=size[0], height=size[1])
+        wrong, scene = wrongly_resized(scene, [(size[0], size[1])]), resized
     mesh_options = tuple(word for folder in mesh_dirs for word in ("--mesh-dir", folder))
-    return SceneEntry(scene, name, path, resized=bool(size), options=(*mesh_options, *options))
+    again = (*mesh_options, *options)
+    return SceneEntry(scene, name, path, resized=bool(size), wrong_film="; ".join(wrong), options=again)
 
 
 def default_workers() -> int:
@@ -271,6 +276,9 @@ def judge_here(
         raise
     except SceneError as error:  # no reference for a shape, or numbers beyond float32
         verdict = SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem_of(error), thorough=thorough)
+    if loaded.wrong_film:
+        others = (check for check in verdict.checks if check.name != "camera")
+        verdict = replace(verdict, checks=(SceneCheck("camera", float("inf"), loaded.wrong_film), *others))
     about: dict[str, Any] = {"resized": loaded.resized, "options": loaded.options, "command": loaded.command}
     composition = scene_statistics(loaded.scene)
     found = replace(verdict, **about, rays=loaded.ray_range, composition=composition, inputs=inputs)

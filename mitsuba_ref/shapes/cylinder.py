@@ -211,6 +211,7 @@ CYLINDERS = PrimitiveReference(
     ErrorModel(intersect, affine_bounds, ours_through_object_space(intersect), exact=EXACT_CYLINDERS, uv=UV),
     describe_cylinder,
     on_cylinders,
+    derived=("to_object",),
     rounding_groups=(by_matrix,),
     known_defects=(STARTS_ON_CURVED, TANGENT, RIM, ALONG_AXIS, STRETCHED, THIN_AND_FAR, FAR_FROM_ORIGIN),
     defect_view=view_cylinder,

@@ -139,6 +139,7 @@ DISKS = PrimitiveReference(
     ),
     describe_disk,
     on_disks,
+    derived=("to_object",),
     rounding_groups=(by_normal,),
     known_defects=(STARTS_ON_FLAT, RIM, GRAZED_FLAT, FAR_FROM_ORIGIN),
     defect_view=view_disk,

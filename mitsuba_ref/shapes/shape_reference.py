@@ -124,6 +124,9 @@ class PrimitiveReference:
     # (arrays, k) -> the numbers that are cast and judged
     numbers: Callable[[Any, int], list[np.ndarray]] = all_numbers
 
+    # arrays that packing derives from its rounded numbers, and does not round
+    derived: tuple[str, ...] = ()
+
     # ways in which one rounding of the reference may be common to many pixels; by its LLVM variant, None: the same
     rounding_groups: Sequence[GroupKey] = (single_group,)
     rounding_groups_llvm: Sequence[GroupKey] | None = None

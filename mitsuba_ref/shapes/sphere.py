@@ -317,6 +317,7 @@ ELLIPSOIDS = PrimitiveReference(
     ),
     describe_ellipsoid,
     on_ellipsoids,
+    derived=("to_object",),
     rounding_groups=(by_matrix,),
     known_defects=(*DEFECTS, STRETCHED),
     defect_view=view_ellipsoid,

@@ -93,6 +93,43 @@ OPTION_FAULTS = (
         "far = math.inf",
     ),
 )
+CROP_FAULTS = tuple(
+    (what, "crop-window", "camera: ", MODEL, old, new)
+    for what, old, new in (
+        (
+            "a scaled crop loses its last column",
+            "-(-self.crop[2] * width // self.width),",
+            "self.crop[2] * width // self.width,",
+        ),
+        (
+            "a scaled crop loses its last row, of larger films alone",
+            "-(-self.crop[3] * height // self.height),",
+            "-(-self.crop[3] * height // self.height) - (height > self.height),",
+        ),
+        (
+            "a scaled crop is rounded to the nearest pixels",
+            "            self.crop[0] * width // self.width,",
+            "            round(self.crop[0] * width / self.width),",
+        ),
+        (
+            "a scaled crop by the other side",
+            "self.crop[1] * height // self.height",
+            "self.crop[1] * width // self.width",
+        ),
+        ("a crop lost where a film is resized", "crop = self.crop and (", "crop = None and ("),
+        ("the height of a resized film ignored", "self.film.height if height is None else height", "self.film.height"),
+        (
+            "a window without the last column",
+            "return self.crop or (0,",
+            "return self.crop and (*self.crop[:2], max(self.crop[2] - 1, self.crop[0] + 1), self.crop[3]) or (0,",
+        ),
+        (
+            "a crop one pixel off",
+            "height=self.height, crop=tuple(crop))",
+            "height=self.height, crop=(crop[0], *crop[1:3], max(crop[3] - 1, crop[1] + 1)))",
+        ),
+    )
+)
 SCALE_FAULTS = (
     (
         "similar within 1e-4",
@@ -145,7 +182,7 @@ SCALE_FAULTS = (
 )
 FAULTS = tuple(
     Fault(family, *fault)
-    for family, faults in (("options", OPTION_FAULTS), ("scale", SCALE_FAULTS))
+    for family, faults in (("options", OPTION_FAULTS), ("crop", CROP_FAULTS), ("scale", SCALE_FAULTS))
     for fault in faults
 )
 QUICK = ("second ambient light", "no hit nearer than 1e-6")

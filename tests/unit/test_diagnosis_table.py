@@ -14,6 +14,7 @@ from mitsuba_ref.judge.adjudication import Adjudication
 from mitsuba_ref.judge.classification import CLASS_CODE, Judgement
 from mitsuba_ref.judge.diagnosis import Cause, best_split, necessary_share
 from mitsuba_ref.judge.hypotheses import Explained
+from mitsuba_ref.reference.shared_input import packed_float32
 
 
 def bools(count: int, *rows: int) -> np.ndarray:
@@ -94,6 +95,18 @@ def test_one_number_at_all_misses_is_a_mark(t, hit, t_max, hits_only, found):
     assert marked == ([] if found is None else [found])
 
 
+def test_where_numbers_were_not_rounded_mitsuba_is_not_called_wrong(monkeypatch):
+    """It was given others than the subject, and exact arithmetic speaks of the subject's alone."""
+    monkeypatch.setattr(diagnosis, "subject_name", lambda judge: "ours")
+    scene = Scene(camera=caster.Pinhole(eye=(0, 0, 9), look_at=(0, 0, 0)), shapes=[caster.Sphere(radius=0.1)])
+    for numbers, said in (
+        (packed_float32(scene), "ours is right, and Mitsuba wrong in no known way"),
+        (packed(scene), "each is right for its own numbers: those of the subject were not rounded to float32"),
+    ):
+        judge = SimpleNamespace(model=SimpleNamespace(packed=numbers))
+        assert diagnosis._of_two_right_answers(judge).startswith(said)
+
+
 def test_causes_are_looked_for_in_their_order(monkeypatch):
     """One row of each kind, and the last of each is taken by what comes before."""
     classes = ["agree", *["wrong"] * 6, "reference_wrong", "wrong", "undecided", "undecided", "wrong", "wrong"]
@@ -103,6 +116,7 @@ def test_causes_are_looked_for_in_their_order(monkeypatch):
     judge = SimpleNamespace(
         t_max=np.where(np.arange(count) == 3, -1.0, np.arange(count) % 2.0), hit=np.ones(count, bool),
         answer=SimpleNamespace(broken={"not finite": not_answered}),
+        model=SimpleNamespace(packed=SimpleNamespace(parts=())),
     )  # fmt: skip
     judge.hit[12] = False
     judgement = judgement_of(classes, right=[5, 6, 8, 11], cases={7: None, 0: 8})

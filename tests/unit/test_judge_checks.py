@@ -1,8 +1,10 @@
 """Each check that is made once a scene, given one input just inside of its bound and one just outside."""
 
+import math
 import subprocess
 import sys
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -111,6 +113,62 @@ def test_a_camera_ray_may_be_off_by_its_bound_and_no_more(monkeypatch, part, sha
     found = check_camera(scene)
     assert found.what == f"{part} at (8, 3)" and found.ratio == pytest.approx(share, abs=0.02)
     assert found.ok is (share == INSIDE)
+
+
+# Film.resized, by what is done to the crop of a film of other sizes
+WRONG_CROPS = {
+    "last column lost": lambda old, new, crop: (*crop[:2], crop[2] - 1, crop[3]),
+    "last row lost where it was cut": lambda old, new, crop: (*crop[:3], crop[3] - (crop[3] % 2)),
+    "first column twice as far": lambda old, new, crop: (min(2 * crop[0], crop[2] - 1), *crop[1:]),
+    "as before": lambda old, new, crop: (0, 0, *new),
+    "one more": lambda old, new, crop: (*crop[:2], min(crop[2] + 1, new[0]), crop[3]),
+    "only of smaller films": lambda old, new, crop: (crop[0] + (new[0] < old[0]), *crop[1:]),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG_CROPS)
+def test_a_crop_that_is_scaled_wrongly_with_its_film_fails_camera(monkeypatch, wrong):
+    """Both sides get the same film: nothing else can find it."""
+    scene, right = scene_of(), caster.Film.resized
+    assert check_camera(scene).ok
+
+    def resized(film, width, height):
+        found = right(film, width, height)
+        if not film.crop or (width, height) == (film.width, film.height):
+            return found
+        x0, y0, x1, y1 = WRONG_CROPS[wrong]((film.width, film.height), (width, height), found.crop)
+        return found.cropped((min(x0, x1 - 1), y0, max(x1, x0 + 1), max(y1, y0 + 1)))
+
+    monkeypatch.setattr(caster.Film, "resized", resized)
+    found = check_camera(scene)
+    assert not found.ok and found.what.startswith("crop (3, 2, 11, 8) of 14 x 10 is "), found.what
+
+
+def test_a_window_that_is_not_the_crop_fails_camera(monkeypatch):
+    scene = scene_of()
+    monkeypatch.setattr(caster.Film, "window", property(lambda film: (3, 2, 10, 8)))
+    found = check_camera(scene)
+    assert not found.ok and found.what == "window (3, 2, 10, 8), expected (3, 2, 11, 8)"
+
+
+def test_a_number_of_rays_that_is_not_that_of_the_pixels_fails_camera(monkeypatch):
+    rays = scene_checks.camera_rays(scene_of())
+    monkeypatch.setattr(scene_checks, "camera_rays", lambda scene: type(rays)(*(array[1:] for array in rays)))
+    found = check_camera(scene_of())
+    assert not found.ok and found.what == "47 rays, the window has 48 pixels"
+
+
+@pytest.mark.parametrize("crop", [(0, 0, 14, 10), (13, 9, 14, 10), (0, 4, 1, 5), (5, 0, 9, 10)])
+@pytest.mark.parametrize("size", [(14, 10), (15, 11), (3, 50), (97, 7), (1, 1), (28, 20)])
+def test_a_resized_crop_has_the_pixels_that_overlap_it(crop, size):
+    """By a third formula: the least and largest of corners as fractions."""
+    film, (width, height) = caster.Film(width=14, height=10), size
+    low_x, low_y, high_x, high_y = (
+        Fraction(c * n, old) for c, n, old in zip(crop, 2 * size, (14, 10, 14, 10), strict=True)
+    )
+    expected = (math.floor(low_x), math.floor(low_y), math.ceil(high_x), math.ceil(high_y))
+    assert scene_checks._pixels_reached(film, crop, width, height) == expected
+    assert film.cropped(crop).resized(width, height).crop == expected
 
 
 def test_pixel_centres_are_those_of_the_window():
