@@ -1,4 +1,4 @@
-"""Faults that pixels do not show: of packing in float64, of the end of a process, of the key of the kernel cache.
+"""Faults that pixels do not show: of packing, of sharing work, of the end of a process, of the key of the kernel cache.
 
 Each is planted in a copy of both packages, and has to be found by `validate` or by the test that is named. All of them
 by `make faults` (FAULTS=all); without it only those in QUICK.
@@ -16,9 +16,12 @@ from edited_tree import DEADLINE, ROOT, copy_tree, edit, run
 DIGEST, WORLD, SPHERE = ("caster/jit/code_digest.py", "caster/geometry/world_space.py", "caster/shapes/sphere.py")
 CHECKS = "mitsuba_ref/judge/scene_checks.py"
 SIZE = ("--size", "12", "10")
+PACKED = "caster/geometry/packing.py"
+RASTER, TREES, THREADS = (f"caster/rendering/{name}.py" for name in ("rasterization", "bvh_construction", "threads"))
 KEY_TEST, GEOMETRY_TEST = (
     f"tests/unit/test_{name}.py" for name in ("kernel_cache_key", "geometry_checked_in_both_precisions")
 )
+SHARING_TEST = "tests/agreement/test_primitives_by_threads.py"
 
 
 class Fault(NamedTuple):
@@ -128,6 +131,100 @@ PACKING_FAULTS = (
         'Precision("float64", packed,',
         'Precision("float64", packed_float32,',
     ),
+    *(
+        Fault("packing", what, scene, rf"geometry: .*{said}", file, old, new)
+        for what, scene, said, file, old, new in (
+            (
+                "one key for float64 and float32",
+                "one-sphere",
+                "not rounded to float32",
+                PACKED,
+                'as_float32: "packed float32"',
+                'as_float32: "packed"',
+            ),
+            (
+                "the first packing for every rounding",
+                "triangles",
+                "not rounded to float32",
+                PACKED,
+                "key = CACHED_AS.get(rounded)",
+                "key = next(iter(scene.derived), CACHED_AS.get(rounded))",
+            ),
+            (
+                "float32 that is float64",
+                "flat-shapes",
+                "not rounded to float32",
+                WORLD,
+                ".astype(np.float32).astype(np.float64)",
+                ".astype(np.float64)",
+            ),
+            ("radii not rounded", "one-sphere", "radius of .* not rounded", SPHERE, RADIUS, "scale * radii"),
+            ("uv not rounded", "obj-meshes", "uv of .* not rounded", WORLD, "else rounded(mesh.uv)", "else mesh.uv"),
+            (
+                "normals not rounded where they are generated",
+                "ply-normals",
+                "normals of .* not rounded",
+                WORLD,
+                "normals = rounded(_world_normals(mesh, matrix, vertices, faces))",
+                "normals = _world_normals(mesh, matrix, vertices, faces)",
+            ),
+        )
+    ),
+)
+
+# Threads share thousands of primitives, which is long in plain Python: the test has them share few.
+SHARING_FAULTS = tuple(
+    Fault("threads", what, SHARING_TEST, r"threads", file, old, new)
+    for what, file, old, new in (
+        (
+            "primitives beyond equal shares in no tile",
+            RASTER,
+            "number * (i + 1) // workers) for",
+            "number // workers * (i + 1)) for",
+        ),
+        (
+            "the first primitive of each share twice",
+            RASTER,
+            "(i, number * i // workers,",
+            "(i, max(0, number * i // workers - 1),",
+        ),
+        (
+            "shares in the order of threads, not of tiles",
+            RASTER,
+            "np.cumsum(counts.T.reshape(-1)).reshape(-1, workers).T",
+            "np.cumsum(counts.reshape(-1)).reshape(workers, -1)",
+        ),
+        (
+            "the last points of each share not projected",
+            RASTER,
+            "parallel_for(find, len(points), threads,",
+            "parallel_for(find, len(points) - len(points) % threads, threads,",
+        ),
+        (
+            "pieces of equal length alone",
+            THREADS,
+            "first + (stop - first) * i // max(count, 1)",
+            "first + (stop - first) // max(count, 1) * i",
+        ),
+        (
+            "the last piece left undone by three threads",
+            THREADS,
+            "    left = iter(pieces)  #",
+            "    left = iter(pieces[:-1] if workers == 3 else pieces)  #",
+        ),
+        (
+            "the last primitive of each part of a tree lost",
+            TREES,
+            "start, start + number, LEAF_SIZE)",
+            "start, start + number - 1, LEAF_SIZE)",
+        ),
+        (
+            "a part of a tree in place of the next",
+            TREES,
+            "links[start:stop] = part_boxes, part_links",
+            "links[start:stop] = part_boxes, np.maximum(part_links, part_links[-1:])",
+        ),
+    )
 )
 
 # Ends of the process that casts, in the first line of packing a sphere: the scene of triangles is judged all the same.
@@ -170,7 +267,7 @@ KEYS = {
 }
 KEY_FAULTS = tuple(Fault("cache key", what, KEY_TEST, r"assert", DIGEST, *change) for what, change in KEYS.items())
 
-FAULTS = (*PACKING_FAULTS, *END_FAULTS, *KEY_FAULTS)
+FAULTS = (*PACKING_FAULTS, *SHARING_FAULTS, *END_FAULTS, *KEY_FAULTS)
 QUICK = ("radius off by 1e-12 of itself", "the C library aborts")  # of the key, test_kernel_cache_key plants some
 CHOSEN = [fault for fault in FAULTS if fault.what in QUICK or os.environ.get("FAULTS") == "all"]
 
@@ -178,7 +275,7 @@ CHOSEN = [fault for fault in FAULTS if fault.what in QUICK or os.environ.get("FA
 def run_test(tree, path):
     """A test file with the packages of a copy, without the compiler."""
     words = [sys.executable, "-P", "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", path]
-    environment = {**os.environ, "PYTHONPATH": str(tree), "CASTER_JIT": "0"}
+    environment = {**os.environ, "PYTHONPATH": str(tree), "CASTER_JIT": "0", "COLUMNS": "200"}  # of pytest's messages
     return subprocess.run(
         words, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=DEADLINE, check=False
     )

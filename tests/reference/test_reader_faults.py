@@ -25,7 +25,9 @@ radiance = [1, 1, 1]
 name = "it"
 """
 READERS, SHAPES = "caster/geometry/mesh_files", "caster/shapes"
-OBJ, PLY, TEXT, PLAIN = (f"{READERS}/{name}.py" for name in ("obj", "ply", "plain_text", "plain_text"))
+OBJ, PLY, TEXT, PLAIN, LOADS = (
+    f"{READERS}/{name}.py" for name in ("obj", "ply", "plain_text", "plain_text", "__init__")
+)
 MESH = "caster/geometry/triangle_mesh.py"
 
 POINTS = [(-1.0, -1.0, 0.1), (1.0, -1.0, 0.2), (1.25, 1.0, 1e-3), (-1.0, 1.0, 1.0), (0.0, 0.5, 2.0)]
@@ -54,6 +56,12 @@ def ply(encoding: str, number: str, kind: str) -> bytes:
     return head.encode() + body
 
 
+NORMALS_TEXT = (
+    b"ply\nformat ascii 1.0\nelement vertex 4\nproperty double x\nproperty double y\nproperty double z\n"
+    b"property double nx\nproperty double ny\nproperty double nz\nelement face 2\n"
+    b"property list uchar int vertex_indices\nend_header\n"
+    b"-1.0 -1.0 0.1 0 0 1\n1.0 -1.0 0.2 0.1 0 1\n0.25 1.0 0.5 0 0.3 1\n-1.0 1.0 1.0 -0.1 0.7 1\n3 0 1 3\n3 0 2 3\n"
+)
 FILES = {
     "mesh.obj": OBJ_TEXT.encode(),
     "mixed.obj": "".join(f"v {x} {y} {z}\n" for x, y, z in POINTS).encode()
@@ -63,6 +71,10 @@ FILES = {
     "ascii.ply": ply("ascii", "double", "uchar"),
     "little.ply": ply("binary_little_endian", "double", "uchar"),
     "big.ply": ply("binary_big_endian", "float", "int"),
+    "normals.ply": NORMALS_TEXT,
+    "meet.ply": NORMALS_TEXT.replace(b"0.25 1.0 0.5", b"1.0 -1.0 0.2"),
+    "unused.gltf": (ROOT / "scenes/meshes/mobile.gltf").read_bytes().replace(b'"count": 96', b'"count": 90'),
+    **{name: (ROOT / "scenes/meshes" / name).read_bytes() for name in ("lantern.off", "shard.stl", "mobile.gltf")},
 }
 
 
@@ -79,6 +91,18 @@ def fault(what: str, shape: str, says: str, file: str, old: str, new: str, *more
     return Fault(what, shape, says, ((file, old, new), *more))
 
 
+VERTICES = "number of vertices|shared vertices( by plain Python)?"
+# What the readers of OFF, and of STL and glTF, end with.
+OFF_MESH = "    return Mesh(np.array(points, np.float64).reshape(-1, 3), corners[fans])\n"
+OFF_MESH_SPLIT = (
+    "    every = np.array(points, np.float64)[corners[fans]]\n"
+    "    return Mesh(every.reshape(-1, 3), np.arange(3 * len(every), dtype=np.int32).reshape(-1, 3))\n"
+)
+OFF_MESH_NORMALS = OFF_MESH.replace("[fans])", "[fans], np.tile([0.0, 0.6, 0.8], (len(points), 1)))")
+OFF_MESH_LARGER = OFF_MESH.replace("(points,", "([*points, points[0]],")
+TRIMESH_VERTICES, TRIMESH_FACES = "vertices, faces = np.asarray(found.vertices, np.float64)", "np.asarray(found.faces)"
+TRIMESH_MESH = "    return Mesh(np.ascontiguousarray(vertices), np.ascontiguousarray(faces.reshape(-1, 3), np.int32))\n"
+TRIMESH_USED = "    vertices, faces = vertices[np.unique(faces)], np.unique(faces, return_inverse=True)[1]\n"
 RUN_TEXT_KERNELS = (PLAIN, 'if not COMPILED or b"\\\\" in data', 'if b"\\\\" in data')
 FAULTS = (
     fault(
@@ -124,7 +148,7 @@ FAULTS = (
     fault(
         "another corner's normal",
         "mesh.obj",
-        "mesh_files: normals",
+        "mesh_files: (float64 )?normals",
         OBJ,
         "found = normals[used[:, 2]]",
         "found = normals[used[:, 2] - 1]",
@@ -132,7 +156,7 @@ FAULTS = (
     fault(
         "normals in the order of the file where some corners have none",
         "mixed.obj",
-        "mesh_files: normals",
+        "mesh_files: (float64 )?normals",
         OBJ,
         "    if absent.any():\n        found[absent]",
         "    if absent.any():\n        found = normals[np.arange(len(used)) % len(normals)]\n        found[absent]",
@@ -153,7 +177,7 @@ FAULTS = (
         "    found[absent] = 0.0\n",
         "",
     ),
-    fault("uv not turned over", "mesh.obj", "mesh_files: uv", OBJ, "1.0 - uv[:, 1]", "uv[:, 1]"),
+    fault("uv not turned over", "mesh.obj", "mesh_files: float64 uv", OBJ, "1.0 - uv[:, 1]", "uv[:, 1]"),
     fault(
         "a continued line lost",
         "mesh.obj",
@@ -219,6 +243,100 @@ FAULTS = (
         PLY,
         "    return float(word)\n",
         "    return float(np.float32(float(word)))\n",
+    ),
+    *(
+        fault(what, shape, f"mesh_files: ({says})", LOADS, old, new)
+        for what, shape, says, old, new in (
+            ("vertices of an STL merged", "shard.stl", VERTICES, "process=False", "process=True"),
+            ("vertices of an OFF at every corner", "lantern.off", VERTICES, OFF_MESH, OFF_MESH_SPLIT),
+            ("a vertex of an OFF without a face", "lantern.off", VERTICES, OFF_MESH, OFF_MESH_LARGER),
+            ("normals of an OFF made by its reader", "lantern.off", "normals or none", OFF_MESH, OFF_MESH_NORMALS),
+            (
+                "faces of an OFF sorted by their corners",
+                "lantern.off",
+                "corners",
+                "    corners = np.array([i for polygon",
+                "    polygons.sort(key=len)\n    corners = np.array([i for polygon",
+            ),
+            (
+                "polygons of an OFF around their last corner",
+                "lantern.off",
+                "corners",
+                "polygons.append(polygon[1:])",
+                "polygons.append(polygon[-1:] + polygon[1:-1])",
+            ),
+            ("facets of an STL from the last", "shard.stl", "corners", TRIMESH_FACES, f"{TRIMESH_FACES}[::-1]"),
+            (
+                "facets of an STL begun elsewhere",
+                "shard.stl",
+                "corners",
+                TRIMESH_FACES,
+                f"np.roll({TRIMESH_FACES}, 1, axis=1)",
+            ),
+            (
+                "normals of an STL from its facets",
+                "shard.stl",
+                "normals or none",
+                TRIMESH_MESH,
+                TRIMESH_MESH.replace("np.int32))", "np.int32), np.array(found.vertex_normals))"),
+            ),
+            ("faces of a glTF from the last", "mobile.gltf", "triangles", TRIMESH_FACES, f"{TRIMESH_FACES}[::-1]"),
+            (
+                "the last mesh of a glTF inside out",
+                "mobile.gltf",
+                "triangles",
+                TRIMESH_MESH,
+                f"    faces = np.concatenate([faces[:-2], faces[-2:, ::-1]])\n{TRIMESH_MESH}",
+            ),
+            (
+                "vertices of a glTF merged",
+                "mobile.gltf",
+                VERTICES,
+                TRIMESH_VERTICES,
+                f"found.merge_vertices(); {TRIMESH_VERTICES}",
+            ),
+            (
+                "vertices of a glTF without a face dropped",
+                "unused.gltf",
+                VERTICES,
+                TRIMESH_MESH,
+                TRIMESH_USED + TRIMESH_MESH,
+            ),
+        )
+    ),
+    fault(
+        "vertices of a PLY joined where they meet",
+        "meet.ply",
+        f"mesh_files: ({VERTICES})",
+        PLY,
+        '        _faces(tables["face"], len(vertices), where),\n',
+        "        np.unique(vertices, axis=0, return_index=True, return_inverse=True)[1].astype(np.int32)[\n"
+        "            np.unique(vertices, axis=0, return_inverse=True)[1].ravel()\n"
+        '        ][_faces(tables["face"], len(vertices), where)],\n',
+    ),
+    fault(
+        "normals of a PLY left out",
+        "normals.ply",
+        "mesh_files: normals or none",
+        PLY,
+        "if any(name in vertex.columns for name in NORMAL) else None",
+        "if False else None",
+    ),
+    fault(
+        "normals of a PLY rounded to float32",
+        "normals.ply",
+        "mesh_files: float64 normals",
+        PLY,
+        "return _floats(vertex, NORMAL, where) if",
+        "return _floats(vertex, NORMAL, where).astype(np.float32).astype(np.float64) if",
+    ),
+    fault(
+        "vertices of an OBJ without regard to uv",
+        "mesh.obj",
+        f"mesh_files: ({VERTICES}|float64 uv)",
+        OBJ,
+        '    v, vt, vn = map(_index, parts, counts, ("v", "vt", "vn"))\n',
+        '    v, vt, vn = map(_index, parts, counts, ("v", "vt", "vn"))\n    vt = min(vt, 0)\n',
     ),
     fault(
         "a torus larger by 1e-7",
