@@ -34,7 +34,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PATIENCE = 3600  # seconds; takes about 10 where nothing is compiled, and minutes where everything is
 
 FILM = (13, 9)
-RAYS = 40  # of each family
+RAYS = 12  # of each family
 
 Arrays = dict[str, np.ndarray]
 

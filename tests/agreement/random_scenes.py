@@ -9,9 +9,12 @@ from random_fields import Rng, direction, own_fields, point
 from caster.cameras import CAMERAS
 from caster.description.fields import Camera, Shape
 from caster.scene.model import Film, Scene
+from caster.shapes import SHAPES, Cube, Torus
 
 FILM = (37, 23)  # odd and oblong, so that a mix-up of width and height, or a lost last row, shows
 VIEWS: tuple[type[Camera], ...] = tuple(cls for cls in CAMERAS if issubclass(cls, Camera))  # not a mere ray
+# One or two shapes for each kind of primitive: kernels do not know which shape their triangles come from.
+KINDS = tuple(cls for cls in SHAPES if not hasattr(cls, "mesh") or cls in (Cube, Torus))
 MATERIALS = {"one": {"reflectance": (0.3, 0.6, 0.9)}, "both": {"two_sided": True}}
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from hard_rays import FAMILIES, hard_rays
-from random_scenes import name, random_scene
+from random_scenes import KINDS, name, random_scene
 from same_bits import assert_same_bits
 
 from caster.cameras import Pinhole
@@ -74,7 +74,7 @@ def test_the_first_of_several_rays_that_are_none_is_named(function):
         function(scene, o, d)
 
 
-@pytest.mark.parametrize("shape", SHAPES, ids=name)
+@pytest.mark.parametrize("shape", KINDS, ids=name)
 def test_a_tree_never_changes_a_hit(shape):
     rng = np.random.default_rng([10, SHAPES.index(shape)])
     hits = dict.fromkeys((family.__name__ for family in FAMILIES), 0)

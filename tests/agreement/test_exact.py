@@ -1,4 +1,4 @@
-"""`intersect` of every shape against decimals of 80 digits, on the very numbers that are cast."""
+"""`intersect` of every kind of primitive against decimals of 80 digits, on the very numbers that are cast."""
 
 from decimal import Decimal
 from typing import NamedTuple
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from exact import Answer, answers, oracle
 from hard_rays import around, picked, scene_points
-from random_scenes import MATERIALS, name, random_shape
+from random_scenes import KINDS, MATERIALS, name, random_shape
 
 from caster.cameras import Pinhole
 from caster.geometry.packing import Packed, pack
@@ -66,7 +66,7 @@ def rays_about(packed: Packed, rng: np.random.Generator) -> tuple[np.ndarray, np
     return o, (aim + astray - o) * 10.0 ** rng.uniform(-3.0, 3.0, (count, 1))
 
 
-@pytest.mark.parametrize("shape", SHAPES, ids=name)
+@pytest.mark.parametrize("shape", KINDS, ids=name)
 def test_intersect_agrees_with_exact_arithmetic(shape):
     rng = np.random.default_rng([70, SHAPES.index(shape)])
     total, kinds = np.zeros(3, int), set()

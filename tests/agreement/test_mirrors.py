@@ -42,10 +42,11 @@ def count_hits_where_mirrors_agree(scene: Scene, mirror: np.ndarray, o: np.ndarr
 
 @pytest.mark.parametrize("shape", SHAPES, ids=name)
 def test_a_mirror_keeps_t_and_mirrors_positions_and_normals(shape):
-    rng = np.random.default_rng([50, SHAPES.index(shape)])
+    place = SHAPES.index(shape)
+    rng = np.random.default_rng([50, place])
     hits = 0
-    for mirror in MIRRORS:
+    for mirror in (MIRRORS[place % 5], MIRRORS[(place + 2) % 5]):  # take turns
         scene = random_scene(rng, [shape], Pinhole, offset=rng.uniform(0.0, 10.0))
         for o, d in hard_rays(packed(scene), rng, 50).values():
             hits += count_hits_where_mirrors_agree(scene, np.array(mirror), o, d)
-    assert hits >= 500
+    assert hits >= 200

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from random_scenes import name, random_scene
+from random_scenes import KINDS, name, random_scene
 from same_bits import assert_same_bits
 from test_shadow_fans import hull_points
 
@@ -24,7 +24,7 @@ from caster.shapes import SHAPES, Sphere
 COUNT = 640
 PRIMITIVES = 10 * LEAF_SIZE  # at least, in a scene: a tree of some levels
 CUBE = next(shape for shape in SHAPES if name(shape) == "cube")
-WITH_TREES = [shape for shape in SHAPES if name(shape) != "plane"]
+WITH_TREES = [shape for shape in KINDS if name(shape) != "plane"]
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from random_scenes import name, random_scene
+from random_scenes import KINDS, name, random_scene
 
 from caster.cameras import Pinhole
 from caster.geometry.packing import packed
@@ -95,7 +95,7 @@ def lights(scene, arrays, rng, size):
 
 
 @pytest.mark.parametrize("size", [1.0, 1e-6, 1e5])
-@pytest.mark.parametrize("shape", SHAPES, ids=name)
+@pytest.mark.parametrize("shape", KINDS, ids=name)
 @pytest.mark.slow("three sizes of each kind", every=3)
 def test_fans_never_change_a_shadow(shape, size):
     rng = np.random.default_rng([90, list(SHAPES).index(shape), int(np.log10(size)) + 9])

@@ -1,7 +1,9 @@
 """The import contract. A wrong import is named with its file, its line and the rule it breaks."""
 
 import ast
+import functools
 import importlib
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -128,9 +130,15 @@ def breaks(rule: Rule, found: Any) -> bool:
     return rule.only is not None and not inside(found.name, rule.only)
 
 
+@functools.cache
+def tree() -> list[Any]:
+    """The sources as they are, read once for all tests."""
+    return architecture.read_sources(ROOT)
+
+
 def broken_rules(root: Path) -> list[str]:
     """One sentence for each import under `root` that a rule forbids, however many names it brings."""
-    sources = architecture.read_sources(root)
+    sources = tree() if root == ROOT else architecture.read_sources(root)
     broken = [
         f"{source.path.relative_to(root)}:{found.line}: imports {found.source}, but {reason}"
         for source in sources
@@ -185,6 +193,7 @@ def is_public(found: Any, sources: list[Any]) -> bool:
     return found.name in modules and names_in_all(modules[found.name].path) is not None
 
 
+@functools.cache
 def names_in_all(path: Path) -> frozenset[str] | None:
     """What a module lists in __all__; None where it has none."""
     for node in ast.parse(path.read_text(encoding="utf-8")).body:
@@ -204,7 +213,7 @@ def test_every_import_keeps_the_rules():
 
 def test_no_modules_import_one_another_in_a_circle():
     """Imports in functions and for type checkers counted."""
-    found = architecture.circles(architecture.graph_of(architecture.read_sources(ROOT)))
+    found = architecture.circles(architecture.graph_of(tree()))
     assert not found, "\n".join(["circles of imports:", *map(" ".join, found)])
 
 
@@ -227,17 +236,36 @@ def test_every_package_has_its_place_in_the_flow():
 
 def test_the_walk_reads_the_whole_tree():
     """A checker that looks into an empty folder is content with everything."""
-    door = next(each for each in architecture.read_sources(ROOT) if each.module == NUMBA_DOOR)
+    door = next(each for each in tree() if each.module == NUMBA_DOOR)
     assert "numba" in {found.name for found in door.imports}
 
 
 def test_what_the_rules_name_is_there():
     """A rule about a module that was renamed forbids nothing."""
-    modules = {source.module for source in architecture.read_sources(ROOT)}
+    modules = {source.module for source in tree()}
     named = {rule.where for rule in RULES} | {each.removesuffix(".*") for rule in RULES for each in rule.except_in}
     listed = {each for rule in RULES for each in rule.only or () if each.startswith(("caster.", "mitsuba_ref."))}
     assert named <= modules
     assert {each for each in listed if each not in modules and each.rpartition(".")[0] not in modules} == set()
+
+
+MAX_FILES = 260
+MAX_PACKAGE_LAYERS = 12
+MAX_SINGLE_IMPORTERS = 40
+
+
+def test_the_tree_stays_within_its_limits_and_the_page_shows_it(monkeypatch):
+    monkeypatch.setattr(architecture, "read_sources", lambda root=ROOT: tree())
+    found = architecture.figures()
+    assert found["crowded_packages"] == {}, "a package of more than 12 modules"
+    assert found["files"] <= MAX_FILES, "fold a fragment into the file of its subject"
+    assert found["package_layers"] <= MAX_PACKAGE_LAYERS
+    assert len(found["one_importer"]) <= MAX_SINGLE_IMPORTERS, found["one_importer"]
+    current = (ROOT / "docs/architecture.svg").read_text(encoding="utf-8") == architecture.picture()
+    assert current, "run python docs/architecture.py --svg docs/architecture.svg"
+    page = (ROOT / "docs/ARCHITECTURE.md").read_text(encoding="utf-8")
+    folders = re.findall(r"^\| `((?:caster|mitsuba_ref)/\w+)` \|", page, re.MULTILINE)
+    assert [folder.replace("/", ".") for folder in folders] == list(FLOW)
 
 
 # --- planted violations
@@ -379,7 +407,7 @@ def test_help_imports_neither_numba_nor_mitsuba(module, command):
 
 
 def test_every_public_name_is_there():
-    names = [source.module for source in architecture.read_sources()]
+    names = [source.module for source in tree()]
     modules = [importlib.import_module(name) for name in names if not name.endswith("__main__")]
     stated = [(module, name) for module in modules for name in getattr(module, "__all__", ())]
     missing = [f"{module.__name__}.{name}" for module, name in stated if not hasattr(module, name)]

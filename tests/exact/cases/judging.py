@@ -17,7 +17,7 @@ from caster.geometry.packing import Packed
 from caster.kernels.exact.numbers import AS_FLOAT_REL_ERROR
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 
-NORMALS = 24  # of each question's hits, spread over them: so many normals are worked out exactly
+NORMALS = 8  # of each question's hits, spread over them: so many normals are worked out exactly
 SHOWN = 5  # wrong rays in a message
 
 # `Root.off` rounds once, and so does a comparison's product.
