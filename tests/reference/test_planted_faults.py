@@ -58,7 +58,10 @@ SCREEN, TREE, PLACING = (
 )
 TILE, BUNDLE = "caster/kernels/raster/tile.py", "caster/kernels/bvh/traversal.py"
 
-VEC, WHOLE_TURN = "caster/kernels/math/vec.py", "return 0.0 if turn >= 1.0 else turn"
+ANGLES, WHOLE_TURN = (
+    "caster/kernels/math/angles.py",
+    "return min((whole + sense * 0.125 * eighths) + sense * TURNS_PER_RADIAN * rest, LAST_BELOW_ONE)",
+)
 
 ODD = "15", "15"  # pixel centres on the edges that faces share
 SEAMS = "33", "3"  # those of the middle row, on the seams
@@ -362,8 +365,16 @@ FAULTS = (
         "return right, cross(n, right)",
         "return right, cross(right, n)",
     ),
-    Fault("u of 1 in place of 0 on seams", "uv-seams", "uv", VEC, WHOLE_TURN, f"{WHOLE_TURN} or 1.0", SEAMS),
-    Fault("u of 1 less than a rounding beside seams", "uv-seams", "uv", VEC, WHOLE_TURN, "return turn", SEAMS),
+    Fault("u of 1 in place of 0 on seams", "uv-seams", "uv", ANGLES, WHOLE_TURN, f"{WHOLE_TURN} or 1.0", SEAMS),
+    Fault(
+        "u of 1 less than a rounding beside seams",
+        "uv-seams",
+        "uv",
+        ANGLES,
+        WHOLE_TURN,
+        "return (whole + sense * 0.125 * eighths) + sense * TURNS_PER_RADIAN * rest",
+        SEAMS,
+    ),
     Fault(
         "a disk's v of 1 on its seam",
         "uv-seams",
