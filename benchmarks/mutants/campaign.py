@@ -105,10 +105,10 @@ TESTS = (
 _COMPILED_TESTS = {
     "tests/unit": """
         bias bracket broad_phase camera_references candidate_aimed candidate_scene classification_table common_traits
-        defect_measurement description_round_trip diagnosis_table error_models exact_kernels explanations exr_files
+        defect_measurement description_round_trip error_models exact_kernels explanations exr_files
         exr_compare fuzz_findings judged_quantities bracket_rules generated_meshes_check shape_importers
         stated_tolerances
-        geometry_checked_in_both_precisions hypotheses_table independent_transform judge_at_extremes judge_checks
+        geometry_checked_in_both_precisions independent_transform judge_at_extremes judge_checks
         judge_parts knife_edges known_defects lambert_and_shadow_rays mesh_files_check pixel_explanations ray_camera
         ray_conventions registries report_arrays report_files result_schemas scaling scene_fuzz scene_options scene_rows
         stated_bounds stress surface_targets

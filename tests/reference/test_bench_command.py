@@ -18,7 +18,7 @@ from mitsuba_ref.reference.subprocess_runner import import_path
 from mitsuba_ref.reference.variants import usable_variants
 
 ASKED = ("ours", "scalar-aov", "scalar-loop")
-SIDE = 64
+SIDE = 32
 
 
 def test_a_small_image_is_timed_and_judged(tmp_path, monkeypatch, capsys):

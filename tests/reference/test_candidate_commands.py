@@ -68,7 +68,7 @@ def judged(send):
 # ---- right ----
 
 
-@pytest.mark.parametrize("name", ["cornell-box", "near-far-clip", "fisheye", "far-from-origin"])
+@pytest.mark.parametrize("name", ["near-far-clip", "fisheye", "far-from-origin"])
 def test_our_own_command_passes(judged, name):
     found = judged(RENDER, small(name))
     assert found.ok, failure_text(found)
@@ -176,9 +176,8 @@ def test_an_image_that_misses_everything_fails(judged, tmp_path):
 def test_an_image_whose_depth_is_off_by_a_hundred_thousandth_fails(judged, tmp_path):
     """What its own camera excuses is far less."""
     (tmp_path / "program.py").write_text(
-        "import subprocess, sys\nfrom caster.image.exr import read_exr, write_exr\n"
-        "subprocess.run([sys.executable, '-m', 'caster', 'render', sys.argv[1], '-o', sys.argv[2], '--aov', "
-        "'depth,normal'], check=True)\n"
+        "import sys\nfrom caster.__main__ import main\nfrom caster.image.exr import read_exr, write_exr\n"
+        "assert main(['render', sys.argv[1], '-o', sys.argv[2], '--aov', 'depth,normal']) == 0\n"
         "exr = read_exr(sys.argv[2]); exr.channels['depth.Z'] *= 1.00001; write_exr(sys.argv[2], exr.channels)\n"
     )
     found = judged(f"{PYTHON} {tmp_path / 'program.py'} {{toml}} {{exr}}", small("cornell-box"))

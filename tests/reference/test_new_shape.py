@@ -14,8 +14,8 @@ SENTENCE = (
 )
 SCENE = """
 [film]
-width = 24
-height = 20
+width = 12
+height = 10
 
 [camera]
 type = "pinhole"

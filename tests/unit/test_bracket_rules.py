@@ -28,7 +28,7 @@ FIRST = [0, 3, 4, 7]  # of three shapes
 SHAPE_OF = [0, 0, 0, 1, 2, 2, 2]
 IDENTICAL = [0, 0, 2, 3, 4, 5, 4]  # 1 has the bits of 0, 6 those of 4
 EDGES = ((0.0, 0, 0, 1, 0, 0), (0.0, 0, 0, 0, 1, 0), (-0.0, 0, 0, 1, -0.0, 0))
-RAYS = 1500
+RAYS = 600
 
 
 class Met(NamedTuple):

@@ -32,7 +32,7 @@ def test_every_possible_hit_ahead_is_near(kind):
     """Against every ray with every primitive: what float64 takes for possible holds all exact hits."""
     tried, hits = 0, 0
     for number, setting in enumerate(SETTINGS):
-        model, o, d = crowd(kind, [110, number], setting, 400)
+        model, o, d = crowd(kind, [110, number], setting, 150)
         count = len(model.boxes[0])
         ray, prim = (a.ravel() for a in np.meshgrid(np.arange(len(o)), np.arange(count), indexing="ij"))
         met = model.intersect(prim, o[ray], d[ray], KU_OURS, ours=True)
@@ -41,7 +41,7 @@ def test_every_possible_hit_ahead_is_near(kind):
         given = [r * count + p for r, p in BroadPhase(*model.boxes).pairs(o, d)]
         assert needed <= set(np.concatenate(given).tolist())
         tried, hits = tried + len(ray), hits + len(needed)
-    assert tried >= 1e5 and hits >= 1000
+    assert tried >= 4e4 and hits >= 350
 
 
 def test_each_ray_is_in_one_piece_only(monkeypatch):

@@ -74,7 +74,7 @@ def test_no_rounding_of_the_inputs_leaves_the_bound(kind, setting):
     """Each input moved by up to u of itself, and solved anew without any rounding."""
     pairs = pose(kind, SETTINGS[setting], [101, SINGLE.index(kind)])
     ours = pairs.name == "Planes"  # of a patch, the corners are rounded: see below
-    for repeat in range(4):
+    for repeat in range(2):
         off = rounding(np.random.default_rng([102, repeat]), U32)
         models = pairs.intersect(COUNTS[pairs.name] * U32, ours=ours)
         normals = pairs.intersect(NORMAL_COUNTS * U32, ours=ours)

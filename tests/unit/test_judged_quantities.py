@@ -6,19 +6,35 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from pixel_tables import INF, NAN, Z, intersections
 
 import caster
 from caster.aovs import Aovs
 from caster.description.errors import SceneError
 from caster.scene.model import Scene
+from mitsuba_ref.error_model.intersections import Intersections
 from mitsuba_ref.judge import aggregate, classification, diffuse
 from mitsuba_ref.judge.adjudication import Adjudication
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judgement
 from mitsuba_ref.judge.comparison import ImagePair, PixelPairs, SelfCheck, UvPair, check_allowances
-from mitsuba_ref.judge.diagnosis import NOT_ADJUDICATED, Cause, Diagnosis
 from mitsuba_ref.judge.verdict import CLASSES, ErrorStatistics, Extremes, KindBias, SceneVerdict, Verdict
 from mitsuba_ref.subjects.subject import Answer
+
+INF, NAN = np.inf, np.nan
+Z = (0.0, 0.0, 1.0)
+
+
+def intersections(t, t_error=0.0, n=Z, n_error=0.0, sh_n=Z, certain=True, possible=True) -> Intersections:
+    t = np.array(t, float)
+    count = len(t)
+
+    def rows(value, width=0):
+        return np.array(np.broadcast_to(value, (count, width) if width else count))
+
+    return Intersections(
+        t, rows(t_error), rows(n, 3), rows(n_error), rows(sh_n, 3), rows(0.0), rows(possible), rows(certain),
+        rows(0.0), rows(0.0, 3), rows(0.0),
+    )  # fmt: skip
+
 
 # ---- light
 
@@ -195,25 +211,6 @@ def judgement_of(classes, ratios=None, exact=None, cases=None, allowed=None, ans
     return Judgement(codes, arrays, allowed, Adjudication(rows, answers, given), cases or {}, 0.0)
 
 
-@pytest.mark.parametrize(
-    ("given", "lacking"),
-    [
-        ({"images": "all"}, ()),
-        ({"n": 1, "shape_id": 1}, ("position", "shading_normal", "uv", "diffuse")),
-        ({"n": 1}, ("position", "shading_normal", "uv", "shape_id", "diffuse")),
-        ({"shape_id": 1}, ("normal", "position", "shading_normal", "uv", "diffuse")),
-        ({}, ("normal", "position", "shading_normal", "uv", "shape_id", "diffuse")),
-        (
-            {"hits_only": True, "n": 1, "shape_id": 1},
-            ("depth", "normal", "position", "shading_normal", "uv", "shape_id", "diffuse"),
-        ),
-    ],
-)  # fmt: skip
-def test_quantities_that_a_subject_lacks(given, lacking):
-    answer = SimpleNamespace(**({"images": None, "hits_only": False, "n": None, "shape_id": None} | given))
-    assert aggregate.quantities_not_given(answer) == lacking
-
-
 def test_hits_and_failures_are_counted_by_class():
     judgement = judgement_of(["agree", "agree", "wrong", "undecided", "tie", "tie"], cases={0: None, 1: 8, 2: 8, 3: 30})
     counts = aggregate.class_counts(judgement, np.array([1, 0, 0, 1, 1, 0], bool))
@@ -230,90 +227,6 @@ def test_the_cameras_shapes_and_primitives_are_counted():
     camera = caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0))
     found = aggregate.scene_statistics(Scene(film=caster.Film(width=2, height=2), camera=camera, shapes=shapes))
     assert (found.camera, found.shapes, found.primitives) == ("pinhole", {"cube": 2, "sphere": 1}, 25)
-
-
-SCENE = Scene(
-    film=caster.Film(width=9, height=5, crop=(2, 1, 6, 4)), camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)),
-    shapes=[caster.Sphere()],
-)  # fmt: skip
-
-
-def test_causes_are_findings_with_the_place_of_their_first_pixel():
-    causes = (
-        Cause(NOT_ADJUDICATED, np.arange(9)), Cause("second", np.array([1, 2, 3]), 4, second=True),
-        Cause("few", np.array([5]), 7, "mend", "where"), Cause("many", np.array([6, 7])),
-    )  # fmt: skip
-    found = aggregate.findings(SimpleNamespace(scene=SCENE), Diagnosis(causes))
-    assert [(f.pixels, f.what, f.x, f.y, f.of, f.remedy, f.where) for f in found] == [
-        (2, "many", 4, 2, 0, "", ""), (1, "few", 3, 2, 7, "mend", "where"), (3, "second", 3, 1, 4, "", ""),
-        (9, NOT_ADJUDICATED, 2, 1, 0, "", ""),
-    ]  # fmt: skip
-
-
-@pytest.mark.parametrize("names_prims", [True, False])
-def test_failures_are_listed_one_of_each_cause_then_the_worst(monkeypatch, names_prims):
-    monkeypatch.setattr(aggregate, "failure_at", lambda judge, judgement, by_row, row: (row, by_row[row]))
-    monkeypatch.setattr(aggregate, "MAX_LISTED_FAILURES", 5)
-    ratios = {"a": [0.0, 9.0, 2.0, 7.0, 3.0, 8.0, 4.0, 0.0], "b": [0.0, 0.0, 8.5, 0.0, 0.0, 0.0, 0.0, 0.0]}
-    judgement = judgement_of(["agree", *["wrong"] * 6, "agree"], ratios)
-    causes = (Cause(NOT_ADJUDICATED, np.array([1, 2, 3])), Cause("one", np.array([4])), Cause("two", np.array([5, 6])))
-    found = aggregate.listed_failures(SimpleNamespace(names_prims=names_prims), judgement, Diagnosis(causes))
-    rows = [row for row, _ in found]
-    assert rows == [5, 4, 1, 2, 3]
-    assert dict(found)[5] == "two" and aggregate.worst_first(judgement, np.arange(1, 7)) == [1, 2, 5, 3, 6, 4]
-    judgement.ratios["a"][5:7] = judgement.ratios["a"][6:4:-1]  # the worse one of two is not the first
-    found = aggregate.listed_failures(SimpleNamespace(names_prims=names_prims), judgement, Diagnosis(causes))
-    assert found[0][0] == (6 if names_prims else 5)
-
-
-def test_pixels_fail_under_each_check_that_finds_more_than_it_allows():
-    judgement = judgement_of(
-        ["wrong", "wrong", "agree", "undecided", "wrong", "wrong"],
-        {"a": [3.0, 5.0, 9.0, 1.0, NAN, 0.6], "b": [0.5, 4.0, 0.0, 1.0, 0.0, 0.0]}, [INF, 0.0, 0.0, 0.0, 0.0, 0.5],
-        allowed={"a": 0.5},
-    )  # fmt: skip
-    found = {name: rows.tolist() for name, rows in aggregate.failing_by_check(judgement).items()}
-    assert {name: sorted(rows) for name, rows in found.items()} == {"a": [0, 1, 3, 4, 5], "b": [1], EXACT: [0]}
-    assert [row for row in found["a"] if row != 4] == [1, 0, 3, 5]
-    plain = judgement_of(["undecided", "wrong"], {"a": [0.5, 1.0]}, [1.0, 0.0])
-    assert {k: v.tolist() for k, v in aggregate.failing_by_check(plain).items()} == {EXACT: [0, 1]}
-    assert [aggregate.decisive_check(judgement, row) for row in (0, 1, 3, 5)] == ["a", "a", "a", "a"]
-    assert aggregate.decisive_check(judgement_of(["wrong"], {"a": [2.0], "b": [3.0]}, [9.0]), 0) == "b"
-    assert aggregate.decisive_check(judgement_of(["wrong"], {"a": [0.5], "b": [1.0]}, [9.0]), 0) == EXACT
-    assert aggregate.decisive_check(judgement_of(["wrong"], {"a": [0.5], "b": [1.0]}, [0.0]), 0) == "b"
-
-
-def test_a_failure_has_its_place_its_check_and_its_words(monkeypatch):
-    text = SimpleNamespace(subject="s", reference="r", exact="e")
-    monkeypatch.setattr(aggregate, "pixel_answers", lambda judge, judgement, row, check: text)
-    monkeypatch.setattr(aggregate, "full_reason", lambda judge, judgement, diagnosed, row: f"full {diagnosed[row]}")
-    monkeypatch.setattr(aggregate, "reason", lambda judge, judgement, diagnosed, row: f"plain {diagnosed[row]}")
-    judgement = judgement_of(["agree"] * 5 + ["undecided", "wrong"], {"a": [0.0] * 6 + [3.0], "b": [0.0] * 6 + [2.0]})
-    for names, check, ratio, word in ((True, "", 3.0, "full"), (False, "b", 2.0, "plain")):
-        judge = SimpleNamespace(scene=SCENE, names_prims=names)
-        found = aggregate.failure_at(judge, judgement, {6: "why"}, 6, check)
-        assert (found.x, found.y, found.verdict, found.check, found.ratio) == (4, 2, "wrong", check or "a", ratio)
-        assert (found.subject, found.reference, found.exact, found.reason) == ("s", "r", "e", f"{word} why")
-
-
-@pytest.mark.parametrize(
-    ("classes", "ratios", "precision", "hints", "said"),
-    [
-        (["wrong", "agree"], [2.0**28, INF], "float64", (), True),
-        (["wrong", "agree"], [2.0**28 + 1, 0.0], "float64", (), False),
-        (["wrong", "wrong"], [2.0, INF], "float64", (), False), (["wrong"], [2.0], "float32", (), False),
-        (["wrong"], [2.0], "float64", ("other",), False), (["undecided"], [2.0], "float64", (), False),
-        (["agree"], [2.0], "float64", ("other",), None),
-    ],
-)  # fmt: skip
-def test_a_hint_of_float32_where_that_would_do(classes, ratios, precision, hints, said):
-    found = aggregate.failure_hints(
-        SimpleNamespace(hints=hints, precision=precision), judgement_of(classes, None, ratios)
-    )
-    if said:
-        assert len(found) == 1 and found[0].endswith("if that will do: --candidate-precision float32")
-    else:
-        assert found == (() if said is None else hints)
 
 
 # ---- statistics of errors

@@ -74,7 +74,7 @@ def damaged_scenes(draw):
     return data
 
 
-@settings(derandomize=True, deadline=None, max_examples=400)
+@settings(derandomize=True, deadline=None, max_examples=150)
 @given(damaged_scenes())
 def test_a_damaged_scene_is_a_scene_or_is_reported_in_the_words_of_the_field(data):
     try:

@@ -1,5 +1,6 @@
 """Everything that a scene file can say is in a shipped scene or drawn by the fuzzer, so that a judge looks at it."""
 
+import functools
 from pathlib import Path
 from typing import Literal
 
@@ -27,17 +28,29 @@ def options_of(scene):
 
 @pytest.fixture(scope="module")
 def shipped():
-    return {option for path in sorted(Path("scenes").glob("*.toml")) for option in options_of(load_scene(path))}
+    return set().union(*(options for _, options in of_folder()))
 
 
 @pytest.fixture(scope="module")
 def drawn():
-    return {
-        option
-        for family in FAMILIES
-        for number in range(EXAMPLES_OF_OPTIONS if family.name == "options" else EXAMPLES)
-        for option in options_of(scene_of(example(0, number, [family]).data))
-    }
+    families = [family for family in FAMILIES if family.name != "options"]
+    scenes = (scene_of(example(0, number, [family]).data) for family in families for number in range(EXAMPLES))
+    return {option for scene in scenes for option in options_of(scene)}.union(*(each for _, each in of_family()))
+
+
+@functools.cache
+def of_family():
+    """What `options` draws, with the options of each."""
+    (family,) = (each for each in FAMILIES if each.name == "options")
+    scenes = [scene_of(example(0, number, [family]).data) for number in range(EXAMPLES_OF_OPTIONS)]
+    return [(scene, options_of(scene)) for scene in scenes]
+
+
+@functools.cache
+def of_folder():
+    """Shipped scenes, with the options of each."""
+    scenes = [load_scene(path) for path in sorted(Path("scenes").glob("*.toml"))]
+    return [(scene, options_of(scene)) for scene in scenes]
 
 
 def missing(wanted, found):
@@ -104,9 +117,6 @@ def test_a_new_option_is_demanded_by_its_name(option):
     ],
 )
 def test_without_the_scenes_that_have_it_an_option_is_named(leave_out, named):
-    paths = sorted(Path("scenes").glob("*.toml"))
-    family = next(each for each in FAMILIES if each.name == "options")
-    scenes = [load_scene(path) for path in paths]
-    scenes += [scene_of(example(0, number, [family]).data) for number in range(60)]
-    found = {option for scene in scenes if not leave_out(scene) for option in options_of(scene)}
+    scenes = [*of_folder(), *of_family()]
+    found = set().union(*(options for scene, options in scenes if not leave_out(scene)))
     assert any(named in option for option in missing([*demanded(Scene), *demanded_aspects(Scene)], found))

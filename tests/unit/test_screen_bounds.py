@@ -46,7 +46,7 @@ CAMERAS = {
     "parabolic": Parabolic(**POSE),
 }
 BOUND_MARGIN_PIXELS = 2.0**-10  # pixels, as in screen_bounds.py: what roundings may take
-COUNT = 800
+COUNT = 400
 
 
 def met_balls(camera: Any, rng: np.random.Generator, reach: float) -> Any:
