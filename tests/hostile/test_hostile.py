@@ -16,7 +16,7 @@ from caster.cli.shared_arguments import InputPath
 HERE = Path(__file__).resolve().parent
 
 
-@pytest.mark.parametrize(("seed", "share"), [(1, 40), (2, 100)])
+@pytest.mark.parametrize(("seed", "share"), [(1, 20), (2, 100)])
 @pytest.mark.slow("a hundred commands, each a process", keep=1)
 def test_a_share_of_the_cases(seed, share):
     """Of other seeds than that of `make hostile`."""

@@ -876,7 +876,7 @@ def validate(forks, tree, scene, size, check=None):
 
 
 @pytest.mark.parametrize(("scene", "width", "height"), CASES)
-@pytest.mark.slow("each judges in plain Python", keep=4)
+@pytest.mark.slow("each judges in plain Python", keep=2)
 def test_without_a_fault_the_scene_passes(forks, unedited, coarse_scenes, scene, width, height):
     found = validate(forks, unedited, coarse_scenes / f"{scene}.toml", (width, height), check="any other")
     assert (found.returncode, said_beside_progress(found)) == (0, []), found.stdout
@@ -972,7 +972,7 @@ SEEN_IN_PICTURES = (
 
 
 @pytest.mark.parametrize(("what", "quantity"), SEEN_IN_PICTURES)
-@pytest.mark.slow("each renders in plain Python", keep=3)
+@pytest.mark.slow("each renders in plain Python", keep=2)
 def test_compare_fails_on_what_a_faulty_caster_renders(forks, tree, tmp_path, pictures, what, quantity):
     (fault,) = (fault for fault in FAULTS if fault.what == what)
     edit(tree, fault.file, fault.old, fault.new)
