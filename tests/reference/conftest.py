@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from edited_tree import ROOT, Forks, copy_tree
+from forked_runs import ask_once
 
 from caster.scene.model import Scene
 from mitsuba_ref.judge.classification import Judge, scene_judge
@@ -48,12 +49,27 @@ def unedited(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def forks(tmp_path_factory: pytest.TempPathFactory, unedited: Path) -> Iterator[Forks]:
-    """Runs commands; the processes of one session share what Mitsuba answered."""
+def answers(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder for what Mitsuba answered in this session, which its processes share."""
     base = tmp_path_factory.getbasetemp()
     memory = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "answers"
     memory.mkdir(exist_ok=True)
-    forks = Forks(tmp_path_factory.mktemp("words"), memory, home=unedited)
+    return memory
+
+
+@pytest.fixture(scope="module")
+def remembered(answers: Path) -> Iterator[None]:
+    """Commands of this process and its forks ask Mitsuba once about the same rays through the same scene."""
+    put = ResidentSession.send
+    ask_once(answers)
+    yield
+    ResidentSession.send = put  # type: ignore[method-assign]
+
+
+@pytest.fixture(scope="session")
+def forks(tmp_path_factory: pytest.TempPathFactory, unedited: Path, answers: Path) -> Iterator[Forks]:
+    """Runs commands; the processes of one session share what Mitsuba answered."""
+    forks = Forks(tmp_path_factory.mktemp("words"), answers, home=unedited)
     yield forks
     forks.close()
 

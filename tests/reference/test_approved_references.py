@@ -10,15 +10,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from forked_runs import ask_once
 
 from caster.image.exr import read_exr, write_exr
 from caster.system import processor
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.exr_compare.approved_reference import AOVS, CLASS_CHANNEL, PROCESSOR, channel_changes, load_reference
 from mitsuba_ref.judge.verdict import CLASSES
-from mitsuba_ref.reference.mitsuba_process import ResidentSession
 
+pytestmark = pytest.mark.usefixtures("remembered")
 BALL = """# A ball.
 [film]
 width = 12
@@ -38,15 +37,6 @@ radius = 1.3
 """
 MESH = BALL.partition("[[shape]]")[0] + '[[shape]]\ntype = "mesh"\nfile = "tile.obj"\n'
 TILE = "v -1 -1 0\nv 1 -1 {z}\nv 0 1 0\nf 1 2 3\n"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def remembered(tmp_path_factory):
-    """Mitsuba is asked once about the same rays through the same scene."""
-    put = ResidentSession.send
-    ask_once(tmp_path_factory.mktemp("answers"))
-    yield
-    ResidentSession.send = put
 
 
 @pytest.fixture(scope="module")

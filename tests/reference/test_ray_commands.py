@@ -10,6 +10,7 @@ import pytest
 
 from mitsuba_ref.__main__ import main
 
+pytestmark = pytest.mark.usefixtures("remembered")
 EXAMPLES = Path(__file__).parents[2] / "docs/rays-and-hits"
 SCENE = """
 [film]

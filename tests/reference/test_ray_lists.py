@@ -15,6 +15,8 @@ from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import camera_axes
 from mitsuba_ref.runner import many_scenes
 
+pytestmark = pytest.mark.usefixtures("remembered")
+
 # Numbers are float32 ones, so that what our caster casts is what is judged.
 SCENE = """
 [film]
