@@ -1,5 +1,6 @@
 """The pages of docs/: what is made from sources is up to date, what they name is there, every page can be found."""
 
+import ast
 import importlib.util
 import re
 from pathlib import Path
