@@ -24,6 +24,7 @@ from mitsuba_ref.error_model.intersections import (
     stacked_columns,
     unit,
 )
+from mitsuba_ref.error_model.tolerances import K
 from mitsuba_ref.oracle.exact_planar import TRIANGLES
 
 # Where the relative error of n.d reaches this, float32 does not resolve on which side of edge-on the ray passes.
@@ -141,7 +142,9 @@ def _t_error(
     """(bound on the error of t, whether float32 resolves the crossing at all).
 
     Three sources: the corners' rounding moves the plane (displacement); the normal's rounding tilts it about the
-    first corner (lever); and n.d itself is only known to rho of its value.
+    first corner (lever); and n.d itself is only known to rho of its value. A corner that is moved by e changes N.d by
+    e . (opposite edge x d). Each is rounded once as it is seen from the ray's origin, and not K times: this tilt of the
+    plane is most of rho where a triangle is seen edge-on from afar.
     """
     a, b, c = corners
     steepness = np.abs(dot(n, d))
@@ -150,7 +153,9 @@ def _t_error(
     share = [np.abs(weights[:, j : j + 1]) * np.abs(corner) for j, corner in enumerate(corners)]
     displacement = dot(np.abs(n), sum(share) + np.abs(a) + reach)
     lever = dot(np.abs(t[:, None] * d - a), spread)
-    rho = ku * (dot(np.abs(n), np.abs(d)) + dot(np.abs(d), spread)) / steepness
+    opposite = ((a, b - c), (b, c - a), (c, a - b))
+    tilt = sum(dot(np.abs(corner), np.abs(cross(edge, d))) for corner, edge in opposite) / area
+    rho = ku * (dot(np.abs(n), np.abs(d)) + dot(np.abs(d), spread) + tilt / K) / steepness
     resolvable = rho < UNRESOLVABLE
     return ku * ((displacement + lever) / steepness + np.abs(t)) / (1.0 - np.minimum(rho, UNRESOLVABLE)), resolvable
 

@@ -1,5 +1,6 @@
 """The error models bound what they say they bound, and not much more: against decimals of 60 digits."""
 
+import itertools
 from collections.abc import Iterator
 from decimal import localcontext
 from typing import Any
@@ -15,6 +16,7 @@ from mitsuba_ref.error_model.tolerances import KU, KU_OURS, U32
 from mitsuba_ref.shapes import plane
 from mitsuba_ref.shapes.cylinder import mitsuba_accepts_matrix
 from mitsuba_ref.shapes.plane import PATCH_FACES, _face_of_hit, as_triangles
+from mitsuba_ref.shapes.surface_errors import UNRESOLVABLE
 
 SINGLE = [kind for kind in KINDS if kind != "meshes"]  # kinds with one primitive a shape
 SETTINGS = {
@@ -83,6 +85,27 @@ def test_no_rounding_of_the_inputs_leaves_the_bound(kind, setting):
             assert max(shares(twice, met).values()) <= 1.0
             assert not (at.certain & ~met.hit).any()
             assert not (met.hit & ~at.possible).any()
+
+
+CORNER_SIGNS = np.array(list(itertools.product([-1.0, 1.0], repeat=9))).reshape(-1, 3, 3)
+
+
+@pytest.mark.parametrize("setting", ["far", "edge-on"])
+def test_where_a_triangle_is_resolved_no_rounding_of_its_corners_turns_it_edge_on(setting):
+    """N.d is linear in each number of the corners as the origin sees them: it is extreme where all of them are."""
+    pairs = pose("triangles", SETTINGS[setting], [108])
+    (at,) = pairs.intersect(KU)
+    corners, d = pairs.prims.vertices[pairs.prims.faces[pairs.k]] - pairs.o[:, None], pairs.d
+
+    def slope(a, b, c):
+        return np.einsum("ij,ij->i", np.cross(b - a, c - a), d)
+
+    exact = slope(*corners.transpose(1, 0, 2))
+    moved = [corners * (1.0 + U32 * signs) for signs in CORNER_SIGNS]
+    off = np.max([np.abs(slope(*each.transpose(1, 0, 2)) - exact) for each in moved], axis=0) / np.abs(exact)
+    resolved = np.isfinite(at.t_error)
+    assert (off[resolved] < UNRESOLVABLE).all()
+    assert resolved.sum() >= 100 and np.sum(off > (0.1 if setting == "far" else 1.0)) >= 10
 
 
 @every_kind
