@@ -178,12 +178,6 @@ def by_normal(_prims: Any, _k: np.ndarray, n: np.ndarray, _o: np.ndarray, _d: np
     return key
 
 
-def by_corner(axis: int, prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
-    """Faces on rings and grids: what is rounded is one coordinate of many corners, relative to the ray's origin."""
-    corner: np.ndarray = np.abs(prims.vertices[prims.faces[k, 0], axis])
-    return corner[:, None]
-
-
 def by_matrix(prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
     """Through a matrix: what is rounded is its inverse; a mirror image's has the same magnitudes."""
     key: np.ndarray = np.abs(prims.to_world[k].reshape(len(k), 9))

@@ -86,6 +86,7 @@ class TraceResponse:
         "sh_n": ((3,), np.float32),
         "p": ((3,), np.float32),
         "uv": ((2,), np.float32),
+        "prim_uv": ((2,), np.float32),
         "shape": ((), np.int32),
         "prim": ((), np.int32),
         "albedo": ((3,), np.float32),
@@ -96,6 +97,7 @@ class TraceResponse:
     sh_n: np.ndarray  # (n, 3) float32, shading normal
     p: np.ndarray  # (n, 3) float32
     uv: np.ndarray  # (n, 2) float32
+    prim_uv: np.ndarray  # (n, 2) float32, where on a triangle: barycentrics b1, b2, of which p is made
     shape: np.ndarray  # (n,) int32, index into names; of the instance where an instance was hit
     prim: np.ndarray  # (n,) int32
     names: list[str]  # ids of the shapes, as in the XML

@@ -162,7 +162,8 @@ def _trace_scalar(scene: Any, request: TraceRequest) -> dict[str, np.ndarray]:
     found = _misses(len(request.o), len(emitters))
     index = {shape: i for i, shape in enumerate(scene.shapes())}
     for start in range(0, len(request.o), SCALAR_RAYS_PER_CHUNK):
-        rows, hits = _scalar_hits(scene, request, slice(start, start + SCALAR_RAYS_PER_CHUNK))
+        rows, places, hits = _scalar_hits(scene, request, slice(start, start + SCALAR_RAYS_PER_CHUNK))
+        found["prim_uv"][rows] = _array_of(places, 2)
         _store_scalar_surface(found, rows, hits, index)
         if request.lights:
             found["albedo"][rows] = _array_of((si.bsdf().eval_diffuse_reflectance(si) for si in hits), 3)
@@ -182,17 +183,19 @@ def _misses(rays: int, lights: int) -> dict[str, np.ndarray]:
     return found
 
 
-def _scalar_hits(scene: Any, request: TraceRequest, chunk: slice) -> tuple[list[int], list[Any]]:
-    """Rows of the rays of one chunk that hit, and their surface interactions."""
-    rows, hits = [], []
-    ray, intersect = mi.Ray3f, scene.ray_intersect
+def _scalar_hits(scene: Any, request: TraceRequest, chunk: slice) -> tuple[list[int], list[Any], list[Any]]:
+    """Rows of the rays of one chunk that hit, with where on a primitive, and their surface interactions."""
+    rows, places, hits = [], [], []
+    make_ray, intersect, flags = mi.Ray3f, scene.ray_intersect_preliminary, int(mi.RayFlags.All)
     numbers = (array[chunk].tolist() for array in (request.o, request.d, request.t_max))
     for i, (o, d, t_max) in enumerate(zip(*numbers, strict=True), chunk.start):
-        si = intersect(ray(o, d, t_max, 0.0, []))
-        if si.is_valid():
+        ray = make_ray(o, d, t_max, 0.0, [])
+        pi = intersect(ray)
+        if pi.is_valid():
             rows.append(i)
-            hits.append(si)
-    return rows, hits
+            places.append(pi.prim_uv)
+            hits.append(pi.compute_surface_interaction(ray, flags))
+    return rows, places, hits
 
 
 def _store_scalar_surface(
@@ -242,12 +245,13 @@ def _trace_llvm(scene: Any, request: TraceRequest) -> dict[str, np.ndarray]:
     count = len(request.o)
     o, d = (_to_drjit(array) for array in (request.o, request.d))
     ray = mi.Ray3f(mi.Point3f(o), mi.Vector3f(d), mi.Float(request.t_max), mi.Float(0.0), mi.Color0f())
-    si = scene.ray_intersect(ray, int(mi.RayFlags.All), True)  # coherent: a hint that changes no bit
+    pi = scene.ray_intersect_preliminary(ray, coherent=True)  # a hint that changes no bit
+    si = pi.compute_surface_interaction(ray, int(mi.RayFlags.All))
     hit = si.is_valid()
     albedo = si.bsdf().eval_diffuse_reflectance(si, hit) if request.lights else mi.Color3f(0.0)
     lights = [_llvm_light(scene, emitter, si, hit) for emitter in (scene.emitters() if request.lights else [])]
-    dr.eval(si, hit, albedo, lights)
-    return _llvm_surface(scene, si, hit, count) | _llvm_lighting(albedo, lights, hit, count)
+    dr.eval(pi, si, hit, albedo, lights)
+    return _llvm_surface(scene, pi, si, hit, count) | _llvm_lighting(albedo, lights, hit, count)
 
 
 def _llvm_light(scene: Any, emitter: Any, si: Any, hit: Any) -> tuple[Any, Any]:
@@ -257,8 +261,8 @@ def _llvm_light(scene: Any, emitter: Any, si: Any, hit: Any) -> tuple[Any, Any]:
     return rgb, hit & ~scene.ray_test(si.spawn_ray_to(ds.p), hit)
 
 
-def _llvm_surface(scene: Any, si: Any, hit: Any, count: int) -> dict[str, np.ndarray]:
-    vectors = {"n": si.n, "sh_n": si.sh_frame.n, "p": si.p, "uv": si.uv}
+def _llvm_surface(scene: Any, pi: Any, si: Any, hit: Any, count: int) -> dict[str, np.ndarray]:
+    vectors = {"n": si.n, "sh_n": si.sh_frame.n, "p": si.p, "uv": si.uv, "prim_uv": pi.prim_uv}
     prim = dr.select(hit, mi.Int32(si.prim_index), -1)
     return {
         "t": _column(si.t, count),

@@ -1,6 +1,7 @@
 """Verdicts for the terminal: one row per scene, failures with the next command, and a summary."""
 
 from collections.abc import Callable, Iterator, Sequence
+from statistics import median
 from textwrap import wrap
 from urllib.parse import quote
 
@@ -10,6 +11,7 @@ from mitsuba_ref.judge.defect_lookup import defect_name
 from mitsuba_ref.judge.diagnosis import NOT_ADJUDICATED
 from mitsuba_ref.judge.verdict import (
     AGREE,
+    BIAS_OF_POSITION,
     CLASSES,
     EXPECTED,
     REFERENCE_WRONG,
@@ -272,7 +274,7 @@ def left_out_lines(verdict: Verdict) -> Iterator[str]:
 
 
 def _error_lines(verdict: Verdict) -> Iterator[str]:
-    """The largest error of t in roundings, of the K that are allowed, and the largest bias."""
+    """The largest error of t in roundings, of the K that are allowed, the largest bias, and what the CPU adds to t."""
     found = [(scene.name, scene.statistics) for scene in verdict.scenes if scene.statistics is not None]
     if any(errors.pixels for _, errors in found):
         name, largest = max(found, key=lambda item: item[1].k_t.largest)
@@ -280,6 +282,13 @@ def _error_lines(verdict: Verdict) -> Iterator[str]:
         yield (
             f"errors:     of t at most {largest.k_t.largest:.2f} of {K:g} roundings ({name}); "
             f"bias at most |z| {abs(bias.z):.1f} of {LARGEST_Z:g} ({leaning})"
+        )
+    kinds = [kind for _, errors in found for kind in errors.biases if kind.enough_groups]
+    off = [kind.t_bias for kind in kinds if kind.quantity == BIAS_OF_POSITION]
+    if off:
+        yield (
+            f"machine:    Mitsuba's t of triangles is off by {median(off):+.2f} roundings on average: "
+            "how its CPU inverts numbers, and no fault"
         )
 
 

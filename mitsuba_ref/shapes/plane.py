@@ -282,6 +282,7 @@ PLANES = PrimitiveReference(
     on_planes,
     describe_surface=describe_plane_surface,
     rounding_groups=(by_normal,),
+    position_terms=lambda part, k, weights, p: np.abs(p),  # corners of a patch are about as far away as the hit
     known_defects=(STARTS_ON_FLAT, GRAZED_FLAT),
     defect_view=view_plane,
 )

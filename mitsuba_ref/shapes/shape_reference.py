@@ -73,6 +73,10 @@ def note_normal_side(xml: XmlShape, flipped: bool) -> None:
 
 Fields = dict[str, Any]  # of a shape, as a scene file gives them
 
+# (arrays, k (m,), Mitsuba's barycentrics (m, 3) and position (m, 3)) -> (m, 3) magnitudes that it adds up to each
+# coordinate of its position
+PositionTerms = Callable[[Any, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
 
 def as_packed(part: Any, o: np.ndarray, d: np.ndarray) -> Any:
     """Mitsuba traces the packed numbers themselves."""
@@ -130,6 +134,9 @@ class PrimitiveReference:
     # ways in which one rounding of the reference may be common to many pixels; by its LLVM variant, None: the same
     rounding_groups: Sequence[GroupKey] = (single_group,)
     rounding_groups_llvm: Sequence[GroupKey] | None = None
+
+    # of a kind that Mitsuba traces as triangles: its positions are tested for a bias; None: its t are
+    position_terms: PositionTerms | None = None
 
     # what Mitsuba is known to get wrong about this kind, and the measurements by which it is recognised
     known_defects: tuple[KnownDefect, ...] = ()

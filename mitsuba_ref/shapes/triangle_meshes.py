@@ -7,7 +7,6 @@ corners, and far from the origin the two differ; mirrored, their geometric norma
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from fractions import Fraction
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -41,7 +40,7 @@ from mitsuba_ref.error_model.independent_transform import (
     exactly,
     transformed_normals,
 )
-from mitsuba_ref.error_model.intersections import by_corner, by_normal
+from mitsuba_ref.error_model.intersections import by_normal
 from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes.generated_meshes import (
@@ -140,6 +139,11 @@ def numbers_of_triangle(part: Triangles, k: int) -> list[np.ndarray]:
     return [part.vertices[corners], smooth, textured, *rest, *([part.uv[corners]] if textured else [])]
 
 
+def corners_by_barycentrics(part: Triangles, k: np.ndarray, weights: np.ndarray, p: np.ndarray) -> np.ndarray:
+    terms: np.ndarray = np.einsum("ij,ijk->ik", np.abs(weights), np.abs(part.vertices[part.faces[k]]))
+    return terms
+
+
 NO_AREA = KnownDefect(
     21, "a triangle without any area that Embree's robust mode hits all the same", 3, "named", lambda m: m.without_area
 )
@@ -183,7 +187,8 @@ TRIANGLES = PrimitiveReference(
     describe_triangle,
     on_triangles,
     numbers=numbers_of_triangle,
-    rounding_groups=(by_normal, *(partial(by_corner, axis) for axis in range(3))),
+    rounding_groups=(by_normal,),
+    position_terms=corners_by_barycentrics,
     known_defects=(
         STARTS_ON_FLAT,
         NO_AREA,

@@ -4,6 +4,8 @@ Faults are planted in what ours is traced from, or along which rays; the referen
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,12 +20,13 @@ from caster.rendering.hits import RayHits, trace_rays
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref import validate
+from mitsuba_ref.error_model.bounds import reference_bounds
 from mitsuba_ref.error_model.scene_model import SceneModel
-from mitsuba_ref.error_model.tolerances import LARGEST_Z, K
+from mitsuba_ref.error_model.tolerances import LARGEST_Z, U32, K
 from mitsuba_ref.judge.aggregate import check_bias, error_statistics, pixel_errors
 from mitsuba_ref.judge.classification import Judge
 from mitsuba_ref.judge.comparison import compare, pair_images
-from mitsuba_ref.judge.verdict import ErrorStatistics
+from mitsuba_ref.judge.verdict import ErrorStatistics, KindBias
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import SendRequest
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
@@ -66,6 +69,19 @@ class Asked:
             prims.radius[:] *= 1.0 + share
 
         return self.altered(grow)
+
+    def farther(self, share: float, witness: ReferenceResult | None = None) -> ErrorStatistics:
+        """Of our t as they are, but larger by this share of themselves, and of another answer of Mitsuba's if given."""
+        answer = answer_of_view(self.scene, self.view)
+        answer = replace(answer, t=answer.t * (1.0 + share))
+        pair = pair_images(self.scene, self.rays, answer, witness or self.witness)
+        bounds = reference_bounds(self.model, answer.prim, *(a.astype(np.float64) for a in self.rays[:2]), answer.t)
+        return error_statistics([pixel_errors(self.packed, pair, bounds)])
+
+    @cached_property
+    def view(self) -> RayHits:
+        """Ours, as it is."""
+        return cast_ours(self.scene, self.rays)
 
     def shifted(self, pixels: float) -> RayHits:
         """Pixel centres to the side by so many pixels; rays in float32 as ever."""
@@ -150,6 +166,59 @@ def test_pixel_centres_off_by_a_thousandth_are_beyond_the_bound_at_most_hits(bal
     assert found.mean() > 0.5 and len(found) >= 30_000
 
 
+def bias_of(found: ErrorStatistics, quantity: str) -> KindBias | None:
+    """Of the kind that is traced as triangles, or of one whose t is tested; None if it has too few groups."""
+    return next((each for each in found.biases if each.quantity == quantity and each.enough_groups), None)
+
+
+def test_no_reciprocal_is_blamed_on_ours_and_faults_of_both_signs_are_found_all_the_same(send):
+    """Over 9 / 512 Embree divides throughout this map. No float32 is nearer to 1 / 9 than by an eighth of a rounding,
+    so its t are biased on every CPU: by +0.19 with AVX-512 and by -1.03 without, of z +6.0 and -6.4 in groups of t."""
+    asked = Asked(send, "map-from-above", 160, 120)
+    found = {share: bias_of(asked.farther(share), "position") for share in (0.0, 1e-8, -1e-8)}
+    print(f"\nmap: {found}")
+    assert abs(found[0.0].t_bias) > 0.1 and abs(found[0.0].z) < UNFAULTED_Z and found[0.0].groups >= 5000
+    assert found[1e-8].z < -10.0 * LARGEST_Z and found[-1e-8].z > 10.0 * LARGEST_Z
+
+
+@pytest.mark.parametrize("roundings", [-2.5, 1.0])
+def test_a_bias_of_mitsubas_t_of_triangles_is_recorded_and_no_failure(send, roundings):
+    """As an instruction set may have that is not at hand: nothing but the record changes."""
+    asked = Asked(send, "torus-smooth", 160, 120)
+    right = bias_of(asked.farther(0.0), "position")
+    witness = replace(asked.witness, t=asked.witness.t * (1.0 + roundings * U32))
+    found = asked.farther(0.0, witness)
+    assert bias_of(found, "position").z == pytest.approx(right.z, abs=0.1) and check_bias(found).ok
+    assert bias_of(found, "position").t_bias - right.t_bias == pytest.approx(roundings, abs=0.05)
+
+
+def test_a_bias_of_mitsubas_t_of_spheres_is_one_still(ball):
+    found = ball.farther(0.0, replace(ball.witness, t=ball.witness.t * (1.0 - 1.0 * U32)))
+    assert bias_of(found, "position") is None
+    assert bias_of(found, "t").z < -10.0 * LARGEST_Z and not check_bias(found).ok
+
+
+# Where nothing is wrong, on any instruction set: chance goes beyond it once in 1500 times (2 exp(-4^2 / 2)).
+UNFAULTED_Z = 4.0
+# Scenes in which a bias of t of 1e-8 is not significant: positions are rounded to 1e4 times as much; 32 and 37 groups.
+TOO_LITTLE_TO_TELL = {"far-from-origin", "parabolic", "shifted-view"}
+
+
+@pytest.mark.slow("every shipped scene", every=9)
+@pytest.mark.parametrize("name", sorted(path.stem for path in (ROOT / "scenes").glob("*.toml")))
+def test_ours_off_by_a_hundred_millionth_is_a_bias_and_right_it_is_none(send, name):
+    """In each scene with enough groups of triangles."""
+    scene = load_scene(ROOT / "scenes" / f"{name}.toml")
+    asked = Asked(send, name, scene.film.width, scene.film.height)
+    found = [asked.farther(share) for share in (0.0, 1e-8, -1e-8)]
+    right, farther, nearer = (bias_of(each, "position") for each in found)
+    assert abs(found[0].z) < UNFAULTED_Z, found[0].biases
+    if right is not None and farther is not None and nearer is not None:
+        print(f"\n{name}: z {right.z:.1f}, {farther.z:.1f}, {nearer.z:.1f} of {right.groups}; t {right.t_bias:+.3f}")
+        detected = farther.z < -LARGEST_Z and nearer.z > LARGEST_Z
+        assert detected or name in TOO_LITTLE_TO_TELL
+
+
 @pytest.mark.parametrize(("share", "biased"), [(0.0, False), (3e-8, True)])
 def test_a_mesh_that_is_nearer_by_less_than_float32_resolves_is_a_bias(send, share, biased):
     """Each face has an error of its own, for all rays; there are enough faces that these have to cancel."""
@@ -167,25 +236,14 @@ def test_a_mesh_that_is_nearer_by_less_than_float32_resolves_is_a_bias(send, sha
 
 
 # Between them, every kind of primitive. The whole of each scene, in full size, is what `make validate` looks at.
-# The largest k of t and of the normal when this was written.
-ERRORS = {
-    "every-shape": (1.07, 1.07),
-    "ellipsoids": (0.66, 0.29),
-    "cylinders": (0.51, 0.21),
-    "flat-shapes": (0.83, 0.48),
-}
-
-
-@pytest.mark.parametrize("name", ERRORS)
+@pytest.mark.parametrize("name", ["every-shape", "ellipsoids", "cylinders", "flat-shapes"])
 def test_of_the_right_caster_every_pixel_is_far_within_k(send, name):
     asked = Asked(send, name, 64, 48)
     judge = asked.judge(cast_ours(asked.scene, asked.rays))
     found = error_statistics([pixel_errors(asked.packed, judge.pair, judge.bounds)])
     print(f"\n{name}: {found}")
     assert not beyond(judge).any() and found.pixels >= 0.98 * len(beyond(judge)) >= 800
-    t, normal = ERRORS[name]
-    # Embree takes other paths on other processors, and few pixels miss the worst: only the size is a fact.
-    assert 0.4 * t <= found.k_t.largest <= 1.5 * t < K and found.k_normal.largest <= 1.5 * normal < K
+    assert 0.0 < found.k_t.largest <= 0.5 * K and 0.0 < found.k_normal.largest <= 0.5 * K
     assert found.k_t.p99 <= found.k_t.largest and 10.0 <= found.looseness <= 100.0
     assert abs(found.z) < LARGEST_Z
 

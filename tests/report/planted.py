@@ -99,6 +99,7 @@ def rounded_answer(asked: Scene, job: TraceRequest) -> TraceResponse:
         sh_n=single["sh_n"],
         p=single["p"],
         uv=np.asarray(surfaces.uv, np.float32),
+        prim_uv=np.zeros((count, 2), np.float32),
         shape=view.shape_id.astype(np.int32),
         prim=view.prim_id.astype(np.int32),
         names=shape_ids(asked),

@@ -1,4 +1,4 @@
-"""z of groups of errors: what chance gives, what leaning gives, and who has too few groups to tell."""
+"""z of groups of errors: what chance gives, what a bias gives, and who has too few groups to tell."""
 
 import json
 import math
@@ -17,7 +17,6 @@ from mitsuba_ref.error_model.intersections import (
     SAME_NORMAL_TOLERANCE,
     by_approach,
     by_center,
-    by_corner,
     by_matrix,
     by_normal,
     single_group,
@@ -54,7 +53,7 @@ def alone(error: np.ndarray) -> tuple[int, float]:
 # ---- z ----
 
 
-def test_errors_that_cancel_lean_to_no_side():
+def test_errors_that_cancel_are_no_bias():
     assert alone(np.array([0.25, -0.25, 0.5, -0.5])) == (4, 0.0)
     assert alone(np.zeros(100)) == (100, 0.0)
 
@@ -136,15 +135,6 @@ def test_parallel_faces_and_mirror_images_are_one_group():
     assert groups(by_normal(None, np.arange(2), turned, NOTHING, NOTHING)) == 2
 
 
-def test_faces_on_a_ring_are_one_group_of_those_that_share_a_coordinate():
-    prims = SimpleNamespace(
-        vertices=np.array([[0.0, 1, 2], [1, 0, -2], [0.5, 0.5, 2], [3, 3, 3]]),
-        faces=np.array([[0, 1, 3], [1, 2, 3], [2, 3, 0], [3, 0, 1]]),
-    )
-    found = [groups(by_corner(axis, prims, np.arange(4), NOTHING, NOTHING, NOTHING)) for axis in range(3)]
-    assert found == [4, 4, 2]
-
-
 def test_what_any_way_to_group_explains_is_no_bias():
     assert weakest_bias([(900, 8.5), (30, -2.5), (400, 3.0)]) == (30, -2.5)
 
@@ -185,13 +175,13 @@ def test_the_check_fails_on_a_bias_and_states_of_what():
     for z in (5.1, -15.0):
         found = check_bias(errors_of(KindBias("Spheres", 900, z), KindBias("Disks", 1, 1.0)))
         assert found.name == "bias" and not found.ok and found.ratio == pytest.approx(abs(z) / 5.0)
-        assert found.what == f"Spheres lean: z {z:.1f} of 900 groups, 5 at most by chance"
+        assert found.what == f"t of Spheres is biased: z {z:.1f} of 900 groups, 5 at most by chance"
     within = check_bias(errors_of(KindBias("Spheres", 900, -4.9), KindBias("Disks", 1, 1.0)))
     assert within.ok and within.what == "Spheres z -4.9 of 900 groups; Disks z 1.0 of 1 groups, too few to tell"
     assert check_bias(errors_of()).ok
 
 
-def test_a_kind_with_few_groups_is_recorded_and_never_the_one_that_leans_most():
+def test_a_kind_with_few_groups_is_recorded_and_never_the_one_with_the_largest_bias():
     few, many = KindBias("Planes", MIN_GROUPS - 1, 4.9), KindBias("Triangles", MIN_GROUPS, -2.0)
     assert (few.enough_groups, many.enough_groups) == (False, True)
     assert errors_of(few, many).z == -2.0 and errors_of(few).z == 0.0
@@ -216,11 +206,32 @@ def test_the_verdict_reports_it():
         "k_normal": {"largest": 0.75, "p99": 0.25},
         "looseness": 30.0,
         "z": -15.0,
-        "biases": [{"kind": "Spheres", "groups": 900, "z": -15.0, "enough_groups": True}],
+        "biases": [
+            {"kind": "Spheres", "groups": 900, "z": -15.0, "quantity": "t", "t_bias": 0.0, "enough_groups": True}
+        ],
     }
-    assert not scene.checks_pass and "bias: 3x its bound; Spheres lean: z -15.0 of 900 groups" in failure_text(scene)
+    assert (
+        not scene.checks_pass
+        and "bias: 3x its bound; t of Spheres is biased: z -15.0 of 900 groups" in failure_text(scene)
+    )
     assert "of t at most 1.25 of 4 roundings (ball); bias at most |z| 15.0 of 5 (ball)" in summary_text(verdict, 1.0)
     assert "k_t=1.25 k_normal=0.75 z=-15.0" in junit(verdict)
+
+
+def test_what_the_cpu_adds_to_t_of_triangles_is_said_and_no_failure():
+    def scene(*biases):
+        found = errors_of(*biases)
+        return SceneVerdict("hills", "hills.toml", checks=(check_bias(found),), statistics=found)
+
+    few = KindBias("Planes", 1, 0.0, "position", -99.0)
+    spheres = KindBias("Spheres", 900, 1.0, "t", 7.0)
+    scenes = [scene(spheres, few, KindBias("Triangles", 400, 0.5, "position", each)) for each in (-2.5, -0.125, 0.0)]
+    text = summary_text(Verdict(tuple(scenes), 3), 1.0)
+    assert all(each.checks_pass for each in scenes)
+    assert (
+        "machine:    Mitsuba's t of triangles is off by -0.12 roundings on average: how its CPU inverts numbers" in text
+    )
+    assert "machine:" not in summary_text(Verdict((scene(spheres, few),)), 1.0)
 
 
 def test_a_scene_without_an_answer_has_none():

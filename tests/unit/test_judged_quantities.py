@@ -17,6 +17,7 @@ from mitsuba_ref.judge.adjudication import Adjudication
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judgement
 from mitsuba_ref.judge.comparison import ImagePair, PixelPairs, SelfCheck, UvPair, check_allowances
 from mitsuba_ref.judge.verdict import CLASSES, ErrorStatistics, Extremes, KindBias, SceneVerdict, Verdict
+from mitsuba_ref.shapes.triangle_meshes import TRIANGLES
 from mitsuba_ref.subjects.subject import Answer
 
 INF, NAN = np.inf, np.nan
@@ -261,11 +262,11 @@ def test_errors_count_where_both_name_the_same_surface_within_its_bounds(monkeyp
         seen.update(rows=rows.tolist(), tied=tied.tolist(), share=share[rows].tolist())
         return {"kind": ()}
 
-    monkeypatch.setattr(aggregate, "_groups_of_kinds", groups)
+    monkeypatch.setattr(aggregate, "_errors_of_kinds", groups)
     found = aggregate.pixel_errors("packed", pair, bounds)
     assert seen == {"rows": [0, 1, 3, 5], "tied": [7], "share": [0.5, 0.0, -1.0, 0.5]}
     assert found.k_t.tolist() == [2.0, 0.0, 4.0, 2.0] and found.k_normal.tolist() == [0.0, 0.0, 0.0, 4.0]
-    assert found.groups == {"kind": ()}
+    assert found.kinds == {"kind": ()}
 
 
 def test_groups_of_a_kind_are_by_its_roundings_in_the_variant(monkeypatch):
@@ -276,8 +277,10 @@ def test_groups_of_a_kind_are_by_its_roundings_in_the_variant(monkeypatch):
         return key
 
     references = {
-        "a": SimpleNamespace(name="A", rounding_groups=(way(1.0), way(0.0)), rounding_groups_llvm=(way(5.0),)),
-        "b": SimpleNamespace(name="B", rounding_groups=(way(1.0),), rounding_groups_llvm=None),
+        "a": SimpleNamespace(
+            name="A", rounding_groups=(way(1.0), way(0.0)), rounding_groups_llvm=(way(5.0),), position_terms=None
+        ),
+        "b": SimpleNamespace(name="B", rounding_groups=(way(1.0),), rounding_groups_llvm=None, position_terms=None),
     }
     monkeypatch.setattr(aggregate, "kind_of", lambda prims: references[prims])
     first, start = np.array([0, 10, 20, 30]), np.array([0, 0, 10])
@@ -294,14 +297,15 @@ def test_groups_of_a_kind_are_by_its_roundings_in_the_variant(monkeypatch):
 
     def found(variant, tied=()):
         pair = SimpleNamespace(
-            prim=prim, rays=SimpleNamespace(o=o.astype(np.float32), d=d.astype(np.float32)),
+            prim=prim, t=np.full(6, 2.0), rays=SimpleNamespace(o=o.astype(np.float32), d=d.astype(np.float32)),
             result=SimpleNamespace(answer=SimpleNamespace(versions={"variant": variant})),
         )  # fmt: skip
-        bounds = SimpleNamespace(own=SimpleNamespace(n=n))
-        groups = aggregate._groups_of_kinds(packed, pair, bounds, share, rows, np.array(tied, int))
+        bounds = SimpleNamespace(own=SimpleNamespace(n=n), at=SimpleNamespace(t_error=np.full(6, 2.0**-24)))
+        kinds = aggregate._errors_of_kinds(packed, pair, bounds, share, rows, np.array(tied, int))
+        assert kinds["A"].quantity == "t" and kinds["A"].t_sums.tolist() == [2.0 * 0.875, 3 * 4.0]
         return {
-            name: [(g.keys.ravel().tolist(), g.errors.tolist(), g.counts.tolist()) for g in ways]
-            for name, ways in groups.items()
+            name: [(g.keys.ravel().tolist(), g.errors.tolist(), g.counts.tolist()) for g in errors.groups]
+            for name, errors in kinds.items()
         }
 
     b = [([1004.875], [3.0], [2])]
@@ -311,13 +315,53 @@ def test_groups_of_a_kind_are_by_its_roundings_in_the_variant(monkeypatch):
     assert found("scalar_rgb", [3, 4])["B"] == [([], [], [])]
 
 
+def test_a_position_is_compared_with_ours_along_the_ray_whatever_its_barycentrics_add_up_to():
+    """A face in z = 4 + x / 4, met along z: its height above the face, over what its sum is rounded from."""
+    corners = np.array([[0.0, 0, 4], [4, 0, 5], [0, 4, 4]])
+    prims = SimpleNamespace(vertices=corners, faces=np.array([[0, 1, 2]]))
+    b1, b2 = np.float32([0.15, 0.27])
+    weights = np.array([np.float32(1.0) - b1 - b2, b1, b2], np.float64)
+    assert 0.1 < abs(weights.sum() - 1.0) * 2.0**24 < 2.0  # as Mitsuba has them
+    p, n = weights @ corners, np.array([-1.0, 0, 4]) / np.sqrt(17.0)
+    o = np.array([p[0], p[1], 0.0]).astype(np.float32)
+    t = 4.0 + float(o[0]) / 4.0
+
+    def share(t, p=p, o=o, direction=1, t_error=0.0):
+        answer = SimpleNamespace(prim_uv=np.array([[b1, b2]]), p=np.array([p]))
+        pair = SimpleNamespace(
+            t=np.array([t]), result=SimpleNamespace(answer=answer),
+            rays=SimpleNamespace(o=o[None], d=np.array([[0, 0, direction]], np.float32)),
+        )  # fmt: skip
+        bounds = SimpleNamespace(own=SimpleNamespace(n=n[None], t_error=np.array([t_error])))
+        row = np.zeros(1, int)
+        return aggregate.position_shares(TRIANGLES.position_terms, prims, row, row, pair, bounds).item()
+
+    rounding = aggregate.KU * (np.abs(n) @ (weights @ corners)) / n[2]
+    off = 0.25 * rounding
+    assert share(t) == pytest.approx(0.0, abs=1e-6)
+    assert share(t - off) == pytest.approx(0.25) and share(t + off) == pytest.approx(-0.25)
+    behind = o + np.array([0, 0, 8], np.float32)  # the same, met from the other side
+    assert share(8.0 - t - off, o=behind, direction=-1) == pytest.approx(0.25)
+    assert share(t - off, t_error=rounding) == pytest.approx(0.125)
+    assert share(t - 1.0) == 1.0 and share(t + 1.0) == -1.0
+    assert share(t, p=np.full(3, np.nan)) == 0.0
+
+
+def test_the_mean_error_of_t_is_in_roundings_and_by_how_well_t_is_resolved():
+    t, t_error = np.array([1.0, 8.0, 8.0]), np.array([4.0, 4.0, 1024.0]) * 2.0**-24
+    error = np.array([-0.5, -4.0, 640.0]) * 2.0**-24  # half a rounding each, but where t is hardly resolved
+    total, weight = aggregate.t_roundings(error / t_error, t, t_error)
+    assert total / weight == pytest.approx(-0.5, abs=0.01)
+
+
 def test_statistics_of_all_windows():
     def window(k_t, k_normal, **groups):
         sums = {
             name: tuple(aggregate.group_sums(np.array(keys)[:, None], np.array(errors)) for keys, errors in ways)
             for name, ways in groups.items()
         }
-        return aggregate.PixelErrors(np.array(k_t), np.array(k_normal), sums)
+        kinds = {name: aggregate.KindErrors("t", ways, np.array([-3.0, len(ways)])) for name, ways in sums.items()}
+        return aggregate.PixelErrors(np.array(k_t), np.array(k_normal), kinds)
 
     one = window([1.0, 3.0], [0.5], A=[([1.0, 2.0], [0.5, 0.25])], B=[([1.0], [1.0])])
     two = window([2.0], [0.25, 0.125], A=[([2.0, 3.0], [0.75, -0.5])])
@@ -327,8 +371,8 @@ def test_statistics_of_all_windows():
     assert found.pixels == 3 and found.looseness == 2.0
     assert (found.k_t.largest, found.k_normal.largest) == (3.0, 0.5)
     assert (found.k_t.p99, found.k_normal.p99) == (pytest.approx(2.98), pytest.approx(0.495))
-    expected = [("A", 3, pytest.approx(z)), ("B", 1, 1.0)]
-    assert [(each.kind, each.groups, each.z) for each in found.biases] == expected
+    expected = [("A", 3, pytest.approx(z), "t", -3.0), ("B", 1, 1.0, "t", -3.0)]
+    assert [(each.kind, each.groups, each.z, each.quantity, each.t_bias) for each in found.biases] == expected
     assert aggregate.extremes(np.zeros(0)) == Extremes(0.0, 0.0)
     assert aggregate.looseness(np.zeros(0)) == aggregate.looseness(np.zeros(3)) == INF
     assert aggregate.weakest_bias([(5, -2.0), (3, 4.0), (9, 1.5)]) == (3, 1.5)
@@ -360,7 +404,7 @@ def test_a_lean_of_enough_groups_fails():
     )
     z, bad = check(enough, lean, few)
     assert z == -1.25 * LARGEST_Z and bad.ratio == 1.25 and not bad.ok
-    assert bad.what == f"bad lean: z {z:.1f} of {MIN_GROUPS} groups, {LARGEST_Z:g} at most by chance"
+    assert bad.what == f"t of bad is biased: z {z:.1f} of {MIN_GROUPS} groups, {LARGEST_Z:g} at most by chance"
     edge = check(KindBias("edge", MIN_GROUPS, LARGEST_Z))[1]
     assert edge.ok and edge.what.startswith("edge z ")
 
