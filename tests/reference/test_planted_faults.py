@@ -400,7 +400,7 @@ FAULTS = (
         "uv",
         SPHERE,
         "return turn_fraction(q[1], q[0])",
-        "return math.atan2(q[1], q[0]) / (2.0 * math.pi) % 1.0",
+        "return np.arctan2(q[1], q[0]) / (2.0 * np.pi) % 1.0",
         SEAMS,
     ),
     Fault(
