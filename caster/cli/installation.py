@@ -39,7 +39,7 @@ class Package(NamedTuple):
 
 PACKAGES = (
     Package("numpy", "numpy", "2.0", "every array"),
-    Package("numba", "numba", "0.61", "speed: compiled kernels, the same bits", needed=False),
+    Package("numba", "numba", "0.68", "speed: compiled kernels, the same bits", needed=False),
     Package("OpenEXR", "OpenEXR", "3.4.9", "images in and out"),
     Package("pillow", "PIL", "10.1", "PNG and TGA images: previews, sheets, caster 6837", needed=False),
     Package("pydantic", "pydantic", "2.7", "scene descriptions and their checks"),

@@ -7,7 +7,6 @@ import json
 import sys
 from collections.abc import Sequence
 from contextlib import closing
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -74,17 +73,18 @@ def run(args: argparse.Namespace) -> int:
     scene = cropped(load(args), args.crop)
     output = output_path(args)
     from caster.image.channels import write_render
-    from caster.jit.decorators import compiled_ahead
     from caster.rendering.images import check_names, render_film
     from caster.rendering.threads import thread_count
+    from caster.rendering.warm_up import compile_film
     from caster.system.atomic_files import check_writable
 
     aovs = tuple(comma_separated(DEFAULT_AOV_LIST if args.aov is None else args.aov))
     check_names(aovs)
     shown = preview_names(args, aovs)
     check_writable(output)  # before a render that may take long
-    ahead = compiled_ahead(partial(_warm_film, scene, aovs))
-    with error_prefix(args.scene), ahead, closing(bar_for(scene)) as bar:
+    with error_prefix(args.scene):
+        compile_film(scene, aovs)
+    with error_prefix(args.scene), closing(bar_for(scene)) as bar:
         rendered = render_film(scene, aovs, threads=args.threads, on_progress=bar.add)
     images = rendered.aovs
     threads = thread_count(args.threads)
@@ -105,12 +105,6 @@ def run(args: argparse.Namespace) -> int:
     height, width = images.hit.shape
     print(f"{output}: {width} x {height} pixels, {int(images.hit.sum())} hit; {', '.join(aovs)}")
     return OK
-
-
-def _warm_film(scene: Scene, aovs: Sequence[str]) -> None:
-    from caster.rendering.warm_up import warm_film  # only where a kernel has to be compiled
-
-    warm_film(scene, aovs)
 
 
 def output_path(args: argparse.Namespace) -> str:

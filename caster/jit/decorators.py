@@ -31,7 +31,7 @@ from caster.jit.arguments import (
 )
 from caster.jit.code_digest import code_digest, compiler_digest
 from caster.jit.command_list import BoundCall
-from caster.jit.kernel_cache import COMPILED, cache_folder, claim
+from caster.jit.kernel_cache import COMPILED, cache_folder, claim, sources_stamp, write_atomically
 from caster.jit.simd import (
     CHILDREN,
     FAN_FIELDS,
@@ -147,9 +147,9 @@ class Kernel:
             call = self._calls.get(symbol)
             if call is None and symbol is not None:
                 call = self._found(symbol, args)
-                if call is None and _AHEAD and not _THREAD.shares:
-                    _share(_AHEAD.pop())
-                with claim(cache_folder() / self._file(symbol), wait=not _THREAD.shares) as mine:
+                if call is None:
+                    _SHARED.begin()
+                with claim(cache_folder() / self._file(symbol), wait=_SHARED.work is None) as mine:
                     if not mine:
                         return self._interpreted
                     # another process may have compiled it meanwhile
@@ -252,63 +252,72 @@ MAX_PROCESSES = 4  # of them; each compiles the functions that many kernels call
 
 
 class _Thread(threading.local):
-    shares = False  # kernels that another process compiles are interpreted meanwhile
     interprets = False  # every kernel is plain Python
 
 
 _THREAD = _Thread()
-_AHEAD: list[Callable[[], None]] = []  # what to run before a kernel is compiled
 
 
-@contextlib.contextmanager
-def compiled_ahead(work: Callable[[], None]) -> Iterator[None]:
-    """Should the body have to compile a kernel, several processes run `work` first and share its kernels.
+class SharedCompilation:
+    """Work whose kernels several processes compile; they are started when the first kernel is missing."""
 
-    Each process compiles what no other has claimed and interprets what another is compiling. So `work` is what the
-    body does, on an input of a few primitives and pixels.
-    """
-    _AHEAD.append(work)
-    try:
-        yield
-    finally:
-        if work in _AHEAD:
-            _AHEAD.remove(work)
+    def __init__(self) -> None:
+        self.work: Callable[[], None] | None = None
+        self.begun = False
+        self.children: list[int] = []  # process numbers
 
+    def run(self, work: Callable[[], None]) -> None:
+        self.work, self.begun, self.children = work, False, []
+        try:
+            work()
+        except BaseException:
+            for number in self.children:
+                os.kill(number, signal.SIGKILL)
+            raise
+        finally:
+            self.work = None
+            for number in self.children:
+                os.waitpid(number, 0)
 
-def _share(work: Callable[[], None]) -> None:
-    count = min(len(os.sched_getaffinity(0)), MAX_PROCESSES) if hasattr(os, "sched_getaffinity") else 1
-    children = [_forked(work) for _ in range(count - 1)]
-    try:
-        _run_sharing(work)
-    except BaseException:
-        for child in children:
-            os.kill(child, signal.SIGKILL)
-        raise
-    finally:
-        for child in children:
-            os.waitpid(child, 0)
+    def begin(self) -> None:
+        """Have other processes do the same work, each of which passes over what is claimed."""
+        if self.work is None or self.begun:
+            return
+        self.begun = True
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
+        for _ in range(min(cores, MAX_PROCESSES) - 1):
+            child = os.fork()
+            if child == 0:
+                self._run_in_child(self.work)
+            self.children.append(child)
 
-
-def _forked(work: Callable[[], None]) -> int:
-    child = os.fork()
-    if child == 0:
+    def _run_in_child(self, work: Callable[[], None]) -> None:
         try:
             nowhere = os.open(os.devnull, os.O_RDWR)
             for stream in range(3):
                 os.dup2(nowhere, stream)
             COMPILATION_LOG.compiling = lambda name: None
-            _run_sharing(work)
+            work()
         finally:
             os._exit(0)
-    return child
 
 
-def _run_sharing(work: Callable[[], None]) -> None:
-    _THREAD.shares = True
-    try:
-        work()
-    finally:
-        _THREAD.shares = False
+_SHARED = SharedCompilation()
+
+
+def compile_ahead(about: str, work: Callable[[], None]) -> None:
+    """Run `work` once for these sources, so that no kernel it needs has to be compiled later.
+
+    Several processes share the compilation: each compiles what no other has claimed and interprets what another is
+    compiling. So `work` is done on a few primitives and pixels. about: what decides which kernels it needs.
+    """
+    if not COMPILED or not machine_code.is_supported() or _SHARED.work is not None:
+        return
+    words = [about, compiler_digest(), sources_stamp(), machine_code.target_description()]
+    done = cache_folder() / f"{hashlib.sha256('|'.join(words).encode()).hexdigest()[:32]}.done"
+    if not done.exists():
+        _SHARED.run(work)
+        write_atomically(done, about.encode())
 
 
 @contextlib.contextmanager

@@ -1,10 +1,11 @@
 """Work in pieces on as many threads as there are cores, as kernels release the GIL; large arrays in used memory."""
 
+import contextlib
 import ctypes
 import math
 import os
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
 from itertools import pairwise
@@ -26,6 +27,17 @@ def set_default_threads(count: int | None) -> None:
     """Use so many threads where none are requested: in a process beside others that use the same cores."""
     global _default_threads
     _default_threads = count
+
+
+@contextlib.contextmanager
+def default_threads(count: int) -> Iterator[None]:
+    """So many threads within the body where none are requested."""
+    before = _default_threads
+    set_default_threads(count)
+    try:
+        yield
+    finally:
+        set_default_threads(before)
 
 
 def core_count() -> int:

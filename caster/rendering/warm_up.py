@@ -14,7 +14,7 @@ from caster.geometry.mesh_files.obj import parse_obj
 from caster.geometry.mesh_files.ply import parse_ply
 from caster.geometry.packing import Packed, pack, packed
 from caster.geometry.world_space import as_given
-from caster.jit.decorators import COMPILATION_LOG
+from caster.jit.decorators import COMPILATION_LOG, compile_ahead
 from caster.jit.simd import LANES
 from caster.kernels.bvh.build import LEAF_SIZE, MAX_PRIMITIVES
 from caster.kernels.bvh.traversal import cast_packets_brute_force
@@ -26,9 +26,12 @@ from caster.rendering.images import DEFAULT_AOVS, render_film
 from caster.rendering.plan import culling_for
 from caster.rendering.ray_fans import SAMPLED_RAYS, find_rows
 from caster.rendering.ray_tiles import ShadowCaster, new_ray_groups
+from caster.rendering.threads import default_threads
 from caster.scene.model import Ambient, Directional, Point, Scene, Shading
 from caster.shapes import SHAPES
 from caster.shapes.triangle import Triangle
+
+__all__ = ["compile_film", "compile_for", "warm_decisions", "warm_up", "warm_up_scenes"]
 
 # Each alone, the default ones, and all at once: other sets share most kernels with these.
 WARM_UP_AOV_SETS: tuple[tuple[str, ...], ...] = (
@@ -82,13 +85,34 @@ def _warm_one(scene: Scene) -> None:
     _warm_fans(pack(small))
 
 
-def warm_film(scene: Scene, aovs: Sequence[str]) -> None:
-    """Compile or load the kernels of a film: of a small one with the same camera, lights and kinds of primitives."""
-    kinds = {type(kind.prims) for kind in packed(scene).kinds}
-    shapes = [shape for kind, few in _few_of_each_kind().items() if kind in kinds for shape in few]
-    camera = type(scene.camera)
-    small = Scene(camera=camera(**camera.MINIMAL), shapes=shapes, lights=scene.lights, shading=scene.shading)
-    render_film(small.with_film(width=WARM_UP_FILM_SIDE, height=WARM_UP_FILM_SIDE), aovs, threads=1)
+def compile_film(scene: Scene, aovs: Sequence[str]) -> None:
+    """Compile ahead what a film of a scene needs, by several processes."""
+    compile_for(scene, f"film {' '.join(aovs)}", lambda small: render_film(small, aovs))
+
+
+def compile_for(scene: Scene, about: str, work: Callable[[Scene], Any]) -> None:
+    """Compile ahead what `work` needs for a scene, by several processes: it is done for a scene of the same kernels.
+
+    about: names the work. Nothing is done where these sources did it before.
+    """
+    kinds = [(type(kind.prims), min(len(kind.ids), LEAF_SIZE + 1)) for kind in packed(scene).kinds]
+    camera, lights = type(scene.camera), [type(light) for light in scene.lights]
+    words = [about, camera, kinds, lights, scene.shading, len(scene.materials) > 0]
+
+    def run() -> None:
+        few = _few_of_each_kind()
+        shapes = [shape for kind, count in kinds for shape in few.get(kind, [])[:count]]
+        small = Scene(camera=camera(**camera.MINIMAL), shapes=shapes, lights=scene.lights, shading=scene.shading)
+        with default_threads(1):  # others would wait for a process that compiles
+            work(small.with_film(width=WARM_UP_FILM_SIDE, height=WARM_UP_FILM_SIDE))
+
+    compile_ahead(" ".join(map(str, words)), run)
+
+
+def warm_decisions(scene: Scene) -> None:
+    """Compile or load the kernels of exact decisions as any rays of a scene need them."""
+    rays = Rays(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1), np.full(1, np.inf))
+    exact_nearest(packed(scene), rays, 1)
 
 
 def _few_of_each_kind() -> dict[type, list[Any]]:

@@ -96,7 +96,7 @@ BAR_CHARACTERS = 24  # width of the bar on a terminal
 ERASE_LINE = "\r\x1b[K"  # where another process draws a bar, which it draws again
 DUMB_TERMINALS = ("dumb", "unknown")  # values of TERM without cursor movement
 
-COMPILE_TIME_HINT = "once: some 20 to 60 of them, about 1 s each"
+COMPILE_TIME_HINT = "once: some 20 to 60 of them, in 10 to 40 s"
 
 
 class StatusLine:

@@ -9,6 +9,7 @@ from typing import Any
 from caster.description.errors import SceneError
 from caster.geometry.packing import forget_packed
 from caster.geometry.world_space import as_given
+from caster.rendering.warm_up import compile_for, warm_decisions
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref.judge import CANDIDATE, check_names
@@ -131,6 +132,8 @@ def validate_scene(
     }
     bands = bands_of(scene) if subject.takes_rays and rays is None else [scene]
     check_memory(bands[0])
+    if subject is OURS:
+        compile_for(scene, "validate", _cast_as_judged)
     if len(bands) == 1:
         verdict, errors = _judge_window(
             scene, name, path, rays=rays, first_ray=first_ray, keep=keep, whole_film=True, **options
@@ -143,6 +146,13 @@ def validate_scene(
         checks = (*verdict.checks, check_bias(statistics))
         verdict = replace(verdict, checks=checks, statistics=statistics)
     return replace(verdict, seconds=time.perf_counter() - start)
+
+
+def _cast_as_judged(scene: Scene) -> None:
+    """Call the kernels by which our caster is judged on a scene."""
+    request_answer(OURS, scene)
+    check_culling(scene)
+    warm_decisions(scene)
 
 
 # ---- a film in bands ----

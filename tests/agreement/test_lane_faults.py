@@ -25,6 +25,7 @@ from test_lanes import (
 )
 
 from caster.jit import simd, vector_intrinsics
+from caster.jit.decorators import jit
 from caster.jit.kernel_cache import COMPILED
 from caster.jit.simd import CHILDREN, FAR_PADDING, LANES, LARGEST_T
 from caster.kernels.bvh import traversal
@@ -136,7 +137,7 @@ def differs(vectors: types.ModuleType, name: str) -> bool:
         return False
     plain = getattr(simd, name)
     inner = made(getattr(vectors, name)(*(() if name == "lowest_bit" else (LANES,)), numba.types))
-    compiled = numba.njit(error_model="numpy")(
+    compiled = jit(
         {
             "lowest_bit": lambda mask: inner(mask),
             "lane_min": lambda a, i: inner(a, i),
@@ -301,11 +302,9 @@ def some_span(rng: np.random.Generator) -> tuple[int, int, int, int]:
 
 def kernel_differs(module: types.ModuleType, name: str) -> bool:
     """Whether a kernel, compiled, ever gives something else than NumPy does over whole arrays."""
-    import numba
-
-    inner = getattr(module, name).dispatcher
+    inner = getattr(module, name)
     lane, direction, rng = tiles.lane, tiles.DX, np.random.default_rng(34)
-    compiled = numba.njit(error_model="numpy")(
+    compiled = jit(
         {
             "max_visible_t": lambda tile, box: inner(tile, box),
             "min_t_per_depth": lambda tile, box, forward: inner(tile, box, forward),

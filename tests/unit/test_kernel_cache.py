@@ -265,11 +265,11 @@ def small():
     with open("done", "a") as file:
         print(os.getpid(), where, file=file)
 
-with decorators.compiled_ahead(small):
-    print(work(4))
+decorators.compile_ahead("work", small)
+print(work(4))
 print("compiled", len(COMPILATION_LOG.compiled), "loaded", len(COMPILATION_LOG.loaded))
-with decorators.compiled_ahead(small):
-    print(work(4))
+decorators.compile_ahead("work", small)
+print(work(4))
 """
 
 
