@@ -100,7 +100,7 @@ OFF_MESH_SPLIT = (
 )
 OFF_MESH_NORMALS = OFF_MESH.replace("[fans])", "[fans], np.tile([0.0, 0.6, 0.8], (len(points), 1)))")
 OFF_MESH_LARGER = OFF_MESH.replace("(points,", "([*points, points[0]],")
-TRIMESH_VERTICES, TRIMESH_FACES = "vertices, faces = np.asarray(found.vertices, np.float64)", "np.asarray(found.faces)"
+TRIMESH_VERTICES, TRIMESH_FACES = "points = np.asarray(mesh.vertices, np.float64)", "np.asarray(mesh.faces)"
 TRIMESH_MESH = "    return Mesh(np.ascontiguousarray(vertices), np.ascontiguousarray(faces.reshape(-1, 3), np.int32))\n"
 TRIMESH_USED = "    vertices, faces = vertices[np.unique(faces)], np.unique(faces, return_inverse=True)[1]\n"
 RUN_TEXT_KERNELS = (PLAIN, 'if not COMPILED or b"\\\\" in data', 'if b"\\\\" in data')
@@ -278,7 +278,7 @@ FAULTS = (
                 "shard.stl",
                 "normals or none",
                 TRIMESH_MESH,
-                TRIMESH_MESH.replace("np.int32))", "np.int32), np.array(found.vertex_normals))"),
+                TRIMESH_MESH.replace("np.int32))", "np.int32), np.array(scene.to_mesh().vertex_normals))"),
             ),
             ("faces of a glTF from the last", "mobile.gltf", "triangles", TRIMESH_FACES, f"{TRIMESH_FACES}[::-1]"),
             (
@@ -293,7 +293,7 @@ FAULTS = (
                 "mobile.gltf",
                 VERTICES,
                 TRIMESH_VERTICES,
-                f"found.merge_vertices(); {TRIMESH_VERTICES}",
+                f"mesh.merge_vertices(); {TRIMESH_VERTICES}",
             ),
             (
                 "vertices of a glTF without a face dropped",

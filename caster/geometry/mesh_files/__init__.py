@@ -1,8 +1,12 @@
 """Readers of mesh files: OBJ, PLY and OFF, strict, since a face lost silently is a wrong image; others by trimesh."""
 
 import io
+import itertools
+import json
+import math
 import os
 import re
+import struct
 from collections.abc import Callable
 from functools import lru_cache
 from os import PathLike
@@ -13,6 +17,7 @@ import numpy as np
 
 from caster.description.errors import SceneError
 from caster.description.input_files import MAX_MESH_BYTES, read_input
+from caster.description.transform import compose, is_mirrored, scale, transform_points, translate
 from caster.geometry.mesh_files.obj import parse_obj, quote_bytes
 from caster.geometry.mesh_files.ply import Points, parse_ply, parse_ply_points
 from caster.geometry.triangle_mesh import Mesh, check_mesh, normalize_rows, triangle_fans
@@ -145,10 +150,13 @@ def _parse_by_trimesh(data: bytes, where: str) -> Mesh:
     beside = trimesh.resolvers.FilePathResolver(where) if kind == "gltf" else None
     try:
         scene = trimesh.load_scene(
-            io.BytesIO(data), file_type=kind, resolver=beside, process=False, maintain_order=True
+            io.BytesIO(_turned_by_matrices(data, kind)),
+            file_type=kind,
+            resolver=beside,
+            process=False,
+            maintain_order=True,
         )
-        found = scene.to_mesh()
-        vertices, faces = np.asarray(found.vertices, np.float64), np.asarray(found.faces)
+        vertices, faces = _placed(scene, trimesh.Trimesh)
     except MemoryError:
         raise
     except Exception as error:  # whatever a foreign parser raises
@@ -158,6 +166,67 @@ def _parse_by_trimesh(data: bytes, where: str) -> Mesh:
     if faces.size == 0:
         raise SceneError(f"{where}: the mesh has no faces: expected at least one triangle")
     return Mesh(np.ascontiguousarray(vertices), np.ascontiguousarray(faces.reshape(-1, 3), np.int32))
+
+
+def _placed(scene: Any, mesh_class: type[Any]) -> tuple[np.ndarray, np.ndarray]:
+    """(vertices, faces) of all meshes, where the nodes of a scene place them. trimesh itself multiplies by a BLAS."""
+    vertices, faces, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
+    edges = scene.graph.transforms.edge_data
+    for node in scene.graph.nodes_geometry:
+        mesh = scene.geometry[scene.graph.transforms.node_data[node]["geometry"]]
+        if not isinstance(mesh, mesh_class):
+            continue
+        path = scene.graph.transforms.shortest_path(scene.graph.base_frame, node)
+        matrix = compose(edges[step].get("matrix", np.eye(4)) for step in reversed(list(itertools.pairwise(path))))
+        points = np.asarray(mesh.vertices, np.float64)
+        vertices.append(points if np.array_equal(matrix, np.eye(4)) else transform_points(matrix, points))
+        faces.append(count + np.asarray(mesh.faces)[:, :: -1 if is_mirrored(matrix[:3, :3]) else 1])
+        count += len(points)
+    return np.concatenate(vertices), np.concatenate(faces)
+
+
+GLB_HEADER = struct.Struct("<4sIIII")  # magic, version, length of all; length and type of the first chunk, the JSON
+
+
+def _turned_by_matrices(data: bytes, kind: str) -> bytes:
+    """A glTF file with a matrix in place of each node's rotation: trimesh brings quaternions to length 1 by a BLAS.
+
+    Anything that is not as it should be is left to trimesh, which says so.
+    """
+    if kind == "stl" or b'"rotation"' not in data:
+        return data
+    try:
+        if kind == "gltf":
+            return _rewritten(data)
+        magic, version, _, size, chunk = GLB_HEADER.unpack_from(data)
+        start = GLB_HEADER.size
+        text = _rewritten(data[start : start + size])
+        text += b" " * (-len(text) % 4)
+        rest = data[start + size :]
+        return GLB_HEADER.pack(magic, version, start + len(text) + len(rest), len(text), chunk) + text + rest
+    except (ArithmeticError, AttributeError, IndexError, KeyError, RecursionError, TypeError, ValueError, struct.error):
+        return data
+
+
+def _rewritten(text: bytes) -> bytes:
+    content = json.loads(text)
+    for node in content["nodes"]:
+        if "rotation" in node and "matrix" not in node:
+            move, size = node.pop("translation", (0.0, 0.0, 0.0)), node.pop("scale", (1.0, 1.0, 1.0))
+            steps = scale(size), _rotation_of(*node.pop("rotation")), translate(move)
+            node["matrix"] = compose(steps).T.ravel().tolist()  # column by column
+    return json.dumps(content).encode()
+
+
+def _rotation_of(x: float, y: float, z: float, w: float) -> np.ndarray:
+    """The rotation of a quaternion of any length but 0. Source: glTF 2.0; Shoemake 1985."""
+    share = math.sqrt(2.0 / (w * w + x * x + y * y + z * z))
+    x, y, z, w = share * x, share * y, share * z, share * w
+    matrix = np.eye(4)
+    matrix[0, :3] = 1.0 - y * y - z * z, x * y - z * w, x * z + y * w
+    matrix[1, :3] = x * y + z * w, 1.0 - x * x - z * z, y * z - x * w
+    matrix[2, :3] = x * z - y * w, y * z + x * w, 1.0 - x * x - y * y
+    return matrix
 
 
 def _check_stl_size(data: bytes, where: str) -> None:
