@@ -7,7 +7,8 @@ shape, camera and light.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from caster.system import platforms as _platforms
+from caster.system import NOT_HERE as _NOT_HERE
+from caster.system import runs_here as _runs_here
 
 if TYPE_CHECKING:
     from caster.cameras import *  # noqa: F403 - a registry, whatever is in it
@@ -52,8 +53,8 @@ _REGISTRIES = {"caster.shapes": "SHAPES", "caster.cameras": "CAMERAS", "caster.s
 if not TYPE_CHECKING:  # a type checker is to tell misspelt names
 
     def __getattr__(name: str) -> Any:
-        if not _platforms.runs_here() and not name.startswith("__"):
-            raise ImportError(_platforms.NOT_HERE)
+        if not _runs_here() and not name.startswith("__"):
+            raise ImportError(_NOT_HERE)
         if name in _HOMES:
             value = getattr(import_module(_HOMES[name]), name)
         elif name == "__all__":

@@ -6,7 +6,8 @@ The names below are imported when they are first used, so that `import mitsuba_r
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from caster.system import platforms as _platforms
+from caster.system import NOT_HERE as _NOT_HERE
+from caster.system import runs_here as _runs_here
 
 if TYPE_CHECKING:
     from mitsuba_ref.exr_compare.two_files import Reading, Tolerances, compare_exr
@@ -40,8 +41,8 @@ _HOMES = {
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'mitsuba_ref' has no attribute '{name}'")
-    if not _platforms.runs_here():
-        raise ImportError(_platforms.NOT_HERE)
+    if not _runs_here():
+        raise ImportError(_NOT_HERE)
     value = globals()[name] = getattr(import_module(f"mitsuba_ref.{_HOMES[name]}"), name)
     return value
 

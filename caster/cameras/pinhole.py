@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 from pydantic import Field, model_validator
 
 from caster.description.fields import Camera, FieldOfView, NonNegative, Number, Positive
-from caster.description.trigonometry import tangent
+from caster.description.transform import tangent
 from caster.jit.decorators import implement, inlined
 from caster.kernels.math.vec import U, add, dot, l1_norm, scaled, sub
 from caster.kernels.protocol import Vec3, camera_ray, project, project_bounding_sphere

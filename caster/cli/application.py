@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from caster import __version__
 from caster.cli.shared_arguments import checked_paths
-from caster.system import platforms
+from caster.system import NOT_HERE, runs_here
 from caster.system.process import FILE, INTERRUPTED, end_process, exit_codes_help, run_command
 
 __all__ = ["Command", "announce", "build_parser", "main"]
@@ -40,8 +40,8 @@ def main(name: str, about: str, commands: Sequence[Command], codes: Sequence[int
 
     argv: the words after the program's name, default those of this process. Only the command's own module is imported.
     """
-    if not platforms.runs_here():
-        print(f"{name}: {platforms.NOT_HERE}", file=sys.stderr)
+    if not runs_here():
+        print(f"{name}: {NOT_HERE}", file=sys.stderr)
         return FILE
 
     def run() -> int:

@@ -23,7 +23,7 @@ from caster.description.errors import (
 )
 from caster.description.parsing import SceneFormat, format_diagnostics, parse, read_text
 from caster.description.registry import type_name
-from caster.description.trigonometry import sine_and_cosine
+from caster.description.transform import sine_and_cosine
 from caster.geometry.mesh_files import MESH_SUFFIXES
 from caster.geometry.world_space import MeshShape
 from caster.scene.model import Ambient, Diffuse, Directional, Film, Scene

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from caster.description.errors import SceneError
 from caster.description.fields import NonNegative, Positive
-from caster.description.trigonometry import power, sine_and_cosine
+from caster.description.transform import power, sine_and_cosine
 from caster.geometry.triangle_mesh import Floats, Ints, Mesh, check_integer, check_length, normalize_rows
 from caster.geometry.world_space import MeshShape
 from caster.kernels.math.angles import sinc_and_cos

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from caster.description.errors import SceneError
 from caster.description.fields import Positive
-from caster.description.trigonometry import sine_and_cosine
+from caster.description.transform import sine_and_cosine
 from caster.geometry.triangle_mesh import Floats, Ints, Mesh, check_integer, check_length
 from caster.geometry.world_space import MeshShape
 

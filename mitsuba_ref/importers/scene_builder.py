@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from caster.description.trigonometry import sine_and_cosine
+from caster.description.transform import sine_and_cosine
 from mitsuba_ref.scene_xml.documents import ImportDiagnostic, Node, SourcePosition, XmlDocument, resolve_reference
 
 Path = tuple[str | int, ...]

@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.description.transform import dot_rows, product, row_lengths
-from caster.description.trigonometry import sine_and_cosine
+from caster.description.transform import dot_rows, product, row_lengths, sine_and_cosine
 from caster.geometry.packing import Triangles
 from caster.shapes.plane import Plane, Planes
 from mitsuba_ref.error_model.defect_conditions import GRAZED_FLAT, STARTS_ON_FLAT, DefectView, abs_cosine

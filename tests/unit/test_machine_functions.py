@@ -1,8 +1,8 @@
 """What nothing of the caster is made of: functions whose last bits depend on the machine. A use is named with its line.
 
 BLAS and LAPACK (`@`, `np.linalg`), NumPy's and the C library's sines, powers and logarithms all choose code by the
-processor. In their place: caster/description/transform.py, caster/description/trigonometry.py and
-caster/kernels/math/angles.py. `tests/agreement/test_machines.py` compares the bits themselves.
+processor. In their place: caster/description/transform.py and caster/kernels/math/angles.py.
+`tests/agreement/test_machines.py` compares the bits themselves.
 """
 
 import ast
