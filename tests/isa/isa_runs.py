@@ -33,6 +33,7 @@ TESTS = {
         "tests/exact/test_edge_cases_mitsuba.py",
         "tests/reference/test_adjudication.py",
         "tests/reference/test_bands.py",
+        "tests/reference/test_detection_power.py",
         "tests/reference/test_excused_classes.py",
         "tests/reference/test_ray_lists.py",
     ),

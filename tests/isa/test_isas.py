@@ -12,7 +12,7 @@ from isa_runs import NATIVE, Limit, LimitError, available, check_limits, compile
 from mitsuba_ref.reference.variants import usable_variants
 
 WITH_AND_WITHOUT_FMA = tuple(isa for isa in ("sse4.2", "avx2") if isa in available())
-SCENES = "torus-smooth or every-shape or lights-and-shadows or transforms"
+SCENES = "torus-smooth or every-shape or lights-and-shadows or transforms or map-from-above"
 RESPONSES = "tests/reference/test_mitsuba_responses.py"
 NUMBERS = "inf_minus_one or lengths_of_d or same_bits or direct_integrator or sensors_rays"
 
