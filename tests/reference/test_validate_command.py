@@ -205,10 +205,10 @@ def test_out_holds_the_verdict_and_the_images_it_is_about(ref, tmp_path):
         "sensor",
         "culling",
         "knife_edges",
-        "scaling",
-        "routes",
         "geometry",
     }
+    assert scene["left_out"] == ["brute_force", "scaling", "routes"] and scene["thorough"] is False
+    assert not {check["name"] for check in scene["checks"]} & {*scene["left_out"]}
 
 
 def test_a_failure_is_in_json_and_junit_with_where_and_why(forks, unedited, tmp_path):
