@@ -108,7 +108,7 @@ BAD_SCENES = {
         ": shapes[0] (mesh): must stay finite in world space",
     ),
     "an axis too short to have a direction": (
-        CAMERA + '[[shape]]\ntype = "cylinder"\nname = "tube"\np1 = [0, 0, 1e-300]\n',
+        CAMERA + '[[shape]]\ntype = "cylinder"\nname = "tube"\np1 = [0, 0, 1e-310]\n',
         {},
         ': shapes[0] (cylinder "tube"): must stay finite in world space',
     ),
