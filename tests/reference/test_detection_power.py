@@ -22,7 +22,7 @@ from caster.scene.model import Scene
 from mitsuba_ref import validate
 from mitsuba_ref.error_model.bounds import reference_bounds
 from mitsuba_ref.error_model.scene_model import SceneModel
-from mitsuba_ref.error_model.tolerances import LARGEST_Z, U32, K
+from mitsuba_ref.error_model.tolerances import LARGEST_Z, MIN_GROUPS, U32, K
 from mitsuba_ref.judge.aggregate import check_bias, error_statistics, pixel_errors
 from mitsuba_ref.judge.classification import Judge
 from mitsuba_ref.judge.comparison import compare, pair_images
@@ -108,7 +108,7 @@ def ball(send) -> Asked:
     return Asked(send, "one-sphere", 256, 256)
 
 
-def test_the_right_caster_is_within_every_bound_and_leans_to_no_side(ball):
+def test_the_right_caster_is_within_every_bound_and_not_biased(ball):
     view = cast_ours(ball.scene, ball.rays)
     found = errors(ball, view)
     print(f"\nright: z {found.z:.1f}, k of t {found.k_t.largest:.2f} {found.k_t.p99:.2f}")
@@ -138,7 +138,7 @@ def test_a_radius_off_by_less_than_float32_resolves_is_a_bias(ball, share, least
 
 @pytest.mark.parametrize(("share", "biased"), [(0.0, False), (1e-7, True)])
 def test_spheres_at_the_same_place_are_no_bias_and_hide_none_of_another_sphere(send, share, biased):
-    """Of the two the reference names one by the sign of a rounding: what it leaves to the other leans by itself."""
+    """Of the two the reference names one by the sign of a rounding: what it leaves to the other is biased by itself."""
     (first,) = load_scene(ROOT / "scenes" / "one-sphere.toml").shapes
     x, y, z = first.center
     twin = first.model_copy(update={"name": "twin"})
@@ -200,14 +200,15 @@ def test_a_bias_of_mitsubas_t_of_spheres_is_one_still(ball):
 
 # Where nothing is wrong, on any instruction set: chance goes beyond it once in 1500 times (2 exp(-4^2 / 2)).
 UNFAULTED_Z = 4.0
-# Scenes in which a bias of t of 1e-8 is not significant: positions are rounded to 1e4 times as much; 32 and 37 groups.
-TOO_LITTLE_TO_TELL = {"far-from-origin", "parabolic", "shifted-view"}
+# |z| is at most the root of the number of groups: from this on, half of that is enough.
+GROUPS_THAT_TELL = 4 * MIN_GROUPS
+ROUNDED_TOO_COARSELY = "far-from-origin"  # positions, to 1e4 times as much as distances
 
 
 @pytest.mark.slow("every shipped scene", every=9)
 @pytest.mark.parametrize("name", sorted(path.stem for path in (ROOT / "scenes").glob("*.toml")))
 def test_ours_off_by_a_hundred_millionth_is_a_bias_and_right_it_is_none(send, name):
-    """In each scene with enough groups of triangles."""
+    """In each scene with groups of triangles that tell."""
     scene = load_scene(ROOT / "scenes" / f"{name}.toml")
     asked = Asked(send, name, scene.film.width, scene.film.height)
     found = [asked.farther(share) for share in (0.0, 1e-8, -1e-8)]
@@ -215,8 +216,8 @@ def test_ours_off_by_a_hundred_millionth_is_a_bias_and_right_it_is_none(send, na
     assert abs(found[0].z) < UNFAULTED_Z, found[0].biases
     if right is not None and farther is not None and nearer is not None:
         print(f"\n{name}: z {right.z:.1f}, {farther.z:.1f}, {nearer.z:.1f} of {right.groups}; t {right.t_bias:+.3f}")
-        detected = farther.z < -LARGEST_Z and nearer.z > LARGEST_Z
-        assert detected or name in TOO_LITTLE_TO_TELL
+        if right.groups >= GROUPS_THAT_TELL and name != ROUNDED_TOO_COARSELY:
+            assert farther.z < -LARGEST_Z and nearer.z > LARGEST_Z
 
 
 @pytest.mark.parametrize(("share", "biased"), [(0.0, False), (3e-8, True)])
