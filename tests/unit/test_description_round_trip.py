@@ -121,7 +121,8 @@ CENTRE = math.sqrt(0.5)
     [
         ("Spheres", (0.0, 0.5), (1, 0, 0)), ("Spheres", (0.25, 0.5), (0, 1, 0)), ("Spheres", (0.3, 0.0), (0, 0, 1)),
         ("Spheres", (0.625, 0.75), (-0.5, -0.5, -CENTRE)), ("Ellipsoids", (0.125, 0.25), (0.5, 0.5, CENTRE)),
-        ("Spheres", (0.0, 1.0), (0, 0, -1)), ("Spheres", (1.0, 0.5), None), ("Spheres", (0.5, 1.0 + 1e-9), None), ("Spheres", (-1e-9, 0.5), None),
+        ("Spheres", (0.0, 1.0), (0, 0, -1)), ("Spheres", (1.0, 0.5), None),
+        ("Spheres", (0.5, 1.0 + 1e-9), None), ("Spheres", (-1e-9, 0.5), None),
         ("Spheres", (1.0 + 1e-9, 0.5), None), ("Ellipsoids", (0.5, -1e-9), None), ("Disks", (0.5, 0.25), (0, 0.5, 0)),
         ("Disks", (2.0, 0.5), (-2, 0, 0)), ("Disks", (-1e-9, 0.5), None), ("Disks", (0.5, 1.1), None),
         ("Disks", (0.0, 0.3), (0, 0, 0)), ("Cylinders", (0.75, 0.3), (0, -1, 0.3)), ("Cylinders", (1.5, 0.3), None),
