@@ -98,7 +98,7 @@ class Bench:
         os.mkfifo(home / "in" / "fifo")
         (home / "in" / "loop").symlink_to("loop")
         if case.cache:
-            shutil.copytree(cache_folder(), home / "cache", copy_function=os.link)
+            shutil.copytree(cache_folder(), home / "cache" / cache_folder().name, copy_function=os.link)
             (home / "cache").chmod(0o700)
         replace_file(home / case.file, case)
         return Started(case, home)
@@ -286,7 +286,9 @@ def run_case(case: Case, home: Path, said: int) -> NoReturn:
         if case.process:
             module = case.program.replace("-", "_")
             words = [word for word in case.words if "\0" not in word]
-            environment = {"PYTHONPATH": str(ROOT)} | ({"NUMBA_CACHE_DIR": str(home / "cache")} if case.cache else {})
+            environment = {"PYTHONPATH": str(ROOT)} | (
+                {"NUMBA_CACHE_DIR": str(home / "cache" / cache_folder().name)} if case.cache else {}
+            )
             code = subprocess.run([sys.executable, "-m", module, *words], env=os.environ | environment).returncode
             code = 128 - code if code < 0 else code
         else:

@@ -89,7 +89,7 @@ def test_kernels_of_an_edited_shape_are_compiled_anew(tmp_path):
     disk.write_text(disk.read_text().replace(*EDIT))
     shared = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     home = shutil.copytree(shared / "caster", tmp_path / "home/caster").parent
-    done = run(home, "-c", RENDERS, "disk-edge-on", tree=tree)
+    done = run(home, "-c", RENDERS, "flat-shapes", tree=tree)
     assert done.returncode == 0 and int(done.stdout.split()[-1]) > 0, done.stdout + done.stderr
 
 
