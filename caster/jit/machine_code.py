@@ -296,7 +296,11 @@ def target_description() -> str:
     import llvmlite.binding as llvm
 
     versions = [platform.python_version(), np.__version__, compiler_version()]
-    settings = [f"{name}={value}" for name, value in sorted(os.environ.items()) if name.startswith("NUMBA_")]
+    settings = [
+        f"{name}={value}"
+        for name, value in sorted(os.environ.items())
+        if name.startswith("NUMBA_") and name != "NUMBA_CACHE_DIR"  # a place, which code does not depend on
+    ]
     features = llvm.get_host_cpu_features().flatten()
     return "\n".join([*versions, llvm.get_host_cpu_name(), features, *settings])
 
