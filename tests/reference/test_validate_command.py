@@ -256,13 +256,28 @@ def test_the_evidence_of_every_kind_of_shape_crosses_processes(ref, coarse_scene
 # ---- what it survives ----
 
 
+# The smoke test of variants, which gives Dr.Jit a cache of its own, gets the real one.
+FAKE_MITSUBA = """
+import os, sys
+if "DRJIT_CACHE_DIR" in os.environ:
+    tree = os.path.dirname(__file__)
+    sys.path.remove(tree)
+    del sys.modules["mitsuba"]
+    import mitsuba
+    sys.path.insert(0, tree)
+else:
+    import end_of_mitsuba
+"""
+
+
 @pytest.fixture
 def fake_mitsuba(tmp_path):
-    """Environment in which `import mitsuba` runs this instead; the copy of our packages goes first."""
+    """Environment in which `import mitsuba` ends so once variants are tried; the copy of our packages goes first."""
 
     def plant(source):
         tree = copy_tree(tmp_path / "tree")
-        (tree / "mitsuba.py").write_text(source, encoding="utf-8")
+        (tree / "mitsuba.py").write_text(FAKE_MITSUBA, encoding="utf-8")
+        (tree / "end_of_mitsuba.py").write_text(source, encoding="utf-8")
         kernels = str(cache_folder())  # which nobody has to compile once more
         cache = {"CASTER_JIT": "1", "NUMBA_CACHE_DIR": kernels, "XDG_CACHE_HOME": str(tmp_path / "cache")}
         return {"tree": tree, **cache}
