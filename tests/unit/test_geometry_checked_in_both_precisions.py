@@ -146,7 +146,7 @@ def test_both_precisions_are_those_that_are_cast():
     assert [each.smallest_normal for each in PRECISIONS] == [np.finfo(kind).tiny for kind in (np.float64, np.float32)]
 
 
-def test_a_mesh_is_generated_once_for_the_closed_form_and_both_precisions(monkeypatch):
+def test_a_mesh_is_generated_once_for_both_precisions(monkeypatch):
     """Beside those of the two packings, which are the caster's."""
     made, generate = [], Heightfield.mesh
 
