@@ -5,14 +5,11 @@ import importlib.util
 import re
 from pathlib import Path
 
-import pytest
-
 from mitsuba_ref.judge.verdict import CLASSES
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([*ROOT.glob("docs/*.md"), ROOT / "README.md"])
 LINK = re.compile(r"\]\(([^)#\s]+)(#[^)\s]*)?\)")
-MADE_BY_ANOTHER = {"performance-notes.md"}  # taken into performance.md
 
 
 # A file or folder of the tree, or a definition in a file after a colon.
@@ -60,7 +57,7 @@ def test_the_glossary_is_in_order_and_has_every_class_of_a_pixel():
 
 def test_the_index_names_every_page():
     named = set(links_of(ROOT / "docs/README.md"))
-    there = {page.name for page in ROOT.glob("docs/*.md")} - {"README.md"} - MADE_BY_ANOTHER
+    there = {page.name for page in ROOT.glob("docs/*.md")} - {"README.md"}
     assert named == there
 
 
@@ -76,27 +73,3 @@ def program(name):
 def test_the_api_page_is_what_the_docstrings_say():
     written = (ROOT / "docs/api.md").read_text(encoding="utf-8")
     assert written == program("api").page(), "run python docs/api.py"
-
-
-def test_every_planted_fault_has_its_row():
-    faults, written = program("faults"), (ROOT / "docs/faults.md").read_text(encoding="utf-8")
-    rows = faults.rows_of_page(written)
-    assert not faults.missing(rows), "run python docs/faults.py, with -k for some of them"
-    assert written == faults.page(rows) and len(rows) > 250
-    assert faults.missing(dict(list(rows.items())[1:])) == [
-        f"{faults.TABLES[0].module}: {faults.planted(faults.TABLES[0])[0][0]}"
-    ]
-
-
-@pytest.mark.parametrize(
-    ("said", "by", "message"),
-    [
-        ("PASS  a  1\nFAIL  a    12  0.1\n\nFAIL  a  uv: 3 wrong", "`uv` of a", "3 wrong"),
-        ("x: FAIL  judged: wrong: diffuse", "fuzz: judged", "wrong: diffuse"),
-        ("x: caught by fuzz as t, miss", "fuzz: t, miss", "t, miss"),
-        ("FAILED tests/unit/test_x.py::test_y[1] - assert 1 == 2", "`tests/unit/test_x.py::test_y`", "assert 1 == 2"),
-        ("", "`tests/t.py::test_z`", "other numbers than NumPy's or plain Python's"),
-    ],
-)
-def test_a_row_names_what_caught_the_fault(said, by, message):
-    assert program("faults").caught(said, "tests/t.py::test_z[fault]") == (by, message)
