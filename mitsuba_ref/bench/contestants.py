@@ -54,7 +54,7 @@ def of_mitsuba(key: str, title: str, entry: str, mode: str, variant: str = varia
     return Contestant(key, f"Mitsuba {title}", MITSUBA, f"mitsuba_entries:{entry}", options=options, **more)
 
 
-OWN = "entries:Ours"
+OWN, SCALAR = "entries:Ours", variants.SCALAR
 
 # Ratios are to the first contestant.
 CONTESTANTS = (

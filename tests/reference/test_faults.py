@@ -30,11 +30,13 @@ class Fault(NamedTuple):
     code: int = 1  # exit code
     quick: bool = False
     compiled: bool = False  # whether the command runs with the compiler
+    group: str = ""  # the file's name
 
 
 def read_faults(path: Path) -> list[Fault]:
     data: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
-    return [Fault(**fault, compiled=data.get("compiled", False)) for fault in data["fault"]]
+    compiled = data.get("compiled", False)
+    return [Fault(**fault, compiled=compiled, group=path.stem) for fault in data["fault"]]
 
 
 FAULTS = [fault for path in sorted(ROOT.glob("tests/faults/*.toml")) for fault in read_faults(path)]
@@ -68,7 +70,7 @@ def test_every_fault_fits_the_source_of_today():
     assert len({fault.name for fault in FAULTS}) == len(FAULTS)
 
 
-@pytest.mark.parametrize("fault", CHOSEN, ids=lambda fault: fault.name)
+@pytest.mark.parametrize("fault", CHOSEN, ids=lambda fault: f"{fault.group}: {fault.name}")
 def test_a_planted_fault_is_found(obey, unedited, tmp_path, fault):
     tree = copy_tree(tmp_path / "tree", unedited)
     for each in fault.edit:
