@@ -8,26 +8,10 @@ from oracle_aims import KINDS, SCALES, aim, packed, triangles
 
 from mitsuba_ref.oracle import exact_planar as triangles_module
 from mitsuba_ref.oracle import oracle
-from mitsuba_ref.oracle.exact_numbers import integer_ray, integer_rays
+from mitsuba_ref.oracle.exact_numbers import integer_ray
 from mitsuba_ref.oracle.oracle import EXACT_KINDS, BoxTree, Oracle, RayColumns, slab_test
 
 COUNT = 300
-
-
-def test_rays_of_an_array_are_the_integers_of_each():
-    """Of every exponent, denormal and zero."""
-    rng = np.random.default_rng(5)
-    any_bits = rng.integers(0, 2**64, (3000, 3), np.uint64).view(np.float64)
-    for rows in (
-        np.where(np.isfinite(any_bits), any_bits, 0.0),
-        rng.normal(size=(1000, 3)).astype(np.float32).astype(np.float64),
-        rng.integers(-3, 4, (1000, 3)) * 5e-324,
-        np.array([[0.0, -0.0, 0.0], [1e308, 0.0, -5e-324], [-0.0, 3.0, 0.75]]),
-        np.zeros((0, 3)),
-    ):
-        d = rows[::-1].copy()
-        expected = [integer_ray(*each) for each in zip(rows.tolist(), d.tolist(), strict=True)]
-        assert list(integer_rays(rows, d)) == expected
 
 
 def lost(kind: str, scale: str, seed: int = 1) -> tuple[int, int, int]:
@@ -122,16 +106,6 @@ def test_few_faces_are_left_for_whole_numbers():
     span = np.zeros(300), np.full(300, math.inf)
     left = [len(near) for near in oracle.primitives.candidates(RayColumns(o.T.copy(), d.T.copy(), *span))]
     assert len(left) == 300 and 1.0 <= np.mean(left) <= 12.0 and max(left) <= 400, (np.mean(left), max(left))
-
-
-def test_rays_that_pass_many_boxes_are_tested_one_by_one(monkeypatch):
-    corners = bumpy(24, 25)
-    oracle = Oracle(packed(triangles(corners)))
-    o, d = rays_at(corners, np.random.default_rng(2), 90)
-    together = oracle.first_hits(o, d)
-    monkeypatch.setattr("mitsuba_ref.oracle.oracle.MAX_RAY_BOX_PAIRS", 1)
-    assert oracle.primitives.tree.crossings(RayColumns(o.T, d.T, np.zeros(90), np.ones(90))) is None
-    assert oracle.first_hits(o, d) == together and sum(answer.hit for answer in together) >= 30
 
 
 def test_a_box_tree_passes_what_its_boxes_pass():
