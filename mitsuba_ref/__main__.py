@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NoReturn, TextIO
 
 from caster.cli import application
-from caster.system.process import DIFFERENCES, INTERRUPTED, MEANINGS, PIPE_CLOSED, reopen_closed_streams
+from caster.system.process import DIFFERENCES, INTERRUPTED, MEANINGS, PIPE_CLOSED
 from mitsuba_ref.cli import COMMANDS
 from mitsuba_ref.reference.subprocess_runner import exit_name, run_attached
 
@@ -61,7 +61,6 @@ def needs_supervision(words: Sequence[str]) -> bool:
 def run_supervised(words: Sequence[str]) -> int:
     """The exit code of the command line, run in a child; one that ends without a word has failed."""
     began = time.time()
-    reopen_closed_streams()
     application.announce("mitsuba-ref", COMMANDS, words[0])
     end = run_attached(
         lambda fd: [sys.executable, "-c", CHILD_SOURCE.format(path=sys.path, fd=fd), *words],
