@@ -85,9 +85,6 @@ highlight, however bright, must not loosen the rest."""
 LARGEST_FIRST_ORDER_SHARE = 0.5
 """A first-order error of this share of the value or more bounds nothing: the plain bound holds there."""
 
-# A renderer's own rays go through their pixels, or beside them by half the width of its filter: 4 pixels for the widest
-# in use (Mitchell, Gaussian). Beyond that, a position belongs to another pixel, and is wrong there.
-LARGEST_RAY_SHIFT_PIXELS = 2.0
 
 # A half has 11 bits, and below 2^-14 the spacing stays 2^-24. It was rounded once as it was stored, and where depth was
 # made into a distance, a second time.

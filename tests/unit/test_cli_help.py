@@ -12,7 +12,7 @@ from caster.cli.shared_arguments import AOV_NAMES, DEFAULT_AOV_LIST
 from caster.rendering.images import DEFAULT_AOVS
 from mitsuba_ref.cli import COMMANDS as REFERENCE_COMMANDS
 from mitsuba_ref.cli import exr_comparison, options, scene_exchange
-from mitsuba_ref.exr_compare import approval
+from mitsuba_ref.exr_compare import approved
 from mitsuba_ref.reference import mitsuba_process
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS
 from mitsuba_ref.subjects import subject
@@ -37,7 +37,7 @@ def test_every_default_exists():
 
 
 def test_the_modes_of_approval_are_those_of_its_table():
-    assert exr_comparison.MODES == approval.MODES
+    assert exr_comparison.MODES == approved.MODES
 
 
 def test_a_candidate_gets_the_seconds_and_has_the_precisions_that_help_names():
