@@ -13,12 +13,12 @@ from mitsuba_ref.error_model.intersections import dot, norm, unit
 from mitsuba_ref.error_model.tolerances import (
     DISTINCT_RTOL,
     FIT_FACTOR,
+    KU,
     MAJORITY,
     MIN_FITTED_PIXELS,
     NEARLY_ALL,
     SEPARATES,
     SEPARATOR_CHANCE,
-    U32,
 )
 from mitsuba_ref.judge.adjudication import sample_rows
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
@@ -145,7 +145,7 @@ def _marked_misses(judge: Judge) -> Iterator[tuple[str, np.ndarray]]:
     """A number in place of inf: the same one wherever Mitsuba misses."""
     rows = np.flatnonzero(~judge.result.hit & (judge.t_max >= 0.0) & (not judge.answer.hits_only))
     t = judge.answer.t[rows]
-    if len(rows) > 1 and np.isfinite(t[0]) and np.allclose(t, t[0], rtol=U32, atol=0.0):
+    if len(rows) > 1 and np.isfinite(t[0]) and np.allclose(t, t[0], rtol=KU, atol=0.0):
         yield marked_miss(float(t[0])), rows
 
 
