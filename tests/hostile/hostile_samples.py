@@ -108,7 +108,7 @@ READERS: dict[str, tuple[str, ...]] = {
         "mitsuba-ref compare in/image.exr in/other.exr --scene FILE",
         "mitsuba-ref render FILE -o out/o.exr",
         "mitsuba-ref validate FILE --out out/v --json out/v.json --junit out/v.xml --summary-md out/v.md",
-        "mitsuba-ref probe FILE 3 3 --save out/ray.toml --picture out/ray.png",
+        "mitsuba-ref probe FILE 3 3 --save out/ray.toml",
         "mitsuba-ref approve FILE --references out/references --yes",
         "mitsuba-ref check FILE --references in/references",
         "mitsuba-ref judge --scene FILE --rays in/rays.npz --hits in/hits.npz --out out/j",
