@@ -101,7 +101,7 @@ class ShapeWriter:
     def native_many(self, shape: Shape, plugin: str, centers: np.ndarray, linear: np.ndarray) -> list[XmlElement]:
         """Many shapes like `native`, one for each row of centers (n, 3) and linear (n, 3, 3), with one material.
 
-        They go to a file that the scene includes, written as text: an element tree of a million takes a minute and 2 GB.
+        They go to an included file, written as text: an element tree of a million shapes takes a minute and 2 GB.
         """
         bsdf = self.material(shape)
         bsdf.set("id", part_id(self.name, "material"))
