@@ -9,7 +9,6 @@ import numpy as np
 
 from caster.aovs import BY_NAME, Aovs
 from caster.description.errors import SceneError, suggestion
-from caster.description.fields import Camera
 from caster.geometry.packing import Packed, packed
 from caster.geometry.world_space import Rounding, as_given
 from caster.jit.command_list import Command
@@ -124,9 +123,7 @@ class FilmRenderer:
         self.hit[:], self.uncertain[:] = False, False
         self.images = {name: new_image(name, window, dtype) for name in aovs}
         self.reach = _farthest_origin(self.camera, window)
-        # Normals without a branch are for d of length 1, which a camera from elsewhere may not have.
-        reach = self.reach if isinstance(scene.camera, Camera) else np.inf
-        self.shader = TileShader(scene, packed, plan, self.images, reach=reach)
+        self.shader = TileShader(scene, packed, plan, self.images)
 
     def render(self) -> FilmCounts:
         """All pixels; those that float64 leaves open once more, exactly."""

@@ -5,15 +5,10 @@ import importlib.util
 import re
 from pathlib import Path
 
-import performance_page
-
-from mitsuba_ref.bench.result import Run
-from mitsuba_ref.report.results import read_result
-
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([*ROOT.glob("docs/*.md"), ROOT / "README.md"])
 LINK = re.compile(r"\]\(([^)#\s]+)(#[^)\s]*)?\)")
-PART_OF_ANOTHER = {"performance-notes.md"}  # included in performance.md
+
 
 # A file or folder of the tree, or a definition in a file after a colon.
 PLACE = re.compile(r"`((?:benchmarks|caster|docs|mitsuba_ref|scenes|tests)/[\w/.-]*\w(?:/|:[\w.]+)?)`")
@@ -54,7 +49,7 @@ def test_every_link_and_every_named_place_exists():
 
 def test_the_index_names_every_page():
     named = set(links_of(ROOT / "docs/README.md"))
-    there = {page.name for page in ROOT.glob("docs/*.md")} - {"README.md"} - PART_OF_ANOTHER
+    there = {page.name for page in ROOT.glob("docs/*.md")} - {"README.md"}
     assert named == there
 
 
@@ -67,11 +62,6 @@ def program(name):
     return module
 
 
-def test_generated_pages_are_up_to_date():
-    assert (ROOT / "docs/api.md").read_text(encoding="utf-8") == program("api").page(), "run python docs/api.py"
-    faults, written = program("faults"), (ROOT / "docs/faults.md").read_text(encoding="utf-8")
-    rows = faults.rows_of_page(written)
-    assert not faults.missing(rows) and written == faults.page(rows), "run python docs/faults.py"
-    run = read_result(Run, str(ROOT / "docs/performance/run.json"), "mitsuba-ref bench")
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert performance_page.with_tables(readme, run) == readme, "the tables of README.md are not of this run"
+def test_the_api_page_is_what_the_docstrings_say():
+    written = (ROOT / "docs/api.md").read_text(encoding="utf-8")
+    assert written == program("api").page(), "run python docs/api.py"
