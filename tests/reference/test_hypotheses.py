@@ -101,7 +101,7 @@ def signed(axis: int) -> np.ndarray:
 
 
 AXES = {"xzy": [0, 2, 1], "yxz": [1, 0, 2], "yzx": [1, 2, 0], "zxy": [2, 0, 1], "zyx": [2, 1, 0]}
-# what is said -> what a caster does to t. Of those of the second table, half of the pixels being right contradicts them.
+# What is said -> what a caster does to t. Those of WHOLE and RAYS are contradicted by right pixels.
 ANY = {
     "depth along z, the view axis, in place of t along the ray": lambda judge, t: t * cosines(judge),
     "t is 100 times what it should be": lambda judge, t: 100.0 * t,
