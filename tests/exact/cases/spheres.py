@@ -1,7 +1,6 @@
 """Cases 1 to 14: balls, and what else is round."""
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 from aimed_rays import decades, direction
@@ -9,8 +8,7 @@ from aimed_rays import decades, direction
 from cases import integer_shapes
 from cases.case import FLOAT64, Case, Maker, Question
 from cases.shapes import CLOSED, KINDS, ROUND, Aim, across, every_kind, rays_at, shape_of, turn
-from caster import Cube, Cylinder, Disk, Ray, Scene, Sphere, cast, occluded, render
-from caster.aovs import Aovs
+from caster import Cube, Cylinder, Sphere, cast, occluded
 
 
 def distances(make: Maker) -> Iterator[Question]:
@@ -147,36 +145,6 @@ def lengths(make: Maker) -> Iterator[Question]:
         yield make.ask(kind, scene, o, d * decades(make.rng, 1e-30, 1e30, len(d))[:, None], hit=15)
 
 
-# Depth is t |d|: t, three squares, a root and a product are rounded, twice, here and there.
-DEPTH_RTOL = 16 * 2.0**-53
-
-
-def one_ray() -> int:
-    """The camera `ray` sees what `cast` sees, however long its direction is; depth is a distance."""
-    make, count = Maker(8, FLOAT64), 0
-    for kind in ("sphere", "ellipsoid", "cylinder", "disk", "plane", "cube"):
-        scene = make.scene([shape_of(kind, make.rng)])
-        (o, *_), (d, *_) = rays_at(make, scene.derived["packed"].parts[0], 8)
-        hits = cast(scene, [o], [d])
-        for exponent in (-1000, -530, 0, 530, 1000):
-            picture = through(scene, o, np.ldexp(d, exponent))
-            depth = float(picture["depth"][0, 0])
-            assert int(picture["shape_id"][0, 0]) == hits.shape_id[0], f"{kind}, 2^{exponent}: depth {depth}"
-            if hits.shape_id[0] == 0:
-                away = hits.t[0] * np.linalg.norm(d)
-                assert abs(depth - away) <= DEPTH_RTOL * away, f"{kind}, 2^{exponent}: depth {depth}, not {away}"
-            count += 1
-    for shape, away in ((Cube(), 3.0), (Disk(), 4.0)):
-        picture = through(make.scene([shape]), (0.3, 0.25, 4.0), (0.0, 0.0, -(2.0**-1074)))
-        assert picture["depth"][0, 0] == away, f"{shape.type}: depth {picture['depth'][0, 0]}"
-        count += 1
-    return count
-
-
-def through(scene: Scene, o: Any, d: Any) -> Aovs:
-    return render(scene.model_copy(update={"camera": Ray(origin=o, direction=d)}), ("depth", "shape_id"))
-
-
 def offsets(make: Maker) -> Iterator[Question]:
     """Around (K, K, K), K = 10^2 to 10^8, and 10^15 in float64."""
     for offset in (1e2, 1e5, 1e7, 1e8 if make.single else 1e15):
@@ -280,7 +248,6 @@ CASES = (
         "directions of length 10^-30 to 10^30",
         "d is scaled by a power of two first, which is exact",
         lengths,
-        {"one ray": one_ray},
         every_shape=True,
     ),
     Case(9, "far from the origin, up to 10^15", EXACT, offsets, every_shape=True),
