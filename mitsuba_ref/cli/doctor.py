@@ -163,7 +163,7 @@ RESULTS = {
     "verdict": "mitsuba_ref.judge.verdict:Verdict",  # validate --json, merge --json, verdict.json
     "scene-verdict": "mitsuba_ref.judge.verdict:SceneVerdict",  # a line of judged.jsonl
     "compare": "mitsuba_ref.exr_compare.comparison_result:FileComparison",
-    "check": "mitsuba_ref.exr_compare.approval:ReferenceChecks",
+    "check": "mitsuba_ref.exr_compare.approved:ReferenceChecks",
     "bench": "mitsuba_ref.bench.result:Run",
     "stress": "mitsuba_ref.stress.sweeps:StressRun",
 }

@@ -86,9 +86,6 @@ one bright highlight does not loosen the rest."""
 LARGEST_FIRST_ORDER_SHARE = 0.5
 """Beyond this relative size, a first-order error estimate bounds nothing, and the plain bound is used."""
 
-# A renderer's own rays pass through their pixels, or beside them by half the width of its filter: 4 pixels for the
-# widest in use (Mitchell, Gaussian). A position farther off belongs to another pixel, and is wrong.
-LARGEST_RAY_SHIFT_PIXELS = 2.0
 
 # A half has 11 significant bits, and a spacing of 2^-24 below 2^-14. Values are rounded once when stored, and a second
 # time where depth is converted to distance.

@@ -6,7 +6,7 @@ one `ShapeReference` for each shape and one `PrimitiveReference` for each kind, 
 mitsuba_ref/shapes/__init__.py.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -16,7 +16,7 @@ import numpy as np
 from caster.description.fields import Shape
 from caster.description.transform import dot_rows, is_mirrored
 from mitsuba_ref.error_model.defect_conditions import DefectView, KnownDefect
-from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, ExpectedPacking
+from mitsuba_ref.error_model.independent_transform import ExpectedPacking
 from mitsuba_ref.error_model.intersections import ErrorModel, GroupKey, single_group
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes.targets import Rng, SurfacePoints
@@ -98,11 +98,6 @@ def no_fields(rng: Rng, lattice: bool) -> Fields:
     return {}
 
 
-def no_closed_form(shape: Any) -> Iterable[ExpectedNumbers]:
-    """No closed form: the shape generates no mesh, or `expected` covers it."""
-    return ()
-
-
 @dataclass(frozen=True)
 class PrimitiveReference:
     """A primitive kind: error model, exact arithmetic, and everything else that the judge needs for the kind."""
@@ -177,9 +172,6 @@ class ShapeReference:
 
     # name of a Mitsuba plugin -> importer of its <shape>
     importers: Mapping[str, ImportShape] = field(default_factory=dict)
-
-    # (description) -> the generated mesh as expected by closed forms
-    closed_form: Callable[[Any], Iterable[ExpectedNumbers]] = no_closed_form
 
     def model_of(self, part: Any) -> ErrorModel:
         """The error model of the kind that the shape packed to."""

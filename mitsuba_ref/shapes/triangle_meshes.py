@@ -5,7 +5,7 @@ rectangles and cubes: Mitsuba's own take shading normals from the matrix, ours f
 differ far from the origin; and if mirrored, geometric normals of Mitsuba's own point inwards.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from fractions import Fraction
 from typing import Any
 
@@ -43,21 +43,12 @@ from mitsuba_ref.error_model.independent_transform import (
 from mitsuba_ref.error_model.intersections import by_normal
 from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
-from mitsuba_ref.shapes.generated_meshes import (
-    expected_cube_uv,
-    expected_heightfield,
-    expected_icosphere,
-    expected_rectangle_uv,
-    expected_teapot,
-    expected_torus,
-)
 from mitsuba_ref.shapes.shape_reference import (
     Fields,
     ImportShape,
     PrimitiveReference,
     ShapeReference,
     XmlShape,
-    no_closed_form,
     no_fields,
     note_normal_side,
     to_world_fields,
@@ -315,18 +306,10 @@ def triangle_mesh_reference(
     expected: ExpectedPacking = expected_mesh,
     groups: frozenset[str] = frozenset({"mesh"}),
     importers: Mapping[str, ImportShape] | None = None,
-    closed_form: Callable[[Any], Iterable[ExpectedNumbers]] = no_closed_form,
 ) -> ShapeReference:
     """Reference of a shape of triangles that Mitsuba reads from a PLY file."""
     return ShapeReference(
-        describes,
-        mesh_to_xml,
-        (TRIANGLES,),
-        expected,
-        random_fields,
-        groups,
-        importers=importers or {},
-        closed_form=closed_form,
+        describes, mesh_to_xml, (TRIANGLES,), expected, random_fields, groups, importers=importers or {}
     )
 
 
@@ -335,17 +318,12 @@ FLAT_AND_SMALL = frozenset({"flat", "small"})
 TRIANGLE = triangle_mesh_reference(Triangle, random_triangle, expected_triangle, FLAT_AND_SMALL)
 MESH = triangle_mesh_reference(MeshFile, random_mesh, importers={"obj": import_mesh, "ply": import_mesh})
 RECTANGLE = triangle_mesh_reference(
-    Rectangle,
-    no_fields,
-    expected_rectangle,
-    FLAT_AND_SMALL,
-    {"rectangle": unit_shape_importer("rectangle")},
-    expected_rectangle_uv,
+    Rectangle, no_fields, expected_rectangle, FLAT_AND_SMALL, {"rectangle": unit_shape_importer("rectangle")}
 )
 CUBE = triangle_mesh_reference(
-    Cube, no_fields, expected_cube, frozenset({"flat", "mesh"}), {"cube": unit_shape_importer("cube")}, expected_cube_uv
+    Cube, no_fields, expected_cube, frozenset({"flat", "mesh"}), {"cube": unit_shape_importer("cube")}
 )
-ICOSPHERE = triangle_mesh_reference(Icosphere, random_icosphere, closed_form=expected_icosphere)
-TORUS = triangle_mesh_reference(Torus, random_torus, closed_form=expected_torus)
-HEIGHTFIELD = triangle_mesh_reference(Heightfield, random_heightfield, closed_form=expected_heightfield)
-TEAPOT = triangle_mesh_reference(Teapot, random_teapot, closed_form=expected_teapot)
+ICOSPHERE = triangle_mesh_reference(Icosphere, random_icosphere)
+TORUS = triangle_mesh_reference(Torus, random_torus)
+HEIGHTFIELD = triangle_mesh_reference(Heightfield, random_heightfield)
+TEAPOT = triangle_mesh_reference(Teapot, random_teapot)

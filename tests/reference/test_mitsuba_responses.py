@@ -127,6 +127,27 @@ np.save(sys.argv[3], np.array(mi.render(scene, integrator=mi.load_dict({"type": 
 """
 
 
+CUBE = """
+import sys
+import mitsuba as mi, numpy as np
+mi.set_variant(sys.argv[1])
+cube = mi.traverse(mi.load_dict({"type": "cube"}))
+columns = [np.array(cube[f"vertex_{name}"]).reshape(24, -1) for name in ("positions", "normals", "texcoords")]
+np.save(sys.argv[2], np.column_stack(columns))
+"""
+
+
+@pytest.mark.parametrize("variant", HERE)
+def test_uv_of_a_cube_grow_along_the_axes_of_mitsubas_own(tmp_path, variant):
+    command = [sys.executable, "-c", CUBE, variant, tmp_path / "cube.npy"]
+    subprocess.run(command, check=True, capture_output=True, timeout=120)
+    found = {tuple(row[:6]): tuple(row[6:]) for row in np.load(tmp_path / "cube.npy").tolist()}
+    mesh = caster.Cube().mesh()
+    sides = np.repeat(np.round(mesh.vertices.reshape(6, 4, 3).mean(axis=1)), 4, axis=0)
+    rows = np.column_stack([mesh.vertices, sides, mesh.uv]).tolist()
+    assert len(found) == 24 and {tuple(row[:6]): tuple(row[6:]) for row in rows} == found
+
+
 BEHIND = (  # a wall behind the point light, and behind the camera: it shadows nothing
     '<shape type="rectangle" id="behind"><transform name="to_world">'
     '<matrix value="90 0 0 0 0 90 0 0 0 0 1 9 0 0 0 1"/></transform></shape>'
