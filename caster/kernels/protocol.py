@@ -66,18 +66,8 @@ def update_best(mode: Any, best: Any, i: int, k: int, hit: Any) -> Any:
 
 
 @generic_inlined
-def load_best(mode: Any, record: Any, i: int) -> Any:
-    """The best of ray i, from the record."""
-
-
-@generic_inlined
-def store_best(mode: Any, record: Any, i: int, best: Any) -> None:
-    """Put the best of ray i into the record."""
-
-
-@generic_inlined
 def prefetch_numbers(prims: Any, k: int, referred: bool) -> None:
-    """Have what `load` reads of primitive k in a cache soon; referred: what its own numbers refer to. Optional."""
+    """Prefetch what `load` reads of primitive k; referred: what its own numbers refer to. Optional."""
 
 
 @implement(prefetch_numbers, object)

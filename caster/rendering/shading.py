@@ -35,13 +35,7 @@ from caster.kernels.raster.tile import (
     T,
     kind_numbers,
 )
-from caster.kernels.surface.lighting import (
-    add_ambient,
-    add_light,
-    add_unshadowed_light,
-    materials_in_tile,
-    shadow_rays_in_tile,
-)
+from caster.kernels.surface.lighting import add_ambient, add_light, materials_in_tile, shadow_rays_in_tile
 from caster.kernels.surface.per_hit import NO_IDS, PrimitiveIds, new_surface_buffer, surfaces_in_tile, write_aov
 from caster.rendering.casting import exact_nearest
 from caster.rendering.plan import Plan
@@ -132,11 +126,10 @@ class TileShader:
         pixels = max((math.prod(image.shape[:2]) for image in self.images.values()), default=0)
         steps: list[Step] = []
         for light in (each.pack() for each in scene.lights if each.type != "ambient"):
-            if not plan.shadows.runs:
-                steps.append(partial(_add_unshadowed_light, light))
-                continue
-            caster = ShadowCaster(packed, light, pixels)
-            self._shadow_casters.append(caster)
+            caster = None
+            if plan.shadows.runs:
+                caster = ShadowCaster(packed, light, pixels)
+                self._shadow_casters.append(caster)
             steps.append(partial(_add_light, light, caster, packed, exact, self._shadow_rays))
         ambient = np.array([light.radiance for light in scene.lights if light.type == "ambient"]).reshape(-1, 3)
         if len(ambient):
@@ -167,25 +160,28 @@ def wanted_fields(plan: Plan) -> int:
     return SURFACES if "position" in plan.surfaces else NORMALS
 
 
-def _add_unshadowed_light(light: Any, workspace: TileWorkspace) -> Iterator[Command]:
-    """Radiance of what faces a light."""
-    about = light, workspace.tile, NO_BOX, workspace.surface
-    yield Command(bind(add_unshadowed_light, *about, given=(2,)), (BOX,))
-
-
 def _add_light(
-    light: Any, cast: ShadowCaster, packed: Packed, exact: bool, counts: list[np.ndarray], workspace: TileWorkspace
+    light: Any,
+    cast: ShadowCaster | None,
+    packed: Packed,
+    exact: bool,
+    counts: list[np.ndarray],
+    workspace: TileWorkspace,
 ) -> Iterator[Command]:
-    """Radiance of what a light reaches; `counts` gets an array of the number of shadow rays."""
+    """Radiance of hits that face a light, and that it reaches, unless `cast` is None: there are no shadows then.
+
+    counts: gets an array of the number of shadow rays.
+    """
     tile, surface, shadow_tile = workspace.tile, workspace.surface, workspace.shadow_tile
     total = np.zeros(1, np.int64)
     about = light, tile, NO_BOX, packed.prim_shapes, packed.shape_extents, surface, shadow_tile, total
     find = bind(shadow_rays_in_tile, *about, given=(2,))
     yield Command(find, (BOX,))
-    counts.append(total)
-    yield from cast.commands(shadow_tile, workspace.ray_groups, find)
-    if exact:
-        yield Command(partial(decide_shadows, packed, shadow_tile), (COUNT,), find)
+    if cast is not None:
+        counts.append(total)
+        yield from cast.commands(shadow_tile, workspace.ray_groups, find)
+        if exact:
+            yield Command(partial(decide_shadows, packed, shadow_tile), (COUNT,), find)
     yield Command(bind(add_light, tile, NO_BOX, surface, shadow_tile, given=(1,)), (BOX,), find)
 
 

@@ -8,7 +8,7 @@ from oracle_aims import KINDS, SCALES, aim, packed, triangles
 
 from mitsuba_ref.oracle import exact_planar as triangles_module
 from mitsuba_ref.oracle import oracle
-from mitsuba_ref.oracle.exact_numbers import integer_ray
+from mitsuba_ref.oracle.exact_numbers import integer_rays
 from mitsuba_ref.oracle.oracle import EXACT_KINDS, BoxTree, Oracle, RayColumns, slab_test
 
 COUNT = 300
@@ -24,8 +24,8 @@ def lost(kind: str, scale: str, seed: int = 1) -> tuple[int, int, int]:
     if arithmetic.may_intersect is not None:
         kept &= arithmetic.may_intersect(prims, k, o, d)
     wrong = meeting = 0
-    for i in range(n):
-        met = arithmetic.intersect(arithmetic.prepare(prims, i), integer_ray(o[i].tolist(), d[i].tolist()))
+    for i, ray in enumerate(integer_rays(o, d)):
+        met = arithmetic.intersect(arithmetic.prepare(prims, i), ray)
         first = [t for t, _ in met.roots] + [touch.first for touch in met.contacts if touch.first is not None]
         meeting += bool(first)
         wrong += any(not kept[i] or t < near[i] for t in first)
@@ -74,7 +74,7 @@ def rays_at(corners: np.ndarray, rng, n: int) -> tuple[np.ndarray, np.ndarray]:
 
 def by_trying_all(oracle: Oracle, o, d):
     """(t, prims) without boxes and without float64."""
-    ray = integer_ray(o.tolist(), d.tolist())
+    (ray,) = integer_rays(o[None], d[None])
     (part,) = oracle.primitives.parts
     kind, found = part.kind, []
     for k in range(len(part.ids)):

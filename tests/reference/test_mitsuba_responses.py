@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mitsuba_scenes import VARIANTS, film, has_t, job, point_light, random_mesh, rays_at, shape, sun, write
+from mitsuba_scenes import VARIANTS, film, has_t, job, point_light, random_mesh, shape, sun, write
 
 import caster
 from mitsuba_ref.reference import mitsuba_process, variants
@@ -75,27 +75,6 @@ def test_prim_is_the_triangle_that_was_hit(asked, many, variant):
     assert {answer.names[k] for k in answer.shape} == {"strewn"}
 
 
-@pytest.mark.skipif(len(HERE) == 1, reason="one variant has nothing to agree with")
-def test_both_variants_hit_the_same_shapes_and_primitives(asked, many):
-    o, d = rays_at(np.random.default_rng(2), 5000, 7.0)
-    scalar, llvm = (asked(many[0], variant, o, d) for variant in VARIANTS)
-    assert np.array_equal(scalar.shape, llvm.shape) and np.array_equal(scalar.prim, llvm.prim)
-    assert np.array_equal(scalar.light_visible, llvm.light_visible)
-    assert np.array_equal(scalar.albedo, llvm.albedo)
-    assert set(scalar.shape) == set(range(-1, len(SHAPES_APART)))
-
-
-@pytest.mark.skipif(len(HERE) == 1, reason="one variant has nothing to agree with")
-def test_triangles_are_hit_at_the_same_bits_of_t_in_both_variants(asked, tmp_path):
-    """Embree does the same operations for one ray and for many: a reciprocal has the bits of its instruction set."""
-    random_mesh(tmp_path / "strewn.ply", np.random.default_rng(3), 2000)
-    o, d = rays_at(np.random.default_rng(4), 20000, 1.2)
-    scalar, llvm = (asked(write(tmp_path, SHAPES_APART["strewn"]), variant, o, d) for variant in VARIANTS)
-    assert 5000 < np.isfinite(scalar.t).sum() < 20000
-    assert scalar.t.tobytes() == llvm.t.tobytes()
-    assert np.abs(scalar.n - llvm.n).max() <= 4 * U  # a division here, a reciprocal there
-
-
 @pytest.mark.parametrize("variant", HERE)
 def test_a_miss_is_inf_minus_one_and_zero(asked, many, variant):
     answer = asked(many[0], variant, [[0, 2, 9], [0, 2, 9]], [[0, 0, 1], [0, 0, -1]])
@@ -148,6 +127,30 @@ np.save(sys.argv[3], np.array(mi.render(scene, integrator=mi.load_dict({"type": 
 """
 
 
+<<<<<<< HEAD
+=======
+CUBE = """
+import sys
+import mitsuba as mi, numpy as np
+mi.set_variant(sys.argv[1])
+cube = mi.traverse(mi.load_dict({"type": "cube"}))
+columns = [np.array(cube[f"vertex_{name}"]).reshape(24, -1) for name in ("positions", "normals", "texcoords")]
+np.save(sys.argv[2], np.column_stack(columns))
+"""
+
+
+@pytest.mark.parametrize("variant", HERE)
+def test_uv_of_a_cube_grow_along_the_axes_of_mitsubas_own(tmp_path, variant):
+    command = [sys.executable, "-c", CUBE, variant, tmp_path / "cube.npy"]
+    subprocess.run(command, check=True, capture_output=True, timeout=120)
+    found = {tuple(row[:6]): tuple(row[6:]) for row in np.load(tmp_path / "cube.npy").tolist()}
+    mesh = caster.Cube().mesh()
+    sides = np.repeat(np.round(mesh.vertices.reshape(6, 4, 3).mean(axis=1)), 4, axis=0)
+    rows = np.column_stack([mesh.vertices, sides, mesh.uv]).tolist()
+    assert len(found) == 24 and {tuple(row[:6]): tuple(row[6:]) for row in rows} == found
+
+
+>>>>>>> main
 BEHIND = (  # a wall behind the point light, and behind the camera: it shadows nothing
     '<shape type="rectangle" id="behind"><transform name="to_world">'
     '<matrix value="90 0 0 0 0 90 0 0 0 0 1 9 0 0 0 1"/></transform></shape>'

@@ -31,7 +31,7 @@ from caster.shapes import (
 )
 from mitsuba_ref.judge import scene_checks
 from mitsuba_ref.judge.independent_checks.scaling import check_scaling
-from mitsuba_ref.judge.scene_checks import PRECISIONS, Precision, check_geometry
+from mitsuba_ref.judge.scene_checks import PRECISIONS, Precision, Shares, check_geometry
 from mitsuba_ref.shapes import reference_of
 
 FOLDER = Path(__file__).resolve().parents[2] / "scenes"
@@ -126,6 +126,16 @@ def test_a_radius_that_is_off_only_where_it_is_rendered_is_found(monkeypatch):
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
 def test_shipped_scenes_keep_far_within_the_bound(path):
     assert check_geometry(load_scene(path)).ratio <= 0.25
+
+
+def test_a_share_is_not_overwritten():
+    shares = Shares()
+    shares.add("radius", 7.0)
+    with pytest.raises(ValueError, match="radius is checked twice"):
+        shares.add("radius", 0.0)
+    shares.add("center", 0.5)
+    assert shares.worst() == ("radius", 7.0)
+    assert Shares().worst() == ("nothing to look at", 0.0)
 
 
 CORNERS = [(0, 0, 0), (1, 0, 0), (0, 1, 0.2), (1, 1, 0.5), (2, 2, 0)]

@@ -181,10 +181,9 @@ def generate_camera_rays(camera: Any, window: Any, box: Box, tile: Any) -> None:
     """Begin the tile of a box, with the camera's rays through its pixel centres."""
     x0, y0, x1, y1 = box
     for y in range(y1 - y0):
-        row = window.y0 + y0 + y + 0.5
-        for x in range(x1 - x0):
-            aim = camera_ray(camera, window.x0 + x0 + x + 0.5, row)
-            start_ray(tile, lane(y * WIDTH + x), aim)
+        row, left, first = window.y0 + y0 + y + 0.5, window.x0 + x0 + 0.5, lane(y * WIDTH)
+        for x in range(lane(WIDTH)):  # so many that LLVM knows how many: it uses vectors then
+            start_ray(tile, first + x, camera_ray(camera, left + x, row))
         clear_rays(tile, y * WIDTH + x1 - x0, (y + 1) * WIDTH)
 
 
