@@ -165,13 +165,14 @@ def run_check(args: argparse.Namespace) -> int:
 
 def check_file(path: str, mesh_dirs: list[str]) -> int:
     """Validate one scene file with its meshes and print the outcome; its exit code."""
-    from caster.geometry.packing import check_shapes
+    from caster.geometry.packing import in_words, pack
     from caster.scene.files import load_scene
 
     try:
         scene = load_scene(path, mesh_dirs)
         with error_prefix(path):
-            never_hit = check_shapes(scene)  # some errors appear only in world space
+            pack(scene)  # some errors appear only in world space
+            never_hit = in_words(scene)
     except SceneError as error:
         print(error)
         return error.exit_code

@@ -127,8 +127,6 @@ np.save(sys.argv[3], np.array(mi.render(scene, integrator=mi.load_dict({"type": 
 """
 
 
-<<<<<<< HEAD
-=======
 CUBE = """
 import sys
 import mitsuba as mi, numpy as np
@@ -150,7 +148,6 @@ def test_uv_of_a_cube_grow_along_the_axes_of_mitsubas_own(tmp_path, variant):
     assert len(found) == 24 and {tuple(row[:6]): tuple(row[6:]) for row in rows} == found
 
 
->>>>>>> main
 BEHIND = (  # a wall behind the point light, and behind the camera: it shadows nothing
     '<shape type="rectangle" id="behind"><transform name="to_world">'
     '<matrix value="90 0 0 0 0 90 0 0 0 0 1 9 0 0 0 1"/></transform></shape>'

@@ -8,12 +8,10 @@ from PIL import Image
 
 import caster
 from caster.__main__ import main
-from caster.aovs import AOVS, BY_NAME
-from caster.image.image_files import IMAGE_FORMATS, label_image
+from caster.aovs import BY_NAME
+from caster.image.image_files import IMAGE_FORMATS
 from caster.image.previews import (
     CHECKER_GREYS,
-    CHECKER_PIXELS,
-    COLORINGS,
     COLORMAP_ANCHORS,
     GAP_PIXELS,
     LABEL_PIXELS,
@@ -87,10 +85,6 @@ def test_numbers_have_colours_of_their_own():
     assert label_colors(np.array([2**31 - 1])).shape == (1, 3)
 
 
-def test_every_aov_has_a_image():
-    assert COLORINGS.keys() == {aov.PREVIEW for aov in AOVS}
-
-
 def test_every_aov_of_a_render_is_shown(folder):
     """Hits are not the checker, misses are; broken values are magenta."""
     aovs = caster.render(caster.load_scene("s.toml"), tuple(BY_NAME))
@@ -113,11 +107,6 @@ def test_values_that_are_not_finite_are_magenta_and_counted():
     assert aov_view("normal", np.full((1, 1, 3), np.nan), np.ones((1, 1), bool)).legend.startswith(
         "nothing to show; 1 "
     )
-
-
-def test_the_checker_has_squares_of_two_greys():
-    squares = checkerboard((2 * CHECKER_PIXELS, CHECKER_PIXELS))
-    assert (squares[:CHECKER_PIXELS] == CHECKER_GREYS[0]).all() and (squares[CHECKER_PIXELS:] == CHECKER_GREYS[1]).all()
 
 
 def one_row(name, *values):
@@ -159,11 +148,6 @@ def test_a_sheet_has_a_cell_with_a_label_for_each(folder):
     assert found.shape == (3 * (14 + LABEL_PIXELS) + 2 * GAP_PIXELS, 2 * 30 + GAP_PIXELS, 3)
     assert (found[2:12, :30] == 0).all() and (found[1:12, 34:] == 1).all()
     assert found[14 : 14 + LABEL_PIXELS].min() < 128 and found[-1, -1].tolist() == [255, 255, 255]
-
-
-def test_labels_that_are_too_long_are_cut():
-    assert label_image("x" * 500, 60, LABEL_PIXELS).shape == (LABEL_PIXELS, 60, 3)
-    assert (label_image("iii", 60, LABEL_PIXELS) != label_image("iij", 60, LABEL_PIXELS)).any()
 
 
 def test_render_writes_a_preview_and_states_what_it_shows(folder, capsys):
