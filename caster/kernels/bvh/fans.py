@@ -439,9 +439,10 @@ def prefetch_child(tree: Any, bounds: Any, inside: int) -> None:
 def cast_fan(
     fan: Any, prims: Any, tree: Any, bounds: Any, base: int, tile: Any, groups: Any, outward: bool, any_hit: bool
 ) -> None:
-    """The rays of the runs that belong to the fan against a kind, nodes near the fan's origin first.
+    """The rays of the runs that belong to the fan against a kind.
 
-    outward: all rays start at the fan's origin; else each is cast until it has met anything for sure.
+    outward: all rays start at the fan's origin, and near nodes come first; else each is cast until it has met anything
+    for sure.
     """
     runs, blocks, stack, depths, found = groups.runs, groups.blocks, groups.stack, groups.depths, groups.found
     for group in range(GROUPS):
@@ -463,7 +464,7 @@ def cast_fan(
                     j = lowest_bit(mask)
                     mask &= mask - 1
                     depth, at = bounds.nodes[inside * BOX_SIZE + 4 * CHILDREN + j], top
-                    while at > bottom and depths[at - 1] < depth:
+                    while outward and at > bottom and depths[at - 1] < depth:
                         stack[at], depths[at] = stack[at - 1], depths[at - 1]
                         at -= 1
                     stack[at], depths[at] = tree.links[inside, j], depth
@@ -477,9 +478,8 @@ def cast_fan(
                 if mask == 0:
                     continue
                 k = tree.order[at]
-                prim, prim_number = load(prims, k), float(base + k)
                 lines = outline(prims, k, bounds.points, bounds.prims[at * PRIM_FIELDS + 5])
-                plane = NO_PLANE if outward else separating_plane(prims, prim, fan)
+                plane = NO_PLANE if outward else separating_plane(prims, load(prims, k), fan)
                 count = 0
                 while mask != 0:
                     block = group * CHILDREN + lowest_bit(mask)
@@ -497,6 +497,7 @@ def cast_fan(
                         count += 1 if lanes != 0 else 0
                 if count == 0:
                     continue
+                prim, prim_number = load(prims, k), float(base + k)
                 pre = prepare(prims, prim, fan.origin)
                 for n in range(count):
                     block, r = found[n] // ROWS, found[n] % ROWS
