@@ -32,29 +32,6 @@ from caster.jit.arguments import (
 from caster.jit.code_digest import code_digest, compiler_digest
 from caster.jit.command_list import BoundCall
 from caster.jit.kernel_cache import COMPILED, cache_folder, claim, sources_stamp, write_atomically
-from caster.jit.simd import (
-    CHILDREN,
-    FAN_FIELDS,
-    FAR_PADDING,
-    LANES,
-    LARGEST_T,
-    PLANE_ATOL,
-    any_sum_reaches,
-    boxes_below,
-    boxes_reach_lines,
-    gather_corners,
-    intersect_boxes,
-    intersect_boxes_packet,
-    lane_max,
-    lane_max_of_sums,
-    lane_min,
-    lanes_in_range,
-    lanes_not_above,
-    lanes_within_lines,
-    lowest_bit,
-    numbers_in_range,
-    prefetch,
-)
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -84,7 +61,8 @@ def _numba() -> Any:
     importlib.import_module("numba.extending")
     for entry in _GENERICS.values():
         entry.overload(numba)
-    _register_intrinsics()
+    for stub, definition in importlib.import_module("caster.jit.vector_intrinsics").intrinsics():
+        _compiler().register_intrinsic(stub, definition)
     return numba
 
 
@@ -363,30 +341,6 @@ def bind(function: Callable[..., Any], *args: Any, given: tuple[int, ...]) -> Bo
     A call takes a tenth of the time of others, and is one thread's at a time.
     """
     return BoundCall(function, args, given, function.code(args) if isinstance(function, Kernel) else None)
-
-
-def _register_intrinsics() -> None:
-    """What LLVM is to make of the functions of caster/jit/simd.py."""
-    vectors, compiler = importlib.import_module("caster.jit.vector_intrinsics"), _compiler()
-    types = compiler.types
-    for stub, definition in {
-        any_sum_reaches: vectors.any_sum_reaches(LANES, types),
-        lane_min: vectors.lane_min(LANES, types),
-        lane_max: vectors.lane_max(LANES, types),
-        lane_max_of_sums: vectors.lane_max_of_sums(LANES, types),
-        intersect_boxes: vectors.intersect_boxes(CHILDREN, types, FAR_PADDING, LARGEST_T),
-        intersect_boxes_packet: vectors.intersect_boxes_packet(CHILDREN, types, FAR_PADDING, LARGEST_T),
-        lowest_bit: vectors.lowest_bit(types),
-        boxes_below: vectors.boxes_below(CHILDREN, types, FAN_FIELDS),
-        boxes_reach_lines: vectors.boxes_reach_lines(CHILDREN, types, FAN_FIELDS),
-        lanes_within_lines: vectors.lanes_within_lines(LANES, types),
-        lanes_not_above: vectors.lanes_not_above(LANES, types, PLANE_ATOL),
-        gather_corners: vectors.gather_corners(LANES, types),
-        lanes_in_range: vectors.lanes_in_range(LANES, types),
-        numbers_in_range: vectors.numbers_in_range(LANES, types),
-        prefetch: vectors.prefetch(types),
-    }.items():
-        compiler.register_intrinsic(stub, definition)
 
 
 class Generic:

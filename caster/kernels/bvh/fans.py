@@ -11,22 +11,19 @@ import math
 from typing import Any, NamedTuple
 
 from caster.jit.decorators import generic_inlined, implement, inlined, jit
-from caster.jit.simd import (
-    CHILDREN,
+from caster.jit.simd import CHILDREN, LANES, lowest_bit, prefetch
+from caster.kernels.bvh.build import LEAF_SIZE, LEAF_SIZE_BASE
+from caster.kernels.math.lanes import (
     FAN_FIELDS,
-    LANES,
     LARGEST_T,
     boxes_below,
     boxes_reach_lines,
     lane_max,
     lane_max_of_sums,
     lane_min,
-    lanes_not_above,
+    lanes_above,
     lanes_within_lines,
-    lowest_bit,
-    prefetch,
 )
-from caster.kernels.bvh.build import LEAF_SIZE, LEAF_SIZE_BASE
 from caster.kernels.math.vec import TINY, U, abs_dot, dot, l1_norm, max_norm, scaled, sub
 from caster.kernels.nearest import any_hit_result
 from caster.kernels.protocol import Vec3, hull_point, hull_size, intersect, load, prepare
@@ -368,7 +365,7 @@ def outline(prims: Any, k: int, points: Any, wide: float) -> Any:
 
 @generic_inlined
 def separating_plane(prims: Any, prim: Any, fan: Fan) -> Any:
-    """(p, normal, error): a ray to the light that starts above it misses the primitive (simd.lanes_not_above)."""
+    """(p, normal, error): a ray to the light that starts above it misses the primitive (math.lanes.lanes_above)."""
 
 
 @implement(outline, object)
@@ -492,7 +489,7 @@ def cast_fan(
                         first = lane(corner + r * WIDTH)
                         lanes = lanes_within_lines(tile, FAN_X + first, FAN_Y + first, lines)
                         if not outward:
-                            lanes &= lanes_not_above(tile, OX + first, OY + first, OZ + first, plane)
+                            lanes &= ~lanes_above(tile, OX + first, OY + first, OZ + first, plane)
                         found[count] = block * ROWS + r
                         count += 1 if lanes != 0 else 0
                 if count == 0:
