@@ -9,7 +9,7 @@ from numba.core import types
 from numba.core.datamodel import models
 from numba.extending import register_model
 
-from caster.jit import simd
+from caster.jit import machine_code, simd
 
 INT32, INT64, REAL = ir.IntType(32), ir.IntType(64), ir.DoubleType()
 LANES = simd.CHILDREN  # of every vector; simd.LANES is the same where anything is compiled
@@ -57,6 +57,9 @@ def intrinsics() -> Iterator[tuple[Callable[..., Any], Callable[..., Any]]]:
     yield simd.largest, _intrinsic(lambda call, v: _reduced(call.builder, v, _larger), types.float64, VECTOR)
     yield simd.lowest_bit, _intrinsic(_lowest_bit, types.int64, types.int64)
     yield simd.prefetch, _intrinsic(_prefetch, types.none, None, types.int64)
+    yield machine_code.load_word, _intrinsic(_load_word, types.int64, types.int64)
+    yield machine_code.store_word, _intrinsic(_store_word, types.none, types.int64, types.int64)
+    yield machine_code.call_entry, _intrinsic(_call_entry, types.int64, types.int64, types.int64)
     yield simd.gather_corners, _intrinsic(_gather_corners, types.none, None, None, None, *[types.uint64] * 3)
 
 
@@ -149,6 +152,19 @@ def _reduced(builder: Builder, vector: Any, chosen: Callable[[Builder, Any, Any]
 
 def _lowest_bit(call: Call, mask: Any) -> Any:
     return call.builder.cttz(mask, ir.Constant(ir.IntType(1), 1))
+
+
+def _load_word(call: Call, address: Any) -> Any:
+    return call.builder.load(call.builder.inttoptr(address, INT64.as_pointer()))
+
+
+def _store_word(call: Call, address: Any, word: Any) -> None:
+    call.builder.store(word, call.builder.inttoptr(address, INT64.as_pointer()))
+
+
+def _call_entry(call: Call, entry: Any, block: Any) -> Any:
+    kind = ir.FunctionType(INT32, [INT64]).as_pointer()
+    return call.builder.sext(call.builder.call(call.builder.inttoptr(entry, kind), [block]), INT64)
 
 
 FOR_READING, KEEP_IN_ALL_CACHES, DATA = INT32(0), INT32(3), INT32(1)
