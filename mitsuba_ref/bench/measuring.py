@@ -40,12 +40,12 @@ class ContestantProcess:
         settings = {**(environment or {}), "PYTHONPATH": import_path()}
         with os.fdopen(os.dup(2), "w") as notices:  # for what it compiles: all else that it says is captured
             fd = notices.fileno()
-            self.process = ResidentProcess(command, [work.to_json(), str(fd)], settings, pass_fds=(fd,))
+            self.process = ResidentProcess([*command, work.to_json(), str(fd)], settings, pass_fds=(fd,))
 
     def request(self, timeout: float, **request: Any) -> dict[str, Any]:
         """The reply to {"do": ...}, within so many seconds. Raises ContestantEnded; the process is then gone, too."""
         try:
-            line = self.process.request(json.dumps(request), timeout)
+            line = self.process.ask(json.dumps(request).encode(), timeout)
         except ProcessEnded as ended:
             raise ContestantEnded(_end_text(ended.end, timeout)) from None
         try:

@@ -1,8 +1,8 @@
-"""A contestant's process, which stays and answers requests, a line of JSON each, so that contestants can take turns.
+"""A contestant's process, which stays and answers requests, JSON each, so that contestants can take turns.
 
-python -m mitsuba_ref.bench.worker REPLIES WORK NOTICES
+python -m mitsuba_ref.bench.worker WORK NOTICES
 
-REPLIES: a pipe's number; WORK: Work as JSON; NOTICES: number of the file that compilation is reported to
+WORK: Work as JSON; NOTICES: number of the file that compilation is reported to
 """
 
 import gc
@@ -10,7 +10,6 @@ import json
 import os
 import sys
 import time
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -24,24 +23,24 @@ from mitsuba_ref.reference.subprocess_runner import serve
 STATUS_READY, STATUS_CANNOT = "ready", "cannot"
 
 
-def main(replies: int, work: Work, notices: int) -> None:
+def main(work: Work, notices: int) -> None:
     """Answer questions until stdin ends."""
     pin_to_processors(work.threads)
     entry: Entry | None = None
 
-    def reply_to(line: str) -> str:
+    def reply_to(line: bytes) -> bytes:
         nonlocal entry
         request = json.loads(line)
         try:
             if entry is None or request["do"] == "build":
                 entry = None  # before the next is made: two at a time take twice the memory
                 entry = new_entry(work)
-            return json.dumps({"status": STATUS_READY} | respond(entry, request))
+            return json.dumps({"status": STATUS_READY} | respond(entry, request)).encode()
         except (CannotRun, ImportError) as reason:
-            return json.dumps({"status": STATUS_CANNOT, "why": " ".join(str(reason).split())})
+            return json.dumps({"status": STATUS_CANNOT, "why": " ".join(str(reason).split())}).encode()
 
     with os.fdopen(notices, "w") as stream, compilation_reported(stream):
-        serve(partial(map, reply_to), replies)
+        serve(reply_to)
 
 
 def new_entry(work: Work) -> Entry:
@@ -102,4 +101,4 @@ def peak_memory() -> int:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), Work(**json.loads(sys.argv[2])), int(sys.argv[3]))
+    main(Work(**json.loads(sys.argv[1])), int(sys.argv[2]))

@@ -68,7 +68,7 @@ def judge_findings(probe: Sequence[str] = (sys.executable, "-c", PROBE_SCRIPT)) 
         _variants(answer, problem),
         _llvm(answer),
         _gpu(),
-        answer_store(),
+        kept_results(),
         *map(find_package, (MATPLOTLIB, *PEERS)),
         browser(),
     ]
@@ -82,17 +82,17 @@ def browser() -> Finding:
     return Finding("browser", path is not None, False, detail, adds)
 
 
-def answer_store() -> Finding:
-    """Where answers of Mitsuba are kept, how many and how large."""
-    from mitsuba_ref.reference.answer_store import OFF, STORE_VARIABLE, local_store
+def kept_results() -> Finding:
+    """Where results are kept between runs, how many and how large."""
+    from mitsuba_ref.reference.store import OFF, STORE_VARIABLE, local_store
 
-    store, adds = local_store(), "`validate` without asking Mitsuba again about what has not changed"
+    store, adds = local_store(), "`validate` without judging again what has not changed"
     if store is None:
         return Finding("store", False, False, f"{STORE_VARIABLE} is {OFF}", adds)
     if why := store.refusal():
         return Finding("store", False, False, f"{store.folder}: not used: {why}", adds)
-    answers, size = store.use()
-    detail = f"{store.folder}: {answers} answers of Mitsuba, {size / 1e6:.0f} of {store.limit / 1e6:.0f} MB"
+    files, size = store.use()
+    detail = f"{store.folder}: {files} results, {size / 1e6:.0f} of {store.limit / 1e6:.0f} MB"
     return Finding("store", True, False, detail, adds)
 
 
@@ -161,7 +161,6 @@ def _gpu() -> Finding:
 # Result -> module and class of its model, for pkgutil.
 RESULTS = {
     "verdict": "mitsuba_ref.judge.verdict:Verdict",  # validate --json, merge --json, verdict.json
-    "scene-verdict": "mitsuba_ref.judge.verdict:SceneVerdict",  # a line of judged.jsonl
     "compare": "mitsuba_ref.exr_compare.comparison_result:FileComparison",
     "check": "mitsuba_ref.exr_compare.approval:ReferenceChecks",
     "bench": "mitsuba_ref.bench.result:Run",

@@ -19,7 +19,7 @@ from caster.cli.shared_arguments import (
 )
 from caster.description.errors import SceneError
 from caster.system.process import OK
-from mitsuba_ref.cli.options import HTML_SUFFIX, PRECISIONS, add_reading, add_verdict_files, html_output
+from mitsuba_ref.cli.options import PRECISIONS, add_reading, add_verdict_files
 from mitsuba_ref.cli.validate import check_outputs, exit_code, print_rows, write_results
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ def aimed_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.n
     """Rays at what the kind says, from around the scene. Raises SceneError for a scene without primitives."""
     import numpy as np
 
-    from mitsuba_ref.judge.independent_checks import adversarial_rays
+    from mitsuba_ref.judge.checks import adversarial_rays
     from mitsuba_ref.reference.shared_input import packed_float32
     from mitsuba_ref.shapes.targets import random_directions
 
@@ -164,8 +164,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     out_help = "write verdict.json, EXR files and reproducers into this folder"
     add("--out", metavar="DIR", type=OutputFolder, help=out_help)
     add_verdict_files(parser)
-    html_help = f"write a report: a folder, or one file if PATH ends in {HTML_SUFFIX}"
-    add("--html", metavar="PATH", type=html_output, help=html_help)
+    add("--html", metavar="DIR", type=OutputFolder, help="write a report for the browser into this folder: index.html")
     add_reading(parser, "; with --own-rays")
     parser.set_defaults(resume=False)
 
@@ -196,12 +195,8 @@ def run(args: argparse.Namespace) -> int:
     try:
         print_rows(running)
     finally:  # whatever ends the work, the results so far are written
-        verdict = running.verdict()
-        try:
-            write_results(running, args, time.perf_counter() - start)
-        finally:
-            running.finish_report(verdict)
-    return exit_code(verdict, running.errors)
+        write_results(running, args, time.perf_counter() - start)
+    return exit_code(running.verdict(), running.errors)
 
 
 def requested_scene(args: argparse.Namespace) -> Scene:

@@ -15,7 +15,7 @@ from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import CameraRays, camera_axes
 from mitsuba_ref.error_model.tolerances import KU, NEARLY_ALL
 from mitsuba_ref.exr_compare.exr_pair import Array
-from mitsuba_ref.judge.scene_checks import pixel_centers
+from mitsuba_ref.reference.shared_input import pixel_centers
 
 DISTANCE, ALONG_Z, FROM_NEAR = "distance", "z", "near"
 CONVENTION_MEANINGS = {

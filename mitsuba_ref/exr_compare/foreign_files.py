@@ -38,8 +38,7 @@ from mitsuba_ref.exr_compare.exr_pair import (
     recognised,
     stacked,
 )
-from mitsuba_ref.judge.scene_checks import pixel_centers
-from mitsuba_ref.reference.shared_input import SharedRays
+from mitsuba_ref.reference.shared_input import SharedRays, pixel_centers
 from mitsuba_ref.subjects.subject import FLOAT32, Answer, CastRequest, NoAnswer, cast_ours, checked_answer
 
 GEOMETRY = ("normal", "shading_normal", "position")  # groups whose values on a miss mean nothing

@@ -35,8 +35,8 @@ from mitsuba_ref.fuzz.families import (
 from mitsuba_ref.fuzz.findings import Failure, Finding, Outcome, Tally, first_of_each_kind
 from mitsuba_ref.fuzz.settings import Fields, random_camera, random_setting, random_shape
 from mitsuba_ref.fuzz.shrink import SHRINK_ATTEMPTS, Budget, smallest_case
-from mitsuba_ref.judge.independent_checks.adversarial_rays import RayBatch, Setting, Targets, aimed_rays
-from mitsuba_ref.judge.independent_checks.knife_edges import cast_by_culling, concatenated, prepared_scene, with_limits
+from mitsuba_ref.judge.checks.adversarial_rays import RayBatch, Setting, Targets, aimed_rays
+from mitsuba_ref.judge.checks.knife_edges import cast_by_culling, concatenated, prepared_scene, with_limits
 from mitsuba_ref.judge.verdict import UNDECIDED, WRONG, SceneVerdict
 from mitsuba_ref.reference.mitsuba_process import ResidentSession
 from mitsuba_ref.reference.shared_input import SharedRays, packed_float32

@@ -26,8 +26,8 @@ from caster.system.atomic_files import check_folder, write_text
 from mitsuba_ref.fuzz.checks import check_image, check_rays
 from mitsuba_ref.fuzz.families import scene_of
 from mitsuba_ref.fuzz.findings import FINDING_KINDS, Finding, Tally
-from mitsuba_ref.judge.independent_checks.adversarial_rays import RayBatch
-from mitsuba_ref.judge.independent_checks.knife_edges import prepared_scene
+from mitsuba_ref.judge.checks.adversarial_rays import RayBatch
+from mitsuba_ref.judge.checks.knife_edges import prepared_scene
 from mitsuba_ref.oracle.oracle import OutsideDomain
 from mitsuba_ref.report.reproducers import with_hex_floats
 

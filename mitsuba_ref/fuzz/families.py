@@ -29,15 +29,8 @@ from mitsuba_ref.fuzz.settings import (
     view_from_within,
     with_options,
 )
-from mitsuba_ref.judge.independent_checks import adversarial_rays
-from mitsuba_ref.judge.independent_checks.adversarial_rays import (
-    Aim,
-    RayBatch,
-    Setting,
-    Targets,
-    aimed_rays,
-    perturbed_by_ulps,
-)
+from mitsuba_ref.judge.checks import adversarial_rays
+from mitsuba_ref.judge.checks.adversarial_rays import Aim, RayBatch, Setting, Targets, aimed_rays, perturbed_by_ulps
 from mitsuba_ref.shapes.targets import Rng, coin_flip
 
 RAYS_PER_EXAMPLE = 40  # before those with limits

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from mitsuba_ref.judge.independent_checks.adversarial_rays import RayBatch
+from mitsuba_ref.judge.checks.adversarial_rays import RayBatch
 from mitsuba_ref.report.results import aligned
 
 # The kinds of findings, the most informative first.

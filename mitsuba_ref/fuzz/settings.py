@@ -9,7 +9,7 @@ import numpy as np
 from caster.cameras import CAMERAS
 from caster.description.errors import SceneError
 from mitsuba_ref import cameras
-from mitsuba_ref.judge.independent_checks.adversarial_rays import Setting
+from mitsuba_ref.judge.checks.adversarial_rays import Setting
 from mitsuba_ref.shapes import REFERENCES
 from mitsuba_ref.shapes.targets import LATTICE_STEPS, Rng, coin_flip, random_directions
 

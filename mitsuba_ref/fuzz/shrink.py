@@ -14,7 +14,7 @@ from caster.geometry.packing import pack, primitive_count
 from caster.rendering.images import camera_rays
 from mitsuba_ref.fuzz.cases import Case, findings_of
 from mitsuba_ref.fuzz.findings import Finding
-from mitsuba_ref.judge.independent_checks.adversarial_rays import RayBatch
+from mitsuba_ref.judge.checks.adversarial_rays import RayBatch
 from mitsuba_ref.subjects.subject import describe_surface
 
 MANTISSA_BITS = (1, 2, 3, 4, 6, 8, 12, 24)  # of a mantissa, tried in this order

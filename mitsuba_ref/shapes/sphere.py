@@ -186,7 +186,7 @@ def expected_sphere(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
 
 
 def expected_cloud(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
-    """The same for each sphere. What a file holds is checked by judge/independent_checks/mesh_files.py."""
+    """The same for each sphere. What a file holds is checked by judge/checks/mesh_files.py."""
     centers, radii = (np.array(shape.centers), shape.radii) if shape.file is None else shape.load()
     radii = np.full(len(centers), shape.radius or 1.0) if radii is None else np.array(radii)
     linear, move = shape.matrix[:3, :3], shape.matrix[:3, 3]

@@ -23,11 +23,12 @@ from mitsuba_ref.error_model.intersections import dot, norm
 from mitsuba_ref.error_model.tolerances import KU, U32
 from mitsuba_ref.reference.shared_input import export, pixel_of
 from mitsuba_ref.reference.subprocess_runner import (
-    BinaryProcess,
     ProcessEnd,
     ProcessEnded,
+    ResidentProcess,
     UnexpectedReply,
     exit_name,
+    length_first,
     run,
 )
 from mitsuba_ref.subjects.ray_files import (
@@ -380,7 +381,7 @@ class ServedCommand:
     takes_rays: bool = True
     takes_limits: bool = True
     any_hit: bool = False
-    running: list[BinaryProcess] = field(default_factory=list, compare=False)  # at most one
+    running: list[ResidentProcess] = field(default_factory=list, compare=False)  # at most one
     turn: Any = field(default_factory=threading.Lock, compare=False)  # scenes are judged several at a time
 
     def answer(self, request: CastRequest) -> Answer:
@@ -410,7 +411,7 @@ class ServedCommand:
 
         try:
             if not self.running or not self.running[0].alive:
-                self.running[:] = [BinaryProcess(self.words)]
+                self.running[:] = [ResidentProcess(self.words)]
                 atexit.register(self.running[0].close)
             return self.running[0].request(data, self.seconds, length_of)
         except OSError as error:
@@ -420,11 +421,6 @@ class ServedCommand:
         except ProcessEnded as ended:
             raise_if_failed(ended.end, self.seconds)
             raise NoAnswer(f"the program ended before its response was whole{_output_tail(ended.end.output)}") from None
-
-
-def length_first(data: bytes) -> bytes:
-    """The bytes behind their number, as int64."""
-    return len(data).to_bytes(8, "little") + data
 
 
 def write_mesh(path: Path, packed: Packed) -> ArrayPath:

@@ -11,10 +11,11 @@ import caster
 from mitsuba_ref.error_model.tolerances import LARGEST_Z, K
 from mitsuba_ref.judge import classification
 from mitsuba_ref.judge.aggregate import merge_windows
+from mitsuba_ref.judge.pipeline import bands_of
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, WRONG, Failure, Finding, SceneCheck, SceneVerdict
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.report import validation
-from mitsuba_ref.report.validation import bands_of, validate_scene
+from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.subjects.function import function_subject
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"

@@ -27,8 +27,7 @@ from mitsuba_ref.judge.hypotheses import (
     out_of_range,
     range_text,
 )
-from mitsuba_ref.judge.scene_checks import pixel_centers
-from mitsuba_ref.reference.shared_input import packed_float32
+from mitsuba_ref.reference.shared_input import packed_float32, pixel_centers
 from mitsuba_ref.subjects.function import FunctionSubject
 
 WIDTH, HEIGHT = 16, 12

@@ -14,7 +14,7 @@ import pytest
 from edited_tree import DEADLINE, ROOT, copy_tree, edit, run
 
 DIGEST, WORLD, SPHERE = ("caster/jit/code_digest.py", "caster/geometry/world_space.py", "caster/shapes/sphere.py")
-CHECKS = "mitsuba_ref/judge/scene_checks.py"
+CHECKS = "mitsuba_ref/judge/checks/shapes.py"
 SIZE = ("--size", "12", "10")
 PACKED = "caster/geometry/packing.py"
 RASTER, TREES, THREADS = (f"caster/rendering/{name}.py" for name in ("rasterization", "bvh_construction", "threads"))

@@ -16,7 +16,7 @@ from intersection_faults import LEAF_OF_PACKET
 
 from caster.image.exr import read_exr, write_exr
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.judge import THOROUGH_CHECKS
+from mitsuba_ref.judge.checks import thorough_names
 
 WIDTH, HEIGHT = "7", "6"  # the fewer pixels, the harder is a fault to see
 
@@ -863,13 +863,13 @@ def tree(unedited, tmp_path):
 
 
 # Most of the time of `validate` in plain Python; each is made where it is the check that a fault offends.
-LONG_CHECKS = (*THOROUGH_CHECKS, "knife_edges", "culling")
+LONG_CHECKS = (*thorough_names(), "knife_edges", "culling")
 
 
 def validate(forks, tree, scene, size, check=None):
     """What `validate` says, with its exit code; an internal error is no verdict. check: the long one to run."""
     without = [name for name in LONG_CHECKS if check not in (None, name)]
-    thorough = ["--thorough"] if check in THOROUGH_CHECKS else []
+    thorough = ["--thorough"] if check in thorough_names() else []
     found = forks.run(tree, "validate", str(scene), *thorough, "--size", *size, "-j", "1", without=without)
     assert found.returncode in (0, 1), found.stderr
     return found

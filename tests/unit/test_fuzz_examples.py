@@ -14,7 +14,7 @@ from mitsuba_ref.fuzz.campaign import check_example
 from mitsuba_ref.fuzz.families import BY_NAME, FAMILIES, example, scene_of
 from mitsuba_ref.fuzz.findings import Tally
 from mitsuba_ref.fuzz.settings import random_camera, random_setting, random_shape
-from mitsuba_ref.judge.independent_checks.adversarial_rays import Setting, perturbed_by_ulps
+from mitsuba_ref.judge.checks.adversarial_rays import Setting, perturbed_by_ulps
 from mitsuba_ref.shapes import KINDS, kind_of
 
 FEW = 8  # examples of each family

@@ -8,10 +8,10 @@ from caster.scene.model import Scene
 from mitsuba_ref.fuzz import checks
 from mitsuba_ref.fuzz.checks import adjudicate, check_rays, check_surfaces
 from mitsuba_ref.fuzz.findings import FINDING_KINDS, Finding, Tally, first_of_each_kind
-from mitsuba_ref.judge.independent_checks.adversarial_rays import RayBatch
-from mitsuba_ref.judge.independent_checks.knife_edges import NearestHits, cast_by_culling, prepared_scene
-from mitsuba_ref.judge.independent_checks.public_routes import RouteDifference
-from mitsuba_ref.judge.independent_checks.scaling import Difference
+from mitsuba_ref.judge.checks.adversarial_rays import RayBatch
+from mitsuba_ref.judge.checks.knife_edges import NearestHits, cast_by_culling, prepared_scene
+from mitsuba_ref.judge.checks.routes import RouteDifference
+from mitsuba_ref.judge.checks.scaling import Difference
 from mitsuba_ref.oracle.oracle import Oracle
 
 SQUARE = (

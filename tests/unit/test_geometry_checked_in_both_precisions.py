@@ -30,7 +30,7 @@ from caster.shapes import (
     Triangle,
 )
 from mitsuba_ref.judge import scene_checks
-from mitsuba_ref.judge.independent_checks.scaling import check_scaling
+from mitsuba_ref.judge.checks.scaling import check_scaling
 from mitsuba_ref.judge.scene_checks import PRECISIONS, Precision, Shares, check_geometry
 from mitsuba_ref.reference.shared_input import packed_float32
 from mitsuba_ref.shapes import reference_of

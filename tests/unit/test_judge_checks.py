@@ -17,9 +17,9 @@ from caster.rendering import casting, ray_tiles
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers
 from mitsuba_ref.judge import scene_checks
-from mitsuba_ref.judge.independent_checks import exr_round_trip, public_routes
-from mitsuba_ref.judge.independent_checks.exr_round_trip import WrittenImage, check_exr_files, stored_planes
-from mitsuba_ref.judge.independent_checks.public_routes import _program, check_routes, route_differences
+from mitsuba_ref.judge.checks import exr_round_trip, public_routes
+from mitsuba_ref.judge.checks.exr_files import WrittenImage, check_exr_files, stored_planes
+from mitsuba_ref.judge.checks.routes import _program, check_routes, route_differences
 from mitsuba_ref.judge.scene_checks import (
     BRUTE_FORCE_TESTS,
     PRECISIONS,

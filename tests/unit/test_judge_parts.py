@@ -27,10 +27,9 @@ from mitsuba_ref.judge.adjudication import (
     sample_rows,
 )
 from mitsuba_ref.judge.aggregate import merge_windows
-from mitsuba_ref.judge.diagnosis import Cause, Diagnosis
-from mitsuba_ref.judge.independent_checks import adversarial_rays as aimed
-from mitsuba_ref.judge.independent_checks.adversarial_rays import Setting, Targets
-from mitsuba_ref.judge.independent_checks.knife_edges import (
+from mitsuba_ref.judge.checks import adversarial_rays as aimed
+from mitsuba_ref.judge.checks.adversarial_rays import Setting, Targets
+from mitsuba_ref.judge.checks.knife_edges import (
     LARGEST_FLOAT64,
     NearestHits,
     RayBatch,
@@ -40,6 +39,7 @@ from mitsuba_ref.judge.independent_checks.knife_edges import (
     lossless_exponents,
     with_limits,
 )
+from mitsuba_ref.judge.diagnosis import Cause, Diagnosis
 from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, Finding, SceneCheck, SceneVerdict, Verdict
 from mitsuba_ref.oracle.oracle import OutsideDomain
 from mitsuba_ref.subjects.subject import Answer

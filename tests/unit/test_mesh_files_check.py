@@ -13,8 +13,8 @@ import caster
 from caster.geometry.mesh_files import load_mesh
 from caster.geometry.triangle_mesh import vertex_normals
 from caster.scene.model import Scene
-from mitsuba_ref.judge.independent_checks import mesh_files
-from mitsuba_ref.judge.independent_checks.mesh_files import (
+from mitsuba_ref.judge.checks import mesh_files
+from mitsuba_ref.judge.checks.mesh_files import (
     READ_ONCE,
     check_mesh_files,
     files_of,

@@ -13,7 +13,7 @@ from caster.geometry.world_space import as_float32, as_given
 from caster.rendering.images import render
 from caster.scene.files import load_scene, scene_from_text
 from caster.scene.model import Scene
-from mitsuba_ref.judge.independent_checks.mesh_files import check_mesh_files
+from mitsuba_ref.judge.checks.mesh_files import check_mesh_files
 from mitsuba_ref.judge.scene_checks import check_geometry
 
 CAMERA = caster.Pinhole(eye=(0.3, 0.7, 6.1), look_at=(0, 0, 0), fov=40)

@@ -21,8 +21,9 @@ from caster.rendering.images import camera_rays, evaluate, film_window, render, 
 from caster.rendering.ray_fans import SAMPLED_RAYS, find_rows
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
-from mitsuba_ref.judge.independent_checks.knife_edges import content_seed
-from mitsuba_ref.judge.scene_checks import bits_differ
+from mitsuba_ref.judge.checks import OURS, check
+from mitsuba_ref.judge.checks.knife_edges import content_seed
+from mitsuba_ref.judge.checks.render import bits_differ
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.shapes.targets import Rng
 
@@ -67,6 +68,7 @@ class RouteDifference(NamedTuple):
         )
 
 
+@check(of=(OURS,), scope="window", camera=True, thorough=True)
 def check_routes(scene: Scene, path: str = "") -> SceneCheck:
     """A sample of routes, the same for the same scene; infinite for one that differs, with AOV, pixel and a command."""
     taken = 0

@@ -27,9 +27,10 @@ from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.independent_transform import angle_weighted_normals
 from mitsuba_ref.error_model.intersections import unit
 from mitsuba_ref.error_model.tolerances import FILE_NORMAL_ROUNDINGS, FILE_UV_ROUNDINGS, TRANSFORM_ROUNDINGS, U32
-from mitsuba_ref.judge.scene_checks import Shares
+from mitsuba_ref.judge.checks import Shares, check
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.messages import LoadedMesh
+from mitsuba_ref.reference.rendering import ReferenceResult
 
 T = TypeVar("T")
 
@@ -99,9 +100,10 @@ def for_mitsuba(file: Path, folder: Path, number: int) -> Path:
     return copy
 
 
-def check_mesh_files(scene: Scene, loaded: tuple[LoadedMesh, ...]) -> SceneCheck:
-    """Every mesh file of the scene as others read it. loaded: by Mitsuba, in the order of `files_of`."""
-    files = files_of(scene)
+@check()
+def check_mesh_files(scene: Scene, result: ReferenceResult) -> SceneCheck:
+    """Every mesh file of the scene as others read it: by Mitsuba, in the order of `files_of`."""
+    files, loaded = files_of(scene), result.answer.meshes
     if len(loaded) != len(files):
         return SceneCheck("mesh_files", np.inf, f"{len(files)} files, Mitsuba has read {len(loaded)}")
     shares, names = Shares(), [file.name for file in files]
