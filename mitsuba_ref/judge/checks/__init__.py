@@ -62,7 +62,8 @@ def all_checks() -> tuple[Check, ...]:
     """Every check, in the order in which they are made: of the scene alone, of the answers, of the whole film."""
     for module in iter_modules(__path__):
         import_module(f"{__name__}.{module.name}")
-    return tuple(sorted(_registered.values(), key=lambda each: (each.scope == "film", each.answered)))
+    stage = {name: (each.scope == "film", each.answered, each.make.__module__) for name, each in _registered.items()}
+    return tuple(sorted(_registered.values(), key=lambda each: stage[each.name]))
 
 
 def checks_of(whose: str, *, thorough: bool = True, whole_scene: bool = True, camera: bool = True) -> tuple[Check, ...]:

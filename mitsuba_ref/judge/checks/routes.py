@@ -1,4 +1,4 @@
-"""Every public route to a pixel gives the same bits: sets of AOVs, threads, dtypes, crops, films, cast, probe, fans.
+"""Every public route to a pixel gives the same bits: sets of AOVs, threads, dtypes, crops, films, cast, probe.
 
 What is compared with the reference is one image: all AOVs, by the planned culling. Whatever else users may call has
 to give the bits of that image, or, on films of other sizes, those of the camera's rays cast one by one. Which routes
@@ -15,15 +15,13 @@ import numpy as np
 from caster import cast, occluded
 from caster.aovs import AOVS, Aovs
 from caster.geometry.packing import packed
-from caster.rendering.casting import Culling, find_any, find_nearest
+from caster.rendering.casting import Culling
 from caster.rendering.hits import trace_rays
 from caster.rendering.images import camera_rays, evaluate, film_window, render, trace_film
-from caster.rendering.ray_fans import SAMPLED_RAYS, find_rows
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.checks import OURS, check
 from mitsuba_ref.judge.checks.knife_edges import content_seed
-from mitsuba_ref.judge.checks.render import bits_differ
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.shapes.targets import Rng
 
@@ -45,9 +43,6 @@ SAMPLE_SHARE, SAMPLED_PIXELS = (
 )  # pixels: that share, within limits; cast one by one, half of them at edges
 LIMITS = 3  # pairs of t_min and t_max, each of a call of its own
 PROBED_PIXELS = 2
-FAN_ROWS = 4  # of a film, at least, that are cast as rows: fewer are not seen to be some
-MIN_FAN_RAYS = 64  # of a sample of fewer it is not seen what they have in common
-MAX_FAN_PRIMITIVES = 1 << 20  # 50 bytes each, for a sample of rays
 
 
 class RouteDifference(NamedTuple):
@@ -66,6 +61,32 @@ class RouteDifference(NamedTuple):
             f"{self.route}: {self.aov} at ({self.x}, {self.y}) is {self.got}, expected {self.expected}; "
             f"{self.pixels} pixels"
         )
+
+
+class Route(NamedTuple):
+    """What one route gives and has to give, by AOV: arrays of one row a pixel."""
+
+    call: str
+    film: Scene
+    expected: dict[str, np.ndarray]
+    got: dict[str, np.ndarray]
+    rows: np.ndarray | None = None  # of the film's window; None: all of them
+
+    def difference(self) -> RouteDifference | None:
+        """The first AOV with other bits, another shape or dtype."""
+        x0, y0, x1, _ = self.film.film.window
+        for name, got in self.got.items():
+            a, b = np.ascontiguousarray(self.expected[name]), np.ascontiguousarray(got)
+            if (a.shape, a.dtype) != (b.shape, b.dtype):
+                return RouteDifference(self.call, name, x0, y0, f"{a.shape} {a.dtype}", f"{b.shape} {b.dtype}", len(a))
+            one, two = (values.reshape(len(a), -1).view(np.uint8) for values in (a, b)) if len(a) else (a, b)
+            bad = np.flatnonzero((one != two).any(axis=1)) if len(a) else ()
+            if len(bad):
+                first = int(bad[0])
+                row = first if self.rows is None else int(self.rows[first])
+                x, y = x0 + row % (x1 - x0), y0 + row // (x1 - x0)
+                return RouteDifference(self.call, name, x, y, _text(a[first]), _text(b[first]), len(bad))
+        return None
 
 
 @check(of=(OURS,), scope="window", camera=True, thorough=True)
@@ -93,12 +114,6 @@ def _program(route: str, path: str) -> str:
         if "(scene, o, d" not in route
         else ("from caster.rendering.images import camera_rays; o, d = camera_rays(scene)[:2]; ")
     )
-    if route.startswith("find_"):
-        rays = (
-            "from caster.geometry.packing import packed; from caster.rendering.images import camera_rays; "
-            "from caster.rendering.casting import find_any, find_nearest; "
-            f"from {__name__} import limited_rays, rays_back; "
-        )
     head = f'import caster, numpy as np; from numpy import inf; scene = caster.load_scene("{path}")'
     return f"{head}; {rays}print({route})".replace("'", '"')
 
@@ -106,24 +121,22 @@ def _program(route: str, path: str) -> str:
 @np.errstate(all="ignore")  # of kernels in plain Python
 def route_differences(scene: Scene, on_route: Callable[[], None] = lambda: None) -> list[RouteDifference]:
     """Routes with other bits. on_route: called before each route."""
-    return list(_differences(scene, on_route))
+    found = []
+    for route in _routes(scene):
+        on_route()
+        found.append(route.difference())
+    return [each for each in found if each is not None]
 
 
-def _differences(scene: Scene, on_route: Callable[[], None]) -> Iterator[RouteDifference]:
+def _routes(scene: Scene) -> Iterator[Route]:
     rng = np.random.default_rng(_seed(scene))
     whole = render(scene, ALL_AOVS)
     edges = np.flatnonzero(_beside_another(whole))
-    for routes in (
-        _other_sets(scene, rng, whole),
-        _crops(scene, rng, whole, edges),
-        _other_films(scene, rng),
-        _ray_by_ray(scene, rng, whole, edges),
-        _probed(scene, rng, whole, edges),
-        _as_fans(scene, rng, whole, edges),
-    ):
-        for found in routes:
-            on_route()
-            yield from found
+    yield from _other_sets(scene, rng, whole)
+    yield from _crops(scene, rng, whole, edges)
+    yield from _other_films(scene, rng)
+    yield from _ray_by_ray(scene, rng, whole, edges)
+    yield from _probed(scene, rng, whole, edges)
 
 
 def _seed(scene: Scene) -> int:
@@ -131,41 +144,26 @@ def _seed(scene: Scene) -> int:
     return zlib.crc32(repr((film.width, film.height, film.crop, scene.camera)).encode(), content_seed(packed(scene)))
 
 
+def _text(value: Any) -> str:
+    return repr(np.asarray(value).tolist())
+
+
 # ---- images
 
 
-Found = Iterator[Iterator[RouteDifference]]
+def _image(film: Scene, call: str, expected: Aovs, got: Aovs, dtype: type[np.floating] = np.float64) -> Route:
+    """Every AOV that `got` has, and the mask; expected is rounded to `dtype`, as the route is documented to."""
+
+    def rounded(name: str) -> np.ndarray:
+        rows = aov_rows(expected, name)
+        return rows.astype(dtype) if rows.dtype.kind == "f" else rows
+
+    before = {"mask": expected.hit.ravel()} | {name: rounded(name) for name in got}
+    return Route(call, film, before, {"mask": got.hit.ravel()} | {name: aov_rows(got, name) for name in got})
 
 
-def _compare(
-    scene: Scene, route: str, expected: Aovs, got: Aovs, dtype: type[np.floating] = np.float64
-) -> Iterator[RouteDifference]:
-    """Of every AOV that `got` has, and of the mask; expected is rounded to `dtype`, as the route is documented to."""
-    x0, y0, x1, _ = scene.film.window
-    masks = Aovs({"mask": expected.hit}, expected.hit), Aovs({"mask": got.hit}, got.hit)
-    rounded = Aovs({name: _rounded(expected[name], dtype) for name in got}, expected.hit)
-    for name, a, b in [("mask", *masks), *((name, rounded, got) for name in got)]:
-        one, two = a[name], b[name]
-        if one.shape != two.shape or one.dtype != two.dtype:
-            before, after = (f"{image.shape} {image.dtype}" for image in (one, two))
-            yield RouteDifference(route, name, x0, y0, before, after, one.size)
-            continue
-        rows = np.flatnonzero(bits_differ(a, b, name))
-        if len(rows):
-            before, after = (_text(aov_rows(image, name)[rows[0]]) for image in (a, b))
-            x, y = x0 + int(rows[0]) % (x1 - x0), y0 + int(rows[0]) // (x1 - x0)
-            yield RouteDifference(route, name, x, y, before, after, len(rows))
-
-
-def _rounded(image: np.ndarray, dtype: type[np.floating]) -> np.ndarray:
-    if image.dtype.kind != "f":
-        return image
-    with np.errstate(over="ignore", under="ignore"):
-        return image.astype(dtype)
-
-
-def _text(value: Any) -> str:
-    return repr(np.asarray(value).tolist())
+def _cut(whole: Aovs, part: tuple[slice, slice]) -> Aovs:
+    return Aovs({name: whole[name][part] for name in whole}, whole.hit[part])
 
 
 def _call(
@@ -188,15 +186,15 @@ def _sets(rng: Rng, count: int) -> list[tuple[str, ...]]:
     return [names for two in zip(alone, pairs, strict=False) for names in two][:count]
 
 
-def _other_sets(scene: Scene, rng: Rng, whole: Aovs) -> Found:
-    """Other AOVs, numbers of threads and dtypes, of the whole film."""
+def _other_sets(scene: Scene, rng: Rng, whole: Aovs) -> Iterator[Route]:
+    """Other AOVs and numbers of threads, of the whole film."""
     threads = rng.permutation([1, 2, 3]).tolist()
     for i, names in enumerate([*USUAL_SETS, *_sets(rng, 2)]):
         options = {"threads": threads[i % 3]}
-        yield _compare(scene, _call(names, **options), whole, render(scene, names, **options))
+        yield _image(scene, _call(names, **options), whole, render(scene, names, **options))
 
 
-def _crops(scene: Scene, rng: Rng, whole: Aovs, edges: np.ndarray) -> Found:
+def _crops(scene: Scene, rng: Rng, whole: Aovs, edges: np.ndarray) -> Iterator[Route]:
     """Random windows are what is cut out of the whole, whatever is asked of them."""
     x0, y0, x1, y1 = scene.film.window
     sets = [*USUAL_SETS[:2], *_sets(rng, SETS_OF_CROPS)]
@@ -207,17 +205,12 @@ def _crops(scene: Scene, rng: Rng, whole: Aovs, edges: np.ndarray) -> Found:
         left, right = _around(rng, pixel % (x1 - x0), x1 - x0, side)
         top, bottom = _around(rng, pixel // (x1 - x0), y1 - y0, side)
         crop = (x0 + left, y0 + top, x0 + right, y0 + bottom)
-        part = scene.with_film(crop=crop)
-        cut = Aovs(
-            {name: np.ascontiguousarray(whole[name][top:bottom, left:right]) for name in whole},
-            whole.hit[top:bottom, left:right],
-        )
-        yield _compare(part, _call(ALL_AOVS, crop), cut, render(part, ALL_AOVS))
+        part, cut = scene.with_film(crop=crop), _cut(whole, (slice(top, bottom), slice(left, right)))
+        yield _image(part, _call(ALL_AOVS, crop), cut, render(part, ALL_AOVS))
         options: dict[str, Any] = {"dtype": np.float32, "threads": int(rng.integers(1, 4))}
-        image = render(part, ALL_AOVS, **options)
-        yield _compare(part, _call(ALL_AOVS, crop, **options), cut, image, np.float32)
+        yield _image(part, _call(ALL_AOVS, crop, **options), cut, render(part, ALL_AOVS, **options), np.float32)
         for names in sets[number * share : (number + 1) * share]:
-            yield _compare(part, _call(names, crop, threads=1), cut, render(part, names, threads=1))
+            yield _image(part, _call(names, crop, threads=1), cut, render(part, names, threads=1))
 
 
 def _around(rng: Rng, at: int, length: int, most: int) -> tuple[int, int]:
@@ -227,7 +220,7 @@ def _around(rng: Rng, at: int, length: int, most: int) -> tuple[int, int]:
     return start, start + side
 
 
-def _other_films(scene: Scene, rng: Rng) -> Found:
+def _other_films(scene: Scene, rng: Rng) -> Iterator[Route]:
     """Films as wide as tiles, or one pixel off, and portraits: `render` is the camera's rays, cast by any culling."""
     numbers = packed(scene)
     x0, y0, x1, y1 = scene.film.window
@@ -240,17 +233,28 @@ def _other_films(scene: Scene, rng: Rng) -> Found:
         crop = (0, 0, *size)
         film = scene.with_film(width=size[0], height=size[1], crop=crop)
         rays = camera_rays(film)
-        view = trace_rays(film, numbers, rays, np.zeros(len(rays.o)))
-        expected = evaluate(view, ALL_AOVS, film_window(film))
+        expected = evaluate(trace_rays(film, numbers, rays, np.zeros(len(rays.o))), ALL_AOVS, film_window(film))
         for names in (ALL_AOVS, USUAL_SETS[0]):
-            yield _compare(film, _call(names, crop, size), expected, render(film, names))
-        if not small and rays.o.shape[0] * int(numbers.first[-1]) <= BRUTE_FORCE_TESTS:
+            yield _image(film, _call(names, crop, size), expected, render(film, names))
+        if not small and len(rays.o) * int(numbers.first[-1]) <= BRUTE_FORCE_TESTS:
             culling = _CULLINGS[i % 2]
             image = render(film, ALL_AOVS, culling=culling)
-            yield _compare(film, _call(ALL_AOVS, crop, size, culling=culling), expected, image)
+            yield _image(film, _call(ALL_AOVS, crop, size, culling=culling), expected, image)
 
 
 _CULLINGS: tuple[Culling, ...] = ("brute-force", "bvh")
+
+
+def _probed(scene: Scene, rng: Rng, whole: Aovs, edges: np.ndarray) -> Iterator[Route]:
+    """What `caster probe` casts, at a few pixels."""
+    x0, y0, x1, _ = scene.film.window
+    pixels = rng.permutation(_some_pixels(rng, whole, edges, 4 * PROBED_PIXELS))[:PROBED_PIXELS]
+    for row in pixels.tolist():
+        x, y = row % (x1 - x0), row // (x1 - x0)
+        one = scene.with_film(crop=(x0 + x, y0 + y, x0 + x + 1, y0 + y + 1))
+        image = evaluate(trace_film(one, threads=1), ALL_AOVS, film_window(one))
+        cut = _cut(whole, (slice(y, y + 1), slice(x, x + 1)))
+        yield _image(one, f"caster probe SCENE {x0 + x} {y0 + y}", cut, image)
 
 
 # ---- rays, one by one
@@ -272,7 +276,11 @@ def _some_pixels(rng: Rng, whole: Aovs, edges: np.ndarray, count: int) -> np.nda
     return np.unique(np.concatenate([chosen, anywhere])).astype(int)
 
 
-def _ray_by_ray(scene: Scene, rng: Rng, whole: Aovs, edges: np.ndarray) -> Found:
+def _lengths(d: np.ndarray) -> np.ndarray:
+    return np.sqrt(d[:, 0] * d[:, 0] + d[:, 1] * d[:, 1] + d[:, 2] * d[:, 2])
+
+
+def _ray_by_ray(scene: Scene, rng: Rng, whole: Aovs, edges: np.ndarray) -> Iterator[Route]:
     """`cast`, its Hits and `occluded` at some pixels: the values of the image, and of each other."""
     rays = camera_rays(scene)
     count = int(np.clip(len(rays.o) // SAMPLE_SHARE, *SAMPLED_PIXELS))
@@ -284,29 +292,23 @@ def _ray_by_ray(scene: Scene, rng: Rng, whole: Aovs, edges: np.ndarray) -> Found
     order = np.argsort(-np.bincount(member.ravel()))[:LIMITS]
     for number in order.tolist():
         some, (t_min, t_max) = rows[member.ravel() == number], limits[number].tolist()
-        yield _hits_differences(scene, rays.o[some], rays.d[some], (t_min, t_max), some, whole)
+        yield from _hits(scene, rays.o[some], rays.d[some], (t_min, t_max), some, whole)
     o, d, every = rays.o[rows], rays.d[rows], np.array(list(_limits(rng, aov_rows(whole, "depth")[rows])))
-    for t_min, t_max in every.tolist():
+    alone = [cast(scene, o, d, t_min=low, t_max=high).t for low, high in every.tolist()]
+    for (t_min, t_max), t in zip(every.tolist(), alone, strict=True):
         blocked = occluded(scene, o, d, t_max, t_min=t_min)
-        hit = np.isfinite(cast(scene, o, d, t_min=t_min, t_max=t_max).t)
-        route = f"caster.occluded(scene, o, d, {t_max!r}, t_min={t_min!r})"
-        yield _rows_differ(scene, route, "t", hit, blocked, rows)
-    yield from _own_limits(scene, (o, d), every, rows)
-
-
-def _own_limits(scene: Scene, lines: tuple[np.ndarray, np.ndarray], limits: np.ndarray, rows: np.ndarray) -> Found:
-    """Limits (m, 2) of which each ray has its own: what each gets where all have that."""
-    t_min, t_max = (np.resize(column, len(rows)) for column in limits.T)
-    alone = [cast(scene, *lines, t_min=low, t_max=high).t for low, high in limits.tolist()]
-    expected = np.choose(np.arange(len(rows)) % len(limits), alone)
-    words = (
-        f"t_m{end}=np.resize({column.tolist()}, len(o))" for end, column in zip(("in", "ax"), limits.T, strict=True)
-    )
-    arrays = ", ".join(words)
-    together = cast(scene, *lines, t_min=t_min, t_max=t_max).t
-    yield _rows_differ(scene, f"caster.cast(scene, o, d, {arrays}).t", "t", expected, together, rows)
-    blocked = occluded(scene, *lines, t_max, t_min=t_min)
-    yield _rows_differ(scene, f"caster.occluded(scene, o, d, {arrays})", "t", np.isfinite(expected), blocked, rows)
+        call = f"caster.occluded(scene, o, d, {t_max!r}, t_min={t_min!r})"
+        yield Route(call, scene, {"t": np.isfinite(t)}, {"t": blocked}, rows)
+    # Limits of which each ray has its own: what each gets where all have that.
+    low, high = (np.resize(column, len(rows)) for column in every.T)
+    expected = np.choose(np.arange(len(rows)) % len(every), alone)
+    ends = zip(("in", "ax"), every.T, strict=True)
+    arrays = ", ".join(f"t_m{end}=np.resize({column.tolist()}, len(o))" for end, column in ends)
+    together = cast(scene, o, d, t_min=low, t_max=high).t
+    yield Route(f"caster.cast(scene, o, d, {arrays}).t", scene, {"t": expected}, {"t": together}, rows)
+    blocked = occluded(scene, o, d, high, t_min=low)
+    call = f"caster.occluded(scene, o, d, {arrays})"
+    yield Route(call, scene, {"t": np.isfinite(expected)}, {"t": blocked}, rows)
 
 
 def _limits(rng: Rng, depth: np.ndarray) -> Iterator[tuple[float, float]]:
@@ -321,147 +323,23 @@ def _limits(rng: Rng, depth: np.ndarray) -> Iterator[tuple[float, float]]:
         yield float(finite[len(finite) // 4]), float(finite[3 * len(finite) // 4])
 
 
-def _hits_differences(
+def _hits(
     scene: Scene, o: np.ndarray, d: np.ndarray, limits: tuple[float, float], rows: np.ndarray, whole: Aovs
-) -> Iterator[RouteDifference]:
-    """Fields of Hits, each of a call of its own where one field may be found without the others."""
+) -> Iterator[Route]:
+    """Fields of Hits; the normal of a call of its own, since it may be found without the others."""
     t_min, t_max = limits
     route = f"caster.cast(scene, o, d, t_min={t_min!r}, t_max={t_max!r})"
     hits = cast(scene, o, d, t_min=t_min, t_max=t_max)
     normal = cast(scene, o, d, t_min=t_min, t_max=t_max).normal
     surface = hits.surface
-    length = np.sqrt(d[:, 0] * d[:, 0] + d[:, 1] * d[:, 1] + d[:, 2] * d[:, 2])
-    fields = {
-        "shape_id": ("shape_id", hits.shape_id),
-        "prim_id": ("prim_id", hits.prim_id),
-        "normal": ("normal", normal),
-        "surface.n": ("normal", surface.n),
-        "surface.p": ("position", surface.p),
-        "surface.sh_n": ("shading_normal", surface.sh_n),
-        "surface.uv": ("uv", surface.uv),
-    }
-    for field, (name, values) in fields.items():
-        yield from _rows_differ(scene, f"{route}.{field}", name, aov_rows(whole, name)[rows], values, rows)
-    t = hits.t * length
-    yield from _rows_differ(scene, f"{route}.t", "depth", aov_rows(whole, "depth")[rows], t, rows)
-
-
-def _as_fans(scene: Scene, rng: Rng, whole: Aovs, edges: np.ndarray) -> Found:
-    """Rays that start at one point as `cast` takes many of them, in any order and row by row, and those back to it."""
-    rays, numbers = camera_rays(scene), packed(scene)
-    count = int(np.clip(len(rays.o) // SAMPLE_SHARE, *SAMPLED_PIXELS))
-    rows = rng.permutation(_some_pixels(rng, whole, edges, count))
-    rows = rows[rays.t_max[rows] >= 0.0]
-    from_one_point = len(rows) >= MIN_FAN_RAYS and (rays.o[rows] == rays.o[rows[0]]).all()
-    if not from_one_point or int(numbers.first[-1]) > MAX_FAN_PRIMITIVES:
-        return
-    height, width = whole.hit.shape
-    high = min(height, max(FAN_ROWS, count // width))
-    first = int(rng.integers(height - high + 1)) * width
-    for some in (np.arange(first, first + high * width), rows):
-        part = type(rays)(*(a[some] for a in rays))
-        if some is rows or find_rows(part) is not None:
-            found = find_nearest(numbers, part, always_fans=True)
-            yield _fan_differences(scene, part.d, found, some, whole)
-    for strays in (0, 2):
-        limited = _limited(part, found.t, strays)
-        slow, fan = (find_nearest(numbers, limited, always_fans=fans) for fans in (False, True))
-        route = f"find_nearest(packed(scene), limited_rays(scene, {strays}), always_fans=True)"
-        yield _rows_differ(scene, route, "t", slow.t, fan.t, rows)
-        yield _rows_differ(scene, route, "prim_id", slow.prim, fan.prim, rows)
-        blocked, soon = (find_any(numbers, limited, always_fans=fans) for fans in (False, True))
-        route = f"find_any(packed(scene), limited_rays(scene, {strays}), always_fans=True)"
-        yield _rows_differ(scene, route, "t", blocked, soon, rows)
-    back, hit = _rays_back(rays, found.t, rows)
-    if len(hit) >= MIN_FAN_RAYS:
-        free, fast = (find_any(numbers, back, always_fans=fans) for fans in (False, True))
-        route = "find_any(packed(scene), rays_back(scene), always_fans=True)"
-        yield _rows_differ(scene, route, "t", free, fast, hit)
-
-
-def _fan_differences(
-    scene: Scene, d: np.ndarray, found: Any, rows: np.ndarray, whole: Aovs
-) -> Iterator[RouteDifference]:
-    """Nearest hits of some of the camera's rays, cast as a fan."""
-    numbers = packed(scene)
-    route = "find_nearest(packed(scene), camera_rays(scene), always_fans=True)"
-    length = np.sqrt(d[:, 0] * d[:, 0] + d[:, 1] * d[:, 1] + d[:, 2] * d[:, 2])
-    for name, values in (
-        ("depth", found.t * length),
-        ("shape_id", numbers.shape_of(found.prim)),
-        ("prim_id", numbers.index_in_shape(found.prim)),
+    for field, name, values in (
+        ("shape_id", "shape_id", hits.shape_id),
+        ("prim_id", "prim_id", hits.prim_id),
+        ("normal", "normal", normal),
+        ("surface.n", "normal", surface.n),
+        ("surface.p", "position", surface.p),
+        ("surface.sh_n", "shading_normal", surface.sh_n),
+        ("surface.uv", "uv", surface.uv),
+        ("t", "depth", hits.t * _lengths(d)),
     ):
-        yield from _rows_differ(scene, route, name, aov_rows(whole, name)[rows], values, rows)
-
-
-def _rays_back(rays: Any, t: np.ndarray, rows: np.ndarray) -> tuple[Any, np.ndarray]:
-    """(rays from the hits at t of camera rays `rows` to where these start, the rows that hit)."""
-    with np.errstate(all="ignore"):
-        o = rays.o[rows] + t[:, None] * rays.d[rows]
-        d = rays.o[rows] - o
-    hit = np.isfinite(d).all(axis=1) & d.any(axis=1)
-    count = int(hit.sum())
-    return type(rays)(o[hit], d[hit], np.zeros(count), np.ones(count)), rows[hit]
-
-
-def _limited(rays: Any, t: np.ndarray, strays: int) -> Any:
-    """These rays from the first quarter of the hits to the last; some that hit start elsewhere, and have no limits.
-
-    None of those is of the sample, at equal distances, in which `cast` looks for a common origin.
-    """
-    hits = np.sort(t[np.isfinite(t)])
-    low, high = (float(hits[len(hits) // 4]), float(hits[3 * len(hits) // 4])) if len(hits) else (0.0, np.inf)
-    count, o = len(t), rays.o.copy()
-    t_min, t_max = np.full(count, low), np.full(count, high)
-    sampled = np.linspace(0, count - 1, SAMPLED_RAYS).astype(int)
-    astray = np.setdiff1d(np.flatnonzero(np.isfinite(t)), sampled)[:strays]
-    o[astray] += 0.5 * low * rays.d[astray]
-    t_min[astray], t_max[astray] = 0.0, np.inf
-    return type(rays)(o, rays.d, t_min, t_max)
-
-
-def limited_rays(scene: Scene, strays: int) -> Any:
-    """The camera's rays with limits among their hits, `strays` of which start elsewhere than all others."""
-    rays = camera_rays(scene)
-    return _limited(rays, find_nearest(packed(scene), rays).t, strays)
-
-
-def rays_back(scene: Scene) -> Any:
-    """Rays from what the camera's rays hit to where those start: o, d, t_min 0 and t_max 1."""
-    rays = camera_rays(scene)
-    return _rays_back(rays, find_nearest(packed(scene), rays).t, np.arange(len(rays.o)))[0]
-
-
-def _rows_differ(
-    scene: Scene, route: str, name: str, expected: np.ndarray, got: np.ndarray, rows: np.ndarray
-) -> Iterator[RouteDifference]:
-    """One difference, at the first row with other bits; NaN is like NaN."""
-    x0, y0, x1, _ = scene.film.window
-    a, b = (np.ascontiguousarray(values) for values in (expected, got))
-    if a.shape != b.shape or a.dtype != b.dtype:
-        yield RouteDifference(route, name, x0, y0, f"{a.shape} {a.dtype}", f"{b.shape} {b.dtype}", int(a.shape[0]))
-        return
-    if not len(a):
-        return
-    bytes_a, bytes_b = (values.reshape(len(a), -1).view(np.uint8) for values in (a, b))
-    bad = np.flatnonzero((bytes_a != bytes_b).any(axis=1))
-    if len(bad):
-        row = int(rows[bad[0]])
-        x, y = x0 + row % (x1 - x0), y0 + row // (x1 - x0)
-        yield RouteDifference(route, name, x, y, _text(a[bad[0]]), _text(b[bad[0]]), len(bad))
-
-
-def _probed(scene: Scene, rng: Rng, whole: Aovs, edges: np.ndarray) -> Found:
-    """What `caster probe` casts, at a few pixels."""
-    x0, y0, x1, _ = scene.film.window
-    pixels = rng.permutation(_some_pixels(rng, whole, edges, 4 * PROBED_PIXELS))[:PROBED_PIXELS]
-    for row in pixels.tolist():
-        x, y = x0 + row % (x1 - x0), y0 + row // (x1 - x0)
-        one = scene.with_film(crop=(x, y, x + 1, y + 1))
-        view = trace_film(one, threads=1)
-        image = evaluate(view, ALL_AOVS, film_window(one))
-        cut = Aovs(
-            {name: aov_rows(whole, name)[[row]].reshape(image[name].shape) for name in image},
-            whole.hit.reshape(-1)[[row]][:, None],
-        )
-        yield _compare(one, f"caster probe SCENE {x} {y}", cut, image)
+        yield Route(f"{route}.{field}", scene, {name: aov_rows(whole, name)[rows]}, {name: values}, rows)
