@@ -34,8 +34,8 @@ slow: $(INSTALLED) ## the tests that `make test` leaves out; with it, each test 
 fuzz: $(INSTALLED) ## random scenes against exact arithmetic and Mitsuba for a minute; ARGS="--time 1h --seed 7"
 	@$(BIN)/mitsuba-ref fuzz $(ARGS)
 
-faults: $(INSTALLED) ## plant every fault there is in a copy of the caster: fuzz or validate has to find each; ten minutes
-	@FAULTS=all $(BIN)/python -m pytest -n $(JOBS) tests/reference/test_planted_faults.py tests/reference/test_fuzz_faults.py tests/agreement/test_lane_faults.py tests/reference/test_bound_faults.py tests/reference/test_packing_crash_key_faults.py tests/reference/test_reader_faults.py tests/reference/test_route_faults.py tests/reference/test_file_faults.py tests/reference/test_option_and_scale_faults.py $(ARGS)
+faults: $(INSTALLED) ## plant every fault of tests/faults in a copy of the tree: validate, fuzz or a test has to find each
+	@FAULTS=all $(BIN)/python -m pytest -n $(JOBS) tests/reference/test_faults.py $(ARGS)
 
 isa: $(INSTALLED) ## scenes and tests with Mitsuba limited to SSE4.2, AVX and AVX2, as other machines have it; half an hour
 	@PYTHONPATH=tests/isa $(BIN)/python -P -m isa_runs --jobs $(JOBS) $(ARGS)
@@ -61,9 +61,9 @@ stress: $(INSTALLED) ## sweeps of numerical stability: writes docs/stress.md and
 	@$(BIN)/mitsuba-ref stress --json build/stress.json $(ARGS); code=$$?; \
 	  $(BIN)/python benchmarks/stress_page.py build/stress.json docs && exit $$code
 
-bench: $(INSTALLED) ## run time against error: writes docs/performance.md and its images; ARGS=--peers times others, too
+bench: $(INSTALLED) ## run time against error: writes docs/performance.md and its plot; ARGS=--peers times others, too
 	@mkdir -p docs/performance
-	@$(BIN)/mitsuba-ref bench --sweeps --json docs/performance/run.json $(ARGS)
+	@$(BIN)/mitsuba-ref bench --json docs/performance/run.json $(ARGS)
 	@$(BIN)/python benchmarks/performance_page.py docs/performance/run.json docs
 
 wheel: $(INSTALLED) ## a wheel with object code of all kernels for x86-64-v3 and v4: dist/, in some minutes

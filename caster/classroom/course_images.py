@@ -7,16 +7,15 @@ import numpy as np
 
 from caster.cameras import Orthographic
 from caster.classroom.course_files import CourseScene
-from caster.classroom.scene_conversion import Falloff
-from caster.description.fields import Shape
-from caster.description.transform import dot_rows, row_lengths, transform_points, transform_vectors
-from caster.geometry.world_space import as_given, world_vertices
+from caster.description.transform import dot_rows, row_lengths
+from caster.geometry.packing import packed
 from caster.rendering.hits import RayHits
 from caster.rendering.images import film_window, trace_film
-from caster.scene.model import Ambient, Directional, Light, Point, Scene
-from caster.shapes import Plane, Sphere
+from caster.scene.model import Ambient, Directional, Scene
 
-__all__ = ["with_window_behind_scene"]
+__all__ = ["CourseImages", "render_course", "with_window_behind_scene"]
+
+Array = np.ndarray[Any, np.dtype[Any]]
 
 
 def with_window_behind_scene(scene: Scene) -> tuple[Scene, float]:
@@ -27,42 +26,24 @@ def with_window_behind_scene(scene: Scene) -> tuple[Scene, float]:
     camera = scene.camera
     if not isinstance(camera, Orthographic) or not scene.shapes:
         return scene, 0.0
-    nearest = min(_entry_bound(scene, camera, shape) for shape in scene.shapes)
+    right, up, forward = (np.array(v) for v in camera.frame)
+    eye, half = np.array(camera.eye), 0.5 * camera.width
+    tall = half * scene.film.height / scene.film.width
+    corners = np.array([eye + x * half * right + y * tall * up for x in (-1, 1) for y in (-1, 1)])
+    nearest = np.inf  # a lower bound of t
+    for kind in packed(scene).kinds:
+        if kind.bounded:
+            low, high = kind.boxes()
+            entries = np.minimum(low * forward, high * forward).sum(axis=1) - dot_rows(eye[None], forward)
+        else:  # planes: t is linear over the window, so the least is at a corner
+            slopes = dot_rows(kind.prims.normal, forward)[:, None]
+            heights = ((kind.prims.point[:, None] - corners) * kind.prims.normal[:, None]).sum(axis=2)
+            entries = np.divide(heights, slopes, out=np.full(heights.shape, np.inf), where=slopes != 0.0)
+        nearest = min(nearest, float(entries.min(initial=np.inf)))
     if nearest > 0.0:
         return scene, 0.0
     back = 1.0 - 2.0 * nearest  # a margin far above rounding
-    eye = np.array(camera.eye) - back * np.array(camera.frame[2])
-    return scene.model_copy(update={"camera": camera.model_copy(update={"eye": eye.tolist()})}), back
-
-
-def _entry_bound(scene: Scene, camera: Orthographic, shape: Shape) -> float:
-    """A lower bound of t at which a ray of the window hits the shape."""
-    forward, eye = np.array(camera.frame[2]), np.array(camera.eye)
-    if isinstance(shape, Sphere):
-        center = transform_points(shape.matrix, np.array([shape.center]))
-        reach = row_lengths(transform_vectors(shape.matrix[:3, :3].T, forward[None]))
-        return float((dot_rows(center - eye, forward) - shape.radius * reach)[0])
-    if isinstance(shape, Plane):
-        return _plane_entry_bound(scene, camera, shape)
-    assert hasattr(shape, "mesh")  # a triangle or a mesh
-    return float(np.min(dot_rows(world_vertices(shape.mesh(), shape.matrix, as_given) - eye, forward)))
-
-
-def _plane_entry_bound(scene: Scene, camera: Orthographic, shape: Plane) -> float:
-    """The least t over the window: t is linear, so it is at a corner. inf for a plane parallel to the rays."""
-    part = shape.pack(as_given)
-    right, up, forward = (np.array(v) for v in camera.frame)
-    half = 0.5 * camera.width
-    tall = half * scene.film.height / scene.film.width
-    corners = [np.array(camera.eye) + x * half * right + y * tall * up for x in (-1, 1) for y in (-1, 1)]
-    slope = float(dot_rows(part.normal, forward)[0])
-    heights = dot_rows(part.point - np.array(corners), part.normal)
-    return float((heights / slope).min()) if slope else np.inf
-
-
-# ---- the three images ----
-
-Array = np.ndarray[Any, np.dtype[Any]]
+    return scene.model_copy(update={"camera": camera.model_copy(update={"eye": (eye - back * forward).tolist()})}), back
 
 
 @dataclass(frozen=True)
@@ -81,12 +62,9 @@ def render_course(course: CourseScene, threads: int | None = None) -> CourseImag
     view = trace_film(scene, threads=threads)
     window = film_window(scene)
     shape = (window.height, window.width)
-    return CourseImages(
-        view.hit.reshape(shape),
-        (view.nearest.t - back).reshape(shape),
-        view.normals.reshape(*shape, 3),
-        _colors(course, view).reshape(*shape, 3),
-    )
+    color = _colors(course, view).reshape(*shape, 3)
+    normals = view.normals.reshape(*shape, 3)
+    return CourseImages(view.hit.reshape(shape), (view.nearest.t - back).reshape(shape), normals, color)
 
 
 def depth_image(images: CourseImages, near: float, far: float) -> Array:
@@ -113,32 +91,22 @@ def _colors(course: CourseScene, view: RayHits) -> Array:
     front = np.sum(view.normals * view.rays.d, axis=1) <= 0.0
     n = np.where(front[:, None], view.normals, -view.normals)
     total = np.zeros((len(view.hit), 3))
-    for light in view.scene.lights:
+    for k, light in enumerate(view.scene.lights):
         if isinstance(light, Ambient):
             total += light.radiance
-    for light, color, falloff in zip(view.scene.lights, course.colors, course.falloffs, strict=False):
-        total += np.outer(_brightness(light, falloff, n, view), color)
+            continue
+        if isinstance(light, Directional):
+            brightness = -dot_rows(n, np.array(light.direction))
+        else:
+            falloff, way = course.falloffs[k], np.array(light.position) - view.surfaces.p
+            assert falloff is not None  # of a point light
+            r = row_lengths(way)
+            fading = falloff.constant + falloff.linear * r + falloff.quadratic * r * r
+            weight = r * fading  # no light at the position of the light itself
+            brightness = np.divide(dot_rows(n, way), weight, out=np.zeros(len(r)), where=weight > 0.0)
+        brightness = np.where(view.hit, np.maximum(brightness, 0.0), 0.0)
+        lit = np.flatnonzero(brightness > 0.0)
+        brightness[lit[~view.lit(light, lit)]] = 0.0
+        total += np.outer(brightness, course.colors[k])
     shaded = np.where((front | view.two_sided)[:, None], total * view.reflectance, 0.0)
     return np.where(view.hit[:, None], shaded, course.background)
-
-
-def _brightness(light: Light, falloff: Falloff | None, n: Array, view: RayHits) -> Array:
-    """(n,) the factor of a light's colour at each hit; 0 in shadow, if the scene has shadows."""
-    towards, strength = _incident_light(light, falloff, view)
-    brightness = np.where(view.hit, strength * np.maximum(np.sum(n * towards, axis=1), 0.0), 0.0)
-    where = np.flatnonzero(brightness > 0.0)
-    brightness[where[~view.lit(light, where)]] = 0.0
-    return brightness
-
-
-def _incident_light(light: Light, falloff: Falloff | None, view: RayHits) -> tuple[Array, Array]:
-    """(unit vectors to the light, attenuation by distance); 0 at the position of the light."""
-    count = len(view.hit)
-    if isinstance(light, Directional):
-        return np.tile(-np.array(light.direction), (count, 1)), np.ones(count)
-    assert isinstance(light, Point) and falloff is not None
-    way = np.array(light.position) - view.surfaces.p
-    r = np.sqrt(np.sum(way * way, axis=1))
-    apart = r > 0.0
-    r = np.where(apart, r, 1.0)
-    return way / r[:, None], apart / (falloff.constant + falloff.linear * r + falloff.quadratic * r * r)

@@ -33,7 +33,7 @@ COMMANDS = (
     ),
     Command(
         "info",
-        "describe an EXR file: channels, ranges, NaN, inf and hit counts, histograms, provenance",
+        "describe an EXR file: size, parts, channels, count of hits, provenance",
         f"{_HERE}.viewing",
         run="info",
         arguments="add_info_arguments",

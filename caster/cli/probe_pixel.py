@@ -14,16 +14,16 @@ from caster.system.process import OK
 
 if TYPE_CHECKING:
     from caster.geometry.edge_distances import EdgeDistance
-    from caster.rendering.inspection import Candidate, PrimitiveResult, Probe
+    from caster.rendering.inspection import PixelHit, PrimitiveResult, Probe
     from caster.scene.model import Scene
 
-MAX_LISTED = 8  # shapes, and primitives, in the text; --json lists all
+MAX_LISTED = 8  # primitives in the text; --json lists more
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     add_pixel(parser)
-    parser.add_argument("--json", action="store_true", help="as JSON, with every shape that is hit")
+    parser.add_argument("--json", action="store_true", help="as JSON, with more primitives")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -53,25 +53,10 @@ def probe_to_json(found: Probe, path: str) -> dict[str, Any]:
         "pixel": [found.x, found.y],
         "film": [film.width, film.height],
         "ray": ray if found.t_max >= 0.0 else None,
-        "hit": found.hit and _candidate(found.hit, found.scene) | _surface(found),
-        "candidates": [_candidate(candidate, found.scene) for candidate in found.candidates],
-        "tried": {"prims": found.prims, "shapes": len(found.scene.shapes), "missed": found.missed},
+        "hit": found.hit and _ids(found.hit, found.scene) | _with_hex("t", found.hit.t) | _surface(found),
+        "tried": {"prims": found.prims, "shapes": len(found.scene.shapes)},
         "near": [_tested(tried, found.scene) for tried in found.tried],
-        "pixel_size": found.pixel,
     }
-
-
-# ---- as text ----
-
-
-def probe_to_text(found: Probe, path: str) -> str:
-    """A probe as text."""
-    film = found.scene.film
-    head = f"pixel ({found.x}, {found.y}) of {path}, film {film.width} x {film.height}"
-    if found.t_max < 0.0:
-        return f"{head}\nno ray: the pixel lies outside the image circle of the {found.scene.camera.type} camera"
-    lines = [head, *_ray_lines(found), *_hit_lines(found), *_tested_lines(found), *_near_lines(found)]
-    return "\n".join(lines)
 
 
 def _with_hex(name: str, value: Any) -> dict[str, Any]:
@@ -80,13 +65,9 @@ def _with_hex(name: str, value: Any) -> dict[str, Any]:
     return {name: value.tolist(), f"{name}_hex": [x.hex() for x in value.tolist()]}
 
 
-def _candidate(candidate: Candidate, scene: Scene) -> dict[str, Any]:
-    return {**_ids(candidate.shape_id, candidate.prim_id, scene), **_with_hex("t", candidate.t)}
-
-
-def _ids(shape_id: int, prim_id: int, scene: Scene) -> dict[str, Any]:
-    shape, name = scene.shapes[shape_id], scene.shape_names()[shape_id]
-    return {"shape": name, "type": shape.type, "shape_id": shape_id, "prim_id": prim_id}
+def _ids(found: PixelHit | PrimitiveResult, scene: Scene) -> dict[str, Any]:
+    shape, name = scene.shapes[found.shape_id], scene.shape_names()[found.shape_id]
+    return {"shape": name, "type": shape.type, "shape_id": found.shape_id, "prim_id": found.prim_id}
 
 
 def _tested(tried: PrimitiveResult, scene: Scene) -> dict[str, Any]:
@@ -94,7 +75,7 @@ def _tested(tried: PrimitiveResult, scene: Scene) -> dict[str, Any]:
     margins = [{"of": m.of, "unit": m.unit, **_with_hex("inside", m.inside)} for m in tried.margins]
     hit = math.isfinite(tried.t)
     return {
-        **_ids(tried.shape_id, tried.prim_id, scene),
+        **_ids(tried, scene),
         **(_with_hex("t", tried.t) if hit else {"t": None}),
         "decided_by": tried.decided_by,
         "t_off": tried.error if hit and math.isfinite(tried.error) else None,
@@ -106,6 +87,18 @@ def _tested(tried: PrimitiveResult, scene: Scene) -> dict[str, Any]:
 
 def _surface(found: Probe) -> dict[str, Any]:
     return {key: item for name, value in found.surface.items() for key, item in _with_hex(name, value).items()}
+
+
+# ---- as text ----
+
+
+def probe_to_text(found: Probe, path: str) -> str:
+    """A probe as text."""
+    film = found.scene.film
+    head = f"pixel ({found.x}, {found.y}) of {path}, film {film.width} x {film.height}"
+    if found.t_max < 0.0:
+        return f"{head}\nno ray: the pixel lies outside the image circle of the {found.scene.camera.type} camera"
+    return "\n".join([head, *_ray_lines(found), *_hit_lines(found), *_near_lines(found)])
 
 
 def _ray_lines(found: Probe) -> Iterator[str]:
@@ -124,24 +117,11 @@ def _hit_lines(found: Probe) -> Iterator[str]:
         yield from _vector(f"       {name}", value)
 
 
-def _tested_lines(found: Probe) -> Iterator[str]:
-    shapes = len(found.scene.shapes)
-    yield f"tested {found.prims} primitives of {shapes} shapes, each shape alone: {found.missed} missed"
-    first = found.candidates[0].t if found.candidates else 0.0
-    for candidate in found.candidates[:MAX_LISTED]:
-        behind = f"+{candidate.t - first:.3g}"
-        name = _name(candidate, found.scene)
-        yield f"       t {candidate.t!r:<24} {candidate.t.hex():<24} {behind:<10} {name}"
-    if len(found.candidates) > MAX_LISTED:
-        yield f"       and {len(found.candidates) - MAX_LISTED} shapes farther away (--json lists them)"
-
-
 def _near_lines(found: Probe) -> Iterator[str]:
     """Two lines for each primitive tested alone: t, and signed distances to its edges and its bounding box."""
     if not found.tried:
         return
-    wide = f"; a pixel is {found.pixel:.3g} wide at the hit" if found.pixel else ""
-    yield f"near   {len(found.tried)} of {found.prims} primitives, each tested alone; + is inside its outline{wide}"
+    yield f"near   {len(found.tried)} of {found.prims} primitives, each tested alone; + is inside its outline"
     for tried in found.tried[:MAX_LISTED]:
         where = f"t {tried.t!r:<24} {tried.t.hex():<24}" if math.isfinite(tried.t) else _miss_text(tried)
         exactly = "" if math.isfinite(tried.error) else " (by integers: undecided in float64)"
@@ -168,15 +148,15 @@ def _box_text(tried: PrimitiveResult) -> str:
     """The overlap of the ray with the bounding box of a primitive."""
     if tried.box is None:
         return "no bounds"
-    return (
-        "passes its box by" if tried.box_span is None else "in its box for t {:.6g} to {:.6g}".format(*tried.box_span)
-    )
+    if tried.box_span is None:
+        return "passes its box by"
+    return "in its box for t {:.6g} to {:.6g}".format(*tried.box_span)
 
 
-def _name(candidate: Candidate | PrimitiveResult, scene: Scene) -> str:
-    shape = scene.shapes[candidate.shape_id]
+def _name(found: PixelHit | PrimitiveResult, scene: Scene) -> str:
+    shape = scene.shapes[found.shape_id]
     label = f' "{shape.name}"' if shape.name else ""
-    return f"shapes[{candidate.shape_id}] ({shape.type}{label}), prim {candidate.prim_id}"
+    return f"shapes[{found.shape_id}] ({shape.type}{label}), prim {found.prim_id}"
 
 
 def _vector(label: str, values: Iterable[float]) -> Iterator[str]:

@@ -32,8 +32,7 @@ def info(args: argparse.Namespace) -> int:
     from caster.image.exr_info import describe_exr, format_info
 
     found = describe_exr(args.file)
-    as_json = args.json
-    print(json.dumps(found, indent=2, allow_nan=False) if as_json else format_info(found, sys.stdout.encoding))
+    print(json.dumps(found, indent=2) if args.json else format_info(found))
     return OK
 
 

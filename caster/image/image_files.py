@@ -52,14 +52,6 @@ def encode_image(pixels: Array, kind: str, about: Mapping[str, str] = {}) -> byt
     return out.getvalue()
 
 
-def read_image(path: str) -> Array:
-    """Read an image file as (h, w, 3) bytes."""
-    from PIL import Image
-
-    with Image.open(path) as image:
-        return np.asarray(image.convert("RGB"))
-
-
 def label_image(text: str, width: int, height: int) -> Array:
     """An image of one line of text, centred and shortened to fit, (height, width, 3) bytes."""
     from PIL import Image, ImageDraw

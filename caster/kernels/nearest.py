@@ -14,10 +14,8 @@ from caster.kernels.protocol import (
     exact_intersect,
     intersect,
     load,
-    load_best,
     prepare,
     same_geometry,
-    store_best,
     surely_misses,
     update_best,
 )
@@ -40,15 +38,6 @@ class Nearest(NamedTuple):
     error: np.ndarray  # (n,) float64, the true t is within error of t
 
 
-class UncertainHits(NamedTuple):
-    """Nearest hits as far as float64 can decide."""
-
-    t: np.ndarray
-    prim: np.ndarray
-    error: np.ndarray
-    uncertain: np.ndarray  # (n,) bool: something else may come first
-
-
 def new_rays(count: int) -> Rays:
     """Room for so many."""
     return Rays(np.empty((count, 3)), np.empty((count, 3)), np.empty(count), np.empty(count))
@@ -62,21 +51,9 @@ def no_hits(count: int) -> Nearest:
 
 
 @jit
-def generate_rays(camera: Any, window: Any, rays: Any, first_row: int, last_row: int) -> None:
-    """The rays through the pixel centres of some rows of the window."""
-    for y in range(first_row, last_row):
-        for x in range(window.width):
-            i = y * window.width + x
-            o, d, t_min, t_max = camera_ray(camera, window.x0 + x + 0.5, window.y0 + y + 0.5)
-            for c in range(3):
-                rays.o[i, c], rays.d[i, c] = o[c], d[c]
-            rays.t_min[i], rays.t_max[i] = t_min, t_max
-
-
-@jit
-def generate_rays_at(camera: Any, window: Any, rays: Any, pixels: Any) -> None:
-    """The rays through the centres of some pixels, numbered row by row through the window."""
-    for j in range(len(pixels)):
+def generate_rays(camera: Any, window: Any, pixels: Any, rays: Any, start: int, stop: int) -> None:
+    """Rays start..stop: through the centres of these pixels, numbered row by row through the window."""
+    for j in range(start, stop):
         y, x = pixels[j] // window.width, pixels[j] % window.width
         o, d, t_min, t_max = camera_ray(camera, window.x0 + x + 0.5, window.y0 + y + 0.5)
         for c in range(3):
@@ -111,38 +88,24 @@ def find_invalid_ray(o: Any, d: Any, start: int, stop: int) -> int:
 # ---- nearest hits ----
 
 
-class NearestMode(NamedTuple):
-    """Mode of the loops over primitives: keep the nearest hit, and mark it where float64 cannot decide."""
+class KeepNearest(NamedTuple):
+    """Mode of a traversal: keep the nearest hit, and mark it where float64 cannot decide."""
 
-    ids: np.ndarray  # (k,) int32, numbers in the scene of the primitives that are being cast at
-    any_hit: bool = False  # any certain hit will do
-
-
-class CountCandidates(NamedTuple):
-    """The same: count what may come first."""
-
-    counts: np.ndarray  # (n,) int64
+    any_hit: bool  # any certain hit will do
 
 
-class ListCandidates(NamedTuple):
-    """The same: write down what may come first."""
+class Candidates(NamedTuple):
+    """Mode of a traversal: write down all primitives that may be hit first."""
 
     ends: np.ndarray  # (n,) int64, where the next candidate of each ray goes
-    candidates: np.ndarray  # int32, numbers within the kind
+    prims: np.ndarray  # int32, numbers within the kind; without members: they are only counted
 
 
 Best = tuple[float, float, int, bool]
 """(t, error, number of the primitive within its kind or -1 for what was there before, whether that is uncertain)"""
 
 
-@implement(load_best, NearestMode)
-@implement(load_best, CountCandidates)
-@implement(load_best, ListCandidates)
-def _load_best(mode: Any, record: Any, i: int) -> Best:
-    return record.t[i], record.error[i], -1, False
-
-
-@implement(update_best, NearestMode)
+@implement(update_best, KeepNearest)
 def _update_nearest(mode: Any, best: Best, i: int, k: int, hit: tuple[float, float]) -> Best:
     t, error = any_hit_result(hit[0], hit[1], mode.any_hit)
     ahead, margin = best[0] - t if t < math.inf else -math.inf, best[1] + error
@@ -161,38 +124,26 @@ def any_hit_result(t: float, error: float, any_hit: bool) -> tuple[float, float]
     return ANY_HIT_T if sure else t, 0.0 if sure else error
 
 
-@implement(update_best, CountCandidates)
-def _update_count(mode: Any, best: Best, i: int, k: int, hit: tuple[float, float]) -> Best:
-    if may_precede(hit, best):
-        mode.counts[i] += 1
-    return best
-
-
-@implement(update_best, ListCandidates)
-def _update_list(mode: Any, best: Best, i: int, k: int, hit: tuple[float, float]) -> Best:
-    if may_precede(hit, best):
-        mode.candidates[mode.ends[i]] = k
+@implement(update_best, Candidates)
+def _list_candidate(mode: Any, best: Best, i: int, k: int, hit: tuple[float, float]) -> Best:
+    """List the primitive unless it is sure to lie behind the best."""
+    if hit[0] < math.inf and hit[0] - hit[1] <= best[0] + best[1]:
+        if len(mode.prims) > 0:
+            mode.prims[mode.ends[i]] = k
         mode.ends[i] += 1
     return best
 
 
-@inlined
-def may_precede(hit: tuple[float, float], best: Best) -> bool:
-    """Whether the hit is not sure to lie behind the best."""
-    return hit[0] < math.inf and hit[0] - hit[1] <= best[0] + best[1]
-
-
-@implement(store_best, NearestMode)
-def _store_nearest(mode: Any, record: Any, i: int, best: Best) -> None:
-    record.uncertain[i] |= best[3]
-    if best[2] >= 0:
-        record.t[i], record.error[i], record.prim[i] = best[0], best[1], mode.ids[best[2]]
-
-
-@implement(store_best, CountCandidates)
-@implement(store_best, ListCandidates)
-def _store_nothing(mode: Any, record: Any, i: int, best: Best) -> None:
-    pass
+@jit
+def list_candidates(mode: Any, prims: Any, count: int, rays: Any, sketch: Any, start: int, stop: int) -> None:
+    """List what rays start..stop may hit first among all `count` primitives of a kind. sketch: a Nearest."""
+    for i in range(start, stop):
+        o, d = row(rays.o, i), row(rays.d, i)
+        best = sketch.t[i], sketch.error[i], -1, False
+        for k in range(count):
+            pre = prepare(prims, load(prims, k), o)
+            if not surely_misses(prims, pre, d):
+                update_best(mode, best, i, k, intersect(prims, pre, d, rays.t_min[i], rays.t_max[i]))
 
 
 @jit
@@ -248,30 +199,6 @@ def merge(nearest: Any, found: Any, ids: Any, contested: Any, start: int, stop: 
             nearest.t[i], nearest.prim[i], nearest.error[i] = t, ids[found.prim[i]], error
         elif t - error <= nearest.t[i] + nearest.error[i]:
             contested[i] = True
-
-
-# Brute force: every ray against every primitive, the slow and obvious oracle of rasterization and BVHs.
-
-
-@jit
-def cast_brute_force(mode: Any, prims: Any, count: int, rays: Any, record: Any, start: int, stop: int) -> None:
-    """Rays start..stop against all `count` primitives of a kind; rays in a row from one origin share `prepare`."""
-    if start >= stop:
-        return
-    for k in range(count):
-        o = rays.o[start, 0], rays.o[start, 1], rays.o[start, 2]
-        prim = load(prims, k)
-        pre = prepare(prims, prim, o)
-        for i in range(start, stop):
-            if rays.o[i, 0] != o[0] or rays.o[i, 1] != o[1] or rays.o[i, 2] != o[2]:
-                o = rays.o[i, 0], rays.o[i, 1], rays.o[i, 2]
-                pre = prepare(prims, prim, o)
-            d, t_min, t_max = (rays.d[i, 0], rays.d[i, 1], rays.d[i, 2]), rays.t_min[i], rays.t_max[i]
-            if surely_misses(prims, pre, d):
-                continue
-            hit = intersect(prims, pre, d, t_min, t_max)
-            best = update_best(mode, load_best(mode, record, i), i, k, hit)
-            store_best(mode, record, i, best)
 
 
 # One ray against single primitives: the answer of `intersect` for each, nothing folded, nothing skipped.

@@ -66,37 +66,8 @@ def update_best(mode: Any, best: Any, i: int, k: int, hit: Any) -> Any:
 
 
 @generic_inlined
-def load_best(mode: Any, record: Any, i: int) -> Any:
-    """The best of ray i, from the record."""
-
-
-@generic_inlined
-def store_best(mode: Any, record: Any, i: int, best: Any) -> None:
-    """Put the best of ray i into the record."""
-
-
-@generic_inlined
-def normal(prims: Any, k: int, o: Vec3, d: Vec3, t: float) -> Any:
-    """The geometric normal, of unit length, where the ray meets primitive k at t."""
-
-
-@generic_inlined
-def normal_setup(prims: Any, k: int, reach: float) -> Any:
-    """(in_range, ...): what `fast_normal` reads of primitive k, and whether it may be used for it.
-
-    (True, n) where the normal is n all over; nothing else has two members.
-    reach: the largest |coordinate| of an origin.
-    """
-
-
-@generic_inlined
-def fast_normal(prims: Any, face: Any, o: Vec3, d: Vec3, t: float) -> Any:
-    """The same bits as `normal`, without a branch, for a d of length 1 (vec.UNIT_SQUARE_ATOL)."""
-
-
-@generic_inlined
 def prefetch_numbers(prims: Any, k: int, referred: bool) -> None:
-    """Have what `load` reads of primitive k in a cache soon; referred: what its own numbers refer to. Optional."""
+    """Prefetch what `load` reads of primitive k; referred: what its own numbers refer to. Optional."""
 
 
 @implement(prefetch_numbers, object)
@@ -104,42 +75,65 @@ def _prefetch_nothing(prims: Any, k: int, referred: bool) -> None:
     return None
 
 
-@generic
-def surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float, wants_uv: bool) -> Any:
-    """(p, n, sh_n, u, v) where the ray meets primitive k at t; n and sh_n are unit vectors.
+# Surfaces are found for several hits at a time: the numbers of each hit's primitive lie in a lane of a scratch
+# (raster/tile.py), and `fast_surface` and `fast_uv` have no branch. A plug-in may do with `surface` alone.
 
-    u and v may be anything where they are not wanted: that saves what they take.
+
+@generic_inlined
+def surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants: int) -> None:
+    """Put the numbers of primitive k that `fast_surface` and `fast_uv` read into lanes start..stop of a scratch.
+
+    wants: raster.tile.NORMALS, SURFACES or SURFACES_WITH_UV.
     """
 
 
 @generic_inlined
-def surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants_uv: bool) -> None:
-    """Put what `fast_surface` and, if wanted, `fast_uv` read of primitive k into lanes start..stop of a scratch
-    (raster/tile.py). Optional.
-    """
-
-
-@generic_inlined
-def setup_lanes(prims: Any, scratch: Any, wants_uv: bool) -> None:
-    """`surface_setup` for all lanes of a scratch, each of its primitive LANE_NUMBER. Optional, where it takes less."""
+def setup_lanes(prims: Any, scratch: Any, wants: int) -> None:
+    """`surface_setup` for all lanes of a scratch, each with its primitive LANE_NUMBER; by default run by run."""
 
 
 @generic_inlined
 def fast_surface(prims: Any, scratch: Any, x: Any, o: Vec3, d: Vec3, t: float) -> Any:
-    """(safe, p, n, sh_n, local) of lane x: where safe, the same bits as `surface`. Without a branch. Optional.
+    """(normal_is_safe, all_is_safe, p, n, sh_n, local) of lane x; n and sh_n are unit vectors.
 
-    local: three numbers that `fast_uv` reads.
+    A flag that is True stands for the bits of `surface`. local: three numbers that `fast_uv` reads.
     """
 
 
 @generic_inlined
 def fast_uv(prims: Any, scratch: Any, x: Any, local: Vec3) -> Any:
-    """(u, v) of lane x, likewise. Optional: without a body, hits whose uv are wanted are found one by one."""
+    """(u, v) of lane x."""
+
+
+@generic
+def surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float, wants_uv: bool) -> Any:
+    """(p, n, sh_n, u, v) where the ray meets primitive k at t, in any number range.
+
+    For hits that `fast_surface` is not safe for; a kind whose flags are always True has no body for this.
+    """
+
+
+ZERO = (0.0, 0.0, 0.0)
+
+
+@implement(surface_setup, object)
+def _no_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants: int) -> None:
+    return None
+
+
+@implement(fast_surface, object)
+def _never_safe(prims: Any, scratch: Any, x: Any, o: Vec3, d: Vec3, t: float) -> Any:
+    return False, False, ZERO, ZERO, ZERO, ZERO
 
 
 @implement(fast_uv, object)
 def _no_uv(prims: Any, scratch: Any, x: Any, local: Vec3) -> tuple[float, float]:
     return 0.0, 0.0
+
+
+@implement(surface, object)
+def _always_safe(prims: Any, k: int, o: Vec3, d: Vec3, t: float, wants_uv: bool) -> Any:
+    return ZERO, ZERO, ZERO, 0.0, 0.0
 
 
 @generic_inlined

@@ -33,15 +33,12 @@ from caster.kernels.math.vec import (
 from caster.kernels.protocol import (
     Vec3,
     exact_intersect,
-    fast_normal,
     fast_surface,
     fast_uv,
     hull_point,
     hull_size,
     intersect,
     load,
-    normal,
-    normal_setup,
     prefetch_numbers,
     prepare,
     same_geometry,
@@ -51,7 +48,17 @@ from caster.kernels.protocol import (
     surface_setup,
     t_lower_bound,
 )
-from caster.kernels.raster.tile import LANE_NUMBER, LANE_SETUP, NEXT, SURFACE_LANES, get_lane, lane, put_lane
+from caster.kernels.raster.tile import (
+    LANE_NUMBER,
+    LANE_SETUP,
+    NEXT,
+    NORMALS,
+    SURFACE_LANES,
+    SURFACES_WITH_UV,
+    get_lane,
+    lane,
+    put_lane,
+)
 
 
 class Triangles(NamedTuple):
@@ -294,27 +301,6 @@ def triangle_normal_slow(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
     return normalize((-along[2], 0.0, along[0]) if y <= z else (along[1], -along[0], 0.0))
 
 
-@implement(normal, Triangles)
-def _normal(prims: Any, k: int, o: Vec3, d: Vec3, t: float) -> Vec3:
-    return _normal_of(prims, k)
-
-
-@inlined
-def _normal_of(prims: Any, k: int) -> Vec3:
-    i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
-    return triangle_normal(row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2))
-
-
-@implement(normal_setup, Triangles)
-def _normal_setup(prims: Any, k: int, reach: float) -> Any:
-    return True, _normal_of(prims, k)
-
-
-@implement(fast_normal, Triangles)
-def _fast_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
-    return face[1]
-
-
 @implement(surface, Triangles)
 def _surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float, wants_uv: bool) -> Any:
     i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
@@ -368,7 +354,7 @@ LANE_A, LANE_B, LANE_C, LANE_NA, LANE_NB, LANE_NC, LANE_SMOOTH, LANE_US, LANE_VS
 
 
 @implement(surface_setup, Triangles)
-def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants_uv: bool) -> None:
+def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants: int) -> None:
     i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
     a, b, c = row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2)
     smooth = prims.smooth[k]
@@ -377,13 +363,13 @@ def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, want
         put_lane(scratch, LANE_B + x, b)
         put_lane(scratch, LANE_C + x, c)
         scratch[LANE_SMOOTH + x] = 1.0 if smooth else 0.0
-    if smooth:
+    if smooth and wants != NORMALS:
         n0, n1, n2 = row(prims.normals, i0), row(prims.normals, i1), row(prims.normals, i2)
         for x in range(start, stop):
             put_lane(scratch, LANE_NA + x, n0)
             put_lane(scratch, LANE_NB + x, n1)
             put_lane(scratch, LANE_NC + x, n2)
-    if wants_uv:
+    if wants == SURFACES_WITH_UV:
         _setup_uv(prims, k, start, stop, scratch)
 
 
@@ -398,14 +384,16 @@ def _setup_uv(prims: Any, k: int, start: Any, stop: Any, scratch: Any) -> None:
 
 
 @implement(setup_lanes, Triangles)
-def _setup_lanes(prims: Any, scratch: Any, wants_uv: bool) -> None:
+def _setup_lanes(prims: Any, scratch: Any, wants: int) -> None:
     """Corners and vertex normals, whether these are used or not, several lanes at a time; uv one by one."""
     for x in range(lane(0), lane(SURFACE_LANES), lane(LANES)):
         gather_corners(prims.vertices, prims.faces, scratch, LANE_NUMBER + x, LANE_A + x, NEXT)
-        gather_corners(prims.normals, prims.faces, scratch, LANE_NUMBER + x, LANE_NA + x, NEXT)
-    for x in range(lane(SURFACE_LANES)):
-        scratch[LANE_SMOOTH + x] = 1.0 if prims.smooth[int(scratch[LANE_NUMBER + x])] else 0.0
-    if wants_uv:
+    if wants != NORMALS:
+        for x in range(lane(0), lane(SURFACE_LANES), lane(LANES)):
+            gather_corners(prims.normals, prims.faces, scratch, LANE_NUMBER + x, LANE_NA + x, NEXT)
+        for x in range(lane(SURFACE_LANES)):
+            scratch[LANE_SMOOTH + x] = 1.0 if prims.smooth[int(scratch[LANE_NUMBER + x])] else 0.0
+    if wants == SURFACES_WITH_UV:
         for x in range(lane(SURFACE_LANES)):
             k = int(scratch[LANE_NUMBER + x])
             _setup_uv(prims, k, x, x + lane(1), scratch)
@@ -437,7 +425,7 @@ def _fast_surface(prims: Any, scratch: Any, x: Any, o: Vec3, d: Vec3, t: float) 
     long, between = fast_interpolated_normal(weights, n0, n1, n2)
     smooth = scratch[LANE_SMOOTH + x] != 0.0
     sh_n = (between[0] if smooth else n[0], between[1] if smooth else n[1], between[2] if smooth else n[2])
-    return known & wide & (long | (not smooth)), p, n, sh_n, weights
+    return wide, known & wide & (long | (not smooth)), p, n, sh_n, weights
 
 
 @implement(fast_uv, Triangles)

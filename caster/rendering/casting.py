@@ -12,16 +12,13 @@ import numpy as np
 
 from caster.geometry.packing import Kind, Packed
 from caster.kernels.bvh.ray_sorting import store_sorted, store_sorted_blocked
-from caster.kernels.bvh.traversal import cast_bvh
+from caster.kernels.bvh.traversal import list_candidates_in_tree
 from caster.kernels.nearest import (
-    CountCandidates,
-    ListCandidates,
+    Candidates,
     Nearest,
-    NearestMode,
     Rays,
-    UncertainHits,
-    cast_brute_force,
     exact_hit,
+    list_candidates,
     merge,
     nearest_of_candidates,
     no_hits,
@@ -42,35 +39,41 @@ def find_nearest(
     packed: Packed, rays: Rays, culling: Culling = "bvh", threads: int | None = None, *, always_fans: bool = False
 ) -> Nearest:
     """The nearest hit of any rays. always_fans: as fans, if they can be, even where that does not pay: same bits."""
-    count = len(rays.t_min)
-    if culling == "brute-force":
-        nearest, uncertain = no_hits(count), np.zeros(count, bool)
-        for kind in packed.kinds:
-            parallel_for(
-                _brute_force_caster(NearestMode(kind.ids), kind, rays, UncertainHits(*nearest, uncertain)),
-                count,
-                threads,
-            )
-        return decide_uncertain(packed, rays, nearest, uncertain, threads, trees=False)
-    # threads write all of it
-    nearest, uncertain = (
-        Nearest(*(unwritten_array((count,), dtype) for dtype in (float, np.int32, float))),
-        unwritten_array((count,), bool),
-    )
-    ids = packed.prim_ids
-    cast = tile_caster(packed)
+    trees = culling != "brute-force"
+    nearest, uncertain = _cast(packed, rays, threads, uses_bvh if trees else _no_tree, fans=trees, always=always_fans)
+    return decide_uncertain(packed, rays, nearest, uncertain, threads, trees=trees)
 
+
+def _no_tree(kind: Kind) -> bool:
+    return False
+
+
+def _cast(
+    packed: Packed,
+    rays: Rays,
+    threads: int | None,
+    through_tree: Callable[[Kind], bool],
+    *,
+    fans: bool = False,
+    always: bool = False,
+) -> tuple[Nearest, np.ndarray]:
+    """(nearest hits by float64, whether it cannot decide (n,) bool), with the tree of some kinds."""
+    count, ids = len(rays.t_min), packed.prim_ids
+    # threads write all of it
+    nearest = Nearest(*(unwritten_array((count,), dtype) for dtype in (float, np.int32, float)))
+    uncertain = unwritten_array((count,), bool)
+    cast = tile_caster(packed, through_tree=through_tree)
     record = Record(
         lambda tile, first, stop: store_ray_range(tile, 0, ids, first, stop, nearest, uncertain),
         lambda tile, first, width, box: store_rays(tile, first, width, box, ids, nearest, uncertain),
         lambda tile, order, first, stop: store_sorted(tile, order, first, stop, ids, nearest, uncertain),
     )
-    fans = FanCaster.of(packed, rays, any_hit=False, always=always_fans)
-    if fans is not None:
-        fans.cast(rays, cast, record, threads)
+    caster = FanCaster.of(packed, rays, any_hit=False, always=always) if fans else None
+    if caster is not None:
+        caster.cast(rays, cast, record, threads)
     else:
         for_ray_tiles(cast, rays, record, threads)
-    return decide_uncertain(packed, rays, nearest, uncertain, threads)
+    return nearest, uncertain
 
 
 def find_any(packed: Packed, rays: Rays, threads: int | None = None, *, always_fans: bool = False) -> np.ndarray:
@@ -93,22 +96,6 @@ def find_any(packed: Packed, rays: Rays, threads: int | None = None, *, always_f
     if len(rows):
         blocked[rows] = exact_nearest(packed, Rays(*(a[rows] for a in rays)), threads).prim >= 0
     return blocked
-
-
-Mode = NearestMode | CountCandidates | ListCandidates
-
-
-def _brute_force_caster(mode: Mode, kind: Kind, rays: Rays, record: UncertainHits) -> Callable[[int, int], None]:
-    return lambda start, stop: cast_brute_force(mode, kind.prims, len(kind.ids), rays, record, start, stop)
-
-
-def _bvh_caster(mode: Mode, kind: Kind, rays: Rays, record: UncertainHits) -> Callable[[int, int], None]:
-    tree = bvh_of(kind)
-
-    def work(start: int, stop: int) -> None:
-        cast_bvh(mode, kind.prims, tree, rays, record, (start, stop), new_workspace())
-
-    return work
 
 
 def decide_uncertain(
@@ -144,27 +131,36 @@ def exact_nearest(packed: Packed, rays: Rays, threads: int | None = None, *, tre
 
     What float64 is sure of bounds where the first hit is; of all that may come before that, integers choose.
     """
-    count = len(rays.t_min)
-    sketch, nearest = UncertainHits(*no_hits(count), np.zeros(count, bool)), no_hits(count)
+    count, nearest = len(rays.t_min), no_hits(len(rays.t_min))
 
-    def go_through(kind: Kind, mode: Mode, rays: Rays = rays, sketch: UncertainHits = sketch) -> None:
-        tree = trees and uses_bvh(kind) and (count > BVH_MIN_RAYS or has_bvh(kind))
-        cast, least = _brute_force_caster, MIN_TESTS_PER_THREAD // max(len(kind.ids), 1)
-        if tree:
-            cast, least = _bvh_caster, MIN_RAYS_PER_THREAD
-        parallel_for(cast(mode, kind, rays, sketch), len(rays.t_min), threads, least=least)
+    def through_tree(kind: Kind) -> bool:
+        return trees and uses_bvh(kind) and (count > BVH_MIN_RAYS or has_bvh(kind))
 
-    for kind in packed.kinds:
-        go_through(kind, NearestMode(kind.ids))
+    def list_all(kind: Kind, into: Candidates, rays: Rays, sketch: Nearest) -> None:
+        if through_tree(kind):
+            tree = bvh_of(kind)
+
+            def work(start: int, stop: int) -> None:
+                list_candidates_in_tree(into, kind.prims, tree, rays, sketch, (start, stop), new_workspace())
+
+            parallel_for(work, len(rays.t_min), threads, least=MIN_RAYS_PER_THREAD)
+        else:
+            least = MIN_TESTS_PER_THREAD // max(len(kind.ids), 1)
+            about = into, kind.prims, len(kind.ids), rays, sketch
+            parallel_for(partial(list_candidates, *about), len(rays.t_min), threads, least=least)
+
+    sketch = _cast(packed, rays, threads, through_tree)[0]
     for kind in packed.kinds:
         counts, found, contested = np.zeros(count, np.int64), no_hits(count), np.zeros(count, bool)
-        go_through(kind, CountCandidates(counts))
+        list_all(kind, Candidates(counts, np.empty(0, np.int32)), rays, sketch)
         for rows in _batches(counts):
             starts = np.concatenate([[0], np.cumsum(counts[rows])])
             candidates = np.empty(starts[-1], np.int32)
-            some, into = Rays(*(a[rows] for a in rays)), Nearest(*(a[rows] for a in found))
-            bounds = UncertainHits(*(a[rows] for a in sketch))
-            go_through(kind, ListCandidates(starts[:-1].copy(), candidates), some, bounds)
+            some, into, bounds = (
+                Rays(*(a[rows] for a in rays)),
+                *(Nearest(*(a[rows] for a in each)) for each in (found, sketch)),
+            )
+            list_all(kind, Candidates(starts[:-1].copy(), candidates), some, bounds)
             parallel_for(
                 partial(nearest_of_candidates, kind.prims, some, starts, candidates, into),
                 len(starts) - 1,

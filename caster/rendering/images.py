@@ -9,15 +9,13 @@ import numpy as np
 
 from caster.aovs import BY_NAME, Aovs
 from caster.description.errors import SceneError, suggestion
-from caster.description.fields import Camera
 from caster.geometry.packing import Packed, packed
 from caster.geometry.world_space import Rounding, as_given
 from caster.jit.command_list import Command
 from caster.jit.decorators import bind
-from caster.kernels.nearest import Rays, generate_rays, generate_rays_at, new_rays
+from caster.kernels.nearest import Rays, generate_rays, new_rays
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import BOX, generate_camera_rays, kind_numbers, tile_rows
-from caster.kernels.raster.tile_casting import cast_own_origins, cast_shared_origin
 from caster.kernels.surface.per_hit import store_hits
 from caster.rendering.casting import Culling, exact_nearest, find_nearest
 from caster.rendering.hits import RayHits
@@ -30,7 +28,7 @@ from caster.rendering.rasterization import (
     parallel_for_tiles,
     release_workspace,
 )
-from caster.rendering.ray_tiles import TileWorkspace, kind_command, prim_offsets, spare_workspaces
+from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, TileWorkspace, kind_command, prim_offsets, spare_workspaces
 from caster.rendering.shading import NO_BOX, TileShader, new_image
 from caster.rendering.threads import parallel_for, unwritten_array
 from caster.scene.model import Scene
@@ -124,9 +122,7 @@ class FilmRenderer:
         self.hit[:], self.uncertain[:] = False, False
         self.images = {name: new_image(name, window, dtype) for name in aovs}
         self.reach = _farthest_origin(self.camera, window)
-        # Normals without a branch are for d of length 1, which a camera from elsewhere may not have.
-        reach = self.reach if isinstance(scene.camera, Camera) else np.inf
-        self.shader = TileShader(scene, packed, plan, self.images, reach=reach)
+        self.shader = TileShader(scene, packed, plan, self.images)
 
     def render(self) -> FilmCounts:
         """All pixels; those that float64 leaves open once more, exactly."""
@@ -157,8 +153,7 @@ class FilmRenderer:
         tile = workspace.tile
         yield Command(bind(generate_camera_rays, self.camera, self.window, NO_BOX, tile, given=(2,)), (BOX,))
         if kinds is not None:
-            cast = cast_shared_origin if self.scene.camera.shares_origin else cast_own_origins
-            yield from cast_commands(cast, kinds, tile)
+            yield from cast_commands(kinds, tile, self.scene.camera.shares_origin)
         else:
             for kind, base in zip(self.packed.kinds, prim_offsets(self.packed), strict=True):
                 yield kind_command(kind, base, tile)
@@ -170,8 +165,7 @@ class FilmRenderer:
         """The pixels that float64 leaves open, exactly; how many."""
         pixels = np.flatnonzero(self.uncertain)
         if len(pixels):
-            rays = new_rays(len(pixels))
-            generate_rays_at(self.camera, self.window, rays, pixels)
+            rays = rays_through(self.camera, self.window, pixels, self.threads)
             nearest = exact_nearest(self.packed, rays, self.threads)
             hits = RayHits(self.scene, self.packed, rays, nearest, np.zeros(len(pixels)), self.threads)
             self.hit.reshape(-1)[pixels] = hits.hit
@@ -184,10 +178,15 @@ class FilmRenderer:
 
 def _farthest_origin(camera: Any, window: Window) -> float:
     """The largest |coordinate| of an origin, which is one point or linear over the film: at a corner of it."""
-    rays = new_rays(4)
     right, bottom = window.width - 1, (window.height - 1) * window.width
-    generate_rays_at(camera, window, rays, np.array([0, right, bottom, bottom + right]))
-    return float(np.abs(rays.o).max())
+    return float(np.abs(rays_through(camera, window, np.array([0, right, bottom, bottom + right])).o).max())
+
+
+def rays_through(camera: Any, window: Window, pixels: np.ndarray, threads: int | None = 1) -> Rays:
+    """Rays through the centres of pixels (n,), numbered row by row through the window."""
+    rays = new_rays(len(pixels))
+    parallel_for(partial(generate_rays, camera, window, pixels, rays), len(pixels), threads, least=MIN_RAYS_PER_THREAD)
+    return rays
 
 
 def check_names(aovs: Sequence[str]) -> None:
@@ -207,9 +206,7 @@ def camera_rays(scene: Scene, threads: int | None = None) -> Rays:
     """Rays through the pixel centres of the window, row by row from the top left; float64, d of length 1."""
     window = film_window(scene)
     camera = scene.camera.pack(scene.film.width, scene.film.height)
-    rays = new_rays(window.width * window.height)
-    parallel_for(lambda start, stop: generate_rays(camera, window, rays, start, stop), window.height, threads)
-    return rays
+    return rays_through(camera, window, np.arange(window.width * window.height), threads)
 
 
 def trace_film(

@@ -3,8 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,8 +14,7 @@ from caster.geometry.edge_distances import EDGE_ON, EdgeDistance, edge_distances
 from caster.geometry.packing import Kind, Packed, in_words, rejected_faces
 from caster.kernels.nearest import Rays, intersect_each, nearest_of_candidates, no_hits
 from caster.rendering.bvh_construction import bvh_of, has_bvh, uses_bvh
-from caster.rendering.casting import find_nearest
-from caster.rendering.images import RenderResult, camera_rays, trace_film
+from caster.rendering.images import RenderResult, trace_film
 from caster.rendering.plan import Step
 from caster.scene.model import Scene
 
@@ -121,16 +119,15 @@ def box_interval(o: np.ndarray, d: np.ndarray, low: np.ndarray, high: np.ndarray
     return (enter, leave) if enter <= leave and leave >= 0.0 else None
 
 
-# One pixel: its ray, its hit, and the intersection with each shape alone.
+# One pixel: its ray, its hit, and the intersection with each primitive alone.
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """The first hit of a ray with one shape, as if that stood alone."""
+class PixelHit(NamedTuple):
+    """The first hit of a pixel's ray, as `render` finds it."""
 
     t: float
     shape_id: int
-    prim_id: int
+    prim_id: int  # within its shape
 
 
 @dataclass(frozen=True)
@@ -144,31 +141,14 @@ class Probe:
     d: np.ndarray  # (3,) float64
     t_min: float
     t_max: float  # < 0: the camera has no ray here
-    hit: Candidate | None
+    hit: PixelHit | None
     surface: dict[str, np.ndarray]  # p, n, sh_n (3,) and uv (2,); empty on a miss
-    candidates: tuple[Candidate, ...]  # one for each shape that is hit, nearest first
-    prims: int  # how many primitives were tried
-    packed: Packed
-    rays: Rays
-
-    @property
-    def missed(self) -> int:
-        """Number of shapes that the ray misses."""
-        return len(self.scene.shapes) - len(self.candidates)
-
-    @cached_property
-    def tried(self) -> tuple[PrimitiveResult, ...]:
-        """Each primitive alone, hits by t and then misses by how nearly; of many, the near ones."""
-        return intersect_each_primitive(self.packed, self.rays)
-
-    @cached_property
-    def pixel(self) -> float | None:
-        """How wide a pixel is at the hit, scene units; None on a miss, or on a film of one pixel."""
-        return pixel_size(self.scene, self.x, self.y, self.hit.t) if self.hit else None
+    prims: int  # number of primitives in the scene
+    tried: tuple[PrimitiveResult, ...]  # each primitive alone, hits by t, then misses by how nearly; of many, the near
 
 
 def probe(scene: Scene, x: int, y: int) -> Probe:
-    """Cast the ray of one pixel, once as `render` does and once against each shape with no culling.
+    """Cast the ray of one pixel, once as `render` does and once against each primitive with no culling.
 
     Raises SceneError for a pixel outside the film.
     """
@@ -178,40 +158,11 @@ def probe(scene: Scene, x: int, y: int) -> Probe:
         raise SceneError(f"pixel ({x}, {y}): outside the film, expected {inside}")
     view = trace_film(scene.with_film(crop=(x, y, x + 1, y + 1)), threads=1)
     rays, nearest = view.rays, view.nearest
-    hit = Candidate(float(nearest.t[0]), int(view.shape_id[0]), int(view.prim_id[0])) if view.hit[0] else None
+    hit = PixelHit(float(nearest.t[0]), int(view.shape_id[0]), int(view.prim_id[0])) if view.hit[0] else None
     surface = {name: rows[0] for name, rows in view.surfaces._asdict().items()} if hit else {}
-    candidates = tuple(sorted(_each_alone(view.packed, rays), key=lambda c: (c.t, c.shape_id)))
     ends = float(rays.t_min[0]), float(rays.t_max[0])
-    prims = int(view.packed.first[-1])
-    o, d = rays.o[0], rays.d[0]
-    return Probe(scene, x, y, o, d, *ends, hit, surface, candidates, prims, view.packed, rays)
-
-
-def pixel_size(scene: Scene, x: int, y: int, t: float) -> float | None:
-    """How far apart the rays of this pixel and of one beside it are at t; None where none is beside it."""
-    film = scene.film
-    ends = (x, x + 1) if x + 1 < film.width else (x - 1, x)
-    if ends[0] < 0:
-        return None
-    rays = camera_rays(scene.with_film(crop=(ends[0], y, ends[1] + 1, y + 1)))
-    if (rays.t_max < 0.0).any():
-        return None
-    return math.dist((rays.o[1] + t * rays.d[1]).tolist(), (rays.o[0] + t * rays.d[0]).tolist())
-
-
-def _each_alone(packed: Packed, rays: Rays) -> Iterator[Candidate]:
-    for shape_id, part in enumerate(packed.parts):
-        nearest = find_nearest(_only(part, packed, shape_id), rays, "brute-force", threads=1)
-        if nearest.prim[0] >= 0:
-            yield Candidate(float(nearest.t[0]), shape_id, int(nearest.prim[0]))
-
-
-def _only(part: Any, packed: Packed, shape_id: int) -> Packed:
-    """A scene of one shape, its primitives numbered from 0."""
-    count = int(packed.first[shape_id + 1] - packed.first[shape_id])
-    zero = np.zeros(1, np.int64)
-    kind = Kind(part, np.arange(count, dtype=np.int32))
-    return Packed((kind,), (part,), np.array([0, count], np.int64), zero, zero)
+    tried = intersect_each_primitive(view.packed, rays)
+    return Probe(scene, x, y, rays.o[0], rays.d[0], *ends, hit, surface, int(view.packed.first[-1]), tried)
 
 
 # ---- what a render did ----

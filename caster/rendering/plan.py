@@ -80,7 +80,7 @@ def _shadows(scene: Scene, shading: Step) -> Step:
 
 
 def _surfaces(aovs: Sequence[str], shading: Step) -> tuple[tuple[str, ...], str]:
-    """(what is computed, for what). Normals alone go straight to the images of AOVs that need nothing else."""
+    """(computed fields, reason). Geometric normals can be had alone."""
     needs = {aov.NAME: set(aov.NEEDS) for aov in AOVS if aov.NAME in aovs}
     wanting = [name for name, fields in needs.items() if _whole_surface(fields)]
     if shading.runs:

@@ -38,7 +38,7 @@ from caster.kernels.raster.tile import (
     store_nearest,
     tile_rows,
 )
-from caster.kernels.raster.tile_casting import cast_own_origins, cast_shared_origin
+from caster.kernels.raster.tile_casting import cast_in_bounds
 from caster.kernels.triangles import Triangles
 from caster.rendering.casting import decide_uncertain
 from caster.rendering.ray_tiles import prim_offsets, spare_workspaces
@@ -95,7 +95,6 @@ def find_nearest_on_film(
     origin = float(np.abs(rays.o).max(initial=0.0))
     longest = max(1.0, float(np.abs(rays.d).sum(axis=1).max(initial=0.0)))
     kinds = bin_kinds(packed, camera, window, origin, threads, RayBounds(max_center_offset, longest))
-    cast = cast_shared_origin if shares_origin else cast_own_origins
     nearest, uncertain = no_hits(len(rays.t_min)), np.zeros(len(rays.t_min), bool)
     ids = packed.prim_ids
 
@@ -108,7 +107,7 @@ def find_nearest_on_film(
         def store(box: Box) -> None:
             store_nearest(tile, ids, window.width, box, nearest, uncertain)
 
-        return [Command(load, (BOX,)), *cast_commands(cast, kinds, tile), Command(store, (BOX,))]
+        return [Command(load, (BOX,)), *cast_commands(kinds, tile, shares_origin), Command(store, (BOX,))]
 
     rows = tile_rows(window.width, window.height, len(kinds), [it.runs for it in kinds])
     with spare_workspaces() as take:
@@ -116,13 +115,13 @@ def find_nearest_on_film(
     return decide_uncertain(packed, rays, nearest, uncertain, threads)
 
 
-def cast_commands(cast: Callable[..., None], kinds: list[BinnedKind], tile: np.ndarray) -> Iterator[Command]:
+def cast_commands(kinds: list[BinnedKind], tile: np.ndarray, shares_origin: bool) -> Iterator[Command]:
     """What tests all primitives that may be visible in a tile."""
     empty, box = (0, 0), (0, 0, 0, 0)
     for k, it in enumerate(kinds):
-        about = it.kind.prims, it.order, empty, it.bounds, it.prim_range[0], box, tile
+        about = it.kind.prims, it.order, empty, it.bounds, it.prim_range[0], box, tile, shares_origin
         at = kind_numbers(k)
-        yield Command(bind(cast, *about, given=(2, 5)), (at.run, BOX), at.present)
+        yield Command(bind(cast_in_bounds, *about, given=(2, 5)), (at.run, BOX), at.present)
 
 
 PIECES_PER_THREAD = 32  # so few that steps of Python do not count, enough to share the work evenly

@@ -25,8 +25,6 @@ from caster.kernels.bvh.fans import (
     RayGroups,
     begin_groups,
     cast_fan,
-    cast_fan_outward,
-    cast_left_runs,
     group_rays,
 )
 from caster.kernels.bvh.traversal import cast_packets, cast_packets_brute_force
@@ -91,20 +89,28 @@ def kind_command(
 ) -> Command:
     """Casts the first rays of a tile at a kind."""
     if uses_bvh(kind):
-        about = kind.prims, bvh_of(kind), base, 0, tile, new_workspace(), any_hit
+        about = kind.prims, bvh_of(kind), base, 0, tile, ALL_PACKETS, new_workspace(), any_hit
         return Command(bind(cast_packets, *about, given=(3,)), (COUNT,), when)
     about_all = kind.prims, len(kind.ids), base, 0, tile, any_hit
     return Command(bind(cast_packets_brute_force, *about_all, given=(3,)), (COUNT,), when)
 
 
-def tile_caster(packed: Packed, any_hit: bool = False) -> Callable[[int, np.ndarray], None]:
-    """Cast the first so many rays of a tile; until they have met anything, if that will do."""
-    kinds = [_kind_caster(kind, base, any_hit) for kind, base in zip(packed.kinds, prim_offsets(packed), strict=True)]
+ALL_PACKETS = np.empty(0, np.int8)  # none is left out
+
+
+def tile_caster(
+    packed: Packed, any_hit: bool = False, through_tree: Callable[[Kind], bool] = uses_bvh
+) -> Callable[[int, np.ndarray], None]:
+    """A function that casts the first so many rays of a tile; any_hit: until they have met anything."""
+    places = [(kind, base, through_tree(kind)) for kind, base in zip(packed.kinds, prim_offsets(packed), strict=True)]
 
     def go(count: int, tile: np.ndarray) -> None:
         workspace = new_workspace()
-        for cast in kinds:
-            cast(count, tile, workspace)
+        for kind, base, tree in places:
+            if tree:
+                cast_packets(kind.prims, bvh_of(kind), base, count, tile, ALL_PACKETS, workspace, any_hit)
+            else:
+                cast_packets_brute_force(kind.prims, len(kind.ids), base, count, tile, any_hit)
 
     return go
 
@@ -115,16 +121,6 @@ Workspace = tuple[np.ndarray, np.ndarray, np.ndarray]
 def new_workspace() -> Workspace:
     """For what a ray has yet to look at, where it enters that, and where it enters the boxes of a node."""
     return np.zeros(STACK_SIZE, np.int32), np.empty(STACK_SIZE), np.empty(CHILDREN)
-
-
-def _kind_caster(kind: Kind, base: int, any_hit: bool) -> Callable[[int, np.ndarray, Workspace], None]:
-    """Cast so many rays of a tile at a kind."""
-    if uses_bvh(kind):
-        tree = bvh_of(kind)
-        return lambda count, tile, workspace: cast_packets(kind.prims, tree, base, count, tile, workspace, any_hit)
-    return lambda count, tile, workspace: cast_packets_brute_force(
-        kind.prims, len(kind.ids), base, count, tile, any_hit
-    )
 
 
 # To project a primitive towards a light takes a quarter of the time of a shadow ray. Few are projected for any film.
@@ -235,17 +231,14 @@ class ShadowCaster:
                 if not counts[1]:
                     return
             for kind, base in self._kinds:
-                about_all = kind.prims, bvh_of(kind), base, count, tile, groups.taken, workspace
-                cast_left_runs(*about_all, self._any_hit)
+                cast_packets(kind.prims, bvh_of(kind), base, count, tile, groups.taken, workspace, self._any_hit)
 
         return go
 
     def _fan_caster(self, number: int, n: int, tile: np.ndarray, groups: RayGroups) -> Callable[[], None]:
         kind, base = self._kinds[n]
         about = kind.prims, bvh_of(kind), self._bounds_of(number, n), base, tile, groups
-        if self._outward:
-            return bind(cast_fan_outward, self._fans[number], *about, self._any_hit, given=())
-        return bind(cast_fan, self._fans[number], *about, given=())
+        return bind(cast_fan, self._fans[number], *about, self._outward, self._any_hit, given=())
 
     def _bounds_of(self, number: int, n: int) -> FanBounds:
         """Kind n as the fan of that number sees it, found when a tile first needs it."""

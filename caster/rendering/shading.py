@@ -12,31 +12,31 @@ import numpy as np
 
 from caster.aovs import BY_NAME, kernel_of
 from caster.geometry.packing import Packed
-from caster.jit.command_list import BoundCall, Command
-from caster.jit.decorators import bind, implements
+from caster.jit.command_list import Command
+from caster.jit.decorators import bind
 from caster.kernels.nearest import Rays
-from caster.kernels.protocol import fast_surface, fast_uv
 from caster.kernels.raster.screen_bounds import Window
-from caster.kernels.raster.tile import BOX, COUNT, DX, DY, DZ, OX, OY, OZ, T_MAX, T_MIN, UNCERTAIN, T, kind_numbers
-from caster.kernels.surface.lighting import (
-    add_ambient,
-    add_light,
-    add_unshadowed_light,
-    materials_in_tile,
-    shadow_rays_in_tile,
+from caster.kernels.raster.tile import (
+    BOX,
+    COUNT,
+    DX,
+    DY,
+    DZ,
+    NORMALS,
+    OX,
+    OY,
+    OZ,
+    SURFACES,
+    SURFACES_WITH_UV,
+    T_MAX,
+    T_MIN,
+    UNCERTAIN,
+    Box,
+    T,
+    kind_numbers,
 )
-from caster.kernels.surface.normals import normals_in_tile
-from caster.kernels.surface.per_hit import (
-    NO_IDS,
-    PrimitiveIds,
-    aovs_in_tile,
-    aovs_in_tile_by_lanes,
-    fill_miss,
-    new_surface_buffer,
-    surfaces_in_tile,
-    surfaces_in_tile_by_lanes,
-    write_aov,
-)
+from caster.kernels.surface.lighting import add_ambient, add_light, materials_in_tile, shadow_rays_in_tile
+from caster.kernels.surface.per_hit import NO_IDS, PrimitiveIds, new_surface_buffer, surfaces_in_tile, write_aov
 from caster.rendering.casting import exact_nearest
 from caster.rendering.plan import Plan
 from caster.rendering.ray_tiles import ShadowCaster, TileWorkspace, prim_offsets
@@ -63,9 +63,8 @@ def new_image(name: str, window: Window, dtype: type[np.floating]) -> np.ndarray
 class TileShader:
     """Writes the AOVs of tiles whose rays and nearest hits are known.
 
-    images: by AOV, new ones. reach: no coordinate of an origin is larger; inf where d need not be of length 1.
-    start: (h, w) what depth counts from. exact_shadows: decide at once where float64 leaves open whether a point is
-    lit; otherwise its pixel gets UNCERTAIN.
+    images: by AOV, new ones. start: (h, w) what depth counts from. exact_shadows: decide at once where float64 leaves
+    open whether a point is lit; otherwise its pixel gets UNCERTAIN.
     """
 
     def __init__(
@@ -75,24 +74,23 @@ class TileShader:
         plan: Plan,
         images: Mapping[str, np.ndarray],
         *,
-        reach: float = np.inf,
         start: np.ndarray = NO_START,
         exact_shadows: bool = False,
     ) -> None:
-        self.images, self.start, self.reach = images, start, reach
+        self.images, self.start = images, start
         self._shadow_casters: list[ShadowCaster] = []
         self._shadow_rays: list[np.ndarray] = []  # one a thread and light: threads only append
-        self.normals_alone = plan.surfaces == ("normals",) and not start.size
         self.ids = _primitive_ids(packed, plan.needs)
-        self._fields = None if start.size else _single_fields(images, plan)
         self.steps: list[Step] = [lambda workspace: self.miss_commands()]
         if packed.kinds:
-            self.steps = self._surface_steps(packed, plan)
+            self.steps = []
+            if plan.surfaces:
+                self.steps.append(partial(_find_surfaces, packed, wanted_fields(plan)))
             if plan.needs & {"albedo", "radiance"}:
                 self.steps.append(self._material_step(scene, packed))
             if "radiance" in plan.needs:
                 self.steps += self._light_steps(scene, packed, plan, exact_shadows)
-            self.steps += [self._writer(name, packed) for name in images if name not in (self._fields or ())]
+            self.steps += [self._writer(name) for name in images]
 
     @property
     def shadow_rays(self) -> int:
@@ -110,17 +108,13 @@ class TileShader:
 
     def miss_commands(self) -> list[Command]:
         """What writes the AOVs of tiles where nothing is hit."""
-        return [
-            Command(bind(fill_miss, kernel_of(name), NO_BOX, image, given=(1,)), (BOX,))
-            for name, image in self.images.items()
-        ]
 
-    def _surface_steps(self, packed: Packed, plan: Plan) -> list[Step]:
-        if not plan.surfaces or self.normals_alone:
-            return []
-        if self._fields is not None:
-            return [partial(_write_fields, kind_ranges(packed), self._fields, self.images)]
-        return [partial(_find_surfaces, kind_ranges(packed), "uv" in plan.surfaces)]
+        def fill(box: Box) -> None:
+            x0, y0, x1, y1 = box
+            for name, image in self.images.items():
+                image[y0:y1, x0:x1] = BY_NAME[name].MISS
+
+        return [Command(fill, (BOX,))]
 
     def _material_step(self, scene: Scene, packed: Packed) -> Step:
         materials, of_shapes = distinct_materials(scene)
@@ -132,11 +126,10 @@ class TileShader:
         pixels = max((math.prod(image.shape[:2]) for image in self.images.values()), default=0)
         steps: list[Step] = []
         for light in (each.pack() for each in scene.lights if each.type != "ambient"):
-            if not plan.shadows.runs:
-                steps.append(partial(_add_unshadowed_light, light))
-                continue
-            caster = ShadowCaster(packed, light, pixels)
-            self._shadow_casters.append(caster)
+            caster = None
+            if plan.shadows.runs:
+                caster = ShadowCaster(packed, light, pixels)
+                self._shadow_casters.append(caster)
             steps.append(partial(_add_light, light, caster, packed, exact, self._shadow_rays))
         ambient = np.array([light.radiance for light in scene.lights if light.type == "ambient"]).reshape(-1, 3)
         if len(ambient):
@@ -145,10 +138,8 @@ class TileShader:
             )
         return steps
 
-    def _writer(self, name: str, packed: Packed) -> Step:
+    def _writer(self, name: str) -> Step:
         kernel, image, ids, start = kernel_of(name), self.images[name], self.ids, self.start
-        if self.normals_alone and "normal" in BY_NAME[name].NEEDS:
-            return partial(_write_normals, kernel, kind_ranges(packed), self.reach, image)
         unused = set(BY_NAME[name].NEEDS) <= {"shape_id", "prim_id"}
 
         def begin(ws: TileWorkspace) -> list[Command]:
@@ -162,100 +153,42 @@ class TileShader:
 NO_BOX = (0, 0, 0, 0)
 
 
-# AOVs that need one of these alone of a hit are written as soon as it is known.
-SINGLE_FIELDS = ("position", "normal", "shading_normal")
-
-
-def _single_fields(images: Mapping[str, np.ndarray], plan: Plan) -> list[str] | None:
-    """For each of SINGLE_FIELDS the AOV that needs it alone, "" for none; None where others need surfaces as well."""
-    if plan.shading.runs or not plan.surfaces or plan.surfaces == ("normals",):
-        return None
-    wanting = {name: BY_NAME[name].NEEDS for name in images if {*SINGLE_FIELDS, "uv"} & {*BY_NAME[name].NEEDS}}
-    found = {needs[0]: name for name, needs in wanting.items() if len(needs) == 1 and needs[0] != "uv"}
-    return [found.get(field, "") for field in SINGLE_FIELDS] if len(found) == len(wanting) else None
-
-
-KindRange = tuple[Any, tuple[int, int]]
-
-
-def kind_ranges(packed: Packed) -> list[KindRange]:
-    """(primitives, their numbers in a tile: first, last + 1) of each kind."""
-    offsets = zip(packed.kinds, prim_offsets(packed), strict=True)
-    return [(kind.prims, (first, first + len(kind.ids))) for kind, first in offsets]
-
-
-def _add_unshadowed_light(light: Any, workspace: TileWorkspace) -> Iterator[Command]:
-    """Radiance of what faces a light."""
-    about = light, workspace.tile, NO_BOX, workspace.surface
-    yield Command(bind(add_unshadowed_light, *about, given=(2,)), (BOX,))
+def wanted_fields(plan: Plan) -> int:
+    """The fields of surfaces that are computed, for `surfaces_in_tile`."""
+    if "uv" in plan.surfaces:
+        return SURFACES_WITH_UV
+    return SURFACES if "position" in plan.surfaces else NORMALS
 
 
 def _add_light(
-    light: Any, cast: ShadowCaster, packed: Packed, exact: bool, counts: list[np.ndarray], workspace: TileWorkspace
+    light: Any,
+    cast: ShadowCaster | None,
+    packed: Packed,
+    exact: bool,
+    counts: list[np.ndarray],
+    workspace: TileWorkspace,
 ) -> Iterator[Command]:
-    """Radiance of what a light reaches; `counts` gets an array of the number of shadow rays."""
+    """Radiance of hits that face a light, and that it reaches, unless `cast` is None: there are no shadows then.
+
+    counts: gets an array of the number of shadow rays.
+    """
     tile, surface, shadow_tile = workspace.tile, workspace.surface, workspace.shadow_tile
     total = np.zeros(1, np.int64)
     about = light, tile, NO_BOX, packed.prim_shapes, packed.shape_extents, surface, shadow_tile, total
     find = bind(shadow_rays_in_tile, *about, given=(2,))
     yield Command(find, (BOX,))
-    counts.append(total)
-    yield from cast.commands(shadow_tile, workspace.ray_groups, find)
-    if exact:
-        yield Command(partial(decide_shadows, packed, shadow_tile), (COUNT,), find)
+    if cast is not None:
+        counts.append(total)
+        yield from cast.commands(shadow_tile, workspace.ray_groups, find)
+        if exact:
+            yield Command(partial(decide_shadows, packed, shadow_tile), (COUNT,), find)
     yield Command(bind(add_light, tile, NO_BOX, surface, shadow_tile, given=(1,)), (BOX,), find)
 
 
-def _find_surfaces(kinds: list[KindRange], wants_uv: bool, workspace: TileWorkspace) -> Iterator[Command]:
-    tile, surface = workspace.tile, workspace.surface
-    for k, (prims, numbers) in enumerate(kinds):
-        if implements(fast_surface, type(prims)) and (implements(fast_uv, type(prims)) or not wants_uv):
-            about = prims, numbers, tile, NO_BOX, surface, workspace.lanes, wants_uv
-            find = bind(surfaces_in_tile_by_lanes, *about, given=(3,))
-        else:
-            find = bind(surfaces_in_tile, prims, numbers, tile, NO_BOX, surface, wants_uv, given=(3,))
-        yield Command(find, (BOX,), kind_numbers(k).present)
-
-
-def _write_fields(
-    kinds: list[KindRange], names: list[str], images: Mapping[str, np.ndarray], workspace: TileWorkspace
-) -> Iterator[Command]:
-    """AOVs of one field each (`_single_fields`), kind by kind."""
-    absent = np.empty((0, 0, 3), next(images[name].dtype for name in names if name))
-    out = tuple(
-        (kernel_of(name), images[name]) if name else (kernel_of(field), absent)
-        for field, name in zip(SINGLE_FIELDS, names, strict=True)
-    )
-
-    def of_kind(prims: Any, numbers: tuple[int, int], misses: bool) -> BoundCall:
-        if implements(fast_surface, type(prims)):
-            about = prims, numbers, workspace.tile, NO_BOX, workspace.lanes, misses, out
-            return bind(aovs_in_tile_by_lanes, *about, given=(3,))
-        return bind(aovs_in_tile, prims, numbers, workspace.tile, NO_BOX, misses, out, given=(3,))
-
-    return _first_with_misses(kinds, of_kind)
-
-
-def _first_with_misses(
-    kinds: list[KindRange], of_kind: Callable[[Any, tuple[int, int], bool], BoundCall]
-) -> Iterator[Command]:
-    """of_kind(prims, numbers, misses): what writes the hits on a kind; the first in a tile writes the misses, too."""
-    for k, each in enumerate(kinds):
-        yield Command(of_kind(*each, True), (BOX,), kind_numbers(k).first)
-        if k > 0:
-            yield Command(of_kind(*each, False), (BOX,), kind_numbers(k).later)
-
-
-def _write_normals(
-    kernel: Any, kinds: list[KindRange], reach: float, image: np.ndarray, workspace: TileWorkspace
-) -> Iterator[Command]:
-    """An AOV of normals alone, kind by kind."""
-
-    def of_kind(prims: Any, numbers: tuple[int, int], misses: bool) -> BoundCall:
-        about = kernel, prims, numbers, reach, workspace.tile, NO_BOX, misses, image
-        return bind(normals_in_tile, *about, given=(5,))
-
-    return _first_with_misses(kinds, of_kind)
+def _find_surfaces(packed: Packed, wants: int, workspace: TileWorkspace) -> Iterator[Command]:
+    for k, (kind, first) in enumerate(zip(packed.kinds, prim_offsets(packed), strict=True)):
+        about = kind.prims, (first, first + len(kind.ids)), workspace.tile, NO_BOX, workspace.surface, workspace.lanes
+        yield Command(bind(surfaces_in_tile, *about, wants, given=(3,)), (BOX,), kind_numbers(k).present)
 
 
 def decide_shadows(packed: Packed, shadow_tile: np.ndarray, count: int) -> None:

@@ -10,8 +10,6 @@ import numpy as np
 from caster.aovs import AOVS
 from caster.cameras import CAMERAS
 from caster.description.registry import type_name
-from caster.geometry.mesh_files.obj import parse_obj
-from caster.geometry.mesh_files.ply import parse_ply
 from caster.geometry.packing import Packed, pack, packed
 from caster.geometry.world_space import as_given
 from caster.jit.decorators import COMPILATION_LOG, compile_ahead
@@ -41,13 +39,6 @@ WARM_UP_AOV_SETS: tuple[tuple[str, ...], ...] = (
     tuple(aov.NAME for aov in AOVS),
 )
 
-# Files of one triangle.
-OBJ = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
-PLY = (
-    b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
-    b"element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
-)
-
 WARM_UP_FILM_SIDE = 4  # pixels; kernels do not depend on it
 
 
@@ -61,9 +52,6 @@ class WarmUpCounts(NamedTuple):
 def warm_up(scenes: Iterable[tuple[str, Scene]], on_scene: Callable[[str], None]) -> WarmUpCounts:
     """Compile or load all kernels that the scenes may need. on_scene: called with the name of each scene."""
     before = WarmUpCounts(len(COMPILATION_LOG.compiled), len(COMPILATION_LOG.loaded))
-    on_scene("mesh files")
-    parse_obj(OBJ, "OBJ")
-    parse_ply(PLY, "PLY")
     for name, scene in scenes:
         on_scene(name)
         _warm_one(scene)

@@ -25,10 +25,9 @@ from caster.kernels.math.angles import turn_fraction
 from caster.kernels.math.quadric_roots import (
     QuadricSetup,
     closest_approach,
+    fast_unit_normal,
     first_hit,
-    is_in_range_through,
     outward_normal,
-    outward_normal_in_range,
     quadric_roots,
     quadric_setup,
 )
@@ -38,6 +37,7 @@ from caster.kernels.math.vec import (
     add,
     all_products_zero,
     certain_in_range,
+    fast_normalize,
     filter_result,
     l1_norm,
     mat_vec,
@@ -53,17 +53,25 @@ from caster.kernels.math.vec import (
 )
 from caster.kernels.protocol import (
     exact_intersect,
-    fast_normal,
+    fast_surface,
+    fast_uv,
     hull_point,
     hull_size,
     intersect,
     load,
-    normal,
-    normal_setup,
     prepare,
     same_geometry,
     surely_misses,
     surface,
+    surface_setup,
+)
+from caster.kernels.raster.tile import (
+    LANE_CENTER,
+    LANE_TO_OBJECT,
+    LANE_TO_WORLD,
+    get_lane,
+    get_matrix,
+    put_affine_lanes,
 )
 
 __all__ = ["Cylinder", "Cylinders"]
@@ -179,28 +187,6 @@ def _exact_intersect(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: fl
     return exact_unit_cylinder(f, e, h, unit, t_min, t_max)
 
 
-@implement(normal, Cylinders)
-def _normal(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
-    f = mat_vec(prims.to_object, k, sub(o, row(prims.center, k)))
-    e = mat_vec(prims.to_object, k, d)
-    x, y, _ = outward_normal((f[0], f[1], 0.0), (e[0], e[1], 0.0), t, 1.0)
-    return normalize(transposed_mat_vec(prims.to_object, k, (x, y, 0.0)))
-
-
-@implement(normal_setup, Cylinders)
-def _normal_setup(prims: Any, k: int, reach: float) -> Any:
-    center, m = row(prims.center, k), matrix_rows(prims.to_object, k)
-    return is_in_range_through(m, center, reach), center, m
-
-
-@implement(fast_normal, Cylinders)
-def _fast_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
-    _, center, m = face
-    f, e = rows_times_vec(m, sub(o, center)), rows_times_vec(m, d)
-    x, y, _ = outward_normal_in_range((f[0], f[1], 0.0), (e[0], e[1], 0.0), t, 1.0)
-    return normalize(transposed_rows_times_vec(m, (x, y, 0.0)))
-
-
 @implement(surface, Cylinders)
 def _surface(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
     """u is the angle as a fraction of a turn, v the height along the axis from 0 to 1."""
@@ -211,6 +197,27 @@ def _surface(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> An
     n = normalize(transposed_mat_vec(prims.to_object, k, (x, y, 0.0)))
     p = add(row(prims.center, k), mat_vec(prims.to_world, k, (x, y, z)))
     return p, n, n, turn_fraction(y, x) if wants_uv else 0.0, z
+
+
+@implement(surface_setup, Cylinders)
+def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants: int) -> None:
+    put_affine_lanes(prims, k, start, stop, scratch)
+
+
+@implement(fast_surface, Cylinders)
+def _fast_surface(prims: Any, scratch: Any, x: Any, o: Any, d: Any, t: float) -> Any:
+    center, m = get_lane(scratch, LANE_CENTER + x), get_matrix(scratch, LANE_TO_OBJECT + x)
+    f, e = rows_times_vec(m, sub(o, center)), rows_times_vec(m, d)
+    known, q = fast_unit_normal((f[0], f[1], 0.0), (e[0], e[1], 0.0), t)
+    long, n = fast_normalize(transposed_rows_times_vec(m, (q[0], q[1], 0.0)))
+    q = q[0], q[1], f[2] + t * e[2]
+    p = add(center, rows_times_vec(get_matrix(scratch, LANE_TO_WORLD + x), q))
+    return known & long, known & long, p, n, n, q
+
+
+@implement(fast_uv, Cylinders)
+def _fast_uv(prims: Any, scratch: Any, x: Any, q: Any) -> Any:
+    return turn_fraction(q[1], q[0]), q[2]
 
 
 @implement(hull_size, Cylinders)

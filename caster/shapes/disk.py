@@ -42,17 +42,27 @@ from caster.kernels.math.vec import (
 )
 from caster.kernels.protocol import (
     exact_intersect,
-    fast_normal,
+    fast_surface,
+    fast_uv,
     hull_point,
     hull_size,
     intersect,
     load,
-    normal,
-    normal_setup,
     prepare,
     same_geometry,
     surely_misses,
-    surface,
+    surface_setup,
+)
+from caster.kernels.raster.tile import (
+    LANE_CENTER,
+    LANE_MORE,
+    LANE_TO_OBJECT,
+    LANE_TO_WORLD,
+    NORMALS,
+    get_lane,
+    get_matrix,
+    put_affine_lanes,
+    put_lane,
 )
 
 __all__ = ["Disk", "Disks"]
@@ -125,30 +135,28 @@ def _exact_intersect(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: fl
     return exact_disk(row(prims.center, k), prims.to_world[k], o, d, t_min, t_max)
 
 
-@implement(normal, Disks)
-def _normal(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
-    return normalize(transposed_mat_vec(prims.to_object, k, (0.0, 0.0, 1.0)))
+@implement(surface_setup, Disks)
+def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants: int) -> None:
+    n = normalize(transposed_mat_vec(prims.to_object, k, (0.0, 0.0, 1.0)))
+    for x in range(start, stop):
+        put_lane(scratch, LANE_MORE + x, n)
+    if wants != NORMALS:
+        put_affine_lanes(prims, k, start, stop, scratch)
 
 
-@implement(normal_setup, Disks)
-def _normal_setup(prims: Any, k: int, reach: float) -> Any:
-    return True, normalize(transposed_mat_vec(prims.to_object, k, (0.0, 0.0, 1.0)))
+@implement(fast_surface, Disks)
+def _fast_surface(prims: Any, scratch: Any, x: Any, o: Any, d: Any, t: float) -> Any:
+    center, m = get_lane(scratch, LANE_CENTER + x), get_matrix(scratch, LANE_TO_OBJECT + x)
+    f, e = rows_times_vec(m, sub(o, center)), rows_times_vec(m, d)
+    q = f[0] + t * e[0], f[1] + t * e[1], 0.0
+    p, n = add(center, rows_times_vec(get_matrix(scratch, LANE_TO_WORLD + x), q)), get_lane(scratch, LANE_MORE + x)
+    return True, True, p, n, n, q
 
 
-@implement(fast_normal, Disks)
-def _fast_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
-    return face[1]
-
-
-@implement(surface, Disks)
-def _surface(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
+@implement(fast_uv, Disks)
+def _fast_uv(prims: Any, scratch: Any, x: Any, q: Any) -> Any:
     """u is the distance from the centre, v the angle as a fraction of a turn."""
-    f = mat_vec(prims.to_object, k, sub(o, row(prims.center, k)))
-    e = mat_vec(prims.to_object, k, d)
-    x, y = f[0] + t * e[0], f[1] + t * e[1]
-    n = normal(prims, k, o, d, t)
-    p = add(row(prims.center, k), mat_vec(prims.to_world, k, (x, y, 0.0)))
-    return p, n, n, math.sqrt(x * x + y * y), turn_fraction(y, x) if wants_uv else 0.0
+    return math.sqrt(q[0] * q[0] + q[1] * q[1]), turn_fraction(q[1], q[0])
 
 
 @implement(hull_size, Disks)

@@ -30,22 +30,18 @@ from caster.kernels.math.vec import (
 )
 from caster.kernels.protocol import (
     exact_intersect,
-    fast_normal,
     fast_surface,
     fast_uv,
     hull_point,
     hull_size,
     intersect,
     load,
-    normal,
-    normal_setup,
     prepare,
     same_geometry,
     surely_misses,
-    surface,
     surface_setup,
 )
-from caster.kernels.raster.tile import LANE_SETUP, SURFACE_LANES, get_lane, lane, put_lane
+from caster.kernels.raster.tile import LANE_SETUP, SURFACE_LANES, SURFACES_WITH_UV, get_lane, lane, put_lane
 
 __all__ = ["Plane", "Planes"]
 
@@ -126,33 +122,6 @@ def _exact_intersect(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: fl
     return exact_plane(row(prims.normal, k), row(prims.point, k), o, d, t_min, t_max)
 
 
-@implement(normal, Planes)
-def _normal(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
-    return normalize(row(prims.normal, k))
-
-
-@implement(normal_setup, Planes)
-def _normal_setup(prims: Any, k: int, reach: float) -> Any:
-    return True, normalize(row(prims.normal, k))
-
-
-@implement(fast_normal, Planes)
-def _fast_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
-    return face[1]
-
-
-@implement(surface, Planes)
-def _surface(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
-    """uv are distances from `point` along two axes of the plane, in scene units."""
-    n = normal(prims, k, o, d, t)
-    p = point_at(o, t, d)
-    if not wants_uv:
-        return p, n, n, 0.0, 0.0
-    right, ahead = _axes(n)
-    u, v = _plane_uv(p, row(prims.point, k), right, ahead)
-    return p, n, n, u, v
-
-
 @inlined
 def _axes(n: Any) -> Any:
     """Two unit vectors across n and each other."""
@@ -161,21 +130,15 @@ def _axes(n: Any) -> Any:
     return right, cross(n, right)
 
 
-@inlined
-def _plane_uv(p: Any, point: Any, right: Any, ahead: Any) -> Any:
-    q = sub(p, point)
-    return dot(q, right), dot(q, ahead)
-
-
 LANE_NORMAL, LANE_POINT, LANE_RIGHT, LANE_AHEAD = (LANE_SETUP + lane(SURFACE_LANES * field) for field in (0, 3, 6, 9))
 
 
 @implement(surface_setup, Planes)
-def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants_uv: bool) -> None:
+def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants: int) -> None:
     n = normalize(row(prims.normal, k))
     for x in range(start, stop):
         put_lane(scratch, LANE_NORMAL + x, n)
-    if wants_uv:
+    if wants == SURFACES_WITH_UV:
         point, (right, ahead) = row(prims.point, k), _axes(n)
         for x in range(start, stop):
             put_lane(scratch, LANE_POINT + x, point)
@@ -186,13 +149,14 @@ def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, want
 @implement(fast_surface, Planes)
 def _fast_surface(prims: Any, scratch: Any, x: Any, o: Any, d: Any, t: float) -> Any:
     n, p = get_lane(scratch, LANE_NORMAL + x), point_at(o, t, d)
-    return True, p, n, n, p
+    return True, True, p, n, n, p
 
 
 @implement(fast_uv, Planes)
 def _fast_uv(prims: Any, scratch: Any, x: Any, p: Any) -> Any:
-    point = get_lane(scratch, LANE_POINT + x)
-    return _plane_uv(p, point, get_lane(scratch, LANE_RIGHT + x), get_lane(scratch, LANE_AHEAD + x))
+    """Distances from `point` along two axes of the plane, in scene units."""
+    q = sub(p, get_lane(scratch, LANE_POINT + x))
+    return dot(q, get_lane(scratch, LANE_RIGHT + x)), dot(q, get_lane(scratch, LANE_AHEAD + x))
 
 
 @implement(hull_size, Planes)

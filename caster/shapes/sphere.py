@@ -23,19 +23,16 @@ from caster.geometry.edge_distances import (
 )
 from caster.geometry.mesh_files import load_once, load_points
 from caster.geometry.world_space import Rounding, is_similarity, similarity_scale
-from caster.jit.decorators import implement, inlined, jit
+from caster.jit.decorators import implement, jit
 from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import exact_sphere, exact_unit_sphere, ray_in_object_space
 from caster.kernels.math.angles import polar_fraction, turn_fraction
 from caster.kernels.math.quadric_roots import (
     closest_approach,
     fast_outward_normal,
+    fast_unit_normal,
     first_root,
-    is_in_range,
-    is_in_range_through,
     outward_normal,
-    outward_normal_in_range,
-    outward_normal_unit_direction,
     quadric_roots,
     quadric_setup,
 )
@@ -43,6 +40,7 @@ from caster.kernels.math.vec import (
     TO_OBJECT_SPACE_ERROR,
     U,
     add,
+    fast_normalize,
     l1_norm,
     mat_vec,
     matrix_rows,
@@ -58,14 +56,12 @@ from caster.kernels.math.vec import (
 )
 from caster.kernels.protocol import (
     exact_intersect,
-    fast_normal,
     fast_surface,
+    fast_uv,
     hull_point,
     hull_size,
     intersect,
     load,
-    normal,
-    normal_setup,
     prepare,
     same_geometry,
     surely_misses,
@@ -73,7 +69,20 @@ from caster.kernels.protocol import (
     surface_setup,
     tight_sphere,
 )
-from caster.kernels.raster.tile import LANE_SETUP, SURFACE_LANES, get_lane, lane, put_lane
+from caster.kernels.raster.tile import (
+    LANE_CENTER,
+    LANE_SETUP,
+    LANE_TO_OBJECT,
+    LANE_TO_WORLD,
+    NEXT,
+    SURFACE_LANES,
+    SURFACES_WITH_UV,
+    get_lane,
+    get_matrix,
+    lane,
+    put_affine_lanes,
+    put_lane,
+)
 
 __all__ = ["Ellipsoids", "Sphere", "SphereCloud", "Spheres"]
 
@@ -200,52 +209,42 @@ def _exact_intersect(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: fl
     return exact_sphere(row(prims.center, k), prims.radius[k], o, d, t_min, t_max)
 
 
-@implement(normal, Spheres)
-def _normal(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
-    return outward_normal(sub(o, row(prims.center, k)), d, t, prims.radius[k])
-
-
-@implement(normal_setup, Spheres)
-def _normal_setup(prims: Any, k: int, reach: float) -> Any:
-    center, r = row(prims.center, k), prims.radius[k]
-    return is_in_range(center, r, reach), center, r
-
-
-@implement(fast_normal, Spheres)
-def _fast_normal(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
-    _, center, r = face
-    return outward_normal_unit_direction(sub(o, center), d, t, r)
-
-
-@inlined
-def point_on_sphere(center: Any, r: float, n: Any) -> Any:
-    return point_at(center, r, n)
-
-
 @implement(surface, Spheres)
 def _surface(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
     center, r = row(prims.center, k), prims.radius[k]
-    n = normal(prims, k, o, d, t)
+    n = outward_normal(sub(o, center), d, t, r)
     u, v = spherical_uv(mat_vec(prims.turn, k, n)) if wants_uv else (0.0, 0.0)
-    return point_on_sphere(center, r, n), n, n, u, v
+    return point_at(center, r, n), n, n, u, v
 
 
-LANE_CENTER, LANE_RADIUS = LANE_SETUP, LANE_SETUP + lane(3 * SURFACE_LANES)
+LANE_RADIUS = LANE_SETUP + lane(3 * SURFACE_LANES)
+LANE_TURN = LANE_RADIUS + NEXT
 
 
 @implement(surface_setup, Spheres)
-def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants_uv: bool) -> None:
+def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants: int) -> None:
     center, r = row(prims.center, k), prims.radius[k]
     for x in range(start, stop):
         put_lane(scratch, LANE_CENTER + x, center)
         scratch[LANE_RADIUS + x] = r
+    if wants == SURFACES_WITH_UV:
+        a, b, c = matrix_rows(prims.turn, k)
+        for x in range(start, stop):
+            put_lane(scratch, LANE_TURN + x, a)
+            put_lane(scratch, LANE_TURN + lane(3) * NEXT + x, b)
+            put_lane(scratch, LANE_TURN + lane(6) * NEXT + x, c)
 
 
 @implement(fast_surface, Spheres)
 def _fast_surface(prims: Any, scratch: Any, x: Any, o: Any, d: Any, t: float) -> Any:
     center, r = get_lane(scratch, LANE_CENTER + x), scratch[LANE_RADIUS + x]
     known, n = fast_outward_normal(sub(o, center), d, t, r)
-    return known, point_on_sphere(center, r, n), n, n, n
+    return known, known, point_at(center, r, n), n, n, n
+
+
+@implement(fast_uv, Spheres)
+def _fast_uv(prims: Any, scratch: Any, x: Any, n: Any) -> Any:
+    return spherical_uv(rows_times_vec(get_matrix(scratch, LANE_TURN + x), n))
 
 
 @implement(hull_size, Spheres)
@@ -300,29 +299,6 @@ def _exact_intersect_ellipsoid(prims: Any, k: int, o: Any, d: Any, t_min: float,
     return exact_unit_sphere(f, e, h, unit, t_min, t_max)
 
 
-@implement(normal, Ellipsoids)
-def _normal_ellipsoid(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
-    f = mat_vec(prims.to_object, k, sub(o, row(prims.center, k)))
-    q = outward_normal(f, mat_vec(prims.to_object, k, d), t, 1.0)
-    return normalize(transposed_mat_vec(prims.to_object, k, q))
-
-
-@implement(normal_setup, Ellipsoids)
-def _normal_setup_ellipsoid(prims: Any, k: int, reach: float) -> Any:
-    center, m = row(prims.center, k), matrix_rows(prims.to_object, k)
-    return is_in_range_through(m, center, reach), center, m
-
-
-@implement(fast_normal, Ellipsoids)
-def _fast_normal_ellipsoid(prims: Any, face: Any, o: Any, d: Any, t: float) -> Any:
-    _, center, m = face
-    return normalize(
-        transposed_rows_times_vec(
-            m, outward_normal_in_range(rows_times_vec(m, sub(o, center)), rows_times_vec(m, d), t, 1.0)
-        )
-    )
-
-
 @implement(surface, Ellipsoids)
 def _surface_ellipsoid(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
     center = row(prims.center, k)
@@ -331,6 +307,25 @@ def _surface_ellipsoid(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: b
     n = normalize(transposed_mat_vec(prims.to_object, k, q))
     u, v = spherical_uv(q) if wants_uv else (0.0, 0.0)
     return add(center, mat_vec(prims.to_world, k, q)), n, n, u, v
+
+
+@implement(surface_setup, Ellipsoids)
+def _ellipsoid_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants: int) -> None:
+    put_affine_lanes(prims, k, start, stop, scratch)
+
+
+@implement(fast_surface, Ellipsoids)
+def _fast_ellipsoid_surface(prims: Any, scratch: Any, x: Any, o: Any, d: Any, t: float) -> Any:
+    center, m = get_lane(scratch, LANE_CENTER + x), get_matrix(scratch, LANE_TO_OBJECT + x)
+    known, q = fast_unit_normal(rows_times_vec(m, sub(o, center)), rows_times_vec(m, d), t)
+    long, n = fast_normalize(transposed_rows_times_vec(m, q))
+    p = add(center, rows_times_vec(get_matrix(scratch, LANE_TO_WORLD + x), q))
+    return known & long, known & long, p, n, n, q
+
+
+@implement(fast_uv, Ellipsoids)
+def _fast_ellipsoid_uv(prims: Any, scratch: Any, x: Any, q: Any) -> Any:
+    return spherical_uv(q)
 
 
 @implement(hull_size, Ellipsoids)

@@ -1,4 +1,4 @@
-/* Rays in, hits out: {mesh.raw}, {rays.raw} and {hits.raw} as files, or over stdin and stdout (--candidate-serve). C99, little-endian machines, no dependency. */
+/* Rays in, hits out: {mesh}, {rays} and {hits} as files, or over stdin and stdout (--candidate-serve). C99, little-endian machines, no dependency. */
 #ifndef RAYS_AND_HITS_H
 #define RAYS_AND_HITS_H
 #include <math.h>

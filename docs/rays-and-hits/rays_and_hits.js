@@ -1,4 +1,4 @@
-// Rays in, hits out, in node without packages: {mesh.raw}, {rays.raw} and {hits.raw} as files, or over stdin and stdout.
+// Rays in, hits out, in node without packages: {mesh}, {rays} and {hits} as files, or over stdin and stdout.
 //
 //     require("./rays_and_hits.js").run((v, f) => (o, d, tMin, tMax) => [t, nx, ny, nz, prim]);
 //

@@ -6,76 +6,80 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
 from caster.system.atomic_files import ScratchFolder
-from mitsuba_ref.bench.contestants import Contestant
-from mitsuba_ref.bench.entries import FILM, PROCESS, SHADING, VALIDATION, Work
-from mitsuba_ref.bench.result import Row, SceneResult, Score
+from mitsuba_ref.bench.contestants import OURS, Contestant
+from mitsuba_ref.bench.entries import FILM, Work
+from mitsuba_ref.bench.result import Row, SceneResult
 from mitsuba_ref.bench.scenes import BenchScene
 from mitsuba_ref.bench.scoring import ExactAnswers, write_scene
-from mitsuba_ref.bench.worker import STATUS_READY
-from mitsuba_ref.judge.adjudication import PreparedScene
-from mitsuba_ref.reference.subprocess_runner import ProcessEnd, ProcessEnded, ResidentProcess, exit_name, import_path
+from mitsuba_ref.reference.subprocess_runner import ProcessEnded, ResidentProcess, exit_name, import_path
 
 LAST_WORDS = 300  # characters kept of a dead contestant's output
 WORKER = (sys.executable, "-P", "-m", "mitsuba_ref.bench.worker")
+
+MIN_TURN_S = 0.05  # seconds of a turn: shorter casts are repeated, and their median is the turn's time
+MAX_CAST_S = 0.2  # seconds of a slow contestant's cast; its film is made smaller until it fits
+WARM_UP_CASTS = 3  # casts before the first that counts, of which the first ones may compile
+REQUEST_TIMEOUT_S = 300.0  # seconds of any single request, compilation included
+
+Progress = Callable[[str], None]
 
 
 class ContestantEnded(Exception):  # noqa: N818 - an end, not always an error
     """The end of a contestant's process; str() is the reason, in a line."""
 
 
+class Requester(Protocol):
+    """A contestant's process."""
+
+    def request(self, **request: Any) -> Mapping[str, Any]:
+        """Raises ContestantEnded; the process is then gone, too."""
+
+    def close(self) -> None:
+        """End it; a second call does nothing."""
+
+
 class ContestantProcess:
     """A contestant's process (worker.py), which may fail, crash or hang. Close it, or it stays."""
 
     def __init__(
-        self, work: Work, environment: Mapping[str, str] | None = None, command: Sequence[str] = WORKER
+        self,
+        work: Work,
+        environment: Mapping[str, str] | None = None,
+        command: Sequence[str] = WORKER,
+        timeout: float = REQUEST_TIMEOUT_S,
     ) -> None:
-        settings = {**(environment or {}), "PYTHONPATH": import_path()}
+        settings, self.timeout = {**(environment or {}), "PYTHONPATH": import_path()}, timeout
         with os.fdopen(os.dup(2), "w") as notices:  # for what it compiles: all else that it says is captured
             fd = notices.fileno()
-            self.process = ResidentProcess([*command, work.to_json(), str(fd)], settings, pass_fds=(fd,))
+            words = [*command, json.dumps(asdict(work)), str(fd)]
+            self.process = ResidentProcess(words, settings, pass_fds=(fd,))
 
-    def request(self, timeout: float, **request: Any) -> dict[str, Any]:
-        """The reply to {"do": ...}, within so many seconds. Raises ContestantEnded; the process is then gone, too."""
+    def request(self, **request: Any) -> Mapping[str, Any]:
+        """The reply to {"do": ...}."""
         try:
-            line = self.process.ask(json.dumps(request).encode(), timeout)
-        except ProcessEnded as ended:
-            raise ContestantEnded(_end_text(ended.end, timeout)) from None
-        try:
+            line = self.process.ask(json.dumps(request).encode(), self.timeout)
             reply: dict[str, Any] = json.loads(line)
+        except ProcessEnded as ended:
+            end = ended.end
+            words = ["died", exit_name(end.code or 0), *end.output.splitlines()[-1:]]
+            why = f"no answer within {self.timeout:g} s" if end.code is None else ": ".join(words)[:LAST_WORDS]
+            raise ContestantEnded(why) from None
         except ValueError:
-            self.close()
-            raise ContestantEnded(f"unexpected reply: {line[:LAST_WORDS]!r}") from None
-        if reply["status"] != STATUS_READY:
+            reply = {"why": f"unexpected reply: {line[:LAST_WORDS]!r}"}
+        if "why" in reply:
             self.close()
             raise ContestantEnded(reply["why"])
         return reply
 
     def close(self) -> None:
-        """End it; a second call does nothing."""
         self.process.close()
-
-
-def _end_text(end: ProcessEnd, timeout: float) -> str:
-    """A signal or an exit code, and the last line of its output."""
-    if end.code is None:
-        return f"no answer within {timeout:g} s"
-    return ": ".join(["died", exit_name(end.code), *end.output.splitlines()[-1:]])[:LAST_WORDS]
-
-
-Progress = Callable[[str], None]
-
-MIN_TURN_S = 0.05  # seconds of a turn: shorter casts are repeated, and their median is the turn's time
-MAX_CAST_S = 0.2  # seconds of a slow contestant's cast; its film is made smaller until it fits
-WARM_UP_CASTS = 3  # casts before the first that counts, of which the first ones may compile
-REQUEST_TIMEOUT_S = 300.0  # seconds of any single request, compilation included
 
 
 @dataclass(frozen=True)
@@ -85,115 +89,62 @@ class Settings:
     threads: int = 1
     seed: int = 0
     peers: bool = False
-    timeout: float = REQUEST_TIMEOUT_S
-    candidate: str = ""  # a ray caster from elsewhere that takes rays, as of `parse_candidate`; "": none
-    candidate_precision: str | None = None
-    candidate_served: bool = False
 
 
-class Requester(Protocol):
-    """A contestant's process."""
-
-    def request(self, timeout: float, **request: Any) -> Mapping[str, Any]:
-        """Raises ContestantEnded."""
-
-    def close(self) -> None: ...
+Start = Callable[[Contestant, str, BenchScene, int], Requester]  # contestant, folder, scene, threads
 
 
-Start = Callable[[Contestant, str, str, int], Requester]  # contestant, folder, task, threads
+def start_process(contestant: Contestant, folder: str, scene: BenchScene, threads: int) -> Requester:
+    work = contestant.work(folder, scene.workload, threads, scene.aovs)
+    return ContestantProcess(work, contestant.environment())
 
 
-def start_process(contestant: Contestant, folder: str, workload: str, threads: int) -> Requester:
-    return ContestantProcess(contestant.work(folder, workload, threads), contestant.settings())
-
-
+@dataclass
 class ContestantRun:
-    """One contestant in one scene. After `why` is set it does nothing more."""
+    """One contestant in one scene. After `row.why` is set it does nothing more."""
 
-    def __init__(self, contestant: Contestant, settings: Settings) -> None:
-        self.contestant, self.settings = contestant, settings
-        self.process: Requester | None = None
-        self.size, self.rays = settings.size, 0
-        self.build: float | None = None
-        self.memory: int | None = None
-        self.seconds: list[float] = []
-        self.score: Score | None = None
-        self.why = ""
+    contestant: Contestant
+    size: int  # pixels a side
+    process: Requester | None = None
+    seconds: list[float] = field(default_factory=list)
+    row: dict[str, Any] = field(default_factory=dict)
 
-    def go(self, step: Callable[[Requester], None]) -> None:
+    def go(self, step: Callable[["ContestantRun", Requester], None]) -> None:
         """Run a step with the process if it is alive; an end of the process is its result."""
-        if self.why or self.process is None:
+        if self.process is None or self.row.get("why"):
             return
         try:
-            step(self.process)
+            step(self, self.process)
         except ContestantEnded as end:
-            self.why = str(end)
-
-    def begin(self, start: Start, ready: PreparedScene, folder: str, workload: str) -> None:
-        most = self.contestant.most
-        self.why = self.contestant.missing()
-        if not self.why and most and ready.primitives > most:
-            self.why = f"not timed with more than {most:,} primitives"
-        if not self.why:
-            self.process = start(self.contestant, folder, workload, self.settings.threads)
+            self.row["why"] = str(end)
 
     def compile(self, process: Requester) -> None:
         """Build and cast for the first time; find a film size for a slow contestant."""
-        request = self._request
-        if self.contestant.first:
-            request(process, do="build", size=self.contestant.first)
-            request(process, do="cast", least=0.0)
-            found = request(process, do="cast", least=0.0)
-            self.size = fitting_size(self.contestant.first, float(found["seconds"]), self.settings.size)
-        else:
-            request(process, do="build", size=self.size)
-            request(process, do="cast", least=0.0)
+        first = self.contestant.first
+        process.request(do="build", size=first or self.size)
+        process.request(do="cast", least=0.0)
+        if first:
+            found = process.request(do="cast", least=0.0)
+            self.size = fitting_size(first, found["seconds"], self.size)
 
     def warm_up(self, process: Requester) -> None:
         """Build again to time it, and cast a few times."""
-        self.build = float(self._request(process, do="build", size=self.size)["seconds"])
+        self.row["build"] = process.request(do="build", size=self.size)["seconds"]
         for _ in range(WARM_UP_CASTS):
-            self._request(process, do="cast", least=0.0)
+            process.request(do="cast", least=0.0)
 
     def time_cast(self, process: Requester) -> None:
-        found = self._request(process, do="cast", least=MIN_TURN_S)
-        self.rays = int(found["rays"])
-        self.seconds.append(float(found["seconds"]))
+        found = process.request(do="cast", least=MIN_TURN_S)
+        self.row["rays"] = found["rays"]
+        self.seconds.append(found["seconds"])
 
     def record_memory(self, process: Requester) -> None:
         """Peak memory, before any other rays are cast."""
-        self.memory = int(self._request(process, do="memory")["bytes"])
+        self.row["memory"] = process.request(do="memory")["bytes"]
 
-    def measure_error(self, truth: ExactAnswers, rays: Path, process: Requester) -> None:
-        out = rays.with_name(f"{self.contestant.key}.npy")
-        self._request(process, do="answer", rays=str(rays), out=str(out))
-        t = np.load(out)
-        if np.isnan(t).all():  # not a caster
-            return
-        self.score = truth.score(t, ours=self.contestant.side == "ours")
-
-    def _request(self, process: Requester, **request: Any) -> Mapping[str, Any]:
-        return process.request(self.settings.timeout, **request)
-
-    def close(self) -> None:
-        if self.process is not None:
-            self.process.close()
-
-    @property
-    def row(self) -> Row:
+    def result(self) -> Row:
         it = self.contestant
-        return Row(
-            it.key,
-            it.title,
-            it.side,
-            self.rays,
-            self.size,
-            self.build,
-            tuple(self.seconds),
-            self.memory,
-            self.score,
-            self.why,
-        )
+        return Row(it.key, it.title, it.side, size=self.size, seconds=tuple(self.seconds), **self.row)
 
 
 def fitting_size(first: int, seconds: float, most: int) -> int:
@@ -215,56 +166,48 @@ def time_scene(
 ) -> SceneResult:
     """Rows of all contestants, cast in turns. judged: whether errors are measured as well."""
     begun = time.perf_counter()
-    whole = scene.workload in (PROCESS, VALIDATION)  # processes, each of which begins anew
-    settings = replace(settings, size=min(settings.size, scene.side or settings.size))
     with ScratchFolder() as name:
         on_progress("making the scene")
         ready = write_scene(scene, Path(name), settings.size)
-        runs = [ContestantRun(contestant, settings) for contestant in contestants]
+        runs = [ContestantRun(each, settings.size, row={"why": each.missing()}) for each in contestants]
         try:
             on_progress("starting the contestants")
             for run in runs:  # in this thread: where it ends, Linux ends what it started
-                run.begin(start, ready, name, scene.workload)
-            with ThreadPoolExecutor(1 if whole else settings.threads) as pool:
-                list(pool.map(lambda run: run.go(run.compile), runs))
-            for run in () if whole else runs:
-                on_progress(f"warming up: {run.contestant.title}")
-                run.go(run.warm_up)
-            alternate(runs, min(settings.alternations, scene.turns or settings.alternations), on_progress)
+                if not run.row["why"]:
+                    run.process = start(run.contestant, name, scene, settings.threads)
+            with ThreadPoolExecutor(settings.threads) as pool:
+                list(pool.map(lambda run: run.go(ContestantRun.compile), runs))
             for run in runs:
-                run.go(run.record_memory)
-            if judged and scene.workload != SHADING and not whole:
-                judge(runs, ready, scene.workload, settings, Path(name), on_progress)
+                on_progress(f"warming up: {run.contestant.title}")
+                run.go(ContestantRun.warm_up)
+            for turn in range(settings.alternations):
+                on_progress(f"alternation {turn + 1}/{settings.alternations}")
+                first = turn % len(runs)  # so that none always follows the same
+                for run in [*runs[first:], *runs[:first]]:
+                    run.go(ContestantRun.time_cast)
+            for run in runs:
+                run.go(ContestantRun.record_memory)
+            if judged:
+                on_progress("exact answers")
+                judge(runs, ExactAnswers(ready, scene.workload, settings.seed), Path(name))
         finally:
             for run in runs:
-                run.close()
-    rows = tuple(run.row for run in runs)
-    seconds, primitives = time.perf_counter() - begun, 0 if scene.workload == VALIDATION else ready.primitives
-    aovs = scene.aovs if scene.workload in (FILM, PROCESS) else ()
-    return SceneResult(scene.name, scene.title, scene.workload, primitives, rows, seconds, aovs)
+                if run.process is not None:
+                    run.process.close()
+    rows = tuple(run.result() for run in runs)
+    aovs = scene.aovs if scene.workload == FILM else ()
+    elapsed = time.perf_counter() - begun
+    return SceneResult(scene.name, scene.title, scene.workload, ready.primitives, rows, elapsed, aovs)
 
 
-def alternate(runs: Sequence[ContestantRun], alternations: int, on_progress: Progress) -> None:
-    """Rounds of one turn each; every round begins with another contestant, so that none always follows the same."""
-    for turn in range(alternations):
-        on_progress(f"alternation {turn + 1}/{alternations}")
-        first = turn % len(runs)
-        for run in [*runs[first:], *runs[:first]]:
-            run.go(run.time_cast)
-
-
-def judge(
-    runs: Sequence[ContestantRun],
-    ready: PreparedScene,
-    workload: str,
-    settings: Settings,
-    folder: Path,
-    on_progress: Progress,
-) -> None:
-    on_progress("exact answers")
-    truth = ExactAnswers(ready, workload, settings.seed)
+def judge(runs: Sequence[ContestantRun], truth: ExactAnswers, folder: Path) -> None:
     rays = folder / "judged.npz"
     np.savez(rays, o=truth.o, d=truth.d)
+
+    def measure(run: ContestantRun, process: Requester) -> None:
+        out = folder / f"{run.contestant.key}.npy"
+        process.request(do="answer", rays=str(rays), out=str(out))
+        run.row["score"] = truth.score(np.load(out), ours=run.contestant.side == OURS)
+
     for run in runs:
-        on_progress(f"judging: {run.contestant.title}")
-        run.go(partial(run.measure_error, truth, rays))
+        run.go(measure)

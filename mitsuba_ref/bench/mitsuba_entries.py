@@ -1,17 +1,17 @@
-"""Mitsuba: its AOV integrator, `ray_intersect` of arrays of rays, and the scalar variant ray by ray."""
+"""Mitsuba: its AOV integrator, and `ray_intersect` of arrays of rays."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
-from mitsuba_ref.bench.entries import ANY, AOVS, LIT, SHADOW_END, CannotRun, Work, blocked, given_rays, sized
+from mitsuba_ref.bench.entries import SHADOW_END, CannotRun, Entry, Work
 from mitsuba_ref.reference.mitsuba_calls import dr, mi
 
-# Our AOVs of one of its interactions.
+# Our AOVs: as one of its interactions has them, and by the names of its AOV integrator.
 OF_INTERACTION: dict[str, Callable[[Any], Any]] = {
-    "hit": lambda si: si.is_valid(),
     "depth": lambda si: si.t,
     "normal": lambda si: si.n,
     "shading_normal": lambda si: si.sh_frame.n,
@@ -19,26 +19,52 @@ OF_INTERACTION: dict[str, Callable[[Any], Any]] = {
     "uv": lambda si: si.uv,
     "prim_id": lambda si: si.prim_index,
 }
-LLVM_VARIANT, SCALAR_VARIANT = "llvm_ad_rgb", "scalar_rgb"
+INTEGRATOR_AOVS = {
+    **dict(depth="depth", normal="geo_normal", shading_normal="sh_normal", position="position", uv="uv"),
+    **dict(albedo="albedo", prim_id="prim_index", shape_id="shape_index"),
+}
+LIT = "diffuse"
 
 
-class Integrator:
-    """The AOV integrator: Mitsuba's own sensor, one sample per pixel centre. options: variant; mode, a folder; aovs."""
+class OfMitsuba(Entry):
+    """options: variant; mode, a folder."""
+
+    known: Sequence[str] = ()
 
     def __init__(self, work: Work) -> None:
-        self.variant: str = work.options["variant"]
-        mi.set_variant(self.variant)
+        super().__init__(work)
+        mi.set_variant(work.options["variant"])
         mi.set_log_level(mi.LogLevel.Error)
         self.xml = Path(work.folder) / work.options["mode"] / "scene.xml"
-        self.aovs = tuple(work.options.get("aovs", AOVS))
+        missing = [name for name in work.aovs if name not in self.known and name != LIT]
+        if missing:
+            raise CannotRun(f"not written for {missing[0]}")
+
+    def prepare(self, o: np.ndarray, d: np.ndarray) -> Any:
+        """A ray, or of the scalar variant a list of them."""
+        end = SHADOW_END if self.any else np.inf
+        if self.work.options["variant"].startswith("scalar"):
+            return [mi.Ray3f(a, b, end, 0.0, []) for a, b in zip(o.tolist(), d.tolist(), strict=True)]
+        points, vectors = ([mi.Float(np.ascontiguousarray(c)) for c in a.T] for a in (o, d))
+        t_max = mi.Float(np.full(len(o), end, np.float32))
+        rays = mi.Ray3f(mi.Point3f(points), mi.Vector3f(vectors), t_max, mi.Float(0.0), mi.Color0f())
+        dr.eval(rays)
+        dr.sync_thread()
+        return rays
+
+
+class Integrator(OfMitsuba):
+    """The AOV integrator: Mitsuba's own sensor, one sample per pixel centre."""
+
+    known = tuple(INTEGRATOR_AOVS)
 
     def build(self, size: int) -> None:
-        self.scene = mi.load_file(str(sized(self.xml, size, self.aovs)), optimize=False)
+        self.size = size
+        self.scene = mi.load_file(str(sized(self.xml, size, self.work.aovs)), optimize=False)
         if not self.scene.sensors():
             raise CannotRun("Mitsuba has no such sensor")
-        self.size = size
 
-    def take_rays(self) -> None:
+    def take_rays(self, size: int) -> None:
         """The sensor makes them."""
 
     def cast(self) -> int:
@@ -47,63 +73,37 @@ class Integrator:
         dr.sync_thread()
         return self.size * self.size
 
-    def answer(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
+    def trace(self, rays: Any) -> Any:
         """The same intersector of the same scene, along rays that no sensor gives."""
-        if self.variant.startswith("llvm"):
-            rays = mi.Ray3f(
-                *(
-                    kind([mi.Float(np.ascontiguousarray(c)) for c in a.T])
-                    for kind, a in ((mi.Point3f, o), (mi.Vector3f, d))
-                )
-            )
-            return np.broadcast_to(self.scene.ray_intersect(rays).t.numpy(), (len(o),)).astype(np.float64)
-        return one_by_one(self.scene, o, d)
+        if isinstance(rays, list):
+            return np.array([self.scene.ray_intersect(ray).t for ray in rays])
+        return self.scene.ray_intersect(rays).t
 
 
-def one_by_one(scene: Any, o: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """t by the scalar variant, ray by ray."""
-    pairs = zip(o.tolist(), d.tolist(), strict=True)
-    return np.array([scene.ray_intersect(mi.Ray3f(a, b)).t for a, b in pairs], np.float64)
+class RayIntersect(OfMitsuba):
+    """`ray_intersect` and `ray_test` of the LLVM variant."""
 
-
-class RayIntersect:
-    """`ray_intersect` and `ray_test` of the LLVM variant. options: mode, a folder; coherent, Mitsuba's hint; aovs."""
-
-    def __init__(self, work: Work) -> None:
-        mi.set_variant(LLVM_VARIANT)
-        mi.set_log_level(mi.LogLevel.Error)
-        self.work = work
-        self.xml = Path(work.folder) / work.options["mode"] / "scene.xml"
-        self.coherent = bool(work.options.get("coherent", True))
-        self.aovs = tuple(work.options.get("aovs", AOVS))
-        missing = [name for name in self.aovs if name not in OF_INTERACTION and name != LIT]
-        if missing:
-            raise CannotRun(f"not written for {missing[0]}")
+    known = tuple(OF_INTERACTION)
 
     def build(self, size: int) -> None:
         self.scene = mi.load_file(str(self.xml), optimize=False)
         dr.sync_thread()
-        self.size = size
 
-    def take_rays(self) -> None:
-        o, d = given_rays(self.work.folder, self.size)
-        self.count = len(o)
-        self.rays = self._rays(o, d)
-        dr.sync_thread()
-
-    def cast(self) -> int:
-        """Evaluates only what is asked for of each interaction."""
-        if self.work.workload == ANY:
-            dr.eval(self.scene.ray_test(self.rays, coherent=self.coherent))
+    def trace(self, rays: Any) -> Any:
+        """Evaluates only the AOVs that are asked for."""
+        if self.any:
+            found = self.scene.ray_test(rays, coherent=True)
+            dr.eval(found)
         else:
-            dr.eval(*self.values(self.rays).values())
+            si = self.scene.ray_intersect(rays, int(mi.RayFlags.All), coherent=True)
+            dr.eval(*self.values(si).values())
+            found = si.t
         dr.sync_thread()  # evaluation is asynchronous
-        return self.count
+        return found
 
-    def values(self, rays: Any) -> dict[str, Any]:
+    def values(self, si: Any) -> dict[str, Any]:
         """The AOVs of the first hits, not evaluated yet."""
-        si = self.scene.ray_intersect(rays, int(mi.RayFlags.All), coherent=self.coherent)
-        return {name: self._light(si) if name == LIT else OF_INTERACTION[name](si) for name in self.aovs}
+        return {name: self._light(si) if name == LIT else OF_INTERACTION[name](si) for name in self.work.aovs}
 
     def _light(self, si: Any) -> Any:
         """Radiance by hand: a shadow ray to each emitter and the cosine; ours adds ambient light to it."""
@@ -112,57 +112,30 @@ class RayIntersect:
             sample, weight = emitter.sample_direction(si, mi.Point2f(0.5))
             value = weight * bsdf.eval(context, si, si.to_local(sample.d), si.is_valid())
             bright = dr.any(value > 0.0, axis=0)
-            shadowed = self.scene.ray_test(si.spawn_ray_to(sample.p), coherent=self.coherent, active=bright)
+            shadowed = self.scene.ray_test(si.spawn_ray_to(sample.p), coherent=True, active=bright)
             total += dr.select(bright & ~shadowed, value, 0.0)
         return total
 
-    def answer(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
-        rays = self._rays(o, d)
-        if self.work.workload == ANY:
-            return blocked(self.scene.ray_test(rays, coherent=self.coherent).numpy())
-        t = self.scene.ray_intersect(rays, int(mi.RayFlags.All), coherent=self.coherent).t
-        return np.broadcast_to(t.numpy(), (len(o),)).astype(np.float64)
 
-    def _rays(self, o: np.ndarray, d: np.ndarray) -> Any:
-        points, vectors = ([mi.Float(np.ascontiguousarray(c)) for c in a.T] for a in (o, d))
-        end = SHADOW_END if self.work.workload == ANY else np.inf
-        t_max = mi.Float(np.full(len(o), end, np.float32))
-        rays = mi.Ray3f(mi.Point3f(points), mi.Vector3f(vectors), t_max, mi.Float(0.0), mi.Color0f())
-        dr.eval(rays)
-        return rays
+def sized(xml: Path, size: int, aovs: Sequence[str]) -> Path:
+    """The same scene with a film of size x size and an AOV integrator, in a file beside it.
 
-
-class ScalarLoop:
-    """`ray_intersect` of the scalar variant, which takes one ray at a time. options: mode, a folder."""
-
-    def __init__(self, work: Work) -> None:
-        mi.set_variant(SCALAR_VARIANT)
-        mi.set_log_level(mi.LogLevel.Error)
-        self.work = work
-        self.xml = Path(work.folder) / work.options["mode"] / "scene.xml"
-
-    def build(self, size: int) -> None:
-        self.scene = mi.load_file(str(self.xml), optimize=False)
-        self.size = size
-
-    def take_rays(self) -> None:
-        o, d = given_rays(self.work.folder, self.size)
-        end = SHADOW_END if self.work.workload == ANY else np.inf
-        pairs = zip(o.tolist(), d.tolist(), strict=True)
-        self.rays = [mi.Ray3f(a, b, end, 0.0, []) for a, b in pairs]
-
-    def cast(self) -> int:
-        if self.work.workload == ANY:
-            np.array([self.scene.ray_test(ray) for ray in self.rays])
-            return len(self.rays)
-        t, n = np.empty(len(self.rays), np.float32), np.empty((len(self.rays), 3), np.float32)
-        for i, ray in enumerate(self.rays):
-            si = self.scene.ray_intersect(ray)
-            t[i], n[i] = si.t, si.n
-        return len(self.rays)
-
-    def answer(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
-        if self.work.workload != ANY:
-            return one_by_one(self.scene, o, d)
-        pairs = zip(o.tolist(), d.tolist(), strict=True)
-        return blocked(np.array([self.scene.ray_test(mi.Ray3f(a, b, SHADOW_END, 0.0, [])) for a, b in pairs]))
+    With `direct` inside for light: one sample of an emitter, none of a BSDF.
+    """
+    tree = ElementTree.parse(xml)
+    root = tree.getroot()
+    for element in root.findall("./integrator"):
+        root.remove(element)
+    names = ",".join(f"{name}:{INTEGRATOR_AOVS[name]}" for name in aovs if name != LIT)
+    integrator = ElementTree.SubElement(root, "integrator", type="aov")
+    ElementTree.SubElement(integrator, "string", name="aovs", value=names)
+    if LIT in aovs:
+        direct = ElementTree.SubElement(integrator, "integrator", type="direct", name="radiance")
+        ElementTree.SubElement(direct, "integer", name="emitter_samples", value="1")
+        ElementTree.SubElement(direct, "integer", name="bsdf_samples", value="0")
+    for name in ("width", "height"):
+        for element in tree.iterfind(f"./sensor/film/integer[@name='{name}']"):
+            element.set("value", str(size))
+    path = xml.with_name(f"scene-{size}.xml")
+    tree.write(path)
+    return path

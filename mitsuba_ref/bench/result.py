@@ -1,14 +1,13 @@
-"""Results of a benchmark run: times of each row, their medians and ratios; and the table of a scene."""
+"""Results of a benchmark run: times of each row, their medians and ratios; and the tables."""
 
-from collections.abc import Mapping, Sequence
-from math import log
+from collections.abc import Mapping
 from statistics import median
 from typing import Any
 
 from pydantic import SerializerFunctionWrapHandler, computed_field, model_serializer
 from pydantic.dataclasses import dataclass
 
-from mitsuba_ref.bench.entries import ANY, AOVS, FILM, NEAREST, PROCESS, SHADING, VALIDATION
+from mitsuba_ref.bench.entries import ANY, AOVS, FILM, NEAREST
 from mitsuba_ref.report.results import NOTHING, aligned, number
 
 JSON_FORMAT = 1  # goes up when a key changes its meaning or goes away
@@ -54,22 +53,6 @@ class Row:
         """Nanoseconds a ray, the median of all alternations."""
         return 1e9 * median(self.seconds) / self.rays if self.ran else None
 
-    @computed_field  # type: ignore[prop-decorator]
-    @property
-    def mrays(self) -> float | None:
-        """Million rays a second."""
-        return 1e3 / self.ns if self.ns else None
-
-
-def ratio(row: Row, to: Row) -> float | None:
-    """How many times as long as the other it takes for a ray: the median of the ratios of each alternation.
-
-    Both are of the same moment then, so that what else the machine did hits both. None where one has not run.
-    """
-    pairs = zip(row.seconds, to.seconds, strict=False)
-    found = [(a / row.rays) / (b / to.rays) for a, b in pairs]
-    return median(found) if found else None
-
 
 @dataclass(frozen=True)
 class SceneResult:
@@ -93,47 +76,16 @@ class SceneResult:
     def row(self, key: str) -> Row | None:
         return next((row for row in self.rows if row.key == key), None)
 
-    @property
-    def reference(self) -> str:
-        """The row that ratios are to: ours, or the first where that is missing."""
-        return REFERENCE_ROW if self.row(REFERENCE_ROW) or not self.rows else self.rows[0].key
+    def ratio(self, key: str) -> float | None:
+        """How many times as long as ours a row takes for a ray: the median of the ratios of each alternation.
 
-    def ratio(self, key: str, to: str | None = None) -> float | None:
-        """Of two rows, where both ran; the second is the reference by default."""
-        row, other = self.row(key), self.row(to or self.reference)
-        return ratio(row, other) if row and other else None
-
-
-@dataclass(frozen=True)
-class Series:
-    """One contestant over a growing quantity; seconds of one cast, the medians, where it ran."""
-
-    key: str
-    title: str
-    x: tuple[float, ...]
-    seconds: tuple[float, ...]
-    build: tuple[float, ...] = ()
-    why: str = ""
-
-    @computed_field  # type: ignore[prop-decorator]
-    @property
-    def slope(self) -> float | None:
-        return fitted_slope(self.x, self.seconds)
-
-    @computed_field  # type: ignore[prop-decorator]
-    @property
-    def end_slope(self) -> float | None:
-        """Between the last two: what does not grow counts least there."""
-        return fitted_slope(self.x[-2:], self.seconds[-2:])
-
-
-@dataclass(frozen=True)
-class Sweep:
-    """name: triangles, pixels or threads."""
-
-    name: str
-    quantity: str
-    series: tuple[Series, ...]
+        Both are of the same moment then, so that what else the machine did hits both. None where one has not run.
+        """
+        row, ours = self.row(key), self.row(REFERENCE_ROW)
+        if row is None or ours is None:
+            return None
+        found = [(a / row.rays) / (b / ours.rays) for a, b in zip(row.seconds, ours.seconds, strict=False)]
+        return median(found) if found else None
 
 
 @dataclass(frozen=True)
@@ -144,32 +96,10 @@ class Run:
     machine: Mapping[str, str]
     requested: tuple[str, ...]
     scenes: tuple[SceneResult, ...] = ()
-    sweeps: tuple[Sweep, ...] = ()
-    bytes_of_pixel: int = 0  # of our images of depth and normal
     format: int = JSON_FORMAT
 
-    def scene(self, name: str) -> SceneResult | None:
-        return next((scene for scene in self.scenes if scene.name == name), None)
 
-    @property
-    def films(self) -> list[SceneResult]:
-        """Images of depth and normal."""
-        return [scene for scene in self.scenes if scene.workload == FILM and scene.aovs in ((), AOVS)]
-
-
-def fitted_slope(x: Sequence[float], y: Sequence[float]) -> float | None:
-    """b of the power law y = a x^b that fits best, in least squares of logarithms; None for fewer than two points."""
-    pairs = [(log(a), log(b)) for a, b in zip(x, y, strict=True) if a > 0.0 and b > 0.0]
-    if len({a for a, _ in pairs}) < 2:
-        return None
-    mean_x, mean_y = (sum(column) / len(pairs) for column in zip(*pairs, strict=True))
-    above = sum((a - mean_x) * (b - mean_y) for a, b in pairs)
-    return above / sum((a - mean_x) ** 2 for a, _ in pairs)
-
-
-COLUMNS = (
-    "", "rays", "build ms", "ns/ray", "Mray/s", "x ours", "t: ulps", "t: bounds", "wrong", "wrong at edges", "MB",
-)  # fmt: skip
+COLUMNS = ("", "rays", "build ms", "ns/ray", "x ours", "t: ulps", "t: bounds", "wrong", "wrong at edges", "MB")
 
 
 def rows(scene: SceneResult) -> list[list[str]]:
@@ -186,10 +116,9 @@ def _cells(scene: SceneResult, row: Row) -> list[str]:
         errors = [number(score.ulps, 2), number(score.bounds, 2), *wrong]
     return [
         f"{row.title} ({row.why})" if row.why else row.title,
-        f"{row.size}^2" if scene.workload in (FILM, SHADING, PROCESS) else f"{row.rays:,}",
+        f"{row.size}^2" if scene.workload == FILM else f"{row.rays:,}",
         number(None if row.build is None else 1e3 * row.build, 1),
         number(row.ns, 2),
-        number(row.mrays, 1),
         number(scene.ratio(row.key), 2),
         *errors,
         NOTHING if row.memory is None else f"{row.memory / 2**20:.0f}",
@@ -201,59 +130,38 @@ def _masks_text(masks: int, beyond: int) -> str:
     return f"{masks}+{beyond}" if beyond else str(masks)
 
 
-# Columns of the table of everything that was asked for: how many times as fast as these ours is.
-OVERVIEW_COLUMNS = ("raw-robust", "aov-robust", "open3d", "trimesh", "candidate")
-OVERVIEW_TITLES = ("`ray_intersect`", "AOV integrator", "Open3D", "trimesh + embreex", "candidate")
-
-
-def overview(run: Run) -> list[list[str]]:
-    """Head and a line for each image and each kind of rays: what, of which AOVs, our milliseconds and the ratios."""
-    scenes = [scene for scene in run.scenes if (row := scene.row(REFERENCE_ROW)) and row.ran]
-    pairs = zip(OVERVIEW_COLUMNS, OVERVIEW_TITLES, strict=True)
-    columns = [pair for pair in pairs if any(scene.ratio(pair[0]) is not None for scene in scenes)]
-    found = [["scene", "AOVs", "ours, ms", *(title for _, title in columns)]]
-    for scene in scenes:
-        what = ", ".join(scene.aovs or AOVS) if scene.workload == FILM else RAYS_OF[scene.workload]
-        ratios = [number(scene.ratio(key), 2) for key, _ in columns]
-        found.append([scene.name, what, _milliseconds(scene, REFERENCE_ROW), *ratios])
-    return found
-
-
+# Columns of the table of all scenes: how many times as long as ours these take.
+OVERVIEW = {
+    "raw-robust": "`ray_intersect`",
+    "aov-robust": "AOV integrator",
+    "open3d": "Open3D",
+    "trimesh": "trimesh + embreex",
+    "candidate": "candidate",
+}
 RAYS_OF = {NEAREST: "t, normal of any rays", ANY: "any rays: hit or not"}
 
 
-def processes(run: Run) -> list[list[str]]:
-    """Head and a line for each row of a whole process: its time and that of the others over it."""
-    found = [["whole process", "command", "s", "times as long as the first"]]
-    for scene in run.scenes:
-        if scene.workload in (PROCESS, VALIDATION):
-            for row in scene.rows:
-                seconds = number(median(row.seconds), 2) if row.ran else row.why
-                found.append([scene.name, row.title, seconds, number(scene.ratio(row.key), 2)])
+def overview(run: Run) -> list[list[str]]:
+    """Head and a line for each image and each kind of rays: AOVs, our milliseconds and the ratios."""
+    scenes = [(scene, ours) for scene in run.scenes if (ours := scene.row(REFERENCE_ROW)) and ours.ran]
+    keys = [key for key in OVERVIEW if any(scene.ratio(key) is not None for scene, _ in scenes)]
+    found = [["scene", "AOVs", "ours, ms", *(OVERVIEW[key] for key in keys)]]
+    for scene, ours in scenes:
+        what = RAYS_OF.get(scene.workload) or ", ".join(scene.aovs or AOVS)
+        ratios = [number(scene.ratio(key), 2) for key in keys]
+        found.append([scene.name, what, number(1e3 * median(ours.seconds), 1), *ratios])
     return found
 
 
-def _milliseconds(scene: SceneResult, key: str) -> str:
-    row = scene.row(key)
-    return number(1e3 * median(row.seconds) if row and row.ran else None, 1)
-
-
 def overview_text(run: Run) -> str:
-    """Both tables, where they have lines."""
-    parts = []
-    if len(table := overview(run)) > 1:
-        table = [[cell.replace("`", "") for cell in line] for line in table]
-        parts.append(["What you asked for: times as fast as the others", *aligned(table, left=2)])
-    if len(table := processes(run)) > 1:
-        parts.append(aligned(table, left=2))
-    return "\n\n".join("\n".join(lines) for lines in parts)
+    table = [[cell.replace("`", "") for cell in line] for line in overview(run)]
+    return "\n".join(["Milliseconds of ours; the other columns are multiples of it", *aligned(table, left=2)])
 
 
 def as_text(scene: SceneResult) -> str:
     """The table under a line with the scene."""
     aovs = f"; {', '.join(scene.aovs)}" if scene.aovs not in ((), AOVS) else ""
-    count = f" ({scene.primitives:,} primitives{aovs})" if scene.primitives else ""
-    head = f"{scene.name}: {scene.title}{count}"
+    head = f"{scene.name}: {scene.title} ({scene.primitives:,} primitives{aovs})"
     return "\n".join([head, *(f"  {line}" for line in aligned(rows(scene), left=1))])
 
 

@@ -8,6 +8,7 @@ WORK: Work as JSON; NOTICES: number of the file that compilation is reported to
 import gc
 import json
 import os
+import statistics
 import sys
 import time
 from importlib import import_module
@@ -20,69 +21,51 @@ from caster.system.terminal import compilation_reported
 from mitsuba_ref.bench.entries import CannotRun, Entry, Work
 from mitsuba_ref.reference.subprocess_runner import serve
 
-STATUS_READY, STATUS_CANNOT = "ready", "cannot"
 
+class Worker:
+    """Replies to build, cast, answer and memory."""
 
-def main(work: Work, notices: int) -> None:
-    """Answer questions until stdin ends."""
-    pin_to_processors(work.threads)
-    entry: Entry | None = None
+    def __init__(self, work: Work) -> None:
+        self.work = work
+        self.entry: Entry | None = None
 
-    def reply_to(line: bytes) -> bytes:
-        nonlocal entry
+    def reply(self, line: bytes) -> bytes:
         request = json.loads(line)
         try:
-            if entry is None or request["do"] == "build":
-                entry = None  # before the next is made: two at a time take twice the memory
-                entry = new_entry(work)
-            return json.dumps({"status": STATUS_READY} | respond(entry, request)).encode()
+            return json.dumps(getattr(self, request.pop("do"))(**request)).encode()
         except (CannotRun, ImportError) as reason:
-            return json.dumps({"status": STATUS_CANNOT, "why": " ".join(str(reason).split())}).encode()
+            return json.dumps({"why": " ".join(str(reason).split())}).encode()
 
-    with os.fdopen(notices, "w") as stream, compilation_reported(stream):
-        serve(reply_to)
-
-
-def new_entry(work: Work) -> Entry:
-    """The contestant, with nothing built."""
-    gc.collect()
-    module, _, name = work.entry.partition(":")
-    entry: Entry = getattr(import_module(f"mitsuba_ref.bench.{module}"), name)(work)
-    return entry
-
-
-def pin_to_processors(processors: int) -> None:
-    """Pin this process to so many processors, before any threads are started."""
-    if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, set(sorted(os.sched_getaffinity(0))[:processors]))
-
-
-def respond(entry: Entry, request: dict[str, Any]) -> dict[str, Any]:
-    """One question: build, cast, answer or memory."""
-    if request["do"] == "build":
+    def build(self, size: int) -> dict[str, Any]:
+        """A new contestant; the seconds that its build took."""
+        self.entry = None  # before the next is made: two at a time take twice the memory
+        gc.collect()
+        module, _, name = self.work.entry.partition(":")
+        self.entry = getattr(import_module(f"mitsuba_ref.bench.{module}"), name)(self.work)
         start = time.perf_counter()
-        entry.build(request["size"])
+        self.entry.build(size)
         seconds = time.perf_counter() - start
-        entry.take_rays()
+        self.entry.take_rays(size)
         return {"seconds": seconds}
-    if request["do"] == "cast":
-        return cast(entry, request["least"])
-    if request["do"] == "answer":
-        with np.load(request["rays"]) as rays:
-            np.save(request["out"], entry.answer(rays["o"], rays["d"]))
+
+    def cast(self, least: float) -> dict[str, Any]:
+        """The median of as many casts as fit into `least` seconds, one at least."""
+        assert self.entry is not None
+        seconds: list[float] = []
+        while not seconds or sum(seconds) < least:
+            start = time.perf_counter()
+            rays = self.entry.cast()
+            seconds.append(time.perf_counter() - start)
+        return {"seconds": statistics.median(seconds), "rays": rays}
+
+    def answer(self, rays: str, out: str) -> dict[str, Any]:
+        assert self.entry is not None
+        with np.load(rays) as given:
+            np.save(out, self.entry.answer(given["o"], given["d"]))
         return {}
-    return {"bytes": getattr(entry, "peak_memory", peak_memory)()}
 
-
-def cast(entry: Entry, least: float) -> dict[str, Any]:
-    """The median of as many casts as fit into `least` seconds, one at least."""
-    seconds: list[float] = []
-    rays = 0
-    while not seconds or sum(seconds) < least:
-        start = time.perf_counter()
-        rays = entry.cast()
-        seconds.append(time.perf_counter() - start)
-    return {"seconds": float(np.median(seconds)), "casts": len(seconds), "rays": rays}
+    def memory(self) -> dict[str, Any]:
+        return {"bytes": peak_memory()}
 
 
 def peak_memory() -> int:
@@ -98,6 +81,14 @@ def peak_memory() -> int:
     except (OSError, StopIteration):
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         return peak if sys.platform == "darwin" else peak * 1024
+
+
+def main(work: Work, notices: int) -> None:
+    """Answer requests until stdin ends, on as many processors as the work may use."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, set(sorted(os.sched_getaffinity(0))[: work.threads]))
+    with os.fdopen(notices, "w") as stream, compilation_reported(stream):
+        serve(Worker(work).reply)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The registry of cameras on the judge's side: one entry for every camera of caster.cameras.CAMERAS.
+"""Registry of the judge's side of cameras: one entry for every camera of caster.cameras.CAMERAS.
 
 A plug-in (mitsuba_ref/shapes/__init__.py) adds a camera by `register`.
 """
@@ -14,12 +14,12 @@ REFERENCES: dict[type[Description], CameraReference] = {}
 
 
 def register(reference: CameraReference) -> None:
-    """Add a camera; a second reference of a camera takes the place of the first."""
+    """Add a camera; a second entry for a camera replaces the first."""
     REFERENCES[reference.describes] = reference
 
 
 def reference_of_camera(camera: Camera) -> CameraReference:
-    """The entry of a camera. Raises MissingReferenceError, whose text is what to write."""
+    """The entry of a camera. Raises MissingReferenceError, saying what to write, if there is none."""
     if type(camera) not in REFERENCES:
         raise MissingReferenceError(missing_reference(type(camera).__name__, "cameras"))
     return REFERENCES[type(camera)]

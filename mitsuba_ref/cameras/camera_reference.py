@@ -1,4 +1,4 @@
-"""Declaration of cameras on the judge's side: rays computed a second time, and Mitsuba's sensor if there is one."""
+"""Declaration of cameras for the judge: rays computed independently, and Mitsuba's sensor if there is one."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,25 +14,26 @@ from mitsuba_ref.scene_xml.elements import XmlElement
 
 
 class CameraRays(NamedTuple):
-    """Rays through points of the film, float64. t_max < 0: there is no ray."""
+    """Rays through n points of the film, float64. t_max < 0: no ray."""
 
-    o: np.ndarray  # (n, 3) the eye, or where the ray leaves the plane through it
+    o: np.ndarray  # (n, 3) the eye, or points of the plane through it
     d: np.ndarray  # (n, 3) unit
     t_min: np.ndarray  # (n,)
     t_max: np.ndarray  # (n,)
 
 
 class ClipRange(NamedTuple):
-    """Near and far planes that cut nothing off, for sensors that need them."""
+    """Near and far planes beyond everything in the scene, for sensors that require some."""
 
     near: float
     far: float
 
 
 def clip_planes(camera: Any, limits: ClipRange) -> dict[str, float]:
-    """near_clip and far_clip of a sensor: the camera's, or where it has none, the limits; in the right order.
+    """near_clip and far_clip of a sensor: the camera's own, or else `limits`.
 
-    A near plane beyond the limits, or a far plane before them, moves the other one: Mitsuba refuses near >= far.
+    If the camera's near plane lies beyond limits.far, or its far plane before limits.near, the other plane is moved, as
+    Mitsuba refuses near >= far.
     """
     ratio = limits.near / limits.far
     near = camera.near or min(limits.near, np.inf if camera.far is None else camera.far * ratio)
@@ -41,7 +42,7 @@ def clip_planes(camera: Any, limits: ClipRange) -> dict[str, float]:
 
 
 def no_sensor(camera: Any, film: Film, limits: ClipRange) -> XmlElement | None:
-    """For a camera that Mitsuba lacks: its rays are sent instead."""
+    """No sensor: Mitsuba lacks the camera, and is sent its rays instead."""
     return None
 
 
@@ -50,7 +51,7 @@ RandomView = Callable[[], Fields]  # draws eye, direction and up
 
 
 def view_only(rng: np.random.Generator, size: float, view: RandomView) -> Fields:
-    """A camera that its view alone varies."""
+    """Random fields of a camera that has no others than its view."""
     return view()
 
 
@@ -63,27 +64,27 @@ class CameraReference:
     # (description, film, x, y) -> rays through film positions x, y (n,), in pixels
     rays: Callable[[Any, Film, np.ndarray, np.ndarray], CameraRays]
 
-    # (description, film, limits) -> the sensor, still without film
+    # (description, film, limits) -> the sensor, without its film
     to_xml: Callable[[Any, Film, ClipRange], XmlElement | None] = no_sensor
 
-    # (description, film) -> how many roundings more than a plain direction the rays of Mitsuba's sensor suffer
+    # (description, film) -> error of the rays of Mitsuba's sensor, in units of that of a plain direction
     amplification: Callable[[Any, Film], float] = lambda camera, film: 1.0
 
     # (random generator, size of the scene's shapes, random view) -> the camera's fields, for the fuzzer
     random_fields: Callable[[np.random.Generator, float, RandomView], Fields] = view_only
 
-    # `rays` gives a ray through every position: the image does not end at a rim
+    # whether there is a ray through every film position, unlike for an image that ends at a circle
     covers_film: bool = False
 
     @property
     def type_name(self) -> str:
-        """What a scene file calls it."""
+        """The `type` in scene files."""
         name: str = self.describes.model_fields["type"].default
         return name
 
 
 def camera_axes(camera: Camera) -> np.ndarray:
-    """(3, 3) float64, rows right, up, forward: the orthobasis of eye, view and up (Gram-Schmidt)."""
+    """(3, 3) rows right, up, forward: orthonormal basis of view and up (Gram-Schmidt)."""
     view = np.array(camera.direction if camera.look_at is None else np.subtract(camera.look_at, camera.eye))
     forward = view / row_lengths(view[None])
     up = np.array(camera.up, np.float64)
@@ -94,7 +95,7 @@ def camera_axes(camera: Camera) -> np.ndarray:
 
 
 def to_world_directions(camera: Camera, local: np.ndarray) -> np.ndarray:
-    """Local directions (n, 3) right, up, forward -> unit world directions."""
+    """Unit world directions from local directions (n, 3) right, up, forward."""
     (x, y, z), axes = local.T, camera_axes(camera).T
     return unit(stacked_columns(*(x * right + y * up + z * forward for right, up, forward in axes)))
 
@@ -104,13 +105,13 @@ def eye_origins(camera: Camera, count: int) -> np.ndarray:
 
 
 def rays_from_eye(camera: Camera, d: np.ndarray, defined: np.ndarray | None = None) -> CameraRays:
-    """Rays from the eye without near or far; where `defined` is False there are none."""
+    """Rays from the eye along d (n, 3), without near or far plane; no ray where `defined` is False."""
     n = len(d)
     t_max = np.full(n, np.inf) if defined is None else np.where(defined, np.inf, -1.0)
     return CameraRays(eye_origins(camera, n), d, np.zeros(n), t_max)
 
 
 def sensor_pose(camera: Camera, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """(eye, 3x3 matrix) of Mitsuba's sensors, whose x points to the left of the image."""
+    """(eye, 3x3 matrix) for Mitsuba's sensors, whose x axis points to the left of the image."""
     right, up, forward = camera_axes(camera)
     return np.array(camera.eye), np.column_stack([-right * scale, up * scale, forward])

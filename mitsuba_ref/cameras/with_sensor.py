@@ -1,4 +1,4 @@
-"""Cameras that Mitsuba has a sensor for: pinhole (its perspective) and orthographic (a window [-1, 1] until scaled)."""
+"""Cameras that Mitsuba has a sensor for: pinhole (`perspective`) and orthographic."""
 
 from xml.etree.ElementTree import Element, SubElement
 
@@ -38,7 +38,7 @@ def half_extents(camera: Pinhole, film: Film) -> tuple[float, float]:
 
 
 def pinhole_rays(camera: Pinhole, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
-    """Rays through points (2 s - 1) tan of the image plane, s the fraction of the film; near and far are planes."""
+    """Rays from the eye through the image plane; near and far are planes, so limits of t vary with the direction."""
     across, above = half_extents(camera, film)
     px, py = camera.principal_point
     right = (2.0 * (x / film.width + px) - 1.0) * across
@@ -69,7 +69,7 @@ def pinhole_to_xml(camera: Pinhole, film: Film, limits: ClipRange) -> XmlElement
 
 
 def pinhole_amplification(camera: Pinhole, film: Film) -> float:
-    """Film positions are rounded where they are multiplied with the tangent, and offsets where they are added."""
+    """Film positions are rounded when multiplied by the tangent, and offsets when added."""
     px, py = camera.principal_point
     return 1.0 + max(half_extents(camera, film)) * (1.0 + abs(px) + abs(py))
 
@@ -88,7 +88,7 @@ PINHOLE = CameraReference(
 
 
 def orthographic_rays(camera: Orthographic, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
-    """Parallel rays, from a window of the camera's width whose pixels are square."""
+    """Parallel rays from a window of the camera's width, with square pixels."""
     pixel = camera.width / film.width
     right, up, forward = camera_axes(camera)
     o = eye_origins(camera, len(x))
@@ -106,7 +106,7 @@ def orthographic_to_xml(camera: Orthographic, film: Film, limits: ClipRange) -> 
 
 
 def orthographic_random_fields(rng: np.random.Generator, size: float, view: RandomView) -> Fields:
-    """On the fuzzer's lattice a pixel is an eighth to a half of a shape wide, so that many rays hit edges exactly."""
+    """Widths such that a pixel is 1/8 to 1/2 of a shape, so that many rays hit edges of lattice shapes exactly."""
     width = size * float(2.0 ** rng.integers(-1, 3))
     near = {"near": float(size * rng.uniform(0.0, 1.5))} if rng.random() < 0.2 else {}
     return {**view(), "width": width, **near}

@@ -1,4 +1,4 @@
-"""Cameras without a Mitsuba sensor: fisheye, panorama, parabolic and single ray; their rays are sent instead."""
+"""Cameras without a Mitsuba sensor, whose rays Mitsuba is sent: fisheye, panorama, parabolic and single ray."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from mitsuba_ref.cameras.camera_reference import (
 
 
 def fisheye_rays(camera: Fisheye, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
-    """The angle from the axis is fov / 2 times the distance from the centre over the circle's radius."""
+    """Equidistant fisheye: the angle from the axis is proportional to the distance from the centre of the image."""
     radius = min(film.width, film.height) / 2.0
     right, up = (x - film.width / 2.0) / radius, (film.height / 2.0 - y) / radius
     distance = np.hypot(right, up)
@@ -36,7 +36,7 @@ FISHEYE = CameraReference(Fisheye, fisheye_rays, random_fields=random_fisheye)
 
 
 def panorama_rays(camera: Panorama, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
-    """A full turn across the film, half a turn from top to bottom, the view in the middle."""
+    """Equirectangular: a full turn across the film, half a turn from top to bottom, the view in the middle."""
     azimuth = 2.0 * np.pi * (x - film.width / 2.0) / film.width
     polar = np.pi * y / film.height
     local = np.column_stack([np.sin(polar) * np.sin(azimuth), np.cos(polar), np.sin(polar) * np.cos(azimuth)])
@@ -47,7 +47,7 @@ PANORAMA = CameraReference(Panorama, panorama_rays, covers_film=True)
 
 
 def parabolic_rays(camera: Parabolic, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
-    """A ray from the side of the view, reflected by a paraboloid: tan(theta / 2) is the distance from the centre."""
+    """Reflection in a paraboloid: tan(theta / 2) is the distance from the centre of the image, in radii."""
     radius = min(film.width, film.height) / 2.0
     right, up = (x - film.width / 2.0) / radius, (film.height / 2.0 - y) / radius
     distance = np.hypot(right, up)
@@ -60,7 +60,7 @@ PARABOLIC = CameraReference(Parabolic, parabolic_rays)
 
 
 def ray_rays(camera: Ray, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
-    """The same ray wherever on the film."""
+    """The same ray at every film position."""
     count = len(x)
     o, d = (np.tile(np.array(v, np.float64), (count, 1)) for v in (camera.origin, camera.direction))
     t_max = np.inf if camera.t_max is None else camera.t_max

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from caster.cli.shared_arguments import InputPath, add_mesh_dirs, positive_int
+from caster.cli.shared_arguments import add_mesh_dirs, positive_int
 from caster.description.errors import SceneError
 from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
 from mitsuba_ref.cli import options
@@ -106,44 +104,16 @@ def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
         parser, "scene", "such as mesh-70k, or a scene or mesh file; default: all that --list names"
     )
     add = parser.add_argument
-    add(
-        "--aov",
-        metavar="LIST",
-        type=str,
-        action="append",
-        help="AOVs of images, such as depth,normal,diffuse; again: another set. Default: depth,normal; of files also "
-        "with shading_normal, and with diffuse",
-    )
-    add(
-        "--meshes",
-        metavar="DIR",
-        type=InputPath,
-        help="also time each mesh file of this folder; default: what MITSUBA_REF_MESHES names, if it is set",
-    )
-    add(
-        "--peers", action="store_true", help="also time Open3D, embreex and trimesh; pip install 'ray-reference[peers]'"
-    )
+    help_ = "AOVs of images, such as depth,normal,diffuse; again: another set. Default: depth,normal"
+    add("--aov", metavar="LIST", type=str, action="append", help=help_)
+    add("--peers", action="store_true", help="also time Open3D and trimesh; pip install 'ray-reference[peers]'")
     add("--size", metavar="N", type=positive_int, default=DEFAULT_SIZE, help=f"pixels a side; default: {DEFAULT_SIZE}")
-    add(
-        "--alternations",
-        metavar="N",
-        type=positive_int,
-        default=DEFAULT_ALTERNATIONS,
-        help=f"turns of each; default: {DEFAULT_ALTERNATIONS}",
-    )
+    help_ = f"turns of each; default: {DEFAULT_ALTERNATIONS}"
+    add("--alternations", metavar="N", type=positive_int, default=DEFAULT_ALTERNATIONS, help=help_)
     add("--threads", metavar="N", type=positive_int, help="processors that each may use; default: all")
-    add(
-        "--seed", metavar="S", type=options.whole, default=0, help="of the rays that errors are measured on; default: 0"
-    )
-    add("--sweeps", action="store_true", help="also time against triangles, pixels and threads")
+    help_ = "of the rays that errors are measured on; default: 0"
+    add("--seed", metavar="S", type=options.whole, default=0, help=help_)
     options.add_json(parser)
-    add(
-        "--from",
-        metavar="FILE",
-        type=InputPath,
-        dest="before",
-        help="time nothing: print the tables of an earlier --json",
-    )
     add_mesh_dirs(parser)
     title = "another ray caster, timed and judged beside ours: one that takes rays (docs/candidates.md)"
     options.add_candidate(parser, title)
@@ -161,51 +131,39 @@ def run_bench(args: argparse.Namespace) -> int:
         print("\n".join(f"{scene.name:{width}}{scene.title}" for scene in scenes))
         return OK
     options.check_json(args)
-    if args.before:
-        return show_earlier(args)
-    from mitsuba_ref.bench.contestants import processors
+    from mitsuba_ref.bench.contestants import CANDIDATE, candidate_contestant, processors
     from mitsuba_ref.bench.measuring import Settings
-    from mitsuba_ref.bench.run import FAMILIES, BenchmarkRun
+    from mitsuba_ref.bench.run import BenchmarkRun
 
     threads = args.threads or processors()
     if threads > processors():
         raise SceneError(f"--threads {threads}: this process may use {processors()}")
     settings = Settings(args.size, args.alternations, threads, args.seed, args.peers)
+    contestant = None
     if candidate:
         served = isinstance(args.candidate, options.ServedProgram)
-        named_so = {"candidate": str(args.candidate), "candidate_precision": args.candidate_precision}
-        settings = replace(settings, **named_so, candidate_served=served)
-    work = BenchmarkRun(scenes, settings)
+        contestant = candidate_contestant(str(args.candidate), args.candidate_precision, served=served)
+    work = BenchmarkRun(scenes, settings, contestant)
     progress = options.Progress("bench")
     try:
         work.time_scenes(progress, lambda scene: show(scene, progress, args))
-        if args.sweeps:
-            work.sweep(FAMILIES, progress)
-        progress.clear()
     finally:  # what is done is kept, whatever ends the work
         report_run(work.run, args)
-    ran = all(ours_ran(scene) for scene in work.run.scenes)
-    return OK if ran and (candidate is None or candidate_ran(work.run)) else DIFFERENCES
+    rows = [row for scene in work.run.scenes for row in scene.rows]
+    ours_ran = all(row.ran for row in rows if row.side == "ours")
+    candidate_ran = any(row.ran for row in rows if row.key == CANDIDATE)  # whether it is right, `validate` says
+    return OK if ours_ran and (candidate is None or candidate_ran) else DIFFERENCES
 
 
 def requested_scenes(args: argparse.Namespace) -> list[BenchScene]:
-    """Those of the standard set, of --meshes and of files, in the AOVs of --aov. Raises SceneError, FileMissing."""
+    """Those of the standard set and of files, in the AOVs of --aov. Raises SceneError, FileMissing."""
     from mitsuba_ref.bench.entries import AOVS, FILM
-    from mitsuba_ref.bench.scenes import (
-        MESHES_VARIABLE,
-        SCENES,
-        in_each_set,
-        scene_of_file,
-        scenes_of_meshes,
-        with_aovs,
-    )
+    from mitsuba_ref.bench.scenes import SCENES, scene_of_file, with_aovs
 
     files = [word for word in args.scenes if Path(word).suffix]
     named = [word for word in args.scenes if word not in files]
-    folder = args.meshes or os.environ.get(MESHES_VARIABLE)
-    known = [*SCENES, *(scenes_of_meshes(folder) if folder else ())]
-    chosen = options.select(known, "scene", named, args.expression) if named or not files else []
-    chosen += [each for file in files for each in in_each_set(scene_of_file(file, args.mesh_dir))]
+    chosen = options.select(SCENES, "scene", named, args.expression) if named or not files else []
+    chosen += [scene_of_file(file, args.mesh_dir) for file in files]
     if args.candidate and not args.aov:  # it gives depth and normal
         chosen = [scene for scene in chosen if scene.aovs == AOVS]
     if args.aov:
@@ -215,16 +173,6 @@ def requested_scenes(args: argparse.Namespace) -> list[BenchScene]:
     return chosen
 
 
-def ours_ran(scene: SceneResult) -> bool:
-    """Whether each of our rows has numbers, or is left out on purpose."""
-    return all(row.ran or row.why.startswith("not timed") for row in scene.rows if row.side == "ours")
-
-
-def candidate_ran(run: Run) -> bool:
-    """Whether the candidate has numbers in some scene; whether it is right, `validate` and `stress` say."""
-    return any(row.ran for scene in run.scenes for row in scene.rows if row.key == "candidate")
-
-
 def show(scene: SceneResult, progress: options.Progress, args: argparse.Namespace) -> None:
     from mitsuba_ref.bench.result import as_text
 
@@ -232,26 +180,11 @@ def show(scene: SceneResult, progress: options.Progress, args: argparse.Namespac
     print(f"{as_text(scene)}\n", file=options.table_stream(args), flush=True)
 
 
-def show_earlier(args: argparse.Namespace) -> int:
-    """Tables of an earlier run."""
-    from mitsuba_ref.bench.result import Run
-    from mitsuba_ref.report.results import read_result
-
-    before = read_result(Run, args.before, "mitsuba-ref bench")
-    progress = options.Progress("bench")
-    for scene in before.scenes:
-        show(scene, progress, args)
-    report_run(before, args)
-    return OK
-
-
 def report_run(done: Run, args: argparse.Namespace) -> None:
-    """The JSON file, if any, and a last line."""
+    """The JSON file, if any, the table of all scenes, and a last line."""
     from mitsuba_ref.bench.result import overview_text, summary
     from mitsuba_ref.report.results import write_result
 
     if args.json:
         write_result(done, args.json)
-    if table := overview_text(done):
-        print(f"{table}\n", file=options.table_stream(args))
-    print(summary(done), file=options.table_stream(args))
+    print(f"{overview_text(done)}\n\n{summary(done)}", file=options.table_stream(args))

@@ -1,4 +1,4 @@
-"""`mitsuba-ref compare`, `approve` and `check`: two EXR files; reference EXRs, written once approved, then compared."""
+"""`mitsuba-ref compare`, `approve` and `check`: two EXR files; approved images of scenes, written and compared."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ import argparse
 import json
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, TextIO, TypeVar
 
 from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, mesh_dir_options
 from caster.description.errors import SceneError
 from caster.system.process import DIFFERENCES, FILE, NOTHING_SELECTED, OK
-from mitsuba_ref.cli.options import add_reading, add_selection, add_timeout, selected_entries
+from mitsuba_ref.cli.options import add_reading, add_selection, add_timeout, reading_of, selected_entries
 
 if TYPE_CHECKING:
-    from mitsuba_ref.exr_compare.approval import Proposal, ReferenceCheck
+    from mitsuba_ref.exr_compare.approved import Proposal, ReferenceCheck
     from mitsuba_ref.runner.many_scenes import Entry, SceneSource
 
 # ---- compare ----
@@ -29,6 +29,7 @@ NUMBERS = {
     "color_rtol": "of every channel that is not geometry, relative",
     "color_atol": "of every channel that is not geometry, absolute",
 }
+MAX_PIXELS_HELP = "number of pixels that may differ (never by NaN or inf)"
 
 
 def add_compare_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,15 +39,9 @@ def add_compare_arguments(parser: argparse.ArgumentParser) -> None:
     add("-o", "--output", metavar="DIFF.exr", type=OutputFile, help="write the differences, and a class for each pixel")
     for name, what in NUMBERS.items():
         add(f"--{name.replace('_', '-')}", type=float, metavar="TOL", help=f"tolerance {what}")
-    add("--max-pixels", type=int, default=0, metavar="N", help="so many pixels may differ (never by NaN or inf)")
-    add(
-        "--ignore",
-        type=str,
-        action="append",
-        default=[],
-        metavar="CHANNEL",
-        help="leave a channel or group of them out",
-    )
+    add("--max-pixels", type=int, default=0, metavar="N", help=MAX_PIXELS_HELP)
+    ignore = "leave a channel or group of them out"
+    add("--ignore", type=str, action="append", default=[], metavar="CHANNEL", help=ignore)
     add("--other-scene", action="store_true", help="compare images of different scenes, too")
     add("--allow-empty", action="store_true", help="two images that hit nothing pass")
     add("--json", action="store_true", help="as JSON")
@@ -56,32 +51,23 @@ def add_compare_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_compare(args: argparse.Namespace) -> int:
     """Print the comparison; 0 pass, 1 differences, 3 not comparable, 5 nothing to compare."""
-    from mitsuba_ref.exr_compare.two_files import Reading, Tolerances, compare_exr
+    from dataclasses import replace
 
-    numbers = {name: getattr(args, name) for name in NUMBERS}
-    tolerances = Tolerances(
-        **numbers,
-        max_pixels=args.max_pixels,
-        ignore=tuple(args.ignore),
-        allow_empty=args.allow_empty,
-        other_scene=args.other_scene,
-    )
-    scene = None
-    if args.scene:
-        from caster.scene.files import load_scene
+    from caster.scene.files import load_scene
+    from mitsuba_ref.exr_compare.two_files import Tolerances, compare_exr
 
-        scene = load_scene(args.scene)
-    reading = Reading(tuple(args.map), args.depth, args.miss, args.near, scene)
+    names = (*NUMBERS, "max_pixels", "allow_empty", "other_scene")
+    tolerances = Tolerances(**{name: getattr(args, name) for name in names}, ignore=tuple(args.ignore))
+    reading = replace(reading_of(args), scene=load_scene(args.scene) if args.scene else None)
     result = compare_exr(args.ours, args.reference, tolerances, diff=args.output, reading=reading)
     print(result.model_dump_json(indent=2) if args.json else result.format_table())
     return result.exit_code
 
 
-# ---- reference EXRs: approve and check ----
+# ---- approved images: approve and check ----
 
 # Stated here as well, since loading the approval loads the kernels (tests/unit/test_cli_help.py compares).
 MODES = ("missing", "changed", "all")
-MAX_NAMES_IN_COMMAND = 4  # more are not listed in the command that approves them
 
 
 def add_approve_arguments(parser: argparse.ArgumentParser) -> None:
@@ -101,18 +87,35 @@ def add_check_arguments(parser: argparse.ArgumentParser) -> None:
     add_references(parser, InputPath)
     add = parser.add_argument
     add("--fresh", action="store_true", help="compare a fresh render of Mitsuba, to the bit, instead of ours")
-    may = "so many pixels of a scene may differ (never by NaN or inf)"
-    add("--max-pixels", type=int, default=0, metavar="N", help=may)
+    add("--max-pixels", type=int, default=0, metavar="N", help=MAX_PIXELS_HELP)
     add("--json", action="store_true", help="as JSON")
 
 
 def add_references(parser: argparse.ArgumentParser, folder: type[str]) -> None:
-    """What both share: scenes, the folder of references, the variant."""
+    """Add the options of both: scenes, the folder of approved images, the variant."""
     add_selection(parser)
     add = parser.add_argument
-    references = "the folder of reference EXRs, NAME.exr for each scene"
+    references = "the folder of approved images, NAME.exr for each scene"
     add("--references", metavar="DIR", type=folder, required=True, help=references)
     add("--variant", type=str, metavar="V", help="scalar_rgb or llvm_ad_rgb; default: what suits the scene")
+
+
+T = TypeVar("T")
+
+
+def each_scene(
+    args: argparse.Namespace, of: Callable[[Entry], T], failed: Callable[[Entry, tuple[str, ...]], T]
+) -> Iterator[T]:
+    """The result of each selected scene, or of the error that it raises, in order. Raises SceneError."""
+    from mitsuba_ref.runner.many_scenes import map_in_order, problem_of
+
+    def result_of(entry: Entry) -> T:
+        try:
+            return of(entry)
+        except (SceneError, MemoryError) as error:
+            return failed(entry, tuple(problem_of(error).splitlines()))
+
+    yield from map_in_order(result_of, args.entries, args.workers)
 
 
 def selection(args: argparse.Namespace) -> list[SceneSource]:
@@ -122,7 +125,8 @@ def selection(args: argparse.Namespace) -> list[SceneSource]:
 
         if args.variant not in VARIANT_NAMES:
             raise VariantError(f"--variant {args.variant!r}: expected {' or '.join(VARIANT_NAMES)}")
-    return selected_entries(args)
+    args.entries = selected_entries(args)
+    return list(args.entries)
 
 
 # ---- approve ----
@@ -135,24 +139,19 @@ def run_approve(args: argparse.Namespace) -> int:
         return NOTHING_SELECTED
     folder = Path(args.references)
     from caster.system.atomic_files import check_folder
-    from mitsuba_ref.exr_compare.approval import Proposal, propose, unused_references
-    from mitsuba_ref.exr_compare.approved_reference import render_fresh
-    from mitsuba_ref.runner.many_scenes import map_in_order, problem_of
+    from mitsuba_ref.exr_compare.approved import Proposal, propose, render_fresh, unused_references, write_approved
 
     def proposal_of(entry: Entry) -> Proposal:
-        command = approve_command(args, entry.path)
-        try:
-            scene = entry.load().scene
-            render = partial(render_fresh, variant=args.variant, command=command, timeout=args.timeout)
-            return propose(scene, entry.name, entry.path, folder, args.update, render)
-        except (SceneError, MemoryError) as error:
-            return Proposal(
-                entry.name, folder / f"{entry.name}.exr", "failed", False, tuple(problem_of(error).splitlines())
-            )
+        command = shlex.join(["mitsuba-ref", "approve", Path(entry.path).name, *film_words(args)])
+        render = partial(render_fresh, variant=args.variant, command=command, timeout=args.timeout)
+        return propose(entry.load().scene, entry.name, entry.path, folder, args.update, render)
+
+    def failure_of(entry: Entry, lines: tuple[str, ...]) -> Proposal:
+        return Proposal(entry.name, folder / f"{entry.name}.exr", "failed", False, lines)
 
     out = sys.stdout  # itself: readers of EXR files in other threads replace sys.stdout while they read
     found = []
-    for proposal in map_in_order(proposal_of, entries, args.workers):
+    for proposal in each_scene(args, proposal_of, failure_of):
         found.append(proposal)
         print_proposal(proposal, out)
     for name in unused_references(folder, {entry.name for entry in entries}) if not args.expression else ():
@@ -165,7 +164,7 @@ def run_approve(args: argparse.Namespace) -> int:
     check_folder(folder)
     for proposal in wanted:
         assert proposal.fresh is not None  # whatever is to be written was rendered
-        proposal.fresh.write(proposal.path)
+        write_approved(proposal.path, proposal.fresh)
         print(f"wrote    {proposal.path}")
     return DIFFERENCES if failed else OK
 
@@ -195,44 +194,39 @@ def approved(args: argparse.Namespace, count: int) -> bool:
     return False
 
 
-def approve_command(args: argparse.Namespace, path: str) -> str:
-    """The command that renders this reference, without folders, which differ between machines."""
-    size = f" --size {args.size[0]} {args.size[1]}" if args.size else ""
-    variant = f" --variant {args.variant}" if args.variant else ""
-    return f"mitsuba-ref approve {Path(path).name}{size}{variant}"
+def film_words(args: argparse.Namespace) -> list[str]:
+    """--size and --variant as they were given."""
+    size = ["--size", *map(str, args.size)] if args.size else []
+    return [*size, *(["--variant", args.variant] if args.variant else [])]
 
 
 # ---- check ----
 
 
 def run_check(args: argparse.Namespace) -> int:
-    """A row for each scene; 0 all pass, 1 some do not, 4 some have no reference that can be read, and no other fails,
+    """A row for each scene; 0 all pass, 1 some do not, 4 some have no image that can be read, and no other fails,
     5 nothing was selected."""
-    entries = selection(args)
-    if not entries:
+    if not selection(args):
         return NOTHING_SELECTED
-    from caster.system.atomic_files import ScratchFolder
-    from mitsuba_ref.exr_compare.approval import ReferenceCheck, ReferenceChecks, check_scene
+    from mitsuba_ref.exr_compare.approved import ReferenceCheck, ReferenceChecks, check_scene
     from mitsuba_ref.report.results import print_lines
-    from mitsuba_ref.runner.many_scenes import map_in_order, problem_of
 
-    with ScratchFolder() as scratch:
+    def path_of(entry: Entry) -> Path:
+        return Path(args.references) / f"{entry.name}.exr"
 
-        def check_of(entry: Entry) -> ReferenceCheck:
-            path = Path(args.references) / f"{entry.name}.exr"
-            options = args.variant, args.fresh, args.max_pixels
-            try:
-                scene = entry.load().scene
-                return check_scene(scene, entry.name, entry.path, path, Path(scratch), *options)
-            except (SceneError, MemoryError) as error:
-                return ReferenceCheck(entry.name, str(path), False, tuple(problem_of(error).splitlines()))
+    def check_of(entry: Entry) -> ReferenceCheck:
+        options = args.variant, args.fresh, args.max_pixels
+        return check_scene(entry.load().scene, entry.name, entry.path, path_of(entry), *options)
 
-        out = sys.stdout  # itself: readers of EXR files in other threads replace sys.stdout while they read
-        found = []
-        for checked in map_in_order(check_of, entries, args.workers):
-            found.append(checked)
-            if not args.json:
-                print_lines("\n".join(checked.lines()), out)
+    def failure_of(entry: Entry, lines: tuple[str, ...]) -> ReferenceCheck:
+        return ReferenceCheck(entry.name, str(path_of(entry)), False, lines)
+
+    out = sys.stdout  # itself: readers of EXR files in other threads replace sys.stdout while they read
+    found = []
+    for checked in each_scene(args, check_of, failure_of):
+        found.append(checked)
+        if not args.json:
+            print_lines("\n".join(checked.lines()), out)
     failed = [checked for checked in found if not checked.ok]
     if args.json:
         print(json.dumps(ReferenceChecks(tuple(found)).to_dict(), indent=1))
@@ -241,29 +235,19 @@ def run_check(args: argparse.Namespace) -> int:
         counts = f"{len(found) - len(failed)} pass, {len(failed) - missing} fail"
         unchecked = f", {missing} not checked: no reference that can be read" if missing else ""
         print(f"\n{len(found)} scenes: {counts}{unchecked}")
-        for line in approval_hint(args, failed):
-            print(line)
-    return check_exit_code(failed)
-
-
-def check_exit_code(failed: Sequence[ReferenceCheck]) -> int:
-    """A difference takes precedence over a missing file; either is no pass."""
+        if any(checked.refused for checked in failed):
+            print(f"to look at the changes and approve them: {approve_command(args, failed)}")
     if not failed:
         return OK
     return FILE if all(checked.missing for checked in failed) else DIFFERENCES
 
 
-def approval_hint(args: argparse.Namespace, failed: Sequence[ReferenceCheck]) -> Iterator[str]:
+def approve_command(args: argparse.Namespace, failed: Sequence[ReferenceCheck]) -> str:
     """The command that shows the changes, and writes them once they are approved."""
     words = ["mitsuba-ref", "approve", *args.scenes, "--references", args.references]
-    words += ["--size", *map(str, args.size)] if args.size else []
-    words += ["--variant", args.variant] if args.variant else []
-    words += mesh_dir_options(args)
+    words += [*film_words(args), *mesh_dir_options(args)]
     names = [checked.name for checked in failed if checked.refused]
-    if names:
-        short = len(names) <= MAX_NAMES_IN_COMMAND and all(map(is_one_word, names))
-        words += ["-k", " or ".join(names)] if short else []
-        yield f"to look at the changes and approve them: {shlex.join(words)}"
+    return shlex.join([*words, *(["-k", names[0]] if len(names) == 1 and is_one_word(names[0]) else [])])
 
 
 def is_one_word(name: str) -> bool:

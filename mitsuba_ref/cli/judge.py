@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,15 +18,15 @@ from caster.cli.shared_arguments import (
 )
 from caster.description.errors import SceneError
 from caster.system.process import OK
-from mitsuba_ref.cli.options import PRECISIONS, add_reading, add_verdict_files
+from mitsuba_ref.cli.options import PRECISIONS, add_verdict_files, given_words
 from mitsuba_ref.cli.validate import check_outputs, exit_code, print_rows, write_results
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from caster.image.exr import Exr
     from caster.scene.model import Scene
     from mitsuba_ref.runner.many_scenes import SceneEntry
+    from mitsuba_ref.subjects.subject import Subject
 
 
 # ---- rays of a scene, as a file ----
@@ -141,32 +140,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--scene", metavar="SCENE", type=InputPath, help="the scene that was cast into")
-    what.add_argument(
-        "--mesh", metavar="FILE", type=InputPath, help="the same as a mesh file: OBJ, PLY, STL, OFF, glTF"
-    )
+    mesh_help = "the same as a mesh file: OBJ, PLY, STL, OFF, glTF"
+    what.add_argument("--mesh", metavar="FILE", type=InputPath, help=mesh_help)
     answers = parser.add_mutually_exclusive_group(required=True)
     help_ = ".npz of t, and n, shape_id, prim_id, any_hit if given; or .npy of shape (n, 1), (n, 4), (n, 5)"
     answers.add_argument("--hits", metavar="FILE", type=InputPath, help=help_)
     help_ = "an EXR file of depth.Z, normal.X/Y/Z, position.X/Y/Z, A, of the scene's camera"
     answers.add_argument("--exr", metavar="FILE", type=InputPath, help=help_)
-    add(
-        "--rays",
-        type=InputPath,
-        metavar="FILE",
-        help=".npz of `rays`, or .npy, (n, 8): o, d, t_min, t_max (docs/rays-and-hits.md)",
-    )
+    help_ = ".npz of `rays`, or .npy, (n, 8): o, d, t_min, t_max (docs/rays-and-hits.md)"
+    add("--rays", type=InputPath, metavar="FILE", help=help_)
     help_ = "the arithmetic of the answers, from which their bounds follow; default: the type of t and n"
     add("--precision", metavar="P", choices=PRECISIONS, help=help_)
-    help_ = "of --exr: along the rays that its positions lie on, and say how they go through their pixels"
-    add("--own-rays", action="store_true", help=help_)
     add("--rows", metavar="A:B", type=row_range, help="judge these rays alone: one, or from A up to B")
     add_mesh_dirs(parser)
     out_help = "write verdict.json, EXR files and reproducers into this folder"
     add("--out", metavar="DIR", type=OutputFolder, help=out_help)
     add_verdict_files(parser)
     add("--html", metavar="DIR", type=OutputFolder, help="write a report for the browser into this folder: index.html")
-    add_reading(parser, "; with --own-rays")
-    parser.set_defaults(resume=False)
 
 
 def row_range(text: str) -> tuple[int, int | None]:
@@ -211,13 +201,21 @@ def requested_scene(args: argparse.Namespace) -> Scene:
     return Scene(camera=Ray(**Ray.MINIMAL), shapes=[MeshFile(file=args.mesh, name="mesh")])
 
 
+def entry_of(args: argparse.Namespace, scene: Scene, more: str, subject: Subject, **about: Any) -> SceneEntry:
+    """A scene to judge, its name ending in `more`, with the options that show the same again."""
+    from mitsuba_ref.runner.many_scenes import SceneEntry
+
+    source = args.scene or args.mesh
+    options = given_words(args, "scene", "mesh", "rays", "hits", "exr", "precision", "mesh_dir")
+    return SceneEntry(
+        scene, Path(source).stem + more, source, subject=subject, options=options, command="judge", **about
+    )
+
+
 def hits_entries(args: argparse.Namespace) -> list[SceneEntry]:
     """One scene to judge for nearest hits, and one for any-hit answers. Raises SceneError, FileMissing."""
-    from mitsuba_ref.runner.many_scenes import SceneEntry
     from mitsuba_ref.subjects.ray_files import HitsFile, lay_out, read_hits, read_rays
 
-    if args.own_rays:
-        raise SceneError("--own-rays: expected --exr, an image whose positions say where its rays go")
     if args.rays is None:
         raise SceneError("--hits: expected --rays FILE beside it, the rays that these are the hits of")
     scene, rays, hits = requested_scene(args), read_rays(args.rays), read_hits(args.hits)
@@ -233,79 +231,28 @@ def hits_entries(args: argparse.Namespace) -> list[SceneEntry]:
     end = count if end is None else min(end, count)
     if first >= count:
         raise SceneError(f"--rows {first}: expected a ray of 0 to {count - 1}")
-    whole = (first, end) == (0, count)
-    some = rays._replace(rows=rays.rows[first:end], width=rays.width if whole else 0)
-    film_scene, shared = lay_out(scene, some, args.rays)
+    width = rays.width if (first, end) == (0, count) else 0
+    film_scene, shared = lay_out(scene, rays._replace(rows=rays.rows[first:end], width=width), args.rays)
     arrays = {name: values[first:end] for name, values in hits.items()}
-    source = args.scene or args.mesh
-    name = Path(source).stem
     entries = []
-    for any_hit in (False, True):
-        if ("any_hit" if any_hit else "t") in hits:
-            subject = HitsFile(args.hits, arrays, args.precision, any_hit)
-            title = f"{name} any-hit" if any_hit and "t" in hits else name
-            about: dict[str, Any] = {"options": option_words(args), "command": "judge", "ray_range": (first, end)}
-            entries.append(SceneEntry(film_scene, title, source, subject=subject, rays=shared, **about))
+    for any_hit in (any_hit for any_hit in (False, True) if ("any_hit" if any_hit else "t") in hits):
+        subject = HitsFile(args.hits, arrays, args.precision, any_hit)
+        more = " any-hit" if any_hit and "t" in hits else ""
+        entries.append(entry_of(args, film_scene, more, subject, rays=shared, ray_range=(first, end)))
     return entries
 
 
 def exr_entries(args: argparse.Namespace) -> list[SceneEntry]:
     """One scene to judge by its depth, and one by its position, if the file has it. Raises SceneError, FileMissing."""
     from caster.image.exr import read_exr
-    from mitsuba_ref.runner.many_scenes import SceneEntry
     from mitsuba_ref.subjects.command import DEPTH, POSITION, ExrFile
 
-    reading_options = {"--map": args.map, "--depth": args.depth, "--miss": args.miss, "--near": args.near}
-    for option, value in reading_options.items():
-        if value and not args.own_rays:
-            raise SceneError(
-                f"{option}: expected --own-rays beside it; other files have the names of docs/rays-and-hits.md"
-            )
-    alone = {"--rays": args.rays, "--rows": None if args.own_rays else args.rows, "--mesh": args.mesh}
-    for option in (option for option, value in alone.items() if value is not None):
-        raise SceneError(f"{option}: not with --exr, whose pixels are rays of the scene's camera")
-    scene = requested_scene(args)
-    exr = read_exr(args.exr)
-    if args.own_rays:
-        return [own_rays_entry(args, scene, exr)]
-    ways = [way for way in (DEPTH, POSITION[0]) if way in exr.channels] or [DEPTH]
+    for option in (option for option in ("rays", "rows", "mesh") if getattr(args, option) is not None):
+        raise SceneError(f"--{option}: not with --exr, whose pixels are rays of the scene's camera")
+    scene, exr = requested_scene(args), read_exr(args.exr)
     entries = []
-    for way in ways:
-        subject = ExrFile(args.exr, exr, args.precision, by_position=way != DEPTH)
-        title = Path(args.scene).stem + (" position" if way != DEPTH and len(ways) > 1 else "")
-        entries.append(
-            SceneEntry(scene, title, args.scene, subject=subject, options=option_words(args), command="judge")
-        )
+    for way in [way for way in (DEPTH, POSITION[0]) if way in exr.channels] or [DEPTH]:
+        by_position = way != DEPTH
+        more = " position" if by_position and DEPTH in exr.channels else ""
+        entries.append(entry_of(args, scene, more, ExrFile(args.exr, exr, args.precision, by_position)))
     return entries
-
-
-def own_rays_entry(args: argparse.Namespace, scene: Scene, exr: Exr) -> SceneEntry:
-    """The scene to judge along the rays that the image's positions lie on. Raises SceneError."""
-    import numpy as np
-
-    from mitsuba_ref.exr_compare.foreign_files import Reading, own_rays
-    from mitsuba_ref.runner.many_scenes import SceneEntry
-
-    reading = Reading(tuple(args.map), args.depth, args.miss, args.near)
-    image, rays = own_rays(args.exr, exr, scene, reading)
-    whole = (0, len(rays.t_max))
-    first, end = args.rows or whole
-    if first >= whole[1]:
-        raise SceneError(f"--rows {first}: expected a pixel of 0 to {whole[1] - 1}")
-    some = np.zeros(whole[1], bool)
-    some[first:end] = True
-    rays = rays._replace(t_max=np.where(some, rays.t_max, np.float32(-1.0)))
-    t, beside = np.where(some, image.t, np.inf), image.beside & some
-    subject = replace(image, precision=args.precision, t=t, beside=beside)
-    about: dict[str, Any] = {"options": option_words(args), "command": "judge", "ray_range": whole}
-    return SceneEntry(scene, Path(args.scene).stem, args.scene, subject=subject, rays=rays, **about)
-
-
-def option_words(args: argparse.Namespace) -> tuple[str, ...]:
-    """Options that show the same again."""
-    named = ("scene", "mesh", "rays", "hits", "exr", "precision")
-    given = [(name, getattr(args, name)) for name in named if getattr(args, name) is not None]
-    given += [(name, getattr(args, name)) for name in ("depth", "miss", "near") if getattr(args, name)]
-    folders = [*(("mesh-dir", folder) for folder in args.mesh_dir), *(("map", each) for each in args.map)]
-    words = tuple(word for name, value in (*given, *folders) for word in (f"--{name}", str(value)))
-    return (*words, *(["--own-rays"] if args.own_rays else []))

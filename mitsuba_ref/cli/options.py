@@ -12,6 +12,7 @@ from caster.description.errors import SceneError, error_prefix, suggestion
 from caster.system.terminal import StatusLine
 
 if TYPE_CHECKING:
+    from mitsuba_ref.exr_compare.conventions import Reading
     from mitsuba_ref.judge.verdict import Verdict
     from mitsuba_ref.runner.many_scenes import SceneSource
     from mitsuba_ref.subjects.subject import Subject
@@ -175,7 +176,6 @@ def add_candidate(
         "--candidate-timeout",
         metavar="S",
         type=positive_seconds,
-        default=CANDIDATE_SECONDS,
         help=f"seconds that a command may take for one scene; default {CANDIDATE_SECONDS:g}",
     )
 
@@ -185,65 +185,51 @@ def requested_candidate(args: argparse.Namespace, *, takes_rays: bool = False) -
 
     takes_rays: one that renders images of its own camera cannot.
     """
-    if args.candidate is None:
-        alone = {
-            "--candidate-precision": args.candidate_precision is not None,
-            "--candidate-timeout": args.candidate_timeout != CANDIDATE_SECONDS,
-        }
-        for option in (option for option, given in alone.items() if given):
-            raise SceneError(f"{option}: expected --candidate X beside it, whose {option[12:]} it is")
-        for name in READING_OPTIONS:
-            if getattr(args, name, None):
-                raise SceneError(f"--{name}: expected a --candidate with {{exr}} beside it, whose images it is about")
-        return None
-    if getattr(args, "thorough", False):
+    for name in ("candidate_precision", "candidate_timeout") if args.candidate is None else ():
+        for word in given_words(args, name)[:1]:
+            raise SceneError(f"{word}: expected --candidate X beside it, whose {word[12:]} it is")
+    if args.candidate is not None and getattr(args, "thorough", False):
         raise SceneError("--thorough: not with --candidate, since the checks that it adds test our own caster")
+    from mitsuba_ref.subjects.command import CommandSubject
     from mitsuba_ref.subjects.requests import parse_candidate
 
-    served = isinstance(args.candidate, ServedProgram)
-    found = parse_candidate(args.candidate, args.candidate_precision, args.candidate_timeout, served=served)
-    if takes_rays and not found.takes_rays:
-        raise SceneError(
-            f"--candidate {args.candidate!r}: expected one that casts rays it is given: package.module:function, "
-            "a command with {rays} and {hits}, or --candidate-serve (docs/rays-and-hits.md)"
-        )
-    return reading_images(found, args)
+    served, seconds = isinstance(args.candidate, ServedProgram), args.candidate_timeout or CANDIDATE_SECONDS
+    found: Subject | None = None
+    if args.candidate is not None:
+        found = parse_candidate(args.candidate, args.candidate_precision, seconds, served=served)
+        if takes_rays and not found.takes_rays:
+            raise SceneError(
+                f"--candidate {args.candidate!r}: expected one that casts rays it is given: package.module:function, "
+                "a command with {rays} and {hits}, or --candidate-serve (docs/rays-and-hits.md)"
+            )
+    if isinstance(found, CommandSubject):
+        from dataclasses import replace
+        from functools import partial
+
+        from mitsuba_ref.exr_compare.conventions import candidate_image
+
+        return replace(found, convert=partial(candidate_image, reading=reading_of(args)))
+    for word in given_words(args, *READING_OPTIONS)[:1]:
+        raise SceneError(f"{word}: expected a --candidate with {{exr}} beside it, whose images it is about")
+    return found
 
 
 READING_OPTIONS = ("map", "depth", "miss", "near")  # of add_reading
 
 
-def reading_images(candidate: Subject, args: argparse.Namespace) -> Subject:
-    """The candidate; a command that writes images reads them as `compare` does. Raises SceneError."""
-    from dataclasses import replace
-    from functools import partial
-
-    from mitsuba_ref.exr_compare.foreign_files import Reading, candidate_image
-    from mitsuba_ref.subjects.command import CommandSubject
-
-    given = {name: getattr(args, name, None) for name in READING_OPTIONS}
-    if not isinstance(candidate, CommandSubject):
-        for name in (name for name, value in given.items() if value):
-            raise SceneError(f"--{name}: expected a --candidate with {{exr}} beside it, whose images it is about")
-        return candidate
-    reading = Reading(tuple(given["map"] or ()), given["depth"], given["miss"], given["near"])
-    return replace(candidate, convert=partial(candidate_image, reading=reading))
-
-
 def candidate_words(args: argparse.Namespace) -> tuple[str, ...]:
-    """These options as words of a command line, for a replay with the same candidate; () without one."""
-    if getattr(args, "candidate", None) is None:
-        return ()
-    option = "--candidate-serve" if isinstance(args.candidate, ServedProgram) else "--candidate"
-    words = [option, str(args.candidate)]
-    if args.candidate_precision is not None:
-        words += ["--candidate-precision", args.candidate_precision]
-    if args.candidate_timeout != CANDIDATE_SECONDS:
-        words += ["--candidate-timeout", repr(args.candidate_timeout).removesuffix(".0")]
-    for name in READING_OPTIONS:
+    """The options of the candidate, for a replay with the same one; () without one."""
+    return given_words(args, "candidate", "candidate_precision", "candidate_timeout", *READING_OPTIONS)
+
+
+def given_words(args: argparse.Namespace, *names: str) -> tuple[str, ...]:
+    """These options as words of a command line, those that were given."""
+    words: list[str] = []
+    for name in names:
         value = getattr(args, name, None)
-        values = value if isinstance(value, list) else [value] if value else []
-        words += [word for each in values for word in (f"--{name}", str(each))]
+        option = "--candidate-serve" if isinstance(value, ServedProgram) else f"--{name.replace('_', '-')}"
+        for each in value if isinstance(value, list) else [] if value is None else [value]:
+            words += [option, repr(each).removesuffix(".0") if isinstance(each, float) else str(each)]
     return tuple(words)
 
 
@@ -252,26 +238,25 @@ def candidate_words(args: argparse.Namespace) -> tuple[str, ...]:
 
 def add_reading(parser: argparse.ArgumentParser, more: str = "") -> Callable[..., argparse.Action]:
     """--map, --depth, --miss and --near, in a group that takes more."""
-    group = parser.add_argument_group(
-        "files of other programs, where their numbers do not decide (docs/candidates.md)" + more
-    )
-    add = group.add_argument
-    add(
-        "--map",
-        type=str,
-        action="append",
-        default=[],
-        metavar="OURS=THEIRS",
-        help="a channel or group by its name there, such as depth=ViewLayer.Depth.Z or normal=N; any number of them",
-    )
-    add(
-        "--depth",
-        choices=("distance", "z", "near"),
-        help="what depth is: along the ray, along z, or from the near plane",
-    )
-    add("--miss", type=str, metavar="VALUE", help="the depth of a miss, such as 0, inf, 1e10 or FLT_MAX")
-    add("--near", type=float, metavar="N", help="of the near plane, along the view axis, if depth counts from there")
+    add = parser.add_argument_group("files of other programs (docs/candidates.md)" + more).add_argument
+    map_help = "a channel or group by its name there, such as depth=range or normal=facing; any number of them"
+    add("--map", type=str, action="append", default=[], metavar="OURS=THEIRS", help=map_help)
+    depths = ("distance", "z", "near")
+    depth_help = "what depth is: along the ray (default), along z, or along the ray from the near plane"
+    add("--depth", choices=depths, help=depth_help)
+    miss_help = "the depth of a miss, such as 0, 1e10 or FLT_MAX; default: a miss has alpha 0, no id, or depth inf"
+    add("--miss", type=str, metavar="VALUE", help=miss_help)
+    near_help = "of the near plane, along the view axis, that depth counts from; default: of the exported scene"
+    add("--near", type=float, metavar="N", help=near_help)
     return add
+
+
+def reading_of(args: argparse.Namespace) -> Reading:
+    """The options of add_reading, none where the command has none. Raises SceneError."""
+    from mitsuba_ref.exr_compare.conventions import Reading
+
+    maps, *rest = (getattr(args, name, None) for name in READING_OPTIONS)
+    return Reading(tuple(maps or ()), *rest)
 
 
 def add_skip_unsupported(parser: argparse.ArgumentParser, plural: str) -> None:

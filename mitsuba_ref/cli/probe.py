@@ -17,7 +17,6 @@ from caster.system.terminal import printable
 from mitsuba_ref.cli.options import add_candidate, add_reading, add_timeout, candidate_words, requested_candidate
 
 if TYPE_CHECKING:
-    from caster.scene.model import Scene
     from mitsuba_ref.probe.pixel import PixelVerdict, ProbeEvidence
     from mitsuba_ref.reference.messages import Crash
 
@@ -29,12 +28,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--save", metavar="FILE", type=OutputFile, help="write this ray and what it may hit as a scene of its own"
     )
-    parser.add_argument(
-        "--picture",
-        metavar="PNG",
-        type=OutputFile,
-        help="draw the pixel's surroundings: classes, edges in it, and beside its ray",
-    )
     add_timeout(parser)
     add_candidate(parser, "one more witness: another ray caster (docs/candidates.md)")
     add_reading(parser, "; with --candidate")
@@ -45,28 +38,19 @@ def run(args: argparse.Namespace) -> int:
     from caster.system.atomic_files import check_writable
 
     scene = load(args)
-    for path in filter(None, (args.save, args.picture)):
-        check_writable(path)
-    if args.picture:
-        check_can_draw()
+    if args.save:
+        check_writable(args.save)
     candidate = requested_candidate(args)  # its errors come before any work
     from mitsuba_ref.probe.pixel import as_text, probe_with_evidence
 
     with error_prefix(args.scene):
         found, probed = probe_with_evidence(scene, args.x, args.y, candidate, args.timeout)
     try:
-        write_files(args, scene, found, probed)
+        if args.save:
+            save(args, probed, about_candidate(args, found))
     finally:  # last, since a reader of the pipe may close it early
         print(json.dumps(found.to_dict(), indent=2) if args.json else as_text(found, args.scene))
     return OK if found.ok else DIFFERENCES
-
-
-def write_files(args: argparse.Namespace, scene: Scene, found: PixelVerdict, probed: Crash | ProbeEvidence) -> None:
-    """Write --save and --picture."""
-    if args.save:
-        save(args, probed, about_candidate(args, found))
-    if args.picture:
-        draw(args, scene, probed)
 
 
 def about_candidate(args: argparse.Namespace, found: PixelVerdict) -> list[str]:
@@ -92,28 +76,3 @@ def save(args: argparse.Namespace, probed: Crash | ProbeEvidence, more: Sequence
         same = write_reproducer(Path(args.save), *probed, 0, source, more)
     alone = "shows the same" if same else "does NOT show the same by itself, as its head states"
     print(f"{args.save}: written; it {alone}", file=sys.stderr)
-
-
-def check_can_draw() -> None:
-    """Raise SceneError before any work where Matplotlib is missing."""
-    from caster.description.errors import SceneError
-    from mitsuba_ref.probe.pixel_plot import MissingPlots, check_available
-
-    try:
-        check_available()
-    except MissingPlots as missing:
-        raise SceneError(f"--picture: {missing}") from None
-
-
-def draw(args: argparse.Namespace, scene: Scene, probed: Crash | ProbeEvidence) -> None:
-    """Write the image of the pixel's surroundings."""
-    from caster.system.atomic_files import write_bytes
-    from mitsuba_ref.probe.pixel_plot import picture
-    from mitsuba_ref.reference.messages import Crash
-
-    if isinstance(probed, Crash):
-        print(f"{args.picture}: not written: Mitsuba gave no answer to draw", file=sys.stderr)
-        return
-    with error_prefix(args.scene):
-        write_bytes(args.picture, picture(probed.judge, scene, args.x, args.y))
-    print(f"{args.picture}: written", file=sys.stderr)

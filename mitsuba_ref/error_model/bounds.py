@@ -1,4 +1,4 @@
-"""Error bounds of the reference at each pixel, at the primitive that the subject hits there; and of our float64."""
+"""Error bounds at each pixel, on the primitive that the subject hits: of the reference, and of our float64."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 
 
 class Bounds(NamedTuple):
-    """One row a ray; inf where there is nothing to hold on to."""
+    """Intersections of rays (n,) with the primitives that the subject names; inf where there is no bound."""
 
     own: Intersections  # the intersection in float64
     at: Intersections  # the intersection, with the reference's error bounds
@@ -25,7 +25,7 @@ class Bounds(NamedTuple):
 
 
 def reference_bounds(model: SceneModel, prim: np.ndarray, o: np.ndarray, d: np.ndarray, t: np.ndarray) -> Bounds:
-    """The intersection of ray i with prim[i] (n,) that is nearest to t[i]; prim -1 is a miss."""
+    """Bounds at the intersection of ray i with prim[i] (n,) that is nearest to t[i] (n,). prim -1 is a miss."""
     own = intersections_at(model, prim, (o, d), t, KU_OURS, ours=True)
     return Bounds(own, intersections_at(model, prim, (o, d), t, KU, ours=False))
 
@@ -33,7 +33,10 @@ def reference_bounds(model: SceneModel, prim: np.ndarray, o: np.ndarray, d: np.n
 def intersections_at(
     model: SceneModel, prim: np.ndarray, line: tuple[np.ndarray, np.ndarray], t: np.ndarray, ku: float, *, ours: bool
 ) -> Intersections:
-    """The same with the error bounds of one arithmetic. line: o, d (n, 3); ku, ours: as of SceneModel.intersect."""
+    """The intersection of ray i with prim[i] nearest to t[i], with the error bounds of one arithmetic.
+
+    line: o, d (n, 3). ku, ours: as in SceneModel.intersect.
+    """
     out = missing_intersections(len(prim))
     hits = np.flatnonzero(prim >= 0)
     for start in range(0, len(hits), PIXELS_PER_BATCH):
@@ -50,7 +53,7 @@ PIXELS_PER_BATCH = 1 << 14  # pixels: temporary arrays of three numbers each sta
 
 
 def missing_intersections(count: int) -> Intersections:
-    """Intersections that do not exist: all numbers inf. Without edges, which are for brackets."""
+    """Placeholder rows for misses: all numbers inf, and no edges (only brackets read those)."""
     t, t_error, n_error, sh_error, p_error, uv_error = np.full((6, count), np.inf)
     n, sh_n, uv = np.full((3, count, 3), np.inf)
     possible, certain = np.zeros((2, count), bool)
@@ -58,7 +61,7 @@ def missing_intersections(count: int) -> Intersections:
 
 
 def nearest_root(met: PairIntersections, t: np.ndarray) -> Intersections:
-    """Of each pair's meetings the one nearest to t (n,), in the order of the pairs."""
+    """The intersection of each pair that is nearest to t (n,), in the order of the pairs."""
     if len(met.pair) == len(t) and (met.pair == np.arange(len(t))).all():
         return met.at
     with np.errstate(invalid="ignore"):
@@ -75,7 +78,7 @@ def aov_rows(aovs: Aovs, name: str) -> np.ndarray:
 
 
 def error_over_bound(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
-    """error / bound; inf for anything that is not a number, or where there is no bound to hold on to."""
+    """error / bound; inf where either is not a finite number."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         share = np.where(error == 0.0, 0.0, error / bound)
     fine = np.isfinite(error) & np.isfinite(bound) & np.isfinite(share)
@@ -95,18 +98,18 @@ def row_distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 # Bounds on the float64 rounding of our caster's t, images and surfaces, against exact answers.
 
 
-# t itself is a float64, and cast scales it once more: half a unit in the last place each, and the least float64
-# where it is denormal.
+# t is a float64, and cast scales it once more: half a unit in the last place each, and the smallest float64 where it
+# is denormal.
 T_ROUNDING_ULPS = 1.0
 
-# Below 2^-1022 numbers are rounded to multiples of 2^-1074, not to a fraction of themselves, which the error model
-# does not cover. A dozen such roundings over a slope of no less than 2^-60 put t off by no more than this.
+# The error model is about relative roundings; below 2^-1022 numbers are rounded to multiples of 2^-1074 instead.
+# A dozen such roundings, divided by a slope of at least 2^-60, move t by no more than this.
 UNDERFLOW_BOUND = 2.0**-1010
 
-# depth = t |d|: the length passes at most 4 roundings, the product one, and t is found again by a division.
+# depth = t |d|: the length takes at most 4 roundings, the product one, and t is recovered by a division.
 DEPTH_ULPS = 4.0
 
-# unit() divides by a rounded length: each component passes at most four roundings, so its square is off by 8 u.
+# unit() divides by a rounded length: each component takes at most four roundings, so its square is off by 8 u.
 UNIT_LENGTH_ATOL = 16 * 2.0**-53
 
 
@@ -118,9 +121,9 @@ def t_bounds(
 ) -> np.ndarray:
     """(n,) bound on |t - exact t| of each hit; inf where float64 cannot resolve it, NaN on a miss.
 
-    models: of each shape. hits: t, primitive number (n,). rays: o, d (n, 3).
-    The judge's error model with K u of float64: numbers perturbed by
-    4 units in their last places, times the condition of each intersection, at the root nearest to t.
+    models: one for each shape. hits: t, primitive number (n,). rays: o, d (n, 3).
+    The judge's error model with K u of float64: perturbations of 4 units in the last place, times the condition of
+    each intersection, at the root nearest to t.
     """
     (t, prim), (o, d) = hits, rays
     exponent = np.frexp(np.abs(d).max(axis=1, initial=0.0))[1]  # so that no square of a direction overflows

@@ -1,4 +1,4 @@
-"""Brackets: the answers that rounding allows along a ray, of all primitives near it."""
+"""Brackets: the answers that rounding allows along a ray, all primitives near it considered."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -8,17 +8,15 @@ import numpy as np
 from mitsuba_ref.error_model.intersections import Intersections, dot, norm, row_groups
 from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel, no_intersections
 
-# The bracket: which answers along a ray rounding allows, all primitives considered (docs/method.md, "Visibility").
-#
-# A primitive is possible where some numbers within the bound hit it, certain where all do. The nearest hit is one of a
-# possible primitive, and comes no later than the latest that a certain one may come.
+# docs/method.md, "Visibility". A primitive is possible if some numbers within the error bounds hit it, and certain if
+# all of them do. The nearest hit is on a possible primitive, and no later than the latest t of any certain one.
 
 
 CLAIMED_MISS = -1
 ANY_SHAPE = -2  # claimed by a subject that names no shape
 
 
-NOT_CLAIMED = np.zeros((0, 3))  # of a normal or a position, of all rays
+NOT_CLAIMED = np.zeros((0, 3))  # in place of normals, positions or uv that the subject does not give
 
 
 class Claims(NamedTuple):
@@ -29,20 +27,20 @@ class Claims(NamedTuple):
     n: np.ndarray  # (n, 3), or NOT_CLAIMED, as all below
     sh_n: np.ndarray = NOT_CLAIMED  # (n, 3)
     p: np.ndarray = NOT_CLAIMED  # (n, 3)
-    t_rounding: float | np.ndarray = 0.0  # (n,) how far t is off by itself, worked out from something else
+    t_rounding: float | np.ndarray = 0.0  # (n,) rounding of t itself, where it was computed from a depth
     prim: np.ndarray | None = None  # (n,) primitive within its shape; None: not claimed
     uv: np.ndarray = NOT_CLAIMED  # (n, 2)
 
 
 class BracketResult(NamedTuple):
-    """Of each ray: whether rounding allows the claim, and whether the claim cannot be tested."""
+    """For each ray: whether rounding allows the claim, and whether the claim cannot be tested."""
 
     allowed: np.ndarray  # (n,) bool
-    open: np.ndarray  # (n,) bool: it names a surface so nearly edge-on that its t has no bound
+    open: np.ndarray  # (n,) bool: the named surface is so nearly edge-on that its t has no bound
 
 
 class RayIntersections(NamedTuple):
-    """Intersections in range, with the ray and primitive of each."""
+    """Possible intersections in the range of their rays."""
 
     ray: np.ndarray  # (m,)
     prim: np.ndarray  # (m,)
@@ -63,7 +61,7 @@ class RaySegments(NamedTuple):
 
 
 class Bracket:
-    """Judges claims about rays through one scene. ku, ours: as in SceneModel.intersect."""
+    """Tests claims about rays through one scene. ku, ours: as in SceneModel.intersect."""
 
     def __init__(self, model: SceneModel, ku: float, *, ours: bool):
         self.model, self.ku, self.ours = model, ku, ours
@@ -78,9 +76,10 @@ class Bracket:
         t_min: float | np.ndarray = 0.0,
         also: np.ndarray | None = None,
     ) -> BracketResult:
-        """Whether the claims are within the bracket. o, d: (n, 3) float64; t_max: (n,); a hit has t_min < t <= t_max.
+        """Whether rounding allows each claim.
 
-        also: (n,) a primitive to look at, however far its box is from the ray; -1: none.
+        o, d: (n, 3) float64. t_max: (n,); a hit has t_min < t <= t_max. also: (n,) a primitive to consider even if the
+        ray misses its box; -1: none.
         """
         line = RaySegments(o, d, np.broadcast_to(np.asarray(t_min, np.float64), t_max.shape), t_max)
         allowed, untestable = np.ones(len(o), bool), np.zeros(len(o), bool)
@@ -94,7 +93,7 @@ class Bracket:
         return BracketResult(allowed, untestable)
 
     def _pairs(self, o: np.ndarray, d: np.ndarray, also: np.ndarray | None) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """What is near the rays, and the primitives in `also`. Each ray is in one piece only."""
+        """Pairs of a ray and a primitive near it or named in `also`, in batches; each ray is in one batch only."""
         if also is None:
             yield from self.model.distinct.pairs(o, d)
             return
@@ -106,10 +105,10 @@ class Bracket:
     def blocked(
         self, o: np.ndarray, d: np.ndarray, t_max: np.ndarray, leaving: tuple[np.ndarray, np.ndarray] | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(something may block the way, something does): rays o + t d, 0 < t < t_max.
+        """(possibly, certainly) whether anything lies on the rays o + t d, 0 < t < t_max; (n,) bool each.
 
-        leaving: (n,) the primitive that a ray starts on, and (n,) how far off it that start may be. Its intersection
-        there does not count, and what else is as near as that, such as the next face of an edge, is not certain.
+        leaving: (n,) the primitive a ray starts on, and (n,) how far the start may be off its surface. The intersection
+        at the start does not count, and anything else that near, such as the next face at an edge, is never certain.
         """
         prim, off = leaving if leaving else (np.full(len(o), -1), np.zeros(len(o)))
         line = RaySegments(o, d, np.zeros(len(o)), t_max)
@@ -117,7 +116,7 @@ class Bracket:
         for ray, each in self.model.distinct.pairs(o, d):
             found = self._intersect_in_range(ray, each, line)
             near = near_ray_start(found, d, off)
-            # Identical primitives are as near as the one that the ray leaves, and remain.
+            # A primitive identical to the one that the ray leaves is just as near, and does count.
             kept = ~(near & (found.prim == prim[found.ray]) & ~self.model.has_twins(found.prim))
             found, near = found.take(kept), near[kept]
             possible[found.ray] = True
@@ -127,7 +126,7 @@ class Bracket:
     def possible_hits(
         self, o: np.ndarray, d: np.ndarray, t_max: np.ndarray, t_min: float | np.ndarray = 0.0
     ) -> RayIntersections:
-        """Every possible intersection of some rays, few enough to be held at once."""
+        """All possible intersections of the rays, in memory at once."""
         line = RaySegments(o, d, np.broadcast_to(np.asarray(t_min, np.float64), t_max.shape), t_max)
         found = [self._intersect_in_range(ray, prim, line) for ray, prim in self.model.nearby.pairs(o, d)]
         if not found:
@@ -136,7 +135,6 @@ class Bracket:
         return RayIntersections(np.concatenate([f.ray for f in found]), np.concatenate([f.prim for f in found]), at)
 
     def _intersect_in_range(self, ray: np.ndarray, prim: np.ndarray, line: RaySegments) -> RayIntersections:
-        """The possible intersections in range."""
         met: PairIntersections = self.model.intersect(prim, line.o[ray], line.d[ray], self.ku, ours=self.ours)
         rays = ray[met.pair]
         with np.errstate(invalid="ignore"):
@@ -177,7 +175,7 @@ class Bracket:
         return np.where(missed, np.isinf(latest[rays]), has_match[rays]), untestable[rays]
 
     def _is_or_equals(self, claimed: np.ndarray, prim: np.ndarray) -> np.ndarray:
-        """(m,) bool: the claimed number, within the shape of prim[i], is that of prim[i] or of an identical one."""
+        """(m,) bool: number claimed[i] within the shape of prim[i] is prim[i], or a primitive identical to it."""
         packed, identical = self.model.packed, self.model.identical
         if identical is None:
             named: np.ndarray = claimed == packed.index_in_shape(prim)
@@ -189,7 +187,7 @@ class Bracket:
 
 
 def within_error(claimed: np.ndarray, ray: np.ndarray, at: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """(m,) bool: what is claimed (n, 3) of the rays of m meetings is there; what is not claimed is no obstacle."""
+    """(m,) bool: claimed (n, 3) is within `error` of `at` at each of m intersections; True where nothing is claimed."""
     if not len(claimed):
         return np.ones(len(ray), bool)
     near: np.ndarray = norm(claimed[ray] - at) <= error
@@ -197,9 +195,9 @@ def within_error(claimed: np.ndarray, ray: np.ndarray, at: np.ndarray, error: np
 
 
 def latest_hits(found: RayIntersections, t_max: np.ndarray, t_min: np.ndarray | None = None) -> np.ndarray:
-    """(m,) the latest that a certain primitive may be hit; inf for one that is not certain or not in range.
+    """(m,) largest t that rounding allows for a certain hit; inf if the hit is not certain or not in range.
 
-    t_min, t_max: (n,) of the rays; without t_min they begin beyond their origins.
+    t_min, t_max: (n,) limits of the rays; t_min is 0 if not given.
     """
     at = found.at
     with np.errstate(invalid="ignore"):
@@ -210,9 +208,9 @@ def latest_hits(found: RayIntersections, t_max: np.ndarray, t_min: np.ndarray | 
 
 
 def _latest_at_edges(found: RayIntersections) -> np.ndarray:
-    """(m,) the same for hits that hang on one edge: finite where another face lies across it, so one of them is hit.
+    """(m,) the same for hits in doubt at one edge: finite if a second face shares the edge, as one of the two is hit.
 
-    The reference's robust mode keeps this promise at edges, though not at corners.
+    Embree's robust mode guarantees this at edges, not at corners.
     """
     edge, side = found.at.edge, found.at.side
     assert edge is not None and side is not None  # SceneModel.intersect fills them in
@@ -229,7 +227,7 @@ def _latest_at_edges(found: RayIntersections) -> np.ndarray:
 
 
 def near_ray_start(found: RayIntersections, d: np.ndarray, off: np.ndarray) -> np.ndarray:
-    """(m,) bool: meetings with surfaces that are no farther from the ray's start than that may be off."""
+    """(m,) bool: intersections with surfaces no farther from the ray's start than `off` (n,), its uncertainty."""
     with np.errstate(invalid="ignore"):
         height = (np.abs(found.at.t) - found.at.t_error) * np.abs(dot(found.at.n, d[found.ray]))
     near: np.ndarray = ~(height > off[found.ray])

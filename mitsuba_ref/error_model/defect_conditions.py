@@ -1,8 +1,8 @@
-"""Conditions under which Mitsuba 3.9.1 is known to be wrong: what is measured at a pixel, and thresholds on it.
+"""Conditions under which Mitsuba 3.9.1 is known to be wrong: measurements at a pixel, and thresholds on them.
 
-Each kind of primitive declares its own defects (`PrimitiveReference.known_defects`); those that several kinds share are
-here. The numbers are those of a catalogue of 77 hard cases of ray casting; only the ones that Mitsuba fails are used. A
-condition is so tight that a wrong image of an ordinary surface fulfils none.
+Each kind of primitive declares its own defects (`PrimitiveReference.known_defects`); those shared by several kinds are
+here. Their numbers are the rows of docs/edge-cases.md. The conditions are so tight that a wrong image of an ordinary
+surface meets none of them.
 """
 
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-# Rounding that is worse than the bounds of docs/method.md, yet rounding: what they allow when widened so much.
+# Errors up to this many times the bounds of docs/method.md still count as rounding, though worse than it should be.
 WIDENED_BOUNDS_FACTOR = 16.0
 
 NEARLY_EDGE_ON_COSINE = 2.0**-6  # |cos|, 0.9 degrees
@@ -24,28 +24,28 @@ ALONG_AXIS_SINE = 2.0**-6  # sine
 
 
 class DefectView(NamedTuple):
-    """Measurements that one kind of primitive makes of a ray and a t; the defaults fulfil no condition."""
+    """Measurements of a ray and a t at one primitive; the defaults meet no condition."""
 
     cosine: float = 1.0  # |cos| between the ray and the normal of a flat primitive
     slenderness: float = 1.0  # least height of a triangle over its longest edge
     axis_angle: float = 1.0  # sine of the angle between the ray and an axis
-    stretch: float = 1.0  # length of the ray's direction in object space
+    stretch: float = 1.0  # length of the direction in object space
     beyond_corners: bool = False  # t is beyond the farthest corner of a triangle, or before the nearest
     without_area: bool = False  # a triangle has no area, exactly
 
 
 @dataclass(frozen=True)
 class DefectFeatures:
-    """A pixel where the reference is wrong. Kinds are names of primitive kinds, such as Triangles; "" for a miss."""
+    """A pixel where the reference is wrong. Kinds are names of primitive kinds, such as "Triangles"; "" for a miss."""
 
-    ours: str  # kind that is hit, by exact arithmetic as by the caster
-    theirs: str  # kind of what the reference names
-    where: frozenset[str]  # of the members of the exact tie set
+    ours: str  # kind that is hit, exactly and by the caster
+    theirs: str  # kind that the reference names
+    where: frozenset[str]  # "inside", "edge" ... of the members of the exact tie set
     flags: frozenset[str]  # of the exact answer
     t: float  # of the reference, inf on a miss
-    # a primitive of the shape it names is hit at t = 0: exactly, or of a stand-in, up to its rounding
+    # a primitive of the named shape is hit at t = 0: exactly, or up to rounding for a stand-in
     at_zero: bool
-    # of the views of both sides' primitives: the least, but beyond_corners and without_area of the reference's alone
+    # the smaller of both sides' primitives; beyond_corners and without_area: of the reference's alone
     cosine: float
     beyond_corners: bool
     without_area: bool
@@ -55,7 +55,7 @@ class DefectFeatures:
     axis_angle: float
     stretch: float  # the larger of both
     nearly: bool  # bounds WIDENED_BOUNDS_FACTOR times as wide would allow the reference's answer
-    # its normal is no number, may be one of length 0 as far as rounding goes, and but for that it is `nearly`
+    # its normal is NaN where rounding allows one of length 0, and apart from that it is `nearly`
     normless: bool = False
 
     @property
@@ -64,7 +64,7 @@ class DefectFeatures:
 
     @property
     def missed(self) -> bool:
-        """The reference does not find what is there."""
+        """The reference does not name the kind that is hit."""
         return self.ours != "" and self.theirs != self.ours
 
 
@@ -73,12 +73,12 @@ class KnownDefect(NamedTuple):
 
     number: int
     name: str
-    priority: int  # of several whose conditions hold, the least is the pixel's
+    priority: int  # if several conditions hold, the defect with the lowest number here is reported
     subject: Literal["hit", "named", "either"]  # whether the kind is hit exactly, named by the reference, or either
     condition: Callable[[DefectFeatures], bool]
 
     def applies(self, kind: str, features: DefectFeatures) -> bool:
-        """Whether it explains the pixel, as a defect declared by this kind."""
+        """Whether this defect, declared by `kind`, explains the pixel."""
         kinds = {"hit": {features.ours}, "named": {features.theirs}, "either": features.kinds}[self.subject]
         return kind in kinds and self.condition(features)
 
@@ -86,8 +86,7 @@ class KnownDefect(NamedTuple):
 NAN_T = KnownDefect(27, "a t that is not a number, from a denormal slope", 0, "either", lambda m: m.t != m.t)
 STARTS_ON_FLAT = KnownDefect(
     30,
-    "a ray that starts on a flat surface, or on the patch for a plane, up to its rounding: Mitsuba reports a hit at "
-    "t = 0",
+    "a ray that starts on a flat surface, or within rounding of the patch for a plane: Mitsuba reports a hit at t = 0",
     1,
     "named",
     lambda m: m.at_zero and m.t == 0.0,
@@ -104,7 +103,7 @@ GRAZED_FLAT = KnownDefect(
 )
 STRETCHED = KnownDefect(
     8,
-    "a squashed ellipsoid: the ray's direction in object space is far from length 1, which Mitsuba takes it to be",
+    "a squashed ellipsoid: Mitsuba assumes a direction of length 1 in object space, which it is far from",
     15,
     "either",
     lambda m: m.stretch > SQUASHED_STRETCH and m.nearly,

@@ -1,4 +1,4 @@
-"""World-space transforms computed a second time: to_world from its definition, and helpers for expected numbers."""
+"""Independent computation of to_world transforms, and helpers for the packed numbers that follow from them."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
@@ -11,7 +11,7 @@ from mitsuba_ref.error_model.tolerances import K
 
 
 def compose_transform(steps: Sequence[Any]) -> np.ndarray:
-    """The 4x4 matrix of the steps of a to_world: the first one acts first."""
+    """The 4x4 matrix of the steps of a to_world; the first step acts first."""
     matrix = np.eye(4)
     for step in steps:
         matrix = _matrix(step) @ matrix
@@ -19,9 +19,9 @@ def compose_transform(steps: Sequence[Any]) -> np.ndarray:
 
 
 def transform_error_ratio(shape: Shape) -> float:
-    """|the caster's matrix - placement| over what float64 rounding of as many products allows; 1 is all of it.
+    """Largest difference between the caster's matrix and compose_transform, over its float64 error bound.
 
-    Each step of n adds K roundings of a row times a column, whose size is the product of the steps' magnitudes.
+    Each of n steps adds K roundings of a row times a column, whose size is the product of the steps' magnitudes.
     """
     expected = compose_transform(shape.to_world)
     size = np.eye(4)
@@ -50,7 +50,7 @@ def _affine(linear: np.ndarray, move: Any = (0.0, 0.0, 0.0)) -> np.ndarray:
 
 
 def _rotation(axis: np.ndarray, angle: float) -> np.ndarray:
-    """By the unit quaternion of half the angle."""
+    """Rotation matrix from the unit quaternion of half the angle."""
     w, v = np.cos(angle / 2.0), np.sin(angle / 2.0) * axis / np.linalg.norm(axis)
     cross = np.cross(np.eye(3), v)  # cross @ x = v cross x
     return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
@@ -63,21 +63,21 @@ def _look_at(origin: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarr
     return _affine(np.column_stack([left, np.cross(forward, left), forward]), origin)
 
 
-# Expected packed numbers: from the description and its matrix, in other formulas than the caster's. Both sides trace
-# the numbers that the caster packs, so no image shows an error in packing; this comparison does.
+# Expected packed numbers, from the description and its matrix by formulas other than the caster's. Both sides trace the
+# numbers that the caster packs, so no image shows an error of packing; this comparison does.
 
 
 class ExpectedNumbers(NamedTuple):
-    """Numbers as they were packed and as they should be, and the size of what was rounded on the way."""
+    """Packed numbers, the expected ones, and the magnitude that rounding on the way scales with."""
 
     what: str
     packed: np.ndarray
     expected: np.ndarray
     size: np.ndarray
-    rounded: bool = True  # False: it has to be these very numbers
+    rounded: bool = True  # False: the numbers must be equal
 
 
-# (description, its packed arrays) -> what has to hold
+# (description, its packed arrays) -> the numbers expected of them
 ExpectedPacking = Callable[[Any, Any], Iterator[ExpectedNumbers]]
 
 
@@ -88,7 +88,7 @@ def expected_point(shape: Any, what: str, packed: np.ndarray, p: np.ndarray) -> 
 
 
 def up_to_rounding(what: str, packed: Any, expected: Any) -> ExpectedNumbers:
-    """Up to one rounding of each number."""
+    """Numbers that may differ by one rounding each."""
     return ExpectedNumbers(what, np.asarray(packed), np.asarray(expected), np.abs(expected))
 
 
@@ -99,7 +99,7 @@ def exactly(what: str, packed: Any, expected: Any) -> ExpectedNumbers:
 
 
 def transformed_normals(matrix: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(normals (n, 3) in the world, size of their rounding): a normal is a cross product, and turns as one."""
+    """(normals (n, 3) in world space, size of their rounding): normals transform like cross products, by cofactors."""
     m = matrix[:3, :3] / np.abs(matrix[:3, :3]).max()
     cofactors = np.stack([np.cross(m[:, i - 2], m[:, i - 1]) for i in range(3)], axis=1)
     cofactors *= np.linalg.slogdet(m)[0]
@@ -111,11 +111,11 @@ def transformed_normals(matrix: np.ndarray, normals: np.ndarray) -> tuple[np.nda
     return unit(turned), size[:, None]
 
 
-NO_NORMAL = np.array([1.0, 0.0, 0.0])  # what Mitsuba gives a vertex without a face that has an area
+NO_NORMAL = np.array([1.0, 0.0, 0.0])  # Mitsuba's normal of a vertex all of whose faces have no area
 
 
 def angle_weighted_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Angle-weighted normals corner by corner, and the size of their rounding (inf where they cancel)."""
+    """Vertex normals weighted by face angles, and the size of their rounding (inf where they cancel)."""
     p = np.ldexp(vertices, -np.frexp(np.abs(vertices).max())[1])  # exact: differences cancel no rounding
     total, weight = np.zeros_like(p), np.zeros(len(p))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -135,6 +135,6 @@ def angle_weighted_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.
 
 
 def _scaled(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """a, as long as the product of both lengths: Kahan's angle is between vectors of equal lengths."""
+    """a scaled to |a| |b|: Kahan's formula for the angle needs vectors of equal lengths."""
     scaled: np.ndarray = a * norm(b)[:, None]
     return scaled

@@ -1,4 +1,4 @@
-"""Predicted intersections with error bounds for float32, and groups of pixels that share a rounding."""
+"""Predicted intersections with error bounds, the interface of error models, and groups of pixels by rounding."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -12,7 +12,7 @@ LARGEST_COORDINATE = 1.844e18
 
 
 class Intersections(NamedTuple):
-    """Rays and primitives, pairwise: m pairs, one root each. Errors are bounds on what the reference may be off."""
+    """One root of each of m pairs of a ray and a primitive. Errors bound how far off the judged side may be."""
 
     t: np.ndarray  # (m,) parameter of the intersection, lengths of d
     t_error: np.ndarray  # (m,) inf where float32 cannot resolve it
@@ -25,7 +25,7 @@ class Intersections(NamedTuple):
     p_error: np.ndarray  # (m,) bound on the position, scene units
     uv: np.ndarray  # (m, 3) uv as a point of the kind's UvSpace
     uv_error: np.ndarray  # (m,) bound on that point
-    edge: np.ndarray | None = None  # (m, 6) the end points of the one edge a triangle is not certain of, else NaN
+    edge: np.ndarray | None = None  # (m, 6) end points of the only edge that leaves a triangle in doubt, else NaN
     side: np.ndarray | None = None  # (m,) on which side of that edge the triangle lies, -1 or 1
 
     def take(self, rows: np.ndarray) -> "Intersections":
@@ -33,69 +33,69 @@ class Intersections(NamedTuple):
         return Intersections(*(a[rows] for a in self if a is not None))
 
 
-# (prims, k (m,), o (m, 3), d (m, 3), ku) -> intersections of primitive k[i] with ray i, one of these per root.
-# ku is K times the unit round-off of whoever is judged: KU for the reference, KU_OURS for a float64 caster.
+# (prims, k (m,), o (m, 3), d (m, 3), ku) -> for each root, the intersections of primitive k[i] with ray i.
+# ku is K times the unit round-off of the judged side: KU for the reference, KU_OURS for a float64 caster.
 IntersectFunction = Callable[[Any, np.ndarray, np.ndarray, np.ndarray, float], tuple[Intersections, ...]]
 
 
-# (prims, k (m,), uv (m, 2)) -> (m, 3); NaN where uv are none that the surface has
+# (prims, k (m,), uv (m, 2)) -> (m, 3); NaN for uv that the surface does not have
 UvPoints = Callable[[Any, np.ndarray, np.ndarray], np.ndarray]
 
 
 def plain_uv(_prims: Any, _k: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """(u, v, 0): parameters without seam and pole, which are compared as they are."""
+    """(u, v, 0): uv without seams or poles are compared as they are."""
     return stacked_columns(*uv.T, np.zeros(len(uv)))
 
 
 class UvSpace(NamedTuple):
-    """Where uv of one kind are compared: where neither a seam nor a pole of the parametrisation is a jump.
+    """Maps uv of one kind to points, so that seams and poles are no jumps.
 
-    u = 0 and u = 1 of a circle are one point of the plane, and at a pole of a sphere every u is the same point. So
-    distances have one bound everywhere, and uv differ from others that mean the same place by nothing.
+    u = 0 and u = 1 on a circle become one point of the plane, and at the pole of a sphere all u become one point. So
+    one bound on the distance holds everywhere, and uv that mean the same place differ by nothing.
     """
 
     subject: UvPoints = plain_uv
-    reference: UvPoints | None = plain_uv  # of the reference's uv, whose axes may be others; None: of another surface
+    reference: UvPoints | None = plain_uv  # for the reference's uv; None: they belong to a stand-in, and mean nothing
 
 
 class ErrorModel(NamedTuple):
     """The error model of one kind of primitive."""
 
-    intersect: IntersectFunction  # the reference's primitive, or what stands in for it
+    intersect: IntersectFunction  # the reference's primitive, or its stand-in
     bounds: Callable[[Any], tuple[np.ndarray, np.ndarray]]  # prims -> low, high corners (n, 3) of their boxes
     intersect_ours: IntersectFunction | None = None  # our own primitive, where the reference's is a stand-in
-    exact: ExactKind | None = None  # our own primitive in whole numbers, for the oracle
-    # arrays that stand in for it -> primitives that have an `exact`
+    exact: ExactKind | None = None  # exact arithmetic on our own primitive, for the oracle
+    # class of stand-in arrays -> function that expands them into primitives with an `exact`
     unfold: Mapping[type, ExpandStandIns] | None = None
     uv: UvSpace = UvSpace()
 
 
-# Many vectors (m, 3) lie column by column in memory: sums over three neighbours take NumPy four times as long, and
-# `np.cross` twelve times.
+# Large arrays of vectors (m, 3) are stored column by column: over three neighbours, sums take NumPy four times as long
+# and `np.cross` twelve times.
 
 
 def by_columns(rows: np.ndarray) -> np.ndarray:
-    """The same numbers, columns one after the other in memory."""
+    """The array in column-major order."""
     return np.asfortranarray(rows)
 
 
 def stacked_columns(*columns: np.ndarray) -> np.ndarray:
-    """(m, c) of columns (m,), one after the other in memory."""
+    """(m, c) array of columns (m,), in column-major order."""
     return np.stack(columns).T
 
 
 def any_of_columns(rows: np.ndarray) -> np.ndarray:
-    """(m,) bool: whether any of a few columns (m, c) is true; `any` over such an axis takes ten times as long."""
+    """(m,) bool: any of a few columns (m, c) is true. `any` over such an axis takes ten times as long."""
     return np.logical_or.reduce([*rows.T])
 
 
 def all_of_columns(rows: np.ndarray) -> np.ndarray:
-    """(m,) bool: whether all of a few columns (m, c) are."""
+    """(m,) bool: all of a few columns (m, c) are true."""
     return np.logical_and.reduce([*rows.T])
 
 
 def largest_of_columns(rows: np.ndarray) -> np.ndarray:
-    """(m,) the largest of a few numbers (m, c) >= 0 of each row; 0 of none, NaN where there is one."""
+    """(m,) largest of a few numbers >= 0 in each row (m, c); 0 without columns, NaN if any is NaN."""
     return np.maximum.reduce([np.zeros(len(rows)), *rows.T])
 
 
@@ -106,7 +106,7 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def ceil_log2(x: np.ndarray) -> np.ndarray:
-    """The least whole k with x <= 2^k, exactly, for finite x > 0; a logarithm would be rounded."""
+    """The smallest integer k with x <= 2^k, for finite x > 0; exact, where a logarithm would be rounded."""
     fraction, exponent = np.frexp(x)
     return np.asarray(exponent - (fraction == 0.5), np.int64)
 
@@ -128,13 +128,13 @@ def unit(a: np.ndarray) -> np.ndarray:
 
 
 def cross_permanent(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The cross product with every subtraction made an addition of magnitudes: what its rounding scales with."""
+    """Cross product with magnitudes added in place of subtractions: the size that its rounding scales with."""
     (ax, ay, az), (bx, by, bz) = np.abs(a).T, np.abs(b).T
     return stacked_columns(az * by + ay * bz, ax * bz + az * bx, ay * bx + ax * by)
 
 
 def row_groups(keys: np.ndarray) -> np.ndarray:
-    """(m,) for each row of keys (m, c) the number of its group of equal rows, in the order of the keys."""
+    """(m,) group numbers: equal rows of keys (m, c) form a group, numbered in the order of the keys."""
     order = np.lexsort(keys.T[::-1])  # sorts columns of numbers, where np.unique compares rows one by one
     ordered = keys[order]
     new = np.zeros(len(keys), np.int64)
@@ -151,21 +151,20 @@ def mat_vec_rows(m: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def finite_or_zero(t: np.ndarray, t_error: np.ndarray) -> np.ndarray:
-    """t, or 0 where it is NaN and its error infinite: a ray in a surface, edge-on."""
+    """t, or 0 where it is not finite and has no bound: a ray that lies in a flat surface."""
     return np.where(np.isinf(t_error) & ~np.isfinite(t), 0.0, t)
 
 
 def position_error(o: np.ndarray, d: np.ndarray, t: np.ndarray, t_error: np.ndarray, ku: float) -> np.ndarray:
-    """Bound on o + t d: t is off by its error, and the sum is rounded."""
+    """Bound on the error of o + t d, from that of t and from the rounding of the sum."""
     return norm(d) * t_error + ku * (norm(o) + np.abs(t) * norm(d))
 
 
-# Group keys of pixels that share one rounding of the reference (docs/method.md, "Bias").
-#
-# Means over such groups separate a bias from the roundings that a primitive's numbers suffer once, for all rays.
+# Keys of groups of pixels that share one rounding of the reference (docs/method.md, "Bias"). Means over such groups
+# separate a bias from roundings of a primitive's own numbers, which are the same for all rays.
 
 
-# Faces whose unit normals agree to this share are one group: parallel faces have the same differences of corners.
+# Faces whose unit normals agree to this are one group: parallel faces may have the same differences of corners.
 SAME_NORMAL_TOLERANCE = 2.0**-12
 
 # (prims, k (m,), n (m, 3), o (m, 3), d (m, 3)) -> (m, c) rows that are equal where pixels are of one group
@@ -173,29 +172,29 @@ GroupKey = Callable[[Any, np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.nd
 
 
 def by_normal(_prims: Any, _k: np.ndarray, n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
-    """Flat: what is rounded is the plane, and parallel ones may be rounded alike; so may mirror images be."""
+    """Group key of flat primitives: parallel planes, and mirror images of them, may be rounded alike."""
     key: np.ndarray = np.sort(np.round(np.abs(n) / SAME_NORMAL_TOLERANCE), axis=1)
     return key
 
 
 def by_matrix(prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
-    """Through a matrix: what is rounded is its inverse; a mirror image's has the same magnitudes."""
+    """Group key of primitives under a matrix: its inverse is rounded; mirror images have the same magnitudes."""
     key: np.ndarray = np.abs(prims.to_world[k].reshape(len(k), 9))
     return key
 
 
 def by_approach(prims: Any, k: np.ndarray, _n: np.ndarray, o: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Spheres are solved in float64, but from the point nearest to the centre, at a t that is rounded to float32."""
+    """Group key of spheres in the scalar variant: solved in float64, but from the closest approach, at a float32 t."""
     nearest: np.ndarray = dot(prims.center[k] - o, d) / dot(d, d)
     return nearest.astype(np.float32)[:, None]
 
 
 def by_center(prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
-    """Spheres in float32 throughout, by the LLVM variant: what is rounded is the centre relative to the origin."""
+    """Group key of spheres in the LLVM variant: float32 throughout, so the centre relative to the origin is rounded."""
     center: np.ndarray = prims.center[k]
     return center
 
 
 def single_group(_prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
-    """One group: for kinds that declare no shared rounding, of which no bias is tested."""
+    """All pixels in one group: for kinds that declare no shared rounding; no bias is tested for them."""
     return np.zeros((len(k), 1))

@@ -1,6 +1,6 @@
-"""Lambertian radiance of a light with error bounds of float32, and shadow rays (docs/method.md, "Diffuse").
+"""Lambertian radiance with error bounds, and which shadow rays may be blocked (docs/method.md, "Diffuse", "Shadows").
 
-Written from the lights' definitions a second time: L = reflectance / pi * cosine * irradiance. Below it, shadows.
+An independent implementation of L = reflectance / pi * cosine * irradiance.
 """
 
 import itertools
@@ -14,19 +14,19 @@ from mitsuba_ref.error_model.bracket import Bracket
 from mitsuba_ref.error_model.intersections import Intersections, dot, largest_of_columns, norm
 from mitsuba_ref.error_model.tolerances import KU_OURS, U32
 
-# Where the direction to a light is known to no better than this, the light's value is not known at all.
+# If the direction to a light is no better known than this, the light's value has no bound.
 LARGEST_DIRECTION_ERROR = 0.5
 
 
 class Materials(NamedTuple):
-    """Of each shape."""
+    """Materials of all shapes."""
 
     reflectance: np.ndarray  # (shapes, 3)
     two_sided: np.ndarray  # (shapes,) bool
 
 
 class ShadingPoints(NamedTuple):
-    """Pixels that hit: positions, directions of their rays, and the bounds there."""
+    """Positions of m hits, directions of their rays, their shapes, and the error bounds there."""
 
     p: np.ndarray  # (m, 3)
     d: np.ndarray  # (m, 3)
@@ -35,18 +35,18 @@ class ShadingPoints(NamedTuple):
 
 
 class LightContribution(NamedTuple):
-    """One light at m pixels, unshadowed."""
+    """Radiance from one light at m pixels, without shadows."""
 
     radiance: np.ndarray  # (m, 3)
     error: np.ndarray  # (m, 3)
-    either_side: np.ndarray  # (m, 3) radiance if the side that faces the light faces the ray
-    to_light: np.ndarray  # (m, 3) from p; of unit length for a light without a place
-    reach: np.ndarray  # (m,) 1 or inf: how far the light is, in lengths of to_light
+    either_side: np.ndarray  # (m, 3) radiance if the lit side faces the ray
+    to_light: np.ndarray  # (m, 3) from p; of unit length for a directional light
+    reach: np.ndarray  # (m,) distance of the light in lengths of to_light: 1 or inf
     doubtful: np.ndarray  # (m,) bool: so near grazing that either face may be the visible one
 
 
 def light_contribution(materials: Materials, light: Any, hit: ShadingPoints, ku: float) -> LightContribution:
-    """Radiance from `light`, with the error that errors of position and shading normal bring about."""
+    """Radiance from `light`, with the error that follows from errors of the position and of the shading normal."""
     reflectance, two_sided = (each[hit.shape] for each in materials)
     to_light, reach = direction_to_light(light, hit.p)
     distance = norm(to_light)
@@ -71,7 +71,7 @@ def light_contribution(materials: Materials, light: Any, hit: ShadingPoints, ku:
 
 
 def ambient_radiance(lights: Sequence[Any]) -> np.ndarray:
-    """(3,) of all ambient ones among the lights."""
+    """(3,) total radiance of the ambient lights."""
     total = np.zeros(3)
     for light in lights:
         if light.type == "ambient":
@@ -80,7 +80,7 @@ def ambient_radiance(lights: Sequence[Any]) -> np.ndarray:
 
 
 def direction_to_light(light: Any, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """From points p (m, 3): directions to the light (m, 3), and how far it is in lengths of them (m,)."""
+    """Directions (m, 3) from p (m, 3) to the light, and its distance (m,) in lengths of them."""
     if light.type == "point":
         return np.array(light.position) - p, np.ones(len(p))
     direction = np.array(light.direction)
@@ -93,16 +93,16 @@ def _flux(light: Any, distance: np.ndarray) -> np.ndarray:
     return np.tile(np.array(light.irradiance), (len(distance), 1))
 
 
-# A sum of lights, some of which may be lit or not: does any choice that is allowed give the value at hand?
+# ---- sums of lights, some of which may be lit or shadowed: the allowed combination that fits best
 
 
-# So many lights in doubt at one pixel are tried in all 2^8 combinations; of more, the rest stay as they are, which
-# only makes the verdict stricter.
+# Up to so many doubtful lights at one pixel are tried in all 2^8 combinations. Further ones keep their first value,
+# which only makes the verdict stricter.
 MAX_UNCERTAIN_LIGHTS = 8
 
 
 class LightChoices(NamedTuple):
-    """What each light gives at m pixels: the first value, or, where it is in doubt, perhaps the second."""
+    """Radiance of each light at m pixels: the first value or, where the light is in doubt, either of two."""
 
     first: np.ndarray  # (lights, m, 3)
     first_error: np.ndarray  # (lights, m, 3)
@@ -112,12 +112,12 @@ class LightChoices(NamedTuple):
 
 
 def certain_lights(value: np.ndarray, error: np.ndarray) -> LightChoices:
-    """Lights (lights, m, 3) none of which is in doubt."""
+    """LightChoices (lights, m, 3) without doubt."""
     return LightChoices(value, error, value, error, np.zeros(value.shape[:2], bool))
 
 
 def smallest_error_ratio(ours: np.ndarray, fixed: np.ndarray, choices: LightChoices, ku: float) -> np.ndarray:
-    """(m,) difference between ours (m, 3) and fixed plus lights, over its bound, for the choice that fits best."""
+    """(m,) smallest ratio of error to bound, over all choices of lights, of ours (m, 3) against fixed plus lights."""
     sorted_ = _uncertain_lights_first(choices) if choices.doubt.any() else choices
     count = min(int(choices.doubt.sum(axis=0).max(initial=0)), MAX_UNCERTAIN_LIGHTS)
     best = np.full(len(ours), np.inf)
@@ -129,7 +129,7 @@ def smallest_error_ratio(ours: np.ndarray, fixed: np.ndarray, choices: LightChoi
 
 
 def _uncertain_lights_first(choices: LightChoices) -> LightChoices:
-    """The lights of each pixel in another order: those in doubt come first."""
+    """The lights of each pixel reordered, doubtful ones first."""
     order = np.argsort(~choices.doubt, axis=0, kind="stable")
     first, first_error, second, second_error = (np.take_along_axis(a, order[..., None], axis=0) for a in choices[:4])
     return LightChoices(first, first_error, second, second_error, np.take_along_axis(choices.doubt, order, axis=0))
@@ -146,20 +146,20 @@ def _share(ours: np.ndarray, fixed: np.ndarray, choices: LightChoices, switched:
     return largest_of_columns(share)
 
 
-# Lit or in shadow: which of the two each side may answer (docs/method.md, "Shadows").
+# ---- shadows: whether each side may answer "lit", "in shadow" or both (docs/method.md, "Shadows")
 #
-# Mitsuba starts its shadow rays off the surface and stops them short of the light; a feature thinner than that is lit
-# through. So it is judged along its own ray, as its source has it, and ours along the straight way to the light.
+# Mitsuba starts shadow rays off the surface and ends them short of the light, so it misses blockers closer than that.
+# It is therefore judged along the ray that its source code traces, and ours along the segment to the light.
 
 
-# Mitsuba 3.9.1, math.h: how far off the surface a ray starts, in units of 1 + max |p|, and by which share of its
-# length a ray to a light stops short.
+# Mitsuba 3.9.1, math.h: distance of a ray's start from the surface, in units of 1 + max |p|, and the fraction of its
+# length by which a shadow ray ends short of the light.
 RAY_EPSILON = 1500 * U32
 SHADOW_EPSILON = 10 * RAY_EPSILON
 
 
 class ShadowRays(NamedTuple):
-    """Shadow rays."""
+    """Shadow rays o + t d, 0 < t < t_max."""
 
     o: np.ndarray  # (m, 3)
     d: np.ndarray  # (m, 3)
@@ -167,7 +167,7 @@ class ShadowRays(NamedTuple):
 
 
 def reference_shadow_rays(hit: ShadingPoints, lit: LightContribution, p: np.ndarray, n: np.ndarray) -> ShadowRays:
-    """From Mitsuba's own p (m, 3), moved along its normal n to the light's side, to just before the light."""
+    """Mitsuba's shadow rays: from its p (m, 3), moved along its n (m, 3) to the lit side, to just before the light."""
     near = np.isfinite(lit.reach)
     way = np.where(near[:, None], hit.p + lit.to_light - p, lit.to_light)
     offset = (1.0 + largest_of_columns(np.abs(p))) * RAY_EPSILON
@@ -179,7 +179,7 @@ def reference_shadow_rays(hit: ShadingPoints, lit: LightContribution, p: np.ndar
 def reference_visibility(
     bracket: Bracket, hit: ShadingPoints, lit: LightContribution, p: np.ndarray, n: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(may be lit, may be in shadow), (m,) bool each; p, n: Mitsuba's position and normal (both are checked, too)."""
+    """(may be lit, may be in shadow), (m,) bool each. p, n: Mitsuba's positions and normals, which are checked too."""
     possible, certain = bracket.blocked(*reference_shadow_rays(hit, lit, p, n))
     return ~certain, possible
 
@@ -187,9 +187,9 @@ def reference_visibility(
 def our_visibility(
     bracket: Bracket, hit: ShadingPoints, lit: LightContribution, prim: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The same for ours, from the point that was hit; the primitive there does not shadow itself at its start.
+    """(may be lit, may be in shadow) for ours, from the hit point; prim (m,) does not shadow itself at the ray's start.
 
-    That point is o + t d, so it lies off the surface by what the sum rounds.
+    The hit point o + t d lies off the surface by the rounding of that sum.
     """
     off = KU_OURS * (norm(hit.p) + norm(hit.d) * np.abs(hit.at.t))
     possible, certain = bracket.blocked(hit.p, lit.to_light, lit.reach, leaving=(prim, off))

@@ -1,7 +1,7 @@
-"""The scene as it is judged: its primitives in float32, what stands in for them, their error models and boxes.
+"""The scene as the judge sees it: primitives in float32, stand-ins, error models, and a broad phase for rays.
 
-The search for boxes near a ray shares no code with the BVH that it judges. It may give too many primitives; one that a
-ray within rounding hits is never left out, unless it is a sliver thinner than BOX_MARGIN.
+The broad phase shares no code with the BVH that it judges. It may return too many primitives, but never leaves out one
+that a ray hits up to rounding, except for slivers thinner than BOX_MARGIN.
 """
 
 from collections.abc import Iterator
@@ -15,11 +15,18 @@ from caster.geometry.packing import Packed
 from mitsuba_ref.error_model.intersections import ErrorModel, Intersections, norm, unit
 from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.oracle.interface import lowest_identical
-from mitsuba_ref.oracle.oracle import BRANCHING_FACTOR, BoxLevel, box_levels, columns_in_order, whole_groups
+from mitsuba_ref.oracle.oracle import (
+    BRANCHING_FACTOR,
+    BoxLevel,
+    box_levels,
+    columns_in_order,
+    morton_order,
+    whole_groups,
+)
 
 
 class PairIntersections(NamedTuple):
-    """Intersections of several pairs, all roots: row i belongs to pair[i]."""
+    """All intersections of some pairs of a ray and a primitive: row i belongs to pair[i]."""
 
     pair: np.ndarray  # (m,) index into the requested pairs
     at: Intersections
@@ -27,15 +34,18 @@ class PairIntersections(NamedTuple):
 
 @dataclass(frozen=True)
 class SceneModel:
-    """Primitives are numbered as in `packed`."""
+    """The primitives of a scene, numbered as in `packed`, with their error models."""
 
     packed: Packed
-    parts: tuple[Any, ...]  # each shape's arrays, stand-ins in place
+    parts: tuple[Any, ...]  # arrays of each shape, or of its stand-in
     kinds: tuple[Any, ...]  # the same, joined by kind
     models: tuple[ErrorModel, ...]  # one for each kind
 
     def intersect(self, prim: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float, *, ours: bool) -> PairIntersections:
-        """Primitive prim[i] (m,) with ray i (m, 3), (m, 3), for each i; ours: as our caster has it."""
+        """Intersections of primitive prim[i] (m,) with the ray o[i], d[i] (m, 3), with error bounds.
+
+        ku: K times the unit round-off. ours: of our own primitives, not of stand-ins.
+        """
         kind, k = self._kinds_of(prim)
         pairs, found = [], []
         for place, model in enumerate(self.models):
@@ -54,14 +64,14 @@ class SceneModel:
         )
 
     def _kinds_of(self, prim: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(m,) the kind of each primitive, and its number in the kind's arrays."""
+        """(kind (m,), row in the kind's arrays (m,)) of each primitive."""
         shape = self.packed.shape_of(prim)
         return self.packed.kind_of[shape], prim - self.packed.first[shape] + self.packed.start[shape]
 
     def uv_points(self, prim: np.ndarray, uv: np.ndarray, *, ours: bool) -> np.ndarray:
-        """(n, 3) uv (n, 2) of primitive prim[i] in its kind's UvSpace. ours: the subject's, not the reference's.
+        """(n, 3) points that uv (n, 2) of primitive prim[i] map to in its kind's UvSpace.
 
-        0 where prim is -1, and where the reference has uv of another surface.
+        ours: uv of the subject, not of the reference. 0 where prim is -1, or where the reference traces a stand-in.
         """
         points, hits = np.zeros((len(prim), 3)), np.flatnonzero(prim >= 0)
         kind, k = self._kinds_of(prim[hits])
@@ -73,7 +83,7 @@ class SceneModel:
         return points
 
     def reference_has_uv(self, prim: np.ndarray) -> np.ndarray:
-        """(n,) bool: the reference gives uv of primitive prim[i], and not of what stands in for it."""
+        """(n,) bool: the reference has uv of primitive prim[i] itself, not of a stand-in."""
         has = np.array([model.uv.reference is not None for model in self.models], bool)
         found: np.ndarray = has[self._kinds_of(np.maximum(prim, 0))[0]] if len(has) else prim >= 0
         return found
@@ -88,12 +98,12 @@ class SceneModel:
 
     @cached_property
     def nearby(self) -> "BroadPhase":
-        """The boxes as rays look for them: one for all brackets of the model."""
+        """Broad phase of all primitives, shared by all brackets of the model."""
         return BroadPhase(*self.boxes)
 
     @cached_property
     def identical(self) -> np.ndarray | None:
-        """(n,) of each primitive the lowest of its shape with the same bits, shading included; None if all differ."""
+        """(n,) lowest primitive of the same shape with the same bits, shading included; None if all differ."""
         found, different = np.arange(self.packed.first[-1]), True
         for place, kind in enumerate(self.packed.kinds):
             shape = self.packed.shape_of(kind.ids)
@@ -104,7 +114,7 @@ class SceneModel:
 
     @cached_property
     def distinct(self) -> "BroadPhase":
-        """`nearby`, with one of identical primitives alone: what holds of the others, too."""
+        """Broad phase of one of each set of identical primitives, which stands for the others."""
         if self.identical is None:
             return self.nearby
         rows = np.flatnonzero(self.identical == np.arange(len(self.identical)))
@@ -112,7 +122,7 @@ class SceneModel:
         return BroadPhase(low[rows], high[rows], rows)
 
     def has_twins(self, prim: np.ndarray) -> np.ndarray:
-        """(m,) bool: another primitive of the shape of prim[i] is identical to it."""
+        """(m,) bool: the shape of prim[i] has another primitive identical to it."""
         if self.identical is None:
             return np.zeros(len(prim), bool)
         several: np.ndarray = np.bincount(self.identical, minlength=len(self.identical)) > 1
@@ -120,7 +130,7 @@ class SceneModel:
 
 
 def with_edges(at: Intersections) -> Intersections:
-    """Arrays of edges for kinds without edges, so that all kinds concatenate."""
+    """The same with `edge` and `side` filled in for kinds without edges, so that all kinds concatenate."""
     if at.edge is not None:
         return at
     return at._replace(edge=np.full((len(at.t), 6), np.nan), side=np.zeros(len(at.t)))
@@ -132,38 +142,40 @@ def no_intersections() -> Intersections:
     return Intersections(none, none, rows, none, rows, none, flags, flags, none, rows, none, edge, none)
 
 
-# How much boxes are grown, as a share of |o| + their farthest corner. The bound of an edge function, divided by the
-# length of the edge, is 6 to 8 KU of that (mitsuba_ref/shapes/surface_errors.py); of a quadric 2 to 4. What lies
-# beyond is at best possible (a certain one is passed by the ray itself), and leaving it out takes an excuse away from
-# both sides.
+# Growth of boxes, as a fraction of |o| + their farthest corner. The bound of an edge function, divided by the length of
+# the edge, is 6 to 8 KU of that (mitsuba_ref/shapes/surface_errors.py); of a quadric 2 to 4. Primitives beyond it are
+# at best possible hits (the ray itself passes the box of a certain one); leaving them out excuses less on either side.
 BOX_MARGIN = 16 * KU
 
-BOX_TESTS_PER_BATCH = 1 << 21  # rays times boxes that are held at once
-GROUPS_PER_CHUNK = 1 << 10  # compared with rays at a time: temporary arrays of 256 kB stay in a cache
-BOXES_PER_CHUNK = 1 << 16  # of an order that is computed: its temporaries stay in a cache
-BOXES_PER_RAY = 64 * BRANCHING_FACTOR  # that a ray is expected to be tested with in one level, at most
+BOX_TESTS_PER_BATCH = 1 << 21  # pairs of a ray and a box in memory at once
+GROUPS_PER_CHUNK = 1 << 10  # groups tested at once: temporary arrays of 256 kB stay in a cache
+BOXES_PER_CHUNK = 1 << 16  # boxes processed at once: temporary arrays stay in a cache
+BOXES_PER_RAY = 64 * BRANCHING_FACTOR  # expected number of box tests of a ray in one level, at most
 
 
 class BroadPhase:
-    """Boxes of primitives (n, 3), (n, 3), in boxes of boxes by where they are."""
+    """A tree of the boxes of primitives, in Morton order."""
 
     def __init__(self, low: np.ndarray, high: np.ndarray, prims: np.ndarray | None = None):
-        """prims: (n,) their primitives, if not 0 to n - 1."""
-        order = morton_order(low, high)
+        """low, high: corners (n, 3). prims: (n,) numbers of the primitives, if not 0 to n - 1."""
+        bounded = np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
+        boxed = np.flatnonzero(bounded)
+        ends = (low, high) if bounded.all() else (low[boxed], high[boxed])
+        order = np.append(boxed[morton_order(*ends)], np.flatnonzero(~bounded))
         self.order = order if prims is None else prims[order]
         whole = whole_groups(order)
-        ends = grown(columns_in_order(low, whole), columns_in_order(high, whole))
-        self.levels = box_levels(*ends, len(order))
+        sides = grown(columns_in_order(low, whole), columns_in_order(high, whole))
+        self.levels = box_levels(*sides, len(order))
 
     def pairs(self, o: np.ndarray, d: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """(ray, primitive) for rays (n, 3), (n, 3), in pieces; each ray is in one piece only."""
+        """Pairs (rays (m,), primitives (m,)) near the rays o, d (n, 3), in batches; each ray is in one batch only."""
         step = BOX_TESTS_PER_BATCH // BOXES_PER_RAY
         for start in range(0, len(o), step):
             ray, prim = self._pairs_of(BoxRays(o[start : start + step], d[start : start + step]))
             yield ray + start, prim
 
     def _pairs_of(self, rays: "BoxRays") -> tuple[np.ndarray, np.ndarray]:
-        """Level by level: a ray that passes a box passes the box of its group, by the same rounded steps."""
+        """A ray that passes a box also passes the box of its group, as both are tested by the same rounded steps."""
         ray = np.arange(rays.count if self.levels else 0)
         box = np.zeros(len(ray), np.int64)
         for level in reversed(self.levels):
@@ -172,7 +184,7 @@ class BroadPhase:
 
 
 def grown(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes (3, n), grown by BOX_MARGIN of their farthest corner, in place."""
+    """Grow boxes (3, n) in place by BOX_MARGIN of their farthest corner."""
     for start in range(0, low.shape[1], BOXES_PER_CHUNK):
         below, above = (a[:, start : start + BOXES_PER_CHUNK] for a in (low, high))
         margin = BOX_MARGIN * _largest(np.maximum(np.abs(below), np.abs(above)))
@@ -182,7 +194,7 @@ def grown(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 class BoxRays:
-    """Rays o + t d, t >= 0, as they are compared with many boxes."""
+    """Rays o + t d, t >= 0, prepared for tests against many boxes."""
 
     def __init__(self, o: np.ndarray, d: np.ndarray):
         """o, d: (n, 3)."""
@@ -213,68 +225,43 @@ class BoxRays:
 
 
 def _largest(columns: np.ndarray) -> np.ndarray:
-    """The largest of three components (3, ...)."""
+    """Largest of three components (3, ...)."""
     found: np.ndarray = np.maximum(np.maximum(columns[0], columns[1]), columns[2])
     return found
 
 
-def morton_order(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The boxes in Morton order of their centres, those without bounds last."""
-    bounded = np.flatnonzero(np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1))
-    code = np.full(len(low), np.iinfo(np.int64).max)
-    pieces = [bounded[start : start + BOXES_PER_CHUNK] for start in range(0, len(bounded), BOXES_PER_CHUNK)]
-    if pieces:
-        centres = (0.5 * low[rows] + 0.5 * high[rows] for rows in pieces)
-        ends = np.array([(centre.min(axis=0), centre.max(axis=0)) for centre in centres])
-        start = ends[:, 0].min(axis=0)
-        size = ends[:, 1].max(axis=0) - start
-    for rows in pieces:
-        away = (0.5 * low[rows] + 0.5 * high[rows]) - start
-        cell = (away / np.where(size > 0.0, size, 1.0) * 1023.0).astype(np.int64)
-        code[rows] = sum(spread_bits(cell[:, axis]) << axis for axis in range(3))
-    return np.argsort(code, kind="stable")
-
-
-def spread_bits(x: np.ndarray) -> np.ndarray:
-    """The ten bits of each number, with two zeros between them."""
-    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
-        x = (x | (x << shift)) & mask
-    return x
-
-
 RAYS_PER_RING, RING_RADII = 8, (1.0,)
-REFINED_RAYS_PER_RING, REFINED_RING_RADII = 16, (0.4, 0.7, 1.0)  # where an answer is disputed
-# A primitive may lie between the nine rays if it is no larger than a few of the circles that they stand for: which of
-# several such is hit cannot be decided.
+REFINED_RAYS_PER_RING, REFINED_RING_RADII = 16, (0.4, 0.7, 1.0)  # at disputed pixels
+# A primitive no larger than this many circles of rays may lie between the nine rays, so that hits are undecidable.
 UNRESOLVED_SIZE_IN_CIRCLES = 8.0
 
 
 @dataclass(frozen=True)
 class UncertainRaysModel(SceneModel):
-    """The model of rays that are known up to a turn and a shift, of a subject with a camera of its own.
+    """The model for a subject with a camera of its own, whose rays are known up to a small turn and shift.
 
-    Where its geometry is that of the scene's file as well, in numbers that nobody rounded to float32, each intersection
-    is widened to enclose those with these primitives, too.
+    The subject's rays differ from ours by no more than the rounding of a camera. Eight rays around ours, on a circle
+    whose octagon encloses all these rays, bound what they may hit: an edge that one of them crosses has been crossed by
+    one of the eight, and between them t and normals vary steadily. So each intersection is widened to enclose those of
+    all nine rays, which needs no formula per shape. At disputed pixels 48 rays replace the eight, since a corner may
+    fall between these. See docs/method.md, "Candidates".
 
-    Such rays differ from ours by no more than the rounding of a camera. All that they may intersect lies within what
-    eight rays around ours intersect, on a circle so wide that their octagon holds every one of them: an edge that one
-    of them crosses, one of the eight has crossed, and between them t and normals change steadily. So each intersection
-    is widened to enclose those of all nine rays, which needs no formula per shape. Where an answer is disputed, 48
-    rays replace the eight, since a corner may fall between them. See docs/method.md, "Candidates".
+    If the subject traces the primitives of the scene file, not rounded to float32, each intersection is widened to
+    enclose those with these primitives as well.
     """
 
-    turn: float = 0.0  # of the direction, as a share of its length
-    shift: float = 0.0  # of the origin, scene units
-    as_described: SceneModel | None = None  # the primitives in float64, where they are others
+    turn: float = 0.0  # change of the direction, as a fraction of its length
+    shift: float = 0.0  # change of the origin, scene units
+    as_described: SceneModel | None = None  # the primitives in float64, if they differ
     around: int = RAYS_PER_RING  # rays on each ring
-    rings: tuple[float, ...] = RING_RADII  # shares of the circle that holds all rays there may be
+    rings: tuple[float, ...] = RING_RADII  # radii, as fractions of the circle that encloses all possible rays
 
     def refined(self) -> "UncertainRaysModel":
-        """The same with more rays, for the few pixels that are disputed."""
+        """The same model with more rays, for the few disputed pixels."""
         return replace(self, around=REFINED_RAYS_PER_RING, rings=REFINED_RING_RADII)
 
     def intersect(self, prim: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float, *, ours: bool) -> PairIntersections:
-        """Each intersection, widened by those of neighbouring rays with the same primitive and root."""
+        """As SceneModel.intersect, widened to enclose the intersections of neighbouring rays."""
         met = super().intersect(prim, o, d, ku, ours=ours)
         found, described = [met.at], self.as_described
         if described:
@@ -284,11 +271,11 @@ class UncertainRaysModel(SceneModel):
             found.append(super().intersect(prim, *ray, ku, ours=ours).at)
             if described:
                 found.append(described.intersect(prim, *ray, ku, ours=ours).at)
-        # A shift along the ray moves no point, but t by as much.
+        # A shift along the ray moves no point, but changes t.
         return PairIntersections(met.pair, enclosing_intersections(found, self.shift / norm(d)[met.pair]))
 
     def is_unresolved(self, prim: np.ndarray, d: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """(m,) bool: primitive prim[i], -1 for none, is so small that the ray with d[i] may pass it unseen at t[i]."""
+        """(m,) bool: prim[i] (-1: none) is so small at t[i] that the nine rays around d[i] may all miss it."""
         low, high = (corner[np.maximum(prim, 0)] for corner in self.boxes)
         with np.errstate(invalid="ignore"):
             circle = self.shift + self.turn * np.abs(t) * norm(d)
@@ -299,7 +286,7 @@ class UncertainRaysModel(SceneModel):
         return (self.turn * norm(d))[:, None]
 
     def _around(self, d: np.ndarray) -> Iterator[np.ndarray]:
-        """Ways to go across each ray, (m, 3) each: corners of polygons around the rings, of radius 1 and less."""
+        """Offsets (m, 3) across the rays: corners of polygons around the rings."""
         along = unit(d)
         other = np.eye(3)[np.argmin(np.abs(along), axis=1)]
         right = unit(np.cross(along, other))
@@ -311,7 +298,7 @@ class UncertainRaysModel(SceneModel):
 
 
 def enclosing_intersections(found: list[Intersections], along: np.ndarray) -> Intersections:
-    """The first of these meetings of the same pairs and roots, made to hold all of them. along: (m,) more for t."""
+    """The first of several intersections of the same pairs, widened to enclose all. along: (m,) added to t_error."""
     middle = with_edges(found[0])
     with np.errstate(invalid="ignore"):
         off = [np.abs(at.t - middle.t) + at.t_error + along for at in found]
@@ -323,7 +310,7 @@ def enclosing_intersections(found: list[Intersections], along: np.ndarray) -> In
     edge, side = middle.edge, middle.side
     assert edge is not None and side is not None  # with_edges
     edge, side = edge.copy(), side.copy()
-    steady = np.all([at.certain | (_side(at) != 0.0) for at in found], axis=0)  # nowhere is more than one edge in doubt
+    steady = np.all([at.certain | (_side(at) != 0.0) for at in found], axis=0)  # at most one edge is ever in doubt
     for at in map(with_edges, found[1:]):
         assert at.edge is not None and at.side is not None
         take = (side == 0.0) & (at.side != 0.0)

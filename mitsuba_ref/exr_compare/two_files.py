@@ -9,7 +9,7 @@ states which it was.
 import os
 import shlex
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from mitsuba_ref.exr_compare.comparison_result import (
     failing_groups,
     result_messages,
 )
+from mitsuba_ref.exr_compare.conventions import Reading, Unclear, check_maps, hints, scene_in, to_our_conventions
 from mitsuba_ref.exr_compare.exr_pair import (
     LAYERS,
     SCENE_HASH,
@@ -46,7 +47,6 @@ from mitsuba_ref.exr_compare.exr_pair import (
     size_of,
     stacked,
 )
-from mitsuba_ref.exr_compare.foreign_files import Reading, to_our_conventions
 
 __all__ = ["FileComparison", "Reading", "Tolerances", "compare_exr"]
 
@@ -78,25 +78,62 @@ def compare_exr(
 
     diff: where to write ours - reference under the same channel names, float32, and the uint32 channel
     `class.I` (codes in its provenance); not written when the files are not comparable.
-    reading: how to interpret files of other programs, where their numbers do not decide.
+    reading: how to interpret files of other programs.
     Raises FileMissing or UnreadableExr for an input, OutputError for diff, SceneError for an `ignore` that
     names nothing or a diff that would overwrite an input.
     """
-    tolerances = tolerances or Tolerances()
-    a, b = read_exr(ours), read_exr(reference)
+    reading, names = reading or Reading(), (str(ours), str(reference))
+    files = [read_exr(ours), read_exr(reference)]
     if diff is not None and _same_file(diff, (ours, reference)):
         raise SceneError(f"{diff}: the difference would overwrite an image it compares; give another name")
-    a, b, stated, alone, unclear = to_our_conventions(a, b, reading or Reading())
+    check_maps(reading.maps, *(exr.channels for exr in files))
+    converted, stated = list[Exr](), list[str]()
+    for who, exr, other in zip(SIDES, files, files[::-1], strict=True):
+        try:
+            found, steps = to_our_conventions(exr, reading, [scene_in(other)])
+        except Unclear as question:
+            return _not_comparable(_blank(names, stated=tuple(stated)), [f"{who}: {question}"])
+        converted.append(found)
+        stated += [f"{who}: {step}" for step in steps]
+    a, b = converted
+    foreign = [i for i in (0, 1) if converted[i] is not files[i]]
+    alone = sorted(a.channels.keys() ^ b.channels.keys()) if foreign else []
+    stated += [f"not compared, since only one file has them: {', '.join(alone)}"] if alone else []
+    result = compare_images(a, b, tolerances, names=names, stated=tuple(stated), left_out=alone, diff=diff)
+    if result.exit_code != DIFFERENCES:
+        return result
+    more = [f"hint:   {SIDES[i]}: {hint}" for i in foreign for hint in hints(converted[i], converted[1 - i], reading)]
+    return result.model_copy(update={"messages": (*result.messages, *more)})
+
+
+SIDES = ("ours", "the reference")
+
+
+def _blank(names: tuple[str, str], **more: Any) -> FileComparison:
+    return FileComparison(ours=names[0], reference=names[1], **more)
+
+
+def compare_images(
+    a: Exr,
+    b: Exr,
+    tolerances: Tolerances | None = None,
+    *,
+    names: tuple[str, str] = SIDES,
+    stated: tuple[str, ...] = (),
+    left_out: Iterable[str] = (),
+    diff: FileName | None = None,
+) -> FileComparison:
+    """Judge every pixel of two images in our conventions. names: of the images; left_out: channels not compared."""
+    tolerances = tolerances or Tolerances()
     ignored = ignored_channels(a, b, tolerances.ignore)
-    blank = FileComparison(ours=str(ours), reference=str(reference), ignored=ignored, stated=stated)
-    left_out = (*ignored, *alone)
-    reasons = unclear or incompatibilities(a, b, left_out, other_scene=tolerances.other_scene)
-    if reasons:
+    blank = _blank(names, ignored=ignored, stated=stated)
+    left_out = {*ignored, *left_out}
+    if reasons := incompatibilities(a, b, left_out, other_scene=tolerances.other_scene):
         return _not_comparable(blank, reasons)
     pair = ExrPair.of(a, b, [name for name in a.channels if name not in left_out])
     judged = _judged(pair, tolerances)
     if diff is not None:
-        write_difference(diff, pair, judged, blank.ours, blank.reference)
+        write_difference(diff, pair, judged, *names)
     counted = _counted(blank, pair, judged, tolerances)
     notes = [*_half_notes(pair), *_scene_notes(pair)]
     messages = result_messages(counted, len(pair.names), _next_steps(counted, pair, diff), notes)
@@ -322,8 +359,7 @@ def judge_hits(pair: ExrPair) -> Judged:
         broken = ~np.isfinite(a[..., 0]) | ~np.isfinite(b[..., 0])
         differ = (differ | (a != b)[..., 0]) & ~broken
     worst = _worst(pair, (pair.mask_channel,), a, b, np.zeros_like(b), (differ | broken)[..., None])
-    counts = _counts(pair, differ, broken)
-    return Judged(_group("hit", (pair.mask_channel,), "exact", counts, worst), differ, broken)
+    return _judgement(pair, "hit", (pair.mask_channel,), "exact", differ, broken, worst)
 
 
 def judge(pair: ExrPair, group: str, names: tuple[str, ...], tol: Tolerances) -> Judged:
@@ -338,23 +374,16 @@ def judge(pair: ExrPair, group: str, names: tuple[str, ...], tol: Tolerances) ->
         within = (np.abs(a - b) <= bound) | (far_a & far_b)
     differ = ~within & ~broken & same  # "not within", so that a NaN can never pass as "not beyond"
     worst = _worst(pair, names, a, b, bound, (same & ~(far_a & far_b)) | broken)
-    differing, unusable = differ.any(-1) & ~broken.any(-1), broken.any(-1)
-    counts = _counts(pair, differing, unusable)
-    return Judged(_group(group, names, text, counts, worst), differing, unusable)
+    broken = broken.any(-1)
+    return _judgement(pair, group, names, text, differ.any(-1) & ~broken, broken, worst)
 
 
-def _group(
-    name: str, channels: tuple[str, ...], bound: str, counts: tuple[int, int, int], worst: Worst | None
-) -> GroupResult:
-    agree, differ, non_finite = counts
-    return GroupResult(
-        name=name, channels=channels, bound=bound, agree=agree, differ=differ, non_finite=non_finite, worst=worst
-    )
-
-
-def _counts(pair: ExrPair, differ: Array, broken: Array) -> tuple[int, int, int]:
-    agree = pair.hit_ours & pair.hit_reference & ~differ & ~broken
-    return int(agree.sum()), int(differ.sum()), int(broken.sum())
+def _judgement(
+    pair: ExrPair, name: str, channels: tuple[str, ...], bound: str, differ: Array, broken: Array, worst: Worst | None
+) -> Judged:
+    agree = int((pair.hit_ours & pair.hit_reference & ~differ & ~broken).sum())
+    counts = {"agree": agree, "differ": int(differ.sum()), "non_finite": int(broken.sum())}
+    return Judged(GroupResult(name=name, channels=channels, bound=bound, worst=worst, **counts), differ, broken)
 
 
 def _depth_of_a_miss(group: str, values: Array, hit: Array) -> Array:
@@ -367,7 +396,8 @@ def _worst(pair: ExrPair, names: tuple[str, ...], a: Array, b: Array, bound: Arr
         error = np.abs(a - b)
         ratio = np.where(error == 0.0, 0.0, error / bound)
     ratio = np.where(eligible, np.nan_to_num(ratio, nan=np.inf), 0.0)
-    y, x, c = (int(i) for i in np.unravel_index(int(ratio.argmax()), ratio.shape))
+    among = np.where(ratio == ratio.max(), np.nan_to_num(error, nan=np.inf), -1.0)  # where no error is allowed: largest
+    y, x, c = (int(i) for i in np.unravel_index(int(among.argmax()), ratio.shape))
     if ratio[y, x, c] == 0.0:
         return None
     x0, y0 = pair.reference.data_window[:2]

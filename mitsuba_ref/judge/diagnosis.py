@@ -13,6 +13,7 @@ from mitsuba_ref.error_model.intersections import dot, norm, unit
 from mitsuba_ref.error_model.tolerances import (
     DISTINCT_RTOL,
     FIT_FACTOR,
+    KU,
     MAJORITY,
     MIN_FITTED_PIXELS,
     NEARLY_ALL,
@@ -110,7 +111,7 @@ def diagnose(judge: Judge, judgement: Judgement) -> Diagnosis:
     if not causes.left.any():
         return causes.diagnosis()
     for what, rows in _marked_misses(judge):
-        causes.take(what, rows, len(rows), "a miss is t = inf")
+        causes.take(what, rows, len(rows), "a miss is t = inf; of an image: --miss VALUE")
     for why, broken in judge.answer.broken.items():
         causes.take(f"no answer: {why}", np.flatnonzero(broken))
     causes.take("a hit where the camera has no ray", np.flatnonzero((judge.t_max < 0.0) & judge.hit))
@@ -144,7 +145,7 @@ def _marked_misses(judge: Judge) -> Iterator[tuple[str, np.ndarray]]:
     """A number in place of inf: the same one wherever Mitsuba misses."""
     rows = np.flatnonzero(~judge.result.hit & (judge.t_max >= 0.0) & (not judge.answer.hits_only))
     t = judge.answer.t[rows]
-    if len(rows) > 1 and np.isfinite(t[0]) and (t == t[0]).all():
+    if len(rows) > 1 and np.isfinite(t[0]) and np.allclose(t, t[0], rtol=KU, atol=0.0):
         yield marked_miss(float(t[0])), rows
 
 

@@ -156,7 +156,7 @@ def other_quantity(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
     if f.judge.scene.camera.type != "ray":
         cosine = unit(f.d) @ camera_axes(f.judge.scene.camera)[2]
         what = "depth along z, the view axis, in place of t along the ray"
-        factors += [(cosine, what, "divide by the cosine of the ray with the view axis")]
+        factors += [(cosine, what, "divide by the cosine of the ray with the view axis; of an image: --depth z")]
     for factor, what, remedy in factors:
         fits = f.right_under(f.hit, f.t * factor, f.at.t_error * np.abs(factor))
         with np.errstate(invalid="ignore"):

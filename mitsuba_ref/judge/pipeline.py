@@ -171,7 +171,12 @@ def judge_window(
     diagnosis = diagnose(judge, judgement)
 
     # Check: what pixels do not show.
-    inputs |= {"scene": response.scene, "result": judge.result, "failing": bool(judgement.is_class(*FAILING).any())}
+    inputs |= {
+        "scene": response.scene,
+        "result": judge.result,
+        "loaded": judge.result.answer.meshes,
+        "failing": bool(judgement.is_class(*FAILING).any()),
+    }
     if not task.ours:
         made = make_checks(of_scene, inputs)
     made += make_checks([each for each in checks if each.answered], inputs)

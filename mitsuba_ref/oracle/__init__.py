@@ -1,5 +1,5 @@
 """Exact arithmetic on rays and primitives in integers: the oracle (oracle.py) and its exact kinds.
 
-Every float64 is a whole number times a power of two. All numbers of one ray and one primitive are brought to a common
-power of two; additions, products and signs are exact from there on. Imports the standard library and NumPy only.
+Every float64 is an integer times a power of two. All numbers of a ray and a primitive are scaled to a common power of
+two, after which additions, products and signs are exact. Imports only the standard library and NumPy.
 """

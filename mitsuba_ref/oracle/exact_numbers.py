@@ -1,4 +1,4 @@
-"""Exact numbers: integers on a common power of two, and roots of linear and quadratic equations."""
+"""Exact numbers: integers scaled by a common power of two, and roots of linear and quadratic equations."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -11,7 +11,7 @@ Integers3 = tuple[int, int, int]
 
 
 class Scaled(NamedTuple):
-    """Numbers n[i] 2^-k, exactly."""
+    """The numbers n[i] 2^-k."""
 
     n: tuple[int, ...]
     k: int  # >= 0
@@ -27,29 +27,23 @@ class IntegerRay(NamedTuple):
 
 
 def scaled(numbers: Iterable[float]) -> Scaled:
-    """Finite floats, of any size, denormal or -0.0, on the coarsest power of two <= 1 that holds them all."""
+    """Finite floats as integers times the largest power of two <= 1 for which all are integers."""
     ratios = [x.as_integer_ratio() for x in numbers]
     k = max(below.bit_length() for _, below in ratios) - 1  # denominators are powers of two
     return Scaled(tuple(above << (k + 1 - below.bit_length()) for above, below in ratios), k)
 
 
-def integer_ray(o: Iterable[float], d: Iterable[float]) -> IntegerRay:
-    (ox, oy, oz), ko = scaled(o)
-    (dx, dy, dz), kd = scaled(d)
-    return IntegerRay((ox, oy, oz), ko, (dx, dy, dz), kd)
-
-
 def integer_rays(o: np.ndarray, d: np.ndarray) -> Iterator[IntegerRay]:
-    """`integer_ray` of each row of o, d (n, 3), finite; four times as fast."""
+    """The rays o, d (n, 3), finite, in integers."""
     for (x, ko), (y, kd) in zip(_scaled_rows(o), _scaled_rows(d), strict=True):
         yield IntegerRay(x, ko, y, kd)
 
 
 def _scaled_rows(rows: np.ndarray) -> Iterator[tuple[Integers3, int]]:
-    """`scaled` of each row of (n, 3): odd numbers, shifted to the power of two of their row."""
+    """`scaled` for each row (n, 3), four times as fast: odd integers, shifted to the power of two of their row."""
     significand, exponent = np.frexp(rows)
     whole = (significand * 2.0**53).astype(np.int64)
-    zeros = np.frexp((whole & -whole).astype(np.float64))[1] - 1  # at the end of each; -1 of 0
+    zeros = np.frexp((whole & -whole).astype(np.float64))[1] - 1  # trailing zeros; -1 for 0
     lowest = np.where(whole == 0, 0, exponent - 53 + zeros)
     k = np.maximum(-lowest.min(axis=1, initial=0), 0)
     odd, shift = whole >> np.maximum(zeros, 0), np.where(whole == 0, 0, lowest + k[:, None])
@@ -76,7 +70,7 @@ def shifted(a: Integers3, bits: int) -> Integers3:
 
 Number = Union["Root", int, float, Fraction]
 
-FIRST_BITS = 64  # of a square root, behind the point; doubled until both ends round to the same float
+FIRST_BITS = 64  # fractional bits of a square root; doubled until both ends round to the same float
 
 
 def sign(x: int) -> int:
@@ -84,7 +78,7 @@ def sign(x: int) -> int:
 
 
 def sign_with_root(a: int, b: int, r: int) -> int:
-    """The sign of a + b sqrt(r), r >= 0: where the two terms pull apart, the larger square wins."""
+    """Sign of a + b sqrt(r), r >= 0: if the terms have opposite signs, the larger square decides."""
     first, second = sign(a), sign(b) * (r > 0)
     if first * second >= 0:
         return first or second
@@ -92,8 +86,8 @@ def sign_with_root(a: int, b: int, r: int) -> int:
 
 
 def sign_with_roots(a: int, b: int, r: int, c: int, s: int) -> int:
-    """The sign of a + b sqrt(r) + c sqrt(s), by squaring twice: (b sqrt r + c sqrt s)^2 holds one root only."""
-    roots = sign(b * abs(b) * r + c * abs(c) * s)  # of b sqrt(r) + c sqrt(s), squares with their signs
+    """Sign of a + b sqrt(r) + c sqrt(s), by squaring twice: (b sqrt r + c sqrt s)^2 contains a single root."""
+    roots = sign(b * abs(b) * r + c * abs(c) * s)  # of b sqrt(r) + c sqrt(s), from signed squares
     first = sign(a)
     if first * roots >= 0:
         return first or roots
@@ -101,7 +95,7 @@ def sign_with_roots(a: int, b: int, r: int, c: int, s: int) -> int:
 
 
 def is_number(x: Number) -> bool:
-    """Whether x is comparable: all but NaN."""
+    """Whether x is not NaN."""
     return not (isinstance(x, float) and math.isnan(x))
 
 
@@ -118,7 +112,7 @@ class Root:
 
     @classmethod
     def of(cls, x: int | float | Fraction) -> "Root":
-        """A finite number, as it is."""
+        """A finite number, exactly."""
         above, below = x.as_integer_ratio()
         return cls(above, 0, 0, below)
 
@@ -159,7 +153,7 @@ class Root:
         return is_number(other) and self.compare(other) >= 0
 
     def __hash__(self) -> int:
-        """That of the Fraction, where it is one; else of what x = f +- sqrt(g) has but one of: f, g and the sign."""
+        """Hash of the Fraction for rational numbers; otherwise of f, g and the sign, unique in x = f +- sqrt(g)."""
         power = Fraction(2) ** self.e
         w = math.isqrt(self.r)
         if w * w == self.r:
@@ -171,12 +165,12 @@ class Root:
         return f"Root({float(self)!r})"
 
     def bracket(self, bits: int) -> tuple[Fraction, Fraction]:
-        """(low, high) around it, 2^(e - bits) / s apart or equal."""
+        """Bounds (low, high), 2^(e - bits) / s apart or equal."""
         (low, high), unit = self._numerators(bits), Fraction(2) ** (self.e - bits) / self.s
         return low * unit, high * unit
 
     def _numerators(self, bits: int) -> tuple[int, int]:
-        """Whole numbers around (p + q sqrt(r)) 2^bits, equal or 1 apart."""
+        """Integers below and above (p + q sqrt(r)) 2^bits, equal or 1 apart."""
         square = (self.q * self.q * self.r) << (2 * bits)
         w = math.isqrt(square)
         rest = int(w * w != square)
@@ -193,14 +187,14 @@ class Root:
             bits *= 2  # an irrational number is no midpoint of two floats, so this ends
 
     def interval(self) -> tuple[float, float]:
-        """The largest float64 <= it and the smallest >= it."""
+        """The largest float64 <= self and the smallest >= self."""
         near = float(self)
         side = self.compare(near)
         low = near if side >= 0 else math.nextafter(near, -math.inf)
         return low, near if side <= 0 else math.nextafter(near, math.inf)
 
     def off(self, x: float) -> float:
-        """|x - self|, rounded once; 0.0 only where they are equal, the least float64 where they are nearer than that.
+        """|x - self|, rounded once, but at least the smallest float64 unless they are equal.
 
         inf for an infinite x, NaN for NaN.
         """

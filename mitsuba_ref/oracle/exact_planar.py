@@ -7,15 +7,14 @@ import numpy as np
 
 from mitsuba_ref.oracle import exact_quadrics
 from mitsuba_ref.oracle.exact_numbers import IntegerRay, Integers3, Root, cross, dot, scaled, shifted, sub
-from mitsuba_ref.oracle.exact_quadrics import Affine, line_sphere_roots
+from mitsuba_ref.oracle.exact_quadrics import DEGENERATE, Affine, line_sphere_roots
 from mitsuba_ref.oracle.interface import NO_INTERSECTION, Contact, ExactKind, LineIntersections
 
 LINE_IN_PLANE = LineIntersections((), (Contact("edge_on", None, None),))
-DEGENERATE = LineIntersections((), (Contact("degenerate", None, None),))
 
 
 class IntegerPlane(NamedTuple):
-    """All p with normal . (p - point 2^-k) = 0; a normal may be scaled by anything."""
+    """All p with normal . (p - point 2^-k) = 0; the scale of the normal does not matter."""
 
     normal: Integers3
     point: Integers3
@@ -40,7 +39,7 @@ def intersect_plane(plane: IntegerPlane, ray: IntegerRay) -> LineIntersections:
 
 
 def intersect_disk(disk: Affine, ray: IntegerRay) -> LineIntersections:
-    """z vanishes at s = -o.z / d.z, and x^2 + y^2 there is compared with size^2, all times d.z^2."""
+    """z is 0 at s = -o.z / d.z; x^2 + y^2 there is compared with size^2, both times d.z^2."""
     if not disk.determinant:
         return DEGENERATE
     (ox, oy, oz), (dx, dy, dz), size, e = exact_quadrics.to_object_space(disk, ray)
@@ -54,7 +53,7 @@ def intersect_disk(disk: Affine, ray: IntegerRay) -> LineIntersections:
 
 
 def _along_disk_plane(ox: int, oy: int, dx: int, dy: int, size: int, e: int) -> LineIntersections:
-    """The ray lies in the disk's plane: from where to where it runs along the disk."""
+    """A ray in the plane of a disk: the contact from where it enters the circle to where it leaves."""
     ends = line_sphere_roots((ox, oy, 0), (dx, dy, 0), size, e)
     return LineIntersections((), (Contact("edge_on", ends[0], ends[-1]),)) if ends else NO_INTERSECTION
 
@@ -77,10 +76,10 @@ DISKS = ExactKind(
 # Exact ray-triangle intersection by the signs of three determinants.
 
 
-# A face with a coordinate as large as this is dropped by Embree, and so by the oracle.
+# Embree drops a face with a coordinate as large as this, and so does the oracle.
 LARGEST_COORDINATE = 1.844e18
 
-WHERE = ("inside", "edge", "vertex")  # by how many of the edge functions vanish
+WHERE = ("inside", "edge", "vertex")  # by the number of edge functions that are 0
 
 
 class IntegerTriangle(NamedTuple):
@@ -99,7 +98,7 @@ def prepare_triangle(prims: Any, k: int) -> IntegerTriangle:
 
 
 def intersect_triangle(face: IntegerTriangle, ray: IntegerRay) -> LineIntersections:
-    """t of corners a, b, c relative to o: t d.N = a.N with the normal N, and a.N = a.(b x c), d.N = U + V + W."""
+    """With corners a, b, c relative to o and normal N: t d.N = a.N, where a.N = a.(b x c) and d.N = U + V + W."""
     scale = max(face.k, ray.ko)
     o = shifted(ray.o, scale - ray.ko)
     a, b, c = (sub(shifted(v, scale - face.k), o) for v in face.v)
@@ -108,7 +107,7 @@ def intersect_triangle(face: IntegerTriangle, ray: IntegerRay) -> LineIntersecti
     if (u < 0 or v < 0 or w < 0) and (u > 0 or v > 0 or w > 0):
         return NO_INTERSECTION
     area = u + v + w
-    if area == 0:  # so are all three
+    if area == 0:  # then all three are 0
         return _edge_on((a, b, c), ray, scale)
     t = Root(dot(a, bc), 0, 0, area, ray.kd - scale)
     if face.dropped:
@@ -117,16 +116,16 @@ def intersect_triangle(face: IntegerTriangle, ray: IntegerRay) -> LineIntersecti
 
 
 def _edge_on(corners: tuple[Integers3, Integers3, Integers3], ray: IntegerRay, scale: int) -> LineIntersections:
-    """The ray lies in the triangle's plane: no hit, but it may run along the triangle, from `first` to `last`.
+    """A ray in the plane of a triangle: no hit, but a contact if it passes through the triangle.
 
-    Projected along d, all corners lie on one line through the ray, at offsets s. The ray crosses corners with s = 0,
-    and edges from s < 0 to s > 0.
+    Projected along d, all corners lie on one line through the ray, at offsets s. The ray crosses corners with s = 0 and
+    edges whose ends have s of opposite signs.
     """
     axis = next(i for i in range(3) if ray.d[i])
     flat = [cross(corner, ray.d) for corner in corners]
     line = next((f for f in flat if any(f)), (0, 0, 0))
     offsets = [dot(f, line) for f in flat]
-    steps = [Fraction(corner[axis], ray.d[axis]) for corner in corners]  # t of the feet of corners beside the ray
+    steps = [Fraction(corner[axis], ray.d[axis]) for corner in corners]  # t of the corners' projections onto the ray
     crossed = [step for offset, step in zip(offsets, steps, strict=True) if offset == 0]
     for i, j in ((0, 1), (1, 2), (2, 0)):
         if offsets[i] * offsets[j] < 0:
@@ -139,7 +138,7 @@ def _edge_on(corners: tuple[Integers3, Integers3, Integers3], ray: IntegerRay, s
     return LineIntersections((), (Contact(why, first, last),))
 
 
-BOXES_PER_CHUNK = 1 << 16  # triangles whose corners are gathered at a time
+BOXES_PER_CHUNK = 1 << 16  # triangles whose corners are gathered at once
 
 
 def triangle_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -168,7 +167,7 @@ EDGE_ATOL = 2.0**-1070
 
 
 def may_intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """False where two edge functions have different signs for certain; True where anything overflows."""
+    """False if two edge functions certainly have opposite signs; True if anything overflows."""
     with np.errstate(all="ignore"):
         d = d.T
         a, b, c = (prims.vertices[prims.faces[k, j]].T - o.T for j in range(3))
@@ -183,7 +182,7 @@ def may_intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray) -> np
 
 
 def _edge_function(p: np.ndarray, q: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """d . (p x q) of columns (3, m), and the sum of its terms' magnitudes."""
+    """d . (p x q) of columns (3, m), and the sum of the magnitudes of its terms."""
     edge, size = np.zeros((2, p.shape[1]))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         first, second = p[j] * q[k], p[k] * q[j]

@@ -1,4 +1,4 @@
-"""Exact quadrics: spheres, ellipsoids and cylinders, and unit shapes under the exact inverse of their matrix."""
+"""Exact intersection with spheres, ellipsoids and cylinders; unit shapes by the exact inverse of their matrix."""
 
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ from mitsuba_ref.oracle.interface import NO_INTERSECTION, Contact, ExactKind, Li
 
 
 class Affine(NamedTuple):
-    """Centre 2^-k and the rows of adj(to_world 2^k), signs changed so that the determinant is >= 0."""
+    """Centre 2^-k and the rows of adj(to_world 2^k), negated if needed so that the determinant is >= 0."""
 
     center: Integers3
     adjugate: tuple[Integers3, Integers3, Integers3]
@@ -28,7 +28,7 @@ class Affine(NamedTuple):
 
 
 class ObjectRay(NamedTuple):
-    """A ray in the object space of a unit shape, magnified: (o + s d) / size, where t = s 2^e."""
+    """A ray in the object space of a unit shape, scaled up: (o + s d) / size, where t = s 2^e."""
 
     o: Integers3
     d: Integers3
@@ -56,26 +56,23 @@ def to_object_space(by: Affine, ray: IntegerRay) -> ObjectRay:
     return ObjectRay(o, d, by.determinant << (scale - by.k), ray.kd - scale)
 
 
-# A sum of three magnitudes and this product pass three roundings, each down by at most 2^-53 of it.
+# A sum of three magnitudes and this product take three roundings, each down by at most 2^-53 of the result.
 ROUNDED_UP = 1.0 + 8 * 2.0**-53
 
 
-def affine_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Around the image of the cube from -1 to 1."""
+def affine_boxes(prims: Any, axes: int = 3) -> tuple[np.ndarray, np.ndarray]:
+    """Boxes around the image of the cube [-1, 1]^3; axes = 2: of the square [-1, 1]^2 at z = 0."""
     with np.errstate(over="ignore"):
-        reach = np.abs(prims.to_world).sum(axis=2) * ROUNDED_UP
+        reach = np.abs(prims.to_world[:, :, :axes]).sum(axis=2) * ROUNDED_UP
         return next_below(prims.center - reach), next_above(prims.center + reach)
 
 
 def disk_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Around the image of the square from -1 to 1 at z = 0."""
-    with np.errstate(over="ignore"):
-        reach = np.abs(prims.to_world[:, :, :2]).sum(axis=2) * ROUNDED_UP
-        return next_below(prims.center - reach), next_above(prims.center + reach)
+    return affine_boxes(prims, axes=2)
 
 
 def cylinder_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Around that square as it moves from z = 0 to z = 1."""
+    """Boxes around the image of [-1, 1]^2 x [0, 1]."""
     axis = prims.to_world[:, :, 2]
     with np.errstate(over="ignore"):
         reach = np.abs(prims.to_world[:, :, :2]).sum(axis=2) * ROUNDED_UP
@@ -87,7 +84,7 @@ def usable_affine(prims: Any) -> np.ndarray:
     return np.isfinite(prims.center).all(axis=1) & np.isfinite(prims.to_world).all(axis=(1, 2))
 
 
-SINGULAR_MATRIX = LineIntersections((), (Contact("degenerate", None, None),))
+DEGENERATE = LineIntersections((), (Contact("degenerate", None, None),))
 
 
 class IntegerSphere(NamedTuple):
@@ -99,7 +96,7 @@ class IntegerSphere(NamedTuple):
 
 
 def line_sphere_roots(o: Integers3, d: Integers3, size: int, e: int) -> list[Root]:
-    """All t = s 2^e with |o + s d| = size, ascending: two, one where the line touches, or none. d != 0.
+    """All t = s 2^e with |o + s d| = size, ascending: two, one for a tangent, or none. d != 0.
 
     a s^2 + 2 b s + c = 0 with a = d.d, b = o.d, c = o.o - size^2, so s = (-b -+ sqrt(b^2 - a c)) / a.
     """
@@ -123,7 +120,7 @@ def intersect_sphere(sphere: IntegerSphere, ray: IntegerRay) -> LineIntersection
 
 def intersect_ellipsoid(ellipsoid: Affine, ray: IntegerRay) -> LineIntersections:
     if not ellipsoid.determinant:
-        return SINGULAR_MATRIX
+        return DEGENERATE
     return _closed(line_sphere_roots(*to_object_space(ellipsoid, ray)))
 
 
@@ -133,9 +130,9 @@ def _closed(roots: list[Root]) -> LineIntersections:
 
 
 def intersect_cylinder(cylinder: Affine, ray: IntegerRay) -> LineIntersections:
-    """The circle in x and y, and of its roots those with 0 <= z <= size."""
+    """Roots of the circle in x and y that have 0 <= z <= size."""
     if not cylinder.determinant:
-        return SINGULAR_MATRIX
+        return DEGENERATE
     o, d, size, e = local = to_object_space(cylinder, ray)
     if not (d[0] or d[1]):
         return _along_cylinder_wall(local)
@@ -151,12 +148,12 @@ def intersect_cylinder(cylinder: Affine, ray: IntegerRay) -> LineIntersections:
 
 
 def height(root: Root, o: int, d: int) -> int:
-    """The sign of o + s d at the root s = (p + q sqrt(r)) / a, a > 0."""
+    """Sign of o + s d at the root s = (p + q sqrt(r)) / a, a > 0."""
     return sign_with_root(root.s * o + root.p * d, root.q * d, root.r)
 
 
 def _along_cylinder_wall(ray: ObjectRay) -> LineIntersections:
-    """Parallel to the axis is a miss; within the wall it runs along it, from one end to the other."""
+    """A ray parallel to the axis is a miss; within the wall it has a contact from one end to the other."""
     (x, y, z), (_, _, slope), size, e = ray
     if x * x + y * y != size * size:
         return NO_INTERSECTION

@@ -1,4 +1,4 @@
-"""Exact kinds: what a primitive kind supplies to the oracle, and what the oracle returns."""
+"""Interface of the oracle: exact arithmetic of a primitive kind, and exact answers."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,28 +10,28 @@ from mitsuba_ref.oracle.exact_numbers import IntegerRay, Root
 
 
 class Contact(NamedTuple):
-    """A contact of a ray with a primitive that is no hit: `why` is "edge_on", "degenerate" or "dropped"."""
+    """A contact of a ray with a primitive that is not a hit. why: "edge_on", "degenerate" or "dropped"."""
 
     why: str
-    first: Root | None  # the interval of t; None: anywhere within its box
+    first: Root | None  # the interval of t; None: anywhere within the primitive's box
     last: Root | None
 
 
 class LineIntersections(NamedTuple):
     """Intersections of one line with one primitive."""
 
-    roots: tuple[tuple[Root, str], ...] = ()  # (t, where) for any t, ascending, each once
+    roots: tuple[tuple[Root, str], ...] = ()  # (t, where) for any t, ascending, without repetition
     contacts: tuple[Contact, ...] = ()
 
 
 NO_INTERSECTION = LineIntersections()
 
-# prims -> (simpler primitives, the number (m,) of the one that each of them is a piece of)
+# prims -> (primitives with exact arithmetic, the row (m,) of prims that each of them is a piece of)
 ExpandStandIns = Callable[[Any], tuple[Any, np.ndarray]]
 
 
 def primitive_count(prims: Any) -> int:
-    """How many primitives the arrays hold: as many as faces, or else as rows."""
+    """Number of primitives in the arrays: of faces, or else of rows."""
     return len(prims.faces if hasattr(prims, "faces") else prims[0])
 
 
@@ -40,42 +40,42 @@ def all_true(prims: Any) -> np.ndarray:
 
 
 class ExactKind(NamedTuple):
-    """A kind of packed primitives, read by the names of their fields."""
+    """Exact arithmetic of a kind of packed primitives."""
 
-    # prims -> (low, high) corners (n, 3) of boxes that hold every point of each primitive; infinite where none does
+    # prims -> (low, high) corners (n, 3) of boxes around each primitive; infinite if it has no bounds
     boxes: Callable[[Any], tuple[np.ndarray, np.ndarray]]
 
-    # (prims, k) -> primitive k in whole numbers
+    # (prims, k) -> primitive k in integers
     prepare: Callable[[Any, int], Any]
 
-    # (prepared primitive, ray) -> roots and touches
+    # (prepared primitive, ray) -> roots and contacts
     intersect: Callable[[Any, IntegerRay], LineIntersections]
 
-    # (prims, k (m,), o (m, 3), d (m, 3)) -> (m,) bool, False only where ray i surely misses primitive k[i]
+    # (prims, k (m,), o (m, 3), d (m, 3)) -> (m,) bool, False only if ray i certainly misses primitive k[i]
     may_intersect: Callable[[Any, np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
 
-    # prims -> (n,) bool: all but primitives with numbers that mean nothing, which no ray can be intersected with
+    # prims -> (n,) bool: False for primitives with invalid numbers, for which the oracle raises OutsideDomain
     usable: Callable[[Any], np.ndarray] = all_true
 
-    # prims -> (n,) bool: all but primitives that are left out of every scene, as faces with a corner that is nowhere
+    # prims -> (n,) bool: False for primitives that are never hit, such as faces with a corner that is not finite
     present: Callable[[Any], np.ndarray] = all_true
 
 
-EXACT_KINDS: dict[type, ExactKind] = {}  # by the class of their arrays; mitsuba_ref.shapes registers them
-STAND_INS: dict[type, ExpandStandIns] = {}  # by the class of the arrays that stand in for a kind
+EXACT_KINDS: dict[type, ExactKind] = {}  # by the class of the arrays; filled by mitsuba_ref.shapes
+STAND_INS: dict[type, ExpandStandIns] = {}  # by the class of the stand-in's arrays
 
 
 def register_exact(
     arrays: type, exact: ExactKind | None, stand_ins: Mapping[type, ExpandStandIns] | None = None
 ) -> None:
-    """Add the exact arithmetic of a kind, and of arrays that stand in for it."""
+    """Add the exact arithmetic of a kind, and functions that expand its stand-ins."""
     if exact is not None:
         EXACT_KINDS[arrays] = exact
     STAND_INS.update(stand_ins or {})
 
 
 def next_below(x: np.ndarray) -> np.ndarray:
-    """The next float64 down: a result that was rounded to nearest, rounded down."""
+    """The next float64 down: a lower bound of the exact value that was rounded to x."""
     return np.nextafter(x, -np.inf)
 
 
@@ -84,30 +84,30 @@ def next_above(x: np.ndarray) -> np.ndarray:
 
 
 class OutsideDomain(ValueError):  # noqa: N818 - a state of the input, not a fault of the program
-    """A ray or a primitive with a number that is not finite, a direction of no length, a radius below 0."""
+    """A ray or a primitive with a number that is not finite, a zero direction, or a negative radius."""
 
 
 @dataclass(frozen=True)
 class ExactHit:
-    """One root of one primitive."""
+    """A hit of one primitive."""
 
     prim: int  # its number in the scene
     t: Root
-    where: str  # "inside", "edge", "vertex", "rim" or "tangent"; a tangent at a rim is "tangent"
+    where: str  # "inside", "edge", "vertex", "rim" or "tangent" (also for a tangent at a rim)
 
 
 class TieSet(Sequence[ExactHit]):
-    """All hits of one ray at exactly one t, by prim; of identical primitives, each is made when it is asked for."""
+    """All hits of a ray at exactly the same t, by prim; hits of identical primitives are created on access."""
 
     __slots__ = ("_groups", "_t")
 
     def __init__(self, t: Root, groups: Sequence[tuple[str, np.ndarray]]) -> None:
-        """groups: (where, their numbers, ascending) of identical primitives; no number stands in two of them."""
+        """groups: (where, ascending numbers) of identical primitives; each number is in one group only."""
         self._t, self._groups = t, groups
 
     @property
     def prims(self) -> np.ndarray:
-        """(m,) ascending."""
+        """(m,) numbers of the primitives, ascending."""
         return np.sort(np.concatenate([prims for _, prims in self._groups]))
 
     @overload
@@ -137,7 +137,7 @@ class TieSet(Sequence[ExactHit]):
 
 
 def tied_prims(answer: "ExactAnswer") -> np.ndarray:
-    """(m,) numbers of all primitives that are hit first, ascending."""
+    """(m,) numbers of all primitives in the tie set, ascending."""
     ties = answer.ties
     return ties.prims if isinstance(ties, TieSet) else np.array([hit.prim for hit in ties], np.int64)
 
@@ -149,9 +149,9 @@ class ExactAnswer:
     t: Root | None  # None: a miss
     ties: Sequence[ExactHit]  # all hits with exactly this t, by prim
 
-    # Contacts along the ray, not later than t: "edge_on" (it runs along a flat primitive or a cylinder's wall),
-    # "degenerate" (it touches a triangle without area, or the box of a primitive without an inverse), "dropped" (it
-    # would have hit a face that is too large; or some face of the scene is nowhere); and "tangent", if a hit is one.
+    # Contacts along the ray up to t: "edge_on" (within a flat primitive or a cylinder's wall), "degenerate" (a triangle
+    # without area, or the box of a primitive whose matrix is singular), "dropped" (a face that is too large; or some
+    # face of the scene has a corner that is not finite); and "tangent", if a hit is one.
     flags: frozenset[str]
 
     @property
@@ -160,12 +160,12 @@ class ExactAnswer:
 
     @property
     def prim(self) -> int:
-        """The lowest number of a primitive that is hit there, -1 on a miss."""
+        """The lowest number of a primitive in the tie set, -1 on a miss."""
         return self.ties[0].prim if self.ties else -1
 
 
 def check_rays(o: np.ndarray, d: np.ndarray, t_min: np.ndarray, t_max: np.ndarray) -> None:
-    """Raise OutsideDomain, naming the first of the rays (n, 3), (n, 3), (n,), (n,) that is outside the domain."""
+    """Raise OutsideDomain, naming the first invalid ray. o, d: (n, 3); t_min, t_max: (n,)."""
     fits = np.logical_and.reduce(np.isfinite([*o.T, *d.T])) & np.logical_or.reduce([*(d != 0.0).T])
     bad = np.flatnonzero(~fits | np.isnan(t_min) | np.isnan(t_max))
     if len(bad):
@@ -183,10 +183,10 @@ HASH_SHIFT = np.uint64(29)
 
 
 def lowest_identical(prims: Any, more: Sequence[np.ndarray] = (), *, shading: bool) -> np.ndarray | None:
-    """(n,) of each primitive the lowest row with the same bits, and the same in the arrays `more`; None if all differ.
+    """(n,) lowest row with the same bits as each primitive, also in the arrays `more`; None if all differ.
 
-    shading: arrays of vertices other than their positions count, and those of faces. Numbers that are equal without
-    having the same bits, and corners in another order, make another primitive.
+    shading: compare all arrays of vertices and faces, not only positions. Equal numbers with different bits, or corners
+    in another order, make a different primitive.
     """
     found = _arrays_of(prims, shading)
     if found is None:
@@ -204,7 +204,7 @@ def lowest_identical(prims: Any, more: Sequence[np.ndarray] = (), *, shading: bo
     if not len(again):
         return None
     lowest = np.arange(len(code))
-    some = np.flatnonzero(np.isin(code, again))  # the only ones that may be identical: all bits decide
+    some = np.flatnonzero(np.isin(code, again))  # rows with equal hashes, whose bits are compared
     bits = [_bits(array)[prims.faces[some]].reshape(len(some), -1) for array in corners]
     bits += [_bits(array[some]) for array in rows]
     whole = np.ascontiguousarray(np.hstack([column.astype(np.uint64) for column in bits]))
@@ -214,9 +214,9 @@ def lowest_identical(prims: Any, more: Sequence[np.ndarray] = (), *, shading: bo
 
 
 def _arrays_of(prims: Any, shading: bool) -> tuple[list[np.ndarray], list[np.ndarray]] | None:
-    """(arrays of vertices, arrays of primitives), None where some array is of neither.
+    """(arrays of vertices, arrays of primitives); None if some array is neither.
 
-    Where a mesh has as many vertices as faces, an array counts as both.
+    If a mesh has as many vertices as faces, arrays count as both.
     """
     if not hasattr(prims, "faces"):
         arrays, count = list(prims), primitive_count(prims)
@@ -231,13 +231,13 @@ def _arrays_of(prims: Any, shading: bool) -> tuple[list[np.ndarray], list[np.nda
 
 
 def _bits(array: np.ndarray) -> np.ndarray:
-    """(n, c) whole numbers of the same bits."""
+    """(n, c) unsigned integers with the same bits."""
     flat = np.ascontiguousarray(array).reshape(len(array), int(np.prod(array.shape[1:])))
     return flat.view(f"u{flat.dtype.itemsize}")
 
 
 def _mixed(code: np.ndarray, array: np.ndarray) -> np.ndarray:
-    """(n,) a hash of a hash and each row of an array; wraps around."""
+    """(n,) hashes of `code` (n,) and the rows of an array."""
     for column in _bits(array).T:
         code = (code ^ column) * HASH_FACTOR
         code ^= code >> HASH_SHIFT

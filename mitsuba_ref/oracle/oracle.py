@@ -1,4 +1,4 @@
-"""Exact oracle: the first hit of a ray, computed in integers without any rounding, and the index of its primitives."""
+"""Exact oracle: the first hit of a ray, computed in integers without rounding, and the index of primitives."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from mitsuba_ref.oracle.exact_numbers import IntegerRay, Root, integer_ray, integer_rays
+from mitsuba_ref.oracle.exact_numbers import IntegerRay, Root, integer_rays
 from mitsuba_ref.oracle.interface import (
     EXACT_KINDS,
     STAND_INS,
@@ -28,7 +28,7 @@ __all__ = ["EXACT_KINDS", "ExactAnswer", "ExactHit", "Oracle", "OutsideDomain", 
 
 
 class PackedKind(Protocol):
-    """All primitives of one kind: their arrays, and the number of each in the scene."""
+    """All primitives of one kind: their arrays, and their numbers in the scene."""
 
     @property
     def prims(self) -> Any: ...
@@ -37,7 +37,7 @@ class PackedKind(Protocol):
 
 
 class PackedScene(Protocol):
-    """The packed primitives of a scene, as the oracle reads them; first[-1] is how many there are."""
+    """The packed primitives of a scene, as far as the oracle reads them; first[-1] is their number."""
 
     @property
     def kinds(self) -> Sequence[PackedKind]: ...
@@ -49,10 +49,10 @@ class Oracle:
     """Exact first hits and roots on the packed primitives of one scene."""
 
     def __init__(self, packed: PackedScene, stand_ins: Sequence[Any] | None = None) -> None:
-        """stand_ins: arrays that replace those of packed.kinds: what the reference traces (SceneModel.kinds).
+        """stand_ins: the arrays that the reference traces (SceneModel.kinds), in place of those of packed.kinds.
 
-        Raises OutsideDomain for a primitive with a number that is not finite (a face is dropped instead), and
-        LookupError for a kind that has no exact arithmetic.
+        Raises OutsideDomain for a primitive with a number that is not finite (faces are dropped instead), and
+        LookupError for a kind without exact arithmetic.
         """
         arrays = [kind.prims for kind in packed.kinds] if stand_ins is None else stand_ins
         ids = [np.asarray(kind.ids) for kind in packed.kinds]
@@ -63,7 +63,7 @@ class Oracle:
     def first_hit(
         self, o: Iterable[float], d: Iterable[float], t_min: float = 0.0, t_max: float = math.inf
     ) -> ExactAnswer:
-        """The first hit of the ray o + t d, three floats each, at t_min < t <= t_max.
+        """The first hit of the ray o + t d at t_min < t <= t_max. o, d: three floats each.
 
         Raises OutsideDomain for a ray that is not finite or has no direction.
         """
@@ -73,7 +73,7 @@ class Oracle:
     def first_hits(
         self, o: np.ndarray, d: np.ndarray, t_min: np.ndarray | float = 0.0, t_max: np.ndarray | float = math.inf
     ) -> list[ExactAnswer]:
-        """First hits of rays (n, 3), (n, 3), with one t_min and t_max for all or (n,) of them; faster per ray.
+        """First hits of rays o, d (n, 3); t_min, t_max: (n,) or one for all. Faster per ray than first_hit.
 
         Raises OutsideDomain, naming the first ray that is not finite or has no direction.
         """
@@ -87,7 +87,7 @@ class Oracle:
     def _first(
         self, ray: IntegerRay, span: tuple[float, float], candidates: Iterable[CandidatePrimitive]
     ) -> ExactAnswer:
-        """The first hit among candidates, which are sorted by a lower bound of t."""
+        """The first hit among candidates sorted by a lower bound of t."""
         (start, end), best = span, None
         ties: dict[int, tuple[PrimitiveArray, int, str]] = {}
         contacts: list[Contact] = []
@@ -118,22 +118,22 @@ class Oracle:
         return ExactAnswer(best, tie_set(best, ties), flags)
 
     def roots(self, prim: int, o: Iterable[float], d: Iterable[float]) -> tuple[ExactHit, ...]:
-        """Every root of primitive number `prim`, at any t, ascending; none for a face that is dropped.
+        """All roots of primitive number `prim`, at any t, ascending; none for a dropped face.
 
-        Raises OutsideDomain for a ray that is not finite or has no direction, IndexError for a number that is none.
+        Raises OutsideDomain for a ray that is not finite or has no direction, IndexError for an unknown primitive.
         """
         if not 0 <= prim < self.count:
             raise IndexError(f"the scene has primitives 0 to {self.count - 1}, got {prim}")
         line = np.array([[*o]], np.float64), np.array([[*d]], np.float64)
         check_rays(*line, np.zeros(1), np.zeros(1))
-        ray = integer_ray(*(vector[0].tolist() for vector in line))
+        (ray,) = integer_rays(*line)
         crossed = [part.intersect(k, ray) for part, k in self.primitives.numbered(prim)]
         found = {t: ExactHit(prim, t, where) for roots, _ in crossed for t, where in roots}
         return tuple(found[t] for t in sorted(found))
 
 
 def tie_set(best: Root | None, ties: dict[int, tuple[PrimitiveArray, int, str]]) -> Sequence[ExactHit]:
-    """All hits at `best`; ties: of each primitive that was tried and is hit there, by its number in the scene."""
+    """All hits at `best`. ties: array, row and place of each tested primitive that is hit there, by its number."""
     if best is None:
         return ()
     if any(k in part.identical for part, k, _ in ties.values()):
@@ -143,7 +143,7 @@ def tie_set(best: Root | None, ties: dict[int, tuple[PrimitiveArray, int, str]])
 
 
 def contacts_before(contacts: Iterable[Contact], span: tuple[float, float], best: Root | None) -> frozenset[str]:
-    """Kinds of contacts after t_min and not after the first hit, or else t_max."""
+    """Reasons of the contacts after t_min and not after the first hit, or t_max without one."""
     end = span[1] if best is None else best
     return frozenset(
         why for why, first, last in contacts if first is None or last is None or (first <= end and last > span[0])
@@ -151,7 +151,7 @@ def contacts_before(contacts: Iterable[Contact], span: tuple[float, float], best
 
 
 def part_of(prims: Any, ids: np.ndarray) -> PrimitiveArray:
-    """The primitives with their exact arithmetic; stand-ins in pieces that have one."""
+    """The primitives with their exact arithmetic; stand-ins are expanded into primitives that have one."""
     pieces = type(prims) in STAND_INS
     if pieces:
         prims, owner = STAND_INS[type(prims)](prims)
@@ -161,12 +161,12 @@ def part_of(prims: Any, ids: np.ndarray) -> PrimitiveArray:
             f"{type(prims).__name__} has no exact arithmetic: write an ExactKind (mitsuba_ref/oracle/interface.py) "
             "and name it as `exact` in the ErrorModel of the kind, in mitsuba_ref/shapes, which has to be imported"
         )
-    lowest = None if pieces else lowest_identical(prims, shading=False)  # pieces: several have one number
+    lowest = None if pieces else lowest_identical(prims, shading=False)  # pieces of one stand-in share a number
     return PrimitiveArray(EXACT_KINDS[type(prims)], prims, ids, {}, *identical_groups(lowest, ids))
 
 
 def identical_groups(lowest: np.ndarray | None, ids: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray | None]:
-    """({row: numbers of all that are identical to it, ascending}, rows that need not be tried for a lower one is)."""
+    """({row: ascending numbers of all primitives identical to it}, (n,) bool: identical to a lower row)."""
     if lowest is None:
         return {}, None
     rows = np.flatnonzero(np.bincount(lowest, minlength=len(lowest))[lowest] > 1)
@@ -179,19 +179,19 @@ def identical_groups(lowest: np.ndarray | None, ids: np.ndarray) -> tuple[dict[i
 # ---- the index of primitives: a tree of boxes, traversed in float64 with padding, which misses no candidate ----
 
 BRANCHING_FACTOR = 32  # boxes in a box of the next level
-GROUPS_PER_CHUNK = 1 << 9  # compared with rays at a time: temporary arrays of 128 kB stay in a cache
-RAYS_PER_CHUNK = 256  # each of which passes some hundred boxes
-MAX_RAY_BOX_PAIRS = 1 << 19  # of a ray and a box; 100 MB of temporary arrays
-MORTON_BITS_PER_AXIS = 10  # of each coordinate along the curve
+GROUPS_PER_CHUNK = 1 << 9  # groups tested at once: temporary arrays of 128 kB stay in a cache
+RAYS_PER_CHUNK = 256  # each passes some hundred boxes
+MAX_RAY_BOX_PAIRS = 1 << 19  # 100 MB of temporary arrays
+LARGEST_MORTON_CELL = 2**10 - 1
 
-# A box begins and ends at t = (bound - o) / d, a rounded difference over d: off by (1 + u)^2 - 1 < 3 u of itself,
-# u = 2^-53, and by 2^-1075 where it is denormal. Forming and subtracting the pad rounds three times more: 8 u and
-# 2^-1060 leave room for that. Where the difference or t overflows, inf - inf is NaN, which bounds nothing.
+# A ray enters and leaves a box at t = (bound - o) / d, a rounded difference over d: off by (1 + u)^2 - 1 < 3 u of
+# itself, u = 2^-53, and by 2^-1075 if denormal. Computing and subtracting the pad takes three more roundings: 8 u and
+# 2^-1060 leave room for that. If the difference or t overflows, inf - inf is NaN, which bounds nothing.
 PAD_RTOL = 8 * 2.0**-53
 PAD_ATOL = 2.0**-1060
 
 
-BOXES_PER_CHUNK = 1 << 16  # of an order that is computed: its temporaries stay in a cache
+BOXES_PER_CHUNK = 1 << 16  # boxes processed at once: temporary arrays stay in a cache
 
 
 class BoxCrossings(NamedTuple):
@@ -203,7 +203,7 @@ class BoxCrossings(NamedTuple):
 
 
 class RayColumns(NamedTuple):
-    """Columns, for fast sums over the three coordinates."""
+    """Rays in columns, for fast sums over the three coordinates."""
 
     o: np.ndarray  # (3, n)
     d: np.ndarray  # (3, n)
@@ -212,20 +212,20 @@ class RayColumns(NamedTuple):
 
 
 class BoxLevel(NamedTuple):
-    """Boxes in groups; the last group is filled up with its last box."""
+    """Boxes in groups; the last group is filled with copies of its last box."""
 
     low: np.ndarray  # (3, groups, BRANCHING_FACTOR)
     high: np.ndarray
-    boxes: int  # without those that fill up
+    boxes: int  # without copies
 
 
 def whole_groups(order: np.ndarray) -> np.ndarray:
-    """The order with its last number repeated to the end of its group."""
+    """`order` with its last number repeated to fill the last group."""
     return np.append(order, np.repeat(order[-1:], -len(order) % BRANCHING_FACTOR))
 
 
 def box_levels(low: np.ndarray, high: np.ndarray, boxes: int) -> list[BoxLevel]:
-    """Boxes (3, n) in whole groups, the boxes of the groups, and so on up to one group; of none, no level."""
+    """Levels of a box tree: boxes (3, n) in whole groups, the boxes of these groups, and so on up to one group."""
     groups, levels = (3, -1, BRANCHING_FACTOR), []
     while boxes:
         level = BoxLevel(low.reshape(groups), high.reshape(groups), boxes)
@@ -238,7 +238,7 @@ def box_levels(low: np.ndarray, high: np.ndarray, boxes: int) -> list[BoxLevel]:
 
 
 class BoxTree:
-    """Boxes in groups, and groups in groups; nothing a ray passes is left out."""
+    """A tree of boxes; its traversal never misses a box that a ray passes."""
 
     def __init__(self, low: np.ndarray, high: np.ndarray) -> None:
         """low, high: (n, 3), finite."""
@@ -247,9 +247,9 @@ class BoxTree:
         self.levels = box_levels(columns_in_order(low, whole), columns_in_order(high, whole), len(low))
 
     def crossings(self, rays: RayColumns) -> BoxCrossings | None:
-        """Every box that holds a point of ray i with t_min[i] < t <= t_max[i], and some more.
+        """All boxes that contain a point of ray i with t_min[i] < t <= t_max[i], and some more.
 
-        None for several rays that pass too many boxes to look at together.
+        None if several rays pass too many boxes to be processed together.
         """
         count = rays.o.shape[1]
         found = BoxCrossings(
@@ -263,7 +263,7 @@ class BoxTree:
 
 
 def crossed_members(rays: RayColumns, ray: np.ndarray, group: np.ndarray, level: BoxLevel) -> BoxCrossings:
-    """The boxes in group[i] that ray[i] passes, for each i."""
+    """The boxes of group[i] that ray[i] passes, for each i."""
     found = [BoxCrossings(ray[:0], group[:0], np.zeros(0))]
     for start in range(0, len(ray), GROUPS_PER_CHUNK):
         some, of = ray[start : start + GROUPS_PER_CHUNK], group[start : start + GROUPS_PER_CHUNK]
@@ -275,7 +275,7 @@ def crossed_members(rays: RayColumns, ray: np.ndarray, group: np.ndarray, level:
 
 
 def slab_test(rays: RayColumns, ray: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(whether ray[i] passes box i, the least t at which it may); boxes (3, ...), whose shape ray broadcasts to."""
+    """(whether ray[i] passes box i, lower bound of t there). low, high: (3, ...), a shape that `ray` broadcasts to."""
     beside, near, far = np.zeros(low.shape[1:], bool), np.array(-np.inf), np.array(np.inf)
     for axis in range(3):
         o, d, start, end = rays.o[axis, ray], rays.d[axis, ray], low[axis], high[axis]
@@ -292,7 +292,7 @@ def slab_test(rays: RayColumns, ray: np.ndarray, low: np.ndarray, high: np.ndarr
 
 
 def morton_order(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """An order in which neighbours are close to each other: by the bits of their centres, taken in turn."""
+    """Morton order of finite boxes: by the interleaved bits of their centres."""
     if not len(low):
         return np.zeros(0, np.int64)
     pieces = [slice(start, start + BOXES_PER_CHUNK) for start in range(0, len(low), BOXES_PER_CHUNK)]
@@ -303,15 +303,20 @@ def morton_order(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     code = np.zeros(len(low), np.int64)
     for rows in pieces:
         away = 0.5 * (0.5 * low[rows] + 0.5 * high[rows]) - 0.5 * start
-        cell = (np.clip(away / size, 0.0, 1.0) * (2**MORTON_BITS_PER_AXIS - 1)).astype(np.int64)
-        for bit in range(MORTON_BITS_PER_AXIS):
-            for axis in range(3):
-                code[rows] |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
+        cell = (np.clip(away / size, 0.0, 1.0) * LARGEST_MORTON_CELL).astype(np.int64)
+        code[rows] = sum(spread_bits(cell[:, axis]) << axis for axis in range(3))
     return np.argsort(code, kind="stable")
 
 
+def spread_bits(x: np.ndarray) -> np.ndarray:
+    """The ten bits of each number, with two zeros between them."""
+    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
+        x = (x | (x << shift)) & mask
+    return x
+
+
 def columns_in_order(rows: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """(3, n) rows[order].T, without an array of the rows in between."""
+    """(3, n) rows[order].T, without a temporary array of rows."""
     columns = np.empty((3, len(order)))
     for axis in range(3):
         columns[axis] = rows[order, axis]
@@ -319,14 +324,14 @@ def columns_in_order(rows: np.ndarray, order: np.ndarray) -> np.ndarray:
 
 
 class PrimitiveArray(NamedTuple):
-    """All primitives of one kind."""
+    """All primitives of one kind, with their exact arithmetic."""
 
     kind: ExactKind
     prims: Any
     ids: np.ndarray  # (n,) the number of each in the scene
     ready: dict[int, Any]  # prepared primitives, by row
-    identical: dict[int, np.ndarray]  # row -> numbers in the scene of all primitives with its bits, where several have
-    repeated: np.ndarray | None  # (n,) bool: identical to a lower row, which stands for it; None: none is
+    identical: dict[int, np.ndarray]  # row -> numbers of all primitives with the same bits, if there are several
+    repeated: np.ndarray | None  # (n,) bool: identical to a lower row, which is tested in its place; None: none is
 
     def intersect(self, k: int, ray: IntegerRay) -> LineIntersections:
         if k not in self.ready:
@@ -335,7 +340,7 @@ class PrimitiveArray(NamedTuple):
 
 
 class CandidatePrimitive(NamedTuple):
-    """A primitive that one ray may intersect, but not at any t < near."""
+    """A primitive that a ray may intersect, at no t < near."""
 
     part: PrimitiveArray
     k: int
@@ -343,7 +348,7 @@ class CandidatePrimitive(NamedTuple):
 
 
 class PrimitiveIndex:
-    """All primitives of a scene, array after array; an index counts through this list."""
+    """All primitives of a scene, array after array; an index counts through all of them."""
 
     def __init__(self, parts: Sequence[PrimitiveArray]) -> None:
         """Raises OutsideDomain for primitives with numbers that are outside the domain."""
@@ -368,14 +373,14 @@ class PrimitiveIndex:
         self.tree = BoxTree(low, high)
 
     def numbered(self, prim: int) -> Iterator[tuple[PrimitiveArray, int]]:
-        """All pieces of primitive number `prim`; none for a face that is nowhere, or a number that is none."""
+        """All pieces of primitive number `prim`, as (array, row); none for a face with a corner that is not finite."""
         for part, first in zip(self.parts, self.first.tolist(), strict=False):
             for k in np.flatnonzero(part.ids == prim).tolist():
                 if self.present[first + k]:
                     yield part, k
 
     def candidates(self, rays: RayColumns) -> Iterator[list[CandidatePrimitive]]:
-        """For each ray the primitives it may intersect at t_min < t <= t_max, sorted by `near`; never too few."""
+        """For each ray all primitives that it may intersect at t_min < t <= t_max, sorted by `near`."""
         for start in range(0, rays.o.shape[1], RAYS_PER_CHUNK):
             yield from self._candidates(RayColumns(*(a[..., start : start + RAYS_PER_CHUNK] for a in rays)))
 

@@ -132,6 +132,14 @@ def probe_candidate(candidate: Subject, scene: Scene, pixel: tuple[int, int], pa
     return _judged(candidate.name, judge, response)
 
 
+def case_text(judgement: Judgement) -> str:
+    """Of a pixel where the reference is wrong: the number of the known case, or "unlisted"."""
+    if 0 not in judgement.cases:
+        return ""
+    case = judgement.cases[0]
+    return UNLISTED if case is None else str(case)
+
+
 def _judged(name: str, judge: Judge, response: SubjectResponse) -> CandidatePixel:
     judgement, answer = judge.judge(), judge.answer
     verdict = CLASSES[int(judgement.classes[0])]
@@ -144,7 +152,6 @@ def _judged(name: str, judge: Judge, response: SubjectResponse) -> CandidatePixe
     left = _not_judged(judge, exact)
     judged = {check: share for check, share in ratios.items() if check not in left or share > 0.0}
     why = (reason(judge, judgement, diagnosed, 0), exceeded_factors(judge, off, judged))
-    case = judgement.cases.get(0)
     return CandidatePixel(
         name,
         verdict,
@@ -154,7 +161,7 @@ def _judged(name: str, judge: Judge, response: SubjectResponse) -> CandidatePixe
         off,
         judged,
         {check: why for check, why in left.items() if check not in judged},
-        "" if 0 not in judgement.cases else UNLISTED if case is None else str(case),
+        case_text(judgement),
         _answer_alone_text(response.alone, answer),
         (*answer.notes, *response.limits, *failure_hints(answer, judgement)),
         witness=as_witness(judge, judgement, off),

@@ -17,7 +17,7 @@ from mitsuba_ref.judge.diagnosis import diagnose
 from mitsuba_ref.judge.explanations import MAX_TIES_SHOWN, exact_answer, full_reason, not_judged, tie_members
 from mitsuba_ref.judge.verdict import CLASSES, FAILING, UNDECIDED, UNLISTED, json_number
 from mitsuba_ref.oracle.oracle import ExactAnswer
-from mitsuba_ref.probe.candidate_pixel import CANDIDATE_QUANTITIES, CandidatePixel, probe_candidate
+from mitsuba_ref.probe.candidate_pixel import CANDIDATE_QUANTITIES, CandidatePixel, case_text, probe_candidate
 from mitsuba_ref.probe.witnesses import WitnessAnswer, witness_answers, witness_lines, witness_record
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
@@ -134,18 +134,11 @@ def probe_with_evidence(
         tuple(_possible(scene, judge)),
         pair.result.answer.versions,
         why=full_reason(judge, judgement, diagnose(judge, judgement).by_row(), 0),
-        case=_case(judgement),
+        case=case_text(judgement),
         witnesses=found_witnesses if theirs is None or theirs.witness is None else (theirs.witness, *found_witnesses),
         candidate=theirs,
     )
     return found, ProbeEvidence(judge, judgement)
-
-
-def _case(judgement: Judgement) -> str:
-    if 0 not in judgement.cases:
-        return ""
-    case = judgement.cases[0]
-    return UNLISTED if case is None else str(case)
 
 
 def _ray(rays: SharedRays) -> dict[str, Any]:

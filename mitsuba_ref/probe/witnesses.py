@@ -43,12 +43,14 @@ class WitnessAnswer:
 
 def witness_answers(judge: Judge, answer: ExactAnswer | None) -> tuple[WitnessAnswer, ...]:
     """All witnesses of the ray of a window of one pixel."""
-    exact = () if answer is None else (_exact(judge, answer),)
     given = judge.pair.result.answer
-    ours = _surface(judge, int(judge.pair.prim[0]))
     theirs = dict(other_variant_answers(judge, given.versions["variant"]))
     theirs[given.versions["variant"], "robust"] = given
-    rows = [_compared_with_exact(("ours", *ours, float(judge.pair.t[0])), judge, answer, np.float64), *exact]
+    ours = ("ours", *surface_of(judge, int(judge.pair.prim[0])), float(judge.pair.t[0]))
+    rows = [compared_with_exact(ours, judge, answer, np.float64)]
+    if answer is not None:
+        t = np.inf if answer.t is None else float(answer.t)
+        rows.append(WitnessAnswer("exact", *surface_of(judge, answer.prim), t, right=True))
     for variant in variants.VARIANT_NAMES:
         for mode in MODES:
             rows.append(_of_mitsuba(f"mitsuba {variant} {mode}", theirs[variant, mode], judge, answer))
@@ -75,17 +77,12 @@ def other_variant_answers(judge: Judge, variant: str) -> Iterator[tuple[tuple[st
             yield from (((name, mode), found) for mode, found in zip(wanted[name], answers, strict=True))
 
 
-def _surface(judge: Judge, prim: int) -> tuple[str, int]:
+def surface_of(judge: Judge, prim: int) -> tuple[str, int]:
     """(shape, number within it) of a primitive of the scene."""
     if prim < 0:
         return "miss", -1
     packed, which = judge.model.packed, np.array([prim])
     return judge.scene.shape_names()[int(packed.shape_of(which)[0])], int(packed.index_in_shape(which)[0])
-
-
-def _exact(judge: Judge, answer: ExactAnswer) -> WitnessAnswer:
-    t = np.inf if answer.t is None else float(answer.t)
-    return WitnessAnswer("exact", *_surface(judge, answer.prim), t, right=True)
 
 
 def _of_mitsuba(who: str, found: TraceResponse | Crash | str, judge: Judge, exact: ExactAnswer | None) -> WitnessAnswer:
@@ -95,24 +92,24 @@ def _of_mitsuba(who: str, found: TraceResponse | Crash | str, judge: Judge, exac
         return WitnessAnswer(who, "", -1, np.nan, problem=f"no answer ({found.exit}): {found.headline}")
     shape = int(found.shape[0])
     if shape < 0:
-        return _compared_with_exact((who, "miss", -1, np.inf), judge, exact, np.float32)
+        return compared_with_exact((who, "miss", -1, np.inf), judge, exact, np.float32)
     place = shape_ids(judge.scene).index(found.names[shape])
     first, last = (int(n) for n in judge.model.packed.first[place : place + 2])
     prim = int(found.prim[0])
     prim = prim if first + prim < last else 0  # a stand-in counts its triangles by itself
-    return _compared_with_exact(
+    return compared_with_exact(
         (who, judge.scene.shape_names()[place], prim, float(found.t[0])), judge, exact, np.float32
     )
 
 
-def _compared_with_exact(
+def compared_with_exact(
     claimed: tuple[str, str, int, float], judge: Judge, exact: ExactAnswer | None, kind: type
 ) -> WitnessAnswer:
     """An answer beside the exact one. kind: what it was computed in."""
     name = np.dtype(kind).name
     if exact is None:
         return WitnessAnswer(*claimed, format=name)
-    surfaces = {_surface(judge, hit.prim) for hit in exact.ties} or {("miss", -1)}
+    surfaces = {surface_of(judge, hit.prim) for hit in exact.ties} or {("miss", -1)}
     right = claimed[1:3] in surfaces
     if not right or exact.t is None or not np.isfinite(claimed[3]):
         return WitnessAnswer(*claimed, right=right, format=name)
@@ -153,8 +150,7 @@ def witness_lines(found: tuple[WitnessAnswer, ...]) -> Iterator[str]:
             yield f"{head}  {each.problem}"
             continue
         verdict = {True: "right", False: "WRONG", None: "?"}[each.right]
-        if each.right and each.off and abs(each.off) > DISTINCT_RTOL * abs(each.t):
-            verdict = "allowed"  # by a loose bound
+        verdict = "allowed" if _is_loose(each) else verdict
         t = f"t {decimal_and_hex(each.t)}" if np.isfinite(each.t) else ""
         yield f"{head}  {verdict}  {_surface_text(each):<{hit}}  {t}{_error_text(each)}".rstrip()
 
@@ -168,15 +164,17 @@ def _error_text(each: WitnessAnswer) -> str:
     parts = []
     if each.ulps is not None:
         parts.append(f"{each.ulps:+.3g} ulps of {each.format}" if each.ulps else f"exact in {each.format}")
-    if each.right and each.off and abs(each.off) > DISTINCT_RTOL * abs(each.t):
-        relative = abs(each.off / each.t)
-        bound = f", its bound is {100.0 * relative / each.share:.2g} % here" if each.share else ""
-        parts.append(f"allowed: t is off by {100.0 * relative:.2g} %{bound}")
-    if each.right is False and each.share is not None and not each.share <= 1.0:
-        parts.append(f"{each.share:.3g}x its bound")
-    if each.normal_share is not None and not each.normal_share <= 1.0:
-        parts.append(f"normal {each.normal_share:.3g}x its bound")
+    if _is_loose(each) and each.off:
+        parts.append(f"allowed: t is off by {100.0 * abs(each.off / each.t):.2g} %")
+    for what, share in (("", each.share if each.right is False else None), ("normal ", each.normal_share)):
+        if share is not None and not share <= 1.0:
+            parts.append(f"{what}{share:.3g}x its bound")
     return "".join(f", {words}" for words in (*parts, *filter(None, [each.remark])))
+
+
+def _is_loose(each: WitnessAnswer) -> bool:
+    """Whether t is right by a loose bound alone."""
+    return bool(each.right and each.off and abs(each.off) > DISTINCT_RTOL * abs(each.t))
 
 
 def witness_record(each: WitnessAnswer) -> dict[str, Any]:

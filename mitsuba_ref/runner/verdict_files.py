@@ -9,7 +9,6 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from caster.aovs import AOVS
 from caster.cameras import CAMERAS
 from caster.description.errors import FileMissing, SceneError
 from caster.description.input_files import MAX_TEXT_BYTES, read_input
@@ -41,8 +40,7 @@ def verdict_key(scene: Scene, path: str, **about: Any) -> str:
 
     about: options. "" where that is not known: of a scene without a variant, and where other packages add kinds.
     """
-    modules = [*(kind.__module__ for kind in (*SHAPES, *CAMERAS)), *(aov.__name__ for aov in AOVS)]
-    if not all(module.startswith("caster.") for module in modules):
+    if not all(kind.__module__.startswith("caster.") for kind in (*SHAPES, *CAMERAS)):
         return ""
     try:
         variant = variant_of(scene)

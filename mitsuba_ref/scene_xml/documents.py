@@ -20,7 +20,7 @@ class SourcePosition(NamedTuple):
 
 
 class ImportDiagnostic(NamedTuple):
-    """An error or an omission, and its position."""
+    """An error or an omission of the import, and its position."""
 
     position: SourcePosition
     text: str
@@ -124,17 +124,17 @@ def parse(text: str, file: str) -> Node:
 # ---- defaults, includes, references ----
 
 MAX_INCLUDE_DEPTH = 15  # nesting of includes, as in Mitsuba
-MAX_INCLUDES = 1000  # includes of one scene
-MAX_SUBSTITUTIONS = 64  # of parameters in one value
-MAX_VALUE_CHARACTERS = 2**16  # of a value in which parameters are substituted
+MAX_INCLUDES = 1000  # per scene
+MAX_SUBSTITUTIONS = 64  # per value
+MAX_VALUE_CHARACTERS = 2**16  # of a value with substituted parameters
 
 
 @dataclass
 class XmlDocument:
-    """All elements of a scene with its includes, and the errors so far."""
+    """All elements of a scene and its includes, and the errors so far."""
 
     folder: Path
-    nodes: list[Node] = field(default_factory=list)  # children of the root; an include is replaced by its content
+    nodes: list[Node] = field(default_factory=list)  # children of the root; includes are replaced by their contents
     by_id: dict[str, Node] = field(default_factory=dict)
     texts: dict[str, str] = field(default_factory=dict)  # of each file
     errors: list[ImportDiagnostic] = field(default_factory=list)
@@ -174,7 +174,7 @@ def _read(document: XmlDocument, path: str, depth: int) -> None:
 
 
 def _include(document: XmlDocument, node: Node, depth: int) -> None:
-    """Load an include, relative to the folder of the scene and inside of it."""
+    """Load an include, whose file must lie in the folder of the scene or below."""
     name = node.attributes.get("filename", "")
     path = document.folder / name
     document.includes += 1
@@ -204,7 +204,7 @@ def _substitute_parameters(document: XmlDocument, node: Node) -> None:
 
 
 def _substituted(document: XmlDocument, node: Node, value: str) -> str:
-    """Substitute parameters in a value, longest name first: $widthscale is not $width and then scale."""
+    """Substitute parameters in a value, longest name first: $widthscale is not $width followed by "scale"."""
     for _ in range(MAX_SUBSTITUTIONS):
         name = _longest_parameter(document, value)
         if name is None or len(value) > MAX_VALUE_CHARACTERS:
@@ -220,7 +220,7 @@ def _substituted(document: XmlDocument, node: Node, value: str) -> str:
 
 
 def _longest_parameter(document: XmlDocument, value: str) -> str | None:
-    """The longest name of a parameter that stands after a $ in a value."""
+    """The longest parameter name that follows a $ in a value."""
     longest = max(map(len, document.parameters), default=0) if "$" in value else 0
     starts = (found.end() for found in re.finditer(r"\$", value))
     names = (value[at : at + n] for at in starts for n in range(min(longest, len(value) - at), 0, -1))
@@ -242,7 +242,7 @@ def _index(document: XmlDocument, nodes: list[Node]) -> None:
 
 
 def resolve_reference(document: XmlDocument, node: Node) -> Node | None:
-    """The element that a <ref> refers to, or the element itself. None, and an error, for an unknown id."""
+    """The element that a <ref> refers to, or the element itself; None, with an error, for an unknown id."""
     if node.tag != "ref":
         return node
     if node.id in document.by_id:

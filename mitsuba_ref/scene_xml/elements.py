@@ -1,4 +1,4 @@
-"""Elements of Mitsuba scenes that are written, and PLY files, in the float32 numbers that both sides trace."""
+"""Writers of Mitsuba scene elements and PLY files, in the float32 numbers that both sides trace."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import numpy as np
 
 from caster.description.errors import SceneError
 
-if TYPE_CHECKING:  # Mitsuba's process reads part ids, and needs no descriptions
+if TYPE_CHECKING:  # the Mitsuba process imports this module for part ids, without descriptions
     from caster.description.fields import Shape
 
 
 class MissingReferenceError(SceneError, LookupError):
-    """A scene with a shape or a camera that has no reference."""
+    """A shape or a camera of the scene is not registered with the judge."""
 
 
 def missing_reference(name: str, kind: str) -> str:
@@ -27,24 +27,24 @@ def missing_reference(name: str, kind: str) -> str:
     )
 
 
-# A shape of the scene that is many of Mitsuba's has ids NAME{0}, NAME{1} ...; no other id ends in a brace.
+# A shape that is exported as several Mitsuba shapes gives them ids NAME{0}, NAME{1} ...; no other id ends in a brace.
 
 
 def part_id(name: str, part: object) -> str:
-    """The id of one of many shapes of Mitsuba's that are one of the scene."""
+    """The id of one of several Mitsuba shapes of one shape of the scene."""
     return f"{name}{{{part}}}"
 
 
 def shape_and_part(shape_id: str) -> tuple[str, int]:
-    """The inverse: (name, part), or (shape_id, -1) for the id of a shape that is one on both sides."""
+    """Inverse of part_id: (name, part), or (shape_id, -1) for a shape that is exported as one."""
     name, brace, part = shape_id[:-1].rpartition("{")
     return (name, int(part)) if brace and shape_id[-1] == "}" and part.isdecimal() else (shape_id, -1)
 
 
 def ply_bytes(part: Any) -> bytes:
-    """A PLY file of packed triangles: corners, and normals and uv where they are used.
+    """Binary PLY file of packed triangles: corners, and normals and uv if they are used.
 
-    part: caster's Triangles whose numbers are float32 values; they go into the file without another rounding.
+    part: caster's Triangles with float32 values, which are written without another rounding.
     """
     columns = {name: part.vertices[:, c] for c, name in enumerate("xyz")}
     if part.smooth.any():
@@ -64,7 +64,7 @@ def ply_bytes(part: Any) -> bytes:
     return header.encode("ascii") + vertices.tobytes() + faces.tobytes()
 
 
-# In typeshed, elements and comments differ by the type of their tag; a document holds both.
+# In typeshed, elements and comments differ by the type of their tag; a document contains both.
 if TYPE_CHECKING:
     XmlElement: TypeAlias = Element[Any]
 else:
@@ -73,42 +73,42 @@ else:
 
 @dataclass
 class ShapeWriter:
-    """Elements of the scene's shapes, and the mesh files they name."""
+    """Writer of the scene's shapes: makes elements, and collects the files that they name."""
 
-    material: Callable[[Shape], XmlElement]  # its <bsdf>
-    name: str = ""  # id of the shape that is being written
+    material: Callable[[Shape], XmlElement]  # makes the <bsdf> of a shape
+    name: str = ""  # id of the current shape
     meshes: dict[str, bytes] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
     def native(self, shape: Shape, plugin: str, center: np.ndarray, linear: np.ndarray) -> XmlElement:
-        """A plugin of Mitsuba's own under one matrix."""
+        """A Mitsuba shape plugin under one matrix."""
         element = Element("shape", type=plugin, id=self.name)
         element.append(matrix_element(center, linear))
         element.append(self.material(shape))
         return element
 
     def instance(self, shape: Shape, plugin: str, part: Any) -> list[XmlElement]:
-        """A plugin that takes no stretching, stretched all the same: an instance of a group of one."""
+        """A stretched shape whose plugin does not support stretching: an instance of a one-shape group."""
         group = Element("shape", type="shapegroup", id=f"{self.name}.group")
         unit = SubElement(group, "shape", type=plugin, id=f"{self.name}.unit")
         unit.append(self.material(shape))
         element = Element("shape", type="instance", id=self.name)
         SubElement(element, "ref", id=f"{self.name}.group")
         element.append(matrix_element(part.center[0], part.to_world[0]))
-        self.notes.append(f"{self.name}: an instance of a {plugin}, which Mitsuba itself does not stretch")
+        self.notes.append(f"{self.name}: an instance of a {plugin}, as Mitsuba's {plugin} cannot be stretched")
         return [group, element]
 
     def native_many(self, shape: Shape, plugin: str, centers: np.ndarray, linear: np.ndarray) -> list[XmlElement]:
-        """As many of `native` as there are rows in centers (n, 3) and linear (n, 3, 3), with one material.
+        """Many shapes like `native`, one for each row of centers (n, 3) and linear (n, 3, 3), with one material.
 
-        They are a file that the scene includes, written as text: an element tree of a million takes a minute and 2 GB.
+        They go to an included file, written as text: an element tree of a million shapes takes a minute and 2 GB.
         """
         bsdf = self.material(shape)
         bsdf.set("id", part_id(self.name, "material"))
         return self._include(tostring(bsdf, encoding="unicode"), f'type="{plugin}"', bsdf, centers, linear)
 
     def instances(self, shape: Shape, plugin: str, part: Any) -> list[XmlElement]:
-        """As many of `instance` as there are rows, of one group."""
+        """Many instances like `instance`, one for each row of `part`, of one group."""
         group, _ = self.instance(shape, plugin, part)
         text = tostring(group, encoding="unicode")
         return self._include(text, 'type="instance"', group, part.center, part.to_world)
@@ -116,7 +116,7 @@ class ShapeWriter:
     def _include(
         self, shared: str, attributes: str, referred: XmlElement, centers: np.ndarray, linear: np.ndarray
     ) -> list[XmlElement]:
-        """<include> of a file of shapes that refer to one element. shared: the text of that element."""
+        """<include> of a file of shapes that refer to a shared element. shared: the text of that element."""
         name, shared_id = (escape(each, {'"': "&quot;", "%": "%%"}) for each in (self.name, referred.attrib["id"]))
         shape = f'<shape {attributes} id="{part_id(name, "%d")}"><ref id="{shared_id}"/>'
         matrix = " ".join(["%r"] * 12)
@@ -128,7 +128,7 @@ class ShapeWriter:
         return [Element("include", filename=file)]
 
     def mesh(self, shape: Shape, part: Any) -> XmlElement:
-        """Triangles as a PLY file with its corners in world space."""
+        """Triangles as a PLY file in world space."""
         file = f"meshes/{len(self.meshes):04d}-{safe_name(self.name)}.ply"
         self.meshes[file] = ply_bytes(part)
         element = Element("shape", type="ply", id=self.name)
@@ -145,7 +145,7 @@ def format_floats(values: Sequence[float] | np.ndarray) -> str:
 
 
 def safe_name(name: str) -> str:
-    """A file name out of a shape's name."""
+    """A part of a file name made from a shape's name."""
     return "".join(c if c.isascii() and c.isalnum() else "-" for c in name)[:40]
 
 

@@ -1,4 +1,4 @@
-"""The registry of shapes and primitive kinds on the judge's side: one entry for every shape of caster.shapes.SHAPES.
+"""Registry of the judge's side of shapes and primitive kinds: one entry for every shape of caster.shapes.SHAPES.
 
 A plug-in is a module that calls `register`. Programs import it; the commands also load every module that an installed
 distribution names as an entry point of the group "mitsuba_ref.plugins".
@@ -20,7 +20,7 @@ KINDS: dict[type[Any], PrimitiveReference] = {}  # by the class of their arrays
 
 
 def register(reference: ShapeReference) -> None:
-    """Add a shape and its kinds; a second reference of a shape takes the place of the first."""
+    """Add a shape and its kinds; a second entry for a shape replaces the first."""
     REFERENCES[reference.describes] = reference
     for kind in reference.kinds:
         KINDS[kind.arrays] = kind
@@ -28,7 +28,7 @@ def register(reference: ShapeReference) -> None:
 
 
 def kind_of(part: Any) -> PrimitiveReference:
-    """The kind of packed arrays. Raises LookupError with what to write, where nothing is registered."""
+    """The kind of packed arrays. Raises LookupError, saying what to write, if it is not registered."""
     if type(part) not in KINDS:
         raise LookupError(
             f"{type(part).__name__}: no primitive kind of that name is registered in mitsuba_ref.shapes "
@@ -38,7 +38,7 @@ def kind_of(part: Any) -> PrimitiveReference:
 
 
 def reference_of(shape: Shape) -> ShapeReference:
-    """Raises MissingReferenceError with what to write, where a shape has no reference yet."""
+    """The entry of a shape. Raises MissingReferenceError, saying what to write, if there is none."""
     if type(shape) not in REFERENCES:
         raise MissingReferenceError(missing_reference(type(shape).__name__, "shapes"))
     return REFERENCES[type(shape)]

@@ -1,4 +1,4 @@
-"""Cylinders: Mitsuba's cylinder, or an instance of one where it is stretched; error model and targets."""
+"""Cylinders: Mitsuba's cylinder, or an instance of one if stretched; error model and targets."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -62,19 +62,19 @@ from mitsuba_ref.shapes.targets import (
 
 
 def to_xml(out: ShapeWriter, shape: Cylinder, part: Any) -> list[XmlElement]:
-    """A round, straight cylinder as it is; a stretched, sheared or mirrored one as an instance."""
+    """A native cylinder if it is round, straight and not mirrored; otherwise an instance of one."""
     if mitsuba_accepts_matrix(part.to_world[0]):
         return [out.native(shape, "cylinder", part.center[0], part.to_world[0])]
     return out.instance(shape, "cylinder", part)
 
 
-# Mitsuba refuses a cylinder whose matrix, as rotation times stretching, shears by more than this many scene units.
+# Mitsuba rejects a cylinder if its matrix, as rotation times stretch, shears by more than this (scene units).
 LARGEST_SHEAR = 1e-6
-SHEAR_ROUNDING = 8 * U32  # of the matrix's own size: by how much float32 shears one that has no shear, here and there
+SHEAR_ROUNDING = 8 * U32  # shear of a matrix without any that float32 rounding causes, relative to its size
 
 
 def mitsuba_accepts_matrix(linear: np.ndarray) -> bool:
-    """Whether Mitsuba takes a 3x3 matrix for that of a round, straight cylinder which keeps its outside outside."""
+    """Whether Mitsuba accepts a 3x3 matrix as that of a round, straight cylinder that is not mirrored."""
     stretch = np.array(polar_decomposition(linear)[1])
     shear = np.max(np.abs([stretch[0, 1], stretch[0, 2], stretch[1, 2], stretch[0, 0] - stretch[1, 1]]))
     rounding = SHEAR_ROUNDING * np.max(np.abs(stretch))
@@ -82,13 +82,13 @@ def mitsuba_accepts_matrix(linear: np.ndarray) -> bool:
 
 
 def polar_decomposition(linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(rotation, symmetric stretching) whose product is the matrix."""
+    """(rotation, symmetric stretch) whose product is the matrix."""
     u, sizes, v = np.linalg.svd(linear)
     return u @ v, v.T @ np.diag(sizes) @ v
 
 
 def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
-    """Ray i with cylinder k[i]: the unit circle in the x, y of object space, then the ends."""
+    """Intersections of ray i with cylinder k[i]: the unit circle in x, y of object space, then the ends."""
     to_object = prims.to_object[k]
     rays = rays_in_object_space(prims.center[k], to_object, o, d)
     flat = np.array([1.0, 1.0, 0.0])
@@ -96,8 +96,8 @@ def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
     middle, distance, s = sphere_roots(rays.o * flat, rays.d * flat, one)
     size = norm(rays.d * flat)
     found = []
-    # Mitsuba 3.9.1 pulls a hit onto the wall by its distance from it in object space: along the radius there, if it
-    # is an instance; or else along the normal, by as many scene units, which moves points of thin cylinders far.
+    # Mitsuba 3.9.1 moves a hit onto the wall by its distance from it in object space: along the radius there for an
+    # instance; otherwise along the normal by as many scene units, which moves points of thin cylinders far.
     with np.errstate(divide="ignore", invalid="ignore"):
         for side in (-1.0, 1.0):
             t = middle + side * s / size
@@ -122,7 +122,7 @@ def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
 
 
 def uv_points(_prims: Any, _k: np.ndarray, uv: np.ndarray, whole_turn: bool = False) -> np.ndarray:
-    """u is the angle as a fraction of a turn, v the height: the point of the wall of the unit cylinder."""
+    """Points of the unit cylinder with u the angle as a fraction of a turn, v the height."""
     return np.column_stack([on_circle(uv[:, 0], whole_turn), uv[:, 1]])
 
 
@@ -133,12 +133,12 @@ def describe_cylinder(part: Cylinders, k: int) -> Fields:
     return {"type": "cylinder", "to_world": unit_shape_matrix(part, k)}
 
 
-# A matrix that is flatter than this may turn inside out when its numbers are rounded to float32.
+# A matrix with a larger condition number than this may change its handedness when rounded to float32.
 LARGEST_HANDED_CONDITION = 2.0**20
 
 
 def expected_cylinder(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
-    """Base, axis and handedness; and A A^T, which does not depend on where around the axis the angle begins."""
+    """Base, axis, handedness, and A A^T, which does not depend on where around the axis the angle starts."""
     linear, packed = shape.matrix[:3, :3], part.to_world[0]
     p0, axis = np.array(shape.p0), np.subtract(shape.p1, shape.p0)
     ends = np.abs(shape.p0) + np.abs(shape.p1)

@@ -1,4 +1,4 @@
-"""Disks: Mitsuba's disk, which takes any matrix; error model and targets."""
+"""Disks: Mitsuba's disk under any matrix; error model and targets."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -61,7 +61,7 @@ def to_xml(out: ShapeWriter, shape: Disk, part: Any) -> list[XmlElement]:
 
 
 def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
-    """Ray i with disk k[i]: the plane z = 0 of object space, then the rim."""
+    """Intersections of ray i with disk k[i]: the plane z = 0 of object space, then the rim."""
     to_object = prims.to_object[k]
     rays = rays_in_object_space(prims.center[k], to_object, o, d)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -86,7 +86,7 @@ def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
 
 
 def uv_points(_prims: Any, _k: np.ndarray, uv: np.ndarray, whole_turn: bool = False) -> np.ndarray:
-    """u is the distance from the centre, v the angle as a fraction of a turn: the point of the unit disk."""
+    """Points of the unit disk with u the distance from the centre, v the angle as a fraction of a turn."""
     radius = np.where(uv[:, :1] >= 0.0, uv[:, :1], np.nan)
     return np.column_stack([radius * on_circle(uv[:, 1], whole_turn), np.zeros(len(uv))])
 
@@ -99,7 +99,7 @@ def describe_disk(part: Disks, k: int) -> Fields:
 
 
 def expected_disk(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
-    """The matrix as it is."""
+    """The matrix of to_world."""
     yield up_to_rounding("center", part.center[0], shape.matrix[:3, 3])
     yield up_to_rounding("to_world", part.to_world[0], shape.matrix[:3, :3])
 

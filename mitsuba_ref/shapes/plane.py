@@ -1,8 +1,8 @@
-"""Plane: Mitsuba has none, so it gets a patch of triangles, cut to the rays.
+"""Plane: Mitsuba has none, and gets a patch of triangles around the hits of the rays instead.
 
-A single large rectangle would be inaccurate: its float32 corners tilt it, by more the larger it is, and hits nearby
-would have the error of hits at the horizon. The patch is a square with rings of trapezoids around
-it, each twice as large, so that the corners around a hit are about as far away as the hit itself.
+A single large rectangle would be inaccurate: rounded float32 corners tilt it, the more the larger it is, and nearby
+hits would have the errors of hits at the horizon. The patch is a square with rings of trapezoids around it, each twice
+as large, so that the corners around a hit are about as far away as the hit itself.
 """
 
 from collections.abc import Iterator
@@ -33,21 +33,21 @@ from mitsuba_ref.shapes import surface_errors
 from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference, unit_vector_rounding_to
 from mitsuba_ref.shapes.targets import Rng, SurfacePoints, coin_flip, random_directions, random_fractions, random_point
 
-PATCH_RINGS = 24  # 2^24 times the square: beyond that, float32 does not separate the hit from the horizon
-LARGEST_PATCH_COORDINATE = 1e10  # Embree's triangles are right up to about here (docs/method.md, "Domain")
+PATCH_RINGS = 24  # up to 2^24 times the square: farther out, float32 does not separate hits from the horizon
+LARGEST_PATCH_COORDINATE = 1e10  # Embree's triangles are accurate up to about here (docs/method.md, "Domain")
 SQUARE_CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
-PATCH_ROTATION = 0.6  # radians; keeps the patch's edges off the rows and columns of pixels
+PATCH_ROTATION = 0.6  # radians; avoids edges along rows and columns of pixels
 
 
 class Patches(NamedTuple):
-    """Planes, and the triangles that stand in for each."""
+    """Planes, with a patch of triangles as the stand-in for each."""
 
     normal: np.ndarray  # (n, 3) unit
     point: np.ndarray  # (n, 3)
     center: np.ndarray  # (n, 3) of the patch, in the plane
-    axes: np.ndarray  # (n, 2, 3) unit, in the plane, across each other
+    axes: np.ndarray  # (n, 2, 3) unit, in the plane, orthogonal
     half: np.ndarray  # (n,) half the side of the innermost square
-    corners: np.ndarray  # (n, 4 * (RINGS + 1), 3) float32 values, four by four from the inside out
+    corners: np.ndarray  # (n, 4 * (PATCH_RINGS + 1), 3) float32 values, ring by ring from the inside out
 
 
 def patches(part: Planes, o: np.ndarray, d: np.ndarray) -> Patches:
@@ -72,12 +72,12 @@ def _patch(normal: np.ndarray, point: np.ndarray, o: np.ndarray, d: np.ndarray) 
     return n, point, center, axes, np.array(half), corners.astype(np.float32).astype(np.float64)
 
 
-# Its square, an area, is a normal number of float32 still.
+# The square of this, an area, is still a normal float32 number.
 SMALLEST_HALF_SIDE = 2.0**-60
 
 
 def _half_side(n: np.ndarray, point: np.ndarray, center: np.ndarray, o: np.ndarray, d: np.ndarray) -> float:
-    """As far from the centre as the nearest tenth of all hits."""
+    """Half the side of the square: the distance within which the nearest tenth of all hits lie."""
     with np.errstate(divide="ignore", invalid="ignore"):
         t = dot_rows(point - o, n) / dot_rows(d, n)
     met = np.isfinite(t) & (t > 0.0)
@@ -104,7 +104,7 @@ PATCH_FACES = faces()
 
 
 def as_triangles(patch: Patches) -> Triangles:
-    """All patches as one mesh; patch i holds the faces from i * len(FACES) on."""
+    """All patches as one mesh; the faces of patch i start at i * len(PATCH_FACES)."""
     count = patch.corners.shape[1]
     shifts = count * np.arange(len(patch.corners), dtype=np.int32)
     every = (PATCH_FACES[None] + shifts[:, None, None]).reshape(-1, 3)
@@ -119,10 +119,10 @@ def to_xml(out: ShapeWriter, shape: Plane, part: Patches) -> list[XmlElement]:
 
 
 def intersect(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
-    """Ray i with plane k[i]. The bound is that of the triangle around the hit, and the rounding of its corners.
+    """Intersections of ray i with plane k[i], with the bound of the triangle hit, and the rounding of its corners.
 
-    Hits beyond the patch have no bound: there is nothing for the reference to hit. It is certain to hit where one of
-    the two triangles there is, or hangs on one edge alone, which the other or a neighbour shares.
+    Hits beyond the patch have no bound, as the reference hits nothing there. A hit is certain if it is for one of the
+    two triangles there, or in doubt at one edge only, which the other or a neighbour shares.
     """
     n, slope = prims.normal[k], dot(prims.normal[k], d)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -132,7 +132,7 @@ def intersect(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: f
     first, second = (k * len(PATCH_FACES) + face + j for j in (0, 1))
     (local,), (other,) = (surface_errors.intersect(mesh, each, o, d, ku) for each in (first, second))
     corners, others = (mesh.vertices[mesh.faces[each]] for each in (first, second))
-    moved = 0.25 * ku * dot(np.abs(n), np.abs(corners).max(axis=1))  # one rounding, not K of them
+    moved = 0.25 * ku * dot(np.abs(n), np.abs(corners).max(axis=1))  # a single rounding: ku / K
     within_one = local.certain | other.certain
     with np.errstate(invalid="ignore"):
         met = np.minimum(_height(corners), _height(others))
@@ -140,26 +140,26 @@ def intersect(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: f
     with np.errstate(divide="ignore", invalid="ignore"):
         t_error = local.t_error + 2.0 * moved / np.abs(slope)  # 2 = 1 / (1 - UNRESOLVABLE)
         n_error = np.maximum(local.n_error, other.n_error) + 2.0 * moved / height
-    n_error = np.where(np.isnan(n_error), np.inf, n_error)  # corners that float32 lets fall together
+    n_error = np.where(np.isnan(n_error), np.inf, n_error)  # corners that coincide in float32
     resolved = within & np.isfinite(t_error) & np.isfinite(t)
     t_error = np.where(resolved, t_error, np.inf)
     sure = resolved & (within_one | (local.side != 0.0) | (other.side != 0.0))
     t, everywhere = finite_or_zero(t, t_error), np.ones(len(k), bool)
     p_error = local.p_error + position_error(o, d, t, t_error, ku)
-    uv, uv_error = np.zeros((len(k), 3)), np.zeros(len(k))  # the patch's are of its triangles
+    uv, uv_error = np.zeros((len(k), 3)), np.zeros(len(k))  # uv of a patch are those of its triangles
     return (Intersections(t, t_error, n, n_error, n, n_error, everywhere, sure, p_error, uv, uv_error),)
 
 
-# Two unit vectors in the plane are cross products of lengths of 1/2 and more: of 3 roundings each, divided by a length
-# of 4, in all less than 32 roundings of either; ku is at least 4.
+# Two unit vectors in the plane are cross products of length >= 1/2: of 3 roundings each, divided by a length of 4
+# roundings; in all less than 32 roundings of either, and ku is at least 4 roundings.
 AXES_ERROR = 8.0
 
 
 def _uv(n: np.ndarray, q: np.ndarray, p_error: np.ndarray, ku: float) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates of q, seen from the plane's point, and their bound.
+    """uv of q, relative to the plane's point, and their bound.
 
-    The first axis is across n and x, or y where |n_x| >= 1/2. Where rounding decides that, either axes may be used,
-    and the two vectors of length |q| are at most 2 |q| apart.
+    The first axis is orthogonal to n and x, or to n and y if |n_x| >= 1/2. If rounding decides which, either may be
+    used, and two vectors of length |q| are at most 2 |q| apart.
     """
     side = np.where(np.abs(n[:, :1]) < 0.5, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
     right = unit(np.cross(side, n))
@@ -169,7 +169,7 @@ def _uv(n: np.ndarray, q: np.ndarray, p_error: np.ndarray, ku: float) -> tuple[n
 
 
 def intersect_ours(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
-    """Ray i with the plane k[i] itself: its height above the origin and its slope, each a rounded dot product."""
+    """Intersections of ray i with plane k[i] itself, from two rounded dot products: height and slope."""
     n, point = prims.normal[k], prims.point[k]
     slope = dot(n, d)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -190,7 +190,7 @@ def intersect_ours(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, 
 def _face_of_hit(
     prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, t: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(the first of the two FACES of the square or trapezoid where the hit lies; whether it lies within the patch)."""
+    """(first of the two PATCH_FACES of the square or trapezoid around the hit, whether the patch contains the hit)."""
     away = o + np.where(np.isfinite(t), t, 0.0)[:, None] * d - prims.center[k]
     u, v = (dot(away, prims.axes[k, axis]) / prims.half[k] for axis in range(2))
     size = np.maximum(np.abs(u), np.abs(v))
@@ -202,26 +202,26 @@ def _face_of_hit(
 
 
 def _height(corners: np.ndarray) -> np.ndarray:
-    """The smallest height of triangles with corners (m, 3, 3)."""
+    """Smallest heights (m,) of triangles with corners (m, 3, 3)."""
     edges = np.roll(corners, -1, axis=1) - corners
     area = norm(np.cross(edges[:, 0], edges[:, 1]))
     return area / np.sqrt((edges * edges).sum(axis=2)).max(axis=1)
 
 
 def _least_height(half: np.ndarray, face: np.ndarray) -> np.ndarray:
-    """The smallest height of any triangle around the ring of `face`: of the narrow ones in the ring within it."""
+    """Smallest height of the triangles around the ring of `face`: that of the narrow ones in the ring inside it."""
     ring = np.where(face == 0, 0, (face - 2) // 8 + 1)
     return half * 2.0 ** np.maximum(ring - 2, 0) * 2.0 / np.sqrt(10.0)  # area h^2, longest edge sqrt(10) h
 
 
 def bounds(prims: Patches) -> tuple[np.ndarray, np.ndarray]:
-    """Everything: a plane goes on beyond its patch."""
+    """Boxes of planes: all of space."""
     everywhere = np.full((len(prims.normal), 3), np.inf)
     return -everywhere, everywhere
 
 
 def expand_patches(prims: Patches) -> tuple[Triangles, np.ndarray]:
-    """The triangles of all patches, and whose each is."""
+    """(triangles of all patches, the patch of each)."""
     return as_triangles(prims), np.repeat(np.arange(len(prims.corners)), len(PATCH_FACES))
 
 
@@ -234,7 +234,7 @@ def describe_plane(part: Planes, k: int) -> Fields:
 
 
 def expected_plane(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
-    """A point of it, and the normal by the matrix of cofactors."""
+    """A point of the plane, and its normal transformed by the matrix of cofactors."""
     point = shape.point if shape.point is not None else np.multiply(shape.offset, shape.normal)
     yield expected_point(shape, "point", part.point[0], np.array(point))
     normal, size = transformed_normals(shape.matrix, np.array([shape.normal]))
@@ -259,7 +259,7 @@ def random_fields(rng: Rng, lattice: bool) -> Fields:
 
 
 def describe_plane_surface(part: Planes, k: int) -> Fields:
-    """By the very numbers: a normal of any length is the same plane's."""
+    """The packed numbers as they are: the length of the normal does not change the plane."""
     return {"type": "plane", "normal": part.normal[k].tolist(), "point": part.point[k].tolist()}
 
 
@@ -281,7 +281,7 @@ PLANES = PrimitiveReference(
     on_planes,
     describe_surface=describe_plane_surface,
     rounding_groups=(by_normal,),
-    position_terms=lambda part, k, weights, p: np.abs(p),  # corners of a patch are about as far away as the hit
+    position_terms=lambda part, k, weights, p: np.abs(p),  # corners of the patch are about as far away as the hit
     known_defects=(STARTS_ON_FLAT, GRAZED_FLAT),
     defect_view=view_plane,
 )
@@ -293,5 +293,5 @@ REFERENCE = ShapeReference(
     random_fields,
     groups=frozenset({"flat", "unbounded"}),
     stand_in=patches,
-    stand_in_note="in place of a plane Mitsuba gets a patch of triangles, cut to the rays: here, to this ray alone",
+    stand_in_note="in place of a plane Mitsuba traces a patch of triangles, which depends on the rays",
 )

@@ -1,12 +1,12 @@
-"""Declarations of shapes and primitive kinds on the judge's side (docs/adding-a-shape.md).
+"""Declarations of shapes and primitive kinds for the judge (docs/adding-a-shape.md).
 
-A shape is what a scene file describes (`type = "disk"`); a primitive kind is the NamedTuple of arrays that shapes pack
-to (`Disks`). caster declares both in caster/shapes/<kind>.py. Everything the judge, the fuzzer, the reports and the
-importer need beyond that is declared here, as one `ShapeReference` for a shape and one `PrimitiveReference` for a kind,
-and registered in mitsuba_ref/shapes/__init__.py.
+A shape is described by a scene file (`type = "disk"`); a primitive kind is the NamedTuple of arrays that shapes pack to
+(`Disks`). caster declares both in caster/shapes/<kind>.py. The judge, the fuzzer, reports and the importer need more:
+one `ShapeReference` for each shape and one `PrimitiveReference` for each kind, registered in
+mitsuba_ref/shapes/__init__.py.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -16,7 +16,7 @@ import numpy as np
 from caster.description.fields import Shape
 from caster.description.transform import dot_rows, is_mirrored
 from mitsuba_ref.error_model.defect_conditions import DefectView, KnownDefect
-from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, ExpectedPacking
+from mitsuba_ref.error_model.independent_transform import ExpectedPacking
 from mitsuba_ref.error_model.intersections import ErrorModel, GroupKey, single_group
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes.targets import Rng, SurfacePoints
@@ -25,14 +25,14 @@ MIRROR_Z = {"scale": [1.0, 1.0, -1.0]}
 
 
 class XmlShape(Protocol):
-    """One <shape>, with the transforms of the instance that it is a part of."""
+    """A <shape> to import, with the transforms of the instance that contains it."""
 
-    instanced: bool  # whether an instance places it
-    steps: list[dict[str, Any]]  # of its to_world, its own and the instance's
+    instanced: bool  # whether it is part of an instance
+    steps: list[dict[str, Any]]  # of its to_world: its own and the instance's
 
     @property
     def matrix(self) -> np.ndarray | None:
-        """The product of the steps, 4x4; None if they are invalid, which the scene's validation reports."""
+        """4x4 product of the steps; None if they are invalid, which validation of the scene reports."""
 
     def number(self, name: str, default: float) -> float: ...
     def vector(self, name: str, default: tuple[float, ...]) -> list[float]: ...
@@ -40,10 +40,10 @@ class XmlShape(Protocol):
     def text(self, name: str) -> str: ...
 
     def required_text(self, name: str) -> str:
-        """A text that has to be there; "" and an error in the import where it is not."""
+        """A required text; "" and an error of the import if it is missing."""
 
     def note(self, text: str) -> None:
-        """Report a property that the shape does not keep."""
+        """Report a property that is lost."""
 
 
 ImportShape = Callable[[XmlShape], dict[str, Any]]
@@ -54,7 +54,7 @@ def to_world_fields(xml: XmlShape) -> dict[str, Any]:
 
 
 def unit_shape_importer(type_name: str) -> ImportShape:
-    """For a unit shape that is the same on both sides."""
+    """Importer of a unit shape that is the same on both sides."""
 
     def import_unit_shape(xml: XmlShape) -> dict[str, Any]:
         note_normal_side(xml, xml.boolean("flip_normals"))
@@ -73,13 +73,13 @@ def note_normal_side(xml: XmlShape, flipped: bool) -> None:
 
 Fields = dict[str, Any]  # of a shape, as a scene file gives them
 
-# (arrays, k (m,), Mitsuba's barycentrics (m, 3) and position (m, 3)) -> (m, 3) magnitudes that it adds up to each
-# coordinate of its position
+# (arrays, k (m,), Mitsuba's barycentrics (m, 3) and position (m, 3)) -> (m, 3) sum of the magnitudes of the terms of
+# each coordinate of that position
 PositionTerms = Callable[[Any, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
 def as_packed(part: Any, o: np.ndarray, d: np.ndarray) -> Any:
-    """Mitsuba traces the packed numbers themselves."""
+    """No stand-in: Mitsuba traces the packed numbers."""
     return part
 
 
@@ -89,56 +89,50 @@ def all_numbers(part: Any, k: int) -> list[np.ndarray]:
 
 
 def plain_view(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
-    """The view of a kind without known defects of its own."""
+    """Measurements for a kind without known defects of its own."""
     return DefectView()
 
 
 def no_fields(rng: Rng, lattice: bool) -> Fields:
-    """A shape that its to_world alone varies."""
+    """No fields: the shape varies by its to_world alone."""
     return {}
-
-
-def no_closed_form(shape: Any) -> Iterable[ExpectedNumbers]:
-    """A shape that generates nothing, or whose `expected` has it."""
-    return ()
 
 
 @dataclass(frozen=True)
 class PrimitiveReference:
-    """A primitive kind: error model, exact arithmetic, and what else belongs to the kind."""
+    """A primitive kind: error model, exact arithmetic, and everything else that the judge needs for the kind."""
 
-    arrays: type[Any]  # caster's NamedTuple; its name stands in reports
+    arrays: type[Any]  # caster's NamedTuple; reports show its name
 
     # predicted intersections with error bounds, boxes, exact arithmetic
     model: ErrorModel = field(repr=False)
 
-    # (arrays, k) -> the fields of a shape that packs to the very numbers of primitive k
+    # (arrays, k) -> fields of a shape that packs to exactly the numbers of primitive k
     describe: Callable[[Any, int], Fields]
 
-    # (arrays, k (m,), random generator, one of targets.SORTS) -> points where rays are likely to be judged wrongly
+    # (arrays, k (m,), random generator, one of targets.SORTS) -> points where hits are hard to decide
     surface_points: Callable[[Any, np.ndarray, Rng, str], SurfacePoints]
 
-    # (arrays, k) -> the same surface, where the packed bits do not matter; None: as `describe`
+    # (arrays, k) -> fields of the same surface, if the packed bits do not matter; None: as `describe`
     describe_surface: Callable[[Any, int], Fields] | None = None
 
-    # (arrays, PLY file to write) -> the fields of one shape for all primitives, in order; None: each is described as a
-    # shape of its own
+    # (arrays, PLY file to write) -> fields of one shape with all primitives, in order; None: one shape for each
     describe_all: Callable[[Any, Path], Fields] | None = None
 
-    # (arrays, k) -> the numbers that are cast and judged
+    # (arrays, k) -> the numbers that rays are traced and judged with
     numbers: Callable[[Any, int], list[np.ndarray]] = all_numbers
 
-    # arrays that packing derives from its rounded numbers, and does not round
+    # names of arrays that packing derives from its rounded numbers, and does not round
     derived: tuple[str, ...] = ()
 
-    # ways in which one rounding of the reference may be common to many pixels; by its LLVM variant, None: the same
+    # ways in which pixels may share a rounding of the reference; in its LLVM variant (None: the same)
     rounding_groups: Sequence[GroupKey] = (single_group,)
     rounding_groups_llvm: Sequence[GroupKey] | None = None
 
-    # of a kind that Mitsuba traces as triangles: its positions are tested for a bias; None: its t are
+    # for kinds that Mitsuba traces as triangles: positions are tested for a bias; None: t is
     position_terms: PositionTerms | None = None
 
-    # what Mitsuba is known to get wrong about this kind, and the measurements by which it is recognised
+    # known defects of Mitsuba for this kind, and the measurements that identify them
     known_defects: tuple[KnownDefect, ...] = ()
     defect_view: Callable[[Any, int, np.ndarray, np.ndarray, float], DefectView] = plain_view
 
@@ -150,7 +144,7 @@ class PrimitiveReference:
 
 @dataclass(frozen=True)
 class ShapeReference:
-    """A shape: its XML, its packing computed a second time, its random instances, its importers."""
+    """A shape: its XML, the packed numbers expected of it, random instances, importers."""
 
     describes: type[Shape]
 
@@ -160,35 +154,32 @@ class ShapeReference:
     # every kind of primitive that the shape packs to
     kinds: tuple[PrimitiveReference, ...]
 
-    # (description, its packed arrays) -> the numbers expected of them, computed a second time
+    # (description, its packed arrays) -> the expected numbers, computed independently
     expected: ExpectedPacking
 
-    # (random generator, whether coordinates are on the fuzzer's lattice) -> the shape's own fields, about unit size
+    # (random generator, whether coordinates are on the fuzzer's lattice) -> the shape's own fields, of about unit size
     random_fields: Callable[[Rng, bool], Fields] = no_fields
 
     # the groups that the fuzzer draws it in: "quadric", "flat", "mesh", "small" (few primitives)
     groups: frozenset[str] = frozenset()
 
-    # Mitsuba intersects it with code of its own, which is float64 in its scalar variant only
+    # Mitsuba intersects it analytically: in float64 in the scalar variant, in float32 in the LLVM variant
     analytic: bool = False
 
-    # (float32 arrays, rays o, d) -> what Mitsuba traces in place of what it cannot express, and a remark about that
+    # (float32 arrays, rays o, d) -> stand-in that Mitsuba traces if it lacks the shape, and a remark about it
     stand_in: Callable[[Any, np.ndarray, np.ndarray], Any] = as_packed
     stand_in_note: str = ""
 
-    # name of a plugin of Mitsuba's -> (its <shape>) -> the shape's fields
+    # name of a Mitsuba plugin -> importer of its <shape>
     importers: Mapping[str, ImportShape] = field(default_factory=dict)
 
-    # (description) -> what the mesh that it generates has to be, by closed forms
-    closed_form: Callable[[Any], Iterable[ExpectedNumbers]] = no_closed_form
-
     def model_of(self, part: Any) -> ErrorModel:
-        """The error model of what the shape packed to."""
+        """The error model of the kind that the shape packed to."""
         return next(kind.model for kind in self.kinds if kind.arrays is type(part))
 
     @property
     def type_name(self) -> str:
-        """What a scene file calls it."""
+        """The `type` in scene files."""
         name: str = self.describes.model_fields["type"].default
         return name
 
@@ -197,21 +188,20 @@ class ShapeReference:
 
 
 def unit_shape_matrix(part: Any, k: int) -> list[dict[str, Any]]:
-    """The to_world that brings the unit shape where the primitive is."""
+    """The to_world that maps the unit shape to the primitive."""
     rows = np.column_stack([part.to_world[k], part.center[k]])
     return [{"matrix": [*rows.tolist(), [0.0, 0.0, 0.0, 1.0]]}]
 
 
-# Of half the distance to the next float32: what is so near to the middle may be rounded away from it in float64.
+# Fraction of half the distance to the next float32 in which numbers surely round to it, also after float64 roundings.
 ROUNDING_INTERVAL_FRACTION = 1.0 - 2.0**-20
 
 
 def unit_vector_rounding_to(n: np.ndarray) -> np.ndarray:
-    """A vector of unit length, to float64, whose components round to the float32 numbers n (3,).
+    """A unit vector, up to float64 rounding, whose components round to the float32 numbers n (3,).
 
-    Descriptions bring normals to unit length, and rounding them to float32 gave n; so there is such a vector in the box
-    of all that round to n. On the way from the box's corner that is nearest to 0 to the farthest, lengths grow, and
-    somewhere they are 1.
+    n was rounded from a unit vector, so the box of all vectors that round to n contains one. Lengths grow along the
+    diagonal from the box's corner nearest to 0 to the farthest, and are 1 somewhere.
     """
     if abs(float(dot_rows(n[None], n)[0]) - 1.0) <= 2.0**-52:
         return n

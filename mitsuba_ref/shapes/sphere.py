@@ -1,4 +1,4 @@
-"""Spheres and ellipsoids: Mitsuba's sphere, or an instance of one where it is stretched; error model and targets."""
+"""Spheres and ellipsoids: Mitsuba's sphere, or an instance of one if stretched; error model and targets."""
 
 import math
 from collections.abc import Iterator
@@ -62,7 +62,7 @@ from mitsuba_ref.shapes.targets import (
 
 
 def to_xml(out: ShapeWriter, shape: Sphere, part: Any) -> list[XmlElement]:
-    """Centre and radius as one matrix; an ellipsoid as an instance, since Mitsuba's sphere takes no stretching."""
+    """Centre and radius as one matrix; an ellipsoid as an instance, as Mitsuba's sphere supports no stretching."""
     if isinstance(part, Ellipsoids):
         return out.instance(shape, "sphere", part)
     scale = part.radius[0] * np.eye(3)
@@ -70,14 +70,14 @@ def to_xml(out: ShapeWriter, shape: Sphere, part: Any) -> list[XmlElement]:
 
 
 def cloud_to_xml(out: ShapeWriter, shape: SphereCloud, part: Any) -> list[XmlElement]:
-    """The same for each sphere: as many of Mitsuba's."""
+    """One Mitsuba sphere, or instance of one, for each sphere of the cloud."""
     if isinstance(part, Ellipsoids):
         return out.instances(shape, "sphere", part)
     return out.native_many(shape, "sphere", part.center, part.radius[:, None, None] * np.eye(3))
 
 
 def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
-    """Ray i with sphere k[i]: near root, far root."""
+    """Intersections of ray i with sphere k[i]: near root, far root."""
     center, r = by_columns(prims.center[k]), prims.radius[k]
     o, d = by_columns(o), by_columns(d)
     middle, distance, s = sphere_roots(o - center, d, r)
@@ -110,22 +110,22 @@ def _sphere_root(
     return Intersections(t, t_error, n, n_error, n, n_error, possible, certain, p_error, uv, uv_error)
 
 
-# A product with a matrix whose entries are rounded moves each coordinate by ku of |row| |n| = 1.
+# Multiplying by a matrix with rounded entries moves each coordinate by ku |row| |n| = ku.
 TURN_ERROR = math.sqrt(3.0)
 
 
 def reference_uv_points(prims: Spheres, k: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Mitsuba's sphere is exported without its turn, so that its uv are those of world axes."""
+    """Mitsuba's uv are those of world axes, as its spheres are exported without their rotation."""
     return mat_vec_rows(prims.turn[k], sphere_uv_points(prims, k, uv, whole_turn=True))
 
 
 def intersect_ellipsoid(
     prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
 ) -> tuple[Intersections, ...]:
-    """Ray i with ellipsoid k[i]: the unit sphere in object space, into which the ray is transformed with rounding.
+    """Intersections of ray i with ellipsoid k[i], a unit sphere in object space; transforming the ray is rounded.
 
-    Mitsuba 3.9.1 moves a ray's origin to where it passes the centre, so that little cancels; but it takes the
-    distance to there for the parameter. Where d is longer than 1 in object space, it overshoots, and rounds there.
+    Mitsuba 3.9.1 moves the ray's origin to its closest approach to the centre, to avoid cancellation, but takes the
+    distance to that point for its parameter. If d is longer than 1 in object space, it overshoots, and rounds there.
     """
     to_object = prims.to_object[k]
     rays = rays_in_object_space(prims.center[k], to_object, o, d)
@@ -141,7 +141,7 @@ def intersect_ellipsoid(
         slide = np.sqrt(np.maximum(size * size - dot(q, rays.d) ** 2, 0.0))
         n, n_error = world_normal(to_object, q, error + slide * t_error, ku)
         possible, certain = distance - 1.0 <= error, 1.0 - distance > error
-        # Mitsuba pulls the point onto the unit sphere along its radius, which may be far longer in the world.
+        # Mitsuba projects the point onto the unit sphere along its radius, which may be far longer in world space.
         away = error + np.abs(dot(q, rays.d)) * t_error + 0.5 * (slide * t_error) ** 2
         pulled = norm(mat_vec_rows(prims.to_world[k], q)) * away
         p_error = position_error(o, d, t, t_error, ku) + pulled
@@ -160,7 +160,7 @@ def describe_sphere(part: Spheres, k: int) -> Fields:
 
 
 def describe_spheres(part: Spheres, file: Path) -> Fields:
-    """A cloud by centres and radii, in float64, in a binary PLY file."""
+    """A cloud of spheres from a binary PLY file of float64 centres and radii."""
     points = np.column_stack([part.center, part.radius]).astype("<f8")
     properties = "".join(f"property double {name}\n" for name in ("x", "y", "z", "radius"))
     head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n{properties}end_header\n"
@@ -173,9 +173,10 @@ def describe_ellipsoid(part: Ellipsoids, k: int) -> Fields:
 
 
 def expected_sphere(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
-    """Centre, and radius and turn, or matrix; a similarity stretches volumes by the cube of its scale.
+    """Centre, and radius and rotation or matrix.
 
-    A matrix that is one up to rounding (SIMILARITY_RTOL) has the same scale by lengths and by volumes, to first order.
+    The scale of a similarity is computed from volumes, which it scales by its cube; for a matrix that is a similarity
+    only up to rounding, that equals the scale of lengths to first order.
     """
     linear = shape.matrix[:3, :3]
     yield expected_point(shape, "center", part.center[0], np.array(shape.center))
@@ -186,7 +187,7 @@ def expected_sphere(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
 
 
 def expected_cloud(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
-    """The same for each sphere. What a file holds is checked by judge/checks/mesh_files.py."""
+    """The same for each sphere of a cloud. The contents of its file are checked elsewhere."""
     centers, radii = (np.array(shape.centers), shape.radii) if shape.file is None else shape.load()
     radii = np.full(len(centers), shape.radius or 1.0) if radii is None else np.array(radii)
     linear, move = shape.matrix[:3, :3], shape.matrix[:3, 3]
@@ -199,7 +200,7 @@ def expected_cloud(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
 
 
 def similarity_numbers(linear: np.ndarray, radii: np.ndarray, part: Any) -> Iterator[ExpectedNumbers]:
-    """Radii and turns of spheres under a similarity, whose volumes are stretched by the cube of its scale."""
+    """Radii and rotations of spheres under a similarity."""
     largest = np.abs(linear).max()
     scale = largest * np.cbrt(abs(np.linalg.det(linear / largest)))
     radius = radii * scale
@@ -236,7 +237,7 @@ def random_fields(rng: Rng, lattice: bool) -> Fields:
 
 
 def random_cloud(rng: Rng, lattice: bool) -> Fields:
-    """One to eight spheres, with a radius each or one for all."""
+    """One to eight spheres, with one radius each or a common one."""
     count = int(rng.integers(1, 9))
     centers = [random_point(rng, lattice) for _ in range(count)]
     if coin_flip(rng):
@@ -249,11 +250,11 @@ def view_ellipsoid(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -
 
 
 def numbers_of_sphere(part: Spheres, k: int) -> list[np.ndarray]:
-    """All but its turn, which only uv depend on."""
+    """All numbers but the rotation, which only uv depend on."""
     return [part.center[k], part.radius[k]]
 
 
-# Of a sphere's matrix: its three columns are as long as each other up to what float32 makes of equal numbers.
+# The columns of a sphere's matrix have equal lengths up to float32 rounding.
 UNIFORM_SCALE_RTOL = 8 * 2.0**-24
 
 

@@ -27,12 +27,12 @@ from mitsuba_ref.error_model.intersections import (
 from mitsuba_ref.error_model.tolerances import K
 from mitsuba_ref.oracle.exact_planar import TRIANGLES
 
-# Where the relative error of n.d reaches this, float32 does not resolve on which side of edge-on the ray passes.
+# If the relative error of n.d reaches this, float32 does not resolve on which side of edge-on the ray passes.
 UNRESOLVABLE = 0.5
 
 
 def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
-    """Ray i with triangle k[i], by its plane and its three edge functions."""
+    """Intersections of ray i with triangle k[i], from its plane and its three edge functions."""
     corners = [by_columns(prims.vertices[prims.faces[k, j]]) for j in range(3)]
     o, d = by_columns(o), by_columns(d)
     a, b, c = (corner - o for corner in corners)
@@ -64,14 +64,14 @@ def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
 
 
 def intersect_ours(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
-    """The same for ours, whose position is held to o + t d, where a ray from afar is rounded more than the corners."""
+    """The same for ours, whose position is compared with o + t d: far from the origin, that is rounded more."""
     (at,) = intersect(prims, k, o, d, ku)
     with np.errstate(invalid="ignore"):  # a needle whose barycentrics are not resolved
         return (at._replace(p_error=at.p_error + position_error(o, d, at.t, at.t_error, ku)),)
 
 
 def _position_error(corners: list[np.ndarray], weights: np.ndarray, weight_errors: np.ndarray, ku: float) -> np.ndarray:
-    """Mitsuba's position is the corners' mean by barycentrics: off by their errors and by its own rounding."""
+    """Bound on Mitsuba's position, the barycentric mean of the corners: errors of the weights, and its own rounding."""
     p = sum(weights[:, j : j + 1] * corners[j] for j in range(3))
     moved = sum(weight_errors[:, j] * norm(corners[j] - p) for j in range(3))
     return moved + ku * sum(np.abs(weights[:, j]) * norm(corners[j]) for j in range(3))
@@ -80,9 +80,9 @@ def _position_error(corners: list[np.ndarray], weights: np.ndarray, weight_error
 def _uncertain_edge(
     corners: list[np.ndarray], inside: np.ndarray, facing: np.ndarray, sure: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where a hit hangs on one edge alone: its end points (m, 6), smaller one first, and the triangle's side of it.
+    """The only edge that leaves a hit in doubt: end points (m, 6), smaller one first, and the triangle's side of it.
 
-    A neighbour on the other side of the same edge catches the ray where this triangle lets it go.
+    A neighbour on the other side of the same edge is hit where this triangle is not.
     """
     edge, side = np.full((6, len(sure)), np.nan).T, np.zeros(len(sure))
     hanging = sure & (inside.sum(axis=1) == 2)
@@ -96,7 +96,7 @@ def _uncertain_edge(
 
 
 def _is_after(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Whether p comes after q in the order of x, then y, then z."""
+    """Whether p comes after q, ordered by x, then y, then z."""
     differs = p != q
     first = np.argmax(differs, axis=1)[:, None]
     after: np.ndarray = np.take_along_axis(p, first, axis=1) > np.take_along_axis(q, first, axis=1)
@@ -110,11 +110,11 @@ def _kept(corners: list[np.ndarray]) -> np.ndarray:
 def _edge_functions(
     a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, ku: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(m, 3) U, V, W = d.(b x c), ... and how far rounding may move each.
+    """(m, 3) edge functions U, V, W = d.(b x c), ... and their error bounds.
 
-    Three sources: corners relative to the origin are rounded, each component by u of itself, which moves U by
-    |c||b x d| + |b||c x d|; Embree forms U from the difference and the sum of two corners (Pluecker), whose products
-    round; and its robust mode accepts |U + V + W| ulps beyond an edge.
+    Three sources of error: corners relative to the origin are rounded, each component by u of itself, which moves U by
+    |c||b x d| + |b||c x d|; Embree computes U from the difference and the sum of two corners (Pluecker), whose products
+    are rounded; and its robust mode accepts |U + V + W| ulps beyond an edge.
     """
     pairs = ((c, b), (a, c), (b, a))
     edges = stacked_columns(*(dot(d, cross(p - q, q)) for p, q in pairs))  # p x q, with less to cancel
@@ -139,12 +139,12 @@ def _t_error(
     d: np.ndarray,
     ku: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(bound on the error of t, whether float32 resolves the crossing at all).
+    """(bound on the error of t, whether float32 resolves the intersection at all).
 
-    Three sources: the corners' rounding moves the plane (displacement); the normal's rounding tilts it about the
-    first corner (lever); and n.d itself is only known to rho of its value. A corner that is moved by e changes N.d by
-    e . (opposite edge x d). Each is rounded once as it is seen from the ray's origin, and not K times: this tilt of the
-    plane is most of rho where a triangle is seen edge-on from afar.
+    Three sources of error: rounded corners move the plane (displacement); the rounded normal tilts it about the first
+    corner (lever); and n.d is only known to a fraction rho of itself. A corner moved by e changes N.d by
+    e . (opposite edge x d). Corners are rounded once, relative to the ray's origin, and not K times: this tilt is most
+    of rho for a distant triangle seen edge-on.
     """
     a, b, c = corners
     steepness = np.abs(dot(n, d))
@@ -169,9 +169,9 @@ def _shading(
     weight_errors: np.ndarray,
     ku: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Interpolated normal and its bound: barycentrics off by their errors, three products and a length rounded.
+    """Interpolated normal and its bound: errors of the barycentrics, and rounding of three products and a length.
 
-    The errors of the barycentrics add up to nothing, so they act on what the normals differ by.
+    The errors of the barycentrics sum to 0, so they act on differences of the normals.
     """
     normals = [by_columns(prims.normals[prims.faces[k, j]]) for j in range(3)]
     summed = sum(weights[:, j : j + 1] * normals[j] for j in range(3))
@@ -183,13 +183,13 @@ def _shading(
     return np.where(smooth[:, None], unit(summed), n), error
 
 
-BARYCENTRIC_UV = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])  # of faces without uv, on both sides
+BARYCENTRIC_UV = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])  # uv of faces that have none, on both sides
 
 
 def _uv(
     prims: Any, k: np.ndarray, weights: np.ndarray, weight_errors: np.ndarray, ku: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """uv and their bound: as the corners' mean, so with the errors of `_position_error`."""
+    """uv and their bound: a barycentric mean like the position, with the same sources of error."""
     corners = [np.broadcast_to(corner, (len(k), 2)) for corner in BARYCENTRIC_UV]
     textured = prims.textured[k]
     if textured.any():
@@ -201,7 +201,7 @@ def _uv(
     return plain_uv(prims, k, uv), moved + rounded
 
 
-BOXES_PER_CHUNK = 1 << 16  # triangles whose corners are gathered at a time
+BOXES_PER_CHUNK = 1 << 16  # triangles whose corners are gathered at once
 
 
 def bounds(prims: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -220,7 +220,7 @@ MODEL = ErrorModel(intersect, bounds, intersect_ours, exact=TRIANGLES)
 
 
 class ObjectRays(NamedTuple):
-    """Rays in the primitive's own coordinates, and what the rounding of getting there scales with."""
+    """Rays in the primitive's own coordinates, and the magnitudes that rounding of the transform scales with."""
 
     o: np.ndarray  # (m, 3)
     d: np.ndarray  # (m, 3)
@@ -230,7 +230,7 @@ class ObjectRays(NamedTuple):
     d_size: np.ndarray  # (m,) length of the world direction
 
     def components(self, t: np.ndarray) -> np.ndarray:
-        """(m, 3) magnitudes whose rounding moves the point at t: row . (|o| + |t d|) + |offset|."""
+        """(m, 3) magnitudes that rounding of the point at t scales with: row . (|o| + |t d|) + |offset|."""
         return self.rows * (self.o_size + np.abs(t) * self.d_size)[:, None] + self.offset
 
 
@@ -244,13 +244,13 @@ def rays_in_object_space(center: np.ndarray, to_object: np.ndarray, o: np.ndarra
 def ours_through_object_space(
     intersect: IntersectFunction, used: tuple[float, float, float] = (1.0, 1.0, 1.0)
 ) -> IntersectFunction:
-    """The model of ours, for kinds whose surface point is found in object space and taken back by to_world.
+    """The error model for ours, for kinds whose surface point is computed in object space and transformed back.
 
-    Coordinate i is off there by ku components_i, and comes back along column i of the matrix; under a matrix of large
-    condition that is far more than t_error and the rounding of o + t d, which it is held to. Components are at least
-    |q_i|, so the products with the columns and their sum are covered, too. used: which coordinates are not set to 0.
+    Coordinate i is off by ku components_i there, which moves the point along column i of the matrix; under a matrix of
+    large condition that is far more than t_error and the rounding of o + t d, which it is compared with. Components are
+    at least |q_i|, so the products with the columns and their sum are covered, too. used: 0 for coordinates that the
+    kind sets to 0.
     """
-
     return functools.partial(_intersect_ours, intersect, used)
 
 
@@ -273,10 +273,10 @@ def _intersect_ours(
 
 
 def half_chord_error(s: np.ndarray, r: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """How far a root may move when the radius r is off by `error`, s being the true half chord.
+    """Bound on the change of the half chord s if the radius r is off by `error`.
 
-    The half chord goes from s to sqrt(s^2 +- e) with e = 2 r E + E^2; near a tangent, where s^2 <= e, it may come
-    out of nothing or vanish, and moves by at most sqrt(e).
+    The half chord changes from s to sqrt(s^2 +- e) with e = 2 r E + E^2. Near a tangent, where s^2 <= e, it may appear
+    or vanish, and changes by at most sqrt(e).
     """
     change = error * (2.0 * r + error)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -285,7 +285,7 @@ def half_chord_error(s: np.ndarray, r: np.ndarray, error: np.ndarray) -> np.ndar
 
 
 def sphere_roots(f: np.ndarray, d: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(parameter of closest approach, its distance from the centre, half chord or 0 beyond the rim), for |f+td|=r."""
+    """Roots of |f + t d| = r as (t of the closest approach, its distance from the centre, half chord; 0 if missed)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         middle = -dot(f, d) / dot(d, d)
         distance = norm(f + middle[:, None] * d)
@@ -293,7 +293,7 @@ def sphere_roots(f: np.ndarray, d: np.ndarray, r: np.ndarray) -> tuple[np.ndarra
 
 
 def world_normal(to_object: np.ndarray, n: np.ndarray, n_error: np.ndarray, ku: float) -> tuple[np.ndarray, np.ndarray]:
-    """A normal of the unit shape taken to world space, and its bound there."""
+    """Normals of the unit shape in world space, and their error bounds there."""
     world = np.einsum("ikj,ik->ij", to_object, n)
     length = norm(world)
     size = np.sqrt(np.einsum("ijk,ijk->i", to_object, to_object))
@@ -301,22 +301,22 @@ def world_normal(to_object: np.ndarray, n: np.ndarray, n_error: np.ndarray, ku: 
 
 
 def affine_bounds(prims: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes around images of a shape that lies in [-1, 1]^3, under p -> center + to_world p."""
+    """Boxes of shapes that are the image of a part of [-1, 1]^3 under p -> center + to_world p."""
     reach = np.abs(prims.to_world).sum(axis=2)
     return prims.center - reach, prims.center + reach
 
 
 # ---- uv of quadrics ----
 #
-# An angle passes an arc tangent, a sum and a quotient, each rounded by less than u of up to a turn. So as a point at
-# distance r from the axis it is off by no more than ku r TURN, beside what the point of the surface is off.
+# An angle takes an arc tangent, a sum and a quotient, each rounded by less than u of up to a turn. As a point at
+# distance r from the axis, it is off by at most ku r TURN, in addition to the error of the surface point.
 TURN = 2.0 * math.pi
 
 
 def on_circle(fraction: np.ndarray, whole_turn: bool = False) -> np.ndarray:
-    """(m, 2) the point of the unit circle at this fraction of a turn; NaN where that is not in [0, 1).
+    """(m, 2) points of the unit circle at fractions of a turn; NaN outside of [0, 1).
 
-    whole_turn: 1 is a fraction, too: the reference adds 2 pi to an angle below 0, which may round to 2 pi.
+    whole_turn: 1 is allowed, since the reference adds 2 pi to angles below 0, which may round to 2 pi.
     """
     inside = (fraction >= 0.0) & ((fraction <= 1.0) if whole_turn else (fraction < 1.0))
     angle = TURN * np.where(inside, fraction, np.nan)
@@ -324,17 +324,17 @@ def on_circle(fraction: np.ndarray, whole_turn: bool = False) -> np.ndarray:
 
 
 def sphere_uv_points(_prims: Any, _k: np.ndarray, uv: np.ndarray, whole_turn: bool = False) -> np.ndarray:
-    """u is the azimuth as a fraction of a turn, v the polar angle over pi: the point of the unit sphere."""
+    """Points of the unit sphere with u the azimuth as a fraction of a turn, v the polar angle over pi."""
     polar = math.pi * np.where((uv[:, 1] >= 0.0) & (uv[:, 1] <= 1.0), uv[:, 1], np.nan)
     return np.column_stack([np.sin(polar)[:, None] * on_circle(uv[:, 0], whole_turn), np.cos(polar)])
 
 
 def sphere_uv(q: np.ndarray, error: np.ndarray, ku: float) -> tuple[np.ndarray, np.ndarray]:
-    """Point of the unit sphere (m, 3) that uv of q are, and its bound, where q is off by `error`.
+    """Points (m, 3) of the unit sphere for the uv of q, and their bound if q is off by `error`.
 
-    q has length 1, but for its rounding: v is the arc cosine of its height z, and s = sqrt(1 - z^2) the distance from
-    the axis. As for a half chord, s is off by far more than z near a pole. The azimuth is off by an angle of
-    asin(error / |q across|), whose chord is at most sqrt(2) times that ratio, and no more than 2.
+    q has length 1 up to rounding: v is the arc cosine of its height z, and s = sqrt(1 - z^2) the distance from the
+    axis. Like a half chord, s is off by far more than z near a pole. The azimuth is off by an angle of
+    asin(error / |q across|), whose chord is at most sqrt(2) times that ratio, and at most 2.
     """
     z, across = np.clip(q[:, 2], -1.0, 1.0), np.hypot(q[:, 0], q[:, 1])
     s = np.sqrt((1.0 - z) * (1.0 + z))

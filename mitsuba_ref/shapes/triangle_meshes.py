@@ -1,11 +1,11 @@
-"""Triangles: the primitive kind, whose error model is in surface_errors.py, and the shapes that are made of them.
+"""Triangles: the primitive kind, whose error model is in surface_errors.py, and the shapes made of them.
 
-Both sides trace these shapes as the same triangles, in world space and in float32: a PLY file for Mitsuba. Mitsuba's
-own rectangle and cube are among them: they would take their shading normals from the matrix, ours come of the float32
-corners, and far from the origin the two differ; mirrored, their geometric normals would turn inwards.
+Both sides trace these shapes as the same float32 triangles in world space; Mitsuba reads a PLY file. That includes
+rectangles and cubes: Mitsuba's own take shading normals from the matrix, ours from the float32 corners, and the two
+differ far from the origin; and if mirrored, geometric normals of Mitsuba's own point inwards.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from fractions import Fraction
 from typing import Any
 
@@ -43,21 +43,12 @@ from mitsuba_ref.error_model.independent_transform import (
 from mitsuba_ref.error_model.intersections import by_normal
 from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
-from mitsuba_ref.shapes.generated_meshes import (
-    expected_cube_uv,
-    expected_heightfield,
-    expected_icosphere,
-    expected_rectangle_uv,
-    expected_teapot,
-    expected_torus,
-)
 from mitsuba_ref.shapes.shape_reference import (
     Fields,
     ImportShape,
     PrimitiveReference,
     ShapeReference,
     XmlShape,
-    no_closed_form,
     no_fields,
     note_normal_side,
     to_world_fields,
@@ -118,21 +109,21 @@ def view_triangle(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) ->
 
 
 def _beyond(corners: np.ndarray, o: np.ndarray, d: np.ndarray, t: float) -> bool:
-    """Whether t lies outside of what the corners span along the ray, by more than the rounding of it."""
+    """Whether t lies outside the interval that the corners span along the ray, by more than rounding."""
     along = (corners - o) @ d / float(d @ d)
     room = KU * (np.abs(along).max() + abs(t))
     return bool(t > along.max() + room or t < along.min() - room)
 
 
 def has_area(corners: np.ndarray) -> bool:
-    """Whether the triangle has an area, exactly: its edges' cross product in whole numbers."""
+    """Whether the triangle has an area, exactly: the cross product of its edges in fractions."""
     a, b, c = ([Fraction(x) for x in corner] for corner in corners.tolist())
     u, v = ([x - y for x, y in zip(p, a, strict=True)] for p in (b, c))
     return any(u[i] * v[j] != u[j] * v[i] for i, j in ((0, 1), (1, 2), (2, 0)))
 
 
 def numbers_of_triangle(part: Triangles, k: int) -> list[np.ndarray]:
-    """Corners, and normals and uv where they are used."""
+    """Corners, and normals and uv if they are used."""
     corners = part.faces[k]
     smooth, textured = part.smooth[k], part.textured[k]
     rest = [part.normals[corners]] if smooth else []
@@ -145,25 +136,25 @@ def corners_by_barycentrics(part: Triangles, k: np.ndarray, weights: np.ndarray,
 
 
 NO_AREA = KnownDefect(
-    21, "a triangle without any area that Embree's robust mode hits all the same", 3, "named", lambda m: m.without_area
+    21, "a triangle without area that Embree's robust mode hits nevertheless", 3, "named", lambda m: m.without_area
 )
 BEYOND_CORNERS = KnownDefect(
     28,
-    "a triangle nearly edge-on: Embree's robust mode lets a ray in beyond an edge and gives a t beyond the corners",
+    "a triangle nearly edge-on: Embree's robust mode accepts a ray beyond an edge, with a t beyond the corners",
     4,
     "named",
     lambda m: m.beyond_corners and m.cosine < NEARLY_EDGE_ON_COSINE,
 )
 VERTEX = KnownDefect(
     16,
-    "a ray through the corner of a mesh, exactly: Embree's robust mode lets some slip through",
+    "a ray exactly through the corner of a mesh: Embree's robust mode misses some",
     7,
     "hit",
     lambda m: m.missed and "vertex" in m.where,
 )
 COLLINEAR = KnownDefect(
     22,
-    "a triangle of three corners in a line but for their rounding",
+    "a triangle whose corners are in a line up to rounding",
     10,
     "either",
     lambda m: m.slenderness < COLLINEAR_HEIGHT_RATIO and m.nearly,
@@ -209,13 +200,13 @@ def mesh_to_xml(out: ShapeWriter, shape: Any, part: Any) -> list[XmlElement]:
 
 
 def expected_mesh(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
-    """Corners, which side of each face is outside, uv and vertex normals where there are to be some."""
+    """Corners, faces with their orientation, uv and vertex normals."""
     given = shape.mesh()
     linear = shape.matrix[:3, :3]
     with np.errstate(invalid="ignore", over="ignore"):
         corners = np.einsum("jk,ik->ij", linear, given.vertices) + shape.matrix[:3, 3]
         size = np.abs(given.vertices) @ np.abs(linear.T) + np.abs(shape.matrix[:3, 3])
-    # Where a corner is not finite or too far out, any other stands in for it, and its faces become points.
+    # A corner that is not finite or too far out is replaced by any other, and its faces become points.
     usable = (np.abs(corners) < LARGEST_COORDINATE).all(axis=1)
     corners[~usable], size[~usable] = part.vertices[~usable], 0.0
     yield ExpectedNumbers("vertices", part.vertices, corners, size)
@@ -237,7 +228,7 @@ def expected_mesh(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
 
 
 def expected_triangle(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
-    """The corners and normals in the order that was described, and where they stand."""
+    """Corners, normals and uv in the order of the description, and the mesh in world space."""
     given = shape.mesh()
     yield exactly("corners", given.vertices, shape.vertices)
     yield exactly("face", given.faces, [[0, 1, 2]])
@@ -249,7 +240,7 @@ def expected_triangle(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
 
 
 def expected_rectangle(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
-    """[-1, 1]^2 at z = 0, facing +z, and where it stands."""
+    """[-1, 1]^2 at z = 0, facing +z, and the mesh in world space."""
     corners, doubled = _sides(shape)
     yield exactly("corners", np.abs(corners), np.tile([1.0, 1.0, 0.0], (len(corners), 1)))
     yield exactly("winding", np.sign(doubled[:, 2]), np.ones(len(doubled)))
@@ -258,7 +249,7 @@ def expected_rectangle(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
 
 
 def expected_cube(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
-    """[-1, 1]^3 with its outside outside, and where it stands."""
+    """[-1, 1]^3 with outward faces, and the mesh in world space."""
     corners, doubled = _sides(shape)
     middles = shape.mesh().vertices[shape.mesh().faces].mean(axis=1)
     yield exactly("corners", np.abs(corners), np.ones_like(corners))
@@ -268,7 +259,7 @@ def expected_cube(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
 
 
 def _sides(shape: Any) -> tuple[np.ndarray, np.ndarray]:
-    """(corners of the mesh, twice the area of each face as a vector)."""
+    """(vertices of the mesh, area vector of each face times 2)."""
     given = shape.mesh()
     a, b, c = (given.vertices[given.faces[:, j]] for j in range(3))
     return given.vertices, np.cross(b - a, c - a)
@@ -315,18 +306,10 @@ def triangle_mesh_reference(
     expected: ExpectedPacking = expected_mesh,
     groups: frozenset[str] = frozenset({"mesh"}),
     importers: Mapping[str, ImportShape] | None = None,
-    closed_form: Callable[[Any], Iterable[ExpectedNumbers]] = no_closed_form,
 ) -> ShapeReference:
-    """A shape of triangles that goes to Mitsuba as a PLY file."""
+    """Reference of a shape of triangles that Mitsuba reads from a PLY file."""
     return ShapeReference(
-        describes,
-        mesh_to_xml,
-        (TRIANGLES,),
-        expected,
-        random_fields,
-        groups,
-        importers=importers or {},
-        closed_form=closed_form,
+        describes, mesh_to_xml, (TRIANGLES,), expected, random_fields, groups, importers=importers or {}
     )
 
 
@@ -335,17 +318,12 @@ FLAT_AND_SMALL = frozenset({"flat", "small"})
 TRIANGLE = triangle_mesh_reference(Triangle, random_triangle, expected_triangle, FLAT_AND_SMALL)
 MESH = triangle_mesh_reference(MeshFile, random_mesh, importers={"obj": import_mesh, "ply": import_mesh})
 RECTANGLE = triangle_mesh_reference(
-    Rectangle,
-    no_fields,
-    expected_rectangle,
-    FLAT_AND_SMALL,
-    {"rectangle": unit_shape_importer("rectangle")},
-    expected_rectangle_uv,
+    Rectangle, no_fields, expected_rectangle, FLAT_AND_SMALL, {"rectangle": unit_shape_importer("rectangle")}
 )
 CUBE = triangle_mesh_reference(
-    Cube, no_fields, expected_cube, frozenset({"flat", "mesh"}), {"cube": unit_shape_importer("cube")}, expected_cube_uv
+    Cube, no_fields, expected_cube, frozenset({"flat", "mesh"}), {"cube": unit_shape_importer("cube")}
 )
-ICOSPHERE = triangle_mesh_reference(Icosphere, random_icosphere, closed_form=expected_icosphere)
-TORUS = triangle_mesh_reference(Torus, random_torus, closed_form=expected_torus)
-HEIGHTFIELD = triangle_mesh_reference(Heightfield, random_heightfield, closed_form=expected_heightfield)
-TEAPOT = triangle_mesh_reference(Teapot, random_teapot, closed_form=expected_teapot)
+ICOSPHERE = triangle_mesh_reference(Icosphere, random_icosphere)
+TORUS = triangle_mesh_reference(Torus, random_torus)
+HEIGHTFIELD = triangle_mesh_reference(Heightfield, random_heightfield)
+TEAPOT = triangle_mesh_reference(Teapot, random_teapot)

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from caster.description.errors import FileMissing, SceneError
 from caster.geometry.packing import Packed
 from caster.image.exr import Exr, UnreadableExr, read_exr
 from caster.scene.model import Scene
-from caster.system.atomic_files import write_bytes
 from caster.system.terminal import printable
 from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.error_model.intersections import dot, norm
@@ -28,17 +27,9 @@ from mitsuba_ref.reference.subprocess_runner import (
     ResidentProcess,
     UnexpectedReply,
     exit_name,
-    length_first,
     run,
 )
-from mitsuba_ref.subjects.ray_files import (
-    HIT_COLUMNS,
-    answer_of_hits,
-    hit_columns,
-    is_given,
-    read_arrays,
-    spread_answer,
-)
+from mitsuba_ref.subjects.ray_files import HIT_COLUMNS, answer_of_hits, hit_columns, is_given
 from mitsuba_ref.subjects.subject import (
     FLOAT32,
     FLOAT64,
@@ -47,13 +38,14 @@ from mitsuba_ref.subjects.subject import (
     Answer,
     CastRequest,
     NoAnswer,
+    Subject,
     Unsupported,
     checked_answer,
 )
 
 SCENE_PLACEHOLDERS = ("xml", "toml")
 PLACEHOLDERS = (*SCENE_PLACEHOLDERS, "exr", "width", "height")
-RAY_PLACEHOLDERS = ("rays", "rays.raw", "hits", "hits.raw", "mesh", "mesh.raw", "scene")
+RAY_PLACEHOLDERS = ("rays", "hits", "mesh", "scene")
 OWN_CAMERA_NOTE = "its rays are its own camera's, and it is allowed what rounding to float32 may do to those, too"
 ESCAPE_BRACES_HINT = "a brace that is meant is written twice"
 
@@ -88,64 +80,6 @@ def split_command(text: str, placeholders: Sequence[str]) -> tuple[tuple[str, ..
     return tuple(words), frozenset(named)
 
 
-def command_of(text: str, precision: str | None, seconds: float) -> "CommandSubject":
-    """A program that reads a scene and writes an EXR file. Raises SceneError."""
-    words, named = split_command(text, PLACEHOLDERS)
-    if "exr" not in named or not named & set(SCENE_PLACEHOLDERS):
-        raise SceneError(
-            f"--candidate {text!r}: expected {{exr}}, the file to write, and {{xml}} or {{toml}}, the scene"
-        )
-    return CommandSubject(text, words, "xml" in named, "toml" in named, precision, seconds)
-
-
-@dataclass(frozen=True)
-class CommandSubject:
-    """A program, run once a scene, without a shell, in the folder that the user is in."""
-
-    name: str
-    words: tuple[str, ...]
-    reads_xml: bool
-    reads_toml: bool
-    precision: str | None
-    seconds: float
-    takes_rays: bool = False
-    takes_limits: bool = False
-    # (image, request) -> the image in our names and conventions, and what was done; None: it has to be so already
-    convert: Callable[[Exr, CastRequest], tuple[Exr, tuple[str, ...]]] | None = None
-
-    def answer(self, request: CastRequest) -> Answer:
-        """Write the scene, run the program, read its image. Raises NoAnswer."""
-        film, folder = request.scene.film, request.folder
-        names = {"exr": folder / "candidate.exr", "width": film.width, "height": film.height}
-        if self.reads_xml:
-            names["xml"] = self._xml(request)
-        if self.reads_toml:
-            names["toml"] = folder / "scene.toml"
-            (folder / "scene.toml").write_text(request.traced.to_toml(), encoding="utf-8")
-        run_program([word.format(**names) for word in self.words], self.seconds)
-        exr = self._picture(folder / "candidate.exr", request)
-        exr, steps = self.convert(exr, request) if self.convert else (exr, ())
-        found = answer_from_exr(exr, request, precision=self.precision, as_exported=self.reads_xml)
-        return replace(found, notes=(*found.notes, *steps))
-
-    def _xml(self, request: CastRequest) -> Path:
-        camera = request.scene.camera
-        exported = export(request.scene, request.model)
-        if "<sensor" not in exported.xml:
-            raise Unsupported(f"Mitsuba has no {camera.type} camera, so the XML has none; read {{toml}} for this scene")
-        return exported.write(request.folder)
-
-    def _picture(self, path: Path, request: CastRequest) -> Exr:
-        try:
-            exr = read_exr(path)
-        except UnreadableExr as error:
-            raise NoAnswer(f"the program ended well, but its image cannot be read: {error}") from error
-        except FileMissing as error:
-            raise NoAnswer("the program ended well, but wrote no {exr}") from error
-        check_window(exr, request.scene)
-        return exr
-
-
 def run_program(words: list[str], seconds: float) -> None:
     """Run it to its end. Raises NoAnswer with its last words."""
     try:
@@ -164,6 +98,71 @@ def raise_if_failed(end: ProcessEnd, seconds: float) -> None:
     if end.code:
         how = "ended with" if end.code > 0 else "was ended by"
         raise NoAnswer(f"the program {how} {exit_name(end.code)}{_output_tail(end.output)}")
+
+
+def _output_tail(words: str) -> str:
+    words = printable(words).strip()
+    return f"; its last words:\n{words[-LAST_WORDS:]}" if words else "; it printed nothing"
+
+
+# ---- a command that reads a scene and writes an EXR file ----
+
+
+def command_of(text: str, precision: str | None, seconds: float) -> "CommandSubject":
+    """A program that reads a scene and writes an EXR file. Raises SceneError."""
+    words, named = split_command(text, PLACEHOLDERS)
+    if "exr" not in named or not named & set(SCENE_PLACEHOLDERS):
+        raise SceneError(
+            f"--candidate {text!r}: expected {{exr}}, the file to write, and {{xml}} or {{toml}}, the scene"
+        )
+    return CommandSubject(text, words, named, precision, seconds)
+
+
+@dataclass(frozen=True)
+class CommandSubject(Subject):
+    """A program, run once a scene, without a shell, in the folder that the user is in."""
+
+    words: tuple[str, ...]
+    fields: frozenset[str]
+    precision: str | None
+    seconds: float
+    # (image, request) -> the image in our names and conventions, and what was done; None: it has to be so already
+    convert: Callable[[Exr, CastRequest], tuple[Exr, tuple[str, ...]]] | None = None
+
+    @property
+    def reads_xml(self) -> bool:
+        return "xml" in self.fields
+
+    def answer(self, request: CastRequest) -> Answer:
+        """Write the scene, run the program, read its image. Raises NoAnswer."""
+        film, path = request.scene.film, request.folder / "candidate.exr"
+        names = {"exr": path, "width": film.width, "height": film.height}
+        if self.reads_xml:
+            exported = export(request.scene, request.model)
+            if "<sensor" not in exported.xml:
+                kind = request.scene.camera.type
+                raise Unsupported(f"Mitsuba has no {kind} camera, so the XML has none; read {{toml}} for this scene")
+            names["xml"] = exported.write(request.folder)
+        if "toml" in self.fields:
+            names["toml"] = write_toml(request)
+        run_program([word.format(**names) for word in self.words], self.seconds)
+        try:
+            exr = read_exr(path)
+        except UnreadableExr as error:
+            raise NoAnswer(f"the program ended well, but its image cannot be read: {error}") from error
+        except FileMissing as error:
+            raise NoAnswer("the program ended well, but wrote no {exr}") from error
+        check_window(exr, request.scene)
+        exr, steps = self.convert(exr, request) if self.convert else (exr, ())
+        found = answer_from_exr(exr, request, precision=self.precision, as_exported=self.reads_xml)
+        return replace(found, notes=(*found.notes, *steps))
+
+
+def write_toml(request: CastRequest) -> Path:
+    """The scene in the numbers that are traced, as a file."""
+    path = request.folder / "scene.toml"
+    path.write_text(request.traced.to_toml(), encoding="utf-8")
+    return path
 
 
 def check_window(exr: Exr, scene: Scene) -> None:
@@ -227,16 +226,12 @@ def camera_rounding(scene: Scene) -> tuple[float, float]:
 
 
 @dataclass(frozen=True)
-class ExrFile:
+class ExrFile(Subject):
     """An EXR file that was rendered beforehand, by the scene's camera."""
 
-    name: str
     exr: Exr
     precision: str | None
     by_position: bool = False  # its position channels, not its depth
-    reads_xml: bool = False
-    takes_rays: bool = False
-    takes_limits: bool = False
 
     def answer(self, request: CastRequest) -> Answer:
         """Its channels. Raises NoAnswer."""
@@ -274,131 +269,108 @@ def _mask(mask: np.ndarray, depth: np.ndarray, request: CastRequest) -> np.ndarr
     return covered
 
 
-def _output_tail(words: str) -> str:
-    words = printable(words).strip()
-    return f"; its last words:\n{words[-LAST_WORDS:]}" if words else "; it printed nothing"
+# ---- rays in, hits out: one binary format in files and over stdin and stdout (docs/rays-and-hits.md) ----
 
 
-# ---- a command that reads rays and writes hits ----
+def number_type(precision: str | None) -> np.dtype[Any]:
+    """Of rays and hits, little-endian."""
+    return np.dtype("<f8" if precision == FLOAT64 else "<f4")
 
 
-class ArrayPath(str):
-    """The path of a .npy file; {NAME.raw} is that of its numbers alone, beside it."""
+def ray_bytes(request: CastRequest, precision: str | None) -> bytes:
+    """The rays of the pixels that have one: rows of o, d, t_min, t_max."""
+    rays = request.rays
+    t_min = np.broadcast_to(rays.t_min, len(rays.t_max))
+    rows = np.column_stack([rays.o, rays.d, t_min, rays.t_max])[rays.t_max >= 0.0]
+    return rows.astype(number_type(precision)).tobytes()
 
-    @property
-    def raw(self) -> str:
-        return str(Path(self).with_suffix(".raw"))
+
+def mesh_bytes(packed: Packed) -> bytes:
+    """All triangles of a scene: v, f as int64, (v, 3) float32, (f, 3) int32. Raises Unsupported for other shapes."""
+    if others := {type(part).__name__ for part in packed.parts if not hasattr(part, "faces")}:
+        raise Unsupported(f"{{mesh}}: the scene has {', '.join(sorted(others))} beside triangles; read {{scene}}")
+    first = np.cumsum([0, *(len(part.vertices) for part in packed.parts)])
+    vertices = np.concatenate([part.vertices for part in packed.parts]).astype("<f4")
+    faces = [part.faces + start for part, start in zip(packed.parts, first, strict=False)]
+    corners = np.concatenate(faces).astype("<i4")
+    return np.array([len(vertices), len(corners)], "<i8").tobytes() + vertices.tobytes() + corners.tobytes()
+
+
+def answer_of_bytes(data: bytes, request: CastRequest, precision: str | None, where: str) -> Answer:
+    """The answer from rows of t; t, n; or t, n, prim, numbered through all triangles. Raises NoAnswer."""
+    there, kind, packed = request.rays.t_max >= 0.0, number_type(precision), request.model.packed
+    count = int(there.sum())
+    columns, left = divmod(len(data), count * kind.itemsize) if count else (1, len(data))
+    if left or columns not in HIT_COLUMNS:
+        known = ", ".join(f"{count * each * kind.itemsize} for {what}" for each, what in HIT_COLUMNS.items())
+        raise NoAnswer(f"{where}: expected bytes of {count} rows, without a header: {known}; got {len(data)}")
+    hits = hit_columns(np.frombuffer(data, kind).reshape(count, columns), where)
+    prim = hits.pop("prim_id", None)
+    found = answer_of_hits(hits, count, precision)
+    if prim is not None and is_given(prim, found.hit):
+        known_prim = np.where(found.hit & (prim >= 0) & (prim < packed.first[-1]), prim, -1)
+        found = replace(found, shape_id=packed.shape_of(known_prim), prim_id=packed.index_in_shape(known_prim))
+    found = found.spread(there)
+    late = found.hit & (found.t > request.rays.t_max.astype(np.float64))
+    return replace(found, broken={**found.broken, **({"a hit beyond t_max": late} if late.any() else {})})
 
 
 @dataclass(frozen=True)
-class RayCommand:
-    """A program, run once a scene, without a shell: it reads rays and writes hits (docs/rays-and-hits.md)."""
+class RayCommand(Subject):
+    """A program, run once a scene, without a shell: it reads rays and writes hits."""
 
-    name: str
     words: tuple[str, ...]
     fields: frozenset[str]
     precision: str | None
     seconds: float
-    reads_xml: bool = False
-    takes_rays: bool = True
-    takes_limits: bool = True
-    any_hit: bool = False
+    takes_rays: ClassVar[bool] = True
+    takes_limits: ClassVar[bool] = True
 
     def answer(self, request: CastRequest) -> Answer:
         """Write rays and scene, run the program, read its hits. Raises NoAnswer."""
-        folder, rows = request.folder, ray_rows(request, self.precision)
-        names = {"rays": ArrayPath(folder / "rays.npy"), "hits": ArrayPath(folder / "hits.npy")}
-        np.save(names["rays"], rows)
-        write_bytes(Path(names["rays"].raw), rows.tobytes())
+        paths = {name: request.folder / f"{name}.raw" for name in ("rays", "hits", "mesh")}
+        paths["rays"].write_bytes(ray_bytes(request, self.precision))
         if "scene" in self.fields:
-            names["scene"] = ArrayPath(folder / "scene.toml")
-            (folder / "scene.toml").write_text(request.traced.to_toml(), encoding="utf-8")
-        if self.fields & {"mesh", "mesh.raw"}:
-            names["mesh"] = write_mesh(folder / "mesh.ply", request.model.packed)
-        for path in (names["hits"], names["hits"].raw):  # of an earlier request
-            Path(path).unlink(missing_ok=True)
-        run_program([word.format(**names) for word in self.words], self.seconds)
-        return answer_of_rows(self._hits(names["hits"], len(rows)), request, self)
-
-    def _hits(self, path: ArrayPath, count: int) -> dict[str, np.ndarray]:
+            paths["scene"] = write_toml(request)
+        if "mesh" in self.fields:
+            paths["mesh"].write_bytes(mesh_bytes(request.model.packed))
+        paths["hits"].unlink(missing_ok=True)  # of an earlier request
+        run_program([word.format(**paths) for word in self.words], self.seconds)
         try:
-            if "hits" in self.fields:
-                arrays = read_arrays(path)
-                return hit_columns(arrays[""], "{hits}") if "" in arrays else {}
-            data = Path(path.raw).read_bytes()
-        except (OSError, FileMissing) as error:
+            data = paths["hits"].read_bytes()
+        except OSError as error:
             raise NoAnswer(f"the program ended well, but its hits cannot be read: {error}") from error
-        return raw_hits(data, count, self.precision, "{hits.raw}")
+        return answer_of_bytes(data, request, self.precision, "{hits}")
 
-
-def ray_rows(request: CastRequest, precision: str | None) -> np.ndarray:
-    """(n, 8) the rays that there are, little-endian."""
-    rays = request.rays
-    t_min = np.broadcast_to(rays.t_min, len(rays.t_max))
-    rows = np.column_stack([rays.o, rays.d, t_min, rays.t_max])[rays.t_max >= 0.0]
-    return rows.astype("<f8" if precision == FLOAT64 else "<f4")
-
-
-def raw_hits(data: bytes, count: int, precision: str | None, where: str) -> dict[str, np.ndarray]:
-    """Arrays of `count` rows of hits without a header. Raises NoAnswer."""
-    size = 8 if precision == FLOAT64 else 4
-    columns, left = divmod(len(data), count * size) if count else (1, len(data))
-    if left or columns not in HIT_COLUMNS:
-        known = ", ".join(f"{count * each * size} for {what}" for each, what in HIT_COLUMNS.items())
-        raise NoAnswer(f"{where}: expected bytes of {count} rows: {known}; got {len(data)}")
-    return hit_columns(np.frombuffer(data, f"<f{size}").reshape(count, columns), where)
-
-
-def answer_of_rows(hits: dict[str, np.ndarray], request: CastRequest, of: "RayCommand | ServedCommand") -> Answer:
-    """The answer to a request from the hits of its rays; prim is numbered through all triangles. Raises NoAnswer."""
-    there = request.rays.t_max >= 0.0
-    prim = hits.pop("prim_id", None)
-    found = answer_of_hits(hits, int(there.sum()), of)
-    if prim is not None and is_given(prim, found.hit):
-        packed = request.model.packed
-        known = np.where(found.hit & (prim >= 0) & (prim < packed.first[-1]), prim, -1)
-        found = replace(found, shape_id=packed.shape_of(known), prim_id=packed.index_in_shape(known))
-    found = spread_answer(found, there)
-    beyond = "a hit beyond t_max"
-    late = found.hit & (found.t > request.rays.t_max.astype(np.float64))
-    return replace(found, broken={**found.broken, **({beyond: late} if late.any() else {})})
-
-
-# ---- a program that stays, and answers over stdin and stdout ----
 
 DECLINED = -1  # in place of the length of a response: the program lacks something that the scene has
 
 
 @dataclass(frozen=True)
-class ServedCommand:
+class ServedCommand(Subject):
     """A program that is started once: it reads meshes and rays from stdin and writes hits to stdout."""
 
-    name: str
     words: tuple[str, ...]
     precision: str | None
     seconds: float
-    reads_xml: bool = False
-    takes_rays: bool = True
-    takes_limits: bool = True
-    any_hit: bool = False
+    takes_rays: ClassVar[bool] = True
+    takes_limits: ClassVar[bool] = True
     running: list[ResidentProcess] = field(default_factory=list, compare=False)  # at most one
     turn: Any = field(default_factory=threading.Lock, compare=False)  # scenes are judged several at a time
 
     def answer(self, request: CastRequest) -> Answer:
         """Send triangles and rays, read hits; a program that has ended is started again. Raises NoAnswer."""
-        mesh = Path(write_mesh(request.folder / "mesh.ply", request.model.packed).raw).read_bytes()
-        rows = ray_rows(request, self.precision)
-        data = b"".join(length_first(each) for each in (mesh, rows.tobytes()))
+        parts = mesh_bytes(request.model.packed), ray_bytes(request, self.precision)
+        data = b"".join(len(part).to_bytes(8, "little") + part for part in parts)
+        row = number_type(self.precision).itemsize
+        lengths = {len(parts[1]) // 8 * columns: what for columns, what in HIT_COLUMNS.items()}
         with self.turn:
-            reply = self._reply(data, len(rows))
+            reply = self._reply(data, lengths, len(parts[1]) // (8 * row))
         if int.from_bytes(reply[:8], "little", signed=True) == DECLINED:
             raise Unsupported("the program declined the scene")
-        return answer_of_rows(raw_hits(reply[8:], len(rows), self.precision, "its response"), request, self)
+        return answer_of_bytes(reply[8:], request, self.precision, "its response")
 
-    def _reply(self, data: bytes, count: int) -> bytes:
-        size = 8 if self.precision == FLOAT64 else 4
-        lengths = {count * size * columns: what for columns, what in HIT_COLUMNS.items()}
-
+    def _reply(self, data: bytes, lengths: Mapping[int, str], count: int) -> bytes:
         def length_of(head: bytes) -> int:
             length = int.from_bytes(head, "little", signed=True)
             if length != DECLINED and length not in lengths:
@@ -421,28 +393,3 @@ class ServedCommand:
         except ProcessEnded as ended:
             raise_if_failed(ended.end, self.seconds)
             raise NoAnswer(f"the program ended before its response was whole{_output_tail(ended.end.output)}") from None
-
-
-def write_mesh(path: Path, packed: Packed) -> ArrayPath:
-    """All triangles of a scene as binary PLY, and beside it .raw: v, f as int64, (v, 3) float32, (f, 3) int32.
-
-    Raises NoAnswer for a scene with other primitives.
-    """
-    if others := {type(part).__name__ for part in packed.parts if not hasattr(part, "faces")}:
-        raise Unsupported(f"{{mesh}}: the scene has {', '.join(sorted(others))} beside triangles; read {{scene}}")
-    first = np.cumsum([0, *(len(part.vertices) for part in packed.parts)])
-    vertices = np.concatenate([part.vertices for part in packed.parts]).astype("<f4")
-    numbers = [part.faces + start for part, start in zip(packed.parts, first, strict=False)]
-    corners = np.concatenate(numbers).astype("<i4")
-    shape = np.repeat(np.arange(len(packed.parts)), [len(part.faces) for part in packed.parts])
-    faces = np.zeros(len(corners), [("count", "u1"), ("corners", "<i4", 3), ("shape_id", "<i4")])
-    faces["count"], faces["corners"], faces["shape_id"] = 3, corners, shape
-    header = (
-        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n"
-        "property float x\nproperty float y\nproperty float z\n"
-        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nproperty int shape_id\nend_header\n"
-    )
-    write_bytes(path, header.encode("ascii") + vertices.tobytes() + faces.tobytes())
-    counts = np.array([len(vertices), len(faces)], "<i8")
-    write_bytes(path.with_suffix(".raw"), counts.tobytes() + vertices.tobytes() + corners.tobytes())
-    return ArrayPath(path)

@@ -9,9 +9,9 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from mitsuba_ref.subjects.subject import (
     Answer,
     CastRequest,
     NoAnswer,
+    Subject,
     Unsupported,
     checked_answer,
     exception_text,
@@ -71,15 +72,12 @@ def function_subject(call: Callable[..., Any], name: str = "", precision: str | 
 
 
 @dataclass(frozen=True)
-class FunctionSubject:
+class FunctionSubject(Subject):
     """function(scene, o, d) -> (t, n). Its attribute `precision`, or the option, is float32 or float64."""
 
-    name: str
     call: Callable[[Any, np.ndarray, np.ndarray], Any]
     precision: str | None = None  # None: that of the arrays it returns
-    reads_xml: bool = False
-    takes_rays: bool = True
-    takes_limits: bool = False
+    takes_rays: ClassVar[bool] = True
 
     def answer(self, request: CastRequest) -> Answer:
         """Ask about the rays that there are, float64 arrays of float32 values; a hit beyond t_max is a miss.
@@ -95,7 +93,9 @@ class FunctionSubject:
                 some = checked_answer(*_pair(returned), int(there.sum()), precision=self.precision)
             except NoAnswer as error:
                 raise NoAnswer(f"{self.name}: {error}") from error
-        return _scatter_answer(some, there, rays.t_max.astype(np.float64))
+        beyond = some.t > rays.t_max[there].astype(np.float64)
+        n = None if some.n is None else np.where(beyond[:, None], 0.0, some.n)
+        return replace(some, t=np.where(beyond, np.inf, some.t), n=n).spread(there)
 
     def _called(self, request: CastRequest, o: np.ndarray, d: np.ndarray) -> Any:
         try:
@@ -128,21 +128,6 @@ def _pair(returned: Any) -> tuple[Any, Any]:
         raise NoAnswer(f"expected two arrays (t, n), got {_type_text(returned)}")
     t, n = returned
     return t, n
-
-
-def _scatter_answer(some: Answer, there: np.ndarray, t_max: np.ndarray) -> Answer:
-    """An answer about the rays that there are -> about all pixels; what lies beyond t_max is not there."""
-
-    def spread(values: np.ndarray, nothing: float) -> np.ndarray:
-        whole = np.full((len(there), *values.shape[1:]), nothing, values.dtype)
-        whole[there] = values
-        return whole
-
-    t = spread(some.t, np.inf)
-    t[there & (t > t_max)] = np.inf
-    n = None if some.n is None else np.where(np.isposinf(t)[:, None], 0.0, spread(some.n, 0.0))
-    broken = {why: spread(rows, False) for why, rows in some.broken.items()}
-    return Answer(t, n, some.precision, broken, hints=some.hints)
 
 
 def _exception_with_calls(error: BaseException) -> str:

@@ -1,15 +1,12 @@
 """Files of rays and of hits: read without trust, judged as the answer of a subject that is not there."""
 
 import os
-import tokenize
-import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.lib import format as npy
 
 from caster.cameras.single_ray import Ray
 from caster.description.errors import FileMissing, SceneError
@@ -17,7 +14,7 @@ from caster.description.input_files import opened_input
 from caster.scene.model import MAX_FILM_SIDE, Film, Scene
 from caster.system.atomic_files import write_bytes
 from mitsuba_ref.reference.shared_input import SharedRays
-from mitsuba_ref.subjects.subject import Answer, CastRequest, NoAnswer, checked_answer
+from mitsuba_ref.subjects.subject import Answer, CastRequest, NoAnswer, Subject, checked_answer
 
 COLUMNS = 8  # of a row of rays: o (3), d (3), t_min, t_max
 NPY_MAGIC, ZIP_MAGIC = b"\x93NUMPY", b"PK"
@@ -26,10 +23,6 @@ HIT_COLUMNS = {1: "t", 4: "t, n", 5: "t, n, prim_id"}  # of hits in one .npy arr
 STRIP_WIDTH = 256  # pixels of the film that rays are laid out on, if the list names none
 # What judging takes at its peak: 50 arrays of 3 float64 for intersections, and as much for images and evidence.
 BYTES_PER_RAY = 2 * 50 * 3 * 8
-HEADER_READERS: dict[tuple[int, int], Callable[[IO[bytes]], Any]] = {
-    (1, 0): npy.read_array_header_1_0,
-    (2, 0): npy.read_array_header_2_0,
-}
 
 
 class UnreadableArray(FileMissing):
@@ -52,61 +45,23 @@ def read_arrays(path: str | Path, names: Sequence[str] = ()) -> dict[str, np.nda
     Raises FileMissing, UnreadableArray: for files of objects, cut ones, and such as do not fit into memory.
     """
     path = Path(path)
-    try:
-        with opened_input(path, "file of arrays") as (file, size):
-            start = file.read(len(NPY_MAGIC))
-            if start == NPY_MAGIC:
-                file.seek(0)
-                return {"": _read_array(file, str(path), size)}
-            if not start.startswith(ZIP_MAGIC):
-                raise UnreadableArray(
-                    f"{path}: expected a .npz or .npy file of NumPy, got one that starts with {start!r}"
-                )
-            with zipfile.ZipFile(file) as archive:
-                return _read_members(archive, path, names)
-    except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError) as error:
-        raise UnreadableArray(f"{path}: cannot be read: {error}") from error
-
-
-def _read_members(archive: zipfile.ZipFile, path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
-    found = {}
-    for info in archive.infolist():
-        name = info.filename.removesuffix(".npy")
-        if name in names:
-            with archive.open(info) as member:
-                found[name] = _read_array(member, f"{path}: {name}", info.file_size)
+    with opened_input(path, "file of arrays") as (file, _):
+        start = file.read(len(NPY_MAGIC))
+        if start != NPY_MAGIC and not start.startswith(ZIP_MAGIC):
+            raise UnreadableArray(f"{path}: expected a .npz or .npy file of NumPy, got one that starts with {start!r}")
+        file.seek(0)
+        try:
+            loaded: Any = np.load(file, allow_pickle=False)
+            single = start == NPY_MAGIC
+            found = {"": loaded} if single else {name: loaded[name] for name in loaded.files if name in names}
+        except Exception as error:  # whatever NumPy, zipfile or the parser of a header make of damaged bytes
+            raise UnreadableArray(f"{path}: cannot be read: {error}") from error
     if not found:
-        has = ", ".join(info.filename.removesuffix(".npy") for info in archive.infolist()) or "none"
-        raise UnreadableArray(f"{path}: expected arrays of {', '.join(names)}, got {has}")
+        raise UnreadableArray(f"{path}: expected arrays of {', '.join(names)}, got {', '.join(loaded.files) or 'none'}")
+    for name, values in found.items():
+        if values.dtype.kind not in "fiub":
+            raise UnreadableArray(f"{path}: {name or 'its array'}: expected numbers, got {values.dtype}")
     return found
-
-
-def _read_array(file: IO[bytes], where: str, size: int) -> np.ndarray:
-    """One array, after its header was compared with the `size` of its file in bytes."""
-    try:
-        version = npy.read_magic(file)
-        if version not in HEADER_READERS:
-            raise UnreadableArray(f"{where}: expected a plain array of numbers, got .npy version {version}")
-        shape, fortran, dtype = HEADER_READERS[version](file)
-    except (ValueError, SyntaxError, TypeError, tokenize.TokenError, RecursionError, MemoryError) as error:
-        raise UnreadableArray(f"{where}: its header is damaged: {error}") from error
-    if dtype.hasobject or dtype.kind not in "fiub":
-        raise UnreadableArray(f"{where}: expected numbers, got {dtype}; objects are never unpickled")
-    if any(length < 0 for length in shape):
-        raise UnreadableArray(f"{where}: its header is damaged: shape {shape}")
-    expected, here = dtype.itemsize, file.tell()
-    for length in shape:
-        expected *= length
-    if expected != size - here:
-        raise UnreadableArray(
-            f"{where}: expected {expected} bytes of shape {shape} and type {dtype}, got {size - here}"
-        )
-    if expected > available_memory():
-        raise UnreadableArray(f"{where}: {expected} bytes do not fit into memory; write the list in parts")
-    data = file.read(expected)
-    if len(data) != expected:
-        raise UnreadableArray(f"{where}: expected {expected} bytes, the file ends after {len(data)}")
-    return np.frombuffer(data, dtype).reshape(shape, order="F" if fortran else "C")
 
 
 def available_memory() -> int:
@@ -229,34 +184,32 @@ def hit_columns(rows: np.ndarray, where: str) -> dict[str, np.ndarray]:
 
 
 @dataclass(frozen=True)
-class HitsFile:
+class HitsFile(Subject):
     """Hits that were computed beforehand, one a ray of the list."""
 
-    name: str
     arrays: dict[str, np.ndarray]
     precision: str | None  # None: that of t and n
     any_hit: bool = False  # its any-hit answers, not its nearest hits
-    reads_xml: bool = False
-    takes_rays: bool = False
-    takes_limits: bool = False
 
     def answer(self, request: CastRequest) -> Answer:
         """The arrays, checked for form. Raises NoAnswer."""
         there = request.rays.t_max >= 0.0
-        return spread_answer(answer_of_hits(self.arrays, int(there.sum()), self), there)
+        return answer_of_hits(self.arrays, int(there.sum()), self.precision, self.any_hit).spread(there)
 
 
-def answer_of_hits(arrays: dict[str, np.ndarray], count: int, of: Any) -> Answer:
-    """The answer to `count` rays. of: with `precision` and `any_hit`. Raises NoAnswer."""
-    if of.any_hit:
+def answer_of_hits(
+    arrays: dict[str, np.ndarray], count: int, precision: str | None = None, any_hit: bool = False
+) -> Answer:
+    """The answer to `count` rays: nearest hits, or any-hit answers. Raises NoAnswer."""
+    if any_hit:
         blocked = _integers("any_hit", arrays["any_hit"], count)
         if not np.isin(blocked, (0, 1)).all():
             i = int(np.argmin(np.isin(blocked, (0, 1))))
             raise NoAnswer(f"any_hit[{i}]: expected 0 or 1, got {blocked[i]}")
         t = np.where(blocked == 1, 0.0, np.inf)
-        return checked_answer(t, None, count, precision=of.precision or "float64", hits_only=True)
+        return checked_answer(t, None, count, precision=precision or "float64", hits_only=True)
     ids = {name: _integers(name, arrays[name], count) for name in ("shape_id", "prim_id") if name in arrays}
-    found = checked_answer(arrays["t"], arrays.get("n"), count, precision=of.precision)
+    found = checked_answer(arrays["t"], arrays.get("n"), count, precision=precision)
     named: dict[str, Any] = {
         name: np.where(found.hit, values, -1) for name, values in ids.items() if is_given(values, found.hit)
     }
@@ -275,19 +228,3 @@ def _integers(name: str, values: np.ndarray, count: int) -> np.ndarray:
     if values.dtype.kind not in "biu":
         raise NoAnswer(f"{name}: expected whole numbers, got {values.dtype}")
     return values.astype(np.int64)
-
-
-def spread_answer(some: Answer, there: np.ndarray) -> Answer:
-    """An answer about the rays that there are -> about all pixels of their film."""
-
-    def spread(values: np.ndarray | None, nothing: float) -> Any:
-        if values is None:
-            return None
-        whole = np.full((len(there), *values.shape[1:]), nothing, values.dtype)
-        whole[there] = values
-        return whole
-
-    t, n = spread(some.t, np.inf), spread(some.n, 0.0)
-    broken = {why: spread(rows, False) for why, rows in some.broken.items()}
-    ids = {name: spread(getattr(some, name), -1) for name in ("shape_id", "prim_id")}
-    return replace(some, t=t, n=n, broken=broken, **ids)

@@ -131,9 +131,9 @@ def parse_candidate(
         return ServedCommand(text, split_command(text, ())[0], precision, seconds)
     if is_function(text):
         return import_function(text, precision)
-    if "{rays" in text or "{hits" in text:
+    if "{rays" in text or "{hits" in text or "{mesh" in text:
         words, named = split_command(text, RAY_PLACEHOLDERS)
-        if not named & {"rays", "rays.raw"} or not named & {"hits", "hits.raw"}:
+        if not {"rays", "hits"} <= named:
             raise SceneError(f"--candidate {text!r}: expected {{rays}}, the file to read, and {{hits}}, that to write")
         return RayCommand(text, words, named, precision, seconds)
     if any(f"{{{name}}}" in text for name in PLACEHOLDERS):

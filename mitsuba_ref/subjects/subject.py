@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -79,6 +79,20 @@ class Answer:
         given = {name: getattr(self, name) for name in names}
         some: dict[str, Any] = {name: None if values is None else values[rows] for name, values in given.items()}
         return replace(self, t=self.t[rows], broken=broken, t_rounding=t_rounding, images=None, **some)
+
+    def spread(self, there: np.ndarray) -> "Answer":
+        """From an answer to the rays of the pixels `there` (m,) bool to one about all pixels; the others miss."""
+
+        def whole(values: np.ndarray | None, nothing: float) -> Any:
+            if values is None:
+                return None
+            found = np.full((len(there), *values.shape[1:]), nothing, values.dtype)
+            found[there] = values
+            return found
+
+        broken = {why: whole(rows, False) for why, rows in self.broken.items()}
+        ids: dict[str, Any] = {name: whole(getattr(self, name), -1) for name in ("shape_id", "prim_id")}
+        return replace(self, t=whole(self.t, np.inf), n=whole(self.n, 0.0), broken=broken, **ids)
 
     @property
     def ku(self) -> float:
@@ -248,7 +262,7 @@ def ids_as_described(answer: "Answer", packed: Packed) -> "Answer":
     return replace(answer, shape_id=np.where(there, owner[row], answer.shape_id), prim_id=prim)
 
 
-# ---- the protocol ----
+# ---- subjects ----
 
 
 @dataclass(frozen=True)
@@ -272,27 +286,22 @@ class CastRequest:
         return other
 
 
-class Subject(Protocol):
-    """A ray caster: ours, or a candidate in its place."""
+@dataclass(frozen=True)
+class Subject:
+    """A ray caster to judge: ours, or a candidate in its place."""
 
-    @property
-    def name(self) -> str:
-        """As its user named it; "" for ours."""
+    name: str  # as its user named it; "" for ours
+    takes_rays: ClassVar[bool] = False  # casts given rays, so that it can be given some of them
+    takes_limits: ClassVar[bool] = False  # is given t_min and t_max of each ray
 
     @property
     def reads_xml(self) -> bool:
         """Whether it casts the same rays through the same scene as plain Mitsuba."""
-
-    @property
-    def takes_rays(self) -> bool:
-        """Whether it casts the rays that it is given, so that it can be given some of them."""
-
-    @property
-    def takes_limits(self) -> bool:
-        """Whether it is given t_min and t_max of each ray."""
+        return False
 
     def answer(self, request: CastRequest) -> Answer:
         """The answer to every ray. Raises NoAnswer."""
+        raise NotImplementedError
 
 
 # ---- our own caster ----
@@ -317,13 +326,11 @@ def answer_of_view(scene: Scene, view: RayHits, aovs: Sequence[str] = (*COMPARED
 
 
 @dataclass(frozen=True)
-class OurCaster:
+class OurCaster(Subject):
     """The subject `ours`."""
 
     name: str = ""
-    reads_xml: bool = False
-    takes_rays: bool = True
-    takes_limits: bool = False
+    takes_rays: ClassVar[bool] = True
 
     def answer(self, request: CastRequest) -> Answer:
         """Cast the request's rays."""

@@ -1,4 +1,4 @@
-"""77 edge cases, ours against exact arithmetic: docs/edge-cases.md lists them, cases/ makes their rays.
+"""Edge cases, the caster against exact arithmetic: docs/edge-cases.md lists them, cases/ makes their rays.
 
 EDGE_CASE_RAYS=20 asks twenty times as many rays.
 """
@@ -7,10 +7,9 @@ from collections import Counter
 
 import pytest
 from cases import CASES
-from cases.case import PRECISIONS, Case, Maker, Precision, no_questions
+from cases.case import PRECISIONS, Case, Maker, Precision
 from cases.judging import SHOWN, judged, short_of
 
-ASKED = [case for case in CASES if case.questions is not no_questions]
 CHECKED = [(case, name) for case in CASES for name in case.checks or {}]
 
 
@@ -19,9 +18,9 @@ def label(value: object) -> str:
 
 
 @pytest.mark.parametrize("precision", PRECISIONS, ids=label)
-@pytest.mark.parametrize("case", ASKED, ids=label)
+@pytest.mark.parametrize("case", CASES, ids=label)
 def test_ours_is_the_exact_answer(case: Case, precision: Precision):
-    """Hit or miss, which primitive, t within the bound that is told and within ulps of its condition, the normal."""
+    """Hit or miss, which primitive, t within its bounds, the normal."""
     wrong, short, met = [], [], Counter()
     for question in case.questions(Maker(case.number, precision)):
         found = judged(question)
@@ -35,7 +34,6 @@ def test_ours_is_the_exact_answer(case: Case, precision: Precision):
 
 
 @pytest.mark.parametrize(("case", "name"), CHECKED, ids=label)
-def test_what_is_no_question_of_one_ray(case: Case, name: str):
-    """Refusals, cameras, and answers that have to be alike; each check says how often it looked."""
+def test_answers_that_have_to_be_alike_are(case: Case, name: str):
     assert case.checks is not None
     assert case.checks[name]() > 0

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from oracle_aims import KINDS, aim, packed, triangles
+from oracle_aims import packed, triangles
 
 from caster.geometry.packing import Triangles, pack
 from caster.geometry.world_space import as_float32
@@ -17,7 +17,6 @@ from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.shared_input import SharedRays, model_of
 
 Rng = np.random.Generator
-FLOATS = ("vertices", "normals", "uv")
 
 
 def pile_of_triangles(rng: Rng) -> Triangles:
@@ -77,28 +76,6 @@ def test_the_oracle_answers_random_piles_as_if_it_decided_each_face(monkeypatch)
     assert ties > 200 and flags >= {"edge_on", "degenerate"}, (ties, flags)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_oracle_answers_piles_of_every_kind_as_if_it_decided_each(monkeypatch, kind):
-    rng = np.random.default_rng(3)
-    prims, o, d = aim(kind, "whole", 1, 12)
-    rows = np.r_[np.arange(12), rng.integers(0, 12, 40)]
-    doubled = (
-        prims._replace(faces=prims.faces[rows], smooth=prims.smooth[rows], textured=prims.textured[rows])
-        if kind == "Triangles"
-        else type(prims)(*(array[rows] for array in prims))
-    )
-    together, alone = answers_each_way(monkeypatch, [doubled], o, d)
-    assert differing(together, alone) == 0 and sum(len(answer.ties) > 1 for answer in alone) >= 3
-
-
-def test_each_face_of_a_pile_is_prepared_and_tried_once():
-    prims = triangles(np.tile(np.array([[[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]]]), (500, 1, 1)))
-    oracle = Oracle(packed(prims))
-    (answer,) = oracle.first_hits(np.array([[0.0, 0, 3]]), np.array([[0.0, 0, -1]]))
-    assert (answer.prim, len(answer.ties), answer.ties[499].prim) == (0, 500, 499)
-    assert len(oracle.primitives.parts[0].ready) == 1
-
-
 def test_faces_that_are_the_same_by_less_than_all_bits_are_noticed(monkeypatch):
     """A comparison of the first corners alone gives other answers."""
 
@@ -119,58 +96,6 @@ def test_faces_that_are_the_same_by_less_than_all_bits_are_noticed(monkeypatch):
 
 
 # ---- which rows are identical
-
-
-def in_plain_python(prims, more, *, shading: bool) -> list[int]:
-    """The lowest row with the same bytes, by a dictionary."""
-    seen: dict[bytes, int] = {}
-    names = FLOATS if shading else FLOATS[:1]
-    found = []
-    for k, face in enumerate(prims.faces):
-        key = b"".join(getattr(prims, name)[corner].tobytes() for name in names for corner in face)
-        key += bytes([int(prims.smooth[k]), int(prims.textured[k])]) if shading else b""
-        key += b"".join(array[k].tobytes() for array in more)
-        found.append(seen.setdefault(key, k))
-    return found
-
-
-def shaded(rng: Rng, prims: Triangles) -> Triangles:
-    """Some vertices and faces with other attributes."""
-    normals, uv = prims.normals.copy(), prims.uv.copy()
-    normals[rng.integers(0, len(normals), 5)] += 1.0
-    uv[rng.integers(0, len(uv), 5), 1] += 1.0
-    return prims._replace(normals=normals, uv=uv, smooth=rng.random(len(prims.faces)) < 0.5, textured=prims.textured)
-
-
-@pytest.mark.parametrize("collide", [False, True])
-def test_rows_are_identical_where_all_their_bytes_are(monkeypatch, collide):
-    """Also where all hashes are alike, and with as many vertices as faces."""
-    if collide:
-        monkeypatch.setattr("mitsuba_ref.oracle.interface.HASH_FACTOR", np.uint64(0))
-    repeated = 0
-    for seed in range(12):
-        rng = np.random.default_rng(seed)
-        prims = shaded(rng, pile_of_triangles(rng))
-        if seed % 2:
-            rows = rng.integers(0, len(prims.faces), len(prims.vertices))
-            prims = prims._replace(faces=prims.faces[rows], smooth=prims.smooth[rows], textured=prims.textured[rows])
-        shape = rng.integers(0, 2, len(prims.faces))
-        for shading, more in ((False, []), (True, []), (True, [shape])):
-            expected = in_plain_python(prims, more, shading=shading)
-            found = lowest_identical(prims, more, shading=shading)
-            rows = list(range(len(expected))) if found is None else found.tolist()
-            if shading and seed % 2:  # arrays of vertices are taken for those of faces, too: fewer are identical
-                assert [expected[row] for row in rows] == expected
-            else:
-                assert rows == expected
-            repeated += sum(k != lowest for k, lowest in enumerate(expected))
-    assert repeated > 500
-
-
-def test_rows_of_arrays_that_are_no_primitives_are_not_compared():
-    prims = triangles(np.zeros((3, 3, 3)))
-    assert lowest_identical(prims, shading=True).tolist() == [0, 0, 0]
-    assert lowest_identical(prims._replace(uv=np.zeros((5, 2))), shading=True) is None
 
 
 # ---- brackets
@@ -251,10 +176,3 @@ def test_brackets_of_piles_judge_as_if_each_primitive_was_looked_at(monkeypatch,
             assert all(map(np.array_equal, one, other)), seed
             blocked_some += one[0].sum()
     assert min(allowed_some, refused_some, blocked_some) > 100
-
-
-def test_forgetting_the_twins_of_what_a_ray_leaves_is_noticed(monkeypatch):
-    """A ray that leaves a face twice there: the other may block it."""
-    monkeypatch.setattr(scene_model.SceneModel, "has_twins", lambda _, prim: np.zeros(len(prim), bool))
-    with pytest.raises(AssertionError):
-        test_brackets_of_piles_judge_as_if_each_primitive_was_looked_at(monkeypatch, False)

@@ -8,26 +8,10 @@ from oracle_aims import KINDS, SCALES, aim, packed, triangles
 
 from mitsuba_ref.oracle import exact_planar as triangles_module
 from mitsuba_ref.oracle import oracle
-from mitsuba_ref.oracle.exact_numbers import integer_ray, integer_rays
+from mitsuba_ref.oracle.exact_numbers import integer_rays
 from mitsuba_ref.oracle.oracle import EXACT_KINDS, BoxTree, Oracle, RayColumns, slab_test
 
 COUNT = 300
-
-
-def test_rays_of_an_array_are_the_integers_of_each():
-    """Of every exponent, denormal and zero."""
-    rng = np.random.default_rng(5)
-    any_bits = rng.integers(0, 2**64, (3000, 3), np.uint64).view(np.float64)
-    for rows in (
-        np.where(np.isfinite(any_bits), any_bits, 0.0),
-        rng.normal(size=(1000, 3)).astype(np.float32).astype(np.float64),
-        rng.integers(-3, 4, (1000, 3)) * 5e-324,
-        np.array([[0.0, -0.0, 0.0], [1e308, 0.0, -5e-324], [-0.0, 3.0, 0.75]]),
-        np.zeros((0, 3)),
-    ):
-        d = rows[::-1].copy()
-        expected = [integer_ray(*each) for each in zip(rows.tolist(), d.tolist(), strict=True)]
-        assert list(integer_rays(rows, d)) == expected
 
 
 def lost(kind: str, scale: str, seed: int = 1) -> tuple[int, int, int]:
@@ -40,8 +24,8 @@ def lost(kind: str, scale: str, seed: int = 1) -> tuple[int, int, int]:
     if arithmetic.may_intersect is not None:
         kept &= arithmetic.may_intersect(prims, k, o, d)
     wrong = meeting = 0
-    for i in range(n):
-        met = arithmetic.intersect(arithmetic.prepare(prims, i), integer_ray(o[i].tolist(), d[i].tolist()))
+    for i, ray in enumerate(integer_rays(o, d)):
+        met = arithmetic.intersect(arithmetic.prepare(prims, i), ray)
         first = [t for t, _ in met.roots] + [touch.first for touch in met.contacts if touch.first is not None]
         meeting += bool(first)
         wrong += any(not kept[i] or t < near[i] for t in first)
@@ -90,7 +74,7 @@ def rays_at(corners: np.ndarray, rng, n: int) -> tuple[np.ndarray, np.ndarray]:
 
 def by_trying_all(oracle: Oracle, o, d):
     """(t, prims) without boxes and without float64."""
-    ray = integer_ray(o.tolist(), d.tolist())
+    (ray,) = integer_rays(o[None], d[None])
     (part,) = oracle.primitives.parts
     kind, found = part.kind, []
     for k in range(len(part.ids)):
@@ -122,16 +106,6 @@ def test_few_faces_are_left_for_whole_numbers():
     span = np.zeros(300), np.full(300, math.inf)
     left = [len(near) for near in oracle.primitives.candidates(RayColumns(o.T.copy(), d.T.copy(), *span))]
     assert len(left) == 300 and 1.0 <= np.mean(left) <= 12.0 and max(left) <= 400, (np.mean(left), max(left))
-
-
-def test_rays_that_pass_many_boxes_are_tested_one_by_one(monkeypatch):
-    corners = bumpy(24, 25)
-    oracle = Oracle(packed(triangles(corners)))
-    o, d = rays_at(corners, np.random.default_rng(2), 90)
-    together = oracle.first_hits(o, d)
-    monkeypatch.setattr("mitsuba_ref.oracle.oracle.MAX_RAY_BOX_PAIRS", 1)
-    assert oracle.primitives.tree.crossings(RayColumns(o.T, d.T, np.zeros(90), np.ones(90))) is None
-    assert oracle.first_hits(o, d) == together and sum(answer.hit for answer in together) >= 30
 
 
 def test_a_box_tree_passes_what_its_boxes_pass():

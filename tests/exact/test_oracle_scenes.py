@@ -125,36 +125,6 @@ def test_what_is_sorted_out_changes_no_answer_and_no_flag(monkeypatch):
     assert min(flags[flag] for flag in ("edge_on", "degenerate", "tangent", "dropped")) >= 5, flags
 
 
-def reversed_order(prims):
-    if hasattr(prims, "faces"):
-        return prims._replace(faces=prims.faces[::-1])
-    return type(prims)(*(a[::-1] for a in prims))
-
-
-def test_the_order_of_primitives_changes_only_their_numbers():
-    """Answers keep t, where and flags, and the tie set is the same set."""
-    ties = hits = 0
-    for scale in SCALES:
-        arrays, o, d = mixed(scale, 5, 8)
-        total = sum(primitive_count(prims) for prims in arrays)
-        there = Oracle(packed(*arrays)).first_hits(o, d)
-        back = Oracle(packed(*(reversed_order(prims) for prims in arrays[::-1]))).first_hits(o, d)
-        for one, other in zip(there, back, strict=True):
-            assert one.t == other.t and one.flags == other.flags
-            assert {(hit.prim, hit.where) for hit in one.ties} == {(total - 1 - h.prim, h.where) for h in other.ties}
-            ties, hits = ties + (len(one.ties) > 1), hits + one.hit
-    assert hits >= 100
-
-
-def test_one_ray_is_answered_as_among_many():
-    arrays, o, d = mixed("rounded", 6, 20)
-    oracle = Oracle(packed(*arrays))
-    many = oracle.first_hits(o, d)
-    assert [oracle.first_hit(*line) for line in zip(o, d, strict=True)] == many
-    assert [oracle.first_hit(*line) for line in zip(o.tolist(), d.tolist(), strict=True)] == many
-    assert sum(answer.hit for answer in many) >= 30
-
-
 def test_faces_around_a_corner_tie_and_the_lowest_is_named():
     """A fan of eight faces, each twice: through its middle all 16, through a spoke 4, inside of one 2."""
     spokes = np.array([[2, 0, 1], [2, 2, 1], [0, 2, 1], [-2, 2, 0], [-2, 0, 1], [-2, -2, 1], [0, -2, 1], [2, -2, 1]])
@@ -169,29 +139,6 @@ def test_faces_around_a_corner_tie_and_the_lowest_is_named():
     within = oracle.first_hit((1, 0.5, 5), (0, 0, -1))
     assert [(hit.prim, hit.where) for hit in within.ties] == [(0, "inside"), (8, "inside")]
     assert oracle.first_hit((3, 0, 5), (0, 0, -1)).prim == -1
-
-
-def test_spheres_of_equal_radius_tie_and_one_ulp_decides():
-    r, center = 0.1, (0.3, -0.7, 1.9)
-    more, less = math.nextafter(r, 1.0), math.nextafter(r, 0.0)
-    o, d = (0.31, -0.72, 7.0), (0.001, 0.002, -1.0)
-    same = Oracle(packed(spheres((*center, r), (*center, r)), spheres((*center, r)))).first_hit(o, d)
-    assert [hit.prim for hit in same.ties] == [0, 1, 2]
-    nested = Oracle(packed(spheres((*center, less), (*center, r), (*center, more))))
-    assert [hit.prim for hit in nested.first_hit(o, d).ties] == [2]
-    assert [hit.prim for hit in nested.first_hit(center, d).ties] == [0]
-    roots = [nested.roots(k, o, d)[0].t for k in range(3)]
-    assert roots[0] > roots[1] > roots[2] and len({float(t) for t in roots}) < 3  # floats cannot tell
-
-
-def test_a_sphere_an_ellipsoid_and_a_disk_tie_where_they_touch():
-    """A sphere as an ellipsoid, with irrational roots that are written differently; and a disk through one of them."""
-    ball, egg = spheres((1, 2, 3, 3)), affine(Ellipsoids, np.array([[1.0, 2.0, 3.0]]), -3.0 * EYE3)
-    oracle = Oracle(packed(ball, egg))
-    answer = oracle.first_hit((1.7, 9.1, 4.3), (-0.1, -1, -0.2))
-    assert [hit.prim for hit in answer.ties] == [0, 1]
-    top = Oracle(packed(ball, egg, affine(Disks, np.array([[1.0, 2.0, 6.0]]), EYE3))).first_hit((1, 2, 9), (0, 0, -2))
-    assert top.t == 1.5 and [hit.prim for hit in top.ties] == [0, 1, 2]
 
 
 def test_spans_are_open_at_t_min_and_closed_at_t_max():
@@ -308,25 +255,6 @@ def test_rays_without_a_meaning_are_refused(o, d, t_min, t_max):
     if not (math.isnan(t_min) or math.isnan(t_max)):
         with pytest.raises(OutsideDomain):
             oracle.roots(0, o, d)
-
-
-def test_a_number_that_no_primitive_has_is_refused():
-    oracle = Oracle(packed(spheres((0, 0, 0, 1))))
-    for prim in (-1, 1):
-        with pytest.raises(IndexError, match="the scene has primitives 0 to 0, got"):
-            oracle.roots(prim, (0, 0, 0), (0, 0, 1))
-
-
-def test_a_kind_without_exact_arithmetic_names_what_to_write():
-    class Cones(Spheres):
-        pass
-
-    with pytest.raises(LookupError, match="Cones has no exact arithmetic: write an ExactKind"):
-        Oracle(packed(Cones(*spheres((0, 0, 0, 1)))))
-
-
-def test_an_empty_scene_is_a_miss():
-    assert Oracle(packed()).first_hit((0, 0, 0), (0, 0, 1)).prim == -1
 
 
 def test_the_patch_in_place_of_a_plane_is_requested_apart():

@@ -120,7 +120,7 @@ READERS: dict[str, tuple[str, ...]] = {
         "caster check FILE", "caster check FILE --mesh-dir in", "caster sheet in -o out/o.png --side 4"
     ),
     "in/mesh.obj": read_by(
-        "mitsuba-ref bench --list --meshes in",
+        "mitsuba-ref bench --list in/mesh.obj",
         "caster check in/obj.toml",
         "caster render in/obj.toml -o out/o.exr",
         "mitsuba-ref judge --mesh FILE --rays in/rays.npz --hits in/hits.npz",
@@ -190,7 +190,6 @@ READERS: dict[str, tuple[str, ...]] = {
         "mitsuba-ref check in/scene.toml --references in/references --fresh",
     ),
     "out/references/scene.exr": read_by("mitsuba-ref approve in/scene.toml --references out/references --yes"),
-    "in/bench.json": read_by("mitsuba-ref bench --from FILE --json out/b.json", "mitsuba-ref bench --from FILE"),
     "in/kept.toml": read_by("mitsuba-ref fuzz --replay FILE", "mitsuba-ref fuzz --replay in/kept"),
     "out/unfinished.txt": read_by("mitsuba-ref fuzz --examples 1 --judge-every 0 --out out --json out/f.json"),
 }
@@ -230,9 +229,6 @@ def write_samples(folder: Path, run: Callable[[str], int]) -> None:
     (source / "kept" / "a.toml").write_text(files["kept.toml"])
     for name, encoding in (("ascii", "ascii"), ("little", "binary_little_endian"), ("big", "binary_big_endian")):
         (source / f"{name}.ply").write_bytes(ply(encoding))
-    bench = json.loads((ROOT / "docs/performance/run.json").read_text())
-    bench["scenes"], bench["sweeps"] = bench["scenes"][:1], bench["sweeps"][:1]
-    (source / "bench.json").write_text(json.dumps(bench))
 
     def succeed(line: str) -> None:
         assert run(line) == 0, line

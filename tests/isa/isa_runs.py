@@ -30,7 +30,6 @@ TESTS = {
     "slow tests": (
         "-m",
         "slow",
-        "tests/exact/test_edge_cases_mitsuba.py",
         "tests/reference/test_adjudication.py",
         "tests/reference/test_bands.py",
         "tests/reference/test_detection_power.py",

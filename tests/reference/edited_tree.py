@@ -13,6 +13,8 @@ import threading
 from collections.abc import Sequence
 from pathlib import Path
 
+from mitsuba_ref.judge.checks import thorough_names
+
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("caster", "mitsuba_ref")
 DEADLINE = 120.0  # seconds; plain Python needs one to four for a film of 24 x 20 pixels
@@ -71,6 +73,19 @@ NO_REMARKS = ("validating: ", "compiling ", "llvm_ad_rgb does not work here")
 def said_beside_progress(found: subprocess.CompletedProcess[str]) -> list[str]:
     """Lines of stderr that are remarks, but for the first: what is loaded, or that there is no compiler."""
     return [line for line in found.stderr.splitlines()[1:] if not line.startswith(NO_REMARKS)]
+
+
+# Most of the time of `validate` in plain Python: each is made where it is the check that a fault offends.
+LONG_CHECKS = (*thorough_names(), "knife_edges", "culling")
+
+
+def run_compiled(tree: Path, cache: Path, *argv: str) -> subprocess.CompletedProcess[str]:
+    """pytest with the packages of a tree and the compiler, whose kernels are kept in the folder `cache`."""
+    words = [sys.executable, "-P", "-m", "pytest", *argv]
+    environment = {**os.environ, "CASTER_JIT": "1", "PYTHONPATH": str(tree), "XDG_CACHE_HOME": str(cache)}
+    return subprocess.run(
+        words, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=DEADLINE, check=False
+    )
 
 
 class Forks:

@@ -1,6 +1,5 @@
 """Films judged in bands: the verdict of the whole film, in memory that does not grow with it."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +8,10 @@ from candidates import ours
 
 import caster
 from mitsuba_ref.error_model.tolerances import LARGEST_Z, K
-from mitsuba_ref.judge import classification
-from mitsuba_ref.judge.aggregate import merge_windows
+from mitsuba_ref.judge import classification, pipeline
 from mitsuba_ref.judge.pipeline import bands_of
-from mitsuba_ref.judge.verdict import AGREE, CLASSES, WRONG, Failure, Finding, SceneCheck, SceneVerdict
+from mitsuba_ref.judge.verdict import AGREE, CLASSES, WRONG
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.report import validation
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.subjects.function import function_subject
 
@@ -27,8 +24,8 @@ def small_bands(monkeypatch):
     """Switches bands on: films of these tests are large."""
 
     def switch(on: bool) -> None:
-        monkeypatch.setattr(validation, "LARGEST_WHOLE_FILM", BAND if on else 1 << 20)
-        monkeypatch.setattr(validation, "BAND_PIXELS", BAND)
+        monkeypatch.setattr(pipeline, "LARGEST_WHOLE_FILM", BAND if on else 1 << 20)
+        monkeypatch.setattr(pipeline, "BAND_PIXELS", BAND)
 
     return switch
 
@@ -50,7 +47,7 @@ def test_bands_are_whole_rows_that_make_up_the_window(small_bands, window):
 
 def test_a_film_that_is_wider_than_a_band_is_judged_row_by_row(small_bands, monkeypatch):
     small_bands(True)
-    monkeypatch.setattr(validation, "BAND_PIXELS", 10)
+    monkeypatch.setattr(pipeline, "BAND_PIXELS", 10)
     assert len(bands_of(scene("one-sphere"))) == SIZE[1]
 
 
@@ -128,27 +125,3 @@ def test_a_crash_in_one_band_is_the_problem_of_the_scene(small_bands, send):
     found = validate_scene(scene("one-sphere"), "s", send=crashing)
     assert not found.ok and found.problem.startswith("rows 14 to 20: ") and "LLVM ERROR" in found.problem
     assert found.statistics is None and len(calls) == 3
-
-
-def test_merged_windows_lose_no_failure():
-    failure = Failure(1, 2, WRONG, "normal", 3.0, "", "", "", "cause")
-    nan = Failure(1, 30, WRONG, "normal", float("nan"), "", "", "", "cause")
-    counts = dict.fromkeys(CLASSES, 0)
-    one = SceneVerdict(
-        "s", "", 10, 5, counts | {AGREE: 4, WRONG: 1}, {"depth": 0.25}, (SceneCheck("camera", 0.5, "a"),)
-    )
-    one = replace(one, failures=(failure,), failing_by={"normal": 1}, worst_by={"normal": failure})
-    one = replace(one, cases={"1": 2}, findings=(Finding(1, "cause", 1, 2),))
-    checks = SceneCheck("camera", float("nan"), "b"), SceneCheck("bias", 0.1, "c")
-    two = SceneVerdict("s", "", 10, 6, counts | {AGREE: 6}, {"depth": 0.75, "uv": 0.5}, checks)
-    two = replace(two, failures=(nan,), failing_by={"normal": 2}, worst_by={"normal": nan})
-    two = replace(two, cases={"1": 1, "unlisted": 1})
-    two = replace(two, findings=(Finding(2, "cause", 1, 30), Finding(3, "other", 1, 31)))
-    for windows in ((one, two), (two, one)):
-        found = merge_windows(windows)
-        assert (found.pixels, found.hit_pixels, found.counts[AGREE], found.counts[WRONG]) == (20, 11, 10, 1)
-        assert found.ratios == {"depth": 0.75, "uv": 0.5} and found.cases == {"1": 3, "unlisted": 1}
-        assert {check.name: check.what for check in found.checks} == {"camera": "b", "bias": "c"}
-        assert found.failing_by == {"normal": 3} and np.isnan(found.worst_by["normal"].ratio)
-        assert set(found.failures) == {failure, nan} and not found.ok
-        assert [(finding.what, finding.pixels) for finding in found.findings] == [("cause", 3), ("other", 3)]

@@ -13,17 +13,7 @@ import caster
 from caster.aovs import Aovs
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
-from mitsuba_ref.judge.aggregate import (
-    class_counts,
-    decisive_check,
-    defect_counts,
-    failing_by_check,
-    failure_at,
-    findings,
-    largest_ratios,
-    listed_failures,
-    worst_first,
-)
+from mitsuba_ref.judge.aggregate import class_counts, defect_counts, failing_by_check, listed_failures
 from mitsuba_ref.judge.classification import Judge, Judgement, scene_judge
 from mitsuba_ref.judge.diagnosis import diagnose, failing_rows
 from mitsuba_ref.judge.explanations import open_reason
@@ -236,15 +226,6 @@ def test_a_shadow_that_is_not_there_or_missing_is_the_fault_of_who_has_it(one, l
     assert found.is_class("wrong")[rows].mean() > 0.9
 
 
-def test_without_shadows_no_light_is_hidden(brought):
-    judge = brought(scene_of(shading={"shadows": False}))
-    assert judge.judge().is_class("agree").all() and judge.pair.result.visible.all()
-    shaded = altered(judge)
-    rows = np.flatnonzero(judge.hit & (judge.pair.result.unshadowed[0] > 1e-3).any(axis=1))
-    aov_rows(shaded.pair.subject, "diffuse")[rows] -= judge.pair.result.unshadowed[0, rows]
-    assert classes_at(again(shaded).judge(), rows) == {"wrong"}
-
-
 @pytest.mark.parametrize("part", ["unshadowed", "ambient"])
 def test_mitsubas_light_is_held_to_a_few_roundings(one, part):
     """Neither a thousandth of what is allowed is a difference, nor does a thousandth of the light pass."""
@@ -340,15 +321,6 @@ def test_another_primitive_than_the_one_that_is_hit_is_wrong(one):
     assert len(rows) >= 5 and classes_at(found, rows) == {"wrong"} and np.isinf(found.ratio("on_surface")[rows]).any()
 
 
-def test_a_normal_without_a_useful_bound_agrees_with_nothing(one, monkeypatch):
-    judge = again(altered(one))
-    rows, loose = some_of_each_shape(judge), np.zeros(len(judge.hit), bool)
-    loose[rows] = True
-    assert classes_at(judge.judge(), rows) == {"agree"}
-    monkeypatch.setattr(judge, "_has_loose_normals", lambda: loose)
-    assert classes_at(judge.judge(), rows) == {"out_of_domain"}
-
-
 # Our image contradicts our own hit: no rounding excuses it, and no exact answer makes it right.
 CONTRADICTIONS = {
     "depth": lambda images: images["depth"] * (1.0 + 1e-13),
@@ -392,46 +364,7 @@ def test_an_image_that_contradicts_its_hit_is_undecided(one, name, where):
     assert not judge.consistent[rows].any() and judge.consistent.sum() == len(judge.hit) - len(rows)
 
 
-@pytest.mark.parametrize("normal", [np.nan, np.inf, -np.inf, 1e300])
-def test_normals_that_are_no_numbers_beside_a_wrong_t_are_diagnosed(one, normal):
-    judge = altered(one)
-    rows = np.flatnonzero(judge.hit)
-    t = judge.answer.t[rows] = 1.5 * judge.answer.t[rows]
-    aov_rows(judge.pair.subject, "depth")[rows] = t * judge.pair.length[rows]
-    aov_rows(judge.pair.subject, "position")[rows] = judge.o[rows] + t[:, None] * judge.d[rows]
-    aov_rows(judge.pair.subject, "normal")[rows[::2], 1] = normal
-    judge = again(judge)
-    found = judge.judge()
-    assert not found.is_class("agree")[rows].any()
-    assert sorted(diagnose(judge, found).by_row()) == rows.tolist()
-
-
 # ---- what is made of a judgement
-
-
-def test_failures_are_ordered_by_what_they_exceed(one):
-    judge = altered(one)
-    rows = some_of_each_shape(judge)
-    own = judge.bounds.own
-    share = np.linspace(2.0, 60.0, len(rows))
-    position = aov_rows(judge.pair.subject, "position")
-    position[rows] += (share * own.p_error[rows])[:, None] * directions(len(rows))
-    judge = again(judge)
-    found = judge.judge()
-    order = worst_first(found, rows)
-    assert order == rows[np.argsort(-found.ratio("position")[rows], kind="stable")].tolist() != rows.tolist()
-    assert {decisive_check(found, row) for row in order} == {"position"}
-    assert failing_by_check(found)["position"].tolist() == order
-    (finding,) = findings(judge, diagnose(judge, found))
-    assert (finding.pixels, finding.x, finding.y) == (len(rows), rows[0] % 24, rows[0] // 24)
-    failure = failure_at(judge, found, diagnose(judge, found).by_row(), order[0])
-    assert failure.check == "position" and failure.ratio == found.ratio("position")[order[0]]
-    assert failure.subject != failure.reference and ", position (" in failure.subject
-    assert failure_at(judge, found, {order[0]: "planted"}, order[0], "depth").ratio < 1.0
-    ratios = largest_ratios(found)
-    assert ratios["position"] <= 1.0 and set(ratios) == set(found.names)
-    for name, ratio in ratios.items():
-        assert ratio == found.ratio(name)[found.is_class("agree")].max()
 
 
 def test_a_share_that_the_scene_allows_is_the_bound(one, brought):

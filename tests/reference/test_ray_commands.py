@@ -54,7 +54,7 @@ def compiled(tmp_path, source):
         "-lm",
     ]
     subprocess.run(words, check=True)
-    return f"{tmp_path / 'caster'} {{mesh.raw}} {{rays.raw}} {{hits.raw}}"
+    return f"{tmp_path / 'caster'} {{mesh}} {{rays}} {{hits}}"
 
 
 def test_the_caster_in_c_passes_with_normals_and_prim_ids(tmp_path):
@@ -86,7 +86,7 @@ def test_planted_faults_in_the_caster_in_c_fail(tmp_path, fault):
 def test_the_caster_in_javascript_passes(tmp_path):
     if shutil.which("node") is None:
         pytest.skip("no JavaScript: node")
-    code, scene = validate(tmp_path, f"node {EXAMPLES / 'caster.js'} {{mesh.raw}} {{rays.raw}} {{hits.raw}}")
+    code, scene = validate(tmp_path, f"node {EXAMPLES / 'caster.js'} {{mesh}} {{rays}} {{hits}}")
     assert code == 0 and scene["counts"]["agree"] > 100
 
 
@@ -101,7 +101,7 @@ BROKEN = {
 def test_programs_that_give_no_hits_fail_with_the_reason(tmp_path, which):
     source, words = BROKEN[which]
     (tmp_path / "p.py").write_text(f"import sys\n{source}\n")
-    code, scene = validate(tmp_path, f"{sys.executable} {tmp_path / 'p.py'} {{rays.raw}} {{hits.raw}}")
+    code, scene = validate(tmp_path, f"{sys.executable} {tmp_path / 'p.py'} {{rays}} {{hits}}")
     assert code == 1 and words in scene["problem"]
 
 

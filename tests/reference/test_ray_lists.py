@@ -1,7 +1,6 @@
 """`mitsuba-ref judge`: answers to any rays, and EXR files; right ones pass, and each planted fault is found."""
 
 import json
-import shlex
 
 import numpy as np
 import pytest
@@ -11,8 +10,6 @@ from caster.image.channels import write_render
 from caster.image.exr import read_exr, write_exr
 from caster.system.atomic_files import OutputError
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.cameras import reference_of_camera
-from mitsuba_ref.cameras.camera_reference import camera_axes
 from mitsuba_ref.runner import many_scenes
 
 pytestmark = pytest.mark.usefixtures("remembered")
@@ -257,13 +254,13 @@ HOSTILE_RAYS = {
     "t_min inf": (changed_ray(c6=np.inf), "finite t_min"),
     "t_max": (changed_ray(c7=np.nan), "t_max >= t_min"),
     "start": (changed_ray(c6=1e38, c5=-1e38), "beyond float32"),
-    "objects": (np.array([[Bomb()]], object), "never unpickled"),
+    "objects": (np.array([[Bomb()]], object), "allow_pickle=False"),
     "text": (np.array(["a"]), "expected numbers"),
     "not NumPy": (b"hello, world", "expected a .npz or .npy file"),
     "empty": (b"", "expected a .npz or .npy file"),
-    "claims terabytes": (npy_of((10**12, 8)), "expected 64000000000000 bytes"),
-    "negative": (npy_of((-1, 8)), "header is damaged"),
-    "header": (b"\x93NUMPY\x01\x00\x05\x00{1:2}", "header is damaged"),
+    "claims terabytes": (npy_of((10**12, 8)), "cannot be read"),
+    "negative": (npy_of((-1, 8)), "cannot be read"),
+    "header": (b"\x93NUMPY\x01\x00\x05\x00{1:2}", "cannot be read"),
     "no zip": (b"PK\x03\x04 nothing", "cannot be read"),
 }
 
@@ -288,7 +285,7 @@ HOSTILE_HITS = {
     "a number": ({"t": np.float64(1.0)}, 2, "one row for each"),
     "nothing known": ({"distance": np.ones(2)}, 4, "expected arrays of t"),
     "normals alone": ({"n": np.ones((2, 3))}, 2, "an array t, or any_hit"),
-    "objects": ({"t": np.array([Bomb(), 1.0], object)}, 4, "never unpickled"),
+    "objects": ({"t": np.array([Bomb(), 1.0], object)}, 4, "allow_pickle=False"),
     "ids of floats": ({"t": np.ones(2), "prim_id": np.ones(2)}, 1, "expected whole numbers"),
     "normals of two": ({"t": np.ones(2), "n": np.ones((2, 2))}, 1, "(n, 3)"),
     "any_hit of three": ({"any_hit": np.array([0, 3])}, 1, "expected 0 or 1"),
@@ -429,146 +426,3 @@ def test_an_image_of_geometry_that_float32_rounds_is_judged_by_both(tmp_path, ch
     assert code == (0 if passes else 1) and scenes[0]["hit_pixels"] > 75
     counts = scenes[0]["counts"]
     assert counts["wrong"] + counts["undecided"] == (0 if passes else 1), counts
-
-
-# ---- an image along its own rays
-
-
-def rendered_through(scene, x, y):
-    """Channels as a renderer whose rays go through x, y (n,) of the film writes them, and the mask."""
-    rays = reference_of_camera(scene.camera).rays(scene.camera, scene.film, x, y)
-    o, d = rays.o.astype(np.float32).astype(float), rays.d.astype(np.float32).astype(float)
-    hits = caster.cast(scene, o, d)
-    shape = (scene.film.height, scene.film.width)
-    hit = np.isfinite(hits.t)
-    channels = {"A": hit, "depth.Z": np.where(hit, hits.t * np.linalg.norm(d, axis=1), np.inf)}
-    for layer, values in (("position", hits.surface.p), ("normal", hits.surface.n)):
-        channels |= {f"{layer}.{c}": values[:, i] for i, c in enumerate("XYZ")}
-    return {name: values.reshape(shape).astype(np.float32) for name, values in channels.items()}
-
-
-def pixels_of(scene):
-    return tuple(v.ravel() + 0.5 for v in np.indices((scene.film.height, scene.film.width))[::-1])
-
-
-def judged_along_own_rays(folder, tmp_path, channels, *more):
-    write_exr(tmp_path / "own.exr", channels, {})
-    words = ["--scene", str(folder / "scene.toml"), "--exr", str(tmp_path / "own.exr"), "--own-rays", *more]
-    code = main(["judge", *words, "--json", str(tmp_path / "v.json")])
-    return code, json.loads((tmp_path / "v.json").read_text())["scenes"][0]
-
-
-def jittered(scene, seed=1):
-    rng = np.random.default_rng(seed)
-    return tuple(v + rng.uniform(-0.5, 0.5, len(v)) for v in pixels_of(scene))
-
-
-def shifted(scene):
-    x, y = pixels_of(scene)
-    return x + 0.25, y - 0.125
-
-
-OWN_RAYS = {"jittered": (jittered, "not the same everywhere"), "shifted": (shifted, "through (0.7500, 0.3750) of")}
-
-
-@pytest.mark.parametrize("which", OWN_RAYS)
-@pytest.mark.slow("each judges a film along rays of its own")
-def test_an_image_passes_along_its_own_rays_which_are_described(folder, tmp_path, which):
-    """Judged along the pixels' centres, it is wrong nearly everywhere."""
-    scene = caster.load_scene(folder / "scene.toml")
-    places, words = OWN_RAYS[which]
-    code, found = judged_along_own_rays(folder, tmp_path, rendered_through(scene, *places(scene)))
-    assert code == 0 and found["counts"]["agree"] > 50, found
-    assert any(words in note for note in found["notes"])
-    assert main(["judge", "--scene", str(folder / "scene.toml"), "--exr", str(tmp_path / "own.exr")]) == 1
-
-
-def one(name, change):
-    def fault(channels):
-        where = tuple(np.argwhere(channels["A"] != 0)[20])
-        channels[name][where] = change(channels[name][where])
-
-    return fault
-
-
-def mirrored_positions(channels):
-    for name in ("depth.Z", "A", "position.X", "position.Y", "position.Z"):
-        channels[name][:] = channels[name][:, ::-1]
-
-
-def a_hole(channels):
-    """Inside of what is hit, where every ray of the pixel hits."""
-    covered = channels["A"] != 0
-    inner = covered.copy()
-    inner[1:-1, 1:-1] &= covered[:-2, 1:-1] & covered[2:, 1:-1] & covered[1:-1, :-2] & covered[1:-1, 2:]
-    inner[[0, -1]], inner[:, [0, -1]] = False, False
-    where = tuple(np.argwhere(inner)[len(np.argwhere(inner)) // 2])
-    channels["A"][where], channels["depth.Z"][where] = 0.0, np.inf
-
-
-OWN_RAY_FAULTS = {
-    "one depth": one("depth.Z", lambda depth: depth * 1.00001),
-    "one normal": one("normal.Y", lambda n: n + 0.01),
-    "one position": one("position.X", lambda x: x + 5.0),
-    "a hole": a_hole,
-}
-
-
-@pytest.mark.parametrize("places", [jittered, shifted])
-@pytest.mark.parametrize("fault", OWN_RAY_FAULTS)
-@pytest.mark.slow("each judges a film along rays of its own", keep=1)
-def test_a_fault_of_one_pixel_fails_along_own_rays(folder, tmp_path, fault, places):
-    scene = caster.load_scene(folder / "scene.toml")
-    channels = rendered_through(scene, *places(scene))
-    OWN_RAY_FAULTS[fault](channels)
-    code, found = judged_along_own_rays(folder, tmp_path, channels)
-    assert code == 1 and found["counts"]["wrong"] >= 1, found
-    if places is jittered:  # the command that is printed shows the pixel again
-        words = shlex.split(found["failures"][0]["replay"])[1:]
-        assert "--own-rays" in words and "--rows" in words and main(words) == 1
-
-
-@pytest.mark.slow("judges a film along rays of its own")
-def test_a_mirrored_image_fails_along_own_rays(folder, tmp_path):
-    scene = caster.load_scene(folder / "scene.toml")
-    channels = rendered_through(scene, *jittered(scene))
-    mirrored_positions(channels)
-    code, found = judged_along_own_rays(folder, tmp_path, channels)
-    assert code == 1 and "beside its pixel" in json.dumps(found["failures"])
-
-
-def test_other_names_and_z_are_read_along_own_rays(folder, tmp_path):
-    scene = caster.load_scene(folder / "scene.toml")
-    channels = rendered_through(scene, *jittered(scene))
-    p = np.stack([channels[f"position.{c}"] for c in "XYZ"], -1).astype(float) - scene.camera.eye
-    z = np.where(channels["A"] != 0, p @ camera_axes(scene.camera)[2], 1e10).astype(np.float32)
-    theirs = {f"ViewLayer.Position.{c}": channels[f"position.{c}"] for c in "XYZ"}
-    theirs |= {f"ViewLayer.Normal.{c}": channels[f"normal.{c}"] for c in "XYZ"}
-    more = ("--map", "normal=ViewLayer.Normal")
-    code, found = judged_along_own_rays(folder, tmp_path, {"ViewLayer.Depth.Z": z, **theirs}, *more)
-    assert code == 0 and "normal" not in found["unjudged"], found
-    assert any("z along the view axis" in note for note in found["notes"])
-
-
-OWN_RAY_ERRORS = {
-    "no position": (["--own-rays"], {"position.X": None}, "position.X"),
-    "no hit": (["--own-rays"], {"A": 0.0}, "no pixel is hit"),
-    "map alone": (["--map", "depth=A"], {}, "--own-rays"),
-}
-
-
-@pytest.mark.parametrize("which", OWN_RAY_ERRORS)
-def test_an_image_without_own_rays_gives_a_clear_error(folder, tmp_path, capsys, which):
-    more, changes, words = OWN_RAY_ERRORS[which]
-    scene = caster.load_scene(folder / "scene.toml")
-    channels = rendered_through(scene, *pixels_of(scene))
-    for name, value in changes.items():
-        if value is None:
-            del channels[name]
-        else:
-            channels[name][:] = value
-    write_exr(tmp_path / "own.exr", channels, {})
-    files = ["--scene", str(folder / "scene.toml"), "--exr", str(tmp_path / "own.exr")]
-    code = main(["judge", *files, *more])
-    error = capsys.readouterr().err
-    assert code == 2 and words in error and "Traceback" not in error, error

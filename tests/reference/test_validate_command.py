@@ -14,8 +14,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from edited_tree import DEADLINE, ROOT, copy_tree, edit, run
-from test_planted_faults import LONG_CHECKS
+from edited_tree import DEADLINE, LONG_CHECKS, ROOT, copy_tree, edit, run
 
 import caster.__main__
 from caster.image.exr import read_exr

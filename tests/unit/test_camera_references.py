@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import caster
 from caster.cameras import CAMERAS, Ray
 from caster.description.fields import Camera
 from caster.kernels.math.vec import UNIT_SQUARE_ATOL
@@ -14,9 +13,8 @@ from caster.kernels.nearest import Rays
 from caster.rendering.images import camera_rays
 from caster.scene.model import Film, Scene
 from mitsuba_ref.cameras import reference_of_camera
-from mitsuba_ref.cameras.with_sensor import pinhole_amplification
-from mitsuba_ref.judge import scene_checks
-from mitsuba_ref.judge.scene_checks import check_camera, pixel_centers
+from mitsuba_ref.judge.checks import camera
+from mitsuba_ref.judge.checks.camera import check_camera, pixel_centers
 
 TYPES = [cls.model_fields["type"].default for cls in CAMERAS if issubclass(cls, Camera)]  # that look around
 every_camera = pytest.mark.parametrize("camera", TYPES)
@@ -165,7 +163,7 @@ def fixed_scene(camera: str) -> Scene:
 def seen(monkeypatch: pytest.MonkeyPatch, scene: Scene, fault: Fault) -> bool:
     assert check_camera(scene).ok
     rays = fault(scene)
-    monkeypatch.setattr(scene_checks, "camera_rays", lambda scene: rays)
+    monkeypatch.setattr(camera, "camera_rays", lambda scene: rays)
     return not check_camera(scene).ok
 
 
@@ -202,15 +200,6 @@ OF_A_RAY = (stretched, moved, one_missing, one_not_a_number, limit_off)
 def test_a_fault_of_the_ray_is_detected(monkeypatch, fault):
     assert check_camera(one_ray()).ratio == 0.0
     assert seen(monkeypatch, one_ray(), fault)
-
-
-def test_roundings_of_a_pinhole_are_magnified_by_its_half_extents_and_its_offset():
-    """A tangent of 2 across 8 pixels, so 1 across 4; an offset of 1/4 and -1/2."""
-    film = caster.Film(width=8, height=4)
-    fov = 2.0 * np.rad2deg(np.arctan(2.0))
-    for offset, expected in (((0.0, 0.0), 3.0), ((0.25, -0.5), 1.0 + 2.0 * 1.75)):
-        view = {"eye": (0, 0, 1), "look_at": (0, 0, 0), "fov": fov, "fov_axis": "x", "principal_point": offset}
-        assert pinhole_amplification(caster.Pinhole(**view), film) == pytest.approx(expected)
 
 
 @every_camera

@@ -1,7 +1,5 @@
 """What is measured of a pixel where the reference is wrong, by hand: sizes, distances, angles, and hits at t = 0."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,6 @@ from mitsuba_ref.error_model.bounds import nearest_root
 from mitsuba_ref.error_model.bracket import CLAIMED_MISS, Claims
 from mitsuba_ref.error_model.defect_conditions import WIDENED_BOUNDS_FACTOR
 from mitsuba_ref.error_model.tolerances import KU
-from mitsuba_ref.judge import defect_lookup
 from mitsuba_ref.judge.defect_lookup import FeatureMeasurement
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.shared_input import SharedRays, model_of, packed_float32
@@ -105,114 +102,3 @@ def test_a_normal_that_is_no_number_is_excused_only_where_it_has_no_bound():
     found = measured((1.0, 0.25, 3.0), (0.0, 0.0, -1.0), prim=0, n=(np.nan, 0.0, 0.0), off=0.5)
     assert not found.normless and not found.nearly
     assert not measured((1.0, 0.25, 3.0), (0.0, 0.0, -1.0), prim=0, off=0.5).normless
-
-
-# ---- by tables, without a scene
-
-
-def measurement_of(**given) -> FeatureMeasurement:
-    found = object.__new__(FeatureMeasurement)
-    found.__dict__.update(given)
-    return found
-
-
-def test_claims_without_a_normal_get_that_of_the_primitive(monkeypatch):
-    """Of five claims: a normal that is there, one without, one that misses, one at t = inf, one with a wide bound."""
-    o, d = np.arange(15.0).reshape(5, 3), np.arange(15.0)[::-1].reshape(5, 3) - 3.0
-    t = np.array([1.0, 2.0, 3.0, np.inf, 5.0])
-    n = np.full((5, 3), np.nan)
-    n[0], n[1, 1:] = 0.25, 0.5  # one component that is no number is enough
-    claims = Claims(t, np.zeros(5, int), n, np.full((5, 3), 0.125), np.full((5, 3), 7.0))
-    asked = []
-
-    def intersect(prim, o, d, ku, *, ours):
-        asked.append((prim.tolist(), o.tolist(), d.tolist(), ku, ours))
-        return "met"
-
-    def at_root(met, near):
-        assert met == "met" and near.tolist() == [2.0, 5.0]
-        rows = np.array([[1.0, 0, 0], [0, 1.0, 0]])
-        return SimpleNamespace(t=near + 0.5, n=rows, sh_n=2.0 * rows, n_error=np.array([0.99, 1.0]))
-
-    monkeypatch.setattr(defect_lookup, "nearest_root", at_root)
-    model = SimpleNamespace(intersect=intersect)
-    whole, normless = measurement_of(model=model)._with_normals(o, d, claims, np.array([4, 0, -1, 3, 9]))
-    assert asked == [([0, 9], o[[1, 4]].tolist(), d[[1, 4]].tolist(), KU, False)]
-    assert normless.tolist() == [False, False, False, False, True]
-    assert whole.n[[0, 1, 4]].tolist() == [[0.25] * 3, [1.0, 0, 0], [0, 1.0, 0]] and np.isnan(whole.n[2:4]).all()
-    assert whole.sh_n[[0, 1, 4]].tolist() == [[0.125] * 3, [2.0, 0, 0], [0, 2.0, 0]]
-    assert whole.p[1].tolist() == (o[1] + 2.5 * d[1]).tolist() and whole.p[4].tolist() == (o[4] + 5.5 * d[4]).tolist()
-    assert whole.p[[0, 2, 3]].tolist() == [[7.0] * 3] * 3 and np.isnan(claims.n[1, 0]) and claims.p[1, 0] == 7.0
-    fine = claims._replace(n=np.zeros((5, 3)))
-    _, normless = measurement_of(model=None)._with_normals(o, d, fine, np.zeros(5, int))
-    assert not normless.any()
-
-
-@pytest.mark.parametrize(
-    ("shape", "prim", "roots", "unfolds", "exact", "found", "tested"),
-    [
-        (-1, 3, [(0.0, 1.0)], False, {}, False, []),
-        (1, -1, [(0.0, 1.0)], False, {7: 0}, True, [-1, 8, 9, 7]),
-        (1, 8, [(0.5, 0.5)], False, {}, True, []),
-        (1, 8, [(-0.5, 0.5)], False, {}, True, []),
-        (1, 8, [(0.5, 0.49)], False, {}, False, [8, 9, 7]),
-        (1, 8, [(0.5, np.inf)], False, {}, False, [8, 9, 7]),
-        (1, 8, [(0.5, np.inf), (0.25, 0.5)], False, {}, True, []),
-        (1, 0, [(0.5, 0.0)], False, {0: 0}, True, [0]),
-        (1, 8, [(0.5, 0.0)], False, {9: 0}, True, [8, 9]),
-        (1, 8, [(0.5, 0.0)], False, {9: 0.25}, False, [8, 9, 7]),
-        (0, 8, [(0.5, 0.0)], False, {9: 0}, False, [8, 5, 6]),
-        (1, 8, [(0.5, 0.0)], True, {8: 0}, False, []),
-        (1, 8, [(0.5, 0.5)], True, {}, True, []),
-    ],
-)
-def test_a_hit_at_zero_is_within_its_bound_or_exactly_there(
-    monkeypatch, shape, prim, roots, unfolds, exact, found, tested
-):
-    """Primitives 7, 8 and 9 are of shape 1, from the farthest box to the nearest but for 8, which holds the origin."""
-    asked = []
-
-    def exact_roots(each, o, d):
-        asked.append(each)
-        return [SimpleNamespace(t=2.0), SimpleNamespace(t=exact[each])] if each in exact else [SimpleNamespace(t=2.0)]
-
-    low = np.zeros((10, 3))
-    low[5:, 0] = [1.0, 2.0, 9.0, -1.0, 0.5]  # 9 begins 1/2 beside the origin, 7 ends 3/4 before it
-    low[7, 0] = -3.75
-    high = low + 3.0
-    t, error = (np.array([each[i] for each in roots]) for i in range(2))
-    model = SimpleNamespace(
-        intersect=lambda *given, **more: SimpleNamespace(at=SimpleNamespace(t=t, t_error=error)), boxes=(low, high),
-        packed=SimpleNamespace(first=np.array([5, 7, 10])),
-    )  # fmt: skip
-    kind = SimpleNamespace(model=SimpleNamespace(unfold={} if unfolds else None))
-    monkeypatch.setattr(defect_lookup, "kind_of", lambda prims: kind)
-    measurement = measurement_of(model=model, oracle=SimpleNamespace(roots=exact_roots), _place=lambda prim: (None, 0))
-    o, d = np.array([0.0, 1.0, 1.0]), np.array([1.0, 0.0, 0.0])
-    assert measurement._at_zero(shape, prim, o, d) is found and asked == tested
-    if tested[:1] == [8]:
-        monkeypatch.setattr(defect_lookup, "MAX_PRIMS_TESTED_AT_ZERO", 1)
-        asked.clear()
-        measurement._at_zero(shape, prim, o, d)
-        assert len(asked) <= 2
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "expected"),
-    [
-        ((0, 0, 0), (4, 1, 2), (2.0, 1.0)), ((0, 0, 0), (0, 0, 0), (0.0, 0.0)),
-        ((-np.inf, 0, 0), (np.inf, 1, 1), (0.0, 0.0)),
-        ((-16, 0, 6), (-8, 1, 7), (1.25, 2.0)), ((0, 0, 7), (1, 1, 9), (0.0, 4.5)),
-        ((0, 0, np.nan), (1, 1, 1), (0.0, 0.0)),
-    ],
-)  # fmt: skip
-def test_distance_and_offset_count_in_the_primitives_size(low, high, expected):
-    """From (1, 0.5, 8) to a box, and from the origin to its farthest corner."""
-    boxes = np.array([[9.0] * 3, low], float), np.array([[9.0] * 3, high], float)
-    found = measurement_of(model=SimpleNamespace(boxes=boxes))._distance_and_offset(1, np.array([1.0, 0.5, 8.0]))
-    away = np.linalg.norm(np.maximum(np.maximum(np.array(low) - [1, 0.5, 8], [1, 0.5, 8] - np.array(high, float)), 0.0))
-    size = float(np.max(np.subtract(high, low)))
-    if np.isfinite(size) and size > 0.0:
-        assert found == (pytest.approx(away / size), expected[1])
-    else:
-        assert found == expected

@@ -13,8 +13,7 @@ from caster.image.channels import aovs_to_channels, provenance
 from caster.image.exr import UnreadableExr, read_exr, write_exr
 from caster.system.process import FILE, NOT_COMPARABLE
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.exr_compare.depth_conventions import ViewRays
-from mitsuba_ref.exr_compare.two_files import compare_exr
+from mitsuba_ref.exr_compare.two_files import Reading, compare_exr
 
 SHAPE = (5, 7)
 FLAT = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
@@ -164,13 +163,12 @@ def layer(ours, name, letters="XYZ", called="XYZ"):
 
 def compared(folder, ours, parts):
     write_exr(folder / "ours.exr", ours, provenance(SCENE, __version__))
-    return compare_exr(folder / "ours.exr", save(folder / "theirs.exr", parts))
+    return compare_exr(folder / "ours.exr", save(folder / "theirs.exr", parts), reading=Reading(miss="1e10"))
 
 
 def by_program(ours, program):
-    """The layers of a picture, cut into parts as programs do; depth along z, 1e10 on a miss, but with Nuke's names."""
-    z = np.where(ours["A"] == 1, ours["depth.Z"] * ViewRays.of(SCENE).cosine, np.float32(1e10))
-    z = z.astype(np.float32)
+    """The layers of an image, cut into parts as programs do; depth is 1e10 on a miss."""
+    z = np.where(ours["A"] == 1, ours["depth.Z"], np.float32(1e10))
     if program == "Blender":
         normal, position = layer(ours, "shading_normal"), layer(ours, "position")
         given = {"Combined": {"A": np.ones_like(z)}, "Depth": {"Z": z}, "Normal": normal, "Position": position}
@@ -195,7 +193,7 @@ def test_the_parts_of_other_programs_are_compared_layer_by_layer_and_stated(tmp_
     text = result.format_table()
     assert result.ok, text
     assert {group.name for group in result.groups} == {"hit", *groups}
-    assert says in text and "depth is z along the view axis" in text
+    assert says in text and "a miss is depth 1e10" in text
 
 
 def test_a_fault_in_the_last_part_fails(tmp_path, ours):

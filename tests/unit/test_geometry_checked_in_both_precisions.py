@@ -29,10 +29,9 @@ from caster.shapes import (
     Torus,
     Triangle,
 )
-from mitsuba_ref.judge import scene_checks
+from mitsuba_ref.judge.checks import Shares, shapes
 from mitsuba_ref.judge.checks.scaling import check_scaling
-from mitsuba_ref.judge.scene_checks import PRECISIONS, Precision, Shares, check_geometry
-from mitsuba_ref.reference.shared_input import packed_float32
+from mitsuba_ref.judge.checks.shapes import PRECISIONS, Precision, check_geometry
 from mitsuba_ref.shapes import reference_of
 
 FOLDER = Path(__file__).resolve().parents[2] / "scenes"
@@ -103,9 +102,9 @@ def test_one_claim_that_is_off_in_one_precision_is_found(monkeypatch, shape, wha
                 claim = claim._replace(packed=claim.packed + off * np.maximum(np.abs(claim.packed), off))
             yield claim
 
-    monkeypatch.setattr(scene_checks, "PRECISIONS", tuple(map(noting, PRECISIONS)))
+    monkeypatch.setattr(shapes, "PRECISIONS", tuple(map(noting, PRECISIONS)))
     assert check_geometry(scene_of(shape)).ok
-    monkeypatch.setattr(scene_checks, "reference_of", lambda shape: replace(reference_of(shape), expected=placed))
+    monkeypatch.setattr(shapes, "reference_of", lambda shape: replace(reference_of(shape), expected=placed))
     found = check_geometry(scene_of(shape))
     assert not found.ok
     assert found.what == f"{what} of shape-0 ({precision})"
@@ -137,29 +136,6 @@ def test_a_share_is_not_overwritten():
     shares.add("center", 0.5)
     assert shares.worst() == ("radius", 7.0)
     assert Shares().worst() == ("nothing to look at", 0.0)
-
-
-def test_both_precisions_are_those_that_are_cast():
-    assert [each.packing for each in PRECISIONS] == [packed, packed_float32]
-    assert [each.name for each in PRECISIONS] == ["float64", "float32"]
-    assert [each.unit_roundoff for each in PRECISIONS] == [2.0**-53, 2.0**-24]
-    assert [each.smallest_normal for each in PRECISIONS] == [np.finfo(kind).tiny for kind in (np.float64, np.float32)]
-
-
-def test_a_mesh_is_generated_once_for_the_closed_form_and_both_precisions(monkeypatch):
-    """Beside those of the two packings, which are the caster's."""
-    made, generate = [], Heightfield.mesh
-
-    def counted(shape):
-        made.append(shape)
-        return generate(shape)
-
-    monkeypatch.setattr(Heightfield, "mesh", counted)
-    scene = scene_of(Heightfield(resolution=2))
-    packed(scene), packed_float32(scene)
-    before = len(made)
-    assert check_geometry(scene).ratio <= 1.0
-    assert before >= 2 and len(made) == before + 1
 
 
 CORNERS = [(0, 0, 0), (1, 0, 0), (0, 1, 0.2), (1, 1, 0.5), (2, 2, 0)]

@@ -283,49 +283,24 @@ def plant(root: Path, path: str, source: str) -> list[str]:
 @pytest.mark.parametrize(
     ("path", "source", "reason"),
     [
-        ("caster/rendering/images.py", "import mitsuba_ref", "does not depend on its judge"),
         ("caster/rendering/images.py", "def f():\n    from mitsuba import load_file", "does not depend on its judge"),
         ("caster/rendering/images.py", "import OpenEXR", "only caster/image/exr.py"),
-        ("caster/cli/scene_commands.py", "from PIL import Image", "only caster/image/image_files.py"),
-        ("caster/rendering/images.py", "from numba import njit", "only caster/jit/compiler.py"),
-        ("caster/jit/simd.py", "from numba import njit", "only caster/jit/compiler.py"),
-        (
-            "caster/rendering/images.py",
-            "import importlib\nimportlib.import_module('numba')",
-            "only caster/jit/compiler.py",
-        ),
-        ("caster/kernels/bvh/build.py", "import numba.extending", "only caster/jit/compiler.py"),
-        ("caster/kernels/bvh/build.py", "import os", "a kernel imports"),
-        ("caster/kernels/bvh/build.py", "from ...scene import model", "a kernel imports"),
-        ("caster/kernels/nearest.py", "from caster.jit.kernel_cache import cache_folder", "a kernel imports"),
-        ("caster/jit/decorators.py", "from caster.scene.model import Scene", "the Numba interface imports"),
-        ("caster/jit/arguments.py", "from caster.kernels.math.vec import dot", "the Numba interface imports"),
+        ("caster/rendering/images.py", "import importlib\nimportlib.import_module('numba')", "caster/jit/compiler.py"),
         ("caster/rendering/images.py", "import llvmlite.binding", "only caster/jit imports"),
+        ("caster/kernels/bvh/build.py", "from ...scene import model", "a kernel imports"),
+        ("caster/jit/decorators.py", "from caster.scene.model import Scene", "the Numba interface imports"),
         ("caster/cli/viewing.py", f"from {NUMBA_DOOR} import jit", "define no kernel"),
-        ("caster/shapes/disk.py", "from caster.shapes.sphere import Sphere", "not its siblings"),
         ("caster/shapes/disk.py", "from .sphere import Sphere", "not its siblings"),
-        ("caster/cameras/fisheye.py", "import caster.shapes", "not its siblings"),
-        ("caster/aovs/depth.py", "from caster.scene import model", "not its siblings"),
-        ("caster/kernels/nearest.py", "from caster.rendering.plan import plan", "comes after caster.kernels"),
         (
             "mitsuba_ref/judge/verdict.py",
             "def f():\n    import mitsuba_ref.cli.validate",
             "comes after mitsuba_ref.judge",
         ),
-        ("mitsuba_ref/judge/verdict.py", "from caster import kernels", "never imports kernels"),
         ("mitsuba_ref/judge/verdict.py", "from caster.kernels.math.vec import dot", "never imports kernels"),
         ("mitsuba_ref/judge/verdict.py", "import mitsuba as mi", "only mitsuba_ref/reference/mitsuba_calls.py"),
-        ("mitsuba_ref/reference/mitsuba_process.py", "import drjit", "only mitsuba_ref/reference/mitsuba_calls.py"),
-        ("mitsuba_ref/reference/rendering.py", "import OpenEXR", "only caster, and what reads"),
-        ("mitsuba_ref/probe/pixel.py", "import open3d", "a peer is imported by its entry alone"),
-        ("mitsuba_ref/oracle/oracle.py", "from caster.geometry.triangle_mesh import Mesh", "shares no code"),
-        ("mitsuba_ref/oracle/oracle.py", "from caster.geometry.packing import joined", "shares no code"),
         ("mitsuba_ref/oracle/oracle.py", "from mitsuba_ref.error_model.bracket import Bracket", "shares no code"),
-        ("mitsuba_ref/oracle/interface.py", "from caster.geometry.packing import Packed", "shares no code"),
-        ("mitsuba_ref/oracle/interface.py", "from mitsuba_ref.error_model.intersections import dot", "shares no code"),
         ("mitsuba_ref/oracle/interface.py", "import flint", "shares no code"),
         ("mitsuba_ref/judge/verdict.py", "from caster.scene.model import Secret", "names in __all__"),
-        ("mitsuba_ref/judge/verdict.py", "from caster import scene", "names in __all__"),
     ],
 )
 def test_a_planted_import_is_caught_with_its_line_and_rule(tmp_path, path, source, reason):
@@ -338,20 +313,9 @@ def test_a_planted_import_is_caught_with_its_line_and_rule(tmp_path, path, sourc
     ("path", "source"),
     [
         ("caster/image/exr.py", "import OpenEXR"),
-        ("mitsuba_ref/judge/checks/exr_files.py", "import OpenEXR"),
-        ("caster/jit/decorators.py", "import os\nimport numba.extending"),
-        ("caster/jit/machine_code.py", "import llvmlite.binding"),
         ("caster/kernels/bvh/build.py", "import math\nfrom typing import NamedTuple\nfrom ..math.vec import dot"),
         ("caster/shapes/__init__.py", "from caster.shapes.sphere import Sphere"),
-        (
-            "caster/shapes/disk.py",
-            "from caster.description.fields import Shape\nfrom caster.kernels.math.vec import dot",
-        ),
-        ("caster/cli/viewing.py", f"from {NUMBA_DOOR} import WORK"),
-        ("mitsuba_ref/reference/mitsuba_calls.py", "import drjit\nimport mitsuba"),
         ("mitsuba_ref/judge/verdict.py", "from caster import render\nfrom caster.scene.model import Scene"),
-        ("mitsuba_ref/oracle/oracle.py", "import fractions\nfrom mitsuba_ref.oracle.interface import Root"),
-        ("mitsuba_ref/oracle/interface.py", "import math\nimport numpy as np"),
     ],
 )
 def test_an_import_the_rules_allow_is_left_alone(tmp_path, path, source):
@@ -369,17 +333,6 @@ def test_a_planted_circle_is_found(tmp_path, later):
     (tmp_path / "caster/c.py").write_text(later)
     (circle,) = architecture.circles(architecture.graph_of(architecture.read_sources(tmp_path)))
     assert circle == ("caster.a", "caster.b", "caster.c")
-
-
-def test_a_registry_that_loads_its_members_by_name_imports_them(tmp_path):
-    (tmp_path / "caster/kinds").mkdir(parents=True)
-    source = 'NAMES = ("a", "b")\nKINDS = [import_module(f"caster.kinds.{name}") for name in NAMES]\n'
-    (tmp_path / "caster/kinds/__init__.py").write_text(source)
-    (tmp_path / "caster/kinds/a.py").write_text("from caster.kinds import KINDS\n")
-    (tmp_path / "caster/kinds/b.py").write_text("")
-    graph = architecture.graph_of(architecture.read_sources(tmp_path))
-    assert graph["caster.kinds"] == {"caster.kinds.a", "caster.kinds.b"}
-    assert architecture.circles(graph) == [("caster.kinds", "caster.kinds.a")]
 
 
 SLOW = {"numba", "PIL", "llvmlite", "mitsuba", "drjit"}

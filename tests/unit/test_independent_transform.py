@@ -9,13 +9,11 @@ import pytest
 from caster.scene.model import Scene
 from caster.shapes import Disk, Sphere
 from mitsuba_ref.error_model.independent_transform import (
-    NO_NORMAL,
     angle_weighted_normals,
     compose_transform,
     transform_error_ratio,
-    transformed_normals,
 )
-from mitsuba_ref.judge.scene_checks import check_placement
+from mitsuba_ref.judge.checks.shapes import check_placement
 
 TURN = {"rotate": {"axis": [1.0, 2.0, 3.0], "degrees": 50.0}}
 MOVE = {"translate": [0.3, -0.7, 1.9]}
@@ -119,58 +117,6 @@ def test_a_matrix_may_be_off_by_four_roundings_of_each_step_and_of_the_identity(
             matrix[i, j] += math.ldexp(off, -20)
             assert transform_error_ratio(placed(matrix, steps)) == pytest.approx(2.0**33, rel=1e-9)
     assert transform_error_ratio(placed(exact, steps)) == 0.0
-
-
-def test_a_normal_turns_as_a_cross_product_of_turned_edges_does():
-    """And is rounded as its three terms are, over its length."""
-    rng = np.random.default_rng(121)
-    for _ in range(20):
-        matrix, u, v = np.eye(4), *rng.normal(size=(2, 5, 3))
-        matrix[:3] = rng.normal(size=(3, 4)) * 2.0 ** rng.integers(-20, 20)
-        linear, given = matrix[:3, :3], np.cross(u, v)
-        found, size = transformed_normals(matrix, given)
-        across = np.cross(u @ linear.T, v @ linear.T)  # whichever way it is mirrored, the outside stays outside
-        across *= np.sign(np.linalg.det(linear)) / np.linalg.norm(across, axis=1)[:, None]
-        assert np.abs(found - across).max() < 1e-11
-        lengths = np.linalg.norm(linear, axis=0)
-        terms = np.abs(given) @ [lengths[1] * lengths[2], lengths[2] * lengths[0], lengths[0] * lengths[1]]
-        turned = np.linalg.norm(np.cross(u @ linear.T, v @ linear.T), axis=1)
-        assert size.shape == (5, 1) and size[:, 0] == pytest.approx(terms / turned, rel=1e-9)
-
-
-def weighted_by_angles(vertices: Any, faces: Any) -> tuple[list[Any], list[float]]:
-    """Corner by corner with arc cosines: the sum of angles times normals; angle + 1 / sine, summed, over its length."""
-    total, weight = np.zeros((len(vertices), 3)), [0.0] * len(vertices)
-    count = [sum(face.count(i) for face in faces) for i in range(len(vertices))]
-    for face in faces:
-        for j in range(3):
-            at, after, before = (np.array(vertices[face[(j + step) % 3]], float) for step in range(3))
-            a, b = after - at, before - at
-            n = np.cross(a, b)
-            if not n.any():
-                continue
-            lengths = np.linalg.norm(a) * np.linalg.norm(b)
-            angle = math.acos(a @ b / lengths)
-            total[face[j]] += angle * n / np.linalg.norm(n)
-            weight[face[j]] += angle + lengths / np.linalg.norm(n)
-    size = [c * w / np.linalg.norm(t) if w else 1.0 for c, w, t in zip(count, weight, total, strict=True)]
-    return [t / np.linalg.norm(t) if w else NO_NORMAL for t, w in zip(total, weight, strict=True)], size
-
-
-ROOF = [[0, 0, 1], [0, 4, 1], [-3, 0, 0], [2, 0, 0], [2, 5, 0], [9, 9, 9]]
-ROOF_FACES = [[0, 3, 1], [0, 1, 2], [3, 4, 1]]
-
-
-@pytest.mark.parametrize("scale", [1.0, 1e-3, 2.0**40])
-@pytest.mark.parametrize("more", [[], [[0, 3, 3]], [[5, 5, 5]], [[0, 3, 0], [2, 2, 1], [5, 0, 5]]], ids=str)
-def test_normals_are_weighted_by_angles_and_their_size_by_angles_and_slenderness(scale, more):
-    """Faces without an area add nothing but to the number of terms; a vertex of none but these has Mitsuba's normal."""
-    vertices = (np.array(ROOF) * scale).tolist()
-    normals, size = angle_weighted_normals(np.array(vertices), np.array(ROOF_FACES + more))
-    expected, sizes = weighted_by_angles(vertices, ROOF_FACES + more)
-    assert np.abs(normals - np.array(expected)).max() < 1e-14
-    assert size.shape == (6, 1) and size[:, 0] == pytest.approx(sizes, rel=1e-12)
-    assert normals[5].tolist() == [1.0, 0.0, 0.0] and size[5, 0] == 1.0
 
 
 def test_normals_that_cancel_have_no_bound():

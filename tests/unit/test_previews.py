@@ -9,7 +9,7 @@ from PIL import Image
 import caster
 from caster.__main__ import main
 from caster.aovs import AOVS, BY_NAME
-from caster.image.image_files import IMAGE_FORMATS, label_image, read_image
+from caster.image.image_files import IMAGE_FORMATS, label_image
 from caster.image.previews import (
     CHECKER_GREYS,
     CHECKER_PIXELS,
@@ -58,6 +58,11 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "s.toml").write_text(SCENE + LIGHT)
     return tmp_path
+
+
+def read_image(path):
+    with Image.open(path) as image:
+        return np.asarray(image.convert("RGB"))
 
 
 def lab_of(pixels):

@@ -120,11 +120,11 @@ CASTER = """import sys
 import numpy as np
 from caster import cast, load_scene
 
-rays = np.load(sys.argv[2]).astype(float)
+rays = np.fromfile(sys.argv[2], "<f8").reshape(-1, 8)
 o, d, t_min, t_max = rays[:, :3], rays[:, 3:6], rays[:, 6], rays[:, 7]
 scene = load_scene(sys.argv[1])
 {body}
-np.save(sys.argv[3], np.column_stack([hits.t, hits.normal]))
+np.column_stack([hits.t, hits.normal]).tofile(sys.argv[3])
 """
 LIMITED = [
     ("hits = cast(scene, o, d, t_min=t_min, t_max=t_max)", True, f"{7 * RAYS} rays"),

@@ -9,7 +9,7 @@ from verdict_factory import scene, verdict
 
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.cli.doctor import RESULTS, result_schema
-from mitsuba_ref.exr_compare.approval import ReferenceCheck, ReferenceChecks
+from mitsuba_ref.exr_compare.approved import ReferenceCheck, ReferenceChecks
 from mitsuba_ref.exr_compare.comparison_result import FileComparison, GroupResult, Worst
 from mitsuba_ref.judge.verdict import Failure
 

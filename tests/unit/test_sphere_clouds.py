@@ -13,8 +13,7 @@ from caster.geometry.world_space import as_float32, as_given
 from caster.rendering.images import render
 from caster.scene.files import load_scene, scene_from_text
 from caster.scene.model import Scene
-from mitsuba_ref.judge.checks.mesh_files import check_mesh_files
-from mitsuba_ref.judge.scene_checks import check_geometry
+from mitsuba_ref.judge.checks.shapes import check_geometry
 
 CAMERA = caster.Pinhole(eye=(0.3, 0.7, 6.1), look_at=(0, 0, 0), fov=40)
 TURN = [{"scale": 1.3}, {"rotate": {"axis": [1, 2, 3], "degrees": 37}}, {"translate": [0.3, 0.1, -0.4]}]
@@ -71,7 +70,6 @@ def test_a_file_has_the_bits_of_the_same_lists(tmp_path, kind):
     for one, other in ((listed, from_file), (caster.SphereCloud(centers=centers, radius=0.25), without)):
         for a, b in zip(one.pack(as_given), other.pack(as_given), strict=True):
             assert a.tobytes() == b.tobytes()
-    assert check_mesh_files(scene_of([from_file, without]), ()).ratio == 0.0
 
 
 def test_the_default_radius_is_that_of_a_sphere():
@@ -164,25 +162,8 @@ def test_a_list_as_radius_is_refused(tmp_path):
     )
     with pytest.raises(SceneError) as found:
         caster.SphereCloud(file=str(tmp_path / "a.ply")).load()
-    assert str(found.value) == (
-        f"{tmp_path / 'a.ply'}: expected a number as property radius of element 'vertex', got a list"
-    )
-
-
-def test_the_judge_finds_a_file_that_is_read_wrongly(tmp_path, monkeypatch):
-    """Both sides trace what the caster reads, so no pixel shows it."""
-    centers, radii = some_spheres()
-    shape = caster.SphereCloud(file=write_ply(tmp_path / "a.ply", centers, radii))
-    scene = scene_of([shape])
-    for wrong in (
-        (centers[:, [0, 2, 1]], radii),
-        (centers, np.roll(radii, 1)),
-        (centers, None),
-        (centers[:-1], radii[:-1]),
-    ):
-        monkeypatch.setattr(caster.SphereCloud, "load", lambda self, wrong=wrong: wrong)
-        found = check_mesh_files(scene, ())
-        assert np.isposinf(found.ratio) and found.what == "spheres of a.ply, shape 0"
+    expected = "expected the properties radius of element 'vertex', a number each, got x, y, z, radius, a list"
+    assert str(found.value) == f"{tmp_path / 'a.ply'}: {expected}"
 
 
 def test_the_judge_finds_a_cloud_that_is_packed_wrongly(monkeypatch):

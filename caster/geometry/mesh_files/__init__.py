@@ -84,55 +84,39 @@ def _parser_for(where: str) -> Callable[[bytes, str], Mesh]:
     return parse
 
 
-OFF_HEADERS = re.compile(rb"(ST)?C?N?OFF")  # x, y, z come first in every row of these
-
-
 def parse_off(data: bytes, where: str) -> Mesh:
     """Text of an OFF file -> Mesh; colours and what else stands behind corners and faces is skipped.
 
-    trimesh sorts polygons by their number of corners. Raises SceneError with `where`:line.
+    Not by trimesh, which sorts polygons by their number of corners. Raises SceneError with `where`:line.
     """
     rows = [(n, words) for n, line in enumerate(data.splitlines(), 1) if (words := line.split(b"#")[0].split())]
-    if not rows or not OFF_HEADERS.fullmatch(rows[0][1][0]) or b"BINARY" in rows[0][1]:
+    if not rows or not re.fullmatch(rb"(ST)?C?N?OFF", rows[0][1].pop(0)) or b"BINARY" in rows[0][1]:
         raise SceneError(f"{where}: expected an OFF file in text, which begins with OFF, COFF, NOFF or STOFF")
-    rows[0][1].pop(0)
     rows = rows if rows[0][1] else rows[1:]
-    counts = _off_numbers(rows[:1], where, int, 2)
-    vertices, faces = counts[0] if counts else (0, 0)
+    vertices, faces = _numbers(*rows[0], int, 2, where) if rows else (0, 0)
     if len(rows) - 1 < vertices + faces or min(vertices, faces) < 0:
         raise SceneError(f"{where}: expected lines of {vertices} vertices and {faces} faces, got {len(rows) - 1}")
-    points = _off_numbers(rows[1 : 1 + vertices], where, float, 3)
+    points = [_numbers(line, words, float, 3, where) for line, words in rows[1 : 1 + vertices]]
     polygons = []
-    for row in rows[1 + vertices : 1 + vertices + faces]:
-        size = int(row[1][0]) if row[1][0].isdigit() else 0
-        (polygon,) = _off_numbers([row], where, int, 1 + size)
-        if size < 3 or min(polygon) < 0 or max(polygon[1:]) >= vertices:
-            raise SceneError(
-                f"{where}:{row[0]}: expected at least 3 of the vertices 0 to {vertices - 1}, got {polygon[1:]}"
-            )
-        polygons.append(polygon[1:])
-    if not polygons:
-        raise SceneError(f"{where}: the mesh has no faces: expected at least one triangle")
+    for line, words in rows[1 + vertices : 1 + vertices + faces]:
+        size, *polygon = _numbers(line, words, int, 1 + int(words[0]) if words[0].isdigit() else 1, where)
+        if size < 3 or min(polygon) < 0 or max(polygon) >= vertices:
+            limits = f"at least 3 of the vertices 0 to {vertices - 1}"
+            raise SceneError(f"{where}:{line}: expected {limits}, got {polygon}")
+        polygons.append(polygon)
     corners = np.array([i for polygon in polygons for i in polygon], np.int32)
-    fans = triangle_fans(np.array([len(polygon) for polygon in polygons]))
+    fans = triangle_fans(np.array([len(polygon) for polygon in polygons], np.int64))
     return Mesh(np.array(points, np.float64).reshape(-1, 3), corners[fans])
 
 
-def _off_numbers(
-    rows: list[tuple[int, list[bytes]]], where: str, kind: Callable[[bytes], Any], least: int
-) -> list[Any]:
-    """The first `least` numbers of each row."""
-    found = []
-    for line, words in rows:
-        try:
-            if b"_" in b"".join(words[:least]):  # Python accepts 1_000
-                raise ValueError
-            found.append([kind(word) for word in words[:least]])
-        except ValueError:
-            raise SceneError(f"{where}:{line}: expected {least} numbers, got {quote_bytes(b' '.join(words))}") from None
-        if len(words) < least:
-            raise SceneError(f"{where}:{line}: expected {least} numbers, got {quote_bytes(b' '.join(words))}")
-    return found
+def _numbers(line: int, words: list[bytes], kind: Callable[[bytes], Any], count: int, where: str) -> list[Any]:
+    """The first numbers of a line."""
+    try:
+        if len(words) < count or b"_" in b"".join(words[:count]):  # Python accepts 1_000
+            raise ValueError
+        return [kind(word) for word in words[:count]]
+    except ValueError:
+        raise SceneError(f"{where}:{line}: expected {count} numbers, got {quote_bytes(b' '.join(words))}") from None
 
 
 def _parse_by_trimesh(data: bytes, where: str) -> Mesh:
@@ -163,8 +147,6 @@ def _parse_by_trimesh(data: bytes, where: str) -> Mesh:
         raise SceneError(
             f"{where}: not a usable {kind.upper()} file: {type(error).__name__}: {error}; export it again"
         ) from error
-    if faces.size == 0:
-        raise SceneError(f"{where}: the mesh has no faces: expected at least one triangle")
     return Mesh(np.ascontiguousarray(vertices), np.ascontiguousarray(faces.reshape(-1, 3), np.int32))
 
 
@@ -204,7 +186,7 @@ def _turned_by_matrices(data: bytes, kind: str) -> bytes:
         text += b" " * (-len(text) % 4)
         rest = data[start + size :]
         return GLB_HEADER.pack(magic, version, start + len(text) + len(rest), len(text), chunk) + text + rest
-    except (ArithmeticError, AttributeError, IndexError, KeyError, RecursionError, TypeError, ValueError, struct.error):
+    except Exception:  # whatever is wrong with the file, trimesh says
         return data
 
 

@@ -15,6 +15,7 @@ from caster.jit.simd import (
     CHILDREN,
     FAN_FIELDS,
     LANES,
+    LARGEST_T,
     boxes_below,
     boxes_reach_lines,
     lane_max,
@@ -26,7 +27,6 @@ from caster.jit.simd import (
     prefetch,
 )
 from caster.kernels.bvh.build import LEAF_SIZE, LEAF_SIZE_BASE
-from caster.kernels.bvh.traversal import cast_neighbours
 from caster.kernels.math.vec import TINY, U, abs_dot, dot, l1_norm, max_norm, scaled, sub
 from caster.kernels.nearest import any_hit_result
 from caster.kernels.protocol import Vec3, hull_point, hull_size, intersect, load, prepare
@@ -436,88 +436,28 @@ def prefetch_child(tree: Any, bounds: Any, inside: int) -> None:
 
 
 @jit
-def cast_fan(fan: Any, prims: Any, tree: Any, bounds: Any, base: int, tile: Any, groups: Any) -> None:
-    """The rays of the runs that belong to the fan against a kind, until each has met anything that is sure."""
-    runs, blocks, stack, found = groups.runs, groups.blocks, groups.stack, groups.found
-    for group in range(GROUPS):
-        rays = group * BOX_SIZE
-        farthest = -least_of(blocks, rays + 4 * CHILDREN)
-        limits = (
-            -least_of(blocks, rays + CHILDREN),
-            -least_of(blocks, rays),
-            -least_of(blocks, rays + 3 * CHILDREN),
-            -least_of(blocks, rays + 2 * CHILDREN),
-            farthest,
-        )
-        stack[0] = 0
-        top = 1 if farthest > -math.inf else 0
-        while top > 0:
-            top -= 1
-            inside = stack[top]
-            if inside >= 0:
-                mask = boxes_below(bounds.nodes, inside, limits)
-                while mask != 0:
-                    stack[top] = tree.links[inside, lowest_bit(mask)]
-                    prefetch_child(tree, bounds, stack[top])
-                    mask &= mask - 1
-                    top += 1
-                continue
-            start, number = ~inside // LEAF_SIZE_BASE, ~inside % LEAF_SIZE_BASE
-            for at in range(start, start + number):
-                meets = facing_limits(bounds.prims, at * PRIM_FIELDS)
-                mask = boxes_below(blocks, group, meets)
-                if mask == 0:
-                    continue
-                k = tree.order[at]
-                prim = load(prims, k)
-                lines = outline(prims, k, bounds.points, bounds.prims[at * PRIM_FIELDS + 5])
-                plane = separating_plane(prims, prim, fan)
-                count = 0
-                while mask != 0:
-                    block = group * CHILDREN + lowest_bit(mask)
-                    mask &= mask - 1
-                    corner = block_corner(block)
-                    low = boxes_below(runs, block, meets) & boxes_reach_lines(runs, block, lines)
-                    while low != 0:
-                        r = lowest_bit(low)
-                        low &= low - 1
-                        first = lane(corner + r * WIDTH)
-                        lanes = lanes_within_lines(tile, FAN_X + first, FAN_Y + first, lines)
-                        lanes &= lanes_not_above(tile, OX + first, OY + first, OZ + first, plane)
-                        found[count] = block * ROWS + r
-                        count += 1 if lanes != 0 else 0
-                for n in range(count):
-                    block, r = found[n] // ROWS, found[n] % ROWS
-                    first = lane(block_corner(block) + r * WIDTH)
-                    cast_lanes(prims, prim, float(base + k), tile, first, True)
-                    if lane_max_of_sums(tile, T + first, T_ERROR + first) < 0.0:  # all have met something
-                        far = block * BOX_SIZE + 4 * CHILDREN
-                        runs[far + r] = math.inf
-                        blocks[rays + 4 * CHILDREN + block % CHILDREN] = least_of(runs, far)
-            if least_of(blocks, rays + 4 * CHILDREN) == math.inf:
-                top = 0
-
-
-@jit
-def cast_fan_outward(
-    fan: Any, prims: Any, tree: Any, bounds: Any, base: int, tile: Any, groups: Any, any_hit: bool
+def cast_fan(
+    fan: Any, prims: Any, tree: Any, bounds: Any, base: int, tile: Any, groups: Any, outward: bool, any_hit: bool
 ) -> None:
-    """The rays of the runs that belong to the fan, which all start at its origin, against a kind; near nodes first."""
+    """The rays of the runs that belong to the fan against a kind, nodes near the fan's origin first.
+
+    outward: all rays start at the fan's origin; else each is cast until it has met anything for sure.
+    """
     runs, blocks, stack, depths, found = groups.runs, groups.blocks, groups.stack, groups.depths, groups.found
     for group in range(GROUPS):
         rays = group * BOX_SIZE
         right, left = -least_of(blocks, rays + CHILDREN), -least_of(blocks, rays)
-        top_y, low_y = -least_of(blocks, rays + 3 * CHILDREN), -least_of(blocks, rays + 2 * CHILDREN)
+        high, low = -least_of(blocks, rays + 3 * CHILDREN), -least_of(blocks, rays + 2 * CHILDREN)
         farthest = -least_of(blocks, rays + 4 * CHILDREN)
         stack[0], depths[0] = 0, -math.inf
-        top = 1 if farthest >= 0.0 else 0
+        top = 1 if farthest >= (0.0 if outward else -LARGEST_T) else 0
         while top > 0:
             top -= 1
             inside = stack[top]
             if depths[top] > farthest:
                 continue
             if inside >= 0:
-                mask = boxes_below(bounds.nodes, inside, (right, left, top_y, low_y, farthest))
+                mask = boxes_below(bounds.nodes, inside, (right, left, high, low, farthest))
                 bottom = top
                 while mask != 0:
                     j = lowest_bit(mask)
@@ -537,42 +477,42 @@ def cast_fan_outward(
                 if mask == 0:
                     continue
                 k = tree.order[at]
+                prim, prim_number = load(prims, k), float(base + k)
                 lines = outline(prims, k, bounds.points, bounds.prims[at * PRIM_FIELDS + 5])
+                plane = NO_PLANE if outward else separating_plane(prims, prim, fan)
                 count = 0
                 while mask != 0:
                     block = group * CHILDREN + lowest_bit(mask)
                     mask &= mask - 1
                     corner = block_corner(block)
-                    low = boxes_below(runs, block, meets) & boxes_reach_lines(runs, block, lines)
-                    while low != 0:
-                        r = lowest_bit(low)
-                        low &= low - 1
+                    rows = boxes_below(runs, block, meets) & boxes_reach_lines(runs, block, lines)
+                    while rows != 0:
+                        r = lowest_bit(rows)
+                        rows &= rows - 1
                         first = lane(corner + r * WIDTH)
+                        lanes = lanes_within_lines(tile, FAN_X + first, FAN_Y + first, lines)
+                        if not outward:
+                            lanes &= lanes_not_above(tile, OX + first, OY + first, OZ + first, plane)
                         found[count] = block * ROWS + r
-                        count += 1 if lanes_within_lines(tile, FAN_X + first, FAN_Y + first, lines) != 0 else 0
+                        count += 1 if lanes != 0 else 0
                 if count == 0:
                     continue
-                pre, prim_number = prepare(prims, load(prims, k), fan.origin), float(base + k)
+                pre = prepare(prims, prim, fan.origin)
                 for n in range(count):
                     block, r = found[n] // ROWS, found[n] % ROWS
                     first = lane(block_corner(block) + r * WIDTH)
-                    for i in range(first, first + lane(LANES)):
-                        d = tile[DX + i], tile[DY + i], tile[DZ + i]
-                        t, error = intersect(prims, pre, d, tile[T_MIN + i], tile[T_MAX + i])
-                        t, error = any_hit_result(t, error, any_hit)
-                        update_nearest(tile, i, prim_number, t, error)
-                    depth = farthest_depth(tile, first, groups.stretch[found[n]])
                     far = block * BOX_SIZE + 4 * CHILDREN
-                    runs[far + r] = -depth if depth >= 0.0 else math.inf
+                    if outward:
+                        for i in range(first, first + lane(LANES)):
+                            d = tile[DX + i], tile[DY + i], tile[DZ + i]
+                            t, error = intersect(prims, pre, d, tile[T_MIN + i], tile[T_MAX + i])
+                            t, error = any_hit_result(t, error, any_hit)
+                            update_nearest(tile, i, prim_number, t, error)
+                        depth = farthest_depth(tile, first, groups.stretch[found[n]])
+                        runs[far + r] = -depth if depth >= 0.0 else math.inf
+                    else:
+                        cast_lanes(prims, prim, prim_number, tile, first, True)
+                        if lane_max_of_sums(tile, T + first, T_ERROR + first) < 0.0:  # all have met something
+                            runs[far + r] = math.inf
                     blocks[rays + 4 * CHILDREN + block % CHILDREN] = least_of(runs, far)
             farthest = -least_of(blocks, rays + 4 * CHILDREN)
-
-
-@jit
-def cast_left_runs(
-    prims: Any, tree: Any, base: int, count: int, tile: Any, taken: Any, workspace: Any, any_hit: bool
-) -> None:
-    """Of the first `count` rays, those of runs that no fan has taken, through the tree."""
-    for run in range(count // LANES):
-        if taken[run] == 0:
-            cast_neighbours(prims, tree, base, tile, lane(run * LANES), workspace, any_hit)

@@ -14,8 +14,9 @@ from caster.jit.simd import (
     lowest_bit,
 )
 from caster.kernels.bvh.build import LEAF_SIZE_BASE
-from caster.kernels.nearest import NearestMode
-from caster.kernels.protocol import Vec3, intersect, load, load_best, prepare, store_best, surely_misses, update_best
+from caster.kernels.math.vec import row
+from caster.kernels.nearest import KeepNearest
+from caster.kernels.protocol import Vec3, intersect, load, prepare, surely_misses, update_best
 from caster.kernels.raster.tile import (
     DX,
     DY,
@@ -137,13 +138,11 @@ def traverse(mode: Any, prims: Any, tree: Any, i: int, ray: Any, best: Any, work
 
 
 @jit
-def cast_bvh(mode: Any, prims: Any, tree: Any, rays: Any, record: Any, ray_range: Any, workspace: Any) -> None:
-    """Rays ray_range[0]..ray_range[1] against one kind."""
-    for i in range(ray_range[0], ray_range[1]):
-        o = rays.o[i, 0], rays.o[i, 1], rays.o[i, 2]
-        d = rays.d[i, 0], rays.d[i, 1], rays.d[i, 2]
-        ray = o, d, rays.t_min[i], rays.t_max[i]
-        store_best(mode, record, i, traverse(mode, prims, tree, i, ray, load_best(mode, record, i), workspace))
+def list_candidates_in_tree(mode: Any, prims: Any, tree: Any, rays: Any, sketch: Any, span: Any, room: Any) -> None:
+    """`list_candidates` of rays span[0]..span[1] through the tree of a kind; room: as `workspace` of `traverse`."""
+    for i in range(span[0], span[1]):
+        ray = row(rays.o, i), row(rays.d, i), rays.t_min[i], rays.t_max[i]
+        traverse(mode, prims, tree, i, ray, (sketch.t[i], sketch.error[i], -1, False), room)
 
 
 # Packets: neighbours in a tile traverse the tree together.
@@ -238,7 +237,7 @@ def axis_setup(
 @jit
 def cast_rays_singly(prims: Any, tree: Any, base: int, tile: Any, first: Any, workspace: Any, any_hit: bool) -> None:
     """Nearest hits of a packet's rays, one by one."""
-    mode = NearestMode(tree.order, any_hit)  # whose numbers are not read
+    mode = KeepNearest(any_hit)
     for i in range(first, first + PACKET_SIZE):
         o, d = (tile[OX + i], tile[OY + i], tile[OZ + i]), (tile[DX + i], tile[DY + i], tile[DZ + i])
         held = tile[T + i], tile[T_ERROR + i], -1, False
@@ -250,24 +249,23 @@ def cast_rays_singly(prims: Any, tree: Any, base: int, tile: Any, first: Any, wo
 
 
 @jit
-def cast_packets(prims: Any, tree: Any, base: int, count: int, tile: Any, workspace: Any, any_hit: bool) -> None:
-    """The first `count` rays of a tile against a kind whose places begin at `base`.
+def cast_packets(
+    prims: Any, tree: Any, base: int, count: int, tile: Any, taken: Any, workspace: Any, any_hit: bool
+) -> None:
+    """The first `count` rays of a tile against a kind whose places begin at `base`, LANES of them together.
 
-    any_hit: whether to stop at anything that is hit for sure.
+    taken: 1 for each packet that is left out, or without members. any_hit: whether to stop at any certain hit.
     """
-    for first in range(lane(0), lane(count), PACKET_SIZE):
-        cast_neighbours(prims, tree, base, tile, first, workspace, any_hit)
-
-
-@inlined
-def cast_neighbours(prims: Any, tree: Any, base: int, tile: Any, first: Any, workspace: Any, any_hit: bool) -> None:
-    """LANES rays from `first` on, as a packet if they have much in common."""
-    origins, directions = packet_bounds(tile, OX, first), packet_bounds(tile, DX, first)
-    if is_coherent(tree, tile, first, origins, directions):
-        view = packet_box_setup(tree, origins, directions)
-        cast_packet(prims, tree, base, tile, first, view, workspace, any_hit)
-    else:
-        cast_rays_singly(prims, tree, base, tile, first, workspace, any_hit)
+    for packet in range(-(-count // LANES)):
+        if len(taken) > 0 and taken[packet] != 0:
+            continue
+        first = lane(packet * LANES)
+        origins, directions = packet_bounds(tile, OX, first), packet_bounds(tile, DX, first)
+        if is_coherent(tree, tile, first, origins, directions):
+            view = packet_box_setup(tree, origins, directions)
+            cast_packet(prims, tree, base, tile, first, view, workspace, any_hit)
+        else:
+            cast_rays_singly(prims, tree, base, tile, first, workspace, any_hit)
 
 
 @inlined

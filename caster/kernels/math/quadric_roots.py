@@ -11,10 +11,10 @@ from caster.kernels.math.vec import (
     U,
     certain_in_range,
     dot,
+    fast_normalize,
     filter_result,
     l1_norm,
     point_at,
-    row_max_norms,
     scaled,
     scaled_near_one,
     unit_direction,
@@ -153,27 +153,33 @@ def normalize_in_range(v: Vec3) -> Vec3:
 
 
 @inlined
-def outward_normal_in_range(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
-    """The same bits, for r from MIN_RANGE to MAX_RANGE and an f below MAX_RANGE."""
-    along_d = unit_direction(d)
-    return normalize_in_range(radial_vector(f, along_d, t * dot(d, along_d), r))
-
-
-@inlined
-def outward_normal_unit_direction(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
-    """The same bits once more, for a d that is its own `direction`."""
-    return normalize_in_range(radial_vector(f, d, t * dot(d, d), r))
-
-
-@inlined
 def fast_outward_normal(f: Vec3, d: Vec3, t: float, r: float) -> tuple[bool, Vec3]:
-    """(whether this is `outward_normal(f, d, t, r)`, it), without a branch."""
-    far = max(max(abs(f[0]), abs(f[1])), abs(f[2]))
-    known = (r > MIN_RANGE) & (max(r, far) < MAX_RANGE) & (abs(dot(d, d) - 1.0) <= UNIT_SQUARE_ATOL)
-    # what is not known is computed of harmless numbers
+    """(whether this is `outward_normal(f, d, t, r)`, that normal), without a branch; for a d of length 1."""
+    known = _is_in_range(f, r) & (abs(dot(d, d) - 1.0) <= UNIT_SQUARE_ATOL)
+    return known, _normal_where(known, f, d, t * dot(d, d), r)
+
+
+@inlined
+def fast_unit_normal(f: Vec3, d: Vec3, t: float) -> tuple[bool, Vec3]:
+    """The same for r = 1 and a d of any length."""
+    long, along_d = fast_normalize(d)
+    unit = abs(dot(d, d) - 1.0) <= UNIT_SQUARE_ATOL
+    along_d = d[0] if unit else along_d[0], d[1] if unit else along_d[1], d[2] if unit else along_d[2]
+    known = _is_in_range(f, 1.0) & long
+    return known, _normal_where(known, f, along_d, t * dot(d, along_d), 1.0)
+
+
+@inlined
+def _is_in_range(f: Vec3, r: float) -> bool:
+    return (r > MIN_RANGE) & (max(r, max(max(abs(f[0]), abs(f[1])), abs(f[2]))) < MAX_RANGE)
+
+
+@inlined
+def _normal_where(known: bool, f: Vec3, d: Vec3, reach: float, r: float) -> Vec3:
+    """The normal, or one of harmless numbers."""
     f = f[0] if known else 0.0, f[1] if known else 0.0, f[2] if known else 0.0
     d = d[0] if known else 0.0, d[1] if known else 0.0, d[2] if known else 1.0
-    return known, outward_normal_unit_direction(f, d, t if known else 0.0, r if known else 1.0)
+    return normalize_in_range(radial_vector(f, d, reach if known else 0.0, r if known else 1.0))
 
 
 @inlined
@@ -193,18 +199,6 @@ def radial_vector(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
     out = point_at(closest, side * half_chord, d)
     there = l1_norm(out) > 0.0  # else r has no square, and the ray passes through the centre
     return (out[0] if there else side * d[0], out[1] if there else side * d[1], out[2] if there else side * d[2])
-
-
-@jit
-def is_in_range(center: Vec3, r: float, reach: float) -> bool:
-    """Whether `outward_normal_in_range` will do, for origins whose coordinates are at most `reach`."""
-    return r > MIN_RANGE and max(r, abs(center[0]) + reach, abs(center[1]) + reach, abs(center[2]) + reach) < MAX_RANGE
-
-
-@jit
-def is_in_range_through(m: tuple[Vec3, Vec3, Vec3], center: Vec3, reach: float) -> bool:
-    """The same for the unit sphere or cylinder under a matrix: coordinates there are sums of three products."""
-    return is_in_range((0.0, 0.0, 0.0), 1.0, 3.0 * l1_norm(row_max_norms(m)) * (l1_norm(center) + reach))
 
 
 @inlined

@@ -59,29 +59,25 @@ class KindNumbers(NamedTuple):
 
     run: slice  # of BinnedKind.order: its primitives
     present: int  # 1 where it has any
-    first: int  # 1 for the first kind that has any
-    later: int  # 1 for those behind it
 
 
 def kind_numbers(k: int) -> KindNumbers:
-    at = TILE_NUMBERS + 5 * k
-    return KindNumbers(slice(at, at + 2), at + 2, at + 3, at + 4)
+    at = TILE_NUMBERS + 3 * k
+    return KindNumbers(slice(at, at + 2), at + 2)
 
 
 def tile_rows(width: int, height: int, kinds: int, runs: Sequence[np.ndarray] | None = None) -> np.ndarray:
     """(tiles, numbers) int64, row by row of the film. runs: (tiles + 1,) of each kind; None: any may be anywhere."""
     boxes = np.array(list(tile_boxes(width, height)), np.int64).reshape(-1, 4)
-    rows = np.zeros((len(boxes), TILE_NUMBERS + 5 * kinds), np.int64)
+    rows = np.zeros((len(boxes), TILE_NUMBERS + 3 * kinds), np.int64)
     rows[:, BOX], rows[:, LINES] = boxes, boxes[:, 3] - boxes[:, 1]
     rows[:, COUNT] = rows[:, LINES] * WIDTH
-    earlier = np.zeros(len(rows), bool)
     for k in range(kinds):
-        at, present = kind_numbers(k), np.ones(len(rows), bool)
+        at = kind_numbers(k)
+        rows[:, at.present] = 1
         if runs is not None:
             rows[:, at.run.start], rows[:, at.run.start + 1] = runs[k][:-1], runs[k][1:]
-            present = runs[k][:-1] < runs[k][1:]
-        rows[:, at.present], rows[:, at.first], rows[:, at.later] = (present, present & ~earlier, present & earlier)
-        earlier |= present
+            rows[:, at.present] = runs[k][:-1] < runs[k][1:]
     return rows
 
 
@@ -185,10 +181,9 @@ def generate_camera_rays(camera: Any, window: Any, box: Box, tile: Any) -> None:
     """Begin the tile of a box, with the camera's rays through its pixel centres."""
     x0, y0, x1, y1 = box
     for y in range(y1 - y0):
-        row = window.y0 + y0 + y + 0.5
-        for x in range(x1 - x0):
-            aim = camera_ray(camera, window.x0 + x0 + x + 0.5, row)
-            start_ray(tile, lane(y * WIDTH + x), aim)
+        row, left, first = window.y0 + y0 + y + 0.5, window.x0 + x0 + 0.5, lane(y * WIDTH)
+        for x in range(lane(WIDTH)):  # so many that LLVM knows how many: it uses vectors then
+            start_ray(tile, first + x, camera_ray(camera, left + x, row))
         clear_rays(tile, y * WIDTH + x1 - x0, (y + 1) * WIDTH)
 
 
@@ -305,9 +300,8 @@ def scatter_to_tiles(
 
 
 # Surfaces of many hits at once: SURFACE_LANES pixels of a tile in a scratch that stays in a core's first cache.
-# Field f of lane x is scratch[f * SURFACE_LANES + x]: what is computed, and behind that what the kind of primitive
-# needs of each lane's primitive: by vectors where the kind has a body for `setup_lanes`, else by a loop over runs
-# of pixels. The rest has no branch.
+# Field f of lane x is scratch[f * SURFACE_LANES + x]: the computed surface, then the numbers of the lane's primitive,
+# which `setup_lanes` puts there.
 
 SURFACE_LANES = 32  # 16, 64 and 128 are slower or no faster; a row of a tile is whole scratches
 
@@ -318,6 +312,9 @@ LANE_P, LANE_N, LANE_SH_N, LANE_UV, LANE_UNSAFE, LANE_LOCAL, LANE_NUMBER, LANE_S
 )
 LANE_FIELDS = 42  # with the largest `surface_setup`, that of triangles
 NEXT, NEXT_BUT_ONE = lane(SURFACE_LANES), lane(2 * SURFACE_LANES)
+
+# Which fields of a surface are wanted: each number includes those before it.
+NORMALS, SURFACES, SURFACES_WITH_UV = 0, 1, 2
 
 
 def new_lanes() -> np.ndarray:
@@ -342,3 +339,29 @@ def get_lane(scratch: Any, at: Any) -> Vec3:
 @inlined
 def put_lane(scratch: Any, at: Any, v: Vec3) -> None:
     scratch[at], scratch[at + NEXT], scratch[at + NEXT_BUT_ONE] = v[0], v[1], v[2]
+
+
+# Kinds that are images of a unit shape (`center`, `to_world`, `to_object`) have these numbers in a lane.
+LANE_CENTER, LANE_TO_OBJECT, LANE_TO_WORLD, LANE_MORE = (
+    LANE_SETUP + lane(SURFACE_LANES * field) for field in (0, 3, 12, 21)
+)
+
+
+@inlined
+def put_affine_lanes(prims: Any, k: int, start: Any, stop: Any, scratch: Any) -> None:
+    """The centre and both matrices of primitive k into lanes start..stop."""
+    center = prims.center[k, 0], prims.center[k, 1], prims.center[k, 2]
+    for x in range(start, stop):
+        put_lane(scratch, LANE_CENTER + x, center)
+    for row in range(3):
+        a = prims.to_object[k, row, 0], prims.to_object[k, row, 1], prims.to_object[k, row, 2]
+        b = prims.to_world[k, row, 0], prims.to_world[k, row, 1], prims.to_world[k, row, 2]
+        for x in range(start, stop):
+            put_lane(scratch, LANE_TO_OBJECT + lane(3 * row) * NEXT + x, a)
+            put_lane(scratch, LANE_TO_WORLD + lane(3 * row) * NEXT + x, b)
+
+
+@inlined
+def get_matrix(scratch: Any, at: Any) -> tuple[Vec3, Vec3, Vec3]:
+    """The rows of a matrix of a lane."""
+    return get_lane(scratch, at), get_lane(scratch, at + lane(3) * NEXT), get_lane(scratch, at + lane(6) * NEXT)

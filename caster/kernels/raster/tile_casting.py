@@ -23,6 +23,7 @@ from caster.kernels.raster.tile import (
     WIDTH,
     Box,
     T,
+    cast_lanes,
     lane,
     update_nearest,
 )
@@ -193,8 +194,13 @@ SINGLE_VISIBILITY_TEST_MAX_PIXELS = 256
 
 
 @jit
-def cast_shared_origin(prims: Any, order: Any, run: Any, bounds: Any, base: int, box: Box, tile: Any) -> None:
-    """Primitives order[run[0]:run[1]] of a kind whose places begin at `base`, for rays that start in one point."""
+def cast_in_bounds(
+    prims: Any, order: Any, run: Any, bounds: Any, base: int, box: Box, tile: Any, shares_origin: bool
+) -> None:
+    """Primitives order[run[0]:run[1]] of a kind whose places begin at `base`, each in its screen bounds.
+
+    shares_origin: whether all rays start at one point; else they have one direction (an orthographic camera).
+    """
     o = tile[OX], tile[OY], tile[OZ]
     far, tried, patience, stretch = math.inf, 0, PIXELS, bounds.least
     looked, low, high = False, o, o
@@ -207,64 +213,33 @@ def cast_shared_origin(prims: Any, order: Any, run: Any, bounds: Any, base: int,
         small = tries <= SINGLE_VISIBILITY_TEST_MAX_PIXELS
         if near > far or (small and not any_pixel_visible(tile, rect, near)):
             continue
-        pre, prim_number = prepare(prims, load(prims, k), o), float(base + k)
+        prim, prim_number = load(prims, k), float(base + k)
+        pre = prepare(prims, prim, o)
         if not small:  # worth a closer look
-            if not looked:
-                (low, high), looked = direction_bounds(tile, box, bounds.forward), True
-            near = max(near, t_lower_bound(prims, pre, low, high))
-            if near > far or near == math.inf:
-                continue
+            if shares_origin:
+                if not looked:
+                    (low, high), looked = direction_bounds(tile, box, bounds.forward), True
+                near = max(near, t_lower_bound(prims, pre, low, high))
+                if near > far or near == math.inf:
+                    continue
             if not any_pixel_visible(tile, rect, near):
                 y_start = y_stop  # nothing to try, but that took as long
         by_row = len(bounds.faces) > 0 and x_stop - x_start >= ROW_BOUNDS_MIN_WIDTH
         for y in range(y_start, y_stop):
             start, stop = row_bounds(bounds, k, box, rect, y) if by_row else (x_start, x_stop)
             for first in range(lane(y * WIDTH + start), lane(y * WIDTH + max(start, stop)), lane(LANES)):
-                if small or any_lane_visible(tile, first, near):
+                if not (small or any_lane_visible(tile, first, near)):
+                    continue
+                if shares_origin:
                     for i in range(first, first + lane(LANES)):
                         d = tile[DX + i], tile[DY + i], tile[DZ + i]
                         t, error = intersect(prims, pre, d, tile[T_MIN + i], tile[T_MAX + i])
                         update_nearest(tile, i, prim_number, t, error)
+                else:
+                    cast_lanes(prims, prim, prim_number, tile, first, False)
         tried += tries
         if tried >= patience:
             # worth a look at what all of this has covered, and at the tile's own directions
-            far, tried = max_visible_t(tile, box), 0
-            if far < math.inf:
-                stretch = max(stretch, min_t_per_depth(tile, box, bounds.forward))
-            else:
-                patience *= 2
-
-
-@jit
-def cast_own_origins(prims: Any, order: Any, run: Any, bounds: Any, base: int, box: Box, tile: Any) -> None:
-    """The same for rays of one direction that start in different places (an orthographic camera)."""
-    d = tile[DX], tile[DY], tile[DZ]
-    far, tried, patience, stretch = math.inf, 0, PIXELS, bounds.least
-    for at in range(run[0], run[1]):
-        k = order[at]
-        prefetch_ahead(prims, order, at, run[1], bounds)
-        near, rect = max(bounds.near[k], 0.0) * stretch, bounds_in_tile(bounds.pixels, k, box)
-        x_start, y_start, x_stop, y_stop = rect
-        tries = (x_stop - x_start) * (y_stop - y_start)
-        small = tries <= SINGLE_VISIBILITY_TEST_MAX_PIXELS
-        if near > far:
-            continue
-        if not any_pixel_visible(tile, rect, near):
-            if small:
-                continue
-            y_start = y_stop  # nothing to try, but that took as long
-        prim, prim_number = load(prims, k), float(base + k)
-        by_row = len(bounds.faces) > 0 and x_stop - x_start >= ROW_BOUNDS_MIN_WIDTH
-        for y in range(y_start, y_stop):
-            start, stop = row_bounds(bounds, k, box, rect, y) if by_row else (x_start, x_stop)
-            for first in range(lane(y * WIDTH + start), lane(y * WIDTH + max(start, stop)), lane(LANES)):
-                if small or any_lane_visible(tile, first, near):
-                    for i in range(first, first + lane(LANES)):
-                        o = tile[OX + i], tile[OY + i], tile[OZ + i]
-                        t, error = intersect(prims, prepare(prims, prim, o), d, tile[T_MIN + i], tile[T_MAX + i])
-                        update_nearest(tile, i, prim_number, t, error)
-        tried += tries
-        if tried >= patience:
             far, tried = max_visible_t(tile, box), 0
             if far < math.inf:
                 stretch = max(stretch, min_t_per_depth(tile, box, bounds.forward))

@@ -222,22 +222,6 @@ def add_light(tile: Any, box: Box, buffer: Any, shadow_tile: Any) -> None:
                 tile[UNCERTAIN + i] = 1.0 if open_ else tile[UNCERTAIN + i]
 
 
-@jit
-def add_unshadowed_light(light: Any, tile: Any, box: Box, buffer: Any) -> None:
-    """RADIANCE of what faces the light, whatever is in between: the numbers of `add_light` where nothing is."""
-    for y in range(box[3] - box[1]):
-        for at in range(y * WIDTH, y * WIDTH + box[2] - box[0], SURFACE_LANES):
-            if not shows_any(tile, lane(at)):
-                continue
-            for i in range(lane(at), lane(min(at + SURFACE_LANES, y * WIDTH + box[2] - box[0]))):
-                (_, d), hit = ray_of(tile, i), tile[PRIM + i] >= 0.0
-                p, sh_n = get(buffer, P + i), get(buffer, SH_N + i)
-                p, sh_n = select(hit, p, NOWHERE), select(hit, sh_n, NOWHERE)
-                lit, flux = received_irradiance(light, p, sh_n, d, buffer[SIDES + i] != 0.0)
-                reflected = select(lit & hit, reflected_radiance(get(buffer, ALBEDO + i), flux), NOWHERE)
-                put(buffer, RADIANCE + i, add(get(buffer, RADIANCE + i), reflected))
-
-
 @inlined
 def reflected_radiance(albedo: Vec3, irradiance: Vec3) -> Vec3:
     """Of a Lambertian surface."""

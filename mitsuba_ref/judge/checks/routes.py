@@ -79,8 +79,10 @@ class Route(NamedTuple):
             a, b = np.ascontiguousarray(self.expected[name]), np.ascontiguousarray(got)
             if (a.shape, a.dtype) != (b.shape, b.dtype):
                 return RouteDifference(self.call, name, x0, y0, f"{a.shape} {a.dtype}", f"{b.shape} {b.dtype}", len(a))
-            one, two = (values.reshape(len(a), -1).view(np.uint8) for values in (a, b)) if len(a) else (a, b)
-            bad = np.flatnonzero((one != two).any(axis=1)) if len(a) else ()
+            if not len(a):
+                continue
+            one, two = (values.reshape(len(a), -1).view(np.uint8) for values in (a, b))
+            bad = np.flatnonzero((one != two).any(axis=1))
             if len(bad):
                 first = int(bad[0])
                 row = first if self.rows is None else int(self.rows[first])

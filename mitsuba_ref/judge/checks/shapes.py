@@ -57,8 +57,7 @@ def with_one_mesh(shape: Shape) -> Shape:
 
 @check()
 def check_geometry(scene: Scene) -> SceneCheck:
-    """Each shape's numbers in the world, float64 and float32, against its description, worked out a second time; and
-    generated meshes against closed forms."""
+    """Each shape's numbers in the world, float64 and float32, against its description, worked out a second time."""
     shares = Shares()
     latest: list[tuple[Shape, Shape]] = []  # one, with its copy: meshes of others are dropped
 
@@ -67,10 +66,6 @@ def check_geometry(scene: Scene) -> SceneCheck:
             latest[:] = [(shape, with_one_mesh(shape))]
         return latest[0][1]
 
-    for name, shape in zip(scene.shape_names(), scene.shapes, strict=True):
-        for claim in reference_of(shape).closed_form(described(shape)):
-            share = _packing_error_ratio(claim, PRECISIONS[0].unit_roundoff, PRECISIONS[0].smallest_normal)
-            shares.add(f"{claim.what} of {name}", share)
     for precision in PRECISIONS:
         parts = precision.packing(scene).parts
         for name, shape, part in zip(scene.shape_names(), scene.shapes, parts, strict=True):

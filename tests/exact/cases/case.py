@@ -93,18 +93,13 @@ class Maker:
         return Question(name, scene, o[kept].copy(), d[kept].copy(), t_min, t_max, wants, never)
 
 
-def no_questions(make: Maker) -> Iterator[Question]:
-    return iter(())
-
-
 @dataclass(frozen=True)
 class Case:
-    """One edge case. It has questions, or checks (each says how often it looked), or both."""
+    """One edge case: questions, and checks of more than one ray at a time (each returns how often it looked)."""
 
-    number: int
+    number: int  # its row in docs/edge-cases.md
     name: str
-    ours: str  # what ours does, in a sentence
-    questions: Callable[[Maker], Iterator[Question]] = no_questions
+    ours: str  # what is right, in a sentence
+    questions: Callable[[Maker], Iterator[Question]]
     checks: Mapping[str, Callable[[], int]] | None = None
-    shapes: str = ""  # what it applies to, where the questions do not show it
     every_shape: bool = False  # whether it is asked of every shape of the registry

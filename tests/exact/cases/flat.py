@@ -7,7 +7,6 @@ from aimed_rays import direction
 
 from cases import integer_shapes
 from cases.case import FLOAT64, Case, Maker, Question
-from cases.refusal_check import refused
 from cases.shapes import KINDS, Aim, every_kind, rays_at, shape_of, turn
 from cases.spheres import scales
 from cases.triangles import grazing, in_the_plane
@@ -97,17 +96,6 @@ def offset_matrices(make: Maker) -> Iterator[Question]:
 
 def flat_scales(make: Maker) -> Iterator[Question]:
     yield from scales(make, ("rectangle", "disk", "plane"), (1e-30, 1e-20, 1e-10, 1e10, 1e17))
-
-
-def singular() -> int:
-    """Every shape refuses a matrix that flattens space, and one of whose inverse no bit is known."""
-    turned = {"rotate": {"axis": [1, 2, 3], "degrees": 40}}
-    count = 0
-    for shape in every_kind(np.random.default_rng(49)):
-        for factors in ([1, 1, 0], [0, 1, 1], [1e-20, 1, 1]):
-            steps = [{"scale": factors}, turned]
-            count += refused(lambda s=shape[1], t=steps: s.model_copy(update={"to_world": t}), "to_world", "invertible")
-    return count
 
 
 def horizon(make: Maker) -> Iterator[Question]:
@@ -209,13 +197,6 @@ CASES = (
     Case(46, "matrices that mix scales", "the exact inverse of the matrix counts", mixed_scales),
     Case(47, "matrices far from the origin", EXACT, offset_matrices),
     Case(48, "rectangles, disks and planes of size 10^-30 to 10^17", EXACT, flat_scales),
-    Case(
-        49,
-        "matrices without an inverse",
-        "refused with the line of the file",
-        checks={"refused": singular},
-        shapes="every shape",
-    ),
     Case(
         50,
         "the horizon: a plane from 1 above it",

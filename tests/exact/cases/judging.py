@@ -1,4 +1,4 @@
-"""Ours against the exact answer, ray by ray; what was met on the way is counted."""
+"""The caster against the exact answer, ray by ray, and counts of what was met."""
 
 import math
 from collections import Counter
@@ -10,12 +10,13 @@ import numpy as np
 
 import caster.rendering.casting
 from cases.case import Question
-from cases.conditions import T_ULPS, ULP, conditions
 from cases.normals import UNIT_ATOL, bound, normal
 from caster import Hits, cast
 from caster.geometry.packing import Packed
-from caster.kernels.exact.numbers import AS_FLOAT_REL_ERROR
+from mitsuba_ref.error_model.bounds import t_bounds
+from mitsuba_ref.oracle.exact_numbers import Root
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
+from mitsuba_ref.shapes import kind_of
 
 NORMALS = 8  # of each question's hits, spread over them: so many normals are worked out exactly
 SHOWN = 5  # wrong rays in a message
@@ -87,47 +88,32 @@ def of_masks(question: Question, prim: np.ndarray, answers: list[ExactAnswer]) -
             yield f"primitive {prim[i]}, exactly {', '.join(ties) or 'a miss'}: {ray(question, i)}"
 
 
-class Measured(NamedTuple):
-    """Of some hits, in units of t."""
-
-    off: np.ndarray  # the bound that is told beside t
-    most: np.ndarray  # what t may be off
-    limit: np.ndarray  # what that bound may be
-
-
-def measured(question: Question, packed: Packed, hits: Hits, rows: np.ndarray) -> Measured:
-    """`cast` may shorten d by a power of two; the record of its hits counts in lengths of that."""
+def of_t(question: Question, packed: Packed, hits: Hits, answers: list[ExactAnswer], rows: np.ndarray) -> Iterator[str]:
+    """t is within the caster's own bound, and within the judge's bound on float64."""
     nearest, rays = hits.view.nearest, hits.view.rays
-    found = conditions(packed, nearest.prim[rows], rays.o[rows], rays.d[rows], nearest.t[rows])
-    # Where nothing is resolved, exact arithmetic has decided, and t is rounded a few times only.
-    rounded = AS_FLOAT_REL_ERROR * np.abs(nearest.t[rows]) * ROUNDED
-    limit = np.where(np.isfinite(found.size), found.off_limit(), rounded)
+    # `cast` may shorten d by a power of two; the record of its hits counts in lengths of that.
     exponent = powers(question.d[rows]) - powers(rays.d[rows])
-    every = (nearest.error[rows], T_ULPS * ULP * found.size, limit)
-    with np.errstate(over="ignore", under="ignore"):  # as `cast` does it
-        return Measured(*(np.ldexp(x, -exponent) for x in every))
+    with np.errstate(over="ignore", under="ignore"):  # as in `cast`
+        own = np.ldexp(nearest.error[rows], -exponent)
+    models = [lambda part: kind_of(part).model] * len(packed.parts)
+    t = hits.t[rows]
+    judges = t_bounds(models, packed, (t, nearest.prim[rows]), (question.o[rows], question.d[rows]))
+    for j, i in enumerate(rows.tolist()):
+        error = exact_t(answers[i]).off(float(t[j]))
+        for whose, limit in (("the caster", own[j]), ("the judge", judges[j])):
+            if not error <= limit * ROUNDED + math.ulp(0.0):
+                yield f"t = {t[j]!r} is off by {error:.3g}, {whose}'s bound is {limit:.3g}: {ray(question, i)}"
+
+
+def exact_t(answer: ExactAnswer) -> Root:
+    assert answer.t is not None
+    return answer.t
 
 
 def powers(d: np.ndarray) -> np.ndarray:
     """Of two, of each row's largest component."""
     exponents: np.ndarray = np.frexp(np.abs(d).max(axis=1))[1]
     return exponents
-
-
-def of_t(question: Question, packed: Packed, hits: Hits, answers: list[ExactAnswer], rows: np.ndarray) -> Iterator[str]:
-    t, (off, most, limit) = hits.t[rows], measured(question, packed, hits, rows)
-    least = math.ulp(0.0)
-    for j, i in enumerate(rows.tolist()):
-        exact, ours = answers[i].t, float(t[j])
-        assert exact is not None
-        error = exact.off(ours)
-        if not error <= off[j] * ROUNDED + least:
-            yield f"t = {ours!r} is off by {error:.3g}, more than the {off[j]:.3g} that is told: {ray(question, i)}"
-        if not error <= most[j] + least:
-            ulps = T_ULPS * error / most[j]
-            yield f"t = {ours!r} is off by {ulps:.3g} ulps of its condition: {ray(question, i)}"
-        if not off[j] <= limit[j] + least:
-            yield f"the bound {off[j]:.3g} of t = {ours!r} is more than {limit[j]:.3g}: {ray(question, i)}"
 
 
 def of_normals(
@@ -137,13 +123,11 @@ def of_normals(
     length = np.sqrt((n * n).sum(axis=1))
     for j in np.flatnonzero(~(np.abs(length - 1.0) <= UNIT_ATOL)).tolist():
         yield f"the normal {n[j]} has length {float(length[j])!r}: {ray(question, int(rows[j]))}"
-    off, most, _ = measured(question, packed, hits, rows)
     for j in np.unique(np.linspace(0, len(rows) - 1, NORMALS).astype(int)).tolist():
         i = int(rows[j])
-        o, d, exact = question.o[i], question.d[i], answers[i].t
-        assert exact is not None
+        o, d, exact, t = question.o[i], question.d[i], exact_t(answers[i]), float(hits.t[i])
         right = normal(packed, answers[i].prim, o, d, exact)
-        limit = bound(packed, answers[i].prim, o, d, float(hits.t[i]), float(min(off[j], most[j])))
+        limit = bound(packed, answers[i].prim, o, d, t, exact.off(t))
         apart = float(np.linalg.norm(n[j] - right))
         if not apart <= limit:
             yield f"the normal {n[j]} is off by {apart:.3g}, more than {limit:.3g}: {ray(question, i)}"

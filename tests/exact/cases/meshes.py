@@ -7,9 +7,8 @@ from aimed_rays import decades, direction
 
 from cases import integer_shapes
 from cases.case import FLOAT64, Case, Maker, Question
-from cases.refusal_check import refused
-from cases.shapes import Aim, every_kind, folder, mesh_of, ply_of, rays_at, shape_of
-from caster import MeshFile, Triangle, cast
+from cases.shapes import Aim, every_kind, mesh_of, rays_at, shape_of
+from caster import Triangle, cast
 
 
 def at_t_max(make: Maker) -> Iterator[Question]:
@@ -131,36 +130,9 @@ def any_order() -> int:
     return count
 
 
-def bad_index() -> int:
-    """The file is refused, and the face is named."""
-    corners, count = np.eye(3), 0
-    for index in (3, 10**6, 0xFFFFFFFF, 0x80000000):
-        path = folder() / f"index-{index}.ply"
-        path.write_bytes(ply_of(corners, np.array([[0, 1, 2], [0, 1, index]])))
-        words = (str(path.name), "face 1")
-        count += refused(lambda path=path: MeshFile(file=str(path)).load(), *words)
-    for index in (4, 10**6, -4, 0):
-        path = folder() / f"index{index}.obj"
-        path.write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2 {index}\n")
-        count += refused(lambda path=path: MeshFile(file=str(path)).load(), path.name, "5")
-    return count
-
-
 def nothing_there(make: Maker) -> Iterator[Question]:
     o = make.rng.normal(size=(make.count(20), 3))
     yield make.ask("no shapes", [], o, direction(make.rng, len(o)), miss=20, never=("hit",))
-
-
-def empty_mesh() -> int:
-    """A mesh without faces is refused with its name."""
-    count = 0
-    for corners in (np.zeros((0, 3)), np.eye(3)):
-        path = folder() / f"empty-{len(corners)}.ply"
-        path.write_bytes(ply_of(corners, np.zeros((0, 3), int)))
-        count += refused(lambda path=path: MeshFile(file=str(path)).load(), path.name, "no faces")
-    path = folder() / "empty.obj"
-    path.write_text("v 0 0 0\n")
-    return count + refused(lambda: MeshFile(file=str(path)).load(), path.name, "no faces")
 
 
 REPEATED_FACES = 100_000
@@ -223,21 +195,7 @@ CASES = (
         corner_rays,
         {"alike": any_order},
     ),
-    Case(
-        39,
-        "a face with an index beyond the vertices",
-        "refused when the file is read, with its name and the face",
-        checks={"refused": bad_index},
-        shapes="mesh",
-    ),
-    Case(
-        40,
-        "nothing to hit: no shapes, no faces",
-        "an empty scene misses; a mesh file without faces is refused",
-        nothing_there,
-        {"refused": empty_mesh},
-        shapes="mesh",
-    ),
+    Case(40, "nothing to hit", "an empty scene misses", nothing_there),
     Case(
         41, "100,000 times the same triangle", "the first is hit; the tree stops halving", small_crowd, {"faces": crowd}
     ),

@@ -50,17 +50,17 @@ def mesh_of(vertices: Any, faces: Any, **more: Any) -> MeshFile:
     return MeshFile(file=str(path), **({"face_normals": True} | more))
 
 
-def ply_of(vertices: np.ndarray, faces: np.ndarray, number: str = "double") -> bytes:
-    """A PLY file of float64 or float32 corners (v, 3) and triangles (n, 3), whatever they hold."""
+def ply_of(vertices: np.ndarray, faces: np.ndarray) -> bytes:
+    """A PLY file of float64 corners (v, 3) and triangles (n, 3), whatever they hold."""
     rows = np.zeros(len(faces), [("count", "u1"), ("corners", "<u4", 3)])
     if len(faces):
         rows["count"], rows["corners"] = 3, faces.astype(np.int64) & 0xFFFFFFFF
-    names = "".join(f"property {number} {name}\n" for name in "xyz")
+    names = "".join(f"property double {name}\n" for name in "xyz")
     header = (
         f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n{names}"
         f"element face {len(faces)}\nproperty list uchar uint vertex_indices\nend_header\n"
     )
-    return header.encode() + vertices.astype("<f8" if number == "double" else "<f4").tobytes() + rows.tobytes()
+    return header.encode() + vertices.tobytes() + rows.tobytes()
 
 
 def turn(rng: Rng) -> dict[str, Any]:

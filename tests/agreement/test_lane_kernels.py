@@ -1,0 +1,199 @@
+"""Lanes, compiled: intrinsics give what their plain text gives, kernels of tiles and packets what NumPy gives."""
+
+import math
+import types
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from test_lanes import (
+    a_range,
+    a_range_and_lanes,
+    one_view,
+    several_views,
+    some_boxes,
+    some_faces,
+    wide,
+    written_differently,
+)
+
+from caster.jit import simd, vector_intrinsics
+from caster.jit.decorators import jit
+from caster.jit.kernel_cache import COMPILED
+from caster.jit.simd import CHILDREN, FAR_PADDING, LANES, LARGEST_T
+from caster.kernels.bvh import traversal
+from caster.kernels.raster import tile as tiles
+from caster.kernels.raster import tile_casting
+
+pytestmark = pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")
+
+ROUNDS = 200  # of random numbers; every fault shows within the first few
+
+GIVEN = {"lanes_in_range": a_range, "numbers_in_range": a_range_and_lanes, "gather_corners": some_faces}
+
+
+def differs(vectors: types.ModuleType, name: str) -> bool:
+    """Whether an intrinsic, compiled, and its plain text give another bit anywhere."""
+    import numba
+
+    made = numba.extending.intrinsic
+    rng = np.random.default_rng(33)
+    if name in ("one ray", "several rays"):
+        which = "intersect_boxes" if name == "one ray" else "intersect_boxes_packet"
+        inner = made(getattr(vectors, which)(CHILDREN, numba.types, FAR_PADDING, LARGEST_T))
+        boxes_entered = numba.njit(error_model="numpy")(lambda b, k, v, t, u, near: inner(b, k, v, t, u, near))
+        plain, view_of = getattr(simd, which), one_view if name == "one ray" else several_views
+        for k in range(ROUNDS):
+            boxes, view, node = some_boxes(rng), view_of(rng), int(rng.integers(5))
+            if which == "intersect_boxes" and k % 4 == 0:  # left half an ulp before it is entered: padding decides
+                view = view._replace(inverse=(0.0,) * 3, enter=(1.0,) * 3, leave=(1.0 - 2.0**-53,) * 3)
+            near, limits = np.zeros((2, CHILDREN)), (0.0, float(rng.choice([1.0, 10.0, np.inf])))
+            masks = (boxes_entered(boxes, node, view, *limits, near[0]), plain(boxes, node, view, *limits, near[1]))
+            if masks[0] != masks[1] or near[0].tobytes() != near[1].tobytes():
+                return True
+        return False
+    plain = getattr(simd, name)
+    inner = made(getattr(vectors, name)(*(() if name == "lowest_bit" else (LANES,)), numba.types))
+    compiled = jit(
+        {
+            "lowest_bit": lambda mask: inner(mask),
+            "lane_min": lambda a, i: inner(a, i),
+            "lane_max": lambda a, i: inner(a, i),
+            "lane_max_of_sums": lambda a, i, j: inner(a, i, j),
+            "any_sum_reaches": lambda a, i, j, limit: inner(a, i, j, limit),
+            "lanes_in_range": lambda a, i, least, end: inner(a, i, least, end),
+            "numbers_in_range": lambda a, i, least, end, out, at: inner(a, i, least, end, out, at),
+            "gather_corners": lambda rows, faces, out, i, at, step: inner(rows, faces, out, i, at, step),
+        }[name]
+    )
+    if name in GIVEN:
+        return any(written_differently(compiled, plain, GIVEN[name](rng)) for _ in range(ROUNDS))
+    for _ in range(ROUNDS):
+        numbers = wide(rng, 4 * LANES)
+        i, j = (np.uint64(x) for x in rng.integers(0, 3 * LANES, 2))
+        largest = float(simd.lane_max_of_sums(numbers, int(i), int(j)))
+        given = {
+            "lowest_bit": (int(rng.integers(1, 1 << CHILDREN)),),
+            "lane_max_of_sums": (numbers, i, j),
+            "any_sum_reaches": (numbers, i, j, largest),  # just reached
+        }.get(name, (numbers, i))
+        if compiled(*given) != plain(*(int(x) if isinstance(x, np.uint64) else x for x in given)):
+            return True
+    return False
+
+
+INTRINSICS = (
+    "one ray",
+    "several rays",
+    "lowest_bit",
+    "lane_min",
+    "lane_max",
+    "lane_max_of_sums",
+    "any_sum_reaches",
+    *GIVEN,
+)
+
+
+@pytest.mark.parametrize("name", INTRINSICS)
+def test_an_intrinsic_gives_what_its_plain_text_gives(name):
+    assert not differs(vector_intrinsics, name)
+
+
+def some_tile(rng: np.random.Generator) -> np.ndarray:
+    """Numbers of many sizes in all fields, also behind the last pixel of each row."""
+    tile = tiles.new_tile()
+    tile[:] = 10.0 ** rng.uniform(-3.0, 3.0, tile.shape)
+    return tile
+
+
+def field_of(tile: np.ndarray, field: int) -> np.ndarray:
+    return tile[int(field) : int(field) + tiles.PIXELS].reshape(tiles.HEIGHT, tiles.WIDTH)
+
+
+def whole_lanes(start: int, stop: int) -> tuple[int, int]:
+    return start - start % LANES, stop + -stop % LANES
+
+
+def some_span(rng: np.random.Generator) -> tuple[int, int, int, int]:
+    x, y = np.sort(rng.integers(0, 40, 2)), np.sort(rng.integers(0, 5, 2))
+    return int(x[0]), int(y[0]), int(x[1]) + 1, int(y[1]) + 1
+
+
+def kernel_differs(module: types.ModuleType, name: str) -> bool:
+    """Whether a kernel, compiled, ever gives something else than NumPy does over whole arrays."""
+    inner = getattr(module, name)
+    lane, direction, rng = tiles.lane, tiles.DX, np.random.default_rng(34)
+    compiled = jit(
+        {
+            "max_visible_t": lambda tile, box: inner(tile, box),
+            "min_t_per_depth": lambda tile, box, forward: inner(tile, box, forward),
+            "bounds_in_tile": lambda pixels, k, box: inner(pixels, k, box),
+            "any_pixel_visible": lambda tile, rect, near: inner(tile, rect, near),
+            "update_nearest": lambda tile, i, number, t, error: inner(tile, lane(i), number, t, error),
+            "packet_bounds": lambda tile, first: inner(tile, direction, lane(first)),
+        }[name]
+    )
+    return any(not _agrees(compiled, name, rng) for _ in range(60))
+
+
+def _agrees(compiled: Callable[..., Any], name: str, rng: np.random.Generator) -> bool:
+    tile, (x0, y0, x1, y1) = some_tile(rng), some_span(rng)
+    box = (1000, 500, 1000 + x1, 500 + y1)
+    seen = np.s_[:y1, : whole_lanes(0, x1)[1]]
+    reach = (field_of(tile, tiles.T) + field_of(tile, tiles.T_ERROR))[seen]
+    if name == "max_visible_t":
+        tile[int(tiles.SCRATCH) :] = 1e9  # of an earlier tile
+        return bool(compiled(tile, box) == reach.max())
+    if name == "min_t_per_depth":
+        ahead = field_of(tile, tiles.DX) * 0.5 + field_of(tile, tiles.DY) * 0.25 + field_of(tile, tiles.DZ) * 2.0
+        return bool(compiled(tile, box, (0.5, 0.25, 2.0)) == 1.0 / ahead[seen].max())
+    if name == "bounds_in_tile":
+        pixels = np.array([[1000 + x0, 500 + y0, 1000 + x1, 500 + y1]])
+        start, stop = whole_lanes(x0, x1)
+        return bool(compiled(pixels, 0, (1000, 500, 1128, 564)) == (start, y0, stop, y1))
+    if name == "any_pixel_visible":
+        start, stop = whole_lanes(x0, x1)
+        part = (field_of(tile, tiles.T) + field_of(tile, tiles.T_ERROR))[y0:y1, start:stop]
+        above = np.nextafter(part.max(), math.inf)
+        rect = (start, y0, stop, y1)
+        return bool(compiled(tile, rect, float(part.max())) and not compiled(tile, rect, float(above)))
+    if name == "packet_bounds":
+        first = LANES * int(rng.integers(tiles.PIXELS // LANES))
+        parts = [field_of(tile, field).ravel()[first : first + LANES] for field in (tiles.DX, tiles.DY, tiles.DZ)]
+        return bool(compiled(tile, first) == (tuple(p.min() for p in parts), tuple(p.max() for p in parts)))
+    return _folds_like_numpy(compiled, tile, rng)
+
+
+def _folds_like_numpy(fold: Callable[..., Any], tile: np.ndarray, rng: np.random.Generator) -> bool:
+    """A packet with one lane that is no number, and one that misses: those keep what they had."""
+    names = (tiles.T, tiles.T_ERROR, tiles.PRIM, tiles.UNCERTAIN)
+    before = np.stack([field_of(tile, name).ravel()[: LANES + 1] for name in names])
+    before[:, 0] = math.inf, 0.0, -1.0, 0.0
+    for name, values in zip(names, before, strict=True):
+        field_of(tile, name).ravel()[: LANES + 1] = values
+    t, error = 10.0 ** rng.uniform(-3.0, 3.0, LANES), 10.0 ** rng.uniform(-6.0, 1.0, LANES)
+    t[rng.permutation(LANES)[:2]] = math.nan, math.inf
+    for i in range(LANES):
+        fold(tile, i, 7.0, t[i], error[i])
+    number = t < math.inf
+    ahead = before[0, :LANES] - np.where(number, t, 0.0)
+    margin = before[1, :LANES] + error
+    nearer, unclear = number & (ahead > margin), number & (np.abs(ahead) <= margin)
+    expected = before.copy()
+    for row, new, which in zip(expected, (t, error, 7.0, 1.0), (nearer, nearer, nearer, unclear), strict=True):
+        row[:LANES] = np.where(which, new, row[:LANES])
+    after = np.stack([field_of(tile, name).ravel()[: LANES + 1] for name in names])
+    return after.tobytes() == expected.tobytes()
+
+
+MODULES = {
+    **dict.fromkeys(("max_visible_t", "min_t_per_depth", "bounds_in_tile", "any_pixel_visible"), tile_casting),
+    "update_nearest": tiles,
+    "packet_bounds": traversal,
+}
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_a_kernel_of_tiles_gives_what_numpy_gives(name):
+    assert not kernel_differs(MODULES[name], name)

@@ -1,0 +1,175 @@
+"""Planted faults: edits of a copy of both packages, each of which a named command or test has to find.
+
+The faults are data, in tests/faults/*.toml: edits (text that is there exactly once, and its replacement), the command
+that has to find them, and a pattern of what it says. `make faults` (FAULTS=all) plants all of them; without it only
+those marked `quick` are planted.
+"""
+
+import os
+import re
+import shlex
+import tomllib
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from edited_tree import LONG_CHECKS, ROOT, copy_tree, edit, run_compiled, said_beside_progress
+
+from caster.image.exr import read_exr, write_exr
+from mitsuba_ref.__main__ import main
+
+
+class Fault(NamedTuple):
+    """One entry of a file in tests/faults."""
+
+    name: str
+    run: str  # a command of mitsuba-ref, or pytest; {scenes}: the shipped scenes, {out}: an empty folder
+    says: str  # a pattern of its output
+    edit: list[dict[str, str]]  # file, old, new
+    code: int = 1  # exit code
+    quick: bool = False
+    compiled: bool = False  # whether the command runs with the compiler
+    group: str = ""  # the file's name
+
+
+def read_faults(path: Path) -> list[Fault]:
+    data: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+    compiled = data.get("compiled", False)
+    return [Fault(**fault, compiled=compiled, group=path.stem) for fault in data["fault"]]
+
+
+FAULTS = [fault for path in sorted(ROOT.glob("tests/faults/*.toml")) for fault in read_faults(path)]
+CHOSEN = [fault for fault in FAULTS if fault.quick or os.environ.get("FAULTS") == "all"]
+
+
+@pytest.fixture
+def obey(forks, coarse_scenes, tmp_path):
+    """Runs a fault's command in a tree; long checks that the fault does not name are left out."""
+
+    def run(tree: Path, fault: Fault, says: str = ""):
+        (tmp_path / "out").mkdir(exist_ok=True)
+        module, *words = shlex.split(fault.run.format(scenes=coarse_scenes, out=tmp_path / "out"))
+        if module == "pytest":
+            words = ["-q", "-x", "-p", "no:cacheprovider", *words]
+            return run_compiled(tree, tmp_path, *words) if fault.compiled else forks.run(tree, *words, module="pytest")
+        without = [name for name in LONG_CHECKS if name not in says] if module == "validate" else ()
+        return forks.run(tree, module, *words, without=without)
+
+    return run
+
+
+def test_every_fault_fits_the_source_of_today():
+    counts = {
+        (fault.name, each["file"], each["old"]): (ROOT / each["file"]).read_text(encoding="utf-8").count(each["old"])
+        for fault in FAULTS
+        for each in fault.edit
+    }
+    unfit = [f"{name}: {file} has {n} times, not once: {old!r}" for (name, file, old), n in counts.items() if n != 1]
+    assert not unfit, "\n".join(unfit)
+    assert len({fault.name for fault in FAULTS}) == len(FAULTS)
+
+
+@pytest.mark.parametrize("fault", CHOSEN, ids=lambda fault: f"{fault.group}: {fault.name}")
+def test_a_planted_fault_is_found(obey, unedited, tmp_path, fault):
+    tree = copy_tree(tmp_path / "tree", unedited)
+    for each in fault.edit:
+        edit(tree, **each)
+    found = obey(tree, fault, fault.says)
+    assert found.returncode == fault.code, f"not found: {fault.name}\n{found.stdout}{found.stderr}"
+    assert re.search(fault.says, found.stdout, re.MULTILINE), f"{fault.name}: expected {fault.says}\n{found.stdout}"
+
+
+RIGHT = {fault.run: fault for fault in CHOSEN if not fault.run.startswith("pytest")}
+
+
+@pytest.mark.parametrize("run", RIGHT)
+@pytest.mark.slow("each runs in plain Python", keep=3)
+def test_without_a_fault_nothing_is_found(obey, unedited, run):
+    found = obey(unedited, RIGHT[run])
+    assert (found.returncode, said_beside_progress(found)) == (0, []), found.stdout
+    assert "FAIL" not in found.stdout
+
+
+@pytest.mark.parametrize(("name", "pixel_class"), [("far root for near", "wrong"), ("depth as z", "undecided")])
+@pytest.mark.slow("each judges in plain Python", keep=1)
+def test_the_replay_of_a_pixel_shows_its_failure_again(obey, forks, unedited, tmp_path, name, pixel_class):
+    """`undecided`: an image that contradicts our own hit."""
+    (fault,) = (fault for fault in FAULTS if fault.name == name)
+    tree = copy_tree(tmp_path / "tree", unedited)
+    edit(tree, **fault.edit[0])
+    found = obey(tree, fault, fault.says)
+    (again,) = re.findall(r"^      replay:    mitsuba-ref (probe .* --size \d+ \d+)$", found.stdout, re.MULTILINE)
+    shown = forks.run(tree, *shlex.split(again))
+    assert (shown.returncode, said_beside_progress(shown)) == (1, [])
+    assert shown.stdout.splitlines()[0].endswith(f": {pixel_class}")
+
+
+@pytest.mark.slow("judges in plain Python")
+def test_the_reproducer_of_an_aimed_ray_shows_its_failure_again(obey, forks, unedited, tmp_path):
+    (fault,) = (fault for fault in FAULTS if fault.name == "closest approach")
+    tree = copy_tree(tmp_path / "tree", unedited)
+    edit(tree, **fault.edit[0])
+    obey(tree, fault, fault.says)
+    file = min((tmp_path / "out").glob("*.knife-edge.*.toml"))
+    again = forks.run(tree, "validate", str(file), "-j", "1")
+    assert again.returncode == 1 and "knife_edges: " in again.stdout, again.stdout
+
+
+# ---- faults of written images, for `compare` ----
+
+
+@pytest.fixture(scope="module")
+def images(tmp_path_factory):
+    """(ours, the reference's) of one sphere."""
+    folder = tmp_path_factory.mktemp("images")
+    words = ["render", "scenes/one-sphere.toml", "--size", "31", "24", "--aov"]
+    files = folder / "ours.exr", folder / "reference.exr"
+    aovs = "hit,depth,normal,shading_normal,position,diffuse,shape_id"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(ROOT)
+        from caster.__main__ import main as caster_main
+
+        assert caster_main([*words, aovs, "-o", str(files[0])]) == 0 == main([*words, aovs, "-o", str(files[1])])
+    return files
+
+
+def spoilt(channel, value):
+    """Another value in one hit pixel of a channel."""
+
+    def spoil(channels):
+        pixels = channels[channel].copy()
+        pixels[tuple(np.argwhere(channels["A"] > 0.0)[50])] = value
+        return {**channels, channel: pixels}
+
+    return spoil
+
+
+IN_DATA = {
+    "nothing": lambda channels: channels,
+    "y flipped": lambda channels: {name: pixels[::-1] for name, pixels in channels.items()},
+    "half a pixel to the side": lambda channels: {
+        name: (pixels if pixels.dtype == np.uint32 else 0.5 * (pixels + np.roll(pixels, 1, axis=1)))
+        for name, pixels in channels.items()
+    },
+    "unnormalised normal": lambda channels: {**channels, "normal.Z": channels["normal.Z"] * np.float32(1.001)},
+    **{
+        f"one {value} in {channel}": spoilt(channel, value)
+        for channel in ("R", "depth.Z", "normal.X", "shading_normal.Y", "position.Z")
+        for value in (np.nan, np.inf)
+    },
+    "one NaN in the mask": spoilt("A", np.nan),
+    "one pixel missed": spoilt("A", 0.0),
+    "one pixel of another shape": spoilt("id.shape", 7),
+}
+
+
+@pytest.mark.parametrize("what", IN_DATA)
+def test_compare_fails_on_an_image_with_a_fault(tmp_path, images, capsys, what):
+    good = read_exr(images[0])
+    faulty = tmp_path / "faulty.exr"
+    with np.errstate(invalid="ignore"):  # inf where an average leaves the silhouette
+        write_exr(faulty, IN_DATA[what](good.channels), good.provenance)
+    expected = 0 if what == "nothing" else 1
+    assert main(["compare", str(faulty), str(images[1])]) == expected, what
+    assert bool(re.search(r"^FAIL  \w+: ", capsys.readouterr().out, re.MULTILINE)) == bool(expected)

@@ -1,0 +1,175 @@
+"""Mesh files as Mitsuba's own loader reads them, against the caster's reader: right ones, and each kind of error."""
+
+import struct
+
+import numpy as np
+import pytest
+
+import caster
+from caster.geometry.mesh_files import load_mesh
+from caster.scene.model import Scene
+from mitsuba_ref.judge.checks.mesh_files import _errors, check_mesh_files, files_of, for_mitsuba
+from mitsuba_ref.reference.messages import LoadedMesh
+
+# A quadrilateral, a triangle and a pentagon; numbers that float32 rounds.
+POINTS = [(0.1, 0, 0), (1, 0.2, 0), (1, 1, 0.3), (0, 1, 0), (2.7, 0.5, 0.5), (3.1, 2, 0), (0.5, 3.3, 1)]
+POLYGONS = [(0, 1, 2, 3), (1, 4, 2), (2, 4, 5, 6, 3)]
+TRIANGLES = [(0, 1, 2), (0, 2, 3), (1, 4, 2), (2, 4, 5), (2, 5, 6), (2, 6, 3)]
+CORNERS = np.array(POINTS, float)[np.array(TRIANGLES)]
+NORMALS = [(0.36, 0.48, 0.8), (0, 0, 1), (0.6, 0, 0.8), (0, 1, 0), (1, 0, 0), (0, 0.6, 0.8), (0.8, 0.6, 0)]
+
+
+def obj(corner="{0}", before="") -> bytes:
+    lines = [f"v {x} {y} {z}" for x, y, z in POINTS] + [f"vn {x} {y} {z}" for x, y, z in NORMALS]
+    lines += [f"vt {0.1 * i} {3.0 - 0.7 * i}" for i in range(7)]
+    lines += ["f " + " ".join(corner.format(i + 1, i - len(POINTS)) for i in each) for each in POLYGONS]
+    return (before + "\n".join(lines) + "\n").encode()
+
+
+def ply(encoding, faces, smooth=False) -> bytes:
+    names = ["x", "y", "z", *(["nx", "ny", "nz", "u", "v"] if smooth else [])]
+    head = f"ply\nformat {encoding} 1.0\nelement vertex 7\n" + "".join(f"property double {name}\n" for name in names)
+    head += f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    rows = [(*p, *n, 0.1 * i, 0.7) if smooth else p for i, (p, n) in enumerate(zip(POINTS, NORMALS, strict=True))]
+    if encoding == "ascii":
+        lines = [*map(" ".join, (map(str, row) for row in rows)), *(f"{len(f)} {' '.join(map(str, f))}" for f in faces)]
+        return (head + "\n".join(lines) + "\n").encode()
+    order = "<" if "little" in encoding else ">"
+    body = b"".join(struct.pack(f"{order}{len(names)}d", *row) for row in rows)
+    return head.encode() + body + b"".join(struct.pack(f"{order}B{len(f)}i", len(f), *f) for f in faces)
+
+
+def off() -> bytes:
+    lines = ["OFF # a comment", "7 3 0", *(f"{x} {y} {z}" for x, y, z in POINTS), ""]
+    return "\n".join([*lines, *(f"{len(f)} {' '.join(map(str, f))} 1.0 0.5 # colour" for f in POLYGONS)]).encode()
+
+
+STL = (
+    b"solid but binary".ljust(80)
+    + struct.pack("<I", len(CORNERS))
+    + b"".join(struct.pack("<12fH", 7, 7, 7, *each.ravel(), 5) for each in CORNERS)
+)
+FACETS = "".join(
+    "facet normal 0 0 1\nouter loop\n" + "".join(f"vertex {x} {y} {z}\n" for x, y, z in each) + "endloop\nendfacet\n"
+    for each in CORNERS.tolist()
+)
+STL_TEXT = f"solid a\n{FACETS}endsolid a\n"
+ALL = {"corners", "shared vertices", "uv", "normals"}
+BARE = {"corners", "shared vertices"}
+SOME = {*BARE, "uv not compared, some corners have none: those", "normals"}
+FILES = {
+    "obj": ("a.obj", obj(), BARE),
+    "obj, smooth": ("a.obj", obj("{0}/{0}/{0}"), ALL),
+    "obj, byte order mark": ("a.obj", b"\xef\xbb\xbf" + obj("{0}//{0}"), BARE | {"normals"}),
+    "obj, indices from the end": ("a.obj", obj("{1}/{1}/{1}"), ALL),
+    "obj, a line continued": ("a.obj", obj().replace(b"f 1 2 ", b"f 1\\\n 2  "), BARE),
+    "obj, a vertex continued": ("a.obj", obj().replace(b"v 1 0.2 0", b"v 1 \\\n0.2 \\\n 0"), BARE),
+    "obj, faces as fo": ("a.obj", obj().replace(b"f 2", b"fo 2"), BARE),
+    "obj, carriage returns": ("a.obj", obj().replace(b"\n", b"\r"), BARE),
+    "obj, comments": ("a.obj", obj(before="# v 1 2 3 \\\nvp 1 2\ng f 1 2 3\n\n"), BARE),
+    "obj, some uv": ("a.obj", obj("{0}/{0}/{0}").replace(b"f 2/2/2", b"f 2//2"), SOME),
+    "ply": ("a.ply", ply("ascii", TRIANGLES), BARE),
+    "ply, little": ("a.ply", ply("binary_little_endian", TRIANGLES, smooth=True), ALL),
+    "ply, big": ("a.ply", ply("binary_big_endian", TRIANGLES, smooth=True), ALL),
+    "stl": ("a.stl", STL, BARE),
+    "stl in text": ("a.stl", STL_TEXT.encode(), BARE),
+    "off": ("a.off", off(), BARE),
+}
+
+
+def scene_of(path) -> Scene:
+    camera = caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0))
+    return Scene(film=caster.Film(width=2, height=2), camera=camera, shapes=[{"type": "mesh", "file": str(path)}])
+
+
+def loaded_by_mitsuba(brought, folder, name, data):
+    path = folder / name
+    path.write_bytes(data)
+    (theirs,) = brought(scene_of(path)).pair.result.answer.meshes
+    return path, theirs
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_every_kind_of_file_is_read_alike(brought, tmp_path, kind):
+    name, data, compared = FILES[kind]
+    path, theirs = loaded_by_mitsuba(brought, tmp_path, name, data)
+    errors = _errors(load_mesh(path), theirs, path)
+    assert errors.keys() == compared and max(errors.values()) < 1.0, errors
+    assert for_mitsuba(path, tmp_path, 0) != path or path.suffix in (".obj", ".ply")
+
+
+@pytest.mark.parametrize(("name", "data"), [("a.ply", ply("ascii", POLYGONS)), ("a.glb", None)])
+def test_a_file_that_mitsuba_does_not_read_is_reported_as_not_compared(brought, tmp_path, name, data):
+    if data is None:
+        trimesh = pytest.importorskip("trimesh")
+        data = trimesh.Scene(trimesh.creation.box()).export(file_type="glb")
+    path, theirs = loaded_by_mitsuba(brought, tmp_path, name, data)
+    found = check_mesh_files(scene_of(path), (theirs,))
+    assert found.ok and found.what.startswith("not compared, Mitsuba's loader says "), found
+
+
+def split(mesh):
+    every = mesh.vertices[mesh.faces].reshape(-1, 3)
+    return mesh._replace(vertices=every, faces=np.arange(len(every), dtype=np.int32).reshape(-1, 3))
+
+
+def moved(rows, step):
+    """One number that float32 shows to be another."""
+    rows = rows.copy()
+    rows[2, 1] += step * max(abs(rows[2, 1]), 1.0)
+    return rows
+
+
+WRONG = {  # file, what a reader may do wrong, and where it shows
+    "faces in another order": ("ply", lambda m: m._replace(faces=m.faces[::-1]), "corners"),
+    "faces begun elsewhere": ("stl", lambda m: m._replace(faces=np.roll(m.faces, 1, axis=1)), "corners"),
+    "faces inside out": ("off", lambda m: m._replace(faces=m.faces[:, ::-1]), "corners"),
+    "a face less": ("obj", lambda m: m._replace(faces=m.faces[:-1]), "corners"),
+    "polygons around their last corner": ("off", lambda m: m._replace(faces=m.faces[[0, 0, *range(2, 6)]]), "corners"),
+    "a number off": ("ply, big", lambda m: m._replace(vertices=moved(m.vertices, 2.0**-22)), "corners"),
+    "axes exchanged": ("ply", lambda m: m._replace(vertices=m.vertices[:, [0, 2, 1]]), "corners"),
+    "vertices split": ("off", split, "shared vertices"),
+    "normals off": ("obj, smooth", lambda m: m._replace(normals=moved(m.normals, 2.0**-19)), "normals"),
+    "normals of others": ("ply, little", lambda m: m._replace(normals=m.normals[::-1]), "normals"),
+    "normals left out": ("ply, little", lambda m: m._replace(normals=None), "normals or none"),
+    "normals made up": ("off", lambda m: m._replace(normals=np.tile([0.0, 0.6, 0.8], (7, 1))), "normals or none"),
+    "uv not turned over": ("obj, smooth", lambda m: m._replace(uv=m.uv * (1, -1) + (0, 1)), "uv"),
+    "uv left out": ("obj, smooth", lambda m: m._replace(uv=None), "uv or none"),
+    "uv made up": ("obj", lambda m: m._replace(uv=np.zeros((7, 2))), "uv or none"),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_a_mesh_that_was_read_wrongly_is_found(brought, tmp_path, wrong):
+    kind, change, where = WRONG[wrong]
+    path, theirs = loaded_by_mitsuba(brought, tmp_path, *FILES[kind][:2])
+    errors = _errors(change(load_mesh(path)), theirs, path)
+    assert errors[where] > 1.0, errors
+
+
+def test_merged_vertices_of_an_stl_are_found(brought, tmp_path):
+    path, theirs = loaded_by_mitsuba(brought, tmp_path, "a.stl", STL)
+    mesh = load_mesh(path)
+    points, number = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    merged = mesh._replace(vertices=points, faces=number.ravel()[mesh.faces].astype(np.int32))
+    assert _errors(merged, theirs, path) == {"corners": 0.0, "shared vertices": np.inf}
+
+
+def test_where_float64_lies_between_two_float32_either_is_right(tmp_path):
+    path = tmp_path / "tie.obj"
+    path.write_text(f"v {1.0 + 2.0**-24!r} 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\n")
+    corners = np.array([[[1.0, 0, 0], [0, 1, 0], [0, 0, 1]]])
+    nothing = np.zeros((1, 3, 3)), np.zeros((1, 3, 2)), np.arange(3)[None]
+    for value, right in ((1.0, True), (1.0 + 2.0**-23, True), (1.0 + 2.0**-22, False), (1.0 - 2.0**-24, False)):
+        corners[0, 0, 0] = value
+        assert check_mesh_files(scene_of(path), (LoadedMesh(corners.copy(), *nothing),)).ok is right
+
+
+def test_every_file_is_compared_once_and_has_to_be_read(brought, tmp_path):
+    path, theirs = loaded_by_mitsuba(brought, tmp_path, "a.obj", obj())
+    scene = scene_of(path)
+    twice = scene.model_copy(update={"shapes": scene.shapes * 2})
+    assert list(files_of(twice)) == [path] and check_mesh_files(twice, (theirs,)).ok
+    found = check_mesh_files(scene, (theirs, theirs))
+    assert found.ratio == np.inf and "1 files, Mitsuba has read 2" in found.what
+    assert check_mesh_files(scene.model_copy(update={"shapes": ()}), ()).what == "nothing to look at"
