@@ -13,7 +13,7 @@ from caster.geometry.world_space import as_float32, as_given
 from caster.rendering.images import render
 from caster.scene.files import load_scene, scene_from_text
 from caster.scene.model import Scene
-from mitsuba_ref.judge.scene_checks import check_geometry
+from mitsuba_ref.judge.checks.shapes import check_geometry
 
 CAMERA = caster.Pinhole(eye=(0.3, 0.7, 6.1), look_at=(0, 0, 0), fov=40)
 TURN = [{"scale": 1.3}, {"rotate": {"axis": [1, 2, 3], "degrees": 37}}, {"translate": [0.3, 0.1, -0.4]}]
