@@ -66,7 +66,7 @@ bench: $(INSTALLED) ## run time against error: writes docs/performance.md and it
 	@$(BIN)/mitsuba-ref bench --json docs/performance/run.json $(ARGS)
 	@$(BIN)/python benchmarks/performance_page.py docs/performance/run.json docs
 
-wheel: $(INSTALLED) ## a wheel with object code of all kernels for x86-64-v3 and v4: dist/, in some minutes
+wheel: $(INSTALLED) ## a wheel with object code of all kernels for x86-64-v3: dist/, in some minutes
 	@$(BIN)/python .ci/wheel_with_kernels.py $(ARGS)
 
 docs: $(INSTALLED) ## pages and pictures that are made from sources: API, packages, an edge case, every shape, scenes

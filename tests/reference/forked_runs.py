@@ -14,7 +14,6 @@ import importlib
 import json
 import os
 import runpy
-import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -72,11 +71,11 @@ def obey(tree: str, module: str, argv: list[str], out: str, err: str, memory: st
 
 def pass_over(name: str) -> None:
     """A check is not made."""
-    from mitsuba_ref import judge
+    from mitsuba_ref.judge import checks
 
-    kept = tuple(check for check in judge.SCENE_CHECKS if check.name != name)
-    assert len(kept) < len(judge.SCENE_CHECKS), name
-    judge.SCENE_CHECKS = kept
+    assert name in {check.name for check in checks.all_checks()}, name
+    del checks._registered[name]
+    checks.all_checks.cache_clear()
 
 
 def ask_once(memory: Path) -> None:
@@ -89,8 +88,8 @@ def ask_once(memory: Path) -> None:
 
     def put_once(session: Any, job: Any, timeout: float) -> Any:
         place = memory / everything_given(job, variants.environment_for(job.variant))
-        if place.is_dir():  # put there whole
-            return TraceResponse.read(place, len(job.o))
+        if place.exists():  # put there whole
+            return TraceResponse.from_bytes(place.read_bytes(), len(job.o))
         answer = put(session, job, timeout)
         if isinstance(answer, TraceResponse):
             keep(answer, place)
@@ -117,12 +116,8 @@ def everything_given(job: Any, settings: dict[str, str]) -> str:
 def keep(answer: Any, place: Path) -> None:
     """Whole or not at all: two processes may keep the same answer at the same time."""
     part = place.with_name(f"{place.name}.{os.getpid()}")
-    part.mkdir()
-    answer.write(part)
-    try:
-        part.rename(place)
-    except OSError:  # the other one was quicker
-        shutil.rmtree(part)
+    part.write_bytes(answer.to_bytes())
+    part.rename(place)
 
 
 if __name__ == "__main__":

@@ -70,7 +70,7 @@ ALIASES: dict[str, Callable[[Path], Path]] = {
 
 
 def linked(path: Path, link: Callable[[Path, Path], None]) -> Path:
-    name = path.parent / "alias.html"
+    name = path.parent / "alias"
     name.unlink(missing_ok=True)
     link(path, name)
     return name
@@ -90,7 +90,7 @@ def test_every_option_declares_whether_it_names_a_path(program, name, parser):
 @pytest.mark.parametrize(("program", "name", "parser", "source", "output"), [*pairs()])
 def test_no_output_is_an_input(program, name, parser, source, output, tmp_path, capsys):
     (tmp_path / "sub").mkdir()
-    precious = tmp_path / "precious.html"  # --html takes a file of this suffix
+    precious = tmp_path / "precious"
     required = [each for each in valued(parser) if each.required and each not in (source, output)]
     for group in parser._mutually_exclusive_groups:
         if group.required and not {source, output} & set(group._group_actions):

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -24,7 +25,7 @@ from caster.scene.model import LIGHTS, Scene
 from caster.shapes.icosphere import Icosphere
 from caster.system.terminal import CompilationNotice, compilation_reported
 from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
-from mitsuba_ref.runner.isolation import Isolated
+from mitsuba_ref.runner.workers import Workers
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENE = "scenes/one-sphere.toml"
@@ -127,10 +128,9 @@ def test_nothing_is_reported_after_a_command(capsys):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no forks")
 def test_forks_report_together(capfd):
-    """`validate` compiles in one fork for each scene at a time."""
-    compiling = Isolated(lambda name: decorators.COMPILATION_LOG.compiling(name))
-    with compilation_reported(), compiling.kept(), ThreadPoolExecutor(2) as threads:
-        list(threads.map(compiling, "abcd"))
+    """`validate` compiles in one worker for each scene at a time."""
+    with compilation_reported(), Workers() as pool, ThreadPoolExecutor(2) as threads:
+        list(threads.map(partial(pool.call, decorators.COMPILATION_LOG.compiling), "abcd"))
         decorators.COMPILATION_LOG.compiling("e")
     assert capfd.readouterr().err.count("\n") == 1
 
