@@ -12,7 +12,6 @@ from caster.kernels.surface.lighting import (
     SHADOW_OFFSET,
     add_ambient,
     add_light,
-    add_unshadowed_light,
     incident_irradiance,
     light_direction,
     materials_in_tile,
@@ -251,29 +250,6 @@ def test_hits_of_a_tile_are_lit_as_the_formula_states(name):
     assert field(buffer, RADIANCE) == pytest.approx(before + more, rel=1e-9)
     for at in (ALBEDO, SIDES, FLUX, RADIANCE):
         assert (beside_the_box(buffer, at) == 7.0).all()
-
-
-@pytest.mark.parametrize("one_material", [True, False])
-@pytest.mark.parametrize("name", LIGHTS)
-def test_light_without_shadows_is_what_arrives_where_no_ray_is_blocked(name, one_material):
-    """To the bit, over two lights; rows where nothing is hit are passed over, and get nothing."""
-    light, (tile, buffer) = LIGHTS[name], a_tile_of_hits(np.random.default_rng(232))
-    for y in (1, 3):
-        tile[int(PRIM) + y * WIDTH : int(PRIM) + (y + 1) * WIDTH] = -1.0
-    tables = (SHAPES_OF % 1, REFLECTANCE[1:2], TWO_SIDED[1:2]) if one_material else (SHAPES_OF, REFLECTANCE, TWO_SIDED)
-    materials_in_tile(tile, BOX, *tables, buffer)
-    hit, shape = field(tile, PRIM, 1) >= 0.0, tables[0][np.maximum(field(tile, PRIM, 1).astype(int), 0)]
-    assert np.array_equal(field(buffer, ALBEDO)[hit], tables[1][shape[hit]])
-    assert np.array_equal(field(buffer, SIDES, 1)[hit], tables[2][shape[hit]])
-    free, shadow_tile = buffer.copy(), new_tile()
-    shadow_tile[:] = 7.0
-    for _ in range(2):
-        count = shadow_rays_in_tile(light, tile, BOX, SHAPES_OF, EXTENTS, buffer, shadow_tile, np.zeros(1, int))
-        add_light(tile, BOX, buffer, shadow_tile)
-        add_unshadowed_light(light, tile, BOX, free)
-    assert 5 < count < hit.sum() and (field(shadow_tile, T_MAX, 1)[[1, 3]] == -1.0).all()
-    assert np.array_equal(field(free, RADIANCE), field(buffer, RADIANCE))
-    assert field(free, RADIANCE)[hit].any() and not field(free, RADIANCE)[~hit].any()
 
 
 @pytest.mark.parametrize("name", LIGHTS)
