@@ -1,4 +1,4 @@
-"""Vectors of eight numbers give what NumPy gives, and surfaces of several hits are those of one at a time, to the bit."""
+"""Vectors give what NumPy gives, and surfaces of several hits are those of one at a time, to the bit."""
 
 from typing import Any
 
