@@ -177,11 +177,6 @@ def judge_window(
         "loaded": judge.result.answer.meshes,
         "failing": bool(judgement.is_class(*FAILING).any()),
     }
-        "scene": response.scene,
-        "result": judge.result,
-        "loaded": judge.result.answer.meshes,
-        "failing": bool(judgement.is_class(*FAILING).any()),
-    }
     if not task.ours:
         made = make_checks(of_scene, inputs)
     made += make_checks([each for each in checks if each.answered], inputs)
