@@ -47,7 +47,7 @@ def test_matplotlib_is_looked_for_with_the_projects_least_version_and_is_not_nee
     assert f"{judge_doctor.MATPLOTLIB.distribution}>={judge_doctor.MATPLOTLIB.least}" == least
     finding = next(each for each in judge_doctor.report() if each.name == "matplotlib")
     assert finding.found and not finding.needed and finding.detail == importlib.metadata.version("matplotlib")
-    assert "probe --picture" in finding.adds
+    assert "make stress" in finding.adds
 
 
 def test_a_judge_without_matplotlib_is_usable_and_states_what_it_would_add(monkeypatch):

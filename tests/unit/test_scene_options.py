@@ -12,7 +12,9 @@ from caster.cameras import Pinhole
 from caster.description.quantities import Description
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
-from mitsuba_ref.fuzz.families import FAMILIES, example, scene_of
+from mitsuba_ref.fuzz.campaign import example
+from mitsuba_ref.hard import FAMILIES
+from mitsuba_ref.hard.family import scene_of
 
 # Examples of each family, from the first of seed 0 on. Of `options` as many as `mitsuba-ref fuzz` checks within some
 # minutes; the rarest (two conditions at once) are met by one in a hundred.
