@@ -150,51 +150,6 @@ def test_every_command_that_compiles_reports_it(command, capsys, monkeypatch):
     assert capsys.readouterr().err.startswith("compiling kernels, once")
 
 
-def test_a_terminal_gets_one_line_and_a_file_one_for_each_scene(monkeypatch):
-    monkeypatch.setenv("TERM", "xterm")
-
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
-
-    for stream, expected in ((Terminal(), 0), (io.StringIO(), 2)):
-        progress = CompileProgress(stream)
-        for scene in ("pinhole", "fisheye"):
-            progress.begin(scene)
-            progress.compiling("cast_in_bounds(Spheres)")
-        progress.end()
-        drawn = stream.getvalue()
-        assert drawn.count("\n") - drawn.count("\x1b[1A") == expected  # a line that is left behind: none of a bar
-        assert "cast_in_bounds" in stream.getvalue() or not stream.isatty()
-
-
-OTHER = str(Path(SCENE).with_name("triangles.toml"))
-
-
-@pytest.mark.skipif(not decorators.COMPILED, reason="without Numba nothing is compiled")
-def test_processes_beside_begin_elsewhere_and_end_with_the_first(little, monkeypatch, capsys):
-    started, run = [], subprocess.Popen
-
-    def start(command, **options):
-        started.append((command, run(command, **options)))
-        return started[-1][1]
-
-    monkeypatch.setattr(installation.subprocess, "Popen", start)
-    assert main(["doctor", "--warm", SCENE, OTHER, "-j", "5"]) == 0
-    ((command, child),) = started  # no more than there are scenes
-    assert command[-6:] == ["--warm", SCENE, OTHER, "--beside", "1", "2"] and child.poll() is not None
-    orders = []
-    counts = warm_up.WarmUpCounts(0, 0)
-    monkeypatch.setattr(warm_up, "warm_up", lambda scenes, _: orders.append([n for n, _ in scenes]) or counts)
-    monkeypatch.setattr(installation, "die_with_parent", lambda: orders.append("tied"))
-    assert main(command[4:]) == 0 and orders == ["tied", [OTHER, SCENE]]
-    capsys.readouterr()
-
-
-def test_jobs_without_kernels_to_compile_are_refused(capsys):
-    assert main(["doctor", "-j", "2"]) == 2 and "goes with --warm" in capsys.readouterr().err
-
-
 WARMED = """
 import importlib, pkgutil
 import caster.rendering
