@@ -38,7 +38,6 @@ from mitsuba_ref.exr_compare.comparison_result import (
 from mitsuba_ref.exr_compare.conventions import Reading, Unclear, check_maps, hints, scene_in, to_our_conventions
 from mitsuba_ref.exr_compare.exr_pair import (
     LAYERS,
-    SCENE_HASH,
     Array,
     Conditioning,
     ExrPair,
@@ -135,8 +134,7 @@ def compare_images(
     if diff is not None:
         write_difference(diff, pair, judged, *names)
     counted = _counted(blank, pair, judged, tolerances)
-    notes = [*_half_notes(pair), *_scene_notes(pair)]
-    messages = result_messages(counted, len(pair.names), _next_steps(counted, pair, diff), notes)
+    messages = result_messages(counted, len(pair.names), _next_steps(counted, pair, diff))
     return counted.model_copy(update={"messages": tuple(messages)})
 
 
@@ -198,21 +196,6 @@ def _next_steps(result: FileComparison, pair: ExrPair, diff: FileName | None) ->
     info = f"      next:   caster info {shlex.quote(result.ours)}"
     note = "      note:   rounding decides edges and shadow borders; see validate; --max-pixels N allows them"
     return [*([look] if diff is not None else []), replay if scene and scene.isprintable() else info, note]
-
-
-def _half_notes(pair: ExrPair) -> list[str]:
-    stored = (("ours", pair.ours), ("the reference", pair.reference))
-    half = [who for who, exr in stored if any(exr.channels[n].dtype == np.float16 for n in pair.names)]
-    return [
-        f"note: {who} holds halves, 11 bits a number, and its bounds are a half's; float32 would show more"
-        for who in half
-    ]
-
-
-def _scene_notes(pair: ExrPair) -> list[str]:
-    hashes = {exr.provenance.get(SCENE_HASH) for exr in (pair.ours, pair.reference)} - {None}
-    note = f"note: the files are of different scenes, by their attributes ({SCENE_HASH})"
-    return [note] if len(hashes) > 1 else []
 
 
 def write_difference(path: FileName, pair: ExrPair, judged: list[Judged], ours: str, reference: str) -> None:

