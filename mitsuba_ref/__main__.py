@@ -8,16 +8,17 @@ from __future__ import annotations
 import argparse
 import gc
 import os
+import signal
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import NoReturn, TextIO
+from typing import NoReturn
 
 from caster.cli import application
-from caster.system.process import DIFFERENCES, INTERRUPTED, MEANINGS, PIPE_CLOSED, reopen_closed_streams
+from caster.system.process import DIFFERENCES, INTERRUPTED, MEANINGS, PIPE_CLOSED
 from mitsuba_ref.cli import COMMANDS
-from mitsuba_ref.reference.subprocess_runner import exit_name, run_attached
 
 ABOUT = "A judge of ray casters: compares them with Mitsuba 3, ray by ray, within derived bounds."
 CODES = tuple(code for code in MEANINGS if code != PIPE_CLOSED)
@@ -41,9 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 # ---- the supervisor ----
 
 SUPERVISED_VARIABLE = "MITSUBA_REF_SUPERVISED"  # in the environment of the one that is looked after
-INTERRUPT_GRACE_SECONDS = (
-    4.8  # seconds for the scenes that are being judged to end, and to be written down, after an interruption
-)
+INTERRUPT_GRACE_SECONDS = 4.8  # for the scenes that are being judged to end, and to be written down
 CHILD_SOURCE = (
     "import sys; sys.path[:] = {path!r}; from mitsuba_ref.__main__ import run_reporting_exit_code, main; "
     "run_reporting_exit_code({fd}, main)"
@@ -59,51 +58,67 @@ def needs_supervision(words: Sequence[str]) -> bool:
 
 
 def run_supervised(words: Sequence[str]) -> int:
-    """The exit code of the command line, run in a child; one that ends without a word has failed."""
+    """The exit code that the command line reports, run in a child; one that ends without a report has failed."""
     began = time.time()
-    reopen_closed_streams()
     application.announce("mitsuba-ref", COMMANDS, words[0])
-    end = run_attached(
-        lambda fd: [sys.executable, "-c", CHILD_SOURCE.format(path=sys.path, fd=fd), *words],
-        {SUPERVISED_VARIABLE: "1"},
-        INTERRUPT_GRACE_SECONDS,
+    reading, writing = os.pipe()
+    child = subprocess.Popen(
+        [sys.executable, "-c", CHILD_SOURCE.format(path=sys.path, fd=writing), *words],
+        env={**os.environ, SUPERVISED_VARIABLE: "1"},
+        pass_fds=(writing,),
+        process_group=0,  # so that an interruption from the terminal comes by way of this process
     )
-    if end.code is None:
+    os.close(writing)
+    code = _wait(child)
+    os.set_blocking(reading, False)  # what the child started may still hold the other end
+    with os.fdopen(reading, "rb") as pipe:
+        report = pipe.read() or b""
+    if code is None:
         print("interrupted: the candidate did not end, and was killed", file=sys.stderr)
-        return int(end.report or INTERRUPTED)
-    if end.report or end.code == INTERRUPTED:
-        return int(end.report or end.code)
+        return int(report or INTERRUPTED)
+    if report or code == INTERRUPTED:
+        return int(report or code)
     for path in output_paths(words):  # of an earlier run: they would pass for this one's
         if path.is_file() and path.stat().st_mtime < began:
             path.unlink()
-    print(f"the candidate ended the process, {_exit_text(end.code)}: nothing is judged", file=sys.stderr)
+    how = f"exit {code}" if code >= 0 else f"by {signal.Signals(-code).name}"
+    print(f"the candidate ended the process, {how}: nothing is judged", file=sys.stderr)
     return DIFFERENCES
 
 
-def _exit_text(code: int) -> str:
-    return f"exit {code}" if code >= 0 else f"by {exit_name(code)}"
+def _wait(child: subprocess.Popen[bytes]) -> int | None:
+    """The exit code of the child, None if it was killed. Ctrl-C, SIGTERM and SIGHUP are passed on as SIGINT."""
+    for each in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(each) is not signal.SIG_IGN:
+            signal.signal(each, signal.default_int_handler)
+    try:
+        return child.wait()
+    except KeyboardInterrupt:
+        child.send_signal(signal.SIGINT)
+    try:
+        return child.wait(INTERRUPT_GRACE_SECONDS)
+    except (subprocess.TimeoutExpired, KeyboardInterrupt):
+        os.killpg(child.pid, signal.SIGKILL)
+        child.wait()
+        return None
 
 
 def run_reporting_exit_code(fd: int, main: Callable[[Sequence[str]], int]) -> NoReturn:
     """The command line of this process, in the child; its exit code goes through fd before the process ends.
 
-    sys.exit reaches `main`; os._exit and C's exit() end the process before its code is reported. What it exits with
-    does not count: what the candidate left for the end of the process may change that.
+    sys.exit reaches `main`; os._exit and C's exit() end the process before its code is reported. The code that the
+    process ends with does not count: what the candidate left for the end of the process may change it. Results go to
+    standard output; what others print there, also from C, goes to standard error.
     """
-    sys.stdout = results = _result_stream()
+    out = sys.stdout
+    results = os.fdopen(os.dup(1), "w", 1 if out.isatty() else -1, encoding=out.encoding, errors=out.errors)
+    os.dup2(2, 1)
+    sys.stdout = results
     code = main(sys.argv[1:])
     os.write(fd, b"%d" % code)
     sys.stdout = sys.__stdout__
     results.close()
     sys.exit(code)
-
-
-def _result_stream() -> TextIO:
-    """A way of our own to where results go; what others print, from C as well, goes to standard error."""
-    out = sys.stdout
-    kept = os.fdopen(os.dup(1), "w", 1 if out.isatty() else -1, encoding=out.encoding, errors=out.errors)
-    os.dup2(2, 1)
-    return kept
 
 
 def output_paths(words: Sequence[str]) -> Iterator[Path]:

@@ -106,7 +106,7 @@ _COMPILED_TESTS = {
     "tests/unit": """
         bias bracket broad_phase camera_references candidate_aimed candidate_scene common_traits
         defect_measurement description_round_trip error_models exact_kernels explanations exr_files
-        exr_compare fuzz_findings generated_meshes_check shape_importers
+        exr_compare fuzz_findings generated_meshes shape_importers
         geometry_checked_in_both_precisions independent_transform judge_at_extremes
         verdict_rules knife_edges known_defects lambert_and_shadow_rays mesh_files_check pixel_explanations ray_camera
         ray_conventions registries report_arrays report_files result_schemas scaling scene_fuzz scene_options scene_rows

@@ -116,8 +116,8 @@ def remember_mitsuba(memory: Path) -> None:
     from mitsuba_ref.reference.messages import TraceResponse
 
     def remembered(send: Any, place: Path, rays: int) -> Any:
-        if place.is_dir():
-            return TraceResponse.read(place, rays)
+        if place.exists():
+            return TraceResponse.from_bytes(place.read_bytes(), rays)
         answer = send()
         if isinstance(answer, TraceResponse):
             keep(answer, place)

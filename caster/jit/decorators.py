@@ -137,7 +137,7 @@ class Kernel:
             return self.function
         if self._named(classes) not in COMPILATION_LOG.slowly:
             COMPILATION_LOG.slowly.append(self._named(classes))
-        return self._python_dispatcher  # type: ignore[no-any-return]  # Numba has no types
+        return self._python_dispatcher
 
     def _interpreted(self, *args: Any) -> Any:
         """The function as plain Python, with all that it calls."""

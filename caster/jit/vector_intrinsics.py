@@ -18,7 +18,7 @@ REALS = ir.VectorType(REAL, LANES)
 Builder = Any
 
 
-class VectorType(types.Type):  # type: ignore[misc]  # Numba has no types
+class VectorType(types.Type):
     """Numba's type of a vector."""
 
     def __init__(self) -> None:

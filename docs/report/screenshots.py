@@ -9,7 +9,6 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -63,8 +62,8 @@ def report_into(folder: Path) -> Path:
     files = sorted(SCENES.glob("*.toml"))
     entries = [many_scenes.SceneEntry(load_scene(file), file.stem, f"scenes/{file.name}") for file in files]
     report = HtmlReport(folder, len(entries))
-    judge = partial(many_scenes.judge_entry, page_of=partial(page_record, one_file=False))
-    for verdict in many_scenes.run(entries, many_scenes.default_workers(), judge=judge, record=report.keep):
+    options = many_scenes.JudgeOptions(page_of=page_record)
+    for verdict in many_scenes.run(entries, options, many_scenes.default_workers(), record=report.keep):
         report.add(verdict)
     report.write()
     return report.index

@@ -58,13 +58,13 @@ class ContestantProcess:
         settings, self.timeout = {**(environment or {}), "PYTHONPATH": import_path()}, timeout
         with os.fdopen(os.dup(2), "w") as notices:  # for what it compiles: all else that it says is captured
             fd = notices.fileno()
-            arguments = [json.dumps(asdict(work)), str(fd)]
-            self.process = ResidentProcess(command, arguments, settings, pass_fds=(fd,))
+            words = [*command, json.dumps(asdict(work)), str(fd)]
+            self.process = ResidentProcess(words, settings, pass_fds=(fd,))
 
     def request(self, **request: Any) -> Mapping[str, Any]:
         """The reply to {"do": ...}."""
         try:
-            line = self.process.request(json.dumps(request), self.timeout)
+            line = self.process.ask(json.dumps(request).encode(), self.timeout)
             reply: dict[str, Any] = json.loads(line)
         except ProcessEnded as ended:
             end = ended.end

@@ -1,8 +1,8 @@
-"""A contestant's process, which stays and answers requests, a line of JSON each, so that contestants can take turns.
+"""A contestant's process, which stays and answers requests, JSON each, so that contestants can take turns.
 
-python -m mitsuba_ref.bench.worker REPLIES WORK NOTICES
+python -m mitsuba_ref.bench.worker WORK NOTICES
 
-REPLIES: a pipe's number; WORK: Work as JSON; NOTICES: number of the file that compilation is reported to
+WORK: Work as JSON; NOTICES: number of the file that compilation is reported to
 """
 
 import gc
@@ -11,7 +11,6 @@ import os
 import statistics
 import sys
 import time
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -30,12 +29,12 @@ class Worker:
         self.work = work
         self.entry: Entry | None = None
 
-    def reply(self, line: str) -> str:
+    def reply(self, line: bytes) -> bytes:
         request = json.loads(line)
         try:
-            return json.dumps(getattr(self, request.pop("do"))(**request))
+            return json.dumps(getattr(self, request.pop("do"))(**request)).encode()
         except (CannotRun, ImportError) as reason:
-            return json.dumps({"why": " ".join(str(reason).split())})
+            return json.dumps({"why": " ".join(str(reason).split())}).encode()
 
     def build(self, size: int) -> dict[str, Any]:
         """A new contestant; the seconds that its build took."""
@@ -84,13 +83,13 @@ def peak_memory() -> int:
         return peak if sys.platform == "darwin" else peak * 1024
 
 
-def main(replies: int, work: Work, notices: int) -> None:
+def main(work: Work, notices: int) -> None:
     """Answer requests until stdin ends, on as many processors as the work may use."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, set(sorted(os.sched_getaffinity(0))[: work.threads]))
     with os.fdopen(notices, "w") as stream, compilation_reported(stream):
-        serve(partial(map, Worker(work).reply), replies)
+        serve(Worker(work).reply)
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), Work(**json.loads(sys.argv[2])), int(sys.argv[3]))
+    main(Work(**json.loads(sys.argv[1])), int(sys.argv[2]))

@@ -1,14 +1,10 @@
-"""`mitsuba-ref doctor`: what this machine has for the judge, and what each missing part would add; and `schema`.
-
-Mitsuba is imported in a child process: a bad libLLVM aborts the process that loads it.
-"""
+"""`mitsuba-ref doctor`: what this machine has for the judge, and the effect of each missing part; and `schema`."""
 
 import argparse
 import importlib.metadata
 import json
 import shutil
-import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from ctypes.util import find_library
 from pkgutil import resolve_name
 from typing import Any
@@ -16,7 +12,7 @@ from typing import Any
 from caster.cli import installation as caster_doctor
 from caster.cli.installation import Finding, Package, exit_code, find_package, format_json, print_findings, usable
 from caster.system.process import OK
-from mitsuba_ref.reference import subprocess_runner
+from mitsuba_ref.reference.variants import Variants, usable_variants
 
 __all__ = ["Finding", "exit_code", "format_json", "report", "usable"]
 
@@ -33,13 +29,6 @@ PEERS = (
 )
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
 BROWSERS = (*CHROMIUM, "firefox")
-PROBE_TIMEOUT_SECONDS = 60  # an import takes well under a second; a Mitsuba that hangs is a finding, too
-# describe_installation() -> {"variants": [the variants that work here], "libllvm": the path in use, or None, "why": ""}
-PROBE_SCRIPT = """
-import json
-from mitsuba_ref.reference.mitsuba_calls import describe_installation
-print(json.dumps(describe_installation()))
-"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -56,20 +45,37 @@ def report() -> list[Finding]:
     return [*caster_doctor.report(), *judge_findings()]
 
 
-def judge_findings(probe: Sequence[str] = (sys.executable, "-c", PROBE_SCRIPT)) -> list[Finding]:
-    """Find what the judge uses on top of the ray caster. probe: a command that prints what PROBE_SCRIPT prints."""
+def judge_findings() -> list[Finding]:
+    """Find what the judge uses on top of the ray caster."""
     versions = [_pinned(name) for name in PINNED]
     missing = [finding.name for finding in versions if not finding.found]
-    answer, problem = ({}, f"needs {' and '.join(missing)} first") if missing else _run_probe(probe)
     return [
         *versions,
-        _variants(answer, problem),
-        _llvm(answer),
+        *(_missing(missing) if missing else _variants(usable_variants())),
         _gpu(),
-        answer_store(),
+        kept_results(),
         *map(find_package, (MATPLOTLIB, *PEERS)),
         browser(),
     ]
+
+
+VARIANTS_ADD, LLVM_ADDS = "Mitsuba's own ray intersections", "speed: rays in batches, through Mitsuba's LLVM variant"
+
+
+def _missing(names: Sequence[str]) -> Iterator[Finding]:
+    detail = f"needs {' and '.join(names)} first"
+    yield Finding("variants", False, True, detail, VARIANTS_ADD)
+    yield Finding("libLLVM", False, False, detail, LLVM_ADDS)
+
+
+def _variants(found: Variants) -> Iterator[Finding]:
+    """The variants that work, each tried in a child process, and the libLLVM in use."""
+    detail = ", ".join(found.names) or "no variant of Mitsuba works"
+    why = f"; {found.why}" if found.why and not found.scalar else ""
+    yield Finding("variants", found.scalar, True, detail + why, VARIANTS_ADD)  # spheres need the scalar one
+    without = "none that Mitsuba's LLVM variant works with" + (f": {found.why}" if found.why else "")
+    way_out = "" if found.libllvm else "apt install libllvm19"
+    yield Finding("libLLVM", bool(found.libllvm), False, found.libllvm or without, LLVM_ADDS, way_out)
 
 
 def browser() -> Finding:
@@ -80,17 +86,17 @@ def browser() -> Finding:
     return Finding("browser", path is not None, False, detail, adds)
 
 
-def answer_store() -> Finding:
-    """Where answers of Mitsuba are kept, how many and how large."""
-    from mitsuba_ref.reference.answer_store import OFF, STORE_VARIABLE, local_store
+def kept_results() -> Finding:
+    """Where results are kept between runs, how many and how large."""
+    from mitsuba_ref.reference.store import OFF, STORE_VARIABLE, local_store
 
-    store, adds = local_store(), "`validate` without asking Mitsuba again about what has not changed"
+    store, adds = local_store(), "`validate` without judging again what has not changed"
     if store is None:
         return Finding("store", False, False, f"{STORE_VARIABLE} is {OFF}", adds)
     if why := store.refusal():
         return Finding("store", False, False, f"{store.folder}: not used: {why}", adds)
-    answers, size = store.use()
-    detail = f"{store.folder}: {answers} answers of Mitsuba, {size / 1e6:.0f} of {store.limit / 1e6:.0f} MB"
+    files, size = store.use()
+    detail = f"{store.folder}: {files} results, {size / 1e6:.0f} of {store.limit / 1e6:.0f} MB"
     return Finding("store", True, False, detail, adds)
 
 
@@ -106,47 +112,6 @@ def _pinned(name: str) -> Finding:
     return Finding(name, name == "mitsuba", True, detail, uses[name], INSTALL_COMMAND)
 
 
-def _run_probe(probe: Sequence[str]) -> tuple[dict[str, Any], str]:
-    """(description of Mitsuba, why there is none)"""
-    end = subprocess_runner.run(probe, PROBE_TIMEOUT_SECONDS)
-    if end.code is None:
-        return {}, f"no answer within {PROBE_TIMEOUT_SECONDS} s"
-    return _parse_description(end.output) if end.code == 0 else ({}, _exit_description(end.code, end.output))
-
-
-def _parse_description(output: str) -> tuple[dict[str, Any], str]:
-    """Of the last line that is one; Mitsuba may have printed warnings beside it."""
-    lines = output.splitlines() or [""]
-    last = next((line for line in reversed(lines) if line.startswith("{")), lines[-1])
-    try:
-        return dict(json.loads(last)), ""
-    except (ValueError, TypeError):
-        return {}, f"the answer was not a description: {last!r}"
-
-
-def _exit_description(code: int, output: str) -> str:
-    return ": ".join(
-        [f"importing Mitsuba ended with {subprocess_runner.exit_name(code)}", *output.strip().splitlines()[-1:]]
-    )
-
-
-def _variants(answer: dict[str, Any], problem: str) -> Finding:
-    names = answer.get("variants", [])
-    works = any(name.startswith("scalar") for name in names)  # spheres, disks and cylinders need that one
-    detail = ", ".join(names) or problem or "Mitsuba loads, but no variant of it works"
-    if not works and answer.get("why"):
-        detail += f"; {answer['why']}"
-    return Finding("variants", works, True, detail, "Mitsuba's own ray intersections")
-
-
-def _llvm(answer: dict[str, Any]) -> Finding:
-    path = answer.get("libllvm")
-    why = answer.get("why")
-    detail = path or "none that Mitsuba's LLVM variant works with" + (f": {why}" if why else "")
-    adds = "speed: rays in batches, through Mitsuba's LLVM variant"
-    return Finding("libLLVM", bool(path), False, detail, adds, "" if path else "apt install libllvm19")
-
-
 def _gpu() -> Finding:
     """Reported, though unused: the reference runs on the CPU, whether there is a GPU or not."""
     library = find_library("cuda")
@@ -159,7 +124,6 @@ def _gpu() -> Finding:
 # Result -> module and class of its model, for pkgutil.
 RESULTS = {
     "verdict": "mitsuba_ref.judge.verdict:Verdict",  # validate --json, merge --json, verdict.json
-    "scene-verdict": "mitsuba_ref.judge.verdict:SceneVerdict",  # a line of judged.jsonl
     "compare": "mitsuba_ref.exr_compare.comparison_result:FileComparison",
     "check": "mitsuba_ref.exr_compare.approved:ReferenceChecks",
     "bench": "mitsuba_ref.bench.result:Run",

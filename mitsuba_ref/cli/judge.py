@@ -18,7 +18,7 @@ from caster.cli.shared_arguments import (
 )
 from caster.description.errors import SceneError
 from caster.system.process import OK
-from mitsuba_ref.cli.options import HTML_SUFFIX, PRECISIONS, add_verdict_files, given_words, html_output
+from mitsuba_ref.cli.options import PRECISIONS, add_verdict_files, given_words
 from mitsuba_ref.cli.validate import check_outputs, exit_code, print_rows, write_results
 
 if TYPE_CHECKING:
@@ -154,9 +154,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     out_help = "write verdict.json, EXR files and reproducers into this folder"
     add("--out", metavar="DIR", type=OutputFolder, help=out_help)
     add_verdict_files(parser)
-    html_help = f"write a report: a folder, or one file if PATH ends in {HTML_SUFFIX}"
-    add("--html", metavar="PATH", type=html_output, help=html_help)
-    parser.set_defaults(resume=False)
+    add("--html", metavar="DIR", type=OutputFolder, help="write a report for the browser into this folder: index.html")
 
 
 def row_range(text: str) -> tuple[int, int | None]:
@@ -185,12 +183,8 @@ def run(args: argparse.Namespace) -> int:
     try:
         print_rows(running)
     finally:  # whatever ends the work, the results so far are written
-        verdict = running.verdict()
-        try:
-            write_results(running, args, time.perf_counter() - start)
-        finally:
-            running.finish_report(verdict)
-    return exit_code(verdict, running.errors)
+        write_results(running, args, time.perf_counter() - start)
+    return exit_code(running.verdict(), running.errors)
 
 
 def requested_scene(args: argparse.Namespace) -> Scene:

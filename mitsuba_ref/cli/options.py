@@ -3,20 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Protocol, TextIO, TypeVar
 
-from caster.cli.shared_arguments import (
-    InputPath,
-    OutputFile,
-    OutputFolder,
-    add_mesh_dirs,
-    display_names,
-    positive_int,
-    scene_files,
-)
+from caster.cli.shared_arguments import InputPath, OutputFile, add_mesh_dirs, display_names, positive_int, scene_files
 from caster.description.errors import SceneError, error_prefix, suggestion
 from caster.system.terminal import StatusLine
 
@@ -32,7 +23,6 @@ PRECISIONS = ("float32", "float64")
 MAX_SECONDS = 100_000.0  # a day; the system's waits take milliseconds in 31 bits, of some times as long
 BUILTIN_SETS = ("triangles", "spheres", "others", "all")  # folders of mitsuba_ref/runner/builtin, and all of them
 DEFAULT_SCENES = [InputPath("scenes")]
-HTML_SUFFIX = ".html"  # of --html: one file, and else a folder
 
 
 def whole(text: str) -> int:
@@ -142,7 +132,7 @@ def add_store(parser: argparse.ArgumentParser) -> None:
         "--no-store",
         dest="store",
         action="store_false",
-        help="ask Mitsuba about every scene, also where it answered the very same request in an earlier run",
+        help="judge every scene and ask Mitsuba, also where an earlier run has the result of the very same inputs",
     )
 
 
@@ -198,10 +188,6 @@ def requested_candidate(args: argparse.Namespace, *, takes_rays: bool = False) -
     for name in ("candidate_precision", "candidate_timeout") if args.candidate is None else ():
         for word in given_words(args, name)[:1]:
             raise SceneError(f"{word}: expected --candidate X beside it, whose {word[12:]} it is")
-    if args.candidate is not None and getattr(args, "resume", False):
-        raise SceneError(
-            "--resume: not with --candidate, whose program may have changed since; judge all scenes, or use shards"
-        )
     if args.candidate is not None and getattr(args, "thorough", False):
         raise SceneError("--thorough: not with --candidate, since the checks that it adds test our own caster")
     from mitsuba_ref.subjects.command import CommandSubject
@@ -295,11 +281,6 @@ def add_verdict_files(parser: argparse.ArgumentParser) -> None:
     add("--summary-md", metavar="FILE", type=OutputFile, help=help_)
 
 
-def html_output(text: str) -> str:
-    """The type of --html."""
-    return OutputFile(text) if text.lower().endswith(HTML_SUFFIX) else OutputFolder(text)
-
-
 def check_verdict_files(args: argparse.Namespace) -> None:
     """Raise OutputError before any work where a file cannot be written."""
     from caster.system.atomic_files import check_writable
@@ -312,6 +293,7 @@ def write_verdict_files(verdict: Verdict, args: argparse.Namespace, seconds: flo
     """Write --json, --junit and --summary-md. Raises OutputError."""
     from caster.system.atomic_files import write_text
     from mitsuba_ref.report.ci_summaries import append, junit
+    from mitsuba_ref.report.out_folder import verdict_json
 
     if args.json:
         write_text(args.json, verdict_json(verdict))
@@ -319,11 +301,6 @@ def write_verdict_files(verdict: Verdict, args: argparse.Namespace, seconds: flo
         write_text(args.junit, junit(verdict))
     if args.summary_md:
         append(args.summary_md, verdict, seconds)
-
-
-def verdict_json(verdict: Verdict) -> str:
-    """The text of verdict.json."""
-    return json.dumps(verdict.to_dict(), indent=1, allow_nan=False) + "\n"
 
 
 # ---- experiments: fuzz, stress, bench ----

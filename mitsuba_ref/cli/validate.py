@@ -15,7 +15,6 @@ from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, pos
 from caster.description.errors import SceneError
 from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
 from mitsuba_ref.cli.options import (
-    HTML_SUFFIX,
     add_candidate,
     add_reading,
     add_selection,
@@ -24,13 +23,10 @@ from mitsuba_ref.cli.options import (
     add_timeout,
     add_verdict_files,
     check_verdict_files,
-    html_output,
     requested_candidate,
     selected_entries,
-    verdict_json,
     write_verdict_files,
 )
-from mitsuba_ref.judge import THOROUGH_CHECKS
 
 UNSUPPORTED_SCENE = "unsupported"  # of the judge, which takes long to load (tests/unit/test_cli_help.py compares)
 
@@ -49,8 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out", metavar="DIR", type=OutputFolder, help="write verdict.json, EXR files and reproducers into this folder"
     )
     add_verdict_files(parser)
-    html_help = f"write a report for the browser: a folder, or one file if PATH ends in {HTML_SUFFIX}"
-    add("--html", metavar="PATH", type=html_output, help=html_help)
+    add("--html", metavar="DIR", type=OutputFolder, help="write a report for the browser into this folder: index.html")
     add(
         "--expected",
         metavar="FILE",
@@ -64,16 +59,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--min-scenes", metavar="N", type=positive_int, default=0, help=help_)
     add("--maxfail", metavar="N", type=positive_int, help="stop after so many scenes that fail")
     add("--shard", metavar="I/N", type=shard, help="judge part I of N of the scenes, balanced by pixels")
-    add(
-        "--resume",
-        action="store_true",
-        help="reuse from --out what was judged of the very same scene, code, variant and options",
-    )
-    add(
-        "--thorough",
-        action="store_true",
-        help=f"also test our caster beyond the judged film: {', '.join(THOROUGH_CHECKS)}; compiles more kernels",
-    )
+    help_ = "also test our caster beyond the judged film (docs/method.md, Thorough); compiles more kernels"
+    add("--thorough", action="store_true", help=help_)
     add_timeout(parser)
     add_store(parser)
     add_candidate(parser)
@@ -105,27 +92,20 @@ def run(args: argparse.Namespace) -> int:
             print_conventions(candidate, entries[0])
         print_rows(running)
     finally:  # whatever ends the work, the results so far are written
-        verdict = running.verdict()
-        try:
-            write_results(running, args, time.perf_counter() - start)
-            if args.out and (removed := running.remove_obsolete(verdict).words(Path(args.out))):
-                print(removed, file=sys.stderr)
-        finally:
-            if removed := running.finish_report(verdict):
-                print(removed, file=sys.stderr)
-    return exit_code(verdict, running.errors)
+        write_results(running, args, time.perf_counter() - start)
+    return exit_code(running.verdict(), running.errors)
 
 
 def print_conventions(candidate: Subject, entry: SceneSource) -> None:
     """What a few rays of the first scene show of a candidate's conventions, before all scenes are judged."""
-    from mitsuba_ref.judge.independent_checks.ray_conventions import check_ray_conventions
+    from mitsuba_ref.judge.checks.ray_conventions import check_ray_conventions
     from mitsuba_ref.report.results import print_lines
 
     try:
         found = check_ray_conventions(candidate, entry.load().scene)
     except (SceneError, MemoryError):  # which the row of the scene names
         return
-    if not found.ok:
+    if found is not None and not found.ok:
         print_lines(f"conventions: {found.what} ({entry.name})\n", sys.stdout)
 
 
@@ -158,8 +138,6 @@ def check_outputs(args: argparse.Namespace) -> None:
     check_verdict_files(args)
     if getattr(args, "write_expected", None):
         check_writable(args.write_expected)
-    if args.resume and not args.out:
-        raise SceneError("--resume: expected --out DIR beside it, the folder of the run that is to go on")
 
 
 def run_options(args: argparse.Namespace) -> RunOptions:
@@ -173,7 +151,6 @@ def run_options(args: argparse.Namespace) -> RunOptions:
         args.maxfail,
         out,
         args.html,
-        args.resume,
         args.shard,
         args.timeout,
         args.store,
@@ -201,20 +178,19 @@ def print_rows(running: ValidationRun) -> None:
 
 def write_results(running: ValidationRun, args: argparse.Namespace, seconds: float) -> None:
     """Write the report files, then print failures and the summary."""
-    from caster.system.atomic_files import write_text
     from mitsuba_ref.report.results import print_lines
     from mitsuba_ref.report.verdict_text import failures_text, summary_text
 
     verdict = running.verdict()
-    if running.out:
-        write_text(running.out.folder / "verdict.json", verdict_json(verdict))
-        if not verdict.not_judged:
-            running.out.remove_journal()
-    write_verdict_files(verdict, args, seconds)
-    write_expected(verdict, args)
-    if failures := failures_text(verdict, report_page(args)):
-        print_lines(f"\n{failures}")
-    print_lines(f"\n{summary_text(verdict, seconds)}")
+    try:
+        write_verdict_files(verdict, args, seconds)
+        write_expected(verdict, args)
+        if failures := failures_text(verdict, report_page(args)):
+            print_lines(f"\n{failures}")
+        print_lines(f"\n{summary_text(verdict, seconds)}")
+    finally:
+        for removed in filter(None, running.finish()):
+            print(removed, file=sys.stderr)
 
 
 def write_expected(verdict: Verdict, args: argparse.Namespace) -> None:
@@ -231,9 +207,7 @@ def write_expected(verdict: Verdict, args: argparse.Namespace) -> None:
 
 def report_page(args: argparse.Namespace) -> str:
     """The HTML file to open, "" without --html."""
-    if not args.html:
-        return ""
-    return args.html if args.html.lower().endswith(HTML_SUFFIX) else str(Path(args.html) / "index.html")
+    return str(Path(args.html) / "index.html") if args.html else ""
 
 
 # ---- mitsuba-ref merge ----
@@ -247,11 +221,6 @@ def add_merge_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         help="of each shard: --json's file, or --out's folder",
     )
-    parser.add_argument(
-        "--other-versions",
-        action="store_true",
-        help="merge also shards that were judged with different versions of Mitsuba, libLLVM or libraries",
-    )
     add_verdict_files(parser)
 
 
@@ -259,17 +228,12 @@ def run_merge(args: argparse.Namespace) -> int:
     """Print failures and the summary; 0 all pass, 1 some do not or are missing, 3 not parts of one run."""
     from mitsuba_ref.report.results import print_lines
     from mitsuba_ref.report.verdict_text import failures_text, summary_text
-    from mitsuba_ref.runner.resume import read_verdict
-    from mitsuba_ref.runner.shards import merge_verdicts, other_processors, other_versions
+    from mitsuba_ref.runner.shards import merge_verdicts
+    from mitsuba_ref.runner.verdict_files import read_verdict
 
     check_verdict_files(args)
     places = [str(Path(place) / "verdict.json") if Path(place).is_dir() else place for place in args.verdicts]
-    parts = [(place, read_verdict(place)) for place in places]
-    verdict, missing = merge_verdicts(parts, any_versions=args.other_versions)
-    for difference in other_versions(parts):
-        print(f"{difference}: merged all the same, by --other-versions", file=sys.stderr)
-    for difference in other_processors(parts):
-        print(f"{difference}: merged; only last bits of Mitsuba's answers depend on it", file=sys.stderr)
+    verdict, missing = merge_verdicts([(place, read_verdict(place)) for place in places])
     seconds = sum(scene.seconds for scene in verdict.scenes if not scene.kept)
     write_verdict_files(verdict, args, seconds)
     if failures := failures_text(verdict):

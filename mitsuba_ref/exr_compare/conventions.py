@@ -18,8 +18,7 @@ from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import camera_axes, clip_planes
 from mitsuba_ref.error_model.tolerances import NEARLY_ALL
 from mitsuba_ref.exr_compare.exr_pair import LAYERS, SCENE_JSON, Array, stacked
-from mitsuba_ref.judge.scene_checks import pixel_centers
-from mitsuba_ref.reference.shared_input import clip_range, model_of, packed_float32, shared_rays
+from mitsuba_ref.reference.shared_input import clip_range, model_of, packed_float32, pixel_centers, shared_rays
 from mitsuba_ref.subjects.subject import CastRequest, NoAnswer
 
 DISTANCE, ALONG_Z, FROM_NEAR = "distance", "z", "near"

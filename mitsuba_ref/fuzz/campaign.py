@@ -24,7 +24,7 @@ from mitsuba_ref.fuzz.shrink import SHRINK_ATTEMPTS, Budget, smallest_case
 from mitsuba_ref.hard import DRAWN
 from mitsuba_ref.hard.family import Family, HardScene, scene_of
 from mitsuba_ref.hard.rays import RayBatch
-from mitsuba_ref.judge.independent_checks.knife_edges import prepared_scene
+from mitsuba_ref.judge.checks.knife_edges import prepared_scene
 from mitsuba_ref.judge.verdict import UNDECIDED, WRONG, SceneVerdict
 from mitsuba_ref.reference.mitsuba_process import ResidentSession
 from mitsuba_ref.reference.shared_input import SharedRays, packed_float32

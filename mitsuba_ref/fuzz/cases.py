@@ -23,7 +23,7 @@ from mitsuba_ref.fuzz.checks import SCENE_ERRORS, check_image, check_rays, excep
 from mitsuba_ref.fuzz.findings import FINDING_KINDS, Finding, Tally
 from mitsuba_ref.hard.family import scene_of
 from mitsuba_ref.hard.rays import RayBatch
-from mitsuba_ref.judge.independent_checks.knife_edges import prepared_scene
+from mitsuba_ref.judge.checks.knife_edges import prepared_scene
 from mitsuba_ref.report.reproducers import with_hex_floats
 
 Case = dict[str, Any]  # a scene as a scene file gives it, and under "ray" a single ray: o, d, t_min, t_max

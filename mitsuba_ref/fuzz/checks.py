@@ -17,8 +17,8 @@ from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import DEPTH_ULPS, UNIT_LENGTH_ATOL
 from mitsuba_ref.fuzz.findings import Finding, Tally
 from mitsuba_ref.hard.rays import RayBatch
-from mitsuba_ref.judge.independent_checks import knife_edges
-from mitsuba_ref.judge.independent_checks.knife_edges import (
+from mitsuba_ref.judge.checks import knife_edges
+from mitsuba_ref.judge.checks.knife_edges import (
     NearestHits,
     PreparedScene,
     cast_by_culling,
@@ -28,8 +28,8 @@ from mitsuba_ref.judge.independent_checks.knife_edges import (
     t_text,
     with_limits,
 )
-from mitsuba_ref.judge.independent_checks.public_routes import route_differences
-from mitsuba_ref.judge.independent_checks.scaling import exponents_of, scaling_differences
+from mitsuba_ref.judge.checks.routes import route_differences
+from mitsuba_ref.judge.checks.scaling import exponents_of, scaling_differences
 from mitsuba_ref.oracle.oracle import OutsideDomain
 from mitsuba_ref.reference.shared_input import pixel_of
 from mitsuba_ref.shapes.targets import Rng

@@ -33,7 +33,10 @@ from mitsuba_ref.judge.adjudication import (
     ratios_of_named,
     sample_rows,
 )
+from mitsuba_ref.judge.checks.mesh_files import files_of, for_mitsuba
 from mitsuba_ref.judge.comparison import (
+    CHECKS,
+    SURFACE_CHECKS,
     ImagePair,
     PixelPairs,
     SelfCheck,
@@ -47,7 +50,6 @@ from mitsuba_ref.judge.comparison import (
 )
 from mitsuba_ref.judge.defect_lookup import FeatureMeasurement, defect_of
 from mitsuba_ref.judge.diffuse import DiffuseComparison, diffuse_within_float64, judge_diffuse, shading_points
-from mitsuba_ref.judge.independent_checks.mesh_files import files_of, for_mitsuba
 from mitsuba_ref.judge.verdict import (
     AGREE,
     CLASSES,
@@ -80,6 +82,12 @@ WRONG_PIXELS_ADJUDICATED = 512
 MAX_KINDS_OF_SHAPES = 64  # shapes of a scene, up to which pixels of each are sampled by themselves
 
 RAYS_PER_BATCH = 1 << 14  # of a list, whose possible intersections are held at once
+
+
+def pixel_checks(*, ours: bool) -> tuple[str, ...]:
+    """Names of all checks of a pixel of our caster, or of a candidate that gives all that it can."""
+    checks = CHECKS if ours else SURFACE_CHECKS
+    return (*(check.name for check in checks), *(("diffuse",) if ours else ()), EXACT)
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from mitsuba_ref.error_model.tolerances import (
     SEPARATOR_CHANCE,
 )
 from mitsuba_ref.judge.adjudication import sample_rows
+from mitsuba_ref.judge.checks.shapes import unrounded_arrays
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
 from mitsuba_ref.judge.explanations import open_reason, subject_name
 from mitsuba_ref.judge.hypotheses import (
@@ -34,7 +35,6 @@ from mitsuba_ref.judge.hypotheses import (
     range_text,
     triangle_corners,
 )
-from mitsuba_ref.judge.scene_checks import unrounded_arrays
 from mitsuba_ref.judge.verdict import FAILING, REFERENCE_WRONG, UNDECIDED, WRONG
 from mitsuba_ref.shapes import kind_of
 

@@ -32,7 +32,7 @@ from mitsuba_ref.error_model.tolerances import (
 )
 from mitsuba_ref.judge.adjudication import sample_rows
 from mitsuba_ref.judge.classification import Judge
-from mitsuba_ref.judge.scene_checks import pixel_centers
+from mitsuba_ref.reference.shared_input import pixel_centers
 from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64
 
 SCREENED_PIXELS = 96  # at which a claim about the whole image is tried first

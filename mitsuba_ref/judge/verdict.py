@@ -12,7 +12,6 @@ from pydantic import ConfigDict, Field, PlainSerializer, TypeAdapter, computed_f
 from pydantic.dataclasses import dataclass
 
 from mitsuba_ref.error_model.tolerances import MIN_GROUPS
-from mitsuba_ref.judge import THOROUGH_CHECKS
 
 # The classes of a pixel, whoever is judged; `wrong` means that the subject is wrong. The last two fail.
 CLASSES = ("agree", "explained", "tie", "reference_wrong", "out_of_domain", "wrong", "undecided")
@@ -196,6 +195,7 @@ class SceneVerdict:
     command: str = "validate"  # that judged it: validate or judge
     rays: tuple[int, int] = (0, 0)  # first and end of the rays judged of a list, which fill `size`; (0, 0): a film
     thorough: bool = False  # the checks that a plain `validate` leaves out were to be made as well
+    left_out: tuple[str, ...] = ()  # names of those checks, where they were not made
     # what the verdict rests on, for the HTML report; None if it was not kept
     seen: Annotated[Any, Field(exclude=True)] = field(default=None, repr=False, compare=False)
 
@@ -204,12 +204,6 @@ class SceneVerdict:
     def ok(self) -> bool:
         """No problem, no failing pixel, every check within its bound, and more evidence than excuses."""
         return not self.problem and not self.failing and self.has_evidence and self.checks_pass
-
-    @computed_field  # type: ignore[prop-decorator]
-    @property
-    def left_out(self) -> tuple[str, ...]:
-        """Names of the checks of our caster that only --thorough makes; () of a candidate, and where none was made."""
-        return () if self.thorough or self.candidate or not self.checks else THOROUGH_CHECKS
 
     def ray_at(self, x: int, y: int) -> int | None:
         """The number in its list of the ray that a pixel stands for; None of a camera's film."""

@@ -1,34 +1,40 @@
-"""Requests to a Mitsuba process, its responses, and their exchange as files in a folder.
+"""Requests to a Mitsuba process and its responses, as bytes: a line of JSON, then the arrays as .npz.
 
-Arrays go into .npz, everything else into .json; no pickle, so that a half-written file is an error, not code.
+No pickle, so that garbled bytes are an error, not code.
 """
 
 import io
 import json
-import os
 import sys
+import tempfile
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import IO, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from caster.system.atomic_files import ScratchFolder
-from mitsuba_ref.reference.subprocess_runner import ProcessEnd, exit_name, import_path, run
+from mitsuba_ref.reference.subprocess_runner import (
+    ProcessEnd,
+    ProcessEnded,
+    ResidentProcess,
+    UnexpectedReply,
+    exit_name,
+    import_path,
+)
 
 RowLayout = dict[str, tuple[tuple[int, ...], type]]  # field -> shape of a row, dtype
 
-UNREADABLE_FILE_ERRORS = (
+MALFORMED_ERRORS = (
     OSError,
     ValueError,
     KeyError,
     TypeError,
     EOFError,
     zipfile.BadZipFile,
-)  # what a broken file raises
+)  # what malformed bytes raise
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,14 +59,16 @@ class TraceRequest:
         if self.more and (self.lights or self.sensor):
             raise ValueError("more: expected no lights and no sensor where there are several scenes")
 
-    def write(self, folder: Path) -> None:
+    def to_bytes(self) -> bytes:
+        """With absolute paths: the child runs in another folder."""
         more = tuple((xml.absolute(), first) for xml, first in self.more)
-        meshes = tuple(file.absolute() for file in self.mesh_files)  # read in another folder, as the scenes
-        _write(replace(self, xml=self.xml.absolute(), more=more, mesh_files=meshes), folder / "job")
+        meshes = tuple(file.absolute() for file in self.mesh_files)
+        return _to_bytes(replace(self, xml=self.xml.absolute(), more=more, mesh_files=meshes))
 
     @classmethod
-    def read(cls, folder: Path) -> "TraceRequest":
-        record = _read(folder / "job")
+    def from_bytes(cls, content: bytes) -> "TraceRequest":
+        """The inverse of `to_bytes`."""
+        record = _from_bytes(content)
         more = tuple((Path(xml), first) for xml, first in record["more"])
         meshes = tuple(Path(file) for file in record["mesh_files"])
         return cls(**(record | {"xml": Path(record["xml"]), "more": more, "mesh_files": meshes}))
@@ -127,35 +135,18 @@ class TraceResponse:
         rows = zip(corners, vertices, self.mesh_problems, strict=True)
         return tuple(LoadedMesh(c[..., :3], c[..., 3:6], c[..., 6:], v, problem) for c, v, problem in rows)
 
-    def write(self, folder: Path) -> None:
-        _write(self, folder / "answer")
-
-    @classmethod
-    def read(cls, folder: Path, rays: int) -> "TraceResponse":
-        """The response to a request of so many rays. Raises ValueError where it is missing, cut short or malformed."""
-        return cls._checked(lambda: _read(folder / "answer"), rays)
-
-    @classmethod
-    def _checked(cls, read: Callable[[], dict[str, Any]], rays: int) -> "TraceResponse":
-        try:
-            response = cls(**read())
-        except UNREADABLE_FILE_ERRORS as error:
-            raise ValueError(f"no whole answer: {type(error).__name__}: {error}") from error
-        response.check(rays)
-        return response
-
     def to_bytes(self) -> bytes:
-        """Of one file: a line of JSON, then the arrays as .npz."""
-        rest, arrays = _parts(self)
-        file = io.BytesIO()
-        np.savez(file, allow_pickle=False, **arrays)
-        return json.dumps(rest).encode() + b"\n" + file.getvalue()
+        return _to_bytes(self)
 
     @classmethod
     def from_bytes(cls, content: bytes, rays: int) -> "TraceResponse":
-        """The inverse of `to_bytes`. Raises ValueError as `read`."""
-        line, _, arrays = content.partition(b"\n")
-        return cls._checked(lambda: _record(json.loads(line), io.BytesIO(arrays)), rays)
+        """The response to a request of so many rays. Raises ValueError where it is cut short or malformed."""
+        try:
+            response = cls(**_from_bytes(content))
+        except MALFORMED_ERRORS as error:
+            raise ValueError(f"no whole answer: {type(error).__name__}: {error}") from error
+        response.check(rays)
+        return response
 
     def check(self, rays: int) -> None:
         """Raise ValueError unless every array has its length, dtype and range."""
@@ -212,34 +203,29 @@ class Crash:
 CHILD_COMMAND = (sys.executable, "-P", "-m", "mitsuba_ref.reference.mitsuba_process")
 
 
+def start(environment: Mapping[str, str], command: Sequence[str] = CHILD_COMMAND) -> ResidentProcess:
+    """A process that answers requests. Raises ProcessEnded while starts are refused."""
+    return ResidentProcess(command, {**environment, "PYTHONPATH": import_path()}, cwd=tempfile.gettempdir())
+
+
 def run_request(
-    request: TraceRequest,
-    timeout: float,
-    environment: Mapping[str, str] | None = None,
-    command: Sequence[str] = CHILD_COMMAND,
+    request: TraceRequest, timeout: float, environment: Mapping[str, str], command: Sequence[str] = CHILD_COMMAND
 ) -> TraceResponse | Crash:
     """Send one request to a process of its own, which is gone afterwards. environment: added to this process's."""
-    with ScratchFolder() as name:
-        folder = Path(name)
-        request.write(folder)
-        end = run(
-            [*command, name], timeout, cwd=folder, environment={**(environment or {}), "PYTHONPATH": import_path()}
-        )
-        return response_in(folder, request, end) if end.code == 0 else crash_of(end, timeout)
-
-
-def response_in(folder: Path, request: TraceRequest, end: ProcessEnd) -> TraceResponse | Crash:
-    """The response that a process wrote which ended, or answered, without an error."""
     try:
-        return TraceResponse.read(folder, len(request.o))
-    except ValueError as error:
-        return Crash("garbage", f"{end.output}\n{error}".strip(), exit_name(0), end.seconds)
+        with start(environment, command) as process:
+            reply = process.ask(request.to_bytes(), timeout)
+        return TraceResponse.from_bytes(reply, len(request.o))
+    except ProcessEnded as ended:
+        return crash_of(ended.end, timeout)
+    except (UnexpectedReply, ValueError) as error:
+        return crash_of(ProcessEnd(0, str(error), 0.0), timeout)
 
 
 def crash_of(end: ProcessEnd, timeout: float) -> Crash:
-    """A process's end as a result."""
+    """The end of a process as a result; one that ended well without a whole response answered garbage."""
     how = f"killed after {timeout:g} s" if end.code is None else exit_name(end.code)
-    return Crash(end.kind, end.output, how, end.seconds)
+    return Crash("garbage" if end.code == 0 else end.kind, end.output, how, end.seconds)
 
 
 def _check_rows(record: Any, count: int) -> None:
@@ -260,20 +246,14 @@ def _parts(record: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     return {name: value for name, value in values.items() if name not in arrays}, arrays
 
 
-def _write(record: Any, path: Path) -> None:
-    """Arrays first, then the .json by an atomic rename: where it is, the rest is whole."""
+def _to_bytes(record: Any) -> bytes:
     rest, arrays = _parts(record)
-    np.savez(path.with_suffix(".npz"), allow_pickle=False, **arrays)
-    path.with_suffix(".part").write_text(json.dumps(rest, default=str), encoding="utf-8")
-    os.replace(path.with_suffix(".part"), path.with_suffix(".json"))
+    file = io.BytesIO()
+    np.savez(file, allow_pickle=False, **arrays)
+    return json.dumps(rest, default=str).encode() + b"\n" + file.getvalue()
 
 
-def _read(path: Path) -> dict[str, Any]:
-    rest = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
-    with path.with_suffix(".npz").open("rb") as file:
-        return _record(rest, file)
-
-
-def _record(rest: dict[str, Any], arrays: IO[bytes]) -> dict[str, Any]:
-    with np.load(arrays, allow_pickle=False) as found:
-        return rest | {name: found[name] for name in found.files}
+def _from_bytes(content: bytes) -> dict[str, Any]:
+    line, _, arrays = content.partition(b"\n")
+    with np.load(io.BytesIO(arrays), allow_pickle=False) as found:
+        return json.loads(line) | {name: found[name] for name in found.files}

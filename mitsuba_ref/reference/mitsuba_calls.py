@@ -29,12 +29,6 @@ mi: Any = mitsuba
 dr: Any = drjit
 
 
-def describe_installation() -> dict[str, Any]:
-    """{"variants": those that work here, "libllvm": the path in use, or None, "why": why others do not work}."""
-    found = variants.usable_variants()
-    return {"variants": list(found.names), "libllvm": found.libllvm, "why": found.why}
-
-
 def trace_request(request: TraceRequest) -> TraceResponse:
     """Load the scene and trace the rays, in this process.
 

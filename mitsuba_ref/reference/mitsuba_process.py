@@ -1,33 +1,30 @@
 """Mitsuba processes: where Mitsuba is started, and where an abort, a hang or a refusal is the result of a request.
 
-A process that stays answers request after request: starting one takes ten times as long as a small scene. Nothing
-that it says but a whole response counts: after a crash, a time-out, a refusal or garbage the request is sent once
-more, to a process of its own, and the end of that one is the result.
+A process that stays answers request after request: starting one takes ten times as long as a small scene. After a
+crash, a time-out, a refusal or a malformed response the request is sent once more, to a process of its own, and the
+end of that one is the result.
 """
 
 import atexit
 import contextlib
 import gc
 import os
+import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
-from caster.system.atomic_files import ScratchFolder
-from caster.system.process import die_with_parent
 from mitsuba_ref.reference import messages, variants
-from mitsuba_ref.reference.answer_store import local_store, request_key, stored_response
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
-from mitsuba_ref.reference.subprocess_runner import ProcessEnded, ResidentProcess, import_path, serve
+from mitsuba_ref.reference.store import key_of, local_store, machine
+from mitsuba_ref.reference.subprocess_runner import ProcessEnded, ResidentProcess, UnexpectedReply, serve
 
 DEFAULT_TIMEOUT = 300.0  # seconds; a scene of 256 x 256 pixels takes one to three
 
-SERVE = "--serve"  # of the child's command line: a resident one
-DONE, REFUSED = "done", "refused"  # its replies, each before the folder of the request
 IDLE_SECONDS = 60.0  # without a request, after which a resident process ends by itself
 RESIDENT_BYTES = 1 << 30  # of memory, above which it is replaced; 200 MB are usual
 
@@ -62,13 +59,41 @@ def send_stored(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> Trac
     key = request_key(request) if store else ""
     if store is None or not key:
         return send_request(request, timeout)
-    stored = stored_response(store, key, len(request.o))
-    if stored is not None:
-        return stored
+    content = store.get(key)
+    with contextlib.suppress(ValueError):
+        if content is not None:
+            return replace(TraceResponse.from_bytes(content, len(request.o)), stored=True, seconds=0.0)
     response = send_request(request, timeout)
     if isinstance(response, TraceResponse):
         store.put(key, response.to_bytes())
     return response
+
+
+# The child's side, whose edits are other responses.
+SOURCES = (Path(messages.__file__).with_name("mitsuba_calls.py"), Path(messages.__file__))
+OUTSIDE = re.compile(r'="(/|~|[A-Za-z]:|[^"]*\.\.[/\\])')  # a value of XML that may name a file of another folder
+
+
+def request_key(request: TraceRequest) -> str:
+    """A hash of all that the response depends on; "" where a scene may name a file outside of its own folder."""
+    library = variants.environment_for(request.variant).get(variants.LIBLLVM_ENVIRONMENT_VARIABLE, "")
+    size = os.path.getsize(library) if os.path.exists(library) else ""
+    parts: list[str | bytes] = [repr(machine()), *(source.read_bytes() for source in SOURCES), f"{library} {size}"]
+    parts.append(repr((request.variant, request.lights, request.sensor, request.strict)))
+    for name in TraceRequest.ROWS:
+        array = getattr(request, name)
+        parts += [f"{name} {array.dtype} {array.shape}", array.tobytes()]
+    folders: dict[Path, int] = {}
+    for xml, first in ((request.xml, 0), *request.more):
+        if OUTSIDE.search(xml.read_text(encoding="utf-8")):
+            return ""
+        parts.append(f"scene {folders.setdefault(xml.parent, len(folders))} {xml.name} {first}")
+    for folder, number in folders.items():
+        for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+            parts += [f"{number} {path.relative_to(folder).as_posix()}", path.read_bytes()]
+    for file in request.mesh_files:
+        parts += [f"mesh {file.name}", file.read_bytes()]
+    return key_of(parts)
 
 
 _idle_sessions: list["ResidentSession"] = []
@@ -171,60 +196,45 @@ class ResidentSession:
 
     def send(self, request: TraceRequest, timeout: float = 60.0) -> TraceResponse | Crash:
         """The response to one request; each of the two processes that may be needed may take `timeout`."""
-        response = self._resident_response(request, timeout)
-        return send_alone(request, timeout) if response is None else response
-
-    def _resident_response(self, request: TraceRequest, timeout: float) -> TraceResponse | None:
-        """What the resident process responds; None for a refusal, or where it is closed because it did not respond."""
-        with ScratchFolder() as name, contextlib.ExitStack() as on_failure:
-            request.write(Path(name))
-            try:
-                process = self._process(request.variant)
-                on_failure.callback(process.close)  # also after Ctrl-C: it may be amid a request
-                status, _, of = process.request(name, timeout).partition(" ")
-                if of != name or status not in (DONE, REFUSED):
-                    return None
-                response = TraceResponse.read(Path(name), len(request.o)) if status == DONE else None
-            except (ProcessEnded, ValueError):
-                return None
-            on_failure.pop_all()
-            return response
+        try:
+            reply = self._process(request.variant).ask(request.to_bytes(), timeout)
+            return TraceResponse.from_bytes(reply, len(request.o))
+        except (ProcessEnded, UnexpectedReply, ValueError):
+            self.close()
+        return send_alone(request, timeout)
 
     def _process(self, variant: str) -> ResidentProcess:
         """The resident process of a variant, started if need be. Raises ProcessEnded while starts are refused."""
-        environment = {**variants.environment_for(variant), "PYTHONPATH": import_path()}
+        environment = variants.environment_for(variant)
         complete = {name: os.environ[name] for name in os.environ.keys() - UNUSED_VARIABLES} | environment
         process = self.processes.get(variant)
         if process and process.alive and self._environments[variant] == complete:
             return process
         if process:
             process.close()
-        process = ResidentProcess([*messages.CHILD_COMMAND, SERVE], environment=environment)
-        self.processes[variant], self._environments[variant] = process, complete
-        return process
+        self.processes[variant], self._environments[variant] = messages.start(environment), complete
+        return self.processes[variant]
 
 
-def main(folder: Path) -> int:
-    """The child's side of one request: read it in `folder`, write the response there. 1 where Mitsuba refuses it."""
+# ---- the child's side ----
+
+
+def respond(content: bytes) -> bytes:
+    """The response to a request. A request that Mitsuba refuses ends the process, with its message on stderr."""
     try:
         from mitsuba_ref.reference import mitsuba_calls
 
-        pieces = TraceRequest.read(folder).per_scene()
-        response = merge_responses([mitsuba_calls.trace_request(piece) for piece in pieces])
+        pieces = TraceRequest.from_bytes(content).per_scene()
+        return merge_responses([mitsuba_calls.trace_request(piece) for piece in pieces]).to_bytes()
     except (RuntimeError, ImportError) as refusal:
         print(refusal, file=sys.stderr, flush=True)
-        return 1
-    response.write(folder)
-    return 0
+        end_process(1)
 
 
-def replies(folders: Iterator[str]) -> Iterator[str]:
-    """The child's side of a ResidentSession: one reply a folder, until its memory has grown."""
-    for folder in folders:
-        yield f"{REFUSED if main(Path(folder)) else DONE} {folder}"
-        gc.collect()
-        if resident_bytes() > RESIDENT_BYTES:
-            return
+def is_large() -> bool:
+    """Whether the memory of this process has grown so much that it has to be replaced."""
+    gc.collect()
+    return resident_bytes() > RESIDENT_BYTES
 
 
 def resident_bytes() -> int:
@@ -237,18 +247,13 @@ def resident_bytes() -> int:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
-def run_child(arguments: Sequence[str]) -> int:
-    """The whole of a child process: requests until none comes, or the one in a folder; its exit code."""
-    if arguments[0] == SERVE:
-        serve(replies, int(arguments[1]), IDLE_SECONDS)
-        return 0
-    die_with_parent()
-    return main(Path(arguments[0]))
+def end_process(code: int) -> NoReturn:
+    """Without the end of the interpreter: what Dr.Jit does there has been seen to run on, with all written."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
 
 
 if __name__ == "__main__":
-    code = run_child(sys.argv[1:])
-    sys.stdout.flush()
-    sys.stderr.flush()
-    # Without the end of the interpreter: what Dr.Jit does there has been seen to run on, with all said and written.
-    os._exit(code)
+    serve(respond, IDLE_SECONDS, is_large)
+    end_process(0)

@@ -92,6 +92,13 @@ def pixel_of(scene: Scene, row: int) -> tuple[int, int]:
     return x0 + row % (x1 - x0), y0 + row // (x1 - x0)
 
 
+def pixel_centers(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """x and y of the window's pixel centres, row by row."""
+    x0, y0, x1, y1 = scene.film.crop or (0, 0, scene.film.width, scene.film.height)
+    y, x = np.meshgrid(np.arange(y0, y1) + 0.5, np.arange(x0, x1) + 0.5, indexing="ij")
+    return x.ravel(), y.ravel()
+
+
 # ---- scenes for Mitsuba ----
 
 # Clip planes of a sensor whose camera has none, in units of how far the scene reaches.

@@ -1,11 +1,8 @@
-"""Subprocess runner: child processes with a deadline, captured output and nothing left behind.
+"""Child processes with a deadline, captured output and nothing left behind.
 
-Four ways to run a command share one start and one end:
-
-- `run`: one-shot. Returns a `ProcessEnd`; a crash, a signal or a missed deadline is a result, not an exception.
-- `ResidentProcess`: a child that stays and answers requests, one line each. Its end is raised as `ProcessEnded`.
-- `BinaryProcess`: a child of somebody else that stays and answers requests in bytes, on its stdin and stdout.
-- `run_attached`: a child on this process's own terminal, which reports its result through a pipe.
+- `run` runs a command to its end. A crash, a signal or a missed deadline is a result, not an exception.
+- `ResidentProcess` stays and answers requests in bytes, on its stdin and stdout; `serve` is the side of our own
+  children. Its end is raised as `ProcessEnded`.
 
 Each child leads a process group, which is killed when the run ends, so that nothing it started survives. Captured
 output goes to a file: a pipe that nobody empties would block the writer. On Linux, a child that calls `die_with_parent`
@@ -18,19 +15,17 @@ import re
 import select
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO
 
 from caster.system.process import PARENT_VARIABLE, at_forced_exit, die_with_parent
 
 OUTPUT_HEAD_BYTES, OUTPUT_TAIL_BYTES = 1000, 3000  # of captured output that are kept
-MAX_REPLY_BYTES = 1 << 20  # of a line that answers a request
 REAP_SECONDS = 5.0  # for a killed process, or one that closed its pipe, to be gone
 ANSI_ESCAPE = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")
 PACKAGE_PARENT = Path(__file__).resolve().parents[2]  # the folder that the package lies in
@@ -133,38 +128,53 @@ def run(
         return ProcessEnd(code, captured(output), time.monotonic() - begin)
 
 
-class ResidentProcess:
-    """A child that answers requests line by line: requests on its stdin, replies on a pipe of its own.
+class UnexpectedReply(Exception):  # noqa: N818 - an outcome, not a mistake of the program
+    """Bytes of a child that are no reply; the text states what was expected."""
 
-    The number of that pipe's descriptor follows the command, then `arguments`. `serve` is the child's side. Close it,
-    or use it as a context.
+
+HEAD_BYTES = 8  # of a reply: its length
+
+
+def length_first(data: bytes) -> bytes:
+    """The bytes behind their number, a little-endian int64."""
+    return len(data).to_bytes(HEAD_BYTES, "little") + data
+
+
+def _length(head: bytes) -> int:
+    return int.from_bytes(head, "little")
+
+
+class ResidentProcess:
+    """A child that reads requests from its stdin and writes replies to its stdout; its stderr is captured.
+
+    Close it, or use it as a context.
     """
 
     def __init__(
         self,
         command: Sequence[str],
-        arguments: Sequence[str] = (),
         environment: Mapping[str, str] | None = None,
+        cwd: str | None = None,
         pass_fds: Sequence[int] = (),
     ) -> None:
+        """Raises OSError, ProcessEnded where it cannot be started."""
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 - it lives as long as the process
-        self._replies, writing = os.pipe()
-        self._answered = False
         try:
             self.process = _start(
-                [*command, str(writing), *arguments],
+                command,
                 self._output,
                 stdin=subprocess.PIPE,
-                cwd=tempfile.gettempdir(),
+                stdout=subprocess.PIPE,
+                cwd=cwd,
                 environment=environment,
-                pass_fds=(writing, *pass_fds),
+                pass_fds=pass_fds,
             )
         except BaseException:
-            os.close(self._replies)
             self._output.close()
             raise
-        finally:
-            os.close(writing)
+        assert self.process.stdin is not None and self.process.stdout is not None
+        self._stdin, self._stdout = self.process.stdin.fileno(), self.process.stdout.fileno()
+        os.set_blocking(self._stdin, False)
 
     def __enter__(self) -> "ResidentProcess":
         return self
@@ -174,92 +184,13 @@ class ResidentProcess:
 
     @property
     def alive(self) -> bool:
-        return self._replies >= 0 and self.process.poll() is None
-
-    @property
-    def output(self) -> str:
-        """What it printed since the reply before the last request."""
-        return captured(self._output)
-
-    def request(self, line: str, timeout: float) -> str:
-        """Send one line and return the line that answers it. Raises ProcessEnded; the process is then closed."""
-        begin = time.monotonic()
-        if self._answered:
-            os.lseek(self._output.fileno(), 0, os.SEEK_SET)  # the child writes at the same offset
-            os.ftruncate(self._output.fileno(), 0)
-        assert self.process.stdin is not None
-        try:
-            self.process.stdin.write(f"{line}\n".encode())
-            self.process.stdin.flush()
-        except BrokenPipeError:
-            raise ProcessEnded(self._ended(begin)) from None
-        reply = b""
-        while not reply.endswith(b"\n"):
-            left = max(begin + timeout - time.monotonic(), 0.0)
-            if not select.select([self._replies], [], [], left)[0]:
-                raise ProcessEnded(self._ended(begin, late=True))
-            received = os.read(self._replies, 65536)
-            if not received or len(reply) > MAX_REPLY_BYTES:
-                raise ProcessEnded(self._ended(begin))
-            reply += received
-        self._answered = True
-        return reply.decode().rstrip("\n")
-
-    def _ended(self, begin: float, *, late: bool = False) -> ProcessEnd:
-        """Close a process that did not answer: at its deadline at once, else after some seconds to end by itself."""
-        code: int | None = None
-        if not late:
-            try:
-                code = self.process.wait(REAP_SECONDS)
-            except subprocess.TimeoutExpired:
-                code = -signal.SIGKILL
-        _kill_and_reap(self.process)
-        end = ProcessEnd(code, self.output, time.monotonic() - begin)
-        self.close()
-        return end
-
-    def close(self) -> None:
-        """Kill it and close its pipes and files; a second call does nothing."""
-        if self._replies < 0:
-            return
-        _kill_and_reap(self.process)
-        assert self.process.stdin is not None
-        with contextlib.suppress(OSError):  # a request that was never read
-            self.process.stdin.close()
-        os.close(self._replies)
-        self._replies = -1
-        self._output.close()
-
-
-class UnexpectedReply(Exception):  # noqa: N818 - an outcome, not a mistake of the program
-    """Bytes of a child that are no reply; the text states what was expected."""
-
-
-HEAD_BYTES = 8  # of a reply in bytes: its length
-
-
-class BinaryProcess:
-    """A child that reads requests from its stdin and writes replies to its stdout; its stderr is captured."""
-
-    def __init__(self, command: Sequence[str]) -> None:
-        """Raises OSError, ProcessEnded where it cannot be started."""
-        self._output = tempfile.TemporaryFile()  # noqa: SIM115 - it lives as long as the process
-        try:
-            self.process = _start(
-                command, self._output, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=None, environment=None
-            )
-        except BaseException:
-            self._output.close()
-            raise
-        assert self.process.stdin is not None and self.process.stdout is not None
-        self._stdin, self._stdout = self.process.stdin.fileno(), self.process.stdout.fileno()
-        os.set_blocking(self._stdin, False)
-
-    @property
-    def alive(self) -> bool:
         return not self._output.closed and self.process.poll() is None
 
-    def request(self, data: bytes, timeout: float, length_of: Callable[[bytes], int]) -> bytes:
+    def ask(self, data: bytes, timeout: float) -> bytes:
+        """The reply of a child that calls `serve`. Raises ProcessEnded; the process is closed then."""
+        return self.request(length_first(data), timeout)[HEAD_BYTES:]
+
+    def request(self, data: bytes, timeout: float, length_of: Callable[[bytes], int] = _length) -> bytes:
         """Send `data`; the reply: HEAD_BYTES, and as many more as length_of says of them.
 
         Raises ProcessEnded, and UnexpectedReply, which length_of may raise; the process is closed then.
@@ -267,11 +198,13 @@ class BinaryProcess:
         begin = time.monotonic()
         try:
             return self._exchange(data, begin, timeout, length_of)
-        except BaseException:
+        except BaseException:  # also Ctrl-C: it may be amid a request
             self.close()
             raise
 
     def _exchange(self, data: bytes, begin: float, timeout: float, length_of: Callable[[bytes], int]) -> bytes:
+        os.ftruncate(self._output.fileno(), 0)  # what it printed beside earlier replies
+        os.lseek(self._output.fileno(), 0, os.SEEK_SET)  # the child writes at the same offset
         left, reply, expected = memoryview(data), bytearray(), HEAD_BYTES
         while left or len(reply) < expected:
             seconds = max(begin + timeout - time.monotonic(), 0.0)
@@ -279,13 +212,13 @@ class BinaryProcess:
             if not readable and not writable:
                 raise ProcessEnded(self._ended(begin, late=True))
             if readable:
-                received = os.read(self._stdout, 1 << 16)
+                received = os.read(self._stdout, 1 << 20)
                 if not received:
                     raise ProcessEnded(self._ended(begin))
                 reply += received
             elif writable:
                 try:
-                    left = left[os.write(self._stdin, left[: 1 << 16]) :]
+                    left = left[os.write(self._stdin, left[: 1 << 20]) :]
                 except BrokenPipeError:
                     raise ProcessEnded(self._ended(begin)) from None
             if len(reply) >= HEAD_BYTES and expected == HEAD_BYTES:
@@ -295,6 +228,7 @@ class BinaryProcess:
         return bytes(reply)
 
     def _ended(self, begin: float, *, late: bool = False) -> ProcessEnd:
+        """The end of a process that did not answer: at its deadline at once, else it has some seconds to end."""
         code: int | None = None
         if not late:
             try:
@@ -311,72 +245,38 @@ class BinaryProcess:
         _kill_and_reap(self.process)
         for pipe in (self.process.stdin, self.process.stdout):
             assert pipe is not None
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError):  # a request that was never read
                 pipe.close()
         self._output.close()
 
 
-class AttachedEnd(NamedTuple):
-    """How an attached process ended: its exit code, None if it was killed after an interruption; and its report."""
+def serve(
+    answer: Callable[[bytes], bytes], idle_seconds: float | None = None, done: Callable[[], bool] = lambda: False
+) -> None:
+    """The child's side of `ResidentProcess.ask`: replies until stdin ends, or `done` after a reply.
 
-    code: int | None
-    report: bytes
-
-
-def run_attached(
-    command: Callable[[int], Sequence[str]], environment: Mapping[str, str], interrupt_seconds: float
-) -> AttachedEnd:
-    """Run a command on this process's stdin, stdout and stderr, and read what it reports through a pipe.
-
-    command: from the descriptor's number, to which the child may write. Ctrl-C, SIGTERM and SIGHUP are passed on as
-    SIGINT; a child that runs on for `interrupt_seconds` after it is killed.
-    """
-    reading, writing = os.pipe()
-    child = subprocess.Popen(
-        command(writing),
-        env={**os.environ, **environment},
-        pass_fds=(writing,),
-        process_group=0,  # so that an interruption from the terminal comes by way of this process
-    )
-    os.close(writing)
-    try:
-        code = _wait_interruptibly(child, interrupt_seconds)
-    finally:
-        os.set_blocking(reading, False)  # what the child started may still hold the other end
-        with os.fdopen(reading, "rb") as pipe:
-            report = pipe.read() or b""
-    return AttachedEnd(code, report)
-
-
-def _wait_interruptibly(child: subprocess.Popen[bytes], interrupt_seconds: float) -> int | None:
-    for each in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(each) is not signal.SIG_IGN:
-            signal.signal(each, signal.default_int_handler)
-    try:
-        return child.wait()
-    except KeyboardInterrupt:
-        child.send_signal(signal.SIGINT)
-    try:
-        return child.wait(interrupt_seconds)
-    except (subprocess.TimeoutExpired, KeyboardInterrupt):
-        _kill_group(child.pid)
-        child.wait()
-        return None
-
-
-def serve(answer: Callable[[Iterator[str]], Iterable[str]], replies: int, idle_seconds: float | None = None) -> None:
-    """The child's side of `ResidentProcess`: a reply to each request line, until stdin, or `answer`, ends.
-
-    replies: the pipe's descriptor; idle_seconds: without a request, which end it, too.
+    idle_seconds: without a request, which end it, too. What else prints to stdout goes to stderr from here on.
     """
     die_with_parent()
-    for reply in answer(_request_lines(idle_seconds)):
-        os.write(replies, f"{reply}\n".encode())
+    replies = os.dup(1)
+    os.dup2(2, 1)
+    with os.fdopen(os.dup(0), "rb", buffering=0) as requests, os.fdopen(replies, "wb") as out:
+        while select.select([requests], [], [], idle_seconds)[0]:
+            request = _read(requests, _length(_read(requests, HEAD_BYTES)))
+            if not request:
+                return
+            out.write(length_first(answer(request)))
+            out.flush()
+            if done():
+                return
 
 
-def _request_lines(idle_seconds: float | None) -> Iterator[str]:
-    while select.select([sys.stdin], [], [], idle_seconds)[0] and (line := sys.stdin.readline()):
-        yield line.rstrip("\n")
+def _read(file: IO[bytes], count: int) -> bytes:
+    """So many bytes, or fewer where the file ends before."""
+    data = bytearray()
+    while len(data) < count and (more := file.read(count - len(data))):
+        data += more
+    return bytes(data)
 
 
 def import_path() -> str:

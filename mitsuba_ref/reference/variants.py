@@ -1,9 +1,6 @@
 """Mitsuba's variants: which of them work on this machine, found by tracing a small scene in a child process."""
 
-import contextlib
 import glob
-import hashlib
-import importlib.metadata
 import json
 import os
 import platform
@@ -12,15 +9,15 @@ import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
 from caster.description.errors import SceneError
-from caster.system import processor
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.reference import messages
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
+from mitsuba_ref.reference.store import key_of, machine, user_store
 
 SMOKE_TEST_TIMEOUT_SECONDS = 60.0  # it takes one or two
 
@@ -95,8 +92,6 @@ WAY_OUT = "`mitsuba-ref doctor` names a way out"
 SCALAR, LLVM = VARIANT_NAMES = ("scalar_rgb", "llvm_ad_rgb")
 VARIANT_ENVIRONMENT_VARIABLE = "MITSUBA_REF_VARIANT"  # use this one for every scene
 LIBLLVM_ENVIRONMENT_VARIABLE = "DRJIT_LIBLLVM_PATH"  # environment variable of Dr.Jit
-
-SOURCES = (Path(__file__),)
 
 # Dr.Jit takes the first it finds, which may be one whose code generator aborts. Newest first instead.
 LIBLLVM_PATTERNS = (
@@ -206,31 +201,17 @@ def _version(path: str) -> tuple[list[int], str]:
 
 def _cache_key(candidates: list[str]) -> str:
     """A hash of everything that the outcome depends on."""
-    parts = [*(file.read_text(encoding="utf-8") for file in SOURCES), platform.node(), processor.description()]
-    parts += [
-        os.environ.get(LIBLLVM_ENVIRONMENT_VARIABLE, ""),
-        installed_version("mitsuba"),
-        installed_version("drjit"),
-    ]
-    for path in candidates:
-        parts += [path, *_file_stamp(path)]
-    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
+    sources = [Path(__file__).read_text(encoding="utf-8"), platform.node(), repr(machine())]
+    libraries = [f"{path} {_file_stamp(path)}" for path in candidates]
+    return key_of([*sources, os.environ.get(LIBLLVM_ENVIRONMENT_VARIABLE, ""), *libraries])
 
 
-def installed_version(name: str) -> str:
-    """The version of a distribution; "none" where it is not installed."""
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return "none"
-
-
-def _file_stamp(path: str) -> list[str]:
+def _file_stamp(path: str) -> str:
     try:
         status = os.stat(path)
     except OSError:
-        return ["missing"]
-    return [str(status.st_size), str(status.st_mtime_ns)]
+        return "missing"
+    return f"{status.st_size} {status.st_mtime_ns}"
 
 
 def _try_variants(candidates: list[str], key: str) -> Variants:
@@ -249,37 +230,18 @@ def _try_variants(candidates: list[str], key: str) -> Variants:
     found = Variants(not scalar, library is not None, library, "; ".join(problems))
     # A Mitsuba that cannot be imported may be half installed; the other two, a machine that is busy or out of memory.
     if not scalar.startswith("error") and not any(word in found.why for word in ("timeout", "SIGKILL")):
-        _store_cached(key, found)
+        user_store().put(key, json.dumps(asdict(found)).encode())
     return found
 
 
-def _cache_file(key: str) -> Path:
-    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    return Path(home) / "caster" / "variants" / f"{key}.json"
-
-
 def _load_cached(key: str, candidates: list[str]) -> Variants | None:
-    """The cached outcome; None where there is none that can be read, or its library is none of the candidates.
+    """The outcome that was kept; None where there is none that can be read, or its library is none of the candidates.
 
-    The library is loaded, which runs its code: a path that only the file names is not taken.
+    The library is loaded, which runs its code: a path that only the store names is not taken.
     """
     try:
-        values: dict[str, Any] = json.loads(_cache_file(key).read_text(encoding="utf-8"))
-        found = Variants(**values)
-    except (OSError, ValueError, TypeError, RecursionError):
+        found = TypeAdapter(Variants).validate_json(user_store().get(key) or b"")
+    except ValidationError:
         return None
-    library = found.libllvm in candidates if found.llvm is True else found.llvm is False and found.libllvm is None
-    return found if isinstance(found.scalar, bool) and isinstance(found.why, str) and library else None
-
-
-def _store_cached(key: str, found: Variants) -> None:
-    """Keep the outcome; where that fails, the next process takes a second or two to find it again."""
-    file = _cache_file(key)
-    part = file.with_suffix(f".{os.getpid()}")
-    try:
-        file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        part.write_text(json.dumps(asdict(found)), encoding="utf-8")
-        os.replace(part, file)
-    except OSError:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
+    library = found.libllvm in candidates if found.llvm else found.libllvm is None
+    return found if library else None

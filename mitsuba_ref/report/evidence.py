@@ -16,11 +16,11 @@ from caster.image.exr import write_exr
 from caster.scene.model import Scene
 from mitsuba_ref.cameras.camera_reference import camera_axes
 from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound
+from mitsuba_ref.judge.checks.exr_files import WrittenImage, check_exr_files, stored_planes
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
 from mitsuba_ref.judge.comparison import CHECKS
 from mitsuba_ref.judge.diagnosis import Diagnosis
 from mitsuba_ref.judge.explanations import constant_reasons, reason
-from mitsuba_ref.judge.independent_checks.exr_round_trip import WrittenImage, check_exr_files, stored_planes
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, SceneCheck
 
 Channels = Mapping[str, np.ndarray]

@@ -1,35 +1,24 @@
-"""The HTML report, written scene by scene, as a folder or as one file."""
+"""The HTML report, a folder that is written scene by scene."""
 
 import html
 import json
 import re
 import threading
 import time
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from urllib.parse import quote
 
 from caster.description.input_files import opened_input
-from caster.system.atomic_files import (
-    OutputError,
-    ScratchFolder,
-    atomic_write,
-    check_folder,
-    check_writable,
-    write_text,
-)
+from caster.system.atomic_files import OutputError, atomic_write, check_folder, write_text
 from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, WRONG, SceneVerdict, json_number
 from mitsuba_ref.report.evidence import Evidence
-from mitsuba_ref.report.output_manifest import ManifestEntry, OutputManifest, RemovedFiles
 from mitsuba_ref.report.reproducers import replay, replay_around
-from mitsuba_ref.report.scene_record import PIXEL_LAYERS, SceneRecord, scene_record
+from mitsuba_ref.report.scene_record import SceneRecord, scene_record
 from mitsuba_ref.report.verdict_text import class_text, failure_text, group_lines, mark_of
-
-# One file: opens within two seconds on a small machine, and is accepted by mail and CI servers.
-ONE_FILE_LIMIT_BYTES = 25_000_000
 
 # Pixels of a scene up to which everything is written to the bit (80 MB), and up to which as float32 (as much again).
 # Beyond, browsers run out of memory.
@@ -37,120 +26,63 @@ MAX_PIXELS_EXACT = 1 << 20
 MAX_PIXELS_WITH_IMAGES = 1 << 22
 SECONDS_BETWEEN_WRITES = 2.0  # of the list, during a run
 
-
-class WrittenScene(NamedTuple):
-    """Files and sizes of one scene's record."""
-
-    file: str  # in the folder data; "" for nothing
-    thumbnail: str
-    sizes: dict[str, int]  # bytes of each part of its record
-
-
 WAIVED_WORDS = {"KNOWN": "known to fail", "SKIP": "declined by the candidate"}  # by the mark of the row
-NOTHING_WRITTEN = WrittenScene("", "", {})
-
-
-def refuse_page_of_others(index: Path) -> None:
-    """Raise OutputError for an existing file that is no report."""
-    if not index.exists():
-        return
-    with opened_input(index, "page") as (file, _):
-        start = file.read(4096)
-    if b"<title>ray-reference" not in start:
-        raise OutputError(f"{index}: exists, and is no report of validate; choose another folder")
+RECORD_HEAD = "ray_reference_scene("  # what the file of a scene begins with
 
 
 class HtmlReport:
     """Writes verdicts as pages. `keep` may be called from several threads, the other methods from one."""
 
     def __init__(self, path: str | Path, requested: int, candidate: str = "") -> None:
-        """path: a folder, or a file if it ends in .html. candidate: judged in place of our caster, where that is
-        known before the first verdict. Raises OutputError where nothing can be written."""
-        self.path, self.requested = Path(path).absolute(), requested
-        self.one_file = self.path.suffix.lower() == ".html"
-        self.candidate = candidate
+        """path: a folder. candidate: judged in place of our caster, where that is known before the first verdict.
+
+        Raises OutputError where nothing can be written, or where another page is there.
+        """
+        self.path, self.requested, self.candidate = Path(path).absolute(), requested, candidate
+        self.index = self.path / "index.html"
+        if self.path.suffix.lower() == ".html":
+            raise OutputError(f"{path}: a report is a folder, expected a name such as {Path(path).with_suffix('')}")
+        refuse_page_of_others(self.index)
+        self.data = check_folder(check_folder(self.path) / "data")
         self.rows: list[dict[str, Any]] = []
         self.verdicts: list[SceneVerdict] = []
-        self._kept: dict[str, WrittenScene] = {}
+        self._thumbnails: dict[str, str] = {}  # of the scenes whose record is written
         self._lock = threading.Lock()
         self._written = float("-inf")
-        if self.one_file:
-            check_writable(self.path)
-            self._temporary = ScratchFolder()
-            self.data = Path(self._temporary.name)
-        else:
-            refuse_page_of_others(self.path / "index.html")
-            self.data = check_folder(check_folder(self.path) / "data")
-        self._data = OutputManifest(self.data)
-
-    @property
-    def index(self) -> Path:
-        """The file to open."""
-        return self.path if self.one_file else self.path / "index.html"
-
-    def holds(self, verdict: SceneVerdict) -> bool:
-        """Whether the record of a verdict of the same inputs is in the folder; never in one file."""
-        return verdict.pixels > MAX_PIXELS_WITH_IMAGES or self.one_file or self._of_earlier(verdict) is not None
-
-    def _of_earlier(self, verdict: SceneVerdict) -> ManifestEntry | None:
-        if self.one_file or not verdict.inputs:
-            return None
-        return self._data.unchanged(file_of(verdict), inputs=verdict.inputs)
 
     def keep(self, verdict: SceneVerdict) -> SceneVerdict:
         """Write down what a verdict rests on, and give it back without. Raises OutputError."""
-        before = self._of_earlier(verdict) if verdict.kept else None
-        if before is not None:
-            self._data.add(verdict.name, [file_of(verdict)], **before.labels)
+        found = page_record(verdict) if isinstance(verdict.seen, Evidence) else verdict.seen
+        if found is not None:
+            about = {"verdict": verdict.to_dict(), **found.about}
+            parts = {"about": as_json(about)} | {name: as_json(each) for name, each in found.layers.items()}
+            write_text(self.data / file_of(verdict.name), record_script(verdict.name, parts))
             with self._lock:
-                self._kept[verdict.name] = WrittenScene(file_of(verdict), before.labels.get("thumbnail", ""), {})
-        seen = verdict.seen
-        found = page_record(verdict, one_file=self.one_file) if isinstance(seen, Evidence) else seen
-        if found is None:
-            return replace(verdict, seen=None)
-        about = {"verdict": verdict.to_dict(), **found.about}
-        parts = {"about": as_json(about)} | {name: as_json(each) for name, each in found.layers.items()}
-        file = file_of(verdict)
-        text = record_lines(parts) if self.one_file else record_script(verdict.name, parts)
-        write_text(self.data / file, text)
-        self._data.add(verdict.name, [file], inputs=verdict.inputs, thumbnail=found.thumbnail)
-        sizes = {name: len(text.encode()) for name, text in parts.items()}
-        with self._lock:
-            self._kept[verdict.name] = WrittenScene(file, found.thumbnail, sizes)
+                self._thumbnails[verdict.name] = found.thumbnail
         return replace(verdict, seen=None)
 
     def add(self, verdict: SceneVerdict) -> None:
         """Append a scene to the list; the list is written every few seconds. Raises OutputError."""
-        kept = self._kept.get(verdict.name, NOTHING_WRITTEN)
+        thumbnail = self._thumbnails.get(verdict.name)
         self.candidate = self.candidate or verdict.candidate
-        self.rows.append(index_row(verdict, kept.file, kept.thumbnail))
+        self.rows.append(index_row(verdict, file_of(verdict.name) if thumbnail is not None else "", thumbnail or ""))
         self.verdicts.append(replace(verdict, seen=None))
-        if not self.one_file and time.monotonic() - self._written > SECONDS_BETWEEN_WRITES:
+        if time.monotonic() - self._written > SECONDS_BETWEEN_WRITES:
             self.write()
 
     def write(self) -> None:
         """Write the page of all scenes added so far. Raises OutputError."""
-        run = self._run()
-        scenes: Iterator[str] = iter(())
-        if self.one_file:
-            room = ONE_FILE_LIMIT_BYTES - sum(len(text.encode()) for text in page(run, self.rows))
-            listed = [each["name"] for each in self.rows]
-            sizes = {name: self._kept[name].sizes for name in listed if name in self._kept}
-            chosen = choose(self.rows, sizes, room, PIXEL_LAYERS)
-            run["left_out"] = left_out(sizes, chosen)
-            scenes = elements(self.data, self.rows, chosen)
         with atomic_write(self.index) as part, part.open("w", encoding="utf-8") as file:
-            file.writelines(page(run, self.rows, scenes))
+            file.writelines(page(self._run(), self.rows))
         self._written = time.monotonic()
 
-    def sweep(self, spared: Collection[str] = ()) -> RemovedFiles:
-        """Remove scenes of earlier reports that this page does not list, except these. Raises OutputError."""
-        return RemovedFiles() if self.one_file else self._data.sweep(lambda scene: scene in spared)
-
-    def close(self) -> None:
-        """Remove temporary files."""
-        if self.one_file:
-            self._temporary.cleanup()
+    def sweep(self, spared: Collection[str] = ()) -> str:
+        """Remove scenes of earlier reports that this page does not list, except these; their number in words."""
+        listed = {row["file"] for row in self.rows} | {file_of(name) for name in spared}
+        obsolete = [path for path in self.data.glob("*.js") if path.name not in listed and is_record(path)]
+        for path in obsolete:
+            path.unlink(missing_ok=True)
+        return f"{self.path}: removed {len(obsolete)} scenes of an earlier report" if obsolete else ""
 
     def _run(self) -> dict[str, Any]:
         passed = sum(each["ok"] for each in self.rows)
@@ -165,97 +97,55 @@ class HtmlReport:
             "candidate": self.candidate,
             "requested": self.requested,
             "classes": [*CLASSES, UNLISTED],
-            "one_file": self.one_file,
-            "most_bytes": ONE_FILE_LIMIT_BYTES,
-            "left_out": {},
             "common": [" ".join(line.split()) for line in group_lines(self.verdicts)],
         }
 
 
-def page_record(verdict: SceneVerdict, *, one_file: bool) -> SceneRecord | None:
-    """What a page of a scene shows of its evidence; None for a film too large. one_file: of a report in one file."""
+def refuse_page_of_others(index: Path) -> None:
+    """Raise OutputError for an existing file that is no report."""
+    if not index.exists():
+        return
+    with opened_input(index, "page") as (file, _):
+        start = file.read(4096)
+    if b"<title>ray-reference" not in start:
+        raise OutputError(f"{index}: exists, and is no report of validate; choose another folder")
+
+
+def is_record(path: Path) -> bool:
+    """Whether a file was written by a report."""
+    with path.open(encoding="utf-8", errors="replace") as file:
+        return file.read(len(RECORD_HEAD)) == RECORD_HEAD
+
+
+def page_record(verdict: SceneVerdict) -> SceneRecord | None:
+    """What a page of a scene shows of its evidence; None for a film too large."""
     if verdict.seen is None or verdict.pixels > MAX_PIXELS_WITH_IMAGES:
         return None
-    rounded = (one_file and verdict.ok) or verdict.pixels > MAX_PIXELS_EXACT
-    return scene_record(verdict.seen, exact=not rounded)
+    return scene_record(verdict.seen, exact=verdict.pixels <= MAX_PIXELS_EXACT)
 
 
-def file_of(verdict: SceneVerdict) -> str:
+def file_of(scene: str) -> str:
     """Name of a scene's record in the folder data."""
-    return f"{quote(verdict.name, safe=' ')}.js"
+    return f"{quote(scene, safe=' ')}.js"
 
 
 def record_script(name: str, parts: Mapping[str, str]) -> str:
     """A script that passes a scene's record to the page."""
     inside = ",\n".join(f"{as_json(part)}:{text}" for part, text in parts.items())
-    return f"ray_reference_scene({as_json(name)},{{\n{inside}\n}});\n"
+    return f"{RECORD_HEAD}{as_json(name)},{{\n{inside}\n}});\n"
 
 
 def write_report(path: str | Path, verdicts: Sequence[SceneVerdict], requested: int) -> Path:
     """Write a whole report; returns the file to open. Raises OutputError."""
     report = HtmlReport(path, requested)
-    try:
-        for verdict in verdicts:
-            report.add(report.keep(verdict))
-        report.write()
-        report.sweep()
-    finally:
-        report.close()
+    for verdict in verdicts:
+        report.add(report.keep(verdict))
+    report.write()
+    report.sweep()
     return report.index
 
 
-# ---- the page: template, index of scenes, and for one file the records that fit into it ----
-
-ABOUT_PART = "about"  # the part that all others need
-
-# Of each part: the element around it, or its name in the list of omitted parts.
-ELEMENT_OVERHEAD_BYTES = 200
-
-Sizes = Mapping[str, Mapping[str, int]]  # scene -> part -> bytes
-Chosen = set[tuple[str, str]]  # scene, part
-
-
-def choose(rows: Sequence[Mapping[str, Any]], sizes: Sizes, room: int, layers: Sequence[str]) -> Chosen:
-    """Parts that fit into `room` bytes: all of the failing scenes first, then of the others layer by layer."""
-    chosen: Chosen = set()
-    room -= ELEMENT_OVERHEAD_BYTES * sum(map(len, sizes.values()))
-    for scene, part in _in_order(rows, layers):
-        size = sizes.get(scene, {}).get(part)
-        if size is not None and size <= room and (part == ABOUT_PART or (scene, ABOUT_PART) in chosen):
-            chosen.add((scene, part))
-            room -= size
-    return chosen
-
-
-def _in_order(rows: Sequence[Mapping[str, Any]], layers: Sequence[str]) -> Iterator[tuple[str, str]]:
-    failing = [row["name"] for row in rows if not row["ok"]]
-    passing = [row["name"] for row in rows if row["ok"]]
-    yield from ((scene, ABOUT_PART) for scene in (*failing, *passing))
-    yield from ((scene, layer) for scene in failing for layer in layers)
-    yield from ((scene, layer) for layer in layers for scene in passing)
-
-
-def left_out(sizes: Sizes, chosen: Chosen) -> dict[str, list[str]]:
-    """Scene -> its omitted parts."""
-    missing = {scene: [part for part in parts if (scene, part) not in chosen] for scene, parts in sizes.items()}
-    return {scene: parts for scene, parts in missing.items() if parts}
-
-
-def record_lines(parts: Mapping[str, str]) -> str:
-    """A scene's record in a temporary file: one line per part."""
-    return "".join(f"{name} {text}\n" for name, text in parts.items())
-
-
-def elements(folder: Path, rows: Sequence[Mapping[str, Any]], chosen: Chosen) -> Iterator[str]:
-    """Inert script elements, one per part, which the page reads on demand."""
-    for row in rows:
-        if not row["file"]:
-            continue
-        for line in (folder / row["file"]).read_text(encoding="utf-8").splitlines():
-            part, text = line.split(" ", 1)
-            if (row["name"], part) in chosen:
-                scene = quote(row["name"])
-                yield f'<script type="application/json" data-scene="{scene}" data-part="{part}">{text}</script>\n'
+# ---- the page ----
 
 
 # Plain scripts of the folder `page`, in this order, in one scope: a page opened from a file may not load modules.
@@ -265,15 +155,14 @@ SCRIPTS = (
 )  # fmt: skip
 
 
-def page(run: dict[str, Any], rows: Sequence[dict[str, Any]], scenes: Iterable[str] = ()) -> Iterator[str]:
-    """The page in pieces. run: data of the whole run; rows: of the index; scenes: elements to include."""
+def page(run: dict[str, Any], rows: Sequence[dict[str, Any]]) -> Iterator[str]:
+    """The page in pieces. run: data of the whole run; rows: of the index."""
     index = run | {"scenes": [{key: each for key, each in row.items() if key != "thumbnail"} for row in rows]}
     before, between, after = _template()
     yield before
     yield _plain_table(run, rows)
     yield between
     yield f'<script type="application/json" id="index">{as_json(index)}</script>\n'
-    yield from scenes
     yield after
 
 
@@ -332,12 +221,7 @@ def _plain_row(place: int, row: dict[str, Any], classes: Sequence[str]) -> str:
     name = f"<strong>{html.escape(row['name'])}</strong>"
     if row["failure"]:
         name += f"<pre>{html.escape(row['failure'])}</pre>"
-    counts = [
-        f"{row['hit']}",
-        *(f"{row['counts'][each]}" for each in classes),
-        worst,
-        "kept" if row["kept"] else f"{row['seconds']:.1f}",
-    ]
+    counts = [f"{row['hit']}", *(f"{row['counts'][each]}" for each in classes), worst, f"{row['seconds']:.1f}"]
     mark = row["mark"]
     cells = "".join(f"<td>{cell}</td>" for cell in [thumbnail, mark, name, *counts])
     return f'<tr class="{mark.lower()}" data-place="{place}">{cells}</tr>'
@@ -364,7 +248,6 @@ def index_row(verdict: SceneVerdict, file: str, thumbnail: str) -> dict[str, Any
         "worst": [check, json_number(ratio)],
         "ratios": {name: json_number(share) for name, share in verdict.ratios.items()},
         "seconds": round(verdict.seconds, 2),
-        "kept": verdict.kept,
         "failed_at": sorted({each.check for each in verdict.failures} | _failed_checks(verdict)),
         "failure": "" if verdict.ok else re.sub("^FAIL", mark_of(verdict), failure_text(verdict), flags=re.MULTILINE),
         "replay": replay(verdict),

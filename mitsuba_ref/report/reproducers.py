@@ -3,7 +3,7 @@
 import re
 import shlex
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace as with_fields
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,9 +18,10 @@ from caster.scene.export import SECTION_ORDER, format_toml
 from caster.scene.model import Film, Scene
 from caster.system.atomic_files import write_text
 from mitsuba_ref.error_model.lambert import direction_to_light
+from mitsuba_ref.judge.checks.knife_edges import AimedFailure
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judge, Judgement, scene_judge
 from mitsuba_ref.judge.explanations import format_primitive, pixel_answers, reproducer_header
-from mitsuba_ref.judge.independent_checks.knife_edges import AimedFailure
+from mitsuba_ref.judge.pipeline import Seen
 from mitsuba_ref.judge.verdict import CLASSES, REFERENCE_WRONG, UNLISTED, WRONG, Failure, SceneVerdict
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.shared_input import pixel_of
@@ -140,8 +141,22 @@ class StoredReproducers(NamedTuple):
     left_out: int  # pixels of the same classes without a file
 
 
-def write_reproducers(folder: Path, name: str, judge: Judge, judgement: Judgement, source: str) -> StoredReproducers:
-    """NAME.CASE.X-Y.toml for pixels where ours or the reference is wrong, some for each case. Raises OutputError."""
+def write_reproducers(folder: Path, name: str, source: str, seen: Seen, first_ray: int = 0) -> StoredReproducers:
+    """Files of single rays that fail: of our caster, or of the answers to a list of rays. Raises OutputError.
+
+    first_ray: number of the first ray of that list.
+    """
+    if seen.judge.pair.rays.is_list:
+        return _write_list_reproducers(folder, name, seen, first_ray)
+    if not seen.judge.names_prims:
+        return StoredReproducers((), 0)
+    pixels = _write_pixel_reproducers(folder, name, source, seen)
+    return StoredReproducers((*pixels.files, *_write_aimed(folder, name, source, seen.wrong_rays)), pixels.left_out)
+
+
+def _write_pixel_reproducers(folder: Path, name: str, source: str, seen: Seen) -> StoredReproducers:
+    """NAME.CASE.X-Y.toml for pixels where ours or the reference is wrong, some for each case."""
+    judge, judgement = seen.judge, seen.judgement
     files: list[str] = []
     left_out = 0
     for label, rows in _rows_by_label(judgement).items():
@@ -154,18 +169,14 @@ def write_reproducers(folder: Path, name: str, judge: Judge, judgement: Judgemen
     return StoredReproducers(tuple(files), left_out)
 
 
-def write_aimed_reproducers(
-    folder: Path, name: str, failures: Sequence[AimedFailure], source: str
-) -> StoredReproducers:
-    """NAME.knife-edge.K.toml for aimed rays that are wrong; `validate` of one shows the same. Raises OutputError."""
-    files = []
+def _write_aimed(folder: Path, name: str, source: str, failures: Sequence[AimedFailure]) -> Iterator[str]:
+    """NAME.knife-edge.K.toml for aimed rays that are wrong; `validate` of one shows the same."""
     for number, failure in enumerate(failures):
         path = folder / f"{name}.knife-edge.{number}.toml"
         notes = ("all shapes of the scene: those of the two answers alone do not show it",) * failure.whole
         head = [f"A ray aimed at {source}, in float64.", f"Wrong:     {failure.what}"]
         write_text(path, Reproducer(failure.scene, (), notes).text(head))
-        files.append(path.name)
-    return StoredReproducers(tuple(files), 0)
+        yield path.name
 
 
 def write_reproducer(
@@ -211,13 +222,9 @@ def _worst_first(judgement: Judgement, name: str) -> Iterator[int]:
     yield from rows[np.argsort(-worst, kind="stable")].tolist()
 
 
-def write_answer_reproducers(
-    folder: Path, name: str, judge: Judge, judgement: Judgement, rows_of: Mapping[str, np.ndarray], first: int
-) -> StoredReproducers:
-    """NAME.wrong.N.toml for the first pixels of each diagnosis of answers that were given beforehand, as comment.
-
-    first: number of the first ray of the list. Raises OutputError.
-    """
+def _write_list_reproducers(folder: Path, name: str, seen: Seen, first: int) -> StoredReproducers:
+    """NAME.wrong.N.toml for the first rays of each diagnosis of answers that were given beforehand, as comment."""
+    judge, judgement, rows_of = seen.judge, seen.judgement, seen.diagnosis.rows_of
     files: list[str] = []
     for what, all_rows in rows_of.items():
         rows = [row for row in all_rows.tolist() if judge.t_max[row] >= 0.0][:MAX_REPRODUCERS_PER_CASE]

@@ -195,8 +195,6 @@ def _exact_t(answer: ExactAnswer | None) -> float:
 
 UNLISTED_CODE = len(CLASSES)  # a class of the page: the reference is wrong in no known way, which fails
 
-# Layers, the most important first, where not all fit into one file; "ratio" is the largest of all checks.
-PIXEL_LAYERS = ("ids", "ratio", "depth", "normal", "diffuse", "shading_normal", "position", "uv", "edges")
 FLOAT_LAYERS = ("depth", "normal", "diffuse", "shading_normal", "position", "uv")
 
 

@@ -1,5 +1,7 @@
 """Validation of many scenes, several at a time; verdicts that are done survive an interruption."""
 
+import ast
+import json
 import re
 import threading
 from collections.abc import Callable, Generator, Sequence
@@ -7,7 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from caster.cameras import CAMERAS
 from caster.description.errors import SceneError, error_prefix, suggestion
@@ -20,14 +22,17 @@ from caster.system import process
 from caster.system.atomic_files import OutputError
 from caster.system.terminal import ProgressBar
 from mitsuba_ref.judge.aggregate import scene_statistics
-from mitsuba_ref.judge.scene_checks import wrongly_resized
+from mitsuba_ref.judge.checks.camera import wrongly_resized
 from mitsuba_ref.judge.verdict import SceneCheck, SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request
 from mitsuba_ref.reference.shared_input import SharedRays
+from mitsuba_ref.reference.store import Store, local_store
+from mitsuba_ref.report.out_folder import file_records, files_of
 from mitsuba_ref.report.reproducers import with_replay
 from mitsuba_ref.report.validation import validate_scene
-from mitsuba_ref.runner.isolation import Isolated, WorkerEnded
+from mitsuba_ref.runner.verdict_files import scene_of, verdict_key
+from mitsuba_ref.runner.workers import CALL_TIMEOUTS, WorkerEnded, Workers
 from mitsuba_ref.subjects.subject import Subject
 
 Result = TypeVar("Result")
@@ -89,11 +94,6 @@ class SceneSource:
 
 
 Entry = SceneEntry | SceneSource
-
-JudgeScene = Callable[..., SceneVerdict]
-"""judge(entry, folder, **options): one scene; the folder, if any, receives the images of subject and reference.
-
-options: those of `judge_here` from `inputs_of` on."""
 
 
 def source_of(
@@ -159,9 +159,15 @@ def start_order(costs: Sequence[int], workers: int) -> list[int]:
 
 
 def map_in_order(
-    work: Callable[[Entry], Result], entries: Sequence[Entry], workers: int | None = None
+    work: Callable[[Entry], Result],
+    entries: Sequence[Entry],
+    workers: int | None = None,
+    end_work: Callable[[], None] = lambda: None,
 ) -> Generator[Result, None, None]:
-    """work(entry) for each, several at a time; results in order. After an interruption no further one is started."""
+    """work(entry) for each, several at a time; results in order. After an interruption no further one is started.
+
+    end_work: called then, to end what is being worked on.
+    """
     stop = threading.Event()
 
     def unless_stopped(entry: Entry) -> Result | None:
@@ -185,7 +191,7 @@ def map_in_order(
         stop.set()
         pool.shutdown(wait=False, cancel_futures=True)
         subprocess_runner.kill_subprocesses()
-        ISOLATED.stop()
+        end_work()
         if process.interrupted.is_set():  # work in compiled code ends with the process
             wait([each for each in futures if each.running()], timeout=INTERRUPTED_SECONDS)
         else:
@@ -195,30 +201,34 @@ def map_in_order(
 
 def run(
     entries: Sequence[Entry],
+    options: "JudgeOptions",
     workers: int,
     maxfail: int | None = None,
-    folder: Path | None = None,
-    judge: JudgeScene | None = None,
-    record: Callable[[SceneVerdict], SceneVerdict] | None = None,
+    record: Callable[[SceneVerdict], SceneVerdict] = lambda verdict: verdict,
     on_error: Callable[[Exception], None] = lambda error: None,
 ) -> Generator[SceneVerdict, None, None]:
-    """Verdicts in the order of the entries; at most maxfail that fail. folder: for images of subject and reference.
+    """Verdicts in the order of the entries; at most maxfail that fail.
 
-    record: called by the worker with the verdict and its page; returns it without, to keep memory small.
-    A scene that cannot be loaded, judged or written has a verdict with that problem; on_error gets the exception.
+    record: called by the thread that has the verdict and its page; returns it without, to keep memory small. A scene
+    that cannot be loaded, judged or written has a verdict with that problem; on_error gets the exception.
     """
-    judge = judge or judge_entry
+    pool = Workers(CALL_TIMEOUTS * max(options.timeout, DEFAULT_TIMEOUT))
 
     def work(entry: Entry) -> SceneVerdict:
         try:
-            verdict = judge(entry, folder)
-            return record(verdict) if record else verdict
+            if options.subject or (isinstance(entry, SceneEntry) and entry.subject):
+                return record(judge_entry(entry, options))
+            return record(pool.call(judge_entry, entry, options))  # machine code may end the process that it runs in
+        except WorkerEnded as ended:
+            problem = f"the process that casts and judges ended: {ended}"
         except Exception as error:
             on_error(error)
-            return with_replay(SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem_of(error)))
+            problem = problem_of(error)
+        failed = SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem, thorough=options.thorough)
+        return with_replay(failed)
 
     failed = 0
-    with ISOLATED.kept(), closing(map_in_order(work, entries, workers)) as verdicts:
+    with pool, closing(map_in_order(work, entries, workers, pool.stop)) as verdicts:
         for verdict in verdicts:
             yield verdict
             failed += not (verdict.ok or verdict.waived)
@@ -239,76 +249,86 @@ def problem_of(error: Exception) -> str:
     return f"internal error, please report it: {type(error).__name__}: {error}"
 
 
-def judge_here(
-    entry: Entry,
-    folder: Path | None,
-    *,
-    timeout: float = DEFAULT_TIMEOUT,
-    store: bool = True,
-    thorough: bool = False,
-    subject: Subject | None = None,
-    inputs_of: Callable[[SceneEntry], str] | None = None,
-    known: str = "",
-    page_of: Callable[[SceneVerdict], Any] | None = None,
-) -> SceneVerdict:
-    """Load and judge one scene in this process. Raises what loading and judging raise.
+class JudgeOptions(NamedTuple):
+    """How scenes are judged."""
 
-    timeout: seconds for Mitsuba; store: take its answer to the very same request in an earlier run; thorough: make
-    every check of our caster; subject: in place of our caster, where the entry has none of its own; inputs_of: a hash
-    of all that the verdict depends on, recorded as its `inputs`; known: such a hash for which nothing is judged, and
-    the verdict says nothing else; page_of: what of the verdict and its evidence the report needs, which takes the place
-    of the evidence.
-    """
+    folder: Path | None = None  # of the images of both sides
+    timeout: float = DEFAULT_TIMEOUT  # seconds for Mitsuba
+    store: bool = True  # take verdicts and Mitsuba's responses that earlier runs stored for the very same inputs
+    thorough: bool = False  # make every check of our caster
+    subject: Subject | None = None  # in place of our caster, where an entry has none of its own
+    page_of: Callable[[SceneVerdict], Any] | None = None  # what the report needs of a verdict and its evidence
+    threads: int | None = None  # that a worker casts on
+
+
+def judge_entry(entry: Entry, options: JudgeOptions) -> SceneVerdict:
+    """Load and judge one scene in this process, or find its verdict. Raises what loading and judging raise."""
+    set_default_threads(options.threads)
     loaded = entry.load()
-    inputs = inputs_of(loaded) if inputs_of else ""
-    if inputs and inputs == known:
-        return SceneVerdict(entry.name, entry.path, entry.pixels, inputs=inputs)
-    given: dict[str, Any] = {"timeout": timeout, "keep": page_of is not None, "thorough": thorough}
-    if not store:
+    subject, folder = loaded.subject or options.subject, options.folder
+    store = local_store() if options.store and options.page_of is None and subject is None else None
+    key = ""
+    if store:
+        about = {
+            "resized": loaded.resized,
+            "options": loaded.options,
+            "thorough": options.thorough,
+            "out": bool(folder),
+        }
+        key = verdict_key(loaded.scene, loaded.path, **about)
+        if key and (found := _stored_verdict(store, key, folder)):
+            return found
+    verdict = _judge_loaded(loaded, options, subject)
+    if folder:
+        verdict = replace(verdict, files=file_records(folder, verdict))
+    if store and key and not verdict.problem:
+        store.put(key, json.dumps(verdict.to_dict(), allow_nan=False).encode())
+    return verdict
+
+
+def _stored_verdict(store: Store, key: str, folder: Path | None) -> SceneVerdict | None:
+    """The verdict of the very same inputs, marked as kept, if its files in the folder are what was written."""
+    content = store.get(key)
+    try:
+        found = scene_of(content) if content else None
+    except ValueError:
+        return None
+    if found is None or (
+        folder and (set(files_of(found)) != set(found.files) or file_records(folder, found) != found.files)
+    ):
+        return None
+    return replace(found, kept=True)
+
+
+def _judge_loaded(loaded: SceneEntry, options: JudgeOptions, subject: Subject | None) -> SceneVerdict:
+    given: dict[str, Any] = {"timeout": options.timeout, "keep": options.page_of is not None}
+    if not options.store:
         given["send"] = send_request
     if loaded.rays is not None:
         given |= {"rays": loaded.rays, "first_ray": loaded.ray_range[0]}
-    if loaded.subject or subject:
-        given["subject"] = loaded.subject or subject
+    if subject:
+        given["subject"] = subject
+    given |= {"folder": options.folder, "thorough": options.thorough}
     try:
-        verdict = validate_scene(loaded.scene, loaded.name, loaded.path, folder=folder, **given)
+        verdict = validate_scene(loaded.scene, loaded.name, loaded.path, **given)
     except OutputError:
         raise
     except SceneError as error:  # no reference for a shape, or numbers beyond float32
-        verdict = SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem_of(error), thorough=thorough)
+        problem = problem_of(error)
+        verdict = SceneVerdict(loaded.name, loaded.path, loaded.pixels, problem=problem, thorough=options.thorough)
     if loaded.wrong_film:
         others = (check for check in verdict.checks if check.name != "camera")
         verdict = replace(verdict, checks=(SceneCheck("camera", float("inf"), loaded.wrong_film), *others))
-    about: dict[str, Any] = {"resized": loaded.resized, "options": loaded.options, "command": loaded.command}
-    composition = scene_statistics(loaded.scene)
-    found = replace(verdict, **about, rays=loaded.ray_range, composition=composition, inputs=inputs)
-    return with_replay(replace(found, seen=page_of(found) if page_of and found.seen else None))
-
-
-def judge_in_fork(entry: Entry, folder: Path | None, threads: int | None, **options: Any) -> SceneVerdict:
-    """`judge_here` in a process that does nothing else, on so many threads where it requests no number."""
-    set_default_threads(threads)
-    return judge_here(entry, folder, **options)
-
-
-# Our kernels are machine code, which may end the process that it runs in.
-ISOLATED = Isolated(judge_in_fork)
-
-
-def judge_entry(entry: Entry, folder: Path | None, *, threads: int | None = None, **options: Any) -> SceneVerdict:
-    """`judge_here` in a fork, whose end is a `problem` of the verdict; in this process for other subjects than ours.
-
-    threads: of the fork.
-    """
-    if options.get("subject") or (isinstance(entry, SceneEntry) and entry.subject):
-        return judge_here(entry, folder, **options)
-    try:
-        with ISOLATED.kept():
-            return ISOLATED(entry, folder, threads, **options)
-    except WorkerEnded as ended:
-        problem = f"the process that casts and judges ended: {ended}"
-        thorough = bool(options.get("thorough"))
-        return with_replay(SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem, thorough=thorough))
+    found = replace(
+        verdict,
+        candidate=verdict.candidate or (subject.name if subject else ""),
+        resized=loaded.resized,
+        options=loaded.options,
+        command=loaded.command,
+        rays=loaded.ray_range,
+        composition=scene_statistics(loaded.scene),
+    )
+    return with_replay(replace(found, seen=options.page_of(found) if options.page_of and found.seen else None))
 
 
 def progress_bar(entries: Sequence[Entry]) -> ProgressBar:
@@ -323,11 +343,14 @@ def count_scene(bar: ProgressBar, entries: Sequence[Entry], done: int) -> None:
 
 # ---- selection by an expression over the names of scenes ----
 
-TOKENS = re.compile(r"\s*([()]|[^\s()]+)")
+TOKENS = re.compile(r"[()]|[^\s()]+")
 TYPE_PREFIX = "type:"  # of a word about the shapes and the camera of a scene, not about its name
-
-MAX_DEPTH = 50  # nested parentheses
 MAX_SHOWN = 200  # characters of an expression in its error
+OPERATORS = ("and", "or", "not", "(", ")")
+EXPRESSIONS = (
+    *(ast.Expression, ast.BoolOp, ast.boolop, ast.UnaryOp, ast.Not),
+    *(ast.Call, ast.Name, ast.Load, ast.Constant),
+)
 
 Predicate = Callable[[str], bool]
 
@@ -340,78 +363,30 @@ def matching(expression: str | None, types_of: Callable[[str], frozenset[str]] |
     """
     if expression is None:
         return lambda name: True
-    return _Reader(expression, types_of).read()
-
-
-def known_types() -> tuple[str, ...]:
-    """What `type:` may be followed by."""
-    kinds = [type_name(each) for registry in (SHAPES, CAMERAS) for each in registry]
-    return (*kinds, "triangles")
-
-
-class _Reader:
-    """Recursive descent: or of ands of nots of words."""
-
-    def __init__(self, expression: str, types_of: Callable[[str], frozenset[str]] | None = None):
-        self.expression, self.types_of = expression, types_of
-        self.tokens: Sequence[str] = TOKENS.findall(expression)
-        self.place, self.depth = 0, 0
-
-    def read(self) -> Predicate:
-        predicate = self._any()
-        if self.place < len(self.tokens):
-            raise self._error(f"'{self.tokens[self.place]}' is one too many")
-        return predicate
-
-    def _any(self) -> Predicate:
-        choices = [self._all()]
-        while self._take("or"):
-            choices.append(self._all())
-        return lambda name: any(choice(name) for choice in choices)
-
-    def _all(self) -> Predicate:
-        parts = [self._one()]
-        while self._take("and"):
-            parts.append(self._one())
-        return lambda name: all(part(name) for part in parts)
-
-    def _one(self) -> Predicate:
-        negated = False
-        while self._take("not"):
-            negated = not negated
-        inner = self._atom()
-        return (lambda name: not inner(name)) if negated else inner
-
-    def _atom(self) -> Predicate:
-        if self._take("("):
-            self.depth += 1
-            if self.depth > MAX_DEPTH:
-                raise self._error(f"more than {MAX_DEPTH} parentheses are nested")
-            inner = self._any()
-            self.depth -= 1
-            if not self._take(")"):
-                raise self._error("a ')' is missing")
-            return inner
-        if self.place >= len(self.tokens) or self.tokens[self.place] in ("and", "or", ")"):
-            raise self._error("a part of a name is missing")
-        word = self.tokens[self.place]
-        self.place += 1
-        types_of = self.types_of
-        if types_of is None:
-            return lambda name: word in name
-        if not word.startswith(TYPE_PREFIX):
-            return lambda path: word in Path(path).stem
-        wanted, known = word.removeprefix(TYPE_PREFIX), known_types()
+    tokens = TOKENS.findall(expression)
+    known = (*(type_name(each) for registry in (SHAPES, CAMERAS) for each in registry), "triangles")
+    for wanted in (token.removeprefix(TYPE_PREFIX) for token in tokens if types_of and token.startswith(TYPE_PREFIX)):
         if wanted not in known:
+            word = f"{TYPE_PREFIX}{wanted}"
             raise SceneError(f"-k {word}: unknown type{suggestion(wanted, known)} (known: {', '.join(known)})")
-        return lambda path: wanted in types_of(path)
+    # Every word becomes a call with a quoted argument, so that nothing but `has` and operators is run.
+    source = " ".join(token if token in OPERATORS else f"has({token!r})" for token in tokens)
+    try:
+        tree = ast.parse(source, "-k", "eval")
+        if not all(isinstance(node, EXPRESSIONS) for node in ast.walk(tree)) or ") (" in source:
+            raise SyntaxError
+        code = compile(tree, "-k", "eval")
+    except (SyntaxError, MemoryError, RecursionError, ValueError):
+        raise SceneError(
+            f"-k {expression[:MAX_SHOWN]!r}: expected parts of names with and, or, not and parentheses"
+        ) from None
 
-    def _take(self, token: str) -> bool:
-        taken = self.place < len(self.tokens) and self.tokens[self.place] == token
-        self.place += taken
-        return taken
+    def fits(name: str) -> bool:
+        def has(word: str) -> bool:
+            if types_of and word.startswith(TYPE_PREFIX):
+                return word.removeprefix(TYPE_PREFIX) in types_of(name)
+            return word in (Path(name).stem if types_of else name)
 
-    def _error(self, what: str) -> SceneError:
-        return SceneError(
-            f"-k {self.expression[:MAX_SHOWN]!r}: expected parts of names with and, or, not and parentheses; {what}"
-        )
+        return bool(eval(code, {"__builtins__": {}, "has": has}))
+
+    return fits

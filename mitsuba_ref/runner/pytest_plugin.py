@@ -1,49 +1,25 @@
 """pytest --mitsuba-ref scenes/: each check of each scene is a test. Without the option nothing is collected or loaded.
 
-Entry point `mitsuba-ref` of the group pytest11. Tests are collected without Mitsuba or Numba; the first test of a scene
-has it judged by mitsuba_ref/runner/many_scenes.py, and all show parts of that verdict.
+Entry point `mitsuba-ref` of the group pytest11. The first test of a scene has it judged by
+mitsuba_ref/runner/many_scenes.py, and all tests of that scene show parts of this verdict.
 """
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
-import json
-import shutil
-import tempfile
 from collections.abc import Iterator
-from functools import partial
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from mitsuba_ref.judge import CANDIDATE, OURS, THOROUGH_CHECKS, check_names
-
 if TYPE_CHECKING:
     from mitsuba_ref.judge.verdict import SceneVerdict
-    from mitsuba_ref.runner.many_scenes import JudgeScene
     from mitsuba_ref.subjects.subject import Subject
 
 OPTION = "--mitsuba-ref"
 PLUGIN = "mitsuba-ref-scenes"
 
-# Checks of a pixel, by their names in a verdict. Stated here as well, since loading the judge loads the kernels
-# (tests/reference/test_pytest_plugin.py compares).
-PIXEL_CHECKS = (
-    "mask",
-    "shape_id",
-    "on_surface",
-    "depth",
-    "position",
-    "normal",
-    "shading_normal",
-    "uv",
-    "diffuse",
-    "exact",
-)
-# Of a candidate, which gives t and what else it has: of what `validate` compares the rest is skipped.
-CANDIDATE_PIXEL_CHECKS = ("mask", "shape_id", "prim_id", "depth", "normal", "exact")
 VERDICT = "verdict"  # the scene as a whole: it loads, Mitsuba answers, and there is evidence
 SUFFIXES = (".toml", ".json")
 SCENE_MARKERS = ("[camera]", "[[shape]]", '"camera"', '"shape"')  # a file without any of them is no scene
@@ -52,8 +28,6 @@ MARKERS = (
     "xdist_group(name): of pytest-xdist, for --dist loadgroup",
     "mitsuba_ref: a check of a scene, by --mitsuba-ref",
 )
-WORKER_INPUT_KEY = "mitsuba_ref_store"  # of the folder that xdist's controller shares with its workers
-
 
 CANDIDATE_OPTIONS = {
     "candidate": "another ray caster, judged in place of ours: package.module:function, or a command",
@@ -79,7 +53,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         default=None,
         help="film in pixels, instead of the scenes' own; also the ini option mitsuba_ref_size",
     )
-    thorough = f"also test our caster beyond the judged films: {', '.join(THOROUGH_CHECKS)}"
+    thorough = "also test our caster beyond the judged films, as `mitsuba-ref validate --thorough`"
     group.addoption(
         "--mitsuba-ref-thorough", action="store_true", default=False, help=f"{thorough}; also an ini option"
     )
@@ -94,6 +68,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     if config.getoption("mitsuba_ref"):
+        if getattr(config.option, "dist", "no") in ("load", "worksteal"):
+            config.option.dist = "loadgroup"  # xdist keeps the tests of a scene in the process that judges it
         config.pluginmanager.register(ScenePlugin(config), PLUGIN)
 
 
@@ -115,12 +91,8 @@ class ScenePlugin:
         if self.words["candidate-precision"] and not self.candidate:
             raise pytest.UsageError("mitsuba_ref_candidate_precision: expected mitsuba_ref_candidate beside it")
         self.mesh_dirs = [str(path) for path in config.getini("mitsuba_ref_mesh_dirs")]
-        given = getattr(config, "workerinput", {}).get(WORKER_INPUT_KEY)
-        self.shared: Path | None = Path(given) if given else None  # of this run alone, for all its processes
-        self.owned: Path | None = None
         self.named = {Path(self.start, arg.split("::")[0]).resolve() for arg in config.args}
         self.verdicts: dict[Path, SceneVerdict | str] = {}
-        self._subject: Subject | None = None
 
     def pytest_collect_file(self, file_path: Path, parent: pytest.Collector) -> pytest.Collector | None:
         if file_path.suffix.lower() not in SUFFIXES:
@@ -130,17 +102,6 @@ class ScenePlugin:
             return collector
         return None
 
-    @pytest.hookimpl(optionalhook=True)
-    def pytest_configure_node(self, node: Any) -> None:
-        """Hook of xdist: give its workers a shared folder."""
-        if self.owned is None:
-            self.owned = Path(tempfile.mkdtemp(prefix="mitsuba-ref-pytest-"))
-        node.workerinput[WORKER_INPUT_KEY] = str(self.owned)
-
-    def pytest_sessionfinish(self) -> None:
-        if self.owned is not None:
-            shutil.rmtree(self.owned, ignore_errors=True)
-
     def pytest_report_header(self) -> str:
         film = f"films of {self.size[0]} x {self.size[1]}" if self.size else "the scenes' own films"
         about = f", candidate {self.candidate}" if self.candidate else ", thorough" if self.thorough else ""
@@ -149,70 +110,48 @@ class ScenePlugin:
     def verdict_of(self, path: Path) -> SceneVerdict | str:
         """The verdict, or what is wrong with the scene file."""
         if path not in self.verdicts:
-            judged = self._judge(path) if self.shared is None else self._judge_once(path, self.shared)
-            self.verdicts[path] = judged
+            self.verdicts[path] = self._judge(path)
         return self.verdicts[path]
-
-    def _judge_once(self, path: Path, folder: Path) -> SceneVerdict | str:
-        """From the file that another process wrote; or judged and written while others wait."""
-        from caster.system.atomic_files import write_text
-        from mitsuba_ref.runner.resume import scene_of
-
-        file = folder / hashlib.sha256(str(path).encode(errors="surrogateescape")).hexdigest()
-        with exclusive_lock(file.with_suffix(".lock")):
-            if file.exists():
-                record = json.loads(file.read_text(encoding="utf-8"))
-                return record if isinstance(record, str) else scene_of(record)
-            found = self._judge(path)
-            write_text(file, json.dumps(found if isinstance(found, str) else found.to_dict()))
-            return found
 
     def _judge(self, path: Path) -> SceneVerdict | str:
         from caster.description.errors import SceneError
         from mitsuba_ref.runner import many_scenes
 
         named = str(path.relative_to(self.start)) if path.is_relative_to(self.start) else str(path)
-        options = tuple(word for name, value in self.words.items() if value for word in (f"--{name}", value))
-        about: dict[str, Any] = {"size": self.size, "mesh_dirs": self.mesh_dirs, "options": options}
+        words = tuple(word for name, value in self.words.items() if value for word in (f"--{name}", value))
+        about: dict[str, Any] = {"size": self.size, "mesh_dirs": self.mesh_dirs, "options": words}
         entry = many_scenes.source_of(named, path.stem, **about)
         errors: list[Exception] = []
         try:
-            ours = partial(many_scenes.judge_entry, thorough=self.thorough)
-            judge = self._candidate_judge() if self.candidate else ours
+            options = many_scenes.JudgeOptions(thorough=self.thorough, subject=self.subject)
         except SceneError as error:
             return str(error)
-        (verdict,) = many_scenes.run([entry], workers=1, judge=judge, on_error=errors.append)
+        (verdict,) = many_scenes.run([entry], options, workers=1, on_error=errors.append)
         return str(errors[0]) if errors and isinstance(errors[0], SceneError | MemoryError) else verdict
 
-    def _candidate_judge(self) -> JudgeScene:
-        """Raises SceneError for a candidate that cannot be used."""
-        from mitsuba_ref.runner.validation_run import candidate_judge
+    @cached_property
+    def subject(self) -> Subject | None:
+        """The candidate, if there is one. Raises SceneError for one that cannot be used."""
         from mitsuba_ref.subjects.requests import parse_candidate
 
-        if self._subject is None:
-            served = bool(self.words["candidate-serve"])
-            precision = self.words["candidate-precision"] or None
-            self._subject = parse_candidate(self.candidate, precision, served=served)
-        return candidate_judge(self._subject)
+        if not self.candidate:
+            return None
+        served = bool(self.words["candidate-serve"])
+        return parse_candidate(self.candidate, self.words["candidate-precision"] or None, served=served)
+
+    def check_names(self) -> tuple[str, ...]:
+        """Of pixels, then of the scene."""
+        from mitsuba_ref.judge.checks import CANDIDATE, OURS, checks_of
+        from mitsuba_ref.judge.classification import pixel_checks
+
+        whose = CANDIDATE if self.candidate else OURS
+        return (*pixel_checks(ours=whose == OURS), *(check.name for check in checks_of(whose)))
 
 
 def candidate_option(config: pytest.Config, name: str) -> str:
     """One of CANDIDATE_OPTIONS, or else of the ini file; "" where neither is given."""
     underscored = f"mitsuba_ref_{name.replace('-', '_')}"
     return str(config.getoption(underscored) or config.getini(underscored) or "")
-
-
-@contextlib.contextmanager
-def exclusive_lock(path: Path) -> Iterator[None]:
-    """Held by one process at a time; on systems without such locks several may judge the same scene."""
-    try:
-        import fcntl
-    except ImportError:
-        yield
-        return
-    with path.open("w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        yield
 
 
 def film_size(config: pytest.Config) -> tuple[int, int] | None:
@@ -247,9 +186,8 @@ class SceneFile(pytest.File):
 
     def collect(self) -> Iterator[CheckItem]:
         plugin = self.config.pluginmanager.get_plugin(PLUGIN)
-        of_candidate = isinstance(plugin, ScenePlugin) and plugin.candidate
-        pixel, of = (CANDIDATE_PIXEL_CHECKS, CANDIDATE) if of_candidate else (PIXEL_CHECKS, OURS)
-        for name in (VERDICT, *pixel, *check_names(of)):
+        assert isinstance(plugin, ScenePlugin)  # it collected this file
+        for name in (VERDICT, *plugin.check_names()):
             yield CheckItem.from_parent(self, name=name)
 
 
@@ -265,9 +203,9 @@ class CheckItem(pytest.Item):
     def runtest(self) -> None:
         plugin = self.config.pluginmanager.get_plugin(PLUGIN)
         assert isinstance(plugin, ScenePlugin)  # it collected this item
-        if self.name in THOROUGH_CHECKS and not plugin.thorough:
-            pytest.skip("not judged: only --mitsuba-ref-thorough makes this check")
         found = plugin.verdict_of(self.path)
+        if not isinstance(found, str) and self.name in found.left_out:
+            pytest.skip("not judged: only --mitsuba-ref-thorough makes this check")
         if plugin.candidate and is_not_judged(found, self.name):
             pytest.skip(f"not judged: {plugin.candidate} does not give it, or it is no check of this scene")
         if text := check_problem(found, self.name):
@@ -304,8 +242,8 @@ def check_problem(found: SceneVerdict | str, check: str) -> str:
         return "" if found.ok else failure_text(found)
     if not found.has_evidence and not found.failing:
         return no_verdict(failure_text(found))
-    if check in PIXEL_CHECKS:
-        return pixel_failure(found, check) if found.failing_by.get(check) else ""
+    if found.failing_by.get(check):
+        return pixel_failure(found, check)
     return "\n".join(check_failure(found, each) for each in found.checks if each.name == check and not each.ok)
 
 

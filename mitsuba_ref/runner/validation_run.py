@@ -1,12 +1,12 @@
-"""One run of `mitsuba-ref validate`: scenes of a shard, judged or resumed, what is waived, the files it leaves."""
+"""One run of `mitsuba-ref validate`: the scenes of a shard, what is waived, and the files it leaves."""
 
 import hashlib
 import json
 import tomllib
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +17,13 @@ from caster.description.input_files import MAX_TEXT_BYTES, read_input
 from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED, SceneVerdict, Verdict
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.report.html_report import HtmlReport, page_record
-from mitsuba_ref.report.output_manifest import OutFolder, RemovedFiles
+from mitsuba_ref.report.out_folder import OutFolder
 from mitsuba_ref.report.verdict_text import checks_of
 from mitsuba_ref.runner import many_scenes
-from mitsuba_ref.runner.isolation import CALL_TIMEOUTS, Isolated, WorkerEnded
-from mitsuba_ref.runner.many_scenes import Entry, JudgeScene
-from mitsuba_ref.runner.resume import ResumableResults, code_hash, recorded
+from mitsuba_ref.runner.many_scenes import Entry
 from mitsuba_ref.runner.shards import Shard, judged_with, scenes_of_shard
+from mitsuba_ref.runner.verdict_files import code_hash
+from mitsuba_ref.runner.workers import WorkerEnded, Workers
 from mitsuba_ref.subjects.subject import Subject
 
 
@@ -35,11 +35,10 @@ class RunOptions:
     maxfail: int | None = None  # scenes that fail, after which the run ends
     out: Path | None = None  # folder of verdict.json, images and reproducers
     html: str | None = None  # folder or file of the HTML report
-    resume: bool = False  # reuse what `out` holds of the same inputs
     shard: Shard | None = None
     timeout: float = DEFAULT_TIMEOUT  # seconds that Mitsuba may take for one scene
-    store: bool = True  # take what Mitsuba answered in earlier runs to the very same request
-    thorough: bool = False  # make every check of our caster (judge/__init__.py)
+    store: bool = True  # take what earlier runs stored of the very same inputs
+    thorough: bool = False  # make every check of our caster
     expected: "ExpectedFailures | None" = None  # known failures, by which the run does not fail
     skip_unsupported: bool = False  # nor by scenes that the candidate declines
     min_scenes: int = 0  # that have to be judged for the run to pass
@@ -61,12 +60,20 @@ class ValidationRun:
 
     def verdicts(self) -> Generator[SceneVerdict, None, None]:
         """Verdicts in the order of the scenes, each as soon as it and those before it are done."""
-        judge = self._judge()
         if self.out:
             self.out.begin()
-        record = self.html.keep if self.html else None
+        workers = self.options.workers or many_scenes.default_workers()
+        options = many_scenes.JudgeOptions(
+            self.options.out,
+            self.options.timeout,
+            self.options.store,
+            self.options.thorough,
+            self.candidate,
+            page_record if self.html else None,
+            None if self.candidate else many_scenes.threads_per_worker(workers, len(self.entries)),
+        )
         running = many_scenes.run(
-            self.entries, self._workers, self.options.maxfail, self.options.out, judge, record, self.errors.append
+            self.entries, options, workers, self.options.maxfail, self._recorded, self.errors.append
         )
         with closing(running), closing(many_scenes.progress_bar(self.entries)) as bar:
             for verdict in running:
@@ -77,14 +84,17 @@ class ValidationRun:
                     yield verdict
                 many_scenes.count_scene(bar, self.entries, len(self.done))
 
-    @property
-    def _workers(self) -> int:
-        return self.options.workers or many_scenes.default_workers()
+    def _recorded(self, found: SceneVerdict) -> SceneVerdict:
+        """The verdict, its page written, with the reason why the run does not fail by it, if there is one."""
+        verdict = self.html.keep(found) if self.html else found
+        if verdict.unsupported and self.options.skip_unsupported:
+            return replace(verdict, waived=UNSUPPORTED)
+        expected = self.options.expected
+        return replace(verdict, waived=EXPECTED) if expected and expected.covers(verdict) else verdict
 
     def verdict(self) -> Verdict:
         """Of all scenes that are done."""
         names = tuple(entry.name for entry in self.entries)
-        identity = self._identity
         return Verdict(
             tuple(self.done),
             scene_count=len(names),
@@ -92,58 +102,27 @@ class ValidationRun:
             requested_candidate=self.candidate_name,
             min_scenes=self.options.min_scenes,
             mended=self.options.expected.mended(self.done) if self.options.expected else (),
-            **identity,
+            **self._identity,
         )
 
     @cached_property
     def _identity(self) -> dict[str, Any]:
         return run_identity(self.every, self.options.shard)
 
-    def remove_obsolete(self, verdict: Verdict) -> RemovedFiles:
-        """Remove files that earlier runs wrote into `out` and this one did not. Raises OutputError."""
-        names = tuple(entry.name for entry in self.every) if self.options.whole_folders else None
-        return self.out.sweep(verdict, names) if self.out else RemovedFiles()
+    def finish(self) -> Iterator[str]:
+        """Write verdict.json and the report of what is done; what was removed of earlier runs, in words.
 
-    def finish_report(self, verdict: Verdict) -> str:
-        """Write the HTML report of what is done; what was removed of earlier ones, as text. Raises OutputError."""
-        if self.html is None:
-            return ""
+        Raises OutputError.
+        """
+        verdict = self.verdict()
         try:
-            self.html.write()
-            return self.html.sweep(verdict.not_judged).words(self.html.data)
+            if self.out:
+                selected = tuple(entry.name for entry in self.every) if self.options.whole_folders else None
+                yield self.out.finish(verdict, selected)
         finally:
-            self.html.close()
-
-    def _judge(self) -> JudgeScene:
-        judge = self._judge_unwaived()
-        if self.options.expected is None and not self.options.skip_unsupported:
-            return judge
-        return lambda entry, folder: self._waived(judge(entry, folder))
-
-    def _waived(self, found: SceneVerdict) -> SceneVerdict:
-        """The verdict of a scene, with the reason why the run does not fail by it, if there is one."""
-        if found.unsupported and self.options.skip_unsupported:
-            return replace(found, waived=UNSUPPORTED)
-        expected = self.options.expected
-        return replace(found, waived=EXPECTED) if expected and expected.covers(found) else found
-
-    def _judge_unwaived(self) -> JudgeScene:
-        page_of = partial(page_record, one_file=self.html.one_file) if self.html else None
-        options: dict[str, Any] = {"timeout": self.options.timeout, "store": self.options.store, "page_of": page_of}
-        if self.candidate is not None:
-            judge = candidate_judge(self.candidate, **options)
-            return recorded(judge, self.out) if self.out else judge
-        if self.options.timeout > DEFAULT_TIMEOUT:
-            many_scenes.ISOLATED.seconds = CALL_TIMEOUTS * self.options.timeout
-        threads = many_scenes.threads_per_worker(self._workers, len(self.entries))
-        thorough = self.options.thorough
-        judge = partial(many_scenes.judge_entry, threads=threads, thorough=thorough, **options)
-        if self.out is None:
-            return judge
-        about: dict[str, Any] = {"resume": self.options.resume, "thorough": thorough}
-        if self.html is not None:
-            about["has_page"] = self.html.holds
-        return ResumableResults(self.out, judge, **about).judge
+            if self.html:
+                self.html.write()
+                yield self.html.sweep(verdict.not_judged)
 
 
 # ---- known failures ----
@@ -210,33 +189,23 @@ def expected_toml(done: Sequence[SceneVerdict]) -> str:
     return "".join(parts)
 
 
-def candidate_judge(candidate: Subject, **options: Any) -> JudgeScene:
-    """Judges a scene with a candidate in place of our caster; options as of `judge_here`."""
-
-    def judge(entry: Entry, folder: Path | None) -> SceneVerdict:
-        found = many_scenes.judge_entry(entry, folder, subject=candidate, **options)
-        return replace(found, candidate=candidate.name)
-
-    return judge
-
-
 def run_identity(every: Sequence[Entry], shard: Shard | None) -> dict[str, Any]:
     """Fields of a Verdict that name the sources and versions that judged. every: the scenes of all shards."""
     if shard is None:
         return {"code": code_hash(), "judged_with": judged_with()}
     # The scenes are a part of the hash, so that shards of other scenes of the same names are not merged.
     code = hashlib.sha256(code_hash().encode())
-    for entry in every:
-        code.update(f"\0{entry.name}\0{scene_identity(entry)}".encode())
+    with Workers() as pool:
+        for entry in every:
+            code.update(f"\0{entry.name}\0{scene_identity(pool, entry)}".encode())
     names = tuple(entry.name for entry in every)
     return {"code": code.hexdigest(), "judged_with": judged_with(), "shard": str(shard), "selected": names}
 
 
-def scene_identity(entry: Entry) -> str:
-    """The hash of a scene and its meshes, which a fork loads; "" where it cannot be loaded."""
+def scene_identity(pool: Workers, entry: Entry) -> str:
+    """The hash of a scene and its meshes, which a worker loads; "" where it cannot be loaded."""
     try:
-        with SCENE_HASHES.kept():
-            return SCENE_HASHES(entry)
+        return pool.call(scene_hash, entry)
     except (SceneError, MemoryError, WorkerEnded):
         return ""
 
@@ -244,6 +213,3 @@ def scene_identity(entry: Entry) -> str:
 def scene_hash(entry: Entry) -> str:
     """SHA-256 of a scene and its meshes. Raises SceneError."""
     return entry.load().scene.sha256()
-
-
-SCENE_HASHES = Isolated(scene_hash)

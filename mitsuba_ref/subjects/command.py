@@ -22,9 +22,9 @@ from mitsuba_ref.error_model.intersections import dot, norm
 from mitsuba_ref.error_model.tolerances import KU, U32
 from mitsuba_ref.reference.shared_input import export, pixel_of
 from mitsuba_ref.reference.subprocess_runner import (
-    BinaryProcess,
     ProcessEnd,
     ProcessEnded,
+    ResidentProcess,
     UnexpectedReply,
     exit_name,
     run,
@@ -355,7 +355,7 @@ class ServedCommand(Subject):
     seconds: float
     takes_rays: ClassVar[bool] = True
     takes_limits: ClassVar[bool] = True
-    running: list[BinaryProcess] = field(default_factory=list, compare=False)  # at most one
+    running: list[ResidentProcess] = field(default_factory=list, compare=False)  # at most one
     turn: Any = field(default_factory=threading.Lock, compare=False)  # scenes are judged several at a time
 
     def answer(self, request: CastRequest) -> Answer:
@@ -383,7 +383,7 @@ class ServedCommand(Subject):
 
         try:
             if not self.running or not self.running[0].alive:
-                self.running[:] = [BinaryProcess(self.words)]
+                self.running[:] = [ResidentProcess(self.words)]
                 atexit.register(self.running[0].close)
             return self.running[0].request(data, self.seconds, length_of)
         except OSError as error:

@@ -18,7 +18,7 @@ from caster.rendering.hits import cast, packed
 from caster.rendering.images import camera_rays
 from caster.scene.model import Film, Scene
 from caster.shapes import SHAPES
-from mitsuba_ref.judge.independent_checks.scaling import scaled_scene
+from mitsuba_ref.judge.checks.scaling import scaled_scene
 
 POWERS = (-300, -20, -1, 1, 20, 300)
 LARGEST_OF_TRIANGLES = 40  # further out, faces are left out (caster.geometry.world_space.LARGEST_COORDINATE)

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Sequence
 from pathlib import Path
 
-from mitsuba_ref.judge import THOROUGH_CHECKS
+from mitsuba_ref.judge.checks import thorough_names
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("caster", "mitsuba_ref")
@@ -76,7 +76,7 @@ def said_beside_progress(found: subprocess.CompletedProcess[str]) -> list[str]:
 
 
 # Most of the time of `validate` in plain Python: each is made where it is the check that a fault offends.
-LONG_CHECKS = (*THOROUGH_CHECKS, "knife_edges", "culling")
+LONG_CHECKS = (*thorough_names(), "knife_edges", "culling")
 
 
 def run_tests(tree: Path, cache: Path, *argv: str, compiled: bool) -> subprocess.CompletedProcess[str]:

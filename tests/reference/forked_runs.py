@@ -14,7 +14,6 @@ import importlib
 import json
 import os
 import runpy
-import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -48,7 +47,7 @@ def serve(home: str | None = None) -> None:
         print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 
 
-def obey(tree: str, module: str, argv: list[str], out: str, err: str, memory: str | None, without: list[str]) -> None:
+def obey(tree: str, module: str, argv: list[str], out: str, err: str, memory: str | None, without: list[str]) -> Any:
     """What `python -P -m module argv` does with PYTHONPATH=tree; its words go to the files out and err.
 
     without: names of checks of our caster that `validate` shall pass over.
@@ -59,6 +58,8 @@ def obey(tree: str, module: str, argv: list[str], out: str, err: str, memory: st
     os.environ["PYTHONPATH"] = tree
     sys.path.insert(0, tree)
     sys.argv = [module, *argv]
+    if module == "pytest":  # it warns of a plugin that is imported before it
+        return runpy.run_module(module, run_name="__main__", alter_sys=True)
     if memory:
         ask_once(Path(memory))
     for name in without:
@@ -70,11 +71,11 @@ def obey(tree: str, module: str, argv: list[str], out: str, err: str, memory: st
 
 def pass_over(name: str) -> None:
     """A check is not made."""
-    from mitsuba_ref import judge
+    from mitsuba_ref.judge import checks
 
-    kept = tuple(check for check in judge.SCENE_CHECKS if check.name != name)
-    assert len(kept) < len(judge.SCENE_CHECKS), name
-    judge.SCENE_CHECKS = kept
+    assert name in {check.name for check in checks.all_checks()}, name
+    del checks._registered[name]
+    checks.all_checks.cache_clear()
 
 
 def ask_once(memory: Path) -> None:
@@ -87,8 +88,8 @@ def ask_once(memory: Path) -> None:
 
     def put_once(session: Any, job: Any, timeout: float) -> Any:
         place = memory / everything_given(job, variants.environment_for(job.variant))
-        if place.is_dir():  # put there whole
-            return TraceResponse.read(place, len(job.o))
+        if place.exists():  # put there whole
+            return TraceResponse.from_bytes(place.read_bytes(), len(job.o))
         answer = put(session, job, timeout)
         if isinstance(answer, TraceResponse):
             keep(answer, place)
@@ -115,12 +116,8 @@ def everything_given(job: Any, settings: dict[str, str]) -> str:
 def keep(answer: Any, place: Path) -> None:
     """Whole or not at all: two processes may keep the same answer at the same time."""
     part = place.with_name(f"{place.name}.{os.getpid()}")
-    part.mkdir()
-    answer.write(part)
-    try:
-        part.rename(place)
-    except OSError:  # the other one was quicker
-        shutil.rmtree(part)
+    part.write_bytes(answer.to_bytes())
+    part.rename(place)
 
 
 if __name__ == "__main__":

@@ -8,11 +8,11 @@ from candidates import ours
 
 import caster
 from mitsuba_ref.error_model.tolerances import LARGEST_Z, K
-from mitsuba_ref.judge import classification
+from mitsuba_ref.judge import classification, pipeline
+from mitsuba_ref.judge.pipeline import bands_of
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, WRONG
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.report import validation
-from mitsuba_ref.report.validation import bands_of, validate_scene
+from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.subjects.function import function_subject
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
@@ -24,8 +24,8 @@ def small_bands(monkeypatch):
     """Switches bands on: films of these tests are large."""
 
     def switch(on: bool) -> None:
-        monkeypatch.setattr(validation, "LARGEST_WHOLE_FILM", BAND if on else 1 << 20)
-        monkeypatch.setattr(validation, "BAND_PIXELS", BAND)
+        monkeypatch.setattr(pipeline, "LARGEST_WHOLE_FILM", BAND if on else 1 << 20)
+        monkeypatch.setattr(pipeline, "BAND_PIXELS", BAND)
 
     return switch
 
@@ -47,7 +47,7 @@ def test_bands_are_whole_rows_that_make_up_the_window(small_bands, window):
 
 def test_a_film_that_is_wider_than_a_band_is_judged_row_by_row(small_bands, monkeypatch):
     small_bands(True)
-    monkeypatch.setattr(validation, "BAND_PIXELS", 10)
+    monkeypatch.setattr(pipeline, "BAND_PIXELS", 10)
     assert len(bands_of(scene("one-sphere"))) == SIZE[1]
 
 

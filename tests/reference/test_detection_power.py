@@ -22,7 +22,7 @@ from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import reference_bounds
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import LARGEST_Z, MIN_GROUPS, U32, K
-from mitsuba_ref.judge.aggregate import check_bias, error_statistics, pixel_errors
+from mitsuba_ref.judge.checks.bias import check_bias, error_statistics, pixel_errors
 from mitsuba_ref.judge.classification import Judge
 from mitsuba_ref.judge.comparison import compare, pair_images
 from mitsuba_ref.judge.verdict import ErrorStatistics, KindBias

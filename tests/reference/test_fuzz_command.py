@@ -22,7 +22,7 @@ from mitsuba_ref.fuzz.campaign import compare_with_mitsuba
 from mitsuba_ref.fuzz.cases import read_kept
 from mitsuba_ref.fuzz.findings import Tally
 from mitsuba_ref.hard import DRAWN
-from mitsuba_ref.judge.independent_checks import knife_edges
+from mitsuba_ref.judge.checks import knife_edges
 from mitsuba_ref.judge.verdict import CLASSES
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import ResidentSession

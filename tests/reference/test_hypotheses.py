@@ -11,7 +11,7 @@ from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.judge.classification import Judge, scene_judge
 from mitsuba_ref.judge.comparison import pair_images
 from mitsuba_ref.judge.hypotheses import OTHER_RAYS, WrongPixels, _rotation, explain_normals, explanations
-from mitsuba_ref.judge.scene_checks import pixel_centers
+from mitsuba_ref.reference.shared_input import pixel_centers
 from mitsuba_ref.subjects.function import FunctionSubject
 
 WIDTH, HEIGHT = 16, 12

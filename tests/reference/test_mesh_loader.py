@@ -8,7 +8,7 @@ import pytest
 import caster
 from caster.geometry.mesh_files import load_mesh
 from caster.scene.model import Scene
-from mitsuba_ref.judge.independent_checks.mesh_files import _errors, check_mesh_files, files_of, for_mitsuba
+from mitsuba_ref.judge.checks.mesh_files import _errors, check_mesh_files, files_of, for_mitsuba
 from mitsuba_ref.reference.messages import LoadedMesh
 
 # A quadrilateral, a triangle and a pentagon; numbers that float32 rounds.

@@ -8,11 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from mitsuba_ref.judge import CANDIDATE, OURS, THOROUGH_CHECKS, check_names
-from mitsuba_ref.judge.classification import EXACT
-from mitsuba_ref.judge.comparison import CHECKS
+from mitsuba_ref.judge.checks import CANDIDATE, OURS, checks_of, thorough_names
+from mitsuba_ref.judge.classification import pixel_checks
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.runner.pytest_plugin import CANDIDATE_PIXEL_CHECKS, PIXEL_CHECKS, VERDICT
+from mitsuba_ref.runner.pytest_plugin import VERDICT
 
 pytest_plugins = "pytester"
 
@@ -32,10 +31,9 @@ name = "ball"
 radius = 1.3
 """
 STRICT = "[check.depth]\nratio = 1e-6\n"
-NAMES = (VERDICT, *PIXEL_CHECKS, *check_names(OURS))
-SKIPPED = len(THOROUGH_CHECKS)  # of each scene, without --mitsuba-ref-thorough
-HEAVY = ("numba", "mitsuba", "drjit", "caster.jit.decorators")
-PLAIN = (*HEAVY, "numpy", "pydantic", "caster.scene", "mitsuba_ref.runner.many_scenes")
+NAMES = (VERDICT, *pixel_checks(ours=True), *(check.name for check in checks_of(OURS)))
+SKIPPED = len(thorough_names())  # of each scene, without --mitsuba-ref-thorough
+HEAVY = ("numba", "mitsuba", "numpy", "pydantic", "caster.scene", "mitsuba_ref.runner.many_scenes")
 
 
 @pytest.fixture
@@ -79,30 +77,30 @@ def test_the_entry_point_is_this_plug_in():
     assert import_module("mitsuba_ref.runner.pytest_plugin").OPTION == "--mitsuba-ref"
 
 
-@pytest.mark.parametrize(("words", "never"), [((), PLAIN), (("--mitsuba-ref", "--collect-only", "-q"), HEAVY)])
-def test_nothing_heavy_is_loaded_without_the_option_nor_to_collect(folder, words, never):
+def test_nothing_is_loaded_without_the_option(folder):
     folder.makeconftest(
         f"""
         import sys
         def pytest_unconfigure():
-            print("loaded:", [name for name in {never!r} if name in sys.modules])
+            print("loaded:", [name for name in {HEAVY!r} if name in sys.modules])
         """
     )
     folder.makepyfile("def test_other(): pass")
-    found = run(folder, *words, inside=False)
+    found = run(folder, inside=False)
+    found.assert_outcomes(passed=1)
     assert "loaded: []" in found.stdout.str()
-    if words:
-        ids = [line for line in found.outlines if ".toml::" in line]
-        assert ids == [f"scenes/{scene}.toml::{name}" for scene in ("good", "strict") for name in NAMES]
-    else:
-        found.assert_outcomes(passed=1)
+
+
+def test_each_check_of_each_scene_is_a_test(folder):
+    found = run(folder, "--mitsuba-ref", "--collect-only", "-q")
+    ids = [line for line in found.outlines if ".toml::" in line]
+    assert ids == [f"scenes/{scene}.toml::{name}" for scene in ("good", "strict") for name in NAMES]
 
 
 def test_the_names_are_those_of_the_judge(send):
     import caster
     from mitsuba_ref.report.validation import validate_scene
 
-    assert (*(check.name for check in CHECKS), "diffuse", EXACT) == PIXEL_CHECKS
     scene = caster.Scene(
         film=caster.Film(width=4, height=4),
         camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)),
@@ -110,8 +108,9 @@ def test_the_names_are_those_of_the_judge(send):
     )
     for thorough in (False, True):
         found = validate_scene(scene, "scene", send=send, thorough=thorough)
-        assert tuple(check.name for check in found.checks) == check_names(OURS, thorough=thorough)
-        assert {*check_names(OURS)} == {check.name for check in found.checks} | {*found.left_out}
+        made = tuple(check.name for check in found.checks)
+        assert made == tuple(check.name for check in checks_of(OURS, thorough=thorough))
+        assert {*NAMES} == {VERDICT, *pixel_checks(ours=True), *made, *found.left_out}
 
 
 def summary_of(text: str) -> list[str]:
@@ -265,7 +264,8 @@ def test_the_checks_of_a_candidate_are_those_of_its_verdict(send):
         send=send,
     )
     named = {*(check.name for check in found.checks), *found.ratios}
-    assert named <= {*CANDIDATE_PIXEL_CHECKS, *check_names(CANDIDATE)} and "ray_conventions" in named
+    known = {*pixel_checks(ours=False), *(check.name for check in checks_of(CANDIDATE))}
+    assert named <= known and "ray_conventions" in named
 
 
 def test_a_candidate_is_judged_and_what_it_does_not_give_is_skipped(folder):

@@ -192,14 +192,14 @@ def test_files_of_a_failing_run_and_the_replay_of_one_ray(folder, given, tmp_pat
     """verdict.json, JUnit, report, images and reproducers name rays; a replay judges the one ray to the same class."""
     rows, hits = given
     wrong, _ = planted("flipped normal", rows, hits)
-    out = ["--out", str(tmp_path / "out"), "--html", str(tmp_path / "r.html"), "--junit", str(tmp_path / "j.xml")]
+    out = ["--out", str(tmp_path / "out"), "--html", str(tmp_path / "r"), "--junit", str(tmp_path / "j.xml")]
     code, (scene,) = judge(folder, wrong, *out)
     text = capsys.readouterr().out
     row = int(np.flatnonzero(np.isfinite(hits["t"]))[7])
     assert code == 1 and f"at ray {row}" in text and f"--rows {row}" in scene["failures"][0]["replay"]
     files = {path.name for path in (tmp_path / "out").iterdir()}
     assert {"scene.candidate.exr", "scene.verdict.exr", "verdict.json", f"scene.wrong.{row}.toml"} <= files
-    assert (tmp_path / "r.html").stat().st_size > 10000 and "<failure" in (tmp_path / "j.xml").read_text()
+    assert (tmp_path / "r/index.html").stat().st_size > 10000 and "<failure" in (tmp_path / "j.xml").read_text()
     kept = caster.load_scene(tmp_path / "out" / f"scene.wrong.{row}.toml")
     expected = caster.cast(kept, [kept.camera.origin], [kept.camera.direction]).t[0]
     assert np.isfinite(expected)

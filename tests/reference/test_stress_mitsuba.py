@@ -104,10 +104,9 @@ def test_a_scene_that_is_refused_takes_no_other_with_it(scenes, tmp_path):
     assert [len(each.t) for each in found[1:]] == [10, 20] and found[2].names == ["ball-0", "ball-1"]
 
 
-def test_a_job_of_several_scenes_survives_the_disk_and_takes_no_lights(scenes, tmp_path):
+def test_a_job_of_several_scenes_comes_back_from_bytes_and_takes_no_lights(scenes, tmp_path):
     together = mitsuba_process.merge_requests(scenes)
-    together.write(tmp_path)
-    pieces = TraceRequest.read(tmp_path).per_scene()
+    pieces = TraceRequest.from_bytes(together.to_bytes()).per_scene()
     assert [piece.xml for piece in pieces] == [each.xml for each in scenes]
     for piece, each in zip(pieces, scenes, strict=True):
         assert np.array_equal(piece.o, each.o) and piece.more == ()

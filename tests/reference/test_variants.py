@@ -2,18 +2,17 @@
 
 import json
 import os
-import subprocess
-import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mitsuba_scenes import has_t, job, shape, write
 
-from caster.system import processor
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.reference import messages, mitsuba_process, variants
 from mitsuba_ref.reference.messages import Crash, TraceResponse
+from mitsuba_ref.reference.store import user_store
 from mitsuba_ref.reference.variants import LIBLLVM_ENVIRONMENT_VARIABLE, VariantError, usable_variants, variant_for
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -73,14 +72,6 @@ def test_what_is_stated_to_work_here_works(tmp_path):
         answer = mitsuba_process.send_request(job(xml, variant, [[0.5, 0.25, 5]], [[0, 0, -1]]), 60)
         assert isinstance(answer, TraceResponse) and has_t(answer, 4.0), answer
         assert answer.versions["libllvm"] == "none" or os.path.samefile(answer.versions["libllvm"], found.libllvm)
-
-
-def test_the_child_process_describes_it():
-    describe = "from mitsuba_ref.reference.mitsuba_calls import describe_installation"
-    program = f"import json; {describe}; print(json.dumps(describe_installation()))"
-    run = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
-    found = usable_variants()
-    assert json.loads(run.stdout) == {"variants": list(found.names), "libllvm": found.libllvm, "why": found.why}
 
 
 @pytest.mark.parametrize("missing", ["/nonexistent/libLLVM.so", str(Path(__file__))])
@@ -182,16 +173,12 @@ def test_no_library_at_all_is_stated(libraries, trials, monkeypatch):
     assert usable_variants() == variants.Variants(True, False, None, "no libLLVM found")
 
 
-def test_what_was_found_is_remembered_by_the_next_process(libraries, trials, monkeypatch):
+@pytest.mark.parametrize("change", ["mtime", "size", "gone", "versions", "processor", "chosen"])
+def test_another_library_or_another_mitsuba_is_tried_again(libraries, trials, monkeypatch, change):
     first = usable_variants()
     assert usable_variants() is first and len(trials.tried) == 2
     forget(monkeypatch)
-    assert usable_variants() == first and len(trials.tried) == 2
-
-
-@pytest.mark.parametrize("change", ["mtime", "size", "gone", "versions", "processor", "chosen"])
-def test_another_library_or_another_mitsuba_is_tried_again(libraries, trials, monkeypatch, change):
-    usable_variants()
+    assert usable_variants() == first and len(trials.tried) == 2  # by the next process
     forget(monkeypatch)
     if change == "mtime":
         os.utime(libraries[0], (1, 1))
@@ -202,9 +189,9 @@ def test_another_library_or_another_mitsuba_is_tried_again(libraries, trials, mo
     elif change == "gone":
         Path(libraries[0]).unlink()
     elif change == "versions":
-        monkeypatch.setattr(variants, "installed_version", lambda name: "9.9.9")
+        monkeypatch.setattr(variants, "machine", lambda: {"mitsuba": "9.9.9"})
     elif change == "processor":
-        monkeypatch.setattr(processor, "description", lambda: "GenuineIntel family 6 model 142 (x86-64-v3)")
+        monkeypatch.setattr(variants, "machine", lambda: {"processor": "GenuineIntel family 6"})
     else:
         monkeypatch.setenv(LIBLLVM_ENVIRONMENT_VARIABLE, libraries[0])
     usable_variants()
@@ -212,26 +199,8 @@ def test_another_library_or_another_mitsuba_is_tried_again(libraries, trials, mo
 
 
 @pytest.mark.parametrize(
-    "content", ["", "{", "[]", "7", '{"scalar": true}', '{"scalar": 1, "llvm": true, "libllvm": null, "why": ""}']
+    "problem", ["timeout (killed after 60 s)", "error (exit code 1) no module mitsuba", "signal (SIGKILL)"]
 )
-def test_a_broken_memory_costs_time_only(libraries, trials, monkeypatch, tmp_path, content):
-    first = usable_variants()
-    (file,) = (tmp_path / "cache").rglob("*.json")
-    file.write_text(content)
-    forget(monkeypatch)
-    assert usable_variants() == first and len(trials.tried) == 4
-    forget(monkeypatch)
-    assert usable_variants() == first and len(trials.tried) == 4, "it was not mended"
-
-
-def test_a_cache_folder_that_cannot_be_made_costs_time_only(libraries, trials, monkeypatch, tmp_path):
-    (tmp_path / "cache").write_text("a file is in the way")
-    first = usable_variants()
-    forget(monkeypatch)
-    assert usable_variants() == first and len(trials.tried) == 4
-
-
-@pytest.mark.parametrize("problem", ["timeout (killed after 60 s)", "error (exit code 1) no module mitsuba"])
 def test_a_machine_that_was_only_busy_or_unfinished_is_tried_again(libraries, trials, monkeypatch, problem):
     trials.says["scalar_rgb", None] = problem
     assert not usable_variants().scalar
@@ -250,14 +219,6 @@ def test_what_would_end_alike_is_not_tried_again(libraries, trials, monkeypatch,
     assert variant not in first.names and len(first.names) == 1
     forget(monkeypatch)
     assert usable_variants() == first and len(trials.tried) == tried
-
-
-def test_a_killed_library_is_tried_again(libraries, trials, monkeypatch):
-    trials.says.update({("llvm_ad_rgb", library): "signal (SIGKILL)" for library in libraries})
-    assert not usable_variants().llvm
-    forget(monkeypatch)
-    trials.says.clear()
-    assert usable_variants().llvm
 
 
 def test_triangles_go_to_llvm_and_curved_shapes_to_the_scalar_variant(libraries, trials):
@@ -325,27 +286,19 @@ def test_a_libllvm_that_does_not_work_is_stated_once(libraries, trials, monkeypa
     assert capsys.readouterr().err == ""
 
 
-def test_a_machine_without_libllvm_is_as_it_should_be(libraries, trials, monkeypatch, capsys):
-    monkeypatch.delenv("LD_LIBRARY_PATH")
-    variants.require_variants()
-    assert capsys.readouterr().err == "" and not usable_variants().llvm_is_broken
-
-
-def test_a_library_that_only_the_kept_file_names_is_not_loaded(libraries, trials, monkeypatch):
+def test_a_library_that_only_the_store_names_is_not_loaded(libraries, trials, monkeypatch):
     """Whoever may write the file would have code run: its path has to be one that was found on this machine."""
     before = usable_variants()
-    (kept,) = (Path(os.environ["XDG_CACHE_HOME"]) / "caster/variants").glob("*.json")
-    written = kept.read_text(encoding="utf-8")
+    (kept,) = user_store().folder.iterdir()
+    written = json.dumps(asdict(before))
     planted = str(kept.with_name("libLLVM.so.99"))
     for text in (
         written.replace(before.libllvm, planted),
-        json.dumps(json.loads(written) | {"llvm": False}),
-        json.dumps(json.loads(written) | {"libllvm": None}),
-        json.dumps(json.loads(written) | {"llvm": 1}),
-        "[" * 100_000,
+        json.dumps(asdict(before) | {"llvm": False}),
+        json.dumps(asdict(before) | {"libllvm": None}),
+        *("", "{", "[]", '{"scalar": true}', "[" * 100_000),
     ):
-        assert text != written
-        kept.write_text(text, encoding="utf-8")
+        user_store().put(kept.stem, text.encode())
         forget(monkeypatch)
         trials.tried.clear()
         assert usable_variants() == before and trials.tried

@@ -86,13 +86,5 @@ def judged() -> dict[str, SceneVerdict]:
 
 @pytest.fixture(scope="session")
 def folder(verdicts: dict[str, SceneVerdict], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The report of these three, as a folder: its index.html."""
+    """The report of these three: its index.html."""
     return Validation(tuple(verdicts.values()), scene_count=4).write_html(tmp_path_factory.mktemp("report") / "html")
-
-
-@pytest.fixture(scope="session")
-def one_file(verdicts: dict[str, SceneVerdict], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same as one file."""
-    return Validation(tuple(verdicts.values()), scene_count=4).write_html(
-        tmp_path_factory.mktemp("one") / "report.html"
-    )

@@ -16,7 +16,7 @@ SIZE = (textbook_pages.WIDTH, textbook_pages.HEIGHT)
 
 @pytest.fixture(scope="module")
 def report(judged, tmp_path_factory):
-    return Validation(tuple(judged.values())).write_html(tmp_path_factory.mktemp("candidate") / "report.html")
+    return Validation(tuple(judged.values())).write_html(tmp_path_factory.mktemp("candidate") / "report")
 
 
 def place(scene, row, layer):
@@ -106,14 +106,13 @@ PAINTED = """() => {
 }"""
 
 
-def test_no_answer_is_words_and_what_is_not_kept_is_no_number(visit, report):
-    """A scene that passes is rounded in one file, without the shares of its checks."""
+def test_no_answer_is_words_and_what_is_not_given_is_no_number(visit, report):
     page = visit(report, "#s=silent").page
     assert "the candidate gave no answer" in page.inner_text("#message")
     assert "expected two arrays (t, n)" in page.inner_text("#message")
     page.evaluate("location.hash = '#s=outside&x=12&y=10&a=shape_id'")
     page.wait_for_selector("#pixel section >> text=Not given")
-    assert "checks" not in page.inner_text("#pixel dl") and "inf" not in page.inner_text("#pixel")
+    assert "inf" not in page.inner_text("#pixel")
 
 
 PATCHES = [(6, 4, 1.01), (15, 4, 1.01), (2, 13, -1.0)]  # x, y of the corner of 3 x 3 pixels, and the factor of t or n
@@ -134,7 +133,7 @@ def patched(scene, o, d):
 def patches(tmp_path_factory):
     scene = planted.scene().with_film(width=SIZE[0], height=SIZE[1])
     found = [planted.judged_candidate(f"patches-{i}", patched, scene) for i in range(2)]
-    return Validation(tuple(found), scene_count=2).write_html(tmp_path_factory.mktemp("patches") / "page.html")
+    return Validation(tuple(found), scene_count=2).write_html(tmp_path_factory.mktemp("patches") / "page")
 
 
 def test_n_goes_from_region_to_region_and_a_cause_chooses_its_pixels(visit, patches):

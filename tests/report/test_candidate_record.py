@@ -95,7 +95,7 @@ def test_the_bound_is_that_of_the_candidates_own_arithmetic(judged):
 
 def test_rows_and_pages_name_the_candidate(judged, tmp_path):
     assert "wrong" in index_row(judged["inside"], "", "")["counts"]
-    index = Validation(tuple(judged.values())).write_html(tmp_path / "page.html")
+    index = Validation(tuple(judged.values())).write_html(tmp_path / "page")
     text = index.read_text(encoding="utf-8")
     assert '"candidate":"docs.candidates.inside:trace"' in text and f'"wrong","undecided","{UNLISTED}"' in text
     assert "<caption>candidate docs.candidates.inside:trace: 1 of 4 scenes pass</caption>" in text

@@ -35,16 +35,11 @@ def ready(page):
     page.wait_for_selector("#pixel section >> nth=4")
 
 
-@pytest.fixture(params=["folder", "one_file"])
-def report(request):
-    return request.getfixturevalue(request.param)
-
-
 # ---- the list ----
 
 
-def test_the_list_states_what_became_of_each_scene(visit, report):
-    page = visit(report).page
+def test_the_list_states_what_became_of_each_scene(visit, folder):
+    page = visit(folder).page
     assert page.locator(".row .name a").all_inner_texts() == [BAD, "crashed", "good"]  # failing first
     assert page.locator(".row .badge").all_inner_texts() == ["FAIL", "CRASH", "PASS"]
     assert "1 ours wrong, 3 reference wrong, unlisted" in page.locator(".row .classes").first.inner_text()
@@ -71,7 +66,7 @@ def test_filters_choose_and_are_in_the_address(visit, folder):
 
 def test_a_thousand_scenes_are_few_rows(visit, verdicts, tmp_path):
     many = [replace(verdicts["good"], name=f"scene-{i:04}", seen=None, seconds=float(i)) for i in range(1000)]
-    page = visit(Validation(tuple(many), scene_count=1000).write_html(tmp_path / "many.html")).page
+    page = visit(Validation(tuple(many), scene_count=1000).write_html(tmp_path / "many")).page
     rows = page.locator(".row")
     assert 8 <= rows.count() <= 40 and page.locator("#table").get_attribute("aria-rowcount") == "1001"
     assert page.locator("*").count() < 1500, "the plain table is gone"
@@ -85,8 +80,8 @@ def test_a_thousand_scenes_are_few_rows(visit, verdicts, tmp_path):
     assert "scene-0799" in rows.first.inner_text() and rows.count() <= 40
 
 
-def test_without_scripts_it_is_a_table(visit, report):
-    page = visit(report, java_script_enabled=False).page
+def test_without_scripts_it_is_a_table(visit, folder):
+    page = visit(folder, java_script_enabled=False).page
     rows = page.locator("#plain tbody tr")
     assert page.inner_text("#plain caption") == "1 of 3 scenes pass; 1 of 4 were not judged"
     assert [row.split("\t")[1] for row in rows.all_inner_texts()] == ["FAIL", "FAIL", "PASS"]
@@ -149,8 +144,8 @@ def test_every_number_of_the_images_comes_back(visit, folder, verdicts):
             assert found == expected, (x, y, layer)
 
 
-def test_a_link_to_a_pixel_opens_the_check_that_failed_there(visit, report):
-    opened = visit(report, at(planted.NAN))
+def test_a_link_to_a_pixel_opens_the_check_that_failed_there(visit, folder):
+    opened = visit(folder, at(planted.NAN))
     ready(opened.page)
     assert opened.page.inner_text("#pixel .xy") == "8, 12"
     assert opened.page.get_attribute("[data-layer=normal]", "aria-pressed") == "true"
@@ -255,22 +250,6 @@ def test_the_command_to_replay_is_copied(visit, folder, browser):
     assert opened.page.inner_text(".replay code") == words
 
 
-def test_one_file_states_where_it_rounds(visit, one_file, verdicts):
-    """Failing scenes are kept to the bit, passing ones as float32."""
-    x, y = planted.OURS_WRONG
-    page = visit(one_file, at((x, y), "good", a="depth")).page
-    ready(page)
-    pair = verdicts["good"].seen
-    sides = [np.float32(aov_rows(aovs, "depth")[planted.row_of((x, y))]) for aovs in (pair.ours, pair.reference)]
-    text = section(page, "depth").inner_text()
-    assert NUMBERS.findall(text) == [float(value).hex() for value in sides] and "Rounded to float32" in text
-    exact = visit(one_file, at((x, y), BAD, a="depth")).page
-    ready(exact)
-    mine = aov_rows(verdicts["bad"].seen.ours, "depth")[planted.row_of((x, y))]
-    text = section(exact, "depth").inner_text()
-    assert float(mine).hex() in text and "Rounded" not in text
-
-
 def test_a_narrow_screen_is_not_wider_than_it_is(visit, folder):
     for place in ("", at(planted.NAN)):
         page = visit(folder, place, viewport={"width": 420, "height": 800}).page
@@ -316,7 +295,7 @@ def test_a_waived_scene_is_no_failure_and_is_counted(visit, verdicts, tmp_path):
     known = replace(verdicts["bad"], name="known", waived=EXPECTED)
     declined = replace(verdicts["crashed"], name="declined", waived=UNSUPPORTED)
     passing = verdicts["good"]
-    index = Validation((declined, known, passing), scene_count=3).write_html(tmp_path / "report.html")
+    index = Validation((declined, known, passing), scene_count=3).write_html(tmp_path / "report")
     page = visit(index).page
     assert page.locator(".row .badge").all_inner_texts() == ["SKIP", "KNOWN", "PASS"]
     assert page.inner_text("#total") == "1 of 3 scenes pass; 1 known to fail; 1 declined by the candidate"
@@ -328,7 +307,7 @@ def test_a_waived_scene_is_no_failure_and_is_counted(visit, verdicts, tmp_path):
     assert visit(index, "#s=known").page.inner_text("#scene-mark") == "KNOWN"
     plain = visit(index, java_script_enabled=False).page.locator("#plain tbody tr").all_inner_texts()
     assert [row.split("\t")[1] for row in plain] == ["SKIP", "KNOWN", "PASS"] and "FAIL" not in "".join(plain)
-    failing = Validation((known, verdicts["bad"], passing), scene_count=3).write_html(tmp_path / "failing.html")
+    failing = Validation((known, verdicts["bad"], passing), scene_count=3).write_html(tmp_path / "failing")
     page = visit(failing).page
     assert page.locator(".row .badge").all_inner_texts() == ["FAIL", "KNOWN", "PASS"]
     assert page.get_attribute("#total", "class") == "bad"

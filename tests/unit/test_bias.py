@@ -22,7 +22,7 @@ from mitsuba_ref.error_model.intersections import (
     single_group,
 )
 from mitsuba_ref.error_model.tolerances import LARGEST_Z, MIN_GROUPS, K
-from mitsuba_ref.judge.aggregate import (
+from mitsuba_ref.judge.checks.bias import (
     check_bias,
     extremes,
     group_sums,

@@ -13,8 +13,8 @@ from caster.kernels.nearest import Rays
 from caster.rendering.images import camera_rays
 from caster.scene.model import Film, Scene
 from mitsuba_ref.cameras import reference_of_camera
-from mitsuba_ref.judge import scene_checks
-from mitsuba_ref.judge.scene_checks import check_camera, pixel_centers
+from mitsuba_ref.judge.checks import camera
+from mitsuba_ref.judge.checks.camera import check_camera, pixel_centers
 
 TYPES = [cls.model_fields["type"].default for cls in CAMERAS if issubclass(cls, Camera)]  # that look around
 every_camera = pytest.mark.parametrize("camera", TYPES)
@@ -163,7 +163,7 @@ def fixed_scene(camera: str) -> Scene:
 def seen(monkeypatch: pytest.MonkeyPatch, scene: Scene, fault: Fault) -> bool:
     assert check_camera(scene).ok
     rays = fault(scene)
-    monkeypatch.setattr(scene_checks, "camera_rays", lambda scene: rays)
+    monkeypatch.setattr(camera, "camera_rays", lambda scene: rays)
     return not check_camera(scene).ok
 
 

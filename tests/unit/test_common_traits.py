@@ -1,5 +1,6 @@
 """Where many scenes fail: what they share, stated only if true and significant, and which one is the simplest."""
 
+import json
 from dataclasses import replace
 from unittest.mock import Mock
 
@@ -12,7 +13,7 @@ from mitsuba_ref.judge.verdict import SceneCheck, SceneStatistics
 from mitsuba_ref.report.ci_summaries import markdown
 from mitsuba_ref.report.verdict_text import common_traits, failures_text, simplest_failing
 from mitsuba_ref.runner import many_scenes
-from mitsuba_ref.runner.resume import scene_of
+from mitsuba_ref.runner.verdict_files import scene_of
 
 
 def scene(name, shapes=("sphere",), *, ok=False, checks=("depth",), camera="pinhole", primitives=1, **more):
@@ -90,6 +91,6 @@ def test_a_verdict_has_the_composition_of_its_scene_also_without_comparison(monk
     entry = many_scenes.SceneEntry(ball, "ball", "ball.toml")
     for found in (made("ball"), made("ball", problem="crash")):
         monkeypatch.setattr(many_scenes, "validate_scene", Mock(return_value=found))
-        judged = many_scenes.judge_here(entry, None)
+        judged = many_scenes.judge_entry(entry, many_scenes.JudgeOptions())
         assert judged.composition == SceneStatistics("pinhole", {"sphere": 1, "cube": 1}, 13)
-        assert scene_of(judged.to_dict()).composition == judged.composition
+        assert scene_of(json.dumps(judged.to_dict())).composition == judged.composition

@@ -9,10 +9,10 @@ import pytest
 from caster.aovs import Aovs
 from mitsuba_ref.error_model.defect_conditions import DefectFeatures, abs_cosine
 from mitsuba_ref.error_model.lambert import direction_to_light
+from mitsuba_ref.judge.checks.render import bits_differ
 from mitsuba_ref.judge.classification import reference_prims
 from mitsuba_ref.judge.diagnosis import _marked_misses, marked_miss
 from mitsuba_ref.judge.explanations import QUANTITY_NAMES, exceeded_bounds, format_defect, not_compared
-from mitsuba_ref.judge.scene_checks import bits_differ
 
 
 @pytest.mark.parametrize(

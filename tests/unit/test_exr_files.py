@@ -11,7 +11,7 @@ from caster.__main__ import main
 from caster.aovs import AOVS, Aovs
 from caster.image.channels import aovs_to_channels, channels_to_aovs
 from caster.image.exr import NO_ID
-from mitsuba_ref.judge.independent_checks.exr_round_trip import CHANNELS, WrittenImage, difference, stored_planes
+from mitsuba_ref.judge.checks.exr_files import CHANNELS, WrittenImage, difference, stored_planes
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENE, SIZE, CROP = str(ROOT / "scenes/every-shape.toml"), (24, 18), (5, 3, 20, 17)

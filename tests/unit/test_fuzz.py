@@ -36,9 +36,9 @@ from mitsuba_ref.hard import BY_NAME, DRAWN, FAMILIES
 from mitsuba_ref.hard.family import scene_of
 from mitsuba_ref.hard.random_parts import random_camera, random_frame, random_shape, shape_types
 from mitsuba_ref.hard.rays import Frame, RayBatch, perturbed_by_ulps
-from mitsuba_ref.judge.independent_checks.knife_edges import NearestHits, cast_by_culling, prepared_scene
-from mitsuba_ref.judge.independent_checks.public_routes import RouteDifference
-from mitsuba_ref.judge.independent_checks.scaling import Difference
+from mitsuba_ref.judge.checks.knife_edges import NearestHits, cast_by_culling, prepared_scene
+from mitsuba_ref.judge.checks.routes import RouteDifference
+from mitsuba_ref.judge.checks.scaling import Difference
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.shapes import KINDS
 from mitsuba_ref.shapes.targets import mesh_files

@@ -10,9 +10,8 @@ from verdict_factory import scene, verdict
 from caster.description.errors import SceneError
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.bench.result import Run
-from mitsuba_ref.report.output_manifest import JOURNAL, OutFolder
 from mitsuba_ref.report.results import read_result
-from mitsuba_ref.runner.resume import ResumableResults, UnreadableVerdict, read_verdict
+from mitsuba_ref.runner.verdict_files import UnreadableVerdict, read_verdict
 
 ROOT = Path(__file__).resolve().parents[2]
 INTERNAL = 70
@@ -73,13 +72,6 @@ def test_a_garbled_verdict_is_an_error_of_the_file(tmp_path, capsys, record):
         said = capsys.readouterr()
         assert "Traceback" not in said.out + said.err
     assert refused > 100 < read + refused
-
-
-def test_a_garbled_journal_has_fewer_scenes_and_no_error(tmp_path, record):
-    for content in places(record["scenes"][0], GARBLED):
-        (tmp_path / JOURNAL).write_text(content + "\n", encoding="utf-8")
-        results = ResumableResults(OutFolder(tmp_path), lambda entry, folder: scene("a"), resume=True)
-        assert set(results.known) <= {"a", "x"}
 
 
 def test_a_garbled_benchmark_is_an_error_of_the_file(tmp_path):

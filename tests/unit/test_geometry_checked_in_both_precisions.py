@@ -29,9 +29,9 @@ from caster.shapes import (
     Torus,
     Triangle,
 )
-from mitsuba_ref.judge import scene_checks
-from mitsuba_ref.judge.independent_checks.scaling import check_scaling
-from mitsuba_ref.judge.scene_checks import PRECISIONS, Precision, Shares, check_geometry
+from mitsuba_ref.judge.checks import Shares, shapes
+from mitsuba_ref.judge.checks.scaling import check_scaling
+from mitsuba_ref.judge.checks.shapes import PRECISIONS, Precision, check_geometry
 from mitsuba_ref.shapes import reference_of
 
 FOLDER = Path(__file__).resolve().parents[2] / "scenes"
@@ -102,9 +102,9 @@ def test_one_claim_that_is_off_in_one_precision_is_found(monkeypatch, shape, wha
                 claim = claim._replace(packed=claim.packed + off * np.maximum(np.abs(claim.packed), off))
             yield claim
 
-    monkeypatch.setattr(scene_checks, "PRECISIONS", tuple(map(noting, PRECISIONS)))
+    monkeypatch.setattr(shapes, "PRECISIONS", tuple(map(noting, PRECISIONS)))
     assert check_geometry(scene_of(shape)).ok
-    monkeypatch.setattr(scene_checks, "reference_of", lambda shape: replace(reference_of(shape), expected=placed))
+    monkeypatch.setattr(shapes, "reference_of", lambda shape: replace(reference_of(shape), expected=placed))
     found = check_geometry(scene_of(shape))
     assert not found.ok
     assert found.what == f"{what} of shape-0 ({precision})"

@@ -93,7 +93,7 @@ RULES = (
         "mitsuba_ref",
         "only caster, and what reads its files back, imports OpenEXR; only caster imports numba",
         never=("OpenEXR", "numba"),
-        except_in=("mitsuba_ref.judge.independent_checks.exr_round_trip",),
+        except_in=("mitsuba_ref.judge.checks.exr_files",),
     ),
     Rule("mitsuba_ref.judge", "only caster imports numba", never=("numba",)),
     Rule(

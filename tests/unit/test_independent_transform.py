@@ -13,7 +13,7 @@ from mitsuba_ref.error_model.independent_transform import (
     compose_transform,
     transform_error_ratio,
 )
-from mitsuba_ref.judge.scene_checks import check_placement
+from mitsuba_ref.judge.checks.shapes import check_placement
 
 TURN = {"rotate": {"axis": [1.0, 2.0, 3.0], "degrees": 50.0}}
 MOVE = {"translate": [0.3, -0.7, 1.9]}

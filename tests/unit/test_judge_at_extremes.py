@@ -17,9 +17,10 @@ from mitsuba_ref.error_model.bounds import nearest_root
 from mitsuba_ref.error_model.bracket import Claims
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
-from mitsuba_ref.judge import scene_checks
+from mitsuba_ref.judge.checks import render as render_check
+from mitsuba_ref.judge.checks.render import check_render
+from mitsuba_ref.judge.checks.shapes import check_geometry
 from mitsuba_ref.judge.defect_lookup import FeatureMeasurement, defect_of
-from mitsuba_ref.judge.scene_checks import check_geometry, check_render
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.shared_input import SharedRays, model_of
 from mitsuba_ref.shapes import cylinder, disk, sphere, surface_errors
@@ -56,7 +57,7 @@ def altered(monkeypatch: pytest.MonkeyPatch, change: Any) -> None:
         ours = render(scene, names)
         return Aovs({**{name: ours[name].copy() for name in names}, **change(ours)}, ours.hit)
 
-    monkeypatch.setattr(scene_checks, "render", other)
+    monkeypatch.setattr(render_check, "render", other)
 
 
 @pytest.mark.parametrize(

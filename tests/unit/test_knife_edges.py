@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from caster.scene.model import Scene
-from mitsuba_ref.judge.independent_checks import knife_edges as module
-from mitsuba_ref.judge.independent_checks.knife_edges import (
+from mitsuba_ref.judge.checks import knife_edges as module
+from mitsuba_ref.judge.checks.knife_edges import (
     RayBatch,
     cast_by_culling,
     knife_edges,

@@ -9,7 +9,7 @@ import pytest
 import caster
 from caster.scene.files import load_scene
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.judge.independent_checks.ray_conventions import RAYS, check_ray_conventions
+from mitsuba_ref.judge.checks.ray_conventions import RAYS, check_ray_conventions
 from mitsuba_ref.subjects.command import RayCommand, command_of
 from mitsuba_ref.subjects.function import FunctionSubject
 

@@ -1,4 +1,4 @@
-"""What a report leaves on disk, and what of it fits into one file."""
+"""What a report leaves on disk."""
 
 import json
 import re
@@ -9,8 +9,8 @@ import pytest
 
 from caster.system.atomic_files import OutputError
 from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneVerdict
-from mitsuba_ref.report import evidence, html_report
-from mitsuba_ref.report.html_report import ONE_FILE_LIMIT_BYTES, SCRIPTS, HtmlReport, as_json, index_row, page
+from mitsuba_ref.report import evidence
+from mitsuba_ref.report.html_report import SCRIPTS, HtmlReport, as_json, index_row, page
 from mitsuba_ref.report.validation import Validation
 from mitsuba_ref.report.verdict_text import failure_text
 
@@ -19,65 +19,10 @@ FAILING = SceneVerdict("two words", "scenes/two words.toml", 100, 100, failures=
 FAILING = replace(FAILING, counts=FAILING.counts | {"wrong": 100})
 PASSING = SceneVerdict("good", "good.toml", 9, 9)
 PASSING = replace(PASSING, counts=PASSING.counts | {"agree": 9})
-LAYERS = ("ids", "depth", "normal")
 
 
 def matrix_rows(*verdicts):
     return [index_row(verdict, f"{verdict.name}.js", "") for verdict in verdicts]
-
-
-def sizes_of(rows, **sizes):
-    return {each["name"]: {"about": 100, "ids": 200, "depth": 1000, "normal": 2000} | sizes for each in rows}
-
-
-def chosen_within(room, rows):
-    around = html_report.ELEMENT_OVERHEAD_BYTES * 4 * len(rows)
-    return html_report.choose(rows, sizes_of(rows), room + around, LAYERS)
-
-
-def test_failing_scenes_go_into_one_file_first():
-    rows = matrix_rows(PASSING, FAILING, replace(PASSING, name="other"))
-    everything = chosen_within(3 * 3300, rows)
-    assert len(everything) == 12 and html_report.left_out(sizes_of(rows), everything) == {}
-    some = chosen_within(300 + 3200 + 2 * 200 + 1000, rows)
-    assert {part for scene, part in some if scene == "two words"} == {"about", "ids", "depth", "normal"}
-    assert html_report.left_out(sizes_of(rows), some) == {"good": ["normal"], "other": ["depth", "normal"]}
-    nothing = chosen_within(50, rows)
-    assert nothing == set()
-
-
-def test_no_layer_comes_without_what_it_belongs_to():
-    (each,) = rows = matrix_rows(PASSING)
-    sizes = sizes_of(rows, about=10_000)
-    assert html_report.choose(rows, sizes, 4000, LAYERS) == set()
-    assert html_report.left_out(sizes, set()) == {each["name"]: ["about", "ids", "depth", "normal"]}
-
-
-def test_one_file_never_outgrows_its_size(tmp_path, monkeypatch):
-    monkeypatch.setattr("mitsuba_ref.report.html_report.ONE_FILE_LIMIT_BYTES", 150_000)
-    report = HtmlReport(tmp_path / "r.html", 20)
-    for i in range(20):
-        name = f"scene-{i}"
-        text = html_report.record_lines({"about": as_json({"number": i}), "depth": as_json("x" * 9_000)})
-        (report.data / f"{name}.js").write_text(text, encoding="utf-8")
-        kept = {"about": len(as_json({"number": i})), "depth": 9_002}
-        report._kept[name] = report._kept.get(name) or kept_of(f"{name}.js", kept)
-        report.add(replace(PASSING, name=name))
-    report.write()
-    text = report.index.read_text(encoding="utf-8")
-    told = json.loads(re.search(r'id="index">(.*?)</script>', text).group(1))
-    depths = text.count('data-part="depth"')
-    assert len(text.encode()) <= 150_000 and text.count('data-part="about"') == 20
-    assert 0 < depths < 20 and len(told["left_out"]) == 20 - depths
-    aside = report.data
-    report.close()
-    assert not aside.exists() and ONE_FILE_LIMIT_BYTES == 25_000_000
-
-
-def kept_of(file, sizes):
-    from mitsuba_ref.report.html_report import WrittenScene
-
-    return WrittenScene(file, "", sizes)
 
 
 def test_a_run_that_is_cut_off_has_its_page(tmp_path):
@@ -144,12 +89,11 @@ def test_a_place_that_cannot_be_written_is_refused_at_once(tmp_path):
     with pytest.raises(OutputError):
         HtmlReport(tmp_path / "file", 1)
     with pytest.raises(OutputError):
-        HtmlReport(tmp_path / "none" / "r.html", 1)
+        HtmlReport(tmp_path / "r.html", 1)  # a report is a folder
 
 
 def test_a_verdict_writes_itself(tmp_path):
     assert Validation((FAILING, PASSING), scene_count=2).write_html(tmp_path / "r") == tmp_path / "r" / "index.html"
-    assert Validation((PASSING,)).write_html(tmp_path / "r.html") == tmp_path / "r.html"
 
 
 def test_classes_have_the_same_colours_on_the_page_as_in_files():

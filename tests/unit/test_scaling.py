@@ -7,8 +7,8 @@ from caster.aovs import AOVS
 from caster.cameras import CAMERAS
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
-from mitsuba_ref.judge.independent_checks import scaling as module
-from mitsuba_ref.judge.independent_checks.scaling import (
+from mitsuba_ref.judge.checks import scaling as module
+from mitsuba_ref.judge.checks.scaling import (
     CAMERA_LENGTHS,
     CAMERA_RATIOS,
     COMPARED_AOVS,

@@ -1,7 +1,5 @@
 """Verdicts made up, for tests of what is written about them."""
 
-from dataclasses import replace
-
 from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneCheck, SceneVerdict, Verdict
 
 
@@ -37,15 +35,3 @@ def verdict(*scenes, scene_count=None, names=(), **more):
     """All of them; `names` beyond theirs were not judged."""
     every = (*(each.name for each in scenes), *names)
     return Verdict(tuple(scenes), len(every) if scene_count is None else scene_count, every, **more)
-
-
-def judging(judge):
-    """A stand-in for many_scenes.judge_entry around judge(entry, folder), which is not called for known inputs."""
-
-    def judge_entry(entry, folder, *, inputs_of=None, known="", **options):
-        inputs = inputs_of(entry.load()) if inputs_of else ""
-        if inputs and inputs == known:
-            return SceneVerdict(entry.name, entry.path, entry.pixels, inputs=inputs)
-        return replace(judge(entry, folder), inputs=inputs)
-
-    return judge_entry

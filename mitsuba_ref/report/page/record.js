@@ -18,7 +18,7 @@ window.ray_reference_scene = (name, parts) => awaited.get(name)?.(parts);
 class SceneRecord {
   constructor(scene, parts) {
     this.scene = scene;
-    this.parts = parts; // name -> object, or a function that gives it
+    this.parts = parts; // name -> object
     this.arrays = new Map();
   }
 
@@ -27,7 +27,6 @@ class SceneRecord {
   }
 
   part(name) {
-    if (typeof this.parts[name] === "function") this.parts[name] = this.parts[name]();
     return this.parts[name];
   }
 
@@ -140,27 +139,11 @@ function neighbours(record, row) {
 function recordOf(scene) {
   if (!records.has(scene.name)) {
     if (records.size >= KEPT_SCENES) records.delete(records.keys().next().value);
-    const found = (RUN.one_file ? Promise.resolve(includedParts(scene)) : loadedParts(scene))
-      .then((parts) => new SceneRecord(scene, parts).begin());
+    const found = loadedParts(scene).then((parts) => new SceneRecord(scene, parts).begin());
     records.set(scene.name, found);
     found.catch(() => records.delete(scene.name));
   }
   return records.get(scene.name);
-}
-
-/** Of a page that is one file: elements of text, read when they are needed. */
-function includedParts(scene) {
-  const parts = {};
-  for (const element of document.querySelectorAll(`script[data-scene="${encoded(scene.name)}"]`))
-    parts[element.dataset.part] = () => JSON.parse(element.textContent);
-  if (!parts.about) throw new Error(noPictures(scene));
-  return parts;
-}
-
-/** As Python's urllib.parse.quote writes a name into an attribute. */
-function encoded(name) {
-  return encodeURIComponent(name).replace(/[!'()*]/g, (c) => `%${c.charCodeAt(0).toString(16).toUpperCase()}`)
-    .replace(/%2F/g, "/");
 }
 
 function loadedParts(scene) {
@@ -178,7 +161,6 @@ function loadedParts(scene) {
 function noPictures(scene) {
   const silent = RUN.candidate ? "the candidate gave no answer" : "the reference gave no answer";
   if (scene.crashed) return `There are no images: ${silent}.`;
-  if (RUN.left_out[scene.name]) return `Left out: one file holds ${RUN.most_bytes / 1e6} MB. --html FOLDER stores everything.`;
   return "No images of this scene were stored.";
 }
 

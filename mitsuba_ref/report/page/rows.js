@@ -15,7 +15,7 @@ function rowHtml(scene, i, height) {
 <span class="classes" role="cell">${classBar(scene)}<small>${classCounts(scene)}</small></span>
 <span class="worst" role="cell">${scene.failing ? failingHtml(scene, check, share) : check ? shareHtml(check, share) : ""}</span>
 <span class="adjudicated" role="cell">${grouped(scene.adjudicated)}</span>
-<span class="time" role="cell">${scene.kept ? "kept" : `${scene.seconds.toFixed(1)} s`}</span></div>`;
+<span class="time" role="cell">${scene.seconds.toFixed(1)} s</span></div>`;
 }
 
 const CLOSE = { a: "", x: -1, y: -1, z: 0, cx: -1, cy: -1, e: 0 };

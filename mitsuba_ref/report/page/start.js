@@ -71,10 +71,6 @@ function fillBanner() {
   const words = [];
   if (RUN.scenes.length < RUN.requested)
     words.push(`${RUN.scenes.length} of ${RUN.requested} scenes are here: the run has not finished.`);
-  const short = Object.keys(RUN.left_out).length;
-  if (short)
-    words.push(`One file holds ${RUN.most_bytes / 1e6} MB, so parts of ${short} scenes are left out, ` +
-      "as stated there; scenes that pass are rounded to float32. --html FOLDER stores everything.");
   byId("common").innerHTML = RUN.common.map((line) => `<p>${escaped(line)}</p>`).join("");
   byId("common").hidden = !RUN.common.length;
   byId("banner").textContent = words.join(" ");

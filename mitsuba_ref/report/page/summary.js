@@ -3,7 +3,7 @@
 function fillSummary(record) {
   const { verdict, scene } = record;
   const broken = verdict.checks.filter((check) => !check.ok), held = verdict.checks.length - broken.length;
-  const skipped = verdict.left_out ?? [], left = RUN.left_out[scene.name], worst = verdict.failures.map(failureHtml).join("");
+  const skipped = verdict.left_out ?? [], worst = verdict.failures.map(failureHtml).join("");
   const versions = Object.entries(verdict.versions).map(([name, version]) => `${name} ${version}`).join(", ");
   byId("summary").innerHTML = `<h2>${plural(verdict.hit_pixels, "hit pixel")}</h2>
 <table>${countsOf(scene).filter(([, count]) => count).map(countHtml).join("")}</table>
@@ -11,7 +11,6 @@ function fillSummary(record) {
 ${broken.length ? `<ul>${broken.map(brokenHtml).join("")}</ul>` : ""}
 ${foundHtml(verdict)}
 ${worst ? `<h3>${RUN.candidate ? "Some" : "Worst"} failing pixels</h3><ol>${worst}</ol>` : ""}
-${left ? `<p class="note">Left out of this one file: ${left.map(spaced).join(", ")}.</p>` : ""}
 ${(verdict.notes ?? []).map((note) => `<p class="note">${escaped(note)}</p>`).join("")}
 <p class="note">${escaped(RUN.candidate ? `held to the bounds of ${verdict.precision}; ${versions}` : versions)}</p>`;
 }

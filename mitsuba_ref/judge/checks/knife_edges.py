@@ -18,6 +18,7 @@ from caster.scene.model import Film, Scene
 from mitsuba_ref.error_model.bounds import error_over_bound as ratio_of
 from mitsuba_ref.error_model.bounds import t_bounds
 from mitsuba_ref.hard.rays import ALL_AIMS, Aim, Frame, RayBatch, Targets, aimed_rays
+from mitsuba_ref.judge.checks import OURS, check
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 from mitsuba_ref.shapes import reference_of
@@ -168,6 +169,14 @@ class AimedFailure(NamedTuple):
     what: str
     scene: Scene  # one pixel, whose ray it is
     whole: bool  # all shapes are there: the involved ones alone do not show it
+
+
+@check(of=(OURS,))
+def check_knife_edges(scene: Scene, wrong_rays: list[AimedFailure]) -> SceneCheck:
+    """The check; the scenes of failing rays are appended to `wrong_rays`."""
+    found, failures = knife_edges(scene)
+    wrong_rays += failures
+    return found
 
 
 def knife_edges(scene: Scene) -> tuple[SceneCheck, tuple[AimedFailure, ...]]:

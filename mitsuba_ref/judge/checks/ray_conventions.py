@@ -12,7 +12,8 @@ from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.tolerances import MAJORITY, MATCH_RTOL, NEARLY_ALL
 from mitsuba_ref.hard.rays import RayBatch
-from mitsuba_ref.judge.independent_checks.knife_edges import cast_by_culling
+from mitsuba_ref.judge.checks import CANDIDATE, check
+from mitsuba_ref.judge.checks.knife_edges import cast_by_culling
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.shared_input import SharedRays, model_of, packed_float32, shared_rays
 from mitsuba_ref.subjects.subject import CastRequest, NoAnswer, Subject, Unsupported
@@ -22,11 +23,14 @@ LENGTHS = (1.0, 0.5, 2.0, 7.0)  # of d; two powers of two, and a number that is 
 RAYS, RAYS_TRIED = 16, 1024  # of each group, which hit something; of the film, to find them
 
 
-def check_ray_conventions(subject: Subject, scene: Scene) -> SceneCheck:
+@check(of=(CANDIDATE,), camera=True)
+def check_ray_conventions(subject: Subject, scene: Scene, failing: bool = False) -> SceneCheck | None:
     """A candidate that takes rays: t counts in lengths of d, any direction is traced alike, hits lie within the limits.
 
-    What it makes of hits at the very ends of the limits is stated, and passes.
+    How it treats hits exactly at the limits is stated, and passes. None where pixels fail already, or without rays.
     """
+    if failing or not subject.takes_rays:
+        return None
     limits = _mistaken_limits(subject) if subject.takes_limits else ""
     if limits and not limits.startswith(AT_THE_ENDS):
         return SceneCheck(NAME, np.inf, limits)

@@ -21,7 +21,7 @@ from caster.scene.model import Scene
 from caster.shapes.mesh import MeshFile
 from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.tolerances import FILE_NORMAL_ROUNDINGS, FILE_UV_ROUNDINGS, U32
-from mitsuba_ref.judge.scene_checks import Shares
+from mitsuba_ref.judge.checks import Shares, check
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.messages import LoadedMesh
 
@@ -102,6 +102,7 @@ REWRITE: dict[str, Callable[[bytes], bytes]] = {".obj": _plain_obj, ".stl": _stl
 # ---- comparison
 
 
+@check()
 def check_mesh_files(scene: Scene, loaded: tuple[LoadedMesh, ...]) -> SceneCheck:
     """Compare every mesh file of the scene. loaded: by Mitsuba, in the order of `files_of`."""
     files = files_of(scene)

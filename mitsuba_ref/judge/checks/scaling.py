@@ -17,7 +17,8 @@ from caster.rendering.images import render
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.error_model.intersections import LARGEST_COORDINATE
-from mitsuba_ref.judge.independent_checks.knife_edges import content_seed
+from mitsuba_ref.judge.checks import OURS, check
+from mitsuba_ref.judge.checks.knife_edges import content_seed
 from mitsuba_ref.judge.verdict import SceneCheck
 
 # Of cameras. t_max counts in lengths of the direction of a camera of type `ray`, which stays as long.
@@ -114,6 +115,7 @@ def scaling_differences(scene: Scene, exponents: tuple[int, ...]) -> list[Differ
     return found
 
 
+@check(of=(OURS,), thorough=True)
 def check_scaling(scene: Scene) -> SceneCheck:
     """A window of the image of the scene at other scales: the same bits, lengths times 2^k."""
     unknown = sorted(set(type(scene.camera).model_fields) - {*CAMERA_LENGTHS, *CAMERA_RATIOS})

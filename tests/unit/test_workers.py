@@ -4,6 +4,7 @@ import ctypes
 import json
 import os
 import signal
+import tempfile
 import threading
 import time
 from pathlib import Path
@@ -13,8 +14,8 @@ import pytest
 from verdict_factory import scene as made
 
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.runner import isolation, many_scenes
-from mitsuba_ref.runner.isolation import Isolated, ResultNotSent, WorkerEnded
+from mitsuba_ref.runner import many_scenes
+from mitsuba_ref.runner.workers import WorkerEnded, Workers
 
 SCENE = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n[[shape]]\ntype = "sphere"\n'
 
@@ -36,9 +37,9 @@ ENDS = {
 }
 
 
-@pytest.fixture
-def judging(tmp_path, monkeypatch):
-    """Scenes named after how they end, two of which pass; forks judge them."""
+@pytest.mark.parametrize("workers", ["1", "3"])
+def test_every_end_is_a_row_and_the_rest_is_judged(tmp_path, monkeypatch, capsys, workers):
+    """Scenes named after how they end, two of which pass."""
     monkeypatch.chdir(tmp_path)
     Path("scenes").mkdir()
     for name in ("a", *ENDS, "z"):
@@ -49,11 +50,7 @@ def judging(tmp_path, monkeypatch):
         return made(name)
 
     monkeypatch.setattr(many_scenes, "validate_scene", validate)
-    monkeypatch.setattr(many_scenes.ISOLATED, "seconds", 1.0)
-
-
-@pytest.mark.parametrize("workers", ["1", "3"])
-def test_every_end_is_a_row_and_the_rest_is_judged(judging, capsys, workers, tmp_path):
+    monkeypatch.setattr(many_scenes, "Workers", lambda seconds: Workers(1.0))
     words = ["--json", "v.json", "--junit", "j.xml", "--html", "report"]
     assert main(["validate", "scenes", "-j", workers, *words]) == 1
     out = capsys.readouterr().out
@@ -63,53 +60,45 @@ def test_every_end_is_a_row_and_the_rest_is_judged(judging, capsys, workers, tmp
     for name, (_, problem) in ENDS.items():
         assert found[name]["problem"].splitlines()[0] == problem
         assert not found[name]["ok"] and f"FAIL  {name}  {problem}" in out
-    assert "test_isolation.py" in found["segfault"]["problem"]  # the calls that led there
+    assert "test_workers.py" in found["segfault"]["problem"]  # the calls that led there
     cases = {case.get("name"): case for case in ElementTree.parse("j.xml").iter("testcase")}
     assert {name for name, case in cases.items() if len(case)} >= set(ENDS) and Path("report/index.html").exists()
 
 
-def test_a_fork_serves_many_calls_and_a_dead_one_is_replaced():
-    isolated = Isolated(lambda action: action())
-    with isolated.kept():
-        first = isolated(_pid)
-        assert first != os.getpid() and isolated(_pid) == first
+def test_a_worker_serves_many_calls_and_a_dead_one_is_replaced():
+    with Workers() as pool:
+        first = pool.call(os.getpid)
+        assert first != os.getpid() and pool.call(os.getpid) == first
         os.kill(first, signal.SIGKILL)
         os.waitid(os.P_PID, first, os.WEXITED | os.WNOWAIT)
-        second = isolated(_pid)
+        second = pool.call(os.getpid)
         assert second not in (first, os.getpid())
         with pytest.raises(WorkerEnded, match="SIGSEGV"):
-            isolated(crash)
+            pool.call(crash)
         with pytest.raises(ZeroDivisionError):
-            isolated(_divide)
-    with pytest.raises(ProcessLookupError):
-        os.kill(second, 0)
+            pool.call(divmod, 1, 0)
+        with pytest.raises(TypeError, match=r"cannot pickle '_thread\.lock' object"):
+            pool.call(threading.Lock)
+        third = pool.call(os.getpid)
+    for pid in (second, third):
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
 
 
-def test_nothing_is_left_behind(tmp_path, monkeypatch):
-    monkeypatch.setattr(isolation.tempfile, "tempdir", str(tmp_path))
-    isolated = Isolated(lambda action: action())
-    with isolated.kept(), pytest.raises(WorkerEnded):
-        isolated(_leave_a_file)
-    assert list(tmp_path.iterdir()) == []
-
-
-def _pid():
-    return os.getpid()
-
-
-def _divide():
-    return 1 // 0
-
-
-def _leave_a_file():
-    Path(isolation.tempfile.mkdtemp(), "file").write_text("left")
+def leave_a_file():
+    Path(tempfile.mkdtemp(), "file").write_text("left")
     crash()
 
 
-def test_a_result_without_a_pickle_is_a_mistake_of_this_package_not_a_crash_of_a_scene(capfd):
-    isolated = Isolated(lambda action: action())
-    with isolated.kept():
-        with pytest.raises(ResultNotSent, match=r"cannot pickle '_thread\.lock' object"):
-            isolated(threading.Lock)
-        assert isolated(int) == 0
-    assert capfd.readouterr().err == ""
+def test_nothing_is_left_behind_and_stopped_calls_end(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with Workers() as pool:
+        with pytest.raises(WorkerEnded):
+            pool.call(leave_a_file)
+        threading.Timer(0.5, pool.stop).start()
+        begin = time.monotonic()
+        with pytest.raises(WorkerEnded):
+            pool.call(time.sleep, 60)
+        with pytest.raises(WorkerEnded, match="before it began"):
+            pool.call(os.getpid)
+    assert time.monotonic() - begin < 10 and list(tmp_path.iterdir()) == []

@@ -1,0 +1,124 @@
+"""The registry of the checks of a scene beside those of its pixels: each module here registers its own with `@check`.
+
+The pipeline, the command line, the pytest plug-in and docs/method.md read names and properties from this registry.
+"""
+
+import inspect
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache
+from importlib import import_module
+from pkgutil import iter_modules
+from typing import Any, Literal, NamedTuple, TypeVar
+
+import numpy as np
+
+from caster.scene.model import Scene
+from mitsuba_ref.error_model.bounds import error_over_bound
+from mitsuba_ref.judge.verdict import SceneCheck
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+Scope = Literal["scene", "window", "film"]
+
+OURS, CANDIDATE = "ours", "candidate"  # whose answers a check is made of
+ANSWERED = {"result", "loaded", "subject", "failing"}  # what there is once the subject and Mitsuba have answered
+
+
+class Check(NamedTuple):
+    """A registered check. Its function takes by name what it needs of `pipeline.Inputs`, and may return None."""
+
+    name: str  # in a verdict
+    make: Callable[..., SceneCheck | None]
+    needs: tuple[str, ...]
+    of: tuple[str, ...]
+    scope: Scope  # made once a scene, for each window of a large film, or of all windows together
+    camera: bool  # looks at the camera's rays: not made of a list of rays
+    thorough: bool  # tests our caster beyond the judged film, with kernels that the film does not need
+
+    @property
+    def answered(self) -> bool:
+        """Whether it needs an answer to look at."""
+        return not ANSWERED.isdisjoint(self.needs)
+
+
+_registered: dict[str, Check] = {}
+
+
+def check(
+    *, of: tuple[str, ...] = (OURS, CANDIDATE), scope: Scope = "scene", camera: bool = False, thorough: bool = False
+) -> Callable[[Function], Function]:
+    """Register a function `check_NAME` as the check NAME."""
+
+    def register(function: Function) -> Function:
+        name = function.__name__.removeprefix("check_")
+        needs = tuple(inspect.signature(function).parameters)
+        _registered[name] = Check(name, function, needs, of, scope, camera, thorough)
+        return function
+
+    return register
+
+
+@cache
+def all_checks() -> tuple[Check, ...]:
+    """Every check, in the order in which they are made: of the scene alone, of the answers, of the whole film."""
+    for module in iter_modules(__path__):
+        import_module(f"{__name__}.{module.name}")
+    stage = {name: (each.scope == "film", each.answered, each.make.__module__) for name, each in _registered.items()}
+    return tuple(sorted(_registered.values(), key=lambda each: stage[each.name]))
+
+
+def checks_of(whose: str, *, thorough: bool = True, whole_scene: bool = True, camera: bool = True) -> tuple[Check, ...]:
+    """The checks of OURS or a CANDIDATE.
+
+    thorough: with those that only --thorough makes; whole_scene: with those that are made once a scene; camera: with
+    those that look at its rays.
+    """
+    return tuple(
+        each
+        for each in all_checks()
+        if whose in each.of
+        and (thorough or not each.thorough)
+        and (whole_scene or each.scope != "scene")
+        and (camera or not each.camera)
+    )
+
+
+def thorough_names() -> tuple[str, ...]:
+    """The checks that only --thorough makes."""
+    return tuple(each.name for each in all_checks() if each.thorough)
+
+
+def make_checks(checks: Iterable[Check], inputs: Mapping[str, Any]) -> tuple[SceneCheck, ...]:
+    """The results of those checks that have one."""
+    found = (each.make(**{name: inputs[name] for name in each.needs}) for each in checks)
+    return tuple(each for each in found if each is not None)
+
+
+# ---- what several checks share ----
+
+
+class Shares:
+    """Errors over their bounds by what was checked; a second value of one name would hide the first and is refused."""
+
+    def __init__(self) -> None:
+        self._shares: dict[str, float] = {}
+
+    def add(self, what: str, share: float) -> None:
+        if what in self._shares:
+            raise ValueError(f"{what} is checked twice, and a verdict has room for one share of it")
+        self._shares[what] = share
+
+    def worst(self) -> tuple[str, float]:
+        """The largest share and what it is of."""
+        what = max(self._shares, key=lambda name: self._shares[name], default="nothing to look at")
+        return what, self._shares.get(what, 0.0)
+
+
+def worst_pixel(name: str, shares: dict[str, np.ndarray], among: np.ndarray, scene: Scene) -> SceneCheck:
+    """The largest share of all, and the pixel it is at."""
+    table = np.array([np.where(among, error_over_bound(share, np.ones(1)), 0.0) for share in shares.values()])
+    if not table.size:
+        return SceneCheck(name, 0.0, "nothing to look at")
+    part, pixel = np.unravel_index(int(np.argmax(table)), table.shape)
+    x0, y0, x1, _y1 = scene.film.window
+    x, y = x0 + int(pixel) % (x1 - x0), y0 + int(pixel) // (x1 - x0)
+    return SceneCheck(name, float(table[part, pixel]), f"{list(shares)[int(part)]} at ({x}, {y})")

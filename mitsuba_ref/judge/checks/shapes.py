@@ -1,0 +1,116 @@
+"""Checks of shapes: where each stands, the numbers it packs to, its material; all worked out a second time."""
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from caster.description.fields import Shape
+from caster.geometry.packing import Packed, packed
+from caster.scene.model import Diffuse, Scene
+from mitsuba_ref.error_model.bounds import error_over_bound
+from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, transform_error_ratio
+from mitsuba_ref.error_model.tolerances import TRANSFORM_ROUNDINGS
+from mitsuba_ref.judge.checks import OURS, Shares, check
+from mitsuba_ref.judge.verdict import SceneCheck
+from mitsuba_ref.reference.shared_input import packed_float32
+from mitsuba_ref.shapes import kind_of, reference_of
+
+
+@check()
+def check_placement(scene: Scene) -> SceneCheck:
+    """Each shape's matrix against its steps, composed a second time."""
+    ratios = [transform_error_ratio(shape) for shape in scene.shapes if shape.to_world]
+    names = [name for name, shape in zip(scene.shape_names(), scene.shapes, strict=True) if shape.to_world]
+    if not ratios:
+        return SceneCheck("placement", 0.0, "no shape has a to_world")
+    worst = int(np.argmax(ratios))
+    return SceneCheck("placement", ratios[worst], f"to_world of {names[worst]}")
+
+
+class Precision(NamedTuple):
+    """How the numbers of a shape are rounded when it is packed."""
+
+    name: str  # of NumPy's type
+    packing: Callable[[Scene], Packed]
+    unit_roundoff: float
+    # Below it the spacing of numbers stays what it is there, and so does what a rounding may take: half of it, the
+    # unit round-off of the smallest normal number.
+    smallest_normal: float
+
+
+PRECISIONS = (
+    Precision("float64", packed, 2.0**-53, 2.0**-1022),  # what `render` casts
+    Precision("float32", packed_float32, 2.0**-24, 2.0**-126),  # what is judged against the reference
+)
+
+
+def with_one_mesh(shape: Shape) -> Shape:
+    """The same shape, whose mesh is generated once: of ten million triangles, that takes two seconds."""
+    if not hasattr(shape, "mesh"):
+        return shape
+    copy = shape.model_copy()
+    object.__setattr__(copy, "mesh", cache(shape.mesh))  # a description takes no attribute otherwise
+    return copy
+
+
+@check()
+def check_geometry(scene: Scene) -> SceneCheck:
+    """Each shape's numbers in the world, float64 and float32, against its description, worked out a second time."""
+    shares = Shares()
+    latest: list[tuple[Shape, Shape]] = []  # one, with its copy: meshes of others are dropped
+
+    def described(shape: Shape) -> Shape:
+        if not latest or latest[0][0] is not shape:
+            latest[:] = [(shape, with_one_mesh(shape))]
+        return latest[0][1]
+
+    for precision in PRECISIONS:
+        parts = precision.packing(scene).parts
+        for name, shape, part in zip(scene.shape_names(), scene.shapes, parts, strict=True):
+            for field in unrounded_arrays(part, precision.name):
+                shares.add(f"{field} of {name} not rounded to {precision.name}", np.inf)
+            for claim in reference_of(shape).expected(described(shape), part):
+                share = _packing_error_ratio(claim, precision.unit_roundoff, precision.smallest_normal)
+                shares.add(f"{claim.what} of {name} ({precision.name})", share)
+    worst, share = shares.worst()
+    return SceneCheck("geometry", share, worst)
+
+
+def unrounded_arrays(part: Any, dtype: str) -> list[str]:
+    """Arrays of a packed shape that hold other numbers than those of a type, which both sides have to trace.
+
+    float64 numbers lie within the bounds of float32, so that no bound shows that they were not rounded.
+    """
+    derived = kind_of(part).derived
+    floats = {name: array for name, array in part._asdict().items() if array.dtype.kind == "f" and name not in derived}
+    with np.errstate(over="ignore"):
+        return [name for name, array in floats.items() if not np.array_equal(array, array.astype(dtype))]
+
+
+def _packing_error_ratio(claim: ExpectedNumbers, rounding: float, normal: float) -> float:
+    """Largest error over its bound; inf where there are other numbers than expected."""
+    if claim.packed.shape != np.shape(claim.expected):
+        return float("inf")
+    error = np.abs(claim.packed - claim.expected)
+    size = np.maximum(claim.size, normal) if claim.rounded else claim.size
+    bound = TRANSFORM_ROUNDINGS * rounding * np.broadcast_to(size, error.shape)
+    hopeless = np.isposinf(bound)  # normals that cancel: their direction is undefined
+    return float(np.where(hopeless, 0.0, error_over_bound(error, bound)).max(initial=0.0))
+
+
+@check(of=(OURS,))
+def check_materials(scene: Scene) -> SceneCheck:
+    """Each shape's material is the one it names: Mitsuba gets what the caster looks up."""
+    ratios = [
+        0.0 if scene.material_of(shape) == _described_material(scene, shape) else np.inf for shape in scene.shapes
+    ]
+    if not ratios:
+        return SceneCheck("materials", 0.0, "no shape")
+    worst = int(np.argmax(ratios))
+    return SceneCheck("materials", ratios[worst], f"material of {scene.shape_names()[worst]}")
+
+
+def _described_material(scene: Scene, shape: Shape) -> Diffuse:
+    return scene.materials[shape.material] if shape.material else Diffuse()

@@ -1,1 +1,0 @@
-"""Checks of a scene beside its pixels: rays aimed at edges, other units of length, mesh files read again."""

@@ -1,0 +1,260 @@
+"""The pipeline of a verdict: request, compare, adjudicate, classify, check, verdict (docs/method.md, in this order)."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from caster.geometry.packing import forget_packed
+from caster.geometry.world_space import as_given
+from caster.scene.model import Scene
+from mitsuba_ref.judge.aggregate import (
+    NEVER_GIVEN,
+    class_counts,
+    defect_counts,
+    failing_by_check,
+    failure_at,
+    failure_hints,
+    findings,
+    largest_ratios,
+    listed_failures,
+    merge_windows,
+    quantities_not_given,
+)
+from mitsuba_ref.judge.checks import CANDIDATE, checks_of, make_checks, thorough_names
+from mitsuba_ref.judge.checks import OURS as OUR_CHECKS
+from mitsuba_ref.judge.checks.bias import PixelErrors, error_statistics, pixel_errors
+from mitsuba_ref.judge.checks.knife_edges import AimedFailure
+from mitsuba_ref.judge.classification import Judge, Judgement, judge_of
+from mitsuba_ref.judge.diagnosis import Diagnosis, diagnose
+from mitsuba_ref.judge.verdict import FAILING, SceneCheck, SceneVerdict
+from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
+from mitsuba_ref.reference.shared_input import SharedRays
+from mitsuba_ref.subjects.requests import SubjectResponse, request_answer
+from mitsuba_ref.subjects.subject import OURS, NoAnswer, Subject, Unsupported
+
+
+class Task(NamedTuple):
+    """A scene to judge, and how."""
+
+    scene: Scene
+    name: str
+    path: str = ""
+    subject: Subject = OURS
+    rays: SharedRays | None = None  # of a list, laid out as the film, in place of the camera's
+    timeout: float = DEFAULT_TIMEOUT
+    send: SendRequest = send_stored  # the way to Mitsuba
+    thorough: bool = False  # make every check of our caster
+
+    @property
+    def ours(self) -> bool:
+        return self.subject is OURS
+
+    def windows(self) -> list[Scene]:
+        """The scene with each window that is judged by itself: a command renders the whole film."""
+        return bands_of(self.scene) if self.subject.takes_rays and self.rays is None else [self.scene]
+
+
+class Seen(NamedTuple):
+    """What the verdict of a window rests on."""
+
+    judge: Judge
+    judgement: Judgement
+    diagnosis: Diagnosis
+    wrong_rays: Sequence[AimedFailure]  # of the check `knife_edges`
+
+
+# ---- a film, in one window or several ----
+
+# A film of more pixels than this is judged as several, so that memory stays what one band needs; of so many pixels a
+# band that what is done once for each (its own scene in Mitsuba, samples of every check) costs less than its pixels.
+LARGEST_WHOLE_FILM, BAND_PIXELS = 1 << 20, 1 << 19
+
+LARGE_SCENE = 1 << 20  # primitives; such a scene is packed again sooner than kept beside its float32 numbers
+
+# Called with the verdict of each window and the name of its images, while `seen` holds the evidence.
+Finish = Callable[[SceneVerdict, str], SceneVerdict]
+
+
+def bands_of(scene: Scene) -> list[Scene]:
+    """The scene with windows of whole rows that make up its film; itself alone where that is small."""
+    x0, y0, x1, y1 = scene.film.window
+    if (x1 - x0) * (y1 - y0) <= LARGEST_WHOLE_FILM:
+        return [scene]
+    rows = max(1, BAND_PIXELS // (x1 - x0))
+    return [scene.with_film(crop=(x0, y, x1, min(y + rows, y1))) for y in range(y0, y1, rows)]
+
+
+def judge_film(task: Task, finish: Finish = lambda verdict, images: verdict) -> SceneVerdict:
+    """The verdict of all bands, with the evidence of one: the first of those that fail most, or the middle one."""
+    bands = task.windows()
+    verdicts: list[SceneVerdict] = []
+    errors: list[PixelErrors] = []
+    best, shown, seen = (-1, False, False), 0, None
+    for number, band in enumerate(bands):
+        middle, rows = number == len(bands) // 2, _rows(band)
+        found, of_band = judge_window(task._replace(scene=band), whole_scene=middle, whole_film=len(bands) == 1)
+        found = finish(found, task.name if len(bands) == 1 else f"{task.name}.rows-{rows[0]:05}-{rows[1]:05}")
+        rank = found.failing, not found.checks_pass, middle
+        if rank > best:
+            best, shown, seen = rank, number, found.seen
+        verdicts.append(replace(found, seen=None))
+        errors += [of_band] if of_band else []
+        if found.problem:
+            break
+    merged = _merged(bands, verdicts, shown, seen) if len(bands) > 1 else replace(verdicts[0], seen=seen)
+    if not errors or merged.problem:
+        return merged
+    statistics = error_statistics(errors)
+    checks = [each for each in checks_of(OUR_CHECKS) if each.scope == "film"]
+    made = make_checks(checks, {"statistics": statistics})
+    return replace(merged, checks=(*merged.checks, *made), statistics=statistics)
+
+
+def _rows(band: Scene) -> tuple[int, int]:
+    """The first and the last row of a window."""
+    _, first, _, end = band.film.window
+    return first, end - 1
+
+
+def _merged(bands: Sequence[Scene], verdicts: list[SceneVerdict], shown: int, seen: Seen | None) -> SceneVerdict:
+    """The verdict of a film in bands, the one of the evidence first."""
+    last = len(verdicts) - 1
+    if verdicts[last].problem:
+        first, end = _rows(bands[last])
+        verdicts[last] = replace(verdicts[last], problem=f"rows {first} to {end}: {verdicts[last].problem}")
+    notes = [f"judged in {len(bands)} bands of at most {BAND_PIXELS} pixels"]
+    if seen is not None:
+        first, end = _rows(bands[shown])
+        notes.append(f"pixels of the report: rows {first} to {end}")
+    merged = merge_windows([verdicts[shown], *verdicts[:shown], *verdicts[shown + 1 :]])
+    return replace(merged, seen=seen, notes=(*notes, *merged.notes))
+
+
+# ---- one window ----
+
+
+def judge_window(
+    task: Task, *, whole_scene: bool = True, whole_film: bool = True
+) -> tuple[SceneVerdict, PixelErrors | None]:
+    """The verdict of the film's window, without statistics and bias, and the errors that those are made of.
+
+    whole_scene: with the checks in which the window has no part; whole_film: no other window follows.
+    """
+    checks = [
+        each
+        for each in checks_of(
+            OUR_CHECKS if task.ours else CANDIDATE,
+            thorough=task.thorough,
+            whole_scene=whole_scene,
+            camera=task.rays is None,
+        )
+        if each.scope != "film"
+    ]
+    of_scene = [each for each in checks if not each.answered]
+    inputs: dict[str, Any] = {"scene": task.scene, "path": task.path, "subject": task.subject, "wrong_rays": []}
+    made = make_checks(of_scene, inputs) if task.ours else ()
+    if whole_film:  # what follows is in float32; of ten million triangles, both together take a gigabyte more
+        forget_packed(task.scene, as_given, LARGE_SCENE)
+
+    # Request: the subject's answer, then Mitsuba's along the same rays.
+    try:
+        response = request_answer(task.subject, task.scene, rays=task.rays)
+    except NoAnswer as error:
+        return _no_comparison(task, made, str(error), isinstance(error, Unsupported)), None
+    judge = judge_of(response, timeout=task.timeout, send=task.send, with_files=whole_scene)
+    if isinstance(judge, Crash):
+        return _no_comparison(task, made, judge.message), None
+
+    # Compare, adjudicate, classify; then what the failing pixels have in common.
+    judgement = judge.judge()
+    diagnosis = diagnose(judge, judgement)
+
+    # Check: what pixels do not show.
+    inputs |= {
+        "scene": response.scene,
+        "result": judge.result,
+        "loaded": judge.result.answer.meshes,
+        "failing": bool(judgement.is_class(*FAILING).any()),
+    }
+    if not task.ours:
+        made = make_checks(of_scene, inputs)
+    made += make_checks([each for each in checks if each.answered], inputs)
+
+    seen = Seen(judge, judgement, diagnosis, inputs["wrong_rays"])
+    errors = pixel_errors(judge.model.packed, judge.pair, judge.bounds) if task.ours else None
+    return _verdict(task, response, seen, made), errors
+
+
+def _no_comparison(task: Task, checks: tuple[SceneCheck, ...], problem: str, unsupported: bool = False) -> SceneVerdict:
+    x0, y0, x1, y1 = task.scene.film.window
+    return SceneVerdict(
+        task.name,
+        task.path,
+        (x1 - x0) * (y1 - y0),
+        checks=checks,
+        problem=problem,
+        unsupported=unsupported,
+        size=(task.scene.film.width, task.scene.film.height),
+        candidate=task.subject.name,
+        thorough=task.thorough,
+        left_out=_left_out(task, checks),
+        unjudged=() if task.ours else NEVER_GIVEN,
+    )
+
+
+def _left_out(task: Task, checks: tuple[SceneCheck, ...]) -> tuple[str, ...]:
+    """Names of the checks of our caster that only --thorough makes, where they were not made."""
+    return thorough_names() if task.ours and checks and not task.thorough else ()
+
+
+def _verdict(task: Task, response: SubjectResponse, seen: Seen, checks: tuple[SceneCheck, ...]) -> SceneVerdict:
+    judge, judgement, diagnosis, _ = seen
+    scene, pair, answer = task.scene, judge.pair, judge.answer
+    by_check, by_row = failing_by_check(judgement), diagnosis.by_row()
+    return SceneVerdict(
+        task.name,
+        task.path,
+        len(pair.t),
+        hit_pixels=int(pair.any_hit.sum()),
+        counts=class_counts(judgement, pair.any_hit),
+        ratios=largest_ratios(judgement),
+        checks=checks,
+        failures=listed_failures(judge, judgement, diagnosis),
+        versions=pair.result.answer.versions,
+        reference_seconds=pair.result.answer.seconds,
+        reference_stored=pair.result.answer.stored,
+        size=(scene.film.width, scene.film.height),
+        allowed={name: check.ratio for name, check in scene.checks.items()} if task.ours else {},
+        adjudicated=len(judgement.exact.rows),
+        not_adjudicated=len(judgement.not_adjudicated),
+        exact_seconds=judgement.exact_seconds,
+        cases=defect_counts(judgement),
+        failing_by={check: len(rows) for check, rows in by_check.items()},
+        worst_by={check: failure_at(judge, judgement, by_row, int(rows[0]), check) for check, rows in by_check.items()},
+        candidate=task.subject.name,
+        thorough=task.thorough,
+        left_out=_left_out(task, checks),
+        precision="" if task.ours else answer.precision,
+        unjudged=quantities_not_given(answer),
+        findings=findings(judge, diagnosis),
+        notes=(
+            *_notes_on_misses(judge),
+            *(() if task.ours else (*answer.notes, *response.limits, *failure_hints(answer, judgement))),
+        ),
+        seen=seen,
+    )
+
+
+def _notes_on_misses(judge: Judge) -> tuple[str, ...]:
+    """Where the shapes are, and how the rays go, where nothing is hit; () where something is."""
+    low, high = judge.model.boxes
+    if judge.pair.any_hit.any() or not len(low) or not len(judge.o):
+        return ()
+    middle = len(judge.o) // 2
+    box, ray = (low.min(axis=0), high.max(axis=0)), (judge.o[middle], judge.d[middle])
+    low_words, high_words, o_words, d_words = (", ".join(f"{v:.4g}" for v in each) for each in (*box, *ray))
+    return (
+        f"the shapes lie between ({low_words}) and ({high_words}); the ray in the middle starts at ({o_words}) "
+        f"along ({d_words})",
+    )

@@ -1,0 +1,89 @@
+"""The folder of --out: verdict.json, images and reproducers; files that an earlier verdict.json lists go with it."""
+
+import hashlib
+import json
+from collections.abc import Collection
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from caster.description.errors import SceneError
+from caster.description.input_files import read_own
+from caster.system.atomic_files import OutputError, check_folder, write_text
+from mitsuba_ref.judge.verdict import FileRecord, SceneVerdict, Verdict
+
+IMAGES = ("ours", "reference", "verdict")
+VERDICT = "verdict.json"
+
+
+def verdict_json(verdict: Verdict) -> str:
+    """The text of verdict.json."""
+    return json.dumps(verdict.to_dict(), indent=1, allow_nan=False) + "\n"
+
+
+def record_of(path: Path) -> FileRecord | None:
+    """Size and hash of a file; None if it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+            return FileRecord(file.tell(), digest)
+    except OSError:
+        return None
+
+
+def files_of(verdict: SceneVerdict) -> tuple[str, ...]:
+    """Names of the files of a verdict; none if there was no comparison."""
+    if verdict.problem:
+        return ()
+    images = ("candidate" if verdict.candidate and which == "ours" else which for which in IMAGES)
+    return (*(f"{verdict.name}.{which}.exr" for which in images), *verdict.reproducers)
+
+
+def file_records(folder: Path, verdict: SceneVerdict) -> dict[str, FileRecord]:
+    """Size and hash of each file of a verdict that is there."""
+    found = {name: record_of(folder / name) for name in files_of(verdict)}
+    return {name: record for name, record in found.items() if record is not None}
+
+
+class OutFolder:
+    """One folder of --out during a run. Raises OutputError where it cannot be written."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = check_folder(folder)
+        self.earlier = dict(self._listed())  # scene -> its files, by the verdict.json of an earlier run
+
+    def _listed(self) -> Any:
+        with suppress(SceneError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
+            for scene in json.loads(read_own(self.folder / VERDICT, "verdict"))["scenes"]:
+                yield scene["name"], {name: FileRecord(**record) for name, record in scene["files"].items()}
+
+    def begin(self) -> None:
+        """Remove the verdict of an earlier run: one that is killed leaves no verdict rather than that of another."""
+        _remove(self.folder / VERDICT)
+
+    def finish(self, verdict: Verdict, selected: Collection[str] | None) -> str:
+        """Write verdict.json, and remove the listed files that are no longer true; their number in words.
+
+        Scenes that are not judged yet keep theirs. selected: names of the scenes of all shards; None for a run of
+        single scenes, which leaves others alone. What was altered since it was written stays.
+        """
+        write_text(self.folder / VERDICT, verdict_json(verdict))
+        judged = {scene.name: scene.files for scene in verdict.scenes}
+        removed = 0
+        for scene, files in self.earlier.items():
+            if scene not in judged and (selected is None or scene in selected):
+                continue
+            for name in files.keys() - judged.get(scene, {}).keys():
+                if name == Path(name).name and record_of(self.folder / name) == files[name]:
+                    _remove(self.folder / name)
+                    removed += 1
+        plural = "file" if removed == 1 else "files"
+        words = f"{self.folder}: removed {removed} {plural} that an earlier run wrote and this one did not"
+        return words if removed else ""
+
+
+def _remove(path: Path) -> None:
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot remove what an earlier run wrote: {error.strerror or error}") from error

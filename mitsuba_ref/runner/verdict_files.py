@@ -1,0 +1,110 @@
+"""Verdicts of earlier runs: those in the store, found by all that they depend on, and verdict.json read back."""
+
+import hashlib
+import json
+import os
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from caster.cameras import CAMERAS
+from caster.description.errors import FileMissing, SceneError
+from caster.description.input_files import MAX_TEXT_BYTES, read_input
+from caster.scene.model import Scene
+from caster.shapes import SHAPES
+from mitsuba_ref.judge.verdict import VERDICT_FORMAT, SceneVerdict, Verdict
+from mitsuba_ref.reference import variants
+from mitsuba_ref.reference.rendering import variant_of
+from mitsuba_ref.reference.store import key_of, machine
+
+MAX_INPUT_CHARACTERS = 60  # of a wrong value in a message
+PACKAGES = ("caster", "mitsuba_ref")
+SETTINGS = ("CASTER_", "MITSUBA_", "DRJIT_", "NUMBA_")  # beginnings of names of environment variables that may matter
+
+
+@cache
+def code_hash() -> str:
+    """A hash of every source file of both packages."""
+    root = Path(__file__).resolve().parents[2]
+    digest = hashlib.sha256()
+    for package in PACKAGES:
+        for path in sorted((root / package).rglob("*.py")):
+            digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+def verdict_key(scene: Scene, path: str, **about: Any) -> str:
+    """A hash of all that the verdict of a scene depends on: scene, mesh and source bytes, versions, variant, options.
+
+    about: options. "" where that is not known: of a scene without a variant, and where other packages add kinds.
+    """
+    if not all(kind.__module__.startswith("caster.") for kind in (*SHAPES, *CAMERAS)):
+        return ""
+    try:
+        variant = variant_of(scene)
+        file = read_input(path, "scene file", MAX_TEXT_BYTES)
+    except SceneError:
+        return ""
+    settings = {name: value for name, value in os.environ.items() if name.startswith(SETTINGS)}
+    known = {
+        "format": VERDICT_FORMAT,
+        "code": code_hash(),
+        "scene": scene.sha256(),  # mesh files by their bytes
+        "path": path,  # replays name it
+        "variant": variant,
+        "library": variants.environment_for(variant),  # libLLVM
+        "settings": sorted(settings.items()),
+        **machine(),
+        **about,
+    }
+    return key_of(["verdict", json.dumps(known, sort_keys=True, default=str), file])
+
+
+def scene_of(content: bytes | str) -> SceneVerdict:
+    """The verdict of one scene from its JSON. Raises ValueError, also where its own `ok` contradicts its numbers."""
+    found = TypeAdapter(SceneVerdict).validate_json(content)
+    check_ok(json.loads(content), found)
+    return found
+
+
+def check_ok(record: dict[str, Any], found: SceneVerdict | Verdict) -> None:
+    """Raise ValueError where a record states another `ok` than follows from its numbers."""
+    try:
+        ok = json.loads(json.dumps(found.to_dict(), allow_nan=False))["ok"]
+    except KeyError as error:  # of a class that is not counted
+        raise ValueError(f"expected counts of {error}") from error
+    if record.get("ok") is not ok:
+        raise ValueError(f"its ok is {record.get('ok')}, by its numbers it is {ok}")
+
+
+class UnreadableVerdict(FileMissing):
+    """A file that exists, but is no verdict of this version."""
+
+
+def read_verdict(path: str | os.PathLike[str]) -> Verdict:
+    """The verdict that `validate --json` wrote. Raises FileMissing, or UnreadableVerdict with the reason."""
+    try:
+        content = read_input(path, "verdict", MAX_TEXT_BYTES)
+    except FileMissing as error:
+        if Path(path).exists():
+            raise UnreadableVerdict(str(error)) from error
+        raise FileMissing(f"{path}: expected what `mitsuba-ref validate --json` writes, found no file") from None
+    try:
+        record = json.loads(content)
+        form = record.get("format") if isinstance(record, dict) else type(record).__name__
+        if form != VERDICT_FORMAT:
+            raise ValueError(f"expected a verdict of format {VERDICT_FORMAT}, got {form!r}: judge these scenes again")
+        found = TypeAdapter(Verdict).validate_python(record)
+        for each, scene in zip(record["scenes"], found.scenes, strict=True):
+            check_ok(each, scene)
+        check_ok(record, found)
+    except ValidationError as error:
+        first = error.errors()[0]
+        got = repr(first["input"])[:MAX_INPUT_CHARACTERS]
+        where = ".".join(map(str, first["loc"]))
+        raise UnreadableVerdict(f"{path}: not a whole verdict: {where}: {first['msg']}, got {got}") from error
+    except (ValueError, RecursionError) as error:
+        raise UnreadableVerdict(f"{path}: not a whole verdict: {error}") from error
+    return found

@@ -1,0 +1,162 @@
+"""Workers: forks of this process that serve calls. A crash or a hang ends one call, and the worker is replaced.
+
+Of the libraries, loky and concurrent.futures give up all calls after a crash, and pebble after the end of an idle
+worker; so each worker here has a pipe of its own.
+"""
+
+import contextlib
+import faulthandler
+import multiprocessing
+import os
+import pickle
+import signal
+import tempfile
+import threading
+import traceback
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, TypeVar
+
+from caster.system.atomic_files import ScratchFolder
+from caster.system.process import PARENT_VARIABLE, die_with_parent
+from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
+from mitsuba_ref.reference.subprocess_runner import exit_name, kill_subprocesses
+
+Result = TypeVar("Result")
+
+# Compilation of all kernels, our caster and two processes of Mitsuba may each take as long as one of the latter.
+CALL_TIMEOUTS = 4.0
+STOP_SECONDS = 2.0  # for a worker to remove its files after SIGTERM, before it is killed
+STACK_FILE, MAX_CALLS = "stack", 4  # Python calls that a crash came from, the innermost ones
+
+_forking = threading.Lock()  # a second fork at the same time would hold the first one's pipe open
+
+
+class WorkerEnded(Exception):  # noqa: N818 - an event; str() is how the process ended, then the last Python calls
+    """A worker that ended, or was killed at the deadline, before its call returned."""
+
+
+class Worker:
+    """One fork of this process."""
+
+    def __init__(self) -> None:
+        self.folder = ScratchFolder()  # all temporary files of the fork
+        with _forking:
+            self.connection, remote = multiprocessing.Pipe()
+            context = multiprocessing.get_context("fork")
+            self.process = context.Process(target=_serve, args=(remote, self.connection, self.folder.name), daemon=True)
+            self.process.start()
+            remote.close()
+
+    def call(self, seconds: float, function: Callable[..., Result], args: tuple[Any, ...]) -> Result:
+        """function(*args), with its exceptions. Raises WorkerEnded; the worker is closed then."""
+        try:
+            self.connection.send((function, args))
+            if not self.connection.poll(seconds):
+                self.close(signal.SIGKILL)
+                raise WorkerEnded(f"killed after {seconds:g} s without an answer")
+            result, error = self.connection.recv()
+        except (EOFError, OSError):
+            self.process.join(STOP_SECONDS)
+            code = self.process.exitcode
+            stack = self.close()
+            raise WorkerEnded("\n".join([exit_name(-signal.SIGKILL if code is None else code), *stack])) from None
+        if error is not None:
+            raise error
+        return result
+
+    def close(self, number: int = signal.SIGTERM) -> list[str]:
+        """End it, and remove its files; the last Python calls before a crash."""
+        self.connection.close()
+        if self.process.is_alive() and self.process.pid:
+            os.kill(self.process.pid, number)
+        self.process.join(STOP_SECONDS)
+        self.process.kill()
+        self.process.join()
+        with contextlib.suppress(OSError), Path(self.folder.name, STACK_FILE).open(errors="replace") as lines:
+            stack = [line.strip() for line in lines if line.lstrip().startswith("File ")][:MAX_CALLS]
+        self.folder.cleanup()
+        return stack
+
+
+def _serve(calls: Connection, parents_end: Connection, folder: str) -> None:
+    """The fork's side."""
+    parents_end.close()
+    signal.set_wakeup_fd(-1)  # the parent's, who would take a signal of this process for one of its own
+    for number in (signal.SIGINT, signal.SIGHUP):  # come by way of the parent, as SIGTERM
+        signal.signal(number, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    os.environ.pop(PARENT_VARIABLE, None)  # of the process that was forked
+    die_with_parent()
+    tempfile.tempdir = folder
+    faulthandler.enable(os.open(Path(folder, STACK_FILE), os.O_WRONLY | os.O_CREAT), all_threads=False)
+    try:
+        while True:
+            function, args = calls.recv()
+            reply: tuple[Any, Exception | None]
+            try:
+                reply = function(*args), None
+            except Exception as error:
+                error.add_note("".join(["In the worker:\n", *traceback.format_tb(error.__traceback__)]))
+                reply = None, error
+            try:
+                calls.send(reply)
+            except (pickle.PicklingError, AttributeError, TypeError) as error:
+                calls.send((None, TypeError(f"{function}: its result has no pickle: {error}")))
+    except (EOFError, OSError):
+        os._exit(0)
+    except KeyboardInterrupt:  # SIGTERM
+        kill_subprocesses()
+        os._exit(0)
+    except SystemExit as end:  # of what was called
+        os._exit(end.code if isinstance(end.code, int) else 0)
+
+
+class Workers:
+    """As many workers as there are calls at a time; direct calls without os.fork. Use it as a context."""
+
+    def __init__(self, seconds: float = CALL_TIMEOUTS * DEFAULT_TIMEOUT) -> None:
+        """seconds: for one call."""
+        self.seconds = seconds
+        self._lock = threading.Lock()
+        self._idle: list[Worker] = []
+        self._busy: set[Worker] = set()
+        self._stopped = False
+
+    def __enter__(self) -> "Workers":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for worker in self._idle:
+            worker.close()
+
+    def stop(self) -> None:
+        """End calls that are being made, each with WorkerEnded, and refuse others: for Ctrl-C amid threads."""
+        with self._lock:
+            self._stopped = True
+            for worker in self._busy:
+                worker.process.terminate()
+
+    def call(self, function: Callable[..., Result], *args: Any) -> Result:
+        """function(*args) in a worker. Raises WorkerEnded beside the function's own exceptions."""
+        if not hasattr(os, "fork"):
+            return function(*args)
+        with self._lock:
+            if self._stopped:
+                raise WorkerEnded("stopped before it began")
+            worker = self._idle.pop() if self._idle else Worker()
+            if not worker.process.is_alive():  # killed from outside, between two calls
+                worker.close()
+                worker = Worker()
+            self._busy.add(worker)
+        ended = False
+        try:
+            return worker.call(self.seconds, function, args)
+        except WorkerEnded:
+            ended = True
+            raise
+        finally:
+            with self._lock:
+                self._busy.discard(worker)
+                self._idle += [] if ended else [worker]

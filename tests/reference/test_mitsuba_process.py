@@ -1,0 +1,395 @@
+"""Whatever becomes of a Mitsuba process is a result, every request gets its answer, and nothing is left behind."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mitsuba_scenes import job, random_mesh, shape, write
+
+from mitsuba_ref.__main__ import main
+from mitsuba_ref.reference import messages, mitsuba_process, subprocess_runner
+from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
+from mitsuba_ref.reference.mitsuba_process import ResidentSession
+
+ROOT = Path(__file__).resolve().parents[2]
+MESH = '<shape type="ply" id="strewn"><string name="filename" value="strewn.ply"/></shape>'
+OLD_LLVM = Path("/usr/lib/x86_64-linux-gnu/libLLVM-15.so.1")  # aborts at an instruction it lacks
+HANG = """
+import os, subprocess, sys, time
+print("grandchild", subprocess.Popen(["sleep", "600"]).pid, flush=True)
+open({pids!r}, "w").write(str(os.getpid()))
+time.sleep(600)
+"""
+
+
+@pytest.fixture
+def ball(tmp_path) -> TraceRequest:
+    return job(write(tmp_path, shape("sphere", "ball", 0)), "scalar_rgb", [[0, 0, 5]], [[0, 0, -1]])
+
+
+@pytest.fixture(autouse=True)
+def left_behind(tmp_path, monkeypatch):
+    """No test may leave a temporary file or a child."""
+    mitsuba_process.close_residents()
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    monkeypatch.setattr(subprocess_runner, "_running", set())  # those of other tests stay
+    yield
+    mitsuba_process.close_residents()
+    assert list(folder.iterdir()) == [] and not subprocess_runner._running
+
+
+@pytest.fixture
+def in_place_of_mitsuba(tmp_path, monkeypatch) -> Callable[[str], None]:
+    """A module mitsuba of our own, which the child imports."""
+
+    def plant(source: str) -> None:
+        folder = tmp_path / "fake"
+        folder.mkdir(exist_ok=True)
+        (folder / "mitsuba.py").write_text(source)
+        monkeypatch.setenv("PYTHONPATH", str(folder))
+
+    return plant
+
+
+def crash(ball: TraceRequest, timeout: float = 60) -> Crash:
+    answer = mitsuba_process.send_alone(ball, timeout)
+    assert isinstance(answer, Crash), answer
+    return answer
+
+
+def gone(pid: int) -> bool:
+    """Whether the process is no more; one that is dead and not yet collected is gone, too."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] in "ZX"
+    except OSError:
+        return True
+
+
+def wait_for(condition: Callable[[], object]) -> None:
+    deadline = time.monotonic() + 30
+    while not condition():
+        assert time.monotonic() < deadline, "it never came to that"
+        time.sleep(0.01)
+
+
+# ---- one request, one process
+
+
+@pytest.mark.parametrize(
+    ("source", "kind", "exit_", "output"),
+    [
+        ("import os; print('\\x1b[31mLLVM ERROR\\x1b[0m', flush=True); os.abort()", "abort", "SIGABRT", "LLVM ERROR"),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "signal", "SIGSEGV", ""),
+        ("import os; os._exit(0)", "garbage", "exit code 0", ""),
+        ("1 / 0", "error", "exit code 1", "ZeroDivisionError: division by zero"),
+        ("raise ImportError('no such variant')", "error", "exit code 1", "no such variant"),
+    ],
+)
+def test_each_end_is_a_result_with_its_output(ball, in_place_of_mitsuba, source, kind, exit_, output):
+    in_place_of_mitsuba(source)
+    found = crash(ball)
+    assert (found.kind, found.exit) == (kind, exit_)
+    assert found.output.splitlines()[-1:] == ([output] if output else [])
+
+
+@pytest.mark.skipif(not OLD_LLVM.exists(), reason=f"{OLD_LLVM} is not installed; the planted abort stands in")
+def test_a_real_abort_in_an_old_libllvm_is_a_result(tmp_path, monkeypatch):
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(OLD_LLVM))
+    monkeypatch.setenv("DRJIT_CACHE_DIR", str(tmp_path))  # a kernel from another libLLVM would hide it
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    random_mesh(tmp_path / "strewn.ply", np.random.default_rng(1))
+    found = crash(job(write(tmp_path, MESH), "llvm_ad_rgb", [[0, 0, 5]], [[0, 0, -1]]))
+    assert (found.kind, found.exit) == ("abort", "SIGABRT")
+    assert "fminimum" in found.headline and len(found.output) <= 4200
+
+
+def test_a_process_killed_amid_its_rays_is_a_result(tmp_path):
+    """Killed once Mitsuba is loaded and the rays are under way: a million take two seconds and more."""
+    random_mesh(tmp_path / "strewn.ply", np.random.default_rng(1))
+    o, d = (np.tile([0, 0, z], (10**6, 1)) for z in (5, -1))
+    request = job(write(tmp_path, MESH), "scalar_rgb", o, d)
+
+    def kill() -> None:
+        wait_for(lambda: subprocess_runner._running)
+        (pid,) = subprocess_runner._running
+        wait_for(lambda: "/ply.so" in Path(f"/proc/{pid}/maps").read_text())
+        time.sleep(0.5)
+        os.kill(pid, signal.SIGKILL)
+
+    thread = threading.Thread(target=kill)
+    thread.start()
+    found = crash(request)
+    thread.join()
+    assert (found.kind, found.exit) == ("signal", "SIGKILL")
+
+
+def test_a_hang_ends_in_time_and_leaves_no_process(ball, in_place_of_mitsuba, tmp_path):
+    in_place_of_mitsuba(HANG.format(pids=str(tmp_path / "pid")))
+    start = time.monotonic()
+    found = crash(ball, timeout=2)
+    assert (found.kind, found.exit) == ("timeout", "killed after 2 s")
+    assert time.monotonic() - start < 5
+    wait_for(lambda: gone(int((tmp_path / "pid").read_text())))
+    wait_for(lambda: gone(int(found.output.removeprefix("grandchild "))))
+
+
+def test_a_waiting_request_gets_a_crash_when_all_are_stopped(ball, in_place_of_mitsuba, tmp_path):
+    in_place_of_mitsuba(HANG.format(pids=str(tmp_path / "pid")))
+    found: list[TraceResponse | Crash] = []
+    threads = [threading.Thread(target=lambda: found.append(mitsuba_process.send_alone(ball, 60))) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    wait_for(lambda: len(subprocess_runner._running) == 2)
+    subprocess_runner.kill_subprocesses()
+    try:
+        for thread in threads:
+            thread.join(10)
+        assert [answer.exit for answer in found] == ["SIGKILL", "SIGKILL"]
+        assert "before it began" in crash(ball).output
+    finally:
+        subprocess_runner.allow_subprocesses()
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("<shape", "Error parsing start element"),
+        ('<shape type="sphere"><float name="radus" value="1"/></shape>', "radus"),
+        ('<shape type="ply"><string name="filename" value="missing.ply"/></shape>', "missing.ply"),
+        (shape("sphere", "egg", 0, stretch="2 1 1"), "non-uniform scaling"),  # Mitsuba alone would only warn
+    ],
+)
+def test_a_scene_that_mitsuba_refuses_gets_its_words(tmp_path, content, says):
+    found = crash(job(write(tmp_path, content), "scalar_rgb", [[0, 0, 5]], [[0, 0, -1]]))
+    assert (found.kind, found.exit) == ("error", "exit code 1")
+    assert says in found.output and "Traceback" not in found.output
+
+
+def test_a_flood_of_output_is_kept_at_both_ends(ball, in_place_of_mitsuba):
+    in_place_of_mitsuba("print('Error: the first'); print('x' * 10**6); raise SystemExit('the last')")
+    found = crash(ball)
+    assert found.output.startswith("Error: the first") and found.output.endswith("the last")
+    assert len(found.output) < 5000 and found.headline == "Error: the first"
+
+
+@pytest.mark.parametrize("path", [None, "", ".", os.pathsep])
+def test_a_users_own_mitsuba_py_in_the_current_folder_is_not_imported(ball, tmp_path, monkeypatch, path):
+    (tmp_path / "mitsuba.py").write_text("raise SystemExit('the wrong one')")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+    if path is not None:
+        monkeypatch.setenv("PYTHONPATH", path)
+    answer = mitsuba_process.send_alone(TraceRequest(Path("scene.xml"), "scalar_rgb", ball.o, ball.d, ball.t_max))
+    assert isinstance(answer, TraceResponse), answer
+
+
+# ---- requests and responses as bytes
+
+
+def test_a_request_and_its_rays_come_back_bit_for_bit(tmp_path):
+    bits = np.random.default_rng(7).integers(0, 2**32, (100, 7), np.uint32).view(np.float32)
+    request = TraceRequest(tmp_path / "a.xml", "scalar_rgb", bits[:, :3], bits[:, 3:6], bits[:, 6])
+    again = TraceRequest.from_bytes(request.to_bytes())
+    assert again.xml == request.xml
+    for name in TraceRequest.ROWS:
+        assert getattr(request, name).tobytes() == getattr(again, name).tobytes()
+    with pytest.raises(ValueError, match=r"d: expected float32\[1, 3\], got float64\[1, 3\]"):
+        TraceRequest(tmp_path, "scalar_rgb", np.zeros((1, 3), np.float32), np.zeros((1, 3)), np.zeros(1, np.float32))
+
+
+def test_a_response_that_is_not_whole_is_refused(ball):
+    whole = mitsuba_process.send_alone(ball).to_bytes()
+    line, _, arrays = whole.partition(b"\n")
+    record = json.loads(line)
+    for content in (b"", whole[:-200], arrays, b"null\n" + arrays, b"{}\n" + arrays, line + b"\n"):
+        with pytest.raises(ValueError, match="no whole answer"):
+            TraceResponse.from_bytes(content, 1)
+    for change in ({"names": []}, {"mesh_problems": ["one"]}):
+        with pytest.raises(ValueError, match="expected"):
+            TraceResponse.from_bytes(json.dumps(record | change).encode() + b"\n" + arrays, 1)
+    with pytest.raises(ValueError, match=r"t: expected float32\[2\], got float32\[1\]"):
+        TraceResponse.from_bytes(whole, 2)
+
+
+# ---- a process that stays
+
+
+FAULTY = """
+import os, signal, sys, time
+from mitsuba_ref.reference import mitsuba_process
+from mitsuba_ref.reference.subprocess_runner import serve
+pipe, count = os.dup(1), 0
+def faulty(request):
+    global count
+    count += 1
+    if count == {at}:
+        {fault}
+    return mitsuba_process.respond(request)
+serve(faulty, 60)
+"""
+FAULTS = {
+    "abort": "print('LLVM ERROR', flush=True); os.abort()",
+    "killed": "os.kill(os.getpid(), signal.SIGKILL)",
+    "quiet end": "os._exit(0)",
+    "a length without end": "os.write(pipe, b'\\xff' * 9)",
+    "noise": "os.write(pipe, b'noise\\n' + bytes(100))",
+    "half a response": "return mitsuba_process.respond(request)[:-200]",
+    "refusal": "os._exit(1)",
+    "hang": "time.sleep(600)",
+}
+
+
+@pytest.fixture
+def plant(monkeypatch):
+    """Have each resident process do something else when it gets its request number `at`, from 1."""
+
+    def planted(fault: str, at: int = 2) -> None:
+        program = (sys.executable, "-c", FAULTY.format(fault=fault, at=at))
+        start = messages.start
+        monkeypatch.setattr(messages, "start", lambda environment, command=program: start(environment, command))
+
+    return planted
+
+
+@pytest.fixture
+def alone(monkeypatch) -> list[TraceRequest]:
+    """Requests that got a process of their own."""
+    sent: list[TraceRequest] = []
+    run = messages.run_request
+
+    def noted(request, timeout, environment):
+        sent.append(request)
+        return run(request, timeout, environment, messages.CHILD_COMMAND)
+
+    monkeypatch.setattr(messages, "run_request", noted)
+    return sent
+
+
+def balls(tmp_path: Path, count: int) -> list[TraceRequest]:
+    """Requests whose responses differ: spheres farther and farther away."""
+    requests = []
+    for i in range(count):
+        folder = tmp_path / str(i)
+        folder.mkdir()
+        xml = write(folder, shape("sphere", f"ball{i}", 0))
+        requests.append(job(xml, "scalar_rgb", [[0, 0, 5 + i], [9, 0, 5]], [[0, 0, -1], [0, 0, -1]]))
+    return requests
+
+
+def check_right(responses) -> None:
+    for i, response in enumerate(responses):
+        assert isinstance(response, TraceResponse), response
+        assert response.t.tolist() == [4.0 + i, np.inf] and response.names == [f"ball{i}"]
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.slow("each starts Mitsuba three times", keep=2)
+def test_a_fault_amid_many_requests_loses_nothing(tmp_path, plant, alone, fault):
+    plant(FAULTS[fault])
+    requests = balls(tmp_path, 3)
+    timeouts = (60, 6 if fault in ("hang", "a length without end") else 60, 60)
+    check_right([mitsuba_process.send_request(*each) for each in zip(requests, timeouts, strict=True)])
+    assert alone == requests[1:2]
+
+
+def test_what_a_scene_makes_of_every_process_is_its_result(tmp_path, in_place_of_mitsuba, monkeypatch):
+    """A crash that the scene causes is that of the process of its own; a later scene is answered."""
+    first, second = balls(tmp_path, 2)
+    in_place_of_mitsuba("import os; print('LLVM ERROR: Cannot', flush=True); os.abort()")
+    found = mitsuba_process.send_request(first, 60)
+    monkeypatch.delenv("PYTHONPATH")
+    assert isinstance(found, Crash) and (found.kind, found.output) == ("abort", "LLVM ERROR: Cannot")
+    assert mitsuba_process.send_request(second, 60).t.tolist() == [5.0, np.inf]
+
+
+def test_one_process_serves_all_scenes_of_a_variant_in_the_same_environment(tmp_path, monkeypatch, alone):
+    """Its settings, such as libLLVM's path, are those of the time when the request is made; the test's name is none."""
+    request = balls(tmp_path, 1)[0]
+    pids = []
+    with ResidentSession() as resident:
+        for name, value in (("LIB", "a"), ("LIB", "a"), ("PYTEST_CURRENT_TEST", "b (call)"), ("LIB", "b")):
+            monkeypatch.setenv(name, value)
+            check_right([resident.send(request)])
+            pids.append(resident.processes["scalar_rgb"].process.pid)
+    assert pids[0] == pids[1] == pids[2] != pids[3] and not alone
+
+
+def test_a_process_that_has_grown_or_has_no_requests_ends_and_is_replaced(tmp_path, plant, alone):
+    plant("serve.__defaults__ = None; mitsuba_process.RESIDENT_BYTES = 1", at=1)
+    with ResidentSession() as resident:
+        check_right([resident.send(each) for each in balls(tmp_path, 2)])
+    program = "from mitsuba_ref.reference.subprocess_runner import serve; serve(bytes.upper, 0.2)"
+    with subprocess_runner.ResidentProcess([sys.executable, "-c", program]) as process:
+        assert process.ask(b"hello", 30) == b"HELLO"
+        assert process.process.wait(30) == 0 and not process.alive
+    assert not alone
+
+
+def test_output_beside_the_replies_stays_out(tmp_path, plant, alone, capfd):
+    plant("print('noise ' * 100000); os.system('echo more noise')", at=1)
+    check_right([mitsuba_process.send_request(each, 60) for each in balls(tmp_path, 2)])
+    assert capfd.readouterr() == ("", "") and not alone
+
+
+def test_a_fork_has_residents_of_its_own(tmp_path):
+    """It neither uses nor ends those of the process that it comes from."""
+    requests = balls(tmp_path, 2)
+    check_right([mitsuba_process.send_request(requests[0], 60)])
+    (pid,) = subprocess_runner._running
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            own = mitsuba_process.send_request(requests[0], 60).t.tolist() == [4.0, np.inf]
+            code = 0 if own and pid not in subprocess_runner._running else 2
+            subprocess_runner.kill_subprocesses()
+        finally:
+            os._exit(code)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    assert mitsuba_process.send_request(requests[1], 60).t[0] == 5.0
+    assert subprocess_runner._running == {pid}
+
+
+ASK = """
+import sys, time
+from pathlib import Path
+from mitsuba_ref.reference import mitsuba_process, subprocess_runner
+mitsuba_process.send_request(mitsuba_process.TraceRequest.from_bytes(Path(sys.argv[1]).read_bytes()), 60)
+print(*subprocess_runner._running, flush=True)
+time.sleep(float(sys.argv[2]))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere it ends once it has nothing to do")
+@pytest.mark.parametrize("how", [None, signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.slow("each starts Mitsuba, and ends it", keep=1)
+def test_a_resident_goes_with_its_parent(tmp_path, how):
+    (tmp_path / "request").write_bytes(balls(tmp_path, 1)[0].to_bytes())
+    words = [sys.executable, "-c", ASK, tmp_path / "request", "600" if how else "0"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, cwd=ROOT) as parent:
+        pid = int(parent.stdout.readline())
+        if how:
+            parent.send_signal(how)
+    wait_for(lambda: gone(pid))
+
+
+def test_verdicts_are_equal_when_the_resident_dies_at_a_scene(tmp_path, plant):
+    files = [str(ROOT / "scenes" / f"{name}.toml") for name in ("one-sphere", "triangles")]
+    found = []
+    for fault in ("pass", "os.kill(os.getpid(), signal.SIGKILL)"):
+        plant(fault)
+        assert main(["validate", *files, "--size", "24", "20", "-j", "1", "--json", str(tmp_path / "v.json")]) == 0
+        scenes = json.loads((tmp_path / "v.json").read_text())["scenes"]
+        found.append([(scene["ok"], scene["counts"], scene["ratios"], scene["checks"]) for scene in scenes])
+    assert found[0] == found[1]

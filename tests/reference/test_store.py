@@ -1,0 +1,253 @@
+"""The store: the very same request is not asked twice; anything else, and anything damaged, is."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mitsuba_scenes import job, shape, write
+
+from caster.system import processor
+from mitsuba_ref.cli.doctor import kept_results
+from mitsuba_ref.reference import mitsuba_process, store, variants
+from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
+from mitsuba_ref.reference.mitsuba_process import request_key, send_stored
+from mitsuba_ref.reference.store import StoreFolder, key_of, local_store
+
+RAYS = 3
+
+
+def response_of(request: TraceRequest) -> TraceResponse:
+    """Nothing is hit, but by the first ray."""
+    rows = {name: np.zeros((len(request.o), *row), kind) for name, (row, kind) in TraceResponse.ROWS.items()}
+    rows["t"][1:], rows["shape"][1:], rows["prim"][1:] = np.inf, -1, -1
+    rows["t"][:1] = 4.0
+    light = {"light_rgb": np.zeros((0, RAYS, 3), np.float32), "light_visible": np.zeros((0, RAYS), bool)}
+    sensor = dict.fromkeys(("sensor_o", "sensor_d", "sensor_t_max"))
+    return TraceResponse(**rows, **light, **sensor, names=["ball"], versions={"mitsuba": "3"}, seconds=1.5)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch) -> Path:
+    """The store of this test."""
+    monkeypatch.setenv(store.STORE_VARIABLE, str(tmp_path / "store"))
+    return tmp_path / "store"
+
+
+@pytest.fixture
+def request_(tmp_path) -> TraceRequest:
+    folder = tmp_path / "scene"
+    (folder / "meshes").mkdir(parents=True)
+    (folder / "meshes" / "0.ply").write_bytes(b"ply")
+    xml = write(folder, shape("sphere", "ball", 0))
+    return job(xml, "scalar_rgb", [[0, 0, 5 + i] for i in range(RAYS)], [[0, 0, -1]] * RAYS)
+
+
+@pytest.fixture
+def asked(monkeypatch) -> list[TraceRequest]:
+    """Requests that reach Mitsuba, for which a made response stands in."""
+    sent: list[TraceRequest] = []
+
+    def send(request, timeout):
+        sent.append(request)
+        return response_of(request)
+
+    monkeypatch.setattr(mitsuba_process, "send_request", send)
+    return sent
+
+
+def test_the_same_request_is_requested_once_and_states_it(folder, request_, asked, tmp_path):
+    first = send_stored(request_)
+    moved = (tmp_path / "scene").rename(tmp_path / "elsewhere")  # where the scene lies does not matter
+    second = send_stored(replace(request_, xml=moved / request_.xml.name))
+    assert len(asked) == 1
+    assert (first.stored, first.seconds, second.stored, second.seconds) == (False, 1.5, True, 0.0)
+    for name in TraceResponse.ROWS:
+        one, other = getattr(first, name), getattr(second, name)
+        assert one.dtype == other.dtype and one.tobytes() == other.tobytes()
+    assert (first.names, first.versions, second.sensor_o) == (second.names, second.versions, None)
+
+
+def file_beside(name: str, content: bytes):
+    def change(request, patch):
+        (request.xml.parent / "meshes" / name).write_bytes(content)
+        return request
+
+    return change
+
+
+def other_scene(request, patch):
+    write(request.xml.parent, shape("sphere", "ball", 1))
+    return request
+
+
+def other_library(request, patch):
+    patch.setattr(variants, "environment_for", lambda _: {"DRJIT_LIBLLVM_PATH": "/libLLVM.so.99"})
+    return request
+
+
+def other_source(request, patch):
+    """An edit of the child's side."""
+    copy = request.xml.parent.parent / "mitsuba_calls.py"
+    copy.write_text(mitsuba_process.SOURCES[0].read_text() + "\n# edited\n")
+    patch.setattr(mitsuba_process, "SOURCES", (copy, *mitsuba_process.SOURCES[1:]))
+    return request
+
+
+def other_machine(module, name, value):
+    def change(request, patch):
+        patch.setattr(module, name, value)
+        store.machine.cache_clear()
+        return request
+
+    return change
+
+
+def replaced(**fields):
+    return lambda request, patch: replace(request, **{name: of(request) for name, of in fields.items()})
+
+
+CHANGES = {
+    "rays": replaced(o=lambda r: np.nextafter(r.o, np.float32(9))),
+    "directions": replaced(d=lambda r: -r.d),
+    "t_max": replaced(t_max=lambda r: r.o[:, 2]),
+    "one ray less": replaced(o=lambda r: r.o[:-1], d=lambda r: r.d[:-1], t_max=lambda r: r.t_max[:-1]),
+    "variant": replaced(variant=lambda r: "llvm_ad_rgb"),
+    "lights": replaced(lights=lambda r: not r.lights),
+    "sensor": replaced(sensor=lambda r: not r.sensor),
+    "strict": replaced(strict=lambda r: not r.strict),
+    "mesh file": replaced(mesh_files=lambda r: (r.xml,)),
+    "XML": other_scene,
+    "mesh": file_beside("0.ply", b"plz"),
+    "a mesh more": file_beside("1.ply", b""),
+    "libLLVM": other_library,
+    "source": other_source,
+    "processor": other_machine(processor, "description", lambda: "GenuineIntel family 6 model 142 (x86-64-v3)"),
+    "version": other_machine(store, "installed_version", lambda name: "9"),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_whatever_changes_is_requested_again(request_, monkeypatch, change):
+    before = request_key(request_)
+    with monkeypatch.context() as patch:
+        changed = request_key(CHANGES[change](request_, patch))
+    store.machine.cache_clear()
+    assert changed != before and changed
+
+
+def test_scenes_that_are_requested_together_have_keys_of_their_own(request_, tmp_path):
+    (tmp_path / "more").mkdir()
+    second = replace(request_, xml=write(tmp_path / "more", shape("sphere", "egg", 0)), lights=False)
+    first = replace(request_, lights=False)
+    orders = [mitsuba_process.merge_requests(each) for each in ([first, second], [second, first], [first, first])]
+    shifted = replace(orders[0], more=((second.xml, RAYS - 1),))
+    assert len({request_key(each) for each in (first, second, *orders, shifted)}) == 6
+
+
+def test_parts_of_a_key_do_not_run_into_one_another():
+    assert len({key_of(parts) for parts in (["ab"], ["a", "b"], ["b", "a"], ["", "ab"], [b"a1"])}) == 5
+
+
+@pytest.mark.parametrize("value", ["/etc/bumps.png", "../bumps.png", "~/bumps.png", "C:\\bumps.png"])
+def test_a_scene_that_names_files_elsewhere_is_never_stored(folder, request_, asked, value):
+    write(request_.xml.parent, f'<string name="filename" value="{value}"/>')
+    assert request_key(request_) == ""
+    assert not any(send_stored(request_).stored for _ in range(2)) and len(asked) == 2
+
+
+DAMAGES = {
+    "a flipped bit": lambda data: (
+        data[: len(data) // 2] + bytes([data[len(data) // 2] ^ 1]) + data[len(data) // 2 + 1 :]
+    ),
+    "a flipped bit in the digest": lambda data: bytes([data[0] ^ 1]) + data[1:],
+    "cut short": lambda data: data[:-1],
+    "a byte more": lambda data: data + b"\0",
+    "empty": lambda data: b"",
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_what_is_damaged_or_of_another_name_is_requested_again(folder, request_, asked, damage):
+    send_stored(request_)
+    (file,) = folder.iterdir()
+    whole = file.read_bytes()
+    file.write_bytes(DAMAGES[damage](whole))
+    assert not send_stored(request_).stored and len(asked) == 2
+    assert file.read_bytes() == whole and send_stored(request_).stored
+    other = replace(request_, d=-request_.d)
+    (folder / f"{request_key(other)}{store.SUFFIX}").write_bytes(whole)
+    assert not send_stored(other).stored and len(asked) == 3
+
+
+def test_a_response_to_other_rays_is_requested_again(folder, request_, asked):
+    """Whole by its digest, as a faulty store of several machines may hand it over."""
+    for content in (b"", b"{}\n", replace(response_of(request_), names=[]).to_bytes()):
+        local_store().put(request_key(request_), content)
+        assert not send_stored(request_).stored
+    assert len(asked) == 3
+
+
+@pytest.mark.parametrize("mode", [0o770, 0o707])
+def test_a_folder_or_file_that_others_may_write_is_not_used(folder, request_, asked, mode):
+    send_stored(request_)
+    (file,) = folder.iterdir()
+    file.chmod(mode)
+    assert not send_stored(request_).stored
+    folder.chmod(mode)
+    assert not send_stored(request_).stored and len(asked) == 3
+    found = kept_results()
+    assert not found.found and "other users may write it" in found.detail
+
+
+def test_crashes_are_not_kept_and_a_folder_that_cannot_be_written_costs_time_only(
+    folder, request_, monkeypatch, tmp_path, asked
+):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv(store.STORE_VARIABLE, str(tmp_path / "file" / "store"))
+    assert not any(send_stored(request_).stored for _ in range(2)) and len(asked) == 2
+    monkeypatch.setenv(store.STORE_VARIABLE, str(folder))
+    crash = Crash("abort", "", "SIGABRT", 0.1)
+    monkeypatch.setattr(mitsuba_process, "send_request", lambda *_: crash)
+    assert send_stored(request_) is crash and not folder.exists()
+
+
+def test_the_least_recently_used_make_room(tmp_path):
+    kept = StoreFolder(tmp_path / "store", 1000)
+    for i, key in enumerate("abc"):
+        kept.put(key, bytes(250))
+        os.utime(kept.folder / f"{key}{store.SUFFIX}", (i, i))
+    assert kept.use().files == 3 and kept.use().size < 1000
+    assert kept.get("a") == bytes(250)  # used now, so b is the oldest
+    kept.put("d", bytes(250))
+    assert [kept.get(key) is not None for key in "abcd"] == [True, False, True, True]
+    kept.put("e", bytes(1000))  # more than there is room for, whatever goes
+    assert kept.get("e") is None and kept.use().files == 3
+
+
+def test_settings(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv(store.LIMIT_VARIABLE, "7")
+    monkeypatch.delenv(store.STORE_VARIABLE)
+    kept = local_store()
+    assert (kept.folder, kept.limit) == (tmp_path / "caster" / "store", 7 * 10**6)
+    kept.put("a", bytes(10**6))
+    found = kept_results()
+    assert found.found and not found.needed and "1 results, 1 of 7 MB" in found.detail
+    monkeypatch.setenv(store.STORE_VARIABLE, "off")
+    assert local_store() is None and "off" in kept_results().detail
+
+
+def test_two_processes_may_keep_the_same_content_at_the_same_time(tmp_path):
+    kept, content = StoreFolder(tmp_path / "store", 10**8), bytes(10**6)
+    child = os.fork()
+    if child == 0:
+        for _ in range(20):
+            kept.put("a", content)
+        os._exit(0)
+    for _ in range(20):
+        kept.put("a", content)
+        assert kept.get("a") == content
+    assert os.waitpid(child, 0)[1] == 0
+    assert kept.get("a") == content and kept.use().files == 1

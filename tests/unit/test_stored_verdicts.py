@@ -1,0 +1,146 @@
+"""A verdict of the very same inputs is found in the store and says so; everything else is judged anew."""
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from verdict_factory import scene as made
+
+from mitsuba_ref.__main__ import main
+from mitsuba_ref.reference import store, variants
+from mitsuba_ref.runner import many_scenes, verdict_files
+
+BALL = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n[[shape]]\ntype = "sphere"\nradius = {}\n'
+IMAGES = ("ours", "reference", "verdict")
+
+
+@pytest.fixture
+def judged(tmp_path, monkeypatch):
+    """Three scenes, and a judge that is made up; run(...) gives the names of those that were judged."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv(store.STORE_VARIABLE, str(tmp_path / "store"))
+    Path("scenes").mkdir()
+    for i, name in enumerate("abc"):
+        Path(f"scenes/{name}.toml").write_text(BALL.format(1 + i))
+
+    def validate(scene, name, path, *, folder=None, **options):
+        with Path("judged").open("a") as asked:  # by a worker
+            asked.write(f"{name}\n")
+        for which in IMAGES if folder else ():
+            (folder / f"{name}.{which}.exr").write_bytes(b"pixels")
+        return replace(made(name), path=path, reproducers=())
+
+    monkeypatch.setattr(many_scenes, "validate_scene", validate)
+
+    def run(*words: str, code: int = 0) -> list[str]:
+        Path("judged").write_text("")
+        assert main(["validate", "scenes", "-j", "1", "--json", "v.json", *words]) == code
+        kept = [scene["name"] for scene in json.loads(Path("v.json").read_text())["scenes"] if scene["kept"]]
+        asked = sorted(Path("judged").read_text().split())
+        assert sorted([*kept, *asked]) == ["a", "b", "c"]
+        return asked
+
+    return run
+
+
+ALL = ["a", "b", "c"]
+
+
+def test_the_same_inputs_are_found_and_stated(judged, capsys):
+    assert judged() == ALL and judged() == []
+    out = capsys.readouterr().out
+    assert "kept:       3 scenes were not judged now" in out and "PASS  a" in out
+    assert judged("--no-store") == ALL
+    assert judged("--html", "report") == ALL  # whose pixels are not kept
+
+
+@pytest.mark.parametrize(
+    "words", [("--size", "20", "10"), ("--thorough",), ("--mesh-dir", "scenes"), ("--out", "out")], ids=" ".join
+)
+def test_another_option_judges_all_anew(judged, words):
+    assert judged() == ALL and judged(*words) == ALL and judged(*words) == []
+
+
+def edit_scene(monkeypatch):
+    Path("scenes/b.toml").write_text(BALL.format(7))
+
+
+def patched(where, name, value):
+    def change(monkeypatch):
+        monkeypatch.setattr(where, name, value)
+        store.machine.cache_clear()
+
+    return change
+
+
+def setting(monkeypatch):
+    monkeypatch.setenv("CASTER_ANYTHING", "1")
+
+
+CHANGES = {
+    "the scene": (edit_scene, ["b"]),
+    "code": (patched(verdict_files, "code_hash", lambda: "other"), ALL),
+    "a version": (patched(store, "installed_version", lambda name: "9"), ALL),
+    "the variant": (patched(verdict_files, "variant_of", lambda scene: "other"), ALL),
+    "libLLVM": (patched(variants, "environment_for", lambda variant: {"DRJIT_LIBLLVM_PATH": "/other"}), ALL),
+    "a setting": (setting, ALL),
+    "a kind of another package": (patched(verdict_files, "SHAPES", (many_scenes.SceneEntry,)), ALL),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_what_has_changed_is_judged_anew(judged, monkeypatch, change):
+    assert judged() == ALL
+    edit, anew = CHANGES[change]
+    edit(monkeypatch)
+    assert judged() == anew
+    monkeypatch.undo()
+    store.machine.cache_clear()
+
+
+@pytest.mark.parametrize("content", [None, b"", b"pixelz"], ids=str)
+def test_an_image_that_is_not_what_was_written_is_judged_anew(judged, content):
+    assert judged("--out", "out") == ALL and judged("--out", "out") == []
+    file = Path("out/b.reference.exr")
+    file.unlink() if content is None else file.write_bytes(content)
+    assert judged("--out", "out") == ["b"]
+
+
+def test_an_interrupted_run_goes_on_where_it_ended(judged, monkeypatch):
+    judge = many_scenes.validate_scene
+
+    def killed(scene, name, path, **options):
+        return os._exit(1) if name == "b" else judge(scene, name, path, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(many_scenes, "validate_scene", killed)
+        assert main(["validate", "scenes", "-j", "1", "--maxfail", "1"]) == 1
+    assert judged() in (["b"], ["b", "c"])
+
+
+def test_a_verdict_without_a_comparison_or_of_other_numbers_is_not_kept(judged, monkeypatch):
+    monkeypatch.setattr(many_scenes, "validate_scene", lambda scene, name, path, **o: made(name, ok=False, problem="x"))
+    assert main(["validate", "scenes"]) == main(["validate", "scenes", "--json", "v.json"]) == 1
+    assert not any(scene["kept"] for scene in json.loads(Path("v.json").read_text())["scenes"])
+    record = made("a").to_dict()
+    assert verdict_files.scene_of(json.dumps(record)) == made("a")
+    for text in (json.dumps(record | {"ok": False}), json.dumps({"name": "a"}), "[]", "{"):
+        with pytest.raises(ValueError):
+            verdict_files.scene_of(text)
+
+
+def test_every_source_file_counts(tmp_path, monkeypatch):
+    before = verdict_files.code_hash()
+    root = Path(verdict_files.__file__).resolve().parents[2]
+    for package in verdict_files.PACKAGES:
+        for source in (root / package).rglob("*.py"):
+            copy = tmp_path / source.relative_to(root)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            copy.write_bytes(source.read_bytes())
+    monkeypatch.setattr(verdict_files, "__file__", str(tmp_path / "mitsuba_ref/runner/verdict_files.py"))
+    assert verdict_files.code_hash.__wrapped__() == before
+    with (tmp_path / "caster/shapes/sphere.py").open("a") as file:
+        file.write("#")
+    assert verdict_files.code_hash.__wrapped__() != before
