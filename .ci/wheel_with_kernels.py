@@ -1,11 +1,10 @@
 """A wheel that brings object code of all kernels, so that an installed `caster` renders at once.
 
-    python .ci/wheel_with_kernels.py [--out dist] [--levels x86-64-v4,x86-64-v3]
+    python .ci/wheel_with_kernels.py [--out dist]
 
 `make wheel` runs it, in some minutes. The pure wheel of this tree is unpacked, `caster doctor --warm` compiles its
-kernels for each level of processors (caster/jit/machine_code.py:LEVELS), and their object code goes into
-caster/jit/object_code/LEVEL. Sources without a compiler make the same wheel but for that folder, and `pip install .`
-keeps making that one.
+kernels for x86-64-v3 (caster/jit/machine_code.py:PORTABLE), and their object code goes into caster/jit/object_code.
+Sources without a compiler make the same wheel but for that folder, and `pip install .` keeps making that one.
 """
 
 import argparse
@@ -19,7 +18,7 @@ import tempfile
 import zipfile
 from pathlib import Path
 
-from caster.jit.machine_code import LEVELS, best_level, level_settings
+from caster.jit.machine_code import PORTABLE, portable_settings, runs_portable_code
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = "caster/jit/object_code"
@@ -30,24 +29,16 @@ EPOCH = (1980, 1, 1, 0, 0, 0)  # the time of every file, so that the same files 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=ROOT / "dist")
-    parser.add_argument("--levels", default=",".join(LEVELS))
     args = parser.parse_args()
-    levels = args.levels.split(",")
-    if missing := [level for level in levels if not runs_here(level)]:
-        sys.exit(f"--levels {missing[0]}: this processor is {best_level() or 'none'} of {', '.join(LEVELS)}")
+    if not runs_portable_code():  # the kernels are called once when they are compiled
+        sys.exit(f"this processor does not run code for {PORTABLE}")
     with tempfile.TemporaryDirectory() as name:
         pure = build_pure_wheel(Path(name) / "pure")
         tree = Path(name) / "tree"
         with zipfile.ZipFile(pure) as archive:
             archive.extractall(tree)
-        add_object_code(tree, levels, Path(name))
+        add_object_code(tree, Path(name) / "home")
         print(write_wheel(tree, pure.name, args.out))
-
-
-def runs_here(level: str) -> bool:
-    """Whether this processor runs code of a level: the kernels are called once when they are compiled."""
-    order = list(LEVELS)
-    return level in order and best_level() in order and order.index(level) >= order.index(best_level())
 
 
 def build_pure_wheel(folder: Path) -> Path:
@@ -58,32 +49,19 @@ def build_pure_wheel(folder: Path) -> Path:
     return wheel
 
 
-def add_object_code(tree: Path, levels: list[str], scratch: Path) -> None:
-    """Compile the kernels of an unpacked wheel for each level, one process a level, and copy them into it."""
-    target = tree / FOLDER
-    running = {level: warm(tree, level, scratch / level) for level in levels}
-    for level, process in running.items():
-        process.communicate()
-        if process.returncode:
-            sys.exit(f"{level}: caster doctor --warm ended with exit code {process.returncode}")
-        files = sorted((scratch / level).rglob("*.o"))
-        (target / level).mkdir(parents=True)
-        for file in files:
-            (target / level / file.name).write_bytes(file.read_bytes())
-        print(f"{level}: {len(files)} kernels, {sum(file.stat().st_size for file in files) / 1e6:.1f} MB")
-
-
-def warm(tree: Path, level: str, home: Path) -> "subprocess.Popen[str]":
+def add_object_code(tree: Path, home: Path) -> None:
+    """Compile the kernels of an unpacked wheel, and copy them into it."""
     home.mkdir()
-    settings = level_settings(level) | {"XDG_CACHE_HOME": str(home), "PYTHONHASHSEED": "0"}
-    return python(tree, settings, "-m", "caster", "doctor", "--warm")
-
-
-def python(tree: Path, settings: dict[str, str], *words: str) -> "subprocess.Popen[str]":
     dropped = ("NUMBA_", "CASTER_", "PYTHON")
-    kept = {name: value for name, value in os.environ.items() if not name.startswith(dropped)}
-    environment = kept | {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"} | settings
-    return subprocess.Popen([sys.executable, "-P", *words], env=environment, text=True, stdout=subprocess.PIPE)
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(dropped)}
+    environment |= {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1", "PYTHONHASHSEED": "0"}
+    environment |= portable_settings() | {"XDG_CACHE_HOME": str(home)}
+    subprocess.run([sys.executable, "-P", "-m", "caster", "doctor", "--warm"], env=environment, check=True)
+    files = sorted(home.rglob("*.o"))
+    (tree / FOLDER).mkdir(parents=True)
+    for file in files:
+        (tree / FOLDER / file.name).write_bytes(file.read_bytes())
+    print(f"{PORTABLE}: {len(files)} kernels, {sum(file.stat().st_size for file in files) / 1e6:.1f} MB")
 
 
 def write_wheel(tree: Path, pure_name: str, out: Path) -> Path:

@@ -5,18 +5,23 @@
 `make stress` runs both. Every number on the page comes from the run.
 """
 
+import io
+import math
 import sys
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
-import stress_plots
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
 from pages import WIDTH, write_page
 
 from mitsuba_ref.report.results import markdown, read_result
 from mitsuba_ref.stress import sweeps
-from mitsuba_ref.stress.score import WITNESSES, Score
-from mitsuba_ref.stress.sweeps import OUR_KEYS, StressRun, SweepResult
+from mitsuba_ref.stress.score import OURS, WITNESSES, Score
+from mitsuba_ref.stress.sweeps import SettingResult, StressRun, SweepResult
 
 PAGE, IMAGE_FOLDER = "stress.md", "stress"
 
@@ -24,10 +29,21 @@ HEAD = """# Numerical stability
 
 <!-- written by `make stress`; change benchmarks/stress_page.py instead -->
 
-Each sweep makes one quantity more extreme, decade by decade; all witnesses cast the same rays through the same
+Each sweep makes one quantity more extreme, decade by decade; all casters cast the same rays through the same
 geometry, in the same float32 numbers. Right answers come from arithmetic in whole numbers, without any rounding
 (`mitsuba_ref/oracle/oracle.py`), for the numbers as they are given. So an error here is arithmetic alone.
 """
+
+# Colours after Okabe and Ito (2008), which people of any colour vision tell apart; markers and dashes differ as well.
+STYLE: dict[str, dict[str, Any]] = {
+    "ours": {"color": "#0072B2", "marker": "o", "ms": 5, "lw": 2.0, "zorder": 6},
+    "scalar": {"color": "#E69F00", "marker": "s", "ms": 8, "lw": 3.0, "mfc": "none", "zorder": 3},
+    "llvm": {"color": "#D55E00", "marker": "x", "ms": 7, "lw": 1.5, "ls": "-.", "zorder": 4},
+    "llvm-robust": {"color": "#009E73", "marker": "^", "ms": 4, "lw": 1.2, "zorder": 5},
+}
+BOUNDS = {"float32": ("predicted bound of float32", "--"), "float64": ("predicted bound of ours, float64", ":")}
+AXIS_LOW, AXIS_HIGH = 1e-18, 1e3  # errors of nothing, and those by which all digits are lost, show as these
+FONT, OTHERS = "'DejaVu Sans'", ", Verdana, sans-serif"  # the one that Matplotlib measures with; a viewer's
 
 READING = """## How to read it
 
@@ -37,17 +53,16 @@ READING = """## How to read it
 - **Wrong** are hits where there is exactly none, and misses where there is exactly one; behind a `+`, hits of another
   primitive than any of those that are exactly nearest (`ties` counts rays that have several), in a closed mesh of the
   rays that exact arithmetic decided.
-- A witness **breaks down** at the first setting, on either side of the easiest one, where a hit or miss is wrong or an
-  error beyond its bound. That is ringed in the plots. Not every breakdown is a mistake: beyond the reach of
-  float32, a ray may come out either way. And naming the wrong one of two surfaces that are almost equally near is none
-  by this measure; the plots show it by diamonds.
+- A caster **breaks down** at the first setting, on either side of the easiest one, where a hit or miss is wrong or an
+  error beyond its bound. Not every breakdown is a mistake: beyond the reach of float32, a ray may come out either way.
+  And naming the wrong one of two surfaces that are almost equally near is none by this measure.
 - Mitsuba runs in three configurations: its scalar variant with Embree's robust mode, which `validate` uses for
   spheres, disks and cylinders; its LLVM variant as it comes; and its LLVM variant with the robust mode, which
   `validate` uses for triangles. Whatever it gets wrong is reported; only faults of ours fail the run.
 - A line that ends has nothing to compare there: its rays all miss. A bound that ends is none: float32 does not resolve
   these rays at all.
-- Images are cast along our camera's rays, rounded to float32; our caster also rasterizes them. How
-  far Mitsuba's own sensors are off is another matter, and part of `validate`.
+- Images are cast along our camera's rays, rounded to float32. How far Mitsuba's own sensors are off is another matter,
+  and part of `validate`.
 - Rays are aimed at random by a seed. Every setting is checked to have exact hits, and misses, too, but for those inside
   a closed mesh. There every ray hits, which exact arithmetic confirms for a sample and for reported misses.
 """
@@ -60,7 +75,7 @@ def main() -> None:
 
 def write_report(run: StressRun, folder: Path) -> None:
     """Write stress.md and its plots. Raises OutputError."""
-    plots = {f"{sweep.name}.{stress_plots.FORMAT}": stress_plots.as_svg(sweep) for sweep in run.families}
+    plots = {f"{sweep.name}.svg": plot(sweep) for sweep in run.families}
     write_page(folder, PAGE, lines(run), IMAGE_FOLDER, plots)
 
 
@@ -76,8 +91,7 @@ def lines(run: StressRun) -> Iterator[str]:
 def outcome(run: StressRun) -> Iterator[str]:
     settings = [setting for sweep in run.families for setting in sweep.settings]
     rays, adjudicated = sum(each.rays for each in settings), sum(each.exact.adjudicated for each in settings)
-    scores = [each.witnesses[key] for each in settings for key in OUR_KEYS]
-    own = [score for score in scores if isinstance(score, Score)]
+    own = [score for each in settings if isinstance(score := each.witnesses[OURS.key], Score)]
     counts = ("wrong_masks", "wrong_primitives", "beyond")
     wrong, other, beyond = (sum(getattr(score, name) for score in own) for name in counts)
     worst = max((score.worst for score in own if score.worst is not None), default=0.0)
@@ -92,10 +106,9 @@ def outcome(run: StressRun) -> Iterator[str]:
 
 def summary(run: StressRun) -> Iterator[str]:
     yield "## Where each breaks down\n"
-    witnesses = [witness for witness in WITNESSES if witness.key != "screen"]
-    rows = [["sweep", "stressed quantity", *(witness.title for witness in witnesses)]]
+    rows = [["sweep", "stressed quantity", *(witness.title for witness in WITNESSES)]]
     for sweep in run.families:
-        found = [sweeps.breakdown(sweep, witness.key) for witness in witnesses]
+        found = [sweeps.breakdown(sweep, witness.key) for witness in WITNESSES]
         rows.append([f"[{sweep.name}](#{sweep.name})", sweep.quantity, *found])
     yield markdown(rows)
     yield ""
@@ -105,7 +118,7 @@ def section(sweep: SweepResult) -> Iterator[str]:
     name = sweep.name
     yield f"## {name}\n"
     yield f"{sweep.title[0].upper()}{sweep.title[1:]}: {sweep.error}, and wrong hits or misses.\n"
-    image = f"{IMAGE_FOLDER}/{name}.{stress_plots.FORMAT}"
+    image = f"{IMAGE_FOLDER}/{name}.svg"
     yield f"![{name}: errors and wrong answers over the {sweep.quantity}]({image})\n"
     yield from (f"FAIL: {problem}\n" for problem in sweep.problems)
     if not sweep.misses:
@@ -113,6 +126,53 @@ def section(sweep: SweepResult) -> Iterator[str]:
     yield "<details><summary>numbers</summary>\n"
     yield markdown(sweeps.rows(sweep))
     yield "\n</details>\n"
+
+
+def plot(sweep: SweepResult) -> bytes:
+    """SVG: errors above, shares of wrong answers below, over the stressed quantity; the same bytes for the same result.
+
+    Letters stay letters, so that the file is small. A quantity of 0 stands a decade before the least other.
+    """
+    x = np.array([setting.x for setting in sweep.settings])
+    ticks = x[x > 0.0]
+    x = np.where(x > 0.0, x, ticks.min(initial=1.0) / 10.0)
+    floor = 0.3 / max(setting.rays for setting in sweep.settings)
+    settings: Any = {"svg.fonttype": "none", "svg.hashsalt": sweep.name, "font.size": 9.0, "font.family": "DejaVu Sans"}
+    with matplotlib.rc_context(settings):
+        figure = Figure(figsize=(8.4, 6.2), layout="constrained")
+        above, below = figure.subplots(2, 1, sharex=True, height_ratios=[3.0, 1.8])
+        for name, (label, dashes) in BOUNDS.items():
+            bound = numbers([getattr(setting.bound, name) for setting in sweep.settings])
+            above.plot(x, np.clip(bound, AXIS_LOW, AXIS_HIGH), lw=1.3, color="#444444", ls=dashes, label=label)
+        for witness in sweep.witnesses:
+            key, style = witness.key, STYLE[witness.key]
+            place = sweeps.breakdown(sweep, key)
+            label = f"{witness.title}: {'' if sweep.absence(key) else 'breaks down at '}{place}"
+            error = numbers([value(setting, key, "error") for setting in sweep.settings])
+            above.plot(x, np.clip(error, AXIS_LOW, AXIS_HIGH), label=label, **style)
+            wrong = numbers([value(setting, key, "wrong_masks") for setting in sweep.settings])
+            below.plot(x, np.maximum(wrong / [setting.rays for setting in sweep.settings], floor), **style)
+        above.set(yscale="log", ylim=(AXIS_LOW / 3.0, AXIS_HIGH * 3.0), ylabel=f"largest {sweep.error}")
+        below.set(xscale="log", yscale="log", ylim=(floor / 2.0, 2.0), ylabel="share of wrong hits and misses")
+        below.set_xlabel(sweep.quantity + (" (first setting: 0)" if sweep.settings[0].x == 0.0 else ""))
+        above.set_title(f"{sweep.name}: {sweep.title}", loc="left", fontsize=10)
+        for axes in (above, below):
+            axes.grid(True, color="#dddddd", lw=0.5)
+        figure.legend(loc="outside lower left", ncols=2, frameon=False)
+        out = io.BytesIO()
+        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+    text = out.getvalue().decode().replace(FONT, FONT + OTHERS)
+    return "".join(f"{line.strip()}\n" for line in text.splitlines()).encode()
+
+
+def value(setting: SettingResult, key: str, what: str) -> float | None:
+    score = setting.witnesses[key]
+    return getattr(score, what) if isinstance(score, Score) else None
+
+
+def numbers(values: list[float | None]) -> np.ndarray:
+    """NaN for what is not there, so that lines have a gap."""
+    return np.array([math.nan if value is None else value for value in values], float)
 
 
 if __name__ == "__main__":

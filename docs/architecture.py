@@ -48,6 +48,7 @@ FLOW = {
     "mitsuba_ref.scene_xml": "Mitsuba's XML",
     "mitsuba_ref.shapes": "XML, bounds, exactness of a kind",
     "mitsuba_ref.cameras": "XML and rays of a kind",
+    "mitsuba_ref.hard": "hard scenes and rays",
     "mitsuba_ref.reference": "Mitsuba in a child process",
     "mitsuba_ref.subjects": "who is judged",
     "mitsuba_ref.judge": "the class of each pixel",

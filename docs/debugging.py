@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs/debugging-an-edge-case.md"
-PICTURE = "docs/debugging/pixel.png"
 FILE = "caster/kernels/exact/primitives.py"
 GOOD, BAD = "    if sign(u) * sign(v) < 0:\n", "    if sign(u) * sign(v) <= 0:\n"
 SCENE = "scenes/shared-edges-cube.toml"
@@ -105,10 +104,8 @@ def main() -> None:
         tree = Tree(Path(folder))
         failing = tree.run("mitsuba-ref validate scenes --size 15 15")
         replay = replay_in(failing.text)
-        probed = tree.run(f"{replay} --save edge.toml --picture pixel.png")
+        probed = tree.run(f"{replay} --save edge.toml")
         assert (tree.folder / "edge.toml").exists(), probed.text
-        (ROOT / PICTURE).parent.mkdir(exist_ok=True)
-        shutil.copy(tree.folder / "pixel.png", ROOT / PICTURE)
         alone = (tree.folder / "edge.toml").read_text(encoding="utf-8").rstrip()
         near = tree.run("caster probe edge.toml 0 0")
         stepped = stepping(tree)
@@ -120,7 +117,7 @@ def main() -> None:
         TEXT.format(
             diff=diff(),
             failing=shown(failing, lines=16),
-            probed=shown(probed, lines=18),
+            probed=shown(probed, lines=17),
             alone=alone,
             near=shown(near, start="miss"),
             stepped=shown(stepped, start="(Pdb) tbreak", lines=13),
@@ -155,19 +152,13 @@ is 1.
 
 ## 2. All witnesses of one pixel
 
-The replay command, with two options: `--save` writes the ray and what it may hit as a scene of its own,
-exact to the bit, and `--picture` draws what is around it.
+The replay command, with an option: `--save` writes the ray and what it may hit as a scene of its own,
+exact to the bit.
 
 {probed}
 
 Ours is alone with its miss, so it is not a matter of rounding or of one mode of Mitsuba. The exact answer
 is an edge, and two faces share it.
-
-![Classes of the pixels around, what our rays meet in the pixel, and beside its ray](debugging/pixel.png)
-
-Left, the classes of the pixels around. In the middle, the pixel from edge to edge, by many rays of ours.
-Right, the rays beside the pixel's own, each one rounding of float32 further; crosses are where Mitsuba
-misses and dots where it hits another shape than ours.
 
 ## 3. The pixel as a scene of its own
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from caster.cli import application
-from caster.system.process import DIFFERENCES, INTERRUPTED, MEANINGS, PIPE_CLOSED, reopen_closed_streams
+from caster.system.process import DIFFERENCES, INTERRUPTED, MEANINGS, PIPE_CLOSED
 from mitsuba_ref.cli import COMMANDS
 
 ABOUT = "A judge of ray casters: compares them with Mitsuba 3, ray by ray, within derived bounds."
@@ -60,7 +60,6 @@ def needs_supervision(words: Sequence[str]) -> bool:
 def run_supervised(words: Sequence[str]) -> int:
     """The exit code that the command line reports, run in a child; one that ends without a report has failed."""
     began = time.time()
-    reopen_closed_streams()
     application.announce("mitsuba-ref", COMMANDS, words[0])
     reading, writing = os.pipe()
     child = subprocess.Popen(

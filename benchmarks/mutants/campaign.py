@@ -40,7 +40,7 @@ SMALL_RAYS = "benchmarks/mutants/small_rays.py"
 # Quick without the compiler; most of tests/agreement is not, SMALL_AGREEMENT and SMALL_RAYS stand for it.
 TESTS = (
     "tests/unit/test_exact_kernels.py",
-    "tests/unit/test_stated_kernels.py",
+    "tests/unit/test_stated_numbers.py",
     "tests/agreement/test_wide_angle_cameras.py",
     "tests/agreement/test_exact.py",
     "tests/agreement/test_lanes.py",
@@ -104,17 +104,16 @@ TESTS = (
 # Of modules of the judge, for which the caster is compiled: what asks Mitsuba gets its stored answers.
 _COMPILED_TESTS = {
     "tests/unit": """
-        bias bracket broad_phase camera_references candidate_aimed candidate_scene classification_table common_traits
+        bias bracket broad_phase camera_references candidate_aimed candidate_scene common_traits
         defect_measurement description_round_trip error_models exact_kernels explanations exr_files
-        exr_compare fuzz_findings judged_quantities bracket_rules generated_meshes_check shape_importers
-        stated_tolerances
-        geometry_checked_in_both_precisions independent_transform judge_at_extremes judge_checks
-        judge_parts knife_edges known_defects lambert_and_shadow_rays mesh_files_check pixel_explanations ray_camera
+        exr_compare fuzz_findings generated_meshes shape_importers
+        geometry_checked_in_both_precisions independent_transform judge_at_extremes
+        verdict_rules knife_edges known_defects lambert_and_shadow_rays mesh_files_check pixel_explanations ray_camera
         ray_conventions registries report_arrays report_files result_schemas scaling scene_fuzz scene_options scene_rows
-        stated_bounds stress surface_targets
+        stated_numbers stress surface_targets
     """,
     "tests/exact": """
-        edge_cases edge_cases_mitsuba identical_primitives oracle_filter oracle_kinds oracle_parts oracle_roots
+        edge_cases identical_primitives oracle_filter oracle_kinds oracle_parts oracle_roots
         oracle_scenes
     """,
     "tests/reference": """

@@ -6,9 +6,9 @@ import pytest
 
 from caster.jit.kernel_cache import COMPILED
 from caster.scene.files import load_scene
-from mitsuba_ref.fuzz.campaign import check_example
-from mitsuba_ref.fuzz.families import FAMILIES, example
+from mitsuba_ref.fuzz.campaign import check_example, example
 from mitsuba_ref.fuzz.findings import Tally
+from mitsuba_ref.hard.random_families import RANDOM as FAMILIES
 from mitsuba_ref.reference.mitsuba_process import ResidentSession
 from mitsuba_ref.report.validation import validate_scene
 

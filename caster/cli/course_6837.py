@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 
 from caster.cli.shared_arguments import InputPath, OutputFile, add_mesh_dirs, add_threads, output_file_unless_number
@@ -34,15 +35,23 @@ def run(args: argparse.Namespace) -> int:
 
     Raises SceneError, FileMissing, OutputError.
     """
-    near, far = depth_range(args.depth)
+    near, far = _depth_range(args.depth) if args.depth else (0.0, 1.0)
     paths = {"-output": args.output, "-depth": args.depth and args.depth[2], "-normals": args.normals}
     wanted = {option: path for option, path in paths.items() if path is not None}
-    check_outputs(wanted)
-    check_size(args.size)
+    if not wanted:
+        raise SceneError("nothing to render: expected at least one of -output, -depth, -normals")
+    from caster.image.image_files import check_image_name, write_image
+    from caster.system.atomic_files import check_writable
+
+    for option, path in wanted.items():
+        check_image_name(option, path)
+        check_writable(path)
     from caster.classroom.course_files import load_course_scene
     from caster.classroom.course_images import depth_image, normal_image, render_course, to_bytes_truncated
-    from caster.image.image_files import write_image
+    from caster.scene.model import Film
 
+    with error_prefix("-size", *args.size):
+        Film(width=args.size[0], height=args.size[1])
     options = {"shade_back": args.shade_back, "shadows": args.shadows, "mesh_dirs": args.mesh_dir}
     course = load_course_scene(args.input, *args.size, **options)
     for text in course.left_out:
@@ -62,34 +71,12 @@ def run(args: argparse.Namespace) -> int:
     return OK
 
 
-def depth_range(words: list[str] | None) -> tuple[float, float]:
-    """Parse NEAR and FAR of -depth. Raises SceneError unless NEAR < FAR, both finite."""
-    if words is None:
-        return 0.0, 1.0
+def _depth_range(words: list[str]) -> tuple[float, float]:
+    """NEAR and FAR of -depth. Raises SceneError unless NEAR < FAR, both finite."""
     try:
         near, far = float(words[0]), float(words[1])
     except ValueError:
         raise SceneError(f"-depth {' '.join(words)}: expected two numbers and a file name") from None
-    if not (abs(near) < float("inf") and abs(far) < float("inf") and near < far):
+    if not -math.inf < near < far < math.inf:
         raise SceneError(f"-depth {' '.join(words)}: expected NEAR < FAR, two finite numbers")
     return near, far
-
-
-def check_outputs(wanted: dict[str, str]) -> None:
-    """Validate output names and folders before rendering. Raises SceneError, OutputError."""
-    from caster.image.image_files import check_image_name
-    from caster.system.atomic_files import check_writable
-
-    if not wanted:
-        raise SceneError("nothing to render: expected at least one of -output, -depth, -normals")
-    for option, path in wanted.items():
-        check_image_name(option, path)
-        check_writable(path)
-
-
-def check_size(size: tuple[int, int]) -> None:
-    """Raise SceneError for an invalid film size, naming the option: scene files of the course have no film."""
-    from caster.scene.model import Film
-
-    with error_prefix("-size", *size):
-        Film(width=size[0], height=size[1])

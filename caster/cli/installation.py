@@ -3,26 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import importlib
 import importlib.metadata
 import json
 import os
 import platform
 import re
-import subprocess
-import sys
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
-from caster.cli.shared_arguments import InputPath, positive_int
-from caster.description.errors import SceneError
+from caster.cli.shared_arguments import InputPath
 from caster.system import processor
-from caster.system.process import OK, PARENT_VARIABLE, die_with_parent
-
-if TYPE_CHECKING:
-    from caster.rendering.warm_up import WarmUpCounts
-    from caster.scene.model import Scene
+from caster.system.process import OK
 
 __all__ = ["Finding", "Package", "exit_code", "find_package", "format_json", "print_findings", "report", "usable"]
 
@@ -72,92 +64,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="compile the kernels that `caster render` would compile at first use, for these scene files; "
         "without any, for all shapes and cameras, which takes minutes",
     )
-    parser.add_argument(
-        "-j",
-        "--jobs",
-        type=positive_int,
-        metavar="N",
-        default=1,
-        help="processes of --warm, which share the cache; default: 1",
-    )
-    parser.add_argument("--beside", nargs=2, type=positive_int, metavar=("I", "N"), help=argparse.SUPPRESS)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the findings (4 if something needed is missing), or compile kernels. Raises SceneError, FileMissing."""
-    if args.warm is not None:
-        return warm(args.warm, args.json, args.jobs, args.beside)
-    if args.jobs > 1:
-        raise SceneError(f"--jobs {args.jobs}: it goes with --warm, which compiles kernels")
-    return print_findings(report(), args.json)
+    return print_findings(report(), args.json) if args.warm is None else warm(args.warm, args.json)
 
 
-def warm(paths: Sequence[str], as_json: bool, jobs: int = 1, beside: tuple[int, int] | None = None) -> int:
-    """Compile kernels that are not cached yet, and print how many.
-
-    jobs: processes, of which the others begin elsewhere in the list of scenes and go through all of it, too: whoever
-    comes later loads what is cached by then, and this process has every kernel in the end, whatever becomes of the
-    others. beside: of one of those, its number and that of all.
-    """
-    from caster.jit.decorators import COMPILATION_LOG
+def warm(paths: Sequence[str], as_json: bool) -> int:
+    """Compile the kernels of these scene files that are not cached yet, and print how many."""
     from caster.jit.kernel_cache import COMPILED
     from caster.rendering import warm_up
-    from caster.system.terminal import CompileProgress, report_refused_cache
+    from caster.scene.files import load_scene
+    from caster.system.terminal import compilation_reported, report_refused_cache
 
     if not COMPILED:
         print("kernels: none, as Numba is switched off or not installed")
         return OK
     report_refused_cache()
-    scenes = _load_scenes(paths) if paths else list(warm_up.warm_up_scenes())
-    if beside:
-        die_with_parent()
-        start = len(scenes) * beside[0] // beside[1]
-        warm_up.warm_up(scenes[start:] + scenes[:start], lambda name: None)
-        return OK
-    progress = CompileProgress()
-    COMPILATION_LOG.compiling = progress.compiling
-    with _warmed_beside(paths, min(jobs, len(scenes))):
-        done = warm_up.warm_up(scenes, progress.begin)
-    progress.end()
-    print(json.dumps(done._asdict()) if as_json else _warm_summary(done))
+    scenes = [(path, load_scene(path)) for path in paths] if paths else list(warm_up.warm_up_scenes())
+    with compilation_reported():
+        done = warm_up.warm_up(scenes, lambda name: None)
+    if as_json:
+        print(json.dumps(done._asdict()))
+    elif done.compiled:
+        print(f"kernels: {done.compiled} compiled, {done.loaded} loaded from the cache")
+    else:
+        print(f"kernels: 0 compiled, all {done.loaded} were in the cache")
     return OK
-
-
-@contextlib.contextmanager
-def _warmed_beside(paths: Sequence[str], jobs: int) -> Iterator[None]:
-    """jobs - 1 processes that compile as well; they end with this one, and at once where it has done all."""
-    command = [sys.executable, "-P", "-m", "caster", "doctor", "--warm", *paths, "--beside"]
-    environment = os.environ | {PARENT_VARIABLE: str(os.getpid()), "PYTHONPATH": os.pathsep.join(sys.path)}
-    others: list[subprocess.Popen[bytes]] = []
-    try:
-        for i in range(1, jobs):
-            words = [*command, str(i), str(jobs)]
-            started = subprocess.Popen(
-                words,
-                env=environment,
-                start_new_session=True,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-            )
-            others.append(started)
-        yield
-    finally:
-        for other in others:
-            other.kill()
-            other.wait()
-
-
-def _load_scenes(paths: Sequence[str]) -> list[tuple[str, Scene]]:
-    from caster.scene.files import load_scene
-
-    return [(path, load_scene(path)) for path in paths]
-
-
-def _warm_summary(done: WarmUpCounts) -> str:
-    if not done.compiled:
-        return f"kernels: 0 compiled, all {done.loaded} were in the cache"
-    return f"kernels: {done.compiled} compiled, {done.loaded} loaded from the cache"
 
 
 def report() -> list[Finding]:

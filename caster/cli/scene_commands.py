@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
 # ---- render: a scene file in, an EXR file out ----
 
-COMPRESSIONS = ("zip", "zips", "piz", "none")  # as in caster/image/exr.py, which takes long to load
 CROP_METAVARS = ("X0", "Y0", "X1", "Y1")
 
 
@@ -46,12 +45,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--aov", type=str, metavar="A,B,...", help=f"of {AOV_NAMES}; default: {DEFAULT_AOV_LIST}")
     add("--crop", nargs=4, type=int, metavar=CROP_METAVARS, help="render these pixels only; X1 and Y1 are exclusive")
     add_threads(parser)
-    add(
-        "--compression",
-        choices=COMPRESSIONS,
-        default=COMPRESSIONS[0],
-        help="of the file, without loss: zip, the smallest; zips and piz; none, the fastest to write",
-    )
     add("--explain", action="store_true", help="print how the image was computed, and what was skipped")
     add("--json", action="store_true", help="print the same as JSON, with counts of the work done")
     add(
@@ -88,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
         rendered = render_film(scene, aovs, threads=args.threads, on_progress=bar.add)
     images = rendered.aovs
     threads = thread_count(args.threads)
-    write_render(output, scene, images, args.scene, compression=args.compression, threads=threads)
+    write_render(output, scene, images, args.scene, threads=threads)
     if args.preview is not None:
         save_preview(args.preview, images, shown)
     if args.json:
@@ -172,13 +165,14 @@ def run_check(args: argparse.Namespace) -> int:
 
 def check_file(path: str, mesh_dirs: list[str]) -> int:
     """Validate one scene file with its meshes and print the outcome; its exit code."""
-    from caster.geometry.packing import check_shapes
+    from caster.geometry.packing import in_words, pack
     from caster.scene.files import load_scene
 
     try:
         scene = load_scene(path, mesh_dirs)
         with error_prefix(path):
-            never_hit = check_shapes(scene)  # some errors appear only in world space
+            pack(scene)  # some errors appear only in world space
+            never_hit = in_words(scene)
     except SceneError as error:
         print(error)
         return error.exit_code

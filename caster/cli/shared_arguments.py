@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-import stat
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, count
@@ -17,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from caster.description.errors import FileMissing, SceneError, error_prefix
-from caster.description.input_files import file_id, record_input, recorded_inputs
+from caster.description.input_files import is_input, record_input, recorded_inputs
 from caster.system.atomic_files import OutputError, check_folder, locked
 
 __all__ = [
@@ -201,23 +200,22 @@ def checked_paths(args: argparse.Namespace) -> Iterator[None]:
     Raises SceneError for such an output, OutputError for a folder that another process writes into.
     """
     given = [(name, value) for name, values in vars(args).items() for value in _flat(values)]
-    inputs = [each for each in given if isinstance(each[1], InputPath)]
-    outputs = [each for each in given if isinstance(each[1], (OutputFile, OutputFolder)) and each[1] != "-"]
-    for place, (name, path) in enumerate(outputs):
-        for _, source in inputs:
-            if _is_or_contains(source, path):
-                raise SceneError(
-                    f"{_option(name)} {path}: expected another path than the input {source}: it would be overwritten"
-                )
-        for other, earlier in outputs[:place]:
-            if isinstance(path, OutputFile) and _same(path, earlier):
-                raise SceneError(f"{_option(name)} {path}: expected another file than that of {_option(other)}")
+    option_of: dict[str, str] = {}  # by the path of its output
     with recorded_inputs(), contextlib.ExitStack() as stack:
-        for _, source in inputs:
-            for file in _files(source):
+        for source in (value for _, value in given if isinstance(value, InputPath)):
+            for file in (source, *_scene_files_in(source)):
                 record_input(file)
-        for folder in {os.path.realpath(path): path for _, path in outputs if isinstance(path, OutputFolder)}:
-            stack.enter_context(_own_folder(Path(folder)))
+        for name, path in given:
+            if not isinstance(path, (OutputFile, OutputFolder)) or path == "-":
+                continue
+            option = f"--{name.replace('_', '-')}"
+            if is_input(path):
+                raise SceneError(f"{option} {path}: expected another path: it is an input, and would be overwritten")
+            other = option_of.setdefault(os.path.realpath(path), option)
+            if isinstance(path, OutputFile) and other != option:
+                raise SceneError(f"{option} {path}: expected another file than that of {other}")
+            if isinstance(path, OutputFolder) and other == option:
+                stack.enter_context(_own_folder(Path(path)))
         yield
 
 
@@ -247,35 +245,7 @@ def _flat(values: Any) -> Iterator[Any]:
         yield values
 
 
-def _option(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
-
-
-def _same(a: str, b: str) -> bool:
-    """Whether two paths name one file or folder, which need not exist."""
-    if os.path.realpath(a) == os.path.realpath(b):
-        return True
-    found = file_id(a)
-    return found is not None and found == file_id(b)
-
-
-def _is_or_contains(source: str, output: str) -> bool:
-    """Whether an output is an input, or a scene file of an input folder."""
-    return _same(source, output) or (
-        isinstance(output, OutputFile)
-        and (found := file_id(output)) is not None
-        and any(file_id(file) == found for file in _files(source))
-    )
-
-
-def _files(source: str) -> Iterator[str]:
-    """The files that an input path stands for: itself, or the scene files of a folder."""
-    try:
-        is_folder = stat.S_ISDIR(os.stat(source).st_mode)
-    except (OSError, ValueError):
-        return
-    if not is_folder:
-        yield source
-        return
-    with contextlib.suppress(OSError), os.scandir(source) as entries:
+def _scene_files_in(source: str) -> Iterator[str]:
+    """The scene files of a folder; none of anything else."""
+    with contextlib.suppress(OSError, ValueError), os.scandir(source) as entries:
         yield from (each.path for each in entries if each.name.lower().endswith(SUFFIXES))

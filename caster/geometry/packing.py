@@ -10,15 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.description.errors import SceneError, value_diagnostic
-from caster.geometry.world_space import (
-    Rounding,
-    ShapeCollection,
-    as_float32,
-    as_given,
-    given_normals,
-    is_usable,
-    world_vertices,
-)
+from caster.geometry.world_space import Rounding, ShapeCollection, as_float32, as_given, is_usable, world_vertices
 from caster.kernels.bvh.build import bounding_boxes
 from caster.kernels.protocol import hull_size
 from caster.kernels.triangles import Triangles as Triangles
@@ -237,37 +229,6 @@ def rejected_faces(scene: ShapeCollection, rounded: Rounding = as_given) -> Mapp
     names = scene.shape_names()
     counts = {names[i]: _rejected_of_shape(shape, rounded) for i, shape in enumerate(scene.shapes)}
     return {name: count for name, count in counts.items() if count.total}
-
-
-def check_shapes(scene: ShapeCollection) -> str:
-    """Raise SceneError where `pack` does; return `in_words`. One shape at a time, and meshes are not packed for it.
-
-    Of a mesh's arrays, only positions and given normals may leave float64: generated normals are of unit length, and
-    uv are the mesh's.
-    """
-    names, words = scene.shape_names(), []
-    for i, shape in enumerate(scene.shapes):
-        if not hasattr(shape, "mesh"):
-            pack_shape(scene, i, as_given)
-            continue
-        mesh = shape.mesh()
-        with np.errstate(all="ignore"):
-            vertices = world_vertices(mesh, shape.matrix, as_given)
-            if not np.isfinite(vertices).any() or _normals_overflow(mesh, shape):
-                raise _not_finite(scene, i)
-        found = _rejected_of_mesh(mesh, vertices)
-        words += [f"{names[i]}: {found}"] if found.total else []
-    return "; ".join(words)
-
-
-def _normals_overflow(mesh: Any, shape: Any) -> bool:
-    if mesh.normals is None or getattr(shape, "face_normals", False):
-        return False
-    pieces = (
-        mesh._replace(normals=mesh.normals[start : start + FACES_PER_CHUNK])
-        for start in range(0, len(mesh.normals), FACES_PER_CHUNK)
-    )
-    return not all(np.isfinite(given_normals(piece, shape.matrix)).all() for piece in pieces)
 
 
 def _rejected_of_shape(shape: Any, rounded: Rounding) -> RejectedFaces:

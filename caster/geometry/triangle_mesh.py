@@ -163,15 +163,3 @@ def triangle_fans(sizes: Indices) -> Indices:
     first = np.repeat(first_corner, triangles)
     nth = np.arange(len(first)) - np.repeat(first_triangle, triangles)
     return np.stack([first, first + nth + 1, first + nth + 2], axis=1)
-
-
-def check_integer(shape: str, name: str, value: int, low: int, high: float = math.inf) -> None:
-    """Validate an integer from `low` to `high`. Raises SceneError; the upper limits bound memory."""
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        limits = f">= {low}" if high == math.inf else f"from {low} to {high}"
-        raise SceneError(f"{shape}: {name} must be a whole number {limits}, got {value!r}")
-
-
-def check_length(shape: str, name: str, value: float) -> None:
-    if not (math.isfinite(value) and value > 0.0):
-        raise SceneError(f"{shape}: {name} must be a length > 0, got {value!r}")

@@ -126,12 +126,6 @@ def _collapse_rejected(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndar
 def _world_normals(mesh: Mesh, matrix: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     if mesh.normals is None:
         return vertex_normals(vertices, faces)
-    return given_normals(mesh, matrix)
-
-
-def given_normals(mesh: Mesh, matrix: np.ndarray) -> np.ndarray:
-    """(n, 3) normals of a mesh that has some, in world space."""
-    assert mesh.normals is not None
     turned = transform_vectors(inverse(matrix[:3, :3]).T, mesh.normals)
     length = row_lengths(turned)[:, None]
     unit: np.ndarray = np.divide(turned, length, out=turned, where=length > 0.0)

@@ -61,24 +61,11 @@ def provenance(scene: Scene, version: str, path: str = "") -> dict[str, str]:
 
 
 def write_render(
-    output: str,
-    scene: Scene,
-    aovs: Aovs,
-    path: str,
-    more: Mapping[str, str] = {},
-    *,
-    compression: str = "zip",
-    threads: int = 1,
+    output: str, scene: Scene, aovs: Aovs, path: str, more: Mapping[str, str] = {}, *, threads: int = 1
 ) -> None:
     """Write the AOVs of a scene as an EXR file with its provenance. path: the scene file; more: further attributes."""
     film = (0, 0, scene.film.width, scene.film.height)
     attributes = {**provenance(scene, __version__, path), **more}
     write_exr(
-        output,
-        aovs_to_channels(aovs),
-        attributes,
-        data_window=scene.film.window,
-        display_window=film,
-        compression=compression,
-        threads=threads,
+        output, aovs_to_channels(aovs), attributes, data_window=scene.film.window, display_window=film, threads=threads
     )

@@ -40,9 +40,7 @@ NO_ID = 0xFFFFFFFF
 
 MAGIC = 20000630  # first four bytes of an EXR file, little endian
 DEEP, MULTI_PART = 0x800, 0x1000  # flags in the next four bytes
-# Rows of a chunk by compression, all without loss. ZIP is small and slow, the default; `none` is fast and large.
-COMPRESSIONS = {"zip": 16, "zips": 1, "piz": 32, "none": 1}
-OPENEXR_NAMES = {"none": "NO"}  # elsewhere the same in capitals
+CHUNK_ROWS = 16  # of ZIP compression
 
 
 class Exr(NamedTuple):
@@ -65,7 +63,6 @@ def write_exr(
     *,
     data_window: Window | None = None,
     display_window: Window | None = None,
-    compression: str = "zip",
     threads: int = 1,
 ) -> None:
     """Write a single-part scanline EXR, float32; the same input gives the same bytes.
@@ -74,7 +71,7 @@ def write_exr(
     provenance: string attributes `caster/<key>`; a key without `caster/` gets it.
     data_window: where the arrays lie on the film, default (0, 0, w, h).
     display_window: the whole film, default the data window.
-    compression: one of COMPRESSIONS. threads: that compress, beside this one; there are none after it.
+    threads: that compress, beside this one; there are none after it.
     Raises SceneError for what an EXR cannot hold (another shape, a finite value that float32 cannot),
     OutputError if the file cannot be written; an older file of that name is then still there, untouched.
     """
@@ -86,7 +83,7 @@ def write_exr(
     if (window[2] - window[0], window[3] - window[1]) != (width, height):
         raise SceneError(f"data_window {window} does not fit channels of {width} x {height} pixels")
     header = {
-        "compression": getattr(OpenEXR, f"{OPENEXR_NAMES.get(compression, compression.upper())}_COMPRESSION"),
+        "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
         "lineOrder": OpenEXR.INCREASING_Y,
         "dataWindow": _inclusive(window),
@@ -99,7 +96,7 @@ def write_exr(
     with atomic_write(path) as part:
         with compressing_threads(threads):
             OpenEXR.File(header, copies).write(str(part))
-        _check_whole(part, -(-height // COMPRESSIONS[compression]))
+        _check_whole(part, -(-height // CHUNK_ROWS))
 
 
 @contextlib.contextmanager

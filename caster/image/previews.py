@@ -3,7 +3,6 @@
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
 from os import PathLike
 from typing import Any, NamedTuple
 
@@ -12,7 +11,6 @@ import numpy as np
 from caster import __version__
 from caster.aovs import AOVS, BY_NAME, Aovs
 from caster.description.errors import SceneError, suggestion
-from caster.description.transform import row_lengths, transform_vectors
 from caster.image.channels import channels_to_aovs
 from caster.image.exr import Exr, read_exr
 from caster.image.exr_info import hit_mask
@@ -21,30 +19,17 @@ from caster.scene.model import Scene
 
 Array = np.ndarray[Any, np.dtype[Any]]
 
-# ---- colours: colormaps, sRGB encoding, and the colour mapping of each kind of AOV
+# ---- colours ----
 
-# OKLab by B. Ottosson (2020), a perceptually uniform space: lightness and two opponent axes. Its two matrices, as
-# published: the cube roots of cone responses (LMS) -> Lab is the inverse of the first.
-LMS_FROM_OKLAB = np.array(
-    [[1.0, 0.3963377774, 0.2158037573], [1.0, -0.1055613458, -0.0638541728], [1.0, -0.0894841775, -1.2914855480]]
-)
-LINEAR_SRGB_FROM_LMS = np.array(
+# Of a perceptually uniform path from dark violet over blue and green to light yellow, in equal steps.
+COLORMAP_ANCHORS = np.array(
     [
-        [4.0767416621, -3.3077115913, 0.2309699292],
-        [-1.2684380046, 2.6097574011, -0.3413193965],
-        [-0.0041960863, -0.7034186147, 1.7076147010],
+        *([33, 13, 60], [38, 46, 90], [38, 79, 116], [36, 114, 137], [39, 149, 151]),
+        *([64, 182, 152], [115, 211, 138], [180, 233, 106], [252, 247, 48]),
     ]
 )
-
-COLORMAP_STEPS = 256  # entries of the colormap: the values of a byte
 # (sqrt(5) - 1) / 2: its multiples modulo 1 are evenly spread, and successive ones far apart (Fibonacci hashing)
 GOLDEN_RATIO_CONJUGATE = 0.6180339887498949
-
-
-def oklab_to_linear_srgb(lab: Array) -> Array:
-    """OKLab (..., 3) -> linear sRGB, outside 0..1 where the colour is out of gamut."""
-    roots = transform_vectors(LMS_FROM_OKLAB, lab.reshape(-1, 3))
-    return transform_vectors(LINEAR_SRGB_FROM_LMS, roots * roots * roots).reshape(lab.shape)
 
 
 def srgb_encoded(linear: Array) -> Array:
@@ -58,36 +43,21 @@ def to_bytes(values: Array) -> Array:
     return np.round(255.0 * np.clip(values, 0.0, 1.0)).astype(np.uint8)
 
 
-def colormap_path(t: Array) -> Array:
-    """OKLab colours from dark violet (t = 0) over blue and green to light yellow (t = 1), all within the sRGB gamut."""
-    lightness = 0.22 + 0.73 * t
-    hue = 2.0 * math.pi * (0.83 - 0.53 * t)
-    chroma = 0.085 + 0.11 * t - 0.05 * np.sin(math.pi * t)
-    return np.stack([lightness, chroma * np.cos(hue), chroma * np.sin(hue)], axis=-1)
-
-
-@cache
-def colormap() -> Array:
-    """The colormap, (COLORMAP_STEPS, 3) bytes: perceptually uniform, with increasing lightness."""
-    t = np.linspace(0.0, 1.0, 16 * COLORMAP_STEPS)
-    steps = row_lengths(np.diff(colormap_path(t), axis=0))
-    along = np.concatenate([[0.0], np.cumsum(steps)])
-    even = np.interp(np.linspace(0.0, along[-1], COLORMAP_STEPS), along, t)
-    return to_bytes(srgb_encoded(oklab_to_linear_srgb(colormap_path(even))))
-
-
 def colormap_lookup(values: Array) -> Array:
-    """0..1, clipped -> colours of the colormap, (..., 3) bytes."""
-    return colormap()[np.round((COLORMAP_STEPS - 1) * np.clip(values, 0.0, 1.0)).astype(int)]
+    """0..1, clipped -> colours from dark violet to light yellow, (..., 3) bytes."""
+    place = np.clip(values, 0.0, 1.0) * (len(COLORMAP_ANCHORS) - 1)
+    steps = np.arange(len(COLORMAP_ANCHORS))
+    channels = [np.interp(place, steps, channel) for channel in COLORMAP_ANCHORS.T]
+    return np.stack(channels, axis=-1).round().astype(np.uint8)
 
 
 def label_colors(numbers: Array) -> Array:
     """Categorical colours of integers >= 0, (..., 3) bytes: the same in every image; near numbers get distant hues."""
-    n = numbers.astype(np.int64)
-    hue = 2.0 * math.pi * ((n * GOLDEN_RATIO_CONJUGATE) % 1.0)
-    lightness = np.array([0.72, 0.6, 0.84])[n // 5 % 3]
-    lab = np.stack([lightness, 0.11 * np.cos(hue), 0.11 * np.sin(hue)], axis=-1)
-    return to_bytes(srgb_encoded(oklab_to_linear_srgb(lab)))
+    n = numbers.astype(np.int64)[..., None]
+    hue = 6.0 * ((n * GOLDEN_RATIO_CONJUGATE) % 1.0)
+    pure = np.clip(np.abs((hue + np.array([0.0, 4.0, 2.0])) % 6.0 - 3.0) - 1.0, 0.0, 1.0)
+    value = np.array([0.9, 0.7, 1.0])[n // 5 % 3]
+    return to_bytes(value * (0.35 + 0.65 * pure))
 
 
 # ---- AOVs ----

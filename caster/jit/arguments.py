@@ -1,10 +1,8 @@
-"""Arguments of a kernel as machine code takes them: an array by its address, a tuple by its members."""
+"""Arguments of a kernel as machine code takes them: a block of words, of an array its address."""
 
-import ctypes
 import struct
-from collections.abc import Callable
-from functools import cache
-from typing import Any
+from collections.abc import Iterable, Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,7 +10,6 @@ import numpy as np
 C_ORDER, FORTRAN_ORDER, ALIGNED, WRITABLE = 0x1, 0x2, 0x100, 0x400
 
 ARRAY, INTEGER, REAL, BOOLEAN, NONE = "a", "i", "d", "b", "n"
-Form = tuple[str, int, int]  # one of these; dimensions and bytes of an element, of an array
 
 # Only these exactly: a class derived from one of them may be another type for Numba.
 SCALARS: dict[type, str] = {
@@ -22,146 +19,80 @@ SCALARS: dict[type, str] = {
     np.float64: REAL,
     bool: BOOLEAN,
     np.bool: BOOLEAN,
+    type(None): NONE,
 }
-CLASSES = {form: tuple(kind for kind, its in SCALARS.items() if its == form) for form in (INTEGER, REAL, BOOLEAN)}
-
-C: dict[str, Any] = {ARRAY: ctypes.c_int64, INTEGER: ctypes.c_int64, REAL: ctypes.c_double, BOOLEAN: ctypes.c_uint8}
-
-MISMATCH = object()
-"""Returned by a call that was made for other classes of arguments."""
-
-# What an entry answers when all went well; None as an answer has a number of its own in Numba's calling convention.
-DONE = (0, -2)
 
 
-def significant_flags(flags: int) -> int:
-    """Mask of the flags by which arrays with these flags differ for a kernel."""
-    return ALIGNED | WRITABLE | C_ORDER | (0 if flags & C_ORDER else FORTRAN_ORDER)
+class Described(NamedTuple):
+    """Arguments as a kernel's machine code is looked for and called by."""
+
+    key: tuple[Any, ...]  # which machine code is right: a form for each argument, and classes and lengths of tuples
+    words: list[int]  # a block: the answer's place, then the arguments
 
 
-def signature_key(args: tuple[Any, ...]) -> str | None:
-    """What decides which machine code is right, the same in every process; None: there is none for such arguments."""
-    words: list[str] = []
-    return " ".join(words) if _describe(args, words) else None
+def describe(args: tuple[Any, ...]) -> Described | None:
+    """None for arguments of other classes than arrays, numbers, None, and tuples of these."""
+    key: list[Any] = []
+    words = [0]
+    return Described(tuple(key), words) if _describe(args, key, words) else None
 
 
-def _describe(args: tuple[Any, ...], words: list[str]) -> bool:
+def _describe(args: Iterable[Any], key: list[Any], words: list[int]) -> bool:
     for arg in args:
         kind: Any = type(arg)
         if kind is np.ndarray:
-            words.append(_array_word(arg.dtype, arg.ndim, arg.flags.num))
-        elif kind in SCALARS or arg is None:
-            words.append(NONE if arg is None else SCALARS[kind])
+            flags = arg.flags.num
+            order = C_ORDER if flags & C_ORDER else C_ORDER | FORTRAN_ORDER
+            key.append((arg.dtype.str, arg.ndim, flags & (ALIGNED | WRITABLE | order)))
+            words.append(id(arg))
+        elif kind in SCALARS:
+            form = SCALARS[kind]
+            key.append(form)
+            if form != NONE:
+                words.append(word_of_real(arg) if form == REAL else int(arg))
         elif isinstance(arg, tuple):
-            words.append(_tuple_word(kind, len(arg)))
-            if not _describe(arg, words):
+            key.append((kind, len(arg)))
+            if not _describe(arg, key, words):
                 return False
         else:
             return False
     return True
 
 
-# Written once for each combination, of which there are few: a film describes some hundred arguments a thread.
+REAL_NUMBER, WORD = struct.Struct("d"), struct.Struct("q")
 
 
-@cache
-def _array_word(dtype: Any, ndim: int, flags: int) -> str:
-    return f"{dtype.str}/{ndim}/{flags & significant_flags(flags)}"
+def word_of_real(x: float) -> int:
+    return int(WORD.unpack(REAL_NUMBER.pack(x))[0])
 
 
-@cache
-def _tuple_word(kind: Any, length: int) -> str:
-    return f"{kind.__module__}.{kind.__qualname__}/{length}"
+def real_of_word(word: int) -> float:
+    return float(REAL_NUMBER.unpack(WORD.pack(word))[0])
 
 
-def tuple_classes(args: tuple[Any, ...]) -> tuple[type, ...]:
+def key_text(key: tuple[Any, ...]) -> str:
+    """A key as text, the same in every process."""
+    return " ".join(
+        f"{each[0].__module__}.{each[0].__qualname__}/{each[1]}" if _is_tuple(each) else str(each) for each in key
+    )
+
+
+def tuple_classes(key: tuple[Any, ...]) -> tuple[type, ...]:
     """The classes of all tuples among some arguments, in order."""
-    found: list[type] = []
-    for arg in args:
-        if isinstance(arg, tuple):
-            found += [type(arg), *tuple_classes(arg)]
-    return tuple(found)
+    return tuple(each[0] for each in key if _is_tuple(each))
 
 
-def argument_forms(args: tuple[Any, ...]) -> list[Form]:
-    """The form of each argument, members of tuples one by one; of arguments that have a key."""
-    found: list[Form] = []
-    for arg in args:
-        if isinstance(arg, tuple):
-            found += argument_forms(arg)
-        elif isinstance(arg, np.ndarray):
-            found.append((ARRAY, arg.ndim, arg.itemsize))
-        else:
-            found.append((NONE if arg is None else SCALARS[type(arg)], 0, 0))
-    return found
+def _is_tuple(form: Any) -> bool:
+    return isinstance(form, tuple) and isinstance(form[0], type)
 
 
-def checked_call(args: tuple[Any, ...], entry: Callable[..., int], gives: str) -> Callable[..., Any]:
-    """A function of such arguments that calls `entry`; for any others it returns MISMATCH.
-
-    It is written out for their classes, as what happens here comes on top of every call of a kernel. gives: the form
-    of the answer, "" for none; `entry` takes the address for it first.
-    """
-    names = [f"a{n}" for n in range(len(args))]
-    known: dict[str, Any] = {"entry": entry, "DONE": DONE, "OTHER": MISMATCH, "failed": fail}
-    tests: list[str] = []
-    flat: list[str] = []
-    for name, arg in zip(names, args, strict=True):
-        _unfold(name, name, arg, known, tests, flat)
-    lines = [f"def call({', '.join(names)}):", f" if not ({' and '.join(tests)}): return OTHER"]
-    if gives:
-        known |= {"box": C[gives], "address": ctypes.addressof}
-        lines += [" answer = box()", f" status = entry({', '.join(['address(answer)', *flat])})"]
-    else:
-        lines += [f" status = entry({', '.join(['0', *flat])})"]
-    lines += [" if status not in DONE: failed()", " return answer.value" if gives else " return None"]
-    exec("\n".join(lines), known)
-    made: Callable[..., Any] = known["call"]
-    return made
+Form = tuple[str, int, int]  # ARRAY or a scalar's form; dimensions and bytes of an element, of an array
 
 
-def _unfold(name: str, value: str, arg: Any, known: dict[str, Any], tests: list[str], flat: list[str]) -> None:
-    """Tests for one argument, and what is handed over; `value` is the expression that gives it its name."""
-    kind, this = type(arg), f"({name} := {value})" if name != value else name
-    known[f"k_{name}"] = kind
-    if arg is None:
-        tests.append(f"{value} is None")
-    elif kind in SCALARS:
-        known[f"k_{name}"] = CLASSES[SCALARS[kind]]
-        tests.append(f"type({this}) in k_{name}")
-        flat.append(name)
-    elif isinstance(arg, tuple):
-        tests.append(f"type({this}) is k_{name} and len({name}) == {len(arg)}")
-        for n, member in enumerate(arg):
-            _unfold(f"{name}_{n}", f"{name}[{n}]", member, known, tests, flat)
-    else:
-        known[f"d_{name}"] = arg.dtype
-        tests.append(f"type({this}) is k_{name} and {name}.ndim == {arg.ndim}")
-        tests.append(f"({name}.dtype is d_{name} or {name}.dtype == d_{name})")
-        mask = significant_flags(arg.flags.num)
-        tests.append(f"{name}.flags.num & {mask} == {arg.flags.num & mask}")
-        flat.append(f"id({name})")
-
-
-def add_words(args: tuple[Any, ...], words: list[int]) -> None:
-    """Arguments as eight bytes each for what an entry takes of them."""
-    for arg in args:
-        kind = type(arg)
-        if kind is np.ndarray:
-            words.append(id(arg))
-        elif kind in SCALARS:
-            words.append(BITS(REAL_NUMBER(arg))[0] if SCALARS[kind] == REAL else int(arg))
-        elif arg is not None:
-            add_words(arg, words)
-
-
-REAL_NUMBER, BITS = struct.Struct("d").pack, struct.Struct("q").unpack
-
-
-def fail() -> None:
-    raise RuntimeError("a kernel failed: it counted with a number beyond its range")
-
-
-def named_tuple_names(args: tuple[Any, ...]) -> list[str]:
-    """Names of the NamedTuples among the arguments, for people."""
-    return [type(arg).__name__ for arg in args if isinstance(arg, tuple) and type(arg) is not tuple]
+def forms_of(key: tuple[Any, ...]) -> Iterator[Form]:
+    """The form of each argument, members of tuples one by one."""
+    for each in key:
+        if isinstance(each, str):
+            yield each, 0, 0
+        elif not _is_tuple(each):
+            yield ARRAY, each[1], np.dtype(each[0]).itemsize

@@ -10,63 +10,60 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.jit import machine_code
-from caster.jit.arguments import DONE, INTEGER, C, add_words, fail
+from caster.jit.arguments import describe
+from caster.jit.decorators import Kernel, jit
+from caster.jit.machine_code import DONE, PLACE_OF_ANSWER, call_entry, check, load_word, store_word
 
-__all__ = ["BoundCall", "Command", "CommandList", "Condition"]
+__all__ = ["BoundCall", "Command", "CommandList", "Condition", "bind"]
 
 
 class BoundCall:
-    """A kernel with its arguments, but for those of the places `given`, integers or tuples of integers.
+    """A kernel with its arguments, but for those at the places `given`: integers or tuples of integers.
 
-    One thread's at a time.
+    A call takes a tenth of the time of others, and is one thread's at a time. `answer` is that of the last call.
     """
 
-    def __init__(
-        self,
-        function: Callable[..., Any],
-        args: tuple[Any, ...],
-        given: tuple[int, ...],
-        code: machine_code.ObjectCode | None,
-    ) -> None:
-        """code: None where only Python or Numba can call the kernel."""
+    def __init__(self, function: Callable[..., Any], args: tuple[Any, ...], given: tuple[int, ...]) -> None:
         # the block has addresses of arrays among the arguments
         self._function, self._args, self._given = function, args, given
-        self.code = code
-        self.answer = C[(code.gives if code is not None else "") or INTEGER]()
-        if code is not None:
-            self._gives = bool(code.gives)
-            self.block, self.places = _block_of(ctypes.addressof(self.answer), args, given)
-            self.block_address = ctypes.addressof(self.block)
+        self.code = function.code(args) if isinstance(function, Kernel) else None
+        self.block = np.zeros(1, np.int64)
+        if self.code is not None:
+            sizes = [len(_words((arg,))) for arg in args]
+            ends = np.cumsum([PLACE_OF_ANSWER + 1, *sizes]).tolist()
+            self.block = np.array([0, *_words(args)], np.int64)
+            self.places = [range(ends[n], ends[n + 1]) for n in given]
+            self.address = self.block.ctypes.data
+
+    @property
+    def answer(self) -> int:
+        return int(self.block[PLACE_OF_ANSWER])
 
     def __call__(self, *numbers: int | tuple[int, ...]) -> Any:
         if self.code is None:
             return self._call_plainly(numbers)
-        block = self.block
         for place, those in zip(self.places, numbers, strict=True):
-            block[place] = list(those) if isinstance(those, tuple) else [those]
-        if self.code.block_entry(self.block_address) not in DONE:
-            fail()
-        return self.answer.value if self._gives else None
+            self.block[place.start : place.stop] = those
+        check(self.code.entry(self.address))
+        return self.code.answer(self.answer)
 
     def _call_plainly(self, numbers: tuple[int | tuple[int, ...], ...]) -> Any:
         every = list(self._args)
         for n, those in zip(self._given, numbers, strict=True):
             every[n] = those
         answer = self._function(*every)
-        self.answer.value = int(answer) if isinstance(answer, int | np.integer) else 0
+        self.block[PLACE_OF_ANSWER] = answer if isinstance(answer, int | np.integer) else 0
         return answer
 
 
-def _block_of(answer: int, args: tuple[Any, ...], given: tuple[int, ...]) -> tuple[Any, list[slice]]:
-    """(words of an entry: the address for its answer, then the arguments; where those that are given stand)."""
-    words, places = [answer], []
-    for n, arg in enumerate(args):
-        start = len(words)
-        add_words((arg,), words)
-        if n in given:
-            places.append(slice(start, len(words)))
-    return (ctypes.c_int64 * len(words))(*words), places
+def _words(args: tuple[Any, ...]) -> list[int]:
+    described = describe(args)
+    return described.words[1:] if described is not None else []
+
+
+def bind(function: Callable[..., Any], *args: Any, given: tuple[int, ...]) -> BoundCall:
+    """A kernel with these arguments, but for those at the places `given`, integers or tuples of integers."""
+    return BoundCall(function, args, given)
 
 
 Condition = int | BoundCall | tuple[np.ndarray, int]
@@ -81,6 +78,38 @@ class Command(NamedTuple):
     when: Condition | None = None
 
 
+# A program is words: of each command the addresses of its entry and block, the address of a number that is not 0 where
+# it is to be carried out, or ~(its place in the row), or ALWAYS; then how many numbers of the row are copied to the
+# block, each by its place in the row and an address. PAUSE in place of an entry returns to Python.
+PAUSE, ALWAYS = 0, 0
+FINISHED, FAILED = -1, -2
+
+
+@jit
+def run_commands(program: Any, rows: Any, state: Any) -> int:
+    """Carry out a program from word state[2] on, for rows state[0] to state[1].
+
+    Returns FINISHED, FAILED, or the number of the command that Python has to carry out before it goes on.
+    """
+    at, row = state[2], state[0]
+    while row < state[1]:
+        while at < len(program):
+            entry, block, when, copies = program[at], program[at + 1], program[at + 2], program[at + 3]
+            first, at = at + 4, at + 4 + 2 * copies
+            if (when > 0 and load_word(when) == 0) or (when < 0 and rows[row, ~when] == 0):
+                continue
+            if entry == PAUSE:
+                state[0], state[2] = row, at
+                return block
+            for n in range(first, at, 2):
+                store_word(program[n + 1], rows[row, program[n]])
+            status = call_entry(entry, block)
+            if status != DONE[0] and status != DONE[1]:
+                return FAILED
+        at, row = 0, row + 1
+    return FINISHED
+
+
 class CommandList:
     """Commands that are carried out one after the other for each row of numbers; one thread's at a time."""
 
@@ -88,78 +117,58 @@ class CommandList:
         """rows: (n, width) int64, row by row; they may change between runs."""
         assert rows.dtype == np.int64 and rows.flags.c_contiguous
         self._commands, self._rows, self._program = tuple(commands), rows, None
-        if any(_is_machine_code(command.call) for command in self._commands):
-            self._program = _Program(self._commands, rows)
+        if any(_code_of(command) is not None for command in self._commands):
+            words = [word for number, command in enumerate(self._commands) for word in self._words(number, command)]
+            self._program = np.array(words, np.int64)
 
     def run(self, start: int, stop: int) -> None:
         """For rows start..stop."""
-        if self._program is not None:
-            self._program.run(start, stop)
+        if self._program is None:
+            for row in self._rows[start:stop].tolist():
+                for command in self._commands:
+                    if _holds(command.when, row):
+                        _call(command, row)
             return
-        for row in self._rows[start:stop].tolist():
-            for command in self._commands:
-                if _holds(command.when, row):
-                    _call(command, row)
+        state = np.array([start, stop, 0])
+        while (number := run_commands(self._program, self._rows, state)) != FINISHED:
+            check(DONE[0] if number != FAILED else FAILED)
+            _call(self._commands[number], self._rows[state[0]].tolist())
 
-
-def _is_machine_code(call: Callable[..., Any]) -> bool:
-    return isinstance(call, BoundCall) and call.code is not None
-
-
-def _holds(when: Condition | None, row: Sequence[int]) -> bool:
-    if isinstance(when, BoundCall):
-        return when.answer.value != 0
-    return when is None or bool(row[when] if isinstance(when, int) else when[0][when[1]])
-
-
-def _call(command: Command, row: Sequence[int]) -> None:
-    command.call(*(tuple(row[g]) if isinstance(g, slice) else row[g] for g in command.given))
+    def _words(self, number: int, command: Command) -> list[int]:
+        when, code = _condition_word(command.when), _code_of(command)
+        if code is None:
+            return [PAUSE, number, when, 0]
+        copies: list[int] = []
+        columns = range(self._rows.shape[1])
+        for place, taken in zip(command.call.places, command.given, strict=True):  # type: ignore[attr-defined]
+            of_row = columns[taken] if isinstance(taken, slice) else (taken,)
+            for word, n in zip(place, of_row, strict=True):
+                copies += (n, command.call.address + word * WORD)  # type: ignore[attr-defined]
+        return [code.address, command.call.address, when, len(copies) // 2, *copies]  # type: ignore[attr-defined]
 
 
 WORD = ctypes.sizeof(ctypes.c_int64)
 
 
-class _Program:
-    """Commands as `machine_code.RUN_COMMANDS` reads them."""
+def _code_of(command: Command) -> Any:
+    return command.call.code if isinstance(command.call, BoundCall) else None
 
-    def __init__(self, commands: tuple[Command, ...], rows: np.ndarray) -> None:
-        self._commands, self._width = commands, rows.shape[1]
-        self._row = (ctypes.c_int64 * self._width)()
-        self._row_at, self._first = ctypes.addressof(self._row), rows.ctypes.data
-        words = [word for number, command in enumerate(commands) for word in self._words(number, command)]
-        words.append(machine_code.END_OF_COMMANDS)
-        self._words_of_all = (ctypes.c_int64 * len(words))(*words)
-        self._state = (ctypes.c_int64 * machine_code.COMMAND_STATE_SIZE)(
-            ctypes.addressof(self._words_of_all), 0, 0, self._width, self._row_at
-        )
-        self._state_at, self._go = ctypes.addressof(self._state), machine_code.command_runner()
 
-    def _words(self, number: int, command: Command) -> list[int]:
-        when, call = self._address_of(command.when), command.call
-        if not isinstance(call, BoundCall) or call.code is None:
-            return [machine_code.PAUSE, number, when, 0]
-        copies: list[int] = []
-        numbers = range(self._width)
-        for place, taken in zip(call.places, command.given, strict=True):
-            of_row = numbers[taken] if isinstance(taken, slice) else (taken,)
-            for word, n in zip(range(place.start, place.stop), of_row, strict=True):
-                copies += (self._row_at + n * WORD, call.block_address + word * WORD)
-        return [call.code.block_address, call.block_address, when, len(copies) // 2, *copies]
+def _condition_word(when: Condition | None) -> int:
+    if when is None:
+        return ALWAYS
+    if isinstance(when, int):
+        return ~when
+    if isinstance(when, BoundCall):
+        return int(when.block.ctypes.data) + PLACE_OF_ANSWER * WORD
+    return int(when[0].ctypes.data) + when[1] * when[0].itemsize
 
-    def _address_of(self, when: Condition | None) -> int:
-        """0 for none."""
-        if when is None:
-            return 0
-        if isinstance(when, int):
-            return self._row_at + when * WORD
-        if isinstance(when, BoundCall):
-            return ctypes.addressof(when.answer)
-        return int(when[0].ctypes.data) + when[1] * when[0].itemsize
 
-    def run(self, start: int, stop: int) -> None:
-        state, step = self._state, self._width * WORD
-        state[1], state[2], state[5] = self._first + start * step, self._first + stop * step, 0
-        while status := self._go(self._state_at):
-            if status != machine_code.PAUSED:
-                fail()
-            _call(self._commands[state[6]], list(self._row))
+def _holds(when: Condition | None, row: Sequence[int]) -> bool:
+    if isinstance(when, BoundCall):
+        return when.answer != 0
+    return when is None or bool(row[when] if isinstance(when, int) else when[0][when[1]])
+
+
+def _call(command: Command, row: Sequence[int]) -> None:
+    command.call(*(tuple(row[g]) if isinstance(g, slice) else row[g] for g in command.given))

@@ -12,53 +12,31 @@ import inspect
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache, cached_property, update_wrapper
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from caster.jit import machine_code
-from caster.jit.arguments import (
-    INTEGER,
-    MISMATCH,
-    REAL,
-    argument_forms,
-    checked_call,
-    named_tuple_names,
-    signature_key,
-    tuple_classes,
-)
+from caster.jit.arguments import INTEGER, REAL, describe, forms_of, key_text, tuple_classes
 from caster.jit.code_digest import code_digest, compiler_digest
-from caster.jit.command_list import BoundCall
-from caster.jit.kernel_cache import COMPILED, cache_folder, claim, sources_stamp, write_atomically
-from caster.jit.simd import (
-    CHILDREN,
-    FAN_FIELDS,
-    FAR_PADDING,
-    LANES,
-    LARGEST_T,
-    PLANE_ATOL,
-    any_sum_reaches,
-    boxes_below,
-    boxes_reach_lines,
-    gather_corners,
-    intersect_boxes,
-    intersect_boxes_packet,
-    lane_max,
-    lane_max_of_sums,
-    lane_min,
-    lanes_in_range,
-    lanes_not_above,
-    lanes_within_lines,
-    lowest_bit,
-    numbers_in_range,
-    prefetch,
+from caster.jit.kernel_cache import (
+    COMPILED,
+    INSTALLED,
+    cache_folder,
+    claim,
+    sources_stamp,
+    write_atomically,
+    write_sealed,
 )
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 OPTIONS = {"nogil": True, "error_model": "numpy"}  # no fast-math, IEEE division, no GIL
+
+Key = tuple[tuple[Any, ...], int]  # of arguments, and how many bodies had been registered
 
 GIVES = {"none": "", "int64": INTEGER, "float64": REAL}  # what machine code can answer, by Numba's names
 
@@ -84,7 +62,8 @@ def _numba() -> Any:
     importlib.import_module("numba.extending")
     for entry in _GENERICS.values():
         entry.overload(numba)
-    _register_intrinsics()
+    for stub, definition in importlib.import_module("caster.jit.vector_intrinsics").intrinsics():
+        _compiler().register_intrinsic(stub, definition)
     return numba
 
 
@@ -103,20 +82,14 @@ class Kernel:
         update_wrapper(self, function)
         self.function = function
         self.options = {**OPTIONS, **options}
-        self._symbols: dict[Any, str] = {}  # by `_key` of the arguments
-        self._codes: dict[str, machine_code.ObjectCode] = {}  # by symbol
-        self._calls: dict[str | None, Callable[..., Any]] = {}  # by symbol; None: whatever has none
-        self._latest: dict[type, Callable[..., Any]] = {}  # by the class of the first argument
+        self._codes: dict[Key, machine_code.ObjectCode | None] = {}  # None: only Numba can call it
 
     def __call__(self, *args: Any) -> Any:
-        call = self._latest.get(type(args[0])) if args else None
-        if call is not None:
-            answer = call(*args)
-            if answer is not MISMATCH:
-                return answer
-        answer = self._prepared(args)(*args)
-        assert answer is not MISMATCH, f"{self.__name__}: machine code of other classes of arguments"
-        return answer
+        described = describe(args)
+        if described is None:
+            return self._of_numba(())(*args)
+        code = self._codes.get((described.key, len(_IMPLEMENTED)))
+        return code(described.words) if code is not None else self._prepared(described.key, args)(*args)
 
     def __reduce__(self) -> str:
         return self.__qualname__
@@ -138,30 +111,33 @@ class Kernel:
         """Numba type of a kernel that is called in another one."""
         return _compiler().types.Dispatcher(self.dispatcher)
 
-    def _prepared(self, args: tuple[Any, ...]) -> Callable[..., Any]:
-        """What to call with such arguments: machine code from the cache or just compiled, else Numba."""
+    def _prepared(self, key: tuple[Any, ...], args: tuple[Any, ...]) -> Callable[..., Any]:
+        """A function to call with arguments for which there is no machine code yet; it is found or compiled."""
         if _THREAD.interprets:
             return self.function
         with _LOCK:
-            symbol = self._symbol(args)
-            call = self._calls.get(symbol)
-            if call is None and symbol is not None:
-                call = self._found(symbol, args)
-                if call is None:
+            known = key, len(_IMPLEMENTED)
+            if known not in self._codes and machine_code.is_supported():
+                path = cache_folder() / self._file(key, machine_code.target_description())
+                code = self._found(path, key)
+                if code is None:
                     _SHARED.begin()
-                with claim(cache_folder() / self._file(symbol), wait=_SHARED.work is None) as mine:
-                    if not mine:
-                        return self._interpreted
-                    # another process may have compiled it meanwhile
-                    call = call or self._found(symbol, args) or self._made(symbol, args)
-            if call is None:
-                COMPILATION_LOG.slowly.append(_named(self.__name__, args))
-                call = self._python_dispatcher  # which compiles, and serves all arguments
-                self._calls[symbol] = call
-                return call
-            self._calls[symbol] = call
-        self._latest[type(args[0])] = call
-        return call
+                    with claim(path, wait=_SHARED.work is None) as mine:
+                        if not mine:
+                            return self._interpreted
+                        # another process may have compiled it meanwhile
+                        code = self._found(path, key) or self._made(path, key, args)
+                self._codes[known] = code
+            code = self._codes.get(known)
+        return self._of_numba(tuple_classes(key)) if code is None else self
+
+    def _of_numba(self, classes: tuple[type, ...]) -> Callable[..., Any]:
+        """What to call where only Numba can pass the arguments or the answer."""
+        if _THREAD.interprets:
+            return self.function
+        if self._named(classes) not in COMPILATION_LOG.slowly:
+            COMPILATION_LOG.slowly.append(self._named(classes))
+        return self._python_dispatcher
 
     def _interpreted(self, *args: Any) -> Any:
         """The function as plain Python, with all that it calls."""
@@ -173,54 +149,35 @@ class Kernel:
             _THREAD.interprets = False
 
     def code(self, args: tuple[Any, ...]) -> machine_code.ObjectCode | None:
-        """Machine code for such arguments, with its entries; None where only Numba can call this kernel."""
-        symbol = self._symbol(args)
-        if symbol is None:
+        """Machine code for such arguments; None where only Numba can call this kernel, or another process makes it."""
+        described = describe(args)
+        if described is None:
             return None
-        if symbol not in self._codes:
-            self._prepared(args)
-        with _LOCK:
-            code = self._codes.get(symbol)
-            if code is not None:
-                _ = code.block_address  # found by LLVM when it is first wanted
-            return code
+        known = described.key, len(_IMPLEMENTED)
+        if known not in self._codes:
+            self._prepared(described.key, args)
+        return self._codes.get(known)
 
-    def _symbol(self, args: tuple[Any, ...]) -> str | None:
-        """Name of the machine code for such arguments; None where there can be none."""
-        signature = signature_key(args) if machine_code.is_supported() else None
-        if signature is None:
-            return None
-        key = signature, tuple_classes(args), len(_IMPLEMENTED)
-        symbol = self._symbols.get(key)
-        if symbol is None:
-            symbol = self._symbols[key] = self._named_after(args, signature, machine_code.target_description())
-        return symbol
+    def _file(self, key: tuple[Any, ...], target: str) -> str:
+        """The name of a file, made of all that its machine code depends on."""
+        digest = code_digest(self.function, tuple_classes(key), _GENERICS)
+        names = self.__module__, self.__qualname__, str(self.options)
+        text = "\n".join([*names, key_text(key), digest, compiler_digest(), target])
+        return f"{self.__name__}-caster_{hashlib.sha256(text.encode()).hexdigest()[:32]}.o"
 
-    def _named_after(self, args: tuple[Any, ...], signature: str, target: str) -> str:
-        """A name made of all that the machine code depends on."""
-        digest = code_digest(self.function, tuple_classes(args), _GENERICS)
-        words = [self.__module__, self.__qualname__, str(self.options), signature, digest, compiler_digest(), target]
-        return "caster_" + hashlib.sha256("\n".join(words).encode()).hexdigest()[:32]
-
-    def _file(self, symbol: str) -> str:
-        return f"{self.__name__}-{symbol}.o"
-
-    def _found(self, symbol: str, args: tuple[Any, ...]) -> Callable[..., Any] | None:
+    def _found(self, path: Path, key: tuple[Any, ...]) -> machine_code.ObjectCode | None:
         """Machine code from the cache, or else of the wheel; None if there is none that can be loaded."""
-        call = self._loaded(symbol, machine_code.read(cache_folder() / self._file(symbol)), symbol, args)
-        installed = machine_code.installed_code() if call is None else None
-        if installed is not None:
-            folder, target = installed
-            shipped = self._named_after(args, signature_key(args) or "", target)
-            code = machine_code.read(folder / self._file(shipped), installed=True)
-            call = self._loaded(symbol, code, shipped, args)
-        if call is not None:
-            COMPILATION_LOG.loaded.append(_named(self.__name__, args))
-        return call
+        code = machine_code.read(path, _symbol(path))
+        if code is None and INSTALLED.is_dir() and machine_code.runs_portable_code():
+            shipped = INSTALLED / self._file(key, machine_code.PORTABLE_DESCRIPTION)
+            code = machine_code.read(shipped, _symbol(shipped))
+        if code is not None:
+            COMPILATION_LOG.loaded.append(self._named(tuple_classes(key)))
+        return code
 
-    def _made(self, symbol: str, args: tuple[Any, ...]) -> Callable[..., Any] | None:
+    def _made(self, path: Path, key: tuple[Any, ...], args: tuple[Any, ...]) -> machine_code.ObjectCode | None:
         """Compiled, and kept; None if it needs Numba to run."""
-        name = _named(self.__name__, args)
+        name = self._named(tuple_classes(key))
         COMPILATION_LOG.compiling(name)
         types = tuple(_numba().typeof(arg) for arg in args)
         with _no_garbage_collection():
@@ -229,21 +186,23 @@ class Kernel:
             gives = GIVES.get(str(result.signature.return_type))
             if gives is None:
                 return None
-            function = result.fndesc.llvm_func_name
-            code = machine_code.extract_object_code(result.library, function, symbol, argument_forms(args), gives)
+            function, forms = result.fndesc.llvm_func_name, list(forms_of(key))
+            data = machine_code.extract_object_code(result.library, function, _symbol(path), forms, gives)
         COMPILATION_LOG.compiled.append(name)
-        if code is not None:
-            code.write(cache_folder() / self._file(symbol))
-        return self._loaded(symbol, code, symbol, args)
+        if data is None:
+            return None
+        write_sealed(path, gives.encode() + b"\n" + data)
+        return machine_code.ObjectCode(_symbol(path), gives, data)
 
-    def _loaded(
-        self, key: str, code: machine_code.ObjectCode | None, symbol: str, args: tuple[Any, ...]
-    ) -> Callable[..., Any] | None:
-        """Machine code in this process, kept for bound calls."""
-        call = _loaded(code, symbol, args)
-        if call is not None and code is not None:
-            self._codes[key] = code
-        return call
+    def _named(self, classes: Iterable[type]) -> str:
+        """For people: with the NamedTuples among its arguments."""
+        kinds = ", ".join(kind.__name__ for kind in classes if kind is not tuple)
+        return f"{self.__name__}({kinds})" if kinds else self.__name__
+
+
+def _symbol(path: Path) -> str:
+    """Of the entry in a file."""
+    return path.stem.partition("-")[2]
 
 
 # ---- compilation by several processes ----
@@ -332,21 +291,6 @@ def _no_garbage_collection() -> Iterator[None]:
             gc.enable()
 
 
-def _loaded(code: machine_code.ObjectCode | None, symbol: str, args: tuple[Any, ...]) -> Callable[..., Any] | None:
-    """Machine code in this process, to be called with such arguments; None where it is none that LLVM can load."""
-    if code is None or code.symbol != symbol:
-        return None
-    try:
-        return checked_call(args, code.entry(), code.gives)
-    except (RuntimeError, OSError, KeyError):
-        return None
-
-
-def _named(name: str, args: tuple[Any, ...]) -> str:
-    kinds = ", ".join(named_tuple_names(args))
-    return f"{name}({kinds})" if kinds else name
-
-
 def jit(function: Function) -> Function:
     """Compile a kernel: no fast-math, IEEE division, no GIL, cached on disk."""
     return Kernel(function, {}) if COMPILED else function  # type: ignore[return-value]  # called like the function
@@ -355,38 +299,6 @@ def jit(function: Function) -> Function:
 def inlined(function: Function) -> Function:
     """The same for a function that is too large for LLVM to put it in the place of its call unasked."""
     return Kernel(function, {"forceinline": True}) if COMPILED else function  # type: ignore[return-value]  # likewise
-
-
-def bind(function: Callable[..., Any], *args: Any, given: tuple[int, ...]) -> BoundCall:
-    """A kernel with these arguments, but for those at the places `given`, integers or tuples of integers.
-
-    A call takes a tenth of the time of others, and is one thread's at a time.
-    """
-    return BoundCall(function, args, given, function.code(args) if isinstance(function, Kernel) else None)
-
-
-def _register_intrinsics() -> None:
-    """What LLVM is to make of the functions of caster/jit/simd.py."""
-    vectors, compiler = importlib.import_module("caster.jit.vector_intrinsics"), _compiler()
-    types = compiler.types
-    for stub, definition in {
-        any_sum_reaches: vectors.any_sum_reaches(LANES, types),
-        lane_min: vectors.lane_min(LANES, types),
-        lane_max: vectors.lane_max(LANES, types),
-        lane_max_of_sums: vectors.lane_max_of_sums(LANES, types),
-        intersect_boxes: vectors.intersect_boxes(CHILDREN, types, FAR_PADDING, LARGEST_T),
-        intersect_boxes_packet: vectors.intersect_boxes_packet(CHILDREN, types, FAR_PADDING, LARGEST_T),
-        lowest_bit: vectors.lowest_bit(types),
-        boxes_below: vectors.boxes_below(CHILDREN, types, FAN_FIELDS),
-        boxes_reach_lines: vectors.boxes_reach_lines(CHILDREN, types, FAN_FIELDS),
-        lanes_within_lines: vectors.lanes_within_lines(LANES, types),
-        lanes_not_above: vectors.lanes_not_above(LANES, types, PLANE_ATOL),
-        gather_corners: vectors.gather_corners(LANES, types),
-        lanes_in_range: vectors.lanes_in_range(LANES, types),
-        numbers_in_range: vectors.numbers_in_range(LANES, types),
-        prefetch: vectors.prefetch(types),
-    }.items():
-        compiler.register_intrinsic(stub, definition)
 
 
 class Generic:

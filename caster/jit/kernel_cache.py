@@ -7,7 +7,7 @@ import os
 import shutil
 import stat
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -56,15 +56,6 @@ def cache_folder() -> Path:
     if not chosen:
         _drop_old_files(folders[-1])
     return folders[-1]
-
-
-def distrust_installed(found: os.stat_result) -> str:
-    """Why somebody may have written an installed file who cannot write the program itself; "" if nobody."""
-    program = os.stat(__file__)
-    if found.st_uid != program.st_uid:
-        return "it belongs to another user than the program"
-    more = found.st_mode & ~program.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-    return "more users may write it than the program" if more else ""
 
 
 def distrust(found: os.stat_result) -> str:
@@ -148,15 +139,13 @@ def write_sealed(path: Path, data: bytes) -> None:
     write_atomically(path, _seal(path, data) + b"\n" + data)
 
 
-def read_sealed(path: Path, distrusted: Callable[[os.stat_result], str] = distrust) -> bytes:
+def read_sealed(path: Path) -> bytes:
     """The content of a file as `write_sealed` wrote it under this name.
 
-    Raises OSError where it cannot be read or another user may have written it, ValueError where any byte differs.
+    Raises OSError where it cannot be read, ValueError where any byte differs. Whoever may write the folder may write
+    the file: that is for `distrust` to find out.
     """
-    with path.open("rb") as file:
-        if why := distrusted(os.fstat(file.fileno())):
-            raise PermissionError(f"{path}: {why}")
-        seal, _, data = file.read().partition(b"\n")
+    seal, _, data = path.read_bytes().partition(b"\n")
     if seal != _seal(path, data):
         raise ValueError(f"{path}: its digest does not fit its content")
     return data

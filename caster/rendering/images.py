@@ -11,8 +11,7 @@ from caster.aovs import BY_NAME, Aovs
 from caster.description.errors import SceneError, suggestion
 from caster.geometry.packing import Packed, packed
 from caster.geometry.world_space import Rounding, as_given
-from caster.jit.command_list import Command
-from caster.jit.decorators import bind
+from caster.jit.command_list import Command, bind
 from caster.kernels.nearest import Rays, generate_rays, new_rays
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import BOX, generate_camera_rays, kind_numbers, tile_rows

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.geometry.packing import Kind, Packed
-from caster.jit.command_list import Command, CommandList
-from caster.jit.decorators import bind, implements
+from caster.jit.command_list import Command, CommandList, bind
+from caster.jit.decorators import implements
 from caster.kernels.bvh.build import BOX_PADDING
 from caster.kernels.nearest import Nearest, Rays, no_hits
 from caster.kernels.protocol import distortion_bound, project, project_bounding_sphere, tight_sphere

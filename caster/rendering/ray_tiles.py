@@ -11,8 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from caster.geometry.packing import Kind, Packed
-from caster.jit.command_list import Command, CommandList, Condition
-from caster.jit.decorators import bind
+from caster.jit.command_list import Command, CommandList, Condition, bind
 from caster.jit.simd import CHILDREN, LANES
 from caster.kernels.bvh.build import STACK_SIZE
 from caster.kernels.bvh.fans import (

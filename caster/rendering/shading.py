@@ -12,8 +12,7 @@ import numpy as np
 
 from caster.aovs import BY_NAME, kernel_of
 from caster.geometry.packing import Packed
-from caster.jit.command_list import Command
-from caster.jit.decorators import bind
+from caster.jit.command_list import Command, bind
 from caster.kernels.nearest import Rays
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import (

@@ -8,17 +8,13 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from caster.description.errors import SceneError
 from caster.description.fields import NonNegative, Positive
 from caster.description.transform import power, sine_and_cosine
-from caster.geometry.triangle_mesh import Floats, Ints, Mesh, check_integer, check_length, normalize_rows
+from caster.geometry.triangle_mesh import Floats, Ints, Mesh, normalize_rows
 from caster.geometry.world_space import MeshShape
 from caster.kernels.math.angles import sinc_and_cos
 
 __all__ = ["Heightfield", "tessellate_heightfield"]
-
-MAX_RESOLUTION = 4096  # 33,554,432 faces
-MAX_WAVES = 64
 
 VERTICES_PER_CHUNK = 1 << 16  # vertices; temporaries take some 200 bytes each
 
@@ -31,11 +27,10 @@ MIN_PERIODS_ACROSS, MAX_PERIODS_ACROSS = 1.0, 12.0
 def tessellate_heightfield(size: float, resolution: int, amplitude: float, waves: int, seed: int) -> Mesh:
     """2 * resolution^2 faces over the square [-size/2, size/2]^2 of the plane z = 0, seen from +z.
 
-    |z| <= amplitude. size, amplitude: scene units. resolution: cells along a side, 1 to 4096. waves: 1 to 64.
+    |z| <= amplitude. size, amplitude: scene units. resolution: cells along a side. waves: their count.
     seed: a whole number >= 0 that draws direction, length and phase of each wave; the same on all machines.
-    Normals are the exact surface's; uv runs from (0, 0) to (1, 1). Raises SceneError for anything else.
+    Normals are the exact surface's; uv runs from (0, 0) to (1, 1).
     """
-    _check(size, resolution, amplitude, waves, seed)
     side = resolution + 1
     drawn = [_on_grid(wave, size, resolution) for wave in _draw(size, amplitude, waves, seed)]
     count = side * side
@@ -76,15 +71,6 @@ class _GridWave(NamedTuple):
 def _on_grid(wave: _Wave, size: float, resolution: int) -> _GridWave:
     place = (np.arange(resolution + 1) / resolution - 0.5) * size
     return _GridWave(wave, _sines_and_cosines(wave.kx * place), _sines_and_cosines(wave.ky * place + wave.phase))
-
-
-def _check(size: float, resolution: int, amplitude: float, waves: int, seed: int) -> None:
-    check_length("heightfield", "size", size)
-    check_integer("heightfield", "resolution", resolution, 1, MAX_RESOLUTION)
-    if not (math.isfinite(amplitude) and amplitude >= 0.0):
-        raise SceneError(f"heightfield: amplitude must be a length >= 0, got {amplitude!r}")
-    check_integer("heightfield", "waves", waves, 1, MAX_WAVES)
-    check_integer("heightfield", "seed", seed, 0)
 
 
 def _draw(size: float, amplitude: float, waves: int, seed: int) -> list[_Wave]:
@@ -143,7 +129,7 @@ class Heightfield(MeshShape):
 
     type: Literal["heightfield"] = "heightfield"
     size: Positive = 2.0
-    resolution: Annotated[int, Field(ge=1, le=4096)] = 64
+    resolution: Annotated[int, Field(ge=1, le=4096)] = 64  # 33,554,432 faces at most
     amplitude: NonNegative = 0.2
     waves: Annotated[int, Field(ge=1, le=64)] = 8
     seed: Annotated[int, Field(ge=0)] = 0

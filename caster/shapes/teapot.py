@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from caster.geometry.triangle_mesh import Floats, Ints, Mesh, check_integer, normalize_rows
+from caster.geometry.triangle_mesh import Floats, Ints, Mesh, normalize_rows
 from caster.geometry.world_space import MeshShape
 
 __all__ = ["Teapot", "tessellate_teapot"]
@@ -100,17 +100,12 @@ def _half_ring(inner: tuple[float, float], outer: tuple[float, float], reach: fl
     return [[x0, 0.0, z0], [x0, -reach, z0], [x1, -reach, z1], [x1, 0.0, z1]]
 
 
-MAX_SUBDIVISIONS = 128  # 1,047,552 faces
-
-
 def tessellate_teapot(subdivisions: int) -> Mesh:
     """64 n^2 - 8 n faces for n subdivisions of each patch; z up, spout towards +x, about 6.4 by 4 by 3.15.
 
-    subdivisions: parts along either side of a patch, 1 to 128. The normals are the exact surface's. Body,
+    subdivisions: parts along either side of a patch. The normals are the exact surface's. Body,
     handle, spout and lid are open surfaces that touch or pass through each other, as published.
-    Raises SceneError for anything else.
     """
-    check_integer("teapot", "subdivisions", subdivisions, 1, MAX_SUBDIVISIONS)
     points, normals = _evaluate(patches(), subdivisions)
     shape = points.shape[:3]
     keys = np.concatenate([np.broadcast_to(PARTS[:, None, None, None], (*shape, 1)), points], axis=3)

@@ -6,42 +6,26 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from caster.description.errors import SceneError
 from caster.description.fields import Positive
 from caster.description.transform import sine_and_cosine
-from caster.geometry.triangle_mesh import Floats, Ints, Mesh, check_integer, check_length
+from caster.geometry.triangle_mesh import Floats, Ints, Mesh
 from caster.geometry.world_space import MeshShape
 
 __all__ = ["Torus", "tessellate_torus"]
-
-MAX_PARTS = 4096  # 4096 * 4096 * 2 faces at most
 
 
 def tessellate_torus(major_radius: float, minor_radius: float, segments: int, sides: int) -> Mesh:
     """2 * segments * sides faces on a torus around z, with shared vertices, no seam and no uv.
 
     major_radius: from the origin to the middle of the tube; minor_radius: of the tube, smaller; scene units.
-    segments: parts around z; sides: parts around the tube; 3 to 4096 each. The normals are the exact torus's.
-    Raises SceneError for anything else.
+    segments: parts around z; sides: parts around the tube; at least 3 each. The normals are the exact torus's.
     """
-    _check(major_radius, minor_radius, segments, sides)
     (sine, cosine), (rise, level) = _circle(segments)[:, :, None], _circle(sides)[:, None, :]
     x, y = cosine * level, sine * level
     normals = np.stack([x, y, np.broadcast_to(rise, x.shape)], axis=2)
     middle = np.stack([cosine, sine, np.zeros_like(sine)], axis=2)
     vertices = major_radius * middle + minor_radius * normals
     return Mesh(vertices.reshape(-1, 3), _faces(segments, sides), normals.reshape(-1, 3))
-
-
-def _check(major_radius: float, minor_radius: float, segments: int, sides: int) -> None:
-    check_length("torus", "major_radius", major_radius)
-    check_length("torus", "minor_radius", minor_radius)
-    if minor_radius >= major_radius:
-        raise SceneError(
-            f"torus: minor_radius must be smaller than major_radius ({major_radius!r}), got {minor_radius!r}"
-        )
-    check_integer("torus", "segments", segments, 3, MAX_PARTS)
-    check_integer("torus", "sides", sides, 3, MAX_PARTS)
 
 
 def _circle(parts: int) -> Floats:
@@ -59,7 +43,7 @@ def _faces(segments: int, sides: int) -> Ints:
     return quads.reshape(-1, 3).astype(np.int32)
 
 
-PartCount = Annotated[int, Field(ge=3, le=4096)]
+PartCount = Annotated[int, Field(ge=3, le=4096)]  # 4096 * 4096 * 2 faces at most
 
 
 class Torus(MeshShape):

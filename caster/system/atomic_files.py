@@ -1,12 +1,8 @@
-"""Atomic file writes, and temporary folders: what a process leaves behind is removed by the next one.
-
-Temporary files and folders are locked by the process that uses them. Those without a lock belong to no live process.
-"""
+"""Atomic file writes, temporary folders, and locks on folders."""
 
 import contextlib
 import errno
 import os
-import re
 import secrets
 import shutil
 import tempfile
@@ -102,127 +98,57 @@ def _resolved_target(path: str | os.PathLike[str]) -> Path:
 
 @contextlib.contextmanager
 def _temporary_file(target: Path) -> Iterator[Path]:
-    """An empty, locked file beside the target, with permissions by the umask; removed at the end."""
-    _remove_abandoned(target.parent, PART)
-    while True:
-        temporary = target.parent / f".{secrets.token_hex(8)}.part"
-        file = os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
-        if _lock(file, temporary):
-            break
-        os.close(file)
+    """An empty file beside the target, with permissions by the umask; removed at the end."""
+    temporary = target.parent / f".{secrets.token_hex(8)}.part"
+    os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
     _temporaries.add(temporary)
     try:
         yield temporary
     finally:
         temporary.unlink(missing_ok=True)
         _temporaries.discard(temporary)
-        os.close(file)
 
 
 class ScratchFolder(tempfile.TemporaryDirectory[str]):
-    """A locked temporary folder of this process. prefix: of its name, and of the abandoned ones that are removed."""
+    """A temporary folder of this process."""
 
-    def __init__(self, prefix: str = "mitsuba-ref-") -> None:
-        _remove_abandoned(Path(tempfile.gettempdir()), re.compile(re.escape(prefix) + r"scratch-\w+"))
-        while not self._made(f"{prefix}scratch-"):
-            pass
+    def __init__(self) -> None:
+        super().__init__(prefix="mitsuba-ref-", ignore_cleanup_errors=True)
         _temporaries.add(Path(self.name))
-
-    def _made(self, prefix: str) -> bool:
-        """Create and lock the folder; False if another process took it for abandoned in between."""
-        super().__init__(prefix=prefix, ignore_cleanup_errors=True)
-        self._file = -1
-        with contextlib.suppress(FileNotFoundError):
-            self._file = os.open(self.name, os.O_RDONLY)
-            if _lock(self._file, Path(self.name)):
-                return True
-        self.cleanup()
-        return False
 
     def cleanup(self) -> None:
         """Remove the folder; a second call does nothing."""
         super().cleanup()
         _temporaries.discard(Path(self.name))
-        if self._file >= 0:
-            os.close(self._file)
-            self._file = -1
 
 
-PART = re.compile(r"\.[0-9a-f]{16}\.part")
 _temporaries: set[Path] = set()  # of this process
-_searched: set[tuple[Path, str]] = set()  # folders that were searched for abandoned files, once a process
 
 
 def remove_temporaries() -> None:
     """Remove temporary files and folders of this process, before it is ended without its `finally` clauses."""
     for path in list(_temporaries):
-        _remove(path)
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[bool]:
     """Lock a folder while the body runs; False where another process has locked it."""
+    import fcntl  # POSIX alone
+
     file = os.open(folder, os.O_RDONLY)
     try:
-        yield _try_lock(file)
-    finally:
-        os.close(file)
-
-
-def _try_lock(file: int) -> bool:
-    """Lock an open file or folder; False if another process has. File systems without locks: True."""
-    if os.name != "posix":
-        return True
-    import fcntl  # POSIX alone
-
-    try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:
-        return True
-    return True
-
-
-def _lock(file: int, path: Path) -> bool:
-    """Lock a file that was just created; False if another process took it for abandoned in between."""
-    if not _try_lock(file):
-        return False
+        alone = True
+    except OSError as error:  # a file system may have no locks
+        alone = not isinstance(error, BlockingIOError)
     try:
-        return os.path.samestat(os.fstat(file), os.stat(path))
-    except FileNotFoundError:
-        return False
-
-
-def _remove_abandoned(folder: Path, names: re.Pattern[str]) -> None:
-    """Remove this user's files and folders of such names that no process has locked."""
-    if os.name != "posix" or (folder, names.pattern) in _searched:
-        return
-    _searched.add((folder, names.pattern))
-    with contextlib.suppress(OSError):
-        for entry in os.scandir(folder):
-            if names.fullmatch(entry.name) and Path(entry.path) not in _temporaries:
-                with contextlib.suppress(OSError):
-                    _remove_if_abandoned(entry.path)
-
-
-def _remove_if_abandoned(path: str) -> None:
-    import fcntl  # POSIX alone
-
-    file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    try:
-        if os.fstat(file).st_uid == os.getuid():
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            _remove(Path(path))
+        yield alone
     finally:
         os.close(file)
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir():
-        shutil.rmtree(path, ignore_errors=True)
-    else:
-        path.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager

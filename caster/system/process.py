@@ -1,6 +1,6 @@
 """The end of a command: exit codes, exceptions as messages and exit codes, and signals.
 
-Ctrl-C, SIGTERM and SIGHUP end a command within GRACE_SECONDS, a second one at once.
+Ctrl-C, SIGTERM and SIGHUP interrupt a command, which then has GRACE_SECONDS to end; a second one ends it at once.
 """
 
 from __future__ import annotations
@@ -8,12 +8,10 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-import select
 import signal
 import sys
 import tempfile
 import threading
-import time
 import traceback
 from collections.abc import Callable, Iterator
 from typing import Any, NoReturn
@@ -37,7 +35,6 @@ __all__ = [
     "at_forced_exit",
     "die_with_parent",
     "interrupted",
-    "reopen_closed_streams",
 ]
 
 OK = 0
@@ -72,13 +69,13 @@ def run_command(command: Callable[[], int]) -> int:
 
     SceneError and its subclasses carry their own code. Only an unexpected exception shows a traceback.
     """
-    reopen_closed_streams()
     _escape_unencodable()
     with printable_streams():
         try:
             with handled_signals():
                 code = _exit_code(command)
-            sys.stdout.flush()  # here, so that a closed pipe or a full disk is detected
+            if sys.stdout is not None:  # it was closed before the start
+                sys.stdout.flush()  # here, so that a closed pipe or a full disk is detected
             return code
         except BrokenPipeError:
             return _discard_output(PIPE_CLOSED)
@@ -91,18 +88,6 @@ def _os_error_text(error: OSError) -> str:
     if error.filename is not None:
         return f"{os.fsdecode(error.filename)}: {error.strerror or error}"
     return f"{error.strerror or error} (a file without a name; temporary files are in {tempfile.gettempdir()})"
-
-
-def reopen_closed_streams() -> None:
-    """Open os.devnull for every standard stream that was closed before the start, also for child processes.
-
-    Otherwise the next file to be opened would get the stream's file descriptor.
-    """
-    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        if getattr(sys, name) is None:
-            nowhere = open(os.devnull, mode, encoding="utf-8")  # noqa: SIM115 - as long as the process lasts
-            os.set_inheritable(nowhere.fileno(), True)
-            setattr(sys, name, nowhere)
 
 
 def _exit_code(command: Callable[[], int]) -> int:
@@ -148,7 +133,7 @@ def _escape_unencodable() -> None:
 
 GRACE_SECONDS = 4.0  # for an interrupted command to write what is done, before the process is ended
 CLEANUP_SECONDS = 1.0  # for the end of child processes and the removal of temporary files after that
-SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGALRM") if hasattr(signal, name))
 
 interrupted = threading.Event()  # set from the first signal to the end of the command
 _forced_exit_actions: list[Callable[[], None]] = [remove_temporaries]
@@ -161,32 +146,34 @@ def at_forced_exit(action: Callable[[], None]) -> None:
 
 @contextlib.contextmanager
 def handled_signals() -> Iterator[None]:
-    """Raise KeyboardInterrupt in the main thread at the first signal; end the process if that is not enough.
+    """Raise KeyboardInterrupt in the main thread at the first signal; end the process at the second, or in time.
 
-    A thread of its own watches, since Python's handlers wait for compiled code in the main thread. Signals that the
-    process was started to ignore (nohup) stay ignored. Nothing outside of the main thread.
+    Python runs the handler when compiled code in the main thread returns. Signals that the process was started to
+    ignore (nohup) stay ignored. Nothing outside of the main thread.
     """
     if os.name != "posix" or threading.current_thread() is not threading.main_thread():
         yield
         return
-    reading, writing = os.pipe()
-    os.set_blocking(writing, False)
-    handled = {each: signal.getsignal(each) for each in SIGNALS}
-    handled = {each: before for each, before in handled.items() if before is not signal.SIG_IGN}
-    watcher = threading.Thread(target=_watch, args=(reading, frozenset(handled)), daemon=True)
-    before_fd = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
-    watcher.start()
+    handled = {each: before for each in SIGNALS if (before := signal.getsignal(each)) is not signal.SIG_IGN}
     for each in handled:
         signal.signal(each, _interrupt)
     try:
         yield
     finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
         for each, before in handled.items():
             signal.signal(each, before if before is not None else signal.SIG_DFL)
-        signal.set_wakeup_fd(before_fd)
-        os.close(writing)
-        watcher.join(CLEANUP_SECONDS)
         interrupted.clear()
+
+
+def _interrupt(number: int, frame: Any) -> None:
+    if interrupted.is_set():
+        with contextlib.suppress(OSError):
+            os.write(2, b"interrupted: ended before what was running could end\n")
+        end_process()
+    interrupted.set()
+    signal.setitimer(signal.ITIMER_REAL, GRACE_SECONDS)
+    raise KeyboardInterrupt
 
 
 def end_process() -> NoReturn:
@@ -195,30 +182,6 @@ def end_process() -> NoReturn:
     cleaning.start()
     cleaning.join(CLEANUP_SECONDS)
     os._exit(INTERRUPTED)
-
-
-def _interrupt(number: int, frame: Any) -> None:
-    if not interrupted.is_set():
-        interrupted.set()
-        raise KeyboardInterrupt
-
-
-def _watch(reading: int, handled: frozenset[int]) -> None:
-    """Read signal numbers from a pipe until it is closed; end the process at the second one, or at the deadline."""
-    count, deadline = 0, 0.0
-    while True:
-        left = max(deadline - time.monotonic(), 0.0) if count else None
-        received = os.read(reading, 64) if select.select([reading], [], [], left)[0] else None
-        if received == b"":
-            os.close(reading)
-            return
-        count += sum(number in handled for number in received or b"")
-        if received is None or count > 1:
-            with contextlib.suppress(OSError):
-                os.write(2, b"interrupted: ended before what was running could end\n")
-            end_process()
-        if count and not deadline:
-            deadline = time.monotonic() + GRACE_SECONDS
 
 
 def _clean_up() -> None:

@@ -1,8 +1,8 @@
 """The terminal: standard streams that show control characters as escapes, and progress on standard error.
 
 Progress is bars, status lines and messages about kernel compilation. On a terminal it is drawn by rich, redrawn in
-place and erased at the end; rich honours NO_COLOR. Elsewhere a line is written now and then. rich is imported when
-something is drawn, so that short commands never load it.
+place and erased at the end. Elsewhere a line is written now and then. rich is imported when something is drawn, so that
+short commands never load it.
 """
 
 from __future__ import annotations
@@ -18,11 +18,10 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, TextIO, cast
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
     from rich.live import Live
 
 
-__all__ = ["CompileProgress", "ProgressBar", "StatusLine", "compilation_reported", "printable", "unfiltered"]
+__all__ = ["ProgressBar", "StatusLine", "compilation_reported", "printable", "unfiltered"]
 
 
 def printable(text: str, keep: str = "\n\t") -> str:
@@ -79,8 +78,9 @@ def unfiltered(stream: TextIO) -> TextIO:
 def printable_streams() -> Iterator[None]:
     """Replace standard output and standard error while the body runs."""
     before = sys.stdout, sys.stderr
-    sys.stdout = cast(TextIO, PrintableStream(unfiltered(sys.stdout), "standard output"))
-    sys.stderr = cast(TextIO, PrintableStream(unfiltered(sys.stderr), "standard error"))
+    for name, text in (("stdout", "standard output"), ("stderr", "standard error")):
+        if (stream := getattr(sys, name)) is not None:  # it was closed before the start
+            setattr(sys, name, PrintableStream(unfiltered(stream), text))
     try:
         yield
     finally:
@@ -110,16 +110,15 @@ class StatusLine:
         self.live = self.stream.isatty() and os.environ.get("TERM") not in DUMB_TERMINALS
         self._display: Live | None = None
 
-    def show(self, content: str | RenderableType) -> None:
-        """Replace the line. Content wider than the terminal is cropped, as a wrapped line could not be erased."""
+    def show(self, content: str) -> None:
+        """Replace the line. Text wider than the terminal is cropped, as a wrapped line could not be erased."""
         if not self.live:
             return
         from rich.text import Text
 
         if self._display is None:
             self._display = _started_display(self.stream)
-        line = Text(printable(content, keep=""), no_wrap=True, overflow="crop") if isinstance(content, str) else content
-        self._display.update(line, refresh=True)
+        self._display.update(Text(printable(content, keep=""), no_wrap=True, overflow="crop"), refresh=True)
 
     def erase(self) -> None:
         """Remove the line from the terminal; a later `show` draws it again."""
@@ -187,15 +186,8 @@ class ProgressBar:
         if not self.line.live:
             self.line.log(f"{self.what}: {self.text(seconds)}")
             return
-        from rich.progress_bar import ProgressBar as Bar
-        from rich.table import Table
-
-        row = Table.grid(padding=(0, 1))
-        for _ in range(3):
-            row.add_column(no_wrap=True, overflow="crop")
-        bar = Bar(total=self.total, completed=self.done, width=BAR_CHARACTERS)
-        row.add_row(printable(self.what, keep=""), bar, self.text(seconds))
-        self.line.show(row)
+        filled = round(BAR_CHARACTERS * self.done / self.total)
+        self.line.show(f"{self.what} {'#' * filled}{'-' * (BAR_CHARACTERS - filled)} {self.text(seconds)}")
 
     def text(self, seconds: float) -> str:
         """66 %, 2.1M of 3.1M rays, 520k rays/s, 2 s left"""
@@ -284,28 +276,3 @@ def report_refused_cache() -> None:
     hint = "remove it, or name a folder of your own as XDG_CACHE_HOME"
     for refusal in refusals:
         print(f"compiled kernels are not kept: {refusal}; {hint}", file=sys.stderr, flush=True)
-
-
-class CompileProgress:
-    """Progress of `caster doctor --warm`: a status line on a terminal, else a log line per scene."""
-
-    def __init__(self, stream: TextIO | None = None) -> None:
-        self.line = StatusLine(stream)
-        self.scene, self.count = "", 0
-
-    def begin(self, scene: str) -> None:
-        """Start with the kernels of a scene."""
-        self.scene = scene
-        if self.line.live:
-            self.line.show(scene)
-        else:
-            self.line.log(f"kernels for {scene}")
-
-    def compiling(self, kernel: str) -> None:
-        """Count a kernel whose compilation starts."""
-        self.count += 1
-        self.line.show(f"{self.scene}: compiling {kernel} ({self.count})")
-
-    def end(self) -> None:
-        """Erase the status line."""
-        self.line.erase()

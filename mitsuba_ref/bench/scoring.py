@@ -11,8 +11,8 @@ from caster.shapes.sphere import Spheres
 from mitsuba_ref.bench.entries import ANY, DEFAULT, MESH_FILE, RAYS_FILE, ROBUST, SCENE_FILE, SHADOW_END
 from mitsuba_ref.bench.result import Score
 from mitsuba_ref.bench.scenes import BenchScene, Rays, unit
+from mitsuba_ref.hard.rays import Targets
 from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, prepare_scene
-from mitsuba_ref.judge.checks.adversarial_rays import Targets
 from mitsuba_ref.reference.shared_input import export, packed_float32, shared_rays
 from mitsuba_ref.report.results import largest
 from mitsuba_ref.subjects.subject import scene_as_traced

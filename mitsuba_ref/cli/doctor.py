@@ -20,9 +20,7 @@ __all__ = ["Finding", "exit_code", "format_json", "report", "usable"]
 # The versions whose arithmetic the bounds were derived for; Dr.Jit has to be the one Mitsuba was built with.
 PINNED = {"mitsuba": "3.9.1", "drjit": "1.5.0"}
 INSTALL_COMMAND = "pip install " + " ".join(f"{name}=={version}" for name, version in PINNED.items())
-MATPLOTLIB = Package(
-    "matplotlib", "matplotlib", "3.9", "the plots of `probe --picture`, `make stress` and `make bench`", needed=False
-)
+MATPLOTLIB = Package("matplotlib", "matplotlib", "3.9", "the plots of `make stress` and `make bench`", needed=False)
 PEER_PURPOSE = "another ray caster for `bench --peers`"
 PEERS = (
     Package("open3d", "open3d", "0.19", PEER_PURPOSE, needed=False),

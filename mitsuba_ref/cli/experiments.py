@@ -15,7 +15,7 @@ from mitsuba_ref.cli import options
 if TYPE_CHECKING:
     from mitsuba_ref.bench.result import Run, SceneResult
     from mitsuba_ref.bench.scenes import BenchScene
-    from mitsuba_ref.stress.family import Family
+    from mitsuba_ref.hard.family import Family
     from mitsuba_ref.stress.sweeps import SweepResult
     from mitsuba_ref.subjects.subject import Subject
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder
+from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, positive_int
 from caster.description.errors import SceneError, suggestion
 from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
 from caster.system.terminal import StatusLine
@@ -62,15 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="one scene in N, on average, is also compared with Mitsuba; 0: none; default: 16",
     )
     add("--replay", metavar="FILE|DIR", type=InputPath, help="check kept scenes again, and nothing else")
-    add("--rays", metavar="N", type=options.whole, help="the long run: N rays a shape against exact arithmetic alone")
-    add(
-        "--shape",
-        type=str,
-        metavar="TYPE",
-        action="append",
-        default=[],
-        help="with --rays: only this shape; may be given several times",
-    )
+    add("--rays", metavar="N", type=positive_int, default=40, help="rays aimed at each scene; default: 40")
     options.add_candidate(parser, "another ray caster, judged in place of ours in each scene (docs/candidates.md)")
 
 
@@ -94,16 +86,7 @@ def run(args: argparse.Namespace) -> int:
     """0 nothing found, 1 something was, 5 nothing selected, 130 interrupted."""
     if args.replay is not None:
         return replay(args)
-    if args.candidate is not None and args.rays is not None:
-        raise SceneError("--candidate: not with --rays, the long run of ours; leave --rays out")
-    if args.shape and args.rays is None:
-        raise SceneError("--shape goes with --rays; families of random scenes are chosen by --family")
     options.check_json(args)
-    return long_run(args) if args.rays is not None else search(args)
-
-
-def search(args: argparse.Namespace) -> int:
-    """Examples until the time or their number is used up."""
     from mitsuba_ref.fuzz import campaign, findings
     from mitsuba_ref.fuzz.campaign import Campaign
 
@@ -125,22 +108,23 @@ def search(args: argparse.Namespace) -> int:
     finally:  # what is found is kept, whatever ends the work
         line.erase()
         print(findings.text(search_run.outcome))
-        write_json(args, findings.to_dict(search_run.outcome, interrupted=not finished))
+        write_json(args, search_run.outcome.to_dict(interrupted=not finished))
     return OK if search_run.outcome.ok else DIFFERENCES
 
 
 def plan_of(args: argparse.Namespace) -> Plan:
     from mitsuba_ref.fuzz.campaign import Plan
-    from mitsuba_ref.fuzz.families import BY_NAME, FAMILIES
+    from mitsuba_ref.hard import BY_NAME, DRAWN
 
     for name in args.family:
         if name not in BY_NAME:
             raise SceneError(f"--family {name}: unknown{suggestion(name, BY_NAME)} (known: {', '.join(BY_NAME)})")
-    families = tuple(BY_NAME[name] for name in dict.fromkeys(args.family)) or FAMILIES
+    families = tuple(BY_NAME[name] for name in dict.fromkeys(args.family)) or DRAWN
     limit = args.time if args.time is not None or args.examples is not None else DEFAULT_SECONDS
     examples: Iterable[int] = itertools.count() if args.examples is None else args.examples
     subject, words = candidate_of(args)
-    return Plan(args.seed, families, examples, limit, Path(args.out), args.keep, args.judge_every, subject, words)
+    kept = (Path(args.out), args.keep, args.judge_every, args.rays)
+    return Plan(args.seed, families, examples, limit, *kept, subject, words)
 
 
 def candidate_of(args: argparse.Namespace) -> tuple[Subject, tuple[str, ...]]:
@@ -182,28 +166,3 @@ def replay(args: argparse.Namespace) -> int:
         ]
     print(findings.replay_text(lines))
     return DIFFERENCES if any(wrong for _, _, wrong in lines) else OK
-
-
-def long_run(args: argparse.Namespace) -> int:
-    """Millions of rays per shape type."""
-    from mitsuba_ref.fuzz import campaign
-    from mitsuba_ref.fuzz.settings import shape_types
-
-    known = shape_types()
-    for name in args.shape:
-        if name not in known:
-            raise SceneError(f"--shape {name}: unknown{suggestion(name, known)} (known: {', '.join(known)})")
-    if not args.rays:
-        print("nothing selected: --rays 0 selects no ray", file=sys.stderr)
-        return NOTHING_SELECTED
-    outcome = campaign.LongRun(args.seed, args.rays, tuple(args.shape) or known, Path(args.out), args.keep)
-    finished, line = False, StatusLine()
-    try:
-        for progress in outcome.run():
-            line.show(progress)
-        finished = True
-    finally:
-        line.erase()
-        print(outcome.text())
-        write_json(args, outcome.to_dict(interrupted=not finished))
-    return OK if outcome.ok else DIFFERENCES

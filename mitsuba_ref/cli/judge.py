@@ -109,20 +109,18 @@ def aimed_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.n
     """Rays at what the kind says, from around the scene. Raises SceneError for a scene without primitives."""
     import numpy as np
 
-    from mitsuba_ref.judge.checks import adversarial_rays
+    from mitsuba_ref.hard import rays as hard_rays
     from mitsuba_ref.reference.shared_input import packed_float32
     from mitsuba_ref.shapes.targets import random_directions
 
-    targets, rng = adversarial_rays.Targets(packed_float32(scene)), np.random.default_rng(args.seed)
+    targets, rng = hard_rays.Targets(packed_float32(scene)), np.random.default_rng(args.seed)
     if not targets.counts.sum():
         raise SceneError(f"--kind {args.kind}: {args.scene} has no primitive to aim at")
     sort = {"random": "inside", "edges": "edge", "vertices": "corner"}.get(args.kind)
     at = targets.points(rng, targets.pick(rng, args.count), sort)
     size = float(np.ptp(at.p, axis=0).max()) or 1.0
     if args.kind == "silhouettes":
-        o, d = adversarial_rays.tangents(
-            rng, targets, adversarial_rays.Setting(center=tuple(at.p.mean(axis=0)), size=size), args.count
-        )
+        o, d = hard_rays.tangents(rng, targets, hard_rays.Frame(size), args.count)
     elif args.kind == "surface":
         o, d = at.p, random_directions(rng, args.count)
     else:

@@ -1,57 +1,49 @@
 """Checks of one scene: every way to cast its rays and its image, against each other and against the oracle."""
 
-from collections.abc import Iterator
+import traceback
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
+from pydantic import ValidationError
 
 from caster import cast
 from caster.aovs import Aovs
 from caster.description.errors import SceneError
-from caster.geometry.packing import Packed
 from caster.rendering.casting import Culling
-from caster.rendering.hits import Hits
 from caster.rendering.images import camera_rays, render
 from caster.rendering.plan import culling_for
 from caster.scene.model import Scene
-from mitsuba_ref.error_model.bounds import DEPTH_ULPS, UNIT_LENGTH_ATOL, t_bounds
+from mitsuba_ref.error_model.bounds import DEPTH_ULPS, UNIT_LENGTH_ATOL
 from mitsuba_ref.fuzz.findings import Finding, Tally
-from mitsuba_ref.judge.checks.adversarial_rays import RayBatch
+from mitsuba_ref.hard.rays import RayBatch
+from mitsuba_ref.judge.checks import knife_edges
 from mitsuba_ref.judge.checks.knife_edges import (
     NearestHits,
     PreparedScene,
     cast_by_culling,
     concatenated,
     content_seed,
-    discrepancy,
-    error_models,
-    error_over_bound,
     nearest_of_hits,
     t_text,
     with_limits,
 )
-from mitsuba_ref.judge.checks.routes import RouteDifference, route_differences
+from mitsuba_ref.judge.checks.routes import route_differences
 from mitsuba_ref.judge.checks.scaling import exponents_of, scaling_differences
-from mitsuba_ref.oracle.oracle import ExactAnswer, OutsideDomain
+from mitsuba_ref.oracle.oracle import OutsideDomain
 from mitsuba_ref.reference.shared_input import pixel_of
 from mitsuba_ref.shapes.targets import Rng
 
 LIMITED_PUBLIC_CALLS = 3  # of them by caster.cast, which takes one pair of limits a call
 IMAGE_AOVS = ("depth", "normal", "shading_normal", "position", "shape_id", "prim_id")
+SCENE_ERRORS = (SceneError, ValidationError, OutsideDomain)  # raised by scenes that cannot be checked
 
 
-def cast_publicly(scene: Scene, packed: Packed, rays: RayBatch) -> tuple[np.ndarray, NearestHits]:
-    """(rows, their hits) by caster.cast: all rays without limits, and the first few with limits."""
-    free = (rays.t_min == 0.0) & np.isinf(rays.t_max)
-    calls = [np.flatnonzero(free), *np.flatnonzero(~free)[:LIMITED_PUBLIC_CALLS, None]]
-    found = [
-        NearestHits(*nearest_of_hits(_cast_public(scene, rays.taken(rows)), packed)) for rows in calls if len(rows)
-    ]
-    rows = np.concatenate(calls)
-    return rows, NearestHits(*(np.concatenate(column) for column in zip(*found, strict=True)))
-
-
-def _cast_public(scene: Scene, rays: RayBatch) -> Hits:
-    return cast(scene, rays.o, rays.d, t_min=float(rays.t_min[0]), t_max=float(rays.t_max[0]))
+def exception_finding(error: Exception) -> Finding:
+    """The finding that an exception was raised."""
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    where = f"{Path(place.filename).name}:{place.lineno}"
+    return Finding("error", f"{type(error).__name__} at {where}: {error}")
 
 
 def check_rays(subject: PreparedScene, rays: RayBatch, tally: Tally, rng: Rng | None = None) -> list[Finding]:
@@ -60,37 +52,54 @@ def check_rays(subject: PreparedScene, rays: RayBatch, tally: Tally, rng: Rng | 
         first = cast_by_culling(subject.packed, rays, "bvh")
         rays = concatenated(rays, with_limits(rng, rays, first))
     ours = cast_by_culling(subject.packed, rays, "bvh")
-    rows, public = cast_publicly(subject.scene, subject.packed, rays)
-    findings = [
-        *_culling_differences(rays, ours, cast_by_culling(subject.packed, rays, "brute-force"), "brute-force"),
+    slow = cast_by_culling(subject.packed, rays, "brute-force")
+    rows, public = cast_publicly(subject, rays)
+    return [
+        *_culling_differences(rays, ours, slow, "brute-force"),
         *_culling_differences(rays.taken(rows), NearestHits(ours.t[rows], ours.prim[rows]), public, "caster.cast"),
         *check_surfaces(subject.scene, rays),
+        *adjudicate(subject, rays, ours, tally),
     ]
-    return findings + adjudicate(subject, rays, ours, tally)
 
 
-def adjudicate(subject: PreparedScene, rays: RayBatch, ours: NearestHits, tally: Tally) -> list[Finding]:
-    """Ours against the exact answers: hit or miss, primitive, and t within its bound."""
+def cast_publicly(subject: PreparedScene, rays: RayBatch) -> tuple[np.ndarray, NearestHits]:
+    """(rows, their hits) by caster.cast: all rays without limits, and the first few with limits."""
+    free = (rays.t_min == 0.0) & np.isinf(rays.t_max)
+    calls = [np.flatnonzero(free), *np.flatnonzero(~free)[:LIMITED_PUBLIC_CALLS, None]]
+    found = []
+    for rows in filter(len, calls):
+        o, d, t_min, t_max = rays.taken(rows)
+        hits = cast(subject.scene, o, d, t_min=float(t_min[0]), t_max=float(t_max[0]))
+        found.append(nearest_of_hits(hits, subject.packed))
+    return np.concatenate(calls), NearestHits(*(np.concatenate(column) for column in zip(*found, strict=True)))
+
+
+def adjudicate(
+    subject: PreparedScene,
+    rays: RayBatch,
+    found: NearestHits,
+    tally: Tally,
+    pixels: Sequence[tuple[int, int]] = (),
+    depth_ulps: float = 0.0,
+) -> list[Finding]:
+    """Findings about hits, against the exact answers. pixels: of an image's rays."""
     try:
-        answers = subject.oracle.first_hits(*rays)
+        verdicts = knife_edges.adjudicate(subject, rays, found, depth_ulps)
     except OutsideDomain:
         tally.outside += len(rays.t_min)
         return []
-    bounds = t_bounds(error_models(subject.scene), subject.packed, ours, (rays.o, rays.d))
-    count_exact_hits(tally, answers, bounds)
-    rows = list(zip(answers, ours.t.tolist(), ours.prim.tolist(), bounds.tolist(), strict=True))
-    tally.worst = max((tally.worst, *(error_over_bound(*row) for row in rows)))
-    wrong = ((i, discrepancy(answer, *rest)) for i, (answer, *rest) in enumerate(rows))
-    return [Finding(kind, what, rays.taken(slice(i, i + 1))) for i, (kind, what) in wrong if kind]
-
-
-def count_exact_hits(tally: Tally, answers: list[ExactAnswer], bounds: np.ndarray) -> None:
-    tally.rays += len(answers)
-    hits = [answer for answer in answers if answer.hit]
+    hits = [answer for answer in verdicts.answers if answer.hit]
+    tally.rays += len(verdicts.answers)
     tally.hits += len(hits)
     tally.edges += sum(answer.ties[0].where != "inside" for answer in hits)
     tally.ties += sum(len(answer.ties) > 1 for answer in hits)
-    tally.unbounded += int(np.isinf(bounds).sum())
+    tally.unbounded += int(np.isinf(verdicts.bounds).sum())
+    tally.worst = max(tally.worst, float(verdicts.ratios[np.isfinite(verdicts.ratios)].max(initial=0.0)))
+    return [
+        Finding(kind, what, rays.taken(slice(i, i + 1)), pixels[i] if pixels else None)
+        for i, (kind, what) in enumerate(zip(verdicts.kinds, verdicts.texts, strict=True))
+        if kind
+    ]
 
 
 def _culling_differences(rays: RayBatch, ours: NearestHits, other: NearestHits, name: str) -> Iterator[Finding]:
@@ -103,7 +112,6 @@ def _culling_differences(rays: RayBatch, ours: NearestHits, other: NearestHits, 
 def check_surfaces(scene: Scene, rays: RayBatch) -> Iterator[Finding]:
     """Of every hit: finite positions and normals, geometric normals of length 1, shading normals of 1 or 0."""
     hits = cast(scene, rays.o, rays.d)
-    hit = hits.shape_id >= 0
     surface = hits.surface
     length, shading = (np.sqrt((n * n).sum(axis=1)) for n in (surface.n, surface.sh_n))
     unit = np.abs(length - 1.0) <= UNIT_LENGTH_ATOL
@@ -111,35 +119,30 @@ def check_surfaces(scene: Scene, rays: RayBatch) -> Iterator[Finding]:
     with np.errstate(over="ignore", invalid="ignore"):
         beyond = np.isinf(hits.t * np.abs(rays.d).max(axis=1))  # a position that float64 cannot represent
     fine = (np.isfinite(surface.p).all(axis=1) | beyond) & unit & shaded
-    for i in np.flatnonzero(hit & ~fine):
+    for i in np.flatnonzero((hits.shape_id >= 0) & ~fine):
         what = f"p {surface.p[i].tolist()}, n {surface.n[i].tolist()}, sh_n {surface.sh_n[i].tolist()}"
         ray = rays.taken(slice(i, i + 1))._replace(t_min=np.zeros(1), t_max=np.full(1, np.inf))
         yield Finding("surface", f"shape {hits.shape_id[i]} is hit with {what}", ray)
 
 
-def cullings_for(subject: PreparedScene) -> tuple[Culling, ...]:
-    """The cullings that the scene's camera supports."""
-    film = subject.scene.film
-    planned = culling_for(subject.scene.camera.pack(film.width, film.height))[0]
-    return ("brute-force", "bvh", "raster") if planned == "raster" else ("brute-force", "bvh")
-
-
 def check_image(subject: PreparedScene, tally: Tally) -> list[Finding]:
-    """Findings about the image of the scene's own camera."""
-    images = {
-        culling: render(subject.scene, IMAGE_AOVS, culling=culling, threads=1) for culling in cullings_for(subject)
-    }
-    expected = images["brute-force"]
-    findings = [f for name in images for f in _image_differences(subject, expected, images[name], name)]
+    """Findings about the image of the scene's own camera: by every culling, scaled, by other routes, exactly."""
+    scene = subject.scene
+    planned = culling_for(scene.camera.pack(scene.film.width, scene.film.height))[0]
+    cullings: tuple[Culling, ...] = ("bvh", "raster") if planned == "raster" else ("bvh",)
+    expected = render(scene, IMAGE_AOVS, culling="brute-force", threads=1)
+    findings: list[Finding] = []
+    for culling in cullings:
+        image = render(scene, IMAGE_AOVS, culling=culling, threads=1)
+        findings += _image_differences(scene, expected, image, culling)
     findings += _scaling_differences(subject, tally)
-    findings += [_route_finding(found) for found in route_differences(subject.scene)]
+    findings += [Finding("route", str(found), pixel=(found.x, found.y)) for found in route_differences(scene)]
     return findings + _adjudicate_image(subject, expected, tally)
 
 
 def _scaling_differences(subject: PreparedScene, tally: Tally) -> Iterator[Finding]:
     try:
-        exponents = exponents_of(subject.scene, content_seed(subject.packed))
-        different = scaling_differences(subject.scene, exponents)
+        different = scaling_differences(subject.scene, exponents_of(subject.scene, content_seed(subject.packed)))
     except SceneError:
         tally.outside += 1
         return
@@ -148,36 +151,20 @@ def _scaling_differences(subject: PreparedScene, tally: Tally) -> Iterator[Findi
         yield Finding("scaling", what, pixel=pixel_of(subject.scene, int(pixels[0])))
 
 
-def _route_finding(found: RouteDifference) -> Finding:
-    return Finding("route", str(found), pixel=(found.x, found.y))
-
-
-def _image_differences(subject: PreparedScene, expected: Aovs, other: Aovs, name: str) -> Iterator[Finding]:
+def _image_differences(scene: Scene, expected: Aovs, other: Aovs, name: str) -> Iterator[Finding]:
+    size = expected.hit.size
     for aov in IMAGE_AOVS:
         a, b = (np.ascontiguousarray(image[aov]).view(np.uint8) for image in (expected, other))
-        size = len(expected.hit.ravel())
         for i in np.flatnonzero((a.reshape(size, -1) != b.reshape(size, -1)).any(axis=1)):
-            values = (image[aov].reshape(size, -1)[i].tolist() for image in (expected, other))
-            what = f"{aov}: brute-force: {next(values)}; {name}: {next(values)}"
-            yield Finding("culling", what, pixel=pixel_of(subject.scene, int(i)))
+            slow, fast = (image[aov].reshape(size, -1)[i].tolist() for image in (expected, other))
+            yield Finding("culling", f"{aov}: brute-force: {slow}; {name}: {fast}", pixel=pixel_of(scene, int(i)))
 
 
 def _adjudicate_image(subject: PreparedScene, image: Aovs, tally: Tally) -> list[Finding]:
-    scene, packed = subject.scene, subject.packed
-    film = camera_rays(scene, threads=1)
-    rays = RayBatch(film.o, film.d, film.t_min, film.t_max)
-    try:
-        answers = subject.oracle.first_hits(*rays)
-    except OutsideDomain:
-        tally.outside += len(rays.t_min)
-        return []
+    film = camera_rays(subject.scene, threads=1)
     shape, prim = image["shape_id"].ravel(), image["prim_id"].ravel()
-    length = np.sqrt((rays.d * rays.d).sum(axis=1))
-    depth = image["depth"].ravel()
-    number = np.where(shape < 0, -1, packed.first[np.maximum(shape, 0)] + prim)
-    found = NearestHits(depth / length, number)
-    bounds = t_bounds(error_models(scene), packed, found, (rays.o, rays.d)) + DEPTH_ULPS * np.spacing(np.abs(found.t))
-    count_exact_hits(tally, answers, bounds)
-    rows = zip(answers, found.t.tolist(), found.prim.tolist(), bounds.tolist(), strict=True)
-    wrong = ((i, discrepancy(answer, *rest)) for i, (answer, *rest) in enumerate(rows))
-    return [Finding(kind, what, rays.taken(slice(i, i + 1)), pixel_of(scene, i)) for i, (kind, what) in wrong if kind]
+    t = image["depth"].ravel() / np.sqrt((film.d * film.d).sum(axis=1))
+    found = NearestHits(t, np.where(shape < 0, -1, subject.packed.first[np.maximum(shape, 0)] + prim))
+    pixels = [pixel_of(subject.scene, i) for i in range(len(t))]
+    rays = RayBatch(film.o, film.d, film.t_min, film.t_max)
+    return adjudicate(subject, rays, found, tally, pixels, DEPTH_ULPS)

@@ -1,11 +1,13 @@
 """Findings, tallies of what was checked, and the outcome of a run as text and as JSON."""
 
+import dataclasses
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from mitsuba_ref.judge.checks.adversarial_rays import RayBatch
+from mitsuba_ref.hard.rays import RayBatch
 from mitsuba_ref.report.results import aligned
 
 # The kinds of findings, the most informative first.
@@ -57,41 +59,25 @@ class Tally:
     declined: int = 0  # scenes and ray lists that a candidate declined
     worst: float = 0.0  # largest error of t over its bound
     findings: int = 0
-    kinds: dict[str, int] = field(default_factory=dict)
+    kinds: Counter[str] = field(default_factory=Counter)
 
     def add(self, other: "Tally") -> None:
         for name, value in vars(other).items():
-            if name == "worst":
-                self.worst = max(self.worst, value)
-            elif name != "kinds":
-                setattr(self, name, getattr(self, name) + value)
-        for kind, number in other.kinds.items():
-            self.kinds[kind] = self.kinds.get(kind, 0) + number
+            mine = getattr(self, name)
+            setattr(self, name, max(mine, value) if name == "worst" else mine + value)
 
     def count_finding(self, finding: Finding) -> None:
         self.findings += 1
-        self.kinds[finding.kind] = self.kinds.get(finding.kind, 0) + 1
-
-    @property
-    def kinds_text(self) -> str:
-        return ", ".join(f"{number} {kind}" for kind, number in sorted(self.kinds.items()))
+        self.kinds[finding.kind] += 1
 
     def to_dict(self) -> dict[str, Any]:
-        return dict(vars(self))
-
-
-def total_of(tallies: Mapping[str, Tally]) -> Tally:
-    total = Tally()
-    for tally in tallies.values():
-        total.add(tally)
-    return total
+        return vars(self) | {"kinds": dict(self.kinds)}
 
 
 def first_of_each_kind(findings: list[Finding]) -> list[Finding]:
     """One finding of each kind, in the order of FINDING_KINDS."""
-    order = {kind: i for i, kind in enumerate(FINDING_KINDS)}
     firsts = {finding.kind: finding for finding in reversed(findings)}
-    return sorted(firsts.values(), key=lambda finding: order[finding.kind])
+    return [firsts[kind] for kind in FINDING_KINDS if kind in firsts]
 
 
 @dataclass(frozen=True)
@@ -124,7 +110,10 @@ class Outcome:
 
     @property
     def total(self) -> Tally:
-        return total_of(self.families)
+        total = Tally()
+        for tally in self.families.values():
+            total.add(tally)
+        return total
 
     @property
     def ok(self) -> bool:
@@ -133,8 +122,21 @@ class Outcome:
 
     def keeps(self, finding: Finding, family: str, at_most: int) -> bool:
         """Whether one more finding of this kind in this family is to be kept."""
-        kept = [f for f in self.failures if (f.kind, f.family) == (finding.kind, family)]
-        return len(kept) < at_most
+        return sum((f.kind, f.family) == (finding.kind, family) for f in self.failures) < at_most
+
+    def to_dict(self, *, interrupted: bool) -> dict[str, Any]:
+        """The JSON of a run."""
+        return {
+            "ok": self.ok,
+            "interrupted": interrupted,
+            "seed": self.seed,
+            "candidate": self.candidate,
+            "last_example": self.last,
+            "seconds": round(self.seconds, 3),
+            "total": self.total.to_dict(),
+            "families": {name: tally.to_dict() for name, tally in self.families.items()},
+            "failures": [dataclasses.asdict(failure) for failure in self.failures],
+        }
 
 
 COLUMNS = ("examples", "rays", "hits", "edges", "ties", "unbounded", "outside", "judged", "findings")
@@ -144,29 +146,22 @@ CANDIDATE_COLUMNS = ("examples", "declined", "outside", "judged", "pixels", "fin
 def text(outcome: Outcome) -> str:
     """A table with a row per family, the failures, and a summary."""
     columns = CANDIDATE_COLUMNS if outcome.candidate else COLUMNS
-    rows = [[name, *_cells(tally, columns)] for name, tally in outcome.families.items()]
-    if len(rows) > 1:
-        rows.append(["all", *_cells(outcome.total, columns)])
+    tallies = dict(outcome.families) | ({"all": outcome.total} if len(outcome.families) > 1 else {})
+    rows = [[name, *(str(getattr(tally, column)) for column in columns)] for name, tally in tallies.items()]
     head = ["rays" if name == "pixels" else name for name in columns]
-    table = aligned([["family", *head], *rows], left=1)
-    return "\n".join([*table, *_failures(outcome), *_summary(outcome)])
-
-
-def _cells(tally: Tally, columns: Sequence[str]) -> list[str]:
-    return [str(getattr(tally, name)) for name in columns]
-
-
-def _failures(outcome: Outcome) -> Iterator[str]:
+    failures = []
     for failure in outcome.failures:
-        yield f"FAIL  {failure.kind}: {failure.what}"
-        yield f"      scene:  {failure.file}"
-        yield f"      replay: {failure.replay}"
-        yield f"      from:   mitsuba-ref fuzz {failure.example}"
+        failures += [
+            f"FAIL  {failure.kind}: {failure.what}",
+            f"      scene:  {failure.file}",
+            f"      replay: {failure.replay}",
+            f"      from:   mitsuba-ref fuzz {failure.example}",
+        ]
+    return "\n".join([*aligned([["family", *head], *rows], left=1), *failures, *_summary(outcome)])
 
 
 def _summary(outcome: Outcome) -> Iterator[str]:
     total, seconds = outcome.total, max(outcome.seconds, 1e-9)
-    not_kept = total.findings - len(outcome.failures)
     if outcome.candidate:
         work = f"{total.pixels} rays of {total.judged} films and lists judged against Mitsuba and exact arithmetic"
     else:
@@ -178,30 +173,16 @@ def _summary(outcome: Outcome) -> Iterator[str]:
     )
     if outcome.candidate and not total.judged:
         yield f"FAIL  nothing was judged: {outcome.candidate} declined every scene, or none fits float32"
+    kinds = ", ".join(f"{number} {kind}" for kind, number in sorted(total.kinds.items()))
+    not_kept = total.findings - len(outcome.failures)
     more = f"; {not_kept} more of the same kinds not kept" if not_kept else ""
-    yield f"{total.findings} findings: {total.kinds_text}{more}" if total.findings else "nothing found"
-
-
-def to_dict(outcome: Outcome, *, interrupted: bool) -> dict[str, Any]:
-    """The JSON of a run."""
-    return {
-        "ok": outcome.ok,
-        "interrupted": interrupted,
-        "seed": outcome.seed,
-        "candidate": outcome.candidate,
-        "last_example": outcome.last,
-        "seconds": round(outcome.seconds, 3),
-        "total": outcome.total.to_dict(),
-        "families": {name: tally.to_dict() for name, tally in outcome.families.items()},
-        "failures": [dict(vars(failure)) for failure in outcome.failures],
-    }
+    yield f"{total.findings} findings: {kinds}{more}" if total.findings else "nothing found"
 
 
 def replay_text(lines: Sequence[tuple[str, str, list[str]]]) -> str:
     """(file, kind it was kept for, findings today) -> a row per file, and a summary."""
     rows = []
     for file, kind, wrong in lines:
-        rows.append(f"{'FAIL' if wrong else 'PASS'}  {file}  {kind}")
-        rows += [f"      {what}" for what in wrong]
+        rows += [f"{'FAIL' if wrong else 'PASS'}  {file}  {kind}", *(f"      {what}" for what in wrong)]
     failing = sum(bool(wrong) for _, _, wrong in lines)
     return "\n".join([*rows, f"{len(lines)} kept scenes: {len(lines) - failing} pass, {failing} fail"])

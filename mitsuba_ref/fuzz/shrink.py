@@ -1,4 +1,9 @@
-"""Shrinking of a failing case: fewer shapes and fields, simpler numbers, one ray, while it fails in the same way."""
+"""Shrinking of a failing case: fewer shapes and fields, simpler numbers, one ray, while it fails in the same way.
+
+Not Hypothesis's shrinker: that one shortens the choices a generator made, so it needs the generator to be its own, and
+it cannot leave the numbers that the generator draws. Here the scene itself shrinks, as a scene file has it: meshes
+become triangles, steps of a transform one matrix, numbers lose bits.
+"""
 
 import copy
 import math
@@ -12,12 +17,18 @@ import numpy as np
 from caster.description.errors import SceneError
 from caster.geometry.packing import pack, primitive_count
 from caster.rendering.images import camera_rays
-from mitsuba_ref.fuzz.cases import Case, findings_of
+from mitsuba_ref.fuzz.cases import Case, case_of, findings_of, scene_data
 from mitsuba_ref.fuzz.findings import Finding
-from mitsuba_ref.judge.checks.adversarial_rays import RayBatch
+from mitsuba_ref.hard.family import scene_of
+from mitsuba_ref.hard.rays import RayBatch
 from mitsuba_ref.subjects.subject import describe_surface
 
+DataPath = tuple[str | int, ...]
+Judge = Callable[[Case], list[Finding]]
+
+SHRINK_ATTEMPTS = 1500  # of one finding: a few seconds, since an attempt casts one ray
 MANTISSA_BITS = (1, 2, 3, 4, 6, 8, 12, 24)  # of a mantissa, tried in this order
+MAX_EXPANDED_FACES = 2000  # faces of a mesh that is rewritten as triangles
 
 
 def complexity(x: float) -> tuple[int, float]:
@@ -34,40 +45,14 @@ def simpler_numbers(x: float) -> Iterator[float]:
     """Numbers that might do instead of x, the simplest first, each simpler than x; none for an infinite one."""
     if not math.isfinite(x):
         return
-    tried = {x}
-    for candidate in _simpler_candidates(x):
-        if math.isfinite(candidate) and candidate not in tried and complexity(candidate) < complexity(x):
-            tried.add(candidate)
-            yield candidate
-    if x == 0.0 and math.copysign(1.0, x) < 0.0:
-        yield 0.0
-
-
-def _simpler_candidates(x: float) -> Iterator[float]:
-    yield from (0.0, 1.0, -1.0)
-    if x == 0.0:
-        return
-    yield abs(x)
     mantissa, exponent = math.frexp(x)
-    for bits in MANTISSA_BITS:
-        rounded = round(math.ldexp(mantissa, bits))
-        if exponent - bits < 1000:
-            yield math.ldexp(rounded, exponent - bits)
-    yield math.ldexp(mantissa, 1)
-
-
-# A failing scene made small: fewer shapes, rounder numbers, as long as it fails in the same way.
-#
-# Not hypothesis's shrinker: that one shortens the choices a generator made, so it needs the generator to be
-# its own, and
-# it cannot leave the numbers that the generator draws. Here the scene itself shrinks, as a scene file has it: meshes
-# become triangles, steps of a transform one matrix, numbers lose bits.
-
-
-Data = dict[str, Any]
-DataPath = tuple[str | int, ...]
-
-SHRINK_ATTEMPTS = 1500  # of one finding: a few seconds, since an attempt casts one ray
+    rounded = [math.ldexp(round(math.ldexp(mantissa, n)), exponent - n) for n in MANTISSA_BITS if exponent - n < 1000]
+    candidates = [0.0, 1.0, -1.0, abs(x), *rounded, math.ldexp(mantissa, 1)]
+    tried: list[float] = []
+    for candidate in candidates:
+        if math.isfinite(candidate) and candidate not in tried and complexity(candidate) < complexity(x):
+            tried.append(candidate)
+            yield candidate
 
 
 @dataclass
@@ -86,18 +71,18 @@ class Budget:
 class Shrinker:
     """Holds the smallest that still fails."""
 
-    def __init__(self, data: Data, fails: Callable[[Data], bool], budget: Budget) -> None:
+    def __init__(self, data: Case, fails: Callable[[Case], bool], budget: Budget) -> None:
         """fails: whether this data still fails in the same way; it may get anything, and raises nothing."""
         self.data, self.fails, self.budget = data, fails, budget
 
-    def accepts(self, data: Data) -> bool:
+    def accepts(self, data: Case) -> bool:
         """Whether this fails as well; then it is what goes on."""
         if data == self.data or not self.budget.spend() or not self.fails(data):
             return False
         self.data = data
         return True
 
-    def run(self, passes: Sequence[Callable[["Shrinker"], bool]]) -> Data:
+    def run(self, passes: Sequence[Callable[["Shrinker"], bool]]) -> Case:
         """All passes, repeated until none changes anything or the attempts are used up."""
         while any([each(self) for each in passes]):
             pass
@@ -127,7 +112,7 @@ def fewer_fields(shrinker: Shrinker) -> bool:
     for path, value in list(walk(shrinker.data)):
         is_field = isinstance(path[-1], str) or isinstance(value, dict)
         if is_field and len(path) > 1 and path[0] not in ("film", "ray") and path[-1] != "type":
-            changed |= exists(shrinker.data, path) and shrinker.accepts(without(shrinker.data, path))
+            changed |= accepts_at(shrinker, path)
     return changed
 
 
@@ -136,9 +121,7 @@ def rounder_numbers(shrinker: Shrinker) -> bool:
     changed = False
     for path, value in list(walk(shrinker.data)):
         if isinstance(value, float) and path[0] != "film":
-            changed |= any(
-                shrinker.accepts(with_value(shrinker.data, path, number)) for number in simpler_numbers(value)
-            )
+            changed |= any(accepts_at(shrinker, path, number) for number in simpler_numbers(value))
     return changed
 
 
@@ -151,75 +134,30 @@ def walk(value: Any, path: DataPath = ()) -> Iterator[tuple[DataPath, Any]]:
         yield from walk(item, (*path, key))
 
 
-def exists(data: Any, path: DataPath) -> bool:
-    for key in path:
-        if isinstance(data, dict):
-            if key not in data:
-                return False
-        elif not isinstance(data, list) or not isinstance(key, int) or key >= len(data):
-            return False
-        data = data[key]
-    return True
-
-
-def with_value(data: Data, path: DataPath, value: Any) -> Data:
-    """A copy with another value at the path."""
-    out = copy.deepcopy(data)
-    _holder(out, path)[path[-1]] = value
-    return out
-
-
-def without(data: Data, path: DataPath) -> Data:
-    """A copy without the value at the path."""
-    out = copy.deepcopy(data)
-    del _holder(out, path)[path[-1]]
-    return out
-
-
-def _holder(data: Any, path: DataPath) -> Any:
-    for key in path[:-1]:
-        data = data[key]
-    return data
-
-
-ShapeFields = dict[str, Any]
-
-
-def as_packed(part: Any) -> list[ShapeFields]:
-    """Shapes that pack to the same primitives in the same order, one each. Raises LookupError for an unknown kind."""
-    with np.errstate(all="ignore"):
-        return [describe_surface(part, k) for k in range(primitive_count(part))]
-
-
-def translated(shape: ShapeFields, by: np.ndarray) -> ShapeFields | None:
-    """A shape as written by `as_packed`, translated; None for any other."""
-    if "vertices" in shape and "to_world" not in shape:
-        return {**shape, "vertices": (np.array(shape["vertices"]) + by).tolist()}
-    for key in ("center", "point"):
-        if key in shape and "to_world" not in shape:
-            return {**shape, key: (np.array(shape[key]) + by).tolist()}
-    steps = shape.get("to_world", [])
-    if len(steps) == 1 and "matrix" in steps[0]:
-        matrix = np.array(steps[0]["matrix"])
-        matrix[:3, 3] += by
-        return {**shape, "to_world": [{"matrix": matrix.tolist()}]}
-    return None
-
-
-Judge = Callable[[Case], list[Finding]]
-MAX_EXPANDED_FACES = 2000  # faces of a mesh that is rewritten as triangles
+def accepts_at(shrinker: Shrinker, path: DataPath, number: float | None = None) -> bool:
+    """Whether the data fails as well without what is at a path, or with a number there; False where it is gone."""
+    data = copy.deepcopy(shrinker.data)
+    holder: Any = data
+    try:
+        for key in path[:-1]:
+            holder = holder[key]
+        if number is None:
+            del holder[path[-1]]
+        else:
+            holder[path[-1]] = number
+    except (LookupError, TypeError):
+        return False
+    return shrinker.accepts(data)
 
 
 def smallest_case(case: Case, finding: Finding, judge: Judge = findings_of, budget: Budget | None = None) -> Case:
     """The smallest case of the same failure mode; of a single ray instead of a pixel, if that fails as well."""
 
-    def fails(data: Data) -> bool:
-        return finding.mode in failure_modes(Case.of(data), judge)
+    def fails(data: Case) -> bool:
+        return finding.mode in failure_modes(data, judge)
 
-    start = single_ray_case(case, finding, judge)
-    shrinker = Shrinker(start.to_data(), fails, budget or Budget())
-    passes = [as_primitives, fewer_shapes, fewer_fields, translated_to_origin, rounder_numbers]
-    return Case.of(shrinker.run(passes))
+    shrinker = Shrinker(single_ray_case(case, finding, judge), fails, budget or Budget())
+    return shrinker.run([as_primitives, fewer_shapes, fewer_fields, translated_to_origin, rounder_numbers])
 
 
 def failure_modes(case: Case, judge: Judge) -> set[tuple[str, str]]:
@@ -228,28 +166,17 @@ def failure_modes(case: Case, judge: Judge) -> set[tuple[str, str]]:
 
 def single_ray_case(case: Case, finding: Finding, judge: Judge) -> Case:
     """The case with the finding's one ray, or with one pixel, if that is enough."""
-    rays = [] if finding.ray is None else [finding.ray]
-    pixel = finding.pixel
-    if pixel is not None:
-        x, y = pixel
-        x0, y0, x1, y1 = case.scene().film.window
-        if not (x0 <= x < x1 and y0 <= y < y1):  # of a route, whose film may be another one
-            pixel = None
-    if pixel is not None:
-        cropped = case._replace(film={**case.film, "crop": [x, y, x + 1, y + 1]})
-        rays += [] if finding.ray is not None else ray_of(cropped)
-    for ray in rays:
-        alone = case._replace(ray=ray)
-        if finding.mode in failure_modes(alone, judge):
-            return alone
-    if pixel is not None and finding.mode in failure_modes(cropped, judge):
-        return cropped
-    return case
-
-
-def ray_of(cropped: Case) -> list[RayBatch]:
-    rays = camera_rays(cropped.scene())
-    return [RayBatch(rays.o, rays.d, rays.t_min, rays.t_max)]
+    candidates = [] if finding.ray is None else [case_of(case, finding.ray)]
+    if finding.pixel is not None and "ray" not in case:
+        x, y = finding.pixel
+        x0, y0, x1, y1 = scene_of(scene_data(case)).film.window
+        if x0 <= x < x1 and y0 <= y < y1:  # a route's film may be another one
+            cropped = {**case, "film": {**case["film"], "crop": [x, y, x + 1, y + 1]}}
+            rays = camera_rays(scene_of(scene_data(cropped)))
+            if finding.ray is None:
+                candidates.append(case_of(cropped, RayBatch(rays.o, rays.d, rays.t_min, rays.t_max)))
+            candidates.append(cropped)
+    return next((each for each in candidates if finding.mode in failure_modes(each, judge)), case)
 
 
 def as_primitives(shrinker: Shrinker) -> bool:
@@ -257,17 +184,21 @@ def as_primitives(shrinker: Shrinker) -> bool:
     changed = False
     for i in range(len(shrinker.data["shape"]) - 1, -1, -1):
         shapes = shrinker.data["shape"]
-        plain = _primitive_shapes(shrinker.data, i)
+        plain = primitive_shapes(shrinker.data, i)
         if plain and plain != [shapes[i]]:
             changed |= shrinker.accepts({**shrinker.data, "shape": [*shapes[:i], *plain, *shapes[i + 1 :]]})
     return changed
 
 
-def _primitive_shapes(data: Data, i: int) -> list[dict[str, Any]]:
-    alone = Case.of({**data, "shape": [data["shape"][i]]})
+def primitive_shapes(case: Case, i: int) -> list[dict[str, Any]]:
+    """Shapes that pack to the same primitives in the same order, one each; none for an unknown kind."""
+    alone = scene_data({**case, "shape": [case["shape"][i]]})
     try:
-        part = pack(alone.scene()).parts[0]
-        return as_packed(part) if primitive_count(part) <= MAX_EXPANDED_FACES else []
+        part = pack(scene_of(alone)).parts[0]
+        if primitive_count(part) > MAX_EXPANDED_FACES:
+            return []
+        with np.errstate(all="ignore"):
+            return [describe_surface(part, k) for k in range(primitive_count(part))]
     except (SceneError, LookupError):
         return []
 
@@ -277,8 +208,21 @@ def translated_to_origin(shrinker: Shrinker) -> bool:
     ray = shrinker.data.get("ray")
     if ray is None or not any(ray["o"]):
         return False
-    by = -np.array(ray["o"])
-    shapes = [translated(shape, by) for shape in shrinker.data["shape"]]
+    shapes = [translated(shape, -np.array(ray["o"])) for shape in shrinker.data["shape"]]
     if None in shapes:
         return False
     return shrinker.accepts({**shrinker.data, "shape": shapes, "ray": {**ray, "o": [0.0, 0.0, 0.0]}})
+
+
+def translated(shape: dict[str, Any], by: np.ndarray) -> dict[str, Any] | None:
+    """A shape as written by `primitive_shapes`, translated; None for any other."""
+    steps = shape.get("to_world", [])
+    if not steps:
+        for key in ("vertices", "center", "point"):
+            if key in shape:
+                return {**shape, key: (np.array(shape[key]) + by).tolist()}
+    if len(steps) == 1 and "matrix" in steps[0]:
+        matrix = np.array(steps[0]["matrix"])
+        matrix[:3, 3] += by
+        return {**shape, "to_world": [{"matrix": matrix.tolist()}]}
+    return None

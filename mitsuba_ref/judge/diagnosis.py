@@ -6,6 +6,7 @@ Nothing here decides whether a pixel passes; it only describes the numbers of th
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 
@@ -25,14 +26,12 @@ from mitsuba_ref.judge.checks.shapes import unrounded_arrays
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
 from mitsuba_ref.judge.explanations import open_reason, subject_name
 from mitsuba_ref.judge.hypotheses import (
-    DESCRIPTIONS,
-    HYPOTHESES,
     RIGHT_PIXELS,
-    Explained,
+    Explanation,
+    Mistake,
     WrongPixels,
     explain_normals,
-    float32_inside,
-    other_quantity,
+    explanations,
     range_text,
     triangle_corners,
 )
@@ -128,8 +127,8 @@ def diagnose(judge: Judge, judgement: Judgement) -> Diagnosis:
     for row in np.flatnonzero(causes.left & (judgement.classes == CLASS_CODE[UNDECIDED])):
         causes.take(open_reason(judge, judgement, int(row)), np.array([row]))
     wrong = wrong[causes.left[wrong]]
-    for explained, rows in _wrong_surface(judge, judgement, wrong):
-        causes.take(explained.what, rows, len(wrong) if explained.remedy else 0, explained.remedy)
+    for what, remedy, rows in _wrong_surface(judge, judgement, wrong):
+        causes.take(what, rows, len(wrong) if remedy else 0, remedy)
     causes.take("not what is there, in no way that is recognised", np.flatnonzero(causes.left))
     return causes.diagnosis()
 
@@ -162,12 +161,6 @@ def _pixels(judge: Judge, judgement: Judgement, rows: np.ndarray) -> WrongPixels
     return WrongPixels(judge, rows, prim >= 0, t, prim, judge.near(rows, prim, t))
 
 
-# ---- hypotheses, the simplest that explains nearly all first
-
-# They move no ray and choose no other surface: normals are those of the surface that is hit exactly.
-OF_THE_SAME_SURFACE = (other_quantity, float32_inside)
-
-
 def _explain(causes: _Causes, wrong: WrongPixels) -> None:
     """First what is hit and t, then normals and numbers of primitives at the same surfaces."""
     judge, judgement = causes.judge, causes.judgement
@@ -177,61 +170,55 @@ def _explain(causes: _Causes, wrong: WrongPixels) -> None:
     f = wrong.take(wrong.off)
     kept = ~wrong.off  # rows whose surface and t are right, or another quantity of the same surface
     if len(f.rows):
-        left = np.ones(len(f.rows), bool)
-        on_surface = np.zeros(len(f.rows), bool)
-        single = _simplest(f, right)
-        if single is not None:
-            winner, of_surface = single
-            causes.take(winner.what, f.rows[winner.fits], len(f.rows), winner.remedy)
-            left &= ~winner.fits
-            on_surface |= winner.fits & of_surface
-            if not of_surface and len(f.rows) > MAJORITY * len(wrong.rows):  # another ray has other normals
-                causes.take(winner.what, wrong.rows[kept], len(wrong.rows), winner.remedy)
-        for hypothesis in (*HYPOTHESES, *DESCRIPTIONS) if left.any() else ():
-            for each in hypothesis(f, right):
-                fits = each.fits & left
-                enough = each.single or fits.sum() >= max(MAJORITY * left.sum(), MIN_FITTED_PIXELS)
-                if fits.any() and (enough or hypothesis in DESCRIPTIONS):
-                    causes.take(each.what, f.rows[fits], len(f.rows), each.remedy, where=not each.remedy)
-                    left &= ~fits
-                    on_surface |= fits & (hypothesis in OF_THE_SAME_SURFACE)
+        left, on_surface = np.ones(len(f.rows), bool), np.zeros(len(f.rows), bool)
+        winner, tried = _decisive(explanations(f, right), len(f.rows))
+        for mistake, fits in tried:
+            fits = fits & left
+            enough = mistake.single or fits.sum() >= max(MAJORITY * left.sum(), MIN_FITTED_PIXELS)
+            if fits.any() and (enough or not mistake.remedy):
+                causes.take(mistake.what, f.rows[fits], len(f.rows), mistake.remedy, where=not mistake.remedy)
+                left &= ~fits
+                on_surface |= fits & mistake.same_surface
+            if mistake is winner and not mistake.same_surface and len(f.rows) > MAJORITY * len(wrong.rows):
+                causes.take(mistake.what, wrong.rows[kept], len(wrong.rows), mistake.remedy)  # of another ray's normals
+            if not left.any():
+                break
         for what, fits in _plain_descriptions(f):
             causes.take(what, f.rows[fits & left], where=True)
         kept[np.flatnonzero(wrong.off)[on_surface]] = True
     there = wrong.take(kept & wrong.hit & wrong.given_hit)
     named = np.ones(len(there.rows), bool)
-    for explained in _wrong_ids(there):
-        _take_or_add(causes, explained, there)
-        named &= ~explained.fits | bool(explained.remedy)  # numbers that are off by one name the right one
+    for what, remedy, fits in _wrong_ids(there):
+        _take_or_add(causes, what, remedy, there, fits)
+        named &= ~fits | bool(remedy)  # numbers that are off by one name the right one
     there = there.take(named)
     if judge.n is not None and len(there.rows):
-        for explained in explain_normals(there, judge.n[there.rows]):
-            _take_or_add(causes, explained, there)
+        for what, remedy, fits in explain_normals(there, judge.n[there.rows]):
+            _take_or_add(causes, what, remedy, there, fits)
 
 
-def _take_or_add(causes: _Causes, explained: Explained, f: WrongPixels) -> None:
+def _decisive(stream: Iterator[Explanation], count: int) -> tuple[Mistake | None, Iterator[Explanation]]:
+    """(the first mistake that explains nearly all of `count` pixels, the explanations with that one first)."""
+    tried: list[Explanation] = []
+    for mistake, fits in stream:
+        if mistake.remedy and fits.sum() >= max(NEARLY_ALL * count, 1 if mistake.single else MIN_FITTED_PIXELS):
+            return mistake, chain([(mistake, fits)], tried, stream)
+        tried.append((mistake, fits))
+    return None, iter(tried)
+
+
+def _take_or_add(causes: _Causes, what: str, remedy: str, f: WrongPixels, fits: np.ndarray) -> None:
     """As the first cause of rows that have none, and as a second one of those that have."""
-    rows = f.rows[explained.fits]
-    same = causes.found.get(explained.what)
+    rows = f.rows[fits]
+    same = causes.found.get(what)
     second = np.setdiff1d(rows[~causes.left[rows]], same.rows if same else [])
-    causes.take(explained.what, rows, len(f.rows), explained.remedy, where=not explained.remedy)
+    causes.take(what, rows, len(f.rows), remedy, where=not remedy)
     if len(second):
-        of = len(f.rows)
-        causes.seconds.append(Cause(explained.what, second, of, explained.remedy, second=True))
-
-
-def _simplest(f: WrongPixels, right: WrongPixels) -> tuple[Explained, bool] | None:
-    """The first hypothesis that explains nearly all, and whether it leaves the surface as it is."""
-    for hypothesis in HYPOTHESES:
-        for each in hypothesis(f, right):
-            enough = each.single or each.fits.sum() >= MIN_FITTED_PIXELS
-            if enough and each.fits.any() and each.fits.sum() >= NEARLY_ALL * len(f.rows):
-                return each, hypothesis in OF_THE_SAME_SURFACE
-    return None
+        causes.seconds.append(Cause(what, second, len(f.rows), remedy, second=True))
 
 
 def _plain_descriptions(f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
-    """What is wrong where no hypothesis explains it."""
+    """What is wrong where no mistake explains it."""
     yield "missed; exact arithmetic hits", ~f.given_hit & f.hit
     beside = f.given_hit & ~f.hit
     if beside.any():
@@ -246,38 +233,38 @@ def _plain_descriptions(f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
     yield "t is off", both
 
 
-def _wrong_ids(f: WrongPixels) -> Iterator[Explained]:
-    """Rows where t is right, and another shape or primitive is named."""
+ANOTHER_PRIMITIVE = "another primitive than the first one, at the same t"
+
+
+def _wrong_ids(f: WrongPixels) -> Iterator[tuple[str, str, np.ndarray]]:
+    """(what, remedy, (m,) bool) of rows where t is right, and another shape or primitive is named."""
     answer, packed = f.judge.answer, f.judge.model.packed
     if answer.prim is not None:
-        other = answer.prim[f.rows] != f.prim
-        yield Explained("another primitive than the first one, at the same t", "", other)
+        yield ANOTHER_PRIMITIVE, "", answer.prim[f.rows] != f.prim
     given = (("shape", answer.shape_id, packed.shape_of), ("primitive", answer.prim_id, packed.index_in_shape))
-    columns = [(name, ids, right) for name, ids, right in given if ids is not None and len(f.rows)]
+    columns = [(name, ids, right(f.prim)) for name, ids, right in given if ids is not None and len(f.rows)]
     hit = f.judge.hit
     named = {tuple(numbers) for numbers in zip(*(ids[hit] for _, ids, _ in columns), strict=True)}
     if columns and len(named) * MIN_FITTED_PIXELS <= len(np.unique(f.prim)):
         who = "the same primitive is" if len(named) == 1 else f"no more than {len(named)} primitives are"
-        what = f"{who} named at all {hit.sum()} hits"
         remedy = "return the number of the primitive in the order of the scene, or leave the column out"
-        yield Explained(what, remedy, np.any([ids[f.rows] != right(f.prim) for _, ids, right in columns], 0))
+        wrong = np.any([ids[f.rows] != right for _, ids, right in columns], axis=0)
+        yield f"{who} named at all {hit.sum()} hits", remedy, wrong
         return
     for name, ids, right in columns:
-        off = ids[f.rows].astype(np.int64) - right(f.prim)
+        off = ids[f.rows].astype(np.int64) - right
         wrong = off != 0
-        steps, counts = np.unique(off[wrong], return_counts=True)
-        enough = max(NEARLY_ALL * wrong.sum(), MIN_FITTED_PIXELS)
-        if len(steps) and counts.max() >= enough and abs(steps[counts.argmax()]) == 1:
-            step = int(steps[counts.argmax()])
-            remedy = f"numbers count from 0: {'subtract' if step > 0 else 'add'} 1"
-            yield Explained(f"the {name}'s number is off by one ({step:+d})", remedy, off == step)
-            wrong &= off != step
+        for step in (1, -1):
+            if (off == step).sum() >= max(NEARLY_ALL * wrong.sum(), MIN_FITTED_PIXELS):
+                remedy = f"numbers count from 0: {'subtract' if step > 0 else 'add'} 1"
+                yield f"the {name}'s number is off by one ({step:+d})", remedy, off == step
+                wrong &= off != step
         behind = wrong & _names_another_hit(f)
         if behind.sum() >= max(MAJORITY * wrong.sum(), MIN_FITTED_PIXELS):
             what = f"the {name}'s number is that of another surface along the ray, t that of the first"
-            yield Explained(what, "keep the number together with the smallest t", behind)
+            yield what, "keep the number together with the smallest t", behind
             wrong &= ~behind
-        yield Explained("another primitive than the first one, at the same t", "", wrong)
+        yield ANOTHER_PRIMITIVE, "", wrong
 
 
 def _names_another_hit(f: WrongPixels) -> np.ndarray:
@@ -292,21 +279,20 @@ def _names_another_hit(f: WrongPixels) -> np.ndarray:
     return found
 
 
-def _wrong_surface(judge: Judge, judgement: Judgement, rows: np.ndarray) -> Iterator[tuple[Explained, np.ndarray]]:
-    """Rows where the primitive and t are right: what else of the subject is beyond float64's bounds there."""
+def _wrong_surface(judge: Judge, judgement: Judgement, rows: np.ndarray) -> Iterator[tuple[str, str, np.ndarray]]:
+    """(what, remedy, rows) where the primitive and t are right: what else is beyond float64's bounds there."""
     if not judge.names_prims or not len(rows):
         return
     at = judge.bounds.own.take(rows)
     f = WrongPixels(judge, rows, at.possible, judge.answer.t[rows], judge.prim[rows].astype(np.int64), at)
     if judge.n is not None:
-        for explained in explain_normals(f, judge.n[rows]):
-            yield explained, rows[explained.fits]
+        for what, remedy, fits in explain_normals(f, judge.n[rows]):
+            yield what, remedy, rows[fits]
     failing = {check.name: check.fails[rows] for check in judge.self_checks}
     if "diffuse" in judgement.ratios:
         failing["diffuse"] = ~(judgement.ratios["diffuse"][rows] <= 1.0)
     for name, where in failing.items():
-        what = f"beyond what float64 rounding allows at the primitive that is hit, in {name}"
-        yield Explained(what, "", where), rows[where]
+        yield f"beyond what float64 rounding allows at the primitive that is hit, in {name}", "", rows[where]
 
 
 # ---- hits beyond the outline of a triangle

@@ -1,10 +1,10 @@
-"""Hypotheses about a subject's wrong pixels: named mistakes, each with what it predicts there, tried in a fixed order.
+"""The table of mistakes: what each is called, which answers a caster that makes it gives, and its remedy.
 
-A hypothesis only explains pixels that fail. It predicts what a caster with that mistake answers; a wrong pixel becomes
-right under it where the subject answers just that. What a mistake leaves alone has to be right under it, too.
+A mistake only explains pixels that fail: a wrong pixel becomes right under it where the subject answers as it predicts.
+What a mistake leaves alone has to be right under it, too.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import permutations, product
@@ -35,8 +35,8 @@ from mitsuba_ref.judge.classification import Judge
 from mitsuba_ref.reference.shared_input import pixel_centers
 from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64
 
-SCREENED_PIXELS = 96  # at which a costly hypothesis is tried first
-RIGHT_PIXELS = 512  # that have to stay right under a hypothesis
+SCREENED_PIXELS = 96  # at which a claim about the whole image is tried first
+RIGHT_PIXELS = 512  # that have to stay right under a mistake
 
 
 @dataclass(frozen=True)
@@ -112,17 +112,104 @@ class WrongPixels:
         return self.judge.bracket.possible_hits(self.o, self.d, t_max, np.full(len(self.rows), -np.inf))
 
 
-class Explained(NamedTuple):
-    """What a hypothesis makes right."""
+# What a mistake claims. SURFACES: right pixels do not contradict it. PIXELS: nor are nearly all pixels right.
+# IMAGE: and nearly all hits become right, not misses alone.
+NOTHING, SURFACES, PIXELS, IMAGE = range(4)
+
+
+class Mistake(NamedTuple):
+    """One row of the table."""
 
     what: str
-    remedy: str
-    fits: np.ndarray  # (m,) bool
-    single: bool = False  # also of fewer than MIN_FITTED_PIXELS: nothing is fitted, and chance makes none right
+    remedy: str  # "": a description of what is wrong, not of why
+    predicts: Callable[[WrongPixels], np.ndarray]  # (m,) bool: the subject answers as if it made this mistake
+    claim: int = NOTHING
+    single: bool = False  # one pixel is enough: nothing is fitted, and chance makes none right
+    same_surface: bool = False  # the surface that is hit is the right one, so that its normal is judged as well
 
 
-# wrong pixels, right ones (which must stay so) -> what it explains; nothing where it does not apply
-Hypothesis = Callable[[WrongPixels, WrongPixels], Iterator[Explained]]
+Explanation = tuple[Mistake, np.ndarray]  # and (m,) bool: the pixels that become right under it
+
+
+def explanations(f: WrongPixels, right: WrongPixels) -> Iterator[Explanation]:
+    """The mistakes that make some pixels of f right, in the order of the table. right: pixels that have to stay so."""
+    for mistake in mistakes(f):
+        if mistake.claim == IMAGE:
+            few = f.take(sample_rows(np.arange(len(f.rows)), SCREENED_PIXELS))
+            if not _explains_hits(few, mistake.predicts(few)):
+                continue
+        fits = mistake.predicts(f)
+        if fits.any() and _is_kept(mistake, f, fits, right):
+            yield mistake, fits
+
+
+def _explains_hits(f: WrongPixels, fits: np.ndarray) -> bool:
+    """Whether hits fit, not misses alone."""
+    hits = f.given_hit & f.off
+    good = (fits & hits).sum()
+    return bool(good >= MIN_FITTED_PIXELS and good >= NEARLY_ALL * hits.sum() and fits[f.off].mean() >= NEARLY_ALL)
+
+
+def _is_kept(mistake: Mistake, f: WrongPixels, fits: np.ndarray, right: WrongPixels) -> bool:
+    """Whether the claim of a mistake holds. A few wrong pixels fit one of many mistakes by chance."""
+    if mistake.claim == IMAGE and not _explains_hits(f, fits):
+        return False
+    if mistake.claim == NOTHING or not len(right.rows):
+        return True
+    enough = mistake.claim == SURFACES or len(f.rows) >= (1.0 - NEARLY_ALL) * len(right.rows)
+    return bool(enough and mistake.predicts(right).mean() >= NEARLY_ALL)
+
+
+def mistakes(f: WrongPixels) -> Iterator[Mistake]:
+    """The table, the simplest first; numbers in it are fitted to the wrong pixels f."""
+    answer, is_list = f.judge.answer, f.judge.pair.rays.is_list
+    if len(answer.t) > 1 and not f.judge.hit.any():  # of one pixel, that means nothing
+        who = "ours" if answer.exact_visibility else "the candidate"
+        farthest = f.t[~f.given_hit & f.hit].max(initial=0.0)
+        remedy = f"is the scene read, do rays reach t = {farthest:.3g}{_epsilon_text(f)}?"
+        yield Mistake(f"{who} misses everything", remedy, lambda g: ~g.given_hit & g.hit, single=True)
+    if is_list and not answer.hits_only:
+        yield from OUT_OF_RANGE
+    yield DISTANCE
+    if f.judge.scene.camera.type != "ray":
+        yield Z_DEPTH
+    yield from _fitted_quantities(f)
+    if _claims_float64(f):
+        yield Mistake(IN_FLOAT32, FLOAT32_REMEDY, _right_in_float32, same_surface=True)
+    yield from _image_orders(f.judge.pair.shape, is_list)
+    if not is_list and not answer.hits_only:
+        yield from _shift(f)
+    yield from SELECTIONS
+    yield from OTHER_RAYS
+    yield from HIDDEN
+
+
+# ---- hits and misses, by themselves
+
+OUT_OF_RANGE = (
+    Mistake(
+        "a hit before t_min, where the ray begins",
+        "leave out hits with t <= t_min",
+        lambda g: g.given_t < g.judge.t_min[g.rows],
+        single=True,
+    ),
+    Mistake(
+        "a hit beyond t_max, where the ray ends",
+        "leave out hits with t > t_max",
+        lambda g: (g.given_t > g.judge.t_max[g.rows]) & np.isfinite(g.given_t),
+        single=True,
+    ),
+)
+
+
+def _epsilon_text(f: WrongPixels) -> str:
+    """A question about the determinants of the triangles that are hit; "" where none is."""
+    corners = triangle_corners(f.judge, f.prim)
+    with np.errstate(invalid="ignore"):
+        edges = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        determinants = np.abs(dot(f.d, edges))
+    some = determinants[f.hit & np.isfinite(determinants)]
+    return f", is every epsilon below the determinants of {range_text(some)} here" if len(some) else ""
 
 
 # ---- t is another quantity
@@ -136,32 +223,46 @@ def _claims_float64(f: WrongPixels) -> bool:
     return f.judge.answer.precision == FLOAT64 and not f.judge.answer.exact_visibility
 
 
-def float32_inside(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
-    if not _claims_float64(f):
-        return
+def _right_in_float32(g: WrongPixels) -> np.ndarray:
     with np.errstate(invalid="ignore"):
-        near = np.abs(f.given_t - f.t) <= f.at.t_error * (KU / KU_OURS) + f.t_rounding
-    yield Explained(IN_FLOAT32, FLOAT32_REMEDY, f.given_hit & f.hit & near)
+        near = np.abs(g.given_t - g.t) <= g.at.t_error * (KU / KU_OURS) + g.t_rounding
+    found: np.ndarray = g.given_hit & g.hit & near
+    return found
 
 
-def other_quantity(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
-    """t times, or plus, something."""
-    factors = [
-        (
-            norm(f.d),
-            "distance in place of t, which counts in lengths of d",
-            "divide the distance by |d|, or leave d as it is given",
-        )
-    ]
-    if f.judge.scene.camera.type != "ray":
-        cosine = unit(f.d) @ camera_axes(f.judge.scene.camera)[2]
-        what = "depth along z, the view axis, in place of t along the ray"
-        factors += [(cosine, what, "divide by the cosine of the ray with the view axis; of an image: --depth z")]
-    for factor, what, remedy in factors:
-        fits = f.right_under(f.hit, f.t * factor, f.at.t_error * np.abs(factor))
-        with np.errstate(invalid="ignore"):
-            fits &= np.abs(f.t * factor - f.t) > f.at.t_error  # elsewhere it is t itself, and explains nothing
-        yield Explained(what, remedy, fits & f.hit, single=True)
+def _is_t_times(g: WrongPixels, factor: np.ndarray) -> np.ndarray:
+    """(m,) bool: t times a factor (m,) is given, where that is another number than t."""
+    with np.errstate(invalid="ignore"):
+        other = np.abs(g.t * factor - g.t) > g.at.t_error
+    return g.right_under(g.hit, g.t * factor, g.at.t_error * np.abs(factor)) & g.hit & other
+
+
+DISTANCE = Mistake(
+    "distance in place of t, which counts in lengths of d",
+    "divide the distance by |d|, or leave d as it is given",
+    lambda g: _is_t_times(g, norm(g.d)),
+    single=True,
+    same_surface=True,
+)
+Z_DEPTH = Mistake(
+    "depth along z, the view axis, in place of t along the ray",
+    "divide by the cosine of the ray with the view axis; of an image: --depth z",
+    lambda g: _is_t_times(g, unit(g.d) @ camera_axes(g.judge.scene.camera)[2]),
+    single=True,
+    same_surface=True,
+)
+
+
+def _fitted_quantities(f: WrongPixels) -> Iterator[Mistake]:
+    """t plus, or times, what the median pixel says, and functions of t."""
+
+    def answers(t: Callable[[np.ndarray], np.ndarray], slope: float = 1.0) -> Callable[[WrongPixels], np.ndarray]:
+        def predicts(g: WrongPixels) -> np.ndarray:
+            with np.errstate(all="ignore"):
+                return g.right_under(g.hit, t(g.t), g.at.t_error * abs(slope)) & g.hit
+
+        return predicts
+
     some = f.given_hit & f.hit & np.isfinite(f.given_t)
     if some.sum() < MIN_FITTED_PIXELS:
         return
@@ -169,189 +270,66 @@ def other_quantity(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
         offset = float(np.median((f.given_t - f.t)[some]))
         scale = float(np.median((f.given_t / f.t)[some]))
     what = f"t is {abs(offset):.3g} too {'large' if offset > 0 else 'small'} everywhere, a constant"
-    fits = f.right_under(f.hit, f.t + offset, f.at.t_error)
-    if _is_kept(f, right.right_under(right.hit, right.t + offset, right.at.t_error)):
-        yield Explained(what, f"leave out the offset (an epsilon?) of {offset:.3g}", fits & f.hit)
-    what = f"t is {scale:.7g} times what it should be"
-    fits = f.right_under(f.hit, f.t * scale, f.at.t_error * abs(scale))
-    stay = right.right_under(right.hit, right.t * scale, right.at.t_error * abs(scale))
-    if abs(scale - 1.0) > DISTINCT_RTOL or _is_kept(f, stay):  # no chance meets a scale that is far from 1
-        yield Explained(what, "look for a wrong unit, a scale or a length that is not 1", fits & f.hit)
-    with np.errstate(all="ignore"):
-        for words, t in (("the square of t", f.t**2), ("1 / t", 1.0 / f.t), ("the logarithm of t", np.log(f.t))):
-            yield Explained(f"{words} in place of t", "return t itself", f.right_under(f.hit, t, f.at.t_error) & f.hit)
+    remedy = f"leave out the offset (an epsilon?) of {offset:.3g}"
+    yield Mistake(what, remedy, answers(lambda t: t + offset), PIXELS, same_surface=True)
+    claim = NOTHING if abs(scale - 1.0) > DISTINCT_RTOL else PIXELS  # no chance meets a scale that is far from 1
+    what, remedy = (
+        f"t is {scale:.7g} times what it should be",
+        "look for a wrong unit, a scale or a length that is not 1",
+    )
+    yield Mistake(what, remedy, answers(lambda t: t * scale, scale), claim, same_surface=True)
+    for words, function in (("the square of t", np.square), ("1 / t", np.reciprocal), ("the logarithm of t", np.log)):
+        yield Mistake(f"{words} in place of t", "return t itself", answers(function), same_surface=True)
 
 
-# ---- pixels in other places, rays that are others
+# ---- pixels in other places
 
 
-def _image_orders(shape: tuple[int, int], is_list: bool) -> Iterator[tuple[str, str, np.ndarray]]:
-    """(sentence, remedy, (n,) the row whose answer stands at each row)."""
+def _image_orders(shape: tuple[int, int], is_list: bool) -> Iterator[Mistake]:
+    """The whole image in another order, by Mitsuba's answer at those places."""
     h, w = shape
     rows = np.arange(h * w).reshape(h, w)
+
+    def order(what: str, remedy: str, there: np.ndarray) -> Mistake:
+        """there: the row whose answer stands at each row."""
+
+        def predicts(g: WrongPixels) -> np.ndarray:
+            result, places = g.judge.result, there.ravel()[g.rows]
+            t = result.t.astype(np.float64)[places]
+            return g.right_under(result.hit[places], t, MATCH_RTOL * np.abs(t))
+
+        return Mistake(what, remedy, predicts, IMAGE)
+
     if is_list:
-        yield "the answers are in reverse order", "return them in the order of the rays", rows.ravel()[::-1]
+        remedy = "return them in the order of the rays"
+        yield order("the answers are in reverse order", remedy, rows.ravel()[::-1])
         for step in (1, -1):
-            yield (f"the answers are moved by {step} ray", "return them in the order of the rays", np.roll(rows, step))
+            yield order(f"the answers are moved by {step} ray", remedy, np.roll(rows, step))
         return
-    yield "the image is mirrored, left for right", "turn the sign of x", rows[:, ::-1]
-    yield "the image is upside down", "row 0 is the top one: turn the sign of y", rows[::-1]
-    yield "the image is turned by half a turn", "turn the signs of x and y", rows[::-1, ::-1]
-    what, remedy = "the image is transposed, x for y", "rows come first: index y * width + x"
-    yield what, remedy, rows.ravel(order="F")
+    yield order("the image is mirrored, left for right", "turn the sign of x", rows[:, ::-1])
+    yield order("the image is upside down", "row 0 is the top one: turn the sign of y", rows[::-1])
+    yield order("the image is turned by half a turn", "turn the signs of x and y", rows[::-1, ::-1])
+    transposed = "the image is transposed, x for y", "rows come first: index y * width + x"
+    yield order(*transposed, rows.ravel(order="F"))
     if h != w:
-        yield what, remedy, np.argsort(rows.ravel(order="F"))
-    else:
-        for turns, words in ((1, "left"), (3, "right")):
-            yield (f"the image is turned by a quarter to the {words}", "exchange x and y", np.rot90(rows, turns))
+        yield order(*transposed, np.argsort(rows.ravel(order="F")))
+    for turns, words in ((1, "left"), (3, "right")) if h == w else ():
+        yield order(f"the image is turned by a quarter to the {words}", "exchange x and y", np.rot90(rows, turns))
     for y, x in product((0, 1, -1), repeat=2):
         if x or y:
-            where = f"{x:+d} to the right, {y:+d} down"
-            remedy = "look for an index that counts from 1"
-            yield f"the image is moved by a whole pixel: {where}", remedy, np.roll(rows, (y, x), (0, 1))
+            what = f"the image is moved by a whole pixel: {x:+d} to the right, {y:+d} down"
+            yield order(what, "look for an index that counts from 1", np.roll(rows, (y, x), (0, 1)))
 
 
-def other_order(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
-    """The whole image in another order, by Mitsuba's answer at those places."""
-    hit, t = f.judge.result.hit, f.judge.result.t.astype(np.float64)
-    for what, remedy, order in _image_orders(f.judge.pair.shape, f.judge.pair.rays.is_list):
-        fits, stay = (
-            g.right_under(hit[there], t[there], MATCH_RTOL * np.abs(t[there]))
-            for g in (f, right)
-            for there in (order.ravel()[g.rows],)
-        )
-        if _explains_hits(f, fits) and _is_kept(f, stay):
-            yield Explained(what, remedy, fits)
+SLOPE_STEP_PIXELS = 0.125  # over which the slopes of t are taken
+NEWTON_STEPS = 3
+MIN_DIFFERING_PIXELS = 16  # from which a shift is computed
+SHIFT_SAMPLES = 1024  # pixels from which a shift is computed, at most
+MAX_SHIFT_PIXELS = 4.0
 
 
-def _explains_hits(f: WrongPixels, fits: np.ndarray) -> bool:
-    """Whether hits fit, not misses alone."""
-    hits = f.given_hit & f.off
-    good = (fits & hits).sum()
-    return bool(good >= MIN_FITTED_PIXELS and good >= NEARLY_ALL * hits.sum() and fits[f.off].mean() >= NEARLY_ALL)
-
-
-def _is_kept(f: WrongPixels, stay: np.ndarray) -> bool:
-    """Whether what is said of all pixels is true of nearly all right ones, too, and these are not nearly all there are.
-
-    stay: (r,) bool of right ones, at most RIGHT_PIXELS. A few wrong ones fit one of many such hypotheses by chance.
-    """
-    if not len(stay):
-        return True
-    return bool(stay.mean() >= NEARLY_ALL and len(f.rows) >= (1.0 - NEARLY_ALL) * len(stay))
-
-
-class OtherRay(NamedTuple):
-    """Another ray and what it does to t."""
-
-    what: str
-    remedy: str
-    lines: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]  # (o, d) -> (o, d)
-    t_factor: float = 1.0
-
-
-def _signs(which: tuple[int, ...]) -> np.ndarray:
-    return np.where(np.isin(np.arange(3), which), -1.0, 1.0)
-
-
-def _other_rays() -> Iterator[OtherRay]:
-    what = "the directions are reversed: -d in place of d"
-    yield OtherRay(what, "turn the sign of d", lambda o, d: (o, -d))
-    for axis, name in enumerate("xyz"):
-        signs = _signs((axis,))
-        what = f"the {name} axis of directions is turned round"
-        yield OtherRay(what, f"turn the sign of d.{name}", lambda o, d, s=signs: (o, d * s))  # type: ignore[misc]
-        what = f"the {name} axis is turned round, of another handedness"
-        remedy = f"use the same axes for rays and scene: turn the sign of {name}"
-        yield OtherRay(what, remedy, lambda o, d, s=signs: (o * s, d * s))  # type: ignore[misc]
-    for order in permutations(range(3)):
-        if order != (0, 1, 2):
-            names = ", ".join("xyz"[i] for i in order)
-            what = f"are exchanged: ({names}) in place of (x, y, z)"
-            remedy = "use the same axes for rays and scene (y up or z up?)"
-            yield OtherRay(f"the axes of directions {what}", remedy, lambda o, d, p=order: (o, d[:, p]))  # type: ignore[misc]
-            yield OtherRay(f"the axes of rays {what}", remedy, lambda o, d, p=order: (o[:, p], d[:, p]))  # type: ignore[misc]
-    what, remedy = "the rays' origin is taken for (0, 0, 0)", "subtract, or add, the ray's origin"
-    yield OtherRay(what, remedy, lambda o, d: (0.0 * o, d))
-    yield OtherRay("origin and direction are exchanged", "o comes first", lambda o, d: (d, o))
-    for scale in (0.001, 0.01, 0.0254, 0.1, 0.5, 2.0, 10.0, 100.0, 1000.0):
-        what = f"the scene is {scale:g} times as large as it should be"
-        remedy = "use vertices in the units of the rays"
-        yield OtherRay(what, remedy, lambda o, d, s=scale: (o / s, d), scale)  # type: ignore[misc]
-
-
-OTHER_RAYS = tuple(_other_rays())
-
-
-def other_rays(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
-    """First hits along other rays, tried on a few pixels first."""
-    few = f.take(sample_rows(np.flatnonzero(f.off), SCREENED_PIXELS))
-    for ray in OTHER_RAYS:
-        if _explains_hits(few, _first_hit_along(few, ray)):
-            fits = _first_hit_along(f, ray)
-            if _explains_hits(f, fits) and _is_kept(f, _first_hit_along(right, ray, or_exact=True)):
-                yield Explained(ray.what, ray.remedy, fits)
-
-
-def _first_hit_along(f: WrongPixels, ray: OtherRay, *, or_exact: bool = False) -> np.ndarray:
-    """(m,) bool: right under first hits along these rays."""
-    return _first_hits(f, *ray.lines(f.o, f.d), ray.t_factor, or_exact=or_exact)
-
-
-def _first_hits(
-    f: WrongPixels, o: np.ndarray, d: np.ndarray, t_factor: float = 1.0, *, or_exact: bool = False
-) -> np.ndarray:
-    """(m,) bool: right under first hits along o + t d, where t is counted times a factor."""
-    roots = f.judge.bracket.possible_hits(o, d, f.judge.t_max[f.rows] / t_factor)
-    return _right_among(f, roots, np.ones(len(roots.ray), bool), t_factor=t_factor, or_exact=or_exact)
-
-
-def _right_among(
-    f: WrongPixels,
-    roots: RayIntersections,
-    kept: np.ndarray,
-    *,
-    last: bool = False,
-    t_factor: float = 1.0,
-    or_exact: bool = False,
-) -> np.ndarray:
-    """(m,) bool: the subject answers the first of the roots that are kept, before nothing that is certain.
-
-    Or the last of them; or a miss, where there is none. or_exact: also where that is the exact answer, by which no
-    wrong pixel is explained.
-    """
-    roots = roots.take(kept)
-    t_min, t_max = f.judge.t_min[f.rows][roots.ray], f.judge.t_max[f.rows][roots.ray]
-    at = roots.at
-    t, bound = at.t * t_factor, at.t_error * t_factor
-    ahead = (t > t_min) & (t <= t_max)
-    certain = ahead & at.certain
-    first = np.full(len(f.rows), -np.inf if last else np.inf)
-    (np.maximum if last else np.minimum).at(first, roots.ray[certain], t[certain])
-    with np.errstate(invalid="ignore"):
-        in_turn = t >= first[roots.ray] - bound if last else t <= first[roots.ray] + bound
-    each = f.take(roots.ray)
-    with np.errstate(invalid="ignore"):
-        other = or_exact | ~each.hit | (np.abs(t - each.t) > each.at.t_error)
-    matches = ahead & in_turn & other & each.right_under(np.ones(len(t), bool), t, bound)
-    found = ~f.given_hit
-    found[roots.ray[ahead]] = False  # at an edge, no root is certain, and a miss may be another mistake
-    found[roots.ray[matches & each.given_hit]] = True
-    return found
-
-
-# ---- a shift of the image by parts of a pixel
-
-SLOPE_STEP_PIXELS = 0.125  # of a pixel, over which the slopes of t are taken
-NEWTON_STEPS = 3  # of Newton's method
-MIN_DIFFERING_PIXELS = 16  # pixels from which a shift is computed
-MAX_SHIFT_PIXELS = 4.0  # pixels
-
-
-def shifted_image(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
+def _shift(f: WrongPixels) -> Iterator[Mistake]:
     """Rays through another place of their pixels, the same everywhere, found by Newton's method from t."""
-    if f.judge.pair.rays.is_list or f.judge.answer.hits_only:
-        return
     seen = f.take(sample_rows(np.flatnonzero(f.given_hit & f.hit), SHIFT_SAMPLES))
     if len(seen.rows) < MIN_DIFFERING_PIXELS:
         return
@@ -362,15 +340,9 @@ def shifted_image(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
             return
         shift = shift + step
     if np.abs(shift).max() > SLOPE_STEP_PIXELS / 4:
-        where = f"({shift[0]:+.2f}, {shift[1]:+.2f}) of a pixel to the right and down"
+        what = f"rays beside the pixel centres, by ({shift[0]:+.2f}, {shift[1]:+.2f}) of a pixel to the right and down"
         remedy = "the centre of pixel (x, y) is at (x + 0.5, y + 0.5)"
-        what = f"rays beside the pixel centres, by {where}"
-        fits = _first_hits(f, *_rays_at(f, shift))
-        if _explains_hits(f, fits) and _is_kept(f, _first_hits(right, *_rays_at(right, shift), or_exact=True)):
-            yield Explained(what, remedy, fits)
-
-
-SHIFT_SAMPLES = 1024  # pixels from which a shift is computed, at most
+        yield Mistake(what, remedy, lambda g: _first_hits(g, *_rays_at(g, shift)), IMAGE)
 
 
 def _rays_at(f: WrongPixels, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -404,17 +376,80 @@ def _newton_step(f: WrongPixels, at: np.ndarray) -> np.ndarray | None:
     return step
 
 
+# ---- other rays
+
+
+def _first_hits(g: WrongPixels, o: np.ndarray, d: np.ndarray, t_factor: float = 1.0) -> np.ndarray:
+    """(m,) bool: right under first hits along o + t d, where t is counted times a factor."""
+    roots = g.judge.bracket.possible_hits(o, d, g.judge.t_max[g.rows] / t_factor)
+    return _right_among(g, roots, np.ones(len(roots.ray), bool), t_factor=t_factor)
+
+
+def _right_among(
+    g: WrongPixels, roots: RayIntersections, kept: np.ndarray, *, last: bool = False, t_factor: float = 1.0
+) -> np.ndarray:
+    """(m,) bool: the subject answers the first of the roots that are kept, before nothing that is certain.
+
+    Or the last of them; or a miss, where there is none. No wrong pixel is explained by the exact answer.
+    """
+    roots = roots.take(kept)
+    t_min, t_max = g.judge.t_min[g.rows][roots.ray], g.judge.t_max[g.rows][roots.ray]
+    at = roots.at
+    t, bound = at.t * t_factor, at.t_error * t_factor
+    ahead = (t > t_min) & (t <= t_max)
+    certain = ahead & at.certain
+    first = np.full(len(g.rows), -np.inf if last else np.inf)
+    (np.maximum if last else np.minimum).at(first, roots.ray[certain], t[certain])
+    each = g.take(roots.ray)
+    with np.errstate(invalid="ignore"):
+        in_turn = t >= first[roots.ray] - bound if last else t <= first[roots.ray] + bound
+        other = ~g.off[roots.ray] | ~each.hit | (np.abs(t - each.t) > each.at.t_error)
+    matches = ahead & in_turn & other & each.right_under(np.ones(len(t), bool), t, bound)
+    found = ~g.given_hit
+    found[roots.ray[ahead]] = False  # at an edge, no root is certain, and a miss may be another mistake
+    found[roots.ray[matches & each.given_hit]] = True
+    return found
+
+
+Lines = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]  # (o, d) -> the rays that are cast
+
+
+def _other_rays() -> Iterator[Mistake]:
+    def ray(what: str, remedy: str, lines: Lines, t_factor: float = 1.0) -> Mistake:
+        return Mistake(what, remedy, lambda g: _first_hits(g, *lines(g.o, g.d), t_factor), IMAGE)
+
+    def of_axis(s: np.ndarray, name: str) -> Iterator[Mistake]:
+        what = f"the {name} axis of directions is turned round"
+        yield ray(what, f"turn the sign of d.{name}", lambda o, d: (o, d * s))
+        what = f"the {name} axis is turned round, of another handedness"
+        yield ray(what, f"use the same axes for rays and scene: turn the sign of {name}", lambda o, d: (o * s, d * s))
+
+    def of_order(p: tuple[int, ...]) -> Iterator[Mistake]:
+        what = f"are exchanged: ({', '.join('xyz'[i] for i in p)}) in place of (x, y, z)"
+        remedy = "use the same axes for rays and scene (y up or z up?)"
+        yield ray(f"the axes of directions {what}", remedy, lambda o, d: (o, d[:, p]))
+        yield ray(f"the axes of rays {what}", remedy, lambda o, d: (o[:, p], d[:, p]))
+
+    def of_scale(s: float) -> Mistake:
+        what = f"the scene is {s:g} times as large as it should be"
+        return ray(what, "use vertices in the units of the rays", lambda o, d: (o / s, d), s)
+
+    yield ray("the directions are reversed: -d in place of d", "turn the sign of d", lambda o, d: (o, -d))
+    for axis, name in enumerate("xyz"):
+        yield from of_axis(np.where(np.arange(3) == axis, -1.0, 1.0), name)
+    for order in permutations(range(3)):
+        yield from of_order(order) if order != (0, 1, 2) else ()
+    what = "the rays' origin is taken for (0, 0, 0)"
+    yield ray(what, "subtract, or add, the ray's origin", lambda o, d: (0.0 * o, d))
+    yield ray("origin and direction are exchanged", "o comes first", lambda o, d: (d, o))
+    for scale in (0.001, 0.01, 0.0254, 0.1, 0.5, 2.0, 10.0, 100.0, 1000.0):
+        yield of_scale(scale)
+
+
+OTHER_RAYS = tuple(_other_rays())
+
+
 # ---- the wrong one of several hits
-
-
-class Selection(NamedTuple):
-    """Roots that a caster with this mistake considers."""
-
-    what: str
-    remedy: str
-    kept: Callable[[WrongPixels], np.ndarray]  # (r,) bool of f.roots
-    last: bool = False
-    single: bool = False  # as of Explained
 
 
 def _faces(f: WrongPixels) -> np.ndarray:
@@ -462,168 +497,164 @@ def _is_only_root(f: WrongPixels) -> np.ndarray:
     return np.array([(r, p) not in seconds for r, p in zip(roots.ray, roots.prim, strict=True)], bool)
 
 
+def _selection(
+    what: str, remedy: str, kept: Callable[[WrongPixels], np.ndarray], *, last: bool = False, single: bool = False
+) -> Mistake:
+    """A caster that considers only some intersections. kept: (r,) bool of the roots of its pixels."""
+
+    def predicts(g: WrongPixels) -> np.ndarray:
+        return _right_among(g, g.roots, kept(g), last=last) & (g.hit | ~g.given_hit)
+
+    return Mistake(what, remedy, predicts, SURFACES, single)
+
+
+HIT_BOTH_SIDES = "hit both sides: no test of the sign of the determinant or of n . d"
 SELECTIONS = (
-    Selection(
+    _selection(
         "another root of the surface that is hit first, such as the far one",
         "take the smaller root that is ahead of the origin",
-        lambda f: ~_is_first_root(f) | _is_only_root(f),
+        lambda g: ~_is_first_root(g) | _is_only_root(g),
         single=True,
     ),
-    Selection(
+    _selection(
         "missed: the surface's first root is behind the ray's origin, and the second one was not tried",
         "where the first root is not ahead, try the second",
-        lambda f: _is_first_root(f) | ~(_first_roots(f.roots) < 0.0),
+        lambda g: _is_first_root(g) | ~(_first_roots(g.roots) < 0.0),
         single=True,
     ),
-    Selection(
-        "back faces are culled: surfaces seen from behind are missed",
-        "hit both sides: no test of the sign of the determinant or of n . d",
-        lambda f: _faces(f) < 0.0,
+    _selection(
+        "back faces are culled: surfaces seen from behind are missed", HIT_BOTH_SIDES, lambda g: _faces(g) < 0.0
     ),
-    Selection(
-        "front faces are culled: surfaces seen from the front are missed",
-        "hit both sides: no test of the sign of the determinant or of n . d",
-        lambda f: _faces(f) > 0.0,
+    _selection(
+        "front faces are culled: surfaces seen from the front are missed", HIT_BOTH_SIDES, lambda g: _faces(g) > 0.0
     ),
-    Selection(
+    _selection(
         "the last surface in the order of the scene in place of the nearest",
         "keep a hit only where its t is smaller than that of the last one kept",
-        lambda f: _is_last_prim(f),
+        lambda g: _is_last_prim(g),
     ),
-    Selection(
+    _selection(
         "the last surface along the ray in place of the first",
         "keep the hit with the smallest t",
-        lambda f: _is_first_ahead(f),
+        lambda g: _is_first_ahead(g),
         last=True,
     ),
 )
 
 
-def other_selection(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
-    """Another of the hits that there are."""
-    for each in SELECTIONS:
-        fits = _right_among(f, f.roots, each.kept(f), last=each.last) & (f.hit | ~f.given_hit)
-        if not fits.any():
-            continue
-        kept = _right_among(right, right.roots, each.kept(right), last=each.last, or_exact=True)
-        if not len(kept) or kept.mean() >= NEARLY_ALL:
-            yield Explained(each.what, each.remedy, fits, each.single)
-
-
-def first_one_missed(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
-    """What is hit first is not seen; what lies behind it is, if anything."""
-    missed = ~f.given_hit & f.hit
-    behind = np.zeros(len(f.rows), bool)
-    if not f.judge.answer.hits_only and f.given_hit.any():
-        t = f.given_t[f.roots.ray]
-        with np.errstate(invalid="ignore"):
-            on_one = np.abs(t - f.roots.at.t) <= np.maximum(f.roots.at.t_error, MATCH_RTOL * np.abs(t))
-            farther = f.given_hit & (f.given_t > f.t * (1.0 + DISTINCT_RTOL))
-        behind[f.roots.ray[on_one]] = True
-        behind &= farther & f.hit
-    if missed.any() and behind.any():
-        yield Explained("the first surface is missed, and what lies behind it is hit, if anything", "", missed | behind)
-    yield Explained("a surface that lies behind the first one", "", behind)
-
-
-# ---- hits and misses, by themselves
-
-
-def out_of_range(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
-    """Of rays of a list: what is answered lies outside of the ray."""
-    if f.judge.answer.hits_only or not f.judge.pair.rays.is_list:
-        return
-    t, t_min, t_max = f.given_t, f.judge.t_min[f.rows], f.judge.t_max[f.rows]
-    what = "a hit before t_min, where the ray begins"
-    yield Explained(what, "leave out hits with t <= t_min", t < t_min, single=True)
-    what = "a hit beyond t_max, where the ray ends"
-    yield Explained(what, "leave out hits with t > t_max", (t > t_max) & np.isfinite(t), single=True)
-
-
-def everything_missed(f: WrongPixels, right: WrongPixels) -> Iterator[Explained]:
-    if len(f.judge.answer.t) > 1 and not f.judge.hit.any():  # of one pixel, that means nothing
-        who = "ours" if f.judge.answer.exact_visibility else "the candidate"
-        what = f"{who} misses everything"
-        missed = ~f.given_hit & f.hit
-        remedy = f"is the scene read, do rays reach t = {f.t[missed].max(initial=0.0):.3g}{_epsilon_text(f)}?"
-        yield Explained(what, remedy, missed, single=True)
-
-
-def _epsilon_text(f: WrongPixels) -> str:
-    """A question about the determinants of the triangles that are hit; "" where none is."""
-    corners = triangle_corners(f.judge, f.prim)
+def _behind_first(g: WrongPixels) -> np.ndarray:
+    """(m,) bool: a surface behind the first one is answered."""
+    if g.judge.answer.hits_only or not g.given_hit.any():
+        return np.zeros(len(g.rows), bool)
+    t = g.given_t[g.roots.ray]
     with np.errstate(invalid="ignore"):
-        edges = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        determinants = np.abs(dot(f.d, edges))
-    some = determinants[f.hit & np.isfinite(determinants)]
-    return f", is every epsilon below the determinants of {range_text(some)} here" if len(some) else ""
+        on_one = np.abs(t - g.roots.at.t) <= np.maximum(g.roots.at.t_error, MATCH_RTOL * np.abs(t))
+        farther = g.given_hit & (g.given_t > g.t * (1.0 + DISTINCT_RTOL))
+    behind = np.zeros(len(g.rows), bool)
+    behind[g.roots.ray[on_one]] = True
+    return behind & farther & g.hit
 
 
-# The simplest first: of those that explain nearly all, the first wins.
-HYPOTHESES: Sequence[Hypothesis] = (
-    everything_missed,
-    out_of_range,
-    other_quantity,
-    float32_inside,
-    other_order,
-    shifted_image,
-    other_selection,
-    other_rays,
+def _hidden(g: WrongPixels) -> np.ndarray:
+    """(m,) bool: missed, or a surface behind the first one, where both occur."""
+    missed, behind = ~g.given_hit & g.hit, _behind_first(g)
+    return (missed | behind) & bool(missed.any() and behind.any())
+
+
+HIDDEN = (
+    Mistake("the first surface is missed, and what lies behind it is hit, if anything", "", _hidden),
+    Mistake("a surface that lies behind the first one", "", _behind_first),
 )
-# Where none of them does: of these, and of those, each takes what it explains.
-DESCRIPTIONS: Sequence[Hypothesis] = (first_one_missed,)
 
 
 # ---- normals
 
 
-class NormalHypothesis(NamedTuple):
-    """Normals that a caster with this mistake gives."""
+class NormalMistake(NamedTuple):
+    """One row of the table of normals: it is reported where it explains enough of what is wrong."""
 
     what: str
     remedy: str
-    n: np.ndarray  # (m, 3)
+    fits: np.ndarray  # (m,) bool: the normal is that of a caster that makes this mistake
+    share: float = NEARLY_ALL  # of the normals that are wrong
+    least: int = MIN_FITTED_PIXELS
 
 
-def explain_normals(f: WrongPixels, n: np.ndarray) -> Iterator[Explained]:
-    """Wrong normals at right surfaces, n (m, 3) as given: what explains nearly all first, then the rest."""
-    right, d = f.at.n, f.d
-    error = row_distance(n, right)
-    off = ~(error <= np.minimum(f.at.n_error, LARGEST_USEFUL_NORMAL_ERROR))
-    if not off.any():
-        return
-    opposite = off & (row_distance(n, -right) <= MATCH_RTOL)
-    towards = dot(right, d) > 0.0
-    if (opposite & towards).sum() >= NEARLY_ALL * off.sum():
-        what = "the normal is turned towards the ray; geometric normals point outside, whoever looks"
-        yield Explained(what, "do not turn normals by the sign of n . d", opposite & towards)
-        off &= ~(opposite & towards)
-        if not off.any():
-            return
-    left = off.copy()
-    for each in _normal_hypotheses(f, n, off):
-        fits = left & (row_distance(n, each.n) <= MATCH_RTOL) & (row_distance(each.n, right) > DISTINCT_RTOL)
-        alone = "turned round" in each.what or "interpolated" in each.what
-        enough = fits.sum() >= max(NEARLY_ALL * left.sum(), MIN_FITTED_PIXELS)
-        if fits.any() and (alone or (enough and np.ptp(right[fits], axis=0).max() > DISTINCT_RTOL)):
-            yield Explained(each.what, each.remedy, fits)
+def explain_normals(f: WrongPixels, n: np.ndarray) -> Iterator[tuple[str, str, np.ndarray]]:
+    """(what, remedy, (m,) bool) of wrong normals n (m, 3) at right surfaces: each is in one of them."""
+    error = row_distance(n, f.at.n)
+    left = ~(error <= np.minimum(f.at.n_error, LARGEST_USEFUL_NORMAL_ERROR))
+    for row in _normal_mistakes(f, n, error, left.copy()) if left.any() else ():
+        fits = left & row.fits
+        if fits.any() and fits.sum() >= max(row.share * left.sum(), row.least):
+            yield row.what, row.remedy, fits
             left &= ~fits
-    shifted = left & _of_corners_seen_from_the_origin(f, n, error)
-    if shifted.sum() >= max(MAJORITY * left.sum(), MIN_FITTED_PIXELS):
-        what = "the normal is computed from corners minus the ray's origin, and lost digits there"
-        yield Explained(what, "compute it from the edges of the face, or in float64", shifted)
-        left &= ~shifted
-    with np.errstate(invalid="ignore"):
-        single = left & (error <= f.at.n_error * (KU / KU_OURS))
-    if _claims_float64(f) and single.sum() >= max(NEARLY_ALL * left.sum(), MIN_FITTED_PIXELS):
-        yield Explained(IN_FLOAT32, FLOAT32_REMEDY, single)
-        left &= ~single
     finite = left & np.isfinite(error)
     if finite.any():
-        yield Explained(f"the normal is off by {range_text(error[finite])} of its length", "", left)
+        yield f"the normal is off by {range_text(error[finite])} of its length", "", left
 
 
-# A choice: a hypothesis that names what is wrong leaves no more than so much of an error.
+def _normal_mistakes(f: WrongPixels, n: np.ndarray, error: np.ndarray, off: np.ndarray) -> Iterator[NormalMistake]:
+    """The table, the simplest first. off: (m,) bool, the wrong ones."""
+    right, d = f.at.n, f.d
+
+    def given(predicted: np.ndarray) -> np.ndarray:
+        """(m,) bool: these normals are given, and are other than the right ones."""
+        fits: np.ndarray = (row_distance(n, predicted) <= MATCH_RTOL) & (row_distance(predicted, right) > DISTINCT_RTOL)
+        return fits
+
+    def varied(predicted: np.ndarray) -> np.ndarray:
+        """The same where the right normals are not all alike."""
+        fits = given(predicted)
+        some = right[fits & off]
+        return fits & bool(len(some) and np.ptp(some, axis=0).max() > DISTINCT_RTOL)
+
+    opposite = row_distance(n, -right) <= MATCH_RTOL
+    what = "the normal is turned towards the ray; geometric normals point outside, whoever looks"
+    yield NormalMistake(what, "do not turn normals by the sign of n . d", opposite & (dot(right, d) > 0.0), least=1)
+    yield NormalMistake(
+        "the normal is turned round", "turn its sign: normals point outside", given(-right), 0.0, least=1
+    )
+    what = "the interpolated normal in place of the geometric one"
+    remedy = "return the normal of the face, the cross product of its edges"
+    yield NormalMistake(what, remedy, given(f.at.sh_n), 0.0, least=1)
+    if f.judge.scene.camera.type != "ray":
+        axes = np.asarray(camera_axes(f.judge.scene.camera))
+        for signs in product((1.0, -1.0), repeat=3):
+            what = "the normal is in the camera's axes in place of the world's"
+            yield NormalMistake(what, "turn it by the camera's matrix", varied((right @ axes.T) * signs))
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        if order != (0, 1, 2) or len(set(signs)) > 1:
+            names = ", ".join("-"[: s < 0] + "xyz"[i] for i, s in zip(order, signs, strict=True))
+            what = f"the normal's axes are permuted or signed: ({names}) in place of (x, y, z)"
+            yield NormalMistake(what, "use the same axes for normals and scene", varied(right[:, order] * signs))
+    with np.errstate(invalid="ignore"):
+        p = f.o + np.where(np.isfinite(f.t), f.t, 0.0)[:, None] * d
+    alike = np.broadcast_to(np.median(n[off], axis=0), n.shape)
+    turn = _rotation(right[off], n[off])
+    ray = "the ray's direction in place of the normal"
+    for what, remedy, predicted in (
+        ("the normal is stored as a colour, (n + 1) / 2", "return n itself, from -1 to 1", unit(right + 1.0)),
+        ("the position in place of the normal", "subtract the centre", unit(p)),
+        (ray, "return the surface's normal", unit(d)),
+        (f"{ray}, reversed", "return the surface's normal", -unit(d)),
+        ("one normal everywhere", "compute it for each hit", alike),
+        (
+            "all normals are turned by one rotation",
+            "look for a matrix that is missing, or there twice",
+            right if turn is None else right @ turn.T,
+        ),
+    ):
+        yield NormalMistake(what, remedy, varied(predicted))
+    what = "the normal is computed from corners minus the ray's origin, and lost digits there"
+    remedy = "compute it from the edges of the face, or in float64"
+    yield NormalMistake(what, remedy, _of_corners_seen_from_the_origin(f, n, error), MAJORITY)
+    if _claims_float64(f):
+        with np.errstate(invalid="ignore"):
+            yield NormalMistake(IN_FLOAT32, FLOAT32_REMEDY, error <= f.at.n_error * (KU / KU_OURS))
+
+
+# A choice: a mistake that names what is wrong leaves no more than so much of an error.
 MAX_SHARE_OF_ERROR_LEFT = 0.5
 
 
@@ -638,37 +669,6 @@ def _of_corners_seen_from_the_origin(f: WrongPixels, n: np.ndarray, error: np.nd
         left = row_distance(n, predicted)
         found: np.ndarray = (left <= FIT_FACTOR * f.at.n_error) & (left < MAX_SHARE_OF_ERROR_LEFT * error)
     return found
-
-
-def _normal_hypotheses(f: WrongPixels, n: np.ndarray, off: np.ndarray) -> Iterator[NormalHypothesis]:
-    right, d = f.at.n, f.d
-    yield NormalHypothesis("the normal is turned round", "turn its sign: normals point outside", -right)
-    what = "the interpolated normal in place of the geometric one"
-    yield NormalHypothesis(what, "return the normal of the face, the cross product of its edges", f.at.sh_n)
-    if f.judge.scene.camera.type != "ray":
-        axes = np.asarray(camera_axes(f.judge.scene.camera))
-        for signs in product((1.0, -1.0), repeat=3):
-            what = "the normal is in the camera's axes in place of the world's"
-            yield NormalHypothesis(what, "turn it by the camera's matrix", (right @ axes.T) * signs)
-    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
-        if (order, signs) not in (((0, 1, 2), (1.0, 1.0, 1.0)), ((0, 1, 2), (-1.0, -1.0, -1.0))):
-            names = ", ".join("-"[: s < 0] + "xyz"[i] for i, s in zip(order, signs, strict=True))
-            what = f"the normal's axes are permuted or signed: ({names}) in place of (x, y, z)"
-            yield NormalHypothesis(what, "use the same axes for normals and scene", right[:, order] * signs)
-    what, remedy = "the normal is stored as a colour, (n + 1) / 2", "return n itself, from -1 to 1"
-    yield NormalHypothesis(what, remedy, unit(right + 1.0))
-    with np.errstate(invalid="ignore"):
-        p = f.o + np.where(np.isfinite(f.t), f.t, 0.0)[:, None] * d
-    yield NormalHypothesis("the position in place of the normal", "subtract the centre", unit(p))
-    what = "the ray's direction in place of the normal"
-    yield NormalHypothesis(what, "return the surface's normal", unit(d))
-    yield NormalHypothesis(f"{what}, reversed", "return the surface's normal", -unit(d))
-    alike = np.broadcast_to(np.median(n[off], axis=0), n.shape)
-    yield NormalHypothesis("one normal everywhere", "compute it for each hit", alike)
-    turn = _rotation(right[off], n[off])
-    if turn is not None:
-        what = "all normals are turned by one rotation"
-        yield NormalHypothesis(what, "look for a matrix that is missing, or there twice", right @ turn.T)
 
 
 def _rotation(a: np.ndarray, b: np.ndarray) -> np.ndarray | None:

@@ -10,20 +10,18 @@ from pydantic.dataclasses import dataclass
 
 from caster.geometry.packing import Packed
 from caster.rendering.hits import cast
-from caster.rendering.images import camera_rays, film_window
-from caster.rendering.rasterization import find_nearest_on_film
-from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import intersections_at
 from mitsuba_ref.error_model.bracket import Bracket
 from mitsuba_ref.error_model.intersections import Intersections
+from mitsuba_ref.hard.family import Family, scene_of
+from mitsuba_ref.hard.swept_families import NO_VIEW
 from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, claims_of, prepare_scene, ratios_of_any_tie
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request
-from mitsuba_ref.reference.shared_input import SharedRays, export, shape_ids
+from mitsuba_ref.reference.shared_input import SharedRays, export, packed_float32, shape_ids
 from mitsuba_ref.reference.variants import LLVM, SCALAR, usable_variants
 from mitsuba_ref.report.results import largest
-from mitsuba_ref.stress.family import Setting
 from mitsuba_ref.subjects.subject import Answer, CastRequest, NoAnswer, Subject, Unsupported
 
 
@@ -37,16 +35,18 @@ class Witness:
     robust: bool = True
 
 
-OURS = Witness("ours", "ours, by BVH")
-SCREEN = Witness("screen", "ours, by rasterization")
+OURS = Witness("ours", "ours")
 REFERENCES = (
     Witness("scalar", "Mitsuba scalar, robust", SCALAR),
     Witness("llvm", "Mitsuba LLVM, default", LLVM, robust=False),
     Witness("llvm-robust", "Mitsuba LLVM, robust", LLVM),
 )
-WITNESSES = (OURS, SCREEN, *REFERENCES)
+WITNESSES = (OURS, *REFERENCES)
 CANDIDATE = Witness("candidate", "the candidate")
 BESIDE_CANDIDATE = (CANDIDATE, OURS, REFERENCES[0])  # the witnesses of a candidate's sweep
+
+# Rays of a setting by default; in a closed mesh, exact arithmetic need not decide all of them.
+DEFAULT_RAYS, DEFAULT_CLOSED_RAYS = 400, 10_000
 
 
 class Observation(NamedTuple):
@@ -71,13 +71,20 @@ class Absent:
 
 @dataclasses.dataclass(frozen=True)
 class PreparedSetting(PreparedScene):
-    """A setting with its geometry packed, as float32 numbers."""
+    """One point of a sweep: a scene and float32 rays through it, the same for all, with its geometry packed."""
 
-    setting: Setting
+    family: Family
+    x: float
 
 
-def prepare_setting(setting: Setting) -> PreparedSetting:
-    return PreparedSetting(**vars(prepare_scene(setting.scene, setting.o, setting.d)), setting=setting)
+def prepare_setting(family: Family, seed: int, x: float, rays: int | None = None) -> PreparedSetting:
+    """A setting of a family, for any rays: its camera is one without a Mitsuba sensor, so that none is exported."""
+    made, rng = family.at(seed, x)
+    scene = scene_of({**NO_VIEW, "shape": made.data["shape"]})
+    count = rays or (DEFAULT_CLOSED_RAYS if family.closed else DEFAULT_RAYS)
+    aimed = made.aim(rng, packed_float32(scene), count)
+    ready = prepare_scene(scene, aimed.o.astype(np.float32), aimed.d.astype(np.float32))
+    return PreparedSetting(**vars(ready), family=family, x=x)
 
 
 def cast_by_bvh(ready: PreparedSetting) -> Observation:
@@ -90,25 +97,6 @@ def cast_by_bvh(ready: PreparedSetting) -> Observation:
 def scene_prim_ids(packed: Packed, shape: np.ndarray, prim: np.ndarray) -> np.ndarray:
     """Numbers within the scene of primitives of shapes; -1 for shape -1."""
     return np.where(shape < 0, -1, packed.first[np.maximum(shape, 0)] + np.maximum(prim, 0))
-
-
-def cast_by_raster(ready: PreparedSetting) -> Observation | Absent:
-    """Our rasterization of the setting's rays, over the pixels of their cameras."""
-    setting = ready.setting
-    if not setting.camera_rays:
-        return Absent("not applicable", "the rays of this sweep share no eye")
-    t, prim = np.full(len(setting.o), np.nan), np.full(len(setting.o), -1)
-    for camera, film, rows, pixels in setting.camera_rays:
-        view = Scene(camera=camera, film=film)
-        rays, window = camera_rays(view), film_window(view)
-        rays.o[:], rays.t_max[:] = setting.o[rows[0]], -1.0  # no ray but those of the setting
-        rays.d[pixels], rays.t_max[pixels] = setting.d[rows], np.inf
-        packed_camera = camera.pack(film.width, film.height)
-        nearest = find_nearest_on_film(
-            ready.packed, rays, packed_camera, window, camera.shares_origin, max_center_offset=1.0
-        )
-        t[rows], prim[rows] = nearest.t[pixels], nearest.prim[pixels]
-    return Observation(t, prim)
 
 
 def trace_by_reference(
@@ -205,7 +193,7 @@ def exact_answers(ready: PreparedSetting, reported_misses: np.ndarray) -> ExactA
     reported_misses: (n,) rays that some witness reports as misses. Raises AssertionError if a ray leaves a closed mesh.
     """
     count = len(ready.o)
-    if ready.setting.closed:
+    if ready.family.closed:
         sample = np.linspace(0, count - 1, min(count, ADJUDICATED_IF_CLOSED)).astype(int)
         rows = np.union1d(sample, np.flatnonzero(reported_misses)[:CONFIRMED_MISSES])
     else:
@@ -213,7 +201,7 @@ def exact_answers(ready: PreparedSetting, reported_misses: np.ndarray) -> ExactA
     hits = ExactHits(ready, ready.o[rows], ready.d[rows])
     hit = np.ones(count, bool)
     hit[rows] = hits.hit
-    if ready.setting.closed and not hit.all():
+    if ready.family.closed and not hit.all():
         raise AssertionError(f"ray {int(np.argmin(hit))} leaves a closed mesh from inside by exact arithmetic")
     return ExactAnswers(hit, rows, hits)
 
@@ -241,7 +229,7 @@ class Scorer:
     def __init__(self, ready: PreparedSetting, exact: ExactAnswers) -> None:
         self.ready, self.primitives, self.exact = ready, ready.primitives, exact
         length = np.linalg.norm(exact.hits.d, axis=1)
-        unit = ready.setting.unit
+        unit = ready.family.unit
         self.unit = np.abs(exact.hits.t) if unit is None else unit / length  # (m,) lengths of d
         self.hit_rows = np.flatnonzero(exact.hits.hit)
 

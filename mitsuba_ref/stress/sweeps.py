@@ -10,16 +10,15 @@ from pydantic import computed_field
 from pydantic.dataclasses import dataclass
 
 from caster.system.atomic_files import ScratchFolder
+from mitsuba_ref.hard.family import Family
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.report.results import NOTHING, aligned
 from mitsuba_ref.stress import score
-from mitsuba_ref.stress.family import Family
 from mitsuba_ref.stress.score import (
     BESIDE_CANDIDATE,
     CANDIDATE,
     OURS,
     REFERENCES,
-    SCREEN,
     WITNESSES,
     Absent,
     Bound,
@@ -33,7 +32,6 @@ from mitsuba_ref.stress.score import (
 from mitsuba_ref.subjects.subject import Answer, Subject
 
 JSON_FORMAT = 1  # goes up when a key changes its meaning or goes away
-OUR_KEYS = (OURS.key, SCREEN.key)
 PARALLEL_PROCESSES = 2  # Mitsuba's child processes at a time: each takes a core
 
 Progress = Callable[[str], None]
@@ -87,16 +85,16 @@ class SweepResult:
         return BESIDE_CANDIDATE if with_candidate else WITNESSES
 
     @property
-    def judged(self) -> tuple[str, ...]:
-        """Keys of the witnesses that have to be right."""
-        return (CANDIDATE.key,) if self.witnesses is BESIDE_CANDIDATE else OUR_KEYS
+    def judged(self) -> str:
+        """Key of the witness that has to be right."""
+        return (CANDIDATE if self.witnesses is BESIDE_CANDIDATE else OURS).key
 
     @classmethod
     def of(
         cls, family: Family, settings: Sequence[SettingResult], seconds: float = 0.0, declined: str = ""
     ) -> "SweepResult":
         words = (family.name, family.title, family.quantity, family.error)
-        return cls(*words, family.easiest, family.misses, tuple(settings), round(seconds, 3), declined)
+        return cls(*words, family.easiest, not family.closed, tuple(settings), round(seconds, 3), declined)
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -121,17 +119,17 @@ class SweepResult:
                 )
 
     def _faults(self, setting: SettingResult) -> Iterator[str]:
-        for key in self.judged:
-            score = setting.witnesses[key]
-            if isinstance(score, Score) and score.fails:
-                primitives = f"{score.wrong_primitives} wrong primitives, " if key in OUR_KEYS else ""
-                yield (
-                    f"{self._where(setting)}: {key}: {score.false_hits} false hits, {score.false_misses} false misses, "
-                    f"{primitives}{score.beyond} hits beyond their bounds; rays {list(score.first_wrong)}"
-                    f"{score.example and '; ' + score.example}"
-                )
-            elif isinstance(score, Absent) and score.status == "crash":
-                yield f"{self._where(setting)}: {key}: no answer: {score.why}"
+        key = self.judged
+        score = setting.witnesses[key]
+        if isinstance(score, Score) and score.fails:
+            primitives = f"{score.wrong_primitives} wrong primitives, " if key == OURS.key else ""
+            yield (
+                f"{self._where(setting)}: {key}: {score.false_hits} false hits, {score.false_misses} false misses, "
+                f"{primitives}{score.beyond} hits beyond their bounds; rays {list(score.first_wrong)}"
+                f"{score.example and '; ' + score.example}"
+            )
+        elif isinstance(score, Absent) and score.status == "crash":
+            yield f"{self._where(setting)}: {key}: no answer: {score.why}"
 
     def _where(self, setting: SettingResult) -> str:
         return f"{self.name}, {self.quantity} {setting.x:g}"
@@ -186,7 +184,7 @@ def sweep(
     """
     start = time.perf_counter()
     on_progress("aiming")
-    settings = [score.prepare_setting(setting) for setting in family.settings(seed, rays)]
+    settings = [score.prepare_setting(family, seed, x, rays) for x in family.values]
     if candidate and (declined := declined_words(candidate, settings)):
         return SweepResult.of(family, (), time.perf_counter() - start, declined)
     results = []
@@ -225,8 +223,6 @@ def observe(
                 own.append({OURS.key: score.cast_by_bvh(ready)})
                 if candidate:
                     own[-1] = {CANDIDATE.key: score.ask_candidate(candidate, ready), **own[-1]}
-                else:
-                    own[-1][SCREEN.key] = score.cast_by_raster(ready)
             on_progress("waiting for Mitsuba")
             theirs = {key: future.result() for key, future in submitted.items()}
     finally:  # also on Ctrl-C: no child is left behind
@@ -242,13 +238,13 @@ def score_setting(ready: PreparedSetting, observations: Observations) -> Setting
     exact = exact_answers(ready, np.any(missed, axis=0))
     scorer = Scorer(ready, exact)
     scores = {
-        key: scorer.score_candidate(found) if isinstance(found, Answer) else scorer.score(found, ours=key in OUR_KEYS)
+        key: scorer.score_candidate(found) if isinstance(found, Answer) else scorer.score(found, ours=key == OURS.key)
         for key, found in observations.items()
     }
     hits, count = int(exact.hit.sum()), len(ready.o)
     ties = sum(len(tied) > 1 for tied in exact.hits.ties)
     counts = ExactCounts(len(exact.rows), hits, count - hits, ties)
-    return SettingResult(ready.setting.x, count, counts, scorer.bound, scores)
+    return SettingResult(ready.x, count, counts, scorer.bound, scores)
 
 
 # A sweep as a table: its cells, and the text for a terminal.
@@ -265,14 +261,9 @@ def as_text(sweep: SweepResult, skip_unsupported: bool = False) -> str:
     return "\n".join([head, *aligned(rows(sweep)), *footnotes(sweep), *problems])
 
 
-def shown_witnesses(sweep: SweepResult) -> list[Witness]:
-    """The witnesses that have a column: rasterization only where rays share an eye."""
-    return [each for each in sweep.witnesses if each is not SCREEN or sweep.absence(SCREEN.key) is None]
-
-
 def rows(sweep: SweepResult) -> list[list[str]]:
     """The head and one row a setting."""
-    names = [name for witness in shown_witnesses(sweep) for name in (witness.key, "wrong")]
+    names = [name for witness in sweep.witnesses for name in (witness.key, "wrong")]
     head = [sweep.quantity, "rays", "hits", "ties", "bound 64", "bound 32", *names]
     return [head, *(_row(sweep, setting) for setting in sweep.settings)]
 
@@ -280,7 +271,7 @@ def rows(sweep: SweepResult) -> list[list[str]]:
 def _row(sweep: SweepResult, setting: SettingResult) -> list[str]:
     counts = [f"{setting.x:.4g}", str(setting.rays), str(setting.exact.hits), str(setting.exact.ties)]
     bounds = [_number(setting.bound.float64), _number(setting.bound.float32)]
-    scores = (setting.witnesses[witness.key] for witness in shown_witnesses(sweep))
+    scores = (setting.witnesses[witness.key] for witness in sweep.witnesses)
     return [*counts, *bounds, *(cell for score in scores for cell in _score_cells(score))]
 
 
@@ -298,11 +289,11 @@ def _number(value: float | None) -> str:
 
 def footnotes(sweep: SweepResult) -> Iterator[str]:
     """Where each witness first breaks down; why one is absent."""
-    found = [f"{witness.key} {breakdown(sweep, witness.key)}" for witness in shown_witnesses(sweep)]
+    found = [f"{witness.key} {breakdown(sweep, witness.key)}" for witness in sweep.witnesses]
     yield f"breaks down at: {', '.join(found)}"
     if not sweep.misses:
         yield leaks(sweep)
-    for witness in shown_witnesses(sweep):
+    for witness in sweep.witnesses:
         if absent := sweep.absence(witness.key):
             yield f"{witness.title}: {absent.status}: {absent.why}"
 
@@ -316,7 +307,7 @@ def breakdown(sweep: SweepResult, key: str) -> str:
 def leaks(sweep: SweepResult) -> str:
     """Rays that leave a closed mesh, all settings together."""
     found = []
-    for witness in shown_witnesses(sweep):
+    for witness in sweep.witnesses:
         scores = [setting.witnesses[witness.key] for setting in sweep.settings]
         out = sum(score.false_misses for score in scores if isinstance(score, Score))
         absent = sweep.absence(witness.key)

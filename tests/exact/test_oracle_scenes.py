@@ -10,16 +10,13 @@ import oracle_fractions
 import pytest
 from oracle_aims import KINDS, SCALES, affine, aim, packed, triangles
 
-from caster.geometry.packing import pack, primitive_count
-from caster.scene.model import Scene
-from caster.shapes import Plane, Sphere
+from caster.geometry.packing import primitive_count
 from caster.shapes.cylinder import Cylinders
 from caster.shapes.disk import Disks
 from caster.shapes.plane import Planes
 from caster.shapes.sphere import Ellipsoids, Spheres
 from mitsuba_ref.oracle import exact_quadrics
 from mitsuba_ref.oracle.oracle import CandidatePrimitive, Oracle, OutsideDomain, PrimitiveIndex
-from mitsuba_ref.shapes.plane import PATCH_FACES, patches
 
 LEFT = -math.inf
 EYE3 = np.eye(3)[None]
@@ -255,28 +252,3 @@ def test_rays_without_a_meaning_are_refused(o, d, t_min, t_max):
     if not (math.isnan(t_min) or math.isnan(t_max)):
         with pytest.raises(OutsideDomain):
             oracle.roots(0, o, d)
-
-
-def test_the_patch_in_place_of_a_plane_is_requested_apart():
-    """The plane itself is met at the rational point; the patch where its rounded triangles lie, under its number."""
-    camera = {"type": "pinhole", "eye": [0, 0, 3], "look_at": [1, 1, 0]}
-    shapes = [Sphere(radius=0.5), Plane(normal=(0.1, -0.2, 1.0), point=(0.3, 0.1, 0.7)), Sphere(radius=0.25)]
-    scene = pack(Scene(film={"width": 1, "height": 1}, camera=camera, shapes=shapes))
-    rng = np.random.default_rng(8)
-    o, d = np.tile([0.0, 0.0, 3.0], (200, 1)), rng.normal(size=(200, 3)) * [1.0, 1.0, 0.3] - [0, 0, 1.0]
-    plane = next(kind.prims for kind in scene.kinds if isinstance(kind.prims, Planes))
-    patch = patches(plane, o, d)
-    ours = Oracle(scene)
-    theirs = Oracle(scene, [patch if kind.prims is plane else kind.prims for kind in scene.kinds])
-    faces = triangles(patch.corners[0][PATCH_FACES])
-    hits = 0
-    for i, (one, other) in enumerate(zip(ours.first_hits(o, d), theirs.first_hits(o, d), strict=True)):
-        if one.prim != 1 or other.prim != 1:
-            continue
-        hits += 1
-        assert [hit.prim for hit in other.ties] == [1] and theirs.roots(1, o[i], d[i])[0] == other.ties[0]
-        assert one.t != other.t and one.t.off(float(other.t)) < 1e-5 * float(one.t)
-        if hits <= 5:
-            met = [oracle_fractions.roots(faces, k, o[i], d[i]) for k in range(len(PATCH_FACES))]
-            assert [float(other.t)] == [float(t.rational()) for roots in met for t, _ in roots]
-    assert hits >= 100

@@ -79,10 +79,11 @@ def said_beside_progress(found: subprocess.CompletedProcess[str]) -> list[str]:
 LONG_CHECKS = (*thorough_names(), "knife_edges", "culling")
 
 
-def run_compiled(tree: Path, cache: Path, *argv: str) -> subprocess.CompletedProcess[str]:
-    """pytest with the packages of a tree and the compiler, whose kernels are kept in the folder `cache`."""
-    words = [sys.executable, "-P", "-m", "pytest", *argv]
-    environment = {**os.environ, "CASTER_JIT": "1", "PYTHONPATH": str(tree), "XDG_CACHE_HOME": str(cache)}
+def run_tests(tree: Path, cache: Path, *argv: str, compiled: bool) -> subprocess.CompletedProcess[str]:
+    """pytest with the packages of a tree; with the compiler, kernels are kept in the folder `cache`."""
+    words = [sys.executable, "-P", "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *argv]
+    environment = {**os.environ, "PYTHONPATH": str(tree), "CASTER_JIT": str(int(compiled)), "COLUMNS": "200"}
+    environment |= {"XDG_CACHE_HOME": str(cache)} if compiled else {}
     return subprocess.run(
         words, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=DEADLINE, check=False
     )

@@ -47,7 +47,7 @@ def serve(home: str | None = None) -> None:
         print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 
 
-def obey(tree: str, module: str, argv: list[str], out: str, err: str, memory: str | None, without: list[str]) -> None:
+def obey(tree: str, module: str, argv: list[str], out: str, err: str, memory: str | None, without: list[str]) -> Any:
     """What `python -P -m module argv` does with PYTHONPATH=tree; its words go to the files out and err.
 
     without: names of checks of our caster that `validate` shall pass over.
@@ -58,6 +58,8 @@ def obey(tree: str, module: str, argv: list[str], out: str, err: str, memory: st
     os.environ["PYTHONPATH"] = tree
     sys.path.insert(0, tree)
     sys.argv = [module, *argv]
+    if module == "pytest":  # it warns of a plugin that is imported before it
+        return runpy.run_module(module, run_name="__main__", alter_sys=True)
     if memory:
         ask_once(Path(memory))
     for name in without:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from edited_tree import LONG_CHECKS, ROOT, copy_tree, edit, run_compiled, said_beside_progress
+from edited_tree import LONG_CHECKS, ROOT, copy_tree, edit, run_tests, said_beside_progress
 
 from caster.image.exr import read_exr, write_exr
 from mitsuba_ref.__main__ import main
@@ -51,8 +51,7 @@ def obey(forks, coarse_scenes, tmp_path):
         (tmp_path / "out").mkdir(exist_ok=True)
         module, *words = shlex.split(fault.run.format(scenes=coarse_scenes, out=tmp_path / "out"))
         if module == "pytest":
-            words = ["-q", "-x", "-p", "no:cacheprovider", *words]
-            return run_compiled(tree, tmp_path, *words) if fault.compiled else forks.run(tree, *words, module="pytest")
+            return run_tests(tree, tmp_path, *words, compiled=fault.compiled)
         without = [name for name in LONG_CHECKS if name not in says] if module == "validate" else ()
         return forks.run(tree, module, *words, without=without)
 

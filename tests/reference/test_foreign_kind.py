@@ -4,7 +4,6 @@ The coin's two sides are tests/unit/coin_plugin.py and coin_reference.py, which 
 """
 
 import json
-import re
 import shutil
 from pathlib import Path
 
@@ -68,11 +67,11 @@ def test_a_foreign_kind_is_rendered_judged_reported_and_probed(coins):
 
 @pytest.mark.slow("fuzz in plain Python")
 def test_a_foreign_kind_is_fuzzed(coins):
-    found = run_with(coins, "fuzz", "--rays", "600", "--shape", "coin", "--out", str(coins / "found"))
+    """`planes` draws all registered kinds of the group "flat"."""
+    words = ("fuzz", "--examples", "12", "--family", "planes", "--judge-every", "0", "--out", str(coins / "found"))
+    found = run_with(coins, *words)
     assert (found.returncode, said_beside_progress(found)) == (0, []), found.stdout
-    assert re.search(r"^coin +600 ", found.stdout, re.MULTILINE) and " 0 wrong" in found.stdout
-    flat = run_with(coins, "fuzz", "--examples", "2", "--family", "planes", "--out", str(coins / "found"))
-    assert flat.returncode == 0, flat.stdout
+    assert "nothing found" in found.stdout
 
 
 @pytest.mark.parametrize(

@@ -20,14 +20,12 @@ from mitsuba_ref.cli import fuzz as command
 from mitsuba_ref.fuzz import campaign
 from mitsuba_ref.fuzz.campaign import compare_with_mitsuba
 from mitsuba_ref.fuzz.cases import read_kept
-from mitsuba_ref.fuzz.families import FAMILIES
 from mitsuba_ref.fuzz.findings import Tally
+from mitsuba_ref.hard import DRAWN
 from mitsuba_ref.judge.checks import knife_edges
-from mitsuba_ref.judge.classification import scene_judge
 from mitsuba_ref.judge.verdict import CLASSES
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import ResidentSession
-from mitsuba_ref.report.validation import validate_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENE = ROOT / "scenes" / "one-sphere.toml"
@@ -67,15 +65,15 @@ def fault(monkeypatch):
 
 @pytest.mark.slow("judges scenes of every family")
 def test_all_families_pass_and_the_totals_say_what_was_looked_at(fuzz):
-    code, out, err, told = fuzz("--examples", "26", "--judge-every", "4")
+    code, out, err, told = fuzz("--examples", "38", "--judge-every", "4")
     assert code == 0, out
     assert all(line.startswith(NO_REMARKS) for line in err.splitlines()), "progress is for terminals"
     assert told["ok"] and not told["interrupted"] and told["failures"] == []
-    assert list(told["families"]) == [family.name for family in FAMILIES]
+    assert list(told["families"]) == [family.name for family in DRAWN]
     total = told["total"]
-    assert total["examples"] == 26 and total["rays"] > 1500 and total["judged"] >= 3 and total["pixels"] > 45
+    assert total["examples"] == 38 and total["rays"] > 1500 and total["judged"] >= 2 and total["pixels"] > 45
     assert total["rays"] == sum(each["rays"] for each in told["families"].values())
-    assert "26 examples" in out and "nothing found" in out and f"{total['rays']} rays adjudicated" in out
+    assert "38 examples" in out and "nothing found" in out and f"{total['rays']} rays adjudicated" in out
 
 
 def without_times(told):
@@ -106,7 +104,7 @@ def test_a_fault_is_found_made_small_kept_and_gone_when_it_is_mended(fuzz, fault
     assert failure["family"] == "edges" and told["total"]["kinds"]["missed"] > 1
     assert f"FAIL  missed: {failure['what']}" in out
     assert f"replay: mitsuba-ref fuzz --replay {failure['file']}" in out
-    assert len(read_kept(Path(failure["file"])).case.shapes) == 1
+    assert len(read_kept(Path(failure["file"])).case["shape"]) == 1
     assert load_scene(failure["file"]).camera.type == "ray"
 
     again = fuzz(*failure["example"].split(), "--judge-every", "0", out=tmp_path / "again")[3]["failures"]
@@ -120,26 +118,12 @@ def test_a_fault_is_found_made_small_kept_and_gone_when_it_is_mended(fuzz, fault
     assert code == 0 and out == f"PASS  {failure['file']}  missed\n1 kept scenes: 1 pass, 0 fail\n"
 
 
-@pytest.mark.slow("casts 20,000 rays a shape")
-def test_the_long_run_counts_rays_and_finds_faults(fuzz, fault):
-    code, out, _, told = fuzz("--rays", "1500", "--shape", "disk", "--shape", "cube")
-    assert code == 0 and told["ok"]
-    assert [told["shapes"][shape]["rays"] for shape in ("disk", "cube")] == [1500, 1500]
-    assert "3000 rays" in out and "0 wrong" in out
-    fault()
-    code, _, _, told = fuzz("--rays", "500", "--shape", "disk", "--keep", "1")
-    assert code == 1 and not told["ok"] and told["shapes"]["disk"]["kinds"].keys() == {"missed"}
-    assert len(told["failures"]) == 1
-
-
 @pytest.mark.parametrize(
     ("argv", "code", "says"),
     [
         (["--family", "edge"], 2, "--family edge: unknown, did you mean 'edges'? (known: any, edges"),
-        (["--rays", "5", "--shape", "spear"], 2, "--shape spear: unknown, did you mean"),
-        (["--shape", "sphere"], 2, "--shape goes with --rays"),
         (["--examples", "0"], 5, "nothing selected"),
-        (["--rays", "0"], 5, "nothing selected"),
+        (["--rays", "0"], 2, "expected a whole number >= 1"),
         (["--examples", "9..3"], 2, "expected how many, such as 100, or from..to"),
         (["--examples", "-1"], 2, "expected"),
         (["--time", "soon"], 2, "expected a time such as 60s, 5m or 1h, got 'soon'"),
@@ -214,20 +198,6 @@ def test_mitsuba_stays_for_the_next_scene():
         assert compare_with_mitsuba(scene, resident, tally) == []
         assert child.process.pid == pid and child.alive
     assert not child.alive and (tally.judged, tally.pixels) == (2, 128)
-
-
-def test_the_judge_requests_the_way_that_it_is_given():
-    asked = []
-
-    def refuses(job, timeout):
-        asked.append((job.variant, timeout))
-        return Crash("error", "not today", "exit code 1", 0.0)
-
-    scene = load_scene(SCENE).with_film(width=8, height=8)
-    verdict = validate_scene(scene, "scene", timeout=7.0, send=refuses)
-    assert len(asked) == 1 and asked[0][1] == 7.0
-    assert verdict.problem == "Mitsuba ended without an answer (exit code 1): not today"
-    assert scene_judge(scene, send=refuses).output == "not today"
 
 
 def test_a_crash_of_every_process_is_a_finding_and_the_next_scene_gets_a_new_child(monkeypatch):
@@ -314,7 +284,7 @@ def test_a_wrong_candidate_is_shrunk_kept_and_replayed(fuzz, tmp_path, capsys):
         assert f"replay: mitsuba-ref fuzz --replay {first['file']} --candidate epsilon_caster:cast" in out
         text = Path(first["file"]).read_text()
         assert "--candidate epsilon_caster:cast\n" in text and text.count("[[shape]]") == 1
-        assert read_kept(Path(first["file"])).case.ray is not None
+        assert "ray" in read_kept(Path(first["file"])).case
         assert main(["fuzz", "--replay", first["file"], *words]) == 1
         assert main(["fuzz", "--replay", first["file"], "--candidate", "candidates:ours"]) == 0
         assert main(["fuzz", "--replay", first["file"]]) == 0
@@ -333,8 +303,3 @@ def test_a_candidate_that_declines_or_cannot_answer_is_no_pass(fuzz, tmp_path):
         assert told["total"]["declined"] >= 3 and not told["ok"]
         code, out, _, told = fuzz("--examples", "1", "--candidate", "no_caster:raises")
         assert code == 1 and told["total"]["kinds"] == {"answer": 1} and "ZeroDivisionError" in out
-
-
-def test_the_long_run_takes_no_candidate(fuzz):
-    code, _, err, _ = fuzz("--rays", "10", "--candidate", "candidates:ours")
-    assert code == 2 and "--candidate: not with --rays" in err

@@ -367,20 +367,6 @@ def test_an_image_that_contradicts_its_hit_is_undecided(one, name, where):
 # ---- what is made of a judgement
 
 
-def test_a_share_that_the_scene_allows_is_the_bound(one, brought):
-    strict = brought(scene_of(checks={"normal": {"ratio": 0.5}}))
-    judge = altered(strict)
-    rows = move_reference(judge, "normal", 0.51)
-    judge = again(judge)
-    found = judge.judge()
-    assert classes_at(found, rows) == {"undecided"} and found.allowed["normal"] == 0.5
-    assert found.excess("normal")[rows] == pytest.approx(np.full(len(rows), 1.02), rel=0.01)
-    said = {open_reason(judge, found, int(row)) for row in rows}
-    assert said == {"beyond the share of the bound that [check.normal] allows"}
-    judge = altered(strict)
-    assert classes_at(again(judge).judge(), move_reference(judge, "normal", 0.49)) == {"agree"}
-
-
 # ---- candidates: t and normals, of float64 or float32, and numbers of what is hit
 
 

@@ -1,32 +1,28 @@
 """The sweeps ask Mitsuba: many scenes in one child, with Embree's robust mode or without, by every variant there is."""
 
-import tempfile
-from pathlib import Path
-
 import numpy as np
 from mitsuba_scenes import job, shape, write
 
+from mitsuba_ref.hard import BY_NAME
 from mitsuba_ref.reference import mitsuba_process
 from mitsuba_ref.reference.messages import Crash, TraceResponse
 from mitsuba_ref.reference.shared_input import export
 from mitsuba_ref.reference.variants import SCALAR, usable_variants
 from mitsuba_ref.stress import FAMILIES, score, sweeps
-from mitsuba_ref.stress.family import Setting
 from mitsuba_ref.stress.score import Score, Witness
-from mitsuba_ref.stress.surfaces import WATERTIGHT_EDGES
 from mitsuba_ref.stress.sweeps import SettingResult, SweepResult
 
 RAYS = 16
+WATERTIGHT = BY_NAME["watertight-edges"]
 ROBUST, PLAIN = (Witness(str(robust), "", SCALAR, robust=robust) for robust in (True, False))
 
 
 def easiest() -> dict[str, SettingResult]:
     """All families at once, where they are easiest, by all witnesses."""
-    settings = [setting for family in FAMILIES for setting in family.settings(0, RAYS) if setting.x == family.easiest]
-    ready = [score.prepare_setting(setting) for setting in settings]
-    said = sweeps.observe(ready, lambda words: None)
-    outcomes = (sweeps.score_setting(each, sights) for each, sights in zip(ready, said, strict=True))
-    return {family.name: found for family, found in zip(FAMILIES, outcomes, strict=True)}
+    ready = [score.prepare_setting(family, 0, family.easiest, RAYS) for family in FAMILIES]
+    found = sweeps.observe(ready, lambda words: None)
+    outcomes = (sweeps.score_setting(each, observations) for each, observations in zip(ready, found, strict=True))
+    return {family.name: outcome for family, outcome in zip(FAMILIES, outcomes, strict=True)}
 
 
 def test_all_casters_agree_where_a_family_is_easiest():
@@ -45,22 +41,19 @@ def test_all_casters_agree_where_a_family_is_easiest():
                 assert not score.breaks and score.worst < 1.0, (family.name, key, score)
 
 
-def leaks(witness: Witness, setting: Setting) -> int:
-    with tempfile.TemporaryDirectory() as folder:
-        (sight,) = score.trace_by_reference(witness, [score.prepare_setting(setting)], Path(folder))
-    return int(np.sum(~sight.hit))
-
-
-def test_the_robust_mode_is_switched_off_where_that_is_requested():
+def test_the_robust_mode_is_switched_off_where_that_is_requested(tmp_path):
     """Without it, some 6 of 100 rays slip through edges."""
-    setting = next(iter(WATERTIGHT_EDGES.settings(0, 2000)))
-    assert leaks(ROBUST, setting) == 0
-    assert 40 <= leaks(PLAIN, setting) <= 400
+    ready = score.prepare_setting(WATERTIGHT, 0, 0.0, 2000)
+    leaks = {}
+    for witness in (ROBUST, PLAIN):
+        (found,) = score.trace_by_reference(witness, [ready], tmp_path / witness.key)
+        leaks[witness.robust] = int(np.sum(~found.hit))
+    assert leaks[True] == 0 and 40 <= leaks[False] <= 400
 
 
 def test_a_scene_is_exported_for_the_robust_mode_by_default():
-    ready = score.prepare_setting(next(iter(WATERTIGHT_EDGES.settings(0, RAYS))))
-    robust, plain = (export(ready.setting.scene, ready.model, **options).xml for options in ({}, {"robust": False}))
+    ready = score.prepare_setting(WATERTIGHT, 0, 0.0, RAYS)
+    robust, plain = (export(ready.scene, ready.model, **options).xml for options in ({}, {"robust": False}))
     flag = '<boolean name="embree_use_robust_intersections" value="{}" />'
     said = [(text.count(flag.format("true")), text.count(flag.format("false"))) for text in (robust, plain)]
     assert said == [(1, 0), (0, 1)]

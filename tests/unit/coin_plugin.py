@@ -16,13 +16,10 @@ from caster.kernels.math.vec import U, add, filter_result, point_at, row, scaled
 from caster.kernels.protocol import (
     camera_ray,
     exact_intersect,
-    fast_normal,
     hull_point,
     hull_size,
     intersect,
     load,
-    normal,
-    normal_setup,
     prepare,
     same_geometry,
     surely_misses,
@@ -86,21 +83,6 @@ def _same_geometry(prims: Any, k: int, j: int) -> bool:
 @implement(exact_intersect, Coins)
 def _exact_intersect(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
     return exact_disk(row(prims.center, k), prims.radius[k] * np.eye(3), o, d, t_min, t_max)
-
-
-@implement(normal, Coins)
-def _normal(prims: Any, k: int, o: Any, d: Any, t: float) -> Any:
-    return 0.0, 0.0, 1.0
-
-
-@implement(normal_setup, Coins)
-def _normal_setup(prims: Any, k: int, reach: float) -> Any:
-    return True, (0.0, 0.0, 1.0)
-
-
-@implement(fast_normal, Coins)
-def _fast_normal(prims: Any, setup: Any, o: Any, d: Any, t: float) -> Any:
-    return setup[1]
 
 
 @implement(surface, Coins)

@@ -11,7 +11,7 @@ from caster import __version__
 from caster.__main__ import main as caster_main
 from caster.image.channels import aovs_to_channels, provenance
 from caster.image.exr import UnreadableExr, read_exr, write_exr
-from caster.system.process import FILE, NOT_COMPARABLE
+from caster.system.process import FILE
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.exr_compare.two_files import Reading, compare_exr
 
@@ -194,22 +194,6 @@ def test_the_parts_of_other_programs_are_compared_layer_by_layer_and_stated(tmp_
     assert result.ok, text
     assert {group.name for group in result.groups} == {"hit", *groups}
     assert says in text and "a miss is depth 1e10" in text
-
-
-def test_a_fault_in_the_last_part_fails(tmp_path, ours):
-    parts = by_program(ours, "Nuke")
-    y, x = np.argwhere(ours["A"] == 1)[50]
-    parts["N"]["X"] = parts["N"]["X"].copy()
-    parts["N"]["X"][y, x] += np.float32(0.01)
-    result = compared(tmp_path, ours, parts)
-    assert result.exit_code == 1 and f"({x}, {y})" in result.format_table()
-
-
-def test_two_parts_that_hold_the_same_layer_are_a_question(tmp_path, ours):
-    parts = {"near": {"depth.Z": ours["depth.Z"]}, "far": {"depth.Z": ours["depth.Z"]}}
-    result = compared(tmp_path, ours, parts)
-    assert result.exit_code == NOT_COMPARABLE
-    assert "far.depth.Z and near.depth.Z may both be the depth: --map depth=far.depth.Z" in result.format_table()
 
 
 def test_info_lists_the_parts(tmp_path, capsys):

@@ -198,27 +198,23 @@ def test_uv_of_rectangle_and_cube_run_along_the_axes_of_mitsubas_own():
 
 
 @pytest.mark.parametrize(
-    ("make", "parameters", "words"),
+    ("shape", "fields", "words"),
     [
-        (tessellate_icosphere, (-1,), "icosphere: subdivisions must be a whole number from 0 to 9, got -1"),
-        (tessellate_icosphere, (True,), "icosphere: subdivisions must be a whole number"),
-        (tessellate_teapot, (129,), "teapot: subdivisions must be a whole number from 1 to 128, got 129"),
-        (tessellate_teapot, (4.0,), "teapot: subdivisions must be a whole number"),
-        (tessellate_torus, (0.0, 0.3, 8, 8), "torus: major_radius must be a length > 0, got 0.0"),
-        (tessellate_torus, (1.0, math.nan, 8, 8), "torus: minor_radius must be a length > 0, got nan"),
-        (tessellate_torus, (1.0, 1.0, 8, 8), r"torus: minor_radius must be smaller than major_radius \(1.0\), got 1.0"),
-        (tessellate_torus, (1.0, 0.3, 2, 8), "torus: segments must be a whole number from 3 to 4096, got 2"),
-        (tessellate_torus, (1.0, 0.3, 8, 5000), "torus: sides must be a whole number from 3 to 4096, got 5000"),
-        (tessellate_heightfield, (math.inf, 8, 0.1, 3, 1), "heightfield: size must be a length > 0, got inf"),
-        (tessellate_heightfield, (1.0, 0, 0.1, 3, 1), "heightfield: resolution must be .* from 1 to 4096, got 0"),
-        (tessellate_heightfield, (1.0, 8, -0.1, 3, 1), "heightfield: amplitude must be a length >= 0, got -0.1"),
-        (tessellate_heightfield, (1.0, 8, 0.1, 0, 1), "heightfield: waves must be a whole number from 1 to 64, got 0"),
-        (tessellate_heightfield, (1.0, 8, 0.1, 3, -1), "heightfield: seed must be a whole number >= 0, got -1"),
+        (caster.Icosphere, {"subdivisions": -1}, "icosphere: subdivisions must be >= 0, got -1"),
+        (caster.Teapot, {"subdivisions": 65}, "teapot: subdivisions must be <= 64, got 65"),
+        (caster.Torus, {"minor_radius": 1.0}, "torus: minor_radius must be < major_radius 1.0, got 1.0"),
+        (caster.Torus, {"segments": 2}, "torus: segments must be >= 3, got 2"),
+        (caster.Torus, {"sides": 5000}, "torus: sides must be <= 4096, got 5000"),
+        (caster.Heightfield, {"size": math.inf}, "heightfield: size must be a length > 0, got inf"),
+        (caster.Heightfield, {"resolution": 0}, "heightfield: resolution must be >= 1, got 0"),
+        (caster.Heightfield, {"amplitude": -0.1}, "heightfield: amplitude must be a number >= 0, got -0.1"),
+        (caster.Heightfield, {"waves": 65}, "heightfield: waves must be <= 64, got 65"),
+        (caster.Heightfield, {"seed": -1}, "heightfield: seed must be >= 0, got -1"),
     ],
 )
-def test_parameters_of_no_mesh_are_refused(make, parameters, words):
+def test_parameters_of_no_mesh_are_refused(shape, fields, words):
     with pytest.raises(SceneError, match=words):
-        make(*parameters)
+        shape(**fields)
 
 
 def test_default_parameters_are_those_of_the_api_page():

@@ -84,6 +84,12 @@ def test_every_corner_has_its_own_normal_of_unit_length_or_that_generated_at_its
     assert np.allclose(mesh.normals[mesh.faces], expected, rtol=0, atol=2.0**-50)
 
 
+def test_numbers_of_an_obj_keep_all_digits(load):
+    numbers = [[0.1, 1 / 3, -math.pi * 1e-300], [1.0 + 2.0**-52, 5e-324, 123456789.123456789]]
+    lines = [f"v {x!r} {y:.17e} {z!r}" for x, y, z in numbers]
+    assert load("a.obj", "\n".join([*lines, "f 1 2 1"])).vertices.tolist() == numbers
+
+
 @pytest.mark.parametrize(
     "text",
     [
@@ -220,10 +226,11 @@ def test_normals_and_uv_are_read_by_name_wherever_they_stand(load, encoding, nam
     u, v = names
     properties = [f"float {v}", "float nz", "float y", "uchar red", "float ny", "float z", "double nx"]
     properties += ["float x", f"float {u}"]
-    rows = [(0.25, 4.0, y, 255, 3.0, z, 0.0, x, 0.75) for x, y, z in POINTS]
+    rows = [(0.25, 4.0, y, 255, 3.0, z, 0.1, x, 0.75) for x, y, z in POINTS]
     mesh = load("a.ply", ply(encoding, ("vertex", properties, rows), ("face", INDICES, [(t,) for t in TRIANGLES])))
     assert np.array_equal(mesh.vertices, POINTS)
-    assert np.allclose(mesh.normals, [(0, 0.6, 0.8)] * 4, rtol=0, atol=2.0**-52)  # brought to unit length
+    unit = np.array([0.1, 3.0, 4.0]) / np.sqrt(25.01)
+    assert np.allclose(mesh.normals, [unit] * 4, rtol=0, atol=2.0**-52)
     assert np.array_equal(mesh.uv, [(0.75, 0.25)] * 4)  # not turned over
 
 

@@ -1,11 +1,9 @@
 """Paths among the arguments: all commands and options are walked, so that a new one is covered by itself."""
 
 import argparse
-import fcntl
 import os
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -18,7 +16,7 @@ from caster.cli import COMMANDS
 from caster.cli.application import build_parser
 from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, output_file_unless_number
 from caster.description import input_files
-from caster.system.atomic_files import OutputError, ScratchFolder, atomic_write, write_text
+from caster.system.atomic_files import OutputError, ScratchFolder, atomic_write, remove_temporaries, write_text
 from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
 from mitsuba_ref.cli.options import html_output
 
@@ -104,7 +102,7 @@ def test_no_output_is_an_input(program, name, parser, source, output, tmp_path, 
         given.sort(key=lambda each: len(each) > 1)  # positional ones first
         argv = [name, *(word for each in given for word in each)]
         assert PROGRAMS[program][0](argv) == 2, argv
-        assert "expected another path than the input" in capsys.readouterr().err
+        assert "expected another path: it is an input" in capsys.readouterr().err
         assert precious.read_text() == "precious"
 
 
@@ -164,41 +162,14 @@ def test_an_output_folder_that_stays_empty_is_removed(tmp_path, capsys):
 # ---- temporary files ----
 
 
-def test_leftovers_of_dead_processes_are_removed_and_those_of_live_ones_stay(tmp_path, monkeypatch):
+def test_temporary_files_are_gone_after_use_and_at_a_forced_exit(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    dead = tmp_path / f".{'0' * 16}.part"
-    dead.write_text("half")
-    (tmp_path / "mitsuba-ref-scratch-dead").mkdir()
-    (tmp_path / "mitsuba-ref-scratch-dead" / "job.npz").write_text("half")
-    with ScratchFolder() as first, atomic_write(tmp_path / "x") as live:
-        monkeypatch.setattr("caster.system.atomic_files._searched", set())
-        with ScratchFolder() as second:
-            write_text(tmp_path / "y", "")
-            found = {path.name for path in tmp_path.iterdir()}
-        assert found == {Path(first).name, Path(second).name, live.name, "y"}
-    assert {path.name for path in tmp_path.iterdir()} == {"x", "y"}
-
-
-@pytest.mark.parametrize("by_now", ["removed", "locked"])
-def test_a_folder_that_another_process_took_for_abandoned_is_created_again(tmp_path, monkeypatch, by_now):
-    """Between its creation and its lock any process that starts may find it without a lock."""
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    create, taken = tempfile.mkdtemp, []
-
-    def take_the_first(*args):
-        path = create(*args)
-        if not taken:
-            taken.append(os.open(path, os.O_RDONLY))
-            if by_now == "removed":
-                os.rmdir(path)
-            else:
-                fcntl.flock(taken[0], fcntl.LOCK_EX)
-        return path
-
-    monkeypatch.setattr("tempfile.mkdtemp", take_the_first)
-    with ScratchFolder() as name:
-        assert [path.name for path in tmp_path.iterdir()] == [Path(name).name]
-    os.close(*taken)
+    with ScratchFolder() as folder, atomic_write(tmp_path / "x") as file:
+        assert {path.name for path in tmp_path.iterdir()} == {Path(folder).name, file.name}
+    assert [path.name for path in tmp_path.iterdir()] == ["x"]
+    with ScratchFolder() as folder:
+        remove_temporaries()
+        assert not Path(folder).exists()
 
 
 def test_a_file_with_the_inode_of_an_input_that_was_removed_is_no_input(tmp_path, monkeypatch):

@@ -8,24 +8,19 @@ from PIL import Image
 
 import caster
 from caster.__main__ import main
-from caster.aovs import AOVS, BY_NAME
-from caster.image.image_files import IMAGE_FORMATS, label_image
+from caster.aovs import BY_NAME
+from caster.image.image_files import IMAGE_FORMATS
 from caster.image.previews import (
     CHECKER_GREYS,
-    CHECKER_PIXELS,
-    COLORINGS,
+    COLORMAP_ANCHORS,
     GAP_PIXELS,
     LABEL_PIXELS,
-    LINEAR_SRGB_FROM_LMS,
-    LMS_FROM_OKLAB,
     NON_FINITE_COLOR,
     LabelledImage,
     aov_view,
     checkerboard,
-    colormap,
-    colormap_path,
+    colormap_lookup,
     label_colors,
-    oklab_to_linear_srgb,
     sheet,
     srgb_encoded,
     to_bytes,
@@ -65,27 +60,16 @@ def read_image(path):
         return np.asarray(image.convert("RGB"))
 
 
-def lab_of(pixels):
-    """Bytes of a screen -> OKLab, by the inverses of what is tested."""
+def luminance(pixels):
+    """Relative luminance of bytes on an sRGB screen."""
     x = np.asarray(pixels) / 255.0
-    linear = np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
-    return np.cbrt(linear @ np.linalg.inv(LINEAR_SRGB_FROM_LMS).T) @ np.linalg.inv(LMS_FROM_OKLAB).T
+    return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4) @ [0.2126, 0.7152, 0.0722]
 
 
-def test_oklab_has_the_values_its_author_publishes():
-    """White is (1, 0, 0); red of sRGB is (0.628, 0.225, 0.126)."""
-    assert oklab_to_linear_srgb(np.array([1.0, 0.0, 0.0])) == pytest.approx([1.0, 1.0, 1.0], abs=1e-6)
-    assert lab_of([255, 0, 0]) == pytest.approx([0.627955, 0.224863, 0.125846], abs=1e-5)
-
-
-def test_the_scale_fits_a_screen_and_its_steps_are_even():
-    """Rounding to bytes moves a colour by up to 0.004 in OKLab; a step is 0.0041."""
-    linear = oklab_to_linear_srgb(colormap_path(np.linspace(0.0, 1.0, 1000)))
-    assert linear.min() > 0.0 and linear.max() < 1.0
-    lab = lab_of(colormap())
-    eighths = np.linalg.norm(np.diff(lab[::15], axis=0), axis=1)  # of fifteen steps each
-    assert np.ptp(eighths) < 0.1 * eighths.mean()
-    assert (np.diff(lab[::5, 0]) > 0.0).all()
+def test_the_scale_gets_lighter_all_the_way():
+    light = luminance(colormap_lookup(np.linspace(0.0, 1.0, 65)))
+    assert (np.diff(light) > 0.0).all() and light[0] < 0.02 and light[-1] > 0.85
+    assert (colormap_lookup(np.array([-1.0, 2.0])) == COLORMAP_ANCHORS[[0, -1]]).all()
 
 
 def test_light_is_shown_by_the_curve_of_srgb():
@@ -93,16 +77,12 @@ def test_light_is_shown_by_the_curve_of_srgb():
 
 
 def test_numbers_have_colours_of_their_own():
-    colors = label_colors(np.arange(64))
-    apart = np.linalg.norm(lab_of(colors)[:, None] - lab_of(colors)[None], axis=-1) + np.eye(64)
-    assert apart.min() > 0.005  # no two of 64 are the same, and
-    near = np.array([apart[i, j] for i in range(64) for j in range(i + 1, min(i + 4, 64))])
-    assert near.min() > 0.07  # of numbers that follow each other none are alike
+    colors = label_colors(np.arange(64)).astype(int)
+    apart = np.abs(colors[:, None] - colors[None]).max(axis=-1) + 255 * np.eye(64, dtype=int)
+    assert apart.min() > 0  # no two of 64 are the same, and
+    near = [apart[i, j] for i in range(64) for j in range(i + 1, min(i + 4, 64))]
+    assert min(near) > 25  # of numbers that follow each other none are alike
     assert label_colors(np.array([2**31 - 1])).shape == (1, 3)
-
-
-def test_every_aov_has_a_image():
-    assert COLORINGS.keys() == {aov.PREVIEW for aov in AOVS}
 
 
 def test_every_aov_of_a_render_is_shown(folder):
@@ -129,11 +109,6 @@ def test_values_that_are_not_finite_are_magenta_and_counted():
     )
 
 
-def test_the_checker_has_squares_of_two_greys():
-    squares = checkerboard((2 * CHECKER_PIXELS, CHECKER_PIXELS))
-    assert (squares[:CHECKER_PIXELS] == CHECKER_GREYS[0]).all() and (squares[CHECKER_PIXELS:] == CHECKER_GREYS[1]).all()
-
-
 def one_row(name, *values):
     rows = np.array([values], np.float64)
     return aov_view(name, rows, np.ones(rows.shape[:2], bool))
@@ -150,12 +125,11 @@ def one_row(name, *values):
 def test_depth_is_light_near_and_dark_far_and_states_its_range(depths, middle, says):
     shown = one_row("depth", *depths)
     assert shown.legend == says
-    colors = colormap()
-    assert shown.pixels[0].tolist() == [colors[i].tolist() for i in (255, round(255 * middle), 0)]
+    assert shown.pixels[0].tolist() == colormap_lookup(np.array([1.0, middle, 0.0])).tolist()
 
 
 def test_a_flat_depth_is_one_colour():
-    assert (one_row("depth", 3.0, 3.0).pixels == colormap()[255]).all()
+    assert (one_row("depth", 3.0, 3.0).pixels == COLORMAP_ANCHORS[-1]).all()
 
 
 def test_directions_positions_uv_and_light_have_known_colours():
@@ -174,11 +148,6 @@ def test_a_sheet_has_a_cell_with_a_label_for_each(folder):
     assert found.shape == (3 * (14 + LABEL_PIXELS) + 2 * GAP_PIXELS, 2 * 30 + GAP_PIXELS, 3)
     assert (found[2:12, :30] == 0).all() and (found[1:12, 34:] == 1).all()
     assert found[14 : 14 + LABEL_PIXELS].min() < 128 and found[-1, -1].tolist() == [255, 255, 255]
-
-
-def test_labels_that_are_too_long_are_cut():
-    assert label_image("x" * 500, 60, LABEL_PIXELS).shape == (LABEL_PIXELS, 60, 3)
-    assert (label_image("iii", 60, LABEL_PIXELS) != label_image("iij", 60, LABEL_PIXELS)).any()
 
 
 def test_render_writes_a_preview_and_states_what_it_shows(folder, capsys):

@@ -5,7 +5,6 @@ import os
 import re
 import subprocess
 import sys
-import threading
 
 import numpy as np
 import pytest
@@ -17,7 +16,6 @@ from caster.system.terminal import (
     LOG_SECONDS,
     QUIET_SECONDS,
     REFRESH_SECONDS,
-    CompileProgress,
     ProgressBar,
     StatusLine,
     duration,
@@ -42,7 +40,6 @@ type = "sphere"
 
 END = "<end>"
 CONTROL = re.compile(r"\x1b\[(\?25[lh]|\d*[A-Zm]|[\d;]+m)|\r|\n|[^\x1b\r\n]+")
-COLOR = re.compile(r"\x1b\[[\d;]*m")
 
 
 def screen(written):
@@ -109,7 +106,7 @@ def test_a_terminal_gets_one_line_that_is_drawn_again_and_erased(terminal):
         bar.add(1000)
     drawn = read()
     (line,) = screen(drawn)
-    assert re.fullmatch("rendering ━{11}[╸━]━*[╺━]*━* 50 %, 2k of 4k rays, 1k rays/s, 2 s left", line), line
+    assert line == f"rendering {'#' * 12}{'-' * 12} 50 %, 2k of 4k rays, 1k rays/s, 2 s left"
     bar.close()
     erased = read()
     assert_erased(erased)
@@ -129,19 +126,6 @@ def test_short_work_states_nothing(terminal):
     assert read() == ""
 
 
-def test_nothing_is_drawn_more_often_than_the_eye_sees(terminal):
-    stream, read = terminal
-    clock = Clock()
-    bar = ProgressBar("rendering", 1000, "rays", stream, clock)
-    clock.now = QUIET_SECONDS
-    for _ in range(100):
-        bar.add(1)
-    clock.now += REFRESH_SECONDS
-    bar.add(1)
-    assert read().count("rendering") == 2
-    bar.close()
-
-
 def test_the_line_makes_way_for_what_is_printed(terminal):
     stream, read = terminal
     clock = Clock()
@@ -158,18 +142,6 @@ def test_the_line_makes_way_for_what_is_printed(terminal):
     bar.add(2)
     row, line = screen(written + read())
     assert row == "a row" and "50 %, 1 of 2 scenes, 5 of 10 rays" in line
-    bar.close()
-
-
-def test_a_narrow_terminal_gets_a_shorter_line(terminal, monkeypatch):
-    stream, read = terminal
-    monkeypatch.setenv("COLUMNS", "30")
-    clock = Clock()
-    bar = ProgressBar("rendering", 10, "rays", stream, clock)
-    clock.now = QUIET_SECONDS
-    bar.add(5)
-    (line,) = screen(read())
-    assert len(line) <= 30
     bar.close()
 
 
@@ -198,13 +170,6 @@ def test_where_standard_error_is_closed_work_goes_on(monkeypatch):
     assert bar.done == 5 and not bar.line.live
 
 
-def compiling():
-    said = CompileProgress()
-    said.begin("a scene")
-    said.compiling("k" * 50)
-    return said.end
-
-
 def sweeping():
     said = options.Progress("1/22 scale")
     said("m" * 50)
@@ -217,7 +182,7 @@ def fuzzing():
     return line.erase
 
 
-LINES = pytest.mark.parametrize("said", [compiling, sweeping, fuzzing])
+LINES = pytest.mark.parametrize("said", [sweeping, fuzzing])
 
 
 @LINES
@@ -247,38 +212,11 @@ def test_no_line_needs_a_terminal(terminal, monkeypatch, said, where):
     assert "\x1b" not in read()
 
 
-@pytest.mark.parametrize("forbidden", [True, False])
-def test_no_color_is_respected(terminal, monkeypatch, forbidden):
-    """https://no-color.org: NO_COLOR, if set and not empty, whatever its value."""
-    stream, read = terminal
-    monkeypatch.delenv("NO_COLOR", raising=False)
-    if forbidden:
-        monkeypatch.setenv("NO_COLOR", "1")
-    clock = Clock()
-    bar = ProgressBar("rendering", 10, "rays", stream, clock)
-    clock.now = QUIET_SECONDS
-    bar.add(5)
-    bar.close()
-    assert bool(COLOR.search(read())) != forbidden
-
-
-def test_a_terminal_without_unicode_gets_a_bar_in_ascii(terminal):
-    stream, read = terminal
-    stream.reconfigure(encoding="ascii")
-    clock = Clock()
-    bar = ProgressBar("rendering", 10, "rays", stream, clock)
-    clock.now = QUIET_SECONDS
-    bar.add(5)
-    (line,) = screen(read())
-    assert line.startswith("rendering ----") and line.isascii()
-    bar.close()
-
-
 def test_rich_is_loaded_when_a_bar_is_drawn_and_not_before():
     source = (
-        "import sys, io; from caster.system.terminal import ProgressBar, CompileProgress, StatusLine\n"
+        "import sys, io; from caster.system.terminal import ProgressBar, StatusLine\n"
         "bar = ProgressBar('rendering', 10, 'rays', io.StringIO(), lambda: 0.0); bar.add(5); bar.close()\n"
-        "StatusLine(io.StringIO()).show('text'); CompileProgress(io.StringIO()).begin('scene')\n"
+        "StatusLine(io.StringIO()).show('text')\n"
         "assert not {'rich', 'numba', 'numpy'} & sys.modules.keys()\n"
     )
     subprocess.run([sys.executable, "-c", source], check=True)
@@ -287,16 +225,6 @@ def test_rich_is_loaded_when_a_bar_is_drawn_and_not_before():
 def test_numbers_are_short():
     assert [si_number(x) for x in (7, 850, 2100, 3.14e6, 5e9)] == ["7", "850", "2.1k", "3.14M", "5G"]
     assert [duration(x) for x in (3.2, 150, 7300)] == ["3 s", "2 min", "2.0 h"]
-
-
-def test_work_of_several_threads_is_counted_once():
-    bar = ProgressBar("rendering", 8000, "rays", io.StringIO())
-    threads = [threading.Thread(target=lambda: [bar.add(1) for _ in range(1000)]) for _ in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert bar.done == 8000
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
-
 import caster
 from caster.cameras import CAMERAS
 from caster.scene.model import LIGHTS
@@ -44,21 +42,3 @@ def test_no_module_of_the_package_hides_a_public_name():
     modules = {path.stem for path in (ROOT / "caster").iterdir() if path.suffix == ".py" or path.is_dir()}
     assert "rendering" in modules
     assert not modules & set(caster.__all__)
-
-
-def test_a_scene_is_built_rendered_and_cast_into_with_public_names_alone():
-    scene = caster.Scene(
-        film=caster.Film(width=3, height=3),
-        camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)),
-        lights=[caster.Point(position=(0, 0, 5), intensity=(1, 1, 1))],
-        materials={"grey": caster.Diffuse(reflectance=(0.5, 0.5, 0.5))},
-        shapes=[caster.Sphere(material="grey")],
-        shading=caster.Shading(shadows=False),
-        checks={"depth": caster.Check(ratio=1.0)},
-    )
-    aovs = caster.render(scene, aovs=("depth",))
-    assert aovs["depth"][1, 1] == 4.0 and aovs.hit.sum() == 1
-    hits = caster.cast(scene, [[0, 0, 5], [0, 9, 5]], [[0, 0, -2], [0, 0, -2]])
-    assert isinstance(hits, caster.Hits)
-    assert np.array_equal(hits.t, [2.0, np.inf]) and np.array_equal(hits.shape_id, [0, -1])
-    assert np.array_equal(caster.occluded(scene, [[0, 0, 5]] * 2, [[0, 0, -2]] * 2, t_max=2.0), [True, True])

@@ -5,8 +5,7 @@ import pytest
 
 import caster
 from caster.__main__ import main
-from caster.description.errors import SceneError
-from caster.geometry.packing import RejectedFaces, check_shapes, pack, rejected_faces
+from caster.geometry.packing import RejectedFaces, rejected_faces
 from caster.geometry.world_space import LARGEST_COORDINATE, as_float32
 
 QUAD = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\n"
@@ -106,24 +105,3 @@ def test_faces_without_area_are_counted_on_any_line(tmp_path):
         faces.append(f"f {len(rows) + 2} {len(rows) + 3} {len(rows) + 4}\n")
     (got,) = rejected_faces(a_mesh(tmp_path, "".join(rows) + "".join(faces))).values()
     assert got == RejectedFaces(0, 0, 20)
-
-
-FAR = 1e200  # fits, and its square does not
-TOO_LARGE = {
-    "Sphere": {"center": [FAR, 1, 1], "radius": FAR},
-    "Plane": {"point": [FAR, FAR, FAR]},
-    "Triangle": {"vertices": [[FAR, FAR, FAR], [2 * FAR, FAR, FAR], [FAR, 2 * FAR, FAR]]},
-}
-
-
-@pytest.mark.parametrize("name", TOO_LARGE)
-def test_a_check_refuses_a_shape_that_leaves_float64_with_the_words_of_packing(name):
-    shape, camera = getattr(caster, name), caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0))
-    fine, huge = (shape(to_world=steps, **TOO_LARGE[name]) for steps in ([], [{"scale": FAR}]))
-    assert check_shapes(caster.Scene(shapes=[fine], camera=camera)) in ("", "shape-0: 1 too far out")
-    scene, said = caster.Scene(shapes=[fine, huge], camera=camera), []
-    for refused in (check_shapes, pack):
-        with pytest.raises(SceneError, match="must stay finite in world space") as caught:
-            refused(scene)
-        said.append(str(caught.value))
-    assert said[0] == said[1] and "shapes[1]" in said[0]

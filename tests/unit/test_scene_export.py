@@ -8,10 +8,9 @@ from hypothesis import strategies as st
 
 from caster.cameras import CAMERAS, Fisheye, Pinhole
 from caster.description.errors import FileMissing
-from caster.geometry.world_space import MeshShape
 from caster.scene.files import load_scene, scene_from_text
 from caster.scene.model import Ambient, Check, Diffuse, Directional, Film, Point, Scene, Shading
-from caster.shapes import SHAPES, MeshFile, Sphere, SphereCloud
+from caster.shapes import SHAPES, Sphere
 
 NEEDS = {  # what a shape cannot do without
     "spheres": {"centers": [[0.1, 1 / 3, 5], [2, 3, 4]], "radii": [1e-300, 1 / 7]},
@@ -100,17 +99,6 @@ def test_canonical_json_is_the_same_for_equal_scenes():
     assert json.loads(a.canonical_json())["film"] == {"height": 256, "width": 256}
 
 
-def test_keys_of_canonical_json_are_sorted_in_every_table():
-    materials = {name: Diffuse(reflectance=(x, x, x)) for name, x in (("b", 0.5), ("a", 0.25), ("c", 0.125))}
-    a, b = (
-        Scene(camera=Pinhole(eye=[0, 0, 5], look_at=[0, 0, 0]), shapes=[Sphere()], materials=dict(each))
-        for each in (materials.items(), reversed(materials.items()))
-    )
-    text = a.canonical_json()
-    assert text == json.dumps(json.loads(text), sort_keys=True, separators=(",", ":"))
-    assert a == b and text == b.canonical_json() and a.sha256() == b.sha256()
-
-
 def mesh_scene(folder):
     (folder / "x.toml").write_text(
         '[camera]\ntype = "panorama"\neye = [0, 0, 0]\ndirection = [0, 0, 1]\n'
@@ -135,9 +123,3 @@ def test_the_fingerprint_is_that_of_the_meshes_too_and_not_of_their_place(folder
     (folder / "triangle.obj").unlink()
     with pytest.raises(FileMissing, match=r"triangle\.obj: cannot read this mesh file"):
         scene.sha256()
-
-
-def test_only_meshes_and_spheres_name_a_file():
-    """canonical_json and sha256 treat the key `file` as a path."""
-    assert [shape for shape in SHAPES if "file" in shape.model_fields] == [MeshFile, SphereCloud]
-    assert issubclass(MeshFile, MeshShape)

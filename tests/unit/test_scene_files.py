@@ -51,18 +51,6 @@ def test_a_byte_order_mark_is_no_part_of_the_scene(tmp_path):
     assert load_scene(tmp_path / "a.toml") == scene_from_text(CAMERA)
 
 
-def test_a_missing_scene_file_is_reported_and_is_its_own_kind_of_error(tmp_path):
-    with pytest.raises(FileMissing, match=r"^no/such\.toml: cannot read this scene file: No such file or directory$"):
-        load_scene("no/such.toml")
-    assert (FileMissing.exit_code, SceneError.exit_code) == (4, 2)
-
-
-def test_a_folder_is_no_scene_file(tmp_path):
-    (tmp_path / "a.toml").mkdir()
-    with pytest.raises(FileMissing, match="Is a directory"):
-        load_scene(tmp_path / "a.toml")
-
-
 def test_an_unknown_ending_is_an_error():
     with pytest.raises(
         SceneError, match=r"^a\.yaml: unknown scene format: expected a file ending in \.toml or \.json, or a mesh: "
@@ -143,11 +131,6 @@ print(*sorted({{name.partition(".")[0] for name in sys.modules}}))
 def modules_after(code):
     command = [sys.executable, "-c", LOADED.format(code=code)]
     return set(subprocess.run(command, check=True, capture_output=True, text=True).stdout.split())
-
-
-def test_fields_load_neither_grammars_nor_compilers():
-    heavy = {"tree_sitter", "tree_sitter_toml", "tree_sitter_json", "numba", "llvmlite", "mitsuba", "drjit"}
-    assert not heavy & modules_after("import caster.description.fields")
 
 
 def test_a_scene_without_errors_loads_no_grammar():

@@ -20,15 +20,13 @@ from caster.cli.application import Command, main
 from caster.system.atomic_files import ScratchFolder, atomic_write
 process.GRACE_SECONDS = 0.5
 def add_arguments(parser):
-    parser.add_argument("what", choices=("compiled", "threads", "orderly"))
+    parser.add_argument("what", choices=("threads", "orderly"))
 def endless():
     hashlib.pbkdf2_hmac("sha256", b"", b"", 10**9)  # without the interpreter's lock, and not to be interrupted
 def run(args):
     with ScratchFolder(), atomic_write("out.txt"):
         Path("ready").touch()
-        if args.what == "compiled":
-            endless()
-        elif args.what == "threads":
+        if args.what == "threads":
             with ThreadPoolExecutor(1) as pool:
                 pool.submit(endless).result()
         try:
@@ -56,7 +54,7 @@ def started(folder: Path, what: str) -> subprocess.Popen[str]:
 
 
 @pytest.mark.parametrize(
-    ("what", "number"), [("compiled", signal.SIGTERM), ("threads", signal.SIGHUP), ("orderly", signal.SIGINT)]
+    ("what", "number"), [("threads", signal.SIGTERM), ("threads", signal.SIGHUP), ("orderly", signal.SIGINT)]
 )
 def test_a_signal_ends_the_command_in_time_without_leftovers(what, number, tmp_path):
     child = started(tmp_path, what)

@@ -11,9 +11,8 @@ from caster.description.errors import FileMissing, SceneError
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32, as_given
 from caster.rendering.images import render
-from caster.scene.files import load_scene, scene_from_text
+from caster.scene.files import scene_from_text
 from caster.scene.model import Scene
-from mitsuba_ref.judge.checks.shapes import check_geometry
 
 CAMERA = caster.Pinhole(eye=(0.3, 0.7, 6.1), look_at=(0, 0, 0), fov=40)
 TURN = [{"scale": 1.3}, {"rotate": {"axis": [1, 2, 3], "degrees": 37}}, {"translate": [0.3, 0.1, -0.4]}]
@@ -70,11 +69,6 @@ def test_a_file_has_the_bits_of_the_same_lists(tmp_path, kind):
     for one, other in ((listed, from_file), (caster.SphereCloud(centers=centers, radius=0.25), without)):
         for a, b in zip(one.pack(as_given), other.pack(as_given), strict=True):
             assert a.tobytes() == b.tobytes()
-
-
-def test_the_default_radius_is_that_of_a_sphere():
-    packed = caster.SphereCloud(centers=[[0, 0, 0]]).pack(as_given)
-    assert packed.radius.tolist() == [1.0] == caster.Sphere().pack(as_given).radius.tolist()
 
 
 def test_clouds_survive_text_and_pickle(tmp_path):
@@ -152,47 +146,3 @@ def test_a_file_without_vertices_is_refused(tmp_path):
     where = write_ply(tmp_path / "a.ply", np.zeros((0, 3)), np.zeros(0))
     with pytest.raises(SceneError, match="expected at least one row of an element 'vertex', got none"):
         caster.SphereCloud(file=where).load()
-
-
-def test_a_list_as_radius_is_refused(tmp_path):
-    header = "ply\nformat ascii 1.0\nelement vertex 2\n"
-    columns = "".join(f"property float {name}\n" for name in "xyz")
-    (tmp_path / "a.ply").write_text(
-        f"{header}{columns}property list uchar float radius\nend_header\n0 0 0 1 2\n0 0 1 1 3\n"
-    )
-    with pytest.raises(SceneError) as found:
-        caster.SphereCloud(file=str(tmp_path / "a.ply")).load()
-    expected = "expected the properties radius of element 'vertex', a number each, got x, y, z, radius, a list"
-    assert str(found.value) == f"{tmp_path / 'a.ply'}: {expected}"
-
-
-def test_the_judge_finds_a_cloud_that_is_packed_wrongly(monkeypatch):
-    centers, radii = some_spheres()
-    for place in ("turned", "stretched"):
-        shape = caster.SphereCloud(centers=centers, radii=radii, to_world=PLACES[place])
-        assert check_geometry(scene_of([shape])).ratio <= 1.0
-        right = shape.pack
-        wrong = {
-            "center": lambda array: np.concatenate([array[1:], array[:1]]),
-            "radius": lambda array: array * (1.0 + 2.0**-20),
-            "to_world": lambda array: array[::-1],
-        }
-        for name, change in wrong.items():
-            if name in right(as_given)._fields:
-                with monkeypatch.context() as patch:
-                    patch.setattr(
-                        caster.SphereCloud,
-                        "pack",
-                        lambda self, rounded, name=name, change=change, right=right: (part := right(rounded))._replace(
-                            **{name: change(getattr(part, name))}
-                        ),
-                    )
-                    assert check_geometry(scene_of([shape])).ratio > 1.0, (place, name)
-
-
-def test_a_scene_file_of_a_cloud_is_loaded_relative_to_its_folder(tmp_path):
-    write_ply(tmp_path / "a.ply", *some_spheres())
-    text = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n'
-    text += '[[shape]]\ntype = "spheres"\nfile = "a.ply"\n'
-    (tmp_path / "s.toml").write_text(text)
-    assert 'file = "a.ply"' in load_scene(tmp_path / "s.toml").to_toml()

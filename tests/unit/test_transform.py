@@ -27,26 +27,6 @@ def test_steps_apply_in_the_order_given():
     assert at(doubled_then_moved, [0, 0, 0]).tolist() == [1, 0, 0]
 
 
-def test_no_steps_leave_everything_in_its_place():
-    assert np.array_equal(compose([]), transform.identity())
-    assert np.array_equal(compose([transform.identity()]), np.eye(4))
-
-
-def test_composing_equals_the_product_of_exact_integers():
-    a, b = np.eye(4), np.eye(4)
-    a[:3] = np.arange(12).reshape(3, 4)
-    b[:3] = 7 - np.arange(12).reshape(3, 4)
-    assert np.array_equal(compose([a, b]), b @ a)
-
-
-@seeded
-@given(vectors, st.floats(-30, 30))
-def test_doubling_after_a_turn_is_exact(axis, degrees):
-    turn = rotate(axis, degrees)
-    doubled = compose([turn, scale(2)])
-    assert np.array_equal(doubled[:3, :3], 2 * turn[:3, :3])
-
-
 @pytest.mark.parametrize("quarters", range(-9, 10))
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, -1)])
 def test_quarter_turns_are_exact(axis, quarters):
@@ -62,25 +42,12 @@ def test_a_rotation_is_counter_clockwise_seen_from_the_tip_of_its_axis():
 
 
 @seeded
-@given(vectors, st.floats(-720, 720), st.integers(-40, 40))
-def test_the_length_of_an_axis_does_not_matter(axis, degrees, exponent):
-    longer = [math.ldexp(a, exponent) for a in axis]
-    assert np.array_equal(rotate(axis, degrees), rotate(unit(longer), degrees))
-
-
-@seeded
 @given(vectors, st.floats(-720, 720))
 def test_a_turn_keeps_lengths_angles_and_its_axis(axis, degrees):
     matrix = rotate(axis, degrees)[:3, :3]
     assert np.abs(matrix @ matrix.T - np.eye(3)).max() <= 32 * U  # products of three roundings, three of them
     assert np.abs(matrix @ unit(axis) - unit(axis)).max() <= 32 * U
     assert np.linalg.det(matrix) > 0
-
-
-def test_scaling_takes_one_factor_or_three_and_may_mirror():
-    assert np.array_equal(scale(2), np.diag([2.0, 2, 2, 1]))
-    mirror = scale([1, -1, 1])
-    assert np.array_equal(mirror, np.diag([1.0, -1, 1, 1])) and is_invertible(mirror)
 
 
 def test_look_at_brings_z_to_the_target_and_y_up():
@@ -104,25 +71,12 @@ def test_a_frame_is_orthonormal_even_where_up_is_nearly_along_the_view(view, up)
             assert np.abs(np.cross(right, forward) - new_up).max() <= 16 * U
 
 
-@pytest.mark.parametrize("factor", [1.0, -1.0, 1 / 3, 1e-30, 1e30])
-def test_up_along_the_view_gives_no_frame(factor):
-    view = unit([1, 2, 3])
-    with pytest.raises(ValueError, match="along the view"):
-        frame(view, [factor * v for v in (0.1, 0.2, 0.3)])
-
-
 @seeded
 @given(vectors)
 def test_normalising_twice_changes_no_bit(v):
     once = unit(v)
     assert unit(once) == once
     assert abs(math.hypot(*once) - 1.0) <= transform.UNIT_ATOL
-
-
-@pytest.mark.parametrize("v", [(0, 0, 0), (math.inf, 0, 0), (math.nan, 0, 0)])
-def test_what_has_no_direction_cannot_be_normalised(v):
-    with pytest.raises(ValueError, match="direction"):
-        unit(v)
 
 
 @pytest.mark.parametrize("v", [(5e-324, 0, 0), (1e-310, 1e-310, 0), (1.7e308, 1.7e308, 1.7e308)])

@@ -1,4 +1,7 @@
-"""Readers of mesh files: OBJ, PLY and OFF, strict, since a face lost silently is a wrong image; others by trimesh."""
+"""Readers of mesh files: OBJ, PLY and OFF in this package, STL and glTF by trimesh.
+
+The readers are strict: a face that is dropped silently would be a wrong image.
+"""
 
 import io
 import itertools
@@ -29,11 +32,11 @@ MESH_SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 
 
 def load_mesh(path: str | PathLike[str]) -> Mesh:
-    """Read a mesh file: Wavefront OBJ or PLY (ascii, binary of either byte order), STL, OFF, glTF, by its suffix.
+    """Read a mesh file: Wavefront OBJ, PLY (ascii or binary), STL, OFF or glTF, by its suffix.
 
-    Polygons become fans of triangles around their first corner. Normals come out with unit length, None where
-    the file has none; the v of an OBJ's uv is turned over (1 - v), as Mitsuba does it. Of STL, OFF and glTF the
-    triangles are read, without normals and uv; all meshes of a glTF scene are one, in its world.
+    Polygons become fans of triangles around their first corner. Normals have unit length; they are None if the file
+    has none. The v of an OBJ's uv becomes 1 - v, as in Mitsuba. STL, OFF and glTF files give triangles without normals
+    and uv; the meshes of a glTF scene become one mesh in world space.
     Raises FileMissing for a file that cannot be read, SceneError for one that is not a usable mesh.
     """
     where = str(path)
@@ -47,9 +50,9 @@ def load_mesh(path: str | PathLike[str]) -> Mesh:
 
 
 def load_points(path: str | PathLike[str]) -> Points:
-    """Read the vertices of a PLY file, and their radii if it has the property `radius`; faces are not needed.
+    """Read the vertices of a PLY file as spheres, with their radii if it has the property `radius`.
 
-    Raises FileMissing for a file that cannot be read, SceneError with the number of a vertex that is no sphere.
+    Raises FileMissing for a file that cannot be read, SceneError that names the first vertex that is not a sphere.
     """
     where = str(path)
     if Path(where).suffix.lower() != ".ply":
@@ -85,9 +88,9 @@ def _parser_for(where: str) -> Callable[[bytes, str], Mesh]:
 
 
 def parse_off(data: bytes, where: str) -> Mesh:
-    """Text of an OFF file -> Mesh; colours and what else stands behind corners and faces is skipped.
+    """Text of an OFF file -> Mesh; colours are ignored. Raises SceneError with `where`:line.
 
-    Not by trimesh, which sorts polygons by their number of corners. Raises SceneError with `where`:line.
+    trimesh is not used, since it sorts polygons by their number of corners.
     """
     rows = [(n, words) for n, line in enumerate(data.splitlines(), 1) if (words := line.split(b"#")[0].split())]
     if not rows or not re.fullmatch(rb"(ST)?C?N?OFF", rows[0][1].pop(0)) or b"BINARY" in rows[0][1]:
@@ -120,7 +123,7 @@ def _numbers(line: int, words: list[bytes], kind: Callable[[bytes], Any], count:
 
 
 def _parse_by_trimesh(data: bytes, where: str) -> Mesh:
-    """Triangles as they stand in the file: nothing is merged, reordered or repaired. Raises SceneError."""
+    """Read triangles by trimesh, without merging, reordering or repairing anything. Raises SceneError."""
     try:
         import trimesh
     except ImportError:
@@ -151,7 +154,10 @@ def _parse_by_trimesh(data: bytes, where: str) -> Mesh:
 
 
 def _placed(scene: Any, mesh_class: type[Any]) -> tuple[np.ndarray, np.ndarray]:
-    """(vertices, faces) of all meshes, where the nodes of a scene place them. trimesh itself multiplies by a BLAS."""
+    """(vertices, faces) of all meshes in world space.
+
+    trimesh would multiply matrices by a BLAS, whose last bits depend on the processor.
+    """
     vertices, faces, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
     edges = scene.graph.transforms.edge_data
     for node in scene.graph.nodes_geometry:
@@ -171,9 +177,9 @@ GLB_HEADER = struct.Struct("<4sIIII")  # magic, version, length of all; length a
 
 
 def _turned_by_matrices(data: bytes, kind: str) -> bytes:
-    """A glTF file with a matrix in place of each node's rotation: trimesh brings quaternions to length 1 by a BLAS.
+    """A glTF file with a matrix in place of each node's rotation, since trimesh normalises quaternions by a BLAS.
 
-    Anything that is not as it should be is left to trimesh, which says so.
+    A malformed file is returned as it is: trimesh reports what is wrong.
     """
     if kind == "stl" or b'"rotation"' not in data:
         return data
@@ -212,7 +218,7 @@ def _rotation_of(x: float, y: float, z: float, w: float) -> np.ndarray:
 
 
 def _check_stl_size(data: bytes, where: str) -> None:
-    """Raise SceneError for a binary STL file of another size than that of its facets."""
+    """Raise SceneError for a binary STL file whose size does not match its count of facets."""
     facets = int.from_bytes(data[80:84], "little")
     if len(data) != 84 + 50 * facets and b"facet" not in data[:1024].lower():
         raise SceneError(

@@ -94,13 +94,17 @@ def _add_header_line(words: list[str], formats: list[str], elements: list[Elemen
             raise ValueError(f"expected one format, {FORMATS}, got '{' '.join(words)[:60]}'")
         case ["element" | "property", *_] if not formats:
             raise ValueError(f"expected a format line ({FORMATS}) first, got '{' '.join(words)[:60]}'")
-        case ["element", name, count] if len(elements) < MAX_ELEMENTS:
+        case ["element", *_] if len(elements) == MAX_ELEMENTS:
+            raise ValueError(f"expected at most {MAX_ELEMENTS} elements, got one more")
+        case ["property", *_] if elements and len(elements[-1].properties) == MAX_PROPERTIES:
+            raise ValueError(f"expected at most {MAX_PROPERTIES} properties of '{elements[-1].name}', got one more")
+        case ["element", name, count]:
             if not (count.isascii() and count.isdigit() and len(count) < 19):  # 19 digits may pass 2^63
                 raise ValueError(f"expected a number of rows of element '{name}', got '{count[:60]}'")
             if name in [e.name for e in elements]:
                 raise ValueError(f"expected each element once, got '{name}' again")
             elements.append(Element(name, int(count), []))
-        case ["property", *types, name] if elements and len(elements[-1].properties) < MAX_PROPERTIES:
+        case ["property", *types, name] if elements:
             if name in [p.name for p in elements[-1].properties]:
                 raise ValueError(f"expected each property of '{elements[-1].name}' once, got '{name}' again")
             elements[-1].properties.append(_property(name, types, formats[0]))
@@ -170,7 +174,7 @@ class _Body:
         return table
 
     def _read_at_once(self, element: Element) -> dict[str, NDArray[Any] | Lists]:
-        """All rows as one array; nothing unless all lists have the lengths of those in the first row."""
+        """All rows as one array; empty unless all lists have the lengths of those in the first row."""
         sizes = self._row(element, 0)[1] if element.rows else [0] * len(element.properties)
         fields: list[Any] = []
         for k, p in enumerate(element.properties):  # numbered, since properties may have any name

@@ -11,22 +11,19 @@ import math
 from typing import Any, NamedTuple
 
 from caster.jit.decorators import generic_inlined, implement, inlined, jit
-from caster.jit.simd import (
-    CHILDREN,
+from caster.jit.simd import CHILDREN, LANES, lowest_bit, prefetch
+from caster.kernels.bvh.build import LEAF_SIZE, LEAF_SIZE_BASE
+from caster.kernels.math.lanes import (
     FAN_FIELDS,
-    LANES,
     LARGEST_T,
     boxes_below,
     boxes_reach_lines,
     lane_max,
     lane_max_of_sums,
     lane_min,
-    lanes_not_above,
+    lanes_above,
     lanes_within_lines,
-    lowest_bit,
-    prefetch,
 )
-from caster.kernels.bvh.build import LEAF_SIZE, LEAF_SIZE_BASE
 from caster.kernels.math.vec import TINY, U, abs_dot, dot, l1_norm, max_norm, scaled, sub
 from caster.kernels.nearest import any_hit_result
 from caster.kernels.protocol import Vec3, hull_point, hull_size, intersect, load, prepare
@@ -368,7 +365,7 @@ def outline(prims: Any, k: int, points: Any, wide: float) -> Any:
 
 @generic_inlined
 def separating_plane(prims: Any, prim: Any, fan: Fan) -> Any:
-    """(p, normal, error): a ray to the light that starts above it misses the primitive (simd.lanes_not_above)."""
+    """(p, normal, error): a ray to the light that starts above it misses the primitive (math.lanes.lanes_above)."""
 
 
 @implement(outline, object)
@@ -439,9 +436,10 @@ def prefetch_child(tree: Any, bounds: Any, inside: int) -> None:
 def cast_fan(
     fan: Any, prims: Any, tree: Any, bounds: Any, base: int, tile: Any, groups: Any, outward: bool, any_hit: bool
 ) -> None:
-    """The rays of the runs that belong to the fan against a kind, nodes near the fan's origin first.
+    """The rays of the runs that belong to the fan against a kind.
 
-    outward: all rays start at the fan's origin; else each is cast until it has met anything for sure.
+    outward: all rays start at the fan's origin, and near nodes come first; else each is cast until it has met anything
+    for sure.
     """
     runs, blocks, stack, depths, found = groups.runs, groups.blocks, groups.stack, groups.depths, groups.found
     for group in range(GROUPS):
@@ -463,7 +461,7 @@ def cast_fan(
                     j = lowest_bit(mask)
                     mask &= mask - 1
                     depth, at = bounds.nodes[inside * BOX_SIZE + 4 * CHILDREN + j], top
-                    while at > bottom and depths[at - 1] < depth:
+                    while outward and at > bottom and depths[at - 1] < depth:
                         stack[at], depths[at] = stack[at - 1], depths[at - 1]
                         at -= 1
                     stack[at], depths[at] = tree.links[inside, j], depth
@@ -477,9 +475,8 @@ def cast_fan(
                 if mask == 0:
                     continue
                 k = tree.order[at]
-                prim, prim_number = load(prims, k), float(base + k)
                 lines = outline(prims, k, bounds.points, bounds.prims[at * PRIM_FIELDS + 5])
-                plane = NO_PLANE if outward else separating_plane(prims, prim, fan)
+                plane = NO_PLANE if outward else separating_plane(prims, load(prims, k), fan)
                 count = 0
                 while mask != 0:
                     block = group * CHILDREN + lowest_bit(mask)
@@ -492,11 +489,12 @@ def cast_fan(
                         first = lane(corner + r * WIDTH)
                         lanes = lanes_within_lines(tile, FAN_X + first, FAN_Y + first, lines)
                         if not outward:
-                            lanes &= lanes_not_above(tile, OX + first, OY + first, OZ + first, plane)
+                            lanes &= ~lanes_above(tile, OX + first, OY + first, OZ + first, plane)
                         found[count] = block * ROWS + r
                         count += 1 if lanes != 0 else 0
                 if count == 0:
                     continue
+                prim, prim_number = load(prims, k), float(base + k)
                 pre = prepare(prims, prim, fan.origin)
                 for n in range(count):
                     block, r = found[n] // ROWS, found[n] % ROWS

@@ -4,16 +4,9 @@ import math
 from typing import Any, NamedTuple
 
 from caster.jit.decorators import inlined, jit
-from caster.jit.simd import (
-    LANES,
-    intersect_boxes,
-    intersect_boxes_packet,
-    lane_max,
-    lane_max_of_sums,
-    lane_min,
-    lowest_bit,
-)
+from caster.jit.simd import LANES, lowest_bit
 from caster.kernels.bvh.build import LEAF_SIZE_BASE
+from caster.kernels.math.lanes import intersect_boxes, intersect_boxes_packet, lane_max, lane_max_of_sums, lane_min
 from caster.kernels.math.vec import row
 from caster.kernels.nearest import KeepNearest
 from caster.kernels.protocol import Vec3, intersect, load, prepare, surely_misses, update_best

@@ -4,7 +4,8 @@ import math
 from typing import Any
 
 from caster.jit.decorators import inlined, jit
-from caster.jit.simd import LANES, any_sum_reaches, prefetch
+from caster.jit.simd import LANES, prefetch
+from caster.kernels.math.lanes import any_sum_reaches
 from caster.kernels.math.vec import add, component_max, component_min, dot, l1_norm, scaled, sub
 from caster.kernels.protocol import Vec3, intersect, load, prefetch_numbers, prepare, t_lower_bound
 from caster.kernels.raster.screen_bounds import pixel_range, projected_corner

@@ -4,7 +4,8 @@ import math
 from typing import Any, NamedTuple
 
 from caster.jit.decorators import generic_inlined, implement, inlined, jit
-from caster.jit.simd import LANES, lanes_in_range
+from caster.jit.simd import LANES
+from caster.kernels.math.lanes import lanes_in_range
 from caster.kernels.math.vec import add, dot, max_norm, point_at, row, scaled, sub
 from caster.kernels.protocol import Vec3
 from caster.kernels.raster.tile import (

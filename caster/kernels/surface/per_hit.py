@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.jit.decorators import generic_inlined, implement, inlined, jit
-from caster.jit.simd import ALL_LANES, LANES, lanes_in_range, numbers_in_range
+from caster.jit.simd import ALL_LANES, LANES
+from caster.kernels.math.lanes import lanes_in_range, numbers_in_range
 from caster.kernels.protocol import Vec3, fast_surface, fast_uv, setup_lanes, surface, surface_setup
 from caster.kernels.raster.tile import (
     CACHE_LINE,

@@ -15,10 +15,10 @@ from caster.rendering.casting import Culling, find_nearest
 from caster.rendering.hits import Hits, validated_rays
 from caster.rendering.images import camera_rays
 from caster.scene.model import Film, Scene
-from mitsuba_ref.error_model.bounds import ErrorModels, t_bounds
 from mitsuba_ref.error_model.bounds import error_over_bound as ratio_of
+from mitsuba_ref.error_model.bounds import t_bounds
+from mitsuba_ref.hard.rays import ALL_AIMS, Aim, Frame, RayBatch, Targets, aimed_rays
 from mitsuba_ref.judge.checks import OURS, check
-from mitsuba_ref.judge.checks.adversarial_rays import ALL_AIMS, Aim, RayBatch, Setting, Targets, aimed_rays
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 from mitsuba_ref.shapes import reference_of
@@ -103,28 +103,44 @@ def prepared_scene(scene: Scene) -> PreparedScene:
     return PreparedScene(scene, numbers, Oracle(numbers))
 
 
-def error_models(scene: Scene) -> ErrorModels:
-    return [reference_of(shape).model_of for shape in scene.shapes]
+class Adjudicated(NamedTuple):
+    """Found hits against the exact answers, a row for each ray."""
+
+    answers: list[ExactAnswer]
+    bounds: np.ndarray  # (n,) of t
+    ratios: np.ndarray  # (n,) the error of t over its bound; inf for another first hit
+    kinds: list[str]  # "missed", "phantom", "prim" or "t"; "" if right
+    texts: list[str]  # both hits in words; "" if right
 
 
-def discrepancy(answer: ExactAnswer, t: float, prim: int, bound: float) -> tuple[str, str]:
-    """(kind, text) of an error in t or prim; ("", "") if they are right."""
+def adjudicate(subject: PreparedScene, rays: RayBatch, found: NearestHits, depth_ulps: float = 0.0) -> Adjudicated:
+    """Hit or miss, primitive, and t within its bound, widened by units in the last place of t.
+
+    Raises OutsideDomain for rays that exact arithmetic does not take.
+    """
+    answers = subject.oracle.first_hits(*rays)
+    models = [reference_of(shape).model_of for shape in subject.scene.shapes]
+    with np.errstate(all="ignore"):
+        bounds = t_bounds(models, subject.packed, found, (rays.o, rays.d)) + depth_ulps * np.spacing(np.abs(found.t))
+    rows = zip(answers, found.t.tolist(), found.prim.tolist(), bounds.tolist(), strict=True)
+    ratios, kinds, texts = (list(column) for column in zip(*(_verdict(*row) for row in rows), strict=True))
+    return Adjudicated(answers, bounds, np.array(ratios), kinds, texts)
+
+
+def _verdict(answer: ExactAnswer, t: float, prim: int, bound: float) -> tuple[float, str, str]:
+    """(error over bound, kind, text) of one hit."""
     if answer.t is None:
         what = f"ours hits primitive {prim} at t {t_text(t)}, exactly it is a miss"
-        return ("", "") if prim < 0 else ("phantom", what)
-    if prim == answer.prim:
-        off = answer.t.off(t)
-        if off <= bound or (t >= LARGEST_FLOAT64 and answer.t > LARGEST_FLOAT64):
-            return "", ""
-        return "t", f"{in_words(answer, t, prim)}: {off:.3g} off, bound {bound:.3g}"
-    return ("missed" if prim < 0 else "prim"), in_words(answer, t, prim)
-
-
-def error_over_bound(answer: ExactAnswer, t: float, prim: int, bound: float) -> float:
-    """The error of t over its bound; 0 where either is no number, and where another primitive is hit."""
-    if answer.t is None or prim != answer.prim or not 0.0 < bound < np.inf or t >= LARGEST_FLOAT64:
-        return 0.0
-    return float(answer.t.off(t)) / bound
+        return (0.0, "", "") if prim < 0 else (np.inf, "phantom", what)
+    if prim != answer.prim:
+        return np.inf, "missed" if prim < 0 else "prim", in_words(answer, t, prim)
+    off = float(answer.t.off(t))
+    wrong = not (off <= bound or (t >= LARGEST_FLOAT64 and answer.t > LARGEST_FLOAT64))
+    ratio = off / bound if 0.0 < bound < np.inf and t < LARGEST_FLOAT64 else 0.0
+    if not wrong:
+        return ratio, "", ""
+    ratio = max(ratio, float(np.nextafter(1.0, 2.0))) if off == off else np.inf
+    return ratio, "t", f"{in_words(answer, t, prim)}: {off:.3g} off, bound {bound:.3g}"
 
 
 def in_words(answer: ExactAnswer, t: float, prim: int) -> str:
@@ -172,11 +188,17 @@ def knife_edges(scene: Scene) -> tuple[SceneCheck, tuple[AimedFailure, ...]]:
     if not subject.oracle.count:
         return SceneCheck("knife_edges", 0.0, "no primitive to aim at"), ()
     rays = rays_at_edges(subject)
-    ratios, texts, prims = compare_exactly(subject, rays)
+    ours = cast_by_culling(subject.packed, rays, "bvh")
+    verdicts = adjudicate(subject, rays, ours)
+    ratios, texts = ratio_of(verdicts.ratios, np.ones(1)), verdicts.texts
     bad = np.flatnonzero(ratios > 1.0)
     if not len(bad):
         return SceneCheck("knife_edges", float(ratios.max()), f"{len(ratios)} aimed rays"), ()
-    found = tuple(_failure(subject, rays.taken(slice(i, i + 1)), prims[i], texts[i]) for i in bad[:REPRODUCERS])
+    prims = [{hit.prim for hit in verdicts.answers[i].ties} | {int(ours.prim[i])} - {-1} for i in bad[:REPRODUCERS]]
+    found = tuple(
+        _failure(subject, rays.taken(slice(i, i + 1)), involved, texts[i])
+        for i, involved in zip(bad[:REPRODUCERS], prims, strict=True)
+    )
     o, d = (a[bad[0]].tolist() for a in (rays.o, rays.d))
     words = f"{len(bad)} of {len(ratios)} aimed rays, first from {o} along {d}: {texts[bad[0]]}"
     return SceneCheck("knife_edges", float(ratios.max()), words), found
@@ -194,7 +216,7 @@ def rays_at_edges(subject: PreparedScene) -> RayBatch:
     there = np.flatnonzero(film.t_max > 0.0)
     rows = np.sort(rng.choice(there, min(others, len(there)), replace=False))
     own = RayBatch(film.o, film.d, film.t_min, film.t_max).taken(rows)
-    rays = concatenated(own, aimed_rays(rng, targets, _setting(rng, targets), count, aims))
+    rays = concatenated(own, aimed_rays(rng, targets, _frame(rng, targets), count, aims))
     first = cast_by_culling(subject.packed, rays, "bvh")
     return concatenated(rays, with_limits(rng, rays, first, others))
 
@@ -208,38 +230,21 @@ def content_seed(packed: Packed) -> int:
     return seed
 
 
-def _setting(rng: Rng, targets: Targets) -> Setting:
+def _frame(rng: Rng, targets: Targets) -> Frame:
     """Centre and size of what is there: medians, so that one far primitive does not count."""
     p = targets.points(rng, targets.pick(rng, SIZE_SAMPLES), "inside").p
     center = np.median(p, axis=0)
     size = float(np.median(np.abs(p - center).max(axis=1)))
     x, y, z = center.tolist()
-    return Setting(size if size > 0.0 else 1.0, (x, y, z))
+    return Frame(size if size > 0.0 else 1.0, (x, y, z))
 
 
 def _from_eye(eye: np.ndarray) -> Aim:
-    def aim(rng: Rng, targets: Targets, setting: Setting, count: int) -> tuple[np.ndarray, np.ndarray]:
+    def aim(rng: Rng, targets: Targets, frame: Frame, count: int) -> tuple[np.ndarray, np.ndarray]:
         at = targets.points(rng, targets.pick(rng, count))
         return np.tile(eye, (count, 1)), at.p - eye
 
     return aim
-
-
-@np.errstate(all="ignore")
-def compare_exactly(subject: PreparedScene, rays: RayBatch) -> tuple[np.ndarray, list[str], list[set[int]]]:
-    """(error over bound (n,), inf for another first hit; that in words; the primitives of both answers if it fails)."""
-    ours = cast_by_culling(subject.packed, rays, "bvh")
-    answers = subject.oracle.first_hits(*rays)
-    bounds = t_bounds(error_models(subject.scene), subject.packed, ours, (rays.o, rays.d))
-    ratios, texts, prims = np.zeros(len(answers)), [], []
-    for i, row in enumerate(zip(answers, ours.t.tolist(), ours.prim.tolist(), bounds.tolist(), strict=True)):
-        kind, text = discrepancy(*row)
-        ratios[i] = error_over_bound(*row) if kind in ("", "t") else np.inf
-        if kind:
-            ratios[i] = max(ratios[i], np.nextafter(1.0, 2.0))
-        texts.append(text)
-        prims.append({hit.prim for hit in row[0].ties} | {row[2]} - {-1} if kind else set())
-    return ratio_of(ratios, np.ones(1)), texts, prims
 
 
 def _failure(subject: PreparedScene, ray: RayBatch, prims: set[int], text: str) -> AimedFailure:
@@ -252,7 +257,7 @@ def _failure(subject: PreparedScene, ray: RayBatch, prims: set[int], text: str) 
     few = Scene(materials=scene.materials, shapes=[scene.shapes[i] for i in shapes], **parts)
     if float(ray.t_min[0]) == 0.0:
         again = prepared_scene(few)
-        if compare_exactly(again, ray)[0][0] > 1.0:
+        if adjudicate(again, ray, cast_by_culling(again.packed, ray, "bvh")).kinds[0]:
             return AimedFailure(text, few, False)
     whole = Scene(materials=scene.materials, shapes=scene.shapes, **parts)
     return AimedFailure(text, whole, True)

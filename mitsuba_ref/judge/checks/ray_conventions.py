@@ -11,8 +11,8 @@ from caster.cameras.single_ray import Ray
 from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.tolerances import MAJORITY, MATCH_RTOL, NEARLY_ALL
+from mitsuba_ref.hard.rays import RayBatch
 from mitsuba_ref.judge.checks import CANDIDATE, check
-from mitsuba_ref.judge.checks.adversarial_rays import RayBatch
 from mitsuba_ref.judge.checks.knife_edges import cast_by_culling
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.shared_input import SharedRays, model_of, packed_float32, shared_rays

@@ -3,13 +3,12 @@
 from collections.abc import Iterator
 
 import numpy as np
-from aimed_rays import direction
 
 from cases import integer_shapes
-from cases.case import FLOAT64, Case, Maker, Question
-from cases.shapes import Aim, place, rays_at, shape_of, turn
+from cases.case import Case, Maker, Question
+from cases.shapes import turn
 from cases.spheres import tangents
-from caster import Cylinder, cast
+from caster import Cylinder
 
 TUBES = (integer_shapes.cylinder, integer_shapes.elliptic)
 
@@ -84,85 +83,6 @@ def ends(make: Maker) -> Iterator[Question]:
             )
 
 
-def far_and_thin(make: Maker) -> Iterator[Question]:
-    for away in (1e2, 1e4, 1e6, 1e5 if make.single else 1e12):
-        scene = make.scene([shape_of("cylinder", make.rng)])
-        o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(30), aim=Aim((away, 2.0 * away)))
-        yield make.ask(f"from {away:g}", scene, o, d, hit=5)
-    for thin in (1e-1, 1e-3, 1e-6):
-        for kind in ("cylinder", "elliptic cylinder"):
-            scene = make.scene([shape_of(kind, make.rng, 1.0, stretch=[thin, thin, 1.0])])
-            o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(30))
-            yield make.ask(f"{kind} of radius {thin:g}", scene, o, d, hit=2)
-
-
-def stretched(make: Maker) -> Iterator[Question]:
-    for factors in ((1e3, 1, 1), (2, 1, 1), (-1, 1, 1), (1, 1, -1), (-1, -1, -1), (-3, 1, 1)):
-        scene = make.scene([Cylinder(to_world=place(make.rng, 1.0, make.rng.normal(size=3), factors))])
-        o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(40))
-        yield make.ask(f"scaled by {factors}", scene, o, d, hit=10)
-
-
-def through_the_end(make: Maker) -> Iterator[Question]:
-    """In at one end, onto the wall from inside."""
-    for name, stretch in (
-        ("cylinder", (1.0, 1.0, 4.0)),
-        ("elliptic cylinder", (1.0, 0.5, 4.0)),
-        ("mirrored", (-1.0, 1.0, 4.0)),
-    ):
-        shape = Cylinder(to_world=place(make.rng, 1.0, make.rng.normal(size=3), stretch))
-        yield make.ask(name, [shape], *inwards(make, shape, make.count(50)), hit=45)
-
-
-def inwards(make: Maker, shape: Cylinder, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """From before the end z = 0 to a place within, and beyond it onto the wall."""
-    side, depth = make.rng.uniform(0.0, 2.0 * np.pi, count), make.rng.uniform(0.3, 0.8, count)
-    wall = np.column_stack([np.cos(side), np.sin(side), depth])
-    door = np.column_stack([0.3 * make.rng.normal(size=(count, 2)).clip(-1, 1), np.zeros(count)])
-    m, c = shape.matrix[:3, :3], shape.matrix[:3, 3]
-    o = (door - 0.5 * (wall - door)) @ m.T + c
-    return o, (wall - door) @ m.T
-
-
-def outward_inside() -> int:
-    """The normal of the wall points away from the axis, seen from inside, too: it is not turned to the ray."""
-    make, count = Maker(59, FLOAT64), 0
-    for stretch in ((1.0, 1.0, 4.0), (1.0, 0.5, 4.0), (-1.0, 1.0, 4.0)):
-        shape = Cylinder(to_world=place(make.rng, 1.0, make.rng.normal(size=3), stretch))
-        o, d = inwards(make, shape, 50)
-        hits = cast(make.scene([shape]), o, d)
-        hit = hits.prim_id >= 0
-        assert ((hits.surface.n * d).sum(axis=1)[hit] > 0.0).all()
-        count += int(hit.sum())
-    return count
-
-
-def far_wall(make: Maker) -> Iterator[Question]:
-    """From the middle to a point of the wall at t = 1 exactly, with t_max there and beside."""
-    for each in integer_shapes.each(
-        make.rng, (integer_shapes.cylinder, integer_shapes.elliptic, integer_shapes.sphere, integer_shapes.ellipsoid), 2
-    ):
-        center = each.shape.matrix[:3, 3] + (np.array(each.shape.center) if each.kind == "sphere" else 0.0)
-        if "cylinder" in each.kind:
-            center = center + each.shape.matrix[:3, 2] * 3.0 / 8.0
-        rows = np.flatnonzero(each.inside)
-        d = each.p[rows] - center
-        for step, meets in ((-1, "miss"), (0, "hit"), (1, "hit")):
-            other = {"hit": "miss", "miss": "hit"}[meets]
-            t_max = float(make.beside(1.0, step))
-            yield make.ask(
-                f"{each.kind}, step {step}", [each.shape], center, d, t_max=t_max, never=(other,), **{meets: 8}
-            )
-
-
-def offset_tubes(make: Maker) -> Iterator[Question]:
-    for offset in (1e2, 1e4, 1e6, 1e8 if make.single else 1e14):
-        for kind in ("cylinder", "elliptic cylinder"):
-            scene = make.scene([shape_of(kind, make.rng, 1.0, offset * direction(make.rng, 1)[0])])
-            o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(40), aim=Aim(edges=0.6))
-            yield make.ask(f"{kind} at {offset:g}", scene, o, d, hit=0 if offset > 1e6 else 5)
-
-
 EXACT = "exact"
 CASES = (
     Case(53, "from inside, nearly along the axis", EXACT, along_the_axis),
@@ -174,15 +94,4 @@ CASES = (
         tangent_tubes,
     ),
     Case(56, "the ends, and one unit in the last place beside", "0 <= z <= 1, decided in integers", ends),
-    Case(57, "far away and thin", EXACT, far_and_thin),
-    Case(58, "stretched and mirrored cylinders", EXACT, stretched),
-    Case(
-        59,
-        "in through the open end",
-        "the wall is hit from inside; its normal points away from the axis all the same",
-        through_the_end,
-        {"outward": outward_inside},
-    ),
-    Case(60, "from inside, the far wall at t_max exactly", "closed at t_max", far_wall),
-    Case(61, "cylinders far from the origin, at ends and tangents", EXACT, offset_tubes),
 )

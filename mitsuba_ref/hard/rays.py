@@ -12,7 +12,7 @@ from mitsuba_ref.shapes.targets import LATTICE_STEPS, POINT_KINDS, Rng, SurfaceP
 
 
 @dataclass(frozen=True)
-class Setting:
+class Frame:
     """Frame of a random scene: size, position, condition of transforms, lattice or not."""
 
     size: float = 1.0  # of a shape, scene units; a power of two on the lattice
@@ -21,7 +21,7 @@ class Setting:
     lattice: bool = False
 
     def on_lattice(self, points: np.ndarray) -> np.ndarray:
-        """The points, rounded to the lattice if this setting has one."""
+        """The points, rounded to the lattice if this frame has one."""
         if not self.lattice:
             return points
         step = self.size / LATTICE_STEPS
@@ -73,10 +73,10 @@ class Targets:
         return out
 
 
-# Aims: functions of (random generator, targets, setting, count) that give origins and directions, (count, 3) both.
+# Aims: functions of (random generator, targets, frame, count) that give origins and directions, (count, 3) both.
 
 OriginsAndDirections = tuple[np.ndarray, np.ndarray]
-Aim = Callable[[Rng, Targets, Setting, int], OriginsAndDirections]
+Aim = Callable[[Rng, Targets, Frame, int], OriginsAndDirections]
 
 
 class RayBatch(NamedTuple):
@@ -91,63 +91,63 @@ class RayBatch(NamedTuple):
         return RayBatch(*(a[rows] for a in self))
 
 
-def at_features(rng: Rng, targets: Targets, setting: Setting, count: int) -> OriginsAndDirections:
+def at_features(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsAndDirections:
     """From anywhere around, at corners, edges, rims and beside them."""
     at = targets.points(rng, targets.pick(rng, count))
-    distance = setting.size * 10.0 ** rng.uniform(-2.0, 1.5, (count, 1))
-    o = setting.on_lattice(at.p + distance * random_directions(rng, count))
+    distance = frame.size * 10.0 ** rng.uniform(-2.0, 1.5, (count, 1))
+    o = frame.on_lattice(at.p + distance * random_directions(rng, count))
     return o, at.p - o
 
 
-def tangents(rng: Rng, targets: Targets, setting: Setting, count: int) -> OriginsAndDirections:
+def tangents(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsAndDirections:
     """Along a tangent of the surface, from some steps before its point."""
     at = targets.points(rng, targets.pick(rng, count))
     steps = rng.integers(1, 5, (count, 1)) * rng.choice([-1.0, 1.0, 0.25, -16.0], (count, 1))
     return at.p - steps * at.along, np.copysign(1.0, steps) * at.along
 
 
-def through_two_points(rng: Rng, targets: Targets, setting: Setting, count: int) -> OriginsAndDirections:
+def through_two_points(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsAndDirections:
     """Through two points of one primitive: in the plane of a flat one, a chord of a curved one."""
     picks = targets.pick(rng, count)
     p, q = targets.points(rng, picks).p, targets.points(rng, picks).p
     return p - rng.integers(0, 4, (count, 1)) * (q - p), q - p
 
 
-def between_two_points(rng: Rng, targets: Targets, setting: Setting, count: int) -> OriginsAndDirections:
+def between_two_points(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsAndDirections:
     """From a point on one primitive to a point on another."""
     p, q = (targets.points(rng, targets.pick(rng, count)).p for _ in range(2))
     return p, q - p
 
 
-def from_surface(rng: Rng, targets: Targets, setting: Setting, count: int) -> OriginsAndDirections:
+def from_surface(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsAndDirections:
     """From a point on a surface in any direction, along a tangent or along the normal, out or in."""
     at = targets.points(rng, targets.pick(rng, count))
     ways = [random_directions(rng, count), at.along, at.n, -at.n]
     return at.p, np.choose(rng.integers(4, size=(count, 1)), ways)
 
 
-def along_axes(rng: Rng, targets: Targets, setting: Setting, count: int) -> OriginsAndDirections:
+def along_axes(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsAndDirections:
     """One component of d is not zero, or two; the zeros have either sign; o shares coordinates with a surface."""
     at = targets.points(rng, targets.pick(rng, count))
     zeros = rng.choice([0.0, -0.0], (count, 3))
     d = np.where(rng.random((count, 3)) < 0.2, rng.choice([1.0, -1.0, 2.0], (count, 3)), zeros)
     d[np.arange(count), rng.integers(3, size=count)] = rng.choice([-1.0, 1.0], count)
-    steps = setting.size * rng.integers(0, 5, (count, 1))
+    steps = frame.size * rng.integers(0, 5, (count, 1))
     return at.p - steps * d, d
 
 
-def anywhere(rng: Rng, targets: Targets, setting: Setting, count: int) -> OriginsAndDirections:
+def anywhere(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsAndDirections:
     """From around the middle, at any place or past everything."""
     at = targets.points(rng, targets.pick(rng, count), "inside")
-    o = np.array(setting.center) + 2.0 * setting.size * rng.normal(size=(count, 3))
-    astray = setting.size * rng.choice([0.0, 1.0], (count, 1)) * rng.normal(size=(count, 3))
+    o = np.array(frame.center) + 2.0 * frame.size * rng.normal(size=(count, 3))
+    astray = frame.size * rng.choice([0.0, 1.0], (count, 1)) * rng.normal(size=(count, 3))
     return o, at.p + astray - o
 
 
-def from_afar(rng: Rng, targets: Targets, setting: Setting, count: int) -> OriginsAndDirections:
+def from_afar(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsAndDirections:
     """From 1e2 to 1e8 sizes away."""
     at = targets.points(rng, targets.pick(rng, count))
-    distance = setting.size * 10.0 ** rng.uniform(2.0, 8.0, (count, 1))
+    distance = frame.size * 10.0 ** rng.uniform(2.0, 8.0, (count, 1))
     o = at.p + distance * random_directions(rng, count)
     return o, at.p - o
 
@@ -155,8 +155,8 @@ def from_afar(rng: Rng, targets: Targets, setting: Setting, count: int) -> Origi
 def of_any_length(aim: Aim, exponent: int) -> Aim:
     """The same rays, with directions 2^-exponent to 2^exponent times as long."""
 
-    def longer(rng: Rng, targets: Targets, setting: Setting, count: int) -> OriginsAndDirections:
-        o, d = aim(rng, targets, setting, count)
+    def longer(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsAndDirections:
+        o, d = aim(rng, targets, frame, count)
         return o, np.ldexp(d, rng.integers(-exponent, exponent + 1, (count, 1)))
 
     return longer
@@ -178,7 +178,7 @@ UNUSUAL_SHARE = 0.1  # share of rays whose direction gets an unusual length or a
 DENORMAL_AND_TINY = (-0.0, 0.0, 5e-324, -5e-324, 1e-310, -2.3e-308, 1e-200, 1e-30)
 
 
-def aimed_rays(rng: Rng, targets: Targets, setting: Setting, count: int, aims: Sequence[Aim] = ALL_AIMS) -> RayBatch:
+def aimed_rays(rng: Rng, targets: Targets, frame: Frame, count: int, aims: Sequence[Aim] = ALL_AIMS) -> RayBatch:
     """`count` rays, each by one of the aims; all finite, none without a direction."""
     which = rng.integers(len(aims), size=count)
     o, d = np.zeros((count, 3)), np.zeros((count, 3))
@@ -186,7 +186,7 @@ def aimed_rays(rng: Rng, targets: Targets, setting: Setting, count: int, aims: S
         rows = np.flatnonzero(which == i)
         if len(rows):
             with np.errstate(all="ignore"):
-                o[rows], d[rows] = aim(rng, targets, setting, len(rows))
+                o[rows], d[rows] = aim(rng, targets, frame, len(rows))
     o, d = _perturb_some(rng, o, d)
     d = _make_some_unusual(rng, d)
     return finite_rays(RayBatch(o, d, np.zeros(count), np.full(count, np.inf)))

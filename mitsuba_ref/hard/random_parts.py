@@ -1,4 +1,4 @@
-"""Random settings, transforms, shapes and cameras of fuzzed scenes; their options: films, crops, lights, materials."""
+"""Random frames, transforms, shapes and cameras of hard scenes; their options: films, crops, lights, materials."""
 
 import typing
 from collections.abc import Callable, Mapping, Sequence
@@ -9,12 +9,12 @@ import numpy as np
 from caster.cameras import CAMERAS
 from caster.description.errors import SceneError
 from mitsuba_ref import cameras
-from mitsuba_ref.judge.checks.adversarial_rays import Setting
+from mitsuba_ref.hard.family import Fields
+from mitsuba_ref.hard.rays import Frame
 from mitsuba_ref.shapes import REFERENCES
 from mitsuba_ref.shapes.targets import LATTICE_STEPS, Rng, coin_flip, random_directions
 
 T = TypeVar("T")
-Fields = dict[str, Any]  # of a shape, a camera or a film, as a scene file gives them
 
 FILM_SIZES = ((5, 5), (6, 4), (4, 4), (7, 3))  # pixels; odd sides have a pixel in the centre of the view
 
@@ -31,20 +31,20 @@ def random_rotation(rng: Rng) -> np.ndarray:
     return q * np.sign(np.linalg.det(q))
 
 
-def random_setting(rng: Rng, *, condition: float = 1e3, decades_of_size: float = 3.0) -> Setting:
+def random_frame(rng: Rng, *, condition: float = 1e3, decades_of_size: float = 3.0) -> Frame:
     """On a lattice around the origin half of the time; else of any size, and up to 1e6 sizes from the origin."""
     if rng.random() < 0.5:
-        return random_lattice_setting(rng)
+        return random_lattice_frame(rng)
     size = log_uniform(rng, 10.0**-decades_of_size, 10.0**decades_of_size) if rng.random() < 0.5 else 1.0
     away = size * log_uniform(rng, 1.0, 1e6) if rng.random() < 0.4 else 0.0
-    return Setting(size, vector(away * rng.normal(size=3)), condition)
+    return Frame(size, vector(away * rng.normal(size=3)), condition)
 
 
-def random_lattice_setting(rng: Rng) -> Setting:
+def random_lattice_frame(rng: Rng) -> Frame:
     """Every coordinate is a small whole multiple of a power of two."""
     size = float(2.0 ** rng.integers(-3, 4))
     center = vector(size * rng.integers(-4, 5, 3)) if rng.random() < 0.3 else (0.0, 0.0, 0.0)
-    return Setting(size, center, 1.0, lattice=True)
+    return Frame(size, center, 1.0, lattice=True)
 
 
 def vector(numbers: np.ndarray) -> tuple[float, float, float]:
@@ -62,22 +62,22 @@ def bounded_types() -> tuple[str, ...]:
     return tuple(each.type_name for each in REFERENCES.values() if "unbounded" not in each.groups)
 
 
-def random_shape(rng: Rng, kind: str, setting: Setting) -> Fields:
+def random_shape(rng: Rng, kind: str, frame: Frame) -> Fields:
     """A shape of this type as a scene file describes it, with a random to_world. Raises SceneError if unregistered."""
     reference = registered({each.type_name: each for each in REFERENCES.values()}, kind, "shape")
-    steps = random_to_world(rng, setting)
-    fields = reference.random_fields(rng, setting.lattice)
+    steps = random_to_world(rng, frame)
+    fields = reference.random_fields(rng, frame.lattice)
     return {"type": kind, **fields} | ({"to_world": steps} if steps else {})
 
 
 def registered(known: Mapping[str, T], kind: str, what: str) -> T:
     if kind not in known:
-        raise SceneError(f"fuzz: no {what} of type '{kind}' is registered in mitsuba_ref.{what}s")
+        raise SceneError(f"no {what} of type '{kind}' is registered in mitsuba_ref.{what}s")
     return known[kind]
 
 
-def random_shapes(rng: Rng, setting: Setting, kinds: Sequence[str], at_most: int) -> list[Fields]:
-    return [random_shape(rng, str(rng.choice(kinds)), setting) for _ in range(int(rng.integers(1, at_most + 1)))]
+def random_shapes(rng: Rng, frame: Frame, kinds: Sequence[str], at_most: int) -> list[Fields]:
+    return [random_shape(rng, str(rng.choice(kinds)), frame) for _ in range(int(rng.integers(1, at_most + 1)))]
 
 
 def triangle_of(corners: np.ndarray) -> Fields:
@@ -87,10 +87,10 @@ def triangle_of(corners: np.ndarray) -> Fields:
 
 def random_camera(
     rng: Rng,
-    setting: Setting,
+    frame: Frame,
     kinds: Sequence[str] = (),
     films: Sequence[tuple[int, int]] = FILM_SIZES,
-    view: Callable[[Rng, Setting], Fields] | None = None,
+    view: Callable[[Rng, Frame], Fields] | None = None,
 ) -> tuple[Fields, Fields]:
     """(film, camera) as a scene file describes them; the camera of one of these types, or of any registered one.
 
@@ -100,28 +100,28 @@ def random_camera(
     kind = str(rng.choice(kinds or tuple(known)))
     reference = registered(known, kind, "camera")
     width, height = films[int(rng.integers(len(films)))]
-    fields = reference.random_fields(rng, setting.size, lambda: (view or random_view)(rng, setting))
+    fields = reference.random_fields(rng, frame.size, lambda: (view or random_view)(rng, frame))
     return {"width": width, "height": height}, {"type": kind, **fields}
 
 
-def random_view(rng: Rng, setting: Setting) -> Fields:
-    """A view of the setting's centre, from within it up to far away; on the lattice along an axis."""
-    if setting.lattice:
+def random_view(rng: Rng, frame: Frame) -> Fields:
+    """A view of the frame's centre, from within it up to far away; on the lattice along an axis."""
+    if frame.lattice:
         away = _random_axis(rng)
         shift = rng.integers(-8, 9, 3) / 8.0
-        eye = np.array(setting.center) + setting.size * (int(rng.integers(0, 9)) * away + shift)
+        eye = np.array(frame.center) + frame.size * (int(rng.integers(0, 9)) * away + shift)
     else:
         away = random_directions(rng, 1)[0]
-        distance = setting.size * log_uniform(rng, 0.1, 1e4 if rng.random() < 0.2 else 10.0)
-        eye = np.array(setting.center) + distance * away
+        distance = frame.size * log_uniform(rng, 0.1, 1e4 if rng.random() < 0.2 else 10.0)
+        eye = np.array(frame.center) + distance * away
     return _view(eye, away)
 
 
-def view_from_within(rng: Rng, setting: Setting) -> Fields:
-    """A view along any direction from the setting's centre, or from near it; on the lattice along an axis."""
-    away = _random_axis(rng) if setting.lattice else random_directions(rng, 1)[0]
+def view_from_within(rng: Rng, frame: Frame) -> Fields:
+    """A view along any direction from the frame's centre, or from near it; on the lattice along an axis."""
+    away = _random_axis(rng) if frame.lattice else random_directions(rng, 1)[0]
     shift = rng.integers(-2, 3, 3) / 8.0 if coin_flip(rng) else np.zeros(3)
-    return _view(np.array(setting.center) + setting.size * shift, away)
+    return _view(np.array(frame.center) + frame.size * shift, away)
 
 
 def _random_axis(rng: Rng) -> np.ndarray:
@@ -134,13 +134,13 @@ def _view(eye: np.ndarray, away: np.ndarray) -> Fields:
     return {"eye": eye.tolist(), "direction": (-away).tolist(), "up": up.tolist()}
 
 
-def random_to_world(rng: Rng, setting: Setting) -> list[dict[str, Any]]:
-    """Random steps that place a shape of about unit size near the centre of the setting."""
-    if setting.lattice:
-        return _lattice_steps(rng, setting)
-    if setting.condition == 1.0 or rng.random() < 0.3:
-        return _similarity_steps(rng, setting)
-    return [{"matrix": matrix_rows(_random_linear(rng, setting), _random_translation(rng, setting))}]
+def random_to_world(rng: Rng, frame: Frame) -> list[dict[str, Any]]:
+    """Random steps that place a shape of about unit size near the centre of the frame."""
+    if frame.lattice:
+        return _lattice_steps(rng, frame)
+    if frame.condition == 1.0 or rng.random() < 0.3:
+        return _similarity_steps(rng, frame)
+    return [{"matrix": matrix_rows(_random_linear(rng, frame), _random_translation(rng, frame))}]
 
 
 def matrix_rows(linear: np.ndarray, move: np.ndarray) -> list[list[float]]:
@@ -149,22 +149,21 @@ def matrix_rows(linear: np.ndarray, move: np.ndarray) -> list[list[float]]:
     return [*rows, [0.0, 0.0, 0.0, 1.0]]
 
 
-def _random_translation(rng: Rng, setting: Setting) -> np.ndarray:
-    return np.array(setting.center) + 1.5 * setting.size * rng.normal(size=3)
+def _random_translation(rng: Rng, frame: Frame) -> np.ndarray:
+    return np.array(frame.center) + 1.5 * frame.size * rng.normal(size=3)
 
 
-def _lattice_steps(rng: Rng, setting: Setting) -> list[dict[str, Any]]:
+def _lattice_steps(rng: Rng, frame: Frame) -> list[dict[str, Any]]:
     """Quarter turns, mirror images and powers of two, all without rounding."""
     steps: list[dict[str, Any]] = []
     if rng.random() < 0.4:
         axis = np.eye(3)[rng.integers(3)].tolist()
         steps.append({"rotate": {"axis": axis, "degrees": 90.0 * int(rng.integers(1, 4))}})
-    factors = setting.size * rng.choice([1.0, 1.0, 1.0, -1.0], 3) * _lattice_stretch(rng)
+    factors = frame.size * rng.choice([1.0, 1.0, 1.0, -1.0], 3) * _lattice_stretch(rng)
     if not np.all(factors == 1.0):
         steps.append({"scale": factors.tolist()})
     move = (
-        np.array(setting.center)
-        + setting.size * rng.integers(-2 * LATTICE_STEPS, 2 * LATTICE_STEPS + 1, 3) / LATTICE_STEPS
+        np.array(frame.center) + frame.size * rng.integers(-2 * LATTICE_STEPS, 2 * LATTICE_STEPS + 1, 3) / LATTICE_STEPS
     )
     return [*steps, {"translate": move.tolist()}] if move.any() else steps
 
@@ -173,19 +172,19 @@ def _lattice_stretch(rng: Rng) -> np.ndarray:
     return 2.0 ** rng.integers(-2, 3, 3) if rng.random() < 0.3 else np.ones(3)
 
 
-def _similarity_steps(rng: Rng, setting: Setting) -> list[dict[str, Any]]:
+def _similarity_steps(rng: Rng, frame: Frame) -> list[dict[str, Any]]:
     axis = rng.normal(size=3)
     turn = {"axis": axis.tolist(), "degrees": float(rng.uniform(0.0, 360.0))}
-    scale = setting.size * log_uniform(rng, 0.1, 1.0) * float(rng.choice([1.0, 1.0, -1.0]))
-    return [{"scale": scale}, {"rotate": turn}, {"translate": _random_translation(rng, setting).tolist()}]
+    scale = frame.size * log_uniform(rng, 0.1, 1.0) * float(rng.choice([1.0, 1.0, -1.0]))
+    return [{"scale": scale}, {"rotate": turn}, {"translate": _random_translation(rng, frame).tolist()}]
 
 
-def _random_linear(rng: Rng, setting: Setting) -> np.ndarray:
+def _random_linear(rng: Rng, frame: Frame) -> np.ndarray:
     """Singular values from 1 / condition to 1; sheared, and mirrored half of the time."""
-    condition = log_uniform(rng, 1.0, setting.condition)
+    condition = log_uniform(rng, 1.0, frame.condition)
     values = np.array([1.0, condition ** -rng.random(), 1.0 / condition])
     values = rng.permutation(values) * rng.choice([-1.0, 1.0], 3)
-    return setting.size * random_rotation(rng) @ np.diag(values) @ random_rotation(rng)
+    return frame.size * random_rotation(rng) @ np.diag(values) @ random_rotation(rng)
 
 
 # ---- options: everything that a scene file can say ----
@@ -197,14 +196,14 @@ MAX_LIGHTS_OF_A_KIND = 5
 CHECKED = ("depth", "diffuse")  # AOVs that a table `check` names
 
 
-def with_options(rng: Rng, setting: Setting, data: dict[str, Any]) -> dict[str, Any]:
+def with_options(rng: Rng, frame: Frame, data: dict[str, Any]) -> dict[str, Any]:
     """The scene with a random choice of everything that a scene file can say."""
     materials = {name: _material(rng) for name in MATERIALS[: int(rng.integers(3))]}
     scene = {
         "film": _film(rng),
-        "camera": _camera(rng, setting, data["camera"]),
-        "shape": [_shape(rng, setting, i, shape, list(materials)) for i, shape in enumerate(data["shape"])],
-        "light": _lights(rng, setting, data["camera"]),
+        "camera": _camera(rng, frame, data["camera"]),
+        "shape": [_shape(rng, frame, i, shape, list(materials)) for i, shape in enumerate(data["shape"])],
+        "light": _lights(rng, frame, data["camera"]),
         "material": materials,
         "check": {name: _sometimes(rng, {"ratio": 2.0}, 0.3) for name in CHECKED[: int(rng.integers(3))]},
     }
@@ -222,23 +221,23 @@ def _add_twin(rng: Rng, scene: dict[str, Any]) -> None:
             shape["material"] = "twin"
 
 
-def _lights(rng: Rng, setting: Setting, camera: Fields) -> list[Fields]:
+def _lights(rng: Rng, frame: Frame, camera: Fields) -> list[Fields]:
     """None, one, two or, rarely, MAX_LIGHTS_OF_A_KIND of each; the last is on the viewer's side and lights it.
 
     Light from behind mostly falls on surfaces that nobody sees, and a fault of its colour would change no pixel.
     """
     lights, more = [], rng.spawn(1)[0]
     for kind, fields in LIGHT_FIELDS.items():
-        drawn = [{"type": kind, **fields(rng, setting)} for _ in range(int(rng.integers(3)))]
+        drawn = [{"type": kind, **fields(rng, frame)} for _ in range(int(rng.integers(3)))]
         if drawn and more.random() < 0.1:
-            drawn[:0] = [{"type": kind, **fields(more, setting)} for _ in range(MAX_LIGHTS_OF_A_KIND - len(drawn))]
-        lights += [*drawn[:-1], *(_from_the_viewer(light, setting, camera) for light in drawn[-1:])]
+            drawn[:0] = [{"type": kind, **fields(more, frame)} for _ in range(MAX_LIGHTS_OF_A_KIND - len(drawn))]
+        lights += [*drawn[:-1], *(_from_the_viewer(light, frame, camera) for light in drawn[-1:])]
     return lights
 
 
-def _from_the_viewer(light: Fields, setting: Setting, camera: Fields) -> Fields:
+def _from_the_viewer(light: Fields, frame: Frame, camera: Fields) -> Fields:
     """The light, or its mirror image through the centre, whichever shines along the camera's direction."""
-    along, center = np.array(camera["direction"]), np.array(setting.center)
+    along, center = np.array(camera["direction"]), np.array(frame.center)
     if "direction" in light and np.dot(light["direction"], along) < 0.0:
         return light | {"direction": [-x for x in light["direction"]]}
     if "position" in light and np.dot(np.array(light["position"]) - center, along) > 0.0:
@@ -257,7 +256,7 @@ def _film(rng: Rng) -> Fields:
     return {"width": width, "height": height} | _sometimes(rng, {"crop": [x0, y0, x1, y1]}, 0.6)
 
 
-def _camera(rng: Rng, setting: Setting, camera: Fields) -> Fields:
+def _camera(rng: Rng, frame: Frame, camera: Fields) -> Fields:
     """Enumerations at random, from the schema; optional fields given or left out."""
     (model,) = (each for each in CAMERAS if each.model_fields["type"].default == camera["type"])
     choices = {
@@ -265,10 +264,10 @@ def _camera(rng: Rng, setting: Setting, camera: Fields) -> Fields:
         for name, field in model.model_fields.items()
         if typing.get_origin(field.annotation) is Literal and name != "type"
     }
-    lengths = {"far": float(setting.size * rng.uniform(2.0, 20.0)), "t_max": log_uniform(rng, 1.0, 100.0)}
+    lengths = {"far": float(frame.size * rng.uniform(2.0, 20.0)), "t_max": log_uniform(rng, 1.0, 100.0)}
     optional = {
         "principal_point": rng.uniform(-0.3, 0.3, 2).tolist(),
-        **{name: length * (setting.size if name == "t_max" else 1.0) for name, length in lengths.items()},
+        **{name: length * (frame.size if name == "t_max" else 1.0) for name, length in lengths.items()},
     }
     given = {name: value for name, value in optional.items() if name in model.model_fields and coin_flip(rng)}
     out = {**camera, **choices, **given}
@@ -276,51 +275,51 @@ def _camera(rng: Rng, setting: Setting, camera: Fields) -> Fields:
         del out["fov"]
     if "look_at" in model.model_fields and coin_flip(rng):
         way = np.array(out.pop("direction"))
-        out["look_at"] = (np.array(out["eye"]) + setting.size * float(rng.uniform(1.0, 9.0)) * way).tolist()
+        out["look_at"] = (np.array(out["eye"]) + frame.size * float(rng.uniform(1.0, 9.0)) * way).tolist()
     return out
 
 
-def _shape(rng: Rng, setting: Setting, number: int, shape: Fields, materials: list[str]) -> Fields:
+def _shape(rng: Rng, frame: Frame, number: int, shape: Fields, materials: list[str]) -> Fields:
     out = dict(shape)
     if rng.random() < 0.3:
         out.pop("seed", None)
     if rng.random() < 0.4:
-        out["to_world"] = _steps(rng, setting)
+        out["to_world"] = _steps(rng, frame)
     if not out.get("to_world", True):
         del out["to_world"]
     out |= _sometimes(rng, {"name": f"shape {number}"})
     return out | (_sometimes(rng, {"material": str(rng.choice(materials))}, 0.8) if materials else {})
 
 
-def _steps(rng: Rng, setting: Setting) -> list[Fields]:
+def _steps(rng: Rng, frame: Frame) -> list[Fields]:
     """No step, or a scale and a look_at, with or without its own up."""
     if rng.random() < 0.4:
         return []
-    origin = np.array(setting.center) + setting.size * rng.normal(size=3)
-    view = {"origin": origin.tolist(), "target": (origin + setting.size * rng.normal(size=3)).tolist()}
+    origin = np.array(frame.center) + frame.size * rng.normal(size=3)
+    view = {"origin": origin.tolist(), "target": (origin + frame.size * rng.normal(size=3)).tolist()}
     up = _sometimes(rng, {"up": rng.normal(size=3).tolist()})
-    return [{"scale": setting.size * float(rng.uniform(0.2, 1.0))}, {"look_at": {**view, **up}}]
+    return [{"scale": frame.size * float(rng.uniform(0.2, 1.0))}, {"look_at": {**view, **up}}]
 
 
 def _material(rng: Rng) -> Fields:
     return {"reflectance": rng.random(3).tolist()} | _sometimes(rng, {"two_sided": True})
 
 
-def _point(rng: Rng, setting: Setting) -> Fields:
-    position = np.array(setting.center) + 4.0 * setting.size * rng.normal(size=3)
-    intensity = setting.size**2 * rng.uniform(1.0, 30.0, 3)
+def _point(rng: Rng, frame: Frame) -> Fields:
+    position = np.array(frame.center) + 4.0 * frame.size * rng.normal(size=3)
+    intensity = frame.size**2 * rng.uniform(1.0, 30.0, 3)
     return {"position": vector(position), "intensity": vector(intensity)}
 
 
-def _directional(rng: Rng, setting: Setting) -> Fields:
+def _directional(rng: Rng, frame: Frame) -> Fields:
     return {"direction": random_directions(rng, 1)[0].tolist(), "irradiance": vector(rng.uniform(0.1, 2.0, 3))}
 
 
-def _ambient(rng: Rng, setting: Setting) -> Fields:
+def _ambient(rng: Rng, frame: Frame) -> Fields:
     return {"radiance": vector(rng.uniform(0.01, 0.5, 3))}
 
 
-LIGHT_FIELDS: dict[str, Callable[[Rng, Setting], Fields]] = {
+LIGHT_FIELDS: dict[str, Callable[[Rng, Frame], Fields]] = {
     "point": _point,
     "directional": _directional,
     "ambient": _ambient,

@@ -1,0 +1,234 @@
+"""Tests of several rays, pixels or boxes at once, of the vectors of caster/jit/simd.py."""
+
+from typing import Any
+
+import numpy as np
+
+from caster.jit.decorators import inlined
+from caster.jit.simd import (
+    CHILDREN,
+    Vector,
+    bits_below,
+    bits_up_to,
+    larger,
+    largest,
+    least,
+    lesser,
+    load_children,
+    load_lanes,
+    minus,
+    plus,
+    select,
+    splat,
+    store,
+    times,
+)
+from caster.kernels.math.vec import TINY
+from caster.kernels.protocol import Vec3
+
+# ---- numbers of a tile, LANES from a place on ----
+
+
+@inlined
+def any_sum_reaches(a: Any, i: Any, j: Any, limit: float) -> bool:
+    """Whether a[i + n] + a[j + n] >= limit for one n of 0..LANES - 1."""
+    return bits_up_to(splat(limit), plus(load_lanes(a, i), load_lanes(a, j))) != 0
+
+
+@inlined
+def lane_min(a: Any, i: Any) -> float:
+    """The least of a[i:i + LANES]."""
+    return least(load_lanes(a, i))
+
+
+@inlined
+def lane_max(a: Any, i: Any) -> float:
+    """The largest of a[i:i + LANES]."""
+    return largest(load_lanes(a, i))
+
+
+@inlined
+def lane_max_of_sums(a: Any, i: Any, j: Any) -> float:
+    """The largest of a[i + n] + a[j + n] for n of 0..LANES - 1."""
+    return largest(plus(load_lanes(a, i), load_lanes(a, j)))
+
+
+@inlined
+def lanes_in_range(a: Any, i: Any, low: float, end: float) -> int:
+    """A bit for each n of 0..LANES - 1 where low <= a[i + n] < end."""
+    v = load_lanes(a, i)
+    return bits_up_to(splat(low), v) & bits_below(v, splat(end))
+
+
+@inlined
+def numbers_in_range(a: Any, i: Any, low: float, end: float, lanes: Any, into: Any) -> None:
+    """lanes[into + n] = a[i + n] - low where low <= a[i + n] < end, else 0, for n of 0..LANES - 1."""
+    v = load_lanes(a, i)
+    store(select(lanes_in_range(a, i, low, end), minus(v, splat(low)), splat(0.0)), lanes, into)
+
+
+# ---- boxes of a tree's node ----
+
+# 1/d and a sum are off by u each of the distance itself, so the far side of a box is pushed out by 1 + 2 gamma_3 (Ize
+# 2013), gamma_3 = 3 u / (1 - 3 u), u = 2^-53.
+FAR_PADDING = 1.0 + 2.0 * (3.0 * 2.0**-53) / (1.0 - 3.0 * 2.0**-53)
+
+LARGEST_T = float(np.finfo(np.float64).max)  # for boxes that are entered at a t beyond float64
+
+SIDES = 6  # rows of a node's boxes
+
+
+@inlined
+def box_row(boxes: Any, node: int, row: int) -> Vector:
+    """One side of each of a node's boxes; boxes: (nodes, SIDES, CHILDREN)."""
+    return load_children(boxes, (node * SIDES + row) * CHILDREN)
+
+
+@inlined
+def intersect_boxes(boxes: Any, node: int, view: Any, t_min: float, t_max: float, near: Any) -> int:
+    """A bit for each of the node's boxes that a ray enters between t_min and t_max; where it does goes to near (8,).
+
+    view: a traversal.RayBoxSetup. A side at b along an axis is met at b inverse + enter, or + leave if it is far.
+    """
+    x0, x1 = ray_slab(boxes, node, view.near[0], view.far[0], view.inverse[0], view.enter[0], view.leave[0])
+    y0, y1 = ray_slab(boxes, node, view.near[1], view.far[1], view.inverse[1], view.enter[1], view.leave[1])
+    z0, z1 = ray_slab(boxes, node, view.near[2], view.far[2], view.inverse[2], view.enter[2], view.leave[2])
+    return entered(larger(larger(x0, y0), z0), lesser(lesser(x1, y1), z1), t_min, t_max, near)
+
+
+@inlined
+def ray_slab(boxes: Any, node: int, near: int, far: int, inverse: float, enter: float, leave: float) -> Any:
+    """Where each box is entered and left along an axis."""
+    slope = splat(inverse)
+    return (
+        plus(times(box_row(boxes, node, near), slope), splat(enter)),
+        plus(times(box_row(boxes, node, far), slope), splat(leave)),
+    )
+
+
+@inlined
+def intersect_boxes_packet(boxes: Any, node: int, view: Any, t_min: float, t_max: float, near: Any) -> int:
+    """The same for boxes that one of several rays may enter.
+
+    view: a traversal.PacketBoxSetup. A side at b is met at no less than (b unit + enter)/d if it is a near one, no more
+    than (b unit + leave)/d if it is far.
+    """
+    x0, x1 = packet_slab(
+        boxes, node, view.unit, view.near[0], view.far[0], view.least[0], view.most[0], view.enter[0], view.leave[0]
+    )
+    y0, y1 = packet_slab(
+        boxes, node, view.unit, view.near[1], view.far[1], view.least[1], view.most[1], view.enter[1], view.leave[1]
+    )
+    z0, z1 = packet_slab(
+        boxes, node, view.unit, view.near[2], view.far[2], view.least[2], view.most[2], view.enter[2], view.leave[2]
+    )
+    return entered(larger(larger(x0, y0), z0), lesser(lesser(x1, y1), z1), t_min, t_max, near)
+
+
+@inlined
+def packet_slab(
+    boxes: Any,
+    node: int,
+    unit: float,
+    near: int,
+    far: int,
+    least_inverse: float,
+    most_inverse: float,
+    enter: float,
+    leave: float,
+) -> Any:
+    """Where each box is entered at the earliest and left at the latest along an axis."""
+    low, high = splat(least_inverse), splat(most_inverse)
+    begin = plus(times(box_row(boxes, node, near), splat(unit)), splat(enter))
+    end = plus(times(box_row(boxes, node, far), splat(unit)), splat(leave))
+    return lesser(times(begin, low), times(begin, high)), larger(times(end, low), times(end, high))
+
+
+@inlined
+def entered(enter: Vector, leave: Vector, t_min: float, t_max: float, near: Any) -> int:
+    """A bit for each box that is entered before it is left, within the ray's limits."""
+    enter = larger(enter, splat(t_min))
+    leave = lesser(times(leave, splat(FAR_PADDING)), splat(t_max))
+    store(lesser(enter, splat(LARGEST_T)), near, 0)
+    return bits_up_to(enter, leave)
+
+
+# ---- fans (caster/kernels/bvh/fans.py): five numbers a box, each the least of something, CHILDREN boxes in a row ----
+
+FAN_FIELDS = 5
+
+Lines = tuple[Vec3, Vec3, Vec3]
+
+
+@inlined
+def fan_row(boxes: Any, node: int, field: int) -> Vector:
+    return load_children(boxes, (node * FAN_FIELDS + field) * CHILDREN)
+
+
+@inlined
+def boxes_below(boxes: Any, node: int, limits: tuple[float, float, float, float, float]) -> int:
+    """A bit for each of a node's boxes of which no number is above its limit; boxes: flat, (nodes, 5, CHILDREN)."""
+    return (
+        bits_up_to(fan_row(boxes, node, 0), splat(limits[0]))
+        & bits_up_to(fan_row(boxes, node, 1), splat(limits[1]))
+        & bits_up_to(fan_row(boxes, node, 2), splat(limits[2]))
+        & bits_up_to(fan_row(boxes, node, 3), splat(limits[3]))
+        & bits_up_to(fan_row(boxes, node, 4), splat(limits[4]))
+    )
+
+
+@inlined
+def boxes_reach_lines(boxes: Any, node: int, lines: Lines) -> int:
+    """A bit for each of a node's boxes (least x, -largest x, least y, -largest y, ...) in which a x + b y + c >= 0
+    somewhere, for each (a, b, c) of three lines.
+    """
+    return (
+        boxes_reach_line(boxes, node, lines[0])
+        & boxes_reach_line(boxes, node, lines[1])
+        & boxes_reach_line(boxes, node, lines[2])
+    )
+
+
+@inlined
+def boxes_reach_line(boxes: Any, node: int, line: Vec3) -> int:
+    most = plus(largest_product(boxes, node, line[0], 0), largest_product(boxes, node, line[1], 2))
+    return bits_up_to(splat(0.0), plus(most, splat(line[2])))
+
+
+@inlined
+def largest_product(boxes: Any, node: int, slope: float, field: int) -> Vector:
+    """slope x where it is largest; field: that of the least x."""
+    rises = slope > 0.0
+    return times(splat(-slope if rises else slope), fan_row(boxes, node, field + 1 if rises else field))
+
+
+@inlined
+def lanes_within_lines(xy: Any, i: Any, j: Any, lines: Lines) -> int:
+    """A bit for each n of 0..LANES - 1 where a xy[i + n] + b xy[j + n] + c >= 0 for each (a, b, c) of three lines."""
+    x, y = load_lanes(xy, i), load_lanes(xy, j)
+    return points_within(x, y, lines[0]) & points_within(x, y, lines[1]) & points_within(x, y, lines[2])
+
+
+@inlined
+def points_within(x: Vector, y: Vector, line: Vec3) -> int:
+    total = plus(plus(times(splat(line[0]), x), times(splat(line[1]), y)), splat(line[2]))
+    return bits_up_to(splat(0.0), total)
+
+
+@inlined
+def lanes_above(tile: Any, x: Any, y: Any, z: Any, plane: Any) -> int:
+    """A bit for each point (tile[x + n], tile[y + n], tile[z + n]) that is surely above a plane (p, normal, error).
+
+    Surely above: normal . (p - point) > error . |p - point|.
+    """
+    p, normal, error = plane
+    a, b = minus(splat(p[0]), load_lanes(tile, x)), minus(splat(p[1]), load_lanes(tile, y))
+    c = minus(splat(p[2]), load_lanes(tile, z))
+    height = plus(plus(times(splat(normal[0]), a), times(splat(normal[1]), b)), times(splat(normal[2]), c))
+    off = plus(plus(error_share(error[0], a), error_share(error[1], b)), error_share(error[2], c))
+    return bits_below(plus(off, splat(TINY)), height)
+
+
+@inlined
+def error_share(error: float, v: Vector) -> Vector:
+    return times(splat(error), larger(v, times(splat(-1.0), v)))

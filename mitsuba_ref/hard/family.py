@@ -1,0 +1,61 @@
+"""Families of hard scenes: a name, at most one parameter, and a function that makes a scene with rays for it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from caster.geometry.packing import Packed
+from caster.scene.model import Scene
+from mitsuba_ref.hard.rays import RayBatch
+from mitsuba_ref.shapes.targets import Rng
+
+Fields = dict[str, Any]  # of a scene, a shape, a camera or a film, as a scene file gives them
+AimRays = Callable[[Rng, Packed, int], RayBatch]  # that many rays, or fewer where a family has no more
+
+
+class HardScene(NamedTuple):
+    """A scene as a scene file describes it, and how rays are aimed at its packed shapes."""
+
+    data: Fields
+    aim: AimRays
+
+    def scene(self) -> Scene:
+        return scene_of(self.data)
+
+
+def scene_of(data: Fields) -> Scene:
+    """Raises SceneError or pydantic's ValidationError for an invalid description."""
+    scene: Scene = Scene.model_validate(data)
+    return scene
+
+
+@dataclass(frozen=True)
+class Family:
+    """Scenes of one numerical difficulty.
+
+    A family with values is swept by `stress`: one quantity gets extreme. `fuzz` draws from all families, and a value
+    of the swept ones.
+    """
+
+    name: str
+    title: str  # what makes it hard, in a line
+    make: Callable[[Rng, float], HardScene] = field(repr=False)  # of the swept quantity, 0.0 where there is none
+    quantity: str = ""  # the swept one, with its unit
+    values: tuple[float, ...] = ()  # of it, in ascending order
+    easiest: float = 0.0  # the value from which on settings get harder, to one side or to both
+    unit: float | None = None  # of errors of t, in scene units; None: relative to the distance
+    closed: bool = False  # every ray starts inside a closed mesh, so that each of them hits
+    fits_float32: bool = True  # so that Mitsuba can trace it
+    always_judged: bool = False  # by Mitsuba in `fuzz`, unless none is
+    drawn: bool = True  # by `fuzz` where no family is named
+
+    @property
+    def error(self) -> str:
+        return "relative error of t" if self.unit is None else "error of t over radius"
+
+    def at(self, seed: int, value: float) -> tuple[HardScene, Rng]:
+        """One setting of a sweep and its random numbers, which do not depend on what else is swept."""
+        rng = np.random.default_rng([seed, *self.name.encode(), *np.float64(value).tobytes()])
+        return self.make(rng, value), rng
