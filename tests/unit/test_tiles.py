@@ -7,9 +7,8 @@ import pytest
 
 import caster
 from caster.aovs import kernel_of
-from caster.geometry.packing import pack
-from caster.kernels.nearest import NearestMode, Rays, no_hits
-from caster.kernels.protocol import camera_ray, normal, update_best
+from caster.kernels.nearest import KeepNearest, Rays, no_hits
+from caster.kernels.protocol import camera_ray, update_best
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import (
     DEPTH_BUCKETS,
@@ -47,9 +46,7 @@ from caster.kernels.raster.tile import (
     tile_rows,
     update_nearest,
 )
-from caster.kernels.surface.normals import normals_in_tile
-from caster.kernels.surface.per_hit import NO_IDS, fill_miss, new_surface_buffer, store_hits, write_aov
-from caster.shapes.sphere import SphereCloud
+from caster.kernels.surface.per_hit import NO_IDS, new_surface_buffer, store_hits, write_aov
 
 RAY_FIELDS = (OX, OY, OZ, DX, DY, DZ, T_MIN, T_MAX)
 BEGUN = {T: math.inf, T_ERROR: 0.0, PRIM: -1.0, UNCERTAIN: 0.0}
@@ -229,17 +226,6 @@ def test_an_aov_is_written_to_the_box_of_its_image_and_nowhere_else(with_starts)
     assert image == pytest.approx(expected, rel=1e-14)
 
 
-@pytest.mark.parametrize("name", ["depth", "normal", "shape_id"])
-def test_a_box_without_hits_is_filled_with_the_misses_of_an_aov(name):
-    kernel = kernel_of(name)
-    shape = (HIGH, WIDE) if len(kernel.misses) == 1 else (HIGH, WIDE, len(kernel.misses))
-    image = np.full(shape, 7.0 if name != "shape_id" else 7, np.float64 if name != "shape_id" else np.int32)
-    expected = image.copy()
-    expected[BOX[1] : BOX[3], BOX[0] : BOX[2]] = kernel.miss
-    fill_miss(kernel, BOX, image)
-    assert np.array_equal(image, expected)
-
-
 @pytest.mark.parametrize("unsure", [False, True])
 def test_hits_and_what_is_uncertain_are_stored_in_the_box_of_an_image(unsure):
     tile = hit_box(np.random.default_rng(256))
@@ -251,41 +237,6 @@ def test_hits_and_what_is_uncertain_are_stored_in_the_box_of_an_image(unsure):
     expected[0, BOX[1] : BOX[3], BOX[0] : BOX[2]] = in_box(tile, PRIM) >= 0
     expected[1, BOX[1] : BOX[3], BOX[0] : BOX[2]] = in_box(tile, UNCERTAIN) == 1.0
     assert np.array_equal(hit, expected[0]) and np.array_equal(uncertain, expected[1])
-
-
-PRIMITIVES = {
-    "spheres": SphereCloud(centers=[(0, 0, 0), (3, 1, 2), (-2, 0, 1), (0, 4, 0)], radii=[1, 2, 0.5, 3]),
-    "cylinder": caster.Cylinder(to_world=[{"scale": [1, 2, 3]}]),
-    "disk": caster.Disk(to_world=[{"rotate": {"axis": [1, 2, 3], "degrees": 40}}]),
-}
-
-
-@pytest.mark.parametrize("reach", [50.0, math.inf])
-@pytest.mark.parametrize("name", PRIMITIVES)
-def test_normals_of_the_runs_of_a_tile_are_those_of_each_hit(name, reach):
-    """Of primitives that begin at number 1 in the tile; others stay as they were, and misses if they are not wanted."""
-    scene = caster.Scene(camera=caster.Pinhole(eye=(0, 0, 9), look_at=(0, 0, 0)), shapes=[PRIMITIVES[name]])
-    (kind,) = pack(scene).kinds
-    count, rng, tile = len(kind.ids), np.random.default_rng(257), new_tile()
-    prim = np.repeat(rng.integers(-1, count + 2, PIXELS), rng.integers(1, 12, PIXELS))[:PIXELS]
-    d = rng.normal(size=(PIXELS, 3))
-    d /= np.linalg.norm(d, axis=1, keepdims=True)
-    fields, others = (PRIM, T, OX, OY, OZ, DX, DY, DZ), rng.normal(size=(3, PIXELS))
-    for at, numbers in zip(fields, (prim, rng.uniform(1.0, 9.0, PIXELS), *others, *d.T), strict=True):
-        whole(tile, at).ravel()[:] = numbers
-    rays = np.stack([whole(tile, at) for at in (OX, OY, OZ, DX, DY, DZ, T)], axis=2)
-    for misses in (False, True):
-        image, expected = np.full((2, HIGH, WIDE, 3), 7.0)
-        for y in range(BOX[3] - BOX[1]):
-            for x in range(BOX[2] - BOX[0]):
-                k = int(in_box(tile, PRIM)[y, x]) - 1
-                ox, oy, oz, dx, dy, dz, t = rays[y, x].tolist()
-                if 0 <= k < count:
-                    expected[BOX[1] + y, BOX[0] + x] = normal(kind.prims, k, (ox, oy, oz), (dx, dy, dz), t)
-                elif misses and k == -2:
-                    expected[BOX[1] + y, BOX[0] + x] = 0.0
-        normals_in_tile(kernel_of("normal"), kind.prims, (1, 1 + count), reach, tile, BOX, misses, image)
-        assert np.array_equal(image, expected) and (expected[..., 0] != 7.0).sum() > 9
 
 
 def test_primitives_are_counted_and_listed_in_the_tiles_that_they_reach_into_by_depth():
@@ -342,7 +293,7 @@ def test_an_answer_is_nearer_where_both_errors_allow_it_and_uncertain_where_they
             assert tile[int(UNCERTAIN) + 9] == float(unsure or near)
             changed = np.flatnonzero(tile != before)
             assert set(changed.tolist()) <= {int(at) + 9 for at in fields}
-            mode, best = NearestMode(np.zeros(1, np.int32)), (held, held_error, 4, bool(unsure))
+            mode, best = KeepNearest(False), (held, held_error, 4, bool(unsure))
             assert update_best(mode, best, 0, 6, (t, error)) == (*expected[:2], int(expected[2]), bool(unsure or near))
 
 
