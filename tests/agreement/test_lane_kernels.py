@@ -1,4 +1,4 @@
-"""Lanes, compiled: intrinsics give what their plain text gives, kernels of tiles and packets what NumPy gives."""
+"""Kernels of tiles and packets, compiled, give what NumPy gives."""
 
 import math
 import types
@@ -7,97 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_lanes import (
-    a_range,
-    a_range_and_lanes,
-    one_view,
-    several_views,
-    some_boxes,
-    some_faces,
-    wide,
-    written_differently,
-)
 
-from caster.jit import simd, vector_intrinsics
 from caster.jit.decorators import jit
 from caster.jit.kernel_cache import COMPILED
-from caster.jit.simd import CHILDREN, FAR_PADDING, LANES, LARGEST_T
+from caster.jit.simd import LANES
 from caster.kernels.bvh import traversal
 from caster.kernels.raster import tile as tiles
 from caster.kernels.raster import tile_casting
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")
-
-ROUNDS = 200  # of random numbers; every fault shows within the first few
-
-GIVEN = {"lanes_in_range": a_range, "numbers_in_range": a_range_and_lanes, "gather_corners": some_faces}
-
-
-def differs(vectors: types.ModuleType, name: str) -> bool:
-    """Whether an intrinsic, compiled, and its plain text give another bit anywhere."""
-    import numba
-
-    made = numba.extending.intrinsic
-    rng = np.random.default_rng(33)
-    if name in ("one ray", "several rays"):
-        which = "intersect_boxes" if name == "one ray" else "intersect_boxes_packet"
-        inner = made(getattr(vectors, which)(CHILDREN, numba.types, FAR_PADDING, LARGEST_T))
-        boxes_entered = numba.njit(error_model="numpy")(lambda b, k, v, t, u, near: inner(b, k, v, t, u, near))
-        plain, view_of = getattr(simd, which), one_view if name == "one ray" else several_views
-        for k in range(ROUNDS):
-            boxes, view, node = some_boxes(rng), view_of(rng), int(rng.integers(5))
-            if which == "intersect_boxes" and k % 4 == 0:  # left half an ulp before it is entered: padding decides
-                view = view._replace(inverse=(0.0,) * 3, enter=(1.0,) * 3, leave=(1.0 - 2.0**-53,) * 3)
-            near, limits = np.zeros((2, CHILDREN)), (0.0, float(rng.choice([1.0, 10.0, np.inf])))
-            masks = (boxes_entered(boxes, node, view, *limits, near[0]), plain(boxes, node, view, *limits, near[1]))
-            if masks[0] != masks[1] or near[0].tobytes() != near[1].tobytes():
-                return True
-        return False
-    plain = getattr(simd, name)
-    inner = made(getattr(vectors, name)(*(() if name == "lowest_bit" else (LANES,)), numba.types))
-    compiled = jit(
-        {
-            "lowest_bit": lambda mask: inner(mask),
-            "lane_min": lambda a, i: inner(a, i),
-            "lane_max": lambda a, i: inner(a, i),
-            "lane_max_of_sums": lambda a, i, j: inner(a, i, j),
-            "any_sum_reaches": lambda a, i, j, limit: inner(a, i, j, limit),
-            "lanes_in_range": lambda a, i, least, end: inner(a, i, least, end),
-            "numbers_in_range": lambda a, i, least, end, out, at: inner(a, i, least, end, out, at),
-            "gather_corners": lambda rows, faces, out, i, at, step: inner(rows, faces, out, i, at, step),
-        }[name]
-    )
-    if name in GIVEN:
-        return any(written_differently(compiled, plain, GIVEN[name](rng)) for _ in range(ROUNDS))
-    for _ in range(ROUNDS):
-        numbers = wide(rng, 4 * LANES)
-        i, j = (np.uint64(x) for x in rng.integers(0, 3 * LANES, 2))
-        largest = float(simd.lane_max_of_sums(numbers, int(i), int(j)))
-        given = {
-            "lowest_bit": (int(rng.integers(1, 1 << CHILDREN)),),
-            "lane_max_of_sums": (numbers, i, j),
-            "any_sum_reaches": (numbers, i, j, largest),  # just reached
-        }.get(name, (numbers, i))
-        if compiled(*given) != plain(*(int(x) if isinstance(x, np.uint64) else x for x in given)):
-            return True
-    return False
-
-
-INTRINSICS = (
-    "one ray",
-    "several rays",
-    "lowest_bit",
-    "lane_min",
-    "lane_max",
-    "lane_max_of_sums",
-    "any_sum_reaches",
-    *GIVEN,
-)
-
-
-@pytest.mark.parametrize("name", INTRINSICS)
-def test_an_intrinsic_gives_what_its_plain_text_gives(name):
-    assert not differs(vector_intrinsics, name)
 
 
 def some_tile(rng: np.random.Generator) -> np.ndarray:

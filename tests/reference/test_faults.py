@@ -59,12 +59,13 @@ def obey(forks, coarse_scenes, tmp_path):
 
 
 def test_every_fault_fits_the_source_of_today():
-    counts = {
-        (fault.name, each["file"], each["old"]): (ROOT / each["file"]).read_text(encoding="utf-8").count(each["old"])
-        for fault in FAULTS
-        for each in fault.edit
-    }
-    unfit = [f"{name}: {file} has {n} times, not once: {old!r}" for (name, file, old), n in counts.items() if n != 1]
+    unfit = []
+    for fault in FAULTS:
+        for each in fault.edit:
+            path = ROOT / each["file"]
+            count = path.read_text(encoding="utf-8").count(each["old"]) if path.exists() else 0
+            if count != 1:
+                unfit.append(f"{fault.name}: {each['file']} has {count} times, not once: {each['old']!r}")
     assert not unfit, "\n".join(unfit)
     assert len({fault.name for fault in FAULTS}) == len(FAULTS)
 

@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 from caster.jit import kernel_cache, machine_code
-from caster.jit.arguments import MISMATCH, checked_call, signature_key
-from caster.jit.decorators import bind, jit
-from caster.jit.kernel_cache import COMPILED, claim, read_sealed
+from caster.jit.arguments import describe, key_text
+from caster.jit.command_list import bind
+from caster.jit.decorators import jit
+from caster.jit.kernel_cache import COMPILED, claim, read_sealed, write_sealed
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -167,12 +168,11 @@ def test_code_that_llvm_cannot_load_is_compiled_anew(kept, tmp_path):
     """Sealed as it should be, and yet no object code: of another version of this package, say."""
     shutil.copytree(kept, tmp_path, dirs_exist_ok=True)
     (path,) = (path for path in files(tmp_path) if path.name.startswith("clear_rays-caster_"))
-    code = machine_code.read(path)
-    assert code is not None
-    machine_code.ObjectCode("caster_other", code.taken, code.gives, code.data).write(path)
+    whole = path.read_bytes()
+    write_sealed(path, read_sealed(path).replace(b"caster_", b"caster-"))
     after = run(tmp_path, "-c", SMALL)
     assert after.returncode == 0 and after.stdout.endswith("compiled 1 loaded 2 True\n"), after.stderr
-    assert machine_code.read(path).symbol == code.symbol
+    assert path.read_bytes() == whole
 
 
 @pytest.mark.slow("compiles kernels")
@@ -324,32 +324,32 @@ def test_functions_of_the_protocol_may_be_imported_after_numba_is_loaded(tmp_pat
     assert done.stdout == "typed\n", done.stderr
 
 
-def test_a_call_made_for_some_classes_of_arguments_takes_no_others():
+def test_arguments_of_other_classes_have_another_key():
     """Machine code reads memory as it is told: an array of another type would be read beyond its end."""
     args = (np.zeros((3, 2)), 1, 2.5, (4, None))
-    call = checked_call(args, lambda *flat: 0, "")
-    assert call(*args) is None and call(np.ones((9, 2)), 7, np.float64(1), (0, None)) is None
+    key = describe(args).key
+    assert describe((np.ones((9, 2)), 7, np.float64(1), (0, None))).key == key
     for other in (
         (np.zeros((3, 2), np.float32), 1, 2.5, (4, None)),
         (np.zeros(6), 1, 2.5, (4, None)),
         (np.zeros((3, 4))[:, ::2], 1, 2.5, (4, None)),
         (np.zeros((2, 3)).T, 1, 2.5, (4, None)),
-        ([[0.0]], 1, 2.5, (4, None)),
         (args[0], 1.0, 2.5, (4, None)),
         (args[0], True, 2.5, (4, None)),
         (args[0], 1, 2, (4, None)),
         (args[0], 1, 2.5, (4, None, 1)),
         (args[0], 1, 2.5, (4, 0)),
-        (args[0], 1, 2.5, [4, None]),
     ):
-        assert call(*other) is MISMATCH, other
-        assert signature_key(other) != signature_key(args), other
+        assert describe(other).key != key and key_text(describe(other).key) != key_text(key), other
+    for other in (([[0.0]], 1, 2.5, (4, None)), (args[0], 1, 2.5, [4, None]), (np.float32(1),)):
+        assert describe(other) is None
 
 
 # ---- object code that a wheel brings
 
-LEVEL = machine_code.best_level() if COMPILED else ""
-needs_level = pytest.mark.skipif(not LEVEL, reason="object code is shipped for x86-64-v3 and v4 alone")
+portable = pytest.mark.skipif(
+    not (COMPILED and machine_code.runs_portable_code()), reason="object code is for x86-64-v3"
+)
 
 
 @pytest.fixture(scope="module")
@@ -358,9 +358,9 @@ def built(tmp_path_factory):
     tree, home = tmp_path_factory.mktemp("tree"), tmp_path_factory.mktemp("home")
     without = shutil.ignore_patterns("__pycache__", "object_code")
     shutil.copytree(ROOT / "caster", tree / "caster", ignore=without)
-    assert run(home, "-c", SMALL, tree=tree, **machine_code.level_settings(LEVEL)).returncode == 0
-    folder = tree / "caster/jit/object_code" / LEVEL
-    folder.mkdir(parents=True)
+    assert run(home, "-c", SMALL, tree=tree, **machine_code.portable_settings()).returncode == 0
+    folder = tree / "caster/jit/object_code"
+    folder.mkdir()
     for path in home.rglob("*.o"):
         shutil.copy(path, folder)
     return tree
@@ -377,7 +377,7 @@ def installed_files(tree: Path) -> list[Path]:
     return found
 
 
-@needs_level
+@portable
 def test_a_wheel_with_object_code_compiles_nothing(tree, tmp_path):
     done = run(tmp_path / "home", "-c", SMALL, tree=tree)
     assert done.returncode == 0 and done.stdout == "compiled 0 loaded 3 False\n", done.stdout + done.stderr
@@ -399,32 +399,18 @@ def of_other_sources(tree: Path) -> None:
     path.write_text(path.read_text() + "# edited\n")
 
 
-def of_another_level(tree: Path) -> None:
-    """Files of one level in the folder of the other."""
-    (folder,) = {path.parent for path in installed_files(tree)}
-    other = next(level for level in machine_code.LEVELS if level != LEVEL)
-    words = f"import caster.jit.machine_code as m; m.best_level = lambda: {other!r}\n"
-    folder.rename(folder.with_name(other))
-    (tree / "sitecustomize.py").write_text(words)
-
-
 def for_a_better_processor(tree: Path) -> None:
-    """This processor lacks one feature of each level."""
+    """This processor lacks a feature."""
     (tree / "sitecustomize.py").write_text(
         "import llvmlite.binding as llvm\nfound = dict(llvm.get_host_cpu_features(), bmi2=False)\n"
         "llvm.get_host_cpu_features = lambda: type('Features', (dict,), {'flatten': lambda self: ''})(found)\n"
     )
 
 
-def open_to_others(tree: Path) -> None:
-    for path in installed_files(tree):
-        path.chmod(0o666)
+UNFIT = (damaged, of_other_sources, for_a_better_processor)
 
 
-UNFIT = (damaged, of_other_sources, of_another_level, for_a_better_processor, open_to_others)
-
-
-@needs_level
+@portable
 @pytest.mark.parametrize("spoil", UNFIT, ids=lambda spoil: spoil.__name__)
 @pytest.mark.slow("each compiles kernels", keep=1)
 def test_object_code_that_does_not_fit_is_compiled_anew(tree, tmp_path, spoil):
@@ -432,15 +418,3 @@ def test_object_code_that_does_not_fit_is_compiled_anew(tree, tmp_path, spoil):
     spoil(tree)
     done = run(tmp_path / "home", "-c", SMALL, tree=tree)
     assert done.returncode == 0 and done.stdout.endswith("compiled 3 loaded 0 True\n"), done.stdout + done.stderr
-
-
-def test_the_owner_of_the_program_may_own_its_object_code(tmp_path, monkeypatch):
-    """Installed by root and run by another user, it is trusted as the program is; one that this user wrote is not."""
-    path = tmp_path / "kernel.o"
-    machine_code.ObjectCode("symbol", "i", "", b"code").write(path)
-    assert machine_code.read(path, installed=True) is not None
-    me, program = os.geteuid(), os.stat(machine_code.__file__)
-    monkeypatch.setattr(os, "geteuid", lambda: me + 1)
-    assert machine_code.read(path, installed=True) is not None and machine_code.read(path) is None
-    other = os.stat_result((program.st_mode, 0, 0, 1, program.st_uid + 1, 0, 0, 0, 0, 0))
-    assert kernel_cache.distrust_installed(other) == "it belongs to another user than the program"

@@ -5,10 +5,9 @@ import stat
 
 import pytest
 
-from caster.jit import kernel_cache, machine_code
+from caster.jit import kernel_cache
 from caster.jit.decorators import COMPILATION_LOG
 from caster.jit.kernel_cache import cache_folder
-from caster.jit.machine_code import ObjectCode
 from caster.system.terminal import compilation_reported, report_refused_cache
 
 NEW = cache_folder.__wrapped__  # what it would be in a new process
@@ -61,20 +60,6 @@ def test_a_folder_of_another_user_is_not_used(home, monkeypatch):
     monkeypatch.setattr(os, "geteuid", lambda: me + 1)
     assert not NEW().is_relative_to(home)
     assert kernel_cache.refusals == [f"{home / 'caster'}: it belongs to another user"]
-
-
-def test_a_file_that_others_may_write_or_own_is_not_loaded(tmp_path, monkeypatch):
-    path = tmp_path / "kernel.o"
-    ObjectCode("symbol", "i", "", b"machine code").write(path)
-    assert machine_code.read(path) is not None
-    for mode in (0o620, 0o602, 0o666):
-        path.chmod(mode)
-        assert machine_code.read(path) is None
-    path.chmod(0o644)
-    assert machine_code.read(path) is not None
-    me = os.geteuid()
-    monkeypatch.setattr(os, "geteuid", lambda: me + 1)
-    assert machine_code.read(path) is None
 
 
 def test_that_nothing_is_kept_is_stated_once_with_the_way_out(home, capsys):

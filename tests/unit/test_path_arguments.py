@@ -17,10 +17,9 @@ from caster.cli.application import build_parser
 from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, output_file_unless_number
 from caster.system.atomic_files import OutputError, ScratchFolder, atomic_write, remove_temporaries, write_text
 from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
-from mitsuba_ref.cli.options import html_output
 
 PROGRAMS = {"caster": (caster.__main__.main, COMMANDS), "mitsuba-ref": (mitsuba_ref.__main__.main, JUDGE_COMMANDS)}
-OUTPUT_TYPES = (OutputFile, output_file_unless_number, html_output)
+OUTPUT_TYPES = (OutputFile, output_file_unless_number)
 NUMBERS = {int, float}
 
 

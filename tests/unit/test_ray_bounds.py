@@ -1,4 +1,4 @@
-"""What bounds the rays of a packet, a tile or a fan: against formulas over all of its rays, in NumPy or fractions."""
+"""Where rays and packets enter and leave the boxes of a node, against formulas in NumPy and fractions."""
 
 import math
 from fractions import Fraction
@@ -6,41 +6,10 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from caster.jit.simd import CHILDREN, FAN_FIELDS, LANES, intersect_boxes, intersect_boxes_packet
+from caster.jit.simd import CHILDREN
 from caster.kernels.bvh.build import Tree
-from caster.kernels.bvh.fans import (
-    BLOCKS,
-    DEPTH_ROUNDING,
-    FAN_LIMIT,
-    GROUPS,
-    ROWS,
-    RUNS_ACROSS,
-    Fan,
-    block_corner,
-    group_rays,
-)
 from caster.kernels.bvh.traversal import packet_box_setup, pop_beyond, push_children, ray_box_setup
-from caster.kernels.raster.tile import (
-    DX,
-    DY,
-    DZ,
-    FAN_X,
-    FAN_Y,
-    OX,
-    OY,
-    OZ,
-    PIXELS,
-    T_ERROR,
-    T_MAX,
-    WIDTH,
-    T,
-    clear_rays,
-    lane,
-    new_tile,
-    start_ray,
-)
-from caster.kernels.raster.tile_casting import any_pixel_visible, max_visible_t, min_t_per_depth
-from caster.rendering.ray_tiles import new_ray_groups
+from caster.kernels.math.lanes import intersect_boxes, intersect_boxes_packet
 
 FLAT = 2.0**-20  # what stands for 0 in a direction here
 
@@ -151,136 +120,3 @@ def test_of_the_boxes_of_a_node_the_first_is_next_and_what_lies_beyond_a_limit_i
         left = pop_beyond(top, limit, (stack, entries, near))
         kept = entries[1:top][::-1] > limit
         assert left == top - int(np.append(~kept, True).argmax())
-
-
-def random_tile(rng, box):
-    """Rays of a box with what they have met, in whole vectors of lanes; far more of the same beyond the box."""
-    tile = new_tile()
-    for at in (DX, DY, DZ):
-        tile[int(at) : int(at) + PIXELS] = rng.normal(size=PIXELS)
-    tile[int(T) : int(T) + PIXELS] = rng.uniform(1.0, 9.0, PIXELS)
-    tile[int(T_ERROR) : int(T_ERROR) + PIXELS] = rng.uniform(0.0, 1.0, PIXELS)
-    y, x = np.divmod(np.arange(PIXELS), WIDTH)
-    inside = (x < box[2] - box[0]) & (y < box[3] - box[1])
-    for at in (T, DX, DY, DZ):
-        tile[int(at) : int(at) + PIXELS][~inside] *= 100.0
-    return tile, inside
-
-
-@pytest.mark.parametrize("box", [(128, 64, 128 + 5 * LANES, 71), (0, 0, LANES, 1), (0, 64, 128, 66)])
-def test_the_largest_visible_t_and_depth_per_t_of_a_tile_are_those_of_its_pixels(box):
-    rng = np.random.default_rng(222)
-    tile, inside = random_tile(rng, box)
-    t, error = (tile[int(at) : int(at) + PIXELS] for at in (T, T_ERROR))
-    assert max_visible_t(tile, box) == (t + error)[inside].max()
-    for n in (np.flatnonzero(inside)[0], np.flatnonzero(inside)[-1]):
-        kept, t[n] = t[n], math.inf
-        assert max_visible_t(tile, box) == math.inf
-        t[n] = kept
-    d = np.column_stack([tile[int(at) : int(at) + PIXELS] for at in (DX, DY, DZ)])[inside]
-    for forward in np.eye(3):
-        most = (d @ forward).max()
-        assert min_t_per_depth(tile, box, tuple(forward)) == (1.0 / most if most > 0.0 else 0.0)
-    askew = (0.25, -0.5, 0.75)
-    most = float((d @ askew).max())
-    assert min_t_per_depth(tile, box, askew) == pytest.approx(1.0 / most if most > 0.0 else 0.0, rel=1e-14)
-    assert min_t_per_depth(tile, box, (0.0, 0.0, 0.0)) == 0.0
-
-
-def test_a_span_is_visible_where_a_pixel_of_it_may_show_what_lies_so_near():
-    rng = np.random.default_rng(223)
-    tile, _ = random_tile(rng, (0, 0, 128, 64))
-    latest = sum(tile[int(at) : int(at) + PIXELS] for at in (T, T_ERROR)).reshape(-1, WIDTH)
-    for _ in range(200):
-        x = np.sort(rng.choice(128 // LANES + 1, 2, replace=False)) * LANES
-        y = np.sort(rng.choice(65, 2, replace=False))
-        if np.prod(y[1] - y[0]) * (x[1] - x[0]) > 400:
-            continue
-        near = float(latest[y[0] : y[1], x[0] : x[1]].max())
-        rect = int(x[0]), int(y[0]), int(x[1]), int(y[1])
-        assert any_pixel_visible(tile, rect, near)
-        assert not any_pixel_visible(tile, rect, math.nextafter(near, math.inf))
-
-
-AXES = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-FANS = {
-    "to a point": (Fan(1.0, (1.0, -2.0, 4.0), (0.0, 0.0, 0.0), *AXES, 50.0, 0.0), False),
-    "from a point": (Fan(1.0, (1.0, -2.0, 4.0), (0.0, 0.0, 0.0), *AXES, 50.0, 0.0), True),
-    "parallel": (Fan(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, -1.0), *AXES, 50.0, 0.0), False),
-}
-
-
-def fan_tile(rng, fan, outward, rows):
-    """Runs of rays that belong to the fan but for single ones; single rays are missing, and some whole runs."""
-    tile = new_tile()
-    clear_rays(tile, 0, PIXELS)
-    for run in range(rows * RUNS_ACROSS):
-        kind = rng.choice(["belongs", "belongs", "none", "aside", "behind", "far away"])
-        stray = int(rng.integers(LANES))
-        for n in range(LANES):
-            place = np.array([*rng.uniform(-1.9, 1.9, 2), 1.0]) * rng.uniform(0.5, 3.0)
-            if kind == "none" or (n != stray and rng.random() < 0.1):
-                continue
-            if n == stray and kind in ("aside", "behind"):
-                place = place * [1.0, 1.0, -1.0] if kind == "behind" else [*(3.0 * place[2], place[1]), place[2]]
-            o = np.array(fan.origin) + (0.0 if outward else place)
-            if n == stray and kind == "far away":
-                o += np.array([0.0, 51.0, 0.0])
-            d = place if outward else (np.array(fan.origin) - o if fan.perspective else np.array(fan.back))
-            start_ray(tile, lane(run * LANES + n), (tuple(o), tuple(d), 0.0, float(rng.uniform(0.5, 2.0))))
-    t = tile[int(T) : int(T) + PIXELS]
-    t[rng.random(PIXELS) < 0.3] = rng.uniform(0.2, 1.0)
-    return tile
-
-
-@pytest.mark.parametrize("rows", [8, 20])
-@pytest.mark.parametrize("name", FANS)
-def test_runs_of_a_fan_are_bounded_by_their_rays_and_blocks_by_their_runs(name, rows):
-    (fan, outward), rng = FANS[name], np.random.default_rng(224)
-    tile, groups = fan_tile(rng, fan, outward, rows), new_ray_groups()
-    groups.taken[5] = 1  # by an earlier fan
-    group_rays(fan, tile, rows, groups, outward)
-    field = {at: tile[int(at) : int(at) + PIXELS].reshape(-1, RUNS_ACROSS, LANES) for at in (DX, DY, DZ, T, T_MAX)}
-    from_o = [tile[int(at) : int(at) + PIXELS].reshape(-1, RUNS_ACROSS, LANES) for at in (OX, OY, OZ)]
-    away = [field[at] for at in (DX, DY, DZ)] if outward else [a - b for a, b in zip(from_o, fan.origin, strict=True)]
-    there, depth = field[T_MAX] >= 0.0, away[2]
-    over = np.where((depth > 0.0) & bool(fan.perspective), depth, 1.0)
-    x, y = away[0] / over, away[1] / over
-    ahead = (depth > 0.0) & (np.abs(x) <= FAN_LIMIT) & (np.abs(y) <= FAN_LIMIT)
-    near = np.maximum.reduce([np.abs(a) for a in from_o]) <= fan.reach
-    belongs = (~there | (near & (ahead | (fan.perspective == 0.0)))).all(axis=2)
-    boxes, blocks = (
-        groups.runs.reshape(BLOCKS, FAN_FIELDS, CHILDREN),
-        groups.blocks.reshape(GROUPS, FAN_FIELDS, CHILDREN),
-    )
-    counts = [0, 0]
-    for block in range(BLOCKS):
-        for r in range(ROWS):
-            row, run = np.divmod(block_corner(block) + r * WIDTH, WIDTH)
-            run, number = run // LANES, row * RUNS_ACROSS + run // LANES
-            expected = np.full(FAN_FIELDS, math.inf)
-            if row < rows and number != 5 and there[row, run].any():
-                counts[int(not belongs[row, run])] += 1
-                assert groups.taken[number] == belongs[row, run]
-                if belongs[row, run]:
-                    rays = there[row, run]
-                    ends = [x[row, run][rays], -x[row, run][rays], y[row, run][rays], -y[row, run][rays]]
-                    expected = np.array([*(e.min() for e in ends), -depth[row, run][rays].max()])
-                    if outward:
-                        deepest = depth[row, run][rays].max()
-                        stretch = deepest * DEPTH_ROUNDING
-                        assert stretch > deepest * (1.0 + 20.0 * 2.0**-53)  # what products with it are off by
-                        t = np.where(rays, field[T][row, run], -1.0)
-                        expected[4] = -stretch * min(field[T_MAX][row, run].max(), t.max())
-                        assert groups.stretch[block * ROWS + r] == stretch
-            elif row < rows:
-                assert groups.taken[number] == 1
-            assert boxes[block, :, r].tolist() == expected.tolist(), (block, r)
-        least = boxes[block].min(axis=1)
-        assert blocks[block // CHILDREN, :, block % CHILDREN].tolist() == least.tolist()
-    assert groups.counts.tolist() == counts and min(counts[0], counts[1] + (fan.perspective == 0.0) * 99) > 20 // LANES
-    kept = belongs[:rows] & there[:rows].any(axis=2)
-    for at, expected in ((FAN_X, np.where(there, x, np.nan)), (FAN_Y, y)):
-        found = tile[int(at) : int(at) + PIXELS].reshape(-1, RUNS_ACROSS, LANES)[:rows]
-        kept[0, 5] = False
-        np.testing.assert_array_equal(found[kept][there[:rows][kept]], expected[:rows][kept][there[:rows][kept]])

@@ -42,14 +42,14 @@ def test_every_kind_of_primitive_and_every_camera_is_warmed():
 def test_shadow_rays_are_warmed_whether_a_fan_takes_them_or_not(monkeypatch):
     """However many primitives there are, and however few pixels."""
     called = []
-    kernels = {"cast_fan": ray_tiles, "cast_left_runs": ray_tiles, "cast_packets_brute_force": warm_up}
+    kernels = {"cast_fan": ray_tiles, "cast_packets": ray_tiles, "cast_packets_brute_force": warm_up}
     for kernel, module in kernels.items():
         monkeypatch.setattr(module, kernel, lambda *args, kernel=kernel: called.append(kernel))
     monkeypatch.setattr(ray_tiles, "FEW_PRIMITIVES", 1)
     scene = Scene(camera=Pinhole(**Pinhole.MINIMAL), shapes=[Icosphere(subdivisions=1)], lights=warm_up.LAMPS)
     warm_up._warm_shadows(pack(scene), scene)
     shadowing = [lamp for lamp in warm_up.LAMPS if lamp.type != "ambient"]
-    assert called == ["cast_fan", "cast_left_runs"] * len(shadowing) + ["cast_packets_brute_force"]
+    assert called == ["cast_fan", "cast_packets"] * len(shadowing) + ["cast_packets_brute_force"]
 
 
 # What caster/rendering/ray_fans.py and casting.py call of ray_sorting.py.
@@ -63,7 +63,7 @@ KERNELS_OF_RAYS = {
 
 def test_rays_through_one_point_are_warmed(monkeypatch):
     """All kernels that sort such rays, and that cast them; whatever a scene's rays may have in common."""
-    kernels = {"cast_fan", "cast_fan_outward", *KERNELS_OF_RAYS}
+    kernels = {"cast_fan", *KERNELS_OF_RAYS}
     called = set()
 
     def recorded(name, real):
@@ -150,18 +150,6 @@ def test_every_command_that_compiles_reports_it(command, capsys, monkeypatch):
     assert capsys.readouterr().err.startswith("compiling kernels, once")
 
 
-def test_films_are_warmed_with_shadows_and_without(monkeypatch):
-    """Lights have a kernel for each of the two."""
-    warmed = set()
-    monkeypatch.setattr(
-        warm_up, "render_film", lambda scene, aovs, **options: warmed.add(("diffuse" in aovs, scene.shading.shadows))
-    )
-    for kernels in ("_warm_decisions", "_warm_shadows", "_warm_fans"):
-        monkeypatch.setattr(warm_up, kernels, lambda *args: None)
-    warm_up._warm_one(next(warm_up.warm_up_scenes())[1])
-    assert {(True, True), (True, False)} <= warmed
-
-
 WARMED = """
 import importlib, pkgutil
 import caster.rendering
@@ -172,7 +160,7 @@ warm_up.warm_up(warm_up.warm_up_scenes(), lambda name: None)
 found = pkgutil.iter_modules(caster.rendering.__path__)
 modules = [importlib.import_module(f"caster.rendering.{module.name}") for module in found]
 kernels = {k for module in modules for k in vars(module).values() if isinstance(k, Kernel)}
-print(len(kernels), *sorted(k.__name__ for k in kernels if not k._calls))
+print(len(kernels), *sorted(k.__name__ for k in kernels if not k._codes))
 """
 # Of pixels and rays that are looked at one by one: `caster probe`, the judge.
 ONE_BY_ONE = {"intersect_each", "load_rays", "shadow_rays_of", "store_nearest"}

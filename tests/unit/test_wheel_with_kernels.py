@@ -8,8 +8,6 @@ import zipfile
 import pytest
 import wheel_with_kernels
 
-from caster.jit import machine_code
-
 INFO = "ray_reference-0.1.0.dist-info"
 PURE = "ray_reference-0.1.0-py3-none-any.whl"
 
@@ -19,7 +17,7 @@ def unpacked(tmp_path):
     tree = tmp_path / "tree"
     for name, text in {
         "caster/__init__.py": "",
-        f"{wheel_with_kernels.FOLDER}/0123/x86-64-v3/load-caster_1.o": "object code",
+        f"{wheel_with_kernels.FOLDER}/load-caster_1.o": "object code",
         f"{INFO}/WHEEL": "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
         f"{INFO}/RECORD": "caster/__init__.py,sha256=stale,1\n",
     }.items():
@@ -46,10 +44,3 @@ def test_the_wheel_lists_each_file_with_its_digest_and_is_of_this_platform(unpac
 def test_the_same_files_make_the_same_wheel(unpacked, tmp_path):
     first, second = (wheel_with_kernels.write_wheel(unpacked, PURE, tmp_path / name) for name in "ab")
     assert first.read_bytes() == second.read_bytes()
-
-
-@pytest.mark.parametrize("best, built", [("x86-64-v4", [True, True]), ("x86-64-v3", [False, True]), ("", [False] * 2)])
-def test_a_level_is_built_where_its_kernels_can_run(monkeypatch, best, built):
-    monkeypatch.setattr(wheel_with_kernels, "best_level", lambda: best)
-    assert [wheel_with_kernels.runs_here(level) for level in machine_code.LEVELS] == built
-    assert not wheel_with_kernels.runs_here("x86-64-v9")

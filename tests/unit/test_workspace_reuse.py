@@ -112,17 +112,14 @@ def test_a_kind_that_no_tile_has_is_not_looked_for(monkeypatch):
         camera=Pinhole(eye=(0.0, 0.0, 4.0), look_at=(0.0, 0.0, 0.0)),
         shapes=[Icosphere(subdivisions=3, to_world=[{"translate": (-1.0, 0.0, 0.0)}, {"scale": 0.2}]), Sphere()],
     )
-    for aovs, name in (
-        (("normal",), "normals_in_tile"),
-        (("shading_normal",), "aovs_in_tile_by_lanes"),
-        (("shading_normal", "uv"), "surfaces_in_tile_by_lanes"),
-    ):
-        kinds, original = [], getattr(shading, name)
+    for aovs in (("normal",), ("shading_normal",), ("shading_normal", "uv")):
+        kinds, original = [], shading.surfaces_in_tile
 
         def counted(*args, kinds=kinds, original=original):
             kinds.extend(type(arg).__name__ for arg in args if type(arg).__name__ == "Triangles")
             return original(*args)
 
-        monkeypatch.setattr(shading, name, counted)
+        monkeypatch.setattr(shading, "surfaces_in_tile", counted)
         render(scene, aovs, threads=1)
         assert len(kinds) == 1, aovs  # of four tiles
+        monkeypatch.undo()
