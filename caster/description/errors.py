@@ -156,9 +156,6 @@ def _subject(path: DataPath, data: Any, model: Model) -> str:
 CROSS_ELEMENT_ERROR = "cross_element"  # type of the error of a check across several elements
 
 
-MAX_SUGGESTIONS = 1000  # unknown keys of one file for which the most similar known one is searched: 30 us each
-
-
 def diagnostics_of(error: ValidationError, data: Any, model: Model) -> list[Diagnostic]:
     """All errors of a validation as diagnostics, and those of checks across elements."""
     _models_by_key.cache_clear()  # a plug-in may have added fields since
@@ -166,7 +163,7 @@ def diagnostics_of(error: ValidationError, data: Any, model: Model) -> list[Diag
     for finding in error.errors(include_url=False):
         if finding["type"] != CROSS_ELEMENT_ERROR:  # repeated below on the input data
             place = _locate(finding["loc"], data, model)
-            problem = _diagnostic(finding, place, data, model, suggests=len(found) < MAX_SUGGESTIONS)
+            problem = _diagnostic(finding, place, data, model)
             found[problem.path, finding["type"]] = problem  # Pydantic reports a list too short by two twice
     return [*found.values(), *getattr(model, "problems_across", lambda _: [])(data)]
 
@@ -218,7 +215,7 @@ def _models_in(annotation: Any) -> tuple[Model, ...]:
     return tuple(found for part in get_args(annotation) for found in _models_in(part))
 
 
-def _diagnostic(finding: Any, place: _Location, data: Any, model: Model, *, suggests: bool) -> Diagnostic:
+def _diagnostic(finding: Any, place: _Location, data: Any, model: Model) -> Diagnostic:
     path, around, models = place
     kind, got = finding["type"], finding["input"]
     if kind == "missing" and isinstance(path[-1], int):
@@ -227,18 +224,18 @@ def _diagnostic(finding: Any, place: _Location, data: Any, model: Model, *, sugg
     if kind == "missing":
         return table_diagnostic(path, f"needs the key '{path[-1]}'", data, model)
     if kind == "extra_forbidden":
-        return value_diagnostic(path, _unknown_key(str(path[-1]), around, suggests), data, model)
+        return value_diagnostic(path, _unknown_key(str(path[-1]), around), data, model)
     if kind.startswith("union_tag"):
         noun = SINGULAR.get(str(path[0]), str(path[0]))
         return table_diagnostic((*path, "type"), _unknown_type(got, noun, models), data, model)
     return value_diagnostic(path, _text(kind, got, finding.get("ctx", {})), data, model)
 
 
-def _unknown_key(key: str, around: Sequence[Model], suggests: bool) -> str:
+def _unknown_key(key: str, around: Sequence[Model]) -> str:
     known = [field.alias or name for model in around for name, field in model.model_fields.items()]
     if SINGULAR.get(key) in known:  # either spelling is valid, but not both
         return f"is a second '{SINGULAR[key]}': write one of them only"
-    return f"is an unknown key{suggestion(key, known) if suggests else ''}"
+    return f"is an unknown key{suggestion(key, known)}"
 
 
 def _unknown_type(got: Any, noun: str, models: Sequence[Model]) -> str:
