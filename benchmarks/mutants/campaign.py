@@ -42,7 +42,6 @@ TESTS = (
     "tests/unit/test_exact_kernels.py",
     "tests/unit/test_stated_numbers.py",
     "tests/agreement/test_wide_angle_cameras.py",
-    "tests/agreement/test_exact.py",
     "tests/agreement/test_lanes.py",
     "tests/unit/test_ray_bounds.py",
     "tests/unit/test_ray_sorting.py",
