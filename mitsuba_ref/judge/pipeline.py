@@ -152,7 +152,7 @@ def judge_window(
         if each.scope != "film"
     ]
     of_scene = [each for each in checks if not each.answered]
-    inputs: dict[str, Any] = {"scene": task.scene, "path": task.path, "subject": task.subject, "wrong_rays": []}
+    inputs: dict[str, Any] = {"scene": task.scene, "subject": task.subject, "wrong_rays": []}
     made = make_checks(of_scene, inputs) if task.ours else ()
     if whole_film:  # what follows is in float32; of ten million triangles, both together take a gigabyte more
         forget_packed(task.scene, as_given, LARGE_SCENE)
