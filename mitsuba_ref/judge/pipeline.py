@@ -86,7 +86,7 @@ def bands_of(scene: Scene) -> list[Scene]:
 
 
 def judge_film(task: Task, finish: Finish = lambda verdict, images: verdict) -> SceneVerdict:
-    """The verdict of all bands, with the evidence of one: the first of those that fail most, or the middle one."""
+    """The verdict of all bands, with the evidence of one: the one with most failures, or else the middle one."""
     bands = task.windows()
     verdicts: list[SceneVerdict] = []
     errors: list[PixelErrors] = []
