@@ -18,10 +18,9 @@ from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, out
 from caster.description import input_files
 from caster.system.atomic_files import OutputError, ScratchFolder, atomic_write, remove_temporaries, write_text
 from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
-from mitsuba_ref.cli.options import html_output
 
 PROGRAMS = {"caster": (caster.__main__.main, COMMANDS), "mitsuba-ref": (mitsuba_ref.__main__.main, JUDGE_COMMANDS)}
-OUTPUT_TYPES = (OutputFile, output_file_unless_number, html_output)
+OUTPUT_TYPES = (OutputFile, output_file_unless_number)
 NUMBERS = {int, float}
 
 
