@@ -84,7 +84,6 @@ class Worker:
 def _serve(calls: Connection, parents_end: Connection, folder: str) -> None:
     """The fork's side."""
     parents_end.close()
-    signal.set_wakeup_fd(-1)  # the parent's, who would take a signal of this process for one of its own
     for number in (signal.SIGINT, signal.SIGHUP):  # come by way of the parent, as SIGTERM
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
