@@ -71,7 +71,7 @@ def _ids(found: PixelHit | PrimitiveResult, scene: Scene) -> dict[str, Any]:
 
 
 def _tested(tried: PrimitiveResult, scene: Scene) -> dict[str, Any]:
-    """One primitive tested alone. t: null on a miss. span: t at entry to and exit from the box, null on a miss."""
+    """One primitive tested alone. t: null on a miss."""
     margins = [{"of": m.of, "unit": m.unit, **_with_hex("inside", m.inside)} for m in tried.margins]
     hit = math.isfinite(tried.t)
     return {
@@ -80,8 +80,6 @@ def _tested(tried: PrimitiveResult, scene: Scene) -> dict[str, Any]:
         "decided_by": tried.decided_by,
         "t_off": tried.error if hit and math.isfinite(tried.error) else None,
         "margins": margins,
-        "box": tried.box and [corner.tolist() for corner in tried.box],
-        "span": tried.box_span and [t if math.isfinite(t) else None for t in tried.box_span],
     }
 
 
@@ -118,7 +116,7 @@ def _hit_lines(found: Probe) -> Iterator[str]:
 
 
 def _near_lines(found: Probe) -> Iterator[str]:
-    """Two lines for each primitive tested alone: t, and signed distances to its edges and its bounding box."""
+    """Two lines for each primitive tested alone: t, and signed distances to its edges."""
     if not found.tried:
         return
     yield f"near   {len(found.tried)} of {found.prims} primitives, each tested alone; + is inside its outline"
@@ -126,7 +124,7 @@ def _near_lines(found: Probe) -> Iterator[str]:
         where = f"t {tried.t!r:<24} {tried.t.hex():<24}" if math.isfinite(tried.t) else _miss_text(tried)
         exactly = "" if math.isfinite(tried.error) else " (by integers: undecided in float64)"
         yield f"       {where:<51} {_name(tried, found.scene)}{exactly}"
-        yield f"         {', '.join([*map(_distance_text, tried.margins), _box_text(tried)])}"
+        yield f"         {', '.join(map(_distance_text, tried.margins))}"
     if len(found.tried) > MAX_LISTED:
         yield f"       and {len(found.tried) - MAX_LISTED} less near (--json lists them)"
 
@@ -142,15 +140,6 @@ def _distance_text(margin: EdgeDistance) -> str:
     if margin.inside == 0.0:
         return f"{margin.of} 0, exactly on it" if margin.of != EDGE_ON else "the ray runs along it"
     return f"{margin.of} {margin.inside:+.6g}" + (" radii" if margin.unit == UNIT_RADII else "")
-
-
-def _box_text(tried: PrimitiveResult) -> str:
-    """The overlap of the ray with the bounding box of a primitive."""
-    if tried.box is None:
-        return "no bounds"
-    if tried.box_span is None:
-        return "passes its box by"
-    return "in its box for t {:.6g} to {:.6g}".format(*tried.box_span)
 
 
 def _name(found: PixelHit | PrimitiveResult, scene: Scene) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from caster.jit.arguments import describe
 from caster.jit.decorators import Kernel, jit
-from caster.jit.machine_code import DONE, PLACE_OF_ANSWER, call_entry, check, load_word, store_word
+from caster.jit.machine_code import DONE, PLACE_OF_ANSWER, call_entry, check, fail, load_word, store_word
 
 __all__ = ["BoundCall", "Command", "CommandList", "Condition", "bind"]
 
@@ -131,7 +131,8 @@ class CommandList:
             return
         state = np.array([start, stop, 0])
         while (number := run_commands(self._program, self._rows, state)) != FINISHED:
-            check(DONE[0] if number != FAILED else FAILED)
+            if number == FAILED:
+                fail()
             _call(self._commands[number], self._rows[state[0]].tolist())
 
     def _words(self, number: int, command: Command) -> list[int]:

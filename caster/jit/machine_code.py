@@ -116,7 +116,11 @@ ENTRY = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64)
 def check(status: int) -> None:
     """Raise RuntimeError unless this is what an entry returns when all went well."""
     if status not in DONE:
-        raise RuntimeError("a kernel failed: it counted with a number beyond its range")
+        fail()
+
+
+def fail() -> None:
+    raise RuntimeError("a kernel failed: it counted with a number beyond its range")
 
 
 # Operations of command lists, which compiled are an instruction each (vector_intrinsics.py).

@@ -10,7 +10,7 @@ import numpy as np
 from caster.aovs import BY_NAME
 from caster.description.errors import SceneError
 from caster.description.transform import dot_rows, row_lengths
-from caster.geometry.edge_distances import EDGE_ON, EdgeDistance, edge_distances
+from caster.geometry.edge_distances import EdgeDistance, edge_distances
 from caster.geometry.packing import Kind, Packed, in_words, rejected_faces
 from caster.kernels.nearest import Rays, intersect_each, nearest_of_candidates, no_hits
 from caster.rendering.bvh_construction import bvh_of, has_bvh, uses_bvh
@@ -32,8 +32,6 @@ class PrimitiveResult:
     t: float  # exactly the first in range, as float64; inf on a miss
     error: float  # how far float64 alone may be off in t; inf where it could not decide
     margins: tuple[EdgeDistance, ...]
-    box: tuple[np.ndarray, np.ndarray] | None  # low, high corner (3,); None for a kind without bounds
-    box_span: tuple[float, float] | None  # t where the ray enters and leaves the box; None where it passes by
 
     @property
     def decided_by(self) -> str:
@@ -41,9 +39,7 @@ class PrimitiveResult:
 
     @property
     def nearly(self) -> float:
-        """How far outside its outline the ray passes, for an order among misses; inf where it runs along, elsewhere."""
-        if self.box_span is None and any(margin.of == EDGE_ON for margin in self.margins):
-            return math.inf
+        """How far outside its outline the ray passes, for an order among misses."""
         return max((-margin.inside for margin in self.margins), default=0.0)
 
     @property
@@ -83,14 +79,11 @@ def ray_box_distances(o: np.ndarray, d: np.ndarray, low: np.ndarray, high: np.nd
 
 def _try(packed: Packed, kind: Kind, rows: np.ndarray, rays: Rays) -> Iterator[PrimitiveResult]:
     t, error = intersect_rows(kind, rows, rays)
-    boxes = kind.boxes() if kind.bounded else None
     ids = kind.ids[rows]
     shapes, numbers = packed.shape_of(ids), packed.index_in_shape(ids)
     for j, k in enumerate(rows.tolist()):
-        box = (boxes[0][k], boxes[1][k]) if boxes else None
-        box_span = box and box_interval(rays.o[0], rays.d[0], *box)
         edges = edge_distances(kind.prims, k, rays.o[0], rays.d[0])
-        yield PrimitiveResult(int(shapes[j]), int(numbers[j]), float(t[j]), float(error[j]), edges, box, box_span)
+        yield PrimitiveResult(int(shapes[j]), int(numbers[j]), float(t[j]), float(error[j]), edges)
 
 
 def intersect_rows(kind: Kind, rows: np.ndarray, rays: Rays) -> tuple[np.ndarray, np.ndarray]:
@@ -104,19 +97,6 @@ def intersect_rows(kind: Kind, rows: np.ndarray, rays: Rays) -> tuple[np.ndarray
         nearest_of_candidates(kind.prims, again, starts, rows[undecided].astype(np.int32), found, 0, len(undecided))
         t[undecided] = found.t
     return t, error
-
-
-def box_interval(o: np.ndarray, d: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[float, float] | None:
-    """t where the line enters and leaves a box, within some roundings; None where it passes by or lies behind."""
-    enter, leave = -math.inf, math.inf
-    for a, way, start, end in zip(o.tolist(), d.tolist(), low.tolist(), high.tolist(), strict=True):
-        if way == 0.0:
-            if not start <= a <= end:
-                return None
-            continue
-        ends = sorted(((start - a) / way, (end - a) / way))
-        enter, leave = max(enter, ends[0]), min(leave, ends[1])
-    return (enter, leave) if enter <= leave and leave >= 0.0 else None
 
 
 # One pixel: its ray, its hit, and the intersection with each primitive alone.

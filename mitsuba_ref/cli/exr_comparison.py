@@ -158,7 +158,7 @@ def run_approve(args: argparse.Namespace) -> int:
         print(f"note     {name}: no scene of this selection has this name; it is left as it is")
     wanted = [proposal for proposal in found if proposal.write]
     failed = sum(proposal.status == "failed" for proposal in found)
-    print(f"\n{len(found)} scenes: {len(wanted)} references to write, {failed} without an answer of Mitsuba")
+    print(f"\n{len(found)} scenes: {len(wanted)} images to write, {failed} without an answer of Mitsuba")
     if wanted and not approved(args, len(wanted)):
         return DIFFERENCES
     check_folder(folder)
@@ -187,7 +187,7 @@ def approved(args: argparse.Namespace, count: int) -> bool:
             "nothing was written: no terminal to confirm at; look at the changes above, then add --yes", file=sys.stderr
         )
         return False
-    print(f"write {count} references? [y/N] ", end="", file=sys.stderr, flush=True)
+    print(f"write {count} images? [y/N] ", end="", file=sys.stderr, flush=True)
     if sys.stdin.readline().strip().lower() in ("y", "yes"):
         return True
     print("nothing was written", file=sys.stderr)
@@ -233,7 +233,7 @@ def run_check(args: argparse.Namespace) -> int:
     else:
         missing = sum(checked.missing for checked in failed)
         counts = f"{len(found) - len(failed)} pass, {len(failed) - missing} fail"
-        unchecked = f", {missing} not checked: no reference that can be read" if missing else ""
+        unchecked = f", {missing} not checked: no image that can be read" if missing else ""
         print(f"\n{len(found)} scenes: {counts}{unchecked}")
         if any(checked.refused for checked in failed):
             print(f"to look at the changes and approve them: {approve_command(args, failed)}")

@@ -143,7 +143,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     answers = parser.add_mutually_exclusive_group(required=True)
     help_ = ".npz of t, and n, shape_id, prim_id, any_hit if given; or .npy of shape (n, 1), (n, 4), (n, 5)"
     answers.add_argument("--hits", metavar="FILE", type=InputPath, help=help_)
-    help_ = "an EXR file of depth.Z, normal.X/Y/Z, position.X/Y/Z, A, of the scene's camera"
+    help_ = "an EXR file of depth.Z, normal.X/Y/Z, A, of the scene's camera"
     answers.add_argument("--exr", metavar="FILE", type=InputPath, help=help_)
     help_ = ".npz of `rays`, or .npy, (n, 8): o, d, t_min, t_max (docs/rays-and-hits.md)"
     add("--rays", type=InputPath, metavar="FILE", help=help_)
@@ -230,7 +230,7 @@ def hits_entries(args: argparse.Namespace) -> list[SceneEntry]:
     if first >= count:
         raise SceneError(f"--rows {first}: expected a ray of 0 to {count - 1}")
     width = rays.width if (first, end) == (0, count) else 0
-    film_scene, shared = lay_out(scene, rays._replace(rows=rays.rows[first:end], width=width), args.rays)
+    film_scene, shared = lay_out(scene, rays._replace(rows=rays.rows[first:end], width=width))
     arrays = {name: values[first:end] for name, values in hits.items()}
     entries = []
     for any_hit in (any_hit for any_hit in (False, True) if ("any_hit" if any_hit else "t") in hits):
@@ -241,16 +241,10 @@ def hits_entries(args: argparse.Namespace) -> list[SceneEntry]:
 
 
 def exr_entries(args: argparse.Namespace) -> list[SceneEntry]:
-    """One scene to judge by its depth, and one by its position, if the file has it. Raises SceneError, FileMissing."""
+    """The scene to judge by the image's depth. Raises SceneError, FileMissing."""
     from caster.image.exr import read_exr
-    from mitsuba_ref.subjects.command import DEPTH, POSITION, ExrFile
+    from mitsuba_ref.subjects.command import ExrFile
 
     for option in (option for option in ("rays", "rows", "mesh") if getattr(args, option) is not None):
         raise SceneError(f"--{option}: not with --exr, whose pixels are rays of the scene's camera")
-    scene, exr = requested_scene(args), read_exr(args.exr)
-    entries = []
-    for way in [way for way in (DEPTH, POSITION[0]) if way in exr.channels] or [DEPTH]:
-        by_position = way != DEPTH
-        more = " position" if by_position and DEPTH in exr.channels else ""
-        entries.append(entry_of(args, scene, more, ExrFile(args.exr, exr, args.precision, by_position)))
-    return entries
+    return [entry_of(args, requested_scene(args), "", ExrFile(args.exr, read_exr(args.exr), args.precision))]

@@ -267,7 +267,7 @@ def check_scene(
         approved = load_approved(path)
         check_matches_scene(approved, scene, variant)
     except FileMissing as error:
-        text = str(error) if isinstance(error, UnreadableExr) else f"{path}: there is no reference"
+        text = str(error) if isinstance(error, UnreadableExr) else f"{path}: there is no approved image"
         return replace(result, words=(f"{text}; nothing was checked",), refused=True, missing=True)
     except UnusableImage as error:
         return replace(result, words=(f"{path}: {error}",), refused=True)

@@ -121,21 +121,20 @@ def _row(group: GroupResult) -> tuple[str, ...]:
     return group.name, str(group.agree), str(group.differ), str(group.non_finite), ratio, at, group.bound
 
 
-def result_messages(result: FileComparison, channels: int, next_steps: list[str], notes: list[str]) -> list[str]:
+def result_messages(result: FileComparison, channels: int, next_steps: list[str]) -> list[str]:
     """The lines below the table: pass or fail, how far, where to look. channels: how many were compared."""
     if result.exit_code == 5:
         return [
             "EMPTY  neither image hits anything, so nothing was compared",
             "      if that is what the scene shows: --allow-empty",
-            *notes,
         ]
     if result.exit_code == 1:
-        return [*(_failure(group, result) for group in failing_groups(result)), *next_steps, *notes]
+        return [*(_failure(group, result) for group in failing_groups(result)), *next_steps]
     if result.differing_pixels:
-        return [f"PASS  {result.differing_pixels} pixels differ, {result.allowed_pixels} may", *notes]
+        return [f"PASS  {result.differing_pixels} pixels differ, {result.allowed_pixels} may"]
     ratio, name = max(((g.worst.ratio, g.name) for g in result.groups if g.worst), default=(0.0, ""))
     nearest = f", worst {ratio:.2g}x its bound ({name})" if name else ""
-    return [f"PASS  {_hit_pixels(result)} agree in {channels} channels{nearest}", *notes]
+    return [f"PASS  {_hit_pixels(result)} agree in {channels} channels{nearest}"]
 
 
 def failing_groups(result: FileComparison) -> list[GroupResult]:

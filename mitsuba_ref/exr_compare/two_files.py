@@ -38,7 +38,6 @@ from mitsuba_ref.exr_compare.comparison_result import (
 from mitsuba_ref.exr_compare.conventions import Reading, Unclear, check_maps, hints, scene_in, to_our_conventions
 from mitsuba_ref.exr_compare.exr_pair import (
     LAYERS,
-    SCENE_HASH,
     Array,
     Conditioning,
     ExrPair,
@@ -135,8 +134,7 @@ def compare_images(
     if diff is not None:
         write_difference(diff, pair, judged, *names)
     counted = _counted(blank, pair, judged, tolerances)
-    notes = [*_half_notes(pair), *_scene_notes(pair)]
-    messages = result_messages(counted, len(pair.names), _next_steps(counted, pair, diff), notes)
+    messages = result_messages(counted, len(pair.names), _next_steps(counted, pair, diff))
     return counted.model_copy(update={"messages": tuple(messages)})
 
 
@@ -200,21 +198,6 @@ def _next_steps(result: FileComparison, pair: ExrPair, diff: FileName | None) ->
     return [*([look] if diff is not None else []), replay if scene and scene.isprintable() else info, note]
 
 
-def _half_notes(pair: ExrPair) -> list[str]:
-    stored = (("ours", pair.ours), ("the reference", pair.reference))
-    half = [who for who, exr in stored if any(exr.channels[n].dtype == np.float16 for n in pair.names)]
-    return [
-        f"note: {who} holds halves, 11 bits a number, and its bounds are a half's; float32 would show more"
-        for who in half
-    ]
-
-
-def _scene_notes(pair: ExrPair) -> list[str]:
-    hashes = {exr.provenance.get(SCENE_HASH) for exr in (pair.ours, pair.reference)} - {None}
-    note = f"note: the files are of different scenes, by their attributes ({SCENE_HASH})"
-    return [note] if len(hashes) > 1 else []
-
-
 def write_difference(path: FileName, pair: ExrPair, judged: list[Judged], ours: str, reference: str) -> None:
     """Each channel's difference under its own name, float32, and `class.I`; ours, reference: what was read.
 
@@ -259,10 +242,8 @@ def bound_of(pair: ExrPair, group: str, names: tuple[str, ...], tol: Tolerances)
         stored = U32 * (np.abs(a) + np.abs(b)) + halves
         if group in ("depth", "position"):
             bound, text = _length_bound(pair, group, tol, stored, b)
-        elif group in ("normal", "shading_normal"):
-            bound, text = _normal_bound(pair.condition, tol, stored, b)
         else:
-            bound, text = _shade_bound(pair.condition, group, tol, stored, b)
+            bound, text = _surface_bound(pair.condition, group, tol, stored, b)
         return (bound, f"{text} + half") if halves.any() and "as given" not in text else (bound, text)
 
 
@@ -294,36 +275,28 @@ def _finite_depth(exr: Exr, default: float) -> Array | float:
     return np.where(np.isfinite(t), np.abs(t), 0.0)
 
 
-def _normal_bound(condition: Conditioning | None, tol: Tolerances, stored: Array, b: Array) -> Bound:
-    if tol.normal_atol is not None:
-        return np.full_like(b, tol.normal_atol), f"{tol.normal_atol:.3g}, as given"
-    return _bound_at_displaced_hit(condition, b, stored + NORMAL_ATOL, 1.0, f"{NORMAL_ATOL:.2g}")
-
-
-def _shade_bound(condition: Conditioning | None, group: str, tol: Tolerances, stored: Array, b: Array) -> Bound:
-    typical = _typical_magnitude(b)
-    given = (0.0, tol.uv_atol) if group == "uv" else (tol.color_rtol, tol.color_atol)
-    rtol = (0.0 if group == "uv" else COLOR_RTOL) if given[0] is None else given[0]
-    atol = TYPICAL_ATOL * typical if given[1] is None else given[1]
+def _surface_bound(condition: Conditioning | None, group: str, tol: Tolerances, stored: Array, b: Array) -> Bound:
+    """Of a field over the surface, evaluated at a displaced hit: add its slope times the position error."""
+    normal, typical = group in ("normal", "shading_normal"), _typical_magnitude(b)
+    if normal or group == "uv":
+        given, default = (None, tol.normal_atol if normal else tol.uv_atol), 0.0
+    else:
+        given, default = (tol.color_rtol, tol.color_atol), COLOR_RTOL
+    scale, least = (1.0, NORMAL_ATOL) if normal else (typical, TYPICAL_ATOL * typical)
+    rtol, atol = default if given[0] is None else given[0], least if given[1] is None else given[1]
     plain, text = rtol * np.abs(b) + atol, f"{rtol:.2g} relative + {atol:.2g}"
-    if given not in ((0.0, None), (None, None)):
+    if given != (None, None):
         return plain, f"{text}, as given"
-    return _bound_at_displaced_hit(condition, b, stored + plain, typical, text)
+    if condition is None:
+        return stored + plain, text
+    lever = (_surface_slope(b, condition) * condition.position_error)[..., None]
+    lever = np.where(lever < LARGEST_FIRST_ORDER_SHARE * scale, lever, 0.0)
+    return stored + plain + lever, f"{text} + slope K u S (1 + 1/cos)"
 
 
 def _typical_magnitude(values: Array) -> float:
     known = np.abs(values[np.isfinite(values) & (values != 0.0)])
     return float(np.median(known)) if known.size else 0.0
-
-
-def _bound_at_displaced_hit(
-    condition: Conditioning | None, field: Array, plain: Array, scale: float, text: str
-) -> Bound:
-    """A field over the surface is evaluated at the hit: add its slope times the position error."""
-    if condition is None:
-        return plain, text
-    lever = (_surface_slope(field, condition) * condition.position_error)[..., None]
-    return plain + np.where(lever < LARGEST_FIRST_ORDER_SHARE * scale, lever, 0.0), f"{text} + slope K u S (1 + 1/cos)"
 
 
 def _surface_slope(field: Array, condition: Conditioning) -> Array:

@@ -240,7 +240,7 @@ def candidate_findings(
         rays = tried.rays(packed_float32(scene), count)
         rows = np.column_stack([rays.o, rays.d, np.zeros_like(rays.t_min), np.full_like(rays.t_max, np.inf)])
         with np.errstate(over="ignore"):
-            laid_out, shared = lay_out(scene, checked_rays(rows.astype(np.float32), "rays"), "rays")
+            laid_out, shared = lay_out(scene, checked_rays(rows.astype(np.float32), "rays"))
     except SCENE_ERRORS:
         tally.outside += 1
         return findings

@@ -135,13 +135,6 @@ class PixelPairs:
         subject, reference = self.hits
         return subject & reference
 
-    def larger_error_ratio(self, name: str, bound: np.ndarray, own: np.ndarray, own_bound: np.ndarray) -> np.ndarray:
-        """(n,) where both hit, the larger of two error ratios: from the reference, and from the value (n, 3) of the
-        subject's own primitive; 0 elsewhere."""
-        between = error_over_bound(self.distance(name), bound)
-        alone = error_over_bound(row_distance(aov_rows(self.subject, name), own), own_bound)
-        return np.where(self.both_hit, np.maximum(between, alone), 0.0)
-
 
 class QuantityCheck(NamedTuple):
     """How one quantity is compared at every pixel."""
@@ -149,6 +142,7 @@ class QuantityCheck(NamedTuple):
     name: str
     ratio: Callable[[PixelPairs], np.ndarray]  # (n,) error over bound
     bound: Callable[[PixelPairs], np.ndarray] | None = None  # (n,) between both sides; None: compared exactly
+    given: Callable[[PixelPairs], bool] = lambda pixels: True  # whether the answer has the quantity
 
 
 def mask_ratio(pixels: PixelPairs) -> np.ndarray:
@@ -157,10 +151,14 @@ def mask_ratio(pixels: PixelPairs) -> np.ndarray:
     return np.where(subject == reference, 0.0, np.inf)
 
 
-def shape_id_ratio(pixels: PixelPairs) -> np.ndarray:
-    """0 where both name the same shape, else inf: the bracket has to allow it."""
-    subject, reference = pixels.pair("shape_id")
-    return np.where(subject == reference, 0.0, np.inf)
+def same_id(name: str) -> Callable[[PixelPairs], np.ndarray]:
+    """0 where both name the same shape or primitive, else inf: the bracket has to allow it."""
+
+    def ratio(pixels: PixelPairs) -> np.ndarray:
+        subject, reference = pixels.pair(name)
+        return np.where(subject == reference, 0.0, np.inf)
+
+    return ratio
 
 
 def surface_ratio(pixels: PixelPairs) -> np.ndarray:
@@ -190,33 +188,19 @@ def depth_ratio(pixels: PixelPairs) -> np.ndarray:
     return np.where(pixels.both_hit, error_over_bound(error, depth_bound(pixels)), 0.0)
 
 
-def position_bound(pixels: PixelPairs) -> np.ndarray:
-    """The bound of t along the ray, and what Mitsuba does to a position afterwards (barycentrics on triangles, a pull
-    onto the wall of a cylinder); one bound for each kind of primitive."""
-    return pixels.bounds.at.p_error
+Own = Callable[[PixelPairs], tuple[np.ndarray, np.ndarray]]  # (n, 3) a value of the subject's own primitive, (n,) bound
 
 
-def position_ratio(pixels: PixelPairs) -> np.ndarray:
-    return pixels.larger_error_ratio("position", position_bound(pixels), pixels.point, pixels.bounds.own.p_error)
+def vector_check(name: str, bound: Callable[[PixelPairs], np.ndarray], own: Own) -> QuantityCheck:
+    """A vector where both hit: the larger error ratio of those from the reference and from the own primitive."""
 
+    def ratio(pixels: PixelPairs) -> np.ndarray:
+        value, own_bound = own(pixels)
+        between = error_over_bound(pixels.distance(name), bound(pixels))
+        alone = error_over_bound(row_distance(aov_rows(pixels.subject, name), value), own_bound)
+        return np.where(pixels.both_hit, np.maximum(between, alone), 0.0)
 
-def normal_bound(pixels: PixelPairs) -> np.ndarray:
-    return pixels.bounds.at.n_error
-
-
-def normal_ratio(pixels: PixelPairs) -> np.ndarray:
-    """Of unit vectors: one of another length, or reversed, differs by far more than any bound."""
-    own = pixels.bounds.own
-    return pixels.larger_error_ratio("normal", normal_bound(pixels), own.n, own.n_error)
-
-
-def shading_normal_bound(pixels: PixelPairs) -> np.ndarray:
-    return pixels.bounds.at.sh_error
-
-
-def shading_normal_ratio(pixels: PixelPairs) -> np.ndarray:
-    own = pixels.bounds.own
-    return pixels.larger_error_ratio("shading_normal", shading_normal_bound(pixels), own.sh_n, own.sh_error)
+    return QuantityCheck(name, ratio, bound)
 
 
 def uv_bound(pixels: PixelPairs) -> np.ndarray:
@@ -226,22 +210,26 @@ def uv_bound(pixels: PixelPairs) -> np.ndarray:
 
 def uv_ratio(pixels: PixelPairs) -> np.ndarray:
     uv, own = pixels.uv, pixels.bounds.own
-    assert uv is not None  # checks_of
+    assert uv is not None  # `given`
     between = error_over_bound(pixels.distance("uv"), uv.bound)
     alone = error_over_bound(row_distance(uv.subject, own.uv), own.uv_error)
     return np.where(pixels.both_hit, np.maximum(between, alone), 0.0)
 
 
-# Of a subject that names its primitive.
+# Of a subject that names its primitive. The bound of a position is that of t along the ray, and what Mitsuba does to a
+# position afterwards (barycentrics on triangles, a pull onto the wall of a cylinder). Normals are unit vectors: one of
+# another length, or reversed, differs by far more than any bound.
 CHECKS = (
     QuantityCheck("mask", mask_ratio),
-    QuantityCheck("shape_id", shape_id_ratio),
+    QuantityCheck("shape_id", same_id("shape_id")),
     QuantityCheck("on_surface", surface_ratio),
     QuantityCheck("depth", depth_ratio, depth_bound),
-    QuantityCheck("position", position_ratio, position_bound),
-    QuantityCheck("normal", normal_ratio, normal_bound),
-    QuantityCheck("shading_normal", shading_normal_ratio, shading_normal_bound),
-    QuantityCheck("uv", uv_ratio, uv_bound),
+    vector_check("position", lambda p: p.bounds.at.p_error, lambda p: (p.point, p.bounds.own.p_error)),
+    vector_check("normal", lambda p: p.bounds.at.n_error, lambda p: (p.bounds.own.n, p.bounds.own.n_error)),
+    vector_check(
+        "shading_normal", lambda p: p.bounds.at.sh_error, lambda p: (p.bounds.own.sh_n, p.bounds.own.sh_error)
+    ),
+    QuantityCheck("uv", uv_ratio, uv_bound, lambda pixels: pixels.uv is not None),
 )
 
 
@@ -253,40 +241,24 @@ def depth_to_named_surface(pixels: PixelPairs) -> np.ndarray:
 def normal_of_named_surface(pixels: PixelPairs) -> np.ndarray:
     """|difference| / bound from the normal of the primitive that the reference names."""
     own, n = pixels.bounds.own, pixels.answer.n
-    assert n is not None  # checks_of
+    assert n is not None  # `given`
     return np.where(pixels.both_hit, error_over_bound(row_distance(n, own.n), own.n_error), 0.0)
 
 
-def prim_id_ratio(pixels: PixelPairs) -> np.ndarray:
-    """0 where both name the same primitive of a shape, else inf: the bracket has to allow it."""
-    subject, reference = pixels.pair("prim_id")
-    return np.where(subject == reference, 0.0, np.inf)
-
-
-# Of a subject that gives no images; the last three, if it gives them.
+# Of a subject that gives no images.
 SURFACE_CHECKS = (
     QuantityCheck("mask", mask_ratio),
-    QuantityCheck("depth", depth_to_named_surface),
-    QuantityCheck("normal", normal_of_named_surface),
-    QuantityCheck("shape_id", shape_id_ratio),
-    QuantityCheck("prim_id", prim_id_ratio),
+    QuantityCheck("depth", depth_to_named_surface, given=lambda pixels: not pixels.answer.hits_only),
+    QuantityCheck("normal", normal_of_named_surface, given=lambda pixels: pixels.answer.n is not None),
+    QuantityCheck("shape_id", same_id("shape_id"), given=lambda pixels: pixels.answer.shape_id is not None),
+    QuantityCheck("prim_id", same_id("prim_id"), given=lambda pixels: pixels.answer.prim_id is not None),
 )
 
 
 def checks_of(pixels: PixelPairs) -> Iterator[QuantityCheck]:
     """The checks of the quantities that an answer has."""
-    answer = pixels.answer
-    if answer.prim is not None:
-        yield from (check for check in CHECKS if check.name != "uv" or pixels.uv is not None)
-        return
-    given = {
-        "mask": True,
-        "depth": not answer.hits_only,
-        "normal": answer.n is not None,
-        "shape_id": answer.shape_id is not None,
-        "prim_id": answer.prim_id is not None,
-    }
-    yield from (check for check in SURFACE_CHECKS if given[check.name])
+    checks = SURFACE_CHECKS if pixels.answer.prim is None else CHECKS
+    return (check for check in checks if check.given(pixels))
 
 
 @dataclass(frozen=True)

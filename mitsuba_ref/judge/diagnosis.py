@@ -1,6 +1,6 @@
-"""Diagnosis of a subject's failing pixels: causes, each with its pixels and what separates them from right ones.
+"""Diagnosis of failing pixels: causes, each with its pixels and what separates these from right ones.
 
-Nothing here decides whether a pixel passes; it only describes the numbers of those that fail.
+It describes pixels that fail; it never decides whether a pixel passes.
 """
 
 from collections.abc import Iterator, Mapping
@@ -39,7 +39,7 @@ from mitsuba_ref.judge.verdict import FAILING, REFERENCE_WRONG, UNDECIDED, WRONG
 from mitsuba_ref.shapes import kind_of
 
 NOT_ADJUDICATED = "not adjudicated: like others, of which exact arithmetic found nearly all to be wrong"
-MAX_DIAGNOSED_PIXELS = 4096  # wrong pixels at which hypotheses are tested
+MAX_DIAGNOSED_PIXELS = 4096  # wrong pixels at which the table of mistakes is tried
 
 
 @dataclass(frozen=True)
@@ -48,15 +48,15 @@ class Cause:
 
     what: str
     rows: np.ndarray  # ascending
-    of: int = 0  # wrong pixels among which it was looked for; 0: no hypothesis
-    remedy: str = ""  # of a hypothesis under which the rows become right
+    of: int = 0  # wrong pixels among which it was looked for; 0: a description
+    remedy: str = ""  # of a mistake under which the rows become right
     where: str = ""  # what separates these pixels from right ones
-    second: bool = False  # beside another cause of the same rows, and independent of it
+    second: bool = False  # independent of another cause of the same rows
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Causes; each failing row has one that is not a second one."""
+    """All causes; each failing row has exactly one that is not `second`."""
 
     causes: tuple[Cause, ...]
 
@@ -66,7 +66,7 @@ class Diagnosis:
         return {cause.what: cause.rows for cause in self.causes if not cause.second}
 
     def by_row(self) -> dict[int, str]:
-        """The sentence of each failing row."""
+        """Row -> the sentence about it."""
         found: dict[int, str] = {}
         for cause in sorted(self.causes, key=lambda cause: cause.second):
             for row in map(int, cause.rows):
@@ -75,7 +75,7 @@ class Diagnosis:
 
 
 def failing_rows(judgement: Judgement) -> np.ndarray:
-    """Rows of the image that fail, ascending: by their class, or because the reference is wrong in an unknown way."""
+    """Rows of the image that fail, ascending: by their class, or since the reference is wrong in an unknown way."""
     unlisted = np.array([row for row, case in judgement.cases.items() if case is None], np.int64)
     return np.union1d(np.flatnonzero(judgement.is_class(*FAILING)), unlisted)
 
@@ -91,7 +91,7 @@ class _Causes:
         self.left[failing_rows(judgement)] = True
 
     def take(self, what: str, rows: np.ndarray, of: int = 0, remedy: str = "", *, where: bool = False) -> None:
-        """Of these rows those that are left. where: look for a separator."""
+        """Assign a cause to those of the rows that have none. where: look for a separator."""
         mine = rows[self.left[rows]]
         if not len(mine):
             return
@@ -105,7 +105,7 @@ class _Causes:
 
 
 def diagnose(judge: Judge, judgement: Judgement) -> Diagnosis:
-    """The causes of all pixels that fail: what is no answer, then hypotheses in their order, then descriptions."""
+    """The causes of all failing pixels: invalid answers, then the table of mistakes, then descriptions."""
     causes = _Causes(judge, judgement)
     if not causes.left.any():
         return causes.diagnosis()
@@ -134,7 +134,7 @@ def diagnose(judge: Judge, judgement: Judgement) -> Diagnosis:
 
 
 def _of_two_right_answers(judge: Judge) -> str:
-    """Why exact arithmetic says that the subject is right, and Mitsuba's answer lies beyond its bounds."""
+    """Why Mitsuba's answer lies beyond its bounds although the subject is exactly right."""
     if any(unrounded_arrays(part, "float32") for part in judge.model.packed.parts):
         return "each is right for its own numbers: those of the subject were not rounded to float32, as Mitsuba's are"
     return f"{subject_name(judge)} is right, and Mitsuba wrong in no known way"
@@ -208,7 +208,7 @@ def _decisive(stream: Iterator[Explanation], count: int) -> tuple[Mistake | None
 
 
 def _take_or_add(causes: _Causes, what: str, remedy: str, f: WrongPixels, fits: np.ndarray) -> None:
-    """As the first cause of rows that have none, and as a second one of those that have."""
+    """Assign a cause to rows that have none, and add it as a second one to those that have."""
     rows = f.rows[fits]
     same = causes.found.get(what)
     second = np.setdiff1d(rows[~causes.left[rows]], same.rows if same else [])
@@ -218,7 +218,7 @@ def _take_or_add(causes: _Causes, what: str, remedy: str, f: WrongPixels, fits: 
 
 
 def _plain_descriptions(f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
-    """What is wrong where no mistake explains it."""
+    """Descriptions of wrong pixels that no mistake explains."""
     yield "missed; exact arithmetic hits", ~f.given_hit & f.hit
     beside = f.given_hit & ~f.hit
     if beside.any():
@@ -302,7 +302,7 @@ NEAR_BOXES = 16  # triangles whose boxes are nearest to the point
 
 
 def _outline_text(f: WrongPixels) -> str:
-    """How far hits on planes of triangles are beyond their outlines; "" where they are on none."""
+    """How far hits lie beyond the outlines of triangles, on their planes; "" where they lie on no such plane."""
     judge = f.judge
     if judge.answer.hits_only:
         return ""
@@ -366,7 +366,7 @@ MIN_SEPARATED_PIXELS = 8  # wrong ones; of fewer, too many quantities are extrem
 
 
 def separator_text(judge: Judge, judgement: Judgement, wrong: np.ndarray) -> str:
-    """Where these rows are wrong and others right, by one threshold; "" where no quantity separates nearly all."""
+    """The quantity and threshold that separate these wrong rows from right ones; "" where none separates nearly all."""
     if len(wrong) < MIN_SEPARATED_PIXELS:
         return ""
     exact = judgement.exact

@@ -8,19 +8,9 @@ import numpy as np
 from caster.geometry.packing import Packed
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
-from mitsuba_ref.judge.classification import EXACT, Judge, Judgement
+from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judge, Judgement
 from mitsuba_ref.judge.defect_lookup import defect_name
-from mitsuba_ref.judge.verdict import (
-    AGREE,
-    CLASSES,
-    EXPLAINED,
-    JUDGED_WITHOUT_REFERENCE,
-    OUT_OF_DOMAIN,
-    REFERENCE_WRONG,
-    TIE,
-    UNDECIDED,
-    UNLISTED,
-)
+from mitsuba_ref.judge.verdict import AGREE, CLASSES, EXPLAINED, OUT_OF_DOMAIN, REFERENCE_WRONG, TIE, UNLISTED
 from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.subjects.subject import Answer
 
@@ -131,8 +121,8 @@ def not_judged(judge: Judge, judgement: Judgement, row: int) -> dict[str, str]:
     found = not_compared(ours, theirs, "ours", COMPARED_AT_HITS)
     if not ours:
         found["on_surface"] = "ours hits nothing"
-    if why := _diffuse(judge, judgement, row):
-        found["diffuse"] = why
+    if not ours or judgement.classes[row] != CLASS_CODE[AGREE]:
+        found["diffuse"] = "light is compared where both see the same surface at the same place"
     if judgement.exact.of(row) is None:
         found[EXACT] = "there is no ray" if judge.t_max[row] < 0.0 else "exact arithmetic gave no answer"
     # What contradicts something else is reported as beyond all bounds, whatever else was not compared.
@@ -145,21 +135,6 @@ def not_compared(subject: bool, reference: bool, who: str, names: tuple[str, ...
         return {}
     why = f"{who if subject else 'Mitsuba'} alone hits" if subject or reference else "nothing is hit"
     return dict.fromkeys(names, why)
-
-
-def _diffuse(judge: Judge, judgement: Judgement, row: int) -> str:
-    """Light is compared with Mitsuba's where geometry agrees, and else held to float64 where ours is right."""
-    name = CLASSES[int(judgement.classes[row])]
-    if not judge.hit[row]:
-        return "ours hits nothing"
-    if name == AGREE:
-        return ""
-    if name not in JUDGED_WITHOUT_REFERENCE:
-        already = "undecided" if name == UNDECIDED else "wrong"
-        return f"what is hit, or where, is {already} already"
-    if not np.isfinite(judge.bounds.own.t_error[row]):
-        return "float64 does not resolve where the hit is"
-    return "not against Mitsuba's, which is of another surface or place; it is what float64 gives on ours"
 
 
 # ---- answers of a pixel: shape and t, in decimal and to the bit ----

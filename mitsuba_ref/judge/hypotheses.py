@@ -41,17 +41,17 @@ RIGHT_PIXELS = 512  # that have to stay right under a mistake
 
 @dataclass(frozen=True)
 class WrongPixels:
-    """Rows of the image, and what is exactly right there."""
+    """Rows of the image and the exact answers there."""
 
     judge: Judge
     rows: np.ndarray  # (m,)
     hit: np.ndarray  # (m,) bool, exactly
     t: np.ndarray  # (m,) exact, inf on a miss
     prim: np.ndarray  # (m,) -1 on a miss
-    at: Intersections  # (m,) there, as the subject may see it
+    at: Intersections  # (m,) of these primitives, as the subject may see them
 
     def take(self, some: np.ndarray) -> "WrongPixels":
-        """Some of them, by mask or index."""
+        """A subset, by mask or index."""
         at = self.at.take(some)
         return WrongPixels(self.judge, self.rows[some], self.hit[some], self.t[some], self.prim[some], at)
 
@@ -75,7 +75,7 @@ class WrongPixels:
 
     @property
     def t_rounding(self) -> np.ndarray:
-        """(m,) how far t is off because it was stored as something else."""
+        """(m,) error of t from storing it in another form."""
         return np.broadcast_to(self.judge.answer.t_rounding, self.judge.answer.t.shape)[self.rows]
 
     @cached_property

@@ -1,7 +1,7 @@
 """One pixel: both answers, the bound of each quantity, every primitive that may be hit; as text for a terminal."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
@@ -17,7 +17,7 @@ from mitsuba_ref.judge.diagnosis import diagnose
 from mitsuba_ref.judge.explanations import MAX_TIES_SHOWN, exact_answer, full_reason, not_judged, tie_members
 from mitsuba_ref.judge.verdict import CLASSES, FAILING, UNDECIDED, UNLISTED, json_number
 from mitsuba_ref.oracle.oracle import ExactAnswer
-from mitsuba_ref.probe.candidate_pixel import CANDIDATE_QUANTITIES, CandidatePixel, case_text, probe_candidate
+from mitsuba_ref.probe.candidate_pixel import CandidatePixel, case_text, probe_candidate
 from mitsuba_ref.probe.witnesses import WitnessAnswer, witness_answers, witness_lines, witness_record
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
@@ -39,7 +39,7 @@ class PossibleHit:
 
 @dataclass(frozen=True)
 class PixelVerdict:
-    """What became of one pixel, and why."""
+    """The verdict on one pixel, and why."""
 
     x: int
     y: int
@@ -76,7 +76,7 @@ class PixelVerdict:
 
 
 class ProbeEvidence(NamedTuple):
-    """What a pixel's verdict rests on: an image of this one pixel."""
+    """The judge and the judgement of an image of this one pixel."""
 
     judge: Judge
     judgement: Judgement
@@ -105,7 +105,7 @@ def probe(scene: Scene, x: int, y: int, candidate: Subject | None = None) -> Pix
 def probe_with_evidence(
     scene: Scene, x: int, y: int, candidate: Subject | None = None, timeout: float = DEFAULT_TIMEOUT
 ) -> tuple[PixelVerdict, ProbeEvidence | Crash]:
-    """The same, with what it rests on. timeout: seconds for Mitsuba's answer."""
+    """The same with its evidence. timeout: seconds for Mitsuba's answer."""
     film = scene.film
     if not (0 <= x < film.width and 0 <= y < film.height):
         inside = f"0 <= x < {film.width} and 0 <= y < {film.height}"
@@ -190,9 +190,6 @@ def _json_safe(value: Any) -> Any:
     return json_number(value) if isinstance(value, float) else value
 
 
-# One pixel under the lens, for a terminal.
-
-
 MAX_PRIMS_SHOWN = 12  # primitives; --json has all
 
 
@@ -213,9 +210,12 @@ def _lines(found: PixelVerdict, path: str) -> Iterator[str]:
     for name in found.ours:
         for who, value in _sides(found, name).items():
             yield f"{who:<11}{name if who == 'ours' else '':<16}{_decimal_and_hex(value)}"
-    if found.candidate is not None and not found.candidate.problem:
-        yield from _candidate_lines(found.candidate)
-    yield from _bound_lines("bound", found.ratios, found.not_judged)
+    yield from (f"note       {note}" for note in (found.candidate.notes if found.candidate else ()))
+    for name, ratio in found.ratios.items():
+        used = f"{ratio:.3g} of it is used" if math.isfinite(ratio) else "no bound allows this"
+        yield f"bound      {name:<16}{used}"
+    for name, why in found.not_judged.items():
+        yield f"bound      {name:<16}not judged: {why}"
     yield f"possible   {len(found.possible)} primitives, t and how far float32 may be off in it:"
     for each in found.possible[:MAX_PRIMS_SHOWN]:
         mark = "certain" if each.certain else ""
@@ -248,34 +248,9 @@ def _sides(found: PixelVerdict, name: str) -> dict[str, Any]:
     sides = {"ours": found.ours[name], "reference": found.reference[name]}
     if name == "shape" and theirs:
         sides["candidate"] = "a hit" if theirs["hit"] else "miss"
-    elif name in CANDIDATE_QUANTITIES and name in theirs:
+    elif name in theirs:
         sides["candidate"] = theirs[name]
     return sides
-
-
-def _candidate_lines(theirs: CandidatePixel) -> Iterator[str]:
-    """How far it is from the exact answer, and what of its bounds that is."""
-    off = theirs.off
-    if off:
-        ulps = "" if off["t_ulps"] is None else f", {off['t_ulps']:+.3g} ulps of {theirs.precision}"
-        yield f"off        t               {off['t']:.3g}{ulps}, {off['t_share']:.3g} of its bound"
-    if "normal" in off:
-        yield f"off        normal          {off['normal']:.3g} of its length, {off['normal_share']:.3g} of its bound"
-        yield f"exact hit  normal          {_decimal_and_hex(off['exact_normal'])}"
-    if theirs.alone:
-        first, *rest = theirs.alone.splitlines()
-        yield f"alone      for this ray alone, the candidate returns {first}"
-        yield from (f"           {line}" for line in rest)
-    yield from _bound_lines("its bound", theirs.ratios, theirs.not_judged)
-    yield from (f"note       {note}" for note in theirs.notes)
-
-
-def _bound_lines(head: str, ratios: Mapping[str, float], not_judged: Mapping[str, str]) -> Iterator[str]:
-    for name, ratio in ratios.items():
-        used = f"{ratio:.3g} of it is used" if math.isfinite(ratio) else "no bound allows this"
-        yield f"{head:<11}{name:<16}{used}"
-    for name, why in not_judged.items():
-        yield f"{head:<11}{name:<16}not judged: {why}"
 
 
 def _exact_lines(exact: dict[str, Any]) -> Iterator[str]:

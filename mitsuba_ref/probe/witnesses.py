@@ -58,7 +58,7 @@ def witness_answers(judge: Judge, answer: ExactAnswer | None) -> tuple[WitnessAn
 
 
 def other_variant_answers(judge: Judge, variant: str) -> Iterator[tuple[tuple[str, str], TraceResponse | Crash | str]]:
-    """Answers by (variant, mode), but for the one that the judge has; a child of its own for each variant."""
+    """Answers by (variant, mode), except the one that the judge has; each variant has its own child process."""
     works = variants.usable_variants()
     for name in set(variants.VARIANT_NAMES) - set(works.names):
         yield from (((name, mode), f"does not work here: {works.why}") for mode in MODES)
@@ -160,7 +160,7 @@ def _surface_text(each: WitnessAnswer) -> str:
 
 
 def _error_text(each: WitnessAnswer) -> str:
-    """How far t is off, and what of it is beyond its bound."""
+    """The error of t, and whether it exceeds its bound."""
     parts = []
     if each.ulps is not None:
         parts.append(f"{each.ulps:+.3g} ulps of {each.format}" if each.ulps else f"exact in {each.format}")

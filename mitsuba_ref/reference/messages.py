@@ -10,7 +10,6 @@ import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -51,37 +50,22 @@ class TraceRequest:
     lights: bool = True  # whether to compute light_rgb, light_visible and albedo
     sensor: bool = False  # whether to sample the rays of the scene's own sensor
     strict: bool = True  # whether a warning of Mitsuba's is an error
-    more: tuple[tuple[Path, int], ...] = ()  # further scenes, and the first of the rays that go through each
     mesh_files: tuple[Path, ...] = ()  # to be read by Mitsuba's own loader, too
 
     def __post_init__(self) -> None:
         _check_rows(self, len(self.o))
-        if self.more and (self.lights or self.sensor):
-            raise ValueError("more: expected no lights and no sensor where there are several scenes")
 
     def to_bytes(self) -> bytes:
         """With absolute paths: the child runs in another folder."""
-        more = tuple((xml.absolute(), first) for xml, first in self.more)
         meshes = tuple(file.absolute() for file in self.mesh_files)
-        return _to_bytes(replace(self, xml=self.xml.absolute(), more=more, mesh_files=meshes))
+        return _to_bytes(replace(self, xml=self.xml.absolute(), mesh_files=meshes))
 
     @classmethod
     def from_bytes(cls, content: bytes) -> "TraceRequest":
         """The inverse of `to_bytes`."""
         record = _from_bytes(content)
-        more = tuple((Path(xml), first) for xml, first in record["more"])
         meshes = tuple(Path(file) for file in record["mesh_files"])
-        return cls(**(record | {"xml": Path(record["xml"]), "more": more, "mesh_files": meshes}))
-
-    def per_scene(self) -> list["TraceRequest"]:
-        """One job a scene, in order."""
-        scenes = [self.xml, *(xml for xml, _ in self.more)]
-        edges = [0, *(first for _, first in self.more), len(self.o)]
-        rays = (self._rays(*ends) for ends in pairwise(edges))
-        return [replace(self, xml=xml, more=(), **arrays) for xml, arrays in zip(scenes, rays, strict=True)]
-
-    def _rays(self, start: int, stop: int) -> dict[str, Any]:
-        return {name: getattr(self, name)[start:stop] for name in self.ROWS}
+        return cls(**(record | {"xml": Path(record["xml"]), "mesh_files": meshes}))
 
 
 @dataclass(frozen=True, eq=False)

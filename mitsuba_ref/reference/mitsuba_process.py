@@ -14,9 +14,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NoReturn
-
-import numpy as np
+from typing import NoReturn
 
 from mitsuba_ref.reference import messages, variants
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
@@ -83,14 +81,12 @@ def request_key(request: TraceRequest) -> str:
     for name in TraceRequest.ROWS:
         array = getattr(request, name)
         parts += [f"{name} {array.dtype} {array.shape}", array.tobytes()]
-    folders: dict[Path, int] = {}
-    for xml, first in ((request.xml, 0), *request.more):
-        if OUTSIDE.search(xml.read_text(encoding="utf-8")):
-            return ""
-        parts.append(f"scene {folders.setdefault(xml.parent, len(folders))} {xml.name} {first}")
-    for folder, number in folders.items():
-        for path in sorted(path for path in folder.rglob("*") if path.is_file()):
-            parts += [f"{number} {path.relative_to(folder).as_posix()}", path.read_bytes()]
+    folder = request.xml.parent
+    if OUTSIDE.search(request.xml.read_text(encoding="utf-8")):
+        return ""
+    parts.append(f"scene {request.xml.name}")
+    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+        parts += [path.relative_to(folder).as_posix(), path.read_bytes()]
     for file in request.mesh_files:
         parts += [f"mesh {file.name}", file.read_bytes()]
     return key_of(parts)
@@ -111,65 +107,8 @@ if hasattr(os, "register_at_fork"):
 
 
 def send_requests(requests: Sequence[TraceRequest], timeout: float = DEFAULT_TIMEOUT) -> list[TraceResponse | Crash]:
-    """Trace rays through several scenes in one child; what ends without a response is sent again, by halves.
-
-    requests: of one variant, without lights and sensor. `seconds` of each response are those of the whole child.
-    """
-    if len(requests) == 1:
-        return [send_request(requests[0], timeout)]
-    response = send_request(merge_requests(requests), timeout)
-    if isinstance(response, TraceResponse):
-        return split_response(response, [len(request.o) for request in requests])
-    half = len(requests) // 2
-    return [*send_requests(requests[:half], timeout), *send_requests(requests[half:], timeout)]
-
-
-def merge_requests(requests: Sequence[TraceRequest]) -> TraceRequest:
-    """One request of several."""
-    firsts = np.cumsum([len(request.o) for request in requests]).tolist()
-    more = tuple((request.xml, first) for request, first in zip(requests[1:], firsts, strict=False))
-    rays: dict[str, Any] = {
-        name: np.concatenate([getattr(request, name) for request in requests]) for name in TraceRequest.ROWS
-    }
-    return replace(requests[0], more=more, **rays)
-
-
-def merge_responses(responses: Sequence[TraceResponse]) -> TraceResponse:
-    """One response of several; with more than one, names begin with the number of the scene."""
-    first, *rest = responses
-    if not rest:
-        return first
-    rows: dict[str, Any] = {
-        name: np.concatenate([getattr(response, name) for response in responses]) for name in TraceResponse.ROWS
-    }
-    starts = np.cumsum([0, *(len(response.names) for response in responses)])
-    owner = np.repeat(np.arange(len(responses)), [len(response.t) for response in responses])
-    rows["shape"] = np.where(rows["shape"] < 0, -1, rows["shape"] + starts[owner]).astype(np.int32)
-    names = [f"{i}:{name}" for i, response in enumerate(responses) for name in response.names]
-    lit: dict[str, Any] = {
-        name: np.concatenate([getattr(response, name) for response in responses], axis=1) for name in LIGHT_ARRAYS
-    }
-    seconds = sum(response.seconds for response in responses)
-    return replace(first, names=names, seconds=seconds, **rows, **lit)
-
-
-LIGHT_ARRAYS = ("light_rgb", "light_visible")  # (lights, n, ...): their second axis counts the rays
-
-
-def split_response(response: TraceResponse, counts: Sequence[int]) -> list[TraceResponse | Crash]:
-    """The inverse of `merge_responses`: responses to so many rays each."""
-    found: list[TraceResponse | Crash] = []
-    scene_of = np.array([int(name.partition(":")[0]) for name in response.names], int)
-    for i, stop in enumerate(np.cumsum(counts).tolist()):
-        rows = slice(stop - counts[i], stop)
-        own = np.flatnonzero(scene_of == i)
-        arrays: dict[str, Any] = {name: getattr(response, name)[rows] for name in TraceResponse.ROWS}
-        first = own[0] if len(own) else 0
-        arrays["shape"] = np.where(arrays["shape"] < 0, -1, arrays["shape"] - first).astype(np.int32)
-        names = [response.names[j].partition(":")[2] for j in own]
-        lit: dict[str, Any] = {name: getattr(response, name)[:, rows] for name in LIGHT_ARRAYS}
-        found.append(replace(response, names=names, **arrays, **lit))
-    return found
+    """Trace rays through several scenes, one after the other."""
+    return [send_request(request, timeout) for request in requests]
 
 
 class ResidentSession:
@@ -224,8 +163,7 @@ def respond(content: bytes) -> bytes:
     try:
         from mitsuba_ref.reference import mitsuba_calls
 
-        pieces = TraceRequest.from_bytes(content).per_scene()
-        return merge_responses([mitsuba_calls.trace_request(piece) for piece in pieces]).to_bytes()
+        return mitsuba_calls.trace_request(TraceRequest.from_bytes(content)).to_bytes()
     except (RuntimeError, ImportError) as refusal:
         print(refusal, file=sys.stderr, flush=True)
         end_process(1)

@@ -1,6 +1,6 @@
 """Verdicts for the terminal: one row per scene, failures with the next command, and a summary."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from statistics import median
 from textwrap import wrap
 from urllib.parse import quote
@@ -341,30 +341,8 @@ def percent_text(count: int, total: int) -> str:
 
 # ---- what failing scenes have in common ----
 
-MIN_FAILING_SCENES = 2  # scenes that fail: of one, everything is in common
+MIN_FAILING_SCENES = 2  # of which something can be said together
 NO_ANSWER = "no comparison"
-
-
-def common_traits(scenes: Sequence[SceneVerdict]) -> list[str]:
-    """What is the same in all that fail, each with what is so in how many that pass; [] where that separates nothing.
-
-    A type of shape or camera counts only if some scene that passes is without.
-    """
-    failing = [scene for scene in scenes if not (scene.ok or scene.waived)]
-    passing = [scene for scene in scenes if scene.ok]
-    if len(failing) < MIN_FAILING_SCENES:
-        return []
-    traits = [f"{each} fails" if each != NO_ANSWER else f"there is {each}" for each in _common_to(failing, checks_of)]
-    for what, of in (("shape", shapes_of), ("camera", cameras_of)):
-        for each in _common_to(failing, of):
-            also = sum(each in of(scene) for scene in passing)
-            if also < len(passing):
-                traits.append(f"{what} {each} (in {also} of {len(passing)} that pass)")
-    return traits
-
-
-def _common_to(scenes: Sequence[SceneVerdict], of: Callable[[SceneVerdict], frozenset[str]]) -> list[str]:
-    return sorted(frozenset.intersection(*map(of, scenes)))
 
 
 def checks_of(scene: SceneVerdict) -> frozenset[str]:
@@ -378,10 +356,6 @@ def checks_of(scene: SceneVerdict) -> frozenset[str]:
 
 def shapes_of(scene: SceneVerdict) -> frozenset[str]:
     return frozenset(scene.composition.shapes)
-
-
-def cameras_of(scene: SceneVerdict) -> frozenset[str]:
-    return frozenset({scene.composition.camera} - {""})
 
 
 def simplest_failing(scenes: Sequence[SceneVerdict]) -> SceneVerdict | None:
@@ -421,12 +395,9 @@ def _kind_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
 
 def group_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
     """Lines on what failing scenes have in common, and the simplest of them; none below MIN_FAILING_SCENES."""
-    failing = sum(not (scene.ok or scene.waived) for scene in scenes)
     yield from _cause_lines(scenes)
-    traits, first = common_traits(scenes), simplest_failing(scenes)
     yield from _kind_lines(scenes)
-    if traits:
-        yield f"in common:  of all {failing} that fail: {'; '.join(traits)}"
+    first = simplest_failing(scenes)
     if first is not None:
         count = first.composition.primitives
         size = f"{count} primitive{'s' if count > 1 else ''}, {first.pixels} pixels"

@@ -74,6 +74,7 @@ class Worker:
         self.process.join(STOP_SECONDS)
         self.process.kill()
         self.process.join()
+        stack: list[str] = []
         with contextlib.suppress(OSError), Path(self.folder.name, STACK_FILE).open(errors="replace") as lines:
             stack = [line.strip() for line in lines if line.lstrip().startswith("File ")][:MAX_CALLS]
         self.folder.cleanup()

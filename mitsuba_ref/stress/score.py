@@ -18,7 +18,7 @@ from mitsuba_ref.hard.family import Family, scene_of
 from mitsuba_ref.hard.swept_families import NO_VIEW
 from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, claims_of, prepare_scene, ratios_of_any_tie
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
-from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_requests
+from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request
 from mitsuba_ref.reference.shared_input import SharedRays, export, packed_float32, shape_ids
 from mitsuba_ref.reference.variants import LLVM, SCALAR, usable_variants
 from mitsuba_ref.report.results import largest
@@ -47,9 +47,6 @@ BESIDE_CANDIDATE = (CANDIDATE, OURS, REFERENCES[0])  # the witnesses of a candid
 
 # Rays of a setting by default; in a closed mesh, exact arithmetic need not decide all of them.
 DEFAULT_RAYS, DEFAULT_CLOSED_RAYS = 400, 10_000
-
-# A child process holds all rays of its scenes, and some hundred bytes of response for each.
-MAX_RAYS_PER_PROCESS = 1 << 20
 
 
 class Observation(NamedTuple):
@@ -105,31 +102,14 @@ def scene_prim_ids(packed: Packed, shape: np.ndarray, prim: np.ndarray) -> np.nd
 def trace_by_reference(
     witness: Witness, settings: Sequence[PreparedSetting], folder: Path
 ) -> list[Observation | Absent]:
-    """One of Mitsuba's configurations for several settings, in as few child processes as they fit in."""
+    """One of Mitsuba's configurations for several settings."""
     found = usable_variants()
     if witness.variant not in found.names:
         return [Absent("missing", found.why)] * len(settings)
     jobs = [_job(witness, ready, folder / f"{witness.key}-{i}") for i, ready in enumerate(settings)]
-    answers = [answer for group in grouped(jobs) for answer in send_requests(group, timeout_of(group))]
+    # A ray takes some ten microseconds, more on a busy machine.
+    answers = [send_request(job, DEFAULT_TIMEOUT + 1e-3 * len(job.o)) for job in jobs]
     return [_observation(ready, answer) for ready, answer in zip(settings, answers, strict=True)]
-
-
-def timeout_of(jobs: Sequence[TraceRequest]) -> float:
-    """Seconds to wait for responses: a ray takes some ten microseconds, more on a busy machine."""
-    return DEFAULT_TIMEOUT + 1e-3 * sum(len(job.o) for job in jobs)
-
-
-def grouped(jobs: Sequence[TraceRequest]) -> list[list[TraceRequest]]:
-    """Runs of requests with at most MAX_RAYS_PER_PROCESS rays together, or one request with more."""
-    groups: list[list[TraceRequest]] = []
-    left = 0
-    for job in jobs:
-        if len(job.o) > left:
-            groups.append([])
-            left = MAX_RAYS_PER_PROCESS
-        groups[-1].append(job)
-        left -= len(job.o)
-    return groups
 
 
 def _job(witness: Witness, ready: PreparedSetting, folder: Path) -> TraceRequest:

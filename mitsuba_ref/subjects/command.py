@@ -18,7 +18,6 @@ from caster.image.exr import Exr, UnreadableExr, read_exr
 from caster.scene.model import Scene
 from caster.system.terminal import printable
 from mitsuba_ref.cameras import reference_of_camera
-from mitsuba_ref.error_model.intersections import dot, norm
 from mitsuba_ref.error_model.tolerances import KU, U32
 from mitsuba_ref.reference.shared_input import export, pixel_of
 from mitsuba_ref.reference.subprocess_runner import (
@@ -34,7 +33,6 @@ from mitsuba_ref.subjects.subject import (
     FLOAT32,
     FLOAT64,
     LAST_WORDS,
-    PRECISIONS,
     Answer,
     CastRequest,
     NoAnswer,
@@ -51,13 +49,11 @@ ESCAPE_BRACES_HINT = "a brace that is meant is written twice"
 
 UNSUPPORTED_CODE = 77  # exit code of a program that declines a scene, as of a skipped test in Automake
 
-BESIDE_RAY = "the position is not on the ray of its pixel"
-POSITION = ("position.X", "position.Y", "position.Z")
 DEPTH, NORMAL, MASK = "depth.Z", ("normal.X", "normal.Y", "normal.Z"), "A"
 
 
 def split_command(text: str, placeholders: Sequence[str]) -> tuple[tuple[str, ...], frozenset[str]]:
-    """(words, names in braces): split as a shell would, nothing else of a shell is done. Raises SceneError."""
+    """(words, names in braces) of a command, split as by a shell; no shell runs it. Raises SceneError."""
     try:
         words = shlex.split(text)
     except ValueError as error:
@@ -81,7 +77,7 @@ def split_command(text: str, placeholders: Sequence[str]) -> tuple[tuple[str, ..
 
 
 def run_program(words: list[str], seconds: float) -> None:
-    """Run it to its end. Raises NoAnswer with its last words."""
+    """Run a program to its end. Raises NoAnswer with the end of its output."""
     try:
         end = run(words, seconds)
     except OSError as error:
@@ -166,7 +162,7 @@ def write_toml(request: CastRequest) -> Path:
 
 
 def check_window(exr: Exr, scene: Scene) -> None:
-    """Raise NoAnswer for an image of other pixels than the film's."""
+    """Raise NoAnswer for an image whose pixels are not those of the film."""
     film, (x0, y0, x1, y1) = scene.film, scene.film.window
     if exr.data_window not in ((x0, y0, x1, y1), (0, 0, x1 - x0, y1 - y0)):
         raise NoAnswer(
@@ -179,7 +175,7 @@ def answer_from_exr(
     exr: Exr, request: CastRequest, *, precision: str | None = None, as_exported: bool = False
 ) -> Answer:
     """Answer from an EXR in our channels: depth along the ray from the eye, geometric normal, mask. Raises NoAnswer."""
-    n = _normals(exr.channels, (DEPTH,), "the distance from the eye along the ray")
+    n = _normals(exr.channels)
     rays = request.rays
     depth = exr.channels[DEPTH].ravel().astype(np.float64)
     length = np.linalg.norm(rays.d.astype(np.float64), axis=1)
@@ -195,31 +191,8 @@ def answer_from_exr(
     return replace(found, t_rounding=stored, own_camera=True, notes=(OWN_CAMERA_NOTE,))
 
 
-def answer_from_positions(exr: Exr, request: CastRequest, *, precision: str | None = None) -> Answer:
-    """The same from the position channels and the mask: t is where they project to on the ray. Raises NoAnswer.
-
-    A position farther beside its ray than rounding allows is no answer: that of the camera, of o + t d or of
-    barycentric coordinates, K times each, and of the file.
-    """
-    n = _normals(exr.channels, (*POSITION, MASK), "the position of what is hit, and what A has to mark as hit")
-    precision = precision or FLOAT32
-    o, d = request.rays.o.astype(np.float64), request.rays.d.astype(np.float64)
-    p = np.stack([exr.channels[name].ravel() for name in POSITION], axis=1).astype(np.float64)
-    covered, length = exr.channels[MASK].ravel() != 0, np.linalg.norm(d, axis=1)
-    with np.errstate(invalid="ignore", over="ignore"):
-        t = np.where(covered, dot(p - o, d) / (length * length), np.inf)
-        beside = norm(p - o - t[:, None] * d)
-        rounded = PRECISIONS[precision] * (norm(o) + np.abs(t) * length + norm(p)) + U32 * norm(p)
-        turn, shift = camera_rounding(request.scene)
-        aside = covered & (beside > turn * np.abs(t) * length + shift + rounded)
-        stored = np.where(np.isfinite(rounded), rounded / length, 0.0)
-    found = checked_answer(t, n, len(t), precision=precision)
-    broken = dict(found.broken) | ({BESIDE_RAY: aside} if aside.any() else {})
-    return replace(found, t_rounding=stored, own_camera=True, notes=(OWN_CAMERA_NOTE,), broken=broken)
-
-
 def camera_rounding(scene: Scene) -> tuple[float, float]:
-    """What rounding to float32 may do to a camera's rays: a turn of d as a share of it, a shift of o, scene units."""
+    """Effect of rounding to float32 on camera rays: turn of d relative to its length, shift of o in scene units."""
     turn = KU * reference_of_camera(scene.camera).amplification(scene.camera, scene.film)
     reach = float(np.abs(scene.camera.eye).max()) + getattr(scene.camera, "width", 0.0)
     return turn, turn * reach
@@ -231,32 +204,29 @@ class ExrFile(Subject):
 
     exr: Exr
     precision: str | None
-    by_position: bool = False  # its position channels, not its depth
 
     def answer(self, request: CastRequest) -> Answer:
         """Its channels. Raises NoAnswer."""
         check_window(self.exr, request.scene)
-        read = answer_from_positions if self.by_position else answer_from_exr
-        return replace(read(self.exr, request, precision=self.precision), own_geometry=True)
+        return replace(answer_from_exr(self.exr, request, precision=self.precision), own_geometry=True)
 
 
-def _normals(channels: Mapping[str, np.ndarray], needed: Sequence[str], what: str) -> np.ndarray | None:
-    """(n, 3) the normals, None if they are not given. needed: channels beside them. Raises NoAnswer."""
-    for name in needed:
-        if name not in channels:
-            has = ", ".join(channels) or "none"
-            raise NoAnswer(f"the image has no channel {name}, {what}; it has {has}")
+def _normals(channels: Mapping[str, np.ndarray]) -> np.ndarray | None:
+    """(n, 3) the normals, None if they are not given. Raises NoAnswer, also for a depth that is none."""
+    if DEPTH not in channels:
+        has = ", ".join(channels) or "none"
+        raise NoAnswer(f"the image has no channel {DEPTH}, the distance from the eye along the ray; it has {has}")
     some = [name for name in NORMAL if name in channels]
     if some and len(some) < len(NORMAL):
         raise NoAnswer(f"the image has {', '.join(some)}, but not all of {', '.join(NORMAL)}")
-    for name in (*(name for name in needed if name != MASK), *some):
+    for name in (DEPTH, *some):
         if channels[name].dtype != np.float32:
             raise NoAnswer(f"channel {name} holds {channels[name].dtype}, expected float32: half has 11 bits")
     return np.stack([channels[name].ravel() for name in some], axis=1) if some else None
 
 
 def _mask(mask: np.ndarray, depth: np.ndarray, request: CastRequest) -> np.ndarray:
-    """(n,) bool: hit, by the mask. Raises NoAnswer where depth contradicts it; 0 is no depth, and may be a miss's."""
+    """(n,) bool: hit, by the mask. Raises NoAnswer where depth contradicts it; a miss may have depth 0 or inf."""
     covered: np.ndarray = mask != 0
     missed = np.isposinf(depth) | (~covered & (depth == 0.0))
     contradicts = (covered == missed) | ~np.isfinite(mask)

@@ -2,7 +2,6 @@
 
 import contextlib
 import importlib
-import inspect
 import os
 import re
 import sys
@@ -28,7 +27,7 @@ from mitsuba_ref.subjects.subject import (
 )
 
 FUNCTION_PATTERN = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*(\.[^\W\d]\w*)*")
-HIDDEN_FRAMES = (str(Path(__file__).parent), "<frozen importlib")  # whose calls are not a candidate's
+HIDDEN_FRAMES = (str(Path(__file__).parent), "<frozen importlib")  # frames that are not the candidate's
 MAX_TRACEBACK_FRAMES = 4  # of a traceback, on one line each
 
 # Scenes are judged several at a time; a candidate need not be safe to call from two threads at once.
@@ -80,7 +79,7 @@ class FunctionSubject(Subject):
     takes_rays: ClassVar[bool] = True
 
     def answer(self, request: CastRequest) -> Answer:
-        """Ask about the rays that there are, float64 arrays of float32 values; a hit beyond t_max is a miss.
+        """Call it with the rays of the pixels that have one, float32 values as float64; a hit beyond t_max is a miss.
 
         Raises NoAnswer.
         """
@@ -110,7 +109,7 @@ class FunctionSubject(Subject):
 
 @contextlib.contextmanager
 def _isolated() -> Iterator[None]:
-    """Somebody's code runs here. What it prints is no result; the folder and NumPy's ways with errors stay ours."""
+    """Run foreign code: what it prints goes to stderr; the working folder and NumPy's error state are restored."""
     here = Path.cwd()
     with contextlib.redirect_stdout(sys.stderr), np.errstate():
         try:
@@ -121,9 +120,6 @@ def _isolated() -> Iterator[None]:
 
 def _pair(returned: Any) -> tuple[Any, Any]:
     """(t, n). Raises NoAnswer."""
-    if inspect.iscoroutine(returned):
-        returned.close()
-        raise NoAnswer("expected two arrays (t, n), got a coroutine; a plain function is called, no async one")
     if not isinstance(returned, tuple | list) or len(returned) != 2:
         raise NoAnswer(f"expected two arrays (t, n), got {_type_text(returned)}")
     t, n = returned
@@ -131,7 +127,7 @@ def _pair(returned: Any) -> tuple[Any, Any]:
 
 
 def _exception_with_calls(error: BaseException) -> str:
-    """The exception, and the last calls that led there."""
+    """The exception and its last calls."""
     calls = [call for call in traceback.extract_tb(error.__traceback__) if not call.filename.startswith(HIDDEN_FRAMES)]
     where = "".join(
         f"\n  {call.filename}:{call.lineno}, in {call.name}: {call.line}" for call in calls[-MAX_TRACEBACK_FRAMES:]

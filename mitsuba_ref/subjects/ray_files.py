@@ -1,6 +1,5 @@
-"""Files of rays and of hits: read without trust, judged as the answer of a subject that is not there."""
+"""Files of rays and of hits: reading, writing, and hits from a file as a subject."""
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,16 +20,14 @@ NPY_MAGIC, ZIP_MAGIC = b"\x93NUMPY", b"PK"
 HIT_ARRAYS = ("t", "n", "shape_id", "prim_id", "any_hit")
 HIT_COLUMNS = {1: "t", 4: "t, n", 5: "t, n, prim_id"}  # of hits in one .npy array
 STRIP_WIDTH = 256  # pixels of the film that rays are laid out on, if the list names none
-# What judging takes at its peak: 50 arrays of 3 float64 for intersections, and as much for images and evidence.
-BYTES_PER_RAY = 2 * 50 * 3 * 8
 
 
 class UnreadableArray(FileMissing):
-    """A file that exists, and does not hold the arrays that were expected."""
+    """A file that does not hold the expected arrays."""
 
 
 class RayList(NamedTuple):
-    """Rays o + t d with t_min < t <= t_max, and how wide a film they fill."""
+    """Rays o + t d with t_min < t <= t_max, and the width of the film they fill."""
 
     rows: np.ndarray  # (n, 8) float32 or float64
     width: int = 0  # pixels; 0: any
@@ -64,14 +61,6 @@ def read_arrays(path: str | Path, names: Sequence[str] = ()) -> dict[str, np.nda
     return found
 
 
-def available_memory() -> int:
-    """Bytes of physical memory; without a limit where the system does not say."""
-    try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, ValueError, OSError):
-        return 1 << 62
-
-
 # ---- rays
 
 
@@ -89,7 +78,7 @@ def read_rays(path: str | Path) -> RayList:
 
 
 def checked_rays(rows: np.ndarray, where: str, width: int = 0) -> RayList:
-    """Rays that can be traced. Raises SceneError that names the first which cannot."""
+    """Rays, checked. Raises SceneError that names the first one that cannot be traced."""
     if rows.ndim != 2 or rows.shape[1] != COLUMNS:
         raise SceneError(f"{where}: expected rays of shape (n, {COLUMNS}): o, d, t_min, t_max; got {rows.shape}")
     native = rows.dtype.newbyteorder("=")
@@ -129,17 +118,9 @@ def write_rays(path: str | Path, rays: RayList, **more: np.ndarray) -> None:
     write_bytes(Path(path), out.getvalue())
 
 
-def lay_out(scene: Scene, rays: RayList, where: str) -> tuple[Scene, SharedRays]:
-    """(the scene with a film that holds one ray a pixel, row by row, those rays). Pixels left over have no ray.
-
-    Raises SceneError for more rays than memory holds.
-    """
+def lay_out(scene: Scene, rays: RayList) -> tuple[Scene, SharedRays]:
+    """(the scene with a film of one pixel for each ray, row by row; the rays). Pixels left over have no ray."""
     count = len(rays.rows)
-    if count * BYTES_PER_RAY > available_memory():
-        fit = available_memory() // BYTES_PER_RAY
-        raise SceneError(
-            f"{where}: {count} rays, and memory holds what {fit} need; judge them in parts: --rows 0:{fit}"
-        )
     width = min(rays.width or max(STRIP_WIDTH, int(np.ceil(np.sqrt(count)))), count)
     height = -(-count // width)
     rows = np.zeros((width * height, COLUMNS))

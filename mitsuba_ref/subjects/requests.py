@@ -1,6 +1,5 @@
-"""Requests to a subject: the rays of a scene, in the very numbers that Mitsuba traces."""
+"""Requests to a subject: the rays of a scene, in the numbers that Mitsuba traces."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -52,22 +51,15 @@ class SubjectResponse(NamedTuple):
     answer: Answer
     view: SceneModel  # the model as the subject may see it
     limits: tuple[str, ...] = ()  # what the XML leaves out, in words
-    alone: Answer | NoAnswer | None = None  # to one of the rays alone; None: not requested
 
 
 def request_answer(
-    subject: Subject,
-    scene: Scene,
-    *,
-    rays: SharedRays | None = None,
-    whole: SharedRays | None = None,
-    alone: int | None = None,
+    subject: Subject, scene: Scene, *, rays: SharedRays | None = None, whole: SharedRays | None = None
 ) -> SubjectResponse:
     """The answer of a subject to all rays of the film's window.
 
-    rays: of a list, laid out as that film, in place of the camera's. whole: the rays
-    that stand-ins are cut to, if they are others than the window's own. alone: a row that is requested
-    by itself as well, if it has a ray. Raises NoAnswer.
+    rays: of a list, laid out as that film, in place of the camera's. whole: the rays that stand-ins are cut to, if they
+    are others than the window's own. Raises NoAnswer.
     """
     packed = packed_float32(scene)
     scene, ends = with_far_plane(scene, packed) if subject.reads_xml else (scene, ())
@@ -79,9 +71,8 @@ def request_answer(
             answer = subject.answer(request)
         except NoAnswer as error:
             raise type(error)(f"the candidate gave no answer to judge: {error}") from error
-        again = None if alone is None else _answer_to_one_ray(subject, request, alone)
     answer = ids_as_described(answer, packed)
-    return SubjectResponse(scene, model, rays, answer, subject_view(answer, scene, model), ends, again)
+    return SubjectResponse(scene, model, rays, answer, subject_view(answer, scene, model), ends)
 
 
 def subject_view(answer: Answer, scene: Scene, model: SceneModel) -> SceneModel:
@@ -91,16 +82,6 @@ def subject_view(answer: Answer, scene: Scene, model: SceneModel) -> SceneModel:
     described = described_model(scene, model) if answer.own_geometry else None
     about = model.packed, model.parts, model.kinds, model.models
     return UncertainRaysModel(*about, *camera_rounding(scene), as_described=described)
-
-
-def _answer_to_one_ray(subject: Subject, request: CastRequest, row: int) -> Answer | NoAnswer | None:
-    """A program casts its own rays, so that only a function can be given one."""
-    if not subject.takes_rays or request.rays.t_max[row] < 0.0:
-        return None
-    try:
-        return subject.answer(replace(request, rays=one_of(request.rays, row)))
-    except NoAnswer as error:
-        return error
 
 
 def one_of(rays: SharedRays, row: int) -> SharedRays:

@@ -1,7 +1,7 @@
-"""Subjects: the protocol of whoever is judged, answers to the rays of a scene, the scene as traced; and ours."""
+"""Subjects: the base class, answers to the rays of a scene, the scene as it is traced; and our caster."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
@@ -32,27 +32,26 @@ DEFAULT_SECONDS = 300.0  # that a command may take for one scene
 
 
 class NoAnswer(Exception):  # noqa: N818 - an outcome, not a mistake of the program
-    """A candidate gave nothing that could be judged; the text is what it did, and the way out."""
+    """A candidate gave nothing that can be judged; the text says why, and what to do."""
 
 
 class Unsupported(NoAnswer):
-    """A candidate declined the scene: it lacks a shape or camera, as it stated itself."""
+    """A candidate declined the scene, such as one with a shape or camera that it lacks."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """One row a ray. t is inf and n is 0 on a miss; broken rows have neither."""
+    """A subject's answer, one row for each ray. t is inf and n is 0 on a miss; rows in `broken` hold no answer."""
 
     t: np.ndarray  # (n,) float64, lengths of d
     n: np.ndarray | None  # (n, 3) float64 of length 1; None: normals are not given
-    precision: str  # of PRECISIONS: what the arithmetic behind it is
-    broken: Mapping[str, np.ndarray]  # what is no answer at all -> (n,) bool
-    t_rounding: float | np.ndarray = 0.0  # (n,) how far t is off because it was stored as something else
-    own_camera: bool = False  # its rays came from a camera of its own, not from us
-    own_geometry: bool = False  # its primitives are those of the scene's file, which nobody rounded to float32
+    precision: str  # of PRECISIONS: the arithmetic that made it
+    broken: Mapping[str, np.ndarray]  # why a row is no answer -> (n,) bool
+    t_rounding: float | np.ndarray = 0.0  # (n,) error of t from storing it in another form
+    own_camera: bool = False  # it cast the rays of a camera of its own, not ours
+    own_geometry: bool = False  # its primitives are those of the scene's file, not rounded to float32
     as_exported: bool = False  # it saw what Mitsuba saw: patches in place of planes
     notes: tuple[str, ...] = ()
-    hints: tuple[str, ...] = field(default=())  # reported only if a pixel fails
     prim: np.ndarray | None = None  # (n,) int32, numbered through the scene, -1 on a miss; None: not given
     images: Aovs | None = None  # normals, ids, diffuse, from a subject that gives more than t and n
     shape_id: np.ndarray | None = None  # (n,) named beside t, -1 on a miss; None: not given, as prim_id
@@ -62,7 +61,7 @@ class Answer:
 
     @property
     def hit(self) -> np.ndarray:
-        """(n,) bool; a broken row counts as one."""
+        """(n,) bool; a broken row counts as a hit."""
         found: np.ndarray = ~np.isposinf(self.t)
         return found
 
@@ -72,7 +71,7 @@ class Answer:
         return np.any([np.zeros(len(self.t), bool), *self.broken.values()], axis=0)
 
     def rows(self, rows: np.ndarray | slice) -> "Answer":
-        """The answer to some of the rays, without images."""
+        """Some rows, without images."""
         t_rounding = self.t_rounding[rows] if isinstance(self.t_rounding, np.ndarray) else self.t_rounding
         broken = {why: found[rows] for why, found in self.broken.items() if found[rows].any()}
         names = ("n", "prim", "shape_id", "prim_id")
@@ -100,7 +99,7 @@ class Answer:
 
 
 def checked_answer(t: Any, n: Any, count: int, *, precision: str | None = None, **more: Any) -> Answer:
-    """The answer about `count` rays out of what came back. precision: as declared; None: that of the arrays.
+    """The answer to `count` rays from a candidate's arrays. precision: as declared; None: that of the arrays.
 
     n may be None. Normals are taken as directions: each is divided by its length. A t that is NaN, negative or -inf,
     and a normal that is not finite or has no length on a hit are rows without an answer. Raises NoAnswer for arrays of
@@ -109,7 +108,6 @@ def checked_answer(t: Any, n: Any, count: int, *, precision: str | None = None, 
     t = _floats("t", t, (count,), np.inf)
     n = None if n is None else _floats("n", n, (count, 3), 0.0)
     kinds = [a.dtype for a in (t, n) if a is not None]
-    hints = _hints(t, precision)
     precision = precision or (FLOAT64 if all(kind == np.float64 for kind in kinds) else FLOAT32)
     t = t.astype(np.float64)
     broken = {"t is NaN": np.isnan(t), "t is negative": t < 0.0}
@@ -121,7 +119,7 @@ def checked_answer(t: Any, n: Any, count: int, *, precision: str | None = None, 
         broken[NOT_FINITE] = hit & ~whole
         broken["the normal has no length on a hit"] = hit & whole & ~fine
         n = _directions(np.where(fine[:, None], n, 0.0))
-    return Answer(t, n, precision, {why: rows for why, rows in broken.items() if rows.any()}, hints=hints, **more)
+    return Answer(t, n, precision, {why: rows for why, rows in broken.items() if rows.any()}, **more)
 
 
 def _directions(n: np.ndarray) -> np.ndarray:
@@ -137,7 +135,7 @@ def _directions(n: np.ndarray) -> np.ndarray:
 
 
 def _floats(name: str, values: Any, shape: tuple[int, ...], nothing: float) -> np.ndarray:
-    """As a plain array in this machine's order of bytes. nothing: what stands for no value. Raises NoAnswer."""
+    """A plain array in native byte order. nothing: the value that stands for none. Raises NoAnswer."""
     expected = f"shape {'(n,)' if len(shape) == 1 else '(n, 3)'} = {shape}"
     if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values):
         masked = int(np.ma.getmaskarray(values).sum())
@@ -167,22 +165,7 @@ def exception_text(error: BaseException) -> str:
     return printable(words[:LAST_WORDS]) + (" ..." if len(words) > LAST_WORDS else "")
 
 
-def _hints(t: np.ndarray, precision: str | None) -> tuple[str, ...]:
-    """Where a float64 array holds float32 numbers only, its maker may have computed in float32."""
-    if precision is not None or t.dtype != np.float64:
-        return ()
-    finite = t[np.isfinite(t)]
-    with np.errstate(over="ignore"):
-        single = len(finite) > 0 and bool((finite.astype(np.float32) == finite).all())
-    if not single:
-        return ()
-    return (
-        "every t is a float32 number in a float64 array, and is held to the bounds of float64; if it was computed in "
-        "float32: --candidate-precision float32",
-    )
-
-
-# ---- the scene in the very numbers that both sides trace: float32 values, meshes in world space ----
+# ---- the scene as both sides trace it: float32 values, meshes in world space ----
 
 PrimitiveDescription = dict[str, Any]
 
@@ -193,7 +176,7 @@ def describe_primitive(part: Any, k: int) -> PrimitiveDescription:
 
 
 def describe_surface(part: Any, k: int) -> PrimitiveDescription:
-    """A description of the same surface, of whatever bits. Raises LookupError for a kind that has none."""
+    """A description of the same surface, not to the bit. Raises LookupError for a kind that has none."""
     kind = kind_of(part)
     return (kind.describe_surface or kind.describe)(part, k)
 
@@ -280,7 +263,7 @@ class CastRequest:
         return scene_as_traced(self.scene, self.model.packed, self.folder)
 
     def with_rays(self, rays: SharedRays) -> "CastRequest":
-        """The same scene, the very object, along other rays: what a candidate keeps for a scene serves again."""
+        """The same scene object along other rays, so that a candidate can reuse what it keeps for a scene."""
         other = replace(self, rays=rays)
         other.__dict__["traced"] = self.traced
         return other
@@ -306,10 +289,10 @@ class Subject:
 
 # ---- our own caster ----
 
-# What is compared, and the mask, which always comes along.
+# AOVs that are compared; the hit mask is always there.
 COMPARED_AOVS = ("depth", "position", "normal", "shading_normal", "uv", "shape_id", "diffuse")
 
-# What has to follow from the hits, beside that.
+# Further AOVs that follow from the hits.
 DERIVED_AOVS = ("hit", "albedo", "prim_id")
 
 

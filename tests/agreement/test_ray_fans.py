@@ -6,18 +6,15 @@ from random_scenes import KINDS, name, random_scene
 from same_bits import assert_same_bits
 from test_shadow_fans import hull_points
 
-from caster.cameras import Fisheye, Pinhole
+from caster.cameras import Pinhole
 from caster.geometry.packing import packed
-from caster.jit.simd import LANES
-from caster.kernels.bvh import ray_sorting
 from caster.kernels.bvh.build import LEAF_SIZE
 from caster.kernels.nearest import Rays
-from caster.kernels.raster.tile import PIXELS, WIDTH
+from caster.kernels.raster.tile import WIDTH
 from caster.rendering import ray_fans, ray_tiles
 from caster.rendering.casting import find_any, find_nearest
 from caster.rendering.hits import validated_rays
 from caster.rendering.images import camera_rays
-from caster.rendering.ray_fans import sort_rays
 from caster.scene.model import Scene
 from caster.shapes import SHAPES, Sphere
 
@@ -314,50 +311,6 @@ def test_rows_of_a_film_are_found_also_in_a_part_of_it(fov):
     rays = film_of(Pinhole(eye=(1.0, 2.0, 3.0), look_at=(0.0, 0.0, 0.0), fov=fov))
     assert ray_fans.find_rows(rays) == (0, 200, 120)
     assert ray_fans.find_rows(Rays(*(a[90:-70] for a in rays))) == (110, 200, 118)
-
-
-def test_rows_of_a_round_image_are_found_in_its_middle():
-    rays = film_of(Fisheye(eye=(1.0, 2.0, 3.0), look_at=(0.0, 0.0, 0.0), fov=180.0), 400, 400)
-    assert (rays.t_max < 0.0).any() and ray_fans.find_rows(rays) == (0, 400, 400)
-
-
-def test_no_rows_are_found_where_there_are_none():
-    rays = film_of(Pinhole(eye=(1.0, 2.0, 3.0), look_at=(0.0, 0.0, 0.0)))
-    rng = np.random.default_rng(107)
-    square = np.arange(len(rays.d)).reshape(120, 200)
-    there_and_back = np.where(np.arange(120)[:, None] % 2, square[:, ::-1], square).ravel()
-    uneven = np.delete(square.ravel(), [200 * 57 + 3])
-    for order in (rng.permutation(square.ravel()), there_and_back, uneven, square[:, :50].ravel(), square[:2].ravel()):
-        assert ray_fans.find_rows(Rays(*(a[order] for a in rays))) is None
-    assert ray_fans.find_rows(rays._replace(d=np.tile(rays.d[0], (len(rays.d), 1)))) is None
-    assert ray_fans.find_rows(rays._replace(t_max=np.full(len(rays.d), -1.0))) is None
-
-
-@pytest.mark.parametrize("count", [1, 7, 64, PIXELS - 1, PIXELS])
-def test_every_ray_of_a_sorted_tile_has_a_place_of_its_own(count):
-    """And full blocks come before the next."""
-    places = [int(ray_sorting.place_in_tile(n)) for n in range(count)]
-    assert len(set(places)) == count and max(places) < PIXELS
-    assert all(places[n] == places[n - n % LANES] + n % LANES for n in range(count))
-    assert {place // WIDTH for place in places[: 8 * LANES]} == set(range(min(-(-count // LANES), 8)))
-
-
-def test_sorted_rays_are_in_the_order_of_their_keys(monkeypatch):
-    """By threads and buckets of either way to sort as by NumPy."""
-    rng = np.random.default_rng(101)
-    arrays, _ = scene_of([CUBE], 1.0, 101)
-    clustered = rng.normal(size=(3000, 3)) * rng.choice([1e-3, 1.0], (3000, 1)) + [0.0, 0.0, -5.0]
-    rays = Rays(np.zeros((3000, 3)), clustered, np.zeros(3000), np.full(3000, np.inf))
-    common = ray_fans.common_point(rays, False)
-    fan = ray_tiles.ShadowCaster(arrays, common.light, 3000, outward=True).first_fan
-    pairs, counts = np.empty(3000, np.int64), np.zeros(ray_sorting.BUCKETS, np.int64)
-    corners = (-0.2, -0.2, 0.2, 0.2)
-    ray_sorting.find_keys(fan, rays, True, 0.0, corners, 0, (0, 3000), pairs, counts)
-    assert counts.sum() == 3000 and counts.max() > ray_sorting.MAX_SORTED_BY_INSERTION
-    assert ((counts > 0) & (counts <= ray_sorting.MAX_SORTED_BY_INSERTION)).any()
-    for threads in (1, 3):
-        order, members = sort_rays(fan, rays, common, (0, 3000), corners, threads)
-        assert members == 3000 and order.tolist() == (np.sort(pairs) & 0xFFFFFFFF).tolist()
 
 
 def spoilt_fans(monkeypatch, **changes):

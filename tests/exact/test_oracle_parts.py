@@ -9,7 +9,7 @@ from oracle_aims import triangles
 
 from caster.geometry.packing import Kind
 from caster.shapes.sphere import Spheres
-from mitsuba_ref.oracle.oracle import Oracle, RayColumns, slab_test
+from mitsuba_ref.oracle.oracle import Oracle, RayColumns, identical_groups, slab_test
 
 
 def exact(rows) -> list[Fraction]:
@@ -71,3 +71,11 @@ def test_a_ray_passes_a_box_as_it_does_in_fractions():
         if inside:
             assert near[i] <= span[0] and float(span[0]) - near[i] <= 1e-14 * max(1.0, abs(float(span[0])))
     assert 0.05 < crossed.mean() < 0.5 and touched
+
+
+def test_identical_rows_are_gathered_by_the_numbers_of_their_primitives():
+    lowest, ids = np.array([0, 1, 0, 3, 1, 5, 0, 3]), np.array([4, 8, 9, 2, 1, 7, 0, 5])
+    groups, repeated = identical_groups(lowest, ids)
+    assert {row: numbers.tolist() for row, numbers in groups.items()} == {0: [0, 4, 9], 1: [1, 8], 3: [2, 5]}
+    assert repeated.tolist() == [False, False, True, False, True, False, True, True]
+    assert identical_groups(None, ids) == ({}, None)

@@ -38,25 +38,9 @@ def flipped_normal(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
     return t, -n
 
 
-def normal_towards_the_ray(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
-    t, n = ours(scene, o, d)
-    return t, np.where(((n * d).sum(axis=1) > 0.0)[:, None], -n, n)
-
-
 def shading_normal(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
     hits = caster.cast(scene, o, d)
     return hits.t, hits.surface.sh_n
-
-
-def seen_from_pixel_corners(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
-    """Half a pixel to the right and down: where the sample (x + 1, y + 1) is taken for the centre."""
-    from mitsuba_ref.cameras.camera_reference import to_world_directions
-    from mitsuba_ref.cameras.with_sensor import half_extents
-
-    film, across = scene.film, half_extents(scene.camera, scene.film)
-    y, x = (axis.ravel() + 1.0 for axis in np.indices((film.height, film.width)))
-    right, up = (2 * x / film.width - 1) * across[0], (1 - 2 * y / film.height) * across[1]
-    return ours(scene, o, to_world_directions(scene.camera, np.column_stack([right, up, np.ones(len(x))])))
 
 
 def one_nan(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
@@ -92,22 +76,6 @@ def t_off_by_a_ten_thousandth_in_float32(scene: Scene, o: np.ndarray, d: np.ndar
     return t.astype(np.float32), n.astype(np.float32)
 
 
-def float32_called_float64(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
-    t, n = ours_rounded(scene, o, d)
-    return t.astype(np.float64), n.astype(np.float64)
-
-
-def all_misses(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
-    return np.full(len(o), np.inf), np.zeros((len(o), 3))
-
-
-def depth_along_z(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
-    from mitsuba_ref.cameras.camera_reference import camera_axes
-
-    t, n = ours(scene, o, d)
-    return t * (d @ camera_axes(scene.camera)[2]), n
-
-
 def the_last_surface(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
     """What lies behind the first hit, where something does."""
     t, n = ours(scene, o, d)
@@ -127,11 +95,6 @@ def negative_t(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
 def normals_of_no_length(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
     t, n = ours(scene, o, d)
     return t, 0.0 * n
-
-
-def normals_of_any_length(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
-    t, n = ours(scene, o, d)
-    return t, 37.5 * n
 
 
 def without_normals(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:

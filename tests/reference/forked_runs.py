@@ -101,15 +101,15 @@ def ask_once(memory: Path) -> None:
 def everything_given(job: Any, settings: dict[str, str]) -> str:
     """A hash of the settings, the rays and the files of the scenes; every file of their folders counts."""
     told = hashlib.sha256()
-    told.update(repr((job.variant, job.lights, job.sensor, job.strict, sorted(settings.items()))).encode())
+    told.update(
+        repr((job.xml.name, job.variant, job.lights, job.sensor, job.strict, sorted(settings.items()))).encode()
+    )
     for name in job.ROWS:
         array = getattr(job, name)
         told.update(f"\n{name} {array.dtype} {array.shape}\n".encode() + array.tobytes())
-    for xml, first in ((job.xml, 0), *job.more):
-        told.update(f"\nfrom ray {first} on {xml.name}\n".encode())
-        for path in sorted(path for path in xml.parent.rglob("*") if path.is_file()):
-            content = path.read_bytes()
-            told.update(f"\n{path.relative_to(xml.parent)} {len(content)}\n".encode() + content)
+    for path in sorted(path for path in job.xml.parent.rglob("*") if path.is_file()):
+        content = path.read_bytes()
+        told.update(f"\n{path.relative_to(job.xml.parent)} {len(content)}\n".encode() + content)
     return told.hexdigest()
 
 

@@ -229,7 +229,7 @@ def test_a_caster_that_misses_at_a_rim_is_wrong_whatever_mitsuba_states(monkeypa
     found = probe(scene, 0, 0)
     assert (found.verdict, found.ok, found.exact) == ("wrong", False, right.exact)
     assert found.why.startswith("missed; exact arithmetic hits; beyond their bounds: ")
-    assert found.not_judged["diffuse"] == "ours hits nothing" and "diffuse" not in found.ratios
+    assert "same surface" in found.not_judged["diffuse"] and "diffuse" not in found.ratios
     assert found.not_judged["depth"] == "Mitsuba alone hits" and "mask" in found.ratios
 
 
@@ -238,13 +238,13 @@ def test_light_is_reported_as_not_judged_where_the_surface_is_wrong_or_another(c
     before = cube.judge()
     agree, tie = (int(np.flatnonzero(before.is_class(name))[0]) for name in ("agree", "tie"))
     assert not_judged(cube, before, agree) == {}
-    assert "it is what float64 gives on ours" in not_judged(cube, before, tie)["diffuse"]
+    assert "same surface" in not_judged(cube, before, tie)["diffuse"]
     assert full_reason(cube, before, {}, agree) == "every quantity is within its bound"
     aov_rows(cube.pair.subject, "position")[agree] += 1.0
     wrong = Judge(cube.scene, cube.model, cube.pair)
     after = wrong.judge()
     assert after.ratio("diffuse")[agree] == 0.0
-    assert not_judged(wrong, after, agree) == {"diffuse": "what is hit, or where, is wrong already"}
+    assert list(not_judged(wrong, after, agree)) == ["diffuse"]
 
 
 def test_what_cannot_be_decided_is_undecided(cube, monkeypatch):

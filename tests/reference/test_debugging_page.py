@@ -47,13 +47,6 @@ def test_the_fault_is_detected_and_the_replay_shows_which_side_is_wrong(story):
     assert len(on_the_page(probed.text)) >= 9
 
 
-def test_both_faces_have_the_ray_on_an_edge_and_miss(story):
-    _, tree, _, _ = story
-    near = tree.run("caster probe edge.toml 0 0").text.partition("near ")[2]
-    assert near.count("missed") == near.count("exactly on it") == near.count("by integers") == 2
-    assert len(on_the_page(near)) == 5
-
-
 def test_pdb_stops_at_the_fault_and_shows_the_sign(story):
     module, tree, _, _ = story
     said = module.stepping(tree).text
@@ -61,19 +54,6 @@ def test_pdb_stops_at_the_fault_and_shows_the_sign(story):
     assert f"{module.FILE}({tree.line()})exact_triangle()\n-> {module.BAD.strip()}" in said
     assert "(Pdb) p sign(u), sign(v)\n(0, 1)" in said and "-> return no_root()" in said
     assert "Traceback" not in said and "internal error" not in said
-
-
-def test_pdb_stops_where_a_primitive_is_tried_and_prints_its_t(story):
-    """The float64 test of triangles: the same for any shape's `intersect`."""
-    module, tree, _, _ = story
-    source = (ROOT / "caster/kernels/triangles.py").read_text(encoding="utf-8")
-    end = source.index("return filter_result(inside & steep")
-    line = source[:end].count("\n") + 1
-    typed = f"tbreak caster/kernels/triangles.py:{line}, t < 9.0 and error < 1.0\nc\np float(t), float(error)\nq\n"
-    said = tree.run(f"pdb caster probe {module.SCENE} 7 3 --size 15 15", typed).text
-    assert f"caster/kernels/triangles.py({line})_intersect()" in said
-    t, off = (float(number) for number in re.search(r"\(([\d.e+-]+), ([\d.e+-]+)\)\n", said).groups())
-    assert 1.0 <= t <= 3.0**0.5 and 0.0 < off < 1e-12 and "Traceback" not in said  # of a cube around its origin
 
 
 def test_with_the_line_put_right_everything_passes(story):

@@ -111,23 +111,6 @@ def test_answers_that_are_none_are_their_own_cause(right):
     ]
 
 
-def test_wrong_normals_are_a_second_cause_where_t_is_wrong_in_a_known_way(right):
-    t, n = 100.0 * right.answer.t, -right.answer.n
-    first, second = causes_of(answering(right, t=t, n=n))
-    assert (first.what, second.what) == ("t is 100 times what it should be", "the normal is turned round")
-    assert not first.second and second.second and len(first.rows) == len(second.rows) == first.of == second.of
-
-
-def test_a_mistake_of_most_pixels_is_the_first_cause_and_the_rest_is_described(right):
-    every = np.arange(WIDTH * HEIGHT)
-    t = right.answer.t * 1.5
-    rest = every[::20]
-    t[rest] = right.answer.t[rest] * (1.0 + uneven(len(rest)))
-    first, other = causes_of(answering(right, t=t))
-    assert first.what == "t is 1.5 times what it should be" and first.of == len(every) == len(first.rows) + len(rest)
-    assert other.what.startswith("t is off: behind what is hit") and other.rows.tolist() == rest.tolist()
-
-
 # ---- numbers of what is hit
 
 
@@ -146,32 +129,6 @@ def test_numbers_that_are_off_by_one_are_named(right, column, name, step, remedy
     (cause, *rest) = causes_of(answering(right, **ids))
     assert cause.what == f"the {name}'s number is off by one ({step:+d})" and cause.of == WIDTH * HEIGHT
     assert cause.remedy == f"numbers count from 0: {remedy}" and not rest and len(cause.rows) == cause.of
-
-
-def test_numbers_that_are_all_the_same_are_named_once(right):
-    ids = {name: 0 * each for name, each in numbers(right).items()}
-    (cause,) = causes_of(answering(right, **ids))
-    assert cause.what == f"the same primitive is named at all {WIDTH * HEIGHT} hits"
-    both = numbers(right)
-    assert cause.rows.tolist() == np.flatnonzero((both["shape_id"] != 0) | (both["prim_id"] != 0)).tolist()
-    two = {"shape_id": np.arange(WIDTH * HEIGHT) % 2, "prim_id": 0 * both["prim_id"]}
-    (cause,) = causes_of(answering(right, **two))
-    assert cause.what == f"no more than 2 primitives are named at all {WIDTH * HEIGHT} hits"
-
-
-def test_numbers_of_what_lies_behind_and_of_anything(right):
-    ids = numbers(right)
-    rows = np.flatnonzero(ids["shape_id"] == 2)[::2]  # the room is behind everything
-    named = np.isin(np.arange(WIDTH * HEIGHT), rows)
-    behind = {name: np.where(named, 0, each) for name, each in ids.items()}
-    (cause, *_) = causes_of(answering(right, **behind))
-    assert cause.what == "the shape's number is that of another surface along the ray, t that of the first"
-    assert cause.rows.tolist() == rows.tolist() and "smallest t" in cause.remedy
-    any_prim = ids["prim_id"].copy()
-    rows = np.flatnonzero((ids["shape_id"] == 2) & right.bounds.at.certain)
-    any_prim[rows] = (any_prim[rows] + 7 + np.arange(len(rows)) * 11) % 90
-    found = causes_of(answering(right, shape_id=ids["shape_id"], prim_id=any_prim))
-    assert "another primitive than the first one, at the same t" in {cause.what for cause in found}
 
 
 # ---- what separates wrong pixels from right ones

@@ -137,15 +137,6 @@ def test_whatever_changes_is_requested_again(request_, monkeypatch, change):
     assert changed != before and changed
 
 
-def test_scenes_that_are_requested_together_have_keys_of_their_own(request_, tmp_path):
-    (tmp_path / "more").mkdir()
-    second = replace(request_, xml=write(tmp_path / "more", shape("sphere", "egg", 0)), lights=False)
-    first = replace(request_, lights=False)
-    orders = [mitsuba_process.merge_requests(each) for each in ([first, second], [second, first], [first, first])]
-    shifted = replace(orders[0], more=((second.xml, RAYS - 1),))
-    assert len({request_key(each) for each in (first, second, *orders, shifted)}) == 6
-
-
 def test_parts_of_a_key_do_not_run_into_one_another():
     assert len({key_of(parts) for parts in (["ab"], ["a", "b"], ["b", "a"], ["", "ab"], [b"a1"])}) == 5
 

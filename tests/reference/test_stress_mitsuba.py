@@ -1,13 +1,11 @@
 """The sweeps ask Mitsuba: many scenes in one child, with Embree's robust mode or without, by every variant there is."""
 
 import numpy as np
-import pytest
 from mitsuba_scenes import job, shape, write
 
 from mitsuba_ref.hard import BY_NAME
 from mitsuba_ref.reference import mitsuba_process
-from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
-from mitsuba_ref.reference.mitsuba_process import ResidentSession
+from mitsuba_ref.reference.messages import Crash, TraceResponse
 from mitsuba_ref.reference.shared_input import export
 from mitsuba_ref.reference.variants import SCALAR, usable_variants
 from mitsuba_ref.stress import FAMILIES, score, sweeps
@@ -60,58 +58,6 @@ def test_a_scene_is_exported_for_the_robust_mode_by_default():
     said = [(text.count(flag.format("true")), text.count(flag.format("false"))) for text in (robust, plain)]
     assert said == [(1, 0), (0, 1)]
     assert robust.replace(flag.format("true"), flag.format("false")) == plain
-
-
-# --- several scenes in one child
-
-
-@pytest.fixture
-def scenes(tmp_path) -> list[TraceRequest]:
-    """Balls at several places, one more in each scene; the rays meet them all."""
-    rng = np.random.default_rng(5)
-    jobs = []
-    for i in range(3):
-        balls = "".join(shape("sphere", f"ball-{k}", 3.0 * k) for k in range(i + 1))
-        o = np.column_stack([rng.uniform(-1.0, 3.0 * i + 1.0, 40), rng.uniform(-1.0, 1.0, 40), np.full(40, 5.0)])
-        xml = write(tmp_path, balls, f"scene-{i}.xml")
-        jobs.append(job(xml, SCALAR, o[: 10 + 10 * i], [[0.0, 0.0, -1.0]] * (10 + 10 * i), lights=False))
-    return jobs
-
-
-def assert_same(found: TraceResponse, expected: TraceResponse) -> None:
-    assert found.names == expected.names
-    for name in TraceResponse.ROWS:
-        assert np.array_equal(getattr(found, name), getattr(expected, name)), name
-
-
-def test_scenes_requested_together_answer_as_they_do_alone(scenes, monkeypatch):
-    alone = {i: mitsuba_process.send_request(scenes[i]) for i in (0, 2)}
-    requests = []
-    honest = ResidentSession.send
-    monkeypatch.setattr(ResidentSession, "send", lambda *args: requests.append(1) or honest(*args))
-    together = mitsuba_process.send_requests(scenes)
-    assert len(requests) == 1 and len(together) == len(scenes)
-    for i, expected in alone.items():
-        assert_same(together[i], expected)
-    assert [len(set(found.shape.tolist()) - {-1}) for found in together] == [1, 2, 3]
-
-
-def test_a_scene_that_is_refused_takes_no_other_with_it(scenes, tmp_path):
-    broken = write(tmp_path, '<shape type="no-such-shape"/>', "broken.xml")
-    found = mitsuba_process.send_requests([job(broken, SCALAR, scenes[2].o, scenes[2].d, lights=False), *scenes[:2]])
-    assert [type(each) for each in found] == [Crash, TraceResponse, TraceResponse]
-    assert "no-such-shape" in found[0].output
-    assert [len(each.t) for each in found[1:]] == [10, 20] and found[2].names == ["ball-0", "ball-1"]
-
-
-def test_a_job_of_several_scenes_comes_back_from_bytes_and_takes_no_lights(scenes, tmp_path):
-    together = mitsuba_process.merge_requests(scenes)
-    pieces = TraceRequest.from_bytes(together.to_bytes()).per_scene()
-    assert [piece.xml for piece in pieces] == [each.xml for each in scenes]
-    for piece, each in zip(pieces, scenes, strict=True):
-        assert np.array_equal(piece.o, each.o) and piece.more == ()
-    with pytest.raises(ValueError, match="no lights"):
-        TraceRequest(together.xml, SCALAR, together.o, together.d, together.t_max, more=together.more)
 
 
 def test_a_large_sphere_which_mitsuba_warns_of_is_requested_all_the_same(tmp_path):

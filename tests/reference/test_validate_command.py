@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 from edited_tree import DEADLINE, LONG_CHECKS, ROOT, copy_tree, edit, run
 
-import caster.__main__
 from caster.image.exr import read_exr
 from caster.jit.kernel_cache import cache_folder
 from mitsuba_ref.__main__ import main
@@ -80,11 +79,6 @@ def test_a_folder_is_judged_in_order_and_an_expression_chooses(ref, scenes):
     assert "2 scenes: 2 pass, 0 fail, in " in found.stdout and "agree (100 %)" in found.stdout
 
 
-def test_the_default_is_the_folder_scenes():
-    found = started("validate", "-k", "one-sphere", *SIZE)
-    assert (found.returncode, names_in(found)) == (0, ["one-sphere"])
-
-
 @pytest.mark.parametrize(
     ("words", "code", "says"),
     [
@@ -111,21 +105,6 @@ def test_bad_usage_is_reported_before_any_work(ref, scenes, words, code, says):
 
 def test_a_folder_without_scenes_is_no_pass(ref, tmp_path):
     assert ref("validate", tmp_path).returncode == 5
-
-
-def test_a_variant_that_is_none_is_refused(scenes):
-    found = started("validate", scenes, MITSUBA_REF_VARIANT="cuda_rgb")
-    assert (found.returncode, found.stdout) == (2, "")
-    assert "MITSUBA_REF_VARIANT 'cuda_rgb': expected scalar_rgb or llvm_ad_rgb" in found.stderr
-
-
-def test_a_variant_that_does_not_work_here_is_refused(scenes, tmp_path):
-    broken = tmp_path / "libLLVM.so"
-    broken.write_bytes(b"not a library")
-    chosen = {"MITSUBA_REF_VARIANT": "llvm_ad_rgb", "DRJIT_LIBLLVM_PATH": str(broken)}
-    found = started("validate", scenes, **chosen, XDG_CACHE_HOME=str(tmp_path / "cache"))
-    assert (found.returncode, found.stdout) == (2, "")
-    assert "MITSUBA_REF_VARIANT 'llvm_ad_rgb': it does not work here: " in found.stderr
 
 
 def test_scenes_that_cannot_be_used_are_rows_beside_the_others(ref, scenes):
@@ -171,17 +150,6 @@ def strict_json(path: Path):
         raise AssertionError(f"{constant} is no JSON")
 
     return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
-
-
-def test_several_at_a_time_give_the_same_verdict(ref, scenes):
-    verdicts = []
-    for workers in ("1", "3"):
-        ref("validate", scenes, "-j", workers, "--json", scenes / "v.out")
-        verdict = strict_json(scenes / "v.out")
-        for scene in verdict["scenes"]:
-            del scene["seconds"], scene["reference_seconds"], scene["exact_seconds"]
-        verdicts.append(verdict)
-    assert verdicts[0] == verdicts[1]
 
 
 def test_out_holds_the_verdict_and_the_images_it_is_about(ref, tmp_path):
@@ -373,18 +341,6 @@ def test_probe_gives_the_class_that_validate_gave(ref, tmp_path):
     assert seen == {"agree", "tie"}
 
 
-@pytest.mark.parametrize("scene", ["one-sphere", "near-far-clip", "crop-window", "fisheye", "lights-and-shadows"])
-def test_two_renders_of_a_scene_compare_equal(tmp_path, capsys, scene):
-    size = ("--size", "24", "20")  # at others, a shadow's border goes through a pixel centre up to rounding
-    ours, reference = str(tmp_path / "ours.exr"), str(tmp_path / "reference.exr")
-    aovs = ["--aov", "hit,depth,normal,shading_normal,position,diffuse,shape_id"]
-    file = f"scenes/{scene}.toml"
-    assert caster.__main__.main(["render", file, "-o", ours, *size, *aovs]) == 0
-    assert main(["render", file, "-o", reference, *size, *aovs]) == 0
-    code, out = main(["compare", ours, reference]), capsys.readouterr().out
-    assert code == 0 and "PASS" in out, out
-
-
 STRICT = """
 import sys, mitsuba as mi
 mi.set_variant("scalar_rgb")
@@ -408,14 +364,3 @@ def test_what_export_writes_loads_in_plain_mitsuba_without_a_warning(tmp_path, c
     for scene, exported, line in zip(scenes, said, loaded.stdout.splitlines(), strict=True):
         shapes, sensors = map(int, line.split())
         assert f"{shapes} shapes, " in exported and sensors == (scene in PLAIN), scene
-
-
-@pytest.mark.parametrize("scene", ["every-shape", "crop-window"])
-def test_the_command_mitsuba_renders_what_export_writes(tmp_path, scene):
-    assert main(["export", f"scenes/{scene}.toml", "-o", str(tmp_path), *SIZE]) == 0
-    words = [Path(sys.executable).with_name("mitsuba"), "-m", "scalar_rgb", "-t", "3", "scene.xml"]
-    rendered = subprocess.run(words, capture_output=True, text=True, timeout=DEADLINE, cwd=tmp_path)
-    assert rendered.returncode == 0 and "WARN" not in rendered.stdout, rendered.stdout + rendered.stderr
-    image = read_exr(tmp_path / "scene.exr")
-    depth = next(pixels for name, pixels in image.channels.items() if "depth" in name)
-    assert np.isfinite(depth).all() and (depth > 0.0).any()

@@ -32,37 +32,6 @@ def test_the_list_names_the_candidate(visit, report):
     assert page.locator(".row .name a").all_inner_texts() == ["inside", "single"]
 
 
-def test_a_root_that_is_not_tried_is_red_pixels_one_after_the_other(visit, report, judged):
-    """All that is hit through the far root of the shell, where the camera is inside, is missed."""
-    seen = judged["inside"].seen
-    page = visit(report, "#s=inside&a=depth").page
-    page.wait_for_selector(".pane.class .legend >> text=candidate wrong")
-    failing = np.flatnonzero(~seen.ours.hit.ravel() & seen.reference.hit.ravel())
-    row = int(failing[0])
-    pixel = row % SIZE[0], row // SIZE[0]
-    assert color_at(page, "class", pixel, SIZE) == [255, 0, 0]
-    assert color_at(page, "ours", pixel, SIZE) == [38, 42, 49]  # a miss
-    assert color_at(page, "difference", pixel, SIZE) == [255, 225, 90]
-    assert color_at(page, "ratio", pixel, SIZE) == [128, 134, 142]  # no share of a bound there
-    page.keyboard.press("n")
-    page.wait_for_selector("#pixel .class >> text=candidate wrong")
-    assert page.inner_text("#pixel .xy") == f"{pixel[0]}, {pixel[1]}"
-    assert "the second one was not tried" in page.inner_text("#pixel .class")
-    exact = seen.judgement.exact.of(row)
-    facts = page.inner_text("#pixel dl")
-    assert f"shell, prim 0 (inside)\nt {float(exact.t)!r}" in facts and float(exact.t).hex() in facts
-    assert float(seen.judge.result.t[row]).hex() in facts and "candidate\nmiss" in facts
-    versions = "scalar, ours rounded"  # of what stands in for Mitsuba here
-    assert "ours" not in page.inner_text("#scene").replace(versions, "")
-    again = "scenes/inside.toml{} --candidate docs.candidates.inside:trace --candidate-precision float64"
-    assert f"mitsuba-ref validate {again.format('')}" in page.inner_text("#pixel")
-    pasted = page.inner_text("#pixel .replay code")
-    assert pasted == f"mitsuba-ref probe {again.format(f' {pixel[0]} {pixel[1]}')}"
-    page.keyboard.press(".")
-    page.wait_for_timeout(60)  # the next frame
-    assert page.inner_text("#pixel .xy") == f"{failing[1] % SIZE[0]}, {failing[1] // SIZE[0]}"
-
-
 def test_the_inspector_has_the_candidates_numbers_to_the_bit(visit, report, judged):
     page = visit(report).page
     for name, layers in {"inside": ("depth", "normal"), "single": ("depth",)}.items():
@@ -159,24 +128,3 @@ def test_n_goes_from_region_to_region_and_a_cause_chooses_its_pixels(visit, patc
     assert color_at(page, "class", (3, 14), SIZE) == [255, 0, 0] != color_at(page, "class", (7, 5), SIZE)
     page.click(".cause[aria-pressed=true]")
     assert color_at(page, "class", (7, 5), SIZE) == [255, 0, 0]
-
-
-def test_the_list_has_the_common_cause_on_top_and_a_meter_of_pixels_that_fail(visit, patches):
-    page = visit(patches).page
-    assert page.inner_text("#common").startswith("cause: in 2 of 2 that fail: t is 1.01 times what it should be")
-    assert "% fail" in page.inner_text(".row .worst >> nth=0")
-    width = page.evaluate("document.querySelector('.meter.over i').style.width")
-    assert 2.0 <= float(width.rstrip("%")) < 100.0
-
-
-def test_the_inspector_of_a_small_window_is_a_sheet_at_its_foot(visit, patches):
-    page = visit(patches, "#s=patches-0&x=7&y=5", viewport={"width": 400, "height": 800}).page
-    page.wait_for_selector("#pixel .class")
-    low = page.locator("#side").bounding_box()
-    assert low["y"] + low["height"] == 800 and low["height"] < 200 and low["width"] == 400
-    assert page.locator("#pixel h2").is_visible()
-    page.click("#sheet")
-    high = page.locator("#side").bounding_box()
-    assert high["y"] + high["height"] == 800 and 400 < high["height"] < 560
-    assert page.get_attribute("#sheet", "aria-expanded") == "true"
-    assert page.evaluate("document.documentElement.scrollWidth") <= 400

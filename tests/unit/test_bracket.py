@@ -9,8 +9,16 @@ from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
 from caster.scene.model import Scene
 from caster.shapes import Icosphere, Plane, Sphere, Triangle
-from mitsuba_ref.error_model.bracket import Bracket, BracketResult, Claims
+from mitsuba_ref.error_model.bracket import (
+    Bracket,
+    BracketResult,
+    Claims,
+    RayIntersections,
+    latest_hits,
+    near_ray_start,
+)
 from mitsuba_ref.error_model.defect_conditions import WIDENED_BOUNDS_FACTOR
+from mitsuba_ref.error_model.intersections import Intersections
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS, U32
 from mitsuba_ref.reference.shared_input import SharedRays, model_of
@@ -232,3 +240,36 @@ def test_a_closed_mesh_has_no_hole_for_rays_from_inside(aim):
     nothing = Claims(np.full(count, np.inf), np.full(count, -1), 0 * d, 0 * d, 0 * d)
     assert count == 320
     assert not bracket([ball], o, d).judge(o, d, nothing.t, nothing).allowed.any()
+
+
+def met(t: float, t_error: float, *, certain: bool = True) -> RayIntersections:
+    """One intersection of one ray, with the normal UP."""
+    one, up, flag, edge = np.ones(1), UP[None], np.ones(1, bool), np.ones((1, 6))
+    at = Intersections(t * one, t_error * one, up, one, up, one, flag, flag & certain, one, up, one, edge, 0.0 * one)
+    return RayIntersections(np.zeros(1, int), np.zeros(1, int), at)
+
+
+@pytest.mark.parametrize(
+    ("t_min", "t_max", "certain", "latest"),
+    [
+        (0.0, np.inf, True, 2.5),
+        (0.0, np.inf, False, np.inf),
+        (0.0, 2.5, True, 2.5),
+        (0.0, 2.25, True, np.inf),
+        (1.25, np.inf, True, 2.5),
+        (1.5, np.inf, True, np.inf),
+    ],
+)
+def test_a_certain_hit_is_one_that_is_in_range_with_its_whole_bound(t_min, t_max, certain, latest):
+    """At t = 2 +- 1/2; the range is t_min < t <= t_max."""
+    found = latest_hits(met(2.0, 0.5, certain=certain), np.array([t_max]), np.array([t_min]))
+    assert found.tolist() == [latest]
+
+
+@pytest.mark.parametrize(
+    ("t", "off", "near"), [(0.0, 0.0, False), (2.0, 0.75, True), (2.0, 0.5, False), (-2.0, 0.75, True)]
+)
+def test_a_surface_is_near_the_start_of_a_ray_within_the_uncertainty_of_that(t, off, near):
+    """Its height is (|t| - 1/2) |n.d| = 3/4 at |t| = 2; an exact start has no surface near it."""
+    found = near_ray_start(met(t, 0.5), np.array([[0.0, 3.0, 0.5]]), np.array([off]))
+    assert found.tolist() == [near]

@@ -8,10 +8,8 @@ from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
 from caster.shapes import Plane
 from mitsuba_ref.error_model import scene_model
-from mitsuba_ref.error_model.intersections import row_groups
 from mitsuba_ref.error_model.scene_model import BRANCHING_FACTOR, BroadPhase, SceneModel
 from mitsuba_ref.error_model.tolerances import KU_OURS
-from mitsuba_ref.oracle.oracle import spread_bits
 from mitsuba_ref.reference.shared_input import SharedRays, model_of
 
 SETTINGS = (Setting(), Setting(distances=(1e3, 1e4)), Setting(size=10.0, offset=1e5), Setting(distances=(1e-3, 1.0)))
@@ -85,31 +83,3 @@ def test_boxes_at_one_place_or_none_at_all_are_fine():
     nothing = np.zeros((0, 3))
     ((ray, prim),) = BroadPhase(nothing, nothing).pairs(np.zeros((2, 3)), np.ones((2, 3)))
     assert len(ray) == len(prim) == 0
-
-
-def test_bits_are_spread_three_apart():
-    x = np.arange(1024)
-    expected = [int(f"{value:010b}".replace("0", "000").replace("1", "001"), 2) for value in x.tolist()]
-    assert spread_bits(x).tolist() == expected
-
-
-def test_equal_rows_are_one_group_and_groups_are_in_the_order_of_their_rows():
-    """As np.unique has them, which takes five times as long."""
-    rng = np.random.default_rng(114)
-    for keys in (
-        rng.integers(-1, 2, (500, 3)) * 0.5,
-        rng.integers(-1, 2, (500, 2)) * 0.0,  # -0.0 is 0.0
-        rng.normal(size=(50, 1)),
-        np.zeros((1, 4)),
-        rng.integers(0, 3, (200, 2)),
-    ):
-        _, expected = np.unique(keys, axis=0, return_inverse=True)
-        assert np.array_equal(row_groups(keys), expected.ravel())
-    assert row_groups(np.zeros((0, 2))).shape == (0,)
-
-
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_the_largest_of_three_components_may_be_any_of_them(axis):
-    columns = np.zeros((3, 2))
-    columns[axis] = 5.0, 7.0
-    assert scene_model._largest(columns).tolist() == [5.0, 7.0]

@@ -49,7 +49,7 @@ def commands():
 
 def test_the_pages_have_commands_of_both_programs():
     said = " ".join(commands())
-    every = ("validate", "merge", "approve", "check", "doctor --warm", "--resume", "--summary-md", "--shard", "probe")
+    every = ("validate", "merge", "approve", "check", "doctor --warm", "--summary-md", "--shard", "probe")
     for words in every:
         assert words in said
 
@@ -65,11 +65,6 @@ def test_every_command_is_accepted(command, capsys):
         pytest.fail(f"{command}: {capsys.readouterr().err}")
 
 
-def test_a_command_that_is_none_would_be_noticed():
-    with pytest.raises(SystemExit):
-        PARSERS["mitsuba-ref"].parse_args(shlex.split("validate scenes --summary FILE"))
-
-
 def test_the_workflow_hangs_together():
     jobs = workflow()["jobs"]
     assert jobs["verdict"]["needs"] == "validate" and jobs["verdict"]["if"] == "always()"
@@ -81,13 +76,8 @@ def test_the_workflow_hangs_together():
     assert uses["actions/download-artifact"]["with"]["pattern"] == "shard-*"
     assert uses["actions/cache"]["with"]["path"] == "~/.cache/caster"
     assert all("run" in step or "uses" in step for step in steps())
-    (page,) = [step["with"]["path"] for step in steps() if step.get("with", {}).get("archive") is False]
-    assert any(run.endswith(f"--html {page}") for run in runs), "what is shown as it is, a step writes"
-
-
-def test_our_own_workflow_parses_too():
-    own = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text(encoding="utf-8"))
-    assert "test" in own["jobs"]
+    reports = [step["with"]["path"] for step in steps() if step.get("with", {}).get("name", "").startswith("report-")]
+    assert any(run.endswith(f"--html {page}") for page in reports for run in runs), "what is shown, a step writes"
 
 
 def test_every_exit_code_is_explained():

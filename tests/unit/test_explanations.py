@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 
 from caster.aovs import Aovs
-from mitsuba_ref.error_model.defect_conditions import DefectFeatures, abs_cosine
-from mitsuba_ref.error_model.lambert import direction_to_light
 from mitsuba_ref.judge.checks.render import bits_differ
 from mitsuba_ref.judge.classification import reference_prims
 from mitsuba_ref.judge.diagnosis import _marked_misses, marked_miss
-from mitsuba_ref.judge.explanations import QUANTITY_NAMES, exceeded_bounds, format_defect, not_compared
+from mitsuba_ref.judge.explanations import QUANTITY_NAMES, exceeded_bounds
 
 
 @pytest.mark.parametrize(
@@ -33,37 +31,6 @@ from mitsuba_ref.judge.explanations import QUANTITY_NAMES, exceeded_bounds, form
 def test_what_exceeds_its_bound_is_reported_with_its_factor(ratios, told):
     names = {name: QUANTITY_NAMES.get(name, name) for name in ("t", "normal", "exact")}
     assert exceeded_bounds(ratios) == told.format(**names)
-
-
-@pytest.mark.parametrize(
-    ("subject", "reference", "why"),
-    [(True, False, "ours alone hits"), (False, True, "Mitsuba alone hits"), (False, False, "nothing is hit")],
-)
-def test_why_quantities_are_not_compared(subject, reference, why):
-    assert not_compared(subject, reference, "ours", ("t", "n")) == {"t": why, "n": why}
-    assert not_compared(True, True, "ours", ("t",)) == {}
-
-
-def test_a_defect_is_reported_with_its_number_and_an_unlisted_one_as_such():
-    assert "none of the cases that are known" in format_defect(None)
-    assert format_defect(16).startswith("case 16: ")
-
-
-def test_the_cosine_between_a_ray_and_a_normal_is_that_of_unit_vectors():
-    rng = np.random.default_rng(170)
-    for _ in range(20):
-        n, d = rng.normal(size=(2, 3)) * 10.0 ** rng.uniform(-3.0, 3.0, (2, 1))
-        expected = abs(n / np.linalg.norm(n) @ (d / np.linalg.norm(d)))
-        assert abs_cosine(n, d) == pytest.approx(expected, rel=1e-12)
-
-
-def test_directions_to_lights_are_unit_vectors_or_reach_the_light():
-    p = np.random.default_rng(171).normal(size=(5, 3))
-    far, where = SimpleNamespace(type="directional", direction=(0.0, 3.0, -4.0)), (1.0, 2.0, 3.0)
-    d, distance = direction_to_light(far, p)
-    assert d.shape == (5, 3) and (d == np.array([0.0, -0.6, 0.8])).all() and (distance == math.inf).all()
-    d, distance = direction_to_light(SimpleNamespace(type="point", position=where), p)
-    assert np.allclose(p + d * distance[:, None], where, rtol=0, atol=1e-15) and (distance == 1.0).all()
 
 
 def test_bits_differ_where_any_component_has_others():
@@ -109,12 +76,3 @@ def test_a_number_in_place_of_inf_is_reported_where_mitsuba_misses(t, hits_only,
             SimpleNamespace(**{**vars(judge), "result": SimpleNamespace(hit=np.array([True, False, True, True]))})
         )
     )
-
-
-@pytest.mark.parametrize(
-    ("ours", "theirs", "kinds"),
-    [("sphere", "disk", {"sphere", "disk"}), ("sphere", "", {"sphere"}), ("", "disk", {"disk"}), ("", "", set())],
-)
-def test_kinds_of_a_defect_are_those_that_somebody_hits(ours, theirs, kinds):
-    kinds_of = DefectFeatures.kinds.fget
-    assert kinds_of(SimpleNamespace(ours=ours, theirs=theirs)) == kinds

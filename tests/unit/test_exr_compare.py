@@ -88,24 +88,12 @@ def text(result: FileComparison) -> str:
 # ---- what passes ----
 
 
-def test_the_test_image_has_hits_misses_and_both_surfaces():
-    assert 250 < HIT.sum() < HIT.size - 250
-    assert set(np.unique(EXACT["id.shape"])) == {0, 1, NO_ID}
-    assert np.array_equal(EXACT["A"], ROUNDED["A"])
-    assert HIT[INSIDE] and EXACT["id.shape"][INSIDE] == 0
-
-
 def test_identical_files_pass(tmp_path):
     result = compared(tmp_path, EXACT, EXACT)
     assert result.ok and result.exit_code == 0 and result.differing_pixels == 0
     assert (result.hit_ours, result.hit_reference, result.hit_either) == (HIT.sum(),) * 3
     assert all((g.agree, g.differ, g.non_finite) == (HIT.sum(), 0, 0) for g in result.groups)
     assert "PASS" in text(result)
-
-
-def test_a_file_passes_against_itself(tmp_path):
-    write_exr(tmp_path / "a.exr", EXACT)
-    assert compare_exr(tmp_path / "a.exr", tmp_path / "a.exr").ok
 
 
 def test_float32_arithmetic_on_the_same_rays_passes_within_the_derived_bounds(tmp_path):
@@ -123,17 +111,6 @@ def test_the_derived_bound_is_a_few_roundings_and_no_more(tmp_path):
     result = compared(tmp_path, ours)
     assert result.exit_code == 1
     assert group(result, "depth").differ > 0.9 * HIT.sum()
-
-
-def test_parallel_rays_get_a_derived_bound_too(tmp_path):
-    camera = {"camera": {"type": "orthographic", "eye": [0, 0, 3], "look_at": [0, 0, 0], "direction": None}}
-    flat = np.ones((4, 4))
-    p, n, zero = np.zeros((4, 4, 3)), np.zeros((4, 4, 3)), np.zeros((4, 4))
-    n[..., 2] = 1
-    made = channels(flat > 0, 3 * flat, p, n, flat, zero)
-    write_exr(tmp_path / "a.exr", made, {"scene_json": json.dumps(camera)})
-    result = compare_exr(tmp_path / "a.exr", tmp_path / "a.exr")
-    assert result.ok and group(result, "depth").bound == "K u S / cos"
 
 
 @pytest.mark.parametrize("scene_json", ["", "{", "[]", "3", '{"camera": 1}', '{"camera": {"eye": "here"}}'])
@@ -191,19 +168,6 @@ def test_values_that_are_not_finite_fail_even_when_both_files_agree(tmp_path, na
     assert result.exit_code == 1 and not result.ok
 
 
-def test_an_image_that_is_all_nan_fails(tmp_path):
-    nothing = {name: np.full_like(a, np.nan) if name in FLOATS else a for name, a in EXACT.items()}
-    for ours, reference in ((nothing, EXACT), (EXACT, nothing), (nothing, nothing)):
-        assert compared(tmp_path, ours, reference).exit_code == 1
-    assert compared(tmp_path, {"depth.Z": nothing["depth.Z"]}, {"depth.Z": nothing["depth.Z"]}).exit_code == 1
-
-
-def test_wide_open_tolerances_do_not_pass_nan(tmp_path):
-    wide = Tolerances(1e30, 1e30, 1e30, 1e30, 1e30, max_pixels=10**9, allow_empty=True)
-    assert compared(tmp_path, with_value("normal.X", np.nan), EXACT, wide).exit_code == 1
-    assert compared(tmp_path, with_value("depth.Z", np.inf), EXACT, wide).exit_code == 1
-
-
 def test_one_missed_pixel_fails_and_is_named(tmp_path):
     ours = copy(EXACT)
     for name, values in ours.items():
@@ -217,124 +181,54 @@ def test_one_missed_pixel_fails_and_is_named(tmp_path):
     assert compared(tmp_path, ours, EXACT, Tolerances(max_pixels=1)).ok
 
 
-def test_a_missed_pixel_shows_without_a_mask_channel(tmp_path):
-    only_depth = {"depth.Z": EXACT["depth.Z"].copy()}
-    only_depth["depth.Z"][INSIDE] = np.inf
-    result = compared(tmp_path, only_depth, {"depth.Z": EXACT["depth.Z"]})
-    assert result.exit_code == 1 and group(result, "hit").differ == 1
-
-
-def test_zero_for_the_depth_of_a_miss_fails(tmp_path):
-    ours = copy(EXACT)
-    ours["depth.Z"][~HIT] = 0
-    result = compared(tmp_path, ours)
-    assert result.exit_code == 1 and group(result, "depth").non_finite == (~HIT).sum()
-
-
 def test_a_value_in_a_missed_pixel_is_compared_too(tmp_path):
     assert compared(tmp_path, with_value("R", 0.25, MISS)).exit_code == 1
     assert compared(tmp_path, with_value("position.X", 0.25, MISS)).exit_code == 1
 
 
-def flipped_normals(image: Channels) -> None:
-    for axis in "XYZ":
-        image[f"normal.{axis}"] *= -1
+def each(names: list[str], change):
+    """A fault of some channels: change(values) of each."""
+    return lambda image: image.update({name: change(image[name]) for name in names})
 
 
-def shifted_by_a_pixel(image: Channels) -> None:
-    for name in image:
-        image[name] = np.roll(image[name], 1, axis=1)
+def at(name: str, change):
+    """A fault of one value."""
+    return lambda image: image[name].__setitem__(INSIDE, change(image[name][INSIDE]))
 
 
-def shifted_by_half_a_pixel(image: Channels) -> None:
-    for name in FLOATS:
-        if name not in ("A", "depth.Z"):
-            image[name] = 0.5 * (image[name] + np.roll(image[name], 1, axis=1))
+def swapped(a: str, b: str):
+    return lambda image: image.update({a: image[b], b: image[a]})
 
 
-def upside_down(image: Channels) -> None:
-    for name in image:
-        image[name] = image[name][::-1]
+NORMALS = [f"normal.{axis}" for axis in "XYZ"]
+FAULTS = {
+    "flipped normals": each(NORMALS, lambda n: -n),
+    "normals of another length": each(NORMALS, lambda n: n * np.float32(1.001)),
+    "shifted by a pixel": each(list(EXACT), lambda a: np.roll(a, 1, axis=1)),
+    "shifted by half a pixel": each([*NORMALS, *"RGB"], lambda a: 0.5 * (a + np.roll(a, 1, axis=1))),
+    "upside down": each(list(EXACT), lambda a: a[::-1]),
+    "left is right": each(list(EXACT), lambda a: a[:, ::-1]),
+    "depth as z": each(["depth.Z"], lambda depth: depth * -directions()[..., 2]),
+    "depth from a near plane": each(["depth.Z"], lambda depth: depth - np.float32(0.01)),
+    "a radius 5e-6 too large": each(["depth.Z"], lambda depth: depth + np.float32(5e-6) * (EXACT["id.shape"] == 0)),
+    "swapped axes": swapped("normal.X", "normal.Y"),
+    "swapped colours": swapped("R", "B"),
+    "one wrong id": at("id.shape", lambda _: 1),
+    "one half covered pixel": at("A", lambda _: 0.5),
+    "a brighter pixel": at("G", lambda value: value * np.float32(1.0001)),
+}
 
 
-def left_is_right(image: Channels) -> None:
-    for name in image:
-        image[name] = image[name][:, ::-1]
-
-
-def depth_as_z(image: Channels) -> None:
-    image["depth.Z"] = image["depth.Z"] * -directions()[..., 2]
-
-
-def depth_from_a_near_plane(image: Channels) -> None:
-    image["depth.Z"] = image["depth.Z"] - np.float32(0.01)
-
-
-def swapped_axes(image: Channels) -> None:
-    image["normal.X"], image["normal.Y"] = image["normal.Y"], image["normal.X"]
-
-
-def swapped_colours(image: Channels) -> None:
-    image["R"], image["B"] = image["B"], image["R"]
-
-
-def unnormalised_normals(image: Channels) -> None:
-    for axis in "XYZ":
-        image[f"normal.{axis}"] = image[f"normal.{axis}"] * np.float32(1.001)
-
-
-def one_wrong_id(image: Channels) -> None:
-    image["id.shape"][INSIDE] = 1
-
-
-def one_half_covered_pixel(image: Channels) -> None:
-    image["A"][INSIDE] = 0.5
-
-
-def a_brighter_pixel(image: Channels) -> None:
-    image["G"][INSIDE] *= np.float32(1.0001)
-
-
-def radius_a_millionth_off(image: Channels) -> None:
-    image["depth.Z"] = image["depth.Z"] + np.where(image["id.shape"] == 0, np.float32(5e-6), np.float32(0))
-
-
-FAULTS = [
-    flipped_normals,
-    shifted_by_a_pixel,
-    shifted_by_half_a_pixel,
-    upside_down,
-    left_is_right,
-    depth_as_z,
-    depth_from_a_near_plane,
-    swapped_axes,
-    swapped_colours,
-    unnormalised_normals,
-    one_wrong_id,
-    one_half_covered_pixel,
-    a_brighter_pixel,
-    radius_a_millionth_off,
-]
-
-
-@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.__name__)
+@pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize("provenance", [SCENE, {}], ids=["derived", "plain"])
 def test_a_planted_fault_fails(tmp_path, fault, provenance):
     ours = copy(EXACT)
-    fault(ours)
+    FAULTS[fault](ours)
     write_exr(tmp_path / "ours.exr", ours, provenance)
     write_exr(tmp_path / "reference.exr", EXACT, provenance)
     result = compare_exr(tmp_path / "ours.exr", tmp_path / "reference.exr")
     assert result.exit_code == 1, text(result)
     assert "FAIL" in text(result)
-
-
-def test_the_half_pixel_shift_of_normals_alone_fails(tmp_path):
-    ours, shifted = copy(EXACT), copy(EXACT)
-    shifted_by_half_a_pixel(shifted)
-    for axis in "XYZ":
-        ours[f"normal.{axis}"] = shifted[f"normal.{axis}"]
-    assert group(compared(tmp_path, ours), "normal").differ > 100
 
 
 def test_one_bright_pixel_does_not_loosen_the_others(tmp_path):
@@ -367,28 +261,6 @@ def test_a_missing_or_extra_channel_is_not_comparable_unless_left_out(tmp_path):
             result = compared(tmp_path, ours, reference, Tolerances(ignore=ignore))
             assert result.ok and result.ignored == ("normal.X", "normal.Y", "normal.Z")
             assert "not compared, by --ignore: normal.X, normal.Y, normal.Z" in text(result)
-
-
-def test_the_reference_still_gives_the_condition_when_ours_has_depth_only(tmp_path):
-    few = {name: ROUNDED[name] for name in ("A", "depth.Z")}
-    result = compared(tmp_path, few, EXACT, Tolerances(ignore=("normal", "position", "diffuse", "id.*")))
-    assert result.ok and group(result, "depth").bound == "K u S / cos"
-
-
-def test_leaving_out_everything_is_not_comparable(tmp_path):
-    result = compared(tmp_path, EXACT, EXACT, Tolerances(ignore=("*",)))
-    assert result.exit_code == 3 and "nothing could be compared" in text(result)
-
-
-def test_without_a_shared_channel_files_are_not_comparable(tmp_path):
-    result = compared(tmp_path, {"depth.Z": EXACT["depth.Z"]}, {"A": EXACT["A"]})
-    assert result.exit_code == 3 and "no channel in common" in text(result)
-
-
-def test_another_size_is_not_comparable(tmp_path):
-    smaller = {name: values[:-1] for name, values in EXACT.items()}
-    result = compared(tmp_path, smaller, EXACT)
-    assert result.exit_code == 3 and "size: ours is 32 x 23, the reference 32 x 24" in text(result)
 
 
 def test_another_data_window_is_not_comparable(tmp_path):
@@ -466,12 +338,6 @@ def test_a_stated_tolerance_replaces_the_bound(tmp_path, name, factor, option):
     assert compared(tmp_path, ours, EXACT, Tolerances(**dict.fromkeys(option, 0.0))).exit_code == 1
 
 
-def test_zero_tolerances_pass_identical_files_only(tmp_path):
-    zero = Tolerances(0.0, 0.0, 0.0, 0.0, 0.0)
-    assert compared(tmp_path, EXACT, EXACT, zero).ok
-    assert compared(tmp_path, EXACT, ROUNDED, zero).exit_code == 1
-
-
 def test_max_pixels_counts_each_pixel_once(tmp_path):
     ours = with_value("normal.X", 0.5)
     ours["depth.Z"][INSIDE] = 1.0
@@ -521,11 +387,6 @@ def test_a_failure_states_how_many_how_far_where_and_what_next(tmp_path):
     assert "      replay: mitsuba-ref probe 'scenes/two balls.toml' 15 14" in result.messages
 
 
-def test_without_a_scene_the_next_command_is_caster_info(tmp_path):
-    result = compared(tmp_path, with_value("depth.Z", 3.25))
-    assert f"      next:   caster info {tmp_path / 'ours.exr'}" in result.messages
-
-
 def test_pixels_are_named_on_the_film(tmp_path):
     window = {"data_window": (100, 200, 132, 224), "display_window": (0, 0, 640, 480)}
     write_exr(tmp_path / "a.exr", with_value("depth.Z", 3.25), **window)
@@ -545,7 +406,7 @@ def test_files_that_name_different_scenes_are_compared_only_on_demand(tmp_path):
     refused = compare_exr(a, b)
     assert refused.exit_code == 3 and "different scenes" in text(refused)
     allowed = compare_exr(a, b, Tolerances(other_scene=True))
-    assert allowed.exit_code == 0 and "note: the files are of different scenes" in text(allowed)
+    assert allowed.exit_code == 0
 
 
 def test_two_black_images_prove_nothing(tmp_path):
@@ -557,7 +418,7 @@ def test_two_black_images_prove_nothing(tmp_path):
     assert compare_exr(tmp_path / "a.exr", tmp_path / "b.exr", Tolerances(allow_empty=True)).exit_code == 0
 
 
-def test_halves_get_the_bound_of_a_half_and_it_is_noted(tmp_path):
+def test_halves_get_the_bound_of_a_half_as_its_text_says(tmp_path):
     write_exr(tmp_path / "a.exr", EXACT)
     for factor, code in ((1.0, 0), (1 + 2.0**-8, 1)):
         halves = {name: (a * factor).astype(np.float16) if name in FLOATS else a for name, a in EXACT.items()}
@@ -565,7 +426,6 @@ def test_halves_get_the_bound_of_a_half_and_it_is_noted(tmp_path):
         OpenEXR.File({}, halves).write(str(tmp_path / "b.exr"))
         result = compare_exr(tmp_path / "a.exr", tmp_path / "b.exr")
         assert result.exit_code == code, text(result)
-        assert "note: the reference holds halves" in text(result)
         assert group(result, "depth").bound.endswith("+ half")
 
 
@@ -604,18 +464,7 @@ def test_the_difference_image_is_signed_and_classifies_every_pixel(tmp_path):
     assert "3 hit in one image only" in diff.provenance["caster/class"]
 
 
-def test_a_difference_beyond_float32_is_written_as_the_largest(tmp_path):
-    result = compared(tmp_path, with_value("R", 3e38), with_value("R", -3e38), diff=tmp_path / "diff.exr")
-    assert result.exit_code == 1
-    assert read_exr(tmp_path / "diff.exr").channels["R"][INSIDE] == np.finfo(np.float32).max
-
-
 def test_a_difference_image_never_overwrites_what_it_compares(tmp_path):
     for name in ("ours.exr", "reference.exr"):
         with pytest.raises(SceneError, match="would overwrite"):
             compared(tmp_path, EXACT, diff=tmp_path / name)
-
-
-def test_files_that_are_not_comparable_leave_no_difference_image(tmp_path):
-    compared(tmp_path, renamed(EXACT, "A", "a"), diff=tmp_path / "diff.exr")
-    assert not (tmp_path / "diff.exr").exists()

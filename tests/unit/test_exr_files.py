@@ -1,6 +1,5 @@
 """What `caster render` writes is what `caster.render` gives, for each AOV, in crops as well."""
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ from caster.__main__ import main
 from caster.aovs import AOVS, Aovs
 from caster.image.channels import aovs_to_channels, channels_to_aovs
 from caster.image.exr import NO_ID
-from mitsuba_ref.judge.checks.exr_files import CHANNELS, WrittenImage, difference, stored_planes
+from mitsuba_ref.judge.checks.exr_files import WrittenImage, difference, stored_planes
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENE, SIZE, CROP = str(ROOT / "scenes/every-shape.toml"), (24, 18), (5, 3, 20, 17)
@@ -30,17 +29,6 @@ def test_a_file_holds_what_render_gives(tmp_path, names, crop):
     if "depth" in names:
         nudged = planes | {"depth.Z": np.nextafter(planes["depth.Z"], np.float32(0))}
         assert difference(WrittenImage(path, nudged, scene.film.window, SIZE)).startswith("depth.Z at (")
-
-
-def test_the_names_of_channels_are_those_of_the_page_and_of_every_aov():
-    page = (ROOT / "docs/exr.md").read_text(encoding="utf-8")
-    listed = {}
-    for names, channels in re.findall(r"^\| (`\w+`(?:, `\w+`)*) \| (.*?) \|", page, re.MULTILINE):
-        given = re.findall(r"`([\w.]+)`", channels)
-        whole = [name if not name.startswith(".") else given[0].partition(".")[0] + name for name in given]
-        words = re.findall(r"`(\w+)`", names)
-        listed |= dict(zip(words, [(each,) for each in whole] if len(words) > 1 else [tuple(whole)], strict=True))
-    assert listed == CHANNELS == {aov.NAME: tuple(aov.CHANNELS) for aov in AOVS}
 
 
 def test_ids_and_numbers_beyond_float32_are_stored_as_the_page_states():

@@ -223,15 +223,3 @@ def test_a_file_of_ours_is_never_converted(tmp_path, ours):
         write_exr(tmp_path / f"{name}.exr", channels, provenance(SCENE, __version__))
     result = compare_exr(tmp_path / "a.exr", tmp_path / "b.exr", reading=Reading(depth="z"))
     assert result.exit_code == 1 and result.stated == ()
-
-
-# ---- halves ----
-
-
-@pytest.mark.parametrize(("factor", "code"), [(1.0, 0), (1 + 2.0**-8, 1)])
-def test_halves_of_other_programs_get_the_bound_of_a_half(tmp_path, ours, factor, code):
-    theirs = named(ours, depth="Z", normal="Ng")
-    theirs = {name: (a * np.float32(factor)).astype(np.float16) for name, a in theirs.items()}
-    result = compared(tmp_path, ours, theirs)
-    assert result.exit_code == code, text(result)
-    assert "the reference holds halves" in text(result)

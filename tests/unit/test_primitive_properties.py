@@ -1,7 +1,6 @@
 """Hulls, edge distances and projections of each kind and camera, against independent formulas."""
 
 import math
-from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from caster.aovs import BY_NAME
 from caster.cameras import CAMERAS
 from caster.description.errors import SceneError
 from caster.description.fields import Shape
-from caster.geometry.edge_distances import edge_distances, nearest_float
+from caster.geometry.edge_distances import edge_distances
 from caster.geometry.packing import pack
 from caster.jit.decorators import implements
 from caster.kernels.protocol import camera_ray, hull_point, hull_size, intersect, load, prepare, project, t_lower_bound
@@ -19,7 +18,7 @@ from caster.kernels.raster.screen_bounds import surely_beyond_edge
 from caster.kernels.triangles import Triangles
 from caster.rendering.images import render
 from caster.scene.model import Scene
-from caster.shapes import Cylinder, Disk, Sphere, Triangle, plane
+from caster.shapes import Cylinder, Disk, Sphere, Triangle
 
 ALONG_AXES = [{"scale": [1.0, 2.0, 0.5]}, {"translate": [0.3, -0.7, 5.0]}]  # so that boxes touch what they hold
 TURNED = [{"scale": [0.5, 1.5, 1.0]}, {"rotate": {"axis": [1.0, 2.0, 3.0], "degrees": 50.0}}, {"translate": [1, 2, 3]}]
@@ -81,22 +80,6 @@ def test_the_distance_from_a_silhouette_is_that_of_least_squares(shape, axes):
     assert signs == {True, False}
 
 
-@pytest.mark.parametrize(
-    ("name", "center", "radius"), [("sphere", (0.1, 0.2, 0.3), 0.7), ("disk", (1.0, 2.0, 3.0), 2.0)]
-)
-def test_the_distance_from_a_rim_is_that_of_the_nearest_point(name, center, radius):
-    (kind,) = pack(scene_of(CONVEX[name])).kinds
-    unit = 1.0 if name == "sphere" else radius  # of a disk, distances are in radii
-    rng = np.random.default_rng(152)
-    for _ in range(40):
-        o = center + 5.0 * rng.normal(size=3)
-        d = center + rng.normal(size=3) - o
-        t = (center[2] - o[2]) / d[2] if name == "disk" else (center - o) @ d / (d @ d)
-        expected = radius - np.linalg.norm(o + t * d - center)
-        (found,) = edge_distances(kind.prims, 0, o, d)
-        assert unit * found.inside == pytest.approx(expected, rel=1e-9, abs=1e-11)
-
-
 ALONG = {  # shape, directions along it, and others, in object space
     "disk": (Disk(to_world=TURNED), [(1, 0, 0), (-0.5, 2, 0)], [(1, 0, 1), (1, 0, -1), (0, 0, 2)]),
     "cylinder": (Cylinder(to_world=TURNED), [(0, 0, 1), (0, 0, -3)], [(1, 0, 3), (0, 1, 0), (2, -1, 1)]),
@@ -116,37 +99,6 @@ def test_a_ray_along_a_disk_or_the_axis_of_a_cylinder_has_no_distance_from_its_o
             outline = "rim" if name == "disk" else "silhouette"
             assert found.of == (expected or outline) and found.unit == "radii"
             assert type(found.inside) is float and (found.inside == 0.0) == (expected is not None)
-
-
-@pytest.mark.parametrize(
-    "axis", [(0, 0, 2), (0, 0, -2), (0, 3, 0), (0.5, 0, 0), (1, -2, 2), (1e-9, 0, 1), (0, 1e-9, -1)]
-)
-def test_the_axes_of_a_cylinder_are_perpendicular_and_those_of_the_world_where_they_can_be(axis):
-    p0, axis = np.array([0.5, -0.25, 1.0]), np.array(axis, float)
-    (kind,) = pack(scene_of(Cylinder(p0=tuple(p0), p1=tuple(p0 + axis), radius=0.75))).kinds
-    columns = kind.prims.to_world[0]
-    lengths = [0.75, 0.75, np.linalg.norm(axis)]
-    gram = columns.T @ columns
-    assert gram == pytest.approx(np.diag(np.square(lengths)), rel=1e-12, abs=1e-12) and np.linalg.det(columns) > 0.0
-    assert columns[:, 2] == pytest.approx(axis, abs=1e-15)
-    if axis.tolist() == [0.0, 0.0, 2.0]:
-        assert np.array_equal(columns, np.diag(lengths))
-
-
-@pytest.mark.parametrize(
-    ("n", "side"),
-    [
-        ((0.0, 0.6, 0.8), (1, 0, 0)),
-        ((math.nextafter(0.5, 0.0), 0.5, math.sqrt(0.5)), (1, 0, 0)),
-        ((0.5, 0.5, math.sqrt(0.5)), (0, 1, 0)),
-        ((-0.5, 0.5, math.sqrt(0.5)), (0, 1, 0)),
-        ((-1.0, 0.0, 0.0), (0, 1, 0)),
-    ],
-)
-def test_uv_of_a_plane_run_across_the_x_axis_or_the_y_axis_where_its_normal_is_nearer_to_x(n, side):
-    right, ahead = plane._axes(n)
-    expected = np.cross(side, n) / np.linalg.norm(np.cross(side, n))
-    assert right == pytest.approx(expected, abs=1e-15) and ahead == pytest.approx(np.cross(n, expected), abs=1e-15)
 
 
 def test_the_distance_from_an_edge_is_that_of_two_lines_with_the_sign_of_the_inside():
@@ -254,15 +206,3 @@ def test_on_a_miss_every_aov_is_what_the_page_on_channels_states():
     scene = scene_of(Sphere(center=(0.0, 0.0, -9.0)))
     for name, image in render(scene, tuple(BY_NAME)).items():
         assert (image == MISSES.get(name, 0)).all(), name
-
-
-@pytest.mark.parametrize(
-    ("x", "nearest"),
-    [
-        (Fraction(0), 0.0), (Fraction(1, 3), 1 / 3), (Fraction(-1, 3), -1 / 3),
-        (Fraction(1, 2**1100), 5e-324), (Fraction(-1, 2**1100), -5e-324),
-        (Fraction(2**1100), 1.7976931348623157e308), (Fraction(-(2**1100)), -1.7976931348623157e308),
-    ],
-)  # fmt: skip
-def test_a_distance_keeps_its_sign_as_a_float_and_only_0_is_0(x, nearest):
-    assert nearest_float(x) == nearest

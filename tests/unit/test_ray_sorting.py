@@ -2,27 +2,18 @@
 
 import math
 from fractions import Fraction
-from itertools import product
 
 import numpy as np
 import pytest
 
-from caster.kernels.bvh.fans import FAN_LIMIT, Fan
+from caster.kernels.bvh.fans import Fan
 from caster.kernels.bvh.ray_sorting import (
     BUCKETS,
-    HALF_BITS,
     LOWER_BITS,
-    LOWER_CELLS,
-    MAX_SORTED_BY_INSERTION,
     NOT_IN_FAN,
-    OTHER_FANS,
     find_keys,
     largest_deviation,
     load_sorted,
-    project_rays,
-    rays_of_other_limits,
-    scatter_to_buckets,
-    sort_buckets,
     store_sorted,
     store_sorted_blocked,
 )
@@ -50,8 +41,6 @@ AXES = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 BACK = (0.5, -0.25, 1.0)
 POINT_FAN = Fan(1.0, ORIGIN, NOWHERE, *AXES, 100.0, 0.0)
 PARALLEL_FAN = Fan(0.0, NOWHERE, BACK, *AXES, 100.0, 0.0)
-CORNERS = [(-2.0, -2.0, 2.0, 2.0), (-0.5, 0.25, 0.5, 0.75), (0.25, -1.0, 0.25, -1.0)]
-INTEGERS = np.array([d for d in product(range(-5, 6), repeat=3) if any(d)], float)
 
 
 def some_rays(o, d, t_max=math.inf):
@@ -60,7 +49,7 @@ def some_rays(o, d, t_max=math.inf):
     return Rays(o.copy(), d.copy(), np.zeros(count), np.full(count, t_max))
 
 
-def keys_of(fan, rays, outward, deviation=0.0, corners=CORNERS[0]):
+def keys_of(fan, rays, outward, deviation=0.0, corners=(-2.0, -2.0, 2.0, 2.0)):
     """The key of each ray; counted in its bucket, and beside the ray's number."""
     count, first = len(rays.t_min), 3
     pairs, counts = np.full(count, -1, np.int64), np.zeros(BUCKETS, np.int64)
@@ -70,62 +59,6 @@ def keys_of(fan, rays, outward, deviation=0.0, corners=CORNERS[0]):
     assert (pairs[count - first :] == -1).all()
     assert counts.tolist() == np.bincount(keys >> LOWER_BITS, minlength=BUCKETS).tolist()
     return keys.tolist()
-
-
-def interleaved(i, j, bits):
-    """The bits of j and i in turns, as text."""
-    return int("".join(b + a for a, b in zip(f"{i:0{bits}b}", f"{j:0{bits}b}", strict=True)), 2)
-
-
-def exact_cell(x, low, high, cells):
-    """Which of so many equal parts of low..high holds x, or is next to it; the first where there are none."""
-    if low == high:
-        return 0
-    return min(max(math.floor((x - low) * cells / (high - low)), 0), cells - 1)
-
-
-def exact_key(place, perspective, corners):
-    x, y, z = map(Fraction, place)
-    low_x, low_y, high_x, high_y = map(Fraction, corners)
-    if not perspective or (z > 0 and max(abs(x), abs(y)) <= FAN_LIMIT * z):
-        over, cells = z if perspective else 1, 2**HALF_BITS
-        i, j = exact_cell(x / over, low_x, high_x, cells), exact_cell(y / over, low_y, high_y, cells)
-        return interleaved(i, j, HALF_BITS)
-    # the side of a cube: across z, x or y, the first of x, y, z on a tie; coordinates there in cyclic order
-    largest = max(abs(x), abs(y), abs(z))
-    axis = [abs(x), abs(y), abs(z)].index(largest)
-    u, v, w = (y, z, x) if axis == 0 else (z, x, y) if axis == 1 else (x, y, z)
-    side, bits = 2 * (axis + 1) % 6 + (w < 0), HALF_BITS - 2
-    i, j = (exact_cell(each / largest, -1, 1, 2**bits) for each in (u, v))
-    return OTHER_FANS + side * 4**bits + interleaved(i, j, bits)
-
-
-@pytest.mark.parametrize("corners", CORNERS)
-@pytest.mark.parametrize("outward", [True, False])
-def test_a_key_is_the_projected_cell_of_a_ray_in_morton_order(corners, outward):
-    """That of the direction from the origin, or of where a ray to it starts."""
-    begin, d = (ORIGIN, INTEGERS) if outward else (np.array(ORIGIN) + INTEGERS, -INTEGERS)
-    rays = some_rays(begin, d, 1.0)
-    keys = keys_of(POINT_FAN, rays, outward, corners=corners)
-    assert keys == [exact_key(d, True, corners) for d in INTEGERS[3:].tolist()]
-    assert max(keys) < NOT_IN_FAN < BUCKETS << LOWER_BITS
-
-
-@pytest.mark.parametrize("corners", CORNERS)
-def test_a_key_of_a_parallel_ray_is_the_cell_of_its_origin(corners):
-    keys = keys_of(PARALLEL_FAN, some_rays(INTEGERS / 8.0, BACK), False, corners=corners)
-    assert keys == [exact_key(o, False, corners) for o in (INTEGERS[3:] / 8.0).tolist()]
-
-
-def test_every_cell_of_a_projection_has_a_key_of_its_own():
-    x = (np.arange(2**HALF_BITS) + 0.5) / 2**HALF_BITS
-    for axis in range(2):
-        d = np.ones((len(x), 3))
-        d[:, axis] = x
-        keys = keys_of(POINT_FAN, some_rays(ORIGIN, d), True, corners=(0.0, 0.0, 1.0, 1.0))
-        other = interleaved(*((0, 2**HALF_BITS - 1), (2**HALF_BITS - 1, 0))[axis], HALF_BITS)
-        expected = [interleaved(*((n, 0), (0, n))[axis], HALF_BITS) | other for n in range(3, len(x))]
-        assert keys == expected
 
 
 def is_in_fan(fan, o, d, t_max, outward, deviation=0.0):
@@ -191,56 +124,6 @@ def test_the_largest_deviation_is_that_of_the_ray_that_passes_a_point_farthest_o
         del each[away]
         assert largest_deviation(rays, p, 0, count) == pytest.approx(max(each), rel=1e-9)
     assert largest_deviation(rays, p, 2, 2) == 0.0
-
-
-@pytest.mark.parametrize("field", ["t_min", "t_max"])
-def test_limits_are_the_same_where_none_differs_from_those_of_the_first_ray(field):
-    rays = some_rays(ORIGIN, INTEGERS[:7])
-    assert rays_of_other_limits(rays, 0, 7) == 0
-    for n in range(1, 7):
-        getattr(rays, field)[n] = 9.0
-        assert rays_of_other_limits(rays, 0, 7) > 0 and rays_of_other_limits(rays, n, 7) > 0
-        assert rays_of_other_limits(rays, 0, n) == 0 and rays_of_other_limits(rays, n + 1, 7) == 0
-        getattr(rays, field)[n] = getattr(rays, field)[0]
-    getattr(rays, field)[0] = 3.0
-    assert rays_of_other_limits(rays, 2, 4) > 0
-
-
-@pytest.mark.parametrize("outward", [True, False])
-def test_rays_are_projected_from_the_origin_of_a_fan_or_belong_to_another(outward):
-    o, d = (ORIGIN, INTEGERS) if outward else (np.array(ORIGIN) + INTEGERS, np.ones(3))
-    points = np.zeros((len(INTEGERS), 2))
-    project_rays(POINT_FAN, some_rays(o, d), outward, points)
-    x, y, z = INTEGERS.T
-    inside = (z > 0.0) & (np.maximum(np.abs(x), np.abs(y)) <= FAN_LIMIT * z)
-    assert np.isnan(points[~inside]).all() and 0 < inside.sum() < len(inside)
-    assert points[inside].tolist() == (INTEGERS[inside][:, :2] / INTEGERS[inside][:, 2:]).tolist()
-
-
-def test_parallel_rays_are_projected_along_their_direction():
-    points = np.zeros((len(INTEGERS), 2))
-    project_rays(PARALLEL_FAN, some_rays(INTEGERS, BACK), False, points)
-    assert points.tolist() == INTEGERS[:, :2].tolist()
-
-
-def test_buckets_are_scattered_in_order_and_sorted_by_the_rest_of_their_keys():
-    """Few rays by pairs, many by their keys alone, so that those with one key stay in order."""
-    rng = np.random.default_rng(211)
-    sizes = {7: 1, 8: MAX_SORTED_BY_INSERTION, 9: MAX_SORTED_BY_INSERTION + 1, 2000: 300, BUCKETS - 1: 5}
-    buckets = rng.permutation(np.repeat(list(sizes), list(sizes.values())))
-    lower = rng.choice([0, 1, 511, LOWER_CELLS - 2, LOWER_CELLS - 1], len(buckets))
-    pairs = (((buckets << LOWER_BITS) + lower) << 32) + np.arange(len(buckets))
-    edges = np.concatenate([[0], np.cumsum(np.bincount(buckets, minlength=BUCKETS))])
-    places, scattered = edges[:-1].copy(), np.full(len(pairs), -1, np.int64)
-    for start, stop in ((0, 100), (100, len(pairs))):
-        scatter_to_buckets(pairs, places, start, stop, scattered)
-    assert places.tolist() == edges[1:].tolist()
-    assert scattered.tolist() == pairs[np.argsort(buckets, kind="stable")].tolist()
-    order = np.full(len(pairs), -1, np.int32)
-    sort_buckets(scattered, edges, (8, BUCKETS - 1), np.full(LOWER_CELLS, 99, np.int64), order)
-    expected = (np.sort(pairs) & 0xFFFFFFFF).tolist()
-    assert order[:1].tolist() == [-1] and order[-5:].tolist() == [-1] * 5  # buckets of others
-    assert order[1:-5].tolist() == expected[1:-5]
 
 
 def field(tile, at):

@@ -24,13 +24,12 @@ from caster.kernels.raster.screen_bounds import (
     ScreenBounds,
     Window,
     bound_distorted_triangles,
-    bound_triangles,
     project_vertices,
 )
 from caster.kernels.raster.tile import DX, DY, DZ, PRIM, T_ERROR, UNCERTAIN, T, generate_camera_rays, new_tile
 from caster.kernels.raster.tile import HEIGHT as TILE_HEIGHT
 from caster.kernels.raster.tile import WIDTH as TILE_WIDTH
-from caster.kernels.raster.tile_casting import cast_in_bounds, direction_bounds, direction_bounds_from_corners
+from caster.kernels.raster.tile_casting import cast_in_bounds, direction_bounds
 from caster.kernels.triangles import Triangles
 
 WIDTH, HEIGHT = 300, 200
@@ -257,24 +256,6 @@ def test_what_a_tile_has_covered_hides_what_lies_behind_and_changes_no_hit():
     assert np.unique(found[0][2]).tolist() == [-1.0, 11.0, 13.0]  # nothing but the wall, and what is before it
 
 
-@pytest.mark.parametrize("fov", [0.01, 40.0, 120.0, 179.9])
-def test_the_directions_of_a_tile_are_between_those_of_its_corners(fov):
-    rng = np.random.default_rng(145)
-    for _ in range(20):
-        frame = {"direction": rng.normal(size=3), "up": rng.normal(size=3), "eye": (0.0, 0.0, 0.0)}
-        camera = Pinhole(fov=fov, fov_axis="larger", **frame).pack(200, 120)
-        x, y = (int(n) for n in rng.integers((0, 0), (150, 80)))
-        box = x, y, x + int(rng.integers(1, min(129, 201 - x))), y + int(rng.integers(1, min(65, 121 - y)))
-        tile = new_tile()
-        generate_camera_rays(camera, Window(0, 0, 200, 120), box, tile)
-        low, high = direction_bounds_from_corners(tile, box)
-        rays = [fields(tile, box, field) for field in (DX, DY, DZ)]
-        for d, least, most in zip(rays, low, high, strict=True):
-            assert least <= d.min() and d.max() <= most
-            if fov < 50.0:
-                assert most - least < 1.3 * np.ptp(d) + 0.02 * fov / 40.0 + 1e-9
-
-
 @pytest.mark.parametrize("name", CAMERAS)
 def test_directions_of_a_tile_are_within_its_bounds_which_are_tight_without_straight_lines(name):
     rng, camera = np.random.default_rng(146), CAMERAS[name].pack(WIDTH, HEIGHT)
@@ -305,53 +286,3 @@ def test_tangents_of_a_circle_are_rounded_outwards():
                 Fraction(r) ** 2 * (1 + Fraction(nearer) ** 2) > (Fraction(nearer) * Fraction(z) - Fraction(x)) ** 2
             )
     assert tight > 3000  # of 6000, that are not much larger than they have to be
-
-
-@pytest.mark.parametrize(("beyond", "off"), [(0.25, False), (-0.25, False), (4.0, True)])
-def test_a_sphere_at_the_rim_of_a_fisheye_is_on_its_film_up_to_the_rounding_of_angles(beyond, off):
-    camera = Fisheye(fov=180.0, eye=(0.0, 0.0, 0.0), direction=(0.0, 0.0, 1.0)).pack(WIDTH, HEIGHT)
-    angle = 0.5 * math.pi + math.asin(0.25) + beyond * fisheye.ANGLE_ERROR
-    center = (math.sin(angle), 0.0, math.cos(angle))
-    left, _, right, _, _, valid = project_bounding_sphere(camera, center, 0.25)
-    assert valid and (left > right) == off
-
-
-@pytest.mark.parametrize("short", [2.0**-38, 2.0**-30, 2.0**-20, 0.1, 0.9])
-def test_the_longitudes_of_a_sphere_are_wider_than_its_own_by_what_the_quotient_is_widened(short):
-    """Its radius is a little short of the horizontal distance of its centre: it reaches nearly to the pole."""
-    camera = Panorama(eye=(0.0, 0.0, 0.0), direction=(0.0, 0.0, 1.0)).pack(WIDTH, HEIGHT)
-    radius = 1.0 - short  # over a horizontal distance of 1
-    left, _, right, _, _, valid = project_bounding_sphere(camera, (0.0, 2.0, 1.0), radius)
-    least, most = (math.asin(radius * (1.0 + share)) for share in (2.0**-41, 2.0**-39))
-    assert valid and least < math.pi * (right - left) / WIDTH < most
-
-
-def test_a_triangle_around_one_pixel_centre_has_that_pixel_just_where_it_holds_the_centre():
-    """Anywhere in a window; one around no centre has no pixels, one around several all of its box."""
-    rng, count = np.random.default_rng(147), 600
-    middle = np.column_stack([rng.integers(0, WIDTH, count), rng.integers(0, HEIGHT, count)]) + 0.5
-    corners = middle[:, None] + rng.uniform(-1.1, 1.1, (count, 3, 2))
-    wide = 2.0**-20
-    projected = np.column_stack([corners.reshape(-1, 2), np.full((3 * count, 2), (wide, 1.0))])
-    faces = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
-    bounds = ScreenBounds(np.zeros((count, 4), np.int32), np.zeros(count), faces, projected, (0.0, 0.0, 0.0), 0.0)
-    bound_triangles(Window(0, 0, WIDTH, HEIGHT), bounds, (0.0, wide), 0, count)
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    first = np.maximum(np.ceil(low - wide - 0.5), 0).astype(int)
-    stop = np.minimum(np.floor(high + wide + 0.5), (WIDTH, HEIGHT)).astype(int)
-    found = {"held": 0, "missed": 0, "none": 0, "several": 0}
-    for k in range(count):
-        number = int(np.prod(np.maximum(stop[k] - first[k], 0)))
-        x0, y0, x1, y1 = bounds.pixels[k].tolist()
-        if number != 1:
-            found["several" if number else "none"] += 1
-            assert max(x1 - x0, 0) * max(y1 - y0, 0) == number
-            continue
-        p = corners[k] - (first[k] + 0.5)
-        areas = [p[i - 1, 0] * p[i, 1] - p[i - 1, 1] * p[i, 0] for i in range(3)]
-        if min(map(abs, areas)) < 1e-4:
-            continue
-        held = min(areas) > 0.0 or max(areas) < 0.0
-        found["held" if held else "missed"] += 1
-        assert (x0, y0, y1) == (*first[k], stop[k][1]) and x1 - x0 == held
-    assert min(found.values()) > 20, found

@@ -24,7 +24,7 @@ from caster.kernels.math.quadric_roots import quadric_roots, quadric_setup
 from caster.kernels.protocol import hull_point, hull_size, intersect, load, prepare, surely_misses
 from caster.kernels.triangles import fast_barycentrics
 from caster.scene.model import Scene
-from mitsuba_ref import error_model, shapes
+from mitsuba_ref import error_model, oracle, shapes
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.reference.shared_input import SharedRays, model_of, packed_float32
 from mitsuba_ref.shapes import cylinder, disk, plane, reference_of, sphere, surface_errors
@@ -78,9 +78,9 @@ def scene_of(shape: Any) -> Scene:
 
 
 def constants() -> dict[str, list[float]]:
-    """Every numeric constant of the error models, by module."""
+    """Every numeric constant of the error models and the oracle, by module."""
     found = {}
-    for package in (error_model, shapes):
+    for package in (error_model, shapes, oracle):
         for name in sorted(each.name for each in pkgutil.iter_modules(package.__path__)):
             module = importlib.import_module(f"{package.__name__}.{name}")
             numbers = {key: value for key, value in sorted(vars(module).items()) if key.isupper()}

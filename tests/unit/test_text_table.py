@@ -31,11 +31,6 @@ def test_columns_are_aligned_and_lines_end_without_blanks():
     ]
 
 
-def test_rows_alone_are_as_wide_as_their_columns_and_never_cut():
-    row = format_table(COLUMNS, [("a", "1234567", "b" * 300)], header=False, gap=1)
-    assert row == f"a 1234567 {'b' * 300}"
-
-
 def printed(text):
     """What a terminal gets."""
     outer, inner = os.openpty()
@@ -95,10 +90,6 @@ def test_a_row_of_scenes_fits_80_columns_and_names_only_classes_that_it_has(coun
     for name in CLASSES[1:]:
         words = f"{counts.get(name, 0)} {class_text(name)}"
         assert (words in text) == bool(counts.get(name)), (words, text)
-
-
-def test_the_longest_name_of_a_shipped_scene_is_what_the_table_is_tested_with():
-    assert max(len(path.stem) for path in (ROOT / "scenes").glob("*.toml")) == LONGEST
 
 
 def test_a_scene_that_nothing_hits_says_where_its_shapes_are(tmp_path):

@@ -11,7 +11,6 @@ from caster.kernels.nearest import KeepNearest, Rays, no_hits
 from caster.kernels.protocol import camera_ray, update_best
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import (
-    DEPTH_BUCKETS,
     DX,
     DY,
     DZ,
@@ -30,18 +29,13 @@ from caster.kernels.raster.tile import (
     UNCERTAIN,
     WIDTH,
     T,
-    count_in_tiles,
     generate_camera_rays,
     lane,
-    load_hits,
     load_ray_range,
     load_rays,
     load_rays_from,
     new_lanes,
     new_tile,
-    scatter_to_tiles,
-    store_blocked,
-    store_nearest,
     store_ray_range,
     tile_rows,
     update_nearest,
@@ -163,44 +157,6 @@ def test_a_range_of_rays_is_loaded_and_its_hits_are_stored_where_it_belongs():
     assert (nearest.prim[others] == -1).all() and not uncertain[others].any()
 
 
-def test_the_hits_of_a_box_are_stored_in_its_place_of_the_window():
-    rng, tile, ids = np.random.default_rng(252), new_tile(), np.array([5, 6, 7, 8], np.int32)
-    values = {f: v[: BOX[3] - BOX[1], : BOX[2] - BOX[0]] for f, v in met(rng, tile).items()}
-    nearest, uncertain = no_hits(WIDE * HIGH), np.zeros(WIDE * HIGH, bool)
-    nearest.prim[:] = -9
-    store_nearest(tile, ids, WIDE, BOX, nearest, uncertain)
-    prim = np.full((HIGH, WIDE), -9)
-    prim[BOX[1] : BOX[3], BOX[0] : BOX[2]] = np.where(values[PRIM] < 0, -1, ids[values[PRIM]])
-    assert np.array_equal(nearest.prim.reshape(HIGH, WIDE), prim)
-    inside = prim != -9
-    assert np.array_equal(nearest.t.reshape(HIGH, WIDE)[inside], values[T].ravel())
-    assert np.array_equal(uncertain.reshape(HIGH, WIDE)[inside], values[UNCERTAIN].ravel() == 1.0)
-    assert not uncertain.reshape(HIGH, WIDE)[~inside].any()
-
-
-def test_rays_with_a_hit_are_blocked_and_those_without_may_be_uncertain():
-    rng, tile = np.random.default_rng(253), new_tile()
-    values = met(rng, tile)
-    t, unsure, prim = (values[f].ravel()[:200] for f in (T, UNCERTAIN, PRIM))
-    hit = (t < math.inf) & (prim >= 0.0)
-    blocked, uncertain = np.zeros((2, 300), bool)
-    store_blocked(tile, 0, 50, 250, blocked, uncertain)
-    assert np.array_equal(blocked[50:250], hit) and 0 < hit.sum() < 200
-    assert np.array_equal(uncertain[50:250], (unsure == 1.0) & ~hit) and uncertain.sum() > 5
-    for found in (blocked, uncertain):
-        assert not found[:50].any() and not found[250:].any()
-
-
-def test_hits_of_arrays_are_loaded_as_they_are():
-    rng, tile, (start, stop) = np.random.default_rng(254), used_tile(), (7, 100)
-    rays, t, prim = some_rays(rng, 120), rng.random(120), rng.integers(-1, 9, 120)
-    load_hits(rays, t, prim, start, stop, tile)
-    for at, expected in ((T, t), (PRIM, prim), *zip((OX, OY, OZ), rays.o.T, strict=True)):
-        assert np.array_equal(whole(tile, at).ravel()[: stop - start], expected[start:stop])
-    for at, expected in zip((DX, DY, DZ), rays.d.T, strict=True):
-        assert np.array_equal(whole(tile, at).ravel()[: stop - start], expected[start:stop])
-
-
 def hit_box(rng):
     """A tile whose rays have met one of some primitives, or nothing."""
     tile = new_tile()
@@ -237,41 +193,6 @@ def test_hits_and_what_is_uncertain_are_stored_in_the_box_of_an_image(unsure):
     expected[0, BOX[1] : BOX[3], BOX[0] : BOX[2]] = in_box(tile, PRIM) >= 0
     expected[1, BOX[1] : BOX[3], BOX[0] : BOX[2]] = in_box(tile, UNCERTAIN) == 1.0
     assert np.array_equal(hit, expected[0]) and np.array_equal(uncertain, expected[1])
-
-
-def test_primitives_are_counted_and_listed_in_the_tiles_that_they_reach_into_by_depth():
-    """Buckets: 16 for each power of two of the depth, the last for the largest, the first for all that is nearer."""
-    rng, across, down, count = np.random.default_rng(258), 3, 4, 60
-    low = np.column_stack([rng.integers(0, across * WIDTH, count), rng.integers(0, down * HEIGHT, count)])
-    size = rng.choice([0, 1, 2, 60, 128, 200], (count, 2))
-    high = np.minimum(low + size, [across * WIDTH, down * HEIGHT])
-    pixels, depth = np.column_stack([low, high]).astype(np.int32), 2.0 ** rng.uniform(-12.0, 3.0, count)
-    bits, last = depth.view(np.int64), int(depth.max().view(np.int64))
-
-    def bucket(x):
-        m, e = math.frexp(x)
-        ml, el = math.frexp(depth.max())
-        steps = 16 * (el - e) + math.floor(32.0 * ml) - math.floor(32.0 * m)
-        return max(DEPTH_BUCKETS - 1 - steps, 0)
-
-    for queue in (np.zeros(0, np.int32), rng.permutation(count).astype(np.int32)):
-        start, stop = 5, 50
-        members = [int(queue[n]) if len(queue) else n for n in range(start, stop)]
-        members = [k for k in members if (high[k] > low[k]).all()]
-        expected = [[] for _ in range(across * down * DEPTH_BUCKETS)]
-        for k in members:
-            for y in range(down):
-                for x in range(across):
-                    within = low[k] < [(x + 1) * WIDTH, (y + 1) * HEIGHT], high[k] > [x * WIDTH, y * HEIGHT]
-                    if np.all(within):
-                        expected[(y * across + x) * DEPTH_BUCKETS + bucket(depth[k])].append(k)
-        counts = np.zeros(len(expected), np.int64)
-        binned = count_in_tiles(pixels, bits, last, queue, across, counts, start, stop)
-        assert binned == len(members) and counts.tolist() == [len(each) for each in expected]
-        ends, order = np.cumsum(counts) - counts, np.full(counts.sum(), -1, np.int32)
-        scatter_to_tiles(pixels, bits, last, queue, across, ends, order, start, stop)
-        assert order.tolist() == [k for each in expected for k in each]
-        assert ends.tolist() == np.cumsum(counts).tolist()
 
 
 @pytest.mark.parametrize("t", [math.inf, 2.0, 2.25, 2.5, 3.0, 3.5, 3.75, 4.0, -1.0])

@@ -1,17 +1,16 @@
-"""Where many scenes fail: what they share, stated only if true and significant, and which one is the simplest."""
+"""Where many scenes fail: which shapes they have, and which scene is the simplest."""
 
 import json
 from dataclasses import replace
 from unittest.mock import Mock
 
-import pytest
 from verdict_factory import scene as made
 from verdict_factory import verdict
 
 import caster
-from mitsuba_ref.judge.verdict import SceneCheck, SceneStatistics
+from mitsuba_ref.judge.verdict import SceneStatistics
 from mitsuba_ref.report.ci_summaries import markdown
-from mitsuba_ref.report.verdict_text import common_traits, failures_text, simplest_failing
+from mitsuba_ref.report.verdict_text import failures_text, simplest_failing
 from mitsuba_ref.runner import many_scenes
 from mitsuba_ref.runner.verdict_files import scene_of
 
@@ -28,38 +27,6 @@ def scene(name, shapes=("sphere",), *, ok=False, checks=("depth",), camera="pinh
 A, B = scene("a", ("sphere", "mesh"), checks=("depth", "exact")), scene("b", checks=("normal", "depth"))
 
 
-@pytest.mark.parametrize(
-    ("scenes", "told"),
-    [
-        ([A], []),  # of one, everything is in common
-        ([A, B], ["depth fails"]),
-        ([A, B, scene("p", ("disk",), ok=True)], ["depth fails", "shape sphere (in 0 of 1 that pass)"]),
-        (
-            [A, B, scene("p", ("disk",), ok=True), scene("q", ok=True)],
-            ["depth fails", "shape sphere (in 1 of 2 that pass)"],
-        ),
-        ([A, B, scene("p", ok=True)], ["depth fails"]),  # all have a sphere, also what passes
-        ([A, scene("b", ("disk",), checks=("normal",), camera="fisheye"), scene("p", ("torus",), ok=True)], []),
-        (
-            [scene("a", ("disk",), camera="fisheye"), scene("b", camera="fisheye"), scene("p", ok=True)],
-            ["depth fails", "camera fisheye (in 0 of 1 that pass)"],
-        ),
-        ([scene("a", checks=("exact",)), scene("b", checks=("exact",))], ["exact fails"]),
-        ([A, scene("b", problem="crash")], []),
-        ([scene("a", problem="crash"), scene("b", problem="no mesh")], ["there is no comparison"]),
-        ([replace(A, composition=SceneStatistics()), B, scene("p", ("disk",), ok=True)], ["depth fails"]),  # not told
-    ],
-)
-def test_only_what_is_so_in_all_that_fail_and_not_in_all_that_pass_is_stated(scenes, told):
-    assert common_traits(scenes) == told
-
-
-def test_a_check_that_is_made_once_a_scene_counts_too():
-    off = (SceneCheck("camera", 3.0, "at (1, 2)"),)
-    both = [replace(scene(name, ok=True), checks=off) for name in "ab"]
-    assert not both[0].ok and common_traits(both) == ["camera fails"]
-
-
 def test_the_simplest_has_the_fewest_primitives_then_shapes_then_pixels():
     few, many = scene("few", primitives=2), scene("many", primitives=70_000)
     assert simplest_failing([many, few, scene("fewest", ok=True)]) is few
@@ -74,14 +41,13 @@ def test_the_summaries_say_it_with_the_command_and_leave_it_out_where_there_is_n
     lines = failures_text(failing).splitlines()
     assert lines[0] == "by shape:   scenes that fail: sphere 2 of 2, mesh 1 of 1, disk 0 of 1"
     assert next(i for i, line in enumerate(lines) if line.startswith("FAIL  a  ")) > 3
-    at = lines.index("in common:  of all 2 that fail: depth fails; shape sphere (in 0 of 1 that pass)")
-    assert lines[at + 1 : at + 3] == [
+    assert lines[1:3] == [
         "look first: a, the simplest of them (1 primitive, 120 pixels)",
         "            mitsuba-ref probe scenes/a.toml 3 4",
     ]
     assert "- look first: a, the simplest of them" in markdown(failing, 1.0)
     for few in (verdict(A, scene("p", ok=True)), verdict(scene("p", ok=True), scene("q", ok=True))):
-        assert not any(words in failures_text(few) for words in ("in common", "look first", "by shape"))
+        assert not any(words in failures_text(few) for words in ("look first", "by shape"))
 
 
 def test_a_verdict_has_the_composition_of_its_scene_also_without_comparison(monkeypatch):
