@@ -57,12 +57,8 @@ TESTS = (
     "tests/unit/test_quadric_normals.py",
     "tests/unit/test_mesh_normals.py",
     "tests/unit/test_builtin_scenes.py",
-    "tests/unit/test_mesh_obj.py",
-    "tests/unit/test_mesh_plain_text.py",
-    "tests/unit/test_mesh_ply.py",
-    "tests/unit/test_procedural_closed.py",
-    "tests/unit/test_procedural_heightfield.py",
-    "tests/unit/test_procedural_teapot.py",
+    "tests/unit/test_mesh_files.py",
+    "tests/unit/test_generated_meshes.py",
     "tests/unit/test_transform.py",
     "tests/unit/test_ray_camera.py",
     "tests/unit/test_plan.py",
@@ -78,7 +74,6 @@ TESTS = (
     "tests/unit/test_camera_references.py",
     "tests/unit/test_bracket.py",
     "tests/unit/test_bias.py",
-    "tests/unit/test_common_traits.py",
     "tests/unit/test_error_models.py",
     "tests/unit/test_judge_at_extremes.py",
     "tests/unit/test_lambert_and_shadow_rays.py",
@@ -86,7 +81,6 @@ TESTS = (
     "tests/unit/test_geometry_checked_in_both_precisions.py",
     "tests/unit/test_known_defects.py",
     "tests/unit/test_knife_edges.py",
-    "tests/unit/test_fuzz_findings.py",
     "tests/report/test_pages.py",
     "tests/report/test_candidate_record.py",
     "tests/unit/test_candidate_aimed.py",
@@ -104,11 +98,11 @@ TESTS = (
 # Of modules of the judge, for which the caster is compiled: what asks Mitsuba gets its stored answers.
 _COMPILED_TESTS = {
     "tests/unit": """
-        bias bracket broad_phase camera_references candidate_aimed candidate_scene common_traits
+        bias bracket broad_phase camera_references candidate_aimed candidate_scene failing_scenes
         defect_measurement description_round_trip error_models exact_kernels explanations exr_files
-        exr_compare fuzz_findings generated_meshes shape_importers
+        exr_compare generated_meshes shape_importers
         geometry_checked_in_both_precisions independent_transform judge_at_extremes
-        verdict_rules knife_edges known_defects lambert_and_shadow_rays mesh_files_check pixel_explanations ray_camera
+        verdict_rules knife_edges known_defects lambert_and_shadow_rays pixel_explanations ray_camera
         ray_conventions registries report_arrays report_files result_schemas scaling scene_fuzz scene_options scene_rows
         stated_numbers stress surface_targets
     """,
