@@ -132,7 +132,7 @@ class Workers:
             worker.close()
 
     def stop(self) -> None:
-        """End calls that are being made, each with WorkerEnded, and refuse others: for Ctrl-C amid threads."""
+        """End the calls in progress, each with WorkerEnded, and refuse new ones: for Ctrl-C while threads wait."""
         with self._lock:
             self._stopped = True
             for worker in self._busy:
