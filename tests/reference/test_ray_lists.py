@@ -324,7 +324,7 @@ def test_an_image_of_any_rays_is_judged_by_its_positions_as_docs_candidates_does
     y, x = (v.ravel() + np.random.default_rng(1).uniform(0, 1, v.size) for v in np.indices((20, 24)))
     rays = reference_of_camera(scene.camera).rays(scene.camera, scene.film, x, y)
     hits = caster.cast(scene, rays.o, rays.d)
-    p, n = (v[np.isfinite(hits.t)].astype(np.float32) for v in (hits.position, hits.normal))
+    p, n = (v[np.isfinite(hits.t)].astype(np.float32) for v in (hits.surface.p, hits.normal))
     for change, code in ((0.0, 0), (1e-4, 1)):
         p[7] += np.float32(change)
         d = (p - np.float32(scene.camera.eye)).astype(np.float32)
