@@ -90,8 +90,8 @@ def test_a_folder_is_judged_in_order_and_an_expression_chooses(ref, scenes):
         (["--nonsense"], 2, "unrecognized arguments: --nonsense"),
         (["--json", "{folder}/none/verdict.json"], 4, "none"),
         (["--junit", "{folder}/none/verdict.xml"], 4, "none"),
-        (["--out", "{folder}/ball.toml"], 4, "ball.toml"),
-        (["--html", "{folder}/ball.toml"], 4, "ball.toml"),
+        (["--out", "{folder}/ball.toml"], 2, "ball.toml"),
+        (["--html", "{folder}/ball.toml"], 2, "ball.toml"),
         (["--html", "{folder}/report.html"], 4, "a report is a folder"),
         (["{folder}/nowhere.toml"], 4, "nowhere.toml: expected a scene file or a folder of them, found nothing"),
         (["{folder}/nowhere"], 4, "nowhere: expected a scene file or a folder of them, found nothing"),
@@ -174,7 +174,7 @@ def test_out_holds_the_verdict_and_the_images_it_is_about(ref, tmp_path):
         "knife_edges",
         "geometry",
     }
-    assert scene["left_out"] == ["brute_force", "scaling", "routes"] and scene["thorough"] is False
+    assert sorted(scene["left_out"]) == ["brute_force", "routes", "scaling"] and scene["thorough"] is False
     assert not {check["name"] for check in scene["checks"]} & {*scene["left_out"]}
 
 
