@@ -43,7 +43,8 @@ class BoundCall:
         if self.code is None:
             return self._call_plainly(numbers)
         for place, those in zip(self.places, numbers, strict=True):
-            self.block[place.start : place.stop] = those
+            for word, number in zip(place, those if isinstance(those, tuple) else (those,), strict=True):
+                self.block[word] = number
         check(self.code.entry(self.address))
         return self.code.answer(self.answer)
 

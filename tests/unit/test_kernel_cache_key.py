@@ -7,6 +7,7 @@ import pytest
 
 from caster.jit import code_digest as digests
 from caster.jit import decorators, kernel_cache, machine_code
+from caster.jit.arguments import describe
 from caster.jit.kernel_cache import COMPILED, compiler_version
 
 # Two kinds with a body each for one function of the protocol, and a kernel that reaches it for the class it is given.
@@ -142,18 +143,20 @@ def test_signature_options_target_and_this_package_are_part_of_the_name(monkeypa
     """Each alone gives the file another name."""
     from caster.kernels.raster.tile import clear_rays, new_tile
 
+    def name(*args):
+        return clear_rays._file(describe(args).key, machine_code.target_description())
+
     args = (new_tile(), 0, 4)
-    found = {clear_rays._symbol(args), clear_rays._symbol((args[0], 0, 4.0))}
-    for place, name, value in (
+    found = {name(*args), name(args[0], 0, 4.0)}
+    for place, attribute, value in (
         (machine_code, "target_description", lambda: "another"),
         (decorators, "compiler_digest", lambda: "another"),
         (clear_rays, "options", {"forceinline": True}),
     ):
         with monkeypatch.context() as patch:
-            patch.setattr(clear_rays, "_symbols", {})
-            patch.setattr(place, name, value)
-            found.add(clear_rays._symbol(args))
-    assert len(found) == 5 and clear_rays._symbol(args) in found
+            patch.setattr(place, attribute, value)
+            found.add(name(*args))
+    assert len(found) == 5 and name(*args) in found
 
 
 def test_every_source_of_this_package_is_part_of_its_digest(tmp_path, monkeypatch):
