@@ -56,8 +56,9 @@ def read_arrays(path: str | Path, names: Sequence[str] = ()) -> dict[str, np.nda
     if not found:
         raise UnreadableArray(f"{path}: expected arrays of {', '.join(names)}, got {', '.join(loaded.files) or 'none'}")
     for name, values in found.items():
-        if values.dtype.kind not in "fiub":
-            raise UnreadableArray(f"{path}: {name or 'its array'}: expected numbers, got {values.dtype}")
+        kind = getattr(values, "dtype", None)  # bytes, where a member of the archive is no array
+        if kind is None or kind.kind not in "fiub":
+            raise UnreadableArray(f"{path}: {name or 'its array'}: expected numbers, got {kind or 'no array'}")
     return found
 
 

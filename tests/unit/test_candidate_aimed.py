@@ -8,8 +8,8 @@ from aimed_rays import KINDS, Setting, rays_at, scene_of
 
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
-from mitsuba_ref.error_model.intersections import Intersections, norm, unit
-from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel, enclosing_intersections
+from mitsuba_ref.error_model.intersections import norm, unit
+from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
 from mitsuba_ref.error_model.tolerances import KU_OURS
 from mitsuba_ref.reference.shared_input import SharedRays, model_of
 
@@ -79,68 +79,6 @@ def test_the_widened_bound_is_a_few_times_what_rays_need(kind):
     reach = (SHIFT + TURN * np.abs(wide.t) * norm(d))[rows]
     assert rows.sum() > 20
     assert np.median(wide.t_error[rows] * norm(d)[rows] * cosine / reach) < 2.5
-
-
-EDGES = ((0.0, 0, 0, 1, 0, 0), (0.0, 0, 0, 0, 1, 0))
-
-
-def lattice(rng: np.random.Generator, count: int) -> Intersections:
-    """Intersections with small numbers that are often equal; half of them hang on one of two edges."""
-    side = rng.choice([0.0, 0.0, 1.0, 1.0, -1.0], count)
-    edge = np.where((side != 0.0)[:, None], np.array(EDGES)[(rng.random(count) < 0.2).astype(int)], np.nan)
-    t = rng.choice([1.0, 1.25, 2.0, 2.0, np.nan], count)
-    n, sh_n = rng.choice([0.0, 0.5, 1.0], (2, count, 3))
-    errors = rng.choice([0.0, 0.25, 0.5], (5, count))
-    possible, certain = rng.random((2, count)) < 0.4
-    return Intersections(
-        t,
-        errors[0],
-        n,
-        errors[1],
-        sh_n,
-        errors[2],
-        possible,
-        certain & (side == 0.0),
-        errors[3],
-        n,
-        errors[4],
-        edge,
-        side,
-    )
-
-
-def test_an_intersection_is_widened_until_it_holds_those_of_all_rays():
-    """Number by number; one edge is left in doubt only where each ray hits for certain or hangs on that one."""
-    rng = np.random.default_rng(122)
-    found, along = [lattice(rng, 3000) for _ in range(3)], rng.choice([0.0, 0.5], 3000)
-    wide = enclosing_intersections(found, along)
-    hanging = 0
-    for i in range(3000):
-        rows = [at.take(np.array([i])) for at in found]
-        first = rows[0]
-        off = [abs(at.t[0] - first.t[0]) + at.t_error[0] + along[i] for at in rows]
-        assert wide.t_error[i] == (math.inf if any(map(math.isnan, off)) else max(off))
-        for what, error in (("n", "n_error"), ("sh_n", "sh_error")):
-            apart = [math.dist(getattr(at, what)[0], getattr(first, what)[0]) + getattr(at, error)[0] for at in rows]
-            assert getattr(wide, error)[i] == pytest.approx(max(apart), rel=1e-15)
-        assert wide.possible[i] == any(at.possible[0] for at in rows)
-        assert wide.certain[i] == all(at.certain[0] for at in rows)
-        sides = {(float(at.side[0]), *at.edge[0].tolist()) for at in rows if at.side[0]}
-        steady = len(sides) == 1 and all(at.certain[0] or at.side[0] for at in rows)
-        assert wide.side[i] == (next(iter(sides))[0] if steady else 0.0)
-        if steady:
-            assert tuple(wide.edge[i]) == next(iter(sides))[1:]
-            hanging += 1
-    assert hanging > 100 and np.isinf(wide.p_error).all() and np.isinf(wide.uv_error).all()
-    assert all(getattr(wide, name) is getattr(found[0], name) for name in ("t", "n", "sh_n", "uv"))
-    alone = enclosing_intersections(found[:1], np.zeros(3000))
-    assert np.array_equal(alone.side, found[0].side) and np.array_equal(alone.edge, found[0].edge, equal_nan=True)
-
-
-def test_intersections_of_kinds_without_edges_are_widened_without_any():
-    plain = lattice(np.random.default_rng(123), 50)._replace(edge=None, side=None)
-    wide = enclosing_intersections([plain, plain], np.zeros(50))
-    assert not wide.side.any() and np.isnan(wide.edge).all()
 
 
 @pytest.mark.parametrize("refined", [False, True])
