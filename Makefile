@@ -71,7 +71,7 @@ wheel: $(INSTALLED) ## a wheel with object code of all kernels for x86-64-v3: di
 
 docs: $(INSTALLED) ## pages and pictures that are made from sources: API, packages, an edge case, every shape, scenes
 	@$(BIN)/python docs/api.py
-	@$(BIN)/python docs/architecture.py --svg docs/architecture.svg
+	@$(BIN)/python docs/architecture.py
 	@$(BIN)/python docs/debugging.py
 	@$(BIN)/python docs/readme_images.py
 	@$(BIN)/caster sheet scenes -o docs/scenes.png --columns 9

@@ -1,6 +1,6 @@
-"""Figures of the import graph of caster and mitsuba_ref, and the picture of its packages, docs/architecture.svg.
+"""Figures of the import graph of caster and mitsuba_ref, and the picture of its packages in docs/ARCHITECTURE.md.
 
-    python docs/architecture.py [--json] [--svg FILE]
+    python docs/architecture.py     # prints the figures and renews the picture
 
 It needs the standard library alone. A module imports another one where it names it in an import statement at any
 depth (in a function or under TYPE_CHECKING as well), by import_module("literal"), or by import_module of a name taken
@@ -11,21 +11,16 @@ Modules with exactly one importer: those that could be part of that importer. Pl
 the `__init__` of their own package imports, are counted apart: a registry is the reason for a file of their own.
 """
 
-import argparse
 import ast
 import json
-import os
-import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from layered_drawing import Box, drawing, transitive_reduction
-
 ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs/ARCHITECTURE.md"
 ROOT_PACKAGES = ("caster", "mitsuba_ref")
-FLAT_IN_ROOT = ("__init__.py", "__main__.py")  # what may lie in a root package itself
 MODULES_OF_PACKAGE = 12  # beside sub-packages and __init__
 
 # The packages in the order of the flow of data: each imports only what stands before it. Captions are for the picture.
@@ -62,7 +57,6 @@ FLOW = {
     "mitsuba_ref.importers": "Mitsuba XML to scenes",
     "mitsuba_ref.cli": "mitsuba-ref COMMAND",
 }
-HEAVY = 16  # imports; such an arrow is drawn even where a path of others leads to the same package
 
 Graph = Mapping[str, frozenset[str]]  # module -> modules it imports
 
@@ -216,40 +210,21 @@ def layers(graph: Graph) -> dict[str, int]:
     return layer
 
 
-def longest_chain(graph: Graph) -> list[str]:
-    """One of the longest chains of imports, from the module that imports down to the one that imports nothing."""
-    layer = layers(graph)
-    members = {module: part for part in components(graph) for module in part}
-    chain = [min(graph, key=lambda module: (-layer[module], module))] if graph else []
-    while chain and layer[chain[-1]] > 1:
-        below = {target for module in members[chain[-1]] for target in graph[module]}
-        chain.append(min(each for each in below if layer[each] == layer[chain[-1]] - 1))
-    return chain
-
-
 # --- figures
 
 
 def figures(root: Path = ROOT) -> dict[str, Any]:
-    """All of them, by name; what `--json` prints."""
+    """Sizes of packages, layers, circles, and modules with exactly one importer, by name."""
     sources = read_sources(root)
     graph = graph_of(sources)
-    single = modules_with_one_importer(graph)
-    members = {module for module, importer in single.items() if importer == module.rpartition(".")[0]}
-    names = Counter(source.path.name for source in sources if not source.path.name.startswith("__"))
     return {
         "lines": sum(source.lines for source in sources),
         "files": len(sources),
         "crowded_packages": crowded_packages(sources, root),
-        "flat_in_roots": flat_in_roots(sources, root),
         "layers": max(layers(graph).values(), default=0),
         "package_layers": max(layers(graph_of_packages(graph)).values(), default=0),
-        "longest_chain": longest_chain(graph),
         "circles": [list(circle) for circle in circles(graph)],
-        "against_flow": {f"{a} > {b}": count for (a, b), count in against_flow(graph).items()},
-        "one_importer": sorted(single.keys() - members),
-        "one_importer_registry_members": sorted(members),
-        "repeated_file_names": {name: count for name, count in sorted(names.items()) if count > 1},
+        "one_importer": modules_with_one_importer(graph),
     }
 
 
@@ -259,31 +234,19 @@ def package_of(module: str) -> str:
     return package if package in FLOW else ""
 
 
-def imports_between(graph: Graph) -> dict[tuple[str, str], int]:
-    """(importing package, imported package) -> how many pairs of their modules."""
-    pairs = Counter((package_of(module), package_of(target)) for module, targets in graph.items() for target in targets)
-    return {pair: count for pair, count in sorted(pairs.items()) if all(pair) and pair[0] != pair[1]}
-
-
 def graph_of_packages(graph: Graph) -> dict[str, frozenset[str]]:
     """Package of FLOW -> packages that it imports."""
-    pairs = imports_between(graph)
-    return {package: frozenset(b for a, b in pairs if a == package) for package in FLOW}
+    pairs = {(package_of(module), package_of(target)) for module, targets in graph.items() for target in targets}
+    return {package: frozenset(b for a, b in pairs if a == package != b and b) for package in FLOW}
 
 
-def against_flow(graph: Graph) -> dict[tuple[str, str], int]:
-    """Those of `imports_between` that import what stands later in FLOW."""
-    place = {package: i for i, package in enumerate(FLOW)}
-    return {(a, b): count for (a, b), count in imports_between(graph).items() if place[b] > place[a]}
-
-
-def modules_with_one_importer(graph: Graph) -> dict[str, str]:
-    """Module -> its only importer. A plain member of a registry is one whose only importer is its own package."""
+def modules_with_one_importer(graph: Graph) -> list[str]:
+    """Without plain members of a registry, whose only importer is their own package."""
     importers = defaultdict(set)
     for module, targets in graph.items():
         for target in targets:
             importers[target].add(module)
-    return {module: next(iter(by)) for module, by in sorted(importers.items()) if len(by) == 1}
+    return [module for module, by in sorted(importers.items()) if len(by) == 1 and by != {module.rpartition(".")[0]}]
 
 
 def crowded_packages(sources: Iterable[Source], root: Path) -> dict[str, int]:
@@ -292,79 +255,34 @@ def crowded_packages(sources: Iterable[Source], root: Path) -> dict[str, int]:
     return {folder: count for folder, count in sorted(counts.items()) if count > MODULES_OF_PACKAGE}
 
 
-def flat_in_roots(sources: Iterable[Source], root: Path) -> list[str]:
-    """Files that lie in a root package itself and are none of FLAT_IN_ROOT."""
-    flat = (source.path.relative_to(root) for source in sources)
-    return [path.as_posix() for path in flat if len(path.parts) == 2 and path.name not in FLAT_IN_ROOT]
-
-
-def in_words(found: Mapping[str, Any]) -> str:
-    """The figures as a table, and below it what some of them consist of."""
-    repeated = found["repeated_file_names"]
-    rows = (
-        ("product lines", f"{found['lines']:,}"),
-        ("product files", f"{found['files']}"),
-        (f"packages of more than {MODULES_OF_PACKAGE} modules", f"{len(found['crowded_packages'])}"),
-        ("files flat in the root packages", f"{len(found['flat_in_roots'])}"),
-        ("import layers of modules", f"{found['layers']}"),
-        ("import layers of packages", f"{found['package_layers']}"),
-        ("circles of imports", f"{len(found['circles'])}"),
-        ("imports against the flow of packages", f"{sum(found['against_flow'].values())}"),
-        ("modules with exactly one importer", f"{len(found['one_importer'])}"),
-        ("  registry members, imported by their own package alone", f"{len(found['one_importer_registry_members'])}"),
-        ("file names that stand more than once", f"{len(repeated)}"),
-    )
-    width = max(len(name) for name, _ in rows)
-    lines = [f"{name:{width}}  {value:>7}" for name, value in rows]
-    lines += ["", f"longest chain: {' > '.join(found['longest_chain'])}"]
-    lines += [f"circle of {len(circle)}: {' '.join(circle)}" for circle in found["circles"]]
-    lines += [f"against the flow: {pair} ({count})" for pair, count in found["against_flow"].items()]
-    lines += [f"{folder}: {count} modules" for folder, count in found["crowded_packages"].items()]
-    lines += [f"flat: {', '.join(found['flat_in_roots'])}"] if found["flat_in_roots"] else []
-    lines += [f"one importer: {', '.join(found['one_importer'])}"]
-    lines += [f"repeated: {', '.join(f'{name} ({count})' for name, count in repeated.items())}"]
-    return "\n".join(lines)
-
-
 # --- the picture
 
 
 def picture(root: Path = ROOT) -> str:
-    """The packages in layers, with an arrow for what each imports, as SVG."""
-    graph = graph_of(read_sources(root))
-    pairs, upward = imports_between(graph), against_flow(graph)
-    edges = {(b, a): count for (a, b), count in pairs.items() if (a, b) not in upward}
-    shown = set(transitive_reduction(edges)) | {edge for edge, count in edges.items() if count >= HEAVY}
-    boxes = [
-        Box(package, caption, "first" if package.startswith("caster.") else "second")
-        for package, caption in FLOW.items()
-    ]
-    notes = [
-        "Data flow from top to bottom. An arrow points to what is imported; its number counts pairs of modules.",
-        f"An arrow of fewer than {HEAVY} is left out where a path of others leads to the same package.",
-    ]
-    if upward:
-        words = [f"{a} > {b} ({count})" for (a, b), count in upward.items()]
-        notes.append("Against the flow, and not drawn:")
-        notes += [", ".join(words[i : i + 2]) for i in range(0, len(words), 2)]
-    return drawing(boxes, {edge: edges[edge] for edge in sorted(shown)}, notes)
+    """The packages as a Mermaid graph: an arrow for what each imports, unless other arrows lead there as well."""
+    graph = graph_of_packages(graph_of(read_sources(root)))
+    reached: dict[str, set[str]] = {}
+    for package in FLOW:  # each imports only what stands before it
+        reached[package] = set(graph[package]).union(*(reached.get(each, set()) for each in graph[package]))
+    lines = ["flowchart TD"]
+    lines += [f'    {package}["{package}<br>{caption}"]' for package, caption in FLOW.items()]
+    for package in FLOW:
+        for target in sorted(graph[package]):
+            if not any(target in reached[other] for other in graph[package] if other != target):
+                lines.append(f"    {target} --> {package}")
+    return "\n".join(["```mermaid", *lines, "```"])
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description="figures of the import graph of caster and mitsuba_ref")
-    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
-    parser.add_argument("--svg", metavar="FILE", help="write the picture of the packages instead")
-    args = parser.parse_args()
-    if args.svg:
-        Path(args.svg).write_text(picture(), encoding="utf-8")
-        return 0
-    found = figures()
-    try:
-        print(json.dumps(found, indent=1) if args.json else in_words(found), flush=True)
-    except BrokenPipeError:  # `| head` has read enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return 0
+def with_picture(page: str) -> str:
+    """The page with the picture in place of the one in it."""
+    before, _, rest = page.partition("```mermaid\n")
+    return before + picture() + rest.partition("```")[2]
+
+
+def main() -> None:
+    PAGE.write_text(with_picture(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    print(json.dumps(figures(), indent=1))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

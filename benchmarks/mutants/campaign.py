@@ -38,94 +38,57 @@ END_TO_END = "benchmarks/mutants/end_to_end.py"
 SMALL_AGREEMENT = "benchmarks/mutants/small_agreement.py"
 SMALL_RAYS = "benchmarks/mutants/small_rays.py"
 # Quick without the compiler; most of tests/agreement is not, SMALL_AGREEMENT and SMALL_RAYS stand for it.
-TESTS = (
-    "tests/unit/test_exact_kernels.py",
-    "tests/unit/test_stated_numbers.py",
-    "tests/agreement/test_wide_angle_cameras.py",
-    "tests/agreement/test_lanes.py",
-    "tests/unit/test_ray_bounds.py",
-    "tests/unit/test_ray_sorting.py",
-    "tests/unit/test_sphere_clouds.py",
-    "tests/unit/test_tiles.py",
-    "tests/unit/test_screen_bounds.py",
-    "tests/unit/test_rejected_faces.py",
-    "tests/unit/test_primitive_properties.py",
-    "tests/unit/test_error_bounds_of_kernels.py",
-    "tests/unit/test_explanations.py",
-    "tests/unit/test_sliver_normals.py",
-    "tests/unit/test_quadric_normals.py",
-    "tests/unit/test_mesh_normals.py",
-    "tests/unit/test_builtin_scenes.py",
-    "tests/unit/test_mesh_obj.py",
-    "tests/unit/test_mesh_plain_text.py",
-    "tests/unit/test_mesh_ply.py",
-    "tests/unit/test_procedural_closed.py",
-    "tests/unit/test_procedural_heightfield.py",
-    "tests/unit/test_procedural_teapot.py",
-    "tests/unit/test_transform.py",
-    "tests/unit/test_ray_camera.py",
-    "tests/unit/test_plan.py",
-    "tests/unit/test_scene_lights.py",
-    "tests/unit/test_scene_locate.py",
-    "tests/unit/test_scene_model.py",
-    "tests/unit/test_scene_numbers.py",
-    "tests/unit/test_scene_docs.py",
-    "tests/unit/test_scene_errors.py",
-    "tests/unit/test_scene_files.py",
-    "tests/unit/test_added_aov.py",
-    "tests/unit/test_registries.py",
-    "tests/unit/test_camera_references.py",
-    "tests/unit/test_bracket.py",
-    "tests/unit/test_bias.py",
-    "tests/unit/test_common_traits.py",
-    "tests/unit/test_error_models.py",
-    "tests/unit/test_judge_at_extremes.py",
-    "tests/unit/test_lambert_and_shadow_rays.py",
-    "tests/unit/test_independent_transform.py",
-    "tests/unit/test_geometry_checked_in_both_precisions.py",
-    "tests/unit/test_known_defects.py",
-    "tests/unit/test_knife_edges.py",
-    "tests/unit/test_fuzz_findings.py",
-    "tests/report/test_pages.py",
-    "tests/report/test_candidate_record.py",
-    "tests/unit/test_candidate_aimed.py",
-    "tests/unit/test_broad_phase.py",
-    "tests/exact/test_oracle_filter.py",
-    "tests/exact/test_oracle_kinds.py",
-    "tests/exact/test_oracle_roots.py",
-    "tests/exact/test_oracle_scenes.py",
-    "tests/exact/test_edge_cases.py",
-    "tests/reference/test_adjudication.py",
-    "tests/reference/test_excused_classes.py",
-    "tests/reference/test_error_models_hold.py",
-    "tests/reference/test_detection_power.py",
-)
-# Of modules of the judge, for which the caster is compiled: what asks Mitsuba gets its stored answers.
-_COMPILED_TESTS = {
-    "tests/unit": """
-        bias bracket broad_phase camera_references candidate_aimed candidate_scene common_traits
-        defect_measurement description_round_trip error_models exact_kernels explanations exr_files
-        exr_compare fuzz_findings generated_meshes shape_importers
-        geometry_checked_in_both_precisions independent_transform judge_at_extremes
-        verdict_rules knife_edges known_defects lambert_and_shadow_rays mesh_files_check pixel_explanations ray_camera
-        ray_conventions registries report_arrays report_files result_schemas scaling scene_fuzz scene_options scene_rows
-        stated_numbers stress surface_targets
+PLAIN = {
+    "tests/agreement": """
+        lanes wide_angle_cameras
     """,
     "tests/exact": """
-        edge_cases identical_primitives oracle_filter oracle_kinds oracle_parts oracle_roots
-        oracle_scenes
+        edge_cases oracle_filter oracle_kinds oracle_roots oracle_scenes
     """,
     "tests/reference": """
-        adjudication bands candidate_probe candidates detection_power diagnosis error_models_hold excused_classes
-        hypotheses import judge_classes mistakes new_shape probe_witnesses ray_lists
+        adjudication detection_power error_models_hold excused_classes
     """,
     "tests/report": """
-        pages candidate_record
+        candidate_record pages
+    """,
+    "tests/unit": """
+        added_aov bias bracket broad_phase builtin_scenes camera_references candidate_aimed
+        error_bounds_of_kernels error_models exact_kernels explanations fuzz generated_meshes
+        geometry_checked_in_both_precisions independent_transform judge_at_extremes knife_edges known_defects
+        lambert_and_shadow_rays mesh_files mesh_normals plan primitive_properties quadric_normals ray_bounds
+        ray_camera ray_sorting registries rejected_faces scene_docs scene_errors scene_files scene_lights
+        scene_locate scene_model scene_numbers screen_bounds sliver_normals sphere_clouds stated_numbers tiles
+        transform
     """,
 }
-COMPILED_TESTS = tuple(
-    f"{folder}/test_{name}.py" for folder, names in _COMPILED_TESTS.items() for name in names.split()
-)
+# Of modules of the judge, for which the caster is compiled: what asks Mitsuba gets its stored answers.
+WITH_COMPILER = {
+    "tests/unit": """
+        bias bracket broad_phase camera_references candidate_aimed candidate_scene defect_measurement
+        description_round_trip error_models exact_kernels explanations exr_compare exr_files fuzz
+        generated_meshes geometry_checked_in_both_precisions independent_transform judge_at_extremes
+        knife_edges known_defects lambert_and_shadow_rays pixel_explanations ray_camera ray_conventions
+        registries report_arrays report_files result_schemas scaling scene_fuzz scene_options scene_rows
+        shape_importers stated_numbers stress surface_targets verdict_rules
+    """,
+    "tests/exact": """
+        edge_cases identical_primitives oracle_filter oracle_kinds oracle_parts oracle_roots oracle_scenes
+    """,
+    "tests/reference": """
+        adjudication bands candidate_probe candidates detection_power diagnosis error_models_hold
+        excused_classes hypotheses import judge_classes mistakes new_shape probe_witnesses ray_lists
+    """,
+    "tests/report": """
+        candidate_record pages
+    """,
+}
+
+
+def files_of(listed: dict[str, str]) -> tuple[str, ...]:
+    return tuple(f"{folder}/test_{name}.py" for folder, names in listed.items() for name in names.split())
+
+
+TESTS, COMPILED_TESTS = files_of(PLAIN), files_of(WITH_COMPILER)
 SLOWEST_TEST_S = 4.0  # CPU seconds without the compiler, lines recorded; a slower test is not used
 FILE_LIMIT_S = 60.0  # CPU seconds for the measurement of one file of tests; what comes later in it is not used
 FIRST_S, FIRST_FILES = 1.5, 5  # the tests that are tried first: CPU seconds, files

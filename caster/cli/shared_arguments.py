@@ -158,15 +158,10 @@ def display_names(files: Sequence[str]) -> list[str]:
     stems = Counter(Path(file).stem for file in files)
     names: dict[str, None] = {}
     for file in files:
-        name = Path(file).stem if stems[Path(file).stem] == 1 else path_as_name(file)
+        name = Path(file).stem if stems[Path(file).stem] == 1 else file.replace(os.sep, "-").lstrip(".-")
         numbered = (f"{name}-{number}" for number in count(2))  # ../scenes/a.toml and scenes/a.toml
         names[next(each for each in chain([name], numbered) if each not in names)] = None
     return list(names)
-
-
-def path_as_name(file: str) -> str:
-    """A path with its separators replaced, usable as a file name."""
-    return file.replace(os.sep, "-").lstrip(".-")
 
 
 # ---- paths: no output is an input, and no two runs write into one folder ----

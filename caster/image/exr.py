@@ -18,7 +18,6 @@ import numpy as np
 from caster.description.errors import FileMissing, SceneError
 from caster.description.input_files import opened_input
 from caster.image.exr_validation import (
-    PROVENANCE_PREFIX,
     Part,
     UnreadableExr,
     Window,
@@ -154,15 +153,11 @@ def read_exr(path: str | os.PathLike[str]) -> Exr:
         parts.append(Part(part.name(), tuple(sorted(mine))))
     return Exr(
         dict(sorted(channels.items())),
-        merged_provenance(path, [_provenance(part.header) for part in read]),
+        merged_provenance(path, [part.header for part in read]),
         window,
         _exclusive(header["displayWindow"]),
         tuple(parts) if len(parts) > 1 else (),
     )
-
-
-def _provenance(header: Mapping[str, Any]) -> dict[str, str]:
-    return {key: value for key, value in header.items() if key.startswith(PROVENANCE_PREFIX) and isinstance(value, str)}
 
 
 def _inclusive(window: Window) -> tuple[tuple[int, int], tuple[int, int]]:

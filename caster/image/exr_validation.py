@@ -161,11 +161,13 @@ def _merged_name(part: str, channel: str) -> str:
     return f"{part}.{channel}"
 
 
-def merged_provenance(path: Path, parts: Sequence[Mapping[str, str]]) -> dict[str, str]:
-    """The union of the provenance of all parts. Raises UnreadableExr where parts contradict each other."""
+def merged_provenance(path: Path, headers: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """The provenance in the headers of all parts. Raises UnreadableExr where parts contradict each other."""
     whole: dict[str, str] = {}
-    for each in parts:
-        for key, value in each.items():
+    for header in headers:
+        for key, value in header.items():
+            if not (key.startswith(PROVENANCE_PREFIX) and isinstance(value, str)):
+                continue
             if whole.setdefault(key, value) != value:
                 raise UnreadableExr(f"{path}: its parts have different values of '{key}': parts of several files?")
     return dict(sorted(whole.items()))

@@ -278,7 +278,8 @@ def exr_images(path: str | PathLike[str], names: Sequence[str]) -> list[Labelled
     mask, _ = hit_mask(exr.channels)
     hit = np.ones(shape, bool) if mask is None else mask
     aovs = channels_to_aovs({**exr.channels, "A": hit.astype(np.float32)})
-    known = [*(name for name in aovs if name != "hit" or mask is not None), *_classes_in(exr)]
+    known = [name for name in aovs if name != "hit" or mask is not None]
+    known += [CLASS_MAP] if "class.I" in exr.channels else []
     if not known:
         raise SceneError(f"{path}: nothing to show: expected the channels of an AOV or class.I")
     for name in names:
@@ -312,10 +313,6 @@ def _default_names(known: Sequence[str]) -> list[str]:
     return [next((name for name in DEFAULT_PREVIEWS if name in known), known[-1])]
 
 
-def _classes_in(exr: Exr) -> list[str]:
-    return [CLASS_MAP] if "class.I" in exr.channels else []
-
-
 def _classes(exr: Exr, hit: np.ndarray) -> LabelledImage:
     """The class map of a file, named by its attribute caster/classes ("0 agree, 1 tie").
 
@@ -347,8 +344,3 @@ def thumbnail(
     image = aov_view(aov, aovs[aov].astype(np.float64) if aov == "hit" else aovs[aov], aovs.hit)
     times = max(1, side // max(image.pixels.shape[:2]))
     return LabelledImage(name, image.pixels.repeat(times, axis=0).repeat(times, axis=1), image.legend)
-
-
-def sheet_columns(count: int, ratio: float = 1.5) -> int:
-    """The number of columns for which a sheet of square cells is about `ratio` times as wide as high."""
-    return max(1, round(float(np.sqrt(ratio * count))))

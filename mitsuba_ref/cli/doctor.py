@@ -5,7 +5,6 @@ import importlib.metadata
 import json
 import shutil
 from collections.abc import Iterator, Sequence
-from ctypes.util import find_library
 from pkgutil import resolve_name
 from typing import Any
 
@@ -52,7 +51,6 @@ def judge_findings() -> list[Finding]:
     return [
         *versions,
         *(_missing(missing) if missing else _variants(usable_variants())),
-        _gpu(),
         kept_results(),
         *map(find_package, (MATPLOTLIB, *PEERS)),
         browser(),
@@ -110,13 +108,6 @@ def _pinned(name: str) -> Finding:
         return Finding(name, True, True, version, uses[name])
     detail = f"{version}; the bounds belong to {PINNED[name]}"
     return Finding(name, name == "mitsuba", True, detail, uses[name], INSTALL_COMMAND)
-
-
-def _gpu() -> Finding:
-    """Reported, though unused: the reference runs on the CPU, whether there is a GPU or not."""
-    library = find_library("cuda")
-    adds = "nothing yet: the reference uses the CPU"
-    return Finding("GPU", library is not None, False, library or "no CUDA driver", adds)
 
 
 # ---- mitsuba-ref schema ----

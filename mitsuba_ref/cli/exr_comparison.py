@@ -66,20 +66,10 @@ def run_compare(args: argparse.Namespace) -> int:
 
 # ---- approved images: approve and check ----
 
-# Stated here as well, since loading the approval loads the kernels (tests/unit/test_cli_help.py compares).
-MODES = ("missing", "changed", "all")
-
 
 def add_approve_arguments(parser: argparse.ArgumentParser) -> None:
     add_references(parser, OutputFolder)
     add_timeout(parser)
-    parser.add_argument(
-        "--update",
-        choices=MODES,
-        default="changed",
-        help="missing: only where there is none; changed, the default: also those that have changed or are stale; "
-        "all: also those whose pixels are the same, but not the versions they name",
-    )
     parser.add_argument("--yes", action="store_true", help="write without confirmation; required without a terminal")
 
 
@@ -144,7 +134,7 @@ def run_approve(args: argparse.Namespace) -> int:
     def proposal_of(entry: Entry) -> Proposal:
         command = shlex.join(["mitsuba-ref", "approve", Path(entry.path).name, *film_words(args)])
         render = partial(render_fresh, variant=args.variant, command=command, timeout=args.timeout)
-        return propose(entry.load().scene, entry.name, entry.path, folder, args.update, render)
+        return propose(entry.load().scene, entry.name, entry.path, folder, render)
 
     def failure_of(entry: Entry, lines: tuple[str, ...]) -> Proposal:
         return Proposal(entry.name, folder / f"{entry.name}.exr", "failed", False, lines)

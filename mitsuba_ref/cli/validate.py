@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--expected",
         metavar="FILE",
         type=InputPath,
-        help="known failures, as --write-expected writes them: the run fails by others alone, and names those mended",
+        help="known failures, as --write-expected writes them: the run fails only by others, and names fixed ones",
     )
     help_ = "write the failures of this run as a file for --expected"
     add("--write-expected", metavar="FILE", type=OutputFile, help=help_)

@@ -316,28 +316,23 @@ def _crash_text(crash: Crash) -> str:
 
 # ---- approve
 
-MISSING, ALL = "missing", "all"
-MODES = (MISSING, "changed", ALL)
-
 
 class Proposal(NamedTuple):
     """The state of a scene's approved image, and the image to write."""
 
     name: str
     path: Path
-    status: str  # missing, changed, stale, damaged, same, kept, failed
+    status: str  # missing, changed, stale, damaged, same, failed
     write: bool
     details: tuple[str, ...] = ()
     fresh: Exr | None = None
 
 
 def propose(
-    scene: Scene, name: str, source: str, folder: Path, mode: str, render: Callable[[Scene, str], Exr | Crash]
+    scene: Scene, name: str, source: str, folder: Path, render: Callable[[Scene, str], Exr | Crash]
 ) -> Proposal:
-    """Render the scene unless nothing would be written, and compare with the stored image. source: its file."""
+    """Render the scene and compare with the stored image. source: the scene's file."""
     path = folder / f"{name}.exr"
-    if mode == MISSING and path.exists():
-        return Proposal(name, path, "kept", False, ("it exists; --update missing compares nothing",))
     fresh = render(scene, source)
     if isinstance(fresh, Crash):
         return Proposal(name, path, "failed", False, (_crash_text(fresh),))
@@ -356,11 +351,9 @@ def propose(
         stale = "the scene has changed, no pixel has" if same else "the scene has changed"
         return Proposal(name, path, "stale", True, (stale, *found), fresh)
     if classes:
-        return Proposal(name, path, "same", mode == ALL and digest(before) != digest(fresh), found, fresh)
+        return Proposal(name, path, "same", False, found)
     if differ_by_processor(scene, before, fresh):
-        return Proposal(
-            name, path, "same", mode == ALL, (f"but for last bits; both are {WITHIN_BOUNDS}", *found), fresh
-        )
+        return Proposal(name, path, "same", False, (f"but for last bits; both are {WITHIN_BOUNDS}", *found))
     return Proposal(name, path, "changed", True, found, fresh)
 
 

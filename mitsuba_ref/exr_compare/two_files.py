@@ -279,7 +279,8 @@ def _surface_bound(condition: Conditioning | None, group: str, tol: Tolerances, 
     """Of a field over the surface, evaluated at a displaced hit: add its slope times the position error."""
     normal, typical = group in ("normal", "shading_normal"), _typical_magnitude(b)
     if normal or group == "uv":
-        given, default = (None, tol.normal_atol if normal else tol.uv_atol), 0.0
+        given: tuple[float | None, float | None] = (None, tol.normal_atol if normal else tol.uv_atol)
+        default = 0.0
     else:
         given, default = (tol.color_rtol, tol.color_atol), COLOR_RTOL
     scale, least = (1.0, NORMAL_ATOL) if normal else (typical, TYPICAL_ATOL * typical)

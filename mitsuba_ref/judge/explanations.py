@@ -118,7 +118,10 @@ def exceeded_bounds(ratios: Mapping[str, float]) -> str:
 def not_judged(judge: Judge, judgement: Judgement, row: int) -> dict[str, str]:
     """Quantities of our caster that were not compared, and why: a ratio of 0 would pass for agreement."""
     ours, theirs = bool(judge.hit[row]), bool(judge.pair.reference.hit.ravel()[row])
-    found = not_compared(ours, theirs, "ours", COMPARED_AT_HITS)
+    found = {}
+    if not (ours and theirs):
+        why = f"{'ours' if ours else 'Mitsuba'} alone hits" if ours or theirs else "nothing is hit"
+        found = dict.fromkeys(COMPARED_AT_HITS, why)
     if not ours:
         found["on_surface"] = "ours hits nothing"
     if not ours or judgement.classes[row] != CLASS_CODE[AGREE]:
@@ -127,14 +130,6 @@ def not_judged(judge: Judge, judgement: Judgement, row: int) -> dict[str, str]:
         found[EXACT] = "there is no ray" if judge.t_max[row] < 0.0 else "exact arithmetic gave no answer"
     # What contradicts something else is reported as beyond all bounds, whatever else was not compared.
     return {name: why for name, why in found.items() if not judgement.ratio(name)[row] > 0.0}
-
-
-def not_compared(subject: bool, reference: bool, who: str, names: tuple[str, ...]) -> dict[str, str]:
-    """Why these are not compared where the subject or Mitsuba misses; nothing where both hit."""
-    if subject and reference:
-        return {}
-    why = f"{who if subject else 'Mitsuba'} alone hits" if subject or reference else "nothing is hit"
-    return dict.fromkeys(names, why)
 
 
 # ---- answers of a pixel: shape and t, in decimal and to the bit ----

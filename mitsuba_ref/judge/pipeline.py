@@ -86,7 +86,7 @@ def bands_of(scene: Scene) -> list[Scene]:
 
 
 def judge_film(task: Task, finish: Finish = lambda verdict, images: verdict) -> SceneVerdict:
-    """The verdict of all bands, with the evidence of one: the first of those that fail most, or the middle one."""
+    """The verdict of all bands, with the evidence of one: the one with most failures, or else the middle one."""
     bands = task.windows()
     verdicts: list[SceneVerdict] = []
     errors: list[PixelErrors] = []
@@ -152,7 +152,7 @@ def judge_window(
         if each.scope != "film"
     ]
     of_scene = [each for each in checks if not each.answered]
-    inputs: dict[str, Any] = {"scene": task.scene, "path": task.path, "subject": task.subject, "wrong_rays": []}
+    inputs: dict[str, Any] = {"scene": task.scene, "subject": task.subject, "wrong_rays": []}
     made = make_checks(of_scene, inputs) if task.ours else ()
     if whole_film:  # what follows is in float32; of ten million triangles, both together take a gigabyte more
         forget_packed(task.scene, as_given, LARGE_SCENE)

@@ -66,7 +66,7 @@ class SceneCheck:
 
 @dataclass(frozen=True, config=RESULT)
 class Extremes:
-    """Of a set of numbers."""
+    """The largest and the 99th percentile of a set of numbers."""
 
     largest: float = 0.0
     p99: float = 0.0  # 99 % of them are below

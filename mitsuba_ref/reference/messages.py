@@ -224,7 +224,7 @@ def _check(name: str, array: Any, shape: tuple[int, ...], dtype: type) -> None:
 
 
 def _parts(record: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Fields that are no arrays, and those that are."""
+    """The fields that are not arrays, and the array fields."""
     values = {field.name: getattr(record, field.name) for field in fields(record)}
     arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
     return {name: value for name, value in values.items() if name not in arrays}, arrays

@@ -37,7 +37,7 @@ _starts_refused = threading.Event()
 
 @dataclass(frozen=True)
 class ProcessEnd:
-    """How a process ended, and what it printed."""
+    """The end of a process, and its output."""
 
     code: int | None  # exit code, negative for a signal; None: killed at its deadline
     output: str  # head and tail of stdout and stderr, without escape sequences
@@ -83,7 +83,7 @@ def exit_name(code: int) -> str:
 
 
 def kill_subprocesses() -> None:
-    """Kill every child and refuse to start another until `allow_subprocesses`: for Ctrl-C amid threads.
+    """Kill every child and refuse to start another until `allow_subprocesses`: for Ctrl-C while threads wait.
 
     Whoever waits for a child, or starts one, gets an end by SIGKILL.
     """

@@ -32,7 +32,7 @@ TRAILING_ZEROS = re.compile(r"\.?0+(?=p)")  # of a hex float's digits behind the
 
 
 class Reproducer(NamedTuple):
-    """A scene of one pixel, and what of it is not as it was."""
+    """A scene of one pixel, and notes on what differs from the original scene."""
 
     scene: Scene
     prims: tuple[int, ...]  # numbers of its primitives in the scene it was taken from
@@ -55,9 +55,9 @@ def with_hex_floats(value: Any) -> Any:
 
 
 def reproducer(judge: Judge, row: int, *, lit: bool = False) -> Reproducer:
-    """The ray of one row of the image, and what it may hit. lit: with lights, and what may cast a shadow on the hit.
+    """The ray of one row of the image, and the primitives it may hit.
 
-    Raises SceneError for a pixel without a ray.
+    lit: with lights, and the primitives that may shadow the hit. Raises SceneError for a pixel without a ray.
     """
     rays, scene = judge.pair.rays.for_reference(), judge.scene
     if rays.t_max[row] < 0.0:

@@ -4,7 +4,6 @@ Results are pydantic dataclasses. Files are written from them, with derived valu
 need not work them out, and are read back into them without.
 """
 
-import importlib.metadata
 import json
 import math
 import os
@@ -24,6 +23,7 @@ from caster.description.errors import SceneError
 from caster.description.input_files import MAX_TEXT_BYTES, read_input
 from caster.system.atomic_files import write_text
 from caster.system.terminal import printable, unfiltered
+from mitsuba_ref.reference.store import installed_version
 from mitsuba_ref.reference.variants import usable_variants
 
 T = TypeVar("T")
@@ -58,20 +58,13 @@ def read_result(kind: type[T], file: str, written_by: str) -> T:
 
 def versions(*packages: str) -> dict[str, str]:
     """Installed versions of packages; "none" where there is none."""
-    return {name: package_version(name) for name in packages}
+    return {name: installed_version(name) for name in packages}
 
 
 def libllvm() -> str:
     """File name of the libLLVM that Mitsuba loads, or "none"."""
     library = usable_variants().libllvm
     return Path(library).name if library else "none"
-
-
-def package_version(name: str) -> str:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return "none"
 
 
 def largest(values: np.ndarray) -> float | None:

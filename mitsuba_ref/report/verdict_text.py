@@ -221,14 +221,14 @@ def count_text(verdict: Verdict) -> str:
 
 
 def waiver_lines(verdict: Verdict) -> Iterator[str]:
-    """Scenes that the run does not fail by, known failures that are mended, and whether enough scenes were judged."""
+    """Scenes that the run does not fail by, known failures that are fixed, and whether enough scenes were judged."""
     for scene in verdict.scenes:
         if scene.waived:
             words = scene.problem.partition("\n")[0] if scene.problem else f"{', '.join(sorted(checks_of(scene)))}"
             yield f"{mark_of(scene).lower() + ':':<11} {scene.name}: {words}"
     if verdict.mended:
         names = ", ".join(verdict.mended)
-        yield f"mended:     {names}: listed by --expected as failing, and now right: take them out of the list"
+        yield f"fixed:      {names}: listed by --expected as failing, and now right: take them out of the list"
     if verdict.too_few:
         judged = len(verdict.scenes) - verdict.waived.get(UNSUPPORTED, 0)
         yield f"FAIL        {judged} scenes judged, expected at least {max(verdict.min_scenes, 1)} (--min-scenes)"

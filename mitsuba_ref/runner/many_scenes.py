@@ -90,7 +90,16 @@ class SceneSource:
 
     def load(self) -> SceneEntry:
         """Read the file. Raises SceneError, FileMissing."""
-        return load_entry(self.path, self.name, size=self.size, mesh_dirs=self.mesh_dirs, options=self.options)
+        scene = load_scene(self.path, self.mesh_dirs)
+        wrong: list[str] = []
+        if self.size:
+            width, height = self.size
+            with error_prefix("--size", width, height):
+                resized = scene.with_film(width=width, height=height)
+            wrong, scene = wrongly_resized(scene, [self.size]), resized
+        again = (*(word for folder in self.mesh_dirs for word in ("--mesh-dir", folder)), *self.options)
+        about: dict[str, Any] = {"resized": bool(self.size), "wrong_film": "; ".join(wrong), "options": again}
+        return SceneEntry(scene, self.name, self.path, **about)
 
 
 Entry = SceneEntry | SceneSource
@@ -104,36 +113,16 @@ def source_of(
     mesh_dirs: Sequence[str] = (),
     options: tuple[str, ...] = (),
 ) -> SceneSource:
-    """A scene file of which only the film is read yet; parameters as of `load_entry`."""
+    """A scene file of which only the film is read yet.
+
+    size: width and height of the film instead of the scene's own; options: of its replay.
+    """
     film = (size[0], size[1]) if size else None
     try:
         size_bytes = Path(path).stat().st_size
     except OSError:  # whoever loads it says so
         size_bytes = 0
     return SceneSource(name, path, film_pixels(path, film), film, tuple(mesh_dirs), options, size_bytes)
-
-
-def load_entry(
-    path: str,
-    name: str,
-    *,
-    size: Sequence[int] | None = None,
-    mesh_dirs: Sequence[str] = (),
-    options: tuple[str, ...] = (),
-) -> SceneEntry:
-    """Read a scene file. size: width and height of the film instead of the scene's own; options: of its replay.
-
-    Raises SceneError, FileMissing.
-    """
-    scene = load_scene(path, mesh_dirs)
-    wrong: list[str] = []
-    if size:
-        with error_prefix("--size", *size):
-            resized = scene.with_film(width=size[0], height=size[1])
-        wrong, scene = wrongly_resized(scene, [(size[0], size[1])]), resized
-    mesh_options = tuple(word for folder in mesh_dirs for word in ("--mesh-dir", folder))
-    again = (*mesh_options, *options)
-    return SceneEntry(scene, name, path, resized=bool(size), wrong_film="; ".join(wrong), options=again)
 
 
 def default_workers() -> int:

@@ -46,7 +46,7 @@ class RunOptions:
 
 
 class ValidationRun:
-    """Judges scenes one after the other; `verdict` and `finish` hold for those that are done so far."""
+    """Judges scenes one after the other; `verdict` and `finish` are about the scenes done so far."""
 
     def __init__(self, entries: Sequence[Entry], options: RunOptions, candidate: Subject | None = None) -> None:
         """entries: the scenes of all shards; candidate: in place of our caster. Raises OutputError."""

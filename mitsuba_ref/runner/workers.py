@@ -84,7 +84,6 @@ class Worker:
 def _serve(calls: Connection, parents_end: Connection, folder: str) -> None:
     """The fork's side."""
     parents_end.close()
-    signal.set_wakeup_fd(-1)  # the parent's, who would take a signal of this process for one of its own
     for number in (signal.SIGINT, signal.SIGHUP):  # come by way of the parent, as SIGTERM
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -133,7 +132,7 @@ class Workers:
             worker.close()
 
     def stop(self) -> None:
-        """End calls that are being made, each with WorkerEnded, and refuse others: for Ctrl-C amid threads."""
+        """End the calls in progress, each with WorkerEnded, and refuse new ones: for Ctrl-C while threads wait."""
         with self._lock:
             self._stopped = True
             for worker in self._busy:

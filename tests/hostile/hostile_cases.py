@@ -15,10 +15,9 @@ import caster.cli
 import mitsuba_ref.cli
 from caster.cli.application import build_parser
 from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, output_file_unless_number
-from mitsuba_ref.cli.options import html_output
 
 COMMANDS = {"caster": caster.cli.COMMANDS, "mitsuba-ref": mitsuba_ref.cli.COMMANDS}
-OUTPUTS = (OutputFile, OutputFolder, output_file_unless_number, html_output)
+OUTPUTS = (OutputFile, OutputFolder, output_file_unless_number)
 
 # What a path may be instead of a file. "sparse": a terabyte without content; "unreadable": not for root.
 NO_FILES = ("missing", "folder", "fifo", "loop", "zero", "null", "full", "sparse", "unreadable", "empty")

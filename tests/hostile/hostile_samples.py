@@ -172,18 +172,10 @@ READERS: dict[str, tuple[str, ...]] = {
     "in/shards/verdict.json": read_by(
         "mitsuba-ref merge FILE --json out/m.json --junit out/m.xml --summary-md out/m.md",
         "mitsuba-ref merge in/shards --json out/m.json",
-        "mitsuba-ref merge FILE FILE --other-versions",
+        "mitsuba-ref merge FILE FILE",
     ),
-    "out/verdict.json": read_by(
-        "mitsuba-ref validate in/scene.toml --out out --resume", "mitsuba-ref validate in/scene.toml --out out"
-    ),
-    "out/judged.jsonl": read_by(
-        "mitsuba-ref validate in/scene.toml --out out --resume", "mitsuba-ref validate in/scene.toml --out out"
-    ),
-    "out/written.jsonl": read_by(
-        "mitsuba-ref validate in/scene.toml --out out --resume", "mitsuba-ref validate in/scene.toml --out out"
-    ),
-    "out/scene.ours.exr": read_by("mitsuba-ref validate in/scene.toml --out out --resume --html out/h"),
+    "out/verdict.json": read_by("mitsuba-ref validate in/scene.toml --out out"),
+    "out/scene.ours.exr": read_by("mitsuba-ref validate in/scene.toml --out out --html out/h"),
     "in/references/scene.exr": read_by(
         "mitsuba-ref check in/scene.toml --references in/references --json",
         "mitsuba-ref check in/scene.toml --references in/references --fresh",
@@ -255,7 +247,6 @@ def write_samples(folder: Path, run: Callable[[str], int]) -> None:
     (source / "answer.exr").write_bytes((source / "image.exr").read_bytes())
     verdict = (folder / "out" / "verdict.json").read_bytes()
     (source / "shards" / "verdict.json").write_bytes(verdict)
-    (folder / "out" / "judged.jsonl").write_text(json.dumps(json.loads(verdict)["scenes"][0]) + "\n")
     (folder / "out" / "unfinished.txt").write_text("mitsuba-ref fuzz --seed 3 --examples 4..4\n")
     (folder / "out" / "references").mkdir()
     (folder / "out" / "references" / "scene.exr").write_bytes((source / "references" / "scene.exr").read_bytes())

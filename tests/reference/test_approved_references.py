@@ -91,10 +91,9 @@ def test_a_reference_states_where_it_comes_from_and_names_no_folder(here):
 
 def test_approving_twice_changes_no_byte_and_writes_no_file(here, capsys):
     files = {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in here.glob("refs/*.exr")}
-    for mode in ("changed", "all"):
-        code, out, _ = said(capsys, "approve", "scenes", "--yes", "--update", mode)
-        assert code == 0 and "2 scenes: 0 images to write" in out
-        assert {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in files} == files
+    code, out, _ = said(capsys, "approve", "scenes", "--yes")
+    assert code == 0 and "2 scenes: 0 images to write" in out
+    assert {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in files} == files
     (here / "refs/ball.exr").unlink()
     assert said(capsys, "approve", "scenes", "-k", "ball", "--yes")[0] == 0
     assert (here / "refs/ball.exr").read_bytes() == files[here / "refs/ball.exr"][0]
@@ -102,14 +101,14 @@ def test_approving_twice_changes_no_byte_and_writes_no_file(here, capsys):
 
 def test_what_is_missing_is_written_only_when_approved(here, capsys, monkeypatch):
     (here / "refs/ball.exr").unlink()
-    code, out, err = said(capsys, "approve", "scenes", "--update", "missing")
-    assert code == 1 and "missing  -> ball  " in out and "kept        mesh" in out
+    code, out, err = said(capsys, "approve", "scenes")
+    assert code == 1 and "missing  -> ball  " in out and "same        mesh" in out
     assert "add --yes" in err and not (here / "refs/ball.exr").exists()
     for answer, written in (("n\n", False), ("\n", False), ("y\n", True)):
         terminal = io.StringIO(answer)
         terminal.isatty = lambda: True
         monkeypatch.setattr("sys.stdin", terminal)
-        code, _, err = said(capsys, "approve", "scenes", "--update", "missing")
+        code, _, err = said(capsys, "approve", "scenes")
         assert (code == 0, (here / "refs/ball.exr").exists()) == (written, written)
         assert "write 1 images? [y/N]" in err
 
@@ -122,8 +121,6 @@ def test_a_change_is_shown_by_channel_before_it_is_written(here, capsys):
     y1, x1 = np.argwhere(hit != 0)[9]
     hit[y1, x1] = 0
     replaced(here, "ball", **{"depth.Z": depth, "A": hit})
-    code, out, _ = said(capsys, "approve", "scenes", "--update", "missing")
-    assert code == 0 and "0 images to write" in out  # what is there is not looked at
     code, out, _ = said(capsys, "approve", "scenes")
     assert code == 1 and "changed  -> ball" in out and "same        mesh" in out
     assert f"A: 1 pixels differ, by at most 1, at ({x1}, {y1})" in out
@@ -290,8 +287,6 @@ def test_last_bits_of_another_processor_are_named_and_no_change(here, capsys, re
     code, out, _ = said(capsys, "check", "scenes", "--fresh", "-k", "ball")
     assert code == 0 and "PASS  ball  a fresh render by scalar_rgb has other bits; both are within the bounds" in out
     assert f"processor: {recorded or 'none'} -> {processor.description()}" in out
-    code, out, _ = said(capsys, "approve", "scenes", "-k", "ball", "--update", "all", "--yes")
-    assert code == 0 and load_approved(here / "refs/ball.exr").provenance[PROCESSOR] == processor.description()
 
 
 @pytest.mark.parametrize(

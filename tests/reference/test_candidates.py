@@ -317,9 +317,7 @@ def test_the_command_line_has_exit_codes_files_and_a_precision(tmp_path, monkeyp
     out = capsys.readouterr().out
     assert "PASS  one-sphere" in out and " wrong" not in out  # classes without pixels are left out
     names = {path.name for path in tmp_path.iterdir()}
-    assert names == {"verdict.json", "written.jsonl"} | {
-        f"one-sphere.{part}.exr" for part in ("candidate", "reference", "verdict")
-    }
+    assert names == {"verdict.json"} | {f"one-sphere.{part}.exr" for part in ("candidate", "reference", "verdict")}
     picture = read_exr(tmp_path / "one-sphere.candidate.exr").channels
     assert {"A", "depth.Z", "normal.X"} <= picture.keys() and picture["A"].sum() > 50
     classes = read_exr(tmp_path / "one-sphere.verdict.exr")

@@ -157,7 +157,7 @@ def test_out_holds_the_verdict_and_the_images_it_is_about(ref, tmp_path):
     found = ref("validate", "scenes/shared-edges-cube.toml", "--size", "15", "15", "--out", out)
     assert found.returncode == 0
     files = {f"shared-edges-cube.{which}.exr" for which in ("ours", "reference", "verdict")}
-    assert {path.name for path in out.iterdir()} == {"verdict.json", "written.jsonl", *files}
+    assert {path.name for path in out.iterdir()} == {"verdict.json", *files}
     (scene,) = strict_json(out / "verdict.json")["scenes"]
     codes = read_exr(out / "shared-edges-cube.verdict.exr").channels["class.I"]
     assert np.bincount(codes.ravel(), minlength=len(CLASSES)).tolist() == list(scene["counts"].values())

@@ -10,7 +10,7 @@ import textbook_pages
 
 from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, WRONG
 from mitsuba_ref.report.html_report import index_row
-from mitsuba_ref.report.scene_record import PIXEL_LAYERS, scene_record
+from mitsuba_ref.report.scene_record import FLOAT_LAYERS, scene_record
 from mitsuba_ref.report.validation import Validation
 
 WRONG = CLASSES.index(WRONG)
@@ -38,7 +38,7 @@ def test_a_record_has_what_the_candidate_gives_and_no_more(judged):
     assert set(recorded(judged["single"]).layers) == {"ids", "ratio", "depth", "edges"}
     ids = recorded(judged["inside"]).layers["ids"]
     assert set(ids) == {"shape_reference", "prim_reference", "t_reference", "t_ours"}
-    assert set(recorded(judged["inside"]).layers) < set(PIXEL_LAYERS)
+    assert set(recorded(judged["inside"]).layers) < {"ids", "ratio", *FLOAT_LAYERS, "edges"}
     assert judged["single"].unjudged == ("normal", "position", "shading_normal", "uv", "shape_id", "diffuse")
 
 

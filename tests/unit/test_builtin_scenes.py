@@ -103,7 +103,7 @@ def test_an_unknown_type_is_an_error_with_the_known_ones():
 def judged(*scenes, **settings):
     """The verdict of a run over these, as it waives them."""
     run = ValidationRun([], RunOptions(**settings))
-    run.done = [run._waived(each) for each in scenes]
+    run.done = [run._recorded(each) for each in scenes]
     return replace(run.verdict(), scene_count=len(scenes), names=tuple(each.name for each in scenes))
 
 

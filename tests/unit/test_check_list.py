@@ -40,9 +40,9 @@ def test_thorough_checks_are_of_our_caster_and_nothing_else_is_left_out():
 
 def test_a_check_gets_what_it_names_and_may_have_no_result():
     first = next(check for check in all_checks() if check.name == "routes")
-    made = first._replace(make=lambda path: SceneCheck("routes", 0.0, path), needs=("path",))
+    made = first._replace(make=lambda subject: SceneCheck("routes", 0.0, subject), needs=("subject",))
     none = first._replace(make=lambda scene: None, needs=("scene",))
-    found = make_checks([made, none], {"path": "here", "scene": None})
+    found = make_checks([made, none], {"subject": "here", "scene": None})
     assert [check.what for check in found] == ["here"]
 
 

@@ -1,8 +1,6 @@
 """`caster render`: what is written is what was computed, the same bytes every time, and whence it came."""
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -148,13 +146,3 @@ def test_an_empty_scene_is_a_image_of_misses(folder, capsys):
     assert "none: every ray misses" in capsys.readouterr().out
     exr = caster.read_exr("s.exr")
     assert not exr.channels["A"].any() and (exr.channels["depth.Z"] == np.inf).all()
-
-
-def test_the_process_writes_the_bytes_that_the_function_writes(folder):
-    render("--size", "8", "6", "-o", "here.exr")
-    command = [sys.executable, "-m", "caster", "render", "s.toml", "--size", "8", "6", "-o", "there.exr"]
-    environment = {"PYTHONPATH": str(ROOT), "CASTER_JIT": "0"}
-    run = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert (run.returncode, run.stderr) == (0, "")
-    assert run.stdout.startswith("there.exr: 8 x 6 pixels, ")
-    assert (folder / "here.exr").read_bytes() == (folder / "there.exr").read_bytes()

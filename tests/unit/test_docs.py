@@ -12,7 +12,8 @@ LINK = re.compile(r"\]\(([^)#\s]+)(#[^)\s]*)?\)")
 
 # A file or folder of the tree, or a definition in a file after a colon.
 PLACE = re.compile(r"`((?:benchmarks|caster|docs|mitsuba_ref|scenes|tests)/[\w/.-]*\w(?:/|:[\w.]+)?)`")
-NO_PLACES = re.compile(r"[A-Z]{4}|caster/(?:classes|faces_never_hit)")  # to be filled in; attributes of EXR files
+# To be filled in; attributes of EXR files; a folder of wheels.
+NO_PLACES = re.compile(r"[A-Z]{4}|caster/(?:classes|faces_never_hit|jit/object_code)")
 
 
 RECORDS = {"mutants.md"}  # places of the tree that was measured

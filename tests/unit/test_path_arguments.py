@@ -15,13 +15,11 @@ import mitsuba_ref.__main__
 from caster.cli import COMMANDS
 from caster.cli.application import build_parser
 from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, output_file_unless_number
-from caster.description import input_files
 from caster.system.atomic_files import OutputError, ScratchFolder, atomic_write, remove_temporaries, write_text
 from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
-from mitsuba_ref.cli.options import html_output
 
 PROGRAMS = {"caster": (caster.__main__.main, COMMANDS), "mitsuba-ref": (mitsuba_ref.__main__.main, JUDGE_COMMANDS)}
-OUTPUT_TYPES = (OutputFile, output_file_unless_number, html_output)
+OUTPUT_TYPES = (OutputFile, output_file_unless_number)
 NUMBERS = {int, float}
 
 
@@ -170,19 +168,6 @@ def test_temporary_files_are_gone_after_use_and_at_a_forced_exit(tmp_path, monke
     with ScratchFolder() as folder:
         remove_temporaries()
         assert not Path(folder).exists()
-
-
-def test_a_file_with_the_inode_of_an_input_that_was_removed_is_no_input(tmp_path, monkeypatch):
-    """Meshes that a candidate is given are read from a scratch folder, whose inodes the next files get."""
-    same = (1, 1)
-    monkeypatch.setattr(input_files, "file_id", lambda path: same if Path(path).exists() else None)
-    (tmp_path / "mesh.ply").write_text("ply")
-    (tmp_path / "link.ply").write_text("ply")
-    with input_files.recorded_inputs():
-        input_files.record_input(tmp_path / "mesh.ply")
-        assert input_files.is_input(tmp_path / "link.ply")
-        (tmp_path / "mesh.ply").unlink()
-        write_text(tmp_path / "link.ply", "")
 
 
 def test_an_output_of_the_library_may_replace_what_it_read(tmp_path):

@@ -12,15 +12,7 @@ import pytest
 import caster
 from caster.__main__ import main
 from caster.rendering.images import render_film
-from caster.system.terminal import (
-    LOG_SECONDS,
-    QUIET_SECONDS,
-    REFRESH_SECONDS,
-    ProgressBar,
-    StatusLine,
-    duration,
-    si_number,
-)
+from caster.system.terminal import LOG_SECONDS, QUIET_SECONDS, REFRESH_SECONDS, ProgressBar, StatusLine
 from mitsuba_ref.cli import options
 from mitsuba_ref.runner.many_scenes import SceneEntry, count_scene
 from mitsuba_ref.runner.many_scenes import progress_bar as scenes_bar
@@ -115,17 +107,6 @@ def test_a_terminal_gets_one_line_that_is_drawn_again_and_erased(terminal):
     assert read() == ""
 
 
-def test_short_work_states_nothing(terminal):
-    stream, read = terminal
-    clock = Clock()
-    bar = ProgressBar("rendering", 100, "rays", stream, clock)
-    for _ in range(99):
-        clock.now += 0.9 * QUIET_SECONDS / 99
-        bar.add(1)
-    bar.close()
-    assert read() == ""
-
-
 def test_the_line_makes_way_for_what_is_printed(terminal):
     stream, read = terminal
     clock = Clock()
@@ -153,11 +134,6 @@ def test_a_pipe_gets_whole_lines_now_and_then():
         bar.add(1, "1 of 2 scenes")
     bar.close()
     assert stream.getvalue() == "validating: 50 %, 1 of 2 scenes, 2 of 4 rays, 0.2 rays/s, 10 s left\n"
-
-
-def test_a_terminal_that_cannot_move_its_cursor_is_as_a_pipe(terminal, monkeypatch):
-    monkeypatch.setenv("TERM", "dumb")
-    assert not ProgressBar("rendering", 1, "rays", terminal[0]).line.live
 
 
 def test_where_standard_error_is_closed_work_goes_on(monkeypatch):
@@ -220,11 +196,6 @@ def test_rich_is_loaded_when_a_bar_is_drawn_and_not_before():
         "assert not {'rich', 'numba', 'numpy'} & sys.modules.keys()\n"
     )
     subprocess.run([sys.executable, "-c", source], check=True)
-
-
-def test_numbers_are_short():
-    assert [si_number(x) for x in (7, 850, 2100, 3.14e6, 5e9)] == ["7", "850", "2.1k", "3.14M", "5G"]
-    assert [duration(x) for x in (3.2, 150, 7300)] == ["3 s", "2 min", "2.0 h"]
 
 
 @pytest.mark.parametrize(

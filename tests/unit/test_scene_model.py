@@ -9,9 +9,6 @@ from caster.cameras import Orthographic, Pinhole
 from caster.description.errors import SceneError
 from caster.geometry.packing import forget_packed, packed
 from caster.geometry.world_space import as_float32, as_given
-from caster.rendering import bvh_construction
-from caster.rendering.hits import trace
-from caster.rendering.images import camera_rays, trace_film
 from caster.scene.model import Ambient, Check, Diffuse, Film, Point, Scene, Shading
 from caster.shapes import Cube, Cylinder, Disk, Icosphere, Sphere
 
@@ -35,12 +32,6 @@ def test_python_and_file_spellings_build_the_same_scene():
     assert {"light", "material", "shape", "check"} < data.keys()
     assert Scene(**data) == built()
     assert Scene.model_validate(data) == built()
-
-
-def test_a_scene_may_be_nothing_but_a_camera():
-    scene = Scene(camera=CAMERA)
-    assert (scene.film, scene.shapes, scene.lights, scene.materials) == (Film(), (), (), {})
-    assert scene.film.window == (0, 0, 256, 256) and scene.shading.shadows
 
 
 def test_all_errors_of_a_python_scene_come_at_once():
@@ -88,22 +79,6 @@ def test_what_was_computed_from_a_scene_stays_with_it_alone():
     assert not scene.model_copy(update={"shapes": scene.shapes[:1]}).derived
     assert not pickle.loads(pickle.dumps(scene)).derived
     assert pickle.loads(pickle.dumps(scene)) == scene
-
-
-def test_a_scene_is_packed_and_its_bvhs_are_built_once_for_each_rounding(monkeypatch):
-    built_trees, build = [], bvh_construction.build_tree
-    monkeypatch.setattr(bvh_construction, "build_tree", lambda *args: built_trees.append(args) or build(*args))
-    camera = Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0))
-    scene = Scene(camera=camera, film=Film(width=8, height=6), shapes=[Icosphere(subdivisions=3)])
-    rays = camera_rays(scene)
-    for rounded in (as_given, as_float32, as_given):
-        for each in (scene, scene.with_film(width=5)):
-            trace(each, rays.o, rays.d, rays.t_max, np.zeros(len(rays.o)), rounded=rounded)
-            trace_film(each, rounded=rounded, culling="bvh")
-    assert len(built_trees) == 2
-    single, double = (packed(scene, rounded).parts[0].vertices for rounded in (as_float32, as_given))
-    assert not np.array_equal(single, double) and np.array_equal(single, double.astype(np.float32))
-    assert packed(scene, lambda numbers: 2.0 * numbers).parts[0].vertices.max() == 2.0 * double.max()
 
 
 @pytest.mark.parametrize("place", [(7, 8, 9), (-7, -8, -9), (7, -9, 8)])

@@ -118,10 +118,8 @@ def _property(name: str, types: list[str], encoding: str) -> Property:
     if len(codes) != 1 + of_list or "" in codes or (of_list and codes[0].startswith("f")):
         expected = f"a type ({', '.join(TYPES)}), or list, a whole-number type and a type"
         raise ValueError(f"expected {expected}, got '{' '.join(types)[:60]}'")
-    count, kind = [np.dtype(BYTE_ORDERS[encoding] + code if encoding != "ascii" else "<f8") for code in ("u1", *codes)][
-        -2:
-    ]
-    return Property(name, kind, count if of_list else None)
+    dtypes = [np.dtype("<f8" if encoding == "ascii" else BYTE_ORDERS[encoding] + code) for code in codes]
+    return Property(name, dtypes[-1], dtypes[0] if of_list else None)
 
 
 # ---- body ----
@@ -178,11 +176,8 @@ class _Body:
         sizes = self._row(element, 0)[1] if element.rows else [0] * len(element.properties)
         fields: list[Any] = []
         for k, p in enumerate(element.properties):  # numbered, since properties may have any name
-            fields += (
-                [(f"size{k}", p.count_type), (f"value{k}", p.type, (sizes[k],))]
-                if p.count_type
-                else [(f"value{k}", p.type)]
-            )
+            fields += [(f"size{k}", p.count_type)] if p.count_type else []
+            fields += [(f"value{k}", p.type, (sizes[k],) if p.count_type else ())]
         layout = np.dtype(fields)
         end = self.at + element.rows * layout.itemsize
         if end > len(self.data) or any(8 * n != layout.itemsize for n in (self.widths or ())[: element.rows]):
@@ -192,9 +187,7 @@ class _Body:
             return {}
         self.at = end
         return {
-            p.name: Lists(np.full(len(rows), sizes[k]), rows[f"value{k}"].ravel())
-            if p.count_type
-            else rows[f"value{k}"]
+            p.name: _column(p, np.full(len(rows), sizes[k]), rows[f"value{k}"].ravel())
             for k, p in enumerate(element.properties)
         }
 
@@ -210,9 +203,8 @@ class _Body:
             for k, p in enumerate(element.properties):
                 chunks[k].append(self.data[starts[k] : starts[k] + sizes[k] * p.type.itemsize])
                 lengths[k].append(sizes[k])
-        values = [np.frombuffer(b"".join(c), p.type) for c, p in zip(chunks, element.properties, strict=True)]
         return {
-            p.name: Lists(np.array(lengths[k], np.int64), values[k]) if p.count_type else values[k]
+            p.name: _column(p, np.array(lengths[k], np.int64), np.frombuffer(b"".join(chunks[k]), p.type))
             for k, p in enumerate(element.properties)
         }
 
@@ -244,6 +236,10 @@ class _Body:
 
     def place(self, row: int) -> str:
         return f"{self.where}:{self.lines[row]}" if row < len(self.lines) else self.where
+
+
+def _column(p: Property, sizes: NDArray[np.int64], values: NDArray[Any]) -> NDArray[Any] | Lists:
+    return Lists(sizes, values) if p.count_type else values
 
 
 # ---- the elements as a mesh or points ----

@@ -24,7 +24,7 @@ ANSWERED = {"result", "loaded", "subject", "failing"}  # what there is once the 
 
 
 class Check(NamedTuple):
-    """A registered check. Its function takes by name what it needs of `pipeline.Inputs`, and may return None."""
+    """A registered check. Its parameters name the inputs that it needs (judge/pipeline.py); it may return None."""
 
     name: str  # in a verdict
     make: Callable[..., SceneCheck | None]
@@ -108,7 +108,7 @@ class Shares:
         self._shares[what] = share
 
     def worst(self) -> tuple[str, float]:
-        """The largest share and what it is of."""
+        """The largest share, and its name."""
         what = max(self._shares, key=lambda name: self._shares[name], default="nothing to look at")
         return what, self._shares.get(what, 0.0)
 

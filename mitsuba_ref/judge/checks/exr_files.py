@@ -28,7 +28,7 @@ CHANNELS = {
 
 
 class WrittenImage(NamedTuple):
-    """A file, and what it should hold."""
+    """A file, and its expected contents."""
 
     path: Path
     planes: Mapping[str, np.ndarray]  # (h, w) float32 or uint32, by channel

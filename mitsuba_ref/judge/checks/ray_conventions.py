@@ -83,7 +83,7 @@ def _check_directions(subject: Subject, scene: Scene) -> SceneCheck:
 
 
 class Limits(NamedTuple):
-    """t_min and t_max of a ray along +z that meets surfaces at t = 2 and 4, and what it then hits."""
+    """t_min and t_max of a ray along +z that meets surfaces at t = 2 and 4, and the expected t."""
 
     t_min: float
     t_max: float
