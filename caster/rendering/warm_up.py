@@ -25,7 +25,7 @@ from caster.rendering.plan import culling_for
 from caster.rendering.ray_fans import SAMPLED_RAYS, find_rows
 from caster.rendering.ray_tiles import ShadowCaster, new_ray_groups
 from caster.rendering.threads import default_threads
-from caster.scene.model import Ambient, Directional, Point, Scene, Shading
+from caster.scene.model import Ambient, Directional, Point, Scene
 from caster.shapes import SHAPES
 from caster.shapes.triangle import Triangle
 
@@ -65,8 +65,6 @@ def _warm_one(scene: Scene) -> None:
         if culling != "raster" or planned == "raster":
             for aovs in WARM_UP_AOV_SETS:
                 render_film(small, aovs, threads=1, culling=culling)
-    unshadowed = small.model_copy(update={"shading": Shading(shadows=False)})
-    render_film(unshadowed, ("diffuse",), threads=1)  # its lights have a kernel of their own
     render_film(small.model_copy(update={"shapes": ()}), WARM_UP_AOV_SETS[-1], threads=1)  # tiles without anything
     _warm_decisions(pack(small))
     _warm_shadows(pack(small), small)
