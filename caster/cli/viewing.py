@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 import sys
 from functools import partial
 from pathlib import Path
@@ -110,7 +111,7 @@ def sheet(args: argparse.Namespace) -> int:
     for file, scene, name in zip(files, scenes, display_names(files), strict=True):
         with error_prefix(file):
             images.append(previews.thumbnail(scene, name, args.side, args.aov, draw))
-    columns = args.columns or max(1, round((1.5 * len(images)) ** 0.5))  # half as wide again as high
+    columns = args.columns or max(1, round(math.sqrt(1.5 * len(images))))  # half as wide again as high
     about = {"Description": ", ".join(image.name for image in images)}
     write_image(args.output, previews.sheet(images, columns), about)
     print(f"{args.output}: {len(images)} scenes")

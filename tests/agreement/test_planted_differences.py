@@ -68,8 +68,8 @@ def test_a_screen_rectangle_cut_short_is_detected(monkeypatch):
 def test_a_ray_lost_by_the_tree_is_detected(monkeypatch):
     cast_packets = ray_tiles.cast_packets
 
-    def forgetful(prims, tree, base, count, tile, room, any_hit):
-        cast_packets(prims, tree, base, count // 2, tile, room, any_hit)
+    def forgetful(prims, tree, base, count, *rest):
+        cast_packets(prims, tree, base, count // 2, *rest)
 
     monkeypatch.setattr(ray_tiles, "cast_packets", forgetful)
     monkeypatch.setattr(test_cullings, "cullings_for", lambda scene: ("bvh",))

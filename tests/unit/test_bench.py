@@ -153,13 +153,14 @@ def test_who_is_not_installed_is_named():
 # --- processes
 
 WORK = Work("/nowhere", FILM, 1, "entries:Ours")
-READ = "import os, sys; sys.stdin.readline(); "
+READ = "import os, sys; sys.stdin.buffer.read(8); "
+REPLY = READ + "sys.stdout.buffer.write(len({0}).to_bytes(8, 'little') + {0}); sys.stdout.flush(); sys.stdin.read()"
 ENDS = {
     "import time; time.sleep(60)": "no answer within 0.5 s",
-    READ + "print('last words'); sys.stdout.flush(); os.abort()": "died: SIGABRT: last words",
+    READ + "print('last words', file=sys.stderr, flush=True); os.abort()": "died: SIGABRT: last words",
     "import sys; sys.exit(3)": "died: exit code 3",
-    READ + "os.write(int(sys.argv[1]), b'what?\\n'); sys.stdin.read()": "unexpected reply: 'what?'",
-    READ + 'os.write(int(sys.argv[1]), b\'{"why": "no such sensor"}\\n\')': "no such sensor",
+    REPLY.format("b'what?'"): "unexpected reply: b'what?'",
+    REPLY.format('b\'{"why": "no such sensor"}\''): "no such sensor",
 }
 
 

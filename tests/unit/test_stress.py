@@ -259,7 +259,7 @@ def test_a_part_of_the_name_selects_all_that_begin_with_it(capsys):
     [
         (["watertigth"], 2, "did you mean 'watertight'?"),
         (["-k", "nothing-like-it"], 5, "no family matches"),
-        (["-k", "and"], 2, "a part of a name is missing"),
+        (["-k", "and"], 2, "expected parts of names with and, or, not"),
         (["--rays", "0"], 2, "expected a whole number >= 1"),
         (["--seed", "-1"], 2, "expected a whole number >= 0"),
         (["--json", "/no/such/folder/x.json"], 4, "/no/such/folder"),
