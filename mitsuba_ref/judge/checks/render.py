@@ -40,7 +40,7 @@ def bits_differ(a: Aovs, b: Aovs, name: str) -> np.ndarray:
 # room for the move.
 
 
-CHECKED_AOVS = ("depth", "normal", "shading_normal", "position", "shape_id", "diffuse", "prim_id")
+CHECKED_AOVS = ("depth", "normal", "shading_normal", "position", "uv", "shape_id", "diffuse", "prim_id")
 RENDER_PIXELS_CHECKED = 4096  # pixels that are judged where bits may differ: a few tenths of a second
 # The same where no near plane moves the rays: 1024 pixels miss a fault of one pixel in a hundred with probability 3e-5.
 UNMOVED_PIXELS_CHECKED = 1024
@@ -85,11 +85,11 @@ def _segments(rays: Any, rows: np.ndarray) -> RaySegments:
 
 def _within_float64(scene: Scene, ours: Aovs, rows: np.ndarray, rays: RaySegments) -> np.ndarray:
     """(m,) bool: geometry within float64's bracket, diffuse as the lights' definitions give it there."""
-    depth, n, sh_n, p, shape, diffuse, prim = (aov_rows(ours, name)[rows] for name in CHECKED_AOVS)
+    depth, n, sh_n, p, uv, shape, diffuse, prim = (aov_rows(ours, name)[rows] for name in CHECKED_AOVS)
     t = depth / norm(rays.d)
     model = model_of(scene, packed(scene), SharedRays(rays.o, rays.d, rays.t_max, np.zeros(len(t))))
     bracket = Bracket(model, KU_OURS, ours=True)
-    claims = Claims(t, shape, n, sh_n, p, KU_OURS * t)
+    claims = Claims(t, shape, n, sh_n, p, KU_OURS * t, uv=uv)
     found = bracket.judge(rays.o, rays.d, rays.t_max, claims, t_min=rays.t_min)
     right = found.allowed | found.open
     hit = np.flatnonzero(right & (shape >= 0))
