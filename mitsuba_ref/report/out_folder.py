@@ -22,7 +22,9 @@ def verdict_json(verdict: Verdict) -> str:
 
 
 def record_of(path: Path) -> FileRecord | None:
-    """Size and hash of a file; None if it cannot be read."""
+    """Size and hash of a file; None if it cannot be read, or is no file: a device may have no end."""
+    if not path.is_file():
+        return None
     try:
         with path.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()

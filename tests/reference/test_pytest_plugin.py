@@ -174,7 +174,7 @@ MADE_UP = """
 import os, sys
 sys.path.insert(0, {tests!r})
 import verdict_factory
-def fake(entries, workers, **options):
+def fake(entries, options, workers, **others):
     (entry,) = entries
     with open({log!r}, "a") as file:
         file.write(entry.name + chr(10))

@@ -75,8 +75,18 @@ def _scaled_shape(shape: Shape, factor: float) -> Shape:
     return shape.model_copy(update={"to_world": (*shape.to_world, {"scale": factor})})
 
 
+def unknown_lengths(scene: Scene) -> list[str]:
+    """Fields of a plug-in's camera, of which it is unknown whether they are lengths."""
+    return sorted(set(type(scene.camera).model_fields) - {*CAMERA_LENGTHS, *CAMERA_RATIOS})
+
+
 def exponents_of(scene: Scene, seed: int) -> tuple[int, ...]:
-    """One exponent below 0 and one above, as far as no face is rejected and no product of three lengths underflows."""
+    """One exponent below 0 and one above, as far as no face is rejected and no product of three lengths underflows.
+
+    None for a camera of unknown lengths.
+    """
+    if unknown_lengths(scene):
+        return ()
     rng = np.random.default_rng(seed)
     sizes = [
         float(np.abs(array).max(initial=0.0, where=np.isfinite(array)))
@@ -118,7 +128,7 @@ def scaling_differences(scene: Scene, exponents: tuple[int, ...]) -> list[Differ
 @check(of=(OURS,), thorough=True)
 def check_scaling(scene: Scene) -> SceneCheck:
     """A window of the image of the scene at other scales: the same bits, lengths times 2^k."""
-    unknown = sorted(set(type(scene.camera).model_fields) - {*CAMERA_LENGTHS, *CAMERA_RATIOS})
+    unknown = unknown_lengths(scene)
     if unknown or not scene.shapes:
         what = f"camera {unknown[0]}: unknown whether a length" if unknown else "no shape to scale"
         return SceneCheck("scaling", 0.0, what)
