@@ -24,10 +24,7 @@ VERDICT = "verdict"  # the scene as a whole: it loads, Mitsuba answers, and ther
 SUFFIXES = (".toml", ".json")
 SCENE_MARKERS = ("[camera]", "[[shape]]", '"camera"', '"shape"')  # a file without any of them is no scene
 
-MARKERS = (
-    "xdist_group(name): of pytest-xdist, for --dist loadgroup",
-    "mitsuba_ref: a check of a scene, by --mitsuba-ref",
-)
+MARKERS = ("mitsuba_ref: a check of a scene, by --mitsuba-ref",)
 
 CANDIDATE_OPTIONS = {
     "candidate": "another ray caster, judged in place of ours: package.module:function, or a command",
@@ -69,7 +66,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     if config.getoption("mitsuba_ref"):
         if getattr(config.option, "dist", "no") in ("load", "worksteal"):
-            config.option.dist = "loadgroup"  # xdist keeps the tests of a scene in the process that judges it
+            config.option.dist = "loadfile"  # xdist keeps the tests of a scene in the process that judges it
         config.pluginmanager.register(ScenePlugin(config), PLUGIN)
 
 
@@ -197,8 +194,6 @@ class CheckItem(pytest.Item):
     def __init__(self, **about: Any) -> None:
         super().__init__(**about)
         self.add_marker("mitsuba_ref")
-        # --dist loadgroup keeps the tests of a scene together
-        self.add_marker(pytest.mark.xdist_group(str(self.path)))
 
     def runtest(self) -> None:
         plugin = self.config.pluginmanager.get_plugin(PLUGIN)
