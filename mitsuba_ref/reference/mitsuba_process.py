@@ -18,7 +18,7 @@ from typing import NoReturn
 
 from mitsuba_ref.reference import messages, variants
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
-from mitsuba_ref.reference.store import key_of, local_store, machine
+from mitsuba_ref.reference.store import REFERENCE_SETTINGS, environment_settings, key_of, local_store, machine
 from mitsuba_ref.reference.subprocess_runner import ProcessEnded, ResidentProcess, UnexpectedReply, serve
 
 DEFAULT_TIMEOUT = 300.0  # seconds; a scene of 256 x 256 pixels takes one to three
@@ -76,7 +76,12 @@ def request_key(request: TraceRequest) -> str:
     """A hash of all that the response depends on; "" where a scene may name a file outside of its own folder."""
     library = variants.environment_for(request.variant).get(variants.LIBLLVM_ENVIRONMENT_VARIABLE, "")
     size = os.path.getsize(library) if os.path.exists(library) else ""
-    parts: list[str | bytes] = [repr(machine()), *(source.read_bytes() for source in SOURCES), f"{library} {size}"]
+    parts: list[str | bytes] = [
+        repr(machine()),
+        environment_settings(*REFERENCE_SETTINGS),
+        *(source.read_bytes() for source in SOURCES),
+        f"{library} {size}",
+    ]
     parts.append(repr((request.variant, request.lights, request.sensor, request.strict)))
     for name in TraceRequest.ROWS:
         array = getattr(request, name)

@@ -126,6 +126,16 @@ def key_of(parts: Iterable[str | bytes]) -> str:
     return digest.hexdigest()
 
 
+# Beginnings of names of environment variables that Dr.Jit, Embree and the loader of libraries read: a preloaded library
+# can limit the instruction set.
+REFERENCE_SETTINGS = ("DRJIT_", "EMBREE_", "LD_")
+
+
+def environment_settings(*beginnings: str) -> str:
+    """The environment variables whose names begin so, for a key."""
+    return repr(sorted(item for item in os.environ.items() if item[0].startswith(beginnings)))
+
+
 @cache
 def machine() -> dict[str, str]:
     """System, processor and versions of the libraries that results depend on."""

@@ -17,7 +17,7 @@ from caster.description.errors import SceneError
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.reference import messages
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
-from mitsuba_ref.reference.store import key_of, machine, user_store
+from mitsuba_ref.reference.store import REFERENCE_SETTINGS, environment_settings, key_of, machine, user_store
 
 SMOKE_TEST_TIMEOUT_SECONDS = 60.0  # it takes one or two
 
@@ -203,7 +203,7 @@ def _cache_key(candidates: list[str]) -> str:
     """A hash of everything that the outcome depends on."""
     sources = [Path(__file__).read_text(encoding="utf-8"), platform.node(), repr(machine())]
     libraries = [f"{path} {_file_stamp(path)}" for path in candidates]
-    return key_of([*sources, os.environ.get(LIBLLVM_ENVIRONMENT_VARIABLE, ""), *libraries])
+    return key_of([*sources, environment_settings(*REFERENCE_SETTINGS), *libraries])
 
 
 def _file_stamp(path: str) -> str:

@@ -17,11 +17,11 @@ from caster.shapes import SHAPES
 from mitsuba_ref.judge.verdict import VERDICT_FORMAT, SceneVerdict, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.rendering import variant_of
-from mitsuba_ref.reference.store import key_of, machine
+from mitsuba_ref.reference.store import REFERENCE_SETTINGS, environment_settings, key_of, machine
 
 MAX_INPUT_CHARACTERS = 60  # of a wrong value in a message
 PACKAGES = ("caster", "mitsuba_ref")
-SETTINGS = ("CASTER_", "MITSUBA_", "DRJIT_", "NUMBA_")  # beginnings of names of environment variables that may matter
+OUR_SETTINGS = ("CASTER_", "MITSUBA_", "NUMBA_")  # beginnings of names of environment variables that may matter
 
 
 @cache
@@ -47,7 +47,6 @@ def verdict_key(scene: Scene, path: str, **about: Any) -> str:
         file = read_input(path, "scene file", MAX_TEXT_BYTES)
     except SceneError:
         return ""
-    settings = {name: value for name, value in os.environ.items() if name.startswith(SETTINGS)}
     known = {
         "format": VERDICT_FORMAT,
         "code": code_hash(),
@@ -55,7 +54,7 @@ def verdict_key(scene: Scene, path: str, **about: Any) -> str:
         "path": path,  # replays name it
         "variant": variant,
         "library": variants.environment_for(variant),  # libLLVM
-        "settings": sorted(settings.items()),
+        "settings": environment_settings(*OUR_SETTINGS, *REFERENCE_SETTINGS),
         **machine(),
         **about,
     }

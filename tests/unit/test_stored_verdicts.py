@@ -86,6 +86,7 @@ CHANGES = {
     "the variant": (patched(verdict_files, "variant_of", lambda scene: "other"), ALL),
     "libLLVM": (patched(variants, "environment_for", lambda variant: {"DRJIT_LIBLLVM_PATH": "/other"}), ALL),
     "a setting": (setting, ALL),
+    "the instruction set of the reference": (lambda monkeypatch: monkeypatch.setenv("EMBREE_CONFIG", "isa=avx2"), ALL),
     "a kind of another package": (patched(verdict_files, "SHAPES", (many_scenes.SceneEntry,)), ALL),
 }
 
