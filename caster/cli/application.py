@@ -61,7 +61,7 @@ def main(name: str, about: str, commands: Sequence[Command], codes: Sequence[int
 
 
 def announce(name: str, commands: Sequence[Command], chosen: str) -> None:
-    """Write one line on standard error, before anything is imported that takes long, if the command has one."""
+    """Write the command's starting line, if it has one, to standard error before slow imports."""
     for text in (command.starts_with for command in commands if command.name == chosen):
         if text:
             with contextlib.suppress(OSError):  # whoever closed standard error does not wait for it

@@ -1,6 +1,7 @@
-"""Arrays of rays that have a point or a direction in common, cast as fans: row by row, or sorted.
+"""Casting of ray arrays that share a point or a direction as fans, row by row or sorted.
 
-What they have in common, and whether fans pay, is found from samples of the rays. Same hits as one by one, to the bit.
+The shared point, and whether fans are faster, is estimated from a sample of the rays. The hits have the same bits as
+those of single rays.
 """
 
 import itertools
@@ -48,11 +49,11 @@ __all__ = ["SAMPLED_RAYS", "find_rows"]
 
 
 class CommonPoint(NamedTuple):
-    """What all rays of an array, but for single ones, have in common."""
+    """The point or direction that nearly all rays of an array share."""
 
     light: PointLight | DirectionalLight  # where they end, start or come from; its intensity is of no use
-    outward: bool  # they start there
-    deviation: float  # rays that pass the point by more, along an axis, are cast as any others
+    outward: bool  # whether the rays start at the point
+    deviation: float  # rays that miss the point by more, along any axis, are cast like other rays
 
 
 MIN_RAYS_SORTED = 1 << 16  # to sort fewer takes as long as it saves
@@ -65,9 +66,9 @@ DEVIATION_ROUNDING, SAMPLE_MARGIN = 64.0 * 2.0**-53, 4.0
 
 
 def common_point(rays: Rays, any_hit: bool) -> CommonPoint | None:
-    """Whether rays have a point or, of any-hit rays, a direction in common, by a sample of them; None: they have not.
+    """The point that the rays share, or for any-hit rays the direction, from a sample; None if they share neither.
 
-    The point of rays that end at one is the nearest to all lines in the sense of least squares.
+    For rays that end at a point, it is the least-squares intersection of their lines.
     """
     count = len(rays.t_min)
     sample = np.unique(np.linspace(0, count - 1, SAMPLED_RAYS).astype(np.int64))
@@ -152,7 +153,7 @@ def find_rows(rays: Rays) -> RayRows | None:
 
 
 class FanCaster:
-    """Casts many rays with a point in common: in rows, as they come, or sorted by where they are projected to."""
+    """Casts many rays that share a point: in rows, in their given order, or sorted by their projection."""
 
     def __init__(
         self, caster: ShadowCaster, common: CommonPoint, corners: Corners, rows: RayRows | None = None
@@ -161,10 +162,10 @@ class FanCaster:
 
     @staticmethod
     def of(packed: Packed, rays: Rays, any_hit: bool, *, always: bool = False) -> "FanCaster | None":
-        """Where rays have a point in common, and that pays or it is to be done always.
+        """A caster for rays that share a point, if fans are faster for them or `always` is set; else None.
 
-        It pays for rays that sweep from one point row by row, and for more in no order of their own, a share of which
-        leads to what has a tree.
+        Fans are faster for rays that sweep from one point row by row, and for larger unordered arrays of which enough
+        rays lead to primitives with a BVH.
         """
         count = len(rays.t_min)
         if (count < min(MIN_RAYS_IN_ROWS, MIN_RAYS_SORTED) and not always) or not any(
@@ -197,7 +198,7 @@ class FanCaster:
     def cast(
         self, rays: Rays, cast_others: Callable[[int, np.ndarray], None], record: Record, threads: int | None
     ) -> None:
-        """cast_others: casts the first so many rays of a tile; for rays that do not have the point in common."""
+        """cast_others: casts the first n rays of a tile; used for rays that do not share the point."""
         self._caster.prepare(threads)
         if self._rows is not None:
             self._cast_rows(rays, self._rows, cast_others, record, threads)
@@ -318,7 +319,7 @@ def project_sample(fan: Fan, rays: Rays, outward: bool) -> ProjectedSample:
 def sort_rays(
     fan: Fan, rays: Rays, common: CommonPoint, ray_range: tuple[int, int], corners: Corners, threads: int | None
 ) -> tuple[np.ndarray, int]:
-    """(numbers of rays, how many of them have the point in common): these first, sorted by keys (ray_sorting.py)."""
+    """(ray numbers, number of rays that share the point): these first, sorted by key (ray_sorting.py)."""
     first, stop = ray_range
     workers = thread_count(threads)
     pieces = list(enumerate(even_pieces(first, stop, workers * CHUNKS_PER_THREAD)))

@@ -149,7 +149,7 @@ def _hit_pixels(result: FileComparison) -> str:
 
 
 def percent(count: int, total: int) -> str:
-    """Two digits, but 100 only for all."""
+    """A percentage in two digits; 100 only if count equals total."""
     share = 100.0 * count / total
     return f"{share:.2g} %" if share < 99.0 else f"{share:.4g} %"
 

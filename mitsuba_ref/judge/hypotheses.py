@@ -388,9 +388,9 @@ def _first_hits(g: WrongPixels, o: np.ndarray, d: np.ndarray, t_factor: float = 
 def _right_among(
     g: WrongPixels, roots: RayIntersections, kept: np.ndarray, *, last: bool = False, t_factor: float = 1.0
 ) -> np.ndarray:
-    """(m,) bool: the subject answers the first of the roots that are kept, before nothing that is certain.
+    """(m,) bool: the subject's answer is the first (or last) of the kept roots, or a miss if there is none.
 
-    Or the last of them; or a miss, where there is none. No wrong pixel is explained by the exact answer.
+    A prediction that equals the exact answer explains no wrong pixel.
     """
     roots = roots.take(kept)
     t_min, t_max = g.judge.t_min[g.rows][roots.ray], g.judge.t_max[g.rows][roots.ray]

@@ -193,7 +193,7 @@ def write_reproducer(
 
 
 def reproduces(found: Reproducer, judge: Judge, judgement: Judgement, row: int) -> tuple[bool, str]:
-    """(whether class and Mitsuba's answer come out the same, that in words)."""
+    """(whether the file alone gives the same class and the same answer of Mitsuba, the result in words)."""
     again = scene_judge(found.scene)
     if isinstance(again, Crash):
         return False, f"Checked:   Mitsuba ended without an answer on this file ({again.exit})."

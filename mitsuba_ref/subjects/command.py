@@ -155,7 +155,7 @@ class CommandSubject(Subject):
 
 
 def write_toml(request: CastRequest) -> Path:
-    """The scene in the numbers that are traced, as a file."""
+    """Write the scene with the traced numbers to a file."""
     path = request.folder / "scene.toml"
     path.write_text(request.traced.to_toml(), encoding="utf-8")
     return path
