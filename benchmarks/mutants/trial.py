@@ -129,7 +129,7 @@ def remember_mitsuba(memory: Path) -> None:
         place = memory / everything_given(request, {})
         return remembered(lambda: resident(self, request, timeout), place, len(request.o))
 
-    mitsuba_process.ResidentSession.send = send  # type: ignore[method-assign]
+    mitsuba_process.ResidentSession.send = send  # type: ignore[method-assign]  # this process keeps answers
 
 
 class Chosen:

@@ -26,8 +26,10 @@ class BoundCall:
     def __init__(self, function: Callable[..., Any], args: tuple[Any, ...], given: tuple[int, ...]) -> None:
         # the block has addresses of arrays among the arguments
         self._function, self._args, self._given = function, args, given
-        self.code = function.code(args) if isinstance(function, Kernel) else None
+        self.code: Any = function.code(args) if isinstance(function, Kernel) else None
         self.block = np.zeros(1, np.int64)
+        self.places: list[range] = []  # in the block, of the arguments that are given
+        self.address = 0
         if self.code is not None:
             sizes = [len(_words((arg,))) for arg in args]
             ends = np.cumsum([PLACE_OF_ANSWER + 1, *sizes]).tolist()
@@ -118,7 +120,7 @@ class CommandList:
         """rows: (n, width) int64, row by row; they may change between runs."""
         assert rows.dtype == np.int64 and rows.flags.c_contiguous
         self._commands, self._rows, self._program = tuple(commands), rows, None
-        if any(_code_of(command) is not None for command in self._commands):
+        if any(_compiled_call(command) for command in self._commands):
             words = [word for number, command in enumerate(self._commands) for word in self._words(number, command)]
             self._program = np.array(words, np.int64)
 
@@ -137,23 +139,24 @@ class CommandList:
             _call(self._commands[number], self._rows[state[0]].tolist())
 
     def _words(self, number: int, command: Command) -> list[int]:
-        when, code = _condition_word(command.when), _code_of(command)
-        if code is None:
+        when, call = _condition_word(command.when), _compiled_call(command)
+        if call is None:
             return [PAUSE, number, when, 0]
         copies: list[int] = []
         columns = range(self._rows.shape[1])
-        for place, taken in zip(command.call.places, command.given, strict=True):  # type: ignore[attr-defined]
+        for place, taken in zip(call.places, command.given, strict=True):
             of_row = columns[taken] if isinstance(taken, slice) else (taken,)
             for word, n in zip(place, of_row, strict=True):
-                copies += (n, command.call.address + word * WORD)  # type: ignore[attr-defined]
-        return [code.address, command.call.address, when, len(copies) // 2, *copies]  # type: ignore[attr-defined]
+                copies += (n, call.address + word * WORD)
+        return [call.code.address, call.address, when, len(copies) // 2, *copies]
 
 
 WORD = ctypes.sizeof(ctypes.c_int64)
 
 
-def _code_of(command: Command) -> Any:
-    return command.call.code if isinstance(command.call, BoundCall) else None
+def _compiled_call(command: Command) -> BoundCall | None:
+    """The command's call if it has object code."""
+    return command.call if isinstance(command.call, BoundCall) and command.call.code is not None else None
 
 
 def _condition_word(when: Condition | None) -> int:

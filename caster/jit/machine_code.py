@@ -13,7 +13,7 @@ import sys
 import threading
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -119,7 +119,7 @@ def check(status: int) -> None:
         fail()
 
 
-def fail() -> None:
+def fail() -> NoReturn:
     raise RuntimeError("a kernel failed: it counted with a number beyond its range")
 
 

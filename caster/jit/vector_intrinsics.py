@@ -89,7 +89,7 @@ def _intrinsic(build: Callable[..., Any], gives: Any, *takes: Any) -> Callable[.
 
     names = ["typing", *(f"a{n}" for n in range(len(takes)))]  # Numba counts them
     parameters = [inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD) for name in names]
-    typed.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    typed.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # read by inspect
     return typed
 
 

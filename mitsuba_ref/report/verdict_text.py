@@ -224,7 +224,7 @@ def waiver_lines(verdict: Verdict) -> Iterator[str]:
     """Scenes that the run does not fail by, known failures that are fixed, and whether enough scenes were judged."""
     for scene in verdict.scenes:
         if scene.waived:
-            words = scene.problem.partition("\n")[0] if scene.problem else f"{', '.join(sorted(checks_of(scene)))}"
+            words = scene.problem.partition("\n")[0] if scene.problem else f"{', '.join(sorted(failing_checks(scene)))}"
             yield f"{mark_of(scene).lower() + ':':<11} {scene.name}: {words}"
     if verdict.mended:
         names = ", ".join(verdict.mended)
@@ -345,7 +345,7 @@ MIN_FAILING_SCENES = 2  # of which something can be said together
 NO_ANSWER = "no comparison"
 
 
-def checks_of(scene: SceneVerdict) -> frozenset[str]:
+def failing_checks(scene: SceneVerdict) -> frozenset[str]:
     """The checks that a scene fails; `exact`, which fails beside most others, only where it is alone."""
     if scene.problem:
         return frozenset([NO_ANSWER])

@@ -18,7 +18,7 @@ from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED, SceneVerdict, Verdi
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.report.html_report import HtmlReport, page_record
 from mitsuba_ref.report.out_folder import OutFolder
-from mitsuba_ref.report.verdict_text import checks_of
+from mitsuba_ref.report.verdict_text import failing_checks
 from mitsuba_ref.runner import many_scenes
 from mitsuba_ref.runner.many_scenes import Entry
 from mitsuba_ref.runner.shards import Shard, judged_with, scenes_of_shard
@@ -154,7 +154,7 @@ class ExpectedFailures(BaseModel):
     def covers(self, found: SceneVerdict) -> bool:
         """Whether a scene fails in a known way, and in no other."""
         listed = [each for each in self.failure if each.scene == found.name]
-        checks = checks_of(found)
+        checks = failing_checks(found)
         return not found.ok and any(checks <= set(each.checks) and found.failing <= each.pixels for each in listed)
 
     def mended(self, done: Sequence[SceneVerdict]) -> tuple[str, ...]:
@@ -182,7 +182,7 @@ def expected_toml(done: Sequence[SceneVerdict]) -> str:
     """The failures of a run as text for --expected; scenes that the candidate declines are none."""
     parts = [EXPECTED_HEAD]
     for found in (each for each in done if not each.ok and not each.unsupported):
-        checks = ", ".join(json.dumps(name) for name in sorted(checks_of(found)))
+        checks = ", ".join(json.dumps(name) for name in sorted(failing_checks(found)))
         parts.append(
             f"\n[[failure]]\nscene = {json.dumps(found.name)}\nchecks = [{checks}]\npixels = {found.failing}\n"
         )
