@@ -116,7 +116,7 @@ def _pinned(name: str) -> Finding:
 RESULTS = {
     "verdict": "mitsuba_ref.judge.verdict:Verdict",  # validate --json, merge --json, verdict.json
     "compare": "mitsuba_ref.exr_compare.comparison_result:FileComparison",
-    "check": "mitsuba_ref.exr_compare.approved:ReferenceChecks",
+    "check": "mitsuba_ref.exr_compare.approved:ImageChecks",
     "bench": "mitsuba_ref.bench.result:Run",
     "stress": "mitsuba_ref.stress.sweeps:StressRun",
 }

@@ -7,7 +7,15 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Protocol, TextIO, TypeVar
 
-from caster.cli.shared_arguments import InputPath, OutputFile, add_mesh_dirs, display_names, positive_int, scene_files
+from caster.cli.shared_arguments import (
+    InputPath,
+    OutputFile,
+    OutputFolder,
+    add_mesh_dirs,
+    display_names,
+    positive_int,
+    scene_files,
+)
 from caster.description.errors import SceneError, error_prefix, suggestion
 from caster.system.terminal import StatusLine
 
@@ -126,16 +134,6 @@ def add_timeout(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_store(parser: argparse.ArgumentParser) -> None:
-    """--no-store."""
-    parser.add_argument(
-        "--no-store",
-        dest="store",
-        action="store_false",
-        help="judge every scene and ask Mitsuba, also where an earlier run has the result of the very same inputs",
-    )
-
-
 # ---- a candidate ----
 
 
@@ -185,23 +183,22 @@ def requested_candidate(args: argparse.Namespace, *, takes_rays: bool = False) -
 
     takes_rays: one that renders images of its own camera cannot.
     """
-    for name in ("candidate_precision", "candidate_timeout") if args.candidate is None else ():
-        for word in given_words(args, name)[:1]:
-            raise SceneError(f"{word}: expected --candidate X beside it, whose {word[12:]} it is")
-    if args.candidate is not None and getattr(args, "thorough", False):
+    if args.candidate is None:
+        for word in given_words(args, "candidate_precision", "candidate_timeout", *READING_OPTIONS)[:1]:
+            raise SceneError(f"{word}: expected --candidate X beside it, whose answers it is about")
+        return None
+    if getattr(args, "thorough", False):
         raise SceneError("--thorough: not with --candidate, since the checks that it adds test our own caster")
     from mitsuba_ref.subjects.command import CommandSubject
     from mitsuba_ref.subjects.requests import parse_candidate
 
     served, seconds = isinstance(args.candidate, ServedProgram), args.candidate_timeout or CANDIDATE_SECONDS
-    found: Subject | None = None
-    if args.candidate is not None:
-        found = parse_candidate(args.candidate, args.candidate_precision, seconds, served=served)
-        if takes_rays and not found.takes_rays:
-            raise SceneError(
-                f"--candidate {args.candidate!r}: expected one that casts rays it is given: package.module:function, "
-                "a command with {rays} and {hits}, or --candidate-serve (docs/rays-and-hits.md)"
-            )
+    found = parse_candidate(args.candidate, args.candidate_precision, seconds, served=served)
+    if takes_rays and not found.takes_rays:
+        raise SceneError(
+            f"--candidate {args.candidate!r}: expected one that casts rays it is given: package.module:function, "
+            "a command with {rays} and {hits}, or --candidate-serve (docs/rays-and-hits.md)"
+        )
     if isinstance(found, CommandSubject):
         from dataclasses import replace
         from functools import partial
@@ -214,7 +211,7 @@ def requested_candidate(args: argparse.Namespace, *, takes_rays: bool = False) -
     return found
 
 
-READING_OPTIONS = ("map", "depth", "miss", "near")  # of add_reading
+READING_OPTIONS = ("map", "depth", "miss")  # of add_reading
 
 
 def candidate_words(args: argparse.Namespace) -> tuple[str, ...]:
@@ -237,7 +234,7 @@ def given_words(args: argparse.Namespace, *names: str) -> tuple[str, ...]:
 
 
 def add_reading(parser: argparse.ArgumentParser, more: str = "") -> Callable[..., argparse.Action]:
-    """--map, --depth, --miss and --near, in a group that takes more."""
+    """Add --map, --depth and --miss; the function that adds more options to their group."""
     add = parser.add_argument_group("files of other programs (docs/candidates.md)" + more).add_argument
     map_help = "a channel or group by its name there, such as depth=range or normal=facing; any number of them"
     add("--map", type=str, action="append", default=[], metavar="OURS=THEIRS", help=map_help)
@@ -246,17 +243,15 @@ def add_reading(parser: argparse.ArgumentParser, more: str = "") -> Callable[...
     add("--depth", choices=depths, help=depth_help)
     miss_help = "the depth of a miss, such as 0, 1e10 or FLT_MAX; default: a miss has alpha 0, no id, or depth inf"
     add("--miss", type=str, metavar="VALUE", help=miss_help)
-    near_help = "of the near plane, along the view axis, that depth counts from; default: of the exported scene"
-    add("--near", type=float, metavar="N", help=near_help)
     return add
 
 
 def reading_of(args: argparse.Namespace) -> Reading:
-    """The options of add_reading, none where the command has none. Raises SceneError."""
+    """The options of add_reading, the defaults where the command has none. Raises SceneError."""
     from mitsuba_ref.exr_compare.conventions import Reading
 
-    maps, *rest = (getattr(args, name, None) for name in READING_OPTIONS)
-    return Reading(tuple(maps or ()), *rest)
+    maps, depth, miss = (getattr(args, name, None) for name in READING_OPTIONS)
+    return Reading(tuple(maps or ()), depth, miss)
 
 
 def add_skip_unsupported(parser: argparse.ArgumentParser, plural: str) -> None:
@@ -272,21 +267,23 @@ def add_skip_unsupported(parser: argparse.ArgumentParser, plural: str) -> None:
 # ---- files of results ----
 
 
+def add_report_files(parser: argparse.ArgumentParser) -> None:
+    """Add --out, --html, and the options of add_verdict_files."""
+    add = parser.add_argument
+    add(
+        "--out", metavar="DIR", type=OutputFolder, help="write verdict.json, EXR files and reproducers into this folder"
+    )
+    add("--html", metavar="DIR", type=OutputFolder, help="write a report for the browser into this folder: index.html")
+    add_verdict_files(parser)
+
+
 def add_verdict_files(parser: argparse.ArgumentParser) -> None:
-    """--json, --junit and --summary-md."""
+    """Add --json, --junit and --summary-md."""
     add = parser.add_argument
     add("--json", metavar="FILE", type=OutputFile, help="write the verdict as JSON")
     add("--junit", metavar="FILE", type=OutputFile, help="write the verdict as JUnit XML")
     help_ = "append a summary in Markdown to this file, such as $GITHUB_STEP_SUMMARY"
     add("--summary-md", metavar="FILE", type=OutputFile, help=help_)
-
-
-def check_verdict_files(args: argparse.Namespace) -> None:
-    """Raise OutputError before any work where a file cannot be written."""
-    from caster.system.atomic_files import check_writable
-
-    for path in filter(None, (args.json, args.junit, args.summary_md)):
-        check_writable(path)
 
 
 def write_verdict_files(verdict: Verdict, args: argparse.Namespace, seconds: float) -> None:

@@ -35,11 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the pixel's verdict and what it rests on; 1 when nothing explains the pixel, or the candidate's answer."""
-    from caster.system.atomic_files import check_writable
-
     scene = load(args)
-    if args.save:
-        check_writable(args.save)
     candidate = requested_candidate(args)  # its errors come before any work
     from mitsuba_ref.probe.pixel import as_text, probe_with_evidence
 

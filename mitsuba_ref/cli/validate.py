@@ -11,18 +11,17 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, positive_int
+from caster.cli.shared_arguments import InputPath, OutputFile, positive_int
 from caster.description.errors import SceneError
 from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
 from mitsuba_ref.cli.options import (
     add_candidate,
     add_reading,
+    add_report_files,
     add_selection,
     add_skip_unsupported,
-    add_store,
     add_timeout,
     add_verdict_files,
-    check_verdict_files,
     requested_candidate,
     selected_entries,
     write_verdict_files,
@@ -32,7 +31,7 @@ UNSUPPORTED_SCENE = "unsupported"  # of the judge, which takes long to load (tes
 
 if TYPE_CHECKING:
     from mitsuba_ref.judge.verdict import Verdict
-    from mitsuba_ref.runner.many_scenes import SceneSource
+    from mitsuba_ref.runner.many_scenes import Entry
     from mitsuba_ref.runner.shards import Shard
     from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun
     from mitsuba_ref.subjects.subject import Subject
@@ -41,11 +40,7 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_selection(parser)
     add = parser.add_argument
-    add(
-        "--out", metavar="DIR", type=OutputFolder, help="write verdict.json, EXR files and reproducers into this folder"
-    )
-    add_verdict_files(parser)
-    add("--html", metavar="DIR", type=OutputFolder, help="write a report for the browser into this folder: index.html")
+    add_report_files(parser)
     add(
         "--expected",
         metavar="FILE",
@@ -62,7 +57,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     help_ = "also test our caster beyond the judged film (docs/method.md, Thorough); compiles more kernels"
     add("--thorough", action="store_true", help=help_)
     add_timeout(parser)
-    add_store(parser)
+    help_ = "judge every scene and ask Mitsuba, also where an earlier run has the result of the very same inputs"
+    add("--no-store", dest="store", action="store_false", help=help_)
     add_candidate(parser)
     add_reading(parser, "; with --candidate")
 
@@ -79,14 +75,19 @@ def run(args: argparse.Namespace) -> int:
     entries = selected_entries(args)
     if not entries:
         return NOTHING_SELECTED
-    check_outputs(args)
-    candidate = requested_candidate(args)  # its errors come before any work, as do those of the variant
+    return judge_entries(args, entries, run_options(args), requested_candidate(args))
+
+
+def judge_entries(
+    args: argparse.Namespace, entries: Sequence[Entry], options: RunOptions, candidate: Subject | None
+) -> int:
+    """Print a row for each scene, and write the files that the options name; the exit code."""
     from mitsuba_ref.reference import variants
     from mitsuba_ref.runner.validation_run import ValidationRun
 
-    variants.require_variants()
+    variants.require_variants()  # its errors come before any work
     start = time.perf_counter()
-    running = ValidationRun(entries, run_options(args), candidate)
+    running = ValidationRun(entries, options, candidate)
     try:
         if candidate is not None and candidate.takes_rays:
             print_conventions(candidate, entries[0])
@@ -96,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
     return exit_code(running.verdict(), running.errors)
 
 
-def print_conventions(candidate: Subject, entry: SceneSource) -> None:
+def print_conventions(candidate: Subject, entry: Entry) -> None:
     """What a few rays of the first scene show of a candidate's conventions, before all scenes are judged."""
     from mitsuba_ref.judge.checks.ray_conventions import check_ray_conventions
     from mitsuba_ref.report.results import print_lines
@@ -127,17 +128,6 @@ def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:
     codes = [error.exit_code if isinstance(error, SceneError) else USAGE for error in errors]
     alone = sum(not (scene.ok or scene.waived) for scene in verdict.scenes) + len(verdict.not_judged) == len(codes)
     return min(codes) if codes and alone else DIFFERENCES
-
-
-def check_outputs(args: argparse.Namespace) -> None:
-    """Raise OutputError before any work where a file cannot be written."""
-    from caster.system.atomic_files import check_folder, check_writable
-
-    if args.out:
-        check_folder(args.out)
-    check_verdict_files(args)
-    if getattr(args, "write_expected", None):
-        check_writable(args.write_expected)
 
 
 def run_options(args: argparse.Namespace) -> RunOptions:
@@ -231,7 +221,6 @@ def run_merge(args: argparse.Namespace) -> int:
     from mitsuba_ref.runner.shards import merge_verdicts
     from mitsuba_ref.runner.verdict_files import read_verdict
 
-    check_verdict_files(args)
     places = [str(Path(place) / "verdict.json") if Path(place).is_dir() else place for place in args.verdicts]
     verdict, missing = merge_verdicts([(place, read_verdict(place)) for place in places])
     seconds = sum(scene.seconds for scene in verdict.scenes if not scene.kept)

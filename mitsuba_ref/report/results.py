@@ -146,6 +146,12 @@ def _markdown_row(row: Row, columns: int) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
+def percent(count: int, total: int) -> str:
+    """A percentage; 100 only for all, 0 only for none."""
+    share = 100.0 * count / total
+    return f"{share:.4f} %" if 0 < count < total else f"{share:.0f} %"
+
+
 NOTHING = "-"
 
 

@@ -25,7 +25,7 @@ from mitsuba_ref.judge.verdict import (
     Verdict,
 )
 from mitsuba_ref.report.reproducers import replay
-from mitsuba_ref.report.results import Column, format_table
+from mitsuba_ref.report.results import Column, format_table, percent
 
 MAX_PROBLEM_LINES = 12  # of the output of Mitsuba, where it ended without an answer
 
@@ -189,7 +189,7 @@ def summary_text(verdict: Verdict, seconds: float) -> str:
     counts = verdict.counts
     total = sum(counts.values()) or 1
     shares = [
-        f"{counts[name]} {class_text(name)} ({percent_text(counts[name], total)})"
+        f"{counts[name]} {class_text(name)} ({percent(counts[name], total)})"
         for name in CLASSES
         if counts[name] or name == AGREE
     ]
@@ -331,12 +331,6 @@ def _allowed(scene: SceneVerdict) -> str:
 def _not_run(verdict: Verdict) -> str:
     left = verdict.scene_count - len(verdict.scenes)
     return f", {left} not judged" if left else ""
-
-
-def percent_text(count: int, total: int) -> str:
-    """A percentage; 100 only for all."""
-    percent = 100.0 * count / total
-    return f"{percent:.4f} %" if 0 < count < total else f"{percent:.0f} %"
 
 
 # ---- what failing scenes have in common ----

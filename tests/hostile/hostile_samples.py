@@ -122,7 +122,7 @@ READERS: dict[str, tuple[str, ...]] = {
         "mitsuba-ref bench --list in/mesh.obj",
         "caster check in/obj.toml",
         "caster render in/obj.toml -o out/o.exr",
-        "mitsuba-ref judge --mesh FILE --rays in/rays.npz --hits in/hits.npz",
+        "mitsuba-ref judge --scene FILE --rays in/rays.npz --hits in/hits.npz",
         "mitsuba-ref validate in/obj.toml --out out/v",
         "mitsuba-ref import in/mitsuba.xml -o out/i.toml",
     ),
@@ -178,7 +178,7 @@ READERS: dict[str, tuple[str, ...]] = {
     "out/scene.ours.exr": read_by("mitsuba-ref validate in/scene.toml --out out --html out/h"),
     "in/references/scene.exr": read_by(
         "mitsuba-ref check in/scene.toml --references in/references --json",
-        "mitsuba-ref check in/scene.toml --references in/references --fresh",
+        "mitsuba-ref approve in/scene.toml --references in/references",
     ),
     "out/references/scene.exr": read_by("mitsuba-ref approve in/scene.toml --references out/references --yes"),
     "in/kept.toml": read_by("mitsuba-ref fuzz --replay FILE", "mitsuba-ref fuzz --replay in/kept"),

@@ -129,7 +129,7 @@ def test_a_map_that_maps_nothing_is_an_error(tmp_path, ours, option, says):
 # ---- misses and what depth measures ----
 
 
-@pytest.mark.parametrize("miss", ["0", "-1", "1e10", "1e30", "FLT_MAX", "65504"])
+@pytest.mark.parametrize("miss", ["0", "1e10", "FLT_MAX"])
 def test_the_depth_of_a_miss_is_stated_by_an_option_and_hinted_at_without_it(tmp_path, ours, miss):
     theirs = named(ours, depth="Z", miss=FLT_MAX if miss == "FLT_MAX" else float(miss))
     stated = compared(tmp_path, ours, theirs, miss=miss)
@@ -143,7 +143,6 @@ def test_the_depth_of_a_miss_is_stated_by_an_option_and_hinted_at_without_it(tmp
 def test_what_is_no_number_is_an_error():
     for reading, says in (
         ({"miss": "sky"}, "--miss 'sky': expected a number"),
-        ({"near": -1.0}, "--near: expected a number > 0"),
         ({"depth": "w"}, "--depth 'w': expected distance, z, near"),
     ):
         with pytest.raises(SceneError, match=says):
@@ -182,7 +181,6 @@ def from_near(ours: Channels) -> Channels:
     [
         (along_z, {"depth": "z"}, "z along the view axis"),
         (from_near, {"depth": "near", "scene": NEAR}, "the distance from the near plane along the ray"),
-        (from_near, {"depth": "near", "near": 1.0}, "the distance from the near plane along the ray"),
     ],
 )
 def test_what_depth_measures_is_stated_by_an_option_and_hinted_at_without_it(tmp_path, ours, change, reading, words):
