@@ -1,6 +1,6 @@
 """Evidence of a judged scene: EXR images of both sides, class and worst ratio; and what its page is made of."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -25,7 +25,7 @@ from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, SceneCheck
 
 Channels = Mapping[str, np.ndarray]
 
-# The report's page has the same, and one more for unlisted cases (page/colors.js, which a test compares).
+# The page of a report has one more, of pixels where the reference is wrong in no known way.
 CLASS_COLORS = {
     "agree": (70, 120, 80),
     "explained": (255, 150, 0),
@@ -35,18 +35,15 @@ CLASS_COLORS = {
     "wrong": (255, 0, 0),
     "undecided": (255, 255, 0),
 }
+UNLISTED_COLOR = (255, 105, 180)
 
 
-def hex_color(name: str) -> str:
-    """ "#467850"."""
-    return f"#{bytes(CLASS_COLORS[name]).hex()}"
-
-
-def class_attributes(names: Sequence[str] = CLASSES) -> dict[str, str]:
-    """EXR attributes that define the codes of a channel class.I. names: of the classes in that file."""
+def class_attributes() -> dict[str, str]:
+    """EXR attributes that define the codes of a channel class.I."""
+    colors = (bytes(CLASS_COLORS[name]).hex() for name in CLASSES)
     return {
-        "caster/classes": ", ".join(f"{code} {name}" for code, name in enumerate(names)),
-        "caster/class_colors": ", ".join(f"{code} {hex_color(name)}" for code, name in enumerate(CLASSES)),
+        "caster/classes": ", ".join(f"{code} {name}" for code, name in enumerate(CLASSES)),
+        "caster/class_colors": ", ".join(f"{code} #{color}" for code, color in enumerate(colors)),
     }
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from caster.aovs import Aovs
 from caster.image.image_files import encode_image
+from caster.image.previews import aov_images
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.classification import CLASS_CODE
 from mitsuba_ref.judge.explanations import format_exact_hit
@@ -87,66 +88,29 @@ def _deflated(bits: np.ndarray) -> str:
 # ---- thumbnails ----
 
 MAX_WIDTH, MAX_HEIGHT = 96, 72  # pixels: shown at half of that, sharp on a screen of twice the density
-COLOR_LEVELS = 32  # of each colour: such a PNG is half as large as one of 256
-BACKGROUND = (40, 44, 52)
+COLOR_STEP = 8  # of a color: such a PNG is half as large as one with all colors
 
 
 def thumbnail(aovs: Aovs) -> str:
     """A small image as a data URI: diffuse, normals if that is dark or missing, else depth."""
-    image = _shades(aovs)
-    small = _halved(np.where(aovs.hit[..., None], image, np.array(BACKGROUND) / 255.0))
-    levels = np.round(np.round(small * (COLOR_LEVELS - 1)) * (255 / (COLOR_LEVELS - 1))).astype(np.uint8)
-    return "data:image/png;base64," + base64.b64encode(encode_image(levels, "PNG")).decode("ascii")
-
-
-def _shades(aovs: Aovs) -> np.ndarray:
-    """(h, w, 3) from 0 to 1."""
-    if "diffuse" in aovs and aovs.hit.any():
-        shown = np.nan_to_num(aovs["diffuse"], nan=0.0, posinf=0.0, neginf=0.0)
-        brightest = float(np.quantile(shown[aovs.hit].max(axis=-1), 0.98))
-        if brightest > 0.0:
-            bright: np.ndarray = np.clip(shown / brightest, 0.0, 1.0) ** (1.0 / 2.2)
-            return bright
-    if "normal" in aovs:
-        turned: np.ndarray = np.clip(0.5 + 0.5 * np.nan_to_num(aovs["normal"]), 0.0, 1.0)
-        return turned
-    return _depth_as_gray(aovs)
-
-
-def _depth_as_gray(aovs: Aovs) -> np.ndarray:
-    """Depth as gray, near is light."""
-    depth = aovs["depth"]
-    finite = depth[np.isfinite(depth)]
-    near, far = (finite.min(), finite.max()) if len(finite) else (0.0, 0.0)
-    with np.errstate(invalid="ignore"):
-        gray = np.nan_to_num(1.0 - 0.85 * (depth - near) / (far - near or 1.0), nan=0.0)
-    return np.repeat(np.clip(gray, 0.0, 1.0)[..., None], 3, axis=-1)
-
-
-def _halved(image: np.ndarray) -> np.ndarray:
-    """Means of blocks of pixels, as large as needed to fit."""
-    height, width, _ = image.shape
-    step = max(1, -(-width // MAX_WIDTH), -(-height // MAX_HEIGHT))
-    padded = np.pad(image, ((0, -height % step), (0, -width % step), (0, 0)), mode="edge")
-    tall, wide = padded.shape[0] // step, padded.shape[1] // step
-    mean: np.ndarray = padded.reshape(tall, step, wide, step, 3).mean(axis=(1, 3))
-    return mean
+    dark = "normal" in aovs and "diffuse" in aovs and not aovs["diffuse"].any()
+    pixels = aov_images(aovs, ["normal"] if dark else [])[0].pixels
+    height, width, _ = pixels.shape
+    step = max(1, -(-width // MAX_WIDTH), -(-height // MAX_HEIGHT))  # blocks of pixels become their mean
+    padded = np.pad(pixels, ((0, -height % step), (0, -width % step), (0, 0)), mode="edge")
+    blocks = padded.reshape(padded.shape[0] // step, step, padded.shape[1] // step, step, 3)
+    small = np.minimum(COLOR_STEP * np.round(blocks.mean(axis=(1, 3)) / COLOR_STEP), 255.0).astype(np.uint8)
+    return "data:image/png;base64," + base64.b64encode(encode_image(small, "PNG")).decode("ascii")
 
 
 MAX_PIXELS_WITH_REASON = 1 << 16  # of a scene, failing ones first: half a second of work
 
 
-class TextTable:
-    """Distinct texts, numbered."""
-
-    def __init__(self) -> None:
-        self.numbers: dict[str, int] = {}
-
-    def number(self, text: str) -> int:
-        return self.numbers.setdefault(text, len(self.numbers))
-
-    def numbers_of(self, texts: Iterable[str]) -> np.ndarray:
-        return np.array([self.number(text) for text in texts], np.int32)
+def numbered(texts: Iterable[str]) -> dict[str, Any]:
+    """{"texts": distinct texts, "words": the number of each text among them}."""
+    numbers: dict[str, int] = {}
+    words = [numbers.setdefault(text, len(numbers)) for text in texts]
+    return {"words": packed(np.array(words, np.int32)), "texts": list(numbers)}
 
 
 def reasons(evidence: Evidence) -> dict[str, Any]:
@@ -155,35 +119,23 @@ def reasons(evidence: Evidence) -> dict[str, Any]:
     rows = np.flatnonzero(judgement.classes != CLASS_CODE[AGREE])
     unlisted = np.array([judgement.cases.get(int(row), 0) is None for row in rows], bool)
     fails = judgement.is_class(*FAILING)[rows] | unlisted
-    rows = rows[np.argsort(~fails, kind="stable")]
-    explained, texts = rows[:MAX_PIXELS_WITH_REASON], TextTable()
-    why = texts.numbers_of(evidence.why(int(row)) for row in explained)
+    explained = rows[np.argsort(~fails, kind="stable")][:MAX_PIXELS_WITH_REASON]
     return {
         "rows": packed(explained.astype(np.int32)),
-        "why": packed(why),
-        "texts": list(texts.numbers),
+        **numbered(evidence.why(int(row)) for row in explained),
         "always": {CLASSES.index(name): text for name, text in evidence.always.items()},
-        "left_out": len(rows) - len(explained),
     }
 
 
 def exact_answers(evidence: Evidence) -> dict[str, Any]:
     """The exact answer of each adjudicated pixel."""
     exact = evidence.judgement.exact
-    texts = TextTable()
-    words = texts.numbers_of(_answer_text(evidence, answer) for answer in exact.answers)
     return {
         "rows": packed(exact.rows.astype(np.int32)),
         "t": packed(np.array([_exact_t(answer) for answer in exact.answers], np.float64)),
         "share": packed(coarse(exact.ratio)),
-        "words": packed(words),
-        "texts": list(texts.numbers),
-        "adjudicated": len(exact.rows),
+        **numbered(format_exact_hit(evidence.scene, evidence.packed, answer) for answer in exact.answers),
     }
-
-
-def _answer_text(evidence: Evidence, answer: ExactAnswer | None) -> str:
-    return format_exact_hit(evidence.scene, evidence.packed, answer)
 
 
 def _exact_t(answer: ExactAnswer | None) -> float:
@@ -206,23 +158,20 @@ class SceneRecord(NamedTuple):
     thumbnail: str  # PNG as a data URI
 
 
-def scene_record(evidence: Evidence, *, exact: bool) -> SceneRecord:
-    """exact: both images to the bit and every bound; otherwise as float32, a third of the size."""
-    hit = evidence.ours.hit.ravel() + 2 * evidence.reference.hit.ravel()
+def scene_record(evidence: Evidence) -> SceneRecord:
+    """Everything about a scene that its page shows."""
+    hit, judgement = evidence.ours.hit.ravel() + 2 * evidence.reference.hit.ravel(), evidence.judgement
+    others = [name for name in judgement.names if name not in FLOAT_LAYERS]
     about = {
         "window": list(evidence.scene.film.window),
         "shapes": list(evidence.scene.shape_names()),
-        "exactly": exact,
         "class": packed(classes(evidence)),
         "hit": packed(hit.astype(np.uint8)),
         "reasons": reasons(evidence),
         "exact": exact_answers(evidence),
+        "shares": {name: packed(coarse(judgement.ratio(name))) for name in others},
     }
-    if exact:
-        judgement = evidence.judgement
-        others = [name for name in judgement.names if name not in FLOAT_LAYERS]
-        about["shares"] = {name: packed(coarse(judgement.ratio(name))) for name in others}
-    return SceneRecord(about, dict(layers(evidence, exact=exact)), thumbnail(evidence.ours))
+    return SceneRecord(about, dict(layers(evidence)), thumbnail(evidence.ours))
 
 
 def classes(evidence: Evidence) -> np.ndarray:
@@ -233,26 +182,24 @@ def classes(evidence: Evidence) -> np.ndarray:
     return found
 
 
-def layers(evidence: Evidence, *, exact: bool) -> Iterator[tuple[str, dict[str, Any]]]:
+def layers(evidence: Evidence) -> Iterator[tuple[str, dict[str, Any]]]:
     """The available layers: an AOV may be missing on either side."""
     judgement = evidence.judgement
-    yield "ids", ids(evidence, exact=exact)
+    yield "ids", ids(evidence)
     worst = np.max([judgement.ratio(name) for name in judgement.names], axis=0)
     yield "ratio", {"ratio": packed(coarse(worst))}
+    sides = evidence.ours, evidence.reference
     for name in FLOAT_LAYERS:
-        if name in evidence.ours and name in evidence.reference:
-            sides = values(aov_rows(evidence.ours, name), aov_rows(evidence.reference, name), exact=exact)
-            yield name, sides | (bounds(evidence, name) if exact else {})
+        if all(name in each for each in sides):
+            yield name, values(*(aov_rows(each, name) for each in sides)) | bounds(evidence, name)
     edges = evidence.edges()
     if edges is not None:
         yield "edges", {"segments": packed(edges)}
 
 
-def values(ours: np.ndarray, reference: np.ndarray, *, exact: bool) -> dict[str, Any]:
+def values(ours: np.ndarray, reference: np.ndarray) -> dict[str, Any]:
     """Both sides, ours as the XOR of the bits."""
-    if exact:
-        return {"reference": packed(narrowest(reference)), "ours": packed(ours, narrowest(reference))}
-    return {"reference": packed(rounded(reference)), "ours": packed(rounded(ours), rounded(reference))}
+    return {"reference": packed(narrowest(reference)), "ours": packed(ours, narrowest(reference))}
 
 
 def bounds(evidence: Evidence, name: str) -> dict[str, Any]:
@@ -268,9 +215,9 @@ def bounds(evidence: Evidence, name: str) -> dict[str, Any]:
     return found
 
 
-def ids(evidence: Evidence, *, exact: bool) -> dict[str, Any]:
+def ids(evidence: Evidence) -> dict[str, Any]:
     """Shape, and primitive within it, of both sides, -1 on a miss; and t, where depth does not determine it."""
     found = {name: packed(numbers.astype(np.int32)) for name, numbers in evidence.ids().items()}
     t = evidence.t()
-    sides = {} if t is None else values(*t, exact=exact)
+    sides = {} if t is None else values(*t)
     return found | {f"t_{side}": each for side, each in sides.items()}

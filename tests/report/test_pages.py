@@ -63,16 +63,9 @@ def test_filters_choose_and_are_in_the_address(visit, folder):
     assert again.input_value("#status") == "pass"
 
 
-def test_without_scripts_it_is_a_table(visit, folder):
+def test_without_scripts_it_says_what_it_needs(visit, folder):
     page = visit(folder, java_script_enabled=False).page
-    rows = page.locator("#plain tbody tr")
-    assert page.inner_text("#plain caption") == "1 of 3 scenes pass; 1 of 4 were not judged"
-    assert [row.split("\t")[1] for row in rows.all_inner_texts()] == ["FAIL", "FAIL", "PASS"]
-    assert "422" in rows.nth(2).inner_text() and "<b>words</b>" in rows.nth(1).inner_text()
-    pictures = page.locator("#plain img")
-    assert pictures.count() == 2 and not page.locator("#app").is_visible()
-    shown = pictures.first.bounding_box()
-    assert shown is not None and shown["width"] > 8
+    assert "needs scripts" in page.inner_text("body") and not page.locator("#app").is_visible()
 
 
 def test_a_scene_without_an_answer_has_its_words(visit, folder):
@@ -216,8 +209,6 @@ def test_a_waived_scene_is_no_failure_and_is_counted(visit, verdicts, tmp_path):
     page.select_option("#status", "waived")
     assert page.locator(".row").count() == 2 and "FAIL" not in page.inner_text("#list")
     assert visit(index, "#s=known").page.inner_text("#scene-mark") == "KNOWN"
-    plain = visit(index, java_script_enabled=False).page.locator("#plain tbody tr").all_inner_texts()
-    assert [row.split("\t")[1] for row in plain] == ["SKIP", "KNOWN", "PASS"] and "FAIL" not in "".join(plain)
     failing = Validation((known, verdicts["bad"], passing), scene_count=3).write_html(tmp_path / "failing")
     page = visit(failing).page
     assert page.locator(".row .badge").all_inner_texts() == ["FAIL", "KNOWN", "PASS"]

@@ -16,7 +16,7 @@ from mitsuba_ref.subjects import subject
 
 def test_names_and_defaults_in_help_are_those_of_the_modules_that_are_loaded_later():
     assert AOV_NAMES.split(", ") == list(REFERENCE_AOVS) == list(BY_NAME)
-    assert DEFAULT_AOV_LIST == ",".join(DEFAULT_AOVS)
+    assert ",".join(DEFAULT_AOVS) == DEFAULT_AOV_LIST
     assert options.CANDIDATE_SECONDS == subject.DEFAULT_SECONDS
     assert options.REFERENCE_SECONDS == mitsuba_process.DEFAULT_TIMEOUT
     assert tuple(subject.PRECISIONS) == options.PRECISIONS

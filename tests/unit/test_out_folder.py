@@ -3,14 +3,13 @@
 import json
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from verdict_factory import scene as made
 
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.report.html_report import MAX_PIXELS_WITH_IMAGES, HtmlReport, page_record
+from mitsuba_ref.report.html_report import HtmlReport
 from mitsuba_ref.report.out_folder import IMAGES, files_of
 from mitsuba_ref.report.scene_record import SceneRecord
 from mitsuba_ref.runner import many_scenes
@@ -170,6 +169,5 @@ def test_a_report_keeps_no_scene_that_its_page_does_not_lead_to(tmp_path):
     assert html.rows[0]["file"] == "a.js" and html.rows[0]["thumbnail"] == "data:thumbnail"
 
 
-def test_a_film_too_large_for_a_browser_has_a_row_and_no_pixels(tmp_path):
-    assert page_record(replace(recorded("a"), pixels=MAX_PIXELS_WITH_IMAGES + 1)) is None
+def test_a_scene_without_a_record_has_a_row_and_no_pixels(tmp_path):
     assert report(tmp_path, made("a")).rows[0]["file"] == ""
