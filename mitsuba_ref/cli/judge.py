@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 # ---- rays of a scene, as a file ----
 
-RAY_KINDS = ("camera", "random", "edges", "vertices", "silhouettes", "surface", "mixed", "shadow")
+RAY_KINDS = ("camera", "features", "silhouettes", "surface", "random", "shadow")
 SHADOW_T_MIN = 2.0**-10  # lengths of d, the way to a point light: a shadow ray leaves its own surface
 
 
@@ -30,8 +30,8 @@ def add_rays_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     add = parser.add_argument
     add("-o", "--output", metavar="RAYS", type=OutputFile, required=True, help=".npz, or .npy for the rows alone")
-    help_ = "camera (default); random; aimed at edges, vertices or silhouettes; from surfaces; mixed; shadow: from "
-    help_ += "what the camera sees to a light"
+    help_ = "camera (default); aimed at features (corners, edges, rims), along silhouettes, from surfaces, at random; "
+    help_ += "shadow: from the camera's hits to a light"
     add("--kind", choices=RAY_KINDS, default="camera", help=help_)
     add("--count", metavar="N", type=positive_int, default=4096, help="of rays that are aimed; default 4096")
     add("--seed", metavar="S", type=int, default=0, help="of random numbers; default 0")
@@ -88,30 +88,22 @@ def shadow_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.
     return shadow, None if pixels is None else pixels[some]
 
 
-def aimed_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.ndarray | None]:
-    """Rays at what the kind says, from around the scene. Raises SceneError for a scene without primitives."""
+def aimed_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, None]:
+    """Rays by an aim of the fuzzer, (n, 8). Raises SceneError for a scene without primitives."""
     import numpy as np
 
-    from mitsuba_ref.hard import rays as hard_rays
+    from mitsuba_ref.hard import rays
     from mitsuba_ref.reference.shared_input import packed_float32
-    from mitsuba_ref.shapes.targets import random_directions
 
-    targets, rng = hard_rays.Targets(packed_float32(scene)), np.random.default_rng(args.seed)
+    targets, rng = rays.Targets(packed_float32(scene)), np.random.default_rng(args.seed)
     if not targets.counts.sum():
         raise SceneError(f"--kind {args.kind}: {args.scene} has no primitive to aim at")
-    sort = {"random": "inside", "edges": "edge", "vertices": "corner"}.get(args.kind)
-    at = targets.points(rng, targets.pick(rng, args.count), sort)
-    size = float(np.ptp(at.p, axis=0).max()) or 1.0
-    if args.kind == "silhouettes":
-        o, d = hard_rays.tangents(rng, targets, hard_rays.Frame(size), args.count)
-    elif args.kind == "surface":
-        o, d = at.p, random_directions(rng, args.count)
-    else:
-        distance = size * rng.uniform(0.5, 4.0, (args.count, 1))
-        o = at.p + distance * random_directions(rng, args.count)
-        d = at.p - o
-    end = np.full(args.count, np.inf)
-    return np.column_stack([o, d, np.zeros(args.count), end]), None
+    inside = targets.points(rng, targets.pick(rng, args.count), "inside").p
+    x, y, z = inside.mean(axis=0).tolist()
+    frame = rays.Frame(float(np.ptp(inside, axis=0).max()) or 1.0, (x, y, z))
+    aims = {"features": rays.at_features, "silhouettes": rays.tangents, "surface": rays.from_surface}
+    o, d = aims.get(args.kind, rays.anywhere)(rng, targets, frame, args.count)
+    return np.column_stack([o, d, np.zeros(args.count), np.full(args.count, np.inf)]), None
 
 
 # ---- answers to any rays, or an EXR file ----

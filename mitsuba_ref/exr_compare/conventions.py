@@ -1,6 +1,6 @@
 """Conversion of other programs' EXR files to our channel names and depth convention.
 
-Channels are recognized by name. What depth measures and the depth of a miss are stated by the user (`Reading`), never
+Channels are recognised by name. What depth measures and the depth of a miss are stated by the user (`Reading`), never
 inferred; every step is reported.
 """
 
@@ -30,7 +30,7 @@ GEOMETRY = ("normal", "shading_normal", "position")  # groups whose values on a 
 
 # Group -> names of the channel or layer, whole or, if longer than two letters, after a dot; case does not matter.
 # Mitsuba names AOVs as its user does and adds a suffix: these are the names of its documentation and of our exports.
-# Blender puts everything under the name of a view layer. Arnold and RenderMan write N, Nn, P, Z. Color images (R G B)
+# Blender puts everything under the name of a view layer. Arnold and RenderMan write N, Nn, P, Z. Colour images (R G B)
 # are not read as our diffuse AOV: only their program defines them.
 NAMES: Mapping[str, Sequence[str]] = {
     "depth": ("depth.t", "dd.y.t", "depth.z", "depth.v", "depth", "z", "zdepth"),

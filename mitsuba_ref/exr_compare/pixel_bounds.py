@@ -39,7 +39,7 @@ from mitsuba_ref.reference.shared_input import pixel_centers
 Array = np.ndarray
 Bound = tuple[Array, str]  # (h, w, c), and the text that states it
 
-# Group -> channels. Any other channel is a group of its own, judged like a color, or exactly if uint.
+# Group -> channels. Any other channel is a group of its own, judged like a colour, or exactly if uint.
 LAYERS: Mapping[str, tuple[str, ...]] = {aov.NAME: aov.CHANNELS for aov in AOVS}
 
 SCENE_JSON = "caster/scene_json"  # provenance: the scene, with its camera
@@ -61,7 +61,7 @@ def scene_in(exr: Exr) -> Scene | None:
 
 
 def view_of(scenes: Iterable[Scene | None], shape: tuple[int, ...]) -> tuple[Scene, CameraRays] | None:
-    """The first of these scenes whose film window has this shape, and its rays through the pixel centers."""
+    """The first of these scenes whose film window has this shape, and its rays through the pixel centres."""
     for scene in scenes:
         if scene is not None and scene.camera.type != "ray":
             x0, y0, x1, y1 = scene.film.window
@@ -189,9 +189,9 @@ def _typical_magnitude(values: Array) -> float:
 
 
 def _surface_slope(field: Array, condition: Conditioning) -> Array:
-    """Largest |step of field| / |step of position| to the four neighbors on the same surface; (h, w).
+    """Largest |step of field| / |step of position| to the four neighbours on the same surface; (h, w).
 
-    0 without a neighbor: a surface that is visible in a single pixel gets the plain bound.
+    0 without a neighbour: a surface that is visible in a single pixel gets the plain bound.
     """
     steepest = np.zeros(field.shape[:2])
     for axis in (0, 1):

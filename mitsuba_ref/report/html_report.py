@@ -13,16 +13,15 @@ from urllib.parse import quote
 
 from caster.description.input_files import opened_input
 from caster.system.atomic_files import OutputError, atomic_write, check_folder, write_text
-from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, SceneVerdict, json_number
+from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, SceneVerdict, Verdict, json_number
 from mitsuba_ref.report.evidence import CLASS_COLORS, UNLISTED_COLOR, Evidence
 from mitsuba_ref.report.reproducers import replay, replay_around
 from mitsuba_ref.report.scene_record import SceneRecord, scene_record
-from mitsuba_ref.report.verdict_text import failure_text, group_lines, mark_of
+from mitsuba_ref.report.verdict_text import failure_text, group_lines, mark_of, outcome_text
 
 MAX_PIXELS = 1 << 21  # of a window that a page shows: 80 MB for half as many; browsers run out of memory
 SECONDS_BETWEEN_WRITES = 2.0  # of the list, during a run
 
-WAIVED_WORDS = {"KNOWN": "known to fail", "SKIP": "declined by the candidate"}  # by the mark of the row
 RECORD_HEAD = "ray_reference_scene("  # what the file of a scene begins with
 
 
@@ -81,15 +80,8 @@ class HtmlReport:
         return f"{self.path}: removed {len(obsolete)} scenes of an earlier report" if obsolete else ""
 
     def _run(self) -> dict[str, Any]:
-        passed = sum(each["ok"] for each in self.rows)
-        summary = f"{passed} of {len(self.rows)} scenes pass"
-        for mark, words in WAIVED_WORDS.items():
-            count = sum(each["mark"] == mark for each in self.rows)
-            summary += f"; {count} {words}" if count else ""
-        if len(self.rows) < self.requested:
-            summary += f"; {self.requested - len(self.rows)} of {self.requested} were not judged"
         return {
-            "summary": summary,
+            "summary": outcome_text(Verdict(tuple(self.verdicts), self.requested)),
             "candidate": self.candidate,
             "requested": self.requested,
             "classes": [*CLASSES, UNLISTED],
@@ -175,6 +167,7 @@ def index_row(verdict: SceneVerdict, file: str, thumbnail: str) -> dict[str, Any
     """One scene of the index. file: its record in the folder data, "" without any."""
     first = verdict.failures[0] if verdict.failures else None
     check, ratio = (first.check, first.ratio) if first else verdict.worst
+    failed = {each.check for each in verdict.failures} | {each.name for each in verdict.checks if not each.ok}
     return {
         "name": verdict.name,
         "path": verdict.path,
@@ -192,13 +185,9 @@ def index_row(verdict: SceneVerdict, file: str, thumbnail: str) -> dict[str, Any
         "worst": [check, json_number(ratio)],
         "ratios": {name: json_number(share) for name, share in verdict.ratios.items()},
         "seconds": round(verdict.seconds, 2),
-        "failed_at": sorted({each.check for each in verdict.failures} | _failed_checks(verdict)),
+        "failed_at": sorted(failed),
         "failure": "" if verdict.ok else re.sub("^FAIL", mark_of(verdict), failure_text(verdict), flags=re.MULTILINE),
         "replay": replay(verdict),
         "replay_pixel": replay_around(verdict),
         "pixel": None if first is None else [first.x, first.y],
     }
-
-
-def _failed_checks(verdict: SceneVerdict) -> set[str]:
-    return {check.name for check in verdict.checks if not check.ok}

@@ -88,7 +88,7 @@ def _deflated(bits: np.ndarray) -> str:
 # ---- thumbnails ----
 
 MAX_WIDTH, MAX_HEIGHT = 96, 72  # pixels: shown at half of that, sharp on a screen of twice the density
-COLOR_STEP = 8  # of a color: such a PNG is half as large as one with all colors
+COLOR_STEP = 8  # of a colour: such a PNG is half as large as one with all colours
 
 
 def thumbnail(aovs: Aovs) -> str:

@@ -185,7 +185,6 @@ def link(report: str, scene: SceneVerdict, pixel: tuple[int, int]) -> str:
 
 def summary_text(verdict: Verdict, seconds: float) -> str:
     """Summary of all scenes in a few lines."""
-    passed = sum(scene.ok for scene in verdict.scenes)
     counts = verdict.counts
     total = sum(counts.values()) or 1
     shares = [
@@ -194,7 +193,7 @@ def summary_text(verdict: Verdict, seconds: float) -> str:
         if counts[name] or name == AGREE
     ]
     lines = [
-        f"{verdict.scene_count} scenes: {passed} pass, {count_text(verdict)}{_not_run(verdict)}, in {seconds:.1f} s",
+        f"{outcome_text(verdict)}, in {seconds:.1f} s",
         *waiver_lines(verdict),
         *wrap(f"hit pixels: {', '.join(shares)}", TABLE_CHARACTERS, subsequent_indent=12 * " "),
         f"exact:      {verdict.adjudicated} pixels were adjudicated by exact arithmetic, "
@@ -206,18 +205,27 @@ def summary_text(verdict: Verdict, seconds: float) -> str:
         *_stored_lines(verdict),
         *_kept_lines(verdict),
     ]
-    lines += [f"note:       {scene.name} allows {_allowed(scene)}" for scene in verdict.scenes if scene.allowed]
+    for scene in verdict.scenes:
+        if scene.allowed:
+            allowed = ", ".join(f"{share:g} of the bound of {name}" for name, share in scene.allowed.items())
+            lines.append(f"note:       {scene.name} allows {allowed}")
     return "\n".join([*lines, *(f"reference:  {versions}" for versions in verdict.versions)])
 
 
 WAIVER_WORDS = {UNSUPPORTED: "declined by the candidate", EXPECTED: "known failures"}
 
 
-def count_text(verdict: Verdict) -> str:
-    """How many scenes fail, and how many are waived, in words."""
-    fails = sum(not (scene.ok or scene.waived) for scene in verdict.scenes)
-    waived = (f", {count} {WAIVER_WORDS[why]}" for why, count in verdict.waived.items())
-    return f"{fails} fail{''.join(waived)}"
+def failing_scenes(scenes: Sequence[SceneVerdict]) -> list[SceneVerdict]:
+    """The scenes by which a run fails."""
+    return [scene for scene in scenes if not (scene.ok or scene.waived)]
+
+
+def outcome_text(verdict: Verdict) -> str:
+    """How many scenes pass, fail, are waived and were not judged."""
+    passed, left = sum(scene.ok for scene in verdict.scenes), verdict.scene_count - len(verdict.scenes)
+    words = [f"{verdict.scene_count} scenes: {passed} pass", f"{len(failing_scenes(verdict.scenes))} fail"]
+    words += [f"{count} {WAIVER_WORDS[why]}" for why, count in verdict.waived.items()]
+    return ", ".join([*words, f"{left} not judged"] if left else words)
 
 
 def waiver_lines(verdict: Verdict) -> Iterator[str]:
@@ -236,18 +244,12 @@ def waiver_lines(verdict: Verdict) -> Iterator[str]:
 
 def failures_text(verdict: Verdict, report: str = "") -> str:
     """What several failing scenes have in common, then each by itself; "" where none fails."""
-    failing = [scene for scene in verdict.scenes if not (scene.ok or scene.waived)]
-    common = "\n".join(_summary_of_failures(verdict))
-    return "\n\n".join(filter(None, [common, *(failure_text(scene, report) for scene in failing)]))
-
-
-def _summary_of_failures(verdict: Verdict) -> Iterator[str]:
-    """Of several failing scenes: what they have in common, the simplest, and the command for its worst pixel."""
-    yield from group_lines(verdict.scenes)
-    first = simplest_failing(verdict.scenes)
-    if first is not None:
+    common = [*group_lines(verdict.scenes)]
+    if first := simplest_failing(verdict.scenes):
         pixel = (first.failures[0].x, first.failures[0].y) if first.failures else None
-        yield f"            {replay(first, pixel)}"
+        common.append(f"            {replay(first, pixel)}")
+    texts = [failure_text(scene, report) for scene in failing_scenes(verdict.scenes)]
+    return "\n\n".join(filter(None, ["\n".join(common), *texts]))
 
 
 def candidate_lines(verdict: Verdict) -> Iterator[str]:
@@ -324,15 +326,6 @@ def _kept_lines(verdict: Verdict) -> Iterator[str]:
         yield f"shard:      {verdict.shard}, {verdict.scene_count} of {len(verdict.selected)} scenes"
 
 
-def _allowed(scene: SceneVerdict) -> str:
-    return ", ".join(f"{share:g} of the bound of {name}" for name, share in scene.allowed.items())
-
-
-def _not_run(verdict: Verdict) -> str:
-    left = verdict.scene_count - len(verdict.scenes)
-    return f", {left} not judged" if left else ""
-
-
 # ---- what failing scenes have in common ----
 
 MIN_FAILING_SCENES = 2  # of which something can be said together
@@ -348,13 +341,9 @@ def failing_checks(scene: SceneVerdict) -> frozenset[str]:
     return frozenset(named - {EXACT} or named)
 
 
-def shapes_of(scene: SceneVerdict) -> frozenset[str]:
-    return frozenset(scene.composition.shapes)
-
-
 def simplest_failing(scenes: Sequence[SceneVerdict]) -> SceneVerdict | None:
     """The failing scene with the fewest primitives, then shapes, then pixels; None below MIN_FAILING_SCENES."""
-    failing = [scene for scene in scenes if not (scene.ok or scene.waived)]
+    failing = failing_scenes(scenes)
     known = [scene for scene in failing if scene.composition.primitives]
     if len(failing) < MIN_FAILING_SCENES or not known:
         return None
@@ -363,7 +352,7 @@ def simplest_failing(scenes: Sequence[SceneVerdict]) -> SceneVerdict | None:
 
 def _cause_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
     """Causes that several failing scenes share, the most frequent first, with the types of shapes in those scenes."""
-    failing = [scene for scene in scenes if not (scene.ok or scene.waived)]
+    failing = failing_scenes(scenes)
     sharing: dict[str, list[SceneVerdict]] = {}
     for scene in failing:
         for finding in scene.findings:
@@ -379,7 +368,8 @@ def _cause_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
 def _kind_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
     """How many of the scenes with each kind of primitive fail, where several kinds of several scenes were judged."""
     judged = [scene for scene in scenes if not scene.waived]
-    fails = {kind: [not s.ok for s in judged if kind in shapes_of(s)] for s in judged for kind in shapes_of(s)}
+    kinds = {kind for scene in judged for kind in scene.composition.shapes}
+    fails = {kind: [not scene.ok for scene in judged if kind in scene.composition.shapes] for kind in kinds}
     if sum(not scene.ok for scene in judged) < MIN_FAILING_SCENES or len(fails) < 2:
         return
     order = sorted(fails, key=lambda kind: (-sum(fails[kind]) / len(fails[kind]), -len(fails[kind]), kind))

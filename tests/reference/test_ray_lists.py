@@ -72,7 +72,7 @@ def hits_of(scene, rows):
 def given(folder):
     """Rays of several kinds in one list, with limits of all sorts, and right answers."""
     path = str(folder / "scene.toml")
-    kinds = ("camera", "random", "edges", "vertices", "silhouettes", "surface", "shadow")
+    kinds = ("camera", "random", "features", "silhouettes", "surface", "shadow")
     rows = []
     for kind in kinds:
         assert main(["rays", path, "--kind", kind, "--count", "60", "-o", str(folder / "r.npz")]) == 0

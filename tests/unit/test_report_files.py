@@ -28,7 +28,7 @@ def test_a_run_that_is_cut_off_has_its_page(tmp_path):
     report = HtmlReport(tmp_path / "r", 43)
     report.add(PASSING)
     text = (tmp_path / "r/index.html").read_text(encoding="utf-8")
-    assert "1 of 1 scenes pass; 42 of 43 were not judged" in text
+    assert "43 scenes: 1 pass, 0 fail, 42 not judged" in text
 
 
 def test_no_text_ends_its_script():
