@@ -27,8 +27,6 @@ from mitsuba_ref.cli.options import (
     write_verdict_files,
 )
 
-UNSUPPORTED_SCENE = "unsupported"  # of the judge, which takes long to load (tests/unit/test_cli_help.py compares)
-
 if TYPE_CHECKING:
     from mitsuba_ref.judge.verdict import Verdict
     from mitsuba_ref.runner.many_scenes import Entry
@@ -86,6 +84,9 @@ def judge_entries(
     from mitsuba_ref.runner.validation_run import ValidationRun
 
     variants.require_variants()  # its errors come before any work
+    for path in map(Path, filter(None, (args.json, args.junit))):  # of an earlier run, if this one is killed
+        if path.is_file():
+            path.unlink()
     start = time.perf_counter()
     running = ValidationRun(entries, options, candidate)
     try:
@@ -114,10 +115,11 @@ def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:
     """0 where all pass; 70 or 4 for an internal error or a file that cannot be written; 2 or 4 where nothing else
     fails than scenes that cannot be loaded; else 1."""
     from caster.system.atomic_files import OutputError
+    from mitsuba_ref.judge.verdict import UNSUPPORTED
 
     if verdict.ok:
         return OK
-    if verdict.scenes and all(scene.waived == UNSUPPORTED_SCENE for scene in verdict.scenes):
+    if verdict.scenes and all(scene.waived == UNSUPPORTED for scene in verdict.scenes):
         return NOTHING_SELECTED
     for error in errors:
         if not isinstance(error, (SceneError, MemoryError, OSError)):

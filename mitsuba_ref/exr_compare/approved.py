@@ -21,7 +21,7 @@ from mitsuba_ref.error_model.bounds import aov_rows, reference_bounds
 from mitsuba_ref.error_model.lambert import ShadingPoints, light_contribution
 from mitsuba_ref.error_model.tolerances import COLOR_RTOL, KU, Tolerances
 from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, SCENE_HASH, SCENE_JSON
-from mitsuba_ref.exr_compare.two_files import compare_images
+from mitsuba_ref.exr_compare.two_files import FileComparison, compare_images
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge
 from mitsuba_ref.judge.comparison import PixelPairs, compare, pair_images
 from mitsuba_ref.judge.diffuse import materials_of
@@ -260,61 +260,51 @@ def propose(scene: Scene, name: str, source: str, folder: Path, variant: str | N
         before = load_approved(path)
     except (UnusableImage, UnreadableExr) as error:
         return Proposal(name, path, "damaged", True, (str(error),), fresh)
-    found = tuple(changes(before, fresh))
-    same = same_bits(before, fresh)
+    compared = compare_images(before, fresh, EXACT, names=("approved", "fresh"))
+    found = tuple(changes(before, fresh, compared))
+    differing = {group.name for group in compared.groups if group.worst is not None}
+    same = bool(compared.groups) and differing <= {CLASS_CHANNEL}
     if before.provenance.get(SCENE_HASH) != fresh.provenance[SCENE_HASH]:
         stale = "the scene has changed, no pixel has" if same else "the scene has changed"
         return Proposal(name, path, "stale", True, (stale, *found), fresh)
-    if same and np.array_equal(before.channels[CLASS_CHANNEL], fresh.channels[CLASS_CHANNEL]):
+    if same and not differing:
         return Proposal(name, path, "same", False, found)
-    if differ_by_processor(scene, before, fresh):
+    if compared.groups and differ_by_processor(scene, before, fresh):
         why = "but for last bits, which depend on the processor; both images pass `check`"
         return Proposal(name, path, "same", False, (why, *found))
     return Proposal(name, path, "changed", True, found, fresh)
 
 
-def changes(before: Exr, now: Exr) -> Iterator[str]:
-    """Lines for a terminal: versions, processor, and what differs, to the bit."""
+def changes(before: Exr, now: Exr, compared: FileComparison) -> Iterator[str]:
+    """Lines for a terminal: versions, processor, and the channels that differ."""
     for key in (*VERSIONS, VARIANT, PROCESSOR):
         old, new = before.provenance.get(key, "none"), now.provenance.get(key, "none")
         if old != new:
             yield f"{key.removeprefix(PREFIX).removeprefix('caster/')}: {old} -> {new}"
-    result = compare_images(before, now, EXACT, names=("approved", "fresh"))
-    if not result.groups:
-        yield from (f"another film or other channels: {line.strip()}" for line in result.messages[1:-1])
-    for group in result.groups:
+    if not compared.groups:
+        yield from (f"another film or other channels: {line.strip()}" for line in compared.messages[1:-1])
+    for group in compared.groups:
         if group.worst is not None:
             count, at = group.differ + group.non_finite, f"({group.worst.x}, {group.worst.y})"
             yield f"{group.worst.channel}: {count} pixels differ, by at most {group.worst.error:.9g}, at {at}"
 
 
-def same_bits(before: Exr, now: Exr, where: Any = ...) -> bool:
-    """Whether two images have the same film, channels, types and bits, apart from classes, which depend on ours."""
-    planes = [
-        {name: (plane.dtype, plane[where].tobytes()) for name, plane in each.channels.items() if name != CLASS_CHANNEL}
-        for each in (before, now)
-    ]
-    return _film(before) == _film(now) and planes[0] == planes[1]
-
-
-def _film(image: Exr) -> tuple[Any, ...]:
-    return image.data_window, image.display_window
-
-
 def differ_by_processor(scene: Scene, before: Exr, now: Exr) -> bool:
-    """Whether the processor explains all differences between two images of the same scene.
+    """Whether the processor explains all differences between two comparable images of the same scene.
 
     The images have to name different processors, or one of them none, and the same versions and variant. Both have to
-    pass `check`, and pixels that miss to have the same bits.
+    pass `check`, and pixels that miss to be equal.
     """
-    same = (*VERSIONS, VARIANT, SCENE_HASH)
     abouts, images = (before.provenance, now.provenance), (before, now)
-    if abouts[0].get(PROCESSOR) == abouts[1].get(PROCESSOR) or _film(before) != _film(now):
+    if abouts[0].get(PROCESSOR) == abouts[1].get(PROCESSOR):
         return False
-    if any(abouts[0].get(key) != abouts[1].get(key) for key in same) or before.channels.keys() != now.channels.keys():
+    if any(abouts[0].get(key) != abouts[1].get(key) for key in (*VERSIONS, VARIANT)):
         return False
     misses = ~_ambiguous(before) & ~_ambiguous(now) & (now.channels["A"] == 0.0)
-    return all(check_ours(scene, "", each)[0] for each in images) and same_bits(before, now, misses)
+    names = before.channels.keys() - {CLASS_CHANNEL}
+    if not all(np.array_equal(*(each.channels[name][misses] for each in images)) for name in names):
+        return False
+    return all(check_ours(scene, "", each)[0] for each in images)
 
 
 def unused_images(folder: Path, names: set[str]) -> list[str]:

@@ -135,7 +135,7 @@ SCENE_TEXT_LIMIT_BYTES = 16384  # of one scene: the output of Mitsuba may be lon
 
 
 def _failing_text(scene: SceneVerdict) -> str:
-    """The terminal's text, folded; within <pre> only HTML's own characters need escapes."""
+    """The text for the terminal, folded. Within <pre>, only HTML's own characters need escapes."""
     words = html.escape(printable(failure_text(scene)))
     words = words.encode()[:SCENE_TEXT_LIMIT_BYTES].decode(errors="ignore")
     return f"<details><summary>{html.escape(one_line(scene.name))}</summary>\n\n<pre>\n{words}\n</pre>\n</details>\n\n"
@@ -146,7 +146,7 @@ def one_line(text: str) -> str:
 
 
 def escaped(text: str) -> str:
-    """Text on one line that Markdown and HTML show unchanged: special characters as numeric references."""
+    """One line that Markdown and HTML show unchanged: special characters become numeric references."""
     return "".join(c if PLAIN.match(c) else f"&#{ord(c)};" for c in one_line(text))
 
 
@@ -156,8 +156,9 @@ NAME = "mitsuba-ref validate"
 
 
 def junit(verdict: Verdict) -> str:
-    """A test case for each scene; a failing one holds its text of the terminal. A missing answer is an error, and so
-    is a scene that was requested and not judged.
+    """JUnit XML with a test case per scene; a failing one contains its text for the terminal.
+
+    A missing answer is an error, and so is a scene that was requested and not judged.
     """
     failed = failing_scenes(verdict.scenes)
     errors = sum(bool(scene.problem) for scene in failed) + len(verdict.not_judged)
@@ -187,7 +188,7 @@ def junit(verdict: Verdict) -> str:
 
 
 def add_case(suite: XmlElement, scene: SceneVerdict) -> None:
-    """One scene. `file` is where GitLab and others look for the place of a test."""
+    """Add a scene. GitLab and others read the place of a test from `file`."""
     about = {"classname": class_name(scene), "name": printable(scene.name), "time": f"{spent(scene):.3f}"}
     if scene.path:
         about["file"] = printable(scene.path)
@@ -217,13 +218,13 @@ def spent(scene: SceneVerdict) -> float:
 
 
 def class_name(scene: SceneVerdict) -> str:
-    """The scene's folder with dots, by which servers group: scenes, or tests.renders."""
+    """The scene's folder with dots, such as tests.renders, by which servers group."""
     parts = [part for part in PurePath(scene.path).parent.parts if part not in ("/", ".", "..")]
     return printable(".".join(part.replace(".", "-") for part in parts[-2:])) or "scenes"
 
 
 def what_fails(scene: SceneVerdict) -> str:
-    """In one word."""
+    """The kind of failure in one word."""
     if scene.problem:
         return "no_answer"
     if scene.failures:

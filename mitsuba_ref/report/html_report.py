@@ -46,7 +46,7 @@ class HtmlReport:
         self._written = float("-inf")
 
     def keep(self, verdict: SceneVerdict) -> SceneVerdict:
-        """Write down what a verdict rests on, and give it back without. Raises OutputError."""
+        """Write the evidence of a verdict, and return the verdict without it. Raises OutputError."""
         found = page_record(verdict) if isinstance(verdict.seen, Evidence) else verdict.seen
         if found is not None:
             about = {"verdict": verdict.to_dict(), **found.about}
@@ -57,7 +57,7 @@ class HtmlReport:
         return replace(verdict, seen=None)
 
     def add(self, verdict: SceneVerdict) -> None:
-        """Append a scene to the list; the list is written every few seconds. Raises OutputError."""
+        """Append a scene to the list, which is written every few seconds. Raises OutputError."""
         thumbnail = self._thumbnails.get(verdict.name)
         self.candidate = self.candidate or verdict.candidate
         self.rows.append(index_row(verdict, file_of(verdict.name) if thumbnail is not None else "", thumbnail or ""))
@@ -72,7 +72,7 @@ class HtmlReport:
         self._written = time.monotonic()
 
     def sweep(self, spared: Collection[str] = ()) -> str:
-        """Remove scenes of earlier reports that this page does not list, except these; their number in words."""
+        """Remove scenes of earlier reports that this page does not list, except `spared`; a line on their number."""
         listed = {row["file"] for row in self.rows} | {file_of(name) for name in spared}
         obsolete = [path for path in self.data.glob("*.js") if path.name not in listed and is_record(path)]
         for path in obsolete:

@@ -1,7 +1,7 @@
 """Results as JSON files and as tables: for terminals and logs, in colour only where a terminal shows it, and Markdown.
 
-Results are pydantic dataclasses. Files are written from them, with derived values (`computed_field`), so that a reader
-need not work them out, and are read back into them without.
+Results are pydantic dataclasses. Files also contain their derived values (`computed_field`), which are ignored when a
+file is read.
 """
 
 import json
@@ -68,7 +68,7 @@ def libllvm() -> str:
 
 
 def largest(values: np.ndarray) -> float | None:
-    """The largest finite value; None where there is none, since JSON has no word for it."""
+    """The largest finite value; None if there is none."""
     finite = [value for value in values.tolist() if math.isfinite(value)]
     return max(finite, default=None)
 
@@ -121,7 +121,7 @@ Row = Sequence[str]
 
 
 def aligned(rows: Sequence[Row], *, left: int = 0) -> list[str]:
-    """Lines with aligned columns, the first `left` of them to the left. A short row ends with free text."""
+    """Lines with aligned columns, the first `left` of them left-aligned. A short row ends with free text."""
     full = [row for row in rows if len(row) == len(rows[0])]
     widths = [max(map(len, column)) for column in zip(*full, strict=True)]
     widths[0] = max(len(row[0]) for row in rows)

@@ -28,9 +28,9 @@ DROPPED_MANTISSA_BITS = 12  # of a float32 by `coarse`: a resolution of one part
 
 
 def packed(values: np.ndarray, like: np.ndarray | None = None) -> Packed:
-    """(n,) numbers or (n, c), whose channels follow one another.
+    """Pack (n,) numbers, or (n, c) channel by channel.
 
-    like: nearly equal floats of the same shape, with whose bits these are XORed.
+    like: nearly equal floats of the same shape, whose bits are XORed with these.
     """
     values = _in_a_row(values)
     bits = values.view(f"<u{values.itemsize}")
@@ -43,27 +43,27 @@ def packed(values: np.ndarray, like: np.ndarray | None = None) -> Packed:
 
 
 def base_bits(like: np.ndarray, dtype: np.dtype[Any]) -> np.ndarray:
-    """Bits of the same numbers in this type; 0 for NaN, whose bits a conversion may change."""
+    """The bits of these numbers in another type; 0 for NaN, whose bits a conversion may change."""
     numbers = np.where(np.isnan(like), 0.0, like).astype(dtype)
     return numbers.view(f"<u{dtype.itemsize}")
 
 
 def narrowest(values: np.ndarray) -> np.ndarray:
-    """The same numbers as float32, if each is one, else as they are."""
+    """As float32 if that loses nothing, else unchanged."""
     single = rounded(values)
     return single if np.array_equal(single, values, equal_nan=True) else values
 
 
 def rounded(values: np.ndarray) -> np.ndarray:
-    """As float32, inf where it holds no such number."""
+    """As float32; inf beyond its range."""
     with np.errstate(over="ignore"):
         return values.astype(np.float32)
 
 
 def coarse(values: np.ndarray) -> np.ndarray:
-    """Shares and bounds, >= 0, as float32 of a few digits: up to 2^-11 more than they are, never less; NaN as inf.
+    """Round shares and bounds, >= 0, up to float32 with 11 bits; NaN becomes inf.
 
-    1 stays 1, and what is more than 1 stays more.
+    1 stays 1, and more than 1 stays more than 1.
     """
     single = rounded(np.where(np.isnan(values), np.inf, values))
     single = np.where(single < values, np.nextafter(single, np.float32(np.inf)), single)
@@ -72,7 +72,7 @@ def coarse(values: np.ndarray) -> np.ndarray:
 
 
 def _in_a_row(values: np.ndarray) -> np.ndarray:
-    """Channel after channel, little-endian."""
+    """Flat array of the channels one after another, little-endian."""
     return np.ascontiguousarray(values.T, values.dtype.newbyteorder("<")).ravel()
 
 
@@ -151,7 +151,7 @@ FLOAT_LAYERS = ("depth", "normal", "diffuse", "shading_normal", "position", "uv"
 
 
 class SceneRecord(NamedTuple):
-    """What a page shows of one scene beside its verdict. All but the thumbnail can be written as JSON."""
+    """The data of one scene on its page, beside its verdict: JSON except for the thumbnail."""
 
     about: dict[str, Any]
     layers: dict[str, dict[str, Any]]
@@ -159,7 +159,7 @@ class SceneRecord(NamedTuple):
 
 
 def scene_record(evidence: Evidence) -> SceneRecord:
-    """Everything about a scene that its page shows."""
+    """The record of a judged scene."""
     hit, judgement = evidence.ours.hit.ravel() + 2 * evidence.reference.hit.ravel(), evidence.judgement
     others = [name for name in judgement.names if name not in FLOAT_LAYERS]
     about = {
@@ -175,7 +175,7 @@ def scene_record(evidence: Evidence) -> SceneRecord:
 
 
 def classes(evidence: Evidence) -> np.ndarray:
-    """(n,) uint8 class of each pixel, UNLISTED_CODE among them."""
+    """(n,) uint8 class of each pixel; UNLISTED_CODE where the reference is wrong in no known way."""
     found = evidence.judgement.classes.astype(np.uint8)
     unlisted = [row for row, case in evidence.judgement.cases.items() if case is None]
     found[unlisted] = np.where(found[unlisted] == CLASS_CODE[REFERENCE_WRONG], UNLISTED_CODE, found[unlisted])
@@ -183,7 +183,7 @@ def classes(evidence: Evidence) -> np.ndarray:
 
 
 def layers(evidence: Evidence) -> Iterator[tuple[str, dict[str, Any]]]:
-    """The available layers: an AOV may be missing on either side."""
+    """The layers whose AOVs both sides have."""
     judgement = evidence.judgement
     yield "ids", ids(evidence)
     worst = np.max([judgement.ratio(name) for name in judgement.names], axis=0)
@@ -198,12 +198,12 @@ def layers(evidence: Evidence) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def values(ours: np.ndarray, reference: np.ndarray) -> dict[str, Any]:
-    """Both sides, ours as the XOR of the bits."""
+    """Both sides; ours is XORed with the reference."""
     return {"reference": packed(narrowest(reference)), "ours": packed(ours, narrowest(reference))}
 
 
 def bounds(evidence: Evidence, name: str) -> dict[str, Any]:
-    """Error over bound of the check of this name, and that bound, if there is one."""
+    """Error over bound of the check of this name, and its bounds, if there are any."""
     bound = evidence.bound(name)
     found = {"ratio": packed(coarse(evidence.judgement.ratio(name)))}
     if bound.between is not None:
@@ -216,7 +216,7 @@ def bounds(evidence: Evidence, name: str) -> dict[str, Any]:
 
 
 def ids(evidence: Evidence) -> dict[str, Any]:
-    """Shape, and primitive within it, of both sides, -1 on a miss; and t, where depth does not determine it."""
+    """Shapes and primitives of both sides, -1 on a miss; and t, if depth does not show it."""
     found = {name: packed(numbers.astype(np.int32)) for name, numbers in evidence.ids().items()}
     t = evidence.t()
     sides = {} if t is None else values(*t)

@@ -46,9 +46,9 @@ def table_head(width: int) -> str:
 
 
 def table_row(scene: SceneVerdict, width: int) -> str:
-    """PASS or FAIL, the pixels that hit and that agree, their largest share of a bound, seconds or that the result is
-    kept from an earlier run, and the other classes that there are: rows are printed before it is known which others
-    will be empty everywhere."""
+    """The row of a scene: mark, pixels that hit and that agree, their largest error over its bound, seconds or "kept"
+    for a result of an earlier run, and the other classes that occur. A row is printed before later ones are known, so
+    these classes have no columns."""
     check, ratio = scene.worst
     worst = f"{ratio:.2f}" if check and scene.counts[AGREE] else "-"
     counts = str(scene.hit_pixels), str(scene.counts[AGREE])
@@ -66,25 +66,25 @@ INDENT = 6 * " "  # below the name of a scene
 
 
 def class_text(name: str) -> str:
-    """A class of pixels as a reader says it."""
+    """A class of pixels for readers."""
     return name.replace("_", " ")
 
 
 def mark_of(scene: SceneVerdict) -> str:
-    """PASS, FAIL, or for a scene that is waived: SKIP where the candidate declines it, KNOWN for a known failure."""
+    """PASS, FAIL, SKIP if the candidate declines the scene, or KNOWN for a known failure."""
     if scene.waived:
         return "SKIP" if scene.waived == UNSUPPORTED else "KNOWN"
     return "PASS" if scene.ok else "FAIL"
 
 
 def worst_words(scene: SceneVerdict) -> str:
-    """The check with the largest share of its bound among agreeing pixels, as text."""
+    """The check with the largest error over its bound among agreeing pixels, as text."""
     check, ratio = scene.worst
     return f"{check} {ratio:.2f} of its bound" if check and scene.counts[AGREE] else "-"
 
 
 def failure_text(scene: SceneVerdict, report: str = "") -> str:
-    """How many, how far, where to look, and the next command. report: the HTML report's file, if there is one."""
+    """Number of failing pixels, the worst of them, where to look, and the next command. report: the report's file."""
     return "\n".join(_failure_lines(scene, report))
 
 
@@ -229,7 +229,7 @@ def outcome_text(verdict: Verdict) -> str:
 
 
 def waiver_lines(verdict: Verdict) -> Iterator[str]:
-    """Scenes that the run does not fail by, known failures that are fixed, and whether enough scenes were judged."""
+    """Waived scenes, known failures that are fixed, and whether too few scenes were judged."""
     for scene in verdict.scenes:
         if scene.waived:
             words = scene.problem.partition("\n")[0] if scene.problem else f"{', '.join(sorted(failing_checks(scene)))}"
@@ -276,7 +276,7 @@ def left_out_lines(verdict: Verdict) -> Iterator[str]:
 
 
 def _error_lines(verdict: Verdict) -> Iterator[str]:
-    """The largest error of t in roundings, of the K that are allowed, the largest bias, and what the CPU adds to t."""
+    """The largest error of t in roundings, the largest bias, and the offset of t by the CPU."""
     found = [(scene.name, scene.statistics) for scene in verdict.scenes if scene.statistics is not None]
     if any(errors.pixels for _, errors in found):
         name, largest = max(found, key=lambda item: item[1].k_t.largest)
@@ -315,7 +315,7 @@ def _stored_lines(verdict: Verdict) -> Iterator[str]:
 
 
 def _kept_lines(verdict: Verdict) -> Iterator[str]:
-    """How many results are of an earlier run, and the shard."""
+    """The number of results of an earlier run, and the shard."""
     kept = sum(scene.kept for scene in verdict.scenes)
     if kept:
         yield (
@@ -333,11 +333,11 @@ NO_ANSWER = "no comparison"
 
 
 def failing_checks(scene: SceneVerdict) -> frozenset[str]:
-    """The checks that a scene fails; `exact`, which fails beside most others, only where it is alone."""
+    """The checks that a scene fails; `exact`, which accompanies most others, only if it fails alone."""
     if scene.problem:
         return frozenset([NO_ANSWER])
     named = {*scene.failing_by, *(check.name for check in scene.checks if not check.ok)}
-    named |= {failure.check for failure in scene.failures}  # a candidate's, which are not counted by check
+    named |= {failure.check for failure in scene.failures}  # of a candidate, which are not counted by check
     return frozenset(named - {EXACT} or named)
 
 
@@ -351,7 +351,7 @@ def simplest_failing(scenes: Sequence[SceneVerdict]) -> SceneVerdict | None:
 
 
 def _cause_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
-    """Causes that several failing scenes share, the most frequent first, with the types of shapes in those scenes."""
+    """Causes shared by several failing scenes, most frequent first, with the types of their shapes."""
     failing = failing_scenes(scenes)
     sharing: dict[str, list[SceneVerdict]] = {}
     for scene in failing:
@@ -366,7 +366,7 @@ def _cause_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
 
 
 def _kind_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
-    """How many of the scenes with each kind of primitive fail, where several kinds of several scenes were judged."""
+    """How many of the scenes with each type of shape fail, if several types and scenes were judged."""
     judged = [scene for scene in scenes if not scene.waived]
     kinds = {kind for scene in judged for kind in scene.composition.shapes}
     fails = {kind: [not scene.ok for scene in judged if kind in scene.composition.shapes] for kind in kinds}
@@ -378,7 +378,7 @@ def _kind_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
 
 
 def group_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
-    """Lines on what failing scenes have in common, and the simplest of them; none below MIN_FAILING_SCENES."""
+    """What failing scenes have in common, and the simplest of them; nothing below MIN_FAILING_SCENES."""
     yield from _cause_lines(scenes)
     yield from _kind_lines(scenes)
     first = simplest_failing(scenes)

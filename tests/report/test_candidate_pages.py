@@ -23,13 +23,19 @@ def place(scene, row, layer):
     return f"#s={scene}&x={row % SIZE[0]}&y={row // SIZE[0]}&a={layer}"
 
 
-def test_the_list_names_the_candidate(visit, report):
+def test_the_list_names_the_candidate_and_no_answer_is_words(visit, report):
     page = visit(report).page
     assert page.inner_text("#who") == "candidate docs.candidates.inside:trace"
     assert "candidate wrong" in page.locator(".row .classes").first.inner_text()
     assert "ours" not in page.inner_text("#app").lower()
     page.select_option("#class", "wrong")
     assert page.locator(".row .name a").all_inner_texts() == ["inside", "single"]
+    page.evaluate("location.hash = '#s=silent'")
+    page.wait_for_selector("#message >> text=the candidate gave no answer")
+    assert "expected two arrays (t, n)" in page.inner_text("#message")
+    page.evaluate("location.hash = '#s=outside&x=12&y=10&a=shape_id'")
+    page.wait_for_selector("#pixel section >> text=Not given")
+    assert "inf" not in page.inner_text("#pixel")
 
 
 def test_the_inspector_has_the_candidates_numbers_to_the_bit(visit, report, judged):
@@ -73,15 +79,6 @@ PAINTED = """() => {
     const drawn = [...data.keys()].filter((i) => i % 4 === 1 && data[i + 2] > 0);
     return [(4 * drawn.length) / data.length, drawn.reduce((most, i) => Math.max(most, data[i]), 0)];
 }"""
-
-
-def test_no_answer_is_words_and_what_is_not_given_is_no_number(visit, report):
-    page = visit(report, "#s=silent").page
-    assert "the candidate gave no answer" in page.inner_text("#message")
-    assert "expected two arrays (t, n)" in page.inner_text("#message")
-    page.evaluate("location.hash = '#s=outside&x=12&y=10&a=shape_id'")
-    page.wait_for_selector("#pixel section >> text=Not given")
-    assert "inf" not in page.inner_text("#pixel")
 
 
 PATCHES = [(6, 4, 1.01), (15, 4, 1.01), (2, 13, -1.0)]  # x, y of the corner of 3 x 3 pixels, and the factor of t or n

@@ -37,19 +37,15 @@ def ready(page):
 # ---- the list ----
 
 
-def test_the_list_states_what_became_of_each_scene(visit, folder):
-    page = visit(folder).page
+def test_the_list_states_what_became_of_each_scene_and_filters_are_in_the_address(visit, folder):
+    opened = visit(folder)
+    page = opened.page
     assert page.locator(".row .name a").all_inner_texts() == [BAD, "crashed", "good"]  # failing first
     assert page.locator(".row .badge").all_inner_texts() == ["FAIL", "CRASH", "PASS"]
     assert "1 ours wrong, 3 reference wrong, unlisted" in page.locator(".row .classes").first.inner_text()
     assert page.inner_text("#total") == "4 scenes: 1 pass, 2 fail, 1 not judged"
     assert "3 of 4 scenes are here" in page.inner_text("#banner")
     assert page.locator(".row img").count() == 2
-
-
-def test_filters_choose_and_are_in_the_address(visit, folder):
-    opened = visit(folder)
-    page = opened.page
     page.keyboard.press("/")
     page.keyboard.type("oo")
     assert page.locator(".row .name a").all_inner_texts() == ["good"]
@@ -58,9 +54,9 @@ def test_filters_choose_and_are_in_the_address(visit, folder):
     page.select_option("#status", "fail")
     page.select_option("#check", "mask")
     assert page.locator(".row .name a").all_inner_texts() == [BAD]
-    again = visit(folder, "#st=pass&cl=agree").page
-    assert again.locator(".row .name a").all_inner_texts() == ["good"]
-    assert again.input_value("#status") == "pass"
+    page.evaluate("location.hash = '#st=pass&cl=agree'")
+    assert page.locator(".row .name a").all_inner_texts() == ["good"]
+    assert page.input_value("#status") == "pass"
 
 
 def test_without_scripts_it_says_what_it_needs(visit, folder):
@@ -81,6 +77,7 @@ def test_every_number_of_the_images_comes_back(visit, folder, verdicts):
     page = visit(folder, at(planted.NAN, a="position", v="ours", z=96)).page
     ready(page)
     pair = verdicts["bad"].seen
+    assert page.inner_text("#pixel .xy") == "8, 12" and "unlisted" in page.inner_text("#pixel .class")
     for y, x in np.argwhere(pair.ours.hit)[::97]:
         page.evaluate(f"location.hash = '{at((x, y), a='position')}'")
         page.wait_for_selector(f"#pixel .xy:text-is('{x}, {y}')")
@@ -90,14 +87,6 @@ def test_every_number_of_the_images_comes_back(visit, folder, verdicts):
             sides = [np.atleast_1d(aov_rows(aovs, layer)[row]) for aovs in (pair.ours, pair.reference)]
             expected = [float(v).hex() for v in np.column_stack(sides).ravel() if np.isfinite(v)]
             assert found == expected, (x, y, layer)
-
-
-def test_a_link_to_a_pixel_opens_the_check_that_failed_there(visit, folder):
-    opened = visit(folder, at(planted.NAN))
-    ready(opened.page)
-    assert opened.page.inner_text("#pixel .xy") == "8, 12"
-    assert opened.page.get_attribute("[data-layer=normal]", "aria-pressed") == "true"
-    assert "unlisted" in opened.page.inner_text("#pixel .class")
 
 
 def color_at(page, pane, pixel, size=(planted.WIDTH, planted.HEIGHT)):
@@ -180,9 +169,10 @@ def test_the_command_to_replay_is_copied(visit, folder, browser):
 
 
 def test_a_narrow_screen_is_not_wider_than_it_is(visit, folder):
-    for place in ("", at(planted.NAN)):
-        page = visit(folder, place, viewport={"width": 420, "height": 800}).page
-        page.wait_for_selector(".row" if not place else ".pane canvas")
+    page = visit(folder, viewport={"width": 420, "height": 800}).page
+    for place, shown in (("", ".row"), (at(planted.NAN), ".pane canvas")):
+        page.evaluate(f"location.hash = '{place}'")
+        page.wait_for_selector(shown)
         assert page.evaluate("document.documentElement.scrollWidth") <= 420
 
 
