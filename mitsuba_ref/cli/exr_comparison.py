@@ -16,7 +16,7 @@ from caster.system.process import DIFFERENCES, FILE, NOTHING_SELECTED, OK
 from mitsuba_ref.cli.options import add_reading, add_selection, add_timeout, reading_of, selected_entries
 
 if TYPE_CHECKING:
-    from mitsuba_ref.exr_compare.approved import ImageCheck, Proposal
+    from mitsuba_ref.exr_compare.approved import Proposal
     from mitsuba_ref.runner.many_scenes import Entry
 
 # ---- compare ----
@@ -90,7 +90,7 @@ T = TypeVar("T")
 def each_scene(
     args: argparse.Namespace, of: Callable[[Entry], T], failed: Callable[[Entry, tuple[str, ...]], T]
 ) -> Iterator[T]:
-    """The result of each selected scene, or of the error that it raises, in order. Raises SceneError."""
+    """The results of `of` for all selected scenes in order, or of `failed` where it raises. Raises SceneError."""
     from mitsuba_ref.runner.many_scenes import map_in_order, problem_of
 
     def result_of(entry: Entry) -> T:
@@ -115,15 +115,13 @@ def run_approve(args: argparse.Namespace) -> int:
     if args.variant:
         check_variant(args.variant, "--variant")
 
-    def proposal_of(entry: Entry) -> Proposal:
-        return propose(entry.load().scene, entry.name, entry.path, folder, args.variant, args.timeout)
-
-    def failure_of(entry: Entry, lines: tuple[str, ...]) -> Proposal:
-        return Proposal(entry.name, folder / f"{entry.name}.exr", "failed", False, lines)
-
     out = sys.stdout  # itself: readers of EXR files in other threads replace sys.stdout while they read
     found = []
-    for proposal in each_scene(args, proposal_of, failure_of):
+    for proposal in each_scene(
+        args,
+        lambda entry: propose(entry.load().scene, entry.name, entry.path, folder, args.variant, args.timeout),
+        lambda entry, lines: Proposal(entry.name, folder / f"{entry.name}.exr", "failed", False, lines),
+    ):
         found.append(proposal)
         print_proposal(proposal, out)
     if not found:
@@ -172,23 +170,18 @@ def approved(args: argparse.Namespace, count: int) -> bool:
 
 
 def run_check(args: argparse.Namespace) -> int:
-    """A row for each scene; 0 all pass, 1 some do not, 4 some have no image that can be read, and no other fails,
-    5 nothing was selected."""
+    """Print a row for each scene; 0 all pass, 1 some do not, 4 only missing or unreadable images fail, 5 nothing was
+    selected."""
     from mitsuba_ref.exr_compare.approved import ImageCheck, ImageChecks, check_scene
     from mitsuba_ref.report.results import print_lines
 
-    def path_of(entry: Entry) -> Path:
-        return Path(args.references) / f"{entry.name}.exr"
-
-    def check_of(entry: Entry) -> ImageCheck:
-        return check_scene(entry.load().scene, entry.name, path_of(entry))
-
-    def failure_of(entry: Entry, lines: tuple[str, ...]) -> ImageCheck:
-        return ImageCheck(entry.name, str(path_of(entry)), False, lines)
-
-    out = sys.stdout  # itself: readers of EXR files in other threads replace sys.stdout while they read
+    folder, out = Path(args.references), sys.stdout  # itself: readers in other threads replace sys.stdout
     found = []
-    for checked in each_scene(args, check_of, failure_of):
+    for checked in each_scene(
+        args,
+        lambda entry: check_scene(entry.load().scene, entry.name, folder / f"{entry.name}.exr"),
+        lambda entry, lines: ImageCheck(entry.name, str(folder / f"{entry.name}.exr"), False, lines),
+    ):
         found.append(checked)
         if not args.json:
             print_lines("\n".join(checked.lines()), out)

@@ -39,7 +39,7 @@ def add_rays_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run_rays(args: argparse.Namespace) -> int:
-    """Write the rays; the number of them goes to standard output."""
+    """Write the rays and print their number."""
     scene = load(args)
     import numpy as np
 
@@ -57,7 +57,7 @@ def run_rays(args: argparse.Namespace) -> int:
 
 
 def camera_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.ndarray | None]:
-    """(the rays that `validate` shares with Mitsuba (n, 8), their pixels (n, 2))."""
+    """(n, 8) the rays that `validate` shares with Mitsuba, and (n, 2) their pixels."""
     import numpy as np
 
     from mitsuba_ref.reference.shared_input import pixel_of, shared_rays
@@ -69,7 +69,7 @@ def camera_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.
 
 
 def shadow_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.ndarray | None]:
-    """Rays from what the camera hits to a light, d all the way to one that is a point. Raises SceneError."""
+    """Rays from the camera's hits to a light; d reaches a point light at t = 1. Raises SceneError."""
     import numpy as np
 
     from caster.rendering.hits import cast
@@ -149,7 +149,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def entry_of(args: argparse.Namespace, scene: Scene, more: str, subject: Subject, **about: Any) -> SceneEntry:
-    """A scene to judge, its name ending in `more`, with the options that show the same again."""
+    """A scene to judge, with the options of a replay. more: the end of its name."""
     from mitsuba_ref.runner.many_scenes import SceneEntry
 
     options = given_words(args, "scene", "rays", "hits", "exr", "precision", "mesh_dir")
@@ -158,7 +158,7 @@ def entry_of(args: argparse.Namespace, scene: Scene, more: str, subject: Subject
 
 
 def hits_entries(args: argparse.Namespace) -> list[SceneEntry]:
-    """One scene to judge for nearest hits, and one for any-hit answers. Raises SceneError, FileMissing."""
+    """Scenes to judge: one for nearest hits, one for any-hit answers. Raises SceneError, FileMissing."""
     from caster.scene.files import load_scene
     from mitsuba_ref.subjects.ray_files import HitsFile, lay_out, read_hits, read_rays
 

@@ -25,23 +25,23 @@ if TYPE_CHECKING:
     from mitsuba_ref.runner.many_scenes import SceneSource
     from mitsuba_ref.subjects.subject import Subject
 
-# Stated here as well, since loading the judge loads the kernels (tests/unit/test_cli_help.py compares).
+# Copies, since the judge's modules load the kernels (tests/unit/test_cli_help.py compares them).
 CANDIDATE_SECONDS = REFERENCE_SECONDS = 300.0
 PRECISIONS = ("float32", "float64")
-MAX_SECONDS = 100_000.0  # a day; the system's waits take milliseconds in 31 bits, of some times as long
+MAX_SECONDS = 100_000.0  # about a day; the system's waits take milliseconds in 31 bits, and some are multiples of it
 BUILTIN_SETS = ("triangles", "spheres", "others", "all")  # folders of mitsuba_ref/runner/builtin, and all of them
 DEFAULT_SCENES = [InputPath("scenes")]
 
 
 def whole(text: str) -> int:
-    """A whole number >= 0, or an error in argparse's way."""
+    """Parse a whole number >= 0. Raises argparse.ArgumentTypeError."""
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"expected a whole number >= 0, got '{text}'")
     return int(text)
 
 
 def positive_seconds(text: str) -> float:
-    """A number > 0, at most MAX_SECONDS. Raises argparse.ArgumentTypeError."""
+    """Parse a number of seconds > 0, at most MAX_SECONDS. Raises argparse.ArgumentTypeError."""
     try:
         value = float(text)
     except ValueError:
@@ -57,7 +57,7 @@ def positive_seconds(text: str) -> float:
 
 
 def add_selection(parser: argparse.ArgumentParser) -> None:
-    """Scenes, -k, -j, --size and --mesh-dir."""
+    """Add scenes, -k, -j, --size and --mesh-dir."""
     add = parser.add_argument
     add(
         "scenes",
@@ -89,7 +89,7 @@ def add_selection(parser: argparse.ArgumentParser) -> None:
 
 
 def selected_entries(args: argparse.Namespace) -> list[SceneSource]:
-    """The selected scenes, not loaded yet; where there is none, this is printed. Raises SceneError."""
+    """The selected scenes, not loaded yet; prints a message if there are none. Raises SceneError."""
     from caster.scene.files import types_in_file
     from caster.scene.model import Film
     from mitsuba_ref.runner.many_scenes import matching, source_of
@@ -113,7 +113,7 @@ def selected_entries(args: argparse.Namespace) -> list[SceneSource]:
 
 
 def builtin_folders(name: str | None) -> list[str]:
-    """Folders of a set of the scenes that are installed with the package; none for None."""
+    """Folders of a set of built-in scenes; none for None."""
     if name is None:
         return []
     from importlib.resources import files
@@ -124,7 +124,7 @@ def builtin_folders(name: str | None) -> list[str]:
 
 
 def add_timeout(parser: argparse.ArgumentParser) -> None:
-    """--timeout."""
+    """Add --timeout."""
     parser.add_argument(
         "--timeout",
         metavar="S",
@@ -144,7 +144,7 @@ class ServedProgram(str):
 def add_candidate(
     parser: argparse.ArgumentParser, title: str = "another ray caster, judged in place of ours (docs/candidates.md)"
 ) -> None:
-    """--candidate, its precision and its time limit."""
+    """Add --candidate, its precision and its time limit."""
     group = parser.add_argument_group(title)
     one = group.add_mutually_exclusive_group()
     one.add_argument(
@@ -220,7 +220,7 @@ def candidate_words(args: argparse.Namespace) -> tuple[str, ...]:
 
 
 def given_words(args: argparse.Namespace, *names: str) -> tuple[str, ...]:
-    """These options as words of a command line, those that were given."""
+    """Those of these options that were given, as words of a command line."""
     words: list[str] = []
     for name in names:
         value = getattr(args, name, None)
@@ -255,7 +255,7 @@ def reading_of(args: argparse.Namespace) -> Reading:
 
 
 def add_skip_unsupported(parser: argparse.ArgumentParser, plural: str) -> None:
-    """--skip-unsupported. plural: "scenes" or "families"."""
+    """Add --skip-unsupported. plural: "scenes" or "families"."""
     parser.add_argument(
         "--skip-unsupported",
         action="store_true",
@@ -304,7 +304,7 @@ def write_verdict_files(verdict: Verdict, args: argparse.Namespace, seconds: flo
 
 
 def add_item_selection(parser: argparse.ArgumentParser, what: str, words: str) -> None:
-    """The items by name, -k and --list. what: "family" or "scene"."""
+    """Add the items by name, -k and --list. what: "family" or "scene"."""
     plural = {"family": "families", "scene": "scenes"}[what]
     add = parser.add_argument
     add(plural, metavar=what.upper(), type=str, nargs="*", help=words)
@@ -323,7 +323,7 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 
 
 def check_json(args: argparse.Namespace) -> None:
-    """Raise OutputError now, and not after all the work."""
+    """Raise OutputError before any work if the file cannot be written."""
     from caster.system.atomic_files import check_writable
 
     if args.json and args.json != "-":
@@ -331,12 +331,12 @@ def check_json(args: argparse.Namespace) -> None:
 
 
 def table_stream(args: argparse.Namespace) -> TextIO:
-    """Where tables go: not to standard output if that takes the JSON."""
+    """The stream for tables: standard error if the JSON goes to standard output."""
     return sys.stderr if args.json == "-" else sys.stdout
 
 
 class Progress:
-    """One line on a terminal's stderr, overwritten by each call; nothing elsewhere."""
+    """A line on a terminal's standard error that each call overwrites; nothing elsewhere."""
 
     def __init__(self, what: str) -> None:
         self.what, self.line = what, StatusLine()
@@ -357,9 +357,9 @@ T = TypeVar("T", bound=Named)
 
 
 def select(items: Sequence[T], what: str, words: Sequence[str], expression: str | None) -> list[T]:
-    """Items by name, or by the part of it before a dash; all of them without words. In the registry's order.
+    """Select items by name or by its part before a dash, in the registry's order; all of them without words.
 
-    what: "scene" or "family", for messages. Raises SceneError for a word that is neither, or an invalid expression.
+    what: "scene" or "family", for messages. Raises SceneError for an unknown word or an invalid expression.
     """
     names = [item.name for item in items]
     known = [*names, *(name.partition("-")[0] for name in names)]

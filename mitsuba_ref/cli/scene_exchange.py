@@ -1,4 +1,4 @@
-"""`mitsuba-ref render`, `export` and `import`: scenes to Mitsuba, and from its XML or from texts of MIT 6.837."""
+"""`mitsuba-ref render`, `export` and `import`: scenes to Mitsuba, and from its XML or files of MIT 6.837."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def add_import_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run_import(args: argparse.Namespace) -> int:
-    """Read, write, and list what was left out. Raises SceneError, FileMissing, OutputError."""
+    """Convert a scene, and list its parts that were left out. Raises SceneError, FileMissing, OutputError."""
     from caster.system.atomic_files import write_text
 
     suffix = Path(args.file).suffix.lower()
@@ -114,7 +114,7 @@ def from_xml(args: argparse.Namespace) -> ImportedScene:
 
 
 def from_course(args: argparse.Namespace) -> ImportedScene:
-    """The window of an orthographic camera is moved back, where something is behind it."""
+    """Read a file of MIT 6.837. The window of an orthographic camera is moved back if something is behind it."""
     from caster.classroom.course_files import load_course_scene
     from caster.classroom.course_images import with_window_behind_scene
     from caster.scene.model import Film
@@ -136,7 +136,7 @@ def from_course(args: argparse.Namespace) -> ImportedScene:
 
 
 def parameters(words: list[str]) -> dict[str, str]:
-    """NAME -> VALUE of -D. Raises SceneError for a word that is no such pair."""
+    """Parse the words of -D. Raises SceneError for a word that is not NAME=VALUE."""
     for word in words:
         if "=" not in word:
             raise SceneError(f"-D {word}: expected NAME=VALUE")
@@ -144,7 +144,7 @@ def parameters(words: list[str]) -> dict[str, str]:
 
 
 def folders_beyond(scene: object, folder: Path) -> set[str]:
-    """Folders of meshes that a scene file in `folder` may not read by itself."""
+    """Folders of meshes that a scene file in `folder` may read only by --mesh-dir."""
     files = [Path(shape.file) for shape in getattr(scene, "shapes", ()) if hasattr(shape, "file")]
     return {str(file.parent) for file in files if not file.is_relative_to(folder)}
 
@@ -152,7 +152,12 @@ def folders_beyond(scene: object, folder: Path) -> set[str]:
 def add_export_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     parser.add_argument(
-        "-o", "--output", metavar="DIR", type=OutputFolder, required=True, help="folder to write into; made if need be"
+        "-o",
+        "--output",
+        metavar="DIR",
+        type=OutputFolder,
+        required=True,
+        help="folder to write into, created if missing",
     )
 
 

@@ -99,7 +99,7 @@ def judge_entries(
 
 
 def print_conventions(candidate: Subject, entry: Entry) -> None:
-    """What a few rays of the first scene show of a candidate's conventions, before all scenes are judged."""
+    """Print which ray conventions a candidate breaks, by a few rays of the first scene."""
     from mitsuba_ref.judge.checks.ray_conventions import check_ray_conventions
     from mitsuba_ref.report.results import print_lines
 
@@ -112,8 +112,8 @@ def print_conventions(candidate: Subject, entry: Entry) -> None:
 
 
 def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:
-    """0 where all pass; 70 or 4 for an internal error or a file that cannot be written; 2 or 4 where nothing else
-    fails than scenes that cannot be loaded; else 1."""
+    """0 if all pass; 70 or 4 for an internal error or a file that cannot be written; 2 or 4 if only scenes that cannot
+    be loaded fail; else 1."""
     from caster.system.atomic_files import OutputError
     from mitsuba_ref.judge.verdict import UNSUPPORTED
 
@@ -155,7 +155,7 @@ def run_options(args: argparse.Namespace) -> RunOptions:
 
 
 def print_rows(running: ValidationRun) -> None:
-    """A row for each scene as soon as it and those before it are done."""
+    """Print a row for each scene as soon as it and all scenes before it are done."""
     from mitsuba_ref.report.results import print_lines
     from mitsuba_ref.report.verdict_text import table_head, table_row
 
@@ -177,7 +177,8 @@ def write_results(running: ValidationRun, args: argparse.Namespace, seconds: flo
     try:
         write_verdict_files(verdict, args, seconds)
         write_expected(verdict, args)
-        if failures := failures_text(verdict, report_page(args)):
+        report = str(Path(args.html) / "index.html") if args.html else ""
+        if failures := failures_text(verdict, report):
             print_lines(f"\n{failures}")
         print_lines(f"\n{summary_text(verdict, seconds)}")
     finally:
@@ -186,7 +187,7 @@ def write_results(running: ValidationRun, args: argparse.Namespace, seconds: flo
 
 
 def write_expected(verdict: Verdict, args: argparse.Namespace) -> None:
-    """Write --write-expected, unless scenes are left that were not judged. Raises OutputError."""
+    """Write --write-expected, unless some scenes were not judged. Raises OutputError."""
     from caster.system.atomic_files import write_text
     from mitsuba_ref.runner.validation_run import expected_toml
 
@@ -195,11 +196,6 @@ def write_expected(verdict: Verdict, args: argparse.Namespace) -> None:
         print(f"{path}: not written: {len(verdict.not_judged)} scenes were not judged", file=sys.stderr)
     elif path:
         write_text(path, expected_toml(verdict.scenes))
-
-
-def report_page(args: argparse.Namespace) -> str:
-    """The HTML file to open, "" without --html."""
-    return str(Path(args.html) / "index.html") if args.html else ""
 
 
 # ---- mitsuba-ref merge ----
@@ -217,7 +213,7 @@ def add_merge_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run_merge(args: argparse.Namespace) -> int:
-    """Print failures and the summary; 0 all pass, 1 some do not or are missing, 3 not parts of one run."""
+    """Print failures and the summary; 0 all pass, 1 some fail or are missing, 3 the files are not of one run."""
     from mitsuba_ref.report.results import print_lines
     from mitsuba_ref.report.verdict_text import failures_text, summary_text
     from mitsuba_ref.runner.shards import merge_verdicts

@@ -80,21 +80,15 @@ def load_approved(path: Path) -> Exr:
 
 
 def check_matches_scene(image: Exr, scene: Scene) -> None:
-    """Raise UnusableImage for another state of the scene."""
-    if image.provenance.get(SCENE_HASH) != scene.sha256():
-        raise UnusableImage(f"stale: {_scene_changes(image.provenance, scene)} since it was approved")
-
-
-def _scene_changes(about: dict[str, str], scene: Scene) -> str:
-    """The parts of a scene file that have changed; or mesh files, which the scene file only names."""
+    """Raise UnusableImage for another state of the scene, naming the changed parts of its file."""
+    if image.provenance.get(SCENE_HASH) == scene.sha256():
+        return
     try:
-        before, now = json.loads(about[SCENE_JSON]), json.loads(scene.canonical_json())
+        before, now = json.loads(image.provenance[SCENE_JSON]), json.loads(scene.canonical_json())
+        parts = [key for key in sorted({*before, *now}) if before.get(key) != now.get(key)] or ["a mesh file"]
     except (KeyError, ValueError):
-        return "the scene has changed"
-    parts = [key for key in sorted({*before, *now}) if before.get(key) != now.get(key)]
-    if not parts:
-        return "a mesh file of the scene has changed"
-    return f"{', '.join(parts)} of the scene {'has' if len(parts) == 1 else 'have'} changed"
+        parts = ["some part"]
+    raise UnusableImage(f"stale: {', '.join(parts)} of the scene changed since it was approved")
 
 
 def render_fresh(scene: Scene, path: str, variant: str | None, timeout: float) -> Exr | Crash:

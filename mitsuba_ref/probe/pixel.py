@@ -129,7 +129,7 @@ def probe_with_evidence(
         _answer(scene, pair.subject, pair.t),
         _answer(scene, pair.reference, pair.result.t),
         _exact(judge, exact),
-        {name: share for name, share in _ratios(judgement).items() if name not in left},
+        {name: float(judgement.ratio(name)[0]) for name in judgement.names if name not in left},
         left,
         tuple(_possible(scene, judge)),
         pair.result.answer.versions,
@@ -158,10 +158,6 @@ def _answer(scene: Scene, aovs: Aovs, t: np.ndarray) -> dict[str, Any]:
     shape = int(aov_rows(aovs, "shape_id")[0])
     values = {name: _numbers(aov_rows(aovs, name)[0]) for name in COMPARED_AOVS if name != "shape_id"}
     return {"shape": scene.shape_names()[shape] if shape >= 0 else "miss", "t": _numbers(t[0]), **values}
-
-
-def _ratios(judgement: Judgement) -> dict[str, float]:
-    return {name: float(judgement.ratio(name)[0]) for name in judgement.names}
 
 
 def _possible(scene: Scene, judge: Judge) -> Iterator[PossibleHit]:

@@ -114,7 +114,9 @@ def compared_with_exact(
     if not right or exact.t is None or not np.isfinite(claimed[3]):
         return WitnessAnswer(*claimed, right=right, format=name)
     off = exact.t.off(claimed[3]) * -exact.t.compare(claimed[3])
-    share = ratio_to_bound(abs(off), _bound(judge, exact, claimed[3], ours=kind is np.float64))
+    ours, prim, t = kind is np.float64, np.array([exact.prim]), np.array([claimed[3]])
+    at = intersections_at(judge.model, prim, (judge.o, judge.d), t, KU_OURS if ours else KU, ours=ours)
+    share = ratio_to_bound(abs(off), float(at.t_error[0]))
     ulps = in_ulps(off, exact, np.dtype(kind))
     return WitnessAnswer(*claimed, right=share <= 1.0, off=off, ulps=ulps, format=name, share=share)
 
@@ -132,12 +134,6 @@ def in_ulps(off: float, exact: ExactAnswer, format: np.dtype[Any]) -> float | No
     with np.errstate(over="ignore", under="ignore"):
         ulp = float(np.spacing(np.abs(np.asarray(float(exact.t)).astype(format))))
     return off / ulp if np.isfinite(ulp) else None
-
-
-def _bound(judge: Judge, exact: ExactAnswer, t: float, *, ours: bool) -> float:
-    """Bound on the error of t at the exact hit, in our arithmetic or Mitsuba's."""
-    prim, line, ku = np.array([exact.prim]), (judge.o, judge.d), KU_OURS if ours else KU
-    return float(intersections_at(judge.model, prim, line, np.array([t]), ku, ours=ours).t_error[0])
 
 
 def witness_lines(found: tuple[WitnessAnswer, ...]) -> Iterator[str]:

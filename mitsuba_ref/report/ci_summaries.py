@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from caster.system.atomic_files import append_text
 from caster.system.terminal import printable
-from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneVerdict, Verdict
+from mitsuba_ref.judge.verdict import CLASSES, SceneVerdict, Verdict
 from mitsuba_ref.report.reproducers import replay
 from mitsuba_ref.report.verdict_text import (
     WAIVER_WORDS,
@@ -114,21 +114,15 @@ def _row(scene: SceneVerdict) -> str:
 
 
 def _failing_row(scene: SceneVerdict) -> str:
-    first = scene.failures[0] if scene.failures else None
-    pixel = (first.x, first.y) if first else None
-    where = f"({first.x}, {first.y}): {_far(first)}" if first else _first_line(scene)
+    first, pixel = next(iter(scene.failures), None), None
+    if first is None:  # the first line of the failure, without FAIL and the scene's name
+        where = failure_text(scene).partition("\n")[0].removeprefix(f"FAIL  {scene.name}  ")[:200]
+    else:
+        pixel = (first.x, first.y)
+        far = f"{first.ratio:.3g}x its bound" if math.isfinite(first.ratio) else "is another"
+        where = f"({first.x}, {first.y}): {first.check} {far}"
     command = f"<code>{escaped(replay(scene, pixel))}</code>"
     return f"| {' | '.join([*_cells(scene), escaped(where), command])} |\n"
-
-
-def _far(worst: Failure) -> str:
-    return f"{worst.check} {worst.ratio:.3g}x its bound" if math.isfinite(worst.ratio) else f"{worst.check} is another"
-
-
-def _first_line(scene: SceneVerdict) -> str:
-    """The first line of the failure, without FAIL and the scene's name."""
-    line = failure_text(scene).partition("\n")[0]
-    return line.removeprefix(f"FAIL  {scene.name}  ")[:200]
 
 
 SCENE_TEXT_LIMIT_BYTES = 16384  # of one scene: the output of Mitsuba may be long

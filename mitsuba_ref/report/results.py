@@ -137,13 +137,9 @@ def _line(row: Row, widths: Sequence[int], left: int) -> str:
 
 def markdown(rows: Sequence[Row], *, rule: str | None = None) -> str:
     """A Markdown table, the first row its head. rule: the line below it, left-aligned columns unless given."""
-    head, *body = (_markdown_row(row, len(rows[0])) for row in rows)
+    full = ([*row, *[""] * (len(rows[0]) - len(row))] for row in rows)
+    head, *body = ("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |" for cells in full)
     return "\n".join([head, rule or "|" + "---|" * len(rows[0]), *body])
-
-
-def _markdown_row(row: Row, columns: int) -> str:
-    cells = [*row, *[""] * (columns - len(row))]
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
 def percent(count: int, total: int) -> str:

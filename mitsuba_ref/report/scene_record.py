@@ -18,7 +18,6 @@ from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.classification import CLASS_CODE
 from mitsuba_ref.judge.explanations import format_exact_hit
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, REFERENCE_WRONG
-from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.report.evidence import Evidence
 
 Packed = dict[str, Any]  # {"type": "f4", "z": text}, and "delta" or "xor" for the step before
@@ -34,18 +33,13 @@ def packed(values: np.ndarray, like: np.ndarray | None = None) -> Packed:
     """
     values = _in_a_row(values)
     bits = values.view(f"<u{values.itemsize}")
-    if like is not None:
-        return {"type": _type(values), "xor": 1, "z": _deflated(bits ^ base_bits(_in_a_row(like), values.dtype))}
+    if like is not None:  # 0 for NaN, whose bits a conversion may change
+        numbers = np.where(np.isnan(like), 0.0, like).astype(values.dtype)
+        return {"type": _type(values), "xor": 1, "z": _deflated(bits ^ _in_a_row(numbers).view(bits.dtype))}
     plain, delta = _deflated(bits), _deflated(np.diff(bits, prepend=bits.dtype.type(0)))
     if len(delta) < len(plain):
         return {"type": _type(values), "delta": 1, "z": delta}
     return {"type": _type(values), "z": plain}
-
-
-def base_bits(like: np.ndarray, dtype: np.dtype[Any]) -> np.ndarray:
-    """The bits of these numbers in another type; 0 for NaN, whose bits a conversion may change."""
-    numbers = np.where(np.isnan(like), 0.0, like).astype(dtype)
-    return numbers.view(f"<u{dtype.itemsize}")
 
 
 def narrowest(values: np.ndarray) -> np.ndarray:
@@ -130,19 +124,14 @@ def reasons(evidence: Evidence) -> dict[str, Any]:
 def exact_answers(evidence: Evidence) -> dict[str, Any]:
     """The exact answer of each adjudicated pixel."""
     exact = evidence.judgement.exact
+    none = {False: np.inf, True: np.nan}  # by whether there is no answer at all
+    t = [float(each.t) if each is not None and each.t is not None else none[each is None] for each in exact.answers]
     return {
         "rows": packed(exact.rows.astype(np.int32)),
-        "t": packed(np.array([_exact_t(answer) for answer in exact.answers], np.float64)),
+        "t": packed(np.array(t, np.float64)),
         "share": packed(coarse(exact.ratio)),
         **numbered(format_exact_hit(evidence.scene, evidence.packed, answer) for answer in exact.answers),
     }
-
-
-def _exact_t(answer: ExactAnswer | None) -> float:
-    """inf on a miss, NaN without an answer."""
-    if answer is None:
-        return np.nan
-    return np.inf if answer.t is None else float(answer.t)
 
 
 UNLISTED_CODE = len(CLASSES)  # a class of the page: the reference is wrong in no known way, which fails

@@ -1,7 +1,7 @@
 """Validation of one scene: judgement by the pipeline, and the files of its verdict."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -126,16 +126,12 @@ def check_memory(scene: Scene) -> None:
 
 def available_bytes() -> float:
     """The least of the machine's available memory and of the control group's; inf if neither is known."""
-    return min(_memory_left(), default=float("inf"))
-
-
-def _memory_left() -> Iterator[float]:
-    for line in _text(Path("/proc/meminfo")).splitlines():
-        if line.startswith("MemAvailable:"):
-            yield int(line.split()[1]) * 1024.0
+    lines = (line.split() for line in _text(Path("/proc/meminfo")).splitlines())
+    left = [int(words[1]) * 1024.0 for words in lines if words[:1] == ["MemAvailable:"]]
     limit, used = _text(CGROUP_LIMIT).strip(), _text(CGROUP_USED).strip()
     if limit.isdecimal() and used.isdecimal():
-        yield max(float(limit) - float(used), 0.0)
+        left.append(max(float(limit) - float(used), 0.0))
+    return min(left, default=float("inf"))
 
 
 def _text(path: Path) -> str:

@@ -140,7 +140,7 @@ class ScenePlugin:
         return parse_candidate(self.candidate, self.words["candidate-precision"] or None, served=served)
 
     def check_names(self) -> tuple[str, ...]:
-        """Of pixels, then of the scene."""
+        """Names of the checks of pixels, then of the scene."""
         from mitsuba_ref.judge.checks import CANDIDATE, OURS, checks_of
         from mitsuba_ref.judge.classification import pixel_checks
 
@@ -207,7 +207,7 @@ class CheckItem(pytest.Item):
             raise CheckFailed(printable(text))
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
-        """The text alone, and its first line in the summary; a traceback only for unexpected exceptions."""
+        """The failure's text, its first line in the summary; a traceback only for unexpected exceptions."""
         if not isinstance(excinfo.value, CheckFailed):
             return super().repr_failure(excinfo, style)
         shown: Any = excinfo.getrepr(style="value")
@@ -221,7 +221,7 @@ class CheckItem(pytest.Item):
 
 
 def check_problem(found: SceneVerdict | str, check: str) -> str:
-    """Why a check of a scene fails, in the words of `validate`; "" where it passes.
+    """Why a check of a scene fails, as `validate` prints it; "" if it passes.
 
     found: the verdict, or why there is none.
     """
@@ -241,7 +241,7 @@ def check_problem(found: SceneVerdict | str, check: str) -> str:
 
 
 def is_not_judged(found: SceneVerdict | str, check: str) -> bool:
-    """Whether a verdict, of a candidate, leaves a check out; never where there is no verdict."""
+    """Whether the verdict of a candidate leaves a check out; never if there is no verdict."""
     if isinstance(found, str) or found.problem or check == VERDICT:
         return False
     return check not in found.ratios and all(each.name != check for each in found.checks)

@@ -30,26 +30,21 @@ def directions() -> np.ndarray:
 
 
 def image(kind: type) -> Channels:
-    """A sphere above a slanted floor that ends at z = -4, with a Lambert term, computed in the type `kind`."""
+    """A sphere with a Lambert term, computed in the type `kind`."""
     o, d = np.array(EYE, np.float32).astype(kind), directions().astype(kind)
     centre, radius = np.array([0.1, -0.2, 0.05], np.float32).astype(kind), kind(0.75)
-    floor, offset = np.array([0.1, 0.99, 0.05], np.float32).astype(kind), kind(-0.9)
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(invalid="ignore"):
         oc = o - centre
         b = (oc * d).sum(-1)
         apart = oc - b[..., None] * d
-        ball = -b - np.sqrt(radius**2 - (apart**2).sum(-1))
-        ground = (offset - (floor * o).sum()) / (d @ floor)
-        ground = np.where((ground > 0) & ((o + ground[..., None] * d)[..., 2] > -4), ground, np.inf)
-        ball = np.where(np.isnan(ball), np.inf, ball)
-        t = np.minimum(ball, ground).astype(kind)
-        hit, on_ball = np.isfinite(t), ball < ground
+        t = -b - np.sqrt(radius**2 - (apart**2).sum(-1))
+        hit = np.isfinite(t)
         p = o + np.where(hit, t, 0)[..., None].astype(kind) * d
-        n = np.where(on_ball[..., None], (p - centre) / radius, floor / np.linalg.norm(floor)).astype(kind)
+        n = ((p - centre) / radius).astype(kind)
         light = np.array([2, 3, 2], kind) - p
         square = (light * light).sum(-1)
         shade = np.maximum((n * light).sum(-1), 0) / (np.sqrt(square) * square) * kind(3.1)
-    return channels(hit, t, p, n, shade, np.where(on_ball, 0, 1))
+    return channels(hit, t, p, n, shade, 0)
 
 
 def channels(hit, t, p, n, shade, shape) -> Channels:
@@ -226,13 +221,6 @@ def test_one_bright_pixel_does_not_loosen_the_others(tmp_path):
 
 def renamed(image: Channels, old: str, new: str) -> Channels:
     return {new if name == old else name: values for name, values in image.items()}
-
-
-def test_a_renamed_channel_is_not_comparable_and_its_likely_name_is_given(tmp_path):
-    result = compared(tmp_path, renamed(EXACT, "depth.Z", "depth.T"))
-    assert result.exit_code == 3 and not result.ok and result.groups == ()
-    assert "channel depth.T is in ours only, did you mean 'depth.Z'?" in text(result)
-    assert "channel depth.Z is in the reference only, did you mean 'depth.T'?" in text(result)
 
 
 def test_a_missing_or_extra_channel_is_not_comparable_unless_left_out(tmp_path):

@@ -1,8 +1,6 @@
 """What earlier runs left in --out and --html goes, and is counted; what anybody else put there stays."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -123,26 +121,6 @@ def test_a_listed_file_outside_of_the_folder_stays(judged):
 def test_a_candidates_images_are_listed_too():
     assert files_of(made("a", candidate="mine"))[0] == "a.candidate.exr"
     assert files_of(made("a", ok=False, problem="crash")) == ()
-
-
-KILLED = """
-import os, signal, sys
-from pathlib import Path
-import numpy as np, OpenEXR
-from caster.image.exr import write_exr
-write = OpenEXR.File.write
-def half(file, path):
-    Path(path).write_bytes(b"half a picture")
-    os.kill(os.getpid(), signal.SIGKILL)
-OpenEXR.File.write = half
-write_exr(Path(sys.argv[1]) / "a.ours.exr", {"A": np.ones((4, 4))})
-"""
-
-
-def test_a_run_that_is_killed_while_it_writes_leaves_no_half_image_under_its_name(tmp_path):
-    killed = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], capture_output=True)
-    assert killed.returncode == -9, killed.stderr
-    assert [path.suffix for path in tmp_path.iterdir()] == [".part"]
 
 
 # ---- --html
