@@ -66,10 +66,8 @@ def run_compare(args: argparse.Namespace) -> int:
 
 def add_approve_arguments(parser: argparse.ArgumentParser) -> None:
     add_references(parser, OutputFolder)
-    add = parser.add_argument
-    add("--variant", type=str, metavar="V", help="scalar_rgb or llvm_ad_rgb; default: what suits the scene")
     add_timeout(parser)
-    add("--yes", action="store_true", help="write without confirmation; required without a terminal")
+    parser.add_argument("--yes", action="store_true", help="write without confirmation; required without a terminal")
 
 
 def add_check_arguments(parser: argparse.ArgumentParser) -> None:
@@ -110,16 +108,14 @@ def run_approve(args: argparse.Namespace) -> int:
     folder = Path(args.references)
     from caster.system.atomic_files import check_folder
     from mitsuba_ref.exr_compare.approved import Proposal, propose, unused_images, write_approved
-    from mitsuba_ref.reference.variants import check_variant
+    from mitsuba_ref.reference import variants
 
-    if args.variant:
-        check_variant(args.variant, "--variant")
-
+    variants.require_variants()  # its errors come before any work
     out = sys.stdout  # itself: readers of EXR files in other threads replace sys.stdout while they read
     found = []
     for proposal in each_scene(
         args,
-        lambda entry: propose(entry.load().scene, entry.name, entry.path, folder, args.variant, args.timeout),
+        lambda entry: propose(entry.load().scene, entry.name, entry.path, folder, args.timeout),
         lambda entry, lines: Proposal(entry.name, folder / f"{entry.name}.exr", "failed", False, lines),
     ):
         found.append(proposal)

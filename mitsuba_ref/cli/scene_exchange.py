@@ -39,7 +39,6 @@ def add_render_arguments(parser: argparse.ArgumentParser) -> None:
         default=DEFAULT_AOV_LIST,
         help=f"of {AOV_NAMES}; default: {DEFAULT_AOV_LIST}",
     )
-    add("--variant", type=str, metavar="V", help="scalar_rgb or llvm_ad_rgb; default: what suits the scene")
     add_timeout(parser)
 
 
@@ -50,14 +49,11 @@ def run_render(args: argparse.Namespace) -> int:
     from caster.image.channels import write_render
     from mitsuba_ref.reference.messages import Crash
     from mitsuba_ref.reference.rendering import REFERENCE_AOVS, render_reference
-    from mitsuba_ref.reference.variants import check_variant
 
     for name in names:
         if name not in REFERENCE_AOVS:
             raise SceneError(f"--aov {name!r}: unknown{suggestion(name, REFERENCE_AOVS)}; known are {AOV_NAMES}")
-    if args.variant:
-        check_variant(args.variant, "--variant")
-    rendered = render_reference(scene, names, variant=args.variant, timeout=args.timeout)
+    rendered = render_reference(scene, names, timeout=args.timeout)
     if isinstance(rendered, Crash):
         print(f"{args.scene}: {rendered.message}")
         return DIFFERENCES

@@ -84,7 +84,9 @@ def judge_entries(
     from mitsuba_ref.runner.validation_run import ValidationRun
 
     variants.require_variants()  # its errors come before any work
-    for path in map(Path, filter(None, (args.json, args.junit))):  # of an earlier run, if this one is killed
+    for path in (
+        Path(name).resolve() for name in (args.json, args.junit) if name
+    ):  # of an earlier run, should this one be killed
         if path.is_file():
             path.unlink()
     start = time.perf_counter()

@@ -12,25 +12,25 @@ from pydantic import TypeAdapter, computed_field
 from pydantic.dataclasses import dataclass
 
 from caster import __version__
+from caster.aovs import Aovs
 from caster.description.errors import FileMissing, SceneError
 from caster.image.channels import aovs_to_channels, channels_to_aovs, provenance
 from caster.image.exr import Exr, UnreadableExr, read_exr, write_exr
-from caster.rendering.images import film_window
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows, reference_bounds
 from mitsuba_ref.error_model.lambert import ShadingPoints, light_contribution
 from mitsuba_ref.error_model.tolerances import COLOR_RTOL, KU, Tolerances
 from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, SCENE_HASH, SCENE_JSON
 from mitsuba_ref.exr_compare.two_files import FileComparison, compare_images
-from mitsuba_ref.judge.classification import CLASS_CODE, Judge
-from mitsuba_ref.judge.comparison import PixelPairs, compare, pair_images
+from mitsuba_ref.judge.classification import CLASS_CODE, judge_of
+from mitsuba_ref.judge.comparison import PixelPairs, compare
 from mitsuba_ref.judge.diffuse import materials_of
 from mitsuba_ref.judge.verdict import EXCUSED, TIE
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.reference.rendering import aovs_of, trace_reference
-from mitsuba_ref.reference.shared_input import model_of, shared_rays
+from mitsuba_ref.reference.rendering import aovs_of
 from mitsuba_ref.report import evidence
-from mitsuba_ref.subjects.subject import answer_of_view, cast_ours
+from mitsuba_ref.subjects.requests import request_answer
+from mitsuba_ref.subjects.subject import OURS
 
 # The class of each pixel on approval: on edges and ties another answer is right as well.
 CLASS_CHANNEL = "class.I"
@@ -91,23 +91,18 @@ def check_matches_scene(image: Exr, scene: Scene) -> None:
     raise UnusableImage(f"stale: {', '.join(parts)} of the scene changed since it was approved")
 
 
-def render_fresh(scene: Scene, path: str, variant: str | None, timeout: float) -> Exr | Crash:
+def render_fresh(scene: Scene, path: str, timeout: float) -> Exr | Crash:
     """Mitsuba's image of a scene. timeout: seconds for Mitsuba's answer.
 
     path: of the scene's file, recorded without its folder, so that every machine with the same processor writes the
     same bytes.
     """
-    rays = shared_rays(scene)
-    view = cast_ours(scene, rays)
-    model = model_of(scene, view.packed, rays)
-    result = trace_reference(scene, model, rays, variant=variant, timeout=timeout)
-    if isinstance(result, Crash):
-        return result
-    shape = film_window(scene).height, film_window(scene).width
-    channels = _stored(aovs_to_channels(aovs_of(result, rays, shape, AOVS)))
-    classes = Judge(scene, model, pair_images(scene, rays, answer_of_view(scene, view), result)).judge().classes
-    channels[CLASS_CHANNEL] = classes.reshape(shape).astype(np.uint32)
-    versions = result.answer.versions
+    judge = judge_of(request_answer(OURS, scene), timeout=timeout, with_files=False)
+    if isinstance(judge, Crash):
+        return judge
+    channels = _stored(aovs_to_channels(aovs_of(judge.result, judge.pair.rays, judge.pair.shape, AOVS)))
+    channels[CLASS_CHANNEL] = judge.judge().classes.reshape(judge.pair.shape).astype(np.uint32)
+    versions = judge.result.answer.versions
     versions = versions | {"libllvm": Path(versions.get("libllvm", "none")).name}
     about = provenance(scene, __version__, Path(path).name) | evidence.class_attributes()
     about |= {PREFIX + name: version for name, version in versions.items()}
@@ -181,22 +176,20 @@ def check_ours(scene: Scene, name: str, approved: Exr) -> tuple[bool, tuple[str,
     ambiguous, hit = _ambiguous(approved), approved.channels["A"] != 0.0
     if hit.any() and not (hit & ~ambiguous).any():
         return False, (f"nothing to compare: more than one answer is right at all {hit.sum()} pixels that are hit",)
-    rays = shared_rays(scene)
-    view, window = cast_ours(scene, rays), film_window(scene)
-    answer = answer_of_view(scene, view, AOVS)
-    ours = answer.images
-    assert ours is not None
-    model = model_of(scene, view.packed, rays)
-    o, d = rays.o.astype(np.float64), rays.d.astype(np.float64)
-    bounds = reference_bounds(model, view.nearest.prim, o, d, view.nearest.t)
+    response = request_answer(OURS, scene)
+    answer, ours = response.answer, response.answer.images
+    assert ours is not None and answer.prim is not None
+    o, d = response.rays.o.astype(np.float64), response.rays.d.astype(np.float64)
+    bounds = reference_bounds(response.model, answer.prim, o, d, answer.t)
     with np.errstate(invalid="ignore"):
-        point = o + view.nearest.t[:, None] * d
+        point = o + answer.t[:, None] * d
     pixels = PixelPairs(ours, channels_to_aovs(approved.channels), bounds, answer, np.linalg.norm(d, axis=1), point)
     geometry = compare(pixels, scene.checks).agrees
     light = geometry & _lighting_agrees(scene, pixels, ShadingPoints(point, d, aov_rows(ours, "shape_id"), bounds.at))
     shown = {CLASS_CHANNEL: approved.channels[CLASS_CHANNEL]}
-    for channel, plane in _stored(aovs_to_channels(ours)).items():
-        agrees = (light if channel in LAYERS["diffuse"] else geometry).reshape(window.height, window.width)
+    images = Aovs({name: ours[name] for name in AOVS}, ours.hit)
+    for channel, plane in _stored(aovs_to_channels(images)).items():
+        agrees = (light if channel in LAYERS["diffuse"] else geometry).reshape(plane.shape)
         shown[channel] = np.where(ambiguous | agrees, approved.channels[channel], plane)
     tolerances, names = Tolerances(ignore=(CLASS_CHANNEL,)), (name, "the approved image")
     result = compare_images(approved._replace(channels=shown), approved, tolerances, names=names)
@@ -239,10 +232,10 @@ class Proposal(NamedTuple):
     fresh: Exr | None = None
 
 
-def propose(scene: Scene, name: str, source: str, folder: Path, variant: str | None, timeout: float) -> Proposal:
+def propose(scene: Scene, name: str, source: str, folder: Path, timeout: float) -> Proposal:
     """Render the scene with Mitsuba and compare with the stored image. source: the scene's file."""
     path = folder / f"{name}.exr"
-    fresh = render_fresh(scene, source, variant, timeout)
+    fresh = render_fresh(scene, source, timeout)
     if isinstance(fresh, Crash):
         why = f"Mitsuba ended without an answer ({fresh.exit}): {fresh.headline}"
         return Proposal(name, path, "failed", False, (why,))

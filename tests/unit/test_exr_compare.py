@@ -84,14 +84,6 @@ def text(result: FileComparison) -> str:
 # ---- what passes ----
 
 
-def test_identical_files_pass(tmp_path):
-    result = compared(tmp_path, EXACT, EXACT)
-    assert result.ok and result.exit_code == 0 and result.differing_pixels == 0
-    assert (result.hit_ours, result.hit_reference, result.hit_either) == (HIT.sum(),) * 3
-    assert all((g.agree, g.differ, g.non_finite) == (HIT.sum(), 0, 0) for g in result.groups)
-    assert "PASS" in text(result)
-
-
 def test_float32_arithmetic_on_the_same_rays_passes_within_the_derived_bounds(tmp_path):
     result = compared(tmp_path, EXACT)
     assert result.ok, text(result)

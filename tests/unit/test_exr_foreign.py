@@ -89,6 +89,17 @@ def test_the_names_of_other_programs_are_recognised_and_stated(tmp_path, ours, p
     assert "not compared, since only one file has them: A" in text(result)
 
 
+def test_parts_are_read_as_one_image_and_stated(tmp_path, ours):
+    """As Arnold writes them: normals in R, G and B of a part."""
+    normals = {letter: ours[f"shading_normal.{axis}"] for letter, axis in zip("RGB", "XYZ", strict=True)}
+    parts = {"RGBA": {"A": ours["A"]}, "Z": named(ours, depth="Z"), "N": normals}
+    write_exr(tmp_path / "ours.exr", ours, provenance(SCENE, __version__))
+    OpenEXR.File([OpenEXR.Part({}, channels, name) for name, channels in parts.items()]).write(str(tmp_path / "p.exr"))
+    result = compare_exr(tmp_path / "ours.exr", tmp_path / "p.exr")
+    assert result.ok and {group.name for group in result.groups} == {"hit", "depth", "shading_normal"}, text(result)
+    assert "3 parts as one image: RGBA (A), Z (Z), N (B, G, R)" in text(result)
+
+
 def test_what_is_not_known_is_left_out_and_stated(tmp_path, ours):
     theirs = named(ours, depth="depth.T") | {"Cryptomatte00.R": ours["A"]}
     result = compared(tmp_path, ours, theirs)
