@@ -18,7 +18,7 @@ from mitsuba_ref.cli.options import add_reading, add_selection, add_timeout, rea
 
 if TYPE_CHECKING:
     from mitsuba_ref.exr_compare.approved import Proposal, ReferenceCheck
-    from mitsuba_ref.runner.many_scenes import Entry, SceneSource
+    from mitsuba_ref.runner.many_scenes import SceneEntry
 
 # ---- compare ----
 
@@ -94,12 +94,12 @@ T = TypeVar("T")
 
 
 def each_scene(
-    args: argparse.Namespace, of: Callable[[Entry], T], failed: Callable[[Entry, tuple[str, ...]], T]
+    args: argparse.Namespace, of: Callable[[SceneEntry], T], failed: Callable[[SceneEntry, tuple[str, ...]], T]
 ) -> Iterator[T]:
     """The result of each selected scene, or of the error that it raises, in order. Raises SceneError."""
     from mitsuba_ref.runner.many_scenes import map_in_order, problem_of
 
-    def result_of(entry: Entry) -> T:
+    def result_of(entry: SceneEntry) -> T:
         try:
             return of(entry)
         except (SceneError, MemoryError) as error:
@@ -108,7 +108,7 @@ def each_scene(
     yield from map_in_order(result_of, args.entries, args.workers)
 
 
-def selection(args: argparse.Namespace) -> list[SceneSource]:
+def selection(args: argparse.Namespace) -> list[SceneEntry]:
     """The selected scenes. Raises SceneError, also for an unknown variant."""
     if args.variant:
         from mitsuba_ref.reference.variants import VARIANT_NAMES, VariantError
@@ -131,12 +131,12 @@ def run_approve(args: argparse.Namespace) -> int:
     from caster.system.atomic_files import check_folder
     from mitsuba_ref.exr_compare.approved import Proposal, propose, render_fresh, unused_references, write_approved
 
-    def proposal_of(entry: Entry) -> Proposal:
+    def proposal_of(entry: SceneEntry) -> Proposal:
         command = shlex.join(["mitsuba-ref", "approve", Path(entry.path).name, *film_words(args)])
         render = partial(render_fresh, variant=args.variant, command=command, timeout=args.timeout)
-        return propose(entry.load().scene, entry.name, entry.path, folder, render)
+        return propose(entry.load(), entry.name, entry.path, folder, render)
 
-    def failure_of(entry: Entry, lines: tuple[str, ...]) -> Proposal:
+    def failure_of(entry: SceneEntry, lines: tuple[str, ...]) -> Proposal:
         return Proposal(entry.name, folder / f"{entry.name}.exr", "failed", False, lines)
 
     out = sys.stdout  # itself: readers of EXR files in other threads replace sys.stdout while they read
@@ -201,14 +201,14 @@ def run_check(args: argparse.Namespace) -> int:
     from mitsuba_ref.exr_compare.approved import ReferenceCheck, ReferenceChecks, check_scene
     from mitsuba_ref.report.results import print_lines
 
-    def path_of(entry: Entry) -> Path:
+    def path_of(entry: SceneEntry) -> Path:
         return Path(args.references) / f"{entry.name}.exr"
 
-    def check_of(entry: Entry) -> ReferenceCheck:
+    def check_of(entry: SceneEntry) -> ReferenceCheck:
         options = args.variant, args.fresh, args.max_pixels
-        return check_scene(entry.load().scene, entry.name, entry.path, path_of(entry), *options)
+        return check_scene(entry.load(), entry.name, entry.path, path_of(entry), *options)
 
-    def failure_of(entry: Entry, lines: tuple[str, ...]) -> ReferenceCheck:
+    def failure_of(entry: SceneEntry, lines: tuple[str, ...]) -> ReferenceCheck:
         return ReferenceCheck(entry.name, str(path_of(entry)), False, lines)
 
     out = sys.stdout  # itself: readers of EXR files in other threads replace sys.stdout while they read

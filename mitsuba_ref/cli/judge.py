@@ -174,12 +174,13 @@ def run(args: argparse.Namespace) -> int:
     check_outputs(args)
     entries = exr_entries(args) if args.exr else hits_entries(args)
     from mitsuba_ref.reference import variants
+    from mitsuba_ref.runner.many_scenes import JudgeOptions
     from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun
 
     variants.require_variants()
     start = time.perf_counter()
-    options = RunOptions(out=Path(args.out) if args.out else None, html=args.html)
-    running = ValidationRun(entries, options, entries[0].subject)
+    judge = JudgeOptions(Path(args.out) if args.out else None, subject=entries[0].subject)
+    running = ValidationRun(entries, RunOptions(judge, html=args.html))
     try:
         print_rows(running)
     finally:  # whatever ends the work, the results so far are written
@@ -205,9 +206,8 @@ def entry_of(args: argparse.Namespace, scene: Scene, more: str, subject: Subject
 
     source = args.scene or args.mesh
     options = given_words(args, "scene", "mesh", "rays", "hits", "exr", "precision", "mesh_dir")
-    return SceneEntry(
-        scene, Path(source).stem + more, source, subject=subject, options=options, command="judge", **about
-    )
+    name = Path(source).stem + more
+    return SceneEntry(name, source, options=options, given=scene, subject=subject, command="judge", **about)
 
 
 def hits_entries(args: argparse.Namespace) -> list[SceneEntry]:

@@ -32,7 +32,7 @@ UNSUPPORTED_SCENE = "unsupported"  # of the judge, which takes long to load (tes
 
 if TYPE_CHECKING:
     from mitsuba_ref.judge.verdict import Verdict
-    from mitsuba_ref.runner.many_scenes import SceneSource
+    from mitsuba_ref.runner.many_scenes import SceneEntry
     from mitsuba_ref.runner.shards import Shard
     from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun
     from mitsuba_ref.subjects.subject import Subject
@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
 
     variants.require_variants()
     start = time.perf_counter()
-    running = ValidationRun(entries, run_options(args), candidate)
+    running = ValidationRun(entries, run_options(args, candidate))
     try:
         if candidate is not None and candidate.takes_rays:
             print_conventions(candidate, entries[0])
@@ -96,13 +96,13 @@ def run(args: argparse.Namespace) -> int:
     return exit_code(running.verdict(), running.errors)
 
 
-def print_conventions(candidate: Subject, entry: SceneSource) -> None:
+def print_conventions(candidate: Subject, entry: SceneEntry) -> None:
     """What a few rays of the first scene show of a candidate's conventions, before all scenes are judged."""
     from mitsuba_ref.judge.checks.ray_conventions import check_ray_conventions
     from mitsuba_ref.report.results import print_lines
 
     try:
-        found = check_ray_conventions(candidate, entry.load().scene)
+        found = check_ray_conventions(candidate, entry.load())
     except (SceneError, MemoryError):  # which the row of the scene names
         return
     if found is not None and not found.ok:
@@ -140,25 +140,22 @@ def check_outputs(args: argparse.Namespace) -> None:
         check_writable(args.write_expected)
 
 
-def run_options(args: argparse.Namespace) -> RunOptions:
+def run_options(args: argparse.Namespace, candidate: Subject | None) -> RunOptions:
+    from mitsuba_ref.runner.many_scenes import JudgeOptions
     from mitsuba_ref.runner.validation_run import RunOptions, read_expected
 
     chosen = args.expression or args.builtin
-    whole_folders = not chosen and all(Path(place).is_dir() for place in args.scenes)
     out = Path(args.out) if args.out else None
     return RunOptions(
+        JudgeOptions(out, args.timeout, args.store, args.thorough, candidate),
         args.workers,
         args.maxfail,
-        out,
         args.html,
         args.shard,
-        args.timeout,
-        args.store,
-        args.thorough,
         read_expected(args.expected) if args.expected else None,
         args.skip_unsupported,
         args.min_scenes,
-        whole_folders,
+        whole_folders=not chosen and all(Path(place).is_dir() for place in args.scenes),
     )
 
 
@@ -241,6 +238,6 @@ def run_merge(args: argparse.Namespace) -> int:
     for name in verdict.not_judged:
         print_lines(f"FAIL  {name}  not judged")
     print(summary_text(verdict, seconds))
-    for part in missing:
-        print(f"{part}: expected the verdict of every shard", file=sys.stderr)
+    if missing:
+        print(f"{missing}; expected the verdict of every shard", file=sys.stderr)
     return OK if verdict.ok and not missing else DIFFERENCES
