@@ -26,7 +26,7 @@ from mitsuba_ref.judge.verdict import SceneCheck, SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request, send_stored
 from mitsuba_ref.reference.shared_input import SharedRays
-from mitsuba_ref.reference.store import Store, local_store
+from mitsuba_ref.reference.store import StoreFolder, local_store
 from mitsuba_ref.report.out_folder import file_records, files_of
 from mitsuba_ref.report.reproducers import with_replay
 from mitsuba_ref.report.validation import validate_scene
@@ -182,11 +182,11 @@ class JudgeOptions(NamedTuple):
 
     folder: Path | None = None  # of the images of both sides
     timeout: float = DEFAULT_TIMEOUT  # seconds for Mitsuba
-    store: bool = True  # take verdicts and Mitsuba's responses that earlier runs stored for the very same inputs
+    store: bool = True  # reuse verdicts and responses of Mitsuba that earlier runs stored for equal inputs
     thorough: bool = False  # make every check of our caster
-    subject: Subject | None = None  # in place of our caster, where an entry has none of its own
-    page_of: Callable[[SceneVerdict], Any] | None = None  # what the report needs of a verdict and its evidence
-    threads: int | None = None  # that a worker casts on
+    subject: Subject | None = None  # in place of our caster, for entries without their own
+    page_of: Callable[[SceneVerdict], Any] | None = None  # makes the report's record of a verdict and its evidence
+    threads: int | None = None  # of a worker
 
 
 def judge_entry(entry: SceneEntry, options: JudgeOptions) -> SceneVerdict:
@@ -216,8 +216,8 @@ def replay_options(entry: SceneEntry) -> tuple[str, ...]:
     return (*(word for folder in entry.mesh_dirs for word in ("--mesh-dir", folder)), *entry.options)
 
 
-def _stored_verdict(store: Store, key: str, folder: Path | None) -> SceneVerdict | None:
-    """The verdict of the very same inputs, marked as kept, if its files in the folder are what was written."""
+def _stored_verdict(store: StoreFolder, key: str, folder: Path | None) -> SceneVerdict | None:
+    """The stored verdict of equal inputs, marked as kept, if its files in the folder are unchanged."""
     content = store.get(key)
     try:
         found = scene_of(content) if content else None
