@@ -165,7 +165,7 @@ def run(
 
 
 def problem_of(error: Exception) -> str:
-    """Why a scene has no verdict."""
+    """The reason why a scene has no verdict."""
     if isinstance(error, OutputError):
         return f"cannot be written: {error}"
     if isinstance(error, SceneError):
@@ -178,10 +178,10 @@ def problem_of(error: Exception) -> str:
 
 
 class JudgeOptions(NamedTuple):
-    """How scenes are judged."""
+    """Options of judging a scene."""
 
-    folder: Path | None = None  # of the images of both sides
-    timeout: float = DEFAULT_TIMEOUT  # seconds for Mitsuba
+    folder: Path | None = None  # for the images of both sides
+    timeout: float = DEFAULT_TIMEOUT  # of Mitsuba, seconds
     store: bool = True  # reuse verdicts and responses of Mitsuba that earlier runs stored for equal inputs
     thorough: bool = False  # make every check of our caster
     subject: Subject | None = None  # in place of our caster, for entries without their own

@@ -1,4 +1,4 @@
-"""One run of `mitsuba-ref validate`: the scenes of a shard, what is waived, and the files it leaves."""
+"""One run of `mitsuba-ref validate`: the scenes of a shard, waived failures, and the files it writes."""
 
 import json
 import tomllib
@@ -82,7 +82,7 @@ class ValidationRun:
         return replace(verdict, waived=EXPECTED) if expected and expected.covers(verdict) else verdict
 
     def verdict(self) -> Verdict:
-        """Of all scenes that are done."""
+        """The verdict of the scenes done so far."""
         names = tuple(entry.name for entry in self.entries)
         return Verdict(
             tuple(self.done),
@@ -126,7 +126,7 @@ class ExpectedFailure(BaseModel):
 
     scene: str
     checks: list[str]  # names of the checks that may fail
-    pixels: NonNegativeInt  # at most so many may
+    pixels: NonNegativeInt  # how many may fail at most
     why: str = ""
 
 
@@ -138,19 +138,19 @@ class ExpectedFailures(BaseModel):
     failure: list[ExpectedFailure] = []
 
     def covers(self, found: SceneVerdict) -> bool:
-        """Whether a scene fails in a known way, and in no other."""
+        """Whether a scene fails only in a known way."""
         listed = [each for each in self.failure if each.scene == found.name]
         checks = failing_checks(found)
         return not found.ok and any(checks <= set(each.checks) and found.failing <= each.pixels for each in listed)
 
     def mended(self, done: Sequence[SceneVerdict]) -> tuple[str, ...]:
-        """Names of scenes that are listed, and pass."""
+        """Names of the listed scenes that pass."""
         named = {each.scene for each in self.failure}
         return tuple(found.name for found in done if found.ok and found.name in named)
 
 
 def read_expected(path: str) -> ExpectedFailures:
-    """The known failures of a file. Raises FileMissing, SceneError with every error in it."""
+    """The known failures of a file. Raises FileMissing, or SceneError with every error in the file."""
     data = read_input(path, "file of known failures", MAX_TEXT_BYTES)
     try:
         return ExpectedFailures.model_validate(tomllib.loads(data.decode("utf-8")))
@@ -165,7 +165,7 @@ def read_expected(path: str) -> ExpectedFailures:
 
 
 def expected_toml(done: Sequence[SceneVerdict]) -> str:
-    """The failures of a run as text for --expected; scenes that the candidate declines are none."""
+    """The failures of a run as a file for --expected, without scenes that the candidate declined."""
     parts = [EXPECTED_HEAD]
     for found in (each for each in done if not each.ok and not each.unsupported):
         checks = ", ".join(json.dumps(name) for name in sorted(failing_checks(found)))

@@ -76,15 +76,6 @@ def test_a_library_without_effect_is_noticed(limited, tmp_path, monkeypatch, ori
         check_limits({"sse4.2": Limit("sse4.2", compiled(tmp_path), tmp_path / "log")})
 
 
-def test_equal_bits_with_and_without_fused_operations_are_noticed(tmp_path, monkeypatch):
-    """Whatever Embree says."""
-    monkeypatch.setattr(isa_runs, "observed", lambda limit, probe, **more: (limit.isa.upper(), "8"))
-    both = {isa: Limit(isa, tmp_path, tmp_path) for isa in ("sse4.2", "avx2")}
-    with pytest.raises(LimitError, match="has the bits that it has under avx2"):
-        check_limits(both)
-    check_limits({NATIVE: both["sse4.2"]} | {"avx2": both["avx2"]})
-
-
 def test_a_run_without_mitsuba_is_noticed(limited):
     with pytest.raises(LimitError, match="no Embree device was made by"):
         limited["sse4.2"].run([sys.executable, "-c", "print('nothing')"])
