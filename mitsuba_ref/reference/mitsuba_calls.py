@@ -6,7 +6,7 @@ spheres and cylinders in float64. The LLVM variant takes all rays at once, in fl
 
 import os
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from itertools import chain
 from typing import Any
 
@@ -146,8 +146,8 @@ def _trace_scalar(scene: Any, request: TraceRequest) -> dict[str, np.ndarray]:
     index = {shape: i for i, shape in enumerate(scene.shapes())}
     for start in range(0, len(request.o), SCALAR_RAYS_PER_CHUNK):
         rows, places, hits = _scalar_hits(scene, request, slice(start, start + SCALAR_RAYS_PER_CHUNK))
-        found["prim_uv"][rows] = _array_of(places, 2)
-        _store_scalar_surface(found, rows, hits, index)
+        for name, values in _scalar_surface(places, hits, index).items():
+            found[name][rows] = values
         if request.lights:
             found["albedo"][rows] = _array_of((si.bsdf().eval_diffuse_reflectance(si) for si in hits), 3)
         for k, emitter in enumerate(emitters):
@@ -181,30 +181,28 @@ def _scalar_hits(scene: Any, request: TraceRequest, chunk: slice) -> tuple[list[
     return rows, places, hits
 
 
-def _store_scalar_surface(
-    found: dict[str, np.ndarray], rows: list[int], hits: list[Any], index: dict[Any, int]
-) -> None:
-    found["t"][rows] = [si.t for si in hits]
-    found["n"][rows] = _array_of((si.n for si in hits), 3)
-    found["sh_n"][rows] = _array_of((si.sh_frame.n for si in hits), 3)
-    found["p"][rows] = _array_of((si.p for si in hits), 3)
-    found["uv"][rows] = _array_of((si.uv for si in hits), 2)
-    found["shape"][rows] = [index[si.instance or si.shape] for si in hits]
-    found["prim"][rows] = [si.prim_index for si in hits]
+def _scalar_surface(places: list[Any], hits: list[Any], index: dict[Any, int]) -> dict[str, Any]:
+    return {
+        "t": [si.t for si in hits],
+        "n": _array_of((si.n for si in hits), 3),
+        "sh_n": _array_of((si.sh_frame.n for si in hits), 3),
+        "p": _array_of((si.p for si in hits), 3),
+        "uv": _array_of((si.uv for si in hits), 2),
+        "prim_uv": _array_of(places, 2),
+        "shape": [index[si.instance or si.shape] for si in hits],
+        "prim": [si.prim_index for si in hits],
+    }
 
 
 def _scalar_light(scene: Any, emitter: Any, hits: list[Any]) -> tuple[np.ndarray, list[bool]]:
     """The terms that Mitsuba's `direct` integrator sums, with its shadow test kept separate."""
     context, sample = mi.BSDFContext(), mi.Point2f(CENTER)
-    directions = [emitter.sample_direction(si, sample) for si in hits]
-    pairs = zip(hits, directions, strict=True)
-    visible = [not scene.ray_test(si.spawn_ray_to(ds.p)) for si, (ds, _) in pairs]
-    return _array_of(_reflected(context, hits, directions), 3), visible
-
-
-def _reflected(context: Any, hits: list[Any], directions: list[Any]) -> Iterator[Any]:
-    for si, (ds, weight) in zip(hits, directions, strict=True):
-        yield weight * si.bsdf().eval(context, si, si.to_local(ds.d))
+    rgb, visible = [], []
+    for si in hits:
+        ds, weight = emitter.sample_direction(si, sample)
+        rgb.append(weight * si.bsdf().eval(context, si, si.to_local(ds.d)))
+        visible.append(not scene.ray_test(si.spawn_ray_to(ds.p)))
+    return _array_of(rgb, 3), visible
 
 
 def _scalar_sensor_rays(sensor: Any, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:

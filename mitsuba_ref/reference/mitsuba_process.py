@@ -7,6 +7,7 @@ process is the result.
 
 import atexit
 import contextlib
+import gc
 import os
 import re
 import sys
@@ -166,11 +167,19 @@ def respond(content: bytes) -> bytes:
 
 
 def is_large() -> bool:
-    """Whether the largest memory of this process was so large that it has to be replaced."""
+    """Whether the memory of this process has grown so much that it has to be replaced."""
+    gc.collect()
+    return resident_bytes() > RESIDENT_BYTES
+
+
+def resident_bytes() -> int:
+    """Memory of this process; on systems that do not show it, the largest it ever had, or that of its parent."""
     import resource  # POSIX alone
 
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit > RESIDENT_BYTES
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+    except OSError:
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
 def end_process(code: int) -> NoReturn:

@@ -1,7 +1,7 @@
 """Workers: forks of this process that serve calls. A crash or a hang ends one call, and the worker is replaced.
 
-No library is used, because loky and concurrent.futures give up all calls after a crash, and pebble does after the end of
-an idle worker. Here each worker has its own pipe.
+No library is used: loky and concurrent.futures give up all calls after a crash, and pebble after the end of an idle
+worker. Here each worker has its own pipe.
 """
 
 import contextlib

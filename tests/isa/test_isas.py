@@ -7,7 +7,7 @@ from pathlib import Path
 
 import isa_runs
 import pytest
-from isa_runs import NATIVE, Limit, LimitError, available, check_limits, compiled, count_differences, limits, validate
+from isa_runs import Limit, LimitError, available, check_limits, compiled, count_differences, limits, validate
 
 from mitsuba_ref.reference.variants import usable_variants
 

@@ -65,16 +65,11 @@ def test_the_caster_in_c_passes_with_normals_and_prim_ids(tmp_path):
 
 FAULTS = {
     "far root": ("t < best)", "(t > best || best == INFINITY))"),
-    "flipped normal": ("(float)(normal[k] / length)", "(float)(-normal[k] / length)"),
-    "distance": ("(float)best;", "(float)(best * 2.5);"),
-    "missed edge": ("(out && in)", "(out && in) || side[0] > 0.3 * side[1]"),
-    "NaN": ("(float)best;", "(float)(i == n / 2 ? NAN : best);"),
     "another primitive": ("(float)j;", "(float)(j + 1);"),
 }
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-@pytest.mark.slow("each compiles a program", keep=2)
 def test_planted_faults_in_the_caster_in_c_fail(tmp_path, fault):
     source = (EXAMPLES / "caster.c").read_text()
     assert FAULTS[fault][0] in source

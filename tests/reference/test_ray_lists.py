@@ -118,12 +118,6 @@ def planted(fault, rows, hits):
         case "flipped normal":
             n[hit[7]] *= -1
             return nearest, "the normal is turned"
-        case "missed edge":
-            t[hit[-1]] = np.inf
-            return nearest, "missed; exact arithmetic hits"
-        case "NaN":
-            t[hit[3]] = np.nan
-            return nearest, "t is NaN"
         case "t_min ignored":
             late = np.flatnonzero(rows[:, 6] > 1e-3)
             t[late] = rows[late, 6] / 1.25
@@ -151,7 +145,7 @@ def planted(fault, rows, hits):
 
 
 FAULTS = (
-    *("flipped normal", "missed edge", "NaN", "t_min ignored", "t_max ignored"),
+    *("flipped normal", "t_min ignored", "t_max ignored"),
     *("another primitive", "a shape that is none", "shadow missed", "shadow of nothing"),
 )
 
@@ -248,10 +242,7 @@ HOSTILE_RAYS = {
     "objects": (np.array([[Bomb()]], object), "allow_pickle=False"),
     "text": (np.array(["a"]), "expected numbers"),
     "not NumPy": (b"hello, world", "expected a .npz or .npy file"),
-    "empty": (b"", "expected a .npz or .npy file"),
     "claims terabytes": (npy_of((10**12, 8)), "cannot be read"),
-    "negative": (npy_of((-1, 8)), "cannot be read"),
-    "header": (b"\x93NUMPY\x01\x00\x05\x00{1:2}", "cannot be read"),
     "no zip": (b"PK\x03\x04 nothing", "cannot be read"),
 }
 
@@ -273,7 +264,6 @@ def test_rays_that_are_none_give_a_clear_error(folder, tmp_path, capsys, which):
 
 HOSTILE_HITS = {
     "too few": ({"t": np.ones(1)}, 2, "one row for each of the 2 rays"),
-    "a number": ({"t": np.float64(1.0)}, 2, "one row for each"),
     "nothing known": ({"distance": np.ones(2)}, 4, "expected arrays of t"),
     "normals alone": ({"n": np.ones((2, 3))}, 2, "an array t, or any_hit"),
     "objects": ({"t": np.array([Bomb(), 1.0], object)}, 4, "allow_pickle=False"),
