@@ -79,15 +79,9 @@ class SceneEntry:
         return self.resized(self.described())
 
 
-# Of the last scenes, so many for each worker start with the largest: a large one at the very end would leave the other
-# workers idle. Earlier rows are not held up.
+# So many last scenes for each worker start with the largest: a large one at the very end would leave the other workers
+# idle. Earlier rows are not held up.
 REORDERED_PER_WORKER = 4
-
-
-def start_order(pixels: Sequence[int], workers: int) -> list[int]:
-    """Positions of scenes in the order in which they start."""
-    tail = max(0, len(pixels) - REORDERED_PER_WORKER * workers)
-    return [*range(tail), *sorted(range(tail, len(pixels)), key=lambda place: -pixels[place])]
 
 
 def map_in_order(
@@ -107,11 +101,13 @@ def map_in_order(
 
     workers = workers or core_count()
     pool = ThreadPoolExecutor(workers)
-    order = start_order([entry.pixels for entry in entries], workers)
-    futures = {place: pool.submit(unless_stopped, entries[place]) for place in order}
+    tail = max(0, len(entries) - REORDERED_PER_WORKER * workers)
+    last = sorted(range(tail, len(entries)), key=lambda place: -entries[place].pixels)
+    futures = {place: pool.submit(unless_stopped, entries[place]) for place in (*range(tail), *last)}
     try:
         for place in range(len(entries)):
-            result = futures.pop(place).result()  # popped, so that a result may be released once it is used
+            result = futures[place].result()
+            del futures[place]  # so that the result can be released once it is used
             assert result is not None  # only after a stop, and then no result is read
             yield result
     finally:
