@@ -90,7 +90,7 @@ class ScenePlugin:
             raise pytest.UsageError("mitsuba_ref_thorough: not together with a candidate: it tests our own caster")
         if self.words["candidate-precision"] and not self.candidate:
             raise pytest.UsageError("mitsuba_ref_candidate_precision: expected mitsuba_ref_candidate beside it")
-        self.mesh_dirs = [str(path) for path in config.getini("mitsuba_ref_mesh_dirs")]
+        self.mesh_dirs = tuple(map(str, config.getini("mitsuba_ref_mesh_dirs")))
         self.named = {Path(self.start, arg.split("::")[0]).resolve() for arg in config.args}
         self.verdicts: dict[Path, SceneVerdict | str] = {}
 
@@ -119,8 +119,7 @@ class ScenePlugin:
 
         named = str(path.relative_to(self.start)) if path.is_relative_to(self.start) else str(path)
         words = tuple(word for name, value in self.words.items() if value for word in (f"--{name}", value))
-        about: dict[str, Any] = {"size": self.size, "mesh_dirs": self.mesh_dirs, "options": words}
-        entry = many_scenes.source_of(named, path.stem, **about)
+        entry = many_scenes.SceneEntry(path.stem, named, self.size, self.mesh_dirs, words)
         errors: list[Exception] = []
         try:
             options = many_scenes.JudgeOptions(thorough=self.thorough, subject=self.subject)

@@ -124,7 +124,7 @@ def crashing(monkeypatch, tmp_path_factory):
 
     def put(session, job, timeout):
         tempfile.mkstemp(dir=requests)
-        return Crash("abort", "last words", "SIGABRT", 0.1)
+        return Crash(-6, "last words", 0.1)
 
     monkeypatch.setattr("mitsuba_ref.reference.mitsuba_process.ResidentSession.send", put)
     monkeypatch.setattr(
