@@ -16,8 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from caster.description.errors import FileMissing, SceneError, error_prefix
-from caster.description.input_files import is_input, record_input, recorded_inputs
-from caster.system.atomic_files import OutputError, check_folder, locked
 
 __all__ = [
     "AOV_NAMES",
@@ -30,7 +28,7 @@ __all__ = [
     "add_pixel",
     "add_scene",
     "check_exr_suffix",
-    "checked_paths",
+    "check_paths",
     "comma_separated",
     "display_names",
     "load",
@@ -164,7 +162,7 @@ def display_names(files: Sequence[str]) -> list[str]:
     return list(names)
 
 
-# ---- paths: no output is an input, and no two runs write into one folder ----
+# ---- paths: no output is an input ----
 
 
 class InputPath(str):
@@ -188,48 +186,29 @@ def output_file_unless_number(text: str) -> str:
     return text
 
 
-@contextlib.contextmanager
-def checked_paths(args: argparse.Namespace) -> Iterator[None]:
-    """Refuse outputs that are inputs, now and while the body runs; lock output folders for this process.
-
-    Raises SceneError for such an output, OutputError for a folder that another process writes into.
-    """
+def check_paths(args: argparse.Namespace) -> None:
+    """Raise SceneError for an output that is an input, also a scene file of an input folder, or another output."""
     given = [(name, value) for name, values in vars(args).items() for value in _flat(values)]
+    sources = (value for _, value in given if isinstance(value, InputPath))
+    inputs = {_file_id(file) for source in sources for file in (source, *_scene_files_in(source))}
     option_of: dict[str, str] = {}  # by the path of its output
-    with recorded_inputs(), contextlib.ExitStack() as stack:
-        for source in (value for _, value in given if isinstance(value, InputPath)):
-            for file in (source, *_scene_files_in(source)):
-                record_input(file)
-        for name, path in given:
-            if not isinstance(path, (OutputFile, OutputFolder)) or path == "-":
-                continue
-            option = f"--{name.replace('_', '-')}"
-            if is_input(path):
-                raise SceneError(f"{option} {path}: expected another path: it is an input, and would be overwritten")
-            other = option_of.setdefault(os.path.realpath(path), option)
-            if isinstance(path, OutputFile) and other != option:
-                raise SceneError(f"{option} {path}: expected another file than that of {other}")
-            if isinstance(path, OutputFolder) and other == option:
-                stack.enter_context(_own_folder(Path(path)))
-        yield
+    for name, path in given:
+        if not isinstance(path, (OutputFile, OutputFolder)) or path == "-":
+            continue
+        option = f"--{name.replace('_', '-')}"
+        if os.path.exists(path) and _file_id(path) in inputs:
+            raise SceneError(f"{option} {path}: expected another path: it is an input, and would be overwritten")
+        other = option_of.setdefault(os.path.realpath(path), option)
+        if isinstance(path, OutputFile) and other != option:
+            raise SceneError(f"{option} {path}: expected another file than that of {other}")
 
 
-@contextlib.contextmanager
-def _own_folder(folder: Path) -> Iterator[None]:
-    """Create and lock an output folder; remove it again if nothing was written."""
-    created = not folder.exists()
-    check_folder(folder)
-    with locked(folder) as alone:
-        if not alone:
-            raise OutputError(
-                f"{folder}: another run writes into this folder: wait for its end, or name another folder"
-            )
-        try:
-            yield
-        finally:
-            if created:
-                with contextlib.suppress(OSError):
-                    folder.rmdir()
+def _file_id(path: str) -> tuple[int, int] | None:
+    """Device and inode: equal for links and other spellings of a path. None if there is no such file."""
+    with contextlib.suppress(OSError, ValueError):
+        status = os.stat(path)
+        return status.st_dev, status.st_ino
+    return None
 
 
 def _flat(values: Any) -> Iterator[Any]:

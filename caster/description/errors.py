@@ -81,6 +81,13 @@ def field_error(text: str) -> PydanticCustomError:
     return PydanticCustomError("field", "{text}", {"text": text})
 
 
+def missing_file_error(text: str) -> PydanticCustomError:
+    """The same for a file that is missing or unreadable."""
+    from pydantic_core import PydanticCustomError
+
+    return PydanticCustomError("missing_file", "{text}", {"text": text})
+
+
 def expectation_error(expected: str, got: Any, hint: str = "") -> PydanticCustomError:
     """The field error 'must be EXPECTED, got GOT'."""
     return field_error(f"must be {expected}, got {format_value(got)}{hint}")
@@ -101,6 +108,12 @@ class Diagnostic(NamedTuple):
 
     path: DataPath
     text: str
+    missing: bool = False  # a file is missing or unreadable
+
+
+def error_type(problems: Iterable[Diagnostic]) -> type[SceneError]:
+    """The exception for these problems: FileMissing if nothing else is wrong."""
+    return FileMissing if all(problem.missing for problem in problems) else SceneError
 
 
 def value_diagnostic(path: DataPath, text: str, data: Any, model: Model) -> Diagnostic:
@@ -164,6 +177,7 @@ def diagnostics_of(error: ValidationError, data: Any, model: Model) -> list[Diag
         if finding["type"] != CROSS_ELEMENT_ERROR:  # repeated below on the input data
             place = _locate(finding["loc"], data, model)
             problem = _diagnostic(finding, place, data, model)
+            problem = problem._replace(missing=finding["type"] == "missing_file")
             found[problem.path, finding["type"]] = problem  # Pydantic reports a list too short by two twice
     return [*found.values(), *getattr(model, "problems_across", lambda _: [])(data)]
 
@@ -248,7 +262,7 @@ def _unknown_type(got: Any, noun: str, models: Sequence[Model]) -> str:
 
 def _text(kind: str, got: Any, ctx: Mapping[str, Any]) -> str:
     """The message after the value's name."""
-    if kind == "field":
+    if kind in ("field", "missing_file"):
         return str(ctx["text"])
     if kind == "value_error":  # raised by a validator of the whole description
         return str(ctx["error"])
@@ -271,6 +285,7 @@ LIMIT_SIGNS = {
     "less_than_equal": ("<=", "le"),
 }
 EXPECTED_TYPES = {
+    "finite_number": "a finite number",
     "int_type": "a whole number",
     "bool_type": "true or false",
     "string_type": "a string",

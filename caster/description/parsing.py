@@ -5,13 +5,11 @@ import re
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from os import PathLike
 from typing import Any, Literal, NamedTuple, TypeVar
 
 from caster.description.errors import Diagnostic, SceneError
-from caster.description.input_files import MAX_TEXT_BYTES, read_input
 
-__all__ = ["Span", "format_excerpt", "list_errors", "read_text"]
+__all__ = ["Span", "format_excerpt", "list_errors"]
 
 Error = TypeVar("Error")
 
@@ -169,14 +167,6 @@ def is_nested_deeper(data: Any, depth: int) -> bool:
     return True
 
 
-def read_text(path: str | PathLike[str]) -> str:
-    """Read a text file in UTF-8. Raises FileMissing; SceneError if it is too large or not UTF-8."""
-    try:
-        return read_input(path, "scene file", MAX_TEXT_BYTES).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise SceneError(f"{path}: not a text in UTF-8: byte {error.start + 1} is none of it") from None
-
-
 def parse(text: str, kind: SceneFormat, origin: str) -> tuple[Any, list[Diagnostic]]:
     """Parse TOML or JSON; also returns diagnostics of duplicate JSON keys. Raises SceneError."""
     long_key = LONG_KEY.search(text) if kind == "toml" else None
@@ -197,7 +187,7 @@ def parse(text: str, kind: SceneFormat, origin: str) -> tuple[Any, list[Diagnost
 def format_diagnostics(problems: Sequence[Diagnostic], text: str, kind: SceneFormat, origin: str) -> str:
     """All diagnostics ordered by position, each with an excerpt of its line."""
     positions = Positions(text, kind)
-    located = sorted(((positions.of(path), said) for path, said in problems), key=lambda found: found[0][:2])
+    located = sorted(((positions.of(each.path), each.text) for each in problems), key=lambda found: found[0][:2])
     return list_errors(located, lambda found: format_excerpt(found[0], found[1], text, origin), origin)
 
 

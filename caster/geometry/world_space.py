@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from caster.description.fields import Shape
+from caster.description.fields import Flag, Shape
 from caster.description.transform import inverse, is_mirrored, product, row_lengths, transform_points, transform_vectors
 from caster.geometry.triangle_mesh import Mesh, vertex_normals
 from caster.kernels.triangles import Triangles
@@ -135,7 +135,7 @@ def _world_normals(mesh: Mesh, matrix: np.ndarray, vertices: np.ndarray, faces: 
 class MeshShape(Shape):
     """Base of shapes that are triangle meshes; smooth unless `face_normals`."""
 
-    face_normals: bool = False
+    face_normals: Flag = False
 
     def mesh(self) -> Mesh:
         """The mesh in object space."""

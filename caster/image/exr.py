@@ -175,7 +175,7 @@ def _is_multi_part(path: Path) -> bool:
     if not os.path.lexists(path):
         raise FileMissing(f"{path}: no such file")
     try:
-        with opened_input(path, "EXR image") as (file, _):
+        with opened_input(path, "EXR image") as file:
             start = file.read(8)
     except FileMissing as e:
         raise UnreadableExr(str(e)) from e

@@ -5,9 +5,10 @@ from fractions import Fraction
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from pydantic import model_validator
+from pydantic import field_validator, model_validator
 
-from caster.description.fields import Lengths, Points, Positive, SceneError, Shape, Vec3
+from caster.description.errors import SceneError
+from caster.description.fields import Lengths, Points, Positive, Shape, Vec3
 from caster.description.transform import inverse, transform_points
 from caster.geometry.edge_distances import (
     SCENE_UNITS,
@@ -122,10 +123,16 @@ class SphereCloud(Shape):
 
     type: Literal["spheres"] = "spheres"
     MINIMAL: ClassVar[Mapping[str, Any]] = {"centers": ((0.0, 0.0, 0.0),)}
-    file: str | None = None
     centers: Points | None = None
     radii: Lengths | None = None
     radius: Positive | None = None
+    file: str | None = None
+
+    @field_validator("file")
+    @classmethod
+    def _is_usable(cls, file: str | None, info: Any) -> str | None:
+        radius = info.data.get("radius")
+        return info.context.resolve(file, lambda path: _load_file(path, radius)) if file and info.context else file
 
     @model_validator(mode="after")
     def _has_one_source(self) -> "SphereCloud":
@@ -138,24 +145,23 @@ class SphereCloud(Shape):
             raise ValueError("needs either radii or radius, got both")
         return self
 
-    def load(self) -> tuple[np.ndarray, np.ndarray | None]:
-        """Centres (n, 3) and radii (n,) of the file, cached until it changes. Raises SceneError, FileMissing."""
-        assert self.file is not None
-        points = load_once(load_points, self.file)
-        if points.radii is not None and self.radius is not None:
-            raise SceneError(
-                f"{self.file}: expected vertices without a property radius, since the shape has the key 'radius', got "
-                "one: leave out one of the two"
-            )
-        return points
-
     def spheres(self) -> tuple[np.ndarray, np.ndarray]:
-        """Centres (n, 3) and radii (n,) in object space."""
-        centers, radii = (np.array(self.centers), self.radii) if self.file is None else self.load()
+        """Centres (n, 3) and radii (n,) in object space. Raises SceneError, FileMissing for a file."""
+        given = np.array(self.centers), self.radii
+        centers, radii = given if self.file is None else _load_file(self.file, self.radius)
         return centers, np.full(len(centers), self.radius or 1.0) if radii is None else np.array(radii)
 
     def pack(self, rounded: Rounding) -> Spheres | Ellipsoids:
         return pack_spheres(*self.spheres(), self.matrix, rounded)
+
+
+def _load_file(file: str, radius: float | None) -> tuple[np.ndarray, np.ndarray | None]:
+    """Centres (n, 3) and radii (n,) of a file, cached until it changes. radius: the key of the shape."""
+    points = load_once(load_points, file)
+    if points.radii is not None and radius is not None:
+        expected = "expected vertices without a property radius, since the shape has the key 'radius'"
+        raise SceneError(f"{file}: {expected}, got one: leave out one of the two")
+    return points
 
 
 def pack_spheres(centers: np.ndarray, radii: np.ndarray, matrix: np.ndarray, rounded: Rounding) -> Spheres | Ellipsoids:

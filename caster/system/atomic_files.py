@@ -1,4 +1,4 @@
-"""Atomic file writes, temporary folders, and locks on folders."""
+"""Atomic file writes and temporary folders."""
 
 import contextlib
 import errno
@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from caster.description.errors import SceneError
-from caster.description.input_files import is_input
 from caster.jit.kernel_cache import distrust, read_sealed, write_sealed
 
 __all__ = [
@@ -19,7 +18,6 @@ __all__ = [
     "append_text",
     "atomic_write",
     "check_folder",
-    "check_output",
     "check_writable",
     "distrust",
     "read_sealed",
@@ -82,17 +80,10 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         os.replace(temporary, target)
 
 
-def check_output(path: str | os.PathLike[str]) -> None:
-    """Raise OutputError for a file that this command has read."""
-    if is_input(path):
-        raise OutputError(f"{path}: not written: this file is an input of the same command; name another one")
-
-
 def _resolved_target(path: str | os.PathLike[str]) -> Path:
-    target = Path(os.path.realpath(path))  # resolves links, so that a link stays a link
+    target = Path(os.path.realpath(path))  # so that a link stays a link
     if target.exists() and not target.is_file():
         raise OutputError(f"{target}: expected a file to write, this is a folder or a device")
-    check_output(target)
     return target
 
 
@@ -132,23 +123,6 @@ def remove_temporaries() -> None:
             shutil.rmtree(path, ignore_errors=True)
         else:
             path.unlink(missing_ok=True)
-
-
-@contextlib.contextmanager
-def locked(folder: Path) -> Iterator[bool]:
-    """Lock a folder while the body runs; False where another process has locked it."""
-    import fcntl  # POSIX alone
-
-    file = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        alone = True
-    except OSError as error:  # a file system may have no locks
-        alone = not isinstance(error, BlockingIOError)
-    try:
-        yield alone
-    finally:
-        os.close(file)
 
 
 @contextlib.contextmanager

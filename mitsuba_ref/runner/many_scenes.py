@@ -322,7 +322,7 @@ def _judge_loaded(loaded: SceneEntry, options: JudgeOptions, subject: Subject | 
 
 def progress_bar(entries: Sequence[Entry]) -> ProgressBar:
     """A bar over all rays: scenes differ too much in size to count scenes."""
-    return ProgressBar("validating", sum(entry.pixels for entry in entries), "rays")
+    return ProgressBar("validating", sum(entry.pixels for entry in entries))
 
 
 def count_scene(bar: ProgressBar, entries: Sequence[Entry], done: int) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
 
 from caster.description.errors import SceneError
-from caster.description.input_files import MAX_TEXT_BYTES, read_input
+from caster.description.input_files import read_input
 from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED, SceneVerdict, Verdict
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.report.html_report import HtmlReport, page_record
@@ -165,7 +165,7 @@ class ExpectedFailures(BaseModel):
 
 def read_expected(path: str) -> ExpectedFailures:
     """The known failures of a file. Raises FileMissing, SceneError with every error in it."""
-    data = read_input(path, "file of known failures", MAX_TEXT_BYTES)
+    data = read_input(path, "file of known failures")
     try:
         return ExpectedFailures.model_validate(tomllib.loads(data.decode("utf-8")))
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:

@@ -92,8 +92,8 @@ def test_both_scenes_are_the_same(folder):
 
 
 def test_its_commands_run(folder, capsys):
-    commands = re.findall(r"(?m)^    (caster (?:render|6837) lesson.*|caster 6837 -input lesson.*)$", PAGE)
-    assert len(commands) == 2
+    commands = re.findall(r"(?m)^    (caster (?:render|preview) lesson.*|caster 6837 -input lesson.*)$", PAGE)
+    assert len(commands) == 3
     for command in commands:
         assert main(command.split()[1:]) == 0, command
     assert {"lesson.png", "out.png", "depth.png", "normals.png"} <= {file.name for file in folder.iterdir()}

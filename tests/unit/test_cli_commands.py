@@ -1,6 +1,5 @@
 """The command `caster` as a whole: its help, its small commands, and how it ends."""
 
-import argparse
 import io
 import json
 import os
@@ -19,7 +18,6 @@ from caster.cli import COMMANDS
 from caster.description.errors import FileMissing, SceneError
 from caster.system import process
 from mitsuba_ref.__main__ import main as judge_main
-from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = [command.name for command in COMMANDS]
@@ -51,23 +49,13 @@ def test_version(capsys):
     assert capsys.readouterr().out == f"caster {caster.__version__}\n"
 
 
-# ---- schema and doctor ----
-
-
-def test_doctor_reports_as_text_and_as_json(capsys):
-    assert main(["doctor"]) == 0
-    assert capsys.readouterr().out.endswith("Usable: everything needed was found.\n")
-    assert main(["doctor", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["usable"] is True
-
-
 def test_doctor_ends_with_4_where_something_needed_is_missing(capsys, monkeypatch):
     from caster.cli import installation
 
     missing = installation.Package("no-such-package", "no_such_package", "1", "nothing")
     monkeypatch.setattr(installation, "PACKAGES", (*installation.PACKAGES, missing))
-    assert main(["doctor"]) == 4
-    assert "Not usable without no-such-package." in capsys.readouterr().out
+    assert main(["doctor", "--json"]) == 4
+    assert json.loads(capsys.readouterr().out)["usable"] is False
 
 
 # ---- how a command ends ----
@@ -180,12 +168,6 @@ def test_a_command_imports_no_other_command(program, name):
     registry = import_module("caster.cli" if program == "caster" else "mitsuba_ref.cli").COMMANDS
     (module,) = (command.module for command in registry if command.name == name)
     assert (out.splitlines()[-1], err) == (f"loaded {module}", "")
-
-
-@pytest.mark.parametrize("registry", [COMMANDS, JUDGE_COMMANDS])
-def test_every_entry_of_a_registry_can_be_loaded(registry):
-    for command in registry:
-        command.load(argparse.ArgumentParser())
 
 
 @pytest.mark.parametrize(

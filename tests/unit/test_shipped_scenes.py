@@ -10,8 +10,7 @@ import pytest
 
 from caster.aovs import BY_NAME
 from caster.cameras import CAMERAS
-from caster.description.fields import Step
-from caster.description.quantities import Description
+from caster.description.fields import Description, Step
 from caster.geometry.packing import pack, primitive_count
 from caster.kernels.triangles import Triangles
 from caster.rendering.images import render
