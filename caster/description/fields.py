@@ -421,6 +421,24 @@ class Camera(Description):
         raise NotImplementedError
 
 
+class ClippedCamera(Camera):
+    """Base of cameras with clipping planes."""
+
+    near: NonNegative = 0.0
+    far: Annotated[Positive | None, Field(description="None: no limit")] = None
+
+    @model_validator(mode="after")
+    def _near_is_nearer(self) -> Self:
+        if self.far is not None and self.near >= self.far:
+            raise ValueError(f"near must be < far, got near {self.near} and far {self.far}")
+        return self
+
+    @property
+    def clip(self) -> tuple[float, float]:
+        """near and far, inf without a limit."""
+        return self.near, math.inf if self.far is None else self.far
+
+
 def _view(eye: Any, look_at: Any, direction: Any) -> transform.Vector:
     return direction if look_at is None else transform.subtract(look_at, eye)
 

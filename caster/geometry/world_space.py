@@ -7,7 +7,7 @@ numbers (inverses, normals) are float64 in both cases.
 
 import math
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -66,10 +66,18 @@ def similarity_scale(linear: np.ndarray) -> float:
     return largest * math.sqrt(float((ratios * ratios).sum()) / 3.0)
 
 
+class AffineImages(NamedTuple):
+    """Images of a unit shape under p -> center + to_world p; each kind has a class derived from it."""
+
+    center: np.ndarray  # (n, 3) float64
+    to_world: np.ndarray  # (n, 3, 3) float64
+    to_object: np.ndarray  # (n, 3, 3) float64, its inverse
+
+
 def affine_arrays(
     center: np.ndarray, linear: np.ndarray, rounded: Rounding
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(center, to_world, to_object) of one image of a unit shape, each with a leading axis of 1."""
+    """The arrays of AffineImages for one image."""
     to_world = rounded(linear)
     return rounded(center)[None], to_world[None], inverse(to_world)[None]
 

@@ -23,7 +23,7 @@ from caster.geometry.edge_distances import (
     square,
 )
 from caster.geometry.mesh_files import load_once, load_points
-from caster.geometry.world_space import Rounding, is_similarity, similarity_scale
+from caster.geometry.world_space import AffineImages, Rounding, is_similarity, similarity_scale
 from caster.jit.decorators import implement, jit
 from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import exact_sphere, exact_unit_sphere, ray_in_object_space
@@ -96,12 +96,8 @@ class Spheres(NamedTuple):
     turn: np.ndarray  # (n, 3, 3) float64, rotation from world to object space, for uv
 
 
-class Ellipsoids(NamedTuple):
-    """Images of the unit sphere at the origin under p -> center + to_world p."""
-
-    center: np.ndarray  # (n, 3) float64
-    to_world: np.ndarray  # (n, 3, 3) float64
-    to_object: np.ndarray  # (n, 3, 3) float64, its inverse
+class Ellipsoids(AffineImages):
+    """Images of the unit sphere at the origin."""
 
 
 class Sphere(Shape):
@@ -292,11 +288,6 @@ def _intersect_ellipsoid(prims: Any, pre: Any, d: Any, t_min: float, t_max: floa
 def _surely_misses_ellipsoid(prims: Any, pre: Any, d: Any) -> bool:
     m, setup, d_error = pre
     return closest_approach(setup, rows_times_vec(m, d), d_error * l1_norm(d)).missed
-
-
-@implement(same_geometry, Ellipsoids)
-def _same_geometry_ellipsoid(prims: Any, k: int, j: int) -> bool:
-    return False
 
 
 @implement(exact_intersect, Ellipsoids)
