@@ -44,11 +44,6 @@ SHORTEST_CROSS = 8 * 2.0**-53
 LARGEST_CONDITION = 2.0**52
 
 
-def identity() -> Matrix:
-    """The identity matrix."""
-    return np.eye(4)
-
-
 def translate(v: Sequence[float]) -> Matrix:
     """Translation by v, in scene units."""
     matrix = np.eye(4)

@@ -65,10 +65,10 @@ def film_pixels(path: str | PathLike[str], size: Sequence[int] | None = None) ->
     try:
         data: Any = {}
         if Path(path).suffix.lower() not in MESH_SUFFIXES:
-            data, _ = parse(read_text(path), SCENE_FORMATS[Path(path).suffix.lower()], "")
+            data = parse(read_text(path), SCENE_FORMATS[Path(path).suffix.lower()], "")
         film = Film.model_validate(child_of(data, "film") or {})
         x0, y0, x1, y1 = (film.resized(*size) if size else film).window
-    except (SceneError, ValidationError, MemoryError, KeyError):
+    except (SceneError, ValidationError, MemoryError, KeyError, RecursionError):
         return 1
     return (x1 - x0) * (y1 - y0)
 
@@ -79,10 +79,10 @@ def types_in_file(path: str | PathLike[str]) -> frozenset[str]:
         suffix = Path(path).suffix.lower()
         if suffix in MESH_SUFFIXES:
             return frozenset(("mesh", "triangles", "pinhole"))
-        data, _ = parse(read_text(path), SCENE_FORMATS[suffix], "")
+        data = parse(read_text(path), SCENE_FORMATS[suffix], "")
         named = [data.get("camera"), *(data.get("shape") or data.get("shapes") or ())]
         types = {each["type"] for each in named if isinstance(each.get("type"), str)}
-    except (SceneError, MemoryError, KeyError, AttributeError, TypeError):
+    except (SceneError, MemoryError, KeyError, AttributeError, TypeError, RecursionError):
         return frozenset()
     meshes = {type_name(shape) for shape in SHAPES if issubclass(shape, (MeshShape, Triangle, Rectangle, Cube))}
     return frozenset(types | {"triangles"} if types & meshes else types)
@@ -137,11 +137,13 @@ def scene_from_text(
     mesh_dirs: Iterable[str | PathLike[str]] = (),
 ) -> Scene:
     """A scene from the text of a scene file. origin: its name in errors; folder: of relative mesh paths."""
-    data, problems = parse(text, kind, origin)
-    scene, invalid = validated(data, MeshFolders(Path(folder), tuple(map(Path, mesh_dirs))))
-    problems += invalid
-    if scene is None or problems:
-        raise error_type(problems)(format_diagnostics(problems, text, kind, origin))
+    try:
+        data = parse(text, kind, origin)
+        scene, problems = validated(data, MeshFolders(Path(folder), tuple(map(Path, mesh_dirs))))
+        if scene is None:
+            raise error_type(problems)(format_diagnostics(problems, text, kind, origin))
+    except RecursionError:
+        raise SceneError(f"{origin}: not a scene: lists or tables are nested too deeply to be read") from None
     return scene
 
 

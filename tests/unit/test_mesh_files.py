@@ -8,15 +8,10 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from caster.description.errors import FileMissing, SceneError
 from caster.geometry.mesh_files import GLB_HEADER, load_mesh, parse_off
-from caster.geometry.mesh_files.obj import parse_obj
-from caster.geometry.mesh_files.ply import parse_ply
-from caster.geometry.triangle_mesh import check_mesh, vertex_normals
-from caster.geometry.world_space import as_given, transform_mesh
+from caster.geometry.triangle_mesh import vertex_normals
 from caster.shapes.mesh import MeshFile
 
 trimesh = pytest.importorskip("trimesh")
@@ -540,41 +535,3 @@ def test_a_mesh_is_kept_until_its_file_has_another_time_or_size(tmp_path):
     assert mesh_of("1 2 3", time) is first
     assert np.array_equal(mesh_of("2 3 4", time + 1000).faces, [(1, 2, 3)])  # within the same second
     assert len(mesh_of("1 2 3 4", time + 1000).faces) == 2
-
-
-# ---- damage
-
-OBJ = b"# x\nv 0 0 0\nv 1 0 0\nv 0 1 .5e0\nvt 0 1\nvn 0 0 1\nf 1/1/1 2//1 \\\n 3\nf -1/-1 -2 -3\n"
-STRANGE = [b"-1", b"0", b"1e400", b"nan", b"9" * 5000, b"1/", b"//", b"1_0", b"\n", b"", b"\0", b"\xb2"]
-MIXED = [(0, 1, 2), (0, 1, 2, 3)]
-WHOLE = [(parse_ply, square(each, MIXED)) for each in ENCODINGS] + [(parse_obj, OBJ), (parse_off, OFF)]
-
-
-@settings(
-    max_examples=300, deadline=None, derandomize=True, database=None, suppress_health_check=[HealthCheck.too_slow]
-)
-@given(st.sampled_from(WHOLE), st.sampled_from(["cut", "bytes", "words", "other"]), st.data())
-def test_a_damaged_file_gives_a_usable_mesh_or_an_error(file, damage, data):
-    parse, whole = file
-    if damage == "cut":
-        whole = whole[: data.draw(st.integers(0, len(whole)))]
-    elif damage == "bytes":
-        changed = bytearray(whole)
-        for _ in range(data.draw(st.integers(1, 4))):
-            changed[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
-        whole = bytes(changed)
-    elif damage == "words":
-        words = whole.split(b" ")
-        words[data.draw(st.integers(0, len(words) - 1))] = data.draw(st.sampled_from(STRANGE))
-        whole = b" ".join(words)
-    else:
-        whole = data.draw(st.binary(max_size=60))
-    try:
-        mesh = parse(whole, "damaged")
-        check_mesh(mesh, "damaged")
-    except SceneError as error:
-        assert str(error).startswith("damaged")
-        return
-    if np.isfinite(mesh.vertices).any():  # else it is refused when it is put into place
-        placed = transform_mesh(mesh, np.eye(4), as_given, face_normals=False)
-        assert np.isfinite(placed.vertices).all() and np.isfinite(placed.normals).all()

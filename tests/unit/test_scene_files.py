@@ -1,11 +1,7 @@
 """Scene files on disk: what can be read, which meshes they may name, and who is told what else."""
 
-import subprocess
-import sys
-
 import pytest
 
-from caster.description import parsing
 from caster.description.errors import FileMissing, SceneError
 from caster.geometry.mesh_files import load_mesh
 from caster.scene.files import load_scene, scene_from_text
@@ -119,25 +115,3 @@ def test_a_missing_mesh_beside_another_error_is_an_invalid_scene(scenes):
 def test_a_name_of_no_mesh_is_an_error(scenes, name):
     text = mesh("T").replace("'T'", f'"{name}"')
     assert refusal(SceneError, scenes, text).startswith("x.toml:7:1: shapes[0] (mesh): file ")
-
-
-LOADED = """
-import sys
-{code}
-print(*sorted({{name.partition(".")[0] for name in sys.modules}}))
-"""
-
-
-def modules_after(code):
-    command = [sys.executable, "-c", LOADED.format(code=code)]
-    return set(subprocess.run(command, check=True, capture_output=True, text=True).stdout.split())
-
-
-def test_a_scene_without_errors_loads_no_grammar():
-    assert "tree_sitter" not in modules_after(
-        f"import caster.scene.files\ncaster.scene.files.scene_from_text({CAMERA!r})"
-    )
-
-
-def test_the_shown_part_of_a_line_has_room_for_the_error():
-    assert parsing.MAX_LINE_CHARACTERS >= 80
