@@ -72,7 +72,7 @@ def add_mesh_dirs(parser: argparse.ArgumentParser) -> None:
 
 
 def mesh_dir_options(args: argparse.Namespace) -> tuple[str, ...]:
-    """The command-line words of --mesh-dir, for a command to be run on the same scene."""
+    """The options --mesh-dir again, for a command line about the same scene."""
     return tuple(word for folder in args.mesh_dir for word in ("--mesh-dir", folder))
 
 
@@ -81,7 +81,7 @@ def add_threads(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--threads", type=thread_number, metavar="N", help="default: one for each core")
 
 
-MAX_THREADS = 1024  # more than any machine that this runs on has processors
+MAX_THREADS = 1024  # more than the processors of any machine
 
 
 def thread_number(text: str) -> int:
@@ -128,7 +128,7 @@ def load(args: argparse.Namespace) -> Scene:
 
 
 def scene_files(paths: Iterable[str]) -> list[str]:
-    """Expand folders into their scene files, sorted, without duplicates. Raises FileMissing, SceneError."""
+    """Expand folders into their sorted scene files, without duplicates. Raises FileMissing, SceneError."""
     found: list[str] = []
     for path_text in paths:
         path = Path(path_text)

@@ -1,4 +1,4 @@
-"""Exceptions for users, and diagnostics of invalid scenes: paths into the data, messages, translation of Pydantic's."""
+"""Exceptions for users, and diagnostics of invalid scenes: paths into the data, messages, Pydantic's errors."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ class FileMissing(SceneError):  # noqa: N818 - named after its subject
 
 @contextlib.contextmanager
 def error_prefix(*words: object) -> Iterator[None]:
-    """Prefix a SceneError of the body with its origin: an option with its values, or a file."""
+    """Prefix SceneErrors raised by the body with their origin: an option with its values, or a file."""
     try:
         yield
     except SceneError as error:
         raise type(error)(f"{' '.join(map(str, words))}: {error}") from None
 
 
-MAX_VALUE_CHARACTERS = 60  # characters of one value in a message
+MAX_VALUE_CHARACTERS = 60  # of one value in a message
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
@@ -68,7 +68,7 @@ def _spelled(value: Any, depth: int) -> str:
 
 
 def join_words(names: Iterable[str], last: str = "or") -> str:
-    """'a, b or c'."""
+    """Names as text: 'a, b or c'."""
     *most, end = names
     return f"{', '.join(most)} {last} {end}" if most else end
 

@@ -132,7 +132,7 @@ class NumberList:
 
 
 def row(count: int, what: str) -> Callable[[Any], Any]:
-    """A validator for `count` items, run before those of the items."""
+    """A validator for a list of `count` items, which are validated afterwards."""
 
     def check(value: Any) -> Any:
         items = value.tolist() if isinstance(value, np.ndarray) else value
@@ -364,7 +364,7 @@ class Shape(Description):
     material: str = ""
     to_world: Transform = ()
 
-    MINIMAL: ClassVar[Mapping[str, Any]] = {}  # fields without which there is no instance
+    MINIMAL: ClassVar[Mapping[str, Any]] = {}  # the required fields, for a smallest instance
 
     @cached_property
     def matrix(self) -> transform.Matrix:
@@ -387,7 +387,7 @@ class Camera(Description):
     direction: Annotated[UnitVec3 | None, Field(validate_default=True)] = None
     up: Annotated[Vec3, Field(validate_default=True)] = (0.0, 1.0, 0.0)
 
-    shares_origin: ClassVar[bool] = False  # whether all rays start in one point, which saves work
+    shares_origin: ClassVar[bool] = False  # whether all rays start at one point, which saves work
     MINIMAL: ClassVar[Mapping[str, Any]] = {"eye": (0.0, 0.0, 9.0), "look_at": (0.0, 0.0, 0.0)}
 
     @field_validator("look_at")

@@ -24,7 +24,7 @@ class Span(NamedTuple):
 
 
 class Positions:
-    """Positions of all values of a valid TOML or JSON text; the position of a value is that of its key."""
+    """The positions of all values in a valid TOML or JSON text; the position of a value is that of its key."""
 
     def __init__(self, text: str, kind: str) -> None:
         self._lines = text.encode().split(b"\n")
@@ -144,7 +144,7 @@ def _json_inside(value: Any, path: DataPath) -> LocatedNodes:
 
 SceneFormat = Literal["toml", "json"]
 MAX_LINE_CHARACTERS = 100  # of a line in an excerpt
-MAX_ERRORS_LISTED = 50  # with their lines; of the others only how many there are
+MAX_ERRORS_LISTED = 50  # the others are only counted
 
 
 def parse(text: str, kind: SceneFormat, origin: str) -> Any:

@@ -95,7 +95,7 @@ def format_row(numbers: Any) -> str:
 
 FACES_PER_CHUNK = 1 << 11  # temporaries stay in the cache of a core
 
-_angle_parts = inspect.unwrap(eighths_and_rest)  # of arrays
+_angle_parts = inspect.unwrap(eighths_and_rest)  # the plain function, for arrays
 
 
 def _weighted_normals(corners: Floats) -> Floats:
@@ -115,7 +115,7 @@ def _weighted_normals(corners: Floats) -> Floats:
 
 
 def _exponents(columns: Floats) -> Ints:
-    """(n,): scaled by 2 to minus these, squares of columns neither overflow nor underflow."""
+    """(n,) exponents: columns scaled by 2^-exponent have squares that neither overflow nor underflow."""
     return np.asarray(np.frexp(np.max(np.abs(columns), axis=0, initial=0.0))[1])
 
 

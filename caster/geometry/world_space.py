@@ -38,8 +38,8 @@ class ShapeCollection(Protocol):
 SIMILARITY_RTOL = 128 * 2.0**-53
 
 
-# Embree silently rejects a triangle with a vertex that is not finite or this far out (its FLT_LARGE). So do we, and
-# count it (packing.py). Scene units.
+# Embree silently rejects a triangle with a vertex that is not finite or this far out (its FLT_LARGE). We reject it too,
+# and count it (packing.py). Scene units.
 LARGEST_COORDINATE = 1.844e18
 
 
@@ -126,9 +126,9 @@ def _collapse_rejected(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndar
     if usable.all():
         return vertices, faces
     place = int(np.argmax(usable))  # any will do: a degenerate face is never hit
-    stand_in = vertices[place] if usable[place] else np.zeros(3)
+    replacement = vertices[place] if usable[place] else np.zeros(3)
     kept = usable[faces].all(axis=1, keepdims=True)
-    return np.where(usable[:, None], vertices, stand_in), np.where(kept, faces, place)
+    return np.where(usable[:, None], vertices, replacement), np.where(kept, faces, place)
 
 
 def _world_normals(mesh: Mesh, matrix: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -88,10 +88,10 @@ def types_in_file(path: str | PathLike[str]) -> frozenset[str]:
     return frozenset(types | {"triangles"} if types & meshes else types)
 
 
-# A mesh file as a scene: where the camera stands as seen from the mesh, y up; and the field of view, in which its
-# bounding sphere fills all but a twentieth.
+# The scene of a mesh file: the direction from the mesh to the camera (y up), the field of view in degrees, and a factor
+# on the distance, which leaves a margin of a twentieth around the bounding sphere.
 MESH_VIEW, MESH_FOV, MESH_MARGIN = (0.4417, 0.3571, 0.8231), 41.3, 1.05
-MESH_LIGHT = (-0.2713, -0.6889, -0.6719)  # its direction
+MESH_LIGHT = (-0.2713, -0.6889, -0.6719)  # the direction of its light
 
 
 def mesh_scene(path: str | PathLike[str]) -> Scene:

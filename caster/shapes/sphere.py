@@ -112,9 +112,10 @@ class Sphere(Shape):
 
 
 class SphereCloud(Shape):
-    """Many spheres as one shape: of a PLY file, its vertices and their property `radius`; or `centers` and `radii`.
+    """Many spheres as one shape: the vertices of a PLY file and their property `radius`, or `centers` and `radii`.
 
-    `radius` is that of all, 1 by default, where there are no others. Primitives are numbered in the order of the list.
+    `radius` is for all spheres, 1 by default, if they have no radii of their own. Primitives are numbered in the order
+    of the list.
     """
 
     type: Literal["spheres"] = "spheres"

@@ -117,7 +117,7 @@ _temporaries: set[Path] = set()  # of this process
 
 
 def remove_temporaries() -> None:
-    """Remove temporary files and folders of this process, before it is ended without its `finally` clauses."""
+    """Remove temporary files and folders of this process before it ends without running `finally` clauses."""
     for path in list(_temporaries):
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)

@@ -183,7 +183,7 @@ def _parse_by_trimesh(data: bytes, where: str) -> Mesh:
 
 
 def _placed(scene: Any, mesh_class: type[Any]) -> tuple[np.ndarray, np.ndarray]:
-    """(vertices, faces) of all meshes in world space.
+    """(vertices, faces) of all meshes of a scene, in world space.
 
     trimesh would multiply matrices by a BLAS, whose last bits depend on the processor.
     """
@@ -206,7 +206,7 @@ GLB_HEADER = struct.Struct("<4sIIII")  # magic, version, length of all; length a
 
 
 def _turned_by_matrices(data: bytes, kind: str) -> bytes:
-    """A glTF file with a matrix in place of each node's rotation, since trimesh normalises quaternions by a BLAS.
+    """Replace the rotation of each node of a glTF file by a matrix, since trimesh normalises quaternions by a BLAS.
 
     A malformed file is returned as it is: trimesh reports what is wrong.
     """
@@ -221,7 +221,7 @@ def _turned_by_matrices(data: bytes, kind: str) -> bytes:
         text += b" " * (-len(text) % 4)
         rest = data[start + size :]
         return GLB_HEADER.pack(magic, version, start + len(text) + len(rest), len(text), chunk) + text + rest
-    except Exception:  # whatever is wrong with the file, trimesh says
+    except Exception:  # trimesh reports the error
         return data
 
 
