@@ -140,14 +140,25 @@ def _world_normals(mesh: Mesh, matrix: np.ndarray, vertices: np.ndarray, faces: 
     return unit
 
 
-class MeshShape(Shape):
-    """Base of shapes that are triangle meshes; smooth unless `face_normals`."""
-
-    face_normals: Flag = False
+class TriangleShape(Shape):
+    """Base of shapes that are made of triangles; flat unless a derived class says otherwise."""
 
     def mesh(self) -> Mesh:
         """The mesh in object space."""
         raise NotImplementedError
 
+    def is_flat(self) -> bool:
+        """Whether normals are those of the faces."""
+        return True
+
     def pack(self, rounded: Rounding) -> Triangles:
-        return transform_mesh(self.mesh(), self.matrix, rounded, self.face_normals)
+        return transform_mesh(self.mesh(), self.matrix, rounded, self.is_flat())
+
+
+class MeshShape(TriangleShape):
+    """Base of shapes that are smooth triangle meshes unless `face_normals`."""
+
+    face_normals: Flag = False
+
+    def is_flat(self) -> bool:
+        return self.face_normals

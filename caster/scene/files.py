@@ -17,9 +17,9 @@ from caster.description.parsing import SceneFormat, format_diagnostics, parse
 from caster.description.registry import type_name
 from caster.description.transform import sine_and_cosine
 from caster.geometry.mesh_files import MESH_SUFFIXES, MeshFolders
-from caster.geometry.world_space import MeshShape
+from caster.geometry.world_space import TriangleShape
 from caster.scene.model import Ambient, Diffuse, Directional, Film, Scene
-from caster.shapes import SHAPES, Cube, Rectangle, Triangle
+from caster.shapes import SHAPES
 from caster.shapes.mesh import MeshFile
 
 __all__ = ["film_pixels", "load_scene", "mesh_scene", "types_in_file", "validated"]
@@ -84,7 +84,7 @@ def types_in_file(path: str | PathLike[str]) -> frozenset[str]:
         types = {each["type"] for each in named if isinstance(each.get("type"), str)}
     except (SceneError, MemoryError, KeyError, AttributeError, TypeError, RecursionError):
         return frozenset()
-    meshes = {type_name(shape) for shape in SHAPES if issubclass(shape, (MeshShape, Triangle, Rectangle, Cube))}
+    meshes = {type_name(shape) for shape in SHAPES if issubclass(shape, TriangleShape)}
     return frozenset(types | {"triangles"} if types & meshes else types)
 
 
