@@ -106,7 +106,7 @@ def _few_of_each_kind() -> dict[type, list[Any]]:
     found: dict[type, list[Any]] = {}
     number = count()
     for shape in SHAPES:
-        if hasattr(shape, "load") or (hasattr(shape, "mesh") and shape is not Triangle):
+        if "file" in shape.model_fields or (hasattr(shape, "mesh") and shape is not Triangle):
             continue
         for placed in ([], [STRETCHED]):
             few = [shape(**shape.MINIMAL, to_world=[*placed, *_turned(next(number))]) for _ in range(LEAF_SIZE + 1)]
@@ -186,7 +186,7 @@ def _shapes() -> list[Any]:
     """Each registered shape, as it is and stretched, often enough that its kind gets a tree."""
     found: list[Any] = []
     for shape in SHAPES:
-        if not hasattr(shape, "load"):  # what is read from files is of the same kinds
+        if "file" not in shape.model_fields:  # what is read from files is of the same kinds
             for placed in ({}, {"to_world": [STRETCHED]}):
                 found += [shape(**shape.MINIMAL, **placed)] * (LEAF_SIZE + 1)
     return found
