@@ -46,7 +46,7 @@ class Kind:
     def boxes(self) -> tuple[np.ndarray, np.ndarray]:
         """Bounding boxes as (low, high) corners, (n, 3) each; not cached, since there may be millions."""
         low, high = np.empty((len(self.ids), 3)), np.empty((len(self.ids), 3))
-        bounding_boxes(self.prims, low, high, 0, len(self.ids))
+        bounding_boxes(self.prims, low, high)
         return low, high
 
     @cached_property
@@ -175,7 +175,7 @@ def largest_coordinate(prims: Any) -> float:
         ends = [prims.vertices if used.all() else prims.vertices[used]]
     else:
         ends = [np.empty((primitive_count(prims), 3)) for _ in range(2)]
-        bounding_boxes(concatenate_parts([prims]), ends[0], ends[1], 0, len(ends[0]))
+        bounding_boxes(concatenate_parts([prims]), ends[0], ends[1])
     return max(float(max(-end.min(initial=0.0), end.max(initial=0.0))) for end in ends)
 
 

@@ -182,6 +182,6 @@ def distortion_bound(camera: Any, extent: float) -> Any:
 def project_bounding_sphere(camera: Any, center: Vec3, r: float) -> Any:
     """(left, top, right, bottom, depth, valid): the screen bounds of a sphere, and its least depth.
 
-    Depth counts as for `project`. Not valid: nothing is known, but for the depth. A camera without a body for this goes
-    through the tree.
+    Depth counts as for `project`. Not valid: nothing is known, but for the depth. The rays of a camera that is not
+    rectilinear and has no body for this traverse the trees.
     """

@@ -24,6 +24,7 @@ from caster.kernels.bvh.build import (
     Tree,
     build_binary,
     collapse,
+    hulls_of,
     quantize_boxes,
 )
 from caster.kernels.bvh.fans import (
@@ -34,8 +35,7 @@ from caster.kernels.bvh.fans import (
     FanBounds,
     bound_hulls_along,
     bound_nodes_along,
-    bound_triangles_along,
-    project_vertices_along,
+    project_along,
 )
 from caster.kernels.protocol import Vec3
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
@@ -214,18 +214,14 @@ def _slack(reach: float, extent: float) -> float:
 
 def fan_bounds(kind: Kind, fan: Fan, threads: int | None) -> FanBounds:
     """The primitives of a kind as a fan sees them; of a kind that has a tree."""
-    tree, count, prims = bvh_of(kind), len(kind.ids), kind.prims
-    vertices = prims.vertices if isinstance(prims, Triangles) else np.empty((0, 3))
-    bounds = FanBounds(
-        np.empty(len(tree.links) * BOX_SIZE), np.empty(count * PRIM_FIELDS), np.empty((len(vertices), 3))
-    )
-    if isinstance(prims, Triangles):
-        project = partial(project_vertices_along, fan, vertices, bounds.points)
-        parallel_for(project, len(vertices), threads, least=PARALLEL_MIN_PRIMITIVES)
-        find = partial(bound_triangles_along, fan, prims.faces, tree.order, bounds)
-    else:
-        find = partial(bound_hulls_along, fan, prims, tree.order, bounds)
-    parallel_for(find, count, threads, least=PARALLEL_MIN_PRIMITIVES)
+    tree, count = bvh_of(kind), len(kind.ids)
+    points, corners = hulls_of(kind.prims, count)
+    nodes, prims, projected = np.empty(len(tree.links) * BOX_SIZE), np.empty(count * PRIM_FIELDS), np.empty_like(points)
+    project = partial(project_along, fan, points, projected)
+    parallel_for(project, len(points), threads, least=PARALLEL_MIN_PRIMITIVES)
+    bound = partial(bound_hulls_along, fan, corners, projected, tree.order, prims)
+    parallel_for(bound, count, threads, least=PARALLEL_MIN_PRIMITIVES)
+    bounds = FanBounds(nodes, prims, projected if isinstance(kind.prims, Triangles) else projected[:0])
     bound_nodes_along(tree.links, bounds)
     return bounds
 

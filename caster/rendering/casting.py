@@ -4,14 +4,13 @@ Rays that float64 leaves uncertain are cast once more and decided exactly.
 """
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from caster.geometry.packing import Kind, Packed
-from caster.kernels.bvh.ray_sorting import store_sorted, store_sorted_blocked
 from caster.kernels.bvh.traversal import list_candidates_in_tree
 from caster.kernels.nearest import (
     Candidates,
@@ -24,10 +23,10 @@ from caster.kernels.nearest import (
     no_hits,
     precedes,
 )
-from caster.kernels.raster.tile import store_blocked, store_blocked_rays, store_ray_range, store_rays
+from caster.kernels.raster.tile import store_blocked, store_nearest
 from caster.rendering.bvh_construction import bvh_of, has_bvh, uses_bvh
-from caster.rendering.ray_fans import FanCaster
-from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, Record, for_ray_tiles, new_workspace, tile_caster
+from caster.rendering.ray_fans import fan_tiles
+from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, TileCaster, UsesTree, new_workspace, tiles_in_order
 from caster.rendering.threads import parallel_for, unwritten_array
 
 __all__ = ["Culling", "find_any", "find_nearest"]
@@ -38,13 +37,13 @@ Culling = Literal["brute-force", "raster", "bvh"]
 def find_nearest(
     packed: Packed, rays: Rays, culling: Culling = "bvh", threads: int | None = None, *, always_fans: bool = False
 ) -> Nearest:
-    """The nearest hit of any rays. always_fans: as fans, if they can be, even where that does not pay: same bits."""
+    """The nearest hit of any rays. always_fans: as fans, if they can be, even where that is slower: same bits."""
     trees = culling != "brute-force"
-    nearest, uncertain = _cast(packed, rays, threads, uses_bvh if trees else _no_tree, fans=trees, always=always_fans)
-    return decide_uncertain(packed, rays, nearest, uncertain, threads, trees=trees)
+    found = _cast(packed, rays, threads, uses_bvh if trees else no_tree, fans=trees, always_fans=always_fans)
+    return decide_uncertain(packed, rays, *found, threads, trees=trees)
 
 
-def _no_tree(kind: Kind) -> bool:
+def no_tree(kind: Kind) -> bool:
     return False
 
 
@@ -52,27 +51,20 @@ def _cast(
     packed: Packed,
     rays: Rays,
     threads: int | None,
-    through_tree: Callable[[Kind], bool],
+    uses_tree: UsesTree,
     *,
     fans: bool = False,
-    always: bool = False,
+    always_fans: bool = False,
 ) -> tuple[Nearest, np.ndarray]:
-    """(nearest hits by float64, whether it cannot decide (n,) bool), with the tree of some kinds."""
-    count, ids = len(rays.t_min), packed.prim_ids
+    """(nearest hits by float64, whether it cannot decide (n,) bool), with the trees of some kinds."""
+    count = len(rays.t_min)
     # threads write all of it
     nearest = Nearest(*(unwritten_array((count,), dtype) for dtype in (float, np.int32, float)))
     uncertain = unwritten_array((count,), bool)
-    cast = tile_caster(packed, through_tree=through_tree)
-    record = Record(
-        lambda tile, first, stop: store_ray_range(tile, 0, ids, first, stop, nearest, uncertain),
-        lambda tile, first, width, box: store_rays(tile, first, width, box, ids, nearest, uncertain),
-        lambda tile, order, first, stop: store_sorted(tile, order, first, stop, ids, nearest, uncertain),
-    )
-    caster = FanCaster.of(packed, rays, any_hit=False, always=always) if fans else None
-    if caster is not None:
-        caster.cast(rays, cast, record, threads)
-    else:
-        for_ray_tiles(cast, rays, record, threads)
+    tiles = fan_tiles(packed, rays, False, threads, always=always_fans) if fans else None
+    ids, caster = packed.prim_ids, TileCaster(packed, any_hit=False, uses_tree=uses_tree)
+    for each in tiles or [tiles_in_order(caster, count, threads)]:
+        each.cast(rays, lambda tile, numbers: store_nearest(tile, numbers, ids, nearest, uncertain), threads)
     return nearest, uncertain
 
 
@@ -80,18 +72,9 @@ def find_any(packed: Packed, rays: Rays, threads: int | None = None, *, always_f
     """(n,) bool: whether rays hit anything at all (any-hit). Traversal ends at the first certain hit."""
     count = len(rays.t_min)
     blocked, uncertain = np.zeros(count, bool), np.zeros(count, bool)
-
-    record = Record(
-        lambda tile, first, stop: store_blocked(tile, 0, first, stop, blocked, uncertain),
-        lambda tile, first, width, box: store_blocked_rays(tile, first, width, box, blocked, uncertain),
-        lambda tile, order, first, stop: store_sorted_blocked(tile, order, first, stop, blocked, uncertain),
-    )
-    cast = tile_caster(packed, any_hit=True)
-    fans = FanCaster.of(packed, rays, any_hit=True, always=always_fans)
-    if fans is not None:
-        fans.cast(rays, cast, record, threads)
-    else:
-        for_ray_tiles(cast, rays, record, threads)
+    tiles = fan_tiles(packed, rays, True, threads, always=always_fans)
+    for each in tiles or [tiles_in_order(TileCaster(packed, any_hit=True), count, threads)]:
+        each.cast(rays, lambda tile, numbers: store_blocked(tile, numbers, blocked, uncertain), threads)
     rows = np.flatnonzero(uncertain)
     if len(rows):
         blocked[rows] = exact_nearest(packed, Rays(*(a[rows] for a in rays)), threads).prim >= 0

@@ -14,7 +14,7 @@ from caster.geometry.world_space import Rounding, as_given
 from caster.jit.command_list import Command
 from caster.kernels.nearest import OUT_OF_RANGE, Nearest, Rays, find_invalid_ray, new_rays
 from caster.kernels.raster.screen_bounds import Window
-from caster.kernels.raster.tile import BOX, PIXELS, WIDTH, Box, clear_rays, load_hits, tile_rows
+from caster.kernels.raster.tile import BOX, PRIM, WIDTH, Box, T, load_rays, tile_rows
 from caster.kernels.surface.lighting import shadow_rays_of
 from caster.rendering.casting import find_any, find_nearest
 from caster.rendering.plan import plan
@@ -96,12 +96,16 @@ class RayHits:
 
         def begin() -> list[Command]:
             workspace = take()
+            tile = workspace.tile
 
             def load(box: Box) -> None:
-                first = box[1] * WIDTH
-                stop = min(first + PIXELS, count)
-                load_hits(self.rays, self.nearest.t, prim, first, stop, workspace.tile)
-                clear_rays(workspace.tile, stop - first, (box[3] - box[1]) * WIDTH)
+                first, size = box[1] * WIDTH, (box[3] - box[1]) * WIDTH
+                numbers = np.arange(first, first + size, dtype=np.int32)
+                numbers[count - first :] = -1
+                load_rays(self.rays, numbers, tile, False, False)
+                for field, values in ((T, self.nearest.t), (PRIM, prim)):
+                    here = values[first : first + size]
+                    tile[int(field) : int(field) + len(here)] = here
 
             return [Command(load, (BOX,)), *shader.commands(workspace)]
 

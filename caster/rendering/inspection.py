@@ -149,8 +149,8 @@ def probe(scene: Scene, x: int, y: int) -> Probe:
 
 
 def account(rendered: RenderResult, aovs: Sequence[str]) -> dict[str, Any]:
-    """All of it, for `caster render --json`: numbers are counts of work done; None where nothing was counted."""
-    plan, counts = rendered.plan, rendered.counts
+    """The work done, for `caster render --json`."""
+    plan = rendered.plan
     hits = int(rendered.aovs.hit.sum())
     return {
         "camera_rays": _camera_rays(rendered),
@@ -158,14 +158,14 @@ def account(rendered: RenderResult, aovs: Sequence[str]) -> dict[str, Any]:
         "primitives": _primitives(rendered),
         "never_hit": {name: found.total for name, found in rejected_faces(rendered.scene).items()},
         "trees": {**_step(plan.trees), "grown": sum(has_bvh(kind) for kind in rendered.packed.kinds)},
-        "decided_exactly": counts.decided_exactly if counts else None,
+        "decided_exactly": rendered.decided_exactly,
         "surfaces": {
             "hits": hits if plan.surfaces else 0,
             "worked_out": list(plan.surfaces),
             "reason": plan.surfaces_reason,
         },
         "shading": _step(plan.shading),
-        "shadow_rays": {**_step(plan.shadows), "cast": counts.shadow_rays if counts else None},
+        "shadow_rays": {**_step(plan.shadows), "cast": rendered.shadow_rays},
         "aovs": list(aovs),
         "skipped_aovs": [name for name in BY_NAME if name not in aovs],
     }
@@ -188,7 +188,7 @@ def _camera_rays(rendered: RenderResult) -> dict[str, Any]:
 
 
 def _primitives(rendered: RenderResult) -> list[dict[str, Any]]:
-    on_film = rendered.counts.on_film if rendered.counts else None
+    on_film = rendered.on_film
     return [
         {
             "kind": type(kind.prims).__name__.lower(),
@@ -232,14 +232,13 @@ def _lines(rendered: RenderResult, counted: dict[str, Any]) -> Iterator[tuple[st
     if words := in_words(rendered.scene):
         yield "never hit", words
     yield "trees", _trees(counted)
-    if counted["decided_exactly"] is not None:
-        yield "decided", f"{counted['decided_exactly']} pixels exactly, where float64 leaves them open"
+    yield "decided", f"{counted['decided_exactly']} pixels exactly, where float64 leaves them open"
     found = counted["surfaces"]
     done = f"computed for {found['hits']} hits: {', '.join(found['worked_out'])}"
     yield "surfaces", done if found["worked_out"] else f"skipped: {found['reason']}"
     shadows = counted["shadow_rays"]
-    number = "" if shadows["cast"] is None else f"{shadows['cast']} "
-    yield ("shadow rays", f"{number}{shadows['reason']}" if shadows["runs"] else f"skipped: {shadows['reason']}")
+    words = f"{shadows['cast']} {shadows['reason']}" if shadows["runs"] else f"skipped: {shadows['reason']}"
+    yield "shadow rays", words
     yield "AOVs", ", ".join(counted["aovs"])
     yield "skipped", ", ".join(counted["skipped_aovs"]) or "no AOV"
 

@@ -50,13 +50,11 @@ def plan(scene: Scene, aovs: Sequence[str], culling: Culling | None = None) -> P
 
 def culling_for(camera: Any) -> tuple[Culling, str]:
     """(culling, reason) for a packed camera's own rays."""
-    if implements(project, type(camera)) and not implements(distortion_bound, type(camera)):
-        return (
-            "raster",
-            "the camera is rectilinear, so each primitive stays within the bounds of its projected points",
-        )
-    if implements(project_bounding_sphere, type(camera)):
-        return "raster", "each primitive stays within the projection of its bounding sphere"
+    kind = type(camera)
+    if implements(project, kind) and not implements(distortion_bound, kind):
+        return "raster", "the camera is rectilinear, so each primitive stays within the bounds of its projected points"
+    if implements(project, kind) and implements(project_bounding_sphere, kind):
+        return "raster", "each primitive stays within bounds of its projected points or of its bounding sphere"
     return "bvh", "the camera cannot project primitives, so rays traverse the BVHs"
 
 

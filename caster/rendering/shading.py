@@ -38,7 +38,7 @@ from caster.kernels.surface.lighting import add_ambient, add_light, materials_in
 from caster.kernels.surface.per_hit import NO_IDS, PrimitiveIds, new_surface_buffer, surfaces_in_tile, write_aov
 from caster.rendering.casting import exact_nearest
 from caster.rendering.plan import Plan
-from caster.rendering.ray_tiles import ShadowCaster, TileWorkspace, prim_offsets
+from caster.rendering.ray_tiles import TileCaster, TileWorkspace, prim_offsets
 from caster.rendering.threads import unwritten_array
 from caster.scene.model import Diffuse, Scene
 
@@ -77,7 +77,7 @@ class TileShader:
         exact_shadows: bool = False,
     ) -> None:
         self.images, self.start = images, start
-        self._shadow_casters: list[ShadowCaster] = []
+        self._shadow_casters: list[TileCaster] = []
         self._shadow_rays: list[np.ndarray] = []  # one a thread and light: threads only append
         self.ids = _primitive_ids(packed, plan.needs)
         self.steps: list[Step] = [lambda workspace: self.miss_commands()]
@@ -127,7 +127,7 @@ class TileShader:
         for light in (each.pack() for each in scene.lights if each.type != "ambient"):
             caster = None
             if plan.shadows.runs:
-                caster = ShadowCaster(packed, light, pixels)
+                caster = TileCaster(packed, any_hit=True, light=light, rays=pixels)
                 self._shadow_casters.append(caster)
             steps.append(partial(_add_light, light, caster, packed, exact, self._shadow_rays))
         ambient = np.array([light.radiance for light in scene.lights if light.type == "ambient"]).reshape(-1, 3)
@@ -160,12 +160,7 @@ def wanted_fields(plan: Plan) -> int:
 
 
 def _add_light(
-    light: Any,
-    cast: ShadowCaster | None,
-    packed: Packed,
-    exact: bool,
-    counts: list[np.ndarray],
-    workspace: TileWorkspace,
+    light: Any, cast: TileCaster | None, packed: Packed, exact: bool, counts: list[np.ndarray], workspace: TileWorkspace
 ) -> Iterator[Command]:
     """Radiance of hits that face a light, and that it reaches, unless `cast` is None: there are no shadows then.
 

@@ -16,14 +16,14 @@ from caster.jit.decorators import COMPILATION_LOG, compile_ahead
 from caster.jit.simd import LANES
 from caster.kernels.bvh.build import LEAF_SIZE, MAX_PRIMITIVES
 from caster.kernels.bvh.traversal import cast_packets_brute_force
-from caster.kernels.nearest import Rays, exact_hit, no_hits, precedes
-from caster.kernels.raster.tile import WIDTH, load_ray_range, load_rays_from, new_tile, store_blocked_rays, store_rays
+from caster.kernels.nearest import Rays, exact_hit, precedes
+from caster.kernels.raster.tile import WIDTH, load_rays, new_tile
 from caster.rendering.casting import Culling, exact_nearest, find_any, find_nearest
 from caster.rendering.hits import validated_rays
 from caster.rendering.images import DEFAULT_AOVS, render_film
 from caster.rendering.plan import culling_for
 from caster.rendering.ray_fans import SAMPLED_RAYS, find_rows
-from caster.rendering.ray_tiles import ShadowCaster, new_ray_groups
+from caster.rendering.ray_tiles import TileCaster, new_ray_groups
 from caster.rendering.threads import default_threads
 from caster.scene.model import Ambient, Directional, Point, Scene
 from caster.shapes import SHAPES
@@ -141,8 +141,9 @@ def _warm_shadows(packed: Packed, scene: Scene) -> None:
     tile = new_tile()
     for light in scene.lights:
         if light.type != "ambient":
-            load_ray_range(rays, 0, WIDTH, tile, 0)
-            ShadowCaster(packed, light.pack(), MAX_PRIMITIVES).begin(tile, new_ray_groups())(WIDTH)
+            load_rays(rays, np.arange(WIDTH, dtype=np.int32), tile, False, False)
+            caster = TileCaster(packed, any_hit=True, light=light.pack(), rays=MAX_PRIMITIVES)
+            caster.begin(tile, new_ray_groups())(WIDTH)
     for kind in packed.kinds:
         cast_packets_brute_force(kind.prims, 1, 0, WIDTH, tile, True)
 
@@ -159,10 +160,6 @@ def _warm_fans(packed: Packed) -> None:
             find_any(packed, rays, threads=1, always_fans=always_fans)
     find_rows(outward)
     validated_rays(origin, d, 0.0, math.inf)
-    tile, box, ids = new_tile(), (0, 0, count, 1), packed.prim_ids
-    load_rays_from(outward, 0, count, box, (0.0, 0.0, 0.0), tile)
-    store_rays(tile, 0, count, box, ids, no_hits(count), np.zeros(count, bool))
-    store_blocked_rays(tile, 0, count, box, np.zeros(count, bool), np.zeros(count, bool))
 
 
 STRETCHED = {"scale": (1.0, 2.0, 3.0)}  # another kind of primitive, for some shapes
@@ -176,17 +173,6 @@ LAMPS = (
 
 def warm_up_scenes() -> Iterator[tuple[str, Scene]]:
     """All kinds of primitives before each camera."""
-    shapes = _shapes()
+    shapes = [shape for few in _few_of_each_kind().values() for shape in few]
     for camera in CAMERAS:
-        kind, looking = type_name(camera), camera(**camera.MINIMAL)
-        yield kind, Scene(camera=looking, shapes=shapes, lights=LAMPS)
-
-
-def _shapes() -> list[Any]:
-    """Each registered shape, as it is and stretched, often enough that its kind gets a tree."""
-    found: list[Any] = []
-    for shape in SHAPES:
-        if not hasattr(shape, "load"):  # what is read from files is of the same kinds
-            for placed in ({}, {"to_world": [STRETCHED]}):
-                found += [shape(**shape.MINIMAL, **placed)] * (LEAF_SIZE + 1)
-    return found
+        yield type_name(camera), Scene(camera=camera(**camera.MINIMAL), shapes=shapes, lights=LAMPS)

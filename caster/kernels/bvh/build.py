@@ -8,6 +8,7 @@ import numpy as np
 from caster.jit.decorators import inlined, jit
 from caster.jit.simd import CHILDREN
 from caster.kernels.protocol import Vec3, hull_point, hull_size
+from caster.kernels.triangles import Triangles
 
 LEAF_SIZE = 4
 BINS = 16
@@ -48,19 +49,50 @@ class Tree(NamedTuple):
     unit: float  # a power of two
     flat: float  # what stands for 0 in a direction: a power of two
     extent: float  # largest |coordinate| of any box, in scene units
-    reach: float  # REACH
+    reach: float  # BOX_PADDING
+
+
+class Hulls(NamedTuple):
+    """Convex hulls that hold the primitives of a kind."""
+
+    points: np.ndarray  # (m, 3) float64
+    corners: np.ndarray  # (n, points of a hull) int32: its points; (n, 0) for a kind without bounds
+
+
+def hulls_of(prims: Any, count: int) -> Hulls:
+    """The hulls of so many primitives; those of triangles share the vertices."""
+    if isinstance(prims, Triangles):
+        return Hulls(prims.vertices, prims.faces)
+    size = int(hull_size(prims))
+    points = np.empty((count * size, 3))
+    if size:
+        list_hull_points(prims, points, count)
+    return Hulls(points, np.arange(count * size, dtype=np.int32).reshape(count, size))
 
 
 @jit
-def bounding_boxes(prims: Any, low: Any, high: Any, start: int, stop: int) -> None:
-    """Bounds of primitives start..stop."""
-    for k in range(start, stop):
+def list_hull_points(prims: Any, points: Any, count: int) -> None:
+    """points (n, 3): those of the hulls of the first `count` primitives."""
+    size = hull_size(prims)
+    for k in range(count):
+        for j in range(size):
+            points[k * size + j, 0], points[k * size + j, 1], points[k * size + j, 2] = hull_point(prims, k, j)
+
+
+def bounding_boxes(prims: Any, low: np.ndarray, high: np.ndarray) -> None:
+    """Bounds (n, 3) of primitives."""
+    bound_hulls_in_space(*hulls_of(prims, len(low)), low, high)
+
+
+@jit
+def bound_hulls_in_space(points: Any, corners: Any, low: Any, high: Any) -> None:
+    """Bounding boxes of hulls; empty boxes of a kind without bounds."""
+    for k in range(len(corners)):
         for c in range(3):
             low[k, c], high[k, c] = math.inf, -math.inf
-        for j in range(hull_size(prims)):
-            p = hull_point(prims, k, j)
-            for c in range(3):
-                low[k, c], high[k, c] = min(low[k, c], p[c]), max(high[k, c], p[c])
+            for j in range(corners.shape[1]):
+                x = points[corners[k, j], c]
+                low[k, c], high[k, c] = min(low[k, c], x), max(high[k, c], x)
 
 
 SMALLEST32, ULP32 = 2.0**-149, 2.0**-23
@@ -198,9 +230,8 @@ def build_binary(boxes: Any, order: Any, start: int, stop: int, enough: int, nod
     return nodes
 
 
-# Where a node has fewer boxes, the rest reach from EMPTY_BOX to -EMPTY_BOX, outside of every tree, and are
-# left before they
-# are entered. From so far away that rays are wider than that they are entered all the same: nothing is in them.
+# Where a node has fewer boxes, the rest reach from EMPTY_BOX to -EMPTY_BOX, outside of every tree, and are left before
+# they are entered. From so far away that rays are wider than that they are entered all the same: nothing is in them.
 EMPTY_BOX, EMPTY_LINK = 2.0, ~0
 
 

@@ -24,9 +24,9 @@ from caster.kernels.math.lanes import (
     lanes_above,
     lanes_within_lines,
 )
-from caster.kernels.math.vec import TINY, U, abs_dot, dot, l1_norm, max_norm, scaled, sub
+from caster.kernels.math.vec import TINY, U, abs_dot, dot, l1_norm, max_norm, row, scaled, sub
 from caster.kernels.nearest import any_hit_result
-from caster.kernels.protocol import Vec3, hull_point, hull_size, intersect, load, prepare
+from caster.kernels.protocol import Vec3, intersect, load, prepare
 from caster.kernels.raster.tile import (
     CACHE_LINE,
     DX,
@@ -150,41 +150,24 @@ def project_vector(fan: Fan, a: Vec3) -> Vec3:
 
 
 @jit
-def project_vertices_along(fan: Any, vertices: Any, points: Any, start: int, stop: int) -> None:
-    """points (v, 3): x, y, depth of vertices start..stop."""
+def project_along(fan: Any, points: Any, projected: Any, start: int, stop: int) -> None:
+    """projected (n, 3): x, y, depth of points start..stop."""
     for i in range(start, stop):
-        points[i, 0], points[i, 1], points[i, 2] = fan_project(fan, (vertices[i, 0], vertices[i, 1], vertices[i, 2]))
+        projected[i, 0], projected[i, 1], projected[i, 2] = fan_project(fan, row(points, i))
 
 
 @jit
-def bound_triangles_along(fan: Any, faces: Any, order: Any, bounds: Any, start: int, stop: int) -> None:
-    """Boxes of triangles order[start:stop] between projected vertices."""
-    points = bounds.points
+def bound_hulls_along(fan: Any, corners: Any, projected: Any, order: Any, prims: Any, start: int, stop: int) -> None:
+    """Boxes of the hulls order[start:stop] between projected points; corners: (n, points of a hull)."""
     for at in range(start, stop):
         box = nothing()
-        for j in range(3):
-            i = faces[order[at], j]
-            box = with_point(box, (points[i, 0], points[i, 1], points[i, 2]))
-        if not store_prim(fan, bounds.prims, at, box):
+        for j in range(corners.shape[1]):
+            box = with_point(box, row(projected, corners[order[at], j]))
+        if not store_prim(fan, prims, at, box):
             box = nothing()
-            for j in range(3):
-                i = faces[order[at], j]
-                box = with_point(box, undivided(fan, (points[i, 0], points[i, 1], points[i, 2])))
-            store_near_prim(fan, bounds.prims, at, box)
-
-
-@jit
-def bound_hulls_along(fan: Any, prims: Any, order: Any, bounds: Any, start: int, stop: int) -> None:
-    """The same for any kind, by the points of its hulls."""
-    for at in range(start, stop):
-        box = nothing()
-        for j in range(hull_size(prims)):
-            box = with_point(box, fan_project(fan, hull_point(prims, order[at], j)))
-        if not store_prim(fan, bounds.prims, at, box):
-            box = nothing()
-            for j in range(hull_size(prims)):
-                box = with_point(box, undivided(fan, fan_project(fan, hull_point(prims, order[at], j))))
-            store_near_prim(fan, bounds.prims, at, box)
+            for j in range(corners.shape[1]):
+                box = with_point(box, undivided(row(projected, corners[order[at], j])))
+            store_near_prim(fan, prims, at, box)
 
 
 Extent = tuple[float, float, float, float, float, float]
@@ -203,7 +186,7 @@ def with_point(box: Extent, p: Vec3) -> Extent:
 
 
 @inlined
-def undivided(fan: Fan, p: Vec3) -> Vec3:
+def undivided(p: Vec3) -> Vec3:
     """A projected point before the division, but for 2 u."""
     over = p[2] if p[2] > 0.0 else 1.0
     return p[0] * over, p[1] * over, p[2]

@@ -13,6 +13,7 @@ import numpy as np
 from caster.jit.decorators import inlined, jit
 from caster.jit.kernel_cache import COMPILED
 from caster.jit.simd import LANES
+from caster.kernels.math.vec import row
 from caster.kernels.nearest import any_hit_result
 from caster.kernels.protocol import Vec3, camera_ray, intersect, prepare
 
@@ -123,57 +124,29 @@ def cast_lanes(prims: Any, prim: Any, prim_number: float, tile: Any, first: Any,
         update_nearest(tile, i, prim_number, t, error)
 
 
+NO_RAY = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.0, -1.0
+
+
 @jit
 def clear_rays(tile: Any, start: int, stop: int) -> None:
     """No rays at start..stop."""
     for i in range(lane(start), lane(stop)):
-        start_ray(tile, i, ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.0, -1.0))
+        start_ray(tile, i, NO_RAY)
 
 
 @jit
-def load_ray_range(rays: Any, start: int, stop: int, tile: Any, at: int) -> None:
-    """Begin a tile from `at` on, with rays start..stop."""
-    for n in range(start, stop):
-        o, d = (rays.o[n, 0], rays.o[n, 1], rays.o[n, 2]), (rays.d[n, 0], rays.d[n, 1], rays.d[n, 2])
-        start_ray(tile, lane(at + n - start), (o, d, rays.t_min[n], rays.t_max[n]))
+def load_rays(rays: Any, numbers: Any, tile: Any, one_origin: bool, one_range: bool) -> None:
+    """Begin a tile with ray numbers[i] at place i; a negative number stands for no ray.
 
-
-@jit
-def load_hits(rays: Any, t: Any, prim: Any, start: int, stop: int, tile: Any) -> None:
-    """Put rays start..stop and their nearest hits into a tile; prim (n,): primitives counted kind by kind.
-
-    Their limits are left out: nothing is cast any more.
+    one_origin, one_range: all rays have the origin, or t_min and t_max, of the first, which then stays in a cache.
     """
-    for n in range(start, stop):
-        i = lane(n - start)
-        tile[T + i], tile[PRIM + i] = t[n], prim[n]
-        tile[DX + i], tile[DY + i], tile[DZ + i] = rays.d[n, 0], rays.d[n, 1], rays.d[n, 2]
-        tile[OX + i], tile[OY + i], tile[OZ + i] = rays.o[n, 0], rays.o[n, 1], rays.o[n, 2]
-
-
-@jit
-def load_rays(rays: Any, width: int, box: Box, tile: Any) -> None:
-    """Begin the tile of a box, with rays of a window that is `width` pixels wide."""
-    x0, y0, x1, y1 = box
-    for y in range(y1 - y0):
-        first = (y0 + y) * width + x0
-        load_ray_range(rays, first, first + x1 - x0, tile, y * WIDTH)
-        clear_rays(tile, y * WIDTH + x1 - x0, (y + 1) * WIDTH)
-
-
-@jit
-def load_rays_from(rays: Any, first: int, width: int, box: Box, origin: Any, tile: Any) -> int:
-    """`load_rays` of a window that begins at ray `first`; how many of them do not start at `origin`, to the bit."""
-    x0, y0, x1, y1 = box
-    elsewhere = 0
-    for y in range(y1 - y0):
-        start = first + (y0 + y) * width + x0
-        load_ray_range(rays, start, start + x1 - x0, tile, y * WIDTH)
-        clear_rays(tile, y * WIDTH + x1 - x0, (y + 1) * WIDTH)
-        for i in range(lane(y * WIDTH), lane(y * WIDTH + x1 - x0)):
-            there = (tile[OX + i] == origin[0]) & (tile[OY + i] == origin[1]) & (tile[OZ + i] == origin[2])
-            elsewhere += 0 if there else 1
-    return elsewhere
+    for i in range(len(numbers)):
+        if numbers[i] >= 0:
+            k = numbers[i]
+            o, d, limits = row(rays.o, 0 if one_origin else k), row(rays.d, k), 0 if one_range else k
+            start_ray(tile, lane(i), (o, d, rays.t_min[limits], rays.t_max[limits]))
+        else:
+            start_ray(tile, lane(i), NO_RAY)
 
 
 @jit
@@ -188,57 +161,26 @@ def generate_camera_rays(camera: Any, window: Any, box: Box, tile: Any) -> None:
 
 
 @jit
-def store_ray_range(tile: Any, at: int, ids: Any, start: int, stop: int, nearest: Any, uncertain: Any) -> None:
-    """From `at` on into the record of rays start..stop; ids[place] is the primitive's number in the scene.
+def store_nearest(tile: Any, numbers: Any, ids: Any, nearest: Any, uncertain: Any) -> None:
+    """Nearest hits of a tile's rays, numbered as for `load_rays`; ids[place] is the primitive's number in the scene.
 
-    Where there is no ray, a fan has left a t of what is no hit.
+    A fan leaves a t where there is no ray and no hit.
     """
-    for n in range(start, stop):
-        i = lane(at + n - start)
-        prim_number = int(tile[PRIM + i])
-        nearest.t[n], nearest.error[n], uncertain[n] = (
-            tile[T + i] if prim_number >= 0 else math.inf,
-            tile[T_ERROR + i],
-            tile[UNCERTAIN + i] != 0.0,
-        )
-        nearest.prim[n] = ids[prim_number] if prim_number >= 0 else -1
+    for i in range(len(numbers)):
+        if numbers[i] >= 0:
+            k, prim_number = numbers[i], int(tile[PRIM + lane(i)])
+            nearest.t[k] = tile[T + lane(i)] if prim_number >= 0 else math.inf
+            nearest.prim[k] = ids[prim_number] if prim_number >= 0 else -1
+            nearest.error[k], uncertain[k] = tile[T_ERROR + lane(i)], tile[UNCERTAIN + lane(i)] != 0.0
 
 
 @jit
-def store_rays(tile: Any, first: int, width: int, box: Box, ids: Any, nearest: Any, uncertain: Any) -> None:
-    """The tile of a box into the record of a window that begins at ray `first` and is `width` pixels wide."""
-    x0, y0, x1, y1 = box
-    for y in range(y1 - y0):
-        start = first + (y0 + y) * width + x0
-        store_ray_range(tile, y * WIDTH, ids, start, start + x1 - x0, nearest, uncertain)
-
-
-@jit
-def store_blocked(tile: Any, at: int, start: int, stop: int, blocked: Any, uncertain: Any) -> None:
-    """Whether the rays of a tile from `at` on have met anything, into the record of rays start..stop."""
-    for n in range(start, stop):
-        i = lane(at + n - start)
-        hit = (tile[T + i] < math.inf) & (tile[PRIM + i] >= 0.0)
-        blocked[n] = hit
-        uncertain[n] = (tile[UNCERTAIN + i] != 0.0) & (not hit)
-
-
-@jit
-def store_blocked_rays(tile: Any, first: int, width: int, box: Box, blocked: Any, uncertain: Any) -> None:
-    """The same of the tile of a box, as by `store_rays`."""
-    x0, y0, x1, y1 = box
-    for y in range(y1 - y0):
-        start = first + (y0 + y) * width + x0
-        store_blocked(tile, y * WIDTH, start, start + x1 - x0, blocked, uncertain)
-
-
-@jit
-def store_nearest(tile: Any, ids: Any, width: int, box: Box, nearest: Any, uncertain: Any) -> None:
-    """The same for the rays of a window that is `width` pixels wide."""
-    x0, y0, x1, y1 = box
-    for y in range(y1 - y0):
-        first = (y0 + y) * width + x0
-        store_ray_range(tile, y * WIDTH, ids, first, first + x1 - x0, nearest, uncertain)
+def store_blocked(tile: Any, numbers: Any, blocked: Any, uncertain: Any) -> None:
+    """Whether each ray has hit anything, and whether that is still uncertain."""
+    for i in range(len(numbers)):
+        if numbers[i] >= 0:
+            hit = (tile[T + lane(i)] < math.inf) & (tile[PRIM + lane(i)] >= 0.0)
+            blocked[numbers[i]], uncertain[numbers[i]] = hit, (tile[UNCERTAIN + lane(i)] != 0.0) & (not hit)
 
 
 # Which primitives are to be looked for in which tile of the film, near ones first.
@@ -353,12 +295,12 @@ def put_affine_lanes(prims: Any, k: int, start: Any, stop: Any, scratch: Any) ->
     center = prims.center[k, 0], prims.center[k, 1], prims.center[k, 2]
     for x in range(start, stop):
         put_lane(scratch, LANE_CENTER + x, center)
-    for row in range(3):
-        a = prims.to_object[k, row, 0], prims.to_object[k, row, 1], prims.to_object[k, row, 2]
-        b = prims.to_world[k, row, 0], prims.to_world[k, row, 1], prims.to_world[k, row, 2]
+    for i in range(3):
+        a = prims.to_object[k, i, 0], prims.to_object[k, i, 1], prims.to_object[k, i, 2]
+        b = prims.to_world[k, i, 0], prims.to_world[k, i, 1], prims.to_world[k, i, 2]
         for x in range(start, stop):
-            put_lane(scratch, LANE_TO_OBJECT + lane(3 * row) * NEXT + x, a)
-            put_lane(scratch, LANE_TO_WORLD + lane(3 * row) * NEXT + x, b)
+            put_lane(scratch, LANE_TO_OBJECT + lane(3 * i) * NEXT + x, a)
+            put_lane(scratch, LANE_TO_WORLD + lane(3 * i) * NEXT + x, b)
 
 
 @inlined

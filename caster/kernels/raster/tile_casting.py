@@ -142,8 +142,8 @@ def row_bounds(bounds: Any, k: int, box: Box, rect: Box, y: int) -> tuple[int, i
     """Of the span of triangle k in a tile, what row y of the tile needs; in whole LANES."""
     row, low, high = box[1] + y + 0.5, math.inf, -math.inf
     for j in range(3):
-        xa, ya, wide, _ = projected_corner(bounds, k, j)
-        xb, yb, wide_b, _ = projected_corner(bounds, k, (j + 1) % 3)
+        xa, ya, wide, _ = projected_corner(bounds, bounds.faces[k, j])
+        xb, yb, wide_b, _ = projected_corner(bounds, bounds.faces[k, (j + 1) % 3])
         wide = max(wide, wide_b)
         if not wide < math.inf:
             return rect[0], rect[2]
@@ -154,7 +154,7 @@ def row_bounds(bounds: Any, k: int, box: Box, rect: Box, y: int) -> tuple[int, i
                 xb = xa + (min(max(row + wide, top), bottom) - ya) * slope
                 xa = xa + (min(max(row - wide, top), bottom) - ya) * slope
             low, high = min(low, min(xa, xb) - wide), max(high, max(xa, xb) + wide)
-    start, stop = pixel_range(low, high, box[0], box[2] - box[0])
+    start, stop = pixel_range(low - box[0], high - box[0], box[2] - box[0])
     return max(start // LANES * LANES, rect[0]), min(-(-stop // LANES) * LANES, rect[2])
 
 
@@ -203,7 +203,7 @@ def cast_in_bounds(
     shares_origin: whether all rays start at one point; else they have one direction (an orthographic camera).
     """
     o = tile[OX], tile[OY], tile[OZ]
-    far, tried, patience, stretch = math.inf, 0, PIXELS, bounds.least
+    far, tried, patience, stretch = math.inf, 0, PIXELS, 1.0
     looked, low, high = False, o, o
     for at in range(run[0], run[1]):
         k = order[at]

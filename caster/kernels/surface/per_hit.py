@@ -114,10 +114,10 @@ def surfaces_in_tile(prims: Any, numbers: Any, tile: Any, box: Box, buffer: Any,
             shown = gather_primitives(prims, numbers, tile, first, scratch, wants)
             if shown == 0:
                 continue
-            if wants == NORMALS:
-                unsafe = compute_normals(prims, numbers, tile, first, scratch)
+            if wants == NORMALS:  # a constant, so that LLVM leaves out the rest
+                unsafe = compute_surfaces(prims, numbers, tile, first, scratch, True)
             else:
-                unsafe = compute_surfaces(prims, numbers, tile, first, scratch)
+                unsafe = compute_surfaces(prims, numbers, tile, first, scratch, False)
             if wants == SURFACES_WITH_UV:
                 compute_uv(prims, scratch)
             if unsafe > 0:
@@ -161,37 +161,22 @@ def _setup_runs(prims: Any, scratch: Any, wants: int) -> None:
 
 
 @inlined
-def compute_normals(prims: Any, numbers: Any, tile: Any, first: Any, scratch: Any) -> int:
-    """Geometric normals of all lanes, whatever they show; how many of the kind are not safe."""
+def compute_surfaces(prims: Any, numbers: Any, tile: Any, first: Any, scratch: Any, normals_only: bool) -> int:
+    """Surfaces of all lanes but for uv, or geometric normals only; how many lanes of the kind are not safe."""
     unsafe, least, end = 0, float(numbers[0]), float(numbers[1])
     for x in range(lane(SURFACE_LANES)):
         prim, (o, d) = tile[PRIM + first + x], ray_of(tile, first + x)
         mine = (least <= prim) & (prim < end)
         t = tile[T + first + x] if mine else 0.0  # that of a miss is infinite
-        safe, _, _, n, _, _ = fast_surface(prims, scratch, x, o, d, t)
+        normal_is_safe, all_is_safe, p, n, sh_n, local = fast_surface(prims, scratch, x, o, d, t)
         put_lane(scratch, LANE_N + x, n)
-        fails = (not safe) & mine
+        if not normals_only:
+            put_lane(scratch, LANE_P + x, p)
+            put_lane(scratch, LANE_SH_N + x, sh_n)
+            put_lane(scratch, LANE_LOCAL + x, local)
+        fails = (not (normal_is_safe if normals_only else all_is_safe)) & mine
         scratch[LANE_UNSAFE + x] = 1.0 if fails else 0.0
         unsafe += 1 if fails else 0  # of integers: a sum of floats keeps LLVM from using vectors
-    return unsafe
-
-
-@inlined
-def compute_surfaces(prims: Any, numbers: Any, tile: Any, first: Any, scratch: Any) -> int:
-    """The same of all but uv."""
-    unsafe, least, end = 0, float(numbers[0]), float(numbers[1])
-    for x in range(lane(SURFACE_LANES)):
-        prim, (o, d) = tile[PRIM + first + x], ray_of(tile, first + x)
-        mine = (least <= prim) & (prim < end)
-        t = tile[T + first + x] if mine else 0.0
-        _, safe, p, n, sh_n, local = fast_surface(prims, scratch, x, o, d, t)
-        put_lane(scratch, LANE_P + x, p)
-        put_lane(scratch, LANE_N + x, n)
-        put_lane(scratch, LANE_SH_N + x, sh_n)
-        put_lane(scratch, LANE_LOCAL + x, local)
-        fails = (not safe) & mine
-        scratch[LANE_UNSAFE + x] = 1.0 if fails else 0.0
-        unsafe += 1 if fails else 0
     return unsafe
 
 
