@@ -1,7 +1,4 @@
-"""Rays in, nearest hits out: the three cullings, on as many threads as there are cores.
-
-Rays that float64 leaves uncertain are cast once more and decided exactly.
-"""
+"""Nearest hits of any rays, on all cores. Rays that float64 leaves uncertain are cast again and decided exactly."""
 
 import itertools
 from collections.abc import Iterator
@@ -16,12 +13,11 @@ from caster.kernels.nearest import (
     Candidates,
     Nearest,
     Rays,
-    exact_hit,
+    hit_precedes,
     list_candidates,
     merge,
     nearest_of_candidates,
     no_hits,
-    precedes,
 )
 from caster.kernels.raster.tile import store_blocked, store_nearest
 from caster.rendering.bvh_construction import bvh_of, has_bvh, uses_bvh
@@ -56,7 +52,7 @@ def _cast(
     fans: bool = False,
     always_fans: bool = False,
 ) -> tuple[Nearest, np.ndarray]:
-    """(nearest hits by float64, whether it cannot decide (n,) bool), with the trees of some kinds."""
+    """(nearest hits by float64, whether they are uncertain (n,) bool), through the trees of some kinds."""
     count = len(rays.t_min)
     # threads write all of it
     nearest = Nearest(*(unwritten_array((count,), dtype) for dtype in (float, np.int32, float)))
@@ -90,7 +86,7 @@ def decide_uncertain(
     *,
     trees: bool = True,
 ) -> Nearest:
-    """Cast the uncertain rays, (n,) bool, once more, exactly, and put them into the record."""
+    """Decide the uncertain rays, (n,) bool, exactly, and update their hits."""
     rows = np.flatnonzero(uncertain)
     if len(rows):
         exact = exact_nearest(packed, Rays(*(a[rows] for a in rays)), threads, trees=trees)
@@ -99,20 +95,21 @@ def decide_uncertain(
     return nearest
 
 
-# For fewer rays than this, trying every primitive takes less time than growing a tree that is not there yet.
+# For fewer rays, brute force takes less time than building a tree.
 BVH_MIN_RAYS = 64
 
-# As MIN_RAYS_PER_THREAD: so many tests of a ray and a primitive, so many rays whose candidates integers choose from.
+# Like MIN_RAYS_PER_THREAD, for tests of a ray with a primitive, and for rays that integers decide.
 MIN_TESTS_PER_THREAD, MIN_EXACT_PER_THREAD = 1 << 15, 64
 
-# So many primitives that may come first are written down at once, 16 MiB of them; rays with more take turns.
+# Candidates that are listed at a time: 16 MiB; more rays are processed in batches.
 MAX_LISTED_CANDIDATES = 1 << 22
 
 
 def exact_nearest(packed: Packed, rays: Rays, threads: int | None = None, *, trees: bool = True) -> Nearest:
-    """The nearest hits of rays, decided exactly wherever float64 leaves them open; without trees, by brute force.
+    """The nearest hits of rays, decided exactly where float64 is uncertain; without trees, by brute force.
 
-    What float64 is sure of bounds where the first hit is; of all that may come before that, integers choose.
+    The hits of float64 bound where the first hit is. All primitives that may be hit before are candidates, of which
+    integers choose.
     """
     count, nearest = len(rays.t_min), no_hits(len(rays.t_min))
 
@@ -153,27 +150,24 @@ def exact_nearest(packed: Packed, rays: Rays, threads: int | None = None, *, tre
         merge(nearest, found, kind.ids, contested, 0, count)
         for i in np.flatnonzero(contested):
             _decide_between(packed, kind, rays, nearest, found, int(i))
-    hit = nearest.prim >= 0  # exactly t_min < t <= t_max; the float64 beside such a t may lie beyond an end
+    hit = nearest.prim >= 0  # the exact t is in (t_min, t_max]; rounded to float64 it may lie outside
     nearest.t[hit] = np.clip(nearest.t[hit], np.nextafter(rays.t_min[hit], np.inf), rays.t_max[hit])
     return nearest
 
 
 def _batches(counts: np.ndarray) -> Iterator[slice]:
-    """Runs of rays with about MAX_LISTED_CANDIDATES together, or one ray with more."""
+    """Runs of rays with about MAX_LISTED_CANDIDATES in all, or one ray with more."""
     turn = np.cumsum(counts) // MAX_LISTED_CANDIDATES
     ends = [0, *(np.flatnonzero(np.diff(turn)) + 1).tolist(), len(counts)]
     return (slice(start, stop) for start, stop in itertools.pairwise(ends))
 
 
 def _decide_between(packed: Packed, kind: Kind, rays: Rays, nearest: Nearest, found: Nearest, i: int) -> None:
-    """Which of two kinds' nearest primitives comes first along ray i."""
+    """Merge the hit of one kind along ray i, where float64 cannot decide which comes first."""
     k, held = int(found.prim[i]), int(nearest.prim[i])
-    if held < 0 or _precedes(packed, rays, i, (kind, k), held):
-        nearest.t[i], nearest.prim[i], nearest.error[i] = found.t[i], kind.ids[k], found.error[i]
-
-
-def _precedes(packed: Packed, rays: Rays, i: int, place: tuple[Kind, int], held: int) -> bool:
-    """Whether the primitive at a place comes before the one numbered `held`, exactly."""
-    (kind, k), (other, j) = place, packed.place_of(held)
-    mine, theirs = exact_hit(kind.prims, k, rays, i), exact_hit(other.prims, j, rays, i)
-    return precedes(mine, int(kind.ids[k]), theirs, held)
+    mine = kind.prims, k, int(kind.ids[k])
+    if held >= 0:
+        other, j = packed.place_of(held)
+        if not hit_precedes(*mine, other.prims, j, held, rays, i):
+            return
+    nearest.t[i], nearest.prim[i], nearest.error[i] = found.t[i], mine[2], found.error[i]

@@ -30,7 +30,7 @@ __all__ = ["camera_rays", "evaluate", "film_window", "render", "trace_film"]
 DEFAULT_AOVS = ("hit", "depth", "normal", "position", "diffuse")
 
 
-# Called with the number of pixels that have just been done, from any thread.
+# Is called with the number of pixels that have just been done, from any thread.
 OnProgress = Callable[[int], None] | None
 
 
@@ -74,7 +74,7 @@ def render_film(
     dtype: type[np.floating] = np.float64,
     on_progress: OnProgress = None,
 ) -> RenderResult:
-    """The same as `render`, with an account of it. on_progress: called with the number of pixels just done."""
+    """The same as `render`, with counts of the work. on_progress: is called with the number of pixels just done."""
     check_names(aovs)
     return FilmRenderer(scene, plan(scene, aovs, culling), aovs, threads, dtype, on_progress).render()
 
@@ -101,7 +101,7 @@ class FilmRenderer:
         self.shader = TileShader(scene, self.packed, plan, self.images)
 
     def render(self) -> RenderResult:
-        """All pixels; those that float64 leaves open once more, exactly."""
+        """Render all pixels, and those that float64 leaves uncertain again, exactly."""
         kinds = None
         if self.plan.culling == "raster":
             reach = _farthest_origin(self.camera, self.window)
@@ -126,7 +126,7 @@ class FilmRenderer:
         parallel_for_tiles(self.shader.miss_commands, rows[~seen], self.threads, self.on_progress)
 
     def _commands(self, take: Callable[[], TileWorkspace], kinds: list[BinnedKind] | None) -> Iterator[Command]:
-        """What renders tiles where something may be hit."""
+        """Commands for tiles with primitives."""
         workspace = take()
         tile = workspace.tile
         yield Command(bind(generate_camera_rays, self.camera, self.window, NO_BOX, tile, given=(2,)), (BOX,))
@@ -136,11 +136,11 @@ class FilmRenderer:
             for kind, base in zip(self.packed.kinds, prim_offsets(self.packed), strict=True):
                 yield kind_command(kind, base, tile, self.plan.culling == "bvh" and uses_bvh(kind))
         yield from self.shader.commands(workspace)
-        # last: shadows may be uncertain, too
+        # at the end, since shadows may be uncertain, too
         yield Command(bind(store_hits, tile, NO_BOX, self.hit, self.uncertain, given=(1,)), (BOX,))
 
     def _decide_uncertain(self) -> int:
-        """The pixels that float64 leaves open, exactly; how many."""
+        """Decide uncertain pixels exactly; returns their number."""
         pixels = np.flatnonzero(self.uncertain)
         if len(pixels):
             rays = rays_through(self.camera, self.window, pixels, self.threads)
@@ -155,7 +155,7 @@ class FilmRenderer:
 
 
 def _farthest_origin(camera: Any, window: Window) -> float:
-    """The largest |coordinate| of an origin, which is one point or linear over the film: at a corner of it."""
+    """The largest |coordinate| of a ray's origin; origins are linear over the film, so it is at a corner."""
     right, bottom = window.width - 1, (window.height - 1) * window.width
     return float(np.abs(rays_through(camera, window, np.array([0, right, bottom, bottom + right])).o).max())
 
@@ -188,7 +188,7 @@ def camera_rays(scene: Scene, threads: int | None = None) -> Rays:
 
 
 def trace_film(scene: Scene, threads: int | None = None) -> RayHits:
-    """Cast the camera's rays; a few of them without growing trees."""
+    """Cast the camera's rays; few rays by brute force, without building trees."""
     rays, arrays = camera_rays(scene, threads), packed(scene)
     culling: Culling = "bvh" if len(rays.t_min) > BVH_MIN_RAYS else "brute-force"
     nearest = find_nearest(arrays, rays, culling, threads)

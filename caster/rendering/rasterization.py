@@ -1,4 +1,4 @@
-"""Rasterization: nearest hits of a film by testing each primitive in the pixels of its screen bounds."""
+"""Rasterization: primitives are bounded on the screen, sorted into tiles and tested in the pixels of their bounds."""
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
@@ -37,18 +37,18 @@ ZERO_VECTOR = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class BinnedKind:
-    """The primitives of a kind, and in which tiles of the window each is to be looked for."""
+    """The primitives of a kind, and those of each tile of the window."""
 
     kind: Kind
     bounds: ScreenBounds
     prim_range: tuple[int, int]  # of its primitives, counted kind by kind
-    binned: int  # primitives that are looked for at all
+    binned: int  # primitives in any tile
     runs: np.ndarray  # int64; tile n has primitives order[runs[n]:runs[n + 1]]
     order: np.ndarray  # int32, primitive numbers within the kind, roughly from front to back
 
 
 def cast_commands(kinds: list[BinnedKind], tile: np.ndarray, shares_origin: bool) -> Iterator[Command]:
-    """What tests all primitives that may be visible in a tile."""
+    """Commands that cast a tile at its primitives."""
     empty, box = (0, 0), (0, 0, 0, 0)
     for k, it in enumerate(kinds):
         about = it.kind.prims, it.order, empty, it.bounds, it.prim_range[0], box, tile, shares_origin
@@ -56,8 +56,8 @@ def cast_commands(kinds: list[BinnedKind], tile: np.ndarray, shares_origin: bool
         yield Command(bind(cast_in_bounds, *about, given=(2, 5)), (at.run, BOX), at.present)
 
 
-PIECES_PER_THREAD = 32  # so few that steps of Python do not count, enough to share the work evenly
-MAX_TILES_PER_PIECE = 16  # signals are handled and progress is reported between pieces, of large films as well
+PIECES_PER_THREAD = 32  # few enough that Python code does not count, enough to share the work evenly
+MAX_TILES_PER_PIECE = 16  # so that signals are handled and progress is reported often, between pieces
 
 
 def parallel_for_tiles(
@@ -66,9 +66,9 @@ def parallel_for_tiles(
     threads: int | None,
     on_progress: Callable[[int], None] | None = None,
 ) -> None:
-    """Carry out the commands that `begin` returns, for each thread, for the rows of all tiles (`tile_rows`).
+    """Run commands for the rows of all tiles (`tile_rows`); `begin` makes those of each thread.
 
-    on_progress: called with the number of pixels of tiles that are done.
+    on_progress: is called with the number of pixels just done.
     """
 
     def done(piece: tuple[int, int]) -> None:
@@ -89,7 +89,7 @@ def parallel_for_tiles(
 def bin_kinds(
     packed: Packed, camera: Any, window: Window, origin: float, threads: int | None = None
 ) -> list[BinnedKind]:
-    """Where to look for each primitive. origin: the largest |coordinate| of a camera ray's origin."""
+    """Sort all primitives into tiles. origin: the largest |coordinate| of a camera ray's origin."""
     rectilinear = implements(project, type(camera)) and not implements(distortion_bound, type(camera))
 
     def sort(kind: Kind, base: int) -> BinnedKind:
@@ -124,7 +124,7 @@ MAX_KEPT_WORKSPACE = 1 << 28  # bytes of workspace that a kind keeps: for three 
 
 
 def _workspace(kind: Kind, points: int) -> tuple[np.ndarray, ...]:
-    """(pixels, near, projected) of a kind's ScreenBounds, to be written: spare arrays, or new ones."""
+    """Uninitialised (pixels, near, projected) of a kind's ScreenBounds: spare arrays, or new ones."""
     with suppress(IndexError):
         spare = kind.spare.pop()
         if len(spare[2]) == points:
@@ -133,7 +133,7 @@ def _workspace(kind: Kind, points: int) -> tuple[np.ndarray, ...]:
 
 
 def release_workspace(kinds: list[BinnedKind]) -> None:
-    """The workspace of kinds that are no longer used."""
+    """Keep the workspaces of kinds for later images."""
     for it in kinds:
         space = it.bounds.pixels, it.bounds.near, it.bounds.projected
         if not it.kind.spare and sum(a.nbytes for a in space) <= MAX_KEPT_WORKSPACE:
@@ -143,11 +143,11 @@ def release_workspace(kinds: list[BinnedKind]) -> None:
 def _bin_into_tiles(
     kind: Kind, base: int, window: Window, bounds: ScreenBounds, farthest: float, threads: int | None
 ) -> BinnedKind:
-    """farthest: no depth is larger. Several threads count and sort a part of the primitives each."""
+    """Sort primitives into tiles, in parallel. farthest: an upper bound of all depths."""
     across, down = len(range(0, window.width, WIDTH)), len(range(0, window.height, HEIGHT))
     bits, number = bounds.near.view(np.int64), len(bounds.near)
     last = int(np.float64(farthest).view(np.int64))
-    # Few enough to be sorted outright are, since large ones may hide many.
+    # Few primitives are sorted completely, since large ones may hide many.
     queue = np.argsort(bounds.near, kind="stable") if number < PARALLEL_MIN_PRIMITIVES else np.empty(0)
     about = bounds.pixels, bits, last, queue.astype(np.int32), across
     workers = max(1, min(thread_count(threads), number // PARALLEL_MIN_PRIMITIVES))

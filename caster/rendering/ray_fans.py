@@ -137,7 +137,7 @@ def fan_tiles(
 ) -> Iterator[RayTiles] | None:
     """The tiles of rays that share a point, if fans are faster for them or `always` is set; else None.
 
-    Fans are faster for rays that sweep from one point row by row, and for larger unordered arrays, of which enough rays
+    Fans are faster for rays that sweep from one point row by row, and for larger unordered arrays. Enough rays have to
     lead to primitives with a BVH.
     """
     count = len(rays.t_min)
@@ -155,14 +155,17 @@ def fan_tiles(
     fan = caster.first_fan
     if fan is None:
         return None
-    sample = project_sample(caster, fan, rays, common.outward)
-    pays = sample.share_in_view >= MIN_SHARE_IN_VIEW and (rows is not None or not sample.in_order)
-    strays = partial(count_strays, fan, rays, common.outward, common.deviation)
-    if not (pays or always) or _total(strays, count, threads) > 0:
+    sample = project_sample(fan, rays, common.outward)
+    if not always and (len(sample.points) == 0 or (rows is None and sample.in_order)):
+        return None
+    caster.prepare(threads)
+    if not always and sample.share * caster.share_in_view(sample.points) < MIN_SHARE_IN_VIEW:
+        return None
+    if rows is not None:
+        return _tiles_in_rows(caster, count, rows)
+    if _total(partial(count_strays, fan, rays, common.outward, common.deviation), count, threads) > 0:
         return None
     one_range = _total(partial(count_other_ranges, rays), count, threads) == 0
-    if rows is not None:
-        return _tiles_in_rows(caster, count, rows, one_range)
     return _sorted_tiles(caster, fan, rays, common.outward, sample.corners, one_range, threads)
 
 
@@ -173,7 +176,7 @@ def _total(number: Callable[[int, int], int], count: int, threads: int | None) -
     return sum(found)
 
 
-def _tiles_in_rows(caster: TileCaster, count: int, rows: RayRows, one_range: bool) -> Iterator[RayTiles]:
+def _tiles_in_rows(caster: TileCaster, count: int, rows: RayRows) -> Iterator[RayTiles]:
     """Tiles of rays that lie beside and below each other, and those of the rays before and behind the whole rows."""
     first, width, height = rows
     grid = np.arange(HEIGHT, dtype=np.int32)[:, None] * np.int32(width) + np.arange(WIDTH, dtype=np.int32)
@@ -184,10 +187,10 @@ def _tiles_in_rows(caster: TileCaster, count: int, rows: RayRows, one_range: boo
         numbers[:, x1 - x0 :] = -1
         return numbers.reshape(-1)
 
-    yield RayTiles(caster, list(tile_boxes(width, height)), numbers_in_box, True, one_range)
+    yield RayTiles(caster, list(tile_boxes(width, height)), numbers_in_box)
     ends = [(0, first), (first + width * height, count)]
     rest = [(i, min(i + PIXELS, stop)) for start, stop in ends for i in range(start, stop, PIXELS)]
-    yield RayTiles(caster, rest, lambda piece: filled_up(np.arange(*piece, dtype=np.int32), WIDTH), True, one_range)
+    yield RayTiles(caster, rest, lambda piece: filled_up(np.arange(*piece, dtype=np.int32), WIDTH))
 
 
 # The rays of a sorted run fill a block of a tile before the next, and a group: which of the run is at each place.
@@ -217,7 +220,7 @@ def _sorted_tiles(
 
 MAX_RAYS_SORTED = 1 << 20  # at a time: 24 bytes each
 
-SAMPLED_RUNS, RUN_LENGTH = 512, 8  # rays of the sample: neighbours, at even distances
+SAMPLED_RUNS, RUN_LENGTH = 128, 8  # rays of the sample: neighbours, at even distances
 
 # Rays are in order whose neighbours are projected to within a path of so many times the distance that as many rays in
 # rows and columns would have. Packets of them take as long as fans do, which have to be sorted first.
@@ -232,12 +235,13 @@ Corners = tuple[float, float, float, float]
 class ProjectedSample(NamedTuple):
     """Rays in the projection of a fan, by a sample of them."""
 
-    share_in_view: float  # of the rays that lead to a box of a tree
+    points: np.ndarray  # (m, 2) x, y of those that the fan has
+    share: float  # of the rays that the fan has
     corners: Corners  # least x, y and largest x, y
     in_order: bool
 
 
-def project_sample(caster: TileCaster, fan: Fan, rays: Rays, outward: bool) -> ProjectedSample:
+def project_sample(fan: Fan, rays: Rays, outward: bool) -> ProjectedSample:
     """A sample of the rays, in runs of neighbours."""
     count = len(rays.t_min)
     starts = np.linspace(0, count - RUN_LENGTH, SAMPLED_RUNS).astype(np.int64)
@@ -246,14 +250,13 @@ def project_sample(caster: TileCaster, fan: Fan, rays: Rays, outward: bool) -> P
     project_rays(fan, Rays(*(a[sample] for a in rays)), outward, points)
     known = points[~np.isnan(points[:, 0])]
     if not len(known):
-        return ProjectedSample(0.0, (0.0, 0.0, 0.0, 0.0), False)
-    low, high = known.min(axis=0), known.max(axis=0)
+        return ProjectedSample(known, 0.0, (0.0, 0.0, 0.0, 0.0), False)
+    (x0, y0), (x1, y1) = known.min(axis=0).tolist(), known.max(axis=0).tolist()
     paths = np.abs(np.diff(points.reshape(SAMPLED_RUNS, RUN_LENGTH, 2), axis=1)).sum(axis=(1, 2))
     paths = paths[np.isfinite(paths)]
-    apart = math.sqrt(float(np.prod(high - low)) / count)
+    apart = math.sqrt((x1 - x0) * (y1 - y0) / count)
     in_order = len(paths) > 0 and bool(np.median(paths) <= MAX_PATH_IN_ORDER * apart)
-    share = caster.share_in_view(known) * len(known) / len(points)
-    return ProjectedSample(share, (low[0].item(), low[1].item(), high[0].item(), high[1].item()), in_order)
+    return ProjectedSample(known, len(known) / len(points), (x0, y0, x1, y1), in_order)
 
 
 def sort_rays(

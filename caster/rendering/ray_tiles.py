@@ -31,7 +31,7 @@ from caster.kernels.nearest import Rays
 from caster.kernels.raster.tile import COUNT, LINES, PIXELS, TILE_NUMBERS, WIDTH, load_rays, new_lanes, new_tile
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
 from caster.kernels.surface.per_hit import new_surface_buffer
-from caster.rendering.bvh_construction import boxes_along, bvh_of, fan_bounds, fans_to, uses_bvh
+from caster.rendering.bvh_construction import bvh_of, fan_bounds, fans_to, uses_bvh
 from caster.rendering.threads import CHUNKS_PER_THREAD, even_pieces, parallel_for_pieces, thread_count
 
 # To wake a second thread takes as long as so many rays, about.
@@ -109,17 +109,20 @@ class TileCaster:
         return self._fans[0] if self._fans else None
 
     def share_in_view(self, points: np.ndarray) -> float:
-        """The share of points (m, 2) of the first projection that lie in a box of a tree's root."""
-        covered = np.zeros(len(points), bool)
-        for kind, _ in self._kinds:
-            for low, high in boxes_along(self._fans[0], bvh_of(kind)):
-                covered |= ((points >= low) & (points <= high)).all(axis=1)
+        """The share of points (m, 2) of the first projection in boxes of a tree's root, once that is prepared."""
+        covered, (x, y) = np.zeros(len(points), bool), points.T[:, :, None]
+        for n in range(len(self._kinds)):
+            left, right, low, high = (
+                self._bounds[0, n].nodes[: 4 * CHILDREN].reshape(4, CHILDREN)
+            )  # right, high: negative
+            covered |= ((x >= left) & (x <= -right) & (y >= low) & (y <= -high)).any(axis=1)
         return float(covered.mean())
 
     def prepare(self, threads: int | None) -> None:
         """Project all kinds for the first fan, on all threads."""
         for n, (kind, _) in enumerate(self._kinds if self._fans else ()):
-            self._bounds[0, n] = fan_bounds(kind, self._fans[0], threads)
+            if (0, n) not in self._bounds:
+                self._bounds[0, n] = fan_bounds(kind, self._fans[0], threads)
 
     def begin(self, tile: np.ndarray, groups: RayGroups) -> Callable[[int], None]:
         """A function that casts the first so many rays of this tile; for fans, whole rows of it."""

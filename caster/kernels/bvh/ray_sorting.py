@@ -11,6 +11,7 @@ from caster.jit.decorators import inlined, jit
 from caster.kernels.bvh.fans import FAN_LIMIT, Fan
 from caster.kernels.math.vec import dot, max_norm, point_at, row, sub
 from caster.kernels.protocol import Vec3
+from caster.kernels.raster.tile import lane
 
 HALF_BITS = 10  # of a cell's number along x and along y, where the first fan has the ray
 LOWER_BITS = 10  # of a key, that the second pass sorts by
@@ -21,33 +22,34 @@ MAX_SORTED_BY_INSERTION = 32  # rays of a bucket; clearing LOWER_CELLS counters 
 
 @inlined
 def in_front(fan: Fan, o: Vec3, d: Vec3, outward: bool) -> Vec3:
-    """(across, up, forward) of a point of the ray, other than the fan's origin: where it is in the picture."""
+    """(across, up, forward) of a point of the ray other than the fan's origin, for its projection."""
     a = d if outward else sub(o, fan.origin)
     return dot(fan.across, a), dot(fan.up, a), dot(fan.forward, a)
 
 
 @jit
 def count_strays(fan: Any, rays: Any, outward: bool, deviation: float, start: int, stop: int) -> int:
-    """How many of rays start..stop do not belong to a fan."""
-    strays = 0
-    for i in range(start, stop):
-        belongs = leads_there(fan, row(rays.o, i), row(rays.d, i), rays.t_max[i], outward, deviation)
-        strays += 0 if belongs else 1
+    """How many of rays start..stop neither start at the fan's origin, nor end there, nor are parallel."""
+    strays, p = 0, fan.origin
+    if outward:
+        for i in range(lane(start), lane(stop)):
+            there = (rays.o[i, 0] == p[0]) & (rays.o[i, 1] == p[1]) & (rays.o[i, 2] == p[2])
+            strays += 0 if there | (rays.t_max[i] < 0.0) else 1
+    else:
+        for i in range(lane(start), lane(stop)):
+            there = leads_there(fan, row(rays.o, i), row(rays.d, i), rays.t_max[i], deviation)
+            strays += 0 if there | (rays.t_max[i] < 0.0) else 1
     return strays
 
 
 @inlined
-def leads_there(fan: Fan, o: Vec3, d: Vec3, t_max: float, outward: bool, deviation: float) -> bool:
-    """Whether a ray starts at the fan's origin, ends there within `deviation`, or is parallel, or there is no ray.
+def leads_there(fan: Fan, o: Vec3, d: Vec3, t_max: float, deviation: float) -> bool:
+    """Whether a ray is parallel to the fan, or ends at its origin within `deviation`.
 
     A ray to the origin p is nearest to it at t = (p - o).d / d.d. It ends there if o + t d lies within `deviation` of
     p along each axis and the ray goes on no farther than that: then each of its points is as near to the segment from
     o to p.
     """
-    if t_max < 0.0:
-        return True
-    if outward:
-        return (o[0] == fan.origin[0]) & (o[1] == fan.origin[1]) & (o[2] == fan.origin[2])
     if fan.perspective == 0.0:
         return (d[0] == fan.back[0]) & (d[1] == fan.back[1]) & (d[2] == fan.back[2])
     t = dot(sub(fan.origin, o), d) / dot(d, d)
@@ -61,17 +63,17 @@ def count_other_ranges(rays: Any, start: int, stop: int) -> int:
     """How many of rays start..stop have another t_min or t_max than ray 0."""
     t_min, t_max = rays.t_min[0], rays.t_max[0]
     differing = 0
-    for i in range(start, stop):
+    for i in range(lane(start), lane(stop)):
         differing += 1 if (rays.t_min[i] != t_min) | (rays.t_max[i] != t_max) else 0
     return differing
 
 
 @jit
 def find_row(rays: Any, start: int, stop: int, jump: float, steps: Any, row: Any) -> None:
-    """row (2,): the first of all rays to begin a row, and how many rays a row has; 0, 0 where no rows are found.
+    """Find rows of rays: row (2,) gets the ray that begins the first row and the rays of a row, or 0, 0 without rows.
 
-    A row ends where directions of rays start..stop go on by more than `jump` times the average step, each time after as
-    many rays or a multiple of it: beside what is no ray, no end is seen. steps: room for stop - start numbers.
+    A row ends where the directions of rays start..stop jump by more than `jump` times the average step. All ends have
+    to be multiples of the row length apart; at places without a ray no end is seen. steps: work space, (stop - start,).
     """
     total, number = 0.0, 0
     x, y, z, ray = 0.0, 0.0, 0.0, False
@@ -99,7 +101,7 @@ def find_row(rays: Any, start: int, stop: int, jump: float, steps: Any, row: Any
 
 @jit
 def project_rays(fan: Any, rays: Any, outward: bool, points: Any) -> None:
-    """points (n, 2): x, y of each ray in the picture of the first fan, NaN where another has it."""
+    """points (n, 2): the projection of each ray by the first fan, NaN for a ray of another fan."""
     for i in range(len(points)):
         x, y, z = in_front(fan, row(rays.o, i), row(rays.d, i), outward)
         over = z if fan.perspective != 0.0 else 1.0
@@ -125,7 +127,7 @@ def cell(x: float, low: float, scale: float, last: int) -> int:
 
 @inlined
 def projection_key(fan: Fan, a: Vec3, low: Any, scale: Any) -> int:
-    """The key of a ray by what `in_front` gives."""
+    """The key of a ray from the result of `in_front`."""
     x, y, z = a
     over = z if fan.perspective != 0.0 else 1.0
     if (over > 0.0) & ((fan.perspective == 0.0) | (max(abs(x), abs(y)) <= FAN_LIMIT * over)):
@@ -174,7 +176,7 @@ def scatter_to_buckets(pairs: Any, places: Any, start: int, stop: int, sorted_pa
 
 @jit
 def sort_buckets(pairs: Any, edges: Any, buckets: Any, counts: Any, order: Any) -> None:
-    """order: the rays of buckets[0]..buckets[1], each bucket sorted; edges: where buckets begin in `pairs`."""
+    """Sort buckets buckets[0]..buckets[1] into order; edges: where each bucket begins in `pairs`."""
     for bucket in range(buckets[0], buckets[1]):
         start, stop = edges[bucket], edges[bucket + 1]
         if stop - start <= MAX_SORTED_BY_INSERTION:

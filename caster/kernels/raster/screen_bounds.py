@@ -14,14 +14,14 @@ from caster.kernels.math.vec import LARGEST_SQUARE, SMALLEST_SQUARE, dot, l1_nor
 from caster.kernels.protocol import Vec3, distortion_bound, project, project_bounding_sphere, tight_sphere
 from caster.kernels.raster.tile import Box
 
-# A rectangle reaches so much further than the projected points on each side, plus the distance at which the
-# intersection test may still count a hit (`slack`, in scene units). The margin has to outdo the rounding of the
-# projection alone: below 1e-9 of the film's size, where pinhole.MIN_DEPTH_SHARE holds, that is 7e-5 pixels.
+# The margin of a rectangle around projected points, beside the distance at which the intersection test may still count
+# a hit (`slack`, in scene units). It has to exceed the rounding of the projection: below 1e-9 of the film's size, where
+# pinhole.MIN_DEPTH_SHARE holds, or 7e-5 pixels.
 PROJECTION_MARGIN = 2.0**-10  # pixels
 
 
 class Window(NamedTuple):
-    """Which pixels of the film there are rays for, row by row."""
+    """The pixels of the film that are rendered, row by row."""
 
     x0: int
     y0: int
@@ -33,7 +33,7 @@ class ScreenBounds(NamedTuple):
     """Screen bounds of the primitives of a kind."""
 
     pixels: np.ndarray  # (n, 4) int32: x_start, y_start, x_stop, y_stop in the window
-    near: np.ndarray  # (n,) float64: nothing of it has a smaller depth
+    near: np.ndarray  # (n,) float64, a lower bound of the depth
     # (n, 3) int32: the corners in `projected` of triangles before a rectilinear camera; else (0, 3)
     faces: np.ndarray
     projected: np.ndarray  # (m, 4) float64, a projection each, in pixels of the window
@@ -43,11 +43,11 @@ class ScreenBounds(NamedTuple):
 
 
 ProjectedPoint = tuple[float, float, float, float]
-"""(x, y, how far around it to look, in pixels, inf where it is not projected; depth)"""
+"""(x, y, margin in pixels, or inf if the point is not projected, depth)"""
 
-# Nothing of a primitive is nearer than the least depth of its points, by more than the `slack` that its box is widened
-# by: 24 u times the largest coordinates (tree.REACH), where depth is off by some 12 u of them; and again as much for
-# the hits themselves. The factor is for the rounding of `min_t_per_depth`.
+# No part of a primitive is nearer than the least depth of its points by more than the `slack` of its box: 24 u times
+# the largest coordinates (BOX_PADDING), since depth is off by some 12 u of them; and again as much for the hits
+# themselves. The factor is for the rounding of `min_t_per_depth`.
 DEPTH_ROUNDING = 1.0 - 2.0**-40
 
 
@@ -59,7 +59,7 @@ def empty_box() -> tuple[float, float, float, float, float]:
 
 @inlined
 def box_union_point(box: tuple[float, float, float, float, float], point: ProjectedPoint) -> Any:
-    """A box and least depth that hold one more point."""
+    """A box and least depth extended by a point."""
     x, y, wide, depth = point
     left, top, right, bottom, least = box
     return (min(left, x - wide), min(top, y - wide), max(right, x + wide), max(bottom, y + wide), min(least, depth))
@@ -85,7 +85,7 @@ def projected_hull(bounds: Any, corners: Any, k: int) -> Any:
 
 @inlined
 def store_bounds(bounds: Any, k: int, box: Any, deepest: float, slack: float, window: Any) -> Box:
-    """Turn the box of primitive k, whose points are no deeper than `deepest`, into pixels."""
+    """Store the pixels of the box of primitive k; deepest: the largest depth of its points."""
     left, top, right, bottom, least = box
     if deepest < -slack:  # all of it is behind
         bounds.pixels[k, 0], bounds.pixels[k, 1], bounds.pixels[k, 2], bounds.pixels[k, 3] = 0, 0, 0, 0
@@ -94,13 +94,13 @@ def store_bounds(bounds: Any, k: int, box: Any, deepest: float, slack: float, wi
     y0, y1 = pixel_range(top, bottom, window.height)
     bounds.pixels[k, 0], bounds.pixels[k, 1], bounds.pixels[k, 2], bounds.pixels[k, 3] = x0, y0, x1, y1
     near = (least - 2.0 * slack) * DEPTH_ROUNDING
-    bounds.near[k] = near if near > 0.0 else 0.0  # also where it is none: inf - inf
+    bounds.near[k] = near if near > 0.0 else 0.0  # also for NaN: inf - inf
     return x0, y0, x1, y1
 
 
 @inlined
 def pixel_range(low: float, high: float, count: int) -> tuple[int, int]:
-    """Pixels start..stop (exclusive) of `count` hold all whose centres lie in [low, high]."""
+    """Pixels start..stop (exclusive), of `count`, include all with centres in [low, high]."""
     start = min(max(low - 0.5, 0.0), float(count))
     stop = min(max(high + 0.5, 0.0), float(count))
     return math.ceil(start), math.floor(stop)
@@ -112,7 +112,7 @@ def bound_spheres(
 ) -> None:
     """Screen bounds of primitives start..stop of a kind with a `tight_sphere`, by the projection of that.
 
-    reach: how far beyond its points a primitive may be visible, in scene units (the slack) and in pixels.
+    reach: the margin of a primitive around its points, in scene units (the slack) and in pixels.
     """
     for k in range(start, stop):
         center, r = tight_sphere(prims, k)
@@ -123,7 +123,7 @@ def bound_spheres(
 def bound_sphere(
     camera: Any, window: Any, bounds: Any, reach: tuple[float, float], k: int, center: Vec3, r: float, depth: float
 ) -> None:
-    """Screen bounds of primitive k by a sphere that holds it; depth: that of the sphere, or inf."""
+    """Screen bounds of primitive k by a sphere around it; depth: that of the sphere, or inf."""
     left, top, right, bottom, least, valid = project_bounding_sphere(camera, center, r + reach[0])
     wide = reach[1] if valid else math.inf
     x, y = float(window.x0), float(window.y0)
@@ -140,22 +140,22 @@ def project_vertices(points: Any, camera: Any, window: Any, projected: Any, reac
         projected[i, 2], projected[i, 3] = reach[1] + reach[0] * pixels if valid else math.inf, depth
 
 
-# Triangles with a single pixel around them are mostly smaller than it, and three in five lie between the centres.
+# Three in five triangles whose bounds are a single pixel do not contain its centre.
 
 
 @inlined
 def misses_pixel_center(a: ProjectedPoint, b: ProjectedPoint, c: ProjectedPoint, x: int, y: int) -> bool:
-    """Whether a triangle is sure not to hold the centre of a pixel."""
+    """Whether a triangle certainly does not contain the centre of a pixel."""
     p, q = x + 0.5, y + 0.5
     return surely_beyond_edge(a, b, c, p, q) | surely_beyond_edge(b, c, a, p, q) | surely_beyond_edge(c, a, b, p, q)
 
 
 @inlined
 def surely_beyond_edge(a: ProjectedPoint, b: ProjectedPoint, c: ProjectedPoint, x: float, y: float) -> bool:
-    """Whether a point is sure to lie on the other side of the line through a and b than c.
+    """Whether a point certainly lies on the other side of the line through a and b than c.
 
-    Sure of it for all corners that lie within `wide` of these along x and y, which covers the rounding here many times
-    (PROJECTION_MARGIN). False where a point is not projected: a `wide` of inf.
+    That holds for all corners within the margins of these along x and y, which cover the rounding here many times
+    (PROJECTION_MARGIN). False if a point is not projected: its margin is inf.
     """
     across, down = b[0] - a[0], b[1] - a[1]
     third = across * (c[1] - a[1]) - down * (c[0] - a[0])
@@ -202,7 +202,7 @@ def bounding_sphere(points: Any, corners: Any, k: int) -> tuple[Vec3, float]:
 def bound_distorted_hulls(
     points: Any, corners: Any, camera: Any, window: Any, bounds: Any, reach: Any, start: int, stop: int
 ) -> None:
-    """`bound_hulls` for a camera that is not rectilinear: by the bound of its distortion, large hulls by spheres."""
+    """`bound_hulls` for a camera that is not rectilinear: by a bound of its distortion, large hulls by spheres."""
     for k in range(start, stop):
         if corners.shape[1] == 0:
             store_bounds(bounds, k, EVERYWHERE, math.inf, reach[0], window)
