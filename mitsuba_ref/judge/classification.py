@@ -238,7 +238,7 @@ class Judge:
         # What the derived bounds let pass, but the scene's own stricter ones do not, has no excuse.
         disputed = ~agreeing & self.consistent & (loose | ~comparison.derived | ~fits)
         self._classify_reference(classes, disputed, loose, exact)
-        other_tie = exact.right & disputed[exact.rows] & ~nearest.of_first
+        other_tie = exact.right & disputed[exact.rows] & (~nearest.of_first | self._at_t_min()[exact.rows])
         classes[exact.rows[other_tie]] = CLASS_CODE[TIE]
         classes[fails_self_check(self.self_checks, len(classes)) & self.consistent] = CLASS_CODE[WRONG]
         classes[exact.rows[~exact.answered]] = CLASS_CODE[UNDECIDED]
@@ -319,8 +319,9 @@ class Judge:
 
     def _adjudicated(self, rows: np.ndarray) -> tuple[Adjudication, ExactRatios]:
         """These rows of the image, ascending, against exact arithmetic."""
-        answers = oracle_answers(self.oracle, self.o[rows], self.d[rows], self.t_max[rows], self.t_min[rows])
         answer = self.answer
+        t_min = np.where(self._at_t_min()[rows], np.nextafter(self.t_min[rows], -np.inf), self.t_min[rows])
+        answers = oracle_answers(self.oracle, self.o[rows], self.d[rows], self.t_max[rows], t_min)
         if answer.prim is not None:
             nearest = ratios_of_named(answers, answer.prim[rows], answer.t[rows], self.bounds.own.t_error[rows])
         else:
@@ -328,6 +329,11 @@ class Judge:
                 answers, answer.rows(rows), lambda of, *at: self.near(rows[of], *at), self.model.packed
             )
         return Adjudication(rows, answers, nearest.best), nearest
+
+    def _at_t_min(self) -> np.ndarray:
+        """(n,) bool: a candidate's hits at t_min itself; it may count that as part of the ray, such as t = 0."""
+        found: np.ndarray = (self.answer.t == self.t_min) & (not self.answer.exact_visibility)
+        return found & (not self.answer.hits_only)
 
     def _near_end(self) -> np.ndarray:
         """(n,) bool: rounding may put what is hit beyond t_min or t_max, or it is there already."""
@@ -393,7 +399,7 @@ class Judge:
         claims = self._subject_claims(rows)
         lines = self.o[rows], self.d[rows], self.t_max[rows]
         found = self.bracket.judge(*lines, claims, t_min=self.t_min[rows])
-        allowed = found.allowed & ((claims.shape == CLAIMED_MISS) | ~(claims.t <= 0.0))
+        allowed = found.allowed & ((claims.shape == CLAIMED_MISS) | ~(claims.t <= 0.0) | self._at_t_min()[rows])
         lost = np.zeros(len(rows), bool)
         if isinstance(self.view, UncertainRaysModel):
             answers: Sequence[ExactAnswer | None] = [exact.of(row) for row in rows]
