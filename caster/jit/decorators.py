@@ -87,7 +87,7 @@ class Kernel:
     def __call__(self, *args: Any) -> Any:
         described = describe(args)
         if described is None:
-            return self._of_numba(())(*args)
+            return self._interpreted(*args)
         code = self._codes.get((described.key, len(_IMPLEMENTED)))
         return code(described.words) if code is not None else self._prepared(described.key, args)(*args)
 
@@ -113,8 +113,8 @@ class Kernel:
 
     def _prepared(self, key: tuple[Any, ...], args: tuple[Any, ...]) -> Callable[..., Any]:
         """Find or compile the machine code for these arguments; returns the function to call."""
-        if _THREAD.interprets:
-            return self.function
+        if _THREAD.interprets or not self._answers_a_number:
+            return self._interpreted
         with _LOCK:
             known = key, len(_IMPLEMENTED)
             if known not in self._codes and machine_code.is_supported():
@@ -131,16 +131,21 @@ class Kernel:
             code = self._codes.get(known)
         return self._of_numba(tuple_classes(key)) if code is None else self
 
+    @property
+    def _answers_a_number(self) -> bool:
+        """Whether it returns None, an int or a float; Python calls other kernels as plain Python."""
+        return self.function.__annotations__.get("return") in (None, int, float)
+
     def _of_numba(self, classes: tuple[type, ...]) -> Callable[..., Any]:
-        """The function to call where only Numba can pass the arguments or the answer."""
-        if _THREAD.interprets:
-            return self.function
+        """The function to call on a platform where only Numba can pass the arguments."""
         if self._named(classes) not in COMPILATION_LOG.slowly:
             COMPILATION_LOG.slowly.append(self._named(classes))
         return self._python_dispatcher
 
     def _interpreted(self, *args: Any) -> Any:
         """Call the function as plain Python, with all that it calls."""
+        if _THREAD.interprets:
+            return self.function(*args)
         _THREAD.interprets = True
         try:
             with np.errstate(all="ignore"):  # as in machine code
@@ -176,7 +181,7 @@ class Kernel:
         return code
 
     def _made(self, path: Path, key: tuple[Any, ...], args: tuple[Any, ...]) -> machine_code.ObjectCode | None:
-        """Compile the kernel and keep its machine code; None if that needs Numba to run."""
+        """Compile the kernel and keep its machine code; None if only Numba can call it."""
         name = self._named(tuple_classes(key))
         COMPILATION_LOG.compiling(name)
         types = tuple(_numba().typeof(arg) for arg in args)
@@ -185,7 +190,7 @@ class Kernel:
             result = self.dispatcher.overloads[types]
             gives = GIVES.get(str(result.signature.return_type))
             if gives is None:
-                return None
+                raise TypeError(f"{name} answers {result.signature.return_type}: its annotation has to say so")
             function, forms = result.fndesc.llvm_func_name, list(forms_of(key))
             data = machine_code.extract_object_code(result.library, function, _symbol(path), forms, gives)
         COMPILATION_LOG.compiled.append(name)

@@ -149,7 +149,7 @@ def test_the_distortion_bound_holds_for_edges(name):
 def test_the_pixels_of_a_triangle_hold_its_curved_edges_on_every_side(name):
     """Edges bend out of the box of their corners by more than a pixel, to each side, and none leaves its pixels."""
     size = 50 * WIDTH, 50 * HEIGHT
-    camera, rng, count = CAMERAS[name].pack(*size), np.random.default_rng(148), 800
+    camera, rng, count = CAMERAS[name].pack(*size), np.random.default_rng(148), 400
     corners, inside = [], []
     while len(corners) < count:
         at = rng.uniform(0.2, 0.8, 2) * size
@@ -180,7 +180,7 @@ def test_the_pixels_of_a_triangle_hold_its_curved_edges_on_every_side(name):
         beyond += [*(box.min(axis=0) - low > 1.0), *(high - box.max(axis=0) > 1.0)]
         inside.append(np.prod(pixels[2:] - pixels[:2]) < np.prod(size) / 16)
     curved = beyond[1::2] if name == "panorama" else beyond  # which draws upright lines straight
-    assert curved.min() >= 20 and np.mean(inside) > 0.5, (beyond, np.mean(inside))
+    assert curved.min() >= 10 and np.mean(inside) > 0.5, (beyond, np.mean(inside))
 
 
 def random_triangle(rng: np.random.Generator) -> Triangles:
