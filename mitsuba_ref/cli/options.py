@@ -188,8 +188,6 @@ def requested_candidate(args: argparse.Namespace, *, takes_rays: bool = False) -
     for name in ("candidate_precision", "candidate_timeout") if args.candidate is None else ():
         for word in given_words(args, name)[:1]:
             raise SceneError(f"{word}: expected --candidate X beside it, whose {word[12:]} it is")
-    if args.candidate is not None and getattr(args, "thorough", False):
-        raise SceneError("--thorough: not with --candidate, since the checks that it adds test our own caster")
     from mitsuba_ref.subjects.command import CommandSubject
     from mitsuba_ref.subjects.requests import parse_candidate
 

@@ -59,8 +59,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--min-scenes", metavar="N", type=positive_int, default=0, help=help_)
     add("--maxfail", metavar="N", type=positive_int, help="stop after so many scenes that fail")
     add("--shard", metavar="I/N", type=shard, help="judge part I of N of the scenes, balanced by pixels")
-    help_ = "also test our caster beyond the judged film (docs/method.md, Thorough); compiles more kernels"
-    add("--thorough", action="store_true", help=help_)
     add_timeout(parser)
     add_store(parser)
     add_candidate(parser)
@@ -154,7 +152,6 @@ def run_options(args: argparse.Namespace) -> RunOptions:
         args.shard,
         args.timeout,
         args.store,
-        args.thorough,
         read_expected(args.expected) if args.expected else None,
         args.skip_unsupported,
         args.min_scenes,

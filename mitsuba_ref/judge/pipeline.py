@@ -20,7 +20,7 @@ from mitsuba_ref.judge.aggregate import (
     merge_windows,
     quantities_not_given,
 )
-from mitsuba_ref.judge.checks import CANDIDATE, checks_of, make_checks, thorough_names
+from mitsuba_ref.judge.checks import CANDIDATE, checks_of, make_checks
 from mitsuba_ref.judge.checks import OURS as OUR_CHECKS
 from mitsuba_ref.judge.checks.bias import PixelErrors, error_statistics, pixel_errors
 from mitsuba_ref.judge.checks.knife_edges import AimedFailure
@@ -44,7 +44,6 @@ class Task(NamedTuple):
     rays: SharedRays | None = None  # of a list, laid out as the film, in place of the camera's
     timeout: float = DEFAULT_TIMEOUT
     send: SendRequest = send_stored  # the way to Mitsuba
-    thorough: bool = False  # make every check of our caster
 
     @property
     def ours(self) -> bool:
@@ -143,12 +142,7 @@ def judge_window(
     """
     checks = [
         each
-        for each in checks_of(
-            OUR_CHECKS if task.ours else CANDIDATE,
-            thorough=task.thorough,
-            whole_scene=whole_scene,
-            camera=task.rays is None,
-        )
+        for each in checks_of(OUR_CHECKS if task.ours else CANDIDATE, whole_scene=whole_scene, camera=task.rays is None)
         if each.scope != "film"
     ]
     of_scene = [each for each in checks if not each.answered]
@@ -197,15 +191,8 @@ def _no_comparison(task: Task, checks: tuple[SceneCheck, ...], problem: str, uns
         unsupported=unsupported,
         size=(task.scene.film.width, task.scene.film.height),
         candidate=task.subject.name,
-        thorough=task.thorough,
-        left_out=_left_out(task, checks),
         unjudged=() if task.ours else NEVER_GIVEN,
     )
-
-
-def _left_out(task: Task, checks: tuple[SceneCheck, ...]) -> tuple[str, ...]:
-    """Names of the checks of our caster that only --thorough makes, where they were not made."""
-    return thorough_names() if task.ours and checks and not task.thorough else ()
 
 
 def _verdict(task: Task, response: SubjectResponse, seen: Seen, checks: tuple[SceneCheck, ...]) -> SceneVerdict:
@@ -233,8 +220,6 @@ def _verdict(task: Task, response: SubjectResponse, seen: Seen, checks: tuple[Sc
         failing_by={check: len(rows) for check, rows in by_check.items()},
         worst_by={check: failure_at(judge, judgement, by_row, int(rows[0]), check) for check, rows in by_check.items()},
         candidate=task.subject.name,
-        thorough=task.thorough,
-        left_out=_left_out(task, checks),
         precision="" if task.ours else answer.precision,
         unjudged=quantities_not_given(answer),
         findings=findings(judge, diagnosis),

@@ -194,8 +194,6 @@ class SceneVerdict:
     replay: str = ""  # the command that shows the scene again
     command: str = "validate"  # that judged it: validate or judge
     rays: tuple[int, int] = (0, 0)  # first and end of the rays judged of a list, which fill `size`; (0, 0): a film
-    thorough: bool = False  # the checks that a plain `validate` leaves out were to be made as well
-    left_out: tuple[str, ...] = ()  # names of those checks, where they were not made
     # what the verdict rests on, for the HTML report; None if it was not kept
     seen: Annotated[Any, Field(exclude=True)] = field(default=None, repr=False, compare=False)
 

@@ -19,7 +19,6 @@ from mitsuba_ref.report.verdict_text import (
     count_text,
     failure_text,
     group_lines,
-    left_out_lines,
     waiver_lines,
     worst_words,
 )
@@ -110,7 +109,6 @@ def _head(verdict: Verdict, seconds: float) -> Sequence[str]:
         lines += [f"Shard {verdict.shard}.", ""]
     if verdict.candidate:
         lines += [*(f"- {escaped(line)}" for line in candidate_lines(verdict)), ""]
-    lines += [f"- {escaped(' '.join(line.split()))}" for line in left_out_lines(verdict)]
     if kept:
         lines += [f"Kept from an earlier run, not judged anew: {kept} scenes.", ""]
     lines += [f"- {escaped(' '.join(line.split()))}" for line in waiver_lines(verdict)]
@@ -225,7 +223,6 @@ def add_case(suite: XmlElement, scene: SceneVerdict) -> None:
     counts = " ".join(f"{name}={scene.counts[name]}" for name in CLASSES)
     judged = f"candidate={scene.candidate} " if scene.candidate else ""
     kept = "kept from an earlier run, not judged now; " if scene.kept else ""
-    kept += f"left out: {', '.join(scene.left_out)}; " if scene.left_out else ""
     SubElement(case, "system-out").text = printable(
         f"{kept}{judged}hit={scene.hit_pixels} {counts} adjudicated={scene.adjudicated} cases={scene.cases} "
         f"{_errors(scene)}{scene.versions}{' (answered in an earlier run)' if scene.reference_stored else ''}"

@@ -270,8 +270,7 @@ def replay(scene: SceneVerdict, pixel: tuple[int, int] | None = None) -> str:
         rows = "" if ray is None else f" --rows {ray}"
         return "mitsuba-ref judge" + "".join(f" {shlex.quote(word)}" for word in scene.options) + rows
     if pixel is None:
-        thorough = " --thorough" if scene.thorough and not scene.candidate else ""
-        return f"mitsuba-ref validate {shlex.quote(scene.path or 'SCENE')}{thorough}{repeated_options(scene)}"
+        return f"mitsuba-ref validate {shlex.quote(scene.path or 'SCENE')}{repeated_options(scene)}"
     before, after = replay_around(scene)
     return f"{before}{pixel[0]} {pixel[1]}{after}"
 

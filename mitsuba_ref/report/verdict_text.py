@@ -200,7 +200,6 @@ def summary_text(verdict: Verdict, seconds: float) -> str:
         f"exact:      {verdict.adjudicated} pixels were adjudicated by exact arithmetic, "
         f"in {sum(scene.exact_seconds for scene in verdict.scenes if not scene.kept):.1f} s",
         *candidate_lines(verdict),
-        *left_out_lines(verdict),
         *_error_lines(verdict),
         *_case_lines(verdict),
         *_stored_lines(verdict),
@@ -262,15 +261,6 @@ def candidate_lines(verdict: Verdict) -> Iterator[str]:
         yield f"not judged: {', '.join(name.replace('_', ' ') for name in names)}"
     for note in dict.fromkeys(note for scene in verdict.scenes if scene.ok for note in scene.notes):
         yield f"note:       {note}"
-
-
-def left_out_lines(verdict: Verdict) -> Iterator[str]:
-    """The checks of our caster that were not made, and how to make them."""
-    scenes = [scene for scene in verdict.scenes if scene.left_out]
-    if scenes:
-        names = ", ".join(dict.fromkeys(name for scene in scenes for name in scene.left_out))
-        where = f" in {len(scenes)} of {len(verdict.scenes)} scenes" if len(scenes) < len(verdict.scenes) else ""
-        yield f"left out:   {names}{where}: tests of our caster that --thorough makes"
 
 
 def _error_lines(verdict: Verdict) -> Iterator[str]:

@@ -22,8 +22,7 @@ from caster.system import process
 from caster.system.atomic_files import OutputError
 from caster.system.terminal import ProgressBar
 from mitsuba_ref.judge.aggregate import scene_statistics
-from mitsuba_ref.judge.checks.camera import wrongly_resized
-from mitsuba_ref.judge.verdict import SceneCheck, SceneVerdict
+from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request
 from mitsuba_ref.reference.shared_input import SharedRays
@@ -48,7 +47,6 @@ class SceneEntry:
     name: str
     path: str
     resized: bool = False  # by --size, which a replay has to repeat
-    wrong_film: str = ""  # what is wrong with the film that --size has made of the scene's own; "": nothing
     options: tuple[str, ...] = ()  # others that a replay has to repeat
     subject: Subject | None = None  # of this entry alone: answers that were given beforehand
     rays: SharedRays | None = None  # of a list, which the film is filled with
@@ -91,15 +89,12 @@ class SceneSource:
     def load(self) -> SceneEntry:
         """Read the file. Raises SceneError, FileMissing."""
         scene = load_scene(self.path, self.mesh_dirs)
-        wrong: list[str] = []
         if self.size:
             width, height = self.size
             with error_prefix("--size", width, height):
-                resized = scene.with_film(width=width, height=height)
-            wrong, scene = wrongly_resized(scene, [self.size]), resized
+                scene = scene.with_film(width=width, height=height)
         again = (*(word for folder in self.mesh_dirs for word in ("--mesh-dir", folder)), *self.options)
-        about: dict[str, Any] = {"resized": bool(self.size), "wrong_film": "; ".join(wrong), "options": again}
-        return SceneEntry(scene, self.name, self.path, **about)
+        return SceneEntry(scene, self.name, self.path, resized=bool(self.size), options=again)
 
 
 Entry = SceneEntry | SceneSource
@@ -213,7 +208,7 @@ def run(
         except Exception as error:
             on_error(error)
             problem = problem_of(error)
-        failed = SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem, thorough=options.thorough)
+        failed = SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem)
         return with_replay(failed)
 
     failed = 0
@@ -244,7 +239,6 @@ class JudgeOptions(NamedTuple):
     folder: Path | None = None  # of the images of both sides
     timeout: float = DEFAULT_TIMEOUT  # seconds for Mitsuba
     store: bool = True  # take verdicts and Mitsuba's responses that earlier runs stored for the very same inputs
-    thorough: bool = False  # make every check of our caster
     subject: Subject | None = None  # in place of our caster, where an entry has none of its own
     page_of: Callable[[SceneVerdict], Any] | None = None  # what the report needs of a verdict and its evidence
     threads: int | None = None  # that a worker casts on
@@ -258,12 +252,7 @@ def judge_entry(entry: Entry, options: JudgeOptions) -> SceneVerdict:
     store = local_store() if options.store and options.page_of is None and subject is None else None
     key = ""
     if store:
-        about = {
-            "resized": loaded.resized,
-            "options": loaded.options,
-            "thorough": options.thorough,
-            "out": bool(folder),
-        }
+        about = {"resized": loaded.resized, "options": loaded.options, "out": bool(folder)}
         key = verdict_key(loaded.scene, loaded.path, **about)
         if key and (found := _stored_verdict(store, key, folder)):
             return found
@@ -297,17 +286,13 @@ def _judge_loaded(loaded: SceneEntry, options: JudgeOptions, subject: Subject | 
         given |= {"rays": loaded.rays, "first_ray": loaded.ray_range[0]}
     if subject:
         given["subject"] = subject
-    given |= {"folder": options.folder, "thorough": options.thorough}
     try:
-        verdict = validate_scene(loaded.scene, loaded.name, loaded.path, **given)
+        verdict = validate_scene(loaded.scene, loaded.name, loaded.path, folder=options.folder, **given)
     except OutputError:
         raise
     except SceneError as error:  # no reference for a shape, or numbers beyond float32
         problem = problem_of(error)
-        verdict = SceneVerdict(loaded.name, loaded.path, loaded.pixels, problem=problem, thorough=options.thorough)
-    if loaded.wrong_film:
-        others = (check for check in verdict.checks if check.name != "camera")
-        verdict = replace(verdict, checks=(SceneCheck("camera", float("inf"), loaded.wrong_film), *others))
+        verdict = SceneVerdict(loaded.name, loaded.path, loaded.pixels, problem=problem)
     found = replace(
         verdict,
         candidate=verdict.candidate or (subject.name if subject else ""),

@@ -50,11 +50,6 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         default=None,
         help="film in pixels, instead of the scenes' own; also the ini option mitsuba_ref_size",
     )
-    thorough = "also test our caster beyond the judged films, as `mitsuba-ref validate --thorough`"
-    group.addoption(
-        "--mitsuba-ref-thorough", action="store_true", default=False, help=f"{thorough}; also an ini option"
-    )
-    parser.addini("mitsuba_ref_thorough", thorough, type="bool", default=False)
     for name, what in CANDIDATE_OPTIONS.items():
         group.addoption(f"--mitsuba-ref-{name}", default=None, metavar="X", help=f"{what}; also an ini option")
         parser.addini(f"mitsuba_ref_{name.replace('-', '_')}", what, default="")
@@ -82,9 +77,6 @@ class ScenePlugin:
         if self.words["candidate"] and self.words["candidate-serve"]:
             raise pytest.UsageError("mitsuba_ref_candidate: not together with mitsuba_ref_candidate_serve")
         self.candidate = self.words["candidate"] or self.words["candidate-serve"]
-        self.thorough = bool(config.getoption("mitsuba_ref_thorough") or config.getini("mitsuba_ref_thorough"))
-        if self.thorough and self.candidate:
-            raise pytest.UsageError("mitsuba_ref_thorough: not together with a candidate: it tests our own caster")
         if self.words["candidate-precision"] and not self.candidate:
             raise pytest.UsageError("mitsuba_ref_candidate_precision: expected mitsuba_ref_candidate beside it")
         self.mesh_dirs = [str(path) for path in config.getini("mitsuba_ref_mesh_dirs")]
@@ -101,7 +93,7 @@ class ScenePlugin:
 
     def pytest_report_header(self) -> str:
         film = f"films of {self.size[0]} x {self.size[1]}" if self.size else "the scenes' own films"
-        about = f", candidate {self.candidate}" if self.candidate else ", thorough" if self.thorough else ""
+        about = f", candidate {self.candidate}" if self.candidate else ""
         return f"mitsuba-ref: {film}{about}"
 
     def verdict_of(self, path: Path) -> SceneVerdict | str:
@@ -120,7 +112,7 @@ class ScenePlugin:
         entry = many_scenes.source_of(named, path.stem, **about)
         errors: list[Exception] = []
         try:
-            options = many_scenes.JudgeOptions(thorough=self.thorough, subject=self.subject)
+            options = many_scenes.JudgeOptions(subject=self.subject)
         except SceneError as error:
             return str(error)
         (verdict,) = many_scenes.run([entry], options, workers=1, on_error=errors.append)
@@ -199,8 +191,6 @@ class CheckItem(pytest.Item):
         plugin = self.config.pluginmanager.get_plugin(PLUGIN)
         assert isinstance(plugin, ScenePlugin)  # it collected this item
         found = plugin.verdict_of(self.path)
-        if not isinstance(found, str) and self.name in found.left_out:
-            pytest.skip("not judged: only --mitsuba-ref-thorough makes this check")
         if plugin.candidate and is_not_judged(found, self.name):
             pytest.skip(f"not judged: {plugin.candidate} does not give it, or it is no check of this scene")
         if text := check_problem(found, self.name):

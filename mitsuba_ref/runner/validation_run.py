@@ -38,7 +38,6 @@ class RunOptions:
     shard: Shard | None = None
     timeout: float = DEFAULT_TIMEOUT  # seconds that Mitsuba may take for one scene
     store: bool = True  # take what earlier runs stored of the very same inputs
-    thorough: bool = False  # make every check of our caster
     expected: "ExpectedFailures | None" = None  # known failures, by which the run does not fail
     skip_unsupported: bool = False  # nor by scenes that the candidate declines
     min_scenes: int = 0  # that have to be judged for the run to pass
@@ -67,7 +66,6 @@ class ValidationRun:
             self.options.out,
             self.options.timeout,
             self.options.store,
-            self.options.thorough,
             self.candidate,
             page_record if self.html else None,
             None if self.candidate else many_scenes.threads_per_worker(workers, len(self.entries)),

@@ -11,18 +11,21 @@ import numpy as np
 import pytest
 from hard_rays import hard_rays
 from random_scenes import VIEWS, name, random_camera, random_scene
-from same_bits import Arrays, assert_same_bits
+from same_bits import Arrays, assert_same_bits, without_signed_zeros
+from scaled_scenes import LENGTHS, scaled_scene
 
-from caster.cameras import Pinhole
+from caster.cameras import CAMERAS, Pinhole
 from caster.rendering.hits import cast, packed
-from caster.rendering.images import camera_rays
+from caster.rendering.images import camera_rays, render
+from caster.scene.files import load_scene
 from caster.scene.model import Film, Scene
 from caster.shapes import SHAPES
-from mitsuba_ref.judge.checks.scaling import scaled_scene
 
 POWERS = (-300, -20, -1, 1, 20, 300)
 LARGEST_OF_TRIANGLES = 40  # further out, faces are left out (caster.geometry.world_space.LARGEST_COORDINATE)
 UV_ARE_LENGTHS = ("plane",)
+CAMERA_RATIOS = ("type", "direction", "up", "fov", "fov_axis", "principal_point")
+IMAGES = ("hit", "depth", "position", "normal", "shading_normal", "albedo", "diffuse", "shape_id", "prim_id")
 
 
 def what_is_cast(scene: Scene, o: np.ndarray, d: np.ndarray, unit: float) -> Arrays:
@@ -67,3 +70,18 @@ def test_a_power_of_two_scales_a_camera_s_rays_exactly(camera):
         lengths = {key: getattr(rays, key) / factor for key in ("o", "t_min", "t_max")}
         lengths["t_max"] = np.where(rays.t_max < 0.0, rays.t_max, lengths["t_max"])  # no ray at all
         assert_same_bits(expected._asdict(), lengths | {"d": rays.d}, f"scaled by {factor}")
+
+
+def test_it_is_known_of_every_field_of_a_camera_whether_it_is_a_length():
+    assert {name for camera in CAMERAS for name in camera.model_fields} == {*LENGTHS, *CAMERA_RATIOS}
+
+
+@pytest.mark.parametrize("name", ["one-sphere", "transforms", "lights-and-shadows", "crop-window", "orthographic-clip"])
+def test_a_power_of_two_scales_an_image_exactly(name):
+    """A threshold in scene units would show as other bits."""
+    scene = load_scene(f"scenes/{name}.toml").with_film(width=20, height=16)
+    expected = render(scene, IMAGES)
+    for power in (-150, -40, 40):
+        image = render(scaled_scene(scene, power), IMAGES)
+        found = {each: np.ldexp(a, -power) if each in ("depth", "position") else a for each, a in image.items()}
+        assert_same_bits(without_signed_zeros(expected), without_signed_zeros(found), f"scaled by 2^{power}")

@@ -56,9 +56,7 @@ def test_the_same_inputs_are_found_and_stated(judged, capsys):
     assert judged("--html", "report") == ALL  # whose pixels are not kept
 
 
-@pytest.mark.parametrize(
-    "words", [("--size", "20", "10"), ("--thorough",), ("--mesh-dir", "scenes"), ("--out", "out")], ids=" ".join
-)
+@pytest.mark.parametrize("words", [("--size", "20", "10"), ("--mesh-dir", "scenes"), ("--out", "out")], ids=" ".join)
 def test_another_option_judges_all_anew(judged, words):
     assert judged() == ALL and judged(*words) == ALL and judged(*words) == []
 

@@ -32,7 +32,6 @@ class Check(NamedTuple):
     of: tuple[str, ...]
     scope: Scope  # made once a scene, for each window of a large film, or of all windows together
     camera: bool  # looks at the camera's rays: not made of a list of rays
-    thorough: bool  # tests our caster beyond the judged film, with kernels that the film does not need
 
     @property
     def answered(self) -> bool:
@@ -44,14 +43,14 @@ _registered: dict[str, Check] = {}
 
 
 def check(
-    *, of: tuple[str, ...] = (OURS, CANDIDATE), scope: Scope = "scene", camera: bool = False, thorough: bool = False
+    *, of: tuple[str, ...] = (OURS, CANDIDATE), scope: Scope = "scene", camera: bool = False
 ) -> Callable[[Function], Function]:
     """Register a function `check_NAME` as the check NAME."""
 
     def register(function: Function) -> Function:
         name = function.__name__.removeprefix("check_")
         needs = tuple(inspect.signature(function).parameters)
-        _registered[name] = Check(name, function, needs, of, scope, camera, thorough)
+        _registered[name] = Check(name, function, needs, of, scope, camera)
         return function
 
     return register
@@ -66,25 +65,16 @@ def all_checks() -> tuple[Check, ...]:
     return tuple(sorted(_registered.values(), key=lambda each: stage[each.name]))
 
 
-def checks_of(whose: str, *, thorough: bool = True, whole_scene: bool = True, camera: bool = True) -> tuple[Check, ...]:
+def checks_of(whose: str, *, whole_scene: bool = True, camera: bool = True) -> tuple[Check, ...]:
     """The checks of OURS or a CANDIDATE.
 
-    thorough: with those that only --thorough makes; whole_scene: with those that are made once a scene; camera: with
-    those that look at its rays.
+    whole_scene: with those that are made once a scene; camera: with those that look at its rays.
     """
     return tuple(
         each
         for each in all_checks()
-        if whose in each.of
-        and (thorough or not each.thorough)
-        and (whole_scene or each.scope != "scene")
-        and (camera or not each.camera)
+        if whose in each.of and (whole_scene or each.scope != "scene") and (camera or not each.camera)
     )
-
-
-def thorough_names() -> tuple[str, ...]:
-    """The checks that only --thorough makes."""
-    return tuple(each.name for each in all_checks() if each.thorough)
 
 
 def make_checks(checks: Iterable[Check], inputs: Mapping[str, Any]) -> tuple[SceneCheck, ...]:
