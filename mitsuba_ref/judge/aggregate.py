@@ -1,9 +1,11 @@
 """The verdict of a scene from its judgement: counts by class, largest ratios, listed failures."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import chain
+from typing import TypeVar
 
 import numpy as np
 
@@ -29,6 +31,8 @@ from mitsuba_ref.judge.verdict import (
 )
 from mitsuba_ref.reference.shared_input import pixel_of
 from mitsuba_ref.subjects.subject import FLOAT32, Answer
+
+T = TypeVar("T")
 
 # What the judge compares of our caster, and a candidate does not give; ids of shapes and primitives only some do.
 NEVER_GIVEN = ("position", "shading_normal", "uv", "shape_id", "diffuse")
@@ -150,34 +154,40 @@ def failure_hints(answer: Answer, judgement: Judgement) -> tuple[str, ...]:
 # ---- the windows of a large film, judged one after the other ----
 
 
+SUMS = (
+    "pixels",
+    "hit_pixels",
+    "seconds",
+    "reference_seconds",
+    "adjudicated",
+    "not_adjudicated",
+    "exact_seconds",
+    "not_stored",
+)
+COUNTS = ("counts", "cases", "failing_by")
+
+
 def merge_windows(windows: Sequence[SceneVerdict]) -> SceneVerdict:
     """The verdict of a film from those of windows that it consists of, without statistics and bias.
 
     Numbers are added up, ratios are the largest; failures of the first are listed first; one window without a
     comparison is the problem of all.
     """
-    first, listed = windows[0], [failure for window in windows for failure in window.failures]
-    problems = [window.problem for window in windows if window.problem]
+    sums = {name: sum(getattr(window, name) for window in windows) for name in SUMS}
+    counts = {name: _added([getattr(window, name) for window in windows]) for name in COUNTS}
+    longest_first = sorted(windows, key=lambda window: -len(window.checks))
+    checks = _largest([{check.name: check for check in window.checks} for window in longest_first], ratio_of)
     return replace(
-        first,
-        pixels=sum(window.pixels for window in windows),
-        hit_pixels=sum(window.hit_pixels for window in windows),
-        counts={name: sum(window.counts[name] for window in windows) for name in CLASSES},
-        ratios=_largest([window.ratios for window in windows]),
-        checks=_worst_checks(windows),
-        failures=_leading(listed),
-        seconds=sum(window.seconds for window in windows),
-        reference_seconds=sum(window.reference_seconds for window in windows),
+        windows[0],
+        **sums,
+        **counts,
+        ratios=_largest([window.ratios for window in windows], float),
+        checks=tuple(checks.values()),
+        failures=_leading([failure for window in windows for failure in window.failures]),
         reference_stored=all(window.reference_stored for window in windows),
-        problem=problems[0] if problems else "",
-        adjudicated=sum(window.adjudicated for window in windows),
-        not_adjudicated=sum(window.not_adjudicated for window in windows),
-        exact_seconds=sum(window.exact_seconds for window in windows),
-        cases=_added([window.cases for window in windows]),
+        problem=next((window.problem for window in windows if window.problem), ""),
         reproducers=tuple(file for window in windows for file in window.reproducers),
-        not_stored=sum(window.not_stored for window in windows),
-        failing_by=_added([window.failing_by for window in windows]),
-        worst_by=_worst_failures(windows),
+        worst_by=_largest([window.worst_by for window in windows], ratio_of),
         findings=_merged_findings(windows),
         notes=tuple(dict.fromkeys(note for window in windows for note in window.notes)),
     )
@@ -190,19 +200,17 @@ def _added(counts: Sequence[Mapping[str, int]]) -> dict[str, int]:
     return dict(total)
 
 
-def _largest(ratios: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    names = dict.fromkeys(name for each in ratios for name in each)
-    return {name: max(each[name] for each in ratios if name in each) for name in names}
+def ratio_of(found: SceneCheck | Failure) -> float:
+    return float(found.ratio)
 
 
-def _worst_checks(windows: Sequence[SceneVerdict]) -> tuple[SceneCheck, ...]:
-    """Of each name the one that comes nearest to its bound, or is beyond; in the order of the window with the most."""
-    longest = max(windows, key=lambda window: len(window.checks)).checks
-    names = dict.fromkeys(check.name for check in (*longest, *(c for w in windows for c in w.checks)))
-    every = [check for window in windows for check in window.checks]
-    return tuple(
-        max((check for check in every if check.name == name), key=lambda check: _badness(check.ratio)) for name in names
-    )
+def _largest(windows: Sequence[Mapping[str, T]], size: Callable[[T], float]) -> dict[str, T]:
+    """Of each name the first entry of the largest size."""
+    found: dict[str, T] = {}
+    for name, each in chain.from_iterable(window.items() for window in windows):
+        if name not in found or _badness(size(each)) > _badness(size(found[name])):
+            found[name] = each
+    return found
 
 
 def _badness(ratio: float) -> tuple[bool, float]:
@@ -216,13 +224,6 @@ def _leading(failures: Sequence[Failure]) -> tuple[Failure, ...]:
     others = [failure for failure in failures if failure not in leading]
     others.sort(key=lambda failure: _badness(failure.ratio), reverse=True)
     return tuple([*leading, *others][:MAX_LISTED_FAILURES])
-
-
-def _worst_failures(windows: Sequence[SceneVerdict]) -> dict[str, Failure]:
-    """Of each check the failure with the largest ratio."""
-    names = dict.fromkeys(name for window in windows for name in window.worst_by)
-    found = {name: [w.worst_by[name] for w in windows if name in w.worst_by] for name in names}
-    return {name: max(each, key=lambda failure: _badness(failure.ratio)) for name, each in found.items()}
 
 
 def _merged_findings(windows: Sequence[SceneVerdict]) -> tuple[Finding, ...]:

@@ -46,7 +46,6 @@ from mitsuba_ref.judge.comparison import (
     fails_self_check,
     inconsistent_aovs,
     pair_images,
-    self_checks,
 )
 from mitsuba_ref.judge.defect_lookup import FeatureMeasurement, defect_of
 from mitsuba_ref.judge.diffuse import DiffuseComparison, diffuse_within_float64, judge_diffuse, shading_points
@@ -213,10 +212,10 @@ class Judge:
     def oracle(self) -> Oracle:
         return Oracle(self.model.packed)
 
-    @cached_property
+    @property
     def self_checks(self) -> tuple[SelfCheck, ...]:
-        """The subject's own quantities, and what float64 allows of them."""
-        return tuple(self_checks(self.pixels))
+        """The subject's own quantities, held to float64."""
+        return tuple(self.pixels.self_checks.values())
 
     def judge(self) -> Judgement:
         """Geometry first, then the diffuse AOV. Raises SceneError for a [check] that has no effect."""

@@ -5,7 +5,7 @@ float32's bounds at that primitive, and with that primitive itself, worked out a
 precision. Any other subject is compared with the primitive that the reference names, within bounds of its precision.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -103,6 +103,24 @@ class UvPair(NamedTuple):
     bound: np.ndarray  # (n,) of their distance
 
 
+class SelfCheck(NamedTuple):
+    """One quantity of the subject, held to the primitive that it names, in float64."""
+
+    name: str
+    error: np.ndarray  # (n,) distance from the primitive's own value
+    bound: np.ndarray  # (n,) what float64 allows
+    counts: np.ndarray  # (n,) bool: where it is held to that
+
+    @property
+    def fails(self) -> np.ndarray:
+        """(n,) bool."""
+        found: np.ndarray = self.counts & ~(self.error <= self.bound)
+        return found
+
+    def fails_at(self, row: int) -> bool:
+        return bool(self.counts[row]) and not self.error[row] <= self.bound[row]
+
+
 @dataclass(frozen=True)
 class PixelPairs:
     """What a check reads: both sides' images, n pixels row by row, and the bounds that hold between them."""
@@ -124,6 +142,31 @@ class PixelPairs:
         uv = self.uv[:2] if name == "uv" and self.uv else None
         sides = uv or (values.reshape(len(values), -1) for values in self.pair(name))
         return row_distance(*sides)
+
+    @cached_property
+    def self_checks(self) -> dict[str, SelfCheck]:
+        """Vectors wherever the subject hits, also where the reference does not; none if it names no primitive.
+
+        Where float64 does not resolve t, the position, the shading normal and uv, which follow from it, are not held
+        to anything; the geometric normal is.
+        """
+        prim, own = self.answer.prim, self.bounds.own
+        if prim is None:
+            return {}
+        hit = prim >= 0
+        resolved = hit & np.isfinite(own.t_error)
+        held = [
+            ("normal", own.n, own.n_error, hit),
+            ("shading_normal", own.sh_n, own.sh_error, resolved),
+            ("position", self.point, own.p_error, resolved),
+        ]
+        found = {
+            name: SelfCheck(name, row_distance(aov_rows(self.subject, name), value), bound, counts)
+            for name, value, bound, counts in held
+        }
+        if self.uv is not None:
+            found["uv"] = SelfCheck("uv", row_distance(self.uv.subject, own.uv), own.uv_error, resolved)
+        return found
 
     @property
     def hits(self) -> tuple[np.ndarray, np.ndarray]:
@@ -188,32 +231,22 @@ def depth_ratio(pixels: PixelPairs) -> np.ndarray:
     return np.where(pixels.both_hit, error_over_bound(error, depth_bound(pixels)), 0.0)
 
 
-Own = Callable[[PixelPairs], tuple[np.ndarray, np.ndarray]]  # (n, 3) a value of the subject's own primitive, (n,) bound
-
-
-def vector_check(name: str, bound: Callable[[PixelPairs], np.ndarray], own: Own) -> QuantityCheck:
+def vector_check(
+    name: str, bound: Callable[[PixelPairs], np.ndarray], given: Callable[[PixelPairs], bool] = lambda pixels: True
+) -> QuantityCheck:
     """A vector where both hit: the larger error ratio of those from the reference and from the own primitive."""
 
     def ratio(pixels: PixelPairs) -> np.ndarray:
-        value, own_bound = own(pixels)
+        own = pixels.self_checks[name]
         between = error_over_bound(pixels.distance(name), bound(pixels))
-        alone = error_over_bound(row_distance(aov_rows(pixels.subject, name), value), own_bound)
-        return np.where(pixels.both_hit, np.maximum(between, alone), 0.0)
+        return np.where(pixels.both_hit, np.maximum(between, error_over_bound(own.error, own.bound)), 0.0)
 
-    return QuantityCheck(name, ratio, bound)
+    return QuantityCheck(name, ratio, bound, given)
 
 
 def uv_bound(pixels: PixelPairs) -> np.ndarray:
     """Of the distance in the kind's UvSpace, where seams and poles are no jumps."""
     return pixels.bounds.at.uv_error if pixels.uv is None else pixels.uv.bound
-
-
-def uv_ratio(pixels: PixelPairs) -> np.ndarray:
-    uv, own = pixels.uv, pixels.bounds.own
-    assert uv is not None  # `given`
-    between = error_over_bound(pixels.distance("uv"), uv.bound)
-    alone = error_over_bound(row_distance(uv.subject, own.uv), own.uv_error)
-    return np.where(pixels.both_hit, np.maximum(between, alone), 0.0)
 
 
 # Of a subject that names its primitive. The bound of a position is that of t along the ray, and what Mitsuba does to a
@@ -224,12 +257,10 @@ CHECKS = (
     QuantityCheck("shape_id", same_id("shape_id")),
     QuantityCheck("on_surface", surface_ratio),
     QuantityCheck("depth", depth_ratio, depth_bound),
-    vector_check("position", lambda p: p.bounds.at.p_error, lambda p: (p.point, p.bounds.own.p_error)),
-    vector_check("normal", lambda p: p.bounds.at.n_error, lambda p: (p.bounds.own.n, p.bounds.own.n_error)),
-    vector_check(
-        "shading_normal", lambda p: p.bounds.at.sh_error, lambda p: (p.bounds.own.sh_n, p.bounds.own.sh_error)
-    ),
-    QuantityCheck("uv", uv_ratio, uv_bound, lambda pixels: pixels.uv is not None),
+    vector_check("position", lambda p: p.bounds.at.p_error),
+    vector_check("normal", lambda p: p.bounds.at.n_error),
+    vector_check("shading_normal", lambda p: p.bounds.at.sh_error),
+    vector_check("uv", uv_bound, lambda pixels: pixels.uv is not None),
 )
 
 
@@ -294,47 +325,7 @@ def check_allowances(checks: Mapping[str, Check]) -> None:
             )
 
 
-class SelfCheck(NamedTuple):
-    """One quantity of the subject, held to the primitive that it names, in float64."""
-
-    name: str
-    error: np.ndarray  # (n,) distance from the primitive's own value
-    bound: np.ndarray  # (n,) what float64 allows
-    counts: np.ndarray  # (n,) bool: where it is held to that
-
-    @property
-    def fails(self) -> np.ndarray:
-        """(n,) bool."""
-        found: np.ndarray = self.counts & ~(self.error <= self.bound)
-        return found
-
-    def fails_at(self, row: int) -> bool:
-        return bool(self.counts[row]) and not self.error[row] <= self.bound[row]
-
-
-def self_checks(pixels: PixelPairs) -> Iterator[SelfCheck]:
-    """Normals, position and uv where the subject hits, also where the reference does not; none of one that names no
-    primitive.
-
-    Where float64 does not resolve t, the point, the shading normal and uv, which follow from it, are not held to
-    anything; the geometric normal is.
-    """
-    prim = pixels.answer.prim
-    if prim is None:
-        return
-    own, hit = pixels.bounds.own, prim >= 0
-    resolved = hit & np.isfinite(own.t_error)
-    for name, value, bound, counts in (
-        ("normal", own.n, own.n_error, hit),
-        ("shading_normal", own.sh_n, own.sh_error, resolved),
-        ("position", pixels.point, own.p_error, resolved),
-    ):
-        yield SelfCheck(name, row_distance(aov_rows(pixels.subject, name), value), bound, counts)
-    if pixels.uv is not None:
-        yield SelfCheck("uv", row_distance(pixels.uv.subject, own.uv), own.uv_error, resolved)
-
-
-def fails_self_check(checks: Sequence[SelfCheck], count: int) -> np.ndarray:
+def fails_self_check(checks: Iterable[SelfCheck], count: int) -> np.ndarray:
     """(count,) bool: pixels where something is farther from the subject's own primitive than float64 allows."""
     found: np.ndarray = np.any([np.zeros(count, bool), *(check.fails for check in checks)], axis=0)
     return found

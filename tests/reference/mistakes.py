@@ -147,12 +147,12 @@ def interpolated(scene, o, d, t, n):
     return t, caster.cast(scene, o, d).surface.sh_n
 
 
-def through_corners(scene, o, d, share=0.5):
+def through_corners(scene, o, d):
     from mitsuba_ref.cameras.camera_reference import to_world_directions
     from mitsuba_ref.cameras.with_sensor import half_extents
 
     film, across = scene.film, half_extents(scene.camera, scene.film)
-    y, x = (axis.ravel() + 0.5 + share for axis in np.indices((film.height, film.width)))
+    y, x = (axis.ravel() + 1.0 for axis in np.indices((film.height, film.width)))
     right, up = (2 * x / film.width - 1) * across[0], (1 - 2 * y / film.height) * across[1]
     return o, to_world_directions(scene.camera, np.column_stack([right, up, np.ones(len(x))]))
 
@@ -250,12 +250,6 @@ MISTAKES = [
     Mistake("columns first", in_order(lambda a: np.swapaxes(a, 0, 1)), FACES, "the image is transposed"),
     Mistake("rolled", in_order(lambda a: np.roll(a, 1, axis=1)), FACES, "pixel"),
     Mistake("half a pixel", casting(through_corners), SPHERE, "by (+0.50, +0.50) of a pixel"),
-    Mistake(
-        "a quarter of a pixel",
-        casting(lambda s, o, d: through_corners(s, o, d, -0.25)),
-        SPHERE,
-        "by (-0.25, -0.25) of a pixel",
-    ),
     Mistake("d reversed", casting(lambda s, o, d: (o, -d)), "inside-sphere", "the directions are reversed"),
     Mistake("x of d turned", casting(lambda s, o, d: (o, mirrored(d, 0))), "inside-sphere", "the x axis of directions"),
     Mistake(

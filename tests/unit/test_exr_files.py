@@ -16,7 +16,7 @@ from caster.image.channels import aovs_to_channels, channels_to_aovs
 from caster.image.exr import NO_ID
 
 ROOT = Path(__file__).resolve().parents[2]
-SCENE, SIZE, CROP = str(ROOT / "scenes/every-shape.toml"), (24, 18), (5, 3, 20, 17)
+SCENE, SIZE, CROP = str(ROOT / "scenes/flat-shapes.toml"), (24, 18), (5, 3, 20, 17)
 NAMES = tuple(aov.NAME for aov in AOVS)
 CHANNELS = {
     "hit": ("A",),

@@ -52,14 +52,11 @@ def checked(call, name="one-sphere"):
     return check_ray_conventions(FunctionSubject("candidate", call), scene_of(name))
 
 
-ALL_SCENES = sorted(SCENES.glob("*.toml"))
-
-
-@pytest.mark.parametrize("path", ALL_SCENES, ids=lambda path: path.stem)
-def test_a_right_candidate_passes_in_every_scene(path):
-    dtype = (np.float64, np.float32)[ALL_SCENES.index(path) % 2]
-    found = checked(lambda scene, o, d: (right(scene, o, d)[0].astype(dtype), None), path.stem)
-    assert found.ok and (found.what == f"{7 * RAYS} rays" or path.stem not in ("one-sphere", "triangles"))
+@pytest.mark.parametrize("name", ["one-sphere", "triangles", "near-far-clip", "plane-edge-on-pinhole", "one-ray"])
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_a_right_candidate_passes(name, dtype):
+    found = checked(lambda scene, o, d: (right(scene, o, d)[0].astype(dtype), None), name)
+    assert found.ok and (found.what == f"{7 * RAYS} rays" or name not in ("one-sphere", "triangles"))
 
 
 PLANTED = [
@@ -128,14 +125,12 @@ np.column_stack([hits.t, hits.normal]).tofile(sys.argv[3])
 """
 LIMITED = [
     ("hits = cast(scene, o, d, t_min=t_min, t_max=t_max)", True, f"{7 * RAYS} rays"),
-    ("hits = cast(scene, o, d)", False, "t_min and t_max are not heeded: a hit has t_min < t <= t_max: "),
-    ("hits = cast(scene, o, d, t_min=t_min)", False, "t_max is not heeded: "),
-    ("hits = cast(scene, o, d, t_max=t_max)", False, "t_min is not heeded: "),
-    ("hits = cast(scene, o, d, t_min=2 * t_min, t_max=t_max)", False, "t_min and t_max are heeded otherwise: "),
+    ("hits = cast(scene, o, d, t_min=t_min)", False, "a hit has t_min < t <= t_max: surfaces at t = 2 and 4, t_min 0"),
+    ("hits = cast(scene, o, d, t_max=t_max)", False, "a hit has t_min < t <= t_max: "),
     (
         "hits = cast(scene, o, d, t_min=t_min, t_max=np.nextafter(t_max, 0))",
         True,
-        f"{7 * RAYS} rays; a hit at t_max is missed: ",
+        f"{7 * RAYS} rays; a hit is missed at t_max",
     ),
 ]
 

@@ -168,7 +168,6 @@ class AimedFailure(NamedTuple):
 
     what: str
     scene: Scene  # one pixel, whose ray it is
-    whole: bool  # all shapes are there: the involved ones alone do not show it
 
 
 @check(of=(OURS,))
@@ -194,11 +193,7 @@ def knife_edges(scene: Scene) -> tuple[SceneCheck, tuple[AimedFailure, ...]]:
     bad = np.flatnonzero(ratios > 1.0)
     if not len(bad):
         return SceneCheck("knife_edges", float(ratios.max()), f"{len(ratios)} aimed rays"), ()
-    prims = [{hit.prim for hit in verdicts.answers[i].ties} | {int(ours.prim[i])} - {-1} for i in bad[:REPRODUCERS]]
-    found = tuple(
-        _failure(subject, rays.taken(slice(i, i + 1)), involved, texts[i])
-        for i, involved in zip(bad[:REPRODUCERS], prims, strict=True)
-    )
+    found = tuple(AimedFailure(texts[i], _scene_of_ray(scene, rays, i)) for i in bad[:REPRODUCERS])
     o, d = (a[bad[0]].tolist() for a in (rays.o, rays.d))
     words = f"{len(bad)} of {len(ratios)} aimed rays, first from {o} along {d}: {texts[bad[0]]}"
     return SceneCheck("knife_edges", float(ratios.max()), words), found
@@ -247,17 +242,8 @@ def _from_eye(eye: np.ndarray) -> Aim:
     return aim
 
 
-def _failure(subject: PreparedScene, ray: RayBatch, prims: set[int], text: str) -> AimedFailure:
-    """A scene of this ray and the shapes of both answers, or of all shapes where those do not show it."""
-    limit = float(ray.t_max[0])
-    camera = Ray(origin=ray.o[0], direction=ray.d[0], t_max=limit if 0.0 < limit < np.inf else None)
-    scene = subject.scene
-    shapes = sorted({int(subject.packed.shape_of(np.array([prim]))[0]) for prim in prims})
-    parts = {"film": Film(width=1, height=1), "camera": camera, "lights": (), "shading": scene.shading}
-    few = Scene(materials=scene.materials, shapes=[scene.shapes[i] for i in shapes], **parts)
-    if float(ray.t_min[0]) == 0.0:
-        again = prepared_scene(few)
-        if adjudicate(again, ray, cast_by_culling(again.packed, ray, "bvh")).kinds[0]:
-            return AimedFailure(text, few, False)
-    whole = Scene(materials=scene.materials, shapes=scene.shapes, **parts)
-    return AimedFailure(text, whole, True)
+def _scene_of_ray(scene: Scene, rays: RayBatch, i: int) -> Scene:
+    """The scene with this ray as its camera."""
+    limit = float(rays.t_max[i])
+    camera = Ray(origin=rays.o[i], direction=rays.d[i], t_max=limit if 0.0 < limit < np.inf else None)
+    return scene.model_copy(update={"film": Film(width=1, height=1), "camera": camera, "lights": (), "checks": {}})
