@@ -114,12 +114,12 @@ def run(args: argparse.Namespace) -> int:
 
 def plan_of(args: argparse.Namespace) -> Plan:
     from mitsuba_ref.fuzz.campaign import Plan
-    from mitsuba_ref.hard import BY_NAME, DRAWN
+    from mitsuba_ref.hard import BY_NAME, FAMILIES
 
     for name in args.family:
         if name not in BY_NAME:
             raise SceneError(f"--family {name}: unknown{suggestion(name, BY_NAME)} (known: {', '.join(BY_NAME)})")
-    families = tuple(BY_NAME[name] for name in dict.fromkeys(args.family)) or DRAWN
+    families = tuple(BY_NAME[name] for name in dict.fromkeys(args.family)) or FAMILIES
     limit = args.time if args.time is not None or args.examples is not None else DEFAULT_SECONDS
     examples: Iterable[int] = itertools.count() if args.examples is None else args.examples
     subject, words = candidate_of(args)

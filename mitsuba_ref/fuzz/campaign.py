@@ -21,7 +21,7 @@ from mitsuba_ref.fuzz.cases import Case, KeptCase, case_of, findings_of, scene_d
 from mitsuba_ref.fuzz.checks import SCENE_ERRORS, check_image, check_rays, exception_finding
 from mitsuba_ref.fuzz.findings import Failure, Finding, Outcome, Tally, first_of_each_kind
 from mitsuba_ref.fuzz.shrink import SHRINK_ATTEMPTS, Budget, smallest_case
-from mitsuba_ref.hard import DRAWN
+from mitsuba_ref.hard import FAMILIES
 from mitsuba_ref.hard.family import Family, HardScene, scene_of
 from mitsuba_ref.hard.rays import RayBatch
 from mitsuba_ref.judge.checks.knife_edges import prepared_scene
@@ -123,7 +123,7 @@ class Plan:
     """Parameters of a campaign."""
 
     seed: int = 0
-    families: Sequence[Family] = DRAWN
+    families: Sequence[Family] = FAMILIES
     numbers: Iterable[int] = field(default_factory=itertools.count)
     seconds: float | None = None
     folder: Path = Path("fuzz-failures")

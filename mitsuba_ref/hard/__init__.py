@@ -6,4 +6,3 @@ from mitsuba_ref.hard.swept_families import SWEPT
 
 FAMILIES: tuple[Family, ...] = (*RANDOM, *SWEPT)
 BY_NAME = {family.name: family for family in FAMILIES}
-DRAWN = tuple(family for family in FAMILIES if family.drawn)

@@ -49,7 +49,6 @@ class Family:
     closed: bool = False  # every ray starts inside a closed mesh, so that each of them hits
     fits_float32: bool = True  # so that Mitsuba can trace it
     always_judged: bool = False  # by Mitsuba in `fuzz`, unless none is
-    drawn: bool = True  # by `fuzz` where no family is named
 
     @property
     def error(self) -> str:

@@ -519,8 +519,6 @@ SWEPT: tuple[Family, ...] = (
         (*TINY[1:], 1.0),
         1.0,
         along_cylinder,
-        # Across such a cylinder, t of float64 is farther off than its bound: rounding of the origin in object space.
-        drawn=False,
     ),
     swept(
         "condition",

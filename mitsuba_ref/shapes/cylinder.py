@@ -39,6 +39,7 @@ from mitsuba_ref.shapes.shape_reference import (
 )
 from mitsuba_ref.shapes.surface_errors import (
     TURN,
+    RayTransform,
     affine_bounds,
     half_chord_error,
     on_circle,
@@ -87,10 +88,12 @@ def polar_decomposition(linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return u @ v, v.T @ np.diag(sizes) @ v
 
 
-def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
+def intersect(
+    prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float, transformed: RayTransform = rays_in_object_space
+) -> tuple[Intersections, ...]:
     """Intersections of ray i with cylinder k[i]: the unit circle in x, y of object space, then the ends."""
     to_object = prims.to_object[k]
-    rays = rays_in_object_space(prims.center[k], to_object, o, d)
+    rays = transformed(prims.center[k], to_object, o, d)
     flat = np.array([1.0, 1.0, 0.0])
     one = np.ones(len(k))
     middle, distance, s = sphere_roots(rays.o * flat, rays.d * flat, one)

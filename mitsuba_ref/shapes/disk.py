@@ -39,6 +39,7 @@ from mitsuba_ref.shapes.shape_reference import (
 from mitsuba_ref.shapes.surface_errors import (
     TURN,
     UNRESOLVABLE,
+    RayTransform,
     affine_bounds,
     on_circle,
     ours_through_object_space,
@@ -60,10 +61,12 @@ def to_xml(out: ShapeWriter, shape: Disk, part: Any) -> list[XmlElement]:
     return [out.native(shape, "disk", part.center[0], part.to_world[0])]
 
 
-def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
+def intersect(
+    prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float, transformed: RayTransform = rays_in_object_space
+) -> tuple[Intersections, ...]:
     """Intersections of ray i with disk k[i]: the plane z = 0 of object space, then the rim."""
     to_object = prims.to_object[k]
-    rays = rays_in_object_space(prims.center[k], to_object, o, d)
+    rays = transformed(prims.center[k], to_object, o, d)
     with np.errstate(divide="ignore", invalid="ignore"):
         t = -rays.o[:, 2] / rays.d[:, 2]
         components, slope = rays.components(t), np.abs(rays.d[:, 2])

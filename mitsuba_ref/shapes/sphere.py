@@ -39,6 +39,7 @@ from mitsuba_ref.shapes.shape_reference import (
 )
 from mitsuba_ref.shapes.surface_errors import (
     SPHERE_UV,
+    RayTransform,
     affine_bounds,
     half_chord_error,
     ours_through_object_space,
@@ -120,7 +121,7 @@ def reference_uv_points(prims: Spheres, k: np.ndarray, uv: np.ndarray) -> np.nda
 
 
 def intersect_ellipsoid(
-    prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
+    prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float, transformed: RayTransform = rays_in_object_space
 ) -> tuple[Intersections, ...]:
     """Intersections of ray i with ellipsoid k[i], a unit sphere in object space; transforming the ray is rounded.
 
@@ -128,7 +129,7 @@ def intersect_ellipsoid(
     distance to that point for its parameter. If d is longer than 1 in object space, it overshoots, and rounds there.
     """
     to_object = prims.to_object[k]
-    rays = rays_in_object_space(prims.center[k], to_object, o, d)
+    rays = transformed(prims.center[k], to_object, o, d)
     middle, distance, s = sphere_roots(rays.o, rays.d, np.ones(len(k)))
     size = norm(rays.d)
     overshoot = np.abs(middle) * size * np.maximum(size - 1.0, 0.0)

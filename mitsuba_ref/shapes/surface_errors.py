@@ -2,6 +2,7 @@
 
 import functools
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -225,7 +226,7 @@ class ObjectRays(NamedTuple):
     o: np.ndarray  # (m, 3)
     d: np.ndarray  # (m, 3)
     rows: np.ndarray  # (m, 3) length of each row of the inverse matrix
-    offset: np.ndarray  # (m, 3) |offset| of each row
+    offset: np.ndarray  # (m, 3) magnitude of each component of the inverse's translation: its products, not their sum
     o_size: np.ndarray  # (m,) length of the world origin
     d_size: np.ndarray  # (m,) length of the world direction
 
@@ -234,15 +235,25 @@ class ObjectRays(NamedTuple):
         return self.rows * (self.o_size + np.abs(t) * self.d_size)[:, None] + self.offset
 
 
+# (center, to_object, o, d) -> rays of the primitives' object space
+RayTransform = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], ObjectRays]
+
+
 def rays_in_object_space(center: np.ndarray, to_object: np.ndarray, o: np.ndarray, d: np.ndarray) -> ObjectRays:
     """Rays (m, 3) in the object space of primitives with center (m, 3) and inverse matrix (m, 3, 3)."""
     rows = np.sqrt(np.einsum("ijk,ijk->ij", to_object, to_object))
-    offset = np.abs(mat_vec_rows(to_object, center))
+    offset = mat_vec_rows(np.abs(to_object), np.abs(center))
     return ObjectRays(mat_vec_rows(to_object, o - center), mat_vec_rows(to_object, d), rows, offset, norm(o), norm(d))
 
 
+def rays_about_center(center: np.ndarray, to_object: np.ndarray, o: np.ndarray, d: np.ndarray) -> ObjectRays:
+    """The same for ours, which transforms o - center: a difference that is rounded relative to its own length."""
+    rays = rays_in_object_space(center, to_object, o, d)
+    return rays._replace(o_size=np.maximum(rays.o_size, norm(o - center)))
+
+
 def ours_through_object_space(
-    intersect: IntersectFunction, used: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    intersect: Callable[..., tuple[Intersections, ...]], used: tuple[float, float, float] = (1.0, 1.0, 1.0)
 ) -> IntersectFunction:
     """The error model for ours, for kinds whose surface point is computed in object space and transformed back.
 
@@ -251,25 +262,17 @@ def ours_through_object_space(
     at least |q_i|, so the products with the columns and their sum are covered, too. used: 0 for coordinates that the
     kind sets to 0.
     """
-    return functools.partial(_intersect_ours, intersect, used)
 
+    def intersect_ours(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
+        rays = rays_about_center(prims.center[k], prims.to_object[k], o, d)
+        to_world = prims.to_world[k]
+        columns = np.sqrt(np.einsum("ijk,ijk->ik", to_world, to_world)) * np.array(used)
+        return tuple(
+            at._replace(p_error=at.p_error + ku * dot(columns, rays.components(at.t)))
+            for at in intersect(prims, k, o, d, ku, rays_about_center)
+        )
 
-def _intersect_ours(
-    intersect: IntersectFunction,
-    used: tuple[float, float, float],
-    prims: Any,
-    k: np.ndarray,
-    o: np.ndarray,
-    d: np.ndarray,
-    ku: float,
-) -> tuple[Intersections, ...]:
-    rays = rays_in_object_space(prims.center[k], prims.to_object[k], o, d)
-    to_world = prims.to_world[k]
-    columns = np.sqrt(np.einsum("ijk,ijk->ik", to_world, to_world)) * np.array(used)
-    return tuple(
-        at._replace(p_error=at.p_error + ku * dot(columns, rays.components(at.t)))
-        for at in intersect(prims, k, o, d, ku)
-    )
+    return intersect_ours
 
 
 def half_chord_error(s: np.ndarray, r: np.ndarray, error: np.ndarray) -> np.ndarray:

@@ -31,7 +31,7 @@ from mitsuba_ref.fuzz.shrink import (
     smallest_case,
     walk,
 )
-from mitsuba_ref.hard import BY_NAME, DRAWN, FAMILIES
+from mitsuba_ref.hard import BY_NAME, FAMILIES
 from mitsuba_ref.hard.family import scene_of
 from mitsuba_ref.hard.random_parts import random_camera, random_frame, random_shape, shape_types
 from mitsuba_ref.hard.rays import Frame, RayBatch, perturbed_by_ulps
@@ -86,7 +86,7 @@ def test_rays_are_strange_where_they_should_be(examples):
     assert ((d != 0.0) & (np.abs(d) < np.finfo(float).tiny)).any(), "no denormal component"
 
 
-@pytest.mark.parametrize("family", DRAWN, ids=lambda family: family.name)
+@pytest.mark.parametrize("family", FAMILIES, ids=lambda family: family.name)
 @pytest.mark.slow("each decides some hundred rays exactly", every=4)
 def test_a_family_finds_nothing_and_has_hits_where_rounding_decides(family):
     tally = Tally()
