@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import chain
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -173,8 +173,8 @@ def merge_windows(windows: Sequence[SceneVerdict]) -> SceneVerdict:
     Numbers are added up, ratios are the largest; failures of the first are listed first; one window without a
     comparison is the problem of all.
     """
-    sums = {name: sum(getattr(window, name) for window in windows) for name in SUMS}
-    counts = {name: _added([getattr(window, name) for window in windows]) for name in COUNTS}
+    sums: dict[str, Any] = {name: sum(getattr(window, name) for window in windows) for name in SUMS}
+    counts: dict[str, Any] = {name: _added([getattr(window, name) for window in windows]) for name in COUNTS}
     longest_first = sorted(windows, key=lambda window: -len(window.checks))
     checks = _largest([{check.name: check for check in window.checks} for window in longest_first], ratio_of)
     return replace(

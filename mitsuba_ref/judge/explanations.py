@@ -1,6 +1,6 @@
 """Explanations in words: why a pixel has its class, what exceeds its bound, and the answers of every witness there."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -157,19 +157,12 @@ def tie_members(scene: Scene, packed: Packed, answer: ExactAnswer) -> list[TieMe
     ]
 
 
-def format_exact(scene: Scene, packed: Packed, answer: ExactAnswer | None) -> str:
+def format_exact(scene: Scene, packed: Packed, answer: ExactAnswer | None, *, with_t: bool = True) -> str:
     """The exact answer on one line."""
-    if answer is None or answer.t is None:
-        return format_exact_hit(scene, packed, answer)
-    at = f"at t {decimal_and_hex(float(answer.t))}"
-    return f"{_hit_primitives(scene, packed, answer)} {at}{_flags_text(answer)}"
-
-
-def format_exact_hit(scene: Scene, packed: Packed, answer: ExactAnswer | None) -> str:
-    """The same without t."""
     if answer is None:
         return "no answer"
-    return f"{_hit_primitives(scene, packed, answer)}{_flags_text(answer)}"
+    at = f" at t {decimal_and_hex(float(answer.t))}" if with_t and answer.t is not None else ""
+    return f"{_hit_primitives(scene, packed, answer)}{at}{_flags_text(answer)}"
 
 
 def _hit_primitives(scene: Scene, packed: Packed, answer: ExactAnswer) -> str:
@@ -265,12 +258,8 @@ def format_primitive(judge: Judge, row: int, *, subject: bool) -> str:
     return f"{shape}, prim {int(packed.index_in_shape(which)[0])} at t {decimal_and_hex(t)}"
 
 
-def reproducer_header(judge: Judge, judgement: Judgement, row: int, source: str) -> Sequence[str]:
+def reproducer_header(judge: Judge, judgement: Judgement, row: int, source: str) -> Iterator[str]:
     """Comment of a reproducer of a row of the image: every answer, and how to see it again."""
-    return list(_header_lines(judge, judgement, row, source))
-
-
-def _header_lines(judge: Judge, judgement: Judgement, row: int, source: str) -> Iterator[str]:
     pair, verdict = judge.pair, CLASSES[int(judgement.classes[row])]
     versions = pair.result.answer.versions
     yield f"One ray that caster and Mitsuba {versions.get('mitsuba', '')} were judged on: {verdict}."

@@ -181,45 +181,32 @@ def judge_window(
 
 
 def _no_comparison(task: Task, checks: tuple[SceneCheck, ...], problem: str, unsupported: bool = False) -> SceneVerdict:
-    x0, y0, x1, y1 = task.scene.film.window
-    return SceneVerdict(
-        task.name,
-        task.path,
-        (x1 - x0) * (y1 - y0),
-        checks=checks,
-        problem=problem,
-        unsupported=unsupported,
-        size=(task.scene.film.width, task.scene.film.height),
-        candidate=task.subject.name,
-        unjudged=() if task.ours else NEVER_GIVEN,
+    return _verdict_of(
+        task, checks, problem=problem, unsupported=unsupported, unjudged=() if task.ours else NEVER_GIVEN
     )
 
 
 def _verdict(task: Task, response: SubjectResponse, seen: Seen, checks: tuple[SceneCheck, ...]) -> SceneVerdict:
     judge, judgement, diagnosis, _ = seen
-    scene, pair, answer = task.scene, judge.pair, judge.answer
+    pair, answer = judge.pair, judge.answer
     by_check, by_row = failing_by_check(judgement), diagnosis.by_row()
-    return SceneVerdict(
-        task.name,
-        task.path,
-        len(pair.t),
+    return _verdict_of(
+        task,
+        checks,
         hit_pixels=int(pair.any_hit.sum()),
         counts=class_counts(judgement, pair.any_hit),
         ratios=largest_ratios(judgement),
-        checks=checks,
         failures=listed_failures(judge, judgement, diagnosis),
         versions=pair.result.answer.versions,
         reference_seconds=pair.result.answer.seconds,
         reference_stored=pair.result.answer.stored,
-        size=(scene.film.width, scene.film.height),
-        allowed={name: check.ratio for name, check in scene.checks.items()} if task.ours else {},
+        allowed={name: check.ratio for name, check in task.scene.checks.items()} if task.ours else {},
         adjudicated=len(judgement.exact.rows),
         not_adjudicated=len(judgement.not_adjudicated),
         exact_seconds=judgement.exact_seconds,
         cases=defect_counts(judgement),
         failing_by={check: len(rows) for check, rows in by_check.items()},
         worst_by={check: failure_at(judge, judgement, by_row, int(rows[0]), check) for check, rows in by_check.items()},
-        candidate=task.subject.name,
         precision="" if task.ours else answer.precision,
         unjudged=quantities_not_given(answer),
         findings=findings(judge, diagnosis),
@@ -228,6 +215,20 @@ def _verdict(task: Task, response: SubjectResponse, seen: Seen, checks: tuple[Sc
             *(() if task.ours else (*answer.notes, *response.limits, *failure_hints(answer, judgement))),
         ),
         seen=seen,
+    )
+
+
+def _verdict_of(task: Task, checks: tuple[SceneCheck, ...], **found: Any) -> SceneVerdict:
+    film = task.scene.film
+    x0, y0, x1, y1 = film.window
+    return SceneVerdict(
+        task.name,
+        task.path,
+        (x1 - x0) * (y1 - y0),
+        checks=checks,
+        size=(film.width, film.height),
+        candidate=task.subject.name,
+        **found,
     )
 
 

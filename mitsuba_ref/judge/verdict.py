@@ -262,7 +262,7 @@ class Verdict:
     code: str = ""  # a hash of the sources that judged; of one of several runs, of all their scenes, too
     judged_with: dict[str, str] = field(default_factory=dict)  # versions, variants, machine, processor
     min_scenes: int = 0  # scenes that have to be judged, and not declined, for the run to pass
-    mended: tuple[str, ...] = ()  # scenes that --expected lists as failing, and that pass
+    fixed: tuple[str, ...] = ()  # scenes that --expected lists as failing, and that pass
     requested_candidate: str = ""  # the candidate that was requested, also if no scene is judged; "" for ours
     format: int = VERDICT_FORMAT
 

@@ -15,7 +15,7 @@ from caster.aovs import Aovs
 from caster.image.image_files import encode_image
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.classification import CLASS_CODE
-from mitsuba_ref.judge.explanations import format_exact_hit
+from mitsuba_ref.judge.explanations import format_exact
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, REFERENCE_WRONG
 from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.report.evidence import Evidence
@@ -183,7 +183,7 @@ def exact_answers(evidence: Evidence) -> dict[str, Any]:
 
 
 def _answer_text(evidence: Evidence, answer: ExactAnswer | None) -> str:
-    return format_exact_hit(evidence.scene, evidence.packed, answer)
+    return format_exact(evidence.scene, evidence.packed, answer, with_t=False)
 
 
 def _exact_t(answer: ExactAnswer | None) -> float:

@@ -225,8 +225,8 @@ def waiver_lines(verdict: Verdict) -> Iterator[str]:
         if scene.waived:
             words = scene.problem.partition("\n")[0] if scene.problem else f"{', '.join(sorted(failing_checks(scene)))}"
             yield f"{mark_of(scene).lower() + ':':<11} {scene.name}: {words}"
-    if verdict.mended:
-        names = ", ".join(verdict.mended)
+    if verdict.fixed:
+        names = ", ".join(verdict.fixed)
         yield f"fixed:      {names}: listed by --expected as failing, and now right: take them out of the list"
     if verdict.too_few:
         judged = len(verdict.scenes) - verdict.waived.get(UNSUPPORTED, 0)

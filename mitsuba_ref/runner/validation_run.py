@@ -99,7 +99,7 @@ class ValidationRun:
             names=names,
             requested_candidate=self.candidate_name,
             min_scenes=self.options.min_scenes,
-            mended=self.options.expected.mended(self.done) if self.options.expected else (),
+            fixed=self.options.expected.fixed(self.done) if self.options.expected else (),
             **self._identity,
         )
 
@@ -155,7 +155,7 @@ class ExpectedFailures(BaseModel):
         checks = failing_checks(found)
         return not found.ok and any(checks <= set(each.checks) and found.failing <= each.pixels for each in listed)
 
-    def mended(self, done: Sequence[SceneVerdict]) -> tuple[str, ...]:
+    def fixed(self, done: Sequence[SceneVerdict]) -> tuple[str, ...]:
         """Names of scenes that are listed, and pass."""
         named = {each.scene for each in self.failure}
         return tuple(found.name for found in done if found.ok and found.name in named)

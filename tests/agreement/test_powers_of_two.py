@@ -76,13 +76,13 @@ def test_it_is_known_of_every_field_of_a_camera_whether_it_is_a_length():
     assert {name for camera in CAMERAS for name in camera.model_fields} == {*LENGTHS, *CAMERA_RATIOS}
 
 
+@np.errstate(all="ignore")  # of kernels in plain Python
 @pytest.mark.parametrize("name", ["one-sphere", "transforms", "lights-and-shadows", "crop-window", "orthographic-clip"])
 def test_a_power_of_two_scales_an_image_exactly(name):
     """A threshold in scene units would show as other bits."""
     scene = load_scene(f"scenes/{name}.toml").with_film(width=20, height=16)
-    with np.errstate(all="ignore"):  # of kernels in plain Python
-        expected = render(scene, IMAGES)
-        images = {power: render(scaled_scene(scene, power), IMAGES) for power in (-150, -40, 40)}
-    for power, image in images.items():
+    expected = render(scene, IMAGES)
+    for power in (-24, 40, -150):
+        image = render(scaled_scene(scene, power), IMAGES)
         found = {each: np.ldexp(a, -power) if each in ("depth", "position") else a for each, a in image.items()}
         assert_same_bits(without_signed_zeros(expected), without_signed_zeros(found), f"scaled by 2^{power}")

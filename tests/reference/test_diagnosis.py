@@ -206,9 +206,6 @@ TRIANGLE_FEATURES = {
     "the size of the primitive is": lambda judge, c: np.linalg.norm(np.ptp(c, axis=1), axis=1),
     "the smallest extent of the primitive's box is": lambda judge, c: np.ptp(c, axis=1).min(axis=1),
     "the distance to the triangle's outline is": lambda judge, c: outline(judge, c),
-    "the distance to the triangle's nearest corner is": lambda judge, c: np.linalg.norm(
-        c - hit_points(judge)[:, None], axis=2
-    ).min(axis=1),
     "the number of the primitive in its shape is": lambda judge, c: numbers(judge)["prim_id"].astype(float),
 }
 

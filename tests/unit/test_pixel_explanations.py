@@ -11,15 +11,7 @@ from mitsuba_ref.judge.aggregate import defect_counts, failure_hints, findings, 
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judgement
 from mitsuba_ref.judge.comparison import SelfCheck
 from mitsuba_ref.judge.diagnosis import NOT_ADJUDICATED, Cause, Diagnosis, failing_rows
-from mitsuba_ref.judge.explanations import (
-    error_ratios,
-    format_exact,
-    format_exact_hit,
-    full_reason,
-    open_reason,
-    reason,
-    tie_members,
-)
+from mitsuba_ref.judge.explanations import error_ratios, format_exact, full_reason, open_reason, reason, tie_members
 from mitsuba_ref.subjects.subject import Answer
 
 INF = np.inf
@@ -123,14 +115,14 @@ def exact(*prims, t=1.5, flags=()) -> SimpleNamespace:
 
 
 def test_exact_answers_on_one_line():
-    assert format_exact(SCENE, PACKED, None) == format_exact_hit(SCENE, PACKED, None) == "no answer"
+    assert format_exact(SCENE, PACKED, None) == "no answer"
     assert format_exact(SCENE, PACKED, exact()) == "miss"
     assert format_exact(SCENE, PACKED, exact(flags=("b", "a"))) == "miss (a, b on the way)"
     assert format_exact(SCENE, PACKED, exact(12)) == "mesh, prim 2 (edge) at t 1.5 0x1.8000000000000p+0"
     two = "ball, prim 3 (edge) = mesh, prim 2 (edge)"
-    assert format_exact_hit(SCENE, PACKED, exact(3, 12, flags=["x"])) == f"{two} (x on the way)"
+    assert format_exact(SCENE, PACKED, exact(3, 12, flags=["x"]), with_t=False) == f"{two} (x on the way)"
     assert format_exact(SCENE, PACKED, exact(3, 12, flags=["x"])).endswith("x1.8000000000000p+0 (x on the way)")
-    eight = format_exact_hit(SCENE, PACKED, exact(*range(8)))
+    eight = format_exact(SCENE, PACKED, exact(*range(8)), with_t=False)
     assert eight.endswith("ball, prim 5 (edge) = 2 more") and eight.count(" = ") == 6
     assert [tuple(each) for each in tie_members(SCENE, PACKED, exact(3, 12))] == [
         ("ball", 3, "edge"),

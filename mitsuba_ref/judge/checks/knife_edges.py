@@ -12,7 +12,7 @@ import numpy as np
 from caster.cameras.single_ray import Ray
 from caster.geometry.packing import Packed, packed
 from caster.rendering.casting import Culling, find_nearest
-from caster.rendering.hits import Hits, validated_rays
+from caster.rendering.hits import Hits, scaled_rays, validated_rays
 from caster.rendering.images import camera_rays
 from caster.scene.model import Film, Scene
 from mitsuba_ref.error_model.bounds import error_over_bound as ratio_of
@@ -43,33 +43,16 @@ def nearest_of_hits(hits: Hits, packed: Packed) -> NearestHits:
 
 
 def cast_by_culling(packed: Packed, rays: RayBatch, culling: Culling) -> NearestHits:
-    """By the internal casting; directions scaled to about length 1 by a power of two, as caster.cast does."""
-    return _cast_scaled(lossless_exponents(rays), packed, rays, culling)
-
-
-def _cast_scaled(exponent: np.ndarray, packed: Packed, rays: RayBatch, culling: Culling) -> NearestHits:
-    """With directions 2^-exponent as long; unscaled where the scaling alone makes t denormal."""
-    with np.errstate(over="ignore", under="ignore"):
-        d = np.ldexp(rays.d, -exponent[:, None])
-        limits = {"t_min": np.ldexp(rays.t_min, exponent), "t_max": np.ldexp(rays.t_max, exponent)}
-    scaled = validated_rays(rays.o, d, 0.0, np.inf)._replace(**limits)
+    """Cast rays by a given culling, with directions scaled as caster.cast scales them."""
+    given = validated_rays(*rays)
+    scaled, exponent = scaled_rays(given)
     nearest = find_nearest(packed, scaled, culling, threads=1)
     with np.errstate(over="ignore", under="ignore"):
         found = NearestHits(np.ldexp(nearest.t, -exponent), nearest.prim.astype(np.int64))
-    rows = np.flatnonzero((exponent < 0) & (nearest.t < np.finfo(np.float64).tiny))
-    if len(rows):
-        found.t[rows] = _cast_scaled(np.zeros(len(rows), int), packed, rays.taken(rows), culling).t
+    short = np.flatnonzero((exponent < 0) & (nearest.t < np.finfo(np.float64).tiny))  # t lost digits
+    if len(short):
+        found.t[short] = find_nearest(packed, type(given)(*(a[short] for a in given)), culling, threads=1).t
     return found
-
-
-def lossless_exponents(rays: RayBatch) -> np.ndarray:
-    """(n,) k for which 2^-k d is of about length 1; 0 where bits would be lost by that, of d or of the limits."""
-    exponent = np.frexp(np.abs(rays.d).max(axis=1, initial=0.0))[1]
-    numbers = np.column_stack([rays.d, rays.t_min, rays.t_max])
-    powers = exponent[:, None] * np.array([-1, -1, -1, 1, 1])
-    with np.errstate(over="ignore", under="ignore"):
-        kept = (np.ldexp(np.ldexp(numbers, powers), -powers) == numbers).all(axis=1)
-    return np.where(kept, exponent, 0)
 
 
 def with_limits(rng: Rng, rays: RayBatch, found: NearestHits, most: int = LIMITED_RAYS) -> RayBatch:
