@@ -34,12 +34,12 @@ from mitsuba_ref.subjects.subject import FLOAT32, Answer
 
 T = TypeVar("T")
 
-# What the judge compares of our caster, and a candidate does not give; ids of shapes and primitives only some do.
+# Quantities that the judge compares for our caster and that candidates do not give; some give ids of shapes.
 NEVER_GIVEN = ("position", "shading_normal", "uv", "shape_id", "diffuse")
 
 
 def quantities_not_given(answer: Answer) -> tuple[str, ...]:
-    """What the judge compares, and this answer lacks."""
+    """Quantities that the judge compares and this answer lacks."""
     if answer.images is not None:
         return ()
     if answer.hits_only:
@@ -49,7 +49,7 @@ def quantities_not_given(answer: Answer) -> tuple[str, ...]:
 
 
 def class_counts(judgement: Judgement, hit: np.ndarray) -> dict[str, int]:
-    """Hit pixels of each class; one that fails counts, whether anything is hit there or not."""
+    """Pixels of each class that are hit or fail."""
     counted = hit | judgement.is_class(*FAILING)
     numbers = np.bincount(judgement.classes[counted], minlength=len(CLASSES))
     return dict(zip(CLASSES, map(int, numbers), strict=True))
@@ -68,7 +68,7 @@ def defect_counts(judgement: Judgement) -> dict[str, int]:
 
 
 def scene_statistics(scene: Scene) -> SceneStatistics:
-    """Camera, shapes and number of primitives; the latter of a scene that can be packed."""
+    """Camera, shapes, and the number of primitives if the scene can be packed."""
     count = 0
     with suppress(SceneError):
         count = int(packed(scene).first[-1])
@@ -77,7 +77,7 @@ def scene_statistics(scene: Scene) -> SceneStatistics:
 
 
 def findings(judge: Judge, diagnosis: Diagnosis) -> tuple[Finding, ...]:
-    """Each cause once, with its pixels, most first; second causes of the same pixels, and what has none, at the end."""
+    """Each cause once, most pixels first; second causes of the same pixels and pixels not adjudicated at the end."""
     ordered = sorted(diagnosis.causes, key=lambda each: (each.what == NOT_ADJUDICATED, each.second, -len(each.rows)))
     return tuple(
         Finding(
@@ -90,7 +90,7 @@ def findings(judge: Judge, diagnosis: Diagnosis) -> tuple[Finding, ...]:
 def listed_failures(judge: Judge, judgement: Judgement, diagnosis: Diagnosis) -> tuple[Failure, ...]:
     """Some of the pixels that fail: one of each diagnosis, then the worst of the others.
 
-    Of a diagnosis the worst pixel, or where a subject names no primitives, so that most have no factor, the first.
+    The worst pixel of a diagnosis, or the first if the subject names no primitives, so that most have no factor.
     """
     by_row, rows = diagnosis.by_row(), worst_first(judgement, failing_rows(judgement))
     order = rows if judge.names_prims else sorted(rows)
@@ -110,7 +110,7 @@ def worst_first(judgement: Judgement, rows: np.ndarray) -> list[int]:
 
 
 def failing_by_check(judgement: Judgement) -> dict[str, np.ndarray]:
-    """Rows that fail, worst first, under every check that they fail; under `exact` where they fail none."""
+    """Failing rows by each check that they fail, worst first; under `exact` if they fail none."""
     rows = failing_rows(judgement)
     excess = {name: judgement.excess(name)[rows] for name in judgement.names}
     beyond = {name: ~(ratio <= 1.0) for name, ratio in excess.items()}
@@ -121,7 +121,7 @@ def failing_by_check(judgement: Judgement) -> dict[str, np.ndarray]:
 
 
 def failure_at(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str], row: int, check: str = "") -> Failure:
-    """One pixel that fails. check: the one to report; "": the one that finds most."""
+    """One pixel that fails. check: the check to report; "": the one with the largest excess."""
     check = check or decisive_check(judgement, row)
     text = pixel_answers(judge, judgement, row, check)
     explain = full_reason if judge.names_prims else reason
@@ -132,14 +132,14 @@ def failure_at(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str],
 
 
 def decisive_check(judgement: Judgement, row: int) -> str:
-    """The check that finds most; `exact`, the least specific one, only where it is the only one."""
+    """The check with the largest excess; `exact`, the least specific, only if no other fails."""
     excess = {name: float(judgement.excess(name)[row]) for name in judgement.names}
     beyond = {name: ratio for name, ratio in excess.items() if name != EXACT and not ratio <= 1.0}
     return max(beyond or excess, key=lambda name: excess[name])
 
 
 def failure_hints(answer: Answer, judgement: Judgement) -> tuple[str, ...]:
-    """What may help where pixels fail: bounds are as wide as the round-off that they are made of."""
+    """A hint if all failing pixels would pass with the bounds of float32."""
     if not judgement.is_class(*FAILING).any():
         return ()
     ratios = judgement.exact.ratio[judgement.is_class(WRONG)[judgement.exact.rows]]
@@ -168,10 +168,10 @@ COUNTS = ("counts", "cases", "failing_by")
 
 
 def merge_windows(windows: Sequence[SceneVerdict]) -> SceneVerdict:
-    """The verdict of a film from those of windows that it consists of, without statistics and bias.
+    """The verdict of a film from those of its windows, without statistics and bias.
 
-    Numbers are added up, ratios are the largest; failures of the first are listed first; one window without a
-    comparison is the problem of all.
+    Numbers are added up, and the largest ratios are kept; failures of the first window are listed first. A window
+    without a comparison is a problem of the whole film.
     """
     sums: dict[str, Any] = {name: sum(getattr(window, name) for window in windows) for name in SUMS}
     counts: dict[str, Any] = {name: _added([getattr(window, name) for window in windows]) for name in COUNTS}
@@ -205,7 +205,7 @@ def ratio_of(found: SceneCheck | Failure) -> float:
 
 
 def _largest(windows: Sequence[Mapping[str, T]], size: Callable[[T], float]) -> dict[str, T]:
-    """Of each name the first entry of the largest size."""
+    """The largest entry of each name."""
     found: dict[str, T] = {}
     for name, each in chain.from_iterable(window.items() for window in windows):
         if name not in found or _badness(size(each)) > _badness(size(found[name])):
@@ -214,7 +214,7 @@ def _largest(windows: Sequence[Mapping[str, T]], size: Callable[[T], float]) -> 
 
 
 def _badness(ratio: float) -> tuple[bool, float]:
-    """A key by which NaN is beyond everything."""
+    """A sort key that puts NaN beyond every number."""
     return (not ratio <= np.inf, ratio)
 
 

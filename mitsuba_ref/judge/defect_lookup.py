@@ -1,6 +1,6 @@
-"""Known defects of the reference, gathered from the kinds that declare them (mitsuba_ref/shapes), and looked up.
+"""Lookup of known defects of the reference, which kinds of primitives declare (mitsuba_ref/shapes).
 
-The features of a pixel that they depend on are computed here.
+Also computes the features of a pixel that they depend on.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,18 +25,18 @@ from mitsuba_ref.shapes import KINDS, kind_of
 
 
 def known_defects() -> tuple[KnownDefect, ...]:
-    """All that are declared, each once, in the order of their priority."""
+    """All declared defects in the order of their priority."""
     declared = {defect for kind in KINDS.values() for defect in kind.known_defects} | {NAN_T}
     return tuple(sorted(declared, key=lambda defect: (defect.priority, defect.number)))
 
 
 def defect_name(number: int) -> str:
-    """What the defect of this number is, in words."""
+    """The defect of this number in words."""
     return next(defect.name for defect in known_defects() if defect.number == number)
 
 
 def defect_of(features: DefectFeatures) -> int | None:
-    """The number of the first defect whose condition holds; None: wrong in a way that is not listed."""
+    """The number of the first defect whose condition holds; None if the error is not listed."""
     involved = [kind for kind in KINDS.values() if kind.name in features.kinds]
     found = [defect for kind in involved for defect in kind.known_defects if defect.applies(kind.name, features)]
     if NAN_T.condition(features):
@@ -44,13 +44,11 @@ def defect_of(features: DefectFeatures) -> int | None:
     return min(found, key=lambda defect: defect.priority).number if found else None
 
 
-MAX_PRIMS_TESTED_AT_ZERO = (
-    64  # primitives of the shape named by the reference that are tested for a hit at t = 0, nearest first
-)
+MAX_PRIMS_TESTED_AT_ZERO = 64  # primitives of the named shape, nearest first, that are tested for a hit at t = 0
 
 
 class FeatureMeasurement:
-    """Measures pixels of one scene."""
+    """Measures features at pixels of one scene."""
 
     def __init__(self, model: SceneModel, oracle: Oracle):
         self.model, self.oracle = model, oracle
@@ -63,8 +61,10 @@ class FeatureMeasurement:
         answers: Sequence[ExactAnswer],
         prims: Sequence[int],
     ) -> Iterator[DefectFeatures]:
-        """m pixels. lines: o (m, 3), d (m, 3), t_max (m,); claims: the reference's; prims: the numbers of what it names
-        is hit, -1 on a miss."""
+        """Features at m pixels.
+
+        lines: o (m, 3), d (m, 3), t_max (m,); claims: the reference's; prims: the primitives it names, -1 on a miss.
+        """
         o, d, _ = lines
         named = np.asarray(prims, np.int64)
         nearly = self.wide.judge(*lines, claims, also=named).allowed
@@ -79,9 +79,9 @@ class FeatureMeasurement:
     def _with_normals(
         self, o: np.ndarray, d: np.ndarray, claims: Claims, prims: np.ndarray
     ) -> tuple[Claims, np.ndarray]:
-        """(the claims, made whole where they have no normal; where that is, and rounding may be the reason).
+        """(the claims, with missing normals filled in; (m,) bool: rounding may be why a normal is missing).
 
-        A normal that is bounded no closer than its own length, 1, may have any length, 0 included, and then it is 0/0.
+        A normal with a bound of 1 or more, its own length, may vanish, and is then 0/0.
         """
         rows = np.flatnonzero((prims >= 0) & np.isnan(claims.n).any(axis=1) & np.isfinite(claims.t))
         normless = np.zeros(len(prims), bool)
@@ -146,13 +146,13 @@ class FeatureMeasurement:
         return any(hit.t == 0 for each in tested for hit in self.oracle.roots(each, o, d))
 
     def _view(self, prim: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
-        """What its kind measures of one primitive and the ray."""
+        """Measures of one primitive and the ray, by its kind."""
         prims, k = self._place(prim)
         with np.errstate(divide="ignore", invalid="ignore"):
             return kind_of(prims).defect_view(prims, k, o, d, t)
 
     def _distance_and_offset(self, prim: int, o: np.ndarray) -> tuple[float, float]:
-        """How far one primitive is from o, and its farthest corner from the origin, in its sizes; 0 without a size."""
+        """Distances of a primitive from o, and of its farthest corner from the origin, over its size; 0 if it has none."""
         low, high = (corner[prim] for corner in self.model.boxes)
         size = float(np.max(high - low))
         if not (np.isfinite(size) and size > 0.0):

@@ -41,7 +41,7 @@ class Task(NamedTuple):
     name: str
     path: str = ""
     subject: Subject = OURS
-    rays: SharedRays | None = None  # of a list, laid out as the film, in place of the camera's
+    rays: SharedRays | None = None  # a list laid out as the film, in place of the camera's rays
     timeout: float = DEFAULT_TIMEOUT
     send: SendRequest = send_stored  # the way to Mitsuba
 
@@ -50,12 +50,12 @@ class Task(NamedTuple):
         return self.subject is OURS
 
     def windows(self) -> list[Scene]:
-        """The scene with each window that is judged by itself: a command renders the whole film."""
+        """The scene with each window that is judged separately; a command renders the whole film at once."""
         return bands_of(self.scene) if self.subject.takes_rays and self.rays is None else [self.scene]
 
 
 class Seen(NamedTuple):
-    """What the verdict of a window rests on."""
+    """The evidence for the verdict of a window."""
 
     judge: Judge
     judgement: Judgement
@@ -65,18 +65,18 @@ class Seen(NamedTuple):
 
 # ---- a film, in one window or several ----
 
-# A film of more pixels than this is judged as several, so that memory stays what one band needs; of so many pixels a
-# band that what is done once for each (its own scene in Mitsuba, samples of every check) costs less than its pixels.
+# A larger film is judged in bands, so that memory is that of one band. A band has so many pixels that they cost more
+# than what is done once for each band (its own scene in Mitsuba, samples of every check).
 LARGEST_WHOLE_FILM, BAND_PIXELS = 1 << 20, 1 << 19
 
-LARGE_SCENE = 1 << 20  # primitives; such a scene is packed again sooner than kept beside its float32 numbers
+LARGE_SCENE = 1 << 20  # primitives; packing such a scene again costs less than keeping it beside its float32 numbers
 
 # Called with the verdict of each window and the name of its images, while `seen` holds the evidence.
 Finish = Callable[[SceneVerdict, str], SceneVerdict]
 
 
 def bands_of(scene: Scene) -> list[Scene]:
-    """The scene with windows of whole rows that make up its film; itself alone where that is small."""
+    """The scene with each band of whole rows of its film; the scene itself if its film is small."""
     x0, y0, x1, y1 = scene.film.window
     if (x1 - x0) * (y1 - y0) <= LARGEST_WHOLE_FILM:
         return [scene]
@@ -85,7 +85,7 @@ def bands_of(scene: Scene) -> list[Scene]:
 
 
 def judge_film(task: Task, finish: Finish = lambda verdict, images: verdict) -> SceneVerdict:
-    """The verdict of all bands, with the evidence of one: the one with most failures, or else the middle one."""
+    """The verdict of all bands, with the evidence of the one with most failures, or else of the middle one."""
     bands = task.windows()
     verdicts: list[SceneVerdict] = []
     errors: list[PixelErrors] = []
@@ -117,7 +117,7 @@ def _rows(band: Scene) -> tuple[int, int]:
 
 
 def _merged(bands: Sequence[Scene], verdicts: list[SceneVerdict], shown: int, seen: Seen | None) -> SceneVerdict:
-    """The verdict of a film in bands, the one of the evidence first."""
+    """The verdict of a film in bands; that of the shown band comes first."""
     last = len(verdicts) - 1
     if verdicts[last].problem:
         first, end = _rows(bands[last])
@@ -136,9 +136,9 @@ def _merged(bands: Sequence[Scene], verdicts: list[SceneVerdict], shown: int, se
 def judge_window(
     task: Task, *, whole_scene: bool = True, whole_film: bool = True
 ) -> tuple[SceneVerdict, PixelErrors | None]:
-    """The verdict of the film's window, without statistics and bias, and the errors that those are made of.
+    """The verdict of the film's window without statistics and bias, and the errors for these.
 
-    whole_scene: with the checks in which the window has no part; whole_film: no other window follows.
+    whole_scene: make also the checks that do not depend on the window; whole_film: no other window follows.
     """
     checks = [
         each
@@ -148,7 +148,7 @@ def judge_window(
     of_scene = [each for each in checks if not each.answered]
     inputs: dict[str, Any] = {"scene": task.scene, "subject": task.subject, "wrong_rays": []}
     made = make_checks(of_scene, inputs) if task.ours else ()
-    if whole_film:  # what follows is in float32; of ten million triangles, both together take a gigabyte more
+    if whole_film:  # the rest is in float32; for ten million triangles, both packings take a gigabyte more
         forget_packed(task.scene, as_given, LARGE_SCENE)
 
     # Request: the subject's answer, then Mitsuba's along the same rays.
@@ -160,11 +160,11 @@ def judge_window(
     if isinstance(judge, Crash):
         return _no_comparison(task, made, judge.message), None
 
-    # Compare, adjudicate, classify; then what the failing pixels have in common.
+    # Compare, adjudicate, classify; then find the causes of failing pixels.
     judgement = judge.judge()
     diagnosis = diagnose(judge, judgement)
 
-    # Check: what pixels do not show.
+    # Check whatever pixels do not show.
     inputs |= {
         "scene": response.scene,
         "result": judge.result,
@@ -233,7 +233,7 @@ def _verdict_of(task: Task, checks: tuple[SceneCheck, ...], **found: Any) -> Sce
 
 
 def _notes_on_misses(judge: Judge) -> tuple[str, ...]:
-    """Where the shapes are, and how the rays go, where nothing is hit; () where something is."""
+    """Where the shapes are and how the rays go, if nothing is hit; else ()."""
     low, high = judge.model.boxes
     if judge.pair.any_hit.any() or not len(low) or not len(judge.o):
         return ()

@@ -41,13 +41,13 @@ def check_camera(scene: Scene) -> SceneCheck:
 
 
 def _up_sine(camera: Camera) -> float:
-    """The sine of the angle between view and up: the orthobasis rounds by as much more as this is less than 1."""
+    """The sine of the angle between view and up; rounding of the camera's axes grows by its inverse."""
     forward, up = camera_axes(camera)[2], np.array(camera.up, np.float64)
     return float(np.linalg.norm(np.cross(forward, up)) / np.linalg.norm(up))
 
 
 def _on_rim(scene: Scene, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """(n,) bool: pixels on the edge of a round image, up to rounding, so that either side may have a ray there."""
+    """(n,) bool: pixels on the edge of a round image up to rounding, where either side may have a ray or none."""
     film, reference = scene.film, reference_of_camera(scene.camera)
     middle_x, middle_y = film.width / 2.0, film.height / 2.0
     seen = []
@@ -60,7 +60,7 @@ def _on_rim(scene: Scene, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 @check(scope="window", camera=True)
 def check_sensor(scene: Scene, result: ReferenceResult) -> SceneCheck:
-    """Our rays against those of Mitsuba's own sensor: the same line, and depth that starts on the near plane."""
+    """Compare our rays with those of Mitsuba's own sensor: the same line, and depth that starts on the near plane."""
     answer = result.answer
     if answer.sensor_d is None or answer.sensor_o is None or answer.sensor_t_max is None:
         expected = reference_of_camera(scene.camera).to_xml is not no_sensor

@@ -1,7 +1,7 @@
-"""Rays aimed at edges, vertices, silhouettes and tangents of a scene, decided by exact arithmetic.
+"""Rays aimed at edges, vertices, silhouettes and tangents of a scene, compared with exact arithmetic.
 
-Pixels of an image rarely meet a place where rounding decides. Here a few hundred rays of each scene do, in float64:
-an error bound of a kernel that is too small shows as another first hit, or as a t that is off.
+Pixels of an image rarely hit a place where rounding decides; these few hundred float64 rays of each scene do. An error
+bound of a kernel that is too small shows as a wrong first hit or a wrong t.
 """
 
 import zlib
@@ -24,10 +24,10 @@ from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 from mitsuba_ref.shapes import reference_of
 from mitsuba_ref.shapes.targets import Rng
 
-# ---- rays cast by every culling, and compared with exact arithmetic: the first hit, and its t
+# ---- casting rays by any culling, and comparing the first hit and its t with exact arithmetic
 
 LIMITED_RAYS = 12  # rays of an example that are cast again with other limits
-LARGEST_FLOAT64 = float(np.finfo(np.float64).max)  # a t beyond it may be returned as this or as infinite
+LARGEST_FLOAT64 = float(np.finfo(np.float64).max)  # a larger t may be returned as this or as infinite
 
 
 class NearestHits(NamedTuple):
@@ -87,7 +87,7 @@ def prepared_scene(scene: Scene) -> PreparedScene:
 
 
 class Adjudicated(NamedTuple):
-    """Found hits against the exact answers, a row for each ray."""
+    """Hits compared with the exact answers, one row for each ray."""
 
     answers: list[ExactAnswer]
     bounds: np.ndarray  # (n,) of t
@@ -97,9 +97,9 @@ class Adjudicated(NamedTuple):
 
 
 def adjudicate(subject: PreparedScene, rays: RayBatch, found: NearestHits, depth_ulps: float = 0.0) -> Adjudicated:
-    """Hit or miss, primitive, and t within its bound, widened by units in the last place of t.
+    """Compare hit or miss, primitive, and t within its bound plus `depth_ulps` units in the last place of t.
 
-    Raises OutsideDomain for rays that exact arithmetic does not take.
+    Raises OutsideDomain for rays that the oracle does not take.
     """
     answers = subject.oracle.first_hits(*rays)
     models = [reference_of(shape).model_of for shape in subject.scene.shapes]
@@ -138,33 +138,33 @@ def t_text(t: float) -> str:
 
 # ---- aimed rays
 
-# Rays of one scene: one for every so many pixels of its film, within limits, so that a small film stays quick.
+# Rays of one scene: one for so many pixels of its film, within limits.
 PIXELS_PER_AIMED_RAY = 4
 MIN_AIMED_RAYS, MAX_AIMED_RAYS = 32, 320
-SHARE_OF_OTHERS = 0.1  # more rays of the scene's own camera, and as many cast again with t_min or t_max at the hit
-SIZE_SAMPLES = 64  # points that the size of the scene is taken from
-REPRODUCERS = 2  # files of one scene
+SHARE_OF_OTHERS = 0.1  # further rays of the scene's own camera, and as many cast again with t_min or t_max at the hit
+SIZE_SAMPLES = 64  # points from which the size of the scene is estimated
+REPRODUCERS = 2  # files for one scene
 
 
 class AimedFailure(NamedTuple):
-    """One ray with another first hit than exact arithmetic gives, or another t."""
+    """One ray whose first hit or t is wrong by exact arithmetic."""
 
     what: str
-    scene: Scene  # one pixel, whose ray it is
+    scene: Scene  # of one pixel, with this ray
 
 
 @check(of=(OURS,))
 def check_knife_edges(scene: Scene, wrong_rays: list[AimedFailure]) -> SceneCheck:
-    """The check; the scenes of failing rays are appended to `wrong_rays`."""
+    """Compare aimed rays with exact arithmetic; the scenes of some failing rays are appended to `wrong_rays`."""
     found, failures = knife_edges(scene)
     wrong_rays += failures
     return found
 
 
 def knife_edges(scene: Scene) -> tuple[SceneCheck, tuple[AimedFailure, ...]]:
-    """First hits of aimed rays against exact arithmetic: primitive, and t within its float64 bound.
+    """Compare first hits of aimed rays with exact arithmetic: the primitive, and t within its float64 bound.
 
-    Some of the rays that fail come with it, as scenes of one ray.
+    Also returns some of the failing rays as scenes of one ray.
     """
     subject = prepared_scene(scene)
     if not subject.oracle.count:
@@ -184,7 +184,7 @@ def knife_edges(scene: Scene) -> tuple[SceneCheck, tuple[AimedFailure, ...]]:
 
 @np.errstate(all="ignore")  # of kernels in plain Python, on directions of 1e-30 and 1e30
 def rays_at_edges(subject: PreparedScene) -> RayBatch:
-    """Aimed rays, some of the camera's own, and some of both with other limits; the same for the same scene."""
+    """Aimed rays, some of the camera's rays, and some of both with other limits; the same for the same scene."""
     rng = np.random.default_rng(content_seed(subject.packed))
     targets = Targets(subject.packed)
     aims = (*ALL_AIMS, _from_eye(np.array(subject.scene.camera.eye, np.float64)))
@@ -200,7 +200,7 @@ def rays_at_edges(subject: PreparedScene) -> RayBatch:
 
 
 def content_seed(packed: Packed) -> int:
-    """A number that depends on the geometry in world space alone, not on names and files."""
+    """A seed that depends on the geometry in world space alone, not on names and files."""
     seed = 0
     for part in packed.parts:
         for array in part:
@@ -209,7 +209,7 @@ def content_seed(packed: Packed) -> int:
 
 
 def _frame(rng: Rng, targets: Targets) -> Frame:
-    """Centre and size of what is there: medians, so that one far primitive does not count."""
+    """Centre and size of the scene: medians, so that a single far primitive does not count."""
     p = targets.points(rng, targets.pick(rng, SIZE_SAMPLES), "inside").p
     center = np.median(p, axis=0)
     size = float(np.median(np.abs(p - center).max(axis=1)))

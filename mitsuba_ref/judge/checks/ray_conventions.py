@@ -1,4 +1,4 @@
-"""Conventions that the rays of a camera do not show: directions of other lengths, mirrored ones, limits of t."""
+"""Conventions that a camera's rays do not show: directions of other lengths, mirrored rays, limits of t."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -19,8 +19,8 @@ from mitsuba_ref.reference.shared_input import SharedRays, model_of, packed_floa
 from mitsuba_ref.subjects.subject import CastRequest, NoAnswer, Subject, Unsupported
 
 NAME = "ray_conventions"
-LENGTHS = (1.0, 0.5, 2.0, 7.0)  # of d; two powers of two, and a number that is none
-RAYS, RAYS_TRIED = 16, 1024  # of each group, which hit something; of the film, to find them
+LENGTHS = (1.0, 0.5, 2.0, 7.0)  # of d; two powers of two, and another number
+RAYS, RAYS_TRIED = 16, 1024  # rays in each group, which hit something; rays of the film among which they are found
 
 
 @check(of=(CANDIDATE,), camera=True)
@@ -152,7 +152,7 @@ def _hitting_rays(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _groups(o: np.ndarray, d: np.ndarray) -> Iterator[tuple[str, tuple[np.ndarray, np.ndarray]]]:
-    """Name, and rays: of each length, then mirrored in each axis, about the middle of points on the rays."""
+    """(name, rays) for each length, then for mirrors in each axis about the middle of points on the rays."""
     d = d / np.linalg.norm(d, axis=1, keepdims=True)
     for length in LENGTHS:
         yield f"|d| = {length:g}", (o, length * d)
