@@ -60,10 +60,6 @@ class Adjudication:
         i = self.place.get(int(row))
         return None if i is None else self.answers[i]
 
-    def are_right(self, rows: np.ndarray) -> np.ndarray:
-        """(len(rows),) bool: the subject is exactly right at a row of the image; False if it was not adjudicated."""
-        return np.isin(rows, self.rows[self.right])
-
 
 def needs_adjudication(plain: np.ndarray, hit: np.ndarray, certain: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Rows to adjudicate: pixels that disagree, pixels near an edge, and some of the rest by a fixed seed.

@@ -350,7 +350,7 @@ class Judge:
     ) -> None:
         """Classify disputed pixels where the subject is exactly right, by Mitsuba's answer."""
         rows = np.flatnonzero(disputed)
-        rows = rows[exact.are_right(rows)]
+        rows = rows[np.isin(rows, exact.rows[exact.right])]
         if not len(rows):
             return
         (o, d, t_max), claims = (a[rows] for a in self.reference_lines), self._reference_claims(rows)
@@ -364,7 +364,7 @@ class Judge:
         own_o, own_d = self.o[rows], self.d[rows]
         exponent = self.pair.rays.rows(rows).reference_exponent if self.pair.rays.is_list else np.zeros(len(rows), int)
         same = (o == own_o).all(axis=1) & (np.ldexp(d, exponent[:, None]) == own_d).all(axis=1)
-        answers = [exact.of(row) if alike else None for row, alike in zip(rows, same, strict=True)]
+        answers = [exact.of(int(row)) if alike else None for row, alike in zip(rows, same, strict=True)]
         tied = claims_other_tie(
             self.model, own_o, own_d, claims._replace(t=self.result.t[rows]), answers, LARGEST_USEFUL_NORMAL_ERROR
         )
@@ -389,7 +389,7 @@ class Judge:
 
     def _inexact_within_rounding(self, rows: np.ndarray, exact: Adjudication) -> tuple[np.ndarray, np.ndarray]:
         """(m,) bool each: the subject's rounding allows the answer; its precision or camera cannot resolve it."""
-        claims = self._subject_claims(rows)
+        claims = claims_of(self.answer.rows(rows), self.model.packed)
         lines = self.o[rows], self.d[rows], self.t_max[rows]
         found = self.bracket.judge(*lines, claims, t_min=self.t_min[rows])
         allowed = found.allowed & ((claims.shape == CLAIMED_MISS) | ~(claims.t <= 0.0))
@@ -400,9 +400,6 @@ class Judge:
             t = np.array([np.inf if a is None or a.t is None else float(a.t) for a in answers])
             lost = self.view.is_unresolved(prim, self.d[rows], t)
         return allowed, found.open | lost
-
-    def _subject_claims(self, rows: np.ndarray) -> Claims:
-        return claims_of(self.answer.rows(rows), self.model.packed)
 
     def _reference_claims(self, rows: np.ndarray) -> Claims:
         names = ("shape_id", "normal", "shading_normal", "position")

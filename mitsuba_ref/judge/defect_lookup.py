@@ -18,7 +18,7 @@ from mitsuba_ref.error_model.defect_conditions import (
     DefectView,
     KnownDefect,
 )
-from mitsuba_ref.error_model.scene_model import SceneModel
+from mitsuba_ref.error_model.scene_model import SceneModel, kinds_of
 from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 from mitsuba_ref.shapes import KINDS, kind_of
@@ -121,10 +121,8 @@ class FeatureMeasurement:
 
     def _place(self, prim: int) -> tuple[Any, int]:
         """(arrays of its kind, its row there)."""
-        packed = self.model.packed
-        shape = int(packed.shape_of(np.array([prim]))[0])
-        kind = packed.kinds[int(packed.kind_of[shape])]
-        return kind.prims, int(prim - packed.first[shape] + packed.start[shape])
+        kind, k = kinds_of(self.model.packed, np.array([prim]))
+        return self.model.packed.kinds[int(kind[0])].prims, int(k[0])
 
     def _kind(self, prim: int) -> str:
         return kind_of(self._place(prim)[0]).name if prim >= 0 else ""
@@ -152,7 +150,7 @@ class FeatureMeasurement:
             return kind_of(prims).defect_view(prims, k, o, d, t)
 
     def _distance_and_offset(self, prim: int, o: np.ndarray) -> tuple[float, float]:
-        """Distances of a primitive from o, and of its farthest corner from the origin, over its size; 0 if it has none."""
+        """Distances of a primitive from o and of its farthest corner from the origin, over its size; 0 without one."""
         low, high = (corner[prim] for corner in self.model.boxes)
         size = float(np.max(high - low))
         if not (np.isfinite(size) and size > 0.0):

@@ -30,6 +30,7 @@ from mitsuba_ref.judge.hypotheses import (
     Explanation,
     Mistake,
     WrongPixels,
+    area_vectors,
     explain_normals,
     explanations,
     range_text,
@@ -308,7 +309,7 @@ def _outline_text(f: WrongPixels) -> str:
             away = norm(np.maximum(np.maximum(low - p, p - high), 0.0))
         prims = np.argsort(away, kind="stable")[:NEAR_BOXES]
         corners = triangle_corners(judge, prims)
-        n = _face_normals(corners)
+        n = unit(area_vectors(corners))
         height = np.abs(dot(p - corners[:, 0], n))
         on_plane = height <= DISTINCT_RTOL * norm(corners[:, 1] - corners[:, 0])
         with np.errstate(invalid="ignore"):  # of a miss, beside a triangle along the ray
@@ -327,13 +328,9 @@ def _outline_text(f: WrongPixels) -> str:
     return f", beyond the outline of a triangle, on its plane, {where}"
 
 
-def _face_normals(corners: np.ndarray) -> np.ndarray:
-    return unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
-
-
 def _is_inside(p: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """(m,) bool: p (3,), projected along the normals of triangles (m, 3, 3), lies inside their outlines."""
-    n = _face_normals(corners)
+    n = unit(area_vectors(corners))
     edges = [(corners[:, i], corners[:, (i + 1) % 3]) for i in range(3)]
     sides = [dot(np.cross(b - a, p - a), n) >= 0.0 for a, b in edges]
     inside: np.ndarray = np.all(sides, axis=0)
@@ -477,7 +474,7 @@ def _features(judge: Judge, rows: np.ndarray, prim: np.ndarray) -> Iterator[tupl
     low, high = (corner[prim] for corner in judge.model.boxes)
     cosine = dot(at.n, unit(d))
     with np.errstate(all="ignore"):
-        edges = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        edges = area_vectors(corners)
         extent = high - low
         size = np.where(np.isfinite(extent).all(axis=1), norm(extent), np.nan)
         yield "the box of the primitive has no thickness", _flag(extent.min(axis=1) == 0.0)

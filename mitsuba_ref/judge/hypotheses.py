@@ -18,6 +18,7 @@ from mitsuba_ref.cameras.camera_reference import camera_axes
 from mitsuba_ref.error_model.bounds import row_distance
 from mitsuba_ref.error_model.bracket import RayIntersections
 from mitsuba_ref.error_model.intersections import Intersections, dot, norm, row_groups, unit
+from mitsuba_ref.error_model.scene_model import kinds_of
 from mitsuba_ref.error_model.tolerances import (
     DISTINCT_RTOL,
     FIT_FACTOR,
@@ -204,10 +205,7 @@ OUT_OF_RANGE = (
 
 def _epsilon_text(f: WrongPixels) -> str:
     """A question about the determinants of the triangles that are hit; "" if none is."""
-    corners = triangle_corners(f.judge, f.prim)
-    with np.errstate(invalid="ignore"):
-        edges = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        determinants = np.abs(dot(f.d, edges))
+    determinants = np.abs(dot(f.d, area_vectors(triangle_corners(f.judge, f.prim))))
     some = determinants[f.hit & np.isfinite(determinants)]
     return f", is every epsilon below the determinants of {range_text(some)} here" if len(some) else ""
 
@@ -376,6 +374,10 @@ def _other_rays() -> Iterator[Mistake]:
     def ray(what: str, remedy: str, lines: Lines, t_factor: float = 1.0) -> Mistake:
         return Mistake(what, remedy, lambda g: _first_hits(g, *lines(g.o, g.d), t_factor), IMAGE)
 
+    def of_scale(s: float) -> Mistake:
+        what = f"the scene is {s:g} times as large as it should be"
+        return ray(what, "use vertices in the units of the rays", lambda o, d: (o / s, d), s)
+
     def of_axis(s: np.ndarray, name: str) -> Iterator[Mistake]:
         what = f"the {name} axis of directions is turned round"
         yield ray(what, f"turn the sign of d.{name}", lambda o, d: (o, d * s))
@@ -387,10 +389,6 @@ def _other_rays() -> Iterator[Mistake]:
         remedy = "use the same axes for rays and scene (y up or z up?)"
         yield ray(f"the axes of directions {what}", remedy, lambda o, d: (o, d[:, p]))
         yield ray(f"the axes of rays {what}", remedy, lambda o, d: (o[:, p], d[:, p]))
-
-    def of_scale(s: float) -> Mistake:
-        what = f"the scene is {s:g} times as large as it should be"
-        return ray(what, "use vertices in the units of the rays", lambda o, d: (o / s, d), s)
 
     yield ray("the directions are reversed: -d in place of d", "turn the sign of d", lambda o, d: (o, -d))
     for axis, name in enumerate("xyz"):
@@ -620,23 +618,28 @@ def _of_corners_seen_from_the_origin(f: WrongPixels, n: np.ndarray, error: np.nd
     corners = triangle_corners(f.judge, f.prim)
     with np.errstate(invalid="ignore", over="ignore"):
         seen = (corners.astype(np.float32) - f.o.astype(np.float32)[:, None]).astype(np.float64)
-        predicted = unit(np.cross(seen[:, 1] - seen[:, 0], seen[:, 2] - seen[:, 0]))
+        predicted = unit(area_vectors(seen))
         left = row_distance(n, predicted)
         found: np.ndarray = (left <= FIT_FACTOR * f.at.n_error) & (left < MAX_SHARE_OF_ERROR_LEFT * error)
     return found
 
 
 def triangle_corners(judge: Judge, prim: np.ndarray) -> np.ndarray:
-    """(m, 3, 3) corners of primitives; NaN of those that are no triangles."""
+    """(m, 3, 3) corners of primitives; NaN for those that are no triangles."""
     packed = judge.model.packed
     corners = np.full((len(prim), 3, 3), np.nan)
-    shape = packed.shape_of(prim)
-    for place, kind in enumerate(packed.kinds):
+    place, k = kinds_of(packed, prim)
+    for number, kind in enumerate(packed.kinds):
         if isinstance(kind.prims, Triangles):
-            rows = np.flatnonzero((packed.kind_of[shape] == place) & (prim >= 0))
-            k = prim[rows] - packed.first[shape[rows]] + packed.start[shape[rows]]
-            corners[rows] = kind.prims.vertices[kind.prims.faces[k]]
+            rows = np.flatnonzero((place == number) & (prim >= 0))
+            corners[rows] = kind.prims.vertices[kind.prims.faces[k[rows]]]
     return corners
+
+
+def area_vectors(corners: np.ndarray) -> np.ndarray:
+    """(m, 3) normals of triangles (m, 3, 3), twice as long as their area."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def range_text(sizes: np.ndarray) -> str:

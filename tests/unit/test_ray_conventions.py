@@ -62,9 +62,7 @@ def test_a_right_candidate_passes(name, dtype):
 PLANTED = [
     (of_unit_directions, "t is a distance, it has to count in lengths of d"),
     (changed(lambda d, t: t / length(d)), "t is divided by |d| once too often"),
-    (changed(lambda d, t: t / length(d) ** 2), "t is divided by |d|^2"),
-    (changed(lambda d, t: np.where(np.abs(length(d) - 1.0) > 1e-5, np.inf, t)), "nothing is hit"),
-    (changed(lambda d, t: np.where(length(d) > 1.1, 0.9 * t, t)), "right for |d| = 1, wrong for |d| = 2, 7"),
+    (changed(lambda d, t: np.where(length(d) > 1.1, 0.9 * t, t)), "right for |d| = 1, wrong for |d| = 2, |d| = 7"),
     (only_of_unit_directions, "no answer to rays whose |d| is not 1: candidate raised ValueError"),
 ]  # fmt: skip
 
@@ -79,7 +77,7 @@ def test_a_wrong_convention_is_named(call, says):
 def test_a_caster_of_one_side_is_wrong_along_mirrored_rays():
     """The camera of one-sphere looks along -z."""
     found = checked(changed(lambda d, t: np.where(d[:, 2] > 0.0, np.inf, t)))
-    assert not found.ok and found.what.endswith("wrong for the same rays mirrored in z"), found.what
+    assert not found.ok and found.what.endswith("wrong for rays mirrored in z"), found.what
 
 
 def test_a_function_of_whole_films_alone_is_not_judged():
@@ -101,7 +99,7 @@ def test_validate_says_a_convention_before_the_first_row(tmp_path, monkeypatch, 
     assert main(words) == 1
     out = capsys.readouterr().out
     expected = "conventions: t is a distance, it has to count in lengths of d (divide it by |d|): right for |d| = 1, "
-    assert out.startswith(expected + "wrong for |d| = 0.5, 2, 7 (one-sphere)")
+    assert out.startswith(expected + "wrong for |d| = 0.5, |d| = 2, |d| = 7 (one-sphere)")
     assert "FAIL  one-sphere  ray_conventions: " in out
 
 

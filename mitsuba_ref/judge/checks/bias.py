@@ -8,6 +8,7 @@ import numpy as np
 from caster.geometry.packing import Packed
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, row_distance
 from mitsuba_ref.error_model.intersections import dot, row_groups, stacked_columns
+from mitsuba_ref.error_model.scene_model import kinds_of
 from mitsuba_ref.error_model.tolerances import KU, LARGEST_Z, U32, K
 from mitsuba_ref.judge.checks import OURS, check
 from mitsuba_ref.judge.comparison import ImagePair
@@ -67,10 +68,10 @@ def error_statistics(windows: Sequence[PixelErrors]) -> ErrorStatistics:
     for kind in dict.fromkeys(kind for window in windows for kind in window.kinds):
         found = [window.kinds[kind] for window in windows if kind in window.kinds]
         ways = zip(*(errors.groups for errors in found), strict=True)
-        weakest = weakest_bias([z_of_groups(merged_groups(way)) for way in ways])
+        groups, z = zip(*(z_of_groups(merged_groups(way)) for way in ways), strict=True)
         total, weight = np.sum([errors.t_sums for errors in found], axis=0)
         t_bias = float(total / weight) if weight > 0.0 else 0.0
-        biases.append(KindBias(kind, *weakest, found[0].quantity, t_bias))
+        biases.append(KindBias(kind, min(groups), min(z, key=abs), found[0].quantity, t_bias))
     return ErrorStatistics(len(t), extremes(t), extremes(normal), looseness(t), tuple(biases))
 
 
@@ -102,8 +103,7 @@ def _errors_of_kinds(
 ) -> dict[str, KindErrors]:
     """Errors of each kind hit at these rows. tied: rows where the reference names another shape at the same t."""
     prim = pair.prim[rows]
-    shape = packed.shape_of(prim)
-    kind, k = packed.kind_of[shape], prim - packed.first[shape] + packed.start[shape]
+    kind, k = kinds_of(packed, prim)
     evidence = untied(prim, kind, pair.prim[tied], packed.kind_of[packed.shape_of(pair.prim[tied])])
     scalar = pair.result.answer.versions["variant"].startswith("scalar")
     found = {}
@@ -154,11 +154,6 @@ def t_roundings(share: np.ndarray, t: np.ndarray, t_error: np.ndarray) -> np.nda
     """
     resolution = U32 * t / t_error
     return np.array([share @ resolution, resolution @ resolution])
-
-
-def weakest_bias(found: Sequence[tuple[int, float]]) -> tuple[int, float]:
-    """(groups, z) over several ways to group: the fewest groups, and the z nearest to 0."""
-    return min(groups for groups, _ in found), min((z for _, z in found), key=abs)
 
 
 def group_sums(key: np.ndarray, error: np.ndarray, count: np.ndarray | None = None) -> GroupSums:

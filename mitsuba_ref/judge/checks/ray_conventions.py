@@ -74,7 +74,8 @@ def _check_directions(subject: Subject, scene: Scene) -> SceneCheck:
         return SceneCheck(NAME, 0.0, f"{count} rays")
     rows = [i for i, name in enumerate(groups) if name in wrong]
     length = np.linalg.norm(batch.d, axis=1).reshape(t.shape)[rows]
-    return SceneCheck(NAME, np.inf, f"{_cause(given[rows], t[rows], length)}: {_places(first, wrong)}")
+    cause = _cause(given[rows], t[rows], length)
+    return SceneCheck(NAME, np.inf, f"{cause}: right for {first}, wrong for {', '.join(wrong)}")
 
 
 # ---- limits of t, where every number is exact
@@ -159,7 +160,7 @@ def _groups(o: np.ndarray, d: np.ndarray) -> Iterator[tuple[str, tuple[np.ndarra
     middle = (o + d * np.linalg.norm(o, axis=1, keepdims=True)).mean(axis=0)
     for axis, name in enumerate("xyz"):
         sign = np.where(np.arange(3) == axis, -1.0, 1.0)
-        yield f"mirrored in {name}", (np.where(sign < 0.0, 2.0 * middle - o, o), sign * d)
+        yield f"rays mirrored in {name}", (np.where(sign < 0.0, 2.0 * middle - o, o), sign * d)
 
 
 def _match(given: np.ndarray, t: np.ndarray) -> np.ndarray:
@@ -174,17 +175,7 @@ def _cause(given: np.ndarray, t: np.ndarray, length: np.ndarray) -> str:
     for what, predicted in (
         ("t is a distance, it has to count in lengths of d (divide it by |d|)", t * length),
         ("t is divided by |d| once too often", t / length),
-        ("t is divided by |d|^2, it has to count in lengths of d", t / length**2),
-        ("nothing is hit", np.full_like(t, np.inf)),
     ):
         if hit.any() and _match(given, predicted)[hit].mean() >= NEARLY_ALL:
             return what
     return "other hits"
-
-
-def _places(first: str, wrong: list[str]) -> str:
-    lengths = [name.removeprefix("|d| = ") for name in wrong if name.startswith("|d|")]
-    mirrored = [name.removeprefix("mirrored in ") for name in wrong if name.startswith("mirrored")]
-    words = [f"for |d| = {', '.join(lengths)}"] if lengths else []
-    words += [f"for the same rays mirrored in {', '.join(mirrored)}"] if mirrored else []
-    return f"right for {first}, wrong {' and '.join(words)}"

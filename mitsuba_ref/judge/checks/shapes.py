@@ -102,14 +102,10 @@ def _packing_error_ratio(claim: ExpectedNumbers, rounding: float, normal: float)
 @check(of=(OURS,))
 def check_materials(scene: Scene) -> SceneCheck:
     """Check that each shape's material is the one it names; Mitsuba gets the material that the caster looks up."""
-    ratios = [
-        0.0 if scene.material_of(shape) == _described_material(scene, shape) else np.inf for shape in scene.shapes
-    ]
+    described = [scene.materials[shape.material] if shape.material else Diffuse() for shape in scene.shapes]
+    pairs = zip(scene.shapes, described, strict=True)
+    ratios = [0.0 if scene.material_of(shape) == expected else np.inf for shape, expected in pairs]
     if not ratios:
         return SceneCheck("materials", 0.0, "no shape")
     worst = int(np.argmax(ratios))
     return SceneCheck("materials", ratios[worst], f"material of {scene.shape_names()[worst]}")
-
-
-def _described_material(scene: Scene, shape: Shape) -> Diffuse:
-    return scene.materials[shape.material] if shape.material else Diffuse()
