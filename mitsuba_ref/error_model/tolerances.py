@@ -99,7 +99,7 @@ class Tolerances:
 
     depth_rtol also applies to positions; color_* to every channel that is not geometry.
     max_pixels: how many pixels may differ (never by NaN or inf). ignore: groups or channel patterns to leave out.
-    allow_empty: two images without any hit pass. other_scene: so may images of different scenes, by their attributes.
+    allow_empty: two images without any hit pass. other_scene: images whose attributes name different scenes may pass.
     """
 
     depth_rtol: float | None = None

@@ -18,7 +18,7 @@ from mitsuba_ref.error_model.intersections import Intersections, norm
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR
 from mitsuba_ref.oracle.interface import tied_prims
-from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain
+from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain, Root
 from mitsuba_ref.reference.shared_input import SharedRays, model_of, packed_float32
 from mitsuba_ref.subjects.subject import Answer
 
@@ -112,26 +112,20 @@ class ExactRatios(NamedTuple):
 def ratios_of_named(
     answers: Sequence[ExactAnswer | None], prim: np.ndarray, t: np.ndarray, bound: np.ndarray
 ) -> ExactRatios:
-    """Ratios of t for a subject that names its primitives: only the first member of the tie set is right."""
-    ratios = [
-        np.inf if answer is None else exact_error_ratio(answer, int(prim[i]), float(t[i]), float(bound[i]))
-        for i, answer in enumerate(answers)
-    ]
-    best = np.array(ratios, np.float64)
+    """Ratios of t for a subject that names its primitives: only the first member of the tie set is right.
+
+    0 at the right primitive if rounding does not resolve t, edge-on.
+    """
+    same = np.array([a is not None and a.prim == k for a, k in zip(answers, prim, strict=True)], bool)
+    roots = [None if answer is None else answer.t for answer in answers]
+    best = np.where(same, np.where(prim < 0, 0.0, _ratio(_errors(roots, t), bound)), np.inf)
     return ExactRatios(best, best <= 1.0)
 
 
-def exact_error_ratio(answer: ExactAnswer, prim: int, t: float, bound: float) -> float:
-    """|t - exact t| over the subject's bound on t at that primitive.
-
-    inf if the primitive differs, or hit and miss. 0 at the right primitive if rounding does not resolve t, edge-on.
-    """
-    if answer.t is None or prim != answer.prim:
-        return 0.0 if answer.prim == prim else np.inf
-    if np.isposinf(bound) and np.isfinite(t):
-        return 0.0
-    error = answer.t.off(t) if np.isfinite(t) else np.inf
-    return 0.0 if error == 0.0 else error / bound if bound > 0.0 else np.inf
+def _errors(roots: Sequence[Root | None], t: np.ndarray) -> np.ndarray:
+    """(m,) |t - exact t|; inf without an exact t, or if t is not finite."""
+    pairs = zip(roots, t.tolist(), strict=True)
+    return np.array([np.inf if root is None or not np.isfinite(x) else root.off(x) for root, x in pairs], np.float64)
 
 
 def claims_of(answer: Answer, packed: Packed) -> Claims:
@@ -169,14 +163,11 @@ def ratios_of_any_tie(
     prim = np.array([each.prim for _, each in members])
     exact_t = np.array([float(each.t) for _, each in members])
     t = answer.t[owner]
-    error = np.array(
-        [
-            each.t.off(float(value)) if np.isfinite(value) else np.inf
-            for (_, each), value in zip(members, t, strict=True)
-        ]
-    )
     at = near(owner, prim, exact_t)
-    ratio = _ratio(error, at.t_error + np.broadcast_to(answer.t_rounding, answer.t.shape)[owner])
+    ratio = _ratio(
+        _errors([each.t for _, each in members], t),
+        at.t_error + np.broadcast_to(answer.t_rounding, answer.t.shape)[owner],
+    )
     if answer.hits_only:
         ratio = np.zeros(len(owner))
     for ids, number in ((answer.shape_id, packed.shape_of), (answer.prim_id, packed.index_in_shape)):

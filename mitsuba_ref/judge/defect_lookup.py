@@ -4,7 +4,6 @@ Also computes the features of a pixel that they depend on.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -73,8 +72,7 @@ class FeatureMeasurement:
         for i, (answer, prim) in enumerate(zip(answers, prims, strict=True)):
             t, shape = float(claims.t[i]), int(claims.shape[i])
             at_zero = t == 0.0 and self._at_zero(shape, prim, o[i], d[i])
-            found = self._measured(o[i], d[i], t, answer, prim, at_zero)
-            yield replace(found, nearly=bool(nearly[i]), normless=bool(normless[i]))
+            yield self._measured(o[i], d[i], t, answer, prim, (at_zero, bool(nearly[i]), bool(normless[i])))
 
     def _with_normals(
         self, o: np.ndarray, d: np.ndarray, claims: Claims, prims: np.ndarray
@@ -95,9 +93,10 @@ class FeatureMeasurement:
         return claims._replace(n=n, sh_n=sh_n, p=p), normless
 
     def _measured(
-        self, o: np.ndarray, d: np.ndarray, t: float, answer: ExactAnswer, prim: int, at_zero: bool
+        self, o: np.ndarray, d: np.ndarray, t: float, answer: ExactAnswer, named: int, flags: tuple[bool, bool, bool]
     ) -> DefectFeatures:
-        hit, named = answer.prim, prim
+        """flags: at_zero, nearly, normless."""
+        hit, (at_zero, nearly, normless) = answer.prim, flags
         views = {each: self._view(each, o, d, t) for each in (hit, named) if each >= 0}
         sizes = [self._distance_and_offset(each, o) for each in views]
         theirs = views.get(named, DefectView())
@@ -116,7 +115,8 @@ class FeatureMeasurement:
             offset=max((offset for _, offset in sizes), default=0.0),
             axis_angle=min((view.axis_angle for view in views.values()), default=1.0),
             stretch=max((view.stretch for view in views.values()), default=1.0),
-            nearly=False,
+            nearly=nearly,
+            normless=normless,
         )
 
     def _place(self, prim: int) -> tuple[Any, int]:
