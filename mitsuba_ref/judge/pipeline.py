@@ -170,6 +170,10 @@ def judge_window(
         "result": judge.result,
         "loaded": judge.result.answer.meshes,
         "failing": bool(judgement.is_class(*FAILING).any()),
+        "pair": judge.pair,
+        "packed": judge.model.packed,
+        "bounds": judge.bounds,
+        "prims": judge.prim,
     }
     if not task.ours:
         made = make_checks(of_scene, inputs)

@@ -10,12 +10,13 @@ import candidates
 import numpy as np
 import pytest
 
+from caster.cameras.single_ray import Ray
 from caster.image.exr import read_exr
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.judge.aggregate import NEVER_GIVEN
-from mitsuba_ref.judge.verdict import CLASSES, EXPLAINED, TIE, WRONG, SceneVerdict, Verdict
+from mitsuba_ref.judge.verdict import CLASSES, EXPLAINED, REFERENCE_WRONG, TIE, WRONG, SceneVerdict, Verdict
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.report.ci_summaries import junit
 from mitsuba_ref.report.validation import Validation, validate_scene
@@ -124,6 +125,56 @@ def test_a_planted_fault_fails_and_is_named(judged, trace, scene, share, says):
     assert sum(finding.pixels for finding in found.findings) == wrong
     assert (found.failures[0].x, found.failures[0].y) == (first.x, first.y)
     assert f"{wrong} wrong of {found.hit_pixels} hit pixels" in told and "ours" not in told
+
+
+def scaled(roundings: int, dtype: type) -> candidates.Trace:
+    """Ours, rounded to dtype, with every t longer by so many roundings of it."""
+    u = float(np.finfo(dtype).epsneg)
+
+    def trace(scene: Scene, o: np.ndarray, d: np.ndarray) -> candidates.Given:
+        t, n = candidates.ours(scene, o, d)
+        return (t * (1.0 + roundings * u)).astype(dtype), n.astype(dtype)
+
+    return trace
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize(("roundings", "passes"), [(0, True), (2, True), (-2, True), (8, False), (-8, False)])
+def test_one_factor_on_every_t_fails_within_the_bounds(judged, dtype, roundings, passes):
+    found = judged(scaled(roundings, dtype), small("teapot", 60, 45))
+    (bias,) = (check for check in found.checks if check.name == "t_bias")
+    assert found.ok is bias.ok is passes and not found.counts[WRONG], bias.what
+    measured = float(bias.what.split()[4])
+    assert measured == pytest.approx(roundings, abs=1.0), bias.what
+
+
+def moved_origin(scene: Scene, o: np.ndarray, d: np.ndarray) -> candidates.Given:
+    """Ours in float32, with every ray's origin moved by one vector of a few roundings."""
+    far = o + 3.0 * np.abs(o).max() * 2.0**-24 * np.array([1.0, -1.0, 1.0])
+    t, n = candidates.ours(scene, far, d)
+    return t.astype(np.float32), n.astype(np.float32)
+
+
+def test_one_shift_of_every_origin_is_rounding_and_no_factor(judged):
+    """A caster that moves rays to the space of an instance rounds their origin once for all."""
+    found = judged(moved_origin, small("teapot"))
+    (bias,) = (check for check in found.checks if check.name == "t_bias")
+    assert bias.ok and bias.ratio < 0.3, bias.what
+
+
+@pytest.mark.parametrize("t", [0.0, 2.0], ids=["closed", "open"])
+def test_whether_a_ray_hits_the_surface_it_starts_on_is_the_candidates_choice(judged, t):
+    """Mitsuba reports a hit at t = 0 there."""
+    walls = [{"type": "triangle", "vertices": [(-4, -4, z), (8, -4, z), (-4, 8, z)]} for z in (0, 2)]
+    camera = Ray(origin=(0.5, 0.25, 0.0), direction=(0.0, 0.0, 1.0))
+    scene = Scene.model_validate({"camera": camera, "shape": walls}).with_film(width=1, height=1)
+
+    def trace(scene: Scene, o: np.ndarray, d: np.ndarray) -> candidates.Given:
+        return np.where(o[:, 2] == 0.0, t, candidates.ours(scene, o, d)[0]), candidates.ours(scene, o, d)[1]
+
+    found = judged(trace, scene)
+    assert found.counts == {**dict.fromkeys(CLASSES, 0), (TIE if t == 0.0 else REFERENCE_WRONG): 1}, found
+    assert found.checks_pass
 
 
 def test_a_verdict_speaks_of_the_candidate_to_programs_too(judged):

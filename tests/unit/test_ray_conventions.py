@@ -80,11 +80,28 @@ def test_a_caster_of_one_side_is_wrong_along_mirrored_rays():
     assert not found.ok and found.what.endswith("wrong for rays mirrored in z"), found.what
 
 
-def test_a_function_of_whole_films_alone_is_not_judged():
+@pytest.mark.parametrize("power", [0, 1], ids=["right", "t is a distance"])
+def test_a_function_of_whole_films_is_given_whole_films(power):
     def of_a_film(scene, o, d):
-        return right(scene, o, d)[0].reshape(20, 24).ravel(), None
+        return right(scene, o, d)[0].reshape(20, 24).ravel() * length(d) ** power, None
 
-    assert checked(of_a_film).what.startswith("not judged: no answer to 16 rays: candidate raised ValueError")
+    assert checked(of_a_film).ok is (power == 0)
+
+
+def test_rays_that_are_wrong_at_an_edge_do_not_keep_the_others_from_being_judged():
+    """Of a scene of edges, a caster may miss most rays of length 1, and a wrong convention must still show."""
+
+    def of_few(scene, o, d):
+        t = right(scene, o, d)[0] * length(d)
+        return np.where(abs(d[:, 0]) > 0.05 * length(d), np.inf, t), None
+
+    found = checked(of_few)
+    assert not found.ok and found.what.startswith("t is a distance"), found.what
+
+
+def test_a_caster_right_for_no_ray_of_length_1_fails():
+    found = checked(lambda scene, o, d: (np.where(abs(length(d) - 1.0) < 1e-6, np.inf, right(scene, o, d)[0]), None))
+    assert not found.ok and found.what.endswith("is right for |d| = 1: nothing is hit"), found.what
 
 
 def test_validate_says_a_convention_before_the_first_row(tmp_path, monkeypatch, capsys):
@@ -103,8 +120,8 @@ def test_validate_says_a_convention_before_the_first_row(tmp_path, monkeypatch, 
     assert "FAIL  one-sphere  ray_conventions: " in out
 
 
-def test_what_is_wrong_already_or_not_there_is_not_judged():
-    assert checked(changed(lambda d, t: 1.1 * t)).what == "not judged: rays of |d| = 1 are wrong already"
+def test_what_fails_already_or_is_not_there_is_not_judged():
+    assert check_ray_conventions(FunctionSubject("candidate", right), scene_of("one-sphere"), failing=True) is None
     assert checked(declines).what == "declined"
     away = scene_of("one-sphere").model_copy(update={"shapes": ()})
     assert check_ray_conventions(FunctionSubject("candidate", right), away).what == "no ray of the camera hits anything"

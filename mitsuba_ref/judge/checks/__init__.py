@@ -20,7 +20,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 Scope = Literal["scene", "window", "film"]
 
 OURS, CANDIDATE = "ours", "candidate"  # whose answers a check is made of
-ANSWERED = {"result", "loaded", "subject", "failing"}  # what there is once the subject and Mitsuba have answered
+ANSWERED = {"result", "loaded", "subject", "failing", "pair"}  # what there is once both sides have answered
 
 
 class Check(NamedTuple):

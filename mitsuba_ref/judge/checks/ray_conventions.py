@@ -8,19 +8,24 @@ from typing import NamedTuple
 import numpy as np
 
 from caster.cameras.single_ray import Ray
+from caster.geometry.packing import Packed
 from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
-from mitsuba_ref.error_model.tolerances import MAJORITY, MATCH_RTOL, NEARLY_ALL
+from mitsuba_ref.error_model.bounds import intersections_at
+from mitsuba_ref.error_model.tolerances import KU, MAJORITY, MATCH_RTOL, NEARLY_ALL
 from mitsuba_ref.hard.rays import RayBatch
 from mitsuba_ref.judge.checks import CANDIDATE, check
-from mitsuba_ref.judge.checks.knife_edges import cast_by_culling
+from mitsuba_ref.judge.checks.knife_edges import NearestHits, cast_by_culling
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.shared_input import SharedRays, model_of, packed_float32, shared_rays
 from mitsuba_ref.subjects.subject import CastRequest, NoAnswer, Subject, Unsupported
 
 NAME = "ray_conventions"
 LENGTHS = (1.0, 0.5, 2.0, 7.0)  # of d; two powers of two, and another number
-RAYS, RAYS_TRIED = 16, 1024  # rays in each group, which hit something; rays of the film among which they are found
+RAYS = 16  # rays in each group, which the candidate has right at length 1
+HITS_TRIED, RAYS_TRIED = 64, 1024  # rays that hit something, among which these are found; rays of the film, for those
+LARGEST_OFF = 0.1  # of t: if float32 resolves t no better, a factor of 2 may be rounding
+ONE = np.ones(1)  # length of d
 
 
 @check(of=(CANDIDATE,), camera=True)
@@ -39,43 +44,88 @@ def check_ray_conventions(subject: Subject, scene: Scene, failing: bool = False)
 def _check_directions(subject: Subject, scene: Scene) -> SceneCheck:
     """Rays of the camera, of other lengths and mirrored.
 
-    A group of rays is wrong if most of its t are off by more than MATCH_RTOL, far more than rounding; a few may be,
-    at edges. If the rays of length 1 are not nearly all right, the image shows it, and the others are not judged.
+    A group of rays is wrong if most of its t are off by more than MATCH_RTOL, far more than rounding. Rays that are
+    wrong at length 1 already, as they may be at edges, say nothing about conventions and are left out.
     """
-    packed = packed_float32(scene)
-    o, d = _hitting_rays(scene)
+    traced = Traced(scene, packed_float32(scene))
+    o, d = _hitting_rays(traced)
     if not len(o):
         return SceneCheck(NAME, 0.0, "no ray of the camera hits anything")
-    groups = dict(_groups(o, d))
-    rays = [np.concatenate(each).astype(np.float32) for each in zip(*groups.values(), strict=True)]
-    count = len(rays[0])
-    lines = rays[0].astype(np.float64), rays[1].astype(np.float64)
-    batch = RayBatch(*lines, np.zeros(count), np.full(count, np.inf))
-    t = cast_by_culling(packed, batch, "bvh").t.reshape(len(groups), -1)
-    shared = SharedRays(rays[0], rays[1], np.full(count, np.inf, np.float32), np.zeros(count))
+    t, off = traced.expected(o, d)
+    o, d, t, off = (each[off <= LARGEST_OFF * t] for each in (o, d, t, off))
+    if not len(o):
+        return SceneCheck(NAME, 0.0, "float32 resolves no t of the camera's rays")
     try:
-        with ScratchFolder() as folder:
-            request = CastRequest(scene, model_of(scene, packed, shared), shared, Path(folder))
-            try:
-                given = subject.answer(request).t.reshape(t.shape)
-            except NoAnswer as error:
-                subject.answer(request.with_rays(shared.rows(slice(len(o)))))
-                return SceneCheck(NAME, np.inf, f"no answer to rays whose |d| is not 1: {error}")
+        given = traced.by(subject, o, d)
     except Unsupported:
         return SceneCheck(NAME, 0.0, "declined")
     except NoAnswer as error:
-        return SceneCheck(NAME, 0.0, f"not judged: no answer to {len(o)} rays: {error}")
-    right = _match(given, t).mean(axis=1)
-    wrong = [name for name, share in zip(groups, right, strict=True) if share < MAJORITY]
-    first = next(iter(groups))
-    if right[0] < NEARLY_ALL:
-        return SceneCheck(NAME, 0.0, f"not judged: rays of {first} are wrong already")
+        return SceneCheck(NAME, np.inf, f"no answer to {len(o)} rays of length 1: {error}")
+    right = np.flatnonzero(_match(given, t, off))
+    if not len(right):
+        return SceneCheck(
+            NAME, np.inf, f"none of {len(o)} rays that hit is right for |d| = 1: {_cause(given, t, off, ONE)}"
+        )
+    chosen = right[np.linspace(0, len(right) - 1, min(len(right), RAYS)).astype(int)]
+    groups = dict(_groups(o[chosen], d[chosen]))
+    o, d = (np.concatenate(each) for each in zip(*groups.values(), strict=True))
+    count = len(o)
+    t, off = (each.reshape(len(groups), -1) for each in traced.expected(o, d))
+    try:
+        given = traced.by(subject, o, d).reshape(t.shape)
+    except NoAnswer as error:
+        return SceneCheck(NAME, np.inf, f"no answer to rays whose |d| is not 1: {error}")
+    wrong = [name for name, share in zip(groups, _match(given, t, off).mean(axis=1), strict=True) if share < MAJORITY]
     if not wrong:
         return SceneCheck(NAME, 0.0, f"{count} rays")
     rows = [i for i, name in enumerate(groups) if name in wrong]
-    length = np.linalg.norm(batch.d, axis=1).reshape(t.shape)[rows]
-    cause = _cause(given[rows], t[rows], length)
-    return SceneCheck(NAME, np.inf, f"{cause}: right for {first}, wrong for {', '.join(wrong)}")
+    length = np.linalg.norm(d, axis=1).reshape(t.shape)[rows]
+    cause = _cause(given[rows], t[rows], off[rows], length)
+    return SceneCheck(NAME, np.inf, f"{cause}: right for |d| = 1, wrong for {', '.join(wrong)}")
+
+
+class Traced(NamedTuple):
+    """A scene with its packed float32 primitives."""
+
+    scene: Scene
+    packed: Packed
+
+    def by(self, subject: Subject, o: np.ndarray, d: np.ndarray) -> np.ndarray:
+        """t (m,) of a candidate along rays of float32 numbers, without limits.
+
+        A candidate that accepts only as many rays as the film has pixels gets whole films of them.
+        """
+        try:
+            return self._answer(subject, o, d)
+        except Unsupported:
+            raise
+        except NoAnswer:
+            x0, y0, x1, y1 = self.scene.film.window
+            size = (x1 - x0) * (y1 - y0)
+            rows = np.arange(-(-len(o) // size) * size) % len(o)
+            return np.concatenate([self._answer(subject, o[some], d[some]) for some in rows.reshape(-1, size)])[
+                : len(o)
+            ]
+
+    def _answer(self, subject: Subject, o: np.ndarray, d: np.ndarray) -> np.ndarray:
+        rays = _without_limits(o, d)
+        with ScratchFolder() as folder:
+            request = CastRequest(self.scene, model_of(self.scene, self.packed, rays), rays, Path(folder))
+            return subject.answer(request).t
+
+    def cast(self, o: np.ndarray, d: np.ndarray, t_min: float = 0.0) -> NearestHits:
+        return cast_by_culling(self.packed, RayBatch(o, d, np.full(len(o), t_min), np.full(len(o), np.inf)), "bvh")
+
+    def expected(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """t (m,) of our caster, and the tolerance for others: MATCH_RTOL, or float32's bound if that is larger."""
+        found = self.cast(o, d)
+        model = model_of(self.scene, self.packed, _without_limits(o, d))
+        at = intersections_at(model, found.prim, (o, d), found.t, KU, ours=False)
+        return found.t, np.where(found.prim < 0, 0.0, np.fmax(MATCH_RTOL * found.t, at.t_error))
+
+
+def _without_limits(o: np.ndarray, d: np.ndarray) -> SharedRays:
+    return SharedRays(o.astype(np.float32), d.astype(np.float32), np.full(len(o), np.inf, np.float32), np.zeros(len(o)))
 
 
 # ---- limits of t, where every number is exact
@@ -140,42 +190,48 @@ def _check_limits(subject: Subject) -> SceneCheck:
 # ---- lengths and directions
 
 
-def _hitting_rays(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """o, d (m, 3) of at most RAYS rays of the camera that hit something."""
-    shared = shared_rays(scene)
+def _hitting_rays(traced: Traced) -> tuple[np.ndarray, np.ndarray]:
+    """o, d (m, 3) of at most HITS_TRIED camera rays that hit something: float32 numbers, d of length 1."""
+    shared = shared_rays(traced.scene)
     there = np.flatnonzero(shared.t_max >= 0.0)
     some = there[np.linspace(0, len(there) - 1, min(len(there), RAYS_TRIED)).astype(int)]
-    o, d, t_max = (a[some].astype(np.float64) for a in (shared.o, shared.d, shared.t_max))
-    t = cast_by_culling(packed_float32(scene), RayBatch(o, d, np.zeros(len(o)), t_max), "bvh").t
-    hits = np.flatnonzero(np.isfinite(t))
-    chosen = hits[np.linspace(0, len(hits) - 1, min(len(hits), RAYS)).astype(int)]
-    return o[chosen], d[chosen]
+    o, d = (a[some].astype(np.float64) for a in (shared.o, shared.d))
+    d = _rounded(d / np.linalg.norm(d, axis=1, keepdims=True))
+    t = traced.cast(o, d, np.nextafter(0.0, -1.0)).t
+    hits = np.flatnonzero(np.isfinite(t) & (t > 0.0))  # whether a ray hits a surface that it starts on is open
+    some = hits[np.linspace(0, len(hits) - 1, min(len(hits), HITS_TRIED)).astype(int)]
+    return o[some], d[some]
+
+
+def _rounded(v: np.ndarray) -> np.ndarray:
+    return v.astype(np.float32).astype(np.float64)
 
 
 def _groups(o: np.ndarray, d: np.ndarray) -> Iterator[tuple[str, tuple[np.ndarray, np.ndarray]]]:
     """(name, rays) for each length, then for mirrors in each axis about the middle of points on the rays."""
-    d = d / np.linalg.norm(d, axis=1, keepdims=True)
     for length in LENGTHS:
-        yield f"|d| = {length:g}", (o, length * d)
+        yield f"|d| = {length:g}", (o, _rounded(length * d))
     middle = (o + d * np.linalg.norm(o, axis=1, keepdims=True)).mean(axis=0)
     for axis, name in enumerate("xyz"):
         sign = np.where(np.arange(3) == axis, -1.0, 1.0)
-        yield f"rays mirrored in {name}", (np.where(sign < 0.0, 2.0 * middle - o, o), sign * d)
+        yield f"rays mirrored in {name}", (_rounded(np.where(sign < 0.0, 2.0 * middle - o, o)), sign * d)
 
 
-def _match(given: np.ndarray, t: np.ndarray) -> np.ndarray:
+def _match(given: np.ndarray, t: np.ndarray, off: np.ndarray) -> np.ndarray:
     with np.errstate(invalid="ignore"):
-        near = np.isfinite(t) & (np.abs(given - t) <= MATCH_RTOL * np.abs(t))
+        near = np.isfinite(t) & (np.abs(given - t) <= off)
     return near | (np.isposinf(given) & np.isposinf(t))
 
 
-def _cause(given: np.ndarray, t: np.ndarray, length: np.ndarray) -> str:
+def _cause(given: np.ndarray, t: np.ndarray, off: np.ndarray, length: np.ndarray) -> str:
     """The common cause of nearly all wrong groups."""
     hit = np.isfinite(t)
-    for what, predicted in (
-        ("t is a distance, it has to count in lengths of d (divide it by |d|)", t * length),
-        ("t is divided by |d| once too often", t / length),
+    for what, factor in (
+        ("t is a distance, it has to count in lengths of d (divide it by |d|)", length),
+        ("t is divided by |d| once too often", 1.0 / length),
     ):
-        if hit.any() and _match(given, predicted)[hit].mean() >= NEARLY_ALL:
+        if hit.any() and _match(given, t * factor, off * factor)[hit].mean() >= NEARLY_ALL:
             return what
+    if hit.any() and np.isposinf(given)[hit].mean() >= NEARLY_ALL:
+        return "nothing is hit"
     return "other hits"
