@@ -44,7 +44,7 @@ def nearest_of_hits(hits: Hits, packed: Packed) -> NearestHits:
 
 def cast_by_culling(packed: Packed, rays: RayBatch, culling: Culling) -> NearestHits:
     """Cast rays by a given culling, with directions scaled as caster.cast scales them."""
-    given = validated_rays(*rays)
+    given = validated_rays(rays.o, rays.d, 0.0, np.inf)._replace(t_min=rays.t_min, t_max=rays.t_max)
     scaled, exponent = scaled_rays(given)
     nearest = find_nearest(packed, scaled, culling, threads=1)
     with np.errstate(over="ignore", under="ignore"):
