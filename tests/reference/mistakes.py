@@ -199,6 +199,7 @@ def grid(z: Any, size: int = 8) -> tuple[Any, Any]:
 
 MADE = {
     "layers": [{"type": "sphere", "center": (0.2 * i, 0, -i), "radius": 1.0} for i in range(3)],
+    "shuffled layers": [{"type": "sphere", "center": (0.2 * i, 0, -i), "radius": 1.0} for i in (0, 2, 1)],
     "one-triangle": [([(-1, -1, 0), (1, -1, 0.2), (0, 1, 0.1)], [(0, 1, 2)])],
     "mixed": [grid(lambda x, y: max(0.0, 0.3 * x)), grid(lambda x, y: 0.1 * x * y - 0.7)],
 }
@@ -268,6 +269,12 @@ MISTAKES = [
         "layers",
         "the last surface in the order of the scene",
     ),
+    Mistake(
+        "farthest hit",
+        edited(nearer=lambda self, f, t: np.isfinite(f) & ~(f <= np.where(np.isinf(t), 0, t))),
+        "shuffled layers",
+        "the last surface along the ray",
+    ),
     Mistake("back faces culled", edited(seen=lambda self, det: det < 0), "triangles", "back faces are culled"),
     Mistake("front faces culled", edited(seen=lambda self, det: det > 0), FACES, "front faces are culled"),
     Mistake("normal turned", answering(lambda s, o, d, t, n: (t, -n)), FACES, "the normal is turned round"),
@@ -313,6 +320,12 @@ DEFECTS = [
         edited(thick=lambda self, *abc: (np.ptp(abc, axis=0) > 0).all() or abc[0][0] % 0.75 == 0.0),
         "mixed",
         "only where the box of the primitive has no thickness",
+    ),
+    Mistake(
+        "some faces lost",
+        edited(faces=lambda self, s, f: f[np.arange(len(f)) % 3 > 0]),
+        "torus-smooth",
+        "the first surface is missed, and what lies behind it is hit",
     ),
     Mistake("absolute t_min", edited(t_min=3.2), SPHERE, "t is below 3.2"),
     Mistake(

@@ -23,13 +23,6 @@ MIXED = (
     caster.Torus(name="ring", to_world=[{"scale": 0.4}, TURN, {"translate": [0.5, -0.4, 0]}], segments=9, sides=5),
     caster.Rectangle(name="wall", to_world=[{"scale": 0.7}, TURN, {"translate": [0.7, 0.6, -1]}]),
 )
-BALLS = (
-    caster.Sphere(name="room", center=(0.7, -0.4, 1.1), radius=4.0),
-    caster.Sphere(name="a", center=(-0.5, 0.3, 0), radius=0.6),
-    caster.Sphere(name="b", center=(0.5, -0.2, -0.6), radius=0.9),
-    caster.Sphere(name="c", center=(-0.2, 0.1, -1.2), radius=0.8),
-)
-OPEN = BALLS[1:]
 
 
 def cast(scene, o, d):
@@ -135,93 +128,6 @@ def test_a_candidate_that_misses_everything_is_asked_for_its_epsilons(brought_ca
     mistake, fits = next(explanations(every, every.take(np.zeros(0, int))))
     assert mistake.what == "the candidate misses everything" and fits.all()
     assert "do rays reach t = 4.73, is every epsilon below the determinants of 0.014 to 1.9 here?" in mistake.remedy
-
-
-# ---- another of the hits that there are, by the roots of spheres
-
-
-def roots(judge: Judge) -> np.ndarray:
-    """(shapes, 2, n) both t of each sphere, NaN where it is not met."""
-    found = []
-    for ball in judge.scene.shapes:
-        away = judge.o - np.float32(ball.center).astype(float)
-        a, b = (judge.d**2).sum(1), (away * judge.d).sum(1)
-        c = (away**2).sum(1) - float(np.float32(ball.radius)) ** 2
-        with np.errstate(invalid="ignore"):
-            half = np.sqrt(b * b - a * c)
-        found.append([(-b - half) / a, (-b + half) / a])
-    return np.array(found)
-
-
-def nearest(t: np.ndarray) -> np.ndarray:
-    """The smallest t ahead of each ray, inf where there is none."""
-    t = t.reshape(-1, t.shape[-1])
-    return np.where(t > 0.0, t, np.inf).min(axis=0)
-
-
-def first_ahead(both: np.ndarray) -> np.ndarray:
-    """(shapes, n)"""
-    return np.where(both > 0.0, both, np.inf).min(axis=1)
-
-
-def last_in_order(both: np.ndarray) -> np.ndarray:
-    ahead = first_ahead(both)
-    t = np.full(ahead.shape[1], np.inf)
-    for each in ahead:
-        t = np.where(np.isfinite(each), each, t)
-    return t
-
-
-def last_along(both: np.ndarray) -> np.ndarray:
-    ahead = first_ahead(both)
-    t = np.where(np.isfinite(ahead), ahead, -np.inf).max(axis=0)
-    return np.where(np.isfinite(t), t, np.inf)
-
-
-SELECTIONS = {
-    "another root of the surface that is hit first, such as the far one": (lambda both: nearest(both[:, 1]), OPEN),
-    "missed: the surface's first root is behind the ray's origin, and the second one was not tried": (
-        lambda both: nearest(both[:, 0]), BALLS,
-    ),
-    "back faces are culled: surfaces seen from behind are missed": (lambda both: nearest(both[:, 0]), BALLS),
-    "front faces are culled: surfaces seen from the front are missed": (lambda both: nearest(both[:, 1]), OPEN),
-    "the last surface in the order of the scene in place of the nearest": (last_in_order, BALLS),
-    "the last surface along the ray in place of the first": (last_along, BALLS),
-}  # fmt: skip
-# Of spheres, these are the same mistake; the first of a pair is said.
-SAME = ({0, 3}, {1, 2})
-
-
-@pytest.mark.parametrize("what", SELECTIONS)
-def test_the_wrong_one_of_several_hits_is_named(brought_candidate, what):
-    choose, shapes = SELECTIONS[what]
-    judge = brought_candidate(shapes)
-    t = choose(roots(judge))
-    assert nearest(roots(judge)) == pytest.approx(judge.answer.t, rel=1e-9)
-    count, found = explained(answering(judge, t))
-    names = list(SELECTIONS)
-    alike = {names[i] for pair in SAME if names.index(what) in pair for i in pair} or {what}
-    assert count > 20 and found[what] >= 0.95 * count and alike <= set(found), (found, count)
-    assert not {each for each in set(SELECTIONS) - alike if found.get(each, 0) > 0.5 * count}, found
-    # where as many pixels with the same surfaces are right, it is none
-    half = np.arange(len(t)) % 2 == 0
-    assert what not in explained(answering(judge, np.where(half, t, judge.answer.t)))[1]
-
-
-def test_surfaces_behind_the_first_one_are_described(brought_candidate):
-    judge = brought_candidate(BALLS)
-    ahead = np.sort(first_ahead(roots(judge)), axis=0)
-    some = np.isfinite(ahead[1]) & (np.arange(ahead.shape[1]) % 3 == 0)
-    missed = (np.arange(ahead.shape[1]) % 7 == 1) & np.isfinite(ahead[0])
-    t = np.where(some, ahead[1], judge.answer.t)
-    behind, both = (
-        "a surface that lies behind the first one",
-        "the first surface is missed, and what lies behind it is hit",
-    )
-    _, found = explained(answering(judge, t))
-    assert found[behind] == some.sum() and not any(each.startswith(both) for each in found)
-    _, found = explained(answering(judge, np.where(missed, np.inf, t)))
-    assert found[behind] == (some & ~missed).sum() and found[f"{both}, if anything"] == (some | missed).sum()
 
 
 # ---- normals
