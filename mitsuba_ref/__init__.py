@@ -38,13 +38,15 @@ _HOMES = {
 }
 
 
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module 'mitsuba_ref' has no attribute '{name}'")
-    if not _runs_here():
-        raise ImportError(_NOT_HERE)
-    value = globals()[name] = getattr(import_module(f"mitsuba_ref.{_HOMES[name]}"), name)
-    return value
+if not TYPE_CHECKING:  # a type checker has to find misspelt names
+
+    def __getattr__(name: str) -> Any:
+        if name not in _HOMES:
+            raise AttributeError(f"module 'mitsuba_ref' has no attribute '{name}'")
+        if not _runs_here():
+            raise ImportError(_NOT_HERE)
+        value = globals()[name] = getattr(import_module(f"mitsuba_ref.{_HOMES[name]}"), name)
+        return value
 
 
 def __dir__() -> list[str]:
