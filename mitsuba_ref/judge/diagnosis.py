@@ -244,6 +244,14 @@ def _wrong_ids(f: WrongPixels) -> Iterator[tuple[str, str, np.ndarray]]:
         yield ANOTHER_PRIMITIVE, "", answer.prim[f.rows] != f.prim
     given = (("shape", answer.shape_id, packed.shape_of), ("primitive", answer.prim_id, packed.index_in_shape))
     columns = [(name, ids, right(f.prim)) for name, ids, right in given if ids is not None and len(f.rows)]
+    hit = f.judge.hit
+    named = {tuple(numbers) for numbers in zip(*(ids[hit] for _, ids, _ in columns), strict=True)}
+    if columns and len(named) * MIN_FITTED_PIXELS <= len(np.unique(f.prim)):
+        who = "the same primitive is" if len(named) == 1 else f"no more than {len(named)} primitives are"
+        remedy = "return the number of the primitive in the order of the scene, or leave the column out"
+        wrong = np.any([ids[f.rows] != right for _, ids, right in columns], axis=0)
+        yield f"{who} named at all {hit.sum()} hits", remedy, wrong
+        return
     for name, ids, right in columns:
         off = ids[f.rows].astype(np.int64) - right
         wrong = off != 0

@@ -155,9 +155,15 @@ def none(scene, o, d, hits):
     return 0 * hits.shape_id - 1, 0 * hits.prim_id - 1
 
 
-def test_numbers_of_the_wrong_surface_are_named():
-    found = validate_scene(mistakes.scene_of("torus-smooth", Path()), "scene", "", subject=Naming(farther_one))
-    says = "the primitive's number is that of another surface along the ray, t that of the first"
+@pytest.mark.parametrize(
+    "change, says",
+    [
+        (lambda scene, o, d, hits: (0 * hits.shape_id, 0 * hits.prim_id), "the same primitive is named at all"),
+        (farther_one, "the primitive's number is that of another surface along the ray, t that of the first"),
+    ],
+)
+def test_wrong_numbers_of_primitives_are_named(change, says):
+    found = validate_scene(mistakes.scene_of("torus-smooth", Path()), "scene", "", subject=Naming(change))
     assert not found.ok and says in failure_text(found).splitlines()[0], failure_text(found)
 
 
