@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from caster.description.errors import FileMissing, SceneError, error_prefix
 from caster.description.input_files import is_input, record_input, recorded_inputs
-from caster.system.atomic_files import OutputError, check_folder, locked
+from caster.system.atomic_files import OutputError, check_folder, check_writable, locked
 
 __all__ = [
     "AOV_NAMES",
@@ -192,7 +192,8 @@ def output_file_unless_number(text: str) -> str:
 def checked_paths(args: argparse.Namespace) -> Iterator[None]:
     """Refuse outputs that are inputs, now and while the body runs; lock output folders for this process.
 
-    Raises SceneError for such an output, OutputError for a folder that another process writes into.
+    Raises SceneError for such an output, OutputError for a file that cannot be written or a folder that another process
+    writes into.
     """
     given = [(name, value) for name, values in vars(args).items() for value in _flat(values)]
     option_of: dict[str, str] = {}  # by the path of its output
@@ -209,6 +210,8 @@ def checked_paths(args: argparse.Namespace) -> Iterator[None]:
             other = option_of.setdefault(os.path.realpath(path), option)
             if isinstance(path, OutputFile) and other != option:
                 raise SceneError(f"{option} {path}: expected another file than that of {other}")
+            if isinstance(path, OutputFile):
+                check_writable(path)
             if isinstance(path, OutputFolder) and other == option:
                 stack.enter_context(_own_folder(Path(path)))
         yield

@@ -17,6 +17,8 @@ from caster.image.exr_info import hit_mask
 from caster.image.image_files import BACKGROUND, label_image, write_image
 from caster.scene.model import Scene
 
+__all__ = ["aov_images"]
+
 Array = np.ndarray[Any, np.dtype[Any]]
 
 # ---- colours ----
