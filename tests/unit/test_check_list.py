@@ -3,7 +3,9 @@
 import re
 from pathlib import Path
 
+from caster import Pinhole, Scene
 from mitsuba_ref.judge.checks import OURS, all_checks, make_checks
+from mitsuba_ref.judge.checks.shapes import check_materials
 from mitsuba_ref.judge.verdict import SceneCheck
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -24,3 +26,8 @@ def test_a_check_gets_what_it_names_and_may_have_no_result():
     none = first._replace(make=lambda scene: None, needs=("scene",))
     found = make_checks([made, none], {"subject": "here", "scene": None})
     assert [check.what for check in found] == ["here"]
+
+
+def test_a_scene_without_shapes_has_its_materials():
+    empty = Scene(camera=Pinhole(**Pinhole.MINIMAL), shapes=[])
+    assert check_materials(empty) == SceneCheck("materials", 0.0, "no shape")
