@@ -23,7 +23,7 @@ def main() -> None:
         ]
     write_image(str(DOCS / f"{NAME}.png"), sheet(pictures, columns=2))
     for picture in pictures:
-        print(f"{picture.name}: {picture.words}")
+        print(f"{picture.name}: {picture.legend}")
     print(verdict.counts)
 
 

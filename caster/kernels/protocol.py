@@ -37,6 +37,11 @@ def surely_misses(prims: Any, pre: Any, d: Vec3) -> Any:
     """Quick rejection: True only where `intersect` would answer MISS."""
 
 
+@implement(surely_misses, object)
+def _may_hit(prims: Any, pre: Any, d: Vec3) -> bool:
+    return False
+
+
 @generic_inlined
 def t_lower_bound(prims: Any, pre: Any, low: Vec3, high: Vec3) -> Any:
     """No ray meets the prepared primitive at a smaller t > 0, if all components of its d are from low to high.
@@ -53,6 +58,11 @@ def _t_lower_bound(prims: Any, pre: Any, low: Vec3, high: Vec3) -> float:
 @generic_inlined
 def same_geometry(prims: Any, k: int, j: int) -> Any:
     """Whether `exact_intersect` reads the same numbers of primitives k and j; False where that is not known."""
+
+
+@implement(same_geometry, object)
+def _not_known_to_be_the_same(prims: Any, k: int, j: int) -> bool:
+    return False
 
 
 @generic

@@ -5,25 +5,22 @@ from caster.cli.application import Command
 COMMANDS = (
     Command(
         "validate",
-        "compare our caster with Mitsuba on scenes: every pixel gets a class, the exit code is pass or fail",
+        "compare our caster or a candidate with Mitsuba on scenes: every pixel gets a class",
         "mitsuba_ref.cli.validate",
         starts_with="loading the judge and the scenes",
-        compiles=True,
     ),
     Command(
         "judge",
-        "compare answers that were computed elsewhere with Mitsuba: hits of any rays, or an EXR file",
+        "judge answers that were computed elsewhere: hits of any rays, or an EXR file",
         "mitsuba_ref.cli.judge",
         starts_with="loading the judge and the rays",
-        compiles=True,
     ),
     Command(
         "rays",
-        "write rays to a file for `judge`: a scene's camera rays, shadow rays, random or aimed ones",
+        "write rays of a scene to a file for `judge`: camera rays, shadow rays, random or aimed ones",
         "mitsuba_ref.cli.judge",
         run="run_rays",
         arguments="add_rays_arguments",
-        compiles=True,
     ),
     Command(
         "merge",
@@ -38,25 +35,22 @@ COMMANDS = (
         "mitsuba_ref.cli.scene_exchange",
         run="run_render",
         arguments="add_render_arguments",
-        compiles=True,
     ),
     Command(
         "approve",
-        "render reference EXRs with Mitsuba, show what changed in them, and write them once approved",
+        "render images with Mitsuba, show what changed in them, and write them once approved",
         "mitsuba_ref.cli.exr_comparison",
         run="run_approve",
         arguments="add_approve_arguments",
-        starts_with="loading the renderer and the references",
-        compiles=True,
+        starts_with="loading the renderer and the approved images",
     ),
     Command(
         "check",
-        "compare our render with approved reference EXRs, without Mitsuba; stale or altered ones fail",
+        "compare our render with approved images, without Mitsuba; stale or altered ones fail",
         "mitsuba_ref.cli.exr_comparison",
         run="run_check",
         arguments="add_check_arguments",
-        starts_with="loading the renderer and the references",
-        compiles=True,
+        starts_with="loading the renderer and the approved images",
     ),
     Command(
         "export",
@@ -64,15 +58,13 @@ COMMANDS = (
         "mitsuba_ref.cli.scene_exchange",
         run="run_export",
         arguments="add_export_arguments",
-        compiles=True,
     ),
     Command(
         "import",
-        "convert Mitsuba XML or a scene text of MIT 6.837 to a scene file, and list what was left out",
+        "convert Mitsuba XML or a scene file of MIT 6.837 to a scene file, and list what was left out",
         "mitsuba_ref.cli.scene_exchange",
         run="run_import",
         arguments="add_import_arguments",
-        compiles=True,
     ),
     Command(
         "compare",
@@ -83,17 +75,15 @@ COMMANDS = (
     ),
     Command(
         "probe",
-        "one pixel: answers of our caster, Mitsuba, exact arithmetic and a candidate, with their bounds",
+        "explain one pixel: answers of our caster, Mitsuba, exact arithmetic and a candidate, with their bounds",
         "mitsuba_ref.cli.probe",
         starts_with="loading the judge and the scene",
-        compiles=True,
     ),
     Command(
         "fuzz",
         "random and adversarial scenes and rays; each failure is shrunk to a minimal scene file and kept",
         "mitsuba_ref.cli.fuzz",
         starts_with="loading the judge",
-        compiles=True,
     ),
     Command(
         "stress",
@@ -102,7 +92,6 @@ COMMANDS = (
         run="run_stress",
         arguments="add_stress_arguments",
         starts_with="loading the judge",
-        compiles=True,
     ),
     Command(
         "bench",
@@ -111,7 +100,6 @@ COMMANDS = (
         run="run_bench",
         arguments="add_bench_arguments",
         starts_with="loading the judge",
-        compiles=True,
     ),
     Command(
         "schema",
@@ -121,6 +109,6 @@ COMMANDS = (
         arguments="add_schema_arguments",
     ),
     Command(
-        "doctor", "list what was found on this machine, and what each missing part would add", "mitsuba_ref.cli.doctor"
+        "doctor", "list what was found on this machine, and the effect of each missing part", "mitsuba_ref.cli.doctor"
     ),
 )

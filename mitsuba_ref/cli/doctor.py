@@ -1,4 +1,4 @@
-"""`mitsuba-ref doctor`: what this machine has for the judge, and the effect of each missing part; and `schema`."""
+"""`mitsuba-ref doctor`: the parts of the judge found on this machine, and the effect of missing ones; and `schema`."""
 
 import argparse
 import importlib.metadata
@@ -9,12 +9,9 @@ from pkgutil import resolve_name
 from typing import Any
 
 from caster.cli import installation as caster_doctor
-from caster.cli.installation import Finding, Package, exit_code, find_package, format_json, print_findings, usable
+from caster.cli.installation import Finding, Package, find_package, print_findings
 from caster.system.process import OK
 from mitsuba_ref.reference.variants import Variants, usable_variants
-
-__all__ = ["Finding", "exit_code", "format_json", "report", "usable"]
-
 
 # The versions whose arithmetic the bounds were derived for; Dr.Jit has to be the one Mitsuba was built with.
 PINNED = {"mitsuba": "3.9.1", "drjit": "1.5.0"}
@@ -45,7 +42,7 @@ def report() -> list[Finding]:
 
 
 def judge_findings() -> list[Finding]:
-    """Find what the judge uses on top of the ray caster."""
+    """Find the parts that the judge uses in addition to the caster's."""
     versions = [_pinned(name) for name in PINNED]
     missing = [finding.name for finding in versions if not finding.found]
     return [
@@ -116,7 +113,7 @@ def _pinned(name: str) -> Finding:
 RESULTS = {
     "verdict": "mitsuba_ref.judge.verdict:Verdict",  # validate --json, merge --json, verdict.json
     "compare": "mitsuba_ref.exr_compare.comparison_result:FileComparison",
-    "check": "mitsuba_ref.exr_compare.approved:ReferenceChecks",
+    "check": "mitsuba_ref.exr_compare.approved:ImageChecks",
     "bench": "mitsuba_ref.bench.result:Run",
     "stress": "mitsuba_ref.stress.sweeps:StressRun",
 }

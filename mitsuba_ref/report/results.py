@@ -1,7 +1,7 @@
 """Results as JSON files and as tables: for terminals and logs, in colour only where a terminal shows it, and Markdown.
 
-Results are pydantic dataclasses. Files are written from them, with derived values (`computed_field`), so that a reader
-need not work them out, and are read back into them without.
+Results are pydantic dataclasses. Files also contain their derived values (`computed_field`), which are ignored when a
+file is read.
 """
 
 import json
@@ -20,7 +20,7 @@ from rich.table import Table
 from rich.text import Text
 
 from caster.description.errors import SceneError
-from caster.description.input_files import MAX_TEXT_BYTES, read_input
+from caster.description.input_files import read_input
 from caster.system.atomic_files import write_text
 from caster.system.terminal import printable, unfiltered
 from mitsuba_ref.reference.store import installed_version
@@ -48,7 +48,7 @@ def write_result(result: Any, file: str) -> None:
 def read_result(kind: type[T], file: str, written_by: str) -> T:
     """The result in a file that `written_by` wrote. Raises FileMissing or SceneError."""
     try:
-        return TypeAdapter(kind).validate_json(read_input(file, "result", MAX_TEXT_BYTES))
+        return TypeAdapter(kind).validate_json(read_input(file, "result"))
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))
@@ -68,7 +68,7 @@ def libllvm() -> str:
 
 
 def largest(values: np.ndarray) -> float | None:
-    """The largest finite value; None where there is none, since JSON has no word for it."""
+    """The largest finite value; None if there is none."""
     finite = [value for value in values.tolist() if math.isfinite(value)]
     return max(finite, default=None)
 
@@ -121,7 +121,7 @@ Row = Sequence[str]
 
 
 def aligned(rows: Sequence[Row], *, left: int = 0) -> list[str]:
-    """Lines with aligned columns, the first `left` of them to the left. A short row ends with free text."""
+    """Lines with aligned columns, the first `left` of them left-aligned. A short row ends with free text."""
     full = [row for row in rows if len(row) == len(rows[0])]
     widths = [max(map(len, column)) for column in zip(*full, strict=True)]
     widths[0] = max(len(row[0]) for row in rows)
@@ -137,13 +137,15 @@ def _line(row: Row, widths: Sequence[int], left: int) -> str:
 
 def markdown(rows: Sequence[Row], *, rule: str | None = None) -> str:
     """A Markdown table, the first row its head. rule: the line below it, left-aligned columns unless given."""
-    head, *body = (_markdown_row(row, len(rows[0])) for row in rows)
+    full = ([*row, *[""] * (len(rows[0]) - len(row))] for row in rows)
+    head, *body = ("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |" for cells in full)
     return "\n".join([head, rule or "|" + "---|" * len(rows[0]), *body])
 
 
-def _markdown_row(row: Row, columns: int) -> str:
-    cells = [*row, *[""] * (columns - len(row))]
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+def percent(count: int, total: int) -> str:
+    """A percentage; 100 only for all, 0 only for none."""
+    share = 100.0 * count / total
+    return f"{share:.4f} %" if 0 < count < total else f"{share:.0f} %"
 
 
 NOTHING = "-"

@@ -329,6 +329,6 @@ def test_what_is_read_so_is_judged_all_the_same(tmp_path, capsys):
 
 def test_options_about_images_need_a_command_that_writes_some(capsys):
     assert main(["validate", str(SCENES / "one-sphere.toml"), "--depth", "z"]) == 2
-    assert "--depth: expected a --candidate with {exr} beside it" in capsys.readouterr().err
+    assert "--depth: expected --candidate X beside it" in capsys.readouterr().err
     assert main(["validate", str(SCENES / "one-sphere.toml"), "--map", "a=b", "--candidate", "os:getcwd"]) == 2
     assert "--map: expected a --candidate with {exr} beside it" in capsys.readouterr().err

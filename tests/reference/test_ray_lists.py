@@ -72,7 +72,7 @@ def hits_of(scene, rows):
 def given(folder):
     """Rays of several kinds in one list, with limits of all sorts, and right answers."""
     path = str(folder / "scene.toml")
-    kinds = ("camera", "random", "edges", "vertices", "silhouettes", "surface", "shadow")
+    kinds = ("camera", "random", "features", "silhouettes", "surface", "shadow")
     rows = []
     for kind in kinds:
         assert main(["rays", path, "--kind", kind, "--count", "60", "-o", str(folder / "r.npz")]) == 0
@@ -198,7 +198,7 @@ def test_a_mesh_stands_for_a_scene(folder):
     camera = {"type": "ray", "origin": (0, 0, 9), "direction": (0, 0, -1)}
     mesh = caster.Scene(shapes=[{"type": "mesh", "file": str(folder / "roof.obj")}], camera=camera)
     t = hits_of(mesh, rows.astype(np.float64))["t"]
-    words = ["judge", "--mesh", str(folder / "roof.obj"), "--rays", str(folder / "one.npy"), "--hits"]
+    words = ["judge", "--scene", str(folder / "roof.obj"), "--rays", str(folder / "one.npy"), "--hits"]
     for name, code, values in (("right", 0, t), ("wrong", 1, t * 1.001)):
         np.save(folder / f"{name}.npy", values.reshape(-1, 1))
         assert main([*words, str(folder / f"{name}.npy")]) == code

@@ -6,14 +6,10 @@ import numpy as np
 import OpenEXR
 import pytest
 
-import caster
-from caster import __version__
 from caster.__main__ import main as caster_main
-from caster.image.channels import aovs_to_channels, provenance
-from caster.image.exr import UnreadableExr, read_exr, write_exr
+from caster.image.exr import UnreadableExr, read_exr
 from caster.system.process import FILE
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.exr_compare.two_files import Reading, compare_exr
 
 SHAPE = (5, 7)
 FLAT = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
@@ -130,60 +126,6 @@ def test_two_channels_of_one_name_are_refused(tmp_path):
     path = save(tmp_path / "a.exr", {"a": of("b.c"), "x": of("b.c"), "a.b": of("c")})
     with pytest.raises(UnreadableExr, match=r"two parts have a channel that would be called 'a\.b\.c'"):
         read_exr(path)
-
-
-# ---- compared ----
-
-SCENE = caster.Scene(
-    film=caster.Film(width=32, height=24),
-    camera=caster.Pinhole(eye=(0.1, 0.2, 5), look_at=(0, 0, 0), fov=60),
-    shapes=[caster.Sphere(center=(0.3, 0, 0)), caster.Cube(to_world=[{"translate": [-2, 0.2, -1]}])],
-)
-
-
-@pytest.fixture(scope="module")
-def ours() -> dict[str, np.ndarray]:
-    given = aovs_to_channels(caster.render(SCENE, aovs=("depth", "normal", "shading_normal", "position")))
-    return {name: values.astype(np.float32) for name, values in given.items()}
-
-
-def layer(ours, name, letters="XYZ", called="XYZ"):
-    return {c: ours[f"{name}.{letter}"] for c, letter in zip(called, letters, strict=True)}
-
-
-def compared(folder, ours, parts):
-    write_exr(folder / "ours.exr", ours, provenance(SCENE, __version__))
-    return compare_exr(folder / "ours.exr", save(folder / "theirs.exr", parts), reading=Reading(miss="1e10"))
-
-
-def by_program(ours, program):
-    """The layers of an image, cut into parts as programs do; depth is 1e10 on a miss."""
-    z = np.where(ours["A"] == 1, ours["depth.Z"], np.float32(1e10))
-    if program == "Blender":
-        normal, position = layer(ours, "shading_normal"), layer(ours, "position")
-        given = {"Combined": {"A": np.ones_like(z)}, "Depth": {"Z": z}, "Normal": normal, "Position": position}
-        return {f"V.{part}": {f"V.{part}.{c}": a for c, a in each.items()} for part, each in given.items()}
-    if program == "Nuke":
-        return {"rgba": {"A": ours["A"], "R": ours["A"]}, "depth": {"Z": z}, "N": layer(ours, "shading_normal")}
-    rgb = layer(ours, "shading_normal", called="RGB")
-    return {"RGBA": {"A": ours["A"]}, "Z": {"Z": z}, "N": rgb, "P": layer(ours, "position", called="RGB")}
-
-
-@pytest.mark.parametrize(
-    ("program", "groups", "says"),
-    [
-        ("Blender", {"depth", "shading_normal", "position"}, "V.Combined (A), V.Depth (Z), V.Normal (X, Y, Z)"),
-        ("Nuke", {"depth", "shading_normal"}, "3 parts as one image: rgba (A, R), depth (Z), N (X, Y, Z)"),
-        ("Arnold", {"depth", "shading_normal", "position"}, "RGBA (A), Z (Z), N (B, G, R), P (B, G, R)"),
-    ],
-)
-def test_the_parts_of_other_programs_are_compared_layer_by_layer_and_stated(tmp_path, ours, program, groups, says):
-    parts = by_program(ours, program)
-    result = compared(tmp_path, ours, parts)
-    text = result.format_table()
-    assert result.ok, text
-    assert {group.name for group in result.groups} == {"hit", *groups}
-    assert says in text and "a miss is depth 1e10" in text
 
 
 def test_info_lists_the_parts(tmp_path, capsys):

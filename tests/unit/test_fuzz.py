@@ -304,7 +304,7 @@ def test_an_image_keeps_its_camera_and_a_mesh_goes_along(tmp_path):
     kept = cases.read_kept(file).case
     assert "ray" not in kept and kept["camera"] == VIEW["camera"] and kept["film"] == VIEW["film"]
     assert sorted(path.name for path in file.parent.iterdir()) == ["name.toml", "octahedron.obj"]
-    assert load_scene(written(tmp_path / "new", kept)).shapes[0].load().faces.shape == (8, 3)
+    assert load_scene(written(tmp_path / "new", kept)).shapes[0].mesh().faces.shape == (8, 3)
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,7 @@ def test_all_errors_of_a_python_scene_come_at_once():
             shapes=[Sphere(name="a", material="gold"), {"type": "disk", "name": "a"}, {"type": "cube", "raduis": 2}],
         )
     assert str(caught.value).splitlines() == [
-        "camera (pinhole): fov must be an angle > 0 and < 180 degrees, got 200",
+        "camera (pinhole): fov must be < 180, got 200",
         "shapes[2] (cube): raduis is an unknown key",
         'shapes[0] (sphere "a"): material must be one of the materials of this scene, got "gold"; '
         "add a table [material.gold]",

@@ -13,7 +13,6 @@ import pytest
 
 from caster.__main__ import main
 from caster.cameras import CAMERAS, Pinhole
-from caster.cli import COMMANDS as CASTER_COMMANDS
 from caster.cli import application
 from caster.geometry.packing import pack
 from caster.jit import decorators
@@ -24,7 +23,6 @@ from caster.rendering import casting, ray_fans, ray_tiles, warm_up
 from caster.scene.model import LIGHTS, Scene
 from caster.shapes.icosphere import Icosphere
 from caster.system.terminal import CompilationNotice, compilation_reported
-from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
 from mitsuba_ref.runner.workers import Workers
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -109,14 +107,13 @@ def test_a_scene_that_is_not_there_is_reported_before_anything_is_compiled(capsy
     assert "nowhere.toml" in capsys.readouterr().err
 
 
-def test_a_command_reports_before_its_first_kernel_is_compiled_and_then_now_and_then():
-    times, stream = iter([5.0, 6.0, 15.0, 16.0, 24.0, 25.5]), io.StringIO()
-    notice = CompilationNotice(stream, lambda: next(times))
-    for _ in range(6):
+def test_a_command_reports_once_that_it_compiles():
+    stream = io.StringIO()
+    notice = CompilationNotice(stream)
+    for _ in range(3):
         notice.compiling("a kernel")
-    first, *further = stream.getvalue().splitlines()
-    assert first.startswith("compiling kernels, once: ") and "doctor --warm" in first
-    assert further == ["compiling kernel 3, after 10 s", "compiling kernel 6, after 20 s"]
+    assert stream.getvalue().startswith("compiling kernels, once: ") and "doctor --warm" in stream.getvalue()
+    assert stream.getvalue().count("\n") == 1
 
 
 def test_nothing_is_reported_after_a_command(capsys):
@@ -139,18 +136,12 @@ def test_forks_report_together(capfd):
     assert capfd.readouterr().err.count("\n") == 1
 
 
-COMPILING = [command for command in (*CASTER_COMMANDS, *JUDGE_COMMANDS) if command.compiles]
-
-
-@pytest.mark.parametrize("command", COMPILING, ids=lambda command: f"{command.module} {command.name}")
-def test_every_command_that_compiles_reports_it(command, capsys, monkeypatch):
-    """Whatever it does, it does within the report."""
-
+def test_every_command_reports_it(capsys, monkeypatch):
     def load(self, parser):
         parser.set_defaults(run=lambda args: decorators.COMPILATION_LOG.compiling("a kernel") or 0)
 
-    monkeypatch.setattr(type(command), "load", load)
-    assert application.main("program", "about", [command], [0], [command.name]) == 0
+    monkeypatch.setattr(application.Command, "load", load)
+    assert application.main("program", "about", [application.Command("go", "", "")], [0], ["go"]) == 0
     assert capsys.readouterr().err.startswith("compiling kernels, once")
 
 
@@ -166,8 +157,8 @@ modules = [importlib.import_module(f"caster.rendering.{module.name}") for module
 kernels = {k for module in modules for k in vars(module).values() if isinstance(k, Kernel)}
 print(len(kernels), *sorted(k.__name__ for k in kernels if not k._codes))
 """
-# Of pixels and rays that are looked at one by one: `caster probe`, the judge.
-ONE_BY_ONE = {"intersect_each", "load_rays", "shadow_rays_of", "store_nearest"}
+# Of pixels and rays that are looked at one by one: `caster probe`, the judge; and ties between two kinds.
+ONE_BY_ONE = {"hit_precedes", "intersect_each", "load_rays", "shadow_rays_of", "store_nearest"}
 
 
 @pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")
