@@ -16,7 +16,7 @@ from mitsuba_ref.judge.explanations import decimal_and_hex
 from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
-from mitsuba_ref.reference.mitsuba_process import send_requests
+from mitsuba_ref.reference.mitsuba_process import send_request
 from mitsuba_ref.reference.shared_input import export, shape_ids
 
 CANDIDATE = "candidate"
@@ -73,8 +73,9 @@ def other_variant_answers(judge: Judge, variant: str) -> Iterator[tuple[tuple[st
             name: [TraceRequest(xml[mode], name, rays.o, rays.d, rays.t_max, lights=False) for mode in modes]
             for name, modes in wanted.items()
         }
-        for name, answers in zip(jobs, pool.map(send_requests, jobs.values()), strict=True):
-            yield from (((name, mode), found) for mode, found in zip(wanted[name], answers, strict=True))
+        answers = pool.map(lambda requests: [send_request(each) for each in requests], jobs.values())
+        for name, found in zip(jobs, answers, strict=True):
+            yield from (((name, mode), answer) for mode, answer in zip(wanted[name], found, strict=True))
 
 
 def surface_of(judge: Judge, prim: int) -> tuple[str, int]:

@@ -11,7 +11,7 @@ import gc
 import os
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn
@@ -106,11 +106,6 @@ def close_residents() -> None:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_idle_sessions.clear)
-
-
-def send_requests(requests: Sequence[TraceRequest], timeout: float = DEFAULT_TIMEOUT) -> list[TraceResponse | Crash]:
-    """Trace rays through several scenes, one after the other."""
-    return [send_request(request, timeout) for request in requests]
 
 
 class ResidentSession:

@@ -149,8 +149,13 @@ def variant_for(has_quadrics: bool) -> str:
     Raises VariantError if it does not work here or MITSUBA_REF_VARIANT names an unknown one.
     """
     chosen = os.environ.get(VARIANT_ENVIRONMENT_VARIABLE)
+    if chosen and chosen not in VARIANT_NAMES:
+        raise VariantError(f"{VARIANT_ENVIRONMENT_VARIABLE} {chosen!r}: expected {' or '.join(VARIANT_NAMES)}")
+    if chosen and chosen not in usable_variants().names:
+        why = usable_variants().why
+        raise VariantError(f"{VARIANT_ENVIRONMENT_VARIABLE} {chosen!r}: it does not work here: {why}")
     if chosen:
-        return check_variant(chosen, VARIANT_ENVIRONMENT_VARIABLE)
+        return chosen
     if not has_quadrics and usable_variants().llvm:
         return LLVM
     if not usable_variants().scalar:
@@ -169,15 +174,6 @@ def environment_for(variant: str) -> dict[str, str]:
     """The environment variables with which a child process finds the libLLVM that works."""
     library = usable_variants().libllvm if variant == LLVM else None
     return {LIBLLVM_ENVIRONMENT_VARIABLE: library} if library else {}
-
-
-def check_variant(chosen: str, option: str) -> str:
-    """A variant chosen by an option or environment variable. Raises VariantError if it is unknown or does not work."""
-    if chosen not in VARIANT_NAMES:
-        raise VariantError(f"{option} {chosen!r}: expected {' or '.join(VARIANT_NAMES)}")
-    if chosen not in usable_variants().names:
-        raise VariantError(f"{option} {chosen!r}: it does not work here: {usable_variants().why}")
-    return chosen
 
 
 def _candidates() -> Iterator[str]:

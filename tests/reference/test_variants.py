@@ -200,7 +200,7 @@ def test_a_machine_that_was_only_busy_or_unfinished_is_tried_again(libraries, tr
     assert usable_variants().scalar
 
 
-@pytest.mark.parametrize("problem", ["wrong answer: t [7.0, inf]", "abort (SIGABRT) LLVM ERROR", "signal (SIGILL)"])
+@pytest.mark.parametrize("problem", ["wrong answer: t [7.0, inf]", "signal (SIGILL)"])
 @pytest.mark.parametrize("variant", variants.VARIANT_NAMES)
 def test_what_would_end_alike_is_not_tried_again(libraries, trials, monkeypatch, variant, problem):
     """Each process would try all libraries again, for seconds."""
@@ -212,28 +212,24 @@ def test_what_would_end_alike_is_not_tried_again(libraries, trials, monkeypatch,
     assert usable_variants() == first and len(trials.tried) == tried
 
 
-def test_triangles_go_to_llvm_and_curved_shapes_to_the_scalar_variant(libraries, trials):
-    assert variant_for(has_quadrics=False) == "llvm_ad_rgb"
-    assert variant_for(has_quadrics=True) == "scalar_rgb"
+def test_curved_shapes_go_to_the_scalar_variant_unless_one_is_chosen(libraries, trials, monkeypatch):
+    assert [variant_for(has_quadrics) for has_quadrics in (False, True)] == ["llvm_ad_rgb", "scalar_rgb"]
+    for chosen in variants.VARIANT_NAMES:
+        monkeypatch.setenv(variants.VARIANT_ENVIRONMENT_VARIABLE, chosen)
+        assert variant_for(False) == variant_for(True) == chosen
 
 
-@pytest.mark.parametrize("has_quadrics", [True, False])
-@pytest.mark.parametrize("chosen", variants.VARIANT_NAMES)
-def test_a_chosen_variant_is_used_for_every_scene(libraries, trials, monkeypatch, chosen, has_quadrics):
-    monkeypatch.setenv(variants.VARIANT_ENVIRONMENT_VARIABLE, chosen)
-    assert variant_for(has_quadrics) == chosen
-
-
-def test_an_unknown_choice_is_an_error_that_lists_the_known_ones(monkeypatch):
-    monkeypatch.setenv(variants.VARIANT_ENVIRONMENT_VARIABLE, "cuda_rgb")
-    with pytest.raises(VariantError, match=r"^MITSUBA_REF_VARIANT 'cuda_rgb': expected scalar_rgb or llvm_ad_rgb$"):
-        variant_for(False)
-
-
-def test_a_choice_that_does_not_work_here_is_an_error_that_states_why(libraries, trials, monkeypatch):
+@pytest.mark.parametrize(
+    ("chosen", "says"),
+    [
+        ("cuda_rgb", "^MITSUBA_REF_VARIANT 'cuda_rgb': expected scalar_rgb or llvm_ad_rgb$"),
+        ("llvm_ad_rgb", "'llvm_ad_rgb': it does not work here: .*libLLVM-14.so.1: abort"),
+    ],
+)
+def test_a_choice_that_is_unknown_or_does_not_work_is_an_error(libraries, trials, monkeypatch, chosen, says):
     trials.says.update({("llvm_ad_rgb", library): "abort" for library in libraries})
-    monkeypatch.setenv(variants.VARIANT_ENVIRONMENT_VARIABLE, "llvm_ad_rgb")
-    with pytest.raises(VariantError, match=r"'llvm_ad_rgb': it does not work here: .*libLLVM-14.so.1: abort"):
+    monkeypatch.setenv(variants.VARIANT_ENVIRONMENT_VARIABLE, chosen)
+    with pytest.raises(VariantError, match=says):
         variant_for(False)
 
 
