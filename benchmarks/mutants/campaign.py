@@ -49,7 +49,7 @@ PLAIN = {
         adjudication detection_power error_models_hold excused_classes
     """,
     "tests/report": """
-        candidate_record pages
+        records pages
     """,
     "tests/unit": """
         added_aov bias bracket broad_phase builtin_scenes camera_references candidate_aimed
@@ -79,7 +79,7 @@ WITH_COMPILER = {
         excused_classes hypotheses import judge_classes mistakes new_shape probe_witnesses ray_lists
     """,
     "tests/report": """
-        candidate_record pages
+        records pages
     """,
 }
 
