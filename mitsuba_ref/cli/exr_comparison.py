@@ -17,7 +17,7 @@ from mitsuba_ref.cli.options import add_reading, add_selection, add_timeout, rea
 
 if TYPE_CHECKING:
     from mitsuba_ref.exr_compare.approved import Proposal
-    from mitsuba_ref.runner.many_scenes import Entry
+    from mitsuba_ref.runner.many_scenes import SceneEntry
 
 # ---- compare ----
 
@@ -86,12 +86,12 @@ T = TypeVar("T")
 
 
 def each_scene(
-    args: argparse.Namespace, of: Callable[[Entry], T], failed: Callable[[Entry, tuple[str, ...]], T]
+    args: argparse.Namespace, of: Callable[[SceneEntry], T], failed: Callable[[SceneEntry, tuple[str, ...]], T]
 ) -> Iterator[T]:
     """The results of `of` for all selected scenes in order, or of `failed` where it raises. Raises SceneError."""
     from mitsuba_ref.runner.many_scenes import map_in_order, problem_of
 
-    def result_of(entry: Entry) -> T:
+    def result_of(entry: SceneEntry) -> T:
         try:
             return of(entry)
         except (SceneError, MemoryError) as error:
@@ -115,7 +115,7 @@ def run_approve(args: argparse.Namespace) -> int:
     found = []
     for proposal in each_scene(
         args,
-        lambda entry: propose(entry.load().scene, entry.name, entry.path, folder, args.timeout),
+        lambda entry: propose(entry.load(), entry.name, entry.path, folder, args.timeout),
         lambda entry, lines: Proposal(entry.name, folder / f"{entry.name}.exr", "failed", False, lines),
     ):
         found.append(proposal)
@@ -175,7 +175,7 @@ def run_check(args: argparse.Namespace) -> int:
     found = []
     for checked in each_scene(
         args,
-        lambda entry: check_scene(entry.load().scene, entry.name, folder / f"{entry.name}.exr"),
+        lambda entry: check_scene(entry.load(), entry.name, folder / f"{entry.name}.exr"),
         lambda entry, lines: ImageCheck(entry.name, str(folder / f"{entry.name}.exr"), False, lines),
     ):
         found.append(checked)

@@ -141,11 +141,12 @@ def row_range(text: str) -> tuple[int, int | None]:
 
 def run(args: argparse.Namespace) -> int:
     """Judge the answers; 0 they pass, 1 they do not."""
+    from mitsuba_ref.runner.many_scenes import JudgeOptions
     from mitsuba_ref.runner.validation_run import RunOptions
 
     entries = exr_entries(args) if args.exr else hits_entries(args)
-    options = RunOptions(out=Path(args.out) if args.out else None, html=args.html)
-    return judge_entries(args, entries, options, entries[0].subject)
+    judge = JudgeOptions(Path(args.out) if args.out else None, subject=entries[0].subject)
+    return judge_entries(args, entries, RunOptions(judge, html=args.html), entries[0].subject)
 
 
 def entry_of(args: argparse.Namespace, scene: Scene, more: str, subject: Subject, **about: Any) -> SceneEntry:
@@ -154,7 +155,7 @@ def entry_of(args: argparse.Namespace, scene: Scene, more: str, subject: Subject
 
     options = given_words(args, "scene", "rays", "hits", "exr", "precision", "mesh_dir")
     name = Path(args.scene).stem + more
-    return SceneEntry(scene, name, args.scene, subject=subject, options=options, command="judge", **about)
+    return SceneEntry(name, args.scene, options=options, given=scene, subject=subject, command="judge", **about)
 
 
 def hits_entries(args: argparse.Namespace) -> list[SceneEntry]:

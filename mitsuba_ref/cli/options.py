@@ -22,7 +22,7 @@ from caster.system.terminal import StatusLine
 if TYPE_CHECKING:
     from mitsuba_ref.exr_compare.conventions import Reading
     from mitsuba_ref.judge.verdict import Verdict
-    from mitsuba_ref.runner.many_scenes import SceneSource
+    from mitsuba_ref.runner.many_scenes import SceneEntry
     from mitsuba_ref.subjects.subject import Subject
 
 # Copies, since the judge's modules load the kernels (tests/unit/test_cli_help.py compares them).
@@ -88,11 +88,11 @@ def add_selection(parser: argparse.ArgumentParser) -> None:
     add_mesh_dirs(parser)
 
 
-def selected_entries(args: argparse.Namespace) -> list[SceneSource]:
+def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
     """The selected scenes, not loaded yet; prints a message if there are none. Raises SceneError."""
     from caster.scene.files import types_in_file
     from caster.scene.model import Film
-    from mitsuba_ref.runner.many_scenes import matching, source_of
+    from mitsuba_ref.runner.many_scenes import SceneEntry, matching
 
     fits = matching(args.expression, types_in_file)
     named = [] if args.builtin and args.scenes is DEFAULT_SCENES else args.scenes
@@ -101,11 +101,9 @@ def selected_entries(args: argparse.Namespace) -> list[SceneSource]:
     if args.size:
         with error_prefix("--size", *args.size):
             Film(width=args.size[0], height=args.size[1])
-    again = candidate_words(args)
-    entries = [
-        source_of(file, name, size=args.size, mesh_dirs=args.mesh_dir, options=again)
-        for file, name in zip(files, display_names(files), strict=True)
-    ]
+    size, mesh_dirs, again = tuple(args.size) if args.size else None, tuple(args.mesh_dir), candidate_words(args)
+    names = display_names(files)
+    entries = [SceneEntry(name, file, size, mesh_dirs, again) for name, file in zip(names, files, strict=True)]
     if not entries:
         fitting = f" that fits -k {args.expression!r}" if args.expression else ""
         print(f"nothing selected: no scene file{fitting} in {', '.join(places)}", file=sys.stderr)
@@ -187,8 +185,6 @@ def requested_candidate(args: argparse.Namespace, *, takes_rays: bool = False) -
         for word in given_words(args, "candidate_precision", "candidate_timeout", *READING_OPTIONS)[:1]:
             raise SceneError(f"{word}: expected --candidate X beside it, whose answers it is about")
         return None
-    if getattr(args, "thorough", False):
-        raise SceneError("--thorough: not with --candidate, since the checks that it adds test our own caster")
     from mitsuba_ref.subjects.command import CommandSubject
     from mitsuba_ref.subjects.requests import parse_candidate
 

@@ -29,7 +29,7 @@ from mitsuba_ref.cli.options import (
 
 if TYPE_CHECKING:
     from mitsuba_ref.judge.verdict import Verdict
-    from mitsuba_ref.runner.many_scenes import Entry
+    from mitsuba_ref.runner.many_scenes import SceneEntry
     from mitsuba_ref.runner.shards import Shard
     from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun
     from mitsuba_ref.subjects.subject import Subject
@@ -52,8 +52,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--min-scenes", metavar="N", type=positive_int, default=0, help=help_)
     add("--maxfail", metavar="N", type=positive_int, help="stop after so many scenes that fail")
     add("--shard", metavar="I/N", type=shard, help="judge part I of N of the scenes, balanced by pixels")
-    help_ = "also test our caster beyond the judged film (docs/method.md, Thorough); compiles more kernels"
-    add("--thorough", action="store_true", help=help_)
     add_timeout(parser)
     help_ = "judge every scene and ask Mitsuba, also where an earlier run has the result of the very same inputs"
     add("--no-store", dest="store", action="store_false", help=help_)
@@ -73,11 +71,12 @@ def run(args: argparse.Namespace) -> int:
     entries = selected_entries(args)
     if not entries:
         return NOTHING_SELECTED
-    return judge_entries(args, entries, run_options(args), requested_candidate(args))
+    candidate = requested_candidate(args)
+    return judge_entries(args, entries, run_options(args, candidate), candidate)
 
 
 def judge_entries(
-    args: argparse.Namespace, entries: Sequence[Entry], options: RunOptions, candidate: Subject | None
+    args: argparse.Namespace, entries: Sequence[SceneEntry], options: RunOptions, candidate: Subject | None
 ) -> int:
     """Print a row for each scene, and write the files that the options name; the exit code."""
     from mitsuba_ref.reference import variants
@@ -90,7 +89,7 @@ def judge_entries(
         if path.is_file():
             path.unlink()
     start = time.perf_counter()
-    running = ValidationRun(entries, options, candidate)
+    running = ValidationRun(entries, options)
     try:
         if candidate is not None and candidate.takes_rays:
             print_conventions(candidate, entries[0])
@@ -100,13 +99,13 @@ def judge_entries(
     return exit_code(running.verdict(), running.errors)
 
 
-def print_conventions(candidate: Subject, entry: Entry) -> None:
+def print_conventions(candidate: Subject, entry: SceneEntry) -> None:
     """Print which ray conventions a candidate breaks, by a few rays of the first scene."""
     from mitsuba_ref.judge.checks.ray_conventions import check_ray_conventions
     from mitsuba_ref.report.results import print_lines
 
     try:
-        found = check_ray_conventions(candidate, entry.load().scene)
+        found = check_ray_conventions(candidate, entry.load())
     except (SceneError, MemoryError):  # which the row of the scene names
         return
     if found is not None and not found.ok:
@@ -134,25 +133,22 @@ def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:
     return min(codes) if codes and alone else DIFFERENCES
 
 
-def run_options(args: argparse.Namespace) -> RunOptions:
+def run_options(args: argparse.Namespace, candidate: Subject | None) -> RunOptions:
+    from mitsuba_ref.runner.many_scenes import JudgeOptions
     from mitsuba_ref.runner.validation_run import RunOptions, read_expected
 
     chosen = args.expression or args.builtin
-    whole_folders = not chosen and all(Path(place).is_dir() for place in args.scenes)
     out = Path(args.out) if args.out else None
     return RunOptions(
+        JudgeOptions(out, args.timeout, args.store, candidate),
         args.workers,
         args.maxfail,
-        out,
         args.html,
         args.shard,
-        args.timeout,
-        args.store,
-        args.thorough,
         read_expected(args.expected) if args.expected else None,
         args.skip_unsupported,
         args.min_scenes,
-        whole_folders,
+        whole_folders=not chosen and all(Path(place).is_dir() for place in args.scenes),
     )
 
 
@@ -230,6 +226,6 @@ def run_merge(args: argparse.Namespace) -> int:
     for name in verdict.not_judged:
         print_lines(f"FAIL  {name}  not judged")
     print(summary_text(verdict, seconds))
-    for part in missing:
-        print(f"{part}: expected the verdict of every shard", file=sys.stderr)
+    if missing:
+        print(f"{missing}; expected the verdict of every shard", file=sys.stderr)
     return OK if verdict.ok and not missing else DIFFERENCES

@@ -16,7 +16,7 @@ from mitsuba_ref.judge.explanations import exceeded_bounds, reason
 from mitsuba_ref.judge.verdict import CLASSES, FAILING, UNDECIDED, UNLISTED
 from mitsuba_ref.probe.witnesses import CANDIDATE, WitnessAnswer, in_ulps, ratio_to_bound
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.subjects.requests import one_of, request_answer
+from mitsuba_ref.subjects.requests import request_answer
 from mitsuba_ref.subjects.subject import NoAnswer, Subject
 
 
@@ -59,7 +59,7 @@ def probe_candidate(candidate: Subject, scene: Scene, pixel: tuple[int, int], pa
         return CandidatePixel(candidate.name, UNDECIDED, problem=str(error), witness=witness)
     here = response._replace(
         scene=response.scene.with_film(crop=(x, y, x + 1, y + 1)),
-        rays=one_of(response.rays, row),
+        rays=response.rays.rows(slice(row, row + 1)),
         answer=response.answer.rows(slice(row, row + 1)),
     )
     judge = judge_of(here, known=pair)

@@ -133,7 +133,7 @@ def test_a_change_is_shown_by_channel_before_it_is_written(here, capsys):
 def test_a_crash_of_mitsuba_writes_nothing_and_fails(here, capsys, monkeypatch):
     from mitsuba_ref.reference.messages import Crash
 
-    crash = Crash("abort", "LLVM ERROR: no", "SIGABRT", 0.1)
+    crash = Crash(-6, "LLVM ERROR: no", 0.1)
     monkeypatch.setattr("mitsuba_ref.reference.mitsuba_process.ResidentSession.send", lambda *_: crash)
     files = {path: path.read_bytes() for path in here.glob("refs/*.exr")}
     code, out, _ = said(capsys, "approve", "scenes", "--yes")

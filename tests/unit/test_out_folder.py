@@ -6,11 +6,12 @@ from pathlib import Path
 import pytest
 from verdict_factory import scene as made
 
+from caster.system.terminal import ProgressBar
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.report.html_report import HtmlReport
 from mitsuba_ref.report.out_folder import IMAGES, files_of
 from mitsuba_ref.report.scene_record import SceneRecord
-from mitsuba_ref.runner import many_scenes
+from mitsuba_ref.runner import many_scenes, validation_run
 
 SCENE = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n[[shape]]\ntype = "sphere"\n'
 REMOVED = "files that an earlier run wrote and this one did not"
@@ -34,12 +35,13 @@ def judged(tmp_path, monkeypatch):
             (folder / file).write_bytes(f"{file}\n".encode())
         return made(name, reproducers=files)
 
-    def count(bar, entries, done):
-        if done == settings["stop"]:
-            raise KeyboardInterrupt
+    class Bar(ProgressBar):
+        def add(self, count, extra=""):
+            if extra.startswith(f"{settings['stop']} of "):
+                raise KeyboardInterrupt
 
     monkeypatch.setattr(many_scenes, "validate_scene", validate)
-    monkeypatch.setattr(many_scenes, "count_scene", count)
+    monkeypatch.setattr(validation_run, "ProgressBar", Bar)
 
     def run(*words, places=("scenes",), **changed):
         settings.update({"reproducers": (), "problem": (), "stop": 0} | changed)

@@ -10,8 +10,9 @@ import caster
 from caster.scene.files import load_scene
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.judge.checks.ray_conventions import RAYS, check_ray_conventions
-from mitsuba_ref.subjects.command import RayCommand, command_of
+from mitsuba_ref.subjects.command import RayCommand
 from mitsuba_ref.subjects.function import FunctionSubject
+from mitsuba_ref.subjects.requests import parse_candidate
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 
@@ -52,22 +53,17 @@ def checked(call, name="one-sphere"):
     return check_ray_conventions(FunctionSubject("candidate", call), scene_of(name))
 
 
-ALL_SCENES = sorted(SCENES.glob("*.toml"))
-
-
-@pytest.mark.parametrize("path", ALL_SCENES, ids=lambda path: path.stem)
-def test_a_right_candidate_passes_in_every_scene(path):
-    dtype = (np.float64, np.float32)[ALL_SCENES.index(path) % 2]
-    found = checked(lambda scene, o, d: (right(scene, o, d)[0].astype(dtype), None), path.stem)
-    assert found.ok and (found.what == f"{7 * RAYS} rays" or path.stem not in ("one-sphere", "triangles"))
+@pytest.mark.parametrize("name", ["one-sphere", "triangles", "near-far-clip", "plane-edge-on-pinhole", "one-ray"])
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_a_right_candidate_passes(name, dtype):
+    found = checked(lambda scene, o, d: (right(scene, o, d)[0].astype(dtype), None), name)
+    assert found.ok and (found.what == f"{7 * RAYS} rays" or name not in ("one-sphere", "triangles"))
 
 
 PLANTED = [
     (of_unit_directions, "t is a distance, it has to count in lengths of d"),
     (changed(lambda d, t: t / length(d)), "t is divided by |d| once too often"),
-    (changed(lambda d, t: t / length(d) ** 2), "t is divided by |d|^2"),
-    (changed(lambda d, t: np.where(np.abs(length(d) - 1.0) > 1e-5, np.inf, t)), "nothing is hit"),
-    (changed(lambda d, t: np.where(length(d) > 1.1, 0.9 * t, t)), "right for |d| = 1, wrong for |d| = 2, 7"),
+    (changed(lambda d, t: np.where(length(d) > 1.1, 0.9 * t, t)), "right for |d| = 1, wrong for |d| = 2, |d| = 7"),
     (only_of_unit_directions, "no answer to rays whose |d| is not 1: candidate raised ValueError"),
 ]  # fmt: skip
 
@@ -82,7 +78,7 @@ def test_a_wrong_convention_is_named(call, says):
 def test_a_caster_of_one_side_is_wrong_along_mirrored_rays():
     """The camera of one-sphere looks along -z."""
     found = checked(changed(lambda d, t: np.where(d[:, 2] > 0.0, np.inf, t)))
-    assert not found.ok and found.what.endswith("wrong for the same rays mirrored in z"), found.what
+    assert not found.ok and found.what.endswith("wrong for rays mirrored in z"), found.what
 
 
 @pytest.mark.parametrize("power", [0, 1], ids=["right", "t is a distance"])
@@ -121,7 +117,7 @@ def test_validate_says_a_convention_before_the_first_row(tmp_path, monkeypatch, 
     assert main(words) == 1
     out = capsys.readouterr().out
     expected = "conventions: t is a distance, it has to count in lengths of d (divide it by |d|): right for |d| = 1, "
-    assert out.startswith(expected + "wrong for |d| = 0.5, 2, 7 (one-sphere)")
+    assert out.startswith(expected + "wrong for |d| = 0.5, |d| = 2, |d| = 7 (one-sphere)")
     assert "FAIL  one-sphere  ray_conventions: " in out
 
 
@@ -130,7 +126,7 @@ def test_what_fails_already_or_is_not_there_is_not_judged():
     assert checked(declines).what == "declined"
     away = scene_of("one-sphere").model_copy(update={"shapes": ()})
     assert check_ray_conventions(FunctionSubject("candidate", right), away).what == "no ray of the camera hits anything"
-    assert not command_of("true {xml} -o {exr}", None, 1.0).takes_rays  # so that it is not asked
+    assert not parse_candidate("true {xml} -o {exr}").takes_rays  # so that it is not asked
 
 
 CASTER = """import sys
@@ -145,14 +141,12 @@ np.column_stack([hits.t, hits.normal]).tofile(sys.argv[3])
 """
 LIMITED = [
     ("hits = cast(scene, o, d, t_min=t_min, t_max=t_max)", True, f"{7 * RAYS} rays"),
-    ("hits = cast(scene, o, d)", False, "t_min and t_max are not heeded: a hit has t_min < t <= t_max: "),
-    ("hits = cast(scene, o, d, t_min=t_min)", False, "t_max is not heeded: "),
-    ("hits = cast(scene, o, d, t_max=t_max)", False, "t_min is not heeded: "),
-    ("hits = cast(scene, o, d, t_min=2 * t_min, t_max=t_max)", False, "t_min and t_max are heeded otherwise: "),
+    ("hits = cast(scene, o, d, t_min=t_min)", False, "a hit has t_min < t <= t_max: surfaces at t = 2 and 4, t_min 0"),
+    ("hits = cast(scene, o, d, t_max=t_max)", False, "a hit has t_min < t <= t_max: "),
     (
         "hits = cast(scene, o, d, t_min=t_min, t_max=np.nextafter(t_max, 0))",
         True,
-        f"{7 * RAYS} rays; a hit at t_max is missed: ",
+        f"{7 * RAYS} rays; a hit is missed at t_max",
     ),
 ]
 
@@ -164,6 +158,6 @@ def test_limits_of_t_that_a_program_is_given_are_heeded(tmp_path, body, ok, says
     program = tmp_path / "program.py"
     program.write_text(CASTER.format(body=body))
     words = sys.executable, str(program), "{scene}", "{rays}", "{hits}"
-    subject = RayCommand("program", words, frozenset({"scene", "rays", "hits"}), "float64", 60.0)
+    subject = RayCommand("program", words, "float64", 60.0)
     found = check_ray_conventions(subject, scene_of(name))
     assert found.ok is ok and found.what.startswith(says), found.what
