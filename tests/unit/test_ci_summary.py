@@ -68,18 +68,12 @@ def test_what_does_not_fit_is_left_out_and_counted():
         assert 0 < len(text.encode()) <= limit
         rows = sum(line.startswith("| bad-") for line in text.splitlines())
         texts = len(re.findall(r"<summary>bad-", text))
+        assert rows == 40 or not texts  # the rows come before the texts
         good = sum(line.startswith("| good-") for line in text.splitlines())
         said = text.rpartition("Left out, for the size that a summary may have: ")[2].strip()
         for count, what in ((40 - rows, "failing scenes"), (40 - texts, "texts of failing scenes")):
             assert (f"{count} {what}" in said) == (count > 0)
         assert f"{400 - good} scenes that pass" in said and said.endswith("verdict.json has all.")
-
-
-def test_a_thousand_crashes_with_long_words_stay_below_githubs_limit():
-    crash = "Mitsuba ended without an answer (SIGABRT): " + "x" * 100_000
-    text = markdown(verdict(*(scene(f"crash-{i}", ok=False, problem=crash) for i in range(1000))), 1.0)
-    assert SUMMARY_LIMIT_BYTES // 2 < len(text.encode()) <= SUMMARY_LIMIT_BYTES and "Left out" in text
-    assert text.count("| crash-") == 1000  # the rows come before the texts
 
 
 def test_the_summary_is_added_to_what_is_there_and_the_whole_stays_below_the_limit(tmp_path):
