@@ -61,7 +61,7 @@ stress: $(INSTALLED) ## sweeps of numerical stability: writes docs/stress.md and
 	@$(BIN)/mitsuba-ref stress --json build/stress.json $(ARGS); code=$$?; \
 	  $(BIN)/python benchmarks/stress_page.py build/stress.json docs && exit $$code
 
-bench: $(INSTALLED) ## run time against error: writes docs/performance.md and its plot; ARGS=--peers times others, too
+bench: $(INSTALLED) ## run time against error: writes docs/performance.md and its plot
 	@mkdir -p docs/performance
 	@$(BIN)/mitsuba-ref bench --json docs/performance/run.json $(ARGS)
 	@$(BIN)/python benchmarks/performance_page.py docs/performance/run.json docs

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from pages import WIDTH, write_page
 
 from caster.system.atomic_files import write_text
-from mitsuba_ref.bench.contestants import BY_KEY
+from mitsuba_ref.bench.casters import BY_KEY
 from mitsuba_ref.bench.measuring import MAX_CAST_S, MIN_TURN_S
 from mitsuba_ref.bench.result import COLUMNS, Run, SceneResult, overview, rows
 from mitsuba_ref.bench.scoring import EXACT_RAYS_PER_SORT
@@ -32,8 +32,8 @@ HEAD = """# Run time against error
 
 <!-- written by `make bench`; change benchmarks/performance_page.py -->
 
-The same scenes, in the same float32 numbers, by everybody: our caster, Mitsuba 3 and others that cast rays from Python.
-Each contestant has a process of its own; they take turns, so that what else the machine does hits all of them. What
+The same scenes, in the same float32 numbers: our caster and Mitsuba 3; other ray casters are timed as candidates.
+Each caster has a process of its own; they take turns, so that what else the machine does hits all of them. What
 bounds our times, and what was tried: [notes](performance-notes.md).
 """
 
@@ -42,16 +42,14 @@ READING = """## How to read it
 - **What is timed**: an image of some AOVs, depth and normal unless others are named, delivered as float32 arrays in
   memory; or t and normal along rays that were on hand, or whether anything lies on them. All have loaded the scene and
   built what they build before, and everything is compiled; ours makes the rays and sorts the primitives onto the film
-  in every image, while for `ray_intersect` and Open3D the rays were made before, too. Shadow rays go through
-  `caster.occluded`, Mitsuba's `ray_test`, and what others have in its place.
+  in every image, while for `ray_intersect` the rays were made before, too. Shadow rays go through
+  `caster.occluded` and Mitsuba's `ray_test`.
 - **ours, as planned** is `caster.render`: by rasterization for pinhole and orthographic cameras, by the BVH for others;
   for rays that are handed over, `caster.cast` with the surface of each hit. **by BVH** is the same image through it.
-- **diffuse** is light with shadows. `ray_intersect` is followed by a shadow ray to each emitter and the BSDF's value,
-  written by hand; the AOV integrator has `direct` inside. Ours adds ambient light to it. Other casters give depth and
-  normal alone.
+- **diffuse** is light with shadows: the AOV integrator has `direct` inside. Ours adds ambient light to it.
 - **rays** of one cast: images of those who would take longer than {longest:g} s are made smaller.
 - **build**: milliseconds from the numbers to where rays can be cast, the second time it is done in a process; Mitsuba
-  reads its own files, and for the others the numbers are in memory.
+  reads its own files, and for ours the numbers are in memory.
 - **ns/ray**: the median of all alternations; casts of less than {least:g} s are repeated within a turn, and their
   median is the turn's. **x ours** is the median of the ratios of each alternation: above 1, ours is faster.
 - **t: ulps**: the largest error of t on {sample:,} rays of the image, the same float32 rays for everybody, against
@@ -75,8 +73,6 @@ STYLE: dict[str, tuple[str, str]] = {
     "raw-default": ("#D55E00", "o"),
     "aov-robust": ("#009E73", "^"),
     "scalar-aov": ("#E69F00", "^"),
-    "open3d": ("#CC79A7", "P"),
-    "trimesh": ("#000000", "+"),
 }
 MIN_DRAWN_ULPS = 1e-9  # float32 units in the last place: an error of nothing shows as this
 PLOTS_A_ROW, DPI = 3, 110

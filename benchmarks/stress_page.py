@@ -20,7 +20,7 @@ from pages import WIDTH, write_page
 
 from mitsuba_ref.report.results import markdown, read_result
 from mitsuba_ref.stress import sweeps
-from mitsuba_ref.stress.score import OURS, WITNESSES, Score
+from mitsuba_ref.stress.score import CASTERS, OURS, Score
 from mitsuba_ref.stress.sweeps import SettingResult, StressRun, SweepResult
 
 PAGE, IMAGE_FOLDER = "stress.md", "stress"
@@ -55,14 +55,11 @@ READING = """## How to read it
   rays that exact arithmetic decided.
 - A caster **breaks down** at the first setting, on either side of the easiest one, where a hit or miss is wrong or an
   error beyond its bound. Not every breakdown is a mistake: beyond the reach of float32, a ray may come out either way.
-  And naming the wrong one of two surfaces that are almost equally near is none by this measure.
 - Mitsuba runs in three configurations: its scalar variant with Embree's robust mode, which `validate` uses for
   spheres, disks and cylinders; its LLVM variant as it comes; and its LLVM variant with the robust mode, which
   `validate` uses for triangles. Whatever it gets wrong is reported; only faults of ours fail the run.
 - A line that ends has nothing to compare there: its rays all miss. A bound that ends is none: float32 does not resolve
   these rays at all.
-- Images are cast along our camera's rays, rounded to float32. How far Mitsuba's own sensors are off is another matter,
-  and part of `validate`.
 - Rays are aimed at random by a seed. Every setting is checked to have exact hits, and misses, too, but for those inside
   a closed mesh. There every ray hits, which exact arithmetic confirms for a sample and for reported misses.
 """
@@ -106,9 +103,9 @@ def outcome(run: StressRun) -> Iterator[str]:
 
 def summary(run: StressRun) -> Iterator[str]:
     yield "## Where each breaks down\n"
-    rows = [["sweep", "stressed quantity", *(witness.title for witness in WITNESSES)]]
+    rows = [["sweep", "stressed quantity", *(caster.title for caster in CASTERS)]]
     for sweep in run.families:
-        found = [sweeps.breakdown(sweep, witness.key) for witness in WITNESSES]
+        found = [sweeps.breakdown(sweep, caster.key) for caster in CASTERS]
         rows.append([f"[{sweep.name}](#{sweep.name})", sweep.quantity, *found])
     yield markdown(rows)
     yield ""
@@ -144,10 +141,10 @@ def plot(sweep: SweepResult) -> bytes:
         for name, (label, dashes) in BOUNDS.items():
             bound = numbers([getattr(setting.bound, name) for setting in sweep.settings])
             above.plot(x, np.clip(bound, AXIS_LOW, AXIS_HIGH), lw=1.3, color="#444444", ls=dashes, label=label)
-        for witness in sweep.witnesses:
-            key, style = witness.key, STYLE[witness.key]
+        for caster in sweep.casters:
+            key, style = caster.key, STYLE[caster.key]
             place = sweeps.breakdown(sweep, key)
-            label = f"{witness.title}: {'' if sweep.absence(key) else 'breaks down at '}{place}"
+            label = f"{caster.title}: {'' if sweep.absence(key) else 'breaks down at '}{place}"
             error = numbers([value(setting, key, "error") for setting in sweep.settings])
             above.plot(x, np.clip(error, AXIS_LOW, AXIS_HIGH), label=label, **style)
             wrong = numbers([value(setting, key, "wrong_masks") for setting in sweep.settings])

@@ -1,5 +1,5 @@
-"""Run time against error: ours, Mitsuba and others on the same scenes, taking turns. `mitsuba-ref bench` runs it.
+"""Run time against error: ours, Mitsuba and a candidate on the same scenes, in turns. `mitsuba-ref bench` runs it.
 
-Another contestant: a class of entries.py that implements Entry, a line in contestants.CONTESTANTS, and a
-colour in benchmarks/performance_page.py. Another scene: a line in scenes.SCENES.
+To add a ray caster, derive a class from drivers.Driver, and add a line to casters.CASTERS and a colour to
+benchmarks/performance_page.py. A scene is a line in scenes.SCENES.
 """

@@ -1,4 +1,4 @@
-"""Timing: contestants in processes of their own cast in turns, round after round."""
+"""Timing: ray casters in processes of their own take turns, round after round."""
 
 import json
 import os
@@ -8,45 +8,35 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from caster.system.atomic_files import ScratchFolder
-from mitsuba_ref.bench.contestants import OURS, Contestant
-from mitsuba_ref.bench.entries import FILM, Work
+from mitsuba_ref.bench.casters import OURS, TimedCaster
+from mitsuba_ref.bench.drivers import FILM, Work
 from mitsuba_ref.bench.result import Row, SceneResult
 from mitsuba_ref.bench.scenes import BenchScene
 from mitsuba_ref.bench.scoring import ExactAnswers, write_scene
 from mitsuba_ref.reference.subprocess_runner import ProcessEnded, ResidentProcess, exit_name, import_path
 
-LAST_WORDS = 300  # characters kept of a dead contestant's output
+LAST_WORDS = 300  # characters kept of a dead caster's output
 WORKER = (sys.executable, "-P", "-m", "mitsuba_ref.bench.worker")
 
 MIN_TURN_S = 0.05  # seconds of a turn: shorter casts are repeated, and their median is the turn's time
-MAX_CAST_S = 0.2  # seconds of a slow contestant's cast; its film is made smaller until it fits
+MAX_CAST_S = 0.2  # seconds of a slow caster's cast; its film is made smaller until it fits
 WARM_UP_CASTS = 3  # casts before the first that counts, of which the first ones may compile
 REQUEST_TIMEOUT_S = 300.0  # seconds of any single request, compilation included
 
 Progress = Callable[[str], None]
 
 
-class ContestantEnded(Exception):  # noqa: N818 - an end, not always an error
-    """The end of a contestant's process; str() is the reason, in a line."""
+class CasterEnded(Exception):  # noqa: N818 - an end, not always an error
+    """A caster's process has ended; str() is the reason, in one line."""
 
 
-class Requester(Protocol):
-    """A contestant's process."""
-
-    def request(self, **request: Any) -> Mapping[str, Any]:
-        """Raises ContestantEnded; the process is then gone, too."""
-
-    def close(self) -> None:
-        """End it; a second call does nothing."""
-
-
-class ContestantProcess:
-    """A contestant's process (worker.py), which may fail, crash or hang. Close it, or it stays."""
+class CasterProcess:
+    """A caster's process (worker.py), which may fail, crash or hang. It stays until it is closed."""
 
     def __init__(
         self,
@@ -62,7 +52,7 @@ class ContestantProcess:
             self.process = ResidentProcess(words, settings, pass_fds=(fd,))
 
     def request(self, **request: Any) -> Mapping[str, Any]:
-        """The reply to {"do": ...}."""
+        """The reply to {"do": ...}. Raises CasterEnded; the process is then gone, too."""
         try:
             line = self.process.ask(json.dumps(request).encode(), self.timeout)
             reply: dict[str, Any] = json.loads(line)
@@ -70,12 +60,12 @@ class ContestantProcess:
             end = ended.end
             words = ["died", exit_name(end.code or 0), *end.output.splitlines()[-1:]]
             why = f"no answer within {self.timeout:g} s" if end.code is None else ": ".join(words)[:LAST_WORDS]
-            raise ContestantEnded(why) from None
+            raise CasterEnded(why) from None
         except ValueError:
             reply = {"why": f"unexpected reply: {line[:LAST_WORDS]!r}"}
         if "why" in reply:
             self.close()
-            raise ContestantEnded(reply["why"])
+            raise CasterEnded(reply["why"])
         return reply
 
     def close(self) -> None:
@@ -88,67 +78,66 @@ class Settings:
     alternations: int = 7
     threads: int = 1
     seed: int = 0
-    peers: bool = False
 
 
-Start = Callable[[Contestant, str, BenchScene, int], Requester]  # contestant, folder, scene, threads
+Start = Callable[[TimedCaster, str, BenchScene, int], CasterProcess]  # caster, folder, scene, threads
 
 
-def start_process(contestant: Contestant, folder: str, scene: BenchScene, threads: int) -> Requester:
-    work = contestant.work(folder, scene.workload, threads, scene.aovs)
-    return ContestantProcess(work, contestant.environment())
+def start_process(caster: TimedCaster, folder: str, scene: BenchScene, threads: int) -> CasterProcess:
+    work = caster.work(folder, scene.workload, threads, scene.aovs)
+    return CasterProcess(work, caster.environment())
 
 
 @dataclass
-class ContestantRun:
-    """One contestant in one scene. After `row.why` is set it does nothing more."""
+class CasterRun:
+    """One caster in one scene. After `row.why` is set it does nothing more."""
 
-    contestant: Contestant
+    caster: TimedCaster
     size: int  # pixels a side
-    process: Requester | None = None
+    process: CasterProcess | None = None
     seconds: list[float] = field(default_factory=list)
     row: dict[str, Any] = field(default_factory=dict)
 
-    def go(self, step: Callable[["ContestantRun", Requester], None]) -> None:
-        """Run a step with the process if it is alive; an end of the process is its result."""
+    def go(self, step: Callable[["CasterRun", CasterProcess], None]) -> None:
+        """Run a step if the process is alive; the reason is recorded if the process ends."""
         if self.process is None or self.row.get("why"):
             return
         try:
             step(self, self.process)
-        except ContestantEnded as end:
+        except CasterEnded as end:
             self.row["why"] = str(end)
 
-    def compile(self, process: Requester) -> None:
-        """Build and cast for the first time; find a film size for a slow contestant."""
-        first = self.contestant.first
+    def compile(self, process: CasterProcess) -> None:
+        """Build and cast for the first time; choose a film size for a slow caster."""
+        first = self.caster.first
         process.request(do="build", size=first or self.size)
         process.request(do="cast", least=0.0)
         if first:
             found = process.request(do="cast", least=0.0)
             self.size = fitting_size(first, found["seconds"], self.size)
 
-    def warm_up(self, process: Requester) -> None:
+    def warm_up(self, process: CasterProcess) -> None:
         """Build again to time it, and cast a few times."""
         self.row["build"] = process.request(do="build", size=self.size)["seconds"]
         for _ in range(WARM_UP_CASTS):
             process.request(do="cast", least=0.0)
 
-    def time_cast(self, process: Requester) -> None:
+    def time_cast(self, process: CasterProcess) -> None:
         found = process.request(do="cast", least=MIN_TURN_S)
         self.row["rays"] = found["rays"]
         self.seconds.append(found["seconds"])
 
-    def record_memory(self, process: Requester) -> None:
+    def record_memory(self, process: CasterProcess) -> None:
         """Peak memory, before any other rays are cast."""
         self.row["memory"] = process.request(do="memory")["bytes"]
 
     def result(self) -> Row:
-        it = self.contestant
+        it = self.caster
         return Row(it.key, it.title, it.side, size=self.size, seconds=tuple(self.seconds), **self.row)
 
 
 def fitting_size(first: int, seconds: float, most: int) -> int:
-    """The largest power of two times `first`, at most `most`, whose cast should take no more than MAX_CAST_S."""
+    """The largest `first` times a power of two, up to `most`, that should be cast within MAX_CAST_S."""
     size = min(first, most)
     while 2 * size <= most and seconds * (2 * size / first) ** 2 <= MAX_CAST_S:
         size *= 2
@@ -157,36 +146,36 @@ def fitting_size(first: int, seconds: float, most: int) -> int:
 
 def time_scene(
     scene: BenchScene,
-    contestants: Sequence[Contestant],
+    casters: Sequence[TimedCaster],
     settings: Settings,
     on_progress: Progress = lambda words: None,
     start: Start = start_process,
     *,
     judged: bool = True,
 ) -> SceneResult:
-    """Rows of all contestants, cast in turns. judged: whether errors are measured as well."""
+    """Time all casters on a scene, in turns. judged: also measure their errors."""
     begun = time.perf_counter()
     with ScratchFolder() as name:
         on_progress("making the scene")
         ready = write_scene(scene, Path(name), settings.size)
-        runs = [ContestantRun(each, settings.size, row={"why": each.missing()}) for each in contestants]
+        runs = [CasterRun(each, settings.size, row={"why": each.missing()}) for each in casters]
         try:
-            on_progress("starting the contestants")
+            on_progress("starting the casters")
             for run in runs:  # in this thread: where it ends, Linux ends what it started
                 if not run.row["why"]:
-                    run.process = start(run.contestant, name, scene, settings.threads)
+                    run.process = start(run.caster, name, scene, settings.threads)
             with ThreadPoolExecutor(settings.threads) as pool:
-                list(pool.map(lambda run: run.go(ContestantRun.compile), runs))
+                list(pool.map(lambda run: run.go(CasterRun.compile), runs))
             for run in runs:
-                on_progress(f"warming up: {run.contestant.title}")
-                run.go(ContestantRun.warm_up)
+                on_progress(f"warming up: {run.caster.title}")
+                run.go(CasterRun.warm_up)
             for turn in range(settings.alternations):
                 on_progress(f"alternation {turn + 1}/{settings.alternations}")
                 first = turn % len(runs)  # so that none always follows the same
                 for run in [*runs[first:], *runs[:first]]:
-                    run.go(ContestantRun.time_cast)
+                    run.go(CasterRun.time_cast)
             for run in runs:
-                run.go(ContestantRun.record_memory)
+                run.go(CasterRun.record_memory)
             if judged:
                 on_progress("exact answers")
                 judge(runs, ExactAnswers(ready, scene.workload, settings.seed), Path(name))
@@ -200,14 +189,14 @@ def time_scene(
     return SceneResult(scene.name, scene.title, scene.workload, ready.primitives, rows, elapsed, aovs)
 
 
-def judge(runs: Sequence[ContestantRun], truth: ExactAnswers, folder: Path) -> None:
+def judge(runs: Sequence[CasterRun], truth: ExactAnswers, folder: Path) -> None:
     rays = folder / "judged.npz"
     np.savez(rays, o=truth.o, d=truth.d)
 
-    def measure(run: ContestantRun, process: Requester) -> None:
-        out = folder / f"{run.contestant.key}.npy"
+    def measure(run: CasterRun, process: CasterProcess) -> None:
+        out = folder / f"{run.caster.key}.npy"
         process.request(do="answer", rays=str(rays), out=str(out))
-        run.row["score"] = truth.score(np.load(out), ours=run.contestant.side == OURS)
+        run.row["score"] = truth.score(np.load(out), ours=run.caster.side == OURS)
 
     for run in runs:
         run.go(measure)

@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import SerializerFunctionWrapHandler, computed_field, model_serializer
 from pydantic.dataclasses import dataclass
 
-from mitsuba_ref.bench.entries import ANY, AOVS, FILM, NEAREST
+from mitsuba_ref.bench.drivers import ANY, AOVS, FILM, NEAREST
 from mitsuba_ref.report.results import NOTHING, aligned, number
 
 JSON_FORMAT = 1  # goes up when a key changes its meaning or goes away
@@ -16,7 +16,7 @@ REFERENCE_ROW = "ours"  # the row that all ratios are to
 
 @dataclass(frozen=True)
 class Score:
-    """Errors of t on sampled rays of the film, and on as many rays aimed at edges."""
+    """Errors of t on sampled rays of the film, and on the same number of rays aimed at edges."""
 
     rays: int
     ulps: float | None  # largest |t - exact t| in float32 ulps of the exact t; None: nothing to compare
@@ -30,7 +30,7 @@ class Score:
 
 @dataclass(frozen=True)
 class Row:
-    """One contestant in one scene. `why`: what ended it, or kept it from beginning."""
+    """One caster in one scene. why: the reason why it ended early or could not start."""
 
     key: str
     title: str
@@ -77,9 +77,9 @@ class SceneResult:
         return next((row for row in self.rows if row.key == key), None)
 
     def ratio(self, key: str) -> float | None:
-        """How many times as long as ours a row takes for a ray: the median of the ratios of each alternation.
+        """Time per ray as a multiple of ours; None where one of the two did not run.
 
-        Both are of the same moment then, so that what else the machine did hits both. None where one has not run.
+        It is the median of the ratios within each alternation, so that other load on the machine affects both alike.
         """
         row, ours = self.row(key), self.row(REFERENCE_ROW)
         if row is None or ours is None:
@@ -90,7 +90,7 @@ class SceneResult:
 
 @dataclass(frozen=True)
 class Run:
-    """Everything. settings: size, alternations, threads, seed; machine: versions, CPU; requested: scenes to time."""
+    """A whole run. settings: size, alternations, threads, seed; machine: versions, CPU; requested: scenes to time."""
 
     settings: Mapping[str, Any]
     machine: Mapping[str, str]
@@ -103,7 +103,7 @@ COLUMNS = ("", "rays", "build ms", "ns/ray", "x ours", "t: ulps", "t: bounds", "
 
 
 def rows(scene: SceneResult) -> list[list[str]]:
-    """The head and a line for each row; one that did not run has the reason in place of its numbers."""
+    """The table's head and rows; a row that did not run has a reason in place of numbers."""
     return [[*COLUMNS], *(_cells(scene, row) for row in scene.rows)]
 
 
@@ -126,23 +126,17 @@ def _cells(scene: SceneResult, row: Row) -> list[str]:
 
 
 def _masks_text(masks: int, beyond: int) -> str:
-    """Wrong hits and misses, and behind a + hits of another surface."""
+    """The number of wrong hits and misses, then after a + that of hits of another surface."""
     return f"{masks}+{beyond}" if beyond else str(masks)
 
 
 # Columns of the table of all scenes: how many times as long as ours these take.
-OVERVIEW = {
-    "raw-robust": "`ray_intersect`",
-    "aov-robust": "AOV integrator",
-    "open3d": "Open3D",
-    "trimesh": "trimesh + embreex",
-    "candidate": "candidate",
-}
+OVERVIEW = {"raw-robust": "`ray_intersect`", "aov-robust": "AOV integrator", "candidate": "candidate"}
 RAYS_OF = {NEAREST: "t, normal of any rays", ANY: "any rays: hit or not"}
 
 
 def overview(run: Run) -> list[list[str]]:
-    """Head and a line for each image and each kind of rays: AOVs, our milliseconds and the ratios."""
+    """The overview table: for each scene AOVs, our time in ms, and the others as multiples of it."""
     scenes = [(scene, ours) for scene in run.scenes if (ours := scene.row(REFERENCE_ROW)) and ours.ran]
     keys = [key for key in OVERVIEW if any(scene.ratio(key) is not None for scene, _ in scenes)]
     found = [["scene", "AOVs", "ours, ms", *(OVERVIEW[key] for key in keys)]]
@@ -155,7 +149,7 @@ def overview(run: Run) -> list[list[str]]:
 
 def overview_text(run: Run) -> str:
     table = [[cell.replace("`", "") for cell in line] for line in overview(run)]
-    return "\n".join(["Milliseconds of ours; the other columns are multiples of it", *aligned(table, left=2)])
+    return "\n".join(["Our time in ms; the other columns are multiples of it", *aligned(table, left=2)])
 
 
 def as_text(scene: SceneResult) -> str:
@@ -166,7 +160,7 @@ def as_text(scene: SceneResult) -> str:
 
 
 def summary(run: Run) -> str:
-    """The last line: how much was done."""
+    """The last line: numbers of scenes and rows."""
     rows = [row for scene in run.scenes for row in scene.rows]
     empty = sum(not row.ran for row in rows)
     rounds = f"medians of {run.settings['alternations']} alternations"

@@ -1,32 +1,33 @@
-"""A benchmark run: the machine, and scene after scene."""
+"""A benchmark run: properties of the machine, and the results of its scenes."""
 
 import os
 import platform
 import re
 import shutil
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
 from caster import __version__
-from mitsuba_ref.bench.contestants import Contestant, contestants_for, processors
-from mitsuba_ref.bench.entries import AOVS
-from mitsuba_ref.bench.measuring import Progress, Settings, Start, start_process, time_scene
-from mitsuba_ref.bench.result import Run, SceneResult
+from mitsuba_ref.bench.casters import TimedCaster, casters_for, processors
+from mitsuba_ref.bench.drivers import AOVS
+from mitsuba_ref.bench.measuring import Progress, Settings, time_scene
+from mitsuba_ref.bench.result import SceneResult
 from mitsuba_ref.bench.scenes import BenchScene
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.reference.subprocess_runner import PACKAGE_PARENT
 from mitsuba_ref.report.results import libllvm, versions
 
-PACKAGES = ("numpy", "numba", "mitsuba", "drjit", "open3d", "trimesh", "embreex")
+PACKAGES = ("numpy", "numba", "mitsuba", "drjit")
 GIT_SECONDS = 10.0  # for the name of a commit
+CPU_INFO = Path("/proc/cpuinfo")  # of Linux
 
 
 def machine_properties() -> dict[str, str]:
     """Properties of the machine and of the software that times depend on."""
+    named = re.search(r"model name\s*: (.*)", CPU_INFO.read_text(errors="replace")) if CPU_INFO.exists() else None
     found = {
-        "processor": first_match("/proc/cpuinfo", r"model name\s*: (.*)") or platform.machine(),
+        "processor": named[1] if named else platform.machine(),
         "processors used": f"{processors()} of {os.cpu_count() or 1}",
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         "Python": platform.python_version(),
@@ -37,12 +38,6 @@ def machine_properties() -> dict[str, str]:
     return found | versions(*PACKAGES) | {"libLLVM": libllvm()}
 
 
-def first_match(file: str, pattern: str) -> str:
-    path = Path(file)
-    found = re.search(pattern, path.read_text(errors="replace")) if path.exists() else None
-    return found[1] if found else ""
-
-
 def revision() -> str:
     """The commit of these sources, where they are in a repository."""
     command = ["git", "-C", str(PACKAGE_PARENT), "describe", "--always", "--dirty", "--abbrev=10"]
@@ -50,28 +45,13 @@ def revision() -> str:
     return described.output.strip() if described and described.code == 0 else "unknown"
 
 
-class BenchmarkRun:
-    """Times scenes; `run` holds the results so far."""
-
-    def __init__(
-        self,
-        scenes: Sequence[BenchScene],
-        settings: Settings,
-        candidate: Contestant | None = None,
-        start: Start = start_process,
-    ) -> None:
-        self.scenes, self.settings, self.candidate, self.start = scenes, settings, candidate, start
-        recorded = asdict(settings) | {"candidate": candidate.title if candidate else ""}
-        self.run = Run(recorded, machine_properties(), tuple(scene.name for scene in scenes))
-
-    def time_scenes(self, on_progress: Progress, on_result: Callable[[SceneResult], None]) -> None:
-        """on_result: called with each scene's result as soon as it is there."""
-        for i, scene in enumerate(self.scenes):
-            contestants = contestants_for(scene.workload, peers=self.settings.peers, aovs=scene.aovs)
-            if self.candidate and scene.aovs == AOVS:
-                contestants.append(self.candidate)
-            where = f"{i + 1}/{len(self.scenes)} {scene.name}"
-            report = partial(lambda where, words: on_progress(f"{where}: {words}"), where)
-            result = time_scene(scene, contestants, self.settings, report, self.start, judged=scene.aovs == AOVS)
-            self.run = replace(self.run, scenes=(*self.run.scenes, result))
-            on_result(result)
+def timed_scenes(
+    scenes: Sequence[BenchScene], settings: Settings, candidate: TimedCaster | None, on_progress: Progress
+) -> Iterator[SceneResult]:
+    """Time scene after scene."""
+    for i, scene in enumerate(scenes):
+        casters = casters_for(scene.workload, scene.aovs)
+        if candidate and scene.aovs == AOVS:
+            casters.append(candidate)
+        report = partial(lambda where, words: on_progress(f"{where}: {words}"), f"{i + 1}/{len(scenes)} {scene.name}")
+        yield time_scene(scene, casters, settings, report, judged=scene.aovs == AOVS)

@@ -1,4 +1,4 @@
-"""Scenes of the benchmark, in float32 numbers, so that all contestants cast the same ones."""
+"""Scenes of the benchmark, in float32 numbers, so that all casters cast the same ones."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +13,8 @@ from caster.description.errors import SceneError, suggestion
 from caster.scene.files import load_scene
 from caster.scene.model import Ambient, Diffuse, Point, Scene
 from caster.shapes import Cylinder, Disk, Heightfield, Plane, Rectangle, Sphere, SphereCloud, Teapot, Torus
-from mitsuba_ref.bench.entries import ANY, AOVS, FILM, NEAREST
+from mitsuba_ref.bench.drivers import ANY, AOVS, FILM, NEAREST
+from mitsuba_ref.hard.swept_families import unit
 
 Rays = tuple[np.ndarray, np.ndarray]  # o, d: (n, 3) float32 each
 
@@ -22,8 +23,7 @@ Rays = tuple[np.ndarray, np.ndarray]  # o, d: (n, 3) float32 each
 class BenchScene:
     """One scene of the benchmark.
 
-    workload: FILM an image of `aovs`; NEAREST t and normal along rays that are handed over; ANY whether something lies
-    on them.
+    workload: FILM, an image of `aovs`; NEAREST, t and normals along given rays; ANY, whether given rays hit anything.
     """
 
     name: str
@@ -60,13 +60,13 @@ def ring(camera: Any = None) -> Scene:
 
 
 def hills(triangles: int) -> Scene:
-    """About so many triangles of a hilly square of side 2."""
+    """A hilly square of side 2, of about this many triangles."""
     resolution = max(1, round((triangles / 2) ** 0.5))
     return from_front(Heightfield(size=2.0, resolution=resolution, amplitude=0.2, waves=8, seed=0, face_normals=True))
 
 
 def layers() -> Scene:
-    """Squares behind each other, in an order drawn by chance: every ray crosses all of them."""
+    """Squares behind each other, in random order: every ray crosses all of them."""
     # Off the middle, or a pixel in a thousand would lie exactly on the diagonal of every square.
     camera = Pinhole(eye=(0.117, 0.053, 3.0), look_at=(0.031, 0.017, 0.0), up=(0.0, 1.0, 0.0), fov=20.0)
     order = np.random.default_rng(0).permutation(256)
@@ -96,7 +96,7 @@ def several_kinds() -> Scene:
 
 
 def incoherent(scene: Scene) -> Rays:
-    """From random points of a sphere around the scene to random points within: incoherent neighbours."""
+    """Incoherent rays, from random points of a sphere around the scene to random points within."""
     rng, count = np.random.default_rng(1), scene.film.width * scene.film.height
     start = (3.0 * unit(rng.normal(size=(count, 3)))).astype(np.float32)
     p = rng.uniform(-1.0, 1.0, (count, 3)) * [1.4, 1.4, 0.4]
@@ -104,7 +104,7 @@ def incoherent(scene: Scene) -> Rays:
 
 
 def shadow_rays_to_light(scene: Scene) -> Rays:
-    """From points near the surface to one light; t = 1 is the light, so that t_max = 1 ends there."""
+    """Shadow rays from points near the surface to one light, which is at t = 1."""
     rng, count = np.random.default_rng(2), scene.film.width * scene.film.height
     u, v = 2.0 * np.pi * rng.random((2, count))
     tube = 1.0 + 0.41 * np.cos(v)
@@ -112,19 +112,14 @@ def shadow_rays_to_light(scene: Scene) -> Rays:
     return o, (np.array([2.0, -3.0, 3.0]) - o).astype(np.float32)
 
 
-def unit(v: np.ndarray) -> np.ndarray:
-    rows: np.ndarray = v / np.linalg.norm(v, axis=1, keepdims=True)
-    return rows
-
-
 def scene_of_file(path: str, mesh_dirs: Sequence[str] = ()) -> BenchScene:
-    """A scene or mesh file. Raises SceneError, FileMissing."""
+    """The scene of a scene or mesh file. Raises SceneError, FileMissing."""
     scene = load_scene(path, mesh_dirs)
     return BenchScene(Path(path).stem, path, lambda: scene)
 
 
 def with_aovs(scene: BenchScene, aovs: Sequence[str]) -> BenchScene:
-    """The image in other AOVs. Raises SceneError for a name that is none."""
+    """The same scene with other AOVs. Raises SceneError for an unknown name."""
     for name in aovs:
         if name not in BY_NAME:
             hint = suggestion(name, BY_NAME)

@@ -1,17 +1,17 @@
-"""Errors of contestants: scenes on disk in every form that some contestant reads, and exact answers to judge t by."""
+"""Errors of casters: scenes written in every form that one of them reads, and exact answers."""
 
 import pickle
 from pathlib import Path
 
 import numpy as np
 
-from caster.geometry.packing import Triangles
 from caster.scene.model import Scene
 from caster.shapes.sphere import Spheres
-from mitsuba_ref.bench.entries import ANY, DEFAULT, MESH_FILE, RAYS_FILE, ROBUST, SCENE_FILE, SHADOW_END
+from mitsuba_ref.bench.drivers import ANY, DEFAULT, RAYS_FILE, ROBUST, SCENE_FILE, SHADOW_END
 from mitsuba_ref.bench.result import Score
-from mitsuba_ref.bench.scenes import BenchScene, Rays, unit
+from mitsuba_ref.bench.scenes import BenchScene, Rays
 from mitsuba_ref.hard.rays import Targets
+from mitsuba_ref.hard.swept_families import unit
 from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, prepare_scene
 from mitsuba_ref.reference.shared_input import export, packed_float32, shared_rays
 from mitsuba_ref.report.results import largest
@@ -29,17 +29,11 @@ def write_scene(scene: BenchScene, folder: Path, size: int) -> PreparedScene:
     for name in (ROBUST, DEFAULT):
         export(made, ready.model, robust=name == ROBUST).write(folder / name)
     np.savez(folder / RAYS_FILE, o=ready.o, d=ready.d)
-    parts = ready.packed.parts
-    if all(isinstance(part, Triangles) for part in parts):
-        first = np.cumsum([0, *(len(part.vertices) for part in parts)])
-        faces = np.concatenate([part.faces + start for part, start in zip(parts, first, strict=False)])
-        vertices = np.concatenate([part.vertices for part in parts])
-        np.savez(folder / MESH_FILE, vertices=vertices.astype(np.float32), faces=faces.astype(np.int32))
     return ready
 
 
 def rays_of(scene: BenchScene, made: Scene) -> Rays:
-    """The rays that are handed over, or those of the camera; one for each pixel."""
+    """The scene's own rays, or else its camera's; one for each pixel."""
     if scene.rays:
         return scene.rays(made)
     shared = shared_rays(made)
@@ -48,7 +42,7 @@ def rays_of(scene: BenchScene, made: Scene) -> Rays:
 
 
 def at_edges(rng: np.random.Generator, ready: PreparedScene, rows: np.ndarray) -> Rays:
-    """A ray from where each of these rays starts, of parallel ones along it, to an edge, a rim or a silhouette."""
+    """Rays aimed at edges, rims and silhouettes, from the origins of these rays, or parallel to them."""
     o, d = ready.o[rows].astype(np.float64), ready.d[rows].astype(np.float64)
     targets, parallel = Targets(ready.packed), ready.scene.camera.type == "orthographic"
     picks = targets.pick(rng, len(rows))
@@ -66,7 +60,7 @@ def at_edges(rng: np.random.Generator, ready: PreparedScene, rows: np.ndarray) -
 def on_silhouettes(
     rng: np.random.Generator, center: np.ndarray, r: np.ndarray, o: np.ndarray, d: np.ndarray | None
 ) -> np.ndarray:
-    """Where tangents from o touch spheres, or those along d."""
+    """Points in which tangents from o, or along d, touch spheres."""
     away = o - center
     distance = np.linalg.norm(away, axis=1, keepdims=True)
     axis = away / distance if d is None else d
@@ -77,7 +71,7 @@ def on_silhouettes(
 
 
 class ExactAnswers:
-    """Rays of the film and rays aimed at edges, with their exact answers."""
+    """Sampled rays of the film and rays aimed at edges, with their exact answers."""
 
     def __init__(self, ready: PreparedScene, workload: str, seed: int, sample: int = EXACT_RAYS_PER_SORT) -> None:
         rng = np.random.default_rng([seed, 7])
@@ -88,26 +82,18 @@ class ExactAnswers:
         self.exact = ExactHits(ready, self.o, self.d, SHADOW_END if self.any else np.inf)
 
     def score(self, t: np.ndarray, *, ours: bool) -> Score:
-        """t: (n,) of a contestant along all rays, inf on a miss; a NaN counts as a hit."""
-        hit = ~np.isposinf(t)
-        wrong = hit != self.exact.hit
-        both = np.flatnonzero(hit & self.exact.hit) if not self.any else np.zeros(0, int)
-        errors = self.exact.errors(both, t[both])
-        allowed = (self.exact.float64 if ours else self.exact.float32)[both]
-        beyond = np.zeros(len(t), bool)
-        beyond[both] = ~(errors <= allowed)
-        on_film = both < self.film_rays
-        with np.errstate(divide="ignore", invalid="ignore"):
-            of_bound = np.where(errors > 0.0, errors / allowed, 0.0)[on_film]
-        ulps = (errors / np.spacing(np.abs(self.exact.t[both]).astype(np.float32)).astype(np.float64))[on_film]
-        film, edges = slice(0, self.film_rays), slice(self.film_rays, None)
+        """t: (n,) of a caster along all rays, inf on a miss; a NaN counts as a hit."""
+        wrong = ~np.isposinf(t) != self.exact.hit
+        found = self.exact.compare(np.full(len(t), np.inf) if self.any else t, ours=ours)
+        on_film, beyond = found.rows < self.film_rays, found.rows[found.beyond]
+        spacing = np.spacing(np.abs(self.exact.t[found.rows]).astype(np.float32)).astype(np.float64)
         return Score(
             rays=self.film_rays,
-            ulps=largest(ulps),
-            bounds=largest(of_bound),
-            masks=int(wrong[film].sum()),
-            beyond=int(beyond[film].sum()),
+            ulps=largest((found.errors / spacing)[on_film]),
+            bounds=largest(found.ratio[on_film]),
+            masks=int(wrong[: self.film_rays].sum()),
+            beyond=int(np.sum(beyond < self.film_rays)),
             edge_rays=len(t) - self.film_rays,
-            edge_masks=int(wrong[edges].sum()),
-            edge_beyond=int(beyond[edges].sum()),
+            edge_masks=int(wrong[self.film_rays :].sum()),
+            edge_beyond=int(np.sum(beyond >= self.film_rays)),
         )

@@ -1,4 +1,4 @@
-"""A contestant's process, which stays and answers requests, JSON each, so that contestants can take turns.
+"""A caster's process, which stays and answers requests, JSON each, so that casters can take turns.
 
 python -m mitsuba_ref.bench.worker WORK NOTICES
 
@@ -18,16 +18,16 @@ from typing import Any
 import numpy as np
 
 from caster.system.terminal import compilation_reported
-from mitsuba_ref.bench.entries import CannotRun, Entry, Work
+from mitsuba_ref.bench.drivers import CannotRun, Driver, Work
 from mitsuba_ref.reference.subprocess_runner import serve
 
 
 class Worker:
-    """Replies to build, cast, answer and memory."""
+    """Replies to the requests build, cast, answer and memory."""
 
     def __init__(self, work: Work) -> None:
         self.work = work
-        self.entry: Entry | None = None
+        self.driver: Driver | None = None
 
     def reply(self, line: bytes) -> bytes:
         request = json.loads(line)
@@ -37,31 +37,31 @@ class Worker:
             return json.dumps({"why": " ".join(str(reason).split())}).encode()
 
     def build(self, size: int) -> dict[str, Any]:
-        """A new contestant; the seconds that its build took."""
-        self.entry = None  # before the next is made: two at a time take twice the memory
+        """Create a caster and time its build."""
+        self.driver = None  # before the next is made: two at a time take twice the memory
         gc.collect()
-        module, _, name = self.work.entry.partition(":")
-        self.entry = getattr(import_module(f"mitsuba_ref.bench.{module}"), name)(self.work)
+        module, _, name = self.work.driver.partition(":")
+        self.driver = getattr(import_module(f"mitsuba_ref.bench.{module}"), name)(self.work)
         start = time.perf_counter()
-        self.entry.build(size)
+        self.driver.build(size)
         seconds = time.perf_counter() - start
-        self.entry.take_rays(size)
+        self.driver.take_rays(size)
         return {"seconds": seconds}
 
     def cast(self, least: float) -> dict[str, Any]:
-        """The median of as many casts as fit into `least` seconds, one at least."""
-        assert self.entry is not None
+        """Cast repeatedly for `least` seconds, once at least; returns the median time."""
+        assert self.driver is not None
         seconds: list[float] = []
         while not seconds or sum(seconds) < least:
             start = time.perf_counter()
-            rays = self.entry.cast()
+            rays = self.driver.cast()
             seconds.append(time.perf_counter() - start)
         return {"seconds": statistics.median(seconds), "rays": rays}
 
     def answer(self, rays: str, out: str) -> dict[str, Any]:
-        assert self.entry is not None
+        assert self.driver is not None
         with np.load(rays) as given:
-            np.save(out, self.entry.answer(given["o"], given["d"]))
+            np.save(out, self.driver.answer(given["o"], given["d"]))
         return {}
 
     def memory(self) -> dict[str, Any]:
@@ -69,9 +69,9 @@ class Worker:
 
 
 def peak_memory() -> int:
-    """Most bytes that this process had in memory, all libraries and Python included.
+    """The largest resident size of this process in bytes.
 
-    Linux counts in ru_maxrss also what the process had that started this one, but not in VmHWM.
+    On Linux it is VmHWM, since ru_maxrss includes the memory of the process that started this one.
     """
     import resource  # POSIX alone
 

@@ -17,7 +17,7 @@ from mitsuba_ref.reference.variants import Variants, usable_variants
 PINNED = {"mitsuba": "3.9.1", "drjit": "1.5.0"}
 INSTALL_COMMAND = "pip install " + " ".join(f"{name}=={version}" for name, version in PINNED.items())
 MATPLOTLIB = Package("matplotlib", "matplotlib", "3.9", "the plots of `make stress` and `make bench`", needed=False)
-PEER_PURPOSE = "another ray caster for `bench --peers`"
+PEER_PURPOSE = "another ray caster, for the examples of docs/candidates"
 PEERS = (
     Package("open3d", "open3d", "0.19", PEER_PURPOSE, needed=False),
     Package("embreex", "embreex", "4.4", PEER_PURPOSE, needed=False),

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from mitsuba_ref.bench.result import Run, SceneResult
     from mitsuba_ref.bench.scenes import BenchScene
     from mitsuba_ref.hard.family import Family
-    from mitsuba_ref.stress.sweeps import SweepResult
-    from mitsuba_ref.subjects.subject import Subject
+    from mitsuba_ref.stress.sweeps import StressRun, SweepResult
 
 # ---- stress ----
 
@@ -34,9 +33,9 @@ def add_stress_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_stress(args: argparse.Namespace) -> int:
     """Sweep the selected families; 0 right everywhere, 1 not, 5 nothing selected or judged, 130 interrupted."""
-    from mitsuba_ref import stress
+    from mitsuba_ref.hard.swept_families import SWEPT
 
-    families = options.select(stress.FAMILIES, "family", args.families, args.expression)
+    families = options.select(SWEPT, "family", args.families, args.expression)
     if not families:
         print(f"nothing selected: no family matches -k {args.expression!r}", file=sys.stderr)
         return NOTHING_SELECTED
@@ -46,43 +45,34 @@ def run_stress(args: argparse.Namespace) -> int:
     options.check_json(args)
     candidate = options.requested_candidate(args, takes_rays=True)
     from mitsuba_ref.reference import variants
+    from mitsuba_ref.stress import sweeps
 
     variants.require_variants()  # without Mitsuba's columns a run would pass with its evidence missing
     done: list[SweepResult] = []
     try:
-        sweep_all(families, args, done, candidate)
+        for i, family in enumerate(families):
+            progress = options.Progress(f"{i + 1}/{len(families)} {family.name}")
+            done.append(sweeps.sweep(family, args.seed, args.rays, progress, candidate))
+            progress.clear()
+            table = sweeps.as_text(done[-1], args.skip_unsupported)
+            print(f"{table}\n", file=options.table_stream(args), flush=True)
     finally:  # what is done is kept, whatever ends the work
-        report_sweeps(done, families, args)
-    judged = [sweep for sweep in done if not (args.skip_unsupported and sweep.declined)]
-    if not judged:
+        run = report_sweeps(done, families, args)
+    if not run.judged:
         print("nothing judged: the candidate declined every family", file=sys.stderr)
         return NOTHING_SELECTED
-    return OK if all(sweep.ok for sweep in judged) else DIFFERENCES
+    return OK if run.ok else DIFFERENCES
 
 
-def sweep_all(
-    families: list[Family], args: argparse.Namespace, done: list[SweepResult], candidate: Subject | None
-) -> None:
-    """Print each family's table as soon as it is done."""
-    from mitsuba_ref.stress import sweeps
+def report_sweeps(done: list[SweepResult], families: list[Family], args: argparse.Namespace) -> StressRun:
+    """Write the JSON file, if any, and print a last line; returns the result."""
+    from mitsuba_ref.report.results import libllvm, versions, write_result
+    from mitsuba_ref.stress.sweeps import StressRun
 
-    for i, family in enumerate(families):
-        progress = options.Progress(f"{i + 1}/{len(families)} {family.name}")
-        done.append(sweeps.sweep(family, args.seed, args.rays, progress, candidate))
-        progress.clear()
-        table = sweeps.as_text(done[-1], args.skip_unsupported)
-        print(f"{table}\n", file=options.table_stream(args), flush=True)
-
-
-def report_sweeps(done: list[SweepResult], families: list[Family], args: argparse.Namespace) -> None:
-    """The JSON file, if any, and a last line."""
+    installed = versions("mitsuba", "drjit", "numpy") | {"libllvm": libllvm()}
+    requested = tuple(family.name for family in families)
+    run = StressRun(args.seed, installed, requested, tuple(done), args.skip_unsupported)
     if args.json:
-        from mitsuba_ref.report.results import libllvm, versions, write_result
-        from mitsuba_ref.stress.sweeps import StressRun
-
-        installed = versions("mitsuba", "drjit", "numpy") | {"libllvm": libllvm()}
-        requested = tuple(family.name for family in families)
-        run = StressRun(args.seed, installed, requested, tuple(done), args.skip_unsupported)
         write_result(run, args.json)
     declined = [sweep.name for sweep in done if sweep.declined]
     failing = [sweep.name for sweep in done if not sweep.ok and not sweep.declined]
@@ -92,6 +82,7 @@ def report_sweeps(done: list[SweepResult], families: list[Family], args: argpars
         waived = "" if args.skip_unsupported else "; they fail the run without --skip-unsupported"
         text += f"\n{len(declined)} declined by the candidate: {', '.join(declined)}{waived}"
     print(text, file=options.table_stream(args))
+    return run
 
 
 # ---- bench ----
@@ -106,7 +97,6 @@ def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     help_ = "AOVs of images, such as depth,normal,diffuse; again: another set. Default: depth,normal"
     add("--aov", metavar="LIST", type=str, action="append", help=help_)
-    add("--peers", action="store_true", help="also time Open3D and trimesh; pip install 'ray-reference[peers]'")
     add("--size", metavar="N", type=positive_int, default=DEFAULT_SIZE, help=f"pixels a side; default: {DEFAULT_SIZE}")
     help_ = f"turns of each; default: {DEFAULT_ALTERNATIONS}"
     add("--alternations", metavar="N", type=positive_int, default=DEFAULT_ALTERNATIONS, help=help_)
@@ -131,33 +121,41 @@ def run_bench(args: argparse.Namespace) -> int:
         print("\n".join(f"{scene.name:{width}}{scene.title}" for scene in scenes))
         return OK
     options.check_json(args)
-    from mitsuba_ref.bench.contestants import CANDIDATE, candidate_contestant, processors
+    from dataclasses import asdict
+
+    from mitsuba_ref.bench.casters import CANDIDATE, OURS, candidate_caster, processors
     from mitsuba_ref.bench.measuring import Settings
-    from mitsuba_ref.bench.run import BenchmarkRun
+    from mitsuba_ref.bench.result import Run, as_text
+    from mitsuba_ref.bench.run import machine_properties, timed_scenes
 
     threads = args.threads or processors()
     if threads > processors():
         raise SceneError(f"--threads {threads}: this process may use {processors()}")
-    settings = Settings(args.size, args.alternations, threads, args.seed, args.peers)
-    contestant = None
+    settings = Settings(args.size, args.alternations, threads, args.seed)
+    caster = None
     if candidate:
         served = isinstance(args.candidate, options.ServedProgram)
-        contestant = candidate_contestant(str(args.candidate), args.candidate_precision, served=served)
-    work = BenchmarkRun(scenes, settings, contestant)
+        caster = candidate_caster(str(args.candidate), args.candidate_precision, served=served)
+    recorded = asdict(settings) | {"candidate": caster.title if caster else ""}
+    machine, requested = machine_properties(), tuple(scene.name for scene in scenes)
     progress = options.Progress("bench")
+    done: list[SceneResult] = []
     try:
-        work.time_scenes(progress, lambda scene: show(scene, progress, args))
+        for scene in timed_scenes(scenes, settings, caster, progress):
+            done.append(scene)
+            progress.clear()
+            print(f"{as_text(scene)}\n", file=options.table_stream(args), flush=True)
     finally:  # what is done is kept, whatever ends the work
-        report_run(work.run, args)
-    rows = [row for scene in work.run.scenes for row in scene.rows]
-    ours_ran = all(row.ran for row in rows if row.side == "ours")
+        report_run(Run(recorded, machine, requested, tuple(done)), args)
+    rows = [row for scene in done for row in scene.rows]
+    ours_ran = all(row.ran for row in rows if row.side == OURS)
     candidate_ran = any(row.ran for row in rows if row.key == CANDIDATE)  # whether it is right, `validate` says
     return OK if ours_ran and (candidate is None or candidate_ran) else DIFFERENCES
 
 
 def requested_scenes(args: argparse.Namespace) -> list[BenchScene]:
-    """Those of the standard set and of files, in the AOVs of --aov. Raises SceneError, FileMissing."""
-    from mitsuba_ref.bench.entries import AOVS, FILM
+    """Scenes of the standard set and of files, with the AOVs of --aov. Raises SceneError, FileMissing."""
+    from mitsuba_ref.bench.drivers import AOVS, FILM
     from mitsuba_ref.bench.scenes import SCENES, scene_of_file, with_aovs
 
     files = [word for word in args.scenes if Path(word).suffix]
@@ -173,15 +171,8 @@ def requested_scenes(args: argparse.Namespace) -> list[BenchScene]:
     return chosen
 
 
-def show(scene: SceneResult, progress: options.Progress, args: argparse.Namespace) -> None:
-    from mitsuba_ref.bench.result import as_text
-
-    progress.clear()
-    print(f"{as_text(scene)}\n", file=options.table_stream(args), flush=True)
-
-
 def report_run(done: Run, args: argparse.Namespace) -> None:
-    """The JSON file, if any, the table of all scenes, and a last line."""
+    """Write the JSON file, if any, and print the overview table and a last line."""
     from mitsuba_ref.bench.result import overview_text, summary
     from mitsuba_ref.report.results import write_result
 

@@ -7,23 +7,19 @@ import itertools
 import json
 import re
 import sys
-from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, positive_int
-from caster.description.errors import SceneError, suggestion
 from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
 from caster.system.terminal import StatusLine
 from mitsuba_ref.cli import options
 
 if TYPE_CHECKING:
     from mitsuba_ref.fuzz.campaign import Campaign, Plan
-    from mitsuba_ref.subjects.subject import Subject
-
 
 DEFAULT_SECONDS = 60.0
-UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
+UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,43 +27,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--time", metavar="T", type=seconds, help="stop after this time, such as 60s, 5m, 1h; default: 60s")
     add("--examples", metavar="N|A..B", type=numbers, help="number of examples, or those from A to B")
     add("--seed", metavar="S", type=options.whole, default=0, help="example i of seed S is always the same; default: 0")
-    add(
-        "--family",
-        type=str,
-        metavar="NAME",
-        action="append",
-        default=[],
-        help="only this family of scenes; may be given several times",
-    )
-    add(
-        "--out",
-        type=OutputFolder,
-        metavar="DIR",
-        default="fuzz-failures",
-        help="where failing scenes are kept; default: fuzz-failures",
-    )
-    add(
-        "--keep",
-        metavar="N",
-        type=options.whole,
-        default=3,
-        help="findings of one kind in one family that are shrunk and kept; all are counted; default: 3",
-    )
+    help_ = "only this family of scenes; may be given several times"
+    add("--family", type=str, metavar="NAME", action="append", default=[], help=help_)
+    help_ = "where failing scenes are kept; default: fuzz-failures"
+    add("--out", type=OutputFolder, metavar="DIR", default="fuzz-failures", help=help_)
+    help_ = "findings of one kind in one family that are shrunk and kept; all are counted; default: 3"
+    add("--keep", metavar="N", type=options.whole, default=3, help=help_)
     add("--json", metavar="FILE", type=OutputFile, help="write the result as JSON")
-    add(
-        "--judge-every",
-        metavar="N",
-        type=options.whole,
-        default=16,
-        help="one scene in N, on average, is also compared with Mitsuba; 0: none; default: 16",
-    )
+    help_ = "one scene in N, on average, is also compared with Mitsuba; 0: none; default: 16"
+    add("--judge-every", metavar="N", type=options.whole, default=16, help=help_)
     add("--replay", metavar="FILE|DIR", type=InputPath, help="check kept scenes again, and nothing else")
     add("--rays", metavar="N", type=positive_int, default=40, help="rays aimed at each scene; default: 40")
     options.add_candidate(parser, "another ray caster, judged in place of ours in each scene (docs/candidates.md)")
 
 
 def seconds(text: str) -> float:
-    """A time, or an error in argparse's way."""
+    """Parse a time. Raises argparse.ArgumentTypeError."""
     match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([a-z]*)", text)
     if match is None or match[2] not in UNITS:
         raise argparse.ArgumentTypeError(f"expected a time such as 60s, 5m or 1h, got '{text}'")
@@ -75,7 +50,7 @@ def seconds(text: str) -> float:
 
 
 def numbers(text: str) -> range:
-    """The numbers of examples: N for the first N, A..B for those from A to B."""
+    """Parse numbers of examples: N for the first N, A..B for A to B. Raises argparse.ArgumentTypeError."""
     first, dots, last = text.partition("..")
     if not first.isdecimal() or (dots and not last.isdecimal()) or (dots and int(first) > int(last)):
         raise argparse.ArgumentTypeError(f"expected how many, such as 100, or from..to, such as 41..41, got '{text}'")
@@ -83,11 +58,12 @@ def numbers(text: str) -> range:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 nothing found, 1 something was, 5 nothing selected, 130 interrupted."""
+    """Run a campaign; 0 nothing found, 1 something found, 5 nothing selected, 130 interrupted."""
     if args.replay is not None:
         return replay(args)
     options.check_json(args)
-    from mitsuba_ref.fuzz import campaign, findings
+    from caster.system.atomic_files import write_text
+    from mitsuba_ref.fuzz import findings
     from mitsuba_ref.fuzz.campaign import Campaign
 
     plan = plan_of(args)
@@ -98,40 +74,31 @@ def run(args: argparse.Namespace) -> int:
         from mitsuba_ref.reference import variants
 
         variants.require_variants()  # a wrong choice of variant fails before any work
-    if last := campaign.unfinished_example(plan.folder):
-        print(f"an earlier run with this folder died, or is still running, in: {last}", file=sys.stderr)
-    search_run, line = Campaign(plan), StatusLine()
+    campaign, line = Campaign(plan), StatusLine()
     finished = False
     try:
-        work_through(search_run, line)
+        work_through(campaign, line)
         finished = True
     finally:  # what is found is kept, whatever ends the work
         line.erase()
-        print(findings.text(search_run.outcome))
-        write_json(args, search_run.outcome.to_dict(interrupted=not finished))
-    return OK if search_run.outcome.ok else DIFFERENCES
+        print(findings.text(campaign.outcome))
+        if args.json:
+            write_text(args.json, json.dumps(campaign.outcome.to_dict(interrupted=not finished), indent=1) + "\n")
+    return OK if campaign.outcome.ok else DIFFERENCES
 
 
 def plan_of(args: argparse.Namespace) -> Plan:
+    """The campaign's parameters. Raises SceneError for an unknown family or candidate."""
     from mitsuba_ref.fuzz.campaign import Plan
-    from mitsuba_ref.hard import BY_NAME, FAMILIES
-
-    for name in args.family:
-        if name not in BY_NAME:
-            raise SceneError(f"--family {name}: unknown{suggestion(name, BY_NAME)} (known: {', '.join(BY_NAME)})")
-    families = tuple(BY_NAME[name] for name in dict.fromkeys(args.family)) or FAMILIES
-    limit = args.time if args.time is not None or args.examples is not None else DEFAULT_SECONDS
-    examples: Iterable[int] = itertools.count() if args.examples is None else args.examples
-    subject, words = candidate_of(args)
-    kept = (Path(args.out), args.keep, args.judge_every, args.rays)
-    return Plan(args.seed, families, examples, limit, *kept, subject, words)
-
-
-def candidate_of(args: argparse.Namespace) -> tuple[Subject, tuple[str, ...]]:
-    """(who is judged, the options that name it)"""
+    from mitsuba_ref.hard import FAMILIES
     from mitsuba_ref.subjects.subject import OURS
 
-    return options.requested_candidate(args) or OURS, options.candidate_words(args)
+    families = options.select(FAMILIES, "family", args.family, None) if args.family else FAMILIES
+    limit = args.time if args.time is not None or args.examples is not None else DEFAULT_SECONDS
+    examples = itertools.count() if args.examples is None else args.examples
+    subject = options.requested_candidate(args) or OURS
+    kept = (Path(args.out), args.keep, args.judge_every, args.rays)
+    return Plan(args.seed, families, examples, limit, *kept, subject, options.candidate_words(args))
 
 
 def work_through(campaign: Campaign, line: StatusLine) -> None:
@@ -140,29 +107,19 @@ def work_through(campaign: Campaign, line: StatusLine) -> None:
         line.show(f"{total.examples} examples, {total.rays} rays, {total.findings} findings, {outcome.seconds:.0f} s")
 
 
-def write_json(args: argparse.Namespace, content: dict[str, Any]) -> None:
-    from caster.system.atomic_files import write_text
-
-    if args.json:
-        write_text(args.json, json.dumps(content, indent=1) + "\n")
-
-
 def replay(args: argparse.Namespace) -> int:
-    """Kept scenes again: 0 all pass today, 1 some fail, 2 a file is damaged, 4 missing, 5 an empty folder."""
-    from mitsuba_ref.fuzz import findings
-    from mitsuba_ref.fuzz.campaign import recheck
+    """Check kept scenes again: 0 all pass today, 1 some fail, 2 a file is damaged, 4 missing, 5 an empty folder."""
     from mitsuba_ref.fuzz.cases import kept_files, read_kept
-    from mitsuba_ref.reference.mitsuba_process import ResidentSession
+    from mitsuba_ref.fuzz.checks import find
+    from mitsuba_ref.fuzz.findings import replay_text
+    from mitsuba_ref.subjects.subject import OURS
 
     files = kept_files(args.replay)
     if not files:
         print(f"nothing selected: no scene file in {args.replay}", file=sys.stderr)
         return NOTHING_SELECTED
-    cases = [(str(file), read_kept(file)) for file in files]
-    subject, _ = candidate_of(args)
-    with ResidentSession() as resident:
-        lines = [
-            (file, one.kind, [f"{f.kind}: {f.what}" for f in recheck(one, resident, subject)]) for file, one in cases
-        ]
-    print(findings.replay_text(lines))
-    return DIFFERENCES if any(wrong for _, _, wrong in lines) else OK
+    kept = [(str(file), read_kept(file)) for file in files]
+    subject = options.requested_candidate(args) or OURS
+    replays = [(file, one.kind, find(one.case, one.kind, subject=subject)) for file, one in kept]
+    print(replay_text(replays))
+    return DIFFERENCES if any(findings for *_, findings in replays) else OK

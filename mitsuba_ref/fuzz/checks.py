@@ -1,22 +1,23 @@
-"""Checks of one scene: every way to cast its rays and its image, against each other and against the oracle."""
+"""Checks of one scene: ours along rays and in its image, against itself and the oracle; any subject by the judge."""
 
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
 
 from caster import cast
-from caster.aovs import Aovs
 from caster.description.errors import SceneError
-from caster.rendering.casting import Culling
-from caster.rendering.images import camera_rays, render
-from caster.rendering.plan import culling_for
+from caster.rendering.images import camera_rays
 from caster.scene.model import Scene
-from mitsuba_ref.error_model.bounds import DEPTH_ULPS, UNIT_LENGTH_ATOL
-from mitsuba_ref.fuzz.findings import Finding, Tally
+from mitsuba_ref.error_model.bounds import UNIT_LENGTH_ATOL
+from mitsuba_ref.fuzz.cases import Case, ray_of, scene_data
+from mitsuba_ref.fuzz.findings import JUDGED_KINDS, Finding, Tally
+from mitsuba_ref.hard.family import scene_of
 from mitsuba_ref.hard.rays import RayBatch
+from mitsuba_ref.judge import checks as registry
 from mitsuba_ref.judge.checks import knife_edges
 from mitsuba_ref.judge.checks.knife_edges import (
     NearestHits,
@@ -24,64 +25,86 @@ from mitsuba_ref.judge.checks.knife_edges import (
     cast_by_culling,
     concatenated,
     nearest_of_hits,
+    prepared_scene,
     t_text,
     with_limits,
 )
+from mitsuba_ref.judge.verdict import UNDECIDED, WRONG, SceneVerdict
 from mitsuba_ref.oracle.oracle import OutsideDomain
-from mitsuba_ref.reference.shared_input import pixel_of
+from mitsuba_ref.reference.mitsuba_process import send_request
+from mitsuba_ref.reference.shared_input import SharedRays
+from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.shapes.targets import Rng
+from mitsuba_ref.subjects.subject import OURS, Subject
 
-LIMITED_PUBLIC_CALLS = 3  # of them by caster.cast, which takes one pair of limits a call
-IMAGE_AOVS = ("depth", "normal", "shading_normal", "position", "shape_id", "prim_id")
 SCENE_ERRORS = (SceneError, ValidationError, OutsideDomain)  # raised by scenes that cannot be checked
+MITSUBA_TIMEOUT_S = 60.0  # seconds; a scene of a few dozen pixels takes a hundredth of one
+
+
+def find(case: Case, kind: str = "", tally: Tally | None = None, subject: Subject = OURS) -> list[Finding]:
+    """Findings about a case; none where it is no valid scene. kind: of the finding it was made for."""
+    tally = tally or Tally()
+    try:
+        scene = scene_of(scene_data(case))
+        if kind in JUDGED_KINDS or subject is not OURS:
+            return compare_with_mitsuba(scene, tally, subject)
+        prepared, ray = prepared_scene(scene), ray_of(case)
+        return check_image(prepared, tally) if ray is None else check_rays(prepared, ray, tally)
+    except SCENE_ERRORS:
+        return []
+    except Exception as error:
+        return [exception_finding(error)]
 
 
 def exception_finding(error: Exception) -> Finding:
     """The finding that an exception was raised."""
     place = traceback.extract_tb(error.__traceback__)[-1]
-    where = f"{Path(place.filename).name}:{place.lineno}"
-    return Finding("error", f"{type(error).__name__} at {where}: {error}")
+    return Finding("error", f"{type(error).__name__} at {Path(place.filename).name}:{place.lineno}: {error}")
 
 
-def check_rays(subject: PreparedScene, rays: RayBatch, tally: Tally, rng: Rng | None = None) -> list[Finding]:
+# ---- ours, without Mitsuba
+
+
+def check_rays(prepared: PreparedScene, rays: RayBatch, tally: Tally, rng: Rng | None = None) -> list[Finding]:
     """Findings about these rays; with a generator, some are cast again with other limits."""
     if rng is not None:
-        first = cast_by_culling(subject.packed, rays, "bvh")
-        rays = concatenated(rays, with_limits(rng, rays, first))
-    ours = cast_by_culling(subject.packed, rays, "bvh")
-    slow = cast_by_culling(subject.packed, rays, "brute-force")
-    rows, public = cast_publicly(subject, rays)
+        rays = concatenated(rays, with_limits(rng, rays, cast_by_culling(prepared.packed, rays, "bvh")))
+    ours = cast_by_culling(prepared.packed, rays, "bvh")
+    slow = cast_by_culling(prepared.packed, rays, "brute-force")
+    hits = cast(prepared.scene, rays.o, rays.d, t_min=rays.t_min, t_max=rays.t_max)
     return [
-        *_culling_differences(rays, ours, slow, "brute-force"),
-        *_culling_differences(rays.taken(rows), NearestHits(ours.t[rows], ours.prim[rows]), public, "caster.cast"),
-        *check_surfaces(subject.scene, rays),
-        *adjudicate(subject, rays, ours, tally),
+        *_differences(rays, ours, slow, "brute-force"),
+        *_differences(rays, ours, nearest_of_hits(hits, prepared.packed), "caster.cast"),
+        *check_surfaces(hits, rays),
+        *adjudicate(prepared, rays, ours, tally),
     ]
 
 
-def cast_publicly(subject: PreparedScene, rays: RayBatch) -> tuple[np.ndarray, NearestHits]:
-    """(rows, their hits) by caster.cast: all rays without limits, and the first few with limits."""
-    free = (rays.t_min == 0.0) & np.isinf(rays.t_max)
-    calls = [np.flatnonzero(free), *np.flatnonzero(~free)[:LIMITED_PUBLIC_CALLS, None]]
-    found = []
-    for rows in filter(len, calls):
-        o, d, t_min, t_max = rays.taken(rows)
-        hits = cast(subject.scene, o, d, t_min=float(t_min[0]), t_max=float(t_max[0]))
-        found.append(nearest_of_hits(hits, subject.packed))
-    return np.concatenate(calls), NearestHits(*(np.concatenate(column) for column in zip(*found, strict=True)))
+def _differences(rays: RayBatch, ours: NearestHits, other: NearestHits, name: str) -> Iterator[Finding]:
+    differs = (ours.t.view(np.int64) != other.t.view(np.int64)) | (ours.prim != other.prim)
+    for i in np.flatnonzero(differs):
+        one, two = (f"primitive {found.prim[i]} at t {t_text(found.t[i])}" for found in (ours, other))
+        yield Finding("culling", f"bvh: {one}; {name}: {two}", rays.taken(slice(i, i + 1)))
 
 
-def adjudicate(
-    subject: PreparedScene,
-    rays: RayBatch,
-    found: NearestHits,
-    tally: Tally,
-    pixels: Sequence[tuple[int, int]] = (),
-    depth_ulps: float = 0.0,
-) -> list[Finding]:
-    """Findings about hits, against the exact answers. pixels: of an image's rays."""
+def check_surfaces(hits: Any, rays: RayBatch) -> Iterator[Finding]:
+    """Findings about hits: positions and normals are finite, geometric normals of length 1, shading ones of 1 or 0."""
+    surface = hits.surface
+    length, shading = (np.sqrt((n * n).sum(axis=1)) for n in (surface.n, surface.sh_n))
+    unit = np.abs(length - 1.0) <= UNIT_LENGTH_ATOL
+    shaded = (np.abs(shading - 1.0) <= UNIT_LENGTH_ATOL) | (shading == 0.0)  # vertex normals may cancel
+    with np.errstate(over="ignore", invalid="ignore"):
+        beyond = np.isinf(hits.t * np.abs(rays.d).max(axis=1))  # a position that float64 cannot represent
+    fine = (np.isfinite(surface.p).all(axis=1) | beyond) & unit & shaded
+    for i in np.flatnonzero((hits.shape_id >= 0) & ~fine):
+        what = f"p {surface.p[i].tolist()}, n {surface.n[i].tolist()}, sh_n {surface.sh_n[i].tolist()}"
+        yield Finding("surface", f"shape {hits.shape_id[i]} is hit with {what}", rays.taken(slice(i, i + 1)))
+
+
+def adjudicate(prepared: PreparedScene, rays: RayBatch, found: NearestHits, tally: Tally) -> list[Finding]:
+    """Findings about hits, against the exact answers."""
     try:
-        verdicts = knife_edges.adjudicate(subject, rays, found, depth_ulps)
+        verdicts = knife_edges.adjudicate(prepared, rays, found)
     except OutsideDomain:
         tally.outside += len(rays.t_min)
         return []
@@ -93,62 +116,63 @@ def adjudicate(
     tally.unbounded += int(np.isinf(verdicts.bounds).sum())
     tally.worst = max(tally.worst, float(verdicts.ratios[np.isfinite(verdicts.ratios)].max(initial=0.0)))
     return [
-        Finding(kind, what, rays.taken(slice(i, i + 1)), pixels[i] if pixels else None)
+        Finding(kind, what, rays.taken(slice(i, i + 1)))
         for i, (kind, what) in enumerate(zip(verdicts.kinds, verdicts.texts, strict=True))
         if kind
     ]
 
 
-def _culling_differences(rays: RayBatch, ours: NearestHits, other: NearestHits, name: str) -> Iterator[Finding]:
-    differs = (ours.t.view(np.int64) != other.t.view(np.int64)) | (ours.prim != other.prim)
-    for i in np.flatnonzero(differs):
-        one, two = (f"primitive {found.prim[i]} at t {t_text(found.t[i])}" for found in (ours, other))
-        yield Finding("culling", f"bvh: {one}; {name}: {two}", rays.taken(slice(i, i + 1)))
+def check_image(prepared: PreparedScene, tally: Tally) -> list[Finding]:
+    """Findings about the scene's image, by the judge's check `render`, and about its camera's rays."""
+    scene = prepared.scene
+    chosen = [each for each in registry.checks_of(registry.OURS) if each.name == "render"]
+    failing = [each for each in registry.make_checks(chosen, {"scene": scene}) if not each.ok]
+    film = camera_rays(scene, threads=1)
+    rays = RayBatch(film.o, film.d, film.t_min, film.t_max).taken(np.flatnonzero(film.t_max > 0.0))
+    return [
+        *(Finding("check", f"{each.name}: {each.what}", detail=each.name) for each in failing),
+        *check_rays(prepared, rays, tally),
+    ]
 
 
-def check_surfaces(scene: Scene, rays: RayBatch) -> Iterator[Finding]:
-    """Of every hit: finite positions and normals, geometric normals of length 1, shading normals of 1 or 0."""
-    hits = cast(scene, rays.o, rays.d)
-    surface = hits.surface
-    length, shading = (np.sqrt((n * n).sum(axis=1)) for n in (surface.n, surface.sh_n))
-    unit = np.abs(length - 1.0) <= UNIT_LENGTH_ATOL
-    shaded = (np.abs(shading - 1.0) <= UNIT_LENGTH_ATOL) | (shading == 0.0)  # vertex normals may cancel
-    with np.errstate(over="ignore", invalid="ignore"):
-        beyond = np.isinf(hits.t * np.abs(rays.d).max(axis=1))  # a position that float64 cannot represent
-    fine = (np.isfinite(surface.p).all(axis=1) | beyond) & unit & shaded
-    for i in np.flatnonzero((hits.shape_id >= 0) & ~fine):
-        what = f"p {surface.p[i].tolist()}, n {surface.n[i].tolist()}, sh_n {surface.sh_n[i].tolist()}"
-        ray = rays.taken(slice(i, i + 1))._replace(t_min=np.zeros(1), t_max=np.full(1, np.inf))
-        yield Finding("surface", f"shape {hits.shape_id[i]} is hit with {what}", ray)
+# ---- any subject, with Mitsuba
 
 
-def check_image(subject: PreparedScene, tally: Tally) -> list[Finding]:
-    """Findings about the image of the scene's own camera: by every culling, and by exact arithmetic."""
-    scene = subject.scene
-    planned = culling_for(scene.camera.pack(scene.film.width, scene.film.height))[0]
-    cullings: tuple[Culling, ...] = ("bvh", "raster") if planned == "raster" else ("bvh",)
-    expected = render(scene, IMAGE_AOVS, culling="brute-force", threads=1)
-    findings: list[Finding] = []
-    for culling in cullings:
-        image = render(scene, IMAGE_AOVS, culling=culling, threads=1)
-        findings += _image_differences(scene, expected, image, culling)
-    return findings + _adjudicate_image(subject, expected, tally)
+def compare_with_mitsuba(
+    scene: Scene, tally: Tally, subject: Subject = OURS, rays: SharedRays | None = None
+) -> list[Finding]:
+    """Findings of the judge about a scene. Vacuous scenes pass: images of a few pixels may hit nothing.
+
+    rays: of a list, laid out as the film. Of a candidate, only wrong pixels are findings.
+    """
+    options: dict[str, Any] = {"timeout": MITSUBA_TIMEOUT_S, "send": send_request}
+    try:
+        verdict = validate_scene(scene, "fuzz", subject=subject, rays=rays, **options)
+    except SceneError:  # numbers beyond float32
+        tally.outside += 1
+        return []
+    if verdict.unsupported:
+        tally.declined += 1
+        return []
+    tally.judged += 1
+    tally.pixels += verdict.pixels
+    if verdict.problem:
+        return [Finding("crash" if subject is OURS else "answer", verdict.problem)]
+    if subject is not OURS and not (verdict.counts[WRONG] or verdict.counts[UNDECIDED]):
+        return []
+    return [_finding_of(verdict, scene, rays)] if verdict.failing or not verdict.checks_pass else []
 
 
-def _image_differences(scene: Scene, expected: Aovs, other: Aovs, name: str) -> Iterator[Finding]:
-    size = expected.hit.size
-    for aov in IMAGE_AOVS:
-        a, b = (np.ascontiguousarray(image[aov]).view(np.uint8) for image in (expected, other))
-        for i in np.flatnonzero((a.reshape(size, -1) != b.reshape(size, -1)).any(axis=1)):
-            slow, fast = (image[aov].reshape(size, -1)[i].tolist() for image in (expected, other))
-            yield Finding("culling", f"{aov}: brute-force: {slow}; {name}: {fast}", pixel=pixel_of(scene, int(i)))
-
-
-def _adjudicate_image(subject: PreparedScene, image: Aovs, tally: Tally) -> list[Finding]:
-    film = camera_rays(subject.scene, threads=1)
-    shape, prim = image["shape_id"].ravel(), image["prim_id"].ravel()
-    t = image["depth"].ravel() / np.sqrt((film.d * film.d).sum(axis=1))
-    found = NearestHits(t, np.where(shape < 0, -1, subject.packed.first[np.maximum(shape, 0)] + prim))
-    pixels = [pixel_of(subject.scene, i) for i in range(len(t))]
-    rays = RayBatch(film.o, film.d, film.t_min, film.t_max)
-    return adjudicate(subject, rays, found, tally, pixels, DEPTH_ULPS)
+def _finding_of(verdict: SceneVerdict, scene: Scene, rays: SharedRays | None) -> Finding:
+    for check in verdict.checks:
+        if not check.ok:
+            what = f"{check.name}: {check.ratio:.3g} times its bound; {check.what}"
+            return Finding("judged", what, detail=check.name)
+    first, ray = verdict.failures[0], None
+    if rays is not None:
+        at = [first.y * scene.film.width + first.x]
+        ray = RayBatch(rays.o[at], rays.d[at], np.zeros(1), np.full(1, np.inf))
+    subject = "the candidate" if verdict.candidate else "ours"
+    sides = f"{subject} {first.subject}; Mitsuba {first.reference}; exactly {first.exact}; {first.reason}"
+    what = f"{first.verdict}: {first.check} {first.ratio:.3g} times its bound; {sides}"
+    return Finding("judged", what, ray, detail=first.verdict)

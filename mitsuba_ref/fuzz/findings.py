@@ -13,27 +13,28 @@ from mitsuba_ref.report.results import aligned
 # The kinds of findings, the most informative first.
 FINDING_KINDS = {
     "error": "the caster, or the judge, raised an exception",
-    "missed": "there is a hit by exact arithmetic, ours is a miss",
-    "phantom": "there is none by exact arithmetic, ours is a hit",
+    "missed": "by exact arithmetic the ray hits something, ours misses",
+    "phantom": "by exact arithmetic the ray misses, ours hits something",
     "prim": "another primitive is hit first by exact arithmetic, or as early with a lower number",
     "t": "t is farther from the exact one than float64 rounding explains",
     "culling": "two ways to cast the same ray differ in some bit",
     "surface": "a position or normal is not finite, or a normal is not of length 1",
+    "check": "a check of the image that does not need Mitsuba fails",
     "judged": "the comparison with Mitsuba and exact arithmetic fails",
     "answer": "the candidate gave no answer to judge",
     "crash": "Mitsuba ended without an answer",
 }
+JUDGED_KINDS = ("judged", "answer", "crash")  # found by the judge, with Mitsuba
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One error: of a pixel of the image, or of a single ray."""
+    """One error: of a scene's image, or of a single ray."""
 
     kind: str
     what: str  # ours and the exact answer, in words
-    ray: RayBatch | None = None  # one row: the ray, where the finding is about one
-    pixel: tuple[int, int] | None = None
-    detail: str = ""  # of a judged one: the class of the pixel, or the check that fails
+    ray: RayBatch | None = None  # one row
+    detail: str = ""  # the class of the pixel, or the check that fails
 
     @property
     def mode(self) -> tuple[str, str]:
@@ -63,13 +64,6 @@ class Tally:
         for name, value in vars(other).items():
             mine = getattr(self, name)
             setattr(self, name, max(mine, value) if name == "worst" else mine + value)
-
-    def count_finding(self, finding: Finding) -> None:
-        self.findings += 1
-        self.kinds[finding.kind] += 1
-
-    def to_dict(self) -> dict[str, Any]:
-        return vars(self) | {"kinds": dict(self.kinds)}
 
 
 def first_of_each_kind(findings: list[Finding]) -> list[Finding]:
@@ -118,10 +112,6 @@ class Outcome:
         """Nothing found, and of a candidate, something judged."""
         return self.total.findings == 0 and (not self.candidate or self.total.judged > 0)
 
-    def keeps(self, finding: Finding, family: str, at_most: int) -> bool:
-        """Whether one more finding of this kind in this family is to be kept."""
-        return sum((f.kind, f.family) == (finding.kind, family) for f in self.failures) < at_most
-
     def to_dict(self, *, interrupted: bool) -> dict[str, Any]:
         """The JSON of a run."""
         return {
@@ -131,8 +121,8 @@ class Outcome:
             "candidate": self.candidate,
             "last_example": self.last,
             "seconds": round(self.seconds, 3),
-            "total": self.total.to_dict(),
-            "families": {name: tally.to_dict() for name, tally in self.families.items()},
+            "total": vars(self.total),
+            "families": {name: vars(tally) for name, tally in self.families.items()},
             "failures": [dataclasses.asdict(failure) for failure in self.failures],
         }
 
@@ -147,28 +137,23 @@ def text(outcome: Outcome) -> str:
     tallies = dict(outcome.families) | ({"all": outcome.total} if len(outcome.families) > 1 else {})
     rows = [[name, *(str(getattr(tally, column)) for column in columns)] for name, tally in tallies.items()]
     head = ["rays" if name == "pixels" else name for name in columns]
-    failures = []
-    for failure in outcome.failures:
-        failures += [
-            f"FAIL  {failure.kind}: {failure.what}",
-            f"      scene:  {failure.file}",
-            f"      replay: {failure.replay}",
-            f"      from:   mitsuba-ref fuzz {failure.example}",
-        ]
+    failures = [
+        f"FAIL  {failure.kind}: {failure.what}\n"
+        f"      scene:  {failure.file}\n"
+        f"      replay: {failure.replay}\n"
+        f"      from:   mitsuba-ref fuzz {failure.example}"
+        for failure in outcome.failures
+    ]
     return "\n".join([*aligned([["family", *head], *rows], left=1), *failures, *_summary(outcome)])
 
 
 def _summary(outcome: Outcome) -> Iterator[str]:
-    total, seconds = outcome.total, max(outcome.seconds, 1e-9)
+    total, rays = outcome.total, outcome.total.rays
+    work = f"{rays} rays adjudicated by exact arithmetic, {total.judged} scenes judged against Mitsuba"
     if outcome.candidate:
-        work = f"{total.pixels} rays of {total.judged} films and lists judged against Mitsuba and exact arithmetic"
-    else:
-        work = f"{total.rays} rays adjudicated by exact arithmetic, {total.judged} scenes judged against Mitsuba"
-    rays = total.pixels if outcome.candidate else total.rays
-    yield (
-        f"seed {outcome.seed}: {total.examples} examples, {work}, in {outcome.seconds:.1f} s "
-        f"({total.examples / seconds:.1f} examples/s, {rays / seconds:.0f} rays/s)"
-    )
+        rays = total.pixels
+        work = f"{rays} rays of {total.judged} films and lists judged against Mitsuba and exact arithmetic"
+    yield f"seed {outcome.seed}: {total.examples} examples, {work}, in {outcome.seconds:.1f} s"
     if outcome.candidate and not total.judged:
         yield f"FAIL  nothing was judged: {outcome.candidate} declined every scene, or none fits float32"
     kinds = ", ".join(f"{number} {kind}" for kind, number in sorted(total.kinds.items()))
@@ -177,10 +162,10 @@ def _summary(outcome: Outcome) -> Iterator[str]:
     yield f"{total.findings} findings: {kinds}{more}" if total.findings else "nothing found"
 
 
-def replay_text(lines: Sequence[tuple[str, str, list[str]]]) -> str:
+def replay_text(replays: Sequence[tuple[str, str, list[Finding]]]) -> str:
     """(file, kind it was kept for, findings today) -> a row per file, and a summary."""
     rows = []
-    for file, kind, wrong in lines:
-        rows += [f"{'FAIL' if wrong else 'PASS'}  {file}  {kind}", *(f"      {what}" for what in wrong)]
-    failing = sum(bool(wrong) for _, _, wrong in lines)
-    return "\n".join([*rows, f"{len(lines)} kept scenes: {len(lines) - failing} pass, {failing} fail"])
+    for file, kind, findings in replays:
+        rows += [f"{'FAIL' if findings else 'PASS'}  {file}  {kind}", *(f"      {f.kind}: {f.what}" for f in findings)]
+    failing = sum(bool(findings) for *_, findings in replays)
+    return "\n".join([*rows, f"{len(replays)} kept scenes: {len(replays) - failing} pass, {failing} fail"])

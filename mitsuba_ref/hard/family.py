@@ -16,7 +16,7 @@ AimRays = Callable[[Rng, Packed, int], RayBatch]  # that many rays, or fewer whe
 
 
 class HardScene(NamedTuple):
-    """A scene as a scene file describes it, and how rays are aimed at its packed shapes."""
+    """A scene as a scene file describes it, and a function that aims rays at its packed shapes."""
 
     data: Fields
     aim: AimRays
@@ -26,7 +26,7 @@ class HardScene(NamedTuple):
 
 
 def scene_of(data: Fields) -> Scene:
-    """Raises SceneError or pydantic's ValidationError for an invalid description."""
+    """The described scene. Raises SceneError or pydantic's ValidationError."""
     scene: Scene = Scene.model_validate(data)
     return scene
 
@@ -35,8 +35,8 @@ def scene_of(data: Fields) -> Scene:
 class Family:
     """Scenes of one numerical difficulty.
 
-    A family with values is swept by `stress`: one quantity gets extreme. `fuzz` draws from all families, and a value
-    of the swept ones.
+    `stress` sweeps the families that have values: one quantity becomes extreme. `fuzz` draws from all families, and
+    one of the values.
     """
 
     name: str

@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,6 @@ from mitsuba_ref.hard import rays
 from mitsuba_ref.hard.family import Family, Fields, HardScene, scene_of
 from mitsuba_ref.hard.random_parts import (
     FILM_SIZES,
-    bounded_types,
     log_uniform,
     matrix_rows,
     random_camera,
@@ -30,13 +30,14 @@ from mitsuba_ref.hard.rays import Aim, Frame, Targets, aimed_rays, perturbed_by_
 from mitsuba_ref.shapes.targets import Rng, coin_flip
 
 Shapes = list[Fields]
-Draw = Callable[[Rng], tuple[Frame, Shapes]]
+Draw = Callable[[Rng, Frame], Shapes]
 Finish = Callable[[Rng, Frame, Fields], Fields]
 
 
 def random_family(
     name: str,
     title: str,
+    frame_of: Callable[[Rng], Frame],
     draw: Draw,
     aims: Sequence[Aim] = rays.ALL_AIMS,
     *,
@@ -46,10 +47,11 @@ def random_family(
     finish: Finish = lambda rng, frame, data: data,
     **more: Any,
 ) -> Family:
-    """cameras: types; (): all that are registered. finish: may change the whole scene."""
+    """cameras: their types; (): all registered ones. finish: may change the whole scene."""
 
     def make(rng: Rng, _: float) -> HardScene:
-        frame, shapes = draw(rng)
+        frame = frame_of(rng)
+        shapes = draw(rng, frame)
         film, camera = random_camera(rng, frame, cameras, films, view)
         data = finish(rng, frame, {"film": film, "camera": camera, "shape": shapes})
         return HardScene(data, lambda rng, packed, count: aimed_rays(rng, Targets(packed), frame, count, aims))
@@ -61,7 +63,7 @@ def random_family(
 
 
 def triangle_fan(rng: Rng, frame: Frame) -> Shapes:
-    """A closed fan of 3 to 8 triangles; in a quarter of them each triangle has its own corners, an ulp off."""
+    """A closed fan of 3 to 8 triangles; in a quarter of them the corners of triangles differ by an ulp."""
     count = int(rng.integers(3, 9))
     angles = 2.0 * np.pi * (np.arange(count) + rng.uniform(0.0, 0.8, count)) / count
     rim = np.column_stack([np.cos(angles), np.sin(angles), rng.uniform(-0.5, 0.5, count)])
@@ -73,33 +75,12 @@ def triangle_fan(rng: Rng, frame: Frame) -> Shapes:
     return [triangle_of(np.roll(face, int(rng.integers(3)), axis=0)) for face in faces]
 
 
-def slivers(rng: Rng, frame: Frame) -> Shapes:
-    """Two to six triangles, 1e-17 to 1e-1 as thin as long; some have a whole sliver, not a line, for a neighbour."""
-    faces = [in_frame(random_sliver(rng), frame) for _ in range(int(rng.integers(1, 4)))]
-    for a, b, _ in list(faces):
-        if rng.random() < 0.6:
-            faces.append(np.array([b, a, in_frame(rng.uniform(-1.0, 1.0, (1, 3)), frame)[0]]))
-    return [triangle_of(face) for face in faces]
-
-
-def random_sliver(rng: Rng) -> np.ndarray:
-    """(3, 3) corners: a needle, a cap, a line, two corners in one place, or three."""
-    a, b = rng.uniform(-1.0, 1.0, (2, 3))
-    thin = log_uniform(rng, 1e-17, 1e-1) * rng.normal(size=3)
-    third = (a + thin, 0.5 * (a + b) + thin, a + float(rng.integers(1, 4)) / 2.0 * (b - a), b, a + thin)
-    which = int(rng.integers(5))
-    corners = np.array([a, b, third[which]])
-    if which == 4 and rng.random() < 0.2:
-        corners[:] = a
-    return rng.permutation(corners)
-
-
 def in_frame(points: np.ndarray, frame: Frame) -> np.ndarray:
     return frame.on_lattice(np.array(frame.center) + frame.size * points)
 
 
 def coincident_shapes(rng: Rng, frame: Frame) -> Shapes:
-    """A few shapes that coincide, in random order, half of the time with another shape among them."""
+    """A few coincident shapes in random order, half of the time together with another shape."""
     shapes = COINCIDENT_GROUPS[rng.integers(len(COINCIDENT_GROUPS))](rng, frame)
     if rng.random() < 0.5:
         shapes.append(random_shape(rng, str(rng.choice(shape_types())), frame))
@@ -113,7 +94,7 @@ def copies(rng: Rng, frame: Frame) -> Shapes:
 
 
 def nearly_equal_spheres(rng: Rng, frame: Frame) -> Shapes:
-    """One centre, and radii that differ by a unit in the last place or not at all."""
+    """Concentric spheres whose radii differ by one ulp or not at all."""
     center = np.array(frame.center) + frame.size * frame.on_lattice(rng.uniform(-1.0, 1.0, 3))
     radius = frame.size * float(rng.choice([1.0, 0.625, rng.uniform(0.1, 1.0)]))
     return [
@@ -166,39 +147,15 @@ COINCIDENT_GROUPS: tuple[Callable[[Rng, Frame], Shapes], ...] = (
 # ---- families ----
 
 
-def shapes_of(frame_of: Callable[[Rng], Frame], group: str, at_most: int) -> Draw:
-    """Scenes of one to at_most shapes of a group; "" for all registered shapes, "bounded" for finite ones."""
-
-    def draw(rng: Rng) -> tuple[Frame, Shapes]:
-        frame = frame_of(rng)
-        types = bounded_types() if group == "bounded" else shape_types(group)
-        return frame, random_shapes(rng, frame, types, at_most)
-
-    return draw
-
-
-def in_random_frame(shapes: Callable[[Rng, Frame], Shapes]) -> Draw:
-    def draw(rng: Rng) -> tuple[Frame, Shapes]:
-        frame = random_frame(rng)
-        return frame, shapes(rng, frame)
-
-    return draw
+def shapes_of(group: str, at_most: int) -> Draw:
+    """One to at_most shapes of a group; "" for all registered shapes."""
+    return lambda rng, frame: random_shapes(rng, frame, shape_types(group), at_most)
 
 
 def shared_edges(rng: Rng, frame: Frame) -> Shapes:
     if rng.random() < 0.5:
         return triangle_fan(rng, frame)
     return random_shapes(rng, frame, shape_types("mesh"), 2)
-
-
-def tiny_or_huge(rng: Rng) -> Frame:
-    """Sizes from 1e-100 to 1e17: squares of numbers that leave the range of float64, or nearly so."""
-    size = log_uniform(rng, 1e-100, 1e-20) if rng.random() < 0.5 else log_uniform(rng, 1e10, 1e17)
-    return Frame(size, condition=10.0)
-
-
-def stretched(rng: Rng) -> Frame:
-    return Frame(condition=1e6)
 
 
 def far_from_origin(rng: Rng) -> Frame:
@@ -213,28 +170,30 @@ def small_on_film(rng: Rng) -> Frame:
     return Frame(0.25, condition=10.0) if rng.random() < 0.6 else random_lattice_frame(rng)
 
 
-def clutter(rng: Rng) -> tuple[Frame, Shapes]:
+def crowded(rng: Rng) -> Frame:
+    return random_lattice_frame(rng) if rng.random() < 0.3 else Frame(condition=10.0)
+
+
+def clutter(rng: Rng, frame: Frame) -> Shapes:
     """Many small primitives through each other: deep trees, crowded tiles."""
-    frame = random_lattice_frame(rng) if rng.random() < 0.3 else Frame(condition=10.0)
     kinds = list(shape_types("small"))
     if rng.random() < 0.5:
         kinds = [str(rng.choice(kinds))]  # so that its tree is deep
     count = int(rng.integers(10, 30))
-    return frame, [random_shape(rng, str(rng.choice(kinds)), frame) for _ in range(count)]
+    return [random_shape(rng, str(rng.choice(kinds)), frame) for _ in range(count)]
 
 
-def surroundings(rng: Rng) -> tuple[Frame, Shapes]:
+def surroundings(rng: Rng, frame: Frame) -> Shapes:
     """Eight to thirteen shapes, all but one of few primitives."""
-    frame = random_frame(rng, condition=10.0)
-    kinds = [*rng.choice(shape_types("small"), int(rng.integers(7, 13))), rng.choice(bounded_types())]
-    return frame, [random_shape(rng, str(kind), frame) for kind in kinds]
+    kinds = [*rng.choice(shape_types("small"), int(rng.integers(7, 13))), rng.choice(shape_types("bounded"))]
+    return [random_shape(rng, str(kind), frame) for kind in kinds]
 
 
 def put_around_the_eye(rng: Rng, frame: Frame, data: Fields) -> Fields:
-    """The scene with the origin of each shape behind the eye, half of the time, or above, below or beside it.
+    """Move each shape behind the eye (half of them), above, below or beside it.
 
-    Each is so far away that it covers a few pixels: of a larger one, the bounding sphere would hold eye or pole.
-    In half of the scenes a sphere is around them all.
+    The distance is such that a shape covers a few pixels; the bounding sphere of a larger one would contain the eye or
+    a pole. Half of the scenes are enclosed in a sphere.
     """
     eye, forward, up = (np.array(data["camera"][name]) for name in ("eye", "direction", "up"))
     right = np.cross(forward, up)
@@ -249,7 +208,7 @@ def put_around_the_eye(rng: Rng, frame: Frame, data: Fields) -> Fields:
 
 
 def nearly_similar(rng: Rng, frame: Frame) -> Shapes:
-    """Matrices within 10^-1 to 10^-16 of a similarity: stretched, sheared, or any way off; some shapes come twice."""
+    """Matrices within 10^-1 to 10^-16 of a similarity: stretched, sheared, or perturbed; some shapes twice."""
     shapes = []
     for shape in random_shapes(rng, frame, shape_types("quadric"), 3):
         off = rng.normal(size=(3, 3)) * 10.0 ** -float(rng.integers(1, 17))
@@ -263,99 +222,109 @@ def nearly_similar(rng: Rng, frame: Frame) -> Shapes:
     return shapes
 
 
-def any_magnitude(rng: Rng) -> tuple[Frame, Shapes]:
-    """Sizes of 2^-300 to 2^300; without faces where those are rejected."""
+def any_magnitude(rng: Rng) -> Frame:
+    """Sizes of 2^-300 to 2^300."""
     exponent = int(rng.integers(-MAX_EXPONENT, MAX_EXPONENT + 1))
-    frame = Frame(2.0**exponent, condition=10.0, lattice=coin_flip(rng))
-    types = shape_types("quadric") if exponent > LARGEST_EXPONENT_OF_FACES else bounded_types()
-    return frame, random_shapes(rng, frame, types, 3)
+    return Frame(2.0**exponent, condition=10.0, lattice=coin_flip(rng))
 
 
-def options(rng: Rng) -> tuple[Frame, Shapes]:
-    """Of two kinds at most in half of the scenes, so that most kinds come twice."""
-    frame = random_frame(rng, decades_of_size=1.0)
+def without_rejected_faces(rng: Rng, frame: Frame) -> Shapes:
+    faces_rejected = frame.size > 2.0**LARGEST_EXPONENT_OF_FACES
+    return random_shapes(rng, frame, shape_types("quadric") if faces_rejected else shape_types("bounded"), 3)
+
+
+def of_few_kinds(rng: Rng, frame: Frame) -> Shapes:
+    """Shapes of at most two kinds in half of the scenes, so that most kinds occur twice."""
     kinds = rng.choice(shape_types(), 2) if rng.random() < 0.5 else shape_types()
-    return frame, [random_shape(rng, str(rng.choice(kinds)), frame) for _ in range(int(rng.integers(1, 5)))]
+    return [random_shape(rng, str(rng.choice(kinds)), frame) for _ in range(int(rng.integers(1, 5)))]
 
 
 # Products of three lengths stay below 2^1024 and, where they are not cancelled by 2^120, above 2^-1022. Faces with a
 # vertex beyond 2^60.6 are rejected (caster.geometry.world_space.LARGEST_COORDINATE), and shapes have some sizes.
 MAX_EXPONENT, LARGEST_EXPONENT_OF_FACES = 300, 55
 
-ANY_SHAPES = shapes_of(random_frame, "", 5)
+ANY_SHAPES = shapes_of("", 5)
 
 RANDOM: tuple[Family, ...] = (
-    random_family("any", "all shapes, all ways to aim", ANY_SHAPES),
+    random_family("any", "all shapes, all ways to aim", random_frame, ANY_SHAPES),
     random_family(
         "edges",
         "shared edges and corners of meshes",
-        in_random_frame(shared_edges),
+        random_frame,
+        shared_edges,
         (rays.at_features, rays.along_axes, rays.between_two_points),
     ),
     random_family(
         "tangents",
         "rays that touch spheres, ellipsoids, cylinders and rims",
-        shapes_of(random_frame, "quadric", 4),
+        random_frame,
+        shapes_of("quadric", 4),
         (rays.tangents, rays.at_features),
     ),
-    random_family("ties", "surfaces that coincide, or nearly so", in_random_frame(coincident_shapes)),
+    random_family("ties", "surfaces that coincide, or nearly so", random_frame, coincident_shapes),
     random_family(
         "surfaces",
         "rays that start on a surface",
+        random_frame,
         ANY_SHAPES,
         (rays.from_surface, rays.between_two_points, rays.tangents),
     ),
     random_family(
         "planes",
         "rays in the planes of flat shapes",
-        shapes_of(random_frame, "flat", 4),
+        random_frame,
+        shapes_of("flat", 4),
         (rays.through_two_points, rays.along_axes, rays.tangents),
     ),
     random_family(
-        "lattice", "whole coordinates, axis directions, zeros of either sign", shapes_of(random_lattice_frame, "", 4)
-    ),
-    random_family("slivers", "needles, caps, and faces without an area", in_random_frame(slivers)),
-    random_family(
-        "extremes", "sizes from 1e-100 to 1e17, denormal components", shapes_of(tiny_or_huge, "", 3), fits_float32=False
+        "lattice", "whole coordinates, axis directions, zeros of either sign", random_lattice_frame, shapes_of("", 4)
     ),
     random_family(
-        "transforms", "stretched, sheared and mirrored shapes, condition up to 1e6", shapes_of(stretched, "bounded", 4)
+        "transforms",
+        "stretched, sheared and mirrored shapes, condition up to 1e6",
+        lambda rng: Frame(condition=1e6),
+        shapes_of("bounded", 4),
     ),
     random_family(
         "offsets",
         "far from the origin, with rays from near and far",
-        shapes_of(far_from_origin, "", 4),
+        far_from_origin,
+        shapes_of("", 4),
         (rays.at_features, rays.from_afar, rays.anywhere),
     ),
-    random_family("clutter", "many primitives through each other", clutter),
+    random_family("clutter", "many primitives through each other", crowded, clutter),
     random_family(
         "pictures",
         "small shapes on larger films, by cameras that rasterize",
-        shapes_of(small_on_film, "bounded", 4),
+        small_on_film,
+        shapes_of("bounded", 4),
         cameras=("pinhole", "orthographic"),
         films=((16, 12), (13, 13)),
     ),
     random_family(
         "surroundings",
         "things all around the eye, at the poles and across the seam, by cameras that see more than a frame",
+        partial(random_frame, condition=10.0),
         surroundings,
         cameras=("panorama", "panorama", "fisheye", "parabolic"),
         films=((48, 8), (16, 16)),
         view=view_from_within,
         finish=put_around_the_eye,
     ),
-    random_family("similarities", "matrices within 10^-1 to 10^-16 of a similarity", in_random_frame(nearly_similar)),
+    random_family("similarities", "matrices within 10^-1 to 10^-16 of a similarity", random_frame, nearly_similar),
     random_family(
         "magnitudes",
         "scenes and directions of 2^-300 to 2^300",
         any_magnitude,
+        without_rejected_faces,
         tuple(rays.of_any_length(aim, MAX_EXPONENT) for aim in rays.ALL_AIMS),
         fits_float32=False,
     ),
     random_family(
         "options",
         "everything a scene file can say: films, crops, cameras, lights, materials",
-        options,
+        partial(random_frame, decades_of_size=1.0),
+        of_few_kinds,
         cameras=(*["pinhole"] * 4, "orthographic", "fisheye", "panorama", "parabolic", "ray"),  # by their options
         finish=with_options,
         always_judged=True,

@@ -1,20 +1,17 @@
 """Random frames, transforms, shapes and cameras of hard scenes; their options: films, crops, lights, materials."""
 
 import typing
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, TypeVar
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
 
 import numpy as np
 
 from caster.cameras import CAMERAS
-from caster.description.errors import SceneError
 from mitsuba_ref import cameras
 from mitsuba_ref.hard.family import Fields
 from mitsuba_ref.hard.rays import Frame
 from mitsuba_ref.shapes import REFERENCES
 from mitsuba_ref.shapes.targets import LATTICE_STEPS, Rng, coin_flip, random_directions
-
-T = TypeVar("T")
 
 FILM_SIZES = ((5, 5), (6, 4), (4, 4), (7, 3))  # pixels; odd sides have a pixel in the centre of the view
 
@@ -41,7 +38,7 @@ def random_frame(rng: Rng, *, condition: float = 1e3, decades_of_size: float = 3
 
 
 def random_lattice_frame(rng: Rng) -> Frame:
-    """Every coordinate is a small whole multiple of a power of two."""
+    """A frame in which every coordinate is a small multiple of a power of two."""
     size = float(2.0 ** rng.integers(-3, 4))
     center = vector(size * rng.integers(-4, 5, 3)) if rng.random() < 0.3 else (0.0, 0.0, 0.0)
     return Frame(size, center, 1.0, lattice=True)
@@ -53,27 +50,20 @@ def vector(numbers: np.ndarray) -> tuple[float, float, float]:
 
 
 def shape_types(group: str = "") -> tuple[str, ...]:
-    """Types of all registered shapes, or of those in one group."""
-    return tuple(each.type_name for each in REFERENCES.values() if not group or group in each.groups)
-
-
-def bounded_types() -> tuple[str, ...]:
-    """Types of shapes of finite extent."""
-    return tuple(each.type_name for each in REFERENCES.values() if "unbounded" not in each.groups)
+    """Types of all registered shapes, or of one group; "bounded": those of finite extent."""
+    return tuple(
+        each.type_name
+        for each in REFERENCES.values()
+        if group in ("", *each.groups) or (group == "bounded" and "unbounded" not in each.groups)
+    )
 
 
 def random_shape(rng: Rng, kind: str, frame: Frame) -> Fields:
-    """A shape of this type as a scene file describes it, with a random to_world. Raises SceneError if unregistered."""
-    reference = registered({each.type_name: each for each in REFERENCES.values()}, kind, "shape")
+    """A shape of this type as a scene file describes it, with a random to_world."""
+    reference = next(each for each in REFERENCES.values() if each.type_name == kind)
     steps = random_to_world(rng, frame)
     fields = reference.random_fields(rng, frame.lattice)
     return {"type": kind, **fields} | ({"to_world": steps} if steps else {})
-
-
-def registered(known: Mapping[str, T], kind: str, what: str) -> T:
-    if kind not in known:
-        raise SceneError(f"no {what} of type '{kind}' is registered in mitsuba_ref.{what}s")
-    return known[kind]
 
 
 def random_shapes(rng: Rng, frame: Frame, kinds: Sequence[str], at_most: int) -> list[Fields]:
@@ -86,21 +76,16 @@ def triangle_of(corners: np.ndarray) -> Fields:
 
 
 def random_camera(
-    rng: Rng,
-    frame: Frame,
-    kinds: Sequence[str] = (),
-    films: Sequence[tuple[int, int]] = FILM_SIZES,
-    view: Callable[[Rng, Frame], Fields] | None = None,
+    rng: Rng, frame: Frame, kinds: Sequence[str], films: Sequence[tuple[int, int]], view: Callable[[Rng, Frame], Fields]
 ) -> tuple[Fields, Fields]:
     """(film, camera) as a scene file describes them; the camera of one of these types, or of any registered one.
 
-    view: draws eye, direction and up; `random_view` if None.
+    view: draws eye, direction and up.
     """
     known = {each.type_name: each for each in cameras.REFERENCES.values()}
     kind = str(rng.choice(kinds or tuple(known)))
-    reference = registered(known, kind, "camera")
     width, height = films[int(rng.integers(len(films)))]
-    fields = reference.random_fields(rng, frame.size, lambda: (view or random_view)(rng, frame))
+    fields = known[kind].random_fields(rng, frame.size, lambda: view(rng, frame))
     return {"width": width, "height": height}, {"type": kind, **fields}
 
 
@@ -159,17 +144,14 @@ def _lattice_steps(rng: Rng, frame: Frame) -> list[dict[str, Any]]:
     if rng.random() < 0.4:
         axis = np.eye(3)[rng.integers(3)].tolist()
         steps.append({"rotate": {"axis": axis, "degrees": 90.0 * int(rng.integers(1, 4))}})
-    factors = frame.size * rng.choice([1.0, 1.0, 1.0, -1.0], 3) * _lattice_stretch(rng)
+    factors = frame.size * rng.choice([1.0, 1.0, 1.0, -1.0], 3)
+    factors *= 2.0 ** rng.integers(-2, 3, 3) if rng.random() < 0.3 else np.ones(3)
     if not np.all(factors == 1.0):
         steps.append({"scale": factors.tolist()})
     move = (
         np.array(frame.center) + frame.size * rng.integers(-2 * LATTICE_STEPS, 2 * LATTICE_STEPS + 1, 3) / LATTICE_STEPS
     )
     return [*steps, {"translate": move.tolist()}] if move.any() else steps
-
-
-def _lattice_stretch(rng: Rng) -> np.ndarray:
-    return 2.0 ** rng.integers(-2, 3, 3) if rng.random() < 0.3 else np.ones(3)
 
 
 def _similarity_steps(rng: Rng, frame: Frame) -> list[dict[str, Any]]:
@@ -213,7 +195,7 @@ def with_options(rng: Rng, frame: Frame, data: dict[str, Any]) -> dict[str, Any]
 
 
 def _add_twin(rng: Rng, scene: dict[str, Any]) -> None:
-    """Half of the shapes of the first material get one that differs from it by its sides alone."""
+    """Give half of the shapes of the first material a copy of it with the other two_sided."""
     for shape in scene["shape"]:
         if shape.get("material") == MATERIALS[0] and coin_flip(rng):
             first = scene["material"][MATERIALS[0]]
@@ -222,9 +204,9 @@ def _add_twin(rng: Rng, scene: dict[str, Any]) -> None:
 
 
 def _lights(rng: Rng, frame: Frame, camera: Fields) -> list[Fields]:
-    """None, one, two or, rarely, MAX_LIGHTS_OF_A_KIND of each; the last is on the viewer's side and lights it.
+    """Up to two lights of each kind or, rarely, MAX_LIGHTS_OF_A_KIND; the last shines from the viewer's side.
 
-    Light from behind mostly falls on surfaces that nobody sees, and a fault of its colour would change no pixel.
+    Light from behind mostly falls on invisible surfaces, where a wrong colour would change no pixel.
     """
     lights, more = [], rng.spawn(1)[0]
     for kind, fields in LIGHT_FIELDS.items():
@@ -257,7 +239,7 @@ def _film(rng: Rng) -> Fields:
 
 
 def _camera(rng: Rng, frame: Frame, camera: Fields) -> Fields:
-    """Enumerations at random, from the schema; optional fields given or left out."""
+    """Choose enumerated values at random, from the schema; give or omit optional fields."""
     (model,) = (each for each in CAMERAS if each.model_fields["type"].default == camera["type"])
     choices = {
         name: str(rng.choice(typing.get_args(field.annotation)))

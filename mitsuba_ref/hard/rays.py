@@ -29,7 +29,7 @@ class Frame:
 
 
 def perturbed_by_ulps(rng: Rng, numbers: np.ndarray, ulps: int = 2) -> np.ndarray:
-    """Each number moved by up to this many units in the last place."""
+    """Move each number by up to this many units in the last place."""
     steps = rng.integers(-ulps, ulps + 1, np.shape(numbers))
     out = np.array(numbers, np.float64)
     with np.errstate(over="ignore", under="ignore"):
@@ -59,7 +59,7 @@ class Targets:
         return PrimitivePicks(shape, rng.integers(self.counts[shape]))
 
     def points(self, rng: Rng, picks: PrimitivePicks, sort: str | None = None) -> SurfacePoints:
-        """A point on each of them, of this kind of point or of a random one."""
+        """A point on each of these primitives, of one kind of POINT_KINDS or of a random one."""
         sorts = np.full(len(picks.k), sort) if sort else rng.choice(POINT_KINDS, len(picks.k), p=(0.3, 0.3, 0.2, 0.2))
         out = SurfacePoints(*np.zeros((3, len(picks.k), 3)))
         for shape in np.unique(picks.shape):
@@ -91,12 +91,19 @@ class RayBatch(NamedTuple):
         return RayBatch(*(a[rows] for a in self))
 
 
-def at_features(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsAndDirections:
-    """From anywhere around, at corners, edges, rims and beside them."""
-    at = targets.points(rng, targets.pick(rng, count))
-    distance = frame.size * 10.0 ** rng.uniform(-2.0, 1.5, (count, 1))
-    o = frame.on_lattice(at.p + distance * random_directions(rng, count))
-    return o, at.p - o
+def from_decades(low: float, high: float) -> Aim:
+    """At corners, edges, rims and beside them, from 10^low to 10^high sizes away in any direction."""
+
+    def aim(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsAndDirections:
+        at = targets.points(rng, targets.pick(rng, count))
+        distance = frame.size * 10.0 ** rng.uniform(low, high, (count, 1))
+        o = frame.on_lattice(at.p + distance * random_directions(rng, count))
+        return o, at.p - o
+
+    return aim
+
+
+at_features, from_afar = from_decades(-2.0, 1.5), from_decades(2.0, 8.0)
 
 
 def tangents(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsAndDirections:
@@ -127,7 +134,7 @@ def from_surface(rng: Rng, targets: Targets, frame: Frame, count: int) -> Origin
 
 
 def along_axes(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsAndDirections:
-    """One component of d is not zero, or two; the zeros have either sign; o shares coordinates with a surface."""
+    """Mostly one component of d is not zero; zeros have either sign; o shares coordinates with surfaces."""
     at = targets.points(rng, targets.pick(rng, count))
     zeros = rng.choice([0.0, -0.0], (count, 3))
     d = np.where(rng.random((count, 3)) < 0.2, rng.choice([1.0, -1.0, 2.0], (count, 3)), zeros)
@@ -137,23 +144,15 @@ def along_axes(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsA
 
 
 def anywhere(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsAndDirections:
-    """From around the middle, at any place or past everything."""
+    """From around the centre, towards a surface or past it."""
     at = targets.points(rng, targets.pick(rng, count), "inside")
     o = np.array(frame.center) + 2.0 * frame.size * rng.normal(size=(count, 3))
     astray = frame.size * rng.choice([0.0, 1.0], (count, 1)) * rng.normal(size=(count, 3))
     return o, at.p + astray - o
 
 
-def from_afar(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsAndDirections:
-    """From 1e2 to 1e8 sizes away."""
-    at = targets.points(rng, targets.pick(rng, count))
-    distance = frame.size * 10.0 ** rng.uniform(2.0, 8.0, (count, 1))
-    o = at.p + distance * random_directions(rng, count)
-    return o, at.p - o
-
-
 def of_any_length(aim: Aim, exponent: int) -> Aim:
-    """The same rays, with directions 2^-exponent to 2^exponent times as long."""
+    """The same aim with directions scaled by 2^-exponent to 2^exponent."""
 
     def longer(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsAndDirections:
         o, d = aim(rng, targets, frame, count)
@@ -209,7 +208,7 @@ def _make_some_unusual(rng: Rng, d: np.ndarray) -> np.ndarray:
 
 
 def finite_rays(rays: RayBatch) -> RayBatch:
-    """The same, with what is no ray replaced by one along z."""
+    """The same rays; those that are not finite or have no direction are replaced by one along z."""
     bad = ~np.isfinite(rays.o).all(axis=1) | ~np.isfinite(rays.d).all(axis=1) | ~rays.d.any(axis=1)
     o, d = rays.o.copy(), rays.d.copy()
     o[bad], d[bad] = (0.0, 0.0, -3.0), (0.0, -0.0, 1.0)

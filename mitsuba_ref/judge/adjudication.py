@@ -252,6 +252,16 @@ def prepare_scene(scene: Scene, o: np.ndarray, d: np.ndarray) -> PreparedScene:
     return PreparedScene(scene, packed, model_of(scene, packed, rays), o, d)
 
 
+class Compared(NamedTuple):
+    """Reported t against the exact ones, one row a ray that hits something by both."""
+
+    rows: np.ndarray  # (m,) numbers of the rays
+    errors: np.ndarray  # (m,) |t - exact t|, exactly rounded; NaN for a NaN
+    ratio: np.ndarray  # (m,) error over its bound
+    beyond: np.ndarray  # (m,) bool: not within the bound
+    other: np.ndarray  # (m,) bool: a primitive is named that is not exactly nearest
+
+
 class ExactHits:
     """Exact first hits of rays o + t d, 0 < t <= t_max; all arrays have one row a ray."""
 
@@ -275,6 +285,24 @@ class ExactHits:
         found = reference_bounds(self.ready.model, prim, self.o[rows], self.d[rows], self.t[rows])
         own, at = (np.where(np.isnan(side.t_error), np.inf, side.t_error) for side in (found.own, found.at))
         return own, at
+
+    def compare(self, t: np.ndarray, *, ours: bool, prim: np.ndarray | None = None) -> Compared:
+        """t: (n,) along all rays, inf on a miss; a NaN counts as a hit. ours: bounds are those of float64.
+
+        prim: (n,) primitives that are named, at which the bound may be larger.
+        """
+        rows = np.flatnonzero(self.hit & ~np.isposinf(t))
+        errors, other = self.errors(rows, t[rows]), np.zeros(len(rows), bool)
+        allowed = (self.float64 if ours else self.float32)[rows]
+        if prim is not None:
+            named = prim[rows]
+            other = np.array([int(k) not in self.ties[i] for i, k in zip(rows, named, strict=True)], bool)
+            known = np.flatnonzero(other & (named >= 0) & (named < self.ready.primitives))
+            of_named = self.bounds(rows[known], named[known])[0 if ours else 1]
+            allowed[known] = np.maximum(allowed[known], of_named)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.where(errors > 0.0, errors / allowed, 0.0)
+        return Compared(rows, errors, ratio, ~(errors <= allowed), other)
 
     def errors(self, rows: Sequence[int] | np.ndarray, t: np.ndarray) -> np.ndarray:
         """(m,) |t - exact t| of these rays, exactly rounded; NaN for a NaN."""

@@ -9,9 +9,11 @@ from functools import cached_property
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
+from pydantic_core import ErrorDetails
 
 from caster.description.errors import SceneError
 from caster.description.input_files import read_input
+from caster.description.parsing import list_errors
 from caster.rendering.threads import core_count
 from caster.system.terminal import ProgressBar
 from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED, SceneVerdict, Verdict
@@ -150,18 +152,18 @@ class ExpectedFailures(BaseModel):
 
 
 def read_expected(path: str) -> ExpectedFailures:
-    """The known failures of a file. Raises FileMissing, or SceneError with every error in the file."""
+    """The known failures of a file. Raises FileMissing, or SceneError with the first errors in the file."""
     data = read_input(path, "file of known failures")
     try:
         return ExpectedFailures.model_validate(tomllib.loads(data.decode("utf-8")))
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise SceneError(f"{path}: expected TOML, as --write-expected writes it: {error}") from error
     except ValidationError as error:
-        problems = [
-            f"{path}: {'.'.join(map(str, each['loc']))}: {each['msg'][:1].lower()}{each['msg'][1:]}"
-            for each in error.errors()
-        ]
-        raise SceneError("\n".join(problems)) from error
+
+        def problem(each: ErrorDetails) -> str:
+            return f"{path}: {'.'.join(map(str, each['loc']))}: {each['msg'][:1].lower()}{each['msg'][1:]}"
+
+        raise SceneError(list_errors(error.errors(), problem, path)) from error
 
 
 def expected_toml(done: Sequence[SceneVerdict]) -> str:

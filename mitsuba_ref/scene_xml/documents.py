@@ -249,7 +249,5 @@ def resolve_reference(document: XmlDocument, node: Node) -> Node | None:
     if node.id in document.by_id:
         return document.by_id[node.id]
     hint = suggestion(node.id, document.by_id)
-    error = ImportDiagnostic(node.position, f'no element has the id "{node.id}"{hint}')
-    if error not in document.errors:
-        document.errors.append(error)
+    document.errors.append(ImportDiagnostic(node.position, f'no element has the id "{node.id}"{hint}'))
     return None

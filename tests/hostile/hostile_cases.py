@@ -3,12 +3,12 @@
 import argparse
 import random
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
-from hostile_mutations import mutated
+from hostile_mutations import NUMBERS, WORDS, mutated
 from hostile_samples import READERS, WITHOUT_FILES
 
 import caster.cli
@@ -23,38 +23,19 @@ OUTPUTS = (OutputFile, OutputFolder, output_file_unless_number)
 NO_FILES = ("missing", "folder", "fifo", "loop", "zero", "null", "full", "sparse", "unreadable", "empty")
 
 VALUES = [
-    "",
-    "0",
-    "-1",
-    "-0",
-    "1",
+    *(value for value in (*NUMBERS, *WORDS) if "\0" not in value),
     "3",
-    "nan",
-    "inf",
-    "-inf",
-    "1e308",
-    "1e-320",
-    "1e999",
-    "9" * 30,
-    "1" * 5000,
-    "4294967296",
     "100000000",
-    "1/100000000",
     "100000000/100000000",
     "0/0",
     "2/1",
     "1..99999999999",
     "9..1",
     "99999999999999s",
-    "x",
-    "a" * 100_000,
     "(" * 5000,
     "not " * 5000 + "a",
     "a and " * 5000 + "a",
-    "\x1b[2J",
     "\udc80",
-    "\u202e",
-    "../../..",
     "-",
     "--",
     "a,b,a",
@@ -62,19 +43,11 @@ VALUES = [
     "1:0",
     "0:99999999999999",
     "10000 10000",
-    "%s",
-    "{x}",
-    "{0.__class__}",
     "os:system",
     "no.such:thing",
     "sh",
     "x=y=z",
-    "=",
-    "\uff11\uff12",
-    "\n",
     "a\nb",
-    "0x10",
-    "1_0",
     " 1 ",
     "+1",
 ]
@@ -105,9 +78,6 @@ PATHS = [
 ]
 
 
-CASES_PER_CACHE = 100  # each takes seconds, as a kernel is compiled again
-
-
 @dataclass(frozen=True)
 class Case:
     """One run: the words, which file is replaced by what, and the limit of a file's size, if any."""
@@ -122,7 +92,6 @@ class Case:
     what: str = ""
     outputs: tuple[str, ...] = ()  # given by a hostile option, and no input of the same line
     process: bool = False  # in a process of its own, not a fork
-    cache: bool = False  # with a kernel cache of its own, in which `file` is
 
     def line(self) -> str:
         words = (word if len(word) < 80 else f"{word[:40]}...({len(word)})" for word in self.words)
@@ -167,10 +136,6 @@ def cases(seed: int, count: int) -> list[Case]:
     found: list[Case] = []
     for number in range(count):
         rng = random.Random(f"{seed} {number}")
-        if number % CASES_PER_CACHE == CASES_PER_CACHE - 1:
-            words = ("render", "in/scene.toml", "-o", "out/o.exr")
-            found.append(Case(number, "caster", words, what="kernel cache", process=True, cache=True))
-            continue
         kind = turns[number % len(turns)]
         pool = pools[kind]
         chosen = pool[(number // len(turns) * turns.count(kind) + turns[: number % len(turns)].count(kind)) % len(pool)]
@@ -203,13 +168,8 @@ def mutated_case(number: int, rng: random.Random, chosen: tuple[str, str]) -> Ca
     return Case(number, program, words, file, what="mutated", process=number % 50 == 0)
 
 
-def with_content(case: Case, seed: int, samples: Path, kernels: Sequence[Path]) -> Case:
-    """The case with the mutated content of its file. kernels: files of the cache that a render reads."""
-    if case.cache and kernels:
-        rng = random.Random(f"{seed} {case.number} content")
-        file = rng.choice(kernels)
-        done = mutated(rng, file.read_bytes(), file.name)
-        return replace(case, file=f"cache/{file.parent.name}/{file.name}", data=done.data, what=done.what)
+def with_content(case: Case, seed: int, samples: Path) -> Case:
+    """The case with the mutated content of its file."""
     if case.what != "mutated":
         return case
     done = mutated(random.Random(f"{seed} {case.number} content"), (samples / case.file).read_bytes(), case.file)

@@ -10,7 +10,7 @@ from pathlib import PurePath
 from typing import NamedTuple
 
 MAX_BAIT_BYTES = 2_000_000  # of what is repeated until something quadratic would take minutes
-TEXT = {".toml", ".json", ".jsonl", ".txt", ".xml", ".obj"}
+TEXT = {".toml", ".json", ".txt", ".xml", ".obj"}
 
 NUMBERS = [
     "nan",
@@ -258,17 +258,9 @@ def nested(rng: random.Random, data: bytes, suffix: str) -> bytes:
 # ---- kinds
 
 
-def bait(rng: random.Random, data: bytes, head: str, texts: list[str]) -> bytes:
-    text = rng.choice(texts)
-    return as_bytes(head) + data + b"\n" + as_bytes(text)
-
-
 @only(".toml")
 def toml_bait(rng: random.Random, data: bytes, suffix: str) -> bytes:
-    return bait(
-        rng,
-        data,
-        "",
+    text = rng.choice(
         [
             '[[shape]]\ntype = "sphere"\nradius = -1\n' * 20_000,
             '[[shape]]\ntype = "mesh"\nfile = "no.obj"\n' * 3_000,
@@ -281,16 +273,14 @@ def toml_bait(rng: random.Random, data: bytes, suffix: str) -> bytes:
             '[[shape]]\ntype = "heightfield"\nresolution = 500\n' * 2,
             '[[shape]]\ntype = "icosphere"\nsubdivisions = 9\n',
             'x = """' + "a" * 1_000_000,
-        ],
+        ]
     )
+    return data + b"\n" + as_bytes(text)
 
 
 @only(".obj")
 def obj_bait(rng: random.Random, data: bytes, suffix: str) -> bytes:
-    return bait(
-        rng,
-        data,
-        "",
+    text = rng.choice(
         [
             "f " + "1 2 " * 1000,
             "f 1 2 999999999\n" * 50_000,
@@ -306,8 +296,9 @@ def obj_bait(rng: random.Random, data: bytes, suffix: str) -> bytes:
             "vt nan inf\n" * 9,
             "mtllib /dev/zero\nmtllib ../../../etc/passwd\n",
             "call x.obj\n",
-        ],
+        ]
     )
+    return data + b"\n" + as_bytes(text)
 
 
 @only(".ply")
@@ -341,14 +332,6 @@ def ply_header(rng: random.Random, data: bytes, suffix: str) -> bytes:
     )
     lines[i : i + rng.randrange(2)] = [new]
     return b"\n".join(lines) + end + body
-
-
-@only(".ply")
-def ply_counts(rng: random.Random, data: bytes, suffix: str) -> bytes:
-    """Lengths of lists in the body."""
-    head, end, body = data.partition(b"end_header\n")
-    at = rng.randrange(max(1, len(body)))
-    return head + end + body[:at] + rng.choice((b"\xff", b"\x00", b"\xff\xff\xff\x7f", b"\x80")) + body[at + 1 :]
 
 
 @only(".xml")
@@ -403,24 +386,22 @@ def course_bait(rng: random.Random, data: bytes, suffix: str) -> bytes:
     )
 
 
-@only(".json", ".jsonl")
+@only(".json")
 def replaced_leaf(rng: random.Random, data: bytes, suffix: str) -> bytes:
-    """Any value or table of the JSON, of the first line of JSON lines."""
-    head, end, rest = data.partition(b"\n") if suffix == ".jsonl" else (data, b"", b"")
-    record = json.loads(head)
-    paths = list(leaves(record))
-    path = rng.choice(paths[1:] or paths)
+    """Any value or table of the JSON."""
+    record = json.loads(data)
+    path = rng.choice(list(leaves(record)))
     here = record
     for step in path[:-1]:
         here = here[step]
     new = rng.choice([*NUMBERS, "[" * 100_000, '"' + "x" * 100_000 + '"', '{"": null}', '"../../x"', '"\\u001b[2J"'])
-    if path and isinstance(here, dict) and rng.random() < 0.2:
-        del here[path[-1]]
-        return json.dumps(record).encode() + end + rest
     if not path:
-        return new.encode(errors="surrogatepass") + end + rest
+        return new.encode(errors="surrogatepass")
+    if isinstance(here, dict) and rng.random() < 0.2:
+        del here[path[-1]]
+        return json.dumps(record).encode()
     here[path[-1]] = "@@"
-    return json.dumps(record).replace('"@@"', new).encode(errors="surrogatepass") + end + rest
+    return json.dumps(record).replace('"@@"', new).encode(errors="surrogatepass")
 
 
 def leaves(value: object, path: tuple[object, ...] = ()):  # type: ignore[no-untyped-def]
@@ -457,17 +438,6 @@ def npy_header(rng: random.Random, data: bytes, suffix: str) -> bytes:
     if rng.random() < 0.5:
         head = head.rstrip(b" \n").ljust(len(data[10:end]) - 1)[: len(data[10:end]) - 1] + b"\n"
     return data[:8] + (len(head) % 65536).to_bytes(2, "little") + head + data[end:]
-
-
-@only(".npy")
-def npy_values(rng: random.Random, data: bytes, suffix: str) -> bytes:
-    import numpy as np
-
-    end = data.index(b"\n") + 1
-    values = np.frombuffer(data[end:], "<f8" if b"<f8" in data[:end] else "<f4").copy()
-    for _ in range(rng.choice((1, 3, 30))):
-        values[rng.randrange(len(values))] = rng.choice((np.nan, np.inf, -np.inf, 1e38, -1e38, -0.0, 1e-45, 0.0, -1.0))
-    return data[:end] + values.tobytes()
 
 
 @only(".npz")

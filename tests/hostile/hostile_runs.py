@@ -20,6 +20,7 @@ import sys
 import tempfile
 import time
 import traceback
+import weakref
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -31,15 +32,12 @@ from hostile_samples import ROOT, write_samples
 
 import caster.__main__
 import mitsuba_ref.__main__
-from caster.jit.decorators import COMPILATION_LOG
-from caster.jit.kernel_cache import cache_folder
 from caster.system.process import INTERNAL, MEANINGS
 
 MAINS = {"caster": caster.__main__.main, "mitsuba-ref": mitsuba_ref.__main__.main}
 DOCUMENTED = {"caster": caster.__main__.CODES, "mitsuba-ref": mitsuba_ref.__main__.CODES}
 MAX_SECONDS = 10  # of processor time, of all processes of a run; its limit per process kills
 MAX_WALL_SECONDS = 60.0  # another user of the machine must not decide
-MAX_KERNEL_BYTES = 50_000  # of a compiled kernel that is damaged: it is compiled again within a few seconds
 MAX_SAID = 2**22  # bytes that a run may print
 MAX_RSS = 10**9  # bytes, of the largest process
 STARTED_RSS = 256 << 20  # bytes, of a command with its modules loaded; what the warm process has beyond, no run took
@@ -75,13 +73,6 @@ class Bench:
         self.folder, self.samples = folder, folder / "samples"
         self.samples.mkdir(parents=True)
         write_samples(self.samples, self.warm_run)
-        names = {name.rpartition(".")[2] for name in COMPILATION_LOG.loaded}
-        files = cache_folder().iterdir() if cache_folder().is_dir() else ()
-        self.kernels = [
-            file
-            for file in sorted(files)
-            if file.name.rpartition("-")[0].split(".")[0] in names and file.stat().st_size < MAX_KERNEL_BYTES
-        ]
 
     def warm_run(self, line: str) -> int:
         """A command line in this process, which loads what forks will need."""
@@ -97,9 +88,6 @@ class Bench:
         (home / "tmp").mkdir()
         os.mkfifo(home / "in" / "fifo")
         (home / "in" / "loop").symlink_to("loop")
-        if case.cache:
-            shutil.copytree(cache_folder(), home / "cache" / cache_folder().name, copy_function=os.link)
-            (home / "cache").chmod(0o700)
         replace_file(home / case.file, case)
         return Started(case, home)
 
@@ -269,6 +257,8 @@ def run_case(case: Case, home: Path, said: int) -> NoReturn:
     try:
         os.setsid()
         os.chdir(home)
+        for inherited in list(weakref.finalize._registry):  # type: ignore[attr-defined]
+            inherited.detach()  # temporary folders of the warm process, which go on being used there
         os.environ["TMPDIR"] = tempfile.tempdir = str(home / "tmp")
         for number, target in ((0, os.open(os.devnull, os.O_RDONLY)), (1, said), (2, said)):
             os.dup2(target, number)
@@ -286,10 +276,8 @@ def run_case(case: Case, home: Path, said: int) -> NoReturn:
         if case.process:
             module = case.program.replace("-", "_")
             words = [word for word in case.words if "\0" not in word]
-            environment = {"PYTHONPATH": str(ROOT)} | (
-                {"NUMBA_CACHE_DIR": str(home / "cache" / cache_folder().name)} if case.cache else {}
-            )
-            code = subprocess.run([sys.executable, "-m", module, *words], env=os.environ | environment).returncode
+            environment = os.environ | {"PYTHONPATH": str(ROOT)}
+            code = subprocess.run([sys.executable, "-m", module, *words], env=environment).returncode
             code = 128 - code if code < 0 else code
         else:
             code = MAINS[case.program](case.words)
@@ -336,7 +324,7 @@ def main() -> int:
     try:
         bench = Bench(folder)
         chosen = [case for case in cases(args.seed, args.count) if args.only is None or case.number in args.only]
-        ready = [with_content(case, args.seed, bench.samples, bench.kernels) for case in chosen]
+        ready = [with_content(case, args.seed, bench.samples) for case in chosen]
         for run in bench.run(ready, args.jobs):
             if run.is_late:  # kernels may have been compiled in this time: they are there now
                 (run,) = bench.run([run.case], 1)

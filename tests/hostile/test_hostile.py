@@ -124,7 +124,7 @@ FAULTS = {
 @pytest.fixture
 def bench(tmp_path):
     made = object.__new__(Bench)
-    made.folder, made.samples, made.kernels = tmp_path, tmp_path / "samples", []
+    made.folder, made.samples = tmp_path, tmp_path / "samples"
     for folder in ("in", "out"):
         (made.samples / folder).mkdir(parents=True)
     (made.samples / "in" / "scene.toml").write_text("x")
@@ -144,4 +144,4 @@ def test_a_command_that_breaks_a_rule_is_named(bench, says, monkeypatch):
 def test_a_command_that_breaks_none_is_good(bench, monkeypatch):
     monkeypatch.setitem(hostile_runs.MAINS, "caster", lambda words: print("not a scene") or 2)
     (run,) = bench.run([Case(0, "caster", ("check", "in/scene.toml"))], 1)
-    assert run.wrong == () and run.code == 2 and run.said == "not a scene"
+    assert run.wrong == () and run.code == 2 and run.said == "not a scene", run.said

@@ -13,9 +13,9 @@ import pytest
 
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.bench import measuring
-from mitsuba_ref.bench.contestants import BY_KEY, Contestant
-from mitsuba_ref.bench.entries import ANY, FILM, Work
-from mitsuba_ref.bench.measuring import ContestantEnded, ContestantProcess, Settings, time_scene
+from mitsuba_ref.bench.casters import BY_KEY
+from mitsuba_ref.bench.drivers import ANY, FILM, Work
+from mitsuba_ref.bench.measuring import CasterEnded, CasterProcess, Settings, time_scene
 from mitsuba_ref.bench.result import Row, Run, SceneResult, Score, as_text
 from mitsuba_ref.bench.scenes import SCENES
 from mitsuba_ref.bench.scoring import ExactAnswers, write_scene
@@ -36,15 +36,15 @@ def result(*rows: Row) -> SceneResult:
 @pytest.mark.parametrize(
     ("other", "ratio"),
     [
-        (row("open3d", (2.0, 18.0, 2.0, 18.0, 18.0)), 2.0),  # of the same moment, not of medians
-        (row("open3d", (1.0, 9.0), rays=25), 4.0),  # of rays, not of images
-        (row("open3d", (2.0,)), 2.0),  # died half way
-        (row("open3d", ()), None),
+        (row("raw-default", (2.0, 18.0, 2.0, 18.0, 18.0)), 2.0),  # of the same moment, not of medians
+        (row("raw-default", (1.0, 9.0), rays=25), 4.0),  # of rays, not of images
+        (row("raw-default", (2.0,)), 2.0),  # died half way
+        (row("raw-default", ()), None),
     ],
 )
 def test_a_ratio_is_of_rays_at_the_same_moment(other, ratio):
     ours = row("ours", (1.0, 9.0, 1.0, 9.0, 1.0))
-    assert result(ours, other).ratio("open3d") == ratio and result(ours, other).ratio("ours") == 1.0
+    assert result(ours, other).ratio("raw-default") == ratio and result(ours, other).ratio("ours") == 1.0
     assert row("ours", (3e-6, 1e-6, 2e-6)).ns == pytest.approx(20.0)  # 2 us for 100 rays
 
 
@@ -90,7 +90,7 @@ def test_exact_answers_are_right_and_errors_are_counted_as_what_they_are(truth):
 
 
 class Fake:
-    """A contestant in this process; dies_at: the number of its casts."""
+    """A caster in this process; dies_at: the number of its casts."""
 
     log: ClassVar[list[str]] = []
 
@@ -102,8 +102,8 @@ class Fake:
             Fake.log.append(self.key)
             self.left -= 1
             if self.left < 0:
-                raise ContestantEnded("died: SIGSEGV")
-            return {"seconds": 2.0 if self.key == "open3d" else 1.0, "rays": 256}
+                raise CasterEnded("died: SIGSEGV")
+            return {"seconds": 2.0 if self.key == "raw-default" else 1.0, "rays": 256}
         if request["do"] == "answer":
             with np.load(request["rays"]) as rays:
                 np.save(request["out"], np.full(len(rays["o"]), np.inf))
@@ -114,45 +114,39 @@ class Fake:
         self.closed = True
 
 
-KEYS = ("ours", "raw-robust", "open3d")
+KEYS = ("ours", "raw-robust", "raw-default")
 
 
 def timed(dying: dict[str, int]) -> tuple[SceneResult, dict[str, Fake]]:
     Fake.log = []
     fakes = {key: Fake(key, dying.get(key, 1000)) for key in KEYS}
-    contestants = [replace(BY_KEY[key], options={}, package="", first=0) for key in KEYS]
-    start = lambda contestant, *rest: fakes[contestant.key]  # noqa: E731
-    return time_scene(BY_NAME["grazing-plane"], contestants, Settings(16, 3), start=start), fakes
+    casters = [replace(BY_KEY[key], options={}, first=0) for key in KEYS]
+    start = lambda caster, *rest: fakes[caster.key]  # noqa: E731
+    return time_scene(BY_NAME["grazing-plane"], casters, Settings(16, 3), start=start), fakes
 
 
-def test_contestants_take_turns_and_none_is_always_first():
+def test_casters_take_turns_and_none_is_always_first():
     found, fakes = timed({})
     warm = len(KEYS) * (measuring.WARM_UP_CASTS + 1)
-    assert Fake.log[warm:] == [*KEYS, "raw-robust", "open3d", "ours", "open3d", "ours", "raw-robust"]
-    assert found.ratio("open3d") == 2.0
+    assert Fake.log[warm:] == [*KEYS, "raw-robust", "raw-default", "ours", "raw-default", "ours", "raw-robust"]
+    assert found.ratio("raw-default") == 2.0
     assert [(one.memory, one.build) for one in found.rows] == [(4096, 0.25)] * 3
     assert found.row("ours").score.masks > 0  # it says that all rays miss
     assert all(fake.closed for fake in fakes.values())
 
 
-def test_a_crash_of_one_contestant_leaves_the_others_running():
-    found, fakes = timed({"raw-robust": measuring.WARM_UP_CASTS + 2, "open3d": 0})
-    ours, raw, open3d = found.rows
+def test_a_crash_of_one_caster_leaves_the_others_running():
+    found, fakes = timed({"raw-robust": measuring.WARM_UP_CASTS + 2, "raw-default": 0})
+    ours, raw, default = found.rows
     assert len(ours.seconds) == 3 and ours.why == ""
     assert len(raw.seconds) == 1 and raw.why == "died: SIGSEGV" and raw.score is None
-    assert open3d.seconds == () and open3d.why == "died: SIGSEGV"
+    assert default.seconds == () and default.why == "died: SIGSEGV"
     assert "died: SIGSEGV" in as_text(found) and all(fake.closed for fake in fakes.values())
-
-
-def test_who_is_not_installed_is_named():
-    absent = Contestant("open3d", "nobody", "peer", "none:None", package="no_such_package_here")
-    found = time_scene(BY_NAME["grazing-plane"], [absent], Settings(16, 1), start=None)
-    assert found.rows[0].why == "no_such_package_here is not installed: pip install 'ray-reference[peers]'"
 
 
 # --- processes
 
-WORK = Work("/nowhere", FILM, 1, "entries:Ours")
+WORK = Work("/nowhere", FILM, 1, "drivers:Ours")
 READ = "import os, sys; sys.stdin.buffer.read(8); "
 REPLY = READ + "sys.stdout.buffer.write(len({0}).to_bytes(8, 'little') + {0}); sys.stdout.flush(); sys.stdin.read()"
 ENDS = {
@@ -167,17 +161,17 @@ ENDS = {
 @pytest.mark.parametrize("script", ENDS)
 def test_every_end_of_a_process_is_a_reason(script):
     timeout = 0.5 if "sleep" in script else 30.0
-    process = ContestantProcess(WORK, command=(sys.executable, "-c", script), timeout=timeout)
-    with pytest.raises(ContestantEnded) as end:
+    process = CasterProcess(WORK, command=(sys.executable, "-c", script), timeout=timeout)
+    with pytest.raises(CasterEnded) as end:
         process.request(do="build", size=4)
     assert str(end.value) == ENDS[script]
     process.close()  # again does nothing
     assert not process.process.alive
 
 
-def test_no_contestant_pays_for_another():
-    """What a worker loads before its entry is light: no compiler, no Mitsuba."""
-    heavy = {"numba", "mitsuba", "pydantic", "open3d"}
+def test_no_caster_pays_for_another():
+    """What a worker loads before its driver is light: no compiler, no Mitsuba."""
+    heavy = {"numba", "mitsuba", "pydantic"}
     code = f"import sys, mitsuba_ref.bench.worker; print(*({heavy} & set(sys.modules)))"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == ""
@@ -187,7 +181,7 @@ def test_no_contestant_pays_for_another():
 
 SCORE = Score(2000, 5.25, 0.25, 0, 1, 2000, 3, 4)
 FIXED = Run(
-    settings={"size": 1024, "alternations": 3, "threads": 2, "seed": 0, "peers": True, "candidate": ""},
+    settings={"size": 1024, "alternations": 3, "threads": 2, "seed": 0, "candidate": ""},
     machine={"processor": "an abacus"},
     requested=("one-sphere", "mesh-70k"),
     scenes=(
@@ -195,7 +189,7 @@ FIXED = Run(
             row("ours", (1e-6, 1e-6, 2e-6), score=SCORE),
             row("aov-robust", (6e-6, 6e-6, 12e-6), score=SCORE),
             row("raw-robust", (1.2e-6, 1.2e-6, 2.4e-6)),
-            Row("open3d", "Open3D", "peer", why="died: SIGSEGV"),
+            Row("raw-default", "Mitsuba LLVM, default, ray_intersect", "mitsuba", why="died: SIGSEGV"),
         ),
     ),
 )
@@ -209,7 +203,7 @@ def test_json_brings_the_run_back_and_satisfies_its_schema(tmp_path):
     jsonschema.validate(data, result_schema("bench"))
     rows = {one["key"]: one for one in data["scenes"][0]["rows"]}
     assert rows["aov-robust"]["ratio"] == pytest.approx(6.0) and rows["ours"]["ns"] == pytest.approx(10.0)
-    assert rows["open3d"]["ratio"] is None
+    assert rows["raw-default"]["ratio"] is None
 
 
 def test_the_pareto_front_is_of_those_that_none_beats_in_both():
@@ -222,7 +216,7 @@ def test_the_page_has_the_conditions_every_row_and_the_plot(tmp_path):
     performance_page.write_report(FIXED, tmp_path)
     text = (tmp_path / performance_page.PAGE).read_text()
     assert "medians of 3 alternations" in text and "an abacus" in text and "Not timed: one-sphere." in text
-    assert "| Open3D | died: SIGSEGV |" in text
+    assert "| Mitsuba LLVM, default, ray_intersect | died: SIGSEGV |" in text
     line = "| Mitsuba LLVM, robust, AOV integrator | 10^2 | 500.0 | 60.00 | 6.00 | 5.25 | 0.25 | 0+1 | 3+4 | 1 |"
     assert line in text and "| mesh-70k | depth, normal | 1.0e-03 | 1.20 | 6.00 |" in text
     assert (tmp_path / "performance/pareto.png").is_file() and "(performance/pareto.png)" in text

@@ -97,10 +97,7 @@ RULES = (
         except_in=("mitsuba_ref.reference.mitsuba_calls",),
     ),
     Rule(
-        "mitsuba_ref",
-        "a peer is imported by its entry alone, in a process of its own",
-        never=("open3d", "embreex", "trimesh"),
-        except_in=("mitsuba_ref.bench.entries",),
+        "mitsuba_ref", "other ray casters are candidates: no module imports one", never=("open3d", "embreex", "trimesh")
     ),
     Rule(
         "mitsuba_ref.oracle",

@@ -14,7 +14,6 @@ from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref.fuzz.campaign import example
 from mitsuba_ref.hard import FAMILIES
-from mitsuba_ref.hard.family import scene_of
 
 # Examples of each family, from the first of seed 0 on. Of `options` as many as `mitsuba-ref fuzz` checks within some
 # minutes; the rarest (two conditions at once) are met by one in a hundred.
@@ -36,7 +35,7 @@ def shipped():
 @pytest.fixture(scope="module")
 def drawn():
     families = [family for family in FAMILIES if family.name != "options"]
-    scenes = (scene_of(example(0, number, [family]).data) for family in families for number in range(EXAMPLES))
+    scenes = (example(0, number, [family]).made.scene() for family in families for number in range(EXAMPLES))
     return {option for scene in scenes for option in options_of(scene)}.union(*(each for _, each in of_family()))
 
 
@@ -44,7 +43,7 @@ def drawn():
 def of_family():
     """What `options` draws, with the options of each."""
     (family,) = (each for each in FAMILIES if each.name == "options")
-    scenes = [scene_of(example(0, number, [family]).data) for number in range(EXAMPLES_OF_OPTIONS)]
+    scenes = [example(0, number, [family]).made.scene() for number in range(EXAMPLES_OF_OPTIONS)]
     return [(scene, options_of(scene)) for scene in scenes]
 
 

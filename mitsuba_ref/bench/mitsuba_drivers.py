@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from mitsuba_ref.bench.entries import SHADOW_END, CannotRun, Entry, Work
+from mitsuba_ref.bench.drivers import SHADOW_END, CannotRun, Driver, Work
 from mitsuba_ref.reference.mitsuba_calls import dr, mi
 
 # Our AOVs: as one of its interactions has them, and by the names of its AOV integrator.
@@ -26,8 +26,8 @@ INTEGRATOR_AOVS = {
 LIT = "diffuse"
 
 
-class OfMitsuba(Entry):
-    """options: variant; mode, a folder."""
+class OfMitsuba(Driver):
+    """A Mitsuba variant. options: variant; mode, the folder of the scene."""
 
     known: Sequence[str] = ()
 
@@ -36,12 +36,12 @@ class OfMitsuba(Entry):
         mi.set_variant(work.options["variant"])
         mi.set_log_level(mi.LogLevel.Error)
         self.xml = Path(work.folder) / work.options["mode"] / "scene.xml"
-        missing = [name for name in work.aovs if name not in self.known and name != LIT]
+        missing = [name for name in work.aovs if name not in self.known]
         if missing:
             raise CannotRun(f"not written for {missing[0]}")
 
     def prepare(self, o: np.ndarray, d: np.ndarray) -> Any:
-        """A ray, or of the scalar variant a list of them."""
+        """A ray of arrays, or a list of rays for the scalar variant."""
         end = SHADOW_END if self.any else np.inf
         if self.work.options["variant"].startswith("scalar"):
             return [mi.Ray3f(a, b, end, 0.0, []) for a, b in zip(o.tolist(), d.tolist(), strict=True)]
@@ -56,7 +56,7 @@ class OfMitsuba(Entry):
 class Integrator(OfMitsuba):
     """The AOV integrator: Mitsuba's own sensor, one sample per pixel centre."""
 
-    known = tuple(INTEGRATOR_AOVS)
+    known = (*INTEGRATOR_AOVS, LIT)
 
     def build(self, size: int) -> None:
         self.size = size
@@ -65,7 +65,7 @@ class Integrator(OfMitsuba):
             raise CannotRun("Mitsuba has no such sensor")
 
     def take_rays(self, size: int) -> None:
-        """The sensor makes them."""
+        """Do nothing: the sensor creates the rays."""
 
     def cast(self) -> int:
         image = mi.render(self.scene, spp=1)
@@ -74,7 +74,7 @@ class Integrator(OfMitsuba):
         return self.size * self.size
 
     def trace(self, rays: Any) -> Any:
-        """The same intersector of the same scene, along rays that no sensor gives."""
+        """Cast given rays by the intersector that the integrator calls."""
         if isinstance(rays, list):
             return np.array([self.scene.ray_intersect(ray).t for ray in rays])
         return self.scene.ray_intersect(rays).t
@@ -90,37 +90,22 @@ class RayIntersect(OfMitsuba):
         dr.sync_thread()
 
     def trace(self, rays: Any) -> Any:
-        """Evaluates only the AOVs that are asked for."""
+        """Cast rays, and evaluate the requested AOVs only."""
         if self.any:
             found = self.scene.ray_test(rays, coherent=True)
             dr.eval(found)
         else:
             si = self.scene.ray_intersect(rays, int(mi.RayFlags.All), coherent=True)
-            dr.eval(*self.values(si).values())
+            dr.eval(*(OF_INTERACTION[name](si) for name in self.work.aovs))
             found = si.t
         dr.sync_thread()  # evaluation is asynchronous
         return found
-
-    def values(self, si: Any) -> dict[str, Any]:
-        """The AOVs of the first hits, not evaluated yet."""
-        return {name: self._light(si) if name == LIT else OF_INTERACTION[name](si) for name in self.work.aovs}
-
-    def _light(self, si: Any) -> Any:
-        """Radiance by hand: a shadow ray to each emitter and the cosine; ours adds ambient light to it."""
-        context, bsdf, total = mi.BSDFContext(), si.bsdf(), mi.Color3f(0.0)
-        for emitter in self.scene.emitters():
-            sample, weight = emitter.sample_direction(si, mi.Point2f(0.5))
-            value = weight * bsdf.eval(context, si, si.to_local(sample.d), si.is_valid())
-            bright = dr.any(value > 0.0, axis=0)
-            shadowed = self.scene.ray_test(si.spawn_ray_to(sample.p), coherent=True, active=bright)
-            total += dr.select(bright & ~shadowed, value, 0.0)
-        return total
 
 
 def sized(xml: Path, size: int, aovs: Sequence[str]) -> Path:
     """The same scene with a film of size x size and an AOV integrator, in a file beside it.
 
-    With `direct` inside for light: one sample of an emitter, none of a BSDF.
+    Light is computed by a nested `direct` integrator with one emitter sample and no BSDF sample.
     """
     tree = ElementTree.parse(xml)
     root = tree.getroot()

@@ -1,7 +1,7 @@
-"""Contestants: their task, what they share, and all of them but Mitsuba (mitsuba_entries.py).
+"""Drivers of the timed ray casters: their task, what they share, ours and a candidate (mitsuba_drivers.py: Mitsuba).
 
-A task is a folder with the scene in every form that some contestant reads, and what to compute. This module is light to
-import: what a contestant's process loads beside the contestant counts as its memory.
+A task is a folder with the scene in every form that some ray caster reads, and what to compute. This module is light to
+import, since everything that a process loads beside the ray caster counts as its memory.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 FILM, NEAREST, ANY = "film", "nearest", "any"
 AOVS = ("depth", "normal")  # of a film, unless others are asked for
 
-SCENE_FILE, MESH_FILE, RAYS_FILE = "scene.pickle", "mesh.npz", "rays.npz"  # files of a folder
+SCENE_FILE, RAYS_FILE = "scene.pickle", "rays.npz"  # files of a folder
 ROBUST, DEFAULT = "robust", "default"  # folders within: a scene for Mitsuba in Embree's two modes
 FIRST_RAY = (np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))  # for trees that are built on the first ray
 SHADOW_END = 1.0  # t_max of shadow rays: t = 1 is the light
@@ -31,43 +31,43 @@ WARM_UP_SIDE = 8  # pixels: enough to make everything that is made before rays a
 
 @dataclass(frozen=True)
 class Work:
-    """One contestant's job."""
+    """One caster's job."""
 
     folder: str
     workload: str
     threads: int  # how many processors it may use
-    entry: str  # "module:class" of the contestant, in mitsuba_ref.bench
+    driver: str  # "module:class" of the caster, in mitsuba_ref.bench
     aovs: tuple[str, ...] = AOVS
     options: Mapping[str, Any] = field(default_factory=dict)  # its own
 
 
 class CannotRun(Exception):  # noqa: N818 - the reason of an empty row, not an error
-    """str(): what is missing."""
+    """The reason of a row without numbers."""
 
 
-class Entry:
-    """A contestant, in a process of its own: a subclass defines build, prepare and trace.
+class Driver:
+    """Drives one ray caster in a process of its own: a subclass defines build, prepare and trace.
 
-    Its class is called with the Work. Each method raises CannotRun for what there is no way to do.
+    It is created with its Work. A method raises CannotRun where the caster has no such feature.
     """
 
     def __init__(self, work: Work) -> None:
         self.work, self.any = work, work.workload == ANY
 
     def build(self, size: int) -> None:
-        """Everything between loaded arrays and the first ray, for a film of size x size or as many rays; once."""
+        """Build everything that is needed to cast size x size rays. Called once, and timed."""
         raise NotImplementedError
 
     def prepare(self, o: np.ndarray, d: np.ndarray) -> Any:
-        """Rays (n, 3) float32 in the form in which they are cast. Not timed."""
+        """Convert rays (n, 3) float32 to the caster's own form. Not timed."""
         raise NotImplementedError
 
     def trace(self, rays: Any) -> Any:
-        """Cast rays, results in memory as arrays; returns t along each, of shadow rays whether it hits anything."""
+        """Cast rays; returns an array of t, or for shadow rays of whether each hits anything."""
         raise NotImplementedError
 
     def take_rays(self, size: int) -> None:
-        """Prepare the rays of the folder: all of them, or size * size that are spread evenly."""
+        """Prepare the rays in the folder: all of them, or size * size of them, spread evenly."""
         with np.load(Path(self.work.folder) / RAYS_FILE) as file:
             o, d = file["o"], file["d"]
         some = slice(None) if len(o) <= size * size else np.linspace(0, len(o) - 1, size * size).astype(int)
@@ -75,12 +75,12 @@ class Entry:
         self.rays = self.prepare(o[some], d[some])
 
     def cast(self) -> int:
-        """Cast all rays once; the number of rays."""
+        """Cast all rays once; returns their number."""
         self.trace(self.rays)
         return self.count
 
     def answer(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
-        """(n,) float64 t along other rays (n, 3) float32, inf on a miss; of shadow rays 0 where they hit anything."""
+        """(n,) float64 t of rays (n, 3) float32, inf on a miss; for shadow rays 0 on any hit."""
         found = self.trace(self.prepare(o, d))
         t = np.broadcast_to(found.numpy() if hasattr(found, "numpy") else found, (len(o),))
         return np.where(t, 0.0, np.inf) if self.any else t.astype(np.float64)
@@ -89,17 +89,9 @@ class Entry:
     def scene_file(self) -> Path:
         return Path(self.work.folder) / SCENE_FILE
 
-    def mesh(self) -> tuple[np.ndarray, np.ndarray]:
-        """(n, 3) float32 corners, (m, 3) int32 faces. Raises CannotRun where the scene is more than triangles."""
-        path = Path(self.work.folder) / MESH_FILE
-        if not path.exists():
-            raise CannotRun("triangles only")
-        with np.load(path) as file:
-            return file["vertices"], file["faces"]
 
-
-class Ours(Entry):
-    """options: culling; the planned one by default."""
+class Ours(Driver):
+    """Our caster. options: culling; default: the planned one."""
 
     def build(self, size: int) -> None:
         import caster
@@ -132,8 +124,8 @@ class Ours(Entry):
         self.caster.render(scene, self.work.aovs, threads=self.work.threads, culling=culling, dtype=np.float32)
 
 
-class Candidate(Entry):
-    """A ray caster from elsewhere that takes rays. options: as of `parse_candidate`, and the folder to run it in."""
+class Candidate(Driver):
+    """A candidate that takes rays. options: those of `parse_candidate`, and the folder to run it in."""
 
     def __init__(self, work: Work) -> None:
         from caster.description.errors import SceneError
@@ -150,7 +142,7 @@ class Candidate(Entry):
             raise CannotRun(str(error)) from error
 
     def build(self, size: int) -> None:
-        """The scene in the numbers that are traced, and one ray."""
+        """Prepare the scene in float32 numbers, and cast one ray."""
         from mitsuba_ref.reference.shared_input import model_of, packed_float32
         from mitsuba_ref.subjects.subject import CastRequest
 
@@ -173,55 +165,3 @@ class Candidate(Entry):
             return self.subject.answer(self.request.with_rays(rays)).t
         except NoAnswer as error:
             raise CannotRun(str(error)) from error
-
-
-# ---- other ray casters, each imported by its own class ----
-
-
-class Trimesh(Entry):
-    """`intersects_location` of trimesh with embreex: the first hit, and from it t and normal."""
-
-    def build(self, size: int) -> None:
-        import trimesh
-        from trimesh.ray.ray_pyembree import RayMeshIntersector
-
-        if self.any:
-            raise CannotRun("no limit to rays")
-        vertices, faces = self.mesh()
-        mesh = trimesh.Trimesh(vertices.astype(np.float64), faces, process=False)
-        self.intersector, self.normals = RayMeshIntersector(mesh), mesh.face_normals
-        self.trace(self.prepare(*FIRST_RAY))
-
-    def prepare(self, o: np.ndarray, d: np.ndarray) -> Any:
-        return o.astype(np.float64), d.astype(np.float64)
-
-    def trace(self, rays: Any) -> Any:
-        o, d = rays
-        places, hit, faces = self.intersector.intersects_location(o, d, multiple_hits=False)
-        t, n = np.full(len(o), np.inf), np.zeros((len(o), 3))
-        t[hit] = ((places - o[hit]) * d[hit]).sum(axis=1) / (d[hit] * d[hit]).sum(axis=1)
-        n[hit] = self.normals[faces]
-        return t
-
-
-class Open3D(Entry):
-    """RaycastingScene: Embree, t and normal of triangles."""
-
-    def build(self, size: int) -> None:
-        import open3d
-
-        self.tensor = open3d.core.Tensor
-        vertices, faces = self.mesh()
-        self.scene = open3d.t.geometry.RaycastingScene(nthreads=self.work.threads)
-        self.scene.add_triangles(self.tensor(vertices), self.tensor(faces.astype(np.uint32)))
-        self.trace(self.prepare(*FIRST_RAY))  # builds the tree
-
-    def prepare(self, o: np.ndarray, d: np.ndarray) -> Any:
-        return self.tensor(np.hstack([o, d]))
-
-    def trace(self, rays: Any) -> Any:
-        if self.any:
-            return self.scene.test_occlusions(rays, 0.0, SHADOW_END, nthreads=self.work.threads)
-        found = self.scene.cast_rays(rays, nthreads=self.work.threads)
-        found["primitive_normals"].numpy()  # no copy, and so it costs nothing
-        return found["t_hit"]

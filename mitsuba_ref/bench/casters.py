@@ -1,0 +1,83 @@
+"""The registry of timed ray casters, one for each row of the tables."""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from mitsuba_ref.bench.drivers import ANY, AOVS, DEFAULT, FILM, NEAREST, ROBUST, Work
+from mitsuba_ref.reference import variants
+
+OURS, MITSUBA = "ours", "mitsuba"
+CANDIDATE = "candidate"  # side and key of its row
+ALL_WORKLOADS = (FILM, NEAREST, ANY)
+
+
+@dataclass(frozen=True)
+class TimedCaster:
+    """A row of the tables."""
+
+    key: str
+    title: str
+    side: str
+    driver: str  # as in Work
+    workloads: tuple[str, ...] = ALL_WORKLOADS
+    options: Mapping[str, Any] = field(default_factory=dict)
+    threads: int | None = None  # instead of those of the run
+    first: int = 0  # pixels a side of the first cast, where the whole film may take too long; 0: the whole film
+    every_aov: bool = False  # whether it gives more than depth and normal
+
+    @property
+    def variant(self) -> str:
+        """The Mitsuba variant; "" for others."""
+        return str(self.options.get("variant", ""))
+
+    def missing(self) -> str:
+        """The reason why it cannot run on this machine; "" if there is none."""
+        works = not self.variant or self.variant in variants.usable_variants().names
+        return "" if works else f"{self.variant} does not work here: {variants.usable_variants().why}"
+
+    def work(self, folder: str, workload: str, threads: int, aovs: Sequence[str]) -> Work:
+        return Work(folder, workload, self.threads or threads, self.driver, tuple(aovs), dict(self.options))
+
+    def environment(self) -> dict[str, str]:
+        return variants.environment_for(self.variant) if self.variant else {}
+
+
+def of_mitsuba(key: str, title: str, driver: str, mode: str, variant: str = variants.LLVM, **more: Any) -> TimedCaster:
+    options = {"mode": mode, "variant": variant}
+    return TimedCaster(key, f"Mitsuba {title}", MITSUBA, f"mitsuba_drivers:{driver}", options=options, **more)
+
+
+OWN, RAW, INTEGRATOR = "drivers:Ours", "RayIntersect", "Integrator"
+
+# Ratios are to the first caster.
+CASTERS = (
+    TimedCaster("ours", "ours, as planned", OURS, OWN, every_aov=True),
+    TimedCaster("ours-bvh", "ours, by BVH", OURS, OWN, (FILM,), {"culling": "bvh"}),
+    TimedCaster("ours-1-thread", "ours, one thread", OURS, OWN, threads=1, every_aov=True),
+    of_mitsuba("raw-robust", "LLVM, robust, ray_intersect", RAW, ROBUST, every_aov=True),
+    of_mitsuba("raw-default", "LLVM, default, ray_intersect", RAW, DEFAULT),
+    of_mitsuba("aov-robust", "LLVM, robust, AOV integrator", INTEGRATOR, ROBUST, every_aov=True, workloads=(FILM,)),
+    of_mitsuba(
+        "scalar-aov", "scalar, robust, AOV integrator", INTEGRATOR, ROBUST, variants.SCALAR, first=32, workloads=(FILM,)
+    ),
+)
+BY_KEY = {caster.key: caster for caster in CASTERS}
+
+
+def casters_for(workload: str, aovs: Sequence[str] = AOVS) -> list[TimedCaster]:
+    """The casters that give these AOVs in a workload."""
+    plain = set(aovs) <= set(AOVS)
+    return [each for each in CASTERS if workload in each.workloads and (plain or each.every_aov)]
+
+
+def candidate_caster(text: str, precision: str | None, *, served: bool) -> TimedCaster:
+    """The row of a candidate; its film is made smaller until it is cast within MAX_CAST_S."""
+    options = {"text": text, "precision": precision, "served": served, "folder": os.getcwd()}
+    return TimedCaster(CANDIDATE, text, CANDIDATE, "drivers:Candidate", options=options, first=32)
+
+
+def processors() -> int:
+    """Number of processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
