@@ -200,7 +200,7 @@ def check_paths(args: argparse.Namespace) -> None:
             raise SceneError(f"{option} {path}: expected another path: it is an input, and would be overwritten")
         other = option_of.setdefault(os.path.realpath(path), option)
         if isinstance(path, OutputFile) and other != option:
-            raise SceneError(f"{option} {path}: expected another file than that of {other}")
+            raise SceneError(f"{option} {path}: expected a file other than that of {other}")
 
 
 def _file_id(path: str) -> tuple[int, int] | None:
