@@ -14,7 +14,7 @@ HEAD = """# API
 
 <!-- written by `python docs/api.py` from the docstrings; change those -->
 
-The names of `import caster` and `import mitsuba_ref`. Anything else may change without a word.
+The names of `import caster` and `import mitsuba_ref`. Everything else may change without notice.
 """
 GROUPS = (
     (

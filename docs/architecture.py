@@ -2,19 +2,19 @@
 
     python docs/architecture.py     # prints the figures and renews the picture
 
-It needs the standard library alone. A module imports another one where it names it in an import statement at any
-depth (in a function or under TYPE_CHECKING as well), by import_module("literal"), or by import_module of a name taken
+It needs only the standard library. A module imports another one by an import statement at any depth (also in a
+function or under TYPE_CHECKING), by import_module("literal"), or by import_module of a name taken
 from a literal of the same module, as registries do. Importing a.b does not count as importing the package a.
 
-Layers: the most modules on a chain of imports, where a circle counts as one module; of packages likewise.
-Modules with exactly one importer: those that could be part of that importer. Plain members of a registry, which only
-the `__init__` of their own package imports, are counted apart: a registry is the reason for a file of their own.
+Modules with exactly one importer could be part of that importer. Plain members of a registry, which only
+the `__init__` of their own package imports, are left out: a registry is the reason for a file of their own.
 """
 
 import ast
 import json
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -74,7 +74,6 @@ class Source(NamedTuple):
 
     module: str  # dotted; a package for its __init__.py
     path: Path
-    lines: int
     imports: tuple[Import, ...]
 
     @property
@@ -92,7 +91,7 @@ def source_of(path: Path, root: Path) -> Source:
     parts = path.relative_to(root).with_suffix("").parts
     module = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
     package = ".".join(parts[:-1])
-    return Source(module, path, text.count("\n"), tuple(imports_of(ast.parse(text, str(path)), package)))
+    return Source(module, path, tuple(imports_of(ast.parse(text, str(path)), package)))
 
 
 # --- imports of one file
@@ -158,72 +157,34 @@ def longest_known(name: str, known: set[str]) -> str | None:
     return name or None
 
 
-def circles(graph: Graph) -> list[tuple[str, ...]]:
-    """Strongly connected components of more than one module, largest first (Tarjan, without recursion)."""
-    return sorted((each for each in components(graph) if len(each) > 1), key=lambda c: (-len(c), c))
+def circle(graph: Graph) -> tuple[str, ...]:
+    """The modules of one circle of imports, sorted; () if there is none."""
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return tuple(sorted(set(error.args[1])))
+    return ()
 
 
-def components(graph: Graph) -> list[tuple[str, ...]]:
-    """All strongly connected components, those that are imported before those that import them."""
-    index: dict[str, int] = {}
-    low: dict[str, int] = {}
-    stack: list[str] = []
-    on_stack: set[str] = set()
-    found: list[tuple[str, ...]] = []
-    for start in sorted(graph):
-        if start in index:
-            continue
-        work = [(start, iter(sorted(graph[start])))]
-        index[start] = low[start] = len(index)
-        stack.append(start)
-        on_stack.add(start)
-        while work:
-            node, rest = work[-1]
-            for target in rest:
-                if target not in index:
-                    index[target] = low[target] = len(index)
-                    stack.append(target)
-                    on_stack.add(target)
-                    work.append((target, iter(sorted(graph[target]))))
-                    break
-                if target in on_stack:
-                    low[node] = min(low[node], index[target])
-            else:
-                work.pop()
-                if work:
-                    low[work[-1][0]] = min(low[work[-1][0]], low[node])
-                if low[node] == index[node]:
-                    place = stack.index(node)
-                    found.append(tuple(sorted(stack[place:])))
-                    on_stack.difference_update(stack[place:])
-                    del stack[place:]
-    return found
-
-
-def layers(graph: Graph) -> dict[str, int]:
-    """The layer of each module: 1 where it imports none, else one above the highest it imports; a circle has one."""
+def layers(graph: Graph) -> int:
+    """The most modules on a chain of imports in a graph without circles."""
     layer: dict[str, int] = {}
-    for members in components(graph):
-        below = {target for module in members for target in graph[module]} - set(members)
-        height = 1 + max((layer[target] for target in below), default=0)
-        layer |= dict.fromkeys(members, height)
-    return layer
+    for module in TopologicalSorter(graph).static_order():
+        layer[module] = 1 + max((layer[target] for target in graph[module]), default=0)
+    return max(layer.values(), default=0)
 
 
 # --- figures
 
 
 def figures(root: Path = ROOT) -> dict[str, Any]:
-    """Sizes of packages, layers, circles, and modules with exactly one importer, by name."""
+    """Number of files, packages that are too large, layers of packages, and modules with exactly one importer."""
     sources = read_sources(root)
     graph = graph_of(sources)
     return {
-        "lines": sum(source.lines for source in sources),
         "files": len(sources),
         "crowded_packages": crowded_packages(sources, root),
-        "layers": max(layers(graph).values(), default=0),
-        "package_layers": max(layers(graph_of_packages(graph)).values(), default=0),
-        "circles": [list(circle) for circle in circles(graph)],
+        "package_layers": layers(graph_of_packages(graph)),
         "one_importer": modules_with_one_importer(graph),
     }
 

@@ -64,11 +64,11 @@ PLAIN = {
 # Of modules of the judge, for which the caster is compiled: what asks Mitsuba gets its stored answers.
 WITH_COMPILER = {
     "tests/unit": """
-        bias bracket broad_phase camera_references candidate_aimed candidate_scene defect_measurement
+        bias bracket broad_phase camera_references candidate_aimed candidate_scene check_list defect_measurement
         description_round_trip error_models exact_kernels explanations exr_compare exr_files fuzz
         generated_meshes geometry_checked_in_both_precisions independent_transform judge_at_extremes
         knife_edges known_defects lambert_and_shadow_rays pixel_explanations ray_camera ray_conventions
-        registries report_arrays report_files result_schemas scaling scene_fuzz scene_options scene_rows
+        registries report_files result_schemas scaling scene_fuzz scene_options scene_rows
         shape_importers stated_numbers stress surface_targets verdict_rules
     """,
     "tests/exact": """
@@ -76,7 +76,7 @@ WITH_COMPILER = {
     """,
     "tests/reference": """
         adjudication bands candidate_probe candidates detection_power diagnosis error_models_hold
-        excused_classes hypotheses import judge_classes mistakes new_shape probe_witnesses ray_lists
+        excused_classes hypotheses import judge_classes mesh_loader mistakes new_shape probe_witnesses ray_lists
     """,
     "tests/report": """
         candidate_record pages

@@ -34,6 +34,7 @@ OPTIONS = (
     "-W",
     "ignore::pytest.PytestAssertRewriteWarning",
 )
+MEMORY_BYTES = 10**9  # of stored answers of Mitsuba
 MEMORY_LIMIT = 6 << 30  # bytes of address space; an edit may make a loop that allocates for ever
 # A function's lines are recorded until so many calls in a row, or steps of one call, have shown no new line.
 QUIET_CALLS, QUIET_STEPS = 40, 400
@@ -108,26 +109,21 @@ class Determined:
 
 
 def remember_mitsuba(memory: Path) -> None:
-    """The same request is traced once, by whichever way it is sent."""
-    sys.path.append(str(Path.cwd() / "tests" / "reference"))
-    from forked_runs import everything_given, keep
-
+    """Store Mitsuba's answers in a folder, whichever way requests are sent."""
     from mitsuba_ref.reference import mitsuba_process
     from mitsuba_ref.reference.messages import TraceResponse
+    from mitsuba_ref.reference.store import StoreFolder
 
-    def remembered(send: Any, place: Path, rays: int) -> Any:
-        if place.exists():
-            return TraceResponse.from_bytes(place.read_bytes(), rays)
-        answer = send()
-        if isinstance(answer, TraceResponse):
-            keep(answer, place)
-        return answer
-
-    resident = mitsuba_process.ResidentSession.send
+    store, resident = StoreFolder(memory, MEMORY_BYTES), mitsuba_process.ResidentSession.send
 
     def send(self: Any, request: Any, timeout: float = 60.0) -> Any:
-        place = memory / everything_given(request, {})
-        return remembered(lambda: resident(self, request, timeout), place, len(request.o))
+        key = mitsuba_process.request_key(request)
+        if key and (content := store.get(key)) is not None:
+            return TraceResponse.from_bytes(content, len(request.o))
+        answer = resident(self, request, timeout)
+        if key and isinstance(answer, TraceResponse):
+            store.put(key, answer.to_bytes())
+        return answer
 
     mitsuba_process.ResidentSession.send = send  # type: ignore[method-assign]  # this process keeps answers
 

@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import NamedTuple
 
 from caster import __version__
-from caster.cli.shared_arguments import check_paths
+from caster.cli.shared_arguments import checked_paths
 from caster.system import NOT_HERE, runs_here, terminal
 from caster.system.process import FILE, INTERRUPTED, end_process, exit_codes_help, run_command
 
@@ -47,10 +47,9 @@ def main(name: str, about: str, commands: Sequence[Command], codes: Sequence[int
         words = sys.argv[1:] if argv is None else list(argv)
         chosen = next((word for word in words if not word.startswith("-")), "")
         args = build_parser(name, about, commands, codes, (chosen,)).parse_args(words)
-        check_paths(args)
-        if argv is None:
-            announce(name, commands, chosen)
-        with terminal.compilation_reported():
+        with checked_paths(args), terminal.compilation_reported():
+            if argv is None:
+                announce(name, commands, chosen)
             return int(args.run(args))
 
     code = run_command(run)

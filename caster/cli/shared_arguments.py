@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from caster.description.errors import FileMissing, SceneError, error_prefix
+from caster.system.atomic_files import OutputError, check_folder, check_writable, locked
 
 __all__ = [
     "AOV_NAMES",
@@ -28,7 +29,7 @@ __all__ = [
     "add_pixel",
     "add_scene",
     "check_exr_suffix",
-    "check_paths",
+    "checked_paths",
     "comma_separated",
     "display_names",
     "load",
@@ -186,21 +187,50 @@ def output_file_unless_number(text: str) -> str:
     return text
 
 
-def check_paths(args: argparse.Namespace) -> None:
-    """Raise SceneError for an output that is an input, also a scene file of an input folder, or another output."""
+@contextlib.contextmanager
+def checked_paths(args: argparse.Namespace) -> Iterator[None]:
+    """Check outputs, and lock output folders for this process while the body runs.
+
+    Raises SceneError for an output that is an input, a scene file of an input folder, or another output; OutputError
+    for a file that cannot be written or a folder that another process writes into.
+    """
     given = [(name, value) for name, values in vars(args).items() for value in _flat(values)]
     sources = (value for _, value in given if isinstance(value, InputPath))
     inputs = {_file_id(file) for source in sources for file in (source, *_scene_files_in(source))}
     option_of: dict[str, str] = {}  # by the path of its output
-    for name, path in given:
-        if not isinstance(path, (OutputFile, OutputFolder)) or path == "-":
-            continue
-        option = f"--{name.replace('_', '-')}"
-        if os.path.exists(path) and _file_id(path) in inputs:
-            raise SceneError(f"{option} {path}: expected another path: it is an input, and would be overwritten")
-        other = option_of.setdefault(os.path.realpath(path), option)
-        if isinstance(path, OutputFile) and other != option:
-            raise SceneError(f"{option} {path}: expected a file other than that of {other}")
+    with contextlib.ExitStack() as stack:
+        for name, path in given:
+            if not isinstance(path, (OutputFile, OutputFolder)) or path == "-":
+                continue
+            option = f"--{name.replace('_', '-')}"
+            if os.path.exists(path) and _file_id(path) in inputs:
+                raise SceneError(f"{option} {path}: expected another path: it is an input, and would be overwritten")
+            other = option_of.setdefault(os.path.realpath(path), option)
+            if isinstance(path, OutputFile) and other != option:
+                raise SceneError(f"{option} {path}: expected a file other than that of {other}")
+            if isinstance(path, OutputFile):
+                check_writable(path)
+            if isinstance(path, OutputFolder) and other == option:
+                stack.enter_context(_own_folder(Path(path)))
+        yield
+
+
+@contextlib.contextmanager
+def _own_folder(folder: Path) -> Iterator[None]:
+    """Create and lock an output folder; remove it again if nothing was written."""
+    created = not folder.exists()
+    check_folder(folder)
+    with locked(folder) as alone:
+        if not alone:
+            raise OutputError(
+                f"{folder}: another run writes into this folder: wait for its end, or name another folder"
+            )
+        try:
+            yield
+        finally:
+            if created:
+                with contextlib.suppress(OSError):
+                    folder.rmdir()
 
 
 def _file_id(path: str) -> tuple[int, int] | None:

@@ -15,6 +15,8 @@ from caster.image.exr import Exr, read_exr
 from caster.image.exr_info import hit_mask
 from caster.image.image_files import BACKGROUND, label_image
 
+__all__ = ["aov_view"]
+
 Array = np.ndarray[Any, np.dtype[Any]]
 
 # ---- colours ----

@@ -49,7 +49,9 @@ class CompilationLog:
     def __init__(self) -> None:
         self.compiled: list[str] = []
         self.loaded: list[str] = []  # from the cache
-        self.slowly: list[str] = []  # of these, what only Numba can call: loading it takes long, and so does each call
+        self.slowly: list[
+            str
+        ] = []  # of these, those called through Numba: loading it takes long, and so does each call
         self.compiling: Callable[[str], None] = lambda name: None
 
 
@@ -87,7 +89,7 @@ class Kernel:
     def __call__(self, *args: Any) -> Any:
         described = describe(args)
         if described is None:
-            return self._of_numba(())(*args)
+            return self._interpreted(*args)
         code = self._codes.get((described.key, len(_IMPLEMENTED)))
         return code(described.words) if code is not None else self._prepared(described.key, args)(*args)
 
@@ -113,8 +115,8 @@ class Kernel:
 
     def _prepared(self, key: tuple[Any, ...], args: tuple[Any, ...]) -> Callable[..., Any]:
         """A function to call with arguments for which there is no machine code yet; it is found or compiled."""
-        if _THREAD.interprets:
-            return self.function
+        if _THREAD.interprets or not self._answers_a_number:
+            return self._interpreted
         with _LOCK:
             known = key, len(_IMPLEMENTED)
             if known not in self._codes and machine_code.is_supported():
@@ -131,16 +133,21 @@ class Kernel:
             code = self._codes.get(known)
         return self._of_numba(tuple_classes(key)) if code is None else self
 
+    @property
+    def _answers_a_number(self) -> bool:
+        """Whether its answer is nothing, an int or a float; other kernels are plain Python where Python calls them."""
+        return self.function.__annotations__.get("return") in (None, int, float)
+
     def _of_numba(self, classes: tuple[type, ...]) -> Callable[..., Any]:
-        """What to call where only Numba can pass the arguments or the answer."""
-        if _THREAD.interprets:
-            return self.function
+        """What to call on a platform where only Numba can pass the arguments."""
         if self._named(classes) not in COMPILATION_LOG.slowly:
             COMPILATION_LOG.slowly.append(self._named(classes))
         return self._python_dispatcher
 
     def _interpreted(self, *args: Any) -> Any:
         """The function as plain Python, with all that it calls."""
+        if _THREAD.interprets:
+            return self.function(*args)
         _THREAD.interprets = True
         try:
             with np.errstate(all="ignore"):  # as in machine code
@@ -176,7 +183,7 @@ class Kernel:
         return code
 
     def _made(self, path: Path, key: tuple[Any, ...], args: tuple[Any, ...]) -> machine_code.ObjectCode | None:
-        """Compiled, and kept; None if it needs Numba to run."""
+        """Compiled, and kept; None if only Numba can call it."""
         name = self._named(tuple_classes(key))
         COMPILATION_LOG.compiling(name)
         types = tuple(_numba().typeof(arg) for arg in args)
@@ -185,7 +192,7 @@ class Kernel:
             result = self.dispatcher.overloads[types]
             gives = GIVES.get(str(result.signature.return_type))
             if gives is None:
-                return None
+                raise TypeError(f"{name} answers {result.signature.return_type}: its annotation has to say so")
             function, forms = result.fndesc.llvm_func_name, list(forms_of(key))
             data = machine_code.extract_object_code(result.library, function, _symbol(path), forms, gives)
         COMPILATION_LOG.compiled.append(name)

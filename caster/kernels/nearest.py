@@ -189,6 +189,14 @@ def precedes(x: Any, k: int, y: Any, j: int) -> bool:
 
 
 @jit
+def hit_precedes(place: tuple[Any, int, int], other: tuple[Any, int, int], rays: Any, i: int) -> int:
+    """Whether ray i meets one primitive exactly before another; each: prims of its kind, index in them, number."""
+    prims, k, number = place
+    others, j, held = other
+    return int(precedes(exact_hit(prims, k, rays, i), number, exact_hit(others, j, rays, i), held))
+
+
+@jit
 def merge(nearest: Any, found: Any, ids: Any, contested: Any, start: int, stop: int) -> None:
     """Fold the record of one kind into that of all, where float64 can decide; ids[k] is the number in the scene."""
     for i in range(start, stop):

@@ -17,12 +17,11 @@ from caster.kernels.nearest import (
     Candidates,
     Nearest,
     Rays,
-    exact_hit,
+    hit_precedes,
     list_candidates,
     merge,
     nearest_of_candidates,
     no_hits,
-    precedes,
 )
 from caster.kernels.raster.tile import store_blocked, store_blocked_rays, store_ray_range, store_rays
 from caster.rendering.bvh_construction import bvh_of, has_bvh, uses_bvh
@@ -192,5 +191,4 @@ def _decide_between(packed: Packed, kind: Kind, rays: Rays, nearest: Nearest, fo
 def _precedes(packed: Packed, rays: Rays, i: int, place: tuple[Kind, int], held: int) -> bool:
     """Whether the primitive at a place comes before the one numbered `held`, exactly."""
     (kind, k), (other, j) = place, packed.place_of(held)
-    mine, theirs = exact_hit(kind.prims, k, rays, i), exact_hit(other.prims, j, rays, i)
-    return precedes(mine, int(kind.ids[k]), theirs, held)
+    return bool(hit_precedes((kind.prims, k, int(kind.ids[k])), (other.prims, j, held), rays, i))

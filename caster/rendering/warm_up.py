@@ -16,7 +16,7 @@ from caster.jit.decorators import COMPILATION_LOG, compile_ahead
 from caster.jit.simd import LANES
 from caster.kernels.bvh.build import LEAF_SIZE, MAX_PRIMITIVES
 from caster.kernels.bvh.traversal import cast_packets_brute_force
-from caster.kernels.nearest import Rays, exact_hit, no_hits, precedes
+from caster.kernels.nearest import Rays, no_hits
 from caster.kernels.raster.tile import WIDTH, load_ray_range, load_rays_from, new_tile, store_blocked_rays, store_rays
 from caster.rendering.casting import Culling, exact_nearest, find_any, find_nearest
 from caster.rendering.hits import validated_rays
@@ -125,9 +125,6 @@ def _warm_decisions(packed: Packed) -> None:
     rays = Rays(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1), np.full(1, np.inf))
     for trees in (True, False):
         exact_nearest(packed, rays, 1, trees=trees)
-    for kind in packed.kinds:
-        hit = exact_hit(kind.prims, 0, rays, 0)
-        precedes(hit, 0, hit, 1)
 
 
 def _warm_shadows(packed: Packed, scene: Scene) -> None:

@@ -20,6 +20,7 @@ __all__ = [
     "check_folder",
     "check_writable",
     "distrust",
+    "locked",
     "read_sealed",
     "write_bytes",
     "write_sealed",
@@ -123,6 +124,23 @@ def remove_temporaries() -> None:
             shutil.rmtree(path, ignore_errors=True)
         else:
             path.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[bool]:
+    """Lock a folder while the body runs; False where another process has locked it."""
+    import fcntl  # POSIX alone
+
+    file = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        alone = True
+    except OSError as error:  # a file system may have no locks
+        alone = not isinstance(error, BlockingIOError)
+    try:
+        yield alone
+    finally:
+        os.close(file)
 
 
 @contextlib.contextmanager

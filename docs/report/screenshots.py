@@ -17,6 +17,7 @@ from playwright.sync_api import Browser, sync_playwright
 
 from caster import load_scene
 from caster.rendering.hits import RayHits
+from caster.rendering.threads import core_count
 from mitsuba_ref.reference.shared_input import pixel_of
 from mitsuba_ref.report.html_report import HtmlReport, page_record, write_report
 from mitsuba_ref.report.validation import validate_scene
@@ -60,10 +61,10 @@ def main() -> None:
 def report_into(folder: Path) -> Path:
     subject.cast_ours = faulty_view
     files = sorted(SCENES.glob("*.toml"))
-    entries = [many_scenes.SceneEntry(load_scene(file), file.stem, f"scenes/{file.name}") for file in files]
+    entries = [many_scenes.SceneEntry(file.stem, f"scenes/{file.name}", given=load_scene(file)) for file in files]
     report = HtmlReport(folder, len(entries))
     options = many_scenes.JudgeOptions(page_of=page_record)
-    for verdict in many_scenes.run(entries, options, many_scenes.default_workers(), record=report.keep):
+    for verdict in many_scenes.run(entries, options, core_count(), record=report.keep):
         report.add(verdict)
     report.write()
     return report.index

@@ -5,19 +5,19 @@ from caster.cli.application import Command
 COMMANDS = (
     Command(
         "validate",
-        "compare our caster with Mitsuba on scenes: every pixel gets a class, the exit code is pass or fail",
+        "compare our caster or a candidate with Mitsuba on scenes: every pixel gets a class",
         "mitsuba_ref.cli.validate",
         starts_with="loading the judge and the scenes",
     ),
     Command(
         "judge",
-        "compare answers that were computed elsewhere with Mitsuba: hits of any rays, or an EXR file",
+        "judge answers that were computed elsewhere: hits of any rays, or an EXR file",
         "mitsuba_ref.cli.judge",
         starts_with="loading the judge and the rays",
     ),
     Command(
         "rays",
-        "write rays to a file for `judge`: a scene's camera rays, shadow rays, random or aimed ones",
+        "write rays of a scene to a file for `judge`: camera rays, shadow rays, random or aimed ones",
         "mitsuba_ref.cli.judge",
         run="run_rays",
         arguments="add_rays_arguments",
@@ -38,19 +38,19 @@ COMMANDS = (
     ),
     Command(
         "approve",
-        "render reference EXRs with Mitsuba, show what changed in them, and write them once approved",
+        "render images with Mitsuba, show what changed in them, and write them once approved",
         "mitsuba_ref.cli.exr_comparison",
         run="run_approve",
         arguments="add_approve_arguments",
-        starts_with="loading the renderer and the references",
+        starts_with="loading the renderer and the approved images",
     ),
     Command(
         "check",
-        "compare our render with approved reference EXRs, without Mitsuba; stale or altered ones fail",
+        "compare our render with approved images, without Mitsuba; stale or altered ones fail",
         "mitsuba_ref.cli.exr_comparison",
         run="run_check",
         arguments="add_check_arguments",
-        starts_with="loading the renderer and the references",
+        starts_with="loading the renderer and the approved images",
     ),
     Command(
         "export",
@@ -61,7 +61,7 @@ COMMANDS = (
     ),
     Command(
         "import",
-        "convert Mitsuba XML or a scene text of MIT 6.837 to a scene file, and list what was left out",
+        "convert Mitsuba XML or a scene file of MIT 6.837 to a scene file, and list what was left out",
         "mitsuba_ref.cli.scene_exchange",
         run="run_import",
         arguments="add_import_arguments",
@@ -75,7 +75,7 @@ COMMANDS = (
     ),
     Command(
         "probe",
-        "one pixel: answers of our caster, Mitsuba, exact arithmetic and a candidate, with their bounds",
+        "explain one pixel: answers of our caster, Mitsuba, exact arithmetic and a candidate, with their bounds",
         "mitsuba_ref.cli.probe",
         starts_with="loading the judge and the scene",
     ),
@@ -109,6 +109,6 @@ COMMANDS = (
         arguments="add_schema_arguments",
     ),
     Command(
-        "doctor", "list what was found on this machine, and what each missing part would add", "mitsuba_ref.cli.doctor"
+        "doctor", "list what was found on this machine, and the effect of each missing part", "mitsuba_ref.cli.doctor"
     ),
 )

@@ -1,4 +1,4 @@
-"""`mitsuba-ref doctor`: what this machine has for the judge, and the effect of each missing part; and `schema`."""
+"""`mitsuba-ref doctor`: the parts of the judge found on this machine, and the effect of missing ones; and `schema`."""
 
 import argparse
 import importlib.metadata
@@ -42,7 +42,7 @@ def report() -> list[Finding]:
 
 
 def judge_findings() -> list[Finding]:
-    """Find what the judge uses on top of the ray caster."""
+    """Find the parts that the judge uses in addition to the caster's."""
     versions = [_pinned(name) for name in PINNED]
     missing = [finding.name for finding in versions if not finding.found]
     return [
@@ -113,7 +113,7 @@ def _pinned(name: str) -> Finding:
 RESULTS = {
     "verdict": "mitsuba_ref.judge.verdict:Verdict",  # validate --json, merge --json, verdict.json
     "compare": "mitsuba_ref.exr_compare.comparison_result:FileComparison",
-    "check": "mitsuba_ref.exr_compare.approved:ReferenceChecks",
+    "check": "mitsuba_ref.exr_compare.approved:ImageChecks",
     "bench": "mitsuba_ref.bench.result:Run",
     "stress": "mitsuba_ref.stress.sweeps:StressRun",
 }

@@ -6,8 +6,7 @@ import argparse
 import json
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO, TypeVar
 
@@ -17,8 +16,8 @@ from caster.system.process import DIFFERENCES, FILE, NOTHING_SELECTED, OK
 from mitsuba_ref.cli.options import add_reading, add_selection, add_timeout, reading_of, selected_entries
 
 if TYPE_CHECKING:
-    from mitsuba_ref.exr_compare.approved import Proposal, ReferenceCheck
-    from mitsuba_ref.runner.many_scenes import Entry, SceneSource
+    from mitsuba_ref.exr_compare.approved import Proposal
+    from mitsuba_ref.runner.many_scenes import SceneEntry
 
 # ---- compare ----
 
@@ -29,7 +28,6 @@ NUMBERS = {
     "color_rtol": "of every channel that is not geometry, relative",
     "color_atol": "of every channel that is not geometry, absolute",
 }
-MAX_PIXELS_HELP = "number of pixels that may differ (never by NaN or inf)"
 
 
 def add_compare_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,11 +37,10 @@ def add_compare_arguments(parser: argparse.ArgumentParser) -> None:
     add("-o", "--output", metavar="DIFF.exr", type=OutputFile, help="write the differences, and a class for each pixel")
     for name, what in NUMBERS.items():
         add(f"--{name.replace('_', '-')}", type=float, metavar="TOL", help=f"tolerance {what}")
-    add("--max-pixels", type=int, default=0, metavar="N", help=MAX_PIXELS_HELP)
+    add("--max-pixels", type=int, default=0, metavar="N", help="number of pixels that may differ (never by NaN or inf)")
     ignore = "leave a channel or group of them out"
     add("--ignore", type=str, action="append", default=[], metavar="CHANNEL", help=ignore)
     add("--other-scene", action="store_true", help="compare images of different scenes, too")
-    add("--allow-empty", action="store_true", help="two images that hit nothing pass")
     add("--json", action="store_true", help="as JSON")
     add = add_reading(parser)
     add("--scene", metavar="SCENE", type=InputPath, help="the scene whose camera rendered the images")
@@ -56,7 +53,7 @@ def run_compare(args: argparse.Namespace) -> int:
     from caster.scene.files import load_scene
     from mitsuba_ref.exr_compare.two_files import Tolerances, compare_exr
 
-    names = (*NUMBERS, "max_pixels", "allow_empty", "other_scene")
+    names = (*NUMBERS, "max_pixels", "other_scene")
     tolerances = Tolerances(**{name: getattr(args, name) for name in names}, ignore=tuple(args.ignore))
     reading = replace(reading_of(args), scene=load_scene(args.scene) if args.scene else None)
     result = compare_exr(args.ours, args.reference, tolerances, diff=args.output, reading=reading)
@@ -75,48 +72,32 @@ def add_approve_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_check_arguments(parser: argparse.ArgumentParser) -> None:
     add_references(parser, InputPath)
-    add = parser.add_argument
-    add("--fresh", action="store_true", help="compare a fresh render of Mitsuba, to the bit, instead of ours")
-    add("--max-pixels", type=int, default=0, metavar="N", help=MAX_PIXELS_HELP)
-    add("--json", action="store_true", help="as JSON")
+    parser.add_argument("--json", action="store_true", help="as JSON")
 
 
 def add_references(parser: argparse.ArgumentParser, folder: type[str]) -> None:
-    """Add the options of both: scenes, the folder of approved images, the variant."""
+    """Add the options of both: scenes, and the folder of approved images."""
     add_selection(parser)
-    add = parser.add_argument
     references = "the folder of approved images, NAME.exr for each scene"
-    add("--references", metavar="DIR", type=folder, required=True, help=references)
-    add("--variant", type=str, metavar="V", help="scalar_rgb or llvm_ad_rgb; default: what suits the scene")
+    parser.add_argument("--references", metavar="DIR", type=folder, required=True, help=references)
 
 
 T = TypeVar("T")
 
 
 def each_scene(
-    args: argparse.Namespace, of: Callable[[Entry], T], failed: Callable[[Entry, tuple[str, ...]], T]
+    args: argparse.Namespace, of: Callable[[SceneEntry], T], failed: Callable[[SceneEntry, tuple[str, ...]], T]
 ) -> Iterator[T]:
-    """The result of each selected scene, or of the error that it raises, in order. Raises SceneError."""
+    """The results of `of` for all selected scenes in order, or of `failed` where it raises. Raises SceneError."""
     from mitsuba_ref.runner.many_scenes import map_in_order, problem_of
 
-    def result_of(entry: Entry) -> T:
+    def result_of(entry: SceneEntry) -> T:
         try:
             return of(entry)
         except (SceneError, MemoryError) as error:
             return failed(entry, tuple(problem_of(error).splitlines()))
 
-    yield from map_in_order(result_of, args.entries, args.workers)
-
-
-def selection(args: argparse.Namespace) -> list[SceneSource]:
-    """The selected scenes. Raises SceneError, also for an unknown variant."""
-    if args.variant:
-        from mitsuba_ref.reference.variants import VARIANT_NAMES, VariantError
-
-        if args.variant not in VARIANT_NAMES:
-            raise VariantError(f"--variant {args.variant!r}: expected {' or '.join(VARIANT_NAMES)}")
-    args.entries = selected_entries(args)
-    return list(args.entries)
+    yield from map_in_order(result_of, selected_entries(args), args.workers)
 
 
 # ---- approve ----
@@ -124,27 +105,24 @@ def selection(args: argparse.Namespace) -> list[SceneSource]:
 
 def run_approve(args: argparse.Namespace) -> int:
     """Show changes, confirm, write; 0 all is as approved, 1 not approved or Mitsuba failed, 5 nothing was selected."""
-    entries = selection(args)
-    if not entries:
-        return NOTHING_SELECTED
     folder = Path(args.references)
     from caster.system.atomic_files import check_folder
-    from mitsuba_ref.exr_compare.approved import Proposal, propose, render_fresh, unused_references, write_approved
+    from mitsuba_ref.exr_compare.approved import Proposal, propose, unused_images, write_approved
+    from mitsuba_ref.reference import variants
 
-    def proposal_of(entry: Entry) -> Proposal:
-        command = shlex.join(["mitsuba-ref", "approve", Path(entry.path).name, *film_words(args)])
-        render = partial(render_fresh, variant=args.variant, command=command, timeout=args.timeout)
-        return propose(entry.load().scene, entry.name, entry.path, folder, render)
-
-    def failure_of(entry: Entry, lines: tuple[str, ...]) -> Proposal:
-        return Proposal(entry.name, folder / f"{entry.name}.exr", "failed", False, lines)
-
+    variants.require_variants()  # its errors come before any work
     out = sys.stdout  # itself: readers of EXR files in other threads replace sys.stdout while they read
     found = []
-    for proposal in each_scene(args, proposal_of, failure_of):
+    for proposal in each_scene(
+        args,
+        lambda entry: propose(entry.load(), entry.name, entry.path, folder, args.timeout),
+        lambda entry, lines: Proposal(entry.name, folder / f"{entry.name}.exr", "failed", False, lines),
+    ):
         found.append(proposal)
         print_proposal(proposal, out)
-    for name in unused_references(folder, {entry.name for entry in entries}) if not args.expression else ():
+    if not found:
+        return NOTHING_SELECTED
+    for name in unused_images(folder, {each.name for each in found}) if not args.expression else ():
         print(f"note     {name}: no scene of this selection has this name; it is left as it is")
     wanted = [proposal for proposal in found if proposal.write]
     failed = sum(proposal.status == "failed" for proposal in found)
@@ -184,62 +162,45 @@ def approved(args: argparse.Namespace, count: int) -> bool:
     return False
 
 
-def film_words(args: argparse.Namespace) -> list[str]:
-    """--size and --variant as they were given."""
-    size = ["--size", *map(str, args.size)] if args.size else []
-    return [*size, *(["--variant", args.variant] if args.variant else [])]
-
-
 # ---- check ----
 
 
 def run_check(args: argparse.Namespace) -> int:
-    """A row for each scene; 0 all pass, 1 some do not, 4 some have no image that can be read, and no other fails,
-    5 nothing was selected."""
-    if not selection(args):
-        return NOTHING_SELECTED
-    from mitsuba_ref.exr_compare.approved import ReferenceCheck, ReferenceChecks, check_scene
+    """Print a row for each scene; 0 all pass, 1 some do not, 4 only missing or unreadable images fail, 5 nothing was
+    selected."""
+    from mitsuba_ref.exr_compare.approved import ImageCheck, ImageChecks, check_scene
     from mitsuba_ref.report.results import print_lines
 
-    def path_of(entry: Entry) -> Path:
-        return Path(args.references) / f"{entry.name}.exr"
-
-    def check_of(entry: Entry) -> ReferenceCheck:
-        options = args.variant, args.fresh, args.max_pixels
-        return check_scene(entry.load().scene, entry.name, entry.path, path_of(entry), *options)
-
-    def failure_of(entry: Entry, lines: tuple[str, ...]) -> ReferenceCheck:
-        return ReferenceCheck(entry.name, str(path_of(entry)), False, lines)
-
-    out = sys.stdout  # itself: readers of EXR files in other threads replace sys.stdout while they read
+    folder, out = Path(args.references), sys.stdout  # itself: readers in other threads replace sys.stdout
     found = []
-    for checked in each_scene(args, check_of, failure_of):
+    for checked in each_scene(
+        args,
+        lambda entry: check_scene(entry.load(), entry.name, folder / f"{entry.name}.exr"),
+        lambda entry, lines: ImageCheck(entry.name, str(folder / f"{entry.name}.exr"), False, lines),
+    ):
         found.append(checked)
         if not args.json:
             print_lines("\n".join(checked.lines()), out)
+    if not found:
+        return NOTHING_SELECTED
     failed = [checked for checked in found if not checked.ok]
     if args.json:
-        print(json.dumps(ReferenceChecks(tuple(found)).to_dict(), indent=1))
+        print(json.dumps(ImageChecks(tuple(found)).to_dict(), indent=1))
     else:
         missing = sum(checked.missing for checked in failed)
         counts = f"{len(found) - len(failed)} pass, {len(failed) - missing} fail"
         unchecked = f", {missing} not checked: no image that can be read" if missing else ""
         print(f"\n{len(found)} scenes: {counts}{unchecked}")
         if any(checked.refused for checked in failed):
-            print(f"to look at the changes and approve them: {approve_command(args, failed)}")
+            print(f"to look at the changes and approve them: {approve_command(args)}")
     if not failed:
         return OK
     return FILE if all(checked.missing for checked in failed) else DIFFERENCES
 
 
-def approve_command(args: argparse.Namespace, failed: Sequence[ReferenceCheck]) -> str:
-    """The command that shows the changes, and writes them once they are approved."""
-    words = ["mitsuba-ref", "approve", *args.scenes, "--references", args.references]
-    words += [*film_words(args), *mesh_dir_options(args)]
-    names = [checked.name for checked in failed if checked.refused]
-    return shlex.join([*words, *(["-k", names[0]] if len(names) == 1 and is_one_word(names[0]) else [])])
-
-
-def is_one_word(name: str) -> bool:
-    """Whether -k reads a name as one word."""
-    return not any(c.isspace() or c in "()" for c in name) and name not in ("and", "or", "not")
+def approve_command(args: argparse.Namespace) -> str:
+    """The command that shows the changes of the same scenes, and writes them once they are approved."""
+    size = ["--size", *map(str, args.size)] if args.size else []
+    chosen = ["-k", args.expression] if args.expression else []
+    words = [*args.scenes, "--references", args.references, *size, *chosen, *mesh_dir_options(args)]
+    return shlex.join(["mitsuba-ref", "approve", *words])

@@ -7,33 +7,41 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Protocol, TextIO, TypeVar
 
-from caster.cli.shared_arguments import InputPath, OutputFile, add_mesh_dirs, display_names, positive_int, scene_files
+from caster.cli.shared_arguments import (
+    InputPath,
+    OutputFile,
+    OutputFolder,
+    add_mesh_dirs,
+    display_names,
+    positive_int,
+    scene_files,
+)
 from caster.description.errors import SceneError, error_prefix, suggestion
 from caster.system.terminal import StatusLine
 
 if TYPE_CHECKING:
     from mitsuba_ref.exr_compare.conventions import Reading
     from mitsuba_ref.judge.verdict import Verdict
-    from mitsuba_ref.runner.many_scenes import SceneSource
+    from mitsuba_ref.runner.many_scenes import SceneEntry
     from mitsuba_ref.subjects.subject import Subject
 
-# Stated here as well, since loading the judge loads the kernels (tests/unit/test_cli_help.py compares).
+# Copies, since the judge's modules load the kernels (tests/unit/test_cli_help.py compares them).
 CANDIDATE_SECONDS = REFERENCE_SECONDS = 300.0
 PRECISIONS = ("float32", "float64")
-MAX_SECONDS = 100_000.0  # a day; the system's waits take milliseconds in 31 bits, of some times as long
+MAX_SECONDS = 100_000.0  # about a day; the system's waits take milliseconds in 31 bits, and some are multiples of it
 BUILTIN_SETS = ("triangles", "spheres", "others", "all")  # folders of mitsuba_ref/runner/builtin, and all of them
 DEFAULT_SCENES = [InputPath("scenes")]
 
 
 def whole(text: str) -> int:
-    """A whole number >= 0, or an error in argparse's way."""
+    """Parse a whole number >= 0. Raises argparse.ArgumentTypeError."""
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"expected a whole number >= 0, got '{text}'")
     return int(text)
 
 
 def positive_seconds(text: str) -> float:
-    """A number > 0, at most MAX_SECONDS. Raises argparse.ArgumentTypeError."""
+    """Parse a number of seconds > 0, at most MAX_SECONDS. Raises argparse.ArgumentTypeError."""
     try:
         value = float(text)
     except ValueError:
@@ -49,7 +57,7 @@ def positive_seconds(text: str) -> float:
 
 
 def add_selection(parser: argparse.ArgumentParser) -> None:
-    """Scenes, -k, -j, --size and --mesh-dir."""
+    """Add scenes, -k, -j, --size and --mesh-dir."""
     add = parser.add_argument
     add(
         "scenes",
@@ -80,11 +88,11 @@ def add_selection(parser: argparse.ArgumentParser) -> None:
     add_mesh_dirs(parser)
 
 
-def selected_entries(args: argparse.Namespace) -> list[SceneSource]:
-    """The selected scenes, not loaded yet; where there is none, this is printed. Raises SceneError."""
+def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
+    """The selected scenes, not loaded yet; prints a message if there are none. Raises SceneError."""
     from caster.scene.files import types_in_file
     from caster.scene.model import Film
-    from mitsuba_ref.runner.many_scenes import matching, source_of
+    from mitsuba_ref.runner.many_scenes import SceneEntry, matching
 
     fits = matching(args.expression, types_in_file)
     named = [] if args.builtin and args.scenes is DEFAULT_SCENES else args.scenes
@@ -93,11 +101,9 @@ def selected_entries(args: argparse.Namespace) -> list[SceneSource]:
     if args.size:
         with error_prefix("--size", *args.size):
             Film(width=args.size[0], height=args.size[1])
-    again = candidate_words(args)
-    entries = [
-        source_of(file, name, size=args.size, mesh_dirs=args.mesh_dir, options=again)
-        for file, name in zip(files, display_names(files), strict=True)
-    ]
+    size, mesh_dirs, again = tuple(args.size) if args.size else None, tuple(args.mesh_dir), candidate_words(args)
+    names = display_names(files)
+    entries = [SceneEntry(name, file, size, mesh_dirs, again) for name, file in zip(names, files, strict=True)]
     if not entries:
         fitting = f" that fits -k {args.expression!r}" if args.expression else ""
         print(f"nothing selected: no scene file{fitting} in {', '.join(places)}", file=sys.stderr)
@@ -105,7 +111,7 @@ def selected_entries(args: argparse.Namespace) -> list[SceneSource]:
 
 
 def builtin_folders(name: str | None) -> list[str]:
-    """Folders of a set of the scenes that are installed with the package; none for None."""
+    """Folders of a set of built-in scenes; none for None."""
     if name is None:
         return []
     from importlib.resources import files
@@ -116,23 +122,13 @@ def builtin_folders(name: str | None) -> list[str]:
 
 
 def add_timeout(parser: argparse.ArgumentParser) -> None:
-    """--timeout."""
+    """Add --timeout."""
     parser.add_argument(
         "--timeout",
         metavar="S",
         type=positive_seconds,
         default=REFERENCE_SECONDS,
         help=f"seconds that Mitsuba may take for one scene, or one band of a large film; default {REFERENCE_SECONDS:g}",
-    )
-
-
-def add_store(parser: argparse.ArgumentParser) -> None:
-    """--no-store."""
-    parser.add_argument(
-        "--no-store",
-        dest="store",
-        action="store_false",
-        help="judge every scene and ask Mitsuba, also where an earlier run has the result of the very same inputs",
     )
 
 
@@ -146,7 +142,7 @@ class ServedProgram(str):
 def add_candidate(
     parser: argparse.ArgumentParser, title: str = "another ray caster, judged in place of ours (docs/candidates.md)"
 ) -> None:
-    """--candidate, its precision and its time limit."""
+    """Add --candidate, its precision and its time limit."""
     group = parser.add_argument_group(title)
     one = group.add_mutually_exclusive_group()
     one.add_argument(
@@ -185,23 +181,22 @@ def requested_candidate(args: argparse.Namespace, *, takes_rays: bool = False) -
 
     takes_rays: one that renders images of its own camera cannot.
     """
-    for name in ("candidate_precision", "candidate_timeout") if args.candidate is None else ():
-        for word in given_words(args, name)[:1]:
-            raise SceneError(f"{word}: expected --candidate X beside it, whose {word[12:]} it is")
-    if args.candidate is not None and getattr(args, "thorough", False):
+    if args.candidate is None:
+        for word in given_words(args, "candidate_precision", "candidate_timeout", *READING_OPTIONS)[:1]:
+            raise SceneError(f"{word}: expected --candidate X beside it, whose answers it is about")
+        return None
+    if getattr(args, "thorough", False):
         raise SceneError("--thorough: not with --candidate, since the checks that it adds test our own caster")
     from mitsuba_ref.subjects.command import CommandSubject
     from mitsuba_ref.subjects.requests import parse_candidate
 
     served, seconds = isinstance(args.candidate, ServedProgram), args.candidate_timeout or CANDIDATE_SECONDS
-    found: Subject | None = None
-    if args.candidate is not None:
-        found = parse_candidate(args.candidate, args.candidate_precision, seconds, served=served)
-        if takes_rays and not found.takes_rays:
-            raise SceneError(
-                f"--candidate {args.candidate!r}: expected one that casts rays it is given: package.module:function, "
-                "a command with {rays} and {hits}, or --candidate-serve (docs/rays-and-hits.md)"
-            )
+    found = parse_candidate(args.candidate, args.candidate_precision, seconds, served=served)
+    if takes_rays and not found.takes_rays:
+        raise SceneError(
+            f"--candidate {args.candidate!r}: expected one that casts rays it is given: package.module:function, "
+            "a command with {rays} and {hits}, or --candidate-serve (docs/rays-and-hits.md)"
+        )
     if isinstance(found, CommandSubject):
         from dataclasses import replace
         from functools import partial
@@ -214,7 +209,7 @@ def requested_candidate(args: argparse.Namespace, *, takes_rays: bool = False) -
     return found
 
 
-READING_OPTIONS = ("map", "depth", "miss", "near")  # of add_reading
+READING_OPTIONS = ("map", "depth", "miss")  # of add_reading
 
 
 def candidate_words(args: argparse.Namespace) -> tuple[str, ...]:
@@ -223,7 +218,7 @@ def candidate_words(args: argparse.Namespace) -> tuple[str, ...]:
 
 
 def given_words(args: argparse.Namespace, *names: str) -> tuple[str, ...]:
-    """These options as words of a command line, those that were given."""
+    """Those of these options that were given, as words of a command line."""
     words: list[str] = []
     for name in names:
         value = getattr(args, name, None)
@@ -237,7 +232,7 @@ def given_words(args: argparse.Namespace, *names: str) -> tuple[str, ...]:
 
 
 def add_reading(parser: argparse.ArgumentParser, more: str = "") -> Callable[..., argparse.Action]:
-    """--map, --depth, --miss and --near, in a group that takes more."""
+    """Add --map, --depth and --miss; the function that adds more options to their group."""
     add = parser.add_argument_group("files of other programs (docs/candidates.md)" + more).add_argument
     map_help = "a channel or group by its name there, such as depth=range or normal=facing; any number of them"
     add("--map", type=str, action="append", default=[], metavar="OURS=THEIRS", help=map_help)
@@ -246,21 +241,19 @@ def add_reading(parser: argparse.ArgumentParser, more: str = "") -> Callable[...
     add("--depth", choices=depths, help=depth_help)
     miss_help = "the depth of a miss, such as 0, 1e10 or FLT_MAX; default: a miss has alpha 0, no id, or depth inf"
     add("--miss", type=str, metavar="VALUE", help=miss_help)
-    near_help = "of the near plane, along the view axis, that depth counts from; default: of the exported scene"
-    add("--near", type=float, metavar="N", help=near_help)
     return add
 
 
 def reading_of(args: argparse.Namespace) -> Reading:
-    """The options of add_reading, none where the command has none. Raises SceneError."""
+    """The options of add_reading, the defaults where the command has none. Raises SceneError."""
     from mitsuba_ref.exr_compare.conventions import Reading
 
-    maps, *rest = (getattr(args, name, None) for name in READING_OPTIONS)
-    return Reading(tuple(maps or ()), *rest)
+    maps, depth, miss = (getattr(args, name, None) for name in READING_OPTIONS)
+    return Reading(tuple(maps or ()), depth, miss)
 
 
 def add_skip_unsupported(parser: argparse.ArgumentParser, plural: str) -> None:
-    """--skip-unsupported. plural: "scenes" or "families"."""
+    """Add --skip-unsupported. plural: "scenes" or "families"."""
     parser.add_argument(
         "--skip-unsupported",
         action="store_true",
@@ -272,21 +265,23 @@ def add_skip_unsupported(parser: argparse.ArgumentParser, plural: str) -> None:
 # ---- files of results ----
 
 
+def add_report_files(parser: argparse.ArgumentParser) -> None:
+    """Add --out, --html, and the options of add_verdict_files."""
+    add = parser.add_argument
+    add(
+        "--out", metavar="DIR", type=OutputFolder, help="write verdict.json, EXR files and reproducers into this folder"
+    )
+    add("--html", metavar="DIR", type=OutputFolder, help="write a report for the browser into this folder: index.html")
+    add_verdict_files(parser)
+
+
 def add_verdict_files(parser: argparse.ArgumentParser) -> None:
-    """--json, --junit and --summary-md."""
+    """Add --json, --junit and --summary-md."""
     add = parser.add_argument
     add("--json", metavar="FILE", type=OutputFile, help="write the verdict as JSON")
     add("--junit", metavar="FILE", type=OutputFile, help="write the verdict as JUnit XML")
     help_ = "append a summary in Markdown to this file, such as $GITHUB_STEP_SUMMARY"
     add("--summary-md", metavar="FILE", type=OutputFile, help=help_)
-
-
-def check_verdict_files(args: argparse.Namespace) -> None:
-    """Raise OutputError before any work where a file cannot be written."""
-    from caster.system.atomic_files import check_writable
-
-    for path in filter(None, (args.json, args.junit, args.summary_md)):
-        check_writable(path)
 
 
 def write_verdict_files(verdict: Verdict, args: argparse.Namespace, seconds: float) -> None:
@@ -307,7 +302,7 @@ def write_verdict_files(verdict: Verdict, args: argparse.Namespace, seconds: flo
 
 
 def add_item_selection(parser: argparse.ArgumentParser, what: str, words: str) -> None:
-    """The items by name, -k and --list. what: "family" or "scene"."""
+    """Add the items by name, -k and --list. what: "family" or "scene"."""
     plural = {"family": "families", "scene": "scenes"}[what]
     add = parser.add_argument
     add(plural, metavar=what.upper(), type=str, nargs="*", help=words)
@@ -326,7 +321,7 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 
 
 def check_json(args: argparse.Namespace) -> None:
-    """Raise OutputError now, and not after all the work."""
+    """Raise OutputError before any work if the file cannot be written."""
     from caster.system.atomic_files import check_writable
 
     if args.json and args.json != "-":
@@ -334,12 +329,12 @@ def check_json(args: argparse.Namespace) -> None:
 
 
 def table_stream(args: argparse.Namespace) -> TextIO:
-    """Where tables go: not to standard output if that takes the JSON."""
+    """The stream for tables: standard error if the JSON goes to standard output."""
     return sys.stderr if args.json == "-" else sys.stdout
 
 
 class Progress:
-    """One line on a terminal's stderr, overwritten by each call; nothing elsewhere."""
+    """A line on a terminal's standard error that each call overwrites; nothing elsewhere."""
 
     def __init__(self, what: str) -> None:
         self.what, self.line = what, StatusLine()
@@ -360,9 +355,9 @@ T = TypeVar("T", bound=Named)
 
 
 def select(items: Sequence[T], what: str, words: Sequence[str], expression: str | None) -> list[T]:
-    """Items by name, or by the part of it before a dash; all of them without words. In the registry's order.
+    """Select items by name or by its part before a dash, in the registry's order; all of them without words.
 
-    what: "scene" or "family", for messages. Raises SceneError for a word that is neither, or an invalid expression.
+    what: "scene" or "family", for messages. Raises SceneError for an unknown word or an invalid expression.
     """
     names = [item.name for item in items]
     known = [*names, *(name.partition("-")[0] for name in names)]

@@ -1,4 +1,4 @@
-"""`mitsuba-ref probe`: the witnesses side by side for one pixel."""
+"""`mitsuba-ref probe`: explain one pixel by the answers of all witnesses."""
 
 from __future__ import annotations
 
@@ -34,12 +34,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the pixel's verdict and what it rests on; 1 when nothing explains the pixel, or the candidate's answer."""
-    from caster.system.atomic_files import check_writable
-
+    """Print the pixel's verdict and its evidence; 1 if nothing explains the pixel or the candidate's answer."""
     scene = load(args)
-    if args.save:
-        check_writable(args.save)
     candidate = requested_candidate(args)  # its errors come before any work
     from mitsuba_ref.probe.pixel import as_text, probe_with_evidence
 
@@ -64,7 +60,7 @@ def about_candidate(args: argparse.Namespace, found: PixelVerdict) -> list[str]:
 
 
 def save(args: argparse.Namespace, probed: Crash | ProbeEvidence, more: Sequence[str]) -> None:
-    """Write the reproducer, and report on stderr whether it shows the same. more: lines of comment in it."""
+    """Write the reproducer, and report on standard error whether it shows the same. more: its comment lines."""
     from mitsuba_ref.reference.messages import Crash
     from mitsuba_ref.report.reproducers import write_reproducer
 

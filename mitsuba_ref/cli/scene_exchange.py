@@ -1,4 +1,4 @@
-"""`mitsuba-ref render`, `export` and `import`: scenes to Mitsuba, and from its XML or from texts of MIT 6.837."""
+"""`mitsuba-ref render`, `export` and `import`: scenes to Mitsuba, and from its XML or files of MIT 6.837."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from caster.cli.shared_arguments import (
     add_mesh_dirs,
     add_scene,
     check_exr_suffix,
+    comma_separated,
     load,
 )
 from caster.description.errors import SceneError, error_prefix, suggestion
@@ -24,7 +25,6 @@ from mitsuba_ref.cli.options import add_timeout
 if TYPE_CHECKING:
     from mitsuba_ref.importers.mitsuba_xml import ImportedScene
 
-KNOWN_AOVS = AOV_NAMES.split(", ")
 COURSE_FILM = (256, 256)  # pixels; a scene text of the course has no film
 
 
@@ -37,33 +37,23 @@ def add_render_arguments(parser: argparse.ArgumentParser) -> None:
         type=str,
         metavar="A,B,...",
         default=DEFAULT_AOV_LIST,
-        help=f"of {', '.join(KNOWN_AOVS)}; default: {DEFAULT_AOV_LIST}",
+        help=f"of {AOV_NAMES}; default: {DEFAULT_AOV_LIST}",
     )
-    add("--variant", type=str, metavar="V", help="scalar_rgb or llvm_ad_rgb; default: what suits the scene")
     add_timeout(parser)
 
 
 def run_render(args: argparse.Namespace) -> int:
     """Render with Mitsuba and write the file; 1 when Mitsuba ends without an answer."""
-    names = tuple(dict.fromkeys(args.aov.split(",")))
-    for name in names:
-        if name not in KNOWN_AOVS:
-            raise SceneError(
-                f"--aov {name!r}: unknown{suggestion(name, KNOWN_AOVS)}; known are {', '.join(KNOWN_AOVS)}"
-            )
-    if args.variant:
-        from mitsuba_ref.reference.variants import check_variant
-
-        check_variant(args.variant, "--variant")
-    scene = load(args)
-    from caster.image.channels import write_render
-    from caster.system.atomic_files import check_writable
-    from mitsuba_ref.reference.messages import Crash
-    from mitsuba_ref.reference.rendering import render_reference
-
     check_exr_suffix(args.output)
-    check_writable(args.output)
-    rendered = render_reference(scene, names, variant=args.variant, timeout=args.timeout)
+    scene, names = load(args), tuple(comma_separated(args.aov))
+    from caster.image.channels import write_render
+    from mitsuba_ref.reference.messages import Crash
+    from mitsuba_ref.reference.rendering import REFERENCE_AOVS, render_reference
+
+    for name in names:
+        if name not in REFERENCE_AOVS:
+            raise SceneError(f"--aov {name!r}: unknown{suggestion(name, REFERENCE_AOVS)}; known are {AOV_NAMES}")
+    rendered = render_reference(scene, names, timeout=args.timeout)
     if isinstance(rendered, Crash):
         print(f"{args.scene}: {rendered.message}")
         return DIFFERENCES
@@ -86,15 +76,14 @@ def add_import_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run_import(args: argparse.Namespace) -> int:
-    """Read, write, and list what was left out. Raises SceneError, FileMissing, OutputError."""
-    from caster.system.atomic_files import check_writable, write_text
+    """Convert a scene, and list its parts that were left out. Raises SceneError, FileMissing, OutputError."""
+    from caster.system.atomic_files import write_text
 
     suffix = Path(args.file).suffix.lower()
     if Path(args.output).suffix.lower() != ".toml":
         raise SceneError(f"-o {args.output}: expected a name that ends in .toml")
     if suffix not in (".xml", ".txt"):
         raise SceneError(f"{args.file}: expected Mitsuba's .xml, or .txt of MIT 6.837")
-    check_writable(args.output)
     found = from_xml(args) if suffix == ".xml" else from_course(args)
     folder = Path(args.output).resolve().parent
     from caster.scene.export import to_toml
@@ -121,7 +110,7 @@ def from_xml(args: argparse.Namespace) -> ImportedScene:
 
 
 def from_course(args: argparse.Namespace) -> ImportedScene:
-    """The window of an orthographic camera is moved back, where something is behind it."""
+    """Read a file of MIT 6.837. The window of an orthographic camera is moved back if something is behind it."""
     from caster.classroom.course_files import load_course_scene
     from caster.classroom.course_images import with_window_behind_scene
     from caster.scene.model import Film
@@ -143,7 +132,7 @@ def from_course(args: argparse.Namespace) -> ImportedScene:
 
 
 def parameters(words: list[str]) -> dict[str, str]:
-    """NAME -> VALUE of -D. Raises SceneError for a word that is no such pair."""
+    """Parse the words of -D. Raises SceneError for a word that is not NAME=VALUE."""
     for word in words:
         if "=" not in word:
             raise SceneError(f"-D {word}: expected NAME=VALUE")
@@ -151,7 +140,7 @@ def parameters(words: list[str]) -> dict[str, str]:
 
 
 def folders_beyond(scene: object, folder: Path) -> set[str]:
-    """Folders of meshes that a scene file in `folder` may not read by itself."""
+    """Folders of meshes that a scene file in `folder` may read only by --mesh-dir."""
     files = [Path(shape.file) for shape in getattr(scene, "shapes", ()) if hasattr(shape, "file")]
     return {str(file.parent) for file in files if not file.is_relative_to(folder)}
 
@@ -159,7 +148,12 @@ def folders_beyond(scene: object, folder: Path) -> set[str]:
 def add_export_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     parser.add_argument(
-        "-o", "--output", metavar="DIR", type=OutputFolder, required=True, help="folder to write into; made if need be"
+        "-o",
+        "--output",
+        metavar="DIR",
+        type=OutputFolder,
+        required=True,
+        help="folder to write into, created if missing",
     )
 
 

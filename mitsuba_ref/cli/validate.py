@@ -11,28 +11,25 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, positive_int
+from caster.cli.shared_arguments import InputPath, OutputFile, positive_int
 from caster.description.errors import SceneError
 from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
 from mitsuba_ref.cli.options import (
     add_candidate,
     add_reading,
+    add_report_files,
     add_selection,
     add_skip_unsupported,
-    add_store,
     add_timeout,
     add_verdict_files,
-    check_verdict_files,
     requested_candidate,
     selected_entries,
     write_verdict_files,
 )
 
-UNSUPPORTED_SCENE = "unsupported"  # of the judge, which takes long to load (tests/unit/test_cli_help.py compares)
-
 if TYPE_CHECKING:
     from mitsuba_ref.judge.verdict import Verdict
-    from mitsuba_ref.runner.many_scenes import SceneSource
+    from mitsuba_ref.runner.many_scenes import SceneEntry
     from mitsuba_ref.runner.shards import Shard
     from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun
     from mitsuba_ref.subjects.subject import Subject
@@ -41,11 +38,7 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_selection(parser)
     add = parser.add_argument
-    add(
-        "--out", metavar="DIR", type=OutputFolder, help="write verdict.json, EXR files and reproducers into this folder"
-    )
-    add_verdict_files(parser)
-    add("--html", metavar="DIR", type=OutputFolder, help="write a report for the browser into this folder: index.html")
+    add_report_files(parser)
     add(
         "--expected",
         metavar="FILE",
@@ -62,7 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     help_ = "also test our caster beyond the judged film (docs/method.md, Thorough); compiles more kernels"
     add("--thorough", action="store_true", help=help_)
     add_timeout(parser)
-    add_store(parser)
+    help_ = "judge every scene and ask Mitsuba, also where an earlier run has the result of the very same inputs"
+    add("--no-store", dest="store", action="store_false", help=help_)
     add_candidate(parser)
     add_reading(parser, "; with --candidate")
 
@@ -79,14 +73,25 @@ def run(args: argparse.Namespace) -> int:
     entries = selected_entries(args)
     if not entries:
         return NOTHING_SELECTED
-    check_outputs(args)
-    candidate = requested_candidate(args)  # its errors come before any work, as do those of the variant
+    candidate = requested_candidate(args)
+    return judge_entries(args, entries, run_options(args, candidate), candidate)
+
+
+def judge_entries(
+    args: argparse.Namespace, entries: Sequence[SceneEntry], options: RunOptions, candidate: Subject | None
+) -> int:
+    """Print a row for each scene, and write the files that the options name; the exit code."""
     from mitsuba_ref.reference import variants
     from mitsuba_ref.runner.validation_run import ValidationRun
 
-    variants.require_variants()
+    variants.require_variants()  # its errors come before any work
+    for path in (
+        Path(name).resolve() for name in (args.json, args.junit) if name
+    ):  # of an earlier run, should this one be killed
+        if path.is_file():
+            path.unlink()
     start = time.perf_counter()
-    running = ValidationRun(entries, run_options(args), candidate)
+    running = ValidationRun(entries, options)
     try:
         if candidate is not None and candidate.takes_rays:
             print_conventions(candidate, entries[0])
@@ -96,13 +101,13 @@ def run(args: argparse.Namespace) -> int:
     return exit_code(running.verdict(), running.errors)
 
 
-def print_conventions(candidate: Subject, entry: SceneSource) -> None:
-    """What a few rays of the first scene show of a candidate's conventions, before all scenes are judged."""
+def print_conventions(candidate: Subject, entry: SceneEntry) -> None:
+    """Print which ray conventions a candidate breaks, by a few rays of the first scene."""
     from mitsuba_ref.judge.checks.ray_conventions import check_ray_conventions
     from mitsuba_ref.report.results import print_lines
 
     try:
-        found = check_ray_conventions(candidate, entry.load().scene)
+        found = check_ray_conventions(candidate, entry.load())
     except (SceneError, MemoryError):  # which the row of the scene names
         return
     if found is not None and not found.ok:
@@ -110,13 +115,14 @@ def print_conventions(candidate: Subject, entry: SceneSource) -> None:
 
 
 def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:
-    """0 where all pass; 70 or 4 for an internal error or a file that cannot be written; 2 or 4 where nothing else
-    fails than scenes that cannot be loaded; else 1."""
+    """0 if all pass; 70 or 4 for an internal error or a file that cannot be written; 2 or 4 if only scenes that cannot
+    be loaded fail; else 1."""
     from caster.system.atomic_files import OutputError
+    from mitsuba_ref.judge.verdict import UNSUPPORTED
 
     if verdict.ok:
         return OK
-    if verdict.scenes and all(scene.waived == UNSUPPORTED_SCENE for scene in verdict.scenes):
+    if verdict.scenes and all(scene.waived == UNSUPPORTED for scene in verdict.scenes):
         return NOTHING_SELECTED
     for error in errors:
         if not isinstance(error, (SceneError, MemoryError, OSError)):
@@ -129,41 +135,27 @@ def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:
     return min(codes) if codes and alone else DIFFERENCES
 
 
-def check_outputs(args: argparse.Namespace) -> None:
-    """Raise OutputError before any work where a file cannot be written."""
-    from caster.system.atomic_files import check_folder, check_writable
-
-    if args.out:
-        check_folder(args.out)
-    check_verdict_files(args)
-    if getattr(args, "write_expected", None):
-        check_writable(args.write_expected)
-
-
-def run_options(args: argparse.Namespace) -> RunOptions:
+def run_options(args: argparse.Namespace, candidate: Subject | None) -> RunOptions:
+    from mitsuba_ref.runner.many_scenes import JudgeOptions
     from mitsuba_ref.runner.validation_run import RunOptions, read_expected
 
     chosen = args.expression or args.builtin
-    whole_folders = not chosen and all(Path(place).is_dir() for place in args.scenes)
     out = Path(args.out) if args.out else None
     return RunOptions(
+        JudgeOptions(out, args.timeout, args.store, args.thorough, candidate),
         args.workers,
         args.maxfail,
-        out,
         args.html,
         args.shard,
-        args.timeout,
-        args.store,
-        args.thorough,
         read_expected(args.expected) if args.expected else None,
         args.skip_unsupported,
         args.min_scenes,
-        whole_folders,
+        whole_folders=not chosen and all(Path(place).is_dir() for place in args.scenes),
     )
 
 
 def print_rows(running: ValidationRun) -> None:
-    """A row for each scene as soon as it and those before it are done."""
+    """Print a row for each scene as soon as it and all scenes before it are done."""
     from mitsuba_ref.report.results import print_lines
     from mitsuba_ref.report.verdict_text import table_head, table_row
 
@@ -185,7 +177,8 @@ def write_results(running: ValidationRun, args: argparse.Namespace, seconds: flo
     try:
         write_verdict_files(verdict, args, seconds)
         write_expected(verdict, args)
-        if failures := failures_text(verdict, report_page(args)):
+        report = str(Path(args.html) / "index.html") if args.html else ""
+        if failures := failures_text(verdict, report):
             print_lines(f"\n{failures}")
         print_lines(f"\n{summary_text(verdict, seconds)}")
     finally:
@@ -194,7 +187,7 @@ def write_results(running: ValidationRun, args: argparse.Namespace, seconds: flo
 
 
 def write_expected(verdict: Verdict, args: argparse.Namespace) -> None:
-    """Write --write-expected, unless scenes are left that were not judged. Raises OutputError."""
+    """Write --write-expected, unless some scenes were not judged. Raises OutputError."""
     from caster.system.atomic_files import write_text
     from mitsuba_ref.runner.validation_run import expected_toml
 
@@ -203,11 +196,6 @@ def write_expected(verdict: Verdict, args: argparse.Namespace) -> None:
         print(f"{path}: not written: {len(verdict.not_judged)} scenes were not judged", file=sys.stderr)
     elif path:
         write_text(path, expected_toml(verdict.scenes))
-
-
-def report_page(args: argparse.Namespace) -> str:
-    """The HTML file to open, "" without --html."""
-    return str(Path(args.html) / "index.html") if args.html else ""
 
 
 # ---- mitsuba-ref merge ----
@@ -225,13 +213,12 @@ def add_merge_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run_merge(args: argparse.Namespace) -> int:
-    """Print failures and the summary; 0 all pass, 1 some do not or are missing, 3 not parts of one run."""
+    """Print failures and the summary; 0 all pass, 1 some fail or are missing, 3 the files are not of one run."""
     from mitsuba_ref.report.results import print_lines
     from mitsuba_ref.report.verdict_text import failures_text, summary_text
     from mitsuba_ref.runner.shards import merge_verdicts
     from mitsuba_ref.runner.verdict_files import read_verdict
 
-    check_verdict_files(args)
     places = [str(Path(place) / "verdict.json") if Path(place).is_dir() else place for place in args.verdicts]
     verdict, missing = merge_verdicts([(place, read_verdict(place)) for place in places])
     seconds = sum(scene.seconds for scene in verdict.scenes if not scene.kept)
@@ -241,6 +228,6 @@ def run_merge(args: argparse.Namespace) -> int:
     for name in verdict.not_judged:
         print_lines(f"FAIL  {name}  not judged")
     print(summary_text(verdict, seconds))
-    for part in missing:
-        print(f"{part}: expected the verdict of every shard", file=sys.stderr)
+    if missing:
+        print(f"{missing}; expected the verdict of every shard", file=sys.stderr)
     return OK if verdict.ok and not missing else DIFFERENCES

@@ -105,7 +105,7 @@ class Tolerances:
 
     depth_rtol also applies to positions; color_* to every channel that is not geometry.
     max_pixels: how many pixels may differ (never by NaN or inf). ignore: groups or channel patterns to leave out.
-    allow_empty: two images without any hit pass. other_scene: so may images of different scenes, by their attributes.
+    other_scene: images of different scenes, by their attributes, may be compared.
     """
 
     depth_rtol: float | None = None
@@ -115,7 +115,6 @@ class Tolerances:
     color_atol: float | None = None
     max_pixels: int = 0
     ignore: tuple[str, ...] = ()
-    allow_empty: bool = False
     other_scene: bool = False
 
     def __post_init__(self) -> None:

@@ -1,21 +1,19 @@
 """Result of a comparison of two EXR files: a model with one JSON schema, and its text for a terminal."""
 
 import math
+import shlex
+from collections.abc import Iterator
 
 from pydantic import BaseModel, ConfigDict, computed_field
 
 from mitsuba_ref.error_model.tolerances import K
 from mitsuba_ref.judge.verdict import JsonFloat
-from mitsuba_ref.report.results import Column, format_table
+from mitsuba_ref.report.results import Column, format_table, percent
 
 LEGEND = f"u = 2^-24, K = {K:g}, S = |o| + t + |p| and cos = |n.d| of each pixel of the reference"
 COLUMNS = (
     Column("quantity"),
-    Column("agree", "right"),
-    Column("differ", "right"),
-    Column("not finite", "right"),
-    Column("worst", "right"),
-    Column("at", "right"),
+    *(Column(title, "right") for title in ("agree", "differ", "not finite", "worst", "at")),
     Column("bound"),
 )
 
@@ -62,8 +60,9 @@ class GroupResult(BaseModel):
 class FileComparison(BaseModel):
     """exit_code: 0 equal within the bounds, 1 differences, 3 not comparable, 5 nothing hit in either image.
 
-    hit_*: pixel counts, None if no channel holds the hit mask. differing_pixels counts a pixel once, however many
-    groups differ in it. stated: conventions that were applied to files of other programs.
+    hit_*: pixel counts; hit_channel: the channel that shows the hits, "" if there is none and every pixel counts.
+    differing_pixels counts a pixel once, however many groups differ in it. stated: conventions that were applied to
+    files of other programs.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -72,9 +71,10 @@ class FileComparison(BaseModel):
     reference: str
     width: int = 0
     height: int = 0
-    hit_ours: int | None = None
-    hit_reference: int | None = None
-    hit_either: int | None = None
+    hit_ours: int = 0
+    hit_reference: int = 0
+    hit_either: int = 0
+    hit_channel: str = ""
     differing_pixels: int = 0
     allowed_pixels: int = 0
     groups: tuple[GroupResult, ...] = ()
@@ -92,7 +92,7 @@ class FileComparison(BaseModel):
     @computed_field  # type: ignore[prop-decorator] # pydantic's way
     @property
     def differing_percent(self) -> float | None:
-        """Of the pixels hit in either image; None if there are none or no channel holds the hit mask."""
+        """Of the pixels hit in either image; None if there are none."""
         return 100.0 * self.differing_pixels / self.hit_either if self.hit_either else None
 
     def format_table(self) -> str:
@@ -100,19 +100,14 @@ class FileComparison(BaseModel):
         lines = [f"ours       {self.ours}", f"reference  {self.reference}"]
         lines += [f"reading    {line}" for line in self.stated]
         if self.groups:
-            lines += [_hit_line(self), "", format_table(COLUMNS, map(_row, self.groups))]
+            hits = f"hit: {self.hit_ours} in ours, {self.hit_reference} in the reference, {self.hit_either} in either"
+            hits = hits if self.hit_channel else "hits unknown (no channel A, id.shape, id.prim or depth.Z)"
+            lines += [f"{self.width} x {self.height} pixels, {hits}", ""]
+            lines.append(format_table(COLUMNS, map(_row, self.groups)))
             lines += [LEGEND, ""] if any("K u S" in group.bound for group in self.groups) else [""]
         if self.ignored:
             lines.append(f"not compared, by --ignore: {', '.join(self.ignored)}")
         return "\n".join([*lines, *self.messages])
-
-
-def _hit_line(result: FileComparison) -> str:
-    size = f"{result.width} x {result.height} pixels"
-    if result.hit_either is None:
-        return f"{size}, hits unknown (no channel A, id.shape, id.prim or depth.Z)"
-    by_file = f"{result.hit_ours} in ours, {result.hit_reference} in the reference"
-    return f"{size}, hit: {by_file}, {result.hit_either} in either"
 
 
 def _row(group: GroupResult) -> tuple[str, ...]:
@@ -121,44 +116,37 @@ def _row(group: GroupResult) -> tuple[str, ...]:
     return group.name, str(group.agree), str(group.differ), str(group.non_finite), ratio, at, group.bound
 
 
-def result_messages(result: FileComparison, channels: int, next_steps: list[str]) -> list[str]:
-    """The lines below the table: pass or fail, how far, where to look. channels: how many were compared."""
+def result_messages(result: FileComparison, channels: int, scene: str, look: str) -> Iterator[str]:
+    """The lines below the table: pass or fail, how far, where to look.
+
+    channels: how many were compared; scene: path of the scene's file, if known; look: the difference image, if written.
+    """
+    pixels = f"{result.hit_either} {'hit ' if result.hit_channel else ''}pixels"
     if result.exit_code == 5:
-        return [
-            "EMPTY  neither image hits anything, so nothing was compared",
-            "      if that is what the scene shows: --allow-empty",
-        ]
-    if result.exit_code == 1:
-        return [*(_failure(group, result) for group in failing_groups(result)), *next_steps]
-    if result.differing_pixels:
-        return [f"PASS  {result.differing_pixels} pixels differ, {result.allowed_pixels} may"]
-    ratio, name = max(((g.worst.ratio, g.name) for g in result.groups if g.worst), default=(0.0, ""))
-    nearest = f", worst {ratio:.2g}x its bound ({name})" if name else ""
-    return [f"PASS  {_hit_pixels(result)} agree in {channels} channels{nearest}"]
+        yield "EMPTY  neither image hits anything, so nothing was compared"
+    elif result.exit_code == 1:
+        failing = [group for group in result.groups if group.differ or group.non_finite]
+        yield from (_failure(group, result.hit_either, pixels) for group in failing)
+        if look:
+            yield f"      look:   {look}"
+        worst = failing[0].worst
+        at = f"{worst.x} {worst.y}" if worst else "0 0"
+        replay = f"replay: mitsuba-ref probe {shlex.quote(scene)} {at}"
+        info = f"next:   caster info {shlex.quote(result.ours)}"
+        yield f"      {replay if scene and scene.isprintable() else info}"
+        yield "      note:   rounding decides edges and shadow borders; see validate; --max-pixels N allows them"
+    elif result.differing_pixels:
+        yield f"PASS  {result.differing_pixels} pixels differ, {result.allowed_pixels} may"
+    else:
+        ratio, name = max(((g.worst.ratio, g.name) for g in result.groups if g.worst), default=(0.0, ""))
+        nearest = f", worst {ratio:.2g}x its bound ({name})" if name else ""
+        yield f"PASS  {pixels} agree in {channels} channels{nearest}"
 
 
-def failing_groups(result: FileComparison) -> list[GroupResult]:
-    """Groups with a pixel beyond its bound or not finite."""
-    return [group for group in result.groups if group.differ or group.non_finite]
-
-
-def _hit_pixels(result: FileComparison) -> str:
-    if result.hit_either is None:
-        return f"{result.width * result.height} pixels"
-    return f"{result.hit_either} hit pixels"
-
-
-def percent(count: int, total: int) -> str:
-    """A percentage in two digits; 100 only if count equals total."""
-    share = 100.0 * count / total
-    return f"{share:.2g} %" if share < 99.0 else f"{share:.4g} %"
-
-
-def _failure(group: GroupResult, result: FileComparison) -> str:
-    total = result.width * result.height if result.hit_either is None else result.hit_either
+def _failure(group: GroupResult, total: int, pixels: str) -> str:
     share = f" ({percent(group.differ, total)})" if total else ""
     what = "are hit in one image only or differ in A" if group.name == "hit" else "beyond their bound"
-    found = [f"{group.differ} of {_hit_pixels(result)}{share} {what}"] if group.differ else []
+    found = [f"{group.differ} of {pixels}{share} {what}"] if group.differ else []
     found += [f"{group.non_finite} pixels not finite"] if group.non_finite else []
     text = f"FAIL  {group.name}: {', '.join(found)}"
     if group.worst is None:

@@ -4,7 +4,6 @@ Channels are recognised by name. What depth measures and the depth of a miss are
 inferred; every step is reported.
 """
 
-import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -13,12 +12,11 @@ import numpy as np
 from caster.description.errors import SceneError, suggestion
 from caster.image.exr import NO_ID, Exr
 from caster.image.exr_validation import PROVENANCE_PREFIX
-from caster.scene.model import Film, Scene
-from mitsuba_ref.cameras import reference_of_camera
+from caster.scene.model import Scene
 from mitsuba_ref.cameras.camera_reference import camera_axes, clip_planes
 from mitsuba_ref.error_model.tolerances import NEARLY_ALL
-from mitsuba_ref.exr_compare.exr_pair import LAYERS, SCENE_JSON, Array, stacked
-from mitsuba_ref.reference.shared_input import clip_range, model_of, packed_float32, pixel_centers, shared_rays
+from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, Array, scene_in, stacked, view_of
+from mitsuba_ref.reference.shared_input import clip_range, model_of, packed_float32, shared_rays
 from mitsuba_ref.subjects.subject import CastRequest, NoAnswer
 
 DISTANCE, ALONG_Z, FROM_NEAR = "distance", "z", "near"
@@ -55,19 +53,16 @@ class Reading:
     """How to interpret files of other programs.
 
     maps: OURS=THEIRS for channels or groups. depth: distance (None), z, or near. miss: the depth of a miss, a number or
-    FLT_MAX; None: a miss has alpha 0, no id, or depth inf. near: distance of the near plane along the view axis; None:
-    that of the scene's camera, as it is exported. scene: the scene whose camera rendered the images.
+    FLT_MAX; None: a miss has alpha 0, no id, or depth inf. scene: the scene whose camera rendered the images; its near
+    plane is that of the exported scene.
     """
 
     maps: tuple[str, ...] = ()
     depth: str | None = None
     miss: str | None = None
-    near: float | None = None
     scene: Scene | None = None
 
     def __post_init__(self) -> None:
-        if self.near is not None and not 0.0 < self.near < np.inf:
-            raise SceneError(f"--near: expected a number > 0, got {self.near}")
         if self.depth not in (None, *MEANINGS):
             raise SceneError(f"--depth {self.depth!r}: expected {', '.join(MEANINGS)}")
         if self.miss is not None:
@@ -100,32 +95,30 @@ def our_names(channels: Iterable[str], maps: Iterable[str]) -> dict[str, str]:
     own = {n: n for layer in LAYERS.values() for n in layer if n in left and n.partition(".")[0] not in groups}
     found |= own
     left -= own.keys()
-    for group, ours in LAYERS.items():
-        layers = [layer for name, layer in _layers(left, len(ours)) if _is_called(name, NAMES.get(group, ()))]
-        if not layers or (group in groups and ours[0] not in own):
-            continue
-        known = [ours] if ours[0] in own else []
-        if len(known + layers) > 1:
+    for group in (group for group in NAMES if group not in groups):
+        ours = LAYERS[group]
+        layers = [channels for name, channels in _layers(left, len(ours)) if _is_called(name.casefold(), NAMES[group])]
+        if layers and (len(layers) > 1 or ours[0] in own):
+            known = [ours] if ours[0] in own else []
             shown = [each[0] if len(each) == 1 else each[0].rpartition(".")[0] for each in (*known, *layers)]
             raise Unclear(f"{' and '.join(shown)} may both be the {group}: --map {group}={shown[0]}, or another")
-        found |= zip(ours, layers[0], strict=True)
+        found |= (pair for channels in layers for pair in zip(ours, channels, strict=True))
     return found
 
 
 def _layers(names: Iterable[str], size: int) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """(name, channels) of each channel, or of channels that differ only in their component, sorted."""
+    """(name, channels) of each layer of this many channels, which differ only in their component, sorted."""
     names = set(names)
     if size == 1:
         yield from ((name, (name,)) for name in sorted(names))
-    for layer in sorted({name.rpartition(".")[0] for name in names}) if size > 1 else ():
-        for letters in COMPONENTS:
+    for letters in COMPONENTS:
+        for layer in sorted({name.rpartition(".")[0] for name in names}):
             channels = tuple(f"{layer}.{c}" for c in letters)
             if len(letters) == size and names.issuperset(channels):
                 yield layer, channels
 
 
 def _is_called(name: str, words: Sequence[str]) -> bool:
-    name = name.casefold()
     return any(name == word or (len(word) > 2 and name.endswith("." + word)) for word in words)
 
 
@@ -221,38 +214,21 @@ def _with_misses(exr: Exr, reading: Reading) -> tuple[Exr, Array, str]:
 
 def distances(depth: Array, reading: Reading, scenes: Sequence[Scene | None]) -> dict[str, Array]:
     """Depth (h, w) as distance along the ray, by what it may measure; without a camera, it may be a distance alone."""
-    found = {DISTANCE: depth}
-    scene = next((s for s in scenes if s is not None and s.camera.type != "ray" and _shape(s) == depth.shape), None)
-    if scene is not None:
-        rays = reference_of_camera(scene.camera).rays(scene.camera, scene.film, *pixel_centers(scene))
+    found, view = {DISTANCE: depth}, view_of(scenes, depth.shape)
+    if view is not None:
+        scene, rays = view
         cosine = ((rays.d @ camera_axes(scene.camera)[2]) / np.linalg.norm(rays.d, axis=1)).reshape(depth.shape)
         found[ALONG_Z] = depth / cosine
-        near = reading.near if reading.near is not None else near_in_xml(scene) if scene is reading.scene else None
-        start = rays.t_min.reshape(depth.shape) if near is None else near / cosine
+        exported = scene is reading.scene and hasattr(scene.camera, "near")
+        start = near_in_xml(scene) / cosine if exported else rays.t_min.reshape(depth.shape)
         found |= {FROM_NEAR: depth + start} if (start > 0.0).any() else {}
     return found
 
 
-def _shape(scene: Scene) -> tuple[int, int]:
-    x0, y0, x1, y1 = scene.film.window
-    return y1 - y0, x1 - x0
-
-
-def near_in_xml(scene: Scene) -> float | None:
+def near_in_xml(scene: Scene) -> float:
     """The near plane of the exported scene: Mitsuba's sensors have one, and its depth counts from there."""
-    if not hasattr(scene.camera, "near"):
-        return None
     model = model_of(scene, packed_float32(scene), shared_rays(scene))
     return float(clip_planes(scene.camera, clip_range(scene, model))["near_clip"])
-
-
-def scene_in(exr: Exr) -> Scene | None:
-    """Film and camera in a file's provenance; None where there are none, or unreadable ones."""
-    try:
-        record = json.loads(exr.provenance[SCENE_JSON])
-        return Scene(film=Film(**record["film"]), camera=record["camera"])
-    except (KeyError, TypeError, ValueError, SceneError):
-        return None
 
 
 def candidate_image(exr: Exr, request: CastRequest, reading: Reading) -> tuple[Exr, tuple[str, ...]]:

@@ -1,4 +1,4 @@
-"""A candidate at one pixel: its answer to the whole image, as `validate` requests it, judged at this pixel alone."""
+"""A candidate at one pixel: it answers the whole image, as for `validate`, and is judged at this pixel only."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -16,7 +16,7 @@ from mitsuba_ref.judge.explanations import exceeded_bounds, reason
 from mitsuba_ref.judge.verdict import CLASSES, FAILING, UNDECIDED, UNLISTED
 from mitsuba_ref.probe.witnesses import CANDIDATE, WitnessAnswer, in_ulps, ratio_to_bound
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.subjects.requests import one_of, request_answer
+from mitsuba_ref.subjects.requests import request_answer
 from mitsuba_ref.subjects.subject import NoAnswer, Subject
 
 
@@ -26,26 +26,26 @@ class CandidatePixel:
 
     name: str
     verdict: str
-    precision: str = ""  # whose bounds it is held to
+    precision: str = ""  # by whose bounds it is judged
     why: str = ""
-    says: Mapping[str, Any] = field(default_factory=dict)  # hit, t, depth, normal, as far as given
+    says: Mapping[str, Any] = field(default_factory=dict)  # hit, t, depth, normal, if given
     case: str = ""  # where the reference is wrong: the number of the known case, or "unlisted"
     notes: tuple[str, ...] = ()
     problem: str = ""  # why there is nothing to judge
-    witness: WitnessAnswer | None = None  # the same, as a witness among the others
+    witness: WitnessAnswer | None = None  # its row among the witnesses
 
     @property
     def ok(self) -> bool:
         return not self.problem and self.verdict not in FAILING and self.case != UNLISTED
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON, but for infinite numbers."""
+        """For JSON, except that numbers may be infinite."""
         found = {name: value for name, value in vars(self).items() if name != "witness"}
         return found | {"ok": self.ok}
 
 
 def probe_candidate(candidate: Subject, scene: Scene, pixel: tuple[int, int], pair: ImagePair) -> CandidatePixel:
-    """Request the answer and judge it. pair: ours and Mitsuba's answers along this pixel's ray. Raises SceneError."""
+    """Request the answer and judge it. pair: our answer and Mitsuba's along this pixel's ray. Raises SceneError."""
     x, y = pixel
     x0, y0, x1, y1 = scene.film.window
     if not (x0 <= x < x1 and y0 <= y < y1):
@@ -59,7 +59,7 @@ def probe_candidate(candidate: Subject, scene: Scene, pixel: tuple[int, int], pa
         return CandidatePixel(candidate.name, UNDECIDED, problem=str(error), witness=witness)
     here = response._replace(
         scene=response.scene.with_film(crop=(x, y, x + 1, y + 1)),
-        rays=one_of(response.rays, row),
+        rays=response.rays.rows(slice(row, row + 1)),
         answer=response.answer.rows(slice(row, row + 1)),
     )
     judge = judge_of(here, known=pair)
@@ -69,7 +69,7 @@ def probe_candidate(candidate: Subject, scene: Scene, pixel: tuple[int, int], pa
     witness, t = as_witness(judge, judgement), float(answer.t[0])
     diagnosed = diagnose(judge, judgement).by_row()
     if diagnosed and np.isfinite(t) and not judge.result.hit[0] and (response.answer.t == t).sum() > 1:
-        diagnosed[0] = marked_miss(t)  # other rays have the very same number
+        diagnosed[0] = marked_miss(t)  # other rays have the same number
     shares = {"t": witness.share, "normal": witness.normal_share}
     exceeded = {"mask": float(judgement.ratios["mask"][0])} if not answer.is_broken[0] else {}
     exceeded |= {name: share for name, share in shares.items() if share is not None and exceeded}
@@ -87,7 +87,7 @@ def probe_candidate(candidate: Subject, scene: Scene, pixel: tuple[int, int], pa
 
 
 def as_witness(judge: Judge, judgement: Judgement) -> WitnessAnswer:
-    """Beside ours and Mitsuba: how far t and the normal are from the member of the exact tie set that fits best."""
+    """The candidate's row among the witnesses: errors of t and of the normal, from the exact hit that fits best."""
     exact, answer = judgement.exact.of(0), judge.answer
     t, broken = float(answer.t[0]), [*answer.broken]
     right = None if exact is None else bool(judgement.is_right(0) and not broken)
@@ -109,7 +109,7 @@ def as_witness(judge: Judge, judgement: Judgement) -> WitnessAnswer:
 
 
 def case_text(judgement: Judgement) -> str:
-    """Of a pixel where the reference is wrong: the number of the known case, or "unlisted"."""
+    """The number of the known defect where the reference is wrong, or "unlisted"; "" elsewhere."""
     if 0 not in judgement.cases:
         return ""
     case = judgement.cases[0]
@@ -117,7 +117,7 @@ def case_text(judgement: Judgement) -> str:
 
 
 def _answer_record(judge: Judge) -> dict[str, Any]:
-    """Numbers as they are; a normal of length 1, NaN where it was not finite."""
+    """The answer for JSON; the normal has length 1, or is NaN where it was not finite."""
     aovs, hit, t = judge.pair.subject, bool(judge.answer.hit[0]), float(judge.answer.t[0])
     names = [name for name in ("depth", "normal") if name in aovs and (hit or name == "depth")]
     return {"hit": hit, "t": t, "t_hex": t.hex()} | {name: aov_rows(aovs, name)[0].tolist() for name in names}

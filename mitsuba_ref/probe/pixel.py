@@ -28,7 +28,7 @@ from mitsuba_ref.subjects.subject import COMPARED_AOVS, Subject
 
 @dataclass(frozen=True)
 class PossibleHit:
-    """A primitive that float32 rounding may let the ray hit, and where."""
+    """A primitive that the ray may hit in float32, and where."""
 
     shape: str
     prim: int  # within its shape
@@ -39,7 +39,7 @@ class PossibleHit:
 
 @dataclass(frozen=True)
 class PixelVerdict:
-    """The verdict on one pixel, and why."""
+    """The verdict on one pixel, and its reasons."""
 
     x: int
     y: int
@@ -60,7 +60,7 @@ class PixelVerdict:
 
     @property
     def ok(self) -> bool:
-        """Ours and Mitsuba's answers are explained, and so is the candidate's, if there is one."""
+        """Whether our answer, Mitsuba's and the candidate's, if there is one, are explained."""
         explained = not self.problem and self.verdict not in FAILING and self.case != UNLISTED
         return explained and (self.candidate is None or self.candidate.ok)
 
@@ -82,8 +82,8 @@ class ProbeEvidence(NamedTuple):
     judgement: Judgement
 
 
-# Stand-ins are cut to the rays of the whole film; of a larger film, to those of a smaller one with the same view, so
-# that one pixel does not cost what the film does.
+# Stand-ins are cut to the rays of the whole film, or for larger films to those of a smaller one with the same view, so
+# that one pixel does not cost as much as the film.
 STAND_IN_PIXELS = 1 << 20
 
 
@@ -98,14 +98,14 @@ def stand_in_rays(scene: Scene) -> SharedRays | None:
 
 
 def probe(scene: Scene, x: int, y: int, candidate: Subject | None = None) -> PixelVerdict:
-    """Judge one pixel, of a candidate as well if there is one. Raises SceneError for one outside the film."""
+    """Judge one pixel, also for a candidate if there is one. Raises SceneError for a pixel outside the film."""
     return probe_with_evidence(scene, x, y, candidate)[0]
 
 
 def probe_with_evidence(
     scene: Scene, x: int, y: int, candidate: Subject | None = None, timeout: float = DEFAULT_TIMEOUT
 ) -> tuple[PixelVerdict, ProbeEvidence | Crash]:
-    """The same with its evidence. timeout: seconds for Mitsuba's answer."""
+    """Judge one pixel and return the evidence as well. timeout: seconds for Mitsuba's answer."""
     film = scene.film
     if not (0 <= x < film.width and 0 <= y < film.height):
         inside = f"0 <= x < {film.width} and 0 <= y < {film.height}"
@@ -129,7 +129,7 @@ def probe_with_evidence(
         _answer(scene, pair.subject, pair.t),
         _answer(scene, pair.reference, pair.result.t),
         _exact(judge, exact),
-        {name: share for name, share in _ratios(judgement).items() if name not in left},
+        {name: float(judgement.ratio(name)[0]) for name in judgement.names if name not in left},
         left,
         tuple(_possible(scene, judge)),
         pair.result.answer.versions,
@@ -146,7 +146,7 @@ def _ray(rays: SharedRays) -> dict[str, Any]:
 
 
 def _exact(judge: Judge, answer: ExactAnswer | None) -> dict[str, Any]:
-    """The third witness; empty where there is no ray or no answer."""
+    """The exact answer for JSON; empty if there is no ray or no answer."""
     if answer is None:
         return {}
     ties = [each._asdict() for each in tie_members(judge.scene, judge.model.packed, answer)]
@@ -160,12 +160,8 @@ def _answer(scene: Scene, aovs: Aovs, t: np.ndarray) -> dict[str, Any]:
     return {"shape": scene.shape_names()[shape] if shape >= 0 else "miss", "t": _numbers(t[0]), **values}
 
 
-def _ratios(judgement: Judgement) -> dict[str, float]:
-    return {name: float(judgement.ratio(name)[0]) for name in judgement.names}
-
-
 def _possible(scene: Scene, judge: Judge) -> Iterator[PossibleHit]:
-    """Every primitive that the reference may hit, nearest first."""
+    """All primitives that the reference may hit, nearest first."""
     rays, bracket, packed = judge.pair.rays, judge.reference_bracket, judge.model.packed
     t_max = rays.t_max.astype(np.float64)
     found = bracket.possible_hits(rays.o.astype(np.float64), rays.d.astype(np.float64), t_max)
@@ -194,7 +190,7 @@ MAX_PRIMS_SHOWN = 12  # primitives; --json has all
 
 
 def as_text(found: PixelVerdict, path: str) -> str:
-    """What --json has, in lines."""
+    """The verdict as text for a terminal."""
     return "\n".join(_lines(found, path))
 
 
@@ -226,7 +222,7 @@ def _lines(found: PixelVerdict, path: str) -> Iterator[str]:
 
 
 def _head(found: PixelVerdict, path: str) -> Iterator[str]:
-    """The classes, and why: the candidate's first, where there is one."""
+    """Classes with their reasons, the candidate's first if there is one."""
     place, theirs = f"pixel ({found.x}, {found.y}) of {path}", found.candidate
     if theirs is None:
         yield f"{place}: {found.verdict}"
@@ -243,7 +239,7 @@ def _head(found: PixelVerdict, path: str) -> Iterator[str]:
 
 
 def _sides(found: PixelVerdict, name: str) -> dict[str, Any]:
-    """One quantity as each witness has it."""
+    """One quantity by each side."""
     theirs = found.candidate.says if found.candidate is not None else {}
     sides = {"ours": found.ours[name], "reference": found.reference[name]}
     if name == "shape" and theirs:

@@ -1,4 +1,4 @@
-"""Every witness of one ray: ours, exact arithmetic, and Mitsuba in each of its variants and modes."""
+"""The witnesses of one ray: ours, exact arithmetic, and Mitsuba in each of its variants and modes."""
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -31,18 +31,18 @@ class WitnessAnswer:
     shape: str  # "miss" on a miss
     prim: int  # within its shape, -1 on a miss
     t: float
-    right: bool | None = None  # one of the surfaces that are hit exactly, with t within its bound; None: undecided
-    off: float | None = None  # t less the exact one; None on a miss, or where another surface is hit
-    ulps: float | None = None  # the same, in units of the last place of the format it computes in
-    format: str = ""  # which that is
-    share: float | None = None  # of the bound that its format has on t here
+    right: bool | None = None  # names a surface that is hit exactly, with t within its bound; None: undecided
+    off: float | None = None  # t minus the exact t; None on a miss, or if another surface is hit
+    ulps: float | None = None  # `off` in units of the last place of `format`
+    format: str = ""  # float32 or float64, in which it computes
+    share: float | None = None  # |off| over its bound in `format`
     problem: str = ""  # why there is no answer
-    normal_share: float | None = None  # of the bound on the normal, where that is judged here
-    remark: str = ""  # what is odd about the answer
+    normal_share: float | None = None  # error of the normal over its bound, if that is judged
+    remark: str = ""  # defects of the answer itself
 
 
 def witness_answers(judge: Judge, answer: ExactAnswer | None) -> tuple[WitnessAnswer, ...]:
-    """All witnesses of the ray of a window of one pixel."""
+    """The answers of all witnesses. judge: of a window of one pixel."""
     given = judge.pair.result.answer
     theirs = dict(other_variant_answers(judge, given.versions["variant"]))
     theirs[given.versions["variant"], "robust"] = given
@@ -58,7 +58,7 @@ def witness_answers(judge: Judge, answer: ExactAnswer | None) -> tuple[WitnessAn
 
 
 def other_variant_answers(judge: Judge, variant: str) -> Iterator[tuple[tuple[str, str], TraceResponse | Crash | str]]:
-    """Answers by (variant, mode), except the one that the judge has; each variant has its own child process."""
+    """Mitsuba's answers by (variant, mode), without the judge's own; each variant runs in its own process."""
     works = variants.usable_variants()
     for name in set(variants.VARIANT_NAMES) - set(works.names):
         yield from (((name, mode), f"does not work here: {works.why}") for mode in MODES)
@@ -78,7 +78,7 @@ def other_variant_answers(judge: Judge, variant: str) -> Iterator[tuple[tuple[st
 
 
 def surface_of(judge: Judge, prim: int) -> tuple[str, int]:
-    """(shape, number within it) of a primitive of the scene."""
+    """(shape, number within the shape) of a primitive of the scene."""
     if prim < 0:
         return "miss", -1
     packed, which = judge.model.packed, np.array([prim])
@@ -105,7 +105,7 @@ def _of_mitsuba(who: str, found: TraceResponse | Crash | str, judge: Judge, exac
 def compared_with_exact(
     claimed: tuple[str, str, int, float], judge: Judge, exact: ExactAnswer | None, kind: type
 ) -> WitnessAnswer:
-    """An answer beside the exact one. kind: what it was computed in."""
+    """An answer compared with the exact one. kind: the type that it was computed in."""
     name = np.dtype(kind).name
     if exact is None:
         return WitnessAnswer(*claimed, format=name)
@@ -114,34 +114,30 @@ def compared_with_exact(
     if not right or exact.t is None or not np.isfinite(claimed[3]):
         return WitnessAnswer(*claimed, right=right, format=name)
     off = exact.t.off(claimed[3]) * -exact.t.compare(claimed[3])
-    share = ratio_to_bound(abs(off), _bound(judge, exact, claimed[3], ours=kind is np.float64))
+    ours, prim, t = kind is np.float64, np.array([exact.prim]), np.array([claimed[3]])
+    at = intersections_at(judge.model, prim, (judge.o, judge.d), t, KU_OURS if ours else KU, ours=ours)
+    share = ratio_to_bound(abs(off), float(at.t_error[0]))
     ulps = in_ulps(off, exact, np.dtype(kind))
     return WitnessAnswer(*claimed, right=share <= 1.0, off=off, ulps=ulps, format=name, share=share)
 
 
 def ratio_to_bound(error: float, bound: float) -> float:
-    """error / bound, where there may be no bound to hold it to, or no error."""
+    """error / bound; 0 without an error or with an infinite bound, inf with a bound of 0."""
     if error == 0.0 or (np.isposinf(bound) and np.isfinite(error)):
         return 0.0
     return error / bound if bound > 0.0 and np.isfinite(error) else np.inf
 
 
 def in_ulps(off: float, exact: ExactAnswer, format: np.dtype[Any]) -> float | None:
-    """off in units of the last place that the exact t has in a format; None where it has none there."""
+    """`off` in units of the last place of the exact t in a format; None if that overflows."""
     assert exact.t is not None
     with np.errstate(over="ignore", under="ignore"):
         ulp = float(np.spacing(np.abs(np.asarray(float(exact.t)).astype(format))))
     return off / ulp if np.isfinite(ulp) else None
 
 
-def _bound(judge: Judge, exact: ExactAnswer, t: float, *, ours: bool) -> float:
-    """How far t may be off at what is hit exactly, for our arithmetic or Mitsuba's."""
-    prim, line, ku = np.array([exact.prim]), (judge.o, judge.d), KU_OURS if ours else KU
-    return float(intersections_at(judge.model, prim, line, np.array([t]), ku, ours=ours).t_error[0])
-
-
 def witness_lines(found: tuple[WitnessAnswer, ...]) -> Iterator[str]:
-    """A table for a terminal; nothing of a pixel without a ray."""
+    """A table for a terminal; empty for a pixel without a ray."""
     room = max((len(each.who) for each in found), default=0)
     hit = max((len(_surface_text(each)) for each in found), default=0)
     for i, each in enumerate(found):
@@ -160,7 +156,7 @@ def _surface_text(each: WitnessAnswer) -> str:
 
 
 def _error_text(each: WitnessAnswer) -> str:
-    """The error of t, and whether it exceeds its bound."""
+    """The errors of an answer as text, with those beyond their bounds."""
     parts = []
     if each.ulps is not None:
         parts.append(f"{each.ulps:+.3g} ulps of {each.format}" if each.ulps else f"exact in {each.format}")
@@ -173,12 +169,12 @@ def _error_text(each: WitnessAnswer) -> str:
 
 
 def _is_loose(each: WitnessAnswer) -> bool:
-    """Whether t is right by a loose bound alone."""
+    """Whether t is right only because its bound is loose."""
     return bool(each.right and each.off and abs(each.off) > DISTINCT_RTOL * abs(each.t))
 
 
 def witness_record(each: WitnessAnswer) -> dict[str, Any]:
-    """For JSON: null where there is no t, and only what is there of a candidate alone."""
+    """For JSON: t is null on a miss, and only a candidate has `normal_share` and `remark`."""
     there = bool(np.isfinite(each.t))
     claimed = dict(vars(each))
     if each.who != CANDIDATE:

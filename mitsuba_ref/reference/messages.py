@@ -1,10 +1,11 @@
 """Requests to a Mitsuba process and its responses, as bytes: a line of JSON, then the arrays as .npz.
 
-No pickle, so that garbled bytes are an error, not code.
+There is no pickle, so that garbled bytes are an error and never code.
 """
 
 import io
 import json
+import signal
 import sys
 import tempfile
 import zipfile
@@ -20,25 +21,17 @@ from mitsuba_ref.reference.subprocess_runner import (
     ProcessEnded,
     ResidentProcess,
     UnexpectedReply,
-    exit_name,
     import_path,
 )
 
 RowLayout = dict[str, tuple[tuple[int, ...], type]]  # field -> shape of a row, dtype
 
-MALFORMED_ERRORS = (
-    OSError,
-    ValueError,
-    KeyError,
-    TypeError,
-    EOFError,
-    zipfile.BadZipFile,
-)  # what malformed bytes raise
+MALFORMED_ERRORS = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile)  # of malformed bytes
 
 
 @dataclass(frozen=True, eq=False)
 class TraceRequest:
-    """Rays through one exported scene, as float32 numbers to the bit; d need not be of unit length."""
+    """Rays through one exported scene, in the exact float32 values to trace; d need not be of unit length."""
 
     ROWS: ClassVar[RowLayout] = {"o": ((3,), np.float32), "d": ((3,), np.float32), "t_max": ((), np.float32)}
 
@@ -50,13 +43,13 @@ class TraceRequest:
     lights: bool = True  # whether to compute light_rgb, light_visible and albedo
     sensor: bool = False  # whether to sample the rays of the scene's own sensor
     strict: bool = True  # whether a warning of Mitsuba's is an error
-    mesh_files: tuple[Path, ...] = ()  # to be read by Mitsuba's own loader, too
+    mesh_files: tuple[Path, ...] = ()  # to be read by Mitsuba's own loader as well
 
     def __post_init__(self) -> None:
         _check_rows(self, len(self.o))
 
     def to_bytes(self) -> bytes:
-        """With absolute paths: the child runs in another folder."""
+        """The request with absolute paths: the child runs in another folder."""
         meshes = tuple(file.absolute() for file in self.mesh_files)
         return _to_bytes(replace(self, xml=self.xml.absolute(), mesh_files=meshes))
 
@@ -101,12 +94,12 @@ class TraceResponse:
     sensor_t_max: np.ndarray | None  # (m,) float32
     versions: dict[str, str]  # mitsuba, drjit, variant, libllvm, processor
     seconds: float  # loading and tracing, without starting Python
-    stored: bool = False  # answered earlier, to the same request; no Mitsuba ran, and `seconds` is 0
-    # of the mesh files: (f, 3, 8) float32, position, normal and uv at the corners of all faces
+    stored: bool = False  # the stored response to an equal request; no Mitsuba ran, and `seconds` is 0
+    # (f, 3, 8) float32: position, normal and uv at the corners of all faces of the mesh files
     mesh_corners: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 8), np.float32))
-    mesh_vertices: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int32))  # their numbers in the mesh
-    mesh_faces: Sequence[int] = ()  # how many of them are of each file
-    mesh_problems: Sequence[str] = ()  # why Mitsuba's loader did not read each file; "": it did
+    mesh_vertices: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int32))  # (f, 3) indices
+    mesh_faces: Sequence[int] = ()  # face count of each file
+    mesh_problems: Sequence[str] = ()  # for each file, why Mitsuba's loader refused it; "" if it did not
 
     @property
     def meshes(self) -> tuple["LoadedMesh", ...]:
@@ -124,7 +117,7 @@ class TraceResponse:
 
     @classmethod
     def from_bytes(cls, content: bytes, rays: int) -> "TraceResponse":
-        """The response to a request of so many rays. Raises ValueError where it is cut short or malformed."""
+        """The response to a request of `rays` rays. Raises ValueError where it is cut short or malformed."""
         try:
             response = cls(**_from_bytes(content))
         except MALFORMED_ERRORS as error:
@@ -153,63 +146,60 @@ class TraceResponse:
 
 
 class LoadedMesh(NamedTuple):
-    """A mesh file as Mitsuba's loader reads it: float32 numbers at the corners of its faces, in the file's order."""
+    """A mesh file as Mitsuba's loader reads it: float32 values at the corners of its faces, in the file's order."""
 
     corners: np.ndarray  # (f, 3, 3)
     normals: np.ndarray  # (f, 3, 3), 0 where there are none
     uv: np.ndarray  # (f, 3, 2), 0 where there are none
     vertices: np.ndarray  # (f, 3) int32: corners with the same number share a vertex
-    problem: str = ""  # its message where it refuses the file
+    problem: str = ""  # the loader's message if it refused the file
 
 
-@dataclass(frozen=True)
-class Crash:
-    """The end of a Mitsuba process without a response."""
+class Crash(ProcessEnd):
+    """The end of a Mitsuba process without a whole response."""
 
-    kind: str  # abort, signal, timeout, error (it refused) or garbage (exit code 0 without a whole response)
-    output: str  # head and tail of its stdout and stderr
-    exit: str  # an exit code, a signal, or that it was killed
-    seconds: float
+    @property
+    def kind(self) -> str:
+        """timeout, abort, signal, error (it refused), or garbage for exit code 0."""
+        if self.code is None:
+            return "timeout"
+        if self.code < 0:
+            return "abort" if self.code == -signal.SIGABRT else "signal"
+        return "error" if self.code else "garbage"
 
     @property
     def headline(self) -> str:
-        """The one line to show: the first with "error" in it, or else the last."""
+        """The first output line that contains "error", else the last line."""
         lines = [line.strip() for line in self.output.splitlines() if line.strip()]
         return next((line for line in lines if "error" in line.lower()), "".join(lines[-1:]))
 
     @property
     def message(self) -> str:
-        """All of it as the problem of a scene."""
+        """The whole crash as the problem of a scene."""
         return f"Mitsuba ended without an answer ({self.exit}): {self.output}".strip()
 
 
-# -P: a user's folder may hold a mitsuba.py, and `-m` would look there first.
+# -P, because `-m` would look in the user's folder first, which may hold a mitsuba.py.
 CHILD_COMMAND = (sys.executable, "-P", "-m", "mitsuba_ref.reference.mitsuba_process")
 
 
 def start(environment: Mapping[str, str], command: Sequence[str] = CHILD_COMMAND) -> ResidentProcess:
-    """A process that answers requests. Raises ProcessEnded while starts are refused."""
+    """Start a process that answers requests. Raises ProcessEnded while starts are refused."""
     return ResidentProcess(command, {**environment, "PYTHONPATH": import_path()}, cwd=tempfile.gettempdir())
 
 
 def run_request(
     request: TraceRequest, timeout: float, environment: Mapping[str, str], command: Sequence[str] = CHILD_COMMAND
 ) -> TraceResponse | Crash:
-    """Send one request to a process of its own, which is gone afterwards. environment: added to this process's."""
+    """Send one request to a new process, which ends afterwards. environment: added to that of this process."""
     try:
         with start(environment, command) as process:
             reply = process.ask(request.to_bytes(), timeout)
         return TraceResponse.from_bytes(reply, len(request.o))
     except ProcessEnded as ended:
-        return crash_of(ended.end, timeout)
+        return Crash(ended.end.code, ended.end.output, ended.end.seconds)
     except (UnexpectedReply, ValueError) as error:
-        return crash_of(ProcessEnd(0, str(error), 0.0), timeout)
-
-
-def crash_of(end: ProcessEnd, timeout: float) -> Crash:
-    """The end of a process as a result; one that ended well without a whole response answered garbage."""
-    how = f"killed after {timeout:g} s" if end.code is None else exit_name(end.code)
-    return Crash("garbage" if end.code == 0 else end.kind, end.output, how, end.seconds)
+        return Crash(0, str(error), 0.0)
 
 
 def _check_rows(record: Any, count: int) -> None:

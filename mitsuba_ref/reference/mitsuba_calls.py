@@ -1,14 +1,13 @@
-"""Calls of Mitsuba: the only module that imports it, loaded only in a child process, which Mitsuba may take down.
+"""Calls of Mitsuba. The only module that imports it; loaded only in a child process, since Mitsuba may crash it.
 
-Requests reach it through mitsuba_process.py. The scalar variant is called ray by ray from Python: slow, and float64
-inside spheres and cylinders. The LLVM variant takes all rays at once, in float32 throughout.
+Requests come through mitsuba_process.py. The scalar variant is called ray by ray from Python: it is slow, and computes
+spheres and cylinders in float64. The LLVM variant takes all rays at once, in float32 throughout.
 """
 
 import os
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from itertools import chain
-from pathlib import Path
 from typing import Any
 
 import drjit
@@ -20,20 +19,20 @@ from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.messages import TraceRequest, TraceResponse
 from mitsuba_ref.scene_xml.elements import shape_and_part
 
-LLVM_PREFIX = "llvm"  # of variants that are vectorised
-SCALAR_RAYS_PER_CHUNK = 16384  # whose hits are held at a time: a hit takes 500 bytes
-CENTER = (0.5, 0.5)  # of the aperture and of a light that is a point: no sample depends on it
+LLVM_PREFIX = "llvm"  # of vectorised variants
+SCALAR_RAYS_PER_CHUNK = 16384  # limits memory: a hit takes 500 bytes
+CENTER = (0.5, 0.5)  # sample of the aperture or of a light; for points it does not matter
 
-# Their type stubs know no variants.
+# The type stubs do not cover variants.
 mi: Any = mitsuba
 dr: Any = drjit
 
 
 def trace_request(request: TraceRequest) -> TraceResponse:
-    """Load the scene and trace the rays, in this process.
+    """Load the scene and trace the rays in this process. Prints nothing.
 
-    Raises RuntimeError with Mitsuba's message where it refuses the scene, of a strict request also where it would
-    only warn, and ImportError where it refuses the variant. Prints nothing.
+    Raises RuntimeError with Mitsuba's message where it refuses the scene, or only warns and the request is strict, and
+    ImportError where it refuses the variant.
     """
     mi.set_variant(request.variant)
     _set_log_level(request.strict)
@@ -46,7 +45,7 @@ def trace_request(request: TraceRequest) -> TraceResponse:
 
 
 def _in_scene_shapes(ids: list[str], arrays: dict[str, Any]) -> list[str]:
-    """The names of the scene's shapes; where one is many of Mitsuba's, `prim` becomes the number of the part."""
+    """Names of the scene's shapes. Where one of them was exported as several, `prim` becomes the number of the part."""
     if not any(each.endswith("}") for each in ids):
         return ids
     names, parts = zip(*map(shape_and_part, ids), strict=True)
@@ -58,14 +57,14 @@ def _in_scene_shapes(ids: list[str], arrays: dict[str, Any]) -> list[str]:
 
 
 def _set_log_level(strict: bool) -> None:
-    """Where strict, a warning is an error; and no log on stdout, where results of commands go."""
+    """If strict, make warnings errors; log nothing to stdout, where commands print results."""
     logger = mi.logger()
     logger.clear_appenders()
     logger.set_error_level(mi.LogLevel.Warn if strict else mi.LogLevel.Error)
 
 
 def _trace(scene: Any, request: TraceRequest) -> dict[str, Any]:
-    """Every array of a TraceResponse but the sensor's."""
+    """All arrays of a TraceResponse except the sensor's."""
     if request.variant.startswith(LLVM_PREFIX) and len(request.o):
         return _trace_llvm(scene, request)
     return _trace_scalar(scene, request)  # no rays: empty arrays, whatever the variant
@@ -81,7 +80,7 @@ def _sensor_rays(scene: Any, request: TraceRequest) -> dict[str, Any]:
 
 
 def _meshes(request: TraceRequest) -> dict[str, Any]:
-    """The request's mesh files by Mitsuba's loader, corner by corner; its message where it refuses one."""
+    """The request's mesh files as Mitsuba's loader reads them, corner by corner, or its message if it refuses one."""
     mi.logger().set_error_level(mi.LogLevel.Error)  # a warning about a file is not one about the scene
     found, faces, problems = [np.zeros((0, 3, 8), np.float32)], [np.zeros((0, 3), np.int32)], []
     for file in request.mesh_files:
@@ -104,7 +103,7 @@ def _meshes(request: TraceRequest) -> dict[str, Any]:
 
 
 def _vertices(parameters: Any) -> np.ndarray:
-    """(n, 8) position, normal and uv of each vertex; 0 where the mesh has none."""
+    """(n, 8) position, normal and uv of each vertex; missing ones are 0."""
     rows = np.zeros((np.array(parameters["vertex_positions"]).size // 3, 8), np.float32)
     for name, columns in (("positions", slice(0, 3)), ("normals", slice(3, 6)), ("texcoords", slice(6, 8))):
         values = np.array(parameters[f"vertex_{name}"], np.float32)
@@ -114,38 +113,28 @@ def _vertices(parameters: Any) -> np.ndarray:
 
 
 def _pixel_centers(film: Any) -> tuple[np.ndarray, np.ndarray]:
-    """x and y across the crop window, row by row, rounded as Mitsuba's integrators round them."""
+    """x and y of the crop window's pixel centres, row by row, rounded as in Mitsuba's integrators."""
     (x0, y0), (width, height) = film.crop_offset(), film.crop_size()
     y, x = np.meshgrid(_centers(y0, height), _centers(x0, width), indexing="ij")
     return np.ascontiguousarray(x.ravel()), np.ascontiguousarray(y.ravel())
 
 
 def _centers(offset: int, size: int) -> np.ndarray:
-    """fma(offset + k + 1/2, 1/size, -offset/size) in float32: a product of two is exact in float64."""
+    """fma(offset + k + 1/2, 1/size, -offset/size) in float32; float64 holds the product of two float32 exactly."""
     scale = np.float32(1.0) / np.float32(size)
     shift = np.float64(-np.float32(offset) * scale)
     return ((offset + np.arange(size) + 0.5) * np.float64(scale) + shift).astype(np.float32)
 
 
 def _versions(variant: str) -> dict[str, str]:
+    library = os.environ.get(variants.LIBLLVM_ENVIRONMENT_VARIABLE) if variant.startswith(LLVM_PREFIX) else None
     return {
         "mitsuba": mi.__version__,
         "drjit": dr.__version__,
         "variant": variant,
-        "libllvm": _libllvm(variant),
+        "libllvm": library or "none",
         "processor": processor.description(),
     }
-
-
-def _libllvm(variant: str) -> str:
-    """The library that is loaded, where the system shows it; or else the one that was configured."""
-    if not variant.startswith(LLVM_PREFIX):
-        return "none"
-    try:
-        maps = Path("/proc/self/maps").read_text()
-    except OSError:
-        return os.environ.get(variants.LIBLLVM_ENVIRONMENT_VARIABLE) or "none"
-    return next((line.split()[-1] for line in maps.splitlines() if "libLLVM" in line), "none")
 
 
 # ---- the scalar variant
@@ -157,8 +146,8 @@ def _trace_scalar(scene: Any, request: TraceRequest) -> dict[str, np.ndarray]:
     index = {shape: i for i, shape in enumerate(scene.shapes())}
     for start in range(0, len(request.o), SCALAR_RAYS_PER_CHUNK):
         rows, places, hits = _scalar_hits(scene, request, slice(start, start + SCALAR_RAYS_PER_CHUNK))
-        found["prim_uv"][rows] = _array_of(places, 2)
-        _store_scalar_surface(found, rows, hits, index)
+        for name, values in _scalar_surface(places, hits, index).items():
+            found[name][rows] = values
         if request.lights:
             found["albedo"][rows] = _array_of((si.bsdf().eval_diffuse_reflectance(si) for si in hits), 3)
         for k, emitter in enumerate(emitters):
@@ -178,7 +167,7 @@ def _misses(rays: int, lights: int) -> dict[str, np.ndarray]:
 
 
 def _scalar_hits(scene: Any, request: TraceRequest, chunk: slice) -> tuple[list[int], list[Any], list[Any]]:
-    """Rows of the rays of one chunk that hit, with where on a primitive, and their surface interactions."""
+    """For the hits of one chunk: rows, places on the primitives, surface interactions."""
     rows, places, hits = [], [], []
     make_ray, intersect, flags = mi.Ray3f, scene.ray_intersect_preliminary, int(mi.RayFlags.All)
     numbers = (array[chunk].tolist() for array in (request.o, request.d, request.t_max))
@@ -192,34 +181,32 @@ def _scalar_hits(scene: Any, request: TraceRequest, chunk: slice) -> tuple[list[
     return rows, places, hits
 
 
-def _store_scalar_surface(
-    found: dict[str, np.ndarray], rows: list[int], hits: list[Any], index: dict[Any, int]
-) -> None:
-    found["t"][rows] = [si.t for si in hits]
-    found["n"][rows] = _array_of((si.n for si in hits), 3)
-    found["sh_n"][rows] = _array_of((si.sh_frame.n for si in hits), 3)
-    found["p"][rows] = _array_of((si.p for si in hits), 3)
-    found["uv"][rows] = _array_of((si.uv for si in hits), 2)
-    found["shape"][rows] = [index[si.instance or si.shape] for si in hits]
-    found["prim"][rows] = [si.prim_index for si in hits]
+def _scalar_surface(places: list[Any], hits: list[Any], index: dict[Any, int]) -> dict[str, Any]:
+    return {
+        "t": [si.t for si in hits],
+        "n": _array_of((si.n for si in hits), 3),
+        "sh_n": _array_of((si.sh_frame.n for si in hits), 3),
+        "p": _array_of((si.p for si in hits), 3),
+        "uv": _array_of((si.uv for si in hits), 2),
+        "prim_uv": _array_of(places, 2),
+        "shape": [index[si.instance or si.shape] for si in hits],
+        "prim": [si.prim_index for si in hits],
+    }
 
 
 def _scalar_light(scene: Any, emitter: Any, hits: list[Any]) -> tuple[np.ndarray, list[bool]]:
-    """The terms that Mitsuba's `direct` integrator adds up, with its shadow test kept apart."""
+    """The terms that Mitsuba's `direct` integrator sums, with its shadow test kept separate."""
     context, sample = mi.BSDFContext(), mi.Point2f(CENTER)
-    directions = [emitter.sample_direction(si, sample) for si in hits]
-    pairs = zip(hits, directions, strict=True)
-    visible = [not scene.ray_test(si.spawn_ray_to(ds.p)) for si, (ds, _) in pairs]
-    return _array_of(_reflected(context, hits, directions), 3), visible
-
-
-def _reflected(context: Any, hits: list[Any], directions: list[Any]) -> Iterator[Any]:
-    for si, (ds, weight) in zip(hits, directions, strict=True):
-        yield weight * si.bsdf().eval(context, si, si.to_local(ds.d))
+    rgb, visible = [], []
+    for si in hits:
+        ds, weight = emitter.sample_direction(si, sample)
+        rgb.append(weight * si.bsdf().eval(context, si, si.to_local(ds.d)))
+        visible.append(not scene.ray_test(si.spawn_ray_to(ds.p)))
+    return _array_of(rgb, 3), visible
 
 
 def _scalar_sensor_rays(sensor: Any, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
-    """o, d, t_max through points of the film, which are in [0, 1]^2 across the crop window."""
+    """o, d, t_max through film points, given in [0, 1]^2 of the crop window."""
     aperture, point = mi.Point2f(CENTER), mi.Point2f
     pairs = zip(x.tolist(), y.tolist(), strict=True)
     rays = [sensor.sample_ray(0.0, 0.5, point(*pair), aperture)[0] for pair in pairs]
@@ -228,7 +215,7 @@ def _scalar_sensor_rays(sensor: Any, x: np.ndarray, y: np.ndarray) -> tuple[np.n
 
 
 def _array_of(vectors: Iterable[Any], width: int) -> np.ndarray:
-    """Vectors of Mitsuba's float32 numbers as an array; converting one by one takes twenty times as long."""
+    """Mitsuba's float32 vectors as an array; converting them one by one takes twenty times as long."""
     return np.fromiter(chain.from_iterable(vectors), np.float32).reshape(-1, width)
 
 
@@ -249,7 +236,7 @@ def _trace_llvm(scene: Any, request: TraceRequest) -> dict[str, np.ndarray]:
 
 
 def _llvm_light(scene: Any, emitter: Any, si: Any, hit: Any) -> tuple[Any, Any]:
-    """The terms that Mitsuba's `direct` integrator adds up, with its shadow test kept apart."""
+    """The terms that Mitsuba's `direct` integrator sums, with its shadow test kept separate."""
     ds, weight = emitter.sample_direction(si, mi.Point2f(CENTER), hit)
     rgb = weight * si.bsdf().eval(mi.BSDFContext(), si, si.to_local(ds.d), hit)
     return rgb, hit & ~scene.ray_test(si.spawn_ray_to(ds.p), hit)
@@ -266,7 +253,7 @@ def _llvm_surface(scene: Any, pi: Any, si: Any, hit: Any, count: int) -> dict[st
 
 
 def _llvm_shapes(scene: Any, si: Any, count: int) -> np.ndarray:
-    """Indices into scene.shapes(). Dr.Jit numbers shapes in an order of its own, from 1; 0 is no shape."""
+    """Indices into scene.shapes(). Dr.Jit numbers shapes from 1 in its own order; 0 means no shape."""
     shape, instance = (dr.reinterpret_array(mi.UInt32, pointer) for pointer in (si.shape, si.instance))
     numbers = _column(dr.select(instance != 0, instance, shape), count, np.uint32)
     known = dr.reinterpret_array(mi.UInt32, scene.shapes_dr()).numpy()
@@ -287,7 +274,7 @@ def _llvm_lighting(albedo: Any, lights: list[tuple[Any, Any]], hit: Any, count: 
 
 
 def _llvm_sensor_rays(sensor: Any, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
-    """o, d, t_max through points of the film, which are in [0, 1]^2 across the crop window."""
+    """o, d, t_max through film points, given in [0, 1]^2 of the crop window."""
     ray, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(mi.Float(x), mi.Float(y)), mi.Point2f(CENTER))
     return _columns(ray.o, len(x)), _columns(ray.d, len(x)), _column(ray.maxt, len(x))
 
@@ -297,7 +284,7 @@ def _to_drjit(rows: np.ndarray) -> list[Any]:
 
 
 def _column(values: Any, count: int, dtype: type = np.float32) -> np.ndarray:
-    """One number for each ray; Dr.Jit keeps a single one where all are the same."""
+    """One value for each ray; Dr.Jit keeps a single one where all are equal."""
     return np.broadcast_to(values.numpy().astype(dtype, copy=False), (count,)).copy()
 
 

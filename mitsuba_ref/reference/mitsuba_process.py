@@ -1,8 +1,8 @@
-"""Mitsuba processes: where Mitsuba is started, and where an abort, a hang or a refusal is the result of a request.
+"""Mitsuba processes: where Mitsuba is started, and where an abort, a hang or a refusal becomes the result of a request.
 
-A process that stays answers request after request: starting one takes ten times as long as a small scene. After a
-crash, a time-out, a refusal or a malformed response the request is sent once more, to a process of its own, and the
-end of that one is the result.
+A resident process answers request after request: starting one takes ten times as long as a small scene. After a crash,
+a time-out, a refusal or a malformed response, the request is sent once more, to a new process, and the end of that
+process is the result.
 """
 
 import atexit
@@ -26,23 +26,20 @@ DEFAULT_TIMEOUT = 300.0  # seconds; a scene of 256 x 256 pixels takes one to thr
 IDLE_SECONDS = 60.0  # without a request, after which a resident process ends by itself
 RESIDENT_BYTES = 1 << 30  # of memory, above which it is replaced; 200 MB are usual
 
-# Of the environment: what changes without any part in what Mitsuba does. pytest sets it anew for every test.
-UNUSED_VARIABLES = frozenset({"PYTEST_CURRENT_TEST"})
-
 # A way to Mitsuba: (request, timeout in seconds) -> response
 SendRequest = Callable[[TraceRequest, float], TraceResponse | Crash]
 
 
 def send_alone(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> TraceResponse | Crash:
-    """Trace rays in a process of their own; returns within `timeout` seconds, and leaves neither process nor file."""
+    """Trace rays in a new process; returns within `timeout` seconds and leaves neither process nor file behind."""
     return messages.run_request(request, timeout, variants.environment_for(request.variant))
 
 
 def send_request(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> TraceResponse | Crash:
-    """Trace rays through one scene, in a resident process that no other thread uses meanwhile.
+    """Trace rays through one scene, in a resident process that no other thread uses at the same time.
 
-    Residents are of this process alone, not of its forks, and end with it or after IDLE_SECONDS. `timeout` is for each
-    of the two processes that may be needed.
+    Resident processes belong to this process, not to its forks, and end with it or after IDLE_SECONDS. `timeout` holds
+    for each of the two processes that may be needed.
     """
     session = _idle_sessions.pop() if _idle_sessions else ResidentSession()
     try:
@@ -52,7 +49,7 @@ def send_request(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> Tra
 
 
 def send_stored(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> TraceResponse | Crash:
-    """The stored response to the same request, marked so, or else that of `send_request`, which is then stored."""
+    """The stored response to an equal request, marked as stored, else that of `send_request`, which is then stored."""
     store = local_store()
     key = request_key(request) if store else ""
     if store is None or not key:
@@ -67,13 +64,13 @@ def send_stored(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> Trac
     return response
 
 
-# The child's side, whose edits are other responses.
+# The child's side: an edit may change responses.
 SOURCES = (Path(messages.__file__).with_name("mitsuba_calls.py"), Path(messages.__file__))
-OUTSIDE = re.compile(r'="(/|~|[A-Za-z]:|[^"]*\.\.[/\\])')  # a value of XML that may name a file of another folder
+OUTSIDE = re.compile(r'="(/|~|[A-Za-z]:|[^"]*\.\.[/\\])')  # an XML value that may name a file of another folder
 
 
 def request_key(request: TraceRequest) -> str:
-    """A hash of all that the response depends on; "" where a scene may name a file outside of its own folder."""
+    """A hash of all that the response depends on; "" where the scene may name a file outside its own folder."""
     library = variants.environment_for(request.variant).get(variants.LIBLLVM_ENVIRONMENT_VARIABLE, "")
     size = os.path.getsize(library) if os.path.exists(library) else ""
     parts: list[str | bytes] = [
@@ -117,14 +114,10 @@ def send_requests(requests: Sequence[TraceRequest], timeout: float = DEFAULT_TIM
 
 
 class ResidentSession:
-    """One process of each variant that stays; it is replaced when it ends, when it is large, or in another environment.
-
-    Usable as a context.
-    """
+    """Resident processes, one for each variant and environment. Usable as a context."""
 
     def __init__(self) -> None:
         self.processes: dict[str, ResidentProcess] = {}
-        self._environments: dict[str, dict[str, str]] = {}  # that the processes were started in
 
     def __enter__(self) -> "ResidentSession":
         return self
@@ -139,7 +132,7 @@ class ResidentSession:
         self.processes = {}
 
     def send(self, request: TraceRequest, timeout: float = 60.0) -> TraceResponse | Crash:
-        """The response to one request; each of the two processes that may be needed may take `timeout`."""
+        """The response to one request; `timeout` holds for each of the two processes that may be needed."""
         try:
             reply = self._process(request.variant).ask(request.to_bytes(), timeout)
             return TraceResponse.from_bytes(reply, len(request.o))
@@ -150,21 +143,20 @@ class ResidentSession:
     def _process(self, variant: str) -> ResidentProcess:
         """The resident process of a variant, started if need be. Raises ProcessEnded while starts are refused."""
         environment = variants.environment_for(variant)
-        complete = {name: os.environ[name] for name in os.environ.keys() - UNUSED_VARIABLES} | environment
-        process = self.processes.get(variant)
-        if process and process.alive and self._environments[variant] == complete:
-            return process
-        if process:
-            process.close()
-        self.processes[variant], self._environments[variant] = messages.start(environment), complete
-        return self.processes[variant]
+        key = f"{variant} {environment} {environment_settings(*REFERENCE_SETTINGS, 'PYTHONPATH')}"
+        process = self.processes.get(key)
+        if process is None or not process.alive:
+            if process:
+                process.close()
+            process = self.processes[key] = messages.start(environment)
+        return process
 
 
 # ---- the child's side ----
 
 
 def respond(content: bytes) -> bytes:
-    """The response to a request. A request that Mitsuba refuses ends the process, with its message on stderr."""
+    """The response to a request. If Mitsuba refuses it, the process ends with its message on stderr."""
     try:
         from mitsuba_ref.reference import mitsuba_calls
 
@@ -181,7 +173,7 @@ def is_large() -> bool:
 
 
 def resident_bytes() -> int:
-    """Memory of this process; where the system does not show it, the most that it ever had."""
+    """Memory of this process; on systems that do not show it, the largest it ever had, or that of its parent."""
     import resource  # POSIX alone
 
     try:
@@ -191,7 +183,7 @@ def resident_bytes() -> int:
 
 
 def end_process(code: int) -> NoReturn:
-    """Without the end of the interpreter: what Dr.Jit does there has been seen to run on, with all written."""
+    """End without the interpreter's cleanup, in which Dr.Jit has been seen to hang after all output was written."""
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(code)

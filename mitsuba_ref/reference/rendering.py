@@ -1,4 +1,4 @@
-"""Shared rays traced by Mitsuba, and its images under the names of the caster's AOVs."""
+"""Shared rays traced by Mitsuba, and its images named as the caster's AOVs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ REFERENCE_AOVS = (
 
 @dataclass(frozen=True)
 class ReferenceResult:
-    """Mitsuba's response in the scene's terms. Arrays are float64, one row a ray."""
+    """Mitsuba's response with the scene's shape numbers and lights. Arrays are float64, one row per ray."""
 
     answer: TraceResponse
     t: np.ndarray  # (n,) lengths of d, inf on a miss
@@ -47,12 +47,12 @@ class ReferenceResult:
 
     @property
     def hit(self) -> np.ndarray:
-        """(n,) bool. A NaN counts as a hit: Mitsuba reports one, and it has to be noticed."""
+        """(n,) bool. NaN counts as a hit, so that it is noticed."""
         return ~np.isposinf(self.t)
 
     @property
     def diffuse(self) -> np.ndarray:
-        """(n, 3) radiance of all lights that are visible, and the ambient one."""
+        """(n, 3) radiance from all visible lights and the ambient light."""
         return np.where(self.visible[..., None], self.unshadowed, 0.0).sum(axis=0) + self.ambient
 
 
@@ -77,9 +77,9 @@ def trace_reference(
     timeout: float = DEFAULT_TIMEOUT,
     send: SendRequest = send_request,
 ) -> ReferenceResult | Crash:
-    """Trace these rays by Mitsuba, in a process that `send` reaches. A crash is a result, too.
+    """Trace these rays with Mitsuba, in the process that `send` reaches. A crash is a result, too.
 
-    mesh_files: to be read by its own loader as well, for a check.
+    mesh_files: also read by its own loader, for a check.
     """
     with ScratchFolder() as folder:
         xml = export(scene, model).write(Path(folder))
@@ -98,7 +98,7 @@ def trace_reference(
 
 
 def reference_result(scene: Scene, answer: TraceResponse) -> ReferenceResult:
-    """A response in the terms of its scene."""
+    """The response with the scene's shape numbers and lights."""
     index_of = {name: index for index, name in enumerate(shape_ids(scene))}
     table = np.array([*(index_of.get(name, -1) for name in answer.names), -1], np.int32)
     visible = answer.light_visible if scene.shading.shadows else np.ones_like(answer.light_visible)
@@ -113,21 +113,21 @@ def reference_result(scene: Scene, answer: TraceResponse) -> ReferenceResult:
 
 
 def aovs_of(
-    witness: ReferenceResult, rays: SharedRays, shape: tuple[int, int], names: Sequence[str] = REFERENCE_AOVS
+    result: ReferenceResult, rays: SharedRays, shape: tuple[int, int], names: Sequence[str] = REFERENCE_AOVS
 ) -> Aovs:
-    """Images (height, width) of a result, misses as the caster writes them."""
-    answer, hit = witness.answer, witness.hit
+    """Images (height, width) of a result, with the caster's values for misses."""
+    answer, hit = result.answer, result.hit
     length = norm(rays.d.astype(np.float64))
     flat = {
         "hit": hit,
-        "depth": rays.start + witness.t * length,
+        "depth": rays.start + result.t * length,
         "normal": answer.n,
         "shading_normal": answer.sh_n,
         "position": answer.p,
         "uv": answer.uv,
         "albedo": answer.albedo,
-        "diffuse": witness.diffuse,
-        "shape_id": witness.shape_id,
+        "diffuse": result.diffuse,
+        "shape_id": result.shape_id,
         "prim_id": answer.prim,
     }
     misses = {aov.NAME: aov.MISS for aov in AOVS}
@@ -142,11 +142,11 @@ def aovs_of(
 def render_reference(
     scene: Scene, aovs: Sequence[str] = REFERENCE_AOVS, *, variant: str | None = None, timeout: float = DEFAULT_TIMEOUT
 ) -> tuple[Aovs, dict[str, str]] | Crash:
-    """Render a scene by Mitsuba: (images as `caster.render` gives them, versions), or how Mitsuba ended."""
+    """Render a scene with Mitsuba: (images as from `caster.render`, versions), or its crash."""
     rays = shared_rays(scene)
     model = model_of(scene, packed_float32(scene), rays)
-    witness = trace_reference(scene, model, rays, variant=variant, lights=needs_lights(aovs), timeout=timeout)
-    if isinstance(witness, Crash):
-        return witness
+    result = trace_reference(scene, model, rays, variant=variant, lights=needs_lights(aovs), timeout=timeout)
+    if isinstance(result, Crash):
+        return result
     window = film_window(scene)
-    return aovs_of(witness, rays, (window.height, window.width), aovs), witness.answer.versions
+    return aovs_of(result, rays, (window.height, window.width), aovs), result.answer.versions

@@ -1,4 +1,4 @@
-"""What both sides trace: the caster's camera rays from the near plane on, in float32, and scenes as Mitsuba's XML."""
+"""The input of both sides: the caster's camera rays in float32, from the near plane on, and scenes as Mitsuba's XML."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,17 +23,17 @@ from mitsuba_ref.shapes.shape_reference import ShapeReference
 
 # ---- shared rays ----
 
-# How far from 1 the length of a float32 direction may be that was normalised in float32: some roundings of 2^-24.
+# Error of the length of a direction that was normalised in float32: some roundings of 2^-24.
 UNIT_LENGTH_ATOL = 2.0**-20
 
 
 class SharedRays(NamedTuple):
-    """One ray a pixel, row by row. Numbers of camera rays are float32 values, so neither side rounds them again.
+    """One ray per pixel, row by row. Camera rays hold float32 values, so neither side rounds them again.
 
-    Rays of a list (mitsuba_ref/subjects/ray_files.py) are laid out as a film, and may be float64 numbers.
+    Rays of a list (mitsuba_ref/subjects/ray_files.py) are laid out as a film and may hold float64 values.
     """
 
-    o: np.ndarray  # (n, 3) float32, of a list float64
+    o: np.ndarray  # (n, 3) float32; float64 for a list
     d: np.ndarray  # (n, 3)
     t_max: np.ndarray  # (n,) lengths of d; negative: no ray
     start: np.ndarray  # (n,) float64, distance from the eye to o
@@ -41,7 +41,7 @@ class SharedRays(NamedTuple):
 
     @property
     def is_list(self) -> bool:
-        """Whether these are rays of a list, not of a camera."""
+        """Whether the rays come from a list, not from a camera."""
         return isinstance(self.t_min, np.ndarray)
 
     def rows(self, rows: np.ndarray | slice) -> "SharedRays":
@@ -51,15 +51,15 @@ class SharedRays(NamedTuple):
 
     @property
     def reference_exponent(self) -> np.ndarray:
-        """(n,) int; directions for Mitsuba are d / 2^exponent, of a length up to 1, and t counts in those.
+        """(n,) int. Mitsuba gets directions d / 2^exponent, no longer than 1, and its t counts in their lengths.
 
-        Its spheres and ellipsoids take the distance to the centre for t, and lose digits where d is longer than 1.
+        Its spheres and ellipsoids use the distance to the centre as t, and lose digits where d is longer than 1.
         """
         length = row_lengths(self.d.astype(np.float64))
         return np.where(np.abs(length - 1.0) <= UNIT_LENGTH_ATOL, 0, ceil_log2(length))
 
     def for_reference(self) -> "SharedRays":
-        """The rays as Mitsuba traces them: float32, from t_min on, since it has none; camera rays are so already."""
+        """The rays as Mitsuba traces them: float32, starting at t_min, which it lacks. Camera rays are so already."""
         if not isinstance(self.t_min, np.ndarray):
             return self
         o = _float32(self.o + self.t_min[:, None] * self.d)
@@ -69,12 +69,12 @@ class SharedRays(NamedTuple):
         return SharedRays(o, _float32(d), _float32(left), self.start)
 
     def t_of_reference(self, t: np.ndarray) -> np.ndarray:
-        """(n,) Mitsuba's t along those rays, as t along these."""
+        """(n,) Mitsuba's t converted to t along these rays."""
         return t if not self.is_list else np.ldexp(t, -self.reference_exponent) + self.t_min
 
 
 def shared_rays(scene: Scene) -> SharedRays:
-    """Camera rays of a scene. Mitsuba has no t_min, so a ray starts where the near plane cuts it."""
+    """Camera rays of a scene. They start at the near plane, since Mitsuba has no t_min."""
     rays = camera_rays(scene)
     o = rays.o + rays.t_min[:, None] * rays.d
     left = np.where(rays.t_max < 0.0, -1.0, rays.t_max - rays.t_min)
@@ -82,12 +82,12 @@ def shared_rays(scene: Scene) -> SharedRays:
 
 
 def _float32(a: np.ndarray) -> np.ndarray:
-    with np.errstate(over="ignore"):  # what is beyond float32 becomes inf, and the caster refuses it
+    with np.errstate(over="ignore"):  # values beyond float32 become inf, which the caster refuses
         return np.ascontiguousarray(a, np.float32)
 
 
 def pixel_of(scene: Scene, row: int) -> tuple[int, int]:
-    """x, y on the film of a row of the window."""
+    """Film coordinates x, y of the window's pixel number `row`."""
     x0, y0, x1, _y1 = scene.film.window
     return x0 + row % (x1 - x0), y0 + row // (x1 - x0)
 
@@ -101,17 +101,17 @@ def pixel_centers(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 # ---- scenes for Mitsuba ----
 
-# Clip planes of a sensor whose camera has none, in units of how far the scene reaches.
+# Clip planes for cameras without any, in units of the scene's extent from the origin.
 NEAR_PER_REACH, FAR_PER_REACH = 2.0**-20, 2.0**10
 
 
 def packed_float32(scene: Scene) -> Packed:
-    """The packing that is judged against the reference, cached with the scene."""
+    """The packed scene that is judged against the reference, cached with the scene."""
     return packed(scene, as_float32)
 
 
 def model_of(scene: Scene, packed: Packed, rays: SharedRays) -> SceneModel:
-    """The judge's view of packed float32 geometry; stand-ins are cut to these rays."""
+    """The judge's model of packed float32 geometry; patches in place of planes are cut to these rays."""
     references = [reference_of(shape) for shape in scene.shapes]
     real = rays.t_max >= 0.0
     o, d = rays.o[real].astype(np.float64), rays.d[real].astype(np.float64)
@@ -123,7 +123,7 @@ def model_of(scene: Scene, packed: Packed, rays: SharedRays) -> SceneModel:
 
 
 def described_model(scene: Scene, model: SceneModel) -> SceneModel | None:
-    """The same in the float64 numbers of the scene, without stand-ins; None where these are float32 numbers."""
+    """The model with the scene's float64 values and real planes; None if all its values are float32 values."""
     described, rounded = packed(scene), packed_float32(scene)
     if all(
         np.array_equal(a, b)
@@ -141,7 +141,7 @@ def _model(references: Sequence[ShapeReference], packed: Packed, shapes: np.ndar
 
 @dataclass(frozen=True)
 class SceneExport:
-    """A scene for Mitsuba: XML and mesh files next to it. notes: what differs from the scene."""
+    """A scene for Mitsuba: XML, and mesh files beside it. notes: differences from the scene."""
 
     xml: str
     meshes: dict[str, bytes]
@@ -149,7 +149,7 @@ class SceneExport:
     notes: list[str]
 
     def write(self, folder: Path, name: str = "scene.xml") -> Path:
-        """Write everything into a folder, which is made; return the path of the XML. Raises OutputError."""
+        """Write everything into a folder, creating it; returns the path of the XML. Raises OutputError."""
         check_folder(folder)
         for file, content in self.meshes.items():
             check_folder((folder / file).parent)
@@ -164,7 +164,7 @@ def export_scene(scene: Scene) -> SceneExport:
 
 
 def export(scene: Scene, model: SceneModel, *, robust: bool = True) -> SceneExport:
-    """XML and meshes of packed geometry. robust: Embree's mode that keeps meshes closed."""
+    """XML and meshes of packed geometry. robust: use Embree's mode that keeps meshes closed."""
     out = ShapeWriter(lambda shape: bsdf_element(scene.material_of(shape)))
     shapes = []
     for name, shape, part in zip(shape_ids(scene), scene.shapes, model.parts, strict=True):
@@ -178,18 +178,18 @@ def export(scene: Scene, model: SceneModel, *, robust: bool = True) -> SceneExpo
 
 
 def shape_ids(scene: Scene) -> list[str]:
-    """One id per shape: its name, unless Mitsuba would read a parameter in it, or this program a part."""
+    """One id per shape: its name, unless Mitsuba would read it as a parameter or this program as a part."""
     return [f"shapes[{i}]" if "$" in name or name.endswith("}") else name for i, name in enumerate(scene.shape_names())]
 
 
 def clip_range(scene: Scene, model: SceneModel) -> ClipRange:
-    """Clip planes that cut nothing off: by the farthest corner of bounded primitives, and the eye."""
+    """Clip planes that cut nothing off, from the farthest corner of bounded primitives and the eye."""
     reach = float(np.abs(scene.camera.eye).max())
     for corners in model.boxes:
         finite = np.isfinite(corners)
         low, high = corners.min(initial=0.0, where=finite), corners.max(initial=0.0, where=finite)
         reach = max(reach, -float(low), float(high))
-    reach = reach or 1.0  # all is in the origin
+    reach = reach or 1.0  # everything is at the origin
     return ClipRange(NEAR_PER_REACH * reach, FAR_PER_REACH * reach)
 
 
@@ -199,11 +199,11 @@ def clip_range(scene: Scene, model: SceneModel) -> ClipRange:
 def scene_document(
     scene: Scene, shapes: Sequence[XmlElement], sensor: XmlElement | None, out: ShapeWriter, *, robust: bool = True
 ) -> str:
-    """The whole document. Without a sensor, rays have to be handed over. robust: Embree's mode of that name."""
+    """The whole document. Without a sensor it renders no image. robust: Embree's mode of that name."""
     root = Element("scene", version="3.0.0")
     for note in out.notes:
         root.append(Comment(f" {note.replace('--', '- -')} "))
-    # Without it, Embree lets rays slip through the edges of meshes.
+    # Without it, rays slip through edges of meshes in Embree.
     SubElement(root, "boolean", name="embree_use_robust_intersections", value="true" if robust else "false")
     root.append(integrator_element())
     if sensor is not None:
@@ -217,7 +217,7 @@ def scene_document(
 
 
 def integrator_element() -> XmlElement:
-    """What plain Mitsuba renders of it: radiance, and the same quantities that are compared."""
+    """The integrator for plain Mitsuba: radiance, and the quantities that are compared."""
     integrator = Element("integrator", type="aov")
     names = {"depth": "depth", "normal": "geo_normal", "shading_normal": "sh_normal", "position": "position"}
     SubElement(integrator, "string", name="aovs", value=",".join(f"{a}:{b}" for a, b in names.items()))
@@ -238,7 +238,7 @@ def bsdf_element(material: Diffuse) -> XmlElement:
 
 
 def emitter_elements(scene: Scene) -> list[XmlElement]:
-    """Point and directional lights. Ambient light is added separately on both sides, so it is not exported."""
+    """Point and directional lights. Ambient light is not exported: it is added separately on both sides."""
     elements: list[XmlElement] = []
     for light in scene.lights:
         if light.type == "ambient":
@@ -256,7 +256,7 @@ def emitter_elements(scene: Scene) -> list[XmlElement]:
 
 
 def film_element(scene: Scene) -> XmlElement:
-    """A film that keeps one unblurred float32 sample in each pixel's centre."""
+    """A film that keeps one unfiltered float32 sample at each pixel's centre."""
     film = Element("film", type="hdrfilm")
     x0, y0, x1, y1 = scene.film.window
     sizes = {"width": scene.film.width, "height": scene.film.height}

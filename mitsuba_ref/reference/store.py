@@ -1,7 +1,7 @@
-"""The store: what is kept between runs under a hash of all that it depends on, so that it is not worked out again.
+"""The store of results between runs, each under a hash of all that it depends on.
 
 It holds Mitsuba's responses (mitsuba_process.py), verdicts of scenes (runner/verdict_files.py) and which variants work
-(variants.py). Contents are checked when they are read; a damaged one is as if it were not there.
+(variants.py). Files are checked when they are read; a damaged one counts as missing.
 """
 
 import contextlib
@@ -12,7 +12,6 @@ import platform
 from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple, Protocol
 
 from caster.system import processor
 from caster.system.atomic_files import distrust, read_sealed, write_sealed
@@ -25,31 +24,15 @@ SUFFIX = ".kept"
 LIBRARIES = ("mitsuba", "drjit", "numpy", "numba", "llvmlite", "OpenEXR", "pydantic")  # that results depend on
 
 
-class Store(Protocol):
-    """Where contents are kept. Neither method raises; a store of several machines needs no more than these two."""
-
-    def get(self, key: str) -> bytes | None:
-        """What was kept under a key, to the bit; None where there is nothing, or nothing to be trusted."""
-
-    def put(self, key: str, content: bytes) -> None:
-        """Keep content under a key; it may be dropped at any time."""
-
-
-class StoreUse(NamedTuple):
-    """What a folder holds."""
-
-    files: int
-    size: int  # bytes
-
-
 class StoreFolder:
-    """Contents as sealed files of one folder, of this user alone. The least recently used ones make room for others."""
+    """Results as sealed files in one folder of this user. The least recently used ones make room for others."""
 
     def __init__(self, folder: Path, limit: int) -> None:
         """limit: bytes of all files."""
         self.folder, self.limit = folder, limit
 
     def get(self, key: str) -> bytes | None:
+        """The bytes stored under a key; None where there are none, or none to be trusted. Never raises."""
         path = self.folder / f"{key}{SUFFIX}"
         try:
             content = None if self.refusal() else read_sealed(path)
@@ -63,6 +46,7 @@ class StoreFolder:
         return content
 
     def put(self, key: str, content: bytes) -> None:
+        """Store bytes under a key; they may be dropped at any time. Never raises."""
         try:
             self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         except OSError:
@@ -72,17 +56,18 @@ class StoreFolder:
             write_sealed(self.folder / f"{key}{SUFFIX}", content)
 
     def refusal(self) -> str:
-        """Why nothing in it is used, "" where it may be: what another user may have written is no result."""
+        """Why the folder is not used, such as that other users may write it; "" if it is."""
         with contextlib.suppress(FileNotFoundError):
             return distrust(self.folder.stat())
         return ""
 
-    def use(self) -> StoreUse:
+    def use(self) -> tuple[int, int]:
+        """How many files it has, and their bytes."""
         files = list(self._files())
-        return StoreUse(len(files), sum(size for _, size, _ in files))
+        return len(files), sum(size for _, size, _ in files)
 
     def _files(self) -> Iterator[tuple[int, int, Path]]:
-        """(time of the last use, bytes, path) of each, in any order."""
+        """(time of the last use, bytes, path) of each file, in any order."""
         with contextlib.suppress(OSError):
             for path in self.folder.glob(f"*{SUFFIX}"):
                 with contextlib.suppress(OSError):  # another process removes it
@@ -126,14 +111,14 @@ def key_of(parts: Iterable[str | bytes]) -> str:
     return digest.hexdigest()
 
 
-# Beginnings of names of environment variables that Dr.Jit, Embree and the loader of libraries read: a preloaded library
-# can limit the instruction set.
+# Prefixes of environment variables that Dr.Jit, Embree and the loader of libraries read: a preloaded library can limit
+# the instruction set.
 REFERENCE_SETTINGS = ("DRJIT_", "EMBREE_", "LD_")
 
 
-def environment_settings(*beginnings: str) -> str:
-    """The environment variables whose names begin so, for a key."""
-    return repr(sorted(item for item in os.environ.items() if item[0].startswith(beginnings)))
+def environment_settings(*prefixes: str) -> str:
+    """The environment variables with these prefixes, for a key."""
+    return repr(sorted(item for item in os.environ.items() if item[0].startswith(prefixes)))
 
 
 @cache

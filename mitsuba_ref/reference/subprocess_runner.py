@@ -1,12 +1,12 @@
-"""Child processes with a deadline, captured output and nothing left behind.
+"""Child processes with a deadline and captured output, which leave nothing behind.
 
 - `run` runs a command to its end. A crash, a signal or a missed deadline is a result, not an exception.
-- `ResidentProcess` stays and answers requests in bytes, on its stdin and stdout; `serve` is the side of our own
-  children. Its end is raised as `ProcessEnded`.
+- `ResidentProcess` stays and answers requests in bytes, on its stdin and stdout; our own children answer by `serve`.
+  Its end is raised as `ProcessEnded`.
 
-Each child leads a process group, which is killed when the run ends, so that nothing it started survives. Captured
-output goes to a file: a pipe that nobody empties would block the writer. On Linux, a child that calls `die_with_parent`
-is killed with its parent, even if the parent was killed itself.
+Each child leads a process group, which is killed at the end, so that nothing it started survives. Captured output goes
+to a file: a pipe that nobody empties would block the writer. On Linux, a child that calls `die_with_parent` is killed
+with its parent, even if the parent was killed itself.
 """
 
 import contextlib
@@ -44,17 +44,13 @@ class ProcessEnd:
     seconds: float
 
     @property
-    def kind(self) -> str:
-        """timeout, abort, signal, error, or done for exit code 0."""
-        if self.code is None:
-            return "timeout"
-        if self.code < 0:
-            return "abort" if self.code == -signal.SIGABRT else "signal"
-        return "error" if self.code else "done"
+    def exit(self) -> str:
+        """An exit code, a signal, or that it was killed at its deadline."""
+        return f"killed after {round(self.seconds, 1):g} s" if self.code is None else exit_name(self.code)
 
 
 class ProcessEnded(Exception):  # noqa: N818 - an event, not necessarily an error
-    """A resident process that answers no more; `end` is why."""
+    """A resident process that no longer answers; `end` says why."""
 
     def __init__(self, end: ProcessEnd) -> None:
         super().__init__(end)
@@ -85,7 +81,7 @@ def exit_name(code: int) -> str:
 def kill_subprocesses() -> None:
     """Kill every child and refuse to start another until `allow_subprocesses`: for Ctrl-C while threads wait.
 
-    Whoever waits for a child, or starts one, gets an end by SIGKILL.
+    Threads that wait for a child, or start one, get an end by SIGKILL.
     """
     with _starting:
         _starts_refused.set()
@@ -108,7 +104,7 @@ def run(
     cwd: str | Path | None = None,
     environment: Mapping[str, str] | None = None,
 ) -> ProcessEnd:
-    """Run a command to its end, or kill it after `timeout` seconds. environment: added to this process's own.
+    """Run a command to its end, or kill it after `timeout` seconds. environment: added to that of this process.
 
     Raises OSError where the command cannot be started.
     """
@@ -129,14 +125,14 @@ def run(
 
 
 class UnexpectedReply(Exception):  # noqa: N818 - an outcome, not a mistake of the program
-    """Bytes of a child that are no reply; the text states what was expected."""
+    """A child sent bytes that are not a reply; the text says what was expected."""
 
 
 HEAD_BYTES = 8  # of a reply: its length
 
 
 def length_first(data: bytes) -> bytes:
-    """The bytes behind their number, a little-endian int64."""
+    """The bytes after their number, a little-endian int64."""
     return len(data).to_bytes(HEAD_BYTES, "little") + data
 
 
@@ -187,18 +183,18 @@ class ResidentProcess:
         return not self._output.closed and self.process.poll() is None
 
     def ask(self, data: bytes, timeout: float) -> bytes:
-        """The reply of a child that calls `serve`. Raises ProcessEnded; the process is closed then."""
+        """The reply of a child that calls `serve`. Raises ProcessEnded after closing the process."""
         return self.request(length_first(data), timeout)[HEAD_BYTES:]
 
     def request(self, data: bytes, timeout: float, length_of: Callable[[bytes], int] = _length) -> bytes:
-        """Send `data`; the reply: HEAD_BYTES, and as many more as length_of says of them.
+        """Send `data` and return the reply: HEAD_BYTES, then as many bytes as length_of reads from them.
 
-        Raises ProcessEnded, and UnexpectedReply, which length_of may raise; the process is closed then.
+        Raises ProcessEnded, or UnexpectedReply (length_of may), after closing the process.
         """
         begin = time.monotonic()
         try:
             return self._exchange(data, begin, timeout, length_of)
-        except BaseException:  # also Ctrl-C: it may be amid a request
+        except BaseException:  # also Ctrl-C: the child may be in the middle of a request
             self.close()
             raise
 
@@ -228,7 +224,7 @@ class ResidentProcess:
         return bytes(reply)
 
     def _ended(self, begin: float, *, late: bool = False) -> ProcessEnd:
-        """The end of a process that did not answer: at its deadline at once, else it has some seconds to end."""
+        """Kill a process that did not answer, at once if it is late, else after some seconds; returns its end."""
         code: int | None = None
         if not late:
             try:
@@ -253,9 +249,9 @@ class ResidentProcess:
 def serve(
     answer: Callable[[bytes], bytes], idle_seconds: float | None = None, done: Callable[[], bool] = lambda: False
 ) -> None:
-    """The child's side of `ResidentProcess.ask`: replies until stdin ends, or `done` after a reply.
+    """The child's side of `ResidentProcess.ask`: replies until stdin ends, or until `done` is true after a reply.
 
-    idle_seconds: without a request, which end it, too. What else prints to stdout goes to stderr from here on.
+    idle_seconds: it also ends after so long without a request. Other output to stdout goes to stderr from here on.
     """
     die_with_parent()
     replies = os.dup(1)
@@ -272,7 +268,7 @@ def serve(
 
 
 def _read(file: IO[bytes], count: int) -> bytes:
-    """So many bytes, or fewer where the file ends before."""
+    """Read `count` bytes, or fewer at the end of the file."""
     data = bytearray()
     while len(data) < count and (more := file.read(count - len(data))):
         data += more
@@ -288,8 +284,8 @@ def import_path() -> str:
 
 
 def captured(output: IO[bytes]) -> str:
-    """Head and tail of captured output: LLVM names its error first and prints a tree of code after it."""
-    descriptor = output.fileno()  # pread leaves the offset alone, which a child may share
+    """Head and tail of captured output: LLVM prints its error first and then a tree of code."""
+    descriptor = output.fileno()  # pread does not move the offset, which a child may share
     size = os.fstat(descriptor).st_size
     head = os.pread(descriptor, OUTPUT_HEAD_BYTES, 0)
     tail = max(size - OUTPUT_TAIL_BYTES, len(head))
@@ -308,7 +304,7 @@ def _start(
     stdout: int | None = None,
     pass_fds: Sequence[int] = (),
 ) -> subprocess.Popen[bytes]:
-    """Start a command in a session of its own. stdout: where that goes in place of `output`.
+    """Start a command in a session of its own. stdout: in place of `output`.
 
     Raises ProcessEnded while starts are refused, and OSError.
     """
@@ -323,7 +319,7 @@ def _start(
             stdout=output if stdout is None else stdout,
             stderr=output,
             pass_fds=pass_fds,
-            start_new_session=True,  # Ctrl-C is for this process, which then ends that one
+            start_new_session=True,  # Ctrl-C is for this process, which then ends the child
         )
         _running.add(child.pid)
         return child

@@ -1,4 +1,4 @@
-"""Mitsuba's variants: which of them work on this machine, found by tracing a small scene in a child process."""
+"""Mitsuba's variants. Those that work on this machine are found by tracing a small scene in a child process."""
 
 import glob
 import json
@@ -21,18 +21,19 @@ from mitsuba_ref.reference.store import REFERENCE_SETTINGS, environment_settings
 
 SMOKE_TEST_TIMEOUT_SECONDS = 60.0  # it takes one or two
 
-# Relative errors of Mitsuba where everything is a small integer or half of one, and so exact but for the reciprocal at
-# the end, whose bits differ between CPUs. In units of U = 2^-24, to first order:
-#   t = rcp(den) * T in Embree: x86 starts at rcpps, off by at most 1.5 * 2^-12, and one Newton step leaves its square,
-#   2.25; the step's last two roundings add 2 (1 with fma), the product 1. Two steps from 2^-8 on aarch64 leave less.
-#   z * rsqrt(z z) in Dr.Jit: one step from rsqrtps, off by 1.5 * 2^-12, leaves 1.5 times its square, 3.375; of z z, two
-#   products and a difference half counts, two more products count in full: 4.
+# Relative errors of Mitsuba where all values are small integers or half of one, and so exact except for the final
+# reciprocal, whose bits differ between CPUs. In units of U = 2^-24, to first order:
+#   t = rcp(den) * T in Embree: x86 starts from rcpps with an error of at most 1.5 * 2^-12, and one Newton step leaves
+#   its square, 2.25; the last two roundings of the step add 2 (1 with fma), the product 1. On aarch64, two steps from
+#   2^-8 leave less.
+#   z * rsqrt(z z) in Dr.Jit: one step from rsqrtps, with an error of 1.5 * 2^-12, leaves 1.5 times its square, 3.375;
+#   half of the roundings of z z, two products and a difference count, two more products count in full: 4.
 U = 2.0**-24
 EXACT_T_ERROR, EXACT_NORMAL_ERROR = 5.25 * U, 8.0 * U
 
 SMOKE_TEST_T = 8.0
 
-# Without normals in the file Mitsuba computes them, with an instruction that an old libLLVM aborts at.
+# The file has no normals: Mitsuba computes them with an instruction that makes an old libLLVM abort.
 SMOKE_TEST_PLY = """ply
 format ascii 1.0
 element vertex 4
@@ -57,7 +58,7 @@ SMOKE_TEST_XML = """<scene version="3.0.0">
 
 
 def smoke_test(variant: str, settings: Mapping[str, str]) -> str:
-    """Trace a small scene by one variant: '' if the result is right, else what happened. settings: environment."""
+    """Trace a small scene with one variant; "" if the result is right, else what happened. settings: environment."""
     with ScratchFolder() as name:
         folder = Path(name)
         (folder / "square.ply").write_text(SMOKE_TEST_PLY)
@@ -93,7 +94,7 @@ SCALAR, LLVM = VARIANT_NAMES = ("scalar_rgb", "llvm_ad_rgb")
 VARIANT_ENVIRONMENT_VARIABLE = "MITSUBA_REF_VARIANT"  # use this one for every scene
 LIBLLVM_ENVIRONMENT_VARIABLE = "DRJIT_LIBLLVM_PATH"  # environment variable of Dr.Jit
 
-# Dr.Jit takes the first it finds, which may be one whose code generator aborts. Newest first instead.
+# Dr.Jit takes the first it finds, whose code generator may abort; here the newest comes first.
 LIBLLVM_PATTERNS = (
     f"{sys.prefix}/lib/libLLVM*.so*",
     "/usr/lib/*-linux-gnu*/libLLVM*.so*",
@@ -108,12 +109,12 @@ LIBLLVM_PATTERNS = (
 
 
 class VariantError(SceneError):
-    """A chosen variant that does not exist or does not work here."""
+    """A chosen variant does not exist or does not work here."""
 
 
 @dataclass(frozen=True)
 class Variants:
-    """Which variants work. libllvm: the library that the LLVM variant works with; why: why others do not."""
+    """The variants that work. libllvm: the library for the LLVM variant; why: why other variants do not work."""
 
     scalar: bool
     llvm: bool
@@ -126,7 +127,7 @@ class Variants:
 
     @property
     def llvm_is_broken(self) -> bool:
-        """Whether there is a libLLVM, and the LLVM variant works with none."""
+        """Whether libLLVM was found but the LLVM variant works with no version of it."""
         return not self.llvm and not self.why.endswith(NO_LIBLLVM)
 
 
@@ -134,18 +135,18 @@ _usable_by_key: dict[str, Variants] = {}
 
 
 def usable_variants() -> Variants:
-    """The variants that work on this machine; tried once, then kept in the user's cache folder."""
+    """The variants that work on this machine; tried once, then stored in the user's cache folder."""
     candidates = list(_candidates())
     key = _cache_key(candidates)
     if key not in _usable_by_key:
-        _usable_by_key[key] = _load_cached(key, candidates) or _try_variants(candidates, key)
+        _usable_by_key[key] = _load_cached(key) or _try_variants(candidates, key)
     return _usable_by_key[key]
 
 
 def variant_for(has_quadrics: bool) -> str:
-    """The variant for a scene: with spheres, cylinders or disks the scalar one, which is float64 inside.
+    """The variant for a scene. With spheres, cylinders or disks, the scalar one, which computes them in float64.
 
-    Raises VariantError where it does not work here, or MITSUBA_REF_VARIANT chooses one that does not exist.
+    Raises VariantError if it does not work here or MITSUBA_REF_VARIANT names an unknown one.
     """
     chosen = os.environ.get(VARIANT_ENVIRONMENT_VARIABLE)
     if chosen:
@@ -158,20 +159,20 @@ def variant_for(has_quadrics: bool) -> str:
 
 
 def require_variants() -> None:
-    """Before any work: raise VariantError where spheres have no variant; a line where a libLLVM does not work."""
+    """Raise VariantError where spheres have no variant; print a line where no libLLVM works. Called before any work."""
     chosen, found = variant_for(has_quadrics=True), usable_variants()
     if found.llvm_is_broken and not os.environ.get(VARIANT_ENVIRONMENT_VARIABLE):
         print(f"{LLVM} does not work here, {chosen} traces all scenes ({WAY_OUT}): {found.why}", file=sys.stderr)
 
 
 def environment_for(variant: str) -> dict[str, str]:
-    """The environment variables under which a child process finds the libLLVM that works."""
+    """The environment variables with which a child process finds the libLLVM that works."""
     library = usable_variants().libllvm if variant == LLVM else None
     return {LIBLLVM_ENVIRONMENT_VARIABLE: library} if library else {}
 
 
 def check_variant(chosen: str, option: str) -> str:
-    """The variant that an option or environment variable chose. Raises VariantError if it is none or does not work."""
+    """A variant chosen by an option or environment variable. Raises VariantError if it is unknown or does not work."""
     if chosen not in VARIANT_NAMES:
         raise VariantError(f"{option} {chosen!r}: expected {' or '.join(VARIANT_NAMES)}")
     if chosen not in usable_variants().names:
@@ -180,7 +181,7 @@ def check_variant(chosen: str, option: str) -> str:
 
 
 def _candidates() -> Iterator[str]:
-    """Paths of libLLVM to try: only the user's own, if there is one; else every one, the newest first."""
+    """Paths of libLLVM to try: the user's choice alone, if there is one, else all, the newest first."""
     if os.environ.get(LIBLLVM_ENVIRONMENT_VARIABLE):
         return iter([os.environ[LIBLLVM_ENVIRONMENT_VARIABLE]])
     own = filter(None, os.environ.get("LD_LIBRARY_PATH", "").split(":"))
@@ -190,7 +191,7 @@ def _candidates() -> Iterator[str]:
 
 
 def _is_library(path: str) -> bool:
-    """Whether a file is all of LLVM, not a part or a fork of it."""
+    """Whether a file is the whole LLVM library, not a part or a fork of it."""
     name = re.fullmatch(r"libLLVM([-.][\d.]+)?\.(so|dylib)[\d.]*", Path(path).name)
     return name is not None and os.path.isfile(path)
 
@@ -200,7 +201,7 @@ def _version(path: str) -> tuple[list[int], str]:
 
 
 def _cache_key(candidates: list[str]) -> str:
-    """A hash of everything that the outcome depends on."""
+    """A hash of all that the outcome depends on."""
     sources = [Path(__file__).read_text(encoding="utf-8"), platform.node(), repr(machine())]
     libraries = [f"{path} {_file_stamp(path)}" for path in candidates]
     return key_of([*sources, environment_settings(*REFERENCE_SETTINGS), *libraries])
@@ -215,7 +216,7 @@ def _file_stamp(path: str) -> str:
 
 
 def _try_variants(candidates: list[str], key: str) -> Variants:
-    """Try scalar, then LLVM with one library after the other; kept if another try would end alike."""
+    """Try scalar, then LLVM with one library after the other; stored unless another try may end differently."""
     scalar = smoke_test(SCALAR, {})
     problems = [f"{SCALAR}: {scalar}"] if scalar else []
     library = None
@@ -228,20 +229,15 @@ def _try_variants(candidates: list[str], key: str) -> Variants:
     if not candidates:
         problems.append(NO_LIBLLVM)
     found = Variants(not scalar, library is not None, library, "; ".join(problems))
-    # A Mitsuba that cannot be imported may be half installed; the other two, a machine that is busy or out of memory.
+    # A Mitsuba that cannot be imported may be half installed; after the other two, a machine was busy or out of memory.
     if not scalar.startswith("error") and not any(word in found.why for word in ("timeout", "SIGKILL")):
         user_store().put(key, json.dumps(asdict(found)).encode())
     return found
 
 
-def _load_cached(key: str, candidates: list[str]) -> Variants | None:
-    """The outcome that was kept; None where there is none that can be read, or its library is none of the candidates.
-
-    The library is loaded, which runs its code: a path that only the store names is not taken.
-    """
+def _load_cached(key: str) -> Variants | None:
+    """The stored outcome; None where there is none that can be read."""
     try:
-        found = TypeAdapter(Variants).validate_json(user_store().get(key) or b"")
+        return TypeAdapter(Variants).validate_json(user_store().get(key) or b"")
     except ValidationError:
         return None
-    library = found.libllvm in candidates if found.llvm else found.libllvm is None
-    return found if library else None

@@ -4,22 +4,24 @@ import html
 import math
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from itertools import accumulate
 from pathlib import Path, PurePath
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from caster.system.atomic_files import append_text
 from caster.system.terminal import printable
-from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneVerdict, Verdict
+from mitsuba_ref.judge.verdict import CLASSES, SceneVerdict, Verdict
 from mitsuba_ref.report.reproducers import replay
 from mitsuba_ref.report.verdict_text import (
     WAIVER_WORDS,
     candidate_lines,
     class_text,
-    count_text,
+    failing_scenes,
     failure_text,
     group_lines,
     left_out_lines,
+    outcome_text,
     waiver_lines,
     worst_words,
 )
@@ -46,14 +48,21 @@ def append(path: str | os.PathLike[str], verdict: Verdict, seconds: float, limit
 
 def markdown(verdict: Verdict, seconds: float, limit: int = SUMMARY_LIMIT_BYTES) -> str:
     """The verdict, failing scenes with their worst pixel and replay first; no longer than limit bytes of UTF-8."""
-    failing = [scene for scene in verdict.scenes if not (scene.ok or scene.waived)]
+    failing = failing_scenes(verdict.scenes)
     passing = [scene for scene in verdict.scenes if scene.ok]
     head = "\n".join(_head(verdict, seconds)) + "\n"
-    room = _ByteBudget(limit - RESERVED_BYTES - utf8_size(head))
-    rows = room.take(_failing_row(scene) for scene in failing)
-    texts = room.take(_failing_text(scene) for scene in failing)
-    missing = room.take(f"- {escaped(name)}\n" for name in verdict.not_judged)
-    good = room.take(_row(scene) for scene in passing)
+    wanted = {  # the first to be shown first
+        "failing scenes": [_failing_row(scene) for scene in failing],
+        "texts of failing scenes": [_failing_text(scene) for scene in failing],
+        "scenes not judged": [f"- {escaped(name)}\n" for name in verdict.not_judged],
+        "scenes that pass": [_row(scene) for scene in passing],
+    }
+    shown, room = dict[str, list[str]](), limit - RESERVED_BYTES - utf8_size(head)
+    for what, texts in wanted.items():
+        sizes = accumulate(map(utf8_size, texts))
+        shown[what] = [text for text, size in zip(texts, sizes, strict=True) if size <= room]
+        room -= utf8_size("".join(shown[what]))
+    rows, texts, missing, good = shown.values()
     parts = [head]
     if rows:
         parts += [_table_head(verdict, "worst pixel", "replay"), *rows, "\n"]
@@ -63,34 +72,11 @@ def markdown(verdict: Verdict, seconds: float, limit: int = SUMMARY_LIMIT_BYTES)
     if good:
         parts.append(f"<details><summary>{len(passing)} scenes pass</summary>\n\n")
         parts += [_table_head(verdict, "closest"), *good, "\n</details>\n"]
-    wanted = (
-        (failing, rows, "failing scenes"),
-        (failing, texts, "texts of failing scenes"),
-        (verdict.not_judged, missing, "scenes not judged"),
-        (passing, good, "scenes that pass"),
-    )
-    left = [f"{len(every) - len(shown)} {what}" for every, shown, what in wanted if len(shown) < len(every)]
-    if left:
-        parts.append(f"\nLeft out, for the size that a summary may have: {', '.join(left)}. verdict.json has all.\n")
+    counts = {what: len(wanted[what]) - len(shown[what]) for what in wanted}
+    if left := ", ".join(f"{count} {what}" for what, count in counts.items() if count):
+        parts.append(f"\nLeft out, for the size that a summary may have: {left}. verdict.json has all.\n")
     text = "".join(parts)
     return text if utf8_size(text) <= limit else ""  # a file that is full already
-
-
-class _ByteBudget:
-    """A number of bytes to spend."""
-
-    def __init__(self, left: int) -> None:
-        self.left = left
-
-    def take(self, texts: Iterable[str]) -> list[str]:
-        """The first texts that fit."""
-        taken = []
-        for text in texts:
-            if utf8_size(text) > self.left:
-                break
-            self.left -= utf8_size(text)
-            taken.append(text)
-        return taken
 
 
 def utf8_size(text: str) -> int:
@@ -98,25 +84,18 @@ def utf8_size(text: str) -> int:
 
 
 def _head(verdict: Verdict, seconds: float) -> Sequence[str]:
-    passed = sum(scene.ok for scene in verdict.scenes)
-    words = f"{verdict.scene_count} scenes: {passed} pass, {count_text(verdict)}"
-    missing = verdict.scene_count - len(verdict.scenes)
-    words += f", {missing} not judged" if missing else ""
     kept = sum(scene.kept for scene in verdict.scenes)
     counts = ", ".join(f"{verdict.counts[name]} {name.replace('_', ' ')}" for name in CLASSES)
-    lines = [f"## {'PASS' if verdict.ok else 'FAIL'}: {words}", ""]
+    lines = [f"## {'PASS' if verdict.ok else 'FAIL'}: {outcome_text(verdict)}", ""]
     lines += [f"mitsuba-ref validate, {seconds:.1f} s. Hit pixels: {counts}.", ""]
     if verdict.shard:
         lines += [f"Shard {verdict.shard}.", ""]
-    if verdict.candidate:
-        lines += [*(f"- {escaped(line)}" for line in candidate_lines(verdict)), ""]
-    lines += [f"- {escaped(' '.join(line.split()))}" for line in left_out_lines(verdict)]
     if kept:
         lines += [f"Kept from an earlier run, not judged anew: {kept} scenes.", ""]
-    lines += [f"- {escaped(' '.join(line.split()))}" for line in waiver_lines(verdict)]
-    lines += [f"- {escaped(' '.join(line.split()))}" for line in group_lines(verdict.scenes)]
-    lines += [f"- {escaped(versions)}" for versions in verdict.versions]
-    return [*lines, ""]
+    notes = candidate_lines, left_out_lines, waiver_lines
+    texts = [line for each in notes for line in each(verdict)]
+    texts += [*group_lines(verdict.scenes), *verdict.versions]
+    return [*lines, *(f"- {escaped(' '.join(line.split()))}" for line in texts), ""]
 
 
 def _table_head(verdict: Verdict, *last: str) -> str:
@@ -135,28 +114,22 @@ def _row(scene: SceneVerdict) -> str:
 
 
 def _failing_row(scene: SceneVerdict) -> str:
-    first = scene.failures[0] if scene.failures else None
-    pixel = (first.x, first.y) if first else None
-    where = f"({first.x}, {first.y}): {_far(first)}" if first else _first_line(scene)
+    first, pixel = next(iter(scene.failures), None), None
+    if first is None:  # the first line of the failure, without FAIL and the scene's name
+        where = failure_text(scene).partition("\n")[0].removeprefix(f"FAIL  {scene.name}  ")[:200]
+    else:
+        pixel = (first.x, first.y)
+        far = f"{first.ratio:.3g}x its bound" if math.isfinite(first.ratio) else "is another"
+        where = f"({first.x}, {first.y}): {first.check} {far}"
     command = f"<code>{escaped(replay(scene, pixel))}</code>"
     return f"| {' | '.join([*_cells(scene), escaped(where), command])} |\n"
-
-
-def _far(worst: Failure) -> str:
-    return f"{worst.check} {worst.ratio:.3g}x its bound" if math.isfinite(worst.ratio) else f"{worst.check} is another"
-
-
-def _first_line(scene: SceneVerdict) -> str:
-    """The first line of the failure, without FAIL and the scene's name."""
-    line = failure_text(scene).partition("\n")[0]
-    return line.removeprefix(f"FAIL  {scene.name}  ")[:200]
 
 
 SCENE_TEXT_LIMIT_BYTES = 16384  # of one scene: the output of Mitsuba may be long
 
 
 def _failing_text(scene: SceneVerdict) -> str:
-    """The terminal's text, folded; within <pre> only HTML's own characters need escapes."""
+    """The text for the terminal, folded. Within <pre>, only HTML's own characters need escapes."""
     words = html.escape(printable(failure_text(scene)))
     words = words.encode()[:SCENE_TEXT_LIMIT_BYTES].decode(errors="ignore")
     return f"<details><summary>{html.escape(one_line(scene.name))}</summary>\n\n<pre>\n{words}\n</pre>\n</details>\n\n"
@@ -167,7 +140,7 @@ def one_line(text: str) -> str:
 
 
 def escaped(text: str) -> str:
-    """Text on one line that Markdown and HTML show unchanged: special characters as numeric references."""
+    """One line that Markdown and HTML show unchanged: special characters become numeric references."""
     return "".join(c if PLAIN.match(c) else f"&#{ord(c)};" for c in one_line(text))
 
 
@@ -177,10 +150,11 @@ NAME = "mitsuba-ref validate"
 
 
 def junit(verdict: Verdict) -> str:
-    """A test case for each scene; a failing one holds its text of the terminal. A missing answer is an error, and so
-    is a scene that was requested and not judged.
+    """JUnit XML with a test case per scene; a failing one contains its text for the terminal.
+
+    A missing answer is an error, and so is a scene that was requested and not judged.
     """
-    failed = [scene for scene in verdict.scenes if not (scene.ok or scene.waived)]
+    failed = failing_scenes(verdict.scenes)
     errors = sum(bool(scene.problem) for scene in failed) + len(verdict.not_judged)
     counts = {
         "tests": str(len(verdict.scenes) + len(verdict.not_judged)),
@@ -208,7 +182,7 @@ def junit(verdict: Verdict) -> str:
 
 
 def add_case(suite: XmlElement, scene: SceneVerdict) -> None:
-    """One scene. `file` is where GitLab and others look for the place of a test."""
+    """Add a scene. GitLab and others read the place of a test from `file`."""
     about = {"classname": class_name(scene), "name": printable(scene.name), "time": f"{spent(scene):.3f}"}
     if scene.path:
         about["file"] = printable(scene.path)
@@ -238,13 +212,13 @@ def spent(scene: SceneVerdict) -> float:
 
 
 def class_name(scene: SceneVerdict) -> str:
-    """The scene's folder with dots, by which servers group: scenes, or tests.renders."""
+    """The scene's folder with dots, such as tests.renders, by which servers group."""
     parts = [part for part in PurePath(scene.path).parent.parts if part not in ("/", ".", "..")]
     return printable(".".join(part.replace(".", "-") for part in parts[-2:])) or "scenes"
 
 
 def what_fails(scene: SceneVerdict) -> str:
-    """In one word."""
+    """The kind of failure in one word."""
     if scene.problem:
         return "no_answer"
     if scene.failures:

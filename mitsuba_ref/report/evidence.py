@@ -1,6 +1,6 @@
-"""Evidence of a judged scene: EXR images of both sides, class and worst ratio; and what its page is made of."""
+"""Evidence of a judged scene: EXR images of both sides, of classes and ratios, and the data for its page."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -25,7 +25,7 @@ from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, SceneCheck
 
 Channels = Mapping[str, np.ndarray]
 
-# The report's page has the same, and one more for unlisted cases (page/colors.js, which a test compares).
+# The page of a report has one more, of pixels where the reference is wrong in no known way.
 CLASS_COLORS = {
     "agree": (70, 120, 80),
     "explained": (255, 150, 0),
@@ -35,23 +35,23 @@ CLASS_COLORS = {
     "wrong": (255, 0, 0),
     "undecided": (255, 255, 0),
 }
+UNLISTED_COLOR = (255, 105, 180)
 
 
-def hex_color(name: str) -> str:
-    """ "#467850"."""
-    return f"#{bytes(CLASS_COLORS[name]).hex()}"
-
-
-def class_attributes(names: Sequence[str] = CLASSES) -> dict[str, str]:
-    """EXR attributes that define the codes of a channel class.I. names: of the classes in that file."""
+def class_attributes() -> dict[str, str]:
+    """EXR attributes that define the codes of a channel class.I."""
+    colors = (bytes(CLASS_COLORS[name]).hex() for name in CLASSES)
     return {
-        "caster/classes": ", ".join(f"{code} {name}" for code, name in enumerate(names)),
-        "caster/class_colors": ", ".join(f"{code} {hex_color(name)}" for code, name in enumerate(CLASSES)),
+        "caster/classes": ", ".join(f"{code} {name}" for code, name in enumerate(CLASSES)),
+        "caster/class_colors": ", ".join(f"{code} #{color}" for code, color in enumerate(colors)),
     }
 
 
 def write_images(folder: Path, name: str, judge: Judge, judgement: Judgement) -> SceneCheck:
-    """NAME.ours.exr or NAME.candidate.exr, NAME.reference.exr and NAME.verdict.exr, read back. Raises OutputError."""
+    """Write NAME.ours.exr (or .candidate.exr), NAME.reference.exr and NAME.verdict.exr, and check them by reading.
+
+    Raises OutputError.
+    """
     scene, pair = judge.scene, judge.pair
     classified = (pair.any_hit | judgement.is_class(*FAILING)).reshape(pair.shape)
     images = {
@@ -84,7 +84,7 @@ def class_map(classified: np.ndarray, judgement: Judgement) -> Channels:
 
 
 def clipped_to_float32(values: np.ndarray) -> np.ndarray:
-    """Finite numbers beyond float32 as its largest: no file of ours holds more, and inf would mean a miss."""
+    """Clip finite numbers to the range of float32: the type of the file, in which inf would mean a miss."""
     if values.dtype.kind != "f":
         return values
     largest = float(np.finfo(np.float32).max)
@@ -94,22 +94,22 @@ def clipped_to_float32(values: np.ndarray) -> np.ndarray:
 # ---- for the page of a scene ----
 
 
-# A ratio that is computed twice, by a square root of a square here and without there, is the same up to 4 roundings.
+# A ratio that is computed in two ways, here by the square root of a square, is the same up to 4 roundings.
 ROUNDING = 1.0 + 4 * 2.0**-53
 BOUND_OF_AOV = {check.name: check.bound for check in CHECKS}
 
 
 class LayerBound(NamedTuple):
-    """What one layer is held to, one row a pixel."""
+    """The bounds of one layer, one row per pixel."""
 
-    between: np.ndarray | None = None  # (n,) of the difference between both sides
+    between: np.ndarray | None = None  # (n,) on the difference between both sides
     alone: np.ndarray | None = None  # (n,) bool: the bound of the subject at its own surface decides instead
-    own: np.ndarray | None = None  # (n,) of the subject's arithmetic, from the surface that the reference names
+    own: np.ndarray | None = None  # (n,) of the subject's arithmetic, on its distance from the surface of the reference
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Both images and what was found about each of their pixels: some 60 MB for 256 x 256 pixels."""
+    """Both images and the findings about their pixels: some 60 MB for 256 x 256 pixels."""
 
     judge: Judge
     judgement: Judgement
@@ -117,7 +117,7 @@ class Evidence:
 
     @property
     def scene(self) -> Scene:
-        """As it was judged."""
+        """The scene as it was judged."""
         return self.judge.scene
 
     @property
@@ -126,21 +126,21 @@ class Evidence:
 
     @property
     def ours(self) -> Aovs:
-        """The subject's: the AOVs that it gives, and no others."""
+        """The subject's AOVs, only those that it gives."""
         return self.judge.pair.subject
 
     @property
     def reference(self) -> Aovs:
-        """Mitsuba's, at least of the same names."""
+        """Mitsuba's AOVs, at least the same ones."""
         return self.judge.pair.reference
 
     @cached_property
     def always(self) -> Mapping[str, str]:
-        """Class -> why a pixel has it, where that is the same for all of them."""
+        """Class -> the reason for it, if that is the same for all pixels."""
         return constant_reasons(self.judge)
 
     def why(self, row: int) -> str:
-        """Why one row of the image has its class."""
+        """The reason for the class of one pixel."""
         return reason(self.judge, self.judgement, self._diagnosed, row)
 
     @cached_property
@@ -148,7 +148,7 @@ class Evidence:
         return self.diagnosis.by_row()
 
     def bound(self, name: str) -> LayerBound:
-        """What an AOV is held to; `diffuse` has no one bound."""
+        """The bounds of an AOV; none for `diffuse`, whose bound differs by light."""
         judge, pixels = self.judge, self.judge.pixels
         if not judge.names_prims:
             own = judge.bounds.own
@@ -162,8 +162,8 @@ class Evidence:
         return LayerBound(np.where(pixels.both_hit, bound, 0.0), alone)
 
     def ids(self) -> Mapping[str, np.ndarray]:
-        """`shape_reference`, `prim_reference`: (n,) shape, and primitive within it, -1 on a miss; and of a subject that
-        names primitives `shape_ours`, `prim_ours`."""
+        """`shape_reference`, `prim_reference`: (n,) shape, and primitive within it, -1 on a miss; also `shape_ours`,
+        `prim_ours` for a subject that names primitives."""
         judge, pair, index = self.judge, self.judge.pair, self.packed.index_in_shape
         if not judge.names_prims:
             return {"shape_reference": pair.result.shape_id, "prim_reference": index(judge.reference_prim)}
@@ -176,12 +176,12 @@ class Evidence:
         }
 
     def t(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """(n,) the subject's and the reference's, in lengths of d; None where depth is the same."""
+        """(n,) t of the subject and of the reference, in lengths of d; None if depth shows the same."""
         return None if self.judge.names_prims else (self.judge.answer.t, self.judge.result.t)
 
     def edges(self) -> np.ndarray | None:
-        """(m, 4) film coordinates x, y, x, y of edges of triangles that are hit, or of too many, that are hit at pixels
-        which do not plainly agree; None where rays do not go through the centres of pixels of a rectilinear film."""
+        """(m, 4) film coordinates x, y, x, y of the edges of triangles that are hit; if these are too many, of those at
+        pixels that do not agree. None if rays do not go through pixel centres of a rectilinear film."""
         film = film_projection(self.scene, self.judge.o, self.judge.d)
         if film is None:
             return None
@@ -203,14 +203,14 @@ NEAR_SHARE = 1e-6  # of the largest depth: edges end there instead of behind the
 
 
 class FilmProjection(NamedTuple):
-    """Film coordinates as an affine map of the coordinates across, or of their ratios to depth."""
+    """Film coordinates as an affine map of view coordinates (x, y), divided by depth in a perspective view."""
 
-    axes: np.ndarray  # (3, 3), rows across, across, along
+    axes: np.ndarray  # (3, 3), rows right, up, forward
     affine: np.ndarray  # (3, 2)
-    eye: np.ndarray | None  # (3,) of a perspective; None of parallel rays
+    eye: np.ndarray | None  # (3,) in a perspective view; None for parallel rays
 
     def segments(self, edges: np.ndarray) -> np.ndarray:
-        """(m, 4) of edges (m, 2, 3) in world space, without those that are behind the eye."""
+        """Project edges (m, 2, 3) in world space to (m, 4), leaving out those behind the eye."""
         across = (edges - (0.0 if self.eye is None else self.eye)) @ self.axes.T
         if self.eye is not None and len(across):
             near = NEAR_SHARE * np.abs(across[..., 2]).max()
@@ -228,7 +228,7 @@ class FilmProjection(NamedTuple):
 
 
 def film_projection(scene: Scene, o: np.ndarray, d: np.ndarray) -> FilmProjection | None:
-    """The projection that has ray i of the film's window at the centre of pixel i; None if that is not rectilinear."""
+    """The projection that maps ray i of the film's window to the centre of pixel i; None if it is not rectilinear."""
     x0, y0, x1, y1 = scene.film.window
     y, x = np.mgrid[y0:y1, x0:x1] + 0.5
     parallel = not np.ptp(d, axis=0).any()
@@ -254,7 +254,7 @@ def film_projection(scene: Scene, o: np.ndarray, d: np.ndarray) -> FilmProjectio
 
 
 def triangle_edges(packed: Packed, prims: np.ndarray) -> np.ndarray:
-    """(m, 2, 3) edges in world space of those primitives that are triangles, each edge once."""
+    """(m, 2, 3) edges in world space of the triangles among these primitives, each edge once."""
     shape = packed.shape_of(prims)
     kind, k = packed.kind_of[shape], prims - packed.first[shape] + packed.start[shape]
     found = [np.zeros((0, 2, 3))]
@@ -268,5 +268,5 @@ def triangle_edges(packed: Packed, prims: np.ndarray) -> np.ndarray:
     differs = ends[:, 0] != ends[:, 1]
     first = np.argmax(differs, axis=1)[:, None]
     start, end = (np.take_along_axis(ends[:, side], first, axis=1)[:, 0] for side in (0, 1))
-    ends[start > end] = ends[start > end, ::-1]  # faces may share places, and no vertices
+    ends[start > end] = ends[start > end, ::-1]  # faces may share positions without sharing vertices
     return np.unique(ends.reshape(-1, 6), axis=0).reshape(-1, 2, 3)

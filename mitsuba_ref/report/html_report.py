@@ -1,6 +1,5 @@
 """The HTML report, a folder that is written scene by scene."""
 
-import html
 import json
 import re
 import threading
@@ -14,19 +13,15 @@ from urllib.parse import quote
 
 from caster.description.input_files import opened_input
 from caster.system.atomic_files import OutputError, atomic_write, check_folder, write_text
-from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, WRONG, SceneVerdict, json_number
-from mitsuba_ref.report.evidence import Evidence
+from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, SceneVerdict, Verdict, json_number
+from mitsuba_ref.report.evidence import CLASS_COLORS, UNLISTED_COLOR, Evidence
 from mitsuba_ref.report.reproducers import replay, replay_around
 from mitsuba_ref.report.scene_record import SceneRecord, scene_record
-from mitsuba_ref.report.verdict_text import class_text, failure_text, group_lines, mark_of
+from mitsuba_ref.report.verdict_text import failure_text, group_lines, mark_of, outcome_text
 
-# Pixels of a scene up to which everything is written to the bit (80 MB), and up to which as float32 (as much again).
-# Beyond, browsers run out of memory.
-MAX_PIXELS_EXACT = 1 << 20
-MAX_PIXELS_WITH_IMAGES = 1 << 22
+MAX_PIXELS = 1 << 21  # of a window that a page shows: 80 MB for half as many; browsers run out of memory
 SECONDS_BETWEEN_WRITES = 2.0  # of the list, during a run
 
-WAIVED_WORDS = {"KNOWN": "known to fail", "SKIP": "declined by the candidate"}  # by the mark of the row
 RECORD_HEAD = "ray_reference_scene("  # what the file of a scene begins with
 
 
@@ -51,7 +46,7 @@ class HtmlReport:
         self._written = float("-inf")
 
     def keep(self, verdict: SceneVerdict) -> SceneVerdict:
-        """Write down what a verdict rests on, and give it back without. Raises OutputError."""
+        """Write the evidence of a verdict, and return the verdict without it. Raises OutputError."""
         found = page_record(verdict) if isinstance(verdict.seen, Evidence) else verdict.seen
         if found is not None:
             about = {"verdict": verdict.to_dict(), **found.about}
@@ -62,7 +57,7 @@ class HtmlReport:
         return replace(verdict, seen=None)
 
     def add(self, verdict: SceneVerdict) -> None:
-        """Append a scene to the list; the list is written every few seconds. Raises OutputError."""
+        """Append a scene to the list, which is written every few seconds. Raises OutputError."""
         thumbnail = self._thumbnails.get(verdict.name)
         self.candidate = self.candidate or verdict.candidate
         self.rows.append(index_row(verdict, file_of(verdict.name) if thumbnail is not None else "", thumbnail or ""))
@@ -77,7 +72,7 @@ class HtmlReport:
         self._written = time.monotonic()
 
     def sweep(self, spared: Collection[str] = ()) -> str:
-        """Remove scenes of earlier reports that this page does not list, except these; their number in words."""
+        """Remove scenes of earlier reports that this page does not list, except `spared`; a line on their number."""
         listed = {row["file"] for row in self.rows} | {file_of(name) for name in spared}
         obsolete = [path for path in self.data.glob("*.js") if path.name not in listed and is_record(path)]
         for path in obsolete:
@@ -85,18 +80,12 @@ class HtmlReport:
         return f"{self.path}: removed {len(obsolete)} scenes of an earlier report" if obsolete else ""
 
     def _run(self) -> dict[str, Any]:
-        passed = sum(each["ok"] for each in self.rows)
-        summary = f"{passed} of {len(self.rows)} scenes pass"
-        for mark, words in WAIVED_WORDS.items():
-            count = sum(each["mark"] == mark for each in self.rows)
-            summary += f"; {count} {words}" if count else ""
-        if len(self.rows) < self.requested:
-            summary += f"; {self.requested - len(self.rows)} of {self.requested} were not judged"
         return {
-            "summary": summary,
+            "summary": outcome_text(Verdict(tuple(self.verdicts), self.requested)),
             "candidate": self.candidate,
             "requested": self.requested,
             "classes": [*CLASSES, UNLISTED],
+            "colors": CLASS_COLORS | {UNLISTED: UNLISTED_COLOR},
             "common": [" ".join(line.split()) for line in group_lines(self.verdicts)],
         }
 
@@ -118,10 +107,10 @@ def is_record(path: Path) -> bool:
 
 
 def page_record(verdict: SceneVerdict) -> SceneRecord | None:
-    """What a page of a scene shows of its evidence; None for a film too large."""
-    if verdict.seen is None or verdict.pixels > MAX_PIXELS_WITH_IMAGES:
+    """The record of a scene for its page; None without evidence, or of too many pixels."""
+    if verdict.seen is None or len(verdict.seen.judgement.classes) > MAX_PIXELS:
         return None
-    return scene_record(verdict.seen, exact=verdict.pixels <= MAX_PIXELS_EXACT)
+    return scene_record(verdict.seen)
 
 
 def file_of(scene: str) -> str:
@@ -157,13 +146,11 @@ SCRIPTS = (
 
 def page(run: dict[str, Any], rows: Sequence[dict[str, Any]]) -> Iterator[str]:
     """The page in pieces. run: data of the whole run; rows: of the index."""
-    index = run | {"scenes": [{key: each for key, each in row.items() if key != "thumbnail"} for row in rows]}
-    before, between, after = _template()
-    yield before
-    yield _plain_table(run, rows)
-    yield between
-    yield f'<script type="application/json" id="index">{as_json(index)}</script>\n'
-    yield after
+    scripts = "\n".join(_part(f"{name}.js") for name in SCRIPTS)
+    before, after = _part("page.html").split("<!--DATA-->")
+    yield before.replace("/*STYLE*/", _part("page.css"))
+    yield f'<script type="application/json" id="index">{as_json(run | {"scenes": rows})}</script>\n'
+    yield after.replace("/*SCRIPT*/", f'(function () {{\n"use strict";\n{scripts}}})();')
 
 
 def as_json(value: Any) -> str:
@@ -172,65 +159,15 @@ def as_json(value: Any) -> str:
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
 
-def _template() -> tuple[str, str, str]:
-    """The page before the plain table, between it and the data, and after them."""
-    scripts = "\n".join(_part(f"{name}.js") for name in SCRIPTS)
-    before, rest = _part("page.html").split("<!--TABLE-->")
-    between, after = rest.split("<!--DATA-->")
-    alone = f'(function () {{\n"use strict";\n{scripts}}})();'
-    return before.replace("/*STYLE*/", _part("page.css")), between, after.replace("/*SCRIPT*/", alone)
-
-
 def _part(name: str) -> str:
     return (resources.files("mitsuba_ref.report") / "page" / name).read_text(encoding="utf-8")
 
 
-def _plain_table(run: dict[str, Any], rows: Sequence[dict[str, Any]]) -> str:
-    """All verdicts for a browser without scripts; the scripts take the thumbnails from it."""
-    classes = [name for name in run["classes"] if name != UNLISTED]
-    heads = [
-        "",
-        "verdict",
-        "scene",
-        "hit",
-        *(class_words(name, run["candidate"]) for name in classes),
-        "worst",
-        "seconds",
-    ]
-    head = "".join(f'<th scope="col">{head}</th>' for head in heads)
-    failing_first = sorted(enumerate(rows), key=lambda each: each[1]["mark"] != "FAIL")
-    body = "\n".join(_plain_row(place, row, classes) for place, row in failing_first)
-    judged = f"candidate {run['candidate']}: " if run["candidate"] else ""
-    return (
-        f'<table id="plain"><caption>{html.escape(judged + run["summary"])}</caption>'
-        f"<thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody></table>\n"
-    )
-
-
-def class_words(name: str, candidate: str) -> str:
-    """A class for people: the subject is named where it is wrong."""
-    if name == WRONG:
-        return "candidate wrong" if candidate else "ours wrong"
-    return class_text(name)
-
-
-def _plain_row(place: int, row: dict[str, Any], classes: Sequence[str]) -> str:
-    thumbnail = f'<img src="{row["thumbnail"]}" alt="" loading="lazy">' if row["thumbnail"] else ""
-    check, ratio = row["worst"]
-    worst = f"{ratio:.3g} {check.replace('_', ' ')}" if check and isinstance(ratio, float) else "-"
-    name = f"<strong>{html.escape(row['name'])}</strong>"
-    if row["failure"]:
-        name += f"<pre>{html.escape(row['failure'])}</pre>"
-    counts = [f"{row['hit']}", *(f"{row['counts'][each]}" for each in classes), worst, f"{row['seconds']:.1f}"]
-    mark = row["mark"]
-    cells = "".join(f"<td>{cell}</td>" for cell in [thumbnail, mark, name, *counts])
-    return f'<tr class="{mark.lower()}" data-place="{place}">{cells}</tr>'
-
-
 def index_row(verdict: SceneVerdict, file: str, thumbnail: str) -> dict[str, Any]:
-    """One scene of the index. file: of its images in the folder data, "" without any."""
+    """One scene of the index. file: its record in the folder data, "" without any."""
     first = verdict.failures[0] if verdict.failures else None
     check, ratio = (first.check, first.ratio) if first else verdict.worst
+    failed = {each.check for each in verdict.failures} | {each.name for each in verdict.checks if not each.ok}
     return {
         "name": verdict.name,
         "path": verdict.path,
@@ -248,13 +185,9 @@ def index_row(verdict: SceneVerdict, file: str, thumbnail: str) -> dict[str, Any
         "worst": [check, json_number(ratio)],
         "ratios": {name: json_number(share) for name, share in verdict.ratios.items()},
         "seconds": round(verdict.seconds, 2),
-        "failed_at": sorted({each.check for each in verdict.failures} | _failed_checks(verdict)),
+        "failed_at": sorted(failed),
         "failure": "" if verdict.ok else re.sub("^FAIL", mark_of(verdict), failure_text(verdict), flags=re.MULTILINE),
         "replay": replay(verdict),
         "replay_pixel": replay_around(verdict),
         "pixel": None if first is None else [first.x, first.y],
     }
-
-
-def _failed_checks(verdict: SceneVerdict) -> set[str]:
-    return {check.name for check in verdict.checks if not check.ok}

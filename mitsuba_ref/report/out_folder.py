@@ -1,4 +1,4 @@
-"""The folder of --out: verdict.json, images and reproducers; files that an earlier verdict.json lists go with it."""
+"""The folder of --out: verdict.json, images and reproducers; obsolete files of earlier runs are removed."""
 
 import hashlib
 import json
@@ -22,7 +22,7 @@ def verdict_json(verdict: Verdict) -> str:
 
 
 def record_of(path: Path) -> FileRecord | None:
-    """Size and hash of a file; None if it cannot be read, or is no file: a device may have no end."""
+    """Size and hash of a file; None if it cannot be read or is not a regular file (a device may have no end)."""
     if not path.is_file():
         return None
     try:
@@ -34,7 +34,7 @@ def record_of(path: Path) -> FileRecord | None:
 
 
 def files_of(verdict: SceneVerdict) -> tuple[str, ...]:
-    """Names of the files of a verdict; none if there was no comparison."""
+    """Names of the files of a scene; none if there was no comparison."""
     if verdict.problem:
         return ()
     images = ("candidate" if verdict.candidate and which == "ours" else which for which in IMAGES)
@@ -42,13 +42,13 @@ def files_of(verdict: SceneVerdict) -> tuple[str, ...]:
 
 
 def file_records(folder: Path, verdict: SceneVerdict) -> dict[str, FileRecord]:
-    """Size and hash of each file of a verdict that is there."""
+    """Size and hash of each existing file of a scene."""
     found = {name: record_of(folder / name) for name in files_of(verdict)}
     return {name: record for name, record in found.items() if record is not None}
 
 
 class OutFolder:
-    """One folder of --out during a run. Raises OutputError where it cannot be written."""
+    """The folder of --out during a run. Raises OutputError if it cannot be written."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = check_folder(folder)
@@ -60,14 +60,14 @@ class OutFolder:
                 yield scene["name"], {name: FileRecord(**record) for name, record in scene["files"].items()}
 
     def begin(self) -> None:
-        """Remove the verdict of an earlier run: one that is killed leaves no verdict rather than that of another."""
+        """Remove the verdict of an earlier run, so that a killed run leaves none."""
         _remove(self.folder / VERDICT)
 
     def finish(self, verdict: Verdict, selected: Collection[str] | None) -> str:
-        """Write verdict.json, and remove the listed files that are no longer true; their number in words.
+        """Write verdict.json and remove obsolete files of the earlier run; a sentence on their number.
 
-        Scenes that are not judged yet keep theirs. selected: names of the scenes of all shards; None for a run of
-        single scenes, which leaves others alone. What was altered since it was written stays.
+        Scenes that are not judged yet keep their files, and altered files stay. selected: names of the scenes of all
+        shards; None for a run of single scenes, which leaves others alone.
         """
         write_text(self.folder / VERDICT, verdict_json(verdict))
         judged = {scene.name: scene.files for scene in verdict.scenes}

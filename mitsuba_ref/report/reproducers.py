@@ -1,4 +1,4 @@
-"""Reproducers: one pixel as a scene file of its own, every number to the bit; and replay commands."""
+"""Reproducers: one pixel as a scene file of its own, exact to the bit; and replay commands."""
 
 import re
 import shlex
@@ -39,14 +39,14 @@ class Reproducer(NamedTuple):
     notes: tuple[str, ...]
 
     def text(self, head: Sequence[str]) -> str:
-        """A scene file. head: lines of comment to begin with, the first of which is the purpose of the file."""
+        """The scene file. head: comment lines at its beginning, first the purpose of the file."""
         lines = [*head, *(f"note: {note}" for note in self.notes)]
         comment = "".join(f"# {line}".rstrip() + "\n" for line in lines)
         return comment + "\n" + format_toml(with_hex_floats(tomllib.loads(self.scene.to_toml())), SECTION_ORDER)
 
 
 def with_hex_floats(value: Any) -> Any:
-    """Floats as hex floats, in whatever holds them."""
+    """Replace floats by hex floats in nested lists and dictionaries."""
     if isinstance(value, dict):
         return {key: with_hex_floats(each) for key, each in value.items()}
     if isinstance(value, (list, tuple)):
@@ -55,9 +55,9 @@ def with_hex_floats(value: Any) -> Any:
 
 
 def reproducer(judge: Judge, row: int, *, lit: bool = False) -> Reproducer:
-    """The ray of one row of the image, and the primitives it may hit.
+    """A scene of the ray of one pixel and the primitives that it may hit.
 
-    lit: with lights, and the primitives that may shadow the hit. Raises SceneError for a pixel without a ray.
+    lit: with lights, and primitives that may shadow the hit. Raises SceneError for a pixel without a ray.
     """
     rays, scene = judge.pair.rays.for_reference(), judge.scene
     if rays.t_max[row] < 0.0:
@@ -86,7 +86,7 @@ def reproducer(judge: Judge, row: int, *, lit: bool = False) -> Reproducer:
 
 
 def involved_prims(judge: Judge, row: int, lit: bool = False) -> set[int]:
-    """Numbers of the primitives that float32 may hit, that are hit exactly, and that either side names."""
+    """Numbers of the primitives that may be hit in float32, are hit exactly, or are named by either side."""
     o, d, t_max = judge.o[row : row + 1], judge.d[row : row + 1], judge.t_max[row : row + 1]
     found = set(judge.reference_bracket.possible_hits(o, d, t_max).prim.tolist())
     for answer in judge.oracle.first_hits(o, d, judge.t_min[row : row + 1], t_max):
@@ -103,7 +103,7 @@ def involved_prims(judge: Judge, row: int, lit: bool = False) -> set[int]:
 
 
 def shape_of(judge: Judge, prim: int) -> tuple[dict[str, Any], list[str]]:
-    """(a description of one primitive that packs to the very same numbers, what could not be kept)."""
+    """(description of one primitive that packs to the same numbers, notes on what could not be kept)."""
     packed = judge.model.packed
     i = int(packed.shape_of(np.array([prim]))[0])
     k = int(prim - packed.first[i])
@@ -124,25 +124,24 @@ def shape_of(judge: Judge, prim: int) -> tuple[dict[str, Any], list[str]]:
 
 
 def pack_one(shape: dict[str, Any]) -> Packed:
-    """The float32 numbers of a description. Raises SceneError."""
+    """Pack the description of one shape in float32. Raises SceneError."""
     return pack(Scene(camera=Ray(origin=(0, 0, 0), direction=(0, 0, 1)), shapes=[shape]), as_float32)
 
 
-# Files of reproducers, of pixels where the subject or the reference is wrong.
+# ---- files, for pixels where the subject or the reference is wrong
 
-
-MAX_REPRODUCERS_PER_CASE = 2  # per scene and case, or wrong pixels of ours; each is verified with Mitsuba
+MAX_REPRODUCERS_PER_CASE = 2  # per scene and case; each is verified with Mitsuba
 
 
 class StoredReproducers(NamedTuple):
-    """What came of storing a scene's reproducers."""
+    """The reproducers that were written for a scene."""
 
     files: tuple[str, ...]
     left_out: int  # pixels of the same classes without a file
 
 
 def write_reproducers(folder: Path, name: str, source: str, seen: Seen, first_ray: int = 0) -> StoredReproducers:
-    """Files of single rays that fail: of our caster, or of the answers to a list of rays. Raises OutputError.
+    """Write failing rays as scene files: of our caster, or of the answers to a list of rays. Raises OutputError.
 
     first_ray: number of the first ray of that list.
     """
@@ -155,7 +154,7 @@ def write_reproducers(folder: Path, name: str, source: str, seen: Seen, first_ra
 
 
 def _write_pixel_reproducers(folder: Path, name: str, source: str, seen: Seen) -> StoredReproducers:
-    """NAME.CASE.X-Y.toml for pixels where ours or the reference is wrong, some for each case."""
+    """Write NAME.CASE.X-Y.toml for pixels where ours or the reference is wrong, some for each case."""
     judge, judgement = seen.judge, seen.judgement
     files: list[str] = []
     left_out = 0
@@ -170,7 +169,7 @@ def _write_pixel_reproducers(folder: Path, name: str, source: str, seen: Seen) -
 
 
 def _write_aimed(folder: Path, name: str, source: str, failures: Sequence[AimedFailure]) -> Iterator[str]:
-    """NAME.knife-edge.K.toml for aimed rays that are wrong; `validate` of one shows the same."""
+    """Write NAME.knife-edge.K.toml for wrong aimed rays, on which `validate` fails again; their names."""
     for number, failure in enumerate(failures):
         path = folder / f"{name}.knife-edge.{number}.toml"
         notes = ("all shapes of the scene: those of the two answers alone do not show it",) * failure.whole
@@ -182,7 +181,7 @@ def _write_aimed(folder: Path, name: str, source: str, failures: Sequence[AimedF
 def write_reproducer(
     path: Path, judge: Judge, judgement: Judgement, row: int, source: str, more: Sequence[str] = ()
 ) -> bool:
-    """Write one, with a line on whether its few primitives alone show the same. more: lines of comment.
+    """Write the reproducer of one pixel; returns whether its primitives alone show the same. more: comment lines.
 
     Raises OutputError, SceneError.
     """
@@ -193,7 +192,7 @@ def write_reproducer(
 
 
 def reproduces(found: Reproducer, judge: Judge, judgement: Judgement, row: int) -> tuple[bool, str]:
-    """(whether the file alone gives the same class and the same answer of Mitsuba, the result in words)."""
+    """(whether the scene alone gives the same class and the same answer of Mitsuba, the result as text)."""
     again = scene_judge(found.scene)
     if isinstance(again, Crash):
         return False, f"Checked:   Mitsuba ended without an answer on this file ({again.exit})."
@@ -206,7 +205,7 @@ def reproduces(found: Reproducer, judge: Judge, judgement: Judgement, row: int) 
 
 
 def _rows_by_label(judgement: Judgement) -> dict[str, list[int]]:
-    """Rows by the label of their file, worst first."""
+    """Pixels by the label of their files, worst first."""
     rows: dict[str, list[int]] = {}
     for row in _worst_first(judgement, REFERENCE_WRONG):
         case = judgement.cases.get(row)
@@ -223,7 +222,7 @@ def _worst_first(judgement: Judgement, name: str) -> Iterator[int]:
 
 
 def _write_list_reproducers(folder: Path, name: str, seen: Seen, first: int) -> StoredReproducers:
-    """NAME.wrong.N.toml for the first rays of each diagnosis of answers that were given beforehand, as comment."""
+    """Write NAME.wrong.N.toml for the first rays of each diagnosis; the given answers are comments there."""
     judge, judgement, rows_of = seen.judge, seen.judgement, seen.diagnosis.rows_of
     files: list[str] = []
     for what, all_rows in rows_of.items():
@@ -246,11 +245,11 @@ def _write_list_reproducers(folder: Path, name: str, seen: Seen, first: int) -> 
     return StoredReproducers(tuple(files), sum(map(len, rows_of.values())) - len(files))
 
 
-# Replay commands: they show a scene or a pixel again, with the options of the run.
+# ---- replay commands, which repeat the options of the run
 
 
 def with_replay(scene: SceneVerdict) -> SceneVerdict:
-    """The verdict with the commands that show the scene and each of its failures again."""
+    """Add the commands that show the scene and each of its failures again."""
 
     def shown(failure: Failure) -> Failure:
         return with_fields(failure, replay=replay(scene, (failure.x, failure.y)))
@@ -277,18 +276,18 @@ def replay(scene: SceneVerdict, pixel: tuple[int, int] | None = None) -> str:
 
 
 def replay_around(scene: SceneVerdict) -> tuple[str, str]:
-    """The command that shows a pixel again: what comes before its column and row, and what comes after."""
+    """The command that shows a pixel again: its parts before and after the column and row."""
     return f"mitsuba-ref probe {shlex.quote(scene.path or 'SCENE')} ", repeated_options(scene)
 
 
 def repeated_options(scene: SceneVerdict) -> str:
-    """Options that a command has to repeat to see the same."""
+    """The options of the run as the end of a command."""
     size = ["--size", *map(str, scene.size)] if scene.resized else []
     return "".join(f" {shlex.quote(word)}" for word in (*size, *scene.options, *_named_candidate(scene)))
 
 
 def _named_candidate(scene: SceneVerdict) -> Iterator[str]:
-    """A candidate given in Python, not on the command line; of a function, only the name is known."""
+    """Options for a candidate that was given in Python, of which only the name is known."""
     if not scene.candidate or any(word.startswith("--candidate") for word in scene.options):
         return
     as_typed = ":" in scene.candidate or "{" in scene.candidate

@@ -1,7 +1,7 @@
 """Results as JSON files and as tables: for terminals and logs, in colour only where a terminal shows it, and Markdown.
 
-Results are pydantic dataclasses. Files are written from them, with derived values (`computed_field`), so that a reader
-need not work them out, and are read back into them without.
+Results are pydantic dataclasses. Files also contain their derived values (`computed_field`), which are ignored when a
+file is read.
 """
 
 import json
@@ -68,7 +68,7 @@ def libllvm() -> str:
 
 
 def largest(values: np.ndarray) -> float | None:
-    """The largest finite value; None where there is none, since JSON has no word for it."""
+    """The largest finite value; None if there is none."""
     finite = [value for value in values.tolist() if math.isfinite(value)]
     return max(finite, default=None)
 
@@ -121,7 +121,7 @@ Row = Sequence[str]
 
 
 def aligned(rows: Sequence[Row], *, left: int = 0) -> list[str]:
-    """Lines with aligned columns, the first `left` of them to the left. A short row ends with free text."""
+    """Lines with aligned columns, the first `left` of them left-aligned. A short row ends with free text."""
     full = [row for row in rows if len(row) == len(rows[0])]
     widths = [max(map(len, column)) for column in zip(*full, strict=True)]
     widths[0] = max(len(row[0]) for row in rows)
@@ -137,13 +137,15 @@ def _line(row: Row, widths: Sequence[int], left: int) -> str:
 
 def markdown(rows: Sequence[Row], *, rule: str | None = None) -> str:
     """A Markdown table, the first row its head. rule: the line below it, left-aligned columns unless given."""
-    head, *body = (_markdown_row(row, len(rows[0])) for row in rows)
+    full = ([*row, *[""] * (len(rows[0]) - len(row))] for row in rows)
+    head, *body = ("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |" for cells in full)
     return "\n".join([head, rule or "|" + "---|" * len(rows[0]), *body])
 
 
-def _markdown_row(row: Row, columns: int) -> str:
-    cells = [*row, *[""] * (columns - len(row))]
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+def percent(count: int, total: int) -> str:
+    """A percentage; 100 only for all, 0 only for none."""
+    share = 100.0 * count / total
+    return f"{share:.4f} %" if 0 < count < total else f"{share:.0f} %"
 
 
 NOTHING = "-"

@@ -1,7 +1,7 @@
-"""Validation of one scene: judged by the pipeline, with the files that its verdict comes with."""
+"""Validation of one scene: judgement by the pipeline, and the files of its verdict."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -70,10 +70,10 @@ def validate_scene(
     keep: bool = False,
     thorough: bool = False,
 ) -> SceneVerdict:
-    """The verdict of one scene that is loaded; what a candidate does wrong is in the verdict.
+    """The verdict of a loaded scene; faults of a candidate are in the verdict.
 
-    rays: of a list, laid out as the film, in place of the camera's, and the number of the first;
-    folder: where the images of both sides go; send: the way to Mitsuba; keep: keep what the verdict rests on;
+    rays: a list of rays, laid out as the film, in place of the camera's; first_ray: the number of the first one.
+    folder: for the images of both sides. send: the connection to Mitsuba. keep: keep the evidence in the verdict.
     thorough: make every check of our caster.
     """
     start = time.perf_counter()
@@ -97,7 +97,7 @@ def validate_scene(
 
 
 def _cast_as_judged(scene: Scene) -> None:
-    """Call the kernels by which our caster is judged on a scene."""
+    """Call all kernels that judging our caster on a scene needs."""
     request_answer(OURS, scene)
     check_culling(scene)
     warm_decisions(scene)
@@ -125,17 +125,13 @@ def check_memory(scene: Scene) -> None:
 
 
 def available_bytes() -> float:
-    """The least of the machine's available memory and what the control group leaves; inf where neither is shown."""
-    return min(_memory_left(), default=float("inf"))
-
-
-def _memory_left() -> Iterator[float]:
-    for line in _text(Path("/proc/meminfo")).splitlines():
-        if line.startswith("MemAvailable:"):
-            yield int(line.split()[1]) * 1024.0
+    """The least of the machine's available memory and of the control group's; inf if neither is known."""
+    lines = (line.split() for line in _text(Path("/proc/meminfo")).splitlines())
+    left = [int(words[1]) * 1024.0 for words in lines if words[:1] == ["MemAvailable:"]]
     limit, used = _text(CGROUP_LIMIT).strip(), _text(CGROUP_USED).strip()
     if limit.isdecimal() and used.isdecimal():
-        yield max(float(limit) - float(used), 0.0)
+        left.append(max(float(limit) - float(used), 0.0))
+    return min(left, default=float("inf"))
 
 
 def _text(path: Path) -> str:

@@ -25,7 +25,7 @@ from mitsuba_ref.judge.verdict import (
     Verdict,
 )
 from mitsuba_ref.report.reproducers import replay
-from mitsuba_ref.report.results import Column, format_table
+from mitsuba_ref.report.results import Column, format_table, percent
 
 MAX_PROBLEM_LINES = 12  # of the output of Mitsuba, where it ended without an answer
 
@@ -46,9 +46,9 @@ def table_head(width: int) -> str:
 
 
 def table_row(scene: SceneVerdict, width: int) -> str:
-    """PASS or FAIL, the pixels that hit and that agree, their largest share of a bound, seconds or that the result is
-    kept from an earlier run, and the other classes that there are: rows are printed before it is known which others
-    will be empty everywhere."""
+    """The row of a scene: mark, pixels that hit and that agree, their largest error over its bound, seconds or "kept"
+    for a result of an earlier run, and the other classes that occur. A row is printed before later ones are known, so
+    these classes have no columns."""
     check, ratio = scene.worst
     worst = f"{ratio:.2f}" if check and scene.counts[AGREE] else "-"
     counts = str(scene.hit_pixels), str(scene.counts[AGREE])
@@ -66,25 +66,25 @@ INDENT = 6 * " "  # below the name of a scene
 
 
 def class_text(name: str) -> str:
-    """A class of pixels as a reader says it."""
+    """A class of pixels for readers."""
     return name.replace("_", " ")
 
 
 def mark_of(scene: SceneVerdict) -> str:
-    """PASS, FAIL, or for a scene that is waived: SKIP where the candidate declines it, KNOWN for a known failure."""
+    """PASS, FAIL, SKIP if the candidate declines the scene, or KNOWN for a known failure."""
     if scene.waived:
         return "SKIP" if scene.waived == UNSUPPORTED else "KNOWN"
     return "PASS" if scene.ok else "FAIL"
 
 
 def worst_words(scene: SceneVerdict) -> str:
-    """The check with the largest share of its bound among agreeing pixels, as text."""
+    """The check with the largest error over its bound among agreeing pixels, as text."""
     check, ratio = scene.worst
     return f"{check} {ratio:.2f} of its bound" if check and scene.counts[AGREE] else "-"
 
 
 def failure_text(scene: SceneVerdict, report: str = "") -> str:
-    """How many, how far, where to look, and the next command. report: the HTML report's file, if there is one."""
+    """Number of failing pixels, the worst of them, where to look, and the next command. report: the report's file."""
     return "\n".join(_failure_lines(scene, report))
 
 
@@ -185,16 +185,15 @@ def link(report: str, scene: SceneVerdict, pixel: tuple[int, int]) -> str:
 
 def summary_text(verdict: Verdict, seconds: float) -> str:
     """Summary of all scenes in a few lines."""
-    passed = sum(scene.ok for scene in verdict.scenes)
     counts = verdict.counts
     total = sum(counts.values()) or 1
     shares = [
-        f"{counts[name]} {class_text(name)} ({percent_text(counts[name], total)})"
+        f"{counts[name]} {class_text(name)} ({percent(counts[name], total)})"
         for name in CLASSES
         if counts[name] or name == AGREE
     ]
     lines = [
-        f"{verdict.scene_count} scenes: {passed} pass, {count_text(verdict)}{_not_run(verdict)}, in {seconds:.1f} s",
+        f"{outcome_text(verdict)}, in {seconds:.1f} s",
         *waiver_lines(verdict),
         *wrap(f"hit pixels: {', '.join(shares)}", TABLE_CHARACTERS, subsequent_indent=12 * " "),
         f"exact:      {verdict.adjudicated} pixels were adjudicated by exact arithmetic, "
@@ -206,22 +205,31 @@ def summary_text(verdict: Verdict, seconds: float) -> str:
         *_stored_lines(verdict),
         *_kept_lines(verdict),
     ]
-    lines += [f"note:       {scene.name} allows {_allowed(scene)}" for scene in verdict.scenes if scene.allowed]
+    for scene in verdict.scenes:
+        if scene.allowed:
+            allowed = ", ".join(f"{share:g} of the bound of {name}" for name, share in scene.allowed.items())
+            lines.append(f"note:       {scene.name} allows {allowed}")
     return "\n".join([*lines, *(f"reference:  {versions}" for versions in verdict.versions)])
 
 
 WAIVER_WORDS = {UNSUPPORTED: "declined by the candidate", EXPECTED: "known failures"}
 
 
-def count_text(verdict: Verdict) -> str:
-    """How many scenes fail, and how many are waived, in words."""
-    fails = sum(not (scene.ok or scene.waived) for scene in verdict.scenes)
-    waived = (f", {count} {WAIVER_WORDS[why]}" for why, count in verdict.waived.items())
-    return f"{fails} fail{''.join(waived)}"
+def failing_scenes(scenes: Sequence[SceneVerdict]) -> list[SceneVerdict]:
+    """The scenes by which a run fails."""
+    return [scene for scene in scenes if not (scene.ok or scene.waived)]
+
+
+def outcome_text(verdict: Verdict) -> str:
+    """How many scenes pass, fail, are waived and were not judged."""
+    passed, left = sum(scene.ok for scene in verdict.scenes), verdict.scene_count - len(verdict.scenes)
+    words = [f"{verdict.scene_count} scenes: {passed} pass", f"{len(failing_scenes(verdict.scenes))} fail"]
+    words += [f"{count} {WAIVER_WORDS[why]}" for why, count in verdict.waived.items()]
+    return ", ".join([*words, f"{left} not judged"] if left else words)
 
 
 def waiver_lines(verdict: Verdict) -> Iterator[str]:
-    """Scenes that the run does not fail by, known failures that are fixed, and whether enough scenes were judged."""
+    """Waived scenes, known failures that are fixed, and whether too few scenes were judged."""
     for scene in verdict.scenes:
         if scene.waived:
             words = scene.problem.partition("\n")[0] if scene.problem else f"{', '.join(sorted(failing_checks(scene)))}"
@@ -236,18 +244,12 @@ def waiver_lines(verdict: Verdict) -> Iterator[str]:
 
 def failures_text(verdict: Verdict, report: str = "") -> str:
     """What several failing scenes have in common, then each by itself; "" where none fails."""
-    failing = [scene for scene in verdict.scenes if not (scene.ok or scene.waived)]
-    common = "\n".join(_summary_of_failures(verdict))
-    return "\n\n".join(filter(None, [common, *(failure_text(scene, report) for scene in failing)]))
-
-
-def _summary_of_failures(verdict: Verdict) -> Iterator[str]:
-    """Of several failing scenes: what they have in common, the simplest, and the command for its worst pixel."""
-    yield from group_lines(verdict.scenes)
-    first = simplest_failing(verdict.scenes)
-    if first is not None:
+    common = [*group_lines(verdict.scenes)]
+    if first := simplest_failing(verdict.scenes):
         pixel = (first.failures[0].x, first.failures[0].y) if first.failures else None
-        yield f"            {replay(first, pixel)}"
+        common.append(f"            {replay(first, pixel)}")
+    texts = [failure_text(scene, report) for scene in failing_scenes(verdict.scenes)]
+    return "\n\n".join(filter(None, ["\n".join(common), *texts]))
 
 
 def candidate_lines(verdict: Verdict) -> Iterator[str]:
@@ -274,7 +276,7 @@ def left_out_lines(verdict: Verdict) -> Iterator[str]:
 
 
 def _error_lines(verdict: Verdict) -> Iterator[str]:
-    """The largest error of t in roundings, of the K that are allowed, the largest bias, and what the CPU adds to t."""
+    """The largest error of t in roundings, the largest bias, and the offset of t by the CPU."""
     found = [(scene.name, scene.statistics) for scene in verdict.scenes if scene.statistics is not None]
     if any(errors.pixels for _, errors in found):
         name, largest = max(found, key=lambda item: item[1].k_t.largest)
@@ -313,7 +315,7 @@ def _stored_lines(verdict: Verdict) -> Iterator[str]:
 
 
 def _kept_lines(verdict: Verdict) -> Iterator[str]:
-    """How many results are of an earlier run, and the shard."""
+    """The number of results of an earlier run, and the shard."""
     kept = sum(scene.kept for scene in verdict.scenes)
     if kept:
         yield (
@@ -324,21 +326,6 @@ def _kept_lines(verdict: Verdict) -> Iterator[str]:
         yield f"shard:      {verdict.shard}, {verdict.scene_count} of {len(verdict.selected)} scenes"
 
 
-def _allowed(scene: SceneVerdict) -> str:
-    return ", ".join(f"{share:g} of the bound of {name}" for name, share in scene.allowed.items())
-
-
-def _not_run(verdict: Verdict) -> str:
-    left = verdict.scene_count - len(verdict.scenes)
-    return f", {left} not judged" if left else ""
-
-
-def percent_text(count: int, total: int) -> str:
-    """A percentage; 100 only for all."""
-    percent = 100.0 * count / total
-    return f"{percent:.4f} %" if 0 < count < total else f"{percent:.0f} %"
-
-
 # ---- what failing scenes have in common ----
 
 MIN_FAILING_SCENES = 2  # of which something can be said together
@@ -346,21 +333,17 @@ NO_ANSWER = "no comparison"
 
 
 def failing_checks(scene: SceneVerdict) -> frozenset[str]:
-    """The checks that a scene fails; `exact`, which fails beside most others, only where it is alone."""
+    """The checks that a scene fails; `exact`, which accompanies most others, only if it fails alone."""
     if scene.problem:
         return frozenset([NO_ANSWER])
     named = {*scene.failing_by, *(check.name for check in scene.checks if not check.ok)}
-    named |= {failure.check for failure in scene.failures}  # a candidate's, which are not counted by check
+    named |= {failure.check for failure in scene.failures}  # of a candidate, which are not counted by check
     return frozenset(named - {EXACT} or named)
-
-
-def shapes_of(scene: SceneVerdict) -> frozenset[str]:
-    return frozenset(scene.composition.shapes)
 
 
 def simplest_failing(scenes: Sequence[SceneVerdict]) -> SceneVerdict | None:
     """The failing scene with the fewest primitives, then shapes, then pixels; None below MIN_FAILING_SCENES."""
-    failing = [scene for scene in scenes if not (scene.ok or scene.waived)]
+    failing = failing_scenes(scenes)
     known = [scene for scene in failing if scene.composition.primitives]
     if len(failing) < MIN_FAILING_SCENES or not known:
         return None
@@ -368,8 +351,8 @@ def simplest_failing(scenes: Sequence[SceneVerdict]) -> SceneVerdict | None:
 
 
 def _cause_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
-    """Causes that several failing scenes share, the most frequent first, with the types of shapes in those scenes."""
-    failing = [scene for scene in scenes if not (scene.ok or scene.waived)]
+    """Causes shared by several failing scenes, most frequent first, with the types of their shapes."""
+    failing = failing_scenes(scenes)
     sharing: dict[str, list[SceneVerdict]] = {}
     for scene in failing:
         for finding in scene.findings:
@@ -383,9 +366,10 @@ def _cause_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
 
 
 def _kind_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
-    """How many of the scenes with each kind of primitive fail, where several kinds of several scenes were judged."""
+    """How many of the scenes with each type of shape fail, if several types and scenes were judged."""
     judged = [scene for scene in scenes if not scene.waived]
-    fails = {kind: [not s.ok for s in judged if kind in shapes_of(s)] for s in judged for kind in shapes_of(s)}
+    kinds = {kind for scene in judged for kind in scene.composition.shapes}
+    fails = {kind: [not scene.ok for scene in judged if kind in scene.composition.shapes] for kind in kinds}
     if sum(not scene.ok for scene in judged) < MIN_FAILING_SCENES or len(fails) < 2:
         return
     order = sorted(fails, key=lambda kind: (-sum(fails[kind]) / len(fails[kind]), -len(fails[kind]), kind))
@@ -394,7 +378,7 @@ def _kind_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
 
 
 def group_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
-    """Lines on what failing scenes have in common, and the simplest of them; none below MIN_FAILING_SCENES."""
+    """What failing scenes have in common, and the simplest of them; nothing below MIN_FAILING_SCENES."""
     yield from _cause_lines(scenes)
     yield from _kind_lines(scenes)
     first = simplest_failing(scenes)

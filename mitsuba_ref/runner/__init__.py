@@ -1,1 +1,1 @@
-"""Validation of many scenes: selection, workers, resume, shards and the pytest plug-in."""
+"""Validation of many scenes: selection, workers, shards, stored verdicts and the pytest plug-in."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import pytest
 
@@ -24,13 +24,31 @@ VERDICT = "verdict"  # the scene as a whole: it loads, Mitsuba answers, and ther
 SUFFIXES = (".toml", ".json")
 SCENE_MARKERS = ("[camera]", "[[shape]]", '"camera"', '"shape"')  # a file without any of them is no scene
 
-MARKERS = ("mitsuba_ref: a check of a scene, by --mitsuba-ref",)
-
-CANDIDATE_OPTIONS = {
-    "candidate": "another ray caster, judged in place of ours: package.module:function, or a command",
-    "candidate-serve": "the same as a program that is started once and answers over stdin and stdout",
-    "candidate-precision": "its arithmetic, float32 or float64; default: the type of what it returns",
+# --mitsuba-ref-NAME and the ini option mitsuba_ref_NAME: help, the option's arguments, the type of the ini option.
+OPTIONS: dict[str, tuple[str, dict[str, Any], Literal["args", "bool", "string"]]] = {
+    "size": ("film in pixels, W H, instead of the scenes' own", {"nargs": 2, "metavar": ("W", "H")}, "args"),
+    "thorough": (
+        "also test our caster beyond the judged films, as `mitsuba-ref validate --thorough`",
+        {"action": "store_true"},
+        "bool",
+    ),
+    "candidate": (
+        "another ray caster, judged in place of ours: package.module:function, or a command",
+        {"metavar": "X"},
+        "string",
+    ),
+    "candidate-serve": (
+        "the same as a program that is started once and answers over stdin and stdout",
+        {"metavar": "PROG"},
+        "string",
+    ),
+    "candidate-precision": (
+        "its arithmetic, float32 or float64; default: the type of what it returns",
+        {"metavar": "P"},
+        "string",
+    ),
 }
+CANDIDATE_OPTIONS = tuple(name for name in OPTIONS if name.startswith("candidate"))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -42,23 +60,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         dest="mitsuba_ref",
         help="collect scene files, .toml and .json: a test for each check of each scene",
     )
-    group.addoption(
-        "--mitsuba-ref-size",
-        nargs=2,
-        type=int,
-        metavar=("W", "H"),
-        default=None,
-        help="film in pixels, instead of the scenes' own; also the ini option mitsuba_ref_size",
-    )
-    thorough = "also test our caster beyond the judged films, as `mitsuba-ref validate --thorough`"
-    group.addoption(
-        "--mitsuba-ref-thorough", action="store_true", default=False, help=f"{thorough}; also an ini option"
-    )
-    parser.addini("mitsuba_ref_thorough", thorough, type="bool", default=False)
-    for name, what in CANDIDATE_OPTIONS.items():
-        group.addoption(f"--mitsuba-ref-{name}", default=None, metavar="X", help=f"{what}; also an ini option")
-        parser.addini(f"mitsuba_ref_{name.replace('-', '_')}", what, default="")
-    parser.addini("mitsuba_ref_size", "film of the scenes in pixels: W H", type="args", default=[])
+    for name, (what, option, kind) in OPTIONS.items():
+        group.addoption(f"--mitsuba-ref-{name}", default=None, help=f"{what}; also an ini option", **option)
+        parser.addini(f"mitsuba_ref_{name.replace('-', '_')}", what, type=kind)
     folders = "folders beyond a scene's own whose meshes it may use"
     parser.addini("mitsuba_ref_mesh_dirs", folders, type="paths", default=[])
 
@@ -74,20 +78,19 @@ class ScenePlugin:
     """Hooks of pytest, and the verdicts: each scene is judged once, whichever xdist worker runs its tests."""
 
     def __init__(self, config: pytest.Config) -> None:
-        for line in MARKERS:
-            config.addinivalue_line("markers", line)
+        config.addinivalue_line("markers", "mitsuba_ref: a check of a scene, by --mitsuba-ref")
         self.start = config.invocation_params.dir
-        self.size = film_size(config)
-        self.words = {name: candidate_option(config, name) for name in CANDIDATE_OPTIONS}
+        self.size = film_size(given(config, "size"))
+        self.words = {name: given(config, name) or "" for name in CANDIDATE_OPTIONS}
         if self.words["candidate"] and self.words["candidate-serve"]:
             raise pytest.UsageError("mitsuba_ref_candidate: not together with mitsuba_ref_candidate_serve")
         self.candidate = self.words["candidate"] or self.words["candidate-serve"]
-        self.thorough = bool(config.getoption("mitsuba_ref_thorough") or config.getini("mitsuba_ref_thorough"))
+        self.thorough = bool(given(config, "thorough"))
         if self.thorough and self.candidate:
             raise pytest.UsageError("mitsuba_ref_thorough: not together with a candidate: it tests our own caster")
         if self.words["candidate-precision"] and not self.candidate:
             raise pytest.UsageError("mitsuba_ref_candidate_precision: expected mitsuba_ref_candidate beside it")
-        self.mesh_dirs = [str(path) for path in config.getini("mitsuba_ref_mesh_dirs")]
+        self.mesh_dirs = tuple(map(str, config.getini("mitsuba_ref_mesh_dirs")))
         self.named = {Path(self.start, arg.split("::")[0]).resolve() for arg in config.args}
         self.verdicts: dict[Path, SceneVerdict | str] = {}
 
@@ -116,8 +119,7 @@ class ScenePlugin:
 
         named = str(path.relative_to(self.start)) if path.is_relative_to(self.start) else str(path)
         words = tuple(word for name, value in self.words.items() if value for word in (f"--{name}", value))
-        about: dict[str, Any] = {"size": self.size, "mesh_dirs": self.mesh_dirs, "options": words}
-        entry = many_scenes.source_of(named, path.stem, **about)
+        entry = many_scenes.SceneEntry(path.stem, named, self.size, self.mesh_dirs, words)
         errors: list[Exception] = []
         try:
             options = many_scenes.JudgeOptions(thorough=self.thorough, subject=self.subject)
@@ -137,7 +139,7 @@ class ScenePlugin:
         return parse_candidate(self.candidate, self.words["candidate-precision"] or None, served=served)
 
     def check_names(self) -> tuple[str, ...]:
-        """Of pixels, then of the scene."""
+        """Names of the checks of pixels, then of the scene."""
         from mitsuba_ref.judge.checks import CANDIDATE, OURS, checks_of
         from mitsuba_ref.judge.classification import pixel_checks
 
@@ -145,24 +147,19 @@ class ScenePlugin:
         return (*pixel_checks(ours=whose == OURS), *(check.name for check in checks_of(whose)))
 
 
-def candidate_option(config: pytest.Config, name: str) -> str:
-    """One of CANDIDATE_OPTIONS, or else of the ini file; "" where neither is given."""
+def given(config: pytest.Config, name: str) -> Any:
+    """The value of one of OPTIONS, from the command line or else from the ini file."""
     underscored = f"mitsuba_ref_{name.replace('-', '_')}"
-    return str(config.getoption(underscored) or config.getini(underscored) or "")
+    return config.getoption(underscored) or config.getini(underscored)
 
 
-def film_size(config: pytest.Config) -> tuple[int, int] | None:
-    """By the option, or else the ini file. Raises pytest.UsageError."""
-    given = config.getoption("mitsuba_ref_size") or config.getini("mitsuba_ref_size")
-    if not given:
+def film_size(words: list[str]) -> tuple[int, int] | None:
+    """Width and height; None without words. Raises pytest.UsageError."""
+    if not words:
         return None
-    try:
-        width, height = (int(number) for number in given)
-    except ValueError:
-        raise pytest.UsageError(f"mitsuba_ref_size: expected two whole numbers, W H, got {given}") from None
-    if width < 1 or height < 1:
-        raise pytest.UsageError(f"mitsuba_ref_size: expected numbers >= 1, got {width} {height}")
-    return width, height
+    if len(words) != 2 or not all(word.isdecimal() and int(word) for word in words):
+        raise pytest.UsageError(f"mitsuba_ref_size: expected two whole numbers >= 1, W H, got {' '.join(words)}")
+    return int(words[0]), int(words[1])
 
 
 def is_scene(path: Path) -> bool:
@@ -209,7 +206,7 @@ class CheckItem(pytest.Item):
             raise CheckFailed(printable(text))
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
-        """The text alone, and its first line in the summary; a traceback only for unexpected exceptions."""
+        """The failure's text, its first line in the summary; a traceback only for unexpected exceptions."""
         if not isinstance(excinfo.value, CheckFailed):
             return super().repr_failure(excinfo, style)
         shown: Any = excinfo.getrepr(style="value")
@@ -223,7 +220,7 @@ class CheckItem(pytest.Item):
 
 
 def check_problem(found: SceneVerdict | str, check: str) -> str:
-    """Why a check of a scene fails, in the words of `validate`; "" where it passes.
+    """Why a check of a scene fails, as `validate` prints it; "" if it passes.
 
     found: the verdict, or why there is none.
     """
@@ -243,7 +240,7 @@ def check_problem(found: SceneVerdict | str, check: str) -> str:
 
 
 def is_not_judged(found: SceneVerdict | str, check: str) -> bool:
-    """Whether a verdict, of a candidate, leaves a check out; never where there is no verdict."""
+    """Whether the verdict of a candidate leaves a check out; never if there is no verdict."""
     if isinstance(found, str) or found.problem or check == VERDICT:
         return False
     return check not in found.ratios and all(each.name != check for each in found.checks)

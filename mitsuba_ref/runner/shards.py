@@ -1,24 +1,21 @@
 """A run in several shards: the scenes of each, and their verdicts merged into one."""
 
 import argparse
-import heapq
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from caster.description.errors import SceneError
 from caster.system.process import NOT_COMPARABLE
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.reference import variants
-from mitsuba_ref.reference.store import machine
-from mitsuba_ref.runner.many_scenes import Entry
-from mitsuba_ref.runner.verdict_files import UnreadableVerdict
+from mitsuba_ref.reference.store import key_of, machine
+from mitsuba_ref.runner.many_scenes import SceneEntry
+from mitsuba_ref.runner.verdict_files import UnreadableVerdict, code_hash
 
-PROCESSOR = "processor"  # of `judged_with`; parts of a run may have different ones
-MAX_MISSING_LISTED = 50  # shards; --shard 1/100000000 is valid
+PROCESSOR = "processor"  # of `judged_with`; shards may run on different ones
 
 
 def judged_with() -> dict[str, str]:
@@ -42,30 +39,39 @@ class Shard(NamedTuple):
 
 
 def parse_shard(text: str) -> Shard:
-    """Of "2/4". Raises argparse.ArgumentTypeError."""
+    """The shard "2/4". Raises argparse.ArgumentTypeError."""
     index, slash, count = text.partition("/")
     if slash and index.isdecimal() and count.isdecimal() and 1 <= int(index) <= int(count):
         return Shard(int(index), int(count))
     raise argparse.ArgumentTypeError(f"expected I/N with 1 <= I <= N, such as 2/4, got '{text}'")
 
 
-def scenes_of_shard(entries: Sequence[Entry], shard: Shard) -> list[Entry]:
-    """The entries of one shard, in their order. Each entry is in exactly one of the shards.
+def scenes_of_shard(entries: Sequence[SceneEntry], shard: Shard) -> list[SceneEntry]:
+    """The entries of one shard, in their order. Each entry is in exactly one shard.
 
-    The largest first, each to the shard with the fewest pixels so far: none has more than 4/3 of the optimum
-    (Graham 1969). It depends only on names and film sizes.
+    The largest are dealt first, so that two shards differ by at most the pixels of the largest scene. It depends only
+    on names and film sizes.
     """
-    pixels = [entry.pixels for entry in entries]
-    order = sorted(range(len(entries)), key=lambda i: (-pixels[i], entries[i].name, i))
-    used = min(shard.parts, len(entries))  # no shard gets a second scene before every one has its first
-    loads = [(0, number) for number in range(1, used + 1)]
-    mine = set()
-    for i in order:
-        load, number = heapq.heappop(loads)
-        heapq.heappush(loads, (load + pixels[i], number))
-        if number == shard.part:
-            mine.add(i)
-    return [entry for i, entry in enumerate(entries) if i in mine]
+    order = sorted(range(len(entries)), key=lambda i: (-entries[i].pixels, entries[i].name, i))
+    return [entries[i] for i in sorted(order[shard.part - 1 :: shard.parts])]
+
+
+def run_identity(entries: Sequence[SceneEntry], shard: Shard | None) -> dict[str, Any]:
+    """Fields of a Verdict that identify what judged and what was judged. entries: of all shards."""
+    if shard is None:
+        return {"code": code_hash(), "judged_with": judged_with()}
+    # Scenes are part of the hash, so that shards of other scenes with the same names are not merged.
+    code = key_of([code_hash(), *(part for entry in entries for part in (entry.name, _scene_hash(entry)))])
+    names = tuple(entry.name for entry in entries)
+    return {"code": code, "judged_with": judged_with(), "shard": str(shard), "selected": names}
+
+
+def _scene_hash(entry: SceneEntry) -> str:
+    """SHA-256 of a scene and its meshes; "" where it cannot be loaded."""
+    try:
+        return entry.load().sha256()
+    except (SceneError, MemoryError):
+        return ""
 
 
 class DifferentRuns(SceneError):  # noqa: N818 - names a state
@@ -74,24 +80,24 @@ class DifferentRuns(SceneError):  # noqa: N818 - names a state
     exit_code = NOT_COMPARABLE
 
 
-def merge_verdicts(parts: Sequence[tuple[str, Verdict]]) -> tuple[Verdict, list[str]]:
-    """(one verdict of all, missing shards as text); parts: (file, verdict).
+def merge_verdicts(parts: Sequence[tuple[str, Verdict]]) -> tuple[Verdict, str]:
+    """(one verdict of all, how many shards are missing, "" if none is); parts: (file, verdict).
 
-    A scene of a shard that is missing counts as not judged. Raises DifferentRuns for parts of different runs.
+    A scene of a missing shard counts as not judged. Raises DifferentRuns for parts of different runs.
     """
     first_place, first = parts[0]
     files: dict[Shard, str] = {}
     scenes: dict[str, SceneVerdict] = {}
     for place, part in parts:
-        shard = _shard_in(place, part, alone=len(parts) == 1)
+        shard = _shard_of(place, part)
         if shard in files:
             raise DifferentRuns(f"{place}: shard {shard} once more; it is in {files[shard]}")
         files[shard] = place
         run, expected = _run_of(part, shard), _run_of(first, next(iter(files)))
-        for what in [name for name in run if name in expected and run[name] != expected[name]]:
+        for what in [name for name in run if run[name] != expected.get(name)]:
             raise DifferentRuns(
                 f"{place}: expected a part of the same run as {first_place}: its {what} is {run[what]}, there it is "
-                f"{expected[what]}"
+                f"{expected.get(what)}"
             )
         for scene in part.scenes:
             if scene.name in scenes or scene.name not in (first.selected or first.names):
@@ -109,37 +115,25 @@ def merge_verdicts(parts: Sequence[tuple[str, Verdict]]) -> tuple[Verdict, list[
         mended=tuple(name for _, part in parts for name in part.mended),
         scenes=tuple(scenes[name] for name in names if name in scenes),
     )
-    return whole, _missing(next(iter(files)).parts, {shard.part for shard in files})
+    count = next(iter(files)).parts
+    missing = next((each for each in (Shard(part, count) for part in range(1, count + 1)) if each not in files), None)
+    return whole, f"{count - len(files)} of {count} shards are missing: {missing} first" if missing else ""
 
 
-def _missing(count: int, present: set[int]) -> list[str]:
-    """A line for each shard that is missing, at most MAX_MISSING_LISTED; then how many more."""
-    numbers = (number for number in range(1, count + 1) if number not in present)
-    listed = [f"shard {number}/{count} is missing" for number in islice(numbers, MAX_MISSING_LISTED)]
-    more = count - len(present) - len(listed)
-    return [*listed, f"{more} more shards are missing"] if more else listed
-
-
-def _shard_in(place: str, part: Verdict, *, alone: bool) -> Shard:
-    """The shard of a verdict; a run that was not divided is 1/1."""
-    if not part.shard:
-        if not alone:
-            raise DifferentRuns(f"{place}: expected a shard, got a run that was not divided")
-        return Shard(1, 1)
+def _shard_of(place: str, part: Verdict) -> Shard:
+    """The shard of a verdict; a run that was not divided is 1/1. Raises UnreadableVerdict."""
     try:
-        return parse_shard(part.shard)
+        return parse_shard(part.shard or "1/1")
     except argparse.ArgumentTypeError as error:
         raise UnreadableVerdict(f"{place}: shard: {error}") from error
 
 
 def _run_of(part: Verdict, shard: Shard) -> dict[str, object]:
-    """What all parts of a run have in common; films of a part without scenes are not known."""
-    films = {f"{scene.size[0]} x {scene.size[1]}" if scene.resized else "the scenes' own" for scene in part.scenes}
+    """What all parts of a run have in common."""
     return {
         "number of shards": shard.parts,
         "selection": ", ".join(part.selected or part.names),
         "subject": part.candidate or "our caster",
-        **({"size of films": " and ".join(sorted(films))} if films else {}),
         **{name: value for name, value in part.judged_with.items() if name != PROCESSOR},
         "hash of code and scenes": part.code,
     }

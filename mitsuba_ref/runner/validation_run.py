@@ -1,44 +1,37 @@
-"""One run of `mitsuba-ref validate`: the scenes of a shard, what is waived, and the files it leaves."""
+"""One run of `mitsuba-ref validate`: the scenes of a shard, waived failures, and the files it writes."""
 
-import hashlib
 import json
 import tomllib
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
 
 from caster.description.errors import SceneError
 from caster.description.input_files import read_input
+from caster.rendering.threads import core_count
+from caster.system.terminal import ProgressBar
 from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED, SceneVerdict, Verdict
-from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.report.html_report import HtmlReport, page_record
 from mitsuba_ref.report.out_folder import OutFolder
 from mitsuba_ref.report.verdict_text import failing_checks
 from mitsuba_ref.runner import many_scenes
-from mitsuba_ref.runner.many_scenes import Entry
-from mitsuba_ref.runner.shards import Shard, judged_with, scenes_of_shard
-from mitsuba_ref.runner.verdict_files import code_hash
-from mitsuba_ref.runner.workers import WorkerEnded, Workers
-from mitsuba_ref.subjects.subject import Subject
+from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry
+from mitsuba_ref.runner.shards import Shard, run_identity, scenes_of_shard
 
 
 @dataclass(frozen=True)
 class RunOptions:
     """Options of a run beside its scenes."""
 
-    workers: int | None = None  # scenes at a time; None: one a core
-    maxfail: int | None = None  # scenes that fail, after which the run ends
-    out: Path | None = None  # folder of verdict.json, images and reproducers
+    judge: JudgeOptions
+    workers: int | None = None  # scenes at a time; None: one for each core
+    maxfail: int | None = None  # failing scenes after which the run ends
     html: str | None = None  # folder or file of the HTML report
     shard: Shard | None = None
-    timeout: float = DEFAULT_TIMEOUT  # seconds that Mitsuba may take for one scene
-    store: bool = True  # take what earlier runs stored of the very same inputs
-    thorough: bool = False  # make every check of our caster
     expected: "ExpectedFailures | None" = None  # known failures, by which the run does not fail
     skip_unsupported: bool = False  # nor by scenes that the candidate declines
     min_scenes: int = 0  # that have to be judged for the run to pass
@@ -48,44 +41,40 @@ class RunOptions:
 class ValidationRun:
     """Judges scenes one after the other; `verdict` and `finish` are about the scenes done so far."""
 
-    def __init__(self, entries: Sequence[Entry], options: RunOptions, candidate: Subject | None = None) -> None:
-        """entries: the scenes of all shards; candidate: in place of our caster. Raises OutputError."""
-        self.every, self.options, self.candidate = entries, options, candidate
+    def __init__(self, entries: Sequence[SceneEntry], options: RunOptions) -> None:
+        """entries: the scenes of all shards. Raises OutputError."""
+        self.every, self.options = entries, options
         self.entries = scenes_of_shard(entries, options.shard) if options.shard else list(entries)
-        self.candidate_name = candidate.name if candidate else ""
+        self.candidate_name = options.judge.subject.name if options.judge.subject else ""
         self.done: list[SceneVerdict] = []
         self.errors: list[Exception] = []  # of scenes that could not be loaded, judged or written
-        self.out = OutFolder(options.out) if options.out else None
+        self.out = OutFolder(options.judge.folder) if options.judge.folder else None
         self.html = HtmlReport(options.html, len(self.entries), self.candidate_name) if options.html else None
 
     def verdicts(self) -> Generator[SceneVerdict, None, None]:
         """Verdicts in the order of the scenes, each as soon as it and those before it are done."""
         if self.out:
             self.out.begin()
-        workers = self.options.workers or many_scenes.default_workers()
-        options = many_scenes.JudgeOptions(
-            self.options.out,
-            self.options.timeout,
-            self.options.store,
-            self.options.thorough,
-            self.candidate,
-            page_record if self.html else None,
-            None if self.candidate else many_scenes.threads_per_worker(workers, len(self.entries)),
-        )
+        workers = self.options.workers or core_count()
+        # A thread for each core: more would wait for each other, a twentieth of the time.
+        threads = None if self.candidate_name else max(1, core_count() // max(1, min(workers, len(self.entries))))
+        judge = self.options.judge._replace(page_of=page_record if self.html else None, threads=threads)
         running = many_scenes.run(
-            self.entries, options, workers, self.options.maxfail, self._recorded, self.errors.append
+            self.entries, judge, workers, self.options.maxfail, self._recorded, self.errors.append
         )
-        with closing(running), closing(many_scenes.progress_bar(self.entries)) as bar:
-            for verdict in running:
+        # Rays are counted, since scenes differ too much in size to count scenes.
+        bar = ProgressBar("validating", sum(entry.pixels for entry in self.entries))
+        with closing(running), closing(bar):
+            for verdict, entry in zip(running, self.entries, strict=False):  # maxfail may end it early
                 self.done.append(verdict)
                 if self.html:
                     self.html.add(verdict)
                 with bar.aside():
                     yield verdict
-                many_scenes.count_scene(bar, self.entries, len(self.done))
+                bar.add(entry.pixels, f"{len(self.done)} of {len(self.entries)} scenes")
 
     def _recorded(self, found: SceneVerdict) -> SceneVerdict:
-        """The verdict, its page written, with the reason why the run does not fail by it, if there is one."""
+        """The verdict with its page written and, if it is waived, with the reason."""
         verdict = self.html.keep(found) if self.html else found
         if verdict.unsupported and self.options.skip_unsupported:
             return replace(verdict, waived=UNSUPPORTED)
@@ -93,7 +82,7 @@ class ValidationRun:
         return replace(verdict, waived=EXPECTED) if expected and expected.covers(verdict) else verdict
 
     def verdict(self) -> Verdict:
-        """Of all scenes that are done."""
+        """The verdict of the scenes done so far."""
         names = tuple(entry.name for entry in self.entries)
         return Verdict(
             tuple(self.done),
@@ -110,10 +99,7 @@ class ValidationRun:
         return run_identity(self.every, self.options.shard)
 
     def finish(self) -> Iterator[str]:
-        """Write verdict.json and the report of what is done; what was removed of earlier runs, in words.
-
-        Raises OutputError.
-        """
+        """Write verdict.json and the report; yields what was removed of earlier runs. Raises OutputError."""
         verdict = self.verdict()
         try:
             if self.out:
@@ -140,7 +126,7 @@ class ExpectedFailure(BaseModel):
 
     scene: str
     checks: list[str]  # names of the checks that may fail
-    pixels: NonNegativeInt  # at most so many may
+    pixels: NonNegativeInt  # how many may fail at most
     why: str = ""
 
 
@@ -152,19 +138,19 @@ class ExpectedFailures(BaseModel):
     failure: list[ExpectedFailure] = []
 
     def covers(self, found: SceneVerdict) -> bool:
-        """Whether a scene fails in a known way, and in no other."""
+        """Whether a scene fails only in a known way."""
         listed = [each for each in self.failure if each.scene == found.name]
         checks = failing_checks(found)
         return not found.ok and any(checks <= set(each.checks) and found.failing <= each.pixels for each in listed)
 
     def mended(self, done: Sequence[SceneVerdict]) -> tuple[str, ...]:
-        """Names of scenes that are listed, and pass."""
+        """Names of the listed scenes that pass."""
         named = {each.scene for each in self.failure}
         return tuple(found.name for found in done if found.ok and found.name in named)
 
 
 def read_expected(path: str) -> ExpectedFailures:
-    """The known failures of a file. Raises FileMissing, SceneError with every error in it."""
+    """The known failures of a file. Raises FileMissing, or SceneError with every error in the file."""
     data = read_input(path, "file of known failures")
     try:
         return ExpectedFailures.model_validate(tomllib.loads(data.decode("utf-8")))
@@ -179,7 +165,7 @@ def read_expected(path: str) -> ExpectedFailures:
 
 
 def expected_toml(done: Sequence[SceneVerdict]) -> str:
-    """The failures of a run as text for --expected; scenes that the candidate declines are none."""
+    """The failures of a run as a file for --expected, without scenes that the candidate declined."""
     parts = [EXPECTED_HEAD]
     for found in (each for each in done if not each.ok and not each.unsupported):
         checks = ", ".join(json.dumps(name) for name in sorted(failing_checks(found)))
@@ -187,29 +173,3 @@ def expected_toml(done: Sequence[SceneVerdict]) -> str:
             f"\n[[failure]]\nscene = {json.dumps(found.name)}\nchecks = [{checks}]\npixels = {found.failing}\n"
         )
     return "".join(parts)
-
-
-def run_identity(every: Sequence[Entry], shard: Shard | None) -> dict[str, Any]:
-    """Fields of a Verdict that name the sources and versions that judged. every: the scenes of all shards."""
-    if shard is None:
-        return {"code": code_hash(), "judged_with": judged_with()}
-    # The scenes are a part of the hash, so that shards of other scenes of the same names are not merged.
-    code = hashlib.sha256(code_hash().encode())
-    with Workers() as pool:
-        for entry in every:
-            code.update(f"\0{entry.name}\0{scene_identity(pool, entry)}".encode())
-    names = tuple(entry.name for entry in every)
-    return {"code": code.hexdigest(), "judged_with": judged_with(), "shard": str(shard), "selected": names}
-
-
-def scene_identity(pool: Workers, entry: Entry) -> str:
-    """The hash of a scene and its meshes, which a worker loads; "" where it cannot be loaded."""
-    try:
-        return pool.call(scene_hash, entry)
-    except (SceneError, MemoryError, WorkerEnded):
-        return ""
-
-
-def scene_hash(entry: Entry) -> str:
-    """SHA-256 of a scene and its meshes. Raises SceneError."""
-    return entry.load().scene.sha256()

@@ -1,4 +1,4 @@
-"""Verdicts of earlier runs: those in the store, found by all that they depend on, and verdict.json read back."""
+"""Verdicts of earlier runs: stored ones, found by a hash of all that they depend on, and verdict.json read back."""
 
 import hashlib
 import json
@@ -21,7 +21,7 @@ from mitsuba_ref.reference.store import REFERENCE_SETTINGS, environment_settings
 
 MAX_INPUT_CHARACTERS = 60  # of a wrong value in a message
 PACKAGES = ("caster", "mitsuba_ref")
-OUR_SETTINGS = ("CASTER_", "MITSUBA_", "NUMBA_")  # beginnings of names of environment variables that may matter
+OUR_SETTINGS = ("CASTER_", "MITSUBA_", "NUMBA_")  # prefixes of environment variables that may matter
 
 
 @cache
@@ -38,7 +38,7 @@ def code_hash() -> str:
 def verdict_key(scene: Scene, path: str, **about: Any) -> str:
     """A hash of all that the verdict of a scene depends on: scene, mesh and source bytes, versions, variant, options.
 
-    about: options. "" where that is not known: of a scene without a variant, and where other packages add kinds.
+    about: options. "" if that is not known: for a scene without a variant, and where other packages add kinds.
     """
     if not all(kind.__module__.startswith("caster.") for kind in (*SHAPES, *CAMERAS)):
         return ""
@@ -62,24 +62,24 @@ def verdict_key(scene: Scene, path: str, **about: Any) -> str:
 
 
 def scene_of(content: bytes | str) -> SceneVerdict:
-    """The verdict of one scene from its JSON. Raises ValueError, also where its own `ok` contradicts its numbers."""
+    """The verdict of one scene from its JSON. Raises ValueError, also if its `ok` contradicts its numbers."""
     found = TypeAdapter(SceneVerdict).validate_json(content)
     check_ok(json.loads(content), found)
     return found
 
 
 def check_ok(record: dict[str, Any], found: SceneVerdict | Verdict) -> None:
-    """Raise ValueError where a record states another `ok` than follows from its numbers."""
+    """Raise ValueError if the `ok` of a record does not follow from its numbers."""
     try:
         ok = json.loads(json.dumps(found.to_dict(), allow_nan=False))["ok"]
-    except KeyError as error:  # of a class that is not counted
+    except KeyError as error:  # a class has no count
         raise ValueError(f"expected counts of {error}") from error
     if record.get("ok") is not ok:
         raise ValueError(f"its ok is {record.get('ok')}, by its numbers it is {ok}")
 
 
 class UnreadableVerdict(FileMissing):
-    """A file that exists, but is no verdict of this version."""
+    """A file exists, but holds no verdict of this version."""
 
 
 def read_verdict(path: str | os.PathLike[str]) -> Verdict:

@@ -1,7 +1,7 @@
 """Workers: forks of this process that serve calls. A crash or a hang ends one call, and the worker is replaced.
 
-Of the libraries, loky and concurrent.futures give up all calls after a crash, and pebble after the end of an idle
-worker; so each worker here has a pipe of its own.
+No library is used: loky and concurrent.futures give up all calls after a crash, and pebble after the end of an idle
+worker. Here each worker has its own pipe.
 """
 
 import contextlib
@@ -25,16 +25,16 @@ from mitsuba_ref.reference.subprocess_runner import exit_name, kill_subprocesses
 
 Result = TypeVar("Result")
 
-# Compilation of all kernels, our caster and two processes of Mitsuba may each take as long as one of the latter.
+# Compiling all kernels, our caster and two processes of Mitsuba may each take as long as one process of Mitsuba.
 CALL_TIMEOUTS = 4.0
 STOP_SECONDS = 2.0  # for a worker to remove its files after SIGTERM, before it is killed
-STACK_FILE, MAX_CALLS = "stack", 4  # Python calls that a crash came from, the innermost ones
+STACK_FILE, MAX_CALLS = "stack", 4  # innermost Python calls of a crash
 
-_forking = threading.Lock()  # a second fork at the same time would hold the first one's pipe open
+_forking = threading.Lock()  # a second fork at the same time would keep the first one's pipe open
 
 
 class WorkerEnded(Exception):  # noqa: N818 - an event; str() is how the process ended, then the last Python calls
-    """A worker that ended, or was killed at the deadline, before its call returned."""
+    """A worker ended, or was killed at the deadline, before its call returned."""
 
 
 class Worker:
@@ -50,7 +50,7 @@ class Worker:
             remote.close()
 
     def call(self, seconds: float, function: Callable[..., Result], args: tuple[Any, ...]) -> Result:
-        """function(*args), with its exceptions. Raises WorkerEnded; the worker is closed then."""
+        """function(*args), with its exceptions. Raises WorkerEnded after closing the worker."""
         try:
             self.connection.send((function, args))
             if not self.connection.poll(seconds):
@@ -67,7 +67,7 @@ class Worker:
         return result
 
     def close(self, number: int = signal.SIGTERM) -> list[str]:
-        """End it, and remove its files; the last Python calls before a crash."""
+        """End the worker and remove its files; returns the last Python calls before a crash."""
         self.connection.close()
         if self.process.is_alive() and self.process.pid:
             os.kill(self.process.pid, number)
@@ -82,12 +82,12 @@ class Worker:
 
 
 def _serve(calls: Connection, parents_end: Connection, folder: str) -> None:
-    """The fork's side."""
+    """Serve calls in the fork, until the parent closes the pipe."""
     parents_end.close()
-    for number in (signal.SIGINT, signal.SIGHUP):  # come by way of the parent, as SIGTERM
+    for number in (signal.SIGINT, signal.SIGHUP):  # the parent passes them on as SIGTERM
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    os.environ.pop(PARENT_VARIABLE, None)  # of the process that was forked
+    os.environ.pop(PARENT_VARIABLE, None)  # it names the parent of the forked process
     die_with_parent()
     tempfile.tempdir = folder
     faulthandler.enable(os.open(Path(folder, STACK_FILE), os.O_WRONLY | os.O_CREAT), all_threads=False)
@@ -109,15 +109,15 @@ def _serve(calls: Connection, parents_end: Connection, folder: str) -> None:
     except KeyboardInterrupt:  # SIGTERM
         kill_subprocesses()
         os._exit(0)
-    except SystemExit as end:  # of what was called
+    except SystemExit as end:  # raised by the called function
         os._exit(end.code if isinstance(end.code, int) else 0)
 
 
 class Workers:
-    """As many workers as there are calls at a time; direct calls without os.fork. Use it as a context."""
+    """As many workers as there are calls at a time; without os.fork, calls are direct. Use it as a context."""
 
     def __init__(self, seconds: float = CALL_TIMEOUTS * DEFAULT_TIMEOUT) -> None:
-        """seconds: for one call."""
+        """seconds: time limit of one call."""
         self.seconds = seconds
         self._lock = threading.Lock()
         self._idle: list[Worker] = []
@@ -132,14 +132,14 @@ class Workers:
             worker.close()
 
     def stop(self) -> None:
-        """End the calls in progress, each with WorkerEnded, and refuse new ones: for Ctrl-C while threads wait."""
+        """End calls in progress, each with WorkerEnded, and refuse new ones: for Ctrl-C while threads wait."""
         with self._lock:
             self._stopped = True
             for worker in self._busy:
                 worker.process.terminate()
 
     def call(self, function: Callable[..., Result], *args: Any) -> Result:
-        """function(*args) in a worker. Raises WorkerEnded beside the function's own exceptions."""
+        """function(*args) in a worker. Raises WorkerEnded, and the function's own exceptions."""
         if not hasattr(os, "fork"):
             return function(*args)
         with self._lock:

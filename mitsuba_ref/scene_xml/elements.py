@@ -1,4 +1,4 @@
-"""Writers of Mitsuba scene elements and PLY files, in the float32 numbers that both sides trace."""
+"""Writers of Mitsuba scene elements and PLY files, in the float32 values that both sides trace."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:  # the Mitsuba process imports this module for part ids, witho
 
 
 class MissingReferenceError(SceneError, LookupError):
-    """A shape or a camera of the scene is not registered with the judge."""
+    """The judge has no entry for a shape or camera of the scene."""
 
 
 def missing_reference(name: str, kind: str) -> str:
@@ -27,24 +27,24 @@ def missing_reference(name: str, kind: str) -> str:
     )
 
 
-# A shape that is exported as several Mitsuba shapes gives them ids NAME{0}, NAME{1} ...; no other id ends in a brace.
+# If a shape is exported as several Mitsuba shapes, their ids are NAME{0}, NAME{1} ...; no other id ends in a brace.
 
 
 def part_id(name: str, part: object) -> str:
-    """The id of one of several Mitsuba shapes of one shape of the scene."""
+    """The id of one of several Mitsuba shapes that one shape of the scene is exported as."""
     return f"{name}{{{part}}}"
 
 
 def shape_and_part(shape_id: str) -> tuple[str, int]:
-    """Inverse of part_id: (name, part), or (shape_id, -1) for a shape that is exported as one."""
+    """The inverse of part_id: (name, part), or (shape_id, -1) for a shape that is exported as one."""
     name, brace, part = shape_id[:-1].rpartition("{")
     return (name, int(part)) if brace and shape_id[-1] == "}" and part.isdecimal() else (shape_id, -1)
 
 
 def ply_bytes(part: Any) -> bytes:
-    """Binary PLY file of packed triangles: corners, and normals and uv if they are used.
+    """Binary PLY file of packed triangles: vertices, with normals and uv if they are used.
 
-    part: caster's Triangles with float32 values, which are written without another rounding.
+    part: the caster's Triangles with float32 values, which are not rounded again.
     """
     columns = {name: part.vertices[:, c] for c, name in enumerate("xyz")}
     if part.smooth.any():
@@ -64,7 +64,7 @@ def ply_bytes(part: Any) -> bytes:
     return header.encode("ascii") + vertices.tobytes() + faces.tobytes()
 
 
-# In typeshed, elements and comments differ by the type of their tag; a document contains both.
+# In typeshed, elements and comments have tags of different types; a document contains both.
 if TYPE_CHECKING:
     XmlElement: TypeAlias = Element[Any]
 else:
@@ -73,7 +73,7 @@ else:
 
 @dataclass
 class ShapeWriter:
-    """Writer of the scene's shapes: makes elements, and collects the files that they name."""
+    """Writer of the scene's shapes: makes elements and collects the files that they name."""
 
     material: Callable[[Shape], XmlElement]  # makes the <bsdf> of a shape
     name: str = ""  # id of the current shape
@@ -81,14 +81,14 @@ class ShapeWriter:
     notes: list[str] = field(default_factory=list)
 
     def native(self, shape: Shape, plugin: str, center: np.ndarray, linear: np.ndarray) -> XmlElement:
-        """A Mitsuba shape plugin under one matrix."""
+        """A Mitsuba shape plugin with one matrix."""
         element = Element("shape", type=plugin, id=self.name)
         element.append(matrix_element(center, linear))
         element.append(self.material(shape))
         return element
 
     def instance(self, shape: Shape, plugin: str, part: Any) -> list[XmlElement]:
-        """A stretched shape whose plugin does not support stretching: an instance of a one-shape group."""
+        """An instance of a one-shape group, for a stretched shape whose plugin does not support scaling."""
         group = Element("shape", type="shapegroup", id=f"{self.name}.group")
         unit = SubElement(group, "shape", type=plugin, id=f"{self.name}.unit")
         unit.append(self.material(shape))
@@ -99,16 +99,16 @@ class ShapeWriter:
         return [group, element]
 
     def native_many(self, shape: Shape, plugin: str, centers: np.ndarray, linear: np.ndarray) -> list[XmlElement]:
-        """Many shapes like `native`, one for each row of centers (n, 3) and linear (n, 3, 3), with one material.
+        """Many shapes as by `native`, one for each row of centers (n, 3) and linear (n, 3, 3), with one material.
 
-        They go to an included file, written as text: an element tree of a million shapes takes a minute and 2 GB.
+        They are written as text to an included file: an element tree of a million shapes takes a minute and 2 GB.
         """
         bsdf = self.material(shape)
         bsdf.set("id", part_id(self.name, "material"))
         return self._include(tostring(bsdf, encoding="unicode"), f'type="{plugin}"', bsdf, centers, linear)
 
     def instances(self, shape: Shape, plugin: str, part: Any) -> list[XmlElement]:
-        """Many instances like `instance`, one for each row of `part`, of one group."""
+        """Many instances of one group as by `instance`, one for each row of `part`."""
         group, _ = self.instance(shape, plugin, part)
         text = tostring(group, encoding="unicode")
         return self._include(text, 'type="instance"', group, part.center, part.to_world)
@@ -116,7 +116,7 @@ class ShapeWriter:
     def _include(
         self, shared: str, attributes: str, referred: XmlElement, centers: np.ndarray, linear: np.ndarray
     ) -> list[XmlElement]:
-        """<include> of a file of shapes that refer to a shared element. shared: the text of that element."""
+        """An <include> of a file of shapes that refer to a shared element. shared: the text of that element."""
         name, shared_id = (escape(each, {'"': "&quot;", "%": "%%"}) for each in (self.name, referred.attrib["id"]))
         shape = f'<shape {attributes} id="{part_id(name, "%d")}"><ref id="{shared_id}"/>'
         matrix = " ".join(["%r"] * 12)
@@ -140,12 +140,12 @@ class ShapeWriter:
 
 
 def format_floats(values: Sequence[float] | np.ndarray) -> str:
-    """Shortest decimals that read back as the same float64."""
+    """The shortest decimals that read back as the same float64 values."""
     return " ".join(repr(float(value)) for value in values)
 
 
 def safe_name(name: str) -> str:
-    """A part of a file name made from a shape's name."""
+    """A shape's name as part of a file name."""
     return "".join(c if c.isascii() and c.isalnum() else "-" for c in name)[:40]
 
 

@@ -1,9 +1,9 @@
 """Candidates that are programs: they read our scene and write an EXR file, or read rays and write hits."""
 
 import atexit
+import re
 import shlex
 import shutil
-import string
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,11 +21,13 @@ from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.error_model.tolerances import KU, U32
 from mitsuba_ref.reference.shared_input import export, pixel_of
 from mitsuba_ref.reference.subprocess_runner import (
+    HEAD_BYTES,
     ProcessEnd,
     ProcessEnded,
     ResidentProcess,
     UnexpectedReply,
     exit_name,
+    length_first,
     run,
 )
 from mitsuba_ref.subjects.ray_files import HIT_COLUMNS, answer_of_hits, hit_columns, is_given
@@ -41,11 +43,10 @@ from mitsuba_ref.subjects.subject import (
     checked_answer,
 )
 
-SCENE_PLACEHOLDERS = ("xml", "toml")
-PLACEHOLDERS = (*SCENE_PLACEHOLDERS, "exr", "width", "height")
-RAY_PLACEHOLDERS = ("rays", "hits", "mesh", "scene")
-OWN_CAMERA_NOTE = "its rays are its own camera's, and it is allowed what rounding to float32 may do to those, too"
-ESCAPE_BRACES_HINT = "a brace that is meant is written twice"
+PLACEHOLDERS = ("xml", "toml", "exr", "width", "height")  # of a command that renders a scene
+RAY_PLACEHOLDERS = ("rays", "hits", "mesh", "scene")  # of one that reads rays and writes hits
+PLACEHOLDER = re.compile(r"\{(\w+)\}")
+OWN_CAMERA_NOTE = "it casts the rays of its own camera, and is allowed the effect of rounding those to float32"
 
 UNSUPPORTED_CODE = 77  # exit code of a program that declines a scene, as of a skipped test in Automake
 
@@ -53,31 +54,41 @@ DEPTH, NORMAL, MASK = "depth.Z", ("normal.X", "normal.Y", "normal.Z"), "A"
 
 
 def split_command(text: str, placeholders: Sequence[str]) -> tuple[tuple[str, ...], frozenset[str]]:
-    """(words, names in braces) of a command, split as by a shell; no shell runs it. Raises SceneError."""
+    """(words, names of its placeholders) of a command, split as by a shell; no shell runs it. Raises SceneError."""
     try:
         words = shlex.split(text)
     except ValueError as error:
         raise SceneError(f"--candidate {text!r}: {error}") from error
     if not words:
         raise SceneError(f"--candidate {text!r}: expected a program and its arguments, got blanks alone")
-    try:
-        fields = [each for word in words for each in string.Formatter().parse(word) if each[1] is not None]
-    except ValueError as error:
-        raise SceneError(f"--candidate {text!r}: {error}; {ESCAPE_BRACES_HINT}") from error
-    for _, name, form, conversion in fields:
-        if form or conversion:
-            raise SceneError(f"--candidate {text!r}: {{{name}}} is a name and nothing behind it; {ESCAPE_BRACES_HINT}")
-    named = {name for _, name, _, _ in fields if name is not None}
+    named = frozenset(PLACEHOLDER.findall(text))
     if unknown := named - set(placeholders):
         known = ", ".join(f"{{{name}}}" for name in placeholders)
         raise SceneError(f"--candidate {text!r}: {{{min(unknown)}}} stands for nothing; known are {known}")
     if shutil.which(words[0]) is None:
         raise SceneError(f"--candidate {text!r}: there is no program '{words[0]}' to run")
-    return tuple(words), frozenset(named)
+    return tuple(words), named
+
+
+@dataclass(frozen=True)
+class Program(Subject):
+    """A program that is run once for each scene, without a shell, in the user's current folder."""
+
+    words: tuple[str, ...]
+    precision: str | None
+    seconds: float
+
+    @property
+    def placeholders(self) -> set[str]:
+        return {name for word in self.words for name in PLACEHOLDER.findall(word)}
+
+    def run(self, values: Mapping[str, Any]) -> None:
+        """Run it with values in place of the placeholders. Raises NoAnswer."""
+        run_program([PLACEHOLDER.sub(lambda found: str(values[found[1]]), word) for word in self.words], self.seconds)
 
 
 def run_program(words: list[str], seconds: float) -> None:
-    """Run a program to its end. Raises NoAnswer with the end of its output."""
+    """Run a program to its end. Raises NoAnswer with the tail of its output."""
     try:
         end = run(words, seconds)
     except OSError as error:
@@ -86,7 +97,7 @@ def run_program(words: list[str], seconds: float) -> None:
 
 
 def raise_if_failed(end: ProcessEnd, seconds: float) -> None:
-    """Raise NoAnswer for a program that was killed at its deadline, or ended with another code than 0."""
+    """Raise NoAnswer for a program that was killed at its deadline or ended with a code other than 0."""
     if end.code is None:
         raise NoAnswer(f"killed after {seconds:g} s{_output_tail(end.output)}")
     if end.code == UNSUPPORTED_CODE:
@@ -104,44 +115,30 @@ def _output_tail(words: str) -> str:
 # ---- a command that reads a scene and writes an EXR file ----
 
 
-def command_of(text: str, precision: str | None, seconds: float) -> "CommandSubject":
-    """A program that reads a scene and writes an EXR file. Raises SceneError."""
-    words, named = split_command(text, PLACEHOLDERS)
-    if "exr" not in named or not named & set(SCENE_PLACEHOLDERS):
-        raise SceneError(
-            f"--candidate {text!r}: expected {{exr}}, the file to write, and {{xml}} or {{toml}}, the scene"
-        )
-    return CommandSubject(text, words, named, precision, seconds)
-
-
 @dataclass(frozen=True)
-class CommandSubject(Subject):
-    """A program, run once a scene, without a shell, in the folder that the user is in."""
+class CommandSubject(Program):
+    """A program that reads a scene and writes an EXR file."""
 
-    words: tuple[str, ...]
-    fields: frozenset[str]
-    precision: str | None
-    seconds: float
-    # (image, request) -> the image in our names and conventions, and what was done; None: it has to be so already
+    # (image, request) -> the image with our names and conventions, and the steps taken; None: the image has them
     convert: Callable[[Exr, CastRequest], tuple[Exr, tuple[str, ...]]] | None = None
 
     @property
     def reads_xml(self) -> bool:
-        return "xml" in self.fields
+        return "xml" in self.placeholders
 
     def answer(self, request: CastRequest) -> Answer:
         """Write the scene, run the program, read its image. Raises NoAnswer."""
         film, path = request.scene.film, request.folder / "candidate.exr"
-        names = {"exr": path, "width": film.width, "height": film.height}
+        names: dict[str, Any] = {"exr": path, "width": film.width, "height": film.height}
         if self.reads_xml:
             exported = export(request.scene, request.model)
             if "<sensor" not in exported.xml:
                 kind = request.scene.camera.type
                 raise Unsupported(f"Mitsuba has no {kind} camera, so the XML has none; read {{toml}} for this scene")
             names["xml"] = exported.write(request.folder)
-        if "toml" in self.fields:
+        if "toml" in self.placeholders:
             names["toml"] = write_toml(request)
-        run_program([word.format(**names) for word in self.words], self.seconds)
+        self.run(names)
         try:
             exr = read_exr(path)
         except UnreadableExr as error:
@@ -155,14 +152,14 @@ class CommandSubject(Subject):
 
 
 def write_toml(request: CastRequest) -> Path:
-    """Write the scene with the traced numbers to a file."""
+    """Write the scene with the values that are traced to a file."""
     path = request.folder / "scene.toml"
     path.write_text(request.traced.to_toml(), encoding="utf-8")
     return path
 
 
 def check_window(exr: Exr, scene: Scene) -> None:
-    """Raise NoAnswer for an image whose pixels are not those of the film."""
+    """Raise NoAnswer if the pixels of an image are not those of the film."""
     film, (x0, y0, x1, y1) = scene.film, scene.film.window
     if exr.data_window not in ((x0, y0, x1, y1), (0, 0, x1 - x0, y1 - y0)):
         raise NoAnswer(
@@ -184,7 +181,7 @@ def answer_from_exr(
     if MASK in exr.channels:
         covered = _mask(exr.channels[MASK].ravel(), depth, request)
         t, depth = (np.where(covered, values, np.inf) for values in (t, depth))
-    # From the eye to where the shared ray starts, and rounded to float32 as it was stored.
+    # The depth, which counts from the eye, was rounded to float32 when it was stored.
     with np.errstate(invalid="ignore"):
         stored = np.where(np.isfinite(depth), U32 * np.abs(depth) / length, 0.0)
     found = checked_answer(t, n, len(t), precision=precision or FLOAT32, as_exported=as_exported)
@@ -192,7 +189,7 @@ def answer_from_exr(
 
 
 def camera_rounding(scene: Scene) -> tuple[float, float]:
-    """Effect of rounding to float32 on camera rays: turn of d relative to its length, shift of o in scene units."""
+    """Effect of float32 rounding on camera rays: change of d relative to its length, shift of o in scene units."""
     turn = KU * reference_of_camera(scene.camera).amplification(scene.camera, scene.film)
     reach = float(np.abs(scene.camera.eye).max()) + getattr(scene.camera, "width", 0.0)
     return turn, turn * reach
@@ -200,19 +197,19 @@ def camera_rounding(scene: Scene) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class ExrFile(Subject):
-    """An EXR file that was rendered beforehand, by the scene's camera."""
+    """An EXR file that was rendered beforehand with the scene's camera."""
 
     exr: Exr
     precision: str | None
 
     def answer(self, request: CastRequest) -> Answer:
-        """Its channels. Raises NoAnswer."""
+        """The answer from its channels. Raises NoAnswer."""
         check_window(self.exr, request.scene)
         return replace(answer_from_exr(self.exr, request, precision=self.precision), own_geometry=True)
 
 
 def _normals(channels: Mapping[str, np.ndarray]) -> np.ndarray | None:
-    """(n, 3) the normals, None if they are not given. Raises NoAnswer, also for a depth that is none."""
+    """(n, 3) normals, None if they are not given. Raises NoAnswer, also if depth is missing or not float32."""
     if DEPTH not in channels:
         has = ", ".join(channels) or "none"
         raise NoAnswer(f"the image has no channel {DEPTH}, the distance from the eye along the ray; it has {has}")
@@ -226,7 +223,7 @@ def _normals(channels: Mapping[str, np.ndarray]) -> np.ndarray | None:
 
 
 def _mask(mask: np.ndarray, depth: np.ndarray, request: CastRequest) -> np.ndarray:
-    """(n,) bool: hit, by the mask. Raises NoAnswer where depth contradicts it; a miss may have depth 0 or inf."""
+    """(n,) bool: the hits. A miss may have depth 0 or inf. Raises NoAnswer where depth contradicts the mask."""
     covered: np.ndarray = mask != 0
     missed = np.isposinf(depth) | (~covered & (depth == 0.0))
     contradicts = (covered == missed) | ~np.isfinite(mask)
@@ -243,12 +240,12 @@ def _mask(mask: np.ndarray, depth: np.ndarray, request: CastRequest) -> np.ndarr
 
 
 def number_type(precision: str | None) -> np.dtype[Any]:
-    """Of rays and hits, little-endian."""
+    """The type of rays and hits, little-endian."""
     return np.dtype("<f8" if precision == FLOAT64 else "<f4")
 
 
 def ray_bytes(request: CastRequest, precision: str | None) -> bytes:
-    """The rays of the pixels that have one: rows of o, d, t_min, t_max."""
+    """The rays of all pixels that have one: rows of o, d, t_min, t_max."""
     rays = request.rays
     t_min = np.broadcast_to(rays.t_min, len(rays.t_max))
     rows = np.column_stack([rays.o, rays.d, t_min, rays.t_max])[rays.t_max >= 0.0]
@@ -286,13 +283,9 @@ def answer_of_bytes(data: bytes, request: CastRequest, precision: str | None, wh
 
 
 @dataclass(frozen=True)
-class RayCommand(Subject):
-    """A program, run once a scene, without a shell: it reads rays and writes hits."""
+class RayCommand(Program):
+    """A program that reads rays and writes hits."""
 
-    words: tuple[str, ...]
-    fields: frozenset[str]
-    precision: str | None
-    seconds: float
     takes_rays: ClassVar[bool] = True
     takes_limits: ClassVar[bool] = True
 
@@ -300,12 +293,12 @@ class RayCommand(Subject):
         """Write rays and scene, run the program, read its hits. Raises NoAnswer."""
         paths = {name: request.folder / f"{name}.raw" for name in ("rays", "hits", "mesh")}
         paths["rays"].write_bytes(ray_bytes(request, self.precision))
-        if "scene" in self.fields:
+        if "scene" in self.placeholders:
             paths["scene"] = write_toml(request)
-        if "mesh" in self.fields:
+        if "mesh" in self.placeholders:
             paths["mesh"].write_bytes(mesh_bytes(request.model.packed))
-        paths["hits"].unlink(missing_ok=True)  # of an earlier request
-        run_program([word.format(**paths) for word in self.words], self.seconds)
+        paths["hits"].unlink(missing_ok=True)  # left by an earlier request
+        self.run(paths)
         try:
             data = paths["hits"].read_bytes()
         except OSError as error:
@@ -313,12 +306,12 @@ class RayCommand(Subject):
         return answer_of_bytes(data, request, self.precision, "{hits}")
 
 
-DECLINED = -1  # in place of the length of a response: the program lacks something that the scene has
+DECLINED = -1  # in place of the length of a response: the program does not support the scene
 
 
 @dataclass(frozen=True)
 class ServedCommand(Subject):
-    """A program that is started once: it reads meshes and rays from stdin and writes hits to stdout."""
+    """A program that is started once, reads meshes and rays from stdin and writes hits to stdout."""
 
     words: tuple[str, ...]
     precision: str | None
@@ -329,16 +322,16 @@ class ServedCommand(Subject):
     turn: Any = field(default_factory=threading.Lock, compare=False)  # scenes are judged several at a time
 
     def answer(self, request: CastRequest) -> Answer:
-        """Send triangles and rays, read hits; a program that has ended is started again. Raises NoAnswer."""
+        """Send triangles and rays, read hits; restart a program that has ended. Raises NoAnswer."""
         parts = mesh_bytes(request.model.packed), ray_bytes(request, self.precision)
-        data = b"".join(len(part).to_bytes(8, "little") + part for part in parts)
+        data = b"".join(map(length_first, parts))
         row = number_type(self.precision).itemsize
         lengths = {len(parts[1]) // 8 * columns: what for columns, what in HIT_COLUMNS.items()}
         with self.turn:
             reply = self._reply(data, lengths, len(parts[1]) // (8 * row))
-        if int.from_bytes(reply[:8], "little", signed=True) == DECLINED:
+        if int.from_bytes(reply[:HEAD_BYTES], "little", signed=True) == DECLINED:
             raise Unsupported("the program declined the scene")
-        return answer_of_bytes(reply[8:], request, self.precision, "its response")
+        return answer_of_bytes(reply[HEAD_BYTES:], request, self.precision, "its response")
 
     def _reply(self, data: bytes, lengths: Mapping[int, str], count: int) -> bytes:
         def length_of(head: bytes) -> int:

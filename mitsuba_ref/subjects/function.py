@@ -27,20 +27,20 @@ from mitsuba_ref.subjects.subject import (
 )
 
 FUNCTION_PATTERN = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*(\.[^\W\d]\w*)*")
-HIDDEN_FRAMES = (str(Path(__file__).parent), "<frozen importlib")  # frames that are not the candidate's
-MAX_TRACEBACK_FRAMES = 4  # of a traceback, on one line each
+HIDDEN_FRAMES = (str(Path(__file__).parent), "<frozen importlib")  # files of frames that are not the candidate's
+MAX_TRACEBACK_FRAMES = 4
 
-# Scenes are judged several at a time; a candidate need not be safe to call from two threads at once.
+# Scenes are judged several at a time, but a candidate need not be thread-safe.
 _one_at_a_time = threading.Lock()
 
 
 def is_function(text: str) -> bool:
-    """Whether this is package.module:function."""
+    """Whether a text is package.module:function."""
     return FUNCTION_PATTERN.fullmatch(text) is not None
 
 
 def import_function(text: str, precision: str | None = None) -> "FunctionSubject":
-    """Import it; the current folder comes first, as for `python -m`. Raises SceneError."""
+    """Import a function; the current folder comes first, as for `python -m`. Raises SceneError."""
     module, _, path = text.partition(":")
     here = str(Path.cwd())
     if here not in sys.path:
@@ -50,7 +50,7 @@ def import_function(text: str, precision: str | None = None) -> "FunctionSubject
             found: Any = importlib.import_module(module)
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # SystemExit, too, which would end the program with its own exit code
+    except BaseException as error:  # also SystemExit, which would end the program with its own exit code
         raise SceneError(f"--candidate {text}: cannot import {module}: {_exception_with_calls(error)}") from error
     for name in path.split("."):
         if not hasattr(found, name):
@@ -62,7 +62,7 @@ def import_function(text: str, precision: str | None = None) -> "FunctionSubject
 
 
 def function_subject(call: Callable[..., Any], name: str = "", precision: str | None = None) -> "FunctionSubject":
-    """A function as a candidate; its attribute `precision` counts where none is given. Raises SceneError."""
+    """A function as a candidate, with its attribute `precision` unless one is given. Raises SceneError."""
     name = name or getattr(call, "__name__", type(call).__name__)
     declared = precision or getattr(call, "precision", None)
     if declared is not None and not (isinstance(declared, str) and declared in PRECISIONS):
@@ -72,14 +72,14 @@ def function_subject(call: Callable[..., Any], name: str = "", precision: str | 
 
 @dataclass(frozen=True)
 class FunctionSubject(Subject):
-    """function(scene, o, d) -> (t, n). Its attribute `precision`, or the option, is float32 or float64."""
+    """A candidate that is a Python function."""
 
     call: Callable[[Any, np.ndarray, np.ndarray], Any]
     precision: str | None = None  # None: that of the arrays it returns
     takes_rays: ClassVar[bool] = True
 
     def answer(self, request: CastRequest) -> Answer:
-        """Call it with the rays of the pixels that have one, float32 values as float64; a hit beyond t_max is a miss.
+        """Call it with the rays of all pixels that have one, as float64; a hit beyond t_max counts as a miss.
 
         Raises NoAnswer.
         """
@@ -109,7 +109,7 @@ class FunctionSubject(Subject):
 
 @contextlib.contextmanager
 def _isolated() -> Iterator[None]:
-    """Run foreign code: what it prints goes to stderr; the working folder and NumPy's error state are restored."""
+    """Run foreign code: its output goes to stderr; working folder and NumPy's error state are restored afterwards."""
     here = Path.cwd()
     with contextlib.redirect_stdout(sys.stderr), np.errstate():
         try:
@@ -127,7 +127,7 @@ def _pair(returned: Any) -> tuple[Any, Any]:
 
 
 def _exception_with_calls(error: BaseException) -> str:
-    """The exception and its last calls."""
+    """The exception with the last calls that led to it."""
     calls = [call for call in traceback.extract_tb(error.__traceback__) if not call.filename.startswith(HIDDEN_FRAMES)]
     where = "".join(
         f"\n  {call.filename}:{call.lineno}, in {call.name}: {call.line}" for call in calls[-MAX_TRACEBACK_FRAMES:]

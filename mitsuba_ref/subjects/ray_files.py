@@ -1,5 +1,6 @@
-"""Files of rays and of hits: reading, writing, and hits from a file as a subject."""
+"""Files of rays and of hits: reading and writing them, and hits from a file as a subject."""
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,19 +16,19 @@ from caster.system.atomic_files import write_bytes
 from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.subjects.subject import Answer, CastRequest, NoAnswer, Subject, checked_answer
 
-COLUMNS = 8  # of a row of rays: o (3), d (3), t_min, t_max
+COLUMNS = 8  # of a ray: o (3), d (3), t_min, t_max
 NPY_MAGIC, ZIP_MAGIC = b"\x93NUMPY", b"PK"
 HIT_ARRAYS = ("t", "n", "shape_id", "prim_id", "any_hit")
 HIT_COLUMNS = {1: "t", 4: "t, n", 5: "t, n, prim_id"}  # of hits in one .npy array
-STRIP_WIDTH = 256  # pixels of the film that rays are laid out on, if the list names none
+STRIP_WIDTH = 256  # of the film on which rays are laid out, if the list names none
 
 
 class UnreadableArray(FileMissing):
-    """A file that does not hold the expected arrays."""
+    """A file without the expected arrays."""
 
 
 class RayList(NamedTuple):
-    """Rays o + t d with t_min < t <= t_max, and the width of the film they fill."""
+    """Rays o + t d with t_min < t <= t_max, and the width of the film that they fill."""
 
     rows: np.ndarray  # (n, 8) float32 or float64
     width: int = 0  # pixels; 0: any
@@ -37,9 +38,9 @@ class RayList(NamedTuple):
 
 
 def read_arrays(path: str | Path, names: Sequence[str] = ()) -> dict[str, np.ndarray]:
-    """Arrays of a .npz file by name, those of `names` alone; "" -> the array of a .npy file. Nothing is unpickled.
+    """The arrays `names` of a .npz file; for a .npy file, its array under the name "". Nothing is unpickled.
 
-    Raises FileMissing, UnreadableArray: for files of objects, cut ones, and such as do not fit into memory.
+    Raises FileMissing, or UnreadableArray for files that hold objects, are cut short or do not fit into memory.
     """
     path = Path(path)
     with opened_input(path, "file of arrays") as file:
@@ -51,7 +52,7 @@ def read_arrays(path: str | Path, names: Sequence[str] = ()) -> dict[str, np.nda
             loaded: Any = np.load(file, allow_pickle=False)
             single = start == NPY_MAGIC
             found = {"": loaded} if single else {name: loaded[name] for name in loaded.files if name in names}
-        except Exception as error:  # whatever NumPy, zipfile or the parser of a header make of damaged bytes
+        except Exception as error:  # NumPy and zipfile raise various types for damaged bytes
             raise UnreadableArray(f"{path}: cannot be read: {error}") from error
     if not found:
         raise UnreadableArray(f"{path}: expected arrays of {', '.join(names)}, got {', '.join(loaded.files) or 'none'}")
@@ -79,7 +80,7 @@ def read_rays(path: str | Path) -> RayList:
 
 
 def checked_rays(rows: np.ndarray, where: str, width: int = 0) -> RayList:
-    """Rays, checked. Raises SceneError that names the first one that cannot be traced."""
+    """The rays as a list. Raises SceneError that names the first ray that cannot be traced."""
     if rows.ndim != 2 or rows.shape[1] != COLUMNS:
         raise SceneError(f"{where}: expected rays of shape (n, {COLUMNS}): o, d, t_min, t_max; got {rows.shape}")
     native = rows.dtype.newbyteorder("=")
@@ -108,9 +109,7 @@ def checked_rays(rows: np.ndarray, where: str, width: int = 0) -> RayList:
 
 
 def write_rays(path: str | Path, rays: RayList, **more: np.ndarray) -> None:
-    """A .npz file of rays, or of a .npy suffix the rows alone. Raises OutputError."""
-    import io
-
+    """Write rays to a .npz file, or the rows alone to a .npy file. Raises OutputError."""
     out = io.BytesIO()
     if Path(path).suffix == ".npy":
         np.save(out, rays.rows, allow_pickle=False)
@@ -120,7 +119,7 @@ def write_rays(path: str | Path, rays: RayList, **more: np.ndarray) -> None:
 
 
 def lay_out(scene: Scene, rays: RayList) -> tuple[Scene, SharedRays]:
-    """(the scene with a film of one pixel for each ray, row by row; the rays). Pixels left over have no ray."""
+    """(the scene with a film of one pixel per ray, row by row; the rays). Remaining pixels have no ray."""
     count = len(rays.rows)
     width = min(rays.width or max(STRIP_WIDTH, int(np.ceil(np.sqrt(count)))), count)
     height = -(-count // width)
@@ -139,16 +138,13 @@ def lay_out(scene: Scene, rays: RayList) -> tuple[Scene, SharedRays]:
 
 
 def read_hits(path: str | Path) -> dict[str, np.ndarray]:
-    """Arrays of HIT_ARRAYS: of a .npz file by name, of a .npy file by HIT_COLUMNS.
-
-    Raises FileMissing, UnreadableArray.
-    """
+    """Hits by HIT_ARRAYS, from a .npz file or the columns of a .npy file. Raises FileMissing, UnreadableArray."""
     arrays = read_arrays(path, HIT_ARRAYS)
     return hit_columns(arrays[""], str(path)) if "" in arrays else arrays
 
 
 def hit_columns(rows: np.ndarray, where: str) -> dict[str, np.ndarray]:
-    """The arrays of hits (n, 1), (n, 4) or (n, 5); integers (n,) are any-hit answers. Raises UnreadableArray."""
+    """Hits by HIT_ARRAYS from rows (n, 1), (n, 4) or (n, 5); integers (n,) are any_hit. Raises UnreadableArray."""
     if rows.ndim == 1 and rows.dtype.kind in "biu":
         return {"any_hit": rows}
     if rows.ndim == 1:
@@ -167,14 +163,14 @@ def hit_columns(rows: np.ndarray, where: str) -> dict[str, np.ndarray]:
 
 @dataclass(frozen=True)
 class HitsFile(Subject):
-    """Hits that were computed beforehand, one a ray of the list."""
+    """Hits that were computed beforehand, one per ray of the list."""
 
     arrays: dict[str, np.ndarray]
     precision: str | None  # None: that of t and n
-    any_hit: bool = False  # its any-hit answers, not its nearest hits
+    any_hit: bool = False  # judge its any-hit answers, not its nearest hits
 
     def answer(self, request: CastRequest) -> Answer:
-        """The arrays, checked for form. Raises NoAnswer."""
+        """The answer from its arrays. Raises NoAnswer."""
         there = request.rays.t_max >= 0.0
         return answer_of_hits(self.arrays, int(there.sum()), self.precision, self.any_hit).spread(there)
 
@@ -199,7 +195,7 @@ def answer_of_hits(
 
 
 def is_given(ids: np.ndarray, hit: np.ndarray) -> bool:
-    """Whether numbers of shapes or primitives say anything: -1 at every hit is a column that is not filled."""
+    """Whether ids are given: -1 at every hit means that they are not."""
     return not hit.any() or bool((ids[hit] != -1).any())
 
 

@@ -1,4 +1,4 @@
-"""Requests to a subject: the rays of a scene, in the numbers that Mitsuba traces."""
+"""Requests to a subject: the rays of a scene, in the values that Mitsuba traces."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -20,12 +20,13 @@ from mitsuba_ref.reference.shared_input import (
     shared_rays,
 )
 from mitsuba_ref.subjects.command import (
+    PLACEHOLDER,
     PLACEHOLDERS,
     RAY_PLACEHOLDERS,
+    CommandSubject,
     RayCommand,
     ServedCommand,
     camera_rounding,
-    command_of,
     split_command,
 )
 from mitsuba_ref.subjects.function import import_function, is_function
@@ -49,8 +50,8 @@ class SubjectResponse(NamedTuple):
     model: SceneModel
     rays: SharedRays
     answer: Answer
-    view: SceneModel  # the model as the subject may see it
-    limits: tuple[str, ...] = ()  # what the XML leaves out, in words
+    view: SceneModel  # the model with the uncertainty of the subject's own rays
+    limits: tuple[str, ...] = ()  # notes on what the XML leaves out
 
 
 def request_answer(
@@ -58,8 +59,8 @@ def request_answer(
 ) -> SubjectResponse:
     """The answer of a subject to all rays of the film's window.
 
-    rays: of a list, laid out as that film, in place of the camera's. whole: the rays that stand-ins are cut to, if they
-    are others than the window's own. Raises NoAnswer.
+    rays: of a list, laid out as that film, in place of the camera's. whole: the rays to which patches of
+    planes are cut, if not those of the window. Raises NoAnswer.
     """
     packed = packed_float32(scene)
     scene, ends = with_far_plane(scene, packed) if subject.reads_xml else (scene, ())
@@ -76,7 +77,7 @@ def request_answer(
 
 
 def subject_view(answer: Answer, scene: Scene, model: SceneModel) -> SceneModel:
-    """The model as a subject may see it: rays of a camera of its own are known up to the rounding of a camera."""
+    """The model for a subject: rays of its own camera are known up to the rounding of a camera."""
     if not answer.own_camera:
         return model
     described = described_model(scene, model) if answer.own_geometry else None
@@ -84,13 +85,8 @@ def subject_view(answer: Answer, scene: Scene, model: SceneModel) -> SceneModel:
     return UncertainRaysModel(*about, *camera_rounding(scene), as_described=described)
 
 
-def one_of(rays: SharedRays, row: int) -> SharedRays:
-    """One ray, as rays."""
-    return rays.rows(slice(row, row + 1))
-
-
 def with_far_plane(scene: Scene, packed: Packed) -> tuple[Scene, tuple[str, ...]]:
-    """The scene as the XML has it, and what that leaves out: Mitsuba's sensors end somewhere, and a plane does not."""
+    """(the scene as in the XML, notes on what it leaves out): Mitsuba's sensors have a far plane, which cuts planes."""
     model = model_of(scene, packed, shared_rays(scene))
     if np.isfinite(model.boxes).all() or getattr(scene.camera, "far", 0.0) is not None:
         return scene, ()
@@ -102,9 +98,9 @@ def with_far_plane(scene: Scene, packed: Packed) -> tuple[Scene, tuple[str, ...]
 def parse_candidate(
     text: str, precision: str | None = None, seconds: float = DEFAULT_SECONDS, *, served: bool = False
 ) -> Subject:
-    """package.module:function, or a command with {xml} or {toml} and {exr}; served: one that answers over stdin.
+    """A subject from package.module:function or a command with placeholders; served: a command without any.
 
-    Raises SceneError for what is neither, a function that cannot be imported, a program that is not there.
+    Raises SceneError for other texts, a function that cannot be imported, and a program that does not exist.
     """
     if precision not in (None, *PRECISIONS):
         raise SceneError(f"--candidate-precision: expected {' or '.join(PRECISIONS)}, got {precision!r}")
@@ -112,14 +108,21 @@ def parse_candidate(
         return ServedCommand(text, split_command(text, ())[0], precision, seconds)
     if is_function(text):
         return import_function(text, precision)
-    if "{rays" in text or "{hits" in text or "{mesh" in text:
-        words, named = split_command(text, RAY_PLACEHOLDERS)
-        if not {"rays", "hits"} <= named:
-            raise SceneError(f"--candidate {text!r}: expected {{rays}}, the file to read, and {{hits}}, that to write")
-        return RayCommand(text, words, named, precision, seconds)
-    if any(f"{{{name}}}" in text for name in PLACEHOLDERS):
-        return command_of(text, precision, seconds)
-    raise SceneError(
-        f"--candidate {text!r}: expected package.module:function, or a command such as "
-        "'my-renderer {xml} -o {exr}' ({toml} in place of {xml} for our scene file)"
-    )
+    if not PLACEHOLDER.search(text):
+        raise SceneError(
+            f"--candidate {text!r}: expected package.module:function, or a command such as "
+            "'my-renderer {xml} -o {exr}' ({toml} in place of {xml} for our scene file)"
+        )
+    words, named = split_command(text, (*PLACEHOLDERS, *RAY_PLACEHOLDERS))
+    if named & {"rays", "hits", "mesh"}:
+        if not {"rays", "hits"} <= named <= set(RAY_PLACEHOLDERS):
+            raise SceneError(
+                f"--candidate {text!r}: expected {{rays}}, the file to read, {{hits}}, that to write, and at most "
+                "{mesh} and {scene} beside them"
+            )
+        return RayCommand(text, words, precision, seconds)
+    if "exr" not in named or not named & {"xml", "toml"} or not named <= set(PLACEHOLDERS):
+        raise SceneError(
+            f"--candidate {text!r}: expected {{exr}}, the file to write, and {{xml}} or {{toml}}, the scene"
+        )
+    return CommandSubject(text, words, precision, seconds)

@@ -1,4 +1,4 @@
-"""Subjects: the base class, answers to the rays of a scene, the scene as it is traced; and our caster."""
+"""Subjects: the base class, answers to the rays of a scene, the scene in traced values; and our caster."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,38 +26,38 @@ from mitsuba_ref.shapes import kind_of
 
 FLOAT32, FLOAT64 = "float32", "float64"
 NOT_FINITE = "the normal is not finite on a hit"
-LAST_WORDS = 1500  # characters kept of a candidate's output
-PRECISIONS = {FLOAT32: KU, FLOAT64: KU_OURS}  # K times the unit round-off, as SceneModel.intersect takes it
-DEFAULT_SECONDS = 300.0  # that a command may take for one scene
+LAST_WORDS = 1500  # characters of a candidate's output that are kept
+PRECISIONS = {FLOAT32: KU, FLOAT64: KU_OURS}  # K times the unit round-off, for SceneModel.intersect
+DEFAULT_SECONDS = 300.0  # time limit of a command for one scene
 
 
 class NoAnswer(Exception):  # noqa: N818 - an outcome, not a mistake of the program
-    """A candidate gave nothing that can be judged; the text says why, and what to do."""
+    """A candidate gave no answer that can be judged; the text says why and what to do."""
 
 
 class Unsupported(NoAnswer):
-    """A candidate declined the scene, such as one with a shape or camera that it lacks."""
+    """A candidate declined the scene, for example because it lacks a shape or camera."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """A subject's answer, one row for each ray. t is inf and n is 0 on a miss; rows in `broken` hold no answer."""
+    """A subject's answer, one row per ray. On a miss, t is inf and n is 0; rows in `broken` are no answer."""
 
     t: np.ndarray  # (n,) float64, lengths of d
     n: np.ndarray | None  # (n, 3) float64 of length 1; None: normals are not given
-    precision: str  # of PRECISIONS: the arithmetic that made it
-    broken: Mapping[str, np.ndarray]  # why a row is no answer -> (n,) bool
-    t_rounding: float | np.ndarray = 0.0  # (n,) error of t from storing it in another form
-    own_camera: bool = False  # it cast the rays of a camera of its own, not ours
-    own_geometry: bool = False  # its primitives are those of the scene's file, not rounded to float32
-    as_exported: bool = False  # it saw what Mitsuba saw: patches in place of planes
+    precision: str  # of PRECISIONS: its arithmetic
+    broken: Mapping[str, np.ndarray]  # reason why rows are no answer -> (n,) bool
+    t_rounding: float | np.ndarray = 0.0  # (n,) error of t from its conversion
+    own_camera: bool = False  # it cast the rays of its own camera, not ours
+    own_geometry: bool = False  # its primitives have the values of the scene file, not rounded to float32
+    as_exported: bool = False  # it traced the exported scene, with patches in place of planes
     notes: tuple[str, ...] = ()
     prim: np.ndarray | None = None  # (n,) int32, numbered through the scene, -1 on a miss; None: not given
     images: Aovs | None = None  # normals, ids, diffuse, from a subject that gives more than t and n
     shape_id: np.ndarray | None = None  # (n,) named beside t, -1 on a miss; None: not given, as prim_id
     prim_id: np.ndarray | None = None  # (n,) within the shape
-    hits_only: bool = False  # says whether something is hit, not where: t is 0 on a hit and means nothing
-    exact_visibility: bool = False  # rounding is no excuse for another first hit than the exact one
+    hits_only: bool = False  # it says whether something is hit, not where: t is 0 on a hit
+    exact_visibility: bool = False  # its first hits have to be the exact ones, whatever the rounding
 
     @property
     def hit(self) -> np.ndarray:
@@ -80,7 +80,7 @@ class Answer:
         return replace(self, t=self.t[rows], broken=broken, t_rounding=t_rounding, images=None, **some)
 
     def spread(self, there: np.ndarray) -> "Answer":
-        """From an answer to the rays of the pixels `there` (m,) bool to one about all pixels; the others miss."""
+        """The answer for all pixels from one for the pixels in `there`, (m,) bool; the others miss."""
 
         def whole(values: np.ndarray | None, nothing: float) -> Any:
             if values is None:
@@ -101,9 +101,8 @@ class Answer:
 def checked_answer(t: Any, n: Any, count: int, *, precision: str | None = None, **more: Any) -> Answer:
     """The answer to `count` rays from a candidate's arrays. precision: as declared; None: that of the arrays.
 
-    n may be None. Normals are taken as directions: each is divided by its length. A t that is NaN, negative or -inf,
-    and a normal that is not finite or has no length on a hit are rows without an answer. Raises NoAnswer for arrays of
-    another shape or of no floating type.
+    n may be None. Each normal is divided by its length. Rows are no answer where t is NaN, negative or -inf, or where a
+    hit has a normal that is not finite or has no length. Raises NoAnswer for arrays of another shape or type.
     """
     t = _floats("t", t, (count,), np.inf)
     n = None if n is None else _floats("n", n, (count, 3), 0.0)
@@ -123,9 +122,10 @@ def checked_answer(t: Any, n: Any, count: int, *, precision: str | None = None, 
 
 
 def _directions(n: np.ndarray) -> np.ndarray:
-    """Rows (n, 3) divided by their lengths, however long or short; rows of zeros stay.
+    """Rows (n, 3) divided by their lengths; rows of zeros stay.
 
-    First by the power of two next to the largest component, which is exact: a square may overflow, or vanish.
+    Each is first divided by a power of two near its largest component, which is exact, so that squares neither overflow
+    nor vanish.
     """
     _, exponent = np.frexp(np.abs(n).max(axis=1))
     n = np.ldexp(n, -exponent[:, None])
@@ -135,7 +135,7 @@ def _directions(n: np.ndarray) -> np.ndarray:
 
 
 def _floats(name: str, values: Any, shape: tuple[int, ...], nothing: float) -> np.ndarray:
-    """A plain array in native byte order. nothing: the value that stands for none. Raises NoAnswer."""
+    """A plain array in native byte order. nothing: the value of a miss, for a message. Raises NoAnswer."""
     expected = f"shape {'(n,)' if len(shape) == 1 else '(n, 3)'} = {shape}"
     if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values):
         masked = int(np.ma.getmaskarray(values).sum())
@@ -144,7 +144,7 @@ def _floats(name: str, values: Any, shape: tuple[int, ...], nothing: float) -> n
         a = np.asarray(values)
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # whatever a foreign array type raises; SystemExit would end the run with a 0
+    except BaseException as error:  # a foreign array type may raise anything; SystemExit would end the run with 0
         raise NoAnswer(f"{name} is no array: {type(error).__name__}: {exception_text(error)}") from error
     if a.dtype == object and not a.shape:
         raise NoAnswer(f"{name}: expected an array of {expected}, got {type(values).__name__}")
@@ -157,7 +157,7 @@ def _floats(name: str, values: Any, shape: tuple[int, ...], nothing: float) -> n
 
 
 def exception_text(error: BaseException) -> str:
-    """The message of a foreign exception; even that may fail, or be very long."""
+    """The message of a foreign exception, which may be very long or itself raise."""
     try:
         words = str(error)
     except Exception as another:
@@ -171,18 +171,18 @@ PrimitiveDescription = dict[str, Any]
 
 
 def describe_primitive(part: Any, k: int) -> PrimitiveDescription:
-    """A description of primitive k of a shape's arrays. Raises LookupError for a kind that has none."""
+    """A description of primitive k of packed arrays. Raises LookupError for a kind without descriptions."""
     return kind_of(part).describe(part, k)
 
 
 def describe_surface(part: Any, k: int) -> PrimitiveDescription:
-    """A description of the same surface, not to the bit. Raises LookupError for a kind that has none."""
+    """A description of the same surface, not bit by bit. Raises LookupError for a kind without descriptions."""
     kind = kind_of(part)
     return (kind.describe_surface or kind.describe)(part, k)
 
 
 def packs_identically(part: Any, k: int, packed: Packed) -> bool:
-    """Whether a scene packs to primitive k of these arrays and nothing else; a sphere's turn, for uv, apart."""
+    """Whether a scene packs to just primitive k of these arrays, apart from a sphere's rotation, used for uv."""
     if len(packed.parts) != 1 or type(packed.parts[0]) is not type(part):
         return False
     numbers = kind_of(part).numbers
@@ -191,12 +191,12 @@ def packs_identically(part: Any, k: int, packed: Packed) -> bool:
 
 
 def scene_as_traced(scene: Scene, packed: Packed, folder: Path) -> Scene:
-    """Film, camera, lights and materials as they were; shapes packed to float32, described anew.
+    """The scene with its shapes described by the float32 values that are traced. packed: by as_float32.
 
-    Everything made of triangles is a `mesh` without a to_world, its PLY file in `folder`/meshes; a sphere is a `sphere`
-    by centre and radius, and many of one shape are `spheres` with a file; ellipsoids, cylinders and disks are their
-    unit shape under one matrix; planes have a normal and a point. Where a shape has several primitives and no such
-    description, it is its first primitive, and the others follow after all shapes. packed: by as_float32.
+    Anything made of triangles becomes a `mesh` without a to_world, its PLY file in `folder`/meshes; a sphere becomes a
+    `sphere` with centre and radius, or many in one shape `spheres` with a file; ellipsoids, cylinders and disks become
+    their unit shape with one matrix; planes have a normal and a point. If a shape has several primitives and no such
+    description, it becomes its first primitive, and the others follow after all shapes.
     """
     check_folder(folder / "meshes")
     described = [_described(scene, packed, i, folder) for i in range(len(scene.shapes))]
@@ -206,7 +206,7 @@ def scene_as_traced(scene: Scene, packed: Packed, folder: Path) -> Scene:
 
 
 def _described(scene: Scene, packed: Packed, i: int, folder: Path) -> list[dict[str, Any]]:
-    """The shape, and its other primitives where each has a description of its own."""
+    """The shape; where its primitives are described one by one, also the others."""
     part, name = packed.parts[i], scene.shape_names()[i]
     named = {"name": name, "material": scene.shapes[i].material}
     path = folder / "meshes" / f"{i:04d}-{safe_name(name)}.ply"
@@ -221,7 +221,7 @@ def _described(scene: Scene, packed: Packed, i: int, folder: Path) -> list[dict[
 
 
 def ids_as_described(answer: "Answer", packed: Packed) -> "Answer":
-    """The answer with ids of the shapes that were described, where `scene_as_traced` has more of them."""
+    """The answer with the ids of the original shapes, where `scene_as_traced` has more shapes."""
     if answer.shape_id is None and answer.prim_id is None:
         return answer
     counts = np.diff(packed.first)
@@ -250,7 +250,7 @@ def ids_as_described(answer: "Answer", packed: Packed) -> "Answer":
 
 @dataclass(frozen=True)
 class CastRequest:
-    """One scene, its primitives in the float32 numbers that Mitsuba traces, and its rays."""
+    """One scene, its primitives in the float32 values that Mitsuba traces, and its rays."""
 
     scene: Scene  # as described
     model: SceneModel
@@ -259,11 +259,11 @@ class CastRequest:
 
     @cached_property
     def traced(self) -> Scene:
-        """The scene described anew by the numbers that are traced; its meshes are files in `folder`."""
+        """The scene described by the values that are traced; its meshes are files in `folder`."""
         return scene_as_traced(self.scene, self.model.packed, self.folder)
 
     def with_rays(self, rays: SharedRays) -> "CastRequest":
-        """The same scene object along other rays, so that a candidate can reuse what it keeps for a scene."""
+        """A request with other rays and the same scene object, so that a candidate can reuse what it cached for it."""
         other = replace(self, rays=rays)
         other.__dict__["traced"] = self.traced
         return other
@@ -273,13 +273,13 @@ class CastRequest:
 class Subject:
     """A ray caster to judge: ours, or a candidate in its place."""
 
-    name: str  # as its user named it; "" for ours
-    takes_rays: ClassVar[bool] = False  # casts given rays, so that it can be given some of them
-    takes_limits: ClassVar[bool] = False  # is given t_min and t_max of each ray
+    name: str  # as the user named it; "" for ours
+    takes_rays: ClassVar[bool] = False  # it casts given rays, so that it can be asked about some of them
+    takes_limits: ClassVar[bool] = False  # it is given t_min and t_max of each ray
 
     @property
     def reads_xml(self) -> bool:
-        """Whether it casts the same rays through the same scene as plain Mitsuba."""
+        """Whether it reads the XML that is exported for plain Mitsuba."""
         return False
 
     def answer(self, request: CastRequest) -> Answer:
@@ -289,7 +289,7 @@ class Subject:
 
 # ---- our own caster ----
 
-# AOVs that are compared; the hit mask is always there.
+# AOVs that are compared, beside the hit mask.
 COMPARED_AOVS = ("depth", "position", "normal", "shading_normal", "uv", "shape_id", "diffuse")
 
 # Further AOVs that follow from the hits.
@@ -297,12 +297,12 @@ DERIVED_AOVS = ("hit", "albedo", "prim_id")
 
 
 def cast_ours(scene: Scene, rays: SharedRays) -> RayHits:
-    """Our caster along the shared rays, on the float32 geometry."""
+    """Cast the shared rays with our caster, on the float32 geometry."""
     return trace(scene, rays.o, rays.d, rays.t_max, rays.start, rounded=as_float32)
 
 
 def answer_of_view(scene: Scene, view: RayHits, aovs: Sequence[str] = (*COMPARED_AOVS, *DERIVED_AOVS)) -> Answer:
-    """The answer to the rays of a view, one a pixel of the film's window."""
+    """The answer to the rays of a view, one per pixel of the film's window."""
     images = evaluate(view, aovs, film_window(scene))
     nearest = view.nearest
     return Answer(nearest.t, None, FLOAT64, {}, prim=nearest.prim, images=images, exact_visibility=True)

@@ -1,9 +1,8 @@
-"""What every machine casts and packs to the same bits. As a program, it does so elsewhere:
+"""What has to be the same bits on every machine: hits, images and packed scenes. As a program:
 
-    python plain_python.py INPUTS OUT    # files of arrays: what is to be cast, and what came of it
+    python plain_python.py INPUTS OUT    # two .npz files: what to cast, and the results
 
-Scenes and rays are drawn once and handed on: random numbers are made by NumPy and the C library, whose last bits are
-the machine's.
+Scenes and rays are drawn once and passed on, since random numbers depend on the machine's NumPy and C library.
 """
 
 import hashlib
@@ -12,6 +11,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -39,15 +39,15 @@ RAYS = 12  # of each family
 Arrays = dict[str, np.ndarray]
 
 
-def inputs(share: int) -> Arrays:
-    """Scenes of every shape before every camera, or before one camera in `share`, and hard rays; share 0: no shape.
+def inputs(share: int, shapes: Sequence[type] = SHAPES) -> Arrays:
+    """Hard rays at the shapes, and films of each by every camera, or one camera in `share`; share 0: no shape.
 
-    Of the two cullings that a film may go through, neighbours take turns: each shape and each camera has both.
+    Neighbours take different cullings, so that each shape and each camera has both.
     """
     found = {"points": np.random.default_rng(33).normal(size=(500, 2))}
     for j, camera in enumerate(VIEWS):
         found[f"view {name(camera)}"] = drawn([32, j], SHAPES[0], camera)
-    for i, shape in enumerate(SHAPES if share else ()):
+    for i, shape in enumerate(shapes if share else ()):
         for j, camera in enumerate(VIEWS):
             if (i + j // 2) % share == 0:
                 culling = (None, "bvh")[(i + j) % 2]
@@ -65,12 +65,12 @@ def drawn(seed: list[int], shape: type, camera: type) -> np.ndarray:
 
 
 def everything(given: Arrays) -> Arrays:
-    """All that is to be the same, by name, and what is not: `libraries`, and whether it was compiled."""
+    """All arrays that have to be the same, and those that need not: `libraries`, and whether it was compiled."""
     return {"compiled": np.array(COMPILED), **libraries(), **everything_packed(), **everything_cast(given)}
 
 
 def everything_cast(given: Arrays) -> Arrays:
-    """Every AOV of the films, the nearest hits of the rays, rays of the views; angles of the points."""
+    """Every AOV of the films, nearest hits of the rays, camera rays of the views, angles of the points."""
     found = {"turns": np.array([turn_fraction(y, x) for y, x in given["points"].tolist()])}
     found["polar angles"] = np.array([polar_fraction(x / (1.0 + abs(x))) for x in given["points"][:, 0].tolist()])
     for key, array in given.items():
@@ -93,7 +93,7 @@ def scene_of(text: np.ndarray):
 
 
 def everything_packed() -> Arrays:
-    """Digests of all that the shipped scenes pack to, in float64 and rounded to float32, and of their cameras."""
+    """Digests of the packed arrays of all shipped scenes, in float64 and rounded to float32, and of their cameras."""
     found = {}
     for file in sorted(ROOT.glob("scenes/*.toml")):
         scene = load_scene(file)
@@ -110,7 +110,7 @@ def digest(array: np.ndarray) -> np.ndarray:
 
 
 def libraries() -> Arrays:
-    """Numbers that the machine's libraries make, and that nothing of ours may be made of."""
+    """Results of the machine's libraries, which the caster must not use."""
     numbers = np.random.default_rng(34).random((3000, 3))
     return {
         "BLAS": digest(numbers @ np.array([[0.1, 0.7, 0.3], [0.4, 0.2, 0.9], [0.8, 0.6, 0.5]])),

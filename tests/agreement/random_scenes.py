@@ -4,18 +4,29 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from random_fields import Rng, direction, own_fields, point
 
 from caster.cameras import CAMERAS
 from caster.description.fields import Camera, Shape
 from caster.scene.model import Film, Scene
 from caster.shapes import SHAPES, Cube, Torus
+from mitsuba_ref import cameras, shapes
+
+Rng = np.random.Generator
 
 FILM = (37, 23)  # odd and oblong, so that a mix-up of width and height, or a lost last row, shows
 VIEWS: tuple[type[Camera], ...] = tuple(cls for cls in CAMERAS if issubclass(cls, Camera))  # not a mere ray
 # One or two shapes for each kind of primitive: kernels do not know which shape their triangles come from.
 KINDS = tuple(cls for cls in SHAPES if not hasattr(cls, "mesh") or cls in (Cube, Torus))
 MATERIALS = {"one": {"reflectance": (0.3, 0.6, 0.9)}, "both": {"two_sided": True}}
+
+
+def point(rng: Rng, size: float) -> np.ndarray:
+    return size * rng.uniform(-1.0, 1.0, 3)
+
+
+def direction(rng: Rng) -> np.ndarray:
+    v = rng.normal(size=3)
+    return v / np.linalg.norm(v)
 
 
 def random_place(rng: Rng, size: float, middle: np.ndarray) -> list[dict[str, Any]]:
@@ -30,15 +41,18 @@ def random_shape(cls: type[Shape], rng: Rng, size: float = 1.0, middle: Any = (0
     """A shape of this kind somewhere within about `size` of `middle`."""
     material = str(rng.choice(["", *MATERIALS]))
     place = random_place(rng, size, np.array(middle))
-    return cls(**own_fields(cls, rng, 1.0), material=material, to_world=place)
+    return cls(**shapes.REFERENCES[cls].random_fields(rng, False), material=material, to_world=place)
 
 
 def random_camera(cls: type[Camera], rng: Rng, size: float = 1.0, middle: Any = (0.0, 0.0, 0.0)) -> Camera:
     """A camera that looks at about `middle`, from outside or from between the shapes."""
     away = size * rng.uniform(0.2, 2.5)
     eye = np.array(middle) + away * direction(rng)
-    target = np.array(middle) + point(rng, 0.2 * size)
-    return cls(**own_fields(cls, rng, size), eye=eye, look_at=target, up=direction(rng))
+    view = {"eye": eye, "look_at": np.array(middle) + point(rng, 0.2 * size), "up": direction(rng)}
+    fields = cameras.REFERENCES[cls].random_fields(rng, size, lambda: view)
+    if "principal_point" in cls.model_fields:
+        fields["principal_point"] = rng.uniform(-0.2, 0.2, 2)
+    return cls(**fields)
 
 
 def random_lights(rng: Rng, size: float, middle: np.ndarray) -> list[dict[str, Any]]:

@@ -6,9 +6,8 @@ from hard_rays import hard_rays
 from random_scenes import name, random_scene
 
 from caster.cameras import Pinhole
-from caster.geometry.packing import Packed
-from caster.kernels.exact.numbers import as_float, compare
-from caster.kernels.nearest import Rays, exact_hit
+from caster.kernels.exact.numbers import as_float
+from caster.kernels.nearest import exact_hit
 from caster.rendering import casting
 from caster.rendering.bvh_construction import uses_bvh
 from caster.rendering.casting import exact_nearest, find_nearest
@@ -22,40 +21,6 @@ FEW = 12  # rays of a family whose every primitive is asked exactly
 SMALL = [shape for shape in SHAPES if name(shape) in ("sphere", "plane", "triangle", "disk", "cube", "cylinder")]
 
 
-def obviously_nearest(packed: Packed, rays: Rays, i: int) -> int:
-    """The number of the first primitive along ray i, by its exact root; -1 on a miss."""
-    hits = []
-    for kind in packed.kinds:
-        for k, prim in enumerate(kind.ids.tolist()):
-            found = exact_hit(kind.prims, k, rays, i)
-            if found.hit:
-                hits.append((prim, found))
-    best = -1, None
-    for prim, found in sorted(hits, key=lambda hit: hit[0]):
-        if best[1] is None or compare(found, best[1]) < 0:
-            best = prim, found
-    return best[0]
-
-
-def count_wrong(packed: Packed, rays: Rays) -> int:
-    """Rays of which the quick way says something else than every primitive asked exactly."""
-    found = find_nearest(packed, rays)
-    return sum(int(found.prim[i]) != obviously_nearest(packed, rays, i) for i in range(len(found.t)))
-
-
-@pytest.mark.parametrize("shape", SMALL, ids=name)
-@pytest.mark.slow("decides every ray exactly for every primitive", keep=4)
-def test_the_quick_way_finds_what_exact_arithmetic_finds(shape):
-    rng = np.random.default_rng([90, SHAPES.index(shape)])
-    asked = 0
-    while asked < 60:
-        scene = random_scene(rng, [shape], Pinhole, count=2, offset=rng.uniform(0.0, 10.0))
-        for o, d in hard_rays(packed(scene), rng, FEW).values():
-            rays = validated_rays(o, d, 0.0, np.inf)
-            assert count_wrong(packed(scene), rays) == 0
-            asked += len(o)
-
-
 def test_doubt_settled_for_all_rays_changes_no_bit():
     """Rays that float64 is sure of, decided exactly all the same, keep their primitive and every bit of t."""
     rng = np.random.default_rng(91)
@@ -65,17 +30,6 @@ def test_doubt_settled_for_all_rays_changes_no_bit():
         quick, exact = find_nearest(packed(scene), rays), exact_nearest(packed(scene), rays)
         for a, b in zip(quick, exact, strict=True):
             assert np.array_equal(a, b), family
-
-
-def test_without_the_exact_kernels_answers_are_wrong(monkeypatch):
-    """What the doubts are for: rays through shared corners, which float64 cannot give to a face."""
-    corners = random_scene(np.random.default_rng(92), [Cube], Pinhole, count=1)
-    rng = np.random.default_rng(93)
-    families = hard_rays(packed(corners), rng, 40)
-    rays = [validated_rays(*families[name], 0.0, np.inf) for name in ("at_corners", "at_edge_midpoints")]
-    assert sum(count_wrong(packed(corners), each) for each in rays) == 0
-    monkeypatch.setattr(casting, "exact_nearest", lambda packed, rays, *_, **__: casting.no_hits(len(rays.t_min)))
-    assert sum(count_wrong(packed(corners), each) for each in rays) >= 20
 
 
 def test_t_keeps_its_digits_where_scaled_rays_would_lose_them():

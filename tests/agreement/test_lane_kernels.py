@@ -46,10 +46,10 @@ def kernel_differs(module: types.ModuleType, name: str) -> bool:
         {
             "max_visible_t": lambda tile, box: inner(tile, box),
             "min_t_per_depth": lambda tile, box, forward: inner(tile, box, forward),
-            "bounds_in_tile": lambda pixels, k, box: inner(pixels, k, box),
-            "any_pixel_visible": lambda tile, rect, near: inner(tile, rect, near),
+            "bounds_in_tile": lambda pixels, k, box, c: inner(pixels, k, box)[c],
+            "any_pixel_visible": lambda tile, rect, near: int(inner(tile, rect, near)),
             "update_nearest": lambda tile, i, number, t, error: inner(tile, lane(i), number, t, error),
-            "packet_bounds": lambda tile, first: inner(tile, direction, lane(first)),
+            "packet_bounds": lambda tile, first, end, c: inner(tile, direction, lane(first))[end][c],
         }[name]
     )
     return any(not _agrees(compiled, name, rng) for _ in range(60))
@@ -69,7 +69,8 @@ def _agrees(compiled: Callable[..., Any], name: str, rng: np.random.Generator) -
     if name == "bounds_in_tile":
         pixels = np.array([[1000 + x0, 500 + y0, 1000 + x1, 500 + y1]])
         start, stop = whole_lanes(x0, x1)
-        return bool(compiled(pixels, 0, (1000, 500, 1128, 564)) == (start, y0, stop, y1))
+        found = [compiled(pixels, 0, (1000, 500, 1128, 564), c) for c in range(4)]
+        return found == [start, y0, stop, y1]
     if name == "any_pixel_visible":
         start, stop = whole_lanes(x0, x1)
         part = (field_of(tile, tiles.T) + field_of(tile, tiles.T_ERROR))[y0:y1, start:stop]
@@ -79,7 +80,8 @@ def _agrees(compiled: Callable[..., Any], name: str, rng: np.random.Generator) -
     if name == "packet_bounds":
         first = LANES * int(rng.integers(tiles.PIXELS // LANES))
         parts = [field_of(tile, field).ravel()[first : first + LANES] for field in (tiles.DX, tiles.DY, tiles.DZ)]
-        return bool(compiled(tile, first) == (tuple(p.min() for p in parts), tuple(p.max() for p in parts)))
+        found = [[compiled(tile, first, end, c) for c in range(3)] for end in (0, 1)]
+        return found == [[p.min() for p in parts], [p.max() for p in parts]]
     return _folds_like_numpy(compiled, tile, rng)
 
 

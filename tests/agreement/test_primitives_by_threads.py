@@ -6,7 +6,6 @@ reach into, once, and in one leaf of a tree. Threads share few primitives only h
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -125,67 +124,3 @@ def test_each_primitive_is_in_one_leaf(scene):
 def test_each_part_of_the_work_is_done_once(size):
     said = "; ".join(undone_parts(size))
     assert said == "", said
-
-
-# ---- what those three say of a fault
-
-
-def test_primitives_that_are_not_in_each_of_their_tiles_once_are_found(scene):
-    found, window = binned(scene, 3), film_window(scene)
-    order, pixels = found.order, found.bounds.pixels
-    twice, elsewhere, unknown, fewer = order.copy(), order.copy(), order.copy(), found.runs.copy()
-    twice[0], unknown[-1] = twice[1], 320
-    swap = [found.runs[1] - 1, found.runs[-2]]
-    elsewhere[swap] = elsewhere[swap[::-1]]
-    fewer[-1] -= 1
-    for wrong, said in (
-        ({"order": order[::-1]}, "put primitive"),
-        ({"order": twice}, "put primitive"),
-        ({"order": elsewhere}, "put primitive"),
-        ({"order": order[:-1], "runs": fewer}, f"put primitive {order[-1]} of 320 into"),
-        ({"order": order[:-1]}, "primitives into tiles"),
-        ({"order": unknown}, "primitives into tiles"),
-    ):
-        (what,) = wrong_tiles(replace(found, **wrong), pixels, window, 3)
-        assert what.startswith("3 threads ") and said in what
-    moved = pixels.copy()
-    moved[7, 2] += 1
-    (what,) = wrong_tiles(found, moved, window, 5)
-    assert what == "5 threads bound primitive 7 of 320 otherwise than one does"
-
-
-def test_a_primitive_that_is_not_in_one_leaf_is_found(scene):
-    tree = build_tree(*packed(scene).kinds[0].boxes(), 1)
-    leaf, node = (tuple(np.argwhere(which)[-1]) for which in ((tree.links < -1), tree.links > 0))
-    shorter, beyond, longer, orphan, order = (array.copy() for array in (*4 * [tree.links], tree.order))
-    shorter[leaf] += 1  # ~(8 start + number)
-    longer[leaf] -= 1
-    beyond[leaf] -= 8 * 320
-    orphan[node] = 1
-    order[0] = order[1]
-    for wrong, said in (
-        ({"links": shorter}, "leaves"),
-        ({"links": longer}, "lea"),  # or beyond the last
-        ({"links": beyond}, "beyond the last"),
-        ({"order": order}, "leaves"),
-        ({"links": orphan}, "not every node"),
-    ):
-        assert any(said in what for what in wrong_leaves(tree._replace(**wrong), 320, "the tree")), said
-
-
-def test_parts_that_are_left_out_or_done_twice_are_found(monkeypatch):
-    share = threads.parallel_for
-
-    def one_short(work, count, number, *, least):
-        share(work, count - (number == 3), number, least=least)
-
-    def one_more(work, count, number, *, least):
-        share(work, count, number, least=least)
-        work(0, int(number == 7))
-
-    for wrong, said in (
-        (one_short, "3 threads do item 96 of 97 0 times"),
-        (one_more, "7 threads do item 0 of 97 2 times"),
-    ):
-        monkeypatch.setattr(threads, "parallel_for", wrong)
-        assert set(undone_parts(97)) == {said}

@@ -11,7 +11,7 @@ from caster.geometry.packing import packed
 from caster.kernels.bvh.build import LEAF_SIZE
 from caster.kernels.nearest import Rays
 from caster.kernels.raster.tile import WIDTH
-from caster.rendering import ray_fans, ray_tiles
+from caster.rendering import ray_fans
 from caster.rendering.casting import find_any, find_nearest
 from caster.rendering.hits import validated_rays
 from caster.rendering.images import camera_rays
@@ -275,33 +275,6 @@ def test_rows_of_all_kinds_and_of_many_tiles(in_rows):
     assert len(in_rows) == 12
 
 
-def trust_origins(monkeypatch):
-    real = ray_fans.load_rays_from
-    monkeypatch.setattr(ray_fans, "load_rays_from", lambda *about: 0 * real(*about))
-
-
-@pytest.mark.parametrize(
-    "plant",
-    [
-        lambda monkeypatch: spoilt_fans(monkeypatch, slack=-1e-3),
-        lambda monkeypatch: spoilt_fans(monkeypatch, perspective=0.0),
-        trust_origins,
-    ],
-    ids=["narrow boxes", "parallel", "one origin for all"],
-)
-def test_a_fault_of_a_fan_of_rows_is_found(monkeypatch, plant, in_rows):
-    arrays, rng = scene_of([CUBE], 1.0, 106, count=20)
-    rays = film_rays(arrays, rng, 1.0)
-    if plant is trust_origins:
-        rays.o[40:90] += [3.0, 0.0, 0.0]
-        rays.o[np.linspace(0, len(rays.o) - 1, ray_fans.SAMPLED_RAYS).astype(int)] = rays.o[0]
-    assert_fans_change_nothing(arrays, rays, "right")
-    assert in_rows and any(in_rows) == (plant is trust_origins)
-    plant(monkeypatch)
-    with pytest.raises(AssertionError):
-        assert_fans_change_nothing(arrays, rays, "wrong")
-
-
 def film_of(camera, width=200, height=120):
     return camera_rays(Scene(camera=camera, film={"width": width, "height": height}))
 
@@ -311,34 +284,3 @@ def test_rows_of_a_film_are_found_also_in_a_part_of_it(fov):
     rays = film_of(Pinhole(eye=(1.0, 2.0, 3.0), look_at=(0.0, 0.0, 0.0), fov=fov))
     assert ray_fans.find_rows(rays) == (0, 200, 120)
     assert ray_fans.find_rows(Rays(*(a[90:-70] for a in rays))) == (110, 200, 118)
-
-
-def spoilt_fans(monkeypatch, **changes):
-    real = ray_tiles.fans_to
-    monkeypatch.setattr(ray_tiles, "fans_to", lambda *about: [fan._replace(**changes) for fan in real(*about)])
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [{"slack": -1e-9}, {"slack": -1e-3}, {"perspective": 0.0}],
-    ids=lambda changes: " ".join(map(str, changes.items())),
-)
-def test_a_fault_of_a_fan_of_rays_is_found(monkeypatch, changes, taken):
-    """What is compared here is not blind."""
-    arrays, rng = scene_of([CUBE], 1.0, 102, count=20)
-    rays = from_point(next(points(arrays, rng, 1.0)), arrays, rng, 1.0)
-    assert_fans_change_nothing(arrays, rays, "right")
-    spoilt_fans(monkeypatch, **changes)
-    with pytest.raises(AssertionError):
-        assert_fans_change_nothing(arrays, rays, "wrong")
-
-
-def test_too_small_a_deviation_is_found(monkeypatch):
-    """Rays to a point in float32 need boxes that are as much wider."""
-    arrays, rng = scene_of([CUBE], 1.0, 103, count=20)
-    rays = to_point(next(points(arrays, rng, 1.0)), arrays, rng, 1.0, "float32")
-    assert_any_hit_is_the_same(arrays, rays, "right")
-    real = ray_tiles.fans_to
-    monkeypatch.setattr(ray_tiles, "fans_to", lambda light, center, extent, off: real(light, center, extent, -off))
-    with pytest.raises(AssertionError):
-        assert_any_hit_is_the_same(arrays, rays, "wrong")

@@ -5,10 +5,14 @@ EDGE_CASE_RAYS=20 asks twenty times as many rays.
 
 from collections import Counter
 
+import numpy as np
 import pytest
 from cases import CASES
-from cases.case import PRECISIONS, Case, Maker, Precision
+from cases.case import FLOAT64, PRECISIONS, Case, Maker, Precision
 from cases.judging import SHOWN, judged, short_of
+from cases.shapes import KINDS, shape_of
+
+from caster.shapes import SHAPES
 
 CHECKED = [(case, name) for case in CASES for name in case.checks or {}]
 
@@ -37,3 +41,14 @@ def test_ours_is_the_exact_answer(case: Case, precision: Precision):
 def test_answers_that_have_to_be_alike_are(case: Case, name: str):
     assert case.checks is not None
     assert case.checks[name]() > 0
+
+
+def test_each_case_is_listed_once_and_some_are_asked_of_every_shape():
+    assert len({case.number for case in CASES}) == len({case.name for case in CASES}) == len(CASES) >= 40
+    registered = {shape.model_fields["type"].default for shape in SHAPES}
+    assert {shape_of(kind, np.random.default_rng(0)).type for kind in KINDS} == registered
+    spread = [case for case in CASES if case.every_shape]
+    assert len(spread) >= 7
+    for case in spread:
+        asked = {shape.type for each in case.questions(Maker(case.number, FLOAT64)) for shape in each.scene.shapes}
+        assert asked == registered, f"case {case.number} leaves out {registered - asked}"

@@ -102,7 +102,7 @@ READERS: dict[str, tuple[str, ...]] = {
         "caster render FILE -o out/o.exr --explain",
         "caster probe FILE 3 3 --json",
         "caster sheet FILE -o out/o.png --side 16",
-        "mitsuba-ref rays FILE -o out/r.npz --kind mixed --count 20",
+        "mitsuba-ref rays FILE -o out/r.npz --kind features --count 20",
         "mitsuba-ref export FILE -o out/x",
         "mitsuba-ref compare in/image.exr in/other.exr --scene FILE",
         "mitsuba-ref render FILE -o out/o.exr",
@@ -122,14 +122,14 @@ READERS: dict[str, tuple[str, ...]] = {
         "mitsuba-ref bench --list in/mesh.obj",
         "caster check in/obj.toml",
         "caster render in/obj.toml -o out/o.exr",
-        "mitsuba-ref judge --mesh FILE --rays in/rays.npz --hits in/hits.npz",
+        "mitsuba-ref judge --scene FILE --rays in/rays.npz --hits in/hits.npz",
         "mitsuba-ref validate in/obj.toml --out out/v",
         "mitsuba-ref import in/mitsuba.xml -o out/i.toml",
     ),
     "in/ascii.ply": read_by("caster check in/ascii.toml", "mitsuba-ref export in/ascii.toml -o out/x"),
     "in/little.ply": read_by("caster check in/little.toml", "mitsuba-ref validate in/little.toml"),
     "in/big.ply": read_by(
-        "caster check in/big.toml", "mitsuba-ref rays in/big.toml -o out/r.npy --kind edges --count 9"
+        "caster check in/big.toml", "mitsuba-ref rays in/big.toml -o out/r.npy --kind features --count 9"
     ),
     "in/course.txt": read_by(
         "caster 6837 -input FILE -size 9 7 -output out/o.png -depth 8 12 out/d.tga -normals out/n.png",
@@ -178,7 +178,7 @@ READERS: dict[str, tuple[str, ...]] = {
     "out/scene.ours.exr": read_by("mitsuba-ref validate in/scene.toml --out out --html out/h"),
     "in/references/scene.exr": read_by(
         "mitsuba-ref check in/scene.toml --references in/references --json",
-        "mitsuba-ref check in/scene.toml --references in/references --fresh",
+        "mitsuba-ref approve in/scene.toml --references in/references",
     ),
     "out/references/scene.exr": read_by("mitsuba-ref approve in/scene.toml --references out/references --yes"),
     "in/kept.toml": read_by("mitsuba-ref fuzz --replay FILE", "mitsuba-ref fuzz --replay in/kept"),

@@ -38,19 +38,10 @@ def flipped_normal(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
     return t, -n
 
 
-def shading_normal(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
-    hits = caster.cast(scene, o, d)
-    return hits.t, hits.surface.sh_n
-
-
 def one_nan(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
     t, n = ours(scene, o, d)
     t[np.flatnonzero(np.isfinite(t))[7]] = np.nan
     return t, n
-
-
-def all_nan(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
-    return np.full(len(o), np.nan), np.full((len(o), 3), np.nan)
 
 
 def one_missed_edge_pixel(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
@@ -71,11 +62,6 @@ def t_off_by_a_ten_thousandth(scene: Scene, o: np.ndarray, d: np.ndarray) -> Giv
     return t * (1 + 1e-4), n
 
 
-def t_off_by_a_ten_thousandth_in_float32(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
-    t, n = t_off_by_a_ten_thousandth(scene, o, d)
-    return t.astype(np.float32), n.astype(np.float32)
-
-
 def the_last_surface(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
     """What lies behind the first hit, where something does."""
     t, n = ours(scene, o, d)
@@ -85,16 +71,6 @@ def the_last_surface(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
     rows = hit[there]
     t[rows], n[rows] = 1.000001 * t[rows] + behind.t[there], behind.normal[there]
     return t, n
-
-
-def negative_t(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
-    t, n = ours(scene, o, d)
-    return np.where(np.isfinite(t), -t, t), n
-
-
-def normals_of_no_length(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
-    t, n = ours(scene, o, d)
-    return t, 0.0 * n
 
 
 def without_normals(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:

@@ -1,4 +1,4 @@
-"""What many tests start with: Mitsuba in one process a variant, which stays, and a copy of both packages."""
+"""Shared fixtures: a resident Mitsuba process for each variant, and a copy of both packages."""
 
 import os
 import shutil
@@ -7,26 +7,27 @@ from pathlib import Path
 
 import pytest
 from edited_tree import ROOT, Forks, copy_tree
-from forked_runs import ask_once
 
 from caster.scene.model import Scene
 from mitsuba_ref.judge.classification import Judge, scene_judge
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import ResidentSession, SendRequest
+from mitsuba_ref.reference.store import STORE_VARIABLE
 from mitsuba_ref.report.validation import validate_scene
+from mitsuba_ref.runner import many_scenes
 
 
 @pytest.fixture(scope="session")
 def send() -> Iterator[SendRequest]:
-    """The way to Mitsuba, for tests that ask it about small scenes: to start it takes ten times as long."""
+    """Send requests to a resident Mitsuba: starting one takes ten times as long as a small scene."""
     with ResidentSession() as resident:
         yield resident.send
 
 
 @pytest.fixture(scope="session")
 def judged(send: SendRequest) -> Callable[[Scene], SceneVerdict]:
-    """What `mitsuba_ref.validate` finds about a scene."""
+    """Judge a scene, as `mitsuba_ref.validate` does."""
     return lambda scene: validate_scene(scene, "scene", send=send)
 
 
@@ -50,25 +51,25 @@ def unedited(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def answers(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder for what Mitsuba answered in this session, which its processes share."""
+    """A folder for Mitsuba's answers of this session, shared by its processes."""
     base = tmp_path_factory.getbasetemp()
     memory = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "answers"
-    memory.mkdir(exist_ok=True)
+    memory.mkdir(mode=0o700, exist_ok=True)
     return memory
 
 
 @pytest.fixture(scope="module")
 def remembered(answers: Path) -> Iterator[None]:
     """Commands of this process and its forks ask Mitsuba once about the same rays through the same scene."""
-    put = ResidentSession.send
-    ask_once(answers)
-    yield
-    ResidentSession.send = put  # type: ignore[method-assign]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(STORE_VARIABLE, str(answers))
+        patch.setattr(many_scenes, "local_store", lambda: None)  # verdicts are not stored
+        yield
 
 
 @pytest.fixture(scope="session")
 def forks(tmp_path_factory: pytest.TempPathFactory, unedited: Path, answers: Path) -> Iterator[Forks]:
-    """Runs commands; the processes of one session share what Mitsuba answered."""
+    """Runs commands; the processes of one session share Mitsuba's answers."""
     forks = Forks(tmp_path_factory.mktemp("words"), answers, home=unedited)
     yield forks
     forks.close()

@@ -1,15 +1,13 @@
-"""Commands of a tree, perhaps an edited copy, each in a fork of one process that has the libraries loaded already.
+"""Commands of a tree, which may be an edited copy, each in a fork of one process that has loaded the libraries.
 
-To start Python, to load the libraries and to start Mitsuba takes three times as long as to judge a small film.
-So the process loads the libraries, and no more: what is under test is loaded by each fork, from its own tree. A
-process that is given a tree loads it as well: it forks for commands of this tree alone, which nobody may edit. And
-with a memory, Mitsuba is asked once about the same rays through the same scene; a fault that alters either has it
-asked anew.
+Starting Python, loading the libraries and starting Mitsuba takes three times as long as judging a small film. The
+process loads the libraries and nothing else: each fork loads the code under test from its own tree. A process that is
+given a tree loads that as well, and forks only for commands of this tree, which must not be edited. With a memory,
+Mitsuba's answers are stored there; a fault that alters rays or scene has it asked again.
 
-As a program it reads orders, a line of JSON each, and answers each with a line: the exit code.
+As a program it reads orders, a line of JSON each, and answers each with a line that holds the exit code.
 """
 
-import hashlib
 import importlib
 import json
 import os
@@ -31,7 +29,7 @@ STANDARD = ("concurrent.futures.thread", "importlib.metadata", "tomllib", "xml.e
 
 
 def serve(home: str | None = None) -> None:
-    """Obey until nobody gives orders any more; home: a tree to load, whose commands alone are run then."""
+    """Run orders until stdin ends. home: a tree to load; only its commands are run then."""
     for name in (*LIBRARIES, *STANDARD):
         importlib.import_module(name)
     loaded = [name for name in sys.modules if name.partition(".")[0] in PACKAGES]
@@ -48,9 +46,9 @@ def serve(home: str | None = None) -> None:
 
 
 def obey(tree: str, module: str, argv: list[str], out: str, err: str, memory: str | None, without: list[str]) -> Any:
-    """What `python -P -m module argv` does with PYTHONPATH=tree; its words go to the files out and err.
+    """Do what `python -P -m module argv` does with PYTHONPATH=tree; its output goes to the files out and err.
 
-    without: names of checks of our caster that `validate` shall pass over.
+    without: names of checks of our caster that `validate` leaves out.
     """
     new = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
     for number, file, flags in ((0, os.devnull, os.O_RDONLY), (1, out, new), (2, err, new)):
@@ -60,8 +58,8 @@ def obey(tree: str, module: str, argv: list[str], out: str, err: str, memory: st
     sys.argv = [module, *argv]
     if module == "pytest":  # it warns of a plugin that is imported before it
         return runpy.run_module(module, run_name="__main__", alter_sys=True)
-    if memory:
-        ask_once(Path(memory))
+    if memory and argv[:1] in (["validate"], ["judge"]):
+        reuse_answers(memory)
     for name in without:
         pass_over(name)
     for name in PACKAGES:
@@ -70,7 +68,7 @@ def obey(tree: str, module: str, argv: list[str], out: str, err: str, memory: st
 
 
 def pass_over(name: str) -> None:
-    """A check is not made."""
+    """Leave out a check."""
     from mitsuba_ref.judge import checks
 
     assert name in {check.name for check in checks.all_checks()}, name
@@ -78,46 +76,12 @@ def pass_over(name: str) -> None:
     checks.all_checks.cache_clear()
 
 
-def ask_once(memory: Path) -> None:
-    """Answers of Mitsuba are kept in a folder, and taken from there where all that it would be given is the same."""
-    from mitsuba_ref.reference import variants
-    from mitsuba_ref.reference.messages import TraceResponse
-    from mitsuba_ref.reference.mitsuba_process import ResidentSession
+def reuse_answers(memory: str) -> None:
+    """Have `validate` and `judge` of this process store Mitsuba's answers in a folder, but no verdicts."""
+    from mitsuba_ref.runner import many_scenes
 
-    put = ResidentSession.send
-
-    def put_once(session: Any, job: Any, timeout: float) -> Any:
-        place = memory / everything_given(job, variants.environment_for(job.variant))
-        if place.exists():  # put there whole
-            return TraceResponse.from_bytes(place.read_bytes(), len(job.o))
-        answer = put(session, job, timeout)
-        if isinstance(answer, TraceResponse):
-            keep(answer, place)
-        return answer
-
-    ResidentSession.send = put_once  # type: ignore[method-assign]
-
-
-def everything_given(job: Any, settings: dict[str, str]) -> str:
-    """A hash of the settings, the rays and the files of the scenes; every file of their folders counts."""
-    told = hashlib.sha256()
-    told.update(
-        repr((job.xml.name, job.variant, job.lights, job.sensor, job.strict, sorted(settings.items()))).encode()
-    )
-    for name in job.ROWS:
-        array = getattr(job, name)
-        told.update(f"\n{name} {array.dtype} {array.shape}\n".encode() + array.tobytes())
-    for path in sorted(path for path in job.xml.parent.rglob("*") if path.is_file()):
-        content = path.read_bytes()
-        told.update(f"\n{path.relative_to(job.xml.parent)} {len(content)}\n".encode() + content)
-    return told.hexdigest()
-
-
-def keep(answer: Any, place: Path) -> None:
-    """Whole or not at all: two processes may keep the same answer at the same time."""
-    part = place.with_name(f"{place.name}.{os.getpid()}")
-    part.write_bytes(answer.to_bytes())
-    part.rename(place)
+    os.environ["MITSUBA_REF_STORE"] = memory
+    many_scenes.local_store = lambda: None  # type: ignore[assignment]
 
 
 if __name__ == "__main__":

@@ -119,7 +119,7 @@ def test_a_crash_in_one_band_is_the_problem_of_the_scene(small_bands, send):
 
     def crashing(request, timeout):
         calls.append(request)
-        return Crash("abort", "LLVM ERROR", "signal 6", 0.1) if len(calls) == 3 else send(request, timeout)
+        return Crash(-6, "LLVM ERROR", 0.1) if len(calls) == 3 else send(request, timeout)
 
     small_bands(True)
     found = validate_scene(scene("one-sphere"), "s", send=crashing)

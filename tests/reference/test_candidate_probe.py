@@ -14,9 +14,7 @@ from caster.scene.model import Scene
 from mitsuba_ref import __main__
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.judge.verdict import WRONG
-from mitsuba_ref.probe import pixel
 from mitsuba_ref.probe.candidate_pixel import CandidatePixel, probe_candidate
-from mitsuba_ref.probe.pixel import as_text
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.subjects.function import FunctionSubject
 from mitsuba_ref.subjects.subject import Subject
@@ -54,8 +52,12 @@ def test_a_replay_that_is_pasted_shows_the_pixel_again(monkeypatch, capsys, tmp_
     (scene,) = json.loads(verdict.read_text())["scenes"]
     assert scene["failures"][0]["replay"] == f"mitsuba-ref {replay}"
     assert scene["replay"] == f"mitsuba-ref validate scenes/inside-sphere.toml {shlex.join(given)}"
-    assert main([*shlex.split(replay), "--json"]) == 1
+    saved = tmp_path / "again.toml"
+    assert main([*shlex.split(replay), "--json", "--save", str(saved)]) == 1
     found = json.loads(capsys.readouterr().out)
+    head = saved.read_text()
+    assert load_scene(saved).camera.type == "ray" and "# Candidate: wrong: missed: the surface's first root" in head
+    assert f"#            mitsuba-ref probe THIS-FILE 0 0 {shlex.join(given[3:])}\n" in head
     theirs, (witness, *others) = found["candidate"], found["witnesses"]
     assert (theirs["verdict"], theirs["ok"], theirs["precision"]) == (WRONG, False, "float32")
     assert "first root is behind the ray's origin" in theirs["why"] and "hit or miss" in theirs["why"]
@@ -124,53 +126,10 @@ def test_no_answer_is_stated_in_the_words_of_validate_and_fails(at, send):
     assert not found.ok and found.witness.problem == "no answer"
 
 
-def test_the_text_has_the_candidate_between_ours_and_mitsuba(at, monkeypatch, brought):
-    scene = small()
-    monkeypatch.setattr(pixel, "witness_answers", lambda *given: ())
-    monkeypatch.setattr(pixel, "scene_judge", lambda scene, whole, timeout: brought(scene))
-    found = pixel.probe(scene, *HIT, FunctionSubject("flipped", candidates.flipped_normal))
-    text = as_text(found, "a.toml")
-    head, who, why, ours, *_ = text.splitlines()
-    assert head == "pixel (5, 4) of a.toml: wrong" and ours.startswith("ours       agree: ")
-    assert who == "candidate  flipped, held to the bounds of float64" and "turned round" in why
-    rows = text.splitlines()
-    place = next(i for i, row in enumerate(rows) if row.startswith("ours       normal "))
-    assert [row.split()[0] for row in rows[place : place + 3]] == ["ours", "reference", "candidate"]
-    assert re.search(r"^witness    candidate  WRONG  .*, normal [\d.]+e\+\d+x its bound$", text, re.MULTILINE)
-
-
-def test_a_probe_of_a_function_is_looked_after_and_deletes_nothing():
+def test_a_probe_of_a_function_is_supervised():
     words = ["probe", "--json", "scene.toml", "1", "2", "--candidate", "mine:trace"]
     assert __main__.needs_supervision(words) and __main__.needs_supervision([*words[:5], "--candidate=mine:trace"])
     assert not __main__.needs_supervision(words[:5])
-    assert list(__main__.output_paths(words)) == []  # after `validate`, --json has a file behind it
-
-
-class Closed:
-    """Standard output whose reader has gone."""
-
-    def write(self, text: str) -> int:
-        raise BrokenPipeError
-
-    def flush(self) -> None:
-        raise BrokenPipeError
-
-    def fileno(self) -> int:
-        raise OSError
-
-
-def test_files_are_written_though_the_text_has_no_reader(tmp_path, monkeypatch):
-    """And the file of the ray says what the candidate makes of it, and how to see that."""
-    monkeypatch.chdir(ROOT)
-    monkeypatch.setattr(pixel, "witness_answers", lambda *given: ())
-    monkeypatch.setattr("sys.stdout", Closed())
-    saved, given = tmp_path / "again.toml", ["--candidate", "docs.candidates.textbook:trace"]
-    words = ["probe", str(ROOT / "scenes/inside-sphere.toml"), "0", "0", "--size", "12", "9"]
-    assert main([*words, "--save", str(saved), *given]) == 141
-    assert load_scene(saved).camera.type == "ray"
-    head = saved.read_text()
-    assert "# Candidate: wrong: missed: the surface's first root is behind" in head
-    assert f"#            mitsuba-ref probe THIS-FILE 0 0 {shlex.join(given)}\n" in head
 
 
 def test_options_of_a_candidate_without_one_are_refused(capsys):

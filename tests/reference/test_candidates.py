@@ -18,7 +18,6 @@ from mitsuba_ref.__main__ import main
 from mitsuba_ref.judge.aggregate import NEVER_GIVEN
 from mitsuba_ref.judge.verdict import CLASSES, EXPLAINED, REFERENCE_WRONG, TIE, WRONG, SceneVerdict, Verdict
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
-from mitsuba_ref.report.ci_summaries import junit
 from mitsuba_ref.report.validation import Validation, validate_scene
 from mitsuba_ref.report.verdict_text import failure_text, summary_text
 from mitsuba_ref.subjects.function import FunctionSubject
@@ -100,13 +99,10 @@ EVERYWHERE = 0.99  # of the hit pixels
 
 FAULTS = [
     (candidates.one_nan, "one-sphere", 1, "no answer: t is NaN"),
-    (candidates.all_nan, "one-sphere", EVERYWHERE, "no answer: t is NaN"),
     (candidates.one_missed_edge_pixel, "one-sphere", 1, "missed; exact arithmetic hits"),
     (candidates.one_hit_beside_the_edge, "one-sphere", 1, "a hit; exact arithmetic misses"),
-    (candidates.t_off_by_a_ten_thousandth_in_float32, "cornell-box", EVERYWHERE, "t is 1.0001 times"),
+    (candidates.t_off_by_a_ten_thousandth, "cornell-box", EVERYWHERE, "t is 1.0001 times"),
     (candidates.the_last_surface, "closest-of-several", 0.1, "a surface that lies behind the first one"),
-    (candidates.negative_t, "one-sphere", EVERYWHERE, "no answer: t is negative"),
-    (candidates.normals_of_no_length, "one-sphere", EVERYWHERE, "no answer: the normal has no length on a hit"),
 ]
 
 
@@ -177,18 +173,6 @@ def test_whether_a_ray_hits_the_surface_it_starts_on_is_the_candidates_choice(ju
     assert found.checks_pass
 
 
-def test_a_verdict_speaks_of_the_candidate_to_programs_too(judged):
-    found = Verdict((judged(candidates.flipped_normal, small("cornell-box")),))
-    told = found.to_dict()
-    (scene,) = told["scenes"]
-    assert told["candidate"] == scene["candidate"] == "flipped_normal" and scene["precision"] == "float64"
-    assert told["counts"]["wrong"] == scene["counts"]["wrong"] > 100
-    assert scene["unjudged"] == list(NEVER_GIVEN)
-    assert {failure["verdict"] for failure in scene["failures"]} == {"wrong"}
-    assert scene["findings"][0]["what"] == "the normal is turned round"
-    assert "candidate=flipped_normal" in junit(found) and " wrong=" in junit(found)
-
-
 def all_misses_in_float32(scene, o, d):
     return np.full(len(o), np.inf, np.float32), np.zeros((len(o), 3), np.float32)
 
@@ -245,17 +229,12 @@ ANSWERS = [
     (raising, "raised RuntimeError: no such shape"),
     (leaving, "raised SystemExit: 0"),
     (lambda scene, o, d: np.zeros(len(o)), "expected two arrays (t, n), got one array of shape (432,)"),
-    (lambda scene, o, d: None, "expected two arrays (t, n), got NoneType"),
     (lambda scene, o, d: (np.zeros(7), None), "t: expected shape (n,) = (432,), got (7,)"),
-    (lambda scene, o, d: (np.zeros((len(o), 1)), None), "t: expected shape (n,) = (432,), got (432, 1)"),
     (lambda scene, o, d: (np.zeros(len(o)), o[:, :2]), "n: expected shape (n, 3) = (432, 3), got (432, 2)"),
     (lambda scene, o, d: (np.zeros(len(o), int), None), "t: expected float32 or float64 numbers, got int64"),
-    (lambda scene, o, d: (np.zeros(len(o), np.float16), None), "expected float32 or float64 numbers, got float16"),
-    (lambda scene, o, d: ([None] * len(o), None), "t: expected float32 or float64 numbers, got object"),
     (lambda scene, o, d: ([10**400] * len(o), None), "t: expected float32 or float64 numbers, got object"),
     (lambda scene, o, d: (Leaving(), None), "t is no array: SystemExit: 0"),
     (lambda scene, o, d: ((v for v in o), None), "t: expected an array of shape (n,) = (432,), got generator"),
-    (lambda scene, o, d: (None, None), "t: expected an array of shape (n,) = (432,), got NoneType"),
     (masked, "values are masked; fill them, such as t.filled(inf)"),
     (speechless, "raised Speechless: (its message raises ValueError)"),
     (talkative, "\\u001b[31mxxx"),
@@ -272,11 +251,6 @@ def test_an_answer_of_another_form_is_a_problem_and_never_a_pass(judged, trace, 
 def far_normals(scene, o, d):
     t, n = candidates.ours(scene, o, d)
     return t, 1e300 * n
-
-
-def near_normals(scene, o, d):
-    t, n = candidates.ours(scene, o, d)
-    return t, 1e-300 * n
 
 
 def odd_arrays(scene, o, d):
@@ -296,7 +270,7 @@ def leaving_things_behind(scene, o, d):
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("trace", [far_normals, near_normals, odd_arrays, leaving_things_behind])
+@pytest.mark.parametrize("trace", [far_normals, odd_arrays, leaving_things_behind])
 def test_how_a_right_answer_is_stored_does_not_count(judged, trace, capsys):
     here, errors = Path.cwd(), np.geterr()
     assert judged(trace, small("one-sphere")).ok
@@ -308,28 +282,13 @@ def far_t(scene, o, d):
     return np.where(np.isfinite(t), 1e308, t), n
 
 
-def no_t(scene, o, d):
-    t, n = candidates.ours(scene, o, d)
-    return np.where(np.isfinite(t), 5e-324, t), n
-
-
-def a_miss_is_a_number(scene, o, d):
-    t, n = candidates.ours(scene, o, d)
-    return np.where(np.isfinite(t), t, 1e30), n
-
-
 def nonsense(scene, o, d):
     rng = np.random.default_rng(5)
     odd = np.array([np.nan, -np.inf, 1e308, -1e308, 5e-324, -0.0, 1e-300, 1.0])
     return rng.choice(odd, len(o)), rng.choice(odd, o.shape)
 
 
-WILD = [
-    (far_t, "t is off: behind what is hit"),
-    (no_t, "t is 0 times what it should be"),
-    (a_miss_is_a_number, "t is 1e+30 where nothing is hit; a miss has t inf"),
-    (nonsense, "no answer: the normal is not finite on a hit"),
-]
+WILD = [(far_t, "t is off: behind what is hit"), (nonsense, "no answer: the normal is not finite on a hit")]
 
 
 @pytest.mark.filterwarnings("error")

@@ -13,16 +13,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mitsuba_scenes import job, random_mesh, shape, write
+from mitsuba_scenes import job, shape, write
 
-from mitsuba_ref.__main__ import main
 from mitsuba_ref.reference import messages, mitsuba_process, subprocess_runner
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.mitsuba_process import ResidentSession
 
 ROOT = Path(__file__).resolve().parents[2]
-MESH = '<shape type="ply" id="strewn"><string name="filename" value="strewn.ply"/></shape>'
-OLD_LLVM = Path("/usr/lib/x86_64-linux-gnu/libLLVM-15.so.1")  # aborts at an instruction it lacks
 HANG = """
 import os, subprocess, sys, time
 print("grandchild", subprocess.Popen(["sleep", "600"]).pid, flush=True)
@@ -92,7 +89,6 @@ def wait_for(condition: Callable[[], object]) -> None:
         ("import os; print('\\x1b[31mLLVM ERROR\\x1b[0m', flush=True); os.abort()", "abort", "SIGABRT", "LLVM ERROR"),
         ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "signal", "SIGSEGV", ""),
         ("import os; os._exit(0)", "garbage", "exit code 0", ""),
-        ("1 / 0", "error", "exit code 1", "ZeroDivisionError: division by zero"),
         ("raise ImportError('no such variant')", "error", "exit code 1", "no such variant"),
     ],
 )
@@ -103,43 +99,12 @@ def test_each_end_is_a_result_with_its_output(ball, in_place_of_mitsuba, source,
     assert found.output.splitlines()[-1:] == ([output] if output else [])
 
 
-@pytest.mark.skipif(not OLD_LLVM.exists(), reason=f"{OLD_LLVM} is not installed; the planted abort stands in")
-def test_a_real_abort_in_an_old_libllvm_is_a_result(tmp_path, monkeypatch):
-    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(OLD_LLVM))
-    monkeypatch.setenv("DRJIT_CACHE_DIR", str(tmp_path))  # a kernel from another libLLVM would hide it
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    random_mesh(tmp_path / "strewn.ply", np.random.default_rng(1))
-    found = crash(job(write(tmp_path, MESH), "llvm_ad_rgb", [[0, 0, 5]], [[0, 0, -1]]))
-    assert (found.kind, found.exit) == ("abort", "SIGABRT")
-    assert "fminimum" in found.headline and len(found.output) <= 4200
-
-
-def test_a_process_killed_amid_its_rays_is_a_result(tmp_path):
-    """Killed once Mitsuba is loaded and the rays are under way: a million take two seconds and more."""
-    random_mesh(tmp_path / "strewn.ply", np.random.default_rng(1))
-    o, d = (np.tile([0, 0, z], (10**6, 1)) for z in (5, -1))
-    request = job(write(tmp_path, MESH), "scalar_rgb", o, d)
-
-    def kill() -> None:
-        wait_for(lambda: subprocess_runner._running)
-        (pid,) = subprocess_runner._running
-        wait_for(lambda: "/ply.so" in Path(f"/proc/{pid}/maps").read_text())
-        time.sleep(0.5)
-        os.kill(pid, signal.SIGKILL)
-
-    thread = threading.Thread(target=kill)
-    thread.start()
-    found = crash(request)
-    thread.join()
-    assert (found.kind, found.exit) == ("signal", "SIGKILL")
-
-
 def test_a_hang_ends_in_time_and_leaves_no_process(ball, in_place_of_mitsuba, tmp_path):
     in_place_of_mitsuba(HANG.format(pids=str(tmp_path / "pid")))
     start = time.monotonic()
-    found = crash(ball, timeout=2)
-    assert (found.kind, found.exit) == ("timeout", "killed after 2 s")
-    assert time.monotonic() - start < 5
+    found = crash(ball, timeout=1)
+    assert found.kind == "timeout" and found.exit.startswith("killed after 1")
+    assert time.monotonic() - start < 4
     wait_for(lambda: gone(int((tmp_path / "pid").read_text())))
     wait_for(lambda: gone(int(found.output.removeprefix("grandchild "))))
 
@@ -165,8 +130,6 @@ def test_a_waiting_request_gets_a_crash_when_all_are_stopped(ball, in_place_of_m
     ("content", "says"),
     [
         ("<shape", "Error parsing start element"),
-        ('<shape type="sphere"><float name="radus" value="1"/></shape>', "radus"),
-        ('<shape type="ply"><string name="filename" value="missing.ply"/></shape>', "missing.ply"),
         (shape("sphere", "egg", 0, stretch="2 1 1"), "non-uniform scaling"),  # Mitsuba alone would only warn
     ],
 )
@@ -183,13 +146,13 @@ def test_a_flood_of_output_is_kept_at_both_ends(ball, in_place_of_mitsuba):
     assert len(found.output) < 5000 and found.headline == "Error: the first"
 
 
-@pytest.mark.parametrize("path", [None, "", ".", os.pathsep])
-def test_a_users_own_mitsuba_py_in_the_current_folder_is_not_imported(ball, tmp_path, monkeypatch, path):
+def test_a_users_own_mitsuba_py_in_the_current_folder_is_not_imported(ball, tmp_path, monkeypatch):
     (tmp_path / "mitsuba.py").write_text("raise SystemExit('the wrong one')")
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("PYTHONPATH", raising=False)
-    if path is not None:
+    for path in ("", ".", os.pathsep):
         monkeypatch.setenv("PYTHONPATH", path)
+        assert not {str(tmp_path), "", "."} & set(subprocess_runner.import_path().split(os.pathsep)), path
     answer = mitsuba_process.send_alone(TraceRequest(Path("scene.xml"), "scalar_rgb", ball.o, ball.d, ball.t_max))
     assert isinstance(answer, TraceResponse), answer
 
@@ -314,15 +277,14 @@ def test_what_a_scene_makes_of_every_process_is_its_result(tmp_path, in_place_of
 
 
 def test_one_process_serves_all_scenes_of_a_variant_in_the_same_environment(tmp_path, monkeypatch, alone):
-    """Its settings, such as libLLVM's path, are those of the time when the request is made; the test's name is none."""
+    """The settings of Mitsuba's libraries, such as libLLVM's path, are those of the time of the request."""
     request = balls(tmp_path, 1)[0]
-    pids = []
     with ResidentSession() as resident:
-        for name, value in (("LIB", "a"), ("LIB", "a"), ("PYTEST_CURRENT_TEST", "b (call)"), ("LIB", "b")):
+        for name, value, processes in (("DRJIT_X", "a", 1), ("OTHER", "b", 1), ("DRJIT_X", "b", 2)):
             monkeypatch.setenv(name, value)
             check_right([resident.send(request)])
-            pids.append(resident.processes["scalar_rgb"].process.pid)
-    assert pids[0] == pids[1] == pids[2] != pids[3] and not alone
+            assert len(resident.processes) == processes
+    assert not alone
 
 
 def test_a_process_that_has_grown_or_has_no_requests_ends_and_is_replaced(tmp_path, plant, alone):
@@ -382,14 +344,3 @@ def test_a_resident_goes_with_its_parent(tmp_path, how):
         if how:
             parent.send_signal(how)
     wait_for(lambda: gone(pid))
-
-
-def test_verdicts_are_equal_when_the_resident_dies_at_a_scene(tmp_path, plant):
-    files = [str(ROOT / "scenes" / f"{name}.toml") for name in ("one-sphere", "triangles")]
-    found = []
-    for fault in ("pass", "os.kill(os.getpid(), signal.SIGKILL)"):
-        plant(fault)
-        assert main(["validate", *files, "--size", "24", "20", "-j", "1", "--json", str(tmp_path / "v.json")]) == 0
-        scenes = json.loads((tmp_path / "v.json").read_text())["scenes"]
-        found.append([(scene["ok"], scene["counts"], scene["ratios"], scene["checks"]) for scene in scenes])
-    assert found[0] == found[1]

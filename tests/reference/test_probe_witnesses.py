@@ -8,7 +8,6 @@ import pytest
 import caster
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.probe.pixel import STAND_IN_PIXELS, stand_in_rays
-from mitsuba_ref.reference.shared_input import shared_rays
 
 # Along an edge of the mesh within a rounding, where Embree lets the ray slip through unless it is told to be robust.
 EDGE = """
@@ -27,16 +26,11 @@ subdivisions = 1
 """
 
 
-@pytest.mark.parametrize(("width", "height"), [(40, 30), (20000, 20000), (60000, 7)])
-def test_one_pixel_does_not_cost_what_the_film_does(width, height):
-    """A plane's patch is cut to the film's rays, of a larger film to as many with the same view."""
-    view = {"camera": caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), "film": {"width": width, "height": height}}
+def test_one_pixel_does_not_cost_what_the_film_does():
+    """A plane's patch is cut to the film's rays, of a larger film to fewer with the same view."""
+    view = {"camera": caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), "film": {"width": 20000, "height": 20000}}
     assert stand_in_rays(caster.Scene(shapes=[caster.Sphere()], **view)) is None
-    rays = stand_in_rays(caster.Scene(shapes=[caster.Plane(offset=-1.0)], **view))
-    assert len(rays.d) <= STAND_IN_PIXELS
-    small = width * height == 40 * 30
-    whole = shared_rays(caster.Scene(shapes=[caster.Plane(offset=-1.0)], **view)) if small else rays
-    assert np.array_equal(rays.d, whole.d) and (not small or len(rays.d) == width * height)
+    assert len(stand_in_rays(caster.Scene(shapes=[caster.Plane(offset=-1.0)], **view)).d) <= STAND_IN_PIXELS
 
 
 @pytest.mark.parametrize("words", [("probe", "0", "0"), ("approve", "--yes", "--references", "refs")])
@@ -110,33 +104,6 @@ def test_a_witness_on_the_right_surface_at_a_wrong_distance_is_wrong(probed, kin
     assert saying.right is right and (saying.share <= 1.0) is right
     (line,) = witness_lines((saying,))
     assert ("WRONG" in line and "x its bound" in line) is not right
-
-
-def test_a_variant_that_does_not_work_is_a_row_that_states_why(said, monkeypatch):
-    from mitsuba_ref.probe import witnesses
-    from mitsuba_ref.reference import variants
-
-    only = variants.Variants(True, False, None, "no libLLVM found")
-    monkeypatch.setattr(variants, "usable_variants", lambda: only)
-    monkeypatch.setattr(witnesses, "send_requests", lambda jobs: ["asked"] * len(jobs))
-    rows = dict(witnesses.other_variant_answers(_FakeJudge(), "scalar_rgb"))
-    assert rows["llvm_ad_rgb", "robust"] == rows["llvm_ad_rgb", "default"] == "does not work here: no libLLVM found"
-    assert rows["scalar_rgb", "default"] == "asked" and ("scalar_rgb", "robust") not in rows
-
-
-class _FakeJudge:
-    """As much of a judge as is needed to ask about it."""
-
-    def __init__(self):
-        from caster.geometry.packing import pack
-        from caster.geometry.world_space import as_float32
-        from mitsuba_ref.reference.shared_input import model_of
-
-        self.scene = caster.Scene(camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), shapes=[caster.Sphere()])
-        self.scene = self.scene.with_film(width=1, height=1)
-        rays = shared_rays(self.scene)
-        self.model = model_of(self.scene, pack(self.scene, as_float32), rays)
-        self.pair = type("Pair", (), {"rays": rays})
 
 
 def test_the_reproducer_is_written(said, probed):

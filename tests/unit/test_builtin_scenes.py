@@ -14,7 +14,7 @@ from caster.scene.files import film_pixels, load_scene, types_in_file
 from mitsuba_ref.cli.validate import exit_code
 from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED, SceneCheck
 from mitsuba_ref.report import validation
-from mitsuba_ref.runner.many_scenes import matching
+from mitsuba_ref.runner.many_scenes import JudgeOptions, matching
 from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun, expected_toml, read_expected
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -102,7 +102,7 @@ def test_an_unknown_type_is_an_error_with_the_known_ones():
 
 def judged(*scenes, **settings):
     """The verdict of a run over these, as it waives them."""
-    run = ValidationRun([], RunOptions(**settings))
+    run = ValidationRun([], RunOptions(JudgeOptions(), **settings))
     run.done = [run._recorded(each) for each in scenes]
     return replace(run.verdict(), scene_count=len(scenes), names=tuple(each.name for each in scenes))
 

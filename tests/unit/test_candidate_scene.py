@@ -17,6 +17,7 @@ NUMBERS = ("vertices", "faces", "center", "radius", "to_world", "to_object", "po
 
 
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+@pytest.mark.slow("every shipped scene", every=3)
 def test_the_traced_scene_packs_to_the_traced_numbers_without_any_rounding(path, tmp_path):
     scene = load_scene(path)
     packed = pack(scene, as_float32)

@@ -7,9 +7,11 @@ from pathlib import Path
 import pytest
 from verdict_factory import scene, verdict
 
+from caster import Pinhole, Scene
 from caster.description.errors import SceneError
 from mitsuba_ref.cli import options
 from mitsuba_ref.judge.checks import CANDIDATE, OURS, all_checks, checks_of, make_checks, thorough_names
+from mitsuba_ref.judge.checks.shapes import check_materials
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.report.ci_summaries import junit, markdown
 from mitsuba_ref.report.reproducers import replay
@@ -44,6 +46,11 @@ def test_a_check_gets_what_it_names_and_may_have_no_result():
     none = first._replace(make=lambda scene: None, needs=("scene",))
     found = make_checks([made, none], {"subject": "here", "scene": None})
     assert [check.what for check in found] == ["here"]
+
+
+def test_a_scene_without_shapes_has_its_materials():
+    empty = Scene(camera=Pinhole(**Pinhole.MINIMAL), shapes=[])
+    assert check_materials(empty) == SceneCheck("materials", 0.0, "no shape")
 
 
 def test_what_was_not_made_is_named_and_what_was_made_is_not():

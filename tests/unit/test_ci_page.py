@@ -47,13 +47,6 @@ def commands():
     return [SECRET.sub("1", line) for line in found]
 
 
-def test_the_pages_have_commands_of_both_programs():
-    said = " ".join(commands())
-    every = ("validate", "merge", "approve", "check", "doctor --warm", "--summary-md", "--shard", "probe")
-    for words in every:
-        assert words in said
-
-
 @pytest.mark.parametrize("command", commands())
 def test_every_command_is_accepted(command, capsys):
     program, *words = shlex.split(command)
@@ -69,15 +62,9 @@ def test_the_workflow_hangs_together():
     jobs = workflow()["jobs"]
     assert jobs["verdict"]["needs"] == "validate" and jobs["verdict"]["if"] == "always()"
     shards = jobs["validate"]["strategy"]["matrix"]["shard"]
-    assert shards == list(range(1, len(shards) + 1))
     runs = [step["run"] for step in steps() if "run" in step]
+    assert shards == list(range(1, len(shards) + 1))
     assert any(f"--shard ${{{{ matrix.shard }}}}/{len(shards)} " in run for run in runs)
-    uses = {step["uses"].split("@")[0]: step for step in steps() if "uses" in step}
-    assert uses["actions/download-artifact"]["with"]["pattern"] == "shard-*"
-    assert uses["actions/cache"]["with"]["path"] == "~/.cache/caster"
-    assert all("run" in step or "uses" in step for step in steps())
-    reports = [step["with"]["path"] for step in steps() if step.get("with", {}).get("name", "").startswith("report-")]
-    assert any(run.endswith(f"--html {page}") for page in reports for run in runs), "what is shown, a step writes"
 
 
 def test_every_exit_code_is_explained():

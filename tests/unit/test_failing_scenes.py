@@ -54,7 +54,7 @@ def test_a_verdict_has_the_composition_of_its_scene_also_without_comparison(monk
     ball = caster.Scene(
         camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), shapes=[caster.Sphere(), caster.Cube()]
     )
-    entry = many_scenes.SceneEntry(ball, "ball", "ball.toml")
+    entry = many_scenes.SceneEntry("ball", "ball.toml", given=ball)
     for found in (made("ball"), made("ball", problem="crash")):
         monkeypatch.setattr(many_scenes, "validate_scene", Mock(return_value=found))
         judged = many_scenes.judge_entry(entry, many_scenes.JudgeOptions())

@@ -211,8 +211,8 @@ def test_every_import_keeps_the_rules():
 
 def test_no_modules_import_one_another_in_a_circle():
     """Imports in functions and for type checkers counted."""
-    found = architecture.circles(architecture.graph_of(tree()))
-    assert not found, "\n".join(["circles of imports:", *map(" ".join, found)])
+    found = architecture.circle(architecture.graph_of(tree()))
+    assert not found, f"a circle of imports: {' '.join(found)}"
 
 
 def test_every_package_has_its_place_in_the_flow():
@@ -315,8 +315,8 @@ def test_a_planted_circle_is_found(tmp_path, later):
     (tmp_path / "caster/a.py").write_text("from caster.c import C\n")
     (tmp_path / "caster/b.py").write_text("from caster.a import A\n")
     (tmp_path / "caster/c.py").write_text(later)
-    (circle,) = architecture.circles(architecture.graph_of(architecture.read_sources(tmp_path)))
-    assert circle == ("caster.a", "caster.b", "caster.c")
+    found = architecture.circle(architecture.graph_of(architecture.read_sources(tmp_path)))
+    assert found == ("caster.a", "caster.b", "caster.c")
 
 
 SLOW = {"numba", "PIL", "llvmlite", "mitsuba", "drjit"}

@@ -15,7 +15,7 @@ import pytest
 from caster.jit import kernel_cache, machine_code
 from caster.jit.arguments import describe, key_text
 from caster.jit.command_list import bind
-from caster.jit.decorators import jit
+from caster.jit.decorators import COMPILATION_LOG, jit
 from caster.jit.kernel_cache import COMPILED, claim, read_sealed, write_sealed
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -242,8 +242,19 @@ def squares_below(limit: float) -> tuple[float, int]:
     return total, count
 
 
-def test_a_kernel_whose_answer_only_numba_can_pass_may_be_called_from_python():
+def test_a_kernel_that_answers_with_a_tuple_is_plain_python_where_python_calls_it():
+    compiled = len(COMPILATION_LOG.compiled)
     assert squares_below(5.0) == (30.0, 5) and squares_below(5) == (30.0, 5)
+    assert len(COMPILATION_LOG.compiled) == compiled
+
+
+def pair(x):
+    return x, x
+
+
+def test_a_kernel_that_answers_otherwise_than_it_is_annotated_is_an_error():
+    with pytest.raises(TypeError, match=r"pair answers .*: its annotation has to say so"):
+        jit(pair)(1.0)
 
 
 # ---- several processes

@@ -125,19 +125,6 @@ def test_another_class_is_another_name():
     assert digest(SOURCE, "Circles") != digest(SOURCE, "Squares")
 
 
-@pytest.mark.parametrize("left_out", ["text", "functions", "generics", "classes"])
-def test_a_digest_that_leaves_out_a_part_is_found(monkeypatch, left_out):
-    """Each part of what is read of a function is needed by some change above."""
-    real = digests._own_code
-
-    def planted(function: Any, generics: Any) -> digests.OwnCode:
-        found = real(function, generics)
-        return found._replace(**{left_out: "" if left_out == "text" else ()})
-
-    monkeypatch.setattr(digests, "_own_code", planted)
-    assert any(digest(edited(change)) == digest(SOURCE) for change in CHANGES.values())
-
-
 @pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")
 def test_signature_options_target_and_this_package_are_part_of_the_name(monkeypatch):
     """Each alone gives the file another name."""

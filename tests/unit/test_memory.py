@@ -42,16 +42,6 @@ def test_a_landscape_is_made_packed_and_looked_through_in_little_memory(scene):
     assert peak_of(lambda: rejected_faces(scene)) < LOOKING
 
 
-def test_one_array_of_all_corners_would_be_detected(scene):
-    """The check can fail: corners of all faces at once are 72 bytes a triangle more."""
-
-    def careless() -> object:
-        mesh = scene.shapes[0].mesh()
-        return mesh.vertices[mesh.faces]
-
-    assert peak_of(careless) > LOOKING
-
-
 def test_a_shape_that_is_alone_in_its_kind_is_not_copied(scene):
     packed = pack(scene)
     assert all(np.shares_memory(a, b) for a, b in zip(packed.parts[0], packed.kinds[0].prims, strict=True))

@@ -12,8 +12,6 @@ from caster.__main__ import main
 from caster.rendering.images import render_film
 from caster.system.terminal import QUIET_SECONDS, REFRESH_SECONDS, ProgressBar, StatusLine
 from mitsuba_ref.cli import options
-from mitsuba_ref.runner.many_scenes import SceneEntry, count_scene
-from mitsuba_ref.runner.many_scenes import progress_bar as scenes_bar
 
 SCENE = """
 [film]
@@ -186,17 +184,6 @@ def test_a_render_reports_each_of_its_pixels_once(tmp_path, aovs, camera, thread
     assert sum(told) == 147 * 63 and len(told) > 1 and min(told) > 0
     unheard = render_film(scene, aovs, threads=threads)
     assert all(np.array_equal(heard.aovs[name], unheard.aovs[name]) for name in aovs)
-
-
-def test_a_validation_counts_scenes_and_their_rays(tmp_path):
-    (tmp_path / "s.toml").write_text(SCENE)
-    small, large = (caster.load_scene(tmp_path / "s.toml").with_film(width=w, height=10) for w in (10, 30))
-    entries = [SceneEntry(small, "a", "a.toml"), SceneEntry(large, "b", "b.toml")]
-    bar = scenes_bar(entries)
-    count_scene(bar, entries, 1)
-    assert (bar.done, bar.total, bar.extra) == (100, 400, "1 of 2 scenes")
-    count_scene(bar, entries, 2)
-    assert (bar.done, bar.extra) == (400, "2 of 2 scenes")
 
 
 def test_render_shows_how_far_it_is_on_a_terminal_alone(tmp_path, terminal, monkeypatch, capsys):

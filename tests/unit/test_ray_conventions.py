@@ -10,8 +10,9 @@ import caster
 from caster.scene.files import load_scene
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.judge.checks.ray_conventions import RAYS, check_ray_conventions
-from mitsuba_ref.subjects.command import RayCommand, command_of
+from mitsuba_ref.subjects.command import RayCommand
 from mitsuba_ref.subjects.function import FunctionSubject
+from mitsuba_ref.subjects.requests import parse_candidate
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 
@@ -130,7 +131,7 @@ def test_what_fails_already_or_is_not_there_is_not_judged():
     assert checked(declines).what == "declined"
     away = scene_of("one-sphere").model_copy(update={"shapes": ()})
     assert check_ray_conventions(FunctionSubject("candidate", right), away).what == "no ray of the camera hits anything"
-    assert not command_of("true {xml} -o {exr}", None, 1.0).takes_rays  # so that it is not asked
+    assert not parse_candidate("true {xml} -o {exr}").takes_rays  # so that it is not asked
 
 
 CASTER = """import sys
@@ -164,6 +165,6 @@ def test_limits_of_t_that_a_program_is_given_are_heeded(tmp_path, body, ok, says
     program = tmp_path / "program.py"
     program.write_text(CASTER.format(body=body))
     words = sys.executable, str(program), "{scene}", "{rays}", "{hits}"
-    subject = RayCommand("program", words, frozenset({"scene", "rays", "hits"}), "float64", 60.0)
+    subject = RayCommand("program", words, "float64", 60.0)
     found = check_ray_conventions(subject, scene_of(name))
     assert found.ok is ok and found.what.startswith(says), found.what

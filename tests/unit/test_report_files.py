@@ -8,10 +8,8 @@ from importlib import resources
 import pytest
 
 from caster.system.atomic_files import OutputError
-from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneVerdict
-from mitsuba_ref.report import evidence
+from mitsuba_ref.judge.verdict import Failure, SceneVerdict
 from mitsuba_ref.report.html_report import SCRIPTS, HtmlReport, as_json, index_row, page
-from mitsuba_ref.report.validation import Validation
 from mitsuba_ref.report.verdict_text import failure_text
 
 FAILURE = Failure(3, 4, "wrong", "depth", 41.0, "a", "b", "c", "by exact arithmetic, ours is wrong")
@@ -30,12 +28,12 @@ def test_a_run_that_is_cut_off_has_its_page(tmp_path):
     report = HtmlReport(tmp_path / "r", 43)
     report.add(PASSING)
     text = (tmp_path / "r/index.html").read_text(encoding="utf-8")
-    assert "1 of 1 scenes pass; 42 of 43 were not judged" in text
+    assert "43 scenes: 1 pass, 0 fail, 42 not judged" in text
 
 
 def test_no_text_ends_its_script():
     evil = "</script><script>alert(1)</script><!--\u2028"
-    text = "".join(page({"summary": evil, "candidate": evil, "classes": []}, matrix_rows(replace(FAILING, name=evil))))
+    text = "".join(page({"summary": evil, "candidate": evil}, matrix_rows(replace(FAILING, name=evil))))
     assert text.count("<script") == 3 and "alert(1)<" not in text and "\u2028" not in as_json(evil)
     assert json.loads(as_json(evil)) == evil
 
@@ -43,7 +41,7 @@ def test_no_text_ends_its_script():
 def test_every_script_of_the_page_is_in_it():
     files = {each.name for each in (resources.files("mitsuba_ref.report") / "page").iterdir()}
     assert {f"{name}.js" for name in SCRIPTS} | {"page.html", "page.css"} == files
-    text = "".join(page({"summary": "", "candidate": "", "classes": []}, []))
+    text = "".join(page({"summary": "", "candidate": ""}, []))
     assert not re.findall(r"https?://|\bfetch\(|\bimport\b|new Worker|\beval\(", text)
 
 
@@ -90,18 +88,6 @@ def test_a_place_that_cannot_be_written_is_refused_at_once(tmp_path):
         HtmlReport(tmp_path / "file", 1)
     with pytest.raises(OutputError):
         HtmlReport(tmp_path / "r.html", 1)  # a report is a folder
-
-
-def test_a_verdict_writes_itself(tmp_path):
-    assert Validation((FAILING, PASSING), scene_count=2).write_html(tmp_path / "r") == tmp_path / "r" / "index.html"
-
-
-def test_classes_have_the_same_colours_on_the_page_as_in_files():
-    script = (resources.files("mitsuba_ref.report") / "page/colors.js").read_text(encoding="utf-8")
-    listed = script.partition("const CLASS_COLORS = {")[2].partition("}")[0]
-    found = {name: tuple(map(int, rgb.split(","))) for name, rgb in re.findall(r"(\w+): \[([^\]]+)\]", listed)}
-    assert found.keys() == {*CLASSES, "unlisted"} and len(set(found.values())) == len(found)
-    assert {name: found[name] for name in CLASSES} == evidence.CLASS_COLORS
 
 
 def test_a_page_of_others_is_left_alone(tmp_path):

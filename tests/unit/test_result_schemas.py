@@ -9,7 +9,7 @@ from verdict_factory import scene, verdict
 
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.cli.doctor import RESULTS, result_schema
-from mitsuba_ref.exr_compare.approved import ReferenceCheck, ReferenceChecks
+from mitsuba_ref.exr_compare.approved import ImageCheck, ImageChecks
 from mitsuba_ref.exr_compare.comparison_result import FileComparison, GroupResult, Worst
 from mitsuba_ref.judge.verdict import Failure
 
@@ -49,7 +49,7 @@ def test_a_comparison_fits_also_where_a_value_is_not_a_number():
     assert record["groups"][0]["worst"]["ours"] == "nan" and record["groups"][0]["worst"]["ratio"] == "inf"
 
 
-def test_checks_of_references_fit():
-    checks = ReferenceChecks((ReferenceCheck("a", "a.exr", False, ("stale",), refused=True),))
+def test_checks_of_approved_images_fit():
+    checks = ImageChecks((ImageCheck("a", "a.exr", False, ("stale",), refused=True),))
     fits("check", checks.to_dict())
     assert checks.to_dict()["ok"] is False

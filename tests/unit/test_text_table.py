@@ -57,15 +57,12 @@ def test_pass_and_fail_are_coloured_on_a_terminal_and_nothing_else():
     assert printed(TEXT) == "\x1b[32mPASS\x1b[0m  one [bold]\n\x1b[1;31mFAIL\x1b[0m  two\n      three FAIL\n"
 
 
-def test_no_color_and_dumb_terminals_get_plain_text(monkeypatch):
+def test_no_color_dumb_terminals_and_pipes_get_plain_text(monkeypatch, capsys):
     monkeypatch.setenv("NO_COLOR", "1")
     assert printed(TEXT) == TEXT + "\n"
     monkeypatch.delenv("NO_COLOR")
     monkeypatch.setenv("TERM", "dumb")
     assert printed(TEXT) == TEXT + "\n"
-
-
-def test_pipes_get_plain_text(capsys):
     print_lines(TEXT)
     assert capsys.readouterr().out == TEXT + "\n"
 

@@ -157,8 +157,8 @@ modules = [importlib.import_module(f"caster.rendering.{module.name}") for module
 kernels = {k for module in modules for k in vars(module).values() if isinstance(k, Kernel)}
 print(len(kernels), *sorted(k.__name__ for k in kernels if not k._codes))
 """
-# Of pixels and rays that are looked at one by one: `caster probe`, the judge.
-ONE_BY_ONE = {"intersect_each", "load_rays", "shadow_rays_of", "store_nearest"}
+# Of pixels and rays that are looked at one by one: `caster probe`, the judge; and ties between two kinds.
+ONE_BY_ONE = {"hit_precedes", "intersect_each", "load_rays", "shadow_rays_of", "store_nearest"}
 
 
 @pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")

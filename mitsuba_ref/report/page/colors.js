@@ -37,18 +37,6 @@ const DIVERGING = table(
 
 const GRAYS = table((x) => 0.12 + 0.86 * x, () => 0, () => 0);
 
-// Of each class; those of docs/every-shape.png. The last two of what fails are red and pink.
-const CLASS_COLORS = {
-  agree: [70, 120, 80],
-  explained: [255, 150, 0],
-  tie: [0, 200, 200],
-  reference_wrong: [200, 90, 255],
-  out_of_domain: [90, 90, 255],
-  wrong: [255, 0, 0],
-  undecided: [255, 255, 0],
-  unlisted: [255, 105, 180],
-};
-
 // What is no colour of a number.
 const CATEGORIES = {
   miss: { color: [38, 42, 49], words: "miss" },

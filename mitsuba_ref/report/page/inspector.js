@@ -92,15 +92,14 @@ function layerHtml(record, row, layer) {
   const data = inspected.get(layer.name);
   if (!data || notGiven(record, layer)) return "";
   if (data.missing)
-    return `<section><h3>${layer.words}</h3><p class="note">left out to limit the size of the file</p></section>`;
+    return `<section><h3>${layer.words}</h3><p class="note">not stored</p></section>`;
   if (record.hits[row] === 0) return "";
   const names = CHANNELS[layer.kind], both = record.hits[row] === 3;
   const rows = names.map((name, c) => channelHtml(name, data, c * data.count + row, record.hits[row])).join("");
-  const note = record.about.exactly ? "" : '<p class="note">Rounded to float32 to limit the size of the file.</p>';
   return `<section><h3>${layer.words} ${both ? boundHtml(record, data, row) : "<small>not compared</small>"}</h3><table>
 <thead><tr><th></th><th scope="col" class="side-ours">${JUDGED}</th>
 <th scope="col" class="side-reference">reference</th></tr></thead>
-<tbody>${rows}</tbody></table>${note}</section>`;
+<tbody>${rows}</tbody></table></section>`;
 }
 
 /** A candidate is held to the bound of its own arithmetic, from the surface in float64. */

@@ -47,7 +47,7 @@ async function layerData(record, layer) {
   for (const name of ["ours", "reference", "ratio", "bound", "alone", "own"]) data[name] = null;
   if (data.missing && layer.kind !== "id") return data;
   if (!isThere(record, layer)) {
-    data.missing = `${layer.words}: left out to limit the size of the file`;
+    data.missing = `${layer.words}: not stored`;
   } else if (isFloat(layer)) {
     data.channels = CHANNELS[layer.kind].length;
     data.reference = await record.array(layer.name, "reference");

@@ -92,7 +92,7 @@ class Pane {
     const { layer, missing } = looking.data;
     const why = missing || (layer.name === "all" ? "no image of all checks together: see difference over bound"
       : this.which === "ratio" && !layer.check ? `no check compares the ${layer.words}`
-      : "left out to limit the size of the file");
+      : "not stored");
     this.context.fillStyle = getComputedStyle(this.stage).color;
     this.context.font = "13px system-ui, sans-serif";
     this.context.textAlign = "center";

@@ -1,6 +1,7 @@
 // The list of scenes, which is in the page, and their records, which are loaded when a scene is opened.
 
 const RUN = JSON.parse(document.getElementById("index").textContent);
+const CLASS_COLORS = RUN.colors; // class -> [r, g, b]
 const KEPT_SCENES = 3; // records that stay in memory
 const records = new Map(); // name -> Promise of a SceneRecord
 const awaited = new Map(); // name -> function that takes what a script of the folder data hands over
@@ -49,7 +50,7 @@ class SceneRecord {
     Object.assign(this, { x0, y0, width: x1 - x0, height: y1 - y0, verdict: about.verdict });
     this.classes = await this.array("about", "class");
     this.hits = await this.array("about", "hit");
-    this.reasons = await byRow(this, "about/reasons", ["why"]);
+    this.reasons = await byRow(this, "about/reasons", ["words"]);
     this.exact = await byRow(this, "about/exact", ["t", "share", "words"]);
     if (this.has("ids")) {
       const like = { t_ours: "t_reference" };
@@ -162,13 +163,4 @@ function noPictures(scene) {
   const silent = RUN.candidate ? "the candidate gave no answer" : "the reference gave no answer";
   if (scene.crashed) return `There are no images: ${silent}.`;
   return "No images of this scene were stored.";
-}
-
-/** The thumbnails, taken out of the plain table, which then goes. */
-function takeThumbnails() {
-  const plain = document.getElementById("plain");
-  plain.querySelectorAll("tbody tr").forEach((row) => {
-    RUN.scenes[row.dataset.place].thumbnail = row.querySelector("img")?.getAttribute("src") ?? "";
-  });
-  plain.remove();
 }

@@ -106,7 +106,7 @@ function onClick(event) {
 }
 
 function start() {
-  takeThumbnails();
+  byId("plain").remove();
   buildTools();
   buildFilters();
   fillHelp();
