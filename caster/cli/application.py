@@ -47,10 +47,11 @@ def main(name: str, about: str, commands: Sequence[Command], codes: Sequence[int
         words = sys.argv[1:] if argv is None else list(argv)
         chosen = next((word for word in words if not word.startswith("-")), "")
         args = build_parser(name, about, commands, codes, (chosen,)).parse_args(words)
-        with checked_paths(args), terminal.compilation_reported():
+        with checked_paths(args):
             if argv is None:
                 announce(name, commands, chosen)
-            return int(args.run(args))
+            with terminal.compilation_reported():
+                return int(args.run(args))
 
     code = run_command(run)
     if code == INTERRUPTED and argv is None:

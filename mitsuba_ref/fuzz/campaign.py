@@ -279,7 +279,7 @@ def compare_with_mitsuba(
 
     rays: of a list, laid out as the film. Of a candidate, only what it has wrong is a finding.
     """
-    options: dict[str, Any] = {"timeout": MITSUBA_TIMEOUT_S, "send": resident.send, "thorough": True}
+    options: dict[str, Any] = {"timeout": MITSUBA_TIMEOUT_S, "send": resident.send}
     try:
         verdict = validate_scene(scene, "fuzz", subject=subject, rays=rays, **options)
     except SceneError:  # numbers beyond float32

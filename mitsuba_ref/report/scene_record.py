@@ -16,7 +16,7 @@ from caster.image.image_files import encode_image
 from caster.image.previews import aov_view
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.classification import CLASS_CODE
-from mitsuba_ref.judge.explanations import format_exact_hit
+from mitsuba_ref.judge.explanations import format_exact
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, REFERENCE_WRONG
 from mitsuba_ref.report.evidence import Evidence
 
@@ -131,7 +131,7 @@ def exact_answers(evidence: Evidence) -> dict[str, Any]:
         "rows": packed(exact.rows.astype(np.int32)),
         "t": packed(np.array(t, np.float64)),
         "share": packed(coarse(exact.ratio)),
-        **numbered(format_exact_hit(evidence.scene, evidence.packed, answer) for answer in exact.answers),
+        **numbered(format_exact(evidence.scene, evidence.packed, answer, with_t=False) for answer in exact.answers),
     }
 
 

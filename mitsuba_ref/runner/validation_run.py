@@ -90,7 +90,7 @@ class ValidationRun:
             names=names,
             requested_candidate=self.candidate_name,
             min_scenes=self.options.min_scenes,
-            mended=self.options.expected.mended(self.done) if self.options.expected else (),
+            fixed=self.options.expected.fixed(self.done) if self.options.expected else (),
             **self._identity,
         )
 
@@ -143,7 +143,7 @@ class ExpectedFailures(BaseModel):
         checks = failing_checks(found)
         return not found.ok and any(checks <= set(each.checks) and found.failing <= each.pixels for each in listed)
 
-    def mended(self, done: Sequence[SceneVerdict]) -> tuple[str, ...]:
+    def fixed(self, done: Sequence[SceneVerdict]) -> tuple[str, ...]:
         """Names of the listed scenes that pass."""
         named = {each.scene for each in self.failure}
         return tuple(found.name for found in done if found.ok and found.name in named)

@@ -13,6 +13,7 @@ import mitsuba_ref.__main__
 from caster.cli import COMMANDS
 from caster.cli.application import build_parser
 from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, output_file_unless_number
+from caster.system import atomic_files
 from caster.system.atomic_files import OutputError, ScratchFolder, atomic_write, remove_temporaries, write_text
 from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
 
@@ -120,6 +121,7 @@ def test_two_outputs_are_two_files(tmp_path, capsys):
 
 def test_temporary_files_are_gone_after_use_and_at_a_forced_exit(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr(atomic_files, "_temporaries", set())  # those of other tests stay
     with ScratchFolder() as folder, atomic_write(tmp_path / "x") as file:
         assert {path.name for path in tmp_path.iterdir()} == {Path(folder).name, file.name}
     assert [path.name for path in tmp_path.iterdir()] == ["x"]
