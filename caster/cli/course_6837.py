@@ -41,11 +41,9 @@ def run(args: argparse.Namespace) -> int:
     if not wanted:
         raise SceneError("nothing to render: expected at least one of -output, -depth, -normals")
     from caster.image.image_files import check_image_name, write_image
-    from caster.system.atomic_files import check_writable
 
     for option, path in wanted.items():
         check_image_name(option, path)
-        check_writable(path)
     from caster.classroom.course_files import load_course_scene
     from caster.classroom.course_images import depth_image, normal_image, render_course, to_bytes_truncated
     from caster.scene.model import Film

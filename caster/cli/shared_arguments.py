@@ -207,7 +207,7 @@ def checked_paths(args: argparse.Namespace) -> Iterator[None]:
                 raise SceneError(f"{option} {path}: expected another path: it is an input, and would be overwritten")
             other = option_of.setdefault(os.path.realpath(path), option)
             if isinstance(path, OutputFile) and other != option:
-                raise SceneError(f"{option} {path}: expected another file than that of {other}")
+                raise SceneError(f"{option} {path}: expected a file other than that of {other}")
             if isinstance(path, OutputFile):
                 check_writable(path)
             if isinstance(path, OutputFolder) and other == option:

@@ -104,11 +104,9 @@ def sheet(args: argparse.Namespace) -> int:
     from caster.image.image_files import check_image_name, write_image
     from caster.rendering.images import check_names
     from caster.scene.files import load_scene
-    from caster.system.atomic_files import check_writable
 
     check_image_name("-o", args.output)
     check_names([args.aov])
-    check_writable(args.output)
     files = scene_files(args.scenes)
     if not files:
         print(f"nothing selected: no scene file in {', '.join(args.scenes)}", file=sys.stderr)

@@ -241,7 +241,8 @@ def check_elsewhere(target: Any, start: str, values: Mapping[str, Any]) -> Any:
     """Validate that the direction from a field of `values` to the target is defined."""
     if target is not None and start in values:
         if target == values[start]:
-            raise expectation_error(f"another point than {start}, so that the viewing direction is defined", target)
+            text = f"must differ from {start}, so that the viewing direction is defined"
+            raise field_error(f"{text}, got {format_value(target)}")
         if not np.isfinite(transform.subtract(target, values[start])).all():
             raise expectation_error(f"nearer to {start}, at a finite distance", target)
     return target

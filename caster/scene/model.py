@@ -195,7 +195,7 @@ def _repeated_names(data: Any) -> Findings:
     for i, (path, own) in enumerate(_texts(data, "name")):
         name = own or f"shape-{i}"
         if name in first:
-            yield path, f"must be another than that of shapes[{first[name]}], got {format_value(name)} again"
+            yield path, f"must differ from that of shapes[{first[name]}], got {format_value(name)} again"
         first.setdefault(name, i)
 
 

@@ -136,8 +136,8 @@ class SphereCloud(Shape):
         if (self.file is None) == (self.centers is None):
             raise ValueError(f"needs either file or centers, got {'both' if self.file else 'neither'}")
         if self.radii is not None and (self.centers is None or len(self.radii) != len(self.centers)):
-            of = "no centers" if self.centers is None else f"{len(self.centers)} centers"
-            raise ValueError(f"needs one of radii for each of centers, got {len(self.radii)} and {of}")
+            count = len(self.centers or ())
+            raise ValueError(f"needs as many radii as centers, got {len(self.radii)} radii and {count} centers")
         if self.radii is not None and self.radius is not None:
             raise ValueError("needs either radii or radius, got both")
         return self

@@ -113,7 +113,7 @@ def test_a_scene_of_an_input_folder_is_no_output(tmp_path, capsys):
 def test_two_outputs_are_two_files(tmp_path, capsys):
     argv = ["merge", str(tmp_path), "--json", str(tmp_path / "x"), "--junit", str(tmp_path / "." / "x")]
     assert mitsuba_ref.__main__.main(argv) == 2
-    assert "expected another file than that of --json" in capsys.readouterr().err
+    assert "expected a file other than that of --json" in capsys.readouterr().err
 
 
 # ---- temporary files ----

@@ -106,9 +106,7 @@ ONE_LINERS = [
     (
         "look_at equals eye",
         camera("pinhole", "look_at = [0, 0, 5.0]"),
-        "4:1: camera (pinhole): look_at must be another point than eye, so that the viewing direction is "
-        "defined, "
-        "got [0, 0, 5]",
+        "4:1: camera (pinhole): look_at must differ from eye, so that the viewing direction is defined, got [0, 0, 5]",
     ),
     (
         "up along the view",
@@ -215,7 +213,7 @@ ONE_LINERS = [
     (
         "a degenerate look_at step",
         shape("cube", "to_world = { look_at = { origin = [1, 2, 3], target = [1, 2, 3] } }"),
-        "7:46: shapes[0] (cube): to_world.look_at.target must be another point than origin, so that "
+        "7:46: shapes[0] (cube): to_world.look_at.target must differ from origin, so that "
         "the viewing direction is defined, got [1, 2, 3]",
     ),
     (
@@ -256,12 +254,12 @@ ONE_LINERS = [
     (
         "a name twice",
         shape("cube", 'name = "a"\n[[shape]]\ntype = "disk"\nname = "a"'),
-        '10:1: shapes[1] (disk "a"): name must be another than that of shapes[0], got "a" again',
+        '10:1: shapes[1] (disk "a"): name must differ from that of shapes[0], got "a" again',
     ),
     (
         "the name of a nameless one",
         shape("cube", 'name = "shape-1"\n[[shape]]\ntype = "disk"'),
-        '8:1: shapes[1] (disk): name must be another than that of shapes[0], got "shape-1" again',
+        '8:1: shapes[1] (disk): name must differ from that of shapes[0], got "shape-1" again',
     ),
     (
         "an unprintable name",
@@ -346,7 +344,7 @@ def test_windows_line_ends_move_nothing():
 JSON = [
     (
         '{"camera": {"type": "pinhole", "eye": [0, 0, 5], "look_at": [0, 0, 5]}}',
-        "1:50: camera (pinhole): look_at must be",
+        "1:50: camera (pinhole): look_at must differ from eye",
     ),
     (
         '{\n "camera": {"type": "panorama",\n  "eye": [0, NaN, 5],\n  "direction": [0, 0, 1]}}',

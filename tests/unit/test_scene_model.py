@@ -45,7 +45,7 @@ def test_all_errors_of_a_python_scene_come_at_once():
         "shapes[2] (cube): raduis is an unknown key",
         'shapes[0] (sphere "a"): material must be one of the materials of this scene, got "gold"; '
         "add a table [material.gold]",
-        'shapes[1] (disk "a"): name must be another than that of shapes[0], got "a" again',
+        'shapes[1] (disk "a"): name must differ from that of shapes[0], got "a" again',
     ]
 
 
