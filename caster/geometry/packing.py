@@ -11,7 +11,7 @@ import numpy as np
 
 from caster.description.errors import SceneError, value_diagnostic
 from caster.geometry.world_space import Rounding, ShapeCollection, as_float32, as_given, is_usable, world_vertices
-from caster.kernels.bvh.build import bounding_boxes
+from caster.kernels.bvh.build import bounding_boxes, hulls_of
 from caster.kernels.protocol import hull_size
 from caster.kernels.triangles import Triangles as Triangles
 
@@ -46,7 +46,7 @@ class Kind:
     def boxes(self) -> tuple[np.ndarray, np.ndarray]:
         """Bounding boxes as (low, high) corners, (n, 3) each; not cached, since there may be millions."""
         low, high = np.empty((len(self.ids), 3)), np.empty((len(self.ids), 3))
-        bounding_boxes(self.prims, low, high, 0, len(self.ids))
+        bounding_boxes(self.prims, low, high)
         return low, high
 
     @cached_property
@@ -172,11 +172,10 @@ def largest_coordinate(prims: Any) -> float:
     if isinstance(prims, Triangles):  # without their boxes, which of millions take seconds and hundreds of MB
         used = np.zeros(len(prims.vertices), bool)
         used[prims.faces] = True
-        ends = [prims.vertices if used.all() else prims.vertices[used]]
+        points = prims.vertices if used.all() else prims.vertices[used]
     else:
-        ends = [np.empty((primitive_count(prims), 3)) for _ in range(2)]
-        bounding_boxes(concatenate_parts([prims]), ends[0], ends[1], 0, len(ends[0]))
-    return max(float(max(-end.min(initial=0.0), end.max(initial=0.0))) for end in ends)
+        points = hulls_of(concatenate_parts([prims]), primitive_count(prims)).points
+    return float(max(-points.min(initial=0.0), points.max(initial=0.0)))
 
 
 def primitive_count(part: Any) -> int:

@@ -1,4 +1,4 @@
-"""Arguments of a kernel as machine code takes them: a block of words, of an array its address."""
+"""The arguments of a kernel as machine code takes them: a block of words; an array is passed by its address."""
 
 import struct
 from collections.abc import Iterable, Iterator
@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-# Of an array's flags, what Numba compiles a kernel of its own for. An array that is in both orders is in C's.
+# Flags of an array for which Numba compiles different code. An array in both orders counts as C-ordered.
 C_ORDER, FORTRAN_ORDER, ALIGNED, WRITABLE = 0x1, 0x2, 0x100, 0x400
 
 ARRAY, INTEGER, REAL, BOOLEAN, NONE = "a", "i", "d", "b", "n"
 
-# Only these exactly: a class derived from one of them may be another type for Numba.
+# Exactly these: for Numba, a subclass may be another type.
 SCALARS: dict[type, str] = {
     int: INTEGER,
     np.int64: INTEGER,
@@ -24,14 +24,14 @@ SCALARS: dict[type, str] = {
 
 
 class Described(NamedTuple):
-    """Arguments as a kernel's machine code is looked for and called by."""
+    """The arguments of a call."""
 
-    key: tuple[Any, ...]  # which machine code is right: a form for each argument, and classes and lengths of tuples
-    words: list[int]  # a block: the answer's place, then the arguments
+    key: tuple[Any, ...]  # decides which machine code fits: the form of each argument, classes and lengths of tuples
+    words: list[int]  # a block: room for the answer, then the arguments
 
 
 def describe(args: tuple[Any, ...]) -> Described | None:
-    """None for arguments of other classes than arrays, numbers, None, and tuples of these."""
+    """Key and words of arguments; None if they are not arrays, numbers, None, or tuples of these."""
     key: list[Any] = []
     words = [0]
     return Described(tuple(key), words) if _describe(args, key, words) else None
@@ -71,14 +71,14 @@ def real_of_word(word: int) -> float:
 
 
 def key_text(key: tuple[Any, ...]) -> str:
-    """A key as text, the same in every process."""
+    """A key as text that is the same in every process."""
     return " ".join(
         f"{each[0].__module__}.{each[0].__qualname__}/{each[1]}" if _is_tuple(each) else str(each) for each in key
     )
 
 
 def tuple_classes(key: tuple[Any, ...]) -> tuple[type, ...]:
-    """The classes of all tuples among some arguments, in order."""
+    """The classes of all tuples among the arguments, in order."""
     return tuple(each[0] for each in key if _is_tuple(each))
 
 
@@ -86,11 +86,11 @@ def _is_tuple(form: Any) -> bool:
     return isinstance(form, tuple) and isinstance(form[0], type)
 
 
-Form = tuple[str, int, int]  # ARRAY or a scalar's form; dimensions and bytes of an element, of an array
+Form = tuple[str, int, int]  # ARRAY or the form of a scalar; of an array, its dimensions and the bytes of an element
 
 
 def forms_of(key: tuple[Any, ...]) -> Iterator[Form]:
-    """The form of each argument, members of tuples one by one."""
+    """The form of each argument; tuples are flattened."""
     for each in key:
         if isinstance(each, str):
             yield each, 0, 0

@@ -1,8 +1,8 @@
-"""A digest of all code that a kernel can reach, so that machine code is stale only when something in it has changed.
+"""A digest of all code that a kernel can reach: its machine code is compiled anew only if some of that has changed.
 
-Numba turns global names into constants when it compiles. So a function's digest covers its byte code, its constants and
-the values of the globals that it names. Functions among them are followed; so are the bodies of a function of the
-protocol (`generic`) for all classes within reach. Comments, line numbers and docstrings are left out.
+Numba compiles globals as constants. So the digest of a function covers its byte code, its constants and the values of
+the globals that it names. Functions among these are followed, and so are the bodies of protocol functions (`generic`)
+for all classes in reach. Comments, line numbers and docstrings are left out.
 """
 
 import hashlib
@@ -15,12 +15,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-# Of these a name says enough: their versions are part of what machine code is made for.
+# Packages that are known by name: their versions are part of the target.
 WITHOUT_SOURCE = {*sys.stdlib_module_names, "numpy", "numba", "llvmlite"}
 
 
 class OwnCode(NamedTuple):
-    """What one function is made of, and what it names."""
+    """The code of one function without that of others, and the names in it that can be followed."""
 
     text: str
     functions: tuple[FunctionType, ...]
@@ -31,7 +31,7 @@ class OwnCode(NamedTuple):
 def code_digest(function: Callable[..., Any], classes: Iterable[type], generics: dict[Any, Any]) -> str:
     """Hexadecimal digest of the code that a function reaches with arguments of some classes.
 
-    generics: the functions of the protocol (decorators.Generic), by what stands for them in code.
+    generics: protocol functions (decorators.Generic) by the function that stands for them in code.
     """
     known_classes: set[type] = {object, *classes}
     known_generics: set[Any] = set()
@@ -59,14 +59,14 @@ def code_digest(function: Callable[..., Any], classes: Iterable[type], generics:
 
 @cache
 def compiler_digest() -> str:
-    """Digest of this package's sources, by which functions become machine code."""
+    """Digest of the sources of caster/jit, which make machine code."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()
 
 
-_OWN_CODES: dict[Any, OwnCode] = {}  # by function: each stays as long as the process
+_OWN_CODES: dict[Any, OwnCode] = {}  # by function
 
 
 def _own_code(function: Any, generics: dict[Any, Any]) -> OwnCode:
@@ -82,7 +82,7 @@ def _read(function: FunctionType, generics: dict[Any, Any]) -> OwnCode:
     classes: list[type] = []
 
     def label(value: Any) -> str:
-        """A value as part of the text; what can be followed is noted."""
+        """A value as text; one that can be followed is noted."""
         if isinstance(value, type):
             classes.append(value)
             return _class_text(value)
@@ -104,11 +104,11 @@ def _read(function: FunctionType, generics: dict[Any, Any]) -> OwnCode:
             return f"set {sorted(map(label, value))}"
         if value is None or isinstance(value, bool | int | float | complex | str | bytes | np.generic):
             return f"{type(value).__name__} {value!r}"
-        return f"some {type(value).__module__}.{type(value).__qualname__}"  # nothing that Numba takes
+        return f"some {type(value).__module__}.{type(value).__qualname__}"  # Numba takes no such value
 
     words = [_name(function), label(function.__defaults__)]
     for code in _codes(function.__code__):
-        # a docstring is the first constant, where there is one
+        # the first constant is the docstring, if there is one
         constants = code.co_consts[1:] if code.co_consts[:1] == (function.__doc__,) else code.co_consts
         words += [code.co_code.hex(), str((code.co_argcount, code.co_kwonlyargcount, code.co_flags))]
         words += [str((code.co_varnames, code.co_freevars, code.co_cellvars))]
@@ -127,7 +127,7 @@ def _class_text(kind: type) -> str:
 
 
 def _codes(code: CodeType) -> Iterator[CodeType]:
-    """A code object, and those of functions within it."""
+    """A code object and those of nested functions."""
     yield code
     for constant in code.co_consts:
         if isinstance(constant, CodeType):
@@ -136,7 +136,7 @@ def _codes(code: CodeType) -> Iterator[CodeType]:
 
 @cache
 def _source_digest(module: ModuleType) -> str:
-    """Of a module that a kernel takes attributes of: all of its source."""
+    """Digest of the source of a module whose attributes a kernel uses; "" for a package that is known by name."""
     path = getattr(module, "__file__", None)
     if module.__name__.partition(".")[0] in WITHOUT_SOURCE or path is None:
         return ""
@@ -148,7 +148,7 @@ def _is_function(value: Any) -> bool:
 
 
 def _plain(value: Any) -> Any:
-    """The function behind a kernel."""
+    """The Python function of a kernel."""
     return getattr(value, "function", value)
 
 

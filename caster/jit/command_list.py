@@ -1,7 +1,7 @@
-"""Lists of kernel calls that are carried out for rows of numbers without a step of Python between them.
+"""Command lists: kernel calls that run for rows of numbers without Python code in between.
 
-Python's steps are taken by one thread at a time, and waiting for one's turn costs more than they do. A list is recorded
-once, as command lists of graphics interfaces are: what changes from one row to the next is read from the row.
+Python runs in one thread at a time, and waiting for its lock costs more than the code itself. A list is recorded once,
+as in graphics interfaces; arguments that change from row to row are read from the row.
 """
 
 import ctypes
@@ -18,17 +18,18 @@ __all__ = ["BoundCall", "Command", "CommandList", "Condition", "bind"]
 
 
 class BoundCall:
-    """A kernel with its arguments, but for those at the places `given`: integers or tuples of integers.
+    """A kernel bound to its arguments, except those at the places `given`: integers or tuples of integers.
 
-    A call takes a tenth of the time of others, and is one thread's at a time. `answer` is that of the last call.
+    A call takes a tenth of the time of an ordinary one; only one thread may call at a time. `answer` is that of the
+    last call, and `answered` names it as a condition.
     """
 
     def __init__(self, function: Callable[..., Any], args: tuple[Any, ...], given: tuple[int, ...]) -> None:
-        # the block has addresses of arrays among the arguments
+        # the arguments are kept, since the block holds addresses of arrays
         self._function, self._args, self._given = function, args, given
         self.code: Any = function.code(args) if isinstance(function, Kernel) else None
         self.block = np.zeros(1, np.int64)
-        self.places: list[range] = []  # in the block, of the arguments that are given
+        self.places: list[range] = []  # where the given arguments are in the block
         self.address = 0
         if self.code is not None:
             sizes = [len(_words((arg,))) for arg in args]
@@ -40,6 +41,11 @@ class BoundCall:
     @property
     def answer(self) -> int:
         return int(self.block[PLACE_OF_ANSWER])
+
+    @property
+    def answered(self) -> "Condition":
+        """That the last answer is not 0."""
+        return self.block, PLACE_OF_ANSWER
 
     def __call__(self, *numbers: int | tuple[int, ...]) -> Any:
         if self.code is None:
@@ -65,34 +71,34 @@ def _words(args: tuple[Any, ...]) -> list[int]:
 
 
 def bind(function: Callable[..., Any], *args: Any, given: tuple[int, ...]) -> BoundCall:
-    """A kernel with these arguments, but for those at the places `given`, integers or tuples of integers."""
+    """Bind a kernel to these arguments, except those at the places `given`: integers or tuples of integers."""
     return BoundCall(function, args, given)
 
 
-Condition = int | BoundCall | tuple[np.ndarray, int]
-"""A number of the row, an earlier call's last answer, or an element of int64; a command is skipped where it is 0."""
+Condition = int | tuple[np.ndarray, int]
+"""A number of the row, or an element of an int64 array; where it is 0, a command is skipped."""
 
 
 class Command(NamedTuple):
-    """A call of a command list."""
+    """A call in a command list."""
 
-    call: Callable[..., Any]  # a BoundCall, or any function of such arguments
-    given: tuple[int | slice, ...]  # numbers of the row for each argument: one, or several as a tuple
+    call: Callable[..., Any]  # a BoundCall, or a Python function of the same arguments
+    given: tuple[int | slice, ...]  # for each argument, its number in the row, or a slice for a tuple
     when: Condition | None = None
 
 
-# A program is words: of each command the addresses of its entry and block, the address of a number that is not 0 where
-# it is to be carried out, or ~(its place in the row), or ALWAYS; then how many numbers of the row are copied to the
-# block, each by its place in the row and an address. PAUSE in place of an entry returns to Python.
+# A program is a list of words. Each command has the addresses of its entry and block; its condition: the address of a
+# number, ~(the place of one in the row), or ALWAYS; the count of numbers that are copied from the row to the block, and
+# for each its place in the row and its address. PAUSE in place of an entry returns to Python.
 PAUSE, ALWAYS = 0, 0
 FINISHED, FAILED = -1, -2
 
 
 @jit
 def run_commands(program: Any, rows: Any, state: Any) -> int:
-    """Carry out a program from word state[2] on, for rows state[0] to state[1].
+    """Run a program from word state[2] on, for rows state[0] to state[1].
 
-    Returns FINISHED, FAILED, or the number of the command that Python has to carry out before it goes on.
+    Returns FINISHED, FAILED, or the number of the command that Python has to run before the program goes on.
     """
     at, row = state[2], state[0]
     while row < state[1]:
@@ -114,10 +120,10 @@ def run_commands(program: Any, rows: Any, state: Any) -> int:
 
 
 class CommandList:
-    """Commands that are carried out one after the other for each row of numbers; one thread's at a time."""
+    """Commands that run one after the other for each row of numbers; for one thread at a time."""
 
     def __init__(self, commands: Iterable[Command], rows: np.ndarray) -> None:
-        """rows: (n, width) int64, row by row; they may change between runs."""
+        """rows: (n, width) int64, C-ordered; they may change between runs."""
         assert rows.dtype == np.int64 and rows.flags.c_contiguous
         self._commands, self._rows, self._program = tuple(commands), rows, None
         if any(_compiled_call(command) for command in self._commands):
@@ -125,7 +131,7 @@ class CommandList:
             self._program = np.array(words, np.int64)
 
     def run(self, start: int, stop: int) -> None:
-        """For rows start..stop."""
+        """Run all commands for each of rows start..stop."""
         if self._program is None:
             for row in self._rows[start:stop].tolist():
                 for command in self._commands:
@@ -164,14 +170,10 @@ def _condition_word(when: Condition | None) -> int:
         return ALWAYS
     if isinstance(when, int):
         return ~when
-    if isinstance(when, BoundCall):
-        return int(when.block.ctypes.data) + PLACE_OF_ANSWER * WORD
     return int(when[0].ctypes.data) + when[1] * when[0].itemsize
 
 
 def _holds(when: Condition | None, row: Sequence[int]) -> bool:
-    if isinstance(when, BoundCall):
-        return when.answer != 0
     return when is None or bool(row[when] if isinstance(when, int) else when[0][when[1]])
 
 

@@ -1,8 +1,8 @@
-"""Numba set up to make object code: each function is lowered once, and only whole kernels are optimised and emitted.
+"""A Numba target that makes object code: functions are lowered once, and only whole kernels are optimised and emitted.
 
-Numba's own dispatchers make every function callable from Python: they optimise it, emit machine code for it, and wrap
-it for CPython and for C. Most functions here are called by kernels alone, so this target stops at LLVM IR. That takes
-half the time. Imported when the first kernel is compiled: it loads Numba.
+Numba's own dispatchers make every function callable from Python: they optimise it, emit machine code, and wrap it for
+CPython and C. Most functions here are called only by kernels, so this target stops at LLVM IR, in half the time. This
+module loads Numba, so it is imported when the first kernel is compiled.
 """
 
 from collections.abc import Callable
@@ -18,12 +18,12 @@ WITHOUT_WRAPPERS = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
 class KernelLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]  # Numba has no types
-    """The LLVM module of one function with all that it calls, optimised when machine code is wanted."""
+    """The LLVM module of a function and all that it calls, optimised when machine code is needed."""
 
     _is_emitted = False
 
     def finalize(self) -> None:
-        """Link what the function calls."""
+        """Link the functions that this one calls."""
         require_global_compiler_lock()
         self._raise_if_finalized()
         for library in dict.fromkeys(self._linking_libraries):
@@ -32,7 +32,7 @@ class KernelLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]  # Numba has 
         self._finalized = True
 
     def get_pointer_to_function(self, name: str) -> int:
-        """Address of a function's machine code, for Python to call; 0 if there is no such function."""
+        """Address of a function's machine code, which Python can call; 0 if there is no such function."""
         self._ensure_finalized()
         if not self._is_emitted:
             self._is_emitted = True
@@ -42,11 +42,11 @@ class KernelLibrary(codegen.JITCodeLibrary):  # type: ignore[misc]  # Numba has 
         return int(super().get_pointer_to_function(name))
 
     def linked_copy(self) -> Any:
-        """An LLVM module with the function and all that it calls, not yet optimised."""
+        """A copy of the LLVM module, not optimised."""
         return llvm.parse_bitcode(self._get_module_for_linking().as_bitcode())
 
     def object_code(self, module: Any) -> bytes:
-        """A module made from `linked_copy`, optimised and emitted."""
+        """Optimise and emit a module made from `linked_copy`."""
         for settings in ({"loop_vectorize": self._codegen._loopvect, "slp_vectorize": False, "cost": "cheap"}, {}):
             passes, builder = self._codegen._module_pass_manager(**settings)
             passes.run(module, builder)
@@ -60,7 +60,7 @@ class KernelCodegen(codegen.JITCPUCodegen):  # type: ignore[misc]  # likewise
 
 
 class Entry:
-    """What Numba knows a function by that has no wrapper to call it with."""
+    """Stands in Numba's tables for the entry point of a function without a wrapper."""
 
 
 class KernelContext(cpu.CPUContext):  # type: ignore[misc]  # likewise
@@ -96,7 +96,7 @@ class KernelTarget(registry.CPUTarget):  # type: ignore[misc]  # likewise
 
 
 class KernelDispatcher(dispatcher.Dispatcher):
-    """A function and its compile results, by the types of its arguments."""
+    """A function and its compile results by argument types."""
 
     targetdescr = KernelTarget(TARGET)
 
@@ -108,11 +108,11 @@ class KernelDispatcher(dispatcher.Dispatcher):
 
 
 class KernelClass(target_extension.CPU):  # type: ignore[misc]  # likewise
-    """Under which Numba finds the decorator for functions of its own that a kernel calls."""
+    """The class under which Numba finds the decorator for its own functions that kernels call."""
 
 
 def dispatcher_of(function: Callable[..., Any], options: dict[str, Any], *, from_python: bool = False) -> Any:
-    """A dispatcher for a function that kernels call; from_python: that Python can call as well."""
+    """A dispatcher for a function that kernels call; from_python: Python can call it, too."""
     every = {"nopython": True, **({} if from_python else WITHOUT_WRAPPERS), **options}
     return KernelDispatcher(function, targetoptions=every, pipeline_class=compiler.Compiler)
 
@@ -127,7 +127,7 @@ target_extension.jit_registry[KernelClass] = _inner_jit
 
 
 def register_intrinsic(stub: Callable[..., Any], definition: Callable[..., Any]) -> None:
-    """Have LLVM code take the place of calls of a Python function; definition: as for numba.extending.intrinsic."""
+    """Replace calls of a Python function by LLVM code; definition: as for numba.extending.intrinsic."""
     template = templates.make_intrinsic_template(stub, definition, stub.__name__)
     templates.infer(template)
     templates.infer_global(stub, types.Function(template))

@@ -1,7 +1,7 @@
-"""The only module that names a Numba decorator; without Numba every function is handed back unchanged.
+"""Decorators of kernels; without Numba they return functions unchanged.
 
-`CASTER_JIT=0` switches the compiler off, so that pdb steps through the very code that runs compiled. Numba itself is
-loaded when a kernel is first compiled: what has been compiled before runs without it (caster/jit/machine_code.py).
+`CASTER_JIT=0` switches the compiler off, so that pdb can step through the kernels. Numba is loaded when a kernel is
+first compiled; kernels that have been compiled before run without it (caster/jit/machine_code.py).
 """
 
 import contextlib
@@ -36,22 +36,20 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 OPTIONS = {"nogil": True, "error_model": "numpy"}  # no fast-math, IEEE division, no GIL
 
-Key = tuple[tuple[Any, ...], int]  # of arguments, and how many bodies had been registered
+Key = tuple[tuple[Any, ...], int]  # key of the arguments, and the number of bodies registered
 
-GIVES = {"none": "", "int64": INTEGER, "float64": REAL}  # what machine code can answer, by Numba's names
+GIVES = {"none": "", "int64": INTEGER, "float64": REAL}  # forms of answers, by the names of Numba's types
 
-_LOCK = machine_code.LLVM_LOCK  # of the lists below as well
+_LOCK = machine_code.LLVM_LOCK  # also for the tables below
 
 
 class CompilationLog:
-    """What this process did to have its kernels, by their names; `compiling` is called before one is compiled."""
+    """The kernels of this process by name; `compiling` is called before one is compiled."""
 
     def __init__(self) -> None:
         self.compiled: list[str] = []
         self.loaded: list[str] = []  # from the cache
-        self.slowly: list[
-            str
-        ] = []  # of these, those called through Numba: loading it takes long, and so does each call
+        self.slowly: list[str] = []  # called through Numba, which is slow to load and to call
         self.compiling: Callable[[str], None] = lambda name: None
 
 
@@ -75,7 +73,7 @@ def _compiler() -> Any:
 
 
 class Kernel:
-    """A function and its machine code for each combination of classes that its arguments may have."""
+    """A function and its machine code for each key of arguments."""
 
     __name__: str
     __qualname__: str
@@ -98,23 +96,23 @@ class Kernel:
 
     @cached_property
     def dispatcher(self) -> Any:
-        """Numba's object for this function where kernels call it."""
+        """Numba's dispatcher for calls from kernels."""
         _numba()
         return _compiler().dispatcher_of(self.function, self.options)
 
     @cached_property
     def _python_dispatcher(self) -> Any:
-        """Numba's object for this function where only Numba can pass its arguments or its answer."""
+        """Numba's dispatcher for calls from Python, where only Numba can pass the arguments or the answer."""
         _numba()
         return _compiler().dispatcher_of(self.function, self.options, from_python=True)
 
     @property
     def _numba_type_(self) -> Any:
-        """Numba type of a kernel that is called in another one."""
+        """The Numba type of a kernel that another one calls."""
         return _compiler().types.Dispatcher(self.dispatcher)
 
     def _prepared(self, key: tuple[Any, ...], args: tuple[Any, ...]) -> Callable[..., Any]:
-        """A function to call with arguments for which there is no machine code yet; it is found or compiled."""
+        """Find or compile the machine code for these arguments; returns the function to call."""
         if _THREAD.interprets or not self._answers_a_number:
             return self._interpreted
         with _LOCK:
@@ -139,13 +137,13 @@ class Kernel:
         return self.function.__annotations__.get("return") in (None, int, float)
 
     def _of_numba(self, classes: tuple[type, ...]) -> Callable[..., Any]:
-        """What to call on a platform where only Numba can pass the arguments."""
+        """The function to call on a platform where only Numba can pass the arguments."""
         if self._named(classes) not in COMPILATION_LOG.slowly:
             COMPILATION_LOG.slowly.append(self._named(classes))
         return self._python_dispatcher
 
     def _interpreted(self, *args: Any) -> Any:
-        """The function as plain Python, with all that it calls."""
+        """Call the function as plain Python, with all that it calls."""
         if _THREAD.interprets:
             return self.function(*args)
         _THREAD.interprets = True
@@ -156,7 +154,7 @@ class Kernel:
             _THREAD.interprets = False
 
     def code(self, args: tuple[Any, ...]) -> machine_code.ObjectCode | None:
-        """Machine code for such arguments; None where only Numba can call this kernel, or another process makes it."""
+        """Machine code for such arguments; None if only Numba can call this kernel, or another process compiles it."""
         described = describe(args)
         if described is None:
             return None
@@ -166,14 +164,14 @@ class Kernel:
         return self._codes.get(known)
 
     def _file(self, key: tuple[Any, ...], target: str) -> str:
-        """The name of a file, made of all that its machine code depends on."""
+        """The file name of the machine code, from a digest of all that it depends on."""
         digest = code_digest(self.function, tuple_classes(key), _GENERICS)
         names = self.__module__, self.__qualname__, str(self.options)
         text = "\n".join([*names, key_text(key), digest, compiler_digest(), target])
         return f"{self.__name__}-caster_{hashlib.sha256(text.encode()).hexdigest()[:32]}.o"
 
     def _found(self, path: Path, key: tuple[Any, ...]) -> machine_code.ObjectCode | None:
-        """Machine code from the cache, or else of the wheel; None if there is none that can be loaded."""
+        """Load machine code from the cache or else from the wheel; None if neither has it."""
         code = machine_code.read(path, _symbol(path))
         if code is None and INSTALLED.is_dir() and machine_code.runs_portable_code():
             shipped = INSTALLED / self._file(key, machine_code.PORTABLE_DESCRIPTION)
@@ -183,7 +181,7 @@ class Kernel:
         return code
 
     def _made(self, path: Path, key: tuple[Any, ...], args: tuple[Any, ...]) -> machine_code.ObjectCode | None:
-        """Compiled, and kept; None if only Numba can call it."""
+        """Compile the kernel and keep its machine code; None if only Numba can call it."""
         name = self._named(tuple_classes(key))
         COMPILATION_LOG.compiling(name)
         types = tuple(_numba().typeof(arg) for arg in args)
@@ -202,30 +200,30 @@ class Kernel:
         return machine_code.ObjectCode(_symbol(path), gives, data)
 
     def _named(self, classes: Iterable[type]) -> str:
-        """For people: with the NamedTuples among its arguments."""
+        """The name that users see: with the NamedTuples among the arguments."""
         kinds = ", ".join(kind.__name__ for kind in classes if kind is not tuple)
         return f"{self.__name__}({kinds})" if kinds else self.__name__
 
 
 def _symbol(path: Path) -> str:
-    """Of the entry in a file."""
+    """The symbol of the entry in a file."""
     return path.stem.partition("-")[2]
 
 
 # ---- compilation by several processes ----
 
-MAX_PROCESSES = 4  # of them; each compiles the functions that many kernels call once more
+MAX_PROCESSES = 4  # each compiles the functions that many kernels share once more
 
 
 class _Thread(threading.local):
-    interprets = False  # every kernel is plain Python
+    interprets = False  # whether kernels run as plain Python
 
 
 _THREAD = _Thread()
 
 
 class SharedCompilation:
-    """Work whose kernels several processes compile; they are started when the first kernel is missing."""
+    """Work whose kernels are compiled by several processes, started when the first kernel is missing."""
 
     def __init__(self) -> None:
         self.work: Callable[[], None] | None = None
@@ -246,7 +244,7 @@ class SharedCompilation:
                 os.waitpid(number, 0)
 
     def begin(self) -> None:
-        """Have other processes do the same work, each of which passes over what is claimed."""
+        """Start processes that do the same work and leave out kernels that others have claimed."""
         if self.work is None or self.begun:
             return
         self.begun = True
@@ -272,10 +270,10 @@ _SHARED = SharedCompilation()
 
 
 def compile_ahead(about: str, work: Callable[[], None]) -> None:
-    """Run `work` once for these sources, so that no kernel it needs has to be compiled later.
+    """Run `work` once for these sources, so that its kernels need not be compiled later.
 
-    Several processes share the compilation: each compiles what no other has claimed and interprets what another is
-    compiling. So `work` is done on a few primitives and pixels. about: what decides which kernels it needs.
+    Several processes share the compilation: each compiles kernels that no other has claimed, and runs the others as
+    plain Python. So `work` should use few primitives and pixels. about: a text that determines the kernels it needs.
     """
     if not COMPILED or not machine_code.is_supported() or _SHARED.work is not None:
         return
@@ -288,7 +286,7 @@ def compile_ahead(about: str, work: Callable[[], None]) -> None:
 
 @contextlib.contextmanager
 def _no_garbage_collection() -> Iterator[None]:
-    """The compiler makes a great many objects, nearly all of which go by themselves: a tenth of its time."""
+    """Without garbage collection the compiler is a tenth faster: nearly all of its many objects are freed at once."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -304,7 +302,7 @@ def jit(function: Function) -> Function:
 
 
 def inlined(function: Function) -> Function:
-    """The same for a function that is too large for LLVM to put it in the place of its call unasked."""
+    """The same for a function that LLVM is to inline although it is large."""
     return Kernel(function, {"forceinline": True}) if COMPILED else function  # type: ignore[return-value]  # likewise
 
 
@@ -345,16 +343,16 @@ class Generic:
 
 
 _GENERICS: dict[Callable[..., Any], Generic] = {}
-_IMPLEMENTED: list[Any] = []  # all bodies; what a kernel reaches may change with each
+_IMPLEMENTED: list[Any] = []  # all bodies; a new one may change what a kernel reaches
 
 
 def generic(stub: Function) -> Function:
-    """Declare a function of the protocol; `implement(function, Kind)` gives it a body for one kind."""
+    """Declare a protocol function; `implement(function, Kind)` gives it a body for one kind."""
     return _declared(stub, {})
 
 
 def generic_inlined(stub: Function) -> Function:
-    """The same for a function of the innermost loops, where a call would cost as much as what it does."""
+    """The same for a function of innermost loops, which is inlined."""
     return _declared(stub, {"forceinline": True})
 
 
@@ -362,13 +360,13 @@ def _declared(stub: Function, options: dict[str, Any]) -> Function:
     entry = Generic(stub, options)
     with _LOCK:
         _GENERICS[entry.call] = entry
-        if _numba.cache_info().currsize:  # reading a mesh compiles kernels before those of rendering are imported
+        if _numba.cache_info().currsize:  # a mesh reader may compile before the kernels of rendering are imported
             entry.overload(_numba())
     return entry.call  # type: ignore[return-value]  # called like the stub
 
 
 def implement(function: Callable[..., Any], kind: type) -> Callable[[Function], Function]:
-    """Register the decorated body of `function` for arguments of class `kind`; object: for all without their own."""
+    """Register the decorated body of `function` for class `kind`; object: for classes without their own."""
 
     def keep(body: Function) -> Function:
         _GENERICS[function].bodies[kind] = body

@@ -1,4 +1,4 @@
-"""The folder of compiled kernels. Each file is named after all that its content depends on, and has a digest."""
+"""The folder of compiled kernels. A file is named by a digest of all that its content depends on, and has a digest."""
 
 import atexit
 import contextlib
@@ -13,10 +13,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[1]
-MAX_KEPT_KERNELS = 2000  # some ten times as many as there are: for a few versions of each, 100 MB
+MAX_KEPT_KERNELS = 2000  # for some ten versions of each kernel, 100 MB
 COMPILERS = ("numba", "llvmlite")
 INSTALLED = PACKAGE / "jit" / "object_code"  # in wheels that bring object code (.ci/wheel_with_kernels.py)
-NOWHERE = Path(os.devnull) / "kernels"  # a folder that cannot exist: nothing is read, nothing written
+NOWHERE = Path(os.devnull) / "kernels"  # a folder that cannot exist
 
 
 def compiler_version() -> str:
@@ -39,8 +39,8 @@ refusals: list[str] = []
 def cache_folder() -> Path:
     """The folder of compiled kernels: NUMBA_CACHE_DIR if that is set, else below XDG_CACHE_HOME.
 
-    What is loaded from it is run, so nobody else may have written it: a folder that another user owns or may write
-    is listed in `refusals`, and a temporary one takes its place.
+    Its files are executed, so no other user may be able to write them: a folder that another user owns or may write is
+    listed in `refusals`, and a temporary one is used instead.
     """
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "caster"
@@ -59,7 +59,7 @@ def cache_folder() -> Path:
 
 
 def distrust(found: os.stat_result) -> str:
-    """Why a file or folder may hold what another user wrote; "" if only this one can have written it."""
+    """Why another user may have written a file or folder; "" if only this user can have."""
     if not hasattr(os, "geteuid"):  # Windows: each profile's folders are its user's own
         return ""
     if found.st_uid != os.geteuid():
@@ -77,7 +77,7 @@ def _temporary_folder() -> Path:
 
 
 def _drop_old_files(folder: Path) -> None:
-    """Keep the most recently used kernels, those of a few versions of the sources."""
+    """Keep only the newest kernels."""
     with contextlib.suppress(OSError):  # another process drops the same ones
         files = sorted(folder.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
         for old in files[MAX_KEPT_KERNELS:]:
@@ -85,17 +85,17 @@ def _drop_old_files(folder: Path) -> None:
 
 
 def sources_stamp() -> str:
-    """Paths, sizes and times of this package's sources: another one after an edit, which costs less than a digest."""
+    """Paths, sizes and times of this package's sources, which change with an edit; cheaper than a digest."""
     found = ((path, path.stat()) for path in sorted(PACKAGE.rglob("*.py")))
     return "\n".join(f"{path} {status.st_size} {status.st_mtime_ns}" for path, status in found)
 
 
 @contextlib.contextmanager
 def claim(path: Path, *, wait: bool) -> Iterator[bool]:
-    """Keep other processes from making the same file; yields whether this one may make it.
+    """Lock a file that this process wants to make; yields whether it may.
 
-    Where another process is making it: False, or with `wait` once it is done or has ended. Without a folder or locks
-    everybody may.
+    If another process is making it: False, or with `wait` True after that is done or has ended. Without a folder or
+    locks, every process may.
     """
     lock = path.with_suffix(".lock")
     try:
@@ -120,7 +120,7 @@ def claim(path: Path, *, wait: bool) -> Iterator[bool]:
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file that other processes see whole or not at all; a full disk is no error, only no cache."""
+    """Write a file that other processes see whole or not at all; errors such as a full disk are ignored."""
     with contextlib.suppress(OSError):
         handle, name = tempfile.mkstemp(dir=path.parent)
         try:
@@ -135,15 +135,15 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 
 def write_sealed(path: Path, data: bytes) -> None:
-    """Write a file below the SHA-256 of its name and content; OSErrors are dropped, as in `write_atomically`."""
+    """Write a file after a line with the SHA-256 of its name and content; OSErrors are ignored."""
     write_atomically(path, _seal(path, data) + b"\n" + data)
 
 
 def read_sealed(path: Path) -> bytes:
-    """The content of a file as `write_sealed` wrote it under this name.
+    """The content of a file that `write_sealed` wrote under this name.
 
-    Raises OSError where it cannot be read, ValueError where any byte differs. Whoever may write the folder may write
-    the file: that is for `distrust` to find out.
+    Raises OSError if it cannot be read, ValueError if any byte differs. The digest does not protect against users who
+    may write the folder; see `distrust`.
     """
     seal, _, data = path.read_bytes().partition(b"\n")
     if seal != _seal(path, data):

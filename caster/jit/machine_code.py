@@ -1,9 +1,9 @@
-"""Object code of compiled kernels: as files, loaded and called without Numba.
+"""Object code of compiled kernels: extracted, loaded and called without Numba.
 
-With it go the functions of Numba's runtime that kernels call, in LLVM's language.
+The functions of Numba's runtime that kernels call are added to it as LLVM IR.
 
-Arrays that are handed to a kernel own no memory from its point of view (their record is null); what it allocates itself
-it frees before it returns, so that a record is all of its memory.
+A kernel does not own its array arguments (their memory record is null), and it frees what it allocates before it
+returns, so a record describes all of its memory.
 """
 
 import ctypes
@@ -20,7 +20,7 @@ import numpy as np
 from caster.jit.arguments import ARRAY, BOOLEAN, INTEGER, NONE, REAL, Form, real_of_word
 from caster.jit.kernel_cache import compiler_version, read_sealed
 
-# A record as Numba's code reads it: count of references, two fields for others, address of the data, size of the data.
+# A memory record as Numba's code reads it: reference count, two unused fields, address and size of the data.
 RECORD = 64  # bytes, of which it reads 40
 
 ALLOCATE = f"""
@@ -70,7 +70,7 @@ define double @numba_ldexp(double %x, i32 %exponent) {
 declare double @ldexp(double, i32)
 """
 
-# What is not finite has the exponent 0 for Numba, and any in C.
+# The exponent of a number that is not finite is 0 in Numba, and unspecified in C.
 EXPONENT = """
 define double @numba_frexp(double %x, ptr %exponent) {
   %y = call double @frexp(double %x, ptr %exponent)
@@ -95,14 +95,14 @@ RUNTIME_SOURCE = {
 
 MATHEMATICS = "acos asin atan atan2 ceil cos exp fabs floor fma fmod frexp hypot ldexp log pow rint round sin sqrt tan"
 C_LIBRARY_SYMBOLS = {*MATHEMATICS.split(" "), "trunc", "malloc", "free", "memcpy", "memmove", "memset"}
-"""What object code may call of the C library; anything else would be Numba's own."""
+"""Functions of the C library that object code may call; any other is Numba's own."""
 
 
-# The entry that is added to a kernel takes the address of a block of words, eight bytes each: the place of its answer,
-# then its arguments (caster/jit/arguments.py). It reads arrays where NumPy keeps their numbers.
+# The entry that is added to a kernel takes the address of a block of 8-byte words: its answer, then its arguments
+# (caster/jit/arguments.py). It reads arrays where NumPy keeps their numbers.
 PLACE_OF_ANSWER = 0
 
-# What an entry returns when all went well; None as an answer has a number of its own in Numba's calling convention.
+# Status of an entry without an error; in Numba's calling convention, None as an answer has a status of its own.
 DONE = (0, -2)
 
 # Where a NumPy array object (PyArrayObject_fields, part of its stable binary interface) keeps them.
@@ -114,7 +114,7 @@ ENTRY = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64)
 
 
 def check(status: int) -> None:
-    """Raise RuntimeError unless this is what an entry returns when all went well."""
+    """Raise RuntimeError if an entry's status is an error."""
     if status not in DONE:
         fail()
 
@@ -123,7 +123,7 @@ def fail() -> NoReturn:
     raise RuntimeError("a kernel failed: it counted with a number beyond its range")
 
 
-# Operations of command lists, which compiled are an instruction each (vector_intrinsics.py).
+# Operations of command lists; compiled, each is one instruction (vector_intrinsics.py).
 
 
 def load_word(address: int) -> int:
@@ -154,43 +154,20 @@ def is_supported() -> bool:
     return at[0] == probe.ctypes.data and [tuple(f) for f in found] == [probe.shape, probe.strides]
 
 
-# What LLVM is to use of the level of x86-64 that wheels bring object code for (NUMBA_CPU_FEATURES), all of which a
-# processor must have.
+# The processor features that object code in wheels may use, and that a processor needs to run it.
 PORTABLE = "x86-64-v3"
-PORTABLE_FEATURES = [
-    "64bit",
-    "avx",
-    "avx2",
-    "bmi",
-    "bmi2",
-    "cmov",
-    "crc32",
-    "cx16",
-    "cx8",
-    "f16c",
-    "fma",
-    "fxsr",
-    "lzcnt",
-    "mmx",
-    "movbe",
-    "popcnt",
-    "sahf",
-    "sse",
-    "sse2",
-    "sse3",
-    "sse4.1",
-    "sse4.2",
-    "ssse3",
-    "xsave",
-]
+PORTABLE_FEATURES = (
+    "64bit avx avx2 bmi bmi2 cmov crc32 cx16 cx8 f16c fma fxsr lzcnt "
+    "mmx movbe popcnt sahf sse sse2 sse3 sse4.1 sse4.2 ssse3 xsave"
+)
 
-# What object code of a wheel is made for: it calls nothing of Python and NumPy, so their versions do not count.
+# The target of object code in wheels. It calls neither Python nor NumPy, so their versions do not matter.
 PORTABLE_DESCRIPTION = f"{platform.system()} {platform.machine()} {PORTABLE}"
 
 
 def portable_settings() -> dict[str, str]:
     """Environment variables with which Numba compiles for PORTABLE, whatever processor this is."""
-    features = ",".join(f"+{feature}" for feature in PORTABLE_FEATURES)
+    features = ",".join(f"+{feature}" for feature in PORTABLE_FEATURES.split())
     return {"NUMBA_CPU_NAME": PORTABLE, "NUMBA_CPU_FEATURES": features}
 
 
@@ -200,12 +177,12 @@ def runs_portable_code() -> bool:
     import llvmlite.binding as llvm
 
     found = llvm.get_host_cpu_features()
-    return platform.machine() == "x86_64" and all(found.get(feature) for feature in PORTABLE_FEATURES)
+    return platform.machine() == "x86_64" and all(found.get(feature) for feature in PORTABLE_FEATURES.split())
 
 
 @cache
 def target_description() -> str:
-    """What machine code is made for: another processor in the same home needs its own."""
+    """The target of machine code: processor, versions and settings."""
     if portable_settings().items() <= os.environ.items():
         return PORTABLE_DESCRIPTION
     import llvmlite.binding as llvm
@@ -214,7 +191,7 @@ def target_description() -> str:
     settings = [
         f"{name}={value}"
         for name, value in sorted(os.environ.items())
-        if name.startswith("NUMBA_") and name != "NUMBA_CACHE_DIR"  # a place, which code does not depend on
+        if name.startswith("NUMBA_") and name != "NUMBA_CACHE_DIR"
     ]
     features = llvm.get_host_cpu_features().flatten()
     return "\n".join([*versions, llvm.get_host_cpu_name(), features, *settings])
@@ -224,25 +201,25 @@ class ObjectCode:
     """A kernel's object code, loaded into this process."""
 
     def __init__(self, symbol: str, gives: str, data: bytes) -> None:
-        """gives: the form of its answer, "" for none. Raises RuntimeError for what LLVM cannot load."""
+        """gives: the form of its answer, "" for none. Raises RuntimeError if LLVM cannot load the data."""
         self._gives, self.address = gives, _load(symbol, data)
         self.entry = ENTRY(self.address)
 
     def __call__(self, words: list[int]) -> Any:
-        """Call the kernel with a block of these words; its answer."""
+        """Call the kernel with a block of these words; return its answer."""
         block = (ctypes.c_int64 * len(words))(*words)
         check(self.entry(ctypes.addressof(block)))
         return self.answer(block[PLACE_OF_ANSWER])
 
     def answer(self, word: int) -> Any:
-        """An answer as the kernel gives it."""
+        """The answer that a word stands for."""
         if self._gives == REAL:
             return real_of_word(word)
         return word if self._gives else None
 
 
 def read(path: Path, symbol: str) -> ObjectCode | None:
-    """What was written; None if it is not there, not what was written, or nothing that LLVM can load."""
+    """Load a file of object code; None if it is missing, damaged or unknown to LLVM."""
     try:
         gives, _, data = read_sealed(path).partition(b"\n")
         return ObjectCode(symbol, gives.decode(), data)
@@ -273,9 +250,9 @@ def _load(symbol: str, data: bytes) -> int:
 
 
 def extract_object_code(library: Any, function: str, symbol: str, forms: list[Form], gives: str) -> bytes | None:
-    """The object code of what Numba compiled, with an entry; None if it needs Numba to run.
+    """The object code of a kernel that Numba compiled, with an entry; None if it needs Numba to run.
 
-    library, function: Numba's code library and the name of the kernel in it. forms: of its arguments.
+    library, function: Numba's code library and the kernel's name in it. forms: those of its arguments.
     """
     import llvmlite.binding as llvm
 
@@ -296,7 +273,7 @@ def _known(name: str) -> bool:
 
 
 def _keep_only(module: Any, symbol: str, target: Any) -> None:
-    """Drop what the entry does not reach: Numba's own wrappers."""
+    """Drop everything that the entry does not reach, such as Numba's wrappers."""
     import llvmlite.binding as llvm
 
     for thing in [*module.functions, *module.global_variables]:
@@ -308,7 +285,7 @@ def _keep_only(module: Any, symbol: str, target: Any) -> None:
 
 
 def _passed(form: Form) -> list[str]:
-    """What Numba's calling convention makes of one argument."""
+    """The LLVM types of one argument in Numba's calling convention."""
     kind, dimensions, _ = form
     if kind == ARRAY:
         return ["ptr", "ptr", "i64", "i64", "ptr", *["i64"] * (2 * dimensions)]
@@ -316,7 +293,7 @@ def _passed(form: Form) -> list[str]:
 
 
 def _entry(module: Any, function: str, symbol: str, forms: list[Form], gives: str) -> str:
-    """LLVM's language for a function that takes the address of a block and calls the kernel; it returns its status."""
+    """LLVM IR of a function that calls the kernel with the block at an address, and returns its status."""
     lines, passed, at = [], ["ptr %answer", "ptr %trouble"], PLACE_OF_ANSWER
     for n, (kind, dimensions, size) in enumerate(forms):
         if kind == NONE:

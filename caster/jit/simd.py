@@ -1,7 +1,7 @@
-"""Vectors of eight float64, as LLVM makes none of a short loop by itself.
+"""Vectors of eight float64, since LLVM does not vectorise short loops by itself.
 
-In plain Python a vector is a NumPy array, or a number where it would have one; compiled, each function here is an
-instruction or a few (caster/jit/vector_intrinsics.py). Numbers have to be made vectors by `splat` before they meet one.
+In plain Python a vector is a NumPy array, or a number if it has one element; compiled, each function here is one or a
+few instructions (caster/jit/vector_intrinsics.py). Numbers have to be made vectors by `splat`.
 """
 
 from typing import Any
@@ -11,10 +11,10 @@ import numpy as np
 from caster.jit.kernel_cache import COMPILED
 
 LANES = 8 if COMPILED else 1
-"""So many float64 AVX-512 takes at once. Uncompiled, taking several together would be in vain."""
+"""The float64 values in a register of AVX-512. Plain Python gains nothing by several at once."""
 
 CHILDREN = 8
-"""Boxes a node of a tree holds: as many as are looked at at once."""
+"""Boxes of a tree node, which are tested at once."""
 
 ALL_LANES = (1 << LANES) - 1
 """The bits of LANES numbers."""
@@ -23,12 +23,12 @@ Vector = Any
 
 
 def load_lanes(a: Any, i: Any) -> Vector:
-    """a[i:i + LANES] as float64; a: one after the other, whatever its shape."""
+    """a[i:i + LANES] as float64, of a flattened."""
     return float(a.reshape(-1)[i]) if LANES == 1 else _loaded(a, i, LANES)
 
 
 def load_children(a: Any, i: Any) -> Vector:
-    """a[i:i + CHILDREN] as float64, likewise."""
+    """a[i:i + CHILDREN] as float64, of a flattened."""
     return _loaded(a, i, CHILDREN)
 
 
@@ -101,18 +101,18 @@ def largest(v: Vector) -> float:
 
 
 def lowest_bit(mask: int) -> int:
-    """The number of the lowest bit that is set, of a mask that is not 0."""
+    """The index of the lowest bit that is set in a mask, which is not 0."""
     return (mask & -mask).bit_length() - 1
 
 
 def prefetch(rows: Any, k: Any) -> None:
-    """Row k of an array is read soon, if there is one: its cache line is loaded meanwhile."""
+    """Load the cache line of row k of an array, if there is one, since it is read soon."""
 
 
 def gather_corners(rows: Any, faces: Any, lanes: Any, numbers: Any, into: Any, step: Any) -> None:
-    """Rows (v, 3) of the three corners of LANES faces (f, 3), coordinate by coordinate.
+    """Write the corners of LANES faces (f, 3), rows of `rows` (v, 3), coordinate by coordinate.
 
-    lanes: numbers of the faces from `numbers` on; coordinate i of corner c goes to `into` + (3 c + i) `step` and on.
+    lanes has the numbers of the faces from `numbers` on; coordinate i of corner c goes to `into` + (3 c + i) `step` on.
     """
     for n in range(LANES):
         for c in range(3):

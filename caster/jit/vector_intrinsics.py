@@ -1,4 +1,4 @@
-"""What LLVM makes of the functions of caster/jit/simd.py, which documents them: each for numba.extending.intrinsic."""
+"""LLVM code of the functions of caster/jit/simd.py, which documents them, for numba.extending.intrinsic."""
 
 import inspect
 from collections.abc import Callable, Iterator
@@ -37,7 +37,7 @@ VECTOR = VectorType()
 
 
 def intrinsics() -> Iterator[tuple[Callable[..., Any], Callable[..., Any]]]:
-    """(the plain function, its definition) of each."""
+    """(plain Python function, definition) of each intrinsic."""
     yield simd.load_lanes, _intrinsic(_load, VECTOR, None, types.uint64)
     yield simd.load_children, _intrinsic(_load, VECTOR, None, types.uint64)
     yield simd.store, _intrinsic(_store, types.none, VECTOR, None, types.uint64)
@@ -64,18 +64,18 @@ def intrinsics() -> Iterator[tuple[Callable[..., Any], Callable[..., Any]]]:
 
 
 class Call:
-    """A call that is being built."""
+    """A call that is being compiled."""
 
     def __init__(self, context: Any, builder: Builder, given: Any) -> None:
         self.context, self.builder, self.given = context, builder, given
 
     def data(self, place: int, array: Any) -> Any:
-        """Address of the first element of the array in this place among the arguments."""
+        """Address of the first element of an array, the argument at this place."""
         return self.context.make_array(self.given[place])(self.context, self.builder, array).data
 
 
 def _intrinsic(build: Callable[..., Any], gives: Any, *takes: Any) -> Callable[..., Any]:
-    """Definition of an intrinsic: build(call, *arguments) returns its value. takes: None for an array in C's order."""
+    """Definition of an intrinsic: build(call, *arguments) returns its value. takes: None for a C-ordered array."""
 
     def typed(typing: Any, *given: Any) -> Any:
         assert all(kind is not None or arg.layout == "C" for kind, arg in zip(takes, given, strict=True))
@@ -119,7 +119,7 @@ def _splat(builder: Builder, x: Any) -> Any:
 
 
 def _picked(builder: Builder, vector: Any, places: Any, more: Any = None) -> Any:
-    """The numbers at these places of one vector, or of two."""
+    """Elements of one vector or two, by their places."""
     mask = ir.Constant(ir.VectorType(INT32, len(places)), list(places))
     return builder.shuffle_vector(vector, vector if more is None else more, mask)
 
@@ -142,7 +142,7 @@ def _select(call: Call, bits: Any, v: Any, w: Any) -> Any:
 
 
 def _reduced(builder: Builder, vector: Any, chosen: Callable[[Builder, Any, Any], Any]) -> Any:
-    """One number of a vector, by choosing between its halves."""
+    """Reduce a vector by choosing between its halves."""
     half = LANES // 2
     while half:
         vector = chosen(builder, *(_picked(builder, vector, range(at, at + half)) for at in (0, half)))
@@ -194,10 +194,10 @@ def _gather_corners(call: Call, rows: Any, faces: Any, lanes: Any, numbers: Any,
 
 
 def _rows_of_three(builder: Builder, data: Any, starts: list[Any]) -> list[Any]:
-    """The columns x, y, z of a row of three numbers from each of `starts` on, one a lane."""
+    """The columns x, y, z of rows of three numbers that begin at `starts`."""
     two = ir.VectorType(REAL, 2).as_pointer()
     joined = [builder.load(builder.bitcast(builder.gep(data, [start]), two), align=8) for start in starts]
-    while len(joined) > 1:  # one vector of several, one behind the other
+    while len(joined) > 1:  # concatenate pairs
         wide = range(2 * joined[0].type.count)
         joined = [_picked(builder, a, wide, b) for a, b in zip(joined[::2], joined[1::2], strict=True)]
     z = ir.Constant(REALS, ir.Undefined)

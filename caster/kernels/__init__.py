@@ -1,1 +1,1 @@
-"""Everything that runs per ray: plain Python over floats and arrays, compiled by Numba when it is there."""
+"""Code that runs per ray: plain Python over floats and arrays, compiled if Numba is installed."""

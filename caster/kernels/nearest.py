@@ -1,4 +1,4 @@
-"""Rays, of a camera or checked, and their nearest hits: by float64, marked where uncertain, or decided exactly."""
+"""Rays and their nearest hits: by float64, marked where that is uncertain, and decided exactly."""
 
 import math
 from typing import Any, NamedTuple
@@ -31,7 +31,7 @@ class Rays(NamedTuple):
 
 
 class Nearest(NamedTuple):
-    """What each ray meets first: exactly that, though t is a float64."""
+    """The first hit of each ray, exactly; t is rounded to float64."""
 
     t: np.ndarray  # (n,) float64, inf on a miss
     prim: np.ndarray  # (n,) int32, number of the primitive, -1 on a miss
@@ -39,7 +39,7 @@ class Nearest(NamedTuple):
 
 
 def new_rays(count: int) -> Rays:
-    """Room for so many."""
+    """Uninitialised rays."""
     return Rays(np.empty((count, 3)), np.empty((count, 3)), np.empty(count), np.empty(count))
 
 
@@ -75,7 +75,7 @@ def all_finite(v: Vec3) -> bool:
 
 @jit
 def find_invalid_ray(o: Any, d: Any, start: int, stop: int) -> int:
-    """The first of rays start..stop that is not finite or has no direction; else ALL_IN_RANGE or OUT_OF_RANGE, of d."""
+    """The first of rays start..stop that is not finite or has no direction; else ALL_IN_RANGE or OUT_OF_RANGE."""
     plain = True
     for i in range(start, stop):
         length = max_norm(row(d, i))
@@ -95,14 +95,14 @@ class KeepNearest(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """Mode of a traversal: write down all primitives that may be hit first."""
+    """Mode of a traversal: list all primitives that may be hit first."""
 
-    ends: np.ndarray  # (n,) int64, where the next candidate of each ray goes
-    prims: np.ndarray  # int32, numbers within the kind; without members: they are only counted
+    ends: np.ndarray  # (n,) int64, the place of the next candidate of each ray
+    prims: np.ndarray  # int32, numbers within the kind; empty to count them only
 
 
 Best = tuple[float, float, int, bool]
-"""(t, error, number of the primitive within its kind or -1 for what was there before, whether that is uncertain)"""
+"""(t, error, number of the primitive within its kind or -1 for the earlier hit, whether that is uncertain)"""
 
 
 @implement(update_best, KeepNearest)
@@ -113,13 +113,13 @@ def _update_nearest(mode: Any, best: Best, i: int, k: int, hit: tuple[float, flo
     return (t, error, k, uncertain) if ahead > margin else (best[0], best[1], best[2], uncertain)
 
 
-# Where any hit will do, one that is sure is taken to lie before everything else: that ends the search.
+# For any-hit rays, a certain hit counts as nearer than all others, which ends the search.
 ANY_HIT_T = -1.0
 
 
 @inlined
 def any_hit_result(t: float, error: float, any_hit: bool) -> tuple[float, float]:
-    """The result of `intersect`; for any-hit rays, a certain hit counts as nearer than all others."""
+    """The result of `intersect`, for any-hit rays with ANY_HIT_T at a certain hit."""
     sure = any_hit & (t < math.inf) & (error < math.inf)
     return ANY_HIT_T if sure else t, 0.0 if sure else error
 
@@ -136,7 +136,7 @@ def _list_candidate(mode: Any, best: Best, i: int, k: int, hit: tuple[float, flo
 
 @jit
 def list_candidates(mode: Any, prims: Any, count: int, rays: Any, sketch: Any, start: int, stop: int) -> None:
-    """List what rays start..stop may hit first among all `count` primitives of a kind. sketch: a Nearest."""
+    """List primitives that rays start..stop may hit first, of all `count` of a kind. sketch: hits by float64."""
     for i in range(start, stop):
         o, d = row(rays.o, i), row(rays.d, i)
         best = sketch.t[i], sketch.error[i], -1, False
@@ -150,9 +150,9 @@ def list_candidates(mode: Any, prims: Any, count: int, rays: Any, sketch: Any, s
 def nearest_of_candidates(
     prims: Any, rays: Any, starts: Any, candidates: Any, found: Any, start: int, stop: int
 ) -> None:
-    """Of candidates[starts[i]:starts[i + 1]], the one that ray i meets first, for rays start..stop; found: misses.
+    """Find which of candidates[starts[i]:starts[i + 1]] ray i hits first, exactly, for rays start..stop.
 
-    In the order of (true t, number). A t that float64 is sure of stays as it is.
+    found: misses before. Candidates are ordered by (exact t, number). A t of which float64 is certain is kept.
     """
     for i in range(start, stop):
         o, d, t_min, t_max = row(rays.o, i), row(rays.d, i), rays.t_min[i], rays.t_max[i]
@@ -176,9 +176,11 @@ def nearest_of_candidates(
 
 
 @jit
-def exact_hit(prims: Any, k: int, rays: Any, i: int) -> Any:
-    """Where ray i meets primitive k."""
-    return exact_intersect(prims, k, row(rays.o, i), row(rays.d, i), rays.t_min[i], rays.t_max[i])
+def hit_precedes(prims: Any, k: int, number: int, others: Any, j: int, other_number: int, rays: Any, i: int) -> int:
+    """1 if ray i meets primitive k of a kind before primitive j of another kind, which it meets as well; else 0."""
+    o, d, t_min, t_max = row(rays.o, i), row(rays.d, i), rays.t_min[i], rays.t_max[i]
+    mine, theirs = exact_intersect(prims, k, o, d, t_min, t_max), exact_intersect(others, j, o, d, t_min, t_max)
+    return 1 if precedes(mine, number, theirs, other_number) else 0
 
 
 @jit
@@ -189,16 +191,8 @@ def precedes(x: Any, k: int, y: Any, j: int) -> bool:
 
 
 @jit
-def hit_precedes(place: tuple[Any, int, int], other: tuple[Any, int, int], rays: Any, i: int) -> int:
-    """Whether ray i meets one primitive exactly before another; each: prims of its kind, index in them, number."""
-    prims, k, number = place
-    others, j, held = other
-    return int(precedes(exact_hit(prims, k, rays, i), number, exact_hit(others, j, rays, i), held))
-
-
-@jit
 def merge(nearest: Any, found: Any, ids: Any, contested: Any, start: int, stop: int) -> None:
-    """Fold the record of one kind into that of all, where float64 can decide; ids[k] is the number in the scene."""
+    """Merge the hits of one kind into those of all kinds where float64 can decide; ids[k]: the number in the scene."""
     for i in range(start, stop):
         if found.prim[i] < 0:
             continue
@@ -209,7 +203,7 @@ def merge(nearest: Any, found: Any, ids: Any, contested: Any, start: int, stop: 
             contested[i] = True
 
 
-# One ray against single primitives: the answer of `intersect` for each, nothing folded, nothing skipped.
+# One ray against single primitives, without culling.
 
 
 @jit

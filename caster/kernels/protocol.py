@@ -1,4 +1,4 @@
-"""What a kind of primitive and a camera must answer. A kind is a NamedTuple of arrays, one row a primitive.
+"""The functions that a kind of primitive and a camera implement. A kind is a NamedTuple of arrays, a row a primitive.
 
 Points and vectors inside kernels are tuples of three floats; arrays hold them as rows.
 """
@@ -14,34 +14,33 @@ Vec3 = tuple[float, float, float]
 
 @generic_inlined
 def load(prims: Any, k: int) -> Any:
-    """The numbers of primitive k that `prepare` reads: loaded once, since arrays are slow in loops over rays."""
+    """The numbers of primitive k that `prepare` reads, loaded once, since arrays are slow in loops over rays."""
 
 
 @generic_inlined
 def prepare(prims: Any, prim: Any, o: Vec3) -> Any:
-    """Everything about a primitive, given by its `load`, that depends on the ray origin only."""
+    """Precompute what depends only on the ray origin; prim: the result of `load`."""
 
 
 @generic_inlined
 def intersect(prims: Any, pre: Any, d: Vec3, t_min: float, t_max: float) -> Any:
     """(t, error): the smallest t in (t_min, t_max] at which o + t d lies on the prepared primitive, within error.
 
-    A filter in float64, with proven bounds: (MISS, 0) is certain, as is a finite error; UNDECIDED leaves it to
-    `exact_intersect`. It has no branch, and divides by nothing that may be 0, so that several rays can be tested at
-    once.
+    A float64 filter with proven bounds: MISS and results with a finite error are certain; UNDECIDED leaves the decision
+    to `exact_intersect`. It has no branch and never divides by 0, so that several rays can be tested at once.
     """
 
 
 @generic_inlined
 def surely_misses(prims: Any, pre: Any, d: Vec3) -> Any:
-    """Quick rejection: True only where `intersect` would answer MISS."""
+    """Quick rejection: True only if `intersect` would return MISS."""
 
 
 @generic_inlined
 def t_lower_bound(prims: Any, pre: Any, low: Vec3, high: Vec3) -> Any:
-    """No ray meets the prepared primitive at a smaller t > 0, if all components of its d are from low to high.
+    """A lower bound of t > 0 at the prepared primitive for rays with low <= d <= high in each component; inf: no hit.
 
-    inf: none meets it. A kind may do without a body for this.
+    Optional.
     """
 
 
@@ -52,22 +51,22 @@ def _t_lower_bound(prims: Any, pre: Any, low: Vec3, high: Vec3) -> float:
 
 @generic_inlined
 def same_geometry(prims: Any, k: int, j: int) -> Any:
-    """Whether `exact_intersect` reads the same numbers of primitives k and j; False where that is not known."""
+    """Whether `exact_intersect` reads the same numbers of primitives k and j; False is always correct."""
 
 
 @generic
 def exact_intersect(prims: Any, k: int, o: Vec3, d: Vec3, t_min: float, t_max: float) -> Any:
-    """The hit of a ray on primitive k, exactly and slowly: an exact.numbers.Root."""
+    """The exact hit of a ray on primitive k: an exact.numbers.Root."""
 
 
 @generic_inlined
 def update_best(mode: Any, best: Any, i: int, k: int, hit: Any) -> Any:
-    """The best of ray i once `intersect` has answered `hit` for primitive k."""
+    """The best of ray i after the result `hit` of `intersect` for primitive k."""
 
 
 @generic_inlined
 def prefetch_numbers(prims: Any, k: int, referred: bool) -> None:
-    """Prefetch what `load` reads of primitive k; referred: what its own numbers refer to. Optional."""
+    """Prefetch the arrays that `load` reads for primitive k; referred: those that its numbers refer to. Optional."""
 
 
 @implement(prefetch_numbers, object)
@@ -75,13 +74,13 @@ def _prefetch_nothing(prims: Any, k: int, referred: bool) -> None:
     return None
 
 
-# Surfaces are found for several hits at a time: the numbers of each hit's primitive lie in a lane of a scratch
-# (raster/tile.py), and `fast_surface` and `fast_uv` have no branch. A plug-in may do with `surface` alone.
+# Surfaces are computed for several hits at a time: the numbers of each hit's primitive lie in a lane of a scratch
+# (raster/tile.py), and `fast_surface` and `fast_uv` have no branch. A plug-in may implement `surface` alone.
 
 
 @generic_inlined
 def surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants: int) -> None:
-    """Put the numbers of primitive k that `fast_surface` and `fast_uv` read into lanes start..stop of a scratch.
+    """Write the numbers of primitive k that `fast_surface` and `fast_uv` read to lanes start..stop of a scratch.
 
     wants: raster.tile.NORMALS, SURFACES or SURFACES_WITH_UV.
     """
@@ -107,7 +106,7 @@ def fast_uv(prims: Any, scratch: Any, x: Any, local: Vec3) -> Any:
 
 @generic
 def surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float, wants_uv: bool) -> Any:
-    """(p, n, sh_n, u, v) where the ray meets primitive k at t, in any number range.
+    """(p, n, sh_n, u, v) where a ray meets primitive k at t, for numbers of any size.
 
     For hits that `fast_surface` is not safe for; a kind whose flags are always True has no body for this.
     """
@@ -138,17 +137,17 @@ def _always_safe(prims: Any, k: int, o: Vec3, d: Vec3, t: float, wants_uv: bool)
 
 @generic_inlined
 def hull_size(prims: Any) -> Any:
-    """How many points hull_point gives for each primitive; 0 for a kind without bounds."""
+    """The number of hull points of each primitive; 0 for a kind without bounds."""
 
 
 @generic_inlined
 def hull_point(prims: Any, k: int, j: int) -> Any:
-    """Point j of a set whose convex hull holds primitive k."""
+    """Point j of a set whose convex hull contains primitive k."""
 
 
 @generic_inlined
 def tight_sphere(prims: Any, k: int) -> Any:
-    """(center, r): a bounding sphere that primitive k fills better than its box. Optional; used for screen bounds."""
+    """(center, r) of a bounding sphere that is tighter than the box of primitive k; for screen bounds. Optional."""
 
 
 @generic_inlined
@@ -182,6 +181,6 @@ def distortion_bound(camera: Any, extent: float) -> Any:
 def project_bounding_sphere(camera: Any, center: Vec3, r: float) -> Any:
     """(left, top, right, bottom, depth, valid): the screen bounds of a sphere, and its least depth.
 
-    Depth counts as for `project`. Not valid: nothing is known, but for the depth. A camera without a body for this goes
-    through the tree.
+    Depth counts as for `project`. Not valid: nothing is known, but for the depth. The rays of a camera that is not
+    rectilinear and has no body for this traverse the trees.
     """

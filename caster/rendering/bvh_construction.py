@@ -1,9 +1,8 @@
 """BVH construction on several threads: binary nodes by the surface area heuristic, collapsed into wide ones.
 
-And their projections towards lights, for shadow rays (caster/kernels/bvh/fans.py).
+Also the fans of a light or point, and the projections of trees by them (caster/kernels/bvh/fans.py).
 """
 
-import itertools
 import math
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -11,7 +10,6 @@ from functools import partial
 import numpy as np
 
 from caster.description.errors import SceneError
-from caster.description.transform import dot_rows
 from caster.geometry.packing import Kind
 from caster.geometry.triangle_mesh import normalize_rows
 from caster.jit.simd import CHILDREN
@@ -24,6 +22,7 @@ from caster.kernels.bvh.build import (
     Tree,
     build_binary,
     collapse,
+    hulls_of,
     quantize_boxes,
 )
 from caster.kernels.bvh.fans import (
@@ -34,16 +33,15 @@ from caster.kernels.bvh.fans import (
     FanBounds,
     bound_hulls_along,
     bound_nodes_along,
-    bound_triangles_along,
-    project_vertices_along,
+    project_along,
 )
 from caster.kernels.protocol import Vec3
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
 from caster.kernels.triangles import Triangles
 from caster.rendering.threads import parallel_for, thread_count
 
-PARALLEL_SUBTREES = 16  # a tree is begun by one thread, down to so many parts that grow on their own
-PARALLEL_MIN_PRIMITIVES = 20_000  # primitives; fewer take less time than parting them
+PARALLEL_SUBTREES = 16  # one thread builds the top of a tree; these subtrees are built in parallel
+PARALLEL_MIN_PRIMITIVES = 20_000  # fewer are built faster by one thread
 
 Nodes = tuple[np.ndarray, np.ndarray]  # boxes and links
 
@@ -60,7 +58,7 @@ def has_bvh(kind: Kind) -> bool:
     return "bvh" in kind.derived
 
 
-# Where a kind's largest coordinate lies beyond these, products with 1/d may leave float64: everything is tried instead.
+# If a kind's largest coordinate is beyond these, products with 1/d may overflow: brute force is used instead.
 MIN_BVH_EXTENT, MAX_BVH_EXTENT = 2.0**-400, 2.0**400
 
 
@@ -69,7 +67,7 @@ def uses_bvh(kind: Kind) -> bool:
 
 
 def build_tree(low: np.ndarray, high: np.ndarray, threads: int) -> Tree:
-    """A tree over boxes low, high (n, 3), n > 0. The same for every number of threads.
+    """Build a tree over boxes low, high (n, 3), n > 0. It is the same for every number of threads.
 
     Raises SceneError for more than MAX_PRIMITIVES.
     """
@@ -92,7 +90,7 @@ def build_tree(low: np.ndarray, high: np.ndarray, threads: int) -> Tree:
 
 
 def _collapsed(boxes: np.ndarray, links: np.ndarray) -> Nodes:
-    """The same in nodes of CHILDREN, of which there are no more than there were inner nodes of two."""
+    """Collapse binary nodes into nodes of CHILDREN, of which there are at most as many as inner binary nodes."""
     capacity = max(1, int(np.count_nonzero(links[:, 1] < 0)))
     wide_boxes = np.empty((capacity, 6, CHILDREN), np.float32)
     wide_links = np.empty((capacity, CHILDREN), np.int32)
@@ -101,7 +99,7 @@ def _collapsed(boxes: np.ndarray, links: np.ndarray) -> Nodes:
 
 
 def _unit(least: np.ndarray, largest: np.ndarray, center: np.ndarray) -> float:
-    """A power of two in which the whole box reaches from -1 to 1."""
+    """The power of two by which coordinates of the box, relative to its centre, are divided to lie in [-1, 1]."""
     with np.errstate(over="ignore"):
         half = float(max((center - least).max(), (largest - center).max()))
     if half == 0.0:
@@ -110,7 +108,7 @@ def _unit(least: np.ndarray, largest: np.ndarray, center: np.ndarray) -> float:
 
 
 def _build_run(boxes: np.ndarray, order: np.ndarray, start: int, stop: int, enough: int) -> Nodes:
-    """Nodes over order[start:stop], counted from 0."""
+    """Binary nodes over order[start:stop], numbered from 0."""
     capacity = 2 * (stop - start)  # a tree of n leaves has n - 1 inner nodes
     node_boxes, links = np.empty((capacity, 6), np.float32), np.empty((capacity, 2), np.int32)
     nodes = build_binary(boxes, order, start, stop, enough, node_boxes, links)
@@ -118,7 +116,7 @@ def _build_run(boxes: np.ndarray, order: np.ndarray, start: int, stop: int, enou
 
 
 def _build_parallel(boxes: np.ndarray, order: np.ndarray, threads: int) -> Nodes:
-    """The same, the parts of the tree each by a thread."""
+    """Binary nodes over all of `order`; subtrees are built in parallel."""
     top_boxes, top_links = _build_run(boxes, order, 0, len(order), len(order) // PARALLEL_SUBTREES)
     ends = np.flatnonzero(top_links[:, 1] > 0)
 
@@ -132,7 +130,7 @@ def _build_parallel(boxes: np.ndarray, order: np.ndarray, threads: int) -> Nodes
 
 
 def _join_subtrees(top_boxes: np.ndarray, top_links: np.ndarray, parts: dict[int, Nodes]) -> Nodes:
-    """One tree, each end of its top replaced by what has grown from there."""
+    """Replace the leaves of the top by their subtrees."""
     place, at = np.empty(len(top_links), np.int64), 0
     for node in range(len(top_links)):
         place[node] = at
@@ -150,16 +148,16 @@ def _join_subtrees(top_boxes: np.ndarray, top_links: np.ndarray, parts: dict[int
     return boxes, links
 
 
-DEVIATION_SLACK = 8.0  # as FAN_SLACK has 8 times what it is derived from
+DEVIATION_SLACK = 8.0  # the factor that FAN_SLACK has, too
 
 FAN_REACH = 16.0
-"""Rays belong to fans that start within so many times the largest coordinate of what has a tree."""
+"""Rays belong to a fan if they start within so many times the largest coordinate of kinds with a tree."""
 
 
 def fans_to(light: PointLight | DirectionalLight, center: Vec3, extent: float, deviation: float = 0.0) -> list[Fan]:
     """The fans of all shadow rays to a light, those from around `center` first; extent: the largest |coordinate|.
 
-    deviation: by how much rays may pass a point light, along an axis, beyond what shadow rays of films do.
+    deviation: how far rays may pass the point, along an axis, in addition to rounding.
     """
     if isinstance(light, DirectionalLight):
         return [parallel_fan(light.back, extent)]
@@ -176,24 +174,16 @@ def point_fans(point: Vec3, center: Vec3, extent: float, deviation: float = 0.0)
     up = np.cross(forward, across)
     reach = FAN_REACH * max(extent, *map(abs, point))
     axes = ((forward, across, up), (across, up, forward), (up, forward, across))
+    slack, none = _slack(reach, extent) + DEVIATION_SLACK * deviation, (0.0, 0.0, 0.0)
     return [
-        Fan(
-            1.0,
-            point,
-            (0.0, 0.0, 0.0),
-            _vector(x),
-            _vector(y),
-            _vector(sign * z),
-            reach,
-            _slack(reach, extent) + DEVIATION_SLACK * deviation,
-        )
+        Fan(1.0, point, none, _vector(x), _vector(y), _vector(sign * z), reach, slack)
         for z, x, y in axes
         for sign in (1.0, -1.0)
     ]
 
 
 def parallel_fan(back: Vec3, extent: float) -> Fan:
-    """The fan of rays in one direction, of any length."""
+    """The fan of rays with direction `back`, of any length."""
     axis = int(np.argmax(np.abs(back)))
     x, y, z = np.roll(np.eye(3), -axis - 1, axis=0)
     across, up = (e - (back[np.argmax(e)] / back[axis]) * z for e in (x, y))
@@ -213,36 +203,14 @@ def _slack(reach: float, extent: float) -> float:
 
 
 def fan_bounds(kind: Kind, fan: Fan, threads: int | None) -> FanBounds:
-    """The primitives of a kind as a fan sees them; of a kind that has a tree."""
-    tree, count, prims = bvh_of(kind), len(kind.ids), kind.prims
-    vertices = prims.vertices if isinstance(prims, Triangles) else np.empty((0, 3))
-    bounds = FanBounds(
-        np.empty(len(tree.links) * BOX_SIZE), np.empty(count * PRIM_FIELDS), np.empty((len(vertices), 3))
-    )
-    if isinstance(prims, Triangles):
-        project = partial(project_vertices_along, fan, vertices, bounds.points)
-        parallel_for(project, len(vertices), threads, least=PARALLEL_MIN_PRIMITIVES)
-        find = partial(bound_triangles_along, fan, prims.faces, tree.order, bounds)
-    else:
-        find = partial(bound_hulls_along, fan, prims, tree.order, bounds)
-    parallel_for(find, count, threads, least=PARALLEL_MIN_PRIMITIVES)
+    """Project the primitives and the tree of a kind."""
+    tree, count = bvh_of(kind), len(kind.ids)
+    points, corners = hulls_of(kind.prims, count)
+    nodes, prims, projected = np.empty(len(tree.links) * BOX_SIZE), np.empty(count * PRIM_FIELDS), np.empty_like(points)
+    project = partial(project_along, fan, points, projected)
+    parallel_for(project, len(points), threads, least=PARALLEL_MIN_PRIMITIVES)
+    bound = partial(bound_hulls_along, fan, corners, projected, tree.order, prims)
+    parallel_for(bound, count, threads, least=PARALLEL_MIN_PRIMITIVES)
+    bounds = FanBounds(nodes, prims, projected if isinstance(kind.prims, Triangles) else projected[:0])
     bound_nodes_along(tree.links, bounds)
     return bounds
-
-
-def boxes_along(fan: Fan, tree: Tree) -> list[tuple[np.ndarray, np.ndarray]]:
-    """(least x, y; largest x, y) of each box of a root as a fan sees it, rounded; all if it reaches behind."""
-    sides = np.asarray(tree.boxes[0], np.float64) * tree.unit  # least x, y, z, largest x, y, z of CHILDREN boxes
-    found = []
-    for j in np.flatnonzero((sides[:3] <= sides[3:]).all(axis=0)):
-        low, high = sides[:3, j], sides[3:, j]
-        corners = np.array(list(itertools.product(*zip(low, high, strict=True)))) + tree.center
-        away = corners - fan.origin
-        x, y, depth = (dot_rows(away, axis) for axis in (fan.across, fan.up, fan.forward))
-        over = depth if fan.perspective else np.ones(len(depth))
-        if (over > 0.0).all():
-            projected = np.column_stack([x, y]) / over[:, None]
-            found.append((projected.min(axis=0), projected.max(axis=0)))
-        else:
-            found.append((np.full(2, -np.inf), np.full(2, np.inf)))
-    return found

@@ -1,17 +1,13 @@
-"""Rays in, nearest hits out: the three cullings, on as many threads as there are cores.
-
-Rays that float64 leaves uncertain are cast once more and decided exactly.
-"""
+"""Nearest hits of any rays, on all cores. Rays that float64 leaves uncertain are cast again and decided exactly."""
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from caster.geometry.packing import Kind, Packed
-from caster.kernels.bvh.ray_sorting import store_sorted, store_sorted_blocked
 from caster.kernels.bvh.traversal import list_candidates_in_tree
 from caster.kernels.nearest import (
     Candidates,
@@ -23,10 +19,10 @@ from caster.kernels.nearest import (
     nearest_of_candidates,
     no_hits,
 )
-from caster.kernels.raster.tile import store_blocked, store_blocked_rays, store_ray_range, store_rays
+from caster.kernels.raster.tile import store_blocked, store_nearest
 from caster.rendering.bvh_construction import bvh_of, has_bvh, uses_bvh
-from caster.rendering.ray_fans import FanCaster
-from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, Record, for_ray_tiles, new_workspace, tile_caster
+from caster.rendering.ray_fans import fan_tiles
+from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, TileCaster, UsesTree, new_workspace, tiles_in_order
 from caster.rendering.threads import parallel_for, unwritten_array
 
 __all__ = ["Culling", "find_any", "find_nearest"]
@@ -37,13 +33,13 @@ Culling = Literal["brute-force", "raster", "bvh"]
 def find_nearest(
     packed: Packed, rays: Rays, culling: Culling = "bvh", threads: int | None = None, *, always_fans: bool = False
 ) -> Nearest:
-    """The nearest hit of any rays. always_fans: as fans, if they can be, even where that does not pay: same bits."""
+    """The nearest hit of any rays. always_fans: as fans, if they can be, even where that is slower: same bits."""
     trees = culling != "brute-force"
-    nearest, uncertain = _cast(packed, rays, threads, uses_bvh if trees else _no_tree, fans=trees, always=always_fans)
-    return decide_uncertain(packed, rays, nearest, uncertain, threads, trees=trees)
+    found = _cast(packed, rays, threads, uses_bvh if trees else no_tree, fans=trees, always_fans=always_fans)
+    return decide_uncertain(packed, rays, *found, threads, trees=trees)
 
 
-def _no_tree(kind: Kind) -> bool:
+def no_tree(kind: Kind) -> bool:
     return False
 
 
@@ -51,27 +47,20 @@ def _cast(
     packed: Packed,
     rays: Rays,
     threads: int | None,
-    through_tree: Callable[[Kind], bool],
+    uses_tree: UsesTree,
     *,
     fans: bool = False,
-    always: bool = False,
+    always_fans: bool = False,
 ) -> tuple[Nearest, np.ndarray]:
-    """(nearest hits by float64, whether it cannot decide (n,) bool), with the tree of some kinds."""
-    count, ids = len(rays.t_min), packed.prim_ids
+    """(nearest hits by float64, whether they are uncertain (n,) bool), through the trees of some kinds."""
+    count = len(rays.t_min)
     # threads write all of it
     nearest = Nearest(*(unwritten_array((count,), dtype) for dtype in (float, np.int32, float)))
     uncertain = unwritten_array((count,), bool)
-    cast = tile_caster(packed, through_tree=through_tree)
-    record = Record(
-        lambda tile, first, stop: store_ray_range(tile, 0, ids, first, stop, nearest, uncertain),
-        lambda tile, first, width, box: store_rays(tile, first, width, box, ids, nearest, uncertain),
-        lambda tile, order, first, stop: store_sorted(tile, order, first, stop, ids, nearest, uncertain),
-    )
-    caster = FanCaster.of(packed, rays, any_hit=False, always=always) if fans else None
-    if caster is not None:
-        caster.cast(rays, cast, record, threads)
-    else:
-        for_ray_tiles(cast, rays, record, threads)
+    tiles = fan_tiles(packed, rays, False, threads, always=always_fans) if fans else None
+    ids, caster = packed.prim_ids, TileCaster(packed, any_hit=False, uses_tree=uses_tree)
+    for each in tiles or [tiles_in_order(caster, count, threads)]:
+        each.cast(rays, lambda tile, numbers: store_nearest(tile, numbers, ids, nearest, uncertain), threads)
     return nearest, uncertain
 
 
@@ -79,18 +68,9 @@ def find_any(packed: Packed, rays: Rays, threads: int | None = None, *, always_f
     """(n,) bool: whether rays hit anything at all (any-hit). Traversal ends at the first certain hit."""
     count = len(rays.t_min)
     blocked, uncertain = np.zeros(count, bool), np.zeros(count, bool)
-
-    record = Record(
-        lambda tile, first, stop: store_blocked(tile, 0, first, stop, blocked, uncertain),
-        lambda tile, first, width, box: store_blocked_rays(tile, first, width, box, blocked, uncertain),
-        lambda tile, order, first, stop: store_sorted_blocked(tile, order, first, stop, blocked, uncertain),
-    )
-    cast = tile_caster(packed, any_hit=True)
-    fans = FanCaster.of(packed, rays, any_hit=True, always=always_fans)
-    if fans is not None:
-        fans.cast(rays, cast, record, threads)
-    else:
-        for_ray_tiles(cast, rays, record, threads)
+    tiles = fan_tiles(packed, rays, True, threads, always=always_fans)
+    for each in tiles or [tiles_in_order(TileCaster(packed, any_hit=True), count, threads)]:
+        each.cast(rays, lambda tile, numbers: store_blocked(tile, numbers, blocked, uncertain), threads)
     rows = np.flatnonzero(uncertain)
     if len(rows):
         blocked[rows] = exact_nearest(packed, Rays(*(a[rows] for a in rays)), threads).prim >= 0
@@ -106,7 +86,7 @@ def decide_uncertain(
     *,
     trees: bool = True,
 ) -> Nearest:
-    """Cast the uncertain rays, (n,) bool, once more, exactly, and put them into the record."""
+    """Decide the uncertain rays, (n,) bool, exactly, and update their hits."""
     rows = np.flatnonzero(uncertain)
     if len(rows):
         exact = exact_nearest(packed, Rays(*(a[rows] for a in rays)), threads, trees=trees)
@@ -115,20 +95,21 @@ def decide_uncertain(
     return nearest
 
 
-# For fewer rays than this, trying every primitive takes less time than growing a tree that is not there yet.
+# For fewer rays, brute force takes less time than building a tree.
 BVH_MIN_RAYS = 64
 
-# As MIN_RAYS_PER_THREAD: so many tests of a ray and a primitive, so many rays whose candidates integers choose from.
+# Like MIN_RAYS_PER_THREAD, for tests of a ray with a primitive, and for rays that integers decide.
 MIN_TESTS_PER_THREAD, MIN_EXACT_PER_THREAD = 1 << 15, 64
 
-# So many primitives that may come first are written down at once, 16 MiB of them; rays with more take turns.
+# Candidates that are listed at a time: 16 MiB; more rays are processed in batches.
 MAX_LISTED_CANDIDATES = 1 << 22
 
 
 def exact_nearest(packed: Packed, rays: Rays, threads: int | None = None, *, trees: bool = True) -> Nearest:
-    """The nearest hits of rays, decided exactly wherever float64 leaves them open; without trees, by brute force.
+    """The nearest hits of rays, decided exactly where float64 is uncertain; without trees, by brute force.
 
-    What float64 is sure of bounds where the first hit is; of all that may come before that, integers choose.
+    The hits of float64 bound where the first hit is. All primitives that may be hit before are candidates, of which
+    integers choose.
     """
     count, nearest = len(rays.t_min), no_hits(len(rays.t_min))
 
@@ -169,26 +150,24 @@ def exact_nearest(packed: Packed, rays: Rays, threads: int | None = None, *, tre
         merge(nearest, found, kind.ids, contested, 0, count)
         for i in np.flatnonzero(contested):
             _decide_between(packed, kind, rays, nearest, found, int(i))
-    hit = nearest.prim >= 0  # exactly t_min < t <= t_max; the float64 beside such a t may lie beyond an end
+    hit = nearest.prim >= 0  # the exact t is in (t_min, t_max]; rounded to float64 it may lie outside
     nearest.t[hit] = np.clip(nearest.t[hit], np.nextafter(rays.t_min[hit], np.inf), rays.t_max[hit])
     return nearest
 
 
 def _batches(counts: np.ndarray) -> Iterator[slice]:
-    """Runs of rays with about MAX_LISTED_CANDIDATES together, or one ray with more."""
+    """Runs of rays with about MAX_LISTED_CANDIDATES in all, or one ray with more."""
     turn = np.cumsum(counts) // MAX_LISTED_CANDIDATES
     ends = [0, *(np.flatnonzero(np.diff(turn)) + 1).tolist(), len(counts)]
     return (slice(start, stop) for start, stop in itertools.pairwise(ends))
 
 
 def _decide_between(packed: Packed, kind: Kind, rays: Rays, nearest: Nearest, found: Nearest, i: int) -> None:
-    """Which of two kinds' nearest primitives comes first along ray i."""
+    """Merge the hit of one kind along ray i, where float64 cannot decide which comes first."""
     k, held = int(found.prim[i]), int(nearest.prim[i])
-    if held < 0 or _precedes(packed, rays, i, (kind, k), held):
-        nearest.t[i], nearest.prim[i], nearest.error[i] = found.t[i], kind.ids[k], found.error[i]
-
-
-def _precedes(packed: Packed, rays: Rays, i: int, place: tuple[Kind, int], held: int) -> bool:
-    """Whether the primitive at a place comes before the one numbered `held`, exactly."""
-    (kind, k), (other, j) = place, packed.place_of(held)
-    return bool(hit_precedes((kind.prims, k, int(kind.ids[k])), (other.prims, j, held), rays, i))
+    mine = kind.prims, k, int(kind.ids[k])
+    if held >= 0:
+        other, j = packed.place_of(held)
+        if not hit_precedes(*mine, other.prims, j, held, rays, i):
+            return
+    nearest.t[i], nearest.prim[i], nearest.error[i] = found.t[i], mine[2], found.error[i]

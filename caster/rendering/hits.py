@@ -14,7 +14,7 @@ from caster.geometry.world_space import Rounding, as_given
 from caster.jit.command_list import Command
 from caster.kernels.nearest import OUT_OF_RANGE, Nearest, Rays, find_invalid_ray, new_rays
 from caster.kernels.raster.screen_bounds import Window
-from caster.kernels.raster.tile import BOX, PIXELS, WIDTH, Box, clear_rays, load_hits, tile_rows
+from caster.kernels.raster.tile import BOX, PRIM, WIDTH, Box, T, load_rays, tile_rows
 from caster.kernels.surface.lighting import shadow_rays_of
 from caster.rendering.casting import find_any, find_nearest
 from caster.rendering.plan import plan
@@ -30,7 +30,7 @@ SMALLEST_NORMAL_FLOAT = 2.0**-1022
 
 
 class Surfaces(NamedTuple):
-    """Where each ray meets the scene; zeros on a miss."""
+    """The surface at each hit; zeros on a miss."""
 
     p: np.ndarray  # (n, 3) float64
     n: np.ndarray  # (n, 3) geometric normal
@@ -40,7 +40,7 @@ class Surfaces(NamedTuple):
 
 @dataclass(frozen=True)
 class RayHits:
-    """Rays and their nearest hits in a scene. `start` is what each ray's depth counts from, beyond its origin."""
+    """Rays and their nearest hits in a scene. `start` is the t from which depth counts along each ray."""
 
     scene: Scene
     packed: Packed
@@ -72,22 +72,22 @@ class RayHits:
 
     @cached_property
     def normals(self) -> np.ndarray:
-        """(n, 3) geometric normals of the hits alone, 0 on a miss; those of `surfaces`."""
+        """(n, 3) geometric normals, 0 on a miss, without computing `surfaces`."""
         return self.evaluate(("normal",))["normal"]
 
     @cached_property
     def reflectance(self) -> np.ndarray:
-        """(n, 3) of the material that was hit, 0 on a miss."""
+        """(n, 3) diffuse reflectance of the material that was hit, 0 on a miss."""
         return self.evaluate(("albedo",))["albedo"]
 
     @cached_property
     def two_sided(self) -> np.ndarray:
-        """(n,) bool."""
+        """(n,) bool: whether a two-sided material was hit."""
         table = np.array([self.scene.material_of(shape).two_sided for shape in self.scene.shapes], bool)
         return table[self.shape_id] & self.hit if len(table) else self.hit
 
     def evaluate(self, aovs: Sequence[str], dtype: type[np.floating] = np.float64) -> dict[str, np.ndarray]:
-        """AOVs by name, (n,) or (n, c) each: the rays are the pixels of a film that is WIDTH wide."""
+        """AOVs by name, (n,) or (n, c) each. The rays are shaded as pixels of a film that is WIDTH wide."""
         count = len(self.rays.t_min)
         window = Window(0, 0, WIDTH, -(-count // WIDTH))
         images = {name: new_image(name, window, dtype) for name in aovs}
@@ -96,12 +96,16 @@ class RayHits:
 
         def begin() -> list[Command]:
             workspace = take()
+            tile = workspace.tile
 
             def load(box: Box) -> None:
-                first = box[1] * WIDTH
-                stop = min(first + PIXELS, count)
-                load_hits(self.rays, self.nearest.t, prim, first, stop, workspace.tile)
-                clear_rays(workspace.tile, stop - first, (box[3] - box[1]) * WIDTH)
+                first, size = box[1] * WIDTH, (box[3] - box[1]) * WIDTH
+                numbers = np.arange(first, first + size, dtype=np.int32)
+                numbers[count - first :] = -1
+                load_rays(self.rays, numbers, tile, False, False)
+                for field, values in ((T, self.nearest.t), (PRIM, prim)):
+                    here = values[first : first + size]
+                    tile[int(field) : int(field) + len(here)] = here
 
             return [Command(load, (BOX,)), *shader.commands(workspace)]
 
@@ -111,7 +115,7 @@ class RayHits:
         return {name: image.reshape(-1, *image.shape[2:])[:count] for name, image in images.items()}
 
     def _prim_in_tile(self) -> np.ndarray:
-        """(n,) number of each ray's primitive, counted kind by kind, -1 on a miss."""
+        """(n,) number of the primitive that each ray hits, counted kind by kind, -1 on a miss."""
         packed, prim = self.packed, self.nearest.prim
         if len(packed.parts) <= 1:
             return prim
@@ -127,7 +131,7 @@ class RayHits:
         return start.reshape(window.height, window.width)
 
     def lit(self, light: Light, where: np.ndarray) -> np.ndarray:
-        """Whether nothing stands between the hits `where` and the light; True in a scene without shadows."""
+        """Whether the light reaches the hits `where`; True in a scene without shadows."""
         if not self.scene.shading.shadows:
             return np.ones(len(where), bool)
         out = new_rays(len(where))
@@ -137,7 +141,7 @@ class RayHits:
 
 
 def trace_rays(scene: Scene, packed: Packed, rays: Rays, start: np.ndarray, threads: int | None = None) -> RayHits:
-    """Cast given rays; `start` (n,) is what the depth of each counts from, beyond its origin."""
+    """Cast rays; start (n,): the t from which depth counts."""
     return RayHits(scene, packed, rays, find_nearest(packed, rays, threads=threads), start, threads)
 
 
@@ -160,12 +164,12 @@ class Hits:
 
     @property
     def normal(self) -> np.ndarray:
-        """(n, 3) geometric normals, 0 on a miss: the n of `surface` without the rest."""
+        """(n, 3) geometric normals, 0 on a miss: `surface.n` without the rest."""
         return self.view.normals
 
     @property
     def surface(self) -> Surfaces:
-        """p, n, sh_n and uv."""
+        """Position p, normal n, shading normal sh_n and uv."""
         return self.view.surfaces
 
 
@@ -186,7 +190,7 @@ def cast(scene: Scene, o: ArrayLike, d: ArrayLike, *, t_min: ArrayLike = 0.0, t_
     with np.errstate(over="ignore", under="ignore"):
         t = np.ldexp(view.nearest.t, -exponent)
     short = np.flatnonzero((exponent < 0) & (view.nearest.t < SMALLEST_NORMAL_FLOAT))
-    if len(short):  # a denormal t has lost digits, and in lengths of a shorter d it is larger
+    if len(short):  # a denormal t has lost digits; in lengths of the shorter given d it is larger
         t[short] = find_nearest(view.packed, Rays(*(a[short] for a in given))).t
     return Hits(t, view)
 
@@ -196,7 +200,7 @@ def occluded(
 ) -> np.ndarray:
     """Whether anything lies on each ray with t_min < t <= t_max. (n,) bool; arguments as in `cast`.
 
-    Found sooner than what `cast` finds: any hit will do.
+    Faster than `cast`, since any hit ends the search.
     """
     given, plain = validated_rays_with_range(o, d, t_min, t_max)
     return find_any(packed(scene), given if plain else _scaled(given)[0])
@@ -205,11 +209,10 @@ def occluded(
 def trace(
     scene: Scene, o: ArrayLike, d: ArrayLike, t_max: np.ndarray, start: np.ndarray, *, rounded: Rounding = as_given
 ) -> RayHits:
-    """Cast rays with limits of their own, for AOVs of what they hit.
+    """Cast rays with limits of their own, for AOVs of their hits.
 
-    o, d: (n, 3); t_max: (n,), negative where there is no ray; start: (n,) what depth counts from, beyond o.
-    The geometry's numbers go through `rounded` first: as world_space.as_float32 leaves them, a float32 renderer
-    sees them.
+    o, d: (n, 3); t_max: (n,), negative where there is no ray; start: (n,) the t from which depth counts. rounded: is
+    applied to the numbers of the geometry; with world_space.as_float32 they are those of a float32 renderer.
     """
     rays = validated_rays(o, d, 0.0, np.inf)._replace(t_max=np.ascontiguousarray(t_max, np.float64))
     return trace_rays(scene, packed(scene, rounded), rays, np.asarray(start, np.float64))
@@ -221,7 +224,7 @@ def validated_rays(o: ArrayLike, d: ArrayLike, t_min: ArrayLike, t_max: ArrayLik
 
 
 def validated_rays_with_range(o: ArrayLike, d: ArrayLike, t_min: ArrayLike, t_max: ArrayLike) -> tuple[Rays, bool]:
-    """The same, and whether all their lengths are far from what float64 cannot square."""
+    """The same, and whether the squares of all directions neither overflow nor vanish."""
     origins, directions = _rows(o, "o"), _rows(d, "d")
     if len(origins) != len(directions):
         raise SceneError(f"rays: o and d must have equal lengths, got {len(origins)} and {len(directions)}")
@@ -246,7 +249,7 @@ def validated_rays_with_range(o: ArrayLike, d: ArrayLike, t_min: ArrayLike, t_ma
 
 
 def _limits(t: ArrayLike, name: str, count: int) -> np.ndarray:
-    """(count,) float64, a view of a number that is the same for all."""
+    """(count,) float64; a number is broadcast."""
     numbers = _float64(t, name)
     if numbers.shape not in ((), (count,)):
         raise SceneError(f"rays: {name} must be a number, or one for each of {count} rays, got shape {numbers.shape}")
@@ -263,7 +266,7 @@ def _float64(a: ArrayLike, name: str) -> np.ndarray:
 def _scaled(rays: Rays) -> tuple[Rays, np.ndarray]:
     """(rays with d of about unit length, k (n,)); t then counts in lengths of 2^-k d.
 
-    Exact, and squares of d neither overflow nor vanish, however long it was.
+    The scaling is exact, and the squares of the new d neither overflow nor vanish.
     """
     exponent = np.frexp(np.abs(rays.d).max(axis=1, initial=0.0))[1]
     numbers = np.column_stack([rays.d, rays.t_min, rays.t_max])

@@ -10,23 +10,16 @@ import numpy as np
 from caster.aovs import BY_NAME, Aovs
 from caster.description.errors import SceneError, suggestion
 from caster.geometry.packing import Packed, packed
-from caster.geometry.world_space import Rounding, as_given
 from caster.jit.command_list import Command, bind
 from caster.kernels.nearest import Rays, generate_rays, new_rays
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import BOX, generate_camera_rays, kind_numbers, tile_rows
 from caster.kernels.surface.per_hit import store_hits
-from caster.rendering.casting import Culling, exact_nearest, find_nearest
+from caster.rendering.bvh_construction import uses_bvh
+from caster.rendering.casting import BVH_MIN_RAYS, Culling, exact_nearest, find_nearest
 from caster.rendering.hits import RayHits
-from caster.rendering.plan import Plan, culling_for, plan
-from caster.rendering.rasterization import (
-    BinnedKind,
-    bin_kinds,
-    cast_commands,
-    find_nearest_on_film,
-    parallel_for_tiles,
-    release_workspace,
-)
+from caster.rendering.plan import Plan, plan
+from caster.rendering.rasterization import BinnedKind, bin_kinds, cast_commands, parallel_for_tiles, release_workspace
 from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, TileWorkspace, kind_command, prim_offsets, spare_workspaces
 from caster.rendering.shading import NO_BOX, TileShader, new_image
 from caster.rendering.threads import parallel_for, unwritten_array
@@ -37,7 +30,7 @@ __all__ = ["camera_rays", "evaluate", "film_window", "render", "trace_film"]
 DEFAULT_AOVS = ("hit", "depth", "normal", "position", "diffuse")
 
 
-# Called with the number of pixels that have just been done, from any thread.
+# Is called with the number of pixels that have just been done, from any thread.
 OnProgress = Callable[[int], None] | None
 
 
@@ -60,23 +53,16 @@ def render(
 
 
 @dataclass(frozen=True)
-class FilmCounts:
-    """Work done for a film."""
-
-    decided_exactly: int  # pixels whose answer had to be found exactly
-    shadow_rays: int
-    on_film: tuple[int, ...] | None  # primitives of each kind that some pixel was tested for; None: no such list
-
-
-@dataclass(frozen=True)
 class RenderResult:
-    """What was rendered, and how."""
+    """What was rendered, how, and the work it took."""
 
     scene: Scene
     packed: Packed
     aovs: Aovs
     plan: Plan
-    counts: FilmCounts | None  # None: brute force counts nothing
+    decided_exactly: int  # pixels whose answer had to be found exactly
+    shadow_rays: int
+    on_film: tuple[int, ...] | None  # primitives of each kind that some pixel was tested for; None: no such list
 
 
 def render_film(
@@ -88,54 +74,47 @@ def render_film(
     dtype: type[np.floating] = np.float64,
     on_progress: OnProgress = None,
 ) -> RenderResult:
-    """The same as `render`, with an account of it. on_progress: called with the number of pixels just done."""
+    """The same as `render`, with counts of the work. on_progress: is called with the number of pixels just done."""
     check_names(aovs)
-    window, planned = film_window(scene), plan(scene, aovs, culling)
-    if planned.culling != "brute-force":
-        arrays = packed(scene)
-        film = FilmRenderer(scene, arrays, window, planned, aovs, threads, dtype, on_progress)
-        counts = film.render()
-        return RenderResult(scene, arrays, Aovs(film.images, film.hit), planned, counts)
-    hits = trace_film(scene, threads=threads, culling=culling)
-    return RenderResult(scene, hits.packed, evaluate(hits, aovs, window, dtype), planned, None)
+    return FilmRenderer(scene, plan(scene, aovs, culling), aovs, threads, dtype, on_progress).render()
 
 
 class FilmRenderer:
-    """A film on its way: rays of tiles, their nearest hits by rasterization or through trees, their AOVs."""
+    """Renders a film tile by tile: rays, their nearest hits by rasterization, trees or brute force, their AOVs."""
 
     def __init__(
         self,
         scene: Scene,
-        packed: Packed,
-        window: Window,
         plan: Plan,
         aovs: Sequence[str],
         threads: int | None,
         dtype: type[np.floating],
         on_progress: OnProgress,
     ) -> None:
-        self.scene, self.packed, self.window, self.plan = scene, packed, window, plan
+        self.scene, self.packed, self.window, self.plan = scene, packed(scene), film_window(scene), plan
         self.threads, self.on_progress = threads, on_progress
+        window = self.window
         self.camera = scene.camera.pack(scene.film.width, scene.film.height)
         self.hit, self.uncertain = (unwritten_array((window.height, window.width), bool) for _ in range(2))
         self.hit[:], self.uncertain[:] = False, False
         self.images = {name: new_image(name, window, dtype) for name in aovs}
-        self.reach = _farthest_origin(self.camera, window)
-        self.shader = TileShader(scene, packed, plan, self.images)
+        self.shader = TileShader(scene, self.packed, plan, self.images)
 
-    def render(self) -> FilmCounts:
-        """All pixels; those that float64 leaves open once more, exactly."""
+    def render(self) -> RenderResult:
+        """Render all pixels, and those that float64 leaves uncertain again, exactly."""
         kinds = None
         if self.plan.culling == "raster":
-            kinds = bin_kinds(self.packed, self.camera, self.window, self.reach, self.threads)
+            reach = _farthest_origin(self.camera, self.window)
+            kinds = bin_kinds(self.packed, self.camera, self.window, reach, self.threads)
         self._render_tiles(kinds)
         decided = self._decide_uncertain()
         release_workspace(kinds or [])
         on_film = None if kinds is None else tuple(it.binned for it in kinds)
-        return FilmCounts(decided, self.shader.shadow_rays, on_film)
+        images = Aovs(self.images, self.hit)
+        return RenderResult(self.scene, self.packed, images, self.plan, decided, self.shader.shadow_rays, on_film)
 
     def _render_tiles(self, kinds: list[BinnedKind] | None) -> None:
-        """kinds: None for trees."""
+        """kinds: None where nothing is rasterized."""
         runs, number = None if kinds is None else [it.runs for it in kinds], len(self.packed.kinds)
         rows = tile_rows(self.window.width, self.window.height, number, runs)
         seen = rows[:, [kind_numbers(k).present for k in range(number)]].any(axis=1)
@@ -147,7 +126,7 @@ class FilmRenderer:
         parallel_for_tiles(self.shader.miss_commands, rows[~seen], self.threads, self.on_progress)
 
     def _commands(self, take: Callable[[], TileWorkspace], kinds: list[BinnedKind] | None) -> Iterator[Command]:
-        """What renders tiles where something may be hit. kinds: None for trees."""
+        """Commands for tiles with primitives."""
         workspace = take()
         tile = workspace.tile
         yield Command(bind(generate_camera_rays, self.camera, self.window, NO_BOX, tile, given=(2,)), (BOX,))
@@ -155,17 +134,17 @@ class FilmRenderer:
             yield from cast_commands(kinds, tile, self.scene.camera.shares_origin)
         else:
             for kind, base in zip(self.packed.kinds, prim_offsets(self.packed), strict=True):
-                yield kind_command(kind, base, tile)
+                yield kind_command(kind, base, tile, self.plan.culling == "bvh" and uses_bvh(kind))
         yield from self.shader.commands(workspace)
-        # last: shadows may be uncertain, too
+        # at the end, since shadows may be uncertain, too
         yield Command(bind(store_hits, tile, NO_BOX, self.hit, self.uncertain, given=(1,)), (BOX,))
 
     def _decide_uncertain(self) -> int:
-        """The pixels that float64 leaves open, exactly; how many."""
+        """Decide uncertain pixels exactly; returns their number."""
         pixels = np.flatnonzero(self.uncertain)
         if len(pixels):
             rays = rays_through(self.camera, self.window, pixels, self.threads)
-            nearest = exact_nearest(self.packed, rays, self.threads)
+            nearest = exact_nearest(self.packed, rays, self.threads, trees=self.plan.culling != "brute-force")
             hits = RayHits(self.scene, self.packed, rays, nearest, np.zeros(len(pixels)), self.threads)
             self.hit.reshape(-1)[pixels] = hits.hit
             for name, rows in hits.evaluate(tuple(self.images)).items():
@@ -176,7 +155,7 @@ class FilmRenderer:
 
 
 def _farthest_origin(camera: Any, window: Window) -> float:
-    """The largest |coordinate| of an origin, which is one point or linear over the film: at a corner of it."""
+    """The largest |coordinate| of a ray's origin; origins are linear over the film, so it is at a corner."""
     right, bottom = window.width - 1, (window.height - 1) * window.width
     return float(np.abs(rays_through(camera, window, np.array([0, right, bottom, bottom + right])).o).max())
 
@@ -208,18 +187,12 @@ def camera_rays(scene: Scene, threads: int | None = None) -> Rays:
     return rays_through(camera, window, np.arange(window.width * window.height), threads)
 
 
-def trace_film(
-    scene: Scene, *, rounded: Rounding = as_given, threads: int | None = None, culling: Culling | None = None
-) -> RayHits:
-    """Cast the camera's rays."""
-    prims, rays = packed(scene, rounded), camera_rays(scene, threads)
-    camera = scene.camera.pack(scene.film.width, scene.film.height)
-    culling = culling or culling_for(camera)[0]
-    if culling == "raster":
-        nearest = find_nearest_on_film(prims, rays, camera, film_window(scene), scene.camera.shares_origin, threads)
-    else:
-        nearest = find_nearest(prims, rays, culling, threads)
-    return RayHits(scene, prims, rays, nearest, np.zeros(len(rays.t_min)), threads)
+def trace_film(scene: Scene, threads: int | None = None) -> RayHits:
+    """Cast the camera's rays; few rays by brute force, without building trees."""
+    rays, arrays = camera_rays(scene, threads), packed(scene)
+    culling: Culling = "bvh" if len(rays.t_min) > BVH_MIN_RAYS else "brute-force"
+    nearest = find_nearest(arrays, rays, culling, threads)
+    return RayHits(scene, arrays, rays, nearest, np.zeros(len(rays.t_min)), threads)
 
 
 def evaluate(hits: RayHits, aovs: Sequence[str], window: Window, dtype: type[np.floating] = np.float64) -> Aovs:

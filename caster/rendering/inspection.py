@@ -1,4 +1,4 @@
-"""Inspection: one pixel with the intersections of each primitive, and the account of a whole render."""
+"""Inspection: the intersections of one pixel's ray with each primitive, and the work that a render took."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -18,19 +18,17 @@ from caster.rendering.images import RenderResult, trace_film
 from caster.rendering.plan import Step
 from caster.scene.model import Scene
 
-MAX_PRIMITIVES_PROBED = (
-    256  # primitives that are looked at one by one; of more, those whose boxes are nearest to the ray
-)
+MAX_PRIMITIVES_PROBED = 256  # of more primitives, those whose boxes are nearest to the ray
 
 
 @dataclass(frozen=True)
 class PrimitiveResult:
-    """What one primitive answers."""
+    """The intersection of a ray with one primitive."""
 
     shape_id: int
     prim_id: int  # within its shape
-    t: float  # exactly the first in range, as float64; inf on a miss
-    error: float  # how far float64 alone may be off in t; inf where it could not decide
+    t: float  # the exact first hit in range, rounded to float64; inf on a miss
+    error: float  # error bound of t in float64; inf if float64 cannot decide
     margins: tuple[EdgeDistance, ...]
 
     @property
@@ -39,17 +37,17 @@ class PrimitiveResult:
 
     @property
     def nearly(self) -> float:
-        """How far outside its outline the ray passes, for an order among misses."""
+        """The distance of the ray from the primitive's outline, by which misses are ordered."""
         return max((-margin.inside for margin in self.margins), default=0.0)
 
     @property
     def out_of_range(self) -> bool:
-        """Missed although its line passes inside the outline: behind, beyond t_max, or past a cylinder's ends."""
+        """Whether the line hits, but not the ray: behind it, beyond t_max, or past a cylinder's ends."""
         return math.isinf(self.t) and bool(self.margins) and all(m.inside > 0.0 for m in self.margins)
 
 
 def intersect_each_primitive(packed: Packed, rays: Rays) -> tuple[PrimitiveResult, ...]:
-    """The answers of the near primitives to rays[0], hits by t, then misses by how nearly. Without a ray: none."""
+    """Intersections of rays[0] with the nearest primitives: hits by t, then misses by distance. Without a ray: none."""
     if rays.t_max[0] < 0.0:
         return ()
     found = [tried for kind, rows in _near(packed, rays) for tried in _try(packed, kind, rows, rays)]
@@ -58,7 +56,7 @@ def intersect_each_primitive(packed: Packed, rays: Rays) -> tuple[PrimitiveResul
 
 
 def _near(packed: Packed, rays: Rays) -> Iterator[tuple[Kind, np.ndarray]]:
-    """(kind, places within it of the nearest): the overall nearest are among them."""
+    """(kind, places within it) of the nearest primitives of each kind."""
     for kind in packed.kinds:
         if len(kind.ids) <= MAX_PRIMITIVES_PROBED or not kind.bounded:
             yield kind, np.arange(len(kind.ids))[:MAX_PRIMITIVES_PROBED]
@@ -69,7 +67,7 @@ def _near(packed: Packed, rays: Rays) -> Iterator[tuple[Kind, np.ndarray]]:
 
 
 def ray_box_distances(o: np.ndarray, d: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """(n,) distances of bounding spheres of boxes from the ray, 0 where it passes through; more behind its origin."""
+    """(n,) distances of the bounding spheres of boxes from a ray, 0 for those that it enters."""
     with np.errstate(all="ignore"):
         center, radius = 0.5 * low + 0.5 * high, 0.5 * row_lengths(high - low)
         ahead = np.maximum(dot_rows(center - o, d) / dot_rows(d[None], d), 0.0)
@@ -87,7 +85,7 @@ def _try(packed: Packed, kind: Kind, rows: np.ndarray, rays: Rays) -> Iterator[P
 
 
 def intersect_rows(kind: Kind, rows: np.ndarray, rays: Rays) -> tuple[np.ndarray, np.ndarray]:
-    """(t, error) of some primitives of a kind: of float64, and t of integers where error is inf."""
+    """(t, error) of some primitives of a kind: by float64, and t exactly where error is inf."""
     t, error = np.full(len(rows), np.inf), np.zeros(len(rows))
     intersect_each(kind.prims, rows.astype(np.int64), rays, t, error, 0, len(rows))
     undecided = np.flatnonzero(np.isinf(error))
@@ -112,7 +110,7 @@ class PixelHit(NamedTuple):
 
 @dataclass(frozen=True)
 class Probe:
-    """The ray through a pixel's centre and what it meets. t counts in lengths of d, which is 1."""
+    """The ray through a pixel's centre and its hits. d has length 1."""
 
     scene: Scene
     x: int
@@ -124,11 +122,11 @@ class Probe:
     hit: PixelHit | None
     surface: dict[str, np.ndarray]  # p, n, sh_n (3,) and uv (2,); empty on a miss
     prims: int  # number of primitives in the scene
-    tried: tuple[PrimitiveResult, ...]  # each primitive alone, hits by t, then misses by how nearly; of many, the near
+    tried: tuple[PrimitiveResult, ...]  # hits by t, then misses by distance; of many primitives, the nearest
 
 
 def probe(scene: Scene, x: int, y: int) -> Probe:
-    """Cast the ray of one pixel, once as `render` does and once against each primitive with no culling.
+    """Cast the ray of one pixel, once as `render` does and once at each primitive without culling.
 
     Raises SceneError for a pixel outside the film.
     """
@@ -145,12 +143,12 @@ def probe(scene: Scene, x: int, y: int) -> Probe:
     return Probe(scene, x, y, rays.o[0], rays.d[0], *ends, hit, surface, int(view.packed.first[-1]), tried)
 
 
-# ---- what a render did ----
+# ---- the work of a render ----
 
 
 def account(rendered: RenderResult, aovs: Sequence[str]) -> dict[str, Any]:
-    """All of it, for `caster render --json`: numbers are counts of work done; None where nothing was counted."""
-    plan, counts = rendered.plan, rendered.counts
+    """The work done, for `caster render --json`."""
+    plan = rendered.plan
     hits = int(rendered.aovs.hit.sum())
     return {
         "camera_rays": _camera_rays(rendered),
@@ -158,14 +156,14 @@ def account(rendered: RenderResult, aovs: Sequence[str]) -> dict[str, Any]:
         "primitives": _primitives(rendered),
         "never_hit": {name: found.total for name, found in rejected_faces(rendered.scene).items()},
         "trees": {**_step(plan.trees), "grown": sum(has_bvh(kind) for kind in rendered.packed.kinds)},
-        "decided_exactly": counts.decided_exactly if counts else None,
+        "decided_exactly": rendered.decided_exactly,
         "surfaces": {
             "hits": hits if plan.surfaces else 0,
             "worked_out": list(plan.surfaces),
             "reason": plan.surfaces_reason,
         },
         "shading": _step(plan.shading),
-        "shadow_rays": {**_step(plan.shadows), "cast": counts.shadow_rays if counts else None},
+        "shadow_rays": {**_step(plan.shadows), "cast": rendered.shadow_rays},
         "aovs": list(aovs),
         "skipped_aovs": [name for name in BY_NAME if name not in aovs],
     }
@@ -188,7 +186,7 @@ def _camera_rays(rendered: RenderResult) -> dict[str, Any]:
 
 
 def _primitives(rendered: RenderResult) -> list[dict[str, Any]]:
-    on_film = rendered.counts.on_film if rendered.counts else None
+    on_film = rendered.on_film
     return [
         {
             "kind": type(kind.prims).__name__.lower(),
@@ -232,14 +230,13 @@ def _lines(rendered: RenderResult, counted: dict[str, Any]) -> Iterator[tuple[st
     if words := in_words(rendered.scene):
         yield "never hit", words
     yield "trees", _trees(counted)
-    if counted["decided_exactly"] is not None:
-        yield "decided", f"{counted['decided_exactly']} pixels exactly, where float64 leaves them open"
+    yield "decided", f"{counted['decided_exactly']} pixels exactly, where float64 leaves them open"
     found = counted["surfaces"]
     done = f"computed for {found['hits']} hits: {', '.join(found['worked_out'])}"
     yield "surfaces", done if found["worked_out"] else f"skipped: {found['reason']}"
     shadows = counted["shadow_rays"]
-    number = "" if shadows["cast"] is None else f"{shadows['cast']} "
-    yield ("shadow rays", f"{number}{shadows['reason']}" if shadows["runs"] else f"skipped: {shadows['reason']}")
+    words = f"{shadows['cast']} {shadows['reason']}" if shadows["runs"] else f"skipped: {shadows['reason']}"
+    yield "shadow rays", words
     yield "AOVs", ", ".join(counted["aovs"])
     yield "skipped", ", ".join(counted["skipped_aovs"]) or "no AOV"
 

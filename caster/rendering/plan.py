@@ -1,4 +1,4 @@
-"""Render plan: what a scene and the requested AOVs need, what is skipped, and why."""
+"""The plan of a render: which steps the scene and the requested AOVs need, and why."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,12 +12,12 @@ from caster.scene.model import Scene
 
 __all__ = ["culling_for"]
 
-# Fields of a hit that come with its surface; the geometric normal can be had alone.
+# Fields of a hit that are computed together; the geometric normal can be computed alone.
 SURFACE_FIELDS = frozenset({"position", "shading_normal", "uv"})
 
 
 class Step(NamedTuple):
-    """Whether something is done, and why so."""
+    """Whether a step runs, and why."""
 
     runs: bool
     reason: str
@@ -30,15 +30,15 @@ class Plan:
     culling: Culling
     reason: str  # for the culling
     needs: frozenset[str]  # fields of a hit that some AOV needs
-    surfaces: tuple[str, ...]  # what is computed of each hit's surface: some of position, normals, uv
+    surfaces: tuple[str, ...]  # computed fields of each hit's surface: some of position, normals, uv
     surfaces_reason: str
-    shading: Step  # light that comes from somewhere
+    shading: Step  # by lights other than ambient ones
     shadows: Step
     trees: Step
 
 
 def plan(scene: Scene, aovs: Sequence[str], culling: Culling | None = None) -> Plan:
-    """For rendering these AOVs; culling: a requested one."""
+    """Plan the render of some AOVs. culling: the requested one."""
     chosen, reason = culling_for(scene.camera.pack(scene.film.width, scene.film.height))
     if culling is not None:
         chosen, reason = culling, "as requested"
@@ -50,13 +50,11 @@ def plan(scene: Scene, aovs: Sequence[str], culling: Culling | None = None) -> P
 
 def culling_for(camera: Any) -> tuple[Culling, str]:
     """(culling, reason) for a packed camera's own rays."""
-    if implements(project, type(camera)) and not implements(distortion_bound, type(camera)):
-        return (
-            "raster",
-            "the camera is rectilinear, so each primitive stays within the bounds of its projected points",
-        )
-    if implements(project_bounding_sphere, type(camera)):
-        return "raster", "each primitive stays within the projection of its bounding sphere"
+    kind = type(camera)
+    if implements(project, kind) and not implements(distortion_bound, kind):
+        return "raster", "the camera is rectilinear, so each primitive stays within the bounds of its projected points"
+    if implements(project, kind) and implements(project_bounding_sphere, kind):
+        return "raster", "each primitive stays within bounds of its projected points or of its bounding sphere"
     return "bvh", "the camera cannot project primitives, so rays traverse the BVHs"
 
 
@@ -80,7 +78,7 @@ def _shadows(scene: Scene, shading: Step) -> Step:
 
 
 def _surfaces(aovs: Sequence[str], shading: Step) -> tuple[tuple[str, ...], str]:
-    """(computed fields, reason). Geometric normals can be had alone."""
+    """(computed fields, reason)."""
     needs = {aov.NAME: set(aov.NEEDS) for aov in AOVS if aov.NAME in aovs}
     wanting = [name for name, fields in needs.items() if _whole_surface(fields)]
     if shading.runs:

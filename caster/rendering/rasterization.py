@@ -1,122 +1,54 @@
-"""Rasterization: nearest hits of a film by testing each primitive in the pixels of its screen bounds."""
+"""Rasterization: primitives are bounded on the screen, sorted into tiles and tested in the pixels of their bounds."""
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from caster.geometry.packing import Kind, Packed
 from caster.jit.command_list import Command, CommandList, bind
 from caster.jit.decorators import implements
-from caster.kernels.bvh.build import BOX_PADDING
-from caster.kernels.nearest import Nearest, Rays, no_hits
+from caster.kernels.bvh.build import BOX_PADDING, Hulls, hulls_of
 from caster.kernels.protocol import distortion_bound, project, project_bounding_sphere, tight_sphere
 from caster.kernels.raster.screen_bounds import (
     PROJECTION_MARGIN,
     ScreenBounds,
     Window,
-    bound_by_spheres,
-    bound_distorted_triangles,
+    bound_distorted_hulls,
     bound_hulls,
     bound_spheres,
-    bound_triangles,
     project_vertices,
 )
-from caster.kernels.raster.tile import (
-    BOX,
-    DEPTH_BUCKETS,
-    HEIGHT,
-    WIDTH,
-    Box,
-    count_in_tiles,
-    kind_numbers,
-    load_rays,
-    scatter_to_tiles,
-    store_nearest,
-    tile_rows,
-)
+from caster.kernels.raster.tile import BOX, DEPTH_BUCKETS, HEIGHT, WIDTH, count_in_tiles, kind_numbers, scatter_to_tiles
 from caster.kernels.raster.tile_casting import cast_in_bounds
 from caster.kernels.triangles import Triangles
-from caster.rendering.casting import decide_uncertain
-from caster.rendering.ray_tiles import prim_offsets, spare_workspaces
+from caster.rendering.ray_tiles import prim_offsets
 from caster.rendering.threads import even_pieces, parallel_for, parallel_for_pieces, thread_count
 
-__all__ = ["find_nearest_on_film"]
+# Points or primitives: to bound fewer takes less time than a second thread takes to begin.
+PARALLEL_MIN_PRIMITIVES = 4096
 
-PARALLEL_MIN_PRIMITIVES = (
-    4096  # points or primitives: to look for fewer takes less time than a second thread takes to begin
-)
-
-
-class RayBounds(NamedTuple):
-    """Bounds of rays that start where a camera's do."""
-
-    max_center_offset: float  # how many pixels they may pass from the centres
-    longest: float  # no d is longer, but for a few u
-
-
-OWN_RAYS = RayBounds(0.0, 1.0)
 
 ZERO_VECTOR = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class BinnedKind:
-    """The primitives of a kind, and in which tiles of the window each is to be looked for."""
+    """The primitives of a kind, and those of each tile of the window."""
 
     kind: Kind
     bounds: ScreenBounds
     prim_range: tuple[int, int]  # of its primitives, counted kind by kind
-    binned: int  # primitives that are looked for at all
+    binned: int  # primitives in any tile
     runs: np.ndarray  # int64; tile n has primitives order[runs[n]:runs[n + 1]]
     order: np.ndarray  # int32, primitive numbers within the kind, roughly from front to back
 
 
-def find_nearest_on_film(
-    packed: Packed,
-    rays: Rays,
-    camera: Any,
-    window: Window,
-    shares_origin: bool,
-    threads: int | None = None,
-    *,
-    max_center_offset: float = 0.0,
-) -> Nearest:
-    """The nearest hit of a camera's own rays, or of others that start where those do.
-
-    max_center_offset: by how many pixels they may pass their pixel's centre; their d may be of any length. Raises
-    ValueError for a max_center_offset of rays of a non-rectilinear camera, whose image ends at its rim.
-    """
-    if max_center_offset and implements(distortion_bound, type(camera)):
-        raise ValueError("max_center_offset: only for rectilinear cameras")
-    origin = float(np.abs(rays.o).max(initial=0.0))
-    longest = max(1.0, float(np.abs(rays.d).sum(axis=1).max(initial=0.0)))
-    kinds = bin_kinds(packed, camera, window, origin, threads, RayBounds(max_center_offset, longest))
-    nearest, uncertain = no_hits(len(rays.t_min)), np.zeros(len(rays.t_min), bool)
-    ids = packed.prim_ids
-
-    def begin() -> list[Command]:
-        tile = take().tile
-
-        def load(box: Box) -> None:
-            load_rays(rays, window.width, box, tile)
-
-        def store(box: Box) -> None:
-            store_nearest(tile, ids, window.width, box, nearest, uncertain)
-
-        return [Command(load, (BOX,)), *cast_commands(kinds, tile, shares_origin), Command(store, (BOX,))]
-
-    rows = tile_rows(window.width, window.height, len(kinds), [it.runs for it in kinds])
-    with spare_workspaces() as take:
-        parallel_for_tiles(begin, rows, threads)
-    return decide_uncertain(packed, rays, nearest, uncertain, threads)
-
-
 def cast_commands(kinds: list[BinnedKind], tile: np.ndarray, shares_origin: bool) -> Iterator[Command]:
-    """What tests all primitives that may be visible in a tile."""
+    """Commands that cast a tile at its primitives."""
     empty, box = (0, 0), (0, 0, 0, 0)
     for k, it in enumerate(kinds):
         about = it.kind.prims, it.order, empty, it.bounds, it.prim_range[0], box, tile, shares_origin
@@ -124,8 +56,8 @@ def cast_commands(kinds: list[BinnedKind], tile: np.ndarray, shares_origin: bool
         yield Command(bind(cast_in_bounds, *about, given=(2, 5)), (at.run, BOX), at.present)
 
 
-PIECES_PER_THREAD = 32  # so few that steps of Python do not count, enough to share the work evenly
-MAX_TILES_PER_PIECE = 16  # signals are handled and progress is reported between pieces, of large films as well
+PIECES_PER_THREAD = 32  # few enough that Python code does not count, enough to share the work evenly
+MAX_TILES_PER_PIECE = 16  # so that signals are handled and progress is reported often, between pieces
 
 
 def parallel_for_tiles(
@@ -134,9 +66,9 @@ def parallel_for_tiles(
     threads: int | None,
     on_progress: Callable[[int], None] | None = None,
 ) -> None:
-    """Carry out the commands that `begin` returns, for each thread, for the rows of all tiles (`tile_rows`).
+    """Run commands for the rows of all tiles (`tile_rows`); `begin` makes those of each thread.
 
-    on_progress: called with the number of pixels of tiles that are done.
+    on_progress: is called with the number of pixels just done.
     """
 
     def done(piece: tuple[int, int]) -> None:
@@ -155,57 +87,44 @@ def parallel_for_tiles(
 
 
 def bin_kinds(
-    packed: Packed,
-    camera: Any,
-    window: Window,
-    origin: float,
-    threads: int | None = None,
-    others: RayBounds | None = None,
+    packed: Packed, camera: Any, window: Window, origin: float, threads: int | None = None
 ) -> list[BinnedKind]:
-    """Where to look for each primitive.
-
-    origin: the largest |coordinate| of a ray's origin; others: of rays that are not the camera's own.
-    """
-    max_center_offset, longest = others or OWN_RAYS
+    """Sort all primitives into tiles. origin: the largest |coordinate| of a camera ray's origin."""
+    rectilinear = implements(project, type(camera)) and not implements(distortion_bound, type(camera))
 
     def sort(kind: Kind, base: int) -> BinnedKind:
         slack = BOX_PADDING * (origin + kind.extent) if kind.bounded else 0.0
-        reach, number = (slack, PROJECTION_MARGIN + max_center_offset), len(kind.ids)
-        projectable = implements(project, type(camera))
-        rectilinear = projectable and not implements(distortion_bound, type(camera))
-        triangles = projectable and isinstance(kind.prims, Triangles)
-        points = kind.prims.vertices if triangles else np.empty((0, 3))
-        faces = kind.prims.faces if triangles else np.empty((0, 3), np.int32)
+        reach, number, triangles = (slack, PROJECTION_MARGIN), len(kind.ids), isinstance(kind.prims, Triangles)
+        spheres = implements(tight_sphere, type(kind.prims)) and implements(project_bounding_sphere, type(camera))
+        points, corners = NO_HULLS if spheres else hulls_of(kind.prims, number)
         pixels, near, projected = _workspace(kind, len(points))
-        forward = camera.forward if rectilinear and not others else ZERO_VECTOR
-        bounds = ScreenBounds(pixels, near, faces, projected, forward, 1.0 / longest)
-        about = kind.prims, camera, window, bounds, reach
-        if triangles:
-            find = partial(project_vertices, points, camera, window, projected, reach)
-            parallel_for(find, len(points), threads, least=PARALLEL_MIN_PRIMITIVES)
-        if triangles and rectilinear:
-            find = partial(bound_triangles, window, bounds, reach)
-        elif triangles:
-            find = partial(bound_distorted_triangles, *about)
-        elif implements(tight_sphere, type(kind.prims)) and implements(project_bounding_sphere, type(camera)):
-            find = partial(bound_spheres, *about)
+        # a rectilinear camera keeps edges straight, and its depth counts along one direction
+        faces = corners if rectilinear and triangles else NO_FACES
+        bounds = ScreenBounds(pixels, near, faces, projected, camera.forward if rectilinear else ZERO_VECTOR)
+        find = partial(project_vertices, points, camera, window, projected, reach)
+        parallel_for(find, len(points), threads, least=PARALLEL_MIN_PRIMITIVES)
+        if spheres:
+            find = partial(bound_spheres, kind.prims, camera, window, bounds, reach)
+        elif rectilinear:
+            find = partial(bound_hulls, corners, window, bounds, reach)
         else:
-            find = partial(bound_hulls if rectilinear else bound_by_spheres, *about)
+            find = partial(bound_distorted_hulls, points, corners, camera, window, bounds, reach)
         parallel_for(find, number, threads, least=PARALLEL_MIN_PRIMITIVES)
         # the eye is no farther from a point than sqrt(3) times the largest coordinates together
         farthest = 2.0 * (origin + kind.extent) if kind.bounded else 1.0
-        if not rectilinear:  # projected edges are not straight lines between projected corners
-            bounds = bounds._replace(faces=faces[:0])
         return _bin_into_tiles(kind, base, window, bounds, farthest, threads)
 
     return [sort(kind, base) for kind, base in zip(packed.kinds, prim_offsets(packed), strict=True)]
 
 
+NO_FACES = np.empty((0, 3), np.int32)
+NO_HULLS = Hulls(np.empty((0, 3)), NO_FACES)
+
 MAX_KEPT_WORKSPACE = 1 << 28  # bytes of workspace that a kind keeps: for three million triangles
 
 
 def _workspace(kind: Kind, points: int) -> tuple[np.ndarray, ...]:
-    """(pixels, near, projected) of a kind's ScreenBounds, to be written: spare arrays, or new ones."""
+    """Uninitialised (pixels, near, projected) of a kind's ScreenBounds: spare arrays, or new ones."""
     with suppress(IndexError):
         spare = kind.spare.pop()
         if len(spare[2]) == points:
@@ -214,7 +133,7 @@ def _workspace(kind: Kind, points: int) -> tuple[np.ndarray, ...]:
 
 
 def release_workspace(kinds: list[BinnedKind]) -> None:
-    """The workspace of kinds that are no longer used."""
+    """Keep the workspaces of kinds for later images."""
     for it in kinds:
         space = it.bounds.pixels, it.bounds.near, it.bounds.projected
         if not it.kind.spare and sum(a.nbytes for a in space) <= MAX_KEPT_WORKSPACE:
@@ -224,11 +143,11 @@ def release_workspace(kinds: list[BinnedKind]) -> None:
 def _bin_into_tiles(
     kind: Kind, base: int, window: Window, bounds: ScreenBounds, farthest: float, threads: int | None
 ) -> BinnedKind:
-    """farthest: no depth is larger. Several threads count and sort a part of the primitives each."""
+    """Sort primitives into tiles, in parallel. farthest: an upper bound of all depths."""
     across, down = len(range(0, window.width, WIDTH)), len(range(0, window.height, HEIGHT))
     bits, number = bounds.near.view(np.int64), len(bounds.near)
     last = int(np.float64(farthest).view(np.int64))
-    # Few enough to be sorted outright are, since large ones may hide many.
+    # Few primitives are sorted completely, since large ones may hide many.
     queue = np.argsort(bounds.near, kind="stable") if number < PARALLEL_MIN_PRIMITIVES else np.empty(0)
     about = bounds.pixels, bits, last, queue.astype(np.int32), across
     workers = max(1, min(thread_count(threads), number // PARALLEL_MIN_PRIMITIVES))

@@ -1,4 +1,4 @@
-"""Casting of ray arrays that share a point or a direction as fans, row by row or sorted.
+"""Ray arrays that share a point or a direction as fans: in rows, as a film's are, or sorted.
 
 The shared point, and whether fans are faster, is estimated from a sample of the rays. The hits have the same bits as
 those of single rays.
@@ -15,45 +15,37 @@ import numpy as np
 
 from caster.description.transform import dot_rows, inverse, row_lengths
 from caster.geometry.packing import Packed
+from caster.jit.simd import LANES
 from caster.kernels.bvh.build import MAX_PRIMITIVES
-from caster.kernels.bvh.fans import Fan
+from caster.kernels.bvh.fans import BLOCKS_ACROSS, BLOCKS_DOWN, ROWS, RUNS_ACROSS, Fan
 from caster.kernels.bvh.ray_sorting import (
     BUCKETS,
-    LOWER_BITS,
     LOWER_CELLS,
-    NOT_IN_FAN,
+    count_other_ranges,
+    count_strays,
     find_keys,
     find_row,
-    largest_deviation,
-    load_sorted,
     project_rays,
-    rays_of_other_limits,
     scatter_to_buckets,
     sort_buckets,
 )
 from caster.kernels.nearest import Rays
 from caster.kernels.protocol import Vec3
-from caster.kernels.raster.tile import PIXELS, WIDTH, Box, load_rays_from, tile_boxes
+from caster.kernels.raster.tile import HEIGHT, PIXELS, WIDTH, tile_boxes
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
 from caster.rendering.bvh_construction import uses_bvh
-from caster.rendering.ray_tiles import (
-    MIN_SHADOW_RAYS_PER_PRIMITIVE,
-    Record,
-    ShadowCaster,
-    for_ray_tiles,
-    spare_workspaces,
-)
+from caster.rendering.ray_tiles import MIN_SHADOW_RAYS_PER_PRIMITIVE, Piece, RayTiles, TileCaster, filled_up
 from caster.rendering.threads import CHUNKS_PER_THREAD, even_pieces, parallel_for, parallel_for_pieces, thread_count
 
 __all__ = ["SAMPLED_RAYS", "find_rows"]
 
 
 class CommonPoint(NamedTuple):
-    """The point or direction that nearly all rays of an array share."""
+    """The point or direction that the rays of an array share."""
 
     light: PointLight | DirectionalLight  # where they end, start or come from; its intensity is of no use
     outward: bool  # whether the rays start at the point
-    deviation: float  # rays that miss the point by more, along any axis, are cast like other rays
+    deviation: float  # by how much they may miss the point, along any axis
 
 
 MIN_RAYS_SORTED = 1 << 16  # to sort fewer takes as long as it saves
@@ -66,12 +58,11 @@ DEVIATION_ROUNDING, SAMPLE_MARGIN = 64.0 * 2.0**-53, 4.0
 
 
 def common_point(rays: Rays, any_hit: bool) -> CommonPoint | None:
-    """The point that the rays share, or for any-hit rays the direction, from a sample; None if they share neither.
+    """The point that a sample of the rays shares, or for any-hit rays the direction; None if they share neither.
 
     For rays that end at a point, it is the least-squares intersection of their lines.
     """
-    count = len(rays.t_min)
-    sample = np.unique(np.linspace(0, count - 1, SAMPLED_RAYS).astype(np.int64))
+    sample = np.unique(np.linspace(0, len(rays.t_min) - 1, SAMPLED_RAYS).astype(np.int64))
     sample = sample[rays.t_max[sample] >= 0.0]
     if len(sample) < SAMPLED_RAYS // 2:
         return None
@@ -84,18 +75,20 @@ def common_point(rays: Rays, any_hit: bool) -> CommonPoint | None:
         return CommonPoint(DirectionalLight(_vec3(some.d[0]), NO_INTENSITY), False, 0.0)
     if not np.isfinite(some.t_max).all():
         return None
-    unit = some.d / row_lengths(some.d)[:, None]
+    lengths = row_lengths(some.d)
+    unit = some.d / lengths[:, None]
     across = np.eye(3) - unit[:, :, None] * unit[:, None, :]
     with suppress(np.linalg.LinAlgError), np.errstate(all="ignore"):
         middle = some.o.mean(axis=0)
         pulled = (across * (some.o - middle)[:, None, :]).sum(axis=(0, 2))
         point = middle + dot_rows(inverse(across.sum(axis=0)), pulled)
+        along = ((point - some.o) * unit).sum(axis=1)  # the distance to where each ray is nearest to the point
+        beside = float(np.abs(some.o + along[:, None] * unit - point).max())
+        off = max(beside, float((some.t_max * lengths - along).max()))
         size = float(np.abs(some.o).max() + np.abs(point).max())
-        if np.isfinite(size):
-            off = largest_deviation(some, _vec3(point), 0, len(sample))
-            if off <= MAX_DEVIATION * size:
-                light = PointLight(_vec3(point), NO_INTENSITY)
-                return CommonPoint(light, False, SAMPLE_MARGIN * off + DEVIATION_ROUNDING * size)
+        if np.isfinite(size) and off <= MAX_DEVIATION * size:
+            light = PointLight(_vec3(point), NO_INTENSITY)
+            return CommonPoint(light, False, SAMPLE_MARGIN * off + DEVIATION_ROUNDING * size)
     return None
 
 
@@ -105,10 +98,6 @@ NO_INTENSITY = 0.0, 0.0, 0.0
 def _vec3(a: np.ndarray) -> Vec3:
     x, y, z = a.tolist()
     return x, y, z
-
-
-Corners = tuple[float, float, float, float]
-NO_CORNERS = 0.0, 0.0, 0.0, 0.0
 
 
 class RayRows(NamedTuple):
@@ -127,21 +116,12 @@ LONGEST_ROW = 1 << 13
 # that is looked for are 63 / 2 times as far. In the middle of a perspective film that sees 150 degrees they are less
 # than 4 times as far apart as on average.
 ROW_JUMP = 8.0
-SAMPLED_AHEAD = 256
-
-
-def share_ahead(caster: ShadowCaster, rays: Rays) -> float:
-    """Share of a sample of rays that lead to a box of a tree as the first fan sees it, about."""
-    some = np.linspace(0, len(rays.t_min) - 1, SAMPLED_AHEAD).astype(np.int64)
-    points = np.empty((len(some), 2))
-    project_rays(caster.first_fan, Rays(*(a[some] for a in rays)), True, points)
-    return caster.share_in_view(points[~np.isnan(points[:, 0])]) * np.isfinite(points[:, 0]).mean()
 
 
 def find_rows(rays: Rays) -> RayRows | None:
     """The rows of rays that start at one point, by directions from the middle of the array on; None: there are none.
 
-    What is found decides how tiles are filled, no more: other rays give the same hits.
+    The result decides only how tiles are filled: wrong rows give the same hits.
     """
     count = len(rays.t_min)
     begin = max(0, count // 2 - LONGEST_ROW)
@@ -152,120 +132,41 @@ def find_rows(rays: Rays) -> RayRows | None:
     return RayRows(first, width, (count - first) // width) if width >= WIDTH // 2 else None
 
 
-class FanCaster:
-    """Casts many rays that share a point: in rows, in their given order, or sorted by their projection."""
+def fan_tiles(
+    packed: Packed, rays: Rays, any_hit: bool, threads: int | None, *, always: bool = False
+) -> Iterator[RayTiles] | None:
+    """The tiles of rays that share a point, if fans are faster for them or `always` is set; else None.
 
-    def __init__(
-        self, caster: ShadowCaster, common: CommonPoint, corners: Corners, rows: RayRows | None = None
-    ) -> None:
-        self._caster, self._common, self._corners, self._rows = caster, common, corners, rows
-
-    @staticmethod
-    def of(packed: Packed, rays: Rays, any_hit: bool, *, always: bool = False) -> "FanCaster | None":
-        """A caster for rays that share a point, if fans are faster for them or `always` is set; else None.
-
-        Fans are faster for rays that sweep from one point row by row, and for larger unordered arrays of which enough
-        rays lead to primitives with a BVH.
-        """
-        count = len(rays.t_min)
-        if (count < min(MIN_RAYS_IN_ROWS, MIN_RAYS_SORTED) and not always) or not any(
-            uses_bvh(kind) for kind in packed.kinds
-        ):
-            return None
-        common = common_point(rays, any_hit)
-        if common is None:
-            return None
-        light, outward, deviation = common
-        rows = find_rows(rays) if outward and (always or count >= MIN_RAYS_IN_ROWS) else None
-        if rows is not None:
-            few = int(count * PRIMITIVES_PER_RAY_IN_ROWS * MIN_SHADOW_RAYS_PER_PRIMITIVE)
-            number = MAX_PRIMITIVES if always else few
-            caster = ShadowCaster(packed, light, number, any_hit=any_hit, outward=True)
-            pays = caster.has_fans and (always or share_ahead(caster, rays) >= MIN_SHARE_IN_VIEW)
-            return FanCaster(caster, common, NO_CORNERS, rows) if pays else None
-        if count < MIN_RAYS_SORTED and not always:
-            return None
-        number = MAX_PRIMITIVES if always else count
-        caster = ShadowCaster(packed, light, number, any_hit=any_hit, outward=outward, deviation=deviation)
-        if not caster.has_fans:
-            return None
-        sample = project_sample(caster.first_fan, rays, outward)
-        pays = not sample.in_order and caster.share_in_view(sample.points) >= MIN_SHARE_IN_VIEW
-        if not (pays or always):
-            return None
-        return FanCaster(caster, common, sample.corners)
-
-    def cast(
-        self, rays: Rays, cast_others: Callable[[int, np.ndarray], None], record: Record, threads: int | None
-    ) -> None:
-        """cast_others: casts the first n rays of a tile; used for rays that do not share the point."""
-        self._caster.prepare(threads)
-        if self._rows is not None:
-            self._cast_rows(rays, self._rows, cast_others, record, threads)
-        else:
-            self._cast_sorted(rays, cast_others, record, threads)
-
-    def _cast_rows(
-        self,
-        rays: Rays,
-        rows: RayRows,
-        cast_others: Callable[[int, np.ndarray], None],
-        record: Record,
-        threads: int | None,
-    ) -> None:
-        """Tiles of rays that lie beside and below each other."""
-        first, width, height = rows
-        origin = self._caster.first_fan.origin
-
-        def begin() -> Callable[[Box], None]:
-            workspace = take()
-            tile = workspace.tile
-            cast_fans = self._caster.begin(tile, workspace.ray_groups)
-
-            def work(box: Box) -> None:
-                count = (box[3] - box[1]) * WIDTH
-                if load_rays_from(rays, first, width, box, origin, tile) == 0:
-                    cast_fans(count)
-                else:
-                    cast_others(count, tile)
-                record.window(tile, first, width, box)
-
-            return work
-
-        boxes = list(tile_boxes(width, height))
-        with spare_workspaces() as take:
-            parallel_for_pieces(begin, boxes, thread_count(threads))
-        for rest in ((0, first), (first + width * height, len(rays.t_min))):
-            for_ray_tiles(cast_others, rays, record, threads, rest)
-
-    def _cast_sorted(
-        self, rays: Rays, cast_others: Callable[[int, np.ndarray], None], record: Record, threads: int | None
-    ) -> None:
-        fan, outward = self._caster.first_fan, self._common.outward
-        count = len(rays.t_min)
-        same_limits = _total(partial(rays_of_other_limits, rays), count, threads) == 0
-        for first, stop in even_pieces(0, count, -(-count // MAX_RAYS_SORTED)):
-            order, members = sort_rays(fan, rays, self._common, (first, stop), self._corners, threads)
-
-            def begin(order: np.ndarray = order, members: int = members) -> Callable[[tuple[int, int]], None]:
-                workspace = take()
-                tile = workspace.tile
-                cast_fans = self._caster.begin(tile, workspace.ray_groups)
-
-                def work(piece: tuple[int, int]) -> None:
-                    belong = piece[1] <= members
-                    load_sorted(rays, order, *piece, tile, fan.origin, outward and belong, same_limits)
-                    if belong:
-                        cast_fans(PIXELS)
-                    else:
-                        cast_others(PIXELS, tile)
-                    record.sorted_rays(tile, order, *piece)
-
-                return work
-
-            pieces = [*_tiles(0, members), *_tiles(members, stop - first)]
-            with spare_workspaces() as take:
-                parallel_for_pieces(begin, pieces, thread_count(threads))
+    Fans are faster for rays that sweep from one point row by row, and for larger unordered arrays. Enough rays have to
+    lead to primitives with a BVH.
+    """
+    count = len(rays.t_min)
+    if not any(uses_bvh(kind) for kind in packed.kinds) or not (always or count >= MIN_RAYS_IN_ROWS):
+        return None
+    common = common_point(rays, any_hit)
+    if common is None:
+        return None
+    rows = find_rows(rays) if common.outward else None
+    if rows is None and not (always or count >= MIN_RAYS_SORTED):
+        return None
+    few = int(count * PRIMITIVES_PER_RAY_IN_ROWS * MIN_SHADOW_RAYS_PER_PRIMITIVE) if rows else count
+    about = {"light": common.light, "outward": common.outward, "deviation": common.deviation}
+    caster = TileCaster(packed, any_hit=any_hit, rays=MAX_PRIMITIVES if always else few, **about)
+    fan = caster.first_fan
+    if fan is None:
+        return None
+    sample = project_sample(fan, rays, common.outward)
+    if not always and (len(sample.points) == 0 or (rows is None and sample.in_order)):
+        return None
+    caster.prepare(threads)
+    if not always and sample.share * caster.share_in_view(sample.points) < MIN_SHARE_IN_VIEW:
+        return None
+    if rows is not None:
+        return _tiles_in_rows(caster, count, rows)
+    if _total(partial(count_strays, fan, rays, common.outward, common.deviation), count, threads) > 0:
+        return None
+    one_range = _total(partial(count_other_ranges, rays), count, threads) == 0
+    return _sorted_tiles(caster, fan, rays, common.outward, sample.corners, one_range, threads)
 
 
 def _total(number: Callable[[int, int], int], count: int, threads: int | None) -> int:
@@ -275,13 +176,51 @@ def _total(number: Callable[[int, int], int], count: int, threads: int | None) -
     return sum(found)
 
 
-def _tiles(start: int, stop: int) -> Iterator[tuple[int, int]]:
-    return ((first, min(first + PIXELS, stop)) for first in range(start, stop, PIXELS))
+def _tiles_in_rows(caster: TileCaster, count: int, rows: RayRows) -> Iterator[RayTiles]:
+    """Tiles of rays that lie beside and below each other, and those of the rays before and behind the whole rows."""
+    first, width, height = rows
+    grid = np.arange(HEIGHT, dtype=np.int32)[:, None] * np.int32(width) + np.arange(WIDTH, dtype=np.int32)
+
+    def numbers_in_box(piece: Piece) -> np.ndarray:
+        x0, y0, x1, y1 = piece
+        numbers = grid[: y1 - y0] + np.int32(first + y0 * width + x0)
+        numbers[:, x1 - x0 :] = -1
+        return numbers.reshape(-1)
+
+    yield RayTiles(caster, list(tile_boxes(width, height)), numbers_in_box)
+    ends = [(0, first), (first + width * height, count)]
+    rest = [(i, min(i + PIXELS, stop)) for start, stop in ends for i in range(start, stop, PIXELS)]
+    yield RayTiles(caster, rest, lambda piece: filled_up(np.arange(*piece, dtype=np.int32), WIDTH))
+
+
+# The rays of a sorted run fill a block of a tile before the next, and a group: which of the run is at each place.
+PLACES = (
+    np.arange(PIXELS)
+    .reshape(HEIGHT // (BLOCKS_DOWN * ROWS), RUNS_ACROSS // BLOCKS_ACROSS, BLOCKS_DOWN, BLOCKS_ACROSS, ROWS, LANES)
+    .transpose(0, 2, 4, 1, 3, 5)
+    .reshape(-1)
+)
+
+
+def _sorted_tiles(
+    caster: TileCaster, fan: Fan, rays: Rays, outward: bool, corners: "Corners", one_range: bool, threads: int | None
+) -> Iterator[RayTiles]:
+    """Tiles of rays that are neighbours in the projection, MAX_RAYS_SORTED of them at a time."""
+    count = len(rays.t_min)
+    for first, stop in even_pieces(0, count, -(-count // MAX_RAYS_SORTED)):
+        order = filled_up(sort_rays(fan, rays, outward, (first, stop), corners, threads), PIXELS)
+        pieces = [(start,) for start in range(0, len(order), PIXELS)]
+
+        def numbers(piece: Piece, order: np.ndarray = order) -> np.ndarray:
+            found: np.ndarray = order[piece[0] : piece[0] + PIXELS][PLACES]
+            return found
+
+        yield RayTiles(caster, pieces, numbers, outward, one_range)
 
 
 MAX_RAYS_SORTED = 1 << 20  # at a time: 24 bytes each
 
-SAMPLED_RUNS, RUN_LENGTH = 512, 8  # rays of the sample: neighbours, at even distances
+SAMPLED_RUNS, RUN_LENGTH = 128, 8  # rays of the sample: neighbours, at even distances
 
 # Rays are in order whose neighbours are projected to within a path of so many times the distance that as many rays in
 # rows and columns would have. Packets of them take as long as fans do, which have to be sorted first.
@@ -290,36 +229,40 @@ MAX_PATH_IN_ORDER = 16.0
 # A ray past everything takes a third of the time of sorting it.
 MIN_SHARE_IN_VIEW = 0.25
 
+Corners = tuple[float, float, float, float]
+
 
 class ProjectedSample(NamedTuple):
     """Rays in the projection of a fan, by a sample of them."""
 
     points: np.ndarray  # (m, 2) x, y of those that the fan has
+    share: float  # of the rays that the fan has
     corners: Corners  # least x, y and largest x, y
     in_order: bool
 
 
 def project_sample(fan: Fan, rays: Rays, outward: bool) -> ProjectedSample:
     """A sample of the rays, in runs of neighbours."""
-    starts = np.linspace(0, len(rays.t_min) - RUN_LENGTH, SAMPLED_RUNS).astype(np.int64)
+    count = len(rays.t_min)
+    starts = np.linspace(0, count - RUN_LENGTH, SAMPLED_RUNS).astype(np.int64)
     sample = (starts[:, None] + np.arange(RUN_LENGTH)).ravel()
     points = np.empty((len(sample), 2))
     project_rays(fan, Rays(*(a[sample] for a in rays)), outward, points)
     known = points[~np.isnan(points[:, 0])]
     if not len(known):
-        return ProjectedSample(known, (0.0, 0.0, 0.0, 0.0), False)
-    low, high = known.min(axis=0), known.max(axis=0)
+        return ProjectedSample(known, 0.0, (0.0, 0.0, 0.0, 0.0), False)
+    (x0, y0), (x1, y1) = known.min(axis=0).tolist(), known.max(axis=0).tolist()
     paths = np.abs(np.diff(points.reshape(SAMPLED_RUNS, RUN_LENGTH, 2), axis=1)).sum(axis=(1, 2))
     paths = paths[np.isfinite(paths)]
-    apart = math.sqrt(float(np.prod(high - low)) / len(rays.t_min))
+    apart = math.sqrt((x1 - x0) * (y1 - y0) / count)
     in_order = len(paths) > 0 and bool(np.median(paths) <= MAX_PATH_IN_ORDER * apart)
-    return ProjectedSample(known, (low[0].item(), low[1].item(), high[0].item(), high[1].item()), in_order)
+    return ProjectedSample(known, len(known) / len(points), (x0, y0, x1, y1), in_order)
 
 
 def sort_rays(
-    fan: Fan, rays: Rays, common: CommonPoint, ray_range: tuple[int, int], corners: Corners, threads: int | None
-) -> tuple[np.ndarray, int]:
-    """(ray numbers, number of rays that share the point): these first, sorted by key (ray_sorting.py)."""
+    fan: Fan, rays: Rays, outward: bool, ray_range: tuple[int, int], corners: Corners, threads: int | None
+) -> np.ndarray:
+    """Numbers of a range of rays, sorted by key (ray_sorting.py)."""
     first, stop = ray_range
     workers = thread_count(threads)
     pieces = list(enumerate(even_pieces(first, stop, workers * CHUNKS_PER_THREAD)))
@@ -330,8 +273,7 @@ def sort_rays(
     def in_pieces(work: Callable[[int, tuple[int, int]], None]) -> None:
         parallel_for_pieces(lambda: lambda numbered: work(*numbered), pieces, workers)
 
-    about = fan, rays, common.outward, common.deviation, corners, first
-    in_pieces(lambda n, piece: find_keys(*about, piece, pairs, counts[n]))
+    in_pieces(lambda n, piece: find_keys(fan, rays, outward, corners, first, piece, pairs, counts[n]))
     # each bucket has a part for each piece, in the order of the rays
     places = (np.cumsum(counts.T.ravel()) - counts.T.ravel()).reshape(BUCKETS, len(pieces)).T.copy()
     starts = np.append(places[0], stop - first)
@@ -343,4 +285,4 @@ def sort_rays(
     shares = np.linspace(0, stop - first, len(pieces) + 1)
     buckets = np.unique(np.concatenate([[0, BUCKETS], np.searchsorted(starts, shares[1:-1])])).tolist()
     parallel_for_pieces(lambda: sort, list(itertools.pairwise(buckets)), workers)
-    return order, int(starts[NOT_IN_FAN >> LOWER_BITS])
+    return order

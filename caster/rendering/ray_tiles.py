@@ -2,7 +2,7 @@
 
 import itertools
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -28,97 +28,37 @@ from caster.kernels.bvh.fans import (
 )
 from caster.kernels.bvh.traversal import cast_packets, cast_packets_brute_force
 from caster.kernels.nearest import Rays
-from caster.kernels.raster.tile import (
-    COUNT,
-    LINES,
-    PIXELS,
-    TILE_NUMBERS,
-    WIDTH,
-    Box,
-    clear_rays,
-    load_ray_range,
-    new_lanes,
-    new_tile,
-)
+from caster.kernels.raster.tile import COUNT, LINES, PIXELS, TILE_NUMBERS, WIDTH, load_rays, new_lanes, new_tile
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
 from caster.kernels.surface.per_hit import new_surface_buffer
-from caster.rendering.bvh_construction import boxes_along, bvh_of, fan_bounds, fans_to, uses_bvh
-from caster.rendering.threads import parallel_for
-
-
-class Record(NamedTuple):
-    """Where the answers to the rays of a tile are written."""
-
-    ray_range: Callable[[np.ndarray, int, int], None]  # (tile, first, stop): of rays first..stop
-    # (tile, first, width, box): of a box of rays that lie in rows, `width` of them each, from ray `first` on
-    window: Callable[[np.ndarray, int, int, Box], None]
-    sorted_rays: Callable[[np.ndarray, np.ndarray, int, int], None]  # (tile, order, first, stop): of order[first:stop]
-
+from caster.rendering.bvh_construction import bvh_of, fan_bounds, fans_to, uses_bvh
+from caster.rendering.threads import CHUNKS_PER_THREAD, even_pieces, parallel_for_pieces, thread_count
 
 # To wake a second thread takes as long as so many rays, about.
 MIN_RAYS_PER_THREAD = 256
 
+UsesTree = Callable[[Kind], bool]
+Place = tuple[Kind, int]  # a kind, and the place of its first primitive
 
-def for_ray_tiles(
-    cast: Callable[[int, np.ndarray], None],
-    rays: Rays,
-    record: Record,
-    threads: int | None,
-    ray_range: tuple[int, int] | None = None,
-) -> None:
-    """Cast rays, or a range of them, a tile at a time."""
-    begin, end = ray_range or (0, len(rays.t_min))
-
-    def work(start: int, stop: int) -> None:
-        with spare_workspaces() as take:
-            tile = take().tile
-            for first in range(begin + start, begin + stop, PIXELS):
-                number = min(PIXELS, begin + stop - first)
-                load_ray_range(rays, first, first + number, tile, 0)
-                clear_rays(tile, number, -(-number // LANES) * LANES)
-                cast(number, tile)
-                record.ray_range(tile, first, first + number)
-
-    if end > begin:
-        parallel_for(work, end - begin, threads, least=MIN_RAYS_PER_THREAD)
+ALL_PACKETS = np.empty(0, np.int8)  # none is left out
 
 
 def kind_command(
-    kind: Kind, base: int, tile: np.ndarray, any_hit: bool = False, when: Condition | None = None
+    kind: Kind, base: int, tile: np.ndarray, tree: bool, any_hit: bool = False, when: Condition | None = None
 ) -> Command:
-    """Casts the first rays of a tile at a kind."""
-    if uses_bvh(kind):
+    """Casts the first rays of a tile at a kind, through its tree or at all of its primitives."""
+    if tree:
         about = kind.prims, bvh_of(kind), base, 0, tile, ALL_PACKETS, new_workspace(), any_hit
         return Command(bind(cast_packets, *about, given=(3,)), (COUNT,), when)
     about_all = kind.prims, len(kind.ids), base, 0, tile, any_hit
     return Command(bind(cast_packets_brute_force, *about_all, given=(3,)), (COUNT,), when)
 
 
-ALL_PACKETS = np.empty(0, np.int8)  # none is left out
-
-
-def tile_caster(
-    packed: Packed, any_hit: bool = False, through_tree: Callable[[Kind], bool] = uses_bvh
-) -> Callable[[int, np.ndarray], None]:
-    """A function that casts the first so many rays of a tile; any_hit: until they have met anything."""
-    places = [(kind, base, through_tree(kind)) for kind, base in zip(packed.kinds, prim_offsets(packed), strict=True)]
-
-    def go(count: int, tile: np.ndarray) -> None:
-        workspace = new_workspace()
-        for kind, base, tree in places:
-            if tree:
-                cast_packets(kind.prims, bvh_of(kind), base, count, tile, ALL_PACKETS, workspace, any_hit)
-            else:
-                cast_packets_brute_force(kind.prims, len(kind.ids), base, count, tile, any_hit)
-
-    return go
-
-
 Workspace = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def new_workspace() -> Workspace:
-    """For what a ray has yet to look at, where it enters that, and where it enters the boxes of a node."""
+    """The stack of a traversal, where its boxes are entered, and where the boxes of a node are."""
     return np.zeros(STACK_SIZE, np.int32), np.empty(STACK_SIZE), np.empty(CHILDREN)
 
 
@@ -127,37 +67,36 @@ MIN_SHADOW_RAYS_PER_PRIMITIVE = 0.25
 FEW_PRIMITIVES = 1 << 14
 
 
-class ShadowCaster:
-    """Casts rays of tiles that end at one light, or start at one point (outward), as fans where that pays.
+class TileCaster:
+    """Casts the rays of tiles at all kinds of primitives.
 
-    Shadow rays until each has met anything (any_hit). rays: about how many there will be. deviation: as for `fans_to`.
+    any_hit: until each has hit anything. uses_tree: the kinds whose trees are traversed. light: where all rays end, or
+    with `outward` start; then kinds with a tree and few enough primitives for so many `rays` are cast at as fans, by
+    which a point light may be missed by `deviation` (`fans_to`).
     """
 
     def __init__(
         self,
         packed: Packed,
-        light: PointLight | DirectionalLight,
-        rays: int,
         *,
-        any_hit: bool = True,
+        any_hit: bool,
+        uses_tree: UsesTree = uses_bvh,
+        light: PointLight | DirectionalLight | None = None,
+        rays: int = 0,
         outward: bool = False,
         deviation: float = 0.0,
     ) -> None:
-        offsets = list(zip(packed.kinds, prim_offsets(packed), strict=True))
-        most = max(FEW_PRIMITIVES, int(rays / MIN_SHADOW_RAYS_PER_PRIMITIVE))
+        most = max(FEW_PRIMITIVES, int(rays / MIN_SHADOW_RAYS_PER_PRIMITIVE)) if light is not None else -1
         self._any_hit, self._outward = any_hit, outward
-        self._kinds = [(kind, base) for kind, base in offsets if uses_bvh(kind) and len(kind.ids) <= most]
-        few, many = (
-            [
-                (kind, base)
-                for kind, base in offsets
-                if uses_bvh(kind) == with_tree and (not with_tree or len(kind.ids) > most)
-            ]
-            for with_tree in (False, True)
-        )
-        self._before_fans, self._after_fans = few, many
         self._fans: list[Fan] = []
-        if self._kinds:
+        self._without_trees: list[Place] = []
+        self._kinds: list[Place] = []
+        self._too_many: list[Place] = []
+        for kind, base in zip(packed.kinds, prim_offsets(packed), strict=True):
+            few = len(kind.ids) <= most
+            places = (self._kinds if few else self._too_many) if uses_tree(kind) else self._without_trees
+            places.append((kind, base))
+        if light is not None and self._kinds:
             center = bvh_of(max(self._kinds, key=lambda it: len(it[0].ids))[0]).center
             extent = max(kind.extent for kind, _ in self._kinds)
             self._fans = fans_to(light, center, extent, deviation)
@@ -165,30 +104,28 @@ class ShadowCaster:
         self._lock = threading.Lock()
 
     @property
-    def has_fans(self) -> bool:
-        """Whether there is a kind whose primitives are few enough for so many rays."""
-        return bool(self._fans)
-
-    @property
-    def first_fan(self) -> Fan:
-        """That of most rays."""
-        return self._fans[0]
+    def first_fan(self) -> Fan | None:
+        """That of most rays; None if there is no kind to cast at as a fan."""
+        return self._fans[0] if self._fans else None
 
     def share_in_view(self, points: np.ndarray) -> float:
-        """Share of points (m, 2) of the first projection at which a tree has a box, about; 0 without points."""
-        covered = np.zeros(len(points), bool)
-        for kind, _ in self._kinds:
-            for low, high in boxes_along(self._fans[0], bvh_of(kind)):
-                covered |= ((points >= low) & (points <= high)).all(axis=1)
-        return float(covered.mean()) if len(points) else 0.0
+        """The share of points (m, 2) of the first projection in boxes of a tree's root, once that is prepared."""
+        covered, (x, y) = np.zeros(len(points), bool), points.T[:, :, None]
+        for n in range(len(self._kinds)):
+            left, right, low, high = (
+                self._bounds[0, n].nodes[: 4 * CHILDREN].reshape(4, CHILDREN)
+            )  # right, high: negative
+            covered |= ((x >= left) & (x <= -right) & (y >= low) & (y <= -high)).any(axis=1)
+        return float(covered.mean())
 
     def prepare(self, threads: int | None) -> None:
-        """Find what most tiles need, on all threads."""
-        for n, (kind, _) in enumerate(self._kinds):
-            self._bounds[0, n] = fan_bounds(kind, self._fans[0], threads)
+        """Project all kinds for the first fan, on all threads."""
+        for n, (kind, _) in enumerate(self._kinds if self._fans else ()):
+            if (0, n) not in self._bounds:
+                self._bounds[0, n] = fan_bounds(kind, self._fans[0], threads)
 
     def begin(self, tile: np.ndarray, groups: RayGroups) -> Callable[[int], None]:
-        """What casts the first so many rays of this tile, whole rows of it."""
+        """A function that casts the first so many rays of this tile; for fans, whole rows of it."""
         row = np.zeros((1, TILE_NUMBERS), np.int64)
         commands = CommandList(self.commands(tile, groups), row)
 
@@ -199,8 +136,8 @@ class ShadowCaster:
         return go
 
     def commands(self, tile: np.ndarray, groups: RayGroups, when: Condition | None = None) -> Iterator[Command]:
-        """Cast the first rays of this tile, whole rows of it; what is hit before fans ends the search for the rest."""
-        yield from (kind_command(kind, base, tile, self._any_hit, when) for kind, base in self._before_fans)
+        """Cast the first rays of this tile."""
+        yield from (kind_command(kind, base, tile, False, self._any_hit, when) for kind, base in self._without_trees)
         if self._fans:
             yield Command(bind(begin_groups, groups, given=()), ())
             group = bind(group_rays, self._fans[0], tile, 0, groups, self._outward, given=(2,))
@@ -209,7 +146,7 @@ class ShadowCaster:
             for n in range(len(self._kinds)):
                 yield Command(self._fan_caster(0, n, tile, groups), (), some)
             yield Command(self._other_fans(tile, groups), (COUNT,), others)
-        yield from (kind_command(kind, base, tile, self._any_hit, when) for kind, base in self._after_fans)
+        yield from (kind_command(kind, base, tile, True, self._any_hit, when) for kind, base in self._too_many)
 
     def _other_fans(self, tile: np.ndarray, groups: RayGroups) -> Callable[[int], None]:
         """Casts rays that the first fan does not have, by the other ones, then through the tree."""
@@ -249,6 +186,56 @@ class ShadowCaster:
         return found
 
 
+Piece = tuple[int, ...]
+
+
+class RayTiles(NamedTuple):
+    """How an array of rays is cast tile by tile."""
+
+    caster: TileCaster
+    pieces: Sequence[Piece]  # a tile each
+    # the ray at each place of a piece's tile, (m,) int32, -1 for none; m a multiple of LANES, for fans of WIDTH
+    numbers: Callable[[Piece], np.ndarray]
+    one_origin: bool = False  # all rays have the origin of the first
+    one_range: bool = False  # all have its t_min and t_max
+
+    def cast(self, rays: Rays, store: Callable[[np.ndarray, np.ndarray], None], threads: int | None) -> None:
+        """store(tile, numbers) keeps the answers of each tile."""
+        self.caster.prepare(threads)
+
+        def begin() -> Callable[[Piece], None]:
+            workspace = take()
+            tile = workspace.tile
+            cast = self.caster.begin(tile, workspace.ray_groups)
+
+            def work(piece: Piece) -> None:
+                numbers = self.numbers(piece)
+                load_rays(rays, numbers, tile, self.one_origin, self.one_range)
+                cast(len(numbers))
+                store(tile, numbers)
+
+            return work
+
+        with spare_workspaces() as take:
+            parallel_for_pieces(begin, self.pieces, min(thread_count(threads), len(self.pieces)))
+
+
+def tiles_in_order(caster: TileCaster, count: int, threads: int | None) -> RayTiles:
+    """Rays of an array in their order."""
+    workers = max(1, min(thread_count(threads), count // MIN_RAYS_PER_THREAD))
+    tiles = max(-(-count // PIXELS), workers * CHUNKS_PER_THREAD if workers > 1 else min(count, 1))
+
+    def numbers(piece: Piece) -> np.ndarray:
+        return filled_up(np.arange(*piece, dtype=np.int32), LANES)
+
+    return RayTiles(caster, even_pieces(0, count, tiles), numbers)
+
+
+def filled_up(numbers: np.ndarray, multiple: int) -> np.ndarray:
+    """With -1 behind them, up to a multiple of this length."""
+    return np.append(numbers, np.full(-len(numbers) % multiple, -1, np.int32))
+
+
 def new_ray_groups() -> RayGroups:
     """Room for the rays of a tile."""
     return RayGroups(
@@ -265,7 +252,7 @@ def new_ray_groups() -> RayGroups:
 
 @dataclass(frozen=True)
 class TileWorkspace:
-    """Buffers of one thread: the tile it works on, and what only some AOVs need."""
+    """Buffers of one thread: the tile it works on, and those that only some AOVs need."""
 
     tile: np.ndarray = field(default_factory=new_tile)
 
@@ -293,7 +280,7 @@ _SPARE_WORKSPACES: list[TileWorkspace] = []
 
 @contextmanager
 def spare_workspaces() -> Iterator[Callable[[], TileWorkspace]]:
-    """Gives a function that returns a workspace, with what earlier work left in it; they are spare afterwards."""
+    """Gives a function that returns a workspace, with the contents of earlier work; they are spare afterwards."""
     taken: list[TileWorkspace] = []
 
     def take() -> TileWorkspace:

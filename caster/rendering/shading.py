@@ -1,6 +1,6 @@
-"""From the nearest hits of a tile to AOVs: surfaces, materials, shadow rays, per-hit kernels.
+"""AOVs of the nearest hits of a tile: surfaces, materials, shadow rays, per-hit kernels.
 
-One way for all rays: a film is tiles of its camera's rays; an array of rays is a film that is WIDTH pixels wide.
+A film consists of tiles of its camera's rays; an array of rays is shaded as a film that is WIDTH pixels wide.
 """
 
 import math
@@ -38,17 +38,17 @@ from caster.kernels.surface.lighting import add_ambient, add_light, materials_in
 from caster.kernels.surface.per_hit import NO_IDS, PrimitiveIds, new_surface_buffer, surfaces_in_tile, write_aov
 from caster.rendering.casting import exact_nearest
 from caster.rendering.plan import Plan
-from caster.rendering.ray_tiles import ShadowCaster, TileWorkspace, prim_offsets
+from caster.rendering.ray_tiles import TileCaster, TileWorkspace, prim_offsets
 from caster.rendering.threads import unwritten_array
 from caster.scene.model import Diffuse, Scene
 
 NO_START = np.empty((0, 0))
 
-# Shared by all AOVs that need no field of it, and never written.
+# For AOVs that read no field of it.
 UNUSED_SURFACE = new_surface_buffer()
 
 
-Step = Callable[[TileWorkspace], Iterable[Command]]  # what is done with tiles in a workspace
+Step = Callable[[TileWorkspace], Iterable[Command]]  # commands for tiles in a workspace
 
 
 def new_image(name: str, window: Window, dtype: type[np.floating]) -> np.ndarray:
@@ -62,8 +62,8 @@ def new_image(name: str, window: Window, dtype: type[np.floating]) -> np.ndarray
 class TileShader:
     """Writes the AOVs of tiles whose rays and nearest hits are known.
 
-    images: by AOV, new ones. start: (h, w) what depth counts from. exact_shadows: decide at once where float64 leaves
-    open whether a point is lit; otherwise its pixel gets UNCERTAIN.
+    images: by AOV, uninitialised. start: (h, w) the t from which depth counts. exact_shadows: whether uncertain shadows
+    are decided at once; otherwise their pixels become UNCERTAIN.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class TileShader:
         exact_shadows: bool = False,
     ) -> None:
         self.images, self.start = images, start
-        self._shadow_casters: list[ShadowCaster] = []
+        self._shadow_casters: list[TileCaster] = []
         self._shadow_rays: list[np.ndarray] = []  # one a thread and light: threads only append
         self.ids = _primitive_ids(packed, plan.needs)
         self.steps: list[Step] = [lambda workspace: self.miss_commands()]
@@ -97,16 +97,16 @@ class TileShader:
         return sum(int(total[0]) for total in self._shadow_rays)
 
     def prepare(self, threads: int | None) -> None:
-        """Find what shadow rays of most tiles need, on all threads, where it would else be found by the first tile."""
+        """Prepare the casters of shadow rays on all threads, since the first tile would prepare them on one."""
         for caster in self._shadow_casters:
             caster.prepare(threads)
 
     def commands(self, workspace: TileWorkspace) -> list[Command]:
-        """What writes the AOVs of tiles of this workspace, by their rows (`tile_rows`)."""
+        """Commands that write the AOVs of tiles in a workspace."""
         return [command for step in self.steps for command in step(workspace)]
 
     def miss_commands(self) -> list[Command]:
-        """What writes the AOVs of tiles where nothing is hit."""
+        """Commands that write the AOVs of tiles without hits."""
 
         def fill(box: Box) -> None:
             x0, y0, x1, y1 = box
@@ -127,7 +127,7 @@ class TileShader:
         for light in (each.pack() for each in scene.lights if each.type != "ambient"):
             caster = None
             if plan.shadows.runs:
-                caster = ShadowCaster(packed, light, pixels)
+                caster = TileCaster(packed, any_hit=True, light=light, rays=pixels)
                 self._shadow_casters.append(caster)
             steps.append(partial(_add_light, light, caster, packed, exact, self._shadow_rays))
         ambient = np.array([light.radiance for light in scene.lights if light.type == "ambient"]).reshape(-1, 3)
@@ -153,23 +153,18 @@ NO_BOX = (0, 0, 0, 0)
 
 
 def wanted_fields(plan: Plan) -> int:
-    """The fields of surfaces that are computed, for `surfaces_in_tile`."""
+    """The argument `wants` of `surfaces_in_tile`."""
     if "uv" in plan.surfaces:
         return SURFACES_WITH_UV
     return SURFACES if "position" in plan.surfaces else NORMALS
 
 
 def _add_light(
-    light: Any,
-    cast: ShadowCaster | None,
-    packed: Packed,
-    exact: bool,
-    counts: list[np.ndarray],
-    workspace: TileWorkspace,
+    light: Any, cast: TileCaster | None, packed: Packed, exact: bool, counts: list[np.ndarray], workspace: TileWorkspace
 ) -> Iterator[Command]:
-    """Radiance of hits that face a light, and that it reaches, unless `cast` is None: there are no shadows then.
+    """Add a light at the hits that it reaches; without shadows if `cast` is None.
 
-    counts: gets an array of the number of shadow rays.
+    counts: gets an array with the number of shadow rays.
     """
     tile, surface, shadow_tile = workspace.tile, workspace.surface, workspace.shadow_tile
     total = np.zeros(1, np.int64)
@@ -178,10 +173,10 @@ def _add_light(
     yield Command(find, (BOX,))
     if cast is not None:
         counts.append(total)
-        yield from cast.commands(shadow_tile, workspace.ray_groups, find)
+        yield from cast.commands(shadow_tile, workspace.ray_groups, find.answered)
         if exact:
-            yield Command(partial(decide_shadows, packed, shadow_tile), (COUNT,), find)
-    yield Command(bind(add_light, tile, NO_BOX, surface, shadow_tile, given=(1,)), (BOX,), find)
+            yield Command(partial(decide_shadows, packed, shadow_tile), (COUNT,), find.answered)
+    yield Command(bind(add_light, tile, NO_BOX, surface, shadow_tile, given=(1,)), (BOX,), find.answered)
 
 
 def _find_surfaces(packed: Packed, wants: int, workspace: TileWorkspace) -> Iterator[Command]:
@@ -191,7 +186,7 @@ def _find_surfaces(packed: Packed, wants: int, workspace: TileWorkspace) -> Iter
 
 
 def decide_shadows(packed: Packed, shadow_tile: np.ndarray, count: int) -> None:
-    """Of the first `count` shadow rays of a tile, decide exactly those that float64 left open."""
+    """Decide exactly which of the first `count` shadow rays of a tile are blocked where float64 is uncertain."""
 
     def values(field: Any) -> np.ndarray:
         return shadow_tile[int(field) : int(field) + count]
@@ -213,7 +208,7 @@ def _primitive_ids(packed: Packed, needs: frozenset[str]) -> PrimitiveIds:
 
 
 def distinct_materials(scene: Scene) -> tuple[list[Diffuse], np.ndarray]:
-    """(materials that differ, (shapes,) int32 number of each shape's)."""
+    """(distinct materials, (shapes,) int32 number of each shape's material)."""
     named = {shape.material: scene.material_of(shape) for shape in scene.shapes}
     found = {(*material.reflectance, material.two_sided): material for material in named.values()}
     rows = {key: row for row, key in enumerate(found)}
@@ -222,6 +217,6 @@ def distinct_materials(scene: Scene) -> tuple[list[Diffuse], np.ndarray]:
 
 
 def material_tables(materials: Sequence[Diffuse]) -> tuple[np.ndarray, np.ndarray]:
-    """Reflectance (n, 3), and whether both sides are lit (n,)."""
+    """(reflectance (n, 3), whether both sides are lit (n,))."""
     reflectance = np.array([material.reflectance for material in materials]).reshape(-1, 3)
     return reflectance, np.array([material.two_sided for material in materials], bool)

@@ -1,4 +1,4 @@
-"""Work in pieces on as many threads as there are cores, as kernels release the GIL; large arrays in used memory."""
+"""Loops on several threads, since kernels release the GIL, and reuse of the memory of large arrays."""
 
 import contextlib
 import ctypes
@@ -15,7 +15,7 @@ import numpy as np
 
 __all__ = ["core_count", "set_default_threads"]
 
-CHUNKS_PER_THREAD = 4  # small enough that a thread with an empty sky takes over work from one with a mesh
+CHUNKS_PER_THREAD = 4  # pieces of unequal cost are shared evenly
 
 Piece = TypeVar("Piece")
 
@@ -24,14 +24,14 @@ _default_threads: int | None = None  # None: one a core
 
 
 def set_default_threads(count: int | None) -> None:
-    """Use so many threads where none are requested: in a process beside others that use the same cores."""
+    """Set the number of threads that is used if none is requested; None: one a core."""
     global _default_threads
     _default_threads = count
 
 
 @contextlib.contextmanager
 def default_threads(count: int) -> Iterator[None]:
-    """So many threads within the body where none are requested."""
+    """Set the number of threads that is used if none is requested, within the body."""
     before = _default_threads
     set_default_threads(count)
     try:
@@ -46,12 +46,12 @@ def core_count() -> int:
 
 
 def thread_count(requested: int | None = None) -> int:
-    """The requested number, else the default of this process."""
+    """The requested number of threads, or else the default of this process."""
     return requested or _default_threads or core_count()
 
 
 def parallel_for(work: Callable[[int, int], None], count: int, threads: int | None = None, *, least: int = 1) -> None:
-    """Call work(start, stop) over 0..count in pieces, of no fewer than `least` for a second thread to begin."""
+    """Call work(start, stop) for pieces of 0..count. least: the items that are worth a further thread."""
     least = max(least, 1)
     workers = max(1, min(thread_count(threads), count // least))
     pieces = min(workers * CHUNKS_PER_THREAD, count if workers > 1 else -(-count // least))
@@ -59,7 +59,7 @@ def parallel_for(work: Callable[[int, int], None], count: int, threads: int | No
 
 
 def even_pieces(first: int, stop: int, count: int) -> list[tuple[int, int]]:
-    """first..stop in so many pieces (start, stop), whose lengths differ by at most 1; count: 0 for none."""
+    """Divide first..stop into `count` pieces (start, stop), whose lengths differ by at most 1."""
     return list(pairwise(first + (stop - first) * i // max(count, 1) for i in range(count + 1)))
 
 
@@ -69,18 +69,18 @@ def parallel_for_pieces(
     workers: int,
     done: Callable[[Piece], None] | None = None,
 ) -> None:
-    """Process pieces on so many threads, this one among them; `begin` returns the function of each thread.
+    """Process pieces on several threads, including this one; `begin` makes the function of each thread.
 
-    done: called after each piece, by its thread. After an error or an interruption, what has not begun
-    is not begun; the first error is raised.
+    done: is called after each piece, by its thread. After an error or an interruption no further piece begins; the
+    first error is raised.
     """
-    left = iter(pieces)  # one step of a list's iterator at a time: no two threads get the same
+    left = iter(pieces)  # the iterator of a list is thread-safe: no two threads get the same piece
 
     def go() -> None:
         work = None
         try:
             for piece in left:  # signals are handled between two pieces
-                work = work or begin()  # by a thread that has something to do
+                work = work or begin()  # only in threads that get a piece
                 work(piece)
                 if done is not None:
                     done(piece)
@@ -93,8 +93,7 @@ def parallel_for_pieces(
     try:
         go()
     finally:
-        # Where this thread did all of the work, threads that are busy elsewhere need not begin. It waits for the rest,
-        # whose arrays are the caller's.
+        # Threads that have not begun need not; the others use the caller's arrays, so this one waits for them.
         begun = [other for other in others if not other.cancel()]
         wait(begun)
     for other in begun:
@@ -103,7 +102,7 @@ def parallel_for_pieces(
 
 @cache
 def _pool(workers: int) -> ThreadPoolExecutor:
-    """Threads that stay: to begin them takes as long as a small film."""
+    """Threads are kept, since starting them takes as long as a small film."""
     return ThreadPoolExecutor(workers, thread_name_prefix="caster")
 
 
@@ -111,17 +110,17 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_pool.cache_clear)  # a child has none of them
 
 
-# Memory of arrays that nobody holds any more is written again by later ones: for new memory, the system clears and maps
-# each page when it is first written, which takes longer than most AOVs.
-# Spare ones hold a million rays in float64 with what is found of them, or eight images of as many vectors.
+# Memory of arrays that are no longer referenced is reused: the system clears and maps each page of new memory when it
+# is first written, which takes longer than most AOVs. Spare memory suffices for a million float64 rays with their hits,
+# or for eight images of as many vectors.
 MAX_SPARE_BYTES = 3 << 26
-MIN_SPARE_BYTES = 1 << 17  # of one array; smaller ones come from memory that the process has anyway
+MIN_SPARE_BYTES = 1 << 17  # smaller arrays come from memory that the process has anyway
 
 _SPARE_BLOCKS: dict[int, np.ndarray] = {}  # by id, oldest first
 
 
 def unwritten_array(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
-    """Any numbers; once nothing refers to the array or a view of it, its memory may become that of another."""
+    """An uninitialised array; its memory is reused once nothing refers to it or a view of it."""
     size = math.prod(shape) * np.dtype(dtype).itemsize
     if size < MIN_SPARE_BYTES:
         return np.empty(shape, dtype)
@@ -139,7 +138,7 @@ def _take_block(size: int) -> np.ndarray:
 
 
 def _give_back_block(block: np.ndarray) -> None:
-    """Keep it as long as newer ones leave space. Called by whatever drops an array, in any thread, at any time."""
+    """Keep a block as long as newer ones leave space. It may be called in any thread, at any time."""
     _SPARE_BLOCKS[id(block)] = block
     spare = list(_SPARE_BLOCKS.items())
     excess = sum(each.nbytes for _, each in spare) - MAX_SPARE_BYTES

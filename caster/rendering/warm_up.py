@@ -1,4 +1,4 @@
-"""Compile ahead what `caster render` may need: small films of every kind of primitive, through every camera."""
+"""Compile kernels ahead, by rendering small films of all kinds of primitives before all cameras."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -16,14 +16,14 @@ from caster.jit.decorators import COMPILATION_LOG, compile_ahead
 from caster.jit.simd import LANES
 from caster.kernels.bvh.build import LEAF_SIZE, MAX_PRIMITIVES
 from caster.kernels.bvh.traversal import cast_packets_brute_force
-from caster.kernels.nearest import Rays, no_hits
-from caster.kernels.raster.tile import WIDTH, load_ray_range, load_rays_from, new_tile, store_blocked_rays, store_rays
+from caster.kernels.nearest import Rays
+from caster.kernels.raster.tile import WIDTH, load_rays, new_tile
 from caster.rendering.casting import Culling, exact_nearest, find_any, find_nearest
 from caster.rendering.hits import validated_rays
 from caster.rendering.images import DEFAULT_AOVS, render_film
 from caster.rendering.plan import culling_for
 from caster.rendering.ray_fans import SAMPLED_RAYS, find_rows
-from caster.rendering.ray_tiles import ShadowCaster, new_ray_groups
+from caster.rendering.ray_tiles import TileCaster, new_ray_groups
 from caster.rendering.threads import default_threads
 from caster.scene.model import Ambient, Directional, Point, Scene
 from caster.shapes import SHAPES
@@ -43,14 +43,14 @@ WARM_UP_FILM_SIDE = 4  # pixels; kernels do not depend on it
 
 
 class WarmUpCounts(NamedTuple):
-    """How many kernels there were to compile, and how many were found in the cache."""
+    """Numbers of kernels that were compiled, and loaded from the cache."""
 
     compiled: int
     loaded: int
 
 
 def warm_up(scenes: Iterable[tuple[str, Scene]], on_scene: Callable[[str], None]) -> WarmUpCounts:
-    """Compile or load all kernels that the scenes may need. on_scene: called with the name of each scene."""
+    """Compile or load all kernels that the scenes may need. on_scene: is called with the name of each scene."""
     before = WarmUpCounts(len(COMPILATION_LOG.compiled), len(COMPILATION_LOG.loaded))
     for name, scene in scenes:
         on_scene(name)
@@ -72,14 +72,15 @@ def _warm_one(scene: Scene) -> None:
 
 
 def compile_film(scene: Scene, aovs: Sequence[str]) -> None:
-    """Compile ahead what a film of a scene needs, by several processes."""
+    """Compile the kernels of a film, by several processes."""
     compile_for(scene, f"film {' '.join(aovs)}", lambda small: render_film(small, aovs))
 
 
 def compile_for(scene: Scene, about: str, work: Callable[[Scene], Any]) -> None:
-    """Compile ahead what `work` needs for a scene, by several processes: it is done for a scene of the same kernels.
+    """Compile the kernels of `work` for a scene, by several processes, by doing it for a small scene of the same
+    kernels.
 
-    about: names the work. Nothing is done where these sources did it before.
+    about: names the work. Nothing is done if these sources have done it before.
     """
     kinds = [(type(kind.prims), min(len(kind.ids), LEAF_SIZE + 1)) for kind in packed(scene).kinds]
     camera, lights = type(scene.camera), [type(light) for light in scene.lights]
@@ -96,13 +97,13 @@ def compile_for(scene: Scene, about: str, work: Callable[[Scene], Any]) -> None:
 
 
 def warm_decisions(scene: Scene) -> None:
-    """Compile or load the kernels of exact decisions as any rays of a scene need them."""
+    """Compile or load the kernels that decide any rays of a scene exactly."""
     rays = Rays(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1), np.full(1, np.inf))
     exact_nearest(packed(scene), rays, 1)
 
 
 def _few_of_each_kind() -> dict[type, list[Any]]:
-    """Shapes of one primitive, of each kind as many as get a tree; no two coincide, which would be decided exactly."""
+    """Shapes of one primitive by kind, enough for a tree; no two coincide, which would be decided exactly."""
     found: dict[type, list[Any]] = {}
     number = count()
     for shape in SHAPES:
@@ -115,7 +116,7 @@ def _few_of_each_kind() -> dict[type, list[Any]]:
 
 
 def _turned(i: int) -> list[Any]:
-    """Other transforms for each i, after which no ray of a small film meets an edge or two surfaces at once."""
+    """Different transforms for each i, so that no ray of a small film hits an edge or two surfaces at once."""
     rotated = {"rotate": {"axis": (0.31, -0.17, 1.0), "degrees": 17.3 + 5.9 * i}}
     return [rotated, {"translate": (0.0071 * i, 0.0053 * i, 0.0037 * i)}]
 
@@ -128,24 +129,22 @@ def _warm_decisions(packed: Packed) -> None:
 
 
 def _warm_shadows(packed: Packed, scene: Scene) -> None:
-    """The kernels of shadow rays, some of which start too far away for a fan: small films may do without either.
-
-    A kind of few primitives has no tree: they are all tried.
-    """
+    """The kernels of shadow rays, which small films may not need; some rays start too far away for a fan."""
     o = np.zeros((WIDTH, 3))
     o[LANES:] = 2.0**100
     rays = Rays(o, np.ones((WIDTH, 3)), np.zeros(WIDTH), np.ones(WIDTH))
     tile = new_tile()
     for light in scene.lights:
         if light.type != "ambient":
-            load_ray_range(rays, 0, WIDTH, tile, 0)
-            ShadowCaster(packed, light.pack(), MAX_PRIMITIVES).begin(tile, new_ray_groups())(WIDTH)
+            load_rays(rays, np.arange(WIDTH, dtype=np.int32), tile, False, False)
+            caster = TileCaster(packed, any_hit=True, light=light.pack(), rays=MAX_PRIMITIVES)
+            caster.begin(tile, new_ray_groups())(WIDTH)
     for kind in packed.kinds:
         cast_packets_brute_force(kind.prims, 1, 0, WIDTH, tile, True)
 
 
 def _warm_fans(packed: Packed) -> None:
-    """The kernels of rays that are handed over and start or end at one point, in rows or any order, or are parallel."""
+    """The kernels of ray arrays that start or end at one point, in rows or any order, or are parallel."""
     count = SAMPLED_RAYS
     origin, d = np.zeros((count, 3)), np.ones((count, 3)) + 0.01 * np.arange(count)[:, None] * [1.0, 0.0, 0.0]
     outward = Rays(origin, d, np.zeros(count), np.ones(count))
@@ -156,10 +155,6 @@ def _warm_fans(packed: Packed) -> None:
             find_any(packed, rays, threads=1, always_fans=always_fans)
     find_rows(outward)
     validated_rays(origin, d, 0.0, math.inf)
-    tile, box, ids = new_tile(), (0, 0, count, 1), packed.prim_ids
-    load_rays_from(outward, 0, count, box, (0.0, 0.0, 0.0), tile)
-    store_rays(tile, 0, count, box, ids, no_hits(count), np.zeros(count, bool))
-    store_blocked_rays(tile, 0, count, box, np.zeros(count, bool), np.zeros(count, bool))
 
 
 STRETCHED = {"scale": (1.0, 2.0, 3.0)}  # another kind of primitive, for some shapes
@@ -173,17 +168,6 @@ LAMPS = (
 
 def warm_up_scenes() -> Iterator[tuple[str, Scene]]:
     """All kinds of primitives before each camera."""
-    shapes = _shapes()
+    shapes = [shape for few in _few_of_each_kind().values() for shape in few]
     for camera in CAMERAS:
-        kind, looking = type_name(camera), camera(**camera.MINIMAL)
-        yield kind, Scene(camera=looking, shapes=shapes, lights=LAMPS)
-
-
-def _shapes() -> list[Any]:
-    """Each registered shape, as it is and stretched, often enough that its kind gets a tree."""
-    found: list[Any] = []
-    for shape in SHAPES:
-        if not hasattr(shape, "load"):  # what is read from files is of the same kinds
-            for placed in ({}, {"to_world": [STRETCHED]}):
-                found += [shape(**shape.MINIMAL, **placed)] * (LEAF_SIZE + 1)
-    return found
+        yield type_name(camera), Scene(camera=camera(**camera.MINIMAL), shapes=shapes, lights=LAMPS)

@@ -10,10 +10,10 @@ from caster.jit.simd import LANES
 from caster.kernels.bvh.build import LEAF_SIZE
 from caster.kernels.nearest import Rays
 from caster.kernels.protocol import hull_point, hull_size
-from caster.kernels.raster.tile import PIXELS, WIDTH, T, clear_rays, lane, load_ray_range, new_tile
+from caster.kernels.raster.tile import PIXELS, WIDTH, T, lane, load_rays, new_tile
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
 from caster.rendering.casting import find_nearest
-from caster.rendering.ray_tiles import ShadowCaster, new_ray_groups
+from caster.rendering.ray_tiles import TileCaster, new_ray_groups
 from caster.rendering.shading import decide_shadows
 from caster.shapes import SHAPES
 
@@ -61,8 +61,9 @@ def shadow_rays(light, arrays, rng, size):
 
 def tile_of(rays):
     tile = new_tile()
-    clear_rays(tile, 0, PIXELS)
-    load_ray_range(rays, 0, COUNT, tile, 0)
+    load_rays(
+        rays, np.append(np.arange(COUNT, dtype=np.int32), np.full(PIXELS - COUNT, -1, np.int32)), tile, False, False
+    )
     return tile
 
 
@@ -103,7 +104,7 @@ def test_fans_never_change_a_shadow(shape, size):
     scene = random_scene(rng, [shape], Pinhole, count=LEAF_SIZE + 3, size=size, offset=offset)
     arrays = packed(scene)
     for light in lights(scene, arrays, rng, size):
-        caster, rays = ShadowCaster(arrays, light, COUNT), shadow_rays(light, arrays, rng, size)
+        caster, rays = TileCaster(arrays, any_hit=True, light=light, rays=COUNT), shadow_rays(light, arrays, rng, size)
         assert not len(disagreements(caster, arrays, rays)), light
 
 
@@ -113,7 +114,7 @@ def test_fans_never_change_a_shadow_where_all_kinds_are_mixed():
     arrays = packed(scene)
     assert len(arrays.prim_ids) > 100
     for light in lights(scene, arrays, rng, 1.0):
-        caster, rays = ShadowCaster(arrays, light, COUNT), shadow_rays(light, arrays, rng, 1.0)
+        caster, rays = TileCaster(arrays, any_hit=True, light=light, rays=COUNT), shadow_rays(light, arrays, rng, 1.0)
         assert not len(disagreements(caster, arrays, rays)), light
 
 
@@ -127,7 +128,7 @@ def test_rays_of_any_direction_are_taken_by_some_fan(place):
     """Also around a light that stands among the shapes."""
     rng = np.random.default_rng(92)
     arrays, light = cubes(rng), PointLight(place, WHITE)
-    caster, rays = ShadowCaster(arrays, light, COUNT), shadow_rays(light, arrays, rng, 1.0)
+    caster, rays = TileCaster(arrays, any_hit=True, light=light, rays=COUNT), shadow_rays(light, arrays, rng, 1.0)
     groups = new_ray_groups()
     caster.begin(tile_of(rays), groups)(COUNT)
     assert groups.taken[: COUNT // LANES].mean() > 0.8

@@ -64,7 +64,7 @@ def recorded(kinds: str, start: int = 0, stop: int = 4) -> list[list[int]]:
             write(0),
             write(1, FLAG),
             Command(odd, (PAIR, NUMBER), FLAG),  # where it is skipped, its last answer stands
-            write(2, odd),
+            write(2, odd.answered),
             write(3, (flags, 1)),
             Command(bind(count_down, flags, given=()), ()),
             write(4),

@@ -220,3 +220,10 @@ def test_parameters_of_no_mesh_are_refused(shape, fields, words):
 def test_default_parameters_are_those_of_the_api_page():
     assert np.array_equal(caster.Torus().mesh().vertices, tessellate_torus(1.0, 0.3, 64, 32).vertices)
     assert np.array_equal(caster.Icosphere().mesh().vertices, tessellate_icosphere(3).vertices)
+
+
+def test_the_coarsest_icosphere_is_regular():
+    mesh = tessellate_icosphere(0)
+    corners = mesh.vertices[mesh.faces]
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    assert len(mesh.faces) == 20 and np.ptp(edges) < 1e-15

@@ -23,7 +23,7 @@ from caster.kernels.raster.screen_bounds import (
     PROJECTION_MARGIN,
     ScreenBounds,
     Window,
-    bound_distorted_triangles,
+    bound_distorted_hulls,
     project_vertices,
 )
 from caster.kernels.raster.tile import DX, DY, DZ, PRIM, T_ERROR, UNCERTAIN, T, generate_camera_rays, new_tile
@@ -160,13 +160,12 @@ def test_the_pixels_of_a_triangle_hold_its_curved_edges_on_every_side(name):
             corners.append([start, end, middle + 1e-3 * rng.normal(size=3)])
     points = np.array(corners).reshape(-1, 3)
     faces = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
-    none = np.zeros((3 * count, 3)), np.zeros((3 * count, 2)), np.zeros(count, bool), np.zeros(count, bool)
     window, reach = Window(0, 0, *size), (0.0, PROJECTION_MARGIN)
     bounds = ScreenBounds(
-        np.zeros((count, 4), np.int32), np.zeros(count), faces, np.zeros((3 * count, 4)), (0.0, 0.0, 0.0), 0.0
+        np.zeros((count, 4), np.int32), np.zeros(count), faces, np.zeros((3 * count, 4)), (0.0, 0.0, 0.0)
     )
     project_vertices(points, camera, window, bounds.projected, reach, 0, 3 * count)
-    bound_distorted_triangles(Triangles(points, faces, *none), camera, window, bounds, reach, 0, count)
+    bound_distorted_hulls(points, faces, camera, window, bounds, reach, 0, count)
     beyond = np.zeros(4, int)  # left, top, right, bottom
     for k in range(count):
         a, b = points[3 * k : 3 * k + 2]
@@ -227,7 +226,7 @@ def test_what_a_tile_has_covered_hides_what_lies_behind_and_changes_no_hit():
     none = np.zeros((3 * count, 3)), np.zeros((3 * count, 2)), np.zeros(count, bool), np.zeros(count, bool)
     prims, pixels = Triangles(np.array(points), faces, *none), np.array([box, *small], np.int32)
     near, unused = (np.array([2.0, *(min(at) for at in depths)]), (np.zeros((0, 3), np.int32), np.zeros((0, 4))))
-    bounds = ScreenBounds(pixels, near, *unused, (0.0, 0.0, 1.0), 1.0)
+    bounds = ScreenBounds(pixels, near, *unused, (0.0, 0.0, 1.0))
     found = []
     for first in (0, 1):  # with the second wall and without it
         tile = new_tile()

@@ -31,12 +31,11 @@ from caster.kernels.raster.tile import (
     T,
     generate_camera_rays,
     lane,
-    load_ray_range,
     load_rays,
-    load_rays_from,
     new_lanes,
     new_tile,
-    store_ray_range,
+    store_blocked,
+    store_nearest,
     tile_rows,
     update_nearest,
 )
@@ -84,33 +83,35 @@ def used_tile():
     return tile
 
 
-def test_the_tile_of_a_box_is_begun_with_the_rays_of_the_window():
-    rays, tile = some_rays(np.random.default_rng(250), WIDE * HIGH), used_tile()
-    load_rays(rays, WIDE, BOX, tile)
-    expected = as_rows(rays).reshape(HIGH, WIDE, 8)[BOX[1] : BOX[3], BOX[0] : BOX[2]]
-    assert np.array_equal(rays_in(tile, *expected.shape[:2]), expected)
-    assert_begun(tile, BOX[3] - BOX[1])
-    assert all((whole(tile, at)[BOX[3] - BOX[1] :] == 7.0).all() for at in (*RAY_FIELDS, *BEGUN))
-
-
-def test_the_tile_of_a_window_that_begins_at_a_ray_is_begun_and_rays_from_elsewhere_are_counted():
-    rng, first, tile = np.random.default_rng(251), 5, used_tile()
-    rays = some_rays(rng, first + WIDE * HIGH)
-    origin = (0.5, -0.25, 2.0)
-    rays.o[:] = origin
-    inside = np.zeros((HIGH, WIDE), bool)
-    inside[BOX[1] : BOX[3], BOX[0] : BOX[2]] = True
-    within = first + np.flatnonzero(inside)
-    rays.o[np.setdiff1d(np.arange(len(rays.o)), within)] = 7.0  # which are not of the box
-    assert load_rays_from(rays, first, WIDE, BOX, origin, tile) == 0
-    for axis in range(3):  # each of three rays differs in one coordinate, by the last digit
-        rays.o[within[[3, 20, 84][axis]], axis] = np.nextafter(origin[axis], 9.0)
-        assert load_rays_from(rays, first, WIDE, BOX, origin, tile) == axis + 1
-    expected = as_rows(rays)[first:].reshape(HIGH, WIDE, 8)[BOX[1] : BOX[3], BOX[0] : BOX[2]]
-    assert np.array_equal(rays_in(tile, *expected.shape[:2]), expected)
-    assert_begun(tile, BOX[3] - BOX[1])
-    rays.o[within, 1] = 1.0
-    assert load_rays_from(rays, first, WIDE, BOX, origin, tile) == len(within)
+@pytest.mark.parametrize(("one_origin", "one_range"), [(False, False), (True, False), (False, True), (True, True)])
+def test_a_tile_takes_the_rays_it_is_given_and_gives_back_the_hit_of_each(one_origin, one_range):
+    rng, count = np.random.default_rng(250), 320
+    rays, tile, ids = some_rays(rng, count), used_tile(), np.array([50, 60, 70, 80], np.int32)
+    if one_origin:
+        rays.o[:] = rays.o[0]
+    if one_range:
+        rays.t_min[:], rays.t_max[:] = rays.t_min[0], rays.t_max[0]
+    numbers = np.where(rng.random(200) < 0.8, rng.permutation(count)[:200], -1).astype(np.int32)
+    here, kept = np.flatnonzero(numbers >= 0), numbers[numbers >= 0]
+    load_rays(rays, numbers, tile, one_origin, one_range)
+    flat = np.stack([whole(tile, f).ravel() for f in RAY_FIELDS], axis=1)
+    assert np.array_equal(flat[here], as_rows(rays)[kept])
+    assert (flat[np.flatnonzero(numbers < 0), -1] == -1.0).all() and (flat[200:] == 7.0).all()
+    for f, number in BEGUN.items():
+        assert (whole(tile, f).ravel()[:200] == number).all()
+    values = {f: v.ravel()[here] for f, v in met(rng, tile).items()}
+    nearest, uncertain = no_hits(count), np.zeros(count, bool)
+    store_nearest(tile, numbers, ids, nearest, uncertain)
+    prim, unsure = values[PRIM], values[UNCERTAIN] == 1.0
+    assert np.array_equal(nearest.prim[kept], np.where(prim < 0, -1, ids[prim]))
+    assert np.array_equal(nearest.t[kept], values[T]) and np.array_equal(nearest.error[kept], values[T_ERROR])
+    assert np.array_equal(uncertain[kept], unsure)
+    others = np.setdiff1d(np.arange(count), kept)
+    assert (nearest.prim[others] == -1).all() and not uncertain[others].any()
+    blocked, uncertain = np.zeros((2, count), bool)
+    store_blocked(tile, numbers, blocked, uncertain)
+    assert np.array_equal(blocked[kept], prim >= 0) and np.array_equal(uncertain[kept], unsure & (prim < 0))
+    assert not blocked[others].any() and not uncertain[others].any()
 
 
 @pytest.mark.parametrize("camera", [caster.Pinhole, caster.Orthographic, caster.Fisheye])
@@ -133,28 +134,6 @@ def met(rng, tile, shape=(HEIGHT, WIDTH)):
     for at, numbers in values.items():
         whole(tile, at)[: shape[0], : shape[1]] = numbers
     return values
-
-
-def test_a_range_of_rays_is_loaded_and_its_hits_are_stored_where_it_belongs():
-    rng, (start, stop, at) = np.random.default_rng(251), (11, 300, 40)
-    rays, tile, ids = some_rays(rng, 320), used_tile(), np.array([50, 60, 70, 80], np.int32)
-    load_ray_range(rays, start, stop, tile, at)
-    flat = np.stack([whole(tile, f).ravel() for f in RAY_FIELDS], axis=1)
-    assert np.array_equal(flat[at : at + stop - start], as_rows(rays)[start:stop])
-    assert (flat[:at] == 7.0).all() and (flat[at + stop - start :] == 7.0).all()
-    for f, number in BEGUN.items():
-        assert (whole(tile, f).ravel()[at : at + stop - start] == number).all()
-    values = {f: v.ravel()[at : at + stop - start] for f, v in met(rng, tile).items()}
-    nearest, uncertain = no_hits(320), np.zeros(320, bool)
-    store_ray_range(tile, at, ids, start, stop, nearest, uncertain)
-    prim = values[PRIM]
-    assert np.array_equal(nearest.prim[start:stop], np.where(prim < 0, -1, ids[prim]))
-    assert np.array_equal(nearest.t[start:stop], values[T]) and np.array_equal(
-        nearest.error[start:stop], values[T_ERROR]
-    )
-    assert np.array_equal(uncertain[start:stop], values[UNCERTAIN] == 1.0)
-    others = np.r_[:start, stop:320]
-    assert (nearest.prim[others] == -1).all() and not uncertain[others].any()
 
 
 def hit_box(rng):

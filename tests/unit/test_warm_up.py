@@ -12,17 +12,15 @@ from pathlib import Path
 import pytest
 
 from caster.__main__ import main
-from caster.cameras import CAMERAS, Pinhole
+from caster.cameras import CAMERAS
 from caster.cli import COMMANDS as CASTER_COMMANDS
 from caster.cli import application
 from caster.geometry.packing import pack
 from caster.jit import decorators
 from caster.jit.kernel_cache import COMPILED
-from caster.kernels.bvh import ray_sorting
 from caster.kernels.protocol import intersect
-from caster.rendering import casting, ray_fans, ray_tiles, warm_up
-from caster.scene.model import LIGHTS, Scene
-from caster.shapes.icosphere import Icosphere
+from caster.rendering import warm_up
+from caster.scene.model import LIGHTS
 from caster.system.terminal import CompilationNotice, compilation_reported
 from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
 from mitsuba_ref.runner.workers import Workers
@@ -37,48 +35,6 @@ def test_every_kind_of_primitive_and_every_camera_is_warmed():
     # other tests of this process may have added plug-ins; the caster's own kinds are those of its own modules
     own = {kind for kind in decorators._GENERICS[intersect].bodies if kind.__module__.startswith("caster.")}
     assert all({type(kind.prims) for kind in pack(scene).kinds} == own for scene in scenes)
-
-
-def test_shadow_rays_are_warmed_whether_a_fan_takes_them_or_not(monkeypatch):
-    """However many primitives there are, and however few pixels."""
-    called = []
-    kernels = {"cast_fan": ray_tiles, "cast_packets": ray_tiles, "cast_packets_brute_force": warm_up}
-    for kernel, module in kernels.items():
-        monkeypatch.setattr(module, kernel, lambda *args, kernel=kernel: called.append(kernel))
-    monkeypatch.setattr(ray_tiles, "FEW_PRIMITIVES", 1)
-    scene = Scene(camera=Pinhole(**Pinhole.MINIMAL), shapes=[Icosphere(subdivisions=1)], lights=warm_up.LAMPS)
-    warm_up._warm_shadows(pack(scene), scene)
-    shadowing = [lamp for lamp in warm_up.LAMPS if lamp.type != "ambient"]
-    assert called == ["cast_fan", "cast_packets"] * len(shadowing) + ["cast_packets_brute_force"]
-
-
-# What caster/rendering/ray_fans.py and casting.py call of ray_sorting.py.
-KERNELS_OF_RAYS = {
-    name
-    for module in (ray_fans, casting)
-    for name, it in vars(module).items()
-    if name.islower() and getattr(it, "__module__", "") == ray_sorting.__name__
-}
-
-
-def test_rays_through_one_point_are_warmed(monkeypatch):
-    """All kernels that sort such rays, and that cast them; whatever a scene's rays may have in common."""
-    kernels = {"cast_fan", *KERNELS_OF_RAYS}
-    called = set()
-
-    def recorded(name, real):
-        def call(*args):
-            called.add(name)
-            return real(*args)
-
-        return call
-
-    for name in kernels:
-        for module in (casting, ray_fans, ray_tiles, warm_up):
-            if hasattr(module, name):
-                monkeypatch.setattr(module, name, recorded(name, getattr(module, name)))
-    warm_up._warm_fans(pack(Scene(camera=Pinhole(**Pinhole.MINIMAL), shapes=[Icosphere(subdivisions=1)])))
-    assert len(KERNELS_OF_RAYS) > 6 and called == kernels
 
 
 def test_every_kind_of_light_is_warmed():
@@ -166,8 +122,8 @@ modules = [importlib.import_module(f"caster.rendering.{module.name}") for module
 kernels = {k for module in modules for k in vars(module).values() if isinstance(k, Kernel)}
 print(len(kernels), *sorted(k.__name__ for k in kernels if not k._codes))
 """
-# Of pixels and rays that are looked at one by one: `caster probe`, the judge; and ties between two kinds.
-ONE_BY_ONE = {"hit_precedes", "intersect_each", "load_rays", "shadow_rays_of", "store_nearest"}
+# Of pixels and rays that are looked at one by one: `caster probe`, the judge.
+ONE_BY_ONE = {"hit_precedes", "intersect_each", "shadow_rays_of"}
 
 
 @pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")

@@ -8,6 +8,7 @@ import numpy as np
 from caster.jit.decorators import inlined, jit
 from caster.jit.simd import CHILDREN
 from caster.kernels.protocol import Vec3, hull_point, hull_size
+from caster.kernels.triangles import Triangles
 
 LEAF_SIZE = 4
 BINS = 16
@@ -26,8 +27,8 @@ MAX_PRIMITIVES = 2**31 // LEAF_SIZE_BASE  # whose leaves fit into links
 BOX_PADDING = 24.0 * 2.0**-53
 
 
-# What stands for 0 in a direction, over units of a tree: so small that within t < 2^930 no ray gets across a pad by it,
-# and 1 over it still a number times any box, since inf - inf is none. At least MIN_DIRECTION.
+# Replaces 0 in a direction, per unit of a tree: so small that it moves no ray across a pad within t < 2^930, and so
+# large that its inverse times any box is finite (inf - inf is NaN). At least MIN_DIRECTION.
 MIN_DIRECTION_PER_UNIT, MIN_DIRECTION = 2.0**-990, 2.0**-1000
 
 
@@ -48,19 +49,50 @@ class Tree(NamedTuple):
     unit: float  # a power of two
     flat: float  # what stands for 0 in a direction: a power of two
     extent: float  # largest |coordinate| of any box, in scene units
-    reach: float  # REACH
+    reach: float  # BOX_PADDING
+
+
+class Hulls(NamedTuple):
+    """Convex hulls that hold the primitives of a kind."""
+
+    points: np.ndarray  # (m, 3) float64
+    corners: np.ndarray  # (n, points of a hull) int32: its points; (n, 0) for a kind without bounds
+
+
+def hulls_of(prims: Any, count: int) -> Hulls:
+    """The hulls of so many primitives; those of triangles share the vertices."""
+    if isinstance(prims, Triangles):
+        return Hulls(prims.vertices, prims.faces)
+    size = int(hull_size(prims))
+    points = np.empty((count * size, 3))
+    if size:
+        list_hull_points(prims, points, count)
+    return Hulls(points, np.arange(count * size, dtype=np.int32).reshape(count, size))
 
 
 @jit
-def bounding_boxes(prims: Any, low: Any, high: Any, start: int, stop: int) -> None:
-    """Bounds of primitives start..stop."""
-    for k in range(start, stop):
+def list_hull_points(prims: Any, points: Any, count: int) -> None:
+    """points (n, 3): those of the hulls of the first `count` primitives."""
+    size = hull_size(prims)
+    for k in range(count):
+        for j in range(size):
+            points[k * size + j, 0], points[k * size + j, 1], points[k * size + j, 2] = hull_point(prims, k, j)
+
+
+def bounding_boxes(prims: Any, low: np.ndarray, high: np.ndarray) -> None:
+    """Bounds (n, 3) of primitives."""
+    bound_hulls_in_space(*hulls_of(prims, len(low)), low, high)
+
+
+@jit
+def bound_hulls_in_space(points: Any, corners: Any, low: Any, high: Any) -> None:
+    """Bounding boxes of hulls; empty boxes of a kind without bounds."""
+    for k in range(len(corners)):
         for c in range(3):
             low[k, c], high[k, c] = math.inf, -math.inf
-        for j in range(hull_size(prims)):
-            p = hull_point(prims, k, j)
-            for c in range(3):
-                low[k, c], high[k, c] = min(low[k, c], p[c]), max(high[k, c], p[c])
+            for j in range(corners.shape[1]):
+                x = points[corners[k, j], c]
+                low[k, c], high[k, c] = min(low[k, c], x), max(high[k, c], x)
 
 
 SMALLEST32, ULP32 = 2.0**-149, 2.0**-23
@@ -68,13 +100,13 @@ SMALLEST32, ULP32 = 2.0**-149, 2.0**-23
 
 @inlined
 def round_up_to_float32(x: float) -> float:
-    """What is at least x once it is rounded to float32, for |x| <= 1."""
+    """A number that is at least x after rounding to float32, for |x| <= 1."""
     return x + (abs(x) * ULP32 + SMALLEST32)
 
 
 @jit
 def quantize_boxes(low: Any, high: Any, center: Vec3, unit: float, boxes: Any, start: int, stop: int) -> None:
-    """The boxes start..stop as the tree has them: (n, 6) float32."""
+    """The boxes start..stop in float32 and in the units of the tree: (n, 6)."""
     for k in range(start, stop):
         for c in range(3):
             boxes[k, c] = -round_up_to_float32((center[c] - low[k, c]) / unit)
@@ -90,7 +122,7 @@ def half_area(low_x: float, low_y: float, low_z: float, high_x: float, high_y: f
 
 @jit
 def bound_run(boxes: Any, order: Any, start: int, stop: int, into: Any) -> Any:
-    """The box of a run, into (6,); returns (axis along which the middles spread most, least, largest of twice them)."""
+    """Write the box of a run to into (6,); returns (axis of widest spread, least, largest) of twice the centres."""
     low = np.full(6, math.inf)  # of the boxes, of the middles
     high = np.full(6, -math.inf)
     for at in range(start, stop):
@@ -116,7 +148,7 @@ def bin_of(boxes: Any, k: int, axis: int, least: float, per_bin: float) -> int:
 def partition(boxes: Any, order: Any, run: Any, spread: Any, counts: Any, bounds: Any) -> int:
     """Reorder a run so that its two parts cost least by area times number; return where the second begins.
 
-    spread: what `bound_run` returned. counts (BINS,) and bounds (BINS, 6) are room to work in.
+    spread: the result of `bound_run`. counts (BINS,) and bounds (BINS, 6) are work space.
     """
     start, stop = run
     axis, least, largest = spread
@@ -167,7 +199,7 @@ def best_split_bin(counts: Any, bounds: Any) -> int:
 
 @jit
 def build_binary(boxes: Any, order: Any, start: int, stop: int, enough: int, node_boxes: Any, links: Any) -> int:
-    """Fill nodes of two over order[start:stop], down to runs of at most `enough`; return how many there are.
+    """Fill binary nodes over order[start:stop], down to runs of at most `enough`; return their number.
 
     The first child of an inner node follows it. node_boxes: (room, 6); links: (room, 2), (second child, -1), or in a
     leaf (start in order, how many).
@@ -198,15 +230,14 @@ def build_binary(boxes: Any, order: Any, start: int, stop: int, enough: int, nod
     return nodes
 
 
-# Where a node has fewer boxes, the rest reach from EMPTY_BOX to -EMPTY_BOX, outside of every tree, and are
-# left before they
-# are entered. From so far away that rays are wider than that they are entered all the same: nothing is in them.
+# Where a node has fewer boxes, the rest reach from EMPTY_BOX to -EMPTY_BOX, outside of every tree, and are left before
+# they are entered. From so far away that rays are wider than that they are entered all the same: nothing is in them.
 EMPTY_BOX, EMPTY_LINK = 2.0, ~0
 
 
 @jit
 def collapse(boxes: Any, links: Any, wide_boxes: Any, wide_links: Any) -> int:
-    """Make nodes of CHILDREN out of nodes of two, the largest box opened first; return how many there are."""
+    """Make nodes of CHILDREN from binary ones, opening the largest box first; return their number."""
     origin, inside = np.zeros(len(wide_links), np.int64), np.zeros(CHILDREN, np.int64)
     node, nodes = 0, 1
     while node < nodes:
@@ -230,7 +261,7 @@ def collapse(boxes: Any, links: Any, wide_boxes: Any, wide_links: Any) -> int:
 
 @jit
 def open_largest(boxes: Any, links: Any, inside: Any) -> int:
-    """Put the two children of inside[0] in its place, and so on with the largest, until CHILDREN are there."""
+    """Replace inside[0] by its children, and so on the node with the largest box, up to CHILDREN; their number."""
     number, opened = 1, 0
     while opened >= 0 and number < CHILDREN:
         opened, largest = -1, -1.0

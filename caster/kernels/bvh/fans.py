@@ -1,10 +1,9 @@
-"""Fans: rays through one point, seen from there; primitives in front of each are found by their projections.
+"""Fans: rays through one point, projected from there.
 
 All rays of a fan end at one point (a point light), start there (an eye: `outward`) or are parallel (a directional
-light), so that each is a point of the fan's picture, and meets nothing whose projection does not hold that point.
-Primitives are found through the tree, whose boxes are projected as well; rays by groups: LANES neighbours are a run, 8
-runs below each other a block, 8 blocks a group, for which the tree is traversed once. What is found is tested as
-everywhere else (`intersect`).
+light). So each ray projects to a point, and it can only hit primitives whose projections contain that point. The boxes
+of the tree are projected, too. Rays are grouped: LANES neighbours are a run, 8 runs below each other a block, 8 blocks
+a group. The tree is traversed once for a group; primitives that a run may hit are tested by `intersect`, as everywhere.
 """
 
 import math
@@ -24,9 +23,9 @@ from caster.kernels.math.lanes import (
     lanes_above,
     lanes_within_lines,
 )
-from caster.kernels.math.vec import TINY, U, abs_dot, dot, l1_norm, max_norm, scaled, sub
+from caster.kernels.math.vec import TINY, U, abs_dot, dot, l1_norm, max_norm, row, scaled, sub
 from caster.kernels.nearest import any_hit_result
-from caster.kernels.protocol import Vec3, hull_point, hull_size, intersect, load, prepare
+from caster.kernels.protocol import Vec3, intersect, load, prepare
 from caster.kernels.raster.tile import (
     CACHE_LINE,
     DX,
@@ -79,13 +78,14 @@ class Fan(NamedTuple):
 # for a ray's: FAN_ROUNDING covers them. What is nearer has no such bound, and its box is found from its coordinates.
 #
 # a x + b y + c of the line along an edge (`edge_line`) is rounded by 8 u (|a| + |b|) times the largest coordinate of
-# the picture, and so is the sign of the third corner's: below 32 u (1 + |x|) perspective, since |x| <= FAN_LIMIT for a
-# ray's, or 64 u m parallel.
+# the projection, and so is the sign of the third corner's: below 32 u (1 + |x|) perspective, since |x| <= FAN_LIMIT for
+# a ray's, or 64 u m parallel.
 #
 # Rays that are handed over (ray_sorting.py) end within a deviation of the point, and with them all of their points
 # within that of the segments to it: it is added to s, and 8 times it to the slack (DEVIATION_SLACK). Of rays that
-# start at the point exactly (`outward`), the picture is that of d: numerators are off by 3 u |d|, and so is the depth,
-# which is at least |d| / 3 where |x|, |y| <= FAN_LIMIT. Quotients are off by less than 40 u, less than FAN_ROUNDING.
+# start at the point exactly (`outward`), the projection is that of d: numerators are off by 3 u |d|, and so is the
+# depth, which is at least |d| / 3 where |x|, |y| <= FAN_LIMIT. Quotients are off by less than 40 u, less than
+# FAN_ROUNDING.
 FAN_SLACK = 128.0 * U
 FAN_ROUNDING = 64.0 * U
 FAN_LIMIT = 2.0  # largest |x|, |y| of a ray in a perspective fan: six of them, with `forward` along axes, hold all rays
@@ -112,7 +112,7 @@ PRIM_FIELDS = FAN_FIELDS + 1
 
 
 class FanBounds(NamedTuple):
-    """The primitives of a kind as a fan sees them."""
+    """The projected primitives of a kind."""
 
     nodes: Any  # flat, BOX_SIZE numbers a node of the tree
     prims: Any  # flat, PRIM_FIELDS numbers a primitive
@@ -120,7 +120,7 @@ class FanBounds(NamedTuple):
 
 
 class RayGroups(NamedTuple):
-    """The rays of a tile as a fan sees them."""
+    """The projected rays of a tile."""
 
     runs: Any  # flat, BOX_SIZE numbers a block
     blocks: Any  # flat, BOX_SIZE numbers a group
@@ -150,41 +150,24 @@ def project_vector(fan: Fan, a: Vec3) -> Vec3:
 
 
 @jit
-def project_vertices_along(fan: Any, vertices: Any, points: Any, start: int, stop: int) -> None:
-    """points (v, 3): x, y, depth of vertices start..stop."""
+def project_along(fan: Any, points: Any, projected: Any, start: int, stop: int) -> None:
+    """projected (n, 3): x, y, depth of points start..stop."""
     for i in range(start, stop):
-        points[i, 0], points[i, 1], points[i, 2] = fan_project(fan, (vertices[i, 0], vertices[i, 1], vertices[i, 2]))
+        projected[i, 0], projected[i, 1], projected[i, 2] = fan_project(fan, row(points, i))
 
 
 @jit
-def bound_triangles_along(fan: Any, faces: Any, order: Any, bounds: Any, start: int, stop: int) -> None:
-    """Boxes of triangles order[start:stop] between projected vertices."""
-    points = bounds.points
+def bound_hulls_along(fan: Any, corners: Any, projected: Any, order: Any, prims: Any, start: int, stop: int) -> None:
+    """Boxes of the hulls order[start:stop] between projected points; corners: (n, points of a hull)."""
     for at in range(start, stop):
         box = nothing()
-        for j in range(3):
-            i = faces[order[at], j]
-            box = with_point(box, (points[i, 0], points[i, 1], points[i, 2]))
-        if not store_prim(fan, bounds.prims, at, box):
+        for j in range(corners.shape[1]):
+            box = with_point(box, row(projected, corners[order[at], j]))
+        if not store_prim(fan, prims, at, box):
             box = nothing()
-            for j in range(3):
-                i = faces[order[at], j]
-                box = with_point(box, undivided(fan, (points[i, 0], points[i, 1], points[i, 2])))
-            store_near_prim(fan, bounds.prims, at, box)
-
-
-@jit
-def bound_hulls_along(fan: Any, prims: Any, order: Any, bounds: Any, start: int, stop: int) -> None:
-    """The same for any kind, by the points of its hulls."""
-    for at in range(start, stop):
-        box = nothing()
-        for j in range(hull_size(prims)):
-            box = with_point(box, fan_project(fan, hull_point(prims, order[at], j)))
-        if not store_prim(fan, bounds.prims, at, box):
-            box = nothing()
-            for j in range(hull_size(prims)):
-                box = with_point(box, undivided(fan, fan_project(fan, hull_point(prims, order[at], j))))
-            store_near_prim(fan, bounds.prims, at, box)
+            for j in range(corners.shape[1]):
+                box = with_point(box, undivided(row(projected, corners[order[at], j])))
+            store_near_prim(fan, prims, at, box)
 
 
 Extent = tuple[float, float, float, float, float, float]
@@ -203,7 +186,7 @@ def with_point(box: Extent, p: Vec3) -> Extent:
 
 
 @inlined
-def undivided(fan: Fan, p: Vec3) -> Vec3:
+def undivided(p: Vec3) -> Vec3:
     """A projected point before the division, but for 2 u."""
     over = p[2] if p[2] > 0.0 else 1.0
     return p[0] * over, p[1] * over, p[2]
@@ -211,7 +194,7 @@ def undivided(fan: Fan, p: Vec3) -> Vec3:
 
 @inlined
 def store_prim(fan: Fan, prims: Any, at: int, box: Extent) -> bool:
-    """Widen a box by its margin; whether there is one."""
+    """Store a box widened by its margin; False if nothing bounds that."""
     near, wide = box[4], fan.slack
     if fan.perspective != 0.0:
         largest = max(max(-box[0], -box[1]), max(-box[2], -box[3]))
@@ -226,7 +209,7 @@ def store_prim(fan: Fan, prims: Any, at: int, box: Extent) -> bool:
 
 @inlined
 def store_near_prim(fan: Fan, prims: Any, at: int, box: Extent) -> None:
-    """The box of a primitive that reaches to the origin or behind it: x = X / depth >= (least X) / (largest depth)."""
+    """Store the box of a primitive that reaches the origin or behind it: x >= (least numerator) / (largest depth)."""
     i, slack, deep = at * PRIM_FIELDS, 2.0 * fan.slack, -box[5] + 2.0 * fan.slack
     for f in range(4):
         ahead = box[f] - slack
@@ -238,7 +221,7 @@ def store_near_prim(fan: Fan, prims: Any, at: int, box: Extent) -> None:
 
 @jit
 def bound_nodes_along(links: Any, bounds: Any) -> None:
-    """Boxes of nodes, from those of primitives; a child's number is larger than its parent's."""
+    """Boxes of nodes, from those of primitives; children have larger numbers than their parents."""
     nodes, prims = bounds.nodes, bounds.prims
     for node in range(len(links) - 1, -1, -1):
         for j in range(CHILDREN):
@@ -278,16 +261,17 @@ def block_corner(block: int) -> int:
 
 @jit
 def begin_groups(groups: Any) -> None:
-    """No run of a tile belongs to a fan yet."""
+    """Mark all runs of a tile as left."""
     groups.taken[:] = 0
     groups.counts[:] = 0
 
 
 @jit
 def group_rays(fan: Any, tile: Any, rows: int, groups: Any, outward: bool) -> None:
-    """Find runs of the first `rows` rows that belong to the fan and are not yet taken; they are taken now.
+    """Take the runs of the first `rows` rows that belong to the fan and are left.
 
-    outward: all rays start at the fan's origin. Where a tile has no ray it gets a hit: nothing is looked for there.
+    outward: rays belong to it that start at its origin. A place without a ray gets a hit, so that nothing is cast
+    there.
     """
     runs, counts = groups.runs, groups.counts
     counts[0], counts[1] = 0, 0
@@ -319,14 +303,14 @@ def group_rays(fan: Any, tile: Any, rows: int, groups: Any, outward: bool) -> No
 
 @inlined
 def farthest_depth(tile: Any, first: Any, stretch: float) -> float:
-    """Nothing behind this depth can be the nearest hit of LANES rays; less than 0 if each has met what ends it."""
+    """No nearest hit of LANES rays lies behind this depth; negative if each ray has a final hit."""
     t = min(lane_max(tile, T_MAX + first), lane_max_of_sums(tile, T + first, T_ERROR + first))
     return t * stretch if stretch > 0.0 else math.inf
 
 
 @inlined
 def group_run(fan: Fan, tile: Any, first: Any, outward: bool) -> bool:
-    """Put what bounds LANES rays into the tile's scratch; whether all of them belong to the fan.
+    """Write the bounds of LANES rays to the tile's scratch; whether all of them belong to the fan.
 
     x is NaN where there is no ray. depth is that of the origin, of `outward` rays that of d.
     """
@@ -337,7 +321,9 @@ def group_run(fan: Fan, tile: Any, first: Any, outward: bool) -> bool:
         x, y, depth = project_vector(fan, d if outward else sub(o, fan.origin))
         ray = tile[T_MAX + i] >= 0.0
         ahead = (depth > 0.0) & (abs(x) <= FAN_LIMIT) & (abs(y) <= FAN_LIMIT)
-        fits = (max_norm(o) <= fan.reach) & (ahead | (fan.perspective == 0.0))
+        p = fan.origin
+        near = (o[0] == p[0]) & (o[1] == p[1]) & (o[2] == p[2]) if outward else max_norm(o) <= fan.reach
+        fits = near & (ahead | (fan.perspective == 0.0))
         tile[T + i] = tile[T + i] if ray else -1.0
         tile[FAN_X + i], tile[FAN_Y + i] = x if ray else math.nan, y
         tile[SCRATCH + n] = x if ray else math.inf
@@ -360,7 +346,7 @@ NO_PLANE = NO_POINT, NO_POINT, NO_POINT
 
 @generic_inlined
 def outline(prims: Any, k: int, points: Any, wide: float) -> Any:
-    """Three lines (a, b, c): a ray at (x, y) with a x + b y + c < 0 for one of them misses primitive k."""
+    """Three lines (a, b, c): a ray at (x, y) misses primitive k if a x + b y + c < 0 for one of them."""
 
 
 @generic_inlined
@@ -389,9 +375,9 @@ def _triangle_outline(prims: Any, k: int, points: Any, wide: float) -> Outline:
 
 @inlined
 def edge_line(p: tuple[float, float], q: tuple[float, float], r: tuple[float, float], wide: float) -> Vec3:
-    """The line through p and q, moved away from r by so much along each axis.
+    """The line through p and q, moved away from r by `wide` along each axis.
 
-    Corners that are off by up to `wide` along x and y are not beyond it, nor is what lies between them.
+    Corners that are off by up to `wide` along x and y do not lie beyond it, nor do points between them.
     """
     x, y = q[0] - p[0], q[1] - p[1]
     side = 1.0 if x * (r[1] - p[1]) - y * (r[0] - p[0]) >= 0.0 else -1.0
@@ -400,9 +386,9 @@ def edge_line(p: tuple[float, float], q: tuple[float, float], r: tuple[float, fl
 
 @implement(separating_plane, Triangles)
 def _triangle_plane(prims: Any, prim: Any, fan: Fan) -> Outline:
-    """n . (a - o) > 0 at a ray's origin and where it ends, so all along: its error is PLANE_ERROR.
+    """The triangle's plane, with the light on its positive side: n . (a - o) > 0 where a ray starts and ends.
 
-    A ray to a point light ends within u m of it (FAN_SLACK). Parallel ones have to go on upwards.
+    Its error is PLANE_ERROR. A ray to a point light ends within u m of it (FAN_SLACK); parallel rays go upwards.
     """
     a, _, _, n, spread = prim
     error = scaled(PLANE_ERROR, spread)
@@ -415,13 +401,13 @@ def _triangle_plane(prims: Any, prim: Any, fan: Fan) -> Outline:
 
 @inlined
 def facing_limits(boxes: Any, first: int) -> tuple[float, float, float, float, float]:
-    """Limits for `boxes_below` of boxes that a primitive's meets, and that are not all in front of it."""
+    """Limits for `boxes_below` of boxes that a primitive's box overlaps and that are not all in front of it."""
     return -boxes[first + 1], -boxes[first], -boxes[first + 3], -boxes[first + 2], -boxes[first + 4]
 
 
 @inlined
 def prefetch_child(tree: Any, bounds: Any, inside: int) -> None:
-    """Have the numbers of a node, or of the primitives of a leaf, in a cache by the time its turn comes."""
+    """Prefetch a node, or the primitives of a leaf."""
     if inside >= 0:
         prefetch(tree.links, inside)
         for field in range(FAN_FIELDS):
@@ -436,10 +422,10 @@ def prefetch_child(tree: Any, bounds: Any, inside: int) -> None:
 def cast_fan(
     fan: Any, prims: Any, tree: Any, bounds: Any, base: int, tile: Any, groups: Any, outward: bool, any_hit: bool
 ) -> None:
-    """The rays of the runs that belong to the fan against a kind.
+    """Cast the runs that the fan has taken at a kind.
 
-    outward: all rays start at the fan's origin, and near nodes come first; else each is cast until it has met anything
-    for sure.
+    outward: all rays start at the fan's origin, and near nodes come first; else any certain hit ends the search of a
+    ray.
     """
     runs, blocks, stack, depths, found = groups.runs, groups.blocks, groups.stack, groups.depths, groups.found
     for group in range(GROUPS):

@@ -1,63 +1,55 @@
-"""Any rays of one fan in the order of its picture: neighbours in a tile then meet much the same primitives.
+"""The rays of a fan sorted by their projection: neighbours in a tile then meet much the same primitives.
 
-A key is the cell of a ray in the fan's picture (Morton order); rays are sorted by keys in two passes, the first over
-all of them by the upper bits, the second within each of these buckets by the lower ones. Which ray lies where in a
-tile changes no bit of its hit.
+A key is the cell of a ray in the fan's projection (Morton order). Rays are sorted by keys in two passes: all of them by
+the upper bits into buckets, then each bucket by the lower bits. The order of rays in a tile changes no bit of a hit.
 """
 
 import math
 from typing import Any
 
 from caster.jit.decorators import inlined, jit
-from caster.jit.simd import LANES
-from caster.kernels.bvh.fans import FAN_LIMIT, ROWS, Fan, block_corner
+from caster.kernels.bvh.fans import FAN_LIMIT, Fan
 from caster.kernels.math.vec import dot, max_norm, point_at, row, sub
 from caster.kernels.protocol import Vec3
-from caster.kernels.raster.tile import (
-    DX,
-    DY,
-    DZ,
-    OX,
-    OY,
-    OZ,
-    PIXELS,
-    PRIM,
-    T_ERROR,
-    T_MAX,
-    T_MIN,
-    UNCERTAIN,
-    WIDTH,
-    T,
-    lane,
-    start_ray,
-)
+from caster.kernels.raster.tile import lane
 
 HALF_BITS = 10  # of a cell's number along x and along y, where the first fan has the ray
 LOWER_BITS = 10  # of a key, that the second pass sorts by
 BUCKETS, LOWER_CELLS = 1 << 12, 1 << LOWER_BITS
 OTHER_FANS = 1 << (2 * HALF_BITS)  # least key of rays that one of the other five fans has
-NOT_IN_FAN = (BUCKETS - 1) << LOWER_BITS  # of rays that do not pass through the point
 MAX_SORTED_BY_INSERTION = 32  # rays of a bucket; clearing LOWER_CELLS counters takes longer for so few
 
 
 @inlined
 def in_front(fan: Fan, o: Vec3, d: Vec3, outward: bool) -> Vec3:
-    """(across, up, forward) of a point of the ray, other than the fan's origin: where it is in the picture."""
+    """(across, up, forward) of a point of the ray other than the fan's origin, for its projection."""
     a = d if outward else sub(o, fan.origin)
     return dot(fan.across, a), dot(fan.up, a), dot(fan.forward, a)
 
 
-@inlined
-def leads_there(fan: Fan, o: Vec3, d: Vec3, t_max: float, outward: bool, deviation: float) -> bool:
-    """Whether a ray belongs to a fan: starts at its origin, or ends there within `deviation`, or is parallel.
-
-    Of a ray to the origin p, with t = (p - o).d / d.d, the point o + t d has to be as near to p, along each axis, and
-    the ray to go on no farther than that beyond it. Then each of its points is as near to the segment from o to p.
-    """
-    if t_max < 0.0:
-        return False
+@jit
+def count_strays(fan: Any, rays: Any, outward: bool, deviation: float, start: int, stop: int) -> int:
+    """How many of rays start..stop neither start at the fan's origin, nor end there, nor are parallel."""
+    strays, p = 0, fan.origin
     if outward:
-        return (o[0] == fan.origin[0]) & (o[1] == fan.origin[1]) & (o[2] == fan.origin[2])
+        for i in range(lane(start), lane(stop)):
+            there = (rays.o[i, 0] == p[0]) & (rays.o[i, 1] == p[1]) & (rays.o[i, 2] == p[2])
+            strays += 0 if there | (rays.t_max[i] < 0.0) else 1
+    else:
+        for i in range(lane(start), lane(stop)):
+            there = leads_there(fan, row(rays.o, i), row(rays.d, i), rays.t_max[i], deviation)
+            strays += 0 if there | (rays.t_max[i] < 0.0) else 1
+    return strays
+
+
+@inlined
+def leads_there(fan: Fan, o: Vec3, d: Vec3, t_max: float, deviation: float) -> bool:
+    """Whether a ray is parallel to the fan, or ends at its origin within `deviation`.
+
+    A ray to the origin p is nearest to it at t = (p - o).d / d.d. It ends there if o + t d lies within `deviation` of
+    p along each axis and the ray goes on no farther than that: then each of its points is as near to the segment from
+    o to p.
+    """
     if fan.perspective == 0.0:
         return (d[0] == fan.back[0]) & (d[1] == fan.back[1]) & (d[2] == fan.back[2])
     t = dot(sub(fan.origin, o), d) / dot(d, d)
@@ -67,35 +59,21 @@ def leads_there(fan: Fan, o: Vec3, d: Vec3, t_max: float, outward: bool, deviati
 
 
 @jit
-def largest_deviation(rays: Any, p: Vec3, start: int, stop: int) -> float:
-    """By how much rays start..stop pass p, along an axis, or go on beyond it; inf if one leads away from it."""
-    most = 0.0
-    for i in range(start, stop):
-        if rays.t_max[i] >= 0.0:
-            o, d = row(rays.o, i), row(rays.d, i)
-            t = dot(sub(p, o), d) / dot(d, d)
-            off = max_norm(sub(point_at(o, t, d), p))
-            beyond = (rays.t_max[i] - t) * max_norm(d)
-            most = max(most, max(off, beyond)) if t > 0.0 else math.inf
-    return most
-
-
-@jit
-def rays_of_other_limits(rays: Any, start: int, stop: int) -> int:
+def count_other_ranges(rays: Any, start: int, stop: int) -> int:
     """How many of rays start..stop have another t_min or t_max than ray 0."""
     t_min, t_max = rays.t_min[0], rays.t_max[0]
     differing = 0
-    for i in range(start, stop):
+    for i in range(lane(start), lane(stop)):
         differing += 1 if (rays.t_min[i] != t_min) | (rays.t_max[i] != t_max) else 0
     return differing
 
 
 @jit
 def find_row(rays: Any, start: int, stop: int, jump: float, steps: Any, row: Any) -> None:
-    """row (2,): the first of all rays to begin a row, and how many rays a row has; 0, 0 where no rows are found.
+    """Find rows of rays: row (2,) gets the ray that begins the first row and the rays of a row, or 0, 0 without rows.
 
-    A row ends where directions of rays start..stop go on by more than `jump` times the average step, each time after as
-    many rays or a multiple of it: beside what is no ray, no end is seen. steps: room for stop - start numbers.
+    A row ends where the directions of rays start..stop jump by more than `jump` times the average step. All ends have
+    to be multiples of the row length apart; at places without a ray no end is seen. steps: work space, (stop - start,).
     """
     total, number = 0.0, 0
     x, y, z, ray = 0.0, 0.0, 0.0, False
@@ -123,7 +101,7 @@ def find_row(rays: Any, start: int, stop: int, jump: float, steps: Any, row: Any
 
 @jit
 def project_rays(fan: Any, rays: Any, outward: bool, points: Any) -> None:
-    """points (n, 2): x, y of each ray in the picture of the first fan, NaN where another has it."""
+    """points (n, 2): the projection of each ray by the first fan, NaN for a ray of another fan."""
     for i in range(len(points)):
         x, y, z = in_front(fan, row(rays.o, i), row(rays.d, i), outward)
         over = z if fan.perspective != 0.0 else 1.0
@@ -149,7 +127,7 @@ def cell(x: float, low: float, scale: float, last: int) -> int:
 
 @inlined
 def projection_key(fan: Fan, a: Vec3, low: Any, scale: Any) -> int:
-    """The key of a ray by what `in_front` gives."""
+    """The key of a ray from the result of `in_front`."""
     x, y, z = a
     over = z if fan.perspective != 0.0 else 1.0
     if (over > 0.0) & ((fan.perspective == 0.0) | (max(abs(x), abs(y)) <= FAN_LIMIT * over)):
@@ -171,20 +149,18 @@ def projection_key(fan: Fan, a: Vec3, low: Any, scale: Any) -> int:
 
 @jit
 def find_keys(
-    fan: Any, rays: Any, outward: bool, deviation: float, corners: Any, first: int, piece: Any, pairs: Any, counts: Any
+    fan: Any, rays: Any, outward: bool, corners: Any, first: int, piece: Any, pairs: Any, counts: Any
 ) -> None:
     """pairs[i - first]: key << 32 | i of rays piece[0]..piece[1]; counts (BUCKETS,): how many are in each bucket.
 
-    corners: least x, y and largest x, y in the picture of the first fan; what lies outside is in the cells at its rim.
+    corners: least x, y and largest x, y in the projection of the first fan; what lies outside is in the cells at its
+    rim.
     """
     x0, y0, x1, y1 = corners
     cells = float(1 << HALF_BITS)
     low, scale = (x0, y0), (cells / (x1 - x0) if x1 > x0 else 0.0, cells / (y1 - y0) if y1 > y0 else 0.0)
     for i in range(piece[0], piece[1]):
-        o, d = row(rays.o, i), row(rays.d, i)
-        key = NOT_IN_FAN
-        if leads_there(fan, o, d, rays.t_max[i], outward, deviation):
-            key = projection_key(fan, in_front(fan, o, d, outward), low, scale)
+        key = projection_key(fan, in_front(fan, row(rays.o, i), row(rays.d, i), outward), low, scale)
         pairs[i - first] = (key << 32) | i
         counts[key >> LOWER_BITS] += 1
 
@@ -200,7 +176,7 @@ def scatter_to_buckets(pairs: Any, places: Any, start: int, stop: int, sorted_pa
 
 @jit
 def sort_buckets(pairs: Any, edges: Any, buckets: Any, counts: Any, order: Any) -> None:
-    """order: the rays of buckets[0]..buckets[1], each bucket sorted; edges: where buckets begin in `pairs`."""
+    """Sort buckets buckets[0]..buckets[1] into order; edges: where each bucket begins in `pairs`."""
     for bucket in range(buckets[0], buckets[1]):
         start, stop = edges[bucket], edges[bucket + 1]
         if stop - start <= MAX_SORTED_BY_INSERTION:
@@ -225,65 +201,3 @@ def sort_buckets(pairs: Any, edges: Any, buckets: Any, counts: Any, order: Any) 
                 low = (pairs[n] >> 32) & (LOWER_CELLS - 1)
                 order[counts[low]] = pairs[n] & 0xFFFFFFFF
                 counts[low] += 1
-
-
-@inlined
-def place_in_tile(n: int) -> Any:
-    """Where ray n of a sorted run of rays lies in a tile: a block is filled before the next, and a group."""
-    return lane(
-        block_corner(n // (ROWS * LANES))
-        + n // LANES % ROWS * WIDTH
-        + n % LANES  # runs of a block lie below each other
-    )
-
-
-@jit
-def load_sorted(
-    rays: Any, order: Any, start: int, stop: int, tile: Any, origin: Vec3, outward: bool, same_limits: bool
-) -> None:
-    """Begin a tile with rays order[start:stop], and no others.
-
-    outward: all of them start at `origin`. same_limits: t_min and t_max are those of the first ray for all of them.
-    """
-    for i in range(lane(0), lane(PIXELS)):
-        tile[T + i], tile[T_ERROR + i], tile[PRIM + i], tile[UNCERTAIN + i] = math.inf, 0.0, -1.0, 0.0
-    if outward:
-        for i in range(lane(0), lane(PIXELS)):
-            tile[OX + i], tile[OY + i], tile[OZ + i] = origin[0], origin[1], origin[2]
-    if same_limits:
-        for i in range(lane(0), lane(PIXELS)):
-            tile[T_MIN + i], tile[T_MAX + i] = rays.t_min[0], rays.t_max[0]
-    for n in range(start, stop):
-        i, k = place_in_tile(n - start), order[n]
-        tile[DX + i], tile[DY + i], tile[DZ + i] = rays.d[k, 0], rays.d[k, 1], rays.d[k, 2]
-        if not outward:
-            tile[OX + i], tile[OY + i], tile[OZ + i] = rays.o[k, 0], rays.o[k, 1], rays.o[k, 2]
-        if not same_limits:
-            tile[T_MIN + i], tile[T_MAX + i] = rays.t_min[k], rays.t_max[k]
-    for n in range(stop - start, PIXELS):
-        start_ray(tile, place_in_tile(n), (NOWHERE, ALONG_Z, 0.0, -1.0))
-
-
-NOWHERE, ALONG_Z = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
-
-
-@jit
-def store_sorted(tile: Any, order: Any, start: int, stop: int, ids: Any, nearest: Any, uncertain: Any) -> None:
-    """The nearest hits of rays order[start:stop] of a tile into the record; ids: by place, the number in the scene."""
-    for n in range(start, stop):
-        i, into = place_in_tile(n - start), order[n]
-        prim_number = int(tile[PRIM + i])
-        nearest.t[into] = tile[T + i] if prim_number >= 0 else math.inf
-        nearest.prim[into] = ids[prim_number] if prim_number >= 0 else -1
-        nearest.error[into] = tile[T_ERROR + i]
-        uncertain[into] = tile[UNCERTAIN + i] != 0.0
-
-
-@jit
-def store_sorted_blocked(tile: Any, order: Any, start: int, stop: int, blocked: Any, uncertain: Any) -> None:
-    """Whether rays order[start:stop] of a tile have met anything."""
-    for n in range(start, stop):
-        i, into = place_in_tile(n - start), order[n]
-        hit = (tile[T + i] < math.inf) & (tile[PRIM + i] >= 0.0)
-        blocked[into] = hit
-        uncertain[into] = (tile[UNCERTAIN + i] != 0.0) & (not hit)

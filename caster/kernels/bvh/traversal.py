@@ -1,4 +1,4 @@
-"""Traversal of BVHs: by any rays one after the other, and by packets of neighbouring rays, LANES at a time."""
+"""BVH traversal by single rays, and by packets of LANES neighbouring rays."""
 
 import math
 from typing import Any, NamedTuple
@@ -34,7 +34,7 @@ from caster.kernels.raster.tile import (
 
 
 class RayBoxSetup(NamedTuple):
-    """What boxes have to do with a ray: near and far sides by the sign bit of d, so that -0.0 goes backwards."""
+    """A ray prepared for box tests: near and far sides by the sign bit of d, so that -0.0 goes backwards."""
 
     near: tuple[int, int, int]  # rows of Tree.boxes[node]
     far: tuple[int, int, int]
@@ -45,13 +45,13 @@ class RayBoxSetup(NamedTuple):
 
 @inlined
 def safe_inverse(x: float, flat: float) -> float:
-    """1 / x, 1 / `flat` at most. Without a branch."""
+    """1 / x, at most 1 / `flat` in magnitude, without a branch."""
     return 1.0 / math.copysign(max(abs(x), flat), x)
 
 
 @inlined
 def box_padding(tree: Any, o: Vec3) -> float:
-    """By how much boxes are widened for rays from o."""
+    """The margin of boxes for rays from o."""
     return tree.reach * (max(abs(o[0]), abs(o[1]), abs(o[2])) + tree.extent)
 
 
@@ -74,7 +74,7 @@ def ray_box_setup(tree: Any, o: Vec3, d: Vec3) -> RayBoxSetup:
 
 @inlined
 def push_children(links: Any, node: int, mask: int, top: int, workspace: Any) -> tuple[int, int]:
-    """(what is in the box that is entered first, top), the other boxes of a mask that is not 0 put onto the stack."""
+    """Push all boxes of a mask, which is not 0, but the first one entered; returns (its link, top)."""
     stack, entries, near = workspace
     j = lowest_bit(mask)
     mask &= mask - 1
@@ -92,7 +92,7 @@ def push_children(links: Any, node: int, mask: int, top: int, workspace: Any) ->
 
 @inlined
 def pop_beyond(top: int, limit: float, workspace: Any) -> int:
-    """The top of the stack without what is entered beyond the limit."""
+    """The top of the stack below boxes that are entered beyond the limit."""
     entries = workspace[1]
     while entries[top - 1] > limit:
         top -= 1
@@ -101,10 +101,9 @@ def pop_beyond(top: int, limit: float, workspace: Any) -> int:
 
 @inlined
 def traverse(mode: Any, prims: Any, tree: Any, i: int, ray: Any, best: Any, workspace: Any) -> Any:
-    """The best of ray i (o, d, t_min, t_max) once all of a kind has been looked at; the nearest of the boxes first.
+    """The best of ray i (o, d, t_min, t_max) after traversing the tree of a kind, near boxes first.
 
-    A box at exactly the nearest t is opened, so no tie is lost. workspace: the stack, where its boxes are entered, and
-    where a node's are.
+    A box at exactly the nearest t is opened, so no tie is lost. workspace: see rendering.ray_tiles.new_workspace.
     """
     stack, entries, near = workspace
     o, d, t_min, t_max = ray
@@ -132,7 +131,7 @@ def traverse(mode: Any, prims: Any, tree: Any, i: int, ray: Any, best: Any, work
 
 @jit
 def list_candidates_in_tree(mode: Any, prims: Any, tree: Any, rays: Any, sketch: Any, span: Any, room: Any) -> None:
-    """`list_candidates` of rays span[0]..span[1] through the tree of a kind; room: as `workspace` of `traverse`."""
+    """`list_candidates` of rays span[0]..span[1] through the tree of a kind; room: the workspace of `traverse`."""
     for i in range(span[0], span[1]):
         ray = row(rays.o, i), row(rays.d, i), rays.t_min[i], rays.t_max[i]
         traverse(mode, prims, tree, i, ray, (sketch.t[i], sketch.error[i], -1, False), room)
@@ -160,7 +159,7 @@ class PacketBoxSetup(NamedTuple):
 
 @inlined
 def packet_bounds(tile: Any, field: Any, first: Any) -> Bounds3:
-    """The least x, y, z of a packet's origins or directions, and the largest."""
+    """The least and the largest x, y, z of a packet's origins or directions."""
     x, y, z = field + first, field + lane(STRIDE) + first, field + lane(2 * STRIDE) + first
     return (
         (lane_min(tile, x), lane_min(tile, y), lane_min(tile, z)),
@@ -176,7 +175,7 @@ COHERENCE_LIMIT = 0.06
 
 @inlined
 def is_coherent(tree: Any, tile: Any, first: Any, origins: Bounds3, directions: Bounds3) -> bool:
-    """Whether the rays of a packet intersect much the same boxes. It changes no bit."""
+    """Whether the rays of a packet enter mostly the same boxes. It changes no bit of a hit."""
     turn = abs(tile[DX + first]) + abs(tile[DY + first]) + abs(tile[DZ + first])
     return (l1_extent(origins) <= COHERENCE_LIMIT * tree.unit) & (l1_extent(directions) <= COHERENCE_LIMIT * turn)
 
@@ -189,7 +188,7 @@ def l1_extent(ends: Bounds3) -> float:
 
 @inlined
 def packet_box_setup(tree: Any, origins: Bounds3, directions: Bounds3) -> PacketBoxSetup:
-    """How rays whose origins and directions lie between these see the boxes of a tree."""
+    """Slab-test constants of rays whose origins and directions lie within these bounds."""
     pad = max(box_padding(tree, origins[0]), box_padding(tree, origins[1]))
     x, y, z = (
         axis_setup(tree, origins, directions, pad, 0),
@@ -211,7 +210,7 @@ def packet_box_setup(tree: Any, origins: Bounds3, directions: Bounds3) -> Packet
 def axis_setup(
     tree: Any, origins: Bounds3, directions: Bounds3, pad: float, axis: int
 ) -> tuple[float, float, float, float, bool]:
-    """Of one axis: least, most, enter, leave, and whether the rays go forwards."""
+    """(least, most, enter, leave, whether the rays go forwards) along an axis."""
     low_d, high_d = directions[0][axis], directions[1][axis]
     mixed, forwards = (low_d < 0.0) & (high_d > 0.0), low_d >= 0.0
     low_d = max(low_d, tree.flat) if forwards else min(low_d, -tree.flat)
@@ -245,9 +244,9 @@ def cast_rays_singly(prims: Any, tree: Any, base: int, tile: Any, first: Any, wo
 def cast_packets(
     prims: Any, tree: Any, base: int, count: int, tile: Any, taken: Any, workspace: Any, any_hit: bool
 ) -> None:
-    """The first `count` rays of a tile against a kind whose places begin at `base`, LANES of them together.
+    """Cast the first `count` rays of a tile at a kind whose places begin at `base`, in packets of LANES.
 
-    taken: 1 for each packet that is left out, or without members. any_hit: whether to stop at any certain hit.
+    taken: 1 for each packet to leave out, or empty. any_hit: whether to stop at any certain hit.
     """
     for packet in range(-(-count // LANES)):
         if len(taken) > 0 and taken[packet] != 0:
@@ -288,7 +287,7 @@ def cast_packet(
 
 @jit
 def cast_packets_brute_force(prims: Any, number: int, base: int, count: int, tile: Any, any_hit: bool) -> None:
-    """The same for a kind without a tree: all of its primitives."""
+    """The same for all primitives of a kind without a tree."""
     for k in range(number):
         prim, prim_number = load(prims, k), float(base + k)
         for first in range(lane(0), lane(count), PACKET_SIZE):

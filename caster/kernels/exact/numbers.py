@@ -1,4 +1,4 @@
-"""Numbers for the decisions that float64 cannot make: integers of any length, and parameters along a ray made of them.
+"""Numbers for decisions that float64 cannot make: integers of any length, and parameters along a ray made of them.
 
 An integer is an array of int64 digits to the base 2^26, lowest first: all but the last in [0, 2^26), the last, which
 carries the sign, in [-2^26, 2^26]. No digit is left out or rounded, and none overflows: see `combined`.
@@ -93,8 +93,8 @@ PRODUCT = 0
 def sum_or_product(a: Integer, b: Integer, how: int) -> Integer:
     """a b for how = PRODUCT, else a + how b, how = 1 or -1.
 
-    One function for all three, large enough that LLVM leaves it a call: what decides exactly does so in hundreds of
-    these, and takes a minute to compile with each in its place.
+    One function for all three, large enough that LLVM does not inline it: exact decisions have hundreds of calls, and
+    would take a minute to compile inlined.
     """
     if how == PRODUCT:
         out = np.zeros(len(a) + len(b), np.int64)

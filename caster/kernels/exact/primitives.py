@@ -106,9 +106,6 @@ def exact_sphere(center: Vec3, r: float, o: Vec3, d: Vec3, t_min: float, t_max: 
     return exact_unit_sphere(f, integers(d, step), integer(r, unit), unit - step, t_min, t_max)
 
 
-# Exactly where a ray meets a triangle, a plane or a disk, in integers.
-
-
 @jit
 def root_in_range(root: Root, t_min: float, t_max: float) -> Root:
     """root, if it is in (t_min, t_max]."""

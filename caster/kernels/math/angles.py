@@ -1,8 +1,7 @@
-"""Sines, cosines and angles from sums, products and quotients of float64 alone, without a branch or a call.
+"""Sines, cosines and angles by sums, products and quotients of float64, without a branch or a call.
 
-Their bits are the same on every machine, compiled or not, and loops over pixels can work several out at once. Those of
-the C library and of NumPy are not: both choose code by the processor (with or without FMA or AVX-512), and its last
-bits differ.
+Their bits are the same on every machine, compiled or not, and loops over pixels can compute several at once. The C
+library and NumPy choose code by the processor (with or without FMA or AVX-512), and the last bits differ.
 """
 
 import math

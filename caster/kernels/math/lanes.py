@@ -1,4 +1,4 @@
-"""Tests of several rays, pixels or boxes at once, of the vectors of caster/jit/simd.py."""
+"""Tests of several rays, pixels or boxes at once, with the vectors of caster/jit/simd.py."""
 
 from typing import Any
 
@@ -86,7 +86,7 @@ def box_row(boxes: Any, node: int, row: int) -> Vector:
 
 @inlined
 def intersect_boxes(boxes: Any, node: int, view: Any, t_min: float, t_max: float, near: Any) -> int:
-    """A bit for each of the node's boxes that a ray enters between t_min and t_max; where it does goes to near (8,).
+    """A bit for each of the node's boxes that a ray enters between t_min and t_max; near (8,) gets these t.
 
     view: a traversal.RayBoxSetup. A side at b along an axis is met at b inverse + enter, or + leave if it is far.
     """
@@ -108,7 +108,7 @@ def ray_slab(boxes: Any, node: int, near: int, far: int, inverse: float, enter: 
 
 @inlined
 def intersect_boxes_packet(boxes: Any, node: int, view: Any, t_min: float, t_max: float, near: Any) -> int:
-    """The same for boxes that one of several rays may enter.
+    """The same for boxes that any of several rays may enter.
 
     view: a traversal.PacketBoxSetup. A side at b is met at no less than (b unit + enter)/d if it is a near one, no more
     than (b unit + leave)/d if it is far.

@@ -34,7 +34,7 @@ MIN_SQUARED_DIRECTION, MAX_SQUARED_DIRECTION = 2.0**-900, 2.0**1000
 
 
 class QuadricSetup(NamedTuple):
-    """A sphere, or a cylinder, relative to the origin of a ray. Errors are bounds, for a d without any."""
+    """A sphere or cylinder relative to the origin of a ray. Errors are bounds for an exact d."""
 
     f: Vec3  # the origin, relative to the centre
     f1: float  # size(f)
@@ -60,7 +60,7 @@ class ClosestApproach(NamedTuple):
 
 
 class QuadricRoots(NamedTuple):
-    """Both roots, near first, and how far off each may be, if they are sure to exist."""
+    """Both roots with error bounds, if they certainly exist."""
 
     met: bool
     missed: bool
@@ -72,7 +72,7 @@ class QuadricRoots(NamedTuple):
 
 @jit
 def quadric_setup(f: Vec3, r: float, f_error: float) -> QuadricSetup:
-    """|p - f| = r, for an f that is off by no more than f_off."""
+    """The sphere |p - f| = r; f is off by at most f_error."""
     f1, rr = l1_norm(f), r * r
     c_error = 5.0 * U * (f1 * f1 + rr) + (3.0 * f1 + 2.0 * f_error) * f_error + TINY
     return QuadricSetup(
@@ -82,7 +82,7 @@ def quadric_setup(f: Vec3, r: float, f_error: float) -> QuadricSetup:
 
 @inlined
 def closest_approach(setup: Any, d: Vec3, d_error: float) -> ClosestApproach:
-    """Whether |f + t d| = r has roots, for a d that is off by no more than d_off.
+    """Whether |f + t d| = r has roots; d is off by at most d_error.
 
     The discriminant is taken at the point of closest approach, f + (b/a) d, where the numbers are as small as
     the sphere: b^2 - a c would cancel for a small sphere far away (Haines et al., Ray Tracing Gems, chapter 7).
@@ -109,7 +109,7 @@ def closest_approach(setup: Any, d: Vec3, d_error: float) -> ClosestApproach:
 
 @inlined
 def quadric_roots(setup: Any, d: Vec3, d_error: float) -> QuadricRoots:
-    """The roots, where the discriminant is known to half of itself.
+    """The roots, if the discriminant is known to within half of itself.
 
     The root of larger magnitude adds numbers of one sign; the other follows from the roots' product, c / a.
     """
@@ -176,7 +176,7 @@ def _is_in_range(f: Vec3, r: float) -> bool:
 
 @inlined
 def _normal_where(known: bool, f: Vec3, d: Vec3, reach: float, r: float) -> Vec3:
-    """The normal, or one of harmless numbers."""
+    """The normal if `known`, else one of harmless numbers."""
     f = f[0] if known else 0.0, f[1] if known else 0.0, f[2] if known else 0.0
     d = d[0] if known else 0.0, d[1] if known else 0.0, d[2] if known else 1.0
     return normalize_in_range(radial_vector(f, d, reach if known else 0.0, r if known else 1.0))
@@ -203,14 +203,14 @@ def radial_vector(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
 
 @inlined
 def first_hit(near: tuple[float, float], far: tuple[float, float]) -> tuple[float, float]:
-    """The near answer, unless it is MISS."""
+    """The near result, unless it is MISS."""
     behind = near[0] == math.inf
     return far[0] if behind else near[0], far[1] if behind else near[1]
 
 
 @inlined
 def first_root(roots: QuadricRoots, t_min: float, t_max: float) -> tuple[float, float]:
-    """The first root in (t_min, t_max], as `intersect` answers."""
+    """The first root in (t_min, t_max], as a result of `intersect`."""
     near = certain_in_range(roots.near, roots.near_error, t_min, t_max)
     t, error = first_hit(near, certain_in_range(roots.far, roots.far_error, t_min, t_max))
     return filter_result(roots.met, roots.missed, t, error)

@@ -8,7 +8,7 @@ from caster.kernels.protocol import Vec3
 
 U = 2.0**-53  # unit round-off of float64
 
-# What `intersect` answers: (t, off) with t in [t - off, t + off] for certain, or one of these.
+# Results of `intersect`: (t, error) with the exact t certainly in [t - error, t + error], or one of these.
 MISS = math.inf, 0.0
 UNDECIDED = 0.0, math.inf
 
@@ -67,7 +67,7 @@ def scaled(s: float, a: Vec3) -> Vec3:
 
 @jit
 def component_min(a: Vec3, b: Vec3) -> Vec3:
-    """Component by component."""
+    """The minimum of each component."""
     return min(a[0], b[0]), min(a[1], b[1]), min(a[2], b[2])
 
 
@@ -83,7 +83,7 @@ def cross(a: Vec3, b: Vec3) -> Vec3:
 
 @jit
 def permanent(a: Vec3, b: Vec3) -> Vec3:
-    """The cross product with every minus a plus and every number its magnitude: what its error scales with."""
+    """The cross product with magnitudes and sums only: its error scales with this."""
     x = abs(a[1] * b[2]) + abs(a[2] * b[1])
     y = abs(a[2] * b[0]) + abs(a[0] * b[2])
     z = abs(a[0] * b[1]) + abs(a[1] * b[0])
@@ -125,7 +125,7 @@ UNIT_SQUARE_ATOL = 32.0 * U
 
 @jit
 def unit_direction(a: Vec3) -> Vec3:
-    """a at length 1 but for a few u: a itself where it is that already."""
+    """a normalized; a itself if its length is 1 but for a few u."""
     return a if abs(dot(a, a) - 1.0) <= UNIT_SQUARE_ATOL else normalize(a)
 
 
@@ -147,13 +147,13 @@ def matrix_rows(m: Any, k: int) -> tuple[Vec3, Vec3, Vec3]:
 
 @jit
 def rows_times_vec(m: tuple[Vec3, Vec3, Vec3], v: Vec3) -> Vec3:
-    """The matrix with these rows times v; in loops over rays, where an array would have its references counted."""
+    """The matrix with these rows times v; for loops over rays, where references to arrays would be counted."""
     return dot(m[0], v), dot(m[1], v), dot(m[2], v)
 
 
 @jit
 def hypotenuse(a: float, b: float) -> float:
-    """The root of a^2 + b^2, where that is a number: the same bits on every machine, as the C library's are not."""
+    """sqrt(a^2 + b^2), if that is finite: the same bits on every machine, unlike hypot of the C library."""
     return math.sqrt(a * a + b * b)
 
 
@@ -208,7 +208,7 @@ def max_norm(a: Vec3) -> float:
 
 @jit
 def transposed_mat_vec(m: Any, k: int, v: Vec3) -> Vec3:
-    """The transpose of m[k] times v: how a normal travels the way that m undoes."""
+    """The transpose of m[k] times v: transforms a normal by the inverse of m."""
     return (
         m[k, 0, 0] * v[0] + m[k, 1, 0] * v[1] + m[k, 2, 0] * v[2],
         m[k, 0, 1] * v[0] + m[k, 1, 1] * v[1] + m[k, 2, 1] * v[2],
@@ -216,30 +216,30 @@ def transposed_mat_vec(m: Any, k: int, v: Vec3) -> Vec3:
     )
 
 
-# What follows has no branch, so that loops over rays can test several at once (SIMD).
+# The following functions have no branch, so that loops over rays can test several at once (SIMD).
 
 
 @inlined
 def filter_result(hit: bool, missed: bool, t: float, error: float) -> tuple[float, float]:
-    """(t, error) where it is sure to be hit, MISS where it is sure to be missed, else UNDECIDED."""
+    """(t, error) for a certain hit, MISS for a certain miss, else UNDECIDED."""
     return t if hit else (math.inf if missed else 0.0), error if hit else (0.0 if missed else math.inf)
 
 
 @inlined
 def certain_in_range(t: float, error: float, t_min: float, t_max: float) -> tuple[float, float]:
-    """The answer for a hit at t, within error, if t_min < t <= t_max. TINY: both may have underflowed themselves."""
+    """The result for a hit at t, within error, if t_min < t <= t_max. TINY: t and error may have underflowed."""
     error = error + TINY
     inside = (t - error > t_min) & (t + error <= t_max)
     return filter_result(inside, (t + error <= t_min) | (t - error > t_max), t, error)
 
 
-# Sums and products of float64 without an error: a rounded number and what it lacks (Dekker 1971, Knuth 1969).
+# Error-free sums and products of float64: a rounded number and its error (Dekker 1971, Knuth 1969).
 
 
 SPLITTER = 2.0**27 + 1.0
 
 DoubleDouble = tuple[float, float]
-"""A number and its error: their exact sum is meant."""
+"""The exact sum of a number and its error."""
 
 
 @jit
@@ -268,7 +268,7 @@ def two_product(a: float, b: float) -> DoubleDouble:
 
 @jit
 def scaled_edge(a: Vec3, b: Vec3) -> tuple[Vec3, Vec3]:
-    """b - a and what that lacks, times a power of two: its largest component is in [1/2, 1), or it is zero."""
+    """b - a and its error, times a power of two: the largest component of b - a is in [1/2, 1), or it is zero."""
     (x, p), (y, q), (z, r) = two_diff(b[0], a[0]), two_diff(b[1], a[1]), two_diff(b[2], a[2])
     e = -math.frexp(max(abs(x), abs(y), abs(z)))[1]
     rounded = math.ldexp(x, e), math.ldexp(y, e), math.ldexp(z, e)

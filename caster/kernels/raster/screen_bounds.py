@@ -1,6 +1,7 @@
 """Screen bounds of primitives: a rectangle of pixels around each, and its least depth.
 
-A rectilinear camera projects a convex hull into the box around its projected points. Others project bounding spheres.
+A rectilinear camera projects a convex hull into the box around its projected points. Another one bends it beyond that
+by a bound of its distortion; large hulls and spheres are bounded by the projections of spheres.
 """
 
 import math
@@ -9,26 +10,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.jit.decorators import inlined, jit
-from caster.kernels.math.vec import LARGEST_SQUARE, SMALLEST_SQUARE, dot, l1_norm, point_at, sub
-from caster.kernels.protocol import (
-    Vec3,
-    distortion_bound,
-    hull_point,
-    hull_size,
-    project,
-    project_bounding_sphere,
-    tight_sphere,
-)
+from caster.kernels.math.vec import LARGEST_SQUARE, SMALLEST_SQUARE, dot, l1_norm, point_at, row, sub
+from caster.kernels.protocol import Vec3, distortion_bound, project, project_bounding_sphere, tight_sphere
 from caster.kernels.raster.tile import Box
 
-# A rectangle reaches so much further than the projected points on each side, plus the distance at which the
-# intersection test may still count a hit (`slack`, in scene units). The margin has to outdo the rounding of the
-# projection alone: below 1e-9 of the film's size, where pinhole.MIN_DEPTH_SHARE holds, that is 7e-5 pixels.
+# The margin of a rectangle around projected points, beside the distance at which the intersection test may still count
+# a hit (`slack`, in scene units). It has to exceed the rounding of the projection: below 1e-9 of the film's size, where
+# pinhole.MIN_DEPTH_SHARE holds, or 7e-5 pixels.
 PROJECTION_MARGIN = 2.0**-10  # pixels
 
 
 class Window(NamedTuple):
-    """Which pixels of the film there are rays for, row by row."""
+    """The pixels of the film that are rendered, row by row."""
 
     x0: int
     y0: int
@@ -40,29 +33,22 @@ class ScreenBounds(NamedTuple):
     """Screen bounds of the primitives of a kind."""
 
     pixels: np.ndarray  # (n, 4) int32: x_start, y_start, x_stop, y_stop in the window
-    near: np.ndarray  # (n,) float64: nothing of it has a smaller depth
-    faces: np.ndarray  # (n, 3) int32: of triangles, their corners' indices in `projected`; of other kinds (0, 3)
+    near: np.ndarray  # (n,) float64, a lower bound of the depth
+    # (n, 3) int32: the corners in `projected` of triangles before a rectilinear camera; else (0, 3)
+    faces: np.ndarray
     projected: np.ndarray  # (m, 4) float64, a projection each, in pixels of the window
-    # The direction along which depth is measured. 0: depth is the distance from the eye, or the camera is not
+    # The direction along which depth is measured. 0: depth is the distance from the eye, since the camera is not
     # rectilinear, so that depth bounds are looser.
     forward: Vec3
-    least: float  # a depth times this is no more than t: 1 over the length of the longest d
 
 
 ProjectedPoint = tuple[float, float, float, float]
-"""(x, y, how far around it to look, in pixels, inf where it is not projected; depth)"""
+"""(x, y, margin in pixels, or inf if the point is not projected, depth)"""
 
-# Nothing of a primitive is nearer than the least depth of its points, by more than the `slack` that its box is widened
-# by: 24 u times the largest coordinates (tree.REACH), where depth is off by some 12 u of them; and again as much for
-# the hits themselves. The factor is for the rounding of `min_t_per_depth`.
+# No part of a primitive is nearer than the least depth of its points by more than the `slack` of its box: 24 u times
+# the largest coordinates (BOX_PADDING), since depth is off by some 12 u of them; and again as much for the hits
+# themselves. The factor is for the rounding of `min_t_per_depth`.
 DEPTH_ROUNDING = 1.0 - 2.0**-40
-
-
-@inlined
-def project_point(camera: Any, p: Any, reach: tuple[float, float]) -> ProjectedPoint:
-    """Of one point."""
-    x, y, pixels, depth, valid = project(camera, p)
-    return x, y, reach[1] + reach[0] * pixels if valid else math.inf, depth
 
 
 @inlined
@@ -73,101 +59,103 @@ def empty_box() -> tuple[float, float, float, float, float]:
 
 @inlined
 def box_union_point(box: tuple[float, float, float, float, float], point: ProjectedPoint) -> Any:
-    """A box and least depth that hold one more point."""
+    """A box and least depth extended by a point."""
     x, y, wide, depth = point
     left, top, right, bottom, least = box
     return (min(left, x - wide), min(top, y - wide), max(right, x + wide), max(bottom, y + wide), min(least, depth))
 
 
 @inlined
-def projected_corner(bounds: Any, k: int, j: int) -> ProjectedPoint:
-    """A triangle's projected corner."""
-    i = bounds.faces[k, j]
+def projected_corner(bounds: Any, i: int) -> ProjectedPoint:
     return bounds.projected[i, 0], bounds.projected[i, 1], bounds.projected[i, 2], bounds.projected[i, 3]
 
 
 @inlined
+def projected_hull(bounds: Any, corners: Any, k: int) -> Any:
+    """(the first three corners of hull k, its box and least depth, its largest depth)."""
+    a, b = projected_corner(bounds, corners[k, 0]), projected_corner(bounds, corners[k, 1])
+    c = projected_corner(bounds, corners[k, 2])
+    box = box_union_point(box_union_point(box_union_point(empty_box(), a), b), c)
+    deepest = max(max(a[3], b[3]), c[3])
+    for j in range(3, corners.shape[1]):
+        point = projected_corner(bounds, corners[k, j])
+        box, deepest = box_union_point(box, point), max(deepest, point[3])
+    return (a, b, c), box, deepest
+
+
+@inlined
 def store_bounds(bounds: Any, k: int, box: Any, deepest: float, slack: float, window: Any) -> Box:
-    """Turn the box of primitive k, whose points are no deeper than `deepest`, into pixels."""
+    """Store the pixels of the box of primitive k; deepest: the largest depth of its points."""
     left, top, right, bottom, least = box
     if deepest < -slack:  # all of it is behind
         bounds.pixels[k, 0], bounds.pixels[k, 1], bounds.pixels[k, 2], bounds.pixels[k, 3] = 0, 0, 0, 0
         return 0, 0, 0, 0
-    first_x, first_y, width, height = window
-    x0, x1 = pixel_range(left, right, first_x, width)
-    y0, y1 = pixel_range(top, bottom, first_y, height)
+    x0, x1 = pixel_range(left, right, window.width)
+    y0, y1 = pixel_range(top, bottom, window.height)
     bounds.pixels[k, 0], bounds.pixels[k, 1], bounds.pixels[k, 2], bounds.pixels[k, 3] = x0, y0, x1, y1
     near = (least - 2.0 * slack) * DEPTH_ROUNDING
-    bounds.near[k] = near if near > 0.0 else 0.0  # also where it is none: inf - inf
+    bounds.near[k] = near if near > 0.0 else 0.0  # also for NaN: inf - inf
     return x0, y0, x1, y1
 
 
 @inlined
-def pixel_range(low: float, high: float, first: int, count: int) -> tuple[int, int]:
-    """Pixels first + start .. first + stop (exclusive) hold all whose centres lie in [low, high]."""
-    start = min(max(low - 0.5 - first, 0.0), float(count))
-    stop = min(max(high + 0.5 - first, 0.0), float(count))
+def pixel_range(low: float, high: float, count: int) -> tuple[int, int]:
+    """Pixels start..stop (exclusive), of `count`, include all with centres in [low, high]."""
+    start = min(max(low - 0.5, 0.0), float(count))
+    stop = min(max(high + 0.5, 0.0), float(count))
     return math.ceil(start), math.floor(stop)
-
-
-@jit
-def bound_hulls(
-    prims: Any, camera: Any, window: Any, bounds: Any, reach: tuple[float, float], start: int, stop: int
-) -> None:
-    """Screen bounds of primitives start..stop.
-
-    reach: how far beyond its points a primitive may be visible, in scene units (the slack) and in pixels.
-    """
-    corners = hull_size(prims)
-    for k in range(start, stop):
-        box, deepest = empty_box(), -math.inf
-        for j in range(corners):
-            point = project_point(camera, hull_point(prims, k, j), reach)
-            box, deepest = box_union_point(box, point), max(deepest, point[3])
-        if corners == 0:  # a kind without bounds
-            box, deepest = (-math.inf, -math.inf, math.inf, math.inf, -math.inf), math.inf
-        store_bounds(bounds, k, box, deepest, reach[0], window)
 
 
 @jit
 def bound_spheres(
     prims: Any, camera: Any, window: Any, bounds: Any, reach: tuple[float, float], start: int, stop: int
 ) -> None:
-    """The same for a kind with a `tight_sphere`, by the projection of that."""
-    slack, margin = reach
+    """Screen bounds of primitives start..stop of a kind with a `tight_sphere`, by the projection of that.
+
+    reach: the margin of a primitive around its points, in scene units (the slack) and in pixels.
+    """
     for k in range(start, stop):
         center, r = tight_sphere(prims, k)
-        left, top, right, bottom, least, valid = project_bounding_sphere(camera, center, r + slack)
-        wide = margin if valid else math.inf
-        box = left - wide, top - wide, right + wide, bottom + wide, least
-        store_bounds(bounds, k, box, least + 2.0 * (r + slack), slack, window)
+        bound_sphere(camera, window, bounds, reach, k, center, r, 2.0 * (r + reach[0]))
+
+
+@inlined
+def bound_sphere(
+    camera: Any, window: Any, bounds: Any, reach: tuple[float, float], k: int, center: Vec3, r: float, depth: float
+) -> None:
+    """Screen bounds of primitive k by a sphere around it; depth: that of the sphere, or inf."""
+    left, top, right, bottom, least, valid = project_bounding_sphere(camera, center, r + reach[0])
+    wide = reach[1] if valid else math.inf
+    x, y = float(window.x0), float(window.y0)
+    box = left - wide - x, top - wide - y, right + wide - x, bottom + wide - y, least
+    store_bounds(bounds, k, box, least + depth, reach[0], window)
 
 
 @jit
 def project_vertices(points: Any, camera: Any, window: Any, projected: Any, reach: Any, start: int, stop: int) -> None:
-    """projected (n, 4): points start..stop, which several triangles share."""
+    """projected (n, 4): points start..stop, which several hulls may share."""
     for i in range(start, stop):
-        x, y, wide, depth = project_point(camera, (points[i, 0], points[i, 1], points[i, 2]), reach)
+        x, y, pixels, depth, valid = project(camera, (points[i, 0], points[i, 1], points[i, 2]))
         projected[i, 0], projected[i, 1] = x - window.x0, y - window.y0
-        projected[i, 2], projected[i, 3] = wide, depth
+        projected[i, 2], projected[i, 3] = reach[1] + reach[0] * pixels if valid else math.inf, depth
 
 
-# Triangles with a single pixel around them are mostly smaller than it, and three in five lie between the centres.
+# Three in five triangles whose bounds are a single pixel do not contain its centre.
 
 
 @inlined
 def misses_pixel_center(a: ProjectedPoint, b: ProjectedPoint, c: ProjectedPoint, x: int, y: int) -> bool:
-    """Whether a triangle is sure not to hold the centre of a pixel."""
+    """Whether a triangle certainly does not contain the centre of a pixel."""
     p, q = x + 0.5, y + 0.5
     return surely_beyond_edge(a, b, c, p, q) | surely_beyond_edge(b, c, a, p, q) | surely_beyond_edge(c, a, b, p, q)
 
 
 @inlined
 def surely_beyond_edge(a: ProjectedPoint, b: ProjectedPoint, c: ProjectedPoint, x: float, y: float) -> bool:
-    """Whether a point is sure to lie on the other side of the line through a and b than c.
+    """Whether a point certainly lies on the other side of the line through a and b than c.
 
-    Sure of it for all corners that lie within `wide` of these along x and y, which covers the rounding here many times
-    (PROJECTION_MARGIN). False where a point is not projected: a `wide` of inf.
+    That holds for all corners within the margins of these along x and y, which cover the rounding here many times
+    (PROJECTION_MARGIN). False if a point is not projected: its margin is inf.
     """
     across, down = b[0] - a[0], b[1] - a[1]
     third = across * (c[1] - a[1]) - down * (c[0] - a[0])
@@ -177,40 +165,19 @@ def surely_beyond_edge(a: ProjectedPoint, b: ProjectedPoint, c: ProjectedPoint, 
 
 
 @jit
-def bound_triangles(window: Any, bounds: Any, reach: Any, start: int, stop: int) -> None:
-    """The same as `bound_hulls`, for triangles between projected points."""
+def bound_hulls(corners: Any, window: Any, bounds: Any, reach: tuple[float, float], start: int, stop: int) -> None:
+    """Screen bounds of the convex hulls start..stop of projected points; corners: (n, points) int32, or none at all."""
     for k in range(start, stop):
-        a, b, c = (projected_corner(bounds, k, 0), projected_corner(bounds, k, 1), projected_corner(bounds, k, 2))
-        box, deepest = (
-            box_union_point(box_union_point(box_union_point(empty_box(), a), b), c),
-            max(max(a[3], b[3]), c[3]),
-        )
-        x0, y0, x1, y1 = store_bounds(bounds, k, box, deepest, reach[0], (0, 0, window.width, window.height))
-        if (x1 - x0) * (y1 - y0) == 1:
+        if corners.shape[1] == 0:
+            store_bounds(bounds, k, EVERYWHERE, math.inf, reach[0], window)
+            continue
+        (a, b, c), box, deepest = projected_hull(bounds, corners, k)
+        x0, y0, x1, y1 = store_bounds(bounds, k, box, deepest, reach[0], window)
+        if corners.shape[1] == 3 and (x1 - x0) * (y1 - y0) == 1:
             bounds.pixels[k, 2] = x0 if misses_pixel_center(a, b, c, x0, y0) else x1
 
 
-# Non-rectilinear cameras: by bounding spheres, and by bounds of the distortion.
-
-
-@jit
-def bound_by_spheres(
-    prims: Any, camera: Any, window: Any, bounds: Any, reach: tuple[float, float], start: int, stop: int
-) -> None:
-    """Screen bounds of primitives start..stop by their bounding spheres; see bound_hulls."""
-    corners = hull_size(prims)
-    for k in range(start, stop):
-        bound_by_sphere(prims, camera, window, bounds, reach, k, corners)
-
-
-@inlined
-def bound_by_sphere(prims: Any, camera: Any, window: Any, bounds: Any, reach: Any, k: int, corners: int) -> None:
-    """Of primitive k, which has so many points."""
-    center, r = bounding_sphere(prims, k, corners)
-    left, top, right, bottom, least, valid = project_bounding_sphere(camera, center, r + reach[0])
-    wide = reach[1] if valid else math.inf
-    box = left - wide, top - wide, right + wide, bottom + wide, least
-    store_bounds(bounds, k, box, math.inf, reach[0], window)
+EVERYWHERE = -math.inf, -math.inf, math.inf, math.inf, -math.inf  # the box of a kind without bounds
 
 
 # Roundings of a radius are some 4 u of it.
@@ -218,36 +185,39 @@ RADIUS_ROUNDING = 1.0 + 2.0**-40
 
 
 @inlined
-def bounding_sphere(prims: Any, k: int, corners: int) -> tuple[Vec3, float]:
-    """(centre, radius) of a sphere that holds primitive k; a radius of inf for a kind without bounds."""
-    if corners == 0:
-        return (0.0, 0.0, 0.0), math.inf
+def bounding_sphere(points: Any, corners: Any, k: int) -> tuple[Vec3, float]:
+    """(centre, radius) of a sphere around hull k."""
+    count = corners.shape[1]
     center, square, widest = (0.0, 0.0, 0.0), 0.0, 0.0
-    for j in range(corners):
-        center = point_at(center, 1.0 / max(corners, 1), hull_point(prims, k, j))
-    for j in range(corners):
-        apart = sub(hull_point(prims, k, j), center)
+    for j in range(count):
+        center = point_at(center, 1.0 / count, row(points, corners[k, j]))
+    for j in range(count):
+        apart = sub(row(points, corners[k, j]), center)
         square, widest = max(square, dot(apart, apart)), max(widest, l1_norm(apart))
     plain = (square > SMALLEST_SQUARE) & (square < LARGEST_SQUARE)
     return center, RADIUS_ROUNDING * (math.sqrt(square) if plain else widest)
 
 
 @jit
-def bound_distorted_triangles(
-    prims: Any, camera: Any, window: Any, bounds: Any, reach: Any, start: int, stop: int
+def bound_distorted_hulls(
+    points: Any, corners: Any, camera: Any, window: Any, bounds: Any, reach: Any, start: int, stop: int
 ) -> None:
-    """The same for triangles between projected points; for large ones by bounding spheres."""
+    """`bound_hulls` for a camera that is not rectilinear: by a bound of its distortion, large hulls by spheres."""
     for k in range(start, stop):
-        a, b, c = (projected_corner(bounds, k, 0), projected_corner(bounds, k, 1), projected_corner(bounds, k, 2))
-        left, top, right, bottom, least = box_union_point(box_union_point(box_union_point(empty_box(), a), b), c)
+        if corners.shape[1] == 0:
+            store_bounds(bounds, k, EVERYWHERE, math.inf, reach[0], window)
+            continue
+        (a, b, c), box, _ = projected_hull(bounds, corners, k)
+        left, top, right, bottom, least = box
         wide, high = right - left, bottom - top
         more, share, valid = distortion_bound(camera, math.sqrt(wide * wide + high * high))
         if not valid or more > wide + high:
-            bound_by_sphere(prims, camera, window, bounds, reach, k, 3)
+            center, r = bounding_sphere(points, corners, k)
+            bound_sphere(camera, window, bounds, reach, k, center, r, math.inf)
             continue
         box = left - more, top - more, right + more, bottom + more, least * share
-        x0, y0, x1, y1 = store_bounds(bounds, k, box, math.inf, reach[0], (0, 0, window.width, window.height))
-        if (x1 - x0) * (y1 - y0) == 1:
+        x0, y0, x1, y1 = store_bounds(bounds, k, box, math.inf, reach[0], window)
+        if corners.shape[1] == 3 and (x1 - x0) * (y1 - y0) == 1:
             hidden = misses_pixel_center(widened(a, more), widened(b, more), widened(c, more), x0, y0)
             bounds.pixels[k, 2] = x0 if hidden else x1
 

@@ -1,7 +1,7 @@
-"""A tile of the film: its rays and what each meets first, in one flat array that stays in a core's cache.
+"""A tile: rays and their nearest hits, in one flat array that stays in a core's cache.
 
-A field is numbers in a row, one a pixel, and `tile[T + i]` is t of pixel i. Since all fields lie in one array at
-known distances, the compiler can assume that a store into one changes no other, and handles several pixels at once.
+A field has a number for each pixel: `tile[T + i]` is t of pixel i. Since all fields lie in one array at known
+distances, the compiler knows that a store to one changes no other, and handles several pixels at once.
 """
 
 import math
@@ -19,7 +19,7 @@ from caster.kernels.protocol import Vec3, camera_ray, intersect, prepare
 WIDTH, HEIGHT = 128, 64  # pixels
 PIXELS = WIDTH * HEIGHT
 
-# An index without a sign needs no look at whether it counts from the end.
+# An unsigned index is not checked for counting from the end.
 lane = np.uint64 if COMPILED else int
 
 # From one field to the next: a cache line more than SIZE, or a pixel's twelve numbers, at distances of a power of two,
@@ -28,10 +28,10 @@ STRIDE = PIXELS + 8
 
 FIELDS = 12
 T, T_ERROR, PRIM, UNCERTAIN, T_MIN, T_MAX, DX, DY, DZ, OX, OY, OZ = (lane(STRIDE * field) for field in range(FIELDS))
-# T, T_ERROR: the nearest so far, the true t within T_ERROR; PRIM: number of the primitive, kind by kind, -1 for none;
-# UNCERTAIN: 1 where something else may come first. The rest are the ray's; T_MAX < 0: there is none.
+# T, T_ERROR: the nearest hit so far, the true t within T_ERROR; PRIM: number of its primitive, kind by kind, or -1;
+# UNCERTAIN: 1 if another hit may come first. The others are those of the ray; T_MAX < 0: there is none.
 
-# Behind the fields: bounds of rays, and where shadow rays are in the picture of their fan (caster/kernels/bvh/fans.py).
+# After the fields: bounds of rays, and the projections of rays by their fan (caster/kernels/bvh/fans.py).
 SCRATCH = lane(STRIDE * FIELDS)
 SCRATCH_SIZE = 9 * LANES
 FAN_X = SCRATCH + lane(SCRATCH_SIZE)
@@ -48,14 +48,14 @@ def tile_boxes(width: int, height: int) -> Iterator[Box]:
             yield x, y, min(x + WIDTH, width), min(y + HEIGHT, height)
 
 
-# Numbers that commands for a tile take (caster/jit/command_list.py), a row of them for each tile of a film.
+# Arguments of commands for a tile (caster/jit/command_list.py): a row for each tile of a film.
 BOX = slice(0, 4)
-COUNT, LINES = 4, 5  # rays of the tile that are looked at, whole rows of it; how many rows these are
+COUNT, LINES = 4, 5  # rays of the tile, in whole rows, and the number of rows
 TILE_NUMBERS = 6
 
 
 class KindNumbers(NamedTuple):
-    """Where a row has what there is of one kind of primitive in the tile."""
+    """Places in a row for one kind of primitive."""
 
     run: slice  # of BinnedKind.order: its primitives
     present: int  # 1 where it has any
@@ -67,7 +67,7 @@ def kind_numbers(k: int) -> KindNumbers:
 
 
 def tile_rows(width: int, height: int, kinds: int, runs: Sequence[np.ndarray] | None = None) -> np.ndarray:
-    """(tiles, numbers) int64, row by row of the film. runs: (tiles + 1,) of each kind; None: any may be anywhere."""
+    """Arguments of commands (tiles, numbers) int64. runs: (tiles + 1,) of each kind; None: all kinds in all tiles."""
     boxes = np.array(list(tile_boxes(width, height)), np.int64).reshape(-1, 4)
     rows = np.zeros((len(boxes), TILE_NUMBERS + 3 * kinds), np.int64)
     rows[:, BOX], rows[:, LINES] = boxes, boxes[:, 3] - boxes[:, 1]
@@ -85,7 +85,7 @@ CACHE_LINE = 64  # bytes
 
 
 def new_tile() -> np.ndarray:
-    """Zeros, from the beginning of a cache line, so that LANES numbers never lie in two."""
+    """Zeros, aligned to a cache line, so that a vector of LANES numbers never crosses one."""
     buffer = np.zeros(TILE_SIZE + CACHE_LINE // 8)
     first = -buffer.ctypes.data % CACHE_LINE // 8
     return buffer[first : first + TILE_SIZE]
@@ -93,7 +93,7 @@ def new_tile() -> np.ndarray:
 
 @inlined
 def update_nearest(tile: Any, i: Any, prim_number: float, t: float, error: float) -> None:
-    """Fold the result of `intersect` with a primitive into the record of pixel i, without a branch."""
+    """Update the nearest hit of pixel i by the result of `intersect` for a primitive, without a branch."""
     ahead, margin = tile[T + i] - t if t < math.inf else -math.inf, tile[T_ERROR + i] + error
     nearer = ahead > margin
     tile[UNCERTAIN + i] = 1.0 if abs(ahead) <= margin else tile[UNCERTAIN + i]
@@ -104,7 +104,7 @@ def update_nearest(tile: Any, i: Any, prim_number: float, t: float, error: float
 
 @inlined
 def start_ray(tile: Any, i: Any, aim: Any) -> None:
-    """Begin pixel i: its ray (o, d, t_min, t_max), and nothing met."""
+    """Set the ray (o, d, t_min, t_max) of pixel i, without a hit."""
     o, d, t_min, t_max = aim
     tile[T + i], tile[T_ERROR + i], tile[PRIM + i], tile[UNCERTAIN + i] = math.inf, 0.0, -1.0, 0.0
     tile[T_MIN + i], tile[T_MAX + i] = t_min, t_max
@@ -114,7 +114,7 @@ def start_ray(tile: Any, i: Any, aim: Any) -> None:
 
 @inlined
 def cast_lanes(prims: Any, prim: Any, prim_number: float, tile: Any, first: Any, any_hit: bool) -> None:
-    """LANES rays from `first` on, wherever they start, against a primitive given by its `numbers`."""
+    """Cast LANES rays from `first` on, of any origins, at a primitive; prim: the result of `load`."""
     for i in range(first, first + lane(LANES)):
         o = tile[OX + i], tile[OY + i], tile[OZ + i]
         d = tile[DX + i], tile[DY + i], tile[DZ + i]
@@ -125,123 +125,66 @@ def cast_lanes(prims: Any, prim: Any, prim_number: float, tile: Any, first: Any,
 
 @jit
 def clear_rays(tile: Any, start: int, stop: int) -> None:
-    """No rays at start..stop."""
+    """Remove the rays at start..stop."""
     for i in range(lane(start), lane(stop)):
         start_ray(tile, i, ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.0, -1.0))
 
 
 @jit
-def load_ray_range(rays: Any, start: int, stop: int, tile: Any, at: int) -> None:
-    """Begin a tile from `at` on, with rays start..stop."""
-    for n in range(start, stop):
-        o, d = (rays.o[n, 0], rays.o[n, 1], rays.o[n, 2]), (rays.d[n, 0], rays.d[n, 1], rays.d[n, 2])
-        start_ray(tile, lane(at + n - start), (o, d, rays.t_min[n], rays.t_max[n]))
+def load_rays(rays: Any, numbers: Any, tile: Any, one_origin: bool, one_range: bool) -> None:
+    """Fill a tile with ray numbers[i] at place i; a negative number stands for no ray.
 
-
-@jit
-def load_hits(rays: Any, t: Any, prim: Any, start: int, stop: int, tile: Any) -> None:
-    """Put rays start..stop and their nearest hits into a tile; prim (n,): primitives counted kind by kind.
-
-    Their limits are left out: nothing is cast any more.
+    one_origin, one_range: all rays have the origin, or t_min and t_max, of the first, which then stays in a cache.
     """
-    for n in range(start, stop):
-        i = lane(n - start)
-        tile[T + i], tile[PRIM + i] = t[n], prim[n]
-        tile[DX + i], tile[DY + i], tile[DZ + i] = rays.d[n, 0], rays.d[n, 1], rays.d[n, 2]
-        tile[OX + i], tile[OY + i], tile[OZ + i] = rays.o[n, 0], rays.o[n, 1], rays.o[n, 2]
-
-
-@jit
-def load_rays(rays: Any, width: int, box: Box, tile: Any) -> None:
-    """Begin the tile of a box, with rays of a window that is `width` pixels wide."""
-    x0, y0, x1, y1 = box
-    for y in range(y1 - y0):
-        first = (y0 + y) * width + x0
-        load_ray_range(rays, first, first + x1 - x0, tile, y * WIDTH)
-        clear_rays(tile, y * WIDTH + x1 - x0, (y + 1) * WIDTH)
-
-
-@jit
-def load_rays_from(rays: Any, first: int, width: int, box: Box, origin: Any, tile: Any) -> int:
-    """`load_rays` of a window that begins at ray `first`; how many of them do not start at `origin`, to the bit."""
-    x0, y0, x1, y1 = box
-    elsewhere = 0
-    for y in range(y1 - y0):
-        start = first + (y0 + y) * width + x0
-        load_ray_range(rays, start, start + x1 - x0, tile, y * WIDTH)
-        clear_rays(tile, y * WIDTH + x1 - x0, (y + 1) * WIDTH)
-        for i in range(lane(y * WIDTH), lane(y * WIDTH + x1 - x0)):
-            there = (tile[OX + i] == origin[0]) & (tile[OY + i] == origin[1]) & (tile[OZ + i] == origin[2])
-            elsewhere += 0 if there else 1
-    return elsewhere
+    count, first = lane(len(numbers)), lane(0)
+    for i in range(count):
+        tile[T + i], tile[T_ERROR + i], tile[PRIM + i], tile[UNCERTAIN + i] = math.inf, 0.0, -1.0, 0.0
+    for i in range(count):
+        k = lane(max(numbers[i], 0))
+        tile[DX + i], tile[DY + i], tile[DZ + i] = rays.d[k, 0], rays.d[k, 1], rays.d[k, 2]
+    for i in range(count):
+        k = first if one_origin else lane(max(numbers[i], 0))
+        tile[OX + i], tile[OY + i], tile[OZ + i] = rays.o[k, 0], rays.o[k, 1], rays.o[k, 2]
+    for i in range(count):
+        k = first if one_range else lane(max(numbers[i], 0))
+        tile[T_MIN + i], tile[T_MAX + i] = rays.t_min[k], rays.t_max[k] if numbers[i] >= 0 else -1.0
 
 
 @jit
 def generate_camera_rays(camera: Any, window: Any, box: Box, tile: Any) -> None:
-    """Begin the tile of a box, with the camera's rays through its pixel centres."""
+    """Fill the tile of a box with the camera's rays through its pixel centres."""
     x0, y0, x1, y1 = box
     for y in range(y1 - y0):
         row, left, first = window.y0 + y0 + y + 0.5, window.x0 + x0 + 0.5, lane(y * WIDTH)
-        for x in range(lane(WIDTH)):  # so many that LLVM knows how many: it uses vectors then
+        for x in range(lane(WIDTH)):  # a constant count, so that LLVM uses vectors
             start_ray(tile, first + x, camera_ray(camera, left + x, row))
         clear_rays(tile, y * WIDTH + x1 - x0, (y + 1) * WIDTH)
 
 
 @jit
-def store_ray_range(tile: Any, at: int, ids: Any, start: int, stop: int, nearest: Any, uncertain: Any) -> None:
-    """From `at` on into the record of rays start..stop; ids[place] is the primitive's number in the scene.
+def store_nearest(tile: Any, numbers: Any, ids: Any, nearest: Any, uncertain: Any) -> None:
+    """Nearest hits of a tile's rays, numbered as for `load_rays`; ids[place] is the primitive's number in the scene.
 
-    Where there is no ray, a fan has left a t of what is no hit.
+    A fan leaves a t where there is no ray and no hit.
     """
-    for n in range(start, stop):
-        i = lane(at + n - start)
-        prim_number = int(tile[PRIM + i])
-        nearest.t[n], nearest.error[n], uncertain[n] = (
-            tile[T + i] if prim_number >= 0 else math.inf,
-            tile[T_ERROR + i],
-            tile[UNCERTAIN + i] != 0.0,
-        )
-        nearest.prim[n] = ids[prim_number] if prim_number >= 0 else -1
+    for i in range(lane(len(numbers))):
+        if numbers[i] >= 0:
+            k, prim = lane(numbers[i]), tile[PRIM + i]
+            nearest.t[k] = tile[T + i] if prim >= 0.0 else math.inf
+            nearest.prim[k] = ids[lane(prim)] if prim >= 0.0 else -1
+            nearest.error[k], uncertain[k] = tile[T_ERROR + i], tile[UNCERTAIN + i] != 0.0
 
 
 @jit
-def store_rays(tile: Any, first: int, width: int, box: Box, ids: Any, nearest: Any, uncertain: Any) -> None:
-    """The tile of a box into the record of a window that begins at ray `first` and is `width` pixels wide."""
-    x0, y0, x1, y1 = box
-    for y in range(y1 - y0):
-        start = first + (y0 + y) * width + x0
-        store_ray_range(tile, y * WIDTH, ids, start, start + x1 - x0, nearest, uncertain)
+def store_blocked(tile: Any, numbers: Any, blocked: Any, uncertain: Any) -> None:
+    """Whether each ray has hit anything, and whether that is still uncertain."""
+    for i in range(lane(len(numbers))):
+        if numbers[i] >= 0:
+            k, hit = lane(numbers[i]), (tile[T + i] < math.inf) & (tile[PRIM + i] >= 0.0)
+            blocked[k], uncertain[k] = hit, (tile[UNCERTAIN + i] != 0.0) & (not hit)
 
 
-@jit
-def store_blocked(tile: Any, at: int, start: int, stop: int, blocked: Any, uncertain: Any) -> None:
-    """Whether the rays of a tile from `at` on have met anything, into the record of rays start..stop."""
-    for n in range(start, stop):
-        i = lane(at + n - start)
-        hit = (tile[T + i] < math.inf) & (tile[PRIM + i] >= 0.0)
-        blocked[n] = hit
-        uncertain[n] = (tile[UNCERTAIN + i] != 0.0) & (not hit)
-
-
-@jit
-def store_blocked_rays(tile: Any, first: int, width: int, box: Box, blocked: Any, uncertain: Any) -> None:
-    """The same of the tile of a box, as by `store_rays`."""
-    x0, y0, x1, y1 = box
-    for y in range(y1 - y0):
-        start = first + (y0 + y) * width + x0
-        store_blocked(tile, y * WIDTH, start, start + x1 - x0, blocked, uncertain)
-
-
-@jit
-def store_nearest(tile: Any, ids: Any, width: int, box: Box, nearest: Any, uncertain: Any) -> None:
-    """The same for the rays of a window that is `width` pixels wide."""
-    x0, y0, x1, y1 = box
-    for y in range(y1 - y0):
-        first = (y0 + y) * width + x0
-        store_ray_range(tile, y * WIDTH, ids, first, first + x1 - x0, nearest, uncertain)
-
-
-# Which primitives are to be looked for in which tile of the film, near ones first.
+# The primitives of each tile of the film, near ones first.
 
 
 # In a tile, primitives are sorted into depth buckets by the exponent of their least depth and 4 bits of its fraction.
@@ -266,10 +209,10 @@ def depth_bucket(bits: int, last: int) -> int:
 def count_in_tiles(
     pixels: Any, bits: Any, last: int, queue: Any, across: int, counts: Any, start: int, stop: int
 ) -> int:
-    """How many spans reach into each tile, of primitives queue[start:stop]: counts[n * DEPTH_BUCKETS + bucket].
+    """Count the primitives queue[start:stop] of each tile n and depth bucket: counts[n * DEPTH_BUCKETS + bucket].
 
-    Tiles go row by row, `across` in a row. A queue without members stands for all primitives in their own order.
-    Returns how many primitives are looked for anywhere.
+    Tiles are numbered row by row, `across` in a row. An empty queue stands for all primitives in their own order.
+    Returns the number of primitives on the film.
     """
     binned = 0
     for prim_number in range(start, stop):
@@ -287,7 +230,7 @@ def count_in_tiles(
 def scatter_to_tiles(
     pixels: Any, bits: Any, last: int, queue: Any, across: int, ends: Any, order: Any, start: int, stop: int
 ) -> None:
-    """Write them to order[ends[n * DEPTH_BUCKETS + bucket]:], for each tile n they reach into, moving that end on."""
+    """Write primitives to order[ends[n * DEPTH_BUCKETS + bucket]:] for each tile n they overlap, moving that end on."""
     for prim_number in range(start, stop):
         k = queue[prim_number] if len(queue) > 0 else prim_number
         if is_on_film(pixels, k):
@@ -299,7 +242,7 @@ def scatter_to_tiles(
                     ends[n] += 1
 
 
-# Surfaces of many hits at once: SURFACE_LANES pixels of a tile in a scratch that stays in a core's first cache.
+# Surfaces of many hits at once: SURFACE_LANES pixels of a tile, in a scratch that stays in a core's first-level cache.
 # Field f of lane x is scratch[f * SURFACE_LANES + x]: the computed surface, then the numbers of the lane's primitive,
 # which `setup_lanes` puts there.
 
@@ -318,7 +261,7 @@ NORMALS, SURFACES, SURFACES_WITH_UV = 0, 1, 2
 
 
 def new_lanes() -> np.ndarray:
-    """Zeros, from the beginning of a cache line."""
+    """Zeros, aligned to a cache line."""
     buffer = np.zeros(LANE_FIELDS * SURFACE_LANES + CACHE_LINE // 8)
     first = -buffer.ctypes.data % CACHE_LINE // 8
     return buffer[first : first + LANE_FIELDS * SURFACE_LANES]
@@ -326,7 +269,7 @@ def new_lanes() -> np.ndarray:
 
 @inlined
 def lane_count(scratch: Any) -> Any:
-    """SURFACE_LANES, but not as a constant: LLVM writes out loops of so few steps, number by number."""
+    """SURFACE_LANES, but not as a constant, since LLVM would unroll loops of so few steps into scalar code."""
     return lane(len(scratch)) // lane(LANE_FIELDS)
 
 
@@ -353,12 +296,12 @@ def put_affine_lanes(prims: Any, k: int, start: Any, stop: Any, scratch: Any) ->
     center = prims.center[k, 0], prims.center[k, 1], prims.center[k, 2]
     for x in range(start, stop):
         put_lane(scratch, LANE_CENTER + x, center)
-    for row in range(3):
-        a = prims.to_object[k, row, 0], prims.to_object[k, row, 1], prims.to_object[k, row, 2]
-        b = prims.to_world[k, row, 0], prims.to_world[k, row, 1], prims.to_world[k, row, 2]
+    for i in range(3):
+        a = prims.to_object[k, i, 0], prims.to_object[k, i, 1], prims.to_object[k, i, 2]
+        b = prims.to_world[k, i, 0], prims.to_world[k, i, 1], prims.to_world[k, i, 2]
         for x in range(start, stop):
-            put_lane(scratch, LANE_TO_OBJECT + lane(3 * row) * NEXT + x, a)
-            put_lane(scratch, LANE_TO_WORLD + lane(3 * row) * NEXT + x, b)
+            put_lane(scratch, LANE_TO_OBJECT + lane(3 * i) * NEXT + x, a)
+            put_lane(scratch, LANE_TO_WORLD + lane(3 * i) * NEXT + x, b)
 
 
 @inlined

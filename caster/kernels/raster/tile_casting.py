@@ -1,4 +1,4 @@
-"""Casting of the rays of a tile: bounds of their directions and of visible t, primitives in order of depth."""
+"""Rasterization: casts the rays of a tile at its primitives in order of depth."""
 
 import math
 from typing import Any
@@ -32,7 +32,7 @@ from caster.kernels.raster.tile import (
 
 @jit
 def min_t_per_depth(tile: Any, box: Box, forward: Any) -> float:
-    """By how much a depth is at least to be multiplied for a ray of the tile to be at it: t d . forward = depth."""
+    """The least t per depth of the rays of a tile: t d . forward = depth."""
     for j in range(lane(LANES)):
         tile[SCRATCH + j] = 0.0
     for y in range(box[3] - box[1]):
@@ -49,7 +49,7 @@ def min_t_per_depth(tile: Any, box: Box, forward: Any) -> float:
 
 @jit
 def max_visible_t(tile: Any, box: Box) -> float:
-    """The largest visible t of a tile: inf if one of its pixels has no hit, which is soon found."""
+    """The largest visible t of a tile; inf if a pixel has no hit."""
     for j in range(lane(LANES)):
         tile[SCRATCH + j] = 0.0
     for y in range(box[3] - box[1]):
@@ -66,7 +66,7 @@ def max_visible_t(tile: Any, box: Box) -> float:
 
 @inlined
 def direction_bounds(tile: Any, box: Box, forward: Vec3) -> tuple[Vec3, Vec3]:
-    """(low, high): between which the components of all d of a tile are."""
+    """(low, high): bounds of the components of all d of a tile."""
     if l1_norm(forward) > 0.0:
         return direction_bounds_from_corners(tile, box)
     x, y, z = field_bounds(tile, DX, box), field_bounds(tile, DY, box), field_bounds(tile, DZ, box)
@@ -120,8 +120,7 @@ def field_bounds(tile: Any, field: Any, box: Box) -> tuple[float, float]:
     return low, high
 
 
-# Rasterization: each primitive against the pixels of its screen bounds
-# (caster/kernels/raster/screen_bounds.py).
+# Each primitive is tested in the pixels of its screen bounds (caster/kernels/raster/screen_bounds.py).
 
 
 @inlined
@@ -132,18 +131,18 @@ def bounds_in_tile(pixels: Any, k: int, box: Box) -> Box:
     return x_start // LANES * LANES, y_start, -(-x_stop // LANES) * LANES, y_stop
 
 
-# Triangles that cover so many pixels across in a tile are looked for row by row, where they are: half of the box around
-# a triangle is not in it, and to find a row's part takes as long as three or four vectors of lanes.
+# Triangles that are so many pixels wide in a tile are bounded row by row: half of the box around a triangle lies
+# outside of it, and to bound a row takes as long as three or four vectors of lanes.
 ROW_BOUNDS_MIN_WIDTH = 64
 
 
 @jit
 def row_bounds(bounds: Any, k: int, box: Box, rect: Box, y: int) -> tuple[int, int]:
-    """Of the span of triangle k in a tile, what row y of the tile needs; in whole LANES."""
+    """The pixels of triangle k in row y of a tile, in whole LANES."""
     row, low, high = box[1] + y + 0.5, math.inf, -math.inf
     for j in range(3):
-        xa, ya, wide, _ = projected_corner(bounds, k, j)
-        xb, yb, wide_b, _ = projected_corner(bounds, k, (j + 1) % 3)
+        xa, ya, wide, _ = projected_corner(bounds, bounds.faces[k, j])
+        xb, yb, wide_b, _ = projected_corner(bounds, bounds.faces[k, (j + 1) % 3])
         wide = max(wide, wide_b)
         if not wide < math.inf:
             return rect[0], rect[2]
@@ -154,13 +153,13 @@ def row_bounds(bounds: Any, k: int, box: Box, rect: Box, y: int) -> tuple[int, i
                 xb = xa + (min(max(row + wide, top), bottom) - ya) * slope
                 xa = xa + (min(max(row - wide, top), bottom) - ya) * slope
             low, high = min(low, min(xa, xb) - wide), max(high, max(xa, xb) + wide)
-    start, stop = pixel_range(low, high, box[0], box[2] - box[0])
+    start, stop = pixel_range(low - box[0], high - box[0], box[2] - box[0])
     return max(start // LANES * LANES, rect[0]), min(-(-stop // LANES) * LANES, rect[2])
 
 
 @inlined
 def any_lane_visible(tile: Any, first: Any, near: float) -> bool:
-    """Whether one of LANES rays has met nothing sure to be nearer."""
+    """Whether one of LANES rays may hit something at t >= near first."""
     return any_sum_reaches(tile, T + first, T_ERROR + first, near)
 
 
@@ -175,13 +174,14 @@ def any_pixel_visible(tile: Any, rect: Box, near: float) -> bool:
     return False
 
 
-# How many primitives ahead their numbers are asked for: each takes some 30 ns, a line from the last cache as long.
+# Numbers of primitives are prefetched so many ahead: a primitive takes some 30 ns, and so does a line of the last
+# cache.
 FIRST_AHEAD, THEN_AHEAD = 8, 4
 
 
 @inlined
 def prefetch_ahead(prims: Any, order: Any, at: int, stop: int, bounds: Any) -> None:
-    """Have the numbers of primitives order[at + ...] in a cache by the time they are looked at."""
+    """Prefetch the numbers of primitives after order[at]."""
     if at + FIRST_AHEAD < stop:
         k = order[at + FIRST_AHEAD]
         prefetch(bounds.near, k)
@@ -190,7 +190,7 @@ def prefetch_ahead(prims: Any, order: Any, at: int, stop: int, bounds: Any) -> N
         prefetch_numbers(prims, order[at + THEN_AHEAD], True)
 
 
-# In spans of no more pixels, what is hidden is looked for once, not in each row again: few show in part.
+# Smaller spans are tested for visibility once, not row by row: few of them are visible in part.
 SINGLE_VISIBILITY_TEST_MAX_PIXELS = 256
 
 
@@ -198,12 +198,12 @@ SINGLE_VISIBILITY_TEST_MAX_PIXELS = 256
 def cast_in_bounds(
     prims: Any, order: Any, run: Any, bounds: Any, base: int, box: Box, tile: Any, shares_origin: bool
 ) -> None:
-    """Primitives order[run[0]:run[1]] of a kind whose places begin at `base`, each in its screen bounds.
+    """Cast a tile at primitives order[run[0]:run[1]] of a kind, whose places begin at `base`, in their screen bounds.
 
     shares_origin: whether all rays start at one point; else they have one direction (an orthographic camera).
     """
     o = tile[OX], tile[OY], tile[OZ]
-    far, tried, patience, stretch = math.inf, 0, PIXELS, bounds.least
+    far, tried, patience, stretch = math.inf, 0, PIXELS, 1.0
     looked, low, high = False, o, o
     for at in range(run[0], run[1]):
         k = order[at]
@@ -216,7 +216,7 @@ def cast_in_bounds(
             continue
         prim, prim_number = load(prims, k), float(base + k)
         pre = prepare(prims, prim, o)
-        if not small:  # worth a closer look
+        if not small:
             if shares_origin:
                 if not looked:
                     (low, high), looked = direction_bounds(tile, box, bounds.forward), True
@@ -224,7 +224,7 @@ def cast_in_bounds(
                 if near > far or near == math.inf:
                     continue
             if not any_pixel_visible(tile, rect, near):
-                y_start = y_stop  # nothing to try, but that took as long
+                y_start = y_stop  # hidden, but that took as long to find
         by_row = len(bounds.faces) > 0 and x_stop - x_start >= ROW_BOUNDS_MIN_WIDTH
         for y in range(y_start, y_stop):
             start, stop = row_bounds(bounds, k, box, rect, y) if by_row else (x_start, x_stop)
@@ -240,7 +240,7 @@ def cast_in_bounds(
                     cast_lanes(prims, prim, prim_number, tile, first, False)
         tried += tries
         if tried >= patience:
-            # worth a look at what all of this has covered, and at the tile's own directions
+            # bound what is hidden now, and by the tile's own directions
             far, tried = max_visible_t(tile, box), 0
             if far < math.inf:
                 stretch = max(stretch, min_t_per_depth(tile, box, bounds.forward))

@@ -24,8 +24,8 @@ from caster.kernels.raster.tile import (
 from caster.kernels.surface.per_hit import ALBEDO, FLUX, ONE, RADIANCE, SH_N, SIDES, N, P, get, put, ray_of
 
 # A computed hit lies within 16 u (|o| + t + |p|) of the surface (caster/kernels/math/quadric_roots.py, triangles.py)
-# or, as it is computed from the shape's numbers as well, within 16 u of its largest coordinate: of a sphere as large
-# as the Earth that is more. Shadow rays start four times as far out, along the normal, so that no surface shadows
+# or, since it is computed from the shape's numbers as well, within 16 u of its largest coordinate, which is more for a
+# sphere as large as the Earth. Shadow rays start four times as far out along the normal, so that no surface shadows
 # itself. u = 2^-53.
 SHADOW_OFFSET = 4 * 16.0 * 2.0**-53
 
@@ -49,7 +49,7 @@ class DirectionalLight(NamedTuple):
 
 @generic_inlined
 def light_direction(light: Any, p: Vec3) -> Any:
-    """(d, reach): the direction from p to the light, and how far that is in lengths of d."""
+    """(d, reach): the direction from p to the light, and its distance in lengths of d."""
 
 
 @generic_inlined
@@ -86,9 +86,9 @@ def _irradiance_of_directional_light(light: Any, p: Vec3) -> tuple[Vec3, Vec3]:
 
 @inlined
 def received_irradiance(light: Any, p: Vec3, sh_n: Vec3, d: Vec3, two_sided: bool) -> tuple[bool, Vec3]:
-    """(whether the side of the surface that faces ray d is lit, the irradiance there). Sides go by the shading normal.
+    """(whether the side of the surface that faces ray d is lit, the irradiance there).
 
-    One-sided surfaces are dark from behind.
+    The shading normal decides about sides. One-sided surfaces are dark from behind.
     """
     towards, irradiance = incident_irradiance(light, p)
     cosine, facing = dot(towards, sh_n), -dot(d, sh_n)
@@ -102,8 +102,8 @@ def shadow_ray(
 ) -> tuple[Vec3, Vec3, float, float]:
     """(o, d, t_min, t_max) from the hit p of ray (o, d) at t to the light. extent: largest |coordinate| of the shape.
 
-    It starts off the surface, on the side that the light is on. What lies nearer than the offset does not count:
-    a hit in the crease of two faces may be a rounding behind the other one.
+    It starts off the surface, on the side of the light. Hits nearer than the offset do not count, since rounding may
+    put a hit in the crease of two faces behind the other one.
     """
     lean = dot(n, incident_irradiance(light, p)[0])
     side = 1.0 if lean > 0.0 else (-1.0 if lean < 0.0 else 0.0)
@@ -116,7 +116,7 @@ def shadow_ray(
 
 @jit
 def shadow_rays_of(light: Any, surfaces: Any, rays: Any, t: Any, extents: Any, where: Any, out: Any) -> None:
-    """`shadow_ray` for the rays `where`, written to rays 0.. of out. extents: of the shape that each ray hits."""
+    """Write `shadow_ray` of the rays `where` to out. extents: those of the shape that each ray hits."""
     for j in range(len(where)):
         i = where[j]
         o, d = row(rays.o, i), row(rays.d, i)
@@ -129,9 +129,9 @@ def shadow_rays_of(light: Any, surfaces: Any, rays: Any, t: Any, extents: Any, w
 
 @jit
 def materials_in_tile(tile: Any, box: Box, materials: Any, reflectance: Any, two_sided: Any, buffer: Any) -> None:
-    """ALBEDO and SIDES of the hits, from tables by material; materials[prim] is a primitive's. RADIANCE: 0."""
+    """Write ALBEDO and SIDES of the hits from tables by material, and RADIANCE 0; materials[prim]: a primitive's."""
     for y in range(box[3] - box[1]):
-        if len(two_sided) == 1:  # nothing to look up, so that several pixels are filled at once
+        if len(two_sided) == 1:  # without table look-ups several pixels are filled at once
             for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
                 put(buffer, ALBEDO + i, (reflectance[0, 0], reflectance[0, 1], reflectance[0, 2]))
                 buffer[SIDES + i] = 1.0 if two_sided[0] else 0.0
@@ -153,9 +153,10 @@ NOWHERE = (0.0, 0.0, 0.0)
 def shadow_rays_in_tile(
     light: Any, tile: Any, box: Box, shapes: Any, extents: Any, buffer: Any, shadow_tile: Any, total: Any
 ) -> int:
-    """Begin the tile `shadow_tile`: a ray to the light from each hit that faces it; how many, which total[0] grows by.
+    """Fill the tile `shadow_tile` with a ray to the light from each hit that faces it; add their number to total[0].
 
-    shapes[prim] is a primitive's, extents[shape] its largest |coordinate|. FLUX: what arrives if nothing is in between.
+    shapes[prim]: the shape of a primitive; extents[shape]: its largest |coordinate|. FLUX: the irradiance without
+    shadows. Returns the number of rays.
     """
     width, count = box[2] - box[0], 0
     for y in range(box[3] - box[1]):
@@ -167,7 +168,7 @@ def shadow_rays_in_tile(
             for i in range(lane(at), lane(stop)):
                 prim = tile[PRIM + i]
                 shadow_tile[T_MIN + i] = extents[shapes[lane(prim if prim >= 0.0 else 0.0)]]
-            # without a branch, so that several pixels are done at once; of misses, numbers that nobody reads
+            # without a branch, so that several pixels are done at once; results of misses are not used
             for i in range(lane(at), lane(stop)):
                 (o, d), hit = ray_of(tile, i), tile[PRIM + i] >= 0.0
                 p, n, sh_n = (
@@ -195,7 +196,7 @@ def shadow_rays_in_tile(
 
 @inlined
 def shows_any(tile: Any, first: Any) -> bool:
-    """Whether one of SURFACE_LANES pixels hits anything."""
+    """Whether one of SURFACE_LANES pixels has a hit."""
     found = 0
     for at in range(lane(0), lane(SURFACE_LANES), lane(LANES)):
         found |= lanes_in_range(tile, PRIM + first + at, 0.0, math.inf)
@@ -204,13 +205,13 @@ def shows_any(tile: Any, first: Any) -> bool:
 
 @inlined
 def select(first: bool, a: Vec3, b: Vec3) -> Vec3:
-    """a or b, number by number."""
+    """a if `first`, else b, without a branch."""
     return a[0] if first else b[0], a[1] if first else b[1], a[2] if first else b[2]
 
 
 @jit
 def add_light(tile: Any, box: Box, buffer: Any, shadow_tile: Any) -> None:
-    """RADIANCE of what is lit, once the shadow rays have been cast; UNCERTAIN where it may be in a shadow."""
+    """Add the light to RADIANCE after the shadow rays have been cast; UNCERTAIN where a shadow is uncertain."""
     for y in range(box[3] - box[1]):
         for at in range(y * WIDTH, y * WIDTH + box[2] - box[0], SURFACE_LANES):
             if not shows_any(tile, lane(at)):
@@ -225,7 +226,7 @@ def add_light(tile: Any, box: Box, buffer: Any, shadow_tile: Any) -> None:
 
 @inlined
 def reflected_radiance(albedo: Vec3, irradiance: Vec3) -> Vec3:
-    """Of a Lambertian surface."""
+    """The radiance that a Lambertian surface reflects."""
     return (
         albedo[0] / math.pi * irradiance[0],
         albedo[1] / math.pi * irradiance[1],
@@ -235,7 +236,7 @@ def reflected_radiance(albedo: Vec3, irradiance: Vec3) -> Vec3:
 
 @jit
 def add_ambient(tile: Any, box: Box, buffer: Any, ambient: Any) -> None:
-    """RADIANCE of what comes evenly from everywhere; ambient: (k, 3) radiances."""
+    """Add ambient lights to RADIANCE; ambient: (k, 3) radiances."""
     for y in range(box[3] - box[1]):
         for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
             if tile[PRIM + i] >= 0.0:

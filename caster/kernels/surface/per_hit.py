@@ -1,4 +1,4 @@
-"""Hits of a tile as the per-hit kernels of AOVs read them, and the loops that write AOVs to images."""
+"""Surfaces of the hits of a tile, and the loops that write AOVs to images."""
 
 import math
 from typing import Any, NamedTuple
@@ -43,12 +43,12 @@ from caster.kernels.raster.tile import (
 
 
 class Hit(NamedTuple):
-    """The nearest hit of one ray. An AOV may read o, d, t, start, and those of the others that it lists in NEEDS."""
+    """The nearest hit of a ray. An AOV may read o, d, t, start, and the other fields that it lists in NEEDS."""
 
     o: Vec3
     d: Vec3
     t: float  # in lengths of d
-    start: float  # depth counts from here, beyond o: 0 for rays of a film
+    start: float  # the t from which depth counts: 0 for rays of a film
     position: Vec3  # world space
     normal: Vec3  # geometric, of unit length
     shading_normal: Vec3  # of unit length
@@ -61,17 +61,17 @@ class Hit(NamedTuple):
 
 RAY_FIELDS = ("o", "d", "t", "start")
 NEEDED_FIELDS = tuple(name for name in Hit._fields if name not in RAY_FIELDS)
-"""What an AOV may list in NEEDS: it is computed for a render only if some AOV lists it."""
+"""Fields that an AOV may list in NEEDS; they are computed only if some AOV does."""
 
-# Fields of a surface buffer, like those of a tile; SIDES: whether both sides are lit, FLUX: what arrives from the light
-# at hand.
+# Fields of a surface buffer, like those of a tile. SIDES: whether both sides are lit; FLUX: the irradiance of the
+# current light.
 P, N, SH_N, UV, ALBEDO, SIDES, FLUX, RADIANCE = (lane(STRIDE * field) for field in (0, 3, 6, 9, 11, 14, 15, 18))
 SURFACE_FIELDS = 21
 ONE, TWO = lane(STRIDE), lane(2 * STRIDE)
 
 
 class PrimitiveIds(NamedTuple):
-    """By the primitive's number in a tile (PRIM); without members where no AOV needs them."""
+    """Ids by the primitive's number in a tile (PRIM); empty if no AOV needs them."""
 
     shape: np.ndarray  # int32
     prim: np.ndarray  # int32, within the shape
@@ -103,7 +103,7 @@ def ray_of(tile: Any, i: Any) -> tuple[Vec3, Vec3]:
 
 @jit
 def surfaces_in_tile(prims: Any, numbers: Any, tile: Any, box: Box, buffer: Any, scratch: Any, wants: int) -> None:
-    """N of the hits on one kind, and if wanted P and SH_N, and UV: SURFACE_LANES pixels at a time.
+    """Compute N of the hits on one kind, and if wanted P and SH_N, and UV, SURFACE_LANES pixels at a time.
 
     numbers: of the kind's primitives in the tile, first and last + 1. wants: NORMALS, SURFACES or SURFACES_WITH_UV.
     """
@@ -114,10 +114,10 @@ def surfaces_in_tile(prims: Any, numbers: Any, tile: Any, box: Box, buffer: Any,
             shown = gather_primitives(prims, numbers, tile, first, scratch, wants)
             if shown == 0:
                 continue
-            if wants == NORMALS:
-                unsafe = compute_normals(prims, numbers, tile, first, scratch)
+            if wants == NORMALS:  # a constant, so that LLVM leaves out the rest
+                unsafe = compute_surfaces(prims, numbers, tile, first, scratch, True)
             else:
-                unsafe = compute_surfaces(prims, numbers, tile, first, scratch)
+                unsafe = compute_surfaces(prims, numbers, tile, first, scratch, False)
             if wants == SURFACES_WITH_UV:
                 compute_uv(prims, scratch)
             if unsafe > 0:
@@ -130,7 +130,7 @@ ALL_SHOWN = (1 << SURFACE_LANES) - 1
 
 @inlined
 def gather_primitives(prims: Any, numbers: Any, tile: Any, first: Any, scratch: Any, wants: int) -> int:
-    """Put the numbers that `fast_surface` reads into the lanes that show the kind; returns a bit for each of these."""
+    """Write the numbers that `fast_surface` reads to the lanes that show the kind; returns a bit for each of these."""
     least, end, one = float(numbers[0]), float(numbers[1]), tile[PRIM + first]
     shown, alike = 0, ALL_SHOWN
     for group in range(SURFACE_LANES // LANES):
@@ -142,7 +142,7 @@ def gather_primitives(prims: Any, numbers: Any, tile: Any, first: Any, scratch: 
     if alike == ALL_SHOWN:
         surface_setup(prims, int(one) - numbers[0], lane(0), lane_count(scratch), scratch, wants)
         return shown
-    for x in range(lane(0), lane(SURFACE_LANES), lane(LANES)):  # other lanes get any primitive, the first
+    for x in range(lane(0), lane(SURFACE_LANES), lane(LANES)):  # other lanes get the first primitive
         numbers_in_range(tile, PRIM + first + x, least, end, scratch, LANE_NUMBER + x)
     setup_lanes(prims, scratch, wants)
     return shown
@@ -150,7 +150,7 @@ def gather_primitives(prims: Any, numbers: Any, tile: Any, first: Any, scratch: 
 
 @implement(setup_lanes, object)
 def _setup_runs(prims: Any, scratch: Any, wants: int) -> None:
-    """Run by run of lanes with one primitive."""
+    """Set up runs of lanes that show the same primitive."""
     start: Any = lane(0)
     while start < lane(SURFACE_LANES):
         number, end = scratch[LANE_NUMBER + start], start + lane(1)
@@ -161,43 +161,28 @@ def _setup_runs(prims: Any, scratch: Any, wants: int) -> None:
 
 
 @inlined
-def compute_normals(prims: Any, numbers: Any, tile: Any, first: Any, scratch: Any) -> int:
-    """Geometric normals of all lanes, whatever they show; how many of the kind are not safe."""
+def compute_surfaces(prims: Any, numbers: Any, tile: Any, first: Any, scratch: Any, normals_only: bool) -> int:
+    """Surfaces of all lanes but for uv, or geometric normals only; how many lanes of the kind are not safe."""
     unsafe, least, end = 0, float(numbers[0]), float(numbers[1])
     for x in range(lane(SURFACE_LANES)):
         prim, (o, d) = tile[PRIM + first + x], ray_of(tile, first + x)
         mine = (least <= prim) & (prim < end)
         t = tile[T + first + x] if mine else 0.0  # that of a miss is infinite
-        safe, _, _, n, _, _ = fast_surface(prims, scratch, x, o, d, t)
+        normal_is_safe, all_is_safe, p, n, sh_n, local = fast_surface(prims, scratch, x, o, d, t)
         put_lane(scratch, LANE_N + x, n)
-        fails = (not safe) & mine
+        if not normals_only:
+            put_lane(scratch, LANE_P + x, p)
+            put_lane(scratch, LANE_SH_N + x, sh_n)
+            put_lane(scratch, LANE_LOCAL + x, local)
+        fails = (not (normal_is_safe if normals_only else all_is_safe)) & mine
         scratch[LANE_UNSAFE + x] = 1.0 if fails else 0.0
         unsafe += 1 if fails else 0  # of integers: a sum of floats keeps LLVM from using vectors
     return unsafe
 
 
 @inlined
-def compute_surfaces(prims: Any, numbers: Any, tile: Any, first: Any, scratch: Any) -> int:
-    """The same of all but uv."""
-    unsafe, least, end = 0, float(numbers[0]), float(numbers[1])
-    for x in range(lane(SURFACE_LANES)):
-        prim, (o, d) = tile[PRIM + first + x], ray_of(tile, first + x)
-        mine = (least <= prim) & (prim < end)
-        t = tile[T + first + x] if mine else 0.0
-        _, safe, p, n, sh_n, local = fast_surface(prims, scratch, x, o, d, t)
-        put_lane(scratch, LANE_P + x, p)
-        put_lane(scratch, LANE_N + x, n)
-        put_lane(scratch, LANE_SH_N + x, sh_n)
-        put_lane(scratch, LANE_LOCAL + x, local)
-        fails = (not safe) & mine
-        scratch[LANE_UNSAFE + x] = 1.0 if fails else 0.0
-        unsafe += 1 if fails else 0
-    return unsafe
-
-
-@inlined
 def compute_uv(prims: Any, scratch: Any) -> None:
-    """uv of all lanes; in the loop above, a flag would keep LLVM from using vectors."""
+    """uv of all lanes; a flag in the loop above would keep LLVM from using vectors."""
     for x in range(lane(SURFACE_LANES)):
         u, v = fast_uv(prims, scratch, x, get_lane(scratch, LANE_LOCAL + x))
         scratch[LANE_UV + x], scratch[LANE_UV + NEXT + x] = u, v
@@ -205,7 +190,7 @@ def compute_uv(prims: Any, scratch: Any) -> None:
 
 @inlined
 def recompute_unsafe(prims: Any, numbers: Any, tile: Any, first: Any, scratch: Any, wants: int) -> None:
-    """Surfaces for which `fast_surface` is not safe."""
+    """Compute the surfaces for which `fast_surface` is not safe."""
     for x in range(lane(SURFACE_LANES)):
         if scratch[LANE_UNSAFE + x] != 0.0:
             i = first + x
@@ -222,7 +207,7 @@ def recompute_unsafe(prims: Any, numbers: Any, tile: Any, first: Any, scratch: A
 def keep_lanes(
     numbers: Any, tile: Any, first: Any, scratch: Any, buffer: Any, fields: tuple[Any, Any], all_shown: bool
 ) -> None:
-    """Copy a range of fields into the surface buffer, but for lanes that show another kind."""
+    """Copy a range of fields to the surface buffer, except lanes that show another kind."""
     least, end = float(numbers[0]), float(numbers[1])
     for field in range(fields[0], fields[1]):
         into, out = lane(STRIDE) * field + first, NEXT * field
@@ -238,7 +223,7 @@ def keep_lanes(
 
 @inlined
 def load_hit(tile: Any, buffer: Any, ids: Any, start: float, i: Any) -> Hit:
-    """The hit of pixel i. What its AOV does not read costs nothing once compiled."""
+    """The hit of pixel i. The compiler leaves out fields that the AOV does not read."""
     o, d = ray_of(tile, i)
     k = int(tile[PRIM + i])
     return Hit(
@@ -261,7 +246,7 @@ def load_hit(tile: Any, buffer: Any, ids: Any, start: float, i: Any) -> Hit:
 def per_hit(aov: Any, hit: Any) -> Any:
     """The value of an AOV at a hit: a number, or a tuple with one for each channel.
 
-    aov: what `caster.aovs.register` made for it; `aov.miss` is the value where nothing is hit, `aov.misses` that of
+    aov: the kernel argument that `caster.aovs.register` made; `aov.miss` is the value on a miss, `aov.misses` that of
     each channel.
     """
 
@@ -272,7 +257,7 @@ def store_value(image: Any, y: Any, x: Any, value: Any) -> None:
         image[y, x] = value
         return
     numbers, n = image.flat, (lane(y) * lane(image.shape[1]) + lane(x)) * lane(len(value))
-    if len(value) == 3:  # vectors and pairs are written out: several pixels at a time once compiled
+    if len(value) == 3:  # unrolled, so that LLVM writes several pixels at once
         numbers[n], numbers[n + lane(1)], numbers[n + lane(2)] = value[0], value[1], value[2]
     elif len(value) == 2:
         numbers[n], numbers[n + lane(1)] = value[0], value[1]
@@ -283,9 +268,9 @@ def store_value(image: Any, y: Any, x: Any, value: Any) -> None:
 
 @inlined
 def store_pixel(aov: Any, tile: Any, buffer: Any, ids: Any, start: float, i: Any, image: Any, y: Any, x: Any) -> None:
-    """The AOV of pixel i of the tile, at y, x of the image."""
+    """Write the AOV of pixel i of a tile to y, x of the image."""
     inside, hit = tile[PRIM + i] >= 0.0, load_hit(tile, buffer, ids, start, i)
-    # without a branch once compiled, so that several pixels are written at once
+    # compiled without a branch, so that several pixels are written at once
     if image.ndim == 2:
         image[y, x] = per_hit(aov, hit) if inside else aov.miss
     else:
@@ -294,9 +279,9 @@ def store_pixel(aov: Any, tile: Any, buffer: Any, ids: Any, start: float, i: Any
 
 @jit
 def write_aov(aov: Any, tile: Any, box: Box, buffer: Any, ids: Any, start: Any, image: Any) -> None:
-    """An AOV in the pixels of a box: its per-hit kernel where something is hit, its miss value elsewhere.
+    """Write an AOV to the pixels of a box: its per-hit kernel at hits, its miss value elsewhere.
 
-    image: (h, w) or (h, w, c) of the whole window. start: (h, w), or without members for 0 everywhere.
+    image: (h, w) or (h, w, c) of the whole window. start: (h, w), or empty for 0 everywhere.
     """
     x0, y0, x1, y1 = box
     for y in range(y0, y1):
@@ -312,14 +297,14 @@ def write_aov(aov: Any, tile: Any, box: Box, buffer: Any, ids: Any, start: Any, 
 
 @jit
 def store_hits(tile: Any, box: Box, hit: Any, uncertain: Any) -> None:
-    """Whether each pixel of a box hits anything, and whether that has to be decided exactly.
+    """Write whether each pixel of a box hits anything, and whether it has to be decided exactly.
 
-    uncertain: false everywhere before.
+    uncertain: False everywhere before.
     """
     x0, y0, x1, y1 = box
     for y in range(y0, y1):
         first, count = lane((y - y0) * WIDTH), lane(x1 - x0)
-        any_uncertain = 0  # a whole number: of floats, the order of a sum keeps LLVM from using vectors
+        any_uncertain = 0  # an integer: a sum of floats keeps LLVM from using vectors
         for x in range(count):
             hit[y, lane(x0) + x] = tile[PRIM + first + x] >= 0.0
             any_uncertain += 1 if tile[UNCERTAIN + first + x] != 0.0 else 0
@@ -330,5 +315,5 @@ def store_hits(tile: Any, box: Box, hit: Any, uncertain: Any) -> None:
 
 @inlined
 def length(v: Vec3) -> float:
-    """Euclidean."""
+    """The Euclidean length."""
     return math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
