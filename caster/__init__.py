@@ -50,7 +50,7 @@ _HOMES = {
 _REGISTRIES = {"caster.shapes": "SHAPES", "caster.cameras": "CAMERAS", "caster.scene.model": "LIGHTS"}
 
 
-if not TYPE_CHECKING:  # a type checker is to tell misspelt names
+if not TYPE_CHECKING:  # so that type checkers report misspelt names
 
     def __getattr__(name: str) -> Any:
         if not _runs_here() and not name.startswith("__"):

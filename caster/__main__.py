@@ -12,15 +12,15 @@ ABOUT = "A ray caster in float64."
 CODES = (process.OK, process.USAGE, process.FILE, process.NOTHING_SELECTED, process.INTERNAL, process.INTERRUPTED)
 
 
-# Objects made until the next search for circles among them: Python's 700 are a hundred searches while modules load.
+# Allocations between runs of the garbage collector: Python's 700 mean a hundred runs while modules load.
 COLLECTION_THRESHOLDS = (50_000, 20, 20)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; its exit code. argv: default those of this process, which then runs nothing else."""
+    """Run one command and return its exit code. argv: default sys.argv, in a process that runs nothing else."""
     if argv is None:
         gc.set_threshold(*COLLECTION_THRESHOLDS)
-        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # NumPy starts the others as it is loaded
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy is loaded
     return application.main("caster", ABOUT, COMMANDS, CODES, argv)
 
 

@@ -27,7 +27,7 @@ MODULES_OF_PACKAGE = 12  # beside sub-packages and __init__
 FLOW = {
     "caster.jit": "compilation and kernel cache",
     "caster.kernels": "intersection in float64 and exactly",
-    "caster.aovs": "one file an AOV",
+    "caster.aovs": "AOVs and their registry",
     "caster.description": "fields, transforms, diagnostics",
     "caster.system": "files, terminal, signals",
     "caster.geometry": "meshes, world space, packing",

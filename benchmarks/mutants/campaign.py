@@ -49,7 +49,7 @@ PLAIN = {
         adjudication detection_power error_models_hold excused_classes
     """,
     "tests/report": """
-        candidate_record pages
+        pages records
     """,
     "tests/unit": """
         added_aov bias bracket broad_phase builtin_scenes camera_references candidate_aimed
@@ -68,7 +68,7 @@ WITH_COMPILER = {
         description_round_trip error_models exact_kernels explanations exr_compare exr_files fuzz
         generated_meshes geometry_checked_in_both_precisions independent_transform judge_at_extremes
         knife_edges known_defects lambert_and_shadow_rays pixel_explanations ray_camera ray_conventions
-        registries report_files result_schemas scaling scene_fuzz scene_options scene_rows
+        registries report_files result_schemas scene_fuzz scene_options scene_rows
         shape_importers stated_numbers stress surface_targets verdict_rules
     """,
     "tests/exact": """
@@ -79,7 +79,7 @@ WITH_COMPILER = {
         excused_classes hypotheses import judge_classes mesh_loader mistakes new_shape probe_witnesses ray_lists
     """,
     "tests/report": """
-        candidate_record pages
+        pages records
     """,
 }
 

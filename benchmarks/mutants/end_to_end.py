@@ -43,5 +43,5 @@ def test_validate_passes(path, session):
     scene = load_scene(path)
     width, height = FILM
     film = {"width": width, "height": height, **({"crop": (2, 1, 8, 6)} if scene.film.crop else {})}
-    verdict = validate_scene(scene.with_film(**film), path.stem, str(path), send=session.send, thorough=True)
+    verdict = validate_scene(scene.with_film(**film), path.stem, str(path), send=session.send)
     assert verdict.ok, (verdict.problem, verdict.failing_by, [c for c in verdict.checks if not c.ok])

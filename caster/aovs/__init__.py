@@ -1,37 +1,28 @@
-"""Registry of AOVs. One file each, which declares:
+"""The AOVs that can be rendered. An AOV from elsewhere is added by `register` and rendered like these."""
 
-NAME, CHANNELS: of the AOV, and of its channels in an EXR file; one channel is an image (h, w), more are (h, w, c).
-DTYPE, MISS: np.float64 (images have the requested dtype) or np.int32; the value where nothing is hit.
-NEEDS: fields of `caster.kernels.surface.per_hit.Hit` beyond the ray and t; what no AOV needs is not computed.
-PREVIEW: how its image is coloured, a key of `caster.image.previews.COLORINGS`.
-evaluate(hit): the per-hit kernel; a number, or a tuple with one for each channel.
-
-An AOV from elsewhere is added by `register` and rendered like these.
-"""
-
-from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple, Protocol
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.aovs import albedo, depth, diffuse, hit, normal, position, prim_id, shading_normal, shape_id, uv
 from caster.jit.decorators import implement, inlined
-from caster.kernels.surface.per_hit import NEEDED_FIELDS, per_hit
+from caster.kernels.protocol import Vec3
+from caster.kernels.surface.per_hit import NEEDED_FIELDS, Hit, length, per_hit
 
 __all__ = ["AOVS", "BY_NAME", "Aov", "Aovs", "kernel_of", "needs_of", "register", "unregister"]
 
 
-class Aov(Protocol):
-    """A module, or anything else with these attributes."""
+class Aov(NamedTuple):
+    """The declaration of an AOV. Anything else with these attributes will do, such as a module."""
 
     NAME: str
-    CHANNELS: tuple[str, ...]
-    DTYPE: type[np.generic]
-    MISS: float
-    NEEDS: tuple[str, ...]
-    PREVIEW: str
-
-    def evaluate(self, hit: Any) -> Any: ...
+    CHANNELS: tuple[str, ...]  # in an EXR file; with one channel images are (h, w), with more (h, w, c)
+    DTYPE: type[np.generic]  # np.float64 (images then have the requested dtype) or np.int32
+    MISS: float  # the value where nothing is hit
+    NEEDS: tuple[str, ...]  # fields of `Hit` beyond the ray and t; what no AOV needs is not computed
+    PREVIEW: str  # how its image is coloured, a key of `caster.image.previews.COLORINGS`
+    evaluate: Callable[[Any], Any]  # the per-hit kernel: a number, or a tuple with one for each channel
 
 
 class Aovs(Mapping[str, np.ndarray]):
@@ -52,7 +43,7 @@ class Aovs(Mapping[str, np.ndarray]):
 
 
 class PerHit(NamedTuple):
-    """What `per_hit` takes first; each AOV has a class derived from it."""
+    """The first argument of `per_hit`; each AOV has a class derived from it."""
 
     miss: float
     misses: tuple[float, ...]  # the same for each channel
@@ -64,12 +55,11 @@ _KERNELS: dict[str, Any] = {}
 
 
 def register(aov: Any) -> None:
-    """Add an AOV. Raises ValueError for a declaration that is incomplete, or clashes with another."""
-    missing = [name for name in (*Aov.__annotations__, "evaluate") if not hasattr(aov, name)]
+    """Add an AOV. Raises ValueError for a declaration that is incomplete or clashes with another."""
+    missing = [name for name in Aov._fields if not hasattr(aov, name)]
     if missing:
         raise ValueError(f"aov {getattr(aov, 'NAME', aov)!r}: does not declare {', '.join(missing)}")
-    taken = {"A", *(channel for other in AOVS for channel in other.CHANNELS)} - ({"A"} if aov is hit else set())
-    if aov.NAME in BY_NAME or taken & set(aov.CHANNELS):
+    if aov.NAME in BY_NAME or {channel for other in AOVS for channel in other.CHANNELS} & set(aov.CHANNELS):
         raise ValueError(f"aov {aov.NAME!r}: this name or one of its channels {aov.CHANNELS} is taken")
     if unknown := set(aov.NEEDS) - set(NEEDED_FIELDS):
         raise ValueError(f"aov {aov.NAME!r}: needs {sorted(unknown)}; known are {', '.join(NEEDED_FIELDS)}")
@@ -87,11 +77,11 @@ def unregister(name: str) -> None:
 
 
 def kernel_of(name: str) -> Any:
-    """What `per_hit` and `write_aov` take for an AOV: a NamedTuple of a class of its own, with `miss`."""
+    """The argument of `per_hit` and `write_aov` that stands for an AOV: a PerHit of a class of its own."""
     return _KERNELS[name]
 
 
-def needs_of(names: Any) -> frozenset[str]:
+def needs_of(names: Iterable[str]) -> frozenset[str]:
     """All fields that some of these AOVs need."""
     return frozenset(field for name in names for field in BY_NAME[name].NEEDS)
 
@@ -99,10 +89,9 @@ def needs_of(names: Any) -> frozenset[str]:
 def _kernel(aov: Any) -> Any:
     """Compiled kernels are keyed by the classes of their arguments, so each AOV gets a class."""
     name, number = f"PerHit_{aov.NAME}", int if aov.DTYPE is np.int32 else float
-    module = getattr(aov, "__name__", type(aov).__module__)
-    tag: Any = type(name, (PerHit,), {"__module__": module})
-    if module.startswith(f"{__name__}."):
-        setattr(aov, name, tag)  # Numba's cache finds it by its name
+    tag: Any = type(name, (PerHit,), {"__module__": aov.evaluate.__module__})
+    if tag.__module__ == __name__:
+        globals()[name] = tag  # Numba's cache finds it by its name
     evaluate = inlined(aov.evaluate)
 
     def body(aov: Any, hit: Any) -> Any:
@@ -113,5 +102,72 @@ def _kernel(aov: Any) -> Any:
     return tag(miss, (miss,) * len(aov.CHANNELS))
 
 
-for each in (hit, depth, normal, shading_normal, position, uv, albedo, diffuse, shape_id, prim_id):
+# ---- the AOVs ----
+
+
+def _hit(hit: Hit) -> float:
+    return 1.0
+
+
+def _depth(hit: Hit) -> float:
+    """Distance from the eye along the ray, in scene units; also from the eye where a near plane hides a part."""
+    return hit.start + hit.t * length(hit.d)
+
+
+def _normal(hit: Hit) -> Vec3:
+    """Geometric normal: unit length, outwards, never turned towards the ray."""
+    return hit.normal
+
+
+def _shading_normal(hit: Hit) -> Vec3:
+    """Shading normal: interpolated between a mesh's vertex normals, elsewhere the geometric one."""
+    return hit.shading_normal
+
+
+def _position(hit: Hit) -> Vec3:
+    """Intersection point in world space."""
+    return hit.position
+
+
+def _uv(hit: Hit) -> tuple[float, float]:
+    """Surface coordinates, as each shape's `surface` defines them."""
+    return hit.uv
+
+
+def _albedo(hit: Hit) -> Vec3:
+    """Diffuse reflectance of the material, in [0, 1]."""
+    return hit.albedo
+
+
+def _diffuse(hit: Hit) -> Vec3:
+    """Lambert shading: reflected radiance of each light, with hard shadows, and of ambient light."""
+    return hit.radiance
+
+
+def _shape_id(hit: Hit) -> int:
+    """Index of the shape in the scene; -1 on a miss."""
+    return hit.shape_id
+
+
+def _prim_id(hit: Hit) -> int:
+    """Index of the primitive within its shape; -1 on a miss."""
+    return hit.prim_id
+
+
+def _xyz(name: str) -> tuple[str, ...]:
+    return f"{name}.X", f"{name}.Y", f"{name}.Z"
+
+
+for each in (
+    Aov("hit", ("A",), np.float64, 0.0, (), "mask", _hit),
+    Aov("depth", ("depth.Z",), np.float64, math.inf, (), "depth", _depth),
+    Aov("normal", _xyz("normal"), np.float64, 0.0, ("normal",), "direction", _normal),
+    Aov("shading_normal", _xyz("shading_normal"), np.float64, 0.0, ("shading_normal",), "direction", _shading_normal),
+    Aov("position", _xyz("position"), np.float64, 0.0, ("position",), "position", _position),
+    Aov("uv", ("uv.U", "uv.V"), np.float64, 0.0, ("uv",), "uv", _uv),
+    Aov("albedo", ("albedo.R", "albedo.G", "albedo.B"), np.float64, 0.0, ("albedo",), "reflectance", _albedo),
+    Aov("diffuse", ("R", "G", "B"), np.float64, 0.0, ("radiance",), "radiance", _diffuse),
+    Aov("shape_id", ("id.shape",), np.int32, -1, ("shape_id",), "ids", _shape_id),
+    Aov("prim_id", ("id.prim",), np.int32, -1, ("prim_id",), "ids", _prim_id),
+):
     register(each)

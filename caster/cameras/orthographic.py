@@ -1,11 +1,8 @@
 """The orthographic camera: all rays are parallel."""
 
-import math
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
-from pydantic import Field, model_validator
-
-from caster.description.fields import Camera, NonNegative, Positive
+from caster.description.fields import ClippedCamera, Positive
 from caster.jit.decorators import implement
 from caster.kernels.math.vec import add, dot, scaled, sub
 from caster.kernels.protocol import Vec3, camera_ray, project, project_bounding_sphere
@@ -26,26 +23,17 @@ class OrthographicRays(NamedTuple):
     far: float
 
 
-class Orthographic(Camera):
+class Orthographic(ClippedCamera):
     """Parallel rays from a window `width` scene units wide around the eye; depth is the distance from the window."""
 
     type: Literal["orthographic"] = "orthographic"
     width: Positive = 2.0
-    near: NonNegative = 0.0
-    far: Annotated[Positive | None, Field(description="None: no limit")] = None
-
-    @model_validator(mode="after")
-    def _near_is_nearer(self) -> "Orthographic":
-        if self.far is not None and self.near >= self.far:
-            raise ValueError(f"near must be < far, got near {self.near} and far {self.far}")
-        return self
 
     def pack(self, width: int, height: int) -> OrthographicRays:
         right, up, forward = self.frame
-        far = math.inf if self.far is None else self.far
         half = (0.5 * self.width, 0.5 * self.width * height / width)
         size = (float(width), float(height))
-        return OrthographicRays(self.eye, right, up, forward, size, half, self.near, far)
+        return OrthographicRays(self.eye, right, up, forward, size, half, *self.clip)
 
 
 @implement(camera_ray, OrthographicRays)

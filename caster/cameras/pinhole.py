@@ -1,11 +1,9 @@
 """The pinhole (perspective) camera."""
 
 import math
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
-from pydantic import Field, model_validator
-
-from caster.description.fields import Camera, FieldOfView, NonNegative, Number, Positive
+from caster.description.fields import ClippedCamera, FieldOfView, Number
 from caster.description.transform import tangent
 from caster.jit.decorators import implement, inlined
 from caster.kernels.math.vec import U, add, dot, l1_norm, scaled, sub
@@ -35,7 +33,7 @@ class PinholeRays(NamedTuple):
     far: float
 
 
-class Pinhole(Camera):
+class Pinhole(ClippedCamera):
     """A perspective camera. `fov` is measured along `fov_axis` of the whole film, aspect from its size.
 
     `principal_point` shifts the window by fractions of the film. `near` and `far` are clipping planes; depth is
@@ -47,14 +45,6 @@ class Pinhole(Camera):
     fov: FieldOfView = 45.0
     fov_axis: Literal["x", "y", "diagonal", "smaller", "larger"] = "x"
     principal_point: tuple[Number, Number] = (0.0, 0.0)
-    near: NonNegative = 0.0
-    far: Annotated[Positive | None, Field(description="None: no limit")] = None
-
-    @model_validator(mode="after")
-    def _near_is_nearer(self) -> "Pinhole":
-        if self.far is not None and self.near >= self.far:
-            raise ValueError(f"near must be < far, got near {self.near} and far {self.far}")
-        return self
 
     def half_extent(self, width: int, height: int) -> tuple[float, float]:
         """Half width and half height of the image plane at distance 1."""
@@ -70,10 +60,9 @@ class Pinhole(Camera):
 
     def pack(self, width: int, height: int) -> PinholeRays:
         right, up, forward = self.frame
-        far = math.inf if self.far is None else self.far
         half = self.half_extent(width, height)
         size = (float(width), float(height))
-        return PinholeRays(self.eye, right, up, forward, size, half, self.principal_point, self.near, far)
+        return PinholeRays(self.eye, right, up, forward, size, half, self.principal_point, *self.clip)
 
 
 @implement(camera_ray, PinholeRays)

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from caster.description.errors import expectation_error
-from caster.description.fields import Description, PositiveNumber, Vec3
+from caster.description.fields import Description, Positive, Vec3
 from caster.jit.decorators import implement
 from caster.kernels.protocol import camera_ray
 
@@ -36,7 +36,7 @@ class Ray(Description):
     type: Literal["ray"] = "ray"
     origin: Vec3
     direction: Vec3
-    t_max: Annotated[PositiveNumber | None, Field(description="None: no limit")] = None
+    t_max: Annotated[Positive | None, Field(description="None: no limit")] = None
 
     shares_origin: ClassVar[bool] = True
     look_at: ClassVar[None] = None

@@ -19,9 +19,10 @@ Array = np.ndarray[Any, np.dtype[Any]]
 
 
 def with_window_behind_scene(scene: Scene) -> tuple[Scene, float]:
-    """The scene with its orthographic window moved behind all shapes, and the distance moved (0: the scene itself).
+    """Move the orthographic window of a scene behind all shapes. Returns the scene and the distance moved, or 0.
 
-    Rays of the course start at infinity, those of `Orthographic` at the window. Depths of the result count from there.
+    Rays of the course start at infinity, those of `Orthographic` at the window, from where the depths of the new scene
+    count.
     """
     camera = scene.camera
     if not isinstance(camera, Orthographic) or not scene.shapes:
@@ -48,7 +49,7 @@ def with_window_behind_scene(scene: Scene) -> tuple[Scene, float]:
 
 @dataclass(frozen=True)
 class CourseImages:
-    """Results of one cast: (h, w) arrays; color and normal (h, w, 3)."""
+    """The results of one cast: (h, w) arrays; color and normal (h, w, 3)."""
 
     hit: Array  # bool
     t: Array  # along the ray, from the start of the course; inf on a miss
@@ -57,7 +58,7 @@ class CourseImages:
 
 
 def render_course(course: CourseScene, threads: int | None = None) -> CourseImages:
-    """Cast and shade. Back sides are black, unless the materials are two-sided."""
+    """Cast and shade the scene. Back sides are black, unless the materials are two-sided."""
     scene, back = with_window_behind_scene(course.scene)
     view = trace_film(scene, threads=threads)
     window = film_window(scene)
@@ -68,7 +69,7 @@ def render_course(course: CourseScene, threads: int | None = None) -> CourseImag
 
 
 def depth_image(images: CourseImages, near: float, far: float) -> Array:
-    """Depths as (h, w, 3) bytes: white at `near` and before, black at `far` and beyond, and where nothing is hit."""
+    """Depths as (h, w, 3) bytes: white up to `near`, black from `far` on and where nothing is hit."""
     grey = np.clip((far - np.where(images.hit, images.t, far)) / (far - near), 0.0, 1.0)
     return np.repeat(to_bytes_truncated(grey)[..., None], 3, axis=-1)
 
@@ -84,9 +85,9 @@ def to_bytes_truncated(values: Array) -> Array:
 
 
 def _colors(course: CourseScene, view: RayHits) -> Array:
-    """(n, 3): ambient light times the diffuse colour, and for each light color max(0, n . l) times it.
+    """(n, 3): the diffuse colour times the ambient light and, for each light, color max(0, n . l).
 
-    Unlike the AOV `diffuse`, lights fall off only as declared in their file.
+    Unlike in the AOV `diffuse`, lights fall off only as their file declares.
     """
     front = np.sum(view.normals * view.rays.d, axis=1) <= 0.0
     n = np.where(front[:, None], view.normals, -view.normals)
@@ -102,7 +103,7 @@ def _colors(course: CourseScene, view: RayHits) -> Array:
             assert falloff is not None  # of a point light
             r = row_lengths(way)
             fading = falloff.constant + falloff.linear * r + falloff.quadratic * r * r
-            weight = r * fading  # no light at the position of the light itself
+            weight = r * fading  # 0 at the position of the light itself, which gets no light
             brightness = np.divide(dot_rows(n, way), weight, out=np.zeros(len(r)), where=weight > 0.0)
         brightness = np.where(view.hit, np.maximum(brightness, 0.0), 0.0)
         lit = np.flatnonzero(brightness > 0.0)

@@ -9,12 +9,11 @@ from caster.cli.application import Command
 _HERE = "caster.cli"
 
 COMMANDS = (
-    Command("render", "render a scene to an EXR file", f"{_HERE}.scene_commands", compiles=True),
+    Command("render", "render a scene to an EXR file", f"{_HERE}.scene_commands"),
     Command(
         "probe",
         "one pixel: its ray, its hit and the intersections of each shape, in decimal and hex",
         f"{_HERE}.probe_pixel",
-        compiles=True,
     ),
     Command(
         "check",
@@ -22,7 +21,6 @@ COMMANDS = (
         f"{_HERE}.scene_commands",
         run="run_check",
         arguments="add_check_arguments",
-        compiles=True,
     ),
     Command(
         "schema",
@@ -51,13 +49,11 @@ COMMANDS = (
         f"{_HERE}.viewing",
         run="sheet",
         arguments="add_sheet_arguments",
-        compiles=True,
     ),
     Command(
         "6837",
         "render a scene file of MIT 6.837, with that course's options and images (docs/classroom.md)",
         f"{_HERE}.course_6837",
-        compiles=True,
     ),
     Command(
         "doctor",

@@ -11,22 +11,21 @@ from typing import NamedTuple
 
 from caster import __version__
 from caster.cli.shared_arguments import checked_paths
-from caster.system import NOT_HERE, runs_here
+from caster.system import NOT_HERE, runs_here, terminal
 from caster.system.process import FILE, INTERRUPTED, end_process, exit_codes_help, run_command
 
 __all__ = ["Command", "announce", "build_parser", "main"]
 
 
 class Command(NamedTuple):
-    """An entry of a registry. Its module defines `arguments(parser)` and `run(args) -> exit code` under these names."""
+    """An entry of a registry. Its module defines functions `arguments(parser)` and `run(args) -> exit code`."""
 
     name: str  # as typed
     help: str  # one line
     module: str  # dotted
     run: str = "run"
     arguments: str = "add_arguments"
-    starts_with: str = ""  # what it does first, said at once by commands that load for long
-    compiles: bool = False  # it may compile kernels
+    starts_with: str = ""  # what it does first, printed at once by commands that load slowly
 
     def load(self, parser: argparse.ArgumentParser) -> None:
         """Import the module and add its arguments to the parser of the command."""
@@ -51,7 +50,7 @@ def main(name: str, about: str, commands: Sequence[Command], codes: Sequence[int
         with checked_paths(args):
             if argv is None:
                 announce(name, commands, chosen)
-            with reporting(commands, chosen):
+            with terminal.compilation_reported():
                 return int(args.run(args))
 
     code = run_command(run)
@@ -64,21 +63,12 @@ def announce(name: str, commands: Sequence[Command], chosen: str) -> None:
     """Write the command's starting line, if it has one, to standard error before slow imports."""
     for text in (command.starts_with for command in commands if command.name == chosen):
         if text:
-            with contextlib.suppress(OSError):  # whoever closed standard error does not wait for it
+            with contextlib.suppress(OSError):  # standard error may be closed
                 print(f"{name} {chosen}: {text}", file=sys.stderr, flush=True)
 
 
-def reporting(commands: Sequence[Command], chosen: str) -> contextlib.AbstractContextManager[None]:
-    """A context in which the kernels that the command compiles are reported."""
-    if not any(command.compiles for command in commands if command.name == chosen):
-        return contextlib.nullcontext()
-    from caster.system import terminal
-
-    return terminal.compilation_reported()
-
-
 class _Parser(argparse.ArgumentParser):
-    """Without colours of Python 3.14, whose escapes `printable` would show."""
+    """A parser without the colours of Python 3.14, whose escapes `printable` would show."""
 
     color = False
 

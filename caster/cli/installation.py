@@ -1,4 +1,4 @@
-"""`caster doctor`: packages found on this machine, what each missing one would add, and kernels compiled ahead."""
+"""`caster doctor`: the packages found on this machine, the use of each missing one, and kernels compiled ahead."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 from caster.cli.shared_arguments import InputPath
 from caster.system import processor
-from caster.system.process import OK
+from caster.system.process import FILE, OK
 
-__all__ = ["Finding", "Package", "exit_code", "find_package", "format_json", "print_findings", "report", "usable"]
+__all__ = ["Finding", "Package", "find_package", "print_findings", "report"]
 
 
 class Package(NamedTuple):
@@ -44,7 +44,7 @@ PACKAGES = (
 
 
 class Finding(NamedTuple):
-    """The result of one look-up. detail: the version found, or why it cannot be used."""
+    """One line of the report. detail: the version found, or why it cannot be used."""
 
     name: str
     found: bool
@@ -76,106 +76,71 @@ def warm(paths: Sequence[str], as_json: bool) -> int:
     from caster.jit.kernel_cache import COMPILED
     from caster.rendering import warm_up
     from caster.scene.files import load_scene
-    from caster.system.terminal import compilation_reported, report_refused_cache
+    from caster.system.terminal import report_refused_cache
 
     if not COMPILED:
         print("kernels: none, as Numba is switched off or not installed")
         return OK
     report_refused_cache()
     scenes = [(path, load_scene(path)) for path in paths] if paths else list(warm_up.warm_up_scenes())
-    with compilation_reported():
-        done = warm_up.warm_up(scenes, lambda name: None)
-    if as_json:
-        print(json.dumps(done._asdict()))
-    elif done.compiled:
-        print(f"kernels: {done.compiled} compiled, {done.loaded} loaded from the cache")
-    else:
-        print(f"kernels: 0 compiled, all {done.loaded} were in the cache")
+    done = warm_up.warm_up(scenes, lambda name: None)
+    text = f"kernels: {done.compiled} compiled, {done.loaded} loaded from the cache"
+    print(json.dumps(done._asdict()) if as_json else text)
     return OK
 
 
 def report() -> list[Finding]:
     """Findings on Python, the processor and every package that the ray caster uses."""
-    return [_python(), _processor(), *(find_package(part) for part in PACKAGES)]
-
-
-def _processor() -> Finding:
-    """Reported: images of the caster do not depend on it, last bits of Mitsuba's do."""
-    adds = "nothing to images of caster; last bits to those of Mitsuba"
-    return Finding("processor", True, False, processor.description(), adds)
-
-
-def usable(findings: Sequence[Finding]) -> bool:
-    """Whether everything needed was found."""
-    return all(finding.found for finding in findings if finding.needed)
-
-
-def exit_code(findings: Sequence[Finding]) -> int:
-    """0 when usable, else 4: something needed is missing or cannot be loaded."""
-    return 0 if usable(findings) else 4
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    python = f"{platform.python_version()} on {platform.system()} {platform.machine()}, {cores} cores"
+    return [
+        Finding("Python", True, True, python, "everything"),
+        Finding("processor", True, False, processor.description(), "the last bits of Mitsuba's images, not of ours"),
+        *map(find_package, PACKAGES),
+    ]
 
 
 def print_findings(findings: Sequence[Finding], as_json: bool) -> int:
-    """Print findings as a table or as JSON; the exit code they make."""
-    print(format_json(findings) if as_json else format_table(findings))
-    return exit_code(findings)
-
-
-def format_table(findings: Sequence[Finding]) -> str:
-    """The findings as a table, with a conclusion in the last line."""
-    width = max(len(finding.name) for finding in findings)
-    return "\n".join([*(_line(finding, width) for finding in findings), "", _verdict(findings)])
-
-
-def format_json(findings: Sequence[Finding]) -> str:
-    """The findings as JSON: {"usable": bool, "findings": [{"name", "found", ...}, ...]}."""
-    return json.dumps({"usable": usable(findings), "findings": [f._asdict() for f in findings]}, indent=2)
-
-
-def find_package(part: Package) -> Finding:
-    """Check one package: installed, new enough, and importable."""
-    problem, detail = "", "not installed"
-    try:
-        detail = importlib.metadata.version(part.distribution)
-        problem = _problem(part, detail)
-    except importlib.metadata.PackageNotFoundError:
-        problem = detail
-    if not problem and part.module == "numba" and os.environ.get("CASTER_JIT") == "0":
-        detail += ", switched off by CASTER_JIT=0"
-    way_out = f"pip install '{part.distribution}>={part.least}'" if problem else ""
-    return Finding(part.distribution, not problem, part.needed, problem or detail, part.adds, way_out)
-
-
-def _problem(part: Package, version: str) -> str:
-    """Why an installed package cannot be used, or nothing."""
-    if _numbers(version) < _numbers(part.least):
-        return f"{version} is too old, {part.least} or newer is needed"
-    try:
-        importlib.import_module(part.module)
-    except Exception as error:  # a broken wheel may raise anything
-        return f"{version} is installed, but does not import: {error}"
-    return ""
-
-
-def _numbers(version: str) -> tuple[int, ...]:
-    return tuple(int(number) for number in re.findall(r"\d+", version)[:3])
-
-
-def _python() -> Finding:
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    detail = f"{platform.python_version()} on {platform.system()} {platform.machine()}, {cores} cores"
-    return Finding("Python", True, True, detail, "everything")
+    """Print findings as a table or as JSON; 0 if usable, else 4: something needed is missing or cannot be loaded."""
+    missing = [finding.name for finding in findings if finding.needed and not finding.found]
+    if as_json:
+        print(json.dumps({"usable": not missing, "findings": [f._asdict() for f in findings]}, indent=2))
+    else:
+        width = max(len(finding.name) for finding in findings)
+        for finding in findings:
+            print(_line(finding, width))
+        verdict = f"Not usable without {', '.join(missing)}." if missing else "Usable: everything needed was found."
+        print(f"\n{verdict}")
+    return FILE if missing else OK
 
 
 def _line(finding: Finding, width: int) -> str:
     if finding.found:
         return f"ok       {finding.name:{width}}  {finding.detail}"
-    state = "MISSING" if finding.needed else "without"
-    use = "needed for" if finding.needed else "would add"
+    state, use = ("MISSING", "needed for") if finding.needed else ("without", "would add")
     way_out = f" ({finding.way_out})" if finding.way_out else ""
     return f"{state}  {finding.name:{width}}  {finding.detail}; {use} {finding.adds}{way_out}"
 
 
-def _verdict(findings: Sequence[Finding]) -> str:
-    missing = [finding.name for finding in findings if finding.needed and not finding.found]
-    return f"Not usable without {', '.join(missing)}." if missing else "Usable: everything needed was found."
+def find_package(part: Package) -> Finding:
+    """Check one package: installed, new enough, and importable."""
+    found = False
+    try:
+        detail = importlib.metadata.version(part.distribution)
+        if _numbers(detail) < _numbers(part.least):
+            detail += f" is too old, {part.least} or newer is needed"
+        else:
+            importlib.import_module(part.module)
+            found = True
+    except importlib.metadata.PackageNotFoundError:
+        detail = "not installed"
+    except Exception as error:  # a broken wheel may raise anything
+        detail += f" is installed, but does not import: {error}"
+    if found and part.module == "numba" and os.environ.get("CASTER_JIT") == "0":
+        detail += ", switched off by CASTER_JIT=0"
+    way_out = "" if found else f"pip install '{part.distribution}>={part.least}'"
+    return Finding(part.distribution, found, part.needed, detail, part.adds, way_out)
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    return tuple(int(number) for number in re.findall(r"\d+", version)[:3])

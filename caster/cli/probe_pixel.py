@@ -44,25 +44,23 @@ def run(args: argparse.Namespace) -> int:
 
 
 def probe_to_json(found: Probe, path: str) -> dict[str, Any]:
-    """A probe for JSON. A key with _hex holds the exact value of the number beside it; null: an infinite t_max."""
-    ray = _with_hex("o", found.o) | _with_hex("d", found.d) | _with_hex("t_min", found.t_min)
-    ray |= _with_hex("t_max", found.t_max) if math.isfinite(found.t_max) else {"t_max": None}
-    film = found.scene.film
+    """A probe for JSON, whose numbers are exact. null: no limit of t, or a miss."""
+    scene, film = found.scene, found.scene.film
+    ray = {"o": found.o.tolist(), "d": found.d.tolist(), "t_min": found.t_min, "t_max": _finite(found.t_max)}
+    surface = {name: value.tolist() for name, value in found.surface.items()}
     return {
         "scene": path,
         "pixel": [found.x, found.y],
         "film": [film.width, film.height],
         "ray": ray if found.t_max >= 0.0 else None,
-        "hit": found.hit and _ids(found.hit, found.scene) | _with_hex("t", found.hit.t) | _surface(found),
-        "tried": {"prims": found.prims, "shapes": len(found.scene.shapes)},
-        "near": [_tested(tried, found.scene) for tried in found.tried],
+        "hit": found.hit and {**_ids(found.hit, scene), "t": found.hit.t, **surface},
+        "tried": {"prims": found.prims, "shapes": len(scene.shapes)},
+        "near": [_tested(tried, scene) for tried in found.tried],
     }
 
 
-def _with_hex(name: str, value: Any) -> dict[str, Any]:
-    if isinstance(value, float):
-        return {name: value, f"{name}_hex": value.hex()}
-    return {name: value.tolist(), f"{name}_hex": [x.hex() for x in value.tolist()]}
+def _finite(number: float) -> float | None:
+    return number if math.isfinite(number) else None
 
 
 def _ids(found: PixelHit | PrimitiveResult, scene: Scene) -> dict[str, Any]:
@@ -71,20 +69,14 @@ def _ids(found: PixelHit | PrimitiveResult, scene: Scene) -> dict[str, Any]:
 
 
 def _tested(tried: PrimitiveResult, scene: Scene) -> dict[str, Any]:
-    """One primitive tested alone. t: null on a miss."""
-    margins = [{"of": m.of, "unit": m.unit, **_with_hex("inside", m.inside)} for m in tried.margins]
-    hit = math.isfinite(tried.t)
+    """One primitive tested alone."""
     return {
         **_ids(tried, scene),
-        **(_with_hex("t", tried.t) if hit else {"t": None}),
+        "t": _finite(tried.t),
         "decided_by": tried.decided_by,
-        "t_off": tried.error if hit and math.isfinite(tried.error) else None,
-        "margins": margins,
+        "t_off": _finite(tried.error) if math.isfinite(tried.t) else None,
+        "margins": [margin._asdict() for margin in tried.margins],
     }
-
-
-def _surface(found: Probe) -> dict[str, Any]:
-    return {key: item for name, value in found.surface.items() for key, item in _with_hex(name, value).items()}
 
 
 # ---- as text ----

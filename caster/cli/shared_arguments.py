@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from caster.description.errors import FileMissing, SceneError, error_prefix
-from caster.description.input_files import is_input, record_input, recorded_inputs
 from caster.system.atomic_files import OutputError, check_folder, check_writable, locked
 
 __all__ = [
@@ -74,7 +73,7 @@ def add_mesh_dirs(parser: argparse.ArgumentParser) -> None:
 
 
 def mesh_dir_options(args: argparse.Namespace) -> tuple[str, ...]:
-    """The command-line words of --mesh-dir, for a command to be run on the same scene."""
+    """The options --mesh-dir again, for a command line about the same scene."""
     return tuple(word for folder in args.mesh_dir for word in ("--mesh-dir", folder))
 
 
@@ -83,7 +82,7 @@ def add_threads(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--threads", type=thread_number, metavar="N", help="default: one for each core")
 
 
-MAX_THREADS = 1024  # more than any machine that this runs on has processors
+MAX_THREADS = 1024  # more than the processors of any machine
 
 
 def thread_number(text: str) -> int:
@@ -130,7 +129,7 @@ def load(args: argparse.Namespace) -> Scene:
 
 
 def scene_files(paths: Iterable[str]) -> list[str]:
-    """Expand folders into their scene files, sorted, without duplicates. Raises FileMissing, SceneError."""
+    """Expand folders into their sorted scene files, without duplicates. Raises FileMissing, SceneError."""
     found: list[str] = []
     for path_text in paths:
         path = Path(path_text)
@@ -164,7 +163,7 @@ def display_names(files: Sequence[str]) -> list[str]:
     return list(names)
 
 
-# ---- paths: no output is an input, and no two runs write into one folder ----
+# ---- paths: no output is an input ----
 
 
 class InputPath(str):
@@ -190,22 +189,21 @@ def output_file_unless_number(text: str) -> str:
 
 @contextlib.contextmanager
 def checked_paths(args: argparse.Namespace) -> Iterator[None]:
-    """Refuse outputs that are inputs, now and while the body runs; lock output folders for this process.
+    """Check outputs, and lock output folders for this process while the body runs.
 
-    Raises SceneError for such an output, OutputError for a file that cannot be written or a folder that another process
-    writes into.
+    Raises SceneError for an output that is an input, a scene file of an input folder, or another output; OutputError
+    for a file that cannot be written or a folder that another process writes into.
     """
     given = [(name, value) for name, values in vars(args).items() for value in _flat(values)]
+    sources = (value for _, value in given if isinstance(value, InputPath))
+    inputs = {_file_id(file) for source in sources for file in (source, *_scene_files_in(source))}
     option_of: dict[str, str] = {}  # by the path of its output
-    with recorded_inputs(), contextlib.ExitStack() as stack:
-        for source in (value for _, value in given if isinstance(value, InputPath)):
-            for file in (source, *_scene_files_in(source)):
-                record_input(file)
+    with contextlib.ExitStack() as stack:
         for name, path in given:
             if not isinstance(path, (OutputFile, OutputFolder)) or path == "-":
                 continue
             option = f"--{name.replace('_', '-')}"
-            if is_input(path):
+            if os.path.exists(path) and _file_id(path) in inputs:
                 raise SceneError(f"{option} {path}: expected another path: it is an input, and would be overwritten")
             other = option_of.setdefault(os.path.realpath(path), option)
             if isinstance(path, OutputFile) and other != option:
@@ -233,6 +231,14 @@ def _own_folder(folder: Path) -> Iterator[None]:
             if created:
                 with contextlib.suppress(OSError):
                     folder.rmdir()
+
+
+def _file_id(path: str) -> tuple[int, int] | None:
+    """Device and inode: equal for links and other spellings of a path. None if there is no such file."""
+    with contextlib.suppress(OSError, ValueError):
+        status = os.stat(path)
+        return status.st_dev, status.st_ino
+    return None
 
 
 def _flat(values: Any) -> Iterator[Any]:

@@ -4,8 +4,8 @@ import argparse
 import json
 import math
 import sys
-from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from caster.cli.shared_arguments import (
     InputPath,
@@ -19,6 +19,10 @@ from caster.cli.shared_arguments import (
 )
 from caster.description.errors import error_prefix
 from caster.system.process import NOTHING_SELECTED, OK
+
+if TYPE_CHECKING:
+    from caster.image.previews import LabelledImage
+    from caster.scene.model import Scene
 
 # ---- caster info ----
 
@@ -63,13 +67,16 @@ def preview(args: argparse.Namespace) -> int:
 
     Raises FileMissing, UnreadableExr, SceneError, OutputError.
     """
-    from caster.image.image_files import check_image_name
-    from caster.image.previews import exr_images, write_preview
+    from caster.image import previews
+    from caster.image.image_files import check_image_name, write_image
 
     output = args.output if args.output is not None else f"{Path(args.file).stem}.png"
     check_image_name("-o", output)
-    images = exr_images(args.file, comma_separated(args.aov))
-    for line in write_preview(output, images, {"Source": Path(args.file).name}):
+    images = previews.exr_images(args.file, comma_separated(args.aov))
+    legend = [f"{each.name}: {each.legend}" for each in images]
+    pixels = images[0].pixels if len(images) == 1 else previews.sheet(images, len(images))
+    write_image(output, pixels, {"Description": "\n".join(legend), "Source": Path(args.file).name})
+    for line in legend:
         print(f"{output}: {line}", file=sys.stderr)
     print(output)
     return OK
@@ -95,7 +102,7 @@ def sheet(args: argparse.Namespace) -> int:
     """Render all scenes as thumbnails and write the sheet. Raises SceneError, FileMissing, OutputError."""
     from caster.image import previews
     from caster.image.image_files import check_image_name, write_image
-    from caster.rendering.images import check_names, render
+    from caster.rendering.images import check_names
     from caster.scene.files import load_scene
     from caster.system.atomic_files import check_writable
 
@@ -107,12 +114,27 @@ def sheet(args: argparse.Namespace) -> int:
         print(f"nothing selected: no scene file in {', '.join(args.scenes)}", file=sys.stderr)
         return NOTHING_SELECTED
     scenes = [load_scene(file, args.mesh_dir) for file in files]  # all errors before any rendering
-    images, draw = [], partial(render, threads=args.threads)
+    images = []
     for file, scene, name in zip(files, scenes, display_names(files), strict=True):
         with error_prefix(file):
-            images.append(previews.thumbnail(scene, name, args.side, args.aov, draw))
-    columns = args.columns or max(1, round(math.sqrt(1.5 * len(images))))  # half as wide again as high
+            images.append(thumbnail(scene, name, args))
+    columns = args.columns or max(1, round(math.sqrt(1.5 * len(images))))  # the sheet is wider than high
     about = {"Description": ", ".join(image.name for image in images)}
     write_image(args.output, previews.sheet(images, columns), about)
     print(f"{args.output}: {len(images)} scenes")
     return OK
+
+
+def thumbnail(scene: "Scene", name: str, args: argparse.Namespace) -> "LabelledImage":
+    """A scene rendered at --side; a smaller film is enlarged by an integer factor."""
+    from caster.image.previews import LabelledImage, aov_view
+    from caster.rendering.images import render
+
+    film = scene.film
+    share = min(1.0, args.side / max(film.width, film.height))
+    small = scene.with_film(width=max(1, round(share * film.width)), height=max(1, round(share * film.height)))
+    aov = "normal" if args.aov == "diffuse" and not scene.lights else args.aov
+    aovs = render(small, (aov,), threads=args.threads)
+    image = aov_view(aov, aovs[aov].astype(float), aovs.hit)
+    times = max(1, args.side // max(image.pixels.shape[:2]))
+    return LabelledImage(name, image.pixels.repeat(times, axis=0).repeat(times, axis=1), image.legend)

@@ -1,11 +1,10 @@
-"""Exceptions for users, and diagnostics of invalid scenes: paths into the data, messages, translation of Pydantic's."""
+"""Exceptions for users, and diagnostics of invalid scenes: paths into the data, messages, Pydantic's errors."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
-from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 __all__ = ["Diagnostic", "FileMissing", "SceneError", "diagnostics_of", "error_prefix", "join_words", "suggestion"]
@@ -29,14 +28,14 @@ class FileMissing(SceneError):  # noqa: N818 - named after its subject
 
 @contextlib.contextmanager
 def error_prefix(*words: object) -> Iterator[None]:
-    """Prefix a SceneError of the body with its origin: an option with its values, or a file."""
+    """Prefix SceneErrors raised by the body with their origin: an option with its values, or a file."""
     try:
         yield
     except SceneError as error:
         raise type(error)(f"{' '.join(map(str, words))}: {error}") from None
 
 
-MAX_VALUE_CHARACTERS = 60  # characters of one value in a message
+MAX_VALUE_CHARACTERS = 60  # of one value in a message
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
@@ -69,7 +68,7 @@ def _spelled(value: Any, depth: int) -> str:
 
 
 def join_words(names: Iterable[str], last: str = "or") -> str:
-    """'a, b or c'."""
+    """Names as text: 'a, b or c'."""
     *most, end = names
     return f"{', '.join(most)} {last} {end}" if most else end
 
@@ -79,6 +78,13 @@ def field_error(text: str) -> PydanticCustomError:
     from pydantic_core import PydanticCustomError  # deferred, so that `--help` does not load it
 
     return PydanticCustomError("field", "{text}", {"text": text})
+
+
+def missing_file_error(text: str) -> PydanticCustomError:
+    """The same for a file that is missing or unreadable."""
+    from pydantic_core import PydanticCustomError
+
+    return PydanticCustomError("missing_file", "{text}", {"text": text})
 
 
 def expectation_error(expected: str, got: Any, hint: str = "") -> PydanticCustomError:
@@ -101,16 +107,17 @@ class Diagnostic(NamedTuple):
 
     path: DataPath
     text: str
+    missing: bool = False  # a file is missing or unreadable
+
+
+def error_type(problems: Iterable[Diagnostic]) -> type[SceneError]:
+    """The exception for these problems: FileMissing if nothing else is wrong."""
+    return FileMissing if all(problem.missing for problem in problems) else SceneError
 
 
 def value_diagnostic(path: DataPath, text: str, data: Any, model: Model) -> Diagnostic:
     """Diagnostic of one value: 'shapes[3] (disk "lid"): radius must be ...'; `text` follows the value's name."""
     return Diagnostic(path, _message(path, text, data, model))
-
-
-def table_diagnostic(path: DataPath, text: str, data: Any, model: Model) -> Diagnostic:
-    """Diagnostic of the table that the last step of the path is a key of: 'shapes[3] (disk "lid"): needs ...'."""
-    return Diagnostic(path, _message(path[:-1], text, data, model))
 
 
 def format_path(path: DataPath) -> str:
@@ -158,55 +165,45 @@ CROSS_ELEMENT_ERROR = "cross_element"  # type of the error of a check across sev
 
 def diagnostics_of(error: ValidationError, data: Any, model: Model) -> list[Diagnostic]:
     """All errors of a validation as diagnostics, and those of checks across elements."""
-    _models_by_key.cache_clear()  # a plug-in may have added fields since
     found: dict[Any, Diagnostic] = {}
     for finding in error.errors(include_url=False):
         if finding["type"] != CROSS_ELEMENT_ERROR:  # repeated below on the input data
-            place = _locate(finding["loc"], data, model)
-            problem = _diagnostic(finding, place, data, model)
+            problem = _diagnostic(finding, _path_of(finding, data), data, model)
+            problem = problem._replace(missing=finding["type"] == "missing_file")
             found[problem.path, finding["type"]] = problem  # Pydantic reports a list too short by two twice
     return [*found.values(), *getattr(model, "problems_across", lambda _: [])(data)]
 
 
-class _Location(NamedTuple):
-    path: DataPath
-    around: tuple[Model, ...]  # description classes that contain the last step
-    models: tuple[Model, ...]  # description classes that the end of the path may have
-
-
-def _locate(loc: DataPath, data: Any, model: Model) -> _Location:
-    """Resolve Pydantic's error location in the data. It also contains the `type` of each union member on the way."""
+def _path_of(finding: Any, data: Any) -> DataPath:
+    """Pydantic's error location without steps that the data does not have, such as the `type` of each union member."""
     path: DataPath = ()
-    around: tuple[Model, ...] = (model,)
-    models, here = around, data
-    for step in loc:
-        if isinstance(step, str) and len(models) > 1:
-            models = tuple(m for m in models if m.model_fields["type"].default == step)
+    here, element = data, None  # element: the path whose `type` was left out
+    for k, step in enumerate(finding["loc"]):
+        is_type = child_of(here, "type") == step and element != path
+        if is_type and (k < len(finding["loc"]) - 1 or finding["type"] != "extra_forbidden"):
+            element = path
         elif isinstance(step, int) and isinstance(here, Mapping):
             continue  # a single table in place of a list
         elif isinstance(here, (Mapping, list, tuple)) or hasattr(here, "model_fields_set"):
             path, here = (*path, step), child_of(here, step)
-            around, models = models, _below(models, step)
         else:  # a number in place of a vector: the rest is not in the file
             break
-    return _Location(path, around, models)
+    return path
 
 
-def _below(models: tuple[Model, ...], step: str | int) -> tuple[Model, ...]:
-    tables = [_models_by_key(model) for model in models]
-    if not any(step in table for table in tables):
-        return models  # an index, or a user-defined name
-    return tuple(found for table in tables for found in table.get(step, ()))
+def _models_at(path: DataPath, data: Any, model: Model) -> tuple[Model, ...]:
+    """The description classes that the value at a path may have."""
+    models: tuple[Model, ...] = (model,)
+    for step in path:
+        data = child_of(data, step)
+        fields = [field for each in models for name, field in each.model_fields.items() if step in (name, field.alias)]
+        models = tuple(found for field in fields for found in _models_in(field.annotation)) or models
+        models = tuple(each for each in models if _type_of(each) == child_of(data, "type")) or models
+    return models
 
 
-@cache
-def _models_by_key(model: Model) -> Mapping[str | int, tuple[Model, ...]]:
-    """The description classes of what stands at each key, by the field's name and by its alias."""
-    table: dict[str | int, tuple[Model, ...]] = {}
-    for name, field in model.model_fields.items():
-        for key in {name, field.alias or name}:
-            table[key] = (*table.get(key, ()), *_models_in(field.annotation))
-    return table
+def _type_of(model: Model) -> Any:
+    return model.model_fields["type"].default if "type" in model.model_fields else None
 
 
 def _models_in(annotation: Any) -> tuple[Model, ...]:
@@ -215,31 +212,31 @@ def _models_in(annotation: Any) -> tuple[Model, ...]:
     return tuple(found for part in get_args(annotation) for found in _models_in(part))
 
 
-def _diagnostic(finding: Any, place: _Location, data: Any, model: Model) -> Diagnostic:
-    path, around, models = place
+def _diagnostic(finding: Any, path: DataPath, data: Any, model: Model) -> Diagnostic:
     kind, got = finding["type"], finding["input"]
     if kind == "missing" and isinstance(path[-1], int):
         text = f"must be {path[-1] + 1} items, got {len(got)}: {format_value(got)}"
         return value_diagnostic(path[:-1], text, data, model)
     if kind == "missing":
-        return table_diagnostic(path, f"needs the key '{path[-1]}'", data, model)
+        return Diagnostic(path, _message(path[:-1], f"needs the key '{path[-1]}'", data, model))
     if kind == "extra_forbidden":
-        return value_diagnostic(path, _unknown_key(str(path[-1]), around), data, model)
+        return value_diagnostic(path, _unknown_key(str(path[-1]), _models_at(path[:-1], data, model)), data, model)
     if kind.startswith("union_tag"):
         noun = SINGULAR.get(str(path[0]), str(path[0]))
-        return table_diagnostic((*path, "type"), _unknown_type(got, noun, models), data, model)
+        text = _unknown_type(got, noun, _models_at(path, data, model))
+        return Diagnostic((*path, "type"), _message(path, text, data, model))
     return value_diagnostic(path, _text(kind, got, finding.get("ctx", {})), data, model)
 
 
-def _unknown_key(key: str, around: Sequence[Model]) -> str:
-    known = [field.alias or name for model in around for name, field in model.model_fields.items()]
+def _unknown_key(key: str, models: Sequence[Model]) -> str:
+    known = [field.alias or name for model in models for name, field in model.model_fields.items()]
     if SINGULAR.get(key) in known:  # either spelling is valid, but not both
         return f"is a second '{SINGULAR[key]}': write one of them only"
     return f"is an unknown key{suggestion(key, known)}"
 
 
 def _unknown_type(got: Any, noun: str, models: Sequence[Model]) -> str:
-    known = [model.model_fields["type"].default for model in models]
+    known = [str(_type_of(model)) for model in models]
     kind = child_of(got, "type")
     if kind is None:
         return f"needs the key 'type': {join_words(known)}"
@@ -248,7 +245,7 @@ def _unknown_type(got: Any, noun: str, models: Sequence[Model]) -> str:
 
 def _text(kind: str, got: Any, ctx: Mapping[str, Any]) -> str:
     """The message after the value's name."""
-    if kind == "field":
+    if kind in ("field", "missing_file"):
         return str(ctx["text"])
     if kind == "value_error":  # raised by a validator of the whole description
         return str(ctx["error"])
@@ -271,6 +268,7 @@ LIMIT_SIGNS = {
     "less_than_equal": ("<=", "le"),
 }
 EXPECTED_TYPES = {
+    "finite_number": "a finite number",
     "int_type": "a whole number",
     "bool_type": "true or false",
     "string_type": "a string",

@@ -1,71 +1,213 @@
-"""Base classes of shapes, cameras and lights, and their `to_world`; re-exports what descriptions are written with."""
+"""What descriptions are made of: validated fields, base classes of shapes, cameras and lights, and `to_world`."""
 
-from collections.abc import Callable, Mapping
+import contextlib
+import math
+import numbers
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, field_validator, model_validator
-from pydantic_core import CoreSchema
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from caster.description import transform
 from caster.description.errors import (
-    FileMissing,
     SceneError,
+    diagnostics_of,
     expectation_error,
     field_error,
     format_value,
     join_words,
-    suggestion,
-)
-from caster.description.quantities import (
-    HEX_FLOAT,
-    RGB,
-    Description,
-    FieldOfView,
-    Fraction01,
-    Lengths,
-    NonNegative,
-    Number,
-    Points,
-    Positive,
-    PositiveNumber,
-    Reflectance,
-    UnitVec3,
-    Vec2,
-    Vec3,
-    WideFieldOfView,
-    row,
 )
 
-__all__ = [
-    "RGB",
-    "Camera",
-    "Description",
-    "FieldOfView",
-    "FileMissing",
-    "Fraction01",
-    "Lengths",
-    "Light",
-    "Name",
-    "NonNegative",
-    "Number",
-    "Points",
-    "Positive",
-    "PositiveNumber",
-    "Reflectance",
-    "SceneError",
-    "Shape",
-    "Transform",
-    "UnitVec3",
-    "Vec2",
-    "Vec3",
-    "WideFieldOfView",
-    "expectation_error",
-    "field_error",
-    "format_value",
-    "suggestion",
-]
+__all__ = ["Camera", "Description", "Shape"]
+
+# ---- numbers and vectors ----
+
+HEX_FLOAT = r"^[+-]?0[xX][0-9a-fA-F]+(\.[0-9a-fA-F]*)?([pP][+-]?[0-9]+)?$"
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A finite float in a range. Hex-float strings ("0x1.8p-3") are accepted; other strings and booleans are not."""
+
+    gt: float | None = None
+    ge: float | None = None
+    lt: float | None = None
+    le: float | None = None
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        limits = core_schema.float_schema(allow_inf_nan=False, gt=self.gt, ge=self.ge, lt=self.lt, le=self.le)
+        return core_schema.no_info_before_validator_function(_as_float, limits)
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:
+        return {"anyOf": [handler(schema), {"type": "string", "pattern": HEX_FLOAT}]}
+
+
+def _as_float(value: Any) -> float:
+    """A number as a float. -0.0 becomes 0.0, so that equal scenes have equal text."""
+    try:
+        if isinstance(value, str) and re.match(HEX_FLOAT, value):
+            return float.fromhex(value) + 0.0
+        if not isinstance(value, bool) and isinstance(value, numbers.Real):
+            return float(value) + 0.0
+    except OverflowError:
+        pass
+    hint = ": leave out the quotes" if _is_quoted_number(value) else ""
+    raise expectation_error("a finite number", value, hint)
+
+
+def _is_quoted_number(value: Any) -> bool:
+    try:
+        return isinstance(value, str) and math.isfinite(float(value))
+    except ValueError:
+        return False
+
+
+@dataclass(frozen=True)
+class NumberList:
+    """A list of many numbers, or of rows of numbers, validated as one array and kept as tuples.
+
+    what: the contents, in messages; least: numbers must be larger; width: numbers in a row, 0 for plain numbers.
+    """
+
+    what: str
+    least: float = -math.inf
+    width: int = 0
+
+    def read(self, value: Any) -> tuple[Any, ...]:
+        """Parse a list; the error gives the index of the first bad item."""
+        items = value.tolist() if isinstance(value, np.ndarray) else value
+        if not isinstance(items, (list, tuple)) or not items:
+            raise expectation_error(f"a list of {self.what}", value)
+        if self._are_plain(items):
+            with contextlib.suppress(OverflowError):  # a whole number beyond float64
+                array = np.array(items, np.float64) + 0.0  # as _as_float
+                if np.isfinite(array).all() and (array > self.least).all():
+                    rows = array.tolist()
+                    return tuple(map(tuple, rows)) if self.width else tuple(rows)
+        return tuple(self._item(items, i) for i in range(len(items)))
+
+    def _are_plain(self, items: Sequence[Any]) -> bool:
+        """Whether these are rows of the right length of Python's own numbers, no strings, no booleans."""
+        if not self.width:
+            return set(map(type, items)) <= {int, float}
+        if not set(map(type, items)) <= {list, tuple} or set(map(len, items)) != {self.width}:
+            return False
+        return set(map(type, chain.from_iterable(items))) <= {int, float}
+
+    def _item(self, items: Sequence[Any], i: int) -> Any:
+        value = items[i].tolist() if isinstance(items[i], np.ndarray) else items[i]
+        row = value if self.width else (value,)
+        with contextlib.suppress(PydanticCustomError):  # the message below describes the whole list
+            if isinstance(row, (list, tuple)) and len(row) == (self.width or 1):
+                found = tuple(map(_as_float, row))
+                if all(self.least < x < math.inf for x in found):
+                    return found if self.width else found[0]
+        raise field_error(f"must be a list of {self.what}, got {format_value(value)} as number {i}")
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(self.read, core_schema.any_schema())
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:
+        number = {"type": "number"} if math.isinf(self.least) else {"type": "number", "exclusiveMinimum": self.least}
+        item: dict[str, Any] = {"anyOf": [number, {"type": "string", "pattern": HEX_FLOAT}]}
+        if self.width:
+            item = {"type": "array", "items": item, "minItems": self.width, "maxItems": self.width}
+        return {"type": "array", "items": item, "minItems": 1}
+
+
+def row(count: int, what: str) -> Callable[[Any], Any]:
+    """A validator for a list of `count` items, which are validated afterwards."""
+
+    def check(value: Any) -> Any:
+        items = value.tolist() if isinstance(value, np.ndarray) else value
+        if not isinstance(items, (list, tuple)):
+            raise expectation_error(what, value)
+        if len(items) != count:
+            raise field_error(f"must be {what}, got {len(items)}: {format_value(items)}")
+        return items
+
+    return check
+
+
+def _unit(v: tuple[float, float, float]) -> tuple[float, float, float]:
+    try:
+        return transform.unit(v)
+    except ValueError:
+        raise expectation_error("a direction, so not all zero", v) from None
+
+
+Number = Annotated[float, Quantity()]
+Positive = Annotated[float, Quantity(gt=0.0)]
+NonNegative = Annotated[float, Quantity(ge=0.0)]
+Fraction01 = Annotated[float, Quantity(ge=0.0, le=1.0)]
+FieldOfView = Annotated[float, Quantity(gt=0.0, lt=180.0)]  # degrees
+WideFieldOfView = Annotated[float, Quantity(gt=0.0, le=360.0)]  # degrees
+Flag = Annotated[bool, Field(strict=True)]
+
+Points = Annotated[tuple[tuple[float, float, float], ...], NumberList("points [x, y, z] of finite numbers", width=3)]
+Lengths = Annotated[tuple[float, ...], NumberList("lengths > 0", least=0.0)]
+Vec2 = Annotated[tuple[Number, Number], BeforeValidator(row(2, "2 numbers [x, y]"))]
+Vec3 = Annotated[tuple[Number, Number, Number], BeforeValidator(row(3, "3 numbers [x, y, z]"))]
+UnitVec3 = Annotated[Vec3, AfterValidator(_unit)]
+
+_rgb = row(3, "3 numbers [r, g, b]")
+RGB = Annotated[tuple[NonNegative, NonNegative, NonNegative], BeforeValidator(_rgb)]
+Reflectance = Annotated[tuple[Fraction01, Fraction01, Fraction01], BeforeValidator(_rgb)]
+
+
+# ---- descriptions ----
+
+
+def _plain(value: Any) -> Any:
+    """NumPy arrays and scalars as lists and Python scalars."""
+    return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
+
+
+class Description(BaseModel):
+    """Base class of all elements of a scene: immutable; unknown keys are errors.
+
+    Raises SceneError with all validation errors.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True, defer_build=True)
+
+    # Number of path steps that name an element in messages: two for shapes[3], one for camera.
+    ELEMENTS: ClassVar[Mapping[str, int]] = {}
+
+    def __init__(self, **data: Any) -> None:
+        data = {key: _plain(value) for key, value in data.items()}
+        try:
+            super().__init__(**data)
+        except ValidationError as error:
+            problems = diagnostics_of(error, data, type(self))
+            raise SceneError("\n".join(problem.text for problem in problems)) from None
+
+    # Nested descriptions are validated without __init__, so that Pydantic collects all errors.
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # on a function
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """A validated copy with other values. Cached properties are not copied."""
+        kept = {name: getattr(self, name) for name in self.model_fields_set}
+        return type(self)(**(kept | dict(update or {})))
+
+
+# ---- to_world ----
 
 
 class Rotation(Description):
@@ -211,6 +353,9 @@ def _printable(name: str) -> str:
 Name = Annotated[str, AfterValidator(_printable)]
 
 
+# ---- shapes, cameras and lights ----
+
+
 class Shape(Description):
     """Base of all shapes: name, material and transform."""
 
@@ -219,7 +364,7 @@ class Shape(Description):
     material: str = ""
     to_world: Transform = ()
 
-    MINIMAL: ClassVar[Mapping[str, Any]] = {}  # fields without which there is no instance
+    MINIMAL: ClassVar[Mapping[str, Any]] = {}  # the required fields, for a smallest instance
 
     @cached_property
     def matrix(self) -> transform.Matrix:
@@ -242,7 +387,7 @@ class Camera(Description):
     direction: Annotated[UnitVec3 | None, Field(validate_default=True)] = None
     up: Annotated[Vec3, Field(validate_default=True)] = (0.0, 1.0, 0.0)
 
-    shares_origin: ClassVar[bool] = False  # whether all rays start in one point, which saves work
+    shares_origin: ClassVar[bool] = False  # whether all rays start at one point, which saves work
     MINIMAL: ClassVar[Mapping[str, Any]] = {"eye": (0.0, 0.0, 9.0), "look_at": (0.0, 0.0, 0.0)}
 
     @field_validator("look_at")
@@ -274,6 +419,24 @@ class Camera(Description):
     def pack(self, width: int, height: int) -> Any:
         """The camera's parameters for kernels, for a film of this size in pixels."""
         raise NotImplementedError
+
+
+class ClippedCamera(Camera):
+    """Base of cameras with clipping planes."""
+
+    near: NonNegative = 0.0
+    far: Annotated[Positive | None, Field(description="None: no limit")] = None
+
+    @model_validator(mode="after")
+    def _near_is_nearer(self) -> Self:
+        if self.far is not None and self.near >= self.far:
+            raise ValueError(f"near must be < far, got near {self.near} and far {self.far}")
+        return self
+
+    @property
+    def clip(self) -> tuple[float, float]:
+        """near and far, inf without a limit."""
+        return self.near, math.inf if self.far is None else self.far
 
 
 def _view(eye: Any, look_at: Any, direction: Any) -> transform.Vector:

@@ -3,15 +3,12 @@
 import json
 import re
 import tomllib
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from os import PathLike
 from typing import Any, Literal, NamedTuple, TypeVar
 
-from caster.description.errors import Diagnostic, SceneError
-from caster.description.input_files import MAX_TEXT_BYTES, read_input
+from caster.description.errors import Diagnostic, SceneError, error_prefix
 
-__all__ = ["Span", "format_excerpt", "list_errors", "read_text"]
+__all__ = ["Span", "format_excerpt", "list_errors"]
 
 Error = TypeVar("Error")
 
@@ -27,19 +24,16 @@ class Span(NamedTuple):
 
 
 class Positions:
-    """Positions of all values of a valid TOML or JSON text; the position of a value is that of its key."""
+    """The positions of all values in a valid TOML or JSON text; the position of a value is that of its key."""
 
     def __init__(self, text: str, kind: str) -> None:
         self._lines = text.encode().split(b"\n")
         tree = _tree(text, kind)
-        found = [] if tree.has_error else list((_toml if kind == "toml" else _json)(tree))
+        found = () if tree.has_error else list((_toml if kind == "toml" else _json)(tree))
         self._nodes = {path: (first, last) for path, first, last in found}
         for path, first, last in found:  # an implicit table begins at its first key
             for steps in range(1, len(path)):
                 self._nodes.setdefault(path[:steps], (first, last))
-        times = Counter(path for path, _, _ in found if isinstance(path[-1], str))
-        again = {path: None for path, count in times.items() if count > 1}
-        self.repeated = [path for path in again if not any(path[:n] in again for n in range(len(path)))]
 
     def of(self, path: DataPath) -> Span:
         """The span of a path through the data, or of the nearest enclosing table."""
@@ -150,54 +144,35 @@ def _json_inside(value: Any, path: DataPath) -> LocatedNodes:
 
 SceneFormat = Literal["toml", "json"]
 MAX_LINE_CHARACTERS = 100  # of a line in an excerpt
-MAX_NESTING = 32  # lists and tables inside each other, and parts of a key; a scene has some five
-MAX_ERRORS_LISTED = 50  # with their lines; of the others only how many there are
-
-# A dotted key takes time and memory by the square of its parts in a parser of TOML, so it is found before.
-_PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
-LONG_KEY = re.compile(rf"(?m)^[ \t\[]*+{_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MAX_NESTING}}}")
+MAX_ERRORS_LISTED = 50  # the others are only counted
 
 
-def is_nested_deeper(data: Any, depth: int) -> bool:
-    """Whether lists and tables are nested deeper than that; without recursion."""
-    level = [data]
-    for _ in range(depth + 1):
-        inner = [each.values() if isinstance(each, dict) else each for each in level if isinstance(each, (dict, list))]
-        level = [each for values in inner for each in values if isinstance(each, (dict, list))]
-        if not level:
-            return False
-    return True
-
-
-def read_text(path: str | PathLike[str]) -> str:
-    """Read a text file in UTF-8. Raises FileMissing; SceneError if it is too large or not UTF-8."""
+def parse(text: str, kind: SceneFormat, origin: str) -> Any:
+    """Parse TOML or JSON. Raises SceneError."""
     try:
-        return read_input(path, "scene file", MAX_TEXT_BYTES).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise SceneError(f"{path}: not a text in UTF-8: byte {error.start + 1} is none of it") from None
-
-
-def parse(text: str, kind: SceneFormat, origin: str) -> tuple[Any, list[Diagnostic]]:
-    """Parse TOML or JSON; also returns diagnostics of duplicate JSON keys. Raises SceneError."""
-    long_key = LONG_KEY.search(text) if kind == "toml" else None
-    if long_key:
-        line = text.count("\n", 0, long_key.start()) + 1
-        raise SceneError(f"{origin}:{line}: not a scene: a key of more than {MAX_NESTING} parts")
-    try:
-        data, problems = (tomllib.loads(text), []) if kind == "toml" else _parse_json(text)
-        if is_nested_deeper(data, MAX_NESTING):
-            raise RecursionError
-        return data, problems
-    except RecursionError:
-        raise SceneError(f"{origin}: not a scene: lists or tables are nested too deeply to be read") from None
+        if kind == "toml":
+            return tomllib.loads(text)
+        with error_prefix(origin):
+            data = json.loads(text, object_pairs_hook=_table)
     except ValueError as error:
         raise SceneError(_syntax_error(error, text, kind, origin)) from None
+    if isinstance(data, dict):
+        data.pop("$schema", None)  # read by editors only
+    return data
+
+
+def _table(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        again = next(key for k, (key, _) in enumerate(pairs) if key in dict(pairs[:k]))
+        raise SceneError(f"not valid JSON: a table has the key '{again}' twice")
+    return table
 
 
 def format_diagnostics(problems: Sequence[Diagnostic], text: str, kind: SceneFormat, origin: str) -> str:
     """All diagnostics ordered by position, each with an excerpt of its line."""
     positions = Positions(text, kind)
-    located = sorted(((positions.of(path), said) for path, said in problems), key=lambda found: found[0][:2])
+    located = sorted(((positions.of(each.path), each.text) for each in problems), key=lambda found: found[0][:2])
     return list_errors(located, lambda found: format_excerpt(found[0], found[1], text, origin), origin)
 
 
@@ -207,21 +182,6 @@ def list_errors(errors: Sequence[Error], format_error: Callable[[Error], str], o
     if len(errors) > len(listed):
         listed.append(f"{origin}: and {len(errors) - len(listed)} more errors")
     return "\n".join(listed)
-
-
-def _parse_json(text: str) -> tuple[Any, list[Diagnostic]]:
-    repeats = 0
-
-    def table(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        nonlocal repeats
-        repeats += len(pairs) - len(dict(pairs))
-        return dict(pairs)
-
-    data = json.loads(text, object_pairs_hook=table)
-    repeated = Positions(text, "json").repeated if repeats else []
-    if isinstance(data, dict):
-        data.pop("$schema", None)  # read by editors only
-    return data, [Diagnostic(path, f"the key '{path[-1]}' is there twice") for path in repeated]
 
 
 def _syntax_error(error: ValueError, text: str, kind: SceneFormat, origin: str) -> str:

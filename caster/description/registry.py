@@ -9,7 +9,7 @@ from collections.abc import Callable
 from importlib.metadata import entry_points
 from typing import TypeVar
 
-from caster.description.quantities import Description
+from caster.description.fields import Description
 
 __all__ = ["Registry", "load_plugins", "type_name"]
 

@@ -1,9 +1,8 @@
 """Affine transforms as 4x4 float64 matrices acting on column vectors, p' = M p.
 
-Sums of products are taken in a stated order, element by element, and inverses exactly: NumPy's own (`@`, `np.linalg`)
-call a BLAS, whose last bits depend on the processor. Sines, cosines, tangents and powers are rounded once from
-integers: those of the C library are good to a unit in the last place, and that unit depends on the library and on the
-processor; glibc has code of its own for those with FMA.
+Sums of products have a fixed order and inverses are exact: NumPy's own (`@`, `np.linalg`) call a BLAS, whose last bits
+depend on the processor. Sines, cosines, tangents and powers are computed with integers and rounded once: the last bit
+of the C library's depends on the library and on the processor.
 """
 
 import math
@@ -42,11 +41,6 @@ SHORTEST_CROSS = 8 * 2.0**-53
 # Solving with a matrix of condition number k loses a factor k of the 2^-53 each number is good for: from 2^52
 # on, no bit of the inverse is known to be right.
 LARGEST_CONDITION = 2.0**52
-
-
-def identity() -> Matrix:
-    """The identity matrix."""
-    return np.eye(4)
 
 
 def translate(v: Sequence[float]) -> Matrix:
@@ -137,7 +131,7 @@ def dot_rows(vectors: NDArray[np.float64], v: Any) -> NDArray[np.float64]:
 
 
 def row_lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n,): the lengths of vectors (n, 3) whose squares are numbers."""
+    """(n,): the lengths of vectors (n, 3) whose squares neither overflow nor underflow."""
     return np.sqrt(dot_rows(vectors, vectors))
 
 
@@ -185,7 +179,7 @@ def is_mirrored(linear: Matrix) -> bool:
 
 
 def _integers(m: Matrix) -> tuple[list[list[int]], int]:
-    """The entries times a power of two that makes integers of all, and that power."""
+    """The entries scaled to integers by a power of two, and that power."""
     ratios = [[x.as_integer_ratio() for x in row] for row in m.tolist()]
     common = max(q for row in ratios for _, q in row)
     return [[p * (common // q) for p, q in row] for row in ratios], common
@@ -241,7 +235,7 @@ def unit(v: Sequence[float]) -> Vector:
 
 
 def _cos_sin(degrees: float) -> tuple[float, float]:
-    rest = math.remainder(degrees, 360.0)  # exact, and so is what follows down to the two functions
+    rest = math.remainder(degrees, 360.0)  # exact, like the next two lines
     quarters = round(rest / 90.0)
     angle = math.radians(rest - 90.0 * quarters)
     s, c = sine_and_cosine(angle)
@@ -250,7 +244,7 @@ def _cos_sin(degrees: float) -> tuple[float, float]:
 
 # Sines, cosines, tangents and powers.
 
-BITS = 128  # behind the point: of the sine of a number near pi, 2^-53, 75 bits are left
+BITS = 128  # after the binary point: the sine of a number near pi is about 2^-53, which leaves 75 significant bits
 DIGITS = 40
 
 

@@ -28,7 +28,7 @@ EDGE_ON = "edge-on"  # the ray is parallel to a flat primitive, whose outline is
 
 @singledispatch
 def edge_distances(prims: Any, k: int, o: np.ndarray, d: np.ndarray) -> tuple[EdgeDistance, ...]:
-    """Distances of the line o + t d from every piece of the outline of primitive k; none for a kind without one."""
+    """Distances of the line o + t d from each piece of the outline of primitive k; none without an outline."""
     return ()
 
 
@@ -84,7 +84,7 @@ def minus_sqrt(a: Fraction, x: Fraction) -> Fraction:
 
 
 def nearest_float(x: Fraction) -> float:
-    """The nearest float64; the largest one, or the smallest, where that would change the sign or be infinite."""
+    """The nearest float64 with the sign of x: never infinite, and 0 only for 0."""
     if x == 0:
         return 0.0
     try:

@@ -33,10 +33,10 @@ class Kind:
 
     prims: Any
     ids: np.ndarray  # (n,) int32
-    # Scratch buffers that one image leaves to the next: for many triangles, allocating them takes longer than filling
+    # Scratch buffers, kept from one image to the next: for many triangles, allocating them takes longer than filling
     # them. Images that are rendered at the same time have their own.
     spare: list[tuple[np.ndarray, ...]] = field(default_factory=list, compare=False, repr=False)
-    # What is computed from these primitives on first use, such as their BVH (caster/rendering/bvh_construction.py).
+    # Data computed from these primitives on first use, such as their BVH (caster/rendering/bvh_construction.py).
     derived: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     @cached_property
@@ -73,7 +73,7 @@ class Packed:
 
     @cached_property
     def prim_ids(self) -> np.ndarray:
-        """(n,) int32, number in the scene of each primitive, kind by kind: as a tile counts them (PRIM)."""
+        """(n,) int32, the number in the scene of each primitive, kind by kind: the order of PRIM in a tile."""
         ids = [kind.ids for kind in self.kinds]
         return ids[0] if len(ids) == 1 else np.concatenate([*ids, np.zeros(0, np.int32)])
 
@@ -84,7 +84,7 @@ class Packed:
 
     @cached_property
     def shape_extents(self) -> np.ndarray:
-        """(shapes,) float64: the largest |coordinate| of the bounding boxes of each shape; 0 of an unbounded one."""
+        """(shapes,) float64: the largest |coordinate| of the bounding boxes of each shape; 0 if it is unbounded."""
         bounded = np.array([kind.bounded for kind in self.kinds], bool)[self.kind_of]
         return np.array(
             [largest_coordinate(part) if has else 0.0 for part, has in zip(self.parts, bounded, strict=True)]
@@ -135,7 +135,7 @@ def packed(scene: ShapeCollection, rounded: Rounding = as_given) -> Packed:
 
 
 def forget_packed(scene: ShapeCollection, rounded: Rounding, at_least: int) -> None:
-    """Drop a cached packing of so many primitives or more, with its trees; it is packed again if it is needed again."""
+    """Drop a cached packing of `at_least` primitives, with its BVHs; the scene is packed again when needed."""
     key = CACHED_AS[rounded]
     if key in scene.derived and scene.derived[key].first[-1] >= at_least:
         del scene.derived[key]
@@ -168,8 +168,8 @@ def _not_finite(scene: ShapeCollection, i: int) -> SceneError:
 
 
 def largest_coordinate(prims: Any) -> float:
-    """The largest |coordinate| of the bounding boxes of a NamedTuple of arrays; 0 of none."""
-    if isinstance(prims, Triangles):  # without their boxes, which of millions take seconds and hundreds of MB
+    """The largest |coordinate| of the bounding boxes of primitives; 0 without primitives."""
+    if isinstance(prims, Triangles):  # from vertices: boxes of millions of triangles take seconds and hundreds of MB
         used = np.zeros(len(prims.vertices), bool)
         used[prims.faces] = True
         points = prims.vertices if used.all() else prims.vertices[used]
@@ -185,7 +185,7 @@ def primitive_count(part: Any) -> int:
 
 def concatenate_parts(parts: Sequence[Any]) -> Any:
     """Concatenate arrays of one kind; indices of faces are shifted to their vertices."""
-    if len(parts) == 1:  # the same arrays, unless kernels would need another specialisation for their layout
+    if len(parts) == 1:  # the arrays themselves, unless their layout would need other specialisations
         return type(parts[0])(*(np.require(array, None, ("C", "A", "W")) for array in parts[0]))
     if isinstance(parts[0], Triangles):
         shift = np.concatenate([[0], np.cumsum([len(part.vertices) for part in parts])])

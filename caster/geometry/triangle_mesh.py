@@ -71,22 +71,21 @@ def _dot(a: Floats, b: Floats) -> Floats:
 
 
 def check_mesh(mesh: Mesh, where: str) -> None:
-    """Validate a mesh. Degenerate faces and vertices that are not finite are valid: such faces are rejected when packed
-    (packing.py).
+    """Validate a mesh from a file. Degenerate faces and vertices that are not finite are valid: packing rejects them.
 
-    Raises SceneError that starts with `where` and names the first bad vertex, face or normal.
+    Raises SceneError that starts with `where` and names the first bad face or normal.
     """
     count = len(mesh.vertices)
     if len(mesh.faces) == 0:
         raise SceneError(f"{where}: the mesh has no faces: expected at least one, got {count} vertices only")
-    _check_indices(mesh.faces, count, where)
-    if mesh.normals is not None:
-        _check_one_per_vertex(mesh.normals, count, "normals", where)
-        _check_finite(mesh.normals, "the normal of vertex", where)
-        _check_not_zero(mesh.normals, where)
-    if mesh.uv is not None:
-        _check_one_per_vertex(mesh.uv, count, "uv", where)
-        _check_finite(mesh.uv, "uv of vertex", where)
+    bad = np.flatnonzero(((mesh.faces < 0) | (mesh.faces >= count)).any(axis=1))
+    if len(bad):
+        limits, got = f"0 to {count - 1} (the mesh has {count})", format_row(mesh.faces[bad[0]])
+        raise SceneError(f"{where}: face {bad[0]} must join vertices {limits}, got {got}")
+    if mesh.normals is not None and not mesh.normals.any(axis=1).all():
+        bad = np.flatnonzero(~mesh.normals.any(axis=1))
+        hint = "leave the normals out to have them generated"
+        raise SceneError(f"{where}: the normal of vertex {bad[0]} must have a direction, got (0, 0, 0); {hint}")
 
 
 def format_row(numbers: Any) -> str:
@@ -96,7 +95,7 @@ def format_row(numbers: Any) -> str:
 
 FACES_PER_CHUNK = 1 << 11  # temporaries stay in the cache of a core
 
-_angle_parts = inspect.unwrap(eighths_and_rest)  # of arrays
+_angle_parts = inspect.unwrap(eighths_and_rest)  # the plain function, for arrays
 
 
 def _weighted_normals(corners: Floats) -> Floats:
@@ -116,37 +115,8 @@ def _weighted_normals(corners: Floats) -> Floats:
 
 
 def _exponents(columns: Floats) -> Ints:
-    """(n,): scaled by 2 to minus these, squares of columns neither overflow nor underflow."""
+    """(n,) exponents: columns scaled by 2^-exponent have squares that neither overflow nor underflow."""
     return np.asarray(np.frexp(np.max(np.abs(columns), axis=0, initial=0.0))[1])
-
-
-def _check_finite(rows: Floats, what: str, where: str) -> None:
-    bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
-    if len(bad):
-        raise SceneError(f"{where}: {what} {bad[0]} must be finite numbers, got {format_row(rows[bad[0]])}")
-
-
-def _check_indices(faces: Ints, count: int, where: str) -> None:
-    bad = np.flatnonzero(((faces < 0) | (faces >= count)).any(axis=1))
-    if len(bad):
-        raise SceneError(
-            f"{where}: face {bad[0]} must join vertices 0 to {count - 1} (the mesh has {count}), "
-            f"got {format_row(faces[bad[0]])}"
-        )
-
-
-def _check_one_per_vertex(rows: Floats, count: int, what: str, where: str) -> None:
-    if len(rows) != count:
-        raise SceneError(f"{where}: {what} must be one per vertex ({count}), got {len(rows)}")
-
-
-def _check_not_zero(normals: Floats, where: str) -> None:
-    bad = np.flatnonzero(~normals.any(axis=1))
-    if len(bad):
-        raise SceneError(
-            f"{where}: the normal of vertex {bad[0]} must have a direction, got (0, 0, 0); "
-            "leave the normals out to have them generated"
-        )
 
 
 Indices = NDArray[np.int64]

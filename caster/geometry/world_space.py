@@ -7,11 +7,11 @@ numbers (inverses, normals) are float64 in both cases.
 
 import math
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from caster.description.fields import Shape
+from caster.description.fields import Flag, Shape
 from caster.description.transform import inverse, is_mirrored, product, row_lengths, transform_points, transform_vectors
 from caster.geometry.triangle_mesh import Mesh, vertex_normals
 from caster.kernels.triangles import Triangles
@@ -38,8 +38,8 @@ class ShapeCollection(Protocol):
 SIMILARITY_RTOL = 128 * 2.0**-53
 
 
-# Embree silently rejects a triangle with a vertex that is not finite or this far out (its FLT_LARGE). So do we, and
-# count it (packing.py). Scene units.
+# Embree silently rejects a triangle with a vertex that is not finite or this far out (its FLT_LARGE). We reject it too,
+# and count it (packing.py). Scene units.
 LARGEST_COORDINATE = 1.844e18
 
 
@@ -66,10 +66,18 @@ def similarity_scale(linear: np.ndarray) -> float:
     return largest * math.sqrt(float((ratios * ratios).sum()) / 3.0)
 
 
+class AffineImages(NamedTuple):
+    """Images of a unit shape under p -> center + to_world p; each kind has a class derived from it."""
+
+    center: np.ndarray  # (n, 3) float64
+    to_world: np.ndarray  # (n, 3, 3) float64
+    to_object: np.ndarray  # (n, 3, 3) float64, its inverse
+
+
 def affine_arrays(
     center: np.ndarray, linear: np.ndarray, rounded: Rounding
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(center, to_world, to_object) of one image of a unit shape, each with a leading axis of 1."""
+    """The arrays of AffineImages for one image."""
     to_world = rounded(linear)
     return rounded(center)[None], to_world[None], inverse(to_world)[None]
 
@@ -118,9 +126,9 @@ def _collapse_rejected(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndar
     if usable.all():
         return vertices, faces
     place = int(np.argmax(usable))  # any will do: a degenerate face is never hit
-    stand_in = vertices[place] if usable[place] else np.zeros(3)
+    replacement = vertices[place] if usable[place] else np.zeros(3)
     kept = usable[faces].all(axis=1, keepdims=True)
-    return np.where(usable[:, None], vertices, stand_in), np.where(kept, faces, place)
+    return np.where(usable[:, None], vertices, replacement), np.where(kept, faces, place)
 
 
 def _world_normals(mesh: Mesh, matrix: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -132,14 +140,25 @@ def _world_normals(mesh: Mesh, matrix: np.ndarray, vertices: np.ndarray, faces: 
     return unit
 
 
-class MeshShape(Shape):
-    """Base of shapes that are triangle meshes; smooth unless `face_normals`."""
-
-    face_normals: bool = False
+class TriangleShape(Shape):
+    """Base of shapes that are made of triangles; flat unless a derived class says otherwise."""
 
     def mesh(self) -> Mesh:
         """The mesh in object space."""
         raise NotImplementedError
 
+    def is_flat(self) -> bool:
+        """Whether normals are those of the faces."""
+        return True
+
     def pack(self, rounded: Rounding) -> Triangles:
-        return transform_mesh(self.mesh(), self.matrix, rounded, self.face_normals)
+        return transform_mesh(self.mesh(), self.matrix, rounded, self.is_flat())
+
+
+class MeshShape(TriangleShape):
+    """Base of shapes that are smooth triangle meshes unless `face_normals`."""
+
+    face_normals: Flag = False
+
+    def is_flat(self) -> bool:
+        return self.face_normals

@@ -1,4 +1,4 @@
-"""Conversion between AOVs and the channels of an EXR file, and the provenance stored with them."""
+"""Conversion between AOVs and the channels of an EXR file, and the provenance stored in it."""
 
 from collections.abc import Mapping
 

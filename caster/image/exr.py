@@ -43,9 +43,9 @@ CHUNK_ROWS = 16  # of ZIP compression
 
 
 class Exr(NamedTuple):
-    """channels: name -> (h, w) float32, float16 or uint32, as stored. provenance: `caster/version` etc.
+    """An EXR image. channels: name -> (h, w) float32, float16 or uint32, as stored. provenance: `caster/version` etc.
 
-    parts: of a multi-part file, which channels are of which part; none for a single-part one.
+    parts: the parts of a multi-part file with their channels; empty for a single-part file.
     """
 
     channels: dict[str, np.ndarray]
@@ -70,9 +70,9 @@ def write_exr(
     provenance: string attributes `caster/<key>`; a key without `caster/` gets it.
     data_window: where the arrays lie on the film, default (0, 0, w, h).
     display_window: the whole film, default the data window.
-    threads: that compress, beside this one; there are none after it.
-    Raises SceneError for what an EXR cannot hold (another shape, a finite value that float32 cannot),
-    OutputError if the file cannot be written; an older file of that name is then still there, untouched.
+    threads: how many compress beside this one; none remain afterwards.
+    Raises SceneError for arrays that an EXR cannot hold (another shape, a finite value beyond float32), OutputError if
+    the file cannot be written; an older file of that name then stays untouched.
     """
     import OpenEXR  # deferred, so that `--help` does not load it
 
@@ -89,8 +89,8 @@ def write_exr(
         "displayWindow": _inclusive(film),
         **header_attributes(provenance),
     }
-    # The library stores the memory order of a strided array and puts its own objects into the dict it is
-    # given: it is given fresh contiguous copies in a dict of its own.
+    # The library stores a strided array in its memory order and puts its own objects into the dict that it gets, so it
+    # gets contiguous copies in a dict of its own.
     copies = {name: to_storable(name, channels[name], window) for name in sorted(channels)}
     with atomic_write(path) as part:
         with compressing_threads(threads):
@@ -100,7 +100,7 @@ def write_exr(
 
 @contextlib.contextmanager
 def compressing_threads(count: int) -> Iterator[None]:
-    """Threads of OpenEXR while a file is written; none stay, since a fork of this process would wait for them."""
+    """Let OpenEXR use threads while the body writes. None remain, since a fork of this process would wait for them."""
     import OpenEXR
 
     if count < 2:
@@ -114,7 +114,7 @@ def compressing_threads(count: int) -> Iterator[None]:
 
 
 def _check_whole(path: Path, chunk_count: int) -> None:
-    """Raise OSError for a file that ends early: the library does not look whether its last buffer was written."""
+    """Raise OSError for a file that ends early: the library does not check that its last buffer was written."""
     try:
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             at = 8  # the first attribute: name, type, size, value
@@ -132,12 +132,12 @@ def _check_whole(path: Path, chunk_count: int) -> None:
 
 
 def read_exr(path: str | os.PathLike[str]) -> Exr:
-    """Read every channel by name, in the type it is stored in; of a multi-part file those of all parts.
+    """Read all channels of a file, of all its parts, in the types in which they are stored.
 
-    A channel of a part that names no layer (`Z`) is called after its part (`depth.Z`), but in a part `rgba`, `rgb`,
+    A channel without a layer (`Z`) gets the name of its part (`depth.Z`), unless the part is called `rgba`, `rgb`,
     `beauty`, `combined` or `main`. Of several resolutions, the finest is read.
-    Raises FileMissing if there is no such file, UnreadableExr if it is not a whole, flat EXR, or if its parts are no
-    layers of one image: of different sizes, or of several views.
+    Raises FileMissing if there is no such file, UnreadableExr if it is not a complete, flat EXR image, or if its parts
+    are not layers of one image, such as parts of different sizes or of several views.
     """
     path = Path(path)
     read = _decode_multi_part(path) if _is_multi_part(path) else [_decode(path)[0]]
@@ -175,7 +175,7 @@ def _is_multi_part(path: Path) -> bool:
     if not os.path.lexists(path):
         raise FileMissing(f"{path}: no such file")
     try:
-        with opened_input(path, "EXR image") as (file, _):
+        with opened_input(path, "EXR image") as file:
             start = file.read(8)
     except FileMissing as e:
         raise UnreadableExr(str(e)) from e
@@ -199,7 +199,7 @@ def _decode_multi_part(path: Path) -> list[Any]:
 
 
 def _decode(path: Path, *, header_only: bool = False) -> list[Any]:
-    """Decode the parts of a file. Raises UnreadableExr if there is none; the library may drop one of several."""
+    """Decode the parts of a file. Raises UnreadableExr if none is left, as the library drops damaged ones."""
     import OpenEXR
 
     size = path.stat().st_size

@@ -1,4 +1,4 @@
-"""Previews of AOVs and EXR files: false colours of each kind of AOV, labelled strips and sheets, thumbnails."""
+"""Previews of AOVs and EXR files: false colours for each kind of AOV, and labelled sheets."""
 
 import math
 import re
@@ -8,29 +8,27 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster import __version__
-from caster.aovs import AOVS, BY_NAME, Aovs
+from caster.aovs import AOVS, BY_NAME
 from caster.description.errors import SceneError, suggestion
 from caster.image.channels import channels_to_aovs
 from caster.image.exr import Exr, read_exr
 from caster.image.exr_info import hit_mask
-from caster.image.image_files import BACKGROUND, label_image, write_image
-from caster.scene.model import Scene
+from caster.image.image_files import BACKGROUND, label_image
 
-__all__ = ["aov_images"]
+__all__ = ["aov_view"]
 
 Array = np.ndarray[Any, np.dtype[Any]]
 
 # ---- colours ----
 
-# Of a perceptually uniform path from dark violet over blue and green to light yellow, in equal steps.
+# Equal steps along a perceptually uniform path from dark violet over blue and green to light yellow.
 COLORMAP_ANCHORS = np.array(
     [
         *([33, 13, 60], [38, 46, 90], [38, 79, 116], [36, 114, 137], [39, 149, 151]),
         *([64, 182, 152], [115, 211, 138], [180, 233, 106], [252, 247, 48]),
     ]
 )
-# (sqrt(5) - 1) / 2: its multiples modulo 1 are evenly spread, and successive ones far apart (Fibonacci hashing)
+# (sqrt(5) - 1) / 2: its multiples modulo 1 are evenly spread, and successive ones are far apart (Fibonacci hashing).
 GOLDEN_RATIO_CONJUGATE = 0.6180339887498949
 
 
@@ -54,7 +52,7 @@ def colormap_lookup(values: Array) -> Array:
 
 
 def label_colors(numbers: Array) -> Array:
-    """Categorical colours of integers >= 0, (..., 3) bytes: the same in every image; near numbers get distant hues."""
+    """Categorical colours of integers >= 0, (..., 3) bytes; neighbouring numbers get distant hues."""
     n = numbers.astype(np.int64)[..., None]
     hue = 6.0 * ((n * GOLDEN_RATIO_CONJUGATE) % 1.0)
     pure = np.clip(np.abs((hue + np.array([0.0, 4.0, 2.0])) % 6.0 - 3.0) - 1.0, 0.0, 1.0)
@@ -68,15 +66,12 @@ CHECKER_PIXELS = 8  # side of a square of the checkerboard behind misses
 CHECKER_GREYS = (58, 66)  # of the two kinds of squares
 NON_FINITE_COLOR = (255, 0, 255)
 
-# Median depth over least depth beyond which 1 / depth would leave half of the image a few dark colours.
-LOG_DEPTH_RATIO = 32.0
-
 # White is this quantile of the lit pixels, so that highlights do not darken the rest.
 WHITE_QUANTILE = 0.99
 
 
 class LabelledImage(NamedTuple):
-    """An image for viewing. pixels: (h, w, 3) bytes; legend: the meaning of the colours, with ranges in numbers."""
+    """An image for viewing. pixels: (h, w, 3) bytes; legend: what the colours mean, with numeric ranges."""
 
     name: str
     pixels: Array
@@ -98,7 +93,7 @@ def aov_view(name: str, values: Array, hit: Array) -> LabelledImage:
         known = [aov.NAME for aov in AOVS if aov.PREVIEW in COLORINGS]
         raise SceneError(f"no preview of aov '{name}'{suggestion(name, known)} (known: {', '.join(known)})")
     kind = BY_NAME[name].PREVIEW
-    finite = _in_all_channels(np.isfinite(values))
+    finite = np.isfinite(values) if values.ndim == 2 else np.isfinite(values).all(axis=-1)
     shown = (np.ones_like(hit) if kind == "mask" else hit) & finite
     if shown.any():
         with np.errstate(all="ignore"):  # in pixels outside the mask
@@ -107,21 +102,9 @@ def aov_view(name: str, values: Array, hit: Array) -> LabelledImage:
         pixels, legend = np.zeros((*hit.shape, 3), np.uint8), "nothing to show"
     broken = hit & ~finite
     if broken.any():
-        legend += f"; {non_finite_counts(values, broken)}: magenta"
+        legend += f"; {int(broken.sum())} pixels not finite: magenta"
     pixels = np.where(shown[..., None], pixels, checkerboard(hit.shape))
     return LabelledImage(name, np.where(broken[..., None], np.array(NON_FINITE_COLOR, np.uint8), pixels), legend)
-
-
-def non_finite_counts(values: Array, broken: Array) -> str:
-    """Counts in words: "12 pixels NaN, 3 pixels infinite"."""
-    nan = broken & ~_in_all_channels(~np.isnan(values))
-    counts = {"NaN": int(nan.sum()), "infinite": int((broken & ~nan).sum())}
-    return ", ".join(f"{n} pixel{'s' * (n != 1)} {what}" for what, n in counts.items() if n)
-
-
-def _in_all_channels(fine: Array) -> Array:
-    """Logical and over the channels, (h, w) bool."""
-    return fine if fine.ndim == 2 else np.all(fine, axis=-1)
 
 
 def checkerboard(shape: tuple[int, ...]) -> Array:
@@ -131,18 +114,14 @@ def checkerboard(shape: tuple[int, ...]) -> Array:
 
 
 def _depth(values: Array, shown: Array) -> Colored:
-    """Mapping by 1 / depth, which resolves near objects as well as a plane up to the horizon; wide ranges by log."""
-    depths = values[shown]
-    near, far, middle = float(depths.min()), float(depths.max()), float(np.median(depths))
+    """By the logarithm, which resolves near objects as well as a plane up to the horizon."""
+    near, far = float(values[shown].min()), float(values[shown].max())
     t = np.where(shown, values, far)
-    if not near > 0.0:
-        how, closeness, farthest, nearest = "", -t, -far, -near
-    elif middle < LOG_DEPTH_RATIO * near:
-        how, closeness, farthest, nearest = "by 1 / depth, ", near / t, near / far, 1.0
+    if near > 0.0:
+        how, behind, span = "by its logarithm, ", np.log(t / near), math.log(far / near)
     else:
-        how, closeness, farthest, nearest = ("by its logarithm, ", -np.log(t / near), -math.log(far / near), 0.0)
-    span = nearest - farthest
-    scale = (closeness - farthest) / span if span > 0.0 else np.ones(t.shape)
+        how, behind, span = "", t - near, far - near
+    scale = 1.0 - behind / span if span > 0.0 else np.ones(t.shape)
     return colormap_lookup(scale), f"{how}{near:.6g} (light) to {far:.6g} (dark)"
 
 
@@ -189,7 +168,7 @@ def _labels(values: Array, shown: Array) -> Colored:
     return label_colors(np.where(shown, values, 0)), f"a colour a number, {count} of them"
 
 
-# Colour mappings by the PREVIEW that an AOV declares.
+# By the PREVIEW that an AOV declares.
 COLORINGS: Mapping[str, Coloring] = {
     "mask": _mask,
     "depth": _depth,
@@ -202,75 +181,33 @@ COLORINGS: Mapping[str, Coloring] = {
 }
 
 
-def class_map_view(
-    classes: Array, names: Mapping[int, str], colors: Mapping[int, tuple[int, int, int]], hit: Array
-) -> LabelledImage:
-    """The image of a class map, (h, w) integers, with counts in the legend.
+# ---- sheets ----
 
-    names, colors: by class; a class without a colour gets a categorical one. hit: (h, w) bool, pixels with a class.
-    """
-    pixels = label_colors(classes)
-    for code, color in colors.items():
-        pixels[classes == code] = color
-    found, counts = np.unique(classes[hit], return_counts=True)
-    legend = ", ".join(f"{names.get(int(code), str(code))} {n}" for code, n in zip(found, counts, strict=True))
-    return LabelledImage("class", np.where(hit[..., None], pixels, checkerboard(classes.shape)), legend)
-
-
-# ---- strips, sheets and thumbnails
-
-GAP_PIXELS = 4  # between images of a sheet
+GAP_PIXELS = 4  # between the images of a sheet
 LABEL_PIXELS = 18  # height of a label
 
 
-def strip(images: Sequence[LabelledImage]) -> Array:
-    """Images side by side with labels, (h, w, 3) bytes; a single image unchanged."""
-    return images[0].pixels if len(images) == 1 else sheet(images, len(images))
-
-
 def sheet(images: Sequence[LabelledImage], columns: int) -> Array:
-    """A grid of images with the given number of columns, each centred in its cell above its name."""
-    height = max(each.pixels.shape[0] for each in images)
+    """A grid of images, (h, w, 3) bytes: each centred in its cell above its name."""
+    columns = min(columns, len(images))
+    height = max(each.pixels.shape[0] for each in images) + LABEL_PIXELS
     width = max(each.pixels.shape[1] for each in images)
-    cells = [_cell(each, height, width) for each in images]
-    rows = [cells[i : i + columns] for i in range(0, len(cells), columns)]
-    blank = blank_image(height + LABEL_PIXELS, width)
-    rows[-1] += [blank] * (min(columns, len(cells)) - len(rows[-1]))
-    return _joined([_joined(row, axis=1) for row in rows], axis=0)
+    rows = -(-len(images) // columns)
+    size = rows * (height + GAP_PIXELS) - GAP_PIXELS, columns * (width + GAP_PIXELS) - GAP_PIXELS, 3
+    grid = np.full(size, BACKGROUND, np.uint8)
+    for i, image in enumerate(images):
+        y, x = i // columns * (height + GAP_PIXELS), i % columns * (width + GAP_PIXELS)
+        h, w, _ = image.pixels.shape
+        top, left = y + (height - LABEL_PIXELS - h) // 2, x + (width - w) // 2
+        grid[top : top + h, left : left + w] = image.pixels
+        grid[y + height - LABEL_PIXELS : y + height, x : x + width] = label_image(image.name, width, LABEL_PIXELS)
+    return grid
 
 
-def blank_image(height: int, width: int) -> Array:
-    return np.full((height, width, 3), BACKGROUND, np.uint8)
-
-
-def _cell(image: LabelledImage, height: int, width: int) -> Array:
-    cell = blank_image(height + LABEL_PIXELS, width)
-    h, w, _ = image.pixels.shape
-    y, x = (height - h) // 2, (width - w) // 2
-    cell[y : y + h, x : x + w] = image.pixels
-    cell[height:] = label_image(image.name, width, LABEL_PIXELS)
-    return cell
-
-
-def _joined(parts: Sequence[Array], axis: int) -> Array:
-    """Concatenate images along an axis with gaps between them."""
-    if len(parts) == 1:
-        return parts[0]
-    shape = list(parts[0].shape)
-    shape[axis] = GAP_PIXELS
-    gap = np.full(shape, BACKGROUND[0], np.uint8)
-    return np.concatenate([piece for part in parts for piece in (part, gap)][:-1], axis=axis)
-
-
-# ---- previews ----
+# ---- EXR files ----
 
 CLASS_MAP = "class"  # the layer of an EXR file of verdicts or differences
 DEFAULT_PREVIEWS = ("diffuse", CLASS_MAP, "normal", "depth")  # the first of these that exists is shown by default
-
-
-def aov_images(aovs: Aovs, names: Sequence[str]) -> list[LabelledImage]:
-    """Images of AOVs of a render; without names, of a default one. Raises SceneError for an AOV not rendered."""
-    return [aov_view(name, _image(aovs, name), aovs.hit) for name in names or _default_names(list(aovs) or ["hit"])]
 
 
 def exr_images(path: str | PathLike[str], names: Sequence[str]) -> list[LabelledImage]:
@@ -287,62 +224,25 @@ def exr_images(path: str | PathLike[str], names: Sequence[str]) -> list[Labelled
     for name in names:
         if name not in known:
             raise SceneError(f"{path}: no '{name}' in it{suggestion(name, known)} (it has {', '.join(known)})")
+    aovs_and_mask = {**aovs, "hit": hit.astype(np.float64)}
+    default = next((name for name in DEFAULT_PREVIEWS if name in known), known[-1])
     return [
-        _classes(exr, hit) if name == CLASS_MAP else aov_view(name, _image(aovs, name), hit)
-        for name in names or _default_names(known)
+        _class_map(exr, hit) if name == CLASS_MAP else aov_view(name, aovs_and_mask[name], hit)
+        for name in names or [default]
     ]
 
 
-def write_preview(path: str, images: Sequence[LabelledImage], about: Mapping[str, str] = {}) -> list[str]:
-    """Write images as a strip; returns the legend lines, which a PNG also contains. Raises OutputError."""
-    lines = [f"{each.name}: {each.legend}" for each in images]
-    write_image(path, strip(images), {"Software": f"caster {__version__}", "Description": "\n".join(lines), **about})
-    return lines
+def _class_map(exr: Exr, hit: Array) -> LabelledImage:
+    """The class map of a file, with counts in the legend.
 
-
-def _image(aovs: Aovs, name: str) -> np.ndarray:
-    if name == "hit":
-        return aovs.hit.astype(np.float64)
-    if name not in aovs:
-        there = ["hit", *(other for other in aovs if other != "hit")]
-        raise SceneError(
-            f"preview of aov '{name}': it is not rendered{suggestion(name, there)} (there are {', '.join(there)})"
-        )
-    return aovs[name]
-
-
-def _default_names(known: Sequence[str]) -> list[str]:
-    return [next((name for name in DEFAULT_PREVIEWS if name in known), known[-1])]
-
-
-def _classes(exr: Exr, hit: np.ndarray) -> LabelledImage:
-    """The class map of a file, named by its attribute caster/classes ("0 agree, 1 tie").
-
-    Colours are those of caster/class_colors ("0 #102030, 1 #ffffff").
+    Names are those of the attribute caster/classes ("0 agree, 1 tie"), colours those of caster/class_colors
+    ("0 #102030, 1 #ffffff"). hit: (h, w) bool, the pixels that have a class.
     """
-    listed = exr.provenance.get("caster/classes") or exr.provenance.get("caster/class", "")
-    names = {int(code): name for code, name in re.findall(r"(\d+) ([^,]+)", listed)}
-    colors = {
-        int(code): (int(color[:2], 16), int(color[2:4], 16), int(color[4:], 16))
-        for code, color in re.findall(r"(\d+) #([0-9a-f]{6})", exr.provenance.get("caster/class_colors", ""))
-    }
-    return class_map_view(exr.channels["class.I"].astype(np.int64), names, colors, hit)
-
-
-# ---- thumbnails ----
-
-UNLIT_AOV = "normal"  # shown instead of diffuse for a scene without lights
-
-
-def thumbnail(
-    scene: Scene, name: str, side: int, aov: str, render: Callable[[Scene, Sequence[str]], Aovs]
-) -> LabelledImage:
-    """A scene rendered at a longer side of `side` pixels; a smaller film is enlarged by an integer factor."""
-    film = scene.film
-    share = min(1.0, side / max(film.width, film.height))
-    small = scene.with_film(width=max(1, round(share * film.width)), height=max(1, round(share * film.height)))
-    aov = aov if aov != "diffuse" or scene.lights else UNLIT_AOV
-    aovs = render(small, (aov,))
-    image = aov_view(aov, aovs[aov].astype(np.float64) if aov == "hit" else aovs[aov], aovs.hit)
-    times = max(1, side // max(image.pixels.shape[:2]))
-    return LabelledImage(name, image.pixels.repeat(times, axis=0).repeat(times, axis=1), image.legend)
+    names = dict(re.findall(r"(\d+) ([^,]+)", exr.provenance.get("caster/classes", "")))
+    classes = exr.channels["class.I"].astype(np.int64)
+    pixels = label_colors(classes)
+    for code, color in re.findall(r"(\d+) #([0-9a-f]{6})", exr.provenance.get("caster/class_colors", "")):
+        pixels[classes == int(code)] = list(bytes.fromhex(color))
+    found, counts = np.unique(classes[hit], return_counts=True)
+    legend = ", ".join(f"{names.get(str(code), code)} {n}" for code, n in zip(found, counts, strict=True))
+    return LabelledImage(CLASS_MAP, np.where(hit[..., None], pixels, checkerboard(classes.shape)), legend)

@@ -133,7 +133,7 @@ class Kernel:
 
     @property
     def _answers_a_number(self) -> bool:
-        """Whether its answer is nothing, an int or a float; other kernels are plain Python where Python calls them."""
+        """Whether it returns None, an int or a float; Python calls other kernels as plain Python."""
         return self.function.__annotations__.get("return") in (None, int, float)
 
     def _of_numba(self, classes: tuple[type, ...]) -> Callable[..., Any]:

@@ -36,6 +36,11 @@ def surely_misses(prims: Any, pre: Any, d: Vec3) -> Any:
     """Quick rejection: True only if `intersect` would return MISS."""
 
 
+@implement(surely_misses, object)
+def _may_hit(prims: Any, pre: Any, d: Vec3) -> bool:
+    return False
+
+
 @generic_inlined
 def t_lower_bound(prims: Any, pre: Any, low: Vec3, high: Vec3) -> Any:
     """A lower bound of t > 0 at the prepared primitive for rays with low <= d <= high in each component; inf: no hit.
@@ -52,6 +57,11 @@ def _t_lower_bound(prims: Any, pre: Any, low: Vec3, high: Vec3) -> float:
 @generic_inlined
 def same_geometry(prims: Any, k: int, j: int) -> Any:
     """Whether `exact_intersect` reads the same numbers of primitives k and j; False is always correct."""
+
+
+@implement(same_geometry, object)
+def _not_known_to_be_the_same(prims: Any, k: int, j: int) -> bool:
+    return False
 
 
 @generic

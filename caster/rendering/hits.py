@@ -24,7 +24,7 @@ from caster.rendering.shading import NO_START, TileShader, new_image
 from caster.rendering.threads import parallel_for, unwritten_array
 from caster.scene.model import Light, Scene
 
-__all__ = ["Hits", "RayHits", "cast", "trace", "trace_rays", "validated_rays"]
+__all__ = ["Hits", "RayHits", "cast", "scaled_rays", "trace", "trace_rays", "validated_rays"]
 
 SMALLEST_NORMAL_FLOAT = 2.0**-1022
 
@@ -185,7 +185,7 @@ def cast(scene: Scene, o: ArrayLike, d: ArrayLike, *, t_min: ArrayLike = 0.0, t_
     if plain:
         view = trace_rays(scene, packed(scene), given, np.zeros(len(given.t_min)))
         return Hits(view.nearest.t, view)
-    rays, exponent = _scaled(given)
+    rays, exponent = scaled_rays(given)
     view = trace_rays(scene, packed(scene), rays, np.zeros(len(rays.t_min)))
     with np.errstate(over="ignore", under="ignore"):
         t = np.ldexp(view.nearest.t, -exponent)
@@ -203,7 +203,7 @@ def occluded(
     Faster than `cast`, since any hit ends the search.
     """
     given, plain = validated_rays_with_range(o, d, t_min, t_max)
-    return find_any(packed(scene), given if plain else _scaled(given)[0])
+    return find_any(packed(scene), given if plain else scaled_rays(given)[0])
 
 
 def trace(
@@ -263,7 +263,7 @@ def _float64(a: ArrayLike, name: str) -> np.ndarray:
         raise SceneError(f"rays: {name} must be numbers, got {type(a).__name__}: {error}") from None
 
 
-def _scaled(rays: Rays) -> tuple[Rays, np.ndarray]:
+def scaled_rays(rays: Rays) -> tuple[Rays, np.ndarray]:
     """(rays with d of about unit length, k (n,)); t then counts in lengths of 2^-k d.
 
     The scaling is exact, and the squares of the new d neither overflow nor vanish.

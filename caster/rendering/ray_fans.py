@@ -150,12 +150,13 @@ def fan_tiles(
     if rows is None and not (always or count >= MIN_RAYS_SORTED):
         return None
     few = int(count * PRIMITIVES_PER_RAY_IN_ROWS * MIN_SHADOW_RAYS_PER_PRIMITIVE) if rows else count
-    about = {"light": common.light, "outward": common.outward, "deviation": common.deviation}
-    caster = TileCaster(packed, any_hit=any_hit, rays=MAX_PRIMITIVES if always else few, **about)
+    number = MAX_PRIMITIVES if always else few
+    light, outward, deviation = common
+    caster = TileCaster(packed, any_hit=any_hit, light=light, rays=number, outward=outward, deviation=deviation)
     fan = caster.first_fan
     if fan is None:
         return None
-    sample = project_sample(fan, rays, common.outward)
+    sample = project_sample(fan, rays, outward)
     if not always and (len(sample.points) == 0 or (rows is None and sample.in_order)):
         return None
     caster.prepare(threads)
@@ -163,10 +164,10 @@ def fan_tiles(
         return None
     if rows is not None:
         return _tiles_in_rows(caster, count, rows)
-    if _total(partial(count_strays, fan, rays, common.outward, common.deviation), count, threads) > 0:
+    if _total(partial(count_strays, fan, rays, outward, deviation), count, threads) > 0:
         return None
     one_range = _total(partial(count_other_ranges, rays), count, threads) == 0
-    return _sorted_tiles(caster, fan, rays, common.outward, sample.corners, one_range, threads)
+    return _sorted_tiles(caster, fan, rays, outward, sample.corners, one_range, threads)
 
 
 def _total(number: Callable[[int, int], int], count: int, threads: int | None) -> int:

@@ -1,112 +1,38 @@
-"""Scene files: loading and validation, resolution of mesh paths, a mesh file as a scene, and the JSON Schema."""
+"""Scene files: loading and validation, a mesh file as a scene, and the JSON Schema."""
 
 import math
 import os
 from collections.abc import Iterable, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
 
 from caster.cameras.pinhole import Pinhole
-from caster.description.errors import (
-    Diagnostic,
-    FileMissing,
-    Model,
-    SceneError,
-    child_of,
-    diagnostics_of,
-    format_value,
-    value_diagnostic,
-)
-from caster.description.parsing import SceneFormat, format_diagnostics, parse, read_text
+from caster.description.errors import Diagnostic, SceneError, child_of, diagnostics_of, error_type
+from caster.description.input_files import read_text
+from caster.description.parsing import SceneFormat, format_diagnostics, parse
 from caster.description.registry import type_name
 from caster.description.transform import sine_and_cosine
-from caster.geometry.mesh_files import MESH_SUFFIXES
-from caster.geometry.world_space import MeshShape
+from caster.geometry.mesh_files import MESH_SUFFIXES, MeshFolders
+from caster.geometry.world_space import TriangleShape
 from caster.scene.model import Ambient, Diffuse, Directional, Film, Scene
-from caster.shapes import SHAPES, Cube, Rectangle, Triangle
+from caster.shapes import SHAPES
 from caster.shapes.mesh import MeshFile
 
-__all__ = ["MeshFolders", "film_pixels", "load_scene", "mesh_scene", "resolve_mesh_files", "types_in_file"]
+__all__ = ["film_pixels", "load_scene", "mesh_scene", "types_in_file", "validated"]
 
 
-def _mesh_shape(kind: Any) -> Any:
-    """The shape class of that `type` if it reads a mesh file, else None."""
-    return next((cls for cls in SHAPES if type_name(cls) == kind and hasattr(cls, "load")), None)
-
-
-class MeshFolders(NamedTuple):
-    """Folders that mesh files of a scene may be in: its own, and those of --mesh-dir."""
-
-    folder: Path
-    mesh_dirs: tuple[Path, ...]
-
-    def resolve(self, file: str) -> Path | None:
-        """The absolute path of the first that exists, else that in the scene's folder; None if it is in none.
-
-        Symbolic links are resolved first.
-        """
-        tried = self.candidates(file)
-        return next((path for path in tried if path.exists()), tried[0] if tried else None)
-
-    def candidates(self, file: str) -> list[Path]:
-        """Absolute paths that `file` may stand for: relative to the scene's folder, then to each of the others."""
-        folders = (self.folder, *self.mesh_dirs)
-        allowed = [os.path.realpath(folder) for folder in folders]
-        paths = (Path(os.path.realpath(folder / file)) for folder in folders)  # of a link to itself as well
-        within = (path for path in paths if any(path.is_relative_to(folder) for folder in allowed))
-        return list(dict.fromkeys(within))
-
-    def refusal(self, file: str) -> str:
-        """Message for a file in none of the folders."""
-        mesh_dir = os.path.dirname(os.path.normpath(self.folder / file)) or "."
-        allowed = "in the scene's folder, below it, or below a folder given by --mesh-dir"
-        return f"must lie {allowed}, got {format_value(file)}: add --mesh-dir {mesh_dir}"
-
-    def paths_tried(self, file: str) -> str:
-        """For the message about a file that is nowhere: "; tried A, B" where there are several places."""
-        tried = self.candidates(file)
-        return f"; tried {', '.join(map(str, tried))}" if len(tried) > 1 else ""
-
-
-def resolve_mesh_files(data: Any, reach: MeshFolders, model: Model) -> tuple[Any, list[Diagnostic], list[Diagnostic]]:
-    """Data with absolute mesh paths, diagnostics of invalid meshes, and those of missing ones.
-
-    Each mesh is read here; its shape caches the result.
-    """
-    problems: list[Diagnostic] = []
-    missing: list[Diagnostic] = []
-    for key in ("shape", "shapes"):
-        shapes = child_of(data, key)
-        if isinstance(shapes, list):
-            found = [_resolve_mesh_file(shape, (key, i, "file"), data, reach, model) for i, shape in enumerate(shapes)]
-            data = data | {key: [shape for shape, _, _ in found]}
-            for _, problem, absent in found:
-                (missing if absent else problems).extend(problem)
-    return data, problems, missing
-
-
-def _resolve_mesh_file(
-    shape: Any, path: Any, data: Any, reach: MeshFolders, model: Model
-) -> tuple[Any, list[Diagnostic], bool]:
-    file, kind = child_of(shape, "file"), child_of(shape, "type")
-    mesh_shape = _mesh_shape(kind)
-    if not isinstance(file, str) or mesh_shape is None:
-        return shape, [], False
-    where: Path | None = None
+def validated(data: Any, folders: MeshFolders) -> tuple[Scene | None, list[Diagnostic]]:
+    """The scene of parsed data and its meshes, None if it is invalid, and what is wrong with it."""
     try:
-        where = reach.resolve(file)
-        if where is None:
-            return shape, [value_diagnostic(path, reach.refusal(file), data, model)], False
-        mesh_shape.model_construct(**(shape | {"file": str(where)})).load()
-    except (SceneError, ValueError, OSError) as error:
-        text = str(error).removeprefix(f"{where}: ").replace(str(where), file)
-        text += reach.paths_tried(file) if isinstance(error, FileMissing) else ""
-        return (shape, [value_diagnostic(path, f"cannot be used: {text}", data, model)], isinstance(error, FileMissing))
-    return shape | {"file": str(where)}, [], False
+        scene = Scene.model_validate(data, context=folders)
+    except ValidationError as error:
+        return None, diagnostics_of(error, data, Scene)
+    scene._folder = folders.folder.resolve()
+    return scene, []
 
 
 SCENE_FORMATS: dict[str, SceneFormat] = {".toml": "toml", ".json": "json"}
@@ -139,10 +65,10 @@ def film_pixels(path: str | PathLike[str], size: Sequence[int] | None = None) ->
     try:
         data: Any = {}
         if Path(path).suffix.lower() not in MESH_SUFFIXES:
-            data, _ = parse(read_text(path), SCENE_FORMATS[Path(path).suffix.lower()], "")
+            data = parse(read_text(path), SCENE_FORMATS[Path(path).suffix.lower()], "")
         film = Film.model_validate(child_of(data, "film") or {})
         x0, y0, x1, y1 = (film.resized(*size) if size else film).window
-    except (SceneError, ValidationError, MemoryError, KeyError):
+    except (SceneError, ValidationError, MemoryError, KeyError, RecursionError):
         return 1
     return (x1 - x0) * (y1 - y0)
 
@@ -153,19 +79,19 @@ def types_in_file(path: str | PathLike[str]) -> frozenset[str]:
         suffix = Path(path).suffix.lower()
         if suffix in MESH_SUFFIXES:
             return frozenset(("mesh", "triangles", "pinhole"))
-        data, _ = parse(read_text(path), SCENE_FORMATS[suffix], "")
+        data = parse(read_text(path), SCENE_FORMATS[suffix], "")
         named = [data.get("camera"), *(data.get("shape") or data.get("shapes") or ())]
         types = {each["type"] for each in named if isinstance(each.get("type"), str)}
-    except (SceneError, MemoryError, KeyError, AttributeError, TypeError):
+    except (SceneError, MemoryError, KeyError, AttributeError, TypeError, RecursionError):
         return frozenset()
-    meshes = {type_name(shape) for shape in SHAPES if issubclass(shape, (MeshShape, Triangle, Rectangle, Cube))}
+    meshes = {type_name(shape) for shape in SHAPES if issubclass(shape, TriangleShape)}
     return frozenset(types | {"triangles"} if types & meshes else types)
 
 
-# A mesh file as a scene: where the camera stands as seen from the mesh, y up; and the field of view, in which its
-# bounding sphere fills all but a twentieth.
+# The scene of a mesh file: the direction from the mesh to the camera (y up), the field of view in degrees, and a factor
+# on the distance, which leaves a margin of a twentieth around the bounding sphere.
 MESH_VIEW, MESH_FOV, MESH_MARGIN = (0.4417, 0.3571, 0.8231), 41.3, 1.05
-MESH_LIGHT = (-0.2713, -0.6889, -0.6719)  # its direction
+MESH_LIGHT = (-0.2713, -0.6889, -0.6719)  # the direction of its light
 
 
 def mesh_scene(path: str | PathLike[str]) -> Scene:
@@ -176,7 +102,7 @@ def mesh_scene(path: str | PathLike[str]) -> Scene:
     where = os.path.abspath(path)
     shape = MeshFile(file=where, name="mesh", material="mesh")
     try:
-        mesh = shape.load()
+        mesh = shape.mesh()
     except SceneError as error:
         raise type(error)(str(error).replace(where, os.fspath(path))) from None
     corners = mesh.vertices[np.unique(mesh.faces)]
@@ -211,18 +137,13 @@ def scene_from_text(
     mesh_dirs: Iterable[str | PathLike[str]] = (),
 ) -> Scene:
     """A scene from the text of a scene file. origin: its name in errors; folder: of relative mesh paths."""
-    data, problems = parse(text, kind, origin)
-    reach = MeshFolders(Path(folder), tuple(Path(mesh_dir) for mesh_dir in mesh_dirs))
-    data, unusable, missing = resolve_mesh_files(data, reach, Scene)
-    problems += unusable
     try:
-        scene = Scene.model_validate(data)
-    except ValidationError as error:
-        problems += diagnostics_of(error, data, Scene)
-    if problems or missing:
-        kind_of_error = SceneError if problems else FileMissing
-        raise kind_of_error(format_diagnostics([*problems, *missing], text, kind, origin))
-    scene._folder = reach.folder.resolve()
+        data = parse(text, kind, origin)
+        scene, problems = validated(data, MeshFolders(Path(folder), tuple(map(Path, mesh_dirs))))
+        if scene is None:
+            raise error_type(problems)(format_diagnostics(problems, text, kind, origin))
+    except RecursionError:
+        raise SceneError(f"{origin}: not a scene: lists or tables are nested too deeply to be read") from None
     return scene
 
 

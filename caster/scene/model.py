@@ -21,8 +21,19 @@ from caster.description.errors import (
     suggestion,
     value_diagnostic,
 )
-from caster.description.fields import RGB, Camera, Description, Name, Reflectance, Shape, UnitVec3, Vec3
-from caster.description.quantities import PositiveNumber, row
+from caster.description.fields import (
+    RGB,
+    Camera,
+    Description,
+    Flag,
+    Name,
+    Positive,
+    Reflectance,
+    Shape,
+    UnitVec3,
+    Vec3,
+    row,
+)
 from caster.description.registry import load_plugins
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
 from caster.scene.export import canonical_json, fingerprint, to_toml
@@ -75,7 +86,7 @@ class Diffuse(Description):
 
     type: Literal["diffuse"] = "diffuse"
     reflectance: Reflectance = (0.5, 0.5, 0.5)
-    two_sided: bool = False
+    two_sided: Flag = False
 
 
 DEFAULT_MATERIAL = Diffuse()
@@ -85,8 +96,8 @@ DEFAULT_MATERIAL = Diffuse()
 
 MAX_FILM_SIDE = 65536  # pixels; one float32 channel of such a square takes 16 GiB
 
-Pixels = Annotated[int, Field(ge=1, le=MAX_FILM_SIDE)]
-Index = Annotated[int, Field(ge=0)]
+Pixels = Annotated[int, Field(strict=True, ge=1, le=MAX_FILM_SIDE)]
+Index = Annotated[int, Field(strict=True, ge=0)]
 _corners = row(4, "4 pixel indices [x0, y0, x1, y1]")
 Window = Annotated[tuple[Index, Index, Index, Index], BeforeValidator(_corners)]
 
@@ -134,13 +145,13 @@ class Film(Description):
 class Shading(Description):
     """Options of the AOV `diffuse`."""
 
-    shadows: bool = True
+    shadows: Flag = True
 
 
 class Check(Description):
     """Tolerance of one AOV in comparisons with the reference, in multiples of the derived bound."""
 
-    ratio: PositiveNumber = 1.0
+    ratio: Positive = 1.0
 
 
 Findings = Iterator[tuple[DataPath, str]]  # a path, and the message after its name

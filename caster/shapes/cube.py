@@ -4,10 +4,8 @@ from typing import Literal
 
 import numpy as np
 
-from caster.description.fields import Shape
 from caster.geometry.triangle_mesh import Mesh
-from caster.geometry.world_space import Rounding, transform_mesh
-from caster.kernels.triangles import Triangles
+from caster.geometry.world_space import TriangleShape
 
 __all__ = ["Cube"]
 
@@ -34,13 +32,10 @@ def _sides() -> Mesh:
 CUBE_MESH = _sides()
 
 
-class Cube(Shape):
+class Cube(TriangleShape):
     """The cube [-1, 1]^3 as twelve flat-shaded triangles."""
 
     type: Literal["cube"] = "cube"
 
     def mesh(self) -> Mesh:
         return CUBE_MESH
-
-    def pack(self, rounded: Rounding) -> Triangles:
-        return transform_mesh(CUBE_MESH, self.matrix, rounded, face_normals=True)

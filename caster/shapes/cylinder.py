@@ -17,7 +17,7 @@ from caster.geometry.edge_distances import (
     signed_distance,
 )
 from caster.geometry.triangle_mesh import normalize_rows
-from caster.geometry.world_space import Rounding, affine_arrays
+from caster.geometry.world_space import AffineImages, Rounding, affine_arrays
 from caster.jit.decorators import implement, inlined
 from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import exact_unit_cylinder, ray_in_object_space
@@ -60,7 +60,6 @@ from caster.kernels.protocol import (
     intersect,
     load,
     prepare,
-    same_geometry,
     surely_misses,
     surface,
     surface_setup,
@@ -77,12 +76,8 @@ from caster.kernels.raster.tile import (
 __all__ = ["Cylinder", "Cylinders"]
 
 
-class Cylinders(NamedTuple):
-    """Images of the unit cylinder x^2 + y^2 = 1, 0 <= z <= 1 under p -> center + to_world p."""
-
-    center: np.ndarray  # (n, 3) float64
-    to_world: np.ndarray  # (n, 3, 3) float64
-    to_object: np.ndarray  # (n, 3, 3) float64, its inverse
+class Cylinders(AffineImages):
+    """Images of the unit cylinder x^2 + y^2 = 1, 0 <= z <= 1."""
 
 
 class Cylinder(Shape):
@@ -174,11 +169,6 @@ def clip_to_height(hit: tuple[float, float], axis: tuple[float, float, float, fl
     z_off = 2.0 * (f_error + abs(t) * e_off + abs(e) * error) + TINY
     inside = there & (z > z_off) & (z < 1.0 - z_off)
     return filter_result(inside, (z < -z_off) | (z > 1.0 + z_off) | (not there), t, error)
-
-
-@implement(same_geometry, Cylinders)
-def _same_geometry(prims: Any, k: int, j: int) -> bool:
-    return False
 
 
 @implement(exact_intersect, Cylinders)

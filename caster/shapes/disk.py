@@ -2,7 +2,7 @@
 
 import math
 from fractions import Fraction
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from caster.geometry.edge_distances import (
     exact_object_space_ray,
     signed_distance,
 )
-from caster.geometry.world_space import Rounding, affine_arrays
+from caster.geometry.world_space import AffineImages, Rounding, affine_arrays
 from caster.jit.decorators import implement
 from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import exact_disk
@@ -49,8 +49,6 @@ from caster.kernels.protocol import (
     intersect,
     load,
     prepare,
-    same_geometry,
-    surely_misses,
     surface_setup,
 )
 from caster.kernels.raster.tile import (
@@ -68,12 +66,8 @@ from caster.kernels.raster.tile import (
 __all__ = ["Disk", "Disks"]
 
 
-class Disks(NamedTuple):
-    """Images of the unit disk z = 0 under p -> center + to_world p."""
-
-    center: np.ndarray  # (n, 3) float64
-    to_world: np.ndarray  # (n, 3, 3) float64
-    to_object: np.ndarray  # (n, 3, 3) float64, its inverse
+class Disks(AffineImages):
+    """Images of the unit disk z = 0."""
 
 
 class Disk(Shape):
@@ -118,16 +112,6 @@ def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tupl
     t, error = certain_in_range(t, error, t_min, t_max)
     edge_on = all_products_zero(m[2], d)
     return filter_result(steep & (beyond < -beyond_off), edge_on | (steep & (beyond > beyond_off)), t, error)
-
-
-@implement(surely_misses, Disks)
-def _surely_misses(prims: Any, pre: Any, d: Any) -> bool:
-    return False  # a cheaper test than `intersect` does not exist
-
-
-@implement(same_geometry, Disks)
-def _same_geometry(prims: Any, k: int, j: int) -> bool:
-    return False
 
 
 @implement(exact_intersect, Disks)

@@ -129,10 +129,10 @@ class Heightfield(MeshShape):
 
     type: Literal["heightfield"] = "heightfield"
     size: Positive = 2.0
-    resolution: Annotated[int, Field(ge=1, le=4096)] = 64  # 33,554,432 faces at most
+    resolution: Annotated[int, Field(strict=True, ge=1, le=4096)] = 64  # 33,554,432 faces at most
     amplitude: NonNegative = 0.2
-    waves: Annotated[int, Field(ge=1, le=64)] = 8
-    seed: Annotated[int, Field(ge=0)] = 0
+    waves: Annotated[int, Field(strict=True, ge=1, le=64)] = 8
+    seed: Annotated[int, Field(strict=True, ge=0)] = 0
 
     def mesh(self) -> Mesh:
         return tessellate_heightfield(self.size, self.resolution, self.amplitude, self.waves, self.seed)

@@ -55,7 +55,7 @@ class Icosphere(MeshShape):
     """The unit sphere, tessellated: an icosahedron subdivided `subdivisions` times."""
 
     type: Literal["icosphere"] = "icosphere"
-    subdivisions: Annotated[int, Field(ge=0, le=8)] = 3  # 1,310,720 faces at most
+    subdivisions: Annotated[int, Field(strict=True, ge=0, le=8)] = 3  # 1,310,720 faces at most
 
     def mesh(self) -> Mesh:
         return tessellate_icosphere(self.subdivisions)

@@ -1,6 +1,8 @@
 """A mesh from a file: OBJ, PLY, STL, OFF or glTF."""
 
-from typing import Literal
+from typing import Any, Literal
+
+from pydantic import field_validator
 
 from caster.geometry.mesh_files import load_mesh, load_once
 from caster.geometry.triangle_mesh import Mesh
@@ -15,10 +17,15 @@ class MeshFile(MeshShape):
     type: Literal["mesh"] = "mesh"
     file: str
 
-    def load(self) -> Mesh:
-        """Read the file; cached until it changes. Raises SceneError, FileMissing."""
-        return load_once(load_mesh, self.file)
+    @field_validator("file")
+    @classmethod
+    def _is_usable(cls, file: str, info: Any) -> str:
+        return info.context.resolve(file, _load) if info.context else file
 
     def mesh(self) -> Mesh:
-        """The mesh of the file, in object space."""
-        return self.load()
+        """Read the file; cached until it changes. Raises SceneError, FileMissing."""
+        return _load(self.file)
+
+
+def _load(file: str) -> Mesh:
+    return load_once(load_mesh, file)

@@ -37,8 +37,6 @@ from caster.kernels.protocol import (
     intersect,
     load,
     prepare,
-    same_geometry,
-    surely_misses,
     surface_setup,
 )
 from caster.kernels.raster.tile import LANE_SETUP, SURFACE_LANES, SURFACES_WITH_UV, get_lane, lane, put_lane
@@ -105,16 +103,6 @@ def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tupl
     error = 2.0 * (height_off + abs(t) * slope_off) / abs(slope) + 2.0 * U * abs(t)
     t, error = certain_in_range(t, error, t_min, t_max)
     return filter_result(steep, all_products_zero(n, d), t, error)  # exactly edge-on
-
-
-@implement(surely_misses, Planes)
-def _surely_misses(prims: Any, pre: Any, d: Any) -> bool:
-    return False  # nearly all lines intersect a plane
-
-
-@implement(same_geometry, Planes)
-def _same_geometry(prims: Any, k: int, j: int) -> bool:
-    return False
 
 
 @implement(exact_intersect, Planes)

@@ -5,9 +5,10 @@ from fractions import Fraction
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from pydantic import model_validator
+from pydantic import field_validator, model_validator
 
-from caster.description.fields import Lengths, Points, Positive, SceneError, Shape, Vec3
+from caster.description.errors import SceneError
+from caster.description.fields import Lengths, Points, Positive, Shape, Vec3
 from caster.description.transform import inverse, transform_points
 from caster.geometry.edge_distances import (
     SCENE_UNITS,
@@ -22,7 +23,7 @@ from caster.geometry.edge_distances import (
     square,
 )
 from caster.geometry.mesh_files import load_once, load_points
-from caster.geometry.world_space import Rounding, is_similarity, similarity_scale
+from caster.geometry.world_space import AffineImages, Rounding, is_similarity, similarity_scale
 from caster.jit.decorators import implement, jit
 from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import exact_sphere, exact_unit_sphere, ray_in_object_space
@@ -95,12 +96,8 @@ class Spheres(NamedTuple):
     turn: np.ndarray  # (n, 3, 3) float64, rotation from world to object space, for uv
 
 
-class Ellipsoids(NamedTuple):
-    """Images of the unit sphere at the origin under p -> center + to_world p."""
-
-    center: np.ndarray  # (n, 3) float64
-    to_world: np.ndarray  # (n, 3, 3) float64
-    to_object: np.ndarray  # (n, 3, 3) float64, its inverse
+class Ellipsoids(AffineImages):
+    """Images of the unit sphere at the origin."""
 
 
 class Sphere(Shape):
@@ -115,17 +112,24 @@ class Sphere(Shape):
 
 
 class SphereCloud(Shape):
-    """Many spheres as one shape: of a PLY file, its vertices and their property `radius`; or `centers` and `radii`.
+    """Many spheres as one shape: the vertices of a PLY file and their property `radius`, or `centers` and `radii`.
 
-    `radius` is that of all, 1 by default, where there are no others. Primitives are numbered in the order of the list.
+    `radius` is for all spheres, 1 by default, if they have no radii of their own. Primitives are numbered in the order
+    of the list.
     """
 
     type: Literal["spheres"] = "spheres"
     MINIMAL: ClassVar[Mapping[str, Any]] = {"centers": ((0.0, 0.0, 0.0),)}
-    file: str | None = None
     centers: Points | None = None
     radii: Lengths | None = None
     radius: Positive | None = None
+    file: str | None = None
+
+    @field_validator("file")
+    @classmethod
+    def _is_usable(cls, file: str | None, info: Any) -> str | None:
+        radius = info.data.get("radius")
+        return info.context.resolve(file, lambda path: _load_file(path, radius)) if file and info.context else file
 
     @model_validator(mode="after")
     def _has_one_source(self) -> "SphereCloud":
@@ -138,24 +142,23 @@ class SphereCloud(Shape):
             raise ValueError("needs either radii or radius, got both")
         return self
 
-    def load(self) -> tuple[np.ndarray, np.ndarray | None]:
-        """Centres (n, 3) and radii (n,) of the file, cached until it changes. Raises SceneError, FileMissing."""
-        assert self.file is not None
-        points = load_once(load_points, self.file)
-        if points.radii is not None and self.radius is not None:
-            raise SceneError(
-                f"{self.file}: expected vertices without a property radius, since the shape has the key 'radius', got "
-                "one: leave out one of the two"
-            )
-        return points
-
     def spheres(self) -> tuple[np.ndarray, np.ndarray]:
-        """Centres (n, 3) and radii (n,) in object space."""
-        centers, radii = (np.array(self.centers), self.radii) if self.file is None else self.load()
+        """Centres (n, 3) and radii (n,) in object space. Raises SceneError, FileMissing for a file."""
+        given = np.array(self.centers), self.radii
+        centers, radii = given if self.file is None else _load_file(self.file, self.radius)
         return centers, np.full(len(centers), self.radius or 1.0) if radii is None else np.array(radii)
 
     def pack(self, rounded: Rounding) -> Spheres | Ellipsoids:
         return pack_spheres(*self.spheres(), self.matrix, rounded)
+
+
+def _load_file(file: str, radius: float | None) -> tuple[np.ndarray, np.ndarray | None]:
+    """Centres (n, 3) and radii (n,) of a file, cached until it changes. radius: the key of the shape."""
+    points = load_once(load_points, file)
+    if points.radii is not None and radius is not None:
+        expected = "expected vertices without a property radius, since the shape has the key 'radius'"
+        raise SceneError(f"{file}: {expected}, got one: leave out one of the two")
+    return points
 
 
 def pack_spheres(centers: np.ndarray, radii: np.ndarray, matrix: np.ndarray, rounded: Rounding) -> Spheres | Ellipsoids:
@@ -286,11 +289,6 @@ def _intersect_ellipsoid(prims: Any, pre: Any, d: Any, t_min: float, t_max: floa
 def _surely_misses_ellipsoid(prims: Any, pre: Any, d: Any) -> bool:
     m, setup, d_error = pre
     return closest_approach(setup, rows_times_vec(m, d), d_error * l1_norm(d)).missed
-
-
-@implement(same_geometry, Ellipsoids)
-def _same_geometry_ellipsoid(prims: Any, k: int, j: int) -> bool:
-    return False
 
 
 @implement(exact_intersect, Ellipsoids)

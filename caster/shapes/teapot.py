@@ -163,7 +163,7 @@ class Teapot(MeshShape):
     """The 32 published Bezier patches, each cut into 2 subdivisions^2 triangles; z is up."""
 
     type: Literal["teapot"] = "teapot"
-    subdivisions: Annotated[int, Field(ge=1, le=64)] = 8
+    subdivisions: Annotated[int, Field(strict=True, ge=1, le=64)] = 8
 
     def mesh(self) -> Mesh:
         return tessellate_teapot(self.subdivisions)

@@ -43,7 +43,7 @@ def _faces(segments: int, sides: int) -> Ints:
     return quads.reshape(-1, 3).astype(np.int32)
 
 
-PartCount = Annotated[int, Field(ge=3, le=4096)]  # 4096 * 4096 * 2 faces at most
+PartCount = Annotated[int, Field(strict=True, ge=3, le=4096)]  # 4096 * 4096 * 2 faces at most
 
 
 class Torus(MeshShape):

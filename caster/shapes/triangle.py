@@ -5,7 +5,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from caster.description.fields import Shape, UnitVec3, Vec2, Vec3
+from caster.description.fields import UnitVec3, Vec2, Vec3
 from caster.geometry.edge_distances import (
     EDGE_ON,
     SCENE_UNITS,
@@ -20,13 +20,13 @@ from caster.geometry.edge_distances import (
     square,
 )
 from caster.geometry.triangle_mesh import Mesh
-from caster.geometry.world_space import Rounding, transform_mesh
+from caster.geometry.world_space import TriangleShape
 from caster.kernels.triangles import Triangles
 
 __all__ = ["Triangle"]
 
 
-class Triangle(Shape):
+class Triangle(TriangleShape):
     """Three vertices; the normal is (v1 - v0) x (v2 - v0)."""
 
     type: Literal["triangle"] = "triangle"
@@ -43,8 +43,8 @@ class Triangle(Shape):
             None if self.uv is None else np.array(self.uv, np.float64),
         )
 
-    def pack(self, rounded: Rounding) -> Triangles:
-        return transform_mesh(self.mesh(), self.matrix, rounded, face_normals=self.normals is None)
+    def is_flat(self) -> bool:
+        return self.normals is None
 
 
 @edge_distances.register

@@ -1,4 +1,4 @@
-"""What a process does with files, the terminal and signals, for the commands of both packages; where it runs."""
+"""Files, terminal, signals and platform, for the commands of both packages."""
 
 import sys
 

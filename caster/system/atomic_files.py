@@ -1,4 +1,4 @@
-"""Atomic file writes, temporary folders, and locks on folders."""
+"""Atomic file writes and temporary folders."""
 
 import contextlib
 import errno
@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from caster.description.errors import SceneError
-from caster.description.input_files import is_input
 from caster.jit.kernel_cache import distrust, read_sealed, write_sealed
 
 __all__ = [
@@ -19,9 +18,9 @@ __all__ = [
     "append_text",
     "atomic_write",
     "check_folder",
-    "check_output",
     "check_writable",
     "distrust",
+    "locked",
     "read_sealed",
     "write_bytes",
     "write_sealed",
@@ -82,17 +81,10 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         os.replace(temporary, target)
 
 
-def check_output(path: str | os.PathLike[str]) -> None:
-    """Raise OutputError for a file that this command has read."""
-    if is_input(path):
-        raise OutputError(f"{path}: not written: this file is an input of the same command; name another one")
-
-
 def _resolved_target(path: str | os.PathLike[str]) -> Path:
-    target = Path(os.path.realpath(path))  # resolves links, so that a link stays a link
+    target = Path(os.path.realpath(path))  # so that a link stays a link
     if target.exists() and not target.is_file():
         raise OutputError(f"{target}: expected a file to write, this is a folder or a device")
-    check_output(target)
     return target
 
 
@@ -126,7 +118,7 @@ _temporaries: set[Path] = set()  # of this process
 
 
 def remove_temporaries() -> None:
-    """Remove temporary files and folders of this process, before it is ended without its `finally` clauses."""
+    """Remove temporary files and folders of this process before it ends without running `finally` clauses."""
     for path in list(_temporaries):
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""The end of a command: exit codes, exceptions as messages and exit codes, and signals.
+"""How a command ends: exit codes, messages of exceptions, and signals.
 
 Ctrl-C, SIGTERM and SIGHUP interrupt a command, which then has GRACE_SECONDS to end; a second one ends it at once.
 """
@@ -84,7 +84,7 @@ def run_command(command: Callable[[], int]) -> int:
 
 
 def _os_error_text(error: OSError) -> str:
-    """The file and what is wrong with it; where an error names no file, the folder of temporary files."""
+    """The file and the error; for an error that names no file, the folder of temporary files."""
     if error.filename is not None:
         return f"{os.fsdecode(error.filename)}: {error.strerror or error}"
     return f"{error.strerror or error} (a file without a name; temporary files are in {tempfile.gettempdir()})"
@@ -131,8 +131,8 @@ def _escape_unencodable() -> None:
 
 # ---- signals: Ctrl-C, SIGTERM and SIGHUP ----
 
-GRACE_SECONDS = 4.0  # for an interrupted command to write what is done, before the process is ended
-CLEANUP_SECONDS = 1.0  # for the end of child processes and the removal of temporary files after that
+GRACE_SECONDS = 4.0  # that an interrupted command has to write its results before the process ends
+CLEANUP_SECONDS = 1.0  # after that, for ending child processes and removing temporary files
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGALRM") if hasattr(signal, name))
 
 interrupted = threading.Event()  # set from the first signal to the end of the command
@@ -140,16 +140,16 @@ _forced_exit_actions: list[Callable[[], None]] = [remove_temporaries]
 
 
 def at_forced_exit(action: Callable[[], None]) -> None:
-    """Call `action` before a process is ended that did not end in time; it runs in another thread."""
+    """Register an action to run, in another thread, when a process does not end in time."""
     _forced_exit_actions.insert(0, action)
 
 
 @contextlib.contextmanager
 def handled_signals() -> Iterator[None]:
-    """Raise KeyboardInterrupt in the main thread at the first signal; end the process at the second, or in time.
+    """Raise KeyboardInterrupt at the first signal; end the process at the second, or after GRACE_SECONDS.
 
     Python runs the handler when compiled code in the main thread returns. Signals that the process was started to
-    ignore (nohup) stay ignored. Nothing outside of the main thread.
+    ignore (nohup) stay ignored. Has no effect outside of the main thread.
     """
     if os.name != "posix" or threading.current_thread() is not threading.main_thread():
         yield
@@ -169,7 +169,7 @@ def handled_signals() -> Iterator[None]:
 def _interrupt(number: int, frame: Any) -> None:
     if interrupted.is_set():
         with contextlib.suppress(OSError):
-            os.write(2, b"interrupted: ended before what was running could end\n")
+            os.write(2, b"interrupted: ended at once, without waiting for running work\n")
         end_process()
     interrupted.set()
     signal.setitimer(signal.ITIMER_REAL, GRACE_SECONDS)
@@ -177,7 +177,7 @@ def _interrupt(number: int, frame: Any) -> None:
 
 
 def end_process() -> NoReturn:
-    """End this process with 130 without waiting for threads, after child processes and temporary files."""
+    """Exit with 130 without waiting for threads; child processes and temporary files go first."""
     cleaning = threading.Thread(target=_clean_up, daemon=True)  # it might wait for a lock
     cleaning.start()
     cleaning.join(CLEANUP_SECONDS)
@@ -190,13 +190,13 @@ def _clean_up() -> None:
             action()
 
 
-PARENT_VARIABLE = "CASTER_PARENT"  # in the environment of children: the process that started them
+PARENT_VARIABLE = "CASTER_PARENT"  # in the environment of child processes: the id of their parent
 
 
 def die_with_parent() -> None:
-    """Have Linux kill this process with the one that started it, even if that one is killed itself.
+    """Ask Linux to kill this process when its parent dies, even if the parent is killed.
 
-    Ends this process where that one is gone already.
+    Exits if the parent is gone already.
     """
     if sys.platform == "linux":
         import ctypes

@@ -1,7 +1,7 @@
 """The processor, as far as Mitsuba's last bits depend on it.
 
 Embree and Dr.Jit take reciprocals from tables (rcpps, rsqrtps, rcp14) that differ between vendors and models, by code
-that they choose by the features of the processor. What is rendered, stored or judged by Mitsuba names it.
+that they choose by the features of the processor. Mitsuba's results are therefore stored with its name.
 """
 
 import platform
@@ -12,7 +12,7 @@ __all__ = ["description"]
 
 CPUINFO = Path("/proc/cpuinfo")
 
-# The best first; by Linux's names of flags. AVX without AVX2 is no level, but Embree has code of its own for it.
+# Best first, by Linux's flag names. AVX without AVX2 is no official level, but Embree has code of its own for it.
 LEVELS = {
     "x86-64-v4": "avx2 fma avx512f avx512bw avx512cd avx512dq avx512vl",
     "x86-64-v3": "avx2 fma bmi1 bmi2 f16c movbe",
@@ -26,8 +26,7 @@ LEVELS = {
 def description() -> str:
     """Vendor, family, model and level, such as "AuthenticAMD family 25 model 17 (x86-64-v4)".
 
-    Where the system has no /proc/cpuinfo, the architecture and what the system calls the processor, which may be less
-    than a model.
+    Without /proc/cpuinfo: the architecture and the system's name for the processor, which may not identify the model.
     """
     try:
         return described(CPUINFO.read_text(errors="replace"), platform.machine())
@@ -36,7 +35,7 @@ def description() -> str:
 
 
 def described(cpuinfo: str, machine: str) -> str:
-    """The same from the text of /proc/cpuinfo, whose first processor counts, and the architecture."""
+    """The same from the first processor in the text of /proc/cpuinfo, and the architecture."""
     lines = (line.partition(":") for line in cpuinfo.partition("\n\n")[0].splitlines())
     found = {key.strip(): value.strip() for key, _, value in lines}
     if "vendor_id" in found and "flags" in found:

@@ -1,8 +1,7 @@
 """The terminal: standard streams that show control characters as escapes, and progress on standard error.
 
-Progress is bars, status lines and messages about kernel compilation. On a terminal it is drawn by rich, redrawn in
-place and erased at the end. Elsewhere a line is written now and then. rich is imported when something is drawn, so that
-short commands never load it.
+Progress is a bar or a status line, drawn by rich on a terminal only and erased at the end, and a message that kernels
+are being compiled. rich is imported when something is drawn, so that short commands never load it.
 """
 
 from __future__ import annotations
@@ -25,9 +24,9 @@ __all__ = ["ProgressBar", "StatusLine", "compilation_reported", "printable", "un
 
 
 def printable(text: str, keep: str = "\n\t") -> str:
-    """Text whose control, format and bidirectional characters are escapes (\\u001b) that a terminal shows.
+    """Replace control, format and bidirectional characters by escapes (\\u001b), which cannot drive a terminal.
 
-    keep: characters to leave as they are. The escapes are those of JSON, so that JSON stays what it is.
+    keep: characters to leave as they are. The escapes are those of JSON, so that printed JSON stays valid.
     """
     if text.isprintable():
         return text
@@ -40,7 +39,7 @@ def _escape(character: str) -> str:
 
 
 class PrintableStream:
-    """A text stream through `printable`. An OSError of it carries its name, such as "standard output"."""
+    """A text stream that writes through `printable`. Its OSErrors carry a name, such as "standard output"."""
 
     def __init__(self, stream: TextIO, name: str) -> None:
         self.unfiltered, self._name = stream, name
@@ -70,7 +69,7 @@ class PrintableStream:
 
 
 def unfiltered(stream: TextIO) -> TextIO:
-    """The stream below, for those who draw on a terminal and pass all text through `printable` themselves."""
+    """The stream under a PrintableStream, for callers that draw on a terminal and escape all text themselves."""
     return cast(TextIO, getattr(stream, "unfiltered", stream))
 
 
@@ -89,14 +88,11 @@ def printable_streams() -> Iterator[None]:
 
 # ---- progress ----
 
-QUIET_SECONDS = 1.0  # work shorter than this draws nothing on a terminal
+QUIET_SECONDS = 1.0  # work shorter than this draws nothing
 REFRESH_SECONDS = 0.1  # between two updates of the terminal
-LOG_SECONDS = 10.0  # before the first and between further lines of a log, which keeps them all
-BAR_CHARACTERS = 24  # width of the bar on a terminal
-ERASE_LINE = "\r\x1b[K"  # where another process draws a bar, which it draws again
+BAR_CHARACTERS = 24  # width of the bar
+ERASE_LINE = "\r\x1b[K"  # another process may have drawn a bar there, which it will draw again
 DUMB_TERMINALS = ("dumb", "unknown")  # values of TERM without cursor movement
-
-COMPILE_TIME_HINT = "once: some 20 to 60 of them, in 10 to 40 s"
 
 
 class StatusLine:
@@ -126,11 +122,6 @@ class StatusLine:
             self._display.stop()
             self._display = None
 
-    def log(self, text: str) -> None:
-        """Write a line that stays, at once."""
-        self.stream.write(printable(text) + "\n")
-        self.stream.flush()
-
 
 def _started_display(stream: TextIO) -> Live:
     from rich.console import Console
@@ -143,20 +134,18 @@ def _started_display(stream: TextIO) -> Live:
 
 
 class ProgressBar:
-    """A progress bar over counted work. `add` is thread-safe; `close` must be called on every path."""
+    """A progress bar over counted work, on a terminal only.
+
+    `add` is thread-safe; `close` must be called on every path.
+    """
 
     def __init__(
-        self,
-        what: str,
-        total: int,
-        unit: str,
-        stream: TextIO | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        self, what: str, total: int, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self.what, self.total, self.unit = what, total, unit
+        self.what, self.total, self.clock = what, total, clock
         self.line = StatusLine(stream)
-        self.clock, self.start = clock, clock()
-        self.next = self.start + (QUIET_SECONDS if self.line.live else LOG_SECONDS)
+        self.start = clock()
+        self.next = self.start + QUIET_SECONDS
         self.done, self.extra = 0, ""
         self.lock = threading.Lock()
 
@@ -166,9 +155,9 @@ class ProgressBar:
             self.done += count
             self.extra = extra or self.extra
             now = self.clock()
-            if now >= self.next and self.done < self.total:
-                self.next = now + (REFRESH_SECONDS if self.line.live else LOG_SECONDS)
-                self._draw(now - self.start)
+            if now >= self.next and 0 < self.done < self.total:
+                self.next = now + REFRESH_SECONDS
+                self.line.show(self._text(now - self.start))
 
     @contextlib.contextmanager
     def aside(self) -> Iterator[None]:
@@ -182,78 +171,38 @@ class ProgressBar:
         with self.lock:
             self.line.erase()
 
-    def _draw(self, seconds: float) -> None:
-        if not self.line.live:
-            self.line.log(f"{self.what}: {self.text(seconds)}")
-            return
-        filled = round(BAR_CHARACTERS * self.done / self.total)
-        self.line.show(f"{self.what} {'#' * filled}{'-' * (BAR_CHARACTERS - filled)} {self.text(seconds)}")
-
-    def text(self, seconds: float) -> str:
-        """66 %, 2.1M of 3.1M rays, 520k rays/s, 2 s left"""
-        amount = f"{si_number(self.done)} of {si_number(self.total)} {self.unit}"
-        parts = [f"{100 * self.done / self.total:.0f} %", *filter(None, [self.extra]), amount]
-        if seconds > 0.0 and self.done:
-            rate = self.done / seconds
-            parts += [f"{si_number(rate)} {self.unit}/s", f"{duration((self.total - self.done) / rate)} left"]
-        return ", ".join(parts)
-
-
-def si_number(number: float) -> str:
-    """A number in three digits with an SI prefix: 2.1M, 850."""
-    for size, prefix in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
-        if number >= size:
-            return f"{number / size:.3g}{prefix}"
-    return f"{number:.3g}"
-
-
-def duration(seconds: float) -> str:
-    """A time span in whole seconds or minutes, or tenths of hours."""
-    if seconds < 100.0:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60.0:.0f} min" if seconds < 6000.0 else f"{seconds / 3600.0:.1f} h"
+    def _text(self, seconds: float) -> str:
+        share = self.done / self.total
+        filled = round(BAR_CHARACTERS * share)
+        bar = f"{self.what} {'#' * filled}{'-' * (BAR_CHARACTERS - filled)} {100 * share:.0f} %"
+        return ", ".join([bar, *filter(None, [self.extra]), f"{seconds / share - seconds:.0f} s left"])
 
 
 class CompilationNotice:
-    """Lines on standard error about kernels that a command compiles: one at once, then a count now and then.
+    """One line on standard error when a command begins to compile kernels, in this process or in a fork of it."""
 
-    Forks count together with the process that made this: kernels of all of them are one run. Two that begin within
-    the same microsecond may both write the first line.
-    """
-
-    def __init__(self, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic) -> None:
-        """stream: default standard error, as it is at each line."""
+    def __init__(self, stream: TextIO | None = None) -> None:
+        """stream: default standard error, as it is when the line is written."""
         import mmap
 
-        self.stream, self.clock = stream, clock
-        self._shared = memoryview(mmap.mmap(-1, 3 * 8)).cast("d")  # kernels, when the first began, of the next line
-
-    @property
-    def kernels(self) -> int:
-        """How many were begun."""
-        return int(self._shared[0])
+        self.stream = stream
+        self._written = mmap.mmap(-1, 1)  # shared with forks; two that begin at the same moment may both write
 
     def compiling(self, name: str) -> None:
-        """Count a kernel whose compilation starts."""
-        now = self.clock()
-        self._shared[0] += 1
-        if self.kernels == 1:
-            self._shared[1], self._shared[2] = now, now + LOG_SECONDS
-            self._write(f"compiling kernels, {COMPILE_TIME_HINT}; `caster doctor --warm` does it ahead")
-            report_refused_cache()
-        elif now >= self._shared[2]:
-            self._shared[2] = now + LOG_SECONDS
-            self._write(f"compiling kernel {self.kernels}, after {duration(now - self._shared[1])}")
-
-    def _write(self, text: str) -> None:
+        """Write the line before the first kernel."""
+        if self._written[0]:
+            return
+        self._written[0] = 1
         line = StatusLine(self.stream)
-        with contextlib.suppress(OSError):  # whoever closed standard error does not wait for it
-            line.log(f"{ERASE_LINE}{text}" if line.live else text)
+        with contextlib.suppress(OSError):  # standard error may be closed
+            text = "compiling kernels, once: some 20 to 60, in 10 to 40 s; `caster doctor --warm` does it ahead"
+            print(f"{ERASE_LINE if line.live else ''}{text}", file=line.stream, flush=True)
+        report_refused_cache()
 
 
 @contextlib.contextmanager
 def compilation_reported(stream: TextIO | None = None) -> Iterator[None]:
-    """Report what the body compiles, in this process and in its forks; nothing if all kernels are cached.
+    """Report that the body compiles kernels, in this process or in its forks; nothing if all are cached.
 
     stream: default standard error.
     """
@@ -269,7 +218,7 @@ def compilation_reported(stream: TextIO | None = None) -> Iterator[None]:
 
 @cache
 def report_refused_cache() -> None:
-    """Print one line on standard error, once a process, if kernels are not cached because others could replace them."""
+    """Print once a process, on standard error, why compiled kernels are not kept: others could replace the files."""
     from caster.jit.kernel_cache import cache_folder, refusals
 
     cache_folder()

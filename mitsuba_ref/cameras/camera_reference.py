@@ -51,7 +51,7 @@ RandomView = Callable[[], Fields]  # draws eye, direction and up
 
 
 def view_only(rng: np.random.Generator, size: float, view: RandomView) -> Fields:
-    """Random fields of a camera that has no others than its view."""
+    """Random fields of a camera: its view alone."""
     return view()
 
 

@@ -8,14 +8,12 @@ COMMANDS = (
         "compare our caster or a candidate with Mitsuba on scenes: every pixel gets a class",
         "mitsuba_ref.cli.validate",
         starts_with="loading the judge and the scenes",
-        compiles=True,
     ),
     Command(
         "judge",
         "judge answers that were computed elsewhere: hits of any rays, or an EXR file",
         "mitsuba_ref.cli.judge",
         starts_with="loading the judge and the rays",
-        compiles=True,
     ),
     Command(
         "rays",
@@ -23,7 +21,6 @@ COMMANDS = (
         "mitsuba_ref.cli.judge",
         run="run_rays",
         arguments="add_rays_arguments",
-        compiles=True,
     ),
     Command(
         "merge",
@@ -38,7 +35,6 @@ COMMANDS = (
         "mitsuba_ref.cli.scene_exchange",
         run="run_render",
         arguments="add_render_arguments",
-        compiles=True,
     ),
     Command(
         "approve",
@@ -47,7 +43,6 @@ COMMANDS = (
         run="run_approve",
         arguments="add_approve_arguments",
         starts_with="loading the renderer and the approved images",
-        compiles=True,
     ),
     Command(
         "check",
@@ -56,7 +51,6 @@ COMMANDS = (
         run="run_check",
         arguments="add_check_arguments",
         starts_with="loading the renderer and the approved images",
-        compiles=True,
     ),
     Command(
         "export",
@@ -64,7 +58,6 @@ COMMANDS = (
         "mitsuba_ref.cli.scene_exchange",
         run="run_export",
         arguments="add_export_arguments",
-        compiles=True,
     ),
     Command(
         "import",
@@ -72,7 +65,6 @@ COMMANDS = (
         "mitsuba_ref.cli.scene_exchange",
         run="run_import",
         arguments="add_import_arguments",
-        compiles=True,
     ),
     Command(
         "compare",
@@ -86,14 +78,12 @@ COMMANDS = (
         "explain one pixel: answers of our caster, Mitsuba, exact arithmetic and a candidate, with their bounds",
         "mitsuba_ref.cli.probe",
         starts_with="loading the judge and the scene",
-        compiles=True,
     ),
     Command(
         "fuzz",
         "random and adversarial scenes and rays; each failure is shrunk to a minimal scene file and kept",
         "mitsuba_ref.cli.fuzz",
         starts_with="loading the judge",
-        compiles=True,
     ),
     Command(
         "stress",
@@ -102,7 +92,6 @@ COMMANDS = (
         run="run_stress",
         arguments="add_stress_arguments",
         starts_with="loading the judge",
-        compiles=True,
     ),
     Command(
         "bench",
@@ -111,7 +100,6 @@ COMMANDS = (
         run="run_bench",
         arguments="add_bench_arguments",
         starts_with="loading the judge",
-        compiles=True,
     ),
     Command(
         "schema",

@@ -9,12 +9,9 @@ from pkgutil import resolve_name
 from typing import Any
 
 from caster.cli import installation as caster_doctor
-from caster.cli.installation import Finding, Package, exit_code, find_package, format_json, print_findings, usable
+from caster.cli.installation import Finding, Package, find_package, print_findings
 from caster.system.process import OK
 from mitsuba_ref.reference.variants import Variants, usable_variants
-
-__all__ = ["Finding", "exit_code", "format_json", "report", "usable"]
-
 
 # The versions whose arithmetic the bounds were derived for; Dr.Jit has to be the one Mitsuba was built with.
 PINNED = {"mitsuba": "3.9.1", "drjit": "1.5.0"}

@@ -185,8 +185,6 @@ def requested_candidate(args: argparse.Namespace, *, takes_rays: bool = False) -
         for word in given_words(args, "candidate_precision", "candidate_timeout", *READING_OPTIONS)[:1]:
             raise SceneError(f"{word}: expected --candidate X beside it, whose answers it is about")
         return None
-    if getattr(args, "thorough", False):
-        raise SceneError("--thorough: not with --candidate, since the checks that it adds test our own caster")
     from mitsuba_ref.subjects.command import CommandSubject
     from mitsuba_ref.subjects.requests import parse_candidate
 

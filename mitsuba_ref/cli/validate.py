@@ -52,8 +52,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--min-scenes", metavar="N", type=positive_int, default=0, help=help_)
     add("--maxfail", metavar="N", type=positive_int, help="stop after so many scenes that fail")
     add("--shard", metavar="I/N", type=shard, help="judge part I of N of the scenes, balanced by pixels")
-    help_ = "also test our caster beyond the judged film (docs/method.md, Thorough); compiles more kernels"
-    add("--thorough", action="store_true", help=help_)
     add_timeout(parser)
     help_ = "judge every scene and ask Mitsuba, also where an earlier run has the result of the very same inputs"
     add("--no-store", dest="store", action="store_false", help=help_)
@@ -142,7 +140,7 @@ def run_options(args: argparse.Namespace, candidate: Subject | None) -> RunOptio
     chosen = args.expression or args.builtin
     out = Path(args.out) if args.out else None
     return RunOptions(
-        JudgeOptions(out, args.timeout, args.store, args.thorough, candidate),
+        JudgeOptions(out, args.timeout, args.store, candidate),
         args.workers,
         args.maxfail,
         args.html,

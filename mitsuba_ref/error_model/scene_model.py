@@ -46,7 +46,7 @@ class SceneModel:
 
         ku: K times the unit round-off. ours: of our own primitives, not of stand-ins.
         """
-        kind, k = self._kinds_of(prim)
+        kind, k = kinds_of(self.packed, prim)
         pairs, found = [], []
         for place, model in enumerate(self.models):
             rows = np.flatnonzero(kind == place)
@@ -63,18 +63,13 @@ class SceneModel:
             np.concatenate(pairs), Intersections(*(np.concatenate(a) for a in zip(*found, strict=True)))
         )
 
-    def _kinds_of(self, prim: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(kind (m,), row in the kind's arrays (m,)) of each primitive."""
-        shape = self.packed.shape_of(prim)
-        return self.packed.kind_of[shape], prim - self.packed.first[shape] + self.packed.start[shape]
-
     def uv_points(self, prim: np.ndarray, uv: np.ndarray, *, ours: bool) -> np.ndarray:
         """(n, 3) points that uv (n, 2) of primitive prim[i] map to in its kind's UvSpace.
 
         ours: uv of the subject, not of the reference. 0 where prim is -1, or where the reference traces a stand-in.
         """
         points, hits = np.zeros((len(prim), 3)), np.flatnonzero(prim >= 0)
-        kind, k = self._kinds_of(prim[hits])
+        kind, k = kinds_of(self.packed, prim[hits])
         for place, model in enumerate(self.models):
             rows = np.flatnonzero(kind == place)
             space = model.uv.subject if ours else model.uv.reference
@@ -85,7 +80,7 @@ class SceneModel:
     def reference_has_uv(self, prim: np.ndarray) -> np.ndarray:
         """(n,) bool: the reference has uv of primitive prim[i] itself, not of a stand-in."""
         has = np.array([model.uv.reference is not None for model in self.models], bool)
-        found: np.ndarray = has[self._kinds_of(np.maximum(prim, 0))[0]] if len(has) else prim >= 0
+        found: np.ndarray = has[kinds_of(self.packed, np.maximum(prim, 0))[0]] if len(has) else prim >= 0
         return found
 
     @cached_property
@@ -127,6 +122,12 @@ class SceneModel:
             return np.zeros(len(prim), bool)
         several: np.ndarray = np.bincount(self.identical, minlength=len(self.identical)) > 1
         return several[self.identical[prim]]
+
+
+def kinds_of(packed: Packed, prim: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(kind (m,), row in the kind's arrays (m,)) of primitives, by their numbers in the scene."""
+    shape = packed.shape_of(prim)
+    return packed.kind_of[shape], prim - packed.first[shape] + packed.start[shape]
 
 
 def with_edges(at: Intersections) -> Intersections:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from caster.description.errors import SceneError
-from caster.description.input_files import read_own
+from caster.description.input_files import read_text
 from caster.geometry.packing import Packed
 from caster.scene.model import Scene
 from caster.system.atomic_files import check_folder, write_text
@@ -113,7 +113,7 @@ class Trace:
 def unfinished_example(folder: Path) -> str:
     """The command of the example that a process died in; "" if none did."""
     try:
-        return read_own(folder / TRACE_FILE, "trace").strip()[:MAX_TRACE_CHARACTERS]
+        return read_text(folder / TRACE_FILE, "trace").strip()[:MAX_TRACE_CHARACTERS]
     except SceneError:
         return ""
 
@@ -279,7 +279,7 @@ def compare_with_mitsuba(
 
     rays: of a list, laid out as the film. Of a candidate, only what it has wrong is a finding.
     """
-    options: dict[str, Any] = {"timeout": MITSUBA_TIMEOUT_S, "send": resident.send, "thorough": True}
+    options: dict[str, Any] = {"timeout": MITSUBA_TIMEOUT_S, "send": resident.send}
     try:
         verdict = validate_scene(scene, "fuzz", subject=subject, rays=rays, **options)
     except SceneError:  # numbers beyond float32

@@ -23,13 +23,10 @@ from mitsuba_ref.judge.checks.knife_edges import (
     PreparedScene,
     cast_by_culling,
     concatenated,
-    content_seed,
     nearest_of_hits,
     t_text,
     with_limits,
 )
-from mitsuba_ref.judge.checks.routes import route_differences
-from mitsuba_ref.judge.checks.scaling import exponents_of, scaling_differences
 from mitsuba_ref.oracle.oracle import OutsideDomain
 from mitsuba_ref.reference.shared_input import pixel_of
 from mitsuba_ref.shapes.targets import Rng
@@ -126,7 +123,7 @@ def check_surfaces(scene: Scene, rays: RayBatch) -> Iterator[Finding]:
 
 
 def check_image(subject: PreparedScene, tally: Tally) -> list[Finding]:
-    """Findings about the image of the scene's own camera: by every culling, scaled, by other routes, exactly."""
+    """Findings about the image of the scene's own camera: by every culling, and by exact arithmetic."""
     scene = subject.scene
     planned = culling_for(scene.camera.pack(scene.film.width, scene.film.height))[0]
     cullings: tuple[Culling, ...] = ("bvh", "raster") if planned == "raster" else ("bvh",)
@@ -135,20 +132,7 @@ def check_image(subject: PreparedScene, tally: Tally) -> list[Finding]:
     for culling in cullings:
         image = render(scene, IMAGE_AOVS, culling=culling, threads=1)
         findings += _image_differences(scene, expected, image, culling)
-    findings += _scaling_differences(subject, tally)
-    findings += [Finding("route", str(found), pixel=(found.x, found.y)) for found in route_differences(scene)]
     return findings + _adjudicate_image(subject, expected, tally)
-
-
-def _scaling_differences(subject: PreparedScene, tally: Tally) -> Iterator[Finding]:
-    try:
-        different = scaling_differences(subject.scene, exponents_of(subject.scene, content_seed(subject.packed)))
-    except SceneError:
-        tally.outside += 1
-        return
-    for exponent, aov, pixels in different:
-        what = f"{aov}: other bits in {len(pixels)} pixels 2^{exponent} times as large"
-        yield Finding("scaling", what, pixel=pixel_of(subject.scene, int(pixels[0])))
 
 
 def _image_differences(scene: Scene, expected: Aovs, other: Aovs, name: str) -> Iterator[Finding]:

@@ -169,13 +169,11 @@ def single_ray_case(case: Case, finding: Finding, judge: Judge) -> Case:
     candidates = [] if finding.ray is None else [case_of(case, finding.ray)]
     if finding.pixel is not None and "ray" not in case:
         x, y = finding.pixel
-        x0, y0, x1, y1 = scene_of(scene_data(case)).film.window
-        if x0 <= x < x1 and y0 <= y < y1:  # a route's film may be another one
-            cropped = {**case, "film": {**case["film"], "crop": [x, y, x + 1, y + 1]}}
-            rays = camera_rays(scene_of(scene_data(cropped)))
-            if finding.ray is None:
-                candidates.append(case_of(cropped, RayBatch(rays.o, rays.d, rays.t_min, rays.t_max)))
-            candidates.append(cropped)
+        cropped = {**case, "film": {**case["film"], "crop": [x, y, x + 1, y + 1]}}
+        rays = camera_rays(scene_of(scene_data(cropped)))
+        if finding.ray is None:
+            candidates.append(case_of(cropped, RayBatch(rays.o, rays.d, rays.t_min, rays.t_max)))
+        candidates.append(cropped)
     return next((each for each in candidates if finding.mode in failure_modes(each, judge)), case)
 
 

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydantic import ValidationError
 
-from caster.description.errors import Diagnostic, FileMissing, SceneError, diagnostics_of, join_words
+from caster.description.errors import Diagnostic, FileMissing, SceneError, join_words
 from caster.description.transform import is_mirrored, row_lengths
-from caster.scene.files import MeshFolders, resolve_mesh_files
+from caster.geometry.mesh_files import MeshFolders
+from caster.scene.files import validated
 from caster.scene.model import Scene
 from mitsuba_ref.importers.scene_builder import (
     SceneBuilder,
@@ -280,16 +280,9 @@ def _scene_of(out: SceneBuilder, folders: MeshFolders) -> tuple[Scene | None, li
             "eye": [0, 0, 0],
             "direction": [0, 0, 1],
         }  # so that other errors are found
-    data, unusable, missing = resolve_mesh_files(out.data, folders, Scene)
-    scene, problems = None, unusable
-    try:
-        scene = Scene.model_validate(data)
-        scene._folder = folders.folder.resolve()
-    except ValidationError as error:
-        problems = problems + diagnostics_of(error, data, Scene)
-    out.document.errors += [_with_position(out, each) for each in problems]
-    absent = [_with_position(out, each) for each in missing]
-    return (None if absent else scene), absent
+    scene, problems = validated(out.data, folders)
+    out.document.errors += [_with_position(out, each) for each in problems if not each.missing]
+    return scene, [_with_position(out, each) for each in problems if each.missing]
 
 
 def _with_position(out: SceneBuilder, problem: Diagnostic) -> ImportDiagnostic:

@@ -1,6 +1,6 @@
-"""Adjudication: the subject against exact arithmetic, at the pixels where bounds alone do not decide.
+"""Adjudication: compare the subject with exact arithmetic at pixels where bounds alone do not decide.
 
-And exact answers about any float32 rays of a scene, with the error bounds of t around them.
+Also exact answers to any float32 rays of a scene, with error bounds of t.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,18 +18,18 @@ from mitsuba_ref.error_model.intersections import Intersections, norm
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR
 from mitsuba_ref.oracle.interface import tied_prims
-from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain
+from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain, Root
 from mitsuba_ref.reference.shared_input import SharedRays, model_of, packed_float32
 from mitsuba_ref.subjects.subject import Answer
 
-# Agreeing pixels of a scene, away from edges, that are held to exact arithmetic all the same: a tenth of a second.
+# Agreeing pixels away from edges that are compared with exact arithmetic as well: a tenth of a second a scene.
 AGREEING_PIXELS_ADJUDICATED = 1024
 ADJUDICATION_SEED = 2
 
 
 @dataclass(frozen=True)
 class Adjudication:
-    """The exact answers at some pixels, and the subject's error from them; one row an adjudicated pixel."""
+    """Exact answers at some pixels, and the subject's errors; one row for each adjudicated pixel."""
 
     rows: np.ndarray  # (m,) of the image, ascending
     answers: Sequence[ExactAnswer | None]  # m of them; None: the oracle gave none
@@ -47,12 +47,12 @@ class Adjudication:
 
     @property
     def wrong(self) -> np.ndarray:
-        """(m,) bool: it has another one."""
+        """(m,) bool: the subject has another answer."""
         return self.answered & ~(self.ratio <= 1.0)
 
     @cached_property
     def place(self) -> dict[int, int]:
-        """Row of the image -> row here."""
+        """The row here of each adjudicated row of the image."""
         return {int(row): i for i, row in enumerate(self.rows)}
 
     def of(self, row: int) -> ExactAnswer | None:
@@ -60,15 +60,11 @@ class Adjudication:
         i = self.place.get(int(row))
         return None if i is None else self.answers[i]
 
-    def are_right(self, rows: np.ndarray) -> np.ndarray:
-        """(len(rows),) bool: the subject is exactly right at these rows of the image; False where not adjudicated."""
-        return np.isin(rows, self.rows[self.right])
-
 
 def needs_adjudication(plain: np.ndarray, hit: np.ndarray, certain: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Rows to adjudicate: pixels that disagree, pixels near an edge, and some of the rest by a fixed seed.
 
-    plain, hit, certain: (n,) bool; hit by ours, certain to be hit for the reference; shape: of the image.
+    plain, hit, certain: (n,) bool; the pixel agrees, the subject hits, the reference certainly hits. shape: (h, w).
     """
     chosen = ~plain | (hit & ~certain) | (~hit & has_hit_neighbor(hit.reshape(shape)).ravel())
     chosen[sample_rows(np.flatnonzero(~chosen), AGREEING_PIXELS_ADJUDICATED)] = True
@@ -76,13 +72,13 @@ def needs_adjudication(plain: np.ndarray, hit: np.ndarray, certain: np.ndarray, 
 
 
 def sample_rows(rows: np.ndarray, count: int) -> np.ndarray:
-    """At most so many of these rows, by a fixed seed, ascending."""
+    """At most `count` of these rows, chosen by a fixed seed, ascending."""
     chosen = np.random.default_rng(ADJUDICATION_SEED).choice(rows, min(count, len(rows)), replace=False)
     return np.sort(chosen)
 
 
 def has_hit_neighbor(hit: np.ndarray) -> np.ndarray:
-    """(h, w) bool: pixels with a neighbour, corners included, that is hit."""
+    """(h, w) bool: some of the eight neighbours of a pixel is hit."""
     padded = np.pad(hit, 1)
     height, width = hit.shape
     shifts = [padded[y : y + height, x : x + width] for y in range(3) for x in range(3)]
@@ -93,7 +89,7 @@ def has_hit_neighbor(hit: np.ndarray) -> np.ndarray:
 def oracle_answers(
     oracle: Oracle, o: np.ndarray, d: np.ndarray, t_max: np.ndarray, t_min: np.ndarray
 ) -> Sequence[ExactAnswer | None]:
-    """One answer a ray; if some ray has none, the others still have theirs."""
+    """The exact answer to each ray; None for a ray that the oracle cannot answer."""
     try:
         return oracle.first_hits(o, d, t_min, t_max)
     except OutsideDomain:
@@ -107,7 +103,7 @@ def oracle_answers(
 
 
 class ExactRatios(NamedTuple):
-    """The subject's error from the exact answer, over its bound; one row an adjudicated pixel."""
+    """The subject's error over its bound; one row for each adjudicated pixel."""
 
     best: np.ndarray  # (m,) at the member of the tie set that fits best; inf where hit and miss differ
     of_first: np.ndarray  # (m,) bool: the first member fits, or nothing is hit
@@ -116,31 +112,24 @@ class ExactRatios(NamedTuple):
 def ratios_of_named(
     answers: Sequence[ExactAnswer | None], prim: np.ndarray, t: np.ndarray, bound: np.ndarray
 ) -> ExactRatios:
-    """Of a subject that names its primitives: the first member of the tie set alone is right; of t."""
-    ratios = [
-        np.inf if answer is None else exact_error_ratio(answer, int(prim[i]), float(t[i]), float(bound[i]))
-        for i, answer in enumerate(answers)
-    ]
-    best = np.array(ratios, np.float64)
+    """Ratios of t for a subject that names its primitives: only the first member of the tie set is right.
+
+    0 at the right primitive if rounding does not resolve t, edge-on.
+    """
+    same = np.array([a is not None and a.prim == k for a, k in zip(answers, prim, strict=True)], bool)
+    roots = [None if answer is None else answer.t for answer in answers]
+    best = np.where(same, np.where(prim < 0, 0.0, _ratio(_errors(roots, t), bound)), np.inf)
     return ExactRatios(best, best <= 1.0)
 
 
-def exact_error_ratio(answer: ExactAnswer, prim: int, t: float, bound: float) -> float:
-    """|t - the exact one| over the subject's bound on t at that primitive.
-
-    0 where rounding does not resolve the crossing, edge-on: which primitive is hit is all there is to check. inf where
-    that differs, or hit and miss.
-    """
-    if answer.t is None or prim != answer.prim:
-        return 0.0 if answer.prim == prim else np.inf
-    if np.isposinf(bound) and np.isfinite(t):
-        return 0.0
-    error = answer.t.off(t) if np.isfinite(t) else np.inf
-    return 0.0 if error == 0.0 else error / bound if bound > 0.0 else np.inf
+def _errors(roots: Sequence[Root | None], t: np.ndarray) -> np.ndarray:
+    """(m,) |t - exact t|; inf without an exact t, or if t is not finite."""
+    pairs = zip(roots, t.tolist(), strict=True)
+    return np.array([np.inf if root is None or not np.isfinite(x) else root.off(x) for root, x in pairs], np.float64)
 
 
 def claims_of(answer: Answer, packed: Packed) -> Claims:
-    """What a subject claims: hits, with shape, primitive and normal if it names them, and no position."""
+    """The claims of a subject: hits, with shape, primitive and normal if it gives them; no positions."""
     shapes = len(packed.parts)
     named: np.ndarray | int = ANY_SHAPE
     if answer.shape_id is not None:  # `shapes`: none there is
@@ -158,9 +147,10 @@ IntersectionsNear = Callable[[np.ndarray, np.ndarray, np.ndarray], Intersections
 def ratios_of_any_tie(
     answers: Sequence[ExactAnswer | None], answer: Answer, near: IntersectionsNear, packed: Packed
 ) -> ExactRatios:
-    """Of a subject without images: every member of the tie set is right; of t, the normal and ids that are given.
+    """Ratios for a subject without images: every member of the tie set is right.
 
-    Where rounding cannot resolve t, the normal alone is compared. answer: to the same pixels.
+    t is compared, and the normal and ids if they are given; where rounding cannot resolve t, the normal alone. answer:
+    to the same pixels.
     """
     hit = answer.hit
     missed = np.array([exact is not None and exact.t is None for exact in answers], bool)
@@ -173,14 +163,11 @@ def ratios_of_any_tie(
     prim = np.array([each.prim for _, each in members])
     exact_t = np.array([float(each.t) for _, each in members])
     t = answer.t[owner]
-    error = np.array(
-        [
-            each.t.off(float(value)) if np.isfinite(value) else np.inf
-            for (_, each), value in zip(members, t, strict=True)
-        ]
-    )
     at = near(owner, prim, exact_t)
-    ratio = _ratio(error, at.t_error + np.broadcast_to(answer.t_rounding, answer.t.shape)[owner])
+    ratio = _ratio(
+        _errors([each.t for _, each in members], t),
+        at.t_error + np.broadcast_to(answer.t_rounding, answer.t.shape)[owner],
+    )
     if answer.hits_only:
         ratio = np.zeros(len(owner))
     for ids, number in ((answer.shape_id, packed.shape_of), (answer.prim_id, packed.index_in_shape)):
@@ -196,7 +183,7 @@ def ratios_of_any_tie(
 
 
 def _ratio(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
-    """error / bound; 0 where there is no bound to hold to, inf where the error is no number."""
+    """error / bound; 0 where the bound is infinite, inf where the error is no number."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         ratio = np.where(error == 0.0, 0.0, error / bound)
     ratio = np.where(np.isposinf(bound) & np.isfinite(error), 0.0, ratio)
@@ -211,9 +198,9 @@ def claims_other_tie(
     answers: Sequence[ExactAnswer | None],
     closest: float,
 ) -> np.ndarray:
-    """(m,) bool: the claim is that of another member of the exact tie set than the first, within its bounds there.
+    """(m,) bool: the claim fits another member of the exact tie set than the first, within its bounds.
 
-    closest: no bound on a normal may be looser, or agreement would mean nothing.
+    closest: bounds on normals are cut to this, since agreement within a looser bound would mean nothing.
     """
     tied = {i: tied_prims(a)[1:] for i, a in enumerate(answers) if a is not None and len(a.ties) > 1}
     taken = np.zeros(len(o), bool)

@@ -1,9 +1,11 @@
 """The verdict of a scene from its judgement: counts by class, largest ratios, listed failures."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import chain
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -30,12 +32,14 @@ from mitsuba_ref.judge.verdict import (
 from mitsuba_ref.reference.shared_input import pixel_of
 from mitsuba_ref.subjects.subject import FLOAT32, Answer
 
-# What the judge compares of our caster, and a candidate does not give; ids of shapes and primitives only some do.
+T = TypeVar("T")
+
+# Quantities that the judge compares for our caster and that candidates do not give; some give ids of shapes.
 NEVER_GIVEN = ("position", "shading_normal", "uv", "shape_id", "diffuse")
 
 
 def quantities_not_given(answer: Answer) -> tuple[str, ...]:
-    """What the judge compares, and this answer lacks."""
+    """Quantities that the judge compares and this answer lacks."""
     if answer.images is not None:
         return ()
     if answer.hits_only:
@@ -45,7 +49,7 @@ def quantities_not_given(answer: Answer) -> tuple[str, ...]:
 
 
 def class_counts(judgement: Judgement, hit: np.ndarray) -> dict[str, int]:
-    """Hit pixels of each class; one that fails counts, whether anything is hit there or not."""
+    """Pixels of each class that are hit or fail."""
     counted = hit | judgement.is_class(*FAILING)
     numbers = np.bincount(judgement.classes[counted], minlength=len(CLASSES))
     return dict(zip(CLASSES, map(int, numbers), strict=True))
@@ -64,7 +68,7 @@ def defect_counts(judgement: Judgement) -> dict[str, int]:
 
 
 def scene_statistics(scene: Scene) -> SceneStatistics:
-    """Camera, shapes and number of primitives; the latter of a scene that can be packed."""
+    """Camera, shapes, and the number of primitives if the scene can be packed."""
     count = 0
     with suppress(SceneError):
         count = int(packed(scene).first[-1])
@@ -73,7 +77,7 @@ def scene_statistics(scene: Scene) -> SceneStatistics:
 
 
 def findings(judge: Judge, diagnosis: Diagnosis) -> tuple[Finding, ...]:
-    """Each cause once, with its pixels, most first; second causes of the same pixels, and what has none, at the end."""
+    """Each cause once, most pixels first; second causes of the same pixels and pixels not adjudicated at the end."""
     ordered = sorted(diagnosis.causes, key=lambda each: (each.what == NOT_ADJUDICATED, each.second, -len(each.rows)))
     return tuple(
         Finding(
@@ -86,7 +90,7 @@ def findings(judge: Judge, diagnosis: Diagnosis) -> tuple[Finding, ...]:
 def listed_failures(judge: Judge, judgement: Judgement, diagnosis: Diagnosis) -> tuple[Failure, ...]:
     """Some of the pixels that fail: one of each diagnosis, then the worst of the others.
 
-    Of a diagnosis the worst pixel, or where a subject names no primitives, so that most have no factor, the first.
+    The worst pixel of a diagnosis, or the first if the subject names no primitives, so that most have no factor.
     """
     by_row, rows = diagnosis.by_row(), worst_first(judgement, failing_rows(judgement))
     order = rows if judge.names_prims else sorted(rows)
@@ -106,7 +110,7 @@ def worst_first(judgement: Judgement, rows: np.ndarray) -> list[int]:
 
 
 def failing_by_check(judgement: Judgement) -> dict[str, np.ndarray]:
-    """Rows that fail, worst first, under every check that they fail; under `exact` where they fail none."""
+    """Failing rows by each check that they fail, worst first; under `exact` if they fail none."""
     rows = failing_rows(judgement)
     excess = {name: judgement.excess(name)[rows] for name in judgement.names}
     beyond = {name: ~(ratio <= 1.0) for name, ratio in excess.items()}
@@ -117,7 +121,7 @@ def failing_by_check(judgement: Judgement) -> dict[str, np.ndarray]:
 
 
 def failure_at(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str], row: int, check: str = "") -> Failure:
-    """One pixel that fails. check: the one to report; "": the one that finds most."""
+    """One pixel that fails. check: the check to report; "": the one with the largest excess."""
     check = check or decisive_check(judgement, row)
     text = pixel_answers(judge, judgement, row, check)
     explain = full_reason if judge.names_prims else reason
@@ -128,14 +132,14 @@ def failure_at(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str],
 
 
 def decisive_check(judgement: Judgement, row: int) -> str:
-    """The check that finds most; `exact`, the least specific one, only where it is the only one."""
+    """The check with the largest excess; `exact`, the least specific, only if no other fails."""
     excess = {name: float(judgement.excess(name)[row]) for name in judgement.names}
     beyond = {name: ratio for name, ratio in excess.items() if name != EXACT and not ratio <= 1.0}
     return max(beyond or excess, key=lambda name: excess[name])
 
 
 def failure_hints(answer: Answer, judgement: Judgement) -> tuple[str, ...]:
-    """What may help where pixels fail: bounds are as wide as the round-off that they are made of."""
+    """A hint if all failing pixels would pass with the bounds of float32."""
     if not judgement.is_class(*FAILING).any():
         return ()
     ratios = judgement.exact.ratio[judgement.is_class(WRONG)[judgement.exact.rows]]
@@ -150,34 +154,40 @@ def failure_hints(answer: Answer, judgement: Judgement) -> tuple[str, ...]:
 # ---- the windows of a large film, judged one after the other ----
 
 
-def merge_windows(windows: Sequence[SceneVerdict]) -> SceneVerdict:
-    """The verdict of a film from those of windows that it consists of, without statistics and bias.
+SUMS = (
+    "pixels",
+    "hit_pixels",
+    "seconds",
+    "reference_seconds",
+    "adjudicated",
+    "not_adjudicated",
+    "exact_seconds",
+    "not_stored",
+)
+COUNTS = ("counts", "cases", "failing_by")
 
-    Numbers are added up, ratios are the largest; failures of the first are listed first; one window without a
-    comparison is the problem of all.
+
+def merge_windows(windows: Sequence[SceneVerdict]) -> SceneVerdict:
+    """The verdict of a film from those of its windows, without statistics and bias.
+
+    Numbers are added up, and the largest ratios are kept; failures of the first window are listed first. A window
+    without a comparison is a problem of the whole film.
     """
-    first, listed = windows[0], [failure for window in windows for failure in window.failures]
-    problems = [window.problem for window in windows if window.problem]
+    sums: dict[str, Any] = {name: sum(getattr(window, name) for window in windows) for name in SUMS}
+    counts: dict[str, Any] = {name: _added([getattr(window, name) for window in windows]) for name in COUNTS}
+    longest_first = sorted(windows, key=lambda window: -len(window.checks))
+    checks = _largest([{check.name: check for check in window.checks} for window in longest_first], ratio_of)
     return replace(
-        first,
-        pixels=sum(window.pixels for window in windows),
-        hit_pixels=sum(window.hit_pixels for window in windows),
-        counts={name: sum(window.counts[name] for window in windows) for name in CLASSES},
-        ratios=_largest([window.ratios for window in windows]),
-        checks=_worst_checks(windows),
-        failures=_leading(listed),
-        seconds=sum(window.seconds for window in windows),
-        reference_seconds=sum(window.reference_seconds for window in windows),
+        windows[0],
+        **sums,
+        **counts,
+        ratios=_largest([window.ratios for window in windows], float),
+        checks=tuple(checks.values()),
+        failures=_leading([failure for window in windows for failure in window.failures]),
         reference_stored=all(window.reference_stored for window in windows),
-        problem=problems[0] if problems else "",
-        adjudicated=sum(window.adjudicated for window in windows),
-        not_adjudicated=sum(window.not_adjudicated for window in windows),
-        exact_seconds=sum(window.exact_seconds for window in windows),
-        cases=_added([window.cases for window in windows]),
+        problem=next((window.problem for window in windows if window.problem), ""),
         reproducers=tuple(file for window in windows for file in window.reproducers),
-        not_stored=sum(window.not_stored for window in windows),
-        failing_by=_added([window.failing_by for window in windows]),
-        worst_by=_worst_failures(windows),
+        worst_by=_largest([window.worst_by for window in windows], ratio_of),
         findings=_merged_findings(windows),
         notes=tuple(dict.fromkeys(note for window in windows for note in window.notes)),
     )
@@ -190,23 +200,21 @@ def _added(counts: Sequence[Mapping[str, int]]) -> dict[str, int]:
     return dict(total)
 
 
-def _largest(ratios: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    names = dict.fromkeys(name for each in ratios for name in each)
-    return {name: max(each[name] for each in ratios if name in each) for name in names}
+def ratio_of(found: SceneCheck | Failure) -> float:
+    return float(found.ratio)
 
 
-def _worst_checks(windows: Sequence[SceneVerdict]) -> tuple[SceneCheck, ...]:
-    """Of each name the one that comes nearest to its bound, or is beyond; in the order of the window with the most."""
-    longest = max(windows, key=lambda window: len(window.checks)).checks
-    names = dict.fromkeys(check.name for check in (*longest, *(c for w in windows for c in w.checks)))
-    every = [check for window in windows for check in window.checks]
-    return tuple(
-        max((check for check in every if check.name == name), key=lambda check: _badness(check.ratio)) for name in names
-    )
+def _largest(windows: Sequence[Mapping[str, T]], size: Callable[[T], float]) -> dict[str, T]:
+    """The largest entry of each name."""
+    found: dict[str, T] = {}
+    for name, each in chain.from_iterable(window.items() for window in windows):
+        if name not in found or _badness(size(each)) > _badness(size(found[name])):
+            found[name] = each
+    return found
 
 
 def _badness(ratio: float) -> tuple[bool, float]:
-    """A key by which NaN is beyond everything."""
+    """A sort key that puts NaN beyond every number."""
     return (not ratio <= np.inf, ratio)
 
 
@@ -216,13 +224,6 @@ def _leading(failures: Sequence[Failure]) -> tuple[Failure, ...]:
     others = [failure for failure in failures if failure not in leading]
     others.sort(key=lambda failure: _badness(failure.ratio), reverse=True)
     return tuple([*leading, *others][:MAX_LISTED_FAILURES])
-
-
-def _worst_failures(windows: Sequence[SceneVerdict]) -> dict[str, Failure]:
-    """Of each check the failure with the largest ratio."""
-    names = dict.fromkeys(name for window in windows for name in window.worst_by)
-    found = {name: [w.worst_by[name] for w in windows if name in w.worst_by] for name in names}
-    return {name: max(each, key=lambda failure: _badness(failure.ratio)) for name, each in found.items()}
 
 
 def _merged_findings(windows: Sequence[SceneVerdict]) -> tuple[Finding, ...]:

@@ -1,4 +1,4 @@
-"""The class of every pixel of a subject: comparison within bounds, exact arithmetic where that may matter, brackets.
+"""The class of every pixel of a subject: comparison within bounds, exact arithmetic where it may matter, brackets.
 
 One judge for every subject (docs/method.md, "Classes"). A pixel where everything agrees within its bound is `agree`.
 Elsewhere, at edges, and at a sample of the rest, exact arithmetic decides first whether the subject is right, and then
@@ -46,7 +46,6 @@ from mitsuba_ref.judge.comparison import (
     fails_self_check,
     inconsistent_aovs,
     pair_images,
-    self_checks,
 )
 from mitsuba_ref.judge.defect_lookup import FeatureMeasurement, defect_of
 from mitsuba_ref.judge.diffuse import DiffuseComparison, diffuse_within_float64, judge_diffuse, shading_points
@@ -72,20 +71,20 @@ from mitsuba_ref.subjects.subject import OURS, Subject
 CLASS_CODE = {name: code for code, name in enumerate(CLASSES)}
 EXACT = "exact"  # the subject against exact arithmetic, beside the checks of judge/comparison.py
 
-# Agreeing pixels of a scene whose diffuse values are held to float64's bracket as well: a tenth of a second.
+# Agreeing pixels of a scene whose diffuse values are compared with float64's bracket as well: a tenth of a second.
 AGREEING_PIXELS_SHADED = 4096
 
-# Of pixels that disagree in one way, so many are given to exact arithmetic first. Where nearly all of them are wrong,
-# the others are not asked about: they fail either way, and are counted as undecided, not adjudicated. Were a hundredth
-# of such pixels right, a sample of 512 without any of them had a chance of 0.6 %; no pixel passes by it.
+# Size of the sample that is adjudicated first among pixels that disagree in the same way. If nearly all of it is wrong,
+# the other pixels are not adjudicated: they stay undecided, which fails as well. If 1 % of these pixels were right, a
+# sample of 512 would contain none with probability 0.6 %; no pixel passes by it.
 WRONG_PIXELS_ADJUDICATED = 512
-MAX_KINDS_OF_SHAPES = 64  # shapes of a scene, up to which pixels of each are sampled by themselves
+MAX_KINDS_OF_SHAPES = 64  # pixels of each shape are sampled separately in scenes of at most so many shapes
 
-RAYS_PER_BATCH = 1 << 14  # of a list, whose possible intersections are held at once
+RAYS_PER_BATCH = 1 << 14  # rays of a list whose possible intersections are in memory at once
 
 
 def pixel_checks(*, ours: bool) -> tuple[str, ...]:
-    """Names of all checks of a pixel of our caster, or of a candidate that gives all that it can."""
+    """Names of all checks of a pixel of our caster, or of a candidate that gives every quantity."""
     checks = CHECKS if ours else SURFACE_CHECKS
     return (*(check.name for check in checks), *(("diffuse",) if ours else ()), EXACT)
 
@@ -100,7 +99,7 @@ class Judgement:
     exact: Adjudication
     cases: dict[int, int | None]  # pixel where the reference is wrong -> number of the known defect, if listed
     exact_seconds: float  # spent on exact arithmetic
-    not_adjudicated: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))  # rows like wrong ones
+    not_adjudicated: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))  # rows
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -125,7 +124,7 @@ class Judgement:
 
 
 class Judge:
-    """One scene, and what a subject and the reference answer along the same rays."""
+    """One scene, with the answers of a subject and of the reference along the same rays."""
 
     def __init__(self, scene: Scene, model: SceneModel, pair: ImagePair, view: SceneModel | None = None):
         """view: the model as the subject may see it, if not `model`."""
@@ -155,7 +154,7 @@ class Judge:
         self.inconsistent = inconsistent_aovs(scene, model.packed, pair)
 
     def _uv_pair(self) -> UvPair:
-        """Where the reference names another face of an edge, its uv are those of that face, and held to it."""
+        """uv of both sides; if the reference names the other face of an edge, its uv are compared at that face."""
         prim, theirs = self.prim, aov_rows(self.pair.reference, "uv")
         ours = self.model.uv_points(prim, aov_rows(self.pair.subject, "uv"), ours=True)
         reference = self.model.uv_points(prim, theirs, ours=False)
@@ -173,7 +172,7 @@ class Judge:
         return intersections_at(self.view, prim, lines, t, answer.ku, ours=not answer.as_exported)
 
     def near(self, rows: np.ndarray, prim: np.ndarray, t: np.ndarray) -> Intersections:
-        """Intersections of some rays with these primitives as the subject may see them, the root nearest to t."""
+        """Intersections of some rays with these primitives as the subject may see them; the root nearest to t."""
         return self._as_subject(prim, (self.o[rows], self.d[rows]), t)
 
     @cached_property
@@ -200,26 +199,26 @@ class Judge:
 
     @cached_property
     def bracket(self) -> Bracket:
-        """What rounding allows the subject."""
+        """The answers that rounding allows the subject."""
         view = self.view.refined() if isinstance(self.view, UncertainRaysModel) else self.view
         return Bracket(view, self.answer.ku, ours=not self.answer.as_exported)
 
     @cached_property
     def reference_bracket(self) -> Bracket:
-        """What rounding allows Mitsuba."""
+        """The answers that rounding allows Mitsuba."""
         return Bracket(self.model, KU, ours=False)
 
     @cached_property
     def oracle(self) -> Oracle:
         return Oracle(self.model.packed)
 
-    @cached_property
+    @property
     def self_checks(self) -> tuple[SelfCheck, ...]:
-        """The subject's own quantities, and what float64 allows of them."""
-        return tuple(self_checks(self.pixels))
+        """The subject's own quantities, held to float64."""
+        return tuple(self.pixels.self_checks.values())
 
     def judge(self) -> Judgement:
-        """Geometry first, then the diffuse AOV. Raises SceneError for a [check] that has no effect."""
+        """Judge the geometry, then the diffuse AOV. Raises SceneError for a [check] that has no effect."""
         allowances = self.scene.checks if self.names_prims else {}
         check_allowances(allowances)
         comparison = compare(self.pixels, allowances)
@@ -233,9 +232,9 @@ class Judge:
         exact, nearest = self._adjudicate(agreeing)
         seconds = perf_counter() - start
 
-        # Step 3: the class of what is disputed where the subject is exactly right, then of where it is not.
+        # Step 3: classes of disputed pixels, first where the subject is exactly right, then where it is not.
         classes = np.where(agreeing, CLASS_CODE[AGREE], CLASS_CODE[UNDECIDED])
-        # What the derived bounds let pass, but the scene's own stricter ones do not, has no excuse.
+        # A pixel that fails only the scene's own stricter bounds is not disputed: nothing excuses it.
         disputed = ~agreeing & self.consistent & (loose | ~comparison.derived | ~fits)
         self._classify_reference(classes, disputed, loose, exact)
         other_tie = exact.right & disputed[exact.rows] & (~nearest.of_first | self._at_t_min()[exact.rows])
@@ -285,7 +284,7 @@ class Judge:
         return np.where(result.hit, fits, True)
 
     def _adjudicate(self, agreeing: np.ndarray) -> tuple[Adjudication, ExactRatios]:
-        """The subject against exact arithmetic."""
+        """Compare the subject with exact arithmetic wherever that may matter."""
         disputed = ~agreeing
         certain = self.bounds.at.certain
         if not self.answer.exact_visibility:
@@ -298,10 +297,10 @@ class Judge:
         return self._adjudicated(rows[~self._surely_wrong(rows[disputed[rows]], len(agreeing))[rows]])
 
     def _surely_wrong(self, rows: np.ndarray, count: int) -> np.ndarray:
-        """(n,) bool: pixels of a kind of which exact arithmetic was asked at enough, and nearly all are wrong.
+        """(n,) bool: pixels that need no adjudication, since nearly all of a sample of their kind are wrong.
 
-        rows: that disagree. A kind is what Mitsuba hits, and whether the subject hits or misses. They stay undecided,
-        which fails as wrong does.
+        rows: the pixels that disagree. A kind is the shape that Mitsuba hits, and whether each side hits. These pixels
+        stay undecided, which fails as well.
         """
         found = np.zeros(count, bool)
         shape = self.result.shape_id[rows] if len(self.model.packed.parts) <= MAX_KINDS_OF_SHAPES else 0
@@ -318,7 +317,7 @@ class Judge:
         return found
 
     def _adjudicated(self, rows: np.ndarray) -> tuple[Adjudication, ExactRatios]:
-        """These rows of the image, ascending, against exact arithmetic."""
+        """Compare these rows of the image, ascending, with exact arithmetic."""
         answer = self.answer
         t_min = np.where(self._at_t_min()[rows], np.nextafter(self.t_min[rows], -np.inf), self.t_min[rows])
         answers = oracle_answers(self.oracle, self.o[rows], self.d[rows], self.t_max[rows], t_min)
@@ -331,19 +330,19 @@ class Judge:
         return Adjudication(rows, answers, nearest.best), nearest
 
     def _at_t_min(self) -> np.ndarray:
-        """(n,) bool: a candidate's hits at t_min itself; it may count that as part of the ray, such as t = 0."""
+        """(n,) bool: a candidate's hits exactly at t_min, such as t = 0, which it may count as part of the ray."""
         found: np.ndarray = (self.answer.t == self.t_min) & (not self.answer.exact_visibility)
         return found & (not self.answer.hits_only)
 
     def _near_end(self) -> np.ndarray:
-        """(n,) bool: rounding may put what is hit beyond t_min or t_max, or it is there already."""
+        """(n,) bool: rounding may move the hit beyond t_min or t_max, or it is there already."""
         own = self.bounds.own
         with np.errstate(invalid="ignore"):
             inside = (own.t - own.t_error > self.t_min) & (own.t + own.t_error <= self.t_max)
         return ~inside
 
     def _may_hit(self) -> np.ndarray:
-        """(n,) bool: missed by the subject, where something may be hit; rays of a list have no neighbours."""
+        """(n,) bool: the subject misses, but something may be hit. For rays of a list, which have no neighbours."""
         rows = np.flatnonzero(~self.hit & (self.t_max >= 0.0))
         found = np.zeros(len(self.hit), bool)
         for start in range(0, len(rows), RAYS_PER_BATCH):
@@ -355,9 +354,9 @@ class Judge:
     def _classify_reference(
         self, classes: np.ndarray, disputed: np.ndarray, loose: np.ndarray, exact: Adjudication
     ) -> None:
-        """What becomes of Mitsuba's answer at disputed pixels where the subject is exactly right."""
+        """Classify disputed pixels where the subject is exactly right, by Mitsuba's answer."""
         rows = np.flatnonzero(disputed)
-        rows = rows[exact.are_right(rows)]
+        rows = rows[np.isin(rows, exact.rows[exact.right])]
         if not len(rows):
             return
         (o, d, t_max), claims = (a[rows] for a in self.reference_lines), self._reference_claims(rows)
@@ -371,14 +370,14 @@ class Judge:
         own_o, own_d = self.o[rows], self.d[rows]
         exponent = self.pair.rays.rows(rows).reference_exponent if self.pair.rays.is_list else np.zeros(len(rows), int)
         same = (o == own_o).all(axis=1) & (np.ldexp(d, exponent[:, None]) == own_d).all(axis=1)
-        answers = [exact.of(row) if alike else None for row, alike in zip(rows, same, strict=True)]
+        answers = [exact.of(int(row)) if alike else None for row, alike in zip(rows, same, strict=True)]
         tied = claims_other_tie(
             self.model, own_o, own_d, claims._replace(t=self.result.t[rows]), answers, LARGEST_USEFUL_NORMAL_ERROR
         )
         classes[rows[tied]] = CLASS_CODE[TIE]
 
     def _classify_inexact(self, classes: np.ndarray, exact: Adjudication) -> None:
-        """Where the subject is not exactly right: wrong, unless rounding may decide its visibility and allows it."""
+        """Classify pixels where the subject is not exactly right: wrong, unless its own rounding allows the answer."""
         rows = exact.rows[exact.wrong]
         classes[rows] = CLASS_CODE[WRONG]
         if self.answer.exact_visibility or not len(rows):
@@ -388,15 +387,15 @@ class Judge:
         classes[rows[allowed]] = CLASS_CODE[EXPLAINED]
 
     def _excused(self, exact: Adjudication) -> np.ndarray:
-        """(m,) bool of the adjudicated rows where the subject is not exactly right: whether rounding allows that."""
+        """(m,) bool: rounding allows the answer, at each adjudicated row where the subject is not exactly right."""
         rows = exact.rows[exact.wrong]
         if self.answer.exact_visibility or not len(rows):
             return np.zeros(len(rows), bool)
         return np.any(self._inexact_within_rounding(rows, exact), axis=0)
 
     def _inexact_within_rounding(self, rows: np.ndarray, exact: Adjudication) -> tuple[np.ndarray, np.ndarray]:
-        """(m,) bool each: the subject's rounding allows its answer; float32, or its camera, cannot resolve it."""
-        claims = self._subject_claims(rows)
+        """(m,) bool each: the subject's rounding allows the answer; its precision or camera cannot resolve it."""
+        claims = claims_of(self.answer.rows(rows), self.model.packed)
         lines = self.o[rows], self.d[rows], self.t_max[rows]
         found = self.bracket.judge(*lines, claims, t_min=self.t_min[rows])
         allowed = found.allowed & ((claims.shape == CLAIMED_MISS) | ~(claims.t <= 0.0) | self._at_t_min()[rows])
@@ -408,9 +407,6 @@ class Judge:
             lost = self.view.is_unresolved(prim, self.d[rows], t)
         return allowed, found.open | lost
 
-    def _subject_claims(self, rows: np.ndarray) -> Claims:
-        return claims_of(self.answer.rows(rows), self.model.packed)
-
     def _reference_claims(self, rows: np.ndarray) -> Claims:
         names = ("shape_id", "normal", "shading_normal", "position")
         shape, *vectors = (aov_rows(self.pair.reference, name)[rows] for name in names)
@@ -418,7 +414,7 @@ class Judge:
         return claims if self.pixels.uv is None else claims._replace(uv=self.result.answer.uv[rows])
 
     def _classify_diffuse(self, classes: np.ndarray, allowed: float) -> DiffuseComparison:
-        """Judge diffuse where geometry agrees by Mitsuba's lights, elsewhere by float64 alone; classes change."""
+        """Judge diffuse by Mitsuba's lights where geometry agrees, elsewhere by float64 alone; changes classes."""
         agreeing = np.flatnonzero((classes == CLASS_CODE[AGREE]) & self.hit)
         brackets = self.bracket, self.reference_bracket
         diffuse = judge_diffuse(self.scene, self.pair, self.bounds, agreeing, brackets)
@@ -439,9 +435,10 @@ class Judge:
         return diffuse
 
     def _held_to_float64(self, classes: np.ndarray) -> np.ndarray:
-        """(n,) bool: pixels whose diffuse value is held to float64: all but those that agree, and some of them.
+        """(n,) bool: pixels whose diffuse value is compared with float64: all but those that
+        agree, and a sample of these.
 
-        Mitsuba's coarse shadows could be copied, and would agree with it.
+        The sample would show a subject that copies Mitsuba's coarse shadows.
         """
         agreeing = np.flatnonzero(classes == CLASS_CODE[AGREE])
         chosen = np.isin(classes, [CLASS_CODE[name] for name in JUDGED_WITHOUT_REFERENCE])
@@ -450,7 +447,7 @@ class Judge:
         return chosen
 
     def _known_cases(self, rows: np.ndarray, agreeing: np.ndarray, exact: Adjudication) -> dict[int, int | None]:
-        """Which known defect each pixel is where the reference is wrong. Wrong light on a right surface is none."""
+        """The known defect at each row, where the reference is wrong. Wrong light on a right surface is none."""
         cases: dict[int, int | None] = {int(row): None for row in rows}
         rows = rows[~agreeing[rows]]
         if len(rows):
@@ -487,8 +484,8 @@ def scene_judge(
 ) -> Judge | Crash:
     """The judge of a subject in the film's window, or how Mitsuba ended without an answer.
 
-    whole: the rays that stand-ins are cut to, if they are others than the window's own. send: the way to Mitsuba.
-    Raises SceneError for a scene that cannot be judged, NoAnswer where the subject gives none.
+    whole: the rays that stand-ins are cut to, if other than the window's own. send: the way to Mitsuba.
+    Raises SceneError for a scene that cannot be judged, NoAnswer if the subject gives none.
     """
     return judge_of(request_answer(subject, scene, whole=whole), timeout=timeout, send=send)
 
@@ -503,7 +500,7 @@ def judge_of(
 ) -> Judge | Crash:
     """The judge of a subject's response.
 
-    known: Mitsuba's answer, which is used if it is about the same rays; with_files: Mitsuba reads the mesh files, too.
+    known: an earlier answer of Mitsuba, used if its rays are the same; with_files: Mitsuba also reads the mesh files.
     """
     scene, model, rays, answer = response.scene, response.model, response.rays, response.answer
     traced = rays.for_reference()

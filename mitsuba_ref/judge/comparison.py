@@ -1,11 +1,11 @@
 """Comparison of a subject with the reference, pixel by pixel: error over bound of every quantity, and self-checks.
 
-A subject that names the primitive it hits, as our caster does, is compared with the reference's own image within
-float32's bounds at that primitive, and with that primitive itself, worked out anew, within the bounds of its own
+A subject that names the primitive it hits, as our caster does, is compared with the reference's image within
+float32's bounds at that primitive, and with an independent computation at that primitive within the bounds of its own
 precision. Any other subject is compared with the primitive that the reference names, within bounds of its precision.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -24,14 +24,14 @@ from mitsuba_ref.reference.rendering import ReferenceResult, aovs_of
 from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.subjects.subject import COMPARED_AOVS, NOT_FINITE, Answer
 
-# The quantities with a bound that a scene's own [check.AOV] may make stricter or laxer; the others are exact.
+# Quantities whose bound a scene's own [check.AOV] may scale; the others are compared exactly.
 BOUNDED_AOVS = ("depth", "position", "normal", "shading_normal", "uv", "diffuse")
 
-# What each AOV holds on a miss, a second time; all others hold 0.
+# Expected values of AOVs on a miss, independent of the caster's; 0 for all others.
 MISS_VALUES = {"depth": np.inf, "shape_id": -1, "prim_id": -1}
 
 
-# The reference's, of what a subject may be compared with that answers t and n alone.
+# AOVs of the reference that a subject is compared with if it answers t and n alone.
 CLAIMED_AOVS = ("depth", "position", "normal", "shading_normal", "shape_id")
 
 
@@ -57,7 +57,7 @@ class ImagePair:
 
     @property
     def prim(self) -> np.ndarray:
-        """(n,) that the subject names, numbered through the scene; -1 on a miss, and of a subject that names none."""
+        """(n,) the subject's primitives, numbered through the scene; -1 on a miss, or if it names none."""
         return np.full(len(self.t), -1, np.int32) if self.answer.prim is None else self.answer.prim
 
     @property
@@ -82,7 +82,7 @@ def pair_images(scene: Scene, rays: SharedRays, answer: Answer, result: Referenc
 
 
 def _images_of(answer: Answer, rays: SharedRays, shape: tuple[int, int]) -> Aovs:
-    """t and n as images; depth counts from the eye, as the reference's. A normal that is not finite is NaN."""
+    """t and n as images, with depth from the eye like the reference's. A normal that is not finite becomes NaN."""
     with np.errstate(over="ignore"):
         depth = rays.start + answer.t * norm(rays.d.astype(np.float64))
     images = {"depth": depth.reshape(shape)}
@@ -103,9 +103,27 @@ class UvPair(NamedTuple):
     bound: np.ndarray  # (n,) of their distance
 
 
+class SelfCheck(NamedTuple):
+    """One quantity of the subject, compared in float64 with the primitive that it names."""
+
+    name: str
+    error: np.ndarray  # (n,) distance from the primitive's own value
+    bound: np.ndarray  # (n,) that float64 allows
+    counts: np.ndarray  # (n,) bool: where it is compared
+
+    @property
+    def fails(self) -> np.ndarray:
+        """(n,) bool."""
+        found: np.ndarray = self.counts & ~(self.error <= self.bound)
+        return found
+
+    def fails_at(self, row: int) -> bool:
+        return bool(self.counts[row]) and not self.error[row] <= self.bound[row]
+
+
 @dataclass(frozen=True)
 class PixelPairs:
-    """What a check reads: both sides' images, n pixels row by row, and the bounds that hold between them."""
+    """Input of the checks: both sides' images, n pixels row by row, and the bounds between them."""
 
     subject: Aovs
     reference: Aovs
@@ -125,6 +143,30 @@ class PixelPairs:
         sides = uv or (values.reshape(len(values), -1) for values in self.pair(name))
         return row_distance(*sides)
 
+    @cached_property
+    def self_checks(self) -> dict[str, SelfCheck]:
+        """Vectors wherever the subject hits, also where the reference does not; none if it names no primitive.
+
+        Where float64 does not resolve t, only the geometric normal is compared: the others follow from t.
+        """
+        prim, own = self.answer.prim, self.bounds.own
+        if prim is None:
+            return {}
+        hit = prim >= 0
+        resolved = hit & np.isfinite(own.t_error)
+        held = [
+            ("normal", own.n, own.n_error, hit),
+            ("shading_normal", own.sh_n, own.sh_error, resolved),
+            ("position", self.point, own.p_error, resolved),
+        ]
+        found = {
+            name: SelfCheck(name, row_distance(aov_rows(self.subject, name), value), bound, counts)
+            for name, value, bound, counts in held
+        }
+        if self.uv is not None:
+            found["uv"] = SelfCheck("uv", row_distance(self.uv.subject, own.uv), own.uv_error, resolved)
+        return found
+
     @property
     def hits(self) -> tuple[np.ndarray, np.ndarray]:
         """(n,) bool each."""
@@ -137,7 +179,7 @@ class PixelPairs:
 
 
 class QuantityCheck(NamedTuple):
-    """How one quantity is compared at every pixel."""
+    """The comparison of one quantity at every pixel."""
 
     name: str
     ratio: Callable[[PixelPairs], np.ndarray]  # (n,) error over bound
@@ -146,13 +188,13 @@ class QuantityCheck(NamedTuple):
 
 
 def mask_ratio(pixels: PixelPairs) -> np.ndarray:
-    """0 where both hit or both miss, else inf: the bracket has to allow it."""
+    """0 where both hit or both miss, else inf."""
     subject, reference = pixels.hits
     return np.where(subject == reference, 0.0, np.inf)
 
 
 def same_id(name: str) -> Callable[[PixelPairs], np.ndarray]:
-    """0 where both name the same shape or primitive, else inf: the bracket has to allow it."""
+    """0 where both name the same shape or primitive, else inf."""
 
     def ratio(pixels: PixelPairs) -> np.ndarray:
         subject, reference = pixels.pair(name)
@@ -162,9 +204,9 @@ def same_id(name: str) -> Callable[[PixelPairs], np.ndarray]:
 
 
 def surface_ratio(pixels: PixelPairs) -> np.ndarray:
-    """|t - t of the primitive in question, worked out anew| / bound at hits; inf beside the primitive, 0 on misses.
+    """|t - t computed anew at the primitive| / bound at hits; inf if the ray misses the primitive, 0 on misses.
 
-    All other bounds belong to that primitive, so that naming a wrong one would make them worthless.
+    All other bounds belong to this primitive; naming a wrong one would make them worthless.
     """
     own, answer = pixels.bounds.own, pixels.answer
     with np.errstate(invalid="ignore"):
@@ -174,7 +216,7 @@ def surface_ratio(pixels: PixelPairs) -> np.ndarray:
 
 
 def depth_bound(pixels: PixelPairs) -> np.ndarray:
-    """The bound of t at the primitive, in scene units, and one rounding of our own sum of start and t |d|."""
+    """The bound of t at the primitive, in scene units, plus one rounding of our own sum of start and t |d|."""
     depth, _ = pixels.pair("depth")
     with np.errstate(invalid="ignore"):
         return pixels.bounds.at.t_error * pixels.length + KU_OURS * np.abs(depth)
@@ -188,48 +230,36 @@ def depth_ratio(pixels: PixelPairs) -> np.ndarray:
     return np.where(pixels.both_hit, error_over_bound(error, depth_bound(pixels)), 0.0)
 
 
-Own = Callable[[PixelPairs], tuple[np.ndarray, np.ndarray]]  # (n, 3) a value of the subject's own primitive, (n,) bound
-
-
-def vector_check(name: str, bound: Callable[[PixelPairs], np.ndarray], own: Own) -> QuantityCheck:
-    """A vector where both hit: the larger error ratio of those from the reference and from the own primitive."""
+def vector_check(
+    name: str, bound: Callable[[PixelPairs], np.ndarray], given: Callable[[PixelPairs], bool] = lambda pixels: True
+) -> QuantityCheck:
+    """A check of a vector where both hit: the larger ratio of the errors from the reference and of the self-check."""
 
     def ratio(pixels: PixelPairs) -> np.ndarray:
-        value, own_bound = own(pixels)
+        own = pixels.self_checks[name]
         between = error_over_bound(pixels.distance(name), bound(pixels))
-        alone = error_over_bound(row_distance(aov_rows(pixels.subject, name), value), own_bound)
-        return np.where(pixels.both_hit, np.maximum(between, alone), 0.0)
+        return np.where(pixels.both_hit, np.maximum(between, error_over_bound(own.error, own.bound)), 0.0)
 
-    return QuantityCheck(name, ratio, bound)
+    return QuantityCheck(name, ratio, bound, given)
 
 
 def uv_bound(pixels: PixelPairs) -> np.ndarray:
-    """Of the distance in the kind's UvSpace, where seams and poles are no jumps."""
+    """Bound of the distance in the kind's UvSpace, where seams and poles are no jumps."""
     return pixels.bounds.at.uv_error if pixels.uv is None else pixels.uv.bound
 
 
-def uv_ratio(pixels: PixelPairs) -> np.ndarray:
-    uv, own = pixels.uv, pixels.bounds.own
-    assert uv is not None  # `given`
-    between = error_over_bound(pixels.distance("uv"), uv.bound)
-    alone = error_over_bound(row_distance(uv.subject, own.uv), own.uv_error)
-    return np.where(pixels.both_hit, np.maximum(between, alone), 0.0)
-
-
-# Of a subject that names its primitive. The bound of a position is that of t along the ray, and what Mitsuba does to a
-# position afterwards (barycentrics on triangles, a pull onto the wall of a cylinder). Normals are unit vectors: one of
-# another length, or reversed, differs by far more than any bound.
+# For a subject that names its primitive. The bound of a position includes that of t along the ray, and how Mitsuba
+# computes a position from it (barycentrics on triangles, a pull onto the wall of a cylinder). Normals are unit vectors:
+# one of another length, or reversed, differs by far more than any bound.
 CHECKS = (
     QuantityCheck("mask", mask_ratio),
     QuantityCheck("shape_id", same_id("shape_id")),
     QuantityCheck("on_surface", surface_ratio),
     QuantityCheck("depth", depth_ratio, depth_bound),
-    vector_check("position", lambda p: p.bounds.at.p_error, lambda p: (p.point, p.bounds.own.p_error)),
-    vector_check("normal", lambda p: p.bounds.at.n_error, lambda p: (p.bounds.own.n, p.bounds.own.n_error)),
-    vector_check(
-        "shading_normal", lambda p: p.bounds.at.sh_error, lambda p: (p.bounds.own.sh_n, p.bounds.own.sh_error)
-    ),
-    QuantityCheck("uv", uv_ratio, uv_bound, lambda pixels: pixels.uv is not None),
+    vector_check("position", lambda p: p.bounds.at.p_error),
+    vector_check("normal", lambda p: p.bounds.at.n_error),
+    vector_check("shading_normal", lambda p: p.bounds.at.sh_error),
+    vector_check("uv", uv_bound, lambda pixels: pixels.uv is not None),
 )
 
 
@@ -245,7 +275,7 @@ def normal_of_named_surface(pixels: PixelPairs) -> np.ndarray:
     return np.where(pixels.both_hit, error_over_bound(row_distance(n, own.n), own.n_error), 0.0)
 
 
-# Of a subject that gives no images.
+# For a subject that gives no images.
 SURFACE_CHECKS = (
     QuantityCheck("mask", mask_ratio),
     QuantityCheck("depth", depth_to_named_surface, given=lambda pixels: not pixels.answer.hits_only),
@@ -256,14 +286,14 @@ SURFACE_CHECKS = (
 
 
 def checks_of(pixels: PixelPairs) -> Iterator[QuantityCheck]:
-    """The checks of the quantities that an answer has."""
+    """The checks of the quantities that an answer gives."""
     checks = SURFACE_CHECKS if pixels.answer.prim is None else CHECKS
     return (check for check in checks if check.given(pixels))
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Error over bound by check, (n,) each; 1 is as much as the bound allows, inf what no bound covers."""
+    """Error over bound of each check, (n,) each; at most 1 is within the bound, inf is beyond any bound."""
 
     ratios: Mapping[str, np.ndarray]
     allowed: Mapping[str, float]  # share of the bound each may use; 1 unless set by the scene
@@ -289,62 +319,20 @@ def check_allowances(checks: Mapping[str, Check]) -> None:
     """Raise SceneError for a [check.AOV] that has no effect."""
     for name in checks:
         if name not in BOUNDED_AOVS:
-            raise SceneError(
-                f"check.{name}: is compared exactly or not at all; there are bounds of {', '.join(BOUNDED_AOVS)}"
-            )
+            raise SceneError(f"check.{name}: {name} has no bound to scale; only {', '.join(BOUNDED_AOVS)} have one")
 
 
-class SelfCheck(NamedTuple):
-    """One quantity of the subject, held to the primitive that it names, in float64."""
-
-    name: str
-    error: np.ndarray  # (n,) distance from the primitive's own value
-    bound: np.ndarray  # (n,) what float64 allows
-    counts: np.ndarray  # (n,) bool: where it is held to that
-
-    @property
-    def fails(self) -> np.ndarray:
-        """(n,) bool."""
-        found: np.ndarray = self.counts & ~(self.error <= self.bound)
-        return found
-
-    def fails_at(self, row: int) -> bool:
-        return bool(self.counts[row]) and not self.error[row] <= self.bound[row]
-
-
-def self_checks(pixels: PixelPairs) -> Iterator[SelfCheck]:
-    """Normals, position and uv where the subject hits, also where the reference does not; none of one that names no
-    primitive.
-
-    Where float64 does not resolve t, the point, the shading normal and uv, which follow from it, are not held to
-    anything; the geometric normal is.
-    """
-    prim = pixels.answer.prim
-    if prim is None:
-        return
-    own, hit = pixels.bounds.own, prim >= 0
-    resolved = hit & np.isfinite(own.t_error)
-    for name, value, bound, counts in (
-        ("normal", own.n, own.n_error, hit),
-        ("shading_normal", own.sh_n, own.sh_error, resolved),
-        ("position", pixels.point, own.p_error, resolved),
-    ):
-        yield SelfCheck(name, row_distance(aov_rows(pixels.subject, name), value), bound, counts)
-    if pixels.uv is not None:
-        yield SelfCheck("uv", row_distance(pixels.uv.subject, own.uv), own.uv_error, resolved)
-
-
-def fails_self_check(checks: Sequence[SelfCheck], count: int) -> np.ndarray:
-    """(count,) bool: pixels where something is farther from the subject's own primitive than float64 allows."""
+def fails_self_check(checks: Iterable[SelfCheck], count: int) -> np.ndarray:
+    """(count,) bool: pixels where some quantity is farther from the subject's own primitive than float64 allows."""
     found: np.ndarray = np.any([np.zeros(count, bool), *(check.fails for check in checks)], axis=0)
     return found
 
 
 def inconsistent_aovs(scene: Scene, packed: Packed, pair: ImagePair) -> dict[str, np.ndarray]:
-    """Where the AOVs of a subject that names its primitives contradict its hits, (n,) bool, by check.
+    """Where the AOVs of a subject that names its primitives contradict its hits; (n,) bool, by check.
 
-    No rounding excuses this: not finite on a hit, a value on a miss, a depth, mask, primitive or albedo that does not
-    follow from the hit.
+    No rounding excuses a number that is not finite on a hit, a value on a miss, or a depth, mask, primitive or albedo
+    that does not follow from the hit.
     """
     if pair.answer.prim is None:
         return {}
@@ -368,7 +356,7 @@ def _fits_mask(aovs: Aovs, name: str, hit: np.ndarray) -> np.ndarray:
 
 
 def _depth_follows(pair: ImagePair) -> np.ndarray:
-    """Depth is the distance from the eye: where the ray starts, and t of its lengths; rounded three times."""
+    """(n,) bool: depth is the distance from the eye to o plus t |d|, up to three roundings."""
     expected = pair.rays.start + pair.t * pair.length
     with np.errstate(invalid="ignore"):
         close: np.ndarray = np.abs(aov_rows(pair.subject, "depth") - expected) <= KU_OURS * np.abs(expected)

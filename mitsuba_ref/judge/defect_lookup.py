@@ -1,10 +1,9 @@
-"""Known defects of the reference, gathered from the kinds that declare them (mitsuba_ref/shapes), and looked up.
+"""Lookup of known defects of the reference, which kinds of primitives declare (mitsuba_ref/shapes).
 
-The features of a pixel that they depend on are computed here.
+Also computes the features of a pixel that they depend on.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,25 +17,25 @@ from mitsuba_ref.error_model.defect_conditions import (
     DefectView,
     KnownDefect,
 )
-from mitsuba_ref.error_model.scene_model import SceneModel
+from mitsuba_ref.error_model.scene_model import SceneModel, kinds_of
 from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 from mitsuba_ref.shapes import KINDS, kind_of
 
 
 def known_defects() -> tuple[KnownDefect, ...]:
-    """All that are declared, each once, in the order of their priority."""
+    """All declared defects in the order of their priority."""
     declared = {defect for kind in KINDS.values() for defect in kind.known_defects} | {NAN_T}
     return tuple(sorted(declared, key=lambda defect: (defect.priority, defect.number)))
 
 
 def defect_name(number: int) -> str:
-    """What the defect of this number is, in words."""
+    """The defect of this number in words."""
     return next(defect.name for defect in known_defects() if defect.number == number)
 
 
 def defect_of(features: DefectFeatures) -> int | None:
-    """The number of the first defect whose condition holds; None: wrong in a way that is not listed."""
+    """The number of the first defect whose condition holds; None if the error is not listed."""
     involved = [kind for kind in KINDS.values() if kind.name in features.kinds]
     found = [defect for kind in involved for defect in kind.known_defects if defect.applies(kind.name, features)]
     if NAN_T.condition(features):
@@ -44,13 +43,11 @@ def defect_of(features: DefectFeatures) -> int | None:
     return min(found, key=lambda defect: defect.priority).number if found else None
 
 
-MAX_PRIMS_TESTED_AT_ZERO = (
-    64  # primitives of the shape named by the reference that are tested for a hit at t = 0, nearest first
-)
+MAX_PRIMS_TESTED_AT_ZERO = 64  # primitives of the named shape, nearest first, that are tested for a hit at t = 0
 
 
 class FeatureMeasurement:
-    """Measures pixels of one scene."""
+    """Measures features at pixels of one scene."""
 
     def __init__(self, model: SceneModel, oracle: Oracle):
         self.model, self.oracle = model, oracle
@@ -63,8 +60,10 @@ class FeatureMeasurement:
         answers: Sequence[ExactAnswer],
         prims: Sequence[int],
     ) -> Iterator[DefectFeatures]:
-        """m pixels. lines: o (m, 3), d (m, 3), t_max (m,); claims: the reference's; prims: the numbers of what it names
-        is hit, -1 on a miss."""
+        """Features at m pixels.
+
+        lines: o (m, 3), d (m, 3), t_max (m,); claims: the reference's; prims: the primitives it names, -1 on a miss.
+        """
         o, d, _ = lines
         named = np.asarray(prims, np.int64)
         nearly = self.wide.judge(*lines, claims, also=named).allowed
@@ -73,15 +72,14 @@ class FeatureMeasurement:
         for i, (answer, prim) in enumerate(zip(answers, prims, strict=True)):
             t, shape = float(claims.t[i]), int(claims.shape[i])
             at_zero = t == 0.0 and self._at_zero(shape, prim, o[i], d[i])
-            found = self._measured(o[i], d[i], t, answer, prim, at_zero)
-            yield replace(found, nearly=bool(nearly[i]), normless=bool(normless[i]))
+            yield self._measured(o[i], d[i], t, answer, prim, (at_zero, bool(nearly[i]), bool(normless[i])))
 
     def _with_normals(
         self, o: np.ndarray, d: np.ndarray, claims: Claims, prims: np.ndarray
     ) -> tuple[Claims, np.ndarray]:
-        """(the claims, made whole where they have no normal; where that is, and rounding may be the reason).
+        """(the claims, with missing normals filled in; (m,) bool: rounding may be why a normal is missing).
 
-        A normal that is bounded no closer than its own length, 1, may have any length, 0 included, and then it is 0/0.
+        A normal with a bound of 1 or more, its own length, may vanish, and is then 0/0.
         """
         rows = np.flatnonzero((prims >= 0) & np.isnan(claims.n).any(axis=1) & np.isfinite(claims.t))
         normless = np.zeros(len(prims), bool)
@@ -95,9 +93,10 @@ class FeatureMeasurement:
         return claims._replace(n=n, sh_n=sh_n, p=p), normless
 
     def _measured(
-        self, o: np.ndarray, d: np.ndarray, t: float, answer: ExactAnswer, prim: int, at_zero: bool
+        self, o: np.ndarray, d: np.ndarray, t: float, answer: ExactAnswer, named: int, flags: tuple[bool, bool, bool]
     ) -> DefectFeatures:
-        hit, named = answer.prim, prim
+        """flags: at_zero, nearly, normless."""
+        hit, (at_zero, nearly, normless) = answer.prim, flags
         views = {each: self._view(each, o, d, t) for each in (hit, named) if each >= 0}
         sizes = [self._distance_and_offset(each, o) for each in views]
         theirs = views.get(named, DefectView())
@@ -116,15 +115,14 @@ class FeatureMeasurement:
             offset=max((offset for _, offset in sizes), default=0.0),
             axis_angle=min((view.axis_angle for view in views.values()), default=1.0),
             stretch=max((view.stretch for view in views.values()), default=1.0),
-            nearly=False,
+            nearly=nearly,
+            normless=normless,
         )
 
     def _place(self, prim: int) -> tuple[Any, int]:
         """(arrays of its kind, its row there)."""
-        packed = self.model.packed
-        shape = int(packed.shape_of(np.array([prim]))[0])
-        kind = packed.kinds[int(packed.kind_of[shape])]
-        return kind.prims, int(prim - packed.first[shape] + packed.start[shape])
+        kind, k = kinds_of(self.model.packed, np.array([prim]))
+        return self.model.packed.kinds[int(kind[0])].prims, int(k[0])
 
     def _kind(self, prim: int) -> str:
         return kind_of(self._place(prim)[0]).name if prim >= 0 else ""
@@ -146,13 +144,13 @@ class FeatureMeasurement:
         return any(hit.t == 0 for each in tested for hit in self.oracle.roots(each, o, d))
 
     def _view(self, prim: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
-        """What its kind measures of one primitive and the ray."""
+        """Measures of one primitive and the ray, by its kind."""
         prims, k = self._place(prim)
         with np.errstate(divide="ignore", invalid="ignore"):
             return kind_of(prims).defect_view(prims, k, o, d, t)
 
     def _distance_and_offset(self, prim: int, o: np.ndarray) -> tuple[float, float]:
-        """How far one primitive is from o, and its farthest corner from the origin, in its sizes; 0 without a size."""
+        """Distances of a primitive from o and of its farthest corner from the origin, over its size; 0 without one."""
         low, high = (corner[prim] for corner in self.model.boxes)
         size = float(np.max(high - low))
         if not (np.isfinite(size) and size > 0.0):

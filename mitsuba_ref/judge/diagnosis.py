@@ -1,4 +1,4 @@
-"""Diagnosis of failing pixels: causes, each with its pixels and what separates these from right ones.
+"""Diagnosis of failing pixels: causes, each with its pixels and a property that separates them from right ones.
 
 It describes pixels that fail; it never decides whether a pixel passes.
 """
@@ -30,6 +30,7 @@ from mitsuba_ref.judge.hypotheses import (
     Explanation,
     Mistake,
     WrongPixels,
+    area_vectors,
     explain_normals,
     explanations,
     range_text,
@@ -44,13 +45,13 @@ MAX_DIAGNOSED_PIXELS = 4096  # wrong pixels at which the table of mistakes is tr
 
 @dataclass(frozen=True)
 class Cause:
-    """What is wrong with some failing rows of the image."""
+    """The cause of some failing rows of the image."""
 
     what: str
     rows: np.ndarray  # ascending
     of: int = 0  # wrong pixels among which it was looked for; 0: a description
-    remedy: str = ""  # of a mistake under which the rows become right
-    where: str = ""  # what separates these pixels from right ones
+    remedy: str = ""  # of a mistake that explains the rows
+    where: str = ""  # a property that separates these pixels from right ones
     second: bool = False  # independent of another cause of the same rows
 
 
@@ -66,7 +67,7 @@ class Diagnosis:
         return {cause.what: cause.rows for cause in self.causes if not cause.second}
 
     def by_row(self) -> dict[int, str]:
-        """Row -> the sentence about it."""
+        """The sentence about each row."""
         found: dict[int, str] = {}
         for cause in sorted(self.causes, key=lambda cause: cause.second):
             for row in map(int, cause.rows):
@@ -75,13 +76,13 @@ class Diagnosis:
 
 
 def failing_rows(judgement: Judgement) -> np.ndarray:
-    """Rows of the image that fail, ascending: by their class, or since the reference is wrong in an unknown way."""
+    """Rows of the image that fail by their class, or because the reference is wrong in an unknown way; ascending."""
     unlisted = np.array([row for row, case in judgement.cases.items() if case is None], np.int64)
     return np.union1d(np.flatnonzero(judgement.is_class(*FAILING)), unlisted)
 
 
 class _Causes:
-    """Causes as they are found; a row belongs to the first that takes it."""
+    """Collects causes; a row belongs to the first cause that takes it."""
 
     def __init__(self, judge: Judge, judgement: Judgement):
         self.judge, self.judgement = judge, judgement
@@ -91,7 +92,7 @@ class _Causes:
         self.left[failing_rows(judgement)] = True
 
     def take(self, what: str, rows: np.ndarray, of: int = 0, remedy: str = "", *, where: bool = False) -> None:
-        """Assign a cause to those of the rows that have none. where: look for a separator."""
+        """Assign a cause to the rows that have none yet. where: look for a separator."""
         mine = rows[self.left[rows]]
         if not len(mine):
             return
@@ -136,12 +137,12 @@ def diagnose(judge: Judge, judgement: Judgement) -> Diagnosis:
 def _of_two_right_answers(judge: Judge) -> str:
     """Why Mitsuba's answer lies beyond its bounds although the subject is exactly right."""
     if any(unrounded_arrays(part, "float32") for part in judge.model.packed.parts):
-        return "each is right for its own numbers: those of the subject were not rounded to float32, as Mitsuba's are"
+        return "each is right for its own numbers: the subject's were not rounded to float32, as Mitsuba's are"
     return f"{subject_name(judge)} is right, and Mitsuba wrong in no known way"
 
 
 def _marked_misses(judge: Judge) -> Iterator[tuple[str, np.ndarray]]:
-    """A number in place of inf: the same one wherever Mitsuba misses."""
+    """The rows where Mitsuba misses, if the subject gives the same finite t at all of them."""
     rows = np.flatnonzero(~judge.result.hit & (judge.t_max >= 0.0) & (not judge.answer.hits_only))
     t = judge.answer.t[rows]
     if len(rows) > 1 and np.isfinite(t[0]) and np.allclose(t, t[0], rtol=KU, atol=0.0):
@@ -162,13 +163,13 @@ def _pixels(judge: Judge, judgement: Judgement, rows: np.ndarray) -> WrongPixels
 
 
 def _explain(causes: _Causes, wrong: WrongPixels) -> None:
-    """First what is hit and t, then normals and numbers of primitives at the same surfaces."""
+    """Explain hits and t first, then ids and normals at the right surfaces."""
     judge, judgement = causes.judge, causes.judgement
     exact = judgement.exact
     right = exact.rows[exact.right]
     right = _pixels(judge, judgement, sample_rows(right[judge.hit[right]], RIGHT_PIXELS))
     f = wrong.take(wrong.off)
-    kept = ~wrong.off  # rows whose surface and t are right, or another quantity of the same surface
+    kept = ~wrong.off  # rows whose surface is right, and t as well or mistaken for another quantity
     if len(f.rows):
         left, on_surface = np.ones(len(f.rows), bool), np.zeros(len(f.rows), bool)
         winner, tried = _decisive(explanations(f, right), len(f.rows))
@@ -180,7 +181,7 @@ def _explain(causes: _Causes, wrong: WrongPixels) -> None:
                 left &= ~fits
                 on_surface |= fits & mistake.same_surface
             if mistake is winner and not mistake.same_surface and len(f.rows) > MAJORITY * len(wrong.rows):
-                causes.take(mistake.what, wrong.rows[kept], len(wrong.rows), mistake.remedy)  # of another ray's normals
+                causes.take(mistake.what, wrong.rows[kept], len(wrong.rows), mistake.remedy)  # another ray's normals
             if not left.any():
                 break
         for what, fits in _plain_descriptions(f):
@@ -190,7 +191,7 @@ def _explain(causes: _Causes, wrong: WrongPixels) -> None:
     named = np.ones(len(there.rows), bool)
     for what, remedy, fits in _wrong_ids(there):
         _take_or_add(causes, what, remedy, there, fits)
-        named &= ~fits | bool(remedy)  # numbers that are off by one name the right one
+        named &= ~fits | bool(remedy)  # an id that is off by one means the right primitive
     there = there.take(named)
     if judge.n is not None and len(there.rows):
         for what, remedy, fits in explain_normals(there, judge.n[there.rows]):
@@ -198,7 +199,7 @@ def _explain(causes: _Causes, wrong: WrongPixels) -> None:
 
 
 def _decisive(stream: Iterator[Explanation], count: int) -> tuple[Mistake | None, Iterator[Explanation]]:
-    """(the first mistake that explains nearly all of `count` pixels, the explanations with that one first)."""
+    """(the first mistake that explains nearly all of `count` pixels, all explanations with that one first)."""
     tried: list[Explanation] = []
     for mistake, fits in stream:
         if mistake.remedy and fits.sum() >= max(NEARLY_ALL * count, 1 if mistake.single else MIN_FITTED_PIXELS):
@@ -208,7 +209,7 @@ def _decisive(stream: Iterator[Explanation], count: int) -> tuple[Mistake | None
 
 
 def _take_or_add(causes: _Causes, what: str, remedy: str, f: WrongPixels, fits: np.ndarray) -> None:
-    """Assign a cause to rows that have none, and add it as a second one to those that have."""
+    """Assign a cause to rows that have none, and add it as a second cause to the others."""
     rows = f.rows[fits]
     same = causes.found.get(what)
     second = np.setdiff1d(rows[~causes.left[rows]], same.rows if same else [])
@@ -237,7 +238,7 @@ ANOTHER_PRIMITIVE = "another primitive than the first one, at the same t"
 
 
 def _wrong_ids(f: WrongPixels) -> Iterator[tuple[str, str, np.ndarray]]:
-    """(what, remedy, (m,) bool) of rows where t is right, and another shape or primitive is named."""
+    """(what, remedy, (m,) bool) of rows whose t is right but whose shape or primitive is another."""
     answer, packed = f.judge.answer, f.judge.model.packed
     if answer.prim is not None:
         yield ANOTHER_PRIMITIVE, "", answer.prim[f.rows] != f.prim
@@ -268,7 +269,7 @@ def _wrong_ids(f: WrongPixels) -> Iterator[tuple[str, str, np.ndarray]]:
 
 
 def _names_another_hit(f: WrongPixels) -> np.ndarray:
-    """(m,) bool: the primitive that is named is hit by the same ray, at another t."""
+    """(m,) bool: the same ray hits the named primitive at another t."""
     answer, packed, roots = f.judge.answer, f.judge.model.packed, f.roots
     found = np.zeros(len(f.rows), bool)
     same = np.abs(roots.at.t - f.t[roots.ray]) > f.at.t_error[roots.ray] + roots.at.t_error
@@ -280,7 +281,7 @@ def _names_another_hit(f: WrongPixels) -> np.ndarray:
 
 
 def _wrong_surface(judge: Judge, judgement: Judgement, rows: np.ndarray) -> Iterator[tuple[str, str, np.ndarray]]:
-    """(what, remedy, rows) where the primitive and t are right: what else is beyond float64's bounds there."""
+    """(what, remedy, rows) where the primitive and t are right: other quantities beyond float64's bounds."""
     if not judge.names_prims or not len(rows):
         return
     at = judge.bounds.own.take(rows)
@@ -302,7 +303,7 @@ NEAR_BOXES = 16  # triangles whose boxes are nearest to the point
 
 
 def _outline_text(f: WrongPixels) -> str:
-    """How far hits lie beyond the outlines of triangles, on their planes; "" where they lie on no such plane."""
+    """How far hits lie beyond the outlines of triangles, on their planes; "" if they lie on no such plane."""
     judge = f.judge
     if judge.answer.hits_only:
         return ""
@@ -316,7 +317,7 @@ def _outline_text(f: WrongPixels) -> str:
             away = norm(np.maximum(np.maximum(low - p, p - high), 0.0))
         prims = np.argsort(away, kind="stable")[:NEAR_BOXES]
         corners = triangle_corners(judge, prims)
-        n = _face_normals(corners)
+        n = unit(area_vectors(corners))
         height = np.abs(dot(p - corners[:, 0], n))
         on_plane = height <= DISTINCT_RTOL * norm(corners[:, 1] - corners[:, 0])
         with np.errstate(invalid="ignore"):  # of a miss, beside a triangle along the ray
@@ -335,13 +336,9 @@ def _outline_text(f: WrongPixels) -> str:
     return f", beyond the outline of a triangle, on its plane, {where}"
 
 
-def _face_normals(corners: np.ndarray) -> np.ndarray:
-    return unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
-
-
 def _is_inside(p: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """(m,) bool: p (3,), seen along the normals of triangles (m, 3, 3), is inside of their outlines."""
-    n = _face_normals(corners)
+    """(m,) bool: p (3,), projected along the normals of triangles (m, 3, 3), lies inside their outlines."""
+    n = unit(area_vectors(corners))
     edges = [(corners[:, i], corners[:, (i + 1) % 3]) for i in range(3)]
     sides = [dot(np.cross(b - a, p - a), n) >= 0.0 for a, b in edges]
     inside: np.ndarray = np.all(sides, axis=0)
@@ -360,13 +357,13 @@ def _outline_distances(p: np.ndarray, corners: np.ndarray) -> np.ndarray:
     return nearest
 
 
-# ---- separators: the simplest quantity that is different at wrong and at right pixels
+# ---- separators: the simplest quantity that differs between wrong and right pixels
 
-MIN_SEPARATED_PIXELS = 8  # wrong ones; of fewer, too many quantities are extreme
+MIN_SEPARATED_PIXELS = 8  # wrong pixels; of fewer, too many quantities are extreme by chance
 
 
 def separator_text(judge: Judge, judgement: Judgement, wrong: np.ndarray) -> str:
-    """The quantity and threshold that separate these wrong rows from right ones; "" where none separates nearly all."""
+    """The quantity and threshold that separate these wrong rows from right ones; "" if none separates nearly all."""
     if len(wrong) < MIN_SEPARATED_PIXELS:
         return ""
     exact = judgement.exact
@@ -381,7 +378,7 @@ def separator_text(judge: Judge, judgement: Judgement, wrong: np.ndarray) -> str
     rows = np.concatenate([wrong, right])
     is_wrong = np.arange(len(rows)) < len(wrong)
     features = tuple(_features(judge, rows, prim[rows]))
-    opposite = ""  # of a property that right pixels have, if no property of wrong ones is found
+    opposite = ""  # a property of right pixels, used if no property of wrong ones is found
     for name, values in features:
         found = best_split(values, is_wrong, tried=len(features))
         if found is None:
@@ -402,7 +399,7 @@ def separator_text(judge: Judge, judgement: Judgement, wrong: np.ndarray) -> str
 
 @dataclass(frozen=True)
 class Split:
-    """A threshold, and what lies on its side."""
+    """A threshold, and the numbers of pixels on one side of it."""
 
     words: str  # such as "below 1e-06"
     wrong: int
@@ -412,7 +409,7 @@ class Split:
 def best_split(values: np.ndarray, wrong: np.ndarray, tried: int) -> Split | None:
     """The threshold of values (n,) that has nearly all of the wrong (n,) bool on one side, and few others.
 
-    None where SEPARATES is not reached on both sides, or chance would do as well. tried: features, as a union bound.
+    None if SEPARATES is not reached on both sides, or chance would do as well. tried: features, as a union bound.
     """
     some = np.isfinite(values)
     m, n = int(wrong.sum()), len(values)
@@ -436,9 +433,9 @@ def best_split(values: np.ndarray, wrong: np.ndarray, tried: int) -> Split | Non
 
 
 def necessary_share(flags: np.ndarray, wrong: np.ndarray, tried: int) -> float | None:
-    """The share of the right pixels that have a property which all wrong ones have, (n,) bool each.
+    """The share of right pixels that have a property of all wrong ones; flags, wrong: (n,) bool.
 
-    None where a wrong one lacks it, nearly all right ones have it, or chance would do as well.
+    None if a wrong one lacks it, nearly all right ones have it, or chance would do as well.
     """
     m, n, right = int(wrong.sum()), len(wrong), int((flags & ~wrong).sum())
     share = right / (n - m)
@@ -448,7 +445,7 @@ def necessary_share(flags: np.ndarray, wrong: np.ndarray, tried: int) -> float |
 
 
 def _is_significant(k: int, j: int, m: int, n: int, tried: float) -> bool:
-    """Whether k of m wrong ones among j of n pixels are more than chance finds in so many tries."""
+    """Whether chance does not find k of the m wrong pixels among j of all n in so many tries."""
     p, q = k / max(j, 1), m / n
     unlikely = j * (_log_ratio(p, q) + _log_ratio(1.0 - p, 1.0 - q))
     return bool(np.log(tried) - unlikely < np.log(SEPARATOR_CHANCE))
@@ -459,7 +456,7 @@ def _log_ratio(p: float, q: float) -> float:
 
 
 def _simplest_between(low: float, high: float) -> float:
-    """The number with the fewest digits from low (beyond it) to high."""
+    """The number with the fewest digits between low and high."""
     if low < 0.0 < high:
         return 0.0
     for digits in range(1, 18):
@@ -471,7 +468,7 @@ def _simplest_between(low: float, high: float) -> float:
 
 
 def _features(judge: Judge, rows: np.ndarray, prim: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    """(sentence with a place for "below x", (n,) values) of rays and the primitives they hit, the simplest first."""
+    """(sentence, with {} for "below x", (n,) values) of rays and the primitives they hit, the simplest first."""
     packed, o, d = judge.model.packed, judge.o[rows], judge.d[rows]
     shape = packed.shape_of(prim)
     names = judge.scene.shape_names()
@@ -485,18 +482,9 @@ def _features(judge: Judge, rows: np.ndarray, prim: np.ndarray) -> Iterator[tupl
     low, high = (corner[prim] for corner in judge.model.boxes)
     cosine = dot(at.n, unit(d))
     with np.errstate(all="ignore"):
-        edges = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        edges = area_vectors(corners)
         extent = high - low
         size = np.where(np.isfinite(extent).all(axis=1), norm(extent), np.nan)
-        starts, ends = packed.first[:-1], packed.first[1:]
-        of_shape = np.array(
-            [
-                np.ptp([judge.model.boxes[0][a:b].min(0), judge.model.boxes[1][a:b].max(0)], axis=0).min()
-                for a, b in zip(starts, ends, strict=True)
-            ]
-        )
-        outline = _outline_distances(o + at.t[:, None] * d, corners)
-        yield "the box of the shape has no thickness", _flag(of_shape[shape] == 0.0)
         yield "the box of the primitive has no thickness", _flag(extent.min(axis=1) == 0.0)
         yield "a component of d is 0", _flag((d == 0.0).any(axis=1))
         yield "the surface is seen from behind", _flag(cosine > 0.0)
@@ -506,12 +494,7 @@ def _features(judge: Judge, rows: np.ndarray, prim: np.ndarray) -> Iterator[tupl
         yield "twice the area of the triangle is {}", norm(edges)
         yield "the size of the primitive is {}", size
         yield "the smallest extent of the primitive's box is {}", extent.min(axis=1)
-        yield "the distance to the triangle's outline is {}", outline
-        yield "the distance to the triangle's outline is {} bounds of the position", outline / at.p_error
-        yield (
-            "the distance to the triangle's nearest corner is {}",
-            np.min([norm(o + at.t[:, None] * d - corners[:, i]) for i in range(3)], axis=0),
-        )
+        yield "the distance to the triangle's outline is {}", _outline_distances(o + at.t[:, None] * d, corners)
     yield "the number of the primitive in its shape is {}", packed.index_in_shape(prim).astype(np.float64)
     yield "|d| is {}", norm(d)
     yield "|o| is {}", norm(o)
@@ -522,12 +505,12 @@ def _features(judge: Judge, rows: np.ndarray, prim: np.ndarray) -> Iterator[tupl
 
 
 def _negation(name: str) -> str:
-    """The sentence of a property, where it does not hold."""
+    """The sentence that a property does not hold."""
     if name.startswith("a component "):
         return name.replace("a ", "no ", 1)
     return name.replace(" has no ", " has some ") if " has no " in name else name.replace(" is ", " is not ")
 
 
 def _flag(values: np.ndarray) -> np.ndarray:
-    """1 where true: a threshold lies between."""
+    """1 where true, 0 elsewhere."""
     return np.where(values, 1.0, 0.0)

@@ -1,4 +1,4 @@
-"""Comparison of the diffuse AOV: the sum of Mitsuba's lights, up to bounds and to shadows that may differ."""
+"""Comparison of the diffuse AOV with the sum of Mitsuba's lights, up to bounds and to shadows that may differ."""
 
 from typing import NamedTuple
 
@@ -25,12 +25,12 @@ class DiffuseComparison(NamedTuple):
     """One row a pixel; pixels that are not judged have ratio 0."""
 
     ratio: np.ndarray  # (n,) difference over bound with Mitsuba's own shadows
-    explained: np.ndarray  # (n,) bool: other shadows, which rounding allows both sides, give our value
+    explained: np.ndarray  # (n,) bool: other shadows that rounding allows both sides give our value
     unresolvable: np.ndarray  # (n,) bool: Mitsuba's own value has no useful bound
 
 
 class LightAnswers(NamedTuple):
-    """All lights at m pixels, as numbers with bounds and as Mitsuba answered."""
+    """All lights at m pixels: contributions with bounds, and Mitsuba's answers."""
 
     each: list[LightContribution]
     given: np.ndarray  # (lights, m, 3) Mitsuba's radiance, its shadows included
@@ -58,7 +58,7 @@ def judge_diffuse(
 def diffuse_within_float64(
     scene: Scene, hit: ShadingPoints, prim: np.ndarray, values: np.ndarray, bracket: Bracket
 ) -> np.ndarray:
-    """(m,) bool: our values (m, 3) are Lambert's, with some shadows that float64 rounding allows us.
+    """(m,) bool: our values (m, 3) follow Lambert's law, with some shadows that float64 rounding allows us.
 
     hit: in float64, with float64's bounds; prim (m,): the primitives that are hit.
     """
@@ -122,9 +122,9 @@ def _choices(
     rows: np.ndarray,
     brackets: tuple[Bracket, Bracket],
 ) -> LightChoices:
-    """Mitsuba's answer for each light, or the contrary where each side's answer is within its bounds.
+    """Mitsuba's answer for each light, or the contrary where rounding allows each side its own answer.
 
-    A face near grazing may be the one or the other; and a shadow may be there or not.
+    A face lit at a grazing angle may be lit or not, and a shadow may be there or not.
     """
     doubtful = np.array([lit.doubtful for lit in lights.each], bool).reshape(lights.visible.shape)
     doubt = doubtful.copy()
@@ -150,7 +150,7 @@ def _shadow_may_differ(
     rows: np.ndarray,
     brackets: tuple[Bracket, Bracket],
 ) -> np.ndarray:
-    """(n,) bool: where Mitsuba's answer for a light and our contrary one are both within bounds."""
+    """(n,) bool: Mitsuba's answer for a light and our contrary one are both within bounds."""
     ours, theirs = brackets
     p, n = (aov_rows(pair.reference, name)[rows] for name in ("position", "normal"))
     they_lit, they_shaded = lambert.reference_visibility(theirs, hit, lit, p, n)

@@ -1,6 +1,6 @@
-"""Explanations in words: why a pixel has its class, what exceeds its bound, and the answers of every witness there."""
+"""Explanations in words: the reason for a pixel's class, the bounds it exceeds, and every answer at the pixel."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,16 +15,16 @@ from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.subjects.subject import Answer
 
 QUANTITY_NAMES = {EXACT: "t by exact arithmetic", "mask": "hit or miss", "shape_id": "the shape"}
-COMPARED_AT_HITS = ("depth", "position", "normal", "shading_normal", "uv")  # compared where both sides hit
+COMPARED_AT_HITS = ("depth", "position", "normal", "shading_normal", "uv")  # only where both sides hit
 
 
 def subject_name(judge: Judge) -> str:
-    """In a sentence."""
+    """The subject's name in a sentence."""
     return "ours" if judge.answer.exact_visibility else "the candidate"
 
 
 def constant_reasons(judge: Judge) -> dict[str, str]:
-    """The classes whose reason is the same at every pixel."""
+    """Reasons of the classes that have the same one at every pixel."""
     if not judge.answer.exact_visibility:
         return {
             AGREE: "all that is given is within the bounds of the candidate's arithmetic",
@@ -39,7 +39,7 @@ def constant_reasons(judge: Judge) -> dict[str, str]:
 
 
 def reason(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str], row: int) -> str:
-    """Why a row of the image has its class; the same words for many pixels. diagnosed: row that fails -> diagnosis."""
+    """The reason for the class of a row of the image. diagnosed: the diagnosis of each failing row."""
     verdict = CLASSES[int(judgement.classes[row])]
     if verdict == REFERENCE_WRONG:
         defect = format_defect(judgement.cases.get(row))
@@ -51,7 +51,7 @@ def reason(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str], row
 
 
 def _rounding_reason(judge: Judge, judgement: Judgement, verdict: str, row: int) -> str:
-    """Whose rounding excuses a pixel: of a subject whose own visibility is rounded, it may be the subject's."""
+    """Whose rounding excuses a pixel: Mitsuba's, or that of a candidate whose own visibility is rounded."""
     precision = judge.answer.precision
     if judgement.is_right(row):
         return {
@@ -86,13 +86,13 @@ def format_defect(case: int | None) -> str:
 
 
 def full_reason(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str], row: int) -> str:
-    """The reason, and which quantities exceed their bounds by what factor."""
+    """The reason, and the quantities beyond their bounds with their factors."""
     exceeded = exceeded_bounds(error_ratios(judge, judgement, row))
     return "; ".join(filter(None, (reason(judge, judgement, diagnosed, row), exceeded)))
 
 
 def error_ratios(judge: Judge, judgement: Judgement, row: int) -> dict[str, float]:
-    """Error over bound of every quantity, from Mitsuba or from the subject's own primitive, whichever is more."""
+    """Error over bound of every quantity: the larger of those from Mitsuba and from the subject's own primitive."""
     found = {name: float(judgement.ratio(name)[row]) for name in judgement.names}
     for check in judge.self_checks:
         if check.fails_at(row):
@@ -103,9 +103,9 @@ def error_ratios(judge: Judge, judgement: Judgement, row: int) -> dict[str, floa
 
 
 def exceeded_bounds(ratios: Mapping[str, float]) -> str:
-    """Which quantities exceed their bounds, and by what factor; "" where none does.
+    """The quantities beyond their bounds, with factors; "" if there is none.
 
-    A hit in place of a miss has no factor. That t is not the exact one is the least specific, where it has none either.
+    A hit in place of a miss has no factor. A wrong exact t without a factor is left out if others are wrong.
     """
     found = {name: ratio for name, ratio in ratios.items() if not ratio <= 1.0}
     if len(found) > 1 and not np.isfinite(found.get(EXACT, 0.0)):
@@ -116,7 +116,7 @@ def exceeded_bounds(ratios: Mapping[str, float]) -> str:
 
 
 def not_judged(judge: Judge, judgement: Judgement, row: int) -> dict[str, str]:
-    """Quantities of our caster that were not compared, and why: a ratio of 0 would pass for agreement."""
+    """Quantities of our caster that were not compared, with the reason; their ratio of 0 is no agreement."""
     ours, theirs = bool(judge.hit[row]), bool(judge.pair.reference.hit.ravel()[row])
     found = {}
     if not (ours and theirs):
@@ -128,14 +128,14 @@ def not_judged(judge: Judge, judgement: Judgement, row: int) -> dict[str, str]:
         found["diffuse"] = "light is compared where both see the same surface at the same place"
     if judgement.exact.of(row) is None:
         found[EXACT] = "there is no ray" if judge.t_max[row] < 0.0 else "exact arithmetic gave no answer"
-    # What contradicts something else is reported as beyond all bounds, whatever else was not compared.
+    # A quantity that contradicts another is reported as beyond all bounds, although it was not compared.
     return {name: why for name, why in found.items() if not judgement.ratio(name)[row] > 0.0}
 
 
 # ---- answers of a pixel: shape and t, in decimal and to the bit ----
 
 MAX_TIES_SHOWN = 6  # members of an exact tie set on one line; JSON has all
-AOVS_SHOWN = ("position", "normal", "shading_normal", "uv", "diffuse")  # beside shape and depth, if they are compared
+AOVS_SHOWN = ("position", "normal", "shading_normal", "uv", "diffuse")  # shown beside shape and depth if compared
 
 
 class TieMember(NamedTuple):
@@ -157,19 +157,12 @@ def tie_members(scene: Scene, packed: Packed, answer: ExactAnswer) -> list[TieMe
     ]
 
 
-def format_exact(scene: Scene, packed: Packed, answer: ExactAnswer | None) -> str:
+def format_exact(scene: Scene, packed: Packed, answer: ExactAnswer | None, *, with_t: bool = True) -> str:
     """The exact answer on one line."""
-    if answer is None or answer.t is None:
-        return format_exact_hit(scene, packed, answer)
-    at = f"at t {decimal_and_hex(float(answer.t))}"
-    return f"{_hit_primitives(scene, packed, answer)} {at}{_flags_text(answer)}"
-
-
-def format_exact_hit(scene: Scene, packed: Packed, answer: ExactAnswer | None) -> str:
-    """The same without t."""
     if answer is None:
         return "no answer"
-    return f"{_hit_primitives(scene, packed, answer)}{_flags_text(answer)}"
+    at = f" at t {decimal_and_hex(float(answer.t))}" if with_t and answer.t is not None else ""
+    return f"{_hit_primitives(scene, packed, answer)}{at}{_flags_text(answer)}"
 
 
 def _hit_primitives(scene: Scene, packed: Packed, answer: ExactAnswer) -> str:
@@ -186,7 +179,7 @@ def _flags_text(answer: ExactAnswer) -> str:
 
 
 def exact_answer(judge: Judge, judgement: Judgement, row: int) -> ExactAnswer | None:
-    """The exact answer at a row, computed now if it was not before; none where there is no ray."""
+    """The exact answer at a row, computed now if it is not known; None if there is no ray."""
     known = judgement.exact.of(row)
     if known is not None or judge.t_max[row] < 0.0:
         return known
@@ -202,7 +195,7 @@ class PixelText(NamedTuple):
 
 
 def pixel_answers(judge: Judge, judgement: Judgement, row: int, check: str) -> PixelText:
-    """Of one row of the image; check: the one whose values are shown, of a subject that gives more than t and n."""
+    """All answers at one row of the image. check: whose values are shown of a subject that gives images."""
     exact = format_exact(judge.scene, judge.model.packed, exact_answer(judge, judgement, row))
     if judge.names_prims:
         subject, reference = (
@@ -215,7 +208,7 @@ def pixel_answers(judge: Judge, judgement: Judgement, row: int, check: str) -> P
 
 
 def _aovs_text(scene: Scene, aovs: Any, check: str, row: int) -> str:
-    """Shape and depth, and the value that was compared."""
+    """Shape, depth, and the value that was compared."""
     shape = int(aov_rows(aovs, "shape_id")[row])
     name = scene.shape_names()[shape] if shape >= 0 else "miss"
     text = f"{name} at depth {float(aov_rows(aovs, 'depth')[row])!r}"
@@ -227,7 +220,7 @@ def _aovs_text(scene: Scene, aovs: Any, check: str, row: int) -> str:
 
 
 def format_answer(answer: Answer, row: int) -> str:
-    """t to the bit and the normal, and what of it is invalid."""
+    """t to the bit, the normal, and why the answer is invalid if it is."""
     parts = [f"t {decimal_and_hex(float(answer.t[row]))}" if answer.hit[row] else "miss"]
     if answer.n is not None and answer.hit[row]:
         parts.append(f"n ({format_numbers(answer.n[row])})")
@@ -245,7 +238,7 @@ def _reference_text(judge: Judge, row: int) -> str:
 
 
 def _exact_normal_text(judge: Judge, judgement: Judgement, row: int) -> str:
-    """Normals are not exact: float64's at the surface that is hit exactly."""
+    """The normal in float64 at the surface that is hit exactly: normals have no exact value."""
     answer = judgement.exact.of(row)
     if answer is None or answer.t is None or judge.n is None:
         return ""
@@ -265,12 +258,8 @@ def format_primitive(judge: Judge, row: int, *, subject: bool) -> str:
     return f"{shape}, prim {int(packed.index_in_shape(which)[0])} at t {decimal_and_hex(t)}"
 
 
-def reproducer_header(judge: Judge, judgement: Judgement, row: int, source: str) -> Sequence[str]:
-    """Comment of a reproducer of a row of the image: every answer, and how to see it again."""
-    return list(_header_lines(judge, judgement, row, source))
-
-
-def _header_lines(judge: Judge, judgement: Judgement, row: int, source: str) -> Iterator[str]:
+def reproducer_header(judge: Judge, judgement: Judgement, row: int, source: str) -> Iterator[str]:
+    """Comment lines of a reproducer: every answer at a row of the image, and how to see it again."""
     pair, verdict = judge.pair, CLASSES[int(judgement.classes[row])]
     versions = pair.result.answer.versions
     yield f"One ray that caster and Mitsuba {versions.get('mitsuba', '')} were judged on: {verdict}."

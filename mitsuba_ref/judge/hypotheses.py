@@ -1,7 +1,7 @@
-"""The table of mistakes: what each is called, which answers a caster that makes it gives, and its remedy.
+"""The table of mistakes: a name, a prediction of the answers of a caster that makes it, and a remedy for each.
 
-A mistake only explains pixels that fail: a wrong pixel becomes right under it where the subject answers as it predicts.
-What a mistake leaves alone has to be right under it, too.
+A mistake only explains pixels that fail: it explains a wrong pixel if the subject answers as the mistake predicts.
+Pixels that are right must not contradict it.
 """
 
 from collections.abc import Callable, Iterator
@@ -18,6 +18,7 @@ from mitsuba_ref.cameras.camera_reference import camera_axes
 from mitsuba_ref.error_model.bounds import row_distance
 from mitsuba_ref.error_model.bracket import RayIntersections
 from mitsuba_ref.error_model.intersections import Intersections, dot, norm, row_groups, unit
+from mitsuba_ref.error_model.scene_model import kinds_of
 from mitsuba_ref.error_model.tolerances import (
     DISTINCT_RTOL,
     FIT_FACTOR,
@@ -89,9 +90,9 @@ class WrongPixels:
         return other | (self.given_hit & self.hit & wrong_t)
 
     def right_under(self, hit: np.ndarray, t: np.ndarray, bound: np.ndarray) -> np.ndarray:
-        """(m,) bool: the subject's hit or miss and t are what is predicted, within FIT_FACTOR times the bound.
+        """(m,) bool: the subject's hit or miss and its t agree with a prediction, within FIT_FACTOR times the bound.
 
-        Or nearly so: a hundredth of the error is left, and a ten-thousandth of t.
+        A larger difference is accepted if it is at most a hundredth of the error and a ten-thousandth of t.
         """
         same: np.ndarray = self.given_hit == hit
         if self.judge.answer.hits_only:
@@ -112,8 +113,8 @@ class WrongPixels:
         return self.judge.bracket.possible_hits(self.o, self.d, t_max, np.full(len(self.rows), -np.inf))
 
 
-# What a mistake claims. SURFACES: right pixels do not contradict it. PIXELS: nor are nearly all pixels right.
-# IMAGE: and nearly all hits become right, not misses alone.
+# What a mistake claims beyond the pixels that it explains. SURFACES: nearly all right pixels agree with it. PIXELS: and
+# more than a few pixels are wrong. IMAGE: and it explains nearly all wrong hits, not misses alone.
 NOTHING, SURFACES, PIXELS, IMAGE = range(4)
 
 
@@ -124,15 +125,15 @@ class Mistake(NamedTuple):
     remedy: str  # "": a description of what is wrong, not of why
     predicts: Callable[[WrongPixels], np.ndarray]  # (m,) bool: the subject answers as if it made this mistake
     claim: int = NOTHING
-    single: bool = False  # one pixel is enough: nothing is fitted, and chance makes none right
-    same_surface: bool = False  # the surface that is hit is the right one, so that its normal is judged as well
+    single: bool = False  # one pixel is enough: nothing is fitted, and no pixel fits by chance
+    same_surface: bool = False  # the right surface is hit, so that its normal is judged as well
 
 
-Explanation = tuple[Mistake, np.ndarray]  # and (m,) bool: the pixels that become right under it
+Explanation = tuple[Mistake, np.ndarray]  # and (m,) bool: the pixels that it explains
 
 
 def explanations(f: WrongPixels, right: WrongPixels) -> Iterator[Explanation]:
-    """The mistakes that make some pixels of f right, in the order of the table. right: pixels that have to stay so."""
+    """The mistakes that explain some pixels of f, in the order of the table. right: pixels that may contradict them."""
     for mistake in mistakes(f):
         if mistake.claim == IMAGE:
             few = f.take(sample_rows(np.arange(len(f.rows)), SCREENED_PIXELS))
@@ -144,14 +145,14 @@ def explanations(f: WrongPixels, right: WrongPixels) -> Iterator[Explanation]:
 
 
 def _explains_hits(f: WrongPixels, fits: np.ndarray) -> bool:
-    """Whether hits fit, not misses alone."""
+    """Whether nearly all wrong hits fit, not misses alone."""
     hits = f.given_hit & f.off
     good = (fits & hits).sum()
     return bool(good >= MIN_FITTED_PIXELS and good >= NEARLY_ALL * hits.sum() and fits[f.off].mean() >= NEARLY_ALL)
 
 
 def _is_kept(mistake: Mistake, f: WrongPixels, fits: np.ndarray, right: WrongPixels) -> bool:
-    """Whether the claim of a mistake holds. A few wrong pixels fit one of many mistakes by chance."""
+    """Whether the claim of a mistake holds: a few wrong pixels may fit one of many mistakes by chance."""
     if mistake.claim == IMAGE and not _explains_hits(f, fits):
         return False
     if mistake.claim == NOTHING or not len(right.rows):
@@ -177,8 +178,8 @@ def mistakes(f: WrongPixels) -> Iterator[Mistake]:
     if _claims_float64(f):
         yield Mistake(IN_FLOAT32, FLOAT32_REMEDY, _right_in_float32, same_surface=True)
     yield from _image_orders(f.judge.pair.shape, is_list)
-    if not is_list and not answer.hits_only:
-        yield from _shift(f)
+    if not is_list:
+        yield from BESIDE_CENTERS
     yield from SELECTIONS
     yield from OTHER_RAYS
     yield from HIDDEN
@@ -203,11 +204,8 @@ OUT_OF_RANGE = (
 
 
 def _epsilon_text(f: WrongPixels) -> str:
-    """A question about the determinants of the triangles that are hit; "" where none is."""
-    corners = triangle_corners(f.judge, f.prim)
-    with np.errstate(invalid="ignore"):
-        edges = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        determinants = np.abs(dot(f.d, edges))
+    """A question about the determinants of the triangles that are hit; "" if none is."""
+    determinants = np.abs(dot(f.d, area_vectors(triangle_corners(f.judge, f.prim))))
     some = determinants[f.hit & np.isfinite(determinants)]
     return f", is every epsilon below the determinants of {range_text(some)} here" if len(some) else ""
 
@@ -231,7 +229,7 @@ def _right_in_float32(g: WrongPixels) -> np.ndarray:
 
 
 def _is_t_times(g: WrongPixels, factor: np.ndarray) -> np.ndarray:
-    """(m,) bool: t times a factor (m,) is given, where that is another number than t."""
+    """(m,) bool: the subject gives t times a factor (m,), and that differs from t."""
     with np.errstate(invalid="ignore"):
         other = np.abs(g.t * factor - g.t) > g.at.t_error
     return g.right_under(g.hit, g.t * factor, g.at.t_error * np.abs(factor)) & g.hit & other
@@ -254,7 +252,7 @@ Z_DEPTH = Mistake(
 
 
 def _fitted_quantities(f: WrongPixels) -> Iterator[Mistake]:
-    """t plus, or times, what the median pixel says, and functions of t."""
+    """t plus or times a constant, the median over all pixels, and functions of t."""
 
     def answers(t: Callable[[np.ndarray], np.ndarray], slope: float = 1.0) -> Callable[[WrongPixels], np.ndarray]:
         def predicts(g: WrongPixels) -> np.ndarray:
@@ -278,7 +276,7 @@ def _fitted_quantities(f: WrongPixels) -> Iterator[Mistake]:
         "look for a wrong unit, a scale or a length that is not 1",
     )
     yield Mistake(what, remedy, answers(lambda t: t * scale, scale), claim, same_surface=True)
-    for words, function in (("the square of t", np.square), ("1 / t", np.reciprocal), ("the logarithm of t", np.log)):
+    for words, function in (("the square of t", np.square), ("1 / t", np.reciprocal)):
         yield Mistake(f"{words} in place of t", "return t itself", answers(function), same_surface=True)
 
 
@@ -286,12 +284,12 @@ def _fitted_quantities(f: WrongPixels) -> Iterator[Mistake]:
 
 
 def _image_orders(shape: tuple[int, int], is_list: bool) -> Iterator[Mistake]:
-    """The whole image in another order, by Mitsuba's answer at those places."""
+    """The whole image in another order: Mitsuba's answers at other pixels."""
     h, w = shape
     rows = np.arange(h * w).reshape(h, w)
 
     def order(what: str, remedy: str, there: np.ndarray) -> Mistake:
-        """there: the row whose answer stands at each row."""
+        """there: for each row, the row whose answer the subject gives."""
 
         def predicts(g: WrongPixels) -> np.ndarray:
             result, places = g.judge.result, there.ravel()[g.rows]
@@ -301,10 +299,9 @@ def _image_orders(shape: tuple[int, int], is_list: bool) -> Iterator[Mistake]:
         return Mistake(what, remedy, predicts, IMAGE)
 
     if is_list:
-        remedy = "return them in the order of the rays"
-        yield order("the answers are in reverse order", remedy, rows.ravel()[::-1])
         for step in (1, -1):
-            yield order(f"the answers are moved by {step} ray", remedy, np.roll(rows, step))
+            what = f"the answers are moved by {step} ray"
+            yield order(what, "return them in the order of the rays", np.roll(rows, step))
         return
     yield order("the image is mirrored, left for right", "turn the sign of x", rows[:, ::-1])
     yield order("the image is upside down", "row 0 is the top one: turn the sign of y", rows[::-1])
@@ -313,74 +310,33 @@ def _image_orders(shape: tuple[int, int], is_list: bool) -> Iterator[Mistake]:
     yield order(*transposed, rows.ravel(order="F"))
     if h != w:
         yield order(*transposed, np.argsort(rows.ravel(order="F")))
-    for turns, words in ((1, "left"), (3, "right")) if h == w else ():
-        yield order(f"the image is turned by a quarter to the {words}", "exchange x and y", np.rot90(rows, turns))
     for y, x in product((0, 1, -1), repeat=2):
         if x or y:
             what = f"the image is moved by a whole pixel: {x:+d} to the right, {y:+d} down"
             yield order(what, "look for an index that counts from 1", np.roll(rows, (y, x), (0, 1)))
 
 
-SLOPE_STEP_PIXELS = 0.125  # over which the slopes of t are taken
-NEWTON_STEPS = 3
-MIN_DIFFERING_PIXELS = 16  # from which a shift is computed
-SHIFT_SAMPLES = 1024  # pixels from which a shift is computed, at most
-MAX_SHIFT_PIXELS = 4.0
+def _beside_centers(x: float, y: float) -> Mistake:
+    """Rays through another place of all pixels, x to the right and y down."""
+
+    def predicts(g: WrongPixels) -> np.ndarray:
+        scene, centers = g.judge.scene, pixel_centers(g.judge.scene)
+        places = (center[g.rows] + step for center, step in zip(centers, (x, y), strict=True))
+        rays = reference_of_camera(scene.camera).rays(scene.camera, scene.film, *places)
+        return _first_hits(g, rays.o + rays.t_min[:, None] * rays.d, rays.d)
+
+    what = f"rays beside the pixel centres, by ({x:+.2f}, {y:+.2f}) of a pixel to the right and down"
+    return Mistake(what, "the centre of pixel (x, y) is at (x + 0.5, y + 0.5)", predicts, IMAGE)
 
 
-def _shift(f: WrongPixels) -> Iterator[Mistake]:
-    """Rays through another place of their pixels, the same everywhere, found by Newton's method from t."""
-    seen = f.take(sample_rows(np.flatnonzero(f.given_hit & f.hit), SHIFT_SAMPLES))
-    if len(seen.rows) < MIN_DIFFERING_PIXELS:
-        return
-    shift = np.zeros(2)
-    for _ in range(NEWTON_STEPS):
-        step = _newton_step(seen, shift)
-        if step is None or not np.abs(shift + step).max() < MAX_SHIFT_PIXELS:
-            return
-        shift = shift + step
-    if np.abs(shift).max() > SLOPE_STEP_PIXELS / 4:
-        what = f"rays beside the pixel centres, by ({shift[0]:+.2f}, {shift[1]:+.2f}) of a pixel to the right and down"
-        remedy = "the centre of pixel (x, y) is at (x + 0.5, y + 0.5)"
-        yield Mistake(what, remedy, lambda g: _first_hits(g, *_rays_at(g, shift)), IMAGE)
-
-
-def _rays_at(f: WrongPixels, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """o, d through another place of the pixels. shift: (2,) pixels to the right and down."""
-    scene = f.judge.scene
-    x, y = (centers[f.rows] for centers in pixel_centers(scene))
-    rays = reference_of_camera(scene.camera).rays(scene.camera, scene.film, x + shift[0], y + shift[1])
-    return rays.o + rays.t_min[:, None] * rays.d, rays.d
-
-
-def _t_at(f: WrongPixels, shift: np.ndarray) -> np.ndarray:
-    """(m,) t of the same primitives along those rays, the root nearest to t."""
-    met = f.judge.model.intersect(f.prim, *_rays_at(f, shift), f.judge.answer.ku, ours=True)
-    found = np.full(len(f.rows), np.nan)
-    order = np.argsort(-np.abs(met.at.t - f.t[met.pair]), kind="stable")  # the nearest comes last, and stays
-    found[met.pair[order]] = met.at.t[order]
-    return found
-
-
-def _newton_step(f: WrongPixels, at: np.ndarray) -> np.ndarray | None:
-    """One step by the slopes at where the last one led; the fifth that fits least does not count."""
-    here = _t_at(f, at)
-    across = [_t_at(f, at + step) - here for step in SLOPE_STEP_PIXELS * np.eye(2)]
-    slopes = np.column_stack(across) / SLOPE_STEP_PIXELS
-    fine = np.isfinite(slopes).all(axis=1) & np.isfinite(here)
-    off = f.given_t - here
-    fine &= np.abs(off) <= np.quantile(np.abs(off)[fine], 0.8) if fine.any() else fine
-    if fine.sum() < MIN_DIFFERING_PIXELS:
-        return None
-    step: np.ndarray = np.linalg.lstsq(slopes[fine], off[fine], rcond=None)[0]
-    return step
+BESIDE_CENTERS = tuple(_beside_centers(x, y) for x, y in product((-0.5, 0.0, 0.5), repeat=2) if x or y)
 
 
 # ---- other rays
 
 
 def _first_hits(g: WrongPixels, o: np.ndarray, d: np.ndarray, t_factor: float = 1.0) -> np.ndarray:
-    """(m,) bool: right under first hits along o + t d, where t is counted times a factor."""
+    """(m,) bool: the subject gives the first hits along o + t d, with t times a factor."""
     roots = g.judge.bracket.possible_hits(o, d, g.judge.t_max[g.rows] / t_factor)
     return _right_among(g, roots, np.ones(len(roots.ray), bool), t_factor=t_factor)
 
@@ -388,7 +344,7 @@ def _first_hits(g: WrongPixels, o: np.ndarray, d: np.ndarray, t_factor: float = 
 def _right_among(
     g: WrongPixels, roots: RayIntersections, kept: np.ndarray, *, last: bool = False, t_factor: float = 1.0
 ) -> np.ndarray:
-    """(m,) bool: the subject's answer is the first (or last) of the kept roots, or a miss if there is none.
+    """(m,) bool: the subject gives the first (or last) of the kept roots, or a miss if there is none.
 
     A prediction that equals the exact answer explains no wrong pixel.
     """
@@ -418,6 +374,10 @@ def _other_rays() -> Iterator[Mistake]:
     def ray(what: str, remedy: str, lines: Lines, t_factor: float = 1.0) -> Mistake:
         return Mistake(what, remedy, lambda g: _first_hits(g, *lines(g.o, g.d), t_factor), IMAGE)
 
+    def of_scale(s: float) -> Mistake:
+        what = f"the scene is {s:g} times as large as it should be"
+        return ray(what, "use vertices in the units of the rays", lambda o, d: (o / s, d), s)
+
     def of_axis(s: np.ndarray, name: str) -> Iterator[Mistake]:
         what = f"the {name} axis of directions is turned round"
         yield ray(what, f"turn the sign of d.{name}", lambda o, d: (o, d * s))
@@ -429,10 +389,6 @@ def _other_rays() -> Iterator[Mistake]:
         remedy = "use the same axes for rays and scene (y up or z up?)"
         yield ray(f"the axes of directions {what}", remedy, lambda o, d: (o, d[:, p]))
         yield ray(f"the axes of rays {what}", remedy, lambda o, d: (o[:, p], d[:, p]))
-
-    def of_scale(s: float) -> Mistake:
-        what = f"the scene is {s:g} times as large as it should be"
-        return ray(what, "use vertices in the units of the rays", lambda o, d: (o / s, d), s)
 
     yield ray("the directions are reversed: -d in place of d", "turn the sign of d", lambda o, d: (o, -d))
     for axis, name in enumerate("xyz"):
@@ -457,26 +413,30 @@ def _faces(f: WrongPixels) -> np.ndarray:
     return dot(f.roots.at.n, f.d[f.roots.ray])
 
 
-def _is_first_root(f: WrongPixels, roots: RayIntersections | None = None) -> np.ndarray:
-    """(r,) bool: the first root of its primitive among these, or all, wherever that is."""
-    roots = f.roots if roots is None else roots
-    first: np.ndarray = roots.at.t == _first_roots(roots)
-    return first
+def _pairs(roots: RayIntersections) -> np.ndarray:
+    """(r,) group number: roots of the same ray and primitive."""
+    return row_groups(np.column_stack([roots.ray, roots.prim]))
 
 
 def _first_roots(roots: RayIntersections) -> np.ndarray:
     """(r,) the smallest t of the same ray and primitive."""
-    pair = row_groups(np.column_stack([roots.ray, roots.prim]))
+    pair = _pairs(roots)
     smallest = np.full(len(pair), np.inf)
     np.minimum.at(smallest, pair, roots.at.t)
     return smallest[pair]
+
+
+def _is_first(roots: RayIntersections) -> np.ndarray:
+    """(r,) bool: the first root of its primitive, also behind the origin."""
+    first: np.ndarray = roots.at.t == _first_roots(roots)
+    return first
 
 
 def _is_first_ahead(f: WrongPixels) -> np.ndarray:
     """(r,) bool: the first root of its primitive that is ahead of the origin."""
     ahead = f.roots.at.t > f.judge.t_min[f.rows][f.roots.ray]
     kept = ahead.copy()
-    kept[ahead] = _is_first_root(f, f.roots.take(ahead))
+    kept[ahead] = _is_first(f.roots.take(ahead))
     return kept
 
 
@@ -489,12 +449,11 @@ def _is_last_prim(f: WrongPixels) -> np.ndarray:
     return found
 
 
-def _is_only_root(f: WrongPixels) -> np.ndarray:
-    """(r,) bool: its primitive has no other."""
-    first = _is_first_root(f)
-    roots = f.roots
-    seconds = {(r, p) for r, p in zip(roots.ray[~first], roots.prim[~first], strict=True)}
-    return np.array([(r, p) not in seconds for r, p in zip(roots.ray, roots.prim, strict=True)], bool)
+def _is_far_or_only(f: WrongPixels) -> np.ndarray:
+    """(r,) bool: not the first root of its primitive, unless there is no other."""
+    pair, other = _pairs(f.roots), ~_is_first(f.roots)
+    found: np.ndarray = other | (np.bincount(pair, other)[pair] == 0)
+    return found
 
 
 def _selection(
@@ -513,13 +472,13 @@ SELECTIONS = (
     _selection(
         "another root of the surface that is hit first, such as the far one",
         "take the smaller root that is ahead of the origin",
-        lambda g: ~_is_first_root(g) | _is_only_root(g),
+        _is_far_or_only,
         single=True,
     ),
     _selection(
         "missed: the surface's first root is behind the ray's origin, and the second one was not tried",
         "where the first root is not ahead, try the second",
-        lambda g: _is_first_root(g) | ~(_first_roots(g.roots) < 0.0),
+        lambda g: _is_first(g.roots) | ~(_first_roots(g.roots) < 0.0),
         single=True,
     ),
     _selection(
@@ -531,12 +490,12 @@ SELECTIONS = (
     _selection(
         "the last surface in the order of the scene in place of the nearest",
         "keep a hit only where its t is smaller than that of the last one kept",
-        lambda g: _is_last_prim(g),
+        _is_last_prim,
     ),
     _selection(
         "the last surface along the ray in place of the first",
         "keep the hit with the smallest t",
-        lambda g: _is_first_ahead(g),
+        _is_first_ahead,
         last=True,
     ),
 )
@@ -556,7 +515,7 @@ def _behind_first(g: WrongPixels) -> np.ndarray:
 
 
 def _hidden(g: WrongPixels) -> np.ndarray:
-    """(m,) bool: missed, or a surface behind the first one, where both occur."""
+    """(m,) bool: a miss, or a surface behind the first one, if both occur."""
     missed, behind = ~g.given_hit & g.hit, _behind_first(g)
     return (missed | behind) & bool(missed.any() and behind.any())
 
@@ -571,7 +530,7 @@ HIDDEN = (
 
 
 class NormalMistake(NamedTuple):
-    """One row of the table of normals: it is reported where it explains enough of what is wrong."""
+    """One row of the table of normals, reported if it explains enough of the wrong ones."""
 
     what: str
     remedy: str
@@ -631,7 +590,6 @@ def _normal_mistakes(f: WrongPixels, n: np.ndarray, error: np.ndarray, off: np.n
     with np.errstate(invalid="ignore"):
         p = f.o + np.where(np.isfinite(f.t), f.t, 0.0)[:, None] * d
     alike = np.broadcast_to(np.median(n[off], axis=0), n.shape)
-    turn = _rotation(right[off], n[off])
     ray = "the ray's direction in place of the normal"
     for what, remedy, predicted in (
         ("the normal is stored as a colour, (n + 1) / 2", "return n itself, from -1 to 1", unit(right + 1.0)),
@@ -639,11 +597,6 @@ def _normal_mistakes(f: WrongPixels, n: np.ndarray, error: np.ndarray, off: np.n
         (ray, "return the surface's normal", unit(d)),
         (f"{ray}, reversed", "return the surface's normal", -unit(d)),
         ("one normal everywhere", "compute it for each hit", alike),
-        (
-            "all normals are turned by one rotation",
-            "look for a matrix that is missing, or there twice",
-            right if turn is None else right @ turn.T,
-        ),
     ):
         yield NormalMistake(what, remedy, varied(predicted))
     what = "the normal is computed from corners minus the ray's origin, and lost digits there"
@@ -665,35 +618,28 @@ def _of_corners_seen_from_the_origin(f: WrongPixels, n: np.ndarray, error: np.nd
     corners = triangle_corners(f.judge, f.prim)
     with np.errstate(invalid="ignore", over="ignore"):
         seen = (corners.astype(np.float32) - f.o.astype(np.float32)[:, None]).astype(np.float64)
-        predicted = unit(np.cross(seen[:, 1] - seen[:, 0], seen[:, 2] - seen[:, 0]))
+        predicted = unit(area_vectors(seen))
         left = row_distance(n, predicted)
         found: np.ndarray = (left <= FIT_FACTOR * f.at.n_error) & (left < MAX_SHARE_OF_ERROR_LEFT * error)
     return found
 
 
-def _rotation(a: np.ndarray, b: np.ndarray) -> np.ndarray | None:
-    """The rotation that turns rows a nearest to rows b (Kabsch), of those that are finite; None where they do not
-    determine it."""
-    finite = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
-    u, s, vt = np.linalg.svd(b[finite].T @ a[finite])
-    if s[1] <= DISTINCT_RTOL * s[0]:
-        return None
-    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    turned: np.ndarray = u @ flip @ vt
-    return turned
-
-
 def triangle_corners(judge: Judge, prim: np.ndarray) -> np.ndarray:
-    """(m, 3, 3) corners of primitives; NaN of those that are no triangles."""
+    """(m, 3, 3) corners of primitives; NaN for those that are no triangles."""
     packed = judge.model.packed
     corners = np.full((len(prim), 3, 3), np.nan)
-    shape = packed.shape_of(prim)
-    for place, kind in enumerate(packed.kinds):
+    place, k = kinds_of(packed, prim)
+    for number, kind in enumerate(packed.kinds):
         if isinstance(kind.prims, Triangles):
-            rows = np.flatnonzero((packed.kind_of[shape] == place) & (prim >= 0))
-            k = prim[rows] - packed.first[shape[rows]] + packed.start[shape[rows]]
-            corners[rows] = kind.prims.vertices[kind.prims.faces[k]]
+            rows = np.flatnonzero((place == number) & (prim >= 0))
+            corners[rows] = kind.prims.vertices[kind.prims.faces[k[rows]]]
     return corners
+
+
+def area_vectors(corners: np.ndarray) -> np.ndarray:
+    """(m, 3) normals of triangles (m, 3, 3), twice as long as their area."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def range_text(sizes: np.ndarray) -> str:

@@ -20,7 +20,7 @@ from mitsuba_ref.judge.aggregate import (
     merge_windows,
     quantities_not_given,
 )
-from mitsuba_ref.judge.checks import CANDIDATE, checks_of, make_checks, thorough_names
+from mitsuba_ref.judge.checks import CANDIDATE, checks_of, make_checks
 from mitsuba_ref.judge.checks import OURS as OUR_CHECKS
 from mitsuba_ref.judge.checks.bias import PixelErrors, error_statistics, pixel_errors
 from mitsuba_ref.judge.checks.knife_edges import AimedFailure
@@ -41,22 +41,21 @@ class Task(NamedTuple):
     name: str
     path: str = ""
     subject: Subject = OURS
-    rays: SharedRays | None = None  # of a list, laid out as the film, in place of the camera's
+    rays: SharedRays | None = None  # a list laid out as the film, in place of the camera's rays
     timeout: float = DEFAULT_TIMEOUT
     send: SendRequest = send_stored  # the way to Mitsuba
-    thorough: bool = False  # make every check of our caster
 
     @property
     def ours(self) -> bool:
         return self.subject is OURS
 
     def windows(self) -> list[Scene]:
-        """The scene with each window that is judged by itself: a command renders the whole film."""
+        """The scene with each window that is judged separately; a command renders the whole film at once."""
         return bands_of(self.scene) if self.subject.takes_rays and self.rays is None else [self.scene]
 
 
 class Seen(NamedTuple):
-    """What the verdict of a window rests on."""
+    """The evidence for the verdict of a window."""
 
     judge: Judge
     judgement: Judgement
@@ -66,18 +65,18 @@ class Seen(NamedTuple):
 
 # ---- a film, in one window or several ----
 
-# A film of more pixels than this is judged as several, so that memory stays what one band needs; of so many pixels a
-# band that what is done once for each (its own scene in Mitsuba, samples of every check) costs less than its pixels.
+# A larger film is judged in bands, so that memory is that of one band. A band has so many pixels that they cost more
+# than what is done once for each band (its own scene in Mitsuba, samples of every check).
 LARGEST_WHOLE_FILM, BAND_PIXELS = 1 << 20, 1 << 19
 
-LARGE_SCENE = 1 << 20  # primitives; such a scene is packed again sooner than kept beside its float32 numbers
+LARGE_SCENE = 1 << 20  # primitives; packing such a scene again costs less than keeping it beside its float32 numbers
 
 # Called with the verdict of each window and the name of its images, while `seen` holds the evidence.
 Finish = Callable[[SceneVerdict, str], SceneVerdict]
 
 
 def bands_of(scene: Scene) -> list[Scene]:
-    """The scene with windows of whole rows that make up its film; itself alone where that is small."""
+    """The scene with each band of whole rows of its film; the scene itself if its film is small."""
     x0, y0, x1, y1 = scene.film.window
     if (x1 - x0) * (y1 - y0) <= LARGEST_WHOLE_FILM:
         return [scene]
@@ -86,7 +85,7 @@ def bands_of(scene: Scene) -> list[Scene]:
 
 
 def judge_film(task: Task, finish: Finish = lambda verdict, images: verdict) -> SceneVerdict:
-    """The verdict of all bands, with the evidence of one: the one with most failures, or else the middle one."""
+    """The verdict of all bands, with the evidence of the one with most failures, or else of the middle one."""
     bands = task.windows()
     verdicts: list[SceneVerdict] = []
     errors: list[PixelErrors] = []
@@ -118,7 +117,7 @@ def _rows(band: Scene) -> tuple[int, int]:
 
 
 def _merged(bands: Sequence[Scene], verdicts: list[SceneVerdict], shown: int, seen: Seen | None) -> SceneVerdict:
-    """The verdict of a film in bands, the one of the evidence first."""
+    """The verdict of a film in bands; that of the shown band comes first."""
     last = len(verdicts) - 1
     if verdicts[last].problem:
         first, end = _rows(bands[last])
@@ -137,24 +136,19 @@ def _merged(bands: Sequence[Scene], verdicts: list[SceneVerdict], shown: int, se
 def judge_window(
     task: Task, *, whole_scene: bool = True, whole_film: bool = True
 ) -> tuple[SceneVerdict, PixelErrors | None]:
-    """The verdict of the film's window, without statistics and bias, and the errors that those are made of.
+    """The verdict of the film's window without statistics and bias, and the errors for these.
 
-    whole_scene: with the checks in which the window has no part; whole_film: no other window follows.
+    whole_scene: make also the checks that do not depend on the window; whole_film: no other window follows.
     """
     checks = [
         each
-        for each in checks_of(
-            OUR_CHECKS if task.ours else CANDIDATE,
-            thorough=task.thorough,
-            whole_scene=whole_scene,
-            camera=task.rays is None,
-        )
+        for each in checks_of(OUR_CHECKS if task.ours else CANDIDATE, whole_scene=whole_scene, camera=task.rays is None)
         if each.scope != "film"
     ]
     of_scene = [each for each in checks if not each.answered]
     inputs: dict[str, Any] = {"scene": task.scene, "subject": task.subject, "wrong_rays": []}
     made = make_checks(of_scene, inputs) if task.ours else ()
-    if whole_film:  # what follows is in float32; of ten million triangles, both together take a gigabyte more
+    if whole_film:  # the rest is in float32; for ten million triangles, both packings take a gigabyte more
         forget_packed(task.scene, as_given, LARGE_SCENE)
 
     # Request: the subject's answer, then Mitsuba's along the same rays.
@@ -166,11 +160,11 @@ def judge_window(
     if isinstance(judge, Crash):
         return _no_comparison(task, made, judge.message), None
 
-    # Compare, adjudicate, classify; then what the failing pixels have in common.
+    # Compare, adjudicate, classify; then find the causes of failing pixels.
     judgement = judge.judge()
     diagnosis = diagnose(judge, judgement)
 
-    # Check: what pixels do not show.
+    # Check whatever pixels do not show.
     inputs |= {
         "scene": response.scene,
         "result": judge.result,
@@ -191,54 +185,32 @@ def judge_window(
 
 
 def _no_comparison(task: Task, checks: tuple[SceneCheck, ...], problem: str, unsupported: bool = False) -> SceneVerdict:
-    x0, y0, x1, y1 = task.scene.film.window
-    return SceneVerdict(
-        task.name,
-        task.path,
-        (x1 - x0) * (y1 - y0),
-        checks=checks,
-        problem=problem,
-        unsupported=unsupported,
-        size=(task.scene.film.width, task.scene.film.height),
-        candidate=task.subject.name,
-        thorough=task.thorough,
-        left_out=_left_out(task, checks),
-        unjudged=() if task.ours else NEVER_GIVEN,
+    return _verdict_of(
+        task, checks, problem=problem, unsupported=unsupported, unjudged=() if task.ours else NEVER_GIVEN
     )
-
-
-def _left_out(task: Task, checks: tuple[SceneCheck, ...]) -> tuple[str, ...]:
-    """Names of the checks of our caster that only --thorough makes, where they were not made."""
-    return thorough_names() if task.ours and checks and not task.thorough else ()
 
 
 def _verdict(task: Task, response: SubjectResponse, seen: Seen, checks: tuple[SceneCheck, ...]) -> SceneVerdict:
     judge, judgement, diagnosis, _ = seen
-    scene, pair, answer = task.scene, judge.pair, judge.answer
+    pair, answer = judge.pair, judge.answer
     by_check, by_row = failing_by_check(judgement), diagnosis.by_row()
-    return SceneVerdict(
-        task.name,
-        task.path,
-        len(pair.t),
+    return _verdict_of(
+        task,
+        checks,
         hit_pixels=int(pair.any_hit.sum()),
         counts=class_counts(judgement, pair.any_hit),
         ratios=largest_ratios(judgement),
-        checks=checks,
         failures=listed_failures(judge, judgement, diagnosis),
         versions=pair.result.answer.versions,
         reference_seconds=pair.result.answer.seconds,
         reference_stored=pair.result.answer.stored,
-        size=(scene.film.width, scene.film.height),
-        allowed={name: check.ratio for name, check in scene.checks.items()} if task.ours else {},
+        allowed={name: check.ratio for name, check in task.scene.checks.items()} if task.ours else {},
         adjudicated=len(judgement.exact.rows),
         not_adjudicated=len(judgement.not_adjudicated),
         exact_seconds=judgement.exact_seconds,
         cases=defect_counts(judgement),
         failing_by={check: len(rows) for check, rows in by_check.items()},
         worst_by={check: failure_at(judge, judgement, by_row, int(rows[0]), check) for check, rows in by_check.items()},
-        candidate=task.subject.name,
-        thorough=task.thorough,
-        left_out=_left_out(task, checks),
         precision="" if task.ours else answer.precision,
         unjudged=quantities_not_given(answer),
         findings=findings(judge, diagnosis),
@@ -250,8 +222,22 @@ def _verdict(task: Task, response: SubjectResponse, seen: Seen, checks: tuple[Sc
     )
 
 
+def _verdict_of(task: Task, checks: tuple[SceneCheck, ...], **found: Any) -> SceneVerdict:
+    film = task.scene.film
+    x0, y0, x1, y1 = film.window
+    return SceneVerdict(
+        task.name,
+        task.path,
+        (x1 - x0) * (y1 - y0),
+        checks=checks,
+        size=(film.width, film.height),
+        candidate=task.subject.name,
+        **found,
+    )
+
+
 def _notes_on_misses(judge: Judge) -> tuple[str, ...]:
-    """Where the shapes are, and how the rays go, where nothing is hit; () where something is."""
+    """Where the shapes are and how the rays go, if nothing is hit; else ()."""
     low, high = judge.model.boxes
     if judge.pair.any_hit.any() or not len(low) or not len(judge.o):
         return ()

@@ -1,7 +1,7 @@
 """Results of the judge as pydantic models: classes of pixels, the verdict of a scene, the verdict of a run.
 
-`verdict.json` is `Verdict` as JSON, and `mitsuba-ref schema verdict` prints its JSON Schema. Results only: how they are
-found is in judge/classification.py, how they are shown is in report/.
+`verdict.json` is `Verdict` as JSON, and `mitsuba-ref schema verdict` prints its JSON Schema. judge/classification.py
+computes results, report/ shows them.
 """
 
 import math
@@ -13,12 +13,12 @@ from pydantic.dataclasses import dataclass
 
 from mitsuba_ref.error_model.tolerances import MIN_GROUPS
 
-# The classes of a pixel, whoever is judged; `wrong` means that the subject is wrong. The last two fail.
+# The classes of a pixel, for any subject; `wrong` means that the subject is wrong. The last two fail.
 CLASSES = ("agree", "explained", "tie", "reference_wrong", "out_of_domain", "wrong", "undecided")
 AGREE, EXPLAINED, TIE, REFERENCE_WRONG, OUT_OF_DOMAIN, WRONG, UNDECIDED = CLASSES
 EVIDENCE = (AGREE, TIE)  # subject and reference were compared, and are right
 EXCUSED = (EXPLAINED, OUT_OF_DOMAIN, REFERENCE_WRONG)  # the subject was compared with exact arithmetic alone
-JUDGED_WITHOUT_REFERENCE = (*EXCUSED, TIE)  # the reference hits another surface: nothing of it bounds the subject
+JUDGED_WITHOUT_REFERENCE = (*EXCUSED, TIE)  # the reference hits another surface, and so does not bound the subject
 FAILING = (WRONG, UNDECIDED)
 BIAS_OF_T, BIAS_OF_POSITION = "t", "position"
 UNLISTED = "unlisted"  # the case of a pixel where the reference is wrong in no known way (judge/defect_lookup.py)
@@ -43,7 +43,7 @@ RESULT = ConfigDict(extra="ignore")  # computed fields of a record are computed 
 
 @dataclass(frozen=True, config=RESULT)
 class SceneStatistics:
-    """What a scene consists of."""
+    """Camera, shapes and primitives of a scene."""
 
     camera: str = ""  # type; "" if unknown
     shapes: dict[str, int] = field(default_factory=dict)  # type -> how many
@@ -56,7 +56,7 @@ class SceneCheck:
 
     name: str
     ratio: JsonFloat  # largest error over its bound; inf where something must not be there, or is missing
-    what: str  # where the largest is, or what was looked at
+    what: str  # place of the largest error, or what was compared
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -91,7 +91,7 @@ class KindBias:
 
 @dataclass(frozen=True, config=RESULT)
 class ErrorStatistics:
-    """Errors where both name the same surface within its bounds, as K times the error over its bound."""
+    """Errors where both sides name the same surface within its bounds, as K times error over bound."""
 
     pixels: int
     k_t: Extremes
@@ -115,7 +115,7 @@ class Failure:
     verdict: str  # its class
     check: str
     ratio: JsonFloat  # error over bound
-    subject: str  # its answer, as text; so the next two
+    subject: str  # its answer as text, like the next two
     reference: str
     exact: str
     reason: str
@@ -124,15 +124,15 @@ class Failure:
 
 @dataclass(frozen=True, config=RESULT)
 class Finding:
-    """One diagnosis and the pixels that it is true of."""
+    """One diagnosis and its pixels."""
 
     pixels: int
     what: str
     x: int  # of the first pixel
     y: int
     of: int = 0  # wrong pixels among which a hypothesis was tested; 0: it is a description
-    remedy: str = ""  # of a hypothesis under which the pixels become right
-    where: str = ""  # what separates these pixels from right ones
+    remedy: str = ""  # of a hypothesis that explains the pixels
+    where: str = ""  # a property that separates these pixels from right ones
 
     @property
     def text(self) -> str:
@@ -165,38 +165,36 @@ class SceneVerdict:
     versions: dict[str, str] = field(default_factory=dict)
     seconds: Seconds = 0.0
     reference_seconds: Seconds = 0.0
-    reference_stored: bool = False  # Mitsuba answered earlier, and was not asked in this run
-    problem: str = ""  # why there is no comparison at all: a crash of the reference, with its output
+    reference_stored: bool = False  # Mitsuba's answer was taken from an earlier run
+    problem: str = ""  # why there is no comparison, such as a crash of the reference with its output
     size: tuple[int, int] = (0, 0)  # of the film
     resized: bool = False  # another film than the scene's own
     composition: SceneStatistics = field(default_factory=SceneStatistics)
     allowed: dict[str, float] = field(default_factory=dict)  # the scene's own [check.AOV]: shares of bounds
     adjudicated: int = 0  # pixels compared with exact arithmetic
-    not_adjudicated: int = 0  # undecided pixels like those that exact arithmetic found wrong
-    exact_seconds: Seconds = 0.0  # what that took, of `seconds`
+    not_adjudicated: int = 0  # undecided pixels of a kind that exact arithmetic found wrong in a sample
+    exact_seconds: Seconds = 0.0  # share of `seconds` spent on exact arithmetic
     cases: dict[str, int] = field(default_factory=dict)  # pixels where the reference is wrong, by known case
     reproducers: tuple[str, ...] = ()  # files, one ray each
     statistics: ErrorStatistics | None = None  # None without an answer
-    not_stored: int = 0  # pixels without a reproducer, because there are enough of their kind
+    not_stored: int = 0  # pixels without a reproducer, since enough of their kind have one
     failing_by: dict[str, int] = field(default_factory=dict)  # pixels that fail, by each check they fail
     worst_by: dict[str, Failure] = field(default_factory=dict)  # the worst of them
-    inputs: str = ""  # a hash of all that the verdict depends on, if it was computed
+    inputs: str = ""  # a hash of everything that the verdict depends on, if it was computed
     files: dict[str, FileRecord] = field(default_factory=dict)  # written beside it
     kept: bool = False  # reused from an earlier run of the same inputs
     candidate: str = ""  # the candidate that was judged in place of our caster, as named; "" for ours
     precision: str = ""  # of the subject: float32 or float64
     unjudged: tuple[str, ...] = ()  # quantities that the judge compares and this subject does not give
-    findings: tuple[Finding, ...] = ()  # what is wrong with the subject, by number of pixels
-    notes: tuple[str, ...] = ()  # what else the verdict rests on
+    findings: tuple[Finding, ...] = ()  # causes of the subject's errors, most pixels first
+    notes: tuple[str, ...] = ()  # assumptions and limits of the verdict
     unsupported: bool = False  # the candidate declined the scene, as `problem` states
-    waived: str = ""  # why the run does not fail by it though it is not ok: UNSUPPORTED or EXPECTED
-    options: tuple[str, ...] = ()  # of the command line, beside --size, that a replay has to repeat
+    waived: str = ""  # why the run passes although the scene is not ok: UNSUPPORTED or EXPECTED
+    options: tuple[str, ...] = ()  # options of the command line, beside --size, that a replay has to repeat
     replay: str = ""  # the command that shows the scene again
-    command: str = "validate"  # that judged it: validate or judge
+    command: str = "validate"  # the command that judged it: validate or judge
     rays: tuple[int, int] = (0, 0)  # first and end of the rays judged of a list, which fill `size`; (0, 0): a film
-    thorough: bool = False  # the checks that a plain `validate` leaves out were to be made as well
-    left_out: tuple[str, ...] = ()  # names of those checks, where they were not made
-    # what the verdict rests on, for the HTML report; None if it was not kept
+    # the evidence, for the HTML report; None if it was not kept
     seen: Annotated[Any, Field(exclude=True)] = field(default=None, repr=False, compare=False)
 
     @computed_field  # type: ignore[prop-decorator]
@@ -206,19 +204,19 @@ class SceneVerdict:
         return not self.problem and not self.failing and self.has_evidence and self.checks_pass
 
     def ray_at(self, x: int, y: int) -> int | None:
-        """The number in its list of the ray that a pixel stands for; None of a camera's film."""
+        """The number of the listed ray at a pixel; None for a camera's film."""
         return self.rays[0] + y * self.size[0] + x if self.rays[1] else None
 
     def place(self, x: int, y: int) -> str:
-        """A pixel, or the ray of a list that it stands for, in words."""
+        """A pixel, or the listed ray at it, in words."""
         ray = self.ray_at(x, y)
         return f"({x}, {y})" if ray is None else f"ray {ray}"
 
     @property
     def failing(self) -> int:
-        """Pixels that fail: the subject is wrong, it is undecided, or the reference is wrong in an unknown way.
+        """Pixels where the subject is wrong, or nothing is decided, or the reference is wrong in an unknown way.
 
-        An unknown error of Mitsuba may as well be a fault in the scene it was given, so it has to be looked into.
+        An unknown error of Mitsuba may be a fault in the scene it was given, so that somebody has to look at it.
         """
         return sum(self.counts[name] for name in FAILING) + self.cases.get(UNLISTED, 0)
 
@@ -234,7 +232,7 @@ class SceneVerdict:
 
     @property
     def has_evidence(self) -> bool:
-        """More hit pixels are evidence than are excused; a scene that hits nothing proves nothing."""
+        """More hit pixels are evidence than are excused; false for a scene that hits nothing."""
         return self.evidence > self.excused
 
     @property
@@ -258,22 +256,22 @@ class Verdict:
 
     scenes: tuple[SceneVerdict, ...]
     scene_count: int = 1  # how many scenes were to be judged
-    names: tuple[str, ...] = ()  # of those scenes, as far as they are known
+    names: tuple[str, ...] = ()  # of these scenes, as far as known
     shard: str = ""  # such as "2/4": these are the scenes of one of several runs
     selected: tuple[str, ...] = ()  # names of the scenes of all shards
-    code: str = ""  # a hash of the sources that judged; of one of several runs, of all their scenes, too
+    code: str = ""  # a hash of the sources that judged, and for a shard of all scenes
     judged_with: dict[str, str] = field(default_factory=dict)  # versions, variants, machine, processor
-    min_scenes: int = 0  # scenes that have to be judged, and not declined, for the run to pass
-    mended: tuple[str, ...] = ()  # scenes that --expected lists as failing, and that pass
+    min_scenes: int = 0  # the run passes only if at least so many scenes are judged and not declined
+    fixed: tuple[str, ...] = ()  # scenes that --expected lists as failing, and that pass
     requested_candidate: str = ""  # the candidate that was requested, also if no scene is judged; "" for ours
     format: int = VERDICT_FORMAT
 
     @computed_field  # type: ignore[prop-decorator]
     @property
     def ok(self) -> bool:
-        """Every requested scene is there and passes or is waived, and enough of them are judged.
+        """Every requested scene was judged and passes or is waived, and there are enough of them.
 
-        No scene at all is no pass, but for an empty shard; of shards, `merge` counts the scenes.
+        A run without scenes does not pass, except for an empty shard; `merge` counts the scenes of shards.
         """
         some = self.scene_count > 0 or bool(self.shard and self.selected)
         enough = bool(self.shard) or not self.too_few
@@ -286,27 +284,27 @@ class Verdict:
 
     @property
     def too_few(self) -> bool:
-        """Whether fewer scenes were judged than `min_scenes`; one at least where some were declined."""
+        """Whether fewer scenes were judged than `min_scenes`, or than one if some were declined."""
         declined = sum(scene.waived == UNSUPPORTED for scene in self.scenes)
         return len(self.scenes) - declined < max(self.min_scenes, min(declined, 1))
 
     @computed_field  # type: ignore[prop-decorator]
     @property
     def waived(self) -> dict[str, int]:
-        """Scenes that are not ok, and by which the run does not fail: why -> how many."""
+        """Number of scenes that are not ok but do not make the run fail, by reason."""
         reasons = [scene.waived for scene in self.scenes if scene.waived]
         return {reason: reasons.count(reason) for reason in dict.fromkeys(reasons)}
 
     @computed_field  # type: ignore[prop-decorator]
     @property
     def candidate(self) -> str:
-        """The candidate that was judged, or to be judged, in place of our caster; "" for ours."""
+        """The candidate judged in place of our caster, or requested; "" for ours."""
         return self.requested_candidate or next((scene.candidate for scene in self.scenes), "")
 
     @computed_field  # type: ignore[prop-decorator]
     @property
     def not_judged(self) -> tuple[str, ...]:
-        """Names of the scenes that were to be judged, and were not."""
+        """Names of the requested scenes that were not judged."""
         judged = {scene.name for scene in self.scenes}
         return tuple(name for name in self.names if name not in judged)
 
@@ -335,12 +333,12 @@ class Verdict:
     @computed_field  # type: ignore[prop-decorator]
     @property
     def references_stored(self) -> int:
-        """Scenes whose reference answers came from the store: Mitsuba was not asked in this run."""
+        """Number of scenes whose reference answers came from the store."""
         return sum(scene.reference_stored for scene in self.scenes)
 
     @property
     def versions(self) -> tuple[str, ...]:
-        """Versions that judged the scenes, each once, and for how many scenes Mitsuba was not asked in this run."""
+        """Versions that judged the scenes, each once, and how many answers of Mitsuba came from the store."""
         each = [", ".join(f"{k} {v}" for k, v in scene.versions.items()) for scene in self.scenes]
         stored = (
             f"{self.references_stored} of {len(self.scenes)} scenes: answered in earlier runs, taken from the store"

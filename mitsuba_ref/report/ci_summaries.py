@@ -20,7 +20,6 @@ from mitsuba_ref.report.verdict_text import (
     failing_scenes,
     failure_text,
     group_lines,
-    left_out_lines,
     outcome_text,
     waiver_lines,
     worst_words,
@@ -92,7 +91,7 @@ def _head(verdict: Verdict, seconds: float) -> Sequence[str]:
         lines += [f"Shard {verdict.shard}.", ""]
     if kept:
         lines += [f"Kept from an earlier run, not judged anew: {kept} scenes.", ""]
-    notes = candidate_lines, left_out_lines, waiver_lines
+    notes = candidate_lines, waiver_lines
     texts = [line for each in notes for line in each(verdict)]
     texts += [*group_lines(verdict.scenes), *verdict.versions]
     return [*lines, *(f"- {escaped(' '.join(line.split()))}" for line in texts), ""]
@@ -199,7 +198,6 @@ def add_case(suite: XmlElement, scene: SceneVerdict) -> None:
     counts = " ".join(f"{name}={scene.counts[name]}" for name in CLASSES)
     judged = f"candidate={scene.candidate} " if scene.candidate else ""
     kept = "kept from an earlier run, not judged now; " if scene.kept else ""
-    kept += f"left out: {', '.join(scene.left_out)}; " if scene.left_out else ""
     SubElement(case, "system-out").text = printable(
         f"{kept}{judged}hit={scene.hit_pixels} {counts} adjudicated={scene.adjudicated} cases={scene.cases} "
         f"{_errors(scene)}{scene.versions}{' (answered in an earlier run)' if scene.reference_stored else ''}"

@@ -16,12 +16,11 @@ from caster.image.exr import write_exr
 from caster.scene.model import Scene
 from mitsuba_ref.cameras.camera_reference import camera_axes
 from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound
-from mitsuba_ref.judge.checks.exr_files import WrittenImage, check_exr_files, stored_planes
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
 from mitsuba_ref.judge.comparison import CHECKS
 from mitsuba_ref.judge.diagnosis import Diagnosis
 from mitsuba_ref.judge.explanations import constant_reasons, reason
-from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, SceneCheck
+from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING
 
 Channels = Mapping[str, np.ndarray]
 
@@ -47,11 +46,8 @@ def class_attributes() -> dict[str, str]:
     }
 
 
-def write_images(folder: Path, name: str, judge: Judge, judgement: Judgement) -> SceneCheck:
-    """Write NAME.ours.exr (or .candidate.exr), NAME.reference.exr and NAME.verdict.exr, and check them by reading.
-
-    Raises OutputError.
-    """
+def write_images(folder: Path, name: str, judge: Judge, judgement: Judgement) -> None:
+    """Write NAME.ours.exr (or .candidate.exr), NAME.reference.exr and NAME.verdict.exr. Raises OutputError."""
     scene, pair = judge.scene, judge.pair
     classified = (pair.any_hit | judgement.is_class(*FAILING)).reshape(pair.shape)
     images = {
@@ -63,14 +59,9 @@ def write_images(folder: Path, name: str, judge: Judge, judgement: Judgement) ->
     }
     film = (0, 0, scene.film.width, scene.film.height)
     about = provenance(scene, __version__, name) | class_attributes()
-    window, written = scene.film.window, []
     for which, channels in images.items():
         path = folder / f"{name}.{which}.exr"
-        write_exr(path, channels, about, data_window=window, display_window=film)
-        aovs = {"reference": pair.reference, "verdict": None}.get(which, pair.subject)
-        planes = dict(channels) if aovs is None else stored_planes(aovs)
-        written.append(WrittenImage(path, planes, window, film[2:]))
-    return check_exr_files(written)
+        write_exr(path, channels, about, data_window=scene.film.window, display_window=film)
 
 
 def class_map(classified: np.ndarray, judgement: Judgement) -> Channels:

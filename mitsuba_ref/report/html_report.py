@@ -94,7 +94,7 @@ def refuse_page_of_others(index: Path) -> None:
     """Raise OutputError for an existing file that is no report."""
     if not index.exists():
         return
-    with opened_input(index, "page") as (file, _):
+    with opened_input(index, "page") as file:
         start = file.read(4096)
     if b"<title>ray-reference" not in start:
         raise OutputError(f"{index}: exists, and is no report of validate; choose another folder")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from caster.description.errors import SceneError
-from caster.description.input_files import read_own
+from caster.description.input_files import read_text
 from caster.system.atomic_files import OutputError, check_folder, write_text
 from mitsuba_ref.judge.verdict import FileRecord, SceneVerdict, Verdict
 
@@ -56,7 +56,7 @@ class OutFolder:
 
     def _listed(self) -> Any:
         with suppress(SceneError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
-            for scene in json.loads(read_own(self.folder / VERDICT, "verdict"))["scenes"]:
+            for scene in json.loads(read_text(self.folder / VERDICT, "verdict"))["scenes"]:
                 yield scene["name"], {name: FileRecord(**record) for name, record in scene["files"].items()}
 
     def begin(self) -> None:

@@ -172,9 +172,8 @@ def _write_aimed(folder: Path, name: str, source: str, failures: Sequence[AimedF
     """Write NAME.knife-edge.K.toml for wrong aimed rays, on which `validate` fails again; their names."""
     for number, failure in enumerate(failures):
         path = folder / f"{name}.knife-edge.{number}.toml"
-        notes = ("all shapes of the scene: those of the two answers alone do not show it",) * failure.whole
         head = [f"A ray aimed at {source}, in float64.", f"Wrong:     {failure.what}"]
-        write_text(path, Reproducer(failure.scene, (), notes).text(head))
+        write_text(path, Reproducer(failure.scene, (), ()).text(head))
         yield path.name
 
 
@@ -269,8 +268,7 @@ def replay(scene: SceneVerdict, pixel: tuple[int, int] | None = None) -> str:
         rows = "" if ray is None else f" --rows {ray}"
         return "mitsuba-ref judge" + "".join(f" {shlex.quote(word)}" for word in scene.options) + rows
     if pixel is None:
-        thorough = " --thorough" if scene.thorough and not scene.candidate else ""
-        return f"mitsuba-ref validate {shlex.quote(scene.path or 'SCENE')}{thorough}{repeated_options(scene)}"
+        return f"mitsuba-ref validate {shlex.quote(scene.path or 'SCENE')}{repeated_options(scene)}"
     before, after = replay_around(scene)
     return f"{before}{pixel[0]} {pixel[1]}{after}"
 

@@ -20,7 +20,7 @@ from rich.table import Table
 from rich.text import Text
 
 from caster.description.errors import SceneError
-from caster.description.input_files import MAX_TEXT_BYTES, read_input
+from caster.description.input_files import read_input
 from caster.system.atomic_files import write_text
 from caster.system.terminal import printable, unfiltered
 from mitsuba_ref.reference.store import installed_version
@@ -48,7 +48,7 @@ def write_result(result: Any, file: str) -> None:
 def read_result(kind: type[T], file: str, written_by: str) -> T:
     """The result in a file that `written_by` wrote. Raises FileMissing or SceneError."""
     try:
-        return TypeAdapter(kind).validate_json(read_input(file, "result", MAX_TEXT_BYTES))
+        return TypeAdapter(kind).validate_json(read_input(file, "result"))
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))

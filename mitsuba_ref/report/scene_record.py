@@ -13,10 +13,10 @@ import numpy as np
 
 from caster.aovs import Aovs
 from caster.image.image_files import encode_image
-from caster.image.previews import aov_images
+from caster.image.previews import aov_view
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.classification import CLASS_CODE
-from mitsuba_ref.judge.explanations import format_exact_hit
+from mitsuba_ref.judge.explanations import format_exact
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, REFERENCE_WRONG
 from mitsuba_ref.report.evidence import Evidence
 
@@ -87,8 +87,9 @@ COLOR_STEP = 8  # of a colour: such a PNG is half as large as one with all colou
 
 def thumbnail(aovs: Aovs) -> str:
     """A small image as a data URI: diffuse, normals if that is dark or missing, else depth."""
-    dark = "normal" in aovs and "diffuse" in aovs and not aovs["diffuse"].any()
-    pixels = aov_images(aovs, ["normal"] if dark else [])[0].pixels
+    lit = "diffuse" in aovs and aovs["diffuse"].any()
+    name = "diffuse" if lit else next((each for each in ("normal", "depth") if each in aovs), "hit")
+    pixels = aov_view(name, aovs.hit if name == "hit" else aovs[name], aovs.hit).pixels
     height, width, _ = pixels.shape
     step = max(1, -(-width // MAX_WIDTH), -(-height // MAX_HEIGHT))  # blocks of pixels become their mean
     padded = np.pad(pixels, ((0, -height % step), (0, -width % step), (0, 0)), mode="edge")
@@ -130,7 +131,7 @@ def exact_answers(evidence: Evidence) -> dict[str, Any]:
         "rows": packed(exact.rows.astype(np.int32)),
         "t": packed(np.array(t, np.float64)),
         "share": packed(coarse(exact.ratio)),
-        **numbered(format_exact_hit(evidence.scene, evidence.packed, answer) for answer in exact.answers),
+        **numbered(format_exact(evidence.scene, evidence.packed, answer, with_t=False) for answer in exact.answers),
     }
 
 

@@ -10,7 +10,7 @@ from caster.description.errors import SceneError
 from caster.rendering.warm_up import compile_for, warm_decisions
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
-from mitsuba_ref.judge.checks.render import check_culling
+from mitsuba_ref.judge.checks.render import check_render
 from mitsuba_ref.judge.pipeline import Seen, Task, judge_film
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
@@ -32,23 +32,19 @@ class Validation(Verdict):
 
 
 def validate(
-    scene: Scene | str | Path,
-    *,
-    candidate: str | Callable[..., Any] | None = None,
-    timeout: float = DEFAULT_TIMEOUT,
-    thorough: bool = False,
+    scene: Scene | str | Path, *, candidate: str | Callable[..., Any] | None = None, timeout: float = DEFAULT_TIMEOUT
 ) -> Validation:
     """Compare our caster with Mitsuba on one scene, given as a Scene or as the path of its file.
 
     candidate: another ray caster in place of ours: a function(scene, o, d) -> (t, n), or what --candidate takes
-    (docs/candidates.md). thorough: also test our caster beyond the judged film, as --thorough does. Raises SceneError
-    for a scene that is not valid, FileMissing where there is none, MissingReferenceError for a shape without a
-    reference. A crash of Mitsuba is a verdict that does not pass. The verdict keeps both images, for its write_html.
+    (docs/candidates.md). Raises SceneError for a scene that is not valid, FileMissing where there is none,
+    MissingReferenceError for a shape without a reference. A crash of Mitsuba is a verdict that does not pass. The
+    verdict keeps both images, for its write_html.
     """
     subject: Subject = OURS
     if candidate is not None:
         subject = parse_candidate(candidate) if isinstance(candidate, str) else function_subject(candidate)
-    options: dict[str, Any] = {"subject": subject, "timeout": timeout, "keep": True, "thorough": thorough}
+    options: dict[str, Any] = {"subject": subject, "timeout": timeout, "keep": True}
     if isinstance(scene, Scene):
         found = validate_scene(scene, "scene", **options)
     else:
@@ -68,16 +64,14 @@ def validate_scene(
     timeout: float = DEFAULT_TIMEOUT,
     send: SendRequest = send_stored,
     keep: bool = False,
-    thorough: bool = False,
 ) -> SceneVerdict:
     """The verdict of a loaded scene; faults of a candidate are in the verdict.
 
     rays: a list of rays, laid out as the film, in place of the camera's; first_ray: the number of the first one.
     folder: for the images of both sides. send: the connection to Mitsuba. keep: keep the evidence in the verdict.
-    thorough: make every check of our caster.
     """
     start = time.perf_counter()
-    task = Task(scene, name, path, subject, rays, timeout, send, thorough)
+    task = Task(scene, name, path, subject, rays, timeout, send)
     check_memory(task.windows()[0])
     if task.ours:
         compile_for(scene, "validate", _cast_as_judged)
@@ -86,9 +80,9 @@ def validate_scene(
         seen = verdict.seen
         if folder is None or not isinstance(seen, Seen):
             return verdict
-        files = write_images(folder, images, seen.judge, seen.judgement)
+        write_images(folder, images, seen.judge, seen.judgement)
         stored = write_reproducers(folder, name, path or name, seen, first_ray)
-        return replace(verdict, checks=(*verdict.checks, files), reproducers=stored.files, not_stored=stored.left_out)
+        return replace(verdict, reproducers=stored.files, not_stored=stored.left_out)
 
     verdict = judge_film(task, finish)
     seen = verdict.seen
@@ -99,7 +93,7 @@ def validate_scene(
 def _cast_as_judged(scene: Scene) -> None:
     """Call all kernels that judging our caster on a scene needs."""
     request_answer(OURS, scene)
-    check_culling(scene)
+    check_render(scene)
     warm_decisions(scene)
 
 

@@ -199,7 +199,6 @@ def summary_text(verdict: Verdict, seconds: float) -> str:
         f"exact:      {verdict.adjudicated} pixels were adjudicated by exact arithmetic, "
         f"in {sum(scene.exact_seconds for scene in verdict.scenes if not scene.kept):.1f} s",
         *candidate_lines(verdict),
-        *left_out_lines(verdict),
         *_error_lines(verdict),
         *_case_lines(verdict),
         *_stored_lines(verdict),
@@ -234,8 +233,8 @@ def waiver_lines(verdict: Verdict) -> Iterator[str]:
         if scene.waived:
             words = scene.problem.partition("\n")[0] if scene.problem else f"{', '.join(sorted(failing_checks(scene)))}"
             yield f"{mark_of(scene).lower() + ':':<11} {scene.name}: {words}"
-    if verdict.mended:
-        names = ", ".join(verdict.mended)
+    if verdict.fixed:
+        names = ", ".join(verdict.fixed)
         yield f"fixed:      {names}: listed by --expected as failing, and now right: take them out of the list"
     if verdict.too_few:
         judged = len(verdict.scenes) - verdict.waived.get(UNSUPPORTED, 0)
@@ -264,15 +263,6 @@ def candidate_lines(verdict: Verdict) -> Iterator[str]:
         yield f"not judged: {', '.join(name.replace('_', ' ') for name in names)}"
     for note in dict.fromkeys(note for scene in verdict.scenes if scene.ok for note in scene.notes):
         yield f"note:       {note}"
-
-
-def left_out_lines(verdict: Verdict) -> Iterator[str]:
-    """The checks of our caster that were not made, and how to make them."""
-    scenes = [scene for scene in verdict.scenes if scene.left_out]
-    if scenes:
-        names = ", ".join(dict.fromkeys(name for scene in scenes for name in scene.left_out))
-        where = f" in {len(scenes)} of {len(verdict.scenes)} scenes" if len(scenes) < len(verdict.scenes) else ""
-        yield f"left out:   {names}{where}: tests of our caster that --thorough makes"
 
 
 def _error_lines(verdict: Verdict) -> Iterator[str]:

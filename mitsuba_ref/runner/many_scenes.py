@@ -21,8 +21,7 @@ from caster.shapes import SHAPES
 from caster.system import process
 from caster.system.atomic_files import OutputError
 from mitsuba_ref.judge.aggregate import scene_statistics
-from mitsuba_ref.judge.checks.camera import wrongly_resized
-from mitsuba_ref.judge.verdict import SceneCheck, SceneVerdict
+from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request, send_stored
 from mitsuba_ref.reference.shared_input import SharedRays
@@ -62,21 +61,14 @@ class SceneEntry:
         x0, y0, x1, y1 = self.given.film.window
         return (x1 - x0) * (y1 - y0)
 
-    def described(self) -> Scene:
-        """The scene with its own film. Raises SceneError, FileMissing."""
-        return load_scene(self.path, self.mesh_dirs) if self.given is None else self.given
-
-    def resized(self, scene: Scene) -> Scene:
-        """The scene with the requested film. Raises SceneError."""
+    def load(self) -> Scene:
+        """The scene to judge, with the requested film. Raises SceneError, FileMissing."""
+        scene = load_scene(self.path, self.mesh_dirs) if self.given is None else self.given
         if self.size is None:
             return scene
         width, height = self.size
         with error_prefix("--size", width, height):
             return scene.with_film(width=width, height=height)
-
-    def load(self) -> Scene:
-        """The scene to judge. Raises SceneError, FileMissing."""
-        return self.resized(self.described())
 
 
 # So many last scenes for each worker start with the largest: a large one at the very end would leave the other workers
@@ -148,7 +140,7 @@ def run(
         except Exception as error:
             on_error(error)
             problem = problem_of(error)
-        failed = SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem, thorough=options.thorough)
+        failed = SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem)
         return with_replay(failed)
 
     failed = 0
@@ -179,7 +171,6 @@ class JudgeOptions(NamedTuple):
     folder: Path | None = None  # for the images of both sides
     timeout: float = DEFAULT_TIMEOUT  # of Mitsuba, seconds
     store: bool = True  # reuse verdicts and responses of Mitsuba that earlier runs stored for equal inputs
-    thorough: bool = False  # make every check of our caster
     subject: Subject | None = None  # in place of our caster, for entries without their own
     page_of: Callable[[SceneVerdict], Any] | None = None  # makes the report's record of a verdict and its evidence
     threads: int | None = None  # of a worker
@@ -188,18 +179,14 @@ class JudgeOptions(NamedTuple):
 def judge_entry(entry: SceneEntry, options: JudgeOptions) -> SceneVerdict:
     """Load and judge one scene in this process, or find its verdict. Raises what loading and judging raise."""
     set_default_threads(options.threads)
-    described = entry.described()
-    scene = entry.resized(described)
+    scene = entry.load()
     folder, foreign = options.folder, entry.subject or options.subject
     store = local_store() if options.store and options.page_of is None and foreign is None else None
-    about = {"size": entry.size, "options": replay_options(entry), "thorough": options.thorough, "out": bool(folder)}
+    about = {"size": entry.size, "options": replay_options(entry), "out": bool(folder)}
     key = verdict_key(scene, entry.path, **about) if store else ""
     if store and key and (found := _stored_verdict(store, key, folder)):
         return found
     verdict = _judge_loaded(entry, scene, options)
-    if entry.size and (wrong := wrongly_resized(described, [entry.size])):
-        others = (check for check in verdict.checks if check.name != "camera")
-        verdict = replace(verdict, checks=(SceneCheck("camera", float("inf"), "; ".join(wrong)), *others))
     if folder:
         verdict = replace(verdict, files=file_records(folder, verdict))
     if store and key and not verdict.problem:
@@ -240,14 +227,11 @@ def _judge_loaded(entry: SceneEntry, scene: Scene, options: JudgeOptions) -> Sce
             timeout=options.timeout,
             send=send_stored if options.store else send_request,
             keep=options.page_of is not None,
-            thorough=options.thorough,
         )
     except OutputError:
         raise
     except SceneError as error:  # no reference for a shape, or numbers beyond float32
-        verdict = SceneVerdict(
-            entry.name, entry.path, entry.pixels, problem=problem_of(error), thorough=options.thorough
-        )
+        verdict = SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem_of(error))
     found = replace(
         verdict,
         candidate=verdict.candidate or subject.name,

@@ -25,13 +25,8 @@ SUFFIXES = (".toml", ".json")
 SCENE_MARKERS = ("[camera]", "[[shape]]", '"camera"', '"shape"')  # a file without any of them is no scene
 
 # --mitsuba-ref-NAME and the ini option mitsuba_ref_NAME: help, the option's arguments, the type of the ini option.
-OPTIONS: dict[str, tuple[str, dict[str, Any], Literal["args", "bool", "string"]]] = {
+OPTIONS: dict[str, tuple[str, dict[str, Any], Literal["args", "string"]]] = {
     "size": ("film in pixels, W H, instead of the scenes' own", {"nargs": 2, "metavar": ("W", "H")}, "args"),
-    "thorough": (
-        "also test our caster beyond the judged films, as `mitsuba-ref validate --thorough`",
-        {"action": "store_true"},
-        "bool",
-    ),
     "candidate": (
         "another ray caster, judged in place of ours: package.module:function, or a command",
         {"metavar": "X"},
@@ -85,9 +80,6 @@ class ScenePlugin:
         if self.words["candidate"] and self.words["candidate-serve"]:
             raise pytest.UsageError("mitsuba_ref_candidate: not together with mitsuba_ref_candidate_serve")
         self.candidate = self.words["candidate"] or self.words["candidate-serve"]
-        self.thorough = bool(given(config, "thorough"))
-        if self.thorough and self.candidate:
-            raise pytest.UsageError("mitsuba_ref_thorough: not together with a candidate: it tests our own caster")
         if self.words["candidate-precision"] and not self.candidate:
             raise pytest.UsageError("mitsuba_ref_candidate_precision: expected mitsuba_ref_candidate beside it")
         self.mesh_dirs = tuple(map(str, config.getini("mitsuba_ref_mesh_dirs")))
@@ -104,7 +96,7 @@ class ScenePlugin:
 
     def pytest_report_header(self) -> str:
         film = f"films of {self.size[0]} x {self.size[1]}" if self.size else "the scenes' own films"
-        about = f", candidate {self.candidate}" if self.candidate else ", thorough" if self.thorough else ""
+        about = f", candidate {self.candidate}" if self.candidate else ""
         return f"mitsuba-ref: {film}{about}"
 
     def verdict_of(self, path: Path) -> SceneVerdict | str:
@@ -122,7 +114,7 @@ class ScenePlugin:
         entry = many_scenes.SceneEntry(path.stem, named, self.size, self.mesh_dirs, words)
         errors: list[Exception] = []
         try:
-            options = many_scenes.JudgeOptions(thorough=self.thorough, subject=self.subject)
+            options = many_scenes.JudgeOptions(subject=self.subject)
         except SceneError as error:
             return str(error)
         (verdict,) = many_scenes.run([entry], options, workers=1, on_error=errors.append)
@@ -196,8 +188,6 @@ class CheckItem(pytest.Item):
         plugin = self.config.pluginmanager.get_plugin(PLUGIN)
         assert isinstance(plugin, ScenePlugin)  # it collected this item
         found = plugin.verdict_of(self.path)
-        if not isinstance(found, str) and self.name in found.left_out:
-            pytest.skip("not judged: only --mitsuba-ref-thorough makes this check")
         if plugin.candidate and is_not_judged(found, self.name):
             pytest.skip(f"not judged: {plugin.candidate} does not give it, or it is no check of this scene")
         if text := check_problem(found, self.name):

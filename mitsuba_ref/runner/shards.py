@@ -112,7 +112,7 @@ def merge_verdicts(parts: Sequence[tuple[str, Verdict]]) -> tuple[Verdict, str]:
         scene_count=len(names),
         names=names,
         judged_with={**first.judged_with, PROCESSOR: " and ".join(processors)},
-        mended=tuple(name for _, part in parts for name in part.mended),
+        fixed=tuple(name for _, part in parts for name in part.fixed),
         scenes=tuple(scenes[name] for name in names if name in scenes),
     )
     count = next(iter(files)).parts

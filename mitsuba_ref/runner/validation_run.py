@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
 
 from caster.description.errors import SceneError
-from caster.description.input_files import MAX_TEXT_BYTES, read_input
+from caster.description.input_files import read_input
 from caster.rendering.threads import core_count
 from caster.system.terminal import ProgressBar
 from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED, SceneVerdict, Verdict
@@ -63,7 +63,7 @@ class ValidationRun:
             self.entries, judge, workers, self.options.maxfail, self._recorded, self.errors.append
         )
         # Rays are counted, since scenes differ too much in size to count scenes.
-        bar = ProgressBar("validating", sum(entry.pixels for entry in self.entries), "rays")
+        bar = ProgressBar("validating", sum(entry.pixels for entry in self.entries))
         with closing(running), closing(bar):
             for verdict, entry in zip(running, self.entries, strict=False):  # maxfail may end it early
                 self.done.append(verdict)
@@ -90,7 +90,7 @@ class ValidationRun:
             names=names,
             requested_candidate=self.candidate_name,
             min_scenes=self.options.min_scenes,
-            mended=self.options.expected.mended(self.done) if self.options.expected else (),
+            fixed=self.options.expected.fixed(self.done) if self.options.expected else (),
             **self._identity,
         )
 
@@ -143,7 +143,7 @@ class ExpectedFailures(BaseModel):
         checks = failing_checks(found)
         return not found.ok and any(checks <= set(each.checks) and found.failing <= each.pixels for each in listed)
 
-    def mended(self, done: Sequence[SceneVerdict]) -> tuple[str, ...]:
+    def fixed(self, done: Sequence[SceneVerdict]) -> tuple[str, ...]:
         """Names of the listed scenes that pass."""
         named = {each.scene for each in self.failure}
         return tuple(found.name for found in done if found.ok and found.name in named)
@@ -151,7 +151,7 @@ class ExpectedFailures(BaseModel):
 
 def read_expected(path: str) -> ExpectedFailures:
     """The known failures of a file. Raises FileMissing, or SceneError with every error in the file."""
-    data = read_input(path, "file of known failures", MAX_TEXT_BYTES)
+    data = read_input(path, "file of known failures")
     try:
         return ExpectedFailures.model_validate(tomllib.loads(data.decode("utf-8")))
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:

@@ -11,7 +11,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from caster.cameras import CAMERAS
 from caster.description.errors import FileMissing, SceneError
-from caster.description.input_files import MAX_TEXT_BYTES, read_input
+from caster.description.input_files import read_input
 from caster.scene.model import Scene
 from caster.shapes import SHAPES
 from mitsuba_ref.judge.verdict import VERDICT_FORMAT, SceneVerdict, Verdict
@@ -44,7 +44,7 @@ def verdict_key(scene: Scene, path: str, **about: Any) -> str:
         return ""
     try:
         variant = variant_of(scene)
-        file = read_input(path, "scene file", MAX_TEXT_BYTES)
+        file = read_input(path, "scene file")
     except SceneError:
         return ""
     known = {
@@ -85,7 +85,7 @@ class UnreadableVerdict(FileMissing):
 def read_verdict(path: str | os.PathLike[str]) -> Verdict:
     """The verdict that `validate --json` wrote. Raises FileMissing, or UnreadableVerdict with the reason."""
     try:
-        content = read_input(path, "verdict", MAX_TEXT_BYTES)
+        content = read_input(path, "verdict")
     except FileMissing as error:
         if Path(path).exists():
             raise UnreadableVerdict(str(error)) from error

@@ -8,7 +8,8 @@ from typing import NamedTuple
 from xml.parsers import expat
 
 from caster.description.errors import FileMissing, SceneError, suggestion
-from caster.description.parsing import Span, format_excerpt, list_errors, read_text
+from caster.description.input_files import read_text
+from caster.description.parsing import Span, format_excerpt, list_errors
 
 
 class SourcePosition(NamedTuple):

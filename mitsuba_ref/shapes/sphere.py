@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from caster.description.transform import is_mirrored, row_lengths, transform_points
+from caster.geometry.mesh_files import load_points
 from caster.shapes.sphere import Ellipsoids, Sphere, SphereCloud, Spheres
 from caster.system.atomic_files import write_bytes
 from mitsuba_ref.error_model.defect_conditions import FAR_IN_SIZES, STARTS_ON_CURVED, STRETCHED, DefectView, KnownDefect
@@ -189,7 +190,7 @@ def expected_sphere(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
 
 def expected_cloud(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
     """The same for each sphere of a cloud. The contents of its file are checked elsewhere."""
-    centers, radii = (np.array(shape.centers), shape.radii) if shape.file is None else shape.load()
+    centers, radii = (np.array(shape.centers), shape.radii) if shape.file is None else load_points(shape.file)
     radii = np.full(len(centers), shape.radius or 1.0) if radii is None else np.array(radii)
     linear, move = shape.matrix[:3, :3], shape.matrix[:3, 3]
     size = np.abs(centers) @ np.abs(linear).T + np.abs(move)

@@ -1,4 +1,4 @@
-"""Surface points, numbers of shapes and mesh files, drawn at random: what the fuzzer aims at and draws shapes from."""
+"""Random surface points, fields of shapes and mesh files: targets of hard rays, and shapes of the fuzzer."""
 
 import functools
 from pathlib import Path
@@ -43,7 +43,7 @@ def pushed_outside(rng: Rng, p: np.ndarray, sort: str) -> np.ndarray:
 
 
 def unit_circle_points(rng: Rng, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points of the unit circle: on an axis, (3, 4) / 5 up to one rounding, or any."""
+    """Points of the unit circle: on an axis, at (3, 4) / 5 up to one rounding, or anywhere."""
     angle = 2.0 * np.pi * rng.random(count)
     c = np.choose(rng.integers(3, size=count), [np.ones(count), np.full(count, 0.6), np.cos(angle)])
     s = np.choose((c == 1.0) + 2 * (c == 0.6), [np.sin(angle), np.zeros(count), np.full(count, 0.8)])
@@ -53,13 +53,13 @@ def unit_circle_points(rng: Rng, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def random_fractions(rng: Rng, count: int) -> np.ndarray:
-    """(count, 1) of 0 to 1; half of them eighths, which leave lattice points on the lattice."""
+    """(count, 1) numbers from 0 to 1; half of them are eighths, which keep lattice points on the lattice."""
     eighths = rng.integers(0, 9, (count, 1)) / 8.0
     return np.where(rng.random((count, 1)) < 0.5, eighths, rng.random((count, 1)))
 
 
 def random_point(rng: Rng, lattice: bool) -> list[float]:
-    """Within the cube [-1, 1]^3, in units of the shape."""
+    """A point in the cube [-1, 1]^3, in units of the shape."""
     if lattice:
         return [float(x) for x in rng.integers(-LATTICE_STEPS, LATTICE_STEPS + 1, 3) / LATTICE_STEPS]
     return [float(x) for x in rng.uniform(-1.0, 1.0, 3)]
@@ -76,7 +76,7 @@ def coin_flip(rng: Rng) -> bool:
 
 
 def random_directions(rng: Rng, count: int) -> np.ndarray:
-    """(count, 3) of about unit length; some along axes, some with small whole components, the rest any."""
+    """(count, 3) of about unit length; some along axes, some with small whole components."""
     any_way = rng.normal(size=(count, 3))
     any_way /= np.linalg.norm(any_way, axis=1, keepdims=True)
     whole = rng.integers(-3, 4, (count, 3)).astype(float)

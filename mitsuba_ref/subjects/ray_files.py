@@ -43,7 +43,7 @@ def read_arrays(path: str | Path, names: Sequence[str] = ()) -> dict[str, np.nda
     Raises FileMissing, or UnreadableArray for files that hold objects, are cut short or do not fit into memory.
     """
     path = Path(path)
-    with opened_input(path, "file of arrays") as (file, _):
+    with opened_input(path, "file of arrays") as file:
         start = file.read(len(NPY_MAGIC))
         if start != NPY_MAGIC and not start.startswith(ZIP_MAGIC):
             raise UnreadableArray(f"{path}: expected a .npz or .npy file of NumPy, got one that starts with {start!r}")

@@ -13,8 +13,6 @@ import threading
 from collections.abc import Sequence
 from pathlib import Path
 
-from mitsuba_ref.judge.checks import thorough_names
-
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("caster", "mitsuba_ref")
 DEADLINE = 120.0  # seconds; plain Python needs one to four for a film of 24 x 20 pixels
@@ -76,7 +74,7 @@ def said_beside_progress(found: subprocess.CompletedProcess[str]) -> list[str]:
 
 
 # Most of the time of `validate` in plain Python: each is made where it is the check that a fault offends.
-LONG_CHECKS = (*thorough_names(), "knife_edges", "culling")
+LONG_CHECKS = ("knife_edges", "render")
 
 
 def run_tests(tree: Path, cache: Path, *argv: str, compiled: bool) -> subprocess.CompletedProcess[str]:

@@ -147,12 +147,12 @@ def interpolated(scene, o, d, t, n):
     return t, caster.cast(scene, o, d).surface.sh_n
 
 
-def through_corners(scene, o, d, share=0.5):
+def through_corners(scene, o, d):
     from mitsuba_ref.cameras.camera_reference import to_world_directions
     from mitsuba_ref.cameras.with_sensor import half_extents
 
     film, across = scene.film, half_extents(scene.camera, scene.film)
-    y, x = (axis.ravel() + 0.5 + share for axis in np.indices((film.height, film.width)))
+    y, x = (axis.ravel() + 1.0 for axis in np.indices((film.height, film.width)))
     right, up = (2 * x / film.width - 1) * across[0], (1 - 2 * y / film.height) * across[1]
     return o, to_world_directions(scene.camera, np.column_stack([right, up, np.ones(len(x))]))
 
@@ -199,6 +199,7 @@ def grid(z: Any, size: int = 8) -> tuple[Any, Any]:
 
 MADE = {
     "layers": [{"type": "sphere", "center": (0.2 * i, 0, -i), "radius": 1.0} for i in range(3)],
+    "shuffled layers": [{"type": "sphere", "center": (0.2 * i, 0, -i), "radius": 1.0} for i in (0, 2, 1)],
     "one-triangle": [([(-1, -1, 0), (1, -1, 0.2), (0, 1, 0.1)], [(0, 1, 2)])],
     "mixed": [grid(lambda x, y: max(0.0, 0.3 * x)), grid(lambda x, y: 0.1 * x * y - 0.7)],
 }
@@ -250,12 +251,6 @@ MISTAKES = [
     Mistake("columns first", in_order(lambda a: np.swapaxes(a, 0, 1)), FACES, "the image is transposed"),
     Mistake("rolled", in_order(lambda a: np.roll(a, 1, axis=1)), FACES, "pixel"),
     Mistake("half a pixel", casting(through_corners), SPHERE, "by (+0.50, +0.50) of a pixel"),
-    Mistake(
-        "a quarter of a pixel",
-        casting(lambda s, o, d: through_corners(s, o, d, -0.25)),
-        SPHERE,
-        "by (-0.25, -0.25) of a pixel",
-    ),
     Mistake("d reversed", casting(lambda s, o, d: (o, -d)), "inside-sphere", "the directions are reversed"),
     Mistake("x of d turned", casting(lambda s, o, d: (o, mirrored(d, 0))), "inside-sphere", "the x axis of directions"),
     Mistake(
@@ -273,6 +268,12 @@ MISTAKES = [
         edited(nearer=lambda self, f, t: np.isfinite(f) & ~(f < np.where(np.isinf(t), 0, t))),
         "layers",
         "the last surface in the order of the scene",
+    ),
+    Mistake(
+        "farthest hit",
+        edited(nearer=lambda self, f, t: np.isfinite(f) & ~(f <= np.where(np.isinf(t), 0, t))),
+        "shuffled layers",
+        "the last surface along the ray",
     ),
     Mistake("back faces culled", edited(seen=lambda self, det: det < 0), "triangles", "back faces are culled"),
     Mistake("front faces culled", edited(seen=lambda self, det: det > 0), FACES, "front faces are culled"),
@@ -319,6 +320,12 @@ DEFECTS = [
         edited(thick=lambda self, *abc: (np.ptp(abc, axis=0) > 0).all() or abc[0][0] % 0.75 == 0.0),
         "mixed",
         "only where the box of the primitive has no thickness",
+    ),
+    Mistake(
+        "some faces lost",
+        edited(faces=lambda self, s, f: f[np.arange(len(f)) % 3 > 0]),
+        "torus-smooth",
+        "the first surface is missed, and what lies behind it is hit",
     ),
     Mistake("absolute t_min", edited(t_min=3.2), SPHERE, "t is below 3.2"),
     Mistake(

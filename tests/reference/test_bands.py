@@ -58,14 +58,14 @@ def test_a_film_that_is_wider_than_a_band_is_judged_row_by_row(small_bands, monk
 @pytest.mark.slow("each judges a film twice", keep=2)
 def test_the_verdict_is_that_of_the_whole_film(small_bands, send, name):
     small_bands(False)
-    whole = validate_scene(scene(name), name, send=send, thorough=True)
+    whole = validate_scene(scene(name), name, send=send)
     small_bands(True)
-    bands = validate_scene(scene(name), name, send=send, thorough=True)
+    bands = validate_scene(scene(name), name, send=send)
     assert whole.ok and bands.ok, (whole.problem, bands.problem)
     assert (bands.pixels, bands.hit_pixels, bands.counts) == (whole.pixels, whole.hit_pixels, whole.counts)
     assert bands.cases == whole.cases and bands.size == whole.size
     assert [check.name for check in bands.checks] == [check.name for check in whole.checks]
-    assert {"culling", "routes", "sensor", "bias", "geometry", "knife_edges"} <= {c.name for c in bands.checks}
+    assert {"render", "sensor", "bias", "geometry", "knife_edges"} <= {c.name for c in bands.checks}
     assert bands.notes[0].startswith("judged in ") and not whole.notes
     one, other = whole.statistics, bands.statistics
     assert one is not None and other is not None and other.pixels == one.pixels > 0

@@ -124,7 +124,7 @@ def test_a_radius_off_by_three_millionths_is_beyond_the_bound_at_every_hit(ball)
     assert found.all() and len(found) >= 30_000
 
 
-@pytest.mark.parametrize(("share", "least"), [(1e-8, 10.0), (3e-8, 30.0), (1e-7, 100.0)])
+@pytest.mark.parametrize(("share", "least"), [(1e-8, 10.0), (1e-7, 100.0)])
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_radius_off_by_less_than_float32_resolves_is_a_bias(ball, share, least, side):
     """Of each pixel by itself nothing is to be seen."""
@@ -197,7 +197,7 @@ GROUPS_THAT_TELL = 4 * MIN_GROUPS
 ROUNDED_TOO_COARSELY = "far-from-origin"  # positions, to 1e4 times as much as distances
 
 
-@pytest.mark.slow("every shipped scene", every=9)
+@pytest.mark.slow("every shipped scene", every=25)
 @pytest.mark.parametrize("name", sorted(path.stem for path in (ROOT / "scenes").glob("*.toml")))
 def test_ours_off_by_a_hundred_millionth_is_a_bias_and_right_it_is_none(send, name):
     """In each scene with groups of triangles that tell."""

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import caster
-from caster.geometry.packing import packed
 from caster.scene.model import Scene
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, scene_judge
 from mitsuba_ref.judge.comparison import pair_images
@@ -140,15 +139,6 @@ def where(judge: Judge, judgement, rows: np.ndarray) -> str:
     return separator_text(judge, replace(judgement, classes=classes), rows)
 
 
-def corners(judge: Judge, shape: int) -> np.ndarray:
-    """(n, 3, 3) of the triangle of a mesh that is hit at each pixel; NaN elsewhere."""
-    mesh, ids = packed(judge.scene).parts[shape], numbers(judge)
-    found = np.full((WIDTH * HEIGHT, 3, 3), np.nan)
-    rows = np.flatnonzero(ids["shape_id"] == shape)
-    found[rows] = mesh.vertices[mesh.faces[ids["prim_id"][rows]]]
-    return found
-
-
 FEATURES = {
     "t is": lambda judge: judge.answer.t,
     "the cosine of ray and normal is": lambda judge: np.abs((judge.bounds.own.n * judge.d).sum(1)),
@@ -198,68 +188,6 @@ def test_a_property_of_all_wrong_pixels_and_few_others_is_found(right, agreed):
     share = 100.0 * len(others) / (WIDTH * HEIGHT - len(rows))
     text = f"only where ball is hit: all {len(rows)} wrong pixels, {share:.2g} % of the right ones"
     assert where(right, agreed, rows) == text
-
-
-TRIANGLE_FEATURES = {
-    "the determinant |d . (e1 x e2)| is": lambda judge, c: np.abs((area(c) * judge.d).sum(1)),
-    "twice the area of the triangle is": lambda judge, c: np.linalg.norm(area(c), axis=1),
-    "the size of the primitive is": lambda judge, c: np.linalg.norm(np.ptp(c, axis=1), axis=1),
-    "the smallest extent of the primitive's box is": lambda judge, c: np.ptp(c, axis=1).min(axis=1),
-    "the distance to the triangle's outline is": lambda judge, c: outline(judge, c),
-    "the distance to the triangle's nearest corner is": lambda judge, c: np.linalg.norm(
-        c - hit_points(judge)[:, None], axis=2
-    ).min(axis=1),
-    "the number of the primitive in its shape is": lambda judge, c: numbers(judge)["prim_id"].astype(float),
-}
-
-
-def area(c: np.ndarray) -> np.ndarray:
-    return np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0])
-
-
-def hit_points(judge: Judge) -> np.ndarray:
-    return judge.o + judge.answer.t[:, None] * judge.d
-
-
-def outline(judge: Judge, c: np.ndarray) -> np.ndarray:
-    p, found = hit_points(judge), []
-    for a, b in ((0, 1), (1, 2), (2, 0)):
-        edge = c[:, b] - c[:, a]
-        away = p - c[:, a]
-        along = np.clip((away * edge).sum(1) / (edge * edge).sum(1), 0.0, 1.0)
-        found.append(np.linalg.norm(away - along[:, None] * edge, axis=1))
-    return np.min(found, axis=0)
-
-
-@pytest.fixture(scope="module")
-def meshes(send):
-    """A large torus alone, with a right judgement."""
-    ring = caster.Torus(name="ring", to_world=[{"scale": 1.4}, TURN], segments=23, sides=11)
-    scene = Scene(film=caster.Film(width=WIDTH, height=HEIGHT), camera=CAMERA, shapes=(ring,))
-    judge = scene_judge(scene, FunctionSubject("right", cast, "float64"), send=send)
-    return judge, judge.judge()
-
-
-@pytest.mark.parametrize("side", ["below", "above"])
-@pytest.mark.parametrize("feature", TRIANGLE_FEATURES)
-def test_a_threshold_of_a_triangles_quantity_is_found(meshes, feature, side):
-    judge, judgement = meshes
-    hit = np.flatnonzero(shape_of(judge) == 0)
-    values = TRIANGLE_FEATURES[feature](judge, corners(judge, 0))[hit]
-    middle = np.sort(values)[int(len(hit) * (0.3 if side == "below" else 0.7))]
-    wrong = values < middle if side == "below" else values > middle
-    text = where(judge, judgement, hit[wrong])
-    head = f"where {feature} {side} "
-    assert text.startswith(head), text
-    words = text.removeprefix(head)
-    threshold = float(words.split(":")[0])
-    found = values < threshold if side == "below" else values > threshold
-    assert (found == wrong).mean() > 0.96
-    m = int(wrong.sum())
-    assert "area" in feature or (  # of a torus, many are alike
-        words.split(": ")[1]
-        == f"{(found & wrong).sum()} of {m} wrong pixels, {(found & ~wrong).sum()} of {len(hit) - m} right ones"
-    )
 
 
 def test_what_is_hit_at_random_has_no_threshold(right, agreed):

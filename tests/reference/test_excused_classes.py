@@ -112,7 +112,7 @@ def test_a_scene_may_request_less_than_the_derived_bound(judged, name):
 
 
 def test_a_check_that_nothing_would_heed_is_refused(judged):
-    with pytest.raises(caster.SceneError, match=r"check.shape_id: is compared exactly or not at all"):
+    with pytest.raises(caster.SceneError, match=r"check.shape_id: shape_id has no bound to scale"):
         judged(scene_of(caster.Sphere(), checks={"shape_id": {"ratio": 0.1}}))
 
 

@@ -96,7 +96,7 @@ def test_time_is_kept(fuzz):
     assert told["total"]["examples"] >= 5
 
 
-def test_a_fault_is_found_made_small_kept_and_gone_when_it_is_mended(fuzz, fault, monkeypatch, tmp_path):
+def test_a_fault_is_found_made_small_kept_and_gone_when_it_is_fixed(fuzz, fault, monkeypatch, tmp_path):
     fault()
     code, out, _, told = fuzz("--examples", "8", "--family", "edges", "--keep", "1", "--judge-every", "0")
     assert code == 1

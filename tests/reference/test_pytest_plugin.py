@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from mitsuba_ref.judge.checks import OURS, checks_of, thorough_names
+from mitsuba_ref.judge.checks import OURS, checks_of
 from mitsuba_ref.judge.classification import pixel_checks
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.runner.pytest_plugin import VERDICT
@@ -32,7 +32,6 @@ radius = 1.3
 """
 STRICT = "[check.depth]\nratio = 1e-6\n"
 NAMES = (VERDICT, *pixel_checks(ours=True), *(check.name for check in checks_of(OURS)))
-SKIPPED = len(thorough_names())  # of each scene, without --mitsuba-ref-thorough
 HEAVY = ("numba", "mitsuba", "numpy", "pydantic", "caster.scene", "mitsuba_ref.runner.many_scenes")
 
 
@@ -107,7 +106,7 @@ def test_a_scene_that_fails_one_check_fails_that_test_with_its_replay(folder, mo
     monkeypatch.setenv("CI", "true")  # where pytest prints all the words
     folder.makeini("[pytest]\nmitsuba_ref_size = 20 16\n")
     found = run(folder, "--mitsuba-ref", "scenes")
-    found.assert_outcomes(passed=2 * (len(NAMES) - SKIPPED) - 2, failed=2, skipped=2 * SKIPPED)
+    found.assert_outcomes(passed=2 * len(NAMES) - 2, failed=2)
     text = found.stdout.str()
     assert re.search(r"FAIL  strict  depth: \d+ of \d+ hit pixels, worst ", text)
     assert text.count("replay:    mitsuba-ref probe scenes/strict.toml ") == 2 and " --size 20 16" in text
@@ -135,7 +134,7 @@ def crashing(monkeypatch, tmp_path_factory):
 
 def test_a_crash_fails_every_test_and_is_requested_once(folder, crashing):
     found = run(folder, "--mitsuba-ref", "scenes/good.toml", "--mitsuba-ref-size", "8", "6")
-    found.assert_outcomes(failed=len(NAMES) - SKIPPED, skipped=SKIPPED)
+    found.assert_outcomes(failed=len(NAMES))
     text = found.stdout.str()
     assert "FAIL  good  Mitsuba ended without an answer (SIGABRT)" in text and "last words" in text
     assert len(crashing()) == 1
@@ -171,12 +170,11 @@ MADE_UP = """
 import os, sys
 sys.path.insert(0, {tests!r})
 import verdict_factory
-from mitsuba_ref.judge.checks import thorough_names
 def fake(entries, options, workers, **others):
     (entry,) = entries
     with open({log!r}, "a") as file:
         file.write(entry.name + chr(10))
-    yield verdict_factory.scene(entry.name, ok=entry.name != "strict", left_out=thorough_names())
+    yield verdict_factory.scene(entry.name, ok=entry.name != "strict")
 def pytest_configure():
     import mitsuba_ref.runner.many_scenes
     mitsuba_ref.runner.many_scenes.run = fake
@@ -191,7 +189,7 @@ def test_with_several_workers_each_scene_is_judged_once(folder, tmp_path, monkey
     folder.makeconftest(MADE_UP.format(tests=str(ROOT / "tests/unit"), log=str(log)))
     words = ("-p", "xdist.plugin", "-n", "2", "--dist", "load", "--mitsuba-ref", "scenes")
     found = run(folder, *words, inside=False)
-    found.assert_outcomes(failed=1, passed=2 * (len(NAMES) - SKIPPED) - 1, skipped=2 * SKIPPED)
+    found.assert_outcomes(failed=1, passed=2 * len(NAMES) - 1)
     assert sorted(log.read_text().split()) == ["good", "strict"]
     assert "FAIL  strict  depth: 1 wrong" in found.stdout.str()
     assert summary_of(found.stdout.str()) == ["FAILED"]
@@ -222,13 +220,13 @@ def test_a_candidate_is_judged_and_what_it_does_not_give_is_skipped(folder):
     folder.makepyfile(somebodys=CASTERS)
     words = ("--mitsuba-ref", "scenes/good.toml", "--mitsuba-ref-size", "8", "6", "-rs")
     found = run(folder, *words, "--mitsuba-ref-candidate", "somebodys:right")
-    found.assert_outcomes(passed=11, skipped=2)
+    found.assert_outcomes(passed=12, skipped=2)
     text = found.stdout.str()
     assert "films of 8 x 6, candidate somebodys:right" in text
     assert "not judged: somebodys:right does not give it" in text
     found = run(folder, *words, "--mitsuba-ref-candidate", "somebodys:turned")
     text = found.stdout.str()
-    found.assert_outcomes(passed=7, failed=3, skipped=3)
+    found.assert_outcomes(passed=8, failed=3, skipped=3)
     assert "the normal is turned round" in text and " good: normal " in text
     assert "probe scenes/good.toml" in text and " --candidate somebodys:turned" in text
 
@@ -238,7 +236,7 @@ def test_a_candidate_that_declines_or_is_not_there_fails_every_test(folder):
     words = ("--mitsuba-ref", "scenes/good.toml")
     for name, says in (("somebodys:declines", "no spheres"), ("nobodys:caster", "cannot import nobodys")):
         found = run(folder, *words, "--mitsuba-ref-candidate", name)
-        found.assert_outcomes(failed=13)
+        found.assert_outcomes(failed=14)
         assert says in found.stdout.str()
 
 

@@ -143,9 +143,9 @@ def test_known_failures_pass_and_no_others(tmp_path):
     assert not judged(scene("a"), broken, expected=known).ok, "another failure than the known one"
 
 
-def test_a_mended_failure_is_named(tmp_path):
+def test_a_fixed_failure_is_named(tmp_path):
     found = judged(scene("a"), expected=listed(tmp_path, scene("a", ok=False)))
-    assert found.ok and found.mended == ("a",)
+    assert found.ok and found.fixed == ("a",)
 
 
 @pytest.mark.parametrize(

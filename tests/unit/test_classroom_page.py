@@ -5,7 +5,6 @@ import runpy
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import caster
@@ -46,11 +45,6 @@ def test_the_caster_of_the_page_is_right_and_prints_what_the_page_shows(folder, 
     assert check(capsys) == output_of("python check.py")
 
 
-def test_its_size_is_what_the_page_states():
-    lines = [line for line in as_shown("student.py").splitlines() if line.strip()]
-    assert 55 <= len(lines) <= 80
-
-
 @pytest.mark.parametrize(
     ("right", "wrong", "says"),
     [
@@ -75,15 +69,6 @@ def test_its_check_finds_mistakes(folder, capsys, right, wrong, says):
     assert any(line.startswith(says.strip()) for line in changed), found
 
 
-def test_a_camera_inside_the_sphere_needs_the_second_root(folder, capsys):
-    (folder / "lesson.toml").write_text(as_shown("lesson.toml").replace("eye = [0.4, 1.1, 5]", "eye = [0.4, 0.3, 0.1]"))
-    assert "hit by one of the two alone: 0" in check(capsys)
-    sys.modules.pop("student", None)
-    code = as_shown("student.py").replace("np.where(first > 0.0, first, second)", "first")
-    (folder / "student.py").write_text(code)
-    assert "t beyond 1e-12 of it: 0\n" not in check(capsys)
-
-
 def test_both_scenes_are_the_same(folder):
     ours, course = caster.load_scene("lesson.toml"), load_course_scene("lesson.txt", 240, 160).scene
     assert ours.camera == course.camera and ours.film == course.film
@@ -92,8 +77,8 @@ def test_both_scenes_are_the_same(folder):
 
 
 def test_its_commands_run(folder, capsys):
-    commands = re.findall(r"(?m)^    (caster (?:render|6837) lesson.*|caster 6837 -input lesson.*)$", PAGE)
-    assert len(commands) == 2
+    commands = re.findall(r"(?m)^    (caster (?:render|preview) lesson.*|caster 6837 -input lesson.*)$", PAGE)
+    assert len(commands) == 3
     for command in commands:
         assert main(command.split()[1:]) == 0, command
     assert {"lesson.png", "out.png", "depth.png", "normals.png"} <= {file.name for file in folder.iterdir()}
@@ -103,9 +88,3 @@ def test_its_error_is_what_is_stated(folder, capsys):
     (folder / "bad.txt").write_text(as_shown("lesson.txt").replace("0.8", "-0.8"))
     assert main(["6837", "-input", "bad.txt", "-output", "out.png"]) == 2
     assert capsys.readouterr().err == output_of("caster 6837 -input bad.txt -output out.png")
-
-
-def test_the_triangle_is_detected(folder):
-    """Each of the three shapes fills a good part of the picture."""
-    ids = caster.render(caster.load_scene("lesson.toml"), ("shape_id",))["shape_id"]
-    assert (np.bincount(ids[ids >= 0].ravel()) > 1000).all()

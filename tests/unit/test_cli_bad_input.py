@@ -1,7 +1,6 @@
 """Bad input to `caster`: a sentence that says where and what, its exit code, and nothing left behind."""
 
 import struct
-from pathlib import Path
 
 import pytest
 
@@ -116,12 +115,6 @@ def test_a_bad_scene_is_refused_with_its_line_by_every_command(folder, capsys, w
     assert not (folder / "s.exr").exists()
 
 
-def test_the_mesh_of_the_truncated_case_is_good_when_it_is_whole(folder, capsys):
-    put(folder, CAMERA + PLY, {"m.ply": TRIANGLE_PLY})
-    assert main(["check", "s.toml"]) == 0
-    assert capsys.readouterr().out == "s.toml: ok, 1 shapes\n"
-
-
 def test_a_mesh_dir_brings_a_mesh_into_reach(folder, capsys):
     put(folder, *BAD_SCENES["a mesh path outside reach"][:2])
     said = refused(capsys, 2, "render", "s.toml")
@@ -195,48 +188,10 @@ def test_wrong_usage_is_2_and_states_how_to_call_it(capsys, argv, message):
 # ---- files that cannot be read or written ----
 
 
-def test_an_output_in_no_folder_is_4(folder, capsys):
-    put(folder, CAMERA + SPHERE)
-    said = refused(capsys, 4, "render", "s.toml", "-o", "no/s.exr")
-    assert said == f"{folder}/no/s.exr: cannot write: No such file or directory (folder {folder}/no)\n"
-    assert [path.name for path in folder.iterdir()] == ["s.toml"]
-
-
 def test_an_output_that_cannot_be_written_is_reported_before_the_scene_is_rendered(folder, capsys, monkeypatch):
     put(folder, CAMERA + SPHERE)
     monkeypatch.setattr("caster.rendering.images.trace_film", None)  # calling it would end with 70
     refused(capsys, 4, "render", "s.toml", "-o", "no/s.exr")
-
-
-def test_a_disk_that_fills_up_leaves_the_older_file_and_no_half_one(folder, capsys, monkeypatch):
-    put(folder, CAMERA + SPHERE)
-    (folder / "s.exr").write_bytes(b"older")
-
-    def fill_up(self, path):
-        Path(path).write_bytes(b"half")
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("OpenEXR.File.write", fill_up)
-    said = refused(capsys, 4, "render", "s.toml", "--size", "4", "4", "--aov", "hit")
-    assert "s.exr: cannot write: No space left on device" in said
-    assert sorted(path.name for path in folder.iterdir()) == ["s.exr", "s.toml"]
-    assert (folder / "s.exr").read_bytes() == b"older"
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (None, "x.exr: no such file"),
-        (b"", "x.exr: expected an EXR image, the file is empty (0 bytes)"),
-        (b"P6 1 1 255 ", "x.exr: expected an EXR image, the file starts with b'P6 1'"),
-        (struct.pack("<II", 20000630, 2) + b"chann", "x.exr: a damaged or truncated EXR (13 bytes)"),
-    ],
-)
-@pytest.mark.parametrize("json", [[], ["--json"]], ids=["text", "json"])
-def test_info_on_what_is_no_exr_is_4(folder, capsys, content, message, json):
-    if content is not None:
-        (folder / "x.exr").write_bytes(content)
-    assert refused(capsys, 4, "info", "x.exr", *json).startswith(message)
 
 
 # ---- the same as a process of its own ----

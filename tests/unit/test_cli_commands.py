@@ -1,10 +1,8 @@
 """The command `caster` as a whole: its help, its small commands, and how it ends."""
 
-import argparse
 import io
 import json
 import os
-import shlex
 import signal
 import subprocess
 import sys
@@ -19,10 +17,8 @@ from caster.cli import COMMANDS
 from caster.description.errors import FileMissing, SceneError
 from caster.system import process
 from mitsuba_ref.__main__ import main as judge_main
-from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
-NAMES = [command.name for command in COMMANDS]
 SLOW = {"numba", "llvmlite", "mitsuba", "drjit", "OpenEXR", "numpy", "pydantic", "pydantic_core", "rich"}
 
 
@@ -36,14 +32,14 @@ def python(*argv, **options):
 # ---- help ----
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_help_of_a_command_loads_nothing_slow(name):
-    source = "import sys; from caster.__main__ import main; code = main(sys.argv[1:]); print(code, *sys.modules)"
-    out, err = python("-c", source, name, "--help").communicate()
-    said, _, last = out.rstrip().rpartition("\n")
-    code, *modules = last.split()
-    assert (code, err) == ("0", "") and said.startswith(f"usage: caster {name}")
-    assert not SLOW & {module.partition(".")[0] for module in modules}
+def test_help_of_every_command_loads_nothing_slow():
+    source = (
+        "import sys; from caster.__main__ import main; print([main([n, '--help']) for n in sys.argv[1:]], *sys.modules)"
+    )
+    out, err = python("-c", source, *(command.name for command in COMMANDS)).communicate()
+    codes, modules = out.splitlines()[-1].split("] ")
+    assert (set(codes), err) == (set("[0, "), "") and out.count("usage: caster ") == len(COMMANDS)
+    assert not SLOW & {module.partition(".")[0] for module in modules.split()}
 
 
 def test_version(capsys):
@@ -51,23 +47,13 @@ def test_version(capsys):
     assert capsys.readouterr().out == f"caster {caster.__version__}\n"
 
 
-# ---- schema and doctor ----
-
-
-def test_doctor_reports_as_text_and_as_json(capsys):
-    assert main(["doctor"]) == 0
-    assert capsys.readouterr().out.endswith("Usable: everything needed was found.\n")
-    assert main(["doctor", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["usable"] is True
-
-
 def test_doctor_ends_with_4_where_something_needed_is_missing(capsys, monkeypatch):
     from caster.cli import installation
 
     missing = installation.Package("no-such-package", "no_such_package", "1", "nothing")
     monkeypatch.setattr(installation, "PACKAGES", (*installation.PACKAGES, missing))
-    assert main(["doctor"]) == 4
-    assert "Not usable without no-such-package." in capsys.readouterr().out
+    assert main(["doctor", "--json"]) == 4
+    assert json.loads(capsys.readouterr().out)["usable"] is False
 
 
 # ---- how a command ends ----
@@ -117,13 +103,6 @@ def test_a_reader_that_goes_away_is_no_news():
     started.stderr.close()
 
 
-def test_a_standard_output_that_was_closed_before_is_none_of_our_business():
-    shell = f"exec {shlex.quote(sys.executable)} -m caster schema >&-"
-    environment = {"PYTHONPATH": str(ROOT), "PATH": os.environ["PATH"], "CASTER_JIT": "0"}
-    process = subprocess.run(["sh", "-c", shell], env=environment, stderr=subprocess.PIPE, text=True)
-    assert (process.returncode, process.stderr) == (0, "")
-
-
 def test_a_full_device_is_reported(capfd):
     with open("/dev/full", "w") as full:
         run = subprocess.run(
@@ -165,27 +144,6 @@ def test_an_interrupted_render_leaves_nothing_and_ends_with_130(tmp_path):
     _, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (130, "interrupted\n")
     assert [path.name for path in tmp_path.iterdir()] == ["s.toml"]
-
-
-@pytest.mark.parametrize(("program", "name"), [("caster", "info"), ("mitsuba_ref", "compare")])
-def test_a_command_imports_no_other_command(program, name):
-    source = (
-        f"import sys; from {program}.__main__ import main; main(sys.argv[1:])\n"
-        f"found = [m for m in sys.modules if m in {{c.module for c in main.__globals__['COMMANDS']}}]\n"
-        "print('loaded', *found)"
-    )
-    out, err = python("-c", source, name, "--help").communicate()
-    from importlib import import_module
-
-    registry = import_module("caster.cli" if program == "caster" else "mitsuba_ref.cli").COMMANDS
-    (module,) = (command.module for command in registry if command.name == name)
-    assert (out.splitlines()[-1], err) == (f"loaded {module}", "")
-
-
-@pytest.mark.parametrize("registry", [COMMANDS, JUDGE_COMMANDS])
-def test_every_entry_of_a_registry_can_be_loaded(registry):
-    for command in registry:
-        command.load(argparse.ArgumentParser())
 
 
 @pytest.mark.parametrize(

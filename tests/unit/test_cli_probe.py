@@ -59,7 +59,7 @@ def test_every_pixel_has_the_bits_of_render(folder, camera):
     scene = write(folder, camera)
     images = caster.render(scene, AOVS)
     assert images.hit.any() and images.hit.all() == (camera == "orthographic")  # which looks at the plane
-    for y, x in np.ndindex(images.hit.shape):
+    for y, x in [*np.ndindex(images.hit.shape)][::5]:
         found = probe(scene, x, y)
         assert (found.hit is not None) == images.hit[y, x]
         if found.hit:
@@ -68,19 +68,13 @@ def test_every_pixel_has_the_bits_of_render(folder, camera):
             assert np.float32(found.hit.t) == np.float32(images["depth"][y, x])  # d is of length 1 to an ulp
 
 
-def test_the_hex_numbers_are_the_decimal_ones_to_the_bit(folder, capsys):
-    write(folder)
-    found = probed(capsys, 7, 3)
-
-    def check(table):
-        pairs = [key for key in table if f"{key}_hex" in table]
-        for key in pairs:
-            values, texts = np.ravel(table[key]), np.ravel(table[f"{key}_hex"])
-            assert [float.fromhex(text) for text in texts] == list(values)
-        return len(pairs)
-
-    assert check(found["ray"]) == 3 and found["ray"]["t_max"] is None
-    assert check(found["hit"]) == 5 and check(found["near"][0]) == 1 and check(found["near"][0]["margins"][0]) == 1
+def test_the_numbers_of_json_are_exact(folder, capsys):
+    scene = write(folder)
+    found, expected = probed(capsys, 7, 3), probe(scene, 7, 3)
+    assert found["ray"] == {"o": expected.o.tolist(), "d": expected.d.tolist(), "t_min": 0.0, "t_max": None}
+    assert found["hit"]["t"] == expected.hit.t and found["hit"]["n"] == expected.surface["n"].tolist()
+    margins = [margin["inside"] for margin in found["near"][0]["margins"]]
+    assert margins == [margin.inside for margin in expected.tried[0].margins]
     assert (found["scene"], found["pixel"], found["film"]) == ("s.toml", [7, 3], [12, 9])
     assert [(hit["shape"], hit["type"]) for hit in found["near"] if hit["t"] is not None][:2] == [
         ("box", "cube"),
@@ -177,7 +171,7 @@ def test_the_sign_of_a_margin_is_hit_or_miss_and_its_size_a_distance(folder):
     (folder / "s.toml").write_text(MESH)
     scene = caster.load_scene("s.toml")
     signs = set()
-    for y, x in [*np.ndindex(9, 12)][::3]:
+    for y, x in [*np.ndindex(9, 12)][::7]:
         found = probe(scene, x, y)
         for tried in found.tried:
             inside = all(margin.inside > 0.0 for margin in tried.margins)

@@ -250,27 +250,6 @@ def test_every_truncation_is_unreadable_and_nothing_is_printed(tmp_path, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def test_damaged_bytes_end_in_an_image_of_the_right_shape_or_unreadable(tmp_path, capfd):
-    """Seeded damage anywhere: never another exception, never another shape than the file's window."""
-    write_exr(tmp_path / "a.exr", {"Z": np.round(np.random.default_rng(0).random((40, 8)), 1)})
-    whole = (tmp_path / "a.exr").read_bytes()
-    rng = np.random.default_rng(1)
-    refused = 0
-    for _ in range(150):
-        damaged = bytearray(whole)
-        damaged[rng.integers(8, len(whole))] ^= int(rng.integers(1, 256))
-        (tmp_path / "a.exr").write_bytes(damaged)
-        try:
-            read = read_exr(tmp_path / "a.exr")
-        except UnreadableExr:
-            refused += 1
-        else:
-            x0, y0, x1, y1 = read.data_window
-            assert all(values.shape == (y1 - y0, x1 - x0) for values in read.channels.values())
-    assert refused > 50
-    assert capfd.readouterr() == ("", "")
-
-
 def numbers(rows: int) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(rows)
     depth, prim = rng.random((rows, 40)).astype(np.float32), rng.integers(9, size=(rows, 40))

@@ -28,7 +28,6 @@ from mitsuba_ref.fuzz.shrink import (
     primitive_shapes,
     rounder_numbers,
     simpler_numbers,
-    single_ray_case,
     smallest_case,
     walk,
 )
@@ -37,8 +36,6 @@ from mitsuba_ref.hard.family import scene_of
 from mitsuba_ref.hard.random_parts import random_camera, random_frame, random_shape, shape_types
 from mitsuba_ref.hard.rays import Frame, RayBatch, perturbed_by_ulps
 from mitsuba_ref.judge.checks.knife_edges import NearestHits, cast_by_culling, prepared_scene
-from mitsuba_ref.judge.checks.routes import RouteDifference
-from mitsuba_ref.judge.checks.scaling import Difference
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.shapes import KINDS
 from mitsuba_ref.shapes.targets import mesh_files
@@ -233,15 +230,6 @@ def test_an_error_of_an_image_is_found(subject, monkeypatch, spoil, kind):
     assert finding.kind == kind and finding.pixel == (2, 1)
 
 
-def test_what_another_scale_or_another_route_shows_is_found(subject, monkeypatch):
-    scaled = [Difference(30, "depth", np.array([6]))]
-    routes = [RouteDifference("caster.cast(scene, o, d).t", "depth", 1, 2, "5.0", "6.0", 1)]
-    monkeypatch.setattr(checks, "scaling_differences", lambda scene, exponents: scaled)
-    monkeypatch.setattr(checks, "route_differences", lambda scene: routes)
-    found = checks.check_image(subject, Tally())
-    assert [(each.kind, each.pixel) for each in found] == [("scaling", (2, 1)), ("route", (1, 2))]
-
-
 def test_a_normal_of_another_length_is_found(subject, monkeypatch):
     usual = checks.cast
 
@@ -304,7 +292,7 @@ def test_an_image_keeps_its_camera_and_a_mesh_goes_along(tmp_path):
     kept = cases.read_kept(file).case
     assert "ray" not in kept and kept["camera"] == VIEW["camera"] and kept["film"] == VIEW["film"]
     assert sorted(path.name for path in file.parent.iterdir()) == ["name.toml", "octahedron.obj"]
-    assert load_scene(written(tmp_path / "new", kept)).shapes[0].load().faces.shape == (8, 3)
+    assert load_scene(written(tmp_path / "new", kept)).shapes[0].mesh().faces.shape == (8, 3)
 
 
 @pytest.mark.parametrize(
@@ -418,17 +406,3 @@ def test_a_mesh_shrinks_to_one_triangle_and_round_numbers(number):
     assert [shape["type"] for shape in small["shape"]] == ["triangle"] and hits_something(small)
     found = [x for _, x in walk(small["shape"]) if isinstance(x, float)]
     assert len(found) == 9 and sum(complexity(x)[0] <= 4 for x in found) >= 6
-
-
-def test_a_pixel_of_another_film_leaves_the_case_as_it_is():
-    """A route may be a film of 128 pixels of a scene whose own has four; one inside becomes a case of a single ray."""
-    camera = {"type": "pinhole", "eye": [0, 0, 5], "look_at": [0, 0, 0], "fov": 40}
-    case = {"film": {"width": 4, "height": 4}, "camera": camera, "shape": [{"type": "sphere"}]}
-    tried = []
-
-    def differs(each):
-        tried.append(each)
-        return [Finding("route", "other bits")]
-
-    assert single_ray_case(case, Finding("route", "other bits", pixel=(99, 0)), differs) == case and not tried
-    assert "ray" in single_ray_case(case, Finding("route", "other bits", pixel=(3, 2)), differs)

@@ -89,13 +89,7 @@ RULES = (
         for kind, vocabulary in PLUGGED_IN.items()
     ),
     Rule("mitsuba_ref", "the judge never imports kernels", never=("caster.kernels", "caster.jit")),
-    Rule(
-        "mitsuba_ref",
-        "only caster, and what reads its files back, imports OpenEXR; only caster imports numba",
-        never=("OpenEXR", "numba"),
-        except_in=("mitsuba_ref.judge.checks.exr_files",),
-    ),
-    Rule("mitsuba_ref.judge", "only caster imports numba", never=("numba",)),
+    Rule("mitsuba_ref", "only caster imports OpenEXR and numba", never=("OpenEXR", "numba")),
     Rule(
         "mitsuba_ref",
         "only mitsuba_ref/reference/mitsuba_calls.py imports Mitsuba",

@@ -7,14 +7,7 @@ import pytest
 
 from caster.scene.model import Scene
 from mitsuba_ref.judge.checks import knife_edges as module
-from mitsuba_ref.judge.checks.knife_edges import (
-    RayBatch,
-    cast_by_culling,
-    knife_edges,
-    lossless_exponents,
-    prepared_scene,
-    rays_at_edges,
-)
+from mitsuba_ref.judge.checks.knife_edges import RayBatch, cast_by_culling, knife_edges, prepared_scene, rays_at_edges
 
 SHAPES = [
     {"type": "sphere", "center": [0.0, 0.0, 0.0], "radius": 0.5},
@@ -93,7 +86,6 @@ def test_a_hit_so_near_that_the_scaled_t_is_denormal_keeps_the_bits_of_t():
         d = np.ldexp([[0.01, 0.02, -0.7], [0.0, -0.03, -0.9]], power)
         o = np.tile([0.125, 0.0625, 3.0 * 2.0**-1060], (2, 1))
         rays = RayBatch(o, d, np.zeros(2), np.full(2, np.inf))
-        assert (lossless_exponents(rays) < 0).all()
         found = cast_by_culling(packed, rays, "brute-force")
         expected = [float(Fraction(3) / 2**1060 / -Fraction(float(z))) for z in d[:, 2]]
         assert found.t.tolist() == pytest.approx(expected, rel=1e-14, abs=0.0)

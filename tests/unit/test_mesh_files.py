@@ -8,15 +8,10 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from caster.description.errors import FileMissing, SceneError
 from caster.geometry.mesh_files import GLB_HEADER, load_mesh, parse_off
-from caster.geometry.mesh_files.obj import parse_obj
-from caster.geometry.mesh_files.ply import parse_ply
-from caster.geometry.triangle_mesh import check_mesh, vertex_normals
-from caster.geometry.world_space import as_given, transform_mesh
+from caster.geometry.triangle_mesh import vertex_normals
 from caster.shapes.mesh import MeshFile
 
 trimesh = pytest.importorskip("trimesh")
@@ -113,11 +108,8 @@ BROKEN_OBJ = [
     (SQUARE + "f 1 2\n", ":5: a face needs at least 3 vertices, got 2"),
     (SQUARE + "f 1 2 5\n", ":5: v of a corner must be 1 to 4 or -4 to -1, got '5'"),
     (SQUARE + "f 1 2 3\nf 0 1 2\n", ":6: v of a corner .* got '0'"),
-    (SQUARE + "f -1 -2 -5\n", ":5: v of a corner .* got '-5'"),
     (SQUARE + "f 1/1 2/1 3/1\n", ":5: vt of a corner must be none, as there is no vt, got '1'"),
-    (SQUARE + "vn 0 0 1\nf 1//1 2//1 3//2\n", ":6: vn of a corner .* got '2'"),
     (SQUARE + "f 1 2 3/1/1/1\n", ":5: expected a corner v, v/vt"),
-    (SQUARE + "f 1 2 /1\n", ":5: expected a corner v, v/vt"),
     (SQUARE + "f 1 2 3_0\n", ":5: expected a corner"),
     (SQUARE + "f 1 2 3.0\n", ":5: expected a whole number as v of a corner, got '3.0'"),
     (SQUARE + "vt inf 0\nf 1/1 2/1 3/1\n", ":5: vt must be finite"),
@@ -125,7 +117,6 @@ BROKEN_OBJ = [
     (SQUARE + "vn 0 0 0\nf 1//1 2//1 3//1\n", ": the normal of vertex 0 must have a direction"),
     ("v 1 2 three\n", ":1: expected numbers, got '1 2 three'"),
     ("v 1 2 1_0\n", ":1: expected numbers, got '1 2 1_0'"),
-    ("v 1 2 \\\n\n\nv 1 2 x\n", ":1: v needs 3 numbers, got 2"),
     ("# one\\\nv 1 2 x\n", ":2: expected numbers"),
     (SQUARE + "ff 1 2 3\n", r":5: expected an OBJ statement \(v, vt, vn, f, ...\), got 'ff'"),
     (b"\x00\xff\xfe\x80", r":1: expected an OBJ statement .*\\x00"),
@@ -327,29 +318,18 @@ def test_a_vertex_that_is_not_finite_is_kept_for_its_faces_to_be_left_out(load, 
 BROKEN_PLY = [
     (b"ply\n", b"plx\n", ":1: PLY header: expected the line 'ply'"),
     (b"format ascii 1.0", b"format utf8 1.0", ":2: PLY header: expected one format, .* got 'format utf8"),
-    (b"format ascii 1.0", b"format ascii 2.0", ":2: PLY header: expected one format"),
     (b"element vertex", b"format ascii 1.0\nelement vertex", ":3: PLY header: expected one format"),
     (b"format ascii 1.0\n", b"", ":2: PLY header: expected a format line .* first, got 'element"),
     (b"vertex 4", b"vertex -4", ":3: PLY header: expected a number of rows .*got '-4'"),
-    (b"vertex 4", b"vertex " + b"9" * 400, ":3: PLY header: expected a number of rows"),
     (b"vertex 4\n", b"vertex 4\nelement vertex 4\n", ":4: PLY header: expected each element once"),
     (b"float y", b"float x", ":5: PLY header: expected each property of 'vertex' once, got 'x' again"),
-    (b"float y", b"half y", r":5: PLY header: expected a type \(char, .*got 'half'"),
     (b"list uchar int", b"list float int", ":8: PLY header: expected a type .*got 'list float int'"),
-    (b"property float y", b"hello", ":5: PLY header: expected element, .*got 'hello'"),
-    (b"element vertex 4\n", b"", ":3: PLY header: expected element, .*got 'property float x'"),
     (b"element face", b"element bare 2\nelement face", ": PLY header: expected properties of element 'bare'"),
     (b"end_header", b"end", ":9: PLY header: expected element"),
     (b"1.0 1.0 0.0", b"1.0 1.0 O.0", ":12: expected numbers, got '1.0 1.0 O.0'"),
-    (b"1.0 1.0 0.0", b"1.0 1_0 0.0", ":12: expected numbers, got '1.0 1_0 0.0'"),
     (b"1.0 1.0 0.0", b"1.0 1.0", ":12: row 2 of element 'vertex': expected 3 numbers, got 2"),
-    (b"1.0 1.0 0.0", b"1.0 1.0 0.0 0.0", ":12: row 2 of element 'vertex': expected 3 numbers, got 4"),
     (b"3 0 2 3", b"3 0 2", ":15: truncated"),
-    (b"3 0 1 2", b"3 0 1", ":14: row 0 of element 'face': expected 4 numbers, got 3"),
     (b"3 0 2 3", b"-3 0 2 3", ":15: row 1 of element 'face': expected a length >= 0 of list .* got -3"),
-    (b"3 0 2 3", b"3.5 0 2 3", ":15: row 1 of element 'face': expected a length .* got 3.5"),
-    (b"3 0 2 3", b"nan 0 2 3", ":15: row 1 of element 'face': expected a length"),
-    (b"3 0 2 3", b"3 0 2 3 1", ":15: row 1 of element 'face': expected 4 numbers, got 5"),
     (b"3 0 2 3", b"3 0 2 3\n3 0 1 2", ":16: expected the end of the file .* got 1 more rows"),
     (b"3 0 2 3", b"3 0 2 1.5", r":15: face 1 must join vertices 0 to 3 .*got 1\.5"),
 ]
@@ -389,13 +369,9 @@ def test_polygons_of_an_off_file_are_fans_in_the_order_of_the_file(data):
     ("old", "new", "says"),
     [
         (b"OFF", b"BYU", "x.off: expected an OFF file in text"),
-        (b"OFF", b"OFF BINARY", "x.off: expected an OFF file in text"),
         (b"5 2 0", b"5", "x.off:2: expected 2 numbers, got '5'"),
         (b"5 2 0", b"5 3 0", "x.off: expected lines of 5 vertices and 3 faces, got 7"),
-        (b"5 2 0", b"-5 2 0", "x.off: expected lines of -5 vertices"),
         (b"1 1 0", b"1 one 0", "x.off:5: expected 3 numbers, got '1 one 0'"),
-        (b"1 1 0", b"1 1_0 0", "x.off:5: expected 3 numbers, got '1 1_0 0'"),
-        (b"3 0 3 4", b"3 0 3.0 4", "x.off:8: expected 4 numbers, got '3 0 3.0 4'"),
         (b"4 0 1 2 3", b"4 0 1 2", "x.off:9: expected 5 numbers, got '4 0 1 2'"),
         (b"3 0 3 4", b"2 0 3", "x.off:8: expected at least 3 of the vertices 0 to 4, got [0, 3]"),
         (b"3 0 3 4", b"3 0 3 5", "x.off:8: expected at least 3 of the vertices 0 to 4, got [0, 3, 5]"),
@@ -540,41 +516,3 @@ def test_a_mesh_is_kept_until_its_file_has_another_time_or_size(tmp_path):
     assert mesh_of("1 2 3", time) is first
     assert np.array_equal(mesh_of("2 3 4", time + 1000).faces, [(1, 2, 3)])  # within the same second
     assert len(mesh_of("1 2 3 4", time + 1000).faces) == 2
-
-
-# ---- damage
-
-OBJ = b"# x\nv 0 0 0\nv 1 0 0\nv 0 1 .5e0\nvt 0 1\nvn 0 0 1\nf 1/1/1 2//1 \\\n 3\nf -1/-1 -2 -3\n"
-STRANGE = [b"-1", b"0", b"1e400", b"nan", b"9" * 5000, b"1/", b"//", b"1_0", b"\n", b"", b"\0", b"\xb2"]
-MIXED = [(0, 1, 2), (0, 1, 2, 3)]
-WHOLE = [(parse_ply, square(each, MIXED)) for each in ENCODINGS] + [(parse_obj, OBJ), (parse_off, OFF)]
-
-
-@settings(
-    max_examples=300, deadline=None, derandomize=True, database=None, suppress_health_check=[HealthCheck.too_slow]
-)
-@given(st.sampled_from(WHOLE), st.sampled_from(["cut", "bytes", "words", "other"]), st.data())
-def test_a_damaged_file_gives_a_usable_mesh_or_an_error(file, damage, data):
-    parse, whole = file
-    if damage == "cut":
-        whole = whole[: data.draw(st.integers(0, len(whole)))]
-    elif damage == "bytes":
-        changed = bytearray(whole)
-        for _ in range(data.draw(st.integers(1, 4))):
-            changed[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
-        whole = bytes(changed)
-    elif damage == "words":
-        words = whole.split(b" ")
-        words[data.draw(st.integers(0, len(words) - 1))] = data.draw(st.sampled_from(STRANGE))
-        whole = b" ".join(words)
-    else:
-        whole = data.draw(st.binary(max_size=60))
-    try:
-        mesh = parse(whole, "damaged")
-        check_mesh(mesh, "damaged")
-    except SceneError as error:
-        assert str(error).startswith("damaged")
-        return
-    if np.isfinite(mesh.vertices).any():  # else it is refused when it is put into place
-        placed = transform_mesh(mesh, np.eye(4), as_given, face_normals=False)
-        assert np.isfinite(placed.vertices).all() and np.isfinite(placed.normals).all()

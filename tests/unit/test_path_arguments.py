@@ -2,8 +2,6 @@
 
 import argparse
 import os
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +13,7 @@ import mitsuba_ref.__main__
 from caster.cli import COMMANDS
 from caster.cli.application import build_parser
 from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, output_file_unless_number
+from caster.system import atomic_files
 from caster.system.atomic_files import OutputError, ScratchFolder, atomic_write, remove_temporaries, write_text
 from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
 
@@ -111,50 +110,10 @@ def test_a_scene_of_an_input_folder_is_no_output(tmp_path, capsys):
     assert (tmp_path / "a.toml").read_text() == "precious"
 
 
-def test_a_mesh_of_the_scene_is_no_output(tmp_path, capsys):
-    """No argument names the mesh: it is recorded when it is read."""
-    mesh = tmp_path / "a.ply"
-    mesh.write_text(
-        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
-        "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
-    )
-    before = mesh.read_bytes()
-    scene = '[film]\nwidth = 4\nheight = 4\n[camera]\ntype = "pinhole"\neye = [0, 0, 3]\nlook_at = [0, 0, 0]\n'
-    (tmp_path / "s.toml").write_text(scene + '[[shape]]\ntype = "mesh"\nfile = "a.ply"\n')
-    os.link(mesh, tmp_path / "s.exr")
-    argv = ["render", str(tmp_path / "s.toml"), "-o", str(tmp_path / "s.exr"), "--aov", "depth"]
-    assert caster.__main__.main(argv) == 4
-    assert "input of the same command" in capsys.readouterr().err
-    assert mesh.read_bytes() == before
-
-
 def test_two_outputs_are_two_files(tmp_path, capsys):
     argv = ["merge", str(tmp_path), "--json", str(tmp_path / "x"), "--junit", str(tmp_path / "." / "x")]
     assert mitsuba_ref.__main__.main(argv) == 2
     assert "expected another file than that of --json" in capsys.readouterr().err
-
-
-def test_a_second_run_in_one_folder_is_refused(tmp_path, capsys):
-    holder = (
-        "import sys; from caster.system.atomic_files import locked; from pathlib import Path\n"
-        "with locked(Path(sys.argv[1])): print('locked', flush=True); sys.stdin.read()"
-    )
-    with subprocess.Popen(
-        [sys.executable, "-c", holder, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    ) as other:
-        assert other.stdout is not None
-        other.stdout.readline()
-        code = mitsuba_ref.__main__.main(["validate", "scenes/one-sphere.toml", "--out", str(tmp_path)])
-        other.communicate()
-    assert code == 4
-    assert "another run writes into this folder" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_an_output_folder_that_stays_empty_is_removed(tmp_path, capsys):
-    argv = ["validate", str(tmp_path / "none.toml"), "--out", str(tmp_path / "out")]
-    assert mitsuba_ref.__main__.main(argv) == 4
-    assert not (tmp_path / "out").exists()
 
 
 # ---- temporary files ----
@@ -162,6 +121,7 @@ def test_an_output_folder_that_stays_empty_is_removed(tmp_path, capsys):
 
 def test_temporary_files_are_gone_after_use_and_at_a_forced_exit(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr(atomic_files, "_temporaries", set())  # those of other tests stay
     with ScratchFolder() as folder, atomic_write(tmp_path / "x") as file:
         assert {path.name for path in tmp_path.iterdir()} == {Path(folder).name, file.name}
     assert [path.name for path in tmp_path.iterdir()] == ["x"]
@@ -170,8 +130,7 @@ def test_temporary_files_are_gone_after_use_and_at_a_forced_exit(tmp_path, monke
         assert not Path(folder).exists()
 
 
-def test_an_output_of_the_library_may_replace_what_it_read(tmp_path):
-    """Only a command records its inputs: a program may load, change and save a scene."""
+def test_a_program_may_save_a_scene_where_it_was_loaded(tmp_path):
     text = Path("scenes/one-sphere.toml").read_text()
     (tmp_path / "a.toml").write_text(text)
     scene = caster.load_scene(tmp_path / "a.toml")

@@ -7,19 +7,11 @@ import pytest
 
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.judge.adjudication import Adjudication
-from mitsuba_ref.judge.aggregate import defect_counts, failure_hints, findings, listed_failures
+from mitsuba_ref.judge.aggregate import defect_counts, failure_hints, listed_failures
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judgement
 from mitsuba_ref.judge.comparison import SelfCheck
 from mitsuba_ref.judge.diagnosis import NOT_ADJUDICATED, Cause, Diagnosis, failing_rows
-from mitsuba_ref.judge.explanations import (
-    error_ratios,
-    format_exact,
-    format_exact_hit,
-    full_reason,
-    open_reason,
-    reason,
-    tie_members,
-)
+from mitsuba_ref.judge.explanations import error_ratios, format_exact, full_reason, tie_members
 from mitsuba_ref.subjects.subject import Answer
 
 INF = np.inf
@@ -46,53 +38,6 @@ def subject(*, ours: bool, precision="float64") -> SimpleNamespace:
         self_checks=(),
         names_prims=ours,
     )
-
-
-@pytest.mark.parametrize(
-    ("ours", "name", "right", "words"),
-    [
-        (True, "agree", True, "every quantity is within its bound"),
-        (True, "explained", True, "ours is exactly right, and rounding in float32 allows Mitsuba's answer, too"),
-        (True, "tie", True, "ours is the first of them, Mitsuba's is another"),
-        (True, "out_of_domain", True, "ours is exactly right; float32 cannot resolve this pixel"),
-        (True, "reference_wrong", True, "ours is right, and Mitsuba's answer is beyond what float32 allows; case 8: "),
-        (False, "agree", True, "within the bounds of the candidate's arithmetic"),
-        (False, "tie", True, "any of them is a right answer"),
-        (False, "reference_wrong", True, "the candidate is right, and Mitsuba's answer is beyond what float32"),
-        (False, "explained", True, "the candidate is exactly right, and rounding in float32 allows Mitsuba's"),
-        (False, "explained", False, "rounding in float16 allows the candidate's answer, which is not the exact one"),
-        (False, "out_of_domain", True, "the candidate is exactly right; float32, in which Mitsuba computes, cannot"),
-        (False, "out_of_domain", False, "float16, in which the candidate computes, cannot resolve this pixel"),
-    ],
-)
-def test_every_class_has_its_reason(ours, name, right, words):
-    judgement = judgement_of("wrong", name, right=[1] if right else [], cases={1: 8})
-    judge = subject(ours=ours, precision="float16")
-    assert words in reason(judge, judgement, {0: "planted"}, 1)
-    assert reason(judge, judgement, {0: "planted"}, 0) == "planted"
-
-
-OPEN = {
-    "our image contradicts our own hit: a, c": {"inconsistent": {"a": [True], "b": [False], "c": [True]}},
-    "beyond the share of the bound that [check.depth] allows": {"ratios": {"depth": [0.6]}, "allowed": {"depth": 0.5}},
-    "exact arithmetic gave no answer": {"answered": []},
-    "no shadow that rounding allows gives this value, and nothing shows whose fault that is": {
-        "ratios": {"diffuse": [3.0], "depth": [0.6]}, "allowed": {"depth": 0.5},
-    },
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("words", OPEN)
-def test_why_a_pixel_is_undecided(words):
-    given = dict(OPEN[words])
-    judge = subject(ours=True)
-    judge.inconsistent = given.pop("inconsistent", {})
-    assert open_reason(judge, judgement_of("undecided", **given), 0) == words
-    if "share" in words:
-        just = judgement_of("undecided", ratios={"depth": [0.5]}, allowed={"depth": 0.5})
-        assert open_reason(judge, just, 0).startswith("no shadow")
-        beyond = judgement_of("undecided", ratios={"depth": [1.5]}, allowed={"depth": 0.5})
-        assert open_reason(judge, beyond, 0).startswith("no shadow")
 
 
 def test_the_larger_error_of_both_sides_is_said():
@@ -123,14 +68,14 @@ def exact(*prims, t=1.5, flags=()) -> SimpleNamespace:
 
 
 def test_exact_answers_on_one_line():
-    assert format_exact(SCENE, PACKED, None) == format_exact_hit(SCENE, PACKED, None) == "no answer"
+    assert format_exact(SCENE, PACKED, None) == "no answer"
     assert format_exact(SCENE, PACKED, exact()) == "miss"
     assert format_exact(SCENE, PACKED, exact(flags=("b", "a"))) == "miss (a, b on the way)"
     assert format_exact(SCENE, PACKED, exact(12)) == "mesh, prim 2 (edge) at t 1.5 0x1.8000000000000p+0"
     two = "ball, prim 3 (edge) = mesh, prim 2 (edge)"
-    assert format_exact_hit(SCENE, PACKED, exact(3, 12, flags=["x"])) == f"{two} (x on the way)"
+    assert format_exact(SCENE, PACKED, exact(3, 12, flags=["x"]), with_t=False) == f"{two} (x on the way)"
     assert format_exact(SCENE, PACKED, exact(3, 12, flags=["x"])).endswith("x1.8000000000000p+0 (x on the way)")
-    eight = format_exact_hit(SCENE, PACKED, exact(*range(8)))
+    eight = format_exact(SCENE, PACKED, exact(*range(8)), with_t=False)
     assert eight.endswith("ball, prim 5 (edge) = 2 more") and eight.count(" = ") == 6
     assert [tuple(each) for each in tie_members(SCENE, PACKED, exact(3, 12))] == [
         ("ball", 3, "edge"),
@@ -168,23 +113,6 @@ def test_failing_rows_are_those_of_failing_classes_and_unlisted_cases():
     assert defect_counts(judgement) == {"8": 1, "unlisted": 1}
     many = judgement_of(*["agree"] * 4, cases={0: 30, 1: 8, 2: 30, 3: None})
     assert list(defect_counts(many).items()) == [("8", 1), ("30", 2), ("unlisted", 1)]
-
-
-def test_findings_are_ordered_by_pixels_with_seconds_and_what_was_not_looked_at_last():
-    film = SimpleNamespace(window=(0, 0, 4, 4), width=4, height=4, crop=None)
-    judge = SimpleNamespace(scene=SimpleNamespace(film=film))
-
-    def cause(what, *rows, **more):
-        return Cause(what, np.array(rows), **more)
-
-    given = Diagnosis((
-        cause("few", 3), cause("second", 3, 4, 5, 6, 7, 9, second=True), cause(NOT_ADJUDICATED, *range(10, 16)),
-        cause("most", 5, 6, 7, of=9, remedy="mend", where="there"),
-    ))  # fmt: skip
-    found = findings(judge, given)
-    assert [each.what for each in found] == ["most", "few", "second", NOT_ADJUDICATED]
-    assert (found[0].pixels, found[0].x, found[0].y, found[0].of) == (3, 1, 1, 9)
-    assert (found[0].remedy, found[0].where) == ("mend", "there")
 
 
 def test_listed_failures_begin_with_one_of_each_cause(monkeypatch):

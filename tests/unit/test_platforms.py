@@ -30,20 +30,13 @@ def test_no_module_needs_posix_to_be_imported():
     assert int(found.stdout) > 200
 
 
-def test_a_module_that_needs_posix_is_found():
-    assert "ModuleNotFoundError" in run(WITHOUT_POSIX + "import resource").stderr
-
-
-@pytest.mark.parametrize("use", ["import caster; caster.render", "import mitsuba_ref; mitsuba_ref.validate"])
-def test_a_name_of_either_package_says_where_it_runs(use):
-    found = run(ON_WINDOWS + use)
+def test_a_name_of_the_package_says_where_it_runs():
+    found = run(ON_WINDOWS + "import caster; caster.render")
     last = found.stderr.strip().splitlines()[-1]
     assert found.returncode == 1 and last.startswith("ImportError: ") and "Windows Subsystem for Linux" in last
 
 
-@pytest.mark.parametrize(
-    ("module", "words"), [("caster", ["render", "scene.toml"]), ("mitsuba_ref", ["validate"]), ("caster", ["--help"])]
-)
+@pytest.mark.parametrize(("module", "words"), [("caster", ["--help"]), ("mitsuba_ref", ["validate"])])
 def test_a_command_says_where_it_runs_and_nothing_else(module, words):
     code = f"from {module}.__main__ import main\nsys.exit(main({words!r}))"
     found = run(ON_WINDOWS + code)

@@ -77,7 +77,7 @@ def test_foreign_descriptions_are_written_packed_and_refused_like_others(plugin)
     assert [type(part).__name__ for part in pack(scene).parts] == ["Coins"] * 3
     assert {"coin", "scanner"} <= {entry.model_fields["type"].default for entry in (*SHAPES, *CAMERAS)}
     assert "Coin" in scene_schema()["$defs"] and caster.Coin is plugin.Coin
-    with pytest.raises(caster.SceneError, match=r"shapes\[0\] \(coin\): radius must be a length > 0, got -1"):
+    with pytest.raises(caster.SceneError, match=r"shapes\[0\] \(coin\): radius must be > 0, got -1"):
         scene_from_text(SCANNER + '[[shape]]\ntype = "coin"\nradius = -1\n')
 
 

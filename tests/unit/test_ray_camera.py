@@ -73,7 +73,7 @@ def test_the_ray_ends_at_t_max(t_max, hit, length):
         ("origin = [0, 0, 0]\ndirection = [0, -0.0, 0]\n", "direction must be a direction, so not all zero"),
         ("origin = [0, 0]\ndirection = [0, 0, 1]\n", "origin must be 3 numbers [x, y, z], got 2"),
         ("origin = [0, 0, 0]\ndirection = [0, 0, nan]\n", "direction"),
-        ("origin = [0, 0, 0]\ndirection = [0, 0, 1]\nt_max = 0\n", "t_max must be a number > 0, got 0"),
+        ("origin = [0, 0, 0]\ndirection = [0, 0, 1]\nt_max = 0\n", "t_max must be > 0, got 0"),
         ("origin = [0, 0, 0]\ndirection = [0, 0, 1]\nup = [0, 1, 0]\n", "up is an unknown key"),
         ("direction = [0, 0, 1]\n", "origin"),
     ],

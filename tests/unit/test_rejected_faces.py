@@ -91,17 +91,3 @@ def test_the_count_is_reported(tmp_path, capsys, monkeypatch):
     assert main(["render", "s.toml", "-o", "s.exr", "--explain"]) == 0
     assert f"never hit    {words}" in capsys.readouterr().out
     assert caster.read_exr("s.exr").provenance["caster/faces_never_hit"] == words
-
-
-def test_faces_without_area_are_counted_on_any_line(tmp_path):
-    """Corners in whole numbers, on lines that do not pass through the origin; beside them faces that have an area."""
-    rng, rows, faces = np.random.default_rng(260), [], []
-    for n in range(40):
-        a, way = rng.integers(-9, 10, (2, 3))
-        way[n % 3] = 5
-        aside = (n % 2) * np.roll([0, 1, 0], n % 3)  # across the component of `way` that is 5
-        corners = [a, a + int(rng.integers(1, 5)) * way, a - 2 * way + aside]
-        rows += ["v " + " ".join(map(str, corner)) + "\n" for corner in corners]
-        faces.append(f"f {len(rows) + 2} {len(rows) + 3} {len(rows) + 4}\n")
-    (got,) = rejected_faces(a_mesh(tmp_path, "".join(rows) + "".join(faces))).values()
-    assert got == RejectedFaces(0, 0, 20)

@@ -24,7 +24,7 @@ def errors(text, kind="toml"):
 def test_an_error_shows_where_it_is_and_the_line_itself():
     lid = '[[shape]]\ntype = "sphere"\nname = "lid"\nradius = -0.5  # inside out\n'
     assert errors(CAMERA + lid) == (
-        'scenes/x.toml:8:1: shapes[0] (sphere "lid"): radius must be a length > 0, got -0.5\n'
+        'scenes/x.toml:8:1: shapes[0] (sphere "lid"): radius must be > 0, got -0.5\n'
         "  8 | radius = -0.5  # inside out\n"
         "    | ^^^^^^"
     )
@@ -52,12 +52,12 @@ ONE_LINERS = [
     (
         "wrong type",
         shape("sphere", 'radius = "big"'),
-        '7:1: shapes[0] (sphere): radius must be a length > 0, got "big"',
+        '7:1: shapes[0] (sphere): radius must be a finite number, got "big"',
     ),
     (
         "a quoted number",
         shape("sphere", 'radius = "1.5"'),
-        '7:1: shapes[0] (sphere): radius must be a length > 0, got "1.5": leave out the quotes',
+        '7:1: shapes[0] (sphere): radius must be a finite number, got "1.5": leave out the quotes',
     ),
     (
         "a date",
@@ -147,8 +147,8 @@ ONE_LINERS = [
         .replace("= [0, 0, 1]", "= [1.7e308, 0, 1]"),
         "4:1: camera (pinhole): look_at must be nearer to eye, at a finite distance, got [1.7e+308, 0, 1]",
     ),
-    ("fov 0", CAMERA + "fov = 0\n", "5:1: camera (pinhole): fov must be an angle > 0 and < 180 degrees, got 0"),
-    ("fov 180", CAMERA + "fov = 180\n", "5:1: camera (pinhole): fov must be an angle > 0 and < 180 degrees, got 180"),
+    ("fov 0", CAMERA + "fov = 0\n", "5:1: camera (pinhole): fov must be > 0, got 0"),
+    ("fov 180", CAMERA + "fov = 180\n", "5:1: camera (pinhole): fov must be < 180, got 180"),
     ("zero-size film", CAMERA + "[film]\nwidth = 0\n", "6:1: film: width must be >= 1, got 0"),
     ("a film of mid-pixels", CAMERA + "[film]\nheight = 2.5\n", "6:1: film: height must be a whole number, got 2.5"),
     (
@@ -240,7 +240,7 @@ ONE_LINERS = [
     (
         "bright materials",
         CAMERA + "[material.white]\nreflectance = [1, 1, 2]\n",
-        "6:22: materials.white: reflectance[2] must be a number from 0 to 1, got 2",
+        "6:22: materials.white: reflectance[2] must be <= 1, got 2",
     ),
     (
         "an unknown material",
@@ -273,11 +273,7 @@ ONE_LINERS = [
         CAMERA + "[check.dept]\nratio = 2\n",
         "5:1: checks.dept: unknown AOV, did you mean 'depth'? (known: ",
     ),
-    (
-        "a check of no size",
-        CAMERA + "[check.depth]\nratio = 0\n",
-        "6:1: checks.depth: ratio must be a number > 0, got 0",
-    ),
+    ("a check of no size", CAMERA + "[check.depth]\nratio = 0\n", "6:1: checks.depth: ratio must be > 0, got 0"),
     ("dotted keys", CAMERA + "[light]\nx.y = 3\n", "5:1: scene: light must be a list, got a table"),
     ("syntax", "[film]\nwidth 3\n", "2:7: not valid TOML: expected '=' after a key in a key/value pair"),
     ("syntax at the end", "[film]\nwidth =", "2:8: not valid TOML: invalid value"),
@@ -383,7 +379,7 @@ def test_an_error_at_the_end_of_a_line_has_one_mark_behind_it(text, column):
 def test_a_key_that_is_twice_in_a_json_table_is_an_error():
     scene = {"camera": {"type": "panorama", "eye": [0, 0, 0], "direction": [0, 0, 1]}}
     text = json.dumps(scene).replace('"eye"', '"eye": [1, 1, 1], "eye"')
-    assert errors(text, "json").startswith("scenes/x.toml:1:51: the key 'eye' is there twice")
+    assert errors(text, "json").startswith("scenes/x.toml: not valid JSON: a table has the key 'eye' twice")
 
 
 @pytest.mark.parametrize(("text", "kind"), [("a = " + "[" * 3000, "toml"), ("[" * 100_000, "json")])

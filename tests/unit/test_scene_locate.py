@@ -92,8 +92,3 @@ def test_columns_count_letters_not_bytes():
 def test_nowhere_is_the_beginning():
     assert Positions("", "toml").of(("camera",)) == Span(1, 1, 1)
     assert Positions('{"a": 1}', "json").of(("b", 1)) == Span(1, 1, 1)
-
-
-def test_keys_that_are_twice_are_found_once():
-    text = '{"a": {"x": 1, "y": [1, 1]}, "b": 1, "a": {"x": 1, "y": 2}}'
-    assert Positions(text, "json").repeated == [("a",)]

@@ -41,7 +41,7 @@ def test_all_errors_of_a_python_scene_come_at_once():
             shapes=[Sphere(name="a", material="gold"), {"type": "disk", "name": "a"}, {"type": "cube", "raduis": 2}],
         )
     assert str(caught.value).splitlines() == [
-        "camera (pinhole): fov must be an angle > 0 and < 180 degrees, got 200",
+        "camera (pinhole): fov must be < 180, got 200",
         "shapes[2] (cube): raduis is an unknown key",
         'shapes[0] (sphere "a"): material must be one of the materials of this scene, got "gold"; '
         "add a table [material.gold]",
@@ -57,10 +57,22 @@ def test_another_film_leaves_the_rest_alone():
     assert scene.film == Film(width=8, height=6, crop=[1, 2, 5, 6])
 
 
-@pytest.mark.parametrize("size", [1, 3, 7, 100])
-def test_a_crop_keeps_a_pixel_at_any_size(size):
-    x0, y0, x1, y1 = built().with_film(width=size, height=size).film.window
-    assert 0 <= x0 < x1 <= size and 0 <= y0 < y1 <= size
+def reached(first, end, old, new):
+    """The pixels of a side of `new` that overlap the pixels from first to end of a side of `old`."""
+    inside = [k for k in range(new) if (k + 1) * old > first * new and k * old < end * new]
+    return inside[0], inside[-1] + 1
+
+
+@pytest.mark.parametrize("size", [(8, 6), (9, 7), (17, 18), (7, 5), (101, 97), (4, 2), (1, 1), (3, 100)])
+def test_a_resized_film_keeps_all_pixels_that_its_crop_reaches(size):
+    film = built().with_film(width=size[0], height=size[1]).film
+    x, y = reached(1, 5, 8, size[0]), reached(2, 6, 6, size[1])
+    assert (film.width, film.height) == size and film.crop == film.window == (x[0], y[0], x[1], y[1])
+
+
+@pytest.mark.parametrize("crop", [(0, 0, 8, 6), (7, 0, 8, 6), (0, 5, 1, 6), (2, 1, 4, 3)])
+def test_the_window_of_a_film_is_its_crop(crop):
+    assert built().with_film(crop=crop).film.window == crop
 
 
 def test_a_given_crop_is_checked_against_the_new_film():

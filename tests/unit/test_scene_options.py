@@ -9,7 +9,7 @@ from pydantic import Field
 from scene_options import aspects, demanded, demanded_aspects, exercised
 
 from caster.cameras import Pinhole
-from caster.description.quantities import Description
+from caster.description.fields import Description
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref.fuzz.campaign import example

@@ -132,17 +132,17 @@ def test_a_bad_vertex_is_named_with_its_number(tmp_path, kind, radius):
     where = write_ply(tmp_path / "a.ply", centers, radii, kind)
     line = ":17" if kind == "ascii" else ""
     with pytest.raises(SceneError) as found:
-        caster.SphereCloud(file=where).load()
+        caster.SphereCloud(file=where).spheres()
     assert str(found.value) == (
         f"{where}{line}: radius of vertex 4 must be a length > 0, got {radius:g} (2 of 9 are wrong)"
     )
     centers[7, 1] = np.inf
     where = write_ply(tmp_path / "b.ply", centers, None, kind)
     with pytest.raises(SceneError, match=r"vertex 7 must be finite numbers, got \(.*inf.*\(1 of 9 are wrong\)"):
-        caster.SphereCloud(file=where).load()
+        caster.SphereCloud(file=where).spheres()
 
 
 def test_a_file_without_vertices_is_refused(tmp_path):
     where = write_ply(tmp_path / "a.ply", np.zeros((0, 3)), np.zeros(0))
     with pytest.raises(SceneError, match="expected at least one row of an element 'vertex', got none"):
-        caster.SphereCloud(file=where).load()
+        caster.SphereCloud(file=where).spheres()

@@ -59,7 +59,7 @@ def test_the_same_inputs_are_found_and_stated(judged, capsys):
 
 def test_another_option_judges_all_anew(judged):
     assert judged() == ALL
-    for words in (("--size", "20", "10"), ("--thorough",), ("--mesh-dir", "scenes"), ("--out", "out")):
+    for words in (("--size", "20", "10"), ("--mesh-dir", "scenes"), ("--out", "out")):
         assert judged(*words) == ALL and judged(*words) == [], words
 
 

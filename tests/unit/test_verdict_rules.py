@@ -9,7 +9,7 @@ import verdict_factory
 
 from caster.system.process import OK
 from mitsuba_ref.cli.validate import exit_code
-from mitsuba_ref.judge.adjudication import exact_error_ratio, oracle_answers, ratios_of_named
+from mitsuba_ref.judge.adjudication import oracle_answers, ratios_of_named
 from mitsuba_ref.judge.aggregate import merge_windows
 from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, SceneCheck, SceneVerdict, Verdict
 from mitsuba_ref.oracle.oracle import OutsideDomain
@@ -72,7 +72,6 @@ HIT, MISS = answer_at((7, 2.0)), answer_at(miss=True)
     ],
 )
 def test_the_error_of_a_subject_that_names_what_it_hits(answer, prim, t, bound, ratio):
-    assert exact_error_ratio(answer, prim, t, bound) == ratio
     found = ratios_of_named([answer, None], np.array([prim, prim]), np.array([t, t]), np.array([bound, bound]))
     assert found.best.tolist() == [ratio, INF] and found.of_first.tolist() == [ratio <= 1.0, False]
 

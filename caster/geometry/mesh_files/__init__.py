@@ -14,18 +14,18 @@ from collections.abc import Callable
 from functools import lru_cache
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 
-from caster.description.errors import SceneError
-from caster.description.input_files import MAX_MESH_BYTES, read_input
+from caster.description.errors import FileMissing, SceneError, field_error, format_value, missing_file_error
+from caster.description.input_files import read_input
 from caster.description.transform import compose, is_mirrored, scale, transform_points, translate
 from caster.geometry.mesh_files.obj import parse_obj, quote_bytes
 from caster.geometry.mesh_files.ply import Points, parse_ply, parse_ply_points
 from caster.geometry.triangle_mesh import Mesh, check_mesh, normalize_rows, triangle_fans
 
-__all__ = ["MESH_SUFFIXES", "load_mesh", "load_once", "load_points"]
+__all__ = ["MESH_SUFFIXES", "MeshFolders", "load_mesh", "load_once", "load_points"]
 
 TRIMESH_SUFFIXES = (".stl", ".glb", ".gltf")
 MESH_SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
@@ -41,7 +41,7 @@ def load_mesh(path: str | PathLike[str]) -> Mesh:
     """
     where = str(path)
     parse = _parser_for(where)
-    data = read_input(where, "mesh file", MAX_MESH_BYTES)
+    data = read_input(where, "mesh file")
     if not data:
         raise SceneError(f"{where}: the file is empty (0 bytes): expected a mesh; export or copy it again")
     mesh = parse(data, where)
@@ -57,7 +57,7 @@ def load_points(path: str | PathLike[str]) -> Points:
     where = str(path)
     if Path(where).suffix.lower() != ".ply":
         raise SceneError(f"{where}: unknown format of points '{Path(where).suffix}': expected .ply")
-    return parse_ply_points(read_input(where, "file of points", MAX_MESH_BYTES), where)
+    return parse_ply_points(read_input(where, "file of points"), where)
 
 
 Loaded = TypeVar("Loaded")
@@ -75,6 +75,35 @@ def load_once(load: Callable[[str], Loaded], path: str) -> Loaded:
 @lru_cache(maxsize=16)
 def _loaded(load: Callable[[str], Any], path: str, changed: int, size: int) -> Any:
     return load(path)
+
+
+class MeshFolders(NamedTuple):
+    """The folders that mesh files of a scene may be in or below: its own, and those of --mesh-dir."""
+
+    folder: Path
+    mesh_dirs: tuple[Path, ...] = ()
+
+    def resolve(self, file: str, load: Callable[[str], Any]) -> str:
+        """The absolute path of a file that `load` can read, links resolved; the error of the field if there is none."""
+        if "\0" in file:
+            raise field_error(f"must have no NUL character, got {format_value(file)}")
+        folders = (self.folder, *self.mesh_dirs)
+        allowed = [os.path.realpath(folder) for folder in folders]
+        paths = (Path(os.path.realpath(folder / file)) for folder in folders)
+        tried = list(dict.fromkeys(path for path in paths if any(path.is_relative_to(each) for each in allowed)))
+        if not tried:
+            mesh_dir = os.path.dirname(os.path.normpath(self.folder / file)) or "."
+            expected = "in the scene's folder, below it, or below a folder given by --mesh-dir"
+            raise field_error(f"must lie {expected}, got {format_value(file)}: add --mesh-dir {mesh_dir}")
+        where = str(next((path for path in tried if path.exists()), tried[0]))
+        try:
+            load(where)
+        except SceneError as error:
+            text = f"cannot be used: {str(error).removeprefix(f'{where}: ').replace(where, file)}"
+            if not isinstance(error, FileMissing):
+                raise field_error(text) from None
+            raise missing_file_error(text + (f"; tried {', '.join(map(str, tried))}" if tried[1:] else "")) from None
+        return where
 
 
 def _parser_for(where: str) -> Callable[[bytes, str], Mesh]:
@@ -154,7 +183,7 @@ def _parse_by_trimesh(data: bytes, where: str) -> Mesh:
 
 
 def _placed(scene: Any, mesh_class: type[Any]) -> tuple[np.ndarray, np.ndarray]:
-    """(vertices, faces) of all meshes in world space.
+    """(vertices, faces) of all meshes of a scene, in world space.
 
     trimesh would multiply matrices by a BLAS, whose last bits depend on the processor.
     """
@@ -177,7 +206,7 @@ GLB_HEADER = struct.Struct("<4sIIII")  # magic, version, length of all; length a
 
 
 def _turned_by_matrices(data: bytes, kind: str) -> bytes:
-    """A glTF file with a matrix in place of each node's rotation, since trimesh normalises quaternions by a BLAS.
+    """Replace the rotation of each node of a glTF file by a matrix, since trimesh normalises quaternions by a BLAS.
 
     A malformed file is returned as it is: trimesh reports what is wrong.
     """
@@ -192,7 +221,7 @@ def _turned_by_matrices(data: bytes, kind: str) -> bytes:
         text += b" " * (-len(text) % 4)
         rest = data[start + size :]
         return GLB_HEADER.pack(magic, version, start + len(text) + len(rest), len(text), chunk) + text + rest
-    except Exception:  # whatever is wrong with the file, trimesh says
+    except Exception:  # trimesh reports the error
         return data
 
 

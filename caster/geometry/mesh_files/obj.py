@@ -26,12 +26,12 @@ def parse_obj(data: bytes, where: str) -> Mesh:
 
     Without vt and vn the vertices are the file's, in its order. With them there is a vertex for each
     combination in use, ordered by (v, vt, vn). Corners without vn, in a file that has some, get generated
-    normals; corners without vt get uv (0, 0). v of uv becomes 1 - v, as Mitsuba does it.
+    normals; corners without vt get uv (0, 0). v of uv becomes 1 - v, as in Mitsuba.
     """
     rows: dict[bytes, list[list[float]]] = {b"v": [], b"vt": [], b"vn": []}
-    known: dict[bytes, int] = {}  # the corners as they are written, each with its number
-    first_lines: list[int] = []  # of each
-    spelled: list[int] = []  # the corners of all faces, by number
+    known: dict[bytes, int] = {}  # a number for each corner, by its text
+    first_lines: list[int] = []  # the line where each text occurs first
+    spelled: list[int] = []  # the numbers of the corners of all faces
     sizes: list[int] = []  # of the faces
     for line, words in _statements(data):
         keyword = words[0]

@@ -21,7 +21,6 @@ TYPES = {
 }  # fmt: skip
 BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 FORMATS = "ascii, binary_little_endian or binary_big_endian, and 1.0"
-MAX_ELEMENTS, MAX_PROPERTIES = 64, 256  # of a file, of an element; scanners write some two and some thirty
 
 
 class Property(NamedTuple):
@@ -37,7 +36,7 @@ class Element(NamedTuple):
 
     name: str
     rows: int
-    properties: list[Property]
+    properties: dict[str, Property]
 
 
 class Lists(NamedTuple):
@@ -61,14 +60,14 @@ class Table(NamedTuple):
 # ---- header ----
 
 
-def _parse_header(data: bytes, where: str) -> tuple[str, list[Element], int, int]:
+def _parse_header(data: bytes, where: str) -> tuple[str, dict[str, Element], int, int]:
     """(byte order, elements, offset of the body, its first line). Raises SceneError with `where`:line."""
     magic = re.match(rb"ply[ \t]*(\r\n|\n|\r)", data)
     if magic is None:
         raise SceneError(f"{where}:1: PLY header: expected the line 'ply', got {quote_bytes(data[:8])}")
     newline = magic[1][-1:]  # the carriage return of \r\n counts as space
     formats: list[str] = []
-    elements: list[Element] = []
+    elements: dict[str, Element] = {}
     start, line = magic.end(), 1
     while (stop := data.find(newline, start)) >= 0:
         line += 1
@@ -83,8 +82,8 @@ def _parse_header(data: bytes, where: str) -> tuple[str, list[Element], int, int
     raise SceneError(f"{where}:{line}: PLY header: truncated: expected 'end_header', got the end of the file")
 
 
-def _add_header_line(words: list[str], formats: list[str], elements: list[Element]) -> None:
-    """Raises ValueError with expected and got."""
+def _add_header_line(words: list[str], formats: list[str], elements: dict[str, Element]) -> None:
+    """Read one line of the header. Raises ValueError with expected and got."""
     match words:
         case [] | ["comment" | "obj_info", *_]:
             pass
@@ -94,20 +93,17 @@ def _add_header_line(words: list[str], formats: list[str], elements: list[Elemen
             raise ValueError(f"expected one format, {FORMATS}, got '{' '.join(words)[:60]}'")
         case ["element" | "property", *_] if not formats:
             raise ValueError(f"expected a format line ({FORMATS}) first, got '{' '.join(words)[:60]}'")
-        case ["element", *_] if len(elements) == MAX_ELEMENTS:
-            raise ValueError(f"expected at most {MAX_ELEMENTS} elements, got one more")
-        case ["property", *_] if elements and len(elements[-1].properties) == MAX_PROPERTIES:
-            raise ValueError(f"expected at most {MAX_PROPERTIES} properties of '{elements[-1].name}', got one more")
         case ["element", name, count]:
             if not (count.isascii() and count.isdigit() and len(count) < 19):  # 19 digits may pass 2^63
                 raise ValueError(f"expected a number of rows of element '{name}', got '{count[:60]}'")
-            if name in [e.name for e in elements]:
+            if name in elements:
                 raise ValueError(f"expected each element once, got '{name}' again")
-            elements.append(Element(name, int(count), []))
+            elements[name] = Element(name, int(count), {})
         case ["property", *types, name] if elements:
-            if name in [p.name for p in elements[-1].properties]:
-                raise ValueError(f"expected each property of '{elements[-1].name}' once, got '{name}' again")
-            elements[-1].properties.append(_property(name, types, formats[0]))
+            element = next(reversed(elements.values()))
+            if name in element.properties:
+                raise ValueError(f"expected each property of '{element.name}' once, got '{name}' again")
+            element.properties[name] = _property(name, types, formats[0])
         case _:
             raise ValueError(f"expected element, property, comment or end_header, got '{' '.join(words)[:60]}'")
 
@@ -129,7 +125,7 @@ def _read_tables(data: bytes, where: str) -> dict[str, Table]:
     """The tables of all elements. Raises SceneError."""
     encoding, elements, at, line = _parse_header(data, where)
     body = _ascii_body(data[at:], line, where) if encoding == "ascii" else _Body(data, at, where)
-    tables = {element.name: body.read(element) for element in elements}
+    tables = {name: body.read(element) for name, element in elements.items()}
     if body.at < len(body.data):
         more = f"{len(body.lines)} more rows" if body.lines else f"{len(data) - body.at} more bytes"
         raise SceneError(f"{body.place(0)}: expected the end of the file after the last element, got {more}")
@@ -175,7 +171,7 @@ class _Body:
         """All rows as one array; empty unless all lists have the lengths of those in the first row."""
         sizes = self._row(element, 0)[1] if element.rows else [0] * len(element.properties)
         fields: list[Any] = []
-        for k, p in enumerate(element.properties):  # numbered, since properties may have any name
+        for k, p in enumerate(element.properties.values()):  # numbered, since properties may have any name
             fields += [(f"size{k}", p.count_type)] if p.count_type else []
             fields += [(f"value{k}", p.type, (sizes[k],) if p.count_type else ())]
         layout = np.dtype(fields)
@@ -183,12 +179,14 @@ class _Body:
         if end > len(self.data) or any(8 * n != layout.itemsize for n in (self.widths or ())[: element.rows]):
             return {}
         rows = np.frombuffer(self.data[self.at : end], layout) if element.rows else np.empty(0, layout)
-        if any(p.count_type and np.any(rows[f"size{k}"] != sizes[k]) for k, p in enumerate(element.properties)):
+        if any(
+            p.count_type and np.any(rows[f"size{k}"] != sizes[k]) for k, p in enumerate(element.properties.values())
+        ):
             return {}
         self.at = end
         return {
             p.name: _column(p, np.full(len(rows), sizes[k]), rows[f"value{k}"].ravel())
-            for k, p in enumerate(element.properties)
+            for k, p in enumerate(element.properties.values())
         }
 
     def _read_rows(self, element: Element) -> dict[str, NDArray[Any] | Lists]:
@@ -200,18 +198,18 @@ class _Body:
             if self.widths is not None and end - self.at != 8 * self.widths[row]:
                 raise self._error(element, row, f"{(end - self.at) // 8} numbers, got {self.widths[row]}")
             self.at = end
-            for k, p in enumerate(element.properties):
+            for k, p in enumerate(element.properties.values()):
                 chunks[k].append(self.data[starts[k] : starts[k] + sizes[k] * p.type.itemsize])
                 lengths[k].append(sizes[k])
         return {
             p.name: _column(p, np.array(lengths[k], np.int64), np.frombuffer(b"".join(chunks[k]), p.type))
-            for k, p in enumerate(element.properties)
+            for k, p in enumerate(element.properties.values())
         }
 
     def _row(self, element: Element, row: int) -> tuple[list[int], list[int], int]:
         """(offsets of the values of each property, their counts, end) of the row that begins here."""
         starts, sizes, at = [], [], self.at
-        for p in element.properties:
+        for p in element.properties.values():
             size = 1
             if p.count_type:
                 if at + p.count_type.itemsize > len(self.data):

@@ -1,4 +1,4 @@
-"""The registry of the checks of a scene beside those of its pixels: each module here registers its own with `@check`.
+"""The registry of the checks of a scene other than those of pixels: each module here registers its own with `@check`.
 
 The pipeline, the command line, the pytest plug-in and docs/method.md read names and properties from this registry.
 """
@@ -31,12 +31,11 @@ class Check(NamedTuple):
     needs: tuple[str, ...]
     of: tuple[str, ...]
     scope: Scope  # made once a scene, for each window of a large film, or of all windows together
-    camera: bool  # looks at the camera's rays: not made of a list of rays
-    thorough: bool  # tests our caster beyond the judged film, with kernels that the film does not need
+    camera: bool  # needs the camera's rays: not made for a list of rays
 
     @property
     def answered(self) -> bool:
-        """Whether it needs an answer to look at."""
+        """Whether it needs the answers."""
         return not ANSWERED.isdisjoint(self.needs)
 
 
@@ -44,14 +43,14 @@ _registered: dict[str, Check] = {}
 
 
 def check(
-    *, of: tuple[str, ...] = (OURS, CANDIDATE), scope: Scope = "scene", camera: bool = False, thorough: bool = False
+    *, of: tuple[str, ...] = (OURS, CANDIDATE), scope: Scope = "scene", camera: bool = False
 ) -> Callable[[Function], Function]:
     """Register a function `check_NAME` as the check NAME."""
 
     def register(function: Function) -> Function:
         name = function.__name__.removeprefix("check_")
         needs = tuple(inspect.signature(function).parameters)
-        _registered[name] = Check(name, function, needs, of, scope, camera, thorough)
+        _registered[name] = Check(name, function, needs, of, scope, camera)
         return function
 
     return register
@@ -59,36 +58,27 @@ def check(
 
 @cache
 def all_checks() -> tuple[Check, ...]:
-    """Every check, in the order in which they are made: of the scene alone, of the answers, of the whole film."""
+    """Every check in the order of execution: of the scene alone, of the answers, of the whole film."""
     for module in iter_modules(__path__):
         import_module(f"{__name__}.{module.name}")
     stage = {name: (each.scope == "film", each.answered, each.make.__module__) for name, each in _registered.items()}
     return tuple(sorted(_registered.values(), key=lambda each: stage[each.name]))
 
 
-def checks_of(whose: str, *, thorough: bool = True, whole_scene: bool = True, camera: bool = True) -> tuple[Check, ...]:
+def checks_of(whose: str, *, whole_scene: bool = True, camera: bool = True) -> tuple[Check, ...]:
     """The checks of OURS or a CANDIDATE.
 
-    thorough: with those that only --thorough makes; whole_scene: with those that are made once a scene; camera: with
-    those that look at its rays.
+    whole_scene: include those made once a scene; camera: include those that need the camera's rays.
     """
     return tuple(
         each
         for each in all_checks()
-        if whose in each.of
-        and (thorough or not each.thorough)
-        and (whole_scene or each.scope != "scene")
-        and (camera or not each.camera)
+        if whose in each.of and (whole_scene or each.scope != "scene") and (camera or not each.camera)
     )
 
 
-def thorough_names() -> tuple[str, ...]:
-    """The checks that only --thorough makes."""
-    return tuple(each.name for each in all_checks() if each.thorough)
-
-
 def make_checks(checks: Iterable[Check], inputs: Mapping[str, Any]) -> tuple[SceneCheck, ...]:
-    """The results of those checks that have one."""
+    """The results of the checks, except None."""
     found = (each.make(**{name: inputs[name] for name in each.needs}) for each in checks)
     return tuple(each for each in found if each is not None)
 
@@ -97,7 +87,7 @@ def make_checks(checks: Iterable[Check], inputs: Mapping[str, Any]) -> tuple[Sce
 
 
 class Shares:
-    """Errors over their bounds by what was checked; a second value of one name would hide the first and is refused."""
+    """Errors over their bounds by name; a second value of one name would hide the first and is refused."""
 
     def __init__(self) -> None:
         self._shares: dict[str, float] = {}
@@ -114,7 +104,7 @@ class Shares:
 
 
 def worst_pixel(name: str, shares: dict[str, np.ndarray], among: np.ndarray, scene: Scene) -> SceneCheck:
-    """The largest share of all, and the pixel it is at."""
+    """The largest of all shares, with its pixel."""
     table = np.array([np.where(among, error_over_bound(share, np.ones(1)), 0.0) for share in shares.values()])
     if not table.size:
         return SceneCheck(name, 0.0, "nothing to look at")

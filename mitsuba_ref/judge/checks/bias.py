@@ -1,4 +1,4 @@
-"""Whether the errors of the reference have a mean, by kind of primitive (docs/method.md, "Bias")."""
+"""Bias: a systematic offset of the reference's errors, by kind of primitive (docs/method.md, "Bias")."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -8,6 +8,7 @@ import numpy as np
 from caster.geometry.packing import Packed
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, row_distance
 from mitsuba_ref.error_model.intersections import dot, row_groups, stacked_columns
+from mitsuba_ref.error_model.scene_model import kinds_of
 from mitsuba_ref.error_model.tolerances import KU, LARGEST_Z, U32, K
 from mitsuba_ref.judge.checks import OURS, check
 from mitsuba_ref.judge.comparison import ImagePair
@@ -15,16 +16,13 @@ from mitsuba_ref.judge.verdict import BIAS_OF_POSITION, BIAS_OF_T, ErrorStatisti
 from mitsuba_ref.shapes import kind_of
 from mitsuba_ref.shapes.shape_reference import PositionTerms
 
-# How much of their bounds the errors of the reference use, and whether they are biased.
-#
-# A defect of ours far below what float32 resolves moves no pixel beyond its bound, but it moves all of them
-# the same way.
-# Rounding does so, too, within a primitive: its numbers are rounded once, for all rays. So only the means of
-# *groups* of pixels count, of which nothing that is rounded belongs to two. See docs/method.md, "Bias".
+# A defect of ours far below what float32 resolves moves no pixel beyond its bound, but it moves all of them the same
+# way. Rounding does so, too, within a primitive: its numbers are rounded once, for all rays. So only the means of
+# *groups* of pixels count, and no two groups share a rounded number. See docs/method.md, "Bias".
 
 
 class GroupSums(NamedTuple):
-    """Errors in groups of pixels of which nothing that is rounded belongs to two."""
+    """Errors in groups of pixels that share no rounded number."""
 
     keys: np.ndarray  # (g, c), distinct
     errors: np.ndarray  # (g,) sums of signed shares of bounds
@@ -40,7 +38,7 @@ class KindErrors(NamedTuple):
 
 
 class PixelErrors(NamedTuple):
-    """Errors of one window of a film, of which those of several windows can be made one statistic."""
+    """Errors of one window of a film; those of several windows are joined into one statistic."""
 
     k_t: np.ndarray  # (m,) K times the error over its bound
     k_normal: np.ndarray  # (m,)
@@ -48,7 +46,7 @@ class PixelErrors(NamedTuple):
 
 
 def pixel_errors(packed: Packed, pair: ImagePair, bounds: Bounds) -> PixelErrors:
-    """From both sides' answers and the reference's bounds alone: no float64's bounds, no exact answer."""
+    """Errors from both sides' answers and the reference's bounds alone, without float64 bounds or exact answers."""
     with np.errstate(invalid="ignore", divide="ignore"):
         error = pair.result.t - pair.t
         share = np.where(error == 0.0, 0.0, error / bounds.at.t_error)
@@ -63,27 +61,27 @@ def pixel_errors(packed: Packed, pair: ImagePair, bounds: Bounds) -> PixelErrors
 
 
 def error_statistics(windows: Sequence[PixelErrors]) -> ErrorStatistics:
-    """Of all windows of one scene's film."""
+    """Statistics of all windows of one scene's film."""
     t = np.concatenate([window.k_t for window in windows])
     normal = np.concatenate([window.k_normal for window in windows])
     biases = []
     for kind in dict.fromkeys(kind for window in windows for kind in window.kinds):
         found = [window.kinds[kind] for window in windows if kind in window.kinds]
         ways = zip(*(errors.groups for errors in found), strict=True)
-        weakest = weakest_bias([z_of_groups(merged_groups(way)) for way in ways])
+        groups, z = zip(*(z_of_groups(merged_groups(way)) for way in ways), strict=True)
         total, weight = np.sum([errors.t_sums for errors in found], axis=0)
         t_bias = float(total / weight) if weight > 0.0 else 0.0
-        biases.append(KindBias(kind, *weakest, found[0].quantity, t_bias))
+        biases.append(KindBias(kind, min(groups), min(z, key=abs), found[0].quantity, t_bias))
     return ErrorStatistics(len(t), extremes(t), extremes(normal), looseness(t), tuple(biases))
 
 
 def extremes(k: np.ndarray) -> Extremes:
-    """The largest, and what 99 % are below; 0 of none."""
+    """The largest value and the 99th percentile; 0 if there is none."""
     return Extremes(float(k.max()), float(np.quantile(k, 0.99))) if len(k) else Extremes()
 
 
 def looseness(k: np.ndarray) -> float:
-    """Bound over error in the middle."""
+    """Bound over error at the median."""
     middle = float(np.median(k)) if len(k) else 0.0
     return K / middle if middle > 0.0 else float("inf")
 
@@ -91,9 +89,9 @@ def looseness(k: np.ndarray) -> float:
 def untied(prim: np.ndarray, kind: np.ndarray, tied: np.ndarray, tied_kind: np.ndarray) -> np.ndarray:
     """(m,) bool: pixels that are evidence of a bias. prim, kind: (m,) of each; tied, tied_kind: (j,) of tied pixels.
 
-    Where another shape has the same t, the reference names either of the two by the sign of a rounding, so that the
-    pixels that are left are biased, however right ours is. j pixels that drop out by sign move a sum of m roundings by
-    j of them at most, chance by sqrt(m): beyond j^2 = m no primitive of that kind that has tied pixels is evidence.
+    If two shapes have the same t, the reference names either by the sign of a rounding, so that the remaining pixels of
+    each are biased, however right ours is. j pixels that drop out by sign move a sum of m roundings by at most j,
+    chance by sqrt(m): if j^2 > m, no primitive of that kind with tied pixels is evidence.
     """
     many = [each for each in np.unique(tied_kind) if np.sum(tied_kind == each) ** 2 > np.sum(kind == each)]
     found: np.ndarray = ~(np.isin(kind, many) & np.isin(prim, tied))
@@ -103,10 +101,9 @@ def untied(prim: np.ndarray, kind: np.ndarray, tied: np.ndarray, tied_kind: np.n
 def _errors_of_kinds(
     packed: Packed, pair: ImagePair, bounds: Bounds, share: np.ndarray, rows: np.ndarray, tied: np.ndarray
 ) -> dict[str, KindErrors]:
-    """For each kind that is hit at these rows. tied: rows where the reference names another shape at the same t."""
+    """Errors of each kind hit at these rows. tied: rows where the reference names another shape at the same t."""
     prim = pair.prim[rows]
-    shape = packed.shape_of(prim)
-    kind, k = packed.kind_of[shape], prim - packed.first[shape] + packed.start[shape]
+    kind, k = kinds_of(packed, prim)
     evidence = untied(prim, kind, pair.prim[tied], packed.kind_of[packed.shape_of(pair.prim[tied])])
     scalar = pair.result.answer.versions["variant"].startswith("scalar")
     found = {}
@@ -159,11 +156,6 @@ def t_roundings(share: np.ndarray, t: np.ndarray, t_error: np.ndarray) -> np.nda
     return np.array([share @ resolution, resolution @ resolution])
 
 
-def weakest_bias(found: Sequence[tuple[int, float]]) -> tuple[int, float]:
-    """(groups, z) of several ways to group: the fewest groups, and the z nearest to 0."""
-    return min(groups for groups, _ in found), min((z for _, z in found), key=abs)
-
-
 def group_sums(key: np.ndarray, error: np.ndarray, count: np.ndarray | None = None) -> GroupSums:
     """Sums over groups. key: (m, c), equal in a group; error: (m,) signed; count: (m,) pixels, one each if None."""
     group = row_groups(key)
@@ -173,7 +165,7 @@ def group_sums(key: np.ndarray, error: np.ndarray, count: np.ndarray | None = No
 
 
 def merged_groups(sums: Sequence[GroupSums]) -> GroupSums:
-    """Sums over the groups of several windows, where a group may have pixels in each."""
+    """Sums over the groups of several windows; a group may have pixels in each."""
     if len(sums) == 1:
         return sums[0]
     return group_sums(*(np.concatenate(arrays) for arrays in zip(*sums, strict=True)))
@@ -192,7 +184,7 @@ def z_of_groups(sums: GroupSums) -> tuple[int, float]:
 
 @check(of=(OURS,), scope="film")
 def check_bias(statistics: ErrorStatistics) -> SceneCheck:
-    """Fails where the errors of a kind with enough groups have a mean that chance does not explain."""
+    """Fail if the errors of a kind with enough groups have a mean that chance does not explain."""
     biased = [bias for bias in statistics.biases if bias.enough_groups and not abs(bias.z) <= LARGEST_Z]
     words = [
         f"{bias.quantity} of {bias.kind} is biased: z {bias.z:.1f} of {bias.groups} groups, "

@@ -1,13 +1,10 @@
-"""Checks of the camera: our rays and the film's window worked out a second time, and Mitsuba's own sensor."""
-
-from collections.abc import Iterator, Sequence
+"""Checks of the camera: our rays against independent formulas, and against Mitsuba's own sensor."""
 
 import numpy as np
 
-from caster.description.errors import SceneError
 from caster.description.fields import Camera
 from caster.rendering.images import camera_rays
-from caster.scene.model import MAX_FILM_SIDE, Film, Scene
+from caster.scene.model import Scene
 from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import camera_axes, no_sensor
 from mitsuba_ref.error_model.intersections import dot, norm
@@ -20,9 +17,10 @@ from mitsuba_ref.reference.shared_input import pixel_centers
 
 @check(scope="window", camera=True)
 def check_camera(scene: Scene) -> SceneCheck:
-    """The film's window, and our float64 rays against the camera's formula; both are worked out a second time."""
-    if wrong := wrong_windows(scene):
-        return SceneCheck("camera", np.inf, wrong[0])
+    """Compare our float64 rays with an independent implementation of the camera's formula."""
+    x0, y0, x1, y1 = scene.film.crop or (0, 0, scene.film.width, scene.film.height)
+    if scene.film.window != (x0, y0, x1, y1):
+        return SceneCheck("camera", np.inf, f"window {scene.film.window}, expected {(x0, y0, x1, y1)}")
     ours = camera_rays(scene)
     x, y = pixel_centers(scene)
     if len(ours.o) != len(x):
@@ -42,78 +40,14 @@ def check_camera(scene: Scene) -> SceneCheck:
     return worst_pixel("camera", shares, (seen | (ours.t_max >= 0.0)) & ~rim, scene)
 
 
-Size = tuple[int, int]  # of a film: width, height
-
-
-def wrong_windows(scene: Scene) -> list[str]:
-    """What is wrong with the window of a scene's film, with those of films of other sizes, and with parts of it.
-
-    A film that is resized keeps all pixels that its crop reaches into. Both sides get the same film, so that no pixel
-    shows one that was lost with its last column.
-    """
-    film, bare = scene.film, _bare(scene)
-    width, height = film.width, film.height
-    x0, y0, x1, y1 = whole = film.crop or (0, 0, width, height)
-    found = [] if film.window == whole else [f"window {film.window}, expected {whole}"]
-    found += wrongly_resized(scene, _other_sizes(film))
-    for inside in (whole, (x1 - 1, y0, x1, y1), (x0, y0, x0 + 1, y0 + 1)):
-        given = bare.with_film(crop=inside).film
-        if (given.width, given.height, given.crop, given.window) != (width, height, inside, inside):
-            found.append(f"window {inside} of {width} x {height} is {given.window} of {given.width} x {given.height}")
-    return found
-
-
-def wrongly_resized(scene: Scene, sizes: Sequence[Size]) -> list[str]:
-    """What is wrong with the films that `Scene.with_film` makes of a scene's film."""
-    return list(_wrongly_resized(scene.film, _bare(scene), sizes))
-
-
-def _wrongly_resized(film: Film, bare: Scene, sizes: Sequence[Size]) -> Iterator[str]:
-    before = f"crop {film.crop} of {film.width} x {film.height}"
-    for width, height in sizes:
-        expected = film.crop and _pixels_reached(film, film.crop, width, height)
-        try:
-            given = bare.with_film(width=width, height=height).film
-        except SceneError as error:
-            yield f"{before} is refused for {width} x {height}: {error}"
-            continue
-        if (given.width, given.height, given.crop) != (width, height, expected):
-            after = f"{given.crop} of {given.width} x {given.height}"
-            yield f"{before} is {after}, expected {expected} of {width} x {height}"
-
-
-def _bare(scene: Scene) -> Scene:
-    """Film and camera alone: a copy of thousands of shapes takes its time."""
-    return scene.model_copy(update={"shapes": (), "lights": (), "materials": {}, "checks": {}})
-
-
-def _other_sizes(film: Film) -> list[Size]:
-    """The film's own, and larger and smaller ones that few sizes divide."""
-    width, height = film.width, film.height
-    sizes = [(width, height), (width + 1, height + 1), (2 * width + 1, 3 * height), (7, 5), (101, 97)]
-    sizes += [(max(1, width // 2), max(1, height // 3)), (max(1, width - 1), 2 * height - 1)]
-    return [size for size in sizes if max(size) <= MAX_FILM_SIDE]
-
-
-def _pixels_reached(film: Film, crop: Sequence[int], width: int, height: int) -> tuple[int, ...]:
-    """x0, y0, x1, y1 of the pixels of a film of another size that overlap the crop of this one."""
-    ends = []
-    for begin, end, old, new in ((crop[0], crop[2], film.width, width), (crop[1], crop[3], film.height, height)):
-        pixel = np.arange(new)
-        inside = np.flatnonzero(((pixel + 1) * old > begin * new) & (pixel * old < end * new))
-        ends.append((int(inside[0]), int(inside[-1]) + 1))
-    (x0, x1), (y0, y1) = ends
-    return x0, y0, x1, y1
-
-
 def _up_sine(camera: Camera) -> float:
-    """The sine of the angle between view and up: the orthobasis rounds by as much more as this is less than 1."""
+    """The sine of the angle between view and up; rounding of the camera's axes grows by its inverse."""
     forward, up = camera_axes(camera)[2], np.array(camera.up, np.float64)
     return float(np.linalg.norm(np.cross(forward, up)) / np.linalg.norm(up))
 
 
 def _on_rim(scene: Scene, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """(n,) bool: pixels on the edge of a round image, up to rounding, so that either side may have a ray there."""
+    """(n,) bool: pixels on the edge of a round image up to rounding, where either side may have a ray or none."""
     film, reference = scene.film, reference_of_camera(scene.camera)
     middle_x, middle_y = film.width / 2.0, film.height / 2.0
     seen = []
@@ -126,7 +60,7 @@ def _on_rim(scene: Scene, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 @check(scope="window", camera=True)
 def check_sensor(scene: Scene, result: ReferenceResult) -> SceneCheck:
-    """Our rays against those of Mitsuba's own sensor: the same line, and depth that starts on the near plane."""
+    """Compare our rays with those of Mitsuba's own sensor: the same line, and depth that starts on the near plane."""
     answer = result.answer
     if answer.sensor_d is None or answer.sensor_o is None or answer.sensor_t_max is None:
         expected = reference_of_camera(scene.camera).to_xml is not no_sensor

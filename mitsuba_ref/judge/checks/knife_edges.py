@@ -1,7 +1,7 @@
-"""Rays aimed at edges, vertices, silhouettes and tangents of a scene, decided by exact arithmetic.
+"""Rays aimed at edges, vertices, silhouettes and tangents of a scene, compared with exact arithmetic.
 
-Pixels of an image rarely meet a place where rounding decides. Here a few hundred rays of each scene do, in float64:
-an error bound of a kernel that is too small shows as another first hit, or as a t that is off.
+Pixels of an image rarely hit a place where rounding decides; these few hundred float64 rays of each scene do. An error
+bound of a kernel that is too small shows as a wrong first hit or a wrong t.
 """
 
 import zlib
@@ -12,7 +12,7 @@ import numpy as np
 from caster.cameras.single_ray import Ray
 from caster.geometry.packing import Packed, packed
 from caster.rendering.casting import Culling, find_nearest
-from caster.rendering.hits import Hits, validated_rays
+from caster.rendering.hits import Hits, scaled_rays, validated_rays
 from caster.rendering.images import camera_rays
 from caster.scene.model import Film, Scene
 from mitsuba_ref.error_model.bounds import error_over_bound as ratio_of
@@ -24,10 +24,10 @@ from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 from mitsuba_ref.shapes import reference_of
 from mitsuba_ref.shapes.targets import Rng
 
-# ---- rays cast by every culling, and compared with exact arithmetic: the first hit, and its t
+# ---- casting rays by any culling, and comparing the first hit and its t with exact arithmetic
 
 LIMITED_RAYS = 12  # rays of an example that are cast again with other limits
-LARGEST_FLOAT64 = float(np.finfo(np.float64).max)  # a t beyond it may be returned as this or as infinite
+LARGEST_FLOAT64 = float(np.finfo(np.float64).max)  # a larger t may be returned as this or as infinite
 
 
 class NearestHits(NamedTuple):
@@ -43,33 +43,16 @@ def nearest_of_hits(hits: Hits, packed: Packed) -> NearestHits:
 
 
 def cast_by_culling(packed: Packed, rays: RayBatch, culling: Culling) -> NearestHits:
-    """By the internal casting; directions scaled to about length 1 by a power of two, as caster.cast does."""
-    return _cast_scaled(lossless_exponents(rays), packed, rays, culling)
-
-
-def _cast_scaled(exponent: np.ndarray, packed: Packed, rays: RayBatch, culling: Culling) -> NearestHits:
-    """With directions 2^-exponent as long; unscaled where the scaling alone makes t denormal."""
-    with np.errstate(over="ignore", under="ignore"):
-        d = np.ldexp(rays.d, -exponent[:, None])
-        limits = {"t_min": np.ldexp(rays.t_min, exponent), "t_max": np.ldexp(rays.t_max, exponent)}
-    scaled = validated_rays(rays.o, d, 0.0, np.inf)._replace(**limits)
+    """Cast rays by a given culling, with directions scaled as caster.cast scales them."""
+    given = validated_rays(rays.o, rays.d, 0.0, np.inf)._replace(t_min=rays.t_min, t_max=rays.t_max)
+    scaled, exponent = scaled_rays(given)
     nearest = find_nearest(packed, scaled, culling, threads=1)
     with np.errstate(over="ignore", under="ignore"):
         found = NearestHits(np.ldexp(nearest.t, -exponent), nearest.prim.astype(np.int64))
-    rows = np.flatnonzero((exponent < 0) & (nearest.t < np.finfo(np.float64).tiny))
-    if len(rows):
-        found.t[rows] = _cast_scaled(np.zeros(len(rows), int), packed, rays.taken(rows), culling).t
+    short = np.flatnonzero((exponent < 0) & (nearest.t < np.finfo(np.float64).tiny))  # t lost digits
+    if len(short):
+        found.t[short] = find_nearest(packed, type(given)(*(a[short] for a in given)), culling, threads=1).t
     return found
-
-
-def lossless_exponents(rays: RayBatch) -> np.ndarray:
-    """(n,) k for which 2^-k d is of about length 1; 0 where bits would be lost by that, of d or of the limits."""
-    exponent = np.frexp(np.abs(rays.d).max(axis=1, initial=0.0))[1]
-    numbers = np.column_stack([rays.d, rays.t_min, rays.t_max])
-    powers = exponent[:, None] * np.array([-1, -1, -1, 1, 1])
-    with np.errstate(over="ignore", under="ignore"):
-        kept = (np.ldexp(np.ldexp(numbers, powers), -powers) == numbers).all(axis=1)
-    return np.where(kept, exponent, 0)
 
 
 def with_limits(rng: Rng, rays: RayBatch, found: NearestHits, most: int = LIMITED_RAYS) -> RayBatch:
@@ -104,7 +87,7 @@ def prepared_scene(scene: Scene) -> PreparedScene:
 
 
 class Adjudicated(NamedTuple):
-    """Found hits against the exact answers, a row for each ray."""
+    """Hits compared with the exact answers, one row for each ray."""
 
     answers: list[ExactAnswer]
     bounds: np.ndarray  # (n,) of t
@@ -114,9 +97,9 @@ class Adjudicated(NamedTuple):
 
 
 def adjudicate(subject: PreparedScene, rays: RayBatch, found: NearestHits, depth_ulps: float = 0.0) -> Adjudicated:
-    """Hit or miss, primitive, and t within its bound, widened by units in the last place of t.
+    """Compare hit or miss, primitive, and t within its bound plus `depth_ulps` units in the last place of t.
 
-    Raises OutsideDomain for rays that exact arithmetic does not take.
+    Raises OutsideDomain for rays that the oracle does not take.
     """
     answers = subject.oracle.first_hits(*rays)
     models = [reference_of(shape).model_of for shape in subject.scene.shapes]
@@ -155,34 +138,33 @@ def t_text(t: float) -> str:
 
 # ---- aimed rays
 
-# Rays of one scene: one for every so many pixels of its film, within limits, so that a small film stays quick.
+# Rays of one scene: one for so many pixels of its film, within limits.
 PIXELS_PER_AIMED_RAY = 4
 MIN_AIMED_RAYS, MAX_AIMED_RAYS = 32, 320
-SHARE_OF_OTHERS = 0.1  # more rays of the scene's own camera, and as many cast again with t_min or t_max at the hit
-SIZE_SAMPLES = 64  # points that the size of the scene is taken from
-REPRODUCERS = 2  # files of one scene
+SHARE_OF_OTHERS = 0.1  # further rays of the scene's own camera, and as many cast again with t_min or t_max at the hit
+SIZE_SAMPLES = 64  # points from which the size of the scene is estimated
+REPRODUCERS = 2  # files for one scene
 
 
 class AimedFailure(NamedTuple):
-    """One ray with another first hit than exact arithmetic gives, or another t."""
+    """One ray whose first hit or t is wrong by exact arithmetic."""
 
     what: str
-    scene: Scene  # one pixel, whose ray it is
-    whole: bool  # all shapes are there: the involved ones alone do not show it
+    scene: Scene  # of one pixel, with this ray
 
 
 @check(of=(OURS,))
 def check_knife_edges(scene: Scene, wrong_rays: list[AimedFailure]) -> SceneCheck:
-    """The check; the scenes of failing rays are appended to `wrong_rays`."""
+    """Compare aimed rays with exact arithmetic; the scenes of some failing rays are appended to `wrong_rays`."""
     found, failures = knife_edges(scene)
     wrong_rays += failures
     return found
 
 
 def knife_edges(scene: Scene) -> tuple[SceneCheck, tuple[AimedFailure, ...]]:
-    """First hits of aimed rays against exact arithmetic: primitive, and t within its float64 bound.
+    """Compare first hits of aimed rays with exact arithmetic: the primitive, and t within its float64 bound.
 
-    Some of the rays that fail come with it, as scenes of one ray.
+    Also returns some of the failing rays as scenes of one ray.
     """
     subject = prepared_scene(scene)
     if not subject.oracle.count:
@@ -194,11 +176,7 @@ def knife_edges(scene: Scene) -> tuple[SceneCheck, tuple[AimedFailure, ...]]:
     bad = np.flatnonzero(ratios > 1.0)
     if not len(bad):
         return SceneCheck("knife_edges", float(ratios.max()), f"{len(ratios)} aimed rays"), ()
-    prims = [{hit.prim for hit in verdicts.answers[i].ties} | {int(ours.prim[i])} - {-1} for i in bad[:REPRODUCERS]]
-    found = tuple(
-        _failure(subject, rays.taken(slice(i, i + 1)), involved, texts[i])
-        for i, involved in zip(bad[:REPRODUCERS], prims, strict=True)
-    )
+    found = tuple(AimedFailure(texts[i], _scene_of_ray(scene, rays, i)) for i in bad[:REPRODUCERS])
     o, d = (a[bad[0]].tolist() for a in (rays.o, rays.d))
     words = f"{len(bad)} of {len(ratios)} aimed rays, first from {o} along {d}: {texts[bad[0]]}"
     return SceneCheck("knife_edges", float(ratios.max()), words), found
@@ -206,7 +184,7 @@ def knife_edges(scene: Scene) -> tuple[SceneCheck, tuple[AimedFailure, ...]]:
 
 @np.errstate(all="ignore")  # of kernels in plain Python, on directions of 1e-30 and 1e30
 def rays_at_edges(subject: PreparedScene) -> RayBatch:
-    """Aimed rays, some of the camera's own, and some of both with other limits; the same for the same scene."""
+    """Aimed rays, some of the camera's rays, and some of both with other limits; the same for the same scene."""
     rng = np.random.default_rng(content_seed(subject.packed))
     targets = Targets(subject.packed)
     aims = (*ALL_AIMS, _from_eye(np.array(subject.scene.camera.eye, np.float64)))
@@ -222,7 +200,7 @@ def rays_at_edges(subject: PreparedScene) -> RayBatch:
 
 
 def content_seed(packed: Packed) -> int:
-    """A number that depends on the geometry in world space alone, not on names and files."""
+    """A seed that depends on the geometry in world space alone, not on names and files."""
     seed = 0
     for part in packed.parts:
         for array in part:
@@ -231,7 +209,7 @@ def content_seed(packed: Packed) -> int:
 
 
 def _frame(rng: Rng, targets: Targets) -> Frame:
-    """Centre and size of what is there: medians, so that one far primitive does not count."""
+    """Centre and size of the scene: medians, so that a single far primitive does not count."""
     p = targets.points(rng, targets.pick(rng, SIZE_SAMPLES), "inside").p
     center = np.median(p, axis=0)
     size = float(np.median(np.abs(p - center).max(axis=1)))
@@ -247,17 +225,8 @@ def _from_eye(eye: np.ndarray) -> Aim:
     return aim
 
 
-def _failure(subject: PreparedScene, ray: RayBatch, prims: set[int], text: str) -> AimedFailure:
-    """A scene of this ray and the shapes of both answers, or of all shapes where those do not show it."""
-    limit = float(ray.t_max[0])
-    camera = Ray(origin=ray.o[0], direction=ray.d[0], t_max=limit if 0.0 < limit < np.inf else None)
-    scene = subject.scene
-    shapes = sorted({int(subject.packed.shape_of(np.array([prim]))[0]) for prim in prims})
-    parts = {"film": Film(width=1, height=1), "camera": camera, "lights": (), "shading": scene.shading}
-    few = Scene(materials=scene.materials, shapes=[scene.shapes[i] for i in shapes], **parts)
-    if float(ray.t_min[0]) == 0.0:
-        again = prepared_scene(few)
-        if adjudicate(again, ray, cast_by_culling(again.packed, ray, "bvh")).kinds[0]:
-            return AimedFailure(text, few, False)
-    whole = Scene(materials=scene.materials, shapes=scene.shapes, **parts)
-    return AimedFailure(text, whole, True)
+def _scene_of_ray(scene: Scene, rays: RayBatch, i: int) -> Scene:
+    """The scene with this ray as its camera."""
+    limit = float(rays.t_max[i])
+    camera = Ray(origin=rays.o[i], direction=rays.d[i], t_max=limit if 0.0 < limit < np.inf else None)
+    return scene.model_copy(update={"film": Film(width=1, height=1), "camera": camera, "lights": (), "checks": {}})

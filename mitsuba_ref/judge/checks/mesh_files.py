@@ -1,13 +1,14 @@
-"""The mesh files of a scene as Mitsuba's own loader reads them, compared with the meshes that the caster has read.
+"""Compare the mesh files of a scene, as Mitsuba's own loader reads them, with the meshes that the caster reads.
 
-A mesh reaches both sides of a comparison as the caster has read it, so no pixel shows an error of its reader. Here the
-original file goes to Mitsuba's `obj` or `ply` plug-in: its faces, corner by corner in the file's order, are the
-caster's; corners share a vertex where they do there; normals and uv agree. Mitsuba parses a number to the nearest
-float32 at once, the caster to float64, which is rounded to float32 later. Both agree, but where that float64 lies in
-the middle between two float32, when either of these is right.
+Both sides of a comparison trace a mesh as the caster has read it, so that no pixel shows an error of its reader. This
+check gives the original file to Mitsuba's `obj` or `ply` plug-in. Faces have to be the same corner by corner, in the
+file's order; corners have to share vertices in the same way; normals and uv have to agree. Mitsuba parses a number to
+the nearest float32 at once, the caster to float64, which is rounded to float32 later. Both results agree, unless the
+float64 number lies halfway between two float32 numbers; then either is right.
 
-Mitsuba's OBJ reader lacks negative indices and continued lines, and it has no STL or OFF: such a file is rewritten as
-an OBJ first. A glTF file, and a PLY file with polygons, which its loader refuses, is reported as not compared.
+Mitsuba's OBJ reader supports neither negative indices nor continued lines, and it has no reader of STL or OFF: such a
+file is rewritten as an OBJ first. Files that its loader refuses, such as glTF and PLY with polygons, are reported as
+not compared.
 """
 
 import re
@@ -27,15 +28,15 @@ from mitsuba_ref.reference.messages import LoadedMesh
 
 
 def files_of(scene: Scene) -> dict[Path, Any]:
-    """The mesh files of a scene, each once, as the caster read them."""
+    """The mesh files of a scene, each once, with the mesh that the caster reads."""
     return {Path(each.file): each.mesh() for each in scene.shapes if isinstance(each, MeshFile)}
 
 
-# ---- what Mitsuba reads
+# ---- files for Mitsuba
 
 
 def for_mitsuba(file: Path, folder: Path, number: int) -> Path:
-    """The file, or an OBJ with the same faces in `folder` if Mitsuba's loader does not support what is in it."""
+    """The file itself, or an OBJ with the same faces in `folder` if Mitsuba's loader does not support the file."""
     rewrite = REWRITE.get(file.suffix.lower())
     if rewrite is None:
         return file
@@ -76,7 +77,7 @@ STL_HEAD, STL_FACET = 84, 50  # bytes
 
 
 def _stl_as_obj(data: bytes) -> bytes:
-    """Each facet of an STL file with three vertices of its own. It is binary if its size is that of so many facets."""
+    """An STL file as an OBJ, three vertices for each facet. It is binary if its size fits its number of facets."""
     if len(data) == STL_HEAD + STL_FACET * int.from_bytes(data[80:STL_HEAD], "little"):
         facets = np.frombuffer(
             data, [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "u2")], offset=STL_HEAD
@@ -137,7 +138,7 @@ def _errors(mesh: Any, theirs: LoadedMesh, file: Path) -> dict[str, float]:
         elif ours is not None and all(in_file[name]):
             ratio = error_over_bound(np.abs(ours[mesh.faces] - expected), roundings * U32)
             errors[name] = float(ratio.max(initial=0.0))
-        elif ours is not None:  # of a corner without, Mitsuba has whatever was in its memory
+        elif ours is not None:  # Mitsuba leaves values of corners without one uninitialised
             errors[f"{name} not compared, some corners have none: those"] = 0.0
     return errors
 
@@ -164,7 +165,7 @@ def _in_file(file: Path) -> tuple[set[bool], set[bool]]:
 
 
 def _one_to_one(ours: np.ndarray, theirs: np.ndarray) -> float:
-    """0 if corners (f, 3) have the same number on one side where they do on the other; else inf."""
+    """0 if the same corners (f, 3) share a vertex on both sides, else inf."""
     same = True
     for a, b in ((ours, theirs), (theirs, ours)):
         other = np.zeros(int(a.max(initial=0)) + 1, np.int64)
@@ -174,7 +175,7 @@ def _one_to_one(ours: np.ndarray, theirs: np.ndarray) -> float:
 
 
 def _same_in_float32(ours: np.ndarray, theirs: np.ndarray) -> float:
-    """0 if theirs are ours in float32; of two that are equally near, either."""
+    """0 if theirs are ours rounded to float32, where a tie may go either way; else inf."""
     if ours.shape != theirs.shape:
         return float("inf")
     with np.errstate(all="ignore"):

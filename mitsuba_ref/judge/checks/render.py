@@ -1,4 +1,4 @@
-"""Checks of our caster: what `render` gives users against the way that pixels are judged, and both without culling."""
+"""Check of our caster: the image that `render` gives users, against the rays that are judged."""
 
 from dataclasses import replace
 from typing import Any
@@ -7,8 +7,6 @@ import numpy as np
 
 from caster.aovs import Aovs
 from caster.geometry.packing import packed
-from caster.geometry.world_space import as_given
-from caster.rendering.casting import find_nearest
 from caster.rendering.hits import RayHits, trace, trace_rays
 from caster.rendering.images import camera_rays, evaluate, film_window, render
 from caster.scene.model import Scene
@@ -30,14 +28,14 @@ def bits_differ(a: Aovs, b: Aovs, name: str) -> np.ndarray:
     return different if different.ndim == 1 else any_of_columns(different)
 
 
-# `render`, which is what users get, against the way that pixels are judged.
+# `render`, which is what users get, against the rays that are judged.
 #
 # Judged rays start at the near plane and have no least t; those of `render` start in the eye. With a near plane they
 # are other rays, by the rounding of where the near plane is, which is as large as the last digit of the eye's
 # coordinates. And judged rays are rounded to float32, so d is not of unit length: spheres are then evaluated by
-# `surface`, and not by the vectors that `render` has for unit rays. So `render` is compared with hits on rays with d of
-# twice the length, and where bits differ it is held to its own rays: to what the float64 bracket allows there, with no
-# room for the move.
+# `surface`, and not by the vectors that `render` has for unit rays. So `render` is also compared with hits on rays with
+# d of twice the length, and where bits differ it is held to its own rays: to what the float64 bracket allows there,
+# with no room for the move.
 
 
 CHECKED_AOVS = ("depth", "normal", "shading_normal", "position", "uv", "shape_id", "diffuse", "prim_id")
@@ -48,23 +46,40 @@ UNMOVED_PIXELS_CHECKED = 1024
 
 @check(of=(OURS,), scope="window", camera=True)
 def check_render(scene: Scene) -> SceneCheck:
-    """What `render` gives is what the judged rays give: the same bits, or where they cannot be, right by float64."""
-    rays = camera_rays(scene)
+    """Compare the image of `render` with the camera's rays cast through trees, and with the rays that are judged.
+
+    The former have to give the same bits, the latter the same bits or values that float64's bounds allow.
+    """
+    rays, window = camera_rays(scene), film_window(scene)
+    ours = render(scene, CHECKED_AOVS)
+    cast = trace_rays(scene, packed(scene), rays, np.zeros(len(rays.o)))
+    differs = _differs(ours, evaluate(cast, CHECKED_AOVS, window))
+    if differs.any():
+        return _worst(scene, "bits of the same ray cast by itself", differs)
     moved = bool((rays.t_min > 0.0).any())
-    o = rays.o + rays.t_min[:, None] * rays.d
-    left = np.where(rays.t_max < 0.0, -1.0, rays.t_max - rays.t_min)
-    judged = _by_longer_rays(trace(scene, o, rays.d, left, rays.t_min, rounded=as_given))
-    ours, theirs = render(scene, CHECKED_AOVS), evaluate(judged, CHECKED_AOVS, film_window(scene))
-    differs = np.any([bits_differ(ours, theirs, name) for name in CHECKED_AOVS], axis=0)
+    if moved:
+        left = np.where(rays.t_max < 0.0, -1.0, rays.t_max - rays.t_min)
+        cast = trace(scene, rays.o + rays.t_min[:, None] * rays.d, rays.d, left, rays.t_min)
+    differs = _differs(ours, evaluate(_by_longer_rays(cast), CHECKED_AOVS, window))
     rows = np.flatnonzero(differs)
     differing, most = len(rows), RENDER_PIXELS_CHECKED if moved else UNMOVED_PIXELS_CHECKED
     if differing:
         rows = np.random.default_rng(1).choice(rows, min(most, differing), replace=False)
         differs[:] = False
         differs[rows] = ~_within_float64(scene, ours, rows, _segments(rays, rows))
-    found = worst_pixel("render", {"pixel": np.where(differs, np.inf, 0.0)}, np.ones(len(o), bool), scene)
+    found = _worst(scene, "pixel", differs)
     sampled = f"; {len(rows)} of {differing} pixels with other bits looked at" if len(rows) < differing else ""
     return replace(found, what=found.what + sampled)
+
+
+def _differs(ours: Aovs, others: Aovs) -> np.ndarray:
+    """(n,) bool: pixels where some AOV has other bits."""
+    found: np.ndarray = np.any([bits_differ(ours, others, name) for name in CHECKED_AOVS], axis=0)
+    return found
+
+
+def _worst(scene: Scene, what: str, differs: np.ndarray) -> SceneCheck:
+    return worst_pixel("render", {what: np.where(differs, np.inf, 0.0)}, np.ones(len(differs), bool), scene)
 
 
 def _by_longer_rays(view: RayHits) -> RayHits:
@@ -100,39 +115,3 @@ def _within_float64(scene: Scene, ours: Aovs, rows: np.ndarray, rays: RaySegment
         scene, ShadingPoints(o + t[:, None] * d, d, shape, at), prim, diffuse[hit], bracket
     )
     return right
-
-
-BRUTE_FORCE_TESTS = 1 << 24  # rays times primitives that are tried without any culling
-
-
-@check(of=(OURS,), scope="window", camera=True)
-def check_culling(scene: Scene) -> SceneCheck:
-    """`render`, as it is planned for this scene, against the way that pixels are judged: the same bits."""
-    rays = camera_rays(scene)
-    judged = trace_rays(scene, packed(scene), rays, np.zeros(len(rays.o)))
-    planned = render(scene, CHECKED_AOVS)
-    tree = evaluate(judged, CHECKED_AOVS, film_window(scene))
-    differs = np.any([bits_differ(planned, tree, name) for name in CHECKED_AOVS], axis=0)
-    return _same_bits("culling", differs, scene)
-
-
-@check(of=(OURS,), scope="window", camera=True, thorough=True)
-def check_brute_force(scene: Scene) -> SceneCheck:
-    """The way that pixels are judged against every primitive there is, on a sample of rays: the same bits."""
-    rays, numbers = camera_rays(scene), packed(scene)
-    rows = _sampled_rays(len(rays.o), int(numbers.first[-1]))
-    obvious = find_nearest(numbers, type(rays)(*(a[rows] for a in rays)), "brute-force")
-    found, differs = find_nearest(numbers, rays), np.zeros(len(rays.o), bool)
-    differs[rows] = (obvious.t != found.t[rows]) | (obvious.prim != found.prim[rows])
-    return _same_bits("brute_force", differs, scene)
-
-
-def _same_bits(name: str, differs: np.ndarray, scene: Scene) -> SceneCheck:
-    """A check that allows no difference; differs: (n,) bool, of the window's pixels."""
-    return worst_pixel(name, {"bits": np.where(differs, np.inf, 0.0)}, np.ones(len(differs), bool), scene)
-
-
-def _sampled_rays(rays: int, prims: int) -> np.ndarray:
-    """Some rays, spread by a fixed seed: at least 64, as far as there are as many."""
-    count = min(rays, max(64, BRUTE_FORCE_TESTS // max(prims, 1)))
-    return np.sort(np.random.default_rng(1).choice(rays, count, replace=False))

@@ -1,4 +1,4 @@
-"""Checks of shapes: where each stands, the numbers it packs to, its material; all worked out a second time."""
+"""Checks of shapes by independent computations: placement, packed numbers, material."""
 
 from collections.abc import Callable
 from functools import cache
@@ -20,7 +20,7 @@ from mitsuba_ref.shapes import kind_of, reference_of
 
 @check()
 def check_placement(scene: Scene) -> SceneCheck:
-    """Each shape's matrix against its steps, composed a second time."""
+    """Compare each shape's matrix with an independent composition of its steps."""
     ratios = [transform_error_ratio(shape) for shape in scene.shapes if shape.to_world]
     names = [name for name, shape in zip(scene.shape_names(), scene.shapes, strict=True) if shape.to_world]
     if not ratios:
@@ -30,24 +30,23 @@ def check_placement(scene: Scene) -> SceneCheck:
 
 
 class Precision(NamedTuple):
-    """How the numbers of a shape are rounded when it is packed."""
+    """How numbers are rounded when a shape is packed."""
 
     name: str  # of NumPy's type
     packing: Callable[[Scene], Packed]
     unit_roundoff: float
-    # Below it the spacing of numbers stays what it is there, and so does what a rounding may take: half of it, the
-    # unit round-off of the smallest normal number.
+    # Below the smallest normal number, the spacing of numbers is constant, and a rounding error is at most half of it.
     smallest_normal: float
 
 
 PRECISIONS = (
-    Precision("float64", packed, 2.0**-53, 2.0**-1022),  # what `render` casts
-    Precision("float32", packed_float32, 2.0**-24, 2.0**-126),  # what is judged against the reference
+    Precision("float64", packed, 2.0**-53, 2.0**-1022),  # for `render`
+    Precision("float32", packed_float32, 2.0**-24, 2.0**-126),  # for the comparison with the reference
 )
 
 
 def with_one_mesh(shape: Shape) -> Shape:
-    """The same shape, whose mesh is generated once: of ten million triangles, that takes two seconds."""
+    """A copy of the shape that generates its mesh once: ten million triangles take two seconds."""
     if not hasattr(shape, "mesh"):
         return shape
     copy = shape.model_copy()
@@ -57,9 +56,9 @@ def with_one_mesh(shape: Shape) -> Shape:
 
 @check()
 def check_geometry(scene: Scene) -> SceneCheck:
-    """Each shape's numbers in the world, float64 and float32, against its description, worked out a second time."""
+    """Compare each shape's packed numbers, float64 and float32, with an independent computation."""
     shares = Shares()
-    latest: list[tuple[Shape, Shape]] = []  # one, with its copy: meshes of others are dropped
+    latest: list[tuple[Shape, Shape]] = []  # the last shape with its copy; meshes of others are dropped
 
     def described(shape: Shape) -> Shape:
         if not latest or latest[0][0] is not shape:
@@ -79,9 +78,9 @@ def check_geometry(scene: Scene) -> SceneCheck:
 
 
 def unrounded_arrays(part: Any, dtype: str) -> list[str]:
-    """Arrays of a packed shape that hold other numbers than those of a type, which both sides have to trace.
+    """Arrays of a packed shape that hold numbers which were not rounded to a type.
 
-    float64 numbers lie within the bounds of float32, so that no bound shows that they were not rounded.
+    Both sides have to trace rounded numbers. No bound shows if they were not: float64 lies within float32's bounds.
     """
     derived = kind_of(part).derived
     floats = {name: array for name, array in part._asdict().items() if array.dtype.kind == "f" and name not in derived}
@@ -90,27 +89,23 @@ def unrounded_arrays(part: Any, dtype: str) -> list[str]:
 
 
 def _packing_error_ratio(claim: ExpectedNumbers, rounding: float, normal: float) -> float:
-    """Largest error over its bound; inf where there are other numbers than expected."""
+    """Largest error over its bound; inf if the shape of the array differs."""
     if claim.packed.shape != np.shape(claim.expected):
         return float("inf")
     error = np.abs(claim.packed - claim.expected)
     size = np.maximum(claim.size, normal) if claim.rounded else claim.size
     bound = TRANSFORM_ROUNDINGS * rounding * np.broadcast_to(size, error.shape)
-    hopeless = np.isposinf(bound)  # normals that cancel: their direction is undefined
-    return float(np.where(hopeless, 0.0, error_over_bound(error, bound)).max(initial=0.0))
+    undefined = np.isposinf(bound)  # the direction of normals that cancel
+    return float(np.where(undefined, 0.0, error_over_bound(error, bound)).max(initial=0.0))
 
 
 @check(of=(OURS,))
 def check_materials(scene: Scene) -> SceneCheck:
-    """Each shape's material is the one it names: Mitsuba gets what the caster looks up."""
-    ratios = [
-        0.0 if scene.material_of(shape) == _described_material(scene, shape) else np.inf for shape in scene.shapes
-    ]
+    """Check that each shape's material is the one it names; Mitsuba gets the material that the caster looks up."""
+    described = [scene.materials[shape.material] if shape.material else Diffuse() for shape in scene.shapes]
+    pairs = zip(scene.shapes, described, strict=True)
+    ratios = [0.0 if scene.material_of(shape) == expected else np.inf for shape, expected in pairs]
     if not ratios:
         return SceneCheck("materials", 0.0, "no shape")
     worst = int(np.argmax(ratios))
     return SceneCheck("materials", ratios[worst], f"material of {scene.shape_names()[worst]}")
-
-
-def _described_material(scene: Scene, shape: Shape) -> Diffuse:
-    return scene.materials[shape.material] if shape.material else Diffuse()

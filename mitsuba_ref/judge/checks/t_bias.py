@@ -1,4 +1,4 @@
-"""Whether all t of a candidate are off by one factor, even within their bounds (docs/method.md, "Bias")."""
+"""A common factor on all t of a candidate, even within their bounds (docs/method.md, "Bias")."""
 
 from typing import NamedTuple
 
@@ -15,22 +15,22 @@ from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64
 
 ROUNDOFF = {FLOAT32: U32, FLOAT64: 2.0**-53}  # u of a candidate's precision
-FIT_ROUNDING = 2.0**-20  # what a least-squares fit in float64 leaves of a column that it explains is far smaller
+FIT_ROUNDING = 2.0**-20  # far above the residual of a column that a float64 least-squares fit explains fully
 
 
 class FactorFit(NamedTuple):
-    """The factor 1 + u `roundings` that fits all t best, once a shift of each shape is taken out."""
+    """The factor 1 + u `roundings` that fits all t best, beside a shift of each shape."""
 
     roundings: float
     z: float  # of the sums over primitives, whose signs are random without such a factor
-    groups: int  # primitives that tell the factor from a shift
+    groups: int  # primitives at which a factor differs from a shift
 
 
 @check(of=(CANDIDATE,))
 def check_t_bias(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.ndarray) -> SceneCheck | None:
-    """Fails where one factor on t explains errors of a sign, and is beyond what estimated reciprocals make.
+    """Fail if one factor explains the errors of t, and is larger than estimated reciprocals make it.
 
-    None if t is not given, or stems from rays or geometry that the candidate has rounded for itself.
+    None if t is not given, or if the candidate rounds rays or geometry itself.
     """
     answer = pair.answer
     if answer.hits_only or answer.own_camera or answer.own_geometry:
@@ -47,10 +47,10 @@ def check_t_bias(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.ndar
 
 
 def fitted_factor(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.ndarray) -> FactorFit:
-    """By least squares over pixels, weighted by their bounds: errors of t that have one factor, and no shift in common.
+    """Fit one factor on t by least squares over pixels, weighted by their bounds.
 
-    A candidate may round the origin of its rays, or move a shape, once for all rays: by the vector s, t changes by
-    s.n / d.n. So the three of each shape are fitted first, and what they explain is left out of the factor as well.
+    A candidate may round the origin of its rays, or the place of a shape, once for all rays; a shift by the vector s
+    changes t by s.n / d.n. So a shift of each shape is fitted first, and its part is removed from errors and factor.
     """
     answer, own = pair.answer, bounds.own
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
@@ -68,7 +68,7 @@ def fitted_factor(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.nda
         both = np.column_stack([error[here], factor[here]])
         left = both - shift[here] @ np.linalg.lstsq(shift[here], both, rcond=None)[0]
         tells = np.linalg.norm(left[:, 1]) > FIT_ROUNDING * np.linalg.norm(both[:, 1])
-        error[here], factor[here] = left.T if tells else np.zeros((2, 1))  # of a plane, a shift explains any factor
+        error[here], factor[here] = left.T if tells else np.zeros((2, 1))  # at a plane, a shift explains any factor
     tells = factor != 0.0
     sums = group_sums(prim[tells, None], error[tells] * factor[tells]).errors
     weight, spread = float(factor @ factor), float(np.sqrt(sums @ sums))

@@ -3,11 +3,11 @@
 function fillSummary(record) {
   const { verdict, scene } = record;
   const broken = verdict.checks.filter((check) => !check.ok), held = verdict.checks.length - broken.length;
-  const skipped = verdict.left_out ?? [], worst = verdict.failures.map(failureHtml).join("");
+  const worst = verdict.failures.map(failureHtml).join("");
   const versions = Object.entries(verdict.versions).map(([name, version]) => `${name} ${version}`).join(", ");
   byId("summary").innerHTML = `<h2>${plural(verdict.hit_pixels, "hit pixel")}</h2>
 <table>${countsOf(scene).filter(([, count]) => count).map(countHtml).join("")}</table>
-<p>${grouped(verdict.adjudicated)} adjudicated by exact arithmetic. ${held} of ${verdict.checks.length} scene checks pass${skipped.length ? `; ${skipped.map(spaced).join(", ")} need --thorough` : ""}.</p>
+<p>${grouped(verdict.adjudicated)} adjudicated by exact arithmetic. ${held} of ${verdict.checks.length} scene checks pass.</p>
 ${broken.length ? `<ul>${broken.map(brokenHtml).join("")}</ul>` : ""}
 ${foundHtml(verdict)}
 ${worst ? `<h3>${RUN.candidate ? "Some" : "Worst"} failing pixels</h3><ol>${worst}</ol>` : ""}
