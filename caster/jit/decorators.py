@@ -49,7 +49,7 @@ class CompilationLog:
     def __init__(self) -> None:
         self.compiled: list[str] = []
         self.loaded: list[str] = []  # from the cache
-        self.slowly: list[str] = []  # that only Numba can call, which is slow to load and to call
+        self.slowly: list[str] = []  # called through Numba, which is slow to load and to call
         self.compiling: Callable[[str], None] = lambda name: None
 
 

@@ -208,3 +208,10 @@ def test_uv_of_rectangle_and_cube_run_along_the_axes_of_mitsubas_own():
 def test_parameters_of_no_mesh_are_refused(shape, fields, words):
     with pytest.raises(SceneError, match=words):
         shape(**fields)
+
+
+def test_the_coarsest_icosphere_is_regular():
+    mesh = tessellate_icosphere(0)
+    corners = mesh.vertices[mesh.faces]
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    assert len(mesh.faces) == 20 and np.ptp(edges) < 1e-15

@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 
 from caster.kernels.math.vec import U, cross, permanent, sub, two_diff, two_product
-from caster.kernels.triangles import MIN_SIN_SQUARED, triangle_normal
+from caster.kernels.triangles import MIN_SIN_SQUARED, interpolated_uv, triangle_normal
 
 SAMPLES = 300
 FEW_U = 4 * U
@@ -73,3 +73,8 @@ def test_double_double_numbers_are_exact():
             assert Fraction(x) + Fraction(y) == exact
             with_error += y != 0.0
     assert with_error > SAMPLES
+
+
+def test_interpolated_uv_are_those_of_a_vertex_at_the_vertex():
+    uv = (0.25, 0.75), (0.5, 0.125), (0.375, 1.0)
+    assert tuple(interpolated_uv(tuple(row), *uv) for row in np.eye(3).tolist()) == uv
