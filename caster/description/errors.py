@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
+from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 __all__ = ["Diagnostic", "FileMissing", "SceneError", "diagnostics_of", "error_prefix", "join_words", "suggestion"]
@@ -166,9 +167,14 @@ CROSS_ELEMENT_ERROR = "cross_element"  # type of the error of a check across sev
 def diagnostics_of(error: ValidationError, data: Any, model: Model) -> list[Diagnostic]:
     """All errors of a validation as diagnostics, and those of checks across elements."""
     found: dict[Any, Diagnostic] = {}
+
+    @cache  # of one table there may be thousands of errors
+    def models_at(path: DataPath) -> tuple[Model, ...]:
+        return _models_at(path, data, model)
+
     for finding in error.errors(include_url=False):
         if finding["type"] != CROSS_ELEMENT_ERROR:  # repeated below on the input data
-            problem = _diagnostic(finding, _path_of(finding, data), data, model)
+            problem = _diagnostic(finding, _path_of(finding, data), data, model, models_at)
             problem = problem._replace(missing=finding["type"] == "missing_file")
             found[problem.path, finding["type"]] = problem  # Pydantic reports a list too short by two twice
     return [*found.values(), *getattr(model, "problems_across", lambda _: [])(data)]
@@ -212,7 +218,9 @@ def _models_in(annotation: Any) -> tuple[Model, ...]:
     return tuple(found for part in get_args(annotation) for found in _models_in(part))
 
 
-def _diagnostic(finding: Any, path: DataPath, data: Any, model: Model) -> Diagnostic:
+def _diagnostic(
+    finding: Any, path: DataPath, data: Any, model: Model, models_at: Callable[[DataPath], tuple[Model, ...]]
+) -> Diagnostic:
     kind, got = finding["type"], finding["input"]
     if kind == "missing" and isinstance(path[-1], int):
         text = f"must be {path[-1] + 1} items, got {len(got)}: {format_value(got)}"
@@ -220,10 +228,10 @@ def _diagnostic(finding: Any, path: DataPath, data: Any, model: Model) -> Diagno
     if kind == "missing":
         return Diagnostic(path, _message(path[:-1], f"needs the key '{path[-1]}'", data, model))
     if kind == "extra_forbidden":
-        return value_diagnostic(path, _unknown_key(str(path[-1]), _models_at(path[:-1], data, model)), data, model)
+        return value_diagnostic(path, _unknown_key(str(path[-1]), models_at(path[:-1])), data, model)
     if kind.startswith("union_tag"):
         noun = SINGULAR.get(str(path[0]), str(path[0]))
-        text = _unknown_type(got, noun, _models_at(path, data, model))
+        text = _unknown_type(got, noun, models_at(path))
         return Diagnostic((*path, "type"), _message(path, text, data, model))
     return value_diagnostic(path, _text(kind, got, finding.get("ctx", {})), data, model)
 

@@ -8,12 +8,13 @@ from typing import IO
 
 from caster.description.errors import FileMissing, SceneError
 
-__all__ = ["opened_input", "read_input", "read_text"]
+__all__ = ["MAX_MESH_BYTES", "MAX_TEXT_BYTES", "opened_input", "read_input", "read_text"]
 
-MAX_BYTES = 2**32  # 80 million triangles in binary PLY
+MAX_TEXT_BYTES = 2**28  # of a scene file: a million spheres are half of it
+MAX_MESH_BYTES = 2**32  # 80 million triangles in binary PLY
 
 
-def read_input(path: str | os.PathLike[str], what: str, max_bytes: int = MAX_BYTES) -> bytes:
+def read_input(path: str | os.PathLike[str], what: str, max_bytes: int = MAX_TEXT_BYTES) -> bytes:
     """Content of a regular file. `what` and errors as for `opened_input`; SceneError beyond max_bytes."""
     with opened_input(path, what) as file:
         size = os.fstat(file.fileno()).st_size

@@ -147,8 +147,17 @@ MAX_LINE_CHARACTERS = 100  # of a line in an excerpt
 MAX_ERRORS_LISTED = 50  # the others are only counted
 
 
+MAX_KEY_PARTS = 32  # of a dotted key in TOML, whose parser takes time and memory by the square of them
+_PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+LONG_KEY = re.compile(rf"(?m)^[ \t\[]*+{_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MAX_KEY_PARTS}}}")
+
+
 def parse(text: str, kind: SceneFormat, origin: str) -> Any:
     """Parse TOML or JSON. Raises SceneError."""
+    long_key = LONG_KEY.search(text) if kind == "toml" else None
+    if long_key:
+        line = text.count("\n", 0, long_key.start()) + 1
+        raise SceneError(f"{origin}:{line}: expected keys of at most {MAX_KEY_PARTS} parts, got more")
     try:
         if kind == "toml":
             return tomllib.loads(text)

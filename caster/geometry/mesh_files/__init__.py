@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 import numpy as np
 
 from caster.description.errors import FileMissing, SceneError, field_error, format_value, missing_file_error
-from caster.description.input_files import read_input
+from caster.description.input_files import MAX_MESH_BYTES, read_input
 from caster.description.transform import compose, is_mirrored, scale, transform_points, translate
 from caster.geometry.mesh_files.obj import parse_obj, quote_bytes
 from caster.geometry.mesh_files.ply import Points, parse_ply, parse_ply_points
@@ -41,7 +41,7 @@ def load_mesh(path: str | PathLike[str]) -> Mesh:
     """
     where = str(path)
     parse = _parser_for(where)
-    data = read_input(where, "mesh file")
+    data = read_input(where, "mesh file", MAX_MESH_BYTES)
     if not data:
         raise SceneError(f"{where}: the file is empty (0 bytes): expected a mesh; export or copy it again")
     mesh = parse(data, where)
@@ -57,7 +57,7 @@ def load_points(path: str | PathLike[str]) -> Points:
     where = str(path)
     if Path(where).suffix.lower() != ".ply":
         raise SceneError(f"{where}: unknown format of points '{Path(where).suffix}': expected .ply")
-    return parse_ply_points(read_input(where, "file of points"), where)
+    return parse_ply_points(read_input(where, "file of points", MAX_MESH_BYTES), where)
 
 
 Loaded = TypeVar("Loaded")
