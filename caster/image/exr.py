@@ -114,7 +114,7 @@ def compressing_threads(count: int) -> Iterator[None]:
 
 
 def _check_whole(path: Path, chunk_count: int) -> None:
-    """Raise OSError for a file that ends early: the library does not check that its last buffer was written."""
+    """Raise OSError for a truncated file: OpenEXR does not check that its last buffer was written."""
     try:
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             at = 8  # the first attribute: name, type, size, value
@@ -183,7 +183,7 @@ def _is_multi_part(path: Path) -> bool:
         raise UnreadableExr(f"{path}: expected an EXR image, the file is empty (0 bytes)")
     magic, flags = struct.unpack("<II", start.ljust(8, b"\0"))
     if magic != MAGIC:
-        raise UnreadableExr(f"{path}: expected an EXR image, the file starts with {start[:4]!r}")
+        raise UnreadableExr(f"{path}: expected an EXR image, got a file that starts with {start[:4]!r}")
     if flags & DEEP and not flags & MULTI_PART:
         raise UnreadableExr(f"{path}: a deep EXR has many samples a pixel; write a flat one")
     return bool(flags & MULTI_PART)

@@ -188,7 +188,7 @@ def camera_rays(scene: Scene, threads: int | None = None) -> Rays:
 
 
 def trace_film(scene: Scene, threads: int | None = None) -> RayHits:
-    """Cast the camera's rays; few rays by brute force, without building trees."""
+    """Cast the camera's rays; up to BVH_MIN_RAYS of them by brute force, without building a BVH."""
     rays, arrays = camera_rays(scene, threads), packed(scene)
     culling: Culling = "bvh" if len(rays.t_min) > BVH_MIN_RAYS else "brute-force"
     nearest = find_nearest(arrays, rays, culling, threads)

@@ -63,7 +63,7 @@ PARTS = np.repeat([0, 1, 2, 3, 0], [12, 4, 4, 8, 4])
 def patches() -> Floats:
     """(32, 4, 4, 3) control points in the published order: [patch, along u, along v, xyz].
 
-    u runs along the profile, handle or spout, v around it, so that dv x du points outwards.
+    u runs along the profile, handle or spout and v around it; dp/dv x dp/du points outwards.
     """
     turned = [net for profile in (RIM, BODY, FOOT) for net in _turned(profile, -1.0)]
     bent = [net for rings in (HANDLE, SPOUT) for part in (rings[:4], rings[3:]) for net in _halves(part)]
@@ -72,7 +72,7 @@ def patches() -> Floats:
 
 
 def _turned(profile: Profile, sense: float) -> list[Floats]:
-    """Four quarter turns from +x, towards +y for sense 1 and towards -y for sense -1."""
+    """Revolve a profile about z: four 90-degree patches from +x, towards +y for sense 1 and -y for sense -1."""
     quarter = np.array([_quarter_ring(profile, ring) for ring in range(4)])
     nets = []
     for axis_x, axis_y in ((1, 0), (0, 1), (-1, 0), (0, -1)):

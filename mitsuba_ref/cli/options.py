@@ -41,7 +41,7 @@ def whole(text: str) -> int:
 
 
 def positive_seconds(text: str) -> float:
-    """Parse a number of seconds > 0, at most MAX_SECONDS. Raises argparse.ArgumentTypeError."""
+    """Parse a duration in seconds, > 0 and <= MAX_SECONDS. Raises argparse.ArgumentTypeError."""
     try:
         value = float(text)
     except ValueError:

@@ -178,7 +178,7 @@ def by_normal(_prims: Any, _k: np.ndarray, n: np.ndarray, _o: np.ndarray, _d: np
 
 
 def by_matrix(prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
-    """Group key of primitives under a matrix: its inverse is rounded; mirror images have the same magnitudes."""
+    """Group key of transformed primitives: abs(to_world), since mirror images round its inverse alike."""
     key: np.ndarray = np.abs(prims.to_world[k].reshape(len(k), 9))
     return key
 

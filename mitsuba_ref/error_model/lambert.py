@@ -189,7 +189,7 @@ def our_visibility(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(may be lit, may be in shadow) for ours, from the hit point; prim (m,) does not shadow itself at the ray's start.
 
-    The hit point o + t d lies off the surface by the rounding of that sum.
+    Rounding of o + t d may move the hit point off the surface.
     """
     off = KU_OURS * (norm(hit.p) + norm(hit.d) * np.abs(hit.at.t))
     possible, certain = bracket.blocked(hit.p, lit.to_light, lit.reach, leaving=(prim, off))

@@ -1,4 +1,4 @@
-"""Two EXR files as a pair, and the bound of each pixel: from its conditioning where that is known, else plain.
+"""Pairs of EXR files with error bounds: from each pixel's conditioning where known, else plain tolerances.
 
 An EXR file holds no primitives, so the bounds of `validate` cannot be derived here. Where the reference has `position`,
 `depth` and `normal`, and the provenance has the camera, they give the conditioning of each pixel (magnitude of the

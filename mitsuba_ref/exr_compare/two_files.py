@@ -35,7 +35,7 @@ def compare_exr(
     diff: FileName | None = None,
     reading: Reading | None = None,
 ) -> FileComparison:
-    """Judge every pixel of two EXR files, by channel name.
+    """Compare two EXR files pixel by pixel, matching channels by name.
 
     diff: where to write ours - reference under the same channel names, float32, and the uint32 channel
     `class.I` (codes in its provenance); not written when the files are not comparable.

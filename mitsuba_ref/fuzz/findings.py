@@ -38,7 +38,7 @@ class Finding:
 
     @property
     def mode(self) -> tuple[str, str]:
-        """The failure mode, which a shrunk scene has to keep."""
+        """The failure mode, which shrinking must preserve."""
         return self.kind, self.detail
 
 

@@ -166,7 +166,7 @@ def far_from_origin(rng: Rng) -> Frame:
 
 
 def small_on_film(rng: Rng) -> Frame:
-    """Shapes a few pixels wide."""
+    """Bounded shapes, 0.25 in size or on a lattice; their family has larger films."""
     return Frame(0.25, condition=10.0) if rng.random() < 0.6 else random_lattice_frame(rng)
 
 

@@ -206,9 +206,9 @@ def _field_of_view(out: SceneBuilder, node: Node, width: int, height: int) -> di
 
 
 def _window(out: SceneBuilder, node: Node, matrix: np.ndarray, near: float, far: float) -> dict[str, Any]:
-    """The window of an orthographic sensor: [-1, 1] wide before scaling.
+    """Width and clip distances of an orthographic sensor, whose window is [-1, 1] wide before scaling.
 
-    Along the view, the near plane is scaled, the distance from near to far plane is not.
+    Scale along the view axis applies to the near distance, not to the distance between near and far plane.
     """
     across, up, along = row_lengths(matrix[:3, :3].T)
     if abs(up - across) > SQUARE_PIXEL_RTOL * across:

@@ -1,6 +1,6 @@
 """Adjudication: compare the subject with exact arithmetic at pixels where bounds alone do not decide.
 
-Also exact answers to any float32 rays of a scene, with error bounds of t.
+Also gives exact answers for arbitrary float32 rays of a scene, with error bounds on t.
 """
 
 from collections.abc import Callable, Sequence

@@ -35,7 +35,7 @@ def defect_name(number: int) -> str:
 
 
 def defect_of(features: DefectFeatures) -> int | None:
-    """The number of the first defect whose condition holds; None if the error is not listed."""
+    """The number of the known defect that fits (of several, the one of lowest `priority`), or None."""
     involved = [kind for kind in KINDS.values() if kind.name in features.kinds]
     found = [defect for kind in involved for defect in kind.known_defects if defect.applies(kind.name, features)]
     if NAN_T.condition(features):

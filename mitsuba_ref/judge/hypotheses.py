@@ -409,7 +409,7 @@ OTHER_RAYS = tuple(_other_rays())
 
 
 def _faces(f: WrongPixels) -> np.ndarray:
-    """(r,) cosine-like: positive where a root leaves through the back of its surface."""
+    """(r,) normal . d at each root: positive where the ray hits the back of the surface."""
     return dot(f.roots.at.n, f.d[f.roots.ray])
 
 

@@ -72,7 +72,7 @@ def disk_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def cylinder_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes around the image of [-1, 1]^2 x [0, 1]."""
+    """World-space bounding boxes of the transformed box [-1, 1]^2 x [0, 1]."""
     axis = prims.to_world[:, :, 2]
     with np.errstate(over="ignore"):
         reach = np.abs(prims.to_world[:, :, :2]).sum(axis=2) * ROUNDED_UP

@@ -1,4 +1,4 @@
-"""Shared rays traced by Mitsuba, and its images named as the caster's AOVs."""
+"""Trace the shared rays with Mitsuba; name its outputs like the caster's AOVs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

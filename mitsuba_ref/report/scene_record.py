@@ -193,7 +193,7 @@ def values(ours: np.ndarray, reference: np.ndarray) -> dict[str, Any]:
 
 
 def bounds(evidence: Evidence, name: str) -> dict[str, Any]:
-    """Error over bound of the check of this name, and its bounds, if there are any."""
+    """Encoded error-to-bound ratios of the check `name`, and its bounds where it has any."""
     bound = evidence.bound(name)
     found = {"ratio": packed(coarse(evidence.judgement.ratio(name)))}
     if bound.between is not None:

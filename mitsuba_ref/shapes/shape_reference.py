@@ -198,7 +198,7 @@ ROUNDING_INTERVAL_FRACTION = 1.0 - 2.0**-20
 
 
 def unit_vector_rounding_to(n: np.ndarray) -> np.ndarray:
-    """A unit vector, up to float64 rounding, whose components round to the float32 numbers n (3,).
+    """A unit vector (up to float64 rounding) whose components round to the float32 values n (3,).
 
     n was rounded from a unit vector, so the box of all vectors that round to n contains one. Lengths grow along the
     diagonal from the box's corner nearest to 0 to the farthest, and are 1 somewhere.

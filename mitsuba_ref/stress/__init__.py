@@ -1,1 +1,1 @@
-"""Numerical stability: sweeps of the families of mitsuba_ref/hard in which one quantity gets extreme."""
+"""Numerical stability: families of mitsuba_ref/hard, each with one parameter swept to its extreme."""

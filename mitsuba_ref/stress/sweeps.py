@@ -1,4 +1,4 @@
-"""Sweeps of families by several casters, and their results; tables, JSON and pages are views of these."""
+"""Stress sweeps: each family traced by several ray casters, and the scores, shown as tables, JSON and pages."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence

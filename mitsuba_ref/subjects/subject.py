@@ -171,7 +171,7 @@ PrimitiveDescription = dict[str, Any]
 
 
 def describe_primitive(part: Any, k: int) -> PrimitiveDescription:
-    """A description of primitive k of packed arrays. Raises LookupError for a kind without descriptions."""
+    """Fields of a shape that packs to primitive k exactly. Raises LookupError for a kind without descriptions."""
     return kind_of(part).describe(part, k)
 
 

@@ -206,9 +206,9 @@ GLB_HEADER = struct.Struct("<4sIIII")  # magic, version, length of all; length a
 
 
 def _turned_by_matrices(data: bytes, kind: str) -> bytes:
-    """Replace the rotation of each node of a glTF file by a matrix, since trimesh normalises quaternions by a BLAS.
+    """Replace node rotations of a glTF file by matrices, since trimesh normalises quaternions with BLAS.
 
-    A malformed file is returned as it is: trimesh reports what is wrong.
+    A malformed file is returned unchanged, so that trimesh reports the error.
     """
     if kind == "stl" or b'"rotation"' not in data:
         return data

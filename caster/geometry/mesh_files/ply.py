@@ -207,7 +207,7 @@ class _Body:
         }
 
     def _row(self, element: Element, row: int) -> tuple[list[int], list[int], int]:
-        """(offsets of the values of each property, their counts, end) of the row that begins here."""
+        """(value offset of each property, its value count, end offset) of the row at self.at."""
         starts, sizes, at = [], [], self.at
         for p in element.properties.values():
             size = 1

@@ -1,7 +1,7 @@
-"""Numbers for decisions that float64 cannot make: integers of any length, and parameters along a ray made of them.
+"""Exact arithmetic where float64 cannot decide: big integers, and ray parameters t built from them.
 
 An integer is an array of int64 digits to the base 2^26, lowest first: all but the last in [0, 2^26), the last, which
-carries the sign, in [-2^26, 2^26]. No digit is left out or rounded, and none overflows: see `combined`.
+carries the sign, in [-2^26, 2^26]. Nothing is rounded, and no digit overflows: see ROWS_PER_CARRY.
 """
 
 import math

@@ -47,7 +47,7 @@ def _up_sine(camera: Camera) -> float:
 
 
 def _on_rim(scene: Scene, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """(n,) bool: pixels on the edge of a round image up to rounding, where either side may have a ray or none."""
+    """(n,) bool: pixels so near the edge of the image circle that rounding decides whether they have a ray."""
     film, reference = scene.film, reference_of_camera(scene.camera)
     middle_x, middle_y = film.width / 2.0, film.height / 2.0
     seen = []
