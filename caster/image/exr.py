@@ -95,7 +95,7 @@ def write_exr(
     with atomic_write(path) as part:
         with compressing_threads(threads):
             OpenEXR.File(header, copies).write(str(part))
-        _check_whole(part, -(-height // CHUNK_ROWS))
+        _check_complete(part, -(-height // CHUNK_ROWS))
 
 
 @contextlib.contextmanager
@@ -113,7 +113,7 @@ def compressing_threads(count: int) -> Iterator[None]:
         OpenEXR.set_global_thread_count(0)
 
 
-def _check_whole(path: Path, chunk_count: int) -> None:
+def _check_complete(path: Path, chunk_count: int) -> None:
     """Raise OSError for a truncated file: OpenEXR does not check that its last buffer was written."""
     try:
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:

@@ -166,7 +166,7 @@ def _parse_by_trimesh(data: bytes, where: str) -> Mesh:
     beside = trimesh.resolvers.FilePathResolver(where) if kind == "gltf" else None
     try:
         scene = trimesh.load_scene(
-            io.BytesIO(_turned_by_matrices(data, kind)),
+            io.BytesIO(_rotations_as_matrices(data, kind)),
             file_type=kind,
             resolver=beside,
             process=False,
@@ -205,7 +205,7 @@ def _placed(scene: Any, mesh_class: type[Any]) -> tuple[np.ndarray, np.ndarray]:
 GLB_HEADER = struct.Struct("<4sIIII")  # magic, version, length of all; length and type of the first chunk, the JSON
 
 
-def _turned_by_matrices(data: bytes, kind: str) -> bytes:
+def _rotations_as_matrices(data: bytes, kind: str) -> bytes:
     """Replace node rotations of a glTF file by matrices, since trimesh normalises quaternions with BLAS.
 
     A malformed file is returned unchanged, so that trimesh reports the error.
