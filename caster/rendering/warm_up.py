@@ -18,7 +18,7 @@ from caster.kernels.bvh.build import LEAF_SIZE, MAX_PRIMITIVES
 from caster.kernels.bvh.traversal import cast_packets_brute_force
 from caster.kernels.nearest import Rays
 from caster.kernels.raster.tile import WIDTH, load_rays, new_tile
-from caster.rendering.casting import Culling, exact_nearest, find_any, find_nearest
+from caster.rendering.casting import BVH_MIN_RAYS, Culling, exact_nearest, find_any, find_nearest
 from caster.rendering.hits import validated_rays
 from caster.rendering.images import DEFAULT_AOVS, render_film
 from caster.rendering.plan import culling_for
@@ -122,8 +122,9 @@ def _turned(i: int) -> list[Any]:
 
 
 def _warm_decisions(packed: Packed) -> None:
-    """The kernels of exact decisions."""
-    rays = Rays(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1), np.full(1, np.inf))
+    """The kernels of exact decisions, of enough rays for trees."""
+    n = BVH_MIN_RAYS + 1
+    rays = Rays(np.zeros((n, 3)), np.ones((n, 3)), np.zeros(n), np.full(n, np.inf))
     for trees in (True, False):
         exact_nearest(packed, rays, 1, trees=trees)
 

@@ -46,7 +46,7 @@ class ProcessEnd:
     @property
     def exit(self) -> str:
         """An exit code, a signal, or that it was killed at its deadline."""
-        return f"killed after {round(self.seconds, 1):g} s" if self.code is None else exit_name(self.code)
+        return f"killed after {round(self.seconds, 3):g} s" if self.code is None else exit_name(self.code)
 
 
 class ProcessEnded(Exception):  # noqa: N818 - an event, not necessarily an error

@@ -1,6 +1,7 @@
 """`mitsuba-ref probe`: every witness of a ray, who is right and by how much, as text and as JSON."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -41,7 +42,7 @@ def test_mitsuba_may_be_given_less_time(tmp_path, monkeypatch, capsys, words):
     monkeypatch.chdir(tmp_path)
     command, *rest = words
     assert main([command, "edge.toml", *rest, "--timeout", "0.001"]) == 1
-    assert "Mitsuba ended without an answer (killed after 0.001 s)" in capsys.readouterr().out
+    assert re.search(r"Mitsuba ended without an answer \(killed after 0\.0\d+ s\)", capsys.readouterr().out)
     assert not (tmp_path / "refs").exists()
 
 
