@@ -65,7 +65,8 @@ class Tree:
             text=True,
             timeout=300,
         )
-        return Said(command, found.returncode, found.stdout.replace(str(self.folder) + "/", ""))
+        text = re.sub(r"(?m)^mitsuba-ref \w+: loading .*\n", "", found.stdout)
+        return Said(command, found.returncode, text.replace(str(self.folder) + "/", ""))
 
 
 def diff() -> str:
