@@ -3,6 +3,7 @@
 import json
 import re
 import tomllib
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Literal, NamedTuple, TypeVar
 
@@ -173,7 +174,7 @@ def parse(text: str, kind: SceneFormat, origin: str) -> Any:
 def _table(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     table = dict(pairs)
     if len(table) < len(pairs):
-        again = next(key for k, (key, _) in enumerate(pairs) if key in dict(pairs[:k]))
+        again = Counter(key for key, _ in pairs).most_common(1)[0][0]
         raise SceneError(f"not valid JSON: a table has the key '{again}' twice")
     return table
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -163,6 +164,10 @@ def run_export(args: argparse.Namespace) -> int:
     from mitsuba_ref.reference.shared_input import export_scene
 
     exported = export_scene(scene)
+    inputs = [shape.file for shape in scene.shapes if hasattr(shape, "file")]
+    for target in (os.path.join(args.output, name) for name in exported.meshes):
+        if os.path.exists(target) and any(os.path.samefile(target, file) for file in inputs if os.path.exists(file)):
+            raise SceneError(f"-o {args.output}: expected another folder: the scene reads {target}")
     path = exported.write(Path(args.output))
     print(f"{path}: {len(scene.shapes)} shapes, {len(exported.meshes)} mesh files")
     for note in exported.notes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
 import traceback
@@ -71,8 +72,18 @@ def run(args: argparse.Namespace) -> int:
     entries = selected_entries(args)
     if not entries:
         return NOTHING_SELECTED
+    remove_earlier_results(args)
     candidate = requested_candidate(args)
     return judge_entries(args, entries, run_options(args, candidate), candidate)
+
+
+def remove_earlier_results(args: argparse.Namespace) -> None:
+    """Remove the verdicts of an earlier run, which would be taken for this one's if it ended without any."""
+    from mitsuba_ref.report.out_folder import VERDICT
+
+    for path in (args.json, args.junit, args.out and os.path.join(args.out, VERDICT)):
+        if path and os.path.isfile(path) and not os.path.islink(path):  # /dev/stdout is a link
+            os.unlink(path)
 
 
 def judge_entries(
@@ -83,11 +94,6 @@ def judge_entries(
     from mitsuba_ref.runner.validation_run import ValidationRun
 
     variants.require_variants()  # its errors come before any work
-    for path in (
-        Path(name).resolve() for name in (args.json, args.junit) if name
-    ):  # of an earlier run, should this one be killed
-        if path.is_file():
-            path.unlink()
     start = time.perf_counter()
     running = ValidationRun(entries, options)
     try:

@@ -106,9 +106,6 @@ T_ROUNDING_ULPS = 1.0
 # A dozen such roundings, divided by a slope of at least 2^-60, move t by no more than this.
 UNDERFLOW_BOUND = 2.0**-1010
 
-# depth = t |d|: the length takes at most 4 roundings, the product one, and t is recovered by a division.
-DEPTH_ULPS = 4.0
-
 # unit() divides by a rounded length: each component takes at most four roundings, so its square is off by 8 u.
 UNIT_LENGTH_ATOL = 16 * 2.0**-53
 

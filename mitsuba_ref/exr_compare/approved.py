@@ -176,20 +176,11 @@ def check_ours(scene: Scene, name: str, approved: Exr) -> tuple[bool, tuple[str,
     ambiguous, hit = _ambiguous(approved), approved.channels["A"] != 0.0
     if hit.any() and not (hit & ~ambiguous).any():
         return False, (f"nothing to compare: more than one answer is right at all {hit.sum()} pixels that are hit",)
-    response = request_answer(OURS, scene)
-    answer, ours = response.answer, response.answer.images
-    assert ours is not None and answer.prim is not None
-    o, d = response.rays.o.astype(np.float64), response.rays.d.astype(np.float64)
-    bounds = reference_bounds(response.model, answer.prim, o, d, answer.t)
-    with np.errstate(invalid="ignore"):
-        point = o + answer.t[:, None] * d
-    pixels = PixelPairs(ours, channels_to_aovs(approved.channels), bounds, answer, np.linalg.norm(d, axis=1), point)
-    geometry = compare(pixels, scene.checks).agrees
-    light = geometry & _lighting_agrees(scene, pixels, ShadingPoints(point, d, aov_rows(ours, "shape_id"), bounds.at))
+    ours, geometry, light = within_bounds(scene, approved)
     shown = {CLASS_CHANNEL: approved.channels[CLASS_CHANNEL]}
     images = Aovs({name: ours[name] for name in AOVS}, ours.hit)
     for channel, plane in _stored(aovs_to_channels(images)).items():
-        agrees = (light if channel in LAYERS["diffuse"] else geometry).reshape(plane.shape)
+        agrees = light if channel in LAYERS["diffuse"] else geometry
         shown[channel] = np.where(ambiguous | agrees, approved.channels[channel], plane)
     tolerances, names = Tolerances(ignore=(CLASS_CHANNEL,)), (name, "the approved image")
     result = compare_images(approved._replace(channels=shown), approved, tolerances, names=names)
@@ -197,6 +188,21 @@ def check_ours(scene: Scene, name: str, approved: Exr) -> tuple[bool, tuple[str,
     if ambiguous.any():
         head += f"; {ambiguous.sum()} pixels with more than one right answer not compared"
     return result.ok, (head, *rest)
+
+
+def within_bounds(scene: Scene, image: Exr) -> tuple[Aovs, np.ndarray, np.ndarray]:
+    """Our AOVs, and whether the geometry and the light of each pixel (h, w) are within the bounds of `validate`."""
+    response = request_answer(OURS, scene)
+    answer, ours = response.answer, response.answer.images
+    assert ours is not None and answer.prim is not None
+    o, d = response.rays.o.astype(np.float64), response.rays.d.astype(np.float64)
+    bounds = reference_bounds(response.model, answer.prim, o, d, answer.t)
+    with np.errstate(invalid="ignore"):
+        point = o + answer.t[:, None] * d
+    pixels = PixelPairs(ours, channels_to_aovs(image.channels), bounds, answer, np.linalg.norm(d, axis=1), point)
+    geometry = compare(pixels, scene.checks).agrees
+    light = geometry & _lighting_agrees(scene, pixels, ShadingPoints(point, d, aov_rows(ours, "shape_id"), bounds.at))
+    return ours, geometry.reshape(ours.hit.shape), light.reshape(ours.hit.shape)
 
 
 def _ambiguous(image: Exr) -> np.ndarray:
@@ -279,19 +285,24 @@ def changes(before: Exr, now: Exr, compared: FileComparison) -> Iterator[str]:
 def differ_by_processor(scene: Scene, before: Exr, now: Exr) -> bool:
     """Whether the processor explains all differences between two comparable images of the same scene.
 
-    The images have to name different processors, or one of them none, and the same versions and variant. Both have to
-    pass `check`, and pixels that miss to be equal.
+    The images have to name different processors, or one of them none, and the same versions and variant. Pixels that
+    miss have to be equal, and all others with one right answer within the bounds of `validate` in both.
     """
     abouts, images = (before.provenance, now.provenance), (before, now)
     if abouts[0].get(PROCESSOR) == abouts[1].get(PROCESSOR):
         return False
     if any(abouts[0].get(key) != abouts[1].get(key) for key in (*VERSIONS, VARIANT)):
         return False
-    misses = ~_ambiguous(before) & ~_ambiguous(now) & (now.channels["A"] == 0.0)
+    ambiguous = _ambiguous(before) | _ambiguous(now)
+    misses = ~ambiguous & (now.channels["A"] == 0.0)
     names = before.channels.keys() - {CLASS_CHANNEL}
     if not all(np.array_equal(*(each.channels[name][misses] for each in images)) for name in names):
         return False
-    return all(check_ours(scene, "", each)[0] for each in images)
+    for each in images:
+        _, geometry, light = within_bounds(scene, each)
+        if not (ambiguous | np.where(each.channels["A"] != 0.0, light, geometry)).all():
+            return False
+    return True
 
 
 def unused_images(folder: Path, names: set[str]) -> list[str]:

@@ -41,10 +41,12 @@ def compare_exr(
     `class.I` (codes in its provenance); not written when the files are not comparable.
     reading: how to interpret files of other programs.
     Raises FileMissing or UnreadableExr for an input, OutputError for diff, SceneError for an `ignore` that
-    names nothing.
+    matches no channel or a diff that would overwrite an input.
     """
     reading, names = reading or Reading(), (str(ours), str(reference))
     files = [read_exr(ours), read_exr(reference)]
+    if diff is not None and any(os.path.exists(diff) and os.path.samefile(diff, each) for each in (ours, reference)):
+        raise SceneError(f"{diff}: expected another file for the difference: this is an image that is compared")
     check_maps(reading.maps, *(exr.channels for exr in files))
     converted, stated = list[Exr](), list[str]()
     for who, exr, other in zip(SIDES, files, files[::-1], strict=True):

@@ -237,7 +237,7 @@ class Judge:
         # A pixel that fails only the scene's own stricter bounds is not disputed: nothing excuses it.
         disputed = ~agreeing & self.consistent & (loose | ~comparison.derived | ~fits)
         self._classify_reference(classes, disputed, loose, exact)
-        other_tie = exact.right & disputed[exact.rows] & (~nearest.of_first | self._at_t_min()[exact.rows])
+        other_tie = exact.right & disputed[exact.rows] & (~nearest.of_first | self.hits_at_t_min[exact.rows])
         classes[exact.rows[other_tie]] = CLASS_CODE[TIE]
         classes[fails_self_check(self.self_checks, len(classes)) & self.consistent] = CLASS_CODE[WRONG]
         classes[exact.rows[~exact.answered]] = CLASS_CODE[UNDECIDED]
@@ -319,7 +319,7 @@ class Judge:
     def _adjudicated(self, rows: np.ndarray) -> tuple[Adjudication, ExactRatios]:
         """Compare these rows of the image, ascending, with exact arithmetic."""
         answer = self.answer
-        t_min = np.where(self._at_t_min()[rows], np.nextafter(self.t_min[rows], -np.inf), self.t_min[rows])
+        t_min = np.where(self.hits_at_t_min[rows], np.nextafter(self.t_min[rows], -np.inf), self.t_min[rows])
         answers = oracle_answers(self.oracle, self.o[rows], self.d[rows], self.t_max[rows], t_min)
         if answer.prim is not None:
             nearest = ratios_of_named(answers, answer.prim[rows], answer.t[rows], self.bounds.own.t_error[rows])
@@ -329,7 +329,8 @@ class Judge:
             )
         return Adjudication(rows, answers, nearest.best), nearest
 
-    def _at_t_min(self) -> np.ndarray:
+    @cached_property
+    def hits_at_t_min(self) -> np.ndarray:
         """(n,) bool: a candidate's hits exactly at t_min, such as t = 0, which it may count as part of the ray."""
         found: np.ndarray = (self.answer.t == self.t_min) & (not self.answer.exact_visibility)
         return found & (not self.answer.hits_only)
@@ -398,7 +399,7 @@ class Judge:
         claims = claims_of(self.answer.rows(rows), self.model.packed)
         lines = self.o[rows], self.d[rows], self.t_max[rows]
         found = self.bracket.judge(*lines, claims, t_min=self.t_min[rows])
-        allowed = found.allowed & ((claims.shape == CLAIMED_MISS) | ~(claims.t <= 0.0) | self._at_t_min()[rows])
+        allowed = found.allowed & ((claims.shape == CLAIMED_MISS) | ~(claims.t <= 0.0) | self.hits_at_t_min[rows])
         lost = np.zeros(len(rows), bool)
         if isinstance(self.view, UncertainRaysModel):
             answers: Sequence[ExactAnswer | None] = [exact.of(row) for row in rows]

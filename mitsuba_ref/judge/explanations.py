@@ -28,7 +28,7 @@ def constant_reasons(judge: Judge) -> dict[str, str]:
     if not judge.answer.exact_visibility:
         return {
             AGREE: "all that is given is within the bounds of the candidate's arithmetic",
-            TIE: "several primitives are hit at exactly this t, and any of them is a right answer",
+            TIE: "several primitives are hit at exactly this t, or the ray starts on one: any of them is right",
         }
     return {
         AGREE: "every quantity is within its bound",

@@ -26,7 +26,7 @@ from mitsuba_ref.judge.checks.bias import PixelErrors, error_statistics, pixel_e
 from mitsuba_ref.judge.checks.knife_edges import AimedFailure
 from mitsuba_ref.judge.classification import Judge, Judgement, judge_of
 from mitsuba_ref.judge.diagnosis import Diagnosis, diagnose
-from mitsuba_ref.judge.verdict import FAILING, SceneCheck, SceneVerdict
+from mitsuba_ref.judge.verdict import AGREE, FAILING, TIE, SceneCheck, SceneVerdict
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
 from mitsuba_ref.reference.shared_input import SharedRays
@@ -216,6 +216,7 @@ def _verdict(task: Task, response: SubjectResponse, seen: Seen, checks: tuple[Sc
         findings=findings(judge, diagnosis),
         notes=(
             *_notes_on_misses(judge),
+            *_notes_on_starts(judge, judgement),
             *(() if task.ours else (*answer.notes, *response.limits, *failure_hints(answer, judgement))),
         ),
         seen=seen,
@@ -234,6 +235,12 @@ def _verdict_of(task: Task, checks: tuple[SceneCheck, ...], **found: Any) -> Sce
         candidate=task.subject.name,
         **found,
     )
+
+
+def _notes_on_starts(judge: Judge, judgement: Judgement) -> tuple[str, ...]:
+    """How many hits of a candidate are at t_min itself, where our own rays hit nothing."""
+    count = int((judge.hits_at_t_min & judgement.is_class(AGREE, TIE)).sum())
+    return (f"{count} hits at t_min itself, of surfaces that rays start on: either answer is right",) if count else ()
 
 
 def _notes_on_misses(judge: Judge) -> tuple[str, ...]:

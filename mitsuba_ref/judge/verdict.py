@@ -23,7 +23,7 @@ FAILING = (WRONG, UNDECIDED)
 BIAS_OF_T, BIAS_OF_POSITION = "t", "position"
 UNLISTED = "unlisted"  # the case of a pixel where the reference is wrong in no known way (judge/defect_lookup.py)
 UNSUPPORTED, EXPECTED = "unsupported", "expected"  # a scene that is waived: declined, or a known failure
-VERDICT_FORMAT = 3  # of verdict.json: raised when a name in it changes its meaning or goes away
+VERDICT_FORMAT = 4  # of verdict.json: raised when a name in it changes its meaning or goes away
 MAX_LISTED_FAILURES = 10  # of one scene; all are counted
 
 

@@ -139,7 +139,7 @@ def usable_variants() -> Variants:
     candidates = list(_candidates())
     key = _cache_key(candidates)
     if key not in _usable_by_key:
-        _usable_by_key[key] = _load_cached(key) or _try_variants(candidates, key)
+        _usable_by_key[key] = _load_cached(key, candidates) or _try_variants(candidates, key)
     return _usable_by_key[key]
 
 
@@ -231,9 +231,14 @@ def _try_variants(candidates: list[str], key: str) -> Variants:
     return found
 
 
-def _load_cached(key: str) -> Variants | None:
-    """The stored outcome; None where there is none that can be read."""
+def _load_cached(key: str, candidates: list[str]) -> Variants | None:
+    """The stored outcome; None where there is none that can be read, or its library is none of the candidates.
+
+    Loading a library runs its code: a path that only the store names is not loaded.
+    """
     try:
-        return TypeAdapter(Variants).validate_json(user_store().get(key) or b"")
+        found = TypeAdapter(Variants).validate_json(user_store().get(key) or b"")
     except ValidationError:
         return None
+    library = found.libllvm in candidates if found.llvm else found.libllvm is None
+    return found if library else None

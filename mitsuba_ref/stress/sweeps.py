@@ -25,7 +25,7 @@ from mitsuba_ref.stress.score import (
 )
 from mitsuba_ref.subjects.subject import Answer, Subject
 
-JSON_FORMAT = 1  # goes up when a key changes its meaning or goes away
+JSON_FORMAT = 2  # goes up when a key changes its meaning or goes away
 
 Progress = Callable[[str], None]
 Answers = dict[str, Observation | Answer | Absent]  # by caster; an Answer of the candidate

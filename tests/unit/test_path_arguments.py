@@ -14,7 +14,7 @@ from caster.cli import COMMANDS
 from caster.cli.application import build_parser
 from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, output_file_unless_number
 from caster.system import atomic_files
-from caster.system.atomic_files import OutputError, ScratchFolder, atomic_write, remove_temporaries, write_text
+from caster.system.atomic_files import OutputError, ScratchFolder, atomic_write, locked, remove_temporaries, write_text
 from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
 
 PROGRAMS = {"caster": (caster.__main__.main, COMMANDS), "mitsuba-ref": (mitsuba_ref.__main__.main, JUDGE_COMMANDS)}
@@ -114,6 +114,17 @@ def test_two_outputs_are_two_files(tmp_path, capsys):
     argv = ["merge", str(tmp_path), "--json", str(tmp_path / "x"), "--junit", str(tmp_path / "." / "x")]
     assert mitsuba_ref.__main__.main(argv) == 2
     assert "expected a file other than that of --json" in capsys.readouterr().err
+
+
+def test_a_folder_that_another_run_writes_into_is_refused_and_an_empty_one_is_removed(tmp_path, capsys):
+    """A lock of another open file counts like that of another process."""
+    out, missing = tmp_path / "out", str(tmp_path / "missing.toml")
+    argv = ["validate", missing, "--out", str(out)]
+    assert mitsuba_ref.__main__.main(argv) == 4 and not out.exists()
+    out.mkdir()
+    with locked(out) as alone:
+        assert alone and mitsuba_ref.__main__.main(argv) == 4
+    assert "another run writes into this folder" in capsys.readouterr().err and out.exists()
 
 
 # ---- temporary files ----

@@ -96,15 +96,15 @@ class Adjudicated(NamedTuple):
     texts: list[str]  # both hits in words; "" if right
 
 
-def adjudicate(subject: PreparedScene, rays: RayBatch, found: NearestHits, depth_ulps: float = 0.0) -> Adjudicated:
-    """Compare hit or miss, primitive, and t within its bound plus `depth_ulps` units in the last place of t.
+def adjudicate(subject: PreparedScene, rays: RayBatch, found: NearestHits) -> Adjudicated:
+    """Compare hit or miss, primitive, and t within its bound.
 
     Raises OutsideDomain for rays that the oracle does not take.
     """
     answers = subject.oracle.first_hits(*rays)
     models = [reference_of(shape).model_of for shape in subject.scene.shapes]
     with np.errstate(all="ignore"):
-        bounds = t_bounds(models, subject.packed, found, (rays.o, rays.d)) + depth_ulps * np.spacing(np.abs(found.t))
+        bounds = t_bounds(models, subject.packed, found, (rays.o, rays.d))
     rows = zip(answers, found.t.tolist(), found.prim.tolist(), bounds.tolist(), strict=True)
     ratios, kinds, texts = (list(column) for column in zip(*(_verdict(*row) for row in rows), strict=True))
     return Adjudicated(answers, bounds, np.array(ratios), kinds, texts)

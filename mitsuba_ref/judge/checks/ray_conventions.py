@@ -73,6 +73,8 @@ def _check_directions(subject: Subject, scene: Scene) -> SceneCheck:
     t, off = (each.reshape(len(groups), -1) for each in traced.expected(o, d))
     try:
         given = traced.by(subject, o, d).reshape(t.shape)
+    except Unsupported:
+        return SceneCheck(NAME, 0.0, "declined")
     except NoAnswer as error:
         return SceneCheck(NAME, np.inf, f"no answer to rays whose |d| is not 1: {error}")
     wrong = [name for name, share in zip(groups, _match(given, t, off).mean(axis=1), strict=True) if share < MAJORITY]
@@ -219,7 +221,7 @@ def _groups(o: np.ndarray, d: np.ndarray) -> Iterator[tuple[str, tuple[np.ndarra
 
 def _match(given: np.ndarray, t: np.ndarray, off: np.ndarray) -> np.ndarray:
     with np.errstate(invalid="ignore"):
-        near = np.isfinite(t) & (np.abs(given - t) <= off)
+        near = np.isfinite(t) & np.isfinite(given) & (np.abs(given - t) <= off)
     return near | (np.isposinf(given) & np.isposinf(t))
 
 

@@ -26,7 +26,7 @@ class FactorFit(NamedTuple):
     groups: int  # primitives at which a factor differs from a shift
 
 
-@check(of=(CANDIDATE,))
+@check(of=(CANDIDATE,), scope="window")
 def check_t_bias(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.ndarray) -> SceneCheck | None:
     """Fail if one factor explains the errors of t, and is larger than estimated reciprocals make it.
 
