@@ -10,7 +10,7 @@ from caster.cli.shared_arguments import InputPath, OutputFile, add_mesh_dirs, ad
 from caster.description.errors import SceneError
 from caster.system.process import OK
 from mitsuba_ref.cli.options import PRECISIONS, add_report_files, given_words
-from mitsuba_ref.cli.validate import judge_entries, remove_earlier_results
+from mitsuba_ref.cli.validate import judge_entries, without_earlier_results
 
 if TYPE_CHECKING:
     import numpy as np
@@ -144,10 +144,10 @@ def run(args: argparse.Namespace) -> int:
     from mitsuba_ref.runner.many_scenes import JudgeOptions
     from mitsuba_ref.runner.validation_run import RunOptions
 
-    remove_earlier_results(args)
+    out = without_earlier_results(args)
     entries = exr_entries(args) if args.exr else hits_entries(args)
     judge = JudgeOptions(Path(args.out) if args.out else None, subject=entries[0].subject)
-    return judge_entries(args, entries, RunOptions(judge, html=args.html), entries[0].subject)
+    return judge_entries(args, entries, RunOptions(judge, html=args.html), entries[0].subject, out)
 
 
 def entry_of(args: argparse.Namespace, scene: Scene, more: str, subject: Subject, **about: Any) -> SceneEntry:

@@ -30,6 +30,7 @@ from mitsuba_ref.cli.options import (
 
 if TYPE_CHECKING:
     from mitsuba_ref.judge.verdict import Verdict
+    from mitsuba_ref.report.out_folder import OutFolder
     from mitsuba_ref.runner.many_scenes import SceneEntry
     from mitsuba_ref.runner.shards import Shard
     from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun
@@ -72,22 +73,33 @@ def run(args: argparse.Namespace) -> int:
     entries = selected_entries(args)
     if not entries:
         return NOTHING_SELECTED
-    remove_earlier_results(args)
+    out = without_earlier_results(args)
     candidate = requested_candidate(args)
-    return judge_entries(args, entries, run_options(args, candidate), candidate)
+    return judge_entries(args, entries, run_options(args, candidate), candidate, out)
 
 
-def remove_earlier_results(args: argparse.Namespace) -> None:
-    """Remove the verdicts of an earlier run, which would be taken for this one's if it ended without any."""
-    from mitsuba_ref.report.out_folder import VERDICT
+def without_earlier_results(args: argparse.Namespace) -> OutFolder | None:
+    """Remove verdicts of an earlier run, which would be taken for this one's if it ended without any; the --out folder.
 
-    for path in (args.json, args.junit, args.out and os.path.join(args.out, VERDICT)):
+    Before a candidate is loaded, which may end the process.
+    """
+    from mitsuba_ref.report.out_folder import OutFolder
+
+    for path in (args.json, args.junit):
         if path and os.path.isfile(path) and not os.path.islink(path):  # /dev/stdout is a link
             os.unlink(path)
+    out = OutFolder(Path(args.out)) if args.out else None
+    if out is not None:
+        out.begin()
+    return out
 
 
 def judge_entries(
-    args: argparse.Namespace, entries: Sequence[SceneEntry], options: RunOptions, candidate: Subject | None
+    args: argparse.Namespace,
+    entries: Sequence[SceneEntry],
+    options: RunOptions,
+    candidate: Subject | None,
+    out: OutFolder | None,
 ) -> int:
     """Print a row for each scene, and write the files that the options name; the exit code."""
     from mitsuba_ref.reference import variants
@@ -95,7 +107,7 @@ def judge_entries(
 
     variants.require_variants()  # its errors come before any work
     start = time.perf_counter()
-    running = ValidationRun(entries, options)
+    running = ValidationRun(entries, options, out)
     try:
         if candidate is not None and candidate.takes_rays:
             print_conventions(candidate, entries[0])

@@ -43,20 +43,18 @@ class RunOptions:
 class ValidationRun:
     """Judges scenes one after the other; `verdict` and `finish` are about the scenes done so far."""
 
-    def __init__(self, entries: Sequence[SceneEntry], options: RunOptions) -> None:
-        """entries: the scenes of all shards. Raises OutputError."""
+    def __init__(self, entries: Sequence[SceneEntry], options: RunOptions, out: OutFolder | None = None) -> None:
+        """entries: the scenes of all shards. out: the folder of options.judge. Raises OutputError."""
         self.every, self.options = entries, options
         self.entries = scenes_of_shard(entries, options.shard) if options.shard else list(entries)
         self.candidate_name = options.judge.subject.name if options.judge.subject else ""
         self.done: list[SceneVerdict] = []
         self.errors: list[Exception] = []  # of scenes that could not be loaded, judged or written
-        self.out = OutFolder(options.judge.folder) if options.judge.folder else None
+        self.out = out
         self.html = HtmlReport(options.html, len(self.entries), self.candidate_name) if options.html else None
 
     def verdicts(self) -> Generator[SceneVerdict, None, None]:
         """Verdicts in the order of the scenes, each as soon as it and those before it are done."""
-        if self.out:
-            self.out.begin()
         workers = self.options.workers or core_count()
         # A thread for each core: more would wait for each other, a twentieth of the time.
         threads = None if self.candidate_name else max(1, core_count() // max(1, min(workers, len(self.entries))))

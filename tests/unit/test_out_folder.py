@@ -151,3 +151,13 @@ def test_a_report_keeps_no_scene_that_its_page_does_not_lead_to(tmp_path):
 
 def test_a_scene_without_a_record_has_a_row_and_no_pixels(tmp_path):
     assert report(tmp_path, made("a")).rows[0]["file"] == ""
+
+
+def test_a_candidate_that_cannot_be_loaded_leaves_no_verdict_of_an_earlier_run(tmp_path):
+    """Loading it may end the process, and nobody would notice that the verdict is an old one."""
+    old = [tmp_path / name for name in ("verdict.json", "all.json", "all.xml")]
+    for path in old:
+        path.write_text("{}")
+    files = ["--out", str(tmp_path), "--json", str(old[1]), "--junit", str(old[2])]
+    assert main(["validate", "scenes/one-sphere.toml", "--candidate", "no_such_module:trace", *files]) == 2
+    assert not any(path.exists() for path in old)
