@@ -9,7 +9,8 @@ import pytest
 import caster
 from caster.scene.files import load_scene
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.judge.checks.ray_conventions import RAYS, check_ray_conventions
+from mitsuba_ref.judge.checks import ray_conventions
+from mitsuba_ref.judge.checks.ray_conventions import LENGTHS, RAYS, check_ray_conventions
 from mitsuba_ref.subjects.command import RayCommand
 from mitsuba_ref.subjects.function import FunctionSubject
 from mitsuba_ref.subjects.requests import parse_candidate
@@ -161,3 +162,17 @@ def test_limits_of_t_that_a_program_is_given_are_heeded(tmp_path, body, ok, says
     subject = RayCommand("program", words, "float64", 60.0)
     found = check_ray_conventions(subject, scene_of(name))
     assert found.ok is ok and found.what.startswith(says), found.what
+
+
+def test_mirrored_rays_whose_t_float32_does_not_resolve_excuse_no_wrong_answer(monkeypatch):
+    """Half of the mirrored rays have no bound: of the others, each is wrong."""
+    expected = ray_conventions.Traced.expected
+
+    def some_unbounded(traced, o, d):
+        t, off = expected(traced, o, d)
+        mirrored = np.arange(len(t)) >= len(LENGTHS) * RAYS
+        return t, np.where(mirrored & (np.arange(len(t)) % 3 > 0), np.inf, off)
+
+    monkeypatch.setattr(ray_conventions.Traced, "expected", some_unbounded)
+    found = checked(changed(lambda d, t: np.where(d[:, 2] > 0.0, 1.5 * t, t)))
+    assert not found.ok and found.what.endswith("rays mirrored in z"), found.what

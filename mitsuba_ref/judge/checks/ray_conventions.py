@@ -77,7 +77,8 @@ def _check_directions(subject: Subject, scene: Scene) -> SceneCheck:
         return SceneCheck(NAME, 0.0, "declined")
     except NoAnswer as error:
         return SceneCheck(NAME, np.inf, f"no answer to rays whose |d| is not 1: {error}")
-    wrong = [name for name, share in zip(groups, _match(given, t, off).mean(axis=1), strict=True) if share < MAJORITY]
+    tells, right = ~np.isfinite(t) | (off <= LARGEST_OFF * t), _match(given, t, off)  # mirrored, a ray may graze
+    wrong = [name for i, name in enumerate(groups) if right[i].sum(where=tells[i]) < MAJORITY * tells[i].sum()]
     if not wrong:
         return SceneCheck(NAME, 0.0, f"{count} rays")
     rows = [i for i, name in enumerate(groups) if name in wrong]
@@ -139,7 +140,7 @@ class Limits(NamedTuple):
     t_min: float
     t_max: float
     t: float
-    other: float = np.nan  # accepted as well, of a caster for which a hit exactly at a limit
+    other: float = np.nan  # also accepted: the t of a caster that treats a hit exactly at a limit as `note` says
     note: str = ""
 
 

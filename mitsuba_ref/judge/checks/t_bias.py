@@ -40,10 +40,9 @@ def check_t_bias(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.ndar
     if fit.groups < MIN_GROUPS:
         return SceneCheck("t_bias", 0.0, f"{fit.groups} primitives, too few to tell")
     ratio = min(abs(fit.roundings) / LARGEST_T_BIAS, abs(fit.z) / LARGEST_Z)
-    limit = (
-        "" if ratio <= 1.0 else f"; at most {LARGEST_T_BIAS:g} by estimated reciprocals: a factor or an offset on t?"
-    )
-    return SceneCheck("t_bias", ratio, words + limit)
+    if ratio > 1.0:
+        words += f"; estimated reciprocals explain at most {LARGEST_T_BIAS:g}: is every t scaled by a constant?"
+    return SceneCheck("t_bias", ratio, words)
 
 
 def fitted_factor(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.ndarray) -> FactorFit:
