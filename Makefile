@@ -22,8 +22,8 @@ help: ## this list
 
 install: $(INSTALLED) ## the environment alone: .venv with exactly what requirements.lock names
 
-validate: $(INSTALLED) ## compare every scene of scenes/ with Mitsuba
-	@$(BIN)/mitsuba-ref validate scenes $(ARGS)
+validate: $(INSTALLED) ## compare every scene of scenes/ with Mitsuba; THOROUGH=1 also tests what their films do not use
+	@$(BIN)/mitsuba-ref validate scenes $(if $(THOROUGH),--thorough) $(ARGS)
 
 test: $(INSTALLED) ## every test but further cases of slow ones, on JOBS cores (all of them, unless set)
 	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m 'not slow' $(ARGS)

@@ -24,7 +24,7 @@ from caster.rendering.shading import NO_START, TileShader, new_image
 from caster.rendering.threads import parallel_for, unwritten_array
 from caster.scene.model import Light, Scene
 
-__all__ = ["Hits", "RayHits", "cast", "scaled_rays", "trace", "trace_rays", "validated_rays"]
+__all__ = ["Hits", "RayHits", "cast", "occluded", "scaled_rays", "trace", "trace_rays", "validated_rays"]
 
 SMALLEST_NORMAL_FLOAT = 2.0**-1022
 

@@ -54,6 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--min-scenes", metavar="N", type=positive_int, default=0, help=help_)
     add("--maxfail", metavar="N", type=positive_int, help="stop after so many scenes that fail")
     add("--shard", metavar="I/N", type=shard, help="judge part I of N of the scenes, balanced by pixels")
+    help_ = "also test our caster beyond the judged films: other routes, scales, brute force; compiles more kernels"
+    add("--thorough", action="store_true", help=help_)
     add_timeout(parser)
     help_ = "judge every scene and ask Mitsuba, also where an earlier run has the result of the very same inputs"
     add("--no-store", dest="store", action="store_false", help=help_)
@@ -75,6 +77,8 @@ def run(args: argparse.Namespace) -> int:
         return NOTHING_SELECTED
     out = without_earlier_results(args)
     candidate = requested_candidate(args)
+    if args.thorough and candidate is not None:
+        raise SceneError("--thorough: not with a candidate: it tests our own caster")
     return judge_entries(args, entries, run_options(args, candidate), candidate, out)
 
 
@@ -158,7 +162,7 @@ def run_options(args: argparse.Namespace, candidate: Subject | None) -> RunOptio
     chosen = args.expression or args.builtin
     out = Path(args.out) if args.out else None
     return RunOptions(
-        JudgeOptions(out, args.timeout, args.store, candidate),
+        JudgeOptions(out, args.timeout, args.store, candidate, thorough=args.thorough),
         args.workers,
         args.maxfail,
         args.html,

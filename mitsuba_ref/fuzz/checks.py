@@ -123,9 +123,10 @@ def adjudicate(prepared: PreparedScene, rays: RayBatch, found: NearestHits, tall
 
 
 def check_image(prepared: PreparedScene, tally: Tally) -> list[Finding]:
-    """Findings about the scene's image, by the judge's check `render`, and about its camera's rays."""
+    """Findings about the scene's image, by `render` and the thorough checks, and about its camera's rays."""
     scene = prepared.scene
-    chosen = [each for each in registry.checks_of(registry.OURS) if each.name == "render"]
+    checks = registry.checks_of(registry.OURS, thorough=True)
+    chosen = [each for each in checks if each.thorough or each.name == "render"]
     failing = [each for each in registry.make_checks(chosen, {"scene": scene}) if not each.ok]
     film = camera_rays(scene, threads=1)
     rays = RayBatch(film.o, film.d, film.t_min, film.t_max).taken(np.flatnonzero(film.t_max > 0.0))

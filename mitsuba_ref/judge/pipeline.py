@@ -44,6 +44,7 @@ class Task(NamedTuple):
     rays: SharedRays | None = None  # a list laid out as the film, in place of the camera's rays
     timeout: float = DEFAULT_TIMEOUT
     send: SendRequest = send_stored  # the way to Mitsuba
+    thorough: bool = False  # make the checks of our caster beyond the film as well
 
     @property
     def ours(self) -> bool:
@@ -142,7 +143,12 @@ def judge_window(
     """
     checks = [
         each
-        for each in checks_of(OUR_CHECKS if task.ours else CANDIDATE, whole_scene=whole_scene, camera=task.rays is None)
+        for each in checks_of(
+            OUR_CHECKS if task.ours else CANDIDATE,
+            thorough=task.thorough,
+            whole_scene=whole_scene,
+            camera=task.rays is None,
+        )
         if each.scope != "film"
     ]
     of_scene = [each for each in checks if not each.answered]

@@ -184,6 +184,7 @@ class SceneVerdict:
     files: dict[str, FileRecord] = field(default_factory=dict)  # written beside it
     kept: bool = False  # reused from an earlier run of the same inputs
     candidate: str = ""  # the candidate that was judged in place of our caster, as named; "" for ours
+    thorough: bool = False  # with the checks of our caster beyond the judged film
     precision: str = ""  # of the subject: float32 or float64
     unjudged: tuple[str, ...] = ()  # quantities that the judge compares and this subject does not give
     findings: tuple[Finding, ...] = ()  # causes of the subject's errors, most pixels first

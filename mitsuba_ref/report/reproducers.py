@@ -268,7 +268,8 @@ def replay(scene: SceneVerdict, pixel: tuple[int, int] | None = None) -> str:
         rows = "" if ray is None else f" --rows {ray}"
         return "mitsuba-ref judge" + "".join(f" {shlex.quote(word)}" for word in scene.options) + rows
     if pixel is None:
-        return f"mitsuba-ref validate {shlex.quote(scene.path or 'SCENE')}{repeated_options(scene)}"
+        thorough = " --thorough" if scene.thorough else ""
+        return f"mitsuba-ref validate {shlex.quote(scene.path or 'SCENE')}{thorough}{repeated_options(scene)}"
     before, after = replay_around(scene)
     return f"{before}{pixel[0]} {pixel[1]}{after}"
 

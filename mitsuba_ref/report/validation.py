@@ -64,14 +64,16 @@ def validate_scene(
     timeout: float = DEFAULT_TIMEOUT,
     send: SendRequest = send_stored,
     keep: bool = False,
+    thorough: bool = False,
 ) -> SceneVerdict:
     """The verdict of a loaded scene; faults of a candidate are in the verdict.
 
     rays: a list of rays, laid out as the film, in place of the camera's; first_ray: the number of the first one.
     folder: for the images of both sides. send: the connection to Mitsuba. keep: keep the evidence in the verdict.
+    thorough: make the checks of our caster beyond the film as well.
     """
     start = time.perf_counter()
-    task = Task(scene, name, path, subject, rays, timeout, send)
+    task = Task(scene, name, path, subject, rays, timeout, send, thorough)
     check_memory(task.windows()[0])
     if task.ours:
         compile_for(scene, "validate", _cast_as_judged)

@@ -201,6 +201,7 @@ def summary_text(verdict: Verdict, seconds: float) -> str:
         *candidate_lines(verdict),
         *_error_lines(verdict),
         *_case_lines(verdict),
+        *_left_out_lines(verdict),
         *_stored_lines(verdict),
         *_kept_lines(verdict),
     ]
@@ -209,6 +210,11 @@ def summary_text(verdict: Verdict, seconds: float) -> str:
             allowed = ", ".join(f"{share:g} of the bound of {name}" for name, share in scene.allowed.items())
             lines.append(f"note:       {scene.name} allows {allowed}")
     return "\n".join([*lines, *(f"reference:  {versions}" for versions in verdict.versions)])
+
+
+def _left_out_lines(verdict: Verdict) -> Iterator[str]:
+    if any(not (scene.candidate or scene.thorough or scene.problem) for scene in verdict.scenes):
+        yield "left out:   tests of our caster beyond the judged films, which --thorough makes"
 
 
 WAIVER_WORDS = {UNSUPPORTED: "declined by the candidate", EXPECTED: "known failures"}

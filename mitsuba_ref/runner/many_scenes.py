@@ -174,6 +174,7 @@ class JudgeOptions(NamedTuple):
     subject: Subject | None = None  # in place of our caster, for entries without their own
     page_of: Callable[[SceneVerdict], Any] | None = None  # makes the report's record of a verdict and its evidence
     threads: int | None = None  # of a worker
+    thorough: bool = False  # make the checks of our caster beyond the films as well
 
 
 def judge_entry(entry: SceneEntry, options: JudgeOptions) -> SceneVerdict:
@@ -182,7 +183,7 @@ def judge_entry(entry: SceneEntry, options: JudgeOptions) -> SceneVerdict:
     scene = entry.load()
     folder, foreign = options.folder, entry.subject or options.subject
     store = local_store() if options.store and options.page_of is None and foreign is None else None
-    about = {"size": entry.size, "options": replay_options(entry), "out": bool(folder)}
+    about = {"size": entry.size, "options": replay_options(entry), "out": bool(folder), "thorough": options.thorough}
     key = verdict_key(scene, entry.path, **about) if store else ""
     if store and key and (found := _stored_verdict(store, key, folder)):
         return found
@@ -227,6 +228,7 @@ def _judge_loaded(entry: SceneEntry, scene: Scene, options: JudgeOptions) -> Sce
             timeout=options.timeout,
             send=send_stored if options.store else send_request,
             keep=options.page_of is not None,
+            thorough=options.thorough,
         )
     except OutputError:
         raise
@@ -238,6 +240,7 @@ def _judge_loaded(entry: SceneEntry, scene: Scene, options: JudgeOptions) -> Sce
         resized=entry.size is not None,
         options=replay_options(entry),
         command=entry.command,
+        thorough=options.thorough,
         rays=entry.ray_range,
         composition=scene_statistics(scene),
     )

@@ -73,6 +73,7 @@ def test_a_folder_is_judged_in_order_and_an_expression_chooses(ref, scenes):
         (["-k", "ball and"], 2, "expected parts of names with and, or, not and parentheses"),
         (["-j", "0"], 2, "-j: expected a whole number >= 1, got '0'"),
         (["--size", "0", "20"], 2, "--size 0 20: "),
+        (["--thorough", "--candidate", "json:loads"], 2, "--thorough: not with a candidate"),
         (["--nonsense"], 2, "unrecognized arguments: --nonsense"),
         (["--json", "{folder}/none/verdict.json"], 4, "none"),
         (["--out", "{folder}/ball.toml"], 2, "ball.toml"),
@@ -117,6 +118,16 @@ def test_maxfail_stops_and_states_what_was_left(ref, scenes):
     assert "4 scenes: 1 pass, 1 fail, 2 not judged" in found.stdout
     verdict = strict_json(scenes / "v.out")
     assert (verdict["ok"], verdict["scene_count"], len(verdict["scenes"])) == (False, 4, 2)
+
+
+def test_thorough_makes_further_checks_and_a_plain_run_says_that_it_does_not(ref, scenes):
+    """Also where the plain verdict of the same scene is stored."""
+    made = {}
+    for words in ((), ("--thorough",)):
+        found = ref("validate", scenes / "ball.toml", "--json", scenes / "v.out", *words)
+        assert found.returncode == 0 and ("left out:   tests of our caster" in found.stdout) is (not words)
+        made[words] = {check["name"] for check in strict_json(scenes / "v.out")["scenes"][0]["checks"]}
+    assert made["--thorough",] - made[()] == {"brute_force", "routes", "scaling"}
 
 
 def strict_json(path: Path):

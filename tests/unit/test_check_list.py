@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 from caster import Pinhole, Scene
-from mitsuba_ref.judge.checks import OURS, all_checks, make_checks
+from mitsuba_ref.judge.checks import OURS, all_checks, checks_of, make_checks
 from mitsuba_ref.judge.checks.shapes import check_materials
 from mitsuba_ref.judge.verdict import SceneCheck
 
@@ -18,6 +18,11 @@ def test_the_method_page_lists_the_checks():
     assert rows.keys() == {check.name for check in all_checks()}
     for check in all_checks():
         assert (rows[check.name] == "ours") is (check.of == (OURS,)), check
+
+
+def test_only_thorough_adds_the_checks_beyond_the_film():
+    added = {check.name for check in checks_of(OURS, thorough=True)} - {check.name for check in checks_of(OURS)}
+    assert added == {"brute_force", "routes", "scaling"}
 
 
 def test_a_check_gets_what_it_names_and_may_have_no_result():

@@ -32,6 +32,7 @@ class Check(NamedTuple):
     of: tuple[str, ...]
     scope: Scope  # made once a scene, for each window of a large film, or of all windows together
     camera: bool  # needs the camera's rays: not made for a list of rays
+    thorough: bool  # tests our caster beyond the judged film, by kernels that the film does not need
 
     @property
     def answered(self) -> bool:
@@ -43,14 +44,14 @@ _registered: dict[str, Check] = {}
 
 
 def check(
-    *, of: tuple[str, ...] = (OURS, CANDIDATE), scope: Scope = "scene", camera: bool = False
+    *, of: tuple[str, ...] = (OURS, CANDIDATE), scope: Scope = "scene", camera: bool = False, thorough: bool = False
 ) -> Callable[[Function], Function]:
     """Register a function `check_NAME` as the check NAME."""
 
     def register(function: Function) -> Function:
         name = function.__name__.removeprefix("check_")
         needs = tuple(inspect.signature(function).parameters)
-        _registered[name] = Check(name, function, needs, of, scope, camera)
+        _registered[name] = Check(name, function, needs, of, scope, camera, thorough)
         return function
 
     return register
@@ -65,15 +66,21 @@ def all_checks() -> tuple[Check, ...]:
     return tuple(sorted(_registered.values(), key=lambda each: stage[each.name]))
 
 
-def checks_of(whose: str, *, whole_scene: bool = True, camera: bool = True) -> tuple[Check, ...]:
+def checks_of(
+    whose: str, *, thorough: bool = False, whole_scene: bool = True, camera: bool = True
+) -> tuple[Check, ...]:
     """The checks of OURS or a CANDIDATE.
 
-    whole_scene: include those made once a scene; camera: include those that need the camera's rays.
+    thorough: include those beyond the judged film; whole_scene: include those made once a scene; camera: include those
+    that need the camera's rays.
     """
     return tuple(
         each
         for each in all_checks()
-        if whose in each.of and (whole_scene or each.scope != "scene") and (camera or not each.camera)
+        if whose in each.of
+        and (thorough or not each.thorough)
+        and (whole_scene or each.scope != "scene")
+        and (camera or not each.camera)
     )
 
 

@@ -1,0 +1,212 @@
+"""Checks of our caster beyond the judged film (`validate --thorough`, `fuzz`): routes, scales, brute force."""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import cycle
+from typing import Any
+
+import numpy as np
+
+from caster.aovs import BY_NAME
+from caster.description.errors import SceneError
+from caster.geometry.packing import packed, rejected_faces
+from caster.rendering.hits import cast, occluded
+from caster.rendering.images import camera_rays, evaluate, film_window, render, trace_film
+from caster.scene.model import Point, Scene
+from mitsuba_ref.error_model.intersections import LARGEST_COORDINATE
+from mitsuba_ref.judge.checks import OURS, check
+from mitsuba_ref.judge.verdict import SceneCheck
+
+Arrays = Mapping[str, np.ndarray]
+
+ALL = tuple(BY_NAME)
+SETS = [*((name,) for name in ALL), ("depth", "normal"), ("uv", "depth"), ("diffuse", "prim_id")]
+SIDE = 15  # pixels; an odd number, so that the middle of an edge is a pixel's centre
+WIDE = (129, 2)  # one pixel wider than a tile
+CROPS = [(0, 0, SIDE, SIDE), (3, 4, 9, 11), (7, 7, 8, 8)]
+
+
+def different_bits(expected: Arrays, found: Arrays, what: str) -> Iterator[str]:
+    """For each array of other bits: its name, the number of its different entries, and the first of them."""
+    for name, a in expected.items():
+        b = found[name]
+        if (a.shape, a.dtype) != (b.shape, b.dtype):
+            yield f"{what}: {name}: {a.shape} {a.dtype}, {b.shape} {b.dtype}"
+            continue
+        rows, others = (np.ascontiguousarray(each).view(f"u{a.itemsize}") for each in (a, b))
+        differ = np.argwhere(rows != others)
+        if len(differ):
+            at = tuple(int(i) for i in differ[0])
+            yield f"{what}: {name}: {len(differ)} of {a.size} differ, first at {at}: {a[at]!r}, {b[at]!r}"
+
+
+def _whole_film(scene: Scene, width: int, height: int) -> Scene:
+    return scene.with_film(width=width, height=height, crop=(0, 0, width, height))
+
+
+def _result(name: str, differences: Iterable[str], looked_at: str) -> SceneCheck:
+    first = next(iter(differences), "")
+    return SceneCheck(name, np.inf if first else 0.0, first or looked_at)
+
+
+# ---- routes ----
+
+
+@check(of=(OURS,), camera=True, thorough=True)
+def check_routes(scene: Scene) -> SceneCheck:
+    """Every public route to a pixel has to give the bits of the whole image: AOVs, threads, dtypes, crops, `cast`."""
+    return _result("routes", route_differences(scene), f"films of {SIDE} x {SIDE} and {WIDE[0]} x {WIDE[1]} pixels")
+
+
+def route_differences(scene: Scene) -> Iterator[str]:
+    """The differences between routes, of small films of the scene."""
+    small = _whole_film(scene, SIDE, SIDE)
+    whole = render(small, ALL, threads=1)
+    for film in (small, _whole_film(scene, *WIDE)):
+        image = whole if film is small else render(film, ALL, threads=1)
+        for names, threads in zip(SETS, cycle((3, 2, 1)), strict=False):
+            expected = {each: image[each] for each in names}
+            yield from different_bits(expected, render(film, names, threads=threads), f"{names}, {threads} threads")
+    for x0, y0, x1, y1 in CROPS:
+        part = small.with_film(crop=(x0, y0, x1, y1))
+        cut = {each: whole[each][y0:y1, x0:x1] for each in ALL}
+        with np.errstate(over="ignore"):  # float32 has inf there
+            rounded = {each: a.astype(np.float32) if a.dtype.kind == "f" else a for each, a in cut.items()}
+        yield from different_bits(cut, render(part, ALL), "crop")
+        yield from different_bits(rounded, render(part, ALL, dtype=np.float32), "float32")
+        traced = evaluate(trace_film(part, threads=1), ALL, film_window(part))
+        yield from different_bits(cut, traced, "rays of a crop")
+    o, d, t_min, t_max = camera_rays(small)[:4]
+    if (t_max >= t_min).all():
+        yield from _cast_differences(small, {name: _rows(whole[name]) for name in ALL}, (o, d), (t_min, t_max))
+
+
+def _rows(image: np.ndarray) -> np.ndarray:
+    return image.reshape(-1, *image.shape[2:])
+
+
+def _cast_differences(
+    scene: Scene, image: Arrays, lines: tuple[np.ndarray, np.ndarray], limits: tuple[np.ndarray, np.ndarray]
+) -> Iterator[str]:
+    """Between the image and its rays cast one by one, and between limits for all rays and for each."""
+    o, d = lines
+    near, far = limits
+    normal = cast(scene, o, d, t_min=near, t_max=far).normal  # of a call of its own, found without the others
+    yield from different_bits({"normal": image["normal"]}, {"normal": normal}, "cast(...).normal")
+    hits = cast(scene, o, d, t_min=near, t_max=far)
+    surface = hits.surface
+    found = {
+        "depth": hits.t * np.sqrt(d[:, 0] * d[:, 0] + d[:, 1] * d[:, 1] + d[:, 2] * d[:, 2]),
+        "shape_id": hits.shape_id,
+        "prim_id": hits.prim_id,
+        "normal": surface.n,
+        "shading_normal": surface.sh_n,
+        "position": surface.p,
+        "uv": surface.uv,
+    }
+    yield from different_bits({name: image[name] for name in found}, found, "cast")
+    first = np.sort(hits.t[np.isfinite(hits.t)])
+    if not len(first):
+        return
+    t = float(first[len(first) // 2])
+    pairs = [(0.0, np.inf), (0.0, t), (0.0, np.nextafter(t, 0.0)), (t, np.inf), (0.9 * t, 1.1 * t)]
+    alone = [cast(scene, o, d, t_min=low, t_max=high).t for low, high in pairs]
+    for (low, high), each in zip(pairs, alone, strict=True):
+        blocked = occluded(scene, o, d, high, t_min=low)
+        yield from different_bits({"t": np.isfinite(each)}, {"t": blocked}, f"occluded, t_min {low!r}, t_max {high!r}")
+    lows, highs = (np.resize(column, len(o)) for column in np.array(pairs).T)
+    expected = np.choose(np.arange(len(o)) % len(pairs), alone)
+    t_of_each = cast(scene, o, d, t_min=lows, t_max=highs).t
+    yield from different_bits({"t": expected}, {"t": t_of_each}, "t_min and t_max of each ray")
+    blocked = occluded(scene, o, d, highs, t_min=lows)
+    yield from different_bits({"t": np.isfinite(expected)}, {"t": blocked}, "occluded, each ray")
+
+
+# ---- brute force ----
+
+
+@check(of=(OURS,), camera=True, thorough=True)
+def check_brute_force(scene: Scene) -> SceneCheck:
+    """The film by its planned culling has to have the bits of testing every primitive."""
+    small = _whole_film(scene, SIDE, SIDE)
+    found = different_bits(render(small, ALL, culling="brute-force"), render(small, ALL), "planned culling")
+    return _result("brute_force", found, f"a film of {SIDE} x {SIDE} pixels")
+
+
+# ---- scaling ----
+
+# Fields of cameras that are lengths. t_max counts in lengths of the direction of a camera of type `ray`, which stays.
+LENGTHS = ("eye", "look_at", "origin", "near", "far", "width", "t_max")
+RATIOS = ("type", "direction", "up", "fov", "fov_axis", "principal_point")
+SCALED_AOVS = ("hit", "depth", "position", "normal", "shading_normal", "albedo", "diffuse", "shape_id", "prim_id")
+# Far more than thresholds in scene units (1e-6, 1e6) are from the sizes that they are meant for.
+POWERS = (-150, -24, 24, 40)
+# Products of three lengths have to be normal numbers, even where 2^-120 of them is left by cancellation.
+SMALLEST_SIZE_EXPONENT = -300
+PACKED_LENGTHS = ("vertices", "center", "radius", "to_world", "point")
+
+
+@check(of=(OURS,), camera=True, thorough=True)
+def check_scaling(scene: Scene) -> SceneCheck:
+    """A power of two has to scale a scene exactly: depth and position scale too, and all else keeps its bits.
+
+    Products, sums, quotients, roots and matrix inverses round alike when their operands are multiplied by powers of
+    two, short of overflow and underflow. A threshold in scene units shows as other bits.
+    """
+    if not {*type(scene.camera).model_fields} <= {*LENGTHS, *RATIOS}:
+        return SceneCheck("scaling", 0.0, "not compared: which fields of the camera are lengths is unknown")
+    if not all(type(shape).__module__.startswith("caster.shapes.") for shape in scene.shapes):
+        return SceneCheck("scaling", 0.0, "not compared: whether shapes of plug-ins follow to_world is unknown")
+    powers = _powers_of(scene)
+    words = f"2^{', 2^'.join(map(str, powers))} times as large" if powers else "not compared: lengths leave float64"
+    try:
+        return _result("scaling", scaling_differences(scene, powers), words)
+    except SceneError:  # a camera or a light
+        return SceneCheck("scaling", 0.0, "not compared: lengths leave float64")
+
+
+def _powers_of(scene: Scene) -> tuple[int, ...]:
+    """The powers by which no face is rejected that was not, or the reverse, and no product of lengths underflows."""
+    arrays = [array for part in packed(scene).parts for name, array in part._asdict().items() if name in PACKED_LENGTHS]
+    sizes = [float(np.abs(array).max(initial=0.0, where=np.isfinite(array))) for array in arrays]
+    exponents = [math.frexp(size)[1] for size in sizes if size > 0.0] or [0]
+    least = SMALLEST_SIZE_EXPONENT - min(exponents)
+    if any(each.too_large for each in rejected_faces(scene).values()):
+        least = 0  # smaller, such faces are hit
+    most = math.frexp(LARGEST_COORDINATE)[1] - 2 - max(exponents)
+    return tuple(power for power in POWERS if least <= power <= most)
+
+
+def scaling_differences(scene: Scene, powers: Iterable[int]) -> Iterator[str]:
+    """The differences between scales, of a small film of the scene."""
+    small = _whole_film(scene, SIDE, SIDE)
+    with np.errstate(all="ignore"):  # of kernels in plain Python
+        expected = render(small, SCALED_AOVS)
+        for power in powers:
+            image = render(scaled_scene(small, power), SCALED_AOVS)
+            found = {name: np.ldexp(a, -power) if name in ("depth", "position") else a for name, a in image.items()}
+            yield from different_bits(_unsigned_zeros(expected), _unsigned_zeros(found), f"scaled by 2^{power}")
+
+
+def _unsigned_zeros(arrays: Arrays) -> Arrays:
+    return {name: a + 0.0 if a.dtype.kind == "f" else a for name, a in arrays.items()}
+
+
+def scaled_scene(scene: Scene, power: int) -> Scene:
+    """The scene 2^power times as large, seen from as many times as far: lights reach it as before."""
+    factor = 2.0**power
+    lights = []
+    for light in scene.lights:
+        if isinstance(light, Point):  # it sends factor^2 as much, so that the same arrives
+            brighter = {"intensity": np.multiply(factor * factor, light.intensity)}
+            light = _with_lengths(light, factor, ("position",)).model_copy(update=brighter)
+        lights.append(light)
+    shapes = tuple(each.model_copy(update={"to_world": (*each.to_world, {"scale": factor})}) for each in scene.shapes)
+    camera = _with_lengths(scene.camera, factor, LENGTHS)
+    return scene.model_copy(update={"camera": camera, "lights": tuple(lights), "shapes": shapes})
+
+
+def _with_lengths(element: Any, factor: float, names: Iterable[str]) -> Any:
+    """A copy with the named fields multiplied, those of them that are set."""
+    given = {name: getattr(element, name) for name in names if name in type(element).model_fields}
+    return element.model_copy(update={name: np.multiply(factor, x) for name, x in given.items() if x is not None})
