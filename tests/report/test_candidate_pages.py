@@ -57,6 +57,14 @@ def test_the_inspector_has_the_candidates_numbers_to_the_bit(visit, report, judg
     assert t == np.float32(t), "the last one is a float32 number"
 
 
+@pytest.mark.parametrize("width", [1440, 390])
+def test_a_long_path_of_a_replay_is_wrapped_within_the_inspector(visit, report, width):
+    page = visit(report, "#s=inside&x=12&y=10", viewport={"width": width, "height": 844}).page
+    page.wait_for_selector("#pixel .note code")
+    page.evaluate("document.querySelector('#pixel .note code').textContent = '/a/long/path/of/scenes'.repeat(20)")
+    assert page.evaluate("(pixel => pixel.scrollWidth <= pixel.clientWidth)(document.querySelector('#pixel'))")
+
+
 def test_what_is_not_given_is_stated_and_not_drawn(visit, report):
     page = visit(report, "#s=single&a=normal").page
     page.wait_for_selector("#summary >> text=held to the bounds of float32")
