@@ -159,7 +159,9 @@ def variant_for(has_quadrics: bool) -> str:
     if not has_quadrics and usable_variants().llvm:
         return LLVM
     if not usable_variants().scalar:
-        raise VariantError(f"Mitsuba's {SCALAR} does not work here: {usable_variants().why}; {WAY_OUT}")
+        why = usable_variants().why
+        way_out = "pip install '.[reference]' installs Mitsuba" if "No module named" in why else WAY_OUT
+        raise VariantError(f"Mitsuba's {SCALAR} does not work here: {why}; {way_out}")
     return SCALAR
 
 
@@ -215,14 +217,14 @@ def _try_variants(candidates: list[str], key: str) -> Variants:
     """Try scalar, then LLVM with one library after the other; stored unless another try may end differently."""
     scalar = smoke_test(SCALAR, {})
     problems = [f"{SCALAR}: {scalar}"] if scalar else []
-    library = None
-    for path in candidates:
+    library, absent = None, "No module named" in scalar
+    for path in () if absent else candidates:
         problem = smoke_test(LLVM, {LIBLLVM_ENVIRONMENT_VARIABLE: path})
         if not problem:
             library = path
             break
         problems.append(f"{path}: {problem}")
-    if not candidates:
+    if not candidates and not absent:
         problems.append(NO_LIBLLVM)
     found = Variants(not scalar, library is not None, library, "; ".join(problems))
     # A Mitsuba that cannot be imported may be half installed; after the other two, a machine was busy or out of memory.

@@ -16,6 +16,7 @@ from caster.image.exr import write_exr
 from caster.scene.model import Scene
 from mitsuba_ref.cameras.camera_reference import camera_axes
 from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound
+from mitsuba_ref.error_model.scene_model import kinds_of
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
 from mitsuba_ref.judge.comparison import CHECKS
 from mitsuba_ref.judge.diagnosis import Diagnosis
@@ -246,8 +247,7 @@ def film_projection(scene: Scene, o: np.ndarray, d: np.ndarray) -> FilmProjectio
 
 def triangle_edges(packed: Packed, prims: np.ndarray) -> np.ndarray:
     """(m, 2, 3) edges in world space of the triangles among these primitives, each edge once."""
-    shape = packed.shape_of(prims)
-    kind, k = packed.kind_of[shape], prims - packed.first[shape] + packed.start[shape]
+    kind, k = kinds_of(packed, prims)
     found = [np.zeros((0, 2, 3))]
     for place in np.unique(kind):
         of = packed.kinds[place].prims

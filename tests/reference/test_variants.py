@@ -200,6 +200,13 @@ def test_a_machine_that_was_only_busy_or_unfinished_is_tried_again(libraries, tr
     assert usable_variants().scalar
 
 
+def test_without_mitsuba_no_library_is_tried_and_the_way_out_is_pip(libraries, trials):
+    trials.says["scalar_rgb", None] = "error (exit code 1) No module named 'mitsuba'"
+    with pytest.raises(VariantError, match=r"No module named 'mitsuba'; pip install '.*reference.*' installs Mitsuba$"):
+        variants.require_variants()
+    assert len(trials.tried) == 1
+
+
 @pytest.mark.parametrize("problem", ["wrong answer: t [7.0, inf]", "signal (SIGILL)"])
 @pytest.mark.parametrize("variant", variants.VARIANT_NAMES)
 def test_what_would_end_alike_is_not_tried_again(libraries, trials, monkeypatch, variant, problem):
