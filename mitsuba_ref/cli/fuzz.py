@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     help_ = "findings of one kind in one family that are shrunk and kept; all are counted; default: 3"
     add("--keep", metavar="N", type=options.whole, default=3, help=help_)
     add("--json", metavar="FILE", type=OutputFile, help="write the result as JSON")
-    help_ = "one scene in N, on average, is also compared with Mitsuba; 0: none; default: 16"
+    help_ = "one scene in N, on average, gets --thorough checks and is compared with Mitsuba; 0: none; default: 16"
     add("--judge-every", metavar="N", type=options.whole, default=16, help=help_)
     add("--replay", metavar="FILE|DIR", type=InputPath, help="check kept scenes again, and nothing else")
     add("--rays", metavar="N", type=positive_int, default=40, help="rays aimed at each scene; default: 40")

@@ -78,7 +78,7 @@ class Plan:
     seconds: float | None = None
     folder: Path = Path("fuzz-failures")
     keep: int = KEPT_PER_KIND_AND_FAMILY
-    judge_every: int = 16  # one example in so many, on average, is also compared with Mitsuba; 0: none
+    judge_every: int = 16  # one in so many, on average, gets the thorough checks and Mitsuba's comparison; 0: none
     rays: int = RAYS_PER_EXAMPLE
     subject: Subject = OURS  # a candidate is judged alone, by the comparison with Mitsuba and exact arithmetic
     options: tuple[str, ...] = ()  # of the command line that name the candidate, for replays
@@ -115,13 +115,11 @@ class Campaign:
     def _findings(self, tried: Example, tally: Tally) -> list[Finding]:
         if self.plan.subject is not OURS:
             return candidate_findings(tried, self.plan.subject, tally, self.plan.rays)
-        findings = check_example(tried, tally, self.plan.rays)
-        return findings + (find(case_of(tried.made.data), "judged", tally) if self._is_judged(tried) else [])
-
-    def _is_judged(self, tried: Example) -> bool:
         every = self.plan.judge_every
-        drawn = tried.family.always_judged or tried.random(MITSUBA_STREAM).random() * every < 1.0
-        return every > 0 and tried.family.fits_float32 and drawn
+        drawn = every > 0 and (tried.family.always_judged or tried.random(MITSUBA_STREAM).random() * every < 1.0)
+        findings = check_example(tried, tally, self.plan.rays, thorough=drawn)
+        judged = drawn and tried.family.fits_float32
+        return findings + (find(case_of(tried.made.data), "judged", tally) if judged else [])
 
     def _keep(self, tried: Example, finding: Finding) -> None:
         """Shrink the scene and write it; an interruption leaves the smallest so far."""
@@ -147,7 +145,9 @@ class Campaign:
         return Failure(finding.kind, finding.what, family, options, str(file), again)
 
 
-def check_example(tried: Example, tally: Tally, count: int = RAYS_PER_EXAMPLE) -> list[Finding]:
+def check_example(
+    tried: Example, tally: Tally, count: int = RAYS_PER_EXAMPLE, thorough: bool = False
+) -> list[Finding]:
     """Findings about an example's rays and image. A scene outside the oracle's domain is counted as such."""
     try:
         prepared = prepared_scene(tried.made.scene())
@@ -158,7 +158,8 @@ def check_example(tried: Example, tally: Tally, count: int = RAYS_PER_EXAMPLE) -
         return [exception_finding(error)]
     rays = tried.rays(prepared.packed, count)
     try:
-        return [*check_rays(prepared, rays, tally, tried.random(LIMIT_STREAM)), *check_image(prepared, tally)]
+        of_rays = check_rays(prepared, rays, tally, tried.random(LIMIT_STREAM))
+        return [*of_rays, *check_image(prepared, tally, thorough)]
     except Exception as error:
         return [*raising_rays(tried, rays), exception_finding(error)]
 

@@ -122,10 +122,13 @@ def adjudicate(prepared: PreparedScene, rays: RayBatch, found: NearestHits, tall
     ]
 
 
-def check_image(prepared: PreparedScene, tally: Tally) -> list[Finding]:
-    """Findings about the scene's image, by `render` and the thorough checks, and about its camera's rays."""
+def check_image(prepared: PreparedScene, tally: Tally, thorough: bool = True) -> list[Finding]:
+    """Findings about the scene's image, by `render` and the thorough checks, and about its camera's rays.
+
+    thorough: whether to make those as well; without the compiler they take ten times as long as all else.
+    """
     scene = prepared.scene
-    checks = registry.checks_of(registry.OURS, thorough=True)
+    checks = registry.checks_of(registry.OURS, thorough=thorough)
     chosen = [each for each in checks if each.thorough or each.name == "render"]
     failing = [each for each in registry.make_checks(chosen, {"scene": scene}) if not each.ok]
     film = camera_rays(scene, threads=1)

@@ -140,7 +140,7 @@ LENGTHS = ("eye", "look_at", "origin", "near", "far", "width", "t_max")
 RATIOS = ("type", "direction", "up", "fov", "fov_axis", "principal_point")
 SCALED_AOVS = ("hit", "depth", "position", "normal", "shading_normal", "albedo", "diffuse", "shape_id", "prim_id")
 # Far more than thresholds in scene units (1e-6, 1e6) are from the sizes that they are meant for.
-POWERS = (-150, -24, 24, 40)
+POWERS = (-24, 24, 40, -150)
 # Products of three lengths have to be normal numbers, even where 2^-120 of them is left by cancellation.
 SMALLEST_SIZE_EXPONENT = -300
 PACKED_LENGTHS = ("vertices", "center", "radius", "to_world", "point")
