@@ -17,7 +17,6 @@ from mitsuba_ref.error_model.bracket import ANY_SHAPE, CLAIMED_MISS, NOT_CLAIMED
 from mitsuba_ref.error_model.intersections import Intersections, norm
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR
-from mitsuba_ref.oracle.interface import tied_prims
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain, Root
 from mitsuba_ref.reference.shared_input import SharedRays, model_of, packed_float32
 from mitsuba_ref.subjects.subject import Answer
@@ -202,7 +201,7 @@ def claims_other_tie(
 
     closest: bounds on normals are cut to this, since agreement within a looser bound would mean nothing.
     """
-    tied = {i: tied_prims(a)[1:] for i, a in enumerate(answers) if a is not None and len(a.ties) > 1}
+    tied = {i: prims[1:] for i, a in enumerate(answers) if a is not None and len(prims := a.prims) > 1}
     taken = np.zeros(len(o), bool)
     if not tied:
         return taken
@@ -270,7 +269,7 @@ class ExactHits:
         self.answers = tuple(Oracle(ready.packed).first_hits(self.o, self.d, t_max=t_max))
         self.hit = np.array([answer.hit for answer in self.answers], bool)
         self.t = np.array([np.inf if answer.t is None else float(answer.t) for answer in self.answers])
-        tied = [tied_prims(answer) for answer in self.answers]
+        tied = [answer.prims for answer in self.answers]
         self.ties = [frozenset(prims.tolist()) for prims in tied]
         ray = np.repeat(np.arange(len(self.answers)), [len(prims) for prims in tied])
         prim = np.concatenate([np.zeros(0, np.int64), *tied])

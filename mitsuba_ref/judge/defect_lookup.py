@@ -103,7 +103,7 @@ class FeatureMeasurement:
         return DefectFeatures(
             self._kind(hit),
             self._kind(named),
-            where=frozenset(each.where for each in answer.ties),
+            where=frozenset(where for where, _ in answer.groups),
             flags=answer.flags,
             t=t,
             at_zero=at_zero,

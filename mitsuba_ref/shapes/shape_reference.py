@@ -173,10 +173,6 @@ class ShapeReference:
     # name of a Mitsuba plugin -> importer of its <shape>
     importers: Mapping[str, ImportShape] = field(default_factory=dict)
 
-    def model_of(self, part: Any) -> ErrorModel:
-        """The error model of the kind that the shape packed to."""
-        return next(kind.model for kind in self.kinds if kind.arrays is type(part))
-
     @property
     def type_name(self) -> str:
         """The `type` in scene files."""

@@ -80,7 +80,7 @@ def subject_view(answer: Answer, scene: Scene, model: SceneModel) -> SceneModel:
     """The model for a subject: rays of its own camera are known up to the rounding of a camera."""
     if not answer.own_camera:
         return model
-    described = described_model(scene, model) if answer.own_geometry else None
+    described = described_model(scene) if answer.own_geometry else None
     about = model.packed, model.parts, model.kinds, model.models
     return UncertainRaysModel(*about, *camera_rounding(scene), as_described=described)
 
