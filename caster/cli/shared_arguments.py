@@ -10,7 +10,7 @@ import argparse
 import contextlib
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -51,9 +51,9 @@ AOV_NAMES = "hit, depth, normal, shading_normal, position, uv, albedo, diffuse, 
 DEFAULT_AOV_LIST = "hit,depth,normal,position,diffuse"
 
 
-def add_scene(parser: argparse.ArgumentParser) -> None:
-    """Add SCENE, --mesh-dir and --size."""
-    parser.add_argument("scene", metavar="SCENE", type=InputPath, help=SCENE_FILE)
+def add_scene(parser: argparse.ArgumentParser, path: Callable[[str], InputPath] | None = None) -> None:
+    """Add SCENE, --mesh-dir and --size. path: of what is typed for the scene."""
+    parser.add_argument("scene", metavar="SCENE", type=path or InputPath, help=SCENE_FILE)
     add_mesh_dirs(parser)
     parser.add_argument(
         "--size", nargs=2, type=int, metavar=("W", "H"), help="film in pixels, instead of the scene's own"

@@ -18,6 +18,7 @@ from caster.cli.shared_arguments import (
 )
 from caster.description.errors import SceneError, error_prefix, suggestion
 from caster.system.terminal import StatusLine
+from mitsuba_ref.report import builtin_scenes
 
 if TYPE_CHECKING:
     from mitsuba_ref.exr_compare.conventions import Reading
@@ -56,16 +57,22 @@ def positive_seconds(text: str) -> float:
 # ---- scenes ----
 
 
+def scene_path(text: str) -> InputPath:
+    """The type of a scene argument: a path, or builtin:NAME. Raises SceneError."""
+    return InputPath(builtin_scenes.scene_path(text))
+
+
 def add_selection(parser: argparse.ArgumentParser) -> None:
     """Add scenes, -k, -j, --size and --mesh-dir."""
     add = parser.add_argument
     add(
         "scenes",
         metavar="SCENE|MESH|DIR",
-        type=InputPath,
+        type=scene_path,
         nargs="*",
         default=DEFAULT_SCENES,
-        help="scene files, mesh files (OBJ, PLY, STL, OFF, glTF), folders of scenes; default: the folder scenes",
+        help="scene files, mesh files (OBJ, PLY, STL, OFF, glTF), folders of scenes, builtin:NAME; default: the folder "
+        "scenes",
     )
     add(
         "--builtin",
@@ -114,11 +121,8 @@ def builtin_folders(name: str | None) -> list[str]:
     """Folders of a set of built-in scenes; none for None."""
     if name is None:
         return []
-    from importlib.resources import files
-
-    sets = files("mitsuba_ref.runner") / "builtin"
     chosen = BUILTIN_SETS[:-1] if name == BUILTIN_SETS[-1] else (name,)
-    return [str(sets / each) for each in chosen]
+    return [str(builtin_scenes.ROOT / each) for each in chosen]
 
 
 def add_timeout(parser: argparse.ArgumentParser) -> None:

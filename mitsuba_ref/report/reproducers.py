@@ -25,6 +25,7 @@ from mitsuba_ref.judge.pipeline import Seen
 from mitsuba_ref.judge.verdict import CLASSES, REFERENCE_WRONG, UNLISTED, WRONG, Failure, SceneVerdict
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.shared_input import pixel_of
+from mitsuba_ref.report.builtin_scenes import shown_path
 from mitsuba_ref.shapes import reference_of
 from mitsuba_ref.subjects.subject import describe_primitive, packs_identically
 
@@ -269,14 +270,18 @@ def replay(scene: SceneVerdict, pixel: tuple[int, int] | None = None) -> str:
         return "mitsuba-ref judge" + "".join(f" {shlex.quote(word)}" for word in scene.options) + rows
     if pixel is None:
         thorough = " --thorough" if scene.thorough else ""
-        return f"mitsuba-ref validate {shlex.quote(scene.path or 'SCENE')}{thorough}{repeated_options(scene)}"
+        return f"mitsuba-ref validate {_path(scene)}{thorough}{repeated_options(scene)}"
     before, after = replay_around(scene)
     return f"{before}{pixel[0]} {pixel[1]}{after}"
 
 
 def replay_around(scene: SceneVerdict) -> tuple[str, str]:
     """The command that shows a pixel again: its parts before and after the column and row."""
-    return f"mitsuba-ref probe {shlex.quote(scene.path or 'SCENE')} ", repeated_options(scene)
+    return f"mitsuba-ref probe {_path(scene)} ", repeated_options(scene)
+
+
+def _path(scene: SceneVerdict) -> str:
+    return shlex.quote(shown_path(scene.path) or "SCENE")
 
 
 def repeated_options(scene: SceneVerdict) -> str:
