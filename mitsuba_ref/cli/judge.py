@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from caster.cli.shared_arguments import InputPath, OutputFile, add_mesh_dirs, add_scene, load, positive_int
 from caster.description.errors import SceneError
 from caster.system.process import OK
-from mitsuba_ref.cli.options import PRECISIONS, add_report_files, given_words, scene_path
+from mitsuba_ref.cli.options import PRECISIONS, ScenePath, add_report_files, given_words
 from mitsuba_ref.cli.validate import judge_entries, without_earlier_results
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ SHADOW_T_MIN = 2.0**-10  # lengths of d, the way to a point light: a shadow ray 
 
 
 def add_rays_arguments(parser: argparse.ArgumentParser) -> None:
-    add_scene(parser, scene_path)
+    add_scene(parser, ScenePath)
     add = parser.add_argument
     add("-o", "--output", metavar="RAYS", type=OutputFile, required=True, help=".npz, or .npy for the rows alone")
     help_ = "camera (default); aimed at features (corners, edges, rims), along silhouettes, from surfaces, at random; "

@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Protocol, TextIO, TypeVar
+from typing import TYPE_CHECKING, Protocol, Self, TextIO, TypeVar
 
 from caster.cli.shared_arguments import (
     InputPath,
     OutputFile,
     OutputFolder,
     add_mesh_dirs,
+    check_utf8_name,
     display_names,
     positive_int,
     scene_files,
@@ -57,9 +58,11 @@ def positive_seconds(text: str) -> float:
 # ---- scenes ----
 
 
-def scene_path(text: str) -> InputPath:
-    """The type of a scene argument: a path, or builtin:NAME. Raises SceneError."""
-    return InputPath(builtin_scenes.scene_path(text))
+class ScenePath(InputPath):
+    """A scene argument: a path, or builtin:NAME, whose path it is. Raises SceneError for an unknown name."""
+
+    def __new__(cls, text: str) -> Self:
+        return super().__new__(cls, builtin_scenes.scene_path(text))
 
 
 def add_selection(parser: argparse.ArgumentParser) -> None:
@@ -68,7 +71,7 @@ def add_selection(parser: argparse.ArgumentParser) -> None:
     add(
         "scenes",
         metavar="SCENE|MESH|DIR",
-        type=scene_path,
+        type=ScenePath,
         nargs="*",
         default=DEFAULT_SCENES,
         help="scene files, mesh files (OBJ, PLY, STL, OFF, glTF), folders of scenes, builtin:NAME; default: the folder "
@@ -102,6 +105,8 @@ def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
     from mitsuba_ref.runner.many_scenes import SceneEntry, matching
 
     fits = matching(args.expression, types_in_file)
+    for folder in args.mesh_dir:
+        check_utf8_name(folder)
     named = [] if args.builtin and args.scenes is DEFAULT_SCENES else args.scenes
     places = [*builtin_folders(args.builtin), *named]
     files = [file for file in scene_files(places) if fits(file)]
@@ -220,13 +225,14 @@ def candidate_words(args: argparse.Namespace) -> tuple[str, ...]:
 
 
 def given_words(args: argparse.Namespace, *names: str) -> tuple[str, ...]:
-    """Those of these options that were given, as words of a command line."""
+    """Those of these options that were given, as words of a command line. Raises SceneError unless they are UTF-8."""
     words: list[str] = []
     for name in names:
         value = getattr(args, name, None)
         option = "--candidate-serve" if isinstance(value, ServedProgram) else f"--{name.replace('_', '-')}"
         for each in value if isinstance(value, list) else [] if value is None else [value]:
             words += [option, repr(each).removesuffix(".0") if isinstance(each, float) else str(each)]
+            check_utf8_name(words[-1])
     return tuple(words)
 
 

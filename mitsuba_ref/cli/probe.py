@@ -15,12 +15,12 @@ from caster.description.errors import error_prefix
 from caster.system.process import DIFFERENCES, OK
 from caster.system.terminal import printable
 from mitsuba_ref.cli.options import (
+    ScenePath,
     add_candidate,
     add_reading,
     add_timeout,
     candidate_words,
     requested_candidate,
-    scene_path,
 )
 from mitsuba_ref.report.builtin_scenes import shown_path
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_scene(parser, scene_path)
+    add_scene(parser, ScenePath)
     add_pixel(parser)
     parser.add_argument("--json", action="store_true", help="as JSON")
     parser.add_argument(
