@@ -365,6 +365,17 @@ def _declared(stub: Function, options: dict[str, Any]) -> Function:
     return entry.call  # type: ignore[return-value]  # called like the stub
 
 
+def optional(declare: Callable[[Function], Function]) -> Callable[[Function], Function]:
+    """Declare a protocol function by `generic` or `generic_inlined`, with its own body for classes without another."""
+
+    def keep(stub: Function) -> Function:
+        function = declare(stub)
+        implement(function, object)(stub)
+        return function
+
+    return keep
+
+
 def implement(function: Callable[..., Any], kind: type) -> Callable[[Function], Function]:
     """Register the decorated body of `function` for class `kind`; object: for classes without their own."""
 

@@ -1,6 +1,7 @@
 """LLVM code of the functions of caster/jit/simd.py, which documents them, for numba.extending.intrinsic."""
 
 import inspect
+import operator
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -43,9 +44,9 @@ def intrinsics() -> Iterator[tuple[Callable[..., Any], Callable[..., Any]]]:
     yield simd.store, _intrinsic(_store, types.none, VECTOR, None, types.uint64)
     yield simd.splat, _intrinsic(lambda call, x: _splat(call.builder, x), VECTOR, types.float64)
     for stub, operation in (
-        (simd.plus, lambda call, v, w: call.builder.fadd(v, w)),
-        (simd.minus, lambda call, v, w: call.builder.fsub(v, w)),
-        (simd.times, lambda call, v, w: call.builder.fmul(v, w)),
+        (operator.add, lambda call, v, w: call.builder.fadd(v, w)),
+        (operator.sub, lambda call, v, w: call.builder.fsub(v, w)),
+        (operator.mul, lambda call, v, w: call.builder.fmul(v, w)),
         (simd.larger, lambda call, v, w: _larger(call.builder, v, w)),
         (simd.lesser, lambda call, v, w: _lesser(call.builder, v, w)),
     ):
@@ -75,14 +76,22 @@ class Call:
 
 
 def _intrinsic(build: Callable[..., Any], gives: Any, *takes: Any) -> Callable[..., Any]:
-    """Definition of an intrinsic: build(call, *arguments) returns its value. takes: None for a C-ordered array."""
+    """Definition of an intrinsic: build(call, *arguments) returns its value.
+
+    takes: the type of each argument, None for a C-ordered array. A float64 may stand for all vectors but one.
+    """
 
     def typed(typing: Any, *given: Any) -> Any:
-        assert all(kind is not None or arg.layout == "C" for kind, arg in zip(takes, given, strict=True))
-        wanted = [arg if kind is None else kind for kind, arg in zip(takes, given, strict=True)]
+        if VECTOR in takes and VECTOR not in given:
+            return None
+        pairs = list(zip(takes, given, strict=True))
+        assert all(kind is not None or arg.layout == "C" for kind, arg in pairs)
+        spread = [kind is VECTOR and arg == types.float64 for kind, arg in pairs]
+        wanted = [arg if kind is None or number else kind for (kind, arg), number in zip(pairs, spread, strict=True)]
 
         def body(context: Any, builder: Builder, signature: Any, arguments: Any) -> Any:
-            value = build(Call(context, builder, signature.args), *arguments)
+            values = (_splat(builder, a) if number else a for a, number in zip(arguments, spread, strict=True))
+            value = build(Call(context, builder, signature.args), *values)
             return context.get_dummy_value() if gives is types.none else value
 
         return gives(*wanted), body

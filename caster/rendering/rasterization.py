@@ -17,12 +17,11 @@ from caster.kernels.raster.screen_bounds import (
     PROJECTION_MARGIN,
     ScreenBounds,
     Window,
-    bound_distorted_hulls,
     bound_hulls,
     bound_spheres,
     project_vertices,
 )
-from caster.kernels.raster.tile import BOX, DEPTH_BUCKETS, HEIGHT, WIDTH, count_in_tiles, kind_numbers, scatter_to_tiles
+from caster.kernels.raster.tile import BOX, DEPTH_BUCKETS, HEIGHT, WIDTH, bin_into_tiles, kind_numbers
 from caster.kernels.raster.tile_casting import cast_in_bounds
 from caster.kernels.triangles import Triangles
 from caster.rendering.ray_tiles import prim_offsets
@@ -105,10 +104,8 @@ def bin_kinds(
         parallel_for(find, len(points), threads, least=PARALLEL_MIN_PRIMITIVES)
         if spheres:
             find = partial(bound_spheres, kind.prims, camera, window, bounds, reach)
-        elif rectilinear:
-            find = partial(bound_hulls, corners, window, bounds, reach)
         else:
-            find = partial(bound_distorted_hulls, points, corners, camera, window, bounds, reach)
+            find = partial(bound_hulls, points, corners, camera, window, bounds, reach)
         parallel_for(find, number, threads, least=PARALLEL_MIN_PRIMITIVES)
         # the eye is no farther from a point than sqrt(3) times the largest coordinates together
         farthest = 2.0 * (origin + kind.extent) if kind.bounded else 1.0
@@ -154,20 +151,15 @@ def _bin_into_tiles(
     parts = [(i, number * i // workers, number * (i + 1) // workers) for i in range(workers)]
     counts, binned = np.zeros((workers, across * down * DEPTH_BUCKETS), np.int64), [0] * workers
 
-    def count(part: tuple[int, int, int]) -> None:
+    def work(ends: np.ndarray, order: np.ndarray, part: tuple[int, int, int]) -> None:
         i, start, stop = part
-        binned[i] = count_in_tiles(*about, counts[i], start, stop)
+        binned[i] = bin_into_tiles(*about, ends[i], order, start, stop)
 
-    parallel_for_pieces(lambda: count, parts, workers)
+    parallel_for_pieces(lambda: partial(work, counts, np.empty(0, np.int32)), parts, workers)
     # in each depth bucket of each tile, what the first part has comes first: the same order for any number of threads
     ends = np.cumsum(counts.T.reshape(-1)).reshape(-1, workers).T
     starts = np.ascontiguousarray(ends - counts)
     order = np.empty(ends[-1, -1], np.int32)
-
-    def sort(part: tuple[int, int, int]) -> None:
-        i, start, stop = part
-        scatter_to_tiles(*about, starts[i], order, start, stop)
-
     runs = np.append(starts[0, ::DEPTH_BUCKETS], len(order))
-    parallel_for_pieces(lambda: sort, parts, workers)
+    parallel_for_pieces(lambda: partial(work, starts, order), parts, workers)
     return BinnedKind(kind, bounds, (base, base + number), sum(binned), runs, order)

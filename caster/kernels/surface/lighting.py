@@ -9,6 +9,7 @@ from caster.kernels.math.lanes import lanes_in_range
 from caster.kernels.math.vec import add, dot, max_norm, point_at, row, scaled, sub
 from caster.kernels.protocol import Vec3
 from caster.kernels.raster.tile import (
+    ONE,
     PRIM,
     SURFACE_LANES,
     T_MAX,
@@ -18,10 +19,12 @@ from caster.kernels.raster.tile import (
     Box,
     T,
     clear_rays,
+    get,
     lane,
+    put,
     start_ray,
 )
-from caster.kernels.surface.per_hit import ALBEDO, FLUX, ONE, RADIANCE, SH_N, SIDES, N, P, get, put, ray_of
+from caster.kernels.surface.per_hit import ALBEDO, FLUX, RADIANCE, SH_N, SIDES, N, P, ray_of
 
 # A computed hit lies within 16 u (|o| + t + |p|) of the surface (caster/kernels/math/quadric_roots.py, triangles.py)
 # or, since it is computed from the shape's numbers as well, within 16 u of its largest coordinate, which is more for a
@@ -171,11 +174,8 @@ def shadow_rays_in_tile(
             # without a branch, so that several pixels are done at once; results of misses are not used
             for i in range(lane(at), lane(stop)):
                 (o, d), hit = ray_of(tile, i), tile[PRIM + i] >= 0.0
-                p, n, sh_n = (
-                    select(hit, get(buffer, P + i), NOWHERE),
-                    select(hit, get(buffer, N + i), NOWHERE),
-                    select(hit, get(buffer, SH_N + i), NOWHERE),
-                )
+                p, n = select(hit, get(buffer, P + i), NOWHERE), select(hit, get(buffer, N + i), NOWHERE)
+                sh_n = select(hit, get(buffer, SH_N + i), NOWHERE)
                 t, extent = tile[T + i] if hit else 0.0, shadow_tile[T_MIN + i]
                 lit, flux = received_irradiance(light, p, sh_n, d, buffer[SIDES + i] != 0.0)
                 put(buffer, FLUX + i, flux)
@@ -227,11 +227,8 @@ def add_light(tile: Any, box: Box, buffer: Any, shadow_tile: Any) -> None:
 @inlined
 def reflected_radiance(albedo: Vec3, irradiance: Vec3) -> Vec3:
     """The radiance that a Lambertian surface reflects."""
-    return (
-        albedo[0] / math.pi * irradiance[0],
-        albedo[1] / math.pi * irradiance[1],
-        albedo[2] / math.pi * irradiance[2],
-    )
+    r, g, b = irradiance
+    return albedo[0] / math.pi * r, albedo[1] / math.pi * g, albedo[2] / math.pi * b
 
 
 @jit

@@ -12,8 +12,6 @@ from caster.kernels.protocol import Vec3, fast_surface, fast_uv, setup_lanes, su
 from caster.kernels.raster.tile import (
     CACHE_LINE,
     DX,
-    DY,
-    DZ,
     LANE_LOCAL,
     LANE_N,
     LANE_NUMBER,
@@ -23,9 +21,8 @@ from caster.kernels.raster.tile import (
     LANE_UV,
     NEXT,
     NORMALS,
+    ONE,
     OX,
-    OY,
-    OZ,
     PRIM,
     STRIDE,
     SURFACE_LANES,
@@ -35,6 +32,7 @@ from caster.kernels.raster.tile import (
     WIDTH,
     Box,
     T,
+    get,
     get_lane,
     lane,
     lane_count,
@@ -67,7 +65,6 @@ NEEDED_FIELDS = tuple(name for name in Hit._fields if name not in RAY_FIELDS)
 # current light.
 P, N, SH_N, UV, ALBEDO, SIDES, FLUX, RADIANCE = (lane(STRIDE * field) for field in (0, 3, 6, 9, 11, 14, 15, 18))
 SURFACE_FIELDS = 21
-ONE, TWO = lane(STRIDE), lane(2 * STRIDE)
 
 
 class PrimitiveIds(NamedTuple):
@@ -85,20 +82,9 @@ def new_surface_buffer() -> np.ndarray:
 
 
 @inlined
-def get(buffer: Any, at: Any) -> Vec3:
-    """Three fields of a pixel."""
-    return buffer[at], buffer[at + ONE], buffer[at + TWO]
-
-
-@inlined
-def put(buffer: Any, at: Any, v: Vec3) -> None:
-    buffer[at], buffer[at + ONE], buffer[at + TWO] = v[0], v[1], v[2]
-
-
-@inlined
 def ray_of(tile: Any, i: Any) -> tuple[Vec3, Vec3]:
     """(o, d) of a pixel."""
-    return (tile[OX + i], tile[OY + i], tile[OZ + i]), (tile[DX + i], tile[DY + i], tile[DZ + i])
+    return get(tile, OX + i), get(tile, DX + i)
 
 
 @jit
