@@ -33,9 +33,6 @@ class Kind:
 
     prims: Any
     ids: np.ndarray  # (n,) int32
-    # Scratch buffers, kept from one image to the next: for many triangles, allocating them takes longer than filling
-    # them. Images that are rendered at the same time have their own.
-    spare: list[tuple[np.ndarray, ...]] = field(default_factory=list, compare=False, repr=False)
     # Data computed from these primitives on first use, such as their BVH (caster/rendering/bvh_construction.py).
     derived: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 

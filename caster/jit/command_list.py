@@ -14,7 +14,7 @@ from caster.jit.arguments import describe
 from caster.jit.decorators import Kernel, jit
 from caster.jit.machine_code import DONE, PLACE_OF_ANSWER, call_entry, check, fail, load_word, store_word
 
-__all__ = ["BoundCall", "Command", "CommandList", "Condition", "bind"]
+__all__ = ["BoundCall", "Command", "CommandList", "Condition"]
 
 
 class BoundCall:
@@ -24,7 +24,7 @@ class BoundCall:
     last call, and `answered` names it as a condition.
     """
 
-    def __init__(self, function: Callable[..., Any], args: tuple[Any, ...], given: tuple[int, ...]) -> None:
+    def __init__(self, function: Callable[..., Any], *args: Any, given: tuple[int, ...]) -> None:
         # the arguments are kept, since the block holds addresses of arrays
         self._function, self._args, self._given = function, args, given
         self.code: Any = function.code(args) if isinstance(function, Kernel) else None
@@ -68,11 +68,6 @@ class BoundCall:
 def _words(args: tuple[Any, ...]) -> list[int]:
     described = describe(args)
     return described.words[1:] if described is not None else []
-
-
-def bind(function: Callable[..., Any], *args: Any, given: tuple[int, ...]) -> BoundCall:
-    """Bind a kernel to these arguments, except those at the places `given`: integers or tuples of integers."""
-    return BoundCall(function, args, given)
 
 
 Condition = int | tuple[np.ndarray, int]

@@ -6,6 +6,7 @@ module loads Numba, so it is imported when the first kernel is compiled.
 """
 
 from collections.abc import Callable
+from functools import cached_property, partial
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -59,8 +60,8 @@ class KernelCodegen(codegen.JITCPUCodegen):  # type: ignore[misc]  # likewise
     _library_class = KernelLibrary
 
 
-class Entry:
-    """Stands in Numba's tables for the entry point of a function without a wrapper."""
+ENTRY = object()
+"""Stands in Numba's tables for the entry point of a function without a wrapper."""
 
 
 class KernelContext(cpu.CPUContext):  # type: ignore[misc]  # likewise
@@ -73,26 +74,18 @@ class KernelContext(cpu.CPUContext):  # type: ignore[misc]  # likewise
         try:
             library.get_function(fndesc.llvm_cpython_wrapper_name)
         except NameError:
-            return Entry()
+            return ENTRY
         return super().get_executable(library, fndesc, env)
 
 
 class KernelTarget(registry.CPUTarget):  # type: ignore[misc]  # likewise
-    _contexts: tuple[Any, Any] | None = None
-
-    def _made(self) -> tuple[Any, Any]:
-        if self._contexts is None:
-            typing_context = typing.Context()
-            self._contexts = typing_context, KernelContext(typing_context, TARGET)
-        return self._contexts
-
-    @property
+    @cached_property
     def typing_context(self) -> Any:
-        return self._made()[0]
+        return typing.Context()
 
-    @property
+    @cached_property
     def target_context(self) -> Any:
-        return self._made()[1]
+        return KernelContext(self.typing_context, TARGET)
 
 
 class KernelDispatcher(dispatcher.Dispatcher):
@@ -101,7 +94,7 @@ class KernelDispatcher(dispatcher.Dispatcher):
     targetdescr = KernelTarget(TARGET)
 
     def add_overload(self, result: Any) -> None:
-        if isinstance(result.entry_point, Entry):
+        if result.entry_point is ENTRY:
             self.overloads[tuple(result.signature.args)] = result
         else:
             super().add_overload(result)
@@ -117,13 +110,9 @@ def dispatcher_of(function: Callable[..., Any], options: dict[str, Any], *, from
     return KernelDispatcher(function, targetoptions=every, pipeline_class=compiler.Compiler)
 
 
-def _inner_jit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    return lambda function: dispatcher_of(function, options)
-
-
 target_extension.target_registry[TARGET] = KernelClass
 target_extension.dispatcher_registry[KernelClass] = KernelDispatcher
-target_extension.jit_registry[KernelClass] = _inner_jit
+target_extension.jit_registry[KernelClass] = lambda **options: partial(dispatcher_of, options=options)
 
 
 def register_intrinsic(stub: Callable[..., Any], definition: Callable[..., Any]) -> None:

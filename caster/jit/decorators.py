@@ -8,12 +8,11 @@ import contextlib
 import gc
 import hashlib
 import importlib
-import inspect
 import os
 import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from functools import cache, cached_property, update_wrapper
+from functools import cache, cached_property, update_wrapper, wraps
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -129,18 +128,17 @@ class Kernel:
                         code = self._found(path, key) or self._made(path, key, args)
                 self._codes[known] = code
             code = self._codes.get(known)
-        return self._of_numba(tuple_classes(key)) if code is None else self
+        if code is not None:
+            return self
+        name = self._named(tuple_classes(key))
+        if name not in COMPILATION_LOG.slowly:
+            COMPILATION_LOG.slowly.append(name)
+        return self._python_dispatcher
 
     @property
     def _answers_a_number(self) -> bool:
         """Whether it returns None, an int or a float; Python calls other kernels as plain Python."""
         return self.function.__annotations__.get("return") in (None, int, float)
-
-    def _of_numba(self, classes: tuple[type, ...]) -> Callable[..., Any]:
-        """The function to call on a platform where only Numba can pass the arguments."""
-        if self._named(classes) not in COMPILATION_LOG.slowly:
-            COMPILATION_LOG.slowly.append(self._named(classes))
-        return self._python_dispatcher
 
     def _interpreted(self, *args: Any) -> Any:
         """Call the function as plain Python, with all that it calls."""
@@ -311,35 +309,30 @@ class Generic:
 
     def __init__(self, stub: Callable[..., Any], options: dict[str, Any]):
         self.bodies: dict[type, Callable[..., Any]] = {}
-        self.__name__, self.__doc__ = stub.__name__, stub.__doc__
         self.stub, self.options = stub, options
         self.call = self._dispatch()
 
     def _dispatch(self) -> Callable[..., Any]:
         bodies = self.bodies
 
+        @wraps(self.stub)
         def dispatch(*args: Any) -> Any:
             kind = type(args[0])
             return bodies[kind if kind in bodies else object](*args)
 
-        self._dress(dispatch)
         return dispatch
 
     def overload(self, numba: Any) -> None:
         """Tell Numba how to choose the body."""
         bodies = self.bodies
 
+        @wraps(self.stub)  # whose signature Numba reads
         def choose(*args: Any) -> Any:
             kind: Any = getattr(args[0], "instance_class", None)  # of a Numba type
             body = bodies.get(kind, bodies.get(object))
             return body.dispatcher if isinstance(body, Kernel) else body
 
-        self._dress(choose)
         numba.extending.overload(self.call, jit_options=self.options, strict=False)(choose)
-
-    def _dress(self, function: Any) -> None:
-        function.__name__, function.__doc__ = self.stub.__name__, self.stub.__doc__
-        function.__signature__ = inspect.signature(self.stub)  # Numba reads it
 
 
 _GENERICS: dict[Callable[..., Any], Generic] = {}

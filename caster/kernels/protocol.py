@@ -138,7 +138,7 @@ def project(camera: Any, p: Vec3) -> Any:
     """(x, y, pixels, depth, valid): where p falls on the film; a unit step of p moves it by at most so many pixels.
 
     depth: how far p is in front of where the rays start, along camera.forward, or, if negative, behind; the distance
-    from the eye for a camera that implements `distortion_bound`. Not valid where straight edges would not stay straight.
+    from the eye for a camera that implements `distortion_bound`. Not valid where straight edges would bend.
     """
 
 

@@ -87,11 +87,16 @@ PLANE_ERROR, SLOPE_ERROR = 9.0 * U, 8.0 * U
 MAX_EDGE_ERROR = 2.0**900
 
 
+@inlined
+def corners_of(rows: Any, faces: Any, k: int) -> tuple[Vec3, Vec3, Vec3]:
+    """The rows of a triangle's three vertices."""
+    return row(rows, faces[k, 0]), row(rows, faces[k, 1]), row(rows, faces[k, 2])
+
+
 @implement(load, Triangles)
 def _load(prims: Any, k: int) -> Any:
     """(corners, n, Q)."""
-    i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
-    p, q, r = row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2)
+    p, q, r = corners_of(prims.vertices, prims.faces, k)
     e1, e2 = sub(q, p), sub(r, p)
     return p, q, r, cross(e1, e2), permanent(e1, e2)
 
@@ -242,17 +247,12 @@ def barycentrics_edge_on(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Vec3:
 
 @implement(same_geometry, Triangles)
 def _same_geometry(prims: Any, k: int, j: int) -> bool:
-    p, q, r = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
-    a, b, c = prims.faces[j, 0], prims.faces[j, 1], prims.faces[j, 2]
-    v = prims.vertices
-    return row(v, p) == row(v, a) and row(v, q) == row(v, b) and row(v, r) == row(v, c)
+    return corners_of(prims.vertices, prims.faces, k) == corners_of(prims.vertices, prims.faces, j)
 
 
 @implement(exact_intersect, Triangles)
 def _exact_intersect(prims: Any, k: int, o: Vec3, d: Vec3, t_min: float, t_max: float) -> Root:
-    i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
-    corners = row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2)
-    return exact_triangle(corners, o, d, t_min, t_max)
+    return exact_triangle(corners_of(prims.vertices, prims.faces, k), o, d, t_min, t_max)
 
 
 # Where fewer than half of its bits are known, a normal is computed with twice as many.
@@ -303,19 +303,17 @@ def triangle_normal_slow(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
 
 @implement(surface, Triangles)
 def _surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float, wants_uv: bool) -> Any:
-    i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
-    a, b, c = row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2)
+    a, b, c = corners_of(prims.vertices, prims.faces, k)
     weights = b0, b1, b2 = barycentrics(sub(a, o), sub(b, o), sub(c, o), d, t)
     p = add(scaled(b0, a), add(scaled(b1, b), scaled(b2, c)))
     n = triangle_normal(a, b, c)
     sh_n = n
     if prims.smooth[k]:
-        n0, n1, n2 = row(prims.normals, i0), row(prims.normals, i1), row(prims.normals, i2)
-        known, sh_n = fast_interpolated_normal(weights, n0, n1, n2)
+        known, sh_n = fast_interpolated_normal(weights, *corners_of(prims.normals, prims.faces, k))
         sh_n = sh_n if known else normalize(sh_n)
     s, r = uv_by_weights(weights)
     if wants_uv and is_textured(prims, k):
-        s, r = interpolated_uv(weights, uv_of(prims, i0), uv_of(prims, i1), uv_of(prims, i2))
+        s, r = interpolated_uv(weights, *uv_of(prims, k))
     return p, n, sh_n, s, r
 
 
@@ -323,8 +321,11 @@ UV = tuple[float, float]
 
 
 @inlined
-def uv_of(prims: Any, vertex: int) -> UV:
-    return prims.uv[vertex, 0], prims.uv[vertex, 1]
+def uv_of(prims: Any, k: int) -> tuple[UV, UV, UV]:
+    """uv of a triangle's three vertices."""
+    i, j, h = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
+    uv = prims.uv
+    return (uv[i, 0], uv[i, 1]), (uv[j, 0], uv[j, 1]), (uv[h, 0], uv[h, 1])
 
 
 @inlined
@@ -355,8 +356,7 @@ LANE_A, LANE_B, LANE_C, LANE_NA, LANE_NB, LANE_NC, LANE_SMOOTH, LANE_US, LANE_VS
 
 @implement(surface_setup, Triangles)
 def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants: int) -> None:
-    i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
-    a, b, c = row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2)
+    a, b, c = corners_of(prims.vertices, prims.faces, k)
     smooth = prims.smooth[k]
     for x in range(start, stop):
         put_lane(scratch, LANE_A + x, a)
@@ -364,7 +364,7 @@ def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, want
         put_lane(scratch, LANE_C + x, c)
         scratch[LANE_SMOOTH + x] = 1.0 if smooth else 0.0
     if smooth and wants != NORMALS:
-        n0, n1, n2 = row(prims.normals, i0), row(prims.normals, i1), row(prims.normals, i2)
+        n0, n1, n2 = corners_of(prims.normals, prims.faces, k)
         for x in range(start, stop):
             put_lane(scratch, LANE_NA + x, n0)
             put_lane(scratch, LANE_NB + x, n1)
@@ -375,8 +375,7 @@ def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, want
 
 @inlined
 def _setup_uv(prims: Any, k: int, start: Any, stop: Any, scratch: Any) -> None:
-    textured, corners = is_textured(prims, k), prims.faces[k]
-    a, b, c = uv_of(prims, corners[0]), uv_of(prims, corners[1]), uv_of(prims, corners[2])
+    textured, (a, b, c) = is_textured(prims, k), uv_of(prims, k)
     for x in range(start, stop):
         put_lane(scratch, LANE_US + x, (a[0], b[0], c[0]))
         put_lane(scratch, LANE_VS + x, (a[1], b[1], c[1]))
@@ -421,7 +420,7 @@ def _fast_surface(prims: Any, scratch: Any, x: Any, o: Vec3, d: Vec3, t: float) 
     known, weights = fast_barycentrics(sub(a, o), sub(b, o), sub(c, o), d)
     p = add(scaled(weights[0], a), add(scaled(weights[1], b), scaled(weights[2], c)))
     wide, n = fast_triangle_normal(a, b, c)
-    n0, n1, n2 = (get_lane(scratch, LANE_NA + x), get_lane(scratch, LANE_NB + x), get_lane(scratch, LANE_NC + x))
+    n0, n1, n2 = get_lane(scratch, LANE_NA + x), get_lane(scratch, LANE_NB + x), get_lane(scratch, LANE_NC + x)
     long, between = fast_interpolated_normal(weights, n0, n1, n2)
     smooth = scratch[LANE_SMOOTH + x] != 0.0
     sh_n = (between[0] if smooth else n[0], between[1] if smooth else n[1], between[2] if smooth else n[2])

@@ -10,7 +10,7 @@ import numpy as np
 from caster.aovs import BY_NAME, Aovs
 from caster.description.errors import SceneError, suggestion
 from caster.geometry.packing import Packed, packed
-from caster.jit.command_list import Command, bind
+from caster.jit.command_list import BoundCall, Command
 from caster.kernels.nearest import Rays, generate_rays, new_rays
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import BOX, generate_camera_rays, kind_numbers, tile_rows
@@ -19,8 +19,8 @@ from caster.rendering.bvh_construction import uses_bvh
 from caster.rendering.casting import BVH_MIN_RAYS, Culling, exact_nearest, find_nearest
 from caster.rendering.hits import RayHits
 from caster.rendering.plan import Plan, plan
-from caster.rendering.rasterization import BinnedKind, bin_kinds, cast_commands, parallel_for_tiles, release_workspace
-from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, TileWorkspace, kind_command, prim_offsets, spare_workspaces
+from caster.rendering.rasterization import BinnedKind, bin_kinds, cast_commands, parallel_for_tiles
+from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, TileWorkspace, kind_command, prim_offsets
 from caster.rendering.shading import NO_BOX, TileShader, new_image
 from caster.rendering.threads import parallel_for, unwritten_array
 from caster.scene.model import Scene
@@ -108,7 +108,6 @@ class FilmRenderer:
             kinds = bin_kinds(self.packed, self.camera, self.window, reach, self.threads)
         self._render_tiles(kinds)
         decided = self._decide_uncertain()
-        release_workspace(kinds or [])
         on_film = None if kinds is None else tuple(it.binned for it in kinds)
         images = Aovs(self.images, self.hit)
         return RenderResult(self.scene, self.packed, images, self.plan, decided, self.shader.shadow_rays, on_film)
@@ -120,16 +119,14 @@ class FilmRenderer:
         seen = rows[:, [kind_numbers(k).present for k in range(number)]].any(axis=1)
         if seen.any():
             self.shader.prepare(self.threads)
-        with spare_workspaces() as take:
-            begin = partial(self._commands, take, kinds)
-            parallel_for_tiles(begin, rows[seen], self.threads, self.on_progress)
+        parallel_for_tiles(partial(self._commands, kinds), rows[seen], self.threads, self.on_progress)
         parallel_for_tiles(self.shader.miss_commands, rows[~seen], self.threads, self.on_progress)
 
-    def _commands(self, take: Callable[[], TileWorkspace], kinds: list[BinnedKind] | None) -> Iterator[Command]:
+    def _commands(self, kinds: list[BinnedKind] | None) -> Iterator[Command]:
         """Commands for tiles with primitives."""
-        workspace = take()
+        workspace = TileWorkspace()
         tile = workspace.tile
-        yield Command(bind(generate_camera_rays, self.camera, self.window, NO_BOX, tile, given=(2,)), (BOX,))
+        yield Command(BoundCall(generate_camera_rays, self.camera, self.window, NO_BOX, tile, given=(2,)), (BOX,))
         if kinds is not None:
             yield from cast_commands(kinds, tile, self.scene.camera.shares_origin)
         else:
@@ -137,7 +134,7 @@ class FilmRenderer:
                 yield kind_command(kind, base, tile, self.plan.culling == "bvh" and uses_bvh(kind))
         yield from self.shader.commands(workspace)
         # at the end, since shadows may be uncertain, too
-        yield Command(bind(store_hits, tile, NO_BOX, self.hit, self.uncertain, given=(1,)), (BOX,))
+        yield Command(BoundCall(store_hits, tile, NO_BOX, self.hit, self.uncertain, given=(1,)), (BOX,))
 
     def _decide_uncertain(self) -> int:
         """Decide uncertain pixels exactly; returns their number."""

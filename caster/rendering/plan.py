@@ -80,7 +80,9 @@ def _shadows(scene: Scene, shading: Step) -> Step:
 def _surfaces(aovs: Sequence[str], shading: Step) -> tuple[tuple[str, ...], str]:
     """(computed fields, reason)."""
     needs = {aov.NAME: set(aov.NEEDS) for aov in AOVS if aov.NAME in aovs}
-    wanting = [name for name, fields in needs.items() if _whole_surface(fields)]
+    wanting = [
+        name for name, fields in needs.items() if fields & SURFACE_FIELDS or ("normal" in fields and len(fields) > 1)
+    ]
     if shading.runs:
         wanting += [name for name, fields in needs.items() if "radiance" in fields and name not in wanting]
     if wanting:
@@ -89,10 +91,6 @@ def _surfaces(aovs: Sequence[str], shading: Step) -> tuple[tuple[str, ...], str]
     if normal := [name for name, fields in needs.items() if "normal" in fields]:
         return ("normals",), f"for {', '.join(normal)}"
     return (), "no requested AOV needs them"
-
-
-def _whole_surface(needs: set[str]) -> bool:
-    return bool(needs & SURFACE_FIELDS) or ("normal" in needs and len(needs) > 1)
 
 
 def _trees(culling: Culling, shadows: Step) -> Step:

@@ -1,7 +1,6 @@
 """Rasterization: primitives are bounded on the screen, sorted into tiles and tested in the pixels of their bounds."""
 
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -9,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from caster.geometry.packing import Kind, Packed
-from caster.jit.command_list import Command, CommandList, bind
+from caster.jit.command_list import BoundCall, Command, CommandList
 from caster.jit.decorators import implements
 from caster.kernels.bvh.build import BOX_PADDING, Hulls, hulls_of
 from caster.kernels.protocol import distortion_bound, project, project_bounding_sphere, tight_sphere
@@ -25,7 +24,7 @@ from caster.kernels.raster.tile import BOX, DEPTH_BUCKETS, HEIGHT, WIDTH, bin_in
 from caster.kernels.raster.tile_casting import cast_in_bounds
 from caster.kernels.triangles import Triangles
 from caster.rendering.ray_tiles import prim_offsets
-from caster.rendering.threads import even_pieces, parallel_for, parallel_for_pieces, thread_count
+from caster.rendering.threads import even_pieces, parallel_for, parallel_for_pieces, thread_count, unwritten_array
 
 # Points or primitives: to bound fewer takes less time than a second thread takes to begin.
 PARALLEL_MIN_PRIMITIVES = 4096
@@ -52,7 +51,7 @@ def cast_commands(kinds: list[BinnedKind], tile: np.ndarray, shares_origin: bool
     for k, it in enumerate(kinds):
         about = it.kind.prims, it.order, empty, it.bounds, it.prim_range[0], box, tile, shares_origin
         at = kind_numbers(k)
-        yield Command(bind(cast_in_bounds, *about, given=(2, 5)), (at.run, BOX), at.present)
+        yield Command(BoundCall(cast_in_bounds, *about, given=(2, 5)), (at.run, BOX), at.present)
 
 
 PIECES_PER_THREAD = 32  # few enough that Python code does not count, enough to share the work evenly
@@ -96,7 +95,8 @@ def bin_kinds(
         reach, number, triangles = (slack, PROJECTION_MARGIN), len(kind.ids), isinstance(kind.prims, Triangles)
         spheres = implements(tight_sphere, type(kind.prims)) and implements(project_bounding_sphere, type(camera))
         points, corners = NO_HULLS if spheres else hulls_of(kind.prims, number)
-        pixels, near, projected = _workspace(kind, len(points))
+        pixels, near = unwritten_array((number, 4), np.int32), unwritten_array((number,), np.float64)
+        projected = unwritten_array((len(points), 4), np.float64)
         # a rectilinear camera keeps edges straight, and its depth counts along one direction
         faces = corners if rectilinear and triangles else NO_FACES
         bounds = ScreenBounds(pixels, near, faces, projected, camera.forward if rectilinear else ZERO_VECTOR)
@@ -116,25 +116,6 @@ def bin_kinds(
 
 NO_FACES = np.empty((0, 3), np.int32)
 NO_HULLS = Hulls(np.empty((0, 3)), NO_FACES)
-
-MAX_KEPT_WORKSPACE = 1 << 28  # bytes of workspace that a kind keeps: for three million triangles
-
-
-def _workspace(kind: Kind, points: int) -> tuple[np.ndarray, ...]:
-    """Uninitialised (pixels, near, projected) of a kind's ScreenBounds: spare arrays, or new ones."""
-    with suppress(IndexError):
-        spare = kind.spare.pop()
-        if len(spare[2]) == points:
-            return spare
-    return np.empty((len(kind.ids), 4), np.int32), np.empty(len(kind.ids)), np.empty((points, 4))
-
-
-def release_workspace(kinds: list[BinnedKind]) -> None:
-    """Keep the workspaces of kinds for later images."""
-    for it in kinds:
-        space = it.bounds.pixels, it.bounds.near, it.bounds.projected
-        if not it.kind.spare and sum(a.nbytes for a in space) <= MAX_KEPT_WORKSPACE:
-            it.kind.spare.append(space)
 
 
 def _bin_into_tiles(

@@ -12,7 +12,7 @@ import numpy as np
 
 from caster.aovs import BY_NAME, kernel_of
 from caster.geometry.packing import Packed
-from caster.jit.command_list import Command, bind
+from caster.jit.command_list import BoundCall, Command
 from caster.kernels.nearest import Rays
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import (
@@ -119,7 +119,9 @@ class TileShader:
         materials, of_shapes = distinct_materials(scene)
         of_prims = of_shapes[packed.prim_shapes] if len(materials) > 1 else of_shapes[:1]  # which nobody reads
         tables = of_prims, *material_tables(materials)
-        return lambda ws: [Command(bind(materials_in_tile, ws.tile, NO_BOX, *tables, ws.surface, given=(1,)), (BOX,))]
+        return lambda ws: [
+            Command(BoundCall(materials_in_tile, ws.tile, NO_BOX, *tables, ws.surface, given=(1,)), (BOX,))
+        ]
 
     def _light_steps(self, scene: Scene, packed: Packed, plan: Plan, exact: bool) -> list[Step]:
         pixels = max((math.prod(image.shape[:2]) for image in self.images.values()), default=0)
@@ -133,7 +135,7 @@ class TileShader:
         ambient = np.array([light.radiance for light in scene.lights if light.type == "ambient"]).reshape(-1, 3)
         if len(ambient):
             steps.append(
-                lambda ws: [Command(bind(add_ambient, ws.tile, NO_BOX, ws.surface, ambient, given=(1,)), (BOX,))]
+                lambda ws: [Command(BoundCall(add_ambient, ws.tile, NO_BOX, ws.surface, ambient, given=(1,)), (BOX,))]
             )
         return steps
 
@@ -143,7 +145,7 @@ class TileShader:
 
         def begin(ws: TileWorkspace) -> list[Command]:
             surface = UNUSED_SURFACE if unused else ws.surface
-            write = bind(write_aov, kernel, ws.tile, NO_BOX, surface, ids, start, image, given=(2,))
+            write = BoundCall(write_aov, kernel, ws.tile, NO_BOX, surface, ids, start, image, given=(2,))
             return [Command(write, (BOX,))]
 
         return begin
@@ -169,20 +171,20 @@ def _add_light(
     tile, surface, shadow_tile = workspace.tile, workspace.surface, workspace.shadow_tile
     total = np.zeros(1, np.int64)
     about = light, tile, NO_BOX, packed.prim_shapes, packed.shape_extents, surface, shadow_tile, total
-    find = bind(shadow_rays_in_tile, *about, given=(2,))
+    find = BoundCall(shadow_rays_in_tile, *about, given=(2,))
     yield Command(find, (BOX,))
     if cast is not None:
         counts.append(total)
         yield from cast.commands(shadow_tile, workspace.ray_groups, find.answered)
         if exact:
             yield Command(partial(decide_shadows, packed, shadow_tile), (COUNT,), find.answered)
-    yield Command(bind(add_light, tile, NO_BOX, surface, shadow_tile, given=(1,)), (BOX,), find.answered)
+    yield Command(BoundCall(add_light, tile, NO_BOX, surface, shadow_tile, given=(1,)), (BOX,), find.answered)
 
 
 def _find_surfaces(packed: Packed, wants: int, workspace: TileWorkspace) -> Iterator[Command]:
     for k, (kind, first) in enumerate(zip(packed.kinds, prim_offsets(packed), strict=True)):
         about = kind.prims, (first, first + len(kind.ids)), workspace.tile, NO_BOX, workspace.surface, workspace.lanes
-        yield Command(bind(surfaces_in_tile, *about, wants, given=(3,)), (BOX,), kind_numbers(k).present)
+        yield Command(BoundCall(surfaces_in_tile, *about, wants, given=(3,)), (BOX,), kind_numbers(k).present)
 
 
 def decide_shadows(packed: Packed, shadow_tile: np.ndarray, count: int) -> None:

@@ -5,7 +5,7 @@ distances, the compiler knows that a store to one changes no other, and handles 
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -85,15 +85,15 @@ def tile_rows(width: int, height: int, kinds: int, runs: Sequence[np.ndarray] | 
 CACHE_LINE = 64  # bytes
 
 
-def aligned_zeros(size: int) -> np.ndarray:
-    """Zeros that begin at a cache line, so that no vector of LANES numbers crosses one."""
-    buffer = np.zeros(size + CACHE_LINE // 8)
+def aligned(size: int, new: Callable[[int], np.ndarray]) -> np.ndarray:
+    """A part of new(more float64 than that) that begins at a cache line, so that no vector of LANES crosses one."""
+    buffer = new(size + CACHE_LINE // 8)
     first = -buffer.ctypes.data % CACHE_LINE // 8
     return buffer[first : first + size]
 
 
-def new_tile() -> np.ndarray:
-    return aligned_zeros(TILE_SIZE)
+def new_tile(new: Callable[[int], np.ndarray] = np.zeros) -> np.ndarray:
+    return aligned(TILE_SIZE, new)
 
 
 @inlined
@@ -258,7 +258,7 @@ NORMALS, SURFACES, SURFACES_WITH_UV = 0, 1, 2
 
 
 def new_lanes() -> np.ndarray:
-    return aligned_zeros(LANE_FIELDS * SURFACE_LANES)
+    return aligned(LANE_FIELDS * SURFACE_LANES, np.zeros)
 
 
 @inlined

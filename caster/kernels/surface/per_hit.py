@@ -77,8 +77,11 @@ class PrimitiveIds(NamedTuple):
 NO_IDS = PrimitiveIds(np.empty(0, np.int32), np.empty(0, np.int32))
 
 
+SURFACE_SIZE = SURFACE_FIELDS * STRIDE + CACHE_LINE // 8  # numbers of a surface buffer
+
+
 def new_surface_buffer() -> np.ndarray:
-    return np.zeros(SURFACE_FIELDS * STRIDE + CACHE_LINE // 8)
+    return np.zeros(SURFACE_SIZE)
 
 
 @inlined
