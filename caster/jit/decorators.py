@@ -112,8 +112,8 @@ class Kernel:
 
     def _prepared(self, key: tuple[Any, ...], args: tuple[Any, ...]) -> Callable[..., Any]:
         """Find or compile the machine code for these arguments; returns the function to call."""
-        if _THREAD.interprets or not self._answers_a_number:
-            return self._interpreted
+        if _THREAD.interprets or self.function.__annotations__.get("return") not in (None, int, float):
+            return self._interpreted  # Python calls kernels that answer anything else as plain Python
         with _LOCK:
             known = key, len(_IMPLEMENTED)
             if known not in self._codes and machine_code.is_supported():
@@ -134,11 +134,6 @@ class Kernel:
         if name not in COMPILATION_LOG.slowly:
             COMPILATION_LOG.slowly.append(name)
         return self._python_dispatcher
-
-    @property
-    def _answers_a_number(self) -> bool:
-        """Whether it returns None, an int or a float; Python calls other kernels as plain Python."""
-        return self.function.__annotations__.get("return") in (None, int, float)
 
     def _interpreted(self, *args: Any) -> Any:
         """Call the function as plain Python, with all that it calls."""

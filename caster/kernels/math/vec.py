@@ -213,6 +213,12 @@ def max_norm(a: Vec3) -> float:
 
 
 @inlined
+def select(first: bool, a: Vec3, b: Vec3) -> Vec3:
+    """a if `first`, else b."""
+    return a[0] if first else b[0], a[1] if first else b[1], a[2] if first else b[2]
+
+
+@inlined
 def filter_result(hit: bool, missed: bool, t: float, error: float) -> tuple[float, float]:
     """(t, error) for a certain hit, MISS for a certain miss, else UNDECIDED."""
     return t if hit else (math.inf if missed else 0.0), error if hit else (0.0 if missed else math.inf)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from caster.jit.decorators import generic_inlined, implement, inlined, jit
 from caster.jit.simd import LANES
 from caster.kernels.math.lanes import lanes_in_range
-from caster.kernels.math.vec import add, dot, max_norm, point_at, row, scaled, sub
+from caster.kernels.math.vec import add, dot, max_norm, point_at, row, scaled, select, sub
 from caster.kernels.protocol import Vec3
 from caster.kernels.raster.tile import (
     ONE,
@@ -47,7 +47,7 @@ class DirectionalLight(NamedTuple):
     irradiance: Vec3  # W/m^2
 
 
-# The parameters of the stubs below are read by their bodies alone.
+NOWHERE = (0.0, 0.0, 0.0)
 
 
 @generic_inlined
@@ -73,8 +73,7 @@ def _irradiance_of_point_light(light: Any, p: Vec3) -> tuple[Vec3, Vec3]:
     apart = square > 0.0
     safe = square if apart else 1.0
     r, g, b = light.intensity
-    near = r / safe if apart else 0.0, g / safe if apart else 0.0, b / safe if apart else 0.0
-    return scaled(1.0 / math.sqrt(safe), d), near
+    return scaled(1.0 / math.sqrt(safe), d), select(apart, (r / safe, g / safe, b / safe), NOWHERE)
 
 
 @implement(light_direction, DirectionalLight)
@@ -149,9 +148,6 @@ def materials_in_tile(tile: Any, box: Box, materials: Any, reflectance: Any, two
             put(buffer, RADIANCE + i, (0.0, 0.0, 0.0))
 
 
-NOWHERE = (0.0, 0.0, 0.0)
-
-
 @jit
 def shadow_rays_in_tile(
     light: Any, tile: Any, box: Box, shapes: Any, extents: Any, buffer: Any, shadow_tile: Any, total: Any
@@ -201,12 +197,6 @@ def shows_any(tile: Any, first: Any) -> bool:
     for at in range(lane(0), lane(SURFACE_LANES), lane(LANES)):
         found |= lanes_in_range(tile, PRIM + first + at, 0.0, math.inf)
     return found != 0
-
-
-@inlined
-def select(first: bool, a: Vec3, b: Vec3) -> Vec3:
-    """a if `first`, else b, without a branch."""
-    return a[0] if first else b[0], a[1] if first else b[1], a[2] if first else b[2]
 
 
 @jit
