@@ -77,7 +77,9 @@ class TileShader:
     ) -> None:
         self.images, self.start = images, start
         self._packed, self._plan, self._exact = packed, plan, exact_shadows
-        self._materials, self._ids = material_tables(scene, packed), _primitive_ids(packed, plan.needs)
+        self._ids = _primitive_ids(packed, plan.needs)
+        shaded = packed.kinds and plan.needs & {"albedo", "radiance"}
+        self._materials = material_tables(scene, packed) if shaded else None
         self._shadow_rays: list[np.ndarray] = []  # one a thread and light: threads only append
         lights = scene.lights if "radiance" in plan.needs and packed.kinds else ()
         pixels = max((math.prod(image.shape[:2]) for image in images.values()), default=0)
@@ -111,10 +113,9 @@ class TileShader:
                 about = kind.prims, (first, first + len(kind.ids)), ws.tile, NO_BOX, ws.surface, ws.lanes
                 find = BoundCall(surfaces_in_tile, *about, wanted_fields(plan), given=(3,))
                 yield Command(find, (BOX,), kind_numbers(k).present)
-        if plan.needs & {"albedo", "radiance"}:
-            yield Command(
-                BoundCall(materials_in_tile, ws.tile, NO_BOX, *self._materials, ws.surface, given=(1,)), (BOX,)
-            )
+        if self._materials is not None:
+            fill = BoundCall(materials_in_tile, ws.tile, NO_BOX, *self._materials, ws.surface, given=(1,))
+            yield Command(fill, (BOX,))
         for light, caster in self._lights:
             yield from self._add_light(light, caster, ws)
         if len(self._ambient):

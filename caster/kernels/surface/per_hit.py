@@ -95,7 +95,8 @@ def ray_of(tile: Any, i: Any) -> tuple[Vec3, Vec3]:
 def surfaces_in_tile(prims: Any, numbers: Any, tile: Any, box: Box, buffer: Any, scratch: Any, wants: int) -> None:
     """Compute N of the hits on one kind, and if wanted P and SH_N, and UV, SURFACE_LANES pixels at a time.
 
-    numbers: of the kind's primitives in the tile, first and last + 1 (`span`). wants: NORMALS, SURFACES or SURFACES_WITH_UV.
+    numbers: of the kind's primitives in the tile, first and last + 1 (`span`). wants: NORMALS, SURFACES or
+    SURFACES_WITH_UV.
     """
     span = float(numbers[0]), float(numbers[1])
     start, stop = (LANE_N, LANE_SH_N) if wants == NORMALS else (LANE_P, LANE_UV if wants == SURFACES else LANE_UNSAFE)
