@@ -1,7 +1,7 @@
 """Inspection: the intersections of one pixel's ray with each primitive, and the work that a render took."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -11,7 +11,7 @@ from caster.aovs import BY_NAME
 from caster.description.errors import SceneError
 from caster.description.transform import dot_rows, row_lengths
 from caster.geometry.edge_distances import EdgeDistance, edge_distances
-from caster.geometry.packing import Kind, Packed, in_words, rejected_faces
+from caster.geometry.packing import Kind, Packed, rejected_faces
 from caster.kernels.nearest import Rays, intersect_each, nearest_of_candidates, no_hits
 from caster.rendering.bvh_construction import bvh_of, has_bvh, uses_bvh
 from caster.rendering.images import RenderResult, trace_film
@@ -190,37 +190,17 @@ def _way(kind: Kind, culling: str) -> str:
 
 
 def explain(rendered: RenderResult, aovs: Sequence[str]) -> str:
-    """Lines for `caster render --explain`."""
-    return "\n".join(f"{what:<12} {text}" for what, text in _lines(rendered, account(rendered, aovs)))
+    """The same in words, a line for each part, for `caster render --explain`."""
+    return "\n".join(f"{_spaced(name):<16} {_words(part)}" for name, part in account(rendered, aovs).items())
 
 
-def _lines(rendered: RenderResult, counted: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    rays, (width, height) = counted["camera_rays"], counted["camera_rays"]["film"]
-    x0, y0, x1, y1 = rays["window"]
-    start = "from one point" if rays["share_origin"] else "from a point each"
-    size = f"{x1 - x0} x {y1 - y0} of a film of {width} x {height}"
-    yield "camera rays", f"{rays['cast']} {start}: {rays['camera']}, {size}"
-    yield "culling", f"{counted['culling']['name']}: {counted['culling']['reason']}"
-    for kind in counted["primitives"]:
-        culled = kind["count"] - kind["looked_for"]
-        beside = f"; {culled} of them behind the camera or off the film" if culled else ""
-        yield "primitives", f"{kind['kind']}, {kind['count']}: {kind['way']}{beside}"
-    if not counted["primitives"]:
-        yield "primitives", "none: every ray misses"
-    if words := in_words(rendered.scene):
-        yield "never hit", words
-    trees = counted["trees"]
-    if trees["runs"] or trees["grown"]:
-        reason = trees["reason"] if trees["runs"] else "for the many pixels that had to be decided exactly"
-        yield "trees", f"{trees['grown']} grown: {reason}"
-    else:
-        yield "trees", f"skipped: {trees['reason']}"
-    yield "decided", f"{counted['decided_exactly']} pixels exactly, where float64 leaves them open"
-    found = counted["surfaces"]
-    done = f"computed for {found['hits']} hits: {', '.join(found['worked_out'])}"
-    yield "surfaces", done if found["worked_out"] else f"skipped: {found['reason']}"
-    shadows = counted["shadow_rays"]
-    words = f"{shadows['cast']} {shadows['reason']}" if shadows["runs"] else f"skipped: {shadows['reason']}"
-    yield "shadow rays", words
-    yield "AOVs", ", ".join(counted["aovs"])
-    yield "skipped", ", ".join(counted["skipped_aovs"]) or "no AOV"
+def _words(part: Any) -> str:
+    if isinstance(part, dict):
+        return ", ".join(f"{_spaced(name)} {_words(each)}" for name, each in part.items()) or "none"
+    if isinstance(part, list):
+        return ("; " if part and isinstance(part[0], dict) else " ").join(map(_words, part)) or "none"
+    return {True: "yes", False: "no"}[part] if isinstance(part, bool) else str(part)
+
+
+def _spaced(name: str) -> str:
+    return name.replace("_", " ")

@@ -39,7 +39,7 @@ class BinnedKind:
 
     kind: Kind
     bounds: ScreenBounds
-    prim_range: tuple[int, int]  # of its primitives, counted kind by kind
+    base: int  # place of its first primitive, counted kind by kind
     binned: int  # primitives in any tile
     runs: np.ndarray  # int64; tile n has primitives order[runs[n]:runs[n + 1]]
     order: np.ndarray  # int32, primitive numbers within the kind, roughly from front to back
@@ -49,7 +49,7 @@ def cast_commands(kinds: list[BinnedKind], tile: np.ndarray, shares_origin: bool
     """Commands that cast a tile at its primitives."""
     empty, box = (0, 0), (0, 0, 0, 0)
     for k, it in enumerate(kinds):
-        about = it.kind.prims, it.order, empty, it.bounds, it.prim_range[0], box, tile, shares_origin
+        about = it.kind.prims, it.order, empty, it.bounds, it.base, box, tile, shares_origin
         at = kind_numbers(k)
         yield Command(BoundCall(cast_in_bounds, *about, given=(2, 5)), (at.run, BOX), at.present)
 
@@ -143,4 +143,4 @@ def _bin_into_tiles(
     order = np.empty(ends[-1, -1], np.int32)
     runs = np.append(starts[0, ::DEPTH_BUCKETS], len(order))
     parallel_for_pieces(lambda: partial(work, starts, order), parts, workers)
-    return BinnedKind(kind, bounds, (base, base + number), sum(binned), runs, order)
+    return BinnedKind(kind, bounds, base, sum(binned), runs, order)

@@ -119,9 +119,8 @@ class TileCaster:
 
     def prepare(self, threads: int | None) -> None:
         """Project all kinds for the first fan, on all threads."""
-        for n, (kind, _) in enumerate(self._kinds if self._fans else ()):
-            if (0, n) not in self._bounds:
-                self._bounds[0, n] = fan_bounds(kind, self._fans[0], threads)
+        for n in range(len(self._kinds) if self._fans else 0):
+            self._bounds_of(0, n, threads)
 
     def begin(self, tile: np.ndarray, groups: RayGroups) -> Callable[[int], None]:
         """A function that casts the first so many rays of this tile; for fans, whole rows of it."""
@@ -169,14 +168,13 @@ class TileCaster:
         about = kind.prims, bvh_of(kind), self._bounds_of(number, n), base, tile, groups
         return self._fans[number], *about, self._outward, self._any_hit
 
-    def _bounds_of(self, number: int, n: int) -> FanBounds:
-        """Kind n as the fan of that number sees it, found when a tile first needs it."""
-        found = self._bounds.get((number, n))
-        if found is None:
+    def _bounds_of(self, number: int, n: int, threads: int | None = 1) -> FanBounds:
+        """Kind n as the fan of that number sees it, found when it is first needed."""
+        if (number, n) not in self._bounds:
             with self._lock:
-                found = self._bounds.get((number, n)) or fan_bounds(self._kinds[n][0], self._fans[number], 1)
-                self._bounds[number, n] = found
-        return found
+                if (number, n) not in self._bounds:
+                    self._bounds[number, n] = fan_bounds(self._kinds[n][0], self._fans[number], threads)
+        return self._bounds[number, n]
 
 
 Piece = tuple[int, ...]

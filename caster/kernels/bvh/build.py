@@ -80,11 +80,6 @@ def list_hull_points(prims: Any, points: Any, count: int) -> None:
             points[k * size + j, 0], points[k * size + j, 1], points[k * size + j, 2] = hull_point(prims, k, j)
 
 
-def bounding_boxes(prims: Any, low: np.ndarray, high: np.ndarray) -> None:
-    """Bounds (n, 3) of primitives."""
-    bound_hulls_in_space(*hulls_of(prims, len(low)), low, high)
-
-
 @jit
 def bound_hulls_in_space(points: Any, corners: Any, low: Any, high: Any) -> None:
     """Bounding boxes of hulls; empty boxes of a kind without bounds."""

@@ -23,11 +23,6 @@ def row(a: Any, k: int) -> Vec3:
 
 
 @jit
-def vector(a: Any) -> Vec3:
-    return a[0], a[1], a[2]
-
-
-@jit
 def dot(a: Vec3, b: Vec3) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
