@@ -60,8 +60,8 @@ class KernelCodegen(codegen.JITCPUCodegen):  # type: ignore[misc]  # likewise
     _library_class = KernelLibrary
 
 
-ENTRY = object()
-"""Stands in Numba's tables for the entry point of a function without a wrapper."""
+class Entry:
+    """Stands for a function without a wrapper where Numba has entry points, by which it tells functions apart."""
 
 
 class KernelContext(cpu.CPUContext):  # type: ignore[misc]  # likewise
@@ -74,7 +74,7 @@ class KernelContext(cpu.CPUContext):  # type: ignore[misc]  # likewise
         try:
             library.get_function(fndesc.llvm_cpython_wrapper_name)
         except NameError:
-            return ENTRY
+            return Entry()
         return super().get_executable(library, fndesc, env)
 
 
@@ -94,7 +94,7 @@ class KernelDispatcher(dispatcher.Dispatcher):
     targetdescr = KernelTarget(TARGET)
 
     def add_overload(self, result: Any) -> None:
-        if result.entry_point is ENTRY:
+        if isinstance(result.entry_point, Entry):
             self.overloads[tuple(result.signature.args)] = result
         else:
             super().add_overload(result)

@@ -210,20 +210,8 @@ SHEAR_ERROR = 6.0 * U
 
 
 @jit
-def barycentrics(a: Vec3, b: Vec3, c: Vec3, d: Vec3, t: float) -> Vec3:
-    """Of the point t d, where a ray from 0 meets the triangle.
-
-    From the corners sheared along d, so near to 0 that little cancels (Woop, Benthin, Wald 2013); their division by
-    the dominant component of d is left out, since it scales all three alike. What belongs to the second and third
-    corner is added up first, here and in `surface`: a mirrored shape swaps the two, and so no bit changes.
-    """
-    known, weights = fast_barycentrics(a, b, c, d)
-    return weights if known else barycentrics_edge_on(a, b, c, scaled(t, d))
-
-
-@jit
 def barycentrics_edge_on(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Vec3:
-    """Of the point p, projected along an axis: what is left where the ray runs along it."""
+    """Barycentrics of the point p, projected along an axis: for rays that run along the triangle."""
     e1, e2, q = sub(b, a), sub(c, a), sub(p, a)
     axis = dominant_axis(cross(scaled_near_one(e1), scaled_near_one(e2)))
     e1, e2, q = dominant_last(axis, e1), dominant_last(axis, e2), dominant_last(axis, q)
@@ -296,7 +284,9 @@ def triangle_normal_slow(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
 @implement(surface, Triangles)
 def _surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float, wants_uv: bool) -> Any:
     a, b, c = corners_of(prims.vertices, prims.faces, k)
-    weights = b0, b1, b2 = barycentrics(sub(a, o), sub(b, o), sub(c, o), d, t)
+    p, q, r = sub(a, o), sub(b, o), sub(c, o)
+    known, weights = fast_barycentrics(p, q, r, d)
+    weights = b0, b1, b2 = weights if known else barycentrics_edge_on(p, q, r, scaled(t, d))
     p = add(scaled(b0, a), add(scaled(b1, b), scaled(b2, c)))
     n = triangle_normal(a, b, c)
     sh_n = n
@@ -420,7 +410,12 @@ def _fast_uv(prims: Any, scratch: Any, x: Any, weights: Vec3) -> UV:
 
 @inlined
 def fast_barycentrics(a: Vec3, b: Vec3, c: Vec3, d: Vec3) -> tuple[bool, Vec3]:
-    """(whether these are those of `barycentrics`, they), without a branch."""
+    """(known, barycentrics) of the point t d, where a ray from 0 meets the triangle, without a branch.
+
+    From the corners sheared along d, so near to 0 that little cancels (Woop, Benthin, Wald 2013); their division by
+    the dominant component of d is left out, since it scales all three alike. What belongs to the second and third
+    corner is added up first, here and in `surface`: a mirrored shape swaps the two, and so no bit changes.
+    """
     axis = dominant_axis(d)
     along = dominant_last(axis, d)
     p, q = sheared_last(dominant_last(axis, a), along), sheared_last(dominant_last(axis, b), along)
