@@ -16,7 +16,7 @@ from mitsuba_ref.reference.messages import Crash, TraceResponse
 from mitsuba_ref.reference.mitsuba_process import SendRequest
 from mitsuba_ref.reference.rendering import render_reference
 
-HERE = VARIANTS if variants.usable_variants().llvm else VARIANTS[:1]  # the run's header says which
+HERE = VARIANTS if variants.usable_variants().libllvm else VARIANTS[:1]  # the run's header says which
 ROOT = Path(__file__).resolve().parents[2]
 U = 2.0**-24
 
