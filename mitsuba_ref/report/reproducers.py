@@ -26,8 +26,8 @@ from mitsuba_ref.judge.verdict import CLASSES, REFERENCE_WRONG, UNLISTED, WRONG,
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.shared_input import pixel_of
 from mitsuba_ref.report.builtin_scenes import shown_path
-from mitsuba_ref.shapes import reference_of
-from mitsuba_ref.subjects.subject import describe_primitive, packs_identically
+from mitsuba_ref.shapes import kind_of, reference_of
+from mitsuba_ref.subjects.subject import packs_identically
 
 TRAILING_ZEROS = re.compile(r"\.?0+(?=p)")  # of a hex float's digits behind the point, which there always is
 
@@ -111,7 +111,7 @@ def shape_of(judge: Judge, prim: int) -> tuple[dict[str, Any], list[str]]:
     name = f"{judge.scene.shape_names()[i]}, prim {k}"
     whole = judge.scene.shapes[i]
     try:
-        shape = describe_primitive(packed.parts[i], k)
+        shape = kind_of(packed.parts[i]).describe(packed.parts[i], k)
         kept = packs_identically(packed.parts[i], k, pack_one(shape))
     except (SceneError, LookupError):
         shape, kept = {}, False
