@@ -1,26 +1,19 @@
-"""Evidence of a judged scene: EXR images of both sides, of classes and ratios, and the data for its page."""
+"""Evidence of a judged scene: EXR images of both sides, of classes and ratios, and edges projected onto the film."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from caster import __version__
-from caster.aovs import Aovs
 from caster.geometry.packing import Packed
 from caster.image.channels import aovs_to_channels, provenance
 from caster.image.exr import write_exr
 from caster.scene.model import Scene
 from mitsuba_ref.cameras.camera_reference import camera_axes
-from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound
 from mitsuba_ref.error_model.scene_model import kinds_of
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
-from mitsuba_ref.judge.comparison import CHECKS
-from mitsuba_ref.judge.diagnosis import Diagnosis
-from mitsuba_ref.judge.explanations import constant_reasons, reason
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING
 
 Channels = Mapping[str, np.ndarray]
@@ -83,115 +76,30 @@ def clipped_to_float32(values: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(values), np.clip(values, -largest, largest), values)
 
 
-# ---- for the page of a scene ----
-
-
-# A ratio that is computed in two ways, here by the square root of a square, is the same up to 4 roundings.
-ROUNDING = 1.0 + 4 * 2.0**-53
-BOUND_OF_AOV = {check.name: check.bound for check in CHECKS}
-
-
-class LayerBound(NamedTuple):
-    """The bounds of one layer, one row per pixel."""
-
-    between: np.ndarray | None = None  # (n,) on the difference between both sides
-    alone: np.ndarray | None = None  # (n,) bool: the bound of the subject at its own surface decides instead
-    own: np.ndarray | None = None  # (n,) of the subject's arithmetic, on its distance from the surface of the reference
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """Both images and the findings about their pixels: some 60 MB for 256 x 256 pixels."""
-
-    judge: Judge
-    judgement: Judgement
-    diagnosis: Diagnosis
-
-    @property
-    def scene(self) -> Scene:
-        """The scene as it was judged."""
-        return self.judge.scene
-
-    @property
-    def packed(self) -> Packed:
-        return self.judge.model.packed
-
-    @property
-    def ours(self) -> Aovs:
-        """The subject's AOVs, only those that it gives."""
-        return self.judge.pair.subject
-
-    @property
-    def reference(self) -> Aovs:
-        """Mitsuba's AOVs, at least the same ones."""
-        return self.judge.pair.reference
-
-    @cached_property
-    def always(self) -> Mapping[str, str]:
-        """Class -> the reason for it, if that is the same for all pixels."""
-        return constant_reasons(self.judge)
-
-    def why(self, row: int) -> str:
-        """The reason for the class of one pixel."""
-        return reason(self.judge, self.judgement, self._diagnosed, row)
-
-    @cached_property
-    def _diagnosed(self) -> Mapping[int, str]:
-        return self.diagnosis.by_row()
-
-    def bound(self, name: str) -> LayerBound:
-        """The bounds of an AOV; none for `diffuse`, whose bound differs by light."""
-        judge, pixels = self.judge, self.judge.pixels
-        if not judge.names_prims:
-            own = judge.bounds.own
-            error = own.n_error if name == "normal" else (own.t_error + judge.answer.t_rounding) * pixels.length
-            return LayerBound(own=np.where(pixels.both_hit, error, 0.0))
-        bound_of = BOUND_OF_AOV.get(name)
-        if bound_of is None:
-            return LayerBound()
-        bound, ratio = bound_of(pixels), self.judgement.ratio(name)
-        alone = pixels.both_hit & (ratio > error_over_bound(pixels.distance(name), bound) * ROUNDING)
-        return LayerBound(np.where(pixels.both_hit, bound, 0.0), alone)
-
-    def ids(self) -> Mapping[str, np.ndarray]:
-        """`shape_reference`, `prim_reference`: (n,) shape, and primitive within it, -1 on a miss; also `shape_ours`,
-        `prim_ours` for a subject that names primitives."""
-        judge, pair, index = self.judge, self.judge.pair, self.packed.index_in_shape
-        if not judge.names_prims:
-            return {"shape_reference": pair.result.shape_id, "prim_reference": index(judge.reference_prim)}
-        numbered = np.where(pair.reference.hit.ravel(), pair.result.answer.prim.astype(np.int64), -1)
-        return {
-            "shape_reference": aov_rows(pair.reference, "shape_id"),
-            "shape_ours": aov_rows(pair.subject, "shape_id"),
-            "prim_reference": numbered,
-            "prim_ours": index(pair.prim),
-        }
-
-    def t(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """(n,) t of the subject and of the reference, in lengths of d; None if depth shows the same."""
-        return None if self.judge.names_prims else (self.judge.answer.t, self.judge.result.t)
-
-    def edges(self) -> np.ndarray | None:
-        """(m, 4) film coordinates x, y, x, y of the edges of triangles that are hit; if these are too many, of those at
-        pixels that do not agree. None if rays do not go through pixel centres of a rectilinear film."""
-        film = film_projection(self.scene, self.judge.o, self.judge.d)
-        if film is None:
-            return None
-        hit = self.judge.reference_prim
-        prims = np.stack([hit, self.judge.pair.prim]) if self.judge.names_prims else hit[None]
-        odd = prims[:, self.judgement.classes != CLASS_CODE[AGREE]]
-        for chosen in (np.unique(prims[prims >= 0]), np.unique(odd[odd >= 0])):
-            if len(chosen) <= MAX_TRIANGLES_DRAWN:
-                break
-        edges = triangle_edges(self.packed, chosen[:MAX_TRIANGLES_DRAWN])
-        return film.segments(edges).astype(np.float32)
-
-
 # ---- projection of edges onto the film, for the page ----
 
 MAX_TRIANGLES_DRAWN = 4096  # of a scene: some 100 kB
 LARGEST_PIXEL_OFFSET = 0.01  # of a fitted projection from the centre of a pixel; at 128 points a pixel, one point
 NEAR_SHARE = 1e-6  # of the largest depth: edges end there instead of behind the camera
+
+
+def film_edges(judge: Judge, judgement: Judgement) -> np.ndarray | None:
+    """(m, 4) film coordinates x, y, x, y of the edges of triangles that are hit.
+
+    If these are too many, of those at pixels that do not agree. None if rays do not go through pixel centres of a
+    rectilinear film.
+    """
+    film = film_projection(judge.scene, judge.o, judge.d)
+    if film is None:
+        return None
+    hit = judge.reference_prim
+    prims = np.stack([hit, judge.pair.prim]) if judge.names_prims else hit[None]
+    odd = prims[:, judgement.classes != CLASS_CODE[AGREE]]
+    for chosen in (np.unique(prims[prims >= 0]), np.unique(odd[odd >= 0])):
+        if len(chosen) <= MAX_TRIANGLES_DRAWN:
+            break
+    edges = triangle_edges(judge.model.packed, chosen[:MAX_TRIANGLES_DRAWN])
+    return film.segments(edges).astype(np.float32)
 
 
 class FilmProjection(NamedTuple):

@@ -13,8 +13,9 @@ from urllib.parse import quote
 
 from caster.description.input_files import opened_input
 from caster.system.atomic_files import OutputError, atomic_write, check_folder, write_text
+from mitsuba_ref.judge.pipeline import Seen
 from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, SceneVerdict, Verdict, json_number
-from mitsuba_ref.report.evidence import CLASS_COLORS, UNLISTED_COLOR, Evidence
+from mitsuba_ref.report.evidence import CLASS_COLORS, UNLISTED_COLOR
 from mitsuba_ref.report.reproducers import replay, replay_around
 from mitsuba_ref.report.scene_record import SceneRecord, scene_record
 from mitsuba_ref.report.verdict_text import failure_text, group_lines, mark_of, outcome_text
@@ -47,7 +48,7 @@ class HtmlReport:
 
     def keep(self, verdict: SceneVerdict) -> SceneVerdict:
         """Write the evidence of a verdict, and return the verdict without it. Raises OutputError."""
-        found = page_record(verdict) if isinstance(verdict.seen, Evidence) else verdict.seen
+        found = page_record(verdict) if isinstance(verdict.seen, Seen) else verdict.seen
         if found is not None:
             about = {"verdict": verdict.to_dict(), **found.about}
             parts = {"about": as_json(about)} | {name: as_json(each) for name, each in found.layers.items()}

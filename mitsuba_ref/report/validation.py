@@ -15,7 +15,7 @@ from mitsuba_ref.judge.pipeline import Seen, Task, judge_film
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
 from mitsuba_ref.reference.shared_input import SharedRays
-from mitsuba_ref.report.evidence import Evidence, write_images
+from mitsuba_ref.report.evidence import write_images
 from mitsuba_ref.report.html_report import write_report
 from mitsuba_ref.report.reproducers import with_replay, write_reproducers
 from mitsuba_ref.subjects.function import function_subject
@@ -87,9 +87,7 @@ def validate_scene(
         return replace(verdict, reproducers=stored.files, not_stored=stored.left_out)
 
     verdict = judge_film(task, finish)
-    seen = verdict.seen
-    evidence = Evidence(*seen[:3]) if keep and isinstance(seen, Seen) else None
-    return replace(verdict, seen=evidence, seconds=time.perf_counter() - start)
+    return replace(verdict, seen=verdict.seen if keep else None, seconds=time.perf_counter() - start)
 
 
 def _cast_as_judged(scene: Scene) -> None:
