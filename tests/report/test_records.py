@@ -70,7 +70,7 @@ def test_what_is_no_answer_is_nan_and_never_zero():
 
 
 def test_rows_and_pages_name_the_candidate(judged, tmp_path):
-    assert "wrong" in index_row(judged["inside"], "", "")["counts"]
+    assert "wrong" in index_row(judged["inside"], None)["counts"]
     index = Validation(tuple(judged.values())).write_html(tmp_path / "page")
     text = index.read_text(encoding="utf-8")
     assert '"candidate":"docs.candidates.inside:trace"' in text and f'"wrong","undecided","{UNLISTED}"' in text
