@@ -3,7 +3,6 @@
 import argparse
 import importlib.metadata
 import json
-import shutil
 from collections.abc import Sequence
 from pkgutil import resolve_name
 from typing import Any
@@ -16,8 +15,6 @@ from mitsuba_ref.reference.variants import usable_variants
 # The versions whose arithmetic the bounds were derived for; Dr.Jit has to be the one Mitsuba was built with.
 PINNED = {"mitsuba": "3.9.1", "drjit": "1.5.0"}
 INSTALL_COMMAND = "pip install " + " ".join(f"{name}=={version}" for name, version in PINNED.items())
-CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
-BROWSERS = (*CHROMIUM, "firefox")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,7 +35,7 @@ def judge_findings() -> list[Finding]:
     """Find the parts that the judge uses in addition to the caster's."""
     versions = [_pinned(name) for name in PINNED]
     missing = [finding.name for finding in versions if not finding.found]
-    return [*versions, *_variants(missing), kept_results(), browser()]
+    return [*versions, *_variants(missing), kept_results()]
 
 
 def _variants(missing: Sequence[str]) -> list[Finding]:
@@ -56,14 +53,6 @@ def _variants(missing: Sequence[str]) -> list[Finding]:
         Finding("variants", found.scalar, True, detail + why, adds),  # spheres need the scalar one
         Finding("libLLVM", bool(found.libllvm), False, found.libllvm or without, llvm_adds, way_out),
     ]
-
-
-def browser() -> Finding:
-    """The first browser on the path."""
-    path = next(filter(None, map(shutil.which, BROWSERS)), None)
-    detail = path or "none of " + ", ".join(BROWSERS)
-    adds = "reports of `validate --html`, and their tests (Chromium)"
-    return Finding("browser", path is not None, False, detail, adds)
 
 
 def kept_results() -> Finding:

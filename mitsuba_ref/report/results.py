@@ -1,4 +1,4 @@
-"""Results as JSON files, as text for terminals and logs, in colour only on a terminal, and as tables in Markdown.
+"""Results as JSON files, and as text and tables for terminals and logs, in colour only on a terminal.
 
 Results are pydantic dataclasses. Files also contain their derived values (`computed_field`), which are ignored when a
 file is read.
@@ -11,19 +11,16 @@ import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TextIO, TypeVar
+from typing import Any, TextIO
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
-from caster.description.errors import SceneError
-from caster.description.input_files import read_input
 from caster.system.atomic_files import write_text
 from caster.system.terminal import printable, unfiltered
 from mitsuba_ref.reference.store import installed_version
 from mitsuba_ref.reference.variants import usable_variants
 
-T = TypeVar("T")
 STANDARD_OUTPUT = "-"
 
 
@@ -40,17 +37,6 @@ def write_result(result: Any, file: str) -> None:
         sys.stdout.write(text)
     else:
         write_text(file, text)
-
-
-def read_result(kind: type[T], file: str, written_by: str) -> T:
-    """The result in a file that `written_by` wrote. Raises FileMissing or SceneError."""
-    try:
-        return TypeAdapter(kind).validate_json(read_input(file, "result"))
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"]))
-        text = f"{file}: expected what `{written_by} --json` writes: {where}: {first['msg']}"
-        raise SceneError(text) from error
 
 
 def versions(*packages: str) -> dict[str, str]:
@@ -104,13 +90,6 @@ def _line(row: Row, widths: Sequence[int], left: int) -> str:
         return f"{row[0]:<{widths[0]}}  {' '.join(row[1:])}"
     pairs = enumerate(zip(row, widths, strict=True))
     return "  ".join(cell.ljust(width) if i < left else cell.rjust(width) for i, (cell, width) in pairs)
-
-
-def markdown(rows: Sequence[Row], *, rule: str | None = None) -> str:
-    """A Markdown table, the first row its head. rule: the line below it, left-aligned columns unless given."""
-    full = ([*row, *[""] * (len(rows[0]) - len(row))] for row in rows)
-    head, *body = ("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |" for cells in full)
-    return "\n".join([head, rule or "|" + "---|" * len(rows[0]), *body])
 
 
 def percent(count: int, total: int) -> str:

@@ -88,11 +88,11 @@ def test_the_judge_looks_for_everything_the_caster_uses_and_for_mitsuba():
     ],
 )
 def test_the_judge_is_usable_with_the_scalar_variant(monkeypatch, found, variants, libllvm):
-    """Spheres, disks and cylinders need it; libLLVM and a browser are extras."""
+    """Spheres, disks and cylinders need it; libLLVM is an extra."""
     here = with_variants(monkeypatch, **found)
     assert here["variants"].found is found.get("scalar", True) and here["variants"].detail == variants
     assert here["libLLVM"].found is bool(found.get("libllvm")) and libllvm in here["libLLVM"].detail
-    assert not any(here[name].needed for name in ("libLLVM", "browser"))
+    assert not here["libLLVM"].needed
     assert here["variants"].needed
 
 
