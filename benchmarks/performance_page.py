@@ -17,14 +17,13 @@ from typing import Any
 
 import matplotlib
 from matplotlib.figure import Figure
-from pages import WIDTH, write_page
+from pages import WIDTH, markdown, read_result, write_page
 
 from caster.system.atomic_files import write_text
 from mitsuba_ref.bench.casters import BY_KEY
 from mitsuba_ref.bench.measuring import MAX_CAST_S, MIN_TURN_S
 from mitsuba_ref.bench.result import COLUMNS, Run, SceneResult, overview, rows
 from mitsuba_ref.bench.scoring import EXACT_RAYS_PER_SORT
-from mitsuba_ref.report.results import markdown, read_result
 
 PAGE, IMAGE_FOLDER = "performance.md", "performance"
 README, README_SECTION = "README.md", "## How fast\n"  # whose table has these scenes of the run

@@ -20,8 +20,8 @@ from caster import load_scene
 from caster.rendering.hits import RayHits
 from caster.rendering.threads import core_count
 from mitsuba_ref.reference.shared_input import pixel_of
-from mitsuba_ref.report.html_report import HtmlReport, page_record, write_report
-from mitsuba_ref.report.validation import validate_scene
+from mitsuba_ref.report.html_report import HtmlReport, page_record
+from mitsuba_ref.report.validation import Validation, validate_scene
 from mitsuba_ref.runner import many_scenes
 from mitsuba_ref.subjects import subject
 from mitsuba_ref.subjects.requests import parse_candidate
@@ -76,7 +76,8 @@ def candidate_report_into(folder: Path) -> Path:
     """Run from the top of the tree, where the candidate is found."""
     path = f"scenes/{INSIDE}.toml"
     verdict = validate_scene(load_scene(path), INSIDE, path, subject=parse_candidate(CANDIDATE), keep=True)
-    return write_report(folder, [replace(verdict, options=("--candidate", CANDIDATE))], 1)  # as it was typed
+    as_typed = replace(verdict, options=("--candidate", CANDIDATE))
+    return Validation((as_typed,)).write_html(folder)
 
 
 def faulty_view(scene: object, rays: object) -> RayHits:

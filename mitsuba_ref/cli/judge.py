@@ -147,7 +147,7 @@ def run(args: argparse.Namespace) -> int:
     out = without_earlier_results(args)
     entries = exr_entries(args) if args.exr else hits_entries(args)
     judge = JudgeOptions(Path(args.out) if args.out else None, subject=entries[0].subject)
-    return judge_entries(args, entries, RunOptions(judge, html=args.html), entries[0].subject, out)
+    return judge_entries(args, entries, RunOptions(judge, html=args.html), out)
 
 
 def entry_of(args: argparse.Namespace, scene: Scene, more: str, subject: Subject, **about: Any) -> SceneEntry:
