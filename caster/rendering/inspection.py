@@ -10,7 +10,6 @@ import numpy as np
 from caster.aovs import BY_NAME
 from caster.description.errors import SceneError
 from caster.description.transform import dot_rows, row_lengths
-from caster.geometry.edge_distances import EdgeDistance, edge_distances
 from caster.geometry.packing import Kind, Packed, in_words, rejected_faces
 from caster.kernels.nearest import Rays, intersect_each, nearest_of_candidates, no_hits
 from caster.rendering.bvh_construction import bvh_of, has_bvh, uses_bvh
@@ -29,41 +28,20 @@ class PrimitiveResult:
     prim_id: int  # within its shape
     t: float  # the exact first hit in range, rounded to float64; inf on a miss
     error: float  # error bound of t in float64; inf if float64 cannot decide
-    margins: tuple[EdgeDistance, ...]
+    away: float  # the distance of its bounding sphere from the ray, by which misses are ordered; 0 without bounds
 
     @property
     def decided_by(self) -> str:
         return "float64" if math.isfinite(self.error) else "integers"
-
-    @property
-    def nearly(self) -> float:
-        """The distance of the ray from the primitive's outline, by which misses are ordered."""
-        return max((-margin.inside for margin in self.margins), default=0.0)
-
-    @property
-    def out_of_range(self) -> bool:
-        """Whether the line hits, but not the ray: behind it, beyond t_max, or past a cylinder's ends."""
-        return math.isinf(self.t) and bool(self.margins) and all(m.inside > 0.0 for m in self.margins)
 
 
 def intersect_each_primitive(packed: Packed, rays: Rays) -> tuple[PrimitiveResult, ...]:
     """Intersections of rays[0] with the nearest primitives: hits by t, then misses by distance. Without a ray: none."""
     if rays.t_max[0] < 0.0:
         return ()
-    found = [tried for kind, rows in _near(packed, rays) for tried in _try(packed, kind, rows, rays)]
-    order = sorted(found, key=lambda each: (each.t, each.nearly, each.shape_id, each.prim_id))
+    found = [tried for kind in packed.kinds for tried in _try(packed, kind, rays)]
+    order = sorted(found, key=lambda each: (each.t, each.away, each.shape_id, each.prim_id))
     return tuple(order[:MAX_PRIMITIVES_PROBED])
-
-
-def _near(packed: Packed, rays: Rays) -> Iterator[tuple[Kind, np.ndarray]]:
-    """(kind, places within it) of the nearest primitives of each kind."""
-    for kind in packed.kinds:
-        if len(kind.ids) <= MAX_PRIMITIVES_PROBED or not kind.bounded:
-            yield kind, np.arange(len(kind.ids))[:MAX_PRIMITIVES_PROBED]
-            continue
-        low, high = kind.boxes()
-        away = ray_box_distances(rays.o[0], rays.d[0], low, high)
-        yield kind, np.sort(np.argsort(away, kind="stable")[:MAX_PRIMITIVES_PROBED])
 
 
 def ray_box_distances(o: np.ndarray, d: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -75,13 +53,17 @@ def ray_box_distances(o: np.ndarray, d: np.ndarray, low: np.ndarray, high: np.nd
     return np.where(np.isfinite(away), np.maximum(away, 0.0), np.inf)
 
 
-def _try(packed: Packed, kind: Kind, rows: np.ndarray, rays: Rays) -> Iterator[PrimitiveResult]:
+def _try(packed: Packed, kind: Kind, rays: Rays) -> Iterator[PrimitiveResult]:
+    """Intersections with the nearest primitives of a kind."""
+    away = np.zeros(len(kind.ids))
+    if kind.bounded:
+        away = ray_box_distances(rays.o[0], rays.d[0], *kind.boxes())
+    rows = np.sort(np.argsort(away, kind="stable")[:MAX_PRIMITIVES_PROBED])
     t, error = intersect_rows(kind, rows, rays)
     ids = kind.ids[rows]
     shapes, numbers = packed.shape_of(ids), packed.index_in_shape(ids)
     for j, k in enumerate(rows.tolist()):
-        edges = edge_distances(kind.prims, k, rays.o[0], rays.d[0])
-        yield PrimitiveResult(int(shapes[j]), int(numbers[j]), float(t[j]), float(error[j]), edges)
+        yield PrimitiveResult(int(shapes[j]), int(numbers[j]), float(t[j]), float(error[j]), float(away[k]))
 
 
 def intersect_rows(kind: Kind, rows: np.ndarray, rays: Rays) -> tuple[np.ndarray, np.ndarray]:
@@ -154,7 +136,7 @@ def account(rendered: RenderResult, aovs: Sequence[str]) -> dict[str, Any]:
         "camera_rays": _camera_rays(rendered),
         "culling": {"name": plan.culling, "reason": plan.reason},
         "primitives": _primitives(rendered),
-        "never_hit": {name: found.total for name, found in rejected_faces(rendered.scene).items()},
+        "never_hit": {name: sum(found) for name, found in rejected_faces(rendered.scene).items()},
         "trees": {**_step(plan.trees), "grown": sum(has_bvh(kind) for kind in rendered.packed.kinds)},
         "decided_exactly": rendered.decided_exactly,
         "surfaces": {
