@@ -18,7 +18,6 @@ from mitsuba_ref.cameras.camera_reference import camera_axes
 from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound
 from mitsuba_ref.error_model.scene_model import kinds_of
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
-from mitsuba_ref.judge.comparison import CHECKS
 from mitsuba_ref.judge.diagnosis import Diagnosis
 from mitsuba_ref.judge.explanations import constant_reasons, reason
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING
@@ -88,7 +87,6 @@ def clipped_to_float32(values: np.ndarray) -> np.ndarray:
 
 # A ratio that is computed in two ways, here by the square root of a square, is the same up to 4 roundings.
 ROUNDING = 1.0 + 4 * 2.0**-53
-BOUND_OF_AOV = {check.name: check.bound for check in CHECKS}
 
 
 class LayerBound(NamedTuple):
@@ -146,10 +144,10 @@ class Evidence:
             own = judge.bounds.own
             error = own.n_error if name == "normal" else (own.t_error + judge.answer.t_rounding) * pixels.length
             return LayerBound(own=np.where(pixels.both_hit, error, 0.0))
-        bound_of = BOUND_OF_AOV.get(name)
-        if bound_of is None:
+        bound = pixels.allowed_distance.get(name)
+        if bound is None:
             return LayerBound()
-        bound, ratio = bound_of(pixels), self.judgement.ratio(name)
+        ratio = self.judgement.ratio(name)
         alone = pixels.both_hit & (ratio > error_over_bound(pixels.distance(name), bound) * ROUNDING)
         return LayerBound(np.where(pixels.both_hit, bound, 0.0), alone)
 
