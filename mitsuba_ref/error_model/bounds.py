@@ -16,11 +16,6 @@ class Bounds(NamedTuple):
     own: Intersections  # the intersection in float64
     at: Intersections  # the intersection, with the reference's error bounds
 
-    @property
-    def resolved(self) -> np.ndarray:
-        """(n,) bool: the reference's t has a bound."""
-        return np.isfinite(self.at.t_error)
-
 
 def reference_bounds(model: SceneModel, prim: np.ndarray, o: np.ndarray, d: np.ndarray, t: np.ndarray) -> Bounds:
     """Bounds at the intersection of ray i with prim[i] (n,) that is nearest to t[i] (n,). prim -1 is a miss."""

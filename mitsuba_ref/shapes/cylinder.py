@@ -25,8 +25,8 @@ from mitsuba_ref.shapes.shape_reference import (
     PrimitiveReference,
     ShapeReference,
     XmlShape,
+    describe_unit_shape,
     to_world_fields,
-    unit_shape_matrix,
 )
 from mitsuba_ref.shapes.surface_errors import intersect_round, on_circle, ours_through_object_space
 from mitsuba_ref.shapes.targets import (
@@ -45,8 +45,8 @@ from mitsuba_ref.shapes.targets import (
 def to_xml(out: ShapeWriter, shape: Cylinder, part: Any) -> list[XmlElement]:
     """A native cylinder if it is round, straight and not mirrored; otherwise an instance of one."""
     if mitsuba_accepts_matrix(part.to_world[0]):
-        return [out.native(shape, "cylinder", part.center[0], part.to_world[0])]
-    return out.instance(shape, "cylinder", part)
+        return out.native(shape, "cylinder", part.center, part.to_world)
+    return out.instances(shape, "cylinder", part)
 
 
 # Mitsuba rejects a cylinder if its matrix, as rotation times stretch, shears by more than this (scene units).
@@ -75,10 +75,6 @@ def uv_points(_prims: Any, _k: np.ndarray, uv: np.ndarray, whole_turn: bool = Fa
 
 intersect = partial(intersect_round, ends=True)
 UV = UvSpace(uv_points, partial(uv_points, whole_turn=True))
-
-
-def describe_cylinder(part: Cylinders, k: int) -> Fields:
-    return {"type": "cylinder", "to_world": unit_shape_matrix(part, k)}
 
 
 # A matrix with a larger condition number than this may change its handedness when rounded to float32.
@@ -153,7 +149,7 @@ FAR_FROM_ORIGIN = KnownDefect(
 CYLINDERS = PrimitiveReference(
     Cylinders,
     ErrorModel(intersect, EXACT_CYLINDERS, ours_through_object_space(intersect), uv=UV),
-    describe_cylinder,
+    describe_unit_shape("cylinder"),
     on_unit_shape(unit_cylinder_points),
     derived=("to_object",),
     rounding_groups=(by_matrix,),

@@ -34,8 +34,8 @@ from mitsuba_ref.shapes.shape_reference import (
     PrimitiveReference,
     ShapeReference,
     XmlShape,
+    describe_unit_shape,
     unit_shape_importer,
-    unit_shape_matrix,
 )
 from mitsuba_ref.shapes.surface_errors import (
     TURN,
@@ -57,7 +57,7 @@ from mitsuba_ref.shapes.targets import (
 
 
 def to_xml(out: ShapeWriter, shape: Disk, part: Any) -> list[XmlElement]:
-    return [out.native(shape, "disk", part.center[0], part.to_world[0])]
+    return out.native(shape, "disk", part.center, part.to_world)
 
 
 def intersect(
@@ -96,10 +96,6 @@ def uv_points(_prims: Any, _k: np.ndarray, uv: np.ndarray, whole_turn: bool = Fa
 UV = UvSpace(uv_points, partial(uv_points, whole_turn=True))
 
 
-def describe_disk(part: Disks, k: int) -> Fields:
-    return {"type": "disk", "to_world": unit_shape_matrix(part, k)}
-
-
 def expected_disk(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
     """The matrix of to_world."""
     yield up_to_rounding("center", part.center[0], shape.matrix[:3, 3])
@@ -136,7 +132,7 @@ FAR_FROM_ORIGIN = KnownDefect(
 DISKS = PrimitiveReference(
     Disks,
     ErrorModel(intersect, EXACT_DISKS, ours_through_object_space(intersect, used=(1.0, 1.0, 0.0)), uv=UV),
-    describe_disk,
+    describe_unit_shape("disk"),
     on_disks,
     derived=("to_object",),
     rounding_groups=(by_normal,),

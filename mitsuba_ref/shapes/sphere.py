@@ -37,8 +37,8 @@ from mitsuba_ref.shapes.shape_reference import (
     PrimitiveReference,
     ShapeReference,
     XmlShape,
+    describe_unit_shape,
     to_world_fields,
-    unit_shape_matrix,
 )
 from mitsuba_ref.shapes.surface_errors import (
     SPHERE_UV,
@@ -62,19 +62,11 @@ from mitsuba_ref.shapes.targets import (
 )
 
 
-def to_xml(out: ShapeWriter, shape: Sphere, part: Any) -> list[XmlElement]:
-    """Centre and radius as one matrix; an ellipsoid as an instance, as Mitsuba's sphere supports no stretching."""
-    if isinstance(part, Ellipsoids):
-        return out.instance(shape, "sphere", part)
-    scale = part.radius[0] * np.eye(3)
-    return [out.native(shape, "sphere", part.center[0], scale)]
-
-
-def cloud_to_xml(out: ShapeWriter, shape: SphereCloud, part: Any) -> list[XmlElement]:
-    """One Mitsuba sphere, or instance of one, for each sphere of the cloud."""
+def to_xml(out: ShapeWriter, shape: Sphere | SphereCloud, part: Any) -> list[XmlElement]:
+    """Centre and radius as one matrix; ellipsoids as instances, as Mitsuba's sphere supports no stretching."""
     if isinstance(part, Ellipsoids):
         return out.instances(shape, "sphere", part)
-    return out.native_many(shape, "sphere", part.center, part.radius[:, None, None] * np.eye(3))
+    return out.native(shape, "sphere", part.center, part.radius[:, None, None] * np.eye(3))
 
 
 def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
@@ -121,10 +113,6 @@ def describe_spheres(part: Spheres, file: Path) -> Fields:
     head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n{properties}end_header\n"
     write_bytes(file, head.encode() + points.tobytes())
     return {"type": "spheres", "file": str(file)}
-
-
-def describe_ellipsoid(part: Ellipsoids, k: int) -> Fields:
-    return {"type": "sphere", "to_world": unit_shape_matrix(part, k)}
 
 
 def expected_spheres(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
@@ -254,7 +242,7 @@ SPHERES = PrimitiveReference(
 ELLIPSOIDS = PrimitiveReference(
     Ellipsoids,
     ErrorModel(intersect_ellipsoid, EXACT_ELLIPSOIDS, ours_through_object_space(intersect_ellipsoid), uv=SPHERE_UV),
-    describe_ellipsoid,
+    describe_unit_shape("sphere"),
     on_unit_shape(unit_sphere_points),
     derived=("to_object",),
     rounding_groups=(by_matrix,),
@@ -263,7 +251,7 @@ ELLIPSOIDS = PrimitiveReference(
 )
 CLOUD = ShapeReference(
     SphereCloud,
-    cloud_to_xml,
+    to_xml,
     (SPHERES, ELLIPSOIDS),
     expected_spheres,
     random_cloud,

@@ -12,7 +12,6 @@ from mitsuba_ref.error_model import scene_model
 from mitsuba_ref.error_model.bracket import CLAIMED_MISS, Bracket, Claims
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.oracle import oracle as oracle_module
-from mitsuba_ref.oracle.interface import lowest_identical
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.shared_input import SharedRays, model_of
 
@@ -72,25 +71,6 @@ def test_the_oracle_answers_random_piles_as_if_it_decided_each_face(monkeypatch)
         ties += sum(len(answer.ties) > 2 for answer in alone)
         flags |= set().union(*(answer.flags for answer in alone))
     assert ties > 200 and flags >= {"edge_on", "degenerate"}, (ties, flags)
-
-
-def test_faces_that_are_the_same_by_less_than_all_bits_are_noticed(monkeypatch):
-    """A comparison of the first corners alone gives other answers."""
-
-    def by_first_corner(prims, more=(), *, shading):
-        first = prims._replace(faces=prims.faces[:, [0, 0, 0]])
-        return lowest_identical(first, more, shading=shading)
-
-    wrong = 0
-    for seed in range(5):
-        rng = np.random.default_rng(seed)
-        prims = pile_of_triangles(rng)
-        o, d = rays_at(rng, prims, 60)
-        _, alone = answers_each_way(monkeypatch, [prims], o, d)
-        with monkeypatch.context() as patch:
-            patch.setattr(oracle_module, "lowest_identical", by_first_corner)
-            wrong += differing(Oracle(packed(prims)).first_hits(o, d), alone)
-    assert wrong > 10
 
 
 # ---- brackets
