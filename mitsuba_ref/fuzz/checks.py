@@ -49,7 +49,7 @@ def find(case: Case, kind: str = "", tally: Tally | None = None, subject: Subjec
         if kind in JUDGED_KINDS or subject is not OURS:
             return compare_with_mitsuba(scene, tally, subject)
         prepared, ray = prepared_scene(scene), ray_of(case)
-        return check_image(prepared, tally) if ray is None else check_rays(prepared, ray, tally)
+        return check_rays(prepared, ray, tally) if ray else check_image(prepared, tally, kind in ("", "check"))
     except SCENE_ERRORS:
         return []
     except Exception as error:
