@@ -14,7 +14,7 @@ from caster.jit.arguments import describe
 from caster.jit.decorators import Kernel, jit
 from caster.jit.machine_code import DONE, PLACE_OF_ANSWER, call_entry, check, fail, load_word, store_word
 
-__all__ = ["BoundCall", "Command", "CommandList", "Condition"]
+__all__ = ["BoundCall", "Column", "Command", "CommandList", "Condition", "command"]
 
 
 class BoundCall:
@@ -77,9 +77,21 @@ Condition = int | tuple[np.ndarray, int]
 class Command(NamedTuple):
     """A call in a command list."""
 
-    call: Callable[..., Any]  # a BoundCall, or a Python function of the same arguments
+    call: Any  # a BoundCall, or a Python function of the same arguments
     given: tuple[int | slice, ...]  # for each argument, its number in the row, or a slice for a tuple
     when: Condition | None = None
+
+
+class Column(int):
+    """The number of a column of the rows, which holds an argument; a slice of columns holds a tuple."""
+
+
+def command(function: Callable[..., Any], *args: Any, when: Condition | None = None) -> Command:
+    """Call a kernel with these arguments, of which columns are read from the row."""
+    given = tuple(n for n, arg in enumerate(args) if isinstance(arg, Column | slice))
+    for_now = [(0,) * (arg.stop - arg.start) if isinstance(arg, slice) else arg for arg in args]
+    call = BoundCall(function, *(0 if isinstance(arg, Column) else arg for arg in for_now), given=given)
+    return Command(call, tuple(args[n] for n in given), when)
 
 
 # A program is a list of words. Each command has the addresses of its entry and block; its condition: the address of a

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from caster.jit.command_list import Column
 from caster.jit.decorators import inlined, jit
 from caster.jit.kernel_cache import COMPILED
 from caster.jit.simd import LANES
@@ -51,7 +52,7 @@ def tile_boxes(width: int, height: int) -> Iterator[Box]:
 
 # Arguments of commands for a tile (caster/jit/command_list.py): a row for each tile of a film.
 BOX = slice(0, 4)
-COUNT, LINES = 4, 5  # rays of the tile, in whole rows, and the number of rows
+COUNT, LINES = Column(4), Column(5)  # rays of the tile, in whole rows, and the number of rows
 TILE_NUMBERS = 6
 
 
