@@ -107,9 +107,11 @@ class TileShader:
             yield from self.miss_commands()
             return
         if plan.surfaces:
+            wants = SURFACES if "position" in plan.surfaces else NORMALS
+            wants = SURFACES_WITH_UV if "uv" in plan.surfaces else wants
             for k, (kind, first) in enumerate(placed_kinds(packed)):
                 about = kind.prims, (first, first + len(kind.ids)), ws.tile, BOX, ws.surface, ws.lanes
-                yield command(surfaces_in_tile, *about, wanted_fields(plan), when=kind_numbers(k).present)
+                yield command(surfaces_in_tile, *about, wants, when=kind_numbers(k).present)
         if self._materials is not None:
             yield command(materials_in_tile, ws.tile, BOX, *self._materials, ws.surface)
         for light, caster in self._lights:
@@ -143,13 +145,6 @@ class TileShader:
             if self._exact:
                 yield Command(partial(decide_shadows, packed, ws.shadow_tile), (COUNT,), any_ray)
         yield command(add_light, ws.tile, BOX, ws.surface, ws.shadow_tile, when=any_ray)
-
-
-def wanted_fields(plan: Plan) -> int:
-    """The argument `wants` of `surfaces_in_tile`."""
-    if "uv" in plan.surfaces:
-        return SURFACES_WITH_UV
-    return SURFACES if "position" in plan.surfaces else NORMALS
 
 
 def decide_shadows(packed: Packed, shadow_tile: np.ndarray, count: int) -> None:

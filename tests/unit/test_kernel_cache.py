@@ -5,14 +5,12 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from caster.jit import kernel_cache, machine_code
 from caster.jit.arguments import describe, key_text
-from caster.jit.command_list import bind
 from caster.jit.decorators import COMPILATION_LOG, jit
 from caster.jit.kernel_cache import COMPILED, claim, read_sealed, write_sealed
 
@@ -166,32 +164,6 @@ print(sorted({{"numba", "llvmlite"}} & set(sys.modules)))
     assert first.returncode == 0 and second.returncode == 0, first.stderr + second.stderr
     assert first.stderr.count("\n") <= 1
     assert second.stderr == "" and second.stdout.endswith("['llvmlite']\n")
-
-
-@jit
-def sum_of(numbers: Any, factor: float, span: tuple[int, int], more: tuple[int, bool], step: int) -> float:
-    total = 0.0
-    for i in range(span[0], span[1], step):
-        total += numbers[i] * factor
-    return total + more[0] if more[1] else total
-
-
-@jit
-def fill(numbers: Any, span: tuple[int, int], value: float) -> None:
-    for i in range(span[0], span[1]):
-        numbers[i] = value
-
-
-def test_a_bound_call_is_the_call_with_what_it_is_given():
-    numbers, more = np.arange(10.0), (3, True)
-    call = bind(sum_of, numbers, 0.5, (0, 0), more, 1, given=(2, 4))
-    for span, step in (((0, 10), 1), ((3, 4), 1), ((1, 10), 3), ((5, 5), 1)):
-        assert call(span, step) == sum_of(numbers, 0.5, span, more, step)
-    store = bind(fill, numbers, (0, 0), -1.5, given=(1,))
-    assert store((2, 4)) is None and numbers.tolist() == [0.0, 1.0, -1.5, -1.5, *range(4, 10)]
-    for wrong in (((0, 1),), ((0, 1, 2), 1), (0, 1), ((0, 1), 1, 1)):
-        with pytest.raises((ValueError, TypeError)):
-            call(*wrong)
 
 
 @jit
