@@ -174,7 +174,7 @@ def test_hits_and_what_is_uncertain_are_stored_in_the_box_of_an_image(unsure):
     assert np.array_equal(hit, expected[0]) and np.array_equal(uncertain, expected[1])
 
 
-@pytest.mark.parametrize("t", [math.inf, 2.0, 2.25, 2.5, 3.0, 3.5, 3.75, 4.0, -1.0])
+@pytest.mark.parametrize("t", [math.inf, math.nan, 2.0, 2.25, 2.5, 3.0, 3.5, 3.75, 4.0, -1.0])
 @pytest.mark.parametrize("error", [0.0, 0.25, 0.5])
 def test_an_answer_is_nearer_where_both_errors_allow_it_and_uncertain_where_they_do_not(t, error):
     """For the nearest so far at 3, within 0.25, and for none; at a distance of both errors it is uncertain."""
