@@ -1,4 +1,4 @@
-"""Kernels of tiles and packets, compiled, give what NumPy gives."""
+"""Compiled kernels of tiles and packets agree with NumPy."""
 
 import math
 import types
@@ -39,7 +39,7 @@ def some_span(rng: np.random.Generator) -> tuple[int, int, int, int]:
 
 
 def kernel_differs(module: types.ModuleType, name: str) -> bool:
-    """Whether a kernel, compiled, ever gives something else than NumPy does over whole arrays."""
+    """Whether a compiled kernel ever differs from NumPy over whole arrays."""
     inner = getattr(module, name)
     lane, direction, rng = tiles.lane, tiles.DX, np.random.default_rng(34)
     compiled = jit(
