@@ -6,6 +6,7 @@ as in graphics interfaces; arguments that change from row to row are read from t
 
 import ctypes
 from collections.abc import Callable, Iterable
+from itertools import accumulate, chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,9 +32,9 @@ class BoundCall:
         self.block = np.zeros(1, np.int64)
         self.places: list[range] = []  # where the given arguments are in the block
         if self.code is not None:
-            sizes = [len(_words((arg,))) for arg in args]
-            ends = np.cumsum([PLACE_OF_ANSWER + 1, *sizes]).tolist()
-            self.block = np.array([0, *_words(args)], np.int64)
+            words = [_words((arg,)) for arg in args]
+            ends = [*accumulate(map(len, words), initial=PLACE_OF_ANSWER + 1)]
+            self.block = np.array([0, *chain(*words)], np.int64)
             self.places = [range(ends[n], ends[n + 1]) for n in given]
         self.address = self.block.ctypes.data
         self.answered = self.block, PLACE_OF_ANSWER
@@ -70,10 +71,11 @@ class Column(int):
 
 def command(function: Callable[..., Any], *args: Any, when: Condition | None = None) -> Command:
     """Call a kernel with these arguments, of which columns are read from the row."""
-    given = tuple(n for n, arg in enumerate(args) if isinstance(arg, Column | slice))
-    for_now = [(0,) * (arg.stop - arg.start) if isinstance(arg, slice) else arg for arg in args]
-    call = BoundCall(function, *(0 if isinstance(arg, Column) else arg for arg in for_now), given=given)
-    return Command(call, tuple(args[n] for n in given), when)
+    given = tuple(n for n, arg in enumerate(args) if type(arg) in (Column, slice))
+    values, columns = list(args), tuple(args[n] for n in given)
+    for n, those in zip(given, columns, strict=True):
+        values[n] = 0 if isinstance(those, Column) else (0,) * (those.stop - those.start)
+    return Command(BoundCall(function, *values, given=given), columns, when)
 
 
 # A program is a list of words. Each command has the addresses of its entry and block; its condition: the address of a
