@@ -18,18 +18,18 @@ CHILDREN = 8
 """Boxes of a tree node, which are tested at once."""
 
 ALL_LANES = (1 << LANES) - 1
-"""The bits of LANES numbers."""
+"""A mask of all lanes."""
 
 Vector = Any
 
 
 def load_lanes(a: Any, i: Any) -> Vector:
-    """a[i:i + LANES] as float64, of a flattened."""
+    """a.reshape(-1)[i:i + LANES] as float64."""
     return _loaded(a, i, LANES)
 
 
 def load_children(a: Any, i: Any) -> Vector:
-    """a[i:i + CHILDREN] as float64, of a flattened."""
+    """a.reshape(-1)[i:i + CHILDREN] as float64."""
     return _loaded(a, i, CHILDREN)
 
 
@@ -58,12 +58,12 @@ def lesser(v: Vector, w: Vector) -> Vector:
 
 
 def bits_below(v: Vector, w: Vector) -> int:
-    """A bit for each lane with v < w, the first lane's lowest."""
+    """Mask of the lanes with v < w; lane 0 is the lowest bit."""
     return _packed(v < w)
 
 
 def bits_up_to(v: Vector, w: Vector) -> int:
-    """A bit for each lane with v <= w."""
+    """Mask of the lanes with v <= w."""
     return _packed(v <= w)
 
 

@@ -218,7 +218,7 @@ def validated_rays(o: ArrayLike, d: ArrayLike, t_min: ArrayLike, t_max: ArrayLik
 
 
 def validated_rays_with_range(o: ArrayLike, d: ArrayLike, t_min: ArrayLike, t_max: ArrayLike) -> tuple[Rays, bool]:
-    """The same, and whether the squares of all directions neither overflow nor vanish."""
+    """`validated_rays`, and whether the squares of all directions neither overflow nor vanish."""
     origins, directions = _rows(o, "o"), _rows(d, "d")
     if len(origins) != len(directions):
         raise SceneError(f"rays: o and d must have equal lengths, got {len(origins)} and {len(directions)}")

@@ -122,7 +122,7 @@ class TileCaster:
             self._bounds_of(0, n, threads)
 
     def begin(self, tile: np.ndarray, groups: RayGroups) -> Callable[[int], None]:
-        """A function that casts the first so many rays of this tile; for fans, whole rows of it."""
+        """Return a function that casts the first `count` rays of this tile; for fans, a multiple of WIDTH."""
         row = np.zeros((1, TILE_NUMBERS), np.int64)
         commands = CommandList(self.commands(tile, groups), row)
 
@@ -220,7 +220,7 @@ def tiles_in_order(caster: TileCaster, count: int, threads: int | None) -> RayTi
 
 
 def filled_up(numbers: np.ndarray, multiple: int) -> np.ndarray:
-    """With -1 behind them, up to a multiple of this length."""
+    """Append -1 up to a multiple of this length."""
     return np.append(numbers, np.full(-len(numbers) % multiple, -1, np.int32))
 
 
@@ -240,7 +240,7 @@ def new_ray_groups() -> RayGroups:
 
 @dataclass(frozen=True)
 class TileWorkspace:
-    """Buffers of one thread, which hold anything at first: the tile it works on, and those that some AOVs need."""
+    """Buffers of one thread, uninitialised: the tile it works on, and those that only some AOVs need."""
 
     tile: np.ndarray = field(default_factory=lambda: new_tile(_unwritten))
 

@@ -96,9 +96,10 @@ QUOTIENT_ROUNDING = 1.0 - 2.0**-40
 DEPTH_ROUNDING = 1.0 + 2.0**-40
 
 BOX_SIZE = FAN_FIELDS * CHILDREN
-"""Numbers of a node's boxes: (5, CHILDREN), least x, -largest x, least y, -largest y, and
+"""Numbers of a node's boxes, (5, CHILDREN): least x, -largest x, least y, -largest y and a depth.
 
-of primitives and nodes the least depth, of rays -(the largest); inf where there is nothing."""
+The depth is the least one of primitives and nodes, and minus the largest one of rays. All are inf where there is
+nothing."""
 
 ROWS = 8  # runs of a block
 RUNS_ACROSS = WIDTH // LANES
@@ -151,7 +152,7 @@ def project_along(fan: Any, points: Any, projected: Any, start: int, stop: int) 
 
 @jit
 def bound_hulls_along(fan: Any, corners: Any, projected: Any, order: Any, prims: Any, start: int, stop: int) -> None:
-    """Boxes of the hulls order[start:stop] between projected points; corners: (n, points of a hull)."""
+    """Boxes of the hulls order[start:stop] of projected points; corners: (n, points of a hull)."""
     for at in range(start, stop):
         box = NOTHING
         for j in range(corners.shape[1]):
@@ -178,7 +179,7 @@ def with_point(box: Extent, p: Vec3) -> Extent:
 
 @inlined
 def undivided(p: Vec3) -> Vec3:
-    """A projected point before the division, but for 2 u."""
+    """A projected point before the division, within 2 u."""
     over = p[2] if p[2] > 0.0 else 1.0
     return p[0] * over, p[1] * over, p[2]
 

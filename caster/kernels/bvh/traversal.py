@@ -58,7 +58,7 @@ def ray_box_setup(tree: Any, o: Vec3, d: Vec3) -> RayBoxSetup:
 
 @inlined
 def push_children(links: Any, node: int, mask: int, top: int, workspace: Any) -> tuple[int, int]:
-    """Push all boxes of a mask, which is not 0, but the first one entered; returns (its link, top)."""
+    """Push all boxes of a nonzero mask except the one entered first; returns (link of that one, top)."""
     stack, entries, near = workspace
     j = lowest_bit(mask)
     mask &= mask - 1

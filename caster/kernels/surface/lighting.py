@@ -67,7 +67,7 @@ def _direction_to_point_light(light: Any, p: Vec3) -> tuple[Vec3, float]:
 
 @implement(incident_irradiance, PointLight)
 def _irradiance_of_point_light(light: Any, p: Vec3) -> tuple[Vec3, Vec3]:
-    """Intensity over squared distance; nothing in the light itself."""
+    """Intensity over squared distance; 0 at the light itself."""
     d = sub(light.position, p)
     square = dot(d, d)
     apart = square > 0.0
