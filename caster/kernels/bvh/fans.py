@@ -10,7 +10,7 @@ import math
 from typing import Any, NamedTuple
 
 from caster.jit.decorators import generic_inlined, implement, inlined, jit, optional
-from caster.jit.simd import CHILDREN, LANES, least, load_children, lowest_bit, prefetch
+from caster.jit.simd import CHILDREN, LANES, lowest_bit, prefetch
 from caster.kernels.bvh.build import LEAF_SIZE, LEAF_SIZE_BASE
 from caster.kernels.math.lanes import (
     FAN_FIELDS,
@@ -234,8 +234,11 @@ def bound_nodes_along(links: Any, bounds: Any) -> None:
 
 @inlined
 def least_of(boxes: Any, first: int) -> float:
-    """The least of CHILDREN numbers."""
-    return least(load_children(boxes, first))
+    """The least of CHILDREN numbers; a load of all at once would wait for the store of one."""
+    least = math.inf
+    for j in range(first, first + CHILDREN):
+        least = min(least, boxes[j])
+    return least
 
 
 @inlined
