@@ -46,7 +46,7 @@ from caster.kernels.raster.tile import (
     lane,
     update_nearest,
 )
-from caster.kernels.triangles import PLANE_ERROR, Triangles
+from caster.kernels.triangles import PLANE_ERROR, Triangles, corners_of
 
 
 class Fan(NamedTuple):
@@ -349,16 +349,15 @@ def separating_plane(prims: Any, prim: Any, fan: Fan) -> Any:
 
 @implement(outline, Triangles)
 def _triangle_outline(prims: Any, k: int, points: Any, wide: float) -> Outline:
-    i, j, h = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
-    p, q, r = (points[i, 0], points[i, 1]), (points[j, 0], points[j, 1]), (points[h, 0], points[h, 1])
+    p, q, r = corners_of(points, prims.faces, k)
     if wide < math.inf:
         return edge_line(p, q, r, wide), edge_line(q, r, p, wide), edge_line(r, p, q, wide)
     return NO_OUTLINE
 
 
 @inlined
-def edge_line(p: tuple[float, float], q: tuple[float, float], r: tuple[float, float], wide: float) -> Vec3:
-    """The line through p and q, moved away from r by `wide` along each axis.
+def edge_line(p: Vec3, q: Vec3, r: Vec3, wide: float) -> Vec3:
+    """The line (a, b, c) through the projections of p and q, moved away from r by `wide` along each axis.
 
     Corners that are off by up to `wide` along x and y do not lie beyond it, nor do points between them.
     """
