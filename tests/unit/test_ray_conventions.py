@@ -106,7 +106,7 @@ def test_a_caster_right_for_no_ray_of_length_1_fails():
     assert not found.ok and found.what.endswith("is right for |d| = 1: nothing is hit"), found.what
 
 
-def test_validate_says_a_convention_before_the_first_row(tmp_path, monkeypatch, capsys):
+def test_validate_names_the_broken_convention(tmp_path, monkeypatch, capsys):
     (tmp_path / "distances.py").write_text(
         "import caster\nimport numpy as np\n\n\ndef cast(scene, o, d):\n    length = np.linalg.norm(d, axis=1)\n"
         "    hits = caster.cast(scene, o, d)\n"
@@ -117,9 +117,8 @@ def test_validate_says_a_convention_before_the_first_row(tmp_path, monkeypatch, 
     words = ["validate", str(SCENES / "one-sphere.toml"), "--size", "24", "20", "--candidate", "distances:cast"]
     assert main(words) == 1
     out = capsys.readouterr().out
-    expected = "conventions: t is a distance, it has to count in lengths of d (divide it by |d|): right for |d| = 1, "
-    assert out.startswith(expected + "wrong for |d| = 0.5, |d| = 2, |d| = 7 (one-sphere)")
-    assert "FAIL  one-sphere  ray_conventions: " in out
+    says = "t is a distance, it has to count in lengths of d (divide it by |d|): right for |d| = 1, wrong for |d| = 0.5"
+    assert "FAIL  one-sphere  ray_conventions: " in out and says in out
 
 
 def test_what_fails_already_or_is_not_there_is_not_judged():
