@@ -170,16 +170,11 @@ def _ratio(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
 
 
 def claims_other_tie(
-    model: SceneModel,
-    o: np.ndarray,
-    d: np.ndarray,
-    claims: Claims,
-    answers: Sequence[ExactAnswer | None],
-    closest: float,
+    model: SceneModel, o: np.ndarray, d: np.ndarray, claims: Claims, answers: Sequence[ExactAnswer | None]
 ) -> np.ndarray:
     """(m,) bool: the claim fits another member of the exact tie set than the first, within its bounds.
 
-    closest: bounds on normals are cut to this, since agreement within a looser bound would mean nothing.
+    Bounds on normals are cut to LARGEST_USEFUL_NORMAL_ERROR, since agreement within a looser bound would mean nothing.
     """
     tied = {i: tied_prims(a)[1:] for i, a in enumerate(answers) if a is not None and len(a.ties) > 1}
     taken = np.zeros(len(o), bool)
@@ -198,8 +193,8 @@ def claims_other_tie(
             & (np.abs(claims.t[ray] - t) <= at.t_error)
             & np.isfinite(at.t_error)
             & (claims.t[ray] > 0.0)
-            & (norm(claims.n[ray] - at.n) <= np.minimum(at.n_error, closest))
-            & (norm(claims.sh_n[ray] - at.sh_n) <= np.minimum(at.sh_error, closest))
+            & (norm(claims.n[ray] - at.n) <= np.minimum(at.n_error, LARGEST_USEFUL_NORMAL_ERROR))
+            & (norm(claims.sh_n[ray] - at.sh_n) <= np.minimum(at.sh_error, LARGEST_USEFUL_NORMAL_ERROR))
             & (norm(claims.p[ray] - p) <= at.p_error)
         )
     taken[ray[fits]] = True

@@ -341,9 +341,7 @@ class Judge:
         exponent = self.pair.rays.rows(rows).reference_exponent if self.pair.rays.is_list else np.zeros(len(rows), int)
         same = (o == own_o).all(axis=1) & (np.ldexp(d, exponent[:, None]) == own_d).all(axis=1)
         answers = [exact.of(int(row)) if alike else None for row, alike in zip(rows, same, strict=True)]
-        tied = claims_other_tie(
-            self.model, own_o, own_d, claims._replace(t=self.result.t[rows]), answers, LARGEST_USEFUL_NORMAL_ERROR
-        )
+        tied = claims_other_tie(self.model, own_o, own_d, claims._replace(t=self.result.t[rows]), answers)
         classes[rows[tied]] = CLASS_CODE[TIE]
 
     def _classify_inexact(self, classes: np.ndarray, exact: Adjudication) -> None:

@@ -475,7 +475,7 @@ def id_mistakes(f: WrongPixels) -> Iterator[Mistake]:
     if len(named) * MIN_FITTED_PIXELS <= len(np.unique(f.prim)):
         who = "the same primitive is" if len(named) == 1 else f"no more than {len(named)} primitives are"
         remedy = "return the number of the primitive in the order of the scene, or leave the column out"
-        yield Mistake(f"{who} named at all {hit.sum()} hits", remedy, lambda g: g.hit)
+        yield Mistake(f"{who} named at all {hit.sum()} hits", remedy, lambda g: g.hit, same_surface=True)
     for column in columns:
         yield from _column_mistakes(*column)
 
@@ -486,7 +486,7 @@ def _column_mistakes(name: str, ids: np.ndarray, number: Callable[[np.ndarray], 
     def off_by(step: int, cure: str) -> Mistake:
         what = f"the {name}'s number is off by one ({step:+d})"
         remedy = f"numbers count from 0: {cure} 1"
-        return Mistake(what, remedy, lambda g: ids[g.rows] == number(g.prim) + step, SURFACES)
+        return Mistake(what, remedy, lambda g: ids[g.rows] == number(g.prim) + step, SURFACES, same_surface=True)
 
     yield off_by(1, "subtract")
     yield off_by(-1, "add")
@@ -494,6 +494,7 @@ def _column_mistakes(name: str, ids: np.ndarray, number: Callable[[np.ndarray], 
         f"the {name}'s number is that of another surface along the ray, t that of the first",
         "keep the number together with the smallest t",
         lambda g: (ids[g.rows] != number(g.prim)) & _names_another_hit(g),
+        same_surface=True,
     )
 
 
@@ -521,7 +522,7 @@ def _normal(what: str, remedy: str, predicted: Predicts, *, single: bool = False
         some = g.at.n[fits]
         return fits & (single or bool(len(some) and np.ptp(some, axis=0).max() > DISTINCT_RTOL))
 
-    return Mistake(what, remedy, predicts, single=single)
+    return Mistake(what, remedy, predicts, single=single, same_surface=True)
 
 
 def _mapped_normal(what: str, remedy: str, matrix: np.ndarray) -> Mistake:
@@ -541,10 +542,12 @@ def normal_mistakes(f: WrongPixels) -> Iterator[Mistake]:
     if f.judge.answer.precision == FLOAT32:
         what = "the normal is computed from corners minus the ray's origin, and lost digits there"
         remedy = "compute it from the edges of the face, or in float64"
-        yield Mistake(what, remedy, _is_of_corners_seen_from_the_origin)
+        yield Mistake(what, remedy, _is_of_corners_seen_from_the_origin, same_surface=True)
     if _claims_float64(f):
         near = KU / KU_OURS
-        yield Mistake(IN_FLOAT32, FLOAT32_REMEDY, lambda g: row_distance(g.n, g.at.n) <= g.at.n_error * near)
+        yield Mistake(
+            IN_FLOAT32, FLOAT32_REMEDY, lambda g: row_distance(g.n, g.at.n) <= g.at.n_error * near, same_surface=True
+        )
 
 
 SINGLE_NORMALS = (
