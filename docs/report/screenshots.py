@@ -1,6 +1,7 @@
 """Make the pictures of docs/report.md: python docs/report/screenshots.py [FOLDER | INDEX.html | --candidate]
 
 All scenes are judged, one with a fault that is planted, into FOLDER; an INDEX.html of an earlier run is opened as is.
+INDEX.html NAME PLACE: one picture of it, such as quick-start '#s=scan-size-1e-3&x=21&y=2&v=class'.
 --candidate makes the picture of docs/candidates.md: the textbook caster inside a sphere.
 """
 
@@ -52,7 +53,8 @@ def main() -> None:
         shoot(candidate_report_into(Path(tempfile.mkdtemp())), OF_CANDIDATE)
         return
     if len(sys.argv) > 1 and Path(sys.argv[1]).is_file():
-        shoot(Path(sys.argv[1]))
+        named = sys.argv[2:4]
+        shoot(Path(sys.argv[1]), [(named[0], named[1], WIDE, "light", "")] if named else SHOTS)
         return
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(tempfile.mkdtemp())
     shoot(report_into(folder))
@@ -108,7 +110,7 @@ def picture(browser: Browser, index: Path, name: str, place: str, size: dict[str
     page.wait_for_timeout(500)
     path = HERE / f"{name}.png"
     page.screenshot(path=path)
-    Image.open(path).convert("RGB").save(path, optimize=True)
+    Image.open(path).convert("RGB").quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
     assert path.stat().st_size <= ONE_FILE_LIMIT_BYTES, f"{path}: {path.stat().st_size} bytes"
     page.close()
 

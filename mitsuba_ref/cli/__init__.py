@@ -11,6 +11,11 @@ def _command(name: str, about: str, module: str, run: str = "run", starts_with: 
 
 
 COMMANDS = (
+    Command(
+        "init",
+        "write a ray caster to begin with, in Python, C, Rust or JavaScript, and what judges it",
+        f"{_HERE}.starter",
+    ),
     _command(
         "validate",
         "compare our caster or a candidate with Mitsuba on scenes: every pixel gets a class",

@@ -18,6 +18,7 @@ from caster.cli.shared_arguments import (
 )
 from mitsuba_ref.cli.options import (
     PRECISIONS,
+    ScenePath,
     add_candidate,
     add_reading,
     add_report_files,
@@ -115,7 +116,7 @@ def row_range(text: str) -> tuple[int, int | None]:
 
 
 def add_rays_arguments(parser: argparse.ArgumentParser) -> None:
-    add_scene(parser)
+    add_scene(parser, ScenePath)
     add = parser.add_argument
     add("-o", "--output", metavar="RAYS", type=OutputFile, required=True, help=".npz, or .npy for the rows alone")
     help_ = "camera (default); aimed at features (corners, edges, rims), along silhouettes, from surfaces, at random; "
@@ -161,7 +162,7 @@ def add_references(parser: argparse.ArgumentParser, folder: type[str]) -> None:
 
 
 def add_render_arguments(parser: argparse.ArgumentParser) -> None:
-    add_scene(parser)
+    add_scene(parser, ScenePath)
     add = parser.add_argument
     add("-o", "--output", metavar="REF.exr", type=OutputFile, required=True)
     add(
@@ -184,7 +185,7 @@ def add_import_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_export_arguments(parser: argparse.ArgumentParser) -> None:
-    add_scene(parser)
+    add_scene(parser, ScenePath)
     parser.add_argument(
         "-o",
         "--output",
@@ -196,7 +197,7 @@ def add_export_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_probe_arguments(parser: argparse.ArgumentParser) -> None:
-    add_scene(parser)
+    add_scene(parser, ScenePath)
     add_pixel(parser)
     parser.add_argument("--json", action="store_true", help="as JSON")
     parser.add_argument(

@@ -14,6 +14,7 @@ from caster.system.terminal import printable
 from mitsuba_ref.cli.options import candidate_words, requested_candidate
 from mitsuba_ref.probe.pixel import PixelVerdict, ProbeEvidence, as_text, probe_with_evidence
 from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.report.builtin_scenes import shown_path
 from mitsuba_ref.report.reproducers import write_reproducer
 
 
@@ -27,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
         if args.save:
             save(args, probed, about_candidate(args, found))
     finally:  # last, since a reader of the pipe may close it early
-        print(json.dumps(found.to_dict(), indent=2) if args.json else as_text(found, args.scene))
+        print(json.dumps(found.to_dict(), indent=2) if args.json else as_text(found, shown_path(args.scene)))
     return OK if found.ok else DIFFERENCES
 
 
@@ -43,7 +44,7 @@ def about_candidate(args: argparse.Namespace, found: PixelVerdict) -> list[str]:
 
 def save(args: argparse.Namespace, probed: Crash | ProbeEvidence, more: Sequence[str]) -> None:
     """Write the reproducer, and report on standard error whether it shows the same. more: its comment lines."""
-    source = f"{args.scene}, pixel ({args.x}, {args.y})"
+    source = f"{shown_path(args.scene)}, pixel ({args.x}, {args.y})"
     if isinstance(probed, Crash):
         print(f"{args.save}: not written: Mitsuba gave no answer to reproduce", file=sys.stderr)
         return

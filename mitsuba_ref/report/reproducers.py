@@ -24,8 +24,9 @@ from mitsuba_ref.judge.pipeline import Seen
 from mitsuba_ref.judge.verdict import CLASSES, REFERENCE_WRONG, UNLISTED, WRONG, Failure, SceneVerdict
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.shared_input import pixel_of
-from mitsuba_ref.shapes import reference_of
-from mitsuba_ref.subjects.subject import describe_primitive, packs_identically
+from mitsuba_ref.report.builtin_scenes import shown_path
+from mitsuba_ref.shapes import kind_of, reference_of
+from mitsuba_ref.subjects.subject import packs_identically
 
 TRAILING_ZEROS = re.compile(r"\.?0+(?=p)")  # of a hex float's digits behind the point, which there always is
 
@@ -109,7 +110,7 @@ def shape_of(judge: Judge, prim: int) -> tuple[dict[str, Any], list[str]]:
     name = f"{judge.scene.shape_names()[i]}, prim {k}"
     whole = judge.scene.shapes[i]
     try:
-        shape = describe_primitive(packed.parts[i], k)
+        shape = kind_of(packed.parts[i]).describe(packed.parts[i], k)
         kept = packs_identically(packed.parts[i], k, pack_one(shape))
     except (SceneError, LookupError):
         shape, kept = {}, False
@@ -241,14 +242,18 @@ def replay(scene: SceneVerdict, pixel: tuple[int, int] | None = None) -> str:
         return shlex.join(["mitsuba-ref", "judge", *scene.options, *([] if ray is None else ["--rows", str(ray)])])
     if pixel is None:
         thorough = " --thorough" if scene.thorough else ""
-        return f"mitsuba-ref validate {shlex.quote(scene.path or 'SCENE')}{thorough}{_options(scene)}"
+        return f"mitsuba-ref validate {_path(scene)}{thorough}{_options(scene)}"
     before, after = replay_around(scene)
     return f"{before}{pixel[0]} {pixel[1]}{after}"
 
 
 def replay_around(scene: SceneVerdict) -> tuple[str, str]:
     """The command that shows a pixel again: its parts before and after the column and row."""
-    return f"mitsuba-ref probe {shlex.quote(scene.path or 'SCENE')} ", _options(scene)
+    return f"mitsuba-ref probe {_path(scene)} ", _options(scene)
+
+
+def _path(scene: SceneVerdict) -> str:
+    return shlex.quote(shown_path(scene.path) or "SCENE")
 
 
 def _options(scene: SceneVerdict) -> str:

@@ -125,7 +125,7 @@ def test_a_crash_of_mitsuba_writes_nothing_and_fails(here, capsys, monkeypatch):
     from mitsuba_ref.reference.messages import Crash
 
     crash = Crash(-6, "LLVM ERROR: no", 0.1)
-    monkeypatch.setattr("mitsuba_ref.reference.mitsuba_process.ResidentSession.send", lambda *_: crash)
+    monkeypatch.setattr("mitsuba_ref.reference.mitsuba_process.ask_resident", lambda *_: crash)
     files = {path: path.read_bytes() for path in here.glob("refs/*.exr")}
     code, out, _ = said(capsys, "approve", "scenes", "--yes")
     assert code == 1 and "failed      ball  Mitsuba ended without an answer (SIGABRT): LLVM ERROR: no" in out
@@ -136,7 +136,7 @@ def test_a_crash_of_mitsuba_writes_nothing_and_fails(here, capsys, monkeypatch):
 
 
 def test_ours_passes_against_its_references_without_mitsuba(here, capsys, monkeypatch):
-    monkeypatch.setattr("mitsuba_ref.reference.mitsuba_process.ResidentSession.send", None)
+    monkeypatch.setattr("mitsuba_ref.reference.mitsuba_process.ask_resident", None)
     code, out, _ = said(capsys, "check", "scenes")
     assert code == 0 and "PASS  ball  " in out and "PASS  mesh  " in out and "2 scenes: 2 pass, 0 fail" in out
     code, out, _ = said(capsys, "check", "scenes", "--json")

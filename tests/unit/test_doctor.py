@@ -16,9 +16,9 @@ PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text
 NAMED = {finding.name: finding for finding in installation.report()}
 
 
-def with_variants(monkeypatch, scalar=True, llvm=False, libllvm=None, why="") -> dict[str, Finding]:
+def with_variants(monkeypatch, scalar=True, libllvm=None, why="") -> dict[str, Finding]:
     """The judge's findings where Mitsuba's variants are so."""
-    monkeypatch.setattr(judge_doctor, "usable_variants", lambda: Variants(scalar, llvm, libllvm, why))
+    monkeypatch.setattr(judge_doctor, "usable_variants", lambda: Variants(scalar, libllvm, why))
     return {finding.name: finding for finding in judge_doctor.judge_findings()}
 
 
@@ -77,10 +77,10 @@ def test_the_judge_looks_for_everything_the_caster_uses_and_for_mitsuba():
     ("found", "variants", "libllvm"),
     [
         ({}, "scalar_rgb", "none that Mitsuba's LLVM variant works with"),
-        ({"llvm": True, "libllvm": "/lib/libLLVM.so.19.1"}, "scalar_rgb, llvm_ad_rgb", "/lib/libLLVM.so.19.1"),
+        ({"libllvm": "/lib/libLLVM.so.19.1"}, "scalar_rgb, llvm_ad_rgb", "/lib/libLLVM.so.19.1"),
         ({"scalar": False, "why": "scalar_rgb: wrong"}, "no variant of Mitsuba works; scalar_rgb: wrong", "none that"),
         (
-            {"scalar": False, "llvm": True, "libllvm": "/lib/libLLVM.so", "why": "scalar_rgb: abort"},
+            {"scalar": False, "libllvm": "/lib/libLLVM.so", "why": "scalar_rgb: abort"},
             "llvm_ad_rgb; scalar_rgb: abort",
             "/lib/libLLVM.so",
         ),

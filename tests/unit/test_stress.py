@@ -35,7 +35,7 @@ REFERENCES = ("scalar", "llvm", "llvm-robust")
 @pytest.fixture(autouse=True)
 def no_mitsuba(monkeypatch):
     """A machine where no variant works: the sweeps go on with ours and exact arithmetic."""
-    nothing = Variants(False, False, None, "planted: nothing works")
+    nothing = Variants(False, None, "planted: nothing works")
     monkeypatch.setattr(score, "usable_variants", lambda: nothing)
     monkeypatch.setattr(results, "usable_variants", lambda: nothing)
 
