@@ -204,5 +204,5 @@ def add_probe_arguments(parser: argparse.ArgumentParser) -> None:
         "--save", metavar="FILE", type=OutputFile, help="write this ray and what it may hit as a scene of its own"
     )
     add_timeout(parser)
-    add_candidate(parser, "one more witness: another ray caster (docs/candidates.md)")
+    add_candidate(parser, "another ray caster, whose answer is explained as well (docs/candidates.md)")
     add_reading(parser, "; with --candidate")

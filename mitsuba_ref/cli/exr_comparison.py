@@ -19,7 +19,7 @@ from mitsuba_ref.cli.options import reading_of, selected_entries
 from mitsuba_ref.exr_compare.approved import ImageCheck, ImageChecks, Proposal, check_scene, propose, write_approved
 from mitsuba_ref.exr_compare.two_files import Tolerances, compare_exr
 from mitsuba_ref.reference import variants
-from mitsuba_ref.report.results import print_lines
+from mitsuba_ref.report.results import as_json, print_lines
 from mitsuba_ref.runner.many_scenes import SceneEntry, map_in_order, problem_of
 
 # ---- compare ----
@@ -118,7 +118,7 @@ def run_check(args: argparse.Namespace) -> int:
         return NOTHING_SELECTED
     failed = [checked for checked in found if not checked.ok]
     if args.json:
-        print(json.dumps(ImageChecks(tuple(found)).to_dict(), indent=1))
+        print(json.dumps(as_json(ImageChecks(tuple(found))), indent=1))
     else:
         missing = sum(checked.missing for checked in failed)
         counts = f"{len(found) - len(failed)} pass, {len(failed) - missing} fail"

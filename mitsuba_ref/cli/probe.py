@@ -1,4 +1,4 @@
-"""`mitsuba-ref probe`: explain one pixel by the answers of all witnesses."""
+"""`mitsuba-ref probe`: explain one pixel by every answer at it."""
 
 import argparse
 import json
