@@ -16,7 +16,7 @@ from caster.cli.shared_arguments import InputPath
 from caster.system import processor
 from caster.system.process import FILE, OK
 
-__all__ = ["Finding", "Package", "find_package", "print_findings", "report"]
+__all__ = ["Finding", "Package", "find_package", "print_findings"]
 
 
 class Package(NamedTuple):

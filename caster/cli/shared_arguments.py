@@ -21,7 +21,6 @@ from caster.system.atomic_files import OutputError, check_folder, check_writable
 __all__ = [
     "AOV_NAMES",
     "DEFAULT_AOV_LIST",
-    "SCENE_FILE",
     "InputPath",
     "OutputFile",
     "OutputFolder",
@@ -30,12 +29,10 @@ __all__ = [
     "add_scene",
     "check_exr_suffix",
     "check_utf8_name",
-    "checked_paths",
     "comma_separated",
     "display_names",
     "load",
     "mesh_dir_options",
-    "output_file_unless_number",
     "positive_int",
     "scene_files",
 ]

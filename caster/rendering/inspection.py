@@ -1,7 +1,7 @@
 """Inspection: the intersections of one pixel's ray with each primitive, and the work that a render took."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -10,7 +10,6 @@ import numpy as np
 from caster.aovs import BY_NAME
 from caster.description.errors import SceneError
 from caster.description.transform import dot_rows, row_lengths
-from caster.geometry.edge_distances import EdgeDistance, edge_distances
 from caster.geometry.packing import Kind, Packed, rejected_faces
 from caster.kernels.nearest import Rays, intersect_each, nearest_of_candidates, no_hits
 from caster.rendering.bvh_construction import bvh_of, has_bvh, uses_bvh
@@ -28,46 +27,20 @@ class PrimitiveResult:
     prim_id: int  # within its shape
     t: float  # the exact first hit in range, rounded to float64; inf on a miss
     error: float  # error bound of t in float64; inf if float64 cannot decide
-    margins: tuple[EdgeDistance, ...]
+    away: float  # the distance of its bounding sphere from the ray, by which misses are ordered; 0 without bounds
 
     @property
     def decided_by(self) -> str:
         return "float64" if math.isfinite(self.error) else "integers"
-
-    @property
-    def nearly(self) -> float:
-        """The distance of the ray from the primitive's outline, by which misses are ordered."""
-        return max((-margin.inside for margin in self.margins), default=0.0)
-
-    @property
-    def out_of_range(self) -> bool:
-        """Whether the line hits, but not the ray: behind it, beyond t_max, or past a cylinder's ends."""
-        return math.isinf(self.t) and bool(self.margins) and all(m.inside > 0.0 for m in self.margins)
 
 
 def intersect_each_primitive(packed: Packed, rays: Rays) -> tuple[PrimitiveResult, ...]:
     """Intersections of rays[0] with the nearest primitives: hits by t, then misses by distance. Without a ray: none."""
     if rays.t_max[0] < 0.0:
         return ()
-    found = []
-    for kind in packed.kinds:
-        rows = _nearest_rows(kind, rays)
-        t, error = intersect_rows(kind, rows, rays)
-        ids = kind.ids[rows]
-        shapes, numbers = packed.shape_of(ids), packed.index_in_shape(ids)
-        for j, k in enumerate(rows.tolist()):
-            edges = edge_distances(kind.prims, k, rays.o[0], rays.d[0])
-            found.append(PrimitiveResult(int(shapes[j]), int(numbers[j]), float(t[j]), float(error[j]), edges))
-    order = sorted(found, key=lambda each: (each.t, each.nearly, each.shape_id, each.prim_id))
+    found = [tried for kind in packed.kinds for tried in _try(packed, kind, rays)]
+    order = sorted(found, key=lambda each: (each.t, each.away, each.shape_id, each.prim_id))
     return tuple(order[:MAX_PRIMITIVES_PROBED])
-
-
-def _nearest_rows(kind: Kind, rays: Rays) -> np.ndarray:
-    """Places of the primitives of a kind that are nearest to rays[0]."""
-    if len(kind.ids) <= MAX_PRIMITIVES_PROBED or not kind.bounded:
-        return np.arange(len(kind.ids))[:MAX_PRIMITIVES_PROBED]
-    away = ray_box_distances(rays.o[0], rays.d[0], *kind.boxes())
-    return np.sort(np.argsort(away, kind="stable")[:MAX_PRIMITIVES_PROBED])
 
 
 def ray_box_distances(o: np.ndarray, d: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -77,6 +50,19 @@ def ray_box_distances(o: np.ndarray, d: np.ndarray, low: np.ndarray, high: np.nd
         ahead = np.maximum(dot_rows(center - o, d) / dot_rows(d[None], d), 0.0)
         away = row_lengths(o + ahead[:, None] * d - center) - radius
     return np.where(np.isfinite(away), np.maximum(away, 0.0), np.inf)
+
+
+def _try(packed: Packed, kind: Kind, rays: Rays) -> Iterator[PrimitiveResult]:
+    """Intersections with the nearest primitives of a kind."""
+    away = np.zeros(len(kind.ids))
+    if kind.bounded:
+        away = ray_box_distances(rays.o[0], rays.d[0], *kind.boxes())
+    rows = np.sort(np.argsort(away, kind="stable")[:MAX_PRIMITIVES_PROBED])
+    t, error = intersect_rows(kind, rows, rays)
+    ids = kind.ids[rows]
+    shapes, numbers = packed.shape_of(ids), packed.index_in_shape(ids)
+    for j, k in enumerate(rows.tolist()):
+        yield PrimitiveResult(int(shapes[j]), int(numbers[j]), float(t[j]), float(error[j]), float(away[k]))
 
 
 def intersect_rows(kind: Kind, rows: np.ndarray, rays: Rays) -> tuple[np.ndarray, np.ndarray]:
@@ -164,7 +150,7 @@ def account(rendered: RenderResult, aovs: Sequence[str]) -> dict[str, Any]:
             }
             for i, kind in enumerate(kinds)
         ],
-        "never_hit": {name: found.total for name, found in rejected_faces(scene).items()},
+        "never_hit": {name: sum(found) for name, found in rejected_faces(scene).items()},
         "trees": {**plan.trees._asdict(), "grown": sum(has_bvh(kind) for kind in kinds)},
         "decided_exactly": rendered.decided_exactly,
         "surfaces": {

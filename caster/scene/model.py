@@ -342,6 +342,5 @@ def _accept_registered() -> None:
     Scene.model_rebuild(force=True)
 
 
-SHAPES.subscribe(_accept_registered)
-CAMERAS.subscribe(_accept_registered)
+SHAPES.changed = CAMERAS.changed = _accept_registered
 load_plugins()

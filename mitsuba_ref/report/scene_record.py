@@ -16,7 +16,6 @@ from caster.image.image_files import encode_image
 from caster.image.previews import aov_view
 from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
-from mitsuba_ref.judge.comparison import CHECKS
 from mitsuba_ref.judge.explanations import constant_reasons, format_exact, reason
 from mitsuba_ref.judge.pipeline import Seen
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, REFERENCE_WRONG
@@ -87,7 +86,6 @@ def numbered(texts: Iterable[str]) -> Part:
 MAX_PIXELS_WITH_REASON = 1 << 16  # of a scene, failing ones first: half a second of work
 UNLISTED_CODE = len(CLASSES)  # a class of the page: the reference is wrong in no known way, which fails
 FLOAT_LAYERS = ("depth", "normal", "diffuse", "shading_normal", "position", "uv")
-BOUND_OF_AOV = {check.name: check.bound for check in CHECKS}
 ROUNDING = 1.0 + 4 * 2.0**-53  # a ratio that is computed in two ways is the same up to 4 roundings
 
 
@@ -178,10 +176,9 @@ def _bounds(judge: Judge, judgement: Judgement, name: str) -> Part:
         own = judge.bounds.own
         error = own.n_error if name == "normal" else (own.t_error + judge.answer.t_rounding) * pixels.length
         return found | {"own": packed(coarse(np.where(pixels.both_hit, error, 0.0)))}
-    bound_of = BOUND_OF_AOV.get(name)
-    if bound_of is None:
+    bound = pixels.allowed_distance.get(name)
+    if bound is None:
         return found
-    bound = bound_of(pixels)
     alone = pixels.both_hit & (ratio > error_over_bound(pixels.distance(name), bound) * ROUNDING)
     bound = np.where(pixels.both_hit, bound, 0.0)
     return found | {"bound": packed(coarse(bound)), "alone": packed(alone.astype(np.uint8))}

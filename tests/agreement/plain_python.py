@@ -83,7 +83,8 @@ def everything_cast(given: Arrays) -> Arrays:
             found |= {f"{what} {aov}": aovs[aov] for aov in aovs}
         elif kind == "rays":
             prims = packed(scene_of(given[f"shape {what.partition('/')[0]}"]))
-            nearest = find_nearest(prims, validated_rays(*array, 0.0, np.inf), threads=1)
+            with np.errstate(all="ignore"):  # of kernels in plain Python, for directions with a denormal component
+                nearest = find_nearest(prims, validated_rays(*array, 0.0, np.inf), threads=1)
             found |= {f"{what} {field}": rows for field, rows in nearest._asdict().items()}
     return found
 

@@ -65,7 +65,7 @@ PLANTED = [
     (of_unit_directions, "t is a distance, it has to count in lengths of d"),
     (changed(lambda d, t: t / length(d)), "t is divided by |d| once too often"),
     (changed(lambda d, t: np.where(length(d) > 1.1, 0.9 * t, t)), "right for |d| = 1, wrong for |d| = 2, |d| = 7"),
-    (only_of_unit_directions, "no answer to rays whose |d| is not 1: candidate raised ValueError"),
+    (only_of_unit_directions, "rays in other directions, |d| not 1: candidate raised ValueError"),
 ]  # fmt: skip
 
 
@@ -165,13 +165,13 @@ def test_limits_of_t_that_a_program_is_given_are_heeded(tmp_path, body, ok, says
 
 def test_mirrored_rays_whose_t_float32_does_not_resolve_excuse_no_wrong_answer(monkeypatch):
     """Half of the mirrored rays have no bound: of the others, each is wrong."""
-    expected = ray_conventions.Traced.expected
+    expected = ray_conventions.expected_t
 
-    def some_unbounded(traced, o, d):
-        t, off = expected(traced, o, d)
+    def some_unbounded(scene, o, d):
+        t, off = expected(scene, o, d)
         mirrored = np.arange(len(t)) >= len(LENGTHS) * RAYS
         return t, np.where(mirrored & (np.arange(len(t)) % 3 > 0), np.inf, off)
 
-    monkeypatch.setattr(ray_conventions.Traced, "expected", some_unbounded)
+    monkeypatch.setattr(ray_conventions, "expected_t", some_unbounded)
     found = checked(changed(lambda d, t: np.where(d[:, 2] > 0.0, 1.5 * t, t)))
     assert not found.ok and found.what.endswith("rays mirrored in z"), found.what
