@@ -13,7 +13,7 @@ from mitsuba_ref.error_model.bounds import intersections_at
 from mitsuba_ref.error_model.bracket import Bracket
 from mitsuba_ref.error_model.intersections import Intersections
 from mitsuba_ref.hard.family import Family
-from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, claims_of, prepare_scene, ratios_of_any_tie
+from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, claims_of, exact_ratios, prepare_scene
 from mitsuba_ref.judge.checks.knife_edges import NearestHits, nearest_hits, t_text
 from mitsuba_ref.reference.messages import Crash, TraceRequest
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request
@@ -205,7 +205,7 @@ class Scorer:
         def near(of: np.ndarray, prim: np.ndarray, t: np.ndarray) -> Intersections:
             return intersections_at(model, prim, (exact.o[of], exact.d[of]), t, answer.ku, ours=True)
 
-        ratio = ratios_of_any_tie(exact.answers, some, near, packed).best
+        ratio, _ = exact_ratios(exact.answers, some, near, packed)
         inexact = np.flatnonzero(~(ratio <= 1.0) & ~some.is_broken)
         claims, t_max = claims_of(some.rows(inexact), packed), np.full(len(inexact), np.inf)
         bracketed = Bracket(model, answer.ku, ours=True).judge(exact.o[inexact], exact.d[inexact], t_max, claims)
