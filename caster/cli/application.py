@@ -24,13 +24,14 @@ class Command(NamedTuple):
     help: str  # one line
     module: str  # dotted
     run: str = "run"
-    arguments: str = "add_arguments"
-    starts_with: str = ""  # what it does first, printed at once by commands that load slowly
+    arguments: str = "add_arguments"  # "": it has none
+    starts_with: str = ""  # the first status line of a command that loads slowly
 
     def load(self, parser: argparse.ArgumentParser) -> None:
         """Import the module and add its arguments to the parser of the command."""
         module = import_module(self.module)
-        getattr(module, self.arguments)(parser)
+        if self.arguments:
+            getattr(module, self.arguments)(parser)
         parser.set_defaults(run=getattr(module, self.run))
 
 
