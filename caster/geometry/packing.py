@@ -11,7 +11,7 @@ import numpy as np
 
 from caster.description.errors import SceneError, value_diagnostic
 from caster.geometry.world_space import Rounding, ShapeCollection, as_float32, as_given, is_usable, world_vertices
-from caster.kernels.bvh.build import bounding_boxes, hulls_of
+from caster.kernels.bvh.build import bound_hulls_in_space, hulls_of
 from caster.kernels.protocol import hull_size
 from caster.kernels.triangles import Triangles as Triangles
 
@@ -33,9 +33,6 @@ class Kind:
 
     prims: Any
     ids: np.ndarray  # (n,) int32
-    # Scratch buffers, kept from one image to the next: for many triangles, allocating them takes longer than filling
-    # them. Images that are rendered at the same time have their own.
-    spare: list[tuple[np.ndarray, ...]] = field(default_factory=list, compare=False, repr=False)
     # Data computed from these primitives on first use, such as their BVH (caster/rendering/bvh_construction.py).
     derived: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
@@ -46,7 +43,7 @@ class Kind:
     def boxes(self) -> tuple[np.ndarray, np.ndarray]:
         """Bounding boxes as (low, high) corners, (n, 3) each; not cached, since there may be millions."""
         low, high = np.empty((len(self.ids), 3)), np.empty((len(self.ids), 3))
-        bounding_boxes(self.prims, low, high)
+        bound_hulls_in_space(*hulls_of(self.prims, len(low)), low, high)
         return low, high
 
     @cached_property

@@ -9,7 +9,6 @@ import atexit
 import contextlib
 import gc
 import os
-import re
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -30,30 +29,43 @@ RESIDENT_BYTES = 1 << 30  # of memory, above which it is replaced; 200 MB are us
 SendRequest = Callable[[TraceRequest, float], TraceResponse | Crash]
 
 
-def send_alone(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> TraceResponse | Crash:
-    """Trace rays in a new process; returns within `timeout` seconds and leaves neither process nor file behind."""
-    return messages.run_request(request, timeout, variants.environment_for(request.variant))
-
-
 def send_request(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> TraceResponse | Crash:
     """Trace rays through one scene, in a resident process that no other thread uses at the same time.
 
     Resident processes belong to this process, not to its forks, and end with it or after IDLE_SECONDS. `timeout` holds
     for each of the two processes that may be needed.
     """
-    session = _idle_sessions.pop() if _idle_sessions else ResidentSession()
+    response = ask_resident(request, timeout)
+    return response or messages.run_request(request, timeout, variants.environment_for(request.variant))
+
+
+def ask_resident(request: TraceRequest, timeout: float) -> TraceResponse | None:
+    """The response of a resident process of the same variant and environment; None if it gave none and has ended."""
+    environment = variants.environment_for(request.variant)
+    key = f"{request.variant} {environment} {environment_settings(*REFERENCE_SETTINGS, 'PYTHONPATH')}"
+    idle, process = _idle.setdefault(key, []), None
+    with contextlib.suppress(IndexError):  # another thread may take the last one
+        process = idle.pop()
     try:
-        return session.send(request, timeout)
-    finally:
-        _idle_sessions.append(session)
+        if process and not process.alive:
+            process.close()
+            process = None
+        process = process or messages.start(environment)
+        response = TraceResponse.from_bytes(process.ask(request.to_bytes(), timeout), len(request.o))
+    except (ProcessEnded, UnexpectedReply, ValueError):
+        if process:
+            process.close()
+        return None
+    idle.append(process)
+    return response
 
 
 def send_stored(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> TraceResponse | Crash:
     """The stored response to an equal request, marked as stored, else that of `send_request`, which is then stored."""
     store = local_store()
-    key = request_key(request) if store else ""
-    if store is None or not key:
+    if store is None:
         return send_request(request, timeout)
+    key = request_key(request)
     content = store.get(key)
     with contextlib.suppress(ValueError):
         if content is not None:
@@ -66,85 +78,38 @@ def send_stored(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> Trac
 
 # The child's side: an edit may change responses.
 SOURCES = (Path(messages.__file__).with_name("mitsuba_calls.py"), Path(messages.__file__))
-OUTSIDE = re.compile(r'="(/|~|[A-Za-z]:|[^"]*\.\.[/\\])')  # an XML value that may name a file of another folder
 
 
 def request_key(request: TraceRequest) -> str:
-    """A hash of all that the response depends on; "" where the scene may name a file outside its own folder."""
+    """A hash of all that the response depends on. The files of the scene lie in its folder, as exported."""
     library = variants.environment_for(request.variant).get(variants.LIBLLVM_ENVIRONMENT_VARIABLE, "")
     size = os.path.getsize(library) if os.path.exists(library) else ""
+    folder, meshes = request.xml.parent, request.mesh_files
     parts: list[str | bytes] = [
         repr(machine()),
         environment_settings(*REFERENCE_SETTINGS),
         *(source.read_bytes() for source in SOURCES),
         f"{library} {size}",
+        messages.record_bytes(replace(request, xml=Path(request.xml.name), mesh_files=())),
+        *(part for file in meshes for part in (f"mesh {file.name}", file.read_bytes())),
     ]
-    parts.append(repr((request.variant, request.lights, request.sensor, request.strict)))
-    for name in TraceRequest.ROWS:
-        array = getattr(request, name)
-        parts += [f"{name} {array.dtype} {array.shape}", array.tobytes()]
-    folder = request.xml.parent
-    if OUTSIDE.search(request.xml.read_text(encoding="utf-8")):
-        return ""
-    parts.append(f"scene {request.xml.name}")
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):
         parts += [path.relative_to(folder).as_posix(), path.read_bytes()]
-    for file in request.mesh_files:
-        parts += [f"mesh {file.name}", file.read_bytes()]
     return key_of(parts)
 
 
-_idle_sessions: list["ResidentSession"] = []
+_idle: dict[str, list[ResidentProcess]] = {}  # by variant and environment
 
 
 @atexit.register
 def close_residents() -> None:
-    """End the resident processes of `send_request` that are idle."""
-    while _idle_sessions:
-        _idle_sessions.pop().close()
+    """End the resident processes that are idle."""
+    for process in [process for idle in _idle.values() for process in idle]:
+        process.close()
+    _idle.clear()
 
 
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_idle_sessions.clear)
-
-
-class ResidentSession:
-    """Resident processes, one for each variant and environment. Usable as a context."""
-
-    def __init__(self) -> None:
-        self.processes: dict[str, ResidentProcess] = {}
-
-    def __enter__(self) -> "ResidentSession":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """End all processes."""
-        for process in self.processes.values():
-            process.close()
-        self.processes = {}
-
-    def send(self, request: TraceRequest, timeout: float = 60.0) -> TraceResponse | Crash:
-        """The response to one request; `timeout` holds for each of the two processes that may be needed."""
-        try:
-            reply = self._process(request.variant).ask(request.to_bytes(), timeout)
-            return TraceResponse.from_bytes(reply, len(request.o))
-        except (ProcessEnded, UnexpectedReply, ValueError):
-            self.close()
-        return send_alone(request, timeout)
-
-    def _process(self, variant: str) -> ResidentProcess:
-        """The resident process of a variant, started if need be. Raises ProcessEnded while starts are refused."""
-        environment = variants.environment_for(variant)
-        key = f"{variant} {environment} {environment_settings(*REFERENCE_SETTINGS, 'PYTHONPATH')}"
-        process = self.processes.get(key)
-        if process is None or not process.alive:
-            if process:
-                process.close()
-            process = self.processes[key] = messages.start(environment)
-        return process
+os.register_at_fork(after_in_child=_idle.clear)
 
 
 # ---- the child's side ----

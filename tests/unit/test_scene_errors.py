@@ -114,6 +114,11 @@ ONE_LINERS = [
         "5:1: camera (pinhole): up must be a direction across the view [0, 0, -5], not along it, got [0, 0, 3]",
     ),
     (
+        "an empty range",
+        camera("pinhole", "look_at = [0, 0, 0]\nnear = 1\nfar = 1"),
+        "1:1: camera (pinhole): near must be < far, got near 1.0 and far 1.0",
+    ),
+    (
         "the default up along the view",
         camera("pinhole", "direction = [0, 2, 0]"),
         "1:1: camera (pinhole): up must be a direction across the view [0, 1, 0], not along it, got [0, 1, 0]",
