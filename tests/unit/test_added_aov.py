@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import caster
-from caster.aovs import BY_NAME, kernel_of, needs_of, register, unregister
+from caster.aovs import AOVS, BY_NAME, kernel_of, needs_of, register
 from caster.kernels.protocol import Vec3
 from caster.kernels.surface.per_hit import NEEDED_FIELDS, Hit, per_hit
 from caster.rendering.hits import RayHits
@@ -93,7 +93,7 @@ def test_an_aov_needs_the_fields_that_it_reads_and_no_others():
 def added(request):
     register(ADDED[request.param])
     yield request.param
-    unregister(request.param)
+    AOVS.remove(BY_NAME.pop(request.param))
 
 
 SHAPES = (caster.Icosphere(subdivisions=1), caster.Sphere(center=(1.5, 0, 0), radius=0.7))

@@ -92,7 +92,7 @@ REFUSED = {
     "deep": (
         {"rgba": of("A"), "cloud": {"Z": deep()}},
         {"cloud": DEEP},
-        "deep data, many samples a pixel, in part 'cloud'; write flat parts",
+        "deep data, many samples per pixel, in part 'cloud'; write flat parts",
     ),
     "views": (
         {"rgba.left": of("A"), "rgba.right": of("A")},
