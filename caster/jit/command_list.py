@@ -5,74 +5,52 @@ as in graphics interfaces; arguments that change from row to row are read from t
 """
 
 import ctypes
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
+from itertools import accumulate, chain
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from caster.jit.arguments import describe
 from caster.jit.decorators import Kernel, jit
-from caster.jit.machine_code import DONE, PLACE_OF_ANSWER, call_entry, check, fail, load_word, store_word
+from caster.jit.machine_code import DONE, PLACE_OF_ANSWER, call_entry, fail, load_word, store_word
 
-__all__ = ["BoundCall", "Command", "CommandList", "Condition", "bind"]
+__all__ = ["BoundCall", "Column", "Command", "CommandList", "Condition", "command"]
 
 
 class BoundCall:
     """A kernel bound to its arguments, except those at the places `given`: integers or tuples of integers.
 
-    A call takes a tenth of the time of an ordinary one; only one thread may call at a time. `answer` is that of the
-    last call, and `answered` names it as a condition.
+    A list calls its machine code with a block of words; `answered` is the condition that its last answer is not 0. Only
+    one thread may call it at a time.
     """
 
-    def __init__(self, function: Callable[..., Any], args: tuple[Any, ...], given: tuple[int, ...]) -> None:
+    def __init__(self, function: Callable[..., Any], *args: Any, given: tuple[int, ...]) -> None:
         # the arguments are kept, since the block holds addresses of arrays
         self._function, self._args, self._given = function, args, given
         self.code: Any = function.code(args) if isinstance(function, Kernel) else None
         self.block = np.zeros(1, np.int64)
         self.places: list[range] = []  # where the given arguments are in the block
-        self.address = 0
         if self.code is not None:
-            sizes = [len(_words((arg,))) for arg in args]
-            ends = np.cumsum([PLACE_OF_ANSWER + 1, *sizes]).tolist()
-            self.block = np.array([0, *_words(args)], np.int64)
+            words = [_words((arg,)) for arg in args]
+            ends = [*accumulate(map(len, words), initial=PLACE_OF_ANSWER + 1)]
+            self.block = np.array([0, *chain(*words)], np.int64)
             self.places = [range(ends[n], ends[n + 1]) for n in given]
-            self.address = self.block.ctypes.data
+        self.address = self.block.ctypes.data
+        self.answered = self.block, PLACE_OF_ANSWER
 
-    @property
-    def answer(self) -> int:
-        return int(self.block[PLACE_OF_ANSWER])
-
-    @property
-    def answered(self) -> "Condition":
-        """That the last answer is not 0."""
-        return self.block, PLACE_OF_ANSWER
-
-    def __call__(self, *numbers: int | tuple[int, ...]) -> Any:
-        if self.code is None:
-            return self._call_plainly(numbers)
-        for place, those in zip(self.places, numbers, strict=True):
-            for word, number in zip(place, those if isinstance(those, tuple) else (those,), strict=True):
-                self.block[word] = number
-        check(self.code.entry(self.address))
-        return self.code.answer(self.answer)
-
-    def _call_plainly(self, numbers: tuple[int | tuple[int, ...], ...]) -> Any:
+    def __call__(self, *numbers: int | tuple[int, ...]) -> None:
+        """Call the function where there is no machine code."""
         every = list(self._args)
         for n, those in zip(self._given, numbers, strict=True):
             every[n] = those
         answer = self._function(*every)
         self.block[PLACE_OF_ANSWER] = answer if isinstance(answer, int | np.integer) else 0
-        return answer
 
 
 def _words(args: tuple[Any, ...]) -> list[int]:
     described = describe(args)
     return described.words[1:] if described is not None else []
-
-
-def bind(function: Callable[..., Any], *args: Any, given: tuple[int, ...]) -> BoundCall:
-    """Bind a kernel to these arguments, except those at the places `given`: integers or tuples of integers."""
-    return BoundCall(function, args, given)
 
 
 Condition = int | tuple[np.ndarray, int]
@@ -82,14 +60,28 @@ Condition = int | tuple[np.ndarray, int]
 class Command(NamedTuple):
     """A call in a command list."""
 
-    call: Callable[..., Any]  # a BoundCall, or a Python function of the same arguments
+    call: Any  # a BoundCall, or a Python function of the same arguments
     given: tuple[int | slice, ...]  # for each argument, its number in the row, or a slice for a tuple
     when: Condition | None = None
 
 
+class Column(int):
+    """The number of a column of the rows, which holds an argument; a slice of columns holds a tuple."""
+
+
+def command(function: Callable[..., Any], *args: Any, when: Condition | None = None) -> Command:
+    """Call a kernel with these arguments, of which columns are read from the row."""
+    given = tuple(n for n, arg in enumerate(args) if type(arg) in (Column, slice))
+    values, columns = list(args), tuple(args[n] for n in given)
+    for n, those in zip(given, columns, strict=True):
+        values[n] = 0 if isinstance(those, Column) else (0,) * (those.stop - those.start)
+    return Command(BoundCall(function, *values, given=given), columns, when)
+
+
 # A program is a list of words. Each command has the addresses of its entry and block; its condition: the address of a
 # number, ~(the place of one in the row), or ALWAYS; the count of numbers that are copied from the row to the block, and
-# for each its place in the row and its address. PAUSE in place of an entry returns to Python.
+# for each its place in the row and its address. PAUSE in place of an entry returns to Python, for a call without
+# machine code.
 PAUSE, ALWAYS = 0, 0
 FINISHED, FAILED = -1, -2
 
@@ -125,28 +117,22 @@ class CommandList:
     def __init__(self, commands: Iterable[Command], rows: np.ndarray) -> None:
         """rows: (n, width) int64, C-ordered; they may change between runs."""
         assert rows.dtype == np.int64 and rows.flags.c_contiguous
-        self._commands, self._rows, self._program = tuple(commands), rows, None
-        if any(_compiled_call(command) for command in self._commands):
-            words = [word for number, command in enumerate(self._commands) for word in self._words(number, command)]
-            self._program = np.array(words, np.int64)
+        self._commands, self._rows = tuple(commands), rows
+        words = [word for number, command in enumerate(self._commands) for word in self._words(number, command)]
+        self._program = np.array(words, np.int64)
 
     def run(self, start: int, stop: int) -> None:
         """Run all commands for each of rows start..stop."""
-        if self._program is None:
-            for row in self._rows[start:stop].tolist():
-                for command in self._commands:
-                    if _holds(command.when, row):
-                        _call(command, row)
-            return
         state = np.array([start, stop, 0])
         while (number := run_commands(self._program, self._rows, state)) != FINISHED:
             if number == FAILED:
                 fail()
-            _call(self._commands[number], self._rows[state[0]].tolist())
+            command, row = self._commands[number], self._rows[state[0]].tolist()
+            command.call(*(tuple(row[g]) if isinstance(g, slice) else row[g] for g in command.given))
 
     def _words(self, number: int, command: Command) -> list[int]:
-        when, call = _condition_word(command.when), _compiled_call(command)
-        if call is None:
+        when, call = _condition_word(command.when), command.call
+        if not isinstance(call, BoundCall) or call.code is None:
             return [PAUSE, number, when, 0]
         copies: list[int] = []
         columns = range(self._rows.shape[1])
@@ -160,22 +146,9 @@ class CommandList:
 WORD = ctypes.sizeof(ctypes.c_int64)
 
 
-def _compiled_call(command: Command) -> BoundCall | None:
-    """The command's call if it has object code."""
-    return command.call if isinstance(command.call, BoundCall) and command.call.code is not None else None
-
-
 def _condition_word(when: Condition | None) -> int:
     if when is None:
         return ALWAYS
     if isinstance(when, int):
         return ~when
     return int(when[0].ctypes.data) + when[1] * when[0].itemsize
-
-
-def _holds(when: Condition | None, row: Sequence[int]) -> bool:
-    return when is None or bool(row[when] if isinstance(when, int) else when[0][when[1]])
-
-
-def _call(command: Command, row: Sequence[int]) -> None:
-    command.call(*(tuple(row[g]) if isinstance(g, slice) else row[g] for g in command.given))

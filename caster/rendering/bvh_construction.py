@@ -84,18 +84,13 @@ def build_tree(low: np.ndarray, high: np.ndarray, threads: int) -> Tree:
         if count < PARALLEL_MIN_PRIMITIVES
         else _build_parallel(boxes, order, threads)
     )
+    # collapse them into nodes of CHILDREN, of which there are at most as many as inner binary nodes
+    capacity = max(1, int(np.count_nonzero(nodes[1][:, 1] < 0)))
+    wide_boxes, links = np.empty((capacity, 6, CHILDREN), np.float32), np.empty((capacity, CHILDREN), np.int32)
+    number = collapse(*nodes, wide_boxes, links)
     extent = float(max(-low.min(), low.max(), -high.min(), high.max()))
     flat = max(MIN_DIRECTION_PER_UNIT * unit, MIN_DIRECTION)
-    return Tree(*_collapsed(*nodes), order, center, unit, flat, extent, BOX_PADDING)
-
-
-def _collapsed(boxes: np.ndarray, links: np.ndarray) -> Nodes:
-    """Collapse binary nodes into nodes of CHILDREN, of which there are at most as many as inner binary nodes."""
-    capacity = max(1, int(np.count_nonzero(links[:, 1] < 0)))
-    wide_boxes = np.empty((capacity, 6, CHILDREN), np.float32)
-    wide_links = np.empty((capacity, CHILDREN), np.int32)
-    nodes = collapse(boxes, links, wide_boxes, wide_links)
-    return wide_boxes[:nodes].copy(), wide_links[:nodes].copy()
+    return Tree(wide_boxes[:number].copy(), links[:number].copy(), order, center, unit, flat, extent, BOX_PADDING)
 
 
 def _unit(least: np.ndarray, largest: np.ndarray, center: np.ndarray) -> float:
@@ -157,15 +152,12 @@ FAN_REACH = 16.0
 def fans_to(light: PointLight | DirectionalLight, center: Vec3, extent: float, deviation: float = 0.0) -> list[Fan]:
     """The fans of all shadow rays to a light, those from around `center` first; extent: the largest |coordinate|.
 
-    deviation: how far rays may pass the point, along an axis, in addition to rounding.
+    One fan of parallel rays, or six of rays through a point. deviation: how far rays may pass the point, along an axis,
+    in addition to rounding.
     """
     if isinstance(light, DirectionalLight):
         return [parallel_fan(light.back, extent)]
-    return point_fans(light.position, center, extent, deviation)
-
-
-def point_fans(point: Vec3, center: Vec3, extent: float, deviation: float = 0.0) -> list[Fan]:
-    """The six fans of rays through a point."""
+    point = light.position
     ahead = np.subtract(center, point)
     largest = np.abs(ahead).max()
     forward = ahead / largest if largest > 0.0 else np.array([1.0, 0.0, 0.0])
@@ -173,11 +165,10 @@ def point_fans(point: Vec3, center: Vec3, extent: float, deviation: float = 0.0)
     across = normalize_rows(np.cross(forward, np.eye(3)[np.argmin(np.abs(forward))])[None])[0]
     up = np.cross(forward, across)
     reach = FAN_REACH * max(extent, *map(abs, point))
-    axes = ((forward, across, up), (across, up, forward), (up, forward, across))
-    slack, none = _slack(reach, extent) + DEVIATION_SLACK * deviation, (0.0, 0.0, 0.0)
+    slack = FAN_SLACK * (reach + extent) + DEVIATION_SLACK * deviation
     return [
-        Fan(1.0, point, none, _vector(x), _vector(y), _vector(sign * z), reach, slack)
-        for z, x, y in axes
+        Fan(1.0, point, (0.0, 0.0, 0.0), vec3(x), vec3(y), vec3(sign * z), reach, slack)
+        for z, x, y in ((forward, across, up), (across, up, forward), (up, forward, across))
         for sign in (1.0, -1.0)
     ]
 
@@ -189,17 +180,13 @@ def parallel_fan(back: Vec3, extent: float) -> Fan:
     across, up = (e - (back[np.argmax(e)] / back[axis]) * z for e in (x, y))
     away = -np.copysign(1.0, back[axis]) * z
     reach = FAN_REACH * extent
-    frame = _vector(across), _vector(up), _vector(away)
-    return Fan(0.0, (0.0, 0.0, 0.0), back, frame[0], frame[1], frame[2], reach, _slack(reach, extent))
+    slack = FAN_SLACK * (reach + extent)
+    return Fan(0.0, (0.0, 0.0, 0.0), back, vec3(across), vec3(up), vec3(away), reach, slack)
 
 
-def _vector(a: np.ndarray) -> Vec3:
+def vec3(a: np.ndarray) -> Vec3:
     x, y, z = a.tolist()
     return x, y, z
-
-
-def _slack(reach: float, extent: float) -> float:
-    return FAN_SLACK * (reach + extent)
 
 
 def fan_bounds(kind: Kind, fan: Fan, threads: int | None) -> FanBounds:

@@ -1,10 +1,9 @@
 """The verdict of a scene from its judgement: counts by class, largest ratios, listed failures."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from itertools import chain
 from typing import Any, TypeVar
 
 import numpy as np
@@ -12,7 +11,6 @@ import numpy as np
 from caster.description.errors import SceneError
 from caster.geometry.packing import packed
 from caster.scene.model import Scene
-from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judge, Judgement
 from mitsuba_ref.judge.diagnosis import NOT_ADJUDICATED, Diagnosis, failing_rows
 from mitsuba_ref.judge.explanations import full_reason, pixel_answers, reason
@@ -22,15 +20,13 @@ from mitsuba_ref.judge.verdict import (
     FAILING,
     MAX_LISTED_FAILURES,
     UNLISTED,
-    WRONG,
     Failure,
     Finding,
-    SceneCheck,
     SceneStatistics,
     SceneVerdict,
 )
 from mitsuba_ref.reference.shared_input import pixel_of
-from mitsuba_ref.subjects.subject import FLOAT32, Answer
+from mitsuba_ref.subjects.subject import Answer
 
 T = TypeVar("T")
 
@@ -40,12 +36,9 @@ NEVER_GIVEN = ("position", "shading_normal", "uv", "shape_id", "diffuse")
 
 def quantities_not_given(answer: Answer) -> tuple[str, ...]:
     """Quantities that the judge compares and this answer lacks."""
-    if answer.images is not None:
-        return ()
-    if answer.hits_only:
-        return ("depth", "normal", *NEVER_GIVEN)
-    never = tuple(name for name in NEVER_GIVEN if name != "shape_id" or answer.shape_id is None)
-    return never if answer.n is not None else ("normal", *never)
+    given = {"depth": not answer.hits_only, "normal": answer.n is not None, "shape_id": answer.shape_id is not None}
+    names = ("depth", "normal", *NEVER_GIVEN) if answer.images is None else ()
+    return tuple(name for name in names if not given.get(name))
 
 
 def class_counts(judgement: Judgement, hit: np.ndarray) -> dict[str, int]:
@@ -92,21 +85,14 @@ def listed_failures(judge: Judge, judgement: Judgement, diagnosis: Diagnosis) ->
 
     The worst pixel of a diagnosis, or the first if the subject names no primitives, so that most have no factor.
     """
-    by_row, rows = diagnosis.by_row(), worst_first(judgement, failing_rows(judgement))
-    order = rows if judge.names_prims else sorted(rows)
-    cause_of = {int(row): what for what, rows in diagnosis.rows_of.items() for row in rows}
-    leading = {cause_of[row]: row for row in reversed(order)}
-    most_first = sorted(
-        leading.values(), key=lambda row: (cause_of[row] == NOT_ADJUDICATED, -len(diagnosis.rows_of[cause_of[row]]))
-    )
-    chosen = list(dict.fromkeys([*most_first, *rows]))[:MAX_LISTED_FAILURES]
+    by_row, rows = diagnosis.by_row(), failing_rows(judgement)
+    excess = np.max([judgement.excess(name)[rows] for name in judgement.names], axis=0)
+    worst_first = rows[np.argsort(-excess, kind="stable")].tolist()
+    rank = {row: place for place, row in enumerate(worst_first if judge.names_prims else rows.tolist())}
+    causes = sorted(diagnosis.rows_of.items(), key=lambda item: (item[0] == NOT_ADJUDICATED, -len(item[1])))
+    leading = [min(cause_rows.tolist(), key=rank.__getitem__) for _, cause_rows in causes]
+    chosen = list(dict.fromkeys([*leading, *worst_first]))[:MAX_LISTED_FAILURES]
     return tuple(failure_at(judge, judgement, by_row, row) for row in chosen)
-
-
-def worst_first(judgement: Judgement, rows: np.ndarray) -> list[int]:
-    """These rows of the image by the largest excess of any check."""
-    excess = np.array([judgement.excess(name)[rows] for name in judgement.names])
-    return [int(row) for row in rows[np.argsort(-excess.max(axis=0), kind="stable")]]
 
 
 def failing_by_check(judgement: Judgement) -> dict[str, np.ndarray]:
@@ -114,10 +100,9 @@ def failing_by_check(judgement: Judgement) -> dict[str, np.ndarray]:
     rows = failing_rows(judgement)
     excess = {name: judgement.excess(name)[rows] for name in judgement.names}
     beyond = {name: ~(ratio <= 1.0) for name, ratio in excess.items()}
-    beyond[EXACT] = beyond[EXACT] | ~np.any(list(beyond.values()), axis=0)
-    order = {name: np.argsort(-ratio, kind="stable") for name, ratio in excess.items()}
-    found = {name: rows[order[name]][beyond[name][order[name]]] for name in judgement.names}
-    return {name: failing for name, failing in found.items() if len(failing)}
+    beyond[EXACT] |= ~np.any(list(beyond.values()), axis=0)
+    worst_first = {name: np.argsort(-ratio, kind="stable") for name, ratio in excess.items()}
+    return {name: rows[order[beyond[name][order]]] for name, order in worst_first.items() if beyond[name].any()}
 
 
 def failure_at(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str], row: int, check: str = "") -> Failure:
@@ -136,19 +121,6 @@ def decisive_check(judgement: Judgement, row: int) -> str:
     excess = {name: float(judgement.excess(name)[row]) for name in judgement.names}
     beyond = {name: ratio for name, ratio in excess.items() if name != EXACT and not ratio <= 1.0}
     return max(beyond or excess, key=lambda name: excess[name])
-
-
-def failure_hints(answer: Answer, judgement: Judgement) -> tuple[str, ...]:
-    """A hint if all failing pixels would pass with the bounds of float32."""
-    if not judgement.is_class(*FAILING).any():
-        return ()
-    ratios = judgement.exact.ratio[judgement.is_class(WRONG)[judgement.exact.rows]]
-    if answer.precision == FLOAT32 or not len(ratios) or ratios.max() > KU / KU_OURS:
-        return ()
-    return (
-        "every pixel that is beyond the bounds of float64 is within those of float32; if that will do: "
-        "--candidate-precision float32",
-    )
 
 
 # ---- the windows of a large film, judged one after the other ----
@@ -176,18 +148,18 @@ def merge_windows(windows: Sequence[SceneVerdict]) -> SceneVerdict:
     sums: dict[str, Any] = {name: sum(getattr(window, name) for window in windows) for name in SUMS}
     counts: dict[str, Any] = {name: _added([getattr(window, name) for window in windows]) for name in COUNTS}
     longest_first = sorted(windows, key=lambda window: -len(window.checks))
-    checks = _largest([{check.name: check for check in window.checks} for window in longest_first], ratio_of)
+    checks = _largest([{check.name: check for check in window.checks} for window in longest_first])
     return replace(
         windows[0],
         **sums,
         **counts,
-        ratios=_largest([window.ratios for window in windows], float),
+        ratios=_largest([window.ratios for window in windows]),
         checks=tuple(checks.values()),
         failures=_leading([failure for window in windows for failure in window.failures]),
         reference_stored=all(window.reference_stored for window in windows),
         problem=next((window.problem for window in windows if window.problem), ""),
         reproducers=tuple(file for window in windows for file in window.reproducers),
-        worst_by=_largest([window.worst_by for window in windows], ratio_of),
+        worst_by=_largest([window.worst_by for window in windows]),
         findings=_merged_findings(windows),
         notes=tuple(dict.fromkeys(note for window in windows for note in window.notes)),
     )
@@ -200,21 +172,16 @@ def _added(counts: Sequence[Mapping[str, int]]) -> dict[str, int]:
     return dict(total)
 
 
-def ratio_of(found: SceneCheck | Failure) -> float:
-    return float(found.ratio)
+def _largest(windows: Sequence[Mapping[str, T]]) -> dict[str, T]:
+    """The largest entry of each name, the first of several; entries are numbers or have a ratio."""
+    items = [item for window in windows for item in window.items()]
+    found = dict(sorted(reversed(items), key=lambda item: _badness(item[1])))
+    return {name: found[name] for name, _ in items}
 
 
-def _largest(windows: Sequence[Mapping[str, T]], size: Callable[[T], float]) -> dict[str, T]:
-    """The largest entry of each name."""
-    found: dict[str, T] = {}
-    for name, each in chain.from_iterable(window.items() for window in windows):
-        if name not in found or _badness(size(each)) > _badness(size(found[name])):
-            found[name] = each
-    return found
-
-
-def _badness(ratio: float) -> tuple[bool, float]:
+def _badness(entry: Any) -> tuple[bool, float]:
     """A sort key that puts NaN beyond every number."""
+    ratio = getattr(entry, "ratio", entry)
     return (not ratio <= np.inf, ratio)
 
 
@@ -222,7 +189,7 @@ def _leading(failures: Sequence[Failure]) -> tuple[Failure, ...]:
     """One of each reason, then the worst of the others."""
     leading = list({failure.reason: failure for failure in reversed(failures)}.values())[::-1]
     others = [failure for failure in failures if failure not in leading]
-    others.sort(key=lambda failure: _badness(failure.ratio), reverse=True)
+    others.sort(key=_badness, reverse=True)
     return tuple([*leading, *others][:MAX_LISTED_FAILURES])
 
 

@@ -5,6 +5,7 @@ computes results, report/ shows them.
 """
 
 import math
+from collections import Counter
 from dataclasses import field
 from typing import Annotated, Any
 
@@ -325,11 +326,7 @@ class Verdict:
     @property
     def cases(self) -> dict[str, int]:
         """Pixels where the reference is wrong, by known case."""
-        total: dict[str, int] = {}
-        for scene in self.scenes:
-            for case, count in scene.cases.items():
-                total[case] = total.get(case, 0) + count
-        return total
+        return dict(sum((Counter(scene.cases) for scene in self.scenes), Counter()))
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -341,12 +338,10 @@ class Verdict:
     def versions(self) -> tuple[str, ...]:
         """Versions that judged the scenes, each once, and how many answers of Mitsuba came from the store."""
         each = [", ".join(f"{k} {v}" for k, v in scene.versions.items()) for scene in self.scenes]
-        stored = (
-            f"{self.references_stored} of {len(self.scenes)} scenes: answered in earlier runs, taken from the store"
-            if self.references_stored
-            else ""
-        )
-        return tuple(dict.fromkeys(filter(None, [*each, stored])))
+        if self.references_stored:
+            stored = f"{self.references_stored} of {len(self.scenes)} scenes"
+            each.append(f"{stored}: answered in earlier runs, taken from the store")
+        return tuple(dict.fromkeys(filter(None, each)))
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values, as in verdict.json."""

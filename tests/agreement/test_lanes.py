@@ -1,4 +1,4 @@
-"""Vectors give what NumPy gives, and surfaces of several hits are those of one at a time, to the bit."""
+"""Vector operations agree with NumPy, and surfaces of several hits at once with those of single hits, to the bit."""
 
 from typing import Any
 
@@ -36,15 +36,15 @@ def wide(rng, *shape):
 
 # ---- operations of vectors: compiled, and as NumPy has them ----
 
-PAIRS = {"plus": np.add, "minus": np.subtract, "times": np.multiply, "larger": np.fmax, "lesser": np.fmin}
+PAIRS = (np.add, np.subtract, np.multiply, np.fmax, np.fmin)
 
 
 @jit
 def every_operation(a: Any, singles: Any, bits: int, out: Any, answers: Any) -> None:
     v, w = simd.load_lanes(a, 3), simd.load_lanes(a, 17)
-    simd.store(simd.plus(v, w), out, 0)
-    simd.store(simd.minus(v, w), out, 8)
-    simd.store(simd.times(v, w), out, 16)
+    simd.store(v + w, out, 0)
+    simd.store(v - w, out, 8)
+    simd.store(v * w, out, 16)
     simd.store(simd.larger(v, w), out, 24)
     simd.store(simd.lesser(v, w), out, 32)
     simd.store(simd.select(bits, v, w), out, 40)
@@ -64,7 +64,7 @@ def test_operations_of_vectors_are_those_of_numpy():
         a[17:20] = a[3:6]  # some are equal
         v, w, out, answers = a[3:11], a[17:25], np.zeros(66), np.zeros(5, np.int64)
         with np.errstate(all="ignore"):
-            pairs = [function(v, w) for function in PAIRS.values()]
+            pairs = [function(v, w) for function in PAIRS]
         picked = np.where(chosen >> np.arange(8) & 1, v, w)
         expected = np.concatenate([*pairs, picked, np.full(8, a[2]), singles[2:], [v.min(), v.max()]])
         every_operation(a, singles, chosen, out, answers)
@@ -165,7 +165,7 @@ def sum_reaches(numbers: Any, first: int, second: int, limit: float) -> int:
 
 
 def checks(rng):
-    """(what a function of lanes gives, what it should) of each."""
+    """(name, result, expected result) for each function of lanes.py."""
     numbers, i, low, end = a_range(rng)
     sizes, (j, k) = wide(rng, 4 * LANES), rng.integers(0, 3 * LANES, 2).tolist()
     first, second = sizes[j : j + LANES], sizes[k : k + LANES]
@@ -241,7 +241,7 @@ SIZES = 10.0 ** np.array([0.0, 0.0, 0.0, 3.0, -9.0, 120.0, 152.0, -152.0, -200.0
 
 
 def hard_triangles(rng, count):
-    """Of all sizes; some thin, some points, some with normals that cancel or vanish."""
+    """Triangles of all sizes; some thin, some points, some with vertex normals that cancel or are 0."""
     corners = rng.normal(size=(count, 3, 3)) + rng.normal(size=(count, 1, 3))
     thin, point = rng.random(count) < 0.2, rng.random(count) < 0.05
     between = corners[:, 0] + rng.random((count, 1)) * (corners[:, 1] - corners[:, 0])
@@ -297,7 +297,7 @@ def aims(rng, prims, hit):
 
 
 def hit_tile(rng, prims, count, longest_run):
-    """Rays of a tile with what they meet, in runs; d of length 1 but for a tenth, and t of misses infinite."""
+    """A tile of rays with hits in runs; nine in ten d have length 1, and t of misses is infinite."""
     tile, pixels = tiles.new_tile(), tiles.PIXELS
     hit = np.repeat(rng.integers(-1, count, pixels), rng.integers(1, longest_run, pixels))[:pixels]
     p, size = aims(rng, prims, hit)

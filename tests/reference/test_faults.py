@@ -12,12 +12,8 @@ import tomllib
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import pytest
 from edited_tree import LONG_CHECKS, ROOT, copy_tree, edit, run_tests, said_beside_progress
-
-from caster.image.exr import read_exr, write_exr
-from mitsuba_ref.__main__ import main
 
 
 class Fault(NamedTuple):
@@ -114,62 +110,3 @@ def test_the_reproducer_of_an_aimed_ray_shows_its_failure_again(obey, forks, une
     file = min((tmp_path / "out").glob("*.knife-edge.*.toml"))
     again = forks.run(tree, "validate", str(file), "-j", "1")
     assert again.returncode == 1 and "knife_edges: " in again.stdout, again.stdout
-
-
-# ---- faults of written images, for `compare` ----
-
-
-@pytest.fixture(scope="module")
-def images(tmp_path_factory):
-    """(ours, the reference's) of one sphere."""
-    folder = tmp_path_factory.mktemp("images")
-    words = ["render", "scenes/one-sphere.toml", "--size", "31", "24", "--aov"]
-    files = folder / "ours.exr", folder / "reference.exr"
-    aovs = "hit,depth,normal,shading_normal,position,diffuse,shape_id"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(ROOT)
-        from caster.__main__ import main as caster_main
-
-        assert caster_main([*words, aovs, "-o", str(files[0])]) == 0 == main([*words, aovs, "-o", str(files[1])])
-    return files
-
-
-def spoilt(channel, value):
-    """Another value in one hit pixel of a channel."""
-
-    def spoil(channels):
-        pixels = channels[channel].copy()
-        pixels[tuple(np.argwhere(channels["A"] > 0.0)[50])] = value
-        return {**channels, channel: pixels}
-
-    return spoil
-
-
-IN_DATA = {
-    "nothing": lambda channels: channels,
-    "y flipped": lambda channels: {name: pixels[::-1] for name, pixels in channels.items()},
-    "half a pixel to the side": lambda channels: {
-        name: (pixels if pixels.dtype == np.uint32 else 0.5 * (pixels + np.roll(pixels, 1, axis=1)))
-        for name, pixels in channels.items()
-    },
-    "unnormalised normal": lambda channels: {**channels, "normal.Z": channels["normal.Z"] * np.float32(1.001)},
-    **{
-        f"one {value} in {channel}": spoilt(channel, value)
-        for channel in ("R", "depth.Z", "normal.X", "shading_normal.Y", "position.Z")
-        for value in (np.nan, np.inf)
-    },
-    "one NaN in the mask": spoilt("A", np.nan),
-    "one pixel missed": spoilt("A", 0.0),
-    "one pixel of another shape": spoilt("id.shape", 7),
-}
-
-
-@pytest.mark.parametrize("what", IN_DATA)
-def test_compare_fails_on_an_image_with_a_fault(tmp_path, images, capsys, what):
-    good = read_exr(images[0])
-    faulty = tmp_path / "faulty.exr"
-    with np.errstate(invalid="ignore"):  # inf where an average leaves the silhouette
-        write_exr(faulty, IN_DATA[what](good.channels), good.provenance)
-    expected = 0 if what == "nothing" else 1
-    assert main(["compare", str(faulty), str(images[1])]) == expected, what
-    assert bool(re.search(r"^FAIL  \w+: ", capsys.readouterr().out, re.MULTILINE)) == bool(expected)

@@ -147,10 +147,6 @@ def test_an_added_aov_beside_others_of_one_kind_or_none(added, shapes):
         assert np.array_equal(image.reshape(expected.shape), expected), names
 
 
-def test_nothing_is_written_into_an_added_aov(added):
-    assert not [name for name in vars(ADDED[added]) if name.startswith("PerHit")]
-
-
 def test_what_is_not_declared_or_taken_is_refused(added):
     with pytest.raises(ValueError, match="is taken"):
         register(ADDED[added])

@@ -67,33 +67,11 @@ def test_directions_are_of_length_one(camera):
 Fault = Callable[[Scene], Any]
 
 
-def rays_of(scene: Scene, camera: Any, film: Film, move: Callable[[Any, Any], Any] = lambda x, y: (x, y)) -> Rays:
-    """What the second formula gives another camera, another film or other pixels."""
-    x, y = pixel_centers(scene)
-    found = reference_of_camera(camera).rays(camera, film, *move(x, y))
-    return Rays(found.o, found.d, found.t_min, found.t_max)
-
-
-def shifted(scene: Scene) -> Rays:
-    return rays_of(scene, scene.camera, scene.film, lambda x, y: (x + 0.5, y))
-
-
-def flipped(scene: Scene) -> Rays:
-    return rays_of(scene, scene.camera, scene.film, lambda x, y: (x, scene.film.height - y))
-
-
-def swapped(scene: Scene) -> Rays:
-    film = Film(width=scene.film.height, height=scene.film.width)
-    return rays_of(scene, scene.camera, film)
-
-
-def mirrored(scene: Scene) -> Rays:
-    return rays_of(scene, scene.camera, scene.film, lambda x, y: (scene.film.width - x, y))
-
-
 def nudged(scene: Scene) -> Rays:
-    """A hundred-millionth of a pixel."""
-    return rays_of(scene, scene.camera, scene.film, lambda x, y: (x + 1e-8, y))
+    """What the second formula gives a hundred-millionth of a pixel beside the centres."""
+    x, y = pixel_centers(scene)
+    found = reference_of_camera(scene.camera).rays(scene.camera, scene.film, x + 1e-8, y)
+    return Rays(found.o, found.d, found.t_min, found.t_max)
 
 
 def stretched(scene: Scene) -> Rays:
@@ -120,10 +98,6 @@ def one_not_a_number(scene: Scene) -> Rays:
     return rays._replace(d=d)
 
 
-def with_camera(**change: Any) -> Fault:
-    return lambda scene: rays_of(scene, scene.camera.model_copy(update=change), scene.film)
-
-
 def near_off(scene: Scene) -> Rays:
     rays = camera_rays(scene)
     return rays._replace(t_min=rays.t_min * (1.0 + 1e-6))
@@ -134,21 +108,7 @@ def far_off(scene: Scene) -> Rays:
     return rays._replace(t_max=rays.t_max * (1.0 - 1e-6))
 
 
-def plane_for_sphere(scene: Scene) -> Rays:
-    """Near as a distance along each ray, where it is a plane."""
-    rays = camera_rays(scene)
-    return rays._replace(t_min=np.full_like(rays.t_min, scene.camera.near))
-
-
-COMMON = (shifted, flipped, mirrored, swapped, nudged, stretched, moved, one_missing, one_not_a_number)
-PINHOLE = {
-    "fov axis": with_camera(fov_axis="y"),
-    "sign of the principal point": with_camera(principal_point=(-0.2, 0.1)),
-    "fov": with_camera(fov=40.0 * (1.0 + 1e-10)),
-    "near": near_off,
-    "far": far_off,
-    "near as a distance": plane_for_sphere,
-}
+COMMON = (nudged, stretched, moved, one_missing, one_not_a_number)
 
 
 def fixed_scene(camera: str) -> Scene:
@@ -173,14 +133,10 @@ def test_a_fault_of_any_camera_is_detected(monkeypatch, camera, fault):
     assert seen(monkeypatch, fixed_scene(camera), fault)
 
 
-@pytest.mark.parametrize("fault", PINHOLE)
-def test_a_fault_of_the_pinhole_is_detected(monkeypatch, fault):
-    assert seen(monkeypatch, fixed_scene("pinhole"), PINHOLE[fault])
-
-
+@pytest.mark.parametrize("camera", ["pinhole", "orthographic"])
 @pytest.mark.parametrize("fault", [near_off, far_off], ids=lambda fault: fault.__name__)
-def test_a_fault_of_the_orthographic_limits_is_detected(monkeypatch, fault):
-    assert seen(monkeypatch, fixed_scene("orthographic"), fault)
+def test_a_fault_of_the_limits_is_detected(monkeypatch, camera, fault):
+    assert seen(monkeypatch, fixed_scene(camera), fault)
 
 
 def one_ray() -> Scene:

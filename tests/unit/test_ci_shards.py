@@ -11,7 +11,7 @@ import caster
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.judge.verdict import Finding, Verdict
 from mitsuba_ref.runner.many_scenes import SceneEntry
-from mitsuba_ref.runner.shards import Shard, judged_with, run_identity, scenes_of_shard
+from mitsuba_ref.runner.shards import Shard, run_identity, scenes_of_shard
 from mitsuba_ref.runner.verdict_files import read_verdict
 
 CAMERA = caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0))
@@ -82,18 +82,15 @@ def merged(capsys, *words):
 
 
 def test_all_shards_together_are_the_run(folder, capsys):
-    code, out, _ = merged(capsys, "2.json", "1.json")
+    """A folder stands for its verdict."""
+    (folder / "out-1").mkdir()
+    (folder / "1.json").rename(folder / "out-1/verdict.json")
+    code, out, _ = merged(capsys, "2.json", "out-1")
     assert code == 0 and "4 scenes: 4 pass, 0 fail" in out
     whole = read_verdict("all.json")
     assert whole.ok and tuple(scene.name for scene in whole.scenes) == NAMES and whole.shard == ""
     assert (folder / "all.md").read_text().startswith("## PASS: 4 scenes") and "shard" not in out
     assert 'tests="4"' in (folder / "all.xml").read_text()
-
-
-def test_a_folder_stands_for_its_verdict(folder, capsys):
-    (folder / "out-1").mkdir()
-    (folder / "1.json").rename(folder / "out-1/verdict.json")
-    assert merged(capsys, "out-1", "2.json")[0] == 0
 
 
 def test_a_shard_that_is_missing_fails_and_its_scenes_are_named(folder, capsys):
@@ -154,11 +151,6 @@ def test_shards_of_other_processors_are_put_together_and_both_are_named(folder, 
     write("2.json", shard("2/2", "b", "d", judged_with=WITH | {"processor": "two"}))
     assert merged(capsys, "1.json", "2.json")[0] == 0
     assert read_verdict("all.json").judged_with["processor"] == "one and two"
-
-
-def test_a_run_states_what_it_judged_with():
-    found = judged_with()
-    assert {"machine", "processor", "mitsuba", "numpy", "variant of triangles", "libLLVM"} <= found.keys()
 
 
 def test_a_file_that_is_no_verdict_is_reported(folder, capsys):

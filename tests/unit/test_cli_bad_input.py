@@ -1,7 +1,5 @@
 """Bad input to `caster`: a sentence that says where and what, its exit code, and nothing left behind."""
 
-import struct
-
 import pytest
 
 from caster.__main__ import main
@@ -10,58 +8,24 @@ pytestmark = pytest.mark.usefixtures("warm")
 
 CAMERA = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n'
 SPHERE = '[[shape]]\ntype = "sphere"\n'
-MESH = '[[shape]]\ntype = "mesh"\nfile = "m.{}"\n'
-OBJ, PLY = MESH.format("obj"), MESH.format("ply")
-
-TRIANGLE_PLY = (
-    b"""ply
-format binary_little_endian 1.0
-element vertex 3
-property float x
-property float y
-property float z
-element face 1
-property list uchar int vertex_indices
-end_header
-"""
-    + struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)
-    + struct.pack("<Biii", 3, 0, 1, 2)
-)
+MESH = '[[shape]]\ntype = "mesh"\nfile = "m.obj"\n'
 
 # What is wrong: (scene text, mesh files beside it, exit code, the message after the scene's name). Errors of the scene
 # text itself are in test_scene_errors.py, those of mesh files in test_mesh_*.py.
 BAD_SCENES = {
     "an unknown key": (CAMERA + "foov = 40\n", {}, 2, ":5:1: camera (pinhole): foov is an unknown key, did you mean"),
-    "NaN in the normals of a mesh": (
-        CAMERA + OBJ,
-        {"m.obj": b"v 0 0 0\nvn 1 nan 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"},
+    "a broken mesh": (
+        CAMERA + MESH,
+        {"m.obj": b"v 0 0 0\nf 1 2\n"},
         2,
-        ":7:1: shapes[0] (mesh): file cannot be used: m.obj:2: vn must be finite numbers",
+        ":7:1: shapes[0] (mesh): file cannot be used: m.obj:2",
     ),
-    "an empty mesh": (
-        CAMERA + PLY,
-        {"m.ply": b""},
-        2,
-        ":7:1: shapes[0] (mesh): file cannot be used: the file is empty (0 bytes)",
-    ),
-    "a truncated PLY": (
-        CAMERA + PLY,
-        {"m.ply": TRIANGLE_PLY[:-5]},
-        2,
-        ":7:1: shapes[0] (mesh): file cannot be used: truncated",
-    ),
-    "a missing mesh": (CAMERA + PLY, {}, 4, ":7:1: shapes[0] (mesh): file cannot be used: "),
+    "a missing mesh": (CAMERA + MESH, {}, 4, ":7:1: shapes[0] (mesh): file cannot be used: "),
     "numbers that overflow together": (
         CAMERA + SPHERE + "center = [1e308, 0, 0]\nto_world = { scale = 100 }\n",
         {},
         2,
         ": shapes[0] (sphere): must stay finite in world space",
-    ),
-    "a mesh without a corner that stays finite": (
-        CAMERA + OBJ + "to_world = { scale = 1e100 }\n",
-        {"m.obj": b"v 1e300 1e300 1e300\nv 2e300 1e300 1e300\nv 1e300 2e300 1e300\nf 1 2 3\n"},
-        2,
-        ": shapes[0] (mesh): must stay finite in world space",
     ),
     "an axis too short to have a direction": (
         CAMERA + '[[shape]]\ntype = "cylinder"\nname = "tube"\np1 = [0, 0, 1e-310]\n',
@@ -69,24 +33,15 @@ BAD_SCENES = {
         2,
         ': shapes[0] (cylinder "tube"): must stay finite in world space',
     ),
-    "a mesh path outside reach": (
-        CAMERA + PLY.replace("m.ply", "../m.ply"),
-        {"../m.ply": TRIANGLE_PLY},
-        2,
-        ":7:1: shapes[0] (mesh): file must lie in the scene's folder, below it, or below a folder given by "
-        '--mesh-dir, got "../m.ply": add --mesh-dir ',
-    ),
     "no scene": (None, {}, 4, ": cannot read this scene file: No such file or directory"),
 }
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """An empty folder to work in, with one above it that is ours too."""
-    work = tmp_path / "work"
-    work.mkdir()
-    monkeypatch.chdir(work)
-    return work
+    """An empty folder to work in."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
 
 
 def put(folder, text, files=None):
@@ -113,15 +68,6 @@ def test_a_bad_scene_is_refused_with_its_line_by_every_command(folder, capsys, w
     assert refused(capsys, code, "probe", "s.toml", "0", "0") == said
     assert main(["check", "s.toml"]) == code and capsys.readouterr().out == said
     assert not (folder / "s.exr").exists()
-
-
-def test_a_mesh_dir_brings_a_mesh_into_reach(folder, capsys):
-    put(folder, *BAD_SCENES["a mesh path outside reach"][:2])
-    said = refused(capsys, 2, "render", "s.toml")
-    hint = said.splitlines()[0].rpartition("add ")[2].split()
-    assert hint[0] == "--mesh-dir"
-    assert main(["check", "s.toml", *hint]) == 0
-    assert main(["check", "--mesh-dir", "elsewhere", "--mesh-dir", str(folder.parent), "s.toml"]) == 0
 
 
 def test_check_reports_all_errors_of_all_files(folder, capsys):
@@ -172,6 +118,7 @@ def test_a_wrong_option_is_2_and_nothing_is_written(folder, capsys, options, mes
         (["render", "s.toml", "--size", "8", "x"], "argument --size: invalid int value: 'x'"),
         (["render", "s.toml", "--threads", "0"], "argument --threads: expected a whole number >= 1, got '0'"),
         (["render", "s.toml", "--threads", "two"], "argument --threads: expected a whole number >= 1, got 'two'"),
+        (["render", "s.toml", "--threads", "1000000"], "--threads: expected at most 1024 threads, got 1000000"),
         (["render", "s.toml", "--colour"], "unrecognized arguments: --colour"),
         (["render", "s.toml", "--expl"], "unrecognized arguments: --expl"),
         (["probe", "s.toml", "1"], "the following arguments are required: Y"),
@@ -192,6 +139,3 @@ def test_an_output_that_cannot_be_written_is_reported_before_the_scene_is_render
     put(folder, CAMERA + SPHERE)
     monkeypatch.setattr("caster.rendering.images.trace_film", None)  # calling it would end with 70
     refused(capsys, 4, "render", "s.toml", "-o", "no/s.exr")
-
-
-# ---- the same as a process of its own ----

@@ -1,4 +1,4 @@
-"""The command `caster` as a whole: its help, its small commands, and how it ends."""
+"""The commands as a whole: their help, small commands, and how they end."""
 
 import io
 import json
@@ -16,10 +16,14 @@ from caster.__main__ import main
 from caster.cli import COMMANDS
 from caster.description.errors import FileMissing, SceneError
 from caster.system import process
-from mitsuba_ref.__main__ import main as judge_main
+from mitsuba_ref.cli import COMMANDS as JUDGE_COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
-SLOW = {"numba", "llvmlite", "mitsuba", "drjit", "OpenEXR", "numpy", "pydantic", "pydantic_core", "rich"}
+SLOW = {"numba", "PIL", "llvmlite", "mitsuba", "drjit"}
+PROGRAMS = [
+    ("caster", "caster", COMMANDS, SLOW | {"OpenEXR", "numpy", "pydantic", "pydantic_core", "rich"}),
+    ("mitsuba_ref", "mitsuba-ref", JUDGE_COMMANDS, SLOW),
+]
 
 
 def python(*argv, **options):
@@ -32,14 +36,16 @@ def python(*argv, **options):
 # ---- help ----
 
 
-def test_help_of_every_command_loads_nothing_slow():
+@pytest.mark.parametrize(("module", "program", "commands", "slow"), PROGRAMS, ids=["caster", "mitsuba-ref"])
+def test_help_of_every_command_loads_nothing_slow(module, program, commands, slow):
     source = (
-        "import sys; from caster.__main__ import main; print([main([n, '--help']) for n in sys.argv[1:]], *sys.modules)"
+        f"import sys; from {module}.__main__ import main; "
+        "print([main([n, '--help']) for n in sys.argv[1:]], *sys.modules)"
     )
-    out, err = python("-c", source, *(command.name for command in COMMANDS)).communicate()
+    out, err = python("-c", source, *(command.name for command in commands)).communicate()
     codes, modules = out.splitlines()[-1].split("] ")
-    assert (set(codes), err) == (set("[0, "), "") and out.count("usage: caster ") == len(COMMANDS)
-    assert not SLOW & {module.partition(".")[0] for module in modules.split()}
+    assert (set(codes), err) == (set("[0, "), "") and out.count(f"usage: {program} ") == len(commands)
+    assert not slow & {loaded.partition(".")[0] for loaded in modules.split()}
 
 
 def test_version(capsys):
@@ -144,20 +150,3 @@ def test_an_interrupted_render_leaves_nothing_and_ends_with_130(tmp_path):
     _, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (130, "interrupted\n")
     assert [path.name for path in tmp_path.iterdir()] == ["s.toml"]
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["caster", "render", "a.toml", "--threads", "1000000"], "expected at most 1024 threads, got 1000000"),
-        (["caster", "render", "scenes/one-sphere.toml", "--aov", ","], "aov '': no name between two commas"),
-        (["mitsuba-ref", "validate", "--candidate", "a:b", "--candidate-serve", "c"], "not allowed with argument"),
-    ],
-)
-def test_what_cannot_be_meant_is_refused(words, says, capsys):
-    run = main if words[0] == "caster" else judge_main
-    try:
-        code = run(words[1:])
-    except SystemExit as error:
-        code = error.code
-    assert code == 2 and says in capsys.readouterr().err

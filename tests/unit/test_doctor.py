@@ -32,13 +32,6 @@ def test_the_judges_pins_are_the_projects():
     assert pins == PROJECT["optional-dependencies"]["reference"]
 
 
-def test_optional_packages_are_looked_for_with_the_projects_least_versions_and_are_not_needed():
-    optional = (judge_doctor.MATPLOTLIB, *judge_doctor.PEERS)
-    least = {f"{part.distribution}>={part.least}" for part in optional}
-    extras = PROJECT["optional-dependencies"]
-    assert least == {*extras["plots"], *extras["peers"]} and not any(part.needed for part in optional)
-
-
 def test_this_environment_is_usable(capsys):
     assert installation.print_findings(list(NAMED.values()), False) == 0
     assert capsys.readouterr().out.endswith("Usable: everything needed was found.\n")
@@ -95,11 +88,11 @@ def test_the_judge_looks_for_everything_the_caster_uses_and_for_mitsuba():
     ],
 )
 def test_the_judge_is_usable_with_the_scalar_variant(monkeypatch, found, variants, libllvm):
-    """Spheres, disks and cylinders need it; libLLVM and a browser are extras."""
+    """Spheres, disks and cylinders need it; libLLVM is an extra."""
     here = with_variants(monkeypatch, **found)
     assert here["variants"].found is found.get("scalar", True) and here["variants"].detail == variants
     assert here["libLLVM"].found is bool(found.get("libllvm")) and libllvm in here["libLLVM"].detail
-    assert not any(here[name].needed for name in ("libLLVM", "browser"))
+    assert not here["libLLVM"].needed
     assert here["variants"].needed
 
 

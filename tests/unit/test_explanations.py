@@ -6,10 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from caster.aovs import Aovs
-from mitsuba_ref.judge.checks.render import bits_differ
 from mitsuba_ref.judge.classification import reference_prims
-from mitsuba_ref.judge.diagnosis import _marked_misses, marked_miss
 from mitsuba_ref.judge.explanations import QUANTITY_NAMES, exceeded_bounds
 
 
@@ -33,17 +30,6 @@ def test_what_exceeds_its_bound_is_reported_with_its_factor(ratios, told):
     assert exceeded_bounds(ratios) == told.format(**names)
 
 
-def test_bits_differ_where_any_component_has_others():
-    hit = np.ones((2, 3), bool)
-    n, t = np.zeros((2, 3, 3)), np.ones((2, 3))
-    other_n, other_t = n.copy(), t.copy()
-    other_n[0, 1, 2], other_n[1, 2, 0], other_t[1, 0] = -0.0, 1.0, np.nextafter(1.0, 2.0)
-    ours, others = Aovs({"normal": n, "depth": t}, hit), Aovs({"normal": other_n, "depth": other_t}, hit)
-    assert np.flatnonzero(bits_differ(ours, others, "normal")).tolist() == [1, 5]
-    assert np.flatnonzero(bits_differ(ours, others, "depth")).tolist() == [3]
-    assert not bits_differ(ours, ours, "normal").any()
-
-
 def test_a_primitive_of_mitsuba_is_counted_in_its_shape_and_of_a_stand_in_is_the_first():
     model = SimpleNamespace(packed=SimpleNamespace(first=np.array([0, 1, 5, 6])))
     shape, prim = np.array([0, 1, 1, 1, 2, 2, -1, 1]), np.array([0, 0, 3, 4, 7, 0, 2, 1])
@@ -51,28 +37,3 @@ def test_a_primitive_of_mitsuba_is_counted_in_its_shape_and_of_a_stand_in_is_the
     result = SimpleNamespace(shape_id=shape, hit=hit, answer=SimpleNamespace(prim=prim))
     found = reference_prims(result, model)
     assert found.tolist() == [0, 1, 4, 1, 5, 5, -1, -1] and found.dtype == np.int32
-
-
-@pytest.mark.parametrize(
-    ("t", "hits_only", "told"),
-    [
-        ([5.0, 9.0, 9.0, 3.0], False, [1, 2]),
-        ([5.0, 9.0, 8.0, 3.0], False, None),  # not the same number
-        ([5.0, math.inf, math.inf, 3.0], False, None),
-        ([5.0, 9.0, 9.0, 3.0], True, None),  # who answers hits alone marks no miss
-    ],
-)
-def test_a_number_in_place_of_inf_is_reported_where_mitsuba_misses(t, hits_only, told):
-    """Rays 1 and 2 miss; the last one is none."""
-    judge = SimpleNamespace(
-        result=SimpleNamespace(hit=np.array([True, False, False, False])),
-        t_max=np.array([1.0, 1.0, 0.0, -1.0]),
-        answer=SimpleNamespace(t=np.array(t), hits_only=hits_only),
-    )
-    found = [(what, rows.tolist()) for what, rows in _marked_misses(judge)]
-    assert found == ([] if told is None else [(marked_miss(9.0), told)])
-    assert not list(
-        _marked_misses(
-            SimpleNamespace(**{**vars(judge), "result": SimpleNamespace(hit=np.array([True, False, True, True]))})
-        )
-    )

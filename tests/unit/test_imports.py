@@ -4,7 +4,6 @@ import ast
 import functools
 import importlib
 import re
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -259,11 +258,8 @@ def plant(root: Path, path: str, source: str) -> list[str]:
     ("path", "source", "reason"),
     [
         ("caster/rendering/images.py", "def f():\n    from mitsuba import load_file", "does not depend on its judge"),
-        ("caster/rendering/images.py", "import OpenEXR", "only caster/image/exr.py"),
         ("caster/rendering/images.py", "import importlib\nimportlib.import_module('numba')", "only caster/jit imports"),
-        ("caster/rendering/images.py", "import llvmlite.binding", "only caster/jit imports"),
         ("caster/kernels/bvh/build.py", "from ...scene import model", "a kernel imports"),
-        ("caster/jit/decorators.py", "from caster.scene.model import Scene", "the Numba interface imports"),
         ("caster/cli/viewing.py", f"from {NUMBA_DOOR} import jit", "define no kernel"),
         ("caster/shapes/disk.py", "from .sphere import Sphere", "not its siblings"),
         (
@@ -271,9 +267,6 @@ def plant(root: Path, path: str, source: str) -> list[str]:
             "def f():\n    import mitsuba_ref.cli.validate",
             "comes after mitsuba_ref.judge",
         ),
-        ("mitsuba_ref/judge/verdict.py", "from caster.kernels.math.vec import dot", "never imports kernels"),
-        ("mitsuba_ref/judge/verdict.py", "import mitsuba as mi", "only mitsuba_ref/reference/mitsuba_calls.py"),
-        ("mitsuba_ref/oracle/oracle.py", "from mitsuba_ref.error_model.bracket import Bracket", "shares no code"),
         ("mitsuba_ref/oracle/interface.py", "import flint", "shares no code"),
         ("mitsuba_ref/judge/verdict.py", "from caster.scene.model import Secret", "names in __all__"),
     ],
@@ -308,31 +301,6 @@ def test_a_planted_circle_is_found(tmp_path, later):
     (tmp_path / "caster/c.py").write_text(later)
     found = architecture.circle(architecture.graph_of(architecture.read_sources(tmp_path)))
     assert found == ("caster.a", "caster.b", "caster.c")
-
-
-SLOW = {"numba", "PIL", "llvmlite", "mitsuba", "drjit"}
-HELP = """
-import importlib, sys
-command, sys.argv = sys.argv[1], [sys.argv[2], "--help"]
-try:
-    importlib.import_module(command).main()
-except SystemExit as stop:
-    assert not stop.code, f"--help ended with {stop.code}"
-print("\\nloaded:", *sorted({name.partition(".")[0] for name in sys.modules}))
-"""
-
-
-@pytest.mark.parametrize(("module", "command"), [("caster", "caster"), ("mitsuba_ref", "mitsuba-ref")])
-def test_help_imports_neither_numba_nor_mitsuba(module, command):
-    main = ROOT / module / "__main__.py"
-    assert main.is_file(), f"{main.relative_to(ROOT)} is missing: the command {command} has no main()"
-    run = subprocess.run(
-        [sys.executable, "-c", HELP, f"{module}.__main__", command], cwd=ROOT, capture_output=True, text=True
-    )
-    assert run.returncode == 0, run.stderr
-    answer, _, loaded = run.stdout.partition("\nloaded:")
-    assert "usage" in answer.lower()
-    assert not SLOW & set(loaded.split()), f"{command} --help loads {', '.join(SLOW & set(loaded.split()))}"
 
 
 def test_every_public_name_is_there():

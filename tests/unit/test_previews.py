@@ -16,12 +16,10 @@ from caster.image.previews import (
     GAP_PIXELS,
     LABEL_PIXELS,
     NON_FINITE_COLOR,
-    LabelledImage,
     aov_view,
     checkerboard,
     colormap_lookup,
     label_colors,
-    sheet,
 )
 
 pytestmark = pytest.mark.usefixtures("warm")
@@ -128,14 +126,6 @@ def test_directions_positions_uv_and_light_have_known_colours():
     assert one_row("albedo", [0.0, 0.5, 1.0]).pixels[0, 0].tolist() == [0, 188, 255]
     assert one_row("diffuse", [0.0, 2.0, 4.0]).pixels[0, 0].tolist() == [0, 188, 255]
     assert one_row("diffuse", [0.0, 0.0, 0.0]).pixels[0, 0].tolist() == [0, 0, 0]
-
-
-def test_a_sheet_has_a_cell_with_a_label_for_each(folder):
-    pictures = [LabelledImage(f"p{i}", np.full((10 + i, 30, 3), i, np.uint8), "") for i in range(5)]
-    found = sheet(pictures, 2)
-    assert found.shape == (3 * (14 + LABEL_PIXELS) + 2 * GAP_PIXELS, 2 * 30 + GAP_PIXELS, 3)
-    assert (found[2:12, :30] == 0).all() and (found[1:12, 34:] == 1).all()
-    assert found[14 : 14 + LABEL_PIXELS].min() < 128 and found[-1, -1].tolist() == [255, 255, 255]
 
 
 def test_a_file_is_shown_as_its_render(folder, capsys):

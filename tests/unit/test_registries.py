@@ -25,18 +25,15 @@ NOT_COMPARED = {
 SEEN_THROUGH = {"hit": "mask"}  # AOV -> the check it goes by
 
 
-def test_every_shape_has_exactly_one_reference():
-    described = list(shapes.REFERENCES)
-    for shape in SHAPES:
-        assert described.count(shape) == 1, missing_reference(shape.__name__, "shapes")
-    assert len(described) == len(SHAPES), "a reference without its shape in caster/shapes/__init__.py"
-
-
-def test_every_camera_has_exactly_one_reference():
-    described = list(cameras.REFERENCES)
-    for camera in CAMERAS:
-        assert described.count(camera) == 1, missing_reference(camera.__name__, "cameras")
-    assert len(described) == len(CAMERAS), "a reference without its camera in caster/cameras/__init__.py"
+@pytest.mark.parametrize(
+    ("described", "registered", "folder"),
+    [(shapes.REFERENCES, SHAPES, "shapes"), (cameras.REFERENCES, CAMERAS, "cameras")],
+    ids=["shapes", "cameras"],
+)
+def test_every_kind_has_exactly_one_reference(described, registered, folder):
+    for kind in registered:
+        assert list(described).count(kind) == 1, missing_reference(kind.__name__, folder)
+    assert len(described) == len(registered), f"a reference without its class in caster/{folder}/__init__.py"
 
 
 def test_every_aov_is_compared_or_listed_as_not_compared():

@@ -114,6 +114,11 @@ ONE_LINERS = [
         "5:1: camera (pinhole): up must be a direction across the view [0, 0, -5], not along it, got [0, 0, 3]",
     ),
     (
+        "an empty range",
+        camera("pinhole", "look_at = [0, 0, 0]\nnear = 1\nfar = 1"),
+        "1:1: camera (pinhole): near must be < far, got near 1.0 and far 1.0",
+    ),
+    (
         "the default up along the view",
         camera("pinhole", "direction = [0, 2, 0]"),
         "1:1: camera (pinhole): up must be a direction across the view [0, 1, 0], not along it, got [0, 1, 0]",
@@ -302,7 +307,6 @@ material = "gold"
 type = "pinhole"
 eye = [0, 0, 5]
 look_at = [0, 0, 5]
-fov = 180
 
 [[shape]]
 type = "mesh"
@@ -312,7 +316,7 @@ file = "../out/of/reach.ply"
 width = 0
 """
     heads = [line for line in errors(text).splitlines() if line.startswith("scenes/")]
-    assert [head.split(": ")[0] for head in heads] == [f"scenes/x.toml:{line}:1" for line in (3, 4, 9, 10, 14, 17)]
+    assert [head.split(": ")[0] for head in heads] == [f"scenes/x.toml:{line}:1" for line in (3, 4, 9, 13, 16)]
 
 
 def test_a_default_that_does_not_fit_is_reported_beside_another_error():

@@ -2,14 +2,10 @@
 
 import functools
 from pathlib import Path
-from typing import Literal
 
 import pytest
-from pydantic import Field
 from scene_options import aspects, demanded, demanded_aspects, exercised
 
-from caster.cameras import Pinhole
-from caster.description.fields import Description
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref.fuzz.campaign import example
@@ -68,36 +64,3 @@ def test_every_enumerated_value_is_drawn_by_fuzz(drawn):
     """Those of enumerations, kinds and bools: shipped scenes may change."""
     enumerated = [each for each in demanded(Scene) if each.endswith("'") or each.endswith(("True", "False"))]
     assert enumerated and not missing(enumerated, drawn)
-
-
-class Wider(Pinhole):
-    """A pinhole with options that no scene has."""
-
-    fov_axis: Literal["x", "y", "diagonal", "smaller", "larger", "widest"] = "x"
-    mirrored: bool = False
-
-
-class Holder(Description):
-    camera: Wider
-    several: tuple[Wider, ...] = Field(default=(), alias="more")
-    shutter: float | None = None
-    gain: float = 1.0
-
-
-@pytest.mark.parametrize(
-    "option",
-    [
-        "Wider 'pinhole'.fov_axis: 'widest'",
-        "Wider 'pinhole'.mirrored: True",
-        "Holder.several: two or more",
-        "Holder.shutter: given",
-        "Holder.gain: another than the default",
-    ],
-)
-def test_a_new_option_is_demanded_by_its_name(option):
-    """Of one that uses none of them, each is missing; of one that uses it, it is not."""
-    view = {"eye": (0.0, 0.0, 5.0), "direction": (0.0, 0.0, -1.0)}
-    plain, wide = Wider(**view), Wider(**view, fov_axis="widest", mirrored=True)
-    assert option in missing(demanded(Holder), exercised(Holder(camera=plain)))
-    rich = Holder(camera=wide, more=(plain, wide), shutter=0.5, gain=2.0)
-    assert option not in missing(demanded(Holder), exercised(rich))

@@ -9,7 +9,7 @@ a group. The tree is traversed once for a group; primitives that a run may hit a
 import math
 from typing import Any, NamedTuple
 
-from caster.jit.decorators import generic_inlined, implement, inlined, jit
+from caster.jit.decorators import generic_inlined, implement, inlined, jit, optional
 from caster.jit.simd import CHILDREN, LANES, lowest_bit, prefetch
 from caster.kernels.bvh.build import LEAF_SIZE, LEAF_SIZE_BASE
 from caster.kernels.math.lanes import (
@@ -29,8 +29,6 @@ from caster.kernels.protocol import Vec3, intersect, load, prepare
 from caster.kernels.raster.tile import (
     CACHE_LINE,
     DX,
-    DY,
-    DZ,
     FAN_X,
     FAN_Y,
     HEIGHT,
@@ -44,10 +42,11 @@ from caster.kernels.raster.tile import (
     WIDTH,
     T,
     cast_lanes,
+    get,
     lane,
     update_nearest,
 )
-from caster.kernels.triangles import PLANE_ERROR, Triangles
+from caster.kernels.triangles import PLANE_ERROR, Triangles, corners_of
 
 
 class Fan(NamedTuple):
@@ -97,9 +96,10 @@ QUOTIENT_ROUNDING = 1.0 - 2.0**-40
 DEPTH_ROUNDING = 1.0 + 2.0**-40
 
 BOX_SIZE = FAN_FIELDS * CHILDREN
-"""Numbers of a node's boxes: (5, CHILDREN), least x, -largest x, least y, -largest y, and
+"""Numbers of a node's boxes, (5, CHILDREN): least x, -largest x, least y, -largest y and a depth.
 
-of primitives and nodes the least depth, of rays -(the largest); inf where there is nothing."""
+The depth is the least one of primitives and nodes, and minus the largest one of rays. All are inf where there is
+nothing."""
 
 ROWS = 8  # runs of a block
 RUNS_ACROSS = WIDTH // LANES
@@ -133,14 +133,8 @@ class RayGroups(NamedTuple):
 
 
 @inlined
-def fan_project(fan: Fan, p: Vec3) -> Vec3:
-    """(x, y, depth) of a point; x and y are not divided where it is behind."""
-    return project_vector(fan, sub(p, fan.origin))
-
-
-@inlined
 def project_vector(fan: Fan, a: Vec3) -> Vec3:
-    """The same of a point relative to the fan's origin."""
+    """(x, y, depth) of a point relative to the fan's origin; x and y are not divided where it is behind."""
     depth = dot(fan.forward, a)
     over = depth if (fan.perspective != 0.0) & (depth > 0.0) else 1.0
     return dot(fan.across, a) / over, dot(fan.up, a) / over, depth
@@ -153,18 +147,18 @@ def project_vector(fan: Fan, a: Vec3) -> Vec3:
 def project_along(fan: Any, points: Any, projected: Any, start: int, stop: int) -> None:
     """projected (n, 3): x, y, depth of points start..stop."""
     for i in range(start, stop):
-        projected[i, 0], projected[i, 1], projected[i, 2] = fan_project(fan, row(points, i))
+        projected[i, 0], projected[i, 1], projected[i, 2] = project_vector(fan, sub(row(points, i), fan.origin))
 
 
 @jit
 def bound_hulls_along(fan: Any, corners: Any, projected: Any, order: Any, prims: Any, start: int, stop: int) -> None:
-    """Boxes of the hulls order[start:stop] between projected points; corners: (n, points of a hull)."""
+    """Boxes of the hulls order[start:stop] of projected points; corners: (n, points of a hull)."""
     for at in range(start, stop):
-        box = nothing()
+        box = NOTHING
         for j in range(corners.shape[1]):
             box = with_point(box, row(projected, corners[order[at], j]))
         if not store_prim(fan, prims, at, box):
-            box = nothing()
+            box = NOTHING
             for j in range(corners.shape[1]):
                 box = with_point(box, undivided(row(projected, corners[order[at], j])))
             store_near_prim(fan, prims, at, box)
@@ -174,9 +168,7 @@ Extent = tuple[float, float, float, float, float, float]
 """Least x, -largest x, least y, -largest y, least depth, -largest depth"""
 
 
-@inlined
-def nothing() -> Extent:
-    return math.inf, math.inf, math.inf, math.inf, math.inf, math.inf
+NOTHING: Extent = math.inf, math.inf, math.inf, math.inf, math.inf, math.inf
 
 
 @inlined
@@ -187,7 +179,7 @@ def with_point(box: Extent, p: Vec3) -> Extent:
 
 @inlined
 def undivided(p: Vec3) -> Vec3:
-    """A projected point before the division, but for 2 u."""
+    """A projected point before the division, within 2 u."""
     over = p[2] if p[2] > 0.0 else 1.0
     return p[0] * over, p[1] * over, p[2]
 
@@ -227,14 +219,14 @@ def bound_nodes_along(links: Any, bounds: Any) -> None:
         for j in range(CHILDREN):
             link = links[node, j]
             for f in range(FAN_FIELDS):
-                least = math.inf
+                low = math.inf
                 if link >= 0:
-                    least = least_of(nodes, link * BOX_SIZE + f * CHILDREN)
+                    low = least_of(nodes, link * BOX_SIZE + f * CHILDREN)
                 else:
                     start, number = ~link // LEAF_SIZE_BASE, ~link % LEAF_SIZE_BASE
                     for at in range(start, start + number):
-                        least = min(least, prims[at * PRIM_FIELDS + f])
-                nodes[node * BOX_SIZE + f * CHILDREN + j] = least
+                        low = min(low, prims[at * PRIM_FIELDS + f])
+                nodes[node * BOX_SIZE + f * CHILDREN + j] = low
 
 
 # ---- rays ----
@@ -242,7 +234,7 @@ def bound_nodes_along(links: Any, bounds: Any) -> None:
 
 @inlined
 def least_of(boxes: Any, first: int) -> float:
-    """The least of CHILDREN numbers."""
+    """The least of CHILDREN numbers; a load of all at once would wait for the store of one."""
     least = math.inf
     for j in range(first, first + CHILDREN):
         least = min(least, boxes[j])
@@ -316,8 +308,7 @@ def group_run(fan: Fan, tile: Any, first: Any, outward: bool) -> bool:
     """
     for n in range(lane(LANES)):
         i = first + n
-        o = tile[OX + i], tile[OY + i], tile[OZ + i]
-        d = tile[DX + i], tile[DY + i], tile[DZ + i]
+        o, d = get(tile, OX + i), get(tile, DX + i)
         x, y, depth = project_vector(fan, d if outward else sub(o, fan.origin))
         ray = tile[T_MAX + i] >= 0.0
         ahead = (depth > 0.0) & (abs(x) <= FAN_LIMIT) & (abs(y) <= FAN_LIMIT)
@@ -344,38 +335,29 @@ NO_POINT = 0.0, 0.0, 0.0
 NO_PLANE = NO_POINT, NO_POINT, NO_POINT
 
 
-@generic_inlined
+@optional(generic_inlined)
 def outline(prims: Any, k: int, points: Any, wide: float) -> Any:
     """Three lines (a, b, c): a ray at (x, y) misses primitive k if a x + b y + c < 0 for one of them."""
-
-
-@generic_inlined
-def separating_plane(prims: Any, prim: Any, fan: Fan) -> Any:
-    """(p, normal, error): a ray to the light that starts above it misses the primitive (math.lanes.lanes_above)."""
-
-
-@implement(outline, object)
-def _no_outline(prims: Any, k: int, points: Any, wide: float) -> Outline:
     return NO_OUTLINE
 
 
-@implement(separating_plane, object)
-def _no_plane(prims: Any, prim: Any, fan: Fan) -> Outline:
+@optional(generic_inlined)
+def separating_plane(prims: Any, prim: Any, fan: Fan) -> Any:
+    """(p, normal, error): a ray to the light that starts above it misses the primitive (math.lanes.lanes_above)."""
     return NO_PLANE
 
 
 @implement(outline, Triangles)
 def _triangle_outline(prims: Any, k: int, points: Any, wide: float) -> Outline:
-    i, j, h = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
-    p, q, r = (points[i, 0], points[i, 1]), (points[j, 0], points[j, 1]), (points[h, 0], points[h, 1])
+    p, q, r = corners_of(points, prims.faces, k)
     if wide < math.inf:
         return edge_line(p, q, r, wide), edge_line(q, r, p, wide), edge_line(r, p, q, wide)
     return NO_OUTLINE
 
 
 @inlined
-def edge_line(p: tuple[float, float], q: tuple[float, float], r: tuple[float, float], wide: float) -> Vec3:
-    """The line through p and q, moved away from r by `wide` along each axis.
+def edge_line(p: Vec3, q: Vec3, r: Vec3, wide: float) -> Vec3:
+    """The line (a, b, c) through the projections of p and q, moved away from r by `wide` along each axis.
 
     Corners that are off by up to `wide` along x and y do not lie beyond it, nor do points between them.
     """
@@ -397,12 +379,6 @@ def _triangle_plane(prims: Any, prim: Any, fan: Fan) -> Outline:
     sure = abs(height) > abs_dot(error, ahead) + fan.perspective * fan.slack * l1_norm(spread) + TINY
     side = math.copysign(1.0, height) if sure else 0.0
     return a, scaled(side, n), error
-
-
-@inlined
-def facing_limits(boxes: Any, first: int) -> tuple[float, float, float, float, float]:
-    """Limits for `boxes_below` of boxes that a primitive's box overlaps and that are not all in front of it."""
-    return -boxes[first + 1], -boxes[first], -boxes[first + 3], -boxes[first + 2], -boxes[first + 4]
 
 
 @inlined
@@ -456,12 +432,14 @@ def cast_fan(
                 continue
             start, number = ~inside // LEAF_SIZE_BASE, ~inside % LEAF_SIZE_BASE
             for at in range(start, start + number):
-                meets = facing_limits(bounds.prims, at * PRIM_FIELDS)
+                box, i = bounds.prims, at * PRIM_FIELDS
+                # of boxes that the primitive's box overlaps and that are not all in front of it
+                meets = -box[i + 1], -box[i], -box[i + 3], -box[i + 2], -box[i + 4]
                 mask = boxes_below(blocks, group, meets)
                 if mask == 0:
                     continue
                 k = tree.order[at]
-                lines = outline(prims, k, bounds.points, bounds.prims[at * PRIM_FIELDS + 5])
+                lines = outline(prims, k, bounds.points, box[i + 5])
                 plane = NO_PLANE if outward else separating_plane(prims, load(prims, k), fan)
                 count = 0
                 while mask != 0:
@@ -487,11 +465,10 @@ def cast_fan(
                     first = lane(block_corner(block) + r * WIDTH)
                     far = block * BOX_SIZE + 4 * CHILDREN
                     if outward:
-                        for i in range(first, first + lane(LANES)):
-                            d = tile[DX + i], tile[DY + i], tile[DZ + i]
-                            t, error = intersect(prims, pre, d, tile[T_MIN + i], tile[T_MAX + i])
+                        for x in range(first, first + lane(LANES)):
+                            t, error = intersect(prims, pre, get(tile, DX + x), tile[T_MIN + x], tile[T_MAX + x])
                             t, error = any_hit_result(t, error, any_hit)
-                            update_nearest(tile, i, prim_number, t, error)
+                            update_nearest(tile, x, prim_number, t, error)
                         depth = farthest_depth(tile, first, groups.stretch[found[n]])
                         runs[far + r] = -depth if depth >= 0.0 else math.inf
                     else:
