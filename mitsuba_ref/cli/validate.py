@@ -22,7 +22,6 @@ from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry
 from mitsuba_ref.runner.shards import merge_verdicts
 from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun, expected_toml, read_expected
 from mitsuba_ref.runner.verdict_files import read_verdict
-from mitsuba_ref.subjects.subject import Subject
 
 
 def run(args: argparse.Namespace) -> int:
@@ -34,7 +33,18 @@ def run(args: argparse.Namespace) -> int:
     candidate = requested_candidate(args)
     if args.thorough and candidate is not None:
         raise SceneError("--thorough: not with a candidate: it tests our own caster")
-    return judge_entries(args, entries, run_options(args, candidate), out)
+    options = RunOptions(
+        JudgeOptions(Path(args.out) if args.out else None, args.timeout, args.store, candidate, thorough=args.thorough),
+        args.workers,
+        args.maxfail,
+        args.html,
+        args.shard,
+        read_expected(args.expected) if args.expected else None,
+        args.skip_unsupported,
+        args.min_scenes,
+        whole_folders=not (args.expression or args.builtin) and all(Path(place).is_dir() for place in args.scenes),
+    )
+    return judge_entries(args, entries, options, out)
 
 
 def without_earlier_results(args: argparse.Namespace) -> OutFolder | None:
@@ -82,23 +92,6 @@ def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:
     codes = [error.exit_code if isinstance(error, SceneError) else USAGE for error in errors]
     alone = sum(not (scene.ok or scene.waived) for scene in verdict.scenes) + len(verdict.not_judged) == len(codes)
     return min(codes) if codes and alone else DIFFERENCES
-
-
-def run_options(args: argparse.Namespace, candidate: Subject | None) -> RunOptions:
-
-    chosen = args.expression or args.builtin
-    out = Path(args.out) if args.out else None
-    return RunOptions(
-        JudgeOptions(out, args.timeout, args.store, candidate, thorough=args.thorough),
-        args.workers,
-        args.maxfail,
-        args.html,
-        args.shard,
-        read_expected(args.expected) if args.expected else None,
-        args.skip_unsupported,
-        args.min_scenes,
-        whole_folders=not chosen and all(Path(place).is_dir() for place in args.scenes),
-    )
 
 
 def print_rows(running: ValidationRun) -> None:
