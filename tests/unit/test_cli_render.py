@@ -1,6 +1,5 @@
 """`caster render`: what is written is what was computed, the same bytes every time, and whence it came."""
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +9,6 @@ import caster
 import caster.rendering.threads
 from caster.__main__ import main
 from caster.aovs import AOVS
-from caster.rendering.bvh_construction import bvh_of
-from caster.rendering.hits import packed
 
 pytestmark = pytest.mark.usefixtures("warm")
 
@@ -99,22 +96,6 @@ def test_explain_reports_the_plan_and_what_was_left_out(folder, capsys):
     assert told["trees"] == "skipped: no ray needs one"
     assert told["shadow"] == "rays  skipped: diffuse was not requested"
     assert told["skipped"].split(", ") == [aov.NAME for aov in AOVS if aov.NAME != "depth"]
-
-
-def test_explain_reports_trees_surfaces_and_shadows_where_there_are_any(folder, capsys):
-    looking = 'type = "pinhole"\neye = [0.3, 0.4, 5]\nlook_at = [0, 0, 0]'
-    one_ray = SCENE.replace(looking, 'type = "ray"\norigin = [1.2, 0.5, 5]\ndirection = [0, 0, -1]')
-    (folder / "s.toml").write_text(one_ray)
-    render("--explain")
-    said = capsys.readouterr().out
-    cube = next(kind for kind in packed(caster.load_scene("s.toml")).kinds if len(kind.ids) == 12)
-    nodes = len(bvh_of(cube).links)
-    assert nodes >= 1 and "culling      bvh: " in said and f"triangles, 12: a BVH of {nodes} nodes" in said
-    assert "hits: position, normals\n" in said and "trees        1 grown: camera rays traverse them" in said
-    assert re.search(r"shadow rays  \d+ from each hit to the lights it faces, until anything is in the way", said)
-    (folder / "s.toml").write_text(one_ray + "[shading]\nshadows = false\n")
-    render("--explain")
-    assert "shadow rays  skipped: the scene switches shadows off" in capsys.readouterr().out
 
 
 def test_an_empty_scene_is_a_image_of_misses(folder, capsys):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from caster.jit import kernel_cache, machine_code
+from caster.jit import machine_code
 from caster.jit.arguments import describe, key_text
 from caster.jit.command_list import bind
 from caster.jit.decorators import COMPILATION_LOG, jit
@@ -49,49 +49,6 @@ def test_kernels_are_kept_where_the_environment_says(tmp_path):
     done = run(tmp_path / "home", "-c", SMALL, NUMBA_CACHE_DIR=str(tmp_path / "kept"))
     assert done.returncode == 0, done.stderr
     assert {path.suffix for path in (tmp_path / "kept").iterdir()} == {".o"} and not (tmp_path / "home").exists()
-
-
-RENDERS = """
-import sys
-from caster.__main__ import main
-from caster.jit.decorators import COMPILATION_LOG
-for scene in sys.argv[1:]:
-    assert main(["render", f"scenes/{scene}.toml", "--size", "8", "8", "-o", f"{scene}.exr"]) == 0
-    print(scene, len(COMPILATION_LOG.compiled))
-"""
-
-
-EDIT = "\n    return ", "\n    edited = 1\n    return "
-
-
-def test_an_edited_shape_is_compiled_anew_and_no_other(tmp_path):
-    """A copy of the package with an edit in each function of the disk, beside the kernels of the original."""
-    tree = tmp_path / "tree"
-    shutil.copytree(ROOT / "caster", tree / "caster", ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copytree(ROOT / "scenes", tree / "scenes")
-    shared = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    assert run(shared, "-c", RENDERS, "one-sphere", tree=tree).returncode == 0
-    disk = tree / "caster/shapes/disk.py"
-    source = disk.read_text()
-    assert source.count(EDIT[0]) > 5
-    disk.write_text(source.replace(*EDIT))
-    done = run(shared, "-c", RENDERS, "one-sphere", tree=tree)
-    assert done.returncode == 0 and done.stdout.endswith("one-sphere 0\n"), done.stdout + done.stderr
-
-
-@pytest.mark.slow("compiles kernels of disks")
-def test_kernels_of_an_edited_shape_are_compiled_anew(tmp_path):
-    tree = tmp_path / "tree"
-    shutil.copytree(ROOT / "caster", tree / "caster", ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copytree(ROOT / "scenes", tree / "scenes")
-    disk = tree / "caster/shapes/disk.py"
-    disk.write_text(disk.read_text().replace(*EDIT))
-    kept = tmp_path / "kept"
-    kept.mkdir()
-    for path in kernel_cache.cache_folder().glob("*.o"):  # and not the locks, which other workers remove
-        shutil.copy(path, kept)
-    done = run(tmp_path, "-c", RENDERS, "flat-shapes", tree=tree, NUMBA_CACHE_DIR=str(kept))
-    assert done.returncode == 0 and int(done.stdout.split()[-1]) > 0, done.stdout + done.stderr
 
 
 @pytest.fixture(scope="module")
