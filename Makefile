@@ -73,7 +73,6 @@ docs: $(INSTALLED) ## pages and pictures that are made from sources: API, packag
 	@$(BIN)/python docs/api.py
 	@$(BIN)/python docs/architecture.py
 	@$(BIN)/python docs/debugging.py
-	@$(BIN)/python docs/readme_images.py
 	@$(BIN)/caster sheet scenes -o docs/scenes.png --columns 9
 
 guard: $(INSTALLED) ## whether this tree renders slower than commit BASE did: fails beyond 1.25 times as long

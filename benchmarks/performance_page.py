@@ -11,22 +11,23 @@ import math
 import sys
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import matplotlib
 from matplotlib.figure import Figure
-from pages import WIDTH, write_page
+from pages import WIDTH, markdown, read_result, write_page
 
 from caster.system.atomic_files import write_text
 from mitsuba_ref.bench.casters import BY_KEY
 from mitsuba_ref.bench.measuring import MAX_CAST_S, MIN_TURN_S
 from mitsuba_ref.bench.result import COLUMNS, Run, SceneResult, overview, rows
 from mitsuba_ref.bench.scoring import EXACT_RAYS_PER_SORT
-from mitsuba_ref.report.results import markdown, read_result
 
 PAGE, IMAGE_FOLDER = "performance.md", "performance"
-README, README_SECTION = "README.md", "## How fast\n"  # whose table is that of the run
+README, README_SECTION = "README.md", "## How fast\n"  # whose table has these scenes of the run
+README_SCENES = ("one-sphere", "spheres-200", "rays-incoherent", "bunny", "bunny-lit")
 
 HEAD = """# Run time against error
 
@@ -98,7 +99,8 @@ def with_tables(text: str, run: Run) -> str:
     """The README with the table of a run in place of the one that stands in its section."""
     before, head, rest = text.partition(README_SECTION)
     section, rule, after = rest.partition("\n## ")
-    blocks = [table(run) if block.startswith("|") else block for block in section.split("\n\n")]
+    few = table(replace(run, scenes=[scene for scene in run.scenes if scene.name in README_SCENES]))
+    blocks = [few if block.startswith("|") else block for block in section.split("\n\n")]
     return before + head + "\n\n".join(blocks) + rule + after
 
 

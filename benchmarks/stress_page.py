@@ -16,9 +16,8 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
-from pages import WIDTH, write_page
+from pages import WIDTH, markdown, read_result, write_page
 
-from mitsuba_ref.report.results import markdown, read_result
 from mitsuba_ref.stress import sweeps
 from mitsuba_ref.stress.score import CASTERS, OURS, Score
 from mitsuba_ref.stress.sweeps import SettingResult, StressRun, SweepResult

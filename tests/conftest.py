@@ -35,7 +35,6 @@ NO_PEER = "is not installed, its example of docs/candidates is not tested"
 
 NO_CC = "none: Mitsuba is not limited to older instruction sets, no example in C is tested (apt install gcc libc6-dev)"
 
-# Firefox, which doctor also takes for a browser, opens reports, but is not what the tests drive.
 NO_CHROMIUM = "no Chromium: tests/report is skipped where it opens pages (apt install chromium)"
 
 
@@ -54,12 +53,12 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_report_header() -> list[str]:
     """What is missing is named here: no test is skipped for it in silence."""
-    from mitsuba_ref.cli.doctor import CHROMIUM, report
+    from mitsuba_ref.cli.doctor import report
 
     found = {finding.name: finding for finding in report()}
     old = OLD_LLVM if OLD_LLVM.exists() else "none: an abort of Mitsuba's own is not tested, a synthetic one is"
     peers = ", ".join(f"{name} {'found' if importlib.util.find_spec(name) else NO_PEER}" for name in PEERS)
-    chromium = next(filter(None, map(shutil.which, CHROMIUM)), NO_CHROMIUM)
+    chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), NO_CHROMIUM)
     return [
         *(f"{name}: {found[name].detail}" for name in NAMED_IN_HEADER),
         f"libLLVM that aborts: {old}",

@@ -9,7 +9,6 @@ from caster.scene.files import load_scene
 from mitsuba_ref.fuzz.campaign import check_example, example
 from mitsuba_ref.fuzz.findings import Tally
 from mitsuba_ref.hard.random_families import RANDOM as FAMILIES
-from mitsuba_ref.reference.mitsuba_process import ResidentSession
 from mitsuba_ref.report.validation import validate_scene
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # NumPy's scalars warn where machine code does not
@@ -32,16 +31,10 @@ def test_fuzz_finds_nothing(family, group):
         assert not found, found[0].what
 
 
-@pytest.fixture(scope="module")
-def session():
-    with ResidentSession() as resident:
-        yield resident
-
-
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
-def test_validate_passes(path, session):
+def test_validate_passes(path):
     scene = load_scene(path)
     width, height = FILM
     film = {"width": width, "height": height, **({"crop": (2, 1, 8, 6)} if scene.film.crop else {})}
-    verdict = validate_scene(scene.with_film(**film), path.stem, str(path), send=session.send)
+    verdict = validate_scene(scene.with_film(**film), path.stem, str(path))
     assert verdict.ok, (verdict.problem, verdict.failing_by, [c for c in verdict.checks if not c.ok])

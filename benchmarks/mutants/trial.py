@@ -114,18 +114,18 @@ def remember_mitsuba(memory: Path) -> None:
     from mitsuba_ref.reference.messages import TraceResponse
     from mitsuba_ref.reference.store import StoreFolder
 
-    store, resident = StoreFolder(memory, MEMORY_BYTES), mitsuba_process.ResidentSession.send
+    store, resident = StoreFolder(memory, MEMORY_BYTES), mitsuba_process.ask_resident
 
-    def send(self: Any, request: Any, timeout: float = 60.0) -> Any:
+    def ask(request: Any, timeout: float) -> Any:
         key = mitsuba_process.request_key(request)
         if key and (content := store.get(key)) is not None:
             return TraceResponse.from_bytes(content, len(request.o))
-        answer = resident(self, request, timeout)
+        answer = resident(request, timeout)
         if key and isinstance(answer, TraceResponse):
             store.put(key, answer.to_bytes())
         return answer
 
-    mitsuba_process.ResidentSession.send = send  # type: ignore[method-assign]  # this process keeps answers
+    mitsuba_process.ask_resident = ask  # this process keeps answers
 
 
 class Chosen:

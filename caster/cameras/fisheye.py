@@ -21,7 +21,7 @@ from caster.kernels.raster.wide_angle import (
     unknown_projection,
 )
 
-__all__ = ["Fisheye", "FisheyeRays"]
+__all__ = ["Fisheye"]
 
 
 class FisheyeRays(NamedTuple):

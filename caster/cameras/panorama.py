@@ -16,7 +16,7 @@ from caster.kernels.raster.wide_angle import (
     unknown_projection,
 )
 
-__all__ = ["Panorama", "PanoramaRays"]
+__all__ = ["Panorama"]
 
 # The sine of half the range of longitudes of a sphere is its radius over the horizontal distance of its centre. Near 1,
 # the angle is far more sensitive than the quotient, whose error is a few u: the quotient is widened by this factor.

@@ -17,7 +17,7 @@ from caster.kernels.raster.wide_angle import (
     unknown_projection,
 )
 
-__all__ = ["Parabolic", "ParabolicRays"]
+__all__ = ["Parabolic"]
 
 
 class ParabolicRays(NamedTuple):

@@ -12,7 +12,7 @@ from caster.description.fields import Description, Positive, Vec3
 from caster.jit.decorators import implement
 from caster.kernels.protocol import camera_ray
 
-__all__ = ["Ray", "SingleRay"]
+__all__ = ["Ray"]
 
 # Directions with exponents up to this have finite, nonzero squares, and so have their products with t.
 MAX_DIRECTION_EXPONENT = 100

@@ -8,6 +8,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from caster.description.errors import SceneError, error_type, suggestion
 from caster.description.input_files import read_text
 from caster.description.parsing import Span, format_excerpt, list_errors
@@ -15,7 +17,7 @@ from caster.geometry.mesh_files import MeshFolders
 from caster.scene.files import validated
 from caster.scene.model import Scene
 
-__all__ = ["CourseScene", "Falloff", "load_course_scene"]
+__all__ = ["load_course_scene"]
 
 # The words that each block may contain: other blocks, and fields with the count of their numbers; 0: a file name.
 GRAMMAR = {
@@ -26,7 +28,7 @@ GRAMMAR = {
     "Lights": "numLights:1 DirectionalLight PointLight",
     "DirectionalLight": "direction:3 color:3",
     "PointLight": "position:3 color:3 attenuation:3 falloff:1",
-    "Materials": "numMaterials:1 Material PhongMaterial Checkerboard Noise Marble Wood",
+    "Materials": "numMaterials:1 Material PhongMaterial",
     "Material": "diffuseColor:3 specularColor:3 reflectiveColor:3 transparentColor:3 exponent:1 shininess:1 "
     "indexOfRefraction:1 texture:0 bump:0",
     "Group": "numObjects:1 MaterialIndex:1 Group Transform Sphere Plane Triangle TriangleMesh",
@@ -39,33 +41,22 @@ GRAMMAR = {
 }
 GRAMMAR["PhongMaterial"] = GRAMMAR["Material"]
 IN_BRACES = ("Rotate", "Matrix", "Matrix4f")
-TEXTURES = ("Checkerboard", "Noise", "Marble", "Wood")  # of later assignments; skipped and reported
 MAX_NESTING = 64  # of blocks; each level takes a few frames of Python's stack
-WHITE, BLACK, GREY = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), (0.5, 0.5, 0.5)
+START = Span(1, 1, 1)
 
-
-class Token(NamedTuple):
-    """A word, a number or a brace, and its position."""
-
-    text: str
-    span: Span
-
-
-START = Token("", Span(1, 1, 1))
+Token = tuple[str, Span]  # a word, a number or a brace
+Falloff = tuple[float, float, float]  # of a light: its color is divided by constant + linear r + quadratic r^2
 
 
 class CourseError(Exception):
-    """An error at a token."""
-
-    def __init__(self, at: Token, text: str) -> None:
-        self.at, self.text = at, text
+    """CourseError(span, message): an error in the text of a file."""
 
 
 class Field(NamedTuple):
     """A field of a block with its numbers, or its file name."""
 
     name: str
-    at: Token
+    at: Span
     numbers: list[float]
     word: str = ""
 
@@ -77,7 +68,7 @@ class Block(NamedTuple):
     """A block with its fields and blocks in the order of the file."""
 
     kind: str
-    at: Token
+    at: Span
     items: "list[Field | Block]"
 
     @property
@@ -88,13 +79,13 @@ class Block(NamedTuple):
     def fields(self) -> dict[str, Field]:
         return {item.name: item for item in self.items if isinstance(item, Field)}
 
-    def get(self, name: str, default: Iterable[float] | None = None) -> list[float]:
+    def get(self, name: str, default: list[float] | None = None) -> list[float]:
         """The numbers of a field. Raises CourseError for a missing field without a default."""
         if name in self.fields:
             return self.fields[name].numbers
         if default is None:
             raise CourseError(self.at, f"{self.kind} needs '{name}'")
-        return list(default)
+        return default
 
 
 # ---- text to blocks ----
@@ -104,75 +95,72 @@ def _tokens(text: str) -> Iterator[Token]:
     """The words of a text; braces need no spaces around them."""
     for number, line in enumerate(text.split("\n"), 1):
         for found in re.finditer(r"[{}]|[^\s{}]+", line):
-            yield Token(found[0], Span(number, found.start() + 1, len(found[0])))
+            yield found[0], Span(number, found.start() + 1, len(found[0]))
 
 
-def _parse_block(tokens: Iterator[Token], kind: str, at: Token, depth: int = 0) -> Block:
+def _parse_block(tokens: Iterator[Token], kind: str, at: Span, depth: int = 0) -> Block:
     """The rest of a block after its opening brace; of kind "", the whole file."""
     if depth > MAX_NESTING:
         raise CourseError(at, f"blocks are nested deeper than {MAX_NESTING}")
     block, where = Block(kind, at, []), kind or "the file"
     known = {name: count for name, _, count in (word.partition(":") for word in GRAMMAR[kind].split())}
-    for token in tokens:
-        if token.text == "}" and kind:
+    for word, place in tokens:
+        if word == "}" and kind:
             return block
-        if token.text not in known:
-            hint = suggestion(token.text, known) or f" (known: {', '.join(known)})"
-            raise CourseError(token, f"{where}: unknown word {token.text}{hint}")
-        if known[token.text]:
-            if token.text in block.fields and kind not in ("Group", "Transform"):
-                raise CourseError(token, f"{where}: {token.text} occurs twice")
-            block.items.append(_parse_field(tokens, token, int(known[token.text]), where))
-            continue
-        _expect(tokens, "{", token)
-        if token.text in TEXTURES:
-            _skip_block(tokens)
-            block.items.append(Block(token.text, token, []))
+        if word not in known:
+            hint = suggestion(word, known) or f" (known: {', '.join(known)})"
+            raise CourseError(place, f"{where}: unknown word {word}{hint}")
+        if not known[word]:
+            _expect(tokens, "{", word, place)
+            block.items.append(_parse_block(tokens, word, place, depth + 1))
+        elif word in block.fields and kind not in ("Group", "Transform"):
+            raise CourseError(place, f"{where}: {word} occurs twice")
         else:
-            block.items.append(_parse_block(tokens, token.text, token, depth + 1))
+            block.items.append(_parse_field(tokens, word, place, int(known[word]), where))
     if kind:
         raise CourseError(at, f"{kind}: its '}}' is missing")
     return block
 
 
-def _parse_field(tokens: Iterator[Token], at: Token, count: int, where: str) -> Field:
+def _parse_field(tokens: Iterator[Token], name: str, at: Span, count: int, where: str) -> Field:
     if not count:
-        return Field(at.text, at, [], next(tokens, START).text)
-    if at.text in IN_BRACES:
-        _expect(tokens, "{", at)
-    found = Field(at.text, at, [])
+        return Field(name, at, [], next(tokens, ("", at))[0])
+    if name in IN_BRACES:
+        _expect(tokens, "{", name, at)
+    numbers: list[float] = []
     for k in range(count):
-        token = next(tokens, Token("", at.span))
-        if not re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", token.text) or math.isinf(float(token.text)):
-            what = "a number" if count == 1 else f"{count} numbers"
-            raise CourseError(token, f"{where}: {at.text} must be {what}, got '{token.text}' after {k}")
-        found.numbers.append(float(token.text))
-    if at.text in IN_BRACES:
-        _expect(tokens, "}", at)
-    return found
+        word, place = next(tokens, ("", at))
+        if not re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", word) or math.isinf(float(word)):
+            expected = "a number" if count == 1 else f"{count} numbers"
+            raise CourseError(place, f"{where}: {name} must be {expected}, got '{word}' after {k}")
+        numbers.append(float(word))
+    if name in IN_BRACES:
+        _expect(tokens, "}", name, at)
+    return Field(name, at, numbers)
 
 
-def _expect(tokens: Iterator[Token], brace: str, after: Token) -> None:
-    token = next(tokens, Token("the end of the file", after.span))
-    if token.text != brace:
-        raise CourseError(token, f"{after.text} must be followed by '{brace}', got '{token.text}'")
+def _expect(tokens: Iterator[Token], brace: str, name: str, at: Span) -> None:
+    word, place = next(tokens, ("the end of the file", at))
+    if word != brace:
+        raise CourseError(place, f"{name} must be followed by '{brace}', got '{word}'")
 
 
-def _skip_block(tokens: Iterator[Token]) -> None:
-    depth = 1
-    while depth and (token := next(tokens, None)):
-        depth += {"{": 1, "}": -1}.get(token.text, 0)
+def _sections(text: str) -> dict[str, Block]:
+    """The blocks of a file by kind; both kinds of cameras as "Camera"."""
+    sections = {name: Block("", START, []) for name in ("Background", "Lights", "Materials")}
+    for block in _parse_block(_tokens(text), "", START).blocks:
+        name = "Camera" if block.kind.endswith("Camera") else block.kind
+        if name in sections and sections[name].kind:
+            first = sections[name].at.line
+            raise CourseError(block.at, f"{block.kind} occurs twice; the first is in line {first}")
+        sections[name] = block
+    for name, needed in (("Camera", "PerspectiveCamera or OrthographicCamera"), ("Group", "Group")):
+        if name not in sections:
+            raise CourseError(START, f"the scene needs a block {needed}")
+    return sections
 
 
 # ---- blocks to a scene ----
-
-
-class Falloff(NamedTuple):
-    """Attenuation of a point light at distance r: color / (constant + linear r + quadratic r^2)."""
-
-    constant: float = 1.0
-    linear: float = 0.0
-    quadratic: float = 0.0
 
 
 @dataclass
@@ -180,10 +168,9 @@ class Draft:
     """The scene description under construction."""
 
     data: dict[str, Any] = field(default_factory=lambda: {"light": [], "material": {}, "shape": []})
-    places: dict[tuple[str | int, ...], Token] = field(default_factory=dict)  # of the elements of the data
-    left_out: list[tuple[Token, str]] = field(default_factory=list)
-    colors: list[list[float]] = field(default_factory=list)  # of point and directional lights
-    falloffs: list[Falloff | None] = field(default_factory=list)  # the same; None: directional
+    places: dict[tuple[str | int, ...], Span] = field(default_factory=dict)  # of the elements of the data
+    left_out: list[tuple[Span, str]] = field(default_factory=list)
+    lights: list[tuple[list[float], Falloff | None]] = field(default_factory=list)  # see CourseScene
     material: str = ""  # of the objects that follow
 
 
@@ -198,43 +185,39 @@ def _add_lights(draft: Draft, lights: list[Block], background: Block) -> None:
         if min(color) < 0.0:
             raise CourseError(light.fields["color"].at, f"{light.kind}: {light.fields['color']} must be a colour >= 0")
         draft.places["light", k] = light.at
-        draft.colors.append(color)
+        falloff: Falloff | None = None
         if light.kind == "DirectionalLight":
-            draft.falloffs.append(None)
-            shown = {"type": "directional", "direction": light.get("direction"), "irradiance": _scaled(math.pi, color)}
+            irradiance = [math.pi * c for c in color]
+            shown = {"type": "directional", "direction": light.get("direction"), "irradiance": irradiance}
         else:
-            falloff = Falloff(*light.get("attenuation", Falloff()))
+            constant, linear, quadratic = light.get("attenuation", [1.0, 0.0, 0.0])
             if light.get("falloff", [0.0])[0] > 0.0:
-                falloff = Falloff(0.0, 0.0, light.get("falloff")[0])
+                constant, linear, (quadratic,) = 0.0, 0.0, light.get("falloff")
+            falloff = constant, linear, quadratic
             if not sum(falloff) > 0.0:
                 raise CourseError(light.at, "PointLight: its attenuation must leave light at a distance of 1")
-            if falloff[:2] != (0.0, 0.0):
+            if (constant, linear) != (0.0, 0.0):
                 given = light.fields.get("attenuation", "no attenuation")
                 text = f"{given}: point lights fall off by 1 / r^2 here; the value at r = 1 is kept"
                 draft.left_out.append((light.at, text))
-            draft.falloffs.append(falloff)
-            intensity = _scaled(math.pi / sum(falloff), color)
+            intensity = [math.pi / sum(falloff) * c for c in color]
             shown = {"type": "point", "position": light.get("position"), "intensity": intensity}
+        draft.lights.append((color, falloff))
         draft.data["light"].append(shown)
-    ambient = background.get("ambientLight", BLACK) if lights else WHITE
+    ambient = background.get("ambientLight", [0.0] * 3) if lights else [1.0] * 3
     if any(ambient):
         draft.places["light", len(lights)] = background.at
-        draft.data["light"].append({"type": "ambient", "radiance": list(ambient)})
+        draft.data["light"].append({"type": "ambient", "radiance": ambient})
     if "cubeMap" in background.fields:
         draft.left_out.append((background.at, f"{background.fields['cubeMap']}: no environment maps here"))
 
 
-def _scaled(factor: float, color: Iterable[float]) -> list[float]:
-    return [factor * c for c in color]
-
-
-def _add_materials(draft: Draft, materials: list[Block]) -> None:
+def _add_materials(draft: Draft, materials: list[Block], shade_back: bool) -> None:
     for i, block in enumerate(materials):
-        color = GREY if block.kind in TEXTURES else block.get("diffuseColor", WHITE)
+        color = block.get("diffuseColor", [1.0] * 3)
         draft.places["material", f"material-{i}"] = block.at
-        draft.data["material"][f"material-{i}"] = {"reflectance": [min(c, 1.0) for c in color]}
-        if block.kind in TEXTURES:
-            draft.left_out.append((block.at, f"{block.kind}: no textures here; replaced by grey"))
+        reflectance = [min(c, 1.0) for c in color]
+        draft.data["material"][f"material-{i}"] = {"reflectance": reflectance, "two_sided": shade_back}
         for name, item in block.fields.items():
             if name != "diffuseColor":
                 draft.left_out.append((item.at, f"{item}: materials are diffuse, of one colour"))
@@ -243,10 +226,18 @@ def _add_materials(draft: Draft, materials: list[Block]) -> None:
 
 
 def _add_objects(draft: Draft, block: Block, outer: list[dict[str, Any]]) -> None:
-    """Add the objects of a group or transform. MaterialIndex applies to all objects that follow in the file."""
-    if block.kind == "Transform" and len(block.blocks) != 1:
-        raise CourseError(block.at, f"Transform needs one object, got {len(block.blocks)}")
-    steps = _transform_steps(block) + outer
+    """Add the objects of a group or transform. MaterialIndex applies to all objects that follow in the file.
+
+    Of a transform's steps, the last of the file is applied first, but a matrix after all that precede it.
+    """
+    steps: list[dict[str, Any]] = []
+    if block.kind == "Transform":
+        if len(block.blocks) != 1:
+            raise CourseError(block.at, f"Transform needs one object, got {len(block.blocks)}")
+        for item in block.items:
+            if isinstance(item, Field):
+                steps.insert(len(steps) if item.name.startswith("Matrix") else 0, _step(item.name, item.numbers))
+    steps += outer
     for item in block.items:
         if isinstance(item, Block) and item.kind in ("Group", "Transform"):
             _add_objects(draft, item, steps)
@@ -261,19 +252,10 @@ def _add_objects(draft: Draft, block: Block, outer: list[dict[str, Any]]) -> Non
                 raise CourseError(item.at, f"{item}: the scene has {count} materials, counted from 0")
 
 
-def _transform_steps(block: Block) -> list[dict[str, Any]]:
-    """Steps in the order of application: the last of the file first, but a matrix after all that precede it."""
-    steps: list[dict[str, Any]] = []
-    for item in block.items if block.kind == "Transform" else ():
-        if isinstance(item, Field):
-            steps.insert(len(steps) if item.name.startswith("Matrix") else 0, _step(item.name, item.numbers))
-    return steps
-
-
 def _step(name: str, numbers: list[float]) -> dict[str, Any]:
     if name.startswith("Matrix"):
-        rows = [numbers[i : i + 4] for i in range(0, 16, 4)]
-        return {"matrix": rows if name == "Matrix" else list(map(list, zip(*rows, strict=True)))}  # 2011: by columns
+        rows = np.reshape(numbers, (4, 4))
+        return {"matrix": (rows if name == "Matrix" else rows.T).tolist()}  # 2011: by columns
     if name.endswith("Rotate"):
         axis = [float(name[0] == letter) for letter in "XYZ"] if len(numbers) == 1 else numbers[:3]
         return {"rotate": {"axis": axis, "degrees": numbers[-1]}}
@@ -301,31 +283,14 @@ def _camera(block: Block, width: int, height: int) -> dict[str, Any]:
     return {"type": "orthographic", "width": block.get("size")[0] * width / max(width, height), **view}
 
 
-def _sections(text: str) -> dict[str, Block]:
-    """The blocks of a file by kind; both kinds of cameras as "Camera"."""
-    sections: dict[str, Block] = {}
-    for block in _parse_block(_tokens(text), "", START).blocks:
-        name = "Camera" if block.kind.endswith("Camera") else block.kind
-        if name in sections:
-            raise CourseError(
-                block.at, f"{block.kind} occurs twice; the first is in line {sections[name].at.span.line}"
-            )
-        sections[name] = block
-    for name, needed in (("Camera", "PerspectiveCamera or OrthographicCamera"), ("Group", "Group")):
-        if name not in sections:
-            raise CourseError(START, f"the scene needs a block {needed}")
-    return sections
-
-
 @dataclass(frozen=True)
 class CourseScene:
     """A scene, and the data of the course's images that a Scene has no fields for."""
 
-    scene: Scene  # lights: one for each of `colors`, then the ambient one
-    background: tuple[float, ...]  # behind everything, r g b
-    colors: tuple[list[float], ...]  # of the lights, r g b
-    falloffs: tuple[Falloff | None, ...]  # None: directional
-    left_out: tuple[str, ...]  # "file:line:column: left out: ...", in the order of the file
+    scene: Scene  # lights: one for each of `lights`, then the ambient one
+    background: list[float]  # behind everything, r g b
+    lights: list[tuple[list[float], Falloff | None]]  # colour, r g b, and attenuation; None: directional
+    left_out: list[str]  # "file:line:column: left out: ...", in the order of the file
 
 
 def load_course_scene(
@@ -345,26 +310,19 @@ def load_course_scene(
     text, draft, origin = read_text(path), Draft(), str(path)
     try:
         sections = _sections(text)
-        background, lights, materials = (
-            sections.get(name, Block("", START, [])) for name in ("Background", "Lights", "Materials")
-        )
         draft.data |= {"film": {"width": width, "height": height}, "shading": {"shadows": shadows}}
         draft.data["camera"] = _camera(sections["Camera"], width, height)
         draft.places["camera",] = sections["Camera"].at
-        _add_lights(draft, lights.blocks, background)
-        _add_materials(draft, materials.blocks)
+        _add_lights(draft, sections["Lights"].blocks, sections["Background"])
+        _add_materials(draft, sections["Materials"].blocks, shade_back)
         _add_objects(draft, sections["Group"], [])
     except CourseError as error:
-        raise SceneError(format_excerpt(error.at.span, error.text, text, origin)) from None
-    for material in draft.data["material"].values():
-        material["two_sided"] = shade_back
+        at, said = error.args
+        raise SceneError(format_excerpt(at, said, text, origin)) from None
     scene, problems = validated(draft.data, MeshFolders(Path(path).parent, tuple(map(Path, mesh_dirs))))
     if scene is None:
-        places = [(draft.places.get(p.path[:2]) or draft.places.get(p.path[:1], START), p.text) for p in problems]
-        listed = sorted((at.span, said) for at, said in places)
+        at = [draft.places.get(p.path[:2]) or draft.places.get(p.path[:1], START) for p in problems]
+        listed = sorted(zip(at, (p.text for p in problems), strict=True))
         raise error_type(problems)(list_errors(listed, lambda each: format_excerpt(*each, text, origin), origin))
-    notes = sorted((at.span, what) for at, what in draft.left_out)
-    left_out = tuple(f"{origin}:{span.line}:{span.column}: left out: {what}" for span, what in notes)
-    return CourseScene(
-        scene, tuple(background.get("color", GREY)), tuple(draft.colors), tuple(draft.falloffs), left_out
-    )
+    left_out = [f"{origin}:{span.line}:{span.column}: left out: {note}" for span, note in sorted(draft.left_out)]
+    return CourseScene(scene, sections["Background"].get("color", [0.5] * 3), draft.lights, left_out)

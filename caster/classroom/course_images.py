@@ -13,7 +13,7 @@ from caster.rendering.hits import RayHits
 from caster.rendering.images import film_window, trace_film
 from caster.scene.model import Ambient, Directional, Scene
 
-__all__ = ["CourseImages", "render_course", "with_window_behind_scene"]
+__all__ = ["with_window_behind_scene"]
 
 Array = np.ndarray[Any, np.dtype[Any]]
 
@@ -99,15 +99,14 @@ def _colors(course: CourseScene, view: RayHits) -> Array:
         if isinstance(light, Directional):
             brightness = -dot_rows(n, np.array(light.direction))
         else:
-            falloff, way = course.falloffs[k], np.array(light.position) - view.surfaces.p
-            assert falloff is not None  # of a point light
+            way = np.array(light.position) - view.surfaces.p
+            constant, linear, quadratic = course.lights[k][1] or (0.0, 0.0, 0.0)
             r = row_lengths(way)
-            fading = falloff.constant + falloff.linear * r + falloff.quadratic * r * r
-            weight = r * fading  # 0 at the position of the light itself, which gets no light
+            weight = r * (constant + linear * r + quadratic * r * r)  # 0 at the light itself, which gets no light
             brightness = np.divide(dot_rows(n, way), weight, out=np.zeros(len(r)), where=weight > 0.0)
         brightness = np.where(view.hit, np.maximum(brightness, 0.0), 0.0)
         lit = np.flatnonzero(brightness > 0.0)
         brightness[lit[~view.lit(light, lit)]] = 0.0
-        total += np.outer(brightness, course.colors[k])
+        total += np.outer(brightness, course.lights[k][0])
     shaded = np.where((front | view.two_sided)[:, None], total * view.reflectance, 0.0)
     return np.where(view.hit[:, None], shaded, course.background)

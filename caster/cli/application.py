@@ -14,7 +14,7 @@ from caster.cli.shared_arguments import checked_paths
 from caster.system import NOT_HERE, runs_here, terminal
 from caster.system.process import FILE, INTERRUPTED, end_process, exit_codes_help, run_command
 
-__all__ = ["Command", "announce", "build_parser", "main"]
+__all__ = ["Command"]
 
 
 class Command(NamedTuple):

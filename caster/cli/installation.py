@@ -16,7 +16,7 @@ from caster.cli.shared_arguments import InputPath
 from caster.system import processor
 from caster.system.process import FILE, OK
 
-__all__ = ["Finding", "Package", "find_package", "print_findings", "report"]
+__all__ = ["Finding", "Package", "find_package", "print_findings"]
 
 
 class Package(NamedTuple):
@@ -35,7 +35,7 @@ PACKAGES = (
     Package("OpenEXR", "OpenEXR", "3.4.9", "images in and out"),
     Package("pillow", "PIL", "10.1", "PNG and TGA images: previews, sheets, caster 6837", needed=False),
     Package("pydantic", "pydantic", "2.7", "scene descriptions and their checks"),
-    Package("rich", "rich", "13.7", "progress bars and tables on a terminal"),
+    Package("rich", "rich", "13.7", "progress bars on a terminal"),
     Package("trimesh", "trimesh", "4.6", "mesh files STL, OFF and glTF", needed=False),
     Package("tree-sitter", "tree_sitter", "0.23", "line and column of an error in a scene file"),
     Package("tree-sitter-toml", "tree_sitter_toml", "0.7", "the same in TOML"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from caster.cli.shared_arguments import add_pixel, add_scene, load
@@ -13,7 +13,6 @@ from caster.description.errors import error_prefix
 from caster.system.process import OK
 
 if TYPE_CHECKING:
-    from caster.geometry.edge_distances import EdgeDistance
     from caster.rendering.inspection import PixelHit, PrimitiveResult, Probe
     from caster.scene.model import Scene
 
@@ -32,15 +31,9 @@ def run(args: argparse.Namespace) -> int:
     from caster.rendering.inspection import probe
 
     with error_prefix(args.scene):
-        found = probe(scene, args.x, args.y)
-    if args.json:
-        print(json.dumps(probe_to_json(found, args.scene), indent=2))
-    else:
-        print(probe_to_text(found, args.scene))
+        found = probe_to_json(probe(scene, args.x, args.y), args.scene)
+    print(json.dumps(found, indent=2) if args.json else "\n".join(text_lines(found, scene)))
     return OK
-
-
-# ---- as JSON ----
 
 
 def probe_to_json(found: Probe, path: str) -> dict[str, Any]:
@@ -53,94 +46,61 @@ def probe_to_json(found: Probe, path: str) -> dict[str, Any]:
         "pixel": [found.x, found.y],
         "film": [film.width, film.height],
         "ray": ray if found.t_max >= 0.0 else None,
-        "hit": found.hit and {**_ids(found.hit, scene), "t": found.hit.t, **surface},
+        "hit": found.hit and {**_hit(found.hit, scene), **surface},
         "tried": {"prims": found.prims, "shapes": len(scene.shapes)},
-        "near": [_tested(tried, scene) for tried in found.tried],
+        "near": [
+            {
+                **_hit(tried, scene),
+                "decided_by": tried.decided_by,
+                "t_off": _finite(tried.error) if math.isfinite(tried.t) else None,
+            }
+            for tried in found.tried
+        ],
     }
+
+
+def _hit(found: PixelHit | PrimitiveResult, scene: Scene) -> dict[str, Any]:
+    shape, name = scene.shapes[found.shape_id], scene.shape_names()[found.shape_id]
+    numbers = {"shape_id": found.shape_id, "prim_id": found.prim_id, "t": _finite(found.t)}
+    return {"shape": name, "type": shape.type, **numbers}
 
 
 def _finite(number: float) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def _ids(found: PixelHit | PrimitiveResult, scene: Scene) -> dict[str, Any]:
-    shape, name = scene.shapes[found.shape_id], scene.shape_names()[found.shape_id]
-    return {"shape": name, "type": shape.type, "shape_id": found.shape_id, "prim_id": found.prim_id}
-
-
-def _tested(tried: PrimitiveResult, scene: Scene) -> dict[str, Any]:
-    """One primitive tested alone."""
-    return {
-        **_ids(tried, scene),
-        "t": _finite(tried.t),
-        "decided_by": tried.decided_by,
-        "t_off": _finite(tried.error) if math.isfinite(tried.t) else None,
-        "margins": [margin._asdict() for margin in tried.margins],
-    }
-
-
-# ---- as text ----
-
-
-def probe_to_text(found: Probe, path: str) -> str:
-    """A probe as text."""
-    film = found.scene.film
-    head = f"pixel ({found.x}, {found.y}) of {path}, film {film.width} x {film.height}"
-    if found.t_max < 0.0:
-        return f"{head}\nno ray: the pixel lies outside the image circle of the {found.scene.camera.type} camera"
-    return "\n".join([head, *_ray_lines(found), *_hit_lines(found), *_near_lines(found)])
-
-
-def _ray_lines(found: Probe) -> Iterator[str]:
-    yield from _vector("ray    o", found.o)
-    yield from _vector("       d", found.d)
-    yield f"       t      {found.t_min!r} to {found.t_max!r}"
-
-
-def _hit_lines(found: Probe) -> Iterator[str]:
-    if found.hit is None:
+def text_lines(found: dict[str, Any], scene: Scene) -> Iterator[str]:
+    """The dict of probe_to_json() as text."""
+    (x, y), (width, height), ray, hit = found["pixel"], found["film"], found["ray"], found["hit"]
+    yield f"pixel ({x}, {y}) of {found['scene']}, film {width} x {height}"
+    if ray is None:
+        yield f"no ray: the pixel lies outside the image circle of the {scene.camera.type} camera"
+        return
+    yield from _vector("ray    o", ray["o"])
+    yield from _vector("       d", ray["d"])
+    yield f"       t      {ray['t_min']!r} to {math.inf if ray['t_max'] is None else ray['t_max']!r}"
+    if hit is None:
         yield "miss   nothing lies on this ray"
-        return
-    yield f"hit    {_name(found.hit, found.scene)}"
-    yield from _vector("       t", [found.hit.t])
-    for name, value in found.surface.items():
-        yield from _vector(f"       {name}", value)
+    else:
+        yield f"hit    {_name(hit, scene)}"
+        yield from _vector("       t", [hit["t"]])
+        for name in ("p", "n", "sh_n", "uv"):
+            yield from _vector(f"       {name}", hit[name])
+    if near := found["near"]:
+        yield f"near   {len(near)} of {found['tried']['prims']} primitives, each tested alone"
+    for tried in near[:MAX_LISTED]:
+        where = "missed" if tried["t"] is None else f"t {tried['t']!r:<24} {tried['t'].hex():<24}"
+        exactly = " (by integers: undecided in float64)" if tried["decided_by"] == "integers" else ""
+        yield f"       {where:<51} {_name(tried, scene)}{exactly}"
+    if len(near) > MAX_LISTED:
+        yield f"       and {len(near) - MAX_LISTED} less near (--json lists them)"
 
 
-def _near_lines(found: Probe) -> Iterator[str]:
-    """Two lines for each primitive tested alone: t, and signed distances to its edges."""
-    if not found.tried:
-        return
-    yield f"near   {len(found.tried)} of {found.prims} primitives, each tested alone; + is inside its outline"
-    for tried in found.tried[:MAX_LISTED]:
-        where = f"t {tried.t!r:<24} {tried.t.hex():<24}" if math.isfinite(tried.t) else _miss_text(tried)
-        exactly = "" if math.isfinite(tried.error) else " (by integers: undecided in float64)"
-        yield f"       {where:<51} {_name(tried, found.scene)}{exactly}"
-        yield f"         {', '.join(map(_distance_text, tried.margins))}"
-    if len(found.tried) > MAX_LISTED:
-        yield f"       and {len(found.tried) - MAX_LISTED} less near (--json lists them)"
-
-
-def _miss_text(tried: PrimitiveResult) -> str:
-    return "missed: not within the range of t, or its ends" if tried.out_of_range else "missed"
-
-
-def _distance_text(margin: EdgeDistance) -> str:
-    """A signed edge distance, such as `edge 0-1 +0.0125`."""
-    from caster.geometry.edge_distances import EDGE_ON, UNIT_RADII
-
-    if margin.inside == 0.0:
-        return f"{margin.of} 0, exactly on it" if margin.of != EDGE_ON else "the ray runs along it"
-    return f"{margin.of} {margin.inside:+.6g}" + (" radii" if margin.unit == UNIT_RADII else "")
-
-
-def _name(found: PixelHit | PrimitiveResult, scene: Scene) -> str:
-    shape = scene.shapes[found.shape_id]
+def _name(found: dict[str, Any], scene: Scene) -> str:
+    shape = scene.shapes[found["shape_id"]]
     label = f' "{shape.name}"' if shape.name else ""
-    return f"shapes[{found.shape_id}] ({shape.type}{label}), prim {found.prim_id}"
+    return f"shapes[{found['shape_id']}] ({shape.type}{label}), prim {found['prim_id']}"
 
 
-def _vector(label: str, values: Iterable[float]) -> Iterator[str]:
-    numbers = [float(value) for value in values]
-    yield f"{label:<14}{'  '.join(map(repr, numbers))}"
-    yield f"{'':<14}{'  '.join(number.hex() for number in numbers)}"
+def _vector(label: str, numbers: Sequence[float]) -> tuple[str, str]:
+    return f"{label:<14}{'  '.join(map(repr, numbers))}", f"{'':<14}{'  '.join(map(float.hex, numbers))}"

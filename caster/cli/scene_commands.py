@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     from caster.image.channels import write_render
     from caster.rendering.images import check_names, render_film
     from caster.rendering.threads import thread_count
-    from caster.rendering.warm_up import compile_film
+    from caster.rendering.warm_up import compile_for
     from caster.system.atomic_files import check_writable
     from caster.system.terminal import ProgressBar
 
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     check_writable(output)  # before a render that may take long
     x0, y0, x1, y1 = scene.film.window
     with error_prefix(args.scene):
-        compile_film(scene, aovs)
+        compile_for(scene, f"film {' '.join(aovs)}", lambda small: render_film(small, aovs))
         with closing(ProgressBar("rendering", (x1 - x0) * (y1 - y0))) as bar:
             rendered = render_film(scene, aovs, threads=args.threads, on_progress=bar.add)
     write_render(output, scene, rendered.aovs, args.scene, threads=thread_count(args.threads))

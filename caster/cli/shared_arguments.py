@@ -21,7 +21,6 @@ from caster.system.atomic_files import OutputError, check_folder, check_writable
 __all__ = [
     "AOV_NAMES",
     "DEFAULT_AOV_LIST",
-    "SCENE_FILE",
     "InputPath",
     "OutputFile",
     "OutputFolder",
@@ -29,12 +28,11 @@ __all__ = [
     "add_pixel",
     "add_scene",
     "check_exr_suffix",
-    "checked_paths",
+    "check_utf8_name",
     "comma_separated",
     "display_names",
     "load",
     "mesh_dir_options",
-    "output_file_unless_number",
     "positive_int",
     "scene_files",
 ]
@@ -51,9 +49,9 @@ AOV_NAMES = "hit, depth, normal, shading_normal, position, uv, albedo, diffuse, 
 DEFAULT_AOV_LIST = "hit,depth,normal,position,diffuse"
 
 
-def add_scene(parser: argparse.ArgumentParser) -> None:
-    """Add SCENE, --mesh-dir and --size."""
-    parser.add_argument("scene", metavar="SCENE", type=InputPath, help=SCENE_FILE)
+def add_scene(parser: argparse.ArgumentParser, kind: type[InputPath] | None = None) -> None:
+    """Add SCENE, --mesh-dir and --size. kind: of the path that is typed for the scene."""
+    parser.add_argument("scene", metavar="SCENE", type=kind or InputPath, help=SCENE_FILE)
     add_mesh_dirs(parser)
     parser.add_argument(
         "--size", nargs=2, type=int, metavar=("W", "H"), help="film in pixels, instead of the scene's own"
@@ -144,12 +142,12 @@ def scene_files(paths: Iterable[str]) -> list[str]:
     return list({os.path.realpath(file): file for file in reversed(found)}.values())[::-1]
 
 
-def check_utf8_name(file: str) -> None:
-    """Raise SceneError for a file name that is not UTF-8: reports could not contain it."""
+def check_utf8_name(name: str) -> None:
+    """Raise SceneError for a name that is not UTF-8: reports could not contain it."""
     try:
-        file.encode("utf-8")
+        name.encode("utf-8")
     except UnicodeEncodeError:
-        raise SceneError(f"{file!a}: expected a file name in UTF-8, got other bytes; rename it") from None
+        raise SceneError(f"{name!a}: expected a name in UTF-8, got other bytes; rename it") from None
 
 
 def display_names(files: Sequence[str]) -> list[str]:

@@ -8,7 +8,7 @@ from difflib import get_close_matches
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
-__all__ = ["Diagnostic", "FileMissing", "SceneError", "diagnostics_of", "error_prefix", "join_words", "suggestion"]
+__all__ = ["Diagnostic", "FileMissing", "SceneError", "error_prefix", "join_words", "suggestion"]
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
@@ -74,23 +74,20 @@ def join_words(names: Iterable[str], last: str = "or") -> str:
     return f"{', '.join(most)} {last} {end}" if most else end
 
 
-def field_error(text: str) -> PydanticCustomError:
-    """The error that a field validator raises. The text continues after the field's name: 'must be ...'."""
+def field_error(text: str, *path: str, missing_file: bool = False) -> PydanticCustomError:
+    """The error that a validator raises. The text continues after the field's name: 'must be ...'.
+
+    path: to the field, where the validator is of the whole description. missing_file: a file is missing or unreadable.
+    """
     from pydantic_core import PydanticCustomError  # deferred, so that `--help` does not load it
 
-    return PydanticCustomError("field", "{text}", {"text": text})
+    kind = "missing_file" if missing_file else "field"
+    return PydanticCustomError(kind, "{text}", {"text": text, "path": path})
 
 
-def missing_file_error(text: str) -> PydanticCustomError:
-    """The same for a file that is missing or unreadable."""
-    from pydantic_core import PydanticCustomError
-
-    return PydanticCustomError("missing_file", "{text}", {"text": text})
-
-
-def expectation_error(expected: str, got: Any, hint: str = "") -> PydanticCustomError:
+def expectation_error(expected: str, got: Any, *path: str, hint: str = "") -> PydanticCustomError:
     """The field error 'must be EXPECTED, got GOT'."""
-    return field_error(f"must be {expected}, got {format_value(got)}{hint}")
+    return field_error(f"must be {expected}, got {format_value(got)}{hint}", *path)
 
 
 DataPath = tuple[str | int, ...]
@@ -174,7 +171,8 @@ def diagnostics_of(error: ValidationError, data: Any, model: Model) -> list[Diag
 
     for finding in error.errors(include_url=False):
         if finding["type"] != CROSS_ELEMENT_ERROR:  # repeated below on the input data
-            problem = _diagnostic(finding, _path_of(finding, data), data, model, models_at)
+            path = (*_path_of(finding, data), *finding.get("ctx", {}).get("path", ()))
+            problem = _diagnostic(finding, path, data, model, models_at)
             problem = problem._replace(missing=finding["type"] == "missing_file")
             found[problem.path, finding["type"]] = problem  # Pydantic reports a list too short by two twice
     return [*found.values(), *getattr(model, "problems_across", lambda _: [])(data)]

@@ -68,7 +68,7 @@ def _as_float(value: Any) -> float:
     except OverflowError:
         pass
     hint = ": leave out the quotes" if _is_quoted_number(value) else ""
-    raise expectation_error("a finite number", value, hint)
+    raise expectation_error("a finite number", value, hint=hint)
 
 
 def _is_quoted_number(value: Any) -> bool:
@@ -222,38 +222,31 @@ class LookAt(Description):
 
     origin: Vec3
     target: Vec3
-    up: Annotated[Vec3, Field(validate_default=True)] = (0.0, 1.0, 0.0)
+    up: Vec3 = (0.0, 1.0, 0.0)
 
-    @field_validator("target")
-    @classmethod
-    def _is_elsewhere(cls, target: Any, info: Any) -> Any:
-        return check_elsewhere(target, "origin", info.data)
-
-    @field_validator("up")
-    @classmethod
-    def _is_across(cls, up: Any, info: Any) -> Any:
-        if {"origin", "target"} <= info.data.keys():
-            check_up(up, transform.subtract(info.data["target"], info.data["origin"]))
-        return up
+    @model_validator(mode="after")
+    def _has_a_frame(self) -> Self:
+        checked_frame(self, "origin", "target")
+        return self
 
 
-def check_elsewhere(target: Any, start: str, values: Mapping[str, Any]) -> Any:
-    """Validate that the direction from a field of `values` to the target is defined."""
-    if target is not None and start in values:
-        if target == values[start]:
-            text = f"must differ from {start}, so that the viewing direction is defined"
-            raise field_error(f"{text}, got {format_value(target)}")
-        if not np.isfinite(transform.subtract(target, values[start])).all():
-            raise expectation_error(f"nearer to {start}, at a finite distance", target)
-    return target
+def checked_frame(view: Any, start: str, target: str) -> tuple[transform.Vector, transform.Vector, transform.Vector]:
+    """(right, up, forward) of a description with `up`, and with a direction or a target.
 
-
-def check_up(up: Any, view: Any) -> None:
-    """Validate that `up` is not parallel to the view."""
+    start, target: names of its fields. Raises the error of the field by which the frame is not defined.
+    """
+    origin, aim, up = getattr(view, start), getattr(view, target), view.up
+    direction = view.direction if aim is None else transform.subtract(aim, origin)
+    if aim == origin:
+        text = f"must differ from {start}, so that the viewing direction is defined, got {format_value(aim)}"
+        raise field_error(text, target)
+    if not np.isfinite(direction).all():
+        raise expectation_error(f"nearer to {start}, at a finite distance", aim, target)
     try:
-        transform.frame(transform.unit(view), up)
+        return transform.frame(transform.unit(direction), up)
     except ValueError:
-        raise expectation_error(f"a direction across the view {format_value(list(view))}, not along it", up) from None
+        across = f"a direction across the view {format_value(list(direction))}, not along it"
+        raise expectation_error(across, up, "up") from None
 
 
 class _OrNumber:
@@ -385,37 +378,24 @@ class Camera(Description):
     type: str
     eye: Vec3
     look_at: Vec3 | None = None
-    direction: Annotated[UnitVec3 | None, Field(validate_default=True)] = None
-    up: Annotated[Vec3, Field(validate_default=True)] = (0.0, 1.0, 0.0)
+    direction: UnitVec3 | None = None
+    up: Vec3 = (0.0, 1.0, 0.0)
 
     shares_origin: ClassVar[bool] = False  # whether all rays start at one point, which saves work
     MINIMAL: ClassVar[Mapping[str, Any]] = {"eye": (0.0, 0.0, 9.0), "look_at": (0.0, 0.0, 0.0)}
 
-    @field_validator("look_at")
-    @classmethod
-    def _is_elsewhere(cls, look_at: Any, info: Any) -> Any:
-        return check_elsewhere(look_at, "eye", info.data)
-
-    @field_validator("direction")
-    @classmethod
-    def _looks_one_way(cls, direction: Any, info: Any) -> Any:
-        if "look_at" in info.data and (direction is None) == (info.data["look_at"] is None):
-            got = "neither" if direction is None else "both"
-            raise field_error(f"or look_at is required, exactly one of the two, got {got}")
-        return direction
-
-    @field_validator("up")
-    @classmethod
-    def _is_across(cls, up: Any, info: Any) -> Any:
-        if {"eye", "look_at", "direction"} <= info.data.keys():
-            check_up(up, _view(**{key: info.data[key] for key in ("eye", "look_at", "direction")}))
-        return up
+    @model_validator(mode="after")
+    def _has_a_frame(self) -> Self:
+        if (self.direction is None) == (self.look_at is None):
+            got = "neither" if self.direction is None else "both"
+            raise field_error(f"or look_at is required, exactly one of the two, got {got}", "direction")
+        checked_frame(self, "eye", "look_at")
+        return self
 
     @cached_property
     def frame(self) -> tuple[transform.Vector, transform.Vector, transform.Vector]:
         """(right, up, forward), orthonormal float64: right and up in the image, right = forward x up."""
-        view = transform.unit(_view(self.eye, self.look_at, self.direction))
-        return transform.frame(view, self.up)
+        return checked_frame(self, "eye", "look_at")
 
     def pack(self, width: int, height: int) -> Any:
         """The camera's parameters for kernels, for a film of this size in pixels."""
@@ -438,10 +418,6 @@ class ClippedCamera(Camera):
     def clip(self) -> tuple[float, float]:
         """near and far, inf without a limit."""
         return self.near, math.inf if self.far is None else self.far
-
-
-def _view(eye: Any, look_at: Any, direction: Any) -> transform.Vector:
-    return direction if look_at is None else transform.subtract(look_at, eye)
 
 
 class Light(Description):

@@ -8,7 +8,7 @@ from typing import IO
 
 from caster.description.errors import FileMissing, SceneError
 
-__all__ = ["MAX_MESH_BYTES", "MAX_TEXT_BYTES", "opened_input", "read_input", "read_text"]
+__all__ = ["opened_input", "read_input", "read_text"]
 
 MAX_TEXT_BYTES = 2**28  # of a scene file: a million spheres are half of it
 MAX_MESH_BYTES = 2**32  # 80 million triangles in binary PLY

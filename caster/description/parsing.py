@@ -30,7 +30,7 @@ class Positions:
     def __init__(self, text: str, kind: str) -> None:
         self._lines = text.encode().split(b"\n")
         tree = _tree(text, kind)
-        found = () if tree.has_error else list((_toml if kind == "toml" else _json)(tree))
+        found = () if tree.has_error else list(_located(tree))
         self._nodes = {path: (first, last) for path, first, last in found}
         for path, first, last in found:  # an implicit table begins at its first key
             for steps in range(1, len(path)):
@@ -68,17 +68,19 @@ def _strict(text: str) -> str:
 LocatedNodes = Iterator[tuple[DataPath, Any, Any]]  # a path, and the first and last node of its position
 
 
-def _toml(document: Any) -> LocatedNodes:
+def _located(document: Any) -> LocatedNodes:
     last: dict[DataPath, int] = {}  # index of the last table of each [[array]]
-    for node in document.named_children:
+    for node in _without_comments(document):
         if node.type == "pair":
-            yield from _toml_pair(node, ())
+            yield from _pair(node, ())
         elif node.type in ("table", "table_array_element"):
             header, *pairs = _without_comments(node)
             path = _header_path(_keys(header), node.type == "table_array_element", last)
             yield path, node, header.next_sibling  # with its brackets
             for pair in pairs:
-                yield from _toml_pair(pair, path)
+                yield from _pair(pair, path)
+        else:  # the value that is a JSON document
+            yield from _inside(node, ())
 
 
 def _without_comments(node: Any) -> list[Any]:
@@ -100,6 +102,8 @@ def _keys(node: Any) -> list[str]:
     """The parts of a dotted key, unquoted: three for a."b c".d."""
     if node.type == "bare_key":
         return [node.text.decode()]
+    if node.type == "string":  # in JSON
+        return [json.loads(node.text)]
     table: Any = tomllib.loads(f"{node.text.decode()} = 0")
     keys = []
     while isinstance(table, dict):
@@ -108,39 +112,22 @@ def _keys(node: Any) -> list[str]:
     return keys
 
 
-def _toml_pair(pair: Any, path: DataPath) -> LocatedNodes:
+def _pair(pair: Any, path: DataPath) -> LocatedNodes:
+    """A key with its value, in TOML or JSON, and what is inside it."""
     key, value = _without_comments(pair)
     path = (*path, *_keys(key))
     yield path, key, key
-    yield from _toml_inside(value, path)
+    yield from _inside(value, path)
 
 
-def _toml_inside(value: Any, path: DataPath) -> LocatedNodes:
-    if value.type == "inline_table":
+def _inside(value: Any, path: DataPath) -> LocatedNodes:
+    if value.type in ("inline_table", "object"):
         for pair in _without_comments(value):
-            yield from _toml_pair(pair, path)
+            yield from _pair(pair, path)
     elif value.type == "array":
         for i, item in enumerate(_without_comments(value)):
             yield (*path, i), item, item
-            yield from _toml_inside(item, (*path, i))
-
-
-def _json(document: Any) -> LocatedNodes:
-    for value in document.named_children:
-        yield from _json_inside(value, ())
-
-
-def _json_inside(value: Any, path: DataPath) -> LocatedNodes:
-    if value.type == "object":
-        for pair in value.named_children:
-            key, item = pair.named_children
-            inner = (*path, json.loads(key.text))
-            yield inner, key, key
-            yield from _json_inside(item, inner)
-    elif value.type == "array":
-        for i, item in enumerate(value.named_children):
-            yield (*path, i), item, item
-            yield from _json_inside(item, (*path, i))
+            yield from _inside(item, (*path, i))
 
 
 SceneFormat = Literal["toml", "json"]

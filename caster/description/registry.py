@@ -27,9 +27,9 @@ def type_name(entry: type[Description]) -> str:
 class Registry(list[type[Entry]]):
     """Classes of descriptions that scene files select by `type`, in the order of registration."""
 
+    changed: Callable[[], None] = staticmethod(lambda: None)  # called after each change
+
     def __init__(self, *entries: type[Entry]) -> None:
-        super().__init__()
-        self._subscribers: list[Callable[[], None]] = []
         for entry in entries:
             self.register(entry)
 
@@ -43,21 +43,13 @@ class Registry(list[type[Entry]]):
         if field.default in map(type_name, self):
             raise ValueError(f"{entry.__name__}: the type {field.default!r} is registered already")
         self.append(entry)
-        self._notify()
+        self.changed()
         return entry
 
     def unregister(self, entry: type[Entry]) -> None:
         """Remove a class."""
         self.remove(entry)
-        self._notify()
-
-    def subscribe(self, callback: Callable[[], None]) -> None:
-        """Call `callback` after each change."""
-        self._subscribers.append(callback)
-
-    def _notify(self) -> None:
-        for callback in self._subscribers:
-            callback()
+        self.changed()
 
 
 def load_plugins(group: str = PLUGIN_GROUP) -> None:

@@ -13,23 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = [
-    "compose",
-    "dot_rows",
-    "inverse",
-    "is_mirrored",
-    "look_at",
-    "power",
-    "product",
-    "rotate",
-    "row_lengths",
-    "scale",
-    "sine_and_cosine",
-    "tangent",
-    "transform_points",
-    "transform_vectors",
-    "translate",
-]
+__all__ = ["dot_rows", "is_mirrored", "product", "row_lengths", "sine_and_cosine", "transform_points"]
 
 Matrix = NDArray[np.float64]
 Vector = tuple[float, float, float]

@@ -11,7 +11,7 @@ import numpy as np
 
 from caster.description.errors import SceneError, value_diagnostic
 from caster.geometry.world_space import Rounding, ShapeCollection, as_float32, as_given, is_usable, world_vertices
-from caster.kernels.bvh.build import bounding_boxes, hulls_of
+from caster.kernels.bvh.build import bound_hulls_in_space, hulls_of
 from caster.kernels.protocol import hull_size
 from caster.kernels.triangles import Triangles as Triangles
 
@@ -33,9 +33,6 @@ class Kind:
 
     prims: Any
     ids: np.ndarray  # (n,) int32
-    # Scratch buffers, kept from one image to the next: for many triangles, allocating them takes longer than filling
-    # them. Images that are rendered at the same time have their own.
-    spare: list[tuple[np.ndarray, ...]] = field(default_factory=list, compare=False, repr=False)
     # Data computed from these primitives on first use, such as their BVH (caster/rendering/bvh_construction.py).
     derived: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
@@ -46,7 +43,7 @@ class Kind:
     def boxes(self) -> tuple[np.ndarray, np.ndarray]:
         """Bounding boxes as (low, high) corners, (n, 3) each; not cached, since there may be millions."""
         low, high = np.empty((len(self.ids), 3)), np.empty((len(self.ids), 3))
-        bounding_boxes(self.prims, low, high)
+        bound_hulls_in_space(*hulls_of(self.prims, len(low)), low, high)
         return low, high
 
     @cached_property
@@ -147,7 +144,9 @@ def pack_shape(scene: ShapeCollection, i: int, rounded: Rounding) -> Any:
     with np.errstate(all="ignore"), contextlib.suppress(np.linalg.LinAlgError):
         part = scene.shapes[i].pack(rounded)
     if part is None or not all(np.isfinite(array).all() for array in part):
-        raise _not_finite(scene, i)
+        text = "must stay finite in world space, but its numbers are too large or too small together"
+        model: Any = type(scene)
+        raise SceneError(value_diagnostic(("shapes", i), text, scene, model).text)
     if isinstance(part, Triangles):
         _check_lengths(part, type(scene.shapes[i]).__name__)
     return part
@@ -159,12 +158,6 @@ def _check_lengths(part: Triangles, shape: str) -> None:
     for name, expected in (("normals", vertices), ("uv", vertices), ("smooth", faces), ("textured", faces)):
         if (found := len(getattr(part, name))) != expected:
             raise ValueError(f"{shape}.pack: {name} must have {expected} rows, got {found}; fill up with zeros")
-
-
-def _not_finite(scene: ShapeCollection, i: int) -> SceneError:
-    text = "must stay finite in world space, but its numbers are too large or too small together"
-    model: Any = type(scene)
-    return SceneError(value_diagnostic(("shapes", i), text, scene, model).text)
 
 
 def largest_coordinate(prims: Any) -> float:
@@ -188,13 +181,12 @@ def concatenate_parts(parts: Sequence[Any]) -> Any:
     if len(parts) == 1:  # the arrays themselves, unless their layout would need other specialisations
         return type(parts[0])(*(np.require(array, None, ("C", "A", "W")) for array in parts[0]))
     if isinstance(parts[0], Triangles):
-        shift = np.concatenate([[0], np.cumsum([len(part.vertices) for part in parts])])
-        parts = [part._replace(faces=part.faces + shift[i]) for i, part in enumerate(parts)]
+        ends = np.cumsum([len(part.vertices) for part in parts])
+        shifts = [0, *ends.tolist()[:-1]]
+        faces = [(part.faces + shift).astype(np.int32) for part, shift in zip(parts, shifts, strict=True)]
+        parts = [part._replace(faces=each) for part, each in zip(parts, faces, strict=True)]
     fields = zip(*parts, strict=True)
-    arrays = [np.ascontiguousarray(np.concatenate(arrays)) for arrays in fields]
-    if isinstance(parts[0], Triangles):
-        arrays[1] = arrays[1].astype(np.int32)
-    return type(parts[0])(*arrays)
+    return type(parts[0])(*(np.ascontiguousarray(np.concatenate(arrays)) for arrays in fields))
 
 
 # Counts of rejected faces: not finite, too far out or degenerate (docs/scene-format.md, "Rejected faces").
@@ -214,10 +206,6 @@ class RejectedFaces(NamedTuple):
     too_large: int  # a coordinate is world_space.LARGEST_COORDINATE or more
     without_area: int  # exactly: its vertices are collinear
 
-    @property
-    def total(self) -> int:
-        return sum(self)
-
     def __str__(self) -> str:
         words = ("with a corner that is not finite", "too far out", "without area")
         return ", ".join(f"{count} {what}" for count, what in zip(self, words, strict=True) if count)
@@ -225,32 +213,23 @@ class RejectedFaces(NamedTuple):
 
 def rejected_faces(scene: ShapeCollection, rounded: Rounding = as_given) -> Mapping[str, RejectedFaces]:
     """Counts by shape name, for shapes that have rejected faces."""
-    names = scene.shape_names()
-    counts = {names[i]: _rejected_of_shape(shape, rounded) for i, shape in enumerate(scene.shapes)}
-    return {name: count for name, count in counts.items() if count.total}
+    counts = {
+        name: _count_rejected(shape.mesh(), shape.matrix, rounded)
+        for name, shape in zip(scene.shape_names(), scene.shapes, strict=True)
+        if hasattr(shape, "mesh")
+    }
+    return {name: count for name, count in counts.items() if any(count)}
 
 
-def _rejected_of_shape(shape: Any, rounded: Rounding) -> RejectedFaces:
-    if not hasattr(shape, "mesh"):
-        return RejectedFaces(0, 0, 0)
-    mesh = shape.mesh()
-    return _rejected_of_mesh(mesh, world_vertices(mesh, shape.matrix, rounded))
-
-
-def _rejected_of_mesh(mesh: Any, vertices: np.ndarray) -> RejectedFaces:
-    """vertices: (v, 3) of the mesh in world space."""
+def _count_rejected(mesh: Any, matrix: np.ndarray, rounded: Rounding) -> RejectedFaces:
+    vertices = world_vertices(mesh, matrix, rounded)
     finite, usable = np.isfinite(vertices).all(axis=1), is_usable(vertices)
     total = np.zeros(3, np.int64)
     for start in range(0, len(mesh.faces), FACES_PER_CHUNK):
-        total += _count_rejected(mesh.faces[start : start + FACES_PER_CHUNK], vertices, finite, usable)
+        faces = mesh.faces[start : start + FACES_PER_CHUNK]
+        sound, good = finite[faces].all(axis=1), usable[faces].all(axis=1)
+        total += (~sound).sum(), (sound & ~good).sum(), _count_degenerate(vertices[faces[good]])
     return RejectedFaces(*total.tolist())
-
-
-def _count_rejected(faces: np.ndarray, vertices: np.ndarray, finite: np.ndarray, usable: np.ndarray) -> np.ndarray:
-    """The counts of RejectedFaces as an array. finite, usable: (v,) bool, of the vertices."""
-    sound, good = finite[faces].all(axis=1), usable[faces].all(axis=1)
-    flat = _count_degenerate(vertices[faces[good]])
-    return np.array([(~sound).sum(), (sound & ~good).sum(), flat])
 
 
 def _count_degenerate(corners: np.ndarray) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 from caster.image.exr import NO_ID, Part, read_exr
 from caster.system.terminal import printable
 
-__all__ = ["describe_exr", "format_info", "hit_mask"]
+__all__ = ["hit_mask"]
 
 MAX_VALUE_CHARACTERS = 72  # characters of a provenance value on a terminal line; --json has all of them
 TYPES = {"float32": "float", "float16": "half", "uint32": "uint"}

@@ -1,4 +1,4 @@
-"""Reading and writing PNG and TGA files, and text labels. The only module that imports Pillow."""
+"""Reading and writing PNG and TGA files, and text labels. The only module of `caster` that imports Pillow."""
 
 from __future__ import annotations
 

@@ -22,11 +22,8 @@ Array = np.ndarray[Any, np.dtype[Any]]
 # ---- colours ----
 
 # Equal steps along a perceptually uniform path from dark violet over blue and green to light yellow.
-COLORMAP_ANCHORS = np.array(
-    [
-        *([33, 13, 60], [38, 46, 90], [38, 79, 116], [36, 114, 137], [39, 149, 151]),
-        *([64, 182, 152], [115, 211, 138], [180, 233, 106], [252, 247, 48]),
-    ]
+COLORMAP_ANCHORS = np.reshape(
+    [*bytes.fromhex("210d3c 262e5a 264f74 247289 279597 40b698 73d38a b4e96a fcf730")], (-1, 3)
 )
 # (sqrt(5) - 1) / 2: its multiples modulo 1 are evenly spread, and successive ones are far apart (Fibonacci hashing).
 GOLDEN_RATIO_CONJUGATE = 0.6180339887498949

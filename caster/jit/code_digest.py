@@ -43,7 +43,7 @@ def code_digest(function: Callable[..., Any], classes: Iterable[type], generics:
         if each in reached:
             continue
         reached.add(each)
-        own = _own_code(each, generics)
+        own = _OWN_CODES.get(each) or _OWN_CODES.setdefault(each, _read(each, generics))
         texts.add(own.text)
         waiting += own.functions
         new_classes, new_generics = {*own.classes} - known_classes, {*own.generics} - known_generics
@@ -69,13 +69,6 @@ def compiler_digest() -> str:
 _OWN_CODES: dict[Any, OwnCode] = {}  # by function
 
 
-def _own_code(function: Any, generics: dict[Any, Any]) -> OwnCode:
-    found = _OWN_CODES.get(function)
-    if found is None:
-        found = _OWN_CODES[function] = _read(function, generics)
-    return found
-
-
 def _read(function: FunctionType, generics: dict[Any, Any]) -> OwnCode:
     functions: list[FunctionType] = []
     named_generics: list[Any] = []
@@ -90,7 +83,7 @@ def _read(function: FunctionType, generics: dict[Any, Any]) -> OwnCode:
             return f"module {value.__name__} {_source_digest(value)}"
         if isinstance(value, BuiltinFunctionType | np.ufunc):
             return f"{type(value).__name__} {_name(value)}"
-        if _is_function(value):
+        if isinstance(_plain(value), FunctionType):
             if value in generics:
                 named_generics.append(generics[value])
             elif _has_source(_plain(value)):
@@ -141,10 +134,6 @@ def _source_digest(module: ModuleType) -> str:
     if module.__name__.partition(".")[0] in WITHOUT_SOURCE or path is None:
         return ""
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
-
-
-def _is_function(value: Any) -> bool:
-    return isinstance(_plain(value), FunctionType)
 
 
 def _plain(value: Any) -> Any:

@@ -5,7 +5,7 @@ as in graphics interfaces; arguments that change from row to row are read from t
 """
 
 import ctypes
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ from caster.jit.arguments import describe
 from caster.jit.decorators import Kernel, jit
 from caster.jit.machine_code import DONE, PLACE_OF_ANSWER, call_entry, check, fail, load_word, store_word
 
-__all__ = ["BoundCall", "Command", "CommandList", "Condition", "bind"]
+__all__ = ["BoundCall", "Command", "CommandList", "Condition"]
 
 
 class BoundCall:
@@ -24,7 +24,7 @@ class BoundCall:
     last call, and `answered` names it as a condition.
     """
 
-    def __init__(self, function: Callable[..., Any], args: tuple[Any, ...], given: tuple[int, ...]) -> None:
+    def __init__(self, function: Callable[..., Any], *args: Any, given: tuple[int, ...]) -> None:
         # the arguments are kept, since the block holds addresses of arrays
         self._function, self._args, self._given = function, args, given
         self.code: Any = function.code(args) if isinstance(function, Kernel) else None
@@ -70,11 +70,6 @@ def _words(args: tuple[Any, ...]) -> list[int]:
     return described.words[1:] if described is not None else []
 
 
-def bind(function: Callable[..., Any], *args: Any, given: tuple[int, ...]) -> BoundCall:
-    """Bind a kernel to these arguments, except those at the places `given`: integers or tuples of integers."""
-    return BoundCall(function, args, given)
-
-
 Condition = int | tuple[np.ndarray, int]
 """A number of the row, or an element of an int64 array; where it is 0, a command is skipped."""
 
@@ -89,7 +84,8 @@ class Command(NamedTuple):
 
 # A program is a list of words. Each command has the addresses of its entry and block; its condition: the address of a
 # number, ~(the place of one in the row), or ALWAYS; the count of numbers that are copied from the row to the block, and
-# for each its place in the row and its address. PAUSE in place of an entry returns to Python.
+# for each its place in the row and its address. PAUSE in place of an entry returns to Python, for a call without
+# machine code.
 PAUSE, ALWAYS = 0, 0
 FINISHED, FAILED = -1, -2
 
@@ -125,28 +121,22 @@ class CommandList:
     def __init__(self, commands: Iterable[Command], rows: np.ndarray) -> None:
         """rows: (n, width) int64, C-ordered; they may change between runs."""
         assert rows.dtype == np.int64 and rows.flags.c_contiguous
-        self._commands, self._rows, self._program = tuple(commands), rows, None
-        if any(_compiled_call(command) for command in self._commands):
-            words = [word for number, command in enumerate(self._commands) for word in self._words(number, command)]
-            self._program = np.array(words, np.int64)
+        self._commands, self._rows = tuple(commands), rows
+        words = [word for number, command in enumerate(self._commands) for word in self._words(number, command)]
+        self._program = np.array(words, np.int64)
 
     def run(self, start: int, stop: int) -> None:
         """Run all commands for each of rows start..stop."""
-        if self._program is None:
-            for row in self._rows[start:stop].tolist():
-                for command in self._commands:
-                    if _holds(command.when, row):
-                        _call(command, row)
-            return
         state = np.array([start, stop, 0])
         while (number := run_commands(self._program, self._rows, state)) != FINISHED:
             if number == FAILED:
                 fail()
-            _call(self._commands[number], self._rows[state[0]].tolist())
+            command, row = self._commands[number], self._rows[state[0]].tolist()
+            command.call(*(tuple(row[g]) if isinstance(g, slice) else row[g] for g in command.given))
 
     def _words(self, number: int, command: Command) -> list[int]:
-        when, call = _condition_word(command.when), _compiled_call(command)
-        if call is None:
+        when, call = _condition_word(command.when), command.call
+        if not isinstance(call, BoundCall) or call.code is None:
             return [PAUSE, number, when, 0]
         copies: list[int] = []
         columns = range(self._rows.shape[1])
@@ -160,22 +150,9 @@ class CommandList:
 WORD = ctypes.sizeof(ctypes.c_int64)
 
 
-def _compiled_call(command: Command) -> BoundCall | None:
-    """The command's call if it has object code."""
-    return command.call if isinstance(command.call, BoundCall) and command.call.code is not None else None
-
-
 def _condition_word(when: Condition | None) -> int:
     if when is None:
         return ALWAYS
     if isinstance(when, int):
         return ~when
     return int(when[0].ctypes.data) + when[1] * when[0].itemsize
-
-
-def _holds(when: Condition | None, row: Sequence[int]) -> bool:
-    return when is None or bool(row[when] if isinstance(when, int) else when[0][when[1]])
-
-
-def _call(command: Command, row: Sequence[int]) -> None:
-    command.call(*(tuple(row[g]) if isinstance(g, slice) else row[g] for g in command.given))

@@ -6,6 +6,7 @@ module loads Numba, so it is imported when the first kernel is compiled.
 """
 
 from collections.abc import Callable
+from functools import cached_property, partial
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -60,7 +61,7 @@ class KernelCodegen(codegen.JITCPUCodegen):  # type: ignore[misc]  # likewise
 
 
 class Entry:
-    """Stands in Numba's tables for the entry point of a function without a wrapper."""
+    """Stands for a function without a wrapper where Numba has entry points, by which it tells functions apart."""
 
 
 class KernelContext(cpu.CPUContext):  # type: ignore[misc]  # likewise
@@ -78,21 +79,13 @@ class KernelContext(cpu.CPUContext):  # type: ignore[misc]  # likewise
 
 
 class KernelTarget(registry.CPUTarget):  # type: ignore[misc]  # likewise
-    _contexts: tuple[Any, Any] | None = None
-
-    def _made(self) -> tuple[Any, Any]:
-        if self._contexts is None:
-            typing_context = typing.Context()
-            self._contexts = typing_context, KernelContext(typing_context, TARGET)
-        return self._contexts
-
-    @property
+    @cached_property
     def typing_context(self) -> Any:
-        return self._made()[0]
+        return typing.Context()
 
-    @property
+    @cached_property
     def target_context(self) -> Any:
-        return self._made()[1]
+        return KernelContext(self.typing_context, TARGET)
 
 
 class KernelDispatcher(dispatcher.Dispatcher):
@@ -117,13 +110,9 @@ def dispatcher_of(function: Callable[..., Any], options: dict[str, Any], *, from
     return KernelDispatcher(function, targetoptions=every, pipeline_class=compiler.Compiler)
 
 
-def _inner_jit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    return lambda function: dispatcher_of(function, options)
-
-
 target_extension.target_registry[TARGET] = KernelClass
 target_extension.dispatcher_registry[KernelClass] = KernelDispatcher
-target_extension.jit_registry[KernelClass] = _inner_jit
+target_extension.jit_registry[KernelClass] = lambda **options: partial(dispatcher_of, options=options)
 
 
 def register_intrinsic(stub: Callable[..., Any], definition: Callable[..., Any]) -> None:

@@ -8,12 +8,11 @@ import contextlib
 import gc
 import hashlib
 import importlib
-import inspect
 import os
 import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from functools import cache, cached_property, update_wrapper
+from functools import cache, cached_property, update_wrapper, wraps
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -113,8 +112,8 @@ class Kernel:
 
     def _prepared(self, key: tuple[Any, ...], args: tuple[Any, ...]) -> Callable[..., Any]:
         """Find or compile the machine code for these arguments; returns the function to call."""
-        if _THREAD.interprets or not self._answers_a_number:
-            return self._interpreted
+        if _THREAD.interprets or self.function.__annotations__.get("return") not in (None, int, float):
+            return self._interpreted  # Python calls kernels that answer anything else as plain Python
         with _LOCK:
             known = key, len(_IMPLEMENTED)
             if known not in self._codes and machine_code.is_supported():
@@ -129,17 +128,11 @@ class Kernel:
                         code = self._found(path, key) or self._made(path, key, args)
                 self._codes[known] = code
             code = self._codes.get(known)
-        return self._of_numba(tuple_classes(key)) if code is None else self
-
-    @property
-    def _answers_a_number(self) -> bool:
-        """Whether it returns None, an int or a float; Python calls other kernels as plain Python."""
-        return self.function.__annotations__.get("return") in (None, int, float)
-
-    def _of_numba(self, classes: tuple[type, ...]) -> Callable[..., Any]:
-        """The function to call on a platform where only Numba can pass the arguments."""
-        if self._named(classes) not in COMPILATION_LOG.slowly:
-            COMPILATION_LOG.slowly.append(self._named(classes))
+        if code is not None:
+            return self
+        name = self._named(tuple_classes(key))
+        if name not in COMPILATION_LOG.slowly:
+            COMPILATION_LOG.slowly.append(name)
         return self._python_dispatcher
 
     def _interpreted(self, *args: Any) -> Any:
@@ -311,35 +304,30 @@ class Generic:
 
     def __init__(self, stub: Callable[..., Any], options: dict[str, Any]):
         self.bodies: dict[type, Callable[..., Any]] = {}
-        self.__name__, self.__doc__ = stub.__name__, stub.__doc__
         self.stub, self.options = stub, options
         self.call = self._dispatch()
 
     def _dispatch(self) -> Callable[..., Any]:
         bodies = self.bodies
 
+        @wraps(self.stub)
         def dispatch(*args: Any) -> Any:
             kind = type(args[0])
             return bodies[kind if kind in bodies else object](*args)
 
-        self._dress(dispatch)
         return dispatch
 
     def overload(self, numba: Any) -> None:
         """Tell Numba how to choose the body."""
         bodies = self.bodies
 
+        @wraps(self.stub)  # whose signature Numba reads
         def choose(*args: Any) -> Any:
             kind: Any = getattr(args[0], "instance_class", None)  # of a Numba type
             body = bodies.get(kind, bodies.get(object))
             return body.dispatcher if isinstance(body, Kernel) else body
 
-        self._dress(choose)
         numba.extending.overload(self.call, jit_options=self.options, strict=False)(choose)
-
-    def _dress(self, function: Any) -> None:
-        function.__name__, function.__doc__ = self.stub.__name__, self.stub.__doc__
-        function.__signature__ = inspect.signature(self.stub)  # Numba reads it
 
 
 _GENERICS: dict[Callable[..., Any], Generic] = {}
@@ -363,6 +351,17 @@ def _declared(stub: Function, options: dict[str, Any]) -> Function:
         if _numba.cache_info().currsize:  # a mesh reader may compile before the kernels of rendering are imported
             entry.overload(_numba())
     return entry.call  # type: ignore[return-value]  # called like the stub
+
+
+def optional(declare: Callable[[Function], Function]) -> Callable[[Function], Function]:
+    """Declare a protocol function by `generic` or `generic_inlined`, with its own body for classes without another."""
+
+    def keep(stub: Function) -> Function:
+        function = declare(stub)
+        implement(function, object)(stub)
+        return function
+
+    return keep
 
 
 def implement(function: Callable[..., Any], kind: type) -> Callable[[Function], Function]:

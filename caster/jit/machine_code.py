@@ -265,11 +265,8 @@ def extract_object_code(library: Any, function: str, symbol: str, forms: list[Fo
         module.link_in(llvm.parse_assembly(_head(module) + RUNTIME_SOURCE[name]))
     _keep_only(module, symbol, library._codegen._tm)
     data: bytes = library.object_code(module)
-    return None if any(f.is_declaration and not _known(f.name) for f in module.functions) else data
-
-
-def _known(name: str) -> bool:
-    return name.startswith("llvm.") or name in C_LIBRARY_SYMBOLS
+    unknown = {f.name for f in module.functions if f.is_declaration} - C_LIBRARY_SYMBOLS
+    return data if all(name.startswith("llvm.") for name in unknown) else None
 
 
 def _keep_only(module: Any, symbol: str, target: Any) -> None:

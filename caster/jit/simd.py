@@ -1,7 +1,8 @@
 """Vectors of eight float64, since LLVM does not vectorise short loops by itself.
 
-In plain Python a vector is a NumPy array, or a number if it has one element; compiled, each function here is one or a
-few instructions (caster/jit/vector_intrinsics.py). Numbers have to be made vectors by `splat`.
+In plain Python a vector is an array of Python floats, which overflow without a warning; compiled, each function here,
+and +, - and * of vectors, is one or a few instructions (caster/jit/vector_intrinsics.py). A number may stand for a
+vector of equal ones.
 """
 
 from typing import Any
@@ -24,7 +25,7 @@ Vector = Any
 
 def load_lanes(a: Any, i: Any) -> Vector:
     """a[i:i + LANES] as float64, of a flattened."""
-    return float(a.reshape(-1)[i]) if LANES == 1 else _loaded(a, i, LANES)
+    return _loaded(a, i, LANES)
 
 
 def load_children(a: Any, i: Any) -> Vector:
@@ -33,62 +34,46 @@ def load_children(a: Any, i: Any) -> Vector:
 
 
 def _loaded(a: Any, i: Any, count: int) -> Vector:
-    return a.reshape(-1)[int(i) : int(i) + count].astype(np.float64)
+    return a.reshape(-1)[int(i) : int(i) + count].astype(np.float64).astype(object)
 
 
 def store(v: Vector, a: Any, i: Any) -> None:
     """Write a vector to a[i:]."""
-    a[int(i) : int(i) + np.size(v)] = v
+    a[int(i) : int(i) + len(v)] = v
 
 
 def splat(x: float) -> Vector:
-    """x in each lane."""
-    return x
-
-
-def plus(v: Vector, w: Vector) -> Vector:
-    with np.errstate(all="ignore"):
-        return v + w
-
-
-def minus(v: Vector, w: Vector) -> Vector:
-    with np.errstate(all="ignore"):
-        return v - w
-
-
-def times(v: Vector, w: Vector) -> Vector:
-    with np.errstate(all="ignore"):
-        return v * w
+    """LANES times x."""
+    return np.full(LANES, x, object)
 
 
 def larger(v: Vector, w: Vector) -> Vector:
     """v where it is greater, else w."""
-    return np.where(np.greater(v, w), v, w)
+    return np.where(v > w, v, w)
 
 
 def lesser(v: Vector, w: Vector) -> Vector:
     """v where it is less, else w."""
-    return np.where(np.less(v, w), v, w)
+    return np.where(v < w, v, w)
 
 
 def bits_below(v: Vector, w: Vector) -> int:
     """A bit for each lane with v < w, the first lane's lowest."""
-    return _packed(np.less(v, w))
+    return _packed(v < w)
 
 
 def bits_up_to(v: Vector, w: Vector) -> int:
     """A bit for each lane with v <= w."""
-    return _packed(np.less_equal(v, w))
+    return _packed(v <= w)
 
 
 def _packed(flags: Any) -> int:
-    return int(np.packbits(np.atleast_1d(flags), bitorder="little")[0])
+    return int(np.packbits(flags, bitorder="little")[0])
 
 
 def select(bits: int, v: Vector, w: Vector) -> Vector:
     """v where the lane's bit is set, else w."""
-    size = np.broadcast(v, w).size
-    return np.where([bits >> n & 1 for n in range(size)], v, w)
+    return np.where([bits >> n & 1 for n in range(LANES)], v, w)
 
 
 def least(v: Vector) -> float:

@@ -1,7 +1,9 @@
 """LLVM code of the functions of caster/jit/simd.py, which documents them, for numba.extending.intrinsic."""
 
 import inspect
+import operator
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 from llvmlite import ir
@@ -38,53 +40,56 @@ VECTOR = VectorType()
 
 def intrinsics() -> Iterator[tuple[Callable[..., Any], Callable[..., Any]]]:
     """(plain Python function, definition) of each intrinsic."""
-    yield simd.load_lanes, _intrinsic(_load, VECTOR, None, types.uint64)
-    yield simd.load_children, _intrinsic(_load, VECTOR, None, types.uint64)
-    yield simd.store, _intrinsic(_store, types.none, VECTOR, None, types.uint64)
-    yield simd.splat, _intrinsic(lambda call, x: _splat(call.builder, x), VECTOR, types.float64)
-    for stub, operation in (
-        (simd.plus, lambda call, v, w: call.builder.fadd(v, w)),
-        (simd.minus, lambda call, v, w: call.builder.fsub(v, w)),
-        (simd.times, lambda call, v, w: call.builder.fmul(v, w)),
-        (simd.larger, lambda call, v, w: _larger(call.builder, v, w)),
-        (simd.lesser, lambda call, v, w: _lesser(call.builder, v, w)),
+    real, whole, none, index = types.float64, types.int64, types.none, types.uint64
+    for stub, build, gives, *takes in (
+        (simd.load_lanes, _load, VECTOR, None, index),
+        (simd.load_children, _load, VECTOR, None, index),
+        (simd.store, _store, none, VECTOR, None, index),
+        (simd.splat, _splat, VECTOR, real),
+        (operator.add, ir.IRBuilder.fadd, VECTOR, VECTOR, VECTOR),
+        (operator.sub, ir.IRBuilder.fsub, VECTOR, VECTOR, VECTOR),
+        (operator.mul, ir.IRBuilder.fmul, VECTOR, VECTOR, VECTOR),
+        (simd.larger, _larger, VECTOR, VECTOR, VECTOR),
+        (simd.lesser, _lesser, VECTOR, VECTOR, VECTOR),
+        (simd.bits_below, partial(_bits, "<"), whole, VECTOR, VECTOR),
+        (simd.bits_up_to, partial(_bits, "<="), whole, VECTOR, VECTOR),
+        (simd.select, _select, VECTOR, whole, VECTOR, VECTOR),
+        (simd.least, partial(_reduced, _lesser), real, VECTOR),
+        (simd.largest, partial(_reduced, _larger), real, VECTOR),
+        (simd.lowest_bit, _lowest_bit, whole, whole),
+        (simd.prefetch, _prefetch, none, None, whole),
+        (simd.gather_corners, _gather_corners, none, None, None, None, index, index, index),
+        (machine_code.load_word, _load_word, whole, whole),
+        (machine_code.store_word, _store_word, none, whole, whole),
+        (machine_code.call_entry, _call_entry, whole, whole, whole),
     ):
-        yield stub, _intrinsic(operation, VECTOR, VECTOR, VECTOR)
-    yield simd.bits_below, _intrinsic(lambda call, v, w: _bits(call.builder, "<", v, w), types.int64, VECTOR, VECTOR)
-    yield simd.bits_up_to, _intrinsic(lambda call, v, w: _bits(call.builder, "<=", v, w), types.int64, VECTOR, VECTOR)
-    yield simd.select, _intrinsic(_select, VECTOR, types.int64, VECTOR, VECTOR)
-    yield simd.least, _intrinsic(lambda call, v: _reduced(call.builder, v, _lesser), types.float64, VECTOR)
-    yield simd.largest, _intrinsic(lambda call, v: _reduced(call.builder, v, _larger), types.float64, VECTOR)
-    yield simd.lowest_bit, _intrinsic(_lowest_bit, types.int64, types.int64)
-    yield simd.prefetch, _intrinsic(_prefetch, types.none, None, types.int64)
-    yield machine_code.load_word, _intrinsic(_load_word, types.int64, types.int64)
-    yield machine_code.store_word, _intrinsic(_store_word, types.none, types.int64, types.int64)
-    yield machine_code.call_entry, _intrinsic(_call_entry, types.int64, types.int64, types.int64)
-    yield simd.gather_corners, _intrinsic(_gather_corners, types.none, None, None, None, *[types.uint64] * 3)
-
-
-class Call:
-    """A call that is being compiled."""
-
-    def __init__(self, context: Any, builder: Builder, given: Any) -> None:
-        self.context, self.builder, self.given = context, builder, given
-
-    def data(self, place: int, array: Any) -> Any:
-        """Address of the first element of an array, the argument at this place."""
-        return self.context.make_array(self.given[place])(self.context, self.builder, array).data
+        yield stub, _intrinsic(build, gives, *takes)
 
 
 def _intrinsic(build: Callable[..., Any], gives: Any, *takes: Any) -> Callable[..., Any]:
-    """Definition of an intrinsic: build(call, *arguments) returns its value. takes: None for a C-ordered array."""
+    """Definition of an intrinsic: build(builder, *arguments) returns its value.
+
+    takes: the type of each argument, None for a C-ordered array, which `build` gets as Numba's structure. A float64 may
+    stand for all vectors but one.
+    """
 
     def typed(typing: Any, *given: Any) -> Any:
-        assert all(kind is not None or arg.layout == "C" for kind, arg in zip(takes, given, strict=True))
-        wanted = [arg if kind is None else kind for kind, arg in zip(takes, given, strict=True)]
+        if VECTOR in takes and VECTOR not in given:
+            return None
+        pairs = list(zip(takes, given, strict=True))
+        assert all(kind is not None or arg.layout == "C" for kind, arg in pairs)
 
         def body(context: Any, builder: Builder, signature: Any, arguments: Any) -> Any:
-            value = build(Call(context, builder, signature.args), *arguments)
+            values = list(arguments)
+            for n, (kind, arg) in enumerate(pairs):
+                if kind is None:
+                    values[n] = context.make_array(arg)(context, builder, values[n])
+                elif kind is VECTOR and arg == types.float64:
+                    values[n] = _splat(builder, values[n])
+            value = build(builder, *values)
             return context.get_dummy_value() if gives is types.none else value
 
+        wanted = [arg if kind is None or (kind is VECTOR and arg == types.float64) else kind for kind, arg in pairs]
         return gives(*wanted), body
 
     names = ["typing", *(f"a{n}" for n in range(len(takes)))]  # Numba counts them
@@ -93,24 +98,16 @@ def _intrinsic(build: Callable[..., Any], gives: Any, *takes: Any) -> Callable[.
     return typed
 
 
-def _load(call: Call, array: Any, i: Any) -> Any:
-    element = call.context.get_data_type(call.given[0].dtype)
-    return _load_from(call.builder, call.builder.gep(call.data(0, array), [i]), element)
-
-
-def _load_from(builder: Builder, place: Any, element: Any = REAL) -> Any:
-    vector = builder.load(
-        builder.bitcast(place, ir.VectorType(element, LANES).as_pointer()), align=8 if element == REAL else 4
-    )
+def _load(builder: Builder, array: Any, i: Any) -> Any:
+    """LANES numbers from element i of an array on, as float64."""
+    element = array.data.type.pointee
+    place = builder.bitcast(builder.gep(array.data, [i]), ir.VectorType(element, LANES).as_pointer())
+    vector = builder.load(place, align=8 if element == REAL else 4)
     return vector if element == REAL else builder.fpext(vector, REALS)
 
 
-def _store(call: Call, vector: Any, array: Any, i: Any) -> None:
-    _store_to(call.builder, vector, call.builder.gep(call.data(1, array), [i]))
-
-
-def _store_to(builder: Builder, vector: Any, place: Any) -> None:
-    builder.store(vector, builder.bitcast(place, REALS.as_pointer()), align=8)
+def _store(builder: Builder, vector: Any, array: Any, i: Any) -> None:
+    builder.store(vector, builder.bitcast(builder.gep(array.data, [i]), REALS.as_pointer()), align=8)
 
 
 def _splat(builder: Builder, x: Any) -> Any:
@@ -132,16 +129,16 @@ def _lesser(builder: Builder, v: Any, w: Any) -> Any:
     return builder.select(builder.fcmp_ordered("<", v, w), v, w)
 
 
-def _bits(builder: Builder, relation: str, v: Any, w: Any) -> Any:
+def _bits(relation: str, builder: Builder, v: Any, w: Any) -> Any:
     return builder.zext(builder.bitcast(builder.fcmp_ordered(relation, v, w), ir.IntType(LANES)), INT64)
 
 
-def _select(call: Call, bits: Any, v: Any, w: Any) -> Any:
-    chosen = call.builder.bitcast(call.builder.trunc(bits, ir.IntType(LANES)), ir.VectorType(ir.IntType(1), LANES))
-    return call.builder.select(chosen, v, w)
+def _select(builder: Builder, bits: Any, v: Any, w: Any) -> Any:
+    chosen = builder.bitcast(builder.trunc(bits, ir.IntType(LANES)), ir.VectorType(ir.IntType(1), LANES))
+    return builder.select(chosen, v, w)
 
 
-def _reduced(builder: Builder, vector: Any, chosen: Callable[[Builder, Any, Any], Any]) -> Any:
+def _reduced(chosen: Callable[[Builder, Any, Any], Any], builder: Builder, vector: Any) -> Any:
     """Reduce a vector by choosing between its halves."""
     half = LANES // 2
     while half:
@@ -150,47 +147,43 @@ def _reduced(builder: Builder, vector: Any, chosen: Callable[[Builder, Any, Any]
     return builder.extract_element(vector, INT32(0))
 
 
-def _lowest_bit(call: Call, mask: Any) -> Any:
-    return call.builder.cttz(mask, ir.Constant(ir.IntType(1), 1))
+def _lowest_bit(builder: Builder, mask: Any) -> Any:
+    return builder.cttz(mask, ir.Constant(ir.IntType(1), 1))
 
 
-def _load_word(call: Call, address: Any) -> Any:
-    return call.builder.load(call.builder.inttoptr(address, INT64.as_pointer()))
+def _load_word(builder: Builder, address: Any) -> Any:
+    return builder.load(builder.inttoptr(address, INT64.as_pointer()))
 
 
-def _store_word(call: Call, address: Any, word: Any) -> None:
-    call.builder.store(word, call.builder.inttoptr(address, INT64.as_pointer()))
+def _store_word(builder: Builder, address: Any, word: Any) -> None:
+    builder.store(word, builder.inttoptr(address, INT64.as_pointer()))
 
 
-def _call_entry(call: Call, entry: Any, block: Any) -> Any:
+def _call_entry(builder: Builder, entry: Any, block: Any) -> Any:
     kind = ir.FunctionType(INT32, [INT64]).as_pointer()
-    return call.builder.sext(call.builder.call(call.builder.inttoptr(entry, kind), [block]), INT64)
+    return builder.sext(builder.call(builder.inttoptr(entry, kind), [block]), INT64)
 
 
 FOR_READING, KEEP_IN_ALL_CACHES, DATA = INT32(0), INT32(3), INT32(1)
 
 
-def _prefetch(call: Call, rows: Any, k: Any) -> None:
-    builder, byte = call.builder, ir.IntType(8).as_pointer()
-    array = call.context.make_array(call.given[0])(call.context, builder, rows)
-    step = builder.extract_value(array.strides, 0)
-    place = builder.gep(builder.bitcast(array.data, byte), [builder.mul(k, step)])
+def _prefetch(builder: Builder, rows: Any, k: Any) -> None:
+    byte = ir.IntType(8).as_pointer()
+    step = builder.extract_value(rows.strides, 0)
+    place = builder.gep(builder.bitcast(rows.data, byte), [builder.mul(k, step)])
     wanted = ir.FunctionType(ir.VoidType(), [byte, INT32, INT32, INT32])
     function = builder.module.declare_intrinsic("llvm.prefetch", [byte], wanted)
     builder.call(function, [place, FOR_READING, KEEP_IN_ALL_CACHES, DATA])
 
 
-def _gather_corners(call: Call, rows: Any, faces: Any, lanes: Any, numbers: Any, into: Any, step: Any) -> None:
-    builder = call.builder
-    rows, faces, lanes = call.data(0, rows), call.data(1, faces), call.data(2, lanes)
-    whole = builder.fptosi(_load_from(builder, builder.gep(lanes, [numbers])), ir.VectorType(INT64, LANES))
+def _gather_corners(builder: Builder, rows: Any, faces: Any, lanes: Any, numbers: Any, into: Any, step: Any) -> None:
+    whole = builder.fptosi(_load(builder, lanes, numbers), ir.VectorType(INT64, LANES))
     first = [builder.mul(builder.extract_element(whole, INT32(n)), INT64(3)) for n in range(LANES)]
     for corner in range(3):
-        vertices = (builder.load(builder.gep(faces, [builder.add(at, INT64(corner))])) for at in first)
+        vertices = (builder.load(builder.gep(faces.data, [builder.add(at, INT64(corner))])) for at in first)
         starts = [builder.mul(builder.sext(vertex, INT64), INT64(3)) for vertex in vertices]
-        for axis, column in enumerate(_rows_of_three(builder, rows, starts)):
-            place = builder.add(into, builder.mul(step, INT64(3 * corner + axis)))
-            _store_to(builder, column, builder.gep(lanes, [place]))
+        for axis, column in enumerate(_rows_of_three(builder, rows.data, starts)):
+            _store(builder, column, lanes, builder.add(into, builder.mul(step, INT64(3 * corner + axis))))
 
 
 def _rows_of_three(builder: Builder, data: Any, starts: list[Any]) -> list[Any]:

@@ -1,13 +1,13 @@
 """The functions that a kind of primitive and a camera implement. A kind is a NamedTuple of arrays, a row a primitive.
 
-Points and vectors inside kernels are tuples of three floats; arrays hold them as rows.
+Points and vectors inside kernels are tuples of three floats; arrays hold them as rows. A function with a body here is
+optional: the body serves those that implement no other.
 """
 
-# The parameters of the stubs below are read by their bodies alone.
-
+import math
 from typing import Any
 
-from caster.jit.decorators import generic, generic_inlined, implement
+from caster.jit.decorators import generic, generic_inlined, optional
 
 Vec3 = tuple[float, float, float]
 
@@ -31,36 +31,21 @@ def intersect(prims: Any, pre: Any, d: Vec3, t_min: float, t_max: float) -> Any:
     """
 
 
-@generic_inlined
+@optional(generic_inlined)
 def surely_misses(prims: Any, pre: Any, d: Vec3) -> Any:
     """Quick rejection: True only if `intersect` would return MISS."""
-
-
-@implement(surely_misses, object)
-def _may_hit(prims: Any, pre: Any, d: Vec3) -> bool:
     return False
 
 
-@generic_inlined
+@optional(generic_inlined)
 def t_lower_bound(prims: Any, pre: Any, low: Vec3, high: Vec3) -> Any:
-    """A lower bound of t > 0 at the prepared primitive for rays with low <= d <= high in each component; inf: no hit.
-
-    Optional.
-    """
-
-
-@implement(t_lower_bound, object)
-def _t_lower_bound(prims: Any, pre: Any, low: Vec3, high: Vec3) -> float:
+    """A lower bound of t > 0 at the prepared primitive for rays with low <= d <= high, by component; inf: no hit."""
     return 0.0
 
 
-@generic_inlined
+@optional(generic_inlined)
 def same_geometry(prims: Any, k: int, j: int) -> Any:
     """Whether `exact_intersect` reads the same numbers of primitives k and j; False is always correct."""
-
-
-@implement(same_geometry, object)
-def _not_known_to_be_the_same(prims: Any, k: int, j: int) -> bool:
     return False
 
 
@@ -74,13 +59,9 @@ def update_best(mode: Any, best: Any, i: int, k: int, hit: Any) -> Any:
     """The best of ray i after the result `hit` of `intersect` for primitive k."""
 
 
-@generic_inlined
+@optional(generic_inlined)
 def prefetch_numbers(prims: Any, k: int, referred: bool) -> None:
-    """Prefetch the arrays that `load` reads for primitive k; referred: those that its numbers refer to. Optional."""
-
-
-@implement(prefetch_numbers, object)
-def _prefetch_nothing(prims: Any, k: int, referred: bool) -> None:
+    """Prefetch the arrays that `load` reads for primitive k; referred: those that its numbers refer to."""
     return None
 
 
@@ -88,12 +69,16 @@ def _prefetch_nothing(prims: Any, k: int, referred: bool) -> None:
 # (raster/tile.py), and `fast_surface` and `fast_uv` have no branch. A plug-in may implement `surface` alone.
 
 
-@generic_inlined
+ZERO = (0.0, 0.0, 0.0)
+
+
+@optional(generic_inlined)
 def surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants: int) -> None:
     """Write the numbers of primitive k that `fast_surface` and `fast_uv` read to lanes start..stop of a scratch.
 
     wants: raster.tile.NORMALS, SURFACES or SURFACES_WITH_UV.
     """
+    return None
 
 
 @generic_inlined
@@ -101,47 +86,27 @@ def setup_lanes(prims: Any, scratch: Any, wants: int) -> None:
     """`surface_setup` for all lanes of a scratch, each with its primitive LANE_NUMBER; by default run by run."""
 
 
-@generic_inlined
+@optional(generic_inlined)
 def fast_surface(prims: Any, scratch: Any, x: Any, o: Vec3, d: Vec3, t: float) -> Any:
     """(normal_is_safe, all_is_safe, p, n, sh_n, local) of lane x; n and sh_n are unit vectors.
 
     A flag that is True stands for the bits of `surface`. local: three numbers that `fast_uv` reads.
     """
+    return False, False, ZERO, ZERO, ZERO, ZERO
 
 
-@generic_inlined
+@optional(generic_inlined)
 def fast_uv(prims: Any, scratch: Any, x: Any, local: Vec3) -> Any:
     """(u, v) of lane x."""
+    return 0.0, 0.0
 
 
-@generic
+@optional(generic)
 def surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float, wants_uv: bool) -> Any:
     """(p, n, sh_n, u, v) where a ray meets primitive k at t, for numbers of any size.
 
     For hits that `fast_surface` is not safe for; a kind whose flags are always True has no body for this.
     """
-
-
-ZERO = (0.0, 0.0, 0.0)
-
-
-@implement(surface_setup, object)
-def _no_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants: int) -> None:
-    return None
-
-
-@implement(fast_surface, object)
-def _never_safe(prims: Any, scratch: Any, x: Any, o: Vec3, d: Vec3, t: float) -> Any:
-    return False, False, ZERO, ZERO, ZERO, ZERO
-
-
-@implement(fast_uv, object)
-def _no_uv(prims: Any, scratch: Any, x: Any, local: Vec3) -> tuple[float, float]:
-    return 0.0, 0.0
-
-
-@implement(surface, object)
-def _always_safe(prims: Any, k: int, o: Vec3, d: Vec3, t: float, wants_uv: bool) -> Any:
     return ZERO, ZERO, ZERO, 0.0, 0.0
 
 
@@ -172,25 +137,27 @@ def camera_ray(camera: Any, x: float, y: float) -> Any:
 def project(camera: Any, p: Vec3) -> Any:
     """(x, y, pixels, depth, valid): where p falls on the film; a unit step of p moves it by at most so many pixels.
 
-    depth: how far p is in front of where the rays start, along camera.forward, or, if negative, behind. Not valid where
-    straight edges would not stay straight. For a camera with a body for `bent`, depth is the distance from the eye.
+    depth: how far p is in front of where the rays start, along camera.forward, or, if negative, behind; the distance
+    from the eye for a camera that implements `distortion_bound`. Not valid where straight edges would bend.
     """
 
 
-@generic_inlined
+@optional(generic_inlined)
 def distortion_bound(camera: Any, extent: float) -> Any:
     """(pixels, share, valid): for a convex hull whose projected points are no more than `extent` pixels apart.
 
     On the film, its projection reaches no more than so many pixels beyond the box around those, and, in general, beyond
     any line; nothing of it is nearer than that share of the nearest point's depth. Not valid: nothing is known. A
-    rectilinear camera has no body for this.
+    rectilinear camera has no other body than this one.
     """
+    return 0.0, 1.0, True
 
 
-@generic_inlined
+@optional(generic_inlined)
 def project_bounding_sphere(camera: Any, center: Vec3, r: float) -> Any:
     """(left, top, right, bottom, depth, valid): the screen bounds of a sphere, and its least depth.
 
     Depth counts as for `project`. Not valid: nothing is known, but for the depth. The rays of a camera that is not
-    rectilinear and has no body for this traverse the trees.
+    rectilinear and implements no other body than this one traverse the trees.
     """
+    return 0.0, 0.0, 0.0, 0.0, -math.inf, False

@@ -28,6 +28,7 @@ from caster.kernels.math.vec import (
     row,
     scaled,
     scaled_near_one,
+    select,
     sub,
 )
 from caster.kernels.protocol import (
@@ -87,11 +88,16 @@ PLANE_ERROR, SLOPE_ERROR = 9.0 * U, 8.0 * U
 MAX_EDGE_ERROR = 2.0**900
 
 
+@inlined
+def corners_of(rows: Any, faces: Any, k: int) -> tuple[Vec3, Vec3, Vec3]:
+    """The rows of a triangle's three vertices."""
+    return row(rows, faces[k, 0]), row(rows, faces[k, 1]), row(rows, faces[k, 2])
+
+
 @implement(load, Triangles)
 def _load(prims: Any, k: int) -> Any:
     """(corners, n, Q)."""
-    i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
-    p, q, r = row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2)
+    p, q, r = corners_of(prims.vertices, prims.faces, k)
     e1, e2 = sub(q, p), sub(r, p)
     return p, q, r, cross(e1, e2), permanent(e1, e2)
 
@@ -197,15 +203,6 @@ def max_dot_over_box(side: float, a: Vec3, low: Vec3, high: Vec3) -> float:
     return x + y + max(side * a[2] * low[2], side * a[2] * high[2])
 
 
-@jit
-def dominant_axis(d: Vec3) -> int:
-    """The component of largest magnitude, the lowest on a tie."""
-    x, y, z = abs(d[0]), abs(d[1]), abs(d[2])
-    if x >= y and x >= z:
-        return 0
-    return 1 if y >= z else 2
-
-
 # A sheared coordinate is off by 3 u (|p d| + |p d|) <= 6 u m |d|, m the largest coordinate of a corner; a product of
 # two that are at most s, off by r each, by 2 s r + r^2 and its rounding. Six products and their sum are off by
 # 12 s r + 6 r^2 + 15 u s^2.
@@ -213,28 +210,16 @@ SHEAR_ERROR = 6.0 * U
 
 
 @jit
-def barycentrics(a: Vec3, b: Vec3, c: Vec3, d: Vec3, t: float) -> Vec3:
-    """Of the point t d, where a ray from 0 meets the triangle.
-
-    From the corners sheared along d, so near to 0 that little cancels (Woop, Benthin, Wald 2013); their division by
-    the dominant component of d is left out, since it scales all three alike. What belongs to the second and third
-    corner is added up first, here and in `surface`: a mirrored shape swaps the two, and so no bit changes.
-    """
-    known, weights = fast_barycentrics(a, b, c, d)
-    return weights if known else barycentrics_edge_on(a, b, c, scaled(t, d))
-
-
-@jit
 def barycentrics_edge_on(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Vec3:
-    """Of the point p, projected along an axis: what is left where the ray runs along it."""
+    """Barycentrics of the point p, projected along an axis: for rays that run along the triangle."""
     e1, e2, q = sub(b, a), sub(c, a), sub(p, a)
     axis = dominant_axis(cross(scaled_near_one(e1), scaled_near_one(e2)))
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    area = e1[i] * e2[j] - e1[j] * e2[i]
+    e1, e2, q = dominant_last(axis, e1), dominant_last(axis, e2), dominant_last(axis, q)
+    area = e1[0] * e2[1] - e1[1] * e2[0]
     if area == 0.0:
         return 1.0, 0.0, 0.0
-    b1 = min(max((q[i] * e2[j] - q[j] * e2[i]) / area, 0.0), 1.0)
-    b2 = min(max((e1[i] * q[j] - e1[j] * q[i]) / area, 0.0), 1.0)
+    b1 = min(max((q[0] * e2[1] - q[1] * e2[0]) / area, 0.0), 1.0)
+    b2 = min(max((e1[0] * q[1] - e1[1] * q[0]) / area, 0.0), 1.0)
     together = max(b1 + b2, 1.0)
     b1, b2 = b1 / together, b2 / together
     return max(1.0 - (b1 + b2), 0.0), b1, b2
@@ -242,17 +227,12 @@ def barycentrics_edge_on(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Vec3:
 
 @implement(same_geometry, Triangles)
 def _same_geometry(prims: Any, k: int, j: int) -> bool:
-    p, q, r = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
-    a, b, c = prims.faces[j, 0], prims.faces[j, 1], prims.faces[j, 2]
-    v = prims.vertices
-    return row(v, p) == row(v, a) and row(v, q) == row(v, b) and row(v, r) == row(v, c)
+    return corners_of(prims.vertices, prims.faces, k) == corners_of(prims.vertices, prims.faces, j)
 
 
 @implement(exact_intersect, Triangles)
 def _exact_intersect(prims: Any, k: int, o: Vec3, d: Vec3, t_min: float, t_max: float) -> Root:
-    i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
-    corners = row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2)
-    return exact_triangle(corners, o, d, t_min, t_max)
+    return exact_triangle(corners_of(prims.vertices, prims.faces, k), o, d, t_min, t_max)
 
 
 # Where fewer than half of its bits are known, a normal is computed with twice as many.
@@ -303,19 +283,19 @@ def triangle_normal_slow(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
 
 @implement(surface, Triangles)
 def _surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float, wants_uv: bool) -> Any:
-    i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
-    a, b, c = row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2)
-    weights = b0, b1, b2 = barycentrics(sub(a, o), sub(b, o), sub(c, o), d, t)
+    a, b, c = corners_of(prims.vertices, prims.faces, k)
+    p, q, r = sub(a, o), sub(b, o), sub(c, o)
+    known, weights = fast_barycentrics(p, q, r, d)
+    weights = b0, b1, b2 = weights if known else barycentrics_edge_on(p, q, r, scaled(t, d))
     p = add(scaled(b0, a), add(scaled(b1, b), scaled(b2, c)))
     n = triangle_normal(a, b, c)
     sh_n = n
     if prims.smooth[k]:
-        n0, n1, n2 = row(prims.normals, i0), row(prims.normals, i1), row(prims.normals, i2)
-        known, sh_n = fast_interpolated_normal(weights, n0, n1, n2)
+        known, sh_n = fast_interpolated_normal(weights, *corners_of(prims.normals, prims.faces, k))
         sh_n = sh_n if known else normalize(sh_n)
-    s, r = uv_by_weights(weights)
-    if wants_uv and is_textured(prims, k):
-        s, r = interpolated_uv(weights, uv_of(prims, i0), uv_of(prims, i1), uv_of(prims, i2))
+    s, r = b1, b2  # where the vertices have no uv
+    if wants_uv and prims.textured[k]:
+        s, r = interpolated_uv(weights, *uv_of(prims, k))
     return p, n, sh_n, s, r
 
 
@@ -323,19 +303,11 @@ UV = tuple[float, float]
 
 
 @inlined
-def uv_of(prims: Any, vertex: int) -> UV:
-    return prims.uv[vertex, 0], prims.uv[vertex, 1]
-
-
-@inlined
-def is_textured(prims: Any, k: int) -> bool:
-    return prims.textured[k]
-
-
-@inlined
-def uv_by_weights(weights: Vec3) -> UV:
-    """uv of a triangle whose vertices have none."""
-    return weights[1], weights[2]
+def uv_of(prims: Any, k: int) -> tuple[UV, UV, UV]:
+    """uv of a triangle's three vertices."""
+    i, j, h = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
+    uv = prims.uv
+    return (uv[i, 0], uv[i, 1]), (uv[j, 0], uv[j, 1]), (uv[h, 0], uv[h, 1])
 
 
 @inlined
@@ -355,8 +327,7 @@ LANE_A, LANE_B, LANE_C, LANE_NA, LANE_NB, LANE_NC, LANE_SMOOTH, LANE_US, LANE_VS
 
 @implement(surface_setup, Triangles)
 def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants: int) -> None:
-    i0, i1, i2 = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
-    a, b, c = row(prims.vertices, i0), row(prims.vertices, i1), row(prims.vertices, i2)
+    a, b, c = corners_of(prims.vertices, prims.faces, k)
     smooth = prims.smooth[k]
     for x in range(start, stop):
         put_lane(scratch, LANE_A + x, a)
@@ -364,7 +335,7 @@ def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, want
         put_lane(scratch, LANE_C + x, c)
         scratch[LANE_SMOOTH + x] = 1.0 if smooth else 0.0
     if smooth and wants != NORMALS:
-        n0, n1, n2 = row(prims.normals, i0), row(prims.normals, i1), row(prims.normals, i2)
+        n0, n1, n2 = corners_of(prims.normals, prims.faces, k)
         for x in range(start, stop):
             put_lane(scratch, LANE_NA + x, n0)
             put_lane(scratch, LANE_NB + x, n1)
@@ -375,8 +346,7 @@ def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, want
 
 @inlined
 def _setup_uv(prims: Any, k: int, start: Any, stop: Any, scratch: Any) -> None:
-    textured, corners = is_textured(prims, k), prims.faces[k]
-    a, b, c = uv_of(prims, corners[0]), uv_of(prims, corners[1]), uv_of(prims, corners[2])
+    textured, (a, b, c) = prims.textured[k], uv_of(prims, k)
     for x in range(start, stop):
         put_lane(scratch, LANE_US + x, (a[0], b[0], c[0]))
         put_lane(scratch, LANE_VS + x, (a[1], b[1], c[1]))
@@ -400,13 +370,16 @@ def _setup_lanes(prims: Any, scratch: Any, wants: int) -> None:
 
 
 @inlined
-def dominant_last(axis0: bool, axis1: bool, v: Vec3) -> Vec3:
-    """v turned so that component 0, 1 or else 2 is last."""
-    return (
-        v[1] if axis0 else (v[2] if axis1 else v[0]),
-        v[2] if axis0 else (v[0] if axis1 else v[1]),
-        v[0] if axis0 else (v[1] if axis1 else v[2]),
-    )
+def dominant_axis(d: Vec3) -> tuple[bool, bool]:
+    """(whether the component of largest magnitude, the lowest on a tie, is 0; whether it is 1 if not)."""
+    x, y, z = abs(d[0]), abs(d[1]), abs(d[2])
+    return (x >= y) & (x >= z), y >= z
+
+
+@inlined
+def dominant_last(axis: tuple[bool, bool], v: Vec3) -> Vec3:
+    """v turned so that this axis is last."""
+    return select(axis[0], (v[1], v[2], v[0]), select(axis[1], (v[2], v[0], v[1]), v))
 
 
 @inlined
@@ -421,42 +394,38 @@ def _fast_surface(prims: Any, scratch: Any, x: Any, o: Vec3, d: Vec3, t: float) 
     known, weights = fast_barycentrics(sub(a, o), sub(b, o), sub(c, o), d)
     p = add(scaled(weights[0], a), add(scaled(weights[1], b), scaled(weights[2], c)))
     wide, n = fast_triangle_normal(a, b, c)
-    n0, n1, n2 = (get_lane(scratch, LANE_NA + x), get_lane(scratch, LANE_NB + x), get_lane(scratch, LANE_NC + x))
+    n0, n1, n2 = get_lane(scratch, LANE_NA + x), get_lane(scratch, LANE_NB + x), get_lane(scratch, LANE_NC + x)
     long, between = fast_interpolated_normal(weights, n0, n1, n2)
     smooth = scratch[LANE_SMOOTH + x] != 0.0
-    sh_n = (between[0] if smooth else n[0], between[1] if smooth else n[1], between[2] if smooth else n[2])
-    return wide, known & wide & (long | (not smooth)), p, n, sh_n, weights
+    return wide, known & wide & (long | (not smooth)), p, n, select(smooth, between, n), weights
 
 
 @implement(fast_uv, Triangles)
 def _fast_uv(prims: Any, scratch: Any, x: Any, weights: Vec3) -> UV:
     u, v = get_lane(scratch, LANE_US + x), get_lane(scratch, LANE_VS + x)
-    textured, plain = scratch[LANE_TEXTURED + x] != 0.0, uv_by_weights(weights)
+    textured = scratch[LANE_TEXTURED + x] != 0.0
     s, r = interpolated_uv(weights, (u[0], v[0]), (u[1], v[1]), (u[2], v[2]))
-    return s if textured else plain[0], r if textured else plain[1]
-
-
-@inlined
-def magnitudes(a: Vec3) -> Vec3:
-    return abs(a[0]), abs(a[1]), abs(a[2])
+    return s if textured else weights[1], r if textured else weights[2]
 
 
 @inlined
 def fast_barycentrics(a: Vec3, b: Vec3, c: Vec3, d: Vec3) -> tuple[bool, Vec3]:
-    """(whether these are those of `barycentrics`, they), without a branch."""
-    x, y, z = abs(d[0]), abs(d[1]), abs(d[2])
-    axis0, axis1 = (x >= y) & (x >= z), y >= z
-    along = dominant_last(axis0, axis1, d)
-    p = sheared_last(dominant_last(axis0, axis1, a), along)
-    q = sheared_last(dominant_last(axis0, axis1, b), along)
-    r = sheared_last(dominant_last(axis0, axis1, c), along)
+    """(known, barycentrics) of the point t d, where a ray from 0 meets the triangle, without a branch.
+
+    From the corners sheared along d, so near to 0 that little cancels (Woop, Benthin, Wald 2013); their division by
+    the dominant component of d is left out, since it scales all three alike. What belongs to the second and third
+    corner is added up first, here and in `surface`: a mirrored shape swaps the two, and so no bit changes.
+    """
+    axis = dominant_axis(d)
+    along = dominant_last(axis, d)
+    p, q = sheared_last(dominant_last(axis, a), along), sheared_last(dominant_last(axis, b), along)
+    r = sheared_last(dominant_last(axis, c), along)
     u = r[0] * q[1] - r[1] * q[0]
     v = p[0] * r[1] - p[1] * r[0]
     w = q[0] * p[1] - q[1] * p[0]
     area = u + (v + w)
     widest = max(max(max(abs(p[0]), abs(p[1])), max(abs(q[0]), abs(q[1]))), max(abs(r[0]), abs(r[1])))
-    far = component_max(component_max(magnitudes(a), magnitudes(b)), magnitudes(c))
-    error = SHEAR_ERROR * max(max(far[0], far[1]), far[2]) * abs(along[2])
+    error = SHEAR_ERROR * max(max(max_norm(a), max_norm(b)), max_norm(c)) * abs(along[2])
     known = abs(area) > 2.0 * (12.0 * widest * error + 6.0 * error * error + 15.0 * U * widest * widest)
     divisor = area if known else 1.0
     return known, (u / divisor, v / divisor, w / divisor)

@@ -157,15 +157,12 @@ FAN_REACH = 16.0
 def fans_to(light: PointLight | DirectionalLight, center: Vec3, extent: float, deviation: float = 0.0) -> list[Fan]:
     """The fans of all shadow rays to a light, those from around `center` first; extent: the largest |coordinate|.
 
-    deviation: how far rays may pass the point, along an axis, in addition to rounding.
+    One fan of parallel rays, or six of rays through a point. deviation: how far rays may pass the point, along an axis,
+    in addition to rounding.
     """
     if isinstance(light, DirectionalLight):
         return [parallel_fan(light.back, extent)]
-    return point_fans(light.position, center, extent, deviation)
-
-
-def point_fans(point: Vec3, center: Vec3, extent: float, deviation: float = 0.0) -> list[Fan]:
-    """The six fans of rays through a point."""
+    point = light.position
     ahead = np.subtract(center, point)
     largest = np.abs(ahead).max()
     forward = ahead / largest if largest > 0.0 else np.array([1.0, 0.0, 0.0])
@@ -173,11 +170,10 @@ def point_fans(point: Vec3, center: Vec3, extent: float, deviation: float = 0.0)
     across = normalize_rows(np.cross(forward, np.eye(3)[np.argmin(np.abs(forward))])[None])[0]
     up = np.cross(forward, across)
     reach = FAN_REACH * max(extent, *map(abs, point))
-    axes = ((forward, across, up), (across, up, forward), (up, forward, across))
-    slack, none = _slack(reach, extent) + DEVIATION_SLACK * deviation, (0.0, 0.0, 0.0)
+    slack = FAN_SLACK * (reach + extent) + DEVIATION_SLACK * deviation
     return [
-        Fan(1.0, point, none, _vector(x), _vector(y), _vector(sign * z), reach, slack)
-        for z, x, y in axes
+        Fan(1.0, point, (0.0, 0.0, 0.0), vec3(x), vec3(y), vec3(sign * z), reach, slack)
+        for z, x, y in ((forward, across, up), (across, up, forward), (up, forward, across))
         for sign in (1.0, -1.0)
     ]
 
@@ -189,17 +185,13 @@ def parallel_fan(back: Vec3, extent: float) -> Fan:
     across, up = (e - (back[np.argmax(e)] / back[axis]) * z for e in (x, y))
     away = -np.copysign(1.0, back[axis]) * z
     reach = FAN_REACH * extent
-    frame = _vector(across), _vector(up), _vector(away)
-    return Fan(0.0, (0.0, 0.0, 0.0), back, frame[0], frame[1], frame[2], reach, _slack(reach, extent))
+    slack = FAN_SLACK * (reach + extent)
+    return Fan(0.0, (0.0, 0.0, 0.0), back, vec3(across), vec3(up), vec3(away), reach, slack)
 
 
-def _vector(a: np.ndarray) -> Vec3:
+def vec3(a: np.ndarray) -> Vec3:
     x, y, z = a.tolist()
     return x, y, z
-
-
-def _slack(reach: float, extent: float) -> float:
-    return FAN_SLACK * (reach + extent)
 
 
 def fan_bounds(kind: Kind, fan: Fan, threads: int | None) -> FanBounds:

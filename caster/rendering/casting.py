@@ -22,7 +22,14 @@ from caster.kernels.nearest import (
 from caster.kernels.raster.tile import store_blocked, store_nearest
 from caster.rendering.bvh_construction import bvh_of, has_bvh, uses_bvh
 from caster.rendering.ray_fans import fan_tiles
-from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, TileCaster, UsesTree, new_workspace, tiles_in_order
+from caster.rendering.ray_tiles import (
+    MIN_RAYS_PER_THREAD,
+    RayTiles,
+    TileCaster,
+    UsesTree,
+    new_workspace,
+    tiles_in_order,
+)
 from caster.rendering.threads import parallel_for, unwritten_array
 
 __all__ = ["Culling", "find_any", "find_nearest"]
@@ -35,31 +42,25 @@ def find_nearest(
 ) -> Nearest:
     """The nearest hit of any rays. always_fans: as fans, if they can be, even where that is slower: same bits."""
     trees = culling != "brute-force"
-    found = _cast(packed, rays, threads, uses_bvh if trees else no_tree, fans=trees, always_fans=always_fans)
-    return decide_uncertain(packed, rays, *found, threads, trees=trees)
-
-
-def no_tree(kind: Kind) -> bool:
-    return False
+    tiles = fan_tiles(packed, rays, False, threads, always=always_fans) if trees else None
+    nearest, uncertain = _cast(packed, rays, threads, uses_bvh if trees else (lambda kind: False), tiles)
+    rows = np.flatnonzero(uncertain)
+    if len(rows):
+        exact = exact_nearest(packed, Rays(*(a[rows] for a in rays)), threads, trees=trees)
+        for everywhere, here in zip(nearest, exact, strict=True):
+            everywhere[rows] = here
+    return nearest
 
 
 def _cast(
-    packed: Packed,
-    rays: Rays,
-    threads: int | None,
-    uses_tree: UsesTree,
-    *,
-    fans: bool = False,
-    always_fans: bool = False,
+    packed: Packed, rays: Rays, threads: int | None, uses_tree: UsesTree, tiles: Iterator[RayTiles] | None = None
 ) -> tuple[Nearest, np.ndarray]:
-    """(nearest hits by float64, whether they are uncertain (n,) bool), through the trees of some kinds."""
-    count = len(rays.t_min)
+    """(nearest hits by float64, whether they are uncertain (n,) bool), in tiles or through the trees of some kinds."""
+    count, ids = len(rays.t_min), packed.prim_ids
     # threads write all of it
     nearest = Nearest(*(unwritten_array((count,), dtype) for dtype in (float, np.int32, float)))
     uncertain = unwritten_array((count,), bool)
-    tiles = fan_tiles(packed, rays, False, threads, always=always_fans) if fans else None
-    ids, caster = packed.prim_ids, TileCaster(packed, any_hit=False, uses_tree=uses_tree)
-    for each in tiles or [tiles_in_order(caster, count, threads)]:
+    for each in tiles or [tiles_in_order(TileCaster(packed, any_hit=False, uses_tree=uses_tree), count, threads)]:
         each.cast(rays, lambda tile, numbers: store_nearest(tile, numbers, ids, nearest, uncertain), threads)
     return nearest, uncertain
 
@@ -75,24 +76,6 @@ def find_any(packed: Packed, rays: Rays, threads: int | None = None, *, always_f
     if len(rows):
         blocked[rows] = exact_nearest(packed, Rays(*(a[rows] for a in rays)), threads).prim >= 0
     return blocked
-
-
-def decide_uncertain(
-    packed: Packed,
-    rays: Rays,
-    nearest: Nearest,
-    uncertain: np.ndarray,
-    threads: int | None = None,
-    *,
-    trees: bool = True,
-) -> Nearest:
-    """Decide the uncertain rays, (n,) bool, exactly, and update their hits."""
-    rows = np.flatnonzero(uncertain)
-    if len(rows):
-        exact = exact_nearest(packed, Rays(*(a[rows] for a in rays)), threads, trees=trees)
-        for everywhere, here in zip(nearest, exact, strict=True):
-            everywhere[rows] = here
-    return nearest
 
 
 # For fewer rays, brute force takes less time than building a tree.

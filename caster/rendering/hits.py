@@ -19,8 +19,8 @@ from caster.kernels.surface.lighting import shadow_rays_of
 from caster.rendering.casting import find_any, find_nearest
 from caster.rendering.plan import plan
 from caster.rendering.rasterization import parallel_for_tiles
-from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, prim_offsets, spare_workspaces
-from caster.rendering.shading import NO_START, TileShader, new_image
+from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, TileWorkspace, prim_offsets
+from caster.rendering.shading import TileShader, new_image
 from caster.rendering.threads import parallel_for, unwritten_array
 from caster.scene.model import Light, Scene
 
@@ -92,10 +92,12 @@ class RayHits:
         window = Window(0, 0, WIDTH, -(-count // WIDTH))
         images = {name: new_image(name, window, dtype) for name in aovs}
         planned, prim = plan(self.scene, aovs, "bvh"), self._prim_in_tile()
-        shader = TileShader(self.scene, self.packed, planned, images, start=self._start(window), exact_shadows=True)
+        start = np.append(self.start, np.zeros(window.width * window.height - count))
+        start = start.reshape(window.height, window.width)
+        shader = TileShader(self.scene, self.packed, planned, images, start=start, exact_shadows=True)
 
         def begin() -> list[Command]:
-            workspace = take()
+            workspace = TileWorkspace()
             tile = workspace.tile
 
             def load(box: Box) -> None:
@@ -110,8 +112,7 @@ class RayHits:
             return [Command(load, (BOX,)), *shader.commands(workspace)]
 
         rows = tile_rows(window.width, window.height, len(self.packed.kinds))
-        with spare_workspaces() as take:
-            parallel_for_tiles(begin, rows, self.threads)
+        parallel_for_tiles(begin, rows, self.threads)
         return {name: image.reshape(-1, *image.shape[2:])[:count] for name, image in images.items()}
 
     def _prim_in_tile(self) -> np.ndarray:
@@ -122,13 +123,6 @@ class RayHits:
         shape = np.maximum(self.shape_id, 0)
         offset = np.array(prim_offsets(packed), np.int64)[packed.kind_of[shape]]
         return np.where(self.hit, prim - packed.first[shape] + packed.start[shape] + offset, -1)
-
-    def _start(self, window: Window) -> np.ndarray:
-        if not self.start.any():
-            return NO_START
-        start = np.zeros(window.height * window.width)
-        start[: len(self.start)] = self.start
-        return start.reshape(window.height, window.width)
 
     def lit(self, light: Light, where: np.ndarray) -> np.ndarray:
         """Whether the light reaches the hits `where`; True in a scene without shadows."""

@@ -10,7 +10,7 @@ import numpy as np
 from caster.aovs import BY_NAME, Aovs
 from caster.description.errors import SceneError, suggestion
 from caster.geometry.packing import Packed, packed
-from caster.jit.command_list import Command, bind
+from caster.jit.command_list import BoundCall, Command
 from caster.kernels.nearest import Rays, generate_rays, new_rays
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import BOX, generate_camera_rays, kind_numbers, tile_rows
@@ -19,8 +19,8 @@ from caster.rendering.bvh_construction import uses_bvh
 from caster.rendering.casting import BVH_MIN_RAYS, Culling, exact_nearest, find_nearest
 from caster.rendering.hits import RayHits
 from caster.rendering.plan import Plan, plan
-from caster.rendering.rasterization import BinnedKind, bin_kinds, cast_commands, parallel_for_tiles, release_workspace
-from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, TileWorkspace, kind_command, prim_offsets, spare_workspaces
+from caster.rendering.rasterization import BinnedKind, bin_kinds, cast_commands, parallel_for_tiles
+from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, TileWorkspace, kind_command, prim_offsets
 from caster.rendering.shading import NO_BOX, TileShader, new_image
 from caster.rendering.threads import parallel_for, unwritten_array
 from caster.scene.model import Scene
@@ -76,82 +76,48 @@ def render_film(
 ) -> RenderResult:
     """The same as `render`, with counts of the work. on_progress: is called with the number of pixels just done."""
     check_names(aovs)
-    return FilmRenderer(scene, plan(scene, aovs, culling), aovs, threads, dtype, on_progress).render()
+    planned, arrays, window = plan(scene, aovs, culling), packed(scene), film_window(scene)
+    camera = scene.camera.pack(scene.film.width, scene.film.height)
+    hit, uncertain = (unwritten_array((window.height, window.width), bool) for _ in range(2))
+    hit[:], uncertain[:] = False, False
+    images = {name: new_image(name, window, dtype) for name in aovs}
+    shader = TileShader(scene, arrays, planned, images)
+    binned: list[BinnedKind] | None = None  # None where nothing is rasterized
+    if planned.culling == "raster":
+        binned = bin_kinds(arrays, camera, window, _farthest_origin(camera, window), threads)
 
-
-class FilmRenderer:
-    """Renders a film tile by tile: rays, their nearest hits by rasterization, trees or brute force, their AOVs."""
-
-    def __init__(
-        self,
-        scene: Scene,
-        plan: Plan,
-        aovs: Sequence[str],
-        threads: int | None,
-        dtype: type[np.floating],
-        on_progress: OnProgress,
-    ) -> None:
-        self.scene, self.packed, self.window, self.plan = scene, packed(scene), film_window(scene), plan
-        self.threads, self.on_progress = threads, on_progress
-        window = self.window
-        self.camera = scene.camera.pack(scene.film.width, scene.film.height)
-        self.hit, self.uncertain = (unwritten_array((window.height, window.width), bool) for _ in range(2))
-        self.hit[:], self.uncertain[:] = False, False
-        self.images = {name: new_image(name, window, dtype) for name in aovs}
-        self.shader = TileShader(scene, self.packed, plan, self.images)
-
-    def render(self) -> RenderResult:
-        """Render all pixels, and those that float64 leaves uncertain again, exactly."""
-        kinds = None
-        if self.plan.culling == "raster":
-            reach = _farthest_origin(self.camera, self.window)
-            kinds = bin_kinds(self.packed, self.camera, self.window, reach, self.threads)
-        self._render_tiles(kinds)
-        decided = self._decide_uncertain()
-        release_workspace(kinds or [])
-        on_film = None if kinds is None else tuple(it.binned for it in kinds)
-        images = Aovs(self.images, self.hit)
-        return RenderResult(self.scene, self.packed, images, self.plan, decided, self.shader.shadow_rays, on_film)
-
-    def _render_tiles(self, kinds: list[BinnedKind] | None) -> None:
-        """kinds: None where nothing is rasterized."""
-        runs, number = None if kinds is None else [it.runs for it in kinds], len(self.packed.kinds)
-        rows = tile_rows(self.window.width, self.window.height, number, runs)
-        seen = rows[:, [kind_numbers(k).present for k in range(number)]].any(axis=1)
-        if seen.any():
-            self.shader.prepare(self.threads)
-        with spare_workspaces() as take:
-            begin = partial(self._commands, take, kinds)
-            parallel_for_tiles(begin, rows[seen], self.threads, self.on_progress)
-        parallel_for_tiles(self.shader.miss_commands, rows[~seen], self.threads, self.on_progress)
-
-    def _commands(self, take: Callable[[], TileWorkspace], kinds: list[BinnedKind] | None) -> Iterator[Command]:
+    def commands() -> Iterator[Command]:
         """Commands for tiles with primitives."""
-        workspace = take()
+        workspace = TileWorkspace()
         tile = workspace.tile
-        yield Command(bind(generate_camera_rays, self.camera, self.window, NO_BOX, tile, given=(2,)), (BOX,))
-        if kinds is not None:
-            yield from cast_commands(kinds, tile, self.scene.camera.shares_origin)
+        yield Command(BoundCall(generate_camera_rays, camera, window, NO_BOX, tile, given=(2,)), (BOX,))
+        if binned is not None:
+            yield from cast_commands(binned, tile, scene.camera.shares_origin)
         else:
-            for kind, base in zip(self.packed.kinds, prim_offsets(self.packed), strict=True):
-                yield kind_command(kind, base, tile, self.plan.culling == "bvh" and uses_bvh(kind))
-        yield from self.shader.commands(workspace)
+            for kind, base in zip(arrays.kinds, prim_offsets(arrays), strict=True):
+                yield kind_command(kind, base, tile, planned.culling == "bvh" and uses_bvh(kind))
+        yield from shader.commands(workspace)
         # at the end, since shadows may be uncertain, too
-        yield Command(bind(store_hits, tile, NO_BOX, self.hit, self.uncertain, given=(1,)), (BOX,))
+        yield Command(BoundCall(store_hits, tile, NO_BOX, hit, uncertain, given=(1,)), (BOX,))
 
-    def _decide_uncertain(self) -> int:
-        """Decide uncertain pixels exactly; returns their number."""
-        pixels = np.flatnonzero(self.uncertain)
-        if len(pixels):
-            rays = rays_through(self.camera, self.window, pixels, self.threads)
-            nearest = exact_nearest(self.packed, rays, self.threads, trees=self.plan.culling != "brute-force")
-            hits = RayHits(self.scene, self.packed, rays, nearest, np.zeros(len(pixels)), self.threads)
-            self.hit.reshape(-1)[pixels] = hits.hit
-            for name, rows in hits.evaluate(tuple(self.images)).items():
-                image = self.images[name]
-                with np.errstate(over="ignore", under="ignore"):
-                    image.reshape(self.uncertain.size, *image.shape[2:])[pixels] = rows
-        return len(pixels)
+    number = len(arrays.kinds)
+    rows = tile_rows(window.width, window.height, number, [it.runs for it in binned] if binned is not None else None)
+    seen = rows[:, [kind_numbers(k).present for k in range(number)]].any(axis=1)
+    if seen.any():
+        shader.prepare(threads)
+    parallel_for_tiles(commands, rows[seen], threads, on_progress)
+    parallel_for_tiles(shader.miss_commands, rows[~seen], threads, on_progress)
+    pixels = np.flatnonzero(uncertain)
+    if len(pixels):  # decide them exactly
+        rays = rays_through(camera, window, pixels, threads)
+        nearest = exact_nearest(arrays, rays, threads, trees=planned.culling != "brute-force")
+        hits = RayHits(scene, arrays, rays, nearest, np.zeros(len(pixels)), threads)
+        hit.reshape(-1)[pixels] = hits.hit
+        for name, values in hits.evaluate(tuple(images)).items():
+            with np.errstate(over="ignore", under="ignore"):
+                images[name].reshape(uncertain.size, *images[name].shape[2:])[pixels] = values
+    on_film = None if binned is None else tuple(it.binned for it in binned)
+    return RenderResult(scene, arrays, Aovs(images, hit), planned, len(pixels), shader.shadow_rays, on_film)
 
 
 def _farthest_origin(camera: Any, window: Window) -> float:

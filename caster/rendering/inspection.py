@@ -10,12 +10,10 @@ import numpy as np
 from caster.aovs import BY_NAME
 from caster.description.errors import SceneError
 from caster.description.transform import dot_rows, row_lengths
-from caster.geometry.edge_distances import EdgeDistance, edge_distances
-from caster.geometry.packing import Kind, Packed, in_words, rejected_faces
+from caster.geometry.packing import Kind, Packed, rejected_faces
 from caster.kernels.nearest import Rays, intersect_each, nearest_of_candidates, no_hits
 from caster.rendering.bvh_construction import bvh_of, has_bvh, uses_bvh
 from caster.rendering.images import RenderResult, trace_film
-from caster.rendering.plan import Step
 from caster.scene.model import Scene
 
 MAX_PRIMITIVES_PROBED = 256  # of more primitives, those whose boxes are nearest to the ray
@@ -29,41 +27,20 @@ class PrimitiveResult:
     prim_id: int  # within its shape
     t: float  # the exact first hit in range, rounded to float64; inf on a miss
     error: float  # error bound of t in float64; inf if float64 cannot decide
-    margins: tuple[EdgeDistance, ...]
+    away: float  # the distance of its bounding sphere from the ray, by which misses are ordered; 0 without bounds
 
     @property
     def decided_by(self) -> str:
         return "float64" if math.isfinite(self.error) else "integers"
-
-    @property
-    def nearly(self) -> float:
-        """The distance of the ray from the primitive's outline, by which misses are ordered."""
-        return max((-margin.inside for margin in self.margins), default=0.0)
-
-    @property
-    def out_of_range(self) -> bool:
-        """Whether the line hits, but not the ray: behind it, beyond t_max, or past a cylinder's ends."""
-        return math.isinf(self.t) and bool(self.margins) and all(m.inside > 0.0 for m in self.margins)
 
 
 def intersect_each_primitive(packed: Packed, rays: Rays) -> tuple[PrimitiveResult, ...]:
     """Intersections of rays[0] with the nearest primitives: hits by t, then misses by distance. Without a ray: none."""
     if rays.t_max[0] < 0.0:
         return ()
-    found = [tried for kind, rows in _near(packed, rays) for tried in _try(packed, kind, rows, rays)]
-    order = sorted(found, key=lambda each: (each.t, each.nearly, each.shape_id, each.prim_id))
+    found = [tried for kind in packed.kinds for tried in _try(packed, kind, rays)]
+    order = sorted(found, key=lambda each: (each.t, each.away, each.shape_id, each.prim_id))
     return tuple(order[:MAX_PRIMITIVES_PROBED])
-
-
-def _near(packed: Packed, rays: Rays) -> Iterator[tuple[Kind, np.ndarray]]:
-    """(kind, places within it) of the nearest primitives of each kind."""
-    for kind in packed.kinds:
-        if len(kind.ids) <= MAX_PRIMITIVES_PROBED or not kind.bounded:
-            yield kind, np.arange(len(kind.ids))[:MAX_PRIMITIVES_PROBED]
-            continue
-        low, high = kind.boxes()
-        away = ray_box_distances(rays.o[0], rays.d[0], low, high)
-        yield kind, np.sort(np.argsort(away, kind="stable")[:MAX_PRIMITIVES_PROBED])
 
 
 def ray_box_distances(o: np.ndarray, d: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -75,13 +52,17 @@ def ray_box_distances(o: np.ndarray, d: np.ndarray, low: np.ndarray, high: np.nd
     return np.where(np.isfinite(away), np.maximum(away, 0.0), np.inf)
 
 
-def _try(packed: Packed, kind: Kind, rows: np.ndarray, rays: Rays) -> Iterator[PrimitiveResult]:
+def _try(packed: Packed, kind: Kind, rays: Rays) -> Iterator[PrimitiveResult]:
+    """Intersections with the nearest primitives of a kind."""
+    away = np.zeros(len(kind.ids))
+    if kind.bounded:
+        away = ray_box_distances(rays.o[0], rays.d[0], *kind.boxes())
+    rows = np.sort(np.argsort(away, kind="stable")[:MAX_PRIMITIVES_PROBED])
     t, error = intersect_rows(kind, rows, rays)
     ids = kind.ids[rows]
     shapes, numbers = packed.shape_of(ids), packed.index_in_shape(ids)
     for j, k in enumerate(rows.tolist()):
-        edges = edge_distances(kind.prims, k, rays.o[0], rays.d[0])
-        yield PrimitiveResult(int(shapes[j]), int(numbers[j]), float(t[j]), float(error[j]), edges)
+        yield PrimitiveResult(int(shapes[j]), int(numbers[j]), float(t[j]), float(error[j]), float(away[k]))
 
 
 def intersect_rows(kind: Kind, rows: np.ndarray, rays: Rays) -> tuple[np.ndarray, np.ndarray]:
@@ -148,55 +129,40 @@ def probe(scene: Scene, x: int, y: int) -> Probe:
 
 def account(rendered: RenderResult, aovs: Sequence[str]) -> dict[str, Any]:
     """The work done, for `caster render --json`."""
-    plan = rendered.plan
-    hits = int(rendered.aovs.hit.sum())
+    plan, scene, kinds, on_film = rendered.plan, rendered.scene, rendered.packed.kinds, rendered.on_film
+    x0, y0, x1, y1 = scene.film.window
     return {
-        "camera_rays": _camera_rays(rendered),
+        "camera_rays": {
+            "cast": (x1 - x0) * (y1 - y0),
+            "camera": scene.camera.type,
+            "share_origin": scene.camera.shares_origin,
+            "window": [x0, y0, x1, y1],
+            "film": [scene.film.width, scene.film.height],
+        },
         "culling": {"name": plan.culling, "reason": plan.reason},
-        "primitives": _primitives(rendered),
-        "never_hit": {name: found.total for name, found in rejected_faces(rendered.scene).items()},
-        "trees": {**_step(plan.trees), "grown": sum(has_bvh(kind) for kind in rendered.packed.kinds)},
+        "primitives": [
+            {
+                "kind": type(kind.prims).__name__.lower(),
+                "count": len(kind.ids),
+                "looked_for": on_film[i] if on_film is not None else len(kind.ids),
+                "way": _way(kind, plan.culling),
+                "nodes": len(bvh_of(kind).links) if has_bvh(kind) else 0,
+            }
+            for i, kind in enumerate(kinds)
+        ],
+        "never_hit": {name: sum(found) for name, found in rejected_faces(scene).items()},
+        "trees": {**plan.trees._asdict(), "grown": sum(has_bvh(kind) for kind in kinds)},
         "decided_exactly": rendered.decided_exactly,
         "surfaces": {
-            "hits": hits if plan.surfaces else 0,
+            "hits": int(rendered.aovs.hit.sum()) if plan.surfaces else 0,
             "worked_out": list(plan.surfaces),
             "reason": plan.surfaces_reason,
         },
-        "shading": _step(plan.shading),
-        "shadow_rays": {**_step(plan.shadows), "cast": rendered.shadow_rays},
+        "shading": plan.shading._asdict(),
+        "shadow_rays": {**plan.shadows._asdict(), "cast": rendered.shadow_rays},
         "aovs": list(aovs),
         "skipped_aovs": [name for name in BY_NAME if name not in aovs],
     }
-
-
-def _step(step: Step) -> dict[str, Any]:
-    return {"runs": step.runs, "reason": step.reason}
-
-
-def _camera_rays(rendered: RenderResult) -> dict[str, Any]:
-    camera, film = rendered.scene.camera, rendered.scene.film
-    x0, y0, x1, y1 = film.window
-    return {
-        "cast": (x1 - x0) * (y1 - y0),
-        "camera": camera.type,
-        "share_origin": camera.shares_origin,
-        "window": [x0, y0, x1, y1],
-        "film": [film.width, film.height],
-    }
-
-
-def _primitives(rendered: RenderResult) -> list[dict[str, Any]]:
-    on_film = rendered.on_film
-    return [
-        {
-            "kind": type(kind.prims).__name__.lower(),
-            "count": len(kind.ids),
-            "looked_for": on_film[i] if on_film is not None else len(kind.ids),
-            "way": _way(kind, rendered.plan.culling),
-            "nodes": len(bvh_of(kind).links) if has_bvh(kind) else 0,
-        }
-        for i, kind in enumerate(rendered.packed.kinds)
-    ]
 
 
 def _way(kind: Kind, culling: str) -> str:
@@ -210,41 +176,17 @@ def _way(kind: Kind, culling: str) -> str:
 
 
 def explain(rendered: RenderResult, aovs: Sequence[str]) -> str:
-    """Lines for `caster render --explain`."""
-    return "\n".join(f"{what:<12} {text}" for what, text in _lines(rendered, account(rendered, aovs)))
+    """The same in words, a line for each part, for `caster render --explain`."""
+    return "\n".join(f"{_spaced(name):<16} {_words(part)}" for name, part in account(rendered, aovs).items())
 
 
-def _lines(rendered: RenderResult, counted: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    rays, (width, height) = counted["camera_rays"], counted["camera_rays"]["film"]
-    x0, y0, x1, y1 = rays["window"]
-    start = "from one point" if rays["share_origin"] else "from a point each"
-    size = f"{x1 - x0} x {y1 - y0} of a film of {width} x {height}"
-    yield "camera rays", f"{rays['cast']} {start}: {rays['camera']}, {size}"
-    yield "culling", f"{counted['culling']['name']}: {counted['culling']['reason']}"
-    for kind in counted["primitives"]:
-        culled = kind["count"] - kind["looked_for"]
-        beside = f"; {culled} of them behind the camera or off the film" if culled else ""
-        yield "primitives", f"{kind['kind']}, {kind['count']}: {kind['way']}{beside}"
-    if not counted["primitives"]:
-        yield "primitives", "none: every ray misses"
-    if words := in_words(rendered.scene):
-        yield "never hit", words
-    yield "trees", _trees(counted)
-    yield "decided", f"{counted['decided_exactly']} pixels exactly, where float64 leaves them open"
-    found = counted["surfaces"]
-    done = f"computed for {found['hits']} hits: {', '.join(found['worked_out'])}"
-    yield "surfaces", done if found["worked_out"] else f"skipped: {found['reason']}"
-    shadows = counted["shadow_rays"]
-    words = f"{shadows['cast']} {shadows['reason']}" if shadows["runs"] else f"skipped: {shadows['reason']}"
-    yield "shadow rays", words
-    yield "AOVs", ", ".join(counted["aovs"])
-    yield "skipped", ", ".join(counted["skipped_aovs"]) or "no AOV"
+def _words(part: Any) -> str:
+    if isinstance(part, dict):
+        return ", ".join(f"{_spaced(name)} {_words(each)}" for name, each in part.items()) or "none"
+    if isinstance(part, list):
+        return ("; " if part and isinstance(part[0], dict) else " ").join(map(_words, part)) or "none"
+    return {True: "yes", False: "no"}[part] if isinstance(part, bool) else str(part)
 
 
-def _trees(counted: dict[str, Any]) -> str:
-    trees = counted["trees"]
-    if trees["grown"] and not trees["runs"]:
-        return f"{trees['grown']} grown: for the many pixels that had to be decided exactly"
-    if not trees["runs"]:
-        return f"skipped: {trees['reason']}"
-    return f"{trees['grown']} grown: {trees['reason']}"
+def _spaced(name: str) -> str:
+    return name.replace("_", " ")

@@ -42,10 +42,15 @@ def plan(scene: Scene, aovs: Sequence[str], culling: Culling | None = None) -> P
     chosen, reason = culling_for(scene.camera.pack(scene.film.width, scene.film.height))
     if culling is not None:
         chosen, reason = culling, "as requested"
-    shading = _shading(scene, aovs)
-    shadows = _shadows(scene, shading)
-    surfaces = _surfaces(aovs, shading)
-    return Plan(chosen, reason, needs_of(aovs), *surfaces, shading, shadows, _trees(chosen, shadows))
+    shading = shadows = _shading(scene, aovs)
+    if shading.runs and scene.shading.shadows:
+        shadows = Step(True, "from each hit to the lights it faces, until anything is in the way")
+    elif shading.runs:
+        shadows = Step(False, "the scene switches shadows off")
+    trees = Step(shadows.runs, "shadow rays traverse them" if shadows.runs else "no ray needs one")
+    if chosen == "bvh":
+        trees = Step(True, "camera rays traverse them")
+    return Plan(chosen, reason, needs_of(aovs), *_surfaces(aovs, shading), shading, shadows, trees)
 
 
 def culling_for(camera: Any) -> tuple[Culling, str]:
@@ -69,18 +74,12 @@ def _shading(scene: Scene, aovs: Sequence[str]) -> Step:
     return Step(True, f"{' and '.join(lit)} was requested, and {lights} lights come from somewhere")
 
 
-def _shadows(scene: Scene, shading: Step) -> Step:
-    if not shading.runs:
-        return Step(False, shading.reason)
-    if not scene.shading.shadows:
-        return Step(False, "the scene switches shadows off")
-    return Step(True, "from each hit to the lights it faces, until anything is in the way")
-
-
 def _surfaces(aovs: Sequence[str], shading: Step) -> tuple[tuple[str, ...], str]:
     """(computed fields, reason)."""
     needs = {aov.NAME: set(aov.NEEDS) for aov in AOVS if aov.NAME in aovs}
-    wanting = [name for name, fields in needs.items() if _whole_surface(fields)]
+    wanting = [
+        name for name, fields in needs.items() if fields & SURFACE_FIELDS or ("normal" in fields and len(fields) > 1)
+    ]
     if shading.runs:
         wanting += [name for name, fields in needs.items() if "radiance" in fields and name not in wanting]
     if wanting:
@@ -89,15 +88,3 @@ def _surfaces(aovs: Sequence[str], shading: Step) -> tuple[tuple[str, ...], str]
     if normal := [name for name, fields in needs.items() if "normal" in fields]:
         return ("normals",), f"for {', '.join(normal)}"
     return (), "no requested AOV needs them"
-
-
-def _whole_surface(needs: set[str]) -> bool:
-    return bool(needs & SURFACE_FIELDS) or ("normal" in needs and len(needs) > 1)
-
-
-def _trees(culling: Culling, shadows: Step) -> Step:
-    if culling == "bvh":
-        return Step(True, "camera rays traverse them")
-    if shadows.runs:
-        return Step(True, "shadow rays traverse them")
-    return Step(False, "no ray needs one")

@@ -1,7 +1,6 @@
 """Rasterization: primitives are bounded on the screen, sorted into tiles and tested in the pixels of their bounds."""
 
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -9,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from caster.geometry.packing import Kind, Packed
-from caster.jit.command_list import Command, CommandList, bind
+from caster.jit.command_list import BoundCall, Command, CommandList
 from caster.jit.decorators import implements
 from caster.kernels.bvh.build import BOX_PADDING, Hulls, hulls_of
 from caster.kernels.protocol import distortion_bound, project, project_bounding_sphere, tight_sphere
@@ -17,16 +16,15 @@ from caster.kernels.raster.screen_bounds import (
     PROJECTION_MARGIN,
     ScreenBounds,
     Window,
-    bound_distorted_hulls,
     bound_hulls,
     bound_spheres,
     project_vertices,
 )
-from caster.kernels.raster.tile import BOX, DEPTH_BUCKETS, HEIGHT, WIDTH, count_in_tiles, kind_numbers, scatter_to_tiles
+from caster.kernels.raster.tile import BOX, DEPTH_BUCKETS, HEIGHT, WIDTH, bin_into_tiles, kind_numbers
 from caster.kernels.raster.tile_casting import cast_in_bounds
 from caster.kernels.triangles import Triangles
 from caster.rendering.ray_tiles import prim_offsets
-from caster.rendering.threads import even_pieces, parallel_for, parallel_for_pieces, thread_count
+from caster.rendering.threads import even_pieces, parallel_for, parallel_for_pieces, thread_count, unwritten_array
 
 # Points or primitives: to bound fewer takes less time than a second thread takes to begin.
 PARALLEL_MIN_PRIMITIVES = 4096
@@ -41,7 +39,7 @@ class BinnedKind:
 
     kind: Kind
     bounds: ScreenBounds
-    prim_range: tuple[int, int]  # of its primitives, counted kind by kind
+    base: int  # place of its first primitive, counted kind by kind
     binned: int  # primitives in any tile
     runs: np.ndarray  # int64; tile n has primitives order[runs[n]:runs[n + 1]]
     order: np.ndarray  # int32, primitive numbers within the kind, roughly from front to back
@@ -51,9 +49,9 @@ def cast_commands(kinds: list[BinnedKind], tile: np.ndarray, shares_origin: bool
     """Commands that cast a tile at its primitives."""
     empty, box = (0, 0), (0, 0, 0, 0)
     for k, it in enumerate(kinds):
-        about = it.kind.prims, it.order, empty, it.bounds, it.prim_range[0], box, tile, shares_origin
+        about = it.kind.prims, it.order, empty, it.bounds, it.base, box, tile, shares_origin
         at = kind_numbers(k)
-        yield Command(bind(cast_in_bounds, *about, given=(2, 5)), (at.run, BOX), at.present)
+        yield Command(BoundCall(cast_in_bounds, *about, given=(2, 5)), (at.run, BOX), at.present)
 
 
 PIECES_PER_THREAD = 32  # few enough that Python code does not count, enough to share the work evenly
@@ -97,7 +95,8 @@ def bin_kinds(
         reach, number, triangles = (slack, PROJECTION_MARGIN), len(kind.ids), isinstance(kind.prims, Triangles)
         spheres = implements(tight_sphere, type(kind.prims)) and implements(project_bounding_sphere, type(camera))
         points, corners = NO_HULLS if spheres else hulls_of(kind.prims, number)
-        pixels, near, projected = _workspace(kind, len(points))
+        pixels, near = unwritten_array((number, 4), np.int32), unwritten_array((number,), np.float64)
+        projected = unwritten_array((len(points), 4), np.float64)
         # a rectilinear camera keeps edges straight, and its depth counts along one direction
         faces = corners if rectilinear and triangles else NO_FACES
         bounds = ScreenBounds(pixels, near, faces, projected, camera.forward if rectilinear else ZERO_VECTOR)
@@ -105,10 +104,8 @@ def bin_kinds(
         parallel_for(find, len(points), threads, least=PARALLEL_MIN_PRIMITIVES)
         if spheres:
             find = partial(bound_spheres, kind.prims, camera, window, bounds, reach)
-        elif rectilinear:
-            find = partial(bound_hulls, corners, window, bounds, reach)
         else:
-            find = partial(bound_distorted_hulls, points, corners, camera, window, bounds, reach)
+            find = partial(bound_hulls, points, corners, camera, window, bounds, reach)
         parallel_for(find, number, threads, least=PARALLEL_MIN_PRIMITIVES)
         # the eye is no farther from a point than sqrt(3) times the largest coordinates together
         farthest = 2.0 * (origin + kind.extent) if kind.bounded else 1.0
@@ -119,25 +116,6 @@ def bin_kinds(
 
 NO_FACES = np.empty((0, 3), np.int32)
 NO_HULLS = Hulls(np.empty((0, 3)), NO_FACES)
-
-MAX_KEPT_WORKSPACE = 1 << 28  # bytes of workspace that a kind keeps: for three million triangles
-
-
-def _workspace(kind: Kind, points: int) -> tuple[np.ndarray, ...]:
-    """Uninitialised (pixels, near, projected) of a kind's ScreenBounds: spare arrays, or new ones."""
-    with suppress(IndexError):
-        spare = kind.spare.pop()
-        if len(spare[2]) == points:
-            return spare
-    return np.empty((len(kind.ids), 4), np.int32), np.empty(len(kind.ids)), np.empty((points, 4))
-
-
-def release_workspace(kinds: list[BinnedKind]) -> None:
-    """Keep the workspaces of kinds for later images."""
-    for it in kinds:
-        space = it.bounds.pixels, it.bounds.near, it.bounds.projected
-        if not it.kind.spare and sum(a.nbytes for a in space) <= MAX_KEPT_WORKSPACE:
-            it.kind.spare.append(space)
 
 
 def _bin_into_tiles(
@@ -154,20 +132,15 @@ def _bin_into_tiles(
     parts = [(i, number * i // workers, number * (i + 1) // workers) for i in range(workers)]
     counts, binned = np.zeros((workers, across * down * DEPTH_BUCKETS), np.int64), [0] * workers
 
-    def count(part: tuple[int, int, int]) -> None:
+    def work(ends: np.ndarray, order: np.ndarray, part: tuple[int, int, int]) -> None:
         i, start, stop = part
-        binned[i] = count_in_tiles(*about, counts[i], start, stop)
+        binned[i] = bin_into_tiles(*about, ends[i], order, start, stop)
 
-    parallel_for_pieces(lambda: count, parts, workers)
+    parallel_for_pieces(lambda: partial(work, counts, np.empty(0, np.int32)), parts, workers)
     # in each depth bucket of each tile, what the first part has comes first: the same order for any number of threads
     ends = np.cumsum(counts.T.reshape(-1)).reshape(-1, workers).T
     starts = np.ascontiguousarray(ends - counts)
     order = np.empty(ends[-1, -1], np.int32)
-
-    def sort(part: tuple[int, int, int]) -> None:
-        i, start, stop = part
-        scatter_to_tiles(*about, starts[i], order, start, stop)
-
     runs = np.append(starts[0, ::DEPTH_BUCKETS], len(order))
-    parallel_for_pieces(lambda: sort, parts, workers)
-    return BinnedKind(kind, bounds, (base, base + number), sum(binned), runs, order)
+    parallel_for_pieces(lambda: partial(work, starts, order), parts, workers)
+    return BinnedKind(kind, bounds, base, sum(binned), runs, order)

@@ -30,10 +30,9 @@ from caster.kernels.bvh.ray_sorting import (
     sort_buckets,
 )
 from caster.kernels.nearest import Rays
-from caster.kernels.protocol import Vec3
 from caster.kernels.raster.tile import HEIGHT, PIXELS, WIDTH, tile_boxes
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
-from caster.rendering.bvh_construction import uses_bvh
+from caster.rendering.bvh_construction import uses_bvh, vec3
 from caster.rendering.ray_tiles import MIN_SHADOW_RAYS_PER_PRIMITIVE, Piece, RayTiles, TileCaster, filled_up
 from caster.rendering.threads import CHUNKS_PER_THREAD, even_pieces, parallel_for, parallel_for_pieces, thread_count
 
@@ -68,11 +67,11 @@ def common_point(rays: Rays, any_hit: bool) -> CommonPoint | None:
         return None
     some = Rays(*(a[sample] for a in rays))
     if (some.o == some.o[0]).all():
-        return CommonPoint(PointLight(_vec3(some.o[0]), NO_INTENSITY), True, 0.0)
+        return CommonPoint(PointLight(vec3(some.o[0]), NO_INTENSITY), True, 0.0)
     if not any_hit:
         return None
     if (some.d == some.d[0]).all():
-        return CommonPoint(DirectionalLight(_vec3(some.d[0]), NO_INTENSITY), False, 0.0)
+        return CommonPoint(DirectionalLight(vec3(some.d[0]), NO_INTENSITY), False, 0.0)
     if not np.isfinite(some.t_max).all():
         return None
     lengths = row_lengths(some.d)
@@ -87,17 +86,12 @@ def common_point(rays: Rays, any_hit: bool) -> CommonPoint | None:
         off = max(beside, float((some.t_max * lengths - along).max()))
         size = float(np.abs(some.o).max() + np.abs(point).max())
         if np.isfinite(size) and off <= MAX_DEVIATION * size:
-            light = PointLight(_vec3(point), NO_INTENSITY)
+            light = PointLight(vec3(point), NO_INTENSITY)
             return CommonPoint(light, False, SAMPLE_MARGIN * off + DEVIATION_ROUNDING * size)
     return None
 
 
 NO_INTENSITY = 0.0, 0.0, 0.0
-
-
-def _vec3(a: np.ndarray) -> Vec3:
-    x, y, z = a.tolist()
-    return x, y, z
 
 
 class RayRows(NamedTuple):

@@ -3,15 +3,14 @@
 import itertools
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from caster.geometry.packing import Kind, Packed
-from caster.jit.command_list import Command, CommandList, Condition, bind
+from caster.jit.command_list import BoundCall, Command, CommandList, Condition
 from caster.jit.simd import CHILDREN, LANES
 from caster.kernels.bvh.build import STACK_SIZE
 from caster.kernels.bvh.fans import (
@@ -30,9 +29,9 @@ from caster.kernels.bvh.traversal import cast_packets, cast_packets_brute_force
 from caster.kernels.nearest import Rays
 from caster.kernels.raster.tile import COUNT, LINES, PIXELS, TILE_NUMBERS, WIDTH, load_rays, new_lanes, new_tile
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
-from caster.kernels.surface.per_hit import new_surface_buffer
+from caster.kernels.surface.per_hit import SURFACE_SIZE
 from caster.rendering.bvh_construction import bvh_of, fan_bounds, fans_to, uses_bvh
-from caster.rendering.threads import CHUNKS_PER_THREAD, even_pieces, parallel_for_pieces, thread_count
+from caster.rendering.threads import CHUNKS_PER_THREAD, even_pieces, parallel_for_pieces, thread_count, unwritten_array
 
 # To wake a second thread takes as long as so many rays, about.
 MIN_RAYS_PER_THREAD = 256
@@ -49,9 +48,9 @@ def kind_command(
     """Casts the first rays of a tile at a kind, through its tree or at all of its primitives."""
     if tree:
         about = kind.prims, bvh_of(kind), base, 0, tile, ALL_PACKETS, new_workspace(), any_hit
-        return Command(bind(cast_packets, *about, given=(3,)), (COUNT,), when)
+        return Command(BoundCall(cast_packets, *about, given=(3,)), (COUNT,), when)
     about_all = kind.prims, len(kind.ids), base, 0, tile, any_hit
-    return Command(bind(cast_packets_brute_force, *about_all, given=(3,)), (COUNT,), when)
+    return Command(BoundCall(cast_packets_brute_force, *about_all, given=(3,)), (COUNT,), when)
 
 
 Workspace = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -120,9 +119,8 @@ class TileCaster:
 
     def prepare(self, threads: int | None) -> None:
         """Project all kinds for the first fan, on all threads."""
-        for n, (kind, _) in enumerate(self._kinds if self._fans else ()):
-            if (0, n) not in self._bounds:
-                self._bounds[0, n] = fan_bounds(kind, self._fans[0], threads)
+        for n in range(len(self._kinds) if self._fans else 0):
+            self._bounds_of(0, n, threads)
 
     def begin(self, tile: np.ndarray, groups: RayGroups) -> Callable[[int], None]:
         """A function that casts the first so many rays of this tile; for fans, whole rows of it."""
@@ -139,31 +137,24 @@ class TileCaster:
         """Cast the first rays of this tile."""
         yield from (kind_command(kind, base, tile, False, self._any_hit, when) for kind, base in self._without_trees)
         if self._fans:
-            yield Command(bind(begin_groups, groups, given=()), ())
-            group = bind(group_rays, self._fans[0], tile, 0, groups, self._outward, given=(2,))
+            yield Command(BoundCall(begin_groups, groups, given=()), ())
+            group = BoundCall(group_rays, self._fans[0], tile, 0, groups, self._outward, given=(2,))
             yield Command(group, (LINES,), when)
             some, others = (groups.counts, 0), (groups.counts, 1)
             for n in range(len(self._kinds)):
-                yield Command(self._fan_caster(0, n, tile, groups), (), some)
+                yield Command(BoundCall(cast_fan, *self._fan_arguments(0, n, tile, groups), given=()), (), some)
             yield Command(self._other_fans(tile, groups), (COUNT,), others)
         yield from (kind_command(kind, base, tile, True, self._any_hit, when) for kind, base in self._too_many)
 
     def _other_fans(self, tile: np.ndarray, groups: RayGroups) -> Callable[[int], None]:
         """Casts rays that the first fan does not have, by the other ones, then through the tree."""
         workspace, counts = new_workspace(), groups.counts
-        casters: dict[int, tuple[Callable[[int], None], list[Callable[[], None]]]] = {}
 
         def go(count: int) -> None:
             for number in range(1, len(self._fans)):
-                if number not in casters:
-                    about = self._fans[number], tile, 0, groups, self._outward
-                    kinds = [self._fan_caster(number, n, tile, groups) for n in range(len(self._kinds))]
-                    casters[number] = bind(group_rays, *about, given=(2,)), kinds
-                group, cast_kinds = casters[number]
-                group(count // WIDTH)
-                if counts[0]:
-                    for cast in cast_kinds:
-                        cast()
+                group_rays(self._fans[number], tile, count // WIDTH, groups, self._outward)
+                for n in range(len(self._kinds) if counts[0] else 0):
+                    cast_fan(*self._fan_arguments(number, n, tile, groups))
                 if not counts[1]:
                     return
             for kind, base in self._kinds:
@@ -171,19 +162,19 @@ class TileCaster:
 
         return go
 
-    def _fan_caster(self, number: int, n: int, tile: np.ndarray, groups: RayGroups) -> Callable[[], None]:
+    def _fan_arguments(self, number: int, n: int, tile: np.ndarray, groups: RayGroups) -> tuple[Any, ...]:
+        """Arguments of `cast_fan` for the fan of that number and kind n."""
         kind, base = self._kinds[n]
         about = kind.prims, bvh_of(kind), self._bounds_of(number, n), base, tile, groups
-        return bind(cast_fan, self._fans[number], *about, self._outward, self._any_hit, given=())
+        return self._fans[number], *about, self._outward, self._any_hit
 
-    def _bounds_of(self, number: int, n: int) -> FanBounds:
-        """Kind n as the fan of that number sees it, found when a tile first needs it."""
-        found = self._bounds.get((number, n))
-        if found is None:
+    def _bounds_of(self, number: int, n: int, threads: int | None = 1) -> FanBounds:
+        """Kind n as the fan of that number sees it, found when it is first needed."""
+        if (number, n) not in self._bounds:
             with self._lock:
-                found = self._bounds.get((number, n)) or fan_bounds(self._kinds[n][0], self._fans[number], 1)
-                self._bounds[number, n] = found
-        return found
+                if (number, n) not in self._bounds:
+                    self._bounds[number, n] = fan_bounds(self._kinds[n][0], self._fans[number], threads)
+        return self._bounds[number, n]
 
 
 Piece = tuple[int, ...]
@@ -204,7 +195,7 @@ class RayTiles(NamedTuple):
         self.caster.prepare(threads)
 
         def begin() -> Callable[[Piece], None]:
-            workspace = take()
+            workspace = TileWorkspace()
             tile = workspace.tile
             cast = self.caster.begin(tile, workspace.ray_groups)
 
@@ -216,8 +207,7 @@ class RayTiles(NamedTuple):
 
             return work
 
-        with spare_workspaces() as take:
-            parallel_for_pieces(begin, self.pieces, min(thread_count(threads), len(self.pieces)))
+        parallel_for_pieces(begin, self.pieces, min(thread_count(threads), len(self.pieces)))
 
 
 def tiles_in_order(caster: TileCaster, count: int, threads: int | None) -> RayTiles:
@@ -252,13 +242,13 @@ def new_ray_groups() -> RayGroups:
 
 @dataclass(frozen=True)
 class TileWorkspace:
-    """Buffers of one thread: the tile it works on, and those that only some AOVs need."""
+    """Buffers of one thread, which hold anything at first: the tile it works on, and those that some AOVs need."""
 
-    tile: np.ndarray = field(default_factory=new_tile)
+    tile: np.ndarray = field(default_factory=lambda: new_tile(_unwritten))
 
     @cached_property
     def surface(self) -> np.ndarray:
-        return new_surface_buffer()
+        return _unwritten(SURFACE_SIZE)
 
     @cached_property
     def lanes(self) -> np.ndarray:
@@ -266,32 +256,15 @@ class TileWorkspace:
 
     @cached_property
     def shadow_tile(self) -> np.ndarray:
-        return new_tile()
+        return new_tile(_unwritten)
 
     @cached_property
     def ray_groups(self) -> RayGroups:
         return new_ray_groups()
 
 
-MAX_SPARE_WORKSPACES = 16  # 3 MB each
-
-_SPARE_WORKSPACES: list[TileWorkspace] = []
-
-
-@contextmanager
-def spare_workspaces() -> Iterator[Callable[[], TileWorkspace]]:
-    """Gives a function that returns a workspace, with the contents of earlier work; they are spare afterwards."""
-    taken: list[TileWorkspace] = []
-
-    def take() -> TileWorkspace:
-        workspace = None
-        with suppress(IndexError):
-            workspace = _SPARE_WORKSPACES.pop()
-        taken.append(workspace or TileWorkspace())
-        return taken[-1]
-
-    yield take
-    _SPARE_WORKSPACES.extend(taken[: max(MAX_SPARE_WORKSPACES - len(_SPARE_WORKSPACES), 0)])
+def _unwritten(size: int) -> np.ndarray:
+    return unwritten_array((size,), np.float64)
 
 
 def prim_offsets(packed: Packed) -> list[int]:

@@ -4,7 +4,7 @@ A film consists of tiles of its camera's rays; an array of rays is shaded as a f
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from caster.aovs import BY_NAME, kernel_of
 from caster.geometry.packing import Packed
-from caster.jit.command_list import Command, bind
+from caster.jit.command_list import BoundCall, Command
 from caster.kernels.nearest import Rays
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import (
@@ -44,11 +44,10 @@ from caster.scene.model import Diffuse, Scene
 
 NO_START = np.empty((0, 0))
 
+NO_BOX = (0, 0, 0, 0)
+
 # For AOVs that read no field of it.
 UNUSED_SURFACE = new_surface_buffer()
-
-
-Step = Callable[[TileWorkspace], Iterable[Command]]  # commands for tiles in a workspace
 
 
 def new_image(name: str, window: Window, dtype: type[np.floating]) -> np.ndarray:
@@ -77,19 +76,20 @@ class TileShader:
         exact_shadows: bool = False,
     ) -> None:
         self.images, self.start = images, start
-        self._shadow_casters: list[TileCaster] = []
+        self._packed, self._plan, self._exact = packed, plan, exact_shadows
+        self._ids = _primitive_ids(packed, plan.needs)
+        shaded = packed.kinds and plan.needs & {"albedo", "radiance"}
+        self._materials = material_tables(scene, packed) if shaded else None
         self._shadow_rays: list[np.ndarray] = []  # one a thread and light: threads only append
-        self.ids = _primitive_ids(packed, plan.needs)
-        self.steps: list[Step] = [lambda workspace: self.miss_commands()]
-        if packed.kinds:
-            self.steps = []
-            if plan.surfaces:
-                self.steps.append(partial(_find_surfaces, packed, wanted_fields(plan)))
-            if plan.needs & {"albedo", "radiance"}:
-                self.steps.append(self._material_step(scene, packed))
-            if "radiance" in plan.needs:
-                self.steps += self._light_steps(scene, packed, plan, exact_shadows)
-            self.steps += [self._writer(name) for name in images]
+        lights = scene.lights if "radiance" in plan.needs and packed.kinds else ()
+        pixels = max((math.prod(image.shape[:2]) for image in images.values()), default=0)
+        self._lights: list[tuple[Any, TileCaster | None]] = []  # and the casters of their shadow rays
+        for light in (each.pack() for each in lights if each.type != "ambient"):
+            caster = None
+            if plan.shadows.runs:
+                caster = TileCaster(packed, any_hit=True, light=light, rays=pixels)
+            self._lights.append((light, caster))
+        self._ambient = np.array([light.radiance for light in lights if light.type == "ambient"]).reshape(-1, 3)
 
     @property
     def shadow_rays(self) -> int:
@@ -98,12 +98,32 @@ class TileShader:
 
     def prepare(self, threads: int | None) -> None:
         """Prepare the casters of shadow rays on all threads, since the first tile would prepare them on one."""
-        for caster in self._shadow_casters:
-            caster.prepare(threads)
+        for _, caster in self._lights:
+            if caster is not None:
+                caster.prepare(threads)
 
-    def commands(self, workspace: TileWorkspace) -> list[Command]:
+    def commands(self, ws: TileWorkspace) -> Iterator[Command]:
         """Commands that write the AOVs of tiles in a workspace."""
-        return [command for step in self.steps for command in step(workspace)]
+        packed, plan = self._packed, self._plan
+        if not packed.kinds:
+            yield from self.miss_commands()
+            return
+        if plan.surfaces:
+            for k, (kind, first) in enumerate(zip(packed.kinds, prim_offsets(packed), strict=True)):
+                about = kind.prims, (first, first + len(kind.ids)), ws.tile, NO_BOX, ws.surface, ws.lanes
+                find = BoundCall(surfaces_in_tile, *about, wanted_fields(plan), given=(3,))
+                yield Command(find, (BOX,), kind_numbers(k).present)
+        if self._materials is not None:
+            fill = BoundCall(materials_in_tile, ws.tile, NO_BOX, *self._materials, ws.surface, given=(1,))
+            yield Command(fill, (BOX,))
+        for light, caster in self._lights:
+            yield from self._add_light(light, caster, ws)
+        if len(self._ambient):
+            yield Command(BoundCall(add_ambient, ws.tile, NO_BOX, ws.surface, self._ambient, given=(1,)), (BOX,))
+        for name, image in self.images.items():
+            surface = UNUSED_SURFACE if set(BY_NAME[name].NEEDS) <= {"shape_id", "prim_id"} else ws.surface
+            about = kernel_of(name), ws.tile, NO_BOX, surface, self._ids, self.start, image
+            yield Command(BoundCall(write_aov, *about, given=(2,)), (BOX,))
 
     def miss_commands(self) -> list[Command]:
         """Commands that write the AOVs of tiles without hits."""
@@ -115,41 +135,19 @@ class TileShader:
 
         return [Command(fill, (BOX,))]
 
-    def _material_step(self, scene: Scene, packed: Packed) -> Step:
-        materials, of_shapes = distinct_materials(scene)
-        of_prims = of_shapes[packed.prim_shapes] if len(materials) > 1 else of_shapes[:1]  # which nobody reads
-        tables = of_prims, *material_tables(materials)
-        return lambda ws: [Command(bind(materials_in_tile, ws.tile, NO_BOX, *tables, ws.surface, given=(1,)), (BOX,))]
-
-    def _light_steps(self, scene: Scene, packed: Packed, plan: Plan, exact: bool) -> list[Step]:
-        pixels = max((math.prod(image.shape[:2]) for image in self.images.values()), default=0)
-        steps: list[Step] = []
-        for light in (each.pack() for each in scene.lights if each.type != "ambient"):
-            caster = None
-            if plan.shadows.runs:
-                caster = TileCaster(packed, any_hit=True, light=light, rays=pixels)
-                self._shadow_casters.append(caster)
-            steps.append(partial(_add_light, light, caster, packed, exact, self._shadow_rays))
-        ambient = np.array([light.radiance for light in scene.lights if light.type == "ambient"]).reshape(-1, 3)
-        if len(ambient):
-            steps.append(
-                lambda ws: [Command(bind(add_ambient, ws.tile, NO_BOX, ws.surface, ambient, given=(1,)), (BOX,))]
-            )
-        return steps
-
-    def _writer(self, name: str) -> Step:
-        kernel, image, ids, start = kernel_of(name), self.images[name], self.ids, self.start
-        unused = set(BY_NAME[name].NEEDS) <= {"shape_id", "prim_id"}
-
-        def begin(ws: TileWorkspace) -> list[Command]:
-            surface = UNUSED_SURFACE if unused else ws.surface
-            write = bind(write_aov, kernel, ws.tile, NO_BOX, surface, ids, start, image, given=(2,))
-            return [Command(write, (BOX,))]
-
-        return begin
-
-
-NO_BOX = (0, 0, 0, 0)
+    def _add_light(self, light: Any, caster: TileCaster | None, ws: TileWorkspace) -> Iterator[Command]:
+        """Add a light at the hits that it reaches; without shadows if there is no caster."""
+        packed, total = self._packed, np.zeros(1, np.int64)
+        about = light, ws.tile, NO_BOX, packed.prim_shapes, packed.shape_extents, ws.surface, ws.shadow_tile, total
+        find = BoundCall(shadow_rays_in_tile, *about, given=(2,))
+        yield Command(find, (BOX,))
+        if caster is not None:
+            self._shadow_rays.append(total)
+            yield from caster.commands(ws.shadow_tile, ws.ray_groups, find.answered)
+            if self._exact:
+                yield Command(partial(decide_shadows, packed, ws.shadow_tile), (COUNT,), find.answered)
+        add = BoundCall(add_light, ws.tile, NO_BOX, ws.surface, ws.shadow_tile, given=(1,))
+        yield Command(add, (BOX,), find.answered)
 
 
 def wanted_fields(plan: Plan) -> int:
@@ -157,32 +155,6 @@ def wanted_fields(plan: Plan) -> int:
     if "uv" in plan.surfaces:
         return SURFACES_WITH_UV
     return SURFACES if "position" in plan.surfaces else NORMALS
-
-
-def _add_light(
-    light: Any, cast: TileCaster | None, packed: Packed, exact: bool, counts: list[np.ndarray], workspace: TileWorkspace
-) -> Iterator[Command]:
-    """Add a light at the hits that it reaches; without shadows if `cast` is None.
-
-    counts: gets an array with the number of shadow rays.
-    """
-    tile, surface, shadow_tile = workspace.tile, workspace.surface, workspace.shadow_tile
-    total = np.zeros(1, np.int64)
-    about = light, tile, NO_BOX, packed.prim_shapes, packed.shape_extents, surface, shadow_tile, total
-    find = bind(shadow_rays_in_tile, *about, given=(2,))
-    yield Command(find, (BOX,))
-    if cast is not None:
-        counts.append(total)
-        yield from cast.commands(shadow_tile, workspace.ray_groups, find.answered)
-        if exact:
-            yield Command(partial(decide_shadows, packed, shadow_tile), (COUNT,), find.answered)
-    yield Command(bind(add_light, tile, NO_BOX, surface, shadow_tile, given=(1,)), (BOX,), find.answered)
-
-
-def _find_surfaces(packed: Packed, wants: int, workspace: TileWorkspace) -> Iterator[Command]:
-    for k, (kind, first) in enumerate(zip(packed.kinds, prim_offsets(packed), strict=True)):
-        about = kind.prims, (first, first + len(kind.ids)), workspace.tile, NO_BOX, workspace.surface, workspace.lanes
-        yield Command(bind(surfaces_in_tile, *about, wants, given=(3,)), (BOX,), kind_numbers(k).present)
 
 
 def decide_shadows(packed: Packed, shadow_tile: np.ndarray, count: int) -> None:
@@ -216,7 +188,9 @@ def distinct_materials(scene: Scene) -> tuple[list[Diffuse], np.ndarray]:
     return list(found.values()), np.array([row_of[shape.material] for shape in scene.shapes], np.int32)
 
 
-def material_tables(materials: Sequence[Diffuse]) -> tuple[np.ndarray, np.ndarray]:
-    """(reflectance (n, 3), whether both sides are lit (n,))."""
+def material_tables(scene: Scene, packed: Packed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(material of each primitive, reflectance (n, 3) of the materials, whether both sides of each are lit (n,))."""
+    materials, of_shapes = distinct_materials(scene)
+    of_prims = of_shapes[packed.prim_shapes] if len(materials) > 1 else of_shapes[:1]  # which nobody reads
     reflectance = np.array([material.reflectance for material in materials]).reshape(-1, 3)
-    return reflectance, np.array([material.two_sided for material in materials], bool)
+    return of_prims, reflectance, np.array([material.two_sided for material in materials], bool)

@@ -1,7 +1,7 @@
 """Compile kernels ahead, by rendering small films of all kinds of primitives before all cameras."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from itertools import count
 from typing import Any, NamedTuple, get_args
 
@@ -10,7 +10,7 @@ import numpy as np
 from caster.aovs import AOVS
 from caster.cameras import CAMERAS
 from caster.description.registry import type_name
-from caster.geometry.packing import Packed, pack, packed
+from caster.geometry.packing import Packed, packed
 from caster.geometry.world_space import as_given
 from caster.jit.decorators import COMPILATION_LOG, compile_ahead
 from caster.jit.simd import LANES
@@ -29,7 +29,7 @@ from caster.scene.model import Ambient, Directional, Point, Scene
 from caster.shapes import SHAPES
 from caster.shapes.triangle import Triangle
 
-__all__ = ["compile_film", "compile_for", "warm_decisions", "warm_up", "warm_up_scenes"]
+__all__ = ["compile_for", "warm_decisions", "warm_up", "warm_up_scenes"]
 
 # Each alone, the default ones, and all at once: other sets share most kernels with these.
 WARM_UP_AOV_SETS: tuple[tuple[str, ...], ...] = (
@@ -66,14 +66,10 @@ def _warm_one(scene: Scene) -> None:
             for aovs in WARM_UP_AOV_SETS:
                 render_film(small, aovs, threads=1, culling=culling)
     render_film(small.model_copy(update={"shapes": ()}), WARM_UP_AOV_SETS[-1], threads=1)  # tiles without anything
-    _warm_decisions(pack(small))
-    _warm_shadows(pack(small), small)
-    _warm_fans(pack(small))
-
-
-def compile_film(scene: Scene, aovs: Sequence[str]) -> None:
-    """Compile the kernels of a film, by several processes."""
-    compile_for(scene, f"film {' '.join(aovs)}", lambda small: render_film(small, aovs))
+    for trees in (True, False):
+        warm_decisions(small, BVH_MIN_RAYS + 1, trees)
+    _warm_shadows(packed(small), small)
+    _warm_fans(packed(small))
 
 
 def compile_for(scene: Scene, about: str, work: Callable[[Scene], Any]) -> None:
@@ -96,37 +92,30 @@ def compile_for(scene: Scene, about: str, work: Callable[[Scene], Any]) -> None:
     compile_ahead(" ".join(map(str, words)), run)
 
 
-def warm_decisions(scene: Scene) -> None:
-    """Compile or load the kernels that decide any rays of a scene exactly."""
-    rays = Rays(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1), np.full(1, np.inf))
-    exact_nearest(packed(scene), rays, 1)
+def warm_decisions(scene: Scene, count: int = 1, trees: bool = True) -> None:
+    """Compile or load the kernels that decide so many rays of a scene exactly."""
+    rays = Rays(np.zeros((count, 3)), np.ones((count, 3)), np.zeros(count), np.full(count, np.inf))
+    exact_nearest(packed(scene), rays, 1, trees=trees)
 
 
 def _few_of_each_kind() -> dict[type, list[Any]]:
     """Shapes of one primitive by kind, enough for a tree; no two coincide, which would be decided exactly."""
     found: dict[type, list[Any]] = {}
     number = count()
+
+    def turned() -> list[Any]:
+        """Different transforms at each call, so that no ray of a small film hits an edge or two surfaces at once."""
+        i = next(number)
+        rotated = {"rotate": {"axis": (0.31, -0.17, 1.0), "degrees": 17.3 + 5.9 * i}}
+        return [rotated, {"translate": (0.0071 * i, 0.0053 * i, 0.0037 * i)}]
+
     for shape in SHAPES:
         if "file" in shape.model_fields or (hasattr(shape, "mesh") and shape is not Triangle):
             continue
         for placed in ([], [STRETCHED]):
-            few = [shape(**shape.MINIMAL, to_world=[*placed, *_turned(next(number))]) for _ in range(LEAF_SIZE + 1)]
+            few = [shape(**shape.MINIMAL, to_world=[*placed, *turned()]) for _ in range(LEAF_SIZE + 1)]
             found[type(few[0].pack(as_given))] = few
     return found
-
-
-def _turned(i: int) -> list[Any]:
-    """Different transforms for each i, so that no ray of a small film hits an edge or two surfaces at once."""
-    rotated = {"rotate": {"axis": (0.31, -0.17, 1.0), "degrees": 17.3 + 5.9 * i}}
-    return [rotated, {"translate": (0.0071 * i, 0.0053 * i, 0.0037 * i)}]
-
-
-def _warm_decisions(packed: Packed) -> None:
-    """The kernels of exact decisions, of enough rays for trees."""
-    n = BVH_MIN_RAYS + 1
-    rays = Rays(np.zeros((n, 3)), np.ones((n, 3)), np.zeros(n), np.full(n, np.inf))
-    for trees in (True, False):
-        exact_nearest(packed, rays, 1, trees=trees)
 
 
 def _warm_shadows(packed: Packed, scene: Scene) -> None:

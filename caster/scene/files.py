@@ -57,33 +57,38 @@ def load_scene(path: str | PathLike[str], mesh_dirs: Iterable[str | PathLike[str
     return scene_from_text(read_text(where), kind, where, folder=Path(where).parent, mesh_dirs=mesh_dirs)
 
 
+def _unchecked(path: str | PathLike[str]) -> dict[str, Any]:
+    """The data of a scene file as it is written; empty if it cannot be parsed."""
+    suffix = Path(path).suffix.lower()
+    if suffix in MESH_SUFFIXES:
+        return {"shape": [{"type": "mesh"}], "camera": {"type": "pinhole"}}
+    try:
+        data = parse(read_text(path), SCENE_FORMATS[suffix], "")
+    except (SceneError, MemoryError, KeyError, RecursionError):
+        return {}
+    return data if isinstance(data, dict) else {}
+
+
 def film_pixels(path: str | PathLike[str], size: Sequence[int] | None = None) -> int:
     """Pixels of the window of a scene file, without reading its meshes; 1 where the file has no valid film.
 
     size: width and height of the film instead of the scene's own.
     """
+    data = _unchecked(path)
     try:
-        data: Any = {}
-        if Path(path).suffix.lower() not in MESH_SUFFIXES:
-            data = parse(read_text(path), SCENE_FORMATS[Path(path).suffix.lower()], "")
-        film = Film.model_validate(child_of(data, "film") or {})
+        film = Film.model_validate(data.get("film") or {})
         x0, y0, x1, y1 = (film.resized(*size) if size else film).window
-    except (SceneError, ValidationError, MemoryError, KeyError, RecursionError):
+    except (SceneError, ValidationError):
         return 1
-    return (x1 - x0) * (y1 - y0)
+    return (x1 - x0) * (y1 - y0) if data else 1
 
 
 def types_in_file(path: str | PathLike[str]) -> frozenset[str]:
     """Types of shapes and camera in a scene file, and "triangles" for shapes made of them; empty if it is not valid."""
-    try:
-        suffix = Path(path).suffix.lower()
-        if suffix in MESH_SUFFIXES:
-            return frozenset(("mesh", "triangles", "pinhole"))
-        data = parse(read_text(path), SCENE_FORMATS[suffix], "")
-        named = [data.get("camera"), *(data.get("shape") or data.get("shapes") or ())]
-        types = {each["type"] for each in named if isinstance(each.get("type"), str)}
-    except (SceneError, MemoryError, KeyError, AttributeError, TypeError, RecursionError):
-        return frozenset()
+    data = _unchecked(path)
+    shapes = data.get("shape") or data.get("shapes")
+    named = [data.get("camera"), *(shapes if isinstance(shapes, list) else ())]
+    types = {kind for kind in (child_of(each, "type") for each in named) if isinstance(kind, str)}
     meshes = {type_name(shape) for shape in SHAPES if issubclass(shape, TriangleShape)}
     return frozenset(types | {"triangles"} if types & meshes else types)
 

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeAlias, Union
 
+import numpy as np
 from pydantic import BeforeValidator, Field, PrivateAttr, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
@@ -272,6 +273,19 @@ class Scene(Description):
         """The name of each shape, shape-<index> if it has none."""
         return [shape.name or f"shape-{i}" for i, shape in enumerate(self.shapes)]
 
+    def triangles(self) -> np.ndarray:
+        """Corners of all triangles in world space, (n, 3, 3) float64: [triangle, corner, axis], shape after shape.
+
+        Raises NotImplementedError for a shape that is not made of triangles, SceneError for numbers that overflow.
+        """
+        from caster.geometry.packing import Triangles, packed
+
+        parts = packed(self).parts
+        for shape, part in zip(self.shapes, parts, strict=True):
+            if not isinstance(part, Triangles):
+                raise NotImplementedError(f"a {shape.type} is not made of triangles")
+        return np.concatenate([part.vertices[part.faces] for part in parts] or [np.empty((0, 3, 3))])
+
     def with_film(
         self, *, width: int | None = None, height: int | None = None, crop: Sequence[int] | None = None
     ) -> Self:
@@ -328,6 +342,5 @@ def _accept_registered() -> None:
     Scene.model_rebuild(force=True)
 
 
-SHAPES.subscribe(_accept_registered)
-CAMERAS.subscribe(_accept_registered)
+SHAPES.changed = CAMERAS.changed = _accept_registered
 load_plugins()

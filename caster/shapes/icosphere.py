@@ -15,13 +15,18 @@ __all__ = ["Icosphere", "tessellate_icosphere"]
 GOLDEN = (1.0 + math.sqrt(5.0)) / 2.0
 
 # Three golden rectangles at right angles, and the faces between their corners.
-ACROSS_Z = [(-1, GOLDEN, 0), (1, GOLDEN, 0), (-1, -GOLDEN, 0), (1, -GOLDEN, 0)]
-ACROSS_X = [(0, -1, GOLDEN), (0, 1, GOLDEN), (0, -1, -GOLDEN), (0, 1, -GOLDEN)]
-ACROSS_Y = [(GOLDEN, 0, -1), (GOLDEN, 0, 1), (-GOLDEN, 0, -1), (-GOLDEN, 0, 1)]
-AROUND_0 = [(0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11)]
-BESIDE_0 = [(1, 5, 9), (5, 11, 4), (11, 10, 2), (10, 7, 6), (7, 1, 8)]
-AROUND_3 = [(3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8), (3, 8, 9)]
-BESIDE_3 = [(4, 9, 5), (2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1)]
+SIGNS = [(-1, 1), (1, 1), (-1, -1), (1, -1)]
+CORNERS = (
+    *((a, b * GOLDEN, 0) for a, b in SIGNS),
+    *((0, a, b * GOLDEN) for a, b in SIGNS),
+    *((b * GOLDEN, 0, a) for a, b in SIGNS),
+)
+FACES = """
+    0 11 5   0 5 1    0 1 7    0 7 10   0 10 11
+    1 5 9    5 11 4   11 10 2  10 7 6   7 1 8
+    3 9 4    3 4 2    3 2 6    3 6 8    3 8 9
+    4 9 5    2 4 11   6 2 10   8 6 7    9 8 1
+"""
 
 
 def tessellate_icosphere(subdivisions: int) -> Mesh:
@@ -29,8 +34,8 @@ def tessellate_icosphere(subdivisions: int) -> Mesh:
 
     subdivisions: 0 gives an icosahedron.
     """
-    vertices = normalize_rows(np.array(ACROSS_Z + ACROSS_X + ACROSS_Y))
-    faces = np.array(AROUND_0 + BESIDE_0 + AROUND_3 + BESIDE_3, np.int32)
+    vertices = normalize_rows(np.array(CORNERS))
+    faces = np.array(FACES.split(), np.int32).reshape(-1, 3)
     for _ in range(subdivisions):
         vertices, faces = _split(vertices, faces)
     return Mesh(vertices, faces, vertices.copy())

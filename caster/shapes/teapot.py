@@ -14,7 +14,7 @@ from pydantic import Field
 from caster.geometry.triangle_mesh import Floats, Ints, Mesh, normalize_rows
 from caster.geometry.world_space import MeshShape
 
-__all__ = ["Teapot", "tessellate_teapot"]
+__all__ = ["Teapot"]
 
 DECIMALS = 6  # more than any published coordinate has: rounding to them brings back the published number
 
@@ -23,37 +23,71 @@ DECIMALS = 6  # more than any published coordinate has: rounding to them brings 
 BULGE = 0.56
 KNOB_BULGE = 0.45 / 0.8
 
-Profile = tuple[tuple[float, float], ...]
 
-# (radius, z), ordered from inside over the top to outside: down the body and out along the bottom.
-RIM: Profile = ((1.4, 2.4), (1.3375, 2.53125), (1.4375, 2.53125), (1.5, 2.4))
-BODY: Profile = ((1.5, 2.4), (1.75, 1.875), (2.0, 1.35), (2.0, 0.9))
-FOOT: Profile = ((2.0, 0.9), (2.0, 0.45), (1.5, 0.225), (1.5, 0.15))
-KNOB: Profile = ((0.0, 3.15), (0.8, 3.15), (0.0, 2.85), (0.2, 2.7))
-LID: Profile = ((0.2, 2.7), (0.4, 2.55), (1.3, 2.55), (1.3, 2.4))
-BOTTOM: Profile = ((0.0, 0.0), (1.425, 0.0), (1.5, 0.075), (1.5, 0.15))
+def _table(text: str) -> Floats:
+    """Rows of numbers; a bar only separates them for the eye."""
+    return np.array([line.replace("|", " ").split() for line in text.strip().splitlines()], np.float64)
+
+
+# Four rings of control points each, as (radius, z), ordered from inside over the top to outside: down the body and out
+# along the bottom.
+RIM = _table("""
+    1.4    2.4
+    1.3375 2.53125
+    1.4375 2.53125
+    1.5    2.4
+""")
+BODY = _table("""
+    1.5  2.4
+    1.75 1.875
+    2.0  1.35
+    2.0  0.9
+""")
+FOOT = _table("""
+    2.0  0.9
+    2.0  0.45
+    1.5  0.225
+    1.5  0.15
+""")
+KNOB = _table("""
+    0.0  3.15
+    0.8  3.15
+    0.0  2.85
+    0.2  2.7
+""")
+LID = _table("""
+    0.2  2.7
+    0.4  2.55
+    1.3  2.55
+    1.3  2.4
+""")
+BOTTOM = _table("""
+    0.0   0.0
+    1.425 0.0
+    1.5   0.075
+    1.5   0.15
+""")
 
 # Handle and spout, one line for each ring of control points: (x, z) where it meets y = 0, facing the pot and
 # facing away, and how far it reaches to each side of y = 0.
-Rings = tuple[tuple[tuple[float, float], tuple[float, float], float], ...]
-HANDLE: Rings = (
-    ((-1.6, 2.025), (-1.5, 2.25), 0.3),
-    ((-2.3, 2.025), (-2.5, 2.25), 0.3),
-    ((-2.7, 2.025), (-3.0, 2.25), 0.3),
-    ((-2.7, 1.8), (-3.0, 1.8), 0.3),
-    ((-2.7, 1.575), (-3.0, 1.35), 0.3),
-    ((-2.5, 1.125), (-2.65, 0.9375), 0.3),
-    ((-2.0, 0.9), (-1.9, 0.6), 0.3),
-)
-SPOUT: Rings = (
-    ((1.7, 1.425), (1.7, 0.6), 0.66),
-    ((2.6, 1.425), (3.1, 0.825), 0.66),
-    ((2.3, 2.1), (2.4, 2.025), 0.25),
-    ((2.7, 2.4), (3.3, 2.4), 0.25),
-    ((2.8, 2.475), (3.525, 2.49375), 0.25),
-    ((2.9, 2.475), (3.45, 2.5125), 0.15),
-    ((2.8, 2.4), (3.2, 2.4), 0.15),
-)
+HANDLE = _table("""
+    -1.6 2.025 | -1.5  2.25   | 0.3
+    -2.3 2.025 | -2.5  2.25   | 0.3
+    -2.7 2.025 | -3.0  2.25   | 0.3
+    -2.7 1.8   | -3.0  1.8    | 0.3
+    -2.7 1.575 | -3.0  1.35   | 0.3
+    -2.5 1.125 | -2.65 0.9375 | 0.3
+    -2.0 0.9   | -1.9  0.6    | 0.3
+""")
+SPOUT = _table("""
+    1.7 1.425 | 1.7   0.6     | 0.66
+    2.6 1.425 | 3.1   0.825   | 0.66
+    2.3 2.1   | 2.4   2.025   | 0.25
+    2.7 2.4   | 3.3   2.4     | 0.25
+    2.8 2.475 | 3.525 2.49375 | 0.25
+    2.9 2.475 | 3.45  2.5125  | 0.15
+    2.8 2.4   | 3.2   2.4     | 0.15
+""")
 
 # The part each patch belongs to: body, handle, spout, lid, and the bottom, which closes the body. Patches of
 # one part join smoothly; parts only touch.
@@ -71,33 +105,23 @@ def patches() -> Floats:
     return np.array(turned + bent + lid + _turned(BOTTOM, 1.0))
 
 
-def _turned(profile: Profile, sense: float) -> list[Floats]:
+def _turned(profile: Floats, sense: float) -> list[Floats]:
     """Revolve a profile about z: four 90-degree patches from +x, towards +y for sense 1 and -y for sense -1."""
-    quarter = np.array([_quarter_ring(profile, ring) for ring in range(4)])
-    nets = []
-    for axis_x, axis_y in ((1, 0), (0, 1), (-1, 0), (0, -1)):
-        x = axis_x * quarter[..., 0] - axis_y * quarter[..., 1]
-        y = axis_y * quarter[..., 0] + axis_x * quarter[..., 1]
-        nets.append(np.stack([x, sense * y, quarter[..., 2]], axis=-1) + 0.0)  # + 0.0 leaves no -0.0
-    return nets
+    radius, z = profile.T
+    bulge = np.array([BULGE, KNOB_BULGE if profile is KNOB else BULGE, BULGE, BULGE])
+    beside, none = (radius * bulge).round(DECIMALS), np.zeros(4)
+    ahead, aside = np.stack([radius, radius, beside, none], axis=1), np.stack([none, beside, radius, radius], axis=1)
+    height = np.broadcast_to(z[:, None], (4, 4))
+    quarters = ((ahead, aside), (-aside, ahead), (-ahead, -aside), (aside, -ahead))
+    return [np.stack([x, sense * y, height], axis=-1) + 0.0 for x, y in quarters]  # + 0.0 leaves no -0.0
 
 
-def _quarter_ring(profile: Profile, ring: int) -> list[tuple[float, float, float]]:
-    radius, z = profile[ring]
-    bulge = KNOB_BULGE if profile is KNOB and ring == 1 else BULGE
-    beside = round(radius * bulge, DECIMALS)
-    return [(radius, 0.0, z), (radius, beside, z), (beside, radius, z), (0.0, radius, z)]
-
-
-def _halves(rings: Rings) -> list[Floats]:
+def _halves(rings: Floats) -> list[Floats]:
     """The half at y < 0, and its mirror image run through the other way."""
-    half = np.array([_half_ring(*ring) for ring in rings])
+    x0, z0, x1, z1, reach = rings.T
+    none = np.zeros(len(rings))
+    half = np.stack([[x0, x0, x1, x1], [none, -reach, -reach, none], [z0, z0, z1, z1]]).T
     return [half, half[:, ::-1] * (1.0, -1.0, 1.0) + 0.0]
-
-
-def _half_ring(inner: tuple[float, float], outer: tuple[float, float], reach: float) -> list[list[float]]:
-    (x0, z0), (x1, z1) = inner, outer
-    return [[x0, 0.0, z0], [x0, -reach, z0], [x1, -reach, z1], [x1, 0.0, z1]]
 
 
 def tessellate_teapot(subdivisions: int) -> Mesh:

@@ -11,7 +11,7 @@ from caster.description.transform import sine_and_cosine
 from caster.geometry.triangle_mesh import Floats, Ints, Mesh
 from caster.geometry.world_space import MeshShape
 
-__all__ = ["Torus", "tessellate_torus"]
+__all__ = ["Torus"]
 
 
 def tessellate_torus(major_radius: float, minor_radius: float, segments: int, sides: int) -> Mesh:

@@ -20,7 +20,6 @@ __all__ = [
     "check_folder",
     "check_writable",
     "distrust",
-    "locked",
     "read_sealed",
     "write_bytes",
     "write_sealed",

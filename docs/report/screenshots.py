@@ -1,6 +1,7 @@
 """Make the pictures of docs/report.md: python docs/report/screenshots.py [FOLDER | INDEX.html | --candidate]
 
 All scenes are judged, one with a fault that is planted, into FOLDER; an INDEX.html of an earlier run is opened as is.
+INDEX.html NAME PLACE: one picture of it, such as quick-start '#s=scan-size-1e-3&x=21&y=2&v=class'.
 --candidate makes the picture of docs/candidates.md: the textbook caster inside a sphere.
 """
 
@@ -19,8 +20,8 @@ from caster import load_scene
 from caster.rendering.hits import RayHits
 from caster.rendering.threads import core_count
 from mitsuba_ref.reference.shared_input import pixel_of
-from mitsuba_ref.report.html_report import HtmlReport, page_record, write_report
-from mitsuba_ref.report.validation import validate_scene
+from mitsuba_ref.report.html_report import HtmlReport, page_record
+from mitsuba_ref.report.validation import Validation, validate_scene
 from mitsuba_ref.runner import many_scenes
 from mitsuba_ref.subjects import subject
 from mitsuba_ref.subjects.requests import parse_candidate
@@ -52,7 +53,8 @@ def main() -> None:
         shoot(candidate_report_into(Path(tempfile.mkdtemp())), OF_CANDIDATE)
         return
     if len(sys.argv) > 1 and Path(sys.argv[1]).is_file():
-        shoot(Path(sys.argv[1]))
+        named = sys.argv[2:4]
+        shoot(Path(sys.argv[1]), [(named[0], named[1], WIDE, "light", "")] if named else SHOTS)
         return
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(tempfile.mkdtemp())
     shoot(report_into(folder))
@@ -74,7 +76,8 @@ def candidate_report_into(folder: Path) -> Path:
     """Run from the top of the tree, where the candidate is found."""
     path = f"scenes/{INSIDE}.toml"
     verdict = validate_scene(load_scene(path), INSIDE, path, subject=parse_candidate(CANDIDATE), keep=True)
-    return write_report(folder, [replace(verdict, options=("--candidate", CANDIDATE))], 1)  # as it was typed
+    as_typed = replace(verdict, options=("--candidate", CANDIDATE))
+    return Validation((as_typed,)).write_html(folder)
 
 
 def faulty_view(scene: object, rays: object) -> RayHits:
@@ -107,7 +110,7 @@ def picture(browser: Browser, index: Path, name: str, place: str, size: dict[str
     page.wait_for_timeout(500)
     path = HERE / f"{name}.png"
     page.screenshot(path=path)
-    Image.open(path).convert("RGB").save(path, optimize=True)
+    Image.open(path).convert("RGB").quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
     assert path.stat().st_size <= ONE_FILE_LIMIT_BYTES, f"{path}: {path.stat().st_size} bytes"
     page.close()
 

@@ -4,6 +4,11 @@ from caster.cli.application import Command
 
 COMMANDS = (
     Command(
+        "init",
+        "write a ray caster to begin with, in Python, C, Rust or JavaScript, and what judges it",
+        "mitsuba_ref.cli.starter",
+    ),
+    Command(
         "validate",
         "compare our caster or a candidate with Mitsuba on scenes: every pixel gets a class",
         "mitsuba_ref.cli.validate",

@@ -3,28 +3,18 @@
 import argparse
 import importlib.metadata
 import json
-import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pkgutil import resolve_name
 from typing import Any
 
 from caster.cli import installation as caster_doctor
-from caster.cli.installation import Finding, Package, find_package, print_findings
+from caster.cli.installation import Finding, print_findings
 from caster.system.process import OK
-from mitsuba_ref.reference.variants import Variants, usable_variants
+from mitsuba_ref.reference.variants import usable_variants
 
 # The versions whose arithmetic the bounds were derived for; Dr.Jit has to be the one Mitsuba was built with.
 PINNED = {"mitsuba": "3.9.1", "drjit": "1.5.0"}
 INSTALL_COMMAND = "pip install " + " ".join(f"{name}=={version}" for name, version in PINNED.items())
-MATPLOTLIB = Package("matplotlib", "matplotlib", "3.9", "the plots of `make stress` and `make bench`", needed=False)
-PEER_PURPOSE = "another ray caster, for the examples of docs/candidates"
-PEERS = (
-    Package("open3d", "open3d", "0.19", PEER_PURPOSE, needed=False),
-    Package("embreex", "embreex", "4.4", PEER_PURPOSE, needed=False),
-    Package("trimesh", "trimesh", "4.6", PEER_PURPOSE, needed=False),
-)
-CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
-BROWSERS = (*CHROMIUM, "firefox")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,40 +35,24 @@ def judge_findings() -> list[Finding]:
     """Find the parts that the judge uses in addition to the caster's."""
     versions = [_pinned(name) for name in PINNED]
     missing = [finding.name for finding in versions if not finding.found]
-    return [
-        *versions,
-        *(_missing(missing) if missing else _variants(usable_variants())),
-        kept_results(),
-        *map(find_package, (MATPLOTLIB, *PEERS)),
-        browser(),
-    ]
+    return [*versions, *_variants(missing), kept_results()]
 
 
-VARIANTS_ADD, LLVM_ADDS = "Mitsuba's own ray intersections", "speed: rays in batches, through Mitsuba's LLVM variant"
-
-
-def _missing(names: Sequence[str]) -> Iterator[Finding]:
-    detail = f"needs {' and '.join(names)} first"
-    yield Finding("variants", False, True, detail, VARIANTS_ADD)
-    yield Finding("libLLVM", False, False, detail, LLVM_ADDS)
-
-
-def _variants(found: Variants) -> Iterator[Finding]:
-    """The variants that work, each tried in a child process, and the libLLVM in use."""
+def _variants(missing: Sequence[str]) -> list[Finding]:
+    """The variants that work, each tried in a child process, and the libLLVM in use. missing: packages for that."""
+    adds, llvm_adds = "Mitsuba's own ray intersections", "speed: rays in batches, through Mitsuba's LLVM variant"
+    if missing:
+        detail = f"needs {' and '.join(missing)} first"
+        return [Finding("variants", False, True, detail, adds), Finding("libLLVM", False, False, detail, llvm_adds)]
+    found = usable_variants()
     detail = ", ".join(found.names) or "no variant of Mitsuba works"
     why = f"; {found.why}" if found.why and not found.scalar else ""
-    yield Finding("variants", found.scalar, True, detail + why, VARIANTS_ADD)  # spheres need the scalar one
     without = "none that Mitsuba's LLVM variant works with" + (f": {found.why}" if found.why else "")
     way_out = "" if found.libllvm else "apt install libllvm19"
-    yield Finding("libLLVM", bool(found.libllvm), False, found.libllvm or without, LLVM_ADDS, way_out)
-
-
-def browser() -> Finding:
-    """The first browser on the path."""
-    path = next(filter(None, map(shutil.which, BROWSERS)), None)
-    detail = path or "none of " + ", ".join(BROWSERS)
-    adds = "reports of `validate --html`, and their tests (Chromium)"
-    return Finding("browser", path is not None, False, detail, adds)
+    return [
+        Finding("variants", found.scalar, True, detail + why, adds),  # spheres need the scalar one
+        Finding("libLLVM", bool(found.libllvm), False, found.libllvm or without, llvm_adds, way_out),
+    ]
 
 
 def kept_results() -> Finding:

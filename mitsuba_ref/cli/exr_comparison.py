@@ -67,7 +67,7 @@ def run_compare(args: argparse.Namespace) -> int:
 def add_approve_arguments(parser: argparse.ArgumentParser) -> None:
     add_references(parser, OutputFolder)
     add_timeout(parser)
-    parser.add_argument("--yes", action="store_true", help="write without confirmation; required without a terminal")
+    parser.add_argument("--yes", action="store_true", help="write the images; without it, changes are only shown")
 
 
 def add_check_arguments(parser: argparse.ArgumentParser) -> None:
@@ -104,10 +104,11 @@ def each_scene(
 
 
 def run_approve(args: argparse.Namespace) -> int:
-    """Show changes, confirm, write; 0 all is as approved, 1 not approved or Mitsuba failed, 5 nothing was selected."""
+    """Show changes, and write images with --yes; 0 all is as approved, 1 not approved or Mitsuba failed, 5 nothing was
+    selected."""
     folder = Path(args.references)
     from caster.system.atomic_files import check_folder
-    from mitsuba_ref.exr_compare.approved import Proposal, propose, unused_images, write_approved
+    from mitsuba_ref.exr_compare.approved import Proposal, propose, write_approved
     from mitsuba_ref.reference import variants
 
     variants.require_variants()  # its errors come before any work
@@ -122,12 +123,11 @@ def run_approve(args: argparse.Namespace) -> int:
         print_proposal(proposal, out)
     if not found:
         return NOTHING_SELECTED
-    for name in unused_images(folder, {each.name for each in found}) if not args.expression else ():
-        print(f"note     {name}: no scene of this selection has this name; it is left as it is")
     wanted = [proposal for proposal in found if proposal.write]
     failed = sum(proposal.status == "failed" for proposal in found)
     print(f"\n{len(found)} scenes: {len(wanted)} images to write, {failed} without an answer of Mitsuba")
-    if wanted and not approved(args, len(wanted)):
+    if wanted and not args.yes:
+        print("nothing was written: look at the changes above, then add --yes", file=sys.stderr)
         return DIFFERENCES
     check_folder(folder)
     for proposal in wanted:
@@ -144,22 +144,6 @@ def print_proposal(proposal: Proposal, out: TextIO) -> None:
     for line in rest:
         print(f"            {line}", file=out)
     out.flush()
-
-
-def approved(args: argparse.Namespace, count: int) -> bool:
-    """Whether --yes is given, or the user at the terminal confirms."""
-    if args.yes:
-        return True
-    if not (sys.stdin and sys.stdin.isatty()):
-        print(
-            "nothing was written: no terminal to confirm at; look at the changes above, then add --yes", file=sys.stderr
-        )
-        return False
-    print(f"write {count} images? [y/N] ", end="", file=sys.stderr, flush=True)
-    if sys.stdin.readline().strip().lower() in ("y", "yes"):
-        return True
-    print("nothing was written", file=sys.stderr)
-    return False
 
 
 # ---- check ----

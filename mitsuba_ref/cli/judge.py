@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from caster.cli.shared_arguments import InputPath, OutputFile, add_mesh_dirs, add_scene, load, positive_int
 from caster.description.errors import SceneError
 from caster.system.process import OK
-from mitsuba_ref.cli.options import PRECISIONS, add_report_files, given_words
+from mitsuba_ref.cli.options import PRECISIONS, ScenePath, add_report_files, given_words
 from mitsuba_ref.cli.validate import judge_entries, without_earlier_results
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ SHADOW_T_MIN = 2.0**-10  # lengths of d, the way to a point light: a shadow ray 
 
 
 def add_rays_arguments(parser: argparse.ArgumentParser) -> None:
-    add_scene(parser)
+    add_scene(parser, ScenePath)
     add = parser.add_argument
     add("-o", "--output", metavar="RAYS", type=OutputFile, required=True, help=".npz, or .npy for the rows alone")
     help_ = "camera (default); aimed at features (corners, edges, rims), along silhouettes, from surfaces, at random; "
@@ -147,7 +147,7 @@ def run(args: argparse.Namespace) -> int:
     out = without_earlier_results(args)
     entries = exr_entries(args) if args.exr else hits_entries(args)
     judge = JudgeOptions(Path(args.out) if args.out else None, subject=entries[0].subject)
-    return judge_entries(args, entries, RunOptions(judge, html=args.html), entries[0].subject, out)
+    return judge_entries(args, entries, RunOptions(judge, html=args.html), out)
 
 
 def entry_of(args: argparse.Namespace, scene: Scene, more: str, subject: Subject, **about: Any) -> SceneEntry:

@@ -5,19 +5,21 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Protocol, TextIO, TypeVar
+from typing import TYPE_CHECKING, Protocol, Self, TextIO, TypeVar
 
 from caster.cli.shared_arguments import (
     InputPath,
     OutputFile,
     OutputFolder,
     add_mesh_dirs,
+    check_utf8_name,
     display_names,
     positive_int,
     scene_files,
 )
 from caster.description.errors import SceneError, error_prefix, suggestion
 from caster.system.terminal import StatusLine
+from mitsuba_ref.report import builtin_scenes
 
 if TYPE_CHECKING:
     from mitsuba_ref.exr_compare.conventions import Reading
@@ -56,16 +58,24 @@ def positive_seconds(text: str) -> float:
 # ---- scenes ----
 
 
+class ScenePath(InputPath):
+    """A scene argument: a path, or builtin:NAME, whose path it is. Raises SceneError for an unknown name."""
+
+    def __new__(cls, text: str) -> Self:
+        return super().__new__(cls, builtin_scenes.scene_path(text))
+
+
 def add_selection(parser: argparse.ArgumentParser) -> None:
     """Add scenes, -k, -j, --size and --mesh-dir."""
     add = parser.add_argument
     add(
         "scenes",
         metavar="SCENE|MESH|DIR",
-        type=InputPath,
+        type=ScenePath,
         nargs="*",
         default=DEFAULT_SCENES,
-        help="scene files, mesh files (OBJ, PLY, STL, OFF, glTF), folders of scenes; default: the folder scenes",
+        help="scene files, mesh files (OBJ, PLY, STL, OFF, glTF), folders of scenes, builtin:NAME; default: the folder "
+        "scenes",
     )
     add(
         "--builtin",
@@ -95,6 +105,8 @@ def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
     from mitsuba_ref.runner.many_scenes import SceneEntry, matching
 
     fits = matching(args.expression, types_in_file)
+    for folder in args.mesh_dir:
+        check_utf8_name(folder)
     named = [] if args.builtin and args.scenes is DEFAULT_SCENES else args.scenes
     places = [*builtin_folders(args.builtin), *named]
     files = [file for file in scene_files(places) if fits(file)]
@@ -114,11 +126,8 @@ def builtin_folders(name: str | None) -> list[str]:
     """Folders of a set of built-in scenes; none for None."""
     if name is None:
         return []
-    from importlib.resources import files
-
-    sets = files("mitsuba_ref.runner") / "builtin"
     chosen = BUILTIN_SETS[:-1] if name == BUILTIN_SETS[-1] else (name,)
-    return [str(sets / each) for each in chosen]
+    return [str(builtin_scenes.ROOT / each) for each in chosen]
 
 
 def add_timeout(parser: argparse.ArgumentParser) -> None:
@@ -216,13 +225,14 @@ def candidate_words(args: argparse.Namespace) -> tuple[str, ...]:
 
 
 def given_words(args: argparse.Namespace, *names: str) -> tuple[str, ...]:
-    """Those of these options that were given, as words of a command line."""
+    """Those of these options that were given, as words of a command line. Raises SceneError unless they are UTF-8."""
     words: list[str] = []
     for name in names:
         value = getattr(args, name, None)
         option = "--candidate-serve" if isinstance(value, ServedProgram) else f"--{name.replace('_', '-')}"
         for each in value if isinstance(value, list) else [] if value is None else [value]:
             words += [option, repr(each).removesuffix(".0") if isinstance(each, float) else str(each)]
+            check_utf8_name(words[-1])
     return tuple(words)
 
 

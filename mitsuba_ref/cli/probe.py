@@ -14,7 +14,15 @@ from caster.cli.shared_arguments import OutputFile, add_pixel, add_scene, load
 from caster.description.errors import error_prefix
 from caster.system.process import DIFFERENCES, OK
 from caster.system.terminal import printable
-from mitsuba_ref.cli.options import add_candidate, add_reading, add_timeout, candidate_words, requested_candidate
+from mitsuba_ref.cli.options import (
+    ScenePath,
+    add_candidate,
+    add_reading,
+    add_timeout,
+    candidate_words,
+    requested_candidate,
+)
+from mitsuba_ref.report.builtin_scenes import shown_path
 
 if TYPE_CHECKING:
     from mitsuba_ref.probe.pixel import PixelVerdict, ProbeEvidence
@@ -22,7 +30,7 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_scene(parser)
+    add_scene(parser, ScenePath)
     add_pixel(parser)
     parser.add_argument("--json", action="store_true", help="as JSON")
     parser.add_argument(
@@ -45,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
         if args.save:
             save(args, probed, about_candidate(args, found))
     finally:  # last, since a reader of the pipe may close it early
-        print(json.dumps(found.to_dict(), indent=2) if args.json else as_text(found, args.scene))
+        print(json.dumps(found.to_dict(), indent=2) if args.json else as_text(found, shown_path(args.scene)))
     return OK if found.ok else DIFFERENCES
 
 
@@ -64,7 +72,7 @@ def save(args: argparse.Namespace, probed: Crash | ProbeEvidence, more: Sequence
     from mitsuba_ref.reference.messages import Crash
     from mitsuba_ref.report.reproducers import write_reproducer
 
-    source = f"{args.scene}, pixel ({args.x}, {args.y})"
+    source = f"{shown_path(args.scene)}, pixel ({args.x}, {args.y})"
     if isinstance(probed, Crash):
         print(f"{args.save}: not written: Mitsuba gave no answer to reproduce", file=sys.stderr)
         return

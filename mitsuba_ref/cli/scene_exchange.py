@@ -21,7 +21,7 @@ from caster.cli.shared_arguments import (
 )
 from caster.description.errors import SceneError, error_prefix, suggestion
 from caster.system.process import DIFFERENCES, OK
-from mitsuba_ref.cli.options import add_timeout
+from mitsuba_ref.cli.options import ScenePath, add_timeout
 
 if TYPE_CHECKING:
     from mitsuba_ref.importers.mitsuba_xml import ImportedScene
@@ -30,7 +30,7 @@ COURSE_FILM = (256, 256)  # pixels; a scene text of the course has no film
 
 
 def add_render_arguments(parser: argparse.ArgumentParser) -> None:
-    add_scene(parser)
+    add_scene(parser, ScenePath)
     add = parser.add_argument
     add("-o", "--output", metavar="REF.exr", type=OutputFile, required=True)
     add(
@@ -147,7 +147,7 @@ def folders_beyond(scene: object, folder: Path) -> set[str]:
 
 
 def add_export_arguments(parser: argparse.ArgumentParser) -> None:
-    add_scene(parser)
+    add_scene(parser, ScenePath)
     parser.add_argument(
         "-o",
         "--output",

@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
     candidate = requested_candidate(args)
     if args.thorough and candidate is not None:
         raise SceneError("--thorough: not with a candidate: it tests our own caster")
-    return judge_entries(args, entries, run_options(args, candidate), candidate, out)
+    return judge_entries(args, entries, run_options(args, candidate), out)
 
 
 def without_earlier_results(args: argparse.Namespace) -> OutFolder | None:
@@ -99,11 +99,7 @@ def without_earlier_results(args: argparse.Namespace) -> OutFolder | None:
 
 
 def judge_entries(
-    args: argparse.Namespace,
-    entries: Sequence[SceneEntry],
-    options: RunOptions,
-    candidate: Subject | None,
-    out: OutFolder | None,
+    args: argparse.Namespace, entries: Sequence[SceneEntry], options: RunOptions, out: OutFolder | None
 ) -> int:
     """Print a row for each scene, and write the files that the options name; the exit code."""
     from mitsuba_ref.reference import variants
@@ -113,25 +109,10 @@ def judge_entries(
     start = time.perf_counter()
     running = ValidationRun(entries, options, out)
     try:
-        if candidate is not None and candidate.takes_rays:
-            print_conventions(candidate, entries[0])
         print_rows(running)
     finally:  # whatever ends the work, the results so far are written
         write_results(running, args, time.perf_counter() - start)
     return exit_code(running.verdict(), running.errors)
-
-
-def print_conventions(candidate: Subject, entry: SceneEntry) -> None:
-    """Print which ray conventions a candidate breaks, by a few rays of the first scene."""
-    from mitsuba_ref.judge.checks.ray_conventions import check_ray_conventions
-    from mitsuba_ref.report.results import print_lines
-
-    try:
-        found = check_ray_conventions(candidate, entry.load())
-    except (SceneError, MemoryError):  # which the row of the scene names
-        return
-    if found is not None and not found.ok:
-        print_lines(f"conventions: {found.what} ({entry.name})\n", sys.stdout)
 
 
 def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:

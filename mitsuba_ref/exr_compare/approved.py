@@ -303,8 +303,3 @@ def differ_by_processor(scene: Scene, before: Exr, now: Exr) -> bool:
         if not (ambiguous | np.where(each.channels["A"] != 0.0, light, geometry)).all():
             return False
     return True
-
-
-def unused_images(folder: Path, names: set[str]) -> list[str]:
-    """Names of files in the folder that belong to none of the scenes."""
-    return sorted(path.name for path in folder.glob("*.exr") if path.stem not in names) if folder.is_dir() else []

@@ -8,14 +8,10 @@ from pydantic import BaseModel, ConfigDict, computed_field
 
 from mitsuba_ref.error_model.tolerances import K
 from mitsuba_ref.judge.verdict import JsonFloat
-from mitsuba_ref.report.results import Column, format_table, percent
+from mitsuba_ref.report.results import aligned, percent
 
 LEGEND = f"u = 2^-24, K = {K:g}, S = |o| + t + |p| and cos = |n.d| of each pixel of the reference"
-COLUMNS = (
-    Column("quantity"),
-    *(Column(title, "right") for title in ("agree", "differ", "not finite", "worst", "at")),
-    Column("bound"),
-)
+TITLES = ("quantity", "agree", "differ", "not finite", "worst", "at", "bound")
 
 
 class Worst(BaseModel):
@@ -103,7 +99,9 @@ class FileComparison(BaseModel):
             hits = f"hit: {self.hit_ours} in ours, {self.hit_reference} in the reference, {self.hit_either} in either"
             hits = hits if self.hit_channel else "hits unknown (no channel A, id.shape, id.prim or depth.Z)"
             lines += [f"{self.width} x {self.height} pixels, {hits}", ""]
-            lines.append(format_table(COLUMNS, map(_row, self.groups)))
+            rows = [TITLES, *map(_row, self.groups)]
+            table = aligned([row[:-1] for row in rows], left=1)
+            lines += [f"{line}  {row[-1]}" for line, row in zip(table, rows, strict=True)]
             lines += [LEGEND, ""] if any("K u S" in group.bound for group in self.groups) else [""]
         if self.ignored:
             lines.append(f"not compared, by --ignore: {', '.join(self.ignored)}")

@@ -145,9 +145,7 @@ class Campaign:
         return Failure(finding.kind, finding.what, family, options, str(file), again)
 
 
-def check_example(
-    tried: Example, tally: Tally, count: int = RAYS_PER_EXAMPLE, thorough: bool = False
-) -> list[Finding]:
+def check_example(tried: Example, tally: Tally, count: int = RAYS_PER_EXAMPLE, thorough: bool = False) -> list[Finding]:
     """Findings about an example's rays and image. A scene outside the oracle's domain is counted as such."""
     try:
         prepared = prepared_scene(tried.made.scene())

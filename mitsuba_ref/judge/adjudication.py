@@ -18,7 +18,7 @@ from mitsuba_ref.error_model.intersections import Intersections, norm
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR
 from mitsuba_ref.oracle.interface import tied_prims
-from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain, Root
+from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain
 from mitsuba_ref.reference.shared_input import SharedRays, model_of, packed_float32
 from mitsuba_ref.subjects.subject import Answer
 
@@ -34,6 +34,7 @@ class Adjudication:
     rows: np.ndarray  # (m,) of the image, ascending
     answers: Sequence[ExactAnswer | None]  # m of them; None: the oracle gave none
     ratio: np.ndarray  # (m,) the subject's error over its bound; inf where hit, miss or primitive is another
+    of_first: np.ndarray  # (m,) bool: it has the first member of the tie set, or nothing is hit
 
     @property
     def answered(self) -> np.ndarray:
@@ -59,6 +60,12 @@ class Adjudication:
         """The exact answer at a row of the image, if it was adjudicated."""
         i = self.place.get(int(row))
         return None if i is None else self.answers[i]
+
+    def first_hits(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(m,) primitive and t of the exact answer at some rows; -1 and inf on a miss, or if it is not known."""
+        answers = [self.of(row) for row in rows]
+        prim = np.array([-1 if answer is None else answer.prim for answer in answers], np.int64)
+        return prim, np.array([np.inf if a is None or a.t is None else float(a.t) for a in answers])
 
 
 def needs_adjudication(plain: np.ndarray, hit: np.ndarray, certain: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -102,32 +109,6 @@ def oracle_answers(
         ]
 
 
-class ExactRatios(NamedTuple):
-    """The subject's error over its bound; one row for each adjudicated pixel."""
-
-    best: np.ndarray  # (m,) at the member of the tie set that fits best; inf where hit and miss differ
-    of_first: np.ndarray  # (m,) bool: the first member fits, or nothing is hit
-
-
-def ratios_of_named(
-    answers: Sequence[ExactAnswer | None], prim: np.ndarray, t: np.ndarray, bound: np.ndarray
-) -> ExactRatios:
-    """Ratios of t for a subject that names its primitives: only the first member of the tie set is right.
-
-    0 at the right primitive if rounding does not resolve t, edge-on.
-    """
-    same = np.array([a is not None and a.prim == k for a, k in zip(answers, prim, strict=True)], bool)
-    roots = [None if answer is None else answer.t for answer in answers]
-    best = np.where(same, np.where(prim < 0, 0.0, _ratio(_errors(roots, t), bound)), np.inf)
-    return ExactRatios(best, best <= 1.0)
-
-
-def _errors(roots: Sequence[Root | None], t: np.ndarray) -> np.ndarray:
-    """(m,) |t - exact t|; inf without an exact t, or if t is not finite."""
-    pairs = zip(roots, t.tolist(), strict=True)
-    return np.array([np.inf if root is None or not np.isfinite(x) else root.off(x) for root, x in pairs], np.float64)
-
-
 def claims_of(answer: Answer, packed: Packed) -> Claims:
     """The claims of a subject: hits, with shape, primitive and normal if it gives them; no positions."""
     shapes = len(packed.parts)
@@ -144,42 +125,50 @@ def claims_of(answer: Answer, packed: Packed) -> Claims:
 IntersectionsNear = Callable[[np.ndarray, np.ndarray, np.ndarray], Intersections]
 
 
-def ratios_of_any_tie(
-    answers: Sequence[ExactAnswer | None], answer: Answer, near: IntersectionsNear, packed: Packed
-) -> ExactRatios:
-    """Ratios for a subject without images: every member of the tie set is right.
+Column = tuple[str, np.ndarray, Callable[[np.ndarray], np.ndarray]]
 
-    t is compared, and the normal and ids if they are given; where rounding cannot resolve t, the normal alone. answer:
-    to the same pixels.
+
+def id_columns(answer: Answer, packed: Packed) -> list[Column]:
+    """(name, (n,) the subject's numbers, primitives of the scene -> the right numbers) of each column that is given."""
+    columns: tuple[tuple[str, np.ndarray | None, Callable[[np.ndarray], np.ndarray]], ...] = (
+        ("shape", answer.shape_id, packed.shape_of),
+        ("primitive", answer.prim_id, packed.index_in_shape),
+        ("primitive", answer.prim, lambda prim: prim),
+    )
+    return [(name, ids, number) for name, ids, number in columns if ids is not None]
+
+
+def exact_ratios(
+    answers: Sequence[ExactAnswer | None], answer: Answer, near: IntersectionsNear, packed: Packed
+) -> tuple[np.ndarray, np.ndarray]:
+    """(m,) a subject's error over its bound, and whether it has the first member of the tie set; answer: to m pixels.
+
+    Of a subject with exact visibility, the first member alone is right; of others every member, and the best one
+    counts. t is compared, and the normal and ids if they are given; where rounding cannot resolve t, these alone.
     """
-    hit = answer.hit
+    hit, most = answer.hit, 1 if answer.exact_visibility else None
     missed = np.array([exact is not None and exact.t is None for exact in answers], bool)
     best = np.where(missed & ~hit, 0.0, np.inf)
     first = best == 0.0
-    members = [(i, each) for i, exact in enumerate(answers) if exact and hit[i] for each in exact.ties]
+    members = [(i, each) for i, exact in enumerate(answers) if exact and hit[i] for each in exact.ties[:most]]
     if not members:
-        return ExactRatios(best, first)
+        return best, first
     owner = np.array([i for i, _ in members], np.int64)
     prim = np.array([each.prim for _, each in members])
-    exact_t = np.array([float(each.t) for _, each in members])
-    t = answer.t[owner]
-    at = near(owner, prim, exact_t)
-    ratio = _ratio(
-        _errors([each.t for _, each in members], t),
-        at.t_error + np.broadcast_to(answer.t_rounding, answer.t.shape)[owner],
-    )
-    if answer.hits_only:
-        ratio = np.zeros(len(owner))
-    for ids, number in ((answer.shape_id, packed.shape_of), (answer.prim_id, packed.index_in_shape)):
-        if ids is not None:
-            ratio = np.where(ids[owner] == number(prim), ratio, np.inf)
+    at = near(owner, prim, np.array([float(each.t) for _, each in members]))
+    rounding = np.broadcast_to(answer.t_rounding, answer.t.shape)[owner]
+    pairs = zip(members, answer.t[owner].tolist(), strict=True)
+    error = np.array([each.t.off(t) if np.isfinite(t) else np.inf for (_, each), t in pairs], np.float64)
+    ratio = np.zeros(len(owner)) if answer.hits_only else _ratio(error, at.t_error + rounding)
+    for _, ids, number in id_columns(answer, packed):
+        ratio = np.where(ids[owner] == number(prim), ratio, np.inf)
     if answer.n is not None:
         bound = np.minimum(at.n_error, LARGEST_USEFUL_NORMAL_ERROR)
         ratio = np.maximum(ratio, _ratio(row_distance(answer.n[owner], at.n), bound))
     np.minimum.at(best, owner, ratio)
     begins = np.r_[True, np.diff(owner) != 0]
     first[owner[begins]] = ratio[begins] <= 1.0
-    return ExactRatios(best, first)
+    return best, first
 
 
 def _ratio(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
@@ -210,8 +199,7 @@ def claims_other_tie(
         tied = {i: np.unique(model.identical[prims]) for i, prims in tied.items()}
     ray = np.repeat(list(tied), [len(prims) for prims in tied.values()])
     prim = np.concatenate(list(tied.values()))
-    nearest = np.array([np.nan if a is None or a.t is None else float(a.t) for a in answers])
-    t = nearest[ray]
+    t = np.array([np.nan if a is None or a.t is None else float(a.t) for a in answers])[ray]
     at = nearest_root(model.intersect(prim, o[ray], d[ray], KU, ours=False), t)
     p = o[ray] + t[:, None] * d[ray]
     with np.errstate(invalid="ignore"):
@@ -270,10 +258,9 @@ class ExactHits:
         self.answers = tuple(Oracle(ready.packed).first_hits(self.o, self.d, t_max=t_max))
         self.hit = np.array([answer.hit for answer in self.answers], bool)
         self.t = np.array([np.inf if answer.t is None else float(answer.t) for answer in self.answers])
-        tied = [tied_prims(answer) for answer in self.answers]
-        self.ties = [frozenset(prims.tolist()) for prims in tied]
-        ray = np.repeat(np.arange(len(self.answers)), [len(prims) for prims in tied])
-        prim = np.concatenate([np.zeros(0, np.int64), *tied])
+        self.ties = [tied_prims(answer) for answer in self.answers]
+        ray = np.repeat(np.arange(len(self.answers)), [len(prims) for prims in self.ties])
+        prim = np.concatenate([np.zeros(0, np.int64), *self.ties])
         # (n,) bounds on |t - exact t| in either arithmetic, at the most generous of the primitives that are exactly
         # nearest; inf: unbounded, 0: a miss
         self.float64, self.float32 = np.zeros((2, len(self.answers)))
@@ -296,7 +283,7 @@ class ExactHits:
         allowed = (self.float64 if ours else self.float32)[rows]
         if prim is not None:
             named = prim[rows]
-            other = np.array([int(k) not in self.ties[i] for i, k in zip(rows, named, strict=True)], bool)
+            other = np.array([k not in self.ties[i] for i, k in zip(rows, named, strict=True)], bool)
             known = np.flatnonzero(other & (named >= 0) & (named < self.ready.primitives))
             of_named = self.bounds(rows[known], named[known])[0 if ours else 1]
             allowed[known] = np.maximum(allowed[known], of_named)
@@ -305,9 +292,6 @@ class ExactHits:
         return Compared(rows, errors, ratio, ~(errors <= allowed), other)
 
     def errors(self, rows: Sequence[int] | np.ndarray, t: np.ndarray) -> np.ndarray:
-        """(m,) |t - exact t| of these rays, exactly rounded; NaN for a NaN."""
-        return np.array([self._error(int(row), float(value)) for row, value in zip(rows, t, strict=True)])
-
-    def _error(self, row: int, t: float) -> float:
-        exact = self.answers[row].t
-        return float("nan") if exact is None or np.isnan(t) else exact.off(t)
+        """(m,) |t - exact t| of these rays, which hit, exactly rounded; NaN for a NaN."""
+        pairs = zip((self.answers[row].t for row in rows), t.tolist(), strict=True)
+        return np.array([np.nan if exact is None or np.isnan(x) else exact.off(x) for exact, x in pairs], np.float64)

@@ -12,7 +12,6 @@ import numpy as np
 from caster.description.errors import SceneError
 from caster.geometry.packing import packed
 from caster.scene.model import Scene
-from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judge, Judgement
 from mitsuba_ref.judge.diagnosis import NOT_ADJUDICATED, Diagnosis, failing_rows
 from mitsuba_ref.judge.explanations import full_reason, pixel_answers, reason
@@ -22,7 +21,6 @@ from mitsuba_ref.judge.verdict import (
     FAILING,
     MAX_LISTED_FAILURES,
     UNLISTED,
-    WRONG,
     Failure,
     Finding,
     SceneCheck,
@@ -30,7 +28,7 @@ from mitsuba_ref.judge.verdict import (
     SceneVerdict,
 )
 from mitsuba_ref.reference.shared_input import pixel_of
-from mitsuba_ref.subjects.subject import FLOAT32, Answer
+from mitsuba_ref.subjects.subject import Answer
 
 T = TypeVar("T")
 
@@ -92,21 +90,14 @@ def listed_failures(judge: Judge, judgement: Judgement, diagnosis: Diagnosis) ->
 
     The worst pixel of a diagnosis, or the first if the subject names no primitives, so that most have no factor.
     """
-    by_row, rows = diagnosis.by_row(), worst_first(judgement, failing_rows(judgement))
-    order = rows if judge.names_prims else sorted(rows)
-    cause_of = {int(row): what for what, rows in diagnosis.rows_of.items() for row in rows}
-    leading = {cause_of[row]: row for row in reversed(order)}
-    most_first = sorted(
-        leading.values(), key=lambda row: (cause_of[row] == NOT_ADJUDICATED, -len(diagnosis.rows_of[cause_of[row]]))
-    )
-    chosen = list(dict.fromkeys([*most_first, *rows]))[:MAX_LISTED_FAILURES]
+    by_row, rows = diagnosis.by_row(), failing_rows(judgement)
+    excess = np.max([judgement.excess(name)[rows] for name in judgement.names], axis=0)
+    worst_first = rows[np.argsort(-excess, kind="stable")].tolist()
+    rank = {row: place for place, row in enumerate(worst_first if judge.names_prims else rows.tolist())}
+    causes = sorted(diagnosis.rows_of.items(), key=lambda item: (item[0] == NOT_ADJUDICATED, -len(item[1])))
+    leading = [min(cause_rows.tolist(), key=rank.__getitem__) for _, cause_rows in causes]
+    chosen = list(dict.fromkeys([*leading, *worst_first]))[:MAX_LISTED_FAILURES]
     return tuple(failure_at(judge, judgement, by_row, row) for row in chosen)
-
-
-def worst_first(judgement: Judgement, rows: np.ndarray) -> list[int]:
-    """These rows of the image by the largest excess of any check."""
-    excess = np.array([judgement.excess(name)[rows] for name in judgement.names])
-    return [int(row) for row in rows[np.argsort(-excess.max(axis=0), kind="stable")]]
 
 
 def failing_by_check(judgement: Judgement) -> dict[str, np.ndarray]:
@@ -114,9 +105,11 @@ def failing_by_check(judgement: Judgement) -> dict[str, np.ndarray]:
     rows = failing_rows(judgement)
     excess = {name: judgement.excess(name)[rows] for name in judgement.names}
     beyond = {name: ~(ratio <= 1.0) for name, ratio in excess.items()}
-    beyond[EXACT] = beyond[EXACT] | ~np.any(list(beyond.values()), axis=0)
-    order = {name: np.argsort(-ratio, kind="stable") for name, ratio in excess.items()}
-    found = {name: rows[order[name]][beyond[name][order[name]]] for name in judgement.names}
+    beyond[EXACT] |= ~np.any(list(beyond.values()), axis=0)
+    found = {}
+    for name in judgement.names:
+        order = np.argsort(-excess[name], kind="stable")
+        found[name] = rows[order[beyond[name][order]]]
     return {name: failing for name, failing in found.items() if len(failing)}
 
 
@@ -136,19 +129,6 @@ def decisive_check(judgement: Judgement, row: int) -> str:
     excess = {name: float(judgement.excess(name)[row]) for name in judgement.names}
     beyond = {name: ratio for name, ratio in excess.items() if name != EXACT and not ratio <= 1.0}
     return max(beyond or excess, key=lambda name: excess[name])
-
-
-def failure_hints(answer: Answer, judgement: Judgement) -> tuple[str, ...]:
-    """A hint if all failing pixels would pass with the bounds of float32."""
-    if not judgement.is_class(*FAILING).any():
-        return ()
-    ratios = judgement.exact.ratio[judgement.is_class(WRONG)[judgement.exact.rows]]
-    if answer.precision == FLOAT32 or not len(ratios) or ratios.max() > KU / KU_OURS:
-        return ()
-    return (
-        "every pixel that is beyond the bounds of float64 is within those of float32; if that will do: "
-        "--candidate-precision float32",
-    )
 
 
 # ---- the windows of a large film, judged one after the other ----

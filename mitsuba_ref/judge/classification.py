@@ -6,7 +6,7 @@ whether float32 rounding allows what Mitsuba answers. A subject whose own visibi
 rounding allows its answer; our caster claims exact visibility, and is not.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -24,13 +24,11 @@ from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
 from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR, NEARLY_ALL
 from mitsuba_ref.judge.adjudication import (
     Adjudication,
-    ExactRatios,
     claims_of,
     claims_other_tie,
+    exact_ratios,
     needs_adjudication,
     oracle_answers,
-    ratios_of_any_tie,
-    ratios_of_named,
     sample_rows,
 )
 from mitsuba_ref.judge.checks.mesh_files import files_of, for_mitsuba
@@ -41,14 +39,12 @@ from mitsuba_ref.judge.comparison import (
     PixelPairs,
     SelfCheck,
     UvPair,
-    check_allowances,
     compare,
-    fails_self_check,
     inconsistent_aovs,
     pair_images,
 )
-from mitsuba_ref.judge.defect_lookup import FeatureMeasurement, defect_of
-from mitsuba_ref.judge.diffuse import DiffuseComparison, diffuse_within_float64, judge_diffuse, shading_points
+from mitsuba_ref.judge.defect_lookup import defect_features, defect_of
+from mitsuba_ref.judge.diffuse import diffuse_within_float64, judge_diffuse, shading_points
 from mitsuba_ref.judge.verdict import (
     AGREE,
     CLASSES,
@@ -60,7 +56,7 @@ from mitsuba_ref.judge.verdict import (
     UNDECIDED,
     WRONG,
 )
-from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
+from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_request
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
@@ -85,8 +81,7 @@ RAYS_PER_BATCH = 1 << 14  # rays of a list whose possible intersections are in m
 
 def pixel_checks(*, ours: bool) -> tuple[str, ...]:
     """Names of all checks of a pixel of our caster, or of a candidate that gives every quantity."""
-    checks = CHECKS if ours else SURFACE_CHECKS
-    return (*(check.name for check in checks), *(("diffuse",) if ours else ()), EXACT)
+    return (*CHECKS, "diffuse", EXACT) if ours else (*SURFACE_CHECKS, EXACT)
 
 
 @dataclass(frozen=True)
@@ -119,8 +114,7 @@ class Judgement:
 
     def is_right(self, row: int) -> bool:
         """Whether the subject has the exact answer at a row that was adjudicated."""
-        place = self.exact.place.get(row)
-        return place is not None and bool(self.exact.right[place])
+        return bool(self.exact.right[self.exact.rows == row].any())
 
 
 class Judge:
@@ -138,10 +132,9 @@ class Judge:
         # The primitive at which the subject is held to bounds: its own, or if it names none, the reference's.
         self.names_prims = self.answer.prim is not None
         self.prim = self.reference_prim if self.answer.prim is None else self.answer.prim
-        lines, t = (self.o, self.d), self.answer.t if self.names_prims else self.result.t
-        reference_t = self.answer.t if self.names_prims else self.reference_t
+        t, reference_t = (self.answer.t,) * 2 if self.names_prims else (self.result.t, self.reference_t)
         at = intersections_at(model, self.prim, self.reference_lines[:2], reference_t, KU, ours=False)
-        self.bounds = Bounds(self._as_subject(self.prim, lines, t), at)
+        self.bounds = Bounds(self.near(slice(None), self.prim, t), at)
         with np.errstate(invalid="ignore"):
             self.point = self.o + self.answer.t[:, None] * self.d
         reference = pair.reference
@@ -152,6 +145,7 @@ class Judge:
         self.pixels = PixelPairs(pair.subject, reference, self.bounds, self.answer, pair.length, self.point, uv)
         # No rounding excuses images that contradict themselves.
         self.inconsistent = inconsistent_aovs(scene, model.packed, pair)
+        self.consistent = ~np.any([np.zeros(len(self.hit), bool), *self.inconsistent.values()], axis=0)
 
     def _uv_pair(self) -> UvPair:
         """uv of both sides; if the reference names the other face of an edge, its uv are compared at that face."""
@@ -167,13 +161,10 @@ class Judge:
             reference[rows], bound[rows] = ours[rows] + moved, at.uv_error
         return UvPair(ours, np.where(known[:, None], reference, ours), bound)
 
-    def _as_subject(self, prim: np.ndarray, lines: tuple[np.ndarray, np.ndarray], t: np.ndarray) -> Intersections:
-        answer = self.answer
-        return intersections_at(self.view, prim, lines, t, answer.ku, ours=not answer.as_exported)
-
-    def near(self, rows: np.ndarray, prim: np.ndarray, t: np.ndarray) -> Intersections:
+    def near(self, rows: np.ndarray | slice, prim: np.ndarray, t: np.ndarray) -> Intersections:
         """Intersections of some rays with these primitives as the subject may see them; the root nearest to t."""
-        return self._as_subject(prim, (self.o[rows], self.d[rows]), t)
+        lines, answer = (self.o[rows], self.d[rows]), self.answer
+        return intersections_at(self.view, prim, lines, t, answer.ku, ours=not answer.as_exported)
 
     @cached_property
     def reference_lines(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -190,12 +181,6 @@ class Judge:
     def n(self) -> np.ndarray | None:
         """(n, 3) the subject's geometric normals, if it gives any."""
         return aov_rows(self.pair.subject, "normal") if self.answer.n is None and self.names_prims else self.answer.n
-
-    @cached_property
-    def consistent(self) -> np.ndarray:
-        """(n,) bool."""
-        found: np.ndarray = ~np.any([self.hit & False, *self.inconsistent.values()], axis=0)
-        return found
 
     @cached_property
     def bracket(self) -> Bracket:
@@ -219,9 +204,7 @@ class Judge:
 
     def judge(self) -> Judgement:
         """Judge the geometry, then the diffuse AOV. Raises SceneError for a [check] that has no effect."""
-        allowances = self.scene.checks if self.names_prims else {}
-        check_allowances(allowances)
-        comparison = compare(self.pixels, allowances)
+        comparison = compare(self.pixels, self.scene.checks if self.names_prims else {})
 
         # Step 1: plain agreement. Images that contradict themselves, and invalid answers, agree with nothing.
         loose, fits, broken = self._has_loose_normals(), self._reference_fits(), self.answer.is_broken
@@ -229,7 +212,7 @@ class Judge:
 
         # Step 2: exact arithmetic, where it may matter and at some pixels where it should not.
         start = perf_counter()
-        exact, nearest = self._adjudicate(agreeing)
+        exact = self._adjudicate(agreeing)
         seconds = perf_counter() - start
 
         # Step 3: classes of disputed pixels, first where the subject is exactly right, then where it is not.
@@ -237,9 +220,10 @@ class Judge:
         # A pixel that fails only the scene's own stricter bounds is not disputed: nothing excuses it.
         disputed = ~agreeing & self.consistent & (loose | ~comparison.derived | ~fits)
         self._classify_reference(classes, disputed, loose, exact)
-        other_tie = exact.right & disputed[exact.rows] & (~nearest.of_first | self.hits_at_t_min[exact.rows])
+        other_tie = exact.right & disputed[exact.rows] & (~exact.of_first | self.hits_at_t_min[exact.rows])
         classes[exact.rows[other_tie]] = CLASS_CODE[TIE]
-        classes[fails_self_check(self.self_checks, len(classes)) & self.consistent] = CLASS_CODE[WRONG]
+        for check in self.self_checks:
+            classes[check.fails & self.consistent] = CLASS_CODE[WRONG]
         classes[exact.rows[~exact.answered]] = CLASS_CODE[UNDECIDED]
         self._classify_inexact(classes, exact)
         classes[broken | ((self.t_max < 0.0) & self.hit)] = CLASS_CODE[WRONG]
@@ -247,7 +231,7 @@ class Judge:
         # Step 4: light, where the subject gives it.
         ratios = dict(comparison.ratios)
         if "diffuse" in self.pair.subject:
-            ratios["diffuse"] = self._classify_diffuse(classes, comparison.allowed["diffuse"]).ratio
+            ratios["diffuse"] = self._classify_diffuse(classes, comparison.allowed["diffuse"])
         ratios[EXACT] = np.zeros(len(classes))
         ratios[EXACT][exact.rows] = np.where(exact.answered, exact.ratio, 0.0)
         for name, where in self.inconsistent.items():
@@ -267,11 +251,6 @@ class Judge:
         loose = self.pixels.both_hit & ~(error <= LARGEST_USEFUL_NORMAL_ERROR)
         return loose & (not self.answer.hits_only)
 
-    def _is_unresolved(self) -> np.ndarray:
-        """(n,) bool: where t has no bound at the primitive in question."""
-        at = self.bounds.at if self.names_prims else self.bounds.own
-        return self.hit & (self.prim >= 0) & ~np.isfinite(at.t_error)
-
     def _reference_fits(self) -> np.ndarray:
         """(n,) bool: Mitsuba's answer lies on the primitive it names, so that a subject may be held to that one."""
         if self.names_prims:
@@ -283,7 +262,7 @@ class Judge:
             fits &= row_distance(aov_rows(self.pair.reference, "normal"), at.n) <= at.n_error
         return np.where(result.hit, fits, True)
 
-    def _adjudicate(self, agreeing: np.ndarray) -> tuple[Adjudication, ExactRatios]:
+    def _adjudicate(self, agreeing: np.ndarray) -> Adjudication:
         """Compare the subject with exact arithmetic wherever that may matter."""
         disputed = ~agreeing
         certain = self.bounds.at.certain
@@ -308,26 +287,20 @@ class Judge:
         for group in np.flatnonzero(np.bincount(kind) > WRONG_PIXELS_ADJUDICATED):
             members = rows[kind == group]
             sample = sample_rows(members, WRONG_PIXELS_ADJUDICATED)
-            exact, _ = self._adjudicated(sample)
-            wrong = exact.wrong.copy()
-            wrong[wrong] = ~self._excused(exact)
-            if wrong.mean() >= NEARLY_ALL:
+            exact = self._adjudicated(sample)
+            excused = np.any(self._within_rounding(exact), axis=0)
+            if (~excused).sum() >= NEARLY_ALL * len(sample):
                 found[members] = True
                 found[sample] = False
         return found
 
-    def _adjudicated(self, rows: np.ndarray) -> tuple[Adjudication, ExactRatios]:
+    def _adjudicated(self, rows: np.ndarray) -> Adjudication:
         """Compare these rows of the image, ascending, with exact arithmetic."""
         answer = self.answer
         t_min = np.where(self.hits_at_t_min[rows], np.nextafter(self.t_min[rows], -np.inf), self.t_min[rows])
         answers = oracle_answers(self.oracle, self.o[rows], self.d[rows], self.t_max[rows], t_min)
-        if answer.prim is not None:
-            nearest = ratios_of_named(answers, answer.prim[rows], answer.t[rows], self.bounds.own.t_error[rows])
-        else:
-            nearest = ratios_of_any_tie(
-                answers, answer.rows(rows), lambda of, *at: self.near(rows[of], *at), self.model.packed
-            )
-        return Adjudication(rows, answers, nearest.best), nearest
+        found = exact_ratios(answers, answer.rows(rows), lambda of, *at: self.near(rows[of], *at), self.model.packed)
+        return Adjudication(rows, answers, *found)
 
     @cached_property
     def hits_at_t_min(self) -> np.ndarray:
@@ -364,7 +337,8 @@ class Judge:
         found = self.reference_bracket.judge(o, d, t_max, claims)
         # No numbers within the bounds give a hit at the origin itself: a ray begins beyond it.
         allowed = found.allowed & ((claims.shape < 0) | (claims.t > 0.0))
-        useless = loose[rows] | self._is_unresolved()[rows]
+        at = self.bounds.at if self.names_prims else self.bounds.own
+        useless = loose[rows] | (self.hit & (self.prim >= 0) & ~np.isfinite(at.t_error))[rows]
         classes[rows] = CLASS_CODE[REFERENCE_WRONG]
         classes[rows[(found.open & ~allowed) | (allowed & useless)]] = CLASS_CODE[OUT_OF_DOMAIN]
         classes[rows[allowed & ~useless]] = CLASS_CODE[EXPLAINED]
@@ -379,32 +353,25 @@ class Judge:
 
     def _classify_inexact(self, classes: np.ndarray, exact: Adjudication) -> None:
         """Classify pixels where the subject is not exactly right: wrong, unless its own rounding allows the answer."""
-        rows = exact.rows[exact.wrong]
+        rows, (allowed, lost) = exact.rows[exact.wrong], self._within_rounding(exact)
         classes[rows] = CLASS_CODE[WRONG]
-        if self.answer.exact_visibility or not len(rows):
-            return
-        allowed, lost = self._inexact_within_rounding(rows, exact)
         classes[rows[lost]] = CLASS_CODE[OUT_OF_DOMAIN]
         classes[rows[allowed]] = CLASS_CODE[EXPLAINED]
 
-    def _excused(self, exact: Adjudication) -> np.ndarray:
-        """(m,) bool: rounding allows the answer, at each adjudicated row where the subject is not exactly right."""
-        rows = exact.rows[exact.wrong]
-        if self.answer.exact_visibility or not len(rows):
-            return np.zeros(len(rows), bool)
-        return np.any(self._inexact_within_rounding(rows, exact), axis=0)
+    def _within_rounding(self, exact: Adjudication) -> tuple[np.ndarray, np.ndarray]:
+        """(m,) bool each, at the adjudicated rows where the subject is not exactly right.
 
-    def _inexact_within_rounding(self, rows: np.ndarray, exact: Adjudication) -> tuple[np.ndarray, np.ndarray]:
-        """(m,) bool each: the subject's rounding allows the answer; its precision or camera cannot resolve it."""
-        claims = claims_of(self.answer.rows(rows), self.model.packed)
-        lines = self.o[rows], self.d[rows], self.t_max[rows]
-        found = self.bracket.judge(*lines, claims, t_min=self.t_min[rows])
-        allowed = found.allowed & ((claims.shape == CLAIMED_MISS) | ~(claims.t <= 0.0) | self.hits_at_t_min[rows])
+        Its rounding allows the answer; its precision or camera cannot resolve it.
+        """
+        rows = exact.rows[exact.wrong]
         lost = np.zeros(len(rows), bool)
+        if self.answer.exact_visibility or not len(rows):
+            return lost, lost
+        claims = claims_of(self.answer.rows(rows), self.model.packed)
+        found = self.bracket.judge(self.o[rows], self.d[rows], self.t_max[rows], claims, t_min=self.t_min[rows])
+        allowed = found.allowed & ((claims.shape == CLAIMED_MISS) | ~(claims.t <= 0.0) | self.hits_at_t_min[rows])
         if isinstance(self.view, UncertainRaysModel):
-            answers: Sequence[ExactAnswer | None] = [exact.of(row) for row in rows]
-            prim = np.array([-1 if answer is None else answer.prim for answer in answers])
-            t = np.array([np.inf if a is None or a.t is None else float(a.t) for a in answers])
+            prim, t = exact.first_hits(rows)
             lost = self.view.is_unresolved(prim, self.d[rows], t)
         return allowed, found.open | lost
 
@@ -414,8 +381,8 @@ class Judge:
         claims = Claims(self.reference_t[rows], shape, *vectors)
         return claims if self.pixels.uv is None else claims._replace(uv=self.result.answer.uv[rows])
 
-    def _classify_diffuse(self, classes: np.ndarray, allowed: float) -> DiffuseComparison:
-        """Judge diffuse by Mitsuba's lights where geometry agrees, elsewhere by float64 alone; changes classes."""
+    def _classify_diffuse(self, classes: np.ndarray, allowed: float) -> np.ndarray:
+        """(n,) error over bound by Mitsuba's lights where geometry agrees, elsewhere by float64; changes classes."""
         agreeing = np.flatnonzero((classes == CLASS_CODE[AGREE]) & self.hit)
         brackets = self.bracket, self.reference_bracket
         diffuse = judge_diffuse(self.scene, self.pair, self.bounds, agreeing, brackets)
@@ -433,13 +400,12 @@ class Judge:
             classes[alone[right & disputed[alone]]] = CLASS_CODE[REFERENCE_WRONG]
             classes[alone[~right]] = CLASS_CODE[WRONG]
             diffuse.ratio[alone[~right]] = np.inf
-        return diffuse
+        return diffuse.ratio
 
     def _held_to_float64(self, classes: np.ndarray) -> np.ndarray:
-        """(n,) bool: pixels whose diffuse value is compared with float64: all but those that
-        agree, and a sample of these.
+        """(n,) bool: pixels whose diffuse value is compared with float64: all that pass otherwise, some that agree.
 
-        The sample would show a subject that copies Mitsuba's coarse shadows.
+        The agreeing ones would show a subject that copies Mitsuba's coarse shadows.
         """
         agreeing = np.flatnonzero(classes == CLASS_CODE[AGREE])
         chosen = np.isin(classes, [CLASS_CODE[name] for name in JUDGED_WITHOUT_REFERENCE])
@@ -456,9 +422,8 @@ class Judge:
             answers = [answer for answer in map(exact.of, rows) if answer is not None]
             if self.pair.rays.is_list:  # along other numbers than the subject's
                 answers = self.oracle.first_hits(lines[0], lines[1], 0.0, lines[2])
-            prims = [int(prim) for prim in self.reference_prim[rows]]
-            measurement = FeatureMeasurement(self.model, self.oracle)
-            features = measurement.all_of(lines, self._reference_claims(rows), answers, prims)
+            prims = self.reference_prim[rows].astype(np.int64)
+            features = defect_features(self.model, self.oracle, lines, self._reference_claims(rows), answers, prims)
             cases |= {int(row): defect_of(each) for row, each in zip(rows, features, strict=True)}
         return cases
 

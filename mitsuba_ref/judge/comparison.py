@@ -5,7 +5,7 @@ float32's bounds at that primitive, and with an independent computation at that 
 precision. Any other subject is compared with the primitive that the reference names, within bounds of its precision.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -117,9 +117,6 @@ class SelfCheck(NamedTuple):
         found: np.ndarray = self.counts & ~(self.error <= self.bound)
         return found
 
-    def fails_at(self, row: int) -> bool:
-        return bool(self.counts[row]) and not self.error[row] <= self.bound[row]
-
 
 @dataclass(frozen=True)
 class PixelPairs:
@@ -138,10 +135,25 @@ class PixelPairs:
         return aov_rows(self.subject, name), aov_rows(self.reference, name)
 
     def distance(self, name: str) -> np.ndarray:
-        """(n,) between both sides, uv in the space of their kind."""
+        """(n,) between both sides, uv in the space of their kind, where seams and poles are no jumps."""
         uv = self.uv[:2] if name == "uv" and self.uv else None
         sides = uv or (values.reshape(len(values), -1) for values in self.pair(name))
         return row_distance(*sides)
+
+    @cached_property
+    def allowed_distance(self) -> dict[str, np.ndarray]:
+        """(n,) bound on the distance of each AOV of a subject that names its primitives.
+
+        That of depth is the bound of t, in scene units, plus one rounding of our own sum of start and t |d|. That of a
+        position includes the bound of t along the ray, and how Mitsuba computes a position from it (barycentrics on
+        triangles, a pull onto the wall of a cylinder). Normals are unit vectors: one of another length, or reversed,
+        differs by far more than any bound.
+        """
+        at = self.bounds.at
+        with np.errstate(invalid="ignore"):
+            depth = at.t_error * self.length + KU_OURS * np.abs(aov_rows(self.subject, "depth"))
+        found = {"depth": depth, "position": at.p_error, "normal": at.n_error, "shading_normal": at.sh_error}
+        return found if self.uv is None else found | {"uv": self.uv.bound}
 
     @cached_property
     def self_checks(self) -> dict[str, SelfCheck]:
@@ -168,127 +180,46 @@ class PixelPairs:
         return found
 
     @property
-    def hits(self) -> tuple[np.ndarray, np.ndarray]:
-        """(n,) bool each."""
-        return self.subject.hit.ravel(), self.reference.hit.ravel()
-
-    @property
     def both_hit(self) -> np.ndarray:
-        subject, reference = self.hits
-        return subject & reference
+        """(n,) bool."""
+        return self.subject.hit.ravel() & self.reference.hit.ravel()
 
 
-class QuantityCheck(NamedTuple):
-    """The comparison of one quantity at every pixel."""
-
-    name: str
-    ratio: Callable[[PixelPairs], np.ndarray]  # (n,) error over bound
-    bound: Callable[[PixelPairs], np.ndarray] | None = None  # (n,) between both sides; None: compared exactly
-    given: Callable[[PixelPairs], bool] = lambda pixels: True  # whether the answer has the quantity
+# Checks of a subject that names its primitive, and of any other one that gives all quantities.
+CHECKS = ("mask", "shape_id", "on_surface", "depth", "position", "normal", "shading_normal", "uv")
+SURFACE_CHECKS = ("mask", "depth", "normal", "shape_id", "prim_id")
 
 
-def mask_ratio(pixels: PixelPairs) -> np.ndarray:
-    """0 where both hit or both miss, else inf."""
-    subject, reference = pixels.hits
-    return np.where(subject == reference, 0.0, np.inf)
+def error_ratios(pixels: PixelPairs) -> dict[str, np.ndarray]:
+    """Error over bound of each check whose quantities are given, (n,) each; inf for another hit, shape or primitive."""
+    answer, own, both = pixels.answer, pixels.bounds.own, pixels.both_hit
 
-
-def same_id(name: str) -> Callable[[PixelPairs], np.ndarray]:
-    """0 where both name the same shape or primitive, else inf."""
-
-    def ratio(pixels: PixelPairs) -> np.ndarray:
-        subject, reference = pixels.pair(name)
+    def unequal(subject: np.ndarray, reference: np.ndarray) -> np.ndarray:
         return np.where(subject == reference, 0.0, np.inf)
 
-    return ratio
-
-
-def surface_ratio(pixels: PixelPairs) -> np.ndarray:
-    """|t - t computed anew at the primitive| / bound at hits; inf if the ray misses the primitive, 0 on misses.
-
-    All other bounds belong to this primitive; naming a wrong one would make them worthless.
-    """
-    own, answer = pixels.bounds.own, pixels.answer
+    hit = pixels.subject.hit.ravel()
+    found = {"mask": unequal(hit, pixels.reference.hit.ravel())}
+    # |t - t computed anew at the primitive|; inf if the ray misses it. All other bounds belong to this primitive: if it
+    # were the wrong one, they would be worthless.
     with np.errstate(invalid="ignore"):
         error = np.abs(answer.t - own.t)
     ratio = np.where(own.possible, error_over_bound(error, own.t_error + answer.t_rounding), np.inf)
-    return np.where(pixels.hits[0], ratio, 0.0)
-
-
-def depth_bound(pixels: PixelPairs) -> np.ndarray:
-    """The bound of t at the primitive, in scene units, plus one rounding of our own sum of start and t |d|."""
-    depth, _ = pixels.pair("depth")
-    with np.errstate(invalid="ignore"):
-        return pixels.bounds.at.t_error * pixels.length + KU_OURS * np.abs(depth)
-
-
-def depth_ratio(pixels: PixelPairs) -> np.ndarray:
-    """|difference| / bound where both hit."""
-    subject, reference = pixels.pair("depth")
-    with np.errstate(invalid="ignore"):
-        error = np.abs(subject - reference)
-    return np.where(pixels.both_hit, error_over_bound(error, depth_bound(pixels)), 0.0)
-
-
-def vector_check(
-    name: str, bound: Callable[[PixelPairs], np.ndarray], given: Callable[[PixelPairs], bool] = lambda pixels: True
-) -> QuantityCheck:
-    """A check of a vector where both hit: the larger ratio of the errors from the reference and of the self-check."""
-
-    def ratio(pixels: PixelPairs) -> np.ndarray:
-        own = pixels.self_checks[name]
-        between = error_over_bound(pixels.distance(name), bound(pixels))
-        return np.where(pixels.both_hit, np.maximum(between, error_over_bound(own.error, own.bound)), 0.0)
-
-    return QuantityCheck(name, ratio, bound, given)
-
-
-def uv_bound(pixels: PixelPairs) -> np.ndarray:
-    """Bound of the distance in the kind's UvSpace, where seams and poles are no jumps."""
-    return pixels.bounds.at.uv_error if pixels.uv is None else pixels.uv.bound
-
-
-# For a subject that names its primitive. The bound of a position includes that of t along the ray, and how Mitsuba
-# computes a position from it (barycentrics on triangles, a pull onto the wall of a cylinder). Normals are unit vectors:
-# one of another length, or reversed, differs by far more than any bound.
-CHECKS = (
-    QuantityCheck("mask", mask_ratio),
-    QuantityCheck("shape_id", same_id("shape_id")),
-    QuantityCheck("on_surface", surface_ratio),
-    QuantityCheck("depth", depth_ratio, depth_bound),
-    vector_check("position", lambda p: p.bounds.at.p_error),
-    vector_check("normal", lambda p: p.bounds.at.n_error),
-    vector_check("shading_normal", lambda p: p.bounds.at.sh_error),
-    vector_check("uv", uv_bound, lambda pixels: pixels.uv is not None),
-)
-
-
-def depth_to_named_surface(pixels: PixelPairs) -> np.ndarray:
-    """As `surface_ratio`, at the primitive that the reference names."""
-    return np.where(pixels.both_hit, surface_ratio(pixels), 0.0)
-
-
-def normal_of_named_surface(pixels: PixelPairs) -> np.ndarray:
-    """|difference| / bound from the normal of the primitive that the reference names."""
-    own, n = pixels.bounds.own, pixels.answer.n
-    assert n is not None  # `given`
-    return np.where(pixels.both_hit, error_over_bound(row_distance(n, own.n), own.n_error), 0.0)
-
-
-# For a subject that gives no images.
-SURFACE_CHECKS = (
-    QuantityCheck("mask", mask_ratio),
-    QuantityCheck("depth", depth_to_named_surface, given=lambda pixels: not pixels.answer.hits_only),
-    QuantityCheck("normal", normal_of_named_surface, given=lambda pixels: pixels.answer.n is not None),
-    QuantityCheck("shape_id", same_id("shape_id"), given=lambda pixels: pixels.answer.shape_id is not None),
-    QuantityCheck("prim_id", same_id("prim_id"), given=lambda pixels: pixels.answer.prim_id is not None),
-)
-
-
-def checks_of(pixels: PixelPairs) -> Iterator[QuantityCheck]:
-    """The checks of the quantities that an answer gives."""
-    checks = SURFACE_CHECKS if pixels.answer.prim is None else CHECKS
-    return (check for check in checks if check.given(pixels))
+    on_surface = np.where(hit, ratio, 0.0)
+    if answer.prim is None:  # the primitive that the reference names
+        if not answer.hits_only:
+            found["depth"] = np.where(both, on_surface, 0.0)
+        if answer.n is not None:
+            found["normal"] = np.where(both, error_over_bound(row_distance(answer.n, own.n), own.n_error), 0.0)
+        given = {"shape_id": answer.shape_id, "prim_id": answer.prim_id}
+        return found | {name: unequal(*pixels.pair(name)) for name, ids in given.items() if ids is not None}
+    found |= {"shape_id": unequal(*pixels.pair("shape_id")), "on_surface": on_surface}
+    for name, bound in pixels.allowed_distance.items():
+        ratio = error_over_bound(pixels.distance(name), bound)
+        if name in pixels.self_checks:
+            check = pixels.self_checks[name]
+            ratio = np.maximum(ratio, error_over_bound(check.error, check.bound))
+        found[name] = np.where(both, ratio, 0.0)
+    return found
 
 
 @dataclass(frozen=True)
@@ -310,22 +241,12 @@ class Comparison:
 
 
 def compare(pixels: PixelPairs, checks: Mapping[str, Check]) -> Comparison:
-    """All checks. checks: the scene's own [check.AOV]."""
-    ratios = {check.name: check.ratio(pixels) for check in checks_of(pixels)}
-    return Comparison(ratios, {name: checks[name].ratio if name in checks else 1.0 for name in (*ratios, "diffuse")})
-
-
-def check_allowances(checks: Mapping[str, Check]) -> None:
-    """Raise SceneError for a [check.AOV] that has no effect."""
+    """All checks. checks: the scene's own [check.AOV]; raises SceneError for one that has no effect."""
     for name in checks:
         if name not in BOUNDED_AOVS:
             raise SceneError(f"check.{name}: {name} has no bound to scale; only {', '.join(BOUNDED_AOVS)} have one")
-
-
-def fails_self_check(checks: Iterable[SelfCheck], count: int) -> np.ndarray:
-    """(count,) bool: pixels where some quantity is farther from the subject's own primitive than float64 allows."""
-    found: np.ndarray = np.any([np.zeros(count, bool), *(check.fails for check in checks)], axis=0)
-    return found
+    ratios = error_ratios(pixels)
+    return Comparison(ratios, {name: checks[name].ratio if name in checks else 1.0 for name in (*ratios, "diffuse")})
 
 
 def inconsistent_aovs(scene: Scene, packed: Packed, pair: ImagePair) -> dict[str, np.ndarray]:

@@ -17,6 +17,7 @@ from mitsuba_ref.error_model.defect_conditions import (
     DefectView,
     KnownDefect,
 )
+from mitsuba_ref.error_model.intersections import norm
 from mitsuba_ref.error_model.scene_model import SceneModel, kinds_of
 from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
@@ -46,114 +47,104 @@ def defect_of(features: DefectFeatures) -> int | None:
 MAX_PRIMS_TESTED_AT_ZERO = 64  # primitives of the named shape, nearest first, that are tested for a hit at t = 0
 
 
-class FeatureMeasurement:
-    """Measures features at pixels of one scene."""
+def defect_features(
+    model: SceneModel,
+    oracle: Oracle,
+    lines: tuple[np.ndarray, np.ndarray, np.ndarray],
+    claims: Claims,
+    answers: Sequence[ExactAnswer],
+    named: np.ndarray,
+) -> Iterator[DefectFeatures]:
+    """Features at m pixels of one scene.
 
-    def __init__(self, model: SceneModel, oracle: Oracle):
-        self.model, self.oracle = model, oracle
-        self.wide = Bracket(model, WIDENED_BOUNDS_FACTOR * KU, ours=False)
-
-    def all_of(
-        self,
-        lines: tuple[np.ndarray, np.ndarray, np.ndarray],
-        claims: Claims,
-        answers: Sequence[ExactAnswer],
-        prims: Sequence[int],
-    ) -> Iterator[DefectFeatures]:
-        """Features at m pixels.
-
-        lines: o (m, 3), d (m, 3), t_max (m,); claims: the reference's; prims: the primitives it names, -1 on a miss.
-        """
-        o, d, _ = lines
-        named = np.asarray(prims, np.int64)
-        nearly = self.wide.judge(*lines, claims, also=named).allowed
-        whole, normless = self._with_normals(o, d, claims, named)
-        normless &= self.wide.judge(*lines, whole, also=named).allowed
-        for i, (answer, prim) in enumerate(zip(answers, prims, strict=True)):
-            t, shape = float(claims.t[i]), int(claims.shape[i])
-            at_zero = t == 0.0 and self._at_zero(shape, prim, o[i], d[i])
-            yield self._measured(o[i], d[i], t, answer, prim, (at_zero, bool(nearly[i]), bool(normless[i])))
-
-    def _with_normals(
-        self, o: np.ndarray, d: np.ndarray, claims: Claims, prims: np.ndarray
-    ) -> tuple[Claims, np.ndarray]:
-        """(the claims, with missing normals filled in; (m,) bool: rounding may be why a normal is missing).
-
-        A normal with a bound of 1 or more, its own length, may vanish, and is then 0/0.
-        """
-        rows = np.flatnonzero((prims >= 0) & np.isnan(claims.n).any(axis=1) & np.isfinite(claims.t))
-        normless = np.zeros(len(prims), bool)
-        n, sh_n, p = claims.n.copy(), claims.sh_n.copy(), claims.p.copy()
-        if len(rows):
-            met = self.model.intersect(prims[rows], o[rows], d[rows], KU, ours=False)
-            at = nearest_root(met, claims.t[rows])
-            n[rows], sh_n[rows] = at.n, at.sh_n
-            p[rows] = o[rows] + at.t[:, None] * d[rows]
-            normless[rows] = at.n_error >= 1.0
-        return claims._replace(n=n, sh_n=sh_n, p=p), normless
-
-    def _measured(
-        self, o: np.ndarray, d: np.ndarray, t: float, answer: ExactAnswer, named: int, flags: tuple[bool, bool, bool]
-    ) -> DefectFeatures:
-        """flags: at_zero, nearly, normless."""
-        hit, (at_zero, nearly, normless) = answer.prim, flags
-        views = {each: self._view(each, o, d, t) for each in (hit, named) if each >= 0}
-        sizes = [self._distance_and_offset(each, o) for each in views]
-        theirs = views.get(named, DefectView())
-        return DefectFeatures(
-            self._kind(hit),
-            self._kind(named),
+    lines: o (m, 3), d (m, 3), t_max (m,); claims: the reference's; named: (m,) its primitives, -1 on a miss.
+    """
+    o, d, _ = lines
+    wide = Bracket(model, WIDENED_BOUNDS_FACTOR * KU, ours=False)
+    nearly = wide.judge(*lines, claims, also=named).allowed
+    whole, normless = _with_normals(model, o, d, claims, named)
+    normless &= wide.judge(*lines, whole, also=named).allowed
+    hit = np.array([answer.prim for answer in answers], np.int64)
+    distance, offset = np.maximum(_distance_and_offset(model, hit, o), _distance_and_offset(model, named, o))
+    for i, answer in enumerate(answers):
+        t, prims = float(claims.t[i]), (int(hit[i]), int(named[i]))
+        ours, theirs = (_view(model, prim, o[i], d[i], t) for prim in prims)
+        yield DefectFeatures(
+            *(kind_of(_place(model, prim)[0]).name if prim >= 0 else "" for prim in prims),
             where=frozenset(each.where for each in answer.ties),
             flags=answer.flags,
             t=t,
-            at_zero=at_zero,
-            cosine=min((view.cosine for view in views.values()), default=1.0),
+            at_zero=t == 0.0 and _is_at_zero(model, oracle, int(claims.shape[i]), prims[1], o[i], d[i]),
+            cosine=min(ours.cosine, theirs.cosine),
             beyond_corners=theirs.beyond_corners,
             without_area=theirs.without_area,
-            slenderness=min((view.slenderness for view in views.values()), default=1.0),
-            distance=max((distance for distance, _ in sizes), default=0.0),
-            offset=max((offset for _, offset in sizes), default=0.0),
-            axis_angle=min((view.axis_angle for view in views.values()), default=1.0),
-            stretch=max((view.stretch for view in views.values()), default=1.0),
-            nearly=nearly,
-            normless=normless,
+            slenderness=min(ours.slenderness, theirs.slenderness),
+            distance=float(distance[i]),
+            offset=float(offset[i]),
+            axis_angle=min(ours.axis_angle, theirs.axis_angle),
+            stretch=max(ours.stretch, theirs.stretch),
+            nearly=bool(nearly[i]),
+            normless=bool(normless[i]),
         )
 
-    def _place(self, prim: int) -> tuple[Any, int]:
-        """(arrays of its kind, its row there)."""
-        kind, k = kinds_of(self.model.packed, np.array([prim]))
-        return self.model.packed.kinds[int(kind[0])].prims, int(k[0])
 
-    def _kind(self, prim: int) -> str:
-        return kind_of(self._place(prim)[0]).name if prim >= 0 else ""
+def _with_normals(
+    model: SceneModel, o: np.ndarray, d: np.ndarray, claims: Claims, prims: np.ndarray
+) -> tuple[Claims, np.ndarray]:
+    """(the claims, with missing normals filled in; (m,) bool: rounding may be why a normal is missing).
 
-    def _at_zero(self, shape: int, prim: int, o: np.ndarray, d: np.ndarray) -> bool:
-        """Whether the primitive is hit at t = 0 up to its bound, or another one of that shape exactly there."""
-        if shape < 0:
-            return False
-        if prim >= 0:
-            at = self.model.intersect(np.array([prim]), o[None], d[None], KU, ours=False).at
-            near = bool((np.isfinite(at.t_error) & (np.abs(at.t) <= at.t_error)).any())
-            if near or kind_of(self._place(prim)[0]).model.unfold is not None:
-                return near
-        first, last = (int(n) for n in self.model.packed.first[shape : shape + 2])
-        low, high = (corner[first:last] for corner in self.model.boxes)
-        away = np.maximum(np.maximum(low - o, o - high), 0.0).max(axis=1)
-        nearest = first + np.argsort(away, kind="stable")[:MAX_PRIMS_TESTED_AT_ZERO]
-        tested = dict.fromkeys([prim, *nearest.tolist()])
-        return any(hit.t == 0 for each in tested for hit in self.oracle.roots(each, o, d))
+    A normal with a bound of 1 or more, its own length, may vanish, and is then 0/0.
+    """
+    rows = np.flatnonzero((prims >= 0) & np.isnan(claims.n).any(axis=1) & np.isfinite(claims.t))
+    normless = np.zeros(len(prims), bool)
+    n, sh_n, p = claims.n.copy(), claims.sh_n.copy(), claims.p.copy()
+    if len(rows):
+        met = model.intersect(prims[rows], o[rows], d[rows], KU, ours=False)
+        at = nearest_root(met, claims.t[rows])
+        n[rows], sh_n[rows] = at.n, at.sh_n
+        p[rows] = o[rows] + at.t[:, None] * d[rows]
+        normless[rows] = at.n_error >= 1.0
+    return claims._replace(n=n, sh_n=sh_n, p=p), normless
 
-    def _view(self, prim: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
-        """Measures of one primitive and the ray, by its kind."""
-        prims, k = self._place(prim)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return kind_of(prims).defect_view(prims, k, o, d, t)
 
-    def _distance_and_offset(self, prim: int, o: np.ndarray) -> tuple[float, float]:
-        """Distances of a primitive from o and of its farthest corner from the origin, over its size; 0 without one."""
-        low, high = (corner[prim] for corner in self.model.boxes)
-        size = float(np.max(high - low))
-        if not (np.isfinite(size) and size > 0.0):
-            return 0.0, 0.0
-        away = float(np.linalg.norm(np.maximum(np.maximum(low - o, o - high), 0.0)))
-        return away / size, float(np.max(np.maximum(np.abs(low), np.abs(high)))) / size
+def _distance_and_offset(model: SceneModel, prims: np.ndarray, o: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(m,) distances of primitives from o and of their farthest corners from the origin, over their sizes; or 0."""
+    low, high = (corner[prims] for corner in model.boxes)
+    with np.errstate(all="ignore"):
+        size = (high - low).max(axis=1)
+        away = norm(np.maximum(np.maximum(low - o, o - high), 0.0))
+        farthest = np.maximum(np.abs(low), np.abs(high)).max(axis=1)
+        sized = (prims >= 0) & np.isfinite(size) & (size > 0.0)
+        return np.where(sized, away / size, 0.0), np.where(sized, farthest / size, 0.0)
+
+
+def _place(model: SceneModel, prim: int) -> tuple[Any, int]:
+    """(arrays of its kind, its row there)."""
+    kind, k = kinds_of(model.packed, np.array([prim]))
+    return model.packed.kinds[int(kind[0])].prims, int(k[0])
+
+
+def _view(model: SceneModel, prim: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
+    """Measures of one primitive and the ray, by its kind."""
+    if prim < 0:
+        return DefectView()
+    prims, k = _place(model, prim)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return kind_of(prims).defect_view(prims, k, o, d, t)
+
+
+def _is_at_zero(model: SceneModel, oracle: Oracle, shape: int, prim: int, o: np.ndarray, d: np.ndarray) -> bool:
+    """Whether the primitive is hit at t = 0 up to its bound, or another one of that shape exactly there."""
+    if shape < 0:
+        return False
+    if prim >= 0:
+        at = model.intersect(np.array([prim]), o[None], d[None], KU, ours=False).at
+        near = bool((np.isfinite(at.t_error) & (np.abs(at.t) <= at.t_error)).any())
+        if near or kind_of(_place(model, prim)[0]).model.unfold is not None:
+            return near
+    first, last = (int(n) for n in model.packed.first[shape : shape + 2])
+    low, high = (corner[first:last] for corner in model.boxes)
+    away = np.maximum(np.maximum(low - o, o - high), 0.0).max(axis=1)
+    nearest = first + np.argsort(away, kind="stable")[:MAX_PRIMS_TESTED_AT_ZERO]
+    tested = dict.fromkeys([prim, *nearest.tolist()])
+    return any(hit.t == 0 for each in tested for hit in oracle.roots(each, o, d))

@@ -29,13 +29,13 @@ class DiffuseComparison(NamedTuple):
     unresolvable: np.ndarray  # (n,) bool: Mitsuba's own value has no useful bound
 
 
-class LightAnswers(NamedTuple):
-    """All lights at m pixels: contributions with bounds, and Mitsuba's answers."""
+class Lights(NamedTuple):
+    """All lights but the ambient ones at m pixels, by their definitions, without shadows."""
 
     each: list[LightContribution]
-    given: np.ndarray  # (lights, m, 3) Mitsuba's radiance, its shadows included
+    radiance: np.ndarray  # (lights, m, 3); where either face may be lit, that of the one that faces the ray
     error: np.ndarray  # (lights, m, 3)
-    visible: np.ndarray  # (lights, m) bool, Mitsuba's shadow test
+    doubtful: np.ndarray  # (lights, m) bool: at such a grazing angle
 
 
 def judge_diffuse(
@@ -44,14 +44,14 @@ def judge_diffuse(
     """Compare the pixels `rows`, where geometry agrees; brackets: the subject's and the reference's."""
     count = len(pair.t)
     ratio, explained, unresolvable = np.zeros(count), np.zeros(count, bool), np.zeros(count, bool)
-    lights = _lights(scene, pair, bounds.at, rows)
-    ratio[rows] = _share(pair, rows, certain_lights(lights.given, lights.error))
+    lights = _lights(scene, shading_points(pair, bounds.at, rows), KU)
+    ratio[rows] = _ratio(pair, rows, certain_lights(*_as_given(pair, lights, rows)))
     beyond = rows[ratio[rows] > 1.0]
     if len(beyond):
-        lights = _lights(scene, pair, bounds.at, beyond)
-        choices = _choices(scene, pair, lights, shading_points(pair, bounds.at, beyond), beyond, brackets)
-        explained[beyond] = _share(pair, beyond, choices) <= 1.0
-        unresolvable[beyond] = ~np.isfinite([lit.error for lit in lights.each]).all(axis=(0, 2))
+        hit = shading_points(pair, bounds.at, beyond)
+        lights = _lights(scene, hit, KU)
+        explained[beyond] = _ratio(pair, beyond, _choices(scene, pair, lights, hit, beyond, brackets)) <= 1.0
+        unresolvable[beyond] = ~np.isfinite(lights.error).all(axis=(0, 2))
     return DiffuseComparison(ratio, explained, unresolvable)
 
 
@@ -62,18 +62,14 @@ def diffuse_within_float64(
 
     hit: in float64, with float64's bounds; prim (m,): the primitives that are hit.
     """
-    each = _lit(scene, hit, KU_OURS)
-    shape = (len(each), len(prim))
-    lit, shaded = np.ones(shape, bool), np.zeros(shape, bool)
+    lights = _lights(scene, hit, KU_OURS)
+    lit, shaded = np.ones_like(lights.doubtful), np.zeros_like(lights.doubtful)
     if scene.shading.shadows:
-        for i, light in enumerate(each):
+        for i, light in enumerate(lights.each):
             lit[i], shaded[i] = lambert.our_visibility(bracket, hit, light, prim)
-    doubtful = np.array([light.doubtful for light in each], bool).reshape(shape)
-    either = [np.where(light.doubtful[:, None], light.either_side, light.radiance) for light in each]
-    first = np.where(lit[..., None], _stacked(either, prim), 0.0)
-    error = np.where(lit[..., None], _stacked([light.error for light in each], prim), 0.0)
+    first, error = (np.where(lit[..., None], each, 0.0) for each in (lights.radiance, lights.error))
     dark = np.zeros_like(first)
-    choices = LightChoices(first, error, dark, dark, lit & (shaded | doubtful))
+    choices = LightChoices(first, error, dark, dark, lit & (shaded | lights.doubtful))
     ambient = materials_of(scene).reflectance[hit.shape] * lambert.ambient_radiance(scene.lights)
     return smallest_error_ratio(values, ambient, choices, KU_OURS) <= 1.0
 
@@ -85,11 +81,6 @@ def shading_points(pair: ImagePair, at: Intersections, rows: np.ndarray) -> Shad
     return ShadingPoints(p, d, aov_rows(pair.subject, "shape_id")[rows], at.take(rows))
 
 
-def _lit(scene: Scene, hit: ShadingPoints, ku: float) -> list[LightContribution]:
-    materials = materials_of(scene)
-    return [lambert.light_contribution(materials, light, hit, ku) for light in scene.lights if light.type != "ambient"]
-
-
 def materials_of(scene: Scene) -> Materials:
     """The material of each shape, as arrays."""
     found = [scene.material_of(shape) for shape in scene.shapes]
@@ -97,27 +88,32 @@ def materials_of(scene: Scene) -> Materials:
     return Materials(reflectance, np.array([material.two_sided for material in found], bool))
 
 
-def _lights(scene: Scene, pair: ImagePair, at: Intersections, rows: np.ndarray) -> LightAnswers:
-    each = _lit(scene, shading_points(pair, at, rows), KU)
-    visible = pair.result.visible[:, rows]
-    given = np.where(visible[..., None], pair.result.unshadowed[:, rows], 0.0)
-    error = np.where(visible[..., None], _stacked([lit.error for lit in each], rows), 0.0)
-    return LightAnswers(each, given, error, visible)
+def _lights(scene: Scene, hit: ShadingPoints, ku: float) -> Lights:
+    materials = materials_of(scene)
+    each = [lambert.light_contribution(materials, light, hit, ku) for light in scene.lights if light.type != "ambient"]
+    shape = len(each), len(hit.shape)
+    doubtful = np.array([light.doubtful for light in each], bool).reshape(shape)
+    radiance, either_side, error = (
+        np.array([getattr(light, name) for light in each]).reshape(*shape, 3)
+        for name in ("radiance", "either_side", "error")
+    )
+    return Lights(each, np.where(doubtful[..., None], either_side, radiance), error, doubtful)
 
 
-def _stacked(values: list[np.ndarray], rows: np.ndarray) -> np.ndarray:
-    """(lights, m, 3), also without any light."""
-    return np.array(values).reshape(len(values), len(rows), 3)
+def _as_given(pair: ImagePair, lights: Lights, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(lights, m, 3) each: Mitsuba's radiance, its shadows included, and its error."""
+    visible = pair.result.visible[:, rows, None]
+    return np.where(visible, pair.result.unshadowed[:, rows], 0.0), np.where(visible, lights.error, 0.0)
 
 
-def _share(pair: ImagePair, rows: np.ndarray, choices: LightChoices) -> np.ndarray:
+def _ratio(pair: ImagePair, rows: np.ndarray, choices: LightChoices) -> np.ndarray:
     return smallest_error_ratio(aov_rows(pair.subject, "diffuse")[rows], pair.result.ambient[rows], choices, KU)
 
 
 def _choices(
     scene: Scene,
     pair: ImagePair,
-    lights: LightAnswers,
+    lights: Lights,
     hit: ShadingPoints,
     rows: np.ndarray,
     brackets: tuple[Bracket, Bracket],
@@ -126,33 +122,14 @@ def _choices(
 
     A face lit at a grazing angle may be lit or not, and a shadow may be there or not.
     """
-    doubtful = np.array([lit.doubtful for lit in lights.each], bool).reshape(lights.visible.shape)
-    doubt = doubtful.copy()
-    if scene.shading.shadows:
-        for i, lit in enumerate(lights.each):
-            doubt[i] |= _shadow_may_differ(lights.visible[i], lit, hit, pair, rows, brackets)
-    bright = np.asarray(lights.given.any(axis=-1))[..., None]
-    lit_value = np.where(doubtful[..., None], *(_of(lights, name, rows) for name in ("either_side", "radiance")))
-    second = np.where(bright, 0.0, lit_value)
-    second_error = np.where(bright, 0.0, _of(lights, "error", rows))
-    return LightChoices(lights.given, lights.error, second, second_error, doubt)
-
-
-def _of(lights: LightAnswers, name: str, rows: np.ndarray) -> np.ndarray:
-    return _stacked([getattr(lit, name) for lit in lights.each], rows)
-
-
-def _shadow_may_differ(
-    visible: np.ndarray,
-    lit: LightContribution,
-    hit: ShadingPoints,
-    pair: ImagePair,
-    rows: np.ndarray,
-    brackets: tuple[Bracket, Bracket],
-) -> np.ndarray:
-    """(n,) bool: Mitsuba's answer for a light and our contrary one are both within bounds."""
     ours, theirs = brackets
+    doubt = lights.doubtful.copy()
     p, n = (aov_rows(pair.reference, name)[rows] for name in ("position", "normal"))
-    they_lit, they_shaded = lambert.reference_visibility(theirs, hit, lit, p, n)
-    we_lit, we_shaded = lambert.our_visibility(ours, hit, lit, pair.prim[rows])
-    return np.where(visible, they_lit & we_shaded, they_shaded & we_lit)
+    for i, light in enumerate(lights.each if scene.shading.shadows else ()):
+        they_lit, they_shaded = lambert.reference_visibility(theirs, hit, light, p, n)
+        we_lit, we_shaded = lambert.our_visibility(ours, hit, light, pair.prim[rows])
+        doubt[i] |= np.where(pair.result.visible[i, rows], they_lit & we_shaded, they_shaded & we_lit)
+    given, error = _as_given(pair, lights, rows)
+    bright = given.any(axis=-1)[..., None]
+    contrary = (np.where(bright, 0.0, each) for each in (lights.radiance, lights.error))
+    return LightChoices(given, error, *contrary, doubt)

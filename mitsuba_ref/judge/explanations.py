@@ -23,19 +23,27 @@ def subject_name(judge: Judge) -> str:
     return "ours" if judge.answer.exact_visibility else "the candidate"
 
 
+def _reasons(judge: Judge, *, right: bool) -> dict[str, str]:
+    """Reasons of classes that pass. right: the subject has the exact answer, as ours has wherever it passes."""
+    if judge.answer.exact_visibility:
+        agree = "every quantity is within its bound"
+        tie = "several primitives are hit at exactly this t; ours is the first of them, Mitsuba's is another"
+    else:
+        agree = "all that is given is within the bounds of the candidate's arithmetic"
+        tie = "several primitives are hit at exactly this t, or the ray starts on one: any of them is right"
+    who, precision = subject_name(judge), judge.answer.precision
+    explained = f"{who} is exactly right, and rounding in float32 allows Mitsuba's answer, too"
+    unresolved = f"{who} is exactly right; float32, in which Mitsuba computes, cannot resolve this pixel"
+    if not right:
+        explained = f"rounding in {precision} allows the candidate's answer, which is not the exact one"
+        unresolved = f"{precision}, in which the candidate computes, cannot resolve this pixel"
+    return {AGREE: agree, EXPLAINED: explained, TIE: tie, OUT_OF_DOMAIN: unresolved}
+
+
 def constant_reasons(judge: Judge) -> dict[str, str]:
     """Reasons of the classes that have the same one at every pixel."""
-    if not judge.answer.exact_visibility:
-        return {
-            AGREE: "all that is given is within the bounds of the candidate's arithmetic",
-            TIE: "several primitives are hit at exactly this t, or the ray starts on one: any of them is right",
-        }
-    return {
-        AGREE: "every quantity is within its bound",
-        EXPLAINED: "ours is exactly right, and rounding in float32 allows Mitsuba's answer, too",
-        TIE: "several primitives are hit at exactly this t; ours is the first of them, Mitsuba's is another",
-        OUT_OF_DOMAIN: "ours is exactly right; float32 cannot resolve this pixel",
-    }
+    right = _reasons(judge, right=True)
+    return right if judge.answer.exact_visibility else {name: right[name] for name in (AGREE, TIE)}
 
 
 def reason(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str], row: int) -> str:
@@ -46,23 +54,7 @@ def reason(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str], row
         return f"{subject_name(judge)} is right, and Mitsuba's answer is beyond what float32 allows; {defect}"
     if row in diagnosed:
         return diagnosed[row]
-    constant = constant_reasons(judge).get(verdict)
-    return constant or _rounding_reason(judge, judgement, verdict, row)
-
-
-def _rounding_reason(judge: Judge, judgement: Judgement, verdict: str, row: int) -> str:
-    """Whose rounding excuses a pixel: Mitsuba's, or that of a candidate whose own visibility is rounded."""
-    precision = judge.answer.precision
-    if judgement.is_right(row):
-        return {
-            EXPLAINED: "the candidate is exactly right, and rounding in float32 allows Mitsuba's answer, too",
-            OUT_OF_DOMAIN: "the candidate is exactly right; float32, in which Mitsuba computes, cannot resolve this "
-            "pixel",
-        }[verdict]
-    return {
-        EXPLAINED: f"rounding in {precision} allows the candidate's answer, which is not the exact one",
-        OUT_OF_DOMAIN: f"{precision}, in which the candidate computes, cannot resolve this pixel",
-    }[verdict]
+    return _reasons(judge, right=judge.answer.exact_visibility or judgement.is_right(row))[verdict]
 
 
 def open_reason(judge: Judge, judgement: Judgement, row: int) -> str:
@@ -95,7 +87,7 @@ def error_ratios(judge: Judge, judgement: Judgement, row: int) -> dict[str, floa
     """Error over bound of every quantity: the larger of those from Mitsuba and from the subject's own primitive."""
     found = {name: float(judgement.ratio(name)[row]) for name in judgement.names}
     for check in judge.self_checks:
-        if check.fails_at(row):
+        if check.fails[row]:
             error, bound = float(check.error[row]), float(check.bound[row])
             own = error / bound if bound > 0.0 and np.isfinite(error) else np.inf
             found[check.name] = max(found[check.name], own)
@@ -161,21 +153,14 @@ def format_exact(scene: Scene, packed: Packed, answer: ExactAnswer | None, *, wi
     """The exact answer on one line."""
     if answer is None:
         return "no answer"
-    at = f" at t {decimal_and_hex(float(answer.t))}" if with_t and answer.t is not None else ""
-    return f"{_hit_primitives(scene, packed, answer)}{at}{_flags_text(answer)}"
-
-
-def _hit_primitives(scene: Scene, packed: Packed, answer: ExactAnswer) -> str:
+    flags = f" ({', '.join(sorted(answer.flags))} on the way)" if answer.flags else ""
     if answer.t is None:
-        return "miss"
-    ties = tie_members(scene, packed, answer)
-    shown = [f"{each.shape}, prim {each.prim} ({each.where})" for each in ties[:MAX_TIES_SHOWN]]
-    more = [f"{len(ties) - MAX_TIES_SHOWN} more"] if len(ties) > MAX_TIES_SHOWN else []
-    return " = ".join([*shown, *more])
-
-
-def _flags_text(answer: ExactAnswer) -> str:
-    return f" ({', '.join(sorted(answer.flags))} on the way)" if answer.flags else ""
+        return f"miss{flags}"
+    ties = [f"{each.shape}, prim {each.prim} ({each.where})" for each in tie_members(scene, packed, answer)]
+    if len(ties) > MAX_TIES_SHOWN:
+        ties[MAX_TIES_SHOWN:] = [f"{len(ties) - MAX_TIES_SHOWN} more"]
+    at = f" at t {decimal_and_hex(float(answer.t))}" if with_t else ""
+    return f"{' = '.join(ties)}{at}{flags}"
 
 
 def exact_answer(judge: Judge, judgement: Judgement, row: int) -> ExactAnswer | None:
@@ -198,10 +183,8 @@ def pixel_answers(judge: Judge, judgement: Judgement, row: int, check: str) -> P
     """All answers at one row of the image. check: whose values are shown of a subject that gives images."""
     exact = format_exact(judge.scene, judge.model.packed, exact_answer(judge, judgement, row))
     if judge.names_prims:
-        subject, reference = (
-            _aovs_text(judge.scene, aovs, check, row) for aovs in (judge.pair.subject, judge.pair.reference)
-        )
-        return PixelText(subject, reference, exact)
+        sides = judge.pair.subject, judge.pair.reference
+        return PixelText(*(_aovs_text(judge.scene, aovs, check, row) for aovs in sides), exact)
     ray = f"along o ({format_numbers(judge.o[row])}), d ({format_numbers(judge.d[row])})"
     subject = f"{format_answer(judge.answer, row)}, {ray}"
     return PixelText(subject, _reference_text(judge, row), exact + _exact_normal_text(judge, judgement, row))
@@ -239,11 +222,9 @@ def _reference_text(judge: Judge, row: int) -> str:
 
 def _exact_normal_text(judge: Judge, judgement: Judgement, row: int) -> str:
     """The normal in float64 at the surface that is hit exactly: normals have no exact value."""
-    answer = judgement.exact.of(row)
-    if answer is None or answer.t is None or judge.n is None:
-        return ""
-    at = judge.near(np.array([row]), np.array([answer.prim]), np.array([float(answer.t)]))
-    return f", n ({format_numbers(at.n[0])})"
+    rows = np.array([row])
+    prim, t = judgement.exact.first_hits(rows)
+    return f", n ({format_numbers(judge.near(rows, prim, t).n[0])})" if prim[0] >= 0 and judge.n is not None else ""
 
 
 def format_primitive(judge: Judge, row: int, *, subject: bool) -> str:

@@ -4,10 +4,9 @@ A mistake only explains pixels that fail: it explains a wrong pixel if the subje
 Pixels that are right must not contradict it.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
 from functools import cached_property
-from itertools import permutations, product
+from itertools import chain, permutations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -25,59 +24,34 @@ from mitsuba_ref.error_model.tolerances import (
     KU,
     KU_OURS,
     LARGEST_RESIDUAL,
-    LARGEST_USEFUL_NORMAL_ERROR,
     MAJORITY,
     MATCH_RTOL,
     MIN_FITTED_PIXELS,
     NEARLY_ALL,
 )
-from mitsuba_ref.judge.adjudication import sample_rows
+from mitsuba_ref.judge.adjudication import id_columns, sample_rows
 from mitsuba_ref.judge.classification import Judge
 from mitsuba_ref.reference.shared_input import pixel_centers
 from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64
 
 SCREENED_PIXELS = 96  # at which a claim about the whole image is tried first
-RIGHT_PIXELS = 512  # that have to stay right under a mistake
 
 
-@dataclass(frozen=True)
 class WrongPixels:
-    """Rows of the image and the exact answers there."""
+    """Rows of the image (m,) with the subject's answers and the exact ones there."""
 
-    judge: Judge
-    rows: np.ndarray  # (m,)
-    hit: np.ndarray  # (m,) bool, exactly
-    t: np.ndarray  # (m,) exact, inf on a miss
-    prim: np.ndarray  # (m,) -1 on a miss
-    at: Intersections  # (m,) of these primitives, as the subject may see them
+    def __init__(self, judge: Judge, rows: np.ndarray, prim: np.ndarray, t: np.ndarray, at: Intersections):
+        """prim, t: (m,) exact, -1 and inf on a miss; at: of these primitives, as the subject may see them."""
+        self.judge, self.rows, self.prim, self.t, self.at = judge, rows, prim, t, at
+        self.hit = prim >= 0
+        self.o, self.d = judge.o[rows], judge.d[rows]
+        self.given_hit, self.given_t = judge.hit[rows], judge.answer.t[rows]
+        self.n = at.n if judge.n is None else judge.n[rows]  # the subject's
+        self.t_rounding = np.broadcast_to(judge.answer.t_rounding, judge.answer.t.shape)[rows]
 
     def take(self, some: np.ndarray) -> "WrongPixels":
         """A subset, by mask or index."""
-        at = self.at.take(some)
-        return WrongPixels(self.judge, self.rows[some], self.hit[some], self.t[some], self.prim[some], at)
-
-    @property
-    def given_hit(self) -> np.ndarray:
-        """(m,) bool: the subject's."""
-        return self.judge.hit[self.rows]
-
-    @property
-    def given_t(self) -> np.ndarray:
-        """(m,) the subject's."""
-        return self.judge.answer.t[self.rows]
-
-    @property
-    def o(self) -> np.ndarray:
-        return self.judge.o[self.rows]
-
-    @property
-    def d(self) -> np.ndarray:
-        return self.judge.d[self.rows]
-
-    @property
-    def t_rounding(self) -> np.ndarray:
-        """(m,) error of t from storing it in another form."""
-        return np.broadcast_to(self.judge.answer.t_rounding, self.judge.answer.t.shape)[self.rows]
+        return WrongPixels(self.judge, self.rows[some], self.prim[some], self.t[some], self.at.take(some))
 
     @cached_property
     def off(self) -> np.ndarray:
@@ -113,17 +87,19 @@ class WrongPixels:
         return self.judge.bracket.possible_hits(self.o, self.d, t_max, np.full(len(self.rows), -np.inf))
 
 
+Predicts = Callable[[WrongPixels], np.ndarray]  # (m,) bool: the subject answers as if it made the mistake
+
 # What a mistake claims beyond the pixels that it explains. SURFACES: nearly all right pixels agree with it. PIXELS: and
 # more than a few pixels are wrong. IMAGE: and it explains nearly all wrong hits, not misses alone.
 NOTHING, SURFACES, PIXELS, IMAGE = range(4)
 
 
 class Mistake(NamedTuple):
-    """One row of the table."""
+    """One row of a table."""
 
     what: str
-    remedy: str  # "": a description of what is wrong, not of why
-    predicts: Callable[[WrongPixels], np.ndarray]  # (m,) bool: the subject answers as if it made this mistake
+    remedy: str
+    predicts: Predicts
     claim: int = NOTHING
     single: bool = False  # one pixel is enough: nothing is fitted, and no pixel fits by chance
     same_surface: bool = False  # the right surface is hit, so that its normal is judged as well
@@ -132,15 +108,36 @@ class Mistake(NamedTuple):
 Explanation = tuple[Mistake, np.ndarray]  # and (m,) bool: the pixels that it explains
 
 
-def explanations(f: WrongPixels, right: WrongPixels) -> Iterator[Explanation]:
-    """The mistakes that explain some pixels of f, in the order of the table. right: pixels that may contradict them."""
-    for mistake in mistakes(f):
-        if mistake.claim == IMAGE:
-            few = f.take(sample_rows(np.arange(len(f.rows)), SCREENED_PIXELS))
-            if not _explains_hits(few, mistake.predicts(few)):
-                continue
+def explanations(f: WrongPixels, right: WrongPixels, table: Iterable[Mistake]) -> Iterator[Explanation]:
+    """The mistakes that explain wrong pixels f, each pixel by one; right: pixels that may contradict them.
+
+    A mistake that explains nearly all pixels comes first. The others come in the order of the table, if they explain
+    most of the pixels that are left.
+    """
+    left = np.ones(len(f.rows), bool)
+    if not len(left):
+        return
+    for mistake, fits in _decisive_first(len(f.rows), _kept(f, right, table)):
+        fits = fits & left
+        if fits.any() and (mistake.single or fits.sum() >= max(MAJORITY * left.sum(), MIN_FITTED_PIXELS)):
+            yield mistake, fits
+            left &= ~fits
+        if not left.any():
+            return
+
+
+def _kept(f: WrongPixels, right: WrongPixels, table: Iterable[Mistake]) -> Iterator[Explanation]:
+    """The mistakes that explain some pixels and whose claims hold: a few wrong pixels may fit one of many by chance."""
+    few = f.take(sample_rows(np.arange(len(f.rows)), SCREENED_PIXELS))
+    enough = len(f.rows) >= (1.0 - NEARLY_ALL) * len(right.rows)
+    for mistake in table:
+        whole = mistake.claim == IMAGE
+        if (whole and not _explains_hits(few, mistake.predicts(few))) or (mistake.claim > SURFACES and not enough):
+            continue
         fits = mistake.predicts(f)
-        if fits.any() and _is_kept(mistake, f, fits, right):
+        if not fits.any() or (whole and not _explains_hits(f, fits)):
+            continue
+        if mistake.claim == NOTHING or not len(right.rows) or mistake.predicts(right).mean() >= NEARLY_ALL:
             yield mistake, fits
 
 
@@ -151,19 +148,22 @@ def _explains_hits(f: WrongPixels, fits: np.ndarray) -> bool:
     return bool(good >= MIN_FITTED_PIXELS and good >= NEARLY_ALL * hits.sum() and fits[f.off].mean() >= NEARLY_ALL)
 
 
-def _is_kept(mistake: Mistake, f: WrongPixels, fits: np.ndarray, right: WrongPixels) -> bool:
-    """Whether the claim of a mistake holds: a few wrong pixels may fit one of many mistakes by chance."""
-    if mistake.claim == IMAGE and not _explains_hits(f, fits):
-        return False
-    if mistake.claim == NOTHING or not len(right.rows):
-        return True
-    enough = mistake.claim == SURFACES or len(f.rows) >= (1.0 - NEARLY_ALL) * len(right.rows)
-    return bool(enough and mistake.predicts(right).mean() >= NEARLY_ALL)
+def _decisive_first(count: int, kept: Iterator[Explanation]) -> Iterator[Explanation]:
+    """All explanations; the first mistake that explains nearly all of `count` pixels comes before the others."""
+    tried: list[Explanation] = []
+    for mistake, fits in kept:
+        if fits.sum() >= max(NEARLY_ALL * count, 1 if mistake.single else MIN_FITTED_PIXELS):
+            return chain([(mistake, fits)], tried, kept)
+        tried.append((mistake, fits))
+    return iter(tried)
+
+
+# ---- hit, miss and t
 
 
 def mistakes(f: WrongPixels) -> Iterator[Mistake]:
-    """The table, the simplest first; numbers in it are fitted to the wrong pixels f."""
-    answer, is_list = f.judge.answer, f.judge.pair.rays.is_list
+    """The table of wrong hits, misses and t, the simplest first; numbers in it are fitted to the wrong pixels f."""
+    answer, is_list, camera = f.judge.answer, f.judge.pair.rays.is_list, f.judge.scene.camera
     if len(answer.t) > 1 and not f.judge.hit.any():  # of one pixel, that means nothing
         who = "ours" if answer.exact_visibility else "the candidate"
         farthest = f.t[~f.given_hit & f.hit].max(initial=0.0)
@@ -171,21 +171,27 @@ def mistakes(f: WrongPixels) -> Iterator[Mistake]:
         yield Mistake(f"{who} misses everything", remedy, lambda g: ~g.given_hit & g.hit, single=True)
     if is_list and not answer.hits_only:
         yield from OUT_OF_RANGE
-    yield DISTANCE
-    if f.judge.scene.camera.type != "ray":
-        yield Z_DEPTH
+    yield _quantity(
+        "distance in place of t, which counts in lengths of d",
+        "divide the distance by |d|, or leave d as it is given",
+        lambda g: (norm(g.d) * g.t, norm(g.d)),
+    )
+    if camera.type != "ray":
+        axis = camera_axes(camera)[2]
+        yield _quantity(
+            "depth along z, the view axis, in place of t along the ray",
+            "divide by the cosine of the ray with the view axis; of an image: --depth z",
+            lambda g: (unit(g.d) @ axis * g.t, unit(g.d) @ axis),
+        )
     yield from _fitted_quantities(f)
     if _claims_float64(f):
-        yield Mistake(IN_FLOAT32, FLOAT32_REMEDY, _right_in_float32, same_surface=True)
+        yield Mistake(IN_FLOAT32, FLOAT32_REMEDY, _right_in_float32, single=True, same_surface=True)
     yield from _image_orders(f.judge.pair.shape, is_list)
     if not is_list:
         yield from BESIDE_CENTERS
     yield from SELECTIONS
     yield from OTHER_RAYS
-    yield from HIDDEN
 
-
-# ---- hits and misses, by themselves
 
 OUT_OF_RANGE = (
     Mistake(
@@ -210,8 +216,6 @@ def _epsilon_text(f: WrongPixels) -> str:
     return f", is every epsilon below the determinants of {range_text(some)} here" if len(some) else ""
 
 
-# ---- t is another quantity
-
 IN_FLOAT32 = "computed in float32: right by float32's bounds, and given as float64"
 FLOAT32_REMEDY = "compute in float64, or state --candidate-precision float32"
 
@@ -228,56 +232,47 @@ def _right_in_float32(g: WrongPixels) -> np.ndarray:
     return found
 
 
-def _is_t_times(g: WrongPixels, factor: np.ndarray) -> np.ndarray:
-    """(m,) bool: the subject gives t times a factor (m,), and that differs from t."""
-    with np.errstate(invalid="ignore"):
-        other = np.abs(g.t * factor - g.t) > g.at.t_error
-    return g.right_under(g.hit, g.t * factor, g.at.t_error * np.abs(factor)) & g.hit & other
+Quantity = Callable[[WrongPixels], tuple[np.ndarray, np.ndarray | float]]  # (its values, its change with t)
 
 
-DISTANCE = Mistake(
-    "distance in place of t, which counts in lengths of d",
-    "divide the distance by |d|, or leave d as it is given",
-    lambda g: _is_t_times(g, norm(g.d)),
-    single=True,
-    same_surface=True,
-)
-Z_DEPTH = Mistake(
-    "depth along z, the view axis, in place of t along the ray",
-    "divide by the cosine of the ray with the view axis; of an image: --depth z",
-    lambda g: _is_t_times(g, unit(g.d) @ camera_axes(g.judge.scene.camera)[2]),
-    single=True,
-    same_surface=True,
-)
+def _quantity(what: str, remedy: str, values: Quantity, claim: int = NOTHING, *, single: bool = True) -> Mistake:
+    """Another quantity in place of t."""
+
+    def predicts(g: WrongPixels) -> np.ndarray:
+        with np.errstate(all="ignore"):
+            t, slope = values(g)
+            return g.right_under(g.hit, t, g.at.t_error * np.abs(slope)) & g.hit
+
+    return Mistake(what, remedy, predicts, claim, single, same_surface=True)
 
 
 def _fitted_quantities(f: WrongPixels) -> Iterator[Mistake]:
     """t plus or times a constant, the median over all pixels, and functions of t."""
-
-    def answers(t: Callable[[np.ndarray], np.ndarray], slope: float = 1.0) -> Callable[[WrongPixels], np.ndarray]:
-        def predicts(g: WrongPixels) -> np.ndarray:
-            with np.errstate(all="ignore"):
-                return g.right_under(g.hit, t(g.t), g.at.t_error * abs(slope)) & g.hit
-
-        return predicts
-
     some = f.given_hit & f.hit & np.isfinite(f.given_t)
     if some.sum() < MIN_FITTED_PIXELS:
         return
     with np.errstate(all="ignore"):
         offset = float(np.median((f.given_t - f.t)[some]))
         scale = float(np.median((f.given_t / f.t)[some]))
-    what = f"t is {abs(offset):.3g} too {'large' if offset > 0 else 'small'} everywhere, a constant"
-    remedy = f"leave out the offset (an epsilon?) of {offset:.3g}"
-    yield Mistake(what, remedy, answers(lambda t: t + offset), PIXELS, same_surface=True)
-    claim = NOTHING if abs(scale - 1.0) > DISTINCT_RTOL else PIXELS  # no chance meets a scale that is far from 1
-    what, remedy = (
-        f"t is {scale:.7g} times what it should be",
-        "look for a wrong unit, a scale or a length that is not 1",
+    far = abs(scale - 1.0) > DISTINCT_RTOL  # no chance meets such a scale
+    more = "large" if offset > 0 else "small"
+    rows: tuple[tuple[str, str, Quantity, int], ...] = (
+        (
+            f"t is {abs(offset):.3g} too {more} everywhere, a constant",
+            f"leave out the offset (an epsilon?) of {offset:.3g}",
+            lambda g: (g.t + offset, 1.0),
+            PIXELS,
+        ),
+        (
+            f"t is {scale:.7g} times what it should be",
+            "look for a wrong unit, a scale or a length that is not 1",
+            lambda g: (g.t * scale, scale),
+            NOTHING if far else PIXELS,
+        ),
+        ("the square of t in place of t", "return t itself", lambda g: (np.square(g.t), 1.0), NOTHING),
+        ("1 / t in place of t", "return t itself", lambda g: (np.reciprocal(g.t), 1.0), NOTHING),
     )
-    yield Mistake(what, remedy, answers(lambda t: t * scale, scale), claim, same_surface=True)
-    for words, function in (("the square of t", np.square), ("1 / t", np.reciprocal)):
-        yield Mistake(f"{words} in place of t", "return t itself", answers(function), same_surface=True)
+    yield from (_quantity(*row, single=False) for row in rows)
 
 
 # ---- pixels in other places
@@ -306,100 +301,86 @@ def _image_orders(shape: tuple[int, int], is_list: bool) -> Iterator[Mistake]:
     yield order("the image is mirrored, left for right", "turn the sign of x", rows[:, ::-1])
     yield order("the image is upside down", "row 0 is the top one: turn the sign of y", rows[::-1])
     yield order("the image is turned by half a turn", "turn the signs of x and y", rows[::-1, ::-1])
-    transposed = "the image is transposed, x for y", "rows come first: index y * width + x"
-    yield order(*transposed, rows.ravel(order="F"))
-    if h != w:
-        yield order(*transposed, np.argsort(rows.ravel(order="F")))
+    for there in (rows.ravel(order="F"), np.argsort(rows.ravel(order="F"))):  # the same if the image is square
+        yield order("the image is transposed, x for y", "rows come first: index y * width + x", there)
     for y, x in product((0, 1, -1), repeat=2):
         if x or y:
             what = f"the image is moved by a whole pixel: {x:+d} to the right, {y:+d} down"
             yield order(what, "look for an index that counts from 1", np.roll(rows, (y, x), (0, 1)))
 
 
-def _beside_centers(x: float, y: float) -> Mistake:
-    """Rays through another place of all pixels, x to the right and y down."""
-
-    def predicts(g: WrongPixels) -> np.ndarray:
-        scene, centers = g.judge.scene, pixel_centers(g.judge.scene)
-        places = (center[g.rows] + step for center, step in zip(centers, (x, y), strict=True))
-        rays = reference_of_camera(scene.camera).rays(scene.camera, scene.film, *places)
-        return _first_hits(g, rays.o + rays.t_min[:, None] * rays.d, rays.d)
-
-    what = f"rays beside the pixel centres, by ({x:+.2f}, {y:+.2f}) of a pixel to the right and down"
-    return Mistake(what, "the centre of pixel (x, y) is at (x + 0.5, y + 0.5)", predicts, IMAGE)
-
-
-BESIDE_CENTERS = tuple(_beside_centers(x, y) for x, y in product((-0.5, 0.0, 0.5), repeat=2) if x or y)
-
-
 # ---- other rays
 
 
-def _first_hits(g: WrongPixels, o: np.ndarray, d: np.ndarray, t_factor: float = 1.0) -> np.ndarray:
-    """(m,) bool: the subject gives the first hits along o + t d, with t times a factor."""
-    roots = g.judge.bracket.possible_hits(o, d, g.judge.t_max[g.rows] / t_factor)
-    return _right_among(g, roots, np.ones(len(roots.ray), bool), t_factor=t_factor)
-
-
-def _right_among(
-    g: WrongPixels, roots: RayIntersections, kept: np.ndarray, *, last: bool = False, t_factor: float = 1.0
-) -> np.ndarray:
-    """(m,) bool: the subject gives the first (or last) of the kept roots, or a miss if there is none.
-
-    A prediction that equals the exact answer explains no wrong pixel.
-    """
-    roots = roots.take(kept)
-    t_min, t_max = g.judge.t_min[g.rows][roots.ray], g.judge.t_max[g.rows][roots.ray]
-    at = roots.at
-    t, bound = at.t * t_factor, at.t_error * t_factor
-    ahead = (t > t_min) & (t <= t_max)
-    certain = ahead & at.certain
-    first = np.full(len(g.rows), -np.inf if last else np.inf)
-    (np.maximum if last else np.minimum).at(first, roots.ray[certain], t[certain])
-    each = g.take(roots.ray)
+def _right_among(g: WrongPixels, roots: RayIntersections, *, last: bool = False, t_factor: float = 1.0) -> np.ndarray:
+    """(m,) bool: the subject gives the first (or last) of the roots, or a miss if there is none."""
+    ray, sign = roots.ray, -1.0 if last else 1.0
+    t, bound = roots.at.t * t_factor, roots.at.t_error * t_factor
+    ahead = (t > g.judge.t_min[g.rows][ray]) & (t <= g.judge.t_max[g.rows][ray])
+    certain = ahead & roots.at.certain
+    first = np.full(len(g.rows), np.inf)
+    np.minimum.at(first, ray[certain], sign * t[certain])
     with np.errstate(invalid="ignore"):
-        in_turn = t >= first[roots.ray] - bound if last else t <= first[roots.ray] + bound
-        other = ~g.off[roots.ray] | ~each.hit | (np.abs(t - each.t) > each.at.t_error)
-    matches = ahead & in_turn & other & each.right_under(np.ones(len(t), bool), t, bound)
+        in_turn = sign * t <= first[ray] + bound
+    each = g.take(ray)
+    matches = ahead & in_turn & each.right_under(np.ones(len(t), bool), t, bound)
     found = ~g.given_hit
-    found[roots.ray[ahead]] = False  # at an edge, no root is certain, and a miss may be another mistake
-    found[roots.ray[matches & each.given_hit]] = True
+    found[ray[ahead]] = False  # at an edge, no root is certain, and a miss may be another mistake
+    found[ray[matches & each.given_hit]] = True
     return found
 
 
-Lines = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]  # (o, d) -> the rays that are cast
+Lines = Callable[[WrongPixels], tuple[np.ndarray, np.ndarray]]  # (o, d) of the rays that are cast
+
+
+def _recast(what: str, remedy: str, lines: Lines, t_factor: float = 1.0) -> Mistake:
+    """The first hits along other rays, with t times a factor."""
+
+    def predicts(g: WrongPixels) -> np.ndarray:
+        roots = g.judge.bracket.possible_hits(*lines(g), g.judge.t_max[g.rows] / t_factor)
+        return _right_among(g, roots, t_factor=t_factor)
+
+    return Mistake(what, remedy, predicts, IMAGE)
+
+
+def _beside_centers(g: WrongPixels, x: float, y: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rays through another place of all pixels, x to the right and y down."""
+    scene = g.judge.scene
+    places = (center[g.rows] + step for center, step in zip(pixel_centers(scene), (x, y), strict=True))
+    rays = reference_of_camera(scene.camera).rays(scene.camera, scene.film, *places)
+    return rays.o + rays.t_min[:, None] * rays.d, rays.d
+
+
+BESIDE_CENTERS = tuple(
+    _recast(
+        f"rays beside the pixel centres, by ({x:+.2f}, {y:+.2f}) of a pixel to the right and down",
+        "the centre of pixel (x, y) is at (x + 0.5, y + 0.5)",
+        lambda g, x=x, y=y: _beside_centers(g, x, y),
+    )
+    for x, y in product((-0.5, 0.0, 0.5), repeat=2)
+    if x or y
+)
 
 
 def _other_rays() -> Iterator[Mistake]:
-    def ray(what: str, remedy: str, lines: Lines, t_factor: float = 1.0) -> Mistake:
-        return Mistake(what, remedy, lambda g: _first_hits(g, *lines(g.o, g.d), t_factor), IMAGE)
-
-    def of_scale(s: float) -> Mistake:
-        what = f"the scene is {s:g} times as large as it should be"
-        return ray(what, "use vertices in the units of the rays", lambda o, d: (o / s, d), s)
-
-    def of_axis(s: np.ndarray, name: str) -> Iterator[Mistake]:
+    yield _recast("the directions are reversed: -d in place of d", "turn the sign of d", lambda g: (g.o, -g.d))
+    for name, s in zip("xyz", 1.0 - 2.0 * np.eye(3), strict=True):
         what = f"the {name} axis of directions is turned round"
-        yield ray(what, f"turn the sign of d.{name}", lambda o, d: (o, d * s))
+        yield _recast(what, f"turn the sign of d.{name}", lambda g, s=s: (g.o, g.d * s))
         what = f"the {name} axis is turned round, of another handedness"
-        yield ray(what, f"use the same axes for rays and scene: turn the sign of {name}", lambda o, d: (o * s, d * s))
-
-    def of_order(p: tuple[int, ...]) -> Iterator[Mistake]:
+        remedy = f"use the same axes for rays and scene: turn the sign of {name}"
+        yield _recast(what, remedy, lambda g, s=s: (g.o * s, g.d * s))
+    for p in list(permutations(range(3)))[1:]:
         what = f"are exchanged: ({', '.join('xyz'[i] for i in p)}) in place of (x, y, z)"
         remedy = "use the same axes for rays and scene (y up or z up?)"
-        yield ray(f"the axes of directions {what}", remedy, lambda o, d: (o, d[:, p]))
-        yield ray(f"the axes of rays {what}", remedy, lambda o, d: (o[:, p], d[:, p]))
-
-    yield ray("the directions are reversed: -d in place of d", "turn the sign of d", lambda o, d: (o, -d))
-    for axis, name in enumerate("xyz"):
-        yield from of_axis(np.where(np.arange(3) == axis, -1.0, 1.0), name)
-    for order in permutations(range(3)):
-        yield from of_order(order) if order != (0, 1, 2) else ()
+        yield _recast(f"the axes of directions {what}", remedy, lambda g, p=p: (g.o, g.d[:, p]))
+        yield _recast(f"the axes of rays {what}", remedy, lambda g, p=p: (g.o[:, p], g.d[:, p]))
     what = "the rays' origin is taken for (0, 0, 0)"
-    yield ray(what, "subtract, or add, the ray's origin", lambda o, d: (0.0 * o, d))
-    yield ray("origin and direction are exchanged", "o comes first", lambda o, d: (d, o))
-    for scale in (0.001, 0.01, 0.0254, 0.1, 0.5, 2.0, 10.0, 100.0, 1000.0):
-        yield of_scale(scale)
+    yield _recast(what, "subtract, or add, the ray's origin", lambda g: (0.0 * g.o, g.d))
+    yield _recast("origin and direction are exchanged", "o comes first", lambda g: (g.d, g.o))
+    for s in (0.001, 0.01, 0.0254, 0.1, 0.5, 2.0, 10.0, 100.0, 1000.0):
+        what = f"the scene is {s:g} times as large as it should be"
+        yield _recast(what, "use vertices in the units of the rays", lambda g, s=s: (g.o / s, g.d), s)
 
 
 OTHER_RAYS = tuple(_other_rays())
@@ -408,85 +389,68 @@ OTHER_RAYS = tuple(_other_rays())
 # ---- the wrong one of several hits
 
 
-def _faces(f: WrongPixels) -> np.ndarray:
-    """(r,) normal . d at each root: positive where the ray hits the back of the surface."""
-    return dot(f.roots.at.n, f.d[f.roots.ray])
-
-
-def _pairs(roots: RayIntersections) -> np.ndarray:
-    """(r,) group number: roots of the same ray and primitive."""
-    return row_groups(np.column_stack([roots.ray, roots.prim]))
-
-
-def _first_roots(roots: RayIntersections) -> np.ndarray:
-    """(r,) the smallest t of the same ray and primitive."""
-    pair = _pairs(roots)
+def _least(roots: RayIntersections, t: np.ndarray) -> np.ndarray:
+    """(r,) the smallest t, (r,), of the same ray and primitive."""
+    pair = row_groups(np.column_stack([roots.ray, roots.prim]))
     smallest = np.full(len(pair), np.inf)
-    np.minimum.at(smallest, pair, roots.at.t)
+    np.minimum.at(smallest, pair, t)
     return smallest[pair]
 
 
-def _is_first(roots: RayIntersections) -> np.ndarray:
-    """(r,) bool: the first root of its primitive, also behind the origin."""
-    first: np.ndarray = roots.at.t == _first_roots(roots)
-    return first
-
-
-def _is_first_ahead(f: WrongPixels) -> np.ndarray:
+def _is_first_ahead(g: WrongPixels) -> np.ndarray:
     """(r,) bool: the first root of its primitive that is ahead of the origin."""
-    ahead = f.roots.at.t > f.judge.t_min[f.rows][f.roots.ray]
-    kept = ahead.copy()
-    kept[ahead] = _is_first(f.roots.take(ahead))
-    return kept
+    t = g.roots.at.t
+    ahead = np.where(t > g.judge.t_min[g.rows][g.roots.ray], t, np.inf)
+    found: np.ndarray = np.isfinite(ahead) & (t == _least(g.roots, ahead))
+    return found
 
 
-def _is_last_prim(f: WrongPixels) -> np.ndarray:
+def _is_last_prim(g: WrongPixels) -> np.ndarray:
     """(r,) bool: the same, of the primitive with the largest number on its ray."""
-    kept = _is_first_ahead(f)
-    last = np.full(len(f.rows), -1)
-    np.maximum.at(last, f.roots.ray[kept], f.roots.prim[kept])
-    found: np.ndarray = kept & (f.roots.prim == last[f.roots.ray])
+    kept = _is_first_ahead(g)
+    last = np.full(len(g.rows), -1)
+    np.maximum.at(last, g.roots.ray[kept], g.roots.prim[kept])
+    found: np.ndarray = kept & (g.roots.prim == last[g.roots.ray])
     return found
 
 
-def _is_far_or_only(f: WrongPixels) -> np.ndarray:
-    """(r,) bool: not the first root of its primitive, unless there is no other."""
-    pair, other = _pairs(f.roots), ~_is_first(f.roots)
-    found: np.ndarray = other | (np.bincount(pair, other)[pair] == 0)
+def _is_tried_first(g: WrongPixels) -> np.ndarray:
+    """(r,) bool: the first root of its primitive, or one whose first root is not behind the origin."""
+    first = _least(g.roots, g.roots.at.t)
+    found: np.ndarray = (g.roots.at.t == first) | (first >= 0.0)
     return found
 
 
-def _selection(
-    what: str, remedy: str, kept: Callable[[WrongPixels], np.ndarray], *, last: bool = False, single: bool = False
-) -> Mistake:
+def _selection(what: str, remedy: str, kept: Predicts, *, last: bool = False, single: bool = False) -> Mistake:
     """A caster that considers only some intersections. kept: (r,) bool of the roots of its pixels."""
 
     def predicts(g: WrongPixels) -> np.ndarray:
-        return _right_among(g, g.roots, kept(g), last=last) & (g.hit | ~g.given_hit)
+        return _right_among(g, g.roots.take(kept(g)), last=last) & (g.hit | ~g.given_hit)
 
     return Mistake(what, remedy, predicts, SURFACES, single)
 
 
-HIT_BOTH_SIDES = "hit both sides: no test of the sign of the determinant or of n . d"
+def _culled(what: str, sign: float) -> Mistake:
+    """A caster that skips surfaces with sign n . d >= 0."""
+    remedy = "hit both sides: no test of the sign of the determinant or of n . d"
+    return _selection(what, remedy, lambda g: sign * dot(g.roots.at.n, g.d[g.roots.ray]) < 0.0)
+
+
 SELECTIONS = (
     _selection(
         "another root of the surface that is hit first, such as the far one",
         "take the smaller root that is ahead of the origin",
-        _is_far_or_only,
+        lambda g: g.roots.at.t == -_least(g.roots, -g.roots.at.t),
         single=True,
     ),
     _selection(
         "missed: the surface's first root is behind the ray's origin, and the second one was not tried",
         "where the first root is not ahead, try the second",
-        lambda g: _is_first(g.roots) | ~(_first_roots(g.roots) < 0.0),
+        _is_tried_first,
         single=True,
     ),
-    _selection(
-        "back faces are culled: surfaces seen from behind are missed", HIT_BOTH_SIDES, lambda g: _faces(g) < 0.0
-    ),
-    _selection(
-        "front faces are culled: surfaces seen from the front are missed", HIT_BOTH_SIDES, lambda g: _faces(g) > 0.0
-    ),
+    _culled("back faces are culled: surfaces seen from behind are missed", 1.0),
+    _culled("front faces are culled: surfaces seen from the front are missed", -1.0),
     _selection(
         "the last surface in the order of the scene in place of the nearest",
         "keep a hit only where its t is smaller than that of the last one kept",
@@ -501,126 +465,126 @@ SELECTIONS = (
 )
 
 
-def _behind_first(g: WrongPixels) -> np.ndarray:
-    """(m,) bool: a surface behind the first one is answered."""
-    if g.judge.answer.hits_only or not g.given_hit.any():
-        return np.zeros(len(g.rows), bool)
-    t = g.given_t[g.roots.ray]
-    with np.errstate(invalid="ignore"):
-        on_one = np.abs(t - g.roots.at.t) <= np.maximum(g.roots.at.t_error, MATCH_RTOL * np.abs(t))
-        farther = g.given_hit & (g.given_t > g.t * (1.0 + DISTINCT_RTOL))
-    behind = np.zeros(len(g.rows), bool)
-    behind[g.roots.ray[on_one]] = True
-    return behind & farther & g.hit
+# ---- numbers of shapes and primitives
 
 
-def _hidden(g: WrongPixels) -> np.ndarray:
-    """(m,) bool: a miss, or a surface behind the first one, if both occur."""
-    missed, behind = ~g.given_hit & g.hit, _behind_first(g)
-    return (missed | behind) & bool(missed.any() and behind.any())
+def id_mistakes(f: WrongPixels) -> Iterator[Mistake]:
+    """The table of wrong numbers at right surfaces."""
+    hit, columns = f.judge.hit, id_columns(f.judge.answer, f.judge.model.packed)
+    named = {tuple(numbers) for numbers in zip(*(ids[hit] for _, ids, _ in columns), strict=True)}
+    if len(named) * MIN_FITTED_PIXELS <= len(np.unique(f.prim)):
+        who = "the same primitive is" if len(named) == 1 else f"no more than {len(named)} primitives are"
+        remedy = "return the number of the primitive in the order of the scene, or leave the column out"
+        yield Mistake(f"{who} named at all {hit.sum()} hits", remedy, lambda g: g.hit)
+    for name, ids, number in columns:
+        for step, cure in ((1, "subtract"), (-1, "add")):
+            yield Mistake(
+                f"the {name}'s number is off by one ({step:+d})",
+                f"numbers count from 0: {cure} 1",
+                lambda g, ids=ids, number=number, step=step: ids[g.rows] == number(g.prim) + step,
+                SURFACES,
+            )
+        yield Mistake(
+            f"the {name}'s number is that of another surface along the ray, t that of the first",
+            "keep the number together with the smallest t",
+            lambda g, ids=ids, number=number: (ids[g.rows] != number(g.prim)) & _names_another_hit(g),
+        )
 
 
-HIDDEN = (
-    Mistake("the first surface is missed, and what lies behind it is hit, if anything", "", _hidden),
-    Mistake("a surface that lies behind the first one", "", _behind_first),
-)
+def _names_another_hit(g: WrongPixels) -> np.ndarray:
+    """(m,) bool: the same ray hits the named primitive at another t."""
+    ray, at = g.roots.ray, g.roots.at
+    other = np.abs(at.t - g.t[ray]) > g.at.t_error[ray] + at.t_error
+    for _, ids, number in id_columns(g.judge.answer, g.judge.model.packed):
+        other &= ids[g.rows][ray] == number(g.roots.prim)
+    found = np.zeros(len(g.rows), bool)
+    found[ray[other]] = True
+    return found
 
 
 # ---- normals
 
 
-class NormalMistake(NamedTuple):
-    """One row of the table of normals, reported if it explains enough of the wrong ones."""
+def _normal(what: str, remedy: str, predicted: Predicts, *, single: bool = False) -> Mistake:
+    """Other normals, predicted (m, 3), in place of the right ones. Unless `single`, those must not be all alike."""
 
-    what: str
-    remedy: str
-    fits: np.ndarray  # (m,) bool: the normal is that of a caster that makes this mistake
-    share: float = NEARLY_ALL  # of the normals that are wrong
-    least: int = MIN_FITTED_PIXELS
+    def predicts(g: WrongPixels) -> np.ndarray:
+        with np.errstate(invalid="ignore"):
+            n = predicted(g)
+        fits: np.ndarray = (row_distance(g.n, n) <= MATCH_RTOL) & (row_distance(n, g.at.n) > DISTINCT_RTOL)
+        some = g.at.n[fits]
+        return fits & (single or bool(len(some) and np.ptp(some, axis=0).max() > DISTINCT_RTOL))
 
-
-def explain_normals(f: WrongPixels, n: np.ndarray) -> Iterator[tuple[str, str, np.ndarray]]:
-    """(what, remedy, (m,) bool) of wrong normals n (m, 3) at right surfaces: each is in one of them."""
-    error = row_distance(n, f.at.n)
-    left = ~(error <= np.minimum(f.at.n_error, LARGEST_USEFUL_NORMAL_ERROR))
-    for row in _normal_mistakes(f, n, error, left.copy()) if left.any() else ():
-        fits = left & row.fits
-        if fits.any() and fits.sum() >= max(row.share * left.sum(), row.least):
-            yield row.what, row.remedy, fits
-            left &= ~fits
-    finite = left & np.isfinite(error)
-    if finite.any():
-        yield f"the normal is off by {range_text(error[finite])} of its length", "", left
+    return Mistake(what, remedy, predicts, single=single)
 
 
-def _normal_mistakes(f: WrongPixels, n: np.ndarray, error: np.ndarray, off: np.ndarray) -> Iterator[NormalMistake]:
-    """The table, the simplest first. off: (m,) bool, the wrong ones."""
-    right, d = f.at.n, f.d
-
-    def given(predicted: np.ndarray) -> np.ndarray:
-        """(m,) bool: these normals are given, and are other than the right ones."""
-        fits: np.ndarray = (row_distance(n, predicted) <= MATCH_RTOL) & (row_distance(predicted, right) > DISTINCT_RTOL)
-        return fits
-
-    def varied(predicted: np.ndarray) -> np.ndarray:
-        """The same where the right normals are not all alike."""
-        fits = given(predicted)
-        some = right[fits & off]
-        return fits & bool(len(some) and np.ptp(some, axis=0).max() > DISTINCT_RTOL)
-
-    opposite = row_distance(n, -right) <= MATCH_RTOL
-    what = "the normal is turned towards the ray; geometric normals point outside, whoever looks"
-    yield NormalMistake(what, "do not turn normals by the sign of n . d", opposite & (dot(right, d) > 0.0), least=1)
-    yield NormalMistake(
-        "the normal is turned round", "turn its sign: normals point outside", given(-right), 0.0, least=1
-    )
-    what = "the interpolated normal in place of the geometric one"
-    remedy = "return the normal of the face, the cross product of its edges"
-    yield NormalMistake(what, remedy, given(f.at.sh_n), 0.0, least=1)
+def normal_mistakes(f: WrongPixels) -> Iterator[Mistake]:
+    """The table of wrong normals at right surfaces, the simplest first."""
+    yield from SINGLE_NORMALS
     if f.judge.scene.camera.type != "ray":
         axes = np.asarray(camera_axes(f.judge.scene.camera))
         for signs in product((1.0, -1.0), repeat=3):
+            turned = axes.T * signs
             what = "the normal is in the camera's axes in place of the world's"
-            yield NormalMistake(what, "turn it by the camera's matrix", varied((right @ axes.T) * signs))
+            yield _normal(what, "turn it by the camera's matrix", lambda g, turned=turned: g.at.n @ turned)
+    yield from OTHER_NORMALS
+    if f.judge.answer.precision == FLOAT32:
+        what = "the normal is computed from corners minus the ray's origin, and lost digits there"
+        remedy = "compute it from the edges of the face, or in float64"
+        yield Mistake(what, remedy, _is_of_corners_seen_from_the_origin)
+    if _claims_float64(f):
+        near = KU / KU_OURS
+        yield Mistake(IN_FLOAT32, FLOAT32_REMEDY, lambda g: row_distance(g.n, g.at.n) <= g.at.n_error * near)
+
+
+SINGLE_NORMALS = (
+    _normal(
+        "the normal is turned towards the ray; geometric normals point outside, whoever looks",
+        "do not turn normals by the sign of n . d",
+        lambda g: np.where((dot(g.at.n, g.d) > 0.0)[:, None], -g.at.n, np.nan),
+        single=True,
+    ),
+    _normal("the normal is turned round", "turn its sign: normals point outside", lambda g: -g.at.n, single=True),
+    _normal(
+        "the interpolated normal in place of the geometric one",
+        "return the normal of the face, the cross product of its edges",
+        lambda g: g.at.sh_n,
+        single=True,
+    ),
+)
+
+
+def _other_normals() -> Iterator[Mistake]:
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         if order != (0, 1, 2) or len(set(signs)) > 1:
             names = ", ".join("-"[: s < 0] + "xyz"[i] for i, s in zip(order, signs, strict=True))
             what = f"the normal's axes are permuted or signed: ({names}) in place of (x, y, z)"
-            yield NormalMistake(what, "use the same axes for normals and scene", varied(right[:, order] * signs))
-    with np.errstate(invalid="ignore"):
-        p = f.o + np.where(np.isfinite(f.t), f.t, 0.0)[:, None] * d
-    alike = np.broadcast_to(np.median(n[off], axis=0), n.shape)
-    ray = "the ray's direction in place of the normal"
-    for what, remedy, predicted in (
-        ("the normal is stored as a colour, (n + 1) / 2", "return n itself, from -1 to 1", unit(right + 1.0)),
-        ("the position in place of the normal", "subtract the centre", unit(p)),
-        (ray, "return the surface's normal", unit(d)),
-        (f"{ray}, reversed", "return the surface's normal", -unit(d)),
-        ("one normal everywhere", "compute it for each hit", alike),
-    ):
-        yield NormalMistake(what, remedy, varied(predicted))
-    what = "the normal is computed from corners minus the ray's origin, and lost digits there"
-    remedy = "compute it from the edges of the face, or in float64"
-    yield NormalMistake(what, remedy, _of_corners_seen_from_the_origin(f, n, error), MAJORITY)
-    if _claims_float64(f):
-        with np.errstate(invalid="ignore"):
-            yield NormalMistake(IN_FLOAT32, FLOAT32_REMEDY, error <= f.at.n_error * (KU / KU_OURS))
+            remedy = "use the same axes for normals and scene"
+            yield _normal(what, remedy, lambda g, order=order, signs=signs: g.at.n[:, order] * signs)
+    ray, remedy = "the ray's direction in place of the normal", "return the surface's normal"
+    what = "the normal is stored as a colour, (n + 1) / 2"
+    yield _normal(what, "return n itself, from -1 to 1", lambda g: unit(g.at.n + 1.0))
+    what = "the position in place of the normal"
+    yield _normal(what, "subtract the centre", lambda g: unit(g.o + g.t[:, None] * g.d))
+    yield _normal(ray, remedy, lambda g: unit(g.d))
+    yield _normal(f"{ray}, reversed", remedy, lambda g: -unit(g.d))
+    alike = "one normal everywhere"
+    yield _normal(alike, "compute it for each hit", lambda g: np.broadcast_to(np.median(g.n, axis=0), g.n.shape))
 
+
+OTHER_NORMALS = tuple(_other_normals())
 
 # A choice: a mistake that names what is wrong leaves no more than so much of an error.
 MAX_SHARE_OF_ERROR_LEFT = 0.5
 
 
-def _of_corners_seen_from_the_origin(f: WrongPixels, n: np.ndarray, error: np.ndarray) -> np.ndarray:
+def _is_of_corners_seen_from_the_origin(g: WrongPixels) -> np.ndarray:
     """(m,) bool: normals of triangles, right but for the rounding of corner - o to float32."""
-    if f.judge.answer.precision != FLOAT32:
-        return np.zeros(len(n), bool)
-    corners = triangle_corners(f.judge, f.prim)
+    corners = triangle_corners(g.judge, g.prim)
     with np.errstate(invalid="ignore", over="ignore"):
-        seen = (corners.astype(np.float32) - f.o.astype(np.float32)[:, None]).astype(np.float64)
-        predicted = unit(area_vectors(seen))
-        left = row_distance(n, predicted)
-        found: np.ndarray = (left <= FIT_FACTOR * f.at.n_error) & (left < MAX_SHARE_OF_ERROR_LEFT * error)
+        seen = (corners.astype(np.float32) - g.o.astype(np.float32)[:, None]).astype(np.float64)
+        left, error = row_distance(g.n, unit(area_vectors(seen))), row_distance(g.n, g.at.n)
+        found: np.ndarray = (left <= FIT_FACTOR * g.at.n_error) & (left < MAX_SHARE_OF_ERROR_LEFT * error)
     return found
 
 

@@ -13,7 +13,6 @@ from mitsuba_ref.judge.aggregate import (
     defect_counts,
     failing_by_check,
     failure_at,
-    failure_hints,
     findings,
     largest_ratios,
     listed_failures,
@@ -223,7 +222,7 @@ def _verdict(task: Task, response: SubjectResponse, seen: Seen, checks: tuple[Sc
         notes=(
             *_notes_on_misses(judge),
             *_notes_on_starts(judge, judgement),
-            *(() if task.ours else (*answer.notes, *response.limits, *failure_hints(answer, judgement))),
+            *(() if task.ours else (*answer.notes, *response.limits)),
         ),
         seen=seen,
     )

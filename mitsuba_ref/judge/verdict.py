@@ -5,6 +5,7 @@ computes results, report/ shows them.
 """
 
 import math
+from collections import Counter
 from dataclasses import field
 from typing import Annotated, Any
 
@@ -150,8 +151,15 @@ class FileRecord:
     sha256: str
 
 
+class _Record:
+    def to_dict(self) -> dict[str, Any]:
+        """JSON values, as in verdict.json."""
+        record: dict[str, Any] = TypeAdapter(type(self)).dump_python(self, mode="json")
+        return record
+
+
 @dataclass(frozen=True, config=RESULT)
-class SceneVerdict:
+class SceneVerdict(_Record):
     """The verdict of one scene."""
 
     name: str
@@ -245,14 +253,9 @@ class SceneVerdict:
         """The check that comes nearest to its bound, and how near."""
         return max(self.ratios.items(), key=lambda item: item[1], default=("", 0.0))
 
-    def to_dict(self) -> dict[str, Any]:
-        """JSON values, as in verdict.json."""
-        record: dict[str, Any] = TypeAdapter(SceneVerdict).dump_python(self, mode="json")
-        return record
-
 
 @dataclass(frozen=True, config=RESULT)
-class Verdict:
+class Verdict(_Record):
     """The verdict of a run: of all its scenes."""
 
     scenes: tuple[SceneVerdict, ...]
@@ -325,11 +328,7 @@ class Verdict:
     @property
     def cases(self) -> dict[str, int]:
         """Pixels where the reference is wrong, by known case."""
-        total: dict[str, int] = {}
-        for scene in self.scenes:
-            for case, count in scene.cases.items():
-                total[case] = total.get(case, 0) + count
-        return total
+        return dict(sum((Counter(scene.cases) for scene in self.scenes), Counter()))
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -341,14 +340,7 @@ class Verdict:
     def versions(self) -> tuple[str, ...]:
         """Versions that judged the scenes, each once, and how many answers of Mitsuba came from the store."""
         each = [", ".join(f"{k} {v}" for k, v in scene.versions.items()) for scene in self.scenes]
-        stored = (
-            f"{self.references_stored} of {len(self.scenes)} scenes: answered in earlier runs, taken from the store"
-            if self.references_stored
-            else ""
-        )
-        return tuple(dict.fromkeys(filter(None, [*each, stored])))
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON values, as in verdict.json."""
-        record: dict[str, Any] = TypeAdapter(Verdict).dump_python(self, mode="json")
-        return record
+        if self.references_stored:
+            stored = f"{self.references_stored} of {len(self.scenes)} scenes"
+            each.append(f"{stored}: answered in earlier runs, taken from the store")
+        return tuple(dict.fromkeys(filter(None, each)))

@@ -8,7 +8,6 @@ import numpy as np
 
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows, row_distance
-from mitsuba_ref.judge.aggregate import failure_hints
 from mitsuba_ref.judge.classification import Judge, Judgement, judge_of
 from mitsuba_ref.judge.comparison import ImagePair
 from mitsuba_ref.judge.diagnosis import diagnose, marked_miss
@@ -81,7 +80,7 @@ def probe_candidate(candidate: Subject, scene: Scene, pixel: tuple[int, int], pa
         "; ".join(filter(None, why)),
         _answer_record(judge),
         case_text(judgement),
-        (*answer.notes, *response.limits, *failure_hints(answer, judgement)),
+        (*answer.notes, *response.limits),
         witness=witness,
     )
 

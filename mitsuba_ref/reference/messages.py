@@ -1,6 +1,6 @@
-"""Requests to a Mitsuba process and its responses, as bytes: a line of JSON, then the arrays as .npz.
+"""Requests to a Mitsuba process and its responses, as bytes: an .npz file of their arrays and of a JSON record.
 
-There is no pickle, so that garbled bytes are an error and never code.
+Nothing is pickled, so that garbled bytes are an error and never code.
 """
 
 import io
@@ -24,7 +24,8 @@ from mitsuba_ref.reference.subprocess_runner import (
     import_path,
 )
 
-RowLayout = dict[str, tuple[tuple[int, ...], type]]  # field -> shape of a row, dtype
+# Field -> shape and dtype of its array. A size with a name is the same in all arrays.
+Layout = dict[str, tuple[tuple[int | str, ...], type]]
 
 MALFORMED_ERRORS = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile)  # of malformed bytes
 
@@ -33,7 +34,11 @@ MALFORMED_ERRORS = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.
 class TraceRequest:
     """Rays through one exported scene, in the exact float32 values to trace; d need not be of unit length."""
 
-    ROWS: ClassVar[RowLayout] = {"o": ((3,), np.float32), "d": ((3,), np.float32), "t_max": ((), np.float32)}
+    LAYOUT: ClassVar[Layout] = {
+        "o": (("rays", 3), np.float32),
+        "d": (("rays", 3), np.float32),
+        "t_max": (("rays",), np.float32),
+    }
 
     xml: Path
     variant: str  # scalar_rgb or llvm_ad_rgb
@@ -46,7 +51,7 @@ class TraceRequest:
     mesh_files: tuple[Path, ...] = ()  # to be read by Mitsuba's own loader as well
 
     def __post_init__(self) -> None:
-        _check_rows(self, len(self.o))
+        _check_arrays(self, {"rays": len(self.o)})
 
     def to_bytes(self) -> bytes:
         """The request with absolute paths: the child runs in another folder."""
@@ -65,16 +70,21 @@ class TraceRequest:
 class TraceResponse:
     """Intersections of n rays by Mitsuba. On a miss: t inf, shape and prim -1, everything else 0."""
 
-    ROWS: ClassVar[RowLayout] = {
-        "t": ((), np.float32),
-        "n": ((3,), np.float32),
-        "sh_n": ((3,), np.float32),
-        "p": ((3,), np.float32),
-        "uv": ((2,), np.float32),
-        "prim_uv": ((2,), np.float32),
-        "shape": ((), np.int32),
-        "prim": ((), np.int32),
-        "albedo": ((3,), np.float32),
+    LAYOUT: ClassVar[Layout] = {
+        "t": (("rays",), np.float32),
+        "n": (("rays", 3), np.float32),
+        "sh_n": (("rays", 3), np.float32),
+        "p": (("rays", 3), np.float32),
+        "uv": (("rays", 2), np.float32),
+        "prim_uv": (("rays", 2), np.float32),
+        "shape": (("rays",), np.int32),
+        "prim": (("rays",), np.int32),
+        "albedo": (("rays", 3), np.float32),
+        "light_rgb": (("lights", "rays", 3), np.float32),
+        "light_visible": (("lights", "rays"), np.bool_),
+        "sensor": (("pixels", 7), np.float32),
+        "mesh_corners": (("faces", 3, 8), np.float32),
+        "mesh_vertices": (("faces", 3), np.int32),
     }
 
     t: np.ndarray  # (n,) float32, lengths of d
@@ -89,12 +99,11 @@ class TraceResponse:
     light_rgb: np.ndarray  # (lights, n, 3) float32, radiance reflected from each light, unshadowed
     light_visible: np.ndarray  # (lights, n) bool, Mitsuba's shadow test
     albedo: np.ndarray  # (n, 3) float32
-    sensor_o: np.ndarray | None  # (m, 3) float32, through the pixel centres of the crop window, row by row
-    sensor_d: np.ndarray | None  # (m, 3) float32
-    sensor_t_max: np.ndarray | None  # (m,) float32
     versions: dict[str, str]  # mitsuba, drjit, variant, libllvm, processor
     seconds: float  # loading and tracing, without starting Python
     stored: bool = False  # the stored response to an equal request; no Mitsuba ran, and `seconds` is 0
+    # (m, 7) float32: o, d, t_max of the sensor's rays through the pixel centres of the crop window, row by row
+    sensor: np.ndarray = field(default_factory=lambda: np.zeros((0, 7), np.float32))
     # (f, 3, 8) float32: position, normal and uv at the corners of all faces of the mesh files
     mesh_corners: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 8), np.float32))
     mesh_vertices: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int32))  # (f, 3) indices
@@ -127,19 +136,10 @@ class TraceResponse:
 
     def check(self, rays: int) -> None:
         """Raise ValueError unless every array has its length, dtype and range."""
-        _check_rows(self, rays)
-        lights = len(self.light_rgb)
-        _check("light_rgb", self.light_rgb, (lights, rays, 3), np.float32)
-        _check("light_visible", self.light_visible, (lights, rays), np.bool_)
-        _check("mesh_corners", self.mesh_corners, (sum(self.mesh_faces), 3, 8), np.float32)
-        _check("mesh_vertices", self.mesh_vertices, (sum(self.mesh_faces), 3), np.int32)
+        lights, pixels, faces = len(self.light_rgb), len(self.sensor), sum(self.mesh_faces)
+        _check_arrays(self, {"rays": rays, "lights": lights, "pixels": pixels, "faces": faces})
         if len(self.mesh_faces) != len(self.mesh_problems):
             raise ValueError("mesh_problems: expected one for each mesh file")
-        if self.sensor_o is not None:
-            pixels = len(self.sensor_o)
-            _check("sensor_o", self.sensor_o, (pixels, 3), np.float32)
-            _check("sensor_d", self.sensor_d, (pixels, 3), np.float32)
-            _check("sensor_t_max", self.sensor_t_max, (pixels,), np.float32)
         known = (self.shape >= 0) & (self.shape < len(self.names))
         if np.any(known != (self.t != np.inf)):
             raise ValueError("shape: expected one of the named where t is not inf and -1 elsewhere, got others")
@@ -202,32 +202,25 @@ def run_request(
         return Crash(0, str(error), 0.0)
 
 
-def _check_rows(record: Any, count: int) -> None:
-    for name, (row, dtype) in record.ROWS.items():
-        _check(name, getattr(record, name), (count, *row), dtype)
-
-
-def _check(name: str, array: Any, shape: tuple[int, ...], dtype: type) -> None:
-    if not isinstance(array, np.ndarray) or array.shape != shape or array.dtype != dtype:
-        got = f"{array.dtype}{list(array.shape)}" if isinstance(array, np.ndarray) else type(array).__name__
-        raise ValueError(f"{name}: expected {np.dtype(dtype)}{list(shape)}, got {got}")
-
-
-def _parts(record: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """The fields that are not arrays, and the array fields."""
-    values = {field.name: getattr(record, field.name) for field in fields(record)}
-    arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
-    return {name: value for name, value in values.items() if name not in arrays}, arrays
+def _check_arrays(record: Any, sizes: dict[Any, int]) -> None:
+    """Raise ValueError unless every array fits its LAYOUT. sizes: by the names there."""
+    for name, (layout, dtype) in record.LAYOUT.items():
+        array, shape = getattr(record, name), tuple(sizes.get(size, size) for size in layout)
+        if not isinstance(array, np.ndarray) or array.shape != shape or array.dtype != dtype:
+            got = f"{array.dtype}{list(array.shape)}" if isinstance(array, np.ndarray) else type(array).__name__
+            raise ValueError(f"{name}: expected {np.dtype(dtype)}{list(shape)}, got {got}")
 
 
 def _to_bytes(record: Any) -> bytes:
-    rest, arrays = _parts(record)
+    values = {field.name: getattr(record, field.name) for field in fields(record)}
+    arrays = {name: value for name, value in values.items() if name in record.LAYOUT}
+    rest = {name: value for name, value in values.items() if name not in arrays}
     file = io.BytesIO()
-    np.savez(file, allow_pickle=False, **arrays)
-    return json.dumps(rest, default=str).encode() + b"\n" + file.getvalue()
+    np.savez(file, allow_pickle=False, record=np.frombuffer(json.dumps(rest, default=str).encode(), np.uint8), **arrays)
+    return file.getvalue()
 
 
 def _from_bytes(content: bytes) -> dict[str, Any]:
-    line, _, arrays = content.partition(b"\n")
-    with np.load(io.BytesIO(arrays), allow_pickle=False) as found:
-        return json.loads(line) | {name: found[name] for name in found.files}
+    with np.load(io.BytesIO(content), allow_pickle=False) as found:
+        values = {name: found[name] for name in found.files}
+    return json.loads(values.pop("record").tobytes()) | values

@@ -30,22 +30,35 @@ RESIDENT_BYTES = 1 << 30  # of memory, above which it is replaced; 200 MB are us
 SendRequest = Callable[[TraceRequest, float], TraceResponse | Crash]
 
 
-def send_alone(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> TraceResponse | Crash:
-    """Trace rays in a new process; returns within `timeout` seconds and leaves neither process nor file behind."""
-    return messages.run_request(request, timeout, variants.environment_for(request.variant))
-
-
 def send_request(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> TraceResponse | Crash:
     """Trace rays through one scene, in a resident process that no other thread uses at the same time.
 
     Resident processes belong to this process, not to its forks, and end with it or after IDLE_SECONDS. `timeout` holds
     for each of the two processes that may be needed.
     """
-    session = _idle_sessions.pop() if _idle_sessions else ResidentSession()
+    response = ask_resident(request, timeout)
+    return response or messages.run_request(request, timeout, variants.environment_for(request.variant))
+
+
+def ask_resident(request: TraceRequest, timeout: float) -> TraceResponse | None:
+    """The response of a resident process of the same variant and environment; None if it gave none and has ended."""
+    environment = variants.environment_for(request.variant)
+    key = f"{request.variant} {environment} {environment_settings(*REFERENCE_SETTINGS, 'PYTHONPATH')}"
+    idle, process = _idle.setdefault(key, []), None
+    with contextlib.suppress(IndexError):  # another thread may take the last one
+        process = idle.pop()
     try:
-        return session.send(request, timeout)
-    finally:
-        _idle_sessions.append(session)
+        if process and not process.alive:
+            process.close()
+            process = None
+        process = process or messages.start(environment)
+        response = TraceResponse.from_bytes(process.ask(request.to_bytes(), timeout), len(request.o))
+    except (ProcessEnded, UnexpectedReply, ValueError):
+        if process:
+            process.close()
+        return None
+    idle.append(process)
+    return response
 
 
 def send_stored(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> TraceResponse | Crash:
@@ -80,7 +93,7 @@ def request_key(request: TraceRequest) -> str:
         f"{library} {size}",
     ]
     parts.append(repr((request.variant, request.lights, request.sensor, request.strict)))
-    for name in TraceRequest.ROWS:
+    for name in TraceRequest.LAYOUT:
         array = getattr(request, name)
         parts += [f"{name} {array.dtype} {array.shape}", array.tobytes()]
     folder = request.xml.parent
@@ -94,57 +107,18 @@ def request_key(request: TraceRequest) -> str:
     return key_of(parts)
 
 
-_idle_sessions: list["ResidentSession"] = []
+_idle: dict[str, list[ResidentProcess]] = {}  # by variant and environment
 
 
 @atexit.register
 def close_residents() -> None:
-    """End the resident processes of `send_request` that are idle."""
-    while _idle_sessions:
-        _idle_sessions.pop().close()
+    """End the resident processes that are idle."""
+    for process in [process for idle in _idle.values() for process in idle]:
+        process.close()
+    _idle.clear()
 
 
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_idle_sessions.clear)
-
-
-class ResidentSession:
-    """Resident processes, one for each variant and environment. Usable as a context."""
-
-    def __init__(self) -> None:
-        self.processes: dict[str, ResidentProcess] = {}
-
-    def __enter__(self) -> "ResidentSession":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """End all processes."""
-        for process in self.processes.values():
-            process.close()
-        self.processes = {}
-
-    def send(self, request: TraceRequest, timeout: float = 60.0) -> TraceResponse | Crash:
-        """The response to one request; `timeout` holds for each of the two processes that may be needed."""
-        try:
-            reply = self._process(request.variant).ask(request.to_bytes(), timeout)
-            return TraceResponse.from_bytes(reply, len(request.o))
-        except (ProcessEnded, UnexpectedReply, ValueError):
-            self.close()
-        return send_alone(request, timeout)
-
-    def _process(self, variant: str) -> ResidentProcess:
-        """The resident process of a variant, started if need be. Raises ProcessEnded while starts are refused."""
-        environment = variants.environment_for(variant)
-        key = f"{variant} {environment} {environment_settings(*REFERENCE_SETTINGS, 'PYTHONPATH')}"
-        process = self.processes.get(key)
-        if process is None or not process.alive:
-            if process:
-                process.close()
-            process = self.processes[key] = messages.start(environment)
-        return process
+os.register_at_fork(after_in_child=_idle.clear)
 
 
 # ---- the child's side ----

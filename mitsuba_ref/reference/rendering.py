@@ -56,11 +56,6 @@ class ReferenceResult:
         return np.where(self.visible[..., None], self.unshadowed, 0.0).sum(axis=0) + self.ambient
 
 
-def needs_lights(aovs: Sequence[str]) -> bool:
-    """Whether these AOVs need Mitsuba's lights or materials."""
-    return "diffuse" in aovs or "albedo" in aovs
-
-
 def variant_of(scene: Scene) -> str:
     """The variant that traces this scene."""
     return variant_for(any(reference_of(shape).analytic for shape in scene.shapes))
@@ -83,22 +78,13 @@ def trace_reference(
     """
     with ScratchFolder() as folder:
         xml = export(scene, model).write(Path(folder))
-        job = TraceRequest(
-            xml,
-            variant or variant_of(scene),
-            rays.o,
-            rays.d,
-            rays.t_max,
-            lights=lights,
-            sensor=True,
-            mesh_files=tuple(mesh_files),
+        chosen = variant or variant_of(scene)
+        request = TraceRequest(
+            xml, chosen, rays.o, rays.d, rays.t_max, lights=lights, sensor=True, mesh_files=tuple(mesh_files)
         )
-        answer = send(job, timeout)
-    return answer if isinstance(answer, Crash) else reference_result(scene, answer)
-
-
-def reference_result(scene: Scene, answer: TraceResponse) -> ReferenceResult:
-    """The response with the scene's shape numbers and lights."""
+        answer = send(request, timeout)
+    if isinstance(answer, Crash):
+        return answer
     index_of = {name: index for index, name in enumerate(shape_ids(scene))}
     table = np.array([*(index_of.get(name, -1) for name in answer.names), -1], np.int32)
     visible = answer.light_visible if scene.shading.shadows else np.ones_like(answer.light_visible)
@@ -145,7 +131,8 @@ def render_reference(
     """Render a scene with Mitsuba: (images as from `caster.render`, versions), or its crash."""
     rays = shared_rays(scene)
     model = model_of(scene, packed_float32(scene), rays)
-    result = trace_reference(scene, model, rays, variant=variant, lights=needs_lights(aovs), timeout=timeout)
+    lights = not {"diffuse", "albedo"}.isdisjoint(aovs)
+    result = trace_reference(scene, model, rays, variant=variant, lights=lights, timeout=timeout)
     if isinstance(result, Crash):
         return result
     window = film_window(scene)

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
-from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
+from typing import Any, NamedTuple
+from xml.etree.ElementTree import Comment, fromstring, indent, tostring
 
 import numpy as np
 
@@ -15,11 +15,10 @@ from caster.rendering.images import camera_rays
 from caster.scene.model import Diffuse, Scene
 from caster.system.atomic_files import check_folder, write_bytes, write_text
 from mitsuba_ref.cameras import ClipRange, reference_of_camera
-from mitsuba_ref.error_model.intersections import ErrorModel, ceil_log2
+from mitsuba_ref.error_model.intersections import ceil_log2
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement, format_floats
 from mitsuba_ref.shapes import reference_of
-from mitsuba_ref.shapes.shape_reference import ShapeReference
 
 # ---- shared rays ----
 
@@ -118,7 +117,7 @@ def model_of(scene: Scene, packed: Packed, rays: SharedRays) -> SceneModel:
     parts = tuple(reference.stand_in(part, o, d) for reference, part in zip(references, packed.parts, strict=True))
     members = [np.flatnonzero(packed.kind_of == place) for place in range(len(packed.kinds))]
     kinds = tuple(concatenate_parts([parts[s] for s in shapes]) for shapes in members)
-    models = tuple(_model(references, packed, shapes) for shapes in members)
+    models = tuple(references[shapes[0]].model_of(packed.parts[shapes[0]]) for shapes in members)
     return SceneModel(packed, parts, kinds, models)
 
 
@@ -132,11 +131,6 @@ def described_model(scene: Scene, model: SceneModel) -> SceneModel | None:
     ):
         return None
     return SceneModel(described, described.parts, tuple(kind.prims for kind in described.kinds), model.models)
-
-
-def _model(references: Sequence[ShapeReference], packed: Packed, shapes: np.ndarray) -> ErrorModel:
-    first = int(shapes[0])
-    return references[first].model_of(packed.parts[first])
 
 
 @dataclass(frozen=True)
@@ -173,7 +167,7 @@ def export(scene: Scene, model: SceneModel, *, robust: bool = True) -> SceneExpo
     sensor = reference_of_camera(scene.camera).to_xml(scene.camera, scene.film, clip_range(scene, model))
     if sensor is None:
         out.notes.append(f"no sensor: Mitsuba has no {scene.camera.type} camera, so rays are handed over")
-    text = scene_document(scene, shapes, sensor, out, robust=robust)
+    text = scene_document(scene, shapes, sensor, out.notes, robust=robust)
     return SceneExport(text, out.meshes, shape_ids(scene), out.notes)
 
 
@@ -195,83 +189,72 @@ def clip_range(scene: Scene, model: SceneModel) -> ClipRange:
 
 # ---- the document ----
 
+# Without Embree's robust mode, rays slip through edges of meshes. The integrator is for plain Mitsuba: radiance, and
+# the quantities that are compared.
+DOCUMENT = """<scene version="3.0.0">
+    <boolean name="embree_use_robust_intersections" value="true"/>
+    <integrator type="aov">
+        <string name="aovs" value="depth:depth,normal:geo_normal,shading_normal:sh_normal,position:position"/>
+        <integrator type="direct" name="radiance">
+            <integer name="emitter_samples" value="1"/>
+            <integer name="bsdf_samples" value="0"/>
+        </integrator>
+    </integrator>
+</scene>"""
+
+# One unfiltered float32 sample at each pixel's centre.
+FILM = """<film type="hdrfilm">{sizes}
+    <string name="pixel_format" value="rgba"/>
+    <string name="component_format" value="float32"/>
+    <rfilter type="box"/>
+</film>"""
+SAMPLER = """<sampler type="stratified">
+    <integer name="sample_count" value="1"/>
+    <boolean name="jitter" value="false"/>
+</sampler>"""
+LIGHT = """<emitter type="{type}">
+    <{tag} name="{place}" value="{where}"/>
+    <rgb name="{strength}" value="{rgb}"/>
+</emitter>"""
+LIGHT_FIELDS = {"point": ("point", "position", "intensity"), "directional": ("vector", "direction", "irradiance")}
+
 
 def scene_document(
-    scene: Scene, shapes: Sequence[XmlElement], sensor: XmlElement | None, out: ShapeWriter, *, robust: bool = True
+    scene: Scene, shapes: Sequence[XmlElement], sensor: XmlElement | None, notes: Sequence[str], *, robust: bool = True
 ) -> str:
     """The whole document. Without a sensor it renders no image. robust: Embree's mode of that name."""
-    root = Element("scene", version="3.0.0")
-    for note in out.notes:
-        root.append(Comment(f" {note.replace('--', '- -')} "))
-    # Without it, rays slip through edges of meshes in Embree.
-    SubElement(root, "boolean", name="embree_use_robust_intersections", value="true" if robust else "false")
-    root.append(integrator_element())
+    root: XmlElement = fromstring(DOCUMENT)
+    if not robust:
+        root[0].set("value", "false")
+    root[:0] = [Comment(f" {note.replace('--', '- -')} ") for note in notes]
     if sensor is not None:
-        sensor.append(film_element(scene))
-        sensor.append(sampler_element())
+        sensor.extend([film_element(scene), fromstring(SAMPLER)])
         root.append(sensor)
-    root.extend(emitter_elements(scene))
+    root.extend(map(light_element, scene.lights))
     root.extend(shapes)
     indent(root, "    ")
     return tostring(root, encoding="unicode") + "\n"
 
 
-def integrator_element() -> XmlElement:
-    """The integrator for plain Mitsuba: radiance, and the quantities that are compared."""
-    integrator = Element("integrator", type="aov")
-    names = {"depth": "depth", "normal": "geo_normal", "shading_normal": "sh_normal", "position": "position"}
-    SubElement(integrator, "string", name="aovs", value=",".join(f"{a}:{b}" for a, b in names.items()))
-    direct = SubElement(integrator, "integrator", type="direct", name="radiance")
-    SubElement(direct, "integer", name="emitter_samples", value="1")
-    SubElement(direct, "integer", name="bsdf_samples", value="0")
-    return integrator
-
-
 def bsdf_element(material: Diffuse) -> XmlElement:
-    diffuse = Element("bsdf", type="diffuse")
-    SubElement(diffuse, "rgb", name="reflectance", value=format_floats(material.reflectance))
-    if not material.two_sided:
-        return diffuse
-    both = Element("bsdf", type="twosided")
-    both.append(diffuse)
-    return both
+    rgb = format_floats(material.reflectance)
+    diffuse = f'<bsdf type="diffuse"><rgb name="reflectance" value="{rgb}"/></bsdf>'
+    return fromstring(f'<bsdf type="twosided">{diffuse}</bsdf>' if material.two_sided else diffuse)
 
 
-def emitter_elements(scene: Scene) -> list[XmlElement]:
-    """Point and directional lights. Ambient light is not exported: it is added separately on both sides."""
-    elements: list[XmlElement] = []
-    for light in scene.lights:
-        if light.type == "ambient":
-            elements.append(Comment(" ambient light is added apart, as reflectance times radiance "))
-            continue
-        emitter = Element("emitter", type=light.type)
-        if light.type == "point":
-            SubElement(emitter, "point", name="position", value=format_floats(light.position))
-            SubElement(emitter, "rgb", name="intensity", value=format_floats(light.intensity))
-        else:
-            SubElement(emitter, "vector", name="direction", value=format_floats(light.direction))
-            SubElement(emitter, "rgb", name="irradiance", value=format_floats(light.irradiance))
-        elements.append(emitter)
-    return elements
+def light_element(light: Any) -> XmlElement:
+    """A point or directional light. Ambient light is not exported: it is added separately on both sides."""
+    if light.type == "ambient":
+        return Comment(" ambient light is added apart, as reflectance times radiance ")
+    tag, place, strength = LIGHT_FIELDS[light.type]
+    where, rgb = (format_floats(getattr(light, name)) for name in (place, strength))
+    return fromstring(LIGHT.format(type=light.type, tag=tag, place=place, where=where, strength=strength, rgb=rgb))
 
 
 def film_element(scene: Scene) -> XmlElement:
-    """A film that keeps one unfiltered float32 sample at each pixel's centre."""
-    film = Element("film", type="hdrfilm")
     x0, y0, x1, y1 = scene.film.window
     sizes = {"width": scene.film.width, "height": scene.film.height}
     if scene.film.crop is not None:
         sizes |= {"crop_offset_x": x0, "crop_offset_y": y0, "crop_width": x1 - x0, "crop_height": y1 - y0}
-    for name, value in sizes.items():
-        SubElement(film, "integer", name=name, value=str(value))
-    SubElement(film, "string", name="pixel_format", value="rgba")
-    SubElement(film, "string", name="component_format", value="float32")
-    SubElement(film, "rfilter", type="box")
-    return film
-
-
-def sampler_element() -> XmlElement:
-    sampler = Element("sampler", type="stratified")
-    SubElement(sampler, "integer", name="sample_count", value="1")
-    SubElement(sampler, "boolean", name="jitter", value="false")
-    return sampler
+    integers = "".join(f'<integer name="{name}" value="{value}"/>' for name, value in sizes.items())
+    return fromstring(FILM.format(sizes=integers))

@@ -64,8 +64,7 @@ def _forget_children() -> None:
     _running.clear()
 
 
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_forget_children)
+os.register_at_fork(after_in_child=_forget_children)
 
 
 def exit_name(code: int) -> str:
@@ -191,14 +190,14 @@ class ResidentProcess:
 
         Raises ProcessEnded, or UnexpectedReply (length_of may), after closing the process.
         """
-        begin = time.monotonic()
         try:
-            return self._exchange(data, begin, timeout, length_of)
+            return self._exchange(data, timeout, length_of)
         except BaseException:  # also Ctrl-C: the child may be in the middle of a request
             self.close()
             raise
 
-    def _exchange(self, data: bytes, begin: float, timeout: float, length_of: Callable[[bytes], int]) -> bytes:
+    def _exchange(self, data: bytes, timeout: float, length_of: Callable[[bytes], int]) -> bytes:
+        begin = time.monotonic()
         os.ftruncate(self._output.fileno(), 0)  # what it printed beside earlier replies
         os.lseek(self._output.fileno(), 0, os.SEEK_SET)  # the child writes at the same offset
         left, reply, expected = memoryview(data), bytearray(), HEAD_BYTES

@@ -6,7 +6,7 @@ import os
 import platform
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -64,15 +64,9 @@ def smoke_test(variant: str, settings: Mapping[str, str]) -> str:
         (folder / "square.ply").write_text(SMOKE_TEST_PLY)
         (folder / "scene.xml").write_text(SMOKE_TEST_XML)
         fresh = {**settings, "DRJIT_CACHE_DIR": name}  # a cached kernel would hide an abort
-        return _response_problem(
-            messages.run_request(_smoke_request(folder / "scene.xml", variant), SMOKE_TEST_TIMEOUT_SECONDS, fresh)
-        )
-
-
-def _smoke_request(xml: Path, variant: str) -> TraceRequest:
-    o = np.array([[1, 0.5, 8], [9, 0.5, 8]], np.float32)
-    d = np.array([[0, 0, -1], [0, 0, -1]], np.float32)
-    return TraceRequest(xml, variant, o, d, np.full(2, np.inf, np.float32))
+        o, d = np.array([[1, 0.5, 8], [9, 0.5, 8]], np.float32), np.array([[0, 0, -1]] * 2, np.float32)
+        request = TraceRequest(folder / "scene.xml", variant, o, d, np.full(2, np.inf, np.float32))
+        return _response_problem(messages.run_request(request, SMOKE_TEST_TIMEOUT_SECONDS, fresh))
 
 
 def _response_problem(response: TraceResponse | Crash) -> str:
@@ -114,21 +108,15 @@ class VariantError(SceneError):
 
 @dataclass(frozen=True)
 class Variants:
-    """The variants that work. libllvm: the library for the LLVM variant; why: why other variants do not work."""
+    """The variants that work. libllvm: the library with which the LLVM variant does; why: why others do not work."""
 
     scalar: bool
-    llvm: bool
     libllvm: str | None
     why: str
 
     @property
     def names(self) -> tuple[str, ...]:
-        return tuple(name for name, works in zip(VARIANT_NAMES, (self.scalar, self.llvm), strict=True) if works)
-
-    @property
-    def llvm_is_broken(self) -> bool:
-        """Whether libLLVM was found but the LLVM variant works with no version of it."""
-        return not self.llvm and not self.why.endswith(NO_LIBLLVM)
+        return tuple(name for name, works in zip(VARIANT_NAMES, (self.scalar, self.libllvm), strict=True) if works)
 
 
 _usable_by_key: dict[str, Variants] = {}
@@ -136,7 +124,7 @@ _usable_by_key: dict[str, Variants] = {}
 
 def usable_variants() -> Variants:
     """The variants that work on this machine; tried once, then stored in the user's cache folder."""
-    candidates = list(_candidates())
+    candidates = _candidates()
     key = _cache_key(candidates)
     if key not in _usable_by_key:
         _usable_by_key[key] = _load_cached(key, candidates) or _try_variants(candidates, key)
@@ -151,24 +139,21 @@ def variant_for(has_quadrics: bool) -> str:
     chosen = os.environ.get(VARIANT_ENVIRONMENT_VARIABLE)
     if chosen and chosen not in VARIANT_NAMES:
         raise VariantError(f"{VARIANT_ENVIRONMENT_VARIABLE} {chosen!r}: expected {' or '.join(VARIANT_NAMES)}")
-    if chosen and chosen not in usable_variants().names:
-        why = usable_variants().why
-        raise VariantError(f"{VARIANT_ENVIRONMENT_VARIABLE} {chosen!r}: it does not work here: {why}")
+    found = usable_variants()
+    variant = chosen or (LLVM if found.libllvm and not has_quadrics else SCALAR)
+    if variant in found.names:
+        return variant
     if chosen:
-        return chosen
-    if not has_quadrics and usable_variants().llvm:
-        return LLVM
-    if not usable_variants().scalar:
-        why = usable_variants().why
-        way_out = "pip install '.[reference]' installs Mitsuba" if "No module named" in why else WAY_OUT
-        raise VariantError(f"Mitsuba's {SCALAR} does not work here: {why}; {way_out}")
-    return SCALAR
+        raise VariantError(f"{VARIANT_ENVIRONMENT_VARIABLE} {chosen!r}: it does not work here: {found.why}")
+    way_out = "pip install '.[reference]' installs Mitsuba" if "No module named" in found.why else WAY_OUT
+    raise VariantError(f"Mitsuba's {SCALAR} does not work here: {found.why}; {way_out}")
 
 
 def require_variants() -> None:
     """Raise VariantError where spheres have no variant; print a line where no libLLVM works. Called before any work."""
     chosen, found = variant_for(has_quadrics=True), usable_variants()
-    if found.llvm_is_broken and not os.environ.get(VARIANT_ENVIRONMENT_VARIABLE):
+    broken = not found.libllvm and not found.why.endswith(NO_LIBLLVM)
+    if broken and not os.environ.get(VARIANT_ENVIRONMENT_VARIABLE):
         print(f"{LLVM} does not work here, {chosen} traces all scenes ({WAY_OUT}): {found.why}", file=sys.stderr)
 
 
@@ -178,20 +163,20 @@ def environment_for(variant: str) -> dict[str, str]:
     return {LIBLLVM_ENVIRONMENT_VARIABLE: library} if library else {}
 
 
-def _candidates() -> Iterator[str]:
+def _candidates() -> list[str]:
     """Paths of libLLVM to try: the user's choice alone, if there is one, else all, the newest first."""
     if os.environ.get(LIBLLVM_ENVIRONMENT_VARIABLE):
-        return iter([os.environ[LIBLLVM_ENVIRONMENT_VARIABLE]])
+        return [os.environ[LIBLLVM_ENVIRONMENT_VARIABLE]]
     own = filter(None, os.environ.get("LD_LIBRARY_PATH", "").split(":"))
     patterns = [*LIBLLVM_PATTERNS, *(f"{folder}/libLLVM*.so*" for folder in own)]
     found = {os.path.realpath(path) for pattern in patterns for path in glob.glob(pattern)}
-    return iter(sorted(filter(_is_library, found), key=_version, reverse=True))
+    return sorted(
+        (path for path in found if WHOLE_LLVM.search(path) and os.path.isfile(path)), key=_version, reverse=True
+    )
 
 
-def _is_library(path: str) -> bool:
-    """Whether a file is the whole LLVM library, not a part or a fork of it."""
-    name = re.fullmatch(r"libLLVM([-.][\d.]+)?\.(so|dylib)[\d.]*", Path(path).name)
-    return name is not None and os.path.isfile(path)
+# A path of the whole LLVM library, not of a part or a fork of it.
+WHOLE_LLVM = re.compile(r"/libLLVM([-.][\d.]+)?\.(so|dylib)[\d.]*$")
 
 
 def _version(path: str) -> tuple[list[int], str]:
@@ -226,7 +211,7 @@ def _try_variants(candidates: list[str], key: str) -> Variants:
         problems.append(f"{path}: {problem}")
     if not candidates and not absent:
         problems.append(NO_LIBLLVM)
-    found = Variants(not scalar, library is not None, library, "; ".join(problems))
+    found = Variants(not scalar, library, "; ".join(problems))
     # A Mitsuba that cannot be imported may be half installed; after the other two, a machine was busy or out of memory.
     if not scalar.startswith("error") and not any(word in found.why for word in ("timeout", "SIGKILL")):
         user_store().put(key, json.dumps(asdict(found)).encode())
@@ -242,5 +227,4 @@ def _load_cached(key: str, candidates: list[str]) -> Variants | None:
         found = TypeAdapter(Variants).validate_json(user_store().get(key) or b"")
     except ValidationError:
         return None
-    library = found.libllvm in candidates if found.llvm else found.libllvm is None
-    return found if library else None
+    return found if found.libllvm in (None, *candidates) else None

@@ -49,32 +49,27 @@ def markdown(verdict: Verdict, seconds: float, limit: int = SUMMARY_LIMIT_BYTES)
     """The verdict, failing scenes with their worst pixel and replay first; no longer than limit bytes of UTF-8."""
     failing = failing_scenes(verdict.scenes)
     passing = [scene for scene in verdict.scenes if scene.ok]
-    head = "\n".join(_head(verdict, seconds)) + "\n"
-    wanted = {  # the first to be shown first
-        "failing scenes": [_failing_row(scene) for scene in failing],
-        "texts of failing scenes": [_failing_text(scene) for scene in failing],
-        "scenes not judged": [f"- {escaped(name)}\n" for name in verdict.not_judged],
-        "scenes that pass": [_row(scene) for scene in passing],
-    }
-    shown, room = dict[str, list[str]](), limit - RESERVED_BYTES - utf8_size(head)
-    for what, texts in wanted.items():
-        sizes = accumulate(map(utf8_size, texts))
-        shown[what] = [text for text, size in zip(texts, sizes, strict=True) if size <= room]
-        room -= utf8_size("".join(shown[what]))
-    rows, texts, missing, good = shown.values()
-    parts = [head]
-    if rows:
-        parts += [_table_head(verdict, "worst pixel", "replay"), *rows, "\n"]
-    if missing:
-        parts += [f"Not judged, {len(verdict.not_judged)} scenes:\n\n", *missing, "\n"]
-    parts += texts
-    if good:
-        parts.append(f"<details><summary>{len(passing)} scenes pass</summary>\n\n")
-        parts += [_table_head(verdict, "closest"), *good, "\n</details>\n"]
-    counts = {what: len(wanted[what]) - len(shown[what]) for what in wanted}
-    if left := ", ".join(f"{count} {what}" for what, count in counts.items() if count):
-        parts.append(f"\nLeft out, for the size that a summary may have: {left}. verdict.json has all.\n")
-    text = "".join(parts)
+    failing_head, passing_head = _table_head("worst pixel", "replay"), _table_head("closest")
+    not_judged_head = f"Not judged, {len(verdict.not_judged)} scenes:\n\n"
+    folded = f"<details><summary>{len(passing)} scenes pass</summary>\n\n"
+    sections = [  # what it lists, the text before, the items, and the text after
+        ("failing scenes", failing_head, map(_failing_row, failing), "\n"),
+        ("scenes not judged", not_judged_head, (f"- {escaped(name)}\n" for name in verdict.not_judged), "\n"),
+        ("texts of failing scenes", "", map(_failing_text, failing), ""),
+        ("scenes that pass", folded + passing_head, map(_passing_row, passing), "\n</details>\n"),
+    ]
+    text, left_out = _head(verdict, seconds), []
+    for what, before, items, after in sections:
+        wanted = list(items)
+        room = limit - RESERVED_BYTES - utf8_size(text + before + after)
+        sizes = accumulate(map(utf8_size, wanted))
+        shown = [item for item, size in zip(wanted, sizes, strict=True) if size <= room]
+        if shown:
+            text += "".join([before, *shown, after])
+        if len(shown) < len(wanted):
+            left_out.append(f"{len(wanted) - len(shown)} {what}")
+    if left_out:
+        text += f"\nLeft out, for the size that a summary may have: {', '.join(left_out)}. verdict.json has all.\n"
     return text if utf8_size(text) <= limit else ""  # a file that is full already
 
 
@@ -82,25 +77,29 @@ def utf8_size(text: str) -> int:
     return len(text.encode())
 
 
-def _head(verdict: Verdict, seconds: float) -> Sequence[str]:
-    kept = sum(scene.kept for scene in verdict.scenes)
-    counts = ", ".join(f"{verdict.counts[name]} {name.replace('_', ' ')}" for name in CLASSES)
-    lines = [f"## {'PASS' if verdict.ok else 'FAIL'}: {outcome_text(verdict)}", ""]
-    lines += [f"mitsuba-ref validate, {seconds:.1f} s. Hit pixels: {counts}.", ""]
+def _head(verdict: Verdict, seconds: float) -> str:
+    counts = ", ".join(f"{verdict.counts[name]} {class_text(name)}" for name in CLASSES)
+    paragraphs = [
+        f"## {'PASS' if verdict.ok else 'FAIL'}: {outcome_text(verdict)}",
+        f"mitsuba-ref validate, {seconds:.1f} s. Hit pixels: {counts}.",
+    ]
     if verdict.shard:
-        lines += [f"Shard {verdict.shard}.", ""]
-    if kept:
-        lines += [f"Kept from an earlier run, not judged anew: {kept} scenes.", ""]
-    notes = candidate_lines, waiver_lines
-    texts = [line for each in notes for line in each(verdict)]
-    texts += [*group_lines(verdict.scenes), *verdict.versions]
-    return [*lines, *(f"- {escaped(' '.join(line.split()))}" for line in texts), ""]
+        paragraphs.append(f"Shard {verdict.shard}.")
+    if kept := sum(scene.kept for scene in verdict.scenes):
+        paragraphs.append(f"Kept from an earlier run, not judged anew: {kept} scenes.")
+    lines = [*candidate_lines(verdict), *waiver_lines(verdict), *group_lines(verdict.scenes), *verdict.versions]
+    items = "\n".join(f"- {escaped(' '.join(line.split()))}" for line in lines)
+    return "\n\n".join([*paragraphs, items]) + "\n\n"
 
 
-def _table_head(verdict: Verdict, *last: str) -> str:
+def _table_head(*last: str) -> str:
     names = ["scene", "hit", *map(class_text, CLASSES), *last]
-    aligned = ["---", *["---:"] * (1 + len(CLASSES)), *["---"] * len(last)]
-    return "".join(f"| {' | '.join(cells)} |\n" for cells in (names, aligned))
+    alignment = ["---", *["---:"] * (1 + len(CLASSES)), *["---"] * len(last)]
+    return _table_row(names) + _table_row(alignment)
+
+
+def _table_row(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |\n"
 
 
 def _cells(scene: SceneVerdict) -> list[str]:
@@ -108,8 +107,8 @@ def _cells(scene: SceneVerdict) -> list[str]:
     return [name, str(scene.hit_pixels), *(str(scene.counts[name]) for name in CLASSES)]
 
 
-def _row(scene: SceneVerdict) -> str:
-    return f"| {' | '.join([*_cells(scene), escaped(worst_words(scene))])} |\n"
+def _passing_row(scene: SceneVerdict) -> str:
+    return _table_row([*_cells(scene), escaped(worst_words(scene))])
 
 
 def _failing_row(scene: SceneVerdict) -> str:
@@ -120,8 +119,7 @@ def _failing_row(scene: SceneVerdict) -> str:
         pixel = (first.x, first.y)
         far = f"{first.ratio:.3g}x its bound" if math.isfinite(first.ratio) else "is another"
         where = f"({first.x}, {first.y}): {first.check} {far}"
-    command = f"<code>{escaped(replay(scene, pixel))}</code>"
-    return f"| {' | '.join([*_cells(scene), escaped(where), command])} |\n"
+    return _table_row([*_cells(scene), escaped(where), f"<code>{escaped(replay(scene, pixel))}</code>"])
 
 
 SCENE_TEXT_LIMIT_BYTES = 16384  # of one scene: the output of Mitsuba may be long

@@ -1,26 +1,18 @@
-"""Evidence of a judged scene: EXR images of both sides, of classes and ratios, and the data for its page."""
+"""Evidence of a judged scene: EXR images of both sides, of classes and ratios, and edges projected onto the film."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from caster import __version__
-from caster.aovs import Aovs
 from caster.geometry.packing import Packed
 from caster.image.channels import aovs_to_channels, provenance
 from caster.image.exr import write_exr
 from caster.scene.model import Scene
 from mitsuba_ref.cameras.camera_reference import camera_axes
-from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound
 from mitsuba_ref.error_model.scene_model import kinds_of
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
-from mitsuba_ref.judge.comparison import CHECKS
-from mitsuba_ref.judge.diagnosis import Diagnosis
-from mitsuba_ref.judge.explanations import constant_reasons, reason
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING
 
 Channels = Mapping[str, np.ndarray]
@@ -83,181 +75,68 @@ def clipped_to_float32(values: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(values), np.clip(values, -largest, largest), values)
 
 
-# ---- for the page of a scene ----
+# ---- edges projected onto the film, for the page ----
 
-
-# A ratio that is computed in two ways, here by the square root of a square, is the same up to 4 roundings.
-ROUNDING = 1.0 + 4 * 2.0**-53
-BOUND_OF_AOV = {check.name: check.bound for check in CHECKS}
-
-
-class LayerBound(NamedTuple):
-    """The bounds of one layer, one row per pixel."""
-
-    between: np.ndarray | None = None  # (n,) on the difference between both sides
-    alone: np.ndarray | None = None  # (n,) bool: the bound of the subject at its own surface decides instead
-    own: np.ndarray | None = None  # (n,) of the subject's arithmetic, on its distance from the surface of the reference
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """Both images and the findings about their pixels: some 60 MB for 256 x 256 pixels."""
-
-    judge: Judge
-    judgement: Judgement
-    diagnosis: Diagnosis
-
-    @property
-    def scene(self) -> Scene:
-        """The scene as it was judged."""
-        return self.judge.scene
-
-    @property
-    def packed(self) -> Packed:
-        return self.judge.model.packed
-
-    @property
-    def ours(self) -> Aovs:
-        """The subject's AOVs, only those that it gives."""
-        return self.judge.pair.subject
-
-    @property
-    def reference(self) -> Aovs:
-        """Mitsuba's AOVs, at least the same ones."""
-        return self.judge.pair.reference
-
-    @cached_property
-    def always(self) -> Mapping[str, str]:
-        """Class -> the reason for it, if that is the same for all pixels."""
-        return constant_reasons(self.judge)
-
-    def why(self, row: int) -> str:
-        """The reason for the class of one pixel."""
-        return reason(self.judge, self.judgement, self._diagnosed, row)
-
-    @cached_property
-    def _diagnosed(self) -> Mapping[int, str]:
-        return self.diagnosis.by_row()
-
-    def bound(self, name: str) -> LayerBound:
-        """The bounds of an AOV; none for `diffuse`, whose bound differs by light."""
-        judge, pixels = self.judge, self.judge.pixels
-        if not judge.names_prims:
-            own = judge.bounds.own
-            error = own.n_error if name == "normal" else (own.t_error + judge.answer.t_rounding) * pixels.length
-            return LayerBound(own=np.where(pixels.both_hit, error, 0.0))
-        bound_of = BOUND_OF_AOV.get(name)
-        if bound_of is None:
-            return LayerBound()
-        bound, ratio = bound_of(pixels), self.judgement.ratio(name)
-        alone = pixels.both_hit & (ratio > error_over_bound(pixels.distance(name), bound) * ROUNDING)
-        return LayerBound(np.where(pixels.both_hit, bound, 0.0), alone)
-
-    def ids(self) -> Mapping[str, np.ndarray]:
-        """`shape_reference`, `prim_reference`: (n,) shape, and primitive within it, -1 on a miss; also `shape_ours`,
-        `prim_ours` for a subject that names primitives."""
-        judge, pair, index = self.judge, self.judge.pair, self.packed.index_in_shape
-        if not judge.names_prims:
-            return {"shape_reference": pair.result.shape_id, "prim_reference": index(judge.reference_prim)}
-        numbered = np.where(pair.reference.hit.ravel(), pair.result.answer.prim.astype(np.int64), -1)
-        return {
-            "shape_reference": aov_rows(pair.reference, "shape_id"),
-            "shape_ours": aov_rows(pair.subject, "shape_id"),
-            "prim_reference": numbered,
-            "prim_ours": index(pair.prim),
-        }
-
-    def t(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """(n,) t of the subject and of the reference, in lengths of d; None if depth shows the same."""
-        return None if self.judge.names_prims else (self.judge.answer.t, self.judge.result.t)
-
-    def edges(self) -> np.ndarray | None:
-        """(m, 4) film coordinates x, y, x, y of the edges of triangles that are hit; if these are too many, of those at
-        pixels that do not agree. None if rays do not go through pixel centres of a rectilinear film."""
-        film = film_projection(self.scene, self.judge.o, self.judge.d)
-        if film is None:
-            return None
-        hit = self.judge.reference_prim
-        prims = np.stack([hit, self.judge.pair.prim]) if self.judge.names_prims else hit[None]
-        odd = prims[:, self.judgement.classes != CLASS_CODE[AGREE]]
-        for chosen in (np.unique(prims[prims >= 0]), np.unique(odd[odd >= 0])):
-            if len(chosen) <= MAX_TRIANGLES_DRAWN:
-                break
-        edges = triangle_edges(self.packed, chosen[:MAX_TRIANGLES_DRAWN])
-        return film.segments(edges).astype(np.float32)
-
-
-# ---- projection of edges onto the film, for the page ----
-
-MAX_TRIANGLES_DRAWN = 4096  # of a scene: some 100 kB
+MAX_TRIANGLES_DRAWN = 4096  # of a scene: some 200 kB
 LARGEST_PIXEL_OFFSET = 0.01  # of a fitted projection from the centre of a pixel; at 128 points a pixel, one point
-NEAR_SHARE = 1e-6  # of the largest depth: edges end there instead of behind the camera
 
 
-class FilmProjection(NamedTuple):
-    """Film coordinates as an affine map of view coordinates (x, y), divided by depth in a perspective view."""
+def film_edges(judge: Judge, judgement: Judgement) -> np.ndarray | None:
+    """(m, 4) film coordinates x, y, x, y of the edges of triangles that are hit, without those that reach behind the
+    eye.
 
-    axes: np.ndarray  # (3, 3), rows right, up, forward
-    affine: np.ndarray  # (3, 2)
-    eye: np.ndarray | None  # (3,) in a perspective view; None for parallel rays
-
-    def segments(self, edges: np.ndarray) -> np.ndarray:
-        """Project edges (m, 2, 3) in world space to (m, 4), leaving out those behind the eye."""
-        across = (edges - (0.0 if self.eye is None else self.eye)) @ self.axes.T
-        if self.eye is not None and len(across):
-            near = NEAR_SHARE * np.abs(across[..., 2]).max()
-            across = across[(across[..., 2] > near).any(axis=1)]
-            start, end = across[:, 0].copy(), across[:, 1].copy()
-            for this, other in ((start, end), (end, start)):
-                behind = this[:, 2] < near
-                share = (near - this[behind, 2]) / (other[behind, 2] - this[behind, 2])
-                this[behind] += share[:, None] * (other[behind] - this[behind])
-            across = np.stack([start, end], axis=1)
-            across = across / across[..., 2:]
-        flat = across[..., :2] @ self.affine[:2] + self.affine[2]
-        found: np.ndarray = flat.reshape(-1, 4)
-        return found[np.isfinite(found).all(axis=1)]
+    If these are too many, of those at pixels that do not agree. None if rays do not go through pixel centres of a
+    rectilinear film.
+    """
+    to_film = film_projection(judge.scene, judge.o, judge.d)
+    if to_film is None:
+        return None
+    hit = judge.reference_prim
+    prims = np.stack([hit, judge.pair.prim]) if judge.names_prims else hit[None]
+    chosen = np.unique(prims[prims >= 0])
+    if len(chosen) > MAX_TRIANGLES_DRAWN:
+        odd = prims[:, judgement.classes != CLASS_CODE[AGREE]]
+        chosen = np.unique(odd[odd >= 0])[:MAX_TRIANGLES_DRAWN]
+    flat = to_film(triangle_edges(judge.model.packed, chosen)).reshape(-1, 4)
+    return flat[np.isfinite(flat).all(axis=1)].astype(np.float32)
 
 
-def film_projection(scene: Scene, o: np.ndarray, d: np.ndarray) -> FilmProjection | None:
-    """The projection that maps ray i of the film's window to the centre of pixel i; None if it is not rectilinear."""
+def film_projection(scene: Scene, o: np.ndarray, d: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
+    """The map of points (..., 3) to film coordinates (..., 2), NaN behind the eye; None if the film is not rectilinear.
+
+    Fitted to the rays o, d through the centres of the pixels: an affine map of view coordinates, divided by depth in a
+    perspective view.
+    """
     x0, y0, x1, y1 = scene.film.window
     y, x = np.mgrid[y0:y1, x0:x1] + 0.5
     parallel = not np.ptp(d, axis=0).any()
-    if (
-        not hasattr(scene.camera, "up")
-        or x1 - x0 < 2
-        or y1 - y0 < 2
-        or x.size != len(o)
-        or not (parallel or not np.ptp(o, axis=0).any())
-    ):
+    one_eye = parallel or not np.ptp(o, axis=0).any()
+    if not hasattr(scene.camera, "up") or min(x.shape) < 2 or x.size != len(o) or not one_eye:
         return None
     axes = camera_axes(scene.camera)
-    along = axes[2]
-    if not parallel and not (d @ along > 0.0).all():
+
+    def in_view(points: np.ndarray) -> np.ndarray:
+        """(..., 3) coordinates in the view, the last of them 1."""
+        view = (points if parallel else points - o[0]) @ axes.T
+        depth = np.where(view[..., 2:] > 0.0, view[..., 2:], np.nan)
+        flat = view[..., :2] if parallel else view[..., :2] / depth
+        return np.concatenate([flat, np.ones_like(depth)], axis=-1)
+
+    known, pixels = in_view(o if parallel else o + d), np.column_stack([x.ravel(), y.ravel()])
+    if not np.isfinite(known).all():
         return None
-    flat = (o if parallel else d / (d @ along)[:, None]) @ axes[:2].T
-    known = np.column_stack([flat, np.ones(len(flat))])
-    pixels = np.column_stack([x.ravel(), y.ravel()])
     affine = np.linalg.lstsq(known, pixels, rcond=None)[0]
-    if not np.abs(known @ affine - pixels).max() <= LARGEST_PIXEL_OFFSET:
-        return None
-    return FilmProjection(axes, affine, None if parallel else o[0])
+    fits = np.abs(known @ affine - pixels).max() <= LARGEST_PIXEL_OFFSET
+    return (lambda points: in_view(points) @ affine) if fits else None
 
 
 def triangle_edges(packed: Packed, prims: np.ndarray) -> np.ndarray:
-    """(m, 2, 3) edges in world space of the triangles among these primitives, each edge once."""
+    """(m, 2, 3) edges in world space of the triangles among these primitives."""
     kind, k = kinds_of(packed, prims)
     found = [np.zeros((0, 2, 3))]
     for place in np.unique(kind):
         of = packed.kinds[place].prims
         if hasattr(of, "faces"):
             faces = of.faces[k[kind == place]]
-            pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-            found.append(of.vertices[pairs])
-    ends = np.concatenate(found)
-    differs = ends[:, 0] != ends[:, 1]
-    first = np.argmax(differs, axis=1)[:, None]
-    start, end = (np.take_along_axis(ends[:, side], first, axis=1)[:, 0] for side in (0, 1))
-    ends[start > end] = ends[start > end, ::-1]  # faces may share positions without sharing vertices
-    return np.unique(ends.reshape(-1, 6), axis=0).reshape(-1, 2, 3)
+            found.append(of.vertices[np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])])
+    return np.concatenate(found)

@@ -3,7 +3,7 @@
 import re
 import shlex
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace as with_fields
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,15 +18,15 @@ from caster.scene.export import SECTION_ORDER, format_toml
 from caster.scene.model import Film, Scene
 from caster.system.atomic_files import write_text
 from mitsuba_ref.error_model.lambert import direction_to_light
-from mitsuba_ref.judge.checks.knife_edges import AimedFailure
-from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judge, Judgement, scene_judge
+from mitsuba_ref.judge.classification import EXACT, Judge, Judgement, scene_judge
 from mitsuba_ref.judge.explanations import format_primitive, pixel_answers, reproducer_header
 from mitsuba_ref.judge.pipeline import Seen
 from mitsuba_ref.judge.verdict import CLASSES, REFERENCE_WRONG, UNLISTED, WRONG, Failure, SceneVerdict
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.shared_input import pixel_of
-from mitsuba_ref.shapes import reference_of
-from mitsuba_ref.subjects.subject import describe_primitive, packs_identically
+from mitsuba_ref.report.builtin_scenes import shown_path
+from mitsuba_ref.shapes import kind_of, reference_of
+from mitsuba_ref.subjects.subject import packs_identically
 
 TRAILING_ZEROS = re.compile(r"\.?0+(?=p)")  # of a hex float's digits behind the point, which there always is
 
@@ -110,7 +110,7 @@ def shape_of(judge: Judge, prim: int) -> tuple[dict[str, Any], list[str]]:
     name = f"{judge.scene.shape_names()[i]}, prim {k}"
     whole = judge.scene.shapes[i]
     try:
-        shape = describe_primitive(packed.parts[i], k)
+        shape = kind_of(packed.parts[i]).describe(packed.parts[i], k)
         kept = packs_identically(packed.parts[i], k, pack_one(shape))
     except (SceneError, LookupError):
         shape, kept = {}, False
@@ -133,48 +133,63 @@ def pack_one(shape: dict[str, Any]) -> Packed:
 MAX_REPRODUCERS_PER_CASE = 2  # per scene and case; each is verified with Mitsuba
 
 
-class StoredReproducers(NamedTuple):
-    """The reproducers that were written for a scene."""
-
-    files: tuple[str, ...]
-    left_out: int  # pixels of the same classes without a file
-
-
-def write_reproducers(folder: Path, name: str, source: str, seen: Seen, first_ray: int = 0) -> StoredReproducers:
+def write_reproducers(
+    folder: Path, name: str, source: str, seen: Seen, first_ray: int = 0
+) -> tuple[tuple[str, ...], int]:
     """Write failing rays as scene files: of our caster, or of the answers to a list of rays. Raises OutputError.
 
-    first_ray: number of the first ray of that list.
+    NAME.CASE.X-Y.toml for pixels where ours or the reference is wrong, NAME.knife-edge.K.toml for wrong aimed rays, and
+    NAME.wrong.N.toml for rays of a list; some for each case or diagnosis. first_ray: number of the first ray of that
+    list. Returns the names of the files, and the number of pixels of the same classes without a file.
     """
-    if seen.judge.pair.rays.is_list:
-        return _write_list_reproducers(folder, name, seen, first_ray)
-    if not seen.judge.names_prims:
-        return StoredReproducers((), 0)
-    pixels = _write_pixel_reproducers(folder, name, source, seen)
-    return StoredReproducers((*pixels.files, *_write_aimed(folder, name, source, seen.wrong_rays)), pixels.left_out)
-
-
-def _write_pixel_reproducers(folder: Path, name: str, source: str, seen: Seen) -> StoredReproducers:
-    """Write NAME.CASE.X-Y.toml for pixels where ours or the reference is wrong, some for each case."""
-    judge, judgement = seen.judge, seen.judgement
-    files: list[str] = []
-    left_out = 0
-    for label, rows in _rows_by_label(judgement).items():
-        left_out += len(rows[MAX_REPRODUCERS_PER_CASE:])
-        for row in rows[:MAX_REPRODUCERS_PER_CASE]:
+    judge, judgement, files = seen.judge, seen.judgement, list[str]()
+    is_list = judge.pair.rays.is_list
+    if not (judge.names_prims or is_list):
+        return (), 0
+    groups = {what: rows.tolist() for what, rows in seen.diagnosis.rows_of.items()} if is_list else _by_case(judgement)
+    for label, rows in groups.items():
+        for row in [row for row in rows if judge.t_max[row] >= 0.0][:MAX_REPRODUCERS_PER_CASE]:
             x, y = pixel_of(judge.scene, row)
-            path = folder / f"{name}.{label}.{x}-{y}.toml"
-            write_reproducer(path, judge, judgement, row, f"{source}, pixel ({x}, {y})")
-            files.append(path.name)
-    return StoredReproducers(tuple(files), left_out)
-
-
-def _write_aimed(folder: Path, name: str, source: str, failures: Sequence[AimedFailure]) -> Iterator[str]:
-    """Write NAME.knife-edge.K.toml for wrong aimed rays, on which `validate` fails again; their names."""
-    for number, failure in enumerate(failures):
-        path = folder / f"{name}.knife-edge.{number}.toml"
+            files.append(f"{name}.wrong.{first_ray + row}.toml" if is_list else f"{name}.{label}.{x}-{y}.toml")
+            path = folder / files[-1]
+            if is_list:
+                head = _head_of_ray(judge, judgement, row, label, f"{name}, ray {first_ray + row}")
+                write_text(path, reproducer(judge, row).text(head))
+            else:
+                write_reproducer(path, judge, judgement, row, f"{source}, pixel ({x}, {y})")
+    left_out = sum(map(len, groups.values())) - len(files)
+    for number, failure in enumerate(() if is_list else seen.wrong_rays):
+        files.append(f"{name}.knife-edge.{number}.toml")
         head = [f"A ray aimed at {source}, in float64.", f"Wrong:     {failure.what}"]
-        write_text(path, Reproducer(failure.scene, (), ()).text(head))
-        yield path.name
+        write_text(folder / files[-1], Reproducer(failure.scene, (), ()).text(head))
+    return tuple(files), left_out
+
+
+def _by_case(judgement: Judgement) -> dict[str, list[int]]:
+    """Pixels where the reference or ours is wrong by the label of their files, worst first."""
+    found: dict[str, list[int]] = {}
+    worst = np.max([judgement.excess(check) for check in judgement.names], axis=0)
+    for name in (REFERENCE_WRONG, WRONG):
+        rows = np.flatnonzero(judgement.is_class(name))
+        for row in rows[np.argsort(-worst[rows], kind="stable")].tolist():
+            case = judgement.cases.get(row)
+            label = WRONG if name == WRONG else UNLISTED if case is None else f"case-{case}"
+            found.setdefault(label, []).append(row)
+    return found
+
+
+def _head_of_ray(judge: Judge, judgement: Judgement, row: int, what: str, source: str) -> list[str]:
+    """Comment lines with the answers to a ray of a list."""
+    text = pixel_answers(judge, judgement, row, EXACT)
+    return [
+        f"One ray that {judge.pair.answer.precision} answers were judged on: {what}.",
+        "",
+        f"from:      {source} of t_min {float(judge.t_min[row])!r}",
+        f"answer:    {text.subject}",
+        f"Mitsuba:   {text.reference}",
+        f"exact:     {text.exact}",
+        "The ray below is Mitsuba's: in float32, from t_min on.",
+    ]
 
 
 def write_reproducer(
@@ -203,47 +218,6 @@ def reproduces(found: Reproducer, judge: Judge, judgement: Judgement, row: int) 
     return (False, f"Checked:   NOT THE SAME from this file alone, so what else is in the scene matters: {differs}.")
 
 
-def _rows_by_label(judgement: Judgement) -> dict[str, list[int]]:
-    """Pixels by the label of their files, worst first."""
-    rows: dict[str, list[int]] = {}
-    for row in _worst_first(judgement, REFERENCE_WRONG):
-        case = judgement.cases.get(row)
-        rows.setdefault(UNLISTED if case is None else f"case-{case}", []).append(row)
-    for row in _worst_first(judgement, WRONG):
-        rows.setdefault(WRONG.replace("_", "-"), []).append(row)
-    return rows
-
-
-def _worst_first(judgement: Judgement, name: str) -> Iterator[int]:
-    rows = np.flatnonzero(judgement.classes == CLASS_CODE[name])
-    worst = np.max([judgement.excess(check)[rows] for check in judgement.names], axis=0)
-    yield from rows[np.argsort(-worst, kind="stable")].tolist()
-
-
-def _write_list_reproducers(folder: Path, name: str, seen: Seen, first: int) -> StoredReproducers:
-    """Write NAME.wrong.N.toml for the first rays of each diagnosis; the given answers are comments there."""
-    judge, judgement, rows_of = seen.judge, seen.judgement, seen.diagnosis.rows_of
-    files: list[str] = []
-    for what, all_rows in rows_of.items():
-        rows = [row for row in all_rows.tolist() if judge.t_max[row] >= 0.0][:MAX_REPRODUCERS_PER_CASE]
-        for row in rows:
-            found = reproducer(judge, row)
-            text = pixel_answers(judge, judgement, row, EXACT)
-            head = [
-                f"One ray that {judge.pair.answer.precision} answers were judged on: {what}.",
-                "",
-                f"from:      {name}, ray {first + row} of t_min {float(judge.t_min[row])!r}",
-                f"answer:    {text.subject}",
-                f"Mitsuba:   {text.reference}",
-                f"exact:     {text.exact}",
-                "The ray below is Mitsuba's: in float32, from t_min on.",
-            ]
-            path = folder / f"{name}.wrong.{first + row}.toml"
-            write_text(path, found.text(head))
-            files.append(path.name)
-    return StoredReproducers(tuple(files), sum(map(len, rows_of.values())) - len(files))
-
-
 # ---- replay commands, which repeat the options of the run
 
 
@@ -265,31 +239,30 @@ def replay(scene: SceneVerdict, pixel: tuple[int, int] | None = None) -> str:
     """The command that shows one pixel, or else the scene, again."""
     if scene.command == "judge":
         ray = scene.ray_at(*pixel) if pixel else None
-        rows = "" if ray is None else f" --rows {ray}"
-        return "mitsuba-ref judge" + "".join(f" {shlex.quote(word)}" for word in scene.options) + rows
+        return shlex.join(["mitsuba-ref", "judge", *scene.options, *([] if ray is None else ["--rows", str(ray)])])
     if pixel is None:
         thorough = " --thorough" if scene.thorough else ""
-        return f"mitsuba-ref validate {shlex.quote(scene.path or 'SCENE')}{thorough}{repeated_options(scene)}"
+        return f"mitsuba-ref validate {_path(scene)}{thorough}{_options(scene)}"
     before, after = replay_around(scene)
     return f"{before}{pixel[0]} {pixel[1]}{after}"
 
 
 def replay_around(scene: SceneVerdict) -> tuple[str, str]:
     """The command that shows a pixel again: its parts before and after the column and row."""
-    return f"mitsuba-ref probe {shlex.quote(scene.path or 'SCENE')} ", repeated_options(scene)
+    return f"mitsuba-ref probe {_path(scene)} ", _options(scene)
 
 
-def repeated_options(scene: SceneVerdict) -> str:
+def _path(scene: SceneVerdict) -> str:
+    return shlex.quote(shown_path(scene.path) or "SCENE")
+
+
+def _options(scene: SceneVerdict) -> str:
     """The options of the run as the end of a command."""
-    size = ["--size", *map(str, scene.size)] if scene.resized else []
-    return "".join(f" {shlex.quote(word)}" for word in (*size, *scene.options, *_named_candidate(scene)))
-
-
-def _named_candidate(scene: SceneVerdict) -> Iterator[str]:
-    """Options for a candidate that was given in Python, of which only the name is known."""
-    if not scene.candidate or any(word.startswith("--candidate") for word in scene.options):
-        return
-    as_typed = ":" in scene.candidate or "{" in scene.candidate
-    yield from ("--candidate", scene.candidate if as_typed else f"MODULE:{scene.candidate}")
-    if scene.precision:
-        yield from ("--candidate-precision", scene.precision)
+    words = ["--size", *map(str, scene.size)] if scene.resized else []
+    words += scene.options
+    if scene.candidate and not any(word.startswith("--candidate") for word in scene.options):
+        # Given in Python: only its name is known.
+        as_typed = ":" in scene.candidate or "{" in scene.candidate
+        words += ["--candidate", scene.candidate if as_typed else f"MODULE:{scene.candidate}"]
+        words += ["--candidate-precision", scene.precision] if scene.precision else []
+    return "".join(f" {shlex.quote(word)}" for word in words)

@@ -1,4 +1,4 @@
-"""Results as JSON files and as tables: for terminals and logs, in colour only where a terminal shows it, and Markdown.
+"""Results as JSON files, and as text and tables for terminals and logs, in colour only on a terminal.
 
 Results are pydantic dataclasses. Files also contain their derived values (`computed_field`), which are ignored when a
 file is read.
@@ -7,26 +7,20 @@ file is read.
 import json
 import math
 import os
+import re
 import sys
-from collections.abc import Iterable, Sequence
-from io import StringIO
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TextIO, TypeVar
+from typing import Any, TextIO
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
+from pydantic import TypeAdapter
 
-from caster.description.errors import SceneError
-from caster.description.input_files import read_input
 from caster.system.atomic_files import write_text
 from caster.system.terminal import printable, unfiltered
 from mitsuba_ref.reference.store import installed_version
 from mitsuba_ref.reference.variants import usable_variants
 
-T = TypeVar("T")
 STANDARD_OUTPUT = "-"
 
 
@@ -43,17 +37,6 @@ def write_result(result: Any, file: str) -> None:
         sys.stdout.write(text)
     else:
         write_text(file, text)
-
-
-def read_result(kind: type[T], file: str, written_by: str) -> T:
-    """The result in a file that `written_by` wrote. Raises FileMissing or SceneError."""
-    try:
-        return TypeAdapter(kind).validate_json(read_input(file, "result"))
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"]))
-        text = f"{file}: expected what `{written_by} --json` writes: {where}: {first['msg']}"
-        raise SceneError(text) from error
 
 
 def versions(*packages: str) -> dict[str, str]:
@@ -73,49 +56,23 @@ def largest(values: np.ndarray) -> float | None:
     return max(finite, default=None)
 
 
-# ---- tables ----
+# ---- text ----
 
-UNLIMITED_WIDTH = 10_000  # characters: lines of a log are never wrapped or cut
-STATUS_STYLES = {"PASS": "green", "FAIL": "bold red", "SKIP": "yellow", "KNOWN": "yellow"}
-
-
-class Column(NamedTuple):
-    """Title, of one or several lines, alignment, and the least width in characters."""
-
-    title: str
-    justify: Literal["left", "right"] = "left"
-    width: int = 0
-
-
-def format_table(columns: Sequence[Column], rows: Iterable[Sequence[str]], *, header: bool = True, gap: int = 2) -> str:
-    """Rows under their titles as plain text, without blanks at line ends. gap: blanks between columns."""
-    table = Table(box=None, pad_edge=False, padding=(0, gap, 0, 0), show_header=header, header_style="")
-    for column in columns:
-        title = Text(column.title)
-        table.add_column(title, justify=column.justify, min_width=column.width, no_wrap=True, vertical="bottom")
-    for row in rows:
-        table.add_row(*(Text(printable(cell, keep="")) for cell in row))
-    out = StringIO()
-    Console(file=out, width=UNLIMITED_WIDTH, color_system=None, highlight=False).print(table)
-    return "\n".join(line.rstrip() for line in out.getvalue().splitlines())
+STATUS_COLORS = {"PASS": "32", "FAIL": "1;31", "SKIP": "33", "KNOWN": "33"}  # codes of ANSI terminals
 
 
 def print_lines(text: str, stream: TextIO | None = None) -> None:
     """Print text at once; on a terminal, the status at the start of a line in colour, unless NO_COLOR is set."""
     stream = stream or sys.stdout
     text = printable(text)
-    if not stream.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
-        print(text, file=stream, flush=True)
-        return
-    console = Console(file=unfiltered(stream), highlight=False, soft_wrap=True)
-    for line in text.splitlines():
-        styled = Text(line)
-        status = line.partition(" ")[0]
-        if status in STATUS_STYLES:
-            styled.stylize(STATUS_STYLES[status], 0, len(status))
-        console.print(styled)
-    stream.flush()
+    if stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb":
+        stream = unfiltered(stream)
+        for status, color in STATUS_COLORS.items():
+            text = re.sub(rf"^{status}(?![^ \n])", f"\x1b[{color}m{status}\x1b[0m", text, flags=re.MULTILINE)
+    print(text, file=stream, flush=True)
 
+
+# ---- tables ----
 
 Row = Sequence[str]
 
@@ -133,13 +90,6 @@ def _line(row: Row, widths: Sequence[int], left: int) -> str:
         return f"{row[0]:<{widths[0]}}  {' '.join(row[1:])}"
     pairs = enumerate(zip(row, widths, strict=True))
     return "  ".join(cell.ljust(width) if i < left else cell.rjust(width) for i, (cell, width) in pairs)
-
-
-def markdown(rows: Sequence[Row], *, rule: str | None = None) -> str:
-    """A Markdown table, the first row its head. rule: the line below it, left-aligned columns unless given."""
-    full = ([*row, *[""] * (len(rows[0]) - len(row))] for row in rows)
-    head, *body = ("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |" for cells in full)
-    return "\n".join([head, rule or "|" + "---|" * len(rows[0]), *body])
 
 
 def percent(count: int, total: int) -> str:

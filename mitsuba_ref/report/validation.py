@@ -15,8 +15,8 @@ from mitsuba_ref.judge.pipeline import Seen, Task, judge_film
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
 from mitsuba_ref.reference.shared_input import SharedRays
-from mitsuba_ref.report.evidence import Evidence, write_images
-from mitsuba_ref.report.html_report import write_report
+from mitsuba_ref.report.evidence import write_images
+from mitsuba_ref.report.html_report import HtmlReport
 from mitsuba_ref.report.reproducers import with_replay, write_reproducers
 from mitsuba_ref.subjects.function import function_subject
 from mitsuba_ref.subjects.requests import parse_candidate, request_answer
@@ -28,7 +28,12 @@ class Validation(Verdict):
 
     def write_html(self, path: str | Path) -> Path:
         """Write a report into a folder; returns the file to open. Raises OutputError."""
-        return write_report(path, self.scenes, self.scene_count)
+        report = HtmlReport(path, self.scene_count)
+        for verdict in self.scenes:
+            report.add(report.keep(verdict))
+        report.write()
+        report.sweep()
+        return report.index
 
 
 def validate(
@@ -83,13 +88,11 @@ def validate_scene(
         if folder is None or not isinstance(seen, Seen):
             return verdict
         write_images(folder, images, seen.judge, seen.judgement)
-        stored = write_reproducers(folder, name, path or name, seen, first_ray)
-        return replace(verdict, reproducers=stored.files, not_stored=stored.left_out)
+        files, left_out = write_reproducers(folder, name, path or name, seen, first_ray)
+        return replace(verdict, reproducers=files, not_stored=left_out)
 
     verdict = judge_film(task, finish)
-    seen = verdict.seen
-    evidence = Evidence(*seen[:3]) if keep and isinstance(seen, Seen) else None
-    return replace(verdict, seen=evidence, seconds=time.perf_counter() - start)
+    return replace(verdict, seen=verdict.seen if keep else None, seconds=time.perf_counter() - start)
 
 
 def _cast_as_judged(scene: Scene) -> None:

@@ -1,17 +1,16 @@
 """Verdicts for the terminal: one row per scene, failures with the next command, and a summary."""
 
 from collections.abc import Iterator, Sequence
-from statistics import median
 from textwrap import wrap
 from urllib.parse import quote
 
+from caster.system.terminal import printable
 from mitsuba_ref.error_model.tolerances import LARGEST_Z, K
 from mitsuba_ref.judge.classification import EXACT
 from mitsuba_ref.judge.defect_lookup import defect_name
 from mitsuba_ref.judge.diagnosis import NOT_ADJUDICATED
 from mitsuba_ref.judge.verdict import (
     AGREE,
-    BIAS_OF_POSITION,
     CLASSES,
     EXPECTED,
     REFERENCE_WRONG,
@@ -25,7 +24,7 @@ from mitsuba_ref.judge.verdict import (
     Verdict,
 )
 from mitsuba_ref.report.reproducers import replay
-from mitsuba_ref.report.results import Column, format_table, percent
+from mitsuba_ref.report.results import percent
 
 MAX_PROBLEM_LINES = 12  # of the output of Mitsuba, where it ended without an answer
 
@@ -33,16 +32,12 @@ TABLE_CHARACTERS = 80  # of a row; counts that do not fit go into a line of thei
 LEGEND = "pixels that hit and that agree; worst: their largest error, over its bound"
 
 
-def table_columns(width: int) -> tuple[Column, ...]:
-    """Columns of the table of scenes. width: of the longest scene name."""
-    counts = (Column(title, "right", 6) for title in ("hit", "agree"))
-    rest = (Column(title, "right", 5) for title in ("worst", "s"))
-    return Column("", width=5), Column("scene", width=width), *counts, *rest, Column("other pixels")
+INDENT = 6 * " "  # below the name of a scene
 
 
 def table_head(width: int) -> str:
     """A legend and the titles of the columns. width: of the longest scene name."""
-    return f"{LEGEND}\n{format_table(table_columns(width), [], gap=1)}"
+    return f"{LEGEND}\n{_cells('', 'scene', width, 'hit', 'agree', 'worst', 's', 'other pixels')}"
 
 
 def table_row(scene: SceneVerdict, width: int) -> str:
@@ -51,18 +46,20 @@ def table_row(scene: SceneVerdict, width: int) -> str:
     these classes have no columns."""
     check, ratio = scene.worst
     worst = f"{ratio:.2f}" if check and scene.counts[AGREE] else "-"
-    counts = str(scene.hit_pixels), str(scene.counts[AGREE])
     seconds = "kept" if scene.kept else f"{scene.seconds:.1f}"
-    others = [f"{scene.counts[name]} {class_text(name)}" for name in CLASSES[1:] if scene.counts[name]]
-    cells = mark_of(scene), scene.name, *counts, worst, seconds
-    row = format_table(table_columns(width), [(*cells, ", ".join(others))], header=False, gap=1)
+    others = ", ".join(f"{scene.counts[name]} {class_text(name)}" for name in CLASSES[1:] if scene.counts[name])
+    first = mark_of(scene), printable(scene.name, keep=""), width
+    row = _cells(*first, scene.hit_pixels, scene.counts[AGREE], worst, seconds, others)
     if len(row) <= TABLE_CHARACTERS:
         return row
-    row = format_table(table_columns(width), [(*cells, "")], header=False, gap=1)
-    return "\n".join([row, *wrap(", ".join(others), TABLE_CHARACTERS, initial_indent=INDENT, subsequent_indent=INDENT)])
+    row = _cells(*first, scene.hit_pixels, scene.counts[AGREE], worst, seconds)
+    return "\n".join([row, *wrap(others, TABLE_CHARACTERS, initial_indent=INDENT, subsequent_indent=INDENT)])
 
 
-INDENT = 6 * " "  # below the name of a scene
+def _cells(
+    mark: str, name: str, width: int, hit: int | str, agree: int | str, worst: str, seconds: str, others: str = ""
+) -> str:
+    return f"{mark:<5} {name:<{width}} {hit:>6} {agree:>6} {worst:>5} {seconds:>5} {others}".rstrip()
 
 
 def class_text(name: str) -> str:
@@ -85,65 +82,58 @@ def worst_words(scene: SceneVerdict) -> str:
 
 def failure_text(scene: SceneVerdict, report: str = "") -> str:
     """Number of failing pixels, the worst of them, where to look, and the next command. report: the report's file."""
-    return "\n".join(_failure_lines(scene, report))
-
-
-def _failure_lines(scene: SceneVerdict, report: str) -> Iterator[str]:
+    lines: list[str] = []
+    notes = [f"      note:      {note}" for note in scene.notes]
     if scene.problem:
-        yield from _problem_lines(scene)
+        first, *rest = scene.problem.splitlines()
+        lines += [f"FAIL  {scene.name}  {first}", *(f"      {line}" for line in rest[:MAX_PROBLEM_LINES])]
+        lines += [f"      replay:    {replay(scene)}"] if scene.candidate else []
     elif not scene.has_evidence and not scene.failing:
-        yield f"FAIL  {scene.name}  {_lack_of_evidence(scene)}"
-        yield from (f"      note:      {note}" for note in scene.notes)
-    for check in scene.checks:
-        if not check.ok:
-            yield check_failure(scene, check)
+        lines += [f"FAIL  {scene.name}  {_lack_of_evidence(scene)}", *notes]
+    lines += [check_failure(scene, check) for check in scene.checks if not check.ok]
     if scene.failures:
-        first = scene.failures[0]
-        worst = "" if scene.candidate else "worst "
+        worst = scene.failures[0]
         counts = (
-            f"{first.check}: {_failing(scene)} of {scene.hit_pixels} hit pixels, "
-            f"{worst}{first.ratio:.3g}x its bound at {scene.place(first.x, first.y)}"
+            f"{worst.check}: {_failing(scene)} of {scene.hit_pixels} hit pixels, "
+            f"{'' if scene.candidate else 'worst '}{_ratio_and_place(scene, worst)}"
         )
-        if scene.findings:
-            yield f"FAIL  {scene.name}  {scene.findings[0].text}"
-            yield f"      {counts}"
-        else:
-            yield f"FAIL  {scene.name}  {counts}"
+        causes = [finding.text for finding in scene.findings[:1]]
+        lines += (
+            [f"FAIL  {scene.name}  {causes[0]}", f"      {counts}"] if causes else [f"FAIL  {scene.name}  {counts}"]
+        )
         for place, finding in enumerate(scene.findings):
-            yield f"      {finding.pixels} pixels, first {scene.place(finding.x, finding.y)}: {finding.what}"
+            lines.append(f"      {finding.pixels} pixels, first {scene.place(finding.x, finding.y)}: {finding.what}")
             more = (finding.where, finding.remedy) if place else ()  # the first line has those of the first
-            yield from (f"        {each}" for each in more if each)
-        yield from _witness_lines(scene, first, report)
-        yield from (f"      note:      {note}" for note in scene.notes)
+            lines += [f"        {each}" for each in more if each]
+        lines += [*_answers(scene, worst, report), *notes]
+    return "\n".join(lines)
 
 
 def check_failure(scene: SceneVerdict, check: SceneCheck) -> str:
     """Text of a scene check that fails."""
-    return "\n".join(
-        [
-            f"FAIL  {scene.name}  {check.name}: {check.ratio:.3g}x its bound; {check.what}",
-            f"      replay:    {replay(scene)}",
-        ]
-    )
+    head = f"FAIL  {scene.name}  {check.name}: {check.ratio:.3g}x its bound; {check.what}"
+    return f"{head}\n      replay:    {replay(scene)}"
 
 
 def pixel_failure(scene: SceneVerdict, check: str) -> str:
     """Text of the pixels that fail one check."""
     worst = scene.worst_by[check]
-    head = (
-        f"FAIL  {scene.name}  {check}: {scene.failing_by[check]} of {scene.hit_pixels} hit pixels, "
-        f"worst {worst.ratio:.3g}x its bound at {scene.place(worst.x, worst.y)}"
-    )
-    return "\n".join([head, *_witness_lines(scene, worst)])
+    counts = f"{scene.failing_by[check]} of {scene.hit_pixels} hit pixels, worst {_ratio_and_place(scene, worst)}"
+    return "\n".join([f"FAIL  {scene.name}  {check}: {counts}", *_answers(scene, worst)])
 
 
-def _witness_lines(scene: SceneVerdict, worst: Failure, report: str = "") -> Iterator[str]:
+def _ratio_and_place(scene: SceneVerdict, worst: Failure) -> str:
+    return f"{worst.ratio:.3g}x its bound at {scene.place(worst.x, worst.y)}"
+
+
+def _answers(scene: SceneVerdict, worst: Failure, report: str = "") -> Iterator[str]:
+    """Every answer at a failing pixel, the reason for its class, where to look, and the next command."""
     yield f"      {'candidate:' if scene.candidate else 'ours:     '} {worst.subject}"
     yield f"      reference: {worst.reference}"
     yield f"      exact:     {worst.exact}"
     yield f"      why:       {worst.reason}"
     if report:
-        yield f"      look:      {link(report, scene, (worst.x, worst.y))}"
+        yield f"      look:      {report}#s={quote(scene.name)}&x={worst.x}&y={worst.y}"
     yield f"      replay:    {replay(scene, (worst.x, worst.y))}"
 
 
@@ -170,19 +160,6 @@ def _lack_of_evidence(scene: SceneVerdict) -> str:
     return f"too little evidence: {scene.evidence} pixels agree or tie, {scene.excused} are only excused"
 
 
-def _problem_lines(scene: SceneVerdict) -> Iterator[str]:
-    first, *rest = scene.problem.splitlines()
-    yield f"FAIL  {scene.name}  {first}"
-    yield from (f"      {line}" for line in rest[:MAX_PROBLEM_LINES])
-    if scene.candidate:
-        yield f"      replay:    {replay(scene)}"
-
-
-def link(report: str, scene: SceneVerdict, pixel: tuple[int, int]) -> str:
-    """Address of a pixel in the HTML report."""
-    return f"{report}#s={quote(scene.name)}&x={pixel[0]}&y={pixel[1]}"
-
-
 def summary_text(verdict: Verdict, seconds: float) -> str:
     """Summary of all scenes in a few lines."""
     counts = verdict.counts
@@ -192,29 +169,18 @@ def summary_text(verdict: Verdict, seconds: float) -> str:
         for name in CLASSES
         if counts[name] or name == AGREE
     ]
+    exact_seconds = sum(scene.exact_seconds for scene in verdict.scenes if not scene.kept)
     lines = [
         f"{outcome_text(verdict)}, in {seconds:.1f} s",
         *waiver_lines(verdict),
         *wrap(f"hit pixels: {', '.join(shares)}", TABLE_CHARACTERS, subsequent_indent=12 * " "),
-        f"exact:      {verdict.adjudicated} pixels were adjudicated by exact arithmetic, "
-        f"in {sum(scene.exact_seconds for scene in verdict.scenes if not scene.kept):.1f} s",
+        f"exact:      {verdict.adjudicated} pixels were adjudicated by exact arithmetic, in {exact_seconds:.1f} s",
         *candidate_lines(verdict),
         *_error_lines(verdict),
-        *_case_lines(verdict),
-        *_left_out_lines(verdict),
-        *_stored_lines(verdict),
-        *_kept_lines(verdict),
+        *_note_lines(verdict),
+        *(f"reference:  {versions}" for versions in verdict.versions),
     ]
-    for scene in verdict.scenes:
-        if scene.allowed:
-            allowed = ", ".join(f"{share:g} of the bound of {name}" for name, share in scene.allowed.items())
-            lines.append(f"note:       {scene.name} allows {allowed}")
-    return "\n".join([*lines, *(f"reference:  {versions}" for versions in verdict.versions)])
-
-
-def _left_out_lines(verdict: Verdict) -> Iterator[str]:
-    if any(not (scene.candidate or scene.thorough or scene.problem) for scene in verdict.scenes):
-        yield "left out:   tests of our caster beyond the judged films, which --thorough makes"
+    return "\n".join(lines)
 
 
 WAIVER_WORDS = {UNSUPPORTED: "declined by the candidate", EXPECTED: "known failures"}
@@ -249,12 +215,8 @@ def waiver_lines(verdict: Verdict) -> Iterator[str]:
 
 def failures_text(verdict: Verdict, report: str = "") -> str:
     """What several failing scenes have in common, then each by itself; "" where none fails."""
-    common = [*group_lines(verdict.scenes)]
-    if first := simplest_failing(verdict.scenes):
-        pixel = (first.failures[0].x, first.failures[0].y) if first.failures else None
-        common.append(f"            {replay(first, pixel)}")
     texts = [failure_text(scene, report) for scene in failing_scenes(verdict.scenes)]
-    return "\n\n".join(filter(None, ["\n".join(common), *texts]))
+    return "\n\n".join(filter(None, ["\n".join(group_lines(verdict.scenes)), *texts]))
 
 
 def candidate_lines(verdict: Verdict) -> Iterator[str]:
@@ -272,26 +234,19 @@ def candidate_lines(verdict: Verdict) -> Iterator[str]:
 
 
 def _error_lines(verdict: Verdict) -> Iterator[str]:
-    """The largest error of t in roundings, the largest bias, and the offset of t by the CPU."""
+    """The largest error of t in roundings, and the largest bias."""
     found = [(scene.name, scene.statistics) for scene in verdict.scenes if scene.statistics is not None]
     if any(errors.pixels for _, errors in found):
         name, largest = max(found, key=lambda item: item[1].k_t.largest)
-        leaning, bias = max(found, key=lambda item: abs(item[1].z))
+        biased, bias = max(found, key=lambda item: abs(item[1].z))
         yield (
             f"errors:     of t at most {largest.k_t.largest:.2f} of {K:g} roundings ({name}); "
-            f"bias at most |z| {abs(bias.z):.1f} of {LARGEST_Z:g} ({leaning})"
-        )
-    kinds = [kind for _, errors in found for kind in errors.biases if kind.enough_groups]
-    off = [kind.t_bias for kind in kinds if kind.quantity == BIAS_OF_POSITION]
-    if off:
-        yield (
-            f"machine:    Mitsuba's t of triangles is off by {median(off):+.2f} roundings on average: "
-            "how its CPU inverts numbers, and no fault"
+            f"bias at most |z| {abs(bias.z):.1f} of {LARGEST_Z:g} ({biased})"
         )
 
 
-def _case_lines(verdict: Verdict) -> Iterator[str]:
-    """Pixels where the reference is wrong, by known defect; unlisted ones first."""
+def _note_lines(verdict: Verdict) -> Iterator[str]:
+    """Pixels where the reference is wrong, by known defect, unlisted ones first; and limits of the run."""
     for case, count in sorted(verdict.cases.items(), key=lambda item: item[0] != UNLISTED):
         if case == UNLISTED:
             yield (
@@ -300,26 +255,24 @@ def _case_lines(verdict: Verdict) -> Iterator[str]:
             )
         else:
             yield f"ref. wrong: {count} pixels of case {case}, {defect_name(int(case))}"
-
-
-def _stored_lines(verdict: Verdict) -> Iterator[str]:
-    stored = sum(len(scene.reproducers) for scene in verdict.scenes)
-    if stored:
-        left = sum(scene.not_stored for scene in verdict.scenes)
+    scenes = verdict.scenes
+    if any(not (scene.candidate or scene.thorough or scene.problem) for scene in scenes):
+        yield "left out:   tests of our caster beyond the judged films, which --thorough makes"
+    if stored := sum(len(scene.reproducers) for scene in scenes):
+        left = sum(scene.not_stored for scene in scenes)
         more = f"; {left} more pixels are like them (mitsuba-ref probe SCENE X Y --save FILE)" if left else ""
         yield f"stored:     {stored} scenes of one ray each{more}"
-
-
-def _kept_lines(verdict: Verdict) -> Iterator[str]:
-    """The number of results of an earlier run, and the shard."""
-    kept = sum(scene.kept for scene in verdict.scenes)
-    if kept:
+    if kept := sum(scene.kept for scene in scenes):
         yield (
             f"kept:       {kept} scenes were not judged now: an earlier run judged the same scene by the same code, "
             "variant and options"
         )
     if verdict.shard:
         yield f"shard:      {verdict.shard}, {verdict.scene_count} of {len(verdict.selected)} scenes"
+    for scene in scenes:
+        if scene.allowed:
+            allowed = ", ".join(f"{share:g} of the bound of {name}" for name, share in scene.allowed.items())
+            yield f"note:       {scene.name} allows {allowed}"
 
 
 # ---- what failing scenes have in common ----
@@ -346,8 +299,8 @@ def simplest_failing(scenes: Sequence[SceneVerdict]) -> SceneVerdict | None:
     return min(known, key=lambda s: (s.composition.primitives, sum(s.composition.shapes.values()), s.pixels, s.name))
 
 
-def _cause_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
-    """Causes shared by several failing scenes, most frequent first, with the types of their shapes."""
+def group_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
+    """What failing scenes have in common, and the simplest of them; nothing below MIN_FAILING_SCENES."""
     failing = failing_scenes(scenes)
     sharing: dict[str, list[SceneVerdict]] = {}
     for scene in failing:
@@ -359,26 +312,16 @@ def _cause_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
             kinds = ", ".join(sorted({kind for scene in those for kind in scene.composition.shapes}))
             shapes = f" (shapes: {kinds})" if kinds else ""
             yield f"cause:      in {len(those)} of {len(failing)} that fail: {what}{shapes}"
-
-
-def _kind_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
-    """How many of the scenes with each type of shape fail, if several types and scenes were judged."""
-    judged = [scene for scene in scenes if not scene.waived]
-    kinds = {kind for scene in judged for kind in scene.composition.shapes}
-    fails = {kind: [not scene.ok for scene in judged if kind in scene.composition.shapes] for kind in kinds}
-    if sum(not scene.ok for scene in judged) < MIN_FAILING_SCENES or len(fails) < 2:
-        return
-    order = sorted(fails, key=lambda kind: (-sum(fails[kind]) / len(fails[kind]), -len(fails[kind]), kind))
-    words = ", ".join(f"{kind} {sum(fails[kind])} of {len(fails[kind])}" for kind in order)
-    yield f"by shape:   scenes that fail: {words}"
-
-
-def group_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
-    """What failing scenes have in common, and the simplest of them; nothing below MIN_FAILING_SCENES."""
-    yield from _cause_lines(scenes)
-    yield from _kind_lines(scenes)
-    first = simplest_failing(scenes)
-    if first is not None:
+    fails: dict[str, list[bool]] = {}  # type of shape -> whether each judged scene with it fails
+    for scene in scenes:
+        for kind in () if scene.waived else scene.composition.shapes:
+            fails.setdefault(kind, []).append(not scene.ok)
+    if len(failing) >= MIN_FAILING_SCENES and len(fails) > 1:
+        order = sorted(fails, key=lambda kind: (-sum(fails[kind]) / len(fails[kind]), -len(fails[kind]), kind))
+        words = ", ".join(f"{kind} {sum(fails[kind])} of {len(fails[kind])}" for kind in order)
+        yield f"by shape:   scenes that fail: {words}"
+    if first := simplest_failing(scenes):
         count = first.composition.primitives
         size = f"{count} primitive{'s' if count > 1 else ''}, {first.pixels} pixels"
         yield f"look first: {first.name}, the simplest of them ({size})"
+        yield f"            {replay(first, (first.failures[0].x, first.failures[0].y) if first.failures else None)}"

@@ -149,9 +149,11 @@ def film_size(words: list[str]) -> tuple[int, int] | None:
     """Width and height; None without words. Raises pytest.UsageError."""
     if not words:
         return None
-    if len(words) != 2 or not all(word.isdecimal() and int(word) for word in words):
-        raise pytest.UsageError(f"mitsuba_ref_size: expected two whole numbers >= 1, W H, got {' '.join(words)}")
-    return int(words[0]), int(words[1])
+    try:
+        width, height = map(int, words)
+    except ValueError:
+        raise pytest.UsageError(f"mitsuba_ref_size: expected two whole numbers, W H, got {' '.join(words)}") from None
+    return width, height
 
 
 def is_scene(path: Path) -> bool:

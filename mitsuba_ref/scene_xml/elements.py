@@ -80,51 +80,42 @@ class ShapeWriter:
     meshes: dict[str, bytes] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
-    def native(self, shape: Shape, plugin: str, center: np.ndarray, linear: np.ndarray) -> XmlElement:
-        """A Mitsuba shape plugin with one matrix."""
+    def native(self, shape: Shape, plugin: str, centers: np.ndarray, linear: np.ndarray) -> list[XmlElement]:
+        """Mitsuba shape plugins with one matrix each: for each row of centers (n, 3) and linear (n, 3, 3)."""
+        bsdf = self.material(shape)
+        if len(centers) > 1:
+            bsdf.set("id", part_id(self.name, "material"))
+            return self._include(bsdf, plugin, centers, linear)
         element = Element("shape", type=plugin, id=self.name)
-        element.append(matrix_element(center, linear))
-        element.append(self.material(shape))
-        return element
+        element.extend([matrix_element(centers[0], linear[0]), bsdf])
+        return [element]
 
-    def instance(self, shape: Shape, plugin: str, part: Any) -> list[XmlElement]:
-        """An instance of a one-shape group, for a stretched shape whose plugin does not support scaling."""
+    def instances(self, shape: Shape, plugin: str, part: Any) -> list[XmlElement]:
+        """Instances of a one-shape group, for stretched shapes whose plugin does not support scaling."""
         group = Element("shape", type="shapegroup", id=f"{self.name}.group")
-        unit = SubElement(group, "shape", type=plugin, id=f"{self.name}.unit")
-        unit.append(self.material(shape))
+        SubElement(group, "shape", type=plugin, id=f"{self.name}.unit").append(self.material(shape))
+        self.notes.append(f"{self.name}: an instance of a {plugin}, as Mitsuba's {plugin} cannot be stretched")
+        if len(part.center) > 1:
+            return self._include(group, "instance", part.center, part.to_world)
         element = Element("shape", type="instance", id=self.name)
         SubElement(element, "ref", id=f"{self.name}.group")
         element.append(matrix_element(part.center[0], part.to_world[0]))
-        self.notes.append(f"{self.name}: an instance of a {plugin}, as Mitsuba's {plugin} cannot be stretched")
         return [group, element]
 
-    def native_many(self, shape: Shape, plugin: str, centers: np.ndarray, linear: np.ndarray) -> list[XmlElement]:
-        """Many shapes as by `native`, one for each row of centers (n, 3) and linear (n, 3, 3), with one material.
+    def _include(self, shared: XmlElement, plugin: str, centers: np.ndarray, linear: np.ndarray) -> list[XmlElement]:
+        """An <include> of a file of many shapes that refer to a shared element.
 
-        They are written as text to an included file: an element tree of a million shapes takes a minute and 2 GB.
+        They are written as text: an element tree of a million shapes takes a minute and 2 GB.
         """
-        bsdf = self.material(shape)
-        bsdf.set("id", part_id(self.name, "material"))
-        return self._include(tostring(bsdf, encoding="unicode"), f'type="{plugin}"', bsdf, centers, linear)
-
-    def instances(self, shape: Shape, plugin: str, part: Any) -> list[XmlElement]:
-        """Many instances of one group as by `instance`, one for each row of `part`."""
-        group, _ = self.instance(shape, plugin, part)
-        text = tostring(group, encoding="unicode")
-        return self._include(text, 'type="instance"', group, part.center, part.to_world)
-
-    def _include(
-        self, shared: str, attributes: str, referred: XmlElement, centers: np.ndarray, linear: np.ndarray
-    ) -> list[XmlElement]:
-        """An <include> of a file of shapes that refer to a shared element. shared: the text of that element."""
-        name, shared_id = (escape(each, {'"': "&quot;", "%": "%%"}) for each in (self.name, referred.attrib["id"]))
-        shape = f'<shape {attributes} id="{part_id(name, "%d")}"><ref id="{shared_id}"/>'
+        name, shared_id = (escape(each, {'"': "&quot;", "%": "%%"}) for each in (self.name, shared.attrib["id"]))
+        shape = f'<shape type="{plugin}" id="{part_id(name, "%d")}"><ref id="{shared_id}"/>'
         matrix = " ".join(["%r"] * 12)
         row = f'{shape}<transform name="to_world"><matrix value="{matrix} 0 0 0 1"/></transform></shape>'
         rows = np.concatenate([linear, centers[:, :, None]], axis=2).reshape(-1, 12).tolist()
         text = "\n".join([row % (i, *numbers) for i, numbers in enumerate(rows)])
         file = f"meshes/{len(self.meshes):04d}-{safe_name(self.name)}.xml"
-        self.meshes[file] = f'<scene version="3.0.0">\n{shared}\n{text}\n</scene>\n'.encode()
+        first = tostring(shared, encoding="unicode")
+        self.meshes[file] = f'<scene version="3.0.0">\n{first}\n{text}\n</scene>\n'.encode()
         return [Element("include", filename=file)]
 
     def mesh(self, shape: Shape, part: Any) -> XmlElement:

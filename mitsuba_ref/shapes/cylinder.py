@@ -65,8 +65,8 @@ from mitsuba_ref.shapes.targets import (
 def to_xml(out: ShapeWriter, shape: Cylinder, part: Any) -> list[XmlElement]:
     """A native cylinder if it is round, straight and not mirrored; otherwise an instance of one."""
     if mitsuba_accepts_matrix(part.to_world[0]):
-        return [out.native(shape, "cylinder", part.center[0], part.to_world[0])]
-    return out.instance(shape, "cylinder", part)
+        return out.native(shape, "cylinder", part.center, part.to_world)
+    return out.instances(shape, "cylinder", part)
 
 
 # Mitsuba rejects a cylinder if its matrix, as rotation times stretch, shears by more than this (scene units).

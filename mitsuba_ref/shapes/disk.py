@@ -58,7 +58,7 @@ from mitsuba_ref.shapes.targets import (
 
 
 def to_xml(out: ShapeWriter, shape: Disk, part: Any) -> list[XmlElement]:
-    return [out.native(shape, "disk", part.center[0], part.to_world[0])]
+    return out.native(shape, "disk", part.center, part.to_world)
 
 
 def intersect(

@@ -63,19 +63,11 @@ from mitsuba_ref.shapes.targets import (
 )
 
 
-def to_xml(out: ShapeWriter, shape: Sphere, part: Any) -> list[XmlElement]:
-    """Centre and radius as one matrix; an ellipsoid as an instance, as Mitsuba's sphere supports no stretching."""
-    if isinstance(part, Ellipsoids):
-        return out.instance(shape, "sphere", part)
-    scale = part.radius[0] * np.eye(3)
-    return [out.native(shape, "sphere", part.center[0], scale)]
-
-
-def cloud_to_xml(out: ShapeWriter, shape: SphereCloud, part: Any) -> list[XmlElement]:
-    """One Mitsuba sphere, or instance of one, for each sphere of the cloud."""
+def to_xml(out: ShapeWriter, shape: Sphere | SphereCloud, part: Any) -> list[XmlElement]:
+    """Centre and radius as one matrix; ellipsoids as instances, as Mitsuba's sphere supports no stretching."""
     if isinstance(part, Ellipsoids):
         return out.instances(shape, "sphere", part)
-    return out.native_many(shape, "sphere", part.center, part.radius[:, None, None] * np.eye(3))
+    return out.native(shape, "sphere", part.center, part.radius[:, None, None] * np.eye(3))
 
 
 def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
@@ -327,7 +319,7 @@ ELLIPSOIDS = PrimitiveReference(
 )
 CLOUD = ShapeReference(
     SphereCloud,
-    cloud_to_xml,
+    to_xml,
     (SPHERES, ELLIPSOIDS),
     expected_cloud,
     random_cloud,

@@ -15,7 +15,7 @@ from mitsuba_ref.error_model.bracket import Bracket
 from mitsuba_ref.error_model.intersections import Intersections
 from mitsuba_ref.hard.family import Family, scene_of
 from mitsuba_ref.hard.swept_families import NO_VIEW
-from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, claims_of, prepare_scene, ratios_of_any_tie
+from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, claims_of, exact_ratios, prepare_scene
 from mitsuba_ref.reference.messages import Crash, TraceRequest
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request
 from mitsuba_ref.reference.shared_input import SharedRays, export, packed_float32, shape_ids
@@ -224,7 +224,7 @@ class Scorer:
         def near(of: np.ndarray, prim: np.ndarray, t: np.ndarray) -> Intersections:
             return intersections_at(model, prim, (exact.o[of], exact.d[of]), t, answer.ku, ours=True)
 
-        ratio = ratios_of_any_tie(exact.answers, some, near, self.ready.packed).best
+        ratio, _ = exact_ratios(exact.answers, some, near, self.ready.packed)
         inexact = np.flatnonzero(~(ratio <= 1.0) & ~some.is_broken)
         claims = claims_of(some.rows(inexact), self.ready.packed)
         endless = np.full(len(inexact), np.inf)

@@ -41,6 +41,7 @@ from mitsuba_ref.subjects.subject import (
     Subject,
     Unsupported,
     checked_answer,
+    spread,
 )
 
 PLACEHOLDERS = ("xml", "toml", "exr", "width", "height")  # of a command that renders a scene
@@ -83,17 +84,13 @@ class Program(Subject):
         return {name for word in self.words for name in PLACEHOLDER.findall(word)}
 
     def run(self, values: Mapping[str, Any]) -> None:
-        """Run it with values in place of the placeholders. Raises NoAnswer."""
-        run_program([PLACEHOLDER.sub(lambda found: str(values[found[1]]), word) for word in self.words], self.seconds)
-
-
-def run_program(words: list[str], seconds: float) -> None:
-    """Run a program to its end. Raises NoAnswer with the tail of its output."""
-    try:
-        end = run(words, seconds)
-    except OSError as error:
-        raise NoAnswer(f"{words[0]} could not be started: {error.strerror}") from error
-    raise_if_failed(end, seconds)
+        """Run it with values in place of the placeholders. Raises NoAnswer with the tail of its output."""
+        words = [PLACEHOLDER.sub(lambda found: str(values[found[1]]), word) for word in self.words]
+        try:
+            end = run(words, self.seconds)
+        except OSError as error:
+            raise NoAnswer(f"{words[0]} could not be started: {error.strerror}") from error
+        raise_if_failed(end, self.seconds)
 
 
 def raise_if_failed(end: ProcessEnd, seconds: float) -> None:
@@ -184,8 +181,8 @@ def answer_from_exr(
     # The depth, which counts from the eye, was rounded to float32 when it was stored.
     with np.errstate(invalid="ignore"):
         stored = np.where(np.isfinite(depth), U32 * np.abs(depth) / length, 0.0)
-    found = checked_answer(t, n, len(t), precision=precision or FLOAT32, as_exported=as_exported)
-    return replace(found, t_rounding=stored, own_camera=True, notes=(OWN_CAMERA_NOTE,))
+    more = {"as_exported": as_exported, "t_rounding": stored, "own_camera": True, "notes": (OWN_CAMERA_NOTE,)}
+    return checked_answer(t, n, np.ones(len(t), bool), precision=precision or FLOAT32, **more)
 
 
 def camera_rounding(scene: Scene) -> tuple[float, float]:
@@ -252,6 +249,14 @@ def ray_bytes(request: CastRequest, precision: str | None) -> bytes:
     return rows.astype(number_type(precision)).tobytes()
 
 
+def known_lengths(request: CastRequest, precision: str | None) -> tuple[dict[int, int], str]:
+    """(columns of the hits by their bytes, the same in words)."""
+    count = int((request.rays.t_max >= 0.0).sum())
+    lengths = {count * columns * number_type(precision).itemsize: columns for columns in HIT_COLUMNS}
+    known = ", ".join(f"{length} for {HIT_COLUMNS[columns]}" for length, columns in lengths.items())
+    return lengths, f"{count} rows: {known}"
+
+
 def mesh_bytes(packed: Packed) -> bytes:
     """All triangles of a scene: v, f as int64, (v, 3) float32, (f, 3) int32. Raises Unsupported for other shapes."""
     if others := {type(part).__name__ for part in packed.parts if not hasattr(part, "faces")}:
@@ -265,19 +270,17 @@ def mesh_bytes(packed: Packed) -> bytes:
 
 def answer_of_bytes(data: bytes, request: CastRequest, precision: str | None, where: str) -> Answer:
     """The answer from rows of t; t, n; or t, n, prim, numbered through all triangles. Raises NoAnswer."""
-    there, kind, packed = request.rays.t_max >= 0.0, number_type(precision), request.model.packed
-    count = int(there.sum())
-    columns, left = divmod(len(data), count * kind.itemsize) if count else (1, len(data))
-    if left or columns not in HIT_COLUMNS:
-        known = ", ".join(f"{count * each * kind.itemsize} for {what}" for each, what in HIT_COLUMNS.items())
-        raise NoAnswer(f"{where}: expected bytes of {count} rows, without a header: {known}; got {len(data)}")
-    hits = hit_columns(np.frombuffer(data, kind).reshape(count, columns), where)
+    lengths, known = known_lengths(request, precision)
+    if len(data) not in lengths:
+        raise NoAnswer(f"{where}: expected bytes of {known}, without a header; got {len(data)}")
+    there, packed = request.rays.t_max >= 0.0, request.model.packed
+    rows = np.frombuffer(data, number_type(precision)).reshape(int(there.sum()), lengths[len(data)])
+    hits = hit_columns(rows, where)
     prim = hits.pop("prim_id", None)
-    found = answer_of_hits(hits, count, precision)
-    if prim is not None and is_given(prim, found.hit):
+    found = answer_of_hits(hits, there, precision)
+    if prim is not None and is_given(prim := spread(prim, there, -1), found.hit):
         known_prim = np.where(found.hit & (prim >= 0) & (prim < packed.first[-1]), prim, -1)
         found = replace(found, shape_id=packed.shape_of(known_prim), prim_id=packed.index_in_shape(known_prim))
-    found = found.spread(there)
     late = found.hit & (found.t > request.rays.t_max.astype(np.float64))
     return replace(found, broken={**found.broken, **({"a hit beyond t_max": late} if late.any() else {})})
 
@@ -324,26 +327,24 @@ class ServedCommand(Subject):
     def answer(self, request: CastRequest) -> Answer:
         """Send triangles and rays, read hits; restart a program that has ended. Raises NoAnswer."""
         parts = mesh_bytes(request.model.packed), ray_bytes(request, self.precision)
-        data = b"".join(map(length_first, parts))
-        row = number_type(self.precision).itemsize
-        lengths = {len(parts[1]) // 8 * columns: what for columns, what in HIT_COLUMNS.items()}
+        lengths, known = known_lengths(request, self.precision)
+
+        def length_of(head: bytes) -> int:
+            length = int.from_bytes(head, "little", signed=True)
+            if length != DECLINED and length not in lengths:
+                raise UnexpectedReply(
+                    f"its response starts with the bytes {head!r}, as an int64 {length}; expected the length of "
+                    f"{known}; or {DECLINED} to decline the scene. Only responses go to stdout"
+                )
+            return max(length, 0)
+
         with self.turn:
-            reply = self._reply(data, lengths, len(parts[1]) // (8 * row))
+            reply = self._reply(b"".join(map(length_first, parts)), length_of)
         if int.from_bytes(reply[:HEAD_BYTES], "little", signed=True) == DECLINED:
             raise Unsupported("the program declined the scene")
         return answer_of_bytes(reply[HEAD_BYTES:], request, self.precision, "its response")
 
-    def _reply(self, data: bytes, lengths: Mapping[int, str], count: int) -> bytes:
-        def length_of(head: bytes) -> int:
-            length = int.from_bytes(head, "little", signed=True)
-            if length != DECLINED and length not in lengths:
-                known = ", ".join(f"{each} for {what}" for each, what in lengths.items())
-                raise UnexpectedReply(
-                    f"its response starts with the bytes {head!r}, as an int64 {length}; expected the length of "
-                    f"{count} rows: {known}; or {DECLINED} to decline the scene. Only responses go to stdout"
-                )
-            return max(length, 0)
-
+    def _reply(self, data: bytes, length_of: Callable[[bytes], int]) -> bytes:
         try:
             if not self.running or not self.running[0].alive:
                 self.running[:] = [ResidentProcess(self.words)]

@@ -26,17 +26,13 @@ from mitsuba_ref.subjects.subject import (
     exception_text,
 )
 
+# package.module:function
 FUNCTION_PATTERN = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*(\.[^\W\d]\w*)*")
 HIDDEN_FRAMES = (str(Path(__file__).parent), "<frozen importlib")  # files of frames that are not the candidate's
 MAX_TRACEBACK_FRAMES = 4
 
 # Scenes are judged several at a time, but a candidate need not be thread-safe.
 _one_at_a_time = threading.Lock()
-
-
-def is_function(text: str) -> bool:
-    """Whether a text is package.module:function."""
-    return FUNCTION_PATTERN.fullmatch(text) is not None
 
 
 def import_function(text: str, precision: str | None = None) -> "FunctionSubject":
@@ -89,12 +85,12 @@ class FunctionSubject(Subject):
         with _one_at_a_time, _isolated():
             returned = self._called(request, o, d)
             try:
-                some = checked_answer(*_pair(returned), int(there.sum()), precision=self.precision)
+                found = checked_answer(*_pair(returned), there, precision=self.precision)
             except NoAnswer as error:
                 raise NoAnswer(f"{self.name}: {error}") from error
-        beyond = some.t > rays.t_max[there].astype(np.float64)
-        n = None if some.n is None else np.where(beyond[:, None], 0.0, some.n)
-        return replace(some, t=np.where(beyond, np.inf, some.t), n=n).spread(there)
+        beyond = found.t > rays.t_max.astype(np.float64)
+        n = None if found.n is None else np.where(beyond[:, None], 0.0, found.n)
+        return replace(found, t=np.where(beyond, np.inf, found.t), n=n)
 
     def _called(self, request: CastRequest, o: np.ndarray, d: np.ndarray) -> Any:
         try:
@@ -120,10 +116,13 @@ def _isolated() -> Iterator[None]:
 
 def _pair(returned: Any) -> tuple[Any, Any]:
     """(t, n). Raises NoAnswer."""
-    if not isinstance(returned, tuple | list) or len(returned) != 2:
-        raise NoAnswer(f"expected two arrays (t, n), got {_type_text(returned)}")
-    t, n = returned
-    return t, n
+    if isinstance(returned, tuple | list):
+        if len(returned) == 2:
+            return returned[0], returned[1]
+        got = f"{len(returned)} of them"
+    else:
+        got = f"one array of shape {returned.shape}" if isinstance(returned, np.ndarray) else type(returned).__name__
+    raise NoAnswer(f"expected two arrays (t, n), got {got}")
 
 
 def _exception_with_calls(error: BaseException) -> str:
@@ -133,9 +132,3 @@ def _exception_with_calls(error: BaseException) -> str:
         f"\n  {call.filename}:{call.lineno}, in {call.name}: {call.line}" for call in calls[-MAX_TRACEBACK_FRAMES:]
     )
     return f"{type(error).__name__}: {exception_text(error)}{where}"
-
-
-def _type_text(value: Any) -> str:
-    if isinstance(value, np.ndarray):
-        return f"one array of shape {value.shape}"
-    return f"{len(value)} of them" if isinstance(value, tuple | list) else type(value).__name__

@@ -14,7 +14,7 @@ from caster.description.input_files import opened_input
 from caster.scene.model import MAX_FILM_SIDE, Film, Scene
 from caster.system.atomic_files import write_bytes
 from mitsuba_ref.reference.shared_input import SharedRays
-from mitsuba_ref.subjects.subject import Answer, CastRequest, NoAnswer, Subject, checked_answer
+from mitsuba_ref.subjects.subject import Answer, CastRequest, NoAnswer, Subject, checked_answer, spread
 
 COLUMNS = 8  # of a ray: o (3), d (3), t_min, t_max
 NPY_MAGIC, ZIP_MAGIC = b"\x93NUMPY", b"PK"
@@ -171,26 +171,25 @@ class HitsFile(Subject):
 
     def answer(self, request: CastRequest) -> Answer:
         """The answer from its arrays. Raises NoAnswer."""
-        there = request.rays.t_max >= 0.0
-        return answer_of_hits(self.arrays, int(there.sum()), self.precision, self.any_hit).spread(there)
+        return answer_of_hits(self.arrays, request.rays.t_max >= 0.0, self.precision, self.any_hit)
 
 
 def answer_of_hits(
-    arrays: dict[str, np.ndarray], count: int, precision: str | None = None, any_hit: bool = False
+    arrays: dict[str, np.ndarray], there: np.ndarray, precision: str | None = None, any_hit: bool = False
 ) -> Answer:
-    """The answer to `count` rays: nearest hits, or any-hit answers. Raises NoAnswer."""
+    """The answer from nearest hits, or from any-hit answers, one for each pixel in `there`. Raises NoAnswer."""
+    names = ("any_hit",) if any_hit else ("shape_id", "prim_id")
+    numbers = {name: _integers(name, arrays[name], there) for name in names if name in arrays}
     if any_hit:
-        blocked = _integers("any_hit", arrays["any_hit"], count)
+        blocked = numbers["any_hit"]
         if not np.isin(blocked, (0, 1)).all():
             i = int(np.argmin(np.isin(blocked, (0, 1))))
             raise NoAnswer(f"any_hit[{i}]: expected 0 or 1, got {blocked[i]}")
         t = np.where(blocked == 1, 0.0, np.inf)
-        return checked_answer(t, None, count, precision=precision or "float64", hits_only=True)
-    ids = {name: _integers(name, arrays[name], count) for name in ("shape_id", "prim_id") if name in arrays}
-    found = checked_answer(arrays["t"], arrays.get("n"), count, precision=precision)
-    named: dict[str, Any] = {
-        name: np.where(found.hit, values, -1) for name, values in ids.items() if is_given(values, found.hit)
-    }
+        return checked_answer(t, None, there, precision=precision or "float64", hits_only=True)
+    found = checked_answer(arrays["t"], arrays.get("n"), there, precision=precision)
+    ids = {name: np.where(found.hit, spread(values, there, -1), -1) for name, values in numbers.items()}
+    named: dict[str, Any] = {name: values for name, values in ids.items() if is_given(values, found.hit)}
     return replace(found, **named)
 
 
@@ -199,8 +198,9 @@ def is_given(ids: np.ndarray, hit: np.ndarray) -> bool:
     return not hit.any() or bool((ids[hit] != -1).any())
 
 
-def _integers(name: str, values: np.ndarray, count: int) -> np.ndarray:
-    """(count,) int64. Raises NoAnswer."""
+def _integers(name: str, values: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """One int64 for each pixel in `there`. Raises NoAnswer."""
+    count = int(there.sum())
     if values.shape != (count,):
         raise NoAnswer(f"{name}: expected shape (n,) = {(count,)}, got {values.shape}")
     if values.dtype.kind not in "biu":

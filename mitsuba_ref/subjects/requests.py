@@ -29,7 +29,7 @@ from mitsuba_ref.subjects.command import (
     camera_rounding,
     split_command,
 )
-from mitsuba_ref.subjects.function import import_function, is_function
+from mitsuba_ref.subjects.function import FUNCTION_PATTERN, import_function
 from mitsuba_ref.subjects.subject import (
     DEFAULT_SECONDS,
     PRECISIONS,
@@ -73,16 +73,12 @@ def request_answer(
         except NoAnswer as error:
             raise type(error)(f"the candidate gave no answer to judge: {error}") from error
     answer = ids_as_described(answer, packed)
-    return SubjectResponse(scene, model, rays, answer, subject_view(answer, scene, model), ends)
-
-
-def subject_view(answer: Answer, scene: Scene, model: SceneModel) -> SceneModel:
-    """The model for a subject: rays of its own camera are known up to the rounding of a camera."""
-    if not answer.own_camera:
-        return model
-    described = described_model(scene, model) if answer.own_geometry else None
-    about = model.packed, model.parts, model.kinds, model.models
-    return UncertainRaysModel(*about, *camera_rounding(scene), as_described=described)
+    view = model
+    if answer.own_camera:  # its rays are known up to the rounding of a camera
+        described = described_model(scene, model) if answer.own_geometry else None
+        about = model.packed, model.parts, model.kinds, model.models
+        view = UncertainRaysModel(*about, *camera_rounding(scene), as_described=described)
+    return SubjectResponse(scene, model, rays, answer, view, ends)
 
 
 def with_far_plane(scene: Scene, packed: Packed) -> tuple[Scene, tuple[str, ...]]:
@@ -106,7 +102,7 @@ def parse_candidate(
         raise SceneError(f"--candidate-precision: expected {' or '.join(PRECISIONS)}, got {precision!r}")
     if served:
         return ServedCommand(text, split_command(text, ())[0], precision, seconds)
-    if is_function(text):
+    if FUNCTION_PATTERN.fullmatch(text):
         return import_function(text, precision)
     if not PLACEHOLDER.search(text):
         raise SceneError(

@@ -79,33 +79,21 @@ class Answer:
         some: dict[str, Any] = {name: None if values is None else values[rows] for name, values in given.items()}
         return replace(self, t=self.t[rows], broken=broken, t_rounding=t_rounding, images=None, **some)
 
-    def spread(self, there: np.ndarray) -> "Answer":
-        """The answer for all pixels from one for the pixels in `there`, (m,) bool; the others miss."""
-
-        def whole(values: np.ndarray | None, nothing: float) -> Any:
-            if values is None:
-                return None
-            found = np.full((len(there), *values.shape[1:]), nothing, values.dtype)
-            found[there] = values
-            return found
-
-        broken = {why: whole(rows, False) for why, rows in self.broken.items()}
-        ids: dict[str, Any] = {name: whole(getattr(self, name), -1) for name in ("shape_id", "prim_id")}
-        return replace(self, t=whole(self.t, np.inf), n=whole(self.n, 0.0), broken=broken, **ids)
-
     @property
     def ku(self) -> float:
         return PRECISIONS[self.precision]
 
 
-def checked_answer(t: Any, n: Any, count: int, *, precision: str | None = None, **more: Any) -> Answer:
-    """The answer to `count` rays from a candidate's arrays. precision: as declared; None: that of the arrays.
+def checked_answer(t: Any, n: Any, there: np.ndarray, *, precision: str | None = None, **more: Any) -> Answer:
+    """The answer from a candidate's arrays. precision: as declared; None: that of the arrays.
 
-    n may be None. Each normal is divided by its length. Rows are no answer where t is NaN, negative or -inf, or where a
-    hit has a normal that is not finite or has no length. Raises NoAnswer for arrays of another shape or type.
+    there: (m,) bool, the pixels that have a row of the arrays; the others miss. n may be None. Each normal is divided
+    by its length. Rows are no answer where t is NaN, negative or -inf, or where a hit has a normal that is not finite
+    or has no length. Raises NoAnswer for arrays of another shape or type.
     """
-    t = _floats("t", t, (count,), np.inf)
-    n = None if n is None else _floats("n", n, (count, 3), 0.0)
+    count = int(there.sum())
+    t = spread(_floats("t", t, (count,), np.inf), there, np.inf)
+    n = None if n is None else spread(_floats("n", n, (count, 3), 0.0), there, 0.0)
     kinds = [a.dtype for a in (t, n) if a is not None]
     precision = precision or (FLOAT64 if all(kind == np.float64 for kind in kinds) else FLOAT32)
     t = t.astype(np.float64)
@@ -119,6 +107,13 @@ def checked_answer(t: Any, n: Any, count: int, *, precision: str | None = None, 
         broken["the normal has no length on a hit"] = hit & whole & ~fine
         n = _directions(np.where(fine[:, None], n, 0.0))
     return Answer(t, n, precision, {why: rows for why, rows in broken.items() if rows.any()}, **more)
+
+
+def spread(values: np.ndarray, there: np.ndarray, nothing: float) -> np.ndarray:
+    """The values as rows of the pixels in `there`, (m,) bool; `nothing` at the others."""
+    found = np.full((len(there), *values.shape[1:]), nothing, values.dtype)
+    found[there] = values
+    return found
 
 
 def _directions(n: np.ndarray) -> np.ndarray:
@@ -168,11 +163,6 @@ def exception_text(error: BaseException) -> str:
 # ---- the scene as both sides trace it: float32 values, meshes in world space ----
 
 PrimitiveDescription = dict[str, Any]
-
-
-def describe_primitive(part: Any, k: int) -> PrimitiveDescription:
-    """Fields of a shape that packs to primitive k exactly. Raises LookupError for a kind without descriptions."""
-    return kind_of(part).describe(part, k)
 
 
 def describe_surface(part: Any, k: int) -> PrimitiveDescription:

@@ -88,6 +88,7 @@ def wrong_leaves(tree: Tree, count: int, words: str) -> Iterator[str]:
 def scene(monkeypatch) -> Scene:
     """320 triangles over several tiles, of which some are off the film."""
     monkeypatch.setattr(rasterization, "PARALLEL_MIN_PRIMITIVES", 16)
+    monkeypatch.setattr(rasterization, "unwritten_array", lambda shape, dtype: np.full(shape, -1, dtype))
     monkeypatch.setattr(bvh_construction, "PARALLEL_MIN_PRIMITIVES", 64)
     camera = Pinhole(eye=(0.3, 0.2, 2.1), look_at=(0.4, 0.0, 0.0), up=(0.0, 1.0, 0.0))
     found = Scene(camera=camera, shapes=[{"type": "icosphere", "subdivisions": 2}])
@@ -95,10 +96,7 @@ def scene(monkeypatch) -> Scene:
 
 
 def binned(scene: Scene, number: int) -> BinnedKind:
-    """The triangles of the scene in tiles, by so many threads; arrays of earlier images hold other numbers first."""
-    (kind,) = packed(scene).kinds
-    points = len(kind.prims.vertices)
-    kind.spare[:] = [(np.full((320, 4), -1, np.int32), np.full(320, np.nan), np.full((points, 4), np.nan))]
+    """The triangles of the scene in tiles, by so many threads."""
     (found,) = bin_kinds(packed(scene), scene.camera.pack(300, 70), film_window(scene), 2.1, threads=number)
     assert len(found.runs) > 3 and 0 < found.binned < 320
     return found

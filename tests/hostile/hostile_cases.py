@@ -15,6 +15,7 @@ import caster.cli
 import mitsuba_ref.cli
 from caster.cli.application import build_parser
 from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, output_file_unless_number
+from mitsuba_ref.cli.options import ScenePath
 
 COMMANDS = {"caster": caster.cli.COMMANDS, "mitsuba-ref": mitsuba_ref.cli.COMMANDS}
 OUTPUTS = (OutputFile, OutputFolder, output_file_unless_number)
@@ -179,7 +180,7 @@ def with_content(case: Case, seed: int, samples: Path) -> Case:
 def option_case(number: int, rng: random.Random, chosen: tuple[str, argparse.Action]) -> Case:
     line, action = chosen
     program, words = split(line)
-    is_path = action.type in (InputPath, *OUTPUTS)
+    is_path = action.type in (InputPath, ScenePath, *OUTPUTS)
     pool = (PATHS if is_path else VALUES) if rng.random() < 0.85 else [*PATHS[:9], *VALUES]
     if action.type in OUTPUTS:
         pool = [value for value in PATHS if not value.startswith("/dev/z")]

@@ -12,6 +12,7 @@ from hostile_cases import Case, cases, lines, parsers, split
 from hostile_runs import Bench
 
 from caster.cli.shared_arguments import InputPath
+from mitsuba_ref.cli.options import ScenePath
 
 HERE = Path(__file__).resolve().parent
 
@@ -45,7 +46,7 @@ def test_every_input_is_tried():
         (program, name, action.dest)
         for (program, name), parser in parsers().items()
         for action in parser._actions
-        if action.type is InputPath and action.dest != "mesh_dir"
+        if action.type in (InputPath, ScenePath) and action.dest != "mesh_dir"
     }
     assert inputs <= tried, f"no line of hostile_samples.py names {inputs - tried}"
 

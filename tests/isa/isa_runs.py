@@ -134,7 +134,7 @@ def check_limits(found: Mapping[str, Limit]) -> None:
         stated, bits[isa] = observed(limit, SCALAR_PROBE)
         if isa != NATIVE and stated.lower() != isa:
             raise LimitError(f"{isa}: Embree says that it uses {stated}")
-        if isa != NATIVE and variants.usable_variants().llvm:
+        if isa != NATIVE and variants.usable_variants().libllvm:
             _, width = observed(limit, LLVM_PROBE, **variants.environment_for(variants.LLVM))
             if width != LLVM_WIDTH:
                 raise LimitError(f"{isa}: LLVM code takes {width} rays at once, expected {LLVM_WIDTH}")

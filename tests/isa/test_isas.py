@@ -16,7 +16,7 @@ SCENES = "torus-smooth or every-shape or lights-and-shadows"
 RESPONSES = "tests/reference/test_mitsuba_responses.py"
 NUMBERS = "inf_minus_one or lengths_of_d or same_bits or direct_integrator or sensors_rays"
 
-WIDE = usable_variants().llvm and "avx512f" in Path("/proc/cpuinfo").read_text()
+WIDE = usable_variants().libllvm and "avx512f" in Path("/proc/cpuinfo").read_text()
 
 pytestmark = pytest.mark.skipif(not WITH_AND_WITHOUT_FMA, reason="not an x86-64 CPU: Embree has one instruction set")
 

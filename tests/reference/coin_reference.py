@@ -23,7 +23,7 @@ from mitsuba_ref.shapes.targets import Rng, SurfacePoints, random_length, random
 
 def to_xml(out: ShapeWriter, shape: Coin, part: Coins) -> list[XmlElement]:
     """Mitsuba's unit disk under a uniform scale."""
-    return [out.native(shape, "disk", part.center[0], part.radius[0] * np.eye(3))]
+    return out.native(shape, "disk", part.center, part.radius[:, None, None] * np.eye(3))
 
 
 def expected_coin(shape: Coin, part: Coins) -> Iterator[ExpectedNumbers]:

@@ -12,17 +12,16 @@ from caster.scene.model import Scene
 from mitsuba_ref.judge.classification import Judge, scene_judge
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.reference.mitsuba_process import ResidentSession, SendRequest
+from mitsuba_ref.reference.mitsuba_process import SendRequest, send_request
 from mitsuba_ref.reference.store import STORE_VARIABLE
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.runner import many_scenes
 
 
 @pytest.fixture(scope="session")
-def send() -> Iterator[SendRequest]:
+def send() -> SendRequest:
     """Send requests to a resident Mitsuba: starting one takes ten times as long as a small scene."""
-    with ResidentSession() as resident:
-        yield resident.send
+    return send_request
 
 
 @pytest.fixture(scope="session")

@@ -106,7 +106,7 @@ def test_a_fault_in_some_bands_fails_with_all_its_pixels_and_the_evidence_of_one
     assert not bands.ok and bands.counts == whole.counts and 0 < bands.counts[WRONG] < bands.counts[AGREE] * 2
     assert bands.failing_by == whole.failing_by and set(bands.worst_by) == set(whole.worst_by)
     assert {f.what: f.pixels for f in bands.findings} == {f.what: f.pixels for f in whole.findings}
-    x0, y0, x1, y1 = bands.seen.scene.film.window
+    x0, y0, x1, y1 = bands.seen.judge.scene.film.window
     assert (x1 - x0, y1 - y0) == (60, 7) and any(f"rows {y0} to {y1 - 1}" in note for note in bands.notes)
     assert all(y0 <= failure.y < y1 for failure in (bands.failures[0], bands.findings[0]))  # which the page can show
     assert (bands.seen.judgement.classes == CLASSES.index(WRONG)).any()

@@ -51,7 +51,7 @@ def test_mitsubas_llvm_variant_is_requested_what_is_timed(name, keys):
     """A flag in the place of another one would be fast, and wrong about most rays."""
     found = time_scene(SCENES[name], [BY_KEY[key] for key in keys], Settings(16, 1))
     for row in found.rows:
-        if not usable_variants().llvm:
+        if not usable_variants().libllvm:
             assert row.why.startswith("llvm_ad_rgb does not work here"), row
             continue
         assert row.why == "" and row.rays == 256 and row.score.masks == row.score.beyond == 0, row
@@ -117,7 +117,7 @@ print(json.dumps(found))
 
 def test_mitsuba_is_timed_with_the_image_that_ours_is(tmp_path):
     """A cosine or a shadow ray that is left out would be fast, and another image; pixels on edges may differ."""
-    if not usable_variants().llvm:
+    if not usable_variants().libllvm:
         return  # the rows are empty then, which the test above has
     made = SCENES["kinds-lit"].make()
     lamp_alone = made.model_copy(update={"lights": made.lights[:1]})

@@ -22,7 +22,7 @@ from mitsuba_ref.judge.verdict import OUT_OF_DOMAIN, WRONG, SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.report.verdict_text import failure_text
-from mitsuba_ref.subjects.command import answer_from_exr, run_program
+from mitsuba_ref.subjects.command import Program, answer_from_exr
 from mitsuba_ref.subjects.requests import parse_candidate
 from mitsuba_ref.subjects.subject import Answer, CastRequest, NoAnswer
 
@@ -275,7 +275,7 @@ def test_a_program_that_leaves_another_behind_is_not_waited_for(tmp_path):
     """The one that is left behind holds on to what the program printed to."""
     (tmp_path / "leaves.sh").write_text("sleep 600 &\necho said\nexit 3\n")
     with pytest.raises(NoAnswer, match=r"(?s)exit code 3.*said"):
-        run_program(["sh", str(tmp_path / "leaves.sh")], 60.0)
+        Program("leaves", ("sh", str(tmp_path / "leaves.sh")), None, 60.0).run({})
 
 
 # ---- an image in another program's names and conventions ----

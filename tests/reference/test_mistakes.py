@@ -140,7 +140,7 @@ class Naming:
         hits = caster.cast(request.traced, o, d)
         shape_id, prim_id = self.change(request.traced, o, d, hits)
         arrays = {"t": hits.t, "n": hits.surface.n, "shape_id": shape_id, "prim_id": prim_id}
-        return answer_of_hits(arrays, len(o), self.precision)
+        return answer_of_hits(arrays, np.ones(len(o), bool), self.precision)
 
 
 def farther_one(scene, o, d, hits):

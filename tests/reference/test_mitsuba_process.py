@@ -1,6 +1,5 @@
 """Whatever becomes of a Mitsuba process is a result, every request gets its answer, and nothing is left behind."""
 
-import json
 import os
 import signal
 import subprocess
@@ -9,6 +8,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,6 @@ from mitsuba_scenes import job, shape, write
 
 from mitsuba_ref.reference import messages, mitsuba_process, subprocess_runner
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
-from mitsuba_ref.reference.mitsuba_process import ResidentSession
 
 ROOT = Path(__file__).resolve().parents[2]
 HANG = """
@@ -60,7 +59,7 @@ def in_place_of_mitsuba(tmp_path, monkeypatch) -> Callable[[str], None]:
 
 
 def crash(ball: TraceRequest, timeout: float = 60) -> Crash:
-    answer = mitsuba_process.send_alone(ball, timeout)
+    answer = messages.run_request(ball, timeout, {})
     assert isinstance(answer, Crash), answer
     return answer
 
@@ -111,8 +110,8 @@ def test_a_hang_ends_in_time_and_leaves_no_process(ball, in_place_of_mitsuba, tm
 
 def test_a_waiting_request_gets_a_crash_when_all_are_stopped(ball, in_place_of_mitsuba, tmp_path):
     in_place_of_mitsuba(HANG.format(pids=str(tmp_path / "pid")))
-    found: list[TraceResponse | Crash] = []
-    threads = [threading.Thread(target=lambda: found.append(mitsuba_process.send_alone(ball, 60))) for _ in range(2)]
+    found: list[Crash] = []
+    threads = [threading.Thread(target=lambda: found.append(crash(ball))) for _ in range(2)]
     for thread in threads:
         thread.start()
     wait_for(lambda: len(subprocess_runner._running) == 2)
@@ -153,7 +152,8 @@ def test_a_users_own_mitsuba_py_in_the_current_folder_is_not_imported(ball, tmp_
     for path in ("", ".", os.pathsep):
         monkeypatch.setenv("PYTHONPATH", path)
         assert not {str(tmp_path), "", "."} & set(subprocess_runner.import_path().split(os.pathsep)), path
-    answer = mitsuba_process.send_alone(TraceRequest(Path("scene.xml"), "scalar_rgb", ball.o, ball.d, ball.t_max))
+    beside = TraceRequest(Path("scene.xml"), "scalar_rgb", ball.o, ball.d, ball.t_max)
+    answer = messages.run_request(beside, 60, {})
     assert isinstance(answer, TraceResponse), answer
 
 
@@ -165,22 +165,29 @@ def test_a_request_and_its_rays_come_back_bit_for_bit(tmp_path):
     request = TraceRequest(tmp_path / "a.xml", "scalar_rgb", bits[:, :3], bits[:, 3:6], bits[:, 6])
     again = TraceRequest.from_bytes(request.to_bytes())
     assert again.xml == request.xml
-    for name in TraceRequest.ROWS:
+    for name in TraceRequest.LAYOUT:
         assert getattr(request, name).tobytes() == getattr(again, name).tobytes()
     with pytest.raises(ValueError, match=r"d: expected float32\[1, 3\], got float64\[1, 3\]"):
         TraceRequest(tmp_path, "scalar_rgb", np.zeros((1, 3), np.float32), np.zeros((1, 3)), np.zeros(1, np.float32))
 
 
-def test_a_response_that_is_not_whole_is_refused(ball):
-    whole = mitsuba_process.send_alone(ball).to_bytes()
-    line, _, arrays = whole.partition(b"\n")
-    record = json.loads(line)
-    for content in (b"", whole[:-200], arrays, b"null\n" + arrays, b"{}\n" + arrays, line + b"\n"):
+def test_a_response_that_is_not_whole_is_refused(ball, tmp_path):
+    response = mitsuba_process.send_request(ball)
+    whole = response.to_bytes()
+    (tmp_path / "arrays.npz").write_bytes(whole)
+    arrays = dict(np.load(tmp_path / "arrays.npz"))
+
+    def changed(**changes: object) -> bytes:
+        np.savez(tmp_path / "changed.npz", **{name: a for name, a in (arrays | changes).items() if a is not None})
+        return (tmp_path / "changed.npz").read_bytes()
+
+    records = (np.frombuffer(text, np.uint8) for text in (b"", b"null", b"{}"))
+    for content in (b"", whole[:-200], changed(t=None), *(changed(record=each) for each in (None, *records))):
         with pytest.raises(ValueError, match="no whole answer"):
             TraceResponse.from_bytes(content, 1)
     for change in ({"names": []}, {"mesh_problems": ["one"]}):
         with pytest.raises(ValueError, match="expected"):
-            TraceResponse.from_bytes(json.dumps(record | change).encode() + b"\n" + arrays, 1)
+            TraceResponse.from_bytes(replace(response, **change).to_bytes(), 1)
     with pytest.raises(ValueError, match=r"t: expected float32\[2\], got float32\[1\]"):
         TraceResponse.from_bytes(whole, 2)
 
@@ -279,18 +286,16 @@ def test_what_a_scene_makes_of_every_process_is_its_result(tmp_path, in_place_of
 def test_one_process_serves_all_scenes_of_a_variant_in_the_same_environment(tmp_path, monkeypatch, alone):
     """The settings of Mitsuba's libraries, such as libLLVM's path, are those of the time of the request."""
     request = balls(tmp_path, 1)[0]
-    with ResidentSession() as resident:
-        for name, value, processes in (("DRJIT_X", "a", 1), ("OTHER", "b", 1), ("DRJIT_X", "b", 2)):
-            monkeypatch.setenv(name, value)
-            check_right([resident.send(request)])
-            assert len(resident.processes) == processes
+    for name, value, processes in (("DRJIT_X", "a", 1), ("OTHER", "b", 1), ("DRJIT_X", "b", 2)):
+        monkeypatch.setenv(name, value)
+        check_right([mitsuba_process.send_request(request)])
+        assert len(subprocess_runner._running) == processes
     assert not alone
 
 
 def test_a_process_that_has_grown_or_has_no_requests_ends_and_is_replaced(tmp_path, plant, alone):
     plant("serve.__defaults__ = None; mitsuba_process.RESIDENT_BYTES = 1", at=1)
-    with ResidentSession() as resident:
-        check_right([resident.send(each) for each in balls(tmp_path, 2)])
+    check_right([mitsuba_process.send_request(each) for each in balls(tmp_path, 2)])
     program = "from mitsuba_ref.reference.subprocess_runner import serve; serve(bytes.upper, 0.2)"
     with subprocess_runner.ResidentProcess([sys.executable, "-c", program]) as process:
         assert process.ask(b"hello", 30) == b"HELLO"

@@ -16,7 +16,7 @@ from mitsuba_ref.reference.messages import Crash, TraceResponse
 from mitsuba_ref.reference.mitsuba_process import SendRequest
 from mitsuba_ref.reference.rendering import render_reference
 
-HERE = VARIANTS if variants.usable_variants().llvm else VARIANTS[:1]  # the run's header says which
+HERE = VARIANTS if variants.usable_variants().libllvm else VARIANTS[:1]  # the run's header says which
 ROOT = Path(__file__).resolve().parents[2]
 U = 2.0**-24
 
@@ -165,7 +165,7 @@ def test_light_times_its_visibility_is_what_the_direct_integrator_renders(asked,
     rendered = np.load(tmp_path / "direct.npy").reshape(-1, 3)
     sensor = asked(xml, variant, [], [], sensor=True)
     answer = mitsuba_process.send_request(
-        mitsuba_process.TraceRequest(xml, variant, sensor.sensor_o, sensor.sensor_d, sensor.sensor_t_max)
+        mitsuba_process.TraceRequest(xml, variant, sensor.sensor[:, :3], sensor.sensor[:, 3:6], sensor.sensor[:, 6])
     )
     lit = answer.light_rgb[0] * answer.light_visible[0][:, None]
     assert {"wall", "ball", "egg", "back", "dark"} == {answer.names[k] for k in set(answer.shape)}
@@ -196,9 +196,10 @@ def test_the_sensors_rays_are_those_of_the_formula(asked, tmp_path, variant, cro
     local = np.stack([(1 - 2 * x / width) * t, (1 - 2 * y / height) * t * height / width, np.ones_like(x)], -1)
     length = np.linalg.norm(local, axis=-1).ravel()
     d = local.reshape(-1, 3) / length[:, None] @ columns.T
-    assert np.abs(answer.sensor_d - d).max() <= 4 * U
-    assert np.abs(answer.sensor_o - (eye + d * (near * length)[:, None])).max() <= 4 * U * 2.0
-    assert np.abs(answer.sensor_t_max / ((far - near) * length) - 1).max() <= 8 * U
+    sensor_o, sensor_d, t_max = answer.sensor[:, :3], answer.sensor[:, 3:6], answer.sensor[:, 6]
+    assert np.abs(sensor_d - d).max() <= 4 * U
+    assert np.abs(sensor_o - (eye + d * (near * length)[:, None])).max() <= 4 * U * 2.0
+    assert np.abs(t_max / ((far - near) * length) - 1).max() <= 8 * U
 
 
 PRINTS = """

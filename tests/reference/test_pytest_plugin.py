@@ -121,11 +121,11 @@ def crashing(monkeypatch, tmp_path_factory):
     """Mitsuba ends without an answer; gives the files of its requests, which come from forks of this process."""
     requests = tmp_path_factory.mktemp("requests")
 
-    def put(session, job, timeout):
+    def put(job, timeout):
         tempfile.mkstemp(dir=requests)
         return Crash(-6, "last words", 0.1)
 
-    monkeypatch.setattr("mitsuba_ref.reference.mitsuba_process.ResidentSession.send", put)
+    monkeypatch.setattr("mitsuba_ref.reference.mitsuba_process.ask_resident", put)
     monkeypatch.setattr(
         "mitsuba_ref.reference.rendering.variant_for", lambda has_quadrics: "scalar_rgb"
     )  # nor asked for this

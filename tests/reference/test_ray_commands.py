@@ -11,7 +11,7 @@ import pytest
 from mitsuba_ref.__main__ import main
 
 pytestmark = pytest.mark.usefixtures("remembered")
-EXAMPLES = Path(__file__).parents[2] / "docs/rays-and-hits"
+EXAMPLES = Path(__file__).parents[2] / "mitsuba_ref/starters"
 SCENE = """
 [film]
 width = 20
@@ -41,7 +41,7 @@ def compiled(tmp_path, source):
     if cc is None:
         pytest.skip("no C compiler: cc")
     (tmp_path / "caster.c").write_text(source)
-    shutil.copy(EXAMPLES / "rays_and_hits.h", tmp_path)
+    shutil.copy(EXAMPLES / "c/rays_and_hits.h", tmp_path)
     words = [
         cc,
         "-O2",
@@ -58,7 +58,7 @@ def compiled(tmp_path, source):
 
 
 def test_the_caster_in_c_passes_with_normals_and_prim_ids(tmp_path):
-    code, scene = validate(tmp_path, compiled(tmp_path, (EXAMPLES / "caster.c").read_text()))
+    code, scene = validate(tmp_path, compiled(tmp_path, (EXAMPLES / "c/mine.c").read_text()))
     assert code == 0, scene
     assert scene["precision"] == "float32" and scene["counts"]["agree"] > 100 and "shape_id" not in scene["unjudged"]
 
@@ -71,7 +71,7 @@ FAULTS = {
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_planted_faults_in_the_caster_in_c_fail(tmp_path, fault):
-    source = (EXAMPLES / "caster.c").read_text()
+    source = (EXAMPLES / "c/mine.c").read_text()
     assert FAULTS[fault][0] in source
     code, scene = validate(tmp_path, compiled(tmp_path, source.replace(*FAULTS[fault])))
     assert code == 1 and scene["counts"]["wrong"] > 0
@@ -81,7 +81,7 @@ def test_planted_faults_in_the_caster_in_c_fail(tmp_path, fault):
 def test_the_caster_in_javascript_passes(tmp_path):
     if shutil.which("node") is None:
         pytest.skip("no JavaScript: node")
-    code, scene = validate(tmp_path, f"node {EXAMPLES / 'caster.js'} {{mesh}} {{rays}} {{hits}}")
+    code, scene = validate(tmp_path, f"node {EXAMPLES / 'javascript/mine.js'} {{mesh}} {{rays}} {{hits}}")
     assert code == 0 and scene["counts"]["agree"] > 100
 
 
@@ -118,27 +118,6 @@ def served(tmp_path, source):
     ]
     (tmp_path / "served.py").write_text("\n".join(lines) + "\n")
     return f"{sys.executable} {tmp_path / 'served.py'} {tmp_path / 'log'}"
-
-
-def rust(tmp_path):
-    subprocess.run(["rustc", "-O", "-o", str(tmp_path / "rs"), str(EXAMPLES / "caster.rs")], check=True)
-    return str(tmp_path / "rs")
-
-
-def c(tmp_path):
-    return compiled(tmp_path, (EXAMPLES / "caster.c").read_text()).split()[0]
-
-
-SERVING = {"cc": c, "node": lambda folder: f"node {EXAMPLES / 'caster.js'}", "rustc": rust}
-
-
-@pytest.mark.parametrize("tool", SERVING)
-@pytest.mark.slow("each compiles a program", keep=1)
-def test_an_example_that_stays_passes(tmp_path, tool):
-    if shutil.which(tool) is None:
-        pytest.skip(f"not on this machine: {tool}")
-    code, scene = validate(tmp_path, SERVING[tool](tmp_path), door="--candidate-serve")
-    assert code == 0 and scene["counts"]["agree"] > 100 and "shape_id" not in scene["unjudged"], scene
 
 
 MISSES = "respond(struct.pack('<f', float('inf')) * n)"
@@ -180,8 +159,8 @@ def test_one_process_answers_all_scenes_and_a_crash_starts_another(tmp_path):
 
 # ---- the pages' glue around other libraries, and findings in them
 
-GLUE = sorted((EXAMPLES.parent / "candidates/glue").glob("*.mjs"))
-FINDINGS = sorted((EXAMPLES.parent / "findings").glob("*.toml"))
+GLUE = sorted((EXAMPLES.parents[1] / "docs/candidates/glue").glob("*.mjs"))
+FINDINGS = sorted((EXAMPLES.parents[1] / "docs/findings").glob("*.toml"))
 
 
 def test_glue_in_javascript_has_the_syntax():

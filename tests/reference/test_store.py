@@ -21,12 +21,14 @@ RAYS = 3
 
 def response_of(request: TraceRequest) -> TraceResponse:
     """Nothing is hit, but by the first ray."""
-    rows = {name: np.zeros((len(request.o), *row), kind) for name, (row, kind) in TraceResponse.ROWS.items()}
+    sizes = {"rays": RAYS, "lights": 0, "pixels": 0, "faces": 0}
+    rows = {
+        name: np.zeros([sizes.get(size, size) for size in shape], kind)
+        for name, (shape, kind) in TraceResponse.LAYOUT.items()
+    }
     rows["t"][1:], rows["shape"][1:], rows["prim"][1:] = np.inf, -1, -1
     rows["t"][:1] = 4.0
-    light = {"light_rgb": np.zeros((0, RAYS, 3), np.float32), "light_visible": np.zeros((0, RAYS), bool)}
-    sensor = dict.fromkeys(("sensor_o", "sensor_d", "sensor_t_max"))
-    return TraceResponse(**rows, **light, **sensor, names=["ball"], versions={"mitsuba": "3"}, seconds=1.5)
+    return TraceResponse(**rows, names=["ball"], versions={"mitsuba": "3"}, seconds=1.5)
 
 
 @pytest.fixture
@@ -64,10 +66,10 @@ def test_the_same_request_is_requested_once_and_states_it(folder, request_, aske
     second = send_stored(replace(request_, xml=moved / request_.xml.name))
     assert len(asked) == 1
     assert (first.stored, first.seconds, second.stored, second.seconds) == (False, 1.5, True, 0.0)
-    for name in TraceResponse.ROWS:
+    for name in TraceResponse.LAYOUT:
         one, other = getattr(first, name), getattr(second, name)
         assert one.dtype == other.dtype and one.tobytes() == other.tobytes()
-    assert (first.names, first.versions, second.sensor_o) == (second.names, second.versions, None)
+    assert (first.names, first.versions) == (second.names, second.versions)
 
 
 def file_beside(name: str, content: bytes):

@@ -17,7 +17,7 @@ RAYS = 16
 
 def test_all_casters_agree_where_a_family_is_easiest():
     """So what breaks down later breaks down by what is stressed, and not by how it is asked."""
-    asked = ["scalar", *(["llvm", "llvm-robust"] if usable_variants().llvm else [])]
+    asked = ["scalar", *(["llvm", "llvm-robust"] if usable_variants().libllvm else [])]
     for family in SWEPT:
         ready = score.prepare_setting(family, 0, family.easiest, RAYS)
         result = sweeps.score_setting(ready, sweeps.observe(ready, CASTERS))

@@ -10,12 +10,12 @@ import pytest
 import textbook_pages
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from mitsuba_ref.cli.doctor import CHROMIUM
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.report.validation import Validation
 
 # As root, as in containers, Chromium does not start with its sandbox; and it opens nothing here but our own files.
 OPTIONS = ["--no-sandbox"]
+CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
 SIZE = {"width": 1280, "height": 800}
 
 

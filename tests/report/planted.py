@@ -108,9 +108,7 @@ def rounded_answer(asked: Scene, job: TraceRequest) -> TraceResponse:
         light_rgb=np.zeros((0, count, 3), np.float32),
         light_visible=np.zeros((0, count), bool),
         albedo=albedo,
-        sensor_o=rays.o,
-        sensor_d=rays.d,
-        sensor_t_max=rays.t_max,
+        sensor=np.column_stack([rays.o, rays.d, rays.t_max]),
         versions={"mitsuba": "none", "variant": "scalar, ours rounded"},
         seconds=0.0,
     )

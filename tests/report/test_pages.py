@@ -76,15 +76,15 @@ def test_every_number_of_the_images_comes_back(visit, folder, verdicts):
     """What the page unpacks, against the arrays: all pixels of all layers, both sides."""
     page = visit(folder, at(planted.NAN, a="position", v="ours", z=96)).page
     ready(page)
-    pair = verdicts["bad"].seen
+    pair = verdicts["bad"].seen.judge.pair
     assert page.inner_text("#pixel .xy") == "8, 12" and "unlisted" in page.inner_text("#pixel .class")
-    for y, x in np.argwhere(pair.ours.hit)[::97]:
+    for y, x in np.argwhere(pair.subject.hit)[::97]:
         page.evaluate(f"location.hash = '{at((x, y), a='position')}'")
         page.wait_for_selector(f"#pixel .xy:text-is('{x}, {y}')")
         row = planted.row_of((x, y))
         for layer in ("depth", "normal", "position", "diffuse"):
             found = NUMBERS.findall(section(page, layer).inner_text())
-            sides = [np.atleast_1d(aov_rows(aovs, layer)[row]) for aovs in (pair.ours, pair.reference)]
+            sides = [np.atleast_1d(aov_rows(aovs, layer)[row]) for aovs in (pair.subject, pair.reference)]
             expected = [float(v).hex() for v in np.column_stack(sides).ravel() if np.isfinite(v)]
             assert found == expected, (x, y, layer)
 

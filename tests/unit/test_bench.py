@@ -10,6 +10,7 @@ import jsonschema
 import numpy as np
 import performance_page
 import pytest
+from pages import read_result
 
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.bench import measuring
@@ -20,7 +21,7 @@ from mitsuba_ref.bench.result import Row, Run, SceneResult, Score, as_text
 from mitsuba_ref.bench.scenes import SCENES
 from mitsuba_ref.bench.scoring import ExactAnswers, write_scene
 from mitsuba_ref.cli.doctor import result_schema
-from mitsuba_ref.report.results import as_json, read_result, write_result
+from mitsuba_ref.report.results import as_json, write_result
 
 BY_NAME = {scene.name: scene for scene in SCENES}
 

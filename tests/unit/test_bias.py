@@ -182,17 +182,6 @@ def test_the_verdict_reports_it():
     assert "k_t=1.25 k_normal=0.75 z=-15.0" in junit(verdict)
 
 
-def test_what_the_cpu_adds_to_t_of_triangles_is_said_and_no_failure():
-    def scene(*biases):
-        found = errors_of(*biases)
-        return SceneVerdict("hills", "hills.toml", checks=(check_bias(found),), statistics=found)
-
-    few = KindBias("Planes", 1, 0.0, "position", -99.0)
-    spheres = KindBias("Spheres", 900, 1.0, "t", 7.0)
-    scenes = [scene(spheres, few, KindBias("Triangles", 400, 0.5, "position", each)) for each in (-2.5, -0.125, 0.0)]
-    text = summary_text(Verdict(tuple(scenes), 3), 1.0)
-    assert all(each.checks_pass for each in scenes)
-    assert (
-        "machine:    Mitsuba's t of triangles is off by -0.12 roundings on average: how its CPU inverts numbers" in text
-    )
-    assert "machine:" not in summary_text(Verdict((scene(spheres, few),)), 1.0)
+@pytest.mark.parametrize("t_bias", [-2.5, -0.125, 0.0])
+def test_what_the_cpu_adds_to_t_of_triangles_is_no_failure(t_bias):
+    assert check_bias(errors_of(KindBias("Triangles", 400, 0.5, "position", t_bias))).ok

@@ -70,7 +70,7 @@ def test_a_cloud_is_handed_on_whole_and_its_ids_are_those_of_the_scene(to_world,
             hits = caster.cast(request.traced, request.rays.o, request.rays.d)
             prim = np.where(hits.shape_id >= 0, hits.prim_id, -1)
             shape = np.where(hits.shape_id >= 2, hits.shape_id + self.off, hits.shape_id)
-            return checked_answer(hits.t, hits.normal, len(hits.t), shape_id=shape, prim_id=prim)
+            return checked_answer(hits.t, hits.normal, np.ones(len(hits.t), bool), shape_id=shape, prim_id=prim)
 
     scene = clouds(to_world)
     verdict = validate_scene(scene, "clouds", subject=Named())
@@ -93,7 +93,7 @@ def test_what_is_no_answer_at_a_pixel_is_noted_by_its_reason():
     t = np.array([1.0, np.nan, -1.0, -np.inf, np.inf, 1.0, 1.0, 1.0])
     n = np.tile([0.0, 0.0, 2.0], (8, 1))
     n[4], n[5], n[6] = np.nan, 0.0, [np.inf, 0, 0]
-    found = checked_answer(t, n, 8)
+    found = checked_answer(t, n, np.ones(8, bool))
     assert {why: np.flatnonzero(rows).tolist() for why, rows in found.broken.items()} == {
         "t is NaN": [1],
         "t is negative": [2, 3],
@@ -108,11 +108,11 @@ def test_what_is_no_answer_at_a_pixel_is_noted_by_its_reason():
 )
 def test_the_coarser_type_decides_the_bounds(kinds, precision):
     t, n = np.full(3, 0.1, kinds[0]), np.ones((3, 3), kinds[1])
-    assert checked_answer(t, n, 3).precision == precision
-    assert checked_answer(t, n, 3, precision="float64").precision == "float64"
+    assert checked_answer(t, n, np.ones(3, bool)).precision == precision
+    assert checked_answer(t, n, np.ones(3, bool), precision="float64").precision == "float64"
 
 
 def test_lists_are_arrays_too_and_nothing_else_is():
-    assert checked_answer([1.0, 2.0], None, 2).n is None
+    assert checked_answer([1.0, 2.0], None, np.ones(2, bool)).n is None
     with pytest.raises(NoAnswer, match=r"expected shape \(n,\) = \(2,\), got \(2, 1\)"):
-        checked_answer([[1.0], [2.0]], None, 2)
+        checked_answer([[1.0], [2.0]], None, np.ones(2, bool))

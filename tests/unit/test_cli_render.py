@@ -9,6 +9,8 @@ import caster
 import caster.rendering.threads
 from caster.__main__ import main
 from caster.aovs import AOVS
+from caster.rendering.bvh_construction import bvh_of
+from caster.rendering.hits import packed
 
 pytestmark = pytest.mark.usefixtures("warm")
 
@@ -88,19 +90,23 @@ def test_the_file_states_where_it_comes_from(folder):
     }
 
 
-def test_explain_reports_the_plan_and_what_was_left_out(folder, capsys):
-    render("--explain", "--aov", "depth")
-    told = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
-    assert told["culling"].startswith("raster: ")
-    assert told["surfaces"] == "skipped: no requested AOV needs them"
-    assert told["trees"] == "skipped: no ray needs one"
-    assert told["shadow"] == "rays  skipped: diffuse was not requested"
-    assert told["skipped"].split(", ") == [aov.NAME for aov in AOVS if aov.NAME != "depth"]
+def test_explain_reports_what_was_done_and_what_was_left_out(folder, capsys):
+    looking = 'type = "pinhole"\neye = [0.3, 0.4, 5]\nlook_at = [0, 0, 0]'
+    one_ray = SCENE.replace(looking, 'type = "ray"\norigin = [1.2, 0.5, 5]\ndirection = [0, 0, -1]')
+    (folder / "s.toml").write_text(one_ray + "[shading]\nshadows = false\n")
+    render("--explain")
+    said = capsys.readouterr().out
+    cube = next(kind for kind in packed(caster.load_scene("s.toml")).kinds if len(kind.ids) == 12)
+    nodes = len(bvh_of(cube).links)
+    assert nodes >= 1 and "culling          name bvh, reason " in said and f"way a BVH of {nodes} nodes" in said
+    assert "worked out position normals, " in said
+    assert "trees            runs yes, reason camera rays traverse them, grown 1\n" in said
+    assert "shadow rays      runs no, reason the scene switches shadows off, cast 0\n" in said
 
 
 def test_an_empty_scene_is_a_image_of_misses(folder, capsys):
     (folder / "s.toml").write_text(SCENE.partition("[[shape]]")[0])
     render("--aov", ALL, "--explain")
-    assert "none: every ray misses" in capsys.readouterr().out
+    assert "primitives       none\n" in capsys.readouterr().out
     exr = caster.read_exr("s.exr")
     assert not exr.channels["A"].any() and (exr.channels["depth.Z"] == np.inf).all()

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from caster.jit.command_list import Command, CommandList, bind
+from caster.jit.command_list import BoundCall, Command, CommandList
 from caster.jit.decorators import jit
 from caster.kernels.raster.tile import BOX, COUNT, HEIGHT, LINES, WIDTH, kind_numbers, tile_boxes, tile_rows
 from caster.rendering.rasterization import MAX_TILES_PER_PIECE, parallel_for_tiles
@@ -53,12 +53,12 @@ def recorded(kinds: str, start: int = 0, stop: int = 4) -> list[list[int]]:
     record[0] = 1
 
     def write(place: int, when: Any = None) -> Command:
-        machine = bind(append, record, place, (0, 0), 0, given=(2, 3))
+        machine = BoundCall(append, record, place, (0, 0), 0, given=(2, 3))
         if kinds[place] == "m":
             return Command(machine, (PAIR, NUMBER), when)
         return Command(lambda box, number: plainly(record)(place, box, number), (PAIR, NUMBER), when)
 
-    odd = bind(append, record, 9, (0, 0), 0, given=(2, 3))
+    odd = BoundCall(append, record, 9, (0, 0), 0, given=(2, 3))
     commands = CommandList(
         [
             write(0),
@@ -66,7 +66,7 @@ def recorded(kinds: str, start: int = 0, stop: int = 4) -> list[list[int]]:
             Command(odd, (PAIR, NUMBER), FLAG),  # where it is skipped, its last answer stands
             write(2, odd.answered),
             write(3, (flags, 1)),
-            Command(bind(count_down, flags, given=()), ()),
+            Command(BoundCall(count_down, flags, given=()), ()),
             write(4),
         ],
         ROWS,
@@ -96,7 +96,7 @@ def test_commands_are_carried_out_in_order_for_each_row_where_their_condition_ho
 def test_rows_may_change_between_runs_and_numbers_are_copied_whole():
     rows, record = np.zeros((1, 3), np.int64), np.zeros(50, np.int64)
     record[0] = 1
-    commands = CommandList([Command(bind(append, record, 0, (0, 0), 0, given=(2, 3)), (PAIR, NUMBER))], rows)
+    commands = CommandList([Command(BoundCall(append, record, 0, (0, 0), 0, given=(2, 3)), (PAIR, NUMBER))], rows)
     for numbers in ((1, 2, 3), (-(2**63), 2**63 - 1, -5)):
         rows[0] = numbers
         commands.run(0, 1)
@@ -111,7 +111,7 @@ def test_a_failing_kernel_and_a_failing_function_end_the_list_which_can_be_run_a
         if n == 2:
             raise KeyError(n)
 
-    commands = CommandList([Command(refuse, (0,)), Command(bind(overflow, numbers, 0, given=(1,)), (0,))], rows)
+    commands = CommandList([Command(refuse, (0,)), Command(BoundCall(overflow, numbers, 0, given=(1,)), (0,))], rows)
     with pytest.raises(KeyError):
         commands.run(0, 4)
     assert seen == [0, 1, 2] and numbers.tolist() == [1, 1] + [0] * 8
@@ -124,7 +124,7 @@ def test_a_failing_kernel_and_a_failing_function_end_the_list_which_can_be_run_a
 
 def test_a_command_with_more_numbers_than_its_call_takes_is_refused():
     record = np.zeros(50, np.int64)
-    call = bind(append, record, 0, (0, 0), 0, given=(2, 3))
+    call = BoundCall(append, record, 0, (0, 0), 0, given=(2, 3))
     if call.code is None:
         pytest.skip("plain Python refuses them when it is called")
     for given in ((slice(0, 3), NUMBER), (PAIR,), (PAIR, NUMBER, FLAG)):

@@ -9,7 +9,7 @@ from mitsuba_ref.error_model.bounds import nearest_root
 from mitsuba_ref.error_model.bracket import CLAIMED_MISS, Claims
 from mitsuba_ref.error_model.defect_conditions import WIDENED_BOUNDS_FACTOR
 from mitsuba_ref.error_model.tolerances import KU
-from mitsuba_ref.judge.defect_lookup import FeatureMeasurement
+from mitsuba_ref.judge.defect_lookup import defect_features
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.shared_input import SharedRays, model_of, packed_float32
 
@@ -43,7 +43,7 @@ def measured(o, d, *, t=None, prim=-1, shape=None, n=None, off=0.0):
         claims = Claims(claimed, np.array([prim if shape is None else shape]), at.n, at.sh_n, p)
     if n is not None:
         claims = claims._replace(n=np.array([n]))
-    (found,) = FeatureMeasurement(model, oracle).all_of((o, d, np.array([np.inf])), claims, answers, [prim])
+    (found,) = defect_features(model, oracle, (o, d, np.array([np.inf])), claims, answers, np.array([prim]))
     return found
 
 

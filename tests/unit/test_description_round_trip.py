@@ -16,7 +16,7 @@ from caster.shapes import SHAPES
 from mitsuba_ref.report.reproducers import pack_one, with_hex_floats
 from mitsuba_ref.shapes import kind_of
 from mitsuba_ref.shapes.shape_reference import unit_vector_rounding_to
-from mitsuba_ref.subjects.subject import describe_primitive, packs_identically
+from mitsuba_ref.subjects.subject import packs_identically
 
 STRETCH = [{"scale": [0.913, -1.7, 0.4]}, {"rotate": {"axis": [1, 2, 3], "degrees": 37}}, {"translate": [0.3, 9, -4]}]
 TURN = STRETCH[1:]
@@ -56,7 +56,7 @@ def test_every_shape_packs_to_the_same_bits_again(shape, folder):
         (part,) = pack(Scene(camera=AT, shapes=[one]), as_float32).parts
         numbers = kind_of(part).numbers
         for k in np.random.default_rng(1).permutation(primitive_count(part))[:PRIMS]:
-            again = pack_one(read_back(describe_primitive(part, k)))
+            again = pack_one(read_back(kind_of(part).describe(part, k)))
             assert packs_identically(part, k, again), (one, k)
             for a, b in zip(numbers(again.parts[0], 0), numbers(part, k), strict=True):
                 assert (np.asarray(a) + 0.0).tobytes() == (np.asarray(b) + 0.0).tobytes()  # zeros lose their signs
@@ -76,7 +76,7 @@ def read_back(shape):
 
 def test_other_numbers_are_noticed():
     (part,) = pack(Scene(camera=AT, shapes=[caster.Sphere(center=(0.1, 0.2, 0.3))]), as_float32).parts
-    shape = describe_primitive(part, 0)
+    shape = kind_of(part).describe(part, 0)
     assert packs_identically(part, 0, pack_one(shape))
     assert not packs_identically(
         part, 0, pack_one(shape | {"radius": float(np.nextafter(np.float32(1), np.float32(2)))})

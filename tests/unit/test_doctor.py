@@ -16,9 +16,9 @@ PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text
 NAMED = {finding.name: finding for finding in installation.report()}
 
 
-def with_variants(monkeypatch, scalar=True, llvm=False, libllvm=None, why="") -> dict[str, Finding]:
+def with_variants(monkeypatch, scalar=True, libllvm=None, why="") -> dict[str, Finding]:
     """The judge's findings where Mitsuba's variants are so."""
-    monkeypatch.setattr(judge_doctor, "usable_variants", lambda: Variants(scalar, llvm, libllvm, why))
+    monkeypatch.setattr(judge_doctor, "usable_variants", lambda: Variants(scalar, libllvm, why))
     return {finding.name: finding for finding in judge_doctor.judge_findings()}
 
 
@@ -30,13 +30,6 @@ def test_every_dependency_is_looked_for_with_its_least_version():
 def test_the_judges_pins_are_the_projects():
     pins = [f"{name}=={version}" for name, version in judge_doctor.PINNED.items()]
     assert pins == PROJECT["optional-dependencies"]["reference"]
-
-
-def test_optional_packages_are_looked_for_with_the_projects_least_versions_and_are_not_needed():
-    optional = (judge_doctor.MATPLOTLIB, *judge_doctor.PEERS)
-    least = {f"{part.distribution}>={part.least}" for part in optional}
-    extras = PROJECT["optional-dependencies"]
-    assert least == {*extras["plots"], *extras["peers"]} and not any(part.needed for part in optional)
 
 
 def test_this_environment_is_usable(capsys):
@@ -84,10 +77,10 @@ def test_the_judge_looks_for_everything_the_caster_uses_and_for_mitsuba():
     ("found", "variants", "libllvm"),
     [
         ({}, "scalar_rgb", "none that Mitsuba's LLVM variant works with"),
-        ({"llvm": True, "libllvm": "/lib/libLLVM.so.19.1"}, "scalar_rgb, llvm_ad_rgb", "/lib/libLLVM.so.19.1"),
+        ({"libllvm": "/lib/libLLVM.so.19.1"}, "scalar_rgb, llvm_ad_rgb", "/lib/libLLVM.so.19.1"),
         ({"scalar": False, "why": "scalar_rgb: wrong"}, "no variant of Mitsuba works; scalar_rgb: wrong", "none that"),
         (
-            {"scalar": False, "llvm": True, "libllvm": "/lib/libLLVM.so", "why": "scalar_rgb: abort"},
+            {"scalar": False, "libllvm": "/lib/libLLVM.so", "why": "scalar_rgb: abort"},
             "llvm_ad_rgb; scalar_rgb: abort",
             "/lib/libLLVM.so",
         ),
@@ -95,11 +88,11 @@ def test_the_judge_looks_for_everything_the_caster_uses_and_for_mitsuba():
     ],
 )
 def test_the_judge_is_usable_with_the_scalar_variant(monkeypatch, found, variants, libllvm):
-    """Spheres, disks and cylinders need it; libLLVM and a browser are extras."""
+    """Spheres, disks and cylinders need it; libLLVM is an extra."""
     here = with_variants(monkeypatch, **found)
     assert here["variants"].found is found.get("scalar", True) and here["variants"].detail == variants
     assert here["libLLVM"].found is bool(found.get("libllvm")) and libllvm in here["libLLVM"].detail
-    assert not any(here[name].needed for name in ("libLLVM", "browser"))
+    assert not here["libLLVM"].needed
     assert here["variants"].needed
 
 

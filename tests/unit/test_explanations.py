@@ -9,7 +9,6 @@ import pytest
 from caster.aovs import Aovs
 from mitsuba_ref.judge.checks.render import bits_differ
 from mitsuba_ref.judge.classification import reference_prims
-from mitsuba_ref.judge.diagnosis import _marked_misses, marked_miss
 from mitsuba_ref.judge.explanations import QUANTITY_NAMES, exceeded_bounds
 
 
@@ -51,28 +50,3 @@ def test_a_primitive_of_mitsuba_is_counted_in_its_shape_and_of_a_stand_in_is_the
     result = SimpleNamespace(shape_id=shape, hit=hit, answer=SimpleNamespace(prim=prim))
     found = reference_prims(result, model)
     assert found.tolist() == [0, 1, 4, 1, 5, 5, -1, -1] and found.dtype == np.int32
-
-
-@pytest.mark.parametrize(
-    ("t", "hits_only", "told"),
-    [
-        ([5.0, 9.0, 9.0, 3.0], False, [1, 2]),
-        ([5.0, 9.0, 8.0, 3.0], False, None),  # not the same number
-        ([5.0, math.inf, math.inf, 3.0], False, None),
-        ([5.0, 9.0, 9.0, 3.0], True, None),  # who answers hits alone marks no miss
-    ],
-)
-def test_a_number_in_place_of_inf_is_reported_where_mitsuba_misses(t, hits_only, told):
-    """Rays 1 and 2 miss; the last one is none."""
-    judge = SimpleNamespace(
-        result=SimpleNamespace(hit=np.array([True, False, False, False])),
-        t_max=np.array([1.0, 1.0, 0.0, -1.0]),
-        answer=SimpleNamespace(t=np.array(t), hits_only=hits_only),
-    )
-    found = [(what, rows.tolist()) for what, rows in _marked_misses(judge)]
-    assert found == ([] if told is None else [(marked_miss(9.0), told)])
-    assert not list(
-        _marked_misses(
-            SimpleNamespace(**{**vars(judge), "result": SimpleNamespace(hit=np.array([True, False, True, True]))})
-        )
-    )

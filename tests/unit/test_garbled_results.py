@@ -5,12 +5,12 @@ import json
 from pathlib import Path
 
 import pytest
+from pages import read_result
 from verdict_factory import scene, verdict
 
 from caster.description.errors import SceneError
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.bench.result import Run
-from mitsuba_ref.report.results import read_result
 from mitsuba_ref.runner.verdict_files import UnreadableVerdict, read_verdict
 
 ROOT = Path(__file__).resolve().parents[2]

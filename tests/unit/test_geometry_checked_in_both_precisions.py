@@ -28,8 +28,9 @@ from caster.shapes import (
     Torus,
     Triangle,
 )
-from mitsuba_ref.judge.checks import Shares, shapes
+from mitsuba_ref.judge.checks import shapes, worst_share
 from mitsuba_ref.judge.checks.shapes import PRECISIONS, Precision, check_geometry
+from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.shapes import reference_of
 
 FOLDER = Path(__file__).resolve().parents[2] / "scenes"
@@ -113,14 +114,11 @@ def test_shipped_scenes_keep_far_within_the_bound(path):
     assert check_geometry(load_scene(path)).ratio <= 0.25
 
 
-def test_a_share_is_not_overwritten():
-    shares = Shares()
-    shares.add("radius", 7.0)
-    with pytest.raises(ValueError, match="radius is checked twice"):
-        shares.add("radius", 0.0)
-    shares.add("center", 0.5)
-    assert shares.worst() == ("radius", 7.0)
-    assert Shares().worst() == ("nothing to look at", 0.0)
+def test_the_largest_share_counts_and_nan_is_larger_than_all():
+    shares = [(7.0, "radius"), (0.0, "radius"), (0.5, "center")]
+    assert worst_share("a", shares) == SceneCheck("a", 7.0, "radius")
+    assert worst_share("a", [*shares, (np.nan, "normals"), (np.inf, "uv")]).what == "normals"
+    assert worst_share("a", []) == SceneCheck("a", 0.0, "nothing to look at")
 
 
 CORNERS = [(0, 0, 0), (1, 0, 0), (0, 1, 0.2), (1, 1, 0.5), (2, 2, 0)]

@@ -19,7 +19,7 @@ from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.judge.checks.render import CHECKED_AOVS, _segments, _within_float64, check_render
 from mitsuba_ref.judge.checks.shapes import check_geometry
-from mitsuba_ref.judge.defect_lookup import FeatureMeasurement, defect_of
+from mitsuba_ref.judge.defect_lookup import defect_features, defect_of
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.shared_input import SharedRays, model_of
 from mitsuba_ref.shapes import cylinder, disk, sphere, surface_errors
@@ -178,7 +178,7 @@ def measured(shape: Any, o: Any, d: Any, t: float, n: Any, p: Any) -> int | None
     answers = [oracle.first_hit(line[0][0].tolist(), line[1][0].tolist())]
     n, p = (np.asarray(v, float)[None] for v in (n, p))
     claims = Claims(np.array([t]), np.array([0]), n, n, p)
-    (found,) = FeatureMeasurement(model, oracle).all_of(line, claims, answers, [0])
+    (found,) = defect_features(model, oracle, line, claims, answers, np.array([0]))
     return defect_of(found)
 
 

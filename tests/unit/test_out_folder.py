@@ -146,11 +146,11 @@ def test_a_report_keeps_no_scene_that_its_page_does_not_lead_to(tmp_path):
     html = report(tmp_path, recorded("a"))
     assert html.sweep(spared=["c"]) == f"{tmp_path}: removed 1 scenes of an earlier report"
     assert sorted(path.name for path in (tmp_path / "data").iterdir()) == ["a.js", "c.js", "mine.js"]
-    assert html.rows[0]["file"] == "a.js" and html.rows[0]["thumbnail"] == "data:thumbnail"
+    assert html.rows()[0]["file"] == "a.js" and html.rows()[0]["thumbnail"] == "data:thumbnail"
 
 
 def test_a_scene_without_a_record_has_a_row_and_no_pixels(tmp_path):
-    assert report(tmp_path, made("a")).rows[0]["file"] == ""
+    assert report(tmp_path, made("a")).rows()[0]["file"] == ""
 
 
 def test_a_candidate_that_cannot_be_loaded_leaves_no_verdict_of_an_earlier_run(tmp_path):

@@ -33,6 +33,10 @@ def valued(parser: argparse.ArgumentParser) -> list[argparse.Action]:
     return [action for action in parser._actions if action.nargs != 0 and action.choices is None]
 
 
+def is_input(action: argparse.Action) -> bool:
+    return isinstance(action.type, type) and issubclass(action.type, InputPath)
+
+
 def words(action: argparse.Action, path: str) -> list[str]:
     """An argument with this value; numbers where it takes several."""
     count = action.nargs if isinstance(action.nargs, int) else 1
@@ -41,7 +45,7 @@ def words(action: argparse.Action, path: str) -> list[str]:
 
 def value_for(action: argparse.Action, folder: Path) -> str:
     """Some valid value of a required argument."""
-    if action.type in (InputPath, *OUTPUT_TYPES, OutputFolder):
+    if is_input(action) or action.type in (*OUTPUT_TYPES, OutputFolder):
         return str(folder / f"other-{action.dest}.toml")
     return "1"
 
@@ -49,7 +53,7 @@ def value_for(action: argparse.Action, folder: Path) -> str:
 def pairs() -> Iterator[Any]:
     """Every input with every output file of the same command."""
     for program, name, parser in parsers():
-        inputs = [action for action in valued(parser) if action.type is InputPath]
+        inputs = [action for action in valued(parser) if is_input(action)]
         outputs = [action for action in valued(parser) if action.type in OUTPUT_TYPES]
         for source in inputs:
             for output in outputs:
@@ -81,7 +85,7 @@ def test_every_option_declares_whether_it_names_a_path(program, name, parser):
         )
         path_like = any(mark in str(action.metavar) for mark in ("FILE", "DIR", "PATH", "PNG", "IMAGE", ".exr"))
         if path_like:
-            assert action.type in (InputPath, OutputFolder, *OUTPUT_TYPES), f"{program} {name} {action.dest}"
+            assert is_input(action) or action.type in (OutputFolder, *OUTPUT_TYPES), f"{program} {name} {action.dest}"
 
 
 @pytest.mark.parametrize(("program", "name", "parser", "source", "output"), [*pairs()])

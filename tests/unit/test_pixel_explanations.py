@@ -3,16 +3,13 @@
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 
-from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.judge.adjudication import Adjudication
-from mitsuba_ref.judge.aggregate import defect_counts, failure_hints, listed_failures
+from mitsuba_ref.judge.aggregate import defect_counts, listed_failures
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judgement
 from mitsuba_ref.judge.comparison import SelfCheck
 from mitsuba_ref.judge.diagnosis import NOT_ADJUDICATED, Cause, Diagnosis, failing_rows
 from mitsuba_ref.judge.explanations import error_ratios, format_exact, full_reason, tie_members
-from mitsuba_ref.subjects.subject import Answer
 
 INF = np.inf
 
@@ -23,7 +20,8 @@ def judgement_of(*classes, ratios=None, right=(), answered=None, cases=None, all
     rows = np.arange(count)
     answered = rows if answered is None else answered
     answers = [SimpleNamespace(t=1.0) if row in answered else None for row in rows]
-    exact = Adjudication(rows, answers, np.where(np.isin(rows, right), 0.0, INF))
+    is_right = np.isin(rows, right)
+    exact = Adjudication(rows, answers, np.where(is_right, 0.0, INF), is_right)
     given = {"depth": np.zeros(count), EXACT: np.zeros(count)} | (ratios or {})
     codes = np.array([CLASS_CODE[name] for name in classes])
     return Judgement(
@@ -84,25 +82,6 @@ def test_exact_answers_on_one_line():
 
 
 # ---- sums
-
-
-@pytest.mark.parametrize(
-    ("classes", "ratios", "precision", "said"),
-    [
-        (["agree"], [0.0], "float64", False),
-        (["wrong"], [KU / KU_OURS], "float64", True),
-        (["wrong"], [1.001 * KU / KU_OURS], "float64", False),
-        (["wrong", "wrong"], [2.0, INF], "float64", False),
-        (["wrong", "undecided"], [2.0, INF], "float64", True),
-        (["wrong"], [2.0], "float32", False),
-        (["undecided"], [2.0], "float64", False),
-    ],
-)
-def test_float32_is_suggested_where_it_would_do(classes, ratios, precision, said):
-    judgement = judgement_of(*classes)
-    judgement.exact.ratio[:] = ratios
-    found = failure_hints(Answer(np.zeros(1), None, precision, {}), judgement)
-    assert ("--candidate-precision float32" in "".join(found)) is said
 
 
 def test_failing_rows_are_those_of_failing_classes_and_unlisted_cases():

@@ -125,9 +125,9 @@ def test_the_account_is_the_same_in_words_and_as_json(tmp_path, monkeypatch, cap
     assert data["skipped_aovs"] == [name for name in BY_NAME if name not in ("depth", "normal")]
     assert main(["render", "s.toml", "--aov", "depth,normal", "--explain"]) == 0
     words = capsys.readouterr().out
-    assert f"culling      {data['culling']['name']}: {data['culling']['reason']}\n" in words
-    assert f"computed for {data['surfaces']['hits']} hits: normals\n" in words
-    assert f"trees        skipped: {data['trees']['reason']}\n" in words
+    assert f"culling          name {data['culling']['name']}, reason {data['culling']['reason']}\n" in words
+    assert f"surfaces         hits {data['surfaces']['hits']}, worked out normals, " in words
+    assert f"trees            runs no, reason {data['trees']['reason']}, grown 0\n" in words
 
 
 LONELY = """[film]

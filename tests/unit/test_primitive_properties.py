@@ -8,7 +8,6 @@ import pytest
 from caster import cast
 from caster.cameras import CAMERAS
 from caster.description.fields import Shape
-from caster.geometry.edge_distances import edge_distances
 from caster.geometry.packing import pack
 from caster.jit.decorators import implements
 from caster.kernels.protocol import camera_ray, hull_point, hull_size, intersect, load, prepare, project, t_lower_bound
@@ -54,74 +53,6 @@ def test_the_hull_of_a_primitive_holds_its_surface_and_touches_it(name):
     u /= np.linalg.norm(u, axis=0)
     assert ((p @ u).max(axis=0) <= (hull @ u).max(axis=0) + 1e-12 * (size + np.abs(hull).max())).all()
     assert (p.min(axis=0) - low).max() < 0.05 * size and (high - p.max(axis=0)).max() < 0.05 * size
-
-
-def from_axis(to_object: np.ndarray, center: np.ndarray, o: np.ndarray, d: np.ndarray, axes: int) -> float:
-    """The least distance of a line from the origin in object space, in `axes` coordinates; by least squares."""
-    f, e = (np.linalg.solve(to_object, v)[:axes] for v in (o - center, d))
-    return float(np.linalg.norm(f - e * (e @ f) / (e @ e)))
-
-
-@pytest.mark.parametrize(("shape", "axes"), [(Sphere(to_world=TURNED), 3), (Cylinder(radius=0.4, to_world=TURNED), 2)])
-def test_the_distance_from_a_silhouette_is_that_of_least_squares(shape, axes):
-    (kind,) = pack(scene_of(shape)).kinds
-    rng = np.random.default_rng([151, axes])
-    signs = set()
-    for _ in range(60):
-        o, d = 4.0 * rng.normal(size=3), rng.normal(size=3)
-        d = d if rng.random() < 0.5 else np.array(kind.prims.center[0]) + 0.3 * d - o
-        (found,) = edge_distances(kind.prims, 0, o, d)
-        expected = 1.0 - from_axis(kind.prims.to_world[0], kind.prims.center[0], o, d, axes)
-        assert found.inside == pytest.approx(expected, rel=1e-9, abs=1e-11)
-        signs.add(found.inside > 0.0)
-    assert signs == {True, False}
-
-
-ALONG = {  # shape, directions along it, and others, in object space
-    "disk": (Disk(to_world=TURNED), [(1, 0, 0), (-0.5, 2, 0)], [(1, 0, 1), (1, 0, -1), (0, 0, 2)]),
-    "cylinder": (Cylinder(to_world=TURNED), [(0, 0, 1), (0, 0, -3)], [(1, 0, 3), (0, 1, 0), (2, -1, 1)]),
-}
-
-
-@pytest.mark.parametrize("name", ALONG)
-def test_a_ray_along_a_disk_or_the_axis_of_a_cylinder_has_no_distance_from_its_outline(name):
-    """Its only distance is 0, in radii, and is called otherwise than the silhouette or the rim that others have."""
-    shape, along, across = ALONG[name]
-    (kind,) = pack(scene_of(shape)).kinds
-    kind.prims.to_world[:] = np.round(64.0 * kind.prims.to_world) / 64.0  # so that products with it are exact
-    m, o = kind.prims.to_world[0], kind.prims.center[0] + [0.3, 0.2, 0.5]
-    for directions, expected in ((along, "edge-on" if name == "disk" else "along the axis"), (across, None)):
-        for d in directions:
-            (found,) = edge_distances(kind.prims, 0, o, m @ np.array(d, float))
-            outline = "rim" if name == "disk" else "silhouette"
-            assert found.of == (expected or outline) and found.unit == "radii"
-            assert type(found.inside) is float and (found.inside == 0.0) == (expected is not None)
-
-
-def test_the_distance_from_an_edge_is_that_of_two_lines_with_the_sign_of_the_inside():
-    rng = np.random.default_rng(153)
-    signs = set()
-    for number in range(60):
-        corners = rng.normal(size=(3, 3))
-        (kind,) = pack(scene_of(Triangle(vertices=corners.tolist()))).kinds
-        inner = rng.dirichlet([1.0, 1.0, 1.0]) if number % 2 else rng.normal(size=3)
-        o = 3.0 * rng.normal(size=3)
-        d = inner @ corners / inner.sum() - o
-        n = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-        t = (corners[0] - o) @ n / (d @ n)
-        found = edge_distances(kind.prims, 0, o, d)
-        assert [each.of for each in found] == ["edge 0-1", "edge 1-2", "edge 2-0"]
-        for i, each in enumerate(found):
-            a, b, c = np.roll(corners, -i, axis=0)
-            across = np.cross(d, b - a)
-            apart = abs((o - a) @ across) / np.linalg.norm(across)
-            within = np.cross(b - a, o + t * d - a) @ np.cross(b - a, c - a) > 0.0
-            assert each.inside == pytest.approx(apart if within else -apart, rel=1e-9)
-            signs.add(within)
-    assert signs == {True, False}
-    (kind,) = pack(scene_of(Triangle(vertices=[[0, 0, 0], [1, 0, 0], [0, 1, 0]]))).kinds
-    (edge_on,) = edge_distances(kind.prims, 0, np.array([5.0, 1.0, 0.0]), np.array([-1.0, 0.0, 0.0]))
-    assert edge_on.inside == 0.0 and edge_on.of not in ("edge 0-1", "edge 1-2", "edge 2-0")
 
 
 @pytest.mark.parametrize("camera", CAMERAS, ids=lambda cls: cls.__name__)

@@ -9,7 +9,7 @@ import pytest
 
 from caster.system.atomic_files import OutputError
 from mitsuba_ref.judge.verdict import Failure, SceneVerdict
-from mitsuba_ref.report.html_report import SCRIPTS, HtmlReport, as_json, index_row, page
+from mitsuba_ref.report.html_report import SCRIPTS, HtmlReport, index_row, page, script_json
 from mitsuba_ref.report.verdict_text import failure_text
 
 FAILURE = Failure(3, 4, "wrong", "depth", 41.0, "a", "b", "c", "by exact arithmetic, ours is wrong")
@@ -20,7 +20,7 @@ PASSING = replace(PASSING, counts=PASSING.counts | {"agree": 9})
 
 
 def matrix_rows(*verdicts):
-    return [index_row(verdict, f"{verdict.name}.js", "") for verdict in verdicts]
+    return [index_row(verdict, "") for verdict in verdicts]
 
 
 def test_a_run_that_is_cut_off_has_its_page(tmp_path):
@@ -34,8 +34,8 @@ def test_a_run_that_is_cut_off_has_its_page(tmp_path):
 def test_no_text_ends_its_script():
     evil = "</script><script>alert(1)</script><!--\u2028"
     text = "".join(page({"summary": evil, "candidate": evil}, matrix_rows(replace(FAILING, name=evil))))
-    assert text.count("<script") == 3 and "alert(1)<" not in text and "\u2028" not in as_json(evil)
-    assert json.loads(as_json(evil)) == evil
+    assert text.count("<script") == 3 and "alert(1)<" not in text and "\u2028" not in script_json(evil)
+    assert json.loads(script_json(evil)) == evil
 
 
 def test_every_script_of_the_page_is_in_it():

@@ -307,7 +307,6 @@ material = "gold"
 type = "pinhole"
 eye = [0, 0, 5]
 look_at = [0, 0, 5]
-fov = 180
 
 [[shape]]
 type = "mesh"
@@ -317,7 +316,7 @@ file = "../out/of/reach.ply"
 width = 0
 """
     heads = [line for line in errors(text).splitlines() if line.startswith("scenes/")]
-    assert [head.split(": ")[0] for head in heads] == [f"scenes/x.toml:{line}:1" for line in (3, 4, 9, 10, 14, 17)]
+    assert [head.split(": ")[0] for head in heads] == [f"scenes/x.toml:{line}:1" for line in (3, 4, 9, 13, 16)]
 
 
 def test_a_default_that_does_not_fit_is_reported_beside_another_error():

@@ -19,13 +19,7 @@ from caster.kernels.protocol import (
     project_bounding_sphere,
     t_lower_bound,
 )
-from caster.kernels.raster.screen_bounds import (
-    PROJECTION_MARGIN,
-    ScreenBounds,
-    Window,
-    bound_distorted_hulls,
-    project_vertices,
-)
+from caster.kernels.raster.screen_bounds import PROJECTION_MARGIN, ScreenBounds, Window, bound_hulls, project_vertices
 from caster.kernels.raster.tile import DX, DY, DZ, PRIM, T_ERROR, UNCERTAIN, T, generate_camera_rays, new_tile
 from caster.kernels.raster.tile import HEIGHT as TILE_HEIGHT
 from caster.kernels.raster.tile import WIDTH as TILE_WIDTH
@@ -165,7 +159,7 @@ def test_the_pixels_of_a_triangle_hold_its_curved_edges_on_every_side(name):
         np.zeros((count, 4), np.int32), np.zeros(count), faces, np.zeros((3 * count, 4)), (0.0, 0.0, 0.0)
     )
     project_vertices(points, camera, window, bounds.projected, reach, 0, 3 * count)
-    bound_distorted_hulls(points, faces, camera, window, bounds, reach, 0, count)
+    bound_hulls(points, faces, camera, window, bounds, reach, 0, count)
     beyond = np.zeros(4, int)  # left, top, right, bottom
     for k in range(count):
         a, b = points[3 * k : 3 * k + 2]

@@ -100,5 +100,5 @@ def test_a_file_name_that_is_no_utf_8_is_reported(tmp_path):
     file = os.fsdecode(bytes(tmp_path) + b"/\xff.toml")
     Path(file).write_text("")
     for place in (file, str(tmp_path)):
-        with pytest.raises(SceneError, match=r"udcff\.toml': expected a file name in UTF-8"):
+        with pytest.raises(SceneError, match=r"udcff\.toml': expected a name in UTF-8"):
             scene_files([place])

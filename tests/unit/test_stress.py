@@ -11,6 +11,7 @@ import jsonschema
 import numpy as np
 import pytest
 import stress_page
+from pages import read_result
 
 import caster
 from mitsuba_ref.__main__ import main
@@ -20,7 +21,7 @@ from mitsuba_ref.hard import BY_NAME
 from mitsuba_ref.hard.swept_families import SWEPT
 from mitsuba_ref.reference.variants import Variants
 from mitsuba_ref.report import results
-from mitsuba_ref.report.results import as_json, read_result, write_result
+from mitsuba_ref.report.results import as_json, write_result
 from mitsuba_ref.stress import score, sweeps
 from mitsuba_ref.stress.score import Absent, Observation, Scorer
 from mitsuba_ref.stress.sweeps import StressRun, SweepResult
@@ -34,7 +35,7 @@ REFERENCES = ("scalar", "llvm", "llvm-robust")
 @pytest.fixture(autouse=True)
 def no_mitsuba(monkeypatch):
     """A machine where no variant works: the sweeps go on with ours and exact arithmetic."""
-    nothing = Variants(False, False, None, "planted: nothing works")
+    nothing = Variants(False, None, "planted: nothing works")
     monkeypatch.setattr(score, "usable_variants", lambda: nothing)
     monkeypatch.setattr(results, "usable_variants", lambda: nothing)
 

@@ -11,24 +11,12 @@ from verdict_factory import scene as made
 
 from caster.scene.files import load_scene
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, EXPLAINED, REFERENCE_WRONG, TIE, UNDECIDED, WRONG
-from mitsuba_ref.report.results import Column, format_table, print_lines
+from mitsuba_ref.report.results import print_lines
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.report.verdict_text import LEGEND, class_text, failure_text, table_head, table_row
 from mitsuba_ref.subjects.function import FunctionSubject
 
 ROOT = Path(__file__).resolve().parents[2]
-
-COLUMNS = (Column("scene"), Column("ref.\nwrong", "right", 5), Column("bound"))
-
-
-def test_columns_are_aligned_and_lines_end_without_blanks():
-    text = format_table(COLUMNS, [("a", "12", "K u S [/x]"), ("longer name", "3", "")])
-    assert text.splitlines() == [
-        "              ref.",
-        "scene        wrong  bound",
-        "a               12  K u S [/x]",
-        "longer name      3",
-    ]
 
 
 def printed(text):

@@ -9,10 +9,11 @@ import verdict_factory
 
 from caster.system.process import OK
 from mitsuba_ref.cli.validate import exit_code
-from mitsuba_ref.judge.adjudication import oracle_answers, ratios_of_named
+from mitsuba_ref.judge.adjudication import exact_ratios, oracle_answers
 from mitsuba_ref.judge.aggregate import merge_windows
 from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, SceneCheck, SceneVerdict, Verdict
 from mitsuba_ref.oracle.oracle import OutsideDomain
+from mitsuba_ref.subjects.subject import Answer
 
 INF = np.inf
 
@@ -72,8 +73,12 @@ HIT, MISS = answer_at((7, 2.0)), answer_at(miss=True)
     ],
 )
 def test_the_error_of_a_subject_that_names_what_it_hits(answer, prim, t, bound, ratio):
-    found = ratios_of_named([answer, None], np.array([prim, prim]), np.array([t, t]), np.array([bound, bound]))
-    assert found.best.tolist() == [ratio, INF] and found.of_first.tolist() == [ratio <= 1.0, False]
+    given = Answer(np.array([t, t]), None, "float64", {}, prim=np.array([prim, prim]), exact_visibility=True)
+    packed = SimpleNamespace(shape_of=None, index_in_shape=None)
+    best, first = exact_ratios(
+        [answer, None], given, lambda of, *at: SimpleNamespace(t_error=np.full(len(of), bound)), packed
+    )
+    assert best.tolist() == [ratio, INF] and first.tolist() == [ratio <= 1.0, False]
 
 
 # ---- verdicts

@@ -44,7 +44,7 @@ def little(monkeypatch):
     """One AOV by one culling: the rest is as much again, many times."""
     monkeypatch.setattr(warm_up, "WARM_UP_AOV_SETS", (("depth",),))
     monkeypatch.setattr(warm_up, "get_args", lambda culling: ("raster",))
-    monkeypatch.setattr(warm_up, "_warm_decisions", lambda packed: None)
+    monkeypatch.setattr(warm_up, "warm_decisions", lambda *given: None)
     monkeypatch.setattr(warm_up, "_warm_shadows", lambda packed, scene: None)
     monkeypatch.setattr(decorators.COMPILATION_LOG, "compiling", decorators.COMPILATION_LOG.compiling)
 

@@ -18,14 +18,14 @@ from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 
-from caster.description.errors import FileMissing, SceneError, field_error, format_value, missing_file_error
+from caster.description.errors import FileMissing, SceneError, field_error, format_value
 from caster.description.input_files import MAX_MESH_BYTES, read_input
 from caster.description.transform import compose, is_mirrored, scale, transform_points, translate
 from caster.geometry.mesh_files.obj import parse_obj, quote_bytes
 from caster.geometry.mesh_files.ply import Points, parse_ply, parse_ply_points
 from caster.geometry.triangle_mesh import Mesh, check_mesh, normalize_rows, triangle_fans
 
-__all__ = ["MESH_SUFFIXES", "MeshFolders", "load_mesh", "load_once", "load_points"]
+__all__ = ["MeshFolders", "load_points"]
 
 TRIMESH_SUFFIXES = (".stl", ".glb", ".gltf")
 MESH_SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
@@ -100,9 +100,10 @@ class MeshFolders(NamedTuple):
             load(where)
         except SceneError as error:
             text = f"cannot be used: {str(error).removeprefix(f'{where}: ').replace(where, file)}"
-            if not isinstance(error, FileMissing):
-                raise field_error(text) from None
-            raise missing_file_error(text + (f"; tried {', '.join(map(str, tried))}" if tried[1:] else "")) from None
+            missing = isinstance(error, FileMissing)
+            if missing and tried[1:]:
+                text += f"; tried {', '.join(map(str, tried))}"
+            raise field_error(text, missing_file=missing) from None
         return where
 
 

@@ -14,11 +14,15 @@ from caster.geometry.mesh_files.obj import quote_bytes
 from caster.geometry.triangle_mesh import Floats, Mesh, format_row, triangle_fans
 
 # Type names of the format as NumPy codes without byte order.
-TYPES = {
-    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
-    "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
-    "float": "f4", "double": "f8", "float32": "f4", "float64": "f8",
-}  # fmt: skip
+TYPES = dict(
+    re.findall(
+        r"(\w+) (\w+)",
+        """
+        char i1  uchar u1  short i2  ushort u2  int i4    uint u4    float f4    double f8
+        int8 i1  uint8 u1  int16 i2  uint16 u2  int32 i4  uint32 u4  float32 f4  float64 f8
+        """,
+    )
+)
 BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 FORMATS = "ascii, binary_little_endian or binary_big_endian, and 1.0"
 

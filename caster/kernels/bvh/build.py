@@ -7,6 +7,7 @@ import numpy as np
 
 from caster.jit.decorators import inlined, jit
 from caster.jit.simd import CHILDREN
+from caster.kernels.math.vec import row
 from caster.kernels.protocol import Vec3, hull_point, hull_size
 from caster.kernels.triangles import Triangles
 
@@ -79,11 +80,6 @@ def list_hull_points(prims: Any, points: Any, count: int) -> None:
             points[k * size + j, 0], points[k * size + j, 1], points[k * size + j, 2] = hull_point(prims, k, j)
 
 
-def bounding_boxes(prims: Any, low: np.ndarray, high: np.ndarray) -> None:
-    """Bounds (n, 3) of primitives."""
-    bound_hulls_in_space(*hulls_of(prims, len(low)), low, high)
-
-
 @jit
 def bound_hulls_in_space(points: Any, corners: Any, low: Any, high: Any) -> None:
     """Bounding boxes of hulls; empty boxes of a kind without bounds."""
@@ -114,9 +110,9 @@ def quantize_boxes(low: Any, high: Any, center: Vec3, unit: float, boxes: Any, s
 
 
 @inlined
-def half_area(low_x: float, low_y: float, low_z: float, high_x: float, high_y: float, high_z: float) -> float:
+def half_area(low: Any, high: Any) -> float:
     """Half the surface of a box, 0 of an empty one."""
-    x, y, z = max(high_x - low_x, 0.0), max(high_y - low_y, 0.0), max(high_z - low_z, 0.0)
+    x, y, z = max(high[0] - low[0], 0.0), max(high[1] - low[1], 0.0), max(high[2] - low[2], 0.0)
     return x * y + y * z + z * x
 
 
@@ -184,14 +180,14 @@ def best_split_bin(counts: Any, bounds: Any) -> int:
         number += counts[b]
         for c in range(3):
             low[c], high[c] = min(low[c], bounds[b, c]), max(high[c], bounds[b, c + 3])
-        costs[b - 1] = number * half_area(low[0], low[1], low[2], high[0], high[1], high[2])
+        costs[b - 1] = number * half_area(low, high)
     low[:], high[:] = math.inf, -math.inf
     number, best, least = 0, 0, math.inf
     for b in range(BINS - 1):
         number += counts[b]
         for c in range(3):
             low[c], high[c] = min(low[c], bounds[b, c]), max(high[c], bounds[b, c + 3])
-        cost = costs[b] + number * half_area(low[0], low[1], low[2], high[0], high[1], high[2])
+        cost = costs[b] + number * half_area(low, high)
         if cost < least:
             best, least = b, cost
     return best
@@ -267,7 +263,7 @@ def open_largest(boxes: Any, links: Any, inside: Any) -> int:
         opened, largest = -1, -1.0
         for j in range(number):
             k = inside[j]
-            area = half_area(boxes[k, 0], boxes[k, 1], boxes[k, 2], boxes[k, 3], boxes[k, 4], boxes[k, 5])
+            area = half_area(row(boxes, k), (boxes[k, 3], boxes[k, 4], boxes[k, 5]))
             if links[k, 1] < 0 and area > largest:
                 opened, largest = j, area
         if opened >= 0:

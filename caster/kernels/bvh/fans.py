@@ -9,8 +9,8 @@ a group. The tree is traversed once for a group; primitives that a run may hit a
 import math
 from typing import Any, NamedTuple
 
-from caster.jit.decorators import generic_inlined, implement, inlined, jit
-from caster.jit.simd import CHILDREN, LANES, lowest_bit, prefetch
+from caster.jit.decorators import generic_inlined, implement, inlined, jit, optional
+from caster.jit.simd import CHILDREN, LANES, least, load_children, lowest_bit, prefetch
 from caster.kernels.bvh.build import LEAF_SIZE, LEAF_SIZE_BASE
 from caster.kernels.math.lanes import (
     FAN_FIELDS,
@@ -29,8 +29,6 @@ from caster.kernels.protocol import Vec3, intersect, load, prepare
 from caster.kernels.raster.tile import (
     CACHE_LINE,
     DX,
-    DY,
-    DZ,
     FAN_X,
     FAN_Y,
     HEIGHT,
@@ -44,6 +42,7 @@ from caster.kernels.raster.tile import (
     WIDTH,
     T,
     cast_lanes,
+    get,
     lane,
     update_nearest,
 )
@@ -133,14 +132,8 @@ class RayGroups(NamedTuple):
 
 
 @inlined
-def fan_project(fan: Fan, p: Vec3) -> Vec3:
-    """(x, y, depth) of a point; x and y are not divided where it is behind."""
-    return project_vector(fan, sub(p, fan.origin))
-
-
-@inlined
 def project_vector(fan: Fan, a: Vec3) -> Vec3:
-    """The same of a point relative to the fan's origin."""
+    """(x, y, depth) of a point relative to the fan's origin; x and y are not divided where it is behind."""
     depth = dot(fan.forward, a)
     over = depth if (fan.perspective != 0.0) & (depth > 0.0) else 1.0
     return dot(fan.across, a) / over, dot(fan.up, a) / over, depth
@@ -153,18 +146,18 @@ def project_vector(fan: Fan, a: Vec3) -> Vec3:
 def project_along(fan: Any, points: Any, projected: Any, start: int, stop: int) -> None:
     """projected (n, 3): x, y, depth of points start..stop."""
     for i in range(start, stop):
-        projected[i, 0], projected[i, 1], projected[i, 2] = fan_project(fan, row(points, i))
+        projected[i, 0], projected[i, 1], projected[i, 2] = project_vector(fan, sub(row(points, i), fan.origin))
 
 
 @jit
 def bound_hulls_along(fan: Any, corners: Any, projected: Any, order: Any, prims: Any, start: int, stop: int) -> None:
     """Boxes of the hulls order[start:stop] between projected points; corners: (n, points of a hull)."""
     for at in range(start, stop):
-        box = nothing()
+        box = NOTHING
         for j in range(corners.shape[1]):
             box = with_point(box, row(projected, corners[order[at], j]))
         if not store_prim(fan, prims, at, box):
-            box = nothing()
+            box = NOTHING
             for j in range(corners.shape[1]):
                 box = with_point(box, undivided(row(projected, corners[order[at], j])))
             store_near_prim(fan, prims, at, box)
@@ -174,9 +167,7 @@ Extent = tuple[float, float, float, float, float, float]
 """Least x, -largest x, least y, -largest y, least depth, -largest depth"""
 
 
-@inlined
-def nothing() -> Extent:
-    return math.inf, math.inf, math.inf, math.inf, math.inf, math.inf
+NOTHING: Extent = math.inf, math.inf, math.inf, math.inf, math.inf, math.inf
 
 
 @inlined
@@ -227,14 +218,14 @@ def bound_nodes_along(links: Any, bounds: Any) -> None:
         for j in range(CHILDREN):
             link = links[node, j]
             for f in range(FAN_FIELDS):
-                least = math.inf
+                low = math.inf
                 if link >= 0:
-                    least = least_of(nodes, link * BOX_SIZE + f * CHILDREN)
+                    low = least_of(nodes, link * BOX_SIZE + f * CHILDREN)
                 else:
                     start, number = ~link // LEAF_SIZE_BASE, ~link % LEAF_SIZE_BASE
                     for at in range(start, start + number):
-                        least = min(least, prims[at * PRIM_FIELDS + f])
-                nodes[node * BOX_SIZE + f * CHILDREN + j] = least
+                        low = min(low, prims[at * PRIM_FIELDS + f])
+                nodes[node * BOX_SIZE + f * CHILDREN + j] = low
 
 
 # ---- rays ----
@@ -243,10 +234,7 @@ def bound_nodes_along(links: Any, bounds: Any) -> None:
 @inlined
 def least_of(boxes: Any, first: int) -> float:
     """The least of CHILDREN numbers."""
-    least = math.inf
-    for j in range(first, first + CHILDREN):
-        least = min(least, boxes[j])
-    return least
+    return least(load_children(boxes, first))
 
 
 @inlined
@@ -316,8 +304,7 @@ def group_run(fan: Fan, tile: Any, first: Any, outward: bool) -> bool:
     """
     for n in range(lane(LANES)):
         i = first + n
-        o = tile[OX + i], tile[OY + i], tile[OZ + i]
-        d = tile[DX + i], tile[DY + i], tile[DZ + i]
+        o, d = get(tile, OX + i), get(tile, DX + i)
         x, y, depth = project_vector(fan, d if outward else sub(o, fan.origin))
         ray = tile[T_MAX + i] >= 0.0
         ahead = (depth > 0.0) & (abs(x) <= FAN_LIMIT) & (abs(y) <= FAN_LIMIT)
@@ -344,23 +331,15 @@ NO_POINT = 0.0, 0.0, 0.0
 NO_PLANE = NO_POINT, NO_POINT, NO_POINT
 
 
-@generic_inlined
+@optional(generic_inlined)
 def outline(prims: Any, k: int, points: Any, wide: float) -> Any:
     """Three lines (a, b, c): a ray at (x, y) misses primitive k if a x + b y + c < 0 for one of them."""
-
-
-@generic_inlined
-def separating_plane(prims: Any, prim: Any, fan: Fan) -> Any:
-    """(p, normal, error): a ray to the light that starts above it misses the primitive (math.lanes.lanes_above)."""
-
-
-@implement(outline, object)
-def _no_outline(prims: Any, k: int, points: Any, wide: float) -> Outline:
     return NO_OUTLINE
 
 
-@implement(separating_plane, object)
-def _no_plane(prims: Any, prim: Any, fan: Fan) -> Outline:
+@optional(generic_inlined)
+def separating_plane(prims: Any, prim: Any, fan: Fan) -> Any:
+    """(p, normal, error): a ray to the light that starts above it misses the primitive (math.lanes.lanes_above)."""
     return NO_PLANE
 
 
@@ -397,12 +376,6 @@ def _triangle_plane(prims: Any, prim: Any, fan: Fan) -> Outline:
     sure = abs(height) > abs_dot(error, ahead) + fan.perspective * fan.slack * l1_norm(spread) + TINY
     side = math.copysign(1.0, height) if sure else 0.0
     return a, scaled(side, n), error
-
-
-@inlined
-def facing_limits(boxes: Any, first: int) -> tuple[float, float, float, float, float]:
-    """Limits for `boxes_below` of boxes that a primitive's box overlaps and that are not all in front of it."""
-    return -boxes[first + 1], -boxes[first], -boxes[first + 3], -boxes[first + 2], -boxes[first + 4]
 
 
 @inlined
@@ -456,12 +429,14 @@ def cast_fan(
                 continue
             start, number = ~inside // LEAF_SIZE_BASE, ~inside % LEAF_SIZE_BASE
             for at in range(start, start + number):
-                meets = facing_limits(bounds.prims, at * PRIM_FIELDS)
+                box, i = bounds.prims, at * PRIM_FIELDS
+                # of boxes that the primitive's box overlaps and that are not all in front of it
+                meets = -box[i + 1], -box[i], -box[i + 3], -box[i + 2], -box[i + 4]
                 mask = boxes_below(blocks, group, meets)
                 if mask == 0:
                     continue
                 k = tree.order[at]
-                lines = outline(prims, k, bounds.points, bounds.prims[at * PRIM_FIELDS + 5])
+                lines = outline(prims, k, bounds.points, box[i + 5])
                 plane = NO_PLANE if outward else separating_plane(prims, load(prims, k), fan)
                 count = 0
                 while mask != 0:
@@ -487,11 +462,10 @@ def cast_fan(
                     first = lane(block_corner(block) + r * WIDTH)
                     far = block * BOX_SIZE + 4 * CHILDREN
                     if outward:
-                        for i in range(first, first + lane(LANES)):
-                            d = tile[DX + i], tile[DY + i], tile[DZ + i]
-                            t, error = intersect(prims, pre, d, tile[T_MIN + i], tile[T_MAX + i])
+                        for x in range(first, first + lane(LANES)):
+                            t, error = intersect(prims, pre, get(tile, DX + x), tile[T_MIN + x], tile[T_MAX + x])
                             t, error = any_hit_result(t, error, any_hit)
-                            update_nearest(tile, i, prim_number, t, error)
+                            update_nearest(tile, x, prim_number, t, error)
                         depth = farthest_depth(tile, first, groups.stretch[found[n]])
                         runs[far + r] = -depth if depth >= 0.0 else math.inf
                     else:

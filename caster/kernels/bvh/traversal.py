@@ -7,26 +7,10 @@ from caster.jit.decorators import inlined, jit
 from caster.jit.simd import LANES, lowest_bit
 from caster.kernels.bvh.build import LEAF_SIZE_BASE
 from caster.kernels.math.lanes import intersect_boxes, intersect_boxes_packet, lane_max, lane_max_of_sums, lane_min
-from caster.kernels.math.vec import row
+from caster.kernels.math.vec import l1_norm, max_norm, row
 from caster.kernels.nearest import KeepNearest
 from caster.kernels.protocol import Vec3, intersect, load, prepare, surely_misses, update_best
-from caster.kernels.raster.tile import (
-    DX,
-    DY,
-    DZ,
-    OX,
-    OY,
-    OZ,
-    PRIM,
-    STRIDE,
-    T_ERROR,
-    T_MAX,
-    T_MIN,
-    UNCERTAIN,
-    T,
-    cast_lanes,
-    lane,
-)
+from caster.kernels.raster.tile import DX, OX, PRIM, STRIDE, T_ERROR, T_MAX, T_MIN, UNCERTAIN, T, cast_lanes, get, lane
 
 # A box is met from (low + c) / d to (high + c) / d along an axis, c being its reference point relative to the origin,
 # less or more the pad, taken as low (1/d) + c (1/d). What the products round, u (|low| + |c|) in space, is in REACH;
@@ -52,7 +36,7 @@ def safe_inverse(x: float, flat: float) -> float:
 @inlined
 def box_padding(tree: Any, o: Vec3) -> float:
     """The margin of boxes for rays from o."""
-    return tree.reach * (max(abs(o[0]), abs(o[1]), abs(o[2])) + tree.extent)
+    return tree.reach * (max_norm(o) + tree.extent)
 
 
 @inlined
@@ -176,7 +160,7 @@ COHERENCE_LIMIT = 0.06
 @inlined
 def is_coherent(tree: Any, tile: Any, first: Any, origins: Bounds3, directions: Bounds3) -> bool:
     """Whether the rays of a packet enter mostly the same boxes. It changes no bit of a hit."""
-    turn = abs(tile[DX + first]) + abs(tile[DY + first]) + abs(tile[DZ + first])
+    turn = l1_norm(get(tile, DX + first))
     return (l1_extent(origins) <= COHERENCE_LIMIT * tree.unit) & (l1_extent(directions) <= COHERENCE_LIMIT * turn)
 
 
@@ -190,14 +174,12 @@ def l1_extent(ends: Bounds3) -> float:
 def packet_box_setup(tree: Any, origins: Bounds3, directions: Bounds3) -> PacketBoxSetup:
     """Slab-test constants of rays whose origins and directions lie within these bounds."""
     pad = max(box_padding(tree, origins[0]), box_padding(tree, origins[1]))
-    x, y, z = (
-        axis_setup(tree, origins, directions, pad, 0),
-        axis_setup(tree, origins, directions, pad, 1),
-        axis_setup(tree, origins, directions, pad, 2),
-    )
+    x, y = axis_setup(tree, origins, directions, pad, 0), axis_setup(tree, origins, directions, pad, 1)
+    z = axis_setup(tree, origins, directions, pad, 2)
+    near = 0 if x[4] else 3, 1 if y[4] else 4, 2 if z[4] else 5
     return PacketBoxSetup(
-        (0 if x[4] else 3, 1 if y[4] else 4, 2 if z[4] else 5),
-        (3 if x[4] else 0, 4 if y[4] else 1, 5 if z[4] else 2),
+        near,
+        (3 - near[0], 5 - near[1], 7 - near[2]),
         (x[0], y[0], z[0]),
         (x[1], y[1], z[1]),
         (x[2], y[2], z[2]),
@@ -231,9 +213,8 @@ def cast_rays_singly(prims: Any, tree: Any, base: int, tile: Any, first: Any, wo
     """Nearest hits of a packet's rays, one by one."""
     mode = KeepNearest(any_hit)
     for i in range(first, first + PACKET_SIZE):
-        o, d = (tile[OX + i], tile[OY + i], tile[OZ + i]), (tile[DX + i], tile[DY + i], tile[DZ + i])
-        held = tile[T + i], tile[T_ERROR + i], -1, False
-        best = traverse(mode, prims, tree, i, (o, d, tile[T_MIN + i], tile[T_MAX + i]), held, workspace)
+        ray = get(tile, OX + i), get(tile, DX + i), tile[T_MIN + i], tile[T_MAX + i]
+        best = traverse(mode, prims, tree, i, ray, (tile[T + i], tile[T_ERROR + i], -1, False), workspace)
         if best[2] >= 0:
             tile[T + i], tile[T_ERROR + i], tile[PRIM + i] = best[0], best[1], float(base + best[2])
         if best[3]:

@@ -25,7 +25,7 @@ from caster.kernels.exact.numbers import (
     signed,
     times,
 )
-from caster.kernels.math.vec import vector
+from caster.kernels.math.vec import row
 from caster.kernels.protocol import Vec3
 
 
@@ -36,7 +36,7 @@ def ray_in_object_space(center: Vec3, m: Any, o: Vec3, d: Vec3) -> tuple[Integer
     The adjugate of m, the matrix's inverse times its determinant, takes the ray to object space without a division.
     t counts in 2^exponent.
     """
-    first, second, third = vector(m[0]), vector(m[1]), vector(m[2])
+    first, second, third = row(m, 0), row(m, 1), row(m, 2)
     unit = lowest_exponent(o + center + first + second + third)
     step = lowest_exponent(d)
     x, y, z = integers(first, unit), integers(second, unit), integers(third, unit)
@@ -51,30 +51,26 @@ def ray_in_object_space(center: Vec3, m: Any, o: Vec3, d: Vec3) -> tuple[Integer
 def signed_mat_vec(columns: Any, v: Integer3, s: int) -> Integer3:
     """s times the matrix of these columns, times v."""
     a, b, c = columns
-    x = plus(plus(times(a[0], v[0]), times(b[0], v[1])), times(c[0], v[2]))
-    y = plus(plus(times(a[1], v[0]), times(b[1], v[1])), times(c[1], v[2]))
-    z = plus(plus(times(a[2], v[0]), times(b[2], v[1])), times(c[2], v[2]))
-    return signed(s, x), signed(s, y), signed(s, z)
+    x, y = dot_integer((a[0], b[0], c[0]), v), dot_integer((a[1], b[1], c[1]), v)
+    return signed(s, x), signed(s, y), signed(s, dot_integer((a[2], b[2], c[2]), v))
 
 
 @jit
 def exact_unit_sphere(f: Integer3, d: Integer3, r: Integer, e: int, t_min: float, t_max: float) -> Root:
     """The first t in (t_min, t_max] with |f + t d| = r, t in units of 2^e."""
-    near, far = exact_quadric_roots(f, d, r, e)
-    if near.hit and is_within(near, t_min, t_max):
-        return near
-    return far if far.hit and is_within(far, t_min, t_max) else no_root()
+    for root in exact_quadric_roots(f, d, r, e):
+        if root.hit and is_within(root, t_min, t_max):
+            return root
+    return no_root()
 
 
 @jit
 def exact_unit_cylinder(f: Integer3, d: Integer3, h: Integer, e: int, t_min: float, t_max: float) -> Root:
     """The first t in (t_min, t_max] with x^2 + y^2 = h^2 and 0 <= z <= h."""
     zero = np.zeros(1, np.int64)
-    near, far = exact_quadric_roots((f[0], f[1], zero), (d[0], d[1], zero), h, e)
-    if near.hit and is_within(near, t_min, t_max) and is_between_caps(near, f[2], d[2], h):
-        return near
-    if far.hit and is_within(far, t_min, t_max) and is_between_caps(far, f[2], d[2], h):
-        return far
+    for root in exact_quadric_roots((f[0], f[1], zero), (d[0], d[1], zero), h, e):
+        if root.hit and is_within(root, t_min, t_max) and is_between_caps(root, f[2], d[2], h):
+            return root
     return no_root()
 
 

@@ -16,12 +16,8 @@ from caster.jit.simd import (
     lesser,
     load_children,
     load_lanes,
-    minus,
-    plus,
     select,
-    splat,
     store,
-    times,
 )
 from caster.kernels.math.vec import TINY
 from caster.kernels.protocol import Vec3
@@ -32,7 +28,7 @@ from caster.kernels.protocol import Vec3
 @inlined
 def any_sum_reaches(a: Any, i: Any, j: Any, limit: float) -> bool:
     """Whether a[i + n] + a[j + n] >= limit for one n of 0..LANES - 1."""
-    return bits_up_to(splat(limit), plus(load_lanes(a, i), load_lanes(a, j))) != 0
+    return bits_up_to(limit, load_lanes(a, i) + load_lanes(a, j)) != 0
 
 
 @inlined
@@ -50,21 +46,21 @@ def lane_max(a: Any, i: Any) -> float:
 @inlined
 def lane_max_of_sums(a: Any, i: Any, j: Any) -> float:
     """The largest of a[i + n] + a[j + n] for n of 0..LANES - 1."""
-    return largest(plus(load_lanes(a, i), load_lanes(a, j)))
+    return largest(load_lanes(a, i) + load_lanes(a, j))
 
 
 @inlined
 def lanes_in_range(a: Any, i: Any, low: float, end: float) -> int:
     """A bit for each n of 0..LANES - 1 where low <= a[i + n] < end."""
     v = load_lanes(a, i)
-    return bits_up_to(splat(low), v) & bits_below(v, splat(end))
+    return bits_up_to(low, v) & bits_below(v, end)
 
 
 @inlined
 def numbers_in_range(a: Any, i: Any, low: float, end: float, lanes: Any, into: Any) -> None:
     """lanes[into + n] = a[i + n] - low where low <= a[i + n] < end, else 0, for n of 0..LANES - 1."""
     v = load_lanes(a, i)
-    store(select(lanes_in_range(a, i, low, end), minus(v, splat(low)), splat(0.0)), lanes, into)
+    store(select(lanes_in_range(a, i, low, end), v - low, 0.0), lanes, into)
 
 
 # ---- boxes of a tree's node ----
@@ -88,68 +84,48 @@ def box_row(boxes: Any, node: int, row: int) -> Vector:
 def intersect_boxes(boxes: Any, node: int, view: Any, t_min: float, t_max: float, near: Any) -> int:
     """A bit for each of the node's boxes that a ray enters between t_min and t_max; near (8,) gets these t.
 
-    view: a traversal.RayBoxSetup. A side at b along an axis is met at b inverse + enter, or + leave if it is far.
+    view: a traversal.RayBoxSetup.
     """
-    x0, x1 = ray_slab(boxes, node, view.near[0], view.far[0], view.inverse[0], view.enter[0], view.leave[0])
-    y0, y1 = ray_slab(boxes, node, view.near[1], view.far[1], view.inverse[1], view.enter[1], view.leave[1])
-    z0, z1 = ray_slab(boxes, node, view.near[2], view.far[2], view.inverse[2], view.enter[2], view.leave[2])
+    x0, x1 = ray_slab(boxes, node, view, 0)
+    y0, y1 = ray_slab(boxes, node, view, 1)
+    z0, z1 = ray_slab(boxes, node, view, 2)
     return entered(larger(larger(x0, y0), z0), lesser(lesser(x1, y1), z1), t_min, t_max, near)
 
 
 @inlined
-def ray_slab(boxes: Any, node: int, near: int, far: int, inverse: float, enter: float, leave: float) -> Any:
-    """Where each box is entered and left along an axis."""
-    slope = splat(inverse)
-    return (
-        plus(times(box_row(boxes, node, near), slope), splat(enter)),
-        plus(times(box_row(boxes, node, far), slope), splat(leave)),
-    )
+def ray_slab(boxes: Any, node: int, view: Any, axis: int) -> Any:
+    """Where each box is entered and left along an axis: at b inverse + enter of a near side b, + leave of a far one."""
+    near, far, inverse = box_row(boxes, node, view.near[axis]), box_row(boxes, node, view.far[axis]), view.inverse[axis]
+    return near * inverse + view.enter[axis], far * inverse + view.leave[axis]
 
 
 @inlined
 def intersect_boxes_packet(boxes: Any, node: int, view: Any, t_min: float, t_max: float, near: Any) -> int:
-    """The same for boxes that any of several rays may enter.
-
-    view: a traversal.PacketBoxSetup. A side at b is met at no less than (b unit + enter)/d if it is a near one, no more
-    than (b unit + leave)/d if it is far.
-    """
-    x0, x1 = packet_slab(
-        boxes, node, view.unit, view.near[0], view.far[0], view.least[0], view.most[0], view.enter[0], view.leave[0]
-    )
-    y0, y1 = packet_slab(
-        boxes, node, view.unit, view.near[1], view.far[1], view.least[1], view.most[1], view.enter[1], view.leave[1]
-    )
-    z0, z1 = packet_slab(
-        boxes, node, view.unit, view.near[2], view.far[2], view.least[2], view.most[2], view.enter[2], view.leave[2]
-    )
+    """The same for boxes that any of several rays may enter; view: a traversal.PacketBoxSetup."""
+    x0, x1 = packet_slab(boxes, node, view, 0)
+    y0, y1 = packet_slab(boxes, node, view, 1)
+    z0, z1 = packet_slab(boxes, node, view, 2)
     return entered(larger(larger(x0, y0), z0), lesser(lesser(x1, y1), z1), t_min, t_max, near)
 
 
 @inlined
-def packet_slab(
-    boxes: Any,
-    node: int,
-    unit: float,
-    near: int,
-    far: int,
-    least_inverse: float,
-    most_inverse: float,
-    enter: float,
-    leave: float,
-) -> Any:
-    """Where each box is entered at the earliest and left at the latest along an axis."""
-    low, high = splat(least_inverse), splat(most_inverse)
-    begin = plus(times(box_row(boxes, node, near), splat(unit)), splat(enter))
-    end = plus(times(box_row(boxes, node, far), splat(unit)), splat(leave))
-    return lesser(times(begin, low), times(begin, high)), larger(times(end, low), times(end, high))
+def packet_slab(boxes: Any, node: int, view: Any, axis: int) -> Any:
+    """Where each box is entered at the earliest and left at the latest along an axis.
+
+    A near side b is met at no less than (b unit + enter)/d, a far one at no more than (b unit + leave)/d.
+    """
+    begin = box_row(boxes, node, view.near[axis]) * view.unit + view.enter[axis]
+    end = box_row(boxes, node, view.far[axis]) * view.unit + view.leave[axis]
+    low, high = view.least[axis], view.most[axis]
+    return lesser(begin * low, begin * high), larger(end * low, end * high)
 
 
 @inlined
 def entered(enter: Vector, leave: Vector, t_min: float, t_max: float, near: Any) -> int:
     """A bit for each box that is entered before it is left, within the ray's limits."""
-    enter = larger(enter, splat(t_min))
-    leave = lesser(times(leave, splat(FAR_PADDING)), splat(t_max))
-    store(lesser(enter, splat(LARGEST_T)), near, 0)
+    enter = larger(enter, t_min)
+    leave = lesser(leave * FAR_PADDING, t_max)
+    store(lesser(enter, LARGEST_T), near, 0)
     return bits_up_to(enter, leave)
 
 
@@ -169,11 +145,11 @@ def fan_row(boxes: Any, node: int, field: int) -> Vector:
 def boxes_below(boxes: Any, node: int, limits: tuple[float, float, float, float, float]) -> int:
     """A bit for each of a node's boxes of which no number is above its limit; boxes: flat, (nodes, 5, CHILDREN)."""
     return (
-        bits_up_to(fan_row(boxes, node, 0), splat(limits[0]))
-        & bits_up_to(fan_row(boxes, node, 1), splat(limits[1]))
-        & bits_up_to(fan_row(boxes, node, 2), splat(limits[2]))
-        & bits_up_to(fan_row(boxes, node, 3), splat(limits[3]))
-        & bits_up_to(fan_row(boxes, node, 4), splat(limits[4]))
+        bits_up_to(fan_row(boxes, node, 0), limits[0])
+        & bits_up_to(fan_row(boxes, node, 1), limits[1])
+        & bits_up_to(fan_row(boxes, node, 2), limits[2])
+        & bits_up_to(fan_row(boxes, node, 3), limits[3])
+        & bits_up_to(fan_row(boxes, node, 4), limits[4])
     )
 
 
@@ -191,15 +167,15 @@ def boxes_reach_lines(boxes: Any, node: int, lines: Lines) -> int:
 
 @inlined
 def boxes_reach_line(boxes: Any, node: int, line: Vec3) -> int:
-    most = plus(largest_product(boxes, node, line[0], 0), largest_product(boxes, node, line[1], 2))
-    return bits_up_to(splat(0.0), plus(most, splat(line[2])))
+    most = largest_product(boxes, node, line[0], 0) + largest_product(boxes, node, line[1], 2) + line[2]
+    return bits_up_to(0.0, most)
 
 
 @inlined
 def largest_product(boxes: Any, node: int, slope: float, field: int) -> Vector:
     """slope x where it is largest; field: that of the least x."""
     rises = slope > 0.0
-    return times(splat(-slope if rises else slope), fan_row(boxes, node, field + 1 if rises else field))
+    return (-slope if rises else slope) * fan_row(boxes, node, field + 1 if rises else field)
 
 
 @inlined
@@ -211,8 +187,7 @@ def lanes_within_lines(xy: Any, i: Any, j: Any, lines: Lines) -> int:
 
 @inlined
 def points_within(x: Vector, y: Vector, line: Vec3) -> int:
-    total = plus(plus(times(splat(line[0]), x), times(splat(line[1]), y)), splat(line[2]))
-    return bits_up_to(splat(0.0), total)
+    return bits_up_to(0.0, line[0] * x + line[1] * y + line[2])
 
 
 @inlined
@@ -222,13 +197,7 @@ def lanes_above(tile: Any, x: Any, y: Any, z: Any, plane: Any) -> int:
     Surely above: normal . (p - point) > error . |p - point|.
     """
     p, normal, error = plane
-    a, b = minus(splat(p[0]), load_lanes(tile, x)), minus(splat(p[1]), load_lanes(tile, y))
-    c = minus(splat(p[2]), load_lanes(tile, z))
-    height = plus(plus(times(splat(normal[0]), a), times(splat(normal[1]), b)), times(splat(normal[2]), c))
-    off = plus(plus(error_share(error[0], a), error_share(error[1], b)), error_share(error[2], c))
-    return bits_below(plus(off, splat(TINY)), height)
-
-
-@inlined
-def error_share(error: float, v: Vector) -> Vector:
-    return times(splat(error), larger(v, times(splat(-1.0), v)))
+    a, b, c = p[0] - load_lanes(tile, x), p[1] - load_lanes(tile, y), p[2] - load_lanes(tile, z)
+    height = normal[0] * a + normal[1] * b + normal[2] * c
+    off = error[0] * larger(a, -1.0 * a) + error[1] * larger(b, -1.0 * b) + error[2] * larger(c, -1.0 * c)
+    return bits_below(off + TINY, height)

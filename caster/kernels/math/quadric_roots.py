@@ -14,9 +14,11 @@ from caster.kernels.math.vec import (
     fast_normalize,
     filter_result,
     l1_norm,
+    max_norm,
     point_at,
     scaled,
     scaled_near_one,
+    select,
     unit_direction,
 )
 from caster.kernels.protocol import Vec3
@@ -136,10 +138,12 @@ def quadric_roots(setup: Any, d: Vec3, d_error: float) -> QuadricRoots:
 @jit
 def outward_normal(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
     """The unit vector from the centre of |p| = r to where f + t d meets it."""
-    largest, along_d = max(abs(f[0]), abs(f[1]), abs(f[2])), unit_direction(d)
+    along_d = unit_direction(d)
     reach = t * dot(d, along_d)
-    if not (r > MIN_RANGE and max(r, largest) < MAX_RANGE):
-        e = min(-math.frexp(r)[1], MAX_SQUARABLE_EXPONENT - math.frexp(largest)[1])  # so that all squares are numbers
+    if not _is_in_range(f, r):
+        e = min(
+            -math.frexp(r)[1], MAX_SQUARABLE_EXPONENT - math.frexp(max_norm(f))[1]
+        )  # so that all squares are numbers
         f, r = (times_power(f[0], e), times_power(f[1], e), times_power(f[2], e)), math.ldexp(r, e)
         reach = times_power(reach, e)
         return normalize_in_range(scaled_near_one(radial_vector(f, along_d, reach, r)))
@@ -164,21 +168,20 @@ def fast_unit_normal(f: Vec3, d: Vec3, t: float) -> tuple[bool, Vec3]:
     """The same for r = 1 and a d of any length."""
     long, along_d = fast_normalize(d)
     unit = abs(dot(d, d) - 1.0) <= UNIT_SQUARE_ATOL
-    along_d = d[0] if unit else along_d[0], d[1] if unit else along_d[1], d[2] if unit else along_d[2]
+    along_d = select(unit, d, along_d)
     known = _is_in_range(f, 1.0) & long
     return known, _normal_where(known, f, along_d, t * dot(d, along_d), 1.0)
 
 
 @inlined
 def _is_in_range(f: Vec3, r: float) -> bool:
-    return (r > MIN_RANGE) & (max(r, max(max(abs(f[0]), abs(f[1])), abs(f[2]))) < MAX_RANGE)
+    return (r > MIN_RANGE) & (max(r, max_norm(f)) < MAX_RANGE)
 
 
 @inlined
 def _normal_where(known: bool, f: Vec3, d: Vec3, reach: float, r: float) -> Vec3:
     """The normal if `known`, else one of harmless numbers."""
-    f = f[0] if known else 0.0, f[1] if known else 0.0, f[2] if known else 0.0
-    d = d[0] if known else 0.0, d[1] if known else 0.0, d[2] if known else 1.0
+    f, d = select(known, f, (0.0, 0.0, 0.0)), select(known, d, (0.0, 0.0, 1.0))
     return normalize_in_range(radial_vector(f, d, reach if known else 0.0, r if known else 1.0))
 
 
@@ -198,7 +201,7 @@ def radial_vector(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
     side = 1.0 if beyond > (4.0 * U * abs(s) if dot(f, f) > r * r else 0.0) else -1.0
     out = point_at(closest, side * half_chord, d)
     there = l1_norm(out) > 0.0  # else r has no square, and the ray passes through the centre
-    return (out[0] if there else side * d[0], out[1] if there else side * d[1], out[2] if there else side * d[2])
+    return select(there, out, scaled(side, d))
 
 
 @inlined

@@ -23,11 +23,6 @@ def row(a: Any, k: int) -> Vec3:
 
 
 @jit
-def vector(a: Any) -> Vec3:
-    return a[0], a[1], a[2]
-
-
-@jit
 def dot(a: Vec3, b: Vec3) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
@@ -139,10 +134,11 @@ def scaled_near_one(a: Vec3) -> Vec3:
 @jit
 def matrix_rows(m: Any, k: int) -> tuple[Vec3, Vec3, Vec3]:
     """The rows of the 3x3 matrix m[k]."""
-    x = m[k, 0, 0], m[k, 0, 1], m[k, 0, 2]
-    y = m[k, 1, 0], m[k, 1, 1], m[k, 1, 2]
-    z = m[k, 2, 0], m[k, 2, 1], m[k, 2, 2]
-    return x, y, z
+    return (
+        (m[k, 0, 0], m[k, 0, 1], m[k, 0, 2]),
+        (m[k, 1, 0], m[k, 1, 1], m[k, 1, 2]),
+        (m[k, 2, 0], m[k, 2, 1], m[k, 2, 2]),
+    )
 
 
 @jit
@@ -159,7 +155,7 @@ def hypotenuse(a: float, b: float) -> float:
 
 @jit
 def transposed_rows_times_vec(m: tuple[Vec3, Vec3, Vec3], v: Vec3) -> Vec3:
-    """The transpose of the matrix with these rows times v: `transposed_mat_vec` without an array."""
+    """The transpose of the matrix with these rows times v."""
     return (
         m[0][0] * v[0] + m[1][0] * v[1] + m[2][0] * v[2],
         m[0][1] * v[0] + m[1][1] * v[1] + m[2][1] * v[2],
@@ -170,11 +166,13 @@ def transposed_rows_times_vec(m: tuple[Vec3, Vec3, Vec3], v: Vec3) -> Vec3:
 @jit
 def mat_vec(m: Any, k: int, v: Vec3) -> Vec3:
     """The 3x3 matrix m[k] times v."""
-    return (
-        m[k, 0, 0] * v[0] + m[k, 0, 1] * v[1] + m[k, 0, 2] * v[2],
-        m[k, 1, 0] * v[0] + m[k, 1, 1] * v[1] + m[k, 1, 2] * v[2],
-        m[k, 2, 0] * v[0] + m[k, 2, 1] * v[1] + m[k, 2, 2] * v[2],
-    )
+    return rows_times_vec(matrix_rows(m, k), v)
+
+
+@jit
+def transposed_mat_vec(m: Any, k: int, v: Vec3) -> Vec3:
+    """The transpose of m[k] times v: transforms a normal by the inverse of m."""
+    return transposed_rows_times_vec(matrix_rows(m, k), v)
 
 
 # A ray in object space: an entry of the inverse matrix is rounded once (inverse), a difference from the centre
@@ -185,8 +183,8 @@ TO_OBJECT_SPACE_ERROR = 6.0 * U
 @jit
 def to_object_space(m: tuple[Vec3, Vec3, Vec3], v: Vec3) -> tuple[Vec3, Vec3]:
     """(m v, how far off each component may be): for rows m of the rounded inverse of a matrix."""
-    x, y, z = abs_dot(m[0], v), abs_dot(m[1], v), abs_dot(m[2], v)
-    return rows_times_vec(m, v), (TO_OBJECT_SPACE_ERROR * x, TO_OBJECT_SPACE_ERROR * y, TO_OBJECT_SPACE_ERROR * z)
+    sums = abs_dot(m[0], v), abs_dot(m[1], v), abs_dot(m[2], v)
+    return rows_times_vec(m, v), scaled(TO_OBJECT_SPACE_ERROR, sums)
 
 
 @jit
@@ -206,17 +204,13 @@ def max_norm(a: Vec3) -> float:
     return max(abs(a[0]), abs(a[1]), abs(a[2]))
 
 
-@jit
-def transposed_mat_vec(m: Any, k: int, v: Vec3) -> Vec3:
-    """The transpose of m[k] times v: transforms a normal by the inverse of m."""
-    return (
-        m[k, 0, 0] * v[0] + m[k, 1, 0] * v[1] + m[k, 2, 0] * v[2],
-        m[k, 0, 1] * v[0] + m[k, 1, 1] * v[1] + m[k, 2, 1] * v[2],
-        m[k, 0, 2] * v[0] + m[k, 1, 2] * v[1] + m[k, 2, 2] * v[2],
-    )
-
-
 # The following functions have no branch, so that loops over rays can test several at once (SIMD).
+
+
+@inlined
+def select(first: bool, a: Vec3, b: Vec3) -> Vec3:
+    """a if `first`, else b."""
+    return a[0] if first else b[0], a[1] if first else b[1], a[2] if first else b[2]
 
 
 @inlined

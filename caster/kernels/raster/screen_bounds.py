@@ -51,10 +51,8 @@ ProjectedPoint = tuple[float, float, float, float]
 DEPTH_ROUNDING = 1.0 - 2.0**-40
 
 
-@inlined
-def empty_box() -> tuple[float, float, float, float, float]:
-    """(left, top, right, bottom, least depth) before the first point."""
-    return math.inf, math.inf, -math.inf, -math.inf, math.inf
+NO_POINTS = math.inf, math.inf, -math.inf, -math.inf, math.inf
+"""(left, top, right, bottom, least depth) before the first point."""
 
 
 @inlined
@@ -75,7 +73,7 @@ def projected_hull(bounds: Any, corners: Any, k: int) -> Any:
     """(the first three corners of hull k, its box and least depth, its largest depth)."""
     a, b = projected_corner(bounds, corners[k, 0]), projected_corner(bounds, corners[k, 1])
     c = projected_corner(bounds, corners[k, 2])
-    box = box_union_point(box_union_point(box_union_point(empty_box(), a), b), c)
+    box = box_union_point(box_union_point(box_union_point(NO_POINTS, a), b), c)
     deepest = max(max(a[3], b[3]), c[3])
     for j in range(3, corners.shape[1]):
         point = projected_corner(bounds, corners[k, j])
@@ -88,8 +86,7 @@ def store_bounds(bounds: Any, k: int, box: Any, deepest: float, slack: float, wi
     """Store the pixels of the box of primitive k; deepest: the largest depth of its points."""
     left, top, right, bottom, least = box
     if deepest < -slack:  # all of it is behind
-        bounds.pixels[k, 0], bounds.pixels[k, 1], bounds.pixels[k, 2], bounds.pixels[k, 3] = 0, 0, 0, 0
-        return 0, 0, 0, 0
+        left, right = math.inf, -math.inf
     x0, x1 = pixel_range(left, right, window.width)
     y0, y1 = pixel_range(top, bottom, window.height)
     bounds.pixels[k, 0], bounds.pixels[k, 1], bounds.pixels[k, 2], bounds.pixels[k, 3] = x0, y0, x1, y1
@@ -164,19 +161,6 @@ def surely_beyond_edge(a: ProjectedPoint, b: ProjectedPoint, c: ProjectedPoint, 
     return (point if third >= 0.0 else -point) < -far
 
 
-@jit
-def bound_hulls(corners: Any, window: Any, bounds: Any, reach: tuple[float, float], start: int, stop: int) -> None:
-    """Screen bounds of the convex hulls start..stop of projected points; corners: (n, points) int32, or none at all."""
-    for k in range(start, stop):
-        if corners.shape[1] == 0:
-            store_bounds(bounds, k, EVERYWHERE, math.inf, reach[0], window)
-            continue
-        (a, b, c), box, deepest = projected_hull(bounds, corners, k)
-        x0, y0, x1, y1 = store_bounds(bounds, k, box, deepest, reach[0], window)
-        if corners.shape[1] == 3 and (x1 - x0) * (y1 - y0) == 1:
-            bounds.pixels[k, 2] = x0 if misses_pixel_center(a, b, c, x0, y0) else x1
-
-
 EVERYWHERE = -math.inf, -math.inf, math.inf, math.inf, -math.inf  # the box of a kind without bounds
 
 
@@ -199,15 +183,18 @@ def bounding_sphere(points: Any, corners: Any, k: int) -> tuple[Vec3, float]:
 
 
 @jit
-def bound_distorted_hulls(
-    points: Any, corners: Any, camera: Any, window: Any, bounds: Any, reach: Any, start: int, stop: int
+def bound_hulls(
+    points: Any, corners: Any, camera: Any, window: Any, bounds: Any, reach: tuple[float, float], start: int, stop: int
 ) -> None:
-    """`bound_hulls` for a camera that is not rectilinear: by a bound of its distortion, large hulls by spheres."""
+    """Screen bounds of the convex hulls start..stop of projected points; corners: (n, points) int32, or none at all.
+
+    Before a camera that is not rectilinear, by a bound of its distortion; large hulls by spheres.
+    """
     for k in range(start, stop):
         if corners.shape[1] == 0:
             store_bounds(bounds, k, EVERYWHERE, math.inf, reach[0], window)
             continue
-        (a, b, c), box, _ = projected_hull(bounds, corners, k)
+        (a, b, c), box, deepest = projected_hull(bounds, corners, k)
         left, top, right, bottom, least = box
         wide, high = right - left, bottom - top
         more, share, valid = distortion_bound(camera, math.sqrt(wide * wide + high * high))
@@ -216,7 +203,7 @@ def bound_distorted_hulls(
             bound_sphere(camera, window, bounds, reach, k, center, r, math.inf)
             continue
         box = left - more, top - more, right + more, bottom + more, least * share
-        x0, y0, x1, y1 = store_bounds(bounds, k, box, math.inf, reach[0], window)
+        x0, y0, x1, y1 = store_bounds(bounds, k, box, deepest, reach[0], window)
         if corners.shape[1] == 3 and (x1 - x0) * (y1 - y0) == 1:
             hidden = misses_pixel_center(widened(a, more), widened(b, more), widened(c, more), x0, y0)
             bounds.pixels[k, 2] = x0 if hidden else x1

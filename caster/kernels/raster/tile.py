@@ -5,7 +5,7 @@ distances, the compiler knows that a store to one changes no other, and handles 
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,6 +25,7 @@ lane = np.uint64 if COMPILED else int
 # From one field to the next: a cache line more than SIZE, or a pixel's twelve numbers, at distances of a power of two,
 # would all compete for one place in the cache.
 STRIDE = PIXELS + 8
+ONE, TWO = lane(STRIDE), lane(2 * STRIDE)
 
 FIELDS = 12
 T, T_ERROR, PRIM, UNCERTAIN, T_MIN, T_MAX, DX, DY, DZ, OX, OY, OZ = (lane(STRIDE * field) for field in range(FIELDS))
@@ -84,11 +85,26 @@ def tile_rows(width: int, height: int, kinds: int, runs: Sequence[np.ndarray] | 
 CACHE_LINE = 64  # bytes
 
 
-def new_tile() -> np.ndarray:
-    """Zeros, aligned to a cache line, so that a vector of LANES numbers never crosses one."""
-    buffer = np.zeros(TILE_SIZE + CACHE_LINE // 8)
+def aligned(size: int, new: Callable[[int], np.ndarray]) -> np.ndarray:
+    """A part of new(more float64 than that) that begins at a cache line, so that no vector of LANES crosses one."""
+    buffer = new(size + CACHE_LINE // 8)
     first = -buffer.ctypes.data % CACHE_LINE // 8
-    return buffer[first : first + TILE_SIZE]
+    return buffer[first : first + size]
+
+
+def new_tile(new: Callable[[int], np.ndarray] = np.zeros) -> np.ndarray:
+    return aligned(TILE_SIZE, new)
+
+
+@inlined
+def get(fields: Any, at: Any) -> Vec3:
+    """Three fields of a pixel, of a tile or a surface buffer."""
+    return fields[at], fields[at + ONE], fields[at + TWO]
+
+
+@inlined
+def put(fields: Any, at: Any, v: Vec3) -> None:
+    fields[at], fields[at + ONE], fields[at + TWO] = v[0], v[1], v[2]
 
 
 @inlined
@@ -108,17 +124,16 @@ def start_ray(tile: Any, i: Any, aim: Any) -> None:
     o, d, t_min, t_max = aim
     tile[T + i], tile[T_ERROR + i], tile[PRIM + i], tile[UNCERTAIN + i] = math.inf, 0.0, -1.0, 0.0
     tile[T_MIN + i], tile[T_MAX + i] = t_min, t_max
-    tile[DX + i], tile[DY + i], tile[DZ + i] = d[0], d[1], d[2]
-    tile[OX + i], tile[OY + i], tile[OZ + i] = o[0], o[1], o[2]
+    put(tile, DX + i, d)
+    put(tile, OX + i, o)
 
 
 @inlined
 def cast_lanes(prims: Any, prim: Any, prim_number: float, tile: Any, first: Any, any_hit: bool) -> None:
     """Cast LANES rays from `first` on, of any origins, at a primitive; prim: the result of `load`."""
     for i in range(first, first + lane(LANES)):
-        o = tile[OX + i], tile[OY + i], tile[OZ + i]
-        d = tile[DX + i], tile[DY + i], tile[DZ + i]
-        t, error = intersect(prims, prepare(prims, prim, o), d, tile[T_MIN + i], tile[T_MAX + i])
+        pre = prepare(prims, prim, get(tile, OX + i))
+        t, error = intersect(prims, pre, get(tile, DX + i), tile[T_MIN + i], tile[T_MAX + i])
         t, error = any_hit_result(t, error, any_hit)
         update_nearest(tile, i, prim_number, t, error)
 
@@ -141,10 +156,10 @@ def load_rays(rays: Any, numbers: Any, tile: Any, one_origin: bool, one_range: b
         tile[T + i], tile[T_ERROR + i], tile[PRIM + i], tile[UNCERTAIN + i] = math.inf, 0.0, -1.0, 0.0
     for i in range(count):
         k = lane(max(numbers[i], 0))
-        tile[DX + i], tile[DY + i], tile[DZ + i] = rays.d[k, 0], rays.d[k, 1], rays.d[k, 2]
+        put(tile, DX + i, (rays.d[k, 0], rays.d[k, 1], rays.d[k, 2]))
     for i in range(count):
         k = first if one_origin else lane(max(numbers[i], 0))
-        tile[OX + i], tile[OY + i], tile[OZ + i] = rays.o[k, 0], rays.o[k, 1], rays.o[k, 2]
+        put(tile, OX + i, (rays.o[k, 0], rays.o[k, 1], rays.o[k, 2]))
     for i in range(count):
         k = first if one_range else lane(max(numbers[i], 0))
         tile[T_MIN + i], tile[T_MAX + i] = rays.t_min[k], rays.t_max[k] if numbers[i] >= 0 else -1.0
@@ -193,53 +208,35 @@ DEPTH_BUCKETS, DEPTH_BUCKET_SHIFT = 128, 52 - 4
 
 
 @inlined
-def is_on_film(pixels: Any, k: int) -> bool:
-    return (pixels[k, 0] < pixels[k, 2]) & (pixels[k, 1] < pixels[k, 3])
-
-
-@inlined
 def depth_bucket(bits: int, last: int) -> int:
     """The depth bucket of a primitive. bits, last: the bits of its depth and of the largest depth, as int64."""
-    return min(
-        max(DEPTH_BUCKETS - 1 - ((last >> DEPTH_BUCKET_SHIFT) - (bits >> DEPTH_BUCKET_SHIFT)), 0), DEPTH_BUCKETS - 1
-    )
+    nearer = (last >> DEPTH_BUCKET_SHIFT) - (bits >> DEPTH_BUCKET_SHIFT)
+    return min(max(DEPTH_BUCKETS - 1 - nearer, 0), DEPTH_BUCKETS - 1)
 
 
 @jit
-def count_in_tiles(
-    pixels: Any, bits: Any, last: int, queue: Any, across: int, counts: Any, start: int, stop: int
+def bin_into_tiles(
+    pixels: Any, bits: Any, last: int, queue: Any, across: int, ends: Any, order: Any, start: int, stop: int
 ) -> int:
-    """Count the primitives queue[start:stop] of each tile n and depth bucket: counts[n * DEPTH_BUCKETS + bucket].
+    """Write primitives queue[start:stop] to order[ends[n * DEPTH_BUCKETS + bucket]:] for each tile n that they overlap.
 
-    Tiles are numbered row by row, `across` in a row. An empty queue stands for all primitives in their own order.
-    Returns the number of primitives on the film.
+    Each of them moves that end on; an empty order is not written, to count them only. Tiles are numbered row by row,
+    `across` in a row. An empty queue stands for all primitives in their own order. Returns the number of primitives on
+    the film.
     """
     binned = 0
     for prim_number in range(start, stop):
         k = queue[prim_number] if len(queue) > 0 else prim_number
-        if is_on_film(pixels, k):
+        if (pixels[k, 0] < pixels[k, 2]) & (pixels[k, 1] < pixels[k, 3]):
             binned += 1
             into = depth_bucket(bits[k], last)
             for y in range(pixels[k, 1] // HEIGHT, (pixels[k, 3] - 1) // HEIGHT + 1):
                 for x in range(pixels[k, 0] // WIDTH, (pixels[k, 2] - 1) // WIDTH + 1):
-                    counts[(y * across + x) * DEPTH_BUCKETS + into] += 1
-    return binned
-
-
-@jit
-def scatter_to_tiles(
-    pixels: Any, bits: Any, last: int, queue: Any, across: int, ends: Any, order: Any, start: int, stop: int
-) -> None:
-    """Write primitives to order[ends[n * DEPTH_BUCKETS + bucket]:] for each tile n they overlap, moving that end on."""
-    for prim_number in range(start, stop):
-        k = queue[prim_number] if len(queue) > 0 else prim_number
-        if is_on_film(pixels, k):
-            into = depth_bucket(bits[k], last)
-            for y in range(pixels[k, 1] // HEIGHT, (pixels[k, 3] - 1) // HEIGHT + 1):
-                for x in range(pixels[k, 0] // WIDTH, (pixels[k, 2] - 1) // WIDTH + 1):
                     n = (y * across + x) * DEPTH_BUCKETS + into
-                    order[ends[n]] = k
+                    if len(order) > 0:
+                        order[ends[n]] = k
                     ends[n] += 1
+    return binned
 
 
 # Surfaces of many hits at once: SURFACE_LANES pixels of a tile, in a scratch that stays in a core's first-level cache.
@@ -261,10 +258,7 @@ NORMALS, SURFACES, SURFACES_WITH_UV = 0, 1, 2
 
 
 def new_lanes() -> np.ndarray:
-    """Zeros, aligned to a cache line."""
-    buffer = np.zeros(LANE_FIELDS * SURFACE_LANES + CACHE_LINE // 8)
-    first = -buffer.ctypes.data % CACHE_LINE // 8
-    return buffer[first : first + LANE_FIELDS * SURFACE_LANES]
+    return aligned(LANE_FIELDS * SURFACE_LANES, np.zeros)
 
 
 @inlined

@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 from caster.jit.decorators import inlined, jit
-from caster.jit.simd import LANES, prefetch
+from caster.jit.simd import LANES, larger, largest, least, lesser, load_lanes, prefetch, splat
 from caster.kernels.math.lanes import any_sum_reaches
 from caster.kernels.math.vec import add, component_max, component_min, dot, l1_norm, scaled, sub
 from caster.kernels.protocol import Vec3, intersect, load, prefetch_numbers, prepare, t_lower_bound
@@ -14,10 +14,7 @@ from caster.kernels.raster.tile import (
     DY,
     DZ,
     OX,
-    OY,
-    OZ,
     PIXELS,
-    SCRATCH,
     T_ERROR,
     T_MAX,
     T_MIN,
@@ -25,6 +22,7 @@ from caster.kernels.raster.tile import (
     Box,
     T,
     cast_lanes,
+    get,
     lane,
     update_nearest,
 )
@@ -33,35 +31,25 @@ from caster.kernels.raster.tile import (
 @jit
 def min_t_per_depth(tile: Any, box: Box, forward: Any) -> float:
     """The least t per depth of the rays of a tile: t d . forward = depth."""
-    for j in range(lane(LANES)):
-        tile[SCRATCH + j] = 0.0
+    most = splat(0.0)
     for y in range(box[3] - box[1]):
-        for first in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0]), lane(LANES)):
-            for j in range(lane(LANES)):  # some maxima side by side, so that several are compared at once
-                i = first + j
-                ahead = tile[DX + i] * forward[0] + tile[DY + i] * forward[1] + tile[DZ + i] * forward[2]
-                tile[SCRATCH + j] = max(tile[SCRATCH + j], ahead)
-    most = 0.0
-    for j in range(lane(LANES)):
-        most = max(most, tile[SCRATCH + j])
-    return 1.0 / most if most > 0.0 else 0.0
+        for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0]), lane(LANES)):
+            dx, dy, dz = load_lanes(tile, DX + i), load_lanes(tile, DY + i), load_lanes(tile, DZ + i)
+            most = larger(most, dx * forward[0] + dy * forward[1] + dz * forward[2])
+    ahead = largest(most)
+    return 1.0 / ahead if ahead > 0.0 else 0.0
 
 
 @jit
 def max_visible_t(tile: Any, box: Box) -> float:
     """The largest visible t of a tile; inf if a pixel has no hit."""
-    for j in range(lane(LANES)):
-        tile[SCRATCH + j] = 0.0
+    far = splat(0.0)
     for y in range(box[3] - box[1]):
-        for first in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0]), lane(LANES)):
-            if any_sum_reaches(tile, T + first, T_ERROR + first, math.inf):
+        for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0]), lane(LANES)):
+            if any_sum_reaches(tile, T + i, T_ERROR + i, math.inf):
                 return math.inf
-            for j in range(lane(LANES)):
-                tile[SCRATCH + j] = max(tile[SCRATCH + j], tile[T + first + j] + tile[T_ERROR + first + j])
-    far = 0.0
-    for j in range(lane(LANES)):
-        far = max(far, tile[SCRATCH + j])
-    return far
+            far = larger(far, load_lanes(tile, T + i) + load_lanes(tile, T_ERROR + i))
+    return largest(far)
 
 
 @inlined
@@ -85,39 +73,25 @@ def direction_bounds_from_corners(tile: Any, box: Box) -> tuple[Vec3, Vec3]:
     of two of four weights are at most 3/8 together.
     """
     right, below = lane(box[2] - box[0] - 1), lane((box[3] - box[1] - 1) * WIDTH)
-    a, b = direction_at(tile, lane(0)), direction_at(tile, right)
-    c, d = direction_at(tile, below), direction_at(tile, below + right)
+    a, b = get(tile, DX + lane(0)), get(tile, DX + right)
+    c, d = get(tile, DX + below), get(tile, DX + below + right)
     low = component_min(component_min(a, b), component_min(c, d))
     high = component_max(component_max(a, b), component_max(c, d))
-    wide = sub(high, low)
+    wide, off = sub(high, low), (UNIT_LENGTH_ATOL, UNIT_LENGTH_ATOL, UNIT_LENGTH_ATOL)
     shrunk = 1.0 - 0.375 * dot(wide, wide)
     longer = (1.0 / math.sqrt(shrunk) if shrunk > 0.0 else math.inf) + UNIT_LENGTH_ATOL
-    less, more = (scaled(longer, low), scaled(longer, high))
-    return add(component_min(low, less), (-UNIT_LENGTH_ATOL, -UNIT_LENGTH_ATOL, -UNIT_LENGTH_ATOL)), add(
-        component_max(high, more), (UNIT_LENGTH_ATOL, UNIT_LENGTH_ATOL, UNIT_LENGTH_ATOL)
-    )
-
-
-@inlined
-def direction_at(tile: Any, i: Any) -> Vec3:
-    return tile[DX + i], tile[DY + i], tile[DZ + i]
+    return sub(component_min(low, scaled(longer, low)), off), add(component_max(high, scaled(longer, high)), off)
 
 
 @inlined
 def field_bounds(tile: Any, field: Any, box: Box) -> tuple[float, float]:
     """(least, largest) of a field, over the tile's part of a box in whole LANES."""
-    least, most = SCRATCH, SCRATCH + lane(LANES)
-    for j in range(lane(LANES)):
-        tile[least + j], tile[most + j] = math.inf, -math.inf
+    low, high = splat(math.inf), splat(-math.inf)
     for y in range(box[3] - box[1]):
-        for first in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0]), lane(LANES)):
-            for j in range(lane(LANES)):  # some side by side, so that several are compared at once
-                d = tile[field + first + j]
-                tile[least + j], tile[most + j] = min(tile[least + j], d), max(tile[most + j], d)
-    low, high = math.inf, -math.inf
-    for j in range(lane(LANES)):
-        low, high = min(low, tile[least + j]), max(high, tile[most + j])
-    return low, high
+        for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0]), lane(LANES)):
+            v = load_lanes(tile, field + i)
+            low, high = lesser(low, v), larger(high, v)
+    return least(low), largest(high)
 
 
 # Each primitive is tested in the pixels of its screen bounds (caster/kernels/raster/screen_bounds.py).
@@ -158,18 +132,12 @@ def row_bounds(bounds: Any, k: int, box: Box, rect: Box, y: int) -> tuple[int, i
 
 
 @inlined
-def any_lane_visible(tile: Any, first: Any, near: float) -> bool:
-    """Whether one of LANES rays may hit something at t >= near first."""
-    return any_sum_reaches(tile, T + first, T_ERROR + first, near)
-
-
-@inlined
 def any_pixel_visible(tile: Any, rect: Box, near: float) -> bool:
-    """The same for a span."""
+    """Whether one of the rays of a span may hit something at t >= near first."""
     x_start, y_start, x_stop, y_stop = rect
     for y in range(y_start, y_stop):
         for first in range(lane(y * WIDTH + x_start), lane(y * WIDTH + x_stop), lane(LANES)):
-            if any_lane_visible(tile, first, near):
+            if any_sum_reaches(tile, T + first, T_ERROR + first, near):
                 return True
     return False
 
@@ -202,7 +170,7 @@ def cast_in_bounds(
 
     shares_origin: whether all rays start at one point; else they have one direction (an orthographic camera).
     """
-    o = tile[OX], tile[OY], tile[OZ]
+    o = get(tile, OX)
     far, tried, patience, stretch = math.inf, 0, PIXELS, 1.0
     looked, low, high = False, o, o
     for at in range(run[0], run[1]):
@@ -229,12 +197,11 @@ def cast_in_bounds(
         for y in range(y_start, y_stop):
             start, stop = row_bounds(bounds, k, box, rect, y) if by_row else (x_start, x_stop)
             for first in range(lane(y * WIDTH + start), lane(y * WIDTH + max(start, stop)), lane(LANES)):
-                if not (small or any_lane_visible(tile, first, near)):
+                if not (small or any_sum_reaches(tile, T + first, T_ERROR + first, near)):
                     continue
                 if shares_origin:
                     for i in range(first, first + lane(LANES)):
-                        d = tile[DX + i], tile[DY + i], tile[DZ + i]
-                        t, error = intersect(prims, pre, d, tile[T_MIN + i], tile[T_MAX + i])
+                        t, error = intersect(prims, pre, get(tile, DX + i), tile[T_MIN + i], tile[T_MAX + i])
                         update_nearest(tile, i, prim_number, t, error)
                 else:
                     cast_lanes(prims, prim, prim_number, tile, first, False)

@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 from caster.jit.decorators import inlined, jit
-from caster.kernels.math.vec import add, dot, l1_norm, scaled, sub
+from caster.kernels.math.vec import add, dot, l1_norm, scaled, select, sub
 from caster.kernels.protocol import Vec3
 
 # What the cameras that see around share: the eye, its axes, and the circle inscribed in the film.
@@ -32,9 +32,7 @@ def combine_axes(camera: Any, right: float, up: float, forward: float) -> Vec3:
 def unit_or_forward(camera: Any, d: Vec3, inside: bool) -> Vec3:
     """d at length 1, or, outside the image, forward. d is neither long nor short, nor 0 inside."""
     inverse = 1.0 / math.sqrt(dot(d, d))
-    x, y, z = scaled(inverse, d)
-    forward = camera.forward
-    return x if inside else forward[0], y if inside else forward[1], z if inside else forward[2]
+    return select(inside, scaled(inverse, d), camera.forward)
 
 
 # Between these, squares of lengths are numbers that have lost nothing.

@@ -6,9 +6,10 @@ from typing import Any, NamedTuple
 from caster.jit.decorators import generic_inlined, implement, inlined, jit
 from caster.jit.simd import LANES
 from caster.kernels.math.lanes import lanes_in_range
-from caster.kernels.math.vec import add, dot, max_norm, point_at, row, scaled, sub
+from caster.kernels.math.vec import add, dot, max_norm, point_at, row, scaled, select, sub
 from caster.kernels.protocol import Vec3
 from caster.kernels.raster.tile import (
+    ONE,
     PRIM,
     SURFACE_LANES,
     T_MAX,
@@ -18,10 +19,12 @@ from caster.kernels.raster.tile import (
     Box,
     T,
     clear_rays,
+    get,
     lane,
+    put,
     start_ray,
 )
-from caster.kernels.surface.per_hit import ALBEDO, FLUX, ONE, RADIANCE, SH_N, SIDES, N, P, get, put, ray_of
+from caster.kernels.surface.per_hit import ALBEDO, FLUX, RADIANCE, SH_N, SIDES, N, P, ray_of
 
 # A computed hit lies within 16 u (|o| + t + |p|) of the surface (caster/kernels/math/quadric_roots.py, triangles.py)
 # or, since it is computed from the shape's numbers as well, within 16 u of its largest coordinate, which is more for a
@@ -44,7 +47,7 @@ class DirectionalLight(NamedTuple):
     irradiance: Vec3  # W/m^2
 
 
-# The parameters of the stubs below are read by their bodies alone.
+NOWHERE = (0.0, 0.0, 0.0)
 
 
 @generic_inlined
@@ -70,8 +73,7 @@ def _irradiance_of_point_light(light: Any, p: Vec3) -> tuple[Vec3, Vec3]:
     apart = square > 0.0
     safe = square if apart else 1.0
     r, g, b = light.intensity
-    near = r / safe if apart else 0.0, g / safe if apart else 0.0, b / safe if apart else 0.0
-    return scaled(1.0 / math.sqrt(safe), d), near
+    return scaled(1.0 / math.sqrt(safe), d), select(apart, (r / safe, g / safe, b / safe), NOWHERE)
 
 
 @implement(light_direction, DirectionalLight)
@@ -146,9 +148,6 @@ def materials_in_tile(tile: Any, box: Box, materials: Any, reflectance: Any, two
             put(buffer, RADIANCE + i, (0.0, 0.0, 0.0))
 
 
-NOWHERE = (0.0, 0.0, 0.0)
-
-
 @jit
 def shadow_rays_in_tile(
     light: Any, tile: Any, box: Box, shapes: Any, extents: Any, buffer: Any, shadow_tile: Any, total: Any
@@ -171,11 +170,8 @@ def shadow_rays_in_tile(
             # without a branch, so that several pixels are done at once; results of misses are not used
             for i in range(lane(at), lane(stop)):
                 (o, d), hit = ray_of(tile, i), tile[PRIM + i] >= 0.0
-                p, n, sh_n = (
-                    select(hit, get(buffer, P + i), NOWHERE),
-                    select(hit, get(buffer, N + i), NOWHERE),
-                    select(hit, get(buffer, SH_N + i), NOWHERE),
-                )
+                p, n = select(hit, get(buffer, P + i), NOWHERE), select(hit, get(buffer, N + i), NOWHERE)
+                sh_n = select(hit, get(buffer, SH_N + i), NOWHERE)
                 t, extent = tile[T + i] if hit else 0.0, shadow_tile[T_MIN + i]
                 lit, flux = received_irradiance(light, p, sh_n, d, buffer[SIDES + i] != 0.0)
                 put(buffer, FLUX + i, flux)
@@ -203,12 +199,6 @@ def shows_any(tile: Any, first: Any) -> bool:
     return found != 0
 
 
-@inlined
-def select(first: bool, a: Vec3, b: Vec3) -> Vec3:
-    """a if `first`, else b, without a branch."""
-    return a[0] if first else b[0], a[1] if first else b[1], a[2] if first else b[2]
-
-
 @jit
 def add_light(tile: Any, box: Box, buffer: Any, shadow_tile: Any) -> None:
     """Add the light to RADIANCE after the shadow rays have been cast; UNCERTAIN where a shadow is uncertain."""
@@ -227,11 +217,8 @@ def add_light(tile: Any, box: Box, buffer: Any, shadow_tile: Any) -> None:
 @inlined
 def reflected_radiance(albedo: Vec3, irradiance: Vec3) -> Vec3:
     """The radiance that a Lambertian surface reflects."""
-    return (
-        albedo[0] / math.pi * irradiance[0],
-        albedo[1] / math.pi * irradiance[1],
-        albedo[2] / math.pi * irradiance[2],
-    )
+    r, g, b = irradiance
+    return albedo[0] / math.pi * r, albedo[1] / math.pi * g, albedo[2] / math.pi * b
 
 
 @jit

@@ -8,12 +8,11 @@ import numpy as np
 from caster.jit.decorators import generic_inlined, implement, inlined, jit
 from caster.jit.simd import ALL_LANES, LANES
 from caster.kernels.math.lanes import lanes_in_range, numbers_in_range
+from caster.kernels.math.vec import dot
 from caster.kernels.protocol import Vec3, fast_surface, fast_uv, setup_lanes, surface, surface_setup
 from caster.kernels.raster.tile import (
     CACHE_LINE,
     DX,
-    DY,
-    DZ,
     LANE_LOCAL,
     LANE_N,
     LANE_NUMBER,
@@ -23,9 +22,8 @@ from caster.kernels.raster.tile import (
     LANE_UV,
     NEXT,
     NORMALS,
+    ONE,
     OX,
-    OY,
-    OZ,
     PRIM,
     STRIDE,
     SURFACE_LANES,
@@ -35,6 +33,7 @@ from caster.kernels.raster.tile import (
     WIDTH,
     Box,
     T,
+    get,
     get_lane,
     lane,
     lane_count,
@@ -67,7 +66,6 @@ NEEDED_FIELDS = tuple(name for name in Hit._fields if name not in RAY_FIELDS)
 # current light.
 P, N, SH_N, UV, ALBEDO, SIDES, FLUX, RADIANCE = (lane(STRIDE * field) for field in (0, 3, 6, 9, 11, 14, 15, 18))
 SURFACE_FIELDS = 21
-ONE, TWO = lane(STRIDE), lane(2 * STRIDE)
 
 
 class PrimitiveIds(NamedTuple):
@@ -80,58 +78,52 @@ class PrimitiveIds(NamedTuple):
 NO_IDS = PrimitiveIds(np.empty(0, np.int32), np.empty(0, np.int32))
 
 
+SURFACE_SIZE = SURFACE_FIELDS * STRIDE + CACHE_LINE // 8  # numbers of a surface buffer
+
+
 def new_surface_buffer() -> np.ndarray:
-    return np.zeros(SURFACE_FIELDS * STRIDE + CACHE_LINE // 8)
-
-
-@inlined
-def get(buffer: Any, at: Any) -> Vec3:
-    """Three fields of a pixel."""
-    return buffer[at], buffer[at + ONE], buffer[at + TWO]
-
-
-@inlined
-def put(buffer: Any, at: Any, v: Vec3) -> None:
-    buffer[at], buffer[at + ONE], buffer[at + TWO] = v[0], v[1], v[2]
+    return np.zeros(SURFACE_SIZE)
 
 
 @inlined
 def ray_of(tile: Any, i: Any) -> tuple[Vec3, Vec3]:
     """(o, d) of a pixel."""
-    return (tile[OX + i], tile[OY + i], tile[OZ + i]), (tile[DX + i], tile[DY + i], tile[DZ + i])
+    return get(tile, OX + i), get(tile, DX + i)
 
 
 @jit
 def surfaces_in_tile(prims: Any, numbers: Any, tile: Any, box: Box, buffer: Any, scratch: Any, wants: int) -> None:
     """Compute N of the hits on one kind, and if wanted P and SH_N, and UV, SURFACE_LANES pixels at a time.
 
-    numbers: of the kind's primitives in the tile, first and last + 1. wants: NORMALS, SURFACES or SURFACES_WITH_UV.
+    numbers: of the kind's primitives in the tile, first and last + 1 (`span`). wants: NORMALS, SURFACES or
+    SURFACES_WITH_UV.
     """
+    span = float(numbers[0]), float(numbers[1])
     start, stop = (LANE_N, LANE_SH_N) if wants == NORMALS else (LANE_P, LANE_UV if wants == SURFACES else LANE_UNSAFE)
     for y in range(box[3] - box[1]):
         for at in range(0, box[2] - box[0], SURFACE_LANES):
             first = lane(y * WIDTH + at)
-            shown = gather_primitives(prims, numbers, tile, first, scratch, wants)
+            shown = gather_primitives(prims, span, tile, first, scratch, wants)
             if shown == 0:
                 continue
             if wants == NORMALS:  # a constant, so that LLVM leaves out the rest
-                unsafe = compute_surfaces(prims, numbers, tile, first, scratch, True)
+                unsafe = compute_surfaces(prims, span, tile, first, scratch, True)
             else:
-                unsafe = compute_surfaces(prims, numbers, tile, first, scratch, False)
+                unsafe = compute_surfaces(prims, span, tile, first, scratch, False)
             if wants == SURFACES_WITH_UV:
                 compute_uv(prims, scratch)
             if unsafe > 0:
                 recompute_unsafe(prims, numbers, tile, first, scratch, wants)
-            keep_lanes(numbers, tile, first, scratch, buffer, (start // NEXT, stop // NEXT), shown == ALL_SHOWN)
+            keep_lanes(span, tile, first, scratch, buffer, (start // NEXT, stop // NEXT), shown == ALL_SHOWN)
 
 
 ALL_SHOWN = (1 << SURFACE_LANES) - 1
 
 
 @inlined
-def gather_primitives(prims: Any, numbers: Any, tile: Any, first: Any, scratch: Any, wants: int) -> int:
+def gather_primitives(prims: Any, span: Any, tile: Any, first: Any, scratch: Any, wants: int) -> int:
     """Write the numbers that `fast_surface` reads to the lanes that show the kind; returns a bit for each of these."""
-    least, end, one = float(numbers[0]), float(numbers[1]), tile[PRIM + first]
+    least, end, one = span[0], span[1], tile[PRIM + first]
     shown, alike = 0, ALL_SHOWN
     for group in range(SURFACE_LANES // LANES):
         at = PRIM + first + lane(group * LANES)
@@ -140,7 +132,7 @@ def gather_primitives(prims: Any, numbers: Any, tile: Any, first: Any, scratch: 
     if shown == 0:
         return 0
     if alike == ALL_SHOWN:
-        surface_setup(prims, int(one) - numbers[0], lane(0), lane_count(scratch), scratch, wants)
+        surface_setup(prims, int(one - least), lane(0), lane_count(scratch), scratch, wants)
         return shown
     for x in range(lane(0), lane(SURFACE_LANES), lane(LANES)):  # other lanes get the first primitive
         numbers_in_range(tile, PRIM + first + x, least, end, scratch, LANE_NUMBER + x)
@@ -161,12 +153,12 @@ def _setup_runs(prims: Any, scratch: Any, wants: int) -> None:
 
 
 @inlined
-def compute_surfaces(prims: Any, numbers: Any, tile: Any, first: Any, scratch: Any, normals_only: bool) -> int:
+def compute_surfaces(prims: Any, span: Any, tile: Any, first: Any, scratch: Any, normals_only: bool) -> int:
     """Surfaces of all lanes but for uv, or geometric normals only; how many lanes of the kind are not safe."""
-    unsafe, least, end = 0, float(numbers[0]), float(numbers[1])
+    unsafe = 0
     for x in range(lane(SURFACE_LANES)):
         prim, (o, d) = tile[PRIM + first + x], ray_of(tile, first + x)
-        mine = (least <= prim) & (prim < end)
+        mine = (span[0] <= prim) & (prim < span[1])
         t = tile[T + first + x] if mine else 0.0  # that of a miss is infinite
         normal_is_safe, all_is_safe, p, n, sh_n, local = fast_surface(prims, scratch, x, o, d, t)
         put_lane(scratch, LANE_N + x, n)
@@ -205,10 +197,9 @@ def recompute_unsafe(prims: Any, numbers: Any, tile: Any, first: Any, scratch: A
 
 @inlined
 def keep_lanes(
-    numbers: Any, tile: Any, first: Any, scratch: Any, buffer: Any, fields: tuple[Any, Any], all_shown: bool
+    span: Any, tile: Any, first: Any, scratch: Any, buffer: Any, fields: tuple[Any, Any], all_shown: bool
 ) -> None:
     """Copy a range of fields to the surface buffer, except lanes that show another kind."""
-    least, end = float(numbers[0]), float(numbers[1])
     for field in range(fields[0], fields[1]):
         into, out = lane(STRIDE) * field + first, NEXT * field
         if all_shown:
@@ -217,7 +208,7 @@ def keep_lanes(
         else:
             for x in range(lane_count(scratch)):
                 prim = tile[PRIM + first + x]
-                mine = (least <= prim) & (prim < end)
+                mine = (span[0] <= prim) & (prim < span[1])
                 buffer[into + x] = scratch[out + x] if mine else buffer[into + x]
 
 
@@ -316,4 +307,4 @@ def store_hits(tile: Any, box: Box, hit: Any, uncertain: Any) -> None:
 @inlined
 def length(v: Vec3) -> float:
     """The Euclidean length."""
-    return math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    return math.sqrt(dot(v, v))

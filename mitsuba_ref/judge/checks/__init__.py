@@ -93,21 +93,9 @@ def make_checks(checks: Iterable[Check], inputs: Mapping[str, Any]) -> tuple[Sce
 # ---- what several checks share ----
 
 
-class Shares:
-    """Errors over their bounds by name; a second value of one name would hide the first and is refused."""
-
-    def __init__(self) -> None:
-        self._shares: dict[str, float] = {}
-
-    def add(self, what: str, share: float) -> None:
-        if what in self._shares:
-            raise ValueError(f"{what} is checked twice, and a verdict has room for one share of it")
-        self._shares[what] = share
-
-    def worst(self) -> tuple[str, float]:
-        """The largest share, and its name."""
-        what = max(self._shares, key=lambda name: self._shares[name], default="nothing to look at")
-        return what, self._shares.get(what, 0.0)
+def worst_share(name: str, shares: Iterable[tuple[float, str]], nothing: str = "nothing to look at") -> SceneCheck:
+    """The largest of the errors over their bounds, NaN before all, and its place. nothing: the text without any."""
+    return SceneCheck(name, *max(shares, key=lambda share: (np.isnan(share[0]), share[0]), default=(0.0, nothing)))
 
 
 def worst_pixel(name: str, shares: dict[str, np.ndarray], among: np.ndarray, scene: Scene) -> SceneCheck:

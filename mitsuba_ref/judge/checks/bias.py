@@ -77,7 +77,7 @@ def error_statistics(windows: Sequence[PixelErrors]) -> ErrorStatistics:
 
 def extremes(k: np.ndarray) -> Extremes:
     """The largest value and the 99th percentile; 0 if there is none."""
-    return Extremes(float(k.max()), float(np.quantile(k, 0.99))) if len(k) else Extremes()
+    return Extremes(*map(float, np.quantile(k, (1.0, 0.99)))) if len(k) else Extremes()
 
 
 def looseness(k: np.ndarray) -> float:

@@ -61,13 +61,13 @@ def _on_rim(scene: Scene, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 @check(scope="window", camera=True)
 def check_sensor(scene: Scene, result: ReferenceResult) -> SceneCheck:
     """Compare our rays with those of Mitsuba's own sensor: the same line, and depth that starts on the near plane."""
-    answer = result.answer
-    if answer.sensor_d is None or answer.sensor_o is None or answer.sensor_t_max is None:
+    sensor = result.answer.sensor.astype(np.float64)
+    if not len(sensor):
         expected = reference_of_camera(scene.camera).to_xml is not no_sensor
         what = "the answer lacks its rays" if expected else f"Mitsuba has no {scene.camera.type} camera"
         return SceneCheck("sensor", np.inf if expected else 0.0, what)
     ours, reference = camera_rays(scene), reference_of_camera(scene.camera)
-    o, d = answer.sensor_o.astype(np.float64), answer.sensor_d.astype(np.float64)
+    o, d, t_max = sensor[:, :3], sensor[:, 3:6], sensor[:, 6]
     if len(d) != len(ours.d):
         return SceneCheck("sensor", np.inf, f"Mitsuba gives {len(d)} rays, we {len(ours.d)}")
     bound = KU * reference.amplification(scene.camera, scene.film)
@@ -78,7 +78,7 @@ def check_sensor(scene: Scene, result: ReferenceResult) -> SceneCheck:
     if getattr(scene.camera, "near", 0.0) > 0.0:
         shares["near"] = np.abs(along - ours.t_min) / (bound * (size + ours.t_min))
     if getattr(scene.camera, "far", None) is not None:
-        end = along + answer.sensor_t_max.astype(np.float64)
+        end = along + t_max
         with np.errstate(invalid="ignore"):  # a far plane at infinity is beyond every bound
             shares["far"] = np.abs(end - ours.t_max) / (bound * (size + ours.t_max))
     return worst_pixel("sensor", shares, np.ones(len(d), bool), scene)

@@ -22,7 +22,7 @@ from caster.scene.model import Scene
 from caster.shapes.mesh import MeshFile
 from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.tolerances import FILE_NORMAL_ROUNDINGS, FILE_UV_ROUNDINGS, U32
-from mitsuba_ref.judge.checks import Shares, check
+from mitsuba_ref.judge.checks import check, worst_share
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.messages import LoadedMesh
 
@@ -109,13 +109,13 @@ def check_mesh_files(scene: Scene, loaded: tuple[LoadedMesh, ...]) -> SceneCheck
     files = files_of(scene)
     if len(loaded) != len(files):
         return SceneCheck("mesh_files", np.inf, f"{len(files)} files, Mitsuba has read {len(loaded)}")
-    shares, names = Shares(), [file.name for file in files]
-    for (file, mesh), theirs in zip(files.items(), loaded, strict=True):
-        shown = file.name if names.count(file.name) == 1 else file
-        for what, share in _errors(mesh, theirs, file).items():
-            shares.add(f"{what} of {shown}", share)
-    what, worst = shares.worst()
-    return SceneCheck("mesh_files", worst, what)
+    names = [file.name for file in files]
+    shares = (
+        (share, f"{what} of {file.name if names.count(file.name) == 1 else file}")
+        for (file, mesh), theirs in zip(files.items(), loaded, strict=True)
+        for what, share in _errors(mesh, theirs, file).items()
+    )
+    return worst_share("mesh_files", shares)
 
 
 def _errors(mesh: Any, theirs: LoadedMesh, file: Path) -> dict[str, float]:

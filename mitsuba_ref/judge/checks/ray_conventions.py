@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from caster.cameras.single_ray import Ray
-from caster.geometry.packing import Packed
 from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import intersections_at
@@ -22,10 +21,8 @@ from mitsuba_ref.subjects.subject import CastRequest, NoAnswer, Subject, Unsuppo
 
 NAME = "ray_conventions"
 LENGTHS = (1.0, 0.5, 2.0, 7.0)  # of d; two powers of two, and another number
-RAYS = 16  # rays in each group, which the candidate has right at length 1
-HITS_TRIED, RAYS_TRIED = 64, 1024  # rays that hit something, among which these are found; rays of the film, for those
+RAYS, RAYS_TRIED = 64, 1024  # rays that hit something, in each group; rays of the film, for those
 LARGEST_OFF = 0.1  # of t: if float32 resolves t no better, a factor of 2 may be rounding
-ONE = np.ones(1)  # length of d
 
 
 @check(of=(CANDIDATE,), camera=True)
@@ -47,88 +44,72 @@ def _check_directions(subject: Subject, scene: Scene) -> SceneCheck:
     A group of rays is wrong if most of its t are off by more than MATCH_RTOL, far more than rounding. Rays that are
     wrong at length 1 already, as they may be at edges, say nothing about conventions and are left out.
     """
-    traced = Traced(scene, packed_float32(scene))
-    o, d = _hitting_rays(traced)
+    o, d = _hitting_rays(scene)
     if not len(o):
         return SceneCheck(NAME, 0.0, "no ray of the camera hits anything")
-    t, off = traced.expected(o, d)
-    o, d, t, off = (each[off <= LARGEST_OFF * t] for each in (o, d, t, off))
-    if not len(o):
-        return SceneCheck(NAME, 0.0, "float32 resolves no t of the camera's rays")
-    try:
-        given = traced.by(subject, o, d)
-    except Unsupported:
-        return SceneCheck(NAME, 0.0, "declined")
-    except NoAnswer as error:
-        return SceneCheck(NAME, np.inf, f"no answer to {len(o)} rays of length 1: {error}")
-    right = np.flatnonzero(_match(given, t, off))
-    if not len(right):
-        return SceneCheck(
-            NAME, np.inf, f"none of {len(o)} rays that hit is right for |d| = 1: {_cause(given, t, off, ONE)}"
-        )
-    chosen = right[np.linspace(0, len(right) - 1, min(len(right), RAYS)).astype(int)]
-    groups = dict(_groups(o[chosen], d[chosen]))
+    groups = dict(_groups(o, d))
     o, d = (np.concatenate(each) for each in zip(*groups.values(), strict=True))
-    count = len(o)
-    t, off = (each.reshape(len(groups), -1) for each in traced.expected(o, d))
     try:
-        given = traced.by(subject, o, d).reshape(t.shape)
+        given = _answer(subject, scene, o, d)
     except Unsupported:
         return SceneCheck(NAME, 0.0, "declined")
     except NoAnswer as error:
-        return SceneCheck(NAME, np.inf, f"no answer to rays whose |d| is not 1: {error}")
-    tells, right = ~np.isfinite(t) | (off <= LARGEST_OFF * t), _match(given, t, off)  # mirrored, a ray may graze
-    wrong = [name for i, name in enumerate(groups) if right[i].sum(where=tells[i]) < MAJORITY * tells[i].sum()]
-    if not wrong:
-        return SceneCheck(NAME, 0.0, f"{count} rays")
-    rows = [i for i, name in enumerate(groups) if name in wrong]
-    length = np.linalg.norm(d, axis=1).reshape(t.shape)[rows]
-    cause = _cause(given[rows], t[rows], off[rows], length)
-    return SceneCheck(NAME, np.inf, f"{cause}: right for |d| = 1, wrong for {', '.join(wrong)}")
+        return SceneCheck(NAME, np.inf, f"no answer to {len(o)} rays in other directions, |d| not 1: {error}")
+    columns = given, *expected_t(scene, o, d), np.linalg.norm(d, axis=1)
+    given, t, off, length = (each.reshape(len(groups), -1) for each in columns)
+    tells = ~np.isfinite(t) | (off <= LARGEST_OFF * t)  # mirrored, a ray may graze
+    right = _match(given, t, off)
+    if not tells[0].any():
+        return SceneCheck(NAME, 0.0, "float32 resolves no t of the camera's rays")
+    if not (right[0] & tells[0]).any():
+        cause = _cause(given[0], t[0], off[0], length[0])
+        return SceneCheck(NAME, np.inf, f"none of {tells[0].sum()} rays that hit is right for |d| = 1: {cause}")
+    tells &= right[0] & tells[0]
+    wrong = np.flatnonzero(right.sum(axis=1, where=tells) < MAJORITY * tells.sum(axis=1))
+    if not len(wrong):
+        return SceneCheck(NAME, 0.0, f"{len(groups) * tells[0].sum()} rays")
+    cause = _cause(*(each[wrong][:, tells[0]] for each in (given, t, off, length)))
+    return SceneCheck(NAME, np.inf, f"{cause}: right for |d| = 1, wrong for {', '.join(np.array([*groups])[wrong])}")
 
 
-class Traced(NamedTuple):
-    """A scene with its packed float32 primitives."""
+def _answer(subject: Subject, scene: Scene, o: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """t (m,) of a candidate along rays of float32 numbers, without limits.
 
-    scene: Scene
-    packed: Packed
+    A candidate that accepts only as many rays as the film has pixels gets whole films of them.
+    """
+    try:
+        return _answer_to(subject, scene, _without_limits(o, d))
+    except Unsupported:
+        raise
+    except NoAnswer:
+        x0, y0, x1, y1 = scene.film.window
+        size = (x1 - x0) * (y1 - y0)
+        films = (np.arange(-(-len(o) // size) * size) % len(o)).reshape(-1, size)
+        t = [_answer_to(subject, scene, _without_limits(o[rows], d[rows])) for rows in films]
+        return np.concatenate(t)[: len(o)]
 
-    def by(self, subject: Subject, o: np.ndarray, d: np.ndarray) -> np.ndarray:
-        """t (m,) of a candidate along rays of float32 numbers, without limits.
 
-        A candidate that accepts only as many rays as the film has pixels gets whole films of them.
-        """
-        try:
-            return self._answer(subject, o, d)
-        except Unsupported:
-            raise
-        except NoAnswer:
-            x0, y0, x1, y1 = self.scene.film.window
-            size = (x1 - x0) * (y1 - y0)
-            rows = np.arange(-(-len(o) // size) * size) % len(o)
-            return np.concatenate([self._answer(subject, o[some], d[some]) for some in rows.reshape(-1, size)])[
-                : len(o)
-            ]
-
-    def _answer(self, subject: Subject, o: np.ndarray, d: np.ndarray) -> np.ndarray:
-        rays = _without_limits(o, d)
-        with ScratchFolder() as folder:
-            request = CastRequest(self.scene, model_of(self.scene, self.packed, rays), rays, Path(folder))
-            return subject.answer(request).t
-
-    def cast(self, o: np.ndarray, d: np.ndarray, t_min: float = 0.0) -> NearestHits:
-        return cast_by_culling(self.packed, RayBatch(o, d, np.full(len(o), t_min), np.full(len(o), np.inf)), "bvh")
-
-    def expected(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """t (m,) of our caster, and the tolerance for others: MATCH_RTOL, or float32's bound if that is larger."""
-        found = self.cast(o, d)
-        model = model_of(self.scene, self.packed, _without_limits(o, d))
-        at = intersections_at(model, found.prim, (o, d), found.t, KU, ours=False)
-        return found.t, np.where(found.prim < 0, 0.0, np.fmax(MATCH_RTOL * found.t, at.t_error))
+def _answer_to(subject: Subject, scene: Scene, rays: SharedRays) -> np.ndarray:
+    with ScratchFolder() as folder:
+        model = model_of(scene, packed_float32(scene), rays)
+        return subject.answer(CastRequest(scene, model, rays, Path(folder))).t
 
 
 def _without_limits(o: np.ndarray, d: np.ndarray) -> SharedRays:
     return SharedRays(o.astype(np.float32), d.astype(np.float32), np.full(len(o), np.inf, np.float32), np.zeros(len(o)))
+
+
+def _cast(scene: Scene, o: np.ndarray, d: np.ndarray, t_min: float) -> NearestHits:
+    rays = RayBatch(o, d, np.full(len(o), t_min), np.full(len(o), np.inf))
+    return cast_by_culling(packed_float32(scene), rays, "bvh")
+
+
+def expected_t(scene: Scene, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """t (m,) of our caster, and the tolerance for others: MATCH_RTOL, or float32's bound if that is larger."""
+    found = _cast(scene, o, d, 0.0)
+    model = model_of(scene, packed_float32(scene), _without_limits(o, d))
+    at = intersections_at(model, found.prim, (o, d), found.t, KU, ours=False)
+    return found.t, np.where(found.prim < 0, 0.0, np.fmax(MATCH_RTOL * found.t, at.t_error))
 
 
 # ---- limits of t, where every number is exact
@@ -163,15 +144,12 @@ def _check_limits(subject: Subject) -> SceneCheck:
 
     A subject that does not hit both surfaces without limits passes: the image shows what is wrong.
     """
+    t_min, t_max = (np.array([each[end] for each in LIMITS]) for end in (0, 1))
     for shapes, at in ((TRIANGLES, (0.5, 0.25, 0.0)), (SPHERE, (0.0, 0.0, 0.0))):
         scene = Scene.model_validate({"camera": Ray(**Ray.MINIMAL), "shape": shapes})
-        o, d = (np.tile(np.array(v, np.float32), (len(LIMITS), 1)) for v in (at, (0.0, 0.0, 1.0)))
-        t_min, t_max = (np.array([each[end] for each in LIMITS]) for end in (0, 1))
-        rays = SharedRays(o, d, t_max.astype(np.float32), np.zeros(len(o)), t_min)
+        rays = _without_limits(*(np.tile(v, (len(LIMITS), 1)) for v in (np.array(at), np.array([0.0, 0.0, 1.0]))))
         try:
-            with ScratchFolder() as folder:
-                request = CastRequest(scene, model_of(scene, packed_float32(scene), rays), rays, Path(folder))
-                given = subject.answer(request).t.tolist()
+            given = _answer_to(subject, scene, rays._replace(t_min=t_min, t_max=t_max.astype(np.float32))).tolist()
         except Unsupported:  # such as shapes that it does not have
             continue
         except NoAnswer:
@@ -193,17 +171,19 @@ def _check_limits(subject: Subject) -> SceneCheck:
 # ---- lengths and directions
 
 
-def _hitting_rays(traced: Traced) -> tuple[np.ndarray, np.ndarray]:
-    """o, d (m, 3) of at most HITS_TRIED camera rays that hit something: float32 numbers, d of length 1."""
-    shared = shared_rays(traced.scene)
-    there = np.flatnonzero(shared.t_max >= 0.0)
-    some = there[np.linspace(0, len(there) - 1, min(len(there), RAYS_TRIED)).astype(int)]
+def _hitting_rays(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """o, d (m, 3) of at most RAYS camera rays that hit something: float32 numbers, d of length 1."""
+    shared = shared_rays(scene)
+    some = _evenly(np.flatnonzero(shared.t_max >= 0.0), RAYS_TRIED)
     o, d = (a[some].astype(np.float64) for a in (shared.o, shared.d))
     d = _rounded(d / np.linalg.norm(d, axis=1, keepdims=True))
-    t = traced.cast(o, d, np.nextafter(0.0, -1.0)).t
-    hits = np.flatnonzero(np.isfinite(t) & (t > 0.0))  # whether a ray hits a surface that it starts on is open
-    some = hits[np.linspace(0, len(hits) - 1, min(len(hits), HITS_TRIED)).astype(int)]
+    t = _cast(scene, o, d, np.nextafter(0.0, -1.0)).t
+    some = _evenly(np.flatnonzero(np.isfinite(t) & (t > 0.0)), RAYS)  # a hit where a ray starts may count or not
     return o[some], d[some]
+
+
+def _evenly(rows: np.ndarray, most: int) -> np.ndarray:
+    return rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int)]
 
 
 def _rounded(v: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Checks of shapes by independent computations: placement, packed numbers, material."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -12,7 +12,7 @@ from caster.scene.model import Diffuse, Scene
 from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, transform_error_ratio
 from mitsuba_ref.error_model.tolerances import TRANSFORM_ROUNDINGS
-from mitsuba_ref.judge.checks import OURS, Shares, check
+from mitsuba_ref.judge.checks import OURS, check, worst_share
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.shared_input import packed_float32
 from mitsuba_ref.shapes import kind_of, reference_of
@@ -21,12 +21,9 @@ from mitsuba_ref.shapes import kind_of, reference_of
 @check()
 def check_placement(scene: Scene) -> SceneCheck:
     """Compare each shape's matrix with an independent composition of its steps."""
-    ratios = [transform_error_ratio(shape) for shape in scene.shapes if shape.to_world]
-    names = [name for name, shape in zip(scene.shape_names(), scene.shapes, strict=True) if shape.to_world]
-    if not ratios:
-        return SceneCheck("placement", 0.0, "no shape has a to_world")
-    worst = int(np.argmax(ratios))
-    return SceneCheck("placement", ratios[worst], f"to_world of {names[worst]}")
+    placed = ((name, shape) for name, shape in zip(scene.shape_names(), scene.shapes, strict=True) if shape.to_world)
+    shares = ((transform_error_ratio(shape), f"to_world of {name}") for name, shape in placed)
+    return worst_share("placement", shares, "no shape has a to_world")
 
 
 class Precision(NamedTuple):
@@ -57,7 +54,10 @@ def with_one_mesh(shape: Shape) -> Shape:
 @check()
 def check_geometry(scene: Scene) -> SceneCheck:
     """Compare each shape's packed numbers, float64 and float32, with an independent computation."""
-    shares = Shares()
+    return worst_share("geometry", _packing_shares(scene))
+
+
+def _packing_shares(scene: Scene) -> Iterator[tuple[float, str]]:
     latest: list[tuple[Shape, Shape]] = []  # the last shape with its copy; meshes of others are dropped
 
     def described(shape: Shape) -> Shape:
@@ -69,12 +69,10 @@ def check_geometry(scene: Scene) -> SceneCheck:
         parts = precision.packing(scene).parts
         for name, shape, part in zip(scene.shape_names(), scene.shapes, parts, strict=True):
             for field in unrounded_arrays(part, precision.name):
-                shares.add(f"{field} of {name} not rounded to {precision.name}", np.inf)
+                yield np.inf, f"{field} of {name} not rounded to {precision.name}"
             for claim in reference_of(shape).expected(described(shape), part):
                 share = _packing_error_ratio(claim, precision.unit_roundoff, precision.smallest_normal)
-                shares.add(f"{claim.what} of {name} ({precision.name})", share)
-    worst, share = shares.worst()
-    return SceneCheck("geometry", share, worst)
+                yield share, f"{claim.what} of {name} ({precision.name})"
 
 
 def unrounded_arrays(part: Any, dtype: str) -> list[str]:
@@ -103,9 +101,8 @@ def _packing_error_ratio(claim: ExpectedNumbers, rounding: float, normal: float)
 def check_materials(scene: Scene) -> SceneCheck:
     """Check that each shape's material is the one it names; Mitsuba gets the material that the caster looks up."""
     described = [scene.materials[shape.material] if shape.material else Diffuse() for shape in scene.shapes]
-    pairs = zip(scene.shapes, described, strict=True)
-    ratios = [0.0 if scene.material_of(shape) == expected else np.inf for shape, expected in pairs]
-    if not ratios:
-        return SceneCheck("materials", 0.0, "no shape")
-    worst = int(np.argmax(ratios))
-    return SceneCheck("materials", ratios[worst], f"material of {scene.shape_names()[worst]}")
+    rows = zip(scene.shapes, described, scene.shape_names(), strict=True)
+    shares = (
+        (0.0 if scene.material_of(shape) == right else np.inf, f"material of {name}") for shape, right, name in rows
+    )
+    return worst_share("materials", shares, "no shape")

@@ -61,7 +61,7 @@ function shareHtml(check, share) {
 
 /** Of a scene that fails: the share of its pixels that do, as no more than all of a bound can be shown. */
 function failingHtml(scene, check, share) {
-  const of = Math.max(scene.hit, scene.failing), percent = (100 * scene.failing) / of;
+  const of = Math.max(scene.hit_pixels, scene.failing), percent = (100 * scene.failing) / of;
   const factor = share > 1 ? `, ${spaced(check)} ${share === Infinity ? "beyond any bound" : `${brief(share)}\u00d7`}` : "";
   const words = percent > 99.95 && percent < 100 ? "99.9" : percent < 0.1 ? "under 0.1" : String(Number(percent.toFixed(1)));
   return `<span class="meter over" aria-hidden="true" title="pixels that fail"><i style="width:${Math.max(2, percent)}%"></i></span>

@@ -90,6 +90,9 @@ function layOut() {
   byId("wiping").hidden = state.v !== "wipe";
   byId("wipe").value = state.w;
   for (const pane of looking.panes) pane.describe();
+  box.style.setProperty("--legend", "0px"); // as high as the tallest, so that all images have the same size
+  const tallest = Math.max(...looking.panes.map((pane) => pane.legend.scrollHeight));
+  box.style.setProperty("--legend", `${tallest + 1}px`);
   for (const pane of looking.panes) pane.fit();
   drawSoon();
 }

@@ -1,5 +1,5 @@
-/* A ray caster: every triangle, in double. cc -O2 -std=c99 -o caster caster.c -lm; caster MESH.raw RAYS.raw HITS.raw,
-   or caster alone, for --candidate-serve */
+/* A ray caster: every triangle, in double. cc -O2 -std=c99 -o mine mine.c -lm; mine MESH.raw RAYS.raw HITS.raw, or mine
+   alone, for --candidate-serve */
 #include "rays_and_hits.h"
 
 static void cross(const double *a, const double *b, double *c) {

@@ -1,5 +1,5 @@
-// A ray caster: every triangle, in double; no dependency. node caster.js MESH.raw RAYS.raw HITS.raw, or, for
-// --candidate-serve, node caster.js alone: requests come over stdin, responses go to stdout.
+// A ray caster: every triangle, in double; no dependency. node mine.js MESH.raw RAYS.raw HITS.raw, or, for
+// --candidate-serve, node mine.js alone: requests come over stdin, responses go to stdout.
 const { run } = require("./rays_and_hits.js");
 const sub = (a, b) => a.map((x, k) => x - b[k]);
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];

@@ -40,7 +40,7 @@ function write(bytes) {
   for (let sent = 0; sent < bytes.length; ) sent += fs.writeSync(1, bytes, sent);
 }
 
-// node caster.js MESH.raw RAYS.raw HITS.raw; or node caster.js alone, for --candidate-serve
+// node mine.js MESH.raw RAYS.raw HITS.raw; or node mine.js alone, for --candidate-serve
 function run(build) {
   const files = process.argv.slice(2);
   if (files.length === 3) return fs.writeFileSync(files[2], cast(build, ...files.slice(0, 2).map((f) => fs.readFileSync(f))));

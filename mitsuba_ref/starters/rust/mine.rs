@@ -1,4 +1,4 @@
-// A ray caster: every triangle, in f64, for --candidate-serve; no dependency: rustc -O caster.rs
+// A ray caster: every triangle, in f64, for --candidate-serve; no dependency: rustc -O mine.rs
 use std::convert::TryInto;
 use std::io::{self, Read, Write};
 

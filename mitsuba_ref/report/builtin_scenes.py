@@ -1,0 +1,24 @@
+"""Scenes that are installed with the program, and their names on a command line: builtin:NAME."""
+
+from pathlib import Path
+
+from caster.description.errors import SceneError, suggestion
+
+ROOT = Path(__file__).resolve().parents[1] / "runner" / "builtin"  # a folder for each set
+PREFIX = "builtin:"
+
+
+def scene_path(name: str) -> str:
+    """The path of a scene named builtin:NAME; any other name is a path already. Raises SceneError."""
+    if not name.startswith(PREFIX):
+        return name
+    wanted = name.removeprefix(PREFIX)
+    files = {file.stem: str(file) for file in sorted(ROOT.glob("*/*.toml"))}
+    if wanted not in files:
+        raise SceneError(f"{name}: expected a built-in scene{suggestion(wanted, files)} (one of {', '.join(files)})")
+    return files[wanted]
+
+
+def shown_path(path: str) -> str:
+    """The path of a scene as a command names it: the reverse of `scene_path`."""
+    return PREFIX + Path(path).stem if Path(path).is_relative_to(ROOT) else path

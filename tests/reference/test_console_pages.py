@@ -1,0 +1,57 @@
+"""Pages whose commands are run by docs/console.py are of today's program."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = ("quick-start",)
+
+
+@pytest.fixture(scope="module")
+def console():
+    spec = importlib.util.spec_from_file_location("console", ROOT / "docs/console.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def essence(page):
+    """The first three words of each line, without numbers and spaces: what Mitsuba answers differs between CPUs."""
+    lines = [line for line in page.splitlines() if "mitsuba llvm" not in line]
+    return [re.sub(r"[-+]?\d[\d.]*(e[-+]?\d+)?|0x\S+", "#", line).split()[:3] for line in lines]
+
+
+@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.slow("a page of docs: a caster in NumPy, a minute")
+def test_the_outputs_on_a_page_are_those_of_today(console, tmp_path, name):
+    page = (ROOT / f"docs/{name}.md").read_text(encoding="utf-8")
+    assert essence(console.renewed(page, tmp_path)) == essence(page)
+
+
+PAGE = """```python
+# greet.py
+print("good morning\\n" * 3)
+```
+
+```console
+$ python greet.py
+good evening
+...
+$ echo a; exit 3  # exit 3
+```
+"""
+
+
+def test_an_output_of_another_time_is_replaced(console, tmp_path):
+    found = console.renewed(PAGE, tmp_path)
+    assert found.endswith("$ python greet.py\ngood morning\n...\n$ echo a; exit 3  # exit 3\na\n```\n")
+    assert essence(found) != essence(PAGE)
+    assert console.renewed(found, tmp_path) == found
+
+
+def test_an_exit_code_that_the_page_does_not_state_is_an_error(console, tmp_path):
+    with pytest.raises(AssertionError, match="exit 3: exit code 3, expected 0"):
+        console.renewed(PAGE.replace("  # exit 3", ""), tmp_path)
