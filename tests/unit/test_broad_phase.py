@@ -56,6 +56,14 @@ def test_each_ray_is_in_one_piece_only(monkeypatch):
         assert np.array_equal(np.concatenate([piece[i] for piece in pieces]), whole[0][i])
 
 
+def test_every_box_is_grown_by_the_margin_of_its_farthest_corner(monkeypatch):
+    monkeypatch.setattr(scene_model, "BOXES_PER_CHUNK", 8)
+    low = np.random.default_rng(114).uniform(-9.0, 9.0, (3, 20))
+    high = low + 1.0
+    margin = scene_model.BOX_MARGIN * np.maximum(np.abs(low), np.abs(high)).max(axis=0)
+    assert np.array_equal(scene_model.grown(low.copy(), high.copy()), (low - margin, high + margin))
+
+
 def test_most_of_what_a_ray_passes_by_is_left_out():
     model, o, d = crowd("meshes", [112], Setting(distances=(10.0, 20.0)), 300)
     ((_, prim),) = BroadPhase(*model.boxes).pairs(o, d)

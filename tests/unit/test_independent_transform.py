@@ -100,3 +100,11 @@ def test_normals_that_cancel_have_no_bound():
     both = np.array([[0, 1, 2], [0, 2, 1]])
     _, size = angle_weighted_normals(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), both)
     assert np.isinf(size).all()
+
+
+def test_a_face_without_area_changes_no_expected_normal():
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 2]])
+    alone, beside = (
+        angle_weighted_normals(corners, np.array(faces))[0] for faces in ([[0, 1, 2]], [[0, 1, 2], [0, 0, 1]])
+    )
+    assert np.array_equal(alone, beside)
