@@ -1,4 +1,4 @@
-"""What has to be the same bits on every machine: hits, images and packed scenes. As a program:
+"""Hits, images and packed scenes, which must have the same bits on every machine. As a program:
 
     python plain_python.py INPUTS OUT    # two .npz files: what to cast, and the results
 

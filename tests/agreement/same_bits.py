@@ -1,4 +1,4 @@
-"""The comparison behind every fact of this folder: bit for bit, and a difference says where it is."""
+"""Bitwise comparison of arrays, which reports where they differ."""
 
 from collections.abc import Mapping
 

@@ -1,4 +1,4 @@
-"""The tree finds what trying every primitive finds, for rays from nowhere in particular and for hard ones."""
+"""The BVH finds the same hits as testing every primitive, for ordinary and for adversarial rays."""
 
 import numpy as np
 import pytest

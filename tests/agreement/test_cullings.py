@@ -1,4 +1,4 @@
-"""A culling may skip misses; it may not skip, move or reorder hits: everything == screen == bvh."""
+"""All cullings give the same image: they may skip misses, but not skip, move or reorder hits."""
 
 import numpy as np
 import pytest

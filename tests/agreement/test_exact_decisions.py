@@ -1,4 +1,4 @@
-"""The quick way, a float64 filter with doubts settled, finds what asking every primitive exactly finds."""
+"""The float64 filter with exact decisions in doubt finds the same hits as exact tests of every primitive."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Every processor gets the same bits: another one is simulated by what libraries and compiler can be told.
+"""The bits do not depend on the processor. Other processors are simulated by settings of libraries and compiler.
 
 A BLAS, NumPy and the C library choose code by the features of the processor, each with other last bits; so does LLVM,
 which has instructions to choose from. Here they are told to do without.

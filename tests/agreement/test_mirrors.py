@@ -1,4 +1,4 @@
-"""A mirrored scene met by mirrored rays: the same t and ids to the bit, positions and normals mirrored.
+"""Mirrored rays in a mirrored scene give the same t and ids to the bit, and mirrored positions and normals.
 
 Every sum of the kernels is one of squares or of products in which a mirror flips both signs or neither. A
 mirrored mesh also turns its faces around: it swaps the second and third corner, so triangles add these first.

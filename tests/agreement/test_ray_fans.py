@@ -1,4 +1,4 @@
-"""Rays that are handed over and have a point in common find, as fans, what every ray tried against everything finds."""
+"""Given rays with a common point are cast as fans, with the hits of testing every ray against every primitive."""
 
 import numpy as np
 import pytest

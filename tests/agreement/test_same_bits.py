@@ -1,4 +1,4 @@
-"""The comparison behind the tests of this folder sees one bit."""
+"""The comparison of this folder's tests detects a single bit."""
 
 import numpy as np
 import pytest

@@ -63,9 +63,3 @@ def test_a_sphere_hardly_off_the_axis_of_a_fisheye_is_seen_whole(aside):
     """The square of so short a way has lost bits, or all of them, to underflow."""
     ball = {"type": "sphere", "center": (aside, 0.0, 1.0), "radius": 0.05}
     assert_cullings_agree(Fisheye(**AHEAD), [ball], {"width": 512, "height": 512})
-
-
-@pytest.mark.parametrize("camera", BENDING)
-def test_a_sphere_in_the_centre_of_a_pixel_is_seen_however_small_it_is(camera):
-    ball = {"type": "sphere", "center": (0.0, 0.0, 1.0), "radius": 1e-20}
-    assert_cullings_agree(camera(**AHEAD), [ball], {"width": 15, "height": 15})

@@ -1,4 +1,4 @@
-"""Piles of identical primitives: decided once, with the answers of deciding each."""
+"""Identical primitives are decided once, with the same answers as if each were decided."""
 
 import numpy as np
 import pytest

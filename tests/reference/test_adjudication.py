@@ -1,4 +1,4 @@
-"""Each class of a pixel is reached by a scene or by a planted fault, and what must fail does."""
+"""Each class of a pixel is reached by a scene or a planted fault, and the failing classes fail."""
 
 import json
 import xml.etree.ElementTree as ElementTree

@@ -1,4 +1,4 @@
-"""A shape outside of the tree is a file on each side, as docs/adding-a-shape.md shows them, and no more.
+"""A shape of a plug-in needs one file for each package, as shown in docs/adding-a-shape.md.
 
 The code is taken from that page, so the page is right as long as this passes.
 """

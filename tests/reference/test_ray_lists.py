@@ -1,4 +1,4 @@
-"""`mitsuba-ref judge`: answers to any rays, and EXR files; right ones pass, and each planted fault is found."""
+"""`mitsuba-ref judge` on hits of any rays and on EXR files: correct ones pass, and each planted fault is found."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""An AOV from outside of the tree, once registered, renders like those of the tree: films, arrays, brute force."""
+"""A registered AOV of a plug-in renders like the built-in ones, in films, arrays and brute force."""
 
 import math
 from pathlib import Path

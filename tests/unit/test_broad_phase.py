@@ -1,4 +1,4 @@
-"""No primitive that a ray hits is left out of what is near it."""
+"""The broad phase of the error models never drops a primitive that a ray hits."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Every camera's formula is written twice; each fault of a camera that these tests plant is seen."""
+"""Camera rays against independent formulas and Mitsuba's sensors; planted faults of cameras are found."""
 
 from collections.abc import Callable
 from types import SimpleNamespace
@@ -176,8 +176,9 @@ def test_a_sensor_whose_rays_start_aside_is_detected(near):
     pose = {"type": "pinhole", "eye": (0.5, 0.0, 0.0), "direction": (0.0, 0.6, 0.8), "near": near, "far": 90.0}
     scene = Scene(film=Film(width=9, height=6), camera=pose)
     ours = camera_rays(scene)
+    across = np.cross(ours.d, [1.0, 0.0, 0.0])  # so that only the lines differ, and no distance along them
     for aside in (0.0, 0.01):
-        o = ours.o + ours.t_min[:, None] * ours.d + [aside, 0.0, 0.0]
+        o = ours.o + ours.t_min[:, None] * ours.d + aside * across
         sensor = np.column_stack([o, ours.d, ours.t_max - ours.t_min])
         found = check_sensor(scene, SimpleNamespace(answer=SimpleNamespace(sensor=sensor)))
         assert found.ok is (aside == 0.0), found

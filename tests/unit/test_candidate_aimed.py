@@ -1,4 +1,4 @@
-"""What a camera's rounding may do to a hit is held by the nine rays that the widened model looks along."""
+"""The widened bounds of uncertain rays hold for every ray that a camera's rounding may produce."""
 
 import numpy as np
 import pytest

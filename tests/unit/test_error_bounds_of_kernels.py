@@ -1,4 +1,4 @@
-"""Error bounds that kernels state, against inputs moved by as much as they are off; small parts by formula."""
+"""Error bounds of kernels hold for all inputs within their errors."""
 
 import math
 from fractions import Fraction

@@ -1,4 +1,4 @@
-"""The error models bound what they say they bound, and not much more: against decimals of 60 digits.
+"""The bounds of the error models hold against decimals of 60 digits, and are nearly reached.
 
 That the bounds do not grow is held by stated_numbers.json.
 """

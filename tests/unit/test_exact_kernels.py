@@ -1,4 +1,4 @@
-"""The caster's own exact arithmetic: integers against Python's, roots and their order against Fractions."""
+"""The caster's exact arithmetic: integers against Python's, roots and their order against Fractions."""
 
 import math
 import sys

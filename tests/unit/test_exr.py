@@ -1,4 +1,4 @@
-"""EXR files: what is written is what was given, and what cannot be read is said plainly."""
+"""Writing EXR files keeps every bit; unreadable files are reported with the reason."""
 
 import os
 import resource

@@ -1,4 +1,4 @@
-"""Kernels are compiled once: what was done for them is counted, in processes with a cache folder of their own."""
+"""Kernels are compiled once, counted in processes with their own cache folder."""
 
 import os
 import shutil

@@ -1,4 +1,4 @@
-"""Memory that a large mesh takes on its way to the kernels: bytes a triangle, whatever the machine."""
+"""Peak memory of packing a large mesh, in bytes per triangle."""
 
 import tracemalloc
 from collections.abc import Callable

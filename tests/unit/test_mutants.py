@@ -1,4 +1,4 @@
-"""The tool that plants mutants: its operators, and the exact score of a module with planted mutants."""
+"""The mutation tool: its operators, and its score for a module with known mutants."""
 
 import ast
 import json

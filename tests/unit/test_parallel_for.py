@@ -1,4 +1,4 @@
-"""Pieces of work on several threads: each done once, errors told, nothing begun after one."""
+"""Parallel loops do each piece once, report errors and start nothing after one."""
 
 import threading
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Paths among the arguments: all commands and options are walked, so that a new one is covered by itself."""
+"""Path arguments of every command and option, which are enumerated so that new ones are covered."""
 
 import argparse
 import os

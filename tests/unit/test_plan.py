@@ -1,4 +1,4 @@
-"""What a scene does not need is not done: told by counts of work, not by seconds."""
+"""Work that a scene does not need is skipped, as counts of work show."""
 
 import json
 import os

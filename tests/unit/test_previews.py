@@ -1,4 +1,4 @@
-"""Pictures of AOVs: colours of known values, what is missing or broken, strips, sheets and their files."""
+"""Previews of AOVs: colours of known values, misses, broken values, sheets and files."""
 
 from pathlib import Path
 

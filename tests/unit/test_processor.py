@@ -1,4 +1,4 @@
-"""The processor as results name it."""
+"""The description of the processor in results."""
 
 import sys
 

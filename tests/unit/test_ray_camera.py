@@ -1,4 +1,4 @@
-"""The camera `ray`: one ray to the bit, whatever the pixel."""
+"""The camera `ray` gives its one ray, to the bit, at every pixel."""
 
 import math
 

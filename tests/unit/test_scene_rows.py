@@ -1,4 +1,4 @@
-"""Scenes are loaded when their turn comes, and what fails about one of them is its row."""
+"""Scenes are loaded when they are judged, and an error of one is its row."""
 
 import json
 import time

@@ -1,4 +1,4 @@
-"""Matrices that place things: exact where floats allow it, refused where they say nothing."""
+"""Transforms: exact where floats allow it, refused where they are singular."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""`caster doctor --warm`: everything that can be registered is thought of, and what was done is told."""
+"""`caster doctor --warm` covers every registered kind and reports what it did."""
 
 import io
 import json

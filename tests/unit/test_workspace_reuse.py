@@ -1,4 +1,4 @@
-"""What a picture has worked in is there for the next one, and for no other at the same time."""
+"""Working memory of an image is reused by the next one, and never shared by concurrent ones."""
 
 import gc
 from concurrent.futures import ThreadPoolExecutor
