@@ -16,7 +16,6 @@ from pydantic.fields import FieldInfo
 
 from caster.scene.model import Scene
 
-SCALARS = (int, float, str)
 COUNTS = {0: "none", 1: "one", 2: "two or more"}
 
 

@@ -26,11 +26,6 @@ def assert_same_bits(expected: np.ndarray, got: np.ndarray) -> None:
     assert got.tobytes() == np.ascontiguousarray(expected).tobytes()
 
 
-def save_with_library(path: Path, channels: dict, **header) -> None:
-    defaults = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    OpenEXR.File(defaults | header, channels).write(str(path))
-
-
 # ---- writing ----
 
 
