@@ -1,7 +1,5 @@
 """`mitsuba-ref validate`: judge scenes against Mitsuba, one row each; `merge`: the verdicts of all shards as one."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys
@@ -10,64 +8,21 @@ import traceback
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from caster.cli.shared_arguments import InputPath, OutputFile, positive_int
 from caster.description.errors import SceneError
+from caster.system.atomic_files import OutputError, write_text
 from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
-from mitsuba_ref.cli.options import (
-    add_candidate,
-    add_reading,
-    add_report_files,
-    add_selection,
-    add_skip_unsupported,
-    add_timeout,
-    add_verdict_files,
-    requested_candidate,
-    selected_entries,
-    write_verdict_files,
-)
-
-if TYPE_CHECKING:
-    from mitsuba_ref.judge.verdict import Verdict
-    from mitsuba_ref.report.out_folder import OutFolder
-    from mitsuba_ref.runner.many_scenes import SceneEntry
-    from mitsuba_ref.runner.shards import Shard
-    from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun
-    from mitsuba_ref.subjects.subject import Subject
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_selection(parser)
-    add = parser.add_argument
-    add_report_files(parser)
-    add(
-        "--expected",
-        metavar="FILE",
-        type=InputPath,
-        help="known failures, as --write-expected writes them: the run fails only by others, and names fixed ones",
-    )
-    help_ = "write the failures of this run as a file for --expected"
-    add("--write-expected", metavar="FILE", type=OutputFile, help=help_)
-    add_skip_unsupported(parser, "scenes")
-    help_ = "fail where fewer scenes are judged and not declined; default 1 with --skip-unsupported"
-    add("--min-scenes", metavar="N", type=positive_int, default=0, help=help_)
-    add("--maxfail", metavar="N", type=positive_int, help="stop after so many scenes that fail")
-    add("--shard", metavar="I/N", type=shard, help="judge part I of N of the scenes, balanced by pixels")
-    help_ = "also test our caster beyond the judged films: other routes, scales, brute force; compiles more kernels"
-    add("--thorough", action="store_true", help=help_)
-    add_timeout(parser)
-    help_ = "judge every scene and ask Mitsuba, also where an earlier run has the result of the very same inputs"
-    add("--no-store", dest="store", action="store_false", help=help_)
-    add_candidate(parser)
-    add_reading(parser, "; with --candidate")
-
-
-def shard(text: str) -> Shard:
-    """The type of --shard; its module is loaded only where the option is given."""
-    from mitsuba_ref.runner.shards import parse_shard
-
-    return parse_shard(text)
+from mitsuba_ref.cli.options import requested_candidate, selected_entries, write_verdict_files
+from mitsuba_ref.judge.verdict import UNSUPPORTED, Verdict
+from mitsuba_ref.reference import variants
+from mitsuba_ref.report.out_folder import OutFolder
+from mitsuba_ref.report.results import print_lines
+from mitsuba_ref.report.verdict_text import failures_text, summary_text, table_head, table_row
+from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry
+from mitsuba_ref.runner.shards import merge_verdicts
+from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun, expected_toml, read_expected
+from mitsuba_ref.runner.verdict_files import read_verdict
+from mitsuba_ref.subjects.subject import Subject
 
 
 def run(args: argparse.Namespace) -> int:
@@ -87,7 +42,6 @@ def without_earlier_results(args: argparse.Namespace) -> OutFolder | None:
 
     Before a candidate is loaded, which may end the process.
     """
-    from mitsuba_ref.report.out_folder import OutFolder
 
     for path in (args.json, args.junit):
         if path and os.path.isfile(path) and not os.path.islink(path):  # /dev/stdout is a link
@@ -102,9 +56,6 @@ def judge_entries(
     args: argparse.Namespace, entries: Sequence[SceneEntry], options: RunOptions, out: OutFolder | None
 ) -> int:
     """Print a row for each scene, and write the files that the options name; the exit code."""
-    from mitsuba_ref.reference import variants
-    from mitsuba_ref.runner.validation_run import ValidationRun
-
     variants.require_variants()  # its errors come before any work
     start = time.perf_counter()
     running = ValidationRun(entries, options, out)
@@ -118,9 +69,6 @@ def judge_entries(
 def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:
     """0 if all pass; 70 or 4 for an internal error or a file that cannot be written; 2 or 4 if only scenes that cannot
     be loaded fail; else 1."""
-    from caster.system.atomic_files import OutputError
-    from mitsuba_ref.judge.verdict import UNSUPPORTED
-
     if verdict.ok:
         return OK
     if verdict.scenes and all(scene.waived == UNSUPPORTED for scene in verdict.scenes):
@@ -137,8 +85,6 @@ def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:
 
 
 def run_options(args: argparse.Namespace, candidate: Subject | None) -> RunOptions:
-    from mitsuba_ref.runner.many_scenes import JudgeOptions
-    from mitsuba_ref.runner.validation_run import RunOptions, read_expected
 
     chosen = args.expression or args.builtin
     out = Path(args.out) if args.out else None
@@ -157,9 +103,6 @@ def run_options(args: argparse.Namespace, candidate: Subject | None) -> RunOptio
 
 def print_rows(running: ValidationRun) -> None:
     """Print a row for each scene as soon as it and all scenes before it are done."""
-    from mitsuba_ref.report.results import print_lines
-    from mitsuba_ref.report.verdict_text import table_head, table_row
-
     width = max((len(entry.name) for entry in running.entries), default=0)
     # The stream itself: readers of EXR files in other threads replace sys.stdout while they read.
     out = sys.stdout
@@ -171,9 +114,6 @@ def print_rows(running: ValidationRun) -> None:
 
 def write_results(running: ValidationRun, args: argparse.Namespace, seconds: float) -> None:
     """Write the report files, then print failures and the summary."""
-    from mitsuba_ref.report.results import print_lines
-    from mitsuba_ref.report.verdict_text import failures_text, summary_text
-
     verdict = running.verdict()
     try:
         write_verdict_files(verdict, args, seconds)
@@ -189,9 +129,6 @@ def write_results(running: ValidationRun, args: argparse.Namespace, seconds: flo
 
 def write_expected(verdict: Verdict, args: argparse.Namespace) -> None:
     """Write --write-expected, unless some scenes were not judged. Raises OutputError."""
-    from caster.system.atomic_files import write_text
-    from mitsuba_ref.runner.validation_run import expected_toml
-
     path = getattr(args, "write_expected", None)
     if path and verdict.not_judged:
         print(f"{path}: not written: {len(verdict.not_judged)} scenes were not judged", file=sys.stderr)
@@ -202,24 +139,8 @@ def write_expected(verdict: Verdict, args: argparse.Namespace) -> None:
 # ---- mitsuba-ref merge ----
 
 
-def add_merge_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "verdicts",
-        metavar="VERDICT.json|DIR",
-        type=InputPath,
-        nargs="+",
-        help="of each shard: --json's file, or --out's folder",
-    )
-    add_verdict_files(parser)
-
-
 def run_merge(args: argparse.Namespace) -> int:
     """Print failures and the summary; 0 all pass, 1 some fail or are missing, 3 the files are not of one run."""
-    from mitsuba_ref.report.results import print_lines
-    from mitsuba_ref.report.verdict_text import failures_text, summary_text
-    from mitsuba_ref.runner.shards import merge_verdicts
-    from mitsuba_ref.runner.verdict_files import read_verdict
-
     places = [str(Path(place) / "verdict.json") if Path(place).is_dir() else place for place in args.verdicts]
     verdict, missing = merge_verdicts([(place, read_verdict(place)) for place in places])
     seconds = sum(scene.seconds for scene in verdict.scenes if not scene.kept)

@@ -269,7 +269,9 @@ class Judge:
         if not self.answer.exact_visibility:
             certain = certain & self.bounds.own.certain
         if self.pair.rays.is_list:
-            certain = certain & ~self._near_end()
+            own = self.bounds.own  # rounding may move a hit beyond t_min or t_max
+            with np.errstate(invalid="ignore"):
+                certain = certain & (own.t - own.t_error > self.t_min) & (own.t + own.t_error <= self.t_max)
             agreeing = agreeing & ~self._may_hit()
         rows = needs_adjudication(agreeing, self.hit, certain, self.pair.shape)
         rows = rows[self.t_max[rows] >= 0.0]
@@ -308,13 +310,6 @@ class Judge:
         found: np.ndarray = (self.answer.t == self.t_min) & (not self.answer.exact_visibility)
         return found & (not self.answer.hits_only)
 
-    def _near_end(self) -> np.ndarray:
-        """(n,) bool: rounding may move the hit beyond t_min or t_max, or it is there already."""
-        own = self.bounds.own
-        with np.errstate(invalid="ignore"):
-            inside = (own.t - own.t_error > self.t_min) & (own.t + own.t_error <= self.t_max)
-        return ~inside
-
     def _may_hit(self) -> np.ndarray:
         """(n,) bool: the subject misses, but something may be hit. For rays of a list, which have no neighbours."""
         rows = np.flatnonzero(~self.hit & (self.t_max >= 0.0))
@@ -346,9 +341,7 @@ class Judge:
         exponent = self.pair.rays.rows(rows).reference_exponent if self.pair.rays.is_list else np.zeros(len(rows), int)
         same = (o == own_o).all(axis=1) & (np.ldexp(d, exponent[:, None]) == own_d).all(axis=1)
         answers = [exact.of(int(row)) if alike else None for row, alike in zip(rows, same, strict=True)]
-        tied = claims_other_tie(
-            self.model, own_o, own_d, claims._replace(t=self.result.t[rows]), answers, LARGEST_USEFUL_NORMAL_ERROR
-        )
+        tied = claims_other_tie(self.model, own_o, own_d, claims._replace(t=self.result.t[rows]), answers)
         classes[rows[tied]] = CLASS_CODE[TIE]
 
     def _classify_inexact(self, classes: np.ndarray, exact: Adjudication) -> None:
@@ -431,7 +424,7 @@ class Judge:
 def reference_prims(result: ReferenceResult, model: SceneModel) -> np.ndarray:
     """(n,) the number in the scene of the primitive that Mitsuba names, -1 on a miss.
 
-    Of a shape with a stand-in, whose triangles Mitsuba counts by itself, the first primitive.
+    A shape with a stand-in counts as its first primitive, since Mitsuba numbers the stand-in's own triangles.
     """
     shape = result.shape_id
     first, last = model.packed.first[shape], model.packed.first[shape + 1]

@@ -67,14 +67,15 @@ def defect_features(
     hit = np.array([answer.prim for answer in answers], np.int64)
     distance, offset = np.maximum(_distance_and_offset(model, hit, o), _distance_and_offset(model, named, o))
     for i, answer in enumerate(answers):
-        t, prims = float(claims.t[i]), (int(hit[i]), int(named[i]))
-        ours, theirs = (_view(model, prim, o[i], d[i], t) for prim in prims)
+        t, prim = float(claims.t[i]), int(named[i])
+        ours, theirs = (_view(model, int(each), o[i], d[i], t) for each in (hit[i], prim))
         yield DefectFeatures(
-            *(kind_of(_place(model, prim)[0]).name if prim >= 0 else "" for prim in prims),
+            _kind(model, int(hit[i])),
+            _kind(model, prim),
             where=frozenset(each.where for each in answer.ties),
             flags=answer.flags,
             t=t,
-            at_zero=t == 0.0 and _is_at_zero(model, oracle, int(claims.shape[i]), prims[1], o[i], d[i]),
+            at_zero=t == 0.0 and _is_at_zero(model, oracle, int(claims.shape[i]), prim, o[i], d[i]),
             cosine=min(ours.cosine, theirs.cosine),
             beyond_corners=theirs.beyond_corners,
             without_area=theirs.without_area,
@@ -122,6 +123,10 @@ def _place(model: SceneModel, prim: int) -> tuple[Any, int]:
     """(arrays of its kind, its row there)."""
     kind, k = kinds_of(model.packed, np.array([prim]))
     return model.packed.kinds[int(kind[0])].prims, int(k[0])
+
+
+def _kind(model: SceneModel, prim: int) -> str:
+    return kind_of(_place(model, prim)[0]).name if prim >= 0 else ""
 
 
 def _view(model: SceneModel, prim: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:

@@ -11,6 +11,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
+from pydantic import TypeAdapter, ValidationError
+
 from caster.cameras import CAMERAS
 from caster.description.errors import SceneError, error_prefix, suggestion
 from caster.description.registry import type_name
@@ -29,7 +31,7 @@ from mitsuba_ref.reference.store import StoreFolder, local_store
 from mitsuba_ref.report.out_folder import file_records, files_of
 from mitsuba_ref.report.reproducers import with_replay
 from mitsuba_ref.report.validation import validate_scene
-from mitsuba_ref.runner.verdict_files import scene_of, verdict_key
+from mitsuba_ref.runner.verdict_files import verdict_key
 from mitsuba_ref.runner.workers import CALL_TIMEOUTS, WorkerEnded, Workers
 from mitsuba_ref.subjects.subject import OURS, Subject
 
@@ -202,14 +204,11 @@ def replay_options(entry: SceneEntry) -> tuple[str, ...]:
 
 def _stored_verdict(store: StoreFolder, key: str, folder: Path | None) -> SceneVerdict | None:
     """The stored verdict of equal inputs, marked as kept, if its files in the folder are unchanged."""
-    content = store.get(key)
     try:
-        found = scene_of(content) if content else None
-    except ValueError:
+        found = TypeAdapter(SceneVerdict).validate_json(store.get(key) or b"")
+    except ValidationError:
         return None
-    if found is None or (
-        folder and (set(files_of(found)) != set(found.files) or file_records(folder, found) != found.files)
-    ):
+    if folder and (set(files_of(found)) != set(found.files) or file_records(folder, found) != found.files):
         return None
     return replace(found, kept=True)
 

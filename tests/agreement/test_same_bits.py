@@ -1,4 +1,4 @@
-"""The comparison of this folder's tests detects a single bit."""
+"""assert_same_bits detects a single changed bit."""
 
 import numpy as np
 import pytest

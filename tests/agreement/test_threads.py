@@ -21,7 +21,7 @@ THREADS = (2, 3, 7)
 
 
 def count_hits_where_threads_agree(scene: Scene, culling: str | None = None) -> int:
-    """How many pixels hit; fails where more threads than one change a bit of any AOV."""
+    """Number of pixels that hit; fails if several threads change a bit of any AOV."""
     expected = render(scene, tuple(BY_NAME), threads=1, culling=culling)
     for threads in THREADS:
         got = render(scene, tuple(BY_NAME), threads=threads, culling=culling)
@@ -50,7 +50,7 @@ def test_threads_never_change_a_bit_of_any_ray():
 
 
 def test_parts_that_are_binned_in_another_order_are_in_the_same_places(monkeypatch):
-    """Each thread writes where its own part belongs, whichever comes first."""
+    """Each thread writes its own part of the result, in any order."""
     scene = random_scene(np.random.default_rng(8), [Icosphere], Pinhole)
     arguments = packed(scene), scene.camera.pack(48, 32), Window(0, 0, 48, 32), 10.0
     (alone,) = bin_kinds(*arguments, threads=1)

@@ -1,4 +1,4 @@
-"""Machine code is loaded only from folders and files that no other user can write."""
+"""Machine code is loaded only from folders and files that no other user can have written."""
 
 import os
 import stat

@@ -1,4 +1,4 @@
-"""Both formulas for the normal of a sphere give the same bits."""
+"""Both functions for the normal of a sphere give the same bits."""
 
 import numpy as np
 import pytest

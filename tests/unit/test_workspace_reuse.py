@@ -1,4 +1,4 @@
-"""Working memory of an image is reused by the next one, and never shared by concurrent ones."""
+"""Memory of images and workspaces is reused, but never by two at the same time."""
 
 import gc
 from concurrent.futures import ThreadPoolExecutor

@@ -50,12 +50,11 @@ def _on_rim(scene: Scene, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """(n,) bool: pixels so near the edge of the image circle that rounding decides whether they have a ray."""
     film, reference = scene.film, reference_of_camera(scene.camera)
     middle_x, middle_y = film.width / 2.0, film.height / 2.0
-    seen = []
-    for scale in (1.0 - KU_OURS, 1.0 + KU_OURS):
-        rays = reference.rays(scene.camera, film, middle_x + scale * (x - middle_x), middle_y + scale * (y - middle_y))
-        seen.append(rays.t_max >= 0.0)
-    differs: np.ndarray = seen[0] != seen[1]
-    return differs
+    inner, outer = (
+        reference.rays(scene.camera, film, middle_x + scale * (x - middle_x), middle_y + scale * (y - middle_y)).t_max
+        for scale in (1.0 - KU_OURS, 1.0 + KU_OURS)
+    )
+    return (inner >= 0.0) != (outer >= 0.0)
 
 
 @check(scope="window", camera=True)

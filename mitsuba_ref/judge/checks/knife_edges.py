@@ -112,24 +112,25 @@ def adjudicate(subject: PreparedScene, rays: RayBatch, found: NearestHits) -> Ad
 
 def _verdict(answer: ExactAnswer, t: float, prim: int, bound: float) -> tuple[float, str, str]:
     """(error over bound, kind, text) of one hit."""
-    if answer.t is None:
-        what = f"ours hits primitive {prim} at t {t_text(t)}, exactly it is a miss"
-        return (0.0, "", "") if prim < 0 else (np.inf, "phantom", what)
-    if prim != answer.prim:
-        return np.inf, "missed" if prim < 0 else "prim", in_words(answer, t, prim)
+    if answer.t is None and prim < 0:
+        return 0.0, "", ""
+    if answer.t is None or prim != answer.prim:
+        kind = "missed" if prim < 0 else "phantom" if answer.t is None else "prim"
+        return np.inf, kind, _in_words(answer, t, prim)
     off = float(answer.t.off(t))
-    wrong = not (off <= bound or (t >= LARGEST_FLOAT64 and answer.t > LARGEST_FLOAT64))
-    ratio = off / bound if 0.0 < bound < np.inf and t < LARGEST_FLOAT64 else 0.0
-    if not wrong:
+    largest = t >= LARGEST_FLOAT64
+    ratio = off / bound if 0.0 < bound < np.inf and not largest else 0.0
+    if off <= bound or (largest and answer.t > LARGEST_FLOAT64):
         return ratio, "", ""
     ratio = max(ratio, float(np.nextafter(1.0, 2.0))) if off == off else np.inf
-    return ratio, "t", f"{in_words(answer, t, prim)}: {off:.3g} off, bound {bound:.3g}"
+    return ratio, "t", f"{_in_words(answer, t, prim)}: {off:.3g} off, bound {bound:.3g}"
 
 
-def in_words(answer: ExactAnswer, t: float, prim: int) -> str:
+def _in_words(answer: ExactAnswer, t: float, prim: int) -> str:
     ours = f"ours hits primitive {prim} at t {t_text(t)}" if prim >= 0 else "ours misses"
-    exact = "" if answer.t is None else t_text(float(answer.t))
-    return f"{ours}, exactly primitive {answer.prim} ({answer.ties[0].where}) is hit at t {exact}"
+    if answer.t is None:
+        return f"{ours}, exactly it is a miss"
+    return f"{ours}, exactly primitive {answer.prim} ({answer.ties[0].where}) is hit at t {t_text(float(answer.t))}"
 
 
 def t_text(t: float) -> str:
@@ -170,15 +171,13 @@ def knife_edges(scene: Scene) -> tuple[SceneCheck, tuple[AimedFailure, ...]]:
     if not subject.oracle.count:
         return SceneCheck("knife_edges", 0.0, "no primitive to aim at"), ()
     rays = rays_at_edges(subject)
-    ours = cast_by_culling(subject.packed, rays, "bvh")
-    verdicts = adjudicate(subject, rays, ours)
+    verdicts = adjudicate(subject, rays, cast_by_culling(subject.packed, rays, "bvh"))
     ratios, texts = ratio_of(verdicts.ratios, np.ones(1)), verdicts.texts
-    bad = np.flatnonzero(ratios > 1.0)
-    if not len(bad):
-        return SceneCheck("knife_edges", float(ratios.max()), f"{len(ratios)} aimed rays"), ()
+    bad, words = np.flatnonzero(ratios > 1.0), f"{len(ratios)} aimed rays"
+    if len(bad):
+        o, d = (a[bad[0]].tolist() for a in (rays.o, rays.d))
+        words = f"{len(bad)} of {words}, first from {o} along {d}: {texts[bad[0]]}"
     found = tuple(AimedFailure(texts[i], _scene_of_ray(scene, rays, i)) for i in bad[:REPRODUCERS])
-    o, d = (a[bad[0]].tolist() for a in (rays.o, rays.d))
-    words = f"{len(bad)} of {len(ratios)} aimed rays, first from {o} along {d}: {texts[bad[0]]}"
     return SceneCheck("knife_edges", float(ratios.max()), words), found
 
 
@@ -211,9 +210,8 @@ def content_seed(packed: Packed) -> int:
 def _frame(rng: Rng, targets: Targets) -> Frame:
     """Centre and size of the scene: medians, so that a single far primitive does not count."""
     p = targets.points(rng, targets.pick(rng, SIZE_SAMPLES), "inside").p
-    center = np.median(p, axis=0)
-    size = float(np.median(np.abs(p - center).max(axis=1)))
-    x, y, z = center.tolist()
+    x, y, z = np.median(p, axis=0).tolist()
+    size = float(np.median(np.abs(p - (x, y, z)).max(axis=1)))
     return Frame(size if size > 0.0 else 1.0, (x, y, z))
 
 
