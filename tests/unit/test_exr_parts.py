@@ -1,4 +1,4 @@
-"""Multi-part EXR files, as other programs write them: all parts are one picture, or it is said why not."""
+"""Multi-part EXR files of other programs are read as one image, or refused with the reason."""
 
 from pathlib import Path
 

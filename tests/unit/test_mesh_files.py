@@ -434,7 +434,7 @@ def glb(change=lambda nodes: None):
     mesh = next(node["mesh"] for node in content["nodes"] if "mesh" in node)
     content["nodes"] = [
         {"children": [1, 2], "translation": [1, 2, 3], "rotation": [0.1, 0.3, -0.05, 0.9], "scale": [2, 2, 2]},
-        {"mesh": mesh, "rotation": [0, 0.6, 0, 0.8], "scale": [1, 1, -1]},
+        {"mesh": mesh, "rotation": [0.2, 0.6, -0.1, 0.8], "scale": [1, 1, -1]},
         {"mesh": mesh, "matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 1e-9, 0, 0, 1]},
     ]
     content["scenes"] = [{"nodes": [0]}]

@@ -1,4 +1,4 @@
-"""Shapes with a primitive kind of their own, and cameras, registered from outside of the tree."""
+"""Plug-ins: shapes with their own primitive kind, and cameras."""
 
 import os
 import shutil
