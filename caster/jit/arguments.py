@@ -49,7 +49,7 @@ def _describe(args: Iterable[Any], key: list[Any], words: list[int]) -> bool:
             form = SCALARS[kind]
             key.append(form)
             if form != NONE:
-                words.append(word_of_real(arg) if form == REAL else int(arg))
+                words.append(WORD.unpack(REAL_NUMBER.pack(arg))[0] if form == REAL else int(arg))
         elif isinstance(arg, tuple):
             key.append((kind, len(arg)))
             if not _describe(arg, key, words):
@@ -60,10 +60,6 @@ def _describe(args: Iterable[Any], key: list[Any], words: list[int]) -> bool:
 
 
 REAL_NUMBER, WORD = struct.Struct("d"), struct.Struct("q")
-
-
-def word_of_real(x: float) -> int:
-    return int(WORD.unpack(REAL_NUMBER.pack(x))[0])
 
 
 def real_of_word(word: int) -> float:

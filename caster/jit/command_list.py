@@ -6,22 +6,23 @@ as in graphics interfaces; arguments that change from row to row are read from t
 
 import ctypes
 from collections.abc import Callable, Iterable
+from itertools import accumulate, chain
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from caster.jit.arguments import describe
 from caster.jit.decorators import Kernel, jit
-from caster.jit.machine_code import DONE, PLACE_OF_ANSWER, call_entry, check, fail, load_word, store_word
+from caster.jit.machine_code import DONE, PLACE_OF_ANSWER, call_entry, fail, load_word, store_word
 
-__all__ = ["BoundCall", "Command", "CommandList", "Condition"]
+__all__ = ["BoundCall", "Column", "Command", "CommandList", "Condition", "command"]
 
 
 class BoundCall:
     """A kernel bound to its arguments, except those at the places `given`: integers or tuples of integers.
 
-    A call takes a tenth of the time of an ordinary one; only one thread may call at a time. `answer` is that of the
-    last call, and `answered` names it as a condition.
+    A list calls its machine code with a block of words; `answered` is the condition that its last answer is not 0. Only
+    one thread may call it at a time.
     """
 
     def __init__(self, function: Callable[..., Any], *args: Any, given: tuple[int, ...]) -> None:
@@ -30,39 +31,21 @@ class BoundCall:
         self.code: Any = function.code(args) if isinstance(function, Kernel) else None
         self.block = np.zeros(1, np.int64)
         self.places: list[range] = []  # where the given arguments are in the block
-        self.address = 0
         if self.code is not None:
-            sizes = [len(_words((arg,))) for arg in args]
-            ends = np.cumsum([PLACE_OF_ANSWER + 1, *sizes]).tolist()
-            self.block = np.array([0, *_words(args)], np.int64)
+            words = [_words((arg,)) for arg in args]
+            ends = [*accumulate(map(len, words), initial=PLACE_OF_ANSWER + 1)]
+            self.block = np.array([0, *chain(*words)], np.int64)
             self.places = [range(ends[n], ends[n + 1]) for n in given]
-            self.address = self.block.ctypes.data
+        self.address = self.block.ctypes.data
+        self.answered = self.block, PLACE_OF_ANSWER
 
-    @property
-    def answer(self) -> int:
-        return int(self.block[PLACE_OF_ANSWER])
-
-    @property
-    def answered(self) -> "Condition":
-        """That the last answer is not 0."""
-        return self.block, PLACE_OF_ANSWER
-
-    def __call__(self, *numbers: int | tuple[int, ...]) -> Any:
-        if self.code is None:
-            return self._call_plainly(numbers)
-        for place, those in zip(self.places, numbers, strict=True):
-            for word, number in zip(place, those if isinstance(those, tuple) else (those,), strict=True):
-                self.block[word] = number
-        check(self.code.entry(self.address))
-        return self.code.answer(self.answer)
-
-    def _call_plainly(self, numbers: tuple[int | tuple[int, ...], ...]) -> Any:
+    def __call__(self, *numbers: int | tuple[int, ...]) -> None:
+        """Call the function where there is no machine code."""
         every = list(self._args)
         for n, those in zip(self._given, numbers, strict=True):
             every[n] = those
         answer = self._function(*every)
         self.block[PLACE_OF_ANSWER] = answer if isinstance(answer, int | np.integer) else 0
-        return answer
 
 
 def _words(args: tuple[Any, ...]) -> list[int]:
@@ -77,9 +60,22 @@ Condition = int | tuple[np.ndarray, int]
 class Command(NamedTuple):
     """A call in a command list."""
 
-    call: Callable[..., Any]  # a BoundCall, or a Python function of the same arguments
+    call: Any  # a BoundCall, or a Python function of the same arguments
     given: tuple[int | slice, ...]  # for each argument, its number in the row, or a slice for a tuple
     when: Condition | None = None
+
+
+class Column(int):
+    """The number of a column of the rows, which holds an argument; a slice of columns holds a tuple."""
+
+
+def command(function: Callable[..., Any], *args: Any, when: Condition | None = None) -> Command:
+    """Call a kernel with these arguments, of which columns are read from the row."""
+    given = tuple(n for n, arg in enumerate(args) if type(arg) in (Column, slice))
+    values, columns = list(args), tuple(args[n] for n in given)
+    for n, those in zip(given, columns, strict=True):
+        values[n] = 0 if isinstance(those, Column) else (0,) * (those.stop - those.start)
+    return Command(BoundCall(function, *values, given=given), columns, when)
 
 
 # A program is a list of words. Each command has the addresses of its entry and block; its condition: the address of a

@@ -303,19 +303,15 @@ class Generic:
     """A function whose body is chosen by the class of its first argument, a NamedTuple of arrays."""
 
     def __init__(self, stub: Callable[..., Any], options: dict[str, Any]):
-        self.bodies: dict[type, Callable[..., Any]] = {}
-        self.stub, self.options = stub, options
-        self.call = self._dispatch()
+        bodies: dict[type, Callable[..., Any]] = {}
+        self.bodies, self.stub, self.options = bodies, stub, options
 
-    def _dispatch(self) -> Callable[..., Any]:
-        bodies = self.bodies
-
-        @wraps(self.stub)
+        @wraps(stub)
         def dispatch(*args: Any) -> Any:
             kind = type(args[0])
             return bodies[kind if kind in bodies else object](*args)
 
-        return dispatch
+        self.call = dispatch
 
     def overload(self, numba: Any) -> None:
         """Tell Numba how to choose the body."""

@@ -60,8 +60,6 @@ def cache_folder() -> Path:
 
 def distrust(found: os.stat_result) -> str:
     """Why another user may have written a file or folder; "" if only this user can have."""
-    if not hasattr(os, "geteuid"):  # Windows: each profile's folders are its user's own
-        return ""
     if found.st_uid != os.geteuid():
         return "it belongs to another user"
     return "other users may write it" if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH) else ""

@@ -113,12 +113,6 @@ LLVM = {INTEGER: "i64", REAL: "double", BOOLEAN: "i8", ARRAY: "i64"}
 ENTRY = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64)
 
 
-def check(status: int) -> None:
-    """Raise RuntimeError if an entry's status is an error."""
-    if status not in DONE:
-        fail()
-
-
 def fail() -> NoReturn:
     raise RuntimeError("a kernel failed: it counted with a number beyond its range")
 
@@ -208,14 +202,11 @@ class ObjectCode:
     def __call__(self, words: list[int]) -> Any:
         """Call the kernel with a block of these words; return its answer."""
         block = (ctypes.c_int64 * len(words))(*words)
-        check(self.entry(ctypes.addressof(block)))
-        return self.answer(block[PLACE_OF_ANSWER])
-
-    def answer(self, word: int) -> Any:
-        """The answer that a word stands for."""
+        if self.entry(ctypes.addressof(block)) not in DONE:
+            fail()
         if self._gives == REAL:
-            return real_of_word(word)
-        return word if self._gives else None
+            return real_of_word(block[PLACE_OF_ANSWER])
+        return block[PLACE_OF_ANSWER] if self._gives else None
 
 
 def read(path: Path, symbol: str) -> ObjectCode | None:

@@ -1,8 +1,7 @@
 """Vectors of eight float64, since LLVM does not vectorise short loops by itself.
 
-In plain Python a vector is an array of Python floats, which overflow without a warning; compiled, each function here,
-and +, - and * of vectors, is one or a few instructions (caster/jit/vector_intrinsics.py). A number may stand for a
-vector of equal ones.
+In plain Python a vector is a PlainVector; compiled, each function here, and +, - and * of vectors, is one or a few
+instructions (caster/jit/vector_intrinsics.py). A number may stand for a vector of equal ones.
 """
 
 from typing import Any
@@ -18,23 +17,31 @@ CHILDREN = 8
 """Boxes of a tree node, which are tested at once."""
 
 ALL_LANES = (1 << LANES) - 1
-"""The bits of LANES numbers."""
+"""A mask of all lanes."""
 
 Vector = Any
 
 
+class PlainVector(np.ndarray):
+    """A vector in plain Python: float64 numbers that overflow without a warning, as in machine code."""
+
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
+        with np.errstate(all="ignore"):
+            return getattr(ufunc, method)(*map(np.asarray, inputs), **options).view(PlainVector)
+
+
 def load_lanes(a: Any, i: Any) -> Vector:
-    """a[i:i + LANES] as float64, of a flattened."""
+    """a.reshape(-1)[i:i + LANES] as float64."""
     return _loaded(a, i, LANES)
 
 
 def load_children(a: Any, i: Any) -> Vector:
-    """a[i:i + CHILDREN] as float64, of a flattened."""
+    """a.reshape(-1)[i:i + CHILDREN] as float64."""
     return _loaded(a, i, CHILDREN)
 
 
 def _loaded(a: Any, i: Any, count: int) -> Vector:
-    return a.reshape(-1)[int(i) : int(i) + count].astype(np.float64).astype(object)
+    return a.reshape(-1)[int(i) : int(i) + count].astype(np.float64).view(PlainVector)
 
 
 def store(v: Vector, a: Any, i: Any) -> None:
@@ -44,26 +51,26 @@ def store(v: Vector, a: Any, i: Any) -> None:
 
 def splat(x: float) -> Vector:
     """LANES times x."""
-    return np.full(LANES, x, object)
+    return np.full(LANES, x).view(PlainVector)
 
 
 def larger(v: Vector, w: Vector) -> Vector:
     """v where it is greater, else w."""
-    return np.where(v > w, v, w)
+    return _chosen(v > w, v, w)
 
 
 def lesser(v: Vector, w: Vector) -> Vector:
     """v where it is less, else w."""
-    return np.where(v < w, v, w)
+    return _chosen(v < w, v, w)
 
 
 def bits_below(v: Vector, w: Vector) -> int:
-    """A bit for each lane with v < w, the first lane's lowest."""
+    """Mask of the lanes with v < w; lane 0 is the lowest bit."""
     return _packed(v < w)
 
 
 def bits_up_to(v: Vector, w: Vector) -> int:
-    """A bit for each lane with v <= w."""
+    """Mask of the lanes with v <= w."""
     return _packed(v <= w)
 
 
@@ -73,16 +80,21 @@ def _packed(flags: Any) -> int:
 
 def select(bits: int, v: Vector, w: Vector) -> Vector:
     """v where the lane's bit is set, else w."""
-    return np.where([bits >> n & 1 for n in range(LANES)], v, w)
+    return _chosen([bits >> n & 1 for n in range(LANES)], v, w)
+
+
+def _chosen(flags: Any, v: Vector, w: Vector) -> Vector:
+    found: Any = np.where(flags, v, w)
+    return found.view(PlainVector)
 
 
 def least(v: Vector) -> float:
     """The least number of a vector."""
-    return float(np.min(v))
+    return float(min(v))
 
 
 def largest(v: Vector) -> float:
-    return float(np.max(v))
+    return float(max(v))
 
 
 def lowest_bit(mask: int) -> int:

@@ -61,7 +61,7 @@ def generate_rays(camera: Any, window: Any, pixels: Any, rays: Any, start: int, 
         rays.t_min[j], rays.t_max[j] = t_min, t_max
 
 
-# Answers of `find_invalid_ray` if all rays are valid.
+# Results of `find_invalid_ray` if all rays are valid.
 ALL_IN_RANGE, OUT_OF_RANGE = -1, -2
 
 # Directions between these have squares, and powers of two in them change no bit of t but its exponent.

@@ -84,18 +84,13 @@ def build_tree(low: np.ndarray, high: np.ndarray, threads: int) -> Tree:
         if count < PARALLEL_MIN_PRIMITIVES
         else _build_parallel(boxes, order, threads)
     )
+    # collapse them into nodes of CHILDREN, of which there are at most as many as inner binary nodes
+    capacity = max(1, int(np.count_nonzero(nodes[1][:, 1] < 0)))
+    wide_boxes, links = np.empty((capacity, 6, CHILDREN), np.float32), np.empty((capacity, CHILDREN), np.int32)
+    number = collapse(*nodes, wide_boxes, links)
     extent = float(max(-low.min(), low.max(), -high.min(), high.max()))
     flat = max(MIN_DIRECTION_PER_UNIT * unit, MIN_DIRECTION)
-    return Tree(*_collapsed(*nodes), order, center, unit, flat, extent, BOX_PADDING)
-
-
-def _collapsed(boxes: np.ndarray, links: np.ndarray) -> Nodes:
-    """Collapse binary nodes into nodes of CHILDREN, of which there are at most as many as inner binary nodes."""
-    capacity = max(1, int(np.count_nonzero(links[:, 1] < 0)))
-    wide_boxes = np.empty((capacity, 6, CHILDREN), np.float32)
-    wide_links = np.empty((capacity, CHILDREN), np.int32)
-    nodes = collapse(boxes, links, wide_boxes, wide_links)
-    return wide_boxes[:nodes].copy(), wide_links[:nodes].copy()
+    return Tree(wide_boxes[:number].copy(), links[:number].copy(), order, center, unit, flat, extent, BOX_PADDING)
 
 
 def _unit(least: np.ndarray, largest: np.ndarray, center: np.ndarray) -> float:

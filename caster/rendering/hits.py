@@ -19,7 +19,7 @@ from caster.kernels.surface.lighting import shadow_rays_of
 from caster.rendering.casting import find_any, find_nearest
 from caster.rendering.plan import plan
 from caster.rendering.rasterization import parallel_for_tiles
-from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, TileWorkspace, prim_offsets
+from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, TileWorkspace, placed_kinds
 from caster.rendering.shading import TileShader, new_image
 from caster.rendering.threads import parallel_for, unwritten_array
 from caster.scene.model import Light, Scene
@@ -92,8 +92,7 @@ class RayHits:
         window = Window(0, 0, WIDTH, -(-count // WIDTH))
         images = {name: new_image(name, window, dtype) for name in aovs}
         planned, prim = plan(self.scene, aovs, "bvh"), self._prim_in_tile()
-        start = np.append(self.start, np.zeros(window.width * window.height - count))
-        start = start.reshape(window.height, window.width)
+        start = np.append(self.start, np.zeros(-count % WIDTH)).reshape(window.height, window.width)
         shader = TileShader(self.scene, self.packed, planned, images, start=start, exact_shadows=True)
 
         def begin() -> list[Command]:
@@ -121,7 +120,7 @@ class RayHits:
         if len(packed.parts) <= 1:
             return prim
         shape = np.maximum(self.shape_id, 0)
-        offset = np.array(prim_offsets(packed), np.int64)[packed.kind_of[shape]]
+        offset = np.array([base for _, base in placed_kinds(packed)], np.int64)[packed.kind_of[shape]]
         return np.where(self.hit, prim - packed.first[shape] + packed.start[shape] + offset, -1)
 
     def lit(self, light: Light, where: np.ndarray) -> np.ndarray:
@@ -218,7 +217,7 @@ def validated_rays(o: ArrayLike, d: ArrayLike, t_min: ArrayLike, t_max: ArrayLik
 
 
 def validated_rays_with_range(o: ArrayLike, d: ArrayLike, t_min: ArrayLike, t_max: ArrayLike) -> tuple[Rays, bool]:
-    """The same, and whether the squares of all directions neither overflow nor vanish."""
+    """`validated_rays`, and whether the squares of all directions neither overflow nor vanish."""
     origins, directions = _rows(o, "o"), _rows(d, "d")
     if len(origins) != len(directions):
         raise SceneError(f"rays: o and d must have equal lengths, got {len(origins)} and {len(directions)}")

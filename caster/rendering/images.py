@@ -10,7 +10,7 @@ import numpy as np
 from caster.aovs import BY_NAME, Aovs
 from caster.description.errors import SceneError, suggestion
 from caster.geometry.packing import Packed, packed
-from caster.jit.command_list import BoundCall, Command
+from caster.jit.command_list import Command, command
 from caster.kernels.nearest import Rays, generate_rays, new_rays
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import BOX, generate_camera_rays, kind_numbers, tile_rows
@@ -20,8 +20,8 @@ from caster.rendering.casting import BVH_MIN_RAYS, Culling, exact_nearest, find_
 from caster.rendering.hits import RayHits
 from caster.rendering.plan import Plan, plan
 from caster.rendering.rasterization import BinnedKind, bin_kinds, cast_commands, parallel_for_tiles
-from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, TileWorkspace, kind_command, prim_offsets
-from caster.rendering.shading import NO_BOX, TileShader, new_image
+from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, TileWorkspace, kind_command, placed_kinds
+from caster.rendering.shading import TileShader, new_image
 from caster.rendering.threads import parallel_for, unwritten_array
 from caster.scene.model import Scene
 
@@ -90,15 +90,15 @@ def render_film(
         """Commands for tiles with primitives."""
         workspace = TileWorkspace()
         tile = workspace.tile
-        yield Command(BoundCall(generate_camera_rays, camera, window, NO_BOX, tile, given=(2,)), (BOX,))
+        yield command(generate_camera_rays, camera, window, BOX, tile)
         if binned is not None:
             yield from cast_commands(binned, tile, scene.camera.shares_origin)
         else:
-            for kind, base in zip(arrays.kinds, prim_offsets(arrays), strict=True):
+            for kind, base in placed_kinds(arrays):
                 yield kind_command(kind, base, tile, planned.culling == "bvh" and uses_bvh(kind))
         yield from shader.commands(workspace)
         # at the end, since shadows may be uncertain, too
-        yield Command(BoundCall(store_hits, tile, NO_BOX, hit, uncertain, given=(1,)), (BOX,))
+        yield command(store_hits, tile, BOX, hit, uncertain)
 
     number = len(arrays.kinds)
     rows = tile_rows(window.width, window.height, number, [it.runs for it in binned] if binned is not None else None)

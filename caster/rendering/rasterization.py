@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from caster.geometry.packing import Kind, Packed
-from caster.jit.command_list import BoundCall, Command, CommandList
+from caster.jit.command_list import Command, CommandList, command
 from caster.jit.decorators import implements
 from caster.kernels.bvh.build import BOX_PADDING, Hulls, hulls_of
 from caster.kernels.protocol import distortion_bound, project, project_bounding_sphere, tight_sphere
@@ -23,7 +23,7 @@ from caster.kernels.raster.screen_bounds import (
 from caster.kernels.raster.tile import BOX, DEPTH_BUCKETS, HEIGHT, WIDTH, bin_into_tiles, kind_numbers
 from caster.kernels.raster.tile_casting import cast_in_bounds
 from caster.kernels.triangles import Triangles
-from caster.rendering.ray_tiles import prim_offsets
+from caster.rendering.ray_tiles import placed_kinds
 from caster.rendering.threads import even_pieces, parallel_for, parallel_for_pieces, thread_count, unwritten_array
 
 # Points or primitives: to bound fewer takes less time than a second thread takes to begin.
@@ -47,11 +47,10 @@ class BinnedKind:
 
 def cast_commands(kinds: list[BinnedKind], tile: np.ndarray, shares_origin: bool) -> Iterator[Command]:
     """Commands that cast a tile at its primitives."""
-    empty, box = (0, 0), (0, 0, 0, 0)
     for k, it in enumerate(kinds):
-        about = it.kind.prims, it.order, empty, it.bounds, it.base, box, tile, shares_origin
         at = kind_numbers(k)
-        yield Command(BoundCall(cast_in_bounds, *about, given=(2, 5)), (at.run, BOX), at.present)
+        about = it.kind.prims, it.order, at.run, it.bounds, it.base, BOX, tile, shares_origin
+        yield command(cast_in_bounds, *about, when=at.present)
 
 
 PIECES_PER_THREAD = 32  # few enough that Python code does not count, enough to share the work evenly
@@ -111,7 +110,7 @@ def bin_kinds(
         farthest = 2.0 * (origin + kind.extent) if kind.bounded else 1.0
         return _bin_into_tiles(kind, base, window, bounds, farthest, threads)
 
-    return [sort(kind, base) for kind, base in zip(packed.kinds, prim_offsets(packed), strict=True)]
+    return [sort(kind, base) for kind, base in placed_kinds(packed)]
 
 
 NO_FACES = np.empty((0, 3), np.int32)

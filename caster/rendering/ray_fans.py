@@ -165,7 +165,7 @@ def fan_tiles(
 
 
 def _total(number: Callable[[int, int], int], count: int, threads: int | None) -> int:
-    """number(start, stop) of all pieces of 0..count."""
+    """Sum of number(start, stop) over pieces of 0..count."""
     found: list[int] = []
     parallel_for(lambda start, stop: found.append(number(start, stop)), count, threads)
     return sum(found)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.geometry.packing import Kind, Packed
-from caster.jit.command_list import BoundCall, Command, CommandList, Condition
+from caster.jit.command_list import Command, CommandList, Condition, command
 from caster.jit.simd import CHILDREN, LANES
 from caster.kernels.bvh.build import STACK_SIZE
 from caster.kernels.bvh.fans import (
@@ -47,10 +47,9 @@ def kind_command(
 ) -> Command:
     """Casts the first rays of a tile at a kind, through its tree or at all of its primitives."""
     if tree:
-        about = kind.prims, bvh_of(kind), base, 0, tile, ALL_PACKETS, new_workspace(), any_hit
-        return Command(BoundCall(cast_packets, *about, given=(3,)), (COUNT,), when)
-    about_all = kind.prims, len(kind.ids), base, 0, tile, any_hit
-    return Command(BoundCall(cast_packets_brute_force, *about_all, given=(3,)), (COUNT,), when)
+        about = kind.prims, bvh_of(kind), base, COUNT, tile, ALL_PACKETS, new_workspace(), any_hit
+        return command(cast_packets, *about, when=when)
+    return command(cast_packets_brute_force, kind.prims, len(kind.ids), base, COUNT, tile, any_hit, when=when)
 
 
 Workspace = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -91,7 +90,7 @@ class TileCaster:
         self._without_trees: list[Place] = []
         self._kinds: list[Place] = []
         self._too_many: list[Place] = []
-        for kind, base in zip(packed.kinds, prim_offsets(packed), strict=True):
+        for kind, base in placed_kinds(packed):
             few = len(kind.ids) <= most
             places = (self._kinds if few else self._too_many) if uses_tree(kind) else self._without_trees
             places.append((kind, base))
@@ -123,7 +122,7 @@ class TileCaster:
             self._bounds_of(0, n, threads)
 
     def begin(self, tile: np.ndarray, groups: RayGroups) -> Callable[[int], None]:
-        """A function that casts the first so many rays of this tile; for fans, whole rows of it."""
+        """Return a function that casts the first `count` rays of this tile; for fans, a multiple of WIDTH."""
         row = np.zeros((1, TILE_NUMBERS), np.int64)
         commands = CommandList(self.commands(tile, groups), row)
 
@@ -137,12 +136,11 @@ class TileCaster:
         """Cast the first rays of this tile."""
         yield from (kind_command(kind, base, tile, False, self._any_hit, when) for kind, base in self._without_trees)
         if self._fans:
-            yield Command(BoundCall(begin_groups, groups, given=()), ())
-            group = BoundCall(group_rays, self._fans[0], tile, 0, groups, self._outward, given=(2,))
-            yield Command(group, (LINES,), when)
+            yield command(begin_groups, groups)
+            yield command(group_rays, self._fans[0], tile, LINES, groups, self._outward, when=when)
             some, others = (groups.counts, 0), (groups.counts, 1)
             for n in range(len(self._kinds)):
-                yield Command(BoundCall(cast_fan, *self._fan_arguments(0, n, tile, groups), given=()), (), some)
+                yield command(cast_fan, *self._fan_arguments(0, n, tile, groups), when=some)
             yield Command(self._other_fans(tile, groups), (COUNT,), others)
         yield from (kind_command(kind, base, tile, True, self._any_hit, when) for kind, base in self._too_many)
 
@@ -222,7 +220,7 @@ def tiles_in_order(caster: TileCaster, count: int, threads: int | None) -> RayTi
 
 
 def filled_up(numbers: np.ndarray, multiple: int) -> np.ndarray:
-    """With -1 behind them, up to a multiple of this length."""
+    """Append -1 up to a multiple of this length."""
     return np.append(numbers, np.full(-len(numbers) % multiple, -1, np.int32))
 
 
@@ -242,7 +240,7 @@ def new_ray_groups() -> RayGroups:
 
 @dataclass(frozen=True)
 class TileWorkspace:
-    """Buffers of one thread, which hold anything at first: the tile it works on, and those that some AOVs need."""
+    """Buffers of one thread, uninitialised: the tile it works on, and those that only some AOVs need."""
 
     tile: np.ndarray = field(default_factory=lambda: new_tile(_unwritten))
 
@@ -267,6 +265,7 @@ def _unwritten(size: int) -> np.ndarray:
     return unwritten_array((size,), np.float64)
 
 
-def prim_offsets(packed: Packed) -> list[int]:
-    """Place of each kind's first primitive: they are counted kind by kind."""
-    return [0, *itertools.accumulate(len(kind.ids) for kind in packed.kinds)][: len(packed.kinds)]
+def placed_kinds(packed: Packed) -> list[Place]:
+    """Each kind with the place of its first primitive: they are counted kind by kind."""
+    ends = itertools.accumulate(len(kind.ids) for kind in packed.kinds)
+    return [(kind, end - len(kind.ids)) for kind, end in zip(packed.kinds, ends, strict=True)]

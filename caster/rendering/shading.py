@@ -12,7 +12,7 @@ import numpy as np
 
 from caster.aovs import BY_NAME, kernel_of
 from caster.geometry.packing import Packed
-from caster.jit.command_list import BoundCall, Command
+from caster.jit.command_list import Command, command
 from caster.kernels.nearest import Rays
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import (
@@ -38,13 +38,11 @@ from caster.kernels.surface.lighting import add_ambient, add_light, materials_in
 from caster.kernels.surface.per_hit import NO_IDS, PrimitiveIds, new_surface_buffer, surfaces_in_tile, write_aov
 from caster.rendering.casting import exact_nearest
 from caster.rendering.plan import Plan
-from caster.rendering.ray_tiles import TileCaster, TileWorkspace, prim_offsets
+from caster.rendering.ray_tiles import TileCaster, TileWorkspace, placed_kinds
 from caster.rendering.threads import unwritten_array
 from caster.scene.model import Diffuse, Scene
 
 NO_START = np.empty((0, 0))
-
-NO_BOX = (0, 0, 0, 0)
 
 # For AOVs that read no field of it.
 UNUSED_SURFACE = new_surface_buffer()
@@ -109,21 +107,20 @@ class TileShader:
             yield from self.miss_commands()
             return
         if plan.surfaces:
-            for k, (kind, first) in enumerate(zip(packed.kinds, prim_offsets(packed), strict=True)):
-                about = kind.prims, (first, first + len(kind.ids)), ws.tile, NO_BOX, ws.surface, ws.lanes
-                find = BoundCall(surfaces_in_tile, *about, wanted_fields(plan), given=(3,))
-                yield Command(find, (BOX,), kind_numbers(k).present)
+            wants = SURFACES if "position" in plan.surfaces else NORMALS
+            wants = SURFACES_WITH_UV if "uv" in plan.surfaces else wants
+            for k, (kind, first) in enumerate(placed_kinds(packed)):
+                about = kind.prims, (first, first + len(kind.ids)), ws.tile, BOX, ws.surface, ws.lanes
+                yield command(surfaces_in_tile, *about, wants, when=kind_numbers(k).present)
         if self._materials is not None:
-            fill = BoundCall(materials_in_tile, ws.tile, NO_BOX, *self._materials, ws.surface, given=(1,))
-            yield Command(fill, (BOX,))
+            yield command(materials_in_tile, ws.tile, BOX, *self._materials, ws.surface)
         for light, caster in self._lights:
             yield from self._add_light(light, caster, ws)
         if len(self._ambient):
-            yield Command(BoundCall(add_ambient, ws.tile, NO_BOX, ws.surface, self._ambient, given=(1,)), (BOX,))
+            yield command(add_ambient, ws.tile, BOX, ws.surface, self._ambient)
         for name, image in self.images.items():
             surface = UNUSED_SURFACE if set(BY_NAME[name].NEEDS) <= {"shape_id", "prim_id"} else ws.surface
-            about = kernel_of(name), ws.tile, NO_BOX, surface, self._ids, self.start, image
-            yield Command(BoundCall(write_aov, *about, given=(2,)), (BOX,))
+            yield command(write_aov, kernel_of(name), ws.tile, BOX, surface, self._ids, self.start, image)
 
     def miss_commands(self) -> list[Command]:
         """Commands that write the AOVs of tiles without hits."""
@@ -138,23 +135,16 @@ class TileShader:
     def _add_light(self, light: Any, caster: TileCaster | None, ws: TileWorkspace) -> Iterator[Command]:
         """Add a light at the hits that it reaches; without shadows if there is no caster."""
         packed, total = self._packed, np.zeros(1, np.int64)
-        about = light, ws.tile, NO_BOX, packed.prim_shapes, packed.shape_extents, ws.surface, ws.shadow_tile, total
-        find = BoundCall(shadow_rays_in_tile, *about, given=(2,))
-        yield Command(find, (BOX,))
+        about = light, ws.tile, BOX, packed.prim_shapes, packed.shape_extents, ws.surface, ws.shadow_tile, total
+        find = command(shadow_rays_in_tile, *about)
+        yield find
+        any_ray = find.call.answered
         if caster is not None:
             self._shadow_rays.append(total)
-            yield from caster.commands(ws.shadow_tile, ws.ray_groups, find.answered)
+            yield from caster.commands(ws.shadow_tile, ws.ray_groups, any_ray)
             if self._exact:
-                yield Command(partial(decide_shadows, packed, ws.shadow_tile), (COUNT,), find.answered)
-        add = BoundCall(add_light, ws.tile, NO_BOX, ws.surface, ws.shadow_tile, given=(1,))
-        yield Command(add, (BOX,), find.answered)
-
-
-def wanted_fields(plan: Plan) -> int:
-    """The argument `wants` of `surfaces_in_tile`."""
-    if "uv" in plan.surfaces:
-        return SURFACES_WITH_UV
-    return SURFACES if "position" in plan.surfaces else NORMALS
+                yield Command(partial(decide_shadows, packed, ws.shadow_tile), (COUNT,), any_ray)
+        yield command(add_light, ws.tile, BOX, ws.surface, ws.shadow_tile, when=any_ray)
 
 
 def decide_shadows(packed: Packed, shadow_tile: np.ndarray, count: int) -> None:

@@ -106,8 +106,7 @@ def _pool(workers: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(workers, thread_name_prefix="caster")
 
 
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_pool.cache_clear)  # a child has none of them
+os.register_at_fork(after_in_child=_pool.cache_clear)  # a child has none of them
 
 
 # Memory of arrays that are no longer referenced is reused: the system clears and maps each page of new memory when it

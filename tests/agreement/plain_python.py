@@ -1,4 +1,4 @@
-"""What has to be the same bits on every machine: hits, images and packed scenes. As a program:
+"""Results whose bits must be equal on every machine: hits, images and packed scenes. As a program:
 
     python plain_python.py INPUTS OUT    # two .npz files: what to cast, and the results
 
@@ -65,7 +65,7 @@ def drawn(seed: list[int], shape: type, camera: type) -> np.ndarray:
 
 
 def everything(given: Arrays) -> Arrays:
-    """All arrays that have to be the same, and those that need not: `libraries`, and whether it was compiled."""
+    """All arrays that must be equal; `libraries` may differ, and so may whether kernels were compiled."""
     return {"compiled": np.array(COMPILED), **libraries(), **everything_packed(), **everything_cast(given)}
 
 
@@ -111,7 +111,7 @@ def digest(array: np.ndarray) -> np.ndarray:
 
 
 def libraries() -> Arrays:
-    """Results of the machine's libraries, which the caster must not use."""
+    """Results of the machine's math libraries, which the caster must not use."""
     numbers = np.random.default_rng(34).random((3000, 3))
     return {
         "BLAS": digest(numbers @ np.array([[0.1, 0.7, 0.3], [0.4, 0.2, 0.9], [0.8, 0.6, 0.5]])),
@@ -121,7 +121,7 @@ def libraries() -> Arrays:
 
 
 def elsewhere(folder: Path, given: Arrays, **environment: str) -> Arrays:
-    """`everything` in another process, with other variables in its environment; folder: for files on the way."""
+    """Run `everything` in another process with these environment variables; folder: for temporary files."""
     np.savez(folder / "inputs.npz", **given)
     variables = os.environ | {"PYTHONPATH": str(ROOT)} | environment
     command = [sys.executable, "-W", "error", __file__, str(folder / "inputs.npz"), str(folder / "out.npz")]

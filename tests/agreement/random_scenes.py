@@ -30,7 +30,7 @@ def direction(rng: Rng) -> np.ndarray:
 
 
 def random_place(rng: Rng, size: float, middle: np.ndarray) -> list[dict[str, Any]]:
-    """to_world of something about as large as 1: perhaps stretched unevenly or mirrored, turned, moved."""
+    """A random to_world for a shape of size 1: sometimes stretched or mirrored, rotated, translated."""
     stretch = size * 10.0 ** rng.uniform(-0.6, 0.2, 3 if rng.random() < 0.5 else 1)
     mirrored = rng.choice([-1.0, 1.0], 3)
     turn = {"axis": direction(rng), "degrees": rng.uniform(0.0, 360.0)}
@@ -45,7 +45,7 @@ def random_shape(cls: type[Shape], rng: Rng, size: float = 1.0, middle: Any = (0
 
 
 def random_camera(cls: type[Camera], rng: Rng, size: float = 1.0, middle: Any = (0.0, 0.0, 0.0)) -> Camera:
-    """A camera that looks at about `middle`, from outside or from between the shapes."""
+    """A camera aimed near `middle`, from outside the shapes or among them."""
     away = size * rng.uniform(0.2, 2.5)
     eye = np.array(middle) + away * direction(rng)
     view = {"eye": eye, "look_at": np.array(middle) + point(rng, 0.2 * size), "up": direction(rng)}
@@ -56,7 +56,7 @@ def random_camera(cls: type[Camera], rng: Rng, size: float = 1.0, middle: Any = 
 
 
 def random_lights(rng: Rng, size: float, middle: np.ndarray) -> list[dict[str, Any]]:
-    """One of each kind; the point light stands among the shapes or near them."""
+    """One light of each kind; the point light is among the shapes or near them."""
     place = middle + point(rng, 3.0 * size)
     return [
         {"type": "point", "position": place, "intensity": size * size * np.array([1.0, 2.0, 3.0])},

@@ -1,4 +1,4 @@
-"""The comparison behind every fact of this folder: bit for bit, and a difference says where it is."""
+"""Bitwise comparison of arrays; an error names the first difference."""
 
 from collections.abc import Mapping
 
@@ -8,12 +8,12 @@ Arrays = Mapping[str, np.ndarray]
 
 
 def bits(a: np.ndarray) -> np.ndarray:
-    """The same array as whole numbers, so that NaN equals itself and -0.0 is not 0.0."""
+    """The array's bits as integers, so that NaN equals itself and -0.0 differs from 0.0."""
     return np.ascontiguousarray(a).view({8: np.uint64, 4: np.uint32, 1: np.uint8}[a.dtype.itemsize])
 
 
 def assert_same_bits(expected: Arrays, got: Arrays, what: str) -> None:
-    """Fail with how many entries of which array differ, and the first of them."""
+    """Fail with the array, the number of entries that differ, and the first one."""
     assert expected.keys() == got.keys(), f"{what}: {sorted(expected)} against {sorted(got)}"
     for name, a in expected.items():
         b = got[name]
@@ -27,5 +27,5 @@ def assert_same_bits(expected: Arrays, got: Arrays, what: str) -> None:
 
 
 def without_signed_zeros(arrays: Arrays) -> dict[str, np.ndarray]:
-    """-0.0 written as 0.0: where a mirror turns one into the other, the numbers are still equal."""
+    """Replace -0.0 by 0.0: a mirror may turn one into the other, and they are equal numbers."""
     return {name: a + 0.0 if a.dtype.kind == "f" else a for name, a in arrays.items()}

@@ -1,4 +1,4 @@
-"""The tree finds what trying every primitive finds, for rays from nowhere in particular and for hard ones."""
+"""BVH traversal gives the hits of brute force, for random and adversarial rays."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ RAYS = 100  # of each family, for each shape, size and offset; `make nightly` ca
 
 
 def count_hits_where_tree_agrees(scene: Scene, o: np.ndarray, d: np.ndarray, what: str) -> int:
-    """How many rays hit; fails where `cast` differs from trying every primitive, or what is told sooner from it."""
+    """Number of rays that hit; fails where `cast` or `occluded` differs from brute force."""
     hits = cast(scene, o, d)
     sooner = {"blocked": occluded(scene, o, d), "normal": hits.normal}
     assert_same_bits({"blocked": hits.shape_id >= 0, "normal": hits.surface.n}, sooner, what)
@@ -63,7 +63,7 @@ def test_wrong_limits_are_scene_errors(function, text):
 
 @pytest.mark.parametrize("function", [cast, occluded])
 def test_the_first_of_several_rays_that_are_none_is_named(function):
-    """The second one begins a piece of another thread, which finds it long before the first thread gets to its own."""
+    """The second bad ray begins another thread's piece, and is found long before the first one."""
     count = 1 << 18
     o, d = np.zeros((count, 3)), np.ones((count, 3))
     pieces = CHUNKS_PER_THREAD * thread_count()
@@ -107,7 +107,7 @@ def slivers(rng: np.random.Generator, count: int) -> Packed:
 
 
 def test_a_tree_never_changes_a_hit_of_slivers_seen_edge_on():
-    """Where float64 says nothing of the hit, exact arithmetic finds it in the tree as it does among all."""
+    """Where float64 cannot decide a hit, exact arithmetic finds the same one through the BVH as by brute force."""
     rng = np.random.default_rng(12)
     hits = 0
     for _ in range(10):
@@ -122,7 +122,7 @@ def test_a_tree_never_changes_a_hit_of_slivers_seen_edge_on():
 
 @pytest.mark.parametrize("power", [40, 52, 60, 300])
 def test_a_tree_never_changes_a_hit_from_so_far_away_that_rays_are_wider_than_the_tree(power):
-    """There the places of a node without a box are entered, too. Neighbours differ a lot, or not at all."""
+    """From so far away, empty places of a node are entered, too. Neighbouring rays differ a lot, or not at all."""
     rng = np.random.default_rng(power)
     camera = Pinhole(eye=(0.0, 0.0, 5.0), look_at=(0.0, 0.0, 0.0))
     scene = Scene(camera=camera, shapes=[Icosphere(subdivisions=1)])  # nodes that are not full

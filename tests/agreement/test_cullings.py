@@ -1,4 +1,4 @@
-"""A culling may skip misses; it may not skip, move or reorder hits: everything == screen == bvh."""
+"""All cullings give the same bits: brute force, rasterization and BVHs."""
 
 import numpy as np
 import pytest
@@ -19,13 +19,13 @@ FARTHEST = 1e3  # how many of its sizes a scene stands away from the origin, at 
 
 
 def cullings_for(scene: Scene) -> tuple[str, ...]:
-    """What is to agree with `everything`: the tree always, the screen where the camera can project."""
+    """Cullings to compare with brute force: BVHs always, rasterization where the camera can project."""
     packed = scene.camera.pack(scene.film.width, scene.film.height)
     return ("raster", "bvh") if implements(project_bounding_sphere, type(packed)) else ("bvh",)
 
 
 def count_hits_where_cullings_agree(scene: Scene) -> tuple[int, int]:
-    """(hits, rays); fails where a culling changes a bit of any AOV."""
+    """(number of hits, of rays); fails if a culling changes a bit of any AOV."""
     expected = render(scene, tuple(BY_NAME), culling="brute-force")
     for culling in cullings_for(scene):
         assert_same_bits(expected, render(scene, tuple(BY_NAME), culling=culling), culling)
@@ -72,7 +72,7 @@ def test_a_crop_is_that_part_of_the_whole_image_in_every_culling(camera):
 
 
 def test_every_culling_gives_numbers_of_the_type_that_is_requested():
-    """Rounded once, at the end; ids stay what they are."""
+    """Numbers are rounded once, at the end; ids are unchanged."""
     scene, names = random_scene(np.random.default_rng(6), [Sphere], Pinhole), ("depth", "normal", "shape_id")
     images = render(scene, names)
     expected = {name: images[name].astype(np.float32) for name in names[:2]} | {"shape_id": images["shape_id"]}
@@ -91,7 +91,7 @@ def test_the_screen_is_compared_for_some_cameras_and_not_for_others():
 @pytest.mark.parametrize("camera", [Pinhole, Orthographic], ids=name)
 @pytest.mark.parametrize("size", [1e-300, 1e-160, 1e100, 1e154, 1e200, 1e300])
 def test_sizes_that_have_no_squares_change_nothing(size, camera):
-    """Balls and triangles in front of each other, beside the middle and partly off the film."""
+    """Spheres and triangles that overlap, off centre and partly off the film."""
     across = {"width": 4.0 * size} if camera is Orthographic else {}
     for aside in (0.0, 0.5, 1.9, -1.9):
         ball = Sphere(center=(aside * size, 0.0, 0.0), radius=0.5 * size)

@@ -1,4 +1,4 @@
-"""The quick way, a float64 filter with doubts settled, finds what asking every primitive exactly finds."""
+"""The float64 filter with exact decisions gives the hits of exact arithmetic for every primitive."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ SMALL = [shape for shape in SHAPES if name(shape) in ("sphere", "plane", "triang
 
 
 def test_doubt_settled_for_all_rays_changes_no_bit():
-    """Rays that float64 is sure of, decided exactly all the same, keep their primitive and every bit of t."""
+    """Rays of which float64 is certain keep primitive and t, to the bit, when they are decided exactly."""
     rng = np.random.default_rng(91)
     scene = random_scene(rng, SHAPES, Pinhole, count=2)
     for family, (o, d) in hard_rays(packed(scene), rng, 200).items():
@@ -31,7 +31,7 @@ def test_doubt_settled_for_all_rays_changes_no_bit():
 
 
 def test_t_keeps_its_digits_where_scaled_rays_would_lose_them():
-    """A triangle through denormal numbers, met at 2^-1074 / 1.5 lengths of 2^-1022 exactly: found by fuzzing."""
+    """A triangle with denormal coordinates, hit at exactly 2^-1074 / 1.5 lengths of 2^-1022; found by fuzzing."""
     least = float.fromhex("0x0.0000000000001p-1022")
     triangle = Triangle(vertices=((0.0, 0.0, 1.0), (0.0, -1.0, -1.0), (-least, 1.0, 0.0)))
     hits = cast(
@@ -41,7 +41,7 @@ def test_t_keeps_its_digits_where_scaled_rays_would_lose_them():
 
 
 def test_many_candidates_take_turns_and_identical_ones_cost_nothing(monkeypatch):
-    """A thousand times the same triangle: the lowest number wins, with room for few candidates at once."""
+    """A thousand equal triangles: the lowest number wins, though few candidates are listed at a time."""
     corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     shapes = [Triangle(vertices=corners) for _ in range(1000)]
     scene = Scene(camera=Pinhole(eye=(0, 0, 1), look_at=(0, 0, 0), up=(0, 1, 0)), shapes=shapes)
@@ -59,7 +59,7 @@ def test_many_candidates_take_turns_and_identical_ones_cost_nothing(monkeypatch)
 
 @pytest.mark.parametrize("shape", [Plane(normal=(0, 0, 1), offset=0.0), Sphere(), Cube(), Cylinder()])
 def test_nothing_lies_beyond_an_infinite_t_min(shape):
-    """Rays from the surface, along it and into it: in doubt by t = 0, and yet there is no t > inf."""
+    """Rays that start on the surface: float64 cannot decide at t = 0, and with t_min = inf nothing may be hit."""
     scene = Scene(camera=Pinhole(eye=(0, 0, 9), look_at=(0, 0, 0), up=(0, 1, 0)), shapes=[shape])
     o = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, 1.0, 0.0]])
     d = np.array([[0.0, 1.0, 5e-324], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 5e-324]])
@@ -69,7 +69,7 @@ def test_nothing_lies_beyond_an_infinite_t_min(shape):
 
 
 def test_a_hit_nearer_than_the_smallest_float64_is_a_hit():
-    """t is some 2^-1127: what bounds its error rounds to 0, and t, which is more than 0, to the least float64."""
+    """t is about 2^-1127: its error bound rounds to 0, and t itself to the least positive float64."""
     tiny = float.fromhex("0x0.0000000000002p-1022")
     corners = np.array([[8.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 1.0, -tiny]])
     scene = Scene(camera=Pinhole(eye=(0, 0, 9), look_at=(0, 0, 0), up=(0, 1, 0)), shapes=[Triangle(vertices=corners)])
@@ -91,7 +91,7 @@ def test_directions_whose_squares_overflow_hit_what_they_should(shape, length):
 
 
 def test_two_ellipsoids_whose_inverses_round_alike_are_two():
-    """Only their to_world differ, by an ulp; the second is nearer, and no tie."""
+    """Their transforms differ by one ulp; the second shape is nearer, so this is no tie."""
     wide = [Sphere(to_world={"scale": [x, 1.0, 1.0]}) for x in (1.9, np.nextafter(1.9, 2.0))]
     scene = Scene(camera=Pinhole(eye=(9, 0, 0), look_at=(0, 0, 0)), shapes=wide)
     prims = packed(scene).kinds[0].prims
@@ -137,7 +137,7 @@ def test_what_lies_behind_the_eye_is_looked_for_nowhere():
 @pytest.mark.parametrize("shape", SMALL, ids=name)
 @np.errstate(all="ignore")  # of kernels in plain Python
 def test_a_hit_at_an_end_of_the_range_lies_within_the_range(shape):
-    """There exact arithmetic decides, and t is the float64 beside what was decided about."""
+    """Exact arithmetic decides there, and t is rounded into the ray's range."""
     rng, at_ends = np.random.default_rng([91, SHAPES.index(shape)]), 0
     scene = random_scene(rng, [shape], Pinhole, count=2)
     for o, d in hard_rays(packed(scene), rng, FEW).values():

@@ -1,4 +1,4 @@
-"""Kernels of tiles and packets, compiled, give what NumPy gives."""
+"""Compiled kernels of tiles and packets agree with NumPy."""
 
 import math
 import types
@@ -39,7 +39,7 @@ def some_span(rng: np.random.Generator) -> tuple[int, int, int, int]:
 
 
 def kernel_differs(module: types.ModuleType, name: str) -> bool:
-    """Whether a kernel, compiled, ever gives something else than NumPy does over whole arrays."""
+    """Whether a compiled kernel ever differs from NumPy over whole arrays."""
     inner = getattr(module, name)
     lane, direction, rng = tiles.lane, tiles.DX, np.random.default_rng(34)
     compiled = jit(
@@ -48,7 +48,6 @@ def kernel_differs(module: types.ModuleType, name: str) -> bool:
             "min_t_per_depth": lambda tile, box, forward: inner(tile, box, forward),
             "bounds_in_tile": lambda pixels, k, box, c: inner(pixels, k, box)[c],
             "any_pixel_visible": lambda tile, rect, near: int(inner(tile, rect, near)),
-            "update_nearest": lambda tile, i, number, t, error: inner(tile, lane(i), number, t, error),
             "packet_bounds": lambda tile, first, end, c: inner(tile, direction, lane(first))[end][c],
         }[name]
     )
@@ -76,39 +75,14 @@ def _agrees(compiled: Callable[..., Any], name: str, rng: np.random.Generator) -
         above = np.nextafter(part.max(), math.inf)
         rect = (start, y0, stop, y1)
         return bool(compiled(tile, rect, float(part.max())) and not compiled(tile, rect, float(above)))
-    if name == "packet_bounds":
-        first = LANES * int(rng.integers(tiles.PIXELS // LANES))
-        parts = [field_of(tile, field).ravel()[first : first + LANES] for field in (tiles.DX, tiles.DY, tiles.DZ)]
-        found = [[compiled(tile, first, end, c) for c in range(3)] for end in (0, 1)]
-        return found == [[p.min() for p in parts], [p.max() for p in parts]]
-    return _folds_like_numpy(compiled, tile, rng)
-
-
-def _folds_like_numpy(fold: Callable[..., Any], tile: np.ndarray, rng: np.random.Generator) -> bool:
-    """A packet with one lane that is no number, and one that misses: those keep what they had."""
-    names = (tiles.T, tiles.T_ERROR, tiles.PRIM, tiles.UNCERTAIN)
-    before = np.stack([field_of(tile, name).ravel()[: LANES + 1] for name in names])
-    before[:, 0] = math.inf, 0.0, -1.0, 0.0
-    for name, values in zip(names, before, strict=True):
-        field_of(tile, name).ravel()[: LANES + 1] = values
-    t, error = 10.0 ** rng.uniform(-3.0, 3.0, LANES), 10.0 ** rng.uniform(-6.0, 1.0, LANES)
-    t[rng.permutation(LANES)[:2]] = math.nan, math.inf
-    for i in range(LANES):
-        fold(tile, i, 7.0, t[i], error[i])
-    number = t < math.inf
-    ahead = before[0, :LANES] - np.where(number, t, 0.0)
-    margin = before[1, :LANES] + error
-    nearer, unclear = number & (ahead > margin), number & (np.abs(ahead) <= margin)
-    expected = before.copy()
-    for row, new, which in zip(expected, (t, error, 7.0, 1.0), (nearer, nearer, nearer, unclear), strict=True):
-        row[:LANES] = np.where(which, new, row[:LANES])
-    after = np.stack([field_of(tile, name).ravel()[: LANES + 1] for name in names])
-    return after.tobytes() == expected.tobytes()
+    first = LANES * int(rng.integers(tiles.PIXELS // LANES))
+    parts = [field_of(tile, field).ravel()[first : first + LANES] for field in (tiles.DX, tiles.DY, tiles.DZ)]
+    found = [[compiled(tile, first, end, c) for c in range(3)] for end in (0, 1)]
+    return found == [[p.min() for p in parts], [p.max() for p in parts]]
 
 
 MODULES = {
     **dict.fromkeys(("max_visible_t", "min_t_per_depth", "bounds_in_tile", "any_pixel_visible"), tile_casting),
-    "update_nearest": tiles,
     "packet_bounds": traversal,
 }
 

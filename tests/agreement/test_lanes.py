@@ -1,4 +1,4 @@
-"""Vectors give what NumPy gives, and surfaces of several hits are those of one at a time, to the bit."""
+"""Vector operations agree with NumPy, and surfaces of several hits at once with those of single hits, to the bit."""
 
 from typing import Any
 
@@ -165,7 +165,7 @@ def sum_reaches(numbers: Any, first: int, second: int, limit: float) -> int:
 
 
 def checks(rng):
-    """(what a function of lanes gives, what it should) of each."""
+    """(name, result, expected result) for each function of lanes.py."""
     numbers, i, low, end = a_range(rng)
     sizes, (j, k) = wide(rng, 4 * LANES), rng.integers(0, 3 * LANES, 2).tolist()
     first, second = sizes[j : j + LANES], sizes[k : k + LANES]
@@ -241,7 +241,7 @@ SIZES = 10.0 ** np.array([0.0, 0.0, 0.0, 3.0, -9.0, 120.0, 152.0, -152.0, -200.0
 
 
 def hard_triangles(rng, count):
-    """Of all sizes; some thin, some points, some with normals that cancel or vanish."""
+    """Triangles of all sizes; some thin, some points, some with vertex normals that cancel or are 0."""
     corners = rng.normal(size=(count, 3, 3)) + rng.normal(size=(count, 1, 3))
     thin, point = rng.random(count) < 0.2, rng.random(count) < 0.05
     between = corners[:, 0] + rng.random((count, 1)) * (corners[:, 1] - corners[:, 0])
@@ -297,7 +297,7 @@ def aims(rng, prims, hit):
 
 
 def hit_tile(rng, prims, count, longest_run):
-    """Rays of a tile with what they meet, in runs; d of length 1 but for a tenth, and t of misses infinite."""
+    """A tile of rays with hits in runs; nine in ten d have length 1, and t of misses is infinite."""
     tile, pixels = tiles.new_tile(), tiles.PIXELS
     hit = np.repeat(rng.integers(-1, count, pixels), rng.integers(1, longest_run, pixels))[:pixels]
     p, size = aims(rng, prims, hit)

@@ -1,4 +1,4 @@
-"""Every processor gets the same bits: another one is simulated by what libraries and compiler can be told.
+"""All processors give the same bits; others are simulated by settings of libraries and compiler.
 
 A BLAS, NumPy and the C library choose code by the features of the processor, each with other last bits; so does LLVM,
 which has instructions to choose from. Here they are told to do without.
@@ -41,7 +41,7 @@ def plain(tmp_path_factory):
 
 
 def assert_ours_alike(found, expected, what):
-    """Of what libraries give, nothing is asked."""
+    """Results of libraries may differ."""
     ours = [{key: each[key] for key in each if key not in (*LIBRARIES, "compiled")} for each in (found, expected)]
     assert len(ours[0]) > 300
     assert_same_bits(*ours, what)

@@ -1,4 +1,4 @@
-"""A mirrored scene met by mirrored rays: the same t and ids to the bit, positions and normals mirrored.
+"""Mirrored rays in a mirrored scene: t and ids are equal to the bit, positions and normals mirrored.
 
 Every sum of the kernels is one of squares or of products in which a mirror flips both signs or neither. A
 mirrored mesh also turns its faces around: it swaps the second and third corner, so triangles add these first.
@@ -27,14 +27,14 @@ def mirrored_scene(scene: Scene, mirror: np.ndarray) -> Scene:
 
 
 def what_is_cast(scene: Scene, o: np.ndarray, d: np.ndarray, mirror: np.ndarray) -> Arrays:
-    """What mirrored rays meet, mirrored back."""
+    """The hits of mirrored rays, mirrored back."""
     hits = cast(scene, o * mirror, d * mirror)
     p, n = hits.surface.p * mirror, hits.surface.n * mirror
     return without_signed_zeros({"t": hits.t, "shape": hits.shape_id, "prim": hits.prim_id, "p": p, "n": n})
 
 
 def count_hits_where_mirrors_agree(scene: Scene, mirror: np.ndarray, o: np.ndarray, d: np.ndarray) -> int:
-    """How many rays hit; fails where the mirrored scene is not exactly that."""
+    """Number of rays that hit; fails where the mirrored result differs."""
     expected = what_is_cast(scene, o, d, np.ones(3))
     assert_same_bits(expected, what_is_cast(mirrored_scene(scene, mirror), o, d, mirror), f"mirrored by {mirror}")
     return int((expected["shape"] >= 0).sum())

@@ -1,4 +1,4 @@
-"""Numba and plain Python run one source, and come to the same bits."""
+"""Compiled kernels and plain Python give the same bits."""
 
 import pytest
 from plain_python import elsewhere, everything, inputs

@@ -1,4 +1,4 @@
-"""Work that threads share: no number of them loses a primitive, or has it twice.
+"""Work shared by threads loses or repeats no primitive, for any number of threads.
 
 A primitive that is in no tile or no leaf is invisible, and seldom is it one that a pixel shows. So for several numbers
 of threads, most of which divide no number of primitives, each has to be in every tile of the film that its bounds

@@ -1,4 +1,4 @@
-"""Rays that are handed over and have a point in common find, as fans, what every ray tried against everything finds."""
+"""Arrays of rays that share a point, cast as fans, have the hits of brute force."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 
 @pytest.fixture(autouse=True)
 def taken(monkeypatch):
-    """Fans take all rays that they can; how many they were given."""
+    """Cast as fans wherever possible; returns how many rays were."""
     numbers = []
     limits = {"MIN_RAYS_IN_ROWS": 64, "MIN_RAYS_SORTED": 64, "MAX_PATH_IN_ORDER": -1.0, "MIN_SHARE_IN_VIEW": 0.0}
     for constant, value in limits.items():

@@ -1,4 +1,4 @@
-"""The comparison behind the tests of this folder sees one bit."""
+"""assert_same_bits detects a single changed bit."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Fans find the same shadows as every shadow ray tried against every primitive."""
+"""Shadows by fans are those of brute force."""
 
 import numpy as np
 import pytest

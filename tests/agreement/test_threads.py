@@ -7,7 +7,7 @@ from random_scenes import VIEWS, name, random_scene
 from same_bits import assert_same_bits
 
 from caster.aovs import BY_NAME
-from caster.cameras import Panorama, Pinhole
+from caster.cameras import Pinhole
 from caster.kernels.raster.screen_bounds import Window
 from caster.rendering import rasterization
 from caster.rendering.casting import find_nearest
@@ -21,7 +21,7 @@ THREADS = (2, 3, 7)
 
 
 def count_hits_where_threads_agree(scene: Scene, culling: str | None = None) -> int:
-    """How many pixels hit; fails where more threads than one change a bit of any AOV."""
+    """Number of pixels that hit; fails if several threads change a bit of any AOV."""
     expected = render(scene, tuple(BY_NAME), threads=1, culling=culling)
     for threads in THREADS:
         got = render(scene, tuple(BY_NAME), threads=threads, culling=culling)
@@ -49,14 +49,8 @@ def test_threads_never_change_a_bit_of_any_ray():
         assert (expected.prim >= 0).sum() >= 300
 
 
-@pytest.mark.parametrize("rows", [1, 2, 3])
-def test_a_film_of_fewer_rows_than_threads_is_the_same(rows):
-    scene = random_scene(np.random.default_rng([22, rows]), SHAPES, Panorama, count=2, film=(600, rows))
-    assert count_hits_where_threads_agree(scene) >= 50
-
-
 def test_parts_that_are_binned_in_another_order_are_in_the_same_places(monkeypatch):
-    """Each thread writes where its own part belongs, whichever comes first."""
+    """Each thread writes its own part of the result, in any order."""
     scene = random_scene(np.random.default_rng(8), [Icosphere], Pinhole)
     arguments = packed(scene), scene.camera.pack(48, 32), Window(0, 0, 48, 32), 10.0
     (alone,) = bin_kinds(*arguments, threads=1)

@@ -1,4 +1,4 @@
-"""Piles of identical primitives: decided once, with the answers of deciding each."""
+"""Identical primitives are decided once, with the same answers as if each were decided."""
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from mitsuba_ref.error_model import scene_model
 from mitsuba_ref.error_model.bracket import CLAIMED_MISS, Bracket, Claims
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.oracle import oracle as oracle_module
+from mitsuba_ref.oracle.interface import lowest_identical
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.shared_input import SharedRays, model_of
 
@@ -71,6 +72,17 @@ def test_the_oracle_answers_random_piles_as_if_it_decided_each_face(monkeypatch)
         ties += sum(len(answer.ties) > 2 for answer in alone)
         flags |= set().union(*(answer.flags for answer in alone))
     assert ties > 200 and flags >= {"edge_on", "degenerate"}, (ties, flags)
+
+
+# ---- which rows are identical
+
+
+def test_faces_of_other_vertices_are_identical_unless_shading_that_differs_is_asked_for():
+    prims = triangles(np.tile(np.eye(3), (2, 1, 1)))
+    assert lowest_identical(prims, shading=True).tolist() == [0, 0]
+    prims.smooth[1] = True
+    assert lowest_identical(prims, shading=True) is None
+    assert lowest_identical(prims, shading=False).tolist() == [0, 0]
 
 
 # ---- brackets

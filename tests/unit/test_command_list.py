@@ -1,4 +1,4 @@
-"""Command lists: machine code and plain Python carry out the same calls, in order, with the numbers of each row."""
+"""Command lists make the same calls, in order, with machine code and in plain Python."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ from caster.rendering.rasterization import MAX_TILES_PER_PIECE, parallel_for_til
 
 @jit
 def append(record: Any, name: int, box: Any, number: int) -> int:
-    """Write (name, box, number) behind what is there; answers whether the number is odd."""
+    """Append (name, box, number) to the record; returns whether the number is odd."""
     at = record[0]
     record[0] = at + 4
     record[at], record[at + 1], record[at + 2], record[at + 3] = name, box[0], box[1], number

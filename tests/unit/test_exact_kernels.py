@@ -1,4 +1,4 @@
-"""The caster's own exact arithmetic: integers against Python's, roots and their order against Fractions."""
+"""The exact arithmetic of kernels: integers against Python's, roots and their order against Fractions."""
 
 import math
 import sys
@@ -183,7 +183,7 @@ def stacked_triangles():
 
 @pytest.mark.parametrize("t_min", [0.0, 0.25, 0.5, 0.75, 1.5])
 def test_of_candidates_the_first_exactly_is_the_hit_and_on_a_tie_the_one_of_the_least_number(t_min):
-    """Whatever order they are in, and where two of them are the same one; d is 4 long. One ray has no candidates."""
+    """In any order, also of equal primitives; |d| = 4. One ray has no candidates."""
     prims, heights = stacked_triangles()
     rng = np.random.default_rng(240)
     for _ in range(40):

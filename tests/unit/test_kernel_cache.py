@@ -1,18 +1,16 @@
-"""Kernels are compiled once: what was done for them is counted, in processes with a cache folder of their own."""
+"""The kernel cache: numbers of compiled and loaded kernels, in processes with cache folders of their own."""
 
 import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from caster.jit import kernel_cache, machine_code
+from caster.jit import machine_code
 from caster.jit.arguments import describe, key_text
-from caster.jit.command_list import bind
 from caster.jit.decorators import COMPILATION_LOG, jit
 from caster.jit.kernel_cache import COMPILED, claim, read_sealed, write_sealed
 
@@ -51,49 +49,6 @@ def test_kernels_are_kept_where_the_environment_says(tmp_path):
     assert {path.suffix for path in (tmp_path / "kept").iterdir()} == {".o"} and not (tmp_path / "home").exists()
 
 
-RENDERS = """
-import sys
-from caster.__main__ import main
-from caster.jit.decorators import COMPILATION_LOG
-for scene in sys.argv[1:]:
-    assert main(["render", f"scenes/{scene}.toml", "--size", "8", "8", "-o", f"{scene}.exr"]) == 0
-    print(scene, len(COMPILATION_LOG.compiled))
-"""
-
-
-EDIT = "\n    return ", "\n    edited = 1\n    return "
-
-
-def test_an_edited_shape_is_compiled_anew_and_no_other(tmp_path):
-    """A copy of the package with an edit in each function of the disk, beside the kernels of the original."""
-    tree = tmp_path / "tree"
-    shutil.copytree(ROOT / "caster", tree / "caster", ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copytree(ROOT / "scenes", tree / "scenes")
-    shared = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    assert run(shared, "-c", RENDERS, "one-sphere", tree=tree).returncode == 0
-    disk = tree / "caster/shapes/disk.py"
-    source = disk.read_text()
-    assert source.count(EDIT[0]) > 5
-    disk.write_text(source.replace(*EDIT))
-    done = run(shared, "-c", RENDERS, "one-sphere", tree=tree)
-    assert done.returncode == 0 and done.stdout.endswith("one-sphere 0\n"), done.stdout + done.stderr
-
-
-@pytest.mark.slow("compiles kernels of disks")
-def test_kernels_of_an_edited_shape_are_compiled_anew(tmp_path):
-    tree = tmp_path / "tree"
-    shutil.copytree(ROOT / "caster", tree / "caster", ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copytree(ROOT / "scenes", tree / "scenes")
-    disk = tree / "caster/shapes/disk.py"
-    disk.write_text(disk.read_text().replace(*EDIT))
-    kept = tmp_path / "kept"
-    kept.mkdir()
-    for path in kernel_cache.cache_folder().glob("*.o"):  # and not the locks, which other workers remove
-        shutil.copy(path, kept)
-    done = run(tmp_path, "-c", RENDERS, "flat-shapes", tree=tree, NUMBA_CACHE_DIR=str(kept))
-    assert done.returncode == 0 and int(done.stdout.split()[-1]) > 0, done.stdout + done.stderr
-
-
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory):
     """A folder with the cache of three kernels, as one process left it."""
@@ -116,7 +71,7 @@ def files(home: Path) -> list[Path]:
 
 
 def test_no_byte_of_a_kept_file_can_change(kept, tmp_path):
-    """Neither can its name: the code of one kernel is never loaded as another's."""
+    """Nor its name, so that one kernel's code is never loaded as another's."""
     whole = min(files(kept), key=lambda path: path.stat().st_size)
     data, copy = whole.read_bytes(), tmp_path / whole.name
     copy.write_bytes(data)
@@ -132,7 +87,7 @@ def test_no_byte_of_a_kept_file_can_change(kept, tmp_path):
 
 
 def test_code_that_llvm_cannot_load_is_compiled_anew(kept, tmp_path):
-    """Sealed as it should be, and yet no object code: of another version of this package, say."""
+    """A file with a correct digest that is no object code, for instance of another version."""
     shutil.copytree(kept, tmp_path, dirs_exist_ok=True)
     (path,) = (path for path in files(tmp_path) if path.name.startswith("clear_rays-caster_"))
     whole = path.read_bytes()
@@ -153,7 +108,7 @@ def test_a_disk_without_room_means_no_cache(tmp_path):
 
 
 def test_a_render_states_when_it_compiles_and_loads_no_compiler_when_it_need_not(tmp_path):
-    """With the cache that all tests share: what is compiled for it is compiled for others, too."""
+    """Uses the cache that all tests share, so that nothing is compiled for this test alone."""
     scene, out = "scenes/one-sphere.toml", str(tmp_path / "x.exr")
     render = f"""
 import sys
@@ -166,32 +121,6 @@ print(sorted({{"numba", "llvmlite"}} & set(sys.modules)))
     assert first.returncode == 0 and second.returncode == 0, first.stderr + second.stderr
     assert first.stderr.count("\n") <= 1
     assert second.stderr == "" and second.stdout.endswith("['llvmlite']\n")
-
-
-@jit
-def sum_of(numbers: Any, factor: float, span: tuple[int, int], more: tuple[int, bool], step: int) -> float:
-    total = 0.0
-    for i in range(span[0], span[1], step):
-        total += numbers[i] * factor
-    return total + more[0] if more[1] else total
-
-
-@jit
-def fill(numbers: Any, span: tuple[int, int], value: float) -> None:
-    for i in range(span[0], span[1]):
-        numbers[i] = value
-
-
-def test_a_bound_call_is_the_call_with_what_it_is_given():
-    numbers, more = np.arange(10.0), (3, True)
-    call = bind(sum_of, numbers, 0.5, (0, 0), more, 1, given=(2, 4))
-    for span, step in (((0, 10), 1), ((3, 4), 1), ((1, 10), 3), ((5, 5), 1)):
-        assert call(span, step) == sum_of(numbers, 0.5, span, more, step)
-    store = bind(fill, numbers, (0, 0), -1.5, given=(1,))
-    assert store((2, 4)) is None and numbers.tolist() == [0.0, 1.0, -1.5, -1.5, *range(4, 10)]
-    for wrong in (((0, 1),), ((0, 1, 2), 1), (0, 1), ((0, 1), 1, 1)):
-        with pytest.raises((ValueError, TypeError)):
-            call(*wrong)
 
 
 @jit
@@ -248,7 +177,7 @@ print(work(4))
 
 
 def test_two_processes_share_what_is_to_be_compiled(tmp_path):
-    """Each does all of the work, on what it interprets, too; every kernel is compiled once; a warm one starts none."""
+    """Both do all of the work, each kernel is compiled once, and with a full cache no second process starts."""
     script = tmp_path / "two.py"
     script.write_text(TWO)
     env = {**os.environ, "XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": str(ROOT)}
@@ -297,7 +226,7 @@ def test_functions_of_the_protocol_may_be_imported_after_numba_is_loaded(tmp_pat
 
 
 def test_arguments_of_other_classes_have_another_key():
-    """Machine code reads memory as it is told: an array of another type would be read beyond its end."""
+    """Machine code for another array type would read beyond the end of the array."""
     args = (np.zeros((3, 2)), 1, 2.5, (4, None))
     key = describe(args).key
     assert describe((np.ones((9, 2)), 7, np.float64(1), (0, None))).key == key
@@ -351,7 +280,7 @@ def test_a_wheel_with_object_code_compiles_nothing(tree, tmp_path):
 
 
 def of_other_sources(tree: Path) -> None:
-    """An edit of what makes machine code, as in a checkout over an old build."""
+    """Edit a source of the compiler, as in a checkout over an old build."""
     path = tree / "caster/jit/simd.py"
     path.write_text(path.read_text() + "# edited\n")
 
@@ -371,7 +300,7 @@ UNFIT = (of_other_sources, for_a_better_processor)
 @pytest.mark.parametrize("spoil", UNFIT, ids=lambda spoil: spoil.__name__)
 @pytest.mark.slow("each compiles kernels", keep=1)
 def test_object_code_that_does_not_fit_is_compiled_anew(tree, tmp_path, spoil):
-    """Each kernel, and with the same answers, which the program checks."""
+    """All kernels are compiled, with the same results, which the program checks."""
     spoil(tree)
     done = run(tmp_path / "home", "-c", SMALL, tree=tree)
     assert done.returncode == 0 and done.stdout.endswith("compiled 3 loaded 0 True\n"), done.stdout + done.stderr

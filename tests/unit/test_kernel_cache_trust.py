@@ -1,4 +1,4 @@
-"""Machine code is loaded from folders and files that nobody but this user can have written."""
+"""Machine code is loaded only from folders and files that no other user can have written."""
 
 import os
 import stat

@@ -1,4 +1,4 @@
-"""What nothing of the caster is made of: functions whose last bits depend on the machine. A use is named with its line.
+"""The caster uses no function whose last bits depend on the machine; each use is reported with its line.
 
 BLAS and LAPACK (`@`, `np.linalg`), NumPy's and the C library's sines, powers and logarithms all choose code by the
 processor. In their place: caster/description/transform.py and caster/kernels/math/angles.py.

@@ -1,4 +1,4 @@
-"""Memory that a large mesh takes on its way to the kernels: bytes a triangle, whatever the machine."""
+"""Peak memory of loading and packing a large mesh, in bytes per triangle."""
 
 import tracemalloc
 from collections.abc import Callable
@@ -21,7 +21,7 @@ MESH, PACKING, LOOKING = 70.0, 110.0, 110.0
 
 
 def peak_of(work: Callable[[], object]) -> float:
-    """Bytes a triangle at the worst moment."""
+    """Peak memory in bytes per triangle."""
     tracemalloc.start()
     try:
         work()

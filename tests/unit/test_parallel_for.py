@@ -1,4 +1,4 @@
-"""Pieces of work on several threads: each done once, errors told, nothing begun after one."""
+"""parallel_for does each piece once, raises errors, and begins nothing after one."""
 
 import threading
 from collections.abc import Callable
@@ -55,7 +55,7 @@ def test_too_little_for_a_second_thread_is_no_more_pieces_than_needed(count, pie
 
 
 def test_a_thread_prepares_itself_only_for_a_piece():
-    """The first thread does all: what others would prepare, such as buffers, is never asked for."""
+    """If the first thread does all pieces, the others allocate no buffers."""
     begun: list[int] = []
 
     def begin() -> Callable[[int], None]:
@@ -96,7 +96,7 @@ def test_an_error_of_another_thread_is_raised():
 
 
 def test_work_within_work_ends():
-    """Threads that wait for threads that wait: whoever asks does what is left himself."""
+    """Nested loops do not deadlock: the calling thread does the remaining pieces."""
     done: list[int] = []
 
     def outer(piece: int) -> None:

@@ -1,4 +1,4 @@
-"""What a scene does not need is not done: told by counts of work, not by seconds."""
+"""Steps that a scene does not need are skipped, as the account of its work shows."""
 
 import json
 import os
@@ -180,7 +180,7 @@ print(machine_code.is_supported(), COMPILATION_LOG.slowly)
 
 @pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")
 def test_no_kernel_of_a_render_or_a_cast_needs_numba_to_be_called():
-    """A flag among its arguments was enough once: Numba was loaded, and each call of a tile took 0.13 ms."""
+    """Regression: for a flag among the arguments Numba was loaded, and each call took 0.13 ms."""
     done = subprocess.run([sys.executable, "-c", EVERYTHING_ASKED], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     usable, _, slowly = done.stdout.strip().partition(" ")

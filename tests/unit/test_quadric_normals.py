@@ -1,4 +1,4 @@
-"""The two ways to the normal of a ball give the same bits."""
+"""Both functions for the normal of a sphere give the same bits."""
 
 import numpy as np
 import pytest

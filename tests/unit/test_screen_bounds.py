@@ -1,4 +1,4 @@
-"""Where primitives are looked for holds the pixels of all rays that meet them, and hardly more."""
+"""Screen bounds contain the pixels of all rays that hit a primitive, and few others."""
 
 import math
 from fractions import Fraction
@@ -43,7 +43,7 @@ COUNT = 400
 
 
 def met_balls(camera: Any, rng: np.random.Generator, reach: float) -> Any:
-    """(film position, centre, radius) of balls that the ray there meets, most of them near their rim.
+    """(film position, centre, radius) of spheres that the ray there hits, most of them near their rim.
 
     reach: radii are up to so many times the distance.
     """

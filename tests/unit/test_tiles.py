@@ -1,4 +1,4 @@
-"""What a tile takes and gives, at the places of its box: rays, hits, AOVs and the primitives to look for."""
+"""Rays that tiles load, and hits and AOVs that they store, at the pixels of their boxes."""
 
 import math
 
@@ -70,7 +70,7 @@ def as_rows(rays):
 
 
 def assert_begun(tile, rows):
-    """Nothing is met in the first rows, and beside the box there are no rays there."""
+    """Assert that the first rows have no hits, and no rays beside the box."""
     for at, number in BEGUN.items():
         assert (whole(tile, at)[:rows] == number).all()
     beside = rays_in(tile, rows, WIDTH)[:, BOX[2] - BOX[0] :]
@@ -127,7 +127,7 @@ def test_the_tile_of_a_box_is_begun_with_the_rays_through_its_pixel_centres(came
 
 
 def met(rng, tile, shape=(HEIGHT, WIDTH)):
-    """Fill in what pixels have met, primitive 0 to 3 or nothing; the fields."""
+    """Fill in random hits of primitives 0 to 3, or misses; returns the fields."""
     prim = rng.integers(-1, 4, shape)
     values = {T: np.where(prim < 0, math.inf, rng.random(shape)), T_ERROR: rng.random(shape), PRIM: prim}
     values[UNCERTAIN] = np.where(rng.random(shape) < 0.3, 1.0, 0.0)
@@ -137,7 +137,7 @@ def met(rng, tile, shape=(HEIGHT, WIDTH)):
 
 
 def hit_box(rng):
-    """A tile whose rays have met one of some primitives, or nothing."""
+    """A tile of random rays with random hits and misses."""
     tile = new_tile()
     for at in RAY_FIELDS:
         whole(tile, at)[:] = rng.normal(size=(HEIGHT, WIDTH))
@@ -147,7 +147,7 @@ def hit_box(rng):
 
 @pytest.mark.parametrize("with_starts", [False, True])
 def test_an_aov_is_written_to_the_box_of_its_image_and_nowhere_else(with_starts):
-    """Depth, from the origins or from where it is said to count."""
+    """Depth, counted from the origins or from `start`."""
     rng = np.random.default_rng(255)
     tile, image = hit_box(rng), np.full((HIGH, WIDE), 7.0)
     start = rng.random((HIGH, WIDE)) if with_starts else np.empty((0, 0))
@@ -174,10 +174,10 @@ def test_hits_and_what_is_uncertain_are_stored_in_the_box_of_an_image(unsure):
     assert np.array_equal(hit, expected[0]) and np.array_equal(uncertain, expected[1])
 
 
-@pytest.mark.parametrize("t", [math.inf, 2.0, 2.25, 2.5, 3.0, 3.5, 3.75, 4.0, -1.0])
+@pytest.mark.parametrize("t", [math.inf, math.nan, 2.0, 2.25, 2.5, 3.0, 3.5, 3.75, 4.0, -1.0])
 @pytest.mark.parametrize("error", [0.0, 0.25, 0.5])
 def test_an_answer_is_nearer_where_both_errors_allow_it_and_uncertain_where_they_do_not(t, error):
-    """For the nearest so far at 3, within 0.25, and for none; at a distance of both errors it is uncertain."""
+    """The nearest hit so far is at 3 within 0.25, or missing; at a distance of exactly both errors it is uncertain."""
     for held, held_error in ((3.0, 0.25), (math.inf, 0.0)):
         for unsure in (0.0, 1.0):
             tile = used_tile()

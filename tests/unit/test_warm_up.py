@@ -1,4 +1,4 @@
-"""`caster doctor --warm`: everything that can be registered is thought of, and what was done is told."""
+"""`caster doctor --warm` compiles the kernels of everything registered, and reports its work."""
 
 import io
 import json
@@ -41,7 +41,7 @@ def test_every_kind_of_light_is_warmed():
 
 @pytest.fixture
 def little(monkeypatch):
-    """One AOV by one culling: the rest is as much again, many times."""
+    """Warm one AOV by one culling, to save time."""
     monkeypatch.setattr(warm_up, "WARM_UP_AOV_SETS", (("depth",),))
     monkeypatch.setattr(warm_up, "get_args", lambda culling: ("raster",))
     monkeypatch.setattr(warm_up, "warm_decisions", lambda *given: None)

@@ -1,4 +1,4 @@
-"""What a picture has worked in is there for the next one, and for no other at the same time."""
+"""Memory of images and workspaces is reused, but never by two at the same time."""
 
 import gc
 from concurrent.futures import ThreadPoolExecutor

@@ -257,7 +257,7 @@ def collapse(boxes: Any, links: Any, wide_boxes: Any, wide_links: Any) -> int:
 
 @jit
 def open_largest(boxes: Any, links: Any, inside: Any) -> int:
-    """Replace inside[0] by its children, and so on the node with the largest box, up to CHILDREN; their number."""
+    """Replace inside[0] by its children, then repeatedly the node with the largest box; returns the number of nodes."""
     number, opened = 1, 0
     while opened >= 0 and number < CHILDREN:
         opened, largest = -1, -1.0

@@ -10,7 +10,7 @@ import math
 from typing import Any, NamedTuple
 
 from caster.jit.decorators import generic_inlined, implement, inlined, jit, optional
-from caster.jit.simd import CHILDREN, LANES, least, load_children, lowest_bit, prefetch
+from caster.jit.simd import CHILDREN, LANES, lowest_bit, prefetch
 from caster.kernels.bvh.build import LEAF_SIZE, LEAF_SIZE_BASE
 from caster.kernels.math.lanes import (
     FAN_FIELDS,
@@ -46,7 +46,7 @@ from caster.kernels.raster.tile import (
     lane,
     update_nearest,
 )
-from caster.kernels.triangles import PLANE_ERROR, Triangles
+from caster.kernels.triangles import PLANE_ERROR, Triangles, corners_of
 
 
 class Fan(NamedTuple):
@@ -96,9 +96,10 @@ QUOTIENT_ROUNDING = 1.0 - 2.0**-40
 DEPTH_ROUNDING = 1.0 + 2.0**-40
 
 BOX_SIZE = FAN_FIELDS * CHILDREN
-"""Numbers of a node's boxes: (5, CHILDREN), least x, -largest x, least y, -largest y, and
+"""Numbers of a node's boxes, (5, CHILDREN): least x, -largest x, least y, -largest y and a depth.
 
-of primitives and nodes the least depth, of rays -(the largest); inf where there is nothing."""
+The depth is the least one of primitives and nodes, and minus the largest one of rays. All are inf where there is
+nothing."""
 
 ROWS = 8  # runs of a block
 RUNS_ACROSS = WIDTH // LANES
@@ -151,7 +152,7 @@ def project_along(fan: Any, points: Any, projected: Any, start: int, stop: int) 
 
 @jit
 def bound_hulls_along(fan: Any, corners: Any, projected: Any, order: Any, prims: Any, start: int, stop: int) -> None:
-    """Boxes of the hulls order[start:stop] between projected points; corners: (n, points of a hull)."""
+    """Boxes of the hulls order[start:stop] of projected points; corners: (n, points of a hull)."""
     for at in range(start, stop):
         box = NOTHING
         for j in range(corners.shape[1]):
@@ -178,7 +179,7 @@ def with_point(box: Extent, p: Vec3) -> Extent:
 
 @inlined
 def undivided(p: Vec3) -> Vec3:
-    """A projected point before the division, but for 2 u."""
+    """A projected point before the division, within 2 u."""
     over = p[2] if p[2] > 0.0 else 1.0
     return p[0] * over, p[1] * over, p[2]
 
@@ -233,8 +234,11 @@ def bound_nodes_along(links: Any, bounds: Any) -> None:
 
 @inlined
 def least_of(boxes: Any, first: int) -> float:
-    """The least of CHILDREN numbers."""
-    return least(load_children(boxes, first))
+    """The least of CHILDREN numbers; a load of all at once would wait for the store of one."""
+    least = math.inf
+    for j in range(first, first + CHILDREN):
+        least = min(least, boxes[j])
+    return least
 
 
 @inlined
@@ -345,16 +349,15 @@ def separating_plane(prims: Any, prim: Any, fan: Fan) -> Any:
 
 @implement(outline, Triangles)
 def _triangle_outline(prims: Any, k: int, points: Any, wide: float) -> Outline:
-    i, j, h = prims.faces[k, 0], prims.faces[k, 1], prims.faces[k, 2]
-    p, q, r = (points[i, 0], points[i, 1]), (points[j, 0], points[j, 1]), (points[h, 0], points[h, 1])
+    p, q, r = corners_of(points, prims.faces, k)
     if wide < math.inf:
         return edge_line(p, q, r, wide), edge_line(q, r, p, wide), edge_line(r, p, q, wide)
     return NO_OUTLINE
 
 
 @inlined
-def edge_line(p: tuple[float, float], q: tuple[float, float], r: tuple[float, float], wide: float) -> Vec3:
-    """The line through p and q, moved away from r by `wide` along each axis.
+def edge_line(p: Vec3, q: Vec3, r: Vec3, wide: float) -> Vec3:
+    """The line (a, b, c) through the projections of p and q, moved away from r by `wide` along each axis.
 
     Corners that are off by up to `wide` along x and y do not lie beyond it, nor do points between them.
     """

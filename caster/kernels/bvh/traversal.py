@@ -7,7 +7,7 @@ from caster.jit.decorators import inlined, jit
 from caster.jit.simd import LANES, lowest_bit
 from caster.kernels.bvh.build import LEAF_SIZE_BASE
 from caster.kernels.math.lanes import intersect_boxes, intersect_boxes_packet, lane_max, lane_max_of_sums, lane_min
-from caster.kernels.math.vec import l1_norm, max_norm, row
+from caster.kernels.math.vec import l1_norm, max_norm, row, scaled
 from caster.kernels.nearest import KeepNearest
 from caster.kernels.protocol import Vec3, intersect, load, prepare, surely_misses, update_best
 from caster.kernels.raster.tile import DX, OX, PRIM, STRIDE, T_ERROR, T_MAX, T_MIN, UNCERTAIN, T, cast_lanes, get, lane
@@ -50,7 +50,7 @@ def ray_box_setup(tree: Any, o: Vec3, d: Vec3) -> RayBoxSetup:
     return RayBoxSetup(
         near,
         (3 - near[0], 5 - near[1], 7 - near[2]),
-        (tree.unit * x, tree.unit * y, tree.unit * z),
+        scaled(tree.unit, (x, y, z)),
         ((a - p) * x, (b - q) * y, (c - r) * z),
         ((a + p) * x, (b + q) * y, (c + r) * z),
     )
@@ -58,7 +58,7 @@ def ray_box_setup(tree: Any, o: Vec3, d: Vec3) -> RayBoxSetup:
 
 @inlined
 def push_children(links: Any, node: int, mask: int, top: int, workspace: Any) -> tuple[int, int]:
-    """Push all boxes of a mask, which is not 0, but the first one entered; returns (its link, top)."""
+    """Push all boxes of a nonzero mask except the one entered first; returns (link of that one, top)."""
     stack, entries, near = workspace
     j = lowest_bit(mask)
     mask &= mask - 1

@@ -38,7 +38,7 @@ def propagate_carries(x: Integer) -> None:
 
 @jit
 def trimmed(x: Integer) -> Integer:
-    """x with its digits in range, and no more of them than it needs."""
+    """x with all digits in range and none superfluous."""
     propagate_carries(x)
     n = len(x)
     while n > 1 and (x[n - 1] == 0 or x[n - 1] == -1):

@@ -180,7 +180,7 @@ def _is_in_range(f: Vec3, r: float) -> bool:
 
 @inlined
 def _normal_where(known: bool, f: Vec3, d: Vec3, reach: float, r: float) -> Vec3:
-    """The normal if `known`, else one of harmless numbers."""
+    """The normal if `known`, else that of harmless numbers."""
     f, d = select(known, f, (0.0, 0.0, 0.0)), select(known, d, (0.0, 0.0, 1.0))
     return normalize_in_range(radial_vector(f, d, reach if known else 0.0, r if known else 1.0))
 

@@ -18,7 +18,7 @@ TINY = 2.0**-1020
 
 
 @jit
-def row(a: Any, k: int) -> Vec3:
+def row(a: Any, k: Any) -> Vec3:
     return a[k, 0], a[k, 1], a[k, 2]
 
 
@@ -127,7 +127,11 @@ def unit_direction(a: Vec3) -> Vec3:
 @jit
 def scaled_near_one(a: Vec3) -> Vec3:
     """a times a power of two, which is exact: its largest component is in [1/2, 1), or it is zero."""
-    e = -math.frexp(max(abs(a[0]), abs(a[1]), abs(a[2])))[1]
+    return times_power_of_two(a, -math.frexp(max_norm(a))[1])
+
+
+@jit
+def times_power_of_two(a: Vec3, e: int) -> Vec3:
     return math.ldexp(a[0], e), math.ldexp(a[1], e), math.ldexp(a[2], e)
 
 
@@ -264,9 +268,8 @@ def two_product(a: float, b: float) -> DoubleDouble:
 def scaled_edge(a: Vec3, b: Vec3) -> tuple[Vec3, Vec3]:
     """b - a and its error, times a power of two: the largest component of b - a is in [1/2, 1), or it is zero."""
     (x, p), (y, q), (z, r) = two_diff(b[0], a[0]), two_diff(b[1], a[1]), two_diff(b[2], a[2])
-    e = -math.frexp(max(abs(x), abs(y), abs(z)))[1]
-    rounded = math.ldexp(x, e), math.ldexp(y, e), math.ldexp(z, e)
-    return rounded, (math.ldexp(p, e), math.ldexp(q, e), math.ldexp(r, e))
+    e = -math.frexp(max_norm((x, y, z)))[1]
+    return times_power_of_two((x, y, z), e), times_power_of_two((p, q, r), e)
 
 
 @jit

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from caster.jit.command_list import Column
 from caster.jit.decorators import inlined, jit
 from caster.jit.kernel_cache import COMPILED
 from caster.jit.simd import LANES
@@ -51,7 +52,7 @@ def tile_boxes(width: int, height: int) -> Iterator[Box]:
 
 # Arguments of commands for a tile (caster/jit/command_list.py): a row for each tile of a film.
 BOX = slice(0, 4)
-COUNT, LINES = 4, 5  # rays of the tile, in whole rows, and the number of rows
+COUNT, LINES = Column(4), Column(5)  # rays of the tile, in whole rows, and the number of rows
 TILE_NUMBERS = 6
 
 
@@ -86,7 +87,7 @@ CACHE_LINE = 64  # bytes
 
 
 def aligned(size: int, new: Callable[[int], np.ndarray]) -> np.ndarray:
-    """A part of new(more float64 than that) that begins at a cache line, so that no vector of LANES crosses one."""
+    """Allocate `size` float64 by `new`, from a cache line on, so that no vector of LANES numbers crosses one."""
     buffer = new(size + CACHE_LINE // 8)
     first = -buffer.ctypes.data % CACHE_LINE // 8
     return buffer[first : first + size]
@@ -218,11 +219,11 @@ def depth_bucket(bits: int, last: int) -> int:
 def bin_into_tiles(
     pixels: Any, bits: Any, last: int, queue: Any, across: int, ends: Any, order: Any, start: int, stop: int
 ) -> int:
-    """Write primitives queue[start:stop] to order[ends[n * DEPTH_BUCKETS + bucket]:] for each tile n that they overlap.
+    """Append primitives queue[start:stop] to the list of each tile that they overlap, by depth bucket.
 
-    Each of them moves that end on; an empty order is not written, to count them only. Tiles are numbered row by row,
-    `across` in a row. An empty queue stands for all primitives in their own order. Returns the number of primitives on
-    the film.
+    The list of tile n and a bucket ends at order[ends[n * DEPTH_BUCKETS + bucket]]. With an empty `order` primitives
+    are only counted, in `ends`. Tiles are numbered row by row, `across` in a row. An empty queue stands for all
+    primitives in their own order. Returns the number of primitives on the film.
     """
     binned = 0
     for prim_number in range(start, stop):

@@ -67,7 +67,7 @@ def _direction_to_point_light(light: Any, p: Vec3) -> tuple[Vec3, float]:
 
 @implement(incident_irradiance, PointLight)
 def _irradiance_of_point_light(light: Any, p: Vec3) -> tuple[Vec3, Vec3]:
-    """Intensity over squared distance; nothing in the light itself."""
+    """Intensity over squared distance; 0 at the light itself."""
     d = sub(light.position, p)
     square = dot(d, d)
     apart = square > 0.0
@@ -135,14 +135,13 @@ def materials_in_tile(tile: Any, box: Box, materials: Any, reflectance: Any, two
     for y in range(box[3] - box[1]):
         if len(two_sided) == 1:  # without table look-ups several pixels are filled at once
             for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
-                put(buffer, ALBEDO + i, (reflectance[0, 0], reflectance[0, 1], reflectance[0, 2]))
+                put(buffer, ALBEDO + i, row(reflectance, 0))
                 buffer[SIDES + i] = 1.0 if two_sided[0] else 0.0
         else:
             for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
                 prim = tile[PRIM + i]
                 number = lane(materials[lane(prim if prim >= 0.0 else 0.0)])
-                albedo = reflectance[number, 0], reflectance[number, 1], reflectance[number, 2]
-                put(buffer, ALBEDO + i, albedo)
+                put(buffer, ALBEDO + i, row(reflectance, number))
                 buffer[SIDES + i] = 1.0 if two_sided[number] else 0.0
         for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
             put(buffer, RADIANCE + i, (0.0, 0.0, 0.0))
