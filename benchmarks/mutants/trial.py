@@ -118,10 +118,10 @@ def remember_mitsuba(memory: Path) -> None:
 
     def ask(request: Any, timeout: float) -> Any:
         key = mitsuba_process.request_key(request)
-        if key and (content := store.get(key)) is not None:
+        if (content := store.get(key)) is not None:
             return TraceResponse.from_bytes(content, len(request.o))
         answer = resident(request, timeout)
-        if key and isinstance(answer, TraceResponse):
+        if isinstance(answer, TraceResponse):
             store.put(key, answer.to_bytes())
         return answer
 

@@ -2,98 +2,90 @@
 
 from caster.cli.application import Command
 
+_HERE = "mitsuba_ref.cli"
+
+
+def _command(name: str, about: str, module: str, run: str = "run", starts_with: str = "") -> Command:
+    """A command with arguments in cli/arguments.py."""
+    return Command(name, about, f"{_HERE}.{module}", run, f"add_{name}_arguments", starts_with, f"{_HERE}.arguments")
+
+
 COMMANDS = (
     Command(
         "init",
         "write a ray caster to begin with, in Python, C, Rust or JavaScript, and what judges it",
-        "mitsuba_ref.cli.starter",
+        f"{_HERE}.starter",
     ),
-    Command(
+    _command(
         "validate",
         "compare our caster or a candidate with Mitsuba on scenes: every pixel gets a class",
-        "mitsuba_ref.cli.validate",
+        "validate",
         starts_with="loading the judge and the scenes",
     ),
-    Command(
+    _command(
         "judge",
         "judge answers that were computed elsewhere: hits of any rays, or an EXR file",
-        "mitsuba_ref.cli.judge",
+        "judge",
         starts_with="loading the judge and the rays",
     ),
-    Command(
+    _command(
         "rays",
         "write rays of a scene to a file for `judge`: camera rays, shadow rays, random or aimed ones",
-        "mitsuba_ref.cli.judge",
-        run="run_rays",
-        arguments="add_rays_arguments",
+        "judge",
+        "run_rays",
     ),
-    Command(
-        "merge",
-        "merge the verdicts of all shards of a run; a missing one fails",
-        "mitsuba_ref.cli.validate",
-        run="run_merge",
-        arguments="add_merge_arguments",
-    ),
-    Command(
+    _command("merge", "merge the verdicts of all shards of a run; a missing one fails", "validate", "run_merge"),
+    _command(
         "render",
         "render a scene with Mitsuba to an EXR file, along the rays that our caster traces",
-        "mitsuba_ref.cli.scene_exchange",
-        run="run_render",
-        arguments="add_render_arguments",
+        "scene_exchange",
+        "run_render",
     ),
-    Command(
+    _command(
         "approve",
         "render images with Mitsuba, show what changed in them, and write them once approved",
-        "mitsuba_ref.cli.exr_comparison",
-        run="run_approve",
-        arguments="add_approve_arguments",
+        "exr_comparison",
+        "run_approve",
         starts_with="loading the renderer and the approved images",
     ),
-    Command(
+    _command(
         "check",
         "compare our render with approved images, without Mitsuba; stale or altered ones fail",
-        "mitsuba_ref.cli.exr_comparison",
-        run="run_check",
-        arguments="add_check_arguments",
+        "exr_comparison",
+        "run_check",
         starts_with="loading the renderer and the approved images",
     ),
-    Command(
-        "export",
-        "write a scene as Mitsuba XML with its meshes, for plain Mitsuba",
-        "mitsuba_ref.cli.scene_exchange",
-        run="run_export",
-        arguments="add_export_arguments",
+    _command(
+        "export", "write a scene as Mitsuba XML with its meshes, for plain Mitsuba", "scene_exchange", "run_export"
     ),
-    Command(
+    _command(
         "import",
         "convert Mitsuba XML or a scene file of MIT 6.837 to a scene file, and list what was left out",
-        "mitsuba_ref.cli.scene_exchange",
-        run="run_import",
-        arguments="add_import_arguments",
+        "scene_exchange",
+        "run_import",
     ),
-    Command(
+    _command(
         "compare",
         "compare two EXR files; NaN, inf, another size or one missed pixel never pass",
-        "mitsuba_ref.cli.exr_comparison",
-        run="run_compare",
-        arguments="add_compare_arguments",
+        "exr_comparison",
+        "run_compare",
     ),
-    Command(
+    _command(
         "probe",
         "explain one pixel: answers of our caster, Mitsuba, exact arithmetic and a candidate, with their bounds",
-        "mitsuba_ref.cli.probe",
+        "probe",
         starts_with="loading the judge and the scene",
     ),
     Command(
         "fuzz",
         "random and adversarial scenes and rays; each failure is shrunk to a minimal scene file and kept",
-        "mitsuba_ref.cli.fuzz",
+        f"{_HERE}.fuzz",
         starts_with="loading the judge",
     ),
     Command(
         "stress",
         "numerical stability: errors and wrong hits, against exact answers, along sweeps of growing difficulty",
-        "mitsuba_ref.cli.experiments",
+        f"{_HERE}.experiments",
         run="run_stress",
         arguments="add_stress_arguments",
         starts_with="loading the judge",
@@ -101,7 +93,7 @@ COMMANDS = (
     Command(
         "bench",
         "run time against error: our caster beside Mitsuba and others, in alternating processes",
-        "mitsuba_ref.cli.experiments",
+        f"{_HERE}.experiments",
         run="run_bench",
         arguments="add_bench_arguments",
         starts_with="loading the judge",
@@ -109,11 +101,9 @@ COMMANDS = (
     Command(
         "schema",
         "print the JSON Schema of a result, such as verdict.json",
-        "mitsuba_ref.cli.doctor",
+        f"{_HERE}.doctor",
         run="run_schema",
         arguments="add_schema_arguments",
     ),
-    Command(
-        "doctor", "list what was found on this machine, and the effect of each missing part", "mitsuba_ref.cli.doctor"
-    ),
+    Command("doctor", "list what was found on this machine, and the effect of each missing part", f"{_HERE}.doctor"),
 )

@@ -1,58 +1,33 @@
 """`mitsuba-ref compare`, `approve` and `check`: two EXR files; approved images of scenes, written and compared."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import shlex
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO, TypeVar
+from typing import TextIO, TypeVar
 
-from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, mesh_dir_options
+from caster.cli.shared_arguments import mesh_dir_options
 from caster.description.errors import SceneError
+from caster.scene.files import load_scene
+from caster.system.atomic_files import check_folder
 from caster.system.process import DIFFERENCES, FILE, NOTHING_SELECTED, OK
-from mitsuba_ref.cli.options import add_reading, add_selection, add_timeout, reading_of, selected_entries
-
-if TYPE_CHECKING:
-    from mitsuba_ref.exr_compare.approved import Proposal
-    from mitsuba_ref.runner.many_scenes import SceneEntry
+from mitsuba_ref.cli.arguments import NUMBERS
+from mitsuba_ref.cli.options import reading_of
+from mitsuba_ref.cli.validate import selected_entries
+from mitsuba_ref.exr_compare.approved import ImageCheck, ImageChecks, Proposal, check_scene, propose, write_approved
+from mitsuba_ref.exr_compare.two_files import Tolerances, compare_exr
+from mitsuba_ref.reference import variants
+from mitsuba_ref.report.results import as_json, print_lines
+from mitsuba_ref.runner.many_scenes import SceneEntry, map_in_order, problem_of
 
 # ---- compare ----
-
-NUMBERS = {
-    "depth_rtol": "of depth and position, instead of the derived bound",
-    "normal_atol": "of normals, instead of the derived bound",
-    "uv_atol": "of uv, instead of the derived bound",
-    "color_rtol": "of every channel that is not geometry, relative",
-    "color_atol": "of every channel that is not geometry, absolute",
-}
-
-
-def add_compare_arguments(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("ours", metavar="OURS.exr", type=InputPath)
-    add("reference", metavar="REF.exr", type=InputPath)
-    add("-o", "--output", metavar="DIFF.exr", type=OutputFile, help="write the differences, and a class for each pixel")
-    for name, what in NUMBERS.items():
-        add(f"--{name.replace('_', '-')}", type=float, metavar="TOL", help=f"tolerance {what}")
-    add("--max-pixels", type=int, default=0, metavar="N", help="number of pixels that may differ (never by NaN or inf)")
-    ignore = "leave a channel or group of them out"
-    add("--ignore", type=str, action="append", default=[], metavar="CHANNEL", help=ignore)
-    add("--other-scene", action="store_true", help="compare images of different scenes, too")
-    add("--json", action="store_true", help="as JSON")
-    add = add_reading(parser)
-    add("--scene", metavar="SCENE", type=InputPath, help="the scene whose camera rendered the images")
 
 
 def run_compare(args: argparse.Namespace) -> int:
     """Print the comparison; 0 pass, 1 differences, 3 not comparable, 5 nothing to compare."""
-    from dataclasses import replace
-
-    from caster.scene.files import load_scene
-    from mitsuba_ref.exr_compare.two_files import Tolerances, compare_exr
-
     names = (*NUMBERS, "max_pixels", "other_scene")
     tolerances = Tolerances(**{name: getattr(args, name) for name in names}, ignore=tuple(args.ignore))
     reading = replace(reading_of(args), scene=load_scene(args.scene) if args.scene else None)
@@ -64,24 +39,6 @@ def run_compare(args: argparse.Namespace) -> int:
 # ---- approved images: approve and check ----
 
 
-def add_approve_arguments(parser: argparse.ArgumentParser) -> None:
-    add_references(parser, OutputFolder)
-    add_timeout(parser)
-    parser.add_argument("--yes", action="store_true", help="write the images; without it, changes are only shown")
-
-
-def add_check_arguments(parser: argparse.ArgumentParser) -> None:
-    add_references(parser, InputPath)
-    parser.add_argument("--json", action="store_true", help="as JSON")
-
-
-def add_references(parser: argparse.ArgumentParser, folder: type[str]) -> None:
-    """Add the options of both: scenes, and the folder of approved images."""
-    add_selection(parser)
-    references = "the folder of approved images, NAME.exr for each scene"
-    parser.add_argument("--references", metavar="DIR", type=folder, required=True, help=references)
-
-
 T = TypeVar("T")
 
 
@@ -89,7 +46,6 @@ def each_scene(
     args: argparse.Namespace, of: Callable[[SceneEntry], T], failed: Callable[[SceneEntry, tuple[str, ...]], T]
 ) -> Iterator[T]:
     """The results of `of` for all selected scenes in order, or of `failed` where it raises. Raises SceneError."""
-    from mitsuba_ref.runner.many_scenes import map_in_order, problem_of
 
     def result_of(entry: SceneEntry) -> T:
         try:
@@ -107,9 +63,6 @@ def run_approve(args: argparse.Namespace) -> int:
     """Show changes, and write images with --yes; 0 all is as approved, 1 not approved or Mitsuba failed, 5 nothing was
     selected."""
     folder = Path(args.references)
-    from caster.system.atomic_files import check_folder
-    from mitsuba_ref.exr_compare.approved import Proposal, propose, write_approved
-    from mitsuba_ref.reference import variants
 
     variants.require_variants()  # its errors come before any work
     out = sys.stdout  # itself: readers of EXR files in other threads replace sys.stdout while they read
@@ -152,9 +105,6 @@ def print_proposal(proposal: Proposal, out: TextIO) -> None:
 def run_check(args: argparse.Namespace) -> int:
     """Print a row for each scene; 0 all pass, 1 some do not, 4 only missing or unreadable images fail, 5 nothing was
     selected."""
-    from mitsuba_ref.exr_compare.approved import ImageCheck, ImageChecks, check_scene
-    from mitsuba_ref.report.results import print_lines
-
     folder, out = Path(args.references), sys.stdout  # itself: readers in other threads replace sys.stdout
     found = []
     for checked in each_scene(
@@ -169,7 +119,7 @@ def run_check(args: argparse.Namespace) -> int:
         return NOTHING_SELECTED
     failed = [checked for checked in found if not checked.ok]
     if args.json:
-        print(json.dumps(ImageChecks(tuple(found)).to_dict(), indent=1))
+        print(json.dumps(as_json(ImageChecks(tuple(found))), indent=1))
     else:
         missing = sum(checked.missing for checked in failed)
         counts = f"{len(found) - len(failed)} pass, {len(failed) - missing} fail"

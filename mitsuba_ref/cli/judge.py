@@ -1,50 +1,37 @@
 """`mitsuba-ref rays` and `mitsuba-ref judge`: rays for other programs, and their answers against Mitsuba."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from caster.cli.shared_arguments import InputPath, OutputFile, add_mesh_dirs, add_scene, load, positive_int
+import numpy as np
+
+from caster.cli.shared_arguments import load
 from caster.description.errors import SceneError
+from caster.image.exr import read_exr
+from caster.rendering.hits import cast
+from caster.scene.files import load_scene
+from caster.scene.model import Scene
 from caster.system.process import OK
-from mitsuba_ref.cli.options import PRECISIONS, ScenePath, add_report_files, given_words
+from mitsuba_ref.cli.options import given_words
 from mitsuba_ref.cli.validate import judge_entries, without_earlier_results
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from caster.scene.model import Scene
-    from mitsuba_ref.runner.many_scenes import SceneEntry
-    from mitsuba_ref.subjects.subject import Subject
-
+from mitsuba_ref.error_model.lambert import direction_to_light
+from mitsuba_ref.hard import rays
+from mitsuba_ref.reference.shared_input import packed_float32, pixel_of, shared_rays
+from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry
+from mitsuba_ref.runner.validation_run import RunOptions
+from mitsuba_ref.subjects.command import ExrFile
+from mitsuba_ref.subjects.ray_files import HitsFile, checked_rays, lay_out, read_hits, read_rays, write_rays
+from mitsuba_ref.subjects.subject import Subject
 
 # ---- rays of a scene, as a file ----
 
-RAY_KINDS = ("camera", "features", "silhouettes", "surface", "random", "shadow")
 SHADOW_T_MIN = 2.0**-10  # lengths of d, the way to a point light: a shadow ray leaves its own surface
-
-
-def add_rays_arguments(parser: argparse.ArgumentParser) -> None:
-    add_scene(parser, ScenePath)
-    add = parser.add_argument
-    add("-o", "--output", metavar="RAYS", type=OutputFile, required=True, help=".npz, or .npy for the rows alone")
-    help_ = "camera (default); aimed at features (corners, edges, rims), along silhouettes, from surfaces, at random; "
-    help_ += "shadow: from the camera's hits to a light"
-    add("--kind", choices=RAY_KINDS, default="camera", help=help_)
-    add("--count", metavar="N", type=positive_int, default=4096, help="of rays that are aimed; default 4096")
-    add("--seed", metavar="S", type=int, default=0, help="of random numbers; default 0")
-    add("--light", metavar="I", type=int, default=0, help="number of the light of shadow rays; default 0")
 
 
 def run_rays(args: argparse.Namespace) -> int:
     """Write the rays and print their number."""
     scene = load(args)
-    import numpy as np
-
-    from mitsuba_ref.subjects.ray_files import checked_rays, write_rays
-
     make = {"camera": camera_rows, "shadow": shadow_rows}.get(args.kind, aimed_rows)
     with np.errstate(over="ignore"):
         rows, pixels = make(scene, args)
@@ -58,10 +45,6 @@ def run_rays(args: argparse.Namespace) -> int:
 
 def camera_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.ndarray | None]:
     """(n, 8) the rays that `validate` shares with Mitsuba, and (n, 2) their pixels."""
-    import numpy as np
-
-    from mitsuba_ref.reference.shared_input import pixel_of, shared_rays
-
     rays = shared_rays(scene)
     there = np.flatnonzero(rays.t_max >= 0.0)
     rows = np.column_stack([rays.o, rays.d, np.zeros(len(rays.t_max)), rays.t_max])[there]
@@ -70,11 +53,6 @@ def camera_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.
 
 def shadow_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.ndarray | None]:
     """Rays from the camera's hits to a light; d reaches a point light at t = 1. Raises SceneError."""
-    import numpy as np
-
-    from caster.rendering.hits import cast
-    from mitsuba_ref.error_model.lambert import direction_to_light
-
     lights = [light for light in scene.lights if light.type != "ambient"]
     if not 0 <= args.light < len(lights):
         raise SceneError(f"--light {args.light}: the scene has {len(lights)} lights that cast shadows")
@@ -90,60 +68,21 @@ def shadow_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.
 
 def aimed_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, None]:
     """Rays by an aim of the fuzzer, (n, 8). Raises SceneError for a scene without primitives."""
-    import numpy as np
-
-    from mitsuba_ref.hard import rays
-    from mitsuba_ref.reference.shared_input import packed_float32
-
-    targets, rng = rays.Targets(packed_float32(scene)), np.random.default_rng(args.seed)
+    targets = rays.Targets(packed_float32(scene), np.random.default_rng(args.seed))
     if not targets.counts.sum():
         raise SceneError(f"--kind {args.kind}: {args.scene} has no primitive to aim at")
-    inside = targets.points(rng, targets.pick(rng, args.count), "inside").p
-    x, y, z = inside.mean(axis=0).tolist()
-    frame = rays.Frame(float(np.ptp(inside, axis=0).max()) or 1.0, (x, y, z))
+    inside = targets.points(args.count, "inside").p
+    targets.frame = rays.Frame(float(np.ptp(inside, axis=0).max()) or 1.0, inside.mean(axis=0))
     aims = {"features": rays.at_features, "silhouettes": rays.tangents, "surface": rays.from_surface}
-    o, d = aims.get(args.kind, rays.anywhere)(rng, targets, frame, args.count)
+    o, d = aims.get(args.kind, rays.anywhere)(targets, args.count)
     return np.column_stack([o, d, np.zeros(args.count), np.full(args.count, np.inf)]), None
 
 
 # ---- answers to any rays, or an EXR file ----
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    help_ = "the scene that the rays were cast into: a scene file, or a mesh file (OBJ, PLY, STL, OFF, glTF)"
-    add("--scene", metavar="SCENE", type=InputPath, required=True, help=help_)
-    answers = parser.add_mutually_exclusive_group(required=True)
-    help_ = ".npz of t, and n, shape_id, prim_id, any_hit if given; or .npy of shape (n, 1), (n, 4), (n, 5)"
-    answers.add_argument("--hits", metavar="FILE", type=InputPath, help=help_)
-    help_ = "an EXR file of depth.Z, normal.X/Y/Z, A, of the scene's camera"
-    answers.add_argument("--exr", metavar="FILE", type=InputPath, help=help_)
-    help_ = ".npz of `rays`, or .npy, (n, 8): o, d, t_min, t_max (docs/rays-and-hits.md)"
-    add("--rays", type=InputPath, metavar="FILE", help=help_)
-    help_ = "the arithmetic of the answers, from which their bounds follow; default: the type of t and n"
-    add("--precision", metavar="P", choices=PRECISIONS, help=help_)
-    add("--rows", metavar="A:B", type=row_range, help="judge these rays alone: one, or from A up to B")
-    add_mesh_dirs(parser)
-    add_report_files(parser)
-
-
-def row_range(text: str) -> tuple[int, int | None]:
-    """A:B, A: or one row. Raises argparse.ArgumentTypeError."""
-    first, colon, end = text.partition(":")
-    if not (first.isdecimal() or (colon and not first)) or not (end.isdecimal() or not end):
-        raise argparse.ArgumentTypeError(f"expected rows such as 17 or 100:200, got '{text}'")
-    start = int(first or 0)
-    stop = (int(end) if end else None) if colon else start + 1
-    if stop is not None and stop <= start:
-        raise argparse.ArgumentTypeError(f"expected at least one row, got '{text}'")
-    return start, stop
-
-
 def run(args: argparse.Namespace) -> int:
     """Judge the answers; 0 they pass, 1 they do not."""
-    from mitsuba_ref.runner.many_scenes import JudgeOptions
-    from mitsuba_ref.runner.validation_run import RunOptions
-
     out = without_earlier_results(args)
     entries = exr_entries(args) if args.exr else hits_entries(args)
     judge = JudgeOptions(Path(args.out) if args.out else None, subject=entries[0].subject)
@@ -152,8 +91,6 @@ def run(args: argparse.Namespace) -> int:
 
 def entry_of(args: argparse.Namespace, scene: Scene, more: str, subject: Subject, **about: Any) -> SceneEntry:
     """A scene to judge, with the options of a replay. more: the end of its name."""
-    from mitsuba_ref.runner.many_scenes import SceneEntry
-
     options = given_words(args, "scene", "rays", "hits", "exr", "precision", "mesh_dir")
     name = Path(args.scene).stem + more
     return SceneEntry(name, args.scene, options=options, given=scene, subject=subject, command="judge", **about)
@@ -161,9 +98,6 @@ def entry_of(args: argparse.Namespace, scene: Scene, more: str, subject: Subject
 
 def hits_entries(args: argparse.Namespace) -> list[SceneEntry]:
     """Scenes to judge: one for nearest hits, one for any-hit answers. Raises SceneError, FileMissing."""
-    from caster.scene.files import load_scene
-    from mitsuba_ref.subjects.ray_files import HitsFile, lay_out, read_hits, read_rays
-
     if args.rays is None:
         raise SceneError("--hits: expected --rays FILE beside it, the rays that these are the hits of")
     scene, rays, hits = load_scene(args.scene, args.mesh_dir), read_rays(args.rays), read_hits(args.hits)
@@ -190,10 +124,6 @@ def hits_entries(args: argparse.Namespace) -> list[SceneEntry]:
 
 def exr_entries(args: argparse.Namespace) -> list[SceneEntry]:
     """The scene to judge by the image's depth. Raises SceneError, FileMissing."""
-    from caster.image.exr import read_exr
-    from caster.scene.files import load_scene
-    from mitsuba_ref.subjects.command import ExrFile
-
     for option in (option for option in ("rays", "rows") if getattr(args, option) is not None):
         raise SceneError(f"--{option}: not with --exr, whose pixels are rays of the scene's camera")
     subject = ExrFile(args.exr, read_exr(args.exr), args.precision)

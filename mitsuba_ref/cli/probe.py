@@ -1,6 +1,4 @@
-"""`mitsuba-ref probe`: explain one pixel by the answers of all witnesses."""
-
-from __future__ import annotations
+"""`mitsuba-ref probe`: explain one pixel by every answer at it."""
 
 import argparse
 import json
@@ -8,45 +6,22 @@ import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from caster.cli.shared_arguments import OutputFile, add_pixel, add_scene, load
+from caster.cli.shared_arguments import load
 from caster.description.errors import error_prefix
 from caster.system.process import DIFFERENCES, OK
 from caster.system.terminal import printable
-from mitsuba_ref.cli.options import (
-    ScenePath,
-    add_candidate,
-    add_reading,
-    add_timeout,
-    candidate_words,
-    requested_candidate,
-)
+from mitsuba_ref.cli.options import candidate_words, requested_candidate
+from mitsuba_ref.probe.pixel import PixelVerdict, ProbeEvidence, as_text, probe_with_evidence
+from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.report.builtin_scenes import shown_path
-
-if TYPE_CHECKING:
-    from mitsuba_ref.probe.pixel import PixelVerdict, ProbeEvidence
-    from mitsuba_ref.reference.messages import Crash
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_scene(parser, ScenePath)
-    add_pixel(parser)
-    parser.add_argument("--json", action="store_true", help="as JSON")
-    parser.add_argument(
-        "--save", metavar="FILE", type=OutputFile, help="write this ray and what it may hit as a scene of its own"
-    )
-    add_timeout(parser)
-    add_candidate(parser, "one more witness: another ray caster (docs/candidates.md)")
-    add_reading(parser, "; with --candidate")
+from mitsuba_ref.report.reproducers import write_reproducer
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the pixel's verdict and its evidence; 1 if nothing explains the pixel or the candidate's answer."""
     scene = load(args)
     candidate = requested_candidate(args)  # its errors come before any work
-    from mitsuba_ref.probe.pixel import as_text, probe_with_evidence
-
     with error_prefix(args.scene):
         found, probed = probe_with_evidence(scene, args.x, args.y, candidate, args.timeout)
     try:
@@ -69,9 +44,6 @@ def about_candidate(args: argparse.Namespace, found: PixelVerdict) -> list[str]:
 
 def save(args: argparse.Namespace, probed: Crash | ProbeEvidence, more: Sequence[str]) -> None:
     """Write the reproducer, and report on standard error whether it shows the same. more: its comment lines."""
-    from mitsuba_ref.reference.messages import Crash
-    from mitsuba_ref.report.reproducers import write_reproducer
-
     source = f"{shown_path(args.scene)}, pixel ({args.x}, {args.y})"
     if isinstance(probed, Crash):
         print(f"{args.save}: not written: Mitsuba gave no answer to reproduce", file=sys.stderr)

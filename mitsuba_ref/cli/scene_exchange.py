@@ -1,56 +1,30 @@
 """`mitsuba-ref render`, `export` and `import`: scenes to Mitsuba, and from its XML or files of MIT 6.837."""
 
-from __future__ import annotations
-
 import argparse
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from caster.cli.shared_arguments import (
-    AOV_NAMES,
-    DEFAULT_AOV_LIST,
-    InputPath,
-    OutputFile,
-    OutputFolder,
-    add_mesh_dirs,
-    add_scene,
-    check_exr_suffix,
-    comma_separated,
-    load,
-)
+from caster.classroom.course_files import load_course_scene
+from caster.classroom.course_images import with_window_behind_scene
+from caster.cli.shared_arguments import AOV_NAMES, check_exr_suffix, comma_separated, load
 from caster.description.errors import SceneError, error_prefix, suggestion
+from caster.image.channels import write_render
+from caster.scene.export import to_toml
+from caster.scene.model import Film
+from caster.system.atomic_files import write_text
 from caster.system.process import DIFFERENCES, OK
-from mitsuba_ref.cli.options import ScenePath, add_timeout
-
-if TYPE_CHECKING:
-    from mitsuba_ref.importers.mitsuba_xml import ImportedScene
+from mitsuba_ref.importers.mitsuba_xml import ImportedScene, import_xml
+from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.reference.rendering import REFERENCE_AOVS, render_reference
+from mitsuba_ref.reference.shared_input import export_scene
 
 COURSE_FILM = (256, 256)  # pixels; a scene text of the course has no film
-
-
-def add_render_arguments(parser: argparse.ArgumentParser) -> None:
-    add_scene(parser, ScenePath)
-    add = parser.add_argument
-    add("-o", "--output", metavar="REF.exr", type=OutputFile, required=True)
-    add(
-        "--aov",
-        type=str,
-        metavar="A,B,...",
-        default=DEFAULT_AOV_LIST,
-        help=f"of {AOV_NAMES}; default: {DEFAULT_AOV_LIST}",
-    )
-    add_timeout(parser)
 
 
 def run_render(args: argparse.Namespace) -> int:
     """Render with Mitsuba and write the file; 1 when Mitsuba ends without an answer."""
     check_exr_suffix(args.output)
     scene, names = load(args), tuple(comma_separated(args.aov))
-    from caster.image.channels import write_render
-    from mitsuba_ref.reference.messages import Crash
-    from mitsuba_ref.reference.rendering import REFERENCE_AOVS, render_reference
-
     for name in names:
         if name not in REFERENCE_AOVS:
             raise SceneError(f"--aov {name!r}: unknown{suggestion(name, REFERENCE_AOVS)}; known are {AOV_NAMES}")
@@ -67,19 +41,8 @@ def run_render(args: argparse.Namespace) -> int:
     return OK
 
 
-def add_import_arguments(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("file", metavar="FILE", type=InputPath, help="Mitsuba's .xml, or .txt of MIT 6.837")
-    add("-o", "--output", metavar="SCENE.toml", type=OutputFile, required=True, help="the scene file to write")
-    add("-D", type=str, dest="parameters", action="append", default=[], metavar="NAME=VALUE", help="a $NAME of the XML")
-    add("--size", nargs=2, type=int, metavar=("W", "H"), help="film in pixels, instead of the file's own")
-    add_mesh_dirs(parser)
-
-
 def run_import(args: argparse.Namespace) -> int:
     """Convert a scene, and list its parts that were left out. Raises SceneError, FileMissing, OutputError."""
-    from caster.system.atomic_files import write_text
-
     suffix = Path(args.file).suffix.lower()
     if Path(args.output).suffix.lower() != ".toml":
         raise SceneError(f"-o {args.output}: expected a name that ends in .toml")
@@ -87,8 +50,6 @@ def run_import(args: argparse.Namespace) -> int:
         raise SceneError(f"{args.file}: expected Mitsuba's .xml, or .txt of MIT 6.837")
     found = from_xml(args) if suffix == ".xml" else from_course(args)
     folder = Path(args.output).resolve().parent
-    from caster.scene.export import to_toml
-
     text = f"# {Path(args.file).name}, by `mitsuba-ref import`.\n" + to_toml(found.scene, folder)
     write_text(args.output, text)
     for line in found.left_out:
@@ -101,7 +62,6 @@ def run_import(args: argparse.Namespace) -> int:
 
 
 def from_xml(args: argparse.Namespace) -> ImportedScene:
-    from mitsuba_ref.importers.mitsuba_xml import ImportedScene, import_xml
 
     found = import_xml(args.file, parameters(args.parameters), args.mesh_dir)
     if args.size is None:
@@ -112,11 +72,6 @@ def from_xml(args: argparse.Namespace) -> ImportedScene:
 
 def from_course(args: argparse.Namespace) -> ImportedScene:
     """Read a file of MIT 6.837. The window of an orthographic camera is moved back if something is behind it."""
-    from caster.classroom.course_files import load_course_scene
-    from caster.classroom.course_images import with_window_behind_scene
-    from caster.scene.model import Film
-    from mitsuba_ref.importers.mitsuba_xml import ImportedScene
-
     if args.parameters:
         raise SceneError(f"-D {args.parameters[0]}: a text of MIT 6.837 has no parameters")
     size = args.size or COURSE_FILM
@@ -146,23 +101,9 @@ def folders_beyond(scene: object, folder: Path) -> set[str]:
     return {str(file.parent) for file in files if not file.is_relative_to(folder)}
 
 
-def add_export_arguments(parser: argparse.ArgumentParser) -> None:
-    add_scene(parser, ScenePath)
-    parser.add_argument(
-        "-o",
-        "--output",
-        metavar="DIR",
-        type=OutputFolder,
-        required=True,
-        help="folder to write into, created if missing",
-    )
-
-
 def run_export(args: argparse.Namespace) -> int:
     """Write the files and print their names. Raises SceneError, FileMissing, OutputError."""
     scene = load(args)
-    from mitsuba_ref.reference.shared_input import export_scene
-
     exported = export_scene(scene)
     inputs = [shape.file for shape in scene.shapes if hasattr(shape, "file")]
     for target in (os.path.join(args.output, name) for name in exported.meshes):

@@ -1,7 +1,5 @@
 """`mitsuba-ref validate`: judge scenes against Mitsuba, one row each; `merge`: the verdicts of all shards as one."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys
@@ -10,64 +8,25 @@ import traceback
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from caster.cli.shared_arguments import InputPath, OutputFile, positive_int
-from caster.description.errors import SceneError
+from caster.cli.shared_arguments import check_utf8_name, display_names, scene_files
+from caster.description.errors import SceneError, error_prefix
+from caster.scene.files import types_in_file
+from caster.scene.model import Film
+from caster.system.atomic_files import OutputError, write_text
 from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
-from mitsuba_ref.cli.options import (
-    add_candidate,
-    add_reading,
-    add_report_files,
-    add_selection,
-    add_skip_unsupported,
-    add_timeout,
-    add_verdict_files,
-    requested_candidate,
-    selected_entries,
-    write_verdict_files,
-)
-
-if TYPE_CHECKING:
-    from mitsuba_ref.judge.verdict import Verdict
-    from mitsuba_ref.report.out_folder import OutFolder
-    from mitsuba_ref.runner.many_scenes import SceneEntry
-    from mitsuba_ref.runner.shards import Shard
-    from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun
-    from mitsuba_ref.subjects.subject import Subject
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_selection(parser)
-    add = parser.add_argument
-    add_report_files(parser)
-    add(
-        "--expected",
-        metavar="FILE",
-        type=InputPath,
-        help="known failures, as --write-expected writes them: the run fails only by others, and names fixed ones",
-    )
-    help_ = "write the failures of this run as a file for --expected"
-    add("--write-expected", metavar="FILE", type=OutputFile, help=help_)
-    add_skip_unsupported(parser, "scenes")
-    help_ = "fail where fewer scenes are judged and not declined; default 1 with --skip-unsupported"
-    add("--min-scenes", metavar="N", type=positive_int, default=0, help=help_)
-    add("--maxfail", metavar="N", type=positive_int, help="stop after so many scenes that fail")
-    add("--shard", metavar="I/N", type=shard, help="judge part I of N of the scenes, balanced by pixels")
-    help_ = "also test our caster beyond the judged films: other routes, scales, brute force; compiles more kernels"
-    add("--thorough", action="store_true", help=help_)
-    add_timeout(parser)
-    help_ = "judge every scene and ask Mitsuba, also where an earlier run has the result of the very same inputs"
-    add("--no-store", dest="store", action="store_false", help=help_)
-    add_candidate(parser)
-    add_reading(parser, "; with --candidate")
-
-
-def shard(text: str) -> Shard:
-    """The type of --shard; its module is loaded only where the option is given."""
-    from mitsuba_ref.runner.shards import parse_shard
-
-    return parse_shard(text)
+from mitsuba_ref.cli.options import BUILTIN_SETS, DEFAULT_SCENES, candidate_words, requested_candidate
+from mitsuba_ref.judge.verdict import UNSUPPORTED, Verdict
+from mitsuba_ref.reference import variants
+from mitsuba_ref.report import builtin_scenes
+from mitsuba_ref.report.ci_summaries import append, junit
+from mitsuba_ref.report.out_folder import OutFolder, verdict_json
+from mitsuba_ref.report.results import print_lines
+from mitsuba_ref.report.verdict_text import failures_text, summary_text, table_head, table_row
+from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry, matching
+from mitsuba_ref.runner.shards import merge_verdicts
+from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun, expected_toml, read_expected
+from mitsuba_ref.runner.verdict_files import read_verdict
 
 
 def run(args: argparse.Namespace) -> int:
@@ -79,7 +38,46 @@ def run(args: argparse.Namespace) -> int:
     candidate = requested_candidate(args)
     if args.thorough and candidate is not None:
         raise SceneError("--thorough: not with a candidate: it tests our own caster")
-    return judge_entries(args, entries, run_options(args, candidate), out)
+    options = RunOptions(
+        JudgeOptions(Path(args.out) if args.out else None, args.timeout, args.store, candidate, thorough=args.thorough),
+        args.workers,
+        args.maxfail,
+        args.html,
+        args.shard,
+        read_expected(args.expected) if args.expected else None,
+        args.skip_unsupported,
+        args.min_scenes,
+        whole_folders=not (args.expression or args.builtin) and all(Path(place).is_dir() for place in args.scenes),
+    )
+    return judge_entries(args, entries, options, out)
+
+
+def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
+    """The selected scenes, not loaded yet; prints a message if there are none. Raises SceneError."""
+    fits = matching(args.expression, types_in_file)
+    for folder in args.mesh_dir:
+        check_utf8_name(folder)
+    named = [] if args.builtin and args.scenes is DEFAULT_SCENES else args.scenes
+    places = [*builtin_folders(args.builtin), *named]
+    files = [file for file in scene_files(places) if fits(file)]
+    if args.size:
+        with error_prefix("--size", *args.size):
+            Film(width=args.size[0], height=args.size[1])
+    size, mesh_dirs, again = tuple(args.size) if args.size else None, tuple(args.mesh_dir), candidate_words(args)
+    names = display_names(files)
+    entries = [SceneEntry(name, file, size, mesh_dirs, again) for name, file in zip(names, files, strict=True)]
+    if not entries:
+        fitting = f" that fits -k {args.expression!r}" if args.expression else ""
+        print(f"nothing selected: no scene file{fitting} in {', '.join(places)}", file=sys.stderr)
+    return entries
+
+
+def builtin_folders(name: str | None) -> list[str]:
+    """Folders of a set of built-in scenes; none for None."""
+    if name is None:
+        return []
+    chosen = BUILTIN_SETS[:-1] if name == BUILTIN_SETS[-1] else (name,)
+    return [str(builtin_scenes.ROOT / each) for each in chosen]
 
 
 def without_earlier_results(args: argparse.Namespace) -> OutFolder | None:
@@ -87,7 +85,6 @@ def without_earlier_results(args: argparse.Namespace) -> OutFolder | None:
 
     Before a candidate is loaded, which may end the process.
     """
-    from mitsuba_ref.report.out_folder import OutFolder
 
     for path in (args.json, args.junit):
         if path and os.path.isfile(path) and not os.path.islink(path):  # /dev/stdout is a link
@@ -102,9 +99,6 @@ def judge_entries(
     args: argparse.Namespace, entries: Sequence[SceneEntry], options: RunOptions, out: OutFolder | None
 ) -> int:
     """Print a row for each scene, and write the files that the options name; the exit code."""
-    from mitsuba_ref.reference import variants
-    from mitsuba_ref.runner.validation_run import ValidationRun
-
     variants.require_variants()  # its errors come before any work
     start = time.perf_counter()
     running = ValidationRun(entries, options, out)
@@ -118,9 +112,6 @@ def judge_entries(
 def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:
     """0 if all pass; 70 or 4 for an internal error or a file that cannot be written; 2 or 4 if only scenes that cannot
     be loaded fail; else 1."""
-    from caster.system.atomic_files import OutputError
-    from mitsuba_ref.judge.verdict import UNSUPPORTED
-
     if verdict.ok:
         return OK
     if verdict.scenes and all(scene.waived == UNSUPPORTED for scene in verdict.scenes):
@@ -136,30 +127,8 @@ def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:
     return min(codes) if codes and alone else DIFFERENCES
 
 
-def run_options(args: argparse.Namespace, candidate: Subject | None) -> RunOptions:
-    from mitsuba_ref.runner.many_scenes import JudgeOptions
-    from mitsuba_ref.runner.validation_run import RunOptions, read_expected
-
-    chosen = args.expression or args.builtin
-    out = Path(args.out) if args.out else None
-    return RunOptions(
-        JudgeOptions(out, args.timeout, args.store, candidate, thorough=args.thorough),
-        args.workers,
-        args.maxfail,
-        args.html,
-        args.shard,
-        read_expected(args.expected) if args.expected else None,
-        args.skip_unsupported,
-        args.min_scenes,
-        whole_folders=not chosen and all(Path(place).is_dir() for place in args.scenes),
-    )
-
-
 def print_rows(running: ValidationRun) -> None:
     """Print a row for each scene as soon as it and all scenes before it are done."""
-    from mitsuba_ref.report.results import print_lines
-    from mitsuba_ref.report.verdict_text import table_head, table_row
-
     width = max((len(entry.name) for entry in running.entries), default=0)
     # The stream itself: readers of EXR files in other threads replace sys.stdout while they read.
     out = sys.stdout
@@ -171,9 +140,6 @@ def print_rows(running: ValidationRun) -> None:
 
 def write_results(running: ValidationRun, args: argparse.Namespace, seconds: float) -> None:
     """Write the report files, then print failures and the summary."""
-    from mitsuba_ref.report.results import print_lines
-    from mitsuba_ref.report.verdict_text import failures_text, summary_text
-
     verdict = running.verdict()
     try:
         write_verdict_files(verdict, args, seconds)
@@ -187,11 +153,18 @@ def write_results(running: ValidationRun, args: argparse.Namespace, seconds: flo
             print(removed, file=sys.stderr)
 
 
+def write_verdict_files(verdict: Verdict, args: argparse.Namespace, seconds: float) -> None:
+    """Write --json, --junit and --summary-md. Raises OutputError."""
+    if args.json:
+        write_text(args.json, verdict_json(verdict))
+    if args.junit:
+        write_text(args.junit, junit(verdict))
+    if args.summary_md:
+        append(args.summary_md, verdict, seconds)
+
+
 def write_expected(verdict: Verdict, args: argparse.Namespace) -> None:
     """Write --write-expected, unless some scenes were not judged. Raises OutputError."""
-    from caster.system.atomic_files import write_text
-    from mitsuba_ref.runner.validation_run import expected_toml
-
     path = getattr(args, "write_expected", None)
     if path and verdict.not_judged:
         print(f"{path}: not written: {len(verdict.not_judged)} scenes were not judged", file=sys.stderr)
@@ -202,24 +175,8 @@ def write_expected(verdict: Verdict, args: argparse.Namespace) -> None:
 # ---- mitsuba-ref merge ----
 
 
-def add_merge_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "verdicts",
-        metavar="VERDICT.json|DIR",
-        type=InputPath,
-        nargs="+",
-        help="of each shard: --json's file, or --out's folder",
-    )
-    add_verdict_files(parser)
-
-
 def run_merge(args: argparse.Namespace) -> int:
     """Print failures and the summary; 0 all pass, 1 some fail or are missing, 3 the files are not of one run."""
-    from mitsuba_ref.report.results import print_lines
-    from mitsuba_ref.report.verdict_text import failures_text, summary_text
-    from mitsuba_ref.runner.shards import merge_verdicts
-    from mitsuba_ref.runner.verdict_files import read_verdict
-
     places = [str(Path(place) / "verdict.json") if Path(place).is_dir() else place for place in args.verdicts]
     verdict, missing = merge_verdicts([(place, read_verdict(place)) for place in places])
     seconds = sum(scene.seconds for scene in verdict.scenes if not scene.kept)

@@ -5,10 +5,10 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from pydantic import TypeAdapter, computed_field
+from pydantic import computed_field
 from pydantic.dataclasses import dataclass
 
 from caster import __version__
@@ -46,7 +46,7 @@ EXACT = Tolerances(0.0, 0.0, 0.0, 0.0, 0.0, other_scene=True)
 
 
 class UnusableImage(SceneError):  # noqa: N818 - the file is the subject
-    """An approved image that does not hold for this scene; str() states why, and what to do."""
+    """An approved image that cannot be used for this scene; str() states why, and what to do."""
 
     exit_code = 1
 
@@ -150,11 +150,6 @@ class ImageChecks:
         """Whether every scene passes."""
         return all(scene.ok for scene in self.scenes)
 
-    def to_dict(self) -> dict[str, Any]:
-        """JSON values."""
-        record: dict[str, Any] = TypeAdapter(ImageChecks).dump_python(self, mode="json")
-        return record
-
 
 def check_scene(scene: Scene, name: str, path: Path) -> ImageCheck:
     """Compare our render with the approved image at path."""
@@ -172,7 +167,10 @@ def check_scene(scene: Scene, name: str, path: Path) -> ImageCheck:
 
 
 def check_ours(scene: Scene, name: str, approved: Exr) -> tuple[bool, tuple[str, ...]]:
-    """(passes, lines): within the bounds of `validate` or `compare`, unless several answers were right on approval."""
+    """Compare our render with an approved image within the bounds of `validate` or `compare`; (passes, lines).
+
+    Pixels where several answers were right on approval are not compared.
+    """
     ambiguous, hit = _ambiguous(approved), approved.channels["A"] != 0.0
     if hit.any() and not (hit & ~ambiguous).any():
         return False, (f"nothing to compare: more than one answer is right at all {hit.sum()} pixels that are hit",)
@@ -288,17 +286,15 @@ def differ_by_processor(scene: Scene, before: Exr, now: Exr) -> bool:
     The images have to name different processors, or one of them none, and the same versions and variant. Pixels that
     miss have to be equal, and all others with one right answer within the bounds of `validate` in both.
     """
-    abouts, images = (before.provenance, now.provenance), (before, now)
-    if abouts[0].get(PROCESSOR) == abouts[1].get(PROCESSOR):
-        return False
-    if any(abouts[0].get(key) != abouts[1].get(key) for key in (*VERSIONS, VARIANT)):
+    about = PROCESSOR, *VERSIONS, VARIANT
+    if [key for key in about if before.provenance.get(key) != now.provenance.get(key)] != [PROCESSOR]:
         return False
     ambiguous = _ambiguous(before) | _ambiguous(now)
     misses = ~ambiguous & (now.channels["A"] == 0.0)
     names = before.channels.keys() - {CLASS_CHANNEL}
-    if not all(np.array_equal(*(each.channels[name][misses] for each in images)) for name in names):
+    if not all(np.array_equal(before.channels[name][misses], now.channels[name][misses]) for name in names):
         return False
-    for each in images:
+    for each in (before, now):
         _, geometry, light = within_bounds(scene, each)
         if not (ambiguous | np.where(each.channels["A"] != 0.0, light, geometry)).all():
             return False

@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from caster.description.errors import SceneError, suggestion
-from caster.image.exr import NO_ID, Exr
+from caster.image.exr import Exr
+from caster.image.exr_info import hit_mask
 from caster.image.exr_validation import PROVENANCE_PREFIX
 from caster.scene.model import Scene
 from mitsuba_ref.cameras.camera_reference import camera_axes, clip_planes
@@ -84,7 +85,7 @@ def number(text: str) -> float:
 
 
 def our_names(channels: Iterable[str], maps: Iterable[str]) -> dict[str, str]:
-    """Our channel -> the file's: by --map, else by our own names, else by those of other programs.
+    """Map our channel names to those of the file: by --map, else by our own names, else by those of other programs.
 
     Raises Unclear where two channels match one of ours.
     """
@@ -123,7 +124,7 @@ def _is_called(name: str, words: Sequence[str]) -> bool:
 
 
 def mapped(options: Iterable[str], names: Iterable[str]) -> dict[str, str]:
-    """Our channel -> the file's, by --map OURS=THEIRS; options about channels of the other file say nothing.
+    """Map our channel names to those of the file by --map OURS=THEIRS, without options that name no channel of it.
 
     OURS: a channel, or a group such as depth or normal; THEIRS then is a channel or a layer. Raises SceneError.
     """
@@ -157,10 +158,10 @@ def check_maps(options: Sequence[str], *files: Iterable[str]) -> None:
 
 
 def to_our_conventions(exr: Exr, reading: Reading, scenes: Sequence[Scene | None] = ()) -> tuple[Exr, list[str]]:
-    """One file in our names and conventions, and the steps; a file that is ours, or named as ours, stays as it is.
+    """Convert a file to our channel names and conventions; also returns the steps, a sentence each.
 
-    Not so where the reading says something about it, or where names were made of the names of its parts.
-    scenes: further ones that may have the camera. Raises Unclear.
+    A file with our provenance, or with our names alone, is returned unchanged, unless options of `reading` name its
+    channels or it has several parts. scenes: further scenes whose camera may fit. Raises Unclear.
     """
     steps = [f"{len(exr.parts)} parts as one image: {', '.join(map(str, exr.parts))}"] if exr.parts else []
     ours = any(key.startswith(PROVENANCE_PREFIX) for key in exr.provenance)
@@ -202,33 +203,28 @@ def _with_misses(exr: Exr, reading: Reading) -> tuple[Exr, Array, str]:
         if "A" in channels and not np.array_equal(channels["A"] == 0, missed):
             del channels["A"]
             words += ", and A, which differs, is left out"
-    elif "A" in channels:
-        missed, words = channels["A"] == 0, "A 0"
     else:
-        ids = [n for n in ("id.shape", "id.prim") if n in channels and channels[n].dtype == np.uint32]
-        missed, words = channels["depth.Z"] == np.inf, "depth inf"
-        if ids:
-            missed, words = channels[ids[0]] == NO_ID, f"no {ids[0]}"
+        ids_as_floats = [n for n in channels if n.startswith("id.") and channels[n].dtype != np.uint32]
+        hit, name = hit_mask({n: values for n, values in channels.items() if n not in ids_as_floats})
+        assert hit is not None  # there is a depth
+        missed, words = ~hit, {"A": "A 0", "depth.Z": "depth inf"}.get(name, f"no {name}")
     return exr._replace(channels=channels), missed, f"a miss is {words} ({int(missed.sum())} pixels)"
 
 
 def distances(depth: Array, reading: Reading, scenes: Sequence[Scene | None]) -> dict[str, Array]:
-    """Depth (h, w) as distance along the ray, by what it may measure; without a camera, it may be a distance alone."""
+    """The distance along the ray (h, w) for each quantity that depth may measure; without a camera, itself alone."""
     found, view = {DISTANCE: depth}, view_of(scenes, depth.shape)
     if view is not None:
         scene, rays = view
         cosine = ((rays.d @ camera_axes(scene.camera)[2]) / np.linalg.norm(rays.d, axis=1)).reshape(depth.shape)
         found[ALONG_Z] = depth / cosine
         exported = scene is reading.scene and hasattr(scene.camera, "near")
-        start = near_in_xml(scene) / cosine if exported else rays.t_min.reshape(depth.shape)
+        start = rays.t_min.reshape(depth.shape)
+        if exported:  # Mitsuba's sensors have a near plane, and its depth counts from there
+            model = model_of(scene, packed_float32(scene), shared_rays(scene))
+            start = float(clip_planes(scene.camera, clip_range(scene, model))["near_clip"]) / cosine
         found |= {FROM_NEAR: depth + start} if (start > 0.0).any() else {}
     return found
-
-
-def near_in_xml(scene: Scene) -> float:
-    """The near plane of the exported scene: Mitsuba's sensors have one, and its depth counts from there."""
-    model = model_of(scene, packed_float32(scene), shared_rays(scene))
-    return float(clip_planes(scene.camera, clip_range(scene, model))["near_clip"])
 
 
 def candidate_image(exr: Exr, request: CastRequest, reading: Reading) -> tuple[Exr, tuple[str, ...]]:

@@ -4,7 +4,7 @@ import fnmatch
 import os
 import shlex
 from collections.abc import Iterable, Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -87,7 +87,8 @@ def compare_images(
         return _not_comparable(about, reasons)
     pair = ExrPair.of(a, b, [name for name in a.channels if name not in left_out])
     judged = [judge(pair, group, channels, tolerances) for group, channels in present_groups(pair)]
-    differ, broken = (np.any(masks, axis=0) for masks in ([j.differ for j in judged], [j.broken for j in judged]))
+    results, *masks = zip(*judged, strict=True)
+    differ, broken = (np.any(each, axis=0) for each in masks)
     if diff is not None:
         write_difference(diff, pair, differ, broken, *names)
     bad = int((differ | broken).sum())
@@ -103,7 +104,7 @@ def compare_images(
         hit_channel=pair.mask_channel,
         differing_pixels=bad,
         allowed_pixels=tolerances.max_pixels,
-        groups=tuple(each.result for each in judged),
+        groups=results,
         exit_code=DIFFERENCES if failed else NOTHING_SELECTED if _is_empty(pair) else OK,
     )
     scene = next(filter(None, (exr.provenance.get(SCENE) for exr in (a, b))), "")
@@ -173,16 +174,12 @@ def present_groups(pair: ExrPair) -> list[tuple[str, tuple[str, ...]]]:
 # ---- each quantity against its bound ----
 
 
-class Judged(NamedTuple):
-    """One quantity, and the pixels in which it differs."""
+def judge(pair: ExrPair, group: str, names: tuple[str, ...], tol: Tolerances) -> tuple[GroupResult, Array, Array]:
+    """Compare one quantity with its bound: hits in every pixel, all else where both images hit or both miss.
 
-    result: GroupResult
-    differ: Array  # (h, w) bool
-    broken: Array  # (h, w) bool: a value is not finite and should be
-
-
-def judge(pair: ExrPair, group: str, names: tuple[str, ...], tol: Tolerances) -> Judged:
-    """One quantity against its bound: hits in every pixel, all else where both images hit or both miss."""
+    Returns the result, (h, w) bool where the quantity differs, and (h, w) bool where a value should be finite and is
+    not.
+    """
     if group == "hit":
         masks = (mask[..., None].astype(np.float64) for mask in (pair.hit_ours, pair.hit_reference))
         a, b = pair.values(names) if names == LAYERS["hit"] else masks
@@ -203,7 +200,7 @@ def judge(pair: ExrPair, group: str, names: tuple[str, ...], tol: Tolerances) ->
     differ = wrong.any(-1) & ~broken
     agree = pair.hit_ours & pair.hit_reference & ~differ & ~broken
     counts = {"agree": int(agree.sum()), "differ": int(differ.sum()), "non_finite": int(broken.sum())}
-    return Judged(GroupResult(name=group, channels=names, bound=text, worst=worst, **counts), differ, broken)
+    return GroupResult(name=group, channels=names, bound=text, worst=worst, **counts), differ, broken
 
 
 def _worst(pair: ExrPair, names: tuple[str, ...], a: Array, b: Array, bound: Array, eligible: Array) -> Worst | None:

@@ -9,10 +9,11 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from caster.geometry.packing import Packed
 from caster.scene.model import Scene
-from mitsuba_ref.error_model.bounds import nearest_root, reference_bounds, row_distance
+from mitsuba_ref.error_model.bounds import intersections_at, reference_bounds, row_distance
 from mitsuba_ref.error_model.bracket import ANY_SHAPE, CLAIMED_MISS, NOT_CLAIMED, Claims
 from mitsuba_ref.error_model.intersections import Intersections, norm
 from mitsuba_ref.error_model.scene_model import SceneModel
@@ -73,7 +74,8 @@ def needs_adjudication(plain: np.ndarray, hit: np.ndarray, certain: np.ndarray, 
 
     plain, hit, certain: (n,) bool; the pixel agrees, the subject hits, the reference certainly hits. shape: (h, w).
     """
-    chosen = ~plain | (hit & ~certain) | (~hit & has_hit_neighbor(hit.reshape(shape)).ravel())
+    near_hit = sliding_window_view(np.pad(hit.reshape(shape), 1), (3, 3)).any(axis=(2, 3)).ravel()
+    chosen = ~plain | (hit & ~certain) | (~hit & near_hit)
     chosen[sample_rows(np.flatnonzero(~chosen), AGREEING_PIXELS_ADJUDICATED)] = True
     return np.flatnonzero(chosen)
 
@@ -82,15 +84,6 @@ def sample_rows(rows: np.ndarray, count: int) -> np.ndarray:
     """At most `count` of these rows, chosen by a fixed seed, ascending."""
     chosen = np.random.default_rng(ADJUDICATION_SEED).choice(rows, min(count, len(rows)), replace=False)
     return np.sort(chosen)
-
-
-def has_hit_neighbor(hit: np.ndarray) -> np.ndarray:
-    """(h, w) bool: some of the eight neighbours of a pixel is hit."""
-    padded = np.pad(hit, 1)
-    height, width = hit.shape
-    shifts = [padded[y : y + height, x : x + width] for y in range(3) for x in range(3)]
-    near: np.ndarray = np.any(shifts, axis=0)
-    return near
 
 
 def oracle_answers(
@@ -102,11 +95,8 @@ def oracle_answers(
     except OutsideDomain:
         if len(o) == 1:
             return [None]
-        half = len(o) // 2
-        return [
-            *oracle_answers(oracle, o[:half], d[:half], t_max[:half], t_min[:half]),
-            *oracle_answers(oracle, o[half:], d[half:], t_max[half:], t_min[half:]),
-        ]
+        halves = zip(*(np.array_split(rows, 2) for rows in (o, d, t_max, t_min)), strict=True)
+        return [answer for half in halves for answer in oracle_answers(oracle, *half)]
 
 
 def claims_of(answer: Answer, packed: Packed) -> Claims:
@@ -180,16 +170,11 @@ def _ratio(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
 
 
 def claims_other_tie(
-    model: SceneModel,
-    o: np.ndarray,
-    d: np.ndarray,
-    claims: Claims,
-    answers: Sequence[ExactAnswer | None],
-    closest: float,
+    model: SceneModel, o: np.ndarray, d: np.ndarray, claims: Claims, answers: Sequence[ExactAnswer | None]
 ) -> np.ndarray:
     """(m,) bool: the claim fits another member of the exact tie set than the first, within its bounds.
 
-    closest: bounds on normals are cut to this, since agreement within a looser bound would mean nothing.
+    Bounds on normals are cut to LARGEST_USEFUL_NORMAL_ERROR, since agreement within a looser bound would mean nothing.
     """
     tied = {i: tied_prims(a)[1:] for i, a in enumerate(answers) if a is not None and len(a.ties) > 1}
     taken = np.zeros(len(o), bool)
@@ -200,7 +185,7 @@ def claims_other_tie(
     ray = np.repeat(list(tied), [len(prims) for prims in tied.values()])
     prim = np.concatenate(list(tied.values()))
     t = np.array([np.nan if a is None or a.t is None else float(a.t) for a in answers])[ray]
-    at = nearest_root(model.intersect(prim, o[ray], d[ray], KU, ours=False), t)
+    at = intersections_at(model, prim, (o[ray], d[ray]), t, KU, ours=False)
     p = o[ray] + t[:, None] * d[ray]
     with np.errstate(invalid="ignore"):
         fits = (
@@ -208,8 +193,8 @@ def claims_other_tie(
             & (np.abs(claims.t[ray] - t) <= at.t_error)
             & np.isfinite(at.t_error)
             & (claims.t[ray] > 0.0)
-            & (norm(claims.n[ray] - at.n) <= np.minimum(at.n_error, closest))
-            & (norm(claims.sh_n[ray] - at.sh_n) <= np.minimum(at.sh_error, closest))
+            & (norm(claims.n[ray] - at.n) <= np.minimum(at.n_error, LARGEST_USEFUL_NORMAL_ERROR))
+            & (norm(claims.sh_n[ray] - at.sh_n) <= np.minimum(at.sh_error, LARGEST_USEFUL_NORMAL_ERROR))
             & (norm(claims.p[ray] - p) <= at.p_error)
         )
     taken[ray[fits]] = True

@@ -1,10 +1,9 @@
 """The verdict of a scene from its judgement: counts by class, largest ratios, listed failures."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from itertools import chain
 from typing import Any, TypeVar
 
 import numpy as np
@@ -23,7 +22,6 @@ from mitsuba_ref.judge.verdict import (
     UNLISTED,
     Failure,
     Finding,
-    SceneCheck,
     SceneStatistics,
     SceneVerdict,
 )
@@ -38,12 +36,9 @@ NEVER_GIVEN = ("position", "shading_normal", "uv", "shape_id", "diffuse")
 
 def quantities_not_given(answer: Answer) -> tuple[str, ...]:
     """Quantities that the judge compares and this answer lacks."""
-    if answer.images is not None:
-        return ()
-    if answer.hits_only:
-        return ("depth", "normal", *NEVER_GIVEN)
-    never = tuple(name for name in NEVER_GIVEN if name != "shape_id" or answer.shape_id is None)
-    return never if answer.n is not None else ("normal", *never)
+    given = {"depth": not answer.hits_only, "normal": answer.n is not None, "shape_id": answer.shape_id is not None}
+    names = ("depth", "normal", *NEVER_GIVEN) if answer.images is None else ()
+    return tuple(name for name in names if not given.get(name))
 
 
 def class_counts(judgement: Judgement, hit: np.ndarray) -> dict[str, int]:
@@ -106,11 +101,8 @@ def failing_by_check(judgement: Judgement) -> dict[str, np.ndarray]:
     excess = {name: judgement.excess(name)[rows] for name in judgement.names}
     beyond = {name: ~(ratio <= 1.0) for name, ratio in excess.items()}
     beyond[EXACT] |= ~np.any(list(beyond.values()), axis=0)
-    found = {}
-    for name in judgement.names:
-        order = np.argsort(-excess[name], kind="stable")
-        found[name] = rows[order[beyond[name][order]]]
-    return {name: failing for name, failing in found.items() if len(failing)}
+    worst_first = {name: np.argsort(-ratio, kind="stable") for name, ratio in excess.items()}
+    return {name: rows[order[beyond[name][order]]] for name, order in worst_first.items() if beyond[name].any()}
 
 
 def failure_at(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str], row: int, check: str = "") -> Failure:
@@ -156,18 +148,18 @@ def merge_windows(windows: Sequence[SceneVerdict]) -> SceneVerdict:
     sums: dict[str, Any] = {name: sum(getattr(window, name) for window in windows) for name in SUMS}
     counts: dict[str, Any] = {name: _added([getattr(window, name) for window in windows]) for name in COUNTS}
     longest_first = sorted(windows, key=lambda window: -len(window.checks))
-    checks = _largest([{check.name: check for check in window.checks} for window in longest_first], ratio_of)
+    checks = _largest([{check.name: check for check in window.checks} for window in longest_first])
     return replace(
         windows[0],
         **sums,
         **counts,
-        ratios=_largest([window.ratios for window in windows], float),
+        ratios=_largest([window.ratios for window in windows]),
         checks=tuple(checks.values()),
         failures=_leading([failure for window in windows for failure in window.failures]),
         reference_stored=all(window.reference_stored for window in windows),
         problem=next((window.problem for window in windows if window.problem), ""),
         reproducers=tuple(file for window in windows for file in window.reproducers),
-        worst_by=_largest([window.worst_by for window in windows], ratio_of),
+        worst_by=_largest([window.worst_by for window in windows]),
         findings=_merged_findings(windows),
         notes=tuple(dict.fromkeys(note for window in windows for note in window.notes)),
     )
@@ -180,21 +172,16 @@ def _added(counts: Sequence[Mapping[str, int]]) -> dict[str, int]:
     return dict(total)
 
 
-def ratio_of(found: SceneCheck | Failure) -> float:
-    return float(found.ratio)
+def _largest(windows: Sequence[Mapping[str, T]]) -> dict[str, T]:
+    """The largest entry of each name, the first of several; entries are numbers or have a ratio."""
+    items = [item for window in windows for item in window.items()]
+    found = dict(sorted(reversed(items), key=lambda item: _badness(item[1])))
+    return {name: found[name] for name, _ in items}
 
 
-def _largest(windows: Sequence[Mapping[str, T]], size: Callable[[T], float]) -> dict[str, T]:
-    """The largest entry of each name."""
-    found: dict[str, T] = {}
-    for name, each in chain.from_iterable(window.items() for window in windows):
-        if name not in found or _badness(size(each)) > _badness(size(found[name])):
-            found[name] = each
-    return found
-
-
-def _badness(ratio: float) -> tuple[bool, float]:
+def _badness(entry: Any) -> tuple[bool, float]:
     """A sort key that puts NaN beyond every number."""
+    ratio = getattr(entry, "ratio", entry)
     return (not ratio <= np.inf, ratio)
 
 
@@ -202,7 +189,7 @@ def _leading(failures: Sequence[Failure]) -> tuple[Failure, ...]:
     """One of each reason, then the worst of the others."""
     leading = list({failure.reason: failure for failure in reversed(failures)}.values())[::-1]
     others = [failure for failure in failures if failure not in leading]
-    others.sort(key=lambda failure: _badness(failure.ratio), reverse=True)
+    others.sort(key=_badness, reverse=True)
     return tuple([*leading, *others][:MAX_LISTED_FAILURES])
 
 

@@ -190,7 +190,7 @@ CHECKS = ("mask", "shape_id", "on_surface", "depth", "position", "normal", "shad
 SURFACE_CHECKS = ("mask", "depth", "normal", "shape_id", "prim_id")
 
 
-def error_ratios(pixels: PixelPairs) -> dict[str, np.ndarray]:
+def check_ratios(pixels: PixelPairs) -> dict[str, np.ndarray]:
     """Error over bound of each check whose quantities are given, (n,) each; inf for another hit, shape or primitive."""
     answer, own, both = pixels.answer, pixels.bounds.own, pixels.both_hit
 
@@ -245,7 +245,7 @@ def compare(pixels: PixelPairs, checks: Mapping[str, Check]) -> Comparison:
     for name in checks:
         if name not in BOUNDED_AOVS:
             raise SceneError(f"check.{name}: {name} has no bound to scale; only {', '.join(BOUNDED_AOVS)} have one")
-    ratios = error_ratios(pixels)
+    ratios = check_ratios(pixels)
     return Comparison(ratios, {name: checks[name].ratio if name in checks else 1.0 for name in (*ratios, "diffuse")})
 
 
@@ -259,7 +259,9 @@ def inconsistent_aovs(scene: Scene, packed: Packed, pair: ImagePair) -> dict[str
         return {}
     subject, hit = pair.subject, np.isfinite(pair.t)
     found = {name: ~_fits_mask(subject, name, hit) for name in COMPARED_AOVS}
-    found["depth"] |= hit & ~_depth_follows(pair)
+    depth = pair.rays.start + pair.t * pair.length  # from the eye, up to three roundings
+    with np.errstate(invalid="ignore"):
+        found["depth"] |= hit & ~(np.abs(aov_rows(subject, "depth") - depth) <= KU_OURS * np.abs(depth))
     found["mask"] = (subject.hit.ravel() != hit) | (aov_rows(subject, "hit") != hit)
     shape = aov_rows(subject, "shape_id")
     prim_id = np.where(hit, pair.answer.prim - packed.first[np.maximum(shape, 0)], MISS_VALUES["prim_id"])
@@ -274,11 +276,3 @@ def _fits_mask(aovs: Aovs, name: str, hit: np.ndarray) -> np.ndarray:
     values = aov_rows(aovs, name).reshape(len(hit), -1)
     on_hit, on_miss = (all_of_columns(a) for a in (np.isfinite(values), values == MISS_VALUES.get(name, 0)))
     return np.where(hit, on_hit, on_miss)
-
-
-def _depth_follows(pair: ImagePair) -> np.ndarray:
-    """(n,) bool: depth is the distance from the eye to o plus t |d|, up to three roundings."""
-    expected = pair.rays.start + pair.t * pair.length
-    with np.errstate(invalid="ignore"):
-        close: np.ndarray = np.abs(aov_rows(pair.subject, "depth") - expected) <= KU_OURS * np.abs(expected)
-    return close

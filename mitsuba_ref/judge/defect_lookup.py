@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mitsuba_ref.error_model.bounds import nearest_root
+from mitsuba_ref.error_model.bounds import intersections_at
 from mitsuba_ref.error_model.bracket import Bracket, Claims
 from mitsuba_ref.error_model.defect_conditions import (
     NAN_T,
@@ -67,14 +67,15 @@ def defect_features(
     hit = np.array([answer.prim for answer in answers], np.int64)
     distance, offset = np.maximum(_distance_and_offset(model, hit, o), _distance_and_offset(model, named, o))
     for i, answer in enumerate(answers):
-        t, prims = float(claims.t[i]), (int(hit[i]), int(named[i]))
-        ours, theirs = (_view(model, prim, o[i], d[i], t) for prim in prims)
+        t, prim = float(claims.t[i]), int(named[i])
+        ours, theirs = (_view(model, int(each), o[i], d[i], t) for each in (hit[i], prim))
         yield DefectFeatures(
-            *(kind_of(_place(model, prim)[0]).name if prim >= 0 else "" for prim in prims),
+            _kind(model, int(hit[i])),
+            _kind(model, prim),
             where=frozenset(each.where for each in answer.ties),
             flags=answer.flags,
             t=t,
-            at_zero=t == 0.0 and _is_at_zero(model, oracle, int(claims.shape[i]), prims[1], o[i], d[i]),
+            at_zero=t == 0.0 and _is_at_zero(model, oracle, int(claims.shape[i]), prim, o[i], d[i]),
             cosine=min(ours.cosine, theirs.cosine),
             beyond_corners=theirs.beyond_corners,
             without_area=theirs.without_area,
@@ -98,12 +99,9 @@ def _with_normals(
     rows = np.flatnonzero((prims >= 0) & np.isnan(claims.n).any(axis=1) & np.isfinite(claims.t))
     normless = np.zeros(len(prims), bool)
     n, sh_n, p = claims.n.copy(), claims.sh_n.copy(), claims.p.copy()
-    if len(rows):
-        met = model.intersect(prims[rows], o[rows], d[rows], KU, ours=False)
-        at = nearest_root(met, claims.t[rows])
-        n[rows], sh_n[rows] = at.n, at.sh_n
-        p[rows] = o[rows] + at.t[:, None] * d[rows]
-        normless[rows] = at.n_error >= 1.0
+    at = intersections_at(model, prims[rows], (o[rows], d[rows]), claims.t[rows], KU, ours=False)
+    n[rows], sh_n[rows], normless[rows] = at.n, at.sh_n, at.n_error >= 1.0
+    p[rows] = o[rows] + at.t[:, None] * d[rows]
     return claims._replace(n=n, sh_n=sh_n, p=p), normless
 
 
@@ -122,6 +120,10 @@ def _place(model: SceneModel, prim: int) -> tuple[Any, int]:
     """(arrays of its kind, its row there)."""
     kind, k = kinds_of(model.packed, np.array([prim]))
     return model.packed.kinds[int(kind[0])].prims, int(k[0])
+
+
+def _kind(model: SceneModel, prim: int) -> str:
+    return kind_of(_place(model, prim)[0]).name if prim >= 0 else ""
 
 
 def _view(model: SceneModel, prim: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:

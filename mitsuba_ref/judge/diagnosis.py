@@ -24,7 +24,6 @@ from mitsuba_ref.error_model.tolerances import (
     SEPARATOR_CHANCE,
 )
 from mitsuba_ref.judge.adjudication import id_columns, sample_rows
-from mitsuba_ref.judge.checks.shapes import unrounded_arrays
 from mitsuba_ref.judge.classification import Judge, Judgement
 from mitsuba_ref.judge.explanations import open_reason, subject_name
 from mitsuba_ref.judge.hypotheses import (
@@ -42,6 +41,7 @@ from mitsuba_ref.judge.verdict import FAILING, REFERENCE_WRONG, UNDECIDED, WRONG
 from mitsuba_ref.shapes import kind_of
 
 NOT_ADJUDICATED = "not adjudicated: like others, of which exact arithmetic found nearly all to be wrong"
+OTHER_PRIMITIVE = "another primitive than the first one, at the same t"
 MAX_DIAGNOSED_PIXELS = 4096  # wrong pixels at which the tables of mistakes are tried
 RIGHT_PIXELS = 512  # that have to stay right under a mistake
 
@@ -151,20 +151,22 @@ def diagnose(judge: Judge, judgement: Judgement) -> Diagnosis:
     causes, exact = _Causes(judge, judgement), judgement.exact
     if not causes.left.any():
         return Diagnosis(())
-    for what, rows in _marked_misses(judge):
-        causes.take(what, rows, len(rows), "a miss is t = inf; of an image: --miss VALUE")
+    misses = np.flatnonzero(~judge.result.hit & (judge.t_max >= 0.0) & (not judge.answer.hits_only))
+    t = judge.answer.t[misses]
+    if len(t) > 1 and np.isfinite(t[0]) and np.allclose(t, t[0], rtol=KU, atol=0.0):
+        causes.take(marked_miss(float(t[0])), misses, len(t), "a miss is t = inf; of an image: --miss VALUE")
     for why, broken in judge.answer.broken.items():
         causes.take(f"no answer: {why}", np.flatnonzero(broken))
     causes.take("a hit where the camera has no ray", np.flatnonzero((judge.t_max < 0.0) & judge.hit))
-    of_mitsuba = np.flatnonzero(judgement.is_class(REFERENCE_WRONG))
-    causes.take(_of_two_right_answers(judge) if len(of_mitsuba) else "", of_mitsuba)
+    of_mitsuba = f"{subject_name(judge)} is right, and Mitsuba wrong in no known way"
+    causes.take(of_mitsuba, np.flatnonzero(judgement.is_class(REFERENCE_WRONG)))
     wrong = np.flatnonzero(causes.left & judgement.is_class(WRONG))
     inexact = np.intersect1d(wrong, exact.rows[exact.wrong])
     if len(inexact):
         g = _pixels(judge, judgement, sample_rows(inexact, MAX_DIAGNOSED_PIXELS))
         g = causes.explain(g, g.off, mistakes, _describe_hits)
         g = g.take(g.hit & g.given_hit)
-        g = causes.explain(g, _has_wrong_id(g), id_mistakes, _describe_ids)
+        g = causes.explain(g, _has_wrong_id(g), id_mistakes, lambda f: iter([(OTHER_PRIMITIVE, f.hit)]))
         causes.explain(g, _has_wrong_normal(g), normal_mistakes, _describe_normals)
         if len(inexact) > MAX_DIAGNOSED_PIXELS:
             causes.take("wrong, as the others are; the cause was looked for at some of them", inexact)
@@ -173,23 +175,8 @@ def diagnose(judge: Judge, judgement: Judgement) -> Diagnosis:
         causes.take(open_reason(judge, judgement, int(row)), np.array([row]))
     if judge.names_prims:
         _explain_own_surface(causes, wrong[causes.left[wrong]])
-    causes.take("not what is there, in no way that is recognised", np.flatnonzero(causes.left))
+    causes.take("wrong in no way that is recognised", np.flatnonzero(causes.left))
     return Diagnosis(tuple(causes.found.values()))
-
-
-def _of_two_right_answers(judge: Judge) -> str:
-    """Why Mitsuba's answer lies beyond its bounds although the subject is exactly right."""
-    if any(unrounded_arrays(part, "float32") for part in judge.model.packed.parts):
-        return "each is right for its own numbers: the subject's were not rounded to float32, as Mitsuba's are"
-    return f"{subject_name(judge)} is right, and Mitsuba wrong in no known way"
-
-
-def _marked_misses(judge: Judge) -> Iterator[tuple[str, np.ndarray]]:
-    """The rows where Mitsuba misses, if the subject gives the same finite t at all of them."""
-    rows = np.flatnonzero(~judge.result.hit & (judge.t_max >= 0.0) & (not judge.answer.hits_only))
-    t = judge.answer.t[rows]
-    if len(rows) > 1 and np.isfinite(t[0]) and np.allclose(t, t[0], rtol=KU, atol=0.0):
-        yield marked_miss(float(t[0])), rows
 
 
 def marked_miss(t: float) -> str:
@@ -255,10 +242,6 @@ def _has_wrong_id(f: WrongPixels) -> np.ndarray:
     wrong = [ids[f.rows] != number(f.prim) for _, ids, number in id_columns(f.judge.answer, f.judge.model.packed)]
     found: np.ndarray = np.any([np.zeros(len(f.rows), bool), *wrong], axis=0)
     return found
-
-
-def _describe_ids(f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
-    yield "another primitive than the first one, at the same t", f.hit
 
 
 def _has_wrong_normal(f: WrongPixels) -> np.ndarray:
@@ -330,9 +313,10 @@ MIN_SEPARATED_PIXELS = 8  # wrong pixels; of fewer, too many quantities are extr
 
 def separator_text(judge: Judge, judgement: Judgement, wrong: np.ndarray) -> str:
     """The property or threshold that separates these wrong rows from right ones; "" if none separates nearly all."""
-    prim = np.where(judge.result.hit, judge.reference_prim, -1).astype(np.int64)
-    for row, answer in zip(judgement.exact.rows, judgement.exact.answers, strict=True):
-        prim[row] = -1 if answer is None else answer.prim
+    if len(wrong) < MIN_SEPARATED_PIXELS:
+        return ""
+    prim = judge.reference_prim.astype(np.int64)
+    prim[judgement.exact.rows], _ = judgement.exact.first_hits(judgement.exact.rows)
     right = sample_rows(np.flatnonzero(~judgement.is_class(*FAILING) & (prim >= 0)), MAX_DIAGNOSED_PIXELS)
     wrong = sample_rows(wrong[prim[wrong] >= 0], MAX_DIAGNOSED_PIXELS)
     if min(len(wrong), len(right)) < MIN_SEPARATED_PIXELS:
@@ -342,7 +326,7 @@ def separator_text(judge: Judge, judgement: Judgement, wrong: np.ndarray) -> str
     properties, quantities = list(_properties(judge, rows, prim[rows])), list(_quantities(judge, rows, prim[rows]))
     tried = len(properties) + len(quantities)
 
-    by_property = [(best_split(flags, is_wrong, tried), *names) for *names, flags in properties]
+    by_property = [(best_split(flags, is_wrong, tried), name, negated) for name, negated, flags in properties]
     by_quantity = [(best_split(values, is_wrong, tried), name) for name, values in quantities]
     found = [
         *((name, split) for split, name, _ in by_property if split and split.side == "above"),
@@ -451,12 +435,10 @@ def _quantities(judge: Judge, rows: np.ndarray, prim: np.ndarray) -> Iterator[tu
         yield "the determinant |d . (e1 x e2)|", np.abs(dot(d, area_vectors(corners)))
         yield "t", at.t
         yield "the cosine of ray and normal", np.abs(dot(at.n, unit(d)))
-        yield "twice the area of the triangle", norm(area_vectors(corners))
         yield "the size of the primitive", norm(high - low)
         yield "the distance to the triangle's outline", _outline(o + at.t[:, None] * d, corners)[1]
     yield "the number of the primitive in its shape", judge.model.packed.index_in_shape(prim)
     yield "|d|", norm(d)
-    yield "|o|", norm(o)
     if not judge.pair.rays.is_list:
         yield "the pixel's x", rows % width
         yield "the pixel's y", rows // width

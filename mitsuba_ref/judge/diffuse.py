@@ -130,6 +130,6 @@ def _choices(
         we_lit, we_shaded = lambert.our_visibility(ours, hit, light, pair.prim[rows])
         doubt[i] |= np.where(pair.result.visible[i, rows], they_lit & we_shaded, they_shaded & we_lit)
     given, error = _as_given(pair, lights, rows)
-    bright = given.any(axis=-1)[..., None]
-    contrary = (np.where(bright, 0.0, each) for each in (lights.radiance, lights.error))
-    return LightChoices(given, error, *contrary, doubt)
+    bright = np.asarray(given.any(axis=-1))[..., None]
+    contrary, its_error = (np.where(bright, 0.0, each) for each in (lights.radiance, lights.error))
+    return LightChoices(given, error, contrary, its_error, doubt)

@@ -41,7 +41,7 @@ def _reasons(judge: Judge, *, right: bool) -> dict[str, str]:
 
 
 def constant_reasons(judge: Judge) -> dict[str, str]:
-    """Reasons of the classes that have the same one at every pixel."""
+    """The reason of each class whose reason is the same at every pixel."""
     right = _reasons(judge, right=True)
     return right if judge.answer.exact_visibility else {name: right[name] for name in (AGREE, TIE)}
 
@@ -184,7 +184,8 @@ def pixel_answers(judge: Judge, judgement: Judgement, row: int, check: str) -> P
     exact = format_exact(judge.scene, judge.model.packed, exact_answer(judge, judgement, row))
     if judge.names_prims:
         sides = judge.pair.subject, judge.pair.reference
-        return PixelText(*(_aovs_text(judge.scene, aovs, check, row) for aovs in sides), exact)
+        subject, reference = (_aovs_text(judge.scene, aovs, check, row) for aovs in sides)
+        return PixelText(subject, reference, exact)
     ray = f"along o ({format_numbers(judge.o[row])}), d ({format_numbers(judge.d[row])})"
     subject = f"{format_answer(judge.answer, row)}, {ray}"
     return PixelText(subject, _reference_text(judge, row), exact + _exact_normal_text(judge, judgement, row))

@@ -31,6 +31,7 @@ from mitsuba_ref.error_model.tolerances import (
 )
 from mitsuba_ref.judge.adjudication import id_columns, sample_rows
 from mitsuba_ref.judge.classification import Judge
+from mitsuba_ref.judge.explanations import subject_name
 from mitsuba_ref.reference.shared_input import pixel_centers
 from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64
 
@@ -142,10 +143,9 @@ def _kept(f: WrongPixels, right: WrongPixels, table: Iterable[Mistake]) -> Itera
 
 
 def _explains_hits(f: WrongPixels, fits: np.ndarray) -> bool:
-    """Whether nearly all wrong hits fit, not misses alone."""
-    hits = f.given_hit & f.off
-    good = (fits & hits).sum()
-    return bool(good >= MIN_FITTED_PIXELS and good >= NEARLY_ALL * hits.sum() and fits[f.off].mean() >= NEARLY_ALL)
+    """Whether nearly all wrong pixels fit, and not misses alone."""
+    hits = fits[f.given_hit]
+    return bool(fits.mean() >= NEARLY_ALL and hits.sum() >= max(NEARLY_ALL * len(hits), MIN_FITTED_PIXELS))
 
 
 def _decisive_first(count: int, kept: Iterator[Explanation]) -> Iterator[Explanation]:
@@ -165,10 +165,9 @@ def mistakes(f: WrongPixels) -> Iterator[Mistake]:
     """The table of wrong hits, misses and t, the simplest first; numbers in it are fitted to the wrong pixels f."""
     answer, is_list, camera = f.judge.answer, f.judge.pair.rays.is_list, f.judge.scene.camera
     if len(answer.t) > 1 and not f.judge.hit.any():  # of one pixel, that means nothing
-        who = "ours" if answer.exact_visibility else "the candidate"
         farthest = f.t[~f.given_hit & f.hit].max(initial=0.0)
         remedy = f"is the scene read, do rays reach t = {farthest:.3g}{_epsilon_text(f)}?"
-        yield Mistake(f"{who} misses everything", remedy, lambda g: ~g.given_hit & g.hit, single=True)
+        yield Mistake(f"{subject_name(f.judge)} misses everything", remedy, lambda g: ~g.given_hit & g.hit, single=True)
     if is_list and not answer.hits_only:
         yield from OUT_OF_RANGE
     yield _quantity(
@@ -343,44 +342,45 @@ def _recast(what: str, remedy: str, lines: Lines, t_factor: float = 1.0) -> Mist
     return Mistake(what, remedy, predicts, IMAGE)
 
 
-def _beside_centers(g: WrongPixels, x: float, y: float) -> tuple[np.ndarray, np.ndarray]:
+def _beside_centers(x: float, y: float) -> Mistake:
     """Rays through another place of all pixels, x to the right and y down."""
-    scene = g.judge.scene
-    places = (center[g.rows] + step for center, step in zip(pixel_centers(scene), (x, y), strict=True))
-    rays = reference_of_camera(scene.camera).rays(scene.camera, scene.film, *places)
-    return rays.o + rays.t_min[:, None] * rays.d, rays.d
+
+    def lines(g: WrongPixels) -> tuple[np.ndarray, np.ndarray]:
+        scene = g.judge.scene
+        places = (center[g.rows] + step for center, step in zip(pixel_centers(scene), (x, y), strict=True))
+        rays = reference_of_camera(scene.camera).rays(scene.camera, scene.film, *places)
+        return rays.o + rays.t_min[:, None] * rays.d, rays.d
+
+    what = f"rays beside the pixel centres, by ({x:+.2f}, {y:+.2f}) of a pixel to the right and down"
+    return _recast(what, "the centre of pixel (x, y) is at (x + 0.5, y + 0.5)", lines)
 
 
-BESIDE_CENTERS = tuple(
-    _recast(
-        f"rays beside the pixel centres, by ({x:+.2f}, {y:+.2f}) of a pixel to the right and down",
-        "the centre of pixel (x, y) is at (x + 0.5, y + 0.5)",
-        lambda g, x=x, y=y: _beside_centers(g, x, y),
-    )
-    for x, y in product((-0.5, 0.0, 0.5), repeat=2)
-    if x or y
-)
+BESIDE_CENTERS = tuple(_beside_centers(x, y) for x, y in product((-0.5, 0.0, 0.5), repeat=2) if x or y)
+
+SAME = np.eye(3)
+
+
+def _mapped(what: str, remedy: str, o: np.ndarray, d: np.ndarray, t_factor: float = 1.0) -> Mistake:
+    """Origins and directions multiplied by matrices (3, 3) from the right."""
+    return _recast(what, remedy, lambda g: (g.o @ o, g.d @ d), t_factor)
 
 
 def _other_rays() -> Iterator[Mistake]:
-    yield _recast("the directions are reversed: -d in place of d", "turn the sign of d", lambda g: (g.o, -g.d))
-    for name, s in zip("xyz", 1.0 - 2.0 * np.eye(3), strict=True):
-        what = f"the {name} axis of directions is turned round"
-        yield _recast(what, f"turn the sign of d.{name}", lambda g, s=s: (g.o, g.d * s))
-        what = f"the {name} axis is turned round, of another handedness"
-        remedy = f"use the same axes for rays and scene: turn the sign of {name}"
-        yield _recast(what, remedy, lambda g, s=s: (g.o * s, g.d * s))
-    for p in list(permutations(range(3)))[1:]:
-        what = f"are exchanged: ({', '.join('xyz'[i] for i in p)}) in place of (x, y, z)"
+    yield _mapped("the directions are reversed: -d in place of d", "turn the sign of d", SAME, -SAME)
+    for name, sign in zip("xyz", 1.0 - 2.0 * SAME, strict=True):
+        turned, remedy = SAME * sign, f"use the same axes for rays and scene: turn the sign of {name}"
+        yield _mapped(f"the {name} axis of directions is turned round", f"turn the sign of d.{name}", SAME, turned)
+        yield _mapped(f"the {name} axis is turned round, of another handedness", remedy, turned, turned)
+    for order in list(permutations(range(3)))[1:]:
+        what = f"are exchanged: ({', '.join('xyz'[i] for i in order)}) in place of (x, y, z)"
         remedy = "use the same axes for rays and scene (y up or z up?)"
-        yield _recast(f"the axes of directions {what}", remedy, lambda g, p=p: (g.o, g.d[:, p]))
-        yield _recast(f"the axes of rays {what}", remedy, lambda g, p=p: (g.o[:, p], g.d[:, p]))
+        yield _mapped(f"the axes of directions {what}", remedy, SAME, SAME[:, order])
+        yield _mapped(f"the axes of rays {what}", remedy, SAME[:, order], SAME[:, order])
     what = "the rays' origin is taken for (0, 0, 0)"
-    yield _recast(what, "subtract, or add, the ray's origin", lambda g: (0.0 * g.o, g.d))
-    yield _recast("origin and direction are exchanged", "o comes first", lambda g: (g.d, g.o))
-    for s in (0.001, 0.01, 0.0254, 0.1, 0.5, 2.0, 10.0, 100.0, 1000.0):
-        what = f"the scene is {s:g} times as large as it should be"
-        yield _recast(what, "use vertices in the units of the rays", lambda g, s=s: (g.o / s, g.d), s)
+    yield _mapped(what, "subtract, or add, the ray's origin", 0.0 * SAME, SAME)
+    for scale in (0.001, 0.01, 0.0254, 0.1, 0.5, 2.0, 10.0, 100.0, 1000.0):
+        what = f"the scene is {scale:g} times as large as it should be"
+        yield _mapped(what, "use vertices in the units of the rays", SAME / scale, SAME, scale)
 
 
 OTHER_RAYS = tuple(_other_rays())
@@ -475,20 +475,27 @@ def id_mistakes(f: WrongPixels) -> Iterator[Mistake]:
     if len(named) * MIN_FITTED_PIXELS <= len(np.unique(f.prim)):
         who = "the same primitive is" if len(named) == 1 else f"no more than {len(named)} primitives are"
         remedy = "return the number of the primitive in the order of the scene, or leave the column out"
-        yield Mistake(f"{who} named at all {hit.sum()} hits", remedy, lambda g: g.hit)
-    for name, ids, number in columns:
-        for step, cure in ((1, "subtract"), (-1, "add")):
-            yield Mistake(
-                f"the {name}'s number is off by one ({step:+d})",
-                f"numbers count from 0: {cure} 1",
-                lambda g, ids=ids, number=number, step=step: ids[g.rows] == number(g.prim) + step,
-                SURFACES,
-            )
-        yield Mistake(
-            f"the {name}'s number is that of another surface along the ray, t that of the first",
-            "keep the number together with the smallest t",
-            lambda g, ids=ids, number=number: (ids[g.rows] != number(g.prim)) & _names_another_hit(g),
-        )
+        yield Mistake(f"{who} named at all {hit.sum()} hits", remedy, lambda g: g.hit, same_surface=True)
+    for column in columns:
+        yield from _column_mistakes(*column)
+
+
+def _column_mistakes(name: str, ids: np.ndarray, number: Callable[[np.ndarray], np.ndarray]) -> Iterator[Mistake]:
+    """Of one column (judge/adjudication.py:id_columns)."""
+
+    def off_by(step: int, cure: str) -> Mistake:
+        what = f"the {name}'s number is off by one ({step:+d})"
+        remedy = f"numbers count from 0: {cure} 1"
+        return Mistake(what, remedy, lambda g: ids[g.rows] == number(g.prim) + step, SURFACES, same_surface=True)
+
+    yield off_by(1, "subtract")
+    yield off_by(-1, "add")
+    yield Mistake(
+        f"the {name}'s number is that of another surface along the ray, t that of the first",
+        "keep the number together with the smallest t",
+        lambda g: (ids[g.rows] != number(g.prim)) & _names_another_hit(g),
+        same_surface=True,
+    )
 
 
 def _names_another_hit(g: WrongPixels) -> np.ndarray:
@@ -515,26 +522,32 @@ def _normal(what: str, remedy: str, predicted: Predicts, *, single: bool = False
         some = g.at.n[fits]
         return fits & (single or bool(len(some) and np.ptp(some, axis=0).max() > DISTINCT_RTOL))
 
-    return Mistake(what, remedy, predicts, single=single)
+    return Mistake(what, remedy, predicts, single=single, same_surface=True)
+
+
+def _mapped_normal(what: str, remedy: str, matrix: np.ndarray) -> Mistake:
+    """Normals multiplied by a matrix (3, 3) from the right."""
+    return _normal(what, remedy, lambda g: g.at.n @ matrix)
 
 
 def normal_mistakes(f: WrongPixels) -> Iterator[Mistake]:
     """The table of wrong normals at right surfaces, the simplest first."""
     yield from SINGLE_NORMALS
     if f.judge.scene.camera.type != "ray":
-        axes = np.asarray(camera_axes(f.judge.scene.camera))
+        axes = np.asarray(camera_axes(f.judge.scene.camera)).T
         for signs in product((1.0, -1.0), repeat=3):
-            turned = axes.T * signs
             what = "the normal is in the camera's axes in place of the world's"
-            yield _normal(what, "turn it by the camera's matrix", lambda g, turned=turned: g.at.n @ turned)
+            yield _mapped_normal(what, "turn it by the camera's matrix", axes * signs)
     yield from OTHER_NORMALS
     if f.judge.answer.precision == FLOAT32:
         what = "the normal is computed from corners minus the ray's origin, and lost digits there"
         remedy = "compute it from the edges of the face, or in float64"
-        yield Mistake(what, remedy, _is_of_corners_seen_from_the_origin)
+        yield Mistake(what, remedy, _is_of_corners_seen_from_the_origin, same_surface=True)
     if _claims_float64(f):
         near = KU / KU_OURS
-        yield Mistake(IN_FLOAT32, FLOAT32_REMEDY, lambda g: row_distance(g.n, g.at.n) <= g.at.n_error * near)
+        yield Mistake(
+            IN_FLOAT32, FLOAT32_REMEDY, lambda g: row_distance(g.n, g.at.n) <= g.at.n_error * near, same_surface=True
+        )
 
 
 SINGLE_NORMALS = (
@@ -559,17 +572,13 @@ def _other_normals() -> Iterator[Mistake]:
         if order != (0, 1, 2) or len(set(signs)) > 1:
             names = ", ".join("-"[: s < 0] + "xyz"[i] for i, s in zip(order, signs, strict=True))
             what = f"the normal's axes are permuted or signed: ({names}) in place of (x, y, z)"
-            remedy = "use the same axes for normals and scene"
-            yield _normal(what, remedy, lambda g, order=order, signs=signs: g.at.n[:, order] * signs)
-    ray, remedy = "the ray's direction in place of the normal", "return the surface's normal"
+            yield _mapped_normal(what, "use the same axes for normals and scene", SAME[:, order] * signs)
     what = "the normal is stored as a colour, (n + 1) / 2"
     yield _normal(what, "return n itself, from -1 to 1", lambda g: unit(g.at.n + 1.0))
     what = "the position in place of the normal"
     yield _normal(what, "subtract the centre", lambda g: unit(g.o + g.t[:, None] * g.d))
-    yield _normal(ray, remedy, lambda g: unit(g.d))
-    yield _normal(f"{ray}, reversed", remedy, lambda g: -unit(g.d))
-    alike = "one normal everywhere"
-    yield _normal(alike, "compute it for each hit", lambda g: np.broadcast_to(np.median(g.n, axis=0), g.n.shape))
+    what = "one normal everywhere"
+    yield _normal(what, "compute it for each hit", lambda g: np.broadcast_to(np.median(g.n, axis=0), g.n.shape))
 
 
 OTHER_NORMALS = tuple(_other_normals())

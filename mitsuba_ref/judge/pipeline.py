@@ -1,6 +1,6 @@
 """The pipeline of a verdict: request, compare, adjudicate, classify, check, verdict (docs/method.md, in this order)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ from mitsuba_ref.judge.aggregate import (
     merge_windows,
     quantities_not_given,
 )
-from mitsuba_ref.judge.checks import CANDIDATE, checks_of, make_checks
+from mitsuba_ref.judge.checks import CANDIDATE, Scope, checks_of, make_checks
 from mitsuba_ref.judge.checks import OURS as OUR_CHECKS
 from mitsuba_ref.judge.checks.bias import PixelErrors, error_statistics, pixel_errors
 from mitsuba_ref.judge.checks.knife_edges import AimedFailure
@@ -105,8 +105,7 @@ def judge_film(task: Task, finish: Finish = lambda verdict, images: verdict) -> 
     if not errors or merged.problem:
         return merged
     statistics = error_statistics(errors)
-    checks = [each for each in checks_of(OUR_CHECKS) if each.scope == "film"]
-    made = make_checks(checks, {"statistics": statistics})
+    made = make_checks(checks_of(OUR_CHECKS, ["film"]), {"statistics": statistics})
     return replace(merged, checks=(*merged.checks, *made), statistics=statistics)
 
 
@@ -140,16 +139,9 @@ def judge_window(
 
     whole_scene: make also the checks that do not depend on the window; whole_film: no other window follows.
     """
-    checks = [
-        each
-        for each in checks_of(
-            OUR_CHECKS if task.ours else CANDIDATE,
-            thorough=task.thorough,
-            whole_scene=whole_scene,
-            camera=task.rays is None,
-        )
-        if each.scope != "film"
-    ]
+    scopes: tuple[Scope, ...] = ("scene", "window") if whole_scene else ("window",)
+    whose = OUR_CHECKS if task.ours else CANDIDATE
+    checks = checks_of(whose, scopes, thorough=task.thorough, camera=task.rays is None)
     of_scene = [each for each in checks if not each.answered]
     inputs: dict[str, Any] = {"scene": task.scene, "subject": task.subject, "wrong_rays": []}
     made = make_checks(of_scene, inputs) if task.ours else ()
@@ -219,11 +211,7 @@ def _verdict(task: Task, response: SubjectResponse, seen: Seen, checks: tuple[Sc
         precision="" if task.ours else answer.precision,
         unjudged=quantities_not_given(answer),
         findings=findings(judge, diagnosis),
-        notes=(
-            *_notes_on_misses(judge),
-            *_notes_on_starts(judge, judgement),
-            *(() if task.ours else (*answer.notes, *response.limits)),
-        ),
+        notes=(*_notes_on_hits(judge, judgement), *(() if task.ours else (*answer.notes, *response.limits))),
         seen=seen,
     )
 
@@ -242,21 +230,17 @@ def _verdict_of(task: Task, checks: tuple[SceneCheck, ...], **found: Any) -> Sce
     )
 
 
-def _notes_on_starts(judge: Judge, judgement: Judgement) -> tuple[str, ...]:
-    """How many hits of a candidate are at t_min itself, where our own rays hit nothing."""
-    count = int((judge.hits_at_t_min & judgement.is_class(AGREE, TIE)).sum())
-    return (f"{count} hits at t_min itself, of surfaces that rays start on: either answer is right",) if count else ()
-
-
-def _notes_on_misses(judge: Judge) -> tuple[str, ...]:
-    """Where the shapes are and how the rays go, if nothing is hit; else ()."""
+def _notes_on_hits(judge: Judge, judgement: Judgement) -> Iterator[str]:
+    """Where the shapes are and how the rays go, if nothing is hit; how many hits of a candidate are at t_min itself."""
     low, high = judge.model.boxes
-    if judge.pair.any_hit.any() or not len(low) or not len(judge.o):
-        return ()
-    middle = len(judge.o) // 2
-    box, ray = (low.min(axis=0), high.max(axis=0)), (judge.o[middle], judge.d[middle])
-    low_words, high_words, o_words, d_words = (", ".join(f"{v:.4g}" for v in each) for each in (*box, *ray))
-    return (
-        f"the shapes lie between ({low_words}) and ({high_words}); the ray in the middle starts at ({o_words}) "
-        f"along ({d_words})",
-    )
+    if not judge.pair.any_hit.any() and len(low) and len(judge.o):
+        middle = len(judge.o) // 2
+        numbers = low.min(axis=0), high.max(axis=0), judge.o[middle], judge.d[middle]
+        words = [", ".join(f"{v:.4g}" for v in each) for each in numbers]
+        yield (
+            f"the shapes lie between ({words[0]}) and ({words[1]}); the ray in the middle starts at ({words[2]}) "
+            f"along ({words[3]})"
+        )
+    count = int((judge.hits_at_t_min & judgement.is_class(AGREE, TIE)).sum())
+    if count:  # our own rays do not hit there
+        yield f"{count} hits at t_min itself, of surfaces that rays start on: either answer is right"

@@ -151,15 +151,8 @@ class FileRecord:
     sha256: str
 
 
-class _Record:
-    def to_dict(self) -> dict[str, Any]:
-        """JSON values, as in verdict.json."""
-        record: dict[str, Any] = TypeAdapter(type(self)).dump_python(self, mode="json")
-        return record
-
-
 @dataclass(frozen=True, config=RESULT)
-class SceneVerdict(_Record):
+class SceneVerdict:
     """The verdict of one scene."""
 
     name: str
@@ -253,9 +246,14 @@ class SceneVerdict(_Record):
         """The check that comes nearest to its bound, and how near."""
         return max(self.ratios.items(), key=lambda item: item[1], default=("", 0.0))
 
+    def to_dict(self) -> dict[str, Any]:
+        """JSON values, as in verdict.json."""
+        record: dict[str, Any] = TypeAdapter(SceneVerdict).dump_python(self, mode="json")
+        return record
+
 
 @dataclass(frozen=True, config=RESULT)
-class Verdict(_Record):
+class Verdict:
     """The verdict of a run: of all its scenes."""
 
     scenes: tuple[SceneVerdict, ...]
@@ -344,3 +342,8 @@ class Verdict(_Record):
             stored = f"{self.references_stored} of {len(self.scenes)} scenes"
             each.append(f"{stored}: answered in earlier runs, taken from the store")
         return tuple(dict.fromkeys(filter(None, each)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON values, as in verdict.json."""
+        record: dict[str, Any] = TypeAdapter(Verdict).dump_python(self, mode="json")
+        return record

@@ -56,12 +56,12 @@ class TraceRequest:
     def to_bytes(self) -> bytes:
         """The request with absolute paths: the child runs in another folder."""
         meshes = tuple(file.absolute() for file in self.mesh_files)
-        return _to_bytes(replace(self, xml=self.xml.absolute(), mesh_files=meshes))
+        return record_bytes(replace(self, xml=self.xml.absolute(), mesh_files=meshes))
 
     @classmethod
     def from_bytes(cls, content: bytes) -> "TraceRequest":
         """The inverse of `to_bytes`."""
-        record = _from_bytes(content)
+        record = record_of(content)
         meshes = tuple(Path(file) for file in record["mesh_files"])
         return cls(**(record | {"xml": Path(record["xml"]), "mesh_files": meshes}))
 
@@ -122,13 +122,13 @@ class TraceResponse:
         return tuple(LoadedMesh(c[..., :3], c[..., 3:6], c[..., 6:], v, problem) for c, v, problem in rows)
 
     def to_bytes(self) -> bytes:
-        return _to_bytes(self)
+        return record_bytes(self)
 
     @classmethod
     def from_bytes(cls, content: bytes, rays: int) -> "TraceResponse":
         """The response to a request of `rays` rays. Raises ValueError where it is cut short or malformed."""
         try:
-            response = cls(**_from_bytes(content))
+            response = cls(**record_of(content))
         except MALFORMED_ERRORS as error:
             raise ValueError(f"no whole answer: {type(error).__name__}: {error}") from error
         response.check(rays)
@@ -211,7 +211,8 @@ def _check_arrays(record: Any, sizes: dict[Any, int]) -> None:
             raise ValueError(f"{name}: expected {np.dtype(dtype)}{list(shape)}, got {got}")
 
 
-def _to_bytes(record: Any) -> bytes:
+def record_bytes(record: Any) -> bytes:
+    """The fields of a record, equal for equal ones."""
     values = {field.name: getattr(record, field.name) for field in fields(record)}
     arrays = {name: value for name, value in values.items() if name in record.LAYOUT}
     rest = {name: value for name, value in values.items() if name not in arrays}
@@ -220,7 +221,7 @@ def _to_bytes(record: Any) -> bytes:
     return file.getvalue()
 
 
-def _from_bytes(content: bytes) -> dict[str, Any]:
+def record_of(content: bytes) -> dict[str, Any]:
     with np.load(io.BytesIO(content), allow_pickle=False) as found:
         values = {name: found[name] for name in found.files}
     return json.loads(values.pop("record").tobytes()) | values

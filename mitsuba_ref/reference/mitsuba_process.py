@@ -9,7 +9,6 @@ import atexit
 import contextlib
 import gc
 import os
-import re
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -64,9 +63,9 @@ def ask_resident(request: TraceRequest, timeout: float) -> TraceResponse | None:
 def send_stored(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> TraceResponse | Crash:
     """The stored response to an equal request, marked as stored, else that of `send_request`, which is then stored."""
     store = local_store()
-    key = request_key(request) if store else ""
-    if store is None or not key:
+    if store is None:
         return send_request(request, timeout)
+    key = request_key(request)
     content = store.get(key)
     with contextlib.suppress(ValueError):
         if content is not None:
@@ -79,31 +78,23 @@ def send_stored(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> Trac
 
 # The child's side: an edit may change responses.
 SOURCES = (Path(messages.__file__).with_name("mitsuba_calls.py"), Path(messages.__file__))
-OUTSIDE = re.compile(r'="(/|~|[A-Za-z]:|[^"]*\.\.[/\\])')  # an XML value that may name a file of another folder
 
 
 def request_key(request: TraceRequest) -> str:
-    """A hash of all that the response depends on; "" where the scene may name a file outside its own folder."""
+    """A hash of all that the response depends on. The files of the scene lie in its folder, as exported."""
     library = variants.environment_for(request.variant).get(variants.LIBLLVM_ENVIRONMENT_VARIABLE, "")
     size = os.path.getsize(library) if os.path.exists(library) else ""
+    folder, meshes = request.xml.parent, request.mesh_files
     parts: list[str | bytes] = [
         repr(machine()),
         environment_settings(*REFERENCE_SETTINGS),
         *(source.read_bytes() for source in SOURCES),
         f"{library} {size}",
+        messages.record_bytes(replace(request, xml=Path(request.xml.name), mesh_files=())),
+        *(part for file in meshes for part in (f"mesh {file.name}", file.read_bytes())),
     ]
-    parts.append(repr((request.variant, request.lights, request.sensor, request.strict)))
-    for name in TraceRequest.LAYOUT:
-        array = getattr(request, name)
-        parts += [f"{name} {array.dtype} {array.shape}", array.tobytes()]
-    folder = request.xml.parent
-    if OUTSIDE.search(request.xml.read_text(encoding="utf-8")):
-        return ""
-    parts.append(f"scene {request.xml.name}")
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):
         parts += [path.relative_to(folder).as_posix(), path.read_bytes()]
-    for file in request.mesh_files:
-        parts += [f"mesh {file.name}", file.read_bytes()]
     return key_of(parts)
 
 

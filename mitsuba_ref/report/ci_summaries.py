@@ -1,7 +1,6 @@
 """A verdict for continuous integration: Markdown for the summary page of a step, and JUnit XML for servers."""
 
 import html
-import math
 import os
 import re
 from collections.abc import Sequence
@@ -49,7 +48,7 @@ def markdown(verdict: Verdict, seconds: float, limit: int = SUMMARY_LIMIT_BYTES)
     """The verdict, failing scenes with their worst pixel and replay first; no longer than limit bytes of UTF-8."""
     failing = failing_scenes(verdict.scenes)
     passing = [scene for scene in verdict.scenes if scene.ok]
-    failing_head, passing_head = _table_head("worst pixel", "replay"), _table_head("closest")
+    failing_head, passing_head = _table_head("failure", "replay"), _table_head("closest")
     not_judged_head = f"Not judged, {len(verdict.not_judged)} scenes:\n\n"
     folded = f"<details><summary>{len(passing)} scenes pass</summary>\n\n"
     sections = [  # what it lists, the text before, the items, and the text after
@@ -112,16 +111,13 @@ def _passing_row(scene: SceneVerdict) -> str:
 
 
 def _failing_row(scene: SceneVerdict) -> str:
-    first, pixel = next(iter(scene.failures), None), None
-    if first is None:  # the first line of the failure, without FAIL and the scene's name
-        where = failure_text(scene).partition("\n")[0].removeprefix(f"FAIL  {scene.name}  ")[:200]
-    else:
-        pixel = (first.x, first.y)
-        far = f"{first.ratio:.3g}x its bound" if math.isfinite(first.ratio) else "is another"
-        where = f"({first.x}, {first.y}): {first.check} {far}"
-    return _table_row([*_cells(scene), escaped(where), f"<code>{escaped(replay(scene, pixel))}</code>"])
+    """The first line of the failure, without FAIL and the scene's name, and the command that shows the worst pixel."""
+    line = failure_text(scene).partition("\n")[0].removeprefix(f"FAIL  {scene.name}  ")[:MAX_FAILURE_CHARACTERS]
+    pixel = (scene.failures[0].x, scene.failures[0].y) if scene.failures else None
+    return _table_row([*_cells(scene), escaped(line), f"<code>{escaped(replay(scene, pixel))}</code>"])
 
 
+MAX_FAILURE_CHARACTERS = 200  # of a row
 SCENE_TEXT_LIMIT_BYTES = 16384  # of one scene: the output of Mitsuba may be long
 
 
@@ -191,14 +187,16 @@ def add_case(suite: XmlElement, scene: SceneVerdict) -> None:
     elif not scene.ok:
         text = failure_text(scene)
         kind = "error" if scene.problem else "failure"
-        found = SubElement(case, kind, message=printable(text.splitlines()[0]), type=what_fails(scene))
-        found.text = printable(text)
+        message = printable(text.splitlines()[0])
+        SubElement(case, kind, message=message, type=what_fails(scene)).text = printable(text)
     counts = " ".join(f"{name}={scene.counts[name]}" for name in CLASSES)
+    found = scene.statistics
+    errors = f"k_t={found.k_t.largest:.2f} k_normal={found.k_normal.largest:.2f} z={found.z:.1f} " if found else ""
     judged = f"candidate={scene.candidate} " if scene.candidate else ""
     kept = "kept from an earlier run, not judged now; " if scene.kept else ""
     SubElement(case, "system-out").text = printable(
         f"{kept}{judged}hit={scene.hit_pixels} {counts} adjudicated={scene.adjudicated} cases={scene.cases} "
-        f"{_errors(scene)}{scene.versions}{' (answered in an earlier run)' if scene.reference_stored else ''}"
+        f"{errors}{scene.versions}{' (answered in an earlier run)' if scene.reference_stored else ''}"
     )
 
 
@@ -220,8 +218,3 @@ def what_fails(scene: SceneVerdict) -> str:
     if scene.failures:
         return scene.failures[0].verdict
     return "check" if not scene.checks_pass else "no_evidence"
-
-
-def _errors(scene: SceneVerdict) -> str:
-    found = scene.statistics
-    return f"k_t={found.k_t.largest:.2f} k_normal={found.k_normal.largest:.2f} z={found.z:.1f} " if found else ""

@@ -1,6 +1,6 @@
 """Evidence of a judged scene: EXR images of both sides, of classes and ratios, and edges projected onto the film."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +14,6 @@ from mitsuba_ref.cameras.camera_reference import camera_axes
 from mitsuba_ref.error_model.scene_model import kinds_of
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING
-
-Channels = Mapping[str, np.ndarray]
 
 # The page of a report has one more, of pixels where the reference is wrong in no known way.
 CLASS_COLORS = {
@@ -42,29 +40,25 @@ def class_attributes() -> dict[str, str]:
 def write_images(folder: Path, name: str, judge: Judge, judgement: Judgement) -> None:
     """Write NAME.ours.exr (or .candidate.exr), NAME.reference.exr and NAME.verdict.exr. Raises OutputError."""
     scene, pair = judge.scene, judge.pair
-    classified = (pair.any_hit | judgement.is_class(*FAILING)).reshape(pair.shape)
+    classified = pair.any_hit | judgement.is_class(*FAILING)
+    ratio = np.max([judgement.ratio(check) for check in judgement.names], axis=0)
+    verdict = {
+        "A": classified.astype(np.float32),
+        "class.I": judgement.classes.astype(np.uint32),
+        "ratio.Y": clipped_to_float32(ratio).astype(np.float32),
+    }
     images = {
         "ours" if judge.names_prims else "candidate": {
             channel: clipped_to_float32(values) for channel, values in aovs_to_channels(pair.subject).items()
         },
         "reference": aovs_to_channels(pair.reference),
-        "verdict": class_map(classified, judgement),
+        "verdict": {channel: values.reshape(pair.shape) for channel, values in verdict.items()},
     }
     film = (0, 0, scene.film.width, scene.film.height)
     about = provenance(scene, __version__, name) | class_attributes()
     for which, channels in images.items():
         path = folder / f"{name}.{which}.exr"
         write_exr(path, channels, about, data_window=scene.film.window, display_window=film)
-
-
-def class_map(classified: np.ndarray, judgement: Judgement) -> Channels:
-    """Channels of NAME.verdict.exr. classified: (h, w) bool, where either side hits or the pixel fails."""
-    ratio = np.max([judgement.ratio(check) for check in judgement.names], axis=0)
-    return {
-        "A": classified.astype(np.float32),
-        "class.I": judgement.classes.reshape(classified.shape).astype(np.uint32),
-        "ratio.Y": clipped_to_float32(ratio).reshape(classified.shape).astype(np.float32),
-    }
 
 
 def clipped_to_float32(values: np.ndarray) -> np.ndarray:

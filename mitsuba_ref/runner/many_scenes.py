@@ -7,9 +7,11 @@ from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
+
+from pydantic import TypeAdapter, ValidationError
 
 from caster.cameras import CAMERAS
 from caster.description.errors import SceneError, error_prefix, suggestion
@@ -29,7 +31,7 @@ from mitsuba_ref.reference.store import StoreFolder, local_store
 from mitsuba_ref.report.out_folder import file_records, files_of
 from mitsuba_ref.report.reproducers import with_replay
 from mitsuba_ref.report.validation import validate_scene
-from mitsuba_ref.runner.verdict_files import scene_of, verdict_key
+from mitsuba_ref.runner.verdict_files import verdict_key
 from mitsuba_ref.runner.workers import CALL_TIMEOUTS, WorkerEnded, Workers
 from mitsuba_ref.subjects.subject import OURS, Subject
 
@@ -202,14 +204,11 @@ def replay_options(entry: SceneEntry) -> tuple[str, ...]:
 
 def _stored_verdict(store: StoreFolder, key: str, folder: Path | None) -> SceneVerdict | None:
     """The stored verdict of equal inputs, marked as kept, if its files in the folder are unchanged."""
-    content = store.get(key)
     try:
-        found = scene_of(content) if content else None
-    except ValueError:
+        found = TypeAdapter(SceneVerdict).validate_json(store.get(key) or b"")
+    except ValidationError:
         return None
-    if found is None or (
-        folder and (set(files_of(found)) != set(found.files) or file_records(folder, found) != found.files)
-    ):
+    if folder and (set(files_of(found)) != set(found.files) or file_records(folder, found) != found.files):
         return None
     return replace(found, kept=True)
 
@@ -280,12 +279,9 @@ def matching(expression: str | None, types_of: Callable[[str], frozenset[str]] |
             f"-k {expression[:200]!r}: expected parts of names with and, or, not and parentheses"
         ) from None
 
-    def fits(name: str) -> bool:
-        def has(word: str) -> bool:
-            if types_of and word.startswith(TYPE_PREFIX):
-                return word.removeprefix(TYPE_PREFIX) in types_of(name)
-            return word in (Path(name).stem if types_of else name)
+    def has(name: str, word: str) -> bool:
+        if types_of and word.startswith(TYPE_PREFIX):
+            return word.removeprefix(TYPE_PREFIX) in types_of(name)
+        return word in (Path(name).stem if types_of else name)
 
-        return bool(eval(code, {"__builtins__": {}, "has": has}))
-
-    return fits
+    return lambda name: bool(eval(code, {"__builtins__": {}, "has": partial(has, name)}))

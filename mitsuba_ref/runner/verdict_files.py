@@ -61,13 +61,6 @@ def verdict_key(scene: Scene, path: str, **about: Any) -> str:
     return key_of(["verdict", json.dumps(known, sort_keys=True, default=str), file])
 
 
-def scene_of(content: bytes | str) -> SceneVerdict:
-    """The verdict of one scene from its JSON. Raises ValueError, also if its `ok` contradicts its numbers."""
-    found = TypeAdapter(SceneVerdict).validate_json(content)
-    check_ok(json.loads(content), found)
-    return found
-
-
 def check_ok(record: dict[str, Any], found: SceneVerdict | Verdict) -> None:
     """Raise ValueError if the `ok` of a record does not follow from its numbers."""
     try:
@@ -84,12 +77,7 @@ class UnreadableVerdict(FileMissing):
 
 def read_verdict(path: str | os.PathLike[str]) -> Verdict:
     """The verdict that `validate --json` wrote. Raises FileMissing, or UnreadableVerdict with the reason."""
-    try:
-        content = read_input(path, "verdict")
-    except FileMissing as error:
-        if Path(path).exists():
-            raise UnreadableVerdict(str(error)) from error
-        raise FileMissing(f"{path}: expected what `mitsuba-ref validate --json` writes, found no file") from None
+    content = read_input(path, "verdict of `mitsuba-ref validate --json`")
     try:
         record = json.loads(content)
         form = record.get("format") if isinstance(record, dict) else type(record).__name__

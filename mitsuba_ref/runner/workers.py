@@ -114,49 +114,37 @@ def _serve(calls: Connection, parents_end: Connection, folder: str) -> None:
 
 
 class Workers:
-    """As many workers as there are calls at a time; without os.fork, calls are direct. Use it as a context."""
+    """A worker for each thread that calls. Use it as a context."""
 
     def __init__(self, seconds: float = CALL_TIMEOUTS * DEFAULT_TIMEOUT) -> None:
         """seconds: time limit of one call."""
         self.seconds = seconds
+        self._of_thread = threading.local()
         self._lock = threading.Lock()
-        self._idle: list[Worker] = []
-        self._busy: set[Worker] = set()
+        self._all: list[Worker] = []
         self._stopped = False
 
     def __enter__(self) -> "Workers":
         return self
 
     def __exit__(self, *_: object) -> None:
-        for worker in self._idle:
+        for worker in self._all:
             worker.close()
 
     def stop(self) -> None:
         """End calls in progress, each with WorkerEnded, and refuse new ones: for Ctrl-C while threads wait."""
         with self._lock:
             self._stopped = True
-            for worker in self._busy:
+            for worker in self._all:
                 worker.process.terminate()
 
     def call(self, function: Callable[..., Result], *args: Any) -> Result:
-        """function(*args) in a worker. Raises WorkerEnded, and the function's own exceptions."""
-        if not hasattr(os, "fork"):
-            return function(*args)
+        """function(*args) in the thread's worker. Raises WorkerEnded, and the function's own exceptions."""
         with self._lock:
             if self._stopped:
                 raise WorkerEnded("stopped before it began")
-            worker = self._idle.pop() if self._idle else Worker()
-            if not worker.process.is_alive():  # killed from outside, between two calls
-                worker.close()
-                worker = Worker()
-            self._busy.add(worker)
-        ended = False
-        try:
-            return worker.call(self.seconds, function, args)
-        except WorkerEnded:
-            ended = True
-            raise
-        finally:
-            with self._lock:
-                self._busy.discard(worker)
-                self._idle += [] if ended else [worker]
+            worker: Worker | None = getattr(self._of_thread, "worker", None)
+            if worker is None or not worker.process.is_alive():  # after a crash, or killed from outside
+                worker = self._of_thread.worker = Worker()
+                self._all.append(worker)
+        return worker.call(self.seconds, function, args)

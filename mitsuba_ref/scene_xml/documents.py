@@ -206,8 +206,11 @@ def _substitute_parameters(document: XmlDocument, node: Node) -> None:
 
 def _substituted(document: XmlDocument, node: Node, value: str) -> str:
     """Substitute parameters in a value, longest name first: $widthscale is not $width followed by "scale"."""
+    longest = max(map(len, document.parameters), default=0)
     for _ in range(MAX_SUBSTITUTIONS):
-        name = _longest_parameter(document, value)
+        starts = [found.end() for found in re.finditer(r"\$", value[:MAX_VALUE_CHARACTERS])]
+        names = (value[at : at + n] for at in starts for n in range(min(longest, len(value) - at), 0, -1))
+        name = max((name for name in names if name in document.parameters), key=len, default=None)
         if name is None or len(value) > MAX_VALUE_CHARACTERS:
             break
         value = value.replace(f"${name}", document.parameters[name])
@@ -218,14 +221,6 @@ def _substituted(document: XmlDocument, node: Node, value: str) -> str:
         hint = suggestion(unknown[1], document.parameters) or f"; give it by -D {unknown[1]}=VALUE"
         document.errors.append(ImportDiagnostic(node.position, f"parameter ${unknown[1]} has no value{hint}"))
     return value
-
-
-def _longest_parameter(document: XmlDocument, value: str) -> str | None:
-    """The longest parameter name that follows a $ in a value."""
-    longest = max(map(len, document.parameters), default=0) if "$" in value else 0
-    starts = (found.end() for found in re.finditer(r"\$", value))
-    names = (value[at : at + n] for at in starts for n in range(min(longest, len(value) - at), 0, -1))
-    return max((name for name in names if name in document.parameters), key=len, default=None)
 
 
 def _index(document: XmlDocument, nodes: list[Node]) -> None:

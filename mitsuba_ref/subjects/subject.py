@@ -72,12 +72,9 @@ class Answer:
 
     def rows(self, rows: np.ndarray | slice) -> "Answer":
         """Some rows, without images."""
-        t_rounding = self.t_rounding[rows] if isinstance(self.t_rounding, np.ndarray) else self.t_rounding
+        some: dict[str, Any] = {name: a[rows] for name, a in vars(self).items() if isinstance(a, np.ndarray)}
         broken = {why: found[rows] for why, found in self.broken.items() if found[rows].any()}
-        names = ("n", "prim", "shape_id", "prim_id")
-        given = {name: getattr(self, name) for name in names}
-        some: dict[str, Any] = {name: None if values is None else values[rows] for name, values in given.items()}
-        return replace(self, t=self.t[rows], broken=broken, t_rounding=t_rounding, images=None, **some)
+        return replace(self, **some, broken=broken, images=None)
 
     @property
     def ku(self) -> float:
@@ -212,22 +209,16 @@ def _described(scene: Scene, packed: Packed, i: int, folder: Path) -> list[dict[
 
 def ids_as_described(answer: "Answer", packed: Packed) -> "Answer":
     """The answer with the ids of the original shapes, where `scene_as_traced` has more shapes."""
-    if answer.shape_id is None and answer.prim_id is None:
-        return answer
-    counts = np.diff(packed.first)
-    apart = [
-        i
-        for i, part in enumerate(packed.parts)
-        if counts[i] > 1 and not isinstance(part, Triangles) and kind_of(part).describe_all is None
-    ]
-    if not apart:
+    apart = [not isinstance(part, Triangles) and kind_of(part).describe_all is None for part in packed.parts]
+    more = np.where(apart, np.diff(packed.first) - 1, 0)  # primitives of each shape that are shapes of their own
+    if not more.any() or (answer.shape_id is None and answer.prim_id is None):
         return answer
     if answer.shape_id is None:
         note = "prim_id is not judged without shape_id: primitives of some shape are described one by one"
         return replace(answer, prim_id=None, notes=(*answer.notes, note))
-    owner = np.concatenate([np.arange(len(counts)), *(np.full(counts[i] - 1, i) for i in apart)])
-    number = np.concatenate([np.zeros(len(counts), int), *(np.arange(1, counts[i]) for i in apart)])
-    there = (answer.shape_id >= len(counts)) & (answer.shape_id < len(owner))
+    owner = np.concatenate([np.arange(len(more)), np.repeat(np.arange(len(more)), more)])
+    number = np.concatenate([np.zeros(len(more), int), *(np.arange(count) + 1 for count in more)])
+    there = (answer.shape_id >= len(more)) & (answer.shape_id < len(owner))
     row = np.where(there, answer.shape_id, 0)
     prim = answer.prim_id
     if prim is not None:

@@ -301,6 +301,15 @@ MISTAKES = [
         "torus-smooth",
         "computed from corners minus the ray's origin",
     ),
+    Mistake(
+        "one normal", answering(lambda s, o, d, t, n: (t, 0 * n + [0.36, 0.48, 0.8])), SPHERE, "one normal everywhere"
+    ),
+    Mistake(
+        "float32 normals",
+        answering(lambda s, o, d, t, n: (t, n.astype(np.float32).astype(np.float64))),
+        SPHERE,
+        "computed in float32",
+    ),
     Mistake("everything missed", answering(lambda s, o, d, t, n: (t + np.inf, n)), SPHERE, "misses everything"),
 ]
 

@@ -102,7 +102,6 @@ WHOLE = {
     "the axes of rays are exchanged: (z, y, x) in place of (x, y, z)": cast_along(
         lambda o, d: (o[:, [2, 1, 0]], d[:, [2, 1, 0]])
     ),
-    "origin and direction are exchanged": cast_along(lambda o, d: (d, o)),
     **{
         f"the scene is {s:g} times as large as it should be": cast_along(lambda o, d, s=s: (o / s, d), s)
         for s in (0.1, 0.5, 1000.0)
@@ -130,41 +129,12 @@ def test_a_candidate_that_misses_everything_is_asked_for_its_epsilons(brought_ca
     assert "do rays reach t = 4.73, is every epsilon below the determinants of 0.014 to 1.9 here?" in mistake.remedy
 
 
-# ---- normals
-
-
-def unit(v: np.ndarray) -> np.ndarray:
-    return v / np.linalg.norm(v, axis=1, keepdims=True)
-
-
-NORMAL_MISTAKES = {
-    "the normal's axes are permuted or signed: (y, -z, x) in place of (x, y, z)": (
-        lambda judge, n: n[:, [1, 2, 0]] * [1, -1, 1]
-    ),
-    "the ray's direction in place of the normal": lambda judge, n: unit(judge.d),
-    "the ray's direction in place of the normal, reversed": lambda judge, n: -unit(judge.d),
-    "one normal everywhere": lambda judge, n: np.tile([0.36, 0.48, 0.8], (len(n), 1)),
-    "computed in float32: right by float32's bounds, and given as float64": (
-        lambda judge, n: n.astype(np.float32).astype(np.float64)
-    ),
-}
-
-
-def normals_explained(judge: Judge, n: np.ndarray) -> tuple[int, dict[str, int]]:
-    f = pixels(answering(judge, n=n), np.flatnonzero(judge.result.hit))
-    f = f.take(~(np.linalg.norm(f.n - f.at.n, axis=1) <= f.at.n_error))
-    found = explanations(f, f.take(np.zeros(0, int)), normal_mistakes(f))
-    return len(f.rows), {mistake.what: int(fits.sum()) for mistake, fits in found}
-
-
-@pytest.mark.parametrize("what", NORMAL_MISTAKES)
-def test_a_mistake_of_all_normals_is_named_and_one_of_few_is_not_by_chance(brought_candidate, what):
+def test_a_mistake_of_few_normals_is_not_named_by_chance(brought_candidate):
     judge = brought_candidate()
-    assert normals_explained(judge, judge.answer.n) == (0, {})
-    n = NORMAL_MISTAKES[what](judge, judge.answer.n)
-    count, found = normals_explained(judge, n)
-    assert count > 8 and next(iter(found)) == what and found[what] >= 0.97 * count, (found, count)
-    if "float32" not in what:
-        other = unit(np.random.default_rng(9).normal(size=n.shape))
-        _, found = normals_explained(judge, np.where((np.arange(len(n)) % 3 == 0)[:, None], n, other))
-        assert what not in found
+    n, other = judge.answer.n[:, [1, 2, 0]], np.random.default_rng(9).normal(size=judge.answer.n.shape)
+    other /= np.linalg.norm(other, axis=1, keepdims=True)
+    for share, named in ((3, False), (1, True)):
+        some = (np.arange(len(n)) % share == 0)[:, None]
+        f = pixels(answering(judge, n=np.where(some, n, other)), np.flatnonzero(judge.result.hit))
+        found = [mistake.what for mistake, _ in explanations(f, f.take(np.zeros(0, int)), normal_mistakes(f))]
+        assert any("(y, z, x) in place of (x, y, z)" in what for what in found) is named

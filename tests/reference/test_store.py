@@ -145,13 +145,6 @@ def test_parts_of_a_key_do_not_run_into_one_another():
     assert len({key_of(parts) for parts in (["ab"], ["a", "b"], ["b", "a"], ["", "ab"], [b"a1"])}) == 5
 
 
-@pytest.mark.parametrize("value", ["/etc/bumps.png", "../bumps.png", "~/bumps.png", "C:\\bumps.png"])
-def test_a_scene_that_names_files_elsewhere_is_never_stored(folder, request_, asked, value):
-    write(request_.xml.parent, f'<string name="filename" value="{value}"/>')
-    assert request_key(request_) == ""
-    assert not any(send_stored(request_).stored for _ in range(2)) and len(asked) == 2
-
-
 DAMAGES = {
     "a flipped bit": lambda data: (
         data[: len(data) // 2] + bytes([data[len(data) // 2] ^ 1]) + data[len(data) // 2 + 1 :]

@@ -1,4 +1,4 @@
-"""The Markdown summary: what comes first, what is folded, what is escaped, and how long it may be."""
+"""The Markdown summary: order, folded parts, escaping and maximum length."""
 
 import html
 import re
@@ -22,7 +22,8 @@ def test_the_verdict_comes_first_then_what_fails_with_its_replay_and_what_passes
     bad = next(line for line in matrix_rows(text) if line.startswith("| bad "))
     cells = [html.unescape(cell) for cell in bad.strip("| ").split(" | ")]
     assert cells[:9] == ["bad", "100", "99", "0", "0", "0", "0", "1", "0"]
-    assert cells[9:] == ["(3, 4): depth 41x its bound", "<code>mitsuba-ref probe scenes/bad.toml 3 4</code>"]
+    failure = "depth: 1 wrong of 100 hit pixels, worst 41x its bound at (3, 4)"
+    assert cells[9:] == [failure, "<code>mitsuba-ref probe scenes/bad.toml 3 4</code>"]
     assert text.index("| bad ") < text.index("<details><summary>bad</summary>") < text.index("| good ")
     assert text.index("<details><summary>1 scenes pass</summary>") < text.index("| good ")
     assert "exact:     ball, prim 0 (inside)" in html.unescape(text)

@@ -6,8 +6,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from caster.aovs import Aovs
-from mitsuba_ref.judge.checks.render import bits_differ
 from mitsuba_ref.judge.classification import reference_prims
 from mitsuba_ref.judge.explanations import QUANTITY_NAMES, exceeded_bounds
 
@@ -30,17 +28,6 @@ from mitsuba_ref.judge.explanations import QUANTITY_NAMES, exceeded_bounds
 def test_what_exceeds_its_bound_is_reported_with_its_factor(ratios, told):
     names = {name: QUANTITY_NAMES.get(name, name) for name in ("t", "normal", "exact")}
     assert exceeded_bounds(ratios) == told.format(**names)
-
-
-def test_bits_differ_where_any_component_has_others():
-    hit = np.ones((2, 3), bool)
-    n, t = np.zeros((2, 3, 3)), np.ones((2, 3))
-    other_n, other_t = n.copy(), t.copy()
-    other_n[0, 1, 2], other_n[1, 2, 0], other_t[1, 0] = -0.0, 1.0, np.nextafter(1.0, 2.0)
-    ours, others = Aovs({"normal": n, "depth": t}, hit), Aovs({"normal": other_n, "depth": other_t}, hit)
-    assert np.flatnonzero(bits_differ(ours, others, "normal")).tolist() == [1, 5]
-    assert np.flatnonzero(bits_differ(ours, others, "depth")).tolist() == [3]
-    assert not bits_differ(ours, ours, "normal").any()
 
 
 def test_a_primitive_of_mitsuba_is_counted_in_its_shape_and_of_a_stand_in_is_the_first():

@@ -17,7 +17,7 @@ from mitsuba_ref.error_model.bounds import nearest_root
 from mitsuba_ref.error_model.bracket import Claims
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
-from mitsuba_ref.judge.checks.render import CHECKED_AOVS, _segments, _within_float64, check_render
+from mitsuba_ref.judge.checks.render import CHECKED_AOVS, _within_float64, check_render
 from mitsuba_ref.judge.checks.shapes import check_geometry
 from mitsuba_ref.judge.defect_lookup import defect_features, defect_of
 from mitsuba_ref.oracle.oracle import Oracle
@@ -63,8 +63,8 @@ def test_a_faulty_image_behind_a_near_plane_is_still_detected(change):
     scene = behind_a_near_plane()
     ours, rays = render(scene, CHECKED_AOVS), camera_rays(scene)
     rows = np.arange(ours.hit.size)
-    assert _within_float64(scene, ours, rows, _segments(rays, rows)).all()
-    assert not _within_float64(scene, Aovs({**ours, **change(ours)}, ours.hit), rows, _segments(rays, rows)).all()
+    assert _within_float64(scene, ours, rows, rays).all()
+    assert not _within_float64(scene, Aovs({**ours, **change(ours)}, ours.hit), rows, rays).all()
 
 
 # --- clip planes of Mitsuba's sensors

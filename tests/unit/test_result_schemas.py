@@ -1,4 +1,4 @@
-"""`mitsuba-ref schema NAME`: what the commands write fits the schema that is published for it."""
+"""Results of the commands fit the schemas of `mitsuba-ref schema NAME`."""
 
 import json
 from dataclasses import replace
@@ -12,6 +12,7 @@ from mitsuba_ref.cli.doctor import RESULTS, result_schema
 from mitsuba_ref.exr_compare.approved import ImageCheck, ImageChecks
 from mitsuba_ref.exr_compare.comparison_result import FileComparison, GroupResult, Worst
 from mitsuba_ref.judge.verdict import Failure
+from mitsuba_ref.report.results import as_json
 
 NAN = float("nan")
 
@@ -51,5 +52,5 @@ def test_a_comparison_fits_also_where_a_value_is_not_a_number():
 
 def test_checks_of_approved_images_fit():
     checks = ImageChecks((ImageCheck("a", "a.exr", False, ("stale",), refused=True),))
-    fits("check", checks.to_dict())
-    assert checks.to_dict()["ok"] is False
+    fits("check", as_json(checks))
+    assert as_json(checks)["ok"] is False

@@ -8,13 +8,14 @@ from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from importlib import import_module
 from pkgutil import iter_modules
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar, get_args
 
 import numpy as np
 
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.judge.verdict import SceneCheck
+from mitsuba_ref.reference.shared_input import pixel_of
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 Scope = Literal["scene", "window", "film"]
@@ -67,20 +68,16 @@ def all_checks() -> tuple[Check, ...]:
 
 
 def checks_of(
-    whose: str, *, thorough: bool = False, whole_scene: bool = True, camera: bool = True
+    whose: str, scopes: Iterable[Scope] = get_args(Scope), *, thorough: bool = False, camera: bool = True
 ) -> tuple[Check, ...]:
     """The checks of OURS or a CANDIDATE.
 
-    thorough: include those beyond the judged film; whole_scene: include those made once a scene; camera: include those
-    that need the camera's rays.
+    thorough: include those beyond the judged film; camera: include those that need the camera's rays.
     """
     return tuple(
         each
         for each in all_checks()
-        if whose in each.of
-        and (thorough or not each.thorough)
-        and (whole_scene or each.scope != "scene")
-        and (camera or not each.camera)
+        if whose in each.of and (thorough or not each.thorough) and each.scope in scopes and (camera or not each.camera)
     )
 
 
@@ -98,12 +95,16 @@ def worst_share(name: str, shares: Iterable[tuple[float, str]], nothing: str = "
     return SceneCheck(name, *max(shares, key=lambda share: (np.isnan(share[0]), share[0]), default=(0.0, nothing)))
 
 
+def bits_differ(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Where two arrays of one shape and type have other bits, as bool."""
+    found: np.ndarray = np.ascontiguousarray(a).view(f"u{a.itemsize}") != np.ascontiguousarray(b).view(f"u{b.itemsize}")
+    return found
+
+
 def worst_pixel(name: str, shares: dict[str, np.ndarray], among: np.ndarray, scene: Scene) -> SceneCheck:
     """The largest of all shares, with its pixel."""
     table = np.array([np.where(among, error_over_bound(share, np.ones(1)), 0.0) for share in shares.values()])
     if not table.size:
         return SceneCheck(name, 0.0, "nothing to look at")
     part, pixel = np.unravel_index(int(np.argmax(table)), table.shape)
-    x0, y0, x1, _y1 = scene.film.window
-    x, y = x0 + int(pixel) % (x1 - x0), y0 + int(pixel) // (x1 - x0)
-    return SceneCheck(name, float(table[part, pixel]), f"{list(shares)[int(part)]} at ({x}, {y})")
+    return SceneCheck(name, float(table[part, pixel]), f"{list(shares)[part]} at {pixel_of(scene, int(pixel))}")

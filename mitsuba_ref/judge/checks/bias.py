@@ -1,4 +1,4 @@
-"""Bias: a systematic offset of the reference's errors, by kind of primitive (docs/method.md, "Bias")."""
+"""Bias (docs/method.md, "Bias"): systematic errors of the reference by kind, and a factor on all t of a candidate."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -9,12 +9,13 @@ from caster.geometry.packing import Packed
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, row_distance
 from mitsuba_ref.error_model.intersections import dot, row_groups, stacked_columns
 from mitsuba_ref.error_model.scene_model import kinds_of
-from mitsuba_ref.error_model.tolerances import KU, LARGEST_Z, U32, K
-from mitsuba_ref.judge.checks import OURS, check
+from mitsuba_ref.error_model.tolerances import BIASED_PIXELS, KU, LARGEST_T_BIAS, LARGEST_Z, MIN_GROUPS, U32, K
+from mitsuba_ref.judge.checks import CANDIDATE, OURS, check
 from mitsuba_ref.judge.comparison import ImagePair
 from mitsuba_ref.judge.verdict import BIAS_OF_POSITION, BIAS_OF_T, ErrorStatistics, Extremes, KindBias, SceneCheck
 from mitsuba_ref.shapes import kind_of
 from mitsuba_ref.shapes.shape_reference import PositionTerms
+from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64
 
 # A defect of ours far below what float32 resolves moves no pixel beyond its bound, but it moves all of them the same
 # way. Rounding does so, too, within a primitive: its numbers are rounded once, for all rays. So only the means of
@@ -67,23 +68,20 @@ def error_statistics(windows: Sequence[PixelErrors]) -> ErrorStatistics:
     biases = []
     for kind in dict.fromkeys(kind for window in windows for kind in window.kinds):
         found = [window.kinds[kind] for window in windows if kind in window.kinds]
-        ways = zip(*(errors.groups for errors in found), strict=True)
-        groups, z = zip(*(z_of_groups(merged_groups(way)) for way in ways), strict=True)
+        ways = zip(*(errors.groups for errors in found), strict=True)  # a group may have pixels in several windows
+        merged = (group_sums(*(np.concatenate(arrays) for arrays in zip(*way, strict=True))) for way in ways)
+        groups, z = zip(*map(z_of_groups, merged), strict=True)
         total, weight = np.sum([errors.t_sums for errors in found], axis=0)
         t_bias = float(total / weight) if weight > 0.0 else 0.0
         biases.append(KindBias(kind, min(groups), min(z, key=abs), found[0].quantity, t_bias))
-    return ErrorStatistics(len(t), extremes(t), extremes(normal), looseness(t), tuple(biases))
+    middle = float(np.median(t)) if len(t) else 0.0
+    looseness = K / middle if middle > 0.0 else float("inf")  # bound over error
+    return ErrorStatistics(len(t), extremes(t), extremes(normal), looseness, tuple(biases))
 
 
 def extremes(k: np.ndarray) -> Extremes:
     """The largest value and the 99th percentile; 0 if there is none."""
     return Extremes(*map(float, np.quantile(k, (1.0, 0.99)))) if len(k) else Extremes()
-
-
-def looseness(k: np.ndarray) -> float:
-    """Bound over error at the median."""
-    middle = float(np.median(k)) if len(k) else 0.0
-    return K / middle if middle > 0.0 else float("inf")
 
 
 def untied(prim: np.ndarray, kind: np.ndarray, tied: np.ndarray, tied_kind: np.ndarray) -> np.ndarray:
@@ -111,9 +109,7 @@ def _errors_of_kinds(
         prims, here = packed.kinds[place].prims, (kind == place) & evidence
         at, reference = rows[here], kind_of(prims)
         o, d = (a[at].astype(np.float64) for a in (pair.rays.o, pair.rays.d))
-        ways = reference.rounding_groups
-        if not scalar and reference.rounding_groups_llvm is not None:
-            ways = reference.rounding_groups_llvm
+        ways = (None if scalar else reference.rounding_groups_llvm) or reference.rounding_groups
         keys = [way(prims, k[here], bounds.own.n[at], o, d) for way in ways]
         quantity, errors = BIAS_OF_T, share[at]
         if reference.position_terms is not None:
@@ -121,7 +117,9 @@ def _errors_of_kinds(
             errors = position_shares(reference.position_terms, prims, k[here], at, pair, bounds)
             keys.append(pair.result.answer.prim_uv[at])  # a corner's products with the same number are rounded alike
         groups = tuple(group_sums(key, errors) for key in keys)
-        found[reference.name] = KindErrors(quantity, groups, t_roundings(share[at], pair.t[at], bounds.at.t_error[at]))
+        resolution = U32 * pair.t[at] / bounds.at.t_error[at]  # how well each t is resolved, its weight
+        t_sums = np.array([share[at] @ resolution, resolution @ resolution])
+        found[reference.name] = KindErrors(quantity, groups, t_sums)
     return found
 
 
@@ -147,28 +145,12 @@ def position_shares(
     return np.where(np.isnan(share), 0.0, share)  # a position that is no number fails its own check
 
 
-def t_roundings(share: np.ndarray, t: np.ndarray, t_error: np.ndarray) -> np.ndarray:
-    """(2,) sums of the errors of t in roundings U t, weighted by how well each t is resolved, and of the weights.
-
-    share: (m,) error over bound; t, t_error: (m,).
-    """
-    resolution = U32 * t / t_error
-    return np.array([share @ resolution, resolution @ resolution])
-
-
 def group_sums(key: np.ndarray, error: np.ndarray, count: np.ndarray | None = None) -> GroupSums:
     """Sums over groups. key: (m, c), equal in a group; error: (m,) signed; count: (m,) pixels, one each if None."""
     group = row_groups(key)
     keys = np.empty((int(group.max(initial=-1)) + 1, key.shape[1]), key.dtype)
     keys[group] = key
     return GroupSums(keys, np.bincount(group, error), np.bincount(group, count))
-
-
-def merged_groups(sums: Sequence[GroupSums]) -> GroupSums:
-    """Sums over the groups of several windows; a group may have pixels in each."""
-    if len(sums) == 1:
-        return sums[0]
-    return group_sums(*(np.concatenate(arrays) for arrays in zip(*sums, strict=True)))
 
 
 def z_of_groups(sums: GroupSums) -> tuple[int, float]:
@@ -185,13 +167,77 @@ def z_of_groups(sums: GroupSums) -> tuple[int, float]:
 @check(of=(OURS,), scope="film")
 def check_bias(statistics: ErrorStatistics) -> SceneCheck:
     """Fail if the errors of a kind with enough groups have a mean that chance does not explain."""
-    biased = [bias for bias in statistics.biases if bias.enough_groups and not abs(bias.z) <= LARGEST_Z]
     words = [
         f"{bias.quantity} of {bias.kind} is biased: z {bias.z:.1f} of {bias.groups} groups, "
         f"{LARGEST_Z:g} at most by chance"
-        for bias in biased
+        for bias in statistics.biases
+        if bias.enough_groups and not abs(bias.z) <= LARGEST_Z
     ] or [
         f"{bias.kind} z {bias.z:.1f} of {bias.groups} groups{'' if bias.enough_groups else ', too few to tell'}"
         for bias in statistics.biases
     ]
     return SceneCheck("bias", abs(statistics.z) / LARGEST_Z, "; ".join(words) or "nothing to look at")
+
+
+# ---- a common factor on all t of a candidate, even within their bounds
+
+ROUNDOFF = {FLOAT32: U32, FLOAT64: 2.0**-53}  # u of a candidate's precision
+FIT_ROUNDING = 2.0**-20  # far above the residual of a column that a float64 least-squares fit explains fully
+
+
+class FactorFit(NamedTuple):
+    """The factor 1 + u `roundings` that fits all t best, beside a shift of each shape."""
+
+    roundings: float
+    z: float  # of the sums over primitives, whose signs are random without such a factor
+    groups: int  # primitives at which a factor differs from a shift
+
+
+@check(of=(CANDIDATE,), scope="window")
+def check_t_bias(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.ndarray) -> SceneCheck | None:
+    """Fail if one factor explains the errors of t, and is larger than estimated reciprocals make it.
+
+    None if t is not given, or if the candidate rounds rays or geometry itself.
+    """
+    answer = pair.answer
+    if answer.hits_only or answer.own_camera or answer.own_geometry:
+        return None
+    fit = fitted_factor(packed, pair, bounds, prims)
+    words = f"t is off by {fit.roundings:+.1f} of its roundings on average, z {fit.z:.1f} of {fit.groups} primitives"
+    if fit.groups < MIN_GROUPS:
+        return SceneCheck("t_bias", 0.0, f"{fit.groups} primitives, too few to tell")
+    ratio = min(abs(fit.roundings) / LARGEST_T_BIAS, abs(fit.z) / LARGEST_Z)
+    if ratio > 1.0:
+        words += f"; estimated reciprocals explain at most {LARGEST_T_BIAS:g}: is every t scaled by a constant?"
+    return SceneCheck("t_bias", ratio, words)
+
+
+def fitted_factor(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.ndarray) -> FactorFit:
+    """Fit one factor on t by least squares over pixels, weighted by their bounds.
+
+    A candidate may round the origin of its rays, or the place of a shape, once for all rays; a shift by the vector s
+    changes t by s.n / d.n. So a shift of each shape is fitted first, and its part is removed from errors and factor.
+    """
+    answer, own = pair.answer, bounds.own
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        bound = own.t_error + answer.t_rounding
+        error = (answer.t - own.t) / bound
+        shift = own.n / (dot(own.n, pair.rays.d.astype(np.float64)) * bound)[:, None]
+        near = (prims >= 0) & answer.hit & (np.abs(error) <= 1.0) & np.isfinite(bound)
+        rows = np.flatnonzero(near & np.isfinite(shift).all(axis=1))
+    rows = rows[:: max(1, -(-len(rows) // BIASED_PIXELS))]
+    error, shift, prim = error[rows], shift[rows], prims[rows]
+    factor = ROUNDOFF[answer.precision] * own.t[rows] / bound[rows]
+    of_shape = packed.shape_of(prim)
+    for shape in np.unique(of_shape):
+        here = np.flatnonzero(of_shape == shape)
+        both = np.column_stack([error[here], factor[here]])
+        left = both - shift[here] @ np.linalg.lstsq(shift[here], both, rcond=None)[0]
+        tells = np.linalg.norm(left[:, 1]) > FIT_ROUNDING * np.linalg.norm(both[:, 1])
+        error[here], factor[here] = left.T if tells else np.zeros((2, 1))  # at a plane, a shift explains any factor
+    tells = factor != 0.0
+    sums = group_sums(prim[tells, None], error[tells] * factor[tells]).errors
+    weight, spread = float(factor @ factor), float(np.sqrt(sums @ sums))
+    if weight == 0.0 or spread == 0.0:
+        return FactorFit(0.0, 0.0, len(sums))
+    return FactorFit(float(error @ factor) / weight, float(sums.sum()) / spread, len(sums))

@@ -10,23 +10,15 @@ from caster.geometry.packing import packed
 from caster.rendering.hits import RayHits, trace, trace_rays
 from caster.rendering.images import camera_rays, evaluate, film_window, render
 from caster.scene.model import Scene
-from mitsuba_ref.error_model.bounds import aov_rows, nearest_root
+from mitsuba_ref.error_model.bounds import aov_rows, intersections_at
 from mitsuba_ref.error_model.bracket import Bracket, Claims, RaySegments
 from mitsuba_ref.error_model.intersections import any_of_columns, norm
 from mitsuba_ref.error_model.lambert import ShadingPoints
 from mitsuba_ref.error_model.tolerances import KU_OURS
-from mitsuba_ref.judge.checks import OURS, check, worst_pixel
+from mitsuba_ref.judge.checks import OURS, bits_differ, check, worst_pixel
 from mitsuba_ref.judge.diffuse import diffuse_within_float64
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.shared_input import SharedRays, model_of
-
-
-def bits_differ(a: Aovs, b: Aovs, name: str) -> np.ndarray:
-    """(n,) bool: pixels where one AOV of two images has other bits."""
-    rows, others = aov_rows(a, name), aov_rows(b, name)
-    different = rows.view(f"u{rows.itemsize}") != others.view(f"u{rows.itemsize}")
-    return different if different.ndim == 1 else any_of_columns(different)
-
 
 # `render`, which is what users get, against the rays that are judged.
 #
@@ -66,7 +58,7 @@ def check_render(scene: Scene) -> SceneCheck:
     if differing:
         rows = np.random.default_rng(1).choice(rows, min(most, differing), replace=False)
         differs[:] = False
-        differs[rows] = ~_within_float64(scene, ours, rows, _segments(rays, rows))
+        differs[rows] = ~_within_float64(scene, ours, rows, rays)
     found = _worst(scene, "pixel", differs)
     sampled = f"; {len(rows)} of {differing} pixels with other bits looked at" if len(rows) < differing else ""
     return replace(found, what=found.what + sampled)
@@ -74,7 +66,9 @@ def check_render(scene: Scene) -> SceneCheck:
 
 def _differs(ours: Aovs, others: Aovs) -> np.ndarray:
     """(n,) bool: pixels where some AOV has other bits."""
-    found: np.ndarray = np.any([bits_differ(ours, others, name) for name in CHECKED_AOVS], axis=0)
+    pixels = len(aov_rows(ours, "depth"))
+    differs = [any_of_columns(bits_differ(ours[name], others[name]).reshape(pixels, -1)) for name in CHECKED_AOVS]
+    found: np.ndarray = np.any(differs, axis=0)
     return found
 
 
@@ -93,13 +87,9 @@ def _by_longer_rays(view: RayHits) -> RayHits:
     )
 
 
-def _segments(rays: Any, rows: np.ndarray) -> RaySegments:
-    """Some of the camera's rays."""
-    return RaySegments(rays.o[rows], rays.d[rows], rays.t_min[rows], rays.t_max[rows])
-
-
-def _within_float64(scene: Scene, ours: Aovs, rows: np.ndarray, rays: RaySegments) -> np.ndarray:
-    """(m,) bool: geometry within float64's bracket, diffuse as the lights' definitions give it there."""
+def _within_float64(scene: Scene, ours: Aovs, rows: np.ndarray, rays: Any) -> np.ndarray:
+    """(m,) bool: at these rows, geometry is in float64's bracket, and diffuse as the lights' definitions give it."""
+    rays = RaySegments(*(each[rows] for each in rays[:4]))
     depth, n, sh_n, p, uv, shape, diffuse, prim = (aov_rows(ours, name)[rows] for name in CHECKED_AOVS)
     t = depth / norm(rays.d)
     model = model_of(scene, packed(scene), SharedRays(rays.o, rays.d, rays.t_max, np.zeros(len(t))))
@@ -110,7 +100,7 @@ def _within_float64(scene: Scene, ours: Aovs, rows: np.ndarray, rays: RaySegment
     hit = np.flatnonzero(right & (shape >= 0))
     o, d, t, shape = rays.o[hit], rays.d[hit], t[hit], shape[hit]
     prim = model.packed.first[shape] + prim[hit]
-    at = nearest_root(model.intersect(prim, o, d, KU_OURS, ours=True), t)
+    at = intersections_at(model, prim, (o, d), t, KU_OURS, ours=True)
     right[hit] &= diffuse_within_float64(
         scene, ShadingPoints(o + t[:, None] * d, d, shape, at), prim, diffuse[hit], bracket
     )

@@ -13,8 +13,9 @@ from caster.geometry.packing import packed, rejected_faces
 from caster.rendering.hits import cast, occluded
 from caster.rendering.images import camera_rays, evaluate, film_window, render, trace_film
 from caster.scene.model import Point, Scene
+from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.error_model.intersections import LARGEST_COORDINATE
-from mitsuba_ref.judge.checks import OURS, check
+from mitsuba_ref.judge.checks import OURS, bits_differ, check
 from mitsuba_ref.judge.verdict import SceneCheck
 
 Arrays = Mapping[str, np.ndarray]
@@ -27,14 +28,13 @@ CROPS = [(0, 0, SIDE, SIDE), (3, 4, 9, 11), (7, 7, 8, 8)]
 
 
 def different_bits(expected: Arrays, found: Arrays, what: str) -> Iterator[str]:
-    """For each array of other bits: its name, the number of its different entries, and the first of them."""
+    """For each array whose bits differ: its name, the number of entries that differ, and the first of them."""
     for name, a in expected.items():
         b = found[name]
         if (a.shape, a.dtype) != (b.shape, b.dtype):
             yield f"{what}: {name}: {a.shape} {a.dtype}, {b.shape} {b.dtype}"
             continue
-        rows, others = (np.ascontiguousarray(each).view(f"u{a.itemsize}") for each in (a, b))
-        differ = np.argwhere(rows != others)
+        differ = np.argwhere(bits_differ(a, b))
         if len(differ):
             at = tuple(int(i) for i in differ[0])
             yield f"{what}: {name}: {len(differ)} of {a.size} differ, first at {at}: {a[at]!r}, {b[at]!r}"
@@ -78,11 +78,7 @@ def route_differences(scene: Scene) -> Iterator[str]:
         yield from different_bits(cut, traced, "rays of a crop")
     o, d, t_min, t_max = camera_rays(small)[:4]
     if (t_max >= t_min).all():
-        yield from _cast_differences(small, {name: _rows(whole[name]) for name in ALL}, (o, d), (t_min, t_max))
-
-
-def _rows(image: np.ndarray) -> np.ndarray:
-    return image.reshape(-1, *image.shape[2:])
+        yield from _cast_differences(small, {name: aov_rows(whole, name) for name in ALL}, (o, d), (t_min, t_max))
 
 
 def _cast_differences(
@@ -90,10 +86,8 @@ def _cast_differences(
 ) -> Iterator[str]:
     """Between the image and its rays cast one by one, and between limits for all rays and for each."""
     o, d = lines
-    near, far = limits
-    normal = cast(scene, o, d, t_min=near, t_max=far).normal  # of a call of its own, found without the others
-    yield from different_bits({"normal": image["normal"]}, {"normal": normal}, "cast(...).normal")
-    hits = cast(scene, o, d, t_min=near, t_max=far)
+    hits, alone = (cast(scene, o, d, t_min=limits[0], t_max=limits[1]) for _ in range(2))
+    yield from different_bits({"normal": image["normal"]}, {"normal": alone.normal}, "cast(...).normal")
     surface = hits.surface
     found = {
         "depth": hits.t * np.sqrt(d[:, 0] * d[:, 0] + d[:, 1] * d[:, 1] + d[:, 2] * d[:, 2]),
@@ -109,17 +103,21 @@ def _cast_differences(
     if not len(first):
         return
     t = float(first[len(first) // 2])
-    pairs = [(0.0, np.inf), (0.0, t), (0.0, np.nextafter(t, 0.0)), (t, np.inf), (0.9 * t, 1.1 * t)]
-    alone = [cast(scene, o, d, t_min=low, t_max=high).t for low, high in pairs]
-    for (low, high), each in zip(pairs, alone, strict=True):
-        blocked = occluded(scene, o, d, high, t_min=low)
-        yield from different_bits({"t": np.isfinite(each)}, {"t": blocked}, f"occluded, t_min {low!r}, t_max {high!r}")
-    lows, highs = (np.resize(column, len(o)) for column in np.array(pairs).T)
-    expected = np.choose(np.arange(len(o)) % len(pairs), alone)
+    limits_of_all: list[tuple[Any, Any]] = [
+        (0.0, np.inf),
+        (0.0, t),
+        (0.0, np.nextafter(t, 0.0)),
+        (t, np.inf),
+        (0.9 * t, 1.1 * t),
+    ]
+    of_all = [cast(scene, o, d, t_min=low, t_max=high).t for low, high in limits_of_all]
+    lows, highs = (np.resize(column, len(o)) for column in np.array(limits_of_all).T)
+    of_each = np.choose(np.arange(len(o)) % len(of_all), of_all)
     t_of_each = cast(scene, o, d, t_min=lows, t_max=highs).t
-    yield from different_bits({"t": expected}, {"t": t_of_each}, "t_min and t_max of each ray")
-    blocked = occluded(scene, o, d, highs, t_min=lows)
-    yield from different_bits({"t": np.isfinite(expected)}, {"t": blocked}, "occluded, each ray")
+    yield from different_bits({"t": of_each}, {"t": t_of_each}, "t_min and t_max of each ray")
+    for (low, high), each in zip([*limits_of_all, (lows, highs)], [*of_all, of_each], strict=True):
+        blocked = occluded(scene, o, d, high, t_min=low)
+        yield from different_bits({"t": np.isfinite(each)}, {"t": blocked}, f"occluded, t_min {low}, t_max {high}")
 
 
 # ---- brute force ----
@@ -127,7 +125,7 @@ def _cast_differences(
 
 @check(of=(OURS,), camera=True, thorough=True)
 def check_brute_force(scene: Scene) -> SceneCheck:
-    """The film by its planned culling has to have the bits of testing every primitive."""
+    """The planned culling of a film has to give the same bits as testing every primitive."""
     small = _whole_film(scene, SIDE, SIDE)
     found = different_bits(render(small, ALL, culling="brute-force"), render(small, ALL), "planned culling")
     return _result("brute_force", found, f"a film of {SIDE} x {SIDE} pixels")
@@ -148,7 +146,7 @@ PACKED_LENGTHS = ("vertices", "center", "radius", "to_world", "point")
 
 @check(of=(OURS,), camera=True, thorough=True)
 def check_scaling(scene: Scene) -> SceneCheck:
-    """A power of two has to scale a scene exactly: depth and position scale too, and all else keeps its bits.
+    """Scaling a scene by a power of two has to scale depth and position exactly and to keep all other bits.
 
     Products, sums, quotients, roots and matrix inverses round alike when their operands are multiplied by powers of
     two, short of overflow and underflow. A threshold in scene units shows as other bits.

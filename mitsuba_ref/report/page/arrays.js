@@ -1,8 +1,8 @@
-// Arrays out of text, to the bit: mitsuba_ref/report/scene_record.py packs them.
+// Decodes arrays from text without loss; mitsuba_ref/report/scene_record.py encodes them.
 
 const KINDS = { f4: Float32Array, f8: Float64Array, i4: Int32Array, u1: Uint8Array };
 
-/** {type, z, delta?, xor?} -> typed array; like: what its bits were taken off from, as it was unpacked. */
+/** {type, z, delta?, xor?} -> typed array. like: the unpacked array with which its bits were XORed. */
 async function unpacked(packed, like) {
   const kind = KINDS[packed.type], size = kind.BYTES_PER_ELEMENT;
   const bytes = interleaved(await inflated(packed.z), size);
@@ -18,7 +18,7 @@ async function inflated(text) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-/** Bytes of equal weight lie together; here they come back to their numbers. */
+/** Puts the bytes of each number back together; in a packed array, bytes of equal weight are grouped. */
 function interleaved(planes, size) {
   const count = planes.length / size, bytes = new Uint8Array(planes.length);
   for (let b = 0; b < size; b++) {
@@ -28,14 +28,14 @@ function interleaved(planes, size) {
   return bytes;
 }
 
-/** Each number is how far it is from the one before, modulo the size of its type. */
+/** Undoes the encoding of each number as its difference from the one before, modulo the size of its type. */
 function addUp(bytes, size) {
   const whole = { 1: Uint8Array, 4: Uint32Array, 8: BigUint64Array }[size];
   const numbers = new whole(bytes.buffer);
   for (let i = 1; i < numbers.length; i++) numbers[i] += numbers[i - 1];
 }
 
-/** The same numbers as floats of this kind; 0 for NaN, whose bits a conversion may change. */
+/** Converts numbers to floats of this kind; NaN becomes 0, since a conversion may change its bits. */
 function base(like, kind) {
   const numbers = kind.from(like);
   for (let i = 0; i < numbers.length; i++) if (Number.isNaN(like[i])) numbers[i] = 0;

@@ -37,7 +37,7 @@ const DIVERGING = table(
 
 const GRAYS = table((x) => 0.12 + 0.86 * x, () => 0, () => 0);
 
-// What is no colour of a number.
+// Colours that stand for no number.
 const CATEGORIES = {
   miss: { color: [38, 42, 49], words: "miss" },
   nan: { color: [255, 0, 255], words: "NaN, not a number" },
@@ -49,7 +49,7 @@ const CATEGORIES = {
   unbounded: { color: [255, 170, 200], words: "no bound holds (infinite)" },
 };
 
-/** A colour that stays with a number, far from its neighbours': ids. */
+/** The colour of an id: always the same, and far from those of its neighbours. */
 function idColor(number) {
   const light = 0.55 + 0.3 * ((number * 0.381966) % 1);
   const angle = 2 * Math.PI * ((number * 0.618034 + 0.13) % 1);

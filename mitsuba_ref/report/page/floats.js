@@ -1,4 +1,4 @@
-// Numbers as people read them: decimal and hexadecimal digits, and words for what is no number.
+// Formatting of numbers: decimal and hexadecimal digits, and words for NaN and infinities.
 
 const BITS = new DataView(new ArrayBuffer(8));
 

@@ -102,7 +102,7 @@ function layerHtml(record, row, layer) {
 <tbody>${rows}</tbody></table></section>`;
 }
 
-/** A candidate is held to the bound of its own arithmetic, from the surface in float64. */
+/** The bound of a candidate is that of its own arithmetic, on its distance from the surface in float64. */
 function boundHtml(record, data, row) {
   if (!data.ratio) return "";
   const share = data.ratio[row];

@@ -1,4 +1,4 @@
-// Every key, by its character, so that keyboards of all countries have them.
+// Keyboard shortcuts by character, so that they work on every keyboard layout.
 
 const SCENE_KEYS = {
   g: () => chooseView("all"), o: () => chooseView("ours"), r: () => chooseView("reference"),
@@ -29,7 +29,7 @@ function onKey(event) {
   action();
 }
 
-/** In the field of the filter, Enter and Escape go back to the list. */
+/** In the filter field, Enter and Escape go back to the list. */
 function leaveField(event) {
   if (event.key !== "Escape" && event.key !== "Enter") return;
   event.target.blur();

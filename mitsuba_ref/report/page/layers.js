@@ -40,7 +40,7 @@ function notGiven(record, layer) {
     ? `the candidate gives no ${layer.words}: not judged` : "";
 }
 
-/** {ours, reference, channels, ratio, bound, alone, own}: channel after channel; null for what is not there. */
+/** {ours, reference, channels, ratio, bound, alone, own}: arrays, channel by channel; null if missing. */
 async function layerData(record, layer) {
   const count = record.classes.length;
   const data = { layer, count, channels: 1, missing: notGiven(record, layer) };
@@ -73,7 +73,7 @@ async function layerData(record, layer) {
   return data;
 }
 
-/** What colours span: quantiles of what the reference hits. Infinite and NaN take no part. */
+/** The range of a colour map: quantiles of the finite values where the reference hits. */
 function rangesOf(record, data) {
   const shown = Array.from({ length: data.channels }, () => []), apart = [], sizes = [];
   for (let i = 0; i < data.count; i++) {
@@ -100,7 +100,7 @@ function quantile(numbers, share) {
   return Float64Array.from(some).sort()[Math.round(share * (some.length - 1))];
 }
 
-/** Of several channels that which differs most, with its sign; NaN wins over all. */
+/** The signed difference of the channel that differs most; NaN if any is NaN. */
 function largestDifference(data, i) {
   let largest = 0;
   for (let c = 0; c < data.channels; c++) {

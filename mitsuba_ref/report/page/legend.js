@@ -1,4 +1,4 @@
-// Legends: a bar with numbers, and what the colours that stand for no number mean.
+// Legends: a bar with numbers, and the meaning of colours that stand for no number.
 
 function legendHtml(legend) {
   const swatches = (legend.swatches ?? []).map(swatchHtml).join("");

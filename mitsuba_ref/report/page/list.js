@@ -16,13 +16,13 @@ const rankOf = (scene) => (scene.mark === "FAIL" ? 0 : isWaived(scene) ? 1 : 2);
 const unlike = (scene) => Object.entries(scene.counts).reduce((sum, [name, n]) => sum + (name === "agree" ? 0 : n), 0);
 const numberOf = (ratio) => (typeof ratio === "number" ? ratio : ratio === "inf" ? Infinity : NaN);
 
-/** [check, share]: of the check that was chosen, or of the one that comes nearest to its bound. */
+/** [check, share] of the chosen check, or of the one nearest to its bound. */
 function shownShare(scene) {
   return state.ck ? [state.ck, numberOf(scene.ratios[state.ck] ?? 0)] : [scene.worst[0], numberOf(scene.worst[1])];
 }
 const shareOf = (scene) => shownShare(scene)[1] || 0;
 
-/** Scenes as the filters and the order have them. */
+/** The filtered and sorted scenes. */
 function listed() {
   const words = state.q.toLowerCase().split(/\s+/).filter(Boolean);
   return RUN.scenes.filter((scene) => {
@@ -38,7 +38,7 @@ function hasStatus(scene) {
   return state.st === "crash" ? scene.crashed : true;
 }
 
-/** Failed there; or, of scenes that pass, has anything between ours and the reference's at all. */
+/** Whether the scene fails the chosen check, or has any difference in it. */
 function usesCheck(scene) {
   return !state.ck || scene.failed_at.includes(state.ck) || numberOf(scene.ratios[state.ck] ?? 0) > 0;
 }
@@ -51,7 +51,7 @@ function hasClass(scene) {
 const rowsElement = () => document.getElementById("rows");
 const rowHeight = () => (matchMedia("(max-width: 700px)").matches ? ROW_NARROW : ROW);
 let shownScenes = [];
-let currentName = ""; // the row that the keys are at
+let currentName = ""; // the row that the keyboard has selected
 
 function showList() {
   shownScenes = listed();
@@ -91,7 +91,7 @@ function focusRow(name) {
   document.querySelector(`#inside a[data-scene="${CSS.escape(name)}"]`)?.focus({ preventScroll: true });
 }
 
-/** The next or the one before in the list, from wherever the keys are. */
+/** Select the next or previous row of the list. */
 function stepInList(step) {
   const at = shownScenes.findIndex((scene) => scene.name === (state.s || currentName));
   const next = shownScenes[Math.min(shownScenes.length - 1, Math.max(0, at + step))];

@@ -1,4 +1,4 @@
-// Layers as colours. Each painter gives an RGBA image and a legend of what it used.
+// Layers as colours. Each painter gives an RGBA image and the legend of its colours.
 
 const PICTURES = {
   ours: { words: JUDGED, paint: (record, data) => paintSide(record, data, "ours", 1) },
@@ -50,7 +50,7 @@ function paintSide(record, data, side, bit) {
   return { image: canvas.image, legend: { ...sideLegend(data), swatches: canvas.swatches() } };
 }
 
-/** A channel that is not finite, if one is. */
+/** The first value that is not finite, if there is one. */
 function oddest(data, numbers, i) {
   for (let c = 0; c < data.channels; c++) {
     const value = numbers[c * data.count + i];

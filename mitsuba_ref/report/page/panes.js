@@ -1,7 +1,7 @@
 // Panes: images side by side that zoom and pan together.
 
 const MAX_ZOOM = 128; // screen pixels a pixel
-const GRID_FROM = 12, NUMBERS_FROM = 60; // from which zoom on there are lines between pixels, and numbers in them
+const GRID_FROM = 12, NUMBERS_FROM = 60; // least zoom for lines between pixels, and for numbers in them
 const NUMBER_LINES = { 1: [17], 2: [-8, 17], 3: [-8, 16, 28] }; // baselines below the middle of a pixel, whose ray is there
 const BLINK_MS = 600;
 

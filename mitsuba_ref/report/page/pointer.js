@@ -1,6 +1,6 @@
 // Pointer, wheel and touch events on an image.
 
-/** Wheel zooms, dragging pans or moves the wipe, a click pins a pixel, the pointer looks at one. */
+/** The wheel zooms, dragging pans or moves the wipe, a click pins a pixel; the pixel below the pointer is inspected. */
 function listenTo(pane) {
   const { canvas } = pane, touches = new Map();
   let moved = 0, wiping = false;
@@ -51,7 +51,7 @@ function listenTo(pane) {
   canvas.addEventListener("dblclick", (event) => zoomBy(4, pane, pane.film(...spot(event))));
 }
 
-/** Two fingers: their distance zooms about the one that stays. */
+/** Two fingers: zoom by their distance, about the finger that does not move. */
 function pinch(pane, touches, moving, now) {
   const [[, other]] = [...touches].filter(([id]) => id !== moving);
   const apart = ([x, y]) => Math.hypot(x - other[0], y - other[1]) || 1;

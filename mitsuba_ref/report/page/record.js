@@ -4,7 +4,7 @@ const RUN = JSON.parse(document.getElementById("index").textContent);
 const CLASS_COLORS = RUN.colors; // class -> [r, g, b]
 const KEPT_SCENES = 3; // records that stay in memory
 const records = new Map(); // name -> Promise of a SceneRecord
-const awaited = new Map(); // name -> function that takes what a script of the folder data hands over
+const awaited = new Map(); // name -> function that receives the record from a script of the folder data
 
 RUN.scenes.forEach((scene, i) => { scene.place = i; });
 
@@ -31,7 +31,7 @@ class SceneRecord {
     return this.parts[name];
   }
 
-  /** One array of a part; those that were taken off another wait for it. */
+  /** One array of a part. like: the name of the array with which its bits were XORed. */
   array(part, name, like) {
     const key = `${part}/${name}`;
     if (!this.arrays.has(key)) {
@@ -43,7 +43,7 @@ class SceneRecord {
     return this.arrays.get(key);
   }
 
-  /** What every view needs: size of the window, class and hits of each pixel, ids, reasons, exact answers. */
+  /** Unpack what every view needs: size of the window, class and hits of each pixel, ids, reasons, exact answers. */
   async begin() {
     const about = (this.about = this.part("about"));
     const [x0, y0, x1, y1] = about.window;
@@ -75,7 +75,7 @@ class SceneRecord {
 
 const FAILING = new Set(["wrong", "undecided", "unlisted"]);
 
-/** Row -> its numbers, of a part that speaks of some pixels. */
+/** Map of row -> its numbers, for a part about some of the pixels. */
 async function byRow(record, part, names) {
   const rows = await record.array(part, "rows");
   const columns = await Promise.all(names.map((name) => record.array(part, name)));
@@ -84,7 +84,7 @@ async function byRow(record, part, names) {
 
 const BLOCK = 6, FEW = 6, MARKS = 200;
 
-/** Of blocks that hold, with their neighbours, a few of these rows the first: more are visible without a mark. */
+/** The first row of each block that, with its neighbours, holds only a few of these rows; more are visible unmarked. */
 function lonely(record, rows) {
   const wide = Math.ceil(record.width / BLOCK) + 2; // with a margin, so that neighbours in a row are no wrap
   const blocks = new Map();
@@ -104,8 +104,8 @@ function rowsOf(classes, wanted) {
   return rows;
 }
 
-/** Rows of one cause and one shape that touch one another, the largest such region first. Pixels without a cause, as
- *  they were not adjudicated, belong to the region beside them. */
+/** Connected regions of rows with one cause and one shape, the largest first. Pixels that were not adjudicated, and so
+ *  have no cause, belong to the region beside them. */
 function groupsOf(record, rows) {
   const { texts } = record.about.reasons, left = new Map(), groups = [];
   for (const row of rows) {
@@ -136,7 +136,7 @@ function neighbours(record, row) {
   return [-1, 0, 1].flatMap((dy) => [-1, 0, 1].map((dx) => record.row(x + dx, y + dy)));
 }
 
-/** A promise of the record; rejected with words where there is none. */
+/** A promise of the record; rejected with a message if there is none. */
 function recordOf(scene) {
   if (!records.has(scene.name)) {
     if (records.size >= KEPT_SCENES) records.delete(records.keys().next().value);

@@ -28,7 +28,7 @@ function markHtml(scene) {
   return `<span class="badge ${scene.mark.toLowerCase()}" title="${title ?? ""}">${words}</span>`;
 }
 
-/** In proportion, but six points at least: one pixel in a hundred thousand stays visible. */
+/** A bar in proportion, of at least six points, so that one pixel in a hundred thousand stays visible. */
 function classBar(scene) {
   const parts = countsOf(scene).filter(([, count]) => count);
   const bars = parts.map(([name, count]) =>
@@ -36,7 +36,7 @@ function classBar(scene) {
   return `<span class="classbar" aria-hidden="true">${bars.join("")}</span>`;
 }
 
-/** [class, pixels], the unlisted apart from those where the reference is wrong as is known. */
+/** [class, pixels]; unlisted errors of the reference are counted apart from known ones. */
 function countsOf(scene) {
   const counts = { ...scene.counts, unlisted: scene.unlisted };
   counts.reference_wrong -= scene.unlisted;
@@ -59,7 +59,7 @@ function shareHtml(check, share) {
 <small><b>${words}</b> ${spaced(check)}</small>`;
 }
 
-/** Of a scene that fails: the share of its pixels that do, as no more than all of a bound can be shown. */
+/** The share of failing pixels of a scene that fails; a meter cannot show more than the whole of a bound. */
 function failingHtml(scene, check, share) {
   const of = Math.max(scene.hit_pixels, scene.failing), percent = (100 * scene.failing) / of;
   const factor = share > 1 ? `, ${spaced(check)} ${share === Infinity ? "beyond any bound" : `${brief(share)}\u00d7`}` : "";

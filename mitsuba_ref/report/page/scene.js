@@ -3,7 +3,7 @@
 const byId = (id) => document.getElementById(id);
 const sceneNow = () => RUN.scenes.find((scene) => scene.name === state.s);
 
-let turn = 0; // whoever started later wins
+let turn = 0; // the call that started last wins
 let shownScene = "", shownLayer = "", shownView = "", shownGain = 0;
 
 async function showScene() {
@@ -64,7 +64,7 @@ function paintAll(record, data) {
   }
 }
 
-/** Numbers of the other layers, for the inspector, one after the other. */
+/** Unpack the other layers for the inspector, one after another. */
 async function inspectAll(record, mine) {
   inspected.set(looking.data.layer.name, looking.data);
   for (const layer of LAYERS.filter(isFloat)) {
@@ -129,7 +129,7 @@ function expose(step) {
   showLayer(++turn);
 }
 
-/** Pixels to look at: of the chosen cause, or those that fail, or, where none does, that pass without agreeing. */
+/** Rows to look at: of the chosen cause, else those that fail, else those that pass without agreeing. */
 function badRows(record) {
   const rows = record.failing.length ? record.failing : record.unlike;
   return looking.chosen ? rows.filter((row) => looking.chosen.has(row)) : rows;
@@ -152,7 +152,7 @@ function nextGroup(step) {
   showStatus(`group ${i + 1} of ${groups.length}: ${plural(groups[i].length, "pixel")}${shape ? ` at ${shape}` : ""}`);
 }
 
-/** Only the pixels of one row of "what is wrong"; the same row again: all of them. */
+/** Show only the pixels of one cause; the same cause again shows all. */
 function chooseCause(number) {
   change({ f: state.f === number ? -1 : number });
   applyCause();
@@ -160,7 +160,7 @@ function chooseCause(number) {
   drawSoon();
 }
 
-/** What the address has chosen: rows, and a veil over all others. */
+/** The rows that the address selects, and a veil over all others. */
 function applyCause() {
   const { record } = looking, finding = record.verdict.findings?.[state.f];
   Object.assign(looking, { chosen: null, veil: null });
@@ -174,7 +174,7 @@ function applyCause() {
   looking.veil = veil;
 }
 
-/** The next pixel that fails, or, where none does, that passes without agreeing. */
+/** Go to the next pixel that fails, or, if none does, that passes without agreeing. */
 function nextBad(step) {
   const { record } = looking;
   if (!record) return;

@@ -83,7 +83,7 @@ const DOINGS = {
   brighter: () => expose(0.5), darker: () => expose(-0.5), reset: () => expose(0),
 };
 
-/** The inspector of a small window, at its foot: low, or over half of it. */
+/** Fold or unfold the inspector at the foot of a small window. */
 function toggleSheet() {
   const open = byId("side").classList.toggle("open");
   document.querySelector("[data-do=sheet]").setAttribute("aria-expanded", open);

@@ -24,7 +24,7 @@ function address(changes = {}) {
   return `#${words.join("&")}`;
 }
 
-/** Another scene or the list: a step that the browser can take back. */
+/** Go to another scene or the list, with a step in the history of the browser. */
 function go(changes) {
   const place = { z: 0, cx: -1, cy: -1, x: -1, y: -1, f: -1, ...changes };
   const next = address(place);
@@ -38,7 +38,7 @@ function go(changes) {
 const REST_MS = 200; // browsers refuse an address that changes hundreds of times while something is dragged
 let waiting = 0;
 
-/** Another view of the same scene: the address follows without a step in the history. */
+/** Change the view of the same scene; the address follows without a step in the history. */
 function change(changes) {
   Object.assign(state, changes);
   if (!waiting) waiting = setTimeout(writeAddress, REST_MS);

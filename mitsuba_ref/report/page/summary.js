@@ -15,7 +15,7 @@ ${(verdict.notes ?? []).map((note) => `<p class="note">${escaped(note)}</p>`).jo
 <p class="note">${escaped(RUN.candidate ? `held to the bounds of ${verdict.precision}; ${versions}` : versions)}</p>`;
 }
 
-/** What is wrong, most first; each shows its pixels alone. */
+/** The causes, those of most pixels first; each has a button that shows its pixels alone. */
 function foundHtml(verdict) {
   const each = ({ pixels, what, x, y }, i) => `<li>
 <button type="button" class="cause" data-cause="${i}" aria-pressed="${state.f === i}" title="these pixels alone">${plural(pixels, "pixel")}</button>

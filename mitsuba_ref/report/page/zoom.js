@@ -31,7 +31,7 @@ function fitAll() {
   drawSoon();
 }
 
-/** A pixel into view, if it is out of it. */
+/** Move a pixel into view if it is not visible. */
 function bringIntoView(x, y) {
   const pane = looking.panes[0];
   if (!pane || state.z <= 0) return;
