@@ -45,8 +45,8 @@ class SharedRays(NamedTuple):
 
     def rows(self, rows: np.ndarray | slice) -> "SharedRays":
         """Some of them."""
-        t_min = self.t_min[rows] if isinstance(self.t_min, np.ndarray) else self.t_min
-        return SharedRays(self.o[rows], self.d[rows], self.t_max[rows], self.start[rows], t_min)
+        arrays: dict[str, Any] = {name: a[rows] for name, a in self._asdict().items() if isinstance(a, np.ndarray)}
+        return self._replace(**arrays)
 
     @property
     def reference_exponent(self) -> np.ndarray:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -279,12 +279,9 @@ def matching(expression: str | None, types_of: Callable[[str], frozenset[str]] |
             f"-k {expression[:200]!r}: expected parts of names with and, or, not and parentheses"
         ) from None
 
-    def fits(name: str) -> bool:
-        def has(word: str) -> bool:
-            if types_of and word.startswith(TYPE_PREFIX):
-                return word.removeprefix(TYPE_PREFIX) in types_of(name)
-            return word in (Path(name).stem if types_of else name)
+    def has(name: str, word: str) -> bool:
+        if types_of and word.startswith(TYPE_PREFIX):
+            return word.removeprefix(TYPE_PREFIX) in types_of(name)
+        return word in (Path(name).stem if types_of else name)
 
-        return bool(eval(code, {"__builtins__": {}, "has": has}))
-
-    return fits
+    return lambda name: bool(eval(code, {"__builtins__": {}, "has": partial(has, name)}))

@@ -73,7 +73,7 @@ def split_command(text: str, placeholders: Sequence[str]) -> tuple[tuple[str, ..
 
 @dataclass(frozen=True)
 class Program(Subject):
-    """A program that is run once for each scene, without a shell, in the user's current folder."""
+    """A program that runs without a shell, in the user's current folder."""
 
     words: tuple[str, ...]
     precision: str | None
@@ -84,7 +84,7 @@ class Program(Subject):
         return {name for word in self.words for name in PLACEHOLDER.findall(word)}
 
     def run(self, values: Mapping[str, Any]) -> None:
-        """Run it with values in place of the placeholders. Raises NoAnswer with the tail of its output."""
+        """Run it once, with values in place of the placeholders. Raises NoAnswer with the tail of its output."""
         words = [PLACEHOLDER.sub(lambda found: str(values[found[1]]), word) for word in self.words]
         try:
             end = run(words, self.seconds)
@@ -313,12 +313,9 @@ DECLINED = -1  # in place of the length of a response: the program does not supp
 
 
 @dataclass(frozen=True)
-class ServedCommand(Subject):
+class ServedCommand(Program):
     """A program that is started once, reads meshes and rays from stdin and writes hits to stdout."""
 
-    words: tuple[str, ...]
-    precision: str | None
-    seconds: float
     takes_rays: ClassVar[bool] = True
     takes_limits: ClassVar[bool] = True
     running: list[ResidentProcess] = field(default_factory=list, compare=False)  # at most one

@@ -72,12 +72,9 @@ class Answer:
 
     def rows(self, rows: np.ndarray | slice) -> "Answer":
         """Some rows, without images."""
-        t_rounding = self.t_rounding[rows] if isinstance(self.t_rounding, np.ndarray) else self.t_rounding
+        some: dict[str, Any] = {name: a[rows] for name, a in vars(self).items() if isinstance(a, np.ndarray)}
         broken = {why: found[rows] for why, found in self.broken.items() if found[rows].any()}
-        names = ("n", "prim", "shape_id", "prim_id")
-        given = {name: getattr(self, name) for name in names}
-        some: dict[str, Any] = {name: None if values is None else values[rows] for name, values in given.items()}
-        return replace(self, t=self.t[rows], broken=broken, t_rounding=t_rounding, images=None, **some)
+        return replace(self, **some, broken=broken, images=None)
 
     @property
     def ku(self) -> float:

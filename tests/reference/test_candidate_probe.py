@@ -1,4 +1,4 @@
-"""`mitsuba-ref probe --candidate`: what validate found at a pixel is found again, with how far it is from right."""
+"""`mitsuba-ref probe --candidate` reproduces what validate found at a pixel, with the size of the error."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""A candidate that is right passes, and one that is wrong fails and is told what is wrong, where."""
+"""A correct candidate passes; a wrong one fails with the place and the cause."""
 
 import importlib.util
 import json

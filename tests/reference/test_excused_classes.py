@@ -1,4 +1,4 @@
-"""What explained and out_of_domain may excuse, and what they may not."""
+"""The classes explained and out_of_domain excuse rounding and nothing else."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""The command `mitsuba-ref` from outside: exit codes, what it prints and writes, and what it survives."""
+"""`mitsuba-ref validate` from outside: exit codes, output, files, and interruptions."""
 
 import json
 import os
