@@ -1,5 +1,6 @@
 """Cameras that Mitsuba has a sensor for: pinhole (`perspective`) and orthographic."""
 
+from collections.abc import Mapping
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
@@ -51,20 +52,24 @@ def pinhole_rays(camera: Pinhole, film: Film, x: np.ndarray, y: np.ndarray) -> C
     )
 
 
+def sensor_xml(kind: str, numbers: Mapping[str, float], pose: tuple[np.ndarray, np.ndarray]) -> XmlElement:
+    sensor = Element("sensor", type=kind)
+    for name, value in numbers.items():
+        SubElement(sensor, "float", name=name, value=repr(float(value)))
+    sensor.append(matrix_element(*pose))
+    return sensor
+
+
 def pinhole_to_xml(camera: Pinhole, film: Film, limits: ClipRange) -> XmlElement:
-    across, _ = half_extents(camera, film)
-    sensor = Element("sensor", type="perspective")
     px, py = camera.principal_point
     numbers = {
-        "fov": float(np.rad2deg(2.0 * np.arctan(across))),
+        "fov": float(np.rad2deg(2.0 * np.arctan(half_extents(camera, film)[0]))),
         **clip_planes(camera, limits),
         "principal_point_offset_x": px,
         "principal_point_offset_y": py,
     }
-    SubElement(sensor, "string", name="fov_axis", value="x")
-    for name, value in numbers.items():
-        SubElement(sensor, "float", name=name, value=repr(float(value)))
-    sensor.append(matrix_element(*sensor_pose(camera)))
+    sensor = sensor_xml("perspective", numbers, sensor_pose(camera))
+    sensor.insert(0, Element("string", name="fov_axis", value="x"))
     return sensor
 
 
@@ -98,11 +103,7 @@ def orthographic_rays(camera: Orthographic, film: Film, x: np.ndarray, y: np.nda
 
 
 def orthographic_to_xml(camera: Orthographic, film: Film, limits: ClipRange) -> XmlElement:
-    sensor = Element("sensor", type="orthographic")
-    for name, value in clip_planes(camera, limits).items():
-        SubElement(sensor, "float", name=name, value=repr(float(value)))
-    sensor.append(matrix_element(*sensor_pose(camera, camera.width / 2.0)))
-    return sensor
+    return sensor_xml("orthographic", clip_planes(camera, limits), sensor_pose(camera, camera.width / 2.0))
 
 
 def orthographic_random_fields(rng: np.random.Generator, size: float, view: RandomView) -> Fields:

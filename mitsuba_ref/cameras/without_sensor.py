@@ -1,11 +1,14 @@
 """Cameras without a Mitsuba sensor, whose rays Mitsuba is sent: fisheye, panorama, parabolic and single ray."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from caster.cameras.fisheye import Fisheye
 from caster.cameras.panorama import Panorama
 from caster.cameras.parabolic import Parabolic
 from caster.cameras.single_ray import Ray
+from caster.description.fields import Camera
 from caster.scene.model import Film
 from mitsuba_ref.cameras.camera_reference import (
     CameraRays,
@@ -17,15 +20,22 @@ from mitsuba_ref.cameras.camera_reference import (
 )
 
 
-def fisheye_rays(camera: Fisheye, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
-    """Equidistant fisheye: the angle from the axis is proportional to the distance from the centre of the image."""
+def circle_rays(
+    camera: Camera, film: Film, x: np.ndarray, y: np.ndarray, theta: Callable[[np.ndarray], np.ndarray]
+) -> CameraRays:
+    """An image within a circle. theta: the angle from the axis at distances from the centre, in radii of the circle."""
     radius = min(film.width, film.height) / 2.0
     right, up = (x - film.width / 2.0) / radius, (film.height / 2.0 - y) / radius
-    distance = np.hypot(right, up)
-    theta, phi = np.deg2rad(camera.fov) / 2.0 * distance, np.arctan2(up, right)
-    sine = np.sin(theta)
-    local = np.column_stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)])
+    distance, phi = np.hypot(right, up), np.arctan2(up, right)
+    polar = theta(distance)
+    sine = np.sin(polar)
+    local = np.column_stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(polar)])
     return rays_from_eye(camera, to_world_directions(camera, local), distance <= 1.0)
+
+
+def fisheye_rays(camera: Fisheye, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
+    """Equidistant fisheye: the angle from the axis is proportional to the distance from the centre of the image."""
+    return circle_rays(camera, film, x, y, lambda distance: np.deg2rad(camera.fov) / 2.0 * distance)
 
 
 def random_fisheye(rng: np.random.Generator, size: float, view: RandomView) -> Fields:
@@ -48,12 +58,7 @@ PANORAMA = CameraReference(Panorama, panorama_rays, covers_film=True)
 
 def parabolic_rays(camera: Parabolic, film: Film, x: np.ndarray, y: np.ndarray) -> CameraRays:
     """Reflection in a paraboloid: tan(theta / 2) is the distance from the centre of the image, in radii."""
-    radius = min(film.width, film.height) / 2.0
-    right, up = (x - film.width / 2.0) / radius, (film.height / 2.0 - y) / radius
-    distance = np.hypot(right, up)
-    theta, phi = 2.0 * np.arctan(distance), np.arctan2(up, right)
-    local = np.column_stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
-    return rays_from_eye(camera, to_world_directions(camera, local), distance <= 1.0)
+    return circle_rays(camera, film, x, y, lambda distance: 2.0 * np.arctan(distance))
 
 
 PARABOLIC = CameraReference(Parabolic, parabolic_rays)

@@ -1,13 +1,11 @@
 """Error bounds at each pixel, on the primitive that the subject hits: of the reference, and of our float64."""
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from caster.aovs import Aovs
-from caster.geometry.packing import Packed
-from mitsuba_ref.error_model.intersections import ErrorModel, Intersections
+from mitsuba_ref.error_model.intersections import Intersections, no_intersections
 from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 
@@ -17,11 +15,6 @@ class Bounds(NamedTuple):
 
     own: Intersections  # the intersection in float64
     at: Intersections  # the intersection, with the reference's error bounds
-
-    @property
-    def resolved(self) -> np.ndarray:
-        """(n,) bool: the reference's t has a bound."""
-        return np.isfinite(self.at.t_error)
 
 
 def reference_bounds(model: SceneModel, prim: np.ndarray, o: np.ndarray, d: np.ndarray, t: np.ndarray) -> Bounds:
@@ -37,27 +30,18 @@ def intersections_at(
 
     line: o, d (n, 3). ku, ours: as in SceneModel.intersect.
     """
-    out = missing_intersections(len(prim))
+    out = no_intersections(len(prim))
     hits = np.flatnonzero(prim >= 0)
     for start in range(0, len(hits), PIXELS_PER_BATCH):
         rows = hits[start : start + PIXELS_PER_BATCH]
         o, d = (ends[rows] for ends in line)
         found = nearest_root(model.intersect(prim[rows], o, d, ku, ours=ours), t[rows])
         for everywhere, here in zip(out, found, strict=True):
-            if everywhere is not None:
-                everywhere[rows] = here
+            everywhere[rows] = here
     return out
 
 
 PIXELS_PER_BATCH = 1 << 14  # pixels: temporary arrays of three numbers each stay in a cache
-
-
-def missing_intersections(count: int) -> Intersections:
-    """Placeholder rows for misses: all numbers inf, and no edges (only brackets read those)."""
-    t, t_error, n_error, sh_error, p_error, uv_error = np.full((6, count), np.inf)
-    n, sh_n, uv = np.full((3, count, 3), np.inf)
-    possible, certain = np.zeros((2, count), bool)
-    return Intersections(t, t_error, n, n_error, sh_n, sh_error, possible, certain, p_error, uv, uv_error)
 
 
 def nearest_root(met: PairIntersections, t: np.ndarray) -> Intersections:
@@ -110,40 +94,18 @@ UNDERFLOW_BOUND = 2.0**-1010
 UNIT_LENGTH_ATOL = 16 * 2.0**-53
 
 
-ErrorModels = Sequence[Callable[[Any], ErrorModel]]  # for each shape, from its arrays
-
-
-def t_bounds(
-    models: ErrorModels, packed: Packed, hits: tuple[np.ndarray, np.ndarray], rays: tuple[np.ndarray, np.ndarray]
-) -> np.ndarray:
+def t_bounds(model: SceneModel, hits: tuple[np.ndarray, np.ndarray], rays: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """(n,) bound on |t - exact t| of each hit; inf where float64 cannot resolve it, NaN on a miss.
 
-    models: one for each shape. hits: t, primitive number (n,). rays: o, d (n, 3).
+    hits: t, primitive number (n,). rays: o, d (n, 3).
     The judge's error model with K u of float64: perturbations of 4 units in the last place, times the condition of
     each intersection, at the root nearest to t.
     """
     (t, prim), (o, d) = hits, rays
     exponent = np.frexp(np.abs(d).max(axis=1, initial=0.0))[1]  # so that no square of a direction overflows
     with np.errstate(all="ignore"):
-        unscaled, t, d = t, np.ldexp(t, exponent), np.ldexp(d, -exponent[:, None])
-    bounds = np.full(len(t), np.nan)
-    shape = packed.shape_of(prim)
-    for number in np.unique(shape[prim >= 0]):
-        rows = np.flatnonzero((shape == number) & (prim >= 0))
-        part = packed.parts[number]
-        model = models[number](part)
-        intersect = model.intersect_ours or model.intersect
-        with np.errstate(all="ignore"):
-            k = prim[rows] - packed.first[number]
-            bounds[rows] = _error_of_nearest_root(t[rows], intersect(part, k, o[rows], d[rows], KU_OURS))
-    with np.errstate(all="ignore"):
-        bounds = np.ldexp(bounds, -exponent)
-        return bounds + T_ROUNDING_ULPS * np.spacing(np.abs(unscaled)) + UNDERFLOW_BOUND
-
-
-def _error_of_nearest_root(t: np.ndarray, roots: Sequence[Intersections]) -> np.ndarray:
-    distance = np.array([np.abs(root.t - t) for root in roots])
-    errors = np.array([root.t_error for root in roots])
-    nearest = np.argmin(np.where(np.isnan(distance), np.inf, distance), axis=0)
-    error = errors[nearest, np.arange(len(t))]
-    return np.where(np.isnan(error), np.inf, error)
+        line = o, np.ldexp(d, -exponent[:, None])
+        errors = intersections_at(model, prim, line, np.ldexp(t, exponent), KU_OURS, ours=True).t_error
+        errors = np.where(np.isnan(errors), np.inf, np.ldexp(errors, -exponent))
+        bounds = errors + T_ROUNDING_ULPS * np.spacing(np.abs(t)) + UNDERFLOW_BOUND
+    return np.where(prim < 0, np.nan, bounds)

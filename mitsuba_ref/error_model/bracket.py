@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mitsuba_ref.error_model.intersections import Intersections, dot, norm, row_groups
-from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel, no_intersections
+from mitsuba_ref.error_model.intersections import Intersections, dot, no_intersections, norm, row_groups
+from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel
 
 # docs/method.md, "Visibility". A primitive is possible if some numbers within the error bounds hit it, and certain if
 # all of them do. The nearest hit is on a possible primitive, and no later than the latest t of any certain one.
@@ -95,10 +95,10 @@ class Bracket:
     def _pairs(self, o: np.ndarray, d: np.ndarray, also: np.ndarray | None) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Pairs of a ray and a primitive near it or named in `also`, in batches; each ray is in one batch only."""
         if also is None:
-            yield from self.model.distinct.pairs(o, d)
+            yield from ((near.ray, near.box) for near in self.model.distinct.crossings(o, d))
             return
         named = np.flatnonzero(also >= 0)
-        pieces = [np.stack(piece) for piece in self.model.distinct.pairs(o, d)]
+        pieces = [np.stack([near.ray, near.box]) for near in self.model.distinct.crossings(o, d)]
         together = np.unique(np.hstack([*pieces, np.stack([named, also[named]])]), axis=1)
         yield together[0], together[1]
 
@@ -113,7 +113,7 @@ class Bracket:
         prim, off = leaving if leaving else (np.full(len(o), -1), np.zeros(len(o)))
         line = RaySegments(o, d, np.zeros(len(o)), t_max)
         possible, certain = np.zeros(len(o), bool), np.zeros(len(o), bool)
-        for ray, each in self.model.distinct.pairs(o, d):
+        for _, ray, each, _ in self.model.distinct.crossings(o, d):
             found = self._intersect_in_range(ray, each, line)
             near = near_ray_start(found, d, off)
             # A primitive identical to the one that the ray leaves is just as near, and does count.
@@ -128,9 +128,9 @@ class Bracket:
     ) -> RayIntersections:
         """All possible intersections of the rays, in memory at once."""
         line = RaySegments(o, d, np.broadcast_to(np.asarray(t_min, np.float64), t_max.shape), t_max)
-        found = [self._intersect_in_range(ray, prim, line) for ray, prim in self.model.nearby.pairs(o, d)]
+        found = [self._intersect_in_range(ray, prim, line) for _, ray, prim, _ in self.model.nearby.crossings(o, d)]
         if not found:
-            return RayIntersections(np.zeros(0, int), np.zeros(0, int), no_intersections())
+            return RayIntersections(np.zeros(0, int), np.zeros(0, int), no_intersections(0))
         at = Intersections(*(np.concatenate(a) for a in zip(*(f.at for f in found), strict=True)))
         return RayIntersections(np.concatenate([f.ray for f in found]), np.concatenate([f.prim for f in found]), at)
 
@@ -213,7 +213,6 @@ def _latest_at_edges(found: RayIntersections) -> np.ndarray:
     Embree's robust mode guarantees this at edges, not at corners.
     """
     edge, side = found.at.edge, found.at.side
-    assert edge is not None and side is not None  # SceneModel.intersect fills them in
     rows = np.flatnonzero(side != 0.0)
     latest = np.full(len(found.ray), np.inf)
     if len(rows):

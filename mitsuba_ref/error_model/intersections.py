@@ -25,12 +25,34 @@ class Intersections(NamedTuple):
     p_error: np.ndarray  # (m,) bound on the position, scene units
     uv: np.ndarray  # (m, 3) uv as a point of the kind's UvSpace
     uv_error: np.ndarray  # (m,) bound on that point
-    edge: np.ndarray | None = None  # (m, 6) end points of the only edge that leaves a triangle in doubt, else NaN
-    side: np.ndarray | None = None  # (m,) on which side of that edge the triangle lies, -1 or 1
+    edge: np.ndarray  # (m, 6) end points of the only edge that leaves a triangle in doubt, else NaN
+    side: np.ndarray  # (m,) on which side of that edge the triangle lies, -1 or 1; 0 without such an edge
 
     def take(self, rows: np.ndarray) -> "Intersections":
         """Some of them, by index or mask."""
-        return Intersections(*(a[rows] for a in self if a is not None))
+        return Intersections(*(a[rows] for a in self))
+
+
+def without_edges(
+    t: np.ndarray,
+    t_error: np.ndarray,
+    n: np.ndarray,
+    n_error: np.ndarray,
+    possible: np.ndarray,
+    certain: np.ndarray,
+    p_error: np.ndarray,
+    uv: np.ndarray,
+    uv_error: np.ndarray,
+) -> Intersections:
+    """Intersections of a kind whose normals are not interpolated, and which has no edges in common with others."""
+    edge, side = np.full((len(t), 6), np.nan), np.zeros(len(t))
+    return Intersections(t, t_error, n, n_error, n, n_error, possible, certain, p_error, uv, uv_error, edge, side)
+
+
+def no_intersections(count: int) -> Intersections:
+    """Placeholder rows for misses: all numbers inf."""
+    far, rows, none = np.full(count, np.inf), np.full((count, 3), np.inf), np.zeros(count, bool)
+    return Intersections(*(a.copy() for a in without_edges(far, far, rows, far, none, none, far, rows, far)))
 
 
 # (prims, k (m,), o (m, 3), d (m, 3), ku) -> for each root, the intersections of primitive k[i] with ray i.
@@ -62,9 +84,8 @@ class ErrorModel(NamedTuple):
     """The error model of one kind of primitive."""
 
     intersect: IntersectFunction  # the reference's primitive, or its stand-in
-    bounds: Callable[[Any], tuple[np.ndarray, np.ndarray]]  # prims -> low, high corners (n, 3) of their boxes
+    exact: ExactKind  # exact arithmetic on our own primitive, for the oracle; boxes, also of stand-ins
     intersect_ours: IntersectFunction | None = None  # our own primitive, where the reference's is a stand-in
-    exact: ExactKind | None = None  # exact arithmetic on our own primitive, for the oracle
     # class of stand-in arrays -> function that expands them into primitives with an `exact`
     unfold: Mapping[type, ExpandStandIns] | None = None
     uv: UvSpace = UvSpace()

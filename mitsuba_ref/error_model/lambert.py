@@ -72,10 +72,7 @@ def light_contribution(materials: Materials, light: Any, hit: ShadingPoints, ku:
 
 def ambient_radiance(lights: Sequence[Any]) -> np.ndarray:
     """(3,) total radiance of the ambient lights."""
-    total = np.zeros(3)
-    for light in lights:
-        if light.type == "ambient":
-            total = total + np.array(light.radiance)
+    total: np.ndarray = sum((np.array(light.radiance) for light in lights if light.type == "ambient"), np.zeros(3))
     return total
 
 

@@ -12,17 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.geometry.packing import Packed
-from mitsuba_ref.error_model.intersections import ErrorModel, Intersections, norm, unit
+from mitsuba_ref.error_model.intersections import ErrorModel, Intersections, no_intersections, norm, unit
 from mitsuba_ref.error_model.tolerances import KU
+from mitsuba_ref.oracle.boxes import BoxTree
 from mitsuba_ref.oracle.interface import lowest_identical
-from mitsuba_ref.oracle.oracle import (
-    BRANCHING_FACTOR,
-    BoxLevel,
-    box_levels,
-    columns_in_order,
-    morton_order,
-    whole_groups,
-)
 
 
 class PairIntersections(NamedTuple):
@@ -54,9 +47,9 @@ class SceneModel:
                 intersect = (ours and model.intersect_ours) or model.intersect
                 for at in intersect(self.kinds[place], k[rows], o[rows], d[rows], ku):
                     pairs.append(rows)
-                    found.append(with_edges(at))
+                    found.append(at)
         if not found:
-            return PairIntersections(np.zeros(0, int), no_intersections())
+            return PairIntersections(np.zeros(0, int), no_intersections(0))
         if len(found) == 1:
             return PairIntersections(pairs[0], found[0])
         return PairIntersections(
@@ -88,13 +81,13 @@ class SceneModel:
         """(low, high) corners of all primitives, (n, 3) each."""
         low, high = np.empty((self.packed.first[-1], 3)), np.empty((self.packed.first[-1], 3))
         for place, kind in enumerate(self.packed.kinds):
-            low[kind.ids], high[kind.ids] = self.models[place].bounds(self.kinds[place])
+            low[kind.ids], high[kind.ids] = self.models[place].exact.boxes(self.kinds[place])
         return low, high
 
     @cached_property
-    def nearby(self) -> "BroadPhase":
-        """Broad phase of all primitives, shared by all brackets of the model."""
-        return BroadPhase(*self.boxes)
+    def nearby(self) -> BoxTree:
+        """Boxes of all primitives, shared by all brackets of the model."""
+        return BoxTree(*self.boxes, BOX_MARGIN)
 
     @cached_property
     def identical(self) -> np.ndarray | None:
@@ -108,13 +101,13 @@ class SceneModel:
         return None if different else found
 
     @cached_property
-    def distinct(self) -> "BroadPhase":
-        """Broad phase of one of each set of identical primitives, which stands for the others."""
+    def distinct(self) -> BoxTree:
+        """Boxes of one of each set of identical primitives, which stands for the others."""
         if self.identical is None:
             return self.nearby
         rows = np.flatnonzero(self.identical == np.arange(len(self.identical)))
         low, high = self.boxes
-        return BroadPhase(low[rows], high[rows], rows)
+        return BoxTree(low[rows], high[rows], BOX_MARGIN, rows)
 
     def has_twins(self, prim: np.ndarray) -> np.ndarray:
         """(m,) bool: the shape of prim[i] has another primitive identical to it."""
@@ -130,105 +123,10 @@ def kinds_of(packed: Packed, prim: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return packed.kind_of[shape], prim - packed.first[shape] + packed.start[shape]
 
 
-def with_edges(at: Intersections) -> Intersections:
-    """The same with `edge` and `side` filled in for kinds without edges, so that all kinds concatenate."""
-    if at.edge is not None:
-        return at
-    return at._replace(edge=np.full((len(at.t), 6), np.nan), side=np.zeros(len(at.t)))
-
-
-def no_intersections() -> Intersections:
-    none, rows, flags = np.zeros(0), np.zeros((0, 3)), np.zeros(0, bool)
-    edge = np.zeros((0, 6))
-    return Intersections(none, none, rows, none, rows, none, flags, flags, none, rows, none, edge, none)
-
-
 # Growth of boxes, as a fraction of |o| + their farthest corner. The bound of an edge function, divided by the length of
 # the edge, is 6 to 8 KU of that (mitsuba_ref/shapes/surface_errors.py); of a quadric 2 to 4. Primitives beyond it are
 # at best possible hits (the ray itself passes the box of a certain one); leaving them out excuses less on either side.
 BOX_MARGIN = 16 * KU
-
-BOX_TESTS_PER_BATCH = 1 << 21  # pairs of a ray and a box in memory at once
-GROUPS_PER_CHUNK = 1 << 10  # groups tested at once: temporary arrays of 256 kB stay in a cache
-BOXES_PER_CHUNK = 1 << 16  # boxes processed at once: temporary arrays stay in a cache
-BOXES_PER_RAY = 64 * BRANCHING_FACTOR  # expected number of box tests of a ray in one level, at most
-
-
-class BroadPhase:
-    """A tree of the boxes of primitives, in Morton order."""
-
-    def __init__(self, low: np.ndarray, high: np.ndarray, prims: np.ndarray | None = None):
-        """low, high: corners (n, 3). prims: (n,) numbers of the primitives, if not 0 to n - 1."""
-        bounded = np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
-        boxed = np.flatnonzero(bounded)
-        ends = (low, high) if bounded.all() else (low[boxed], high[boxed])
-        order = np.append(boxed[morton_order(*ends)], np.flatnonzero(~bounded))
-        self.order = order if prims is None else prims[order]
-        whole = whole_groups(order)
-        sides = grown(columns_in_order(low, whole), columns_in_order(high, whole))
-        self.levels = box_levels(*sides, len(order))
-
-    def pairs(self, o: np.ndarray, d: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Pairs (rays (m,), primitives (m,)) near the rays o, d (n, 3), in batches; each ray is in one batch only."""
-        step = BOX_TESTS_PER_BATCH // BOXES_PER_RAY
-        for start in range(0, len(o), step):
-            ray, prim = self._pairs_of(BoxRays(o[start : start + step], d[start : start + step]))
-            yield ray + start, prim
-
-    def _pairs_of(self, rays: "BoxRays") -> tuple[np.ndarray, np.ndarray]:
-        """A ray that passes a box also passes the box of its group, as both are tested by the same rounded steps."""
-        ray = np.arange(rays.count if self.levels else 0)
-        box = np.zeros(len(ray), np.int64)
-        for level in reversed(self.levels):
-            ray, box = rays.passed_members(ray, box, level)
-        return ray, self.order[box]
-
-
-def grown(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Grow boxes (3, n) in place by BOX_MARGIN of their farthest corner."""
-    for start in range(0, low.shape[1], BOXES_PER_CHUNK):
-        below, above = (a[:, start : start + BOXES_PER_CHUNK] for a in (low, high))
-        margin = BOX_MARGIN * _largest(np.maximum(np.abs(below), np.abs(above)))
-        below -= margin
-        above += margin
-    return low, high
-
-
-class BoxRays:
-    """Rays o + t d, t >= 0, prepared for tests against many boxes."""
-
-    def __init__(self, o: np.ndarray, d: np.ndarray):
-        """o, d: (n, 3)."""
-        self.count = len(o)
-        columns = o.T
-        margin = BOX_MARGIN * _largest(np.abs(columns))
-        # What of a box is grown by |o| is taken off the origin: once a ray, not once a box.
-        self.low, self.high = (np.ascontiguousarray(columns + side * margin) for side in (1.0, -1.0))
-        self.over_d = 1.0 / np.where(d.T == 0.0, np.finfo(np.float64).tiny, d.T)
-
-    def passed_members(self, ray: np.ndarray, group: np.ndarray, level: BoxLevel) -> tuple[np.ndarray, np.ndarray]:
-        """(ray, box) of the boxes in group[i] that ray[i] passes, for each i."""
-        found = [(ray[:0], group[:0])]
-        with np.errstate(over="ignore", invalid="ignore"):
-            for start in range(0, len(ray), GROUPS_PER_CHUNK):
-                some, of = (a[start : start + GROUPS_PER_CHUNK] for a in (ray, group))
-                near, far = np.array(-np.inf), np.array(np.inf)
-                for axis in range(3):  # one by one: a maximum over an axis of three takes ten times as long
-                    over_d = self.over_d[axis, some, None]
-                    a = (level.low[axis, of] - self.low[axis, some, None]) * over_d
-                    b = (level.high[axis, of] - self.high[axis, some, None]) * over_d
-                    near, far = np.maximum(near, np.minimum(a, b)), np.minimum(far, np.maximum(a, b))
-                i, member = np.nonzero(~(near > far) & ~(far < 0.0))  # NaN bounds nothing
-                found.append((some[i], of[i] * BRANCHING_FACTOR + member))
-        rays, boxes = (np.concatenate(column) for column in zip(*found, strict=True))
-        there = boxes < level.boxes
-        return rays[there], boxes[there]
-
-
-def _largest(columns: np.ndarray) -> np.ndarray:
-    """Largest of three components (3, ...)."""
-    found: np.ndarray = np.maximum(np.maximum(columns[0], columns[1]), columns[2])
-    return found
 
 
 RAYS_PER_RING, RING_RADII = 8, (1.0,)
@@ -300,7 +198,7 @@ class UncertainRaysModel(SceneModel):
 
 def enclosing_intersections(found: list[Intersections], along: np.ndarray) -> Intersections:
     """The first of several intersections of the same pairs, widened to enclose all. along: (m,) added to t_error."""
-    middle = with_edges(found[0])
+    middle = found[0]
     with np.errstate(invalid="ignore"):
         off = [np.abs(at.t - middle.t) + at.t_error + along for at in found]
         t_error = np.max(np.where(np.isnan(off), np.inf, off), axis=0)
@@ -308,12 +206,9 @@ def enclosing_intersections(found: list[Intersections], along: np.ndarray) -> In
         sh_error = np.max([norm(at.sh_n - middle.sh_n) + at.sh_error for at in found], axis=0)
     possible = np.any([at.possible for at in found], axis=0)
     certain = np.all([at.certain for at in found], axis=0)
-    edge, side = middle.edge, middle.side
-    assert edge is not None and side is not None  # with_edges
-    edge, side = edge.copy(), side.copy()
-    steady = np.all([at.certain | (_side(at) != 0.0) for at in found], axis=0)  # at most one edge is ever in doubt
-    for at in map(with_edges, found[1:]):
-        assert at.edge is not None and at.side is not None
+    edge, side = middle.edge.copy(), middle.side.copy()
+    steady = np.all([at.certain | (at.side != 0.0) for at in found], axis=0)  # at most one edge is ever in doubt
+    for at in found[1:]:
         take = (side == 0.0) & (at.side != 0.0)
         edge[take], side[take] = at.edge[take], at.side[take]
         steady &= (at.side == 0.0) | ((at.side == side) & (at.edge == edge).all(axis=1))
@@ -329,9 +224,3 @@ def enclosing_intersections(found: list[Intersections], along: np.ndarray) -> In
         edge=edge,
         side=side,
     )
-
-
-def _side(at: Intersections) -> np.ndarray:
-    side = with_edges(at).side
-    assert side is not None
-    return side

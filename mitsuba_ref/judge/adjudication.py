@@ -18,7 +18,6 @@ from mitsuba_ref.error_model.bracket import ANY_SHAPE, CLAIMED_MISS, NOT_CLAIMED
 from mitsuba_ref.error_model.intersections import Intersections, norm
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR
-from mitsuba_ref.oracle.interface import tied_prims
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain
 from mitsuba_ref.reference.shared_input import SharedRays, model_of, packed_float32
 from mitsuba_ref.subjects.subject import Answer
@@ -176,7 +175,7 @@ def claims_other_tie(
 
     Bounds on normals are cut to LARGEST_USEFUL_NORMAL_ERROR, since agreement within a looser bound would mean nothing.
     """
-    tied = {i: tied_prims(a)[1:] for i, a in enumerate(answers) if a is not None and len(a.ties) > 1}
+    tied = {i: prims[1:] for i, a in enumerate(answers) if a is not None and len(prims := a.prims) > 1}
     taken = np.zeros(len(o), bool)
     if not tied:
         return taken
@@ -243,7 +242,7 @@ class ExactHits:
         self.answers = tuple(Oracle(ready.packed).first_hits(self.o, self.d, t_max=t_max))
         self.hit = np.array([answer.hit for answer in self.answers], bool)
         self.t = np.array([np.inf if answer.t is None else float(answer.t) for answer in self.answers])
-        self.ties = [tied_prims(answer) for answer in self.answers]
+        self.ties = [answer.prims for answer in self.answers]
         ray = np.repeat(np.arange(len(self.answers)), [len(prims) for prims in self.ties])
         prim = np.concatenate([np.zeros(0, np.int64), *self.ties])
         # (n,) bounds on |t - exact t| in either arithmetic, at the most generous of the primitives that are exactly

@@ -72,7 +72,7 @@ def defect_features(
         yield DefectFeatures(
             _kind(model, int(hit[i])),
             _kind(model, prim),
-            where=frozenset(each.where for each in answer.ties),
+            where=frozenset(where for where, _ in answer.groups),
             flags=answer.flags,
             t=t,
             at_zero=t == 0.0 and _is_at_zero(model, oracle, int(claims.shape[i]), prim, o[i], d[i]),

@@ -94,11 +94,6 @@ def sign_with_roots(a: int, b: int, r: int, c: int, s: int) -> int:
     return first * sign_with_root(a * a - b * b * r - c * c * s, -2 * b * c, r * s)
 
 
-def is_number(x: Number) -> bool:
-    """Whether x is not NaN."""
-    return not (isinstance(x, float) and math.isnan(x))
-
-
 class Root:
     """The real number (p + q sqrt(r)) / s 2^e. Compares exactly with Root, int, float and Fraction."""
 
@@ -121,7 +116,7 @@ class Root:
         return sign_with_root(self.p, self.q, self.r)
 
     def compare(self, other: Number) -> int:
-        """The sign of self - other; other may be infinite, but not NaN."""
+        """The sign of self - other; other may be infinite. Raises ValueError for a NaN."""
         if isinstance(other, float) and math.isinf(other):
             return -1 if other > 0.0 else 1
         if not isinstance(other, Root):
@@ -138,38 +133,24 @@ class Root:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Root | int | float | Fraction):
             return NotImplemented
-        return is_number(other) and self.compare(other) == 0
+        return self.compare(other) == 0
 
     def __lt__(self, other: Number) -> bool:
-        return is_number(other) and self.compare(other) < 0
+        return self.compare(other) < 0
 
     def __le__(self, other: Number) -> bool:
-        return is_number(other) and self.compare(other) <= 0
+        return self.compare(other) <= 0
 
     def __gt__(self, other: Number) -> bool:
-        return is_number(other) and self.compare(other) > 0
+        return self.compare(other) > 0
 
     def __ge__(self, other: Number) -> bool:
-        return is_number(other) and self.compare(other) >= 0
-
-    def __hash__(self) -> int:
-        """Hash of the Fraction for rational numbers; otherwise of f, g and the sign, unique in x = f +- sqrt(g)."""
-        power = Fraction(2) ** self.e
-        w = math.isqrt(self.r)
-        if w * w == self.r:
-            return hash(Fraction(self.p + self.q * w, self.s) * power)
-        square = Fraction(self.q * self.q * self.r, self.s * self.s) * power * power
-        return hash((Fraction(self.p, self.s) * power, square, self.q > 0))
+        return self.compare(other) >= 0
 
     def __repr__(self) -> str:
         return f"Root({float(self)!r})"
 
-    def bracket(self, bits: int) -> tuple[Fraction, Fraction]:
-        """Bounds (low, high), 2^(e - bits) / s apart or equal."""
-        (low, high), unit = self._numerators(bits), Fraction(2) ** (self.e - bits) / self.s
-        return low * unit, high * unit
-
-    def _numerators(self, bits: int) -> tuple[int, int]:
+    def numerators(self, bits: int) -> tuple[int, int]:
         """Integers below and above (p + q sqrt(r)) 2^bits, equal or 1 apart."""
         square = (self.q * self.q * self.r) << (2 * bits)
         w = math.isqrt(square)
@@ -181,17 +162,10 @@ class Root:
         """The nearest float64, ties to even; infinite beyond the largest."""
         bits = FIRST_BITS if self.q else 0
         while True:
-            low, high = (quotient(n, self.s, self.e - bits) for n in self._numerators(bits))
+            low, high = (quotient(n, self.s, self.e - bits) for n in self.numerators(bits))
             if low == high:
                 return low + 0.0  # never -0.0
             bits *= 2  # an irrational number is no midpoint of two floats, so this ends
-
-    def interval(self) -> tuple[float, float]:
-        """The largest float64 <= self and the smallest >= self."""
-        near = float(self)
-        side = self.compare(near)
-        low = near if side >= 0 else math.nextafter(near, -math.inf)
-        return low, near if side <= 0 else math.nextafter(near, math.inf)
 
     def off(self, x: float) -> float:
         """|x - self|, rounded once, but at least the smallest float64 unless they are equal.

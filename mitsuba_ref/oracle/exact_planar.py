@@ -69,7 +69,7 @@ def usable_plane(prims: Any) -> np.ndarray:
 
 PLANES = ExactKind(infinite_boxes, prepare_plane, intersect_plane, usable=usable_plane)
 DISKS = ExactKind(
-    exact_quadrics.disk_boxes, exact_quadrics.prepare_affine, intersect_disk, usable=exact_quadrics.usable_affine
+    exact_quadrics.affine_boxes, exact_quadrics.prepare_affine, intersect_disk, usable=exact_quadrics.usable_affine
 )
 
 

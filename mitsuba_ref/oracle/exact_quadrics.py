@@ -60,24 +60,11 @@ def to_object_space(by: Affine, ray: IntegerRay) -> ObjectRay:
 ROUNDED_UP = 1.0 + 8 * 2.0**-53
 
 
-def affine_boxes(prims: Any, axes: int = 3) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes around the image of the cube [-1, 1]^3; axes = 2: of the square [-1, 1]^2 at z = 0."""
+def affine_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Boxes around the image of the cube [-1, 1]^3."""
     with np.errstate(over="ignore"):
-        reach = np.abs(prims.to_world[:, :, :axes]).sum(axis=2) * ROUNDED_UP
+        reach = np.abs(prims.to_world).sum(axis=2) * ROUNDED_UP
         return next_below(prims.center - reach), next_above(prims.center + reach)
-
-
-def disk_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
-    return affine_boxes(prims, axes=2)
-
-
-def cylinder_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
-    """World-space bounding boxes of the transformed box [-1, 1]^2 x [0, 1]."""
-    axis = prims.to_world[:, :, 2]
-    with np.errstate(over="ignore"):
-        reach = np.abs(prims.to_world[:, :, :2]).sum(axis=2) * ROUNDED_UP
-        low, high = (next_below(prims.center + np.minimum(axis, 0.0)), next_above(prims.center + np.maximum(axis, 0.0)))
-        return next_below(low - reach), next_above(high + reach)
 
 
 def usable_affine(prims: Any) -> np.ndarray:
@@ -173,4 +160,4 @@ def usable_sphere(prims: Any) -> np.ndarray:
 
 SPHERES = ExactKind(sphere_boxes, prepare_sphere, intersect_sphere, usable=usable_sphere)
 ELLIPSOIDS = ExactKind(affine_boxes, prepare_affine, intersect_ellipsoid, usable=usable_affine)
-CYLINDERS = ExactKind(cylinder_boxes, prepare_affine, intersect_cylinder, usable=usable_affine)
+CYLINDERS = ExactKind(affine_boxes, prepare_affine, intersect_cylinder, usable=usable_affine)

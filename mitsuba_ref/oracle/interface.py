@@ -1,8 +1,8 @@
 """Interface of the oracle: exact arithmetic of a primitive kind, and exact answers."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, overload
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -96,58 +96,14 @@ class ExactHit:
     where: str  # "inside", "edge", "vertex", "rim" or "tangent" (also for a tangent at a rim)
 
 
-class TieSet(Sequence[ExactHit]):
-    """All hits of a ray at exactly the same t, by prim; hits of identical primitives are created on access."""
-
-    __slots__ = ("_groups", "_t")
-
-    def __init__(self, t: Root, groups: Sequence[tuple[str, np.ndarray]]) -> None:
-        """groups: (where, ascending numbers) of identical primitives; each number is in one group only."""
-        self._t, self._groups = t, groups
-
-    @property
-    def prims(self) -> np.ndarray:
-        """(m,) numbers of the primitives, ascending."""
-        return np.sort(np.concatenate([prims for _, prims in self._groups]))
-
-    @overload
-    def __getitem__(self, place: int) -> ExactHit: ...
-    @overload
-    def __getitem__(self, place: slice) -> Sequence[ExactHit]: ...
-    def __getitem__(self, place: int | slice) -> ExactHit | Sequence[ExactHit]:
-        if place == 0:
-            where, prims = min(self._groups, key=lambda group: int(group[1][0]))
-            return ExactHit(int(prims[0]), self._t, where)
-        found = sorted((int(prim), where) for where, prims in self._groups for prim in prims)
-        if isinstance(place, slice):
-            return tuple(ExactHit(prim, self._t, where) for prim, where in found[place])
-        return ExactHit(found[place][0], self._t, found[place][1])
-
-    def __iter__(self) -> Iterator[ExactHit]:
-        return iter(self[:])
-
-    def __len__(self) -> int:
-        return sum(len(prims) for _, prims in self._groups)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Sequence) and tuple(self) == tuple(other)
-
-    def __hash__(self) -> int:
-        return hash(tuple(self))
-
-
-def tied_prims(answer: "ExactAnswer") -> np.ndarray:
-    """(m,) numbers of all primitives in the tie set, ascending."""
-    ties = answer.ties
-    return ties.prims if isinstance(ties, TieSet) else np.array([hit.prim for hit in ties], np.int64)
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ExactAnswer:
     """The first hit of one ray."""
 
     t: Root | None  # None: a miss
-    ties: Sequence[ExactHit]  # all hits with exactly this t, by prim
+
+    # (where, ascending numbers) of the primitives that are hit at exactly this t, together if they are identical
+    groups: tuple[tuple[str, np.ndarray], ...]
 
     # Contacts along the ray up to t: "edge_on" (within a flat primitive or a cylinder's wall), "degenerate" (a triangle
     # without area, or the box of a primitive whose matrix is singular), "dropped" (a face that is too large; or some
@@ -159,9 +115,21 @@ class ExactAnswer:
         return self.t is not None
 
     @property
+    def prims(self) -> np.ndarray:
+        """(m,) numbers of all primitives that are hit at exactly t, ascending."""
+        return np.sort(np.concatenate([np.zeros(0, np.int64), *(prims for _, prims in self.groups)]))
+
+    @property
     def prim(self) -> int:
-        """The lowest number of a primitive in the tie set, -1 on a miss."""
-        return self.ties[0].prim if self.ties else -1
+        """The lowest of these numbers, -1 on a miss."""
+        return min((int(prims[0]) for _, prims in self.groups), default=-1)
+
+    @property
+    def ties(self) -> list[ExactHit]:
+        """All hits at exactly t, by prim."""
+        assert self.t is not None or not self.groups
+        found = sorted((int(prim), where) for where, prims in self.groups for prim in prims)
+        return [ExactHit(prim, self.t, where) for prim, where in found if self.t is not None]
 
 
 def check_rays(o: np.ndarray, d: np.ndarray, t_min: np.ndarray, t_max: np.ndarray) -> None:

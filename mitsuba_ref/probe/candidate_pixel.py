@@ -94,7 +94,7 @@ def as_witness(judge: Judge, judgement: Judgement) -> WitnessAnswer:
     found: dict[str, Any] = {"right": right, "format": answer.precision, "remark": ", ".join(broken)}
     if exact is None or exact.t is None or not np.isfinite(t):
         return WitnessAnswer(*claimed, **found)
-    prim = np.array([each.prim for each in exact.ties])
+    prim = exact.prims
     rows = np.zeros(len(prim), int)
     at = judge.near(rows, prim, np.full(len(prim), float(exact.t)))
     off = exact.t.off(t) * -exact.t.compare(t)

@@ -110,7 +110,7 @@ def compared_with_exact(
     name = np.dtype(kind).name
     if exact is None:
         return WitnessAnswer(*claimed, format=name)
-    surfaces = {surface_of(judge, hit.prim) for hit in exact.ties} or {("miss", -1)}
+    surfaces = {surface_of(judge, int(prim)) for prim in exact.prims} or {("miss", -1)}
     right = claimed[1:3] in surfaces
     if not right or exact.t is None or not np.isfinite(claimed[3]):
         return WitnessAnswer(*claimed, right=right, format=name)

@@ -1,7 +1,7 @@
 """The input of both sides: the caster's camera rays in float32, from the near plane on, and scenes as Mitsuba's XML."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree.ElementTree import Comment, fromstring, indent, tostring
@@ -18,7 +18,7 @@ from mitsuba_ref.cameras import ClipRange, reference_of_camera
 from mitsuba_ref.error_model.intersections import ceil_log2
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement, format_floats
-from mitsuba_ref.shapes import reference_of
+from mitsuba_ref.shapes import kind_of, reference_of
 
 # ---- shared rays ----
 
@@ -117,11 +117,10 @@ def model_of(scene: Scene, packed: Packed, rays: SharedRays) -> SceneModel:
     parts = tuple(reference.stand_in(part, o, d) for reference, part in zip(references, packed.parts, strict=True))
     members = [np.flatnonzero(packed.kind_of == place) for place in range(len(packed.kinds))]
     kinds = tuple(concatenate_parts([parts[s] for s in shapes]) for shapes in members)
-    models = tuple(references[shapes[0]].model_of(packed.parts[shapes[0]]) for shapes in members)
-    return SceneModel(packed, parts, kinds, models)
+    return replace(own_model(packed), parts=parts, kinds=kinds)
 
 
-def described_model(scene: Scene, model: SceneModel) -> SceneModel | None:
+def described_model(scene: Scene) -> SceneModel | None:
     """The model with the scene's float64 values and real planes; None if all its values are float32 values."""
     described, rounded = packed(scene), packed_float32(scene)
     if all(
@@ -130,7 +129,13 @@ def described_model(scene: Scene, model: SceneModel) -> SceneModel | None:
         for a, b in zip(ours, theirs, strict=True)
     ):
         return None
-    return SceneModel(described, described.parts, tuple(kind.prims for kind in described.kinds), model.models)
+    return own_model(described)
+
+
+def own_model(packed: Packed) -> SceneModel:
+    """The model of the primitives themselves, without stand-ins."""
+    kinds = tuple(kind.prims for kind in packed.kinds)
+    return SceneModel(packed, packed.parts, kinds, tuple(kind_of(prims).model for prims in kinds))
 
 
 @dataclass(frozen=True)

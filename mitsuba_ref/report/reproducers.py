@@ -90,7 +90,7 @@ def involved_prims(judge: Judge, row: int, lit: bool = False) -> set[int]:
     o, d, t_max = judge.o[row : row + 1], judge.d[row : row + 1], judge.t_max[row : row + 1]
     found = set(judge.reference_bracket.possible_hits(o, d, t_max).prim.tolist())
     for answer in judge.oracle.first_hits(o, d, judge.t_min[row : row + 1], t_max):
-        found |= {hit.prim for hit in answer.ties}
+        found |= set(answer.prims.tolist())
     found |= {int(judge.pair.prim[row]), int(judge.reference_prim[row])}
     if lit and judge.pair.prim[row] >= 0:
         for light in judge.scene.lights:

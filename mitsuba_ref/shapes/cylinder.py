@@ -16,16 +16,7 @@ from mitsuba_ref.error_model.defect_conditions import (
     KnownDefect,
 )
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expected_point
-from mitsuba_ref.error_model.intersections import (
-    ErrorModel,
-    Intersections,
-    UvSpace,
-    by_matrix,
-    dot,
-    mat_vec_rows,
-    norm,
-    position_error,
-)
+from mitsuba_ref.error_model.intersections import ErrorModel, UvSpace, by_matrix
 from mitsuba_ref.error_model.tolerances import U32
 from mitsuba_ref.oracle.exact_quadrics import CYLINDERS as EXACT_CYLINDERS
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
@@ -34,30 +25,19 @@ from mitsuba_ref.shapes.shape_reference import (
     PrimitiveReference,
     ShapeReference,
     XmlShape,
+    describe_unit_shape,
     to_world_fields,
-    unit_shape_matrix,
 )
-from mitsuba_ref.shapes.surface_errors import (
-    TURN,
-    RayTransform,
-    affine_bounds,
-    half_chord_error,
-    on_circle,
-    ours_through_object_space,
-    rays_in_object_space,
-    sphere_roots,
-    world_normal,
-)
+from mitsuba_ref.shapes.surface_errors import intersect_round, on_circle, ours_through_object_space
 from mitsuba_ref.shapes.targets import (
     BESIDE_DECADES,
     Rng,
-    SurfacePoints,
     UnitPoints,
     coin_flip,
+    on_unit_shape,
     random_fractions,
     random_length,
     random_point,
-    to_world_points,
     unit_circle_points,
 )
 
@@ -88,52 +68,13 @@ def polar_decomposition(linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return u @ v, v.T @ np.diag(sizes) @ v
 
 
-def intersect(
-    prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float, transformed: RayTransform = rays_in_object_space
-) -> tuple[Intersections, ...]:
-    """Intersections of ray i with cylinder k[i]: the unit circle in x, y of object space, then the ends."""
-    to_object = prims.to_object[k]
-    rays = transformed(prims.center[k], to_object, o, d)
-    flat = np.array([1.0, 1.0, 0.0])
-    one = np.ones(len(k))
-    middle, distance, s = sphere_roots(rays.o * flat, rays.d * flat, one)
-    size = norm(rays.d * flat)
-    found = []
-    # Mitsuba 3.9.1 moves a hit onto the wall by its distance from it in object space: along the radius there for an
-    # instance; otherwise along the normal by as many scene units, which moves points of thin cylinders far.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for side in (-1.0, 1.0):
-            t = middle + side * s / size
-            q = rays.o + t[:, None] * rays.d
-            components = rays.components(t)
-            error = ku * (components[:, 0] + components[:, 1])
-            t_error = half_chord_error(s, one, error) / size + ku * np.abs(t)
-            end_error = ku * components[:, 2] + np.abs(rays.d[:, 2]) * t_error
-            out = q * flat / np.maximum(distance, 1.0)[:, None]
-            slide = np.sqrt(np.maximum(size * size - dot(out, rays.d) ** 2, 0.0))
-            n, n_error = world_normal(to_object, out, error + slide * t_error, ku)
-            inside = np.minimum(q[:, 2], 1.0 - q[:, 2])
-            possible = (distance - 1.0 <= error) & (inside >= -end_error)
-            certain = (1.0 - distance > error) & (inside > end_error)
-            pull = np.maximum(norm(mat_vec_rows(prims.to_world[k], out)), 1.0)
-            away = error + np.abs(dot(out, rays.d)) * t_error + 0.5 * (slide * t_error) ** 2
-            p_error = position_error(o, d, t, t_error, ku) + pull * away
-            uv = np.column_stack([out[:, :2], q[:, 2]])
-            uv_error = error + slide * t_error + end_error + TURN * ku
-            found.append(Intersections(t, t_error, n, n_error, n, n_error, possible, certain, p_error, uv, uv_error))
-    return tuple(found)
-
-
 def uv_points(_prims: Any, _k: np.ndarray, uv: np.ndarray, whole_turn: bool = False) -> np.ndarray:
     """Points of the unit cylinder with u the angle as a fraction of a turn, v the height."""
     return np.column_stack([on_circle(uv[:, 0], whole_turn), uv[:, 1]])
 
 
+intersect = partial(intersect_round, ends=True)
 UV = UvSpace(uv_points, partial(uv_points, whole_turn=True))
-
-
-def describe_cylinder(part: Cylinders, k: int) -> Fields:
-    return {"type": "cylinder", "to_world": unit_shape_matrix(part, k)}
 
 
 # A matrix with a larger condition number than this may change its handedness when rounded to float32.
@@ -155,10 +96,6 @@ def expected_cylinder(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
     yield ExpectedNumbers(
         "handedness", *hands, np.where(np.linalg.cond(packed) < LARGEST_HANDED_CONDITION, 0.0, np.inf)
     )
-
-
-def on_cylinders(prims: Any, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoints:
-    return to_world_points(prims, k, unit_cylinder_points(rng, len(k), sort))
 
 
 def unit_cylinder_points(rng: Rng, count: int, sort: str) -> UnitPoints:
@@ -211,9 +148,9 @@ FAR_FROM_ORIGIN = KnownDefect(
 
 CYLINDERS = PrimitiveReference(
     Cylinders,
-    ErrorModel(intersect, affine_bounds, ours_through_object_space(intersect), exact=EXACT_CYLINDERS, uv=UV),
-    describe_cylinder,
-    on_cylinders,
+    ErrorModel(intersect, EXACT_CYLINDERS, ours_through_object_space(intersect), uv=UV),
+    describe_unit_shape("cylinder"),
+    on_unit_shape(unit_cylinder_points),
     derived=("to_object",),
     rounding_groups=(by_matrix,),
     known_defects=(STARTS_ON_CURVED, TANGENT, RIM, ALONG_AXIS, STRETCHED, THIN_AND_FAR, FAR_FROM_ORIGIN),

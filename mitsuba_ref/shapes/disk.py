@@ -24,6 +24,7 @@ from mitsuba_ref.error_model.intersections import (
     finite_or_zero,
     norm,
     position_error,
+    without_edges,
 )
 from mitsuba_ref.oracle.exact_planar import DISKS as EXACT_DISKS
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
@@ -33,14 +34,13 @@ from mitsuba_ref.shapes.shape_reference import (
     PrimitiveReference,
     ShapeReference,
     XmlShape,
+    describe_unit_shape,
     unit_shape_importer,
-    unit_shape_matrix,
 )
 from mitsuba_ref.shapes.surface_errors import (
     TURN,
     UNRESOLVABLE,
     RayTransform,
-    affine_bounds,
     on_circle,
     ours_through_object_space,
     rays_in_object_space,
@@ -48,11 +48,10 @@ from mitsuba_ref.shapes.surface_errors import (
 )
 from mitsuba_ref.shapes.targets import (
     Rng,
-    SurfacePoints,
     UnitPoints,
+    on_unit_shape,
     pushed_outside,
     random_fractions,
-    to_world_points,
     unit_circle_points,
 )
 
@@ -85,7 +84,7 @@ def intersect(
     uv = np.where(np.isfinite(q), q, 0.0) * np.array([1.0, 1.0, 0.0])
     with np.errstate(invalid="ignore"):
         uv_error = rim_error + TURN * ku * rim
-    return (Intersections(t, t_error, n, n_error, n, n_error, possible, certain, p_error, uv, uv_error),)
+    return (without_edges(t, t_error, n, n_error, possible, certain, p_error, uv, uv_error),)
 
 
 def uv_points(_prims: Any, _k: np.ndarray, uv: np.ndarray, whole_turn: bool = False) -> np.ndarray:
@@ -97,18 +96,10 @@ def uv_points(_prims: Any, _k: np.ndarray, uv: np.ndarray, whole_turn: bool = Fa
 UV = UvSpace(uv_points, partial(uv_points, whole_turn=True))
 
 
-def describe_disk(part: Disks, k: int) -> Fields:
-    return {"type": "disk", "to_world": unit_shape_matrix(part, k)}
-
-
 def expected_disk(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
     """The matrix of to_world."""
     yield up_to_rounding("center", part.center[0], shape.matrix[:3, 3])
     yield up_to_rounding("to_world", part.to_world[0], shape.matrix[:3, :3])
-
-
-def on_disks(prims: Any, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoints:
-    return to_world_points(prims, k, unit_disk_points(rng, len(k), sort))
 
 
 def unit_disk_points(rng: Rng, count: int, sort: str) -> UnitPoints:
@@ -118,6 +109,9 @@ def unit_disk_points(rng: Rng, count: int, sort: str) -> UnitPoints:
     share = random_fractions(rng, count) if sort == "inside" else np.ones((count, 1))
     along = np.where(rng.random((count, 1)) < 0.5, around, rim)
     return share * pushed_outside(rng, rim, sort), along, np.tile([0.0, 0.0, 1.0], (count, 1))
+
+
+on_disks = on_unit_shape(unit_disk_points)
 
 
 def view_disk(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
@@ -137,10 +131,8 @@ FAR_FROM_ORIGIN = KnownDefect(
 
 DISKS = PrimitiveReference(
     Disks,
-    ErrorModel(
-        intersect, affine_bounds, ours_through_object_space(intersect, used=(1.0, 1.0, 0.0)), exact=EXACT_DISKS, uv=UV
-    ),
-    describe_disk,
+    ErrorModel(intersect, EXACT_DISKS, ours_through_object_space(intersect, used=(1.0, 1.0, 0.0)), uv=UV),
+    describe_unit_shape("disk"),
     on_disks,
     derived=("to_object",),
     rounding_groups=(by_normal,),

@@ -26,6 +26,7 @@ from mitsuba_ref.error_model.intersections import (
     norm,
     position_error,
     unit,
+    without_edges,
 )
 from mitsuba_ref.oracle.exact_planar import PLANES as EXACT_PLANES
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
@@ -147,7 +148,7 @@ def intersect(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: f
     t, everywhere = finite_or_zero(t, t_error), np.ones(len(k), bool)
     p_error = local.p_error + position_error(o, d, t, t_error, ku)
     uv, uv_error = np.zeros((len(k), 3)), np.zeros(len(k))  # uv of a patch are those of its triangles
-    return (Intersections(t, t_error, n, n_error, n, n_error, everywhere, sure, p_error, uv, uv_error),)
+    return (without_edges(t, t_error, n, n_error, everywhere, sure, p_error, uv, uv_error),)
 
 
 # Two unit vectors in the plane are cross products of length >= 1/2: of 3 roundings each, divided by a length of 4
@@ -184,7 +185,7 @@ def intersect_ours(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, 
     certain = np.isfinite(t_error)
     with np.errstate(invalid="ignore", over="ignore"):
         uv, uv_error = _uv(n, o + t[:, None] * d - point, p_error + ku * norm(point), ku)
-    return (Intersections(t, t_error, n, flat, n, flat, everywhere, certain, p_error, uv, uv_error),)
+    return (without_edges(t, t_error, n, flat, everywhere, certain, p_error, uv, uv_error),)
 
 
 def _face_of_hit(
@@ -212,12 +213,6 @@ def _least_height(half: np.ndarray, face: np.ndarray) -> np.ndarray:
     """Smallest height of the triangles around the ring of `face`: that of the narrow ones in the ring inside it."""
     ring = np.where(face == 0, 0, (face - 2) // 8 + 1)
     return half * 2.0 ** np.maximum(ring - 2, 0) * 2.0 / np.sqrt(10.0)  # area h^2, longest edge sqrt(10) h
-
-
-def bounds(prims: Patches) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes of planes: all of space."""
-    everywhere = np.full((len(prims.normal), 3), np.inf)
-    return -everywhere, everywhere
 
 
 def expand_patches(prims: Patches) -> tuple[Triangles, np.ndarray]:
@@ -269,14 +264,7 @@ def view_plane(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> De
 
 PLANES = PrimitiveReference(
     Planes,
-    ErrorModel(
-        intersect,
-        bounds,
-        intersect_ours,
-        exact=EXACT_PLANES,
-        unfold={Patches: expand_patches},
-        uv=UvSpace(reference=None),
-    ),
+    ErrorModel(intersect, EXACT_PLANES, intersect_ours, unfold={Patches: expand_patches}, uv=UvSpace(reference=None)),
     describe_plane,
     on_planes,
     describe_surface=describe_plane_surface,

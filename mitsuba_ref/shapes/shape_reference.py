@@ -173,10 +173,6 @@ class ShapeReference:
     # name of a Mitsuba plugin -> importer of its <shape>
     importers: Mapping[str, ImportShape] = field(default_factory=dict)
 
-    def model_of(self, part: Any) -> ErrorModel:
-        """The error model of the kind that the shape packed to."""
-        return next(kind.model for kind in self.kinds if kind.arrays is type(part))
-
     @property
     def type_name(self) -> str:
         """The `type` in scene files."""
@@ -187,10 +183,14 @@ class ShapeReference:
 # ---- packed numbers back into the fields of a scene file, to the bit ----
 
 
-def unit_shape_matrix(part: Any, k: int) -> list[dict[str, Any]]:
-    """The to_world that maps the unit shape to the primitive."""
-    rows = np.column_stack([part.to_world[k], part.center[k]])
-    return [{"matrix": [*rows.tolist(), [0.0, 0.0, 0.0, 1.0]]}]
+def describe_unit_shape(type_name: str) -> Callable[[Any, int], Fields]:
+    """`describe` of primitives that are a unit shape under a matrix."""
+
+    def describe(part: Any, k: int) -> Fields:
+        rows = np.column_stack([part.to_world[k], part.center[k]]).tolist()
+        return {"type": type_name, "to_world": [{"matrix": [*rows, [0.0, 0.0, 0.0, 1.0]]}]}
+
+    return describe
 
 
 # Fraction of half the distance to the next float32 in which numbers surely round to it, also after float64 roundings.

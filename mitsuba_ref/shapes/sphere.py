@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from caster.geometry.mesh_files import load_points
 from caster.shapes.sphere import Ellipsoids, Sphere, SphereCloud, Spheres
 from caster.system.atomic_files import write_bytes
 from mitsuba_ref.error_model.defect_conditions import FAR_IN_SIZES, STARTS_ON_CURVED, STRETCHED, DefectView, KnownDefect
-from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, expected_point, up_to_rounding
+from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, up_to_rounding
 from mitsuba_ref.error_model.intersections import (
     ErrorModel,
     Intersections,
@@ -25,6 +26,7 @@ from mitsuba_ref.error_model.intersections import (
     mat_vec_rows,
     norm,
     position_error,
+    without_edges,
 )
 from mitsuba_ref.error_model.tolerances import SIMILARITY_ROUNDINGS, TRANSFORM_ROUNDINGS
 from mitsuba_ref.oracle.exact_quadrics import ELLIPSOIDS as EXACT_ELLIPSOIDS
@@ -35,30 +37,27 @@ from mitsuba_ref.shapes.shape_reference import (
     PrimitiveReference,
     ShapeReference,
     XmlShape,
+    describe_unit_shape,
     to_world_fields,
-    unit_shape_matrix,
 )
 from mitsuba_ref.shapes.surface_errors import (
     SPHERE_UV,
-    RayTransform,
-    affine_bounds,
     half_chord_error,
+    intersect_round,
     ours_through_object_space,
-    rays_in_object_space,
     sphere_roots,
     sphere_uv,
     sphere_uv_points,
-    world_normal,
 )
 from mitsuba_ref.shapes.targets import (
     Rng,
     SurfacePoints,
     UnitPoints,
     coin_flip,
+    on_unit_shape,
     pushed_outside,
     random_length,
     random_point,
-    to_world_points,
     unit_circle_points,
 )
 
@@ -75,33 +74,20 @@ def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
     center, r = by_columns(prims.center[k]), prims.radius[k]
     o, d = by_columns(o), by_columns(d)
     middle, distance, s = sphere_roots(o - center, d, r)
-    turn = prims.turn[k]
-    return tuple(_sphere_root(center, r, turn, o, d, (middle, distance, s), side, ku) for side in (-1.0, 1.0))
-
-
-def _sphere_root(
-    center: np.ndarray,
-    r: np.ndarray,
-    turn: np.ndarray,
-    o: np.ndarray,
-    d: np.ndarray,
-    root: tuple[np.ndarray, np.ndarray, np.ndarray],
-    side: float,
-    ku: float,
-) -> Intersections:
-    middle, distance, s = root
-    size = norm(d)
-    t = middle + side * s / size
-    n = (o - center + t[:, None] * d) / np.maximum(distance, r)[:, None]
-    reach = np.abs(o) + np.abs(t)[:, None] * np.abs(d) + np.abs(center)
-    error = ku * (dot(np.abs(n), reach) + r)
-    t_error = half_chord_error(s, r, error) / size + ku * np.abs(t)
-    slide = np.sqrt(np.maximum(size * size - dot(n, d) ** 2, 0.0))
-    n_error = (ku * norm(reach) + slide * t_error) / r + 0.5 * ku
-    possible, certain = distance - r <= error, r - distance > error
-    p_error = position_error(o, d, t, t_error, ku)
-    uv, uv_error = sphere_uv(mat_vec_rows(turn, n), n_error + TURN_ERROR * ku, ku)
-    return Intersections(t, t_error, n, n_error, n, n_error, possible, certain, p_error, uv, uv_error)
+    size, found = norm(d), []
+    for side in (-1.0, 1.0):
+        t = middle + side * s / size
+        n = (o - center + t[:, None] * d) / np.maximum(distance, r)[:, None]
+        reach = np.abs(o) + np.abs(t)[:, None] * np.abs(d) + np.abs(center)
+        error = ku * (dot(np.abs(n), reach) + r)
+        t_error = half_chord_error(s, r, error) / size + ku * np.abs(t)
+        slide = np.sqrt(np.maximum(size * size - dot(n, d) ** 2, 0.0))
+        n_error = (ku * norm(reach) + slide * t_error) / r + 0.5 * ku
+        possible, certain = distance - r <= error, r - distance > error
+        p_error = position_error(o, d, t, t_error, ku)
+        uv, uv_error = sphere_uv(mat_vec_rows(prims.turn[k], n), n_error + TURN_ERROR * ku, ku)
+        found.append(without_edges(t, t_error, n, n_error, possible, certain, p_error, uv, uv_error))
+    return tuple(found)
 
 
 # Multiplying by a matrix with rounded entries moves each coordinate by ku |row| |n| = ku.
@@ -113,40 +99,7 @@ def reference_uv_points(prims: Spheres, k: np.ndarray, uv: np.ndarray) -> np.nda
     return mat_vec_rows(prims.turn[k], sphere_uv_points(prims, k, uv, whole_turn=True))
 
 
-def intersect_ellipsoid(
-    prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float, transformed: RayTransform = rays_in_object_space
-) -> tuple[Intersections, ...]:
-    """Intersections of ray i with ellipsoid k[i], a unit sphere in object space; transforming the ray is rounded.
-
-    Mitsuba 3.9.1 moves the ray's origin to its closest approach to the centre, to avoid cancellation, but takes the
-    distance to that point for its parameter. If d is longer than 1 in object space, it overshoots, and rounds there.
-    """
-    to_object = prims.to_object[k]
-    rays = transformed(prims.center[k], to_object, o, d)
-    middle, distance, s = sphere_roots(rays.o, rays.d, np.ones(len(k)))
-    size = norm(rays.d)
-    overshoot = np.abs(middle) * size * np.maximum(size - 1.0, 0.0)
-    found = []
-    for side in (-1.0, 1.0):
-        t = middle + side * s / size
-        q = (rays.o + t[:, None] * rays.d) / np.maximum(distance, 1.0)[:, None]
-        error = ku * (norm(rays.components(t)) + overshoot + 1.0)
-        t_error = half_chord_error(s, np.ones(len(k)), error) / size + ku * (np.abs(t) + overshoot / size)
-        slide = np.sqrt(np.maximum(size * size - dot(q, rays.d) ** 2, 0.0))
-        n, n_error = world_normal(to_object, q, error + slide * t_error, ku)
-        possible, certain = distance - 1.0 <= error, 1.0 - distance > error
-        # Mitsuba projects the point onto the unit sphere along its radius, which may be far longer in world space.
-        away = error + np.abs(dot(q, rays.d)) * t_error + 0.5 * (slide * t_error) ** 2
-        pulled = norm(mat_vec_rows(prims.to_world[k], q)) * away
-        p_error = position_error(o, d, t, t_error, ku) + pulled
-        uv, uv_error = sphere_uv(q, error + slide * t_error, ku)
-        found.append(Intersections(t, t_error, n, n_error, n, n_error, possible, certain, p_error, uv, uv_error))
-    return tuple(found)
-
-
-def sphere_bounds(prims: Spheres) -> tuple[np.ndarray, np.ndarray]:
-    r = prims.radius[:, None]
-    return prims.center - r, prims.center + r
+intersect_ellipsoid = partial(intersect_round, ends=False)
 
 
 def describe_sphere(part: Spheres, k: int) -> Fields:
@@ -162,28 +115,13 @@ def describe_spheres(part: Spheres, file: Path) -> Fields:
     return {"type": "spheres", "file": str(file)}
 
 
-def describe_ellipsoid(part: Ellipsoids, k: int) -> Fields:
-    return {"type": "sphere", "to_world": unit_shape_matrix(part, k)}
-
-
-def expected_sphere(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
-    """Centre, and radius and rotation or matrix.
-
-    The scale of a similarity is computed from volumes, which it scales by its cube; for a matrix that is a similarity
-    only up to rounding, that equals the scale of lengths to first order.
-    """
-    linear = shape.matrix[:3, :3]
-    yield expected_point(shape, "center", part.center[0], np.array(shape.center))
-    if hasattr(part, "radius"):
-        yield from similarity_numbers(linear, np.array([shape.radius]), part)
+def expected_spheres(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
+    """Centres, and radii and rotations or matrices. The contents of a cloud's file are checked elsewhere."""
+    if isinstance(shape, Sphere):
+        centers, radii = np.array([shape.center]), np.array([shape.radius])
     else:
-        yield up_to_rounding("to_world", part.to_world[0], shape.radius * linear)
-
-
-def expected_cloud(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
-    """The same for each sphere of a cloud. The contents of its file are checked elsewhere."""
-    centers, radii = (np.array(shape.centers), shape.radii) if shape.file is None else load_points(shape.file)
-    radii = np.full(len(centers), shape.radius or 1.0) if radii is None else np.array(radii)
+        centers, own = (np.array(shape.centers), shape.radii) if shape.file is None else load_points(shape.file)
+        radii = np.full(len(centers), shape.radius or 1.0) if own is None else np.array(own)
     linear, move = shape.matrix[:3, :3], shape.matrix[:3, 3]
     size = np.abs(centers) @ np.abs(linear).T + np.abs(move)
     yield ExpectedNumbers("center", part.center, centers @ linear.T + move, size)
@@ -194,7 +132,11 @@ def expected_cloud(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
 
 
 def similarity_numbers(linear: np.ndarray, radii: np.ndarray, part: Any) -> Iterator[ExpectedNumbers]:
-    """Radii and rotations of spheres under a similarity."""
+    """Radii and rotations of spheres under a similarity.
+
+    Its scale is computed from volumes, which it scales by its cube; for a matrix that is a similarity only up to
+    rounding, that equals the scale of lengths to first order.
+    """
     largest = np.abs(linear).max()
     scale = largest * np.cbrt(abs(np.linalg.det(linear / largest)))
     radius = radii * scale
@@ -210,10 +152,6 @@ def on_spheres(prims: Any, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoints:
     p, along, n = unit_sphere_points(rng, len(k), sort)
     r = prims.radius[k][:, None]
     return SurfacePoints(prims.center[k] + r * p, r * along, n)
-
-
-def on_ellipsoids(prims: Any, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoints:
-    return to_world_points(prims, k, unit_sphere_points(rng, len(k), sort))
 
 
 def unit_sphere_points(rng: Rng, count: int, sort: str) -> UnitPoints:
@@ -292,7 +230,7 @@ DEFECTS = (STARTS_ON_CURVED, TANGENT, SMALL_AND_FAR, FAR_FROM_ORIGIN)
 
 SPHERES = PrimitiveReference(
     Spheres,
-    ErrorModel(intersect, sphere_bounds, exact=EXACT_SPHERES, uv=UvSpace(sphere_uv_points, reference_uv_points)),
+    ErrorModel(intersect, EXACT_SPHERES, uv=UvSpace(sphere_uv_points, reference_uv_points)),
     describe_sphere,
     on_spheres,
     describe_all=describe_spheres,
@@ -303,15 +241,9 @@ SPHERES = PrimitiveReference(
 )
 ELLIPSOIDS = PrimitiveReference(
     Ellipsoids,
-    ErrorModel(
-        intersect_ellipsoid,
-        affine_bounds,
-        ours_through_object_space(intersect_ellipsoid),
-        exact=EXACT_ELLIPSOIDS,
-        uv=SPHERE_UV,
-    ),
-    describe_ellipsoid,
-    on_ellipsoids,
+    ErrorModel(intersect_ellipsoid, EXACT_ELLIPSOIDS, ours_through_object_space(intersect_ellipsoid), uv=SPHERE_UV),
+    describe_unit_shape("sphere"),
+    on_unit_shape(unit_sphere_points),
     derived=("to_object",),
     rounding_groups=(by_matrix,),
     known_defects=(*DEFECTS, STRETCHED),
@@ -321,7 +253,7 @@ CLOUD = ShapeReference(
     SphereCloud,
     to_xml,
     (SPHERES, ELLIPSOIDS),
-    expected_cloud,
+    expected_spheres,
     random_cloud,
     groups=frozenset({"quadric"}),
     analytic=True,
@@ -330,7 +262,7 @@ REFERENCE = ShapeReference(
     Sphere,
     to_xml,
     (SPHERES, ELLIPSOIDS),
-    expected_sphere,
+    expected_spheres,
     random_fields,
     groups=frozenset({"quadric", "small"}),
     analytic=True,

@@ -2,7 +2,7 @@
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +24,7 @@ from mitsuba_ref.error_model.intersections import (
     position_error,
     stacked_columns,
     unit,
+    without_edges,
 )
 from mitsuba_ref.error_model.tolerances import K
 from mitsuba_ref.oracle.exact_planar import TRIANGLES
@@ -53,7 +54,7 @@ def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
         sure = resolvable & possible & np.isfinite(t)
         weight_errors = (edge_errors + np.abs(weights) * edge_errors.sum(axis=1)[:, None]) / np.abs(total)[:, None]
         sh_n, sh_error = _shading(prims, k, n, n_error, weights, weight_errors, ku)
-        p_error = _position_error(corners, weights, weight_errors, ku)
+        p_error = _barycentric_mean(corners, weights, weight_errors, ku)[1]
         uv, uv_error = _uv(prims, k, weights, weight_errors, ku)
     edge, side = _uncertain_edge(corners, inside, np.sign(total), sure)
     t_error = np.where(resolvable, t_error, np.inf)
@@ -71,11 +72,16 @@ def intersect_ours(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: 
         return (at._replace(p_error=at.p_error + position_error(o, d, at.t, at.t_error, ku)),)
 
 
-def _position_error(corners: list[np.ndarray], weights: np.ndarray, weight_errors: np.ndarray, ku: float) -> np.ndarray:
-    """Bound on Mitsuba's position, the barycentric mean of the corners: errors of the weights, and its own rounding."""
-    p = sum(weights[:, j : j + 1] * corners[j] for j in range(3))
-    moved = sum(weight_errors[:, j] * norm(corners[j] - p) for j in range(3))
-    return moved + ku * sum(np.abs(weights[:, j]) * norm(corners[j]) for j in range(3))
+def _barycentric_mean(
+    corners: Sequence[np.ndarray], weights: np.ndarray, weight_errors: np.ndarray, ku: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean of rows (m, c) at three corners, and its bound: errors of the weights, and rounding of three products.
+
+    The errors of the weights sum to 0, so they act on differences of the corners.
+    """
+    mean: np.ndarray = sum(weights[:, j : j + 1] * corners[j] for j in range(3))
+    moved = sum(weight_errors[:, j] * norm(corners[j] - mean) for j in range(3))
+    return mean, moved + ku * sum(np.abs(weights[:, j]) * norm(corners[j]) for j in range(3))
 
 
 def _uncertain_edge(
@@ -170,17 +176,11 @@ def _shading(
     weight_errors: np.ndarray,
     ku: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Interpolated normal and its bound: errors of the barycentrics, and rounding of three products and a length.
-
-    The errors of the barycentrics sum to 0, so they act on differences of the normals.
-    """
+    """Interpolated normal and its bound, with the rounding of its length."""
     normals = [by_columns(prims.normals[prims.faces[k, j]]) for j in range(3)]
-    summed = sum(weights[:, j : j + 1] * normals[j] for j in range(3))
-    length = norm(summed)
-    moved = sum(weight_errors[:, j] * norm(normals[j] - summed) for j in range(3))
-    rounded = ku * sum(np.abs(weights[:, j]) * norm(normals[j]) for j in range(3))
-    smooth = prims.smooth[k]
-    error = np.where(smooth, (moved + rounded) / np.where(length > 0.0, length, np.nan) + ku, n_error)
+    summed, summed_error = _barycentric_mean(normals, weights, weight_errors, ku)
+    length, smooth = norm(summed), prims.smooth[k]
+    error = np.where(smooth, summed_error / np.where(length > 0.0, length, np.nan) + ku, n_error)
     return np.where(smooth[:, None], unit(summed), n), error
 
 
@@ -190,31 +190,16 @@ BARYCENTRIC_UV = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])  # uv of faces t
 def _uv(
     prims: Any, k: np.ndarray, weights: np.ndarray, weight_errors: np.ndarray, ku: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """uv and their bound: a barycentric mean like the position, with the same sources of error."""
     corners = [np.broadcast_to(corner, (len(k), 2)) for corner in BARYCENTRIC_UV]
     textured = prims.textured[k]
     if textured.any():
         given = [by_columns(prims.uv[prims.faces[k, j]]) for j in range(3)]
         corners = [np.where(textured[:, None], *pair) for pair in zip(given, corners, strict=True)]
-    uv = sum(weights[:, j : j + 1] * corners[j] for j in range(3))
-    moved = sum(weight_errors[:, j] * norm(corners[j] - uv) for j in range(3))
-    rounded = ku * sum(np.abs(weights[:, j]) * norm(corners[j]) for j in range(3))
-    return plain_uv(prims, k, uv), moved + rounded
+    uv, uv_error = _barycentric_mean(corners, weights, weight_errors, ku)
+    return plain_uv(prims, k, uv), uv_error
 
 
-BOXES_PER_CHUNK = 1 << 16  # triangles whose corners are gathered at once
-
-
-def bounds(prims: Any) -> tuple[np.ndarray, np.ndarray]:
-    low, high = np.empty((len(prims.faces), 3)), np.empty((len(prims.faces), 3))
-    for start in range(0, len(low), BOXES_PER_CHUNK):
-        rows = slice(start, start + BOXES_PER_CHUNK)
-        corners = prims.vertices[prims.faces[rows]]
-        low[rows], high[rows] = corners.min(axis=1), corners.max(axis=1)
-    return low, high
-
-
-MODEL = ErrorModel(intersect, bounds, intersect_ours, exact=TRIANGLES)
+MODEL = ErrorModel(intersect, TRIANGLES, intersect_ours)
 
 
 # ---- quadrics ----
@@ -303,10 +288,56 @@ def world_normal(to_object: np.ndarray, n: np.ndarray, n_error: np.ndarray, ku: 
     return world / length[:, None], size / length * (n_error + ku) + ku
 
 
-def affine_bounds(prims: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes of shapes that are the image of a part of [-1, 1]^3 under p -> center + to_world p."""
-    reach = np.abs(prims.to_world).sum(axis=2)
-    return prims.center - reach, prims.center + reach
+def intersect_round(
+    prims: Any,
+    k: np.ndarray,
+    o: np.ndarray,
+    d: np.ndarray,
+    ku: float,
+    transformed: RayTransform = rays_in_object_space,
+    *,
+    ends: bool,
+) -> tuple[Intersections, ...]:
+    """Intersections of ray i with ellipsoid or cylinder k[i]: a unit sphere, or circle with two ends, in object space.
+
+    Mitsuba 3.9.1 moves the origin of a ray to its closest approach to the centre of an ellipsoid, to avoid
+    cancellation, but takes the distance to that point for its parameter. If d is longer than 1 in object space, it
+    overshoots, and rounds there. It projects hits onto an ellipsoid along the radius in object space, which may be far
+    longer in world space. It moves hits onto the wall of a cylinder by their distance from it in object space: along
+    the radius there for an instance; otherwise along the normal by as many scene units, which moves points of thin
+    cylinders far.
+    """
+    to_object = prims.to_object[k]
+    rays = transformed(prims.center[k], to_object, o, d)
+    used, one, found = np.array([1.0, 1.0, 0.0 if ends else 1.0]), np.ones(len(k)), []
+    with np.errstate(divide="ignore", invalid="ignore"):
+        middle, distance, s = sphere_roots(rays.o * used, rays.d * used, one)
+        size = norm(rays.d * used)
+        overshoot = 0.0 * size if ends else np.abs(middle) * size * np.maximum(size - 1.0, 0.0)
+        for side in (-1.0, 1.0):
+            t = middle + side * s / size
+            q, components = rays.o + t[:, None] * rays.d, rays.components(t)
+            error = ku * (components[:, 0] + components[:, 1] if ends else norm(components) + overshoot + 1.0)
+            t_error = half_chord_error(s, one, error) / size + ku * (np.abs(t) + overshoot / size)
+            out = q * used / np.maximum(distance, 1.0)[:, None]
+            across = np.abs(dot(out, rays.d))
+            slide = np.sqrt(np.maximum(size * size - across**2, 0.0))
+            moved = error + slide * t_error
+            n, n_error = world_normal(to_object, out, moved, ku)
+            possible, certain = distance - 1.0 <= error, 1.0 - distance > error
+            pull = norm(mat_vec_rows(prims.to_world[k], out))
+            if ends:
+                end_error = ku * components[:, 2] + np.abs(rays.d[:, 2]) * t_error
+                inside = np.minimum(q[:, 2], 1.0 - q[:, 2])
+                possible, certain = possible & (inside >= -end_error), certain & (inside > end_error)
+                pull = np.maximum(pull, 1.0)
+                uv, uv_error = np.column_stack([out[:, :2], q[:, 2]]), moved + end_error + TURN * ku
+            else:
+                uv, uv_error = sphere_uv(out, moved, ku)
+            away = error + across * t_error + 0.5 * (slide * t_error) ** 2
+            p_error = position_error(o, d, t, t_error, ku) + pull * away
+            found.append(without_edges(t, t_error, n, n_error, possible, certain, p_error, uv, uv_error))
+    return tuple(found)
 
 
 # ---- uv of quadrics ----

@@ -1,6 +1,7 @@
 """Random surface points, fields of shapes and mesh files: targets of hard rays, and shapes of the fuzzer."""
 
 import functools
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,13 +30,21 @@ class SurfacePoints(NamedTuple):
 UnitPoints = tuple[np.ndarray, np.ndarray, np.ndarray]  # p, along, n of a shape at the origin
 
 
-def to_world_points(prims: Any, k: np.ndarray, unit: UnitPoints) -> SurfacePoints:
-    """Points of a unit shape under p -> center + to_world p."""
-    p, along, n = unit
-    to_world, to_object = prims.to_world[k], prims.to_object[k]
-    moved = prims.center[k] + np.einsum("ijk,ik->ij", to_world, p)
-    across = np.einsum("ikj,ik->ij", to_object, n)
-    return SurfacePoints(moved, np.einsum("ijk,ik->ij", to_world, along), across / np.abs(across).max(initial=1e-300))
+# (arrays, k (m,), random generator, one of POINT_KINDS) -> points where hits are hard to decide
+PointsFunction = Callable[[Any, np.ndarray, Rng, str], SurfacePoints]
+
+
+def on_unit_shape(points: Callable[[Rng, int, str], UnitPoints]) -> PointsFunction:
+    """Points of a unit shape under p -> center + to_world p. points: of the unit shape."""
+
+    def on_shapes(prims: Any, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoints:
+        p, along, n = points(rng, len(k), sort)
+        moved = prims.center[k] + np.einsum("ijk,ik->ij", prims.to_world[k], p)
+        across = np.einsum("ikj,ik->ij", prims.to_object[k], n)
+        along = np.einsum("ijk,ik->ij", prims.to_world[k], along)
+        return SurfacePoints(moved, along, across / np.abs(across).max(initial=1e-300))
+
+    return on_shapes
 
 
 def pushed_outside(rng: Rng, p: np.ndarray, sort: str) -> np.ndarray:

@@ -75,7 +75,7 @@ def request_answer(
     answer = ids_as_described(answer, packed)
     view = model
     if answer.own_camera:  # its rays are known up to the rounding of a camera
-        described = described_model(scene, model) if answer.own_geometry else None
+        described = described_model(scene) if answer.own_geometry else None
         about = model.packed, model.parts, model.kinds, model.models
         view = UncertainRaysModel(*about, *camera_rounding(scene), as_described=described)
     return SubjectResponse(scene, model, rays, answer, view, ends)

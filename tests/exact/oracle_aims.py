@@ -5,6 +5,7 @@ Whole coordinates make edges, rims, tangents and ends exact: with columns that a
 of two, so that it stays exact from 1e-300 to 1e300, or by other numbers, which round it to somewhere beside.
 """
 
+from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from caster.shapes.cylinder import Cylinders
 from caster.shapes.disk import Disks
 from caster.shapes.plane import Planes
 from caster.shapes.sphere import Ellipsoids, Spheres
+from mitsuba_ref.oracle.exact_numbers import Root
 
 Rng = np.random.Generator
 KINDS = ("Triangles", "Planes", "Spheres", "Ellipsoids", "Cylinders", "Disks")
@@ -38,6 +40,12 @@ class Aimed(NamedTuple):
     prims: Any
     o: np.ndarray  # (n, 3)
     d: np.ndarray  # (n, 3)
+
+
+def root_bracket(root: Root, bits: int) -> tuple[Fraction, Fraction]:
+    """Bounds of a root, 2^(e - bits) / s apart or equal."""
+    low, high = (Fraction(n, root.s) * Fraction(2) ** (root.e - bits) for n in root.numerators(bits))
+    return low, high
 
 
 def packed(*arrays: Any) -> Packed:

@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import oracle_fractions
 import pytest
-from oracle_aims import KINDS, SCALES, aim, packed
+from oracle_aims import KINDS, SCALES, aim, packed, root_bracket
 from oracle_fractions import Solution
 
 from mitsuba_ref.oracle.oracle import EXACT_KINDS, Oracle, Root
@@ -23,13 +23,13 @@ WHERE = {
 
 
 def same(found: Root, expected: Solution) -> bool:
-    """Whether the expected root lies where the oracle's does, to 2^-200 of itself, and both floats around it."""
-    low, high = found.bracket(300)
+    """Whether the expected root lies where the oracle's does, to 2^-200 of itself, between the floats around it."""
+    low, high = root_bracket(found, 300)
     if expected.compare(low) < 0 or expected.compare(high) > 0 or high - low > abs(low) * Fraction(2) ** -200:
         return False
-    below, above = found.interval()
-    around = [(x, side) for x, side in ((below, 1), (above, -1)) if math.isfinite(x)]
-    return all(expected.compare(Fraction(x)) in (0, side) for x, side in around)
+    near = float(found)
+    around = [(math.nextafter(near, -math.inf), 1), (math.nextafter(near, math.inf), -1)]
+    return all(expected.compare(Fraction(x)) == side for x, side in around if math.isfinite(x))
 
 
 def agrees(found, expected) -> bool:

@@ -1,6 +1,5 @@
 """Parts of the oracle against Fractions: every number, not only which primitive is hit."""
 
-from fractions import Fraction
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,11 +8,7 @@ from oracle_aims import triangles
 
 from caster.geometry.packing import Kind
 from caster.shapes.sphere import Spheres
-from mitsuba_ref.oracle.oracle import Oracle, RayColumns, identical_groups, slab_test
-
-
-def exact(rows) -> list[Fraction]:
-    return [Fraction(float(x)) for x in rows]
+from mitsuba_ref.oracle.oracle import Oracle, identical_groups
 
 
 def test_the_roots_of_each_primitive_are_its_own_wherever_others_are_nowhere():
@@ -33,44 +28,6 @@ def test_the_roots_of_each_primitive_are_its_own_wherever_others_are_nowhere():
         for wrong in (-1, 7):
             with pytest.raises(IndexError):
                 oracle.roots(wrong, (0.0, 0.0, -1.0), (0.0, 0.0, 2.0))
-
-
-def crossing(line, box) -> tuple[Fraction, Fraction] | None:
-    """From which t to which a line is within a box, in Fractions; None: nowhere."""
-    near = far = None
-    for o, d, low, high in zip(*line, *box, strict=True):
-        if not d:
-            if not low <= o <= high:
-                return None
-            continue
-        ends = sorted([(low - o) / d, (high - o) / d])
-        near, far = ((ends[0] if near is None else max(near, ends[0])), (ends[1] if far is None else min(far, ends[1])))
-    return None if near > far else (near, far)
-
-
-def test_a_ray_passes_a_box_as_it_does_in_fractions():
-    """On a lattice, where many rays pass along faces and through corners, or begin or end at a box: all that pass, no
-    other that misses by more than rounding, and a `near` that is no later and hardly earlier than the box."""
-    rng = np.random.default_rng(14)
-    n = 4000
-    o, d = rng.integers(-4, 5, (n, 3)).astype(float), rng.integers(-2, 3, (n, 3)).astype(float)
-    d[~d.any(axis=1), 1] = 1.0
-    low = rng.integers(-4, 2, (n, 3)).astype(float)
-    high = low + rng.integers(0, 6, (n, 3))
-    t_min, t_max = rng.choice([-np.inf, 0.0, 1.0], n), rng.choice([np.inf, np.inf, 2.0, 1.0, -1.0], n)
-    rays = RayColumns(o.T, d.T, t_min, t_max)
-    crossed, near = slab_test(rays, np.arange(n), low.T, high.T)
-    touched = []
-    for i in range(n):
-        span = crossing((exact(o[i]), exact(d[i])), (exact(low[i]), exact(high[i])))
-        inside = span is not None and span[1] > t_min[i] and span[0] <= t_max[i] and t_min[i] <= t_max[i]
-        assert not inside or crossed[i], i
-        if crossed[i] and not inside:
-            touched.append(i)
-            assert span is not None and (span[1] == t_min[i] or t_min[i] > t_max[i]), i
-        if inside:
-            assert near[i] <= span[0] and float(span[0]) - near[i] <= 1e-14 * max(1.0, abs(float(span[0])))
-    assert 0.05 < crossed.mean() < 0.5 and touched
 
 
 def test_identical_rows_are_gathered_by_the_numbers_of_their_primitives():

@@ -43,11 +43,6 @@ def intersect(prims: Coins, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: flo
     return disk.intersect(as_disks(prims), k, o, d, ku)
 
 
-def bounds(prims: Coins) -> tuple[np.ndarray, np.ndarray]:
-    reach = prims.radius[:, None] * np.array([1.0, 1.0, 0.0])
-    return prims.center - reach, prims.center + reach
-
-
 # ---- exact arithmetic: every number a whole number times a power of two
 
 
@@ -79,8 +74,8 @@ def intersect_exactly(coin: IntegerCoin, ray: IntegerRay) -> LineIntersections:
 
 def boxes(prims: Coins) -> tuple[np.ndarray, np.ndarray]:
     """Rounded outwards."""
-    low, high = bounds(prims)
-    return next_below(low), next_above(high)
+    reach = prims.radius[:, None] * np.array([1.0, 1.0, 0.0])
+    return next_below(prims.center - reach), next_above(prims.center + reach)
 
 
 # ---- what the fuzzer draws and aims at, what reproducers write, what Mitsuba is known to get wrong
@@ -104,7 +99,7 @@ def defect_view(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> D
 
 COINS = PrimitiveReference(
     Coins,
-    ErrorModel(intersect, bounds, exact=ExactKind(boxes, prepare, intersect_exactly), uv=disk.UV),
+    ErrorModel(intersect, ExactKind(boxes, prepare, intersect_exactly), uv=disk.UV),
     describe,
     surface_points,
     rounding_groups=(by_normal,),

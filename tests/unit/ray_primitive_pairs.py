@@ -12,7 +12,7 @@ from decimal_intersections import Met, exactly
 from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
 from mitsuba_ref.error_model.intersections import Intersections
-from mitsuba_ref.shapes import reference_of
+from mitsuba_ref.shapes import kind_of, reference_of
 
 Off = Callable[[np.ndarray], np.ndarray]
 
@@ -73,7 +73,7 @@ def pose(kind: str, setting: Setting, seed: list[int], count: int = 300, shapes:
     packed, (o, d) = pack(scene, as_float32), rays_at(scene, rng, setting, count)
     reference, prims = reference_of(scene.shapes[0]), packed.kinds[0].prims
     k = np.repeat(np.arange(shapes), -(-count // shapes))[:count]
-    return Pairs(prims, k, o, d, reference.model_of(prims), reference.stand_in(prims, o, d))
+    return Pairs(prims, k, o, d, kind_of(prims).model, reference.stand_in(prims, o, d))
 
 
 def rounding(rng: Rng, u: float) -> Off:

@@ -8,7 +8,7 @@ import pytest
 
 from caster.scene.model import Scene
 from mitsuba_ref.error_model import lambert
-from mitsuba_ref.error_model.intersections import Intersections
+from mitsuba_ref.error_model.intersections import without_edges
 from mitsuba_ref.error_model.lambert import ShadingPoints, light_contribution
 from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.judge.diffuse import materials_of
@@ -38,7 +38,7 @@ def units(rng: np.random.Generator) -> np.ndarray:
 def hits(rng: np.random.Generator, p: Any, d: Any, sh_n: Any, p_error: float, sh_error: float) -> ShadingPoints:
     flat, none = np.zeros(COUNT), np.zeros(COUNT, bool)
     errors = np.full(COUNT, sh_error)
-    at = Intersections(flat, flat, sh_n, errors, sh_n, errors, ~none, ~none, np.full(COUNT, p_error), sh_n, flat)
+    at = without_edges(flat, flat, sh_n, errors, ~none, ~none, np.full(COUNT, p_error), sh_n, flat)
     return ShadingPoints(p, d, np.arange(COUNT) % 2, at)
 
 

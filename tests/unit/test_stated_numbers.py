@@ -95,7 +95,7 @@ def bounds(shape: Any) -> dict[str, list[float]]:
     none = np.zeros((1, 3), np.float32)
     rays = SharedRays(none, none + 1, np.full(1, np.inf, np.float32), np.zeros(1))
     model = model_of(scene, packed_float32(scene), rays)
-    low, high = (np.clip(corner[0], -5.0, 40.0) for corner in model.boxes)
+    low, high = (np.clip(corner, -5.0, 40.0) for corner in float_box(model.kinds[0]))
     o = np.repeat(np.array(ORIGINS) + low, len(TARGETS), axis=0).astype(np.float32).astype(float)
     d = np.tile(low + np.array(TARGETS) * (high - low), (len(ORIGINS), 1)) - o
     d = (d * 0.75).astype(np.float32).astype(float)
@@ -106,6 +106,17 @@ def bounds(shape: Any) -> dict[str, list[float]]:
         for field in ("t", *ERRORS, "possible", "certain"):
             found[f"{field}, {ku:g}, {'ours' if ours else 'reference'}"] = getattr(met.at, field)[order]
     return {name: np.asarray(values, float).tolist() for name, values in found.items()}
+
+
+def float_box(prims: Any) -> tuple[Any, Any]:
+    """Corners of a box around the first primitive, in whose units rays are aimed."""
+    if hasattr(prims, "faces"):
+        corners = prims.vertices[prims.faces[0]]
+        return corners.min(axis=0), corners.max(axis=0)
+    if not hasattr(prims, "to_world") and not hasattr(prims, "radius"):
+        return np.full(3, -np.inf), np.full(3, np.inf)
+    reach = np.abs(prims.to_world[0]).sum(axis=1) if hasattr(prims, "to_world") else prims.radius[0]
+    return prims.center[0] - reach, prims.center[0] + reach
 
 
 def packing(shape: Any) -> dict[str, list[float]]:

@@ -21,7 +21,7 @@ from mitsuba_ref.hard.rays import ALL_AIMS, Aim, Frame, RayBatch, Targets, aimed
 from mitsuba_ref.judge.checks import OURS, check
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
-from mitsuba_ref.shapes import reference_of
+from mitsuba_ref.reference.shared_input import own_model
 from mitsuba_ref.shapes.targets import Rng
 
 # ---- casting rays by any culling, and comparing the first hit and its t with exact arithmetic
@@ -108,9 +108,7 @@ def adjudicate(subject: PreparedScene, rays: RayBatch, found: NearestHits) -> Ad
     Raises OutsideDomain for rays that the oracle does not take.
     """
     answers = subject.oracle.first_hits(*rays)
-    models = [reference_of(shape).model_of for shape in subject.scene.shapes]
-    with np.errstate(all="ignore"):
-        bounds = t_bounds(models, subject.packed, found, (rays.o, rays.d))
+    bounds = t_bounds(own_model(subject.packed), found, (rays.o, rays.d))
     rows = zip(answers, found.t.tolist(), found.prim.tolist(), bounds.tolist(), strict=True)
     ratios, kinds, texts = (list(column) for column in zip(*(_verdict(*row) for row in rows), strict=True))
     return Adjudicated(answers, bounds, np.array(ratios), kinds, texts)

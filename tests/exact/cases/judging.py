@@ -16,7 +16,7 @@ from caster.geometry.packing import Packed
 from mitsuba_ref.error_model.bounds import t_bounds
 from mitsuba_ref.oracle.exact_numbers import Root
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
-from mitsuba_ref.shapes import kind_of
+from mitsuba_ref.reference.shared_input import own_model
 
 NORMALS = 8  # of each question's hits, spread over them: so many normals are worked out exactly
 SHOWN = 5  # wrong rays in a message
@@ -95,9 +95,8 @@ def of_t(question: Question, packed: Packed, hits: Hits, answers: list[ExactAnsw
     exponent = powers(question.d[rows]) - powers(rays.d[rows])
     with np.errstate(over="ignore", under="ignore"):  # as in `cast`
         own = np.ldexp(nearest.error[rows], -exponent)
-    models = [lambda part: kind_of(part).model] * len(packed.parts)
     t = hits.t[rows]
-    judges = t_bounds(models, packed, (t, nearest.prim[rows]), (question.o[rows], question.d[rows]))
+    judges = t_bounds(own_model(packed), (t, nearest.prim[rows]), (question.o[rows], question.d[rows]))
     for j, i in enumerate(rows.tolist()):
         error = exact_t(answers[i]).off(float(t[j]))
         for whose, limit in (("the caster", own[j]), ("the judge", judges[j])):

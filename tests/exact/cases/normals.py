@@ -4,6 +4,7 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
+from oracle_aims import root_bracket
 
 from caster.geometry.packing import Packed
 from mitsuba_ref.oracle.exact_numbers import Root
@@ -43,7 +44,7 @@ def unit(v: Exact) -> np.ndarray:
 def point(o: Any, d: Any, t: Root) -> Exact:
     """o + t d; t to BITS more bits than its own size needs."""
     size = float(t)
-    low, _ = t.bracket(BITS + max(0, t.e - int(np.frexp(size)[1])) + t.s.bit_length())
+    low, _ = root_bracket(t, BITS + max(0, t.e - int(np.frexp(size)[1])) + t.s.bit_length())
     return [p + low * q for p, q in zip(exactly(o), exactly(d), strict=True)]
 
 
