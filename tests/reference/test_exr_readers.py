@@ -1,4 +1,4 @@
-"""Mitsuba reads our EXR files as they are meant: every channel by its name, layers as groups, bits untouched."""
+"""Mitsuba reads our EXR files as intended: each channel by name, layers as groups, bits unchanged."""
 
 import subprocess
 import sys
