@@ -1,4 +1,4 @@
-"""What this run could use, said in its header, and a marker for each folder of tests."""
+"""The run's header, which names optional software that was found, and a marker for each folder of tests."""
 
 import collections
 import contextlib

@@ -1,7 +1,7 @@
 """The AOVs that can be rendered. An AOV from elsewhere is added by `register` and rendered like these."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,7 +10,7 @@ from caster.jit.decorators import implement, inlined
 from caster.kernels.protocol import Vec3
 from caster.kernels.surface.per_hit import NEEDED_FIELDS, Hit, length, per_hit
 
-__all__ = ["AOVS", "BY_NAME", "Aov", "Aovs", "kernel_of", "needs_of", "register", "unregister"]
+__all__ = ["AOVS", "BY_NAME", "Aov", "Aovs", "kernel_of", "needs_of", "register"]
 
 
 class Aov(NamedTuple):
@@ -25,21 +25,12 @@ class Aov(NamedTuple):
     evaluate: Callable[[Any], Any]  # the per-hit kernel: a number, or a tuple with one for each channel
 
 
-class Aovs(Mapping[str, np.ndarray]):
+class Aovs(dict[str, np.ndarray]):
     """Images by AOV name, (h, w) or (h, w, c) each. `hit` is always there."""
 
     def __init__(self, images: Mapping[str, np.ndarray], hit: np.ndarray):
-        self._images = dict(images)
+        super().__init__(images)
         self.hit = hit  # (h, w) bool
-
-    def __getitem__(self, name: str) -> np.ndarray:
-        return self._images[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._images)
-
-    def __len__(self) -> int:
-        return len(self._images)
 
 
 class PerHit(NamedTuple):
@@ -68,12 +59,6 @@ def register(aov: Any) -> None:
     _KERNELS[aov.NAME] = _kernel(aov)
     AOVS.append(aov)
     BY_NAME[aov.NAME] = aov
-
-
-def unregister(name: str) -> None:
-    """Remove an AOV."""
-    AOVS.remove(BY_NAME.pop(name))
-    del _KERNELS[name]
 
 
 def kernel_of(name: str) -> Any:

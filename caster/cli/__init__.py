@@ -27,7 +27,7 @@ COMMANDS = (
         "print the JSON Schema of scene files, for editors",
         f"{_HERE}.scene_commands",
         run="print_schema",
-        arguments="no_arguments",
+        arguments="",
     ),
     Command(
         "info",
@@ -56,8 +56,6 @@ COMMANDS = (
         f"{_HERE}.course_6837",
     ),
     Command(
-        "doctor",
-        "list the packages found on this machine, and what each missing one would add",
-        f"{_HERE}.installation",
+        "doctor", "list the packages found on this machine, and the use of each missing one", f"{_HERE}.installation"
     ),
 )

@@ -24,13 +24,14 @@ class Command(NamedTuple):
     help: str  # one line
     module: str  # dotted
     run: str = "run"
-    arguments: str = "add_arguments"
-    starts_with: str = ""  # what it does first, printed at once by commands that load slowly
+    arguments: str = "add_arguments"  # "": it has none
+    starts_with: str = ""  # the first status line of a command that loads slowly
     arguments_in: str = ""  # another module that has `arguments`, of a command that loads slowly
 
     def load(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments to the parser of the command. The module of `run` is imported when it runs."""
-        getattr(import_module(self.arguments_in or self.module), self.arguments)(parser)
+        if self.arguments:
+            getattr(import_module(self.arguments_in or self.module), self.arguments)(parser)
         parser.set_defaults(run=lambda args: getattr(import_module(self.module), self.run)(args))
 
 

@@ -111,10 +111,6 @@ def check_file(path: str, mesh_dirs: list[str]) -> int:
     return OK
 
 
-def no_arguments(parser: argparse.ArgumentParser) -> None:
-    """`caster schema` takes none."""
-
-
 def print_schema(args: argparse.Namespace) -> int:
     """Print the JSON Schema of scene files."""
     from caster.scene.files import scene_schema

@@ -40,9 +40,9 @@ class Positions:
         """The span of a path through the data, or of the nearest enclosing table."""
         while path and path not in self._nodes:
             path = path[:-1]
-        return self._span(*self._nodes[path]) if path else Span(1, 1, 1)
-
-    def _span(self, first: Any, last: Any) -> Span:
+        if not path:
+            return Span(1, 1, 1)
+        first, last = self._nodes[path]
         row, start = first.start_point
         end = last.end_point[1] if last.end_point[0] == row else len(self._lines[row])
         before, inside = self._lines[row][:start].decode(), self._lines[row][start:end].decode()

@@ -46,11 +46,6 @@ class Registry(list[type[Entry]]):
         self.changed()
         return entry
 
-    def unregister(self, entry: type[Entry]) -> None:
-        """Remove a class."""
-        self.remove(entry)
-        self.changed()
-
 
 def load_plugins(group: str = PLUGIN_GROUP) -> None:
     """Import the modules of an entry-point group. Raises ImportError that names the plug-in."""

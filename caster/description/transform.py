@@ -48,7 +48,10 @@ def rotate(axis: Sequence[float], degrees: float) -> Matrix:
     Source: Rodrigues' rotation formula.
     """
     x, y, z = unit(axis)
-    c, s = _cos_sin(degrees)
+    turn = math.remainder(degrees, 360.0)  # exact, like the next two lines
+    quarters = round(turn / 90.0)
+    s, c = sine_and_cosine(math.radians(turn - 90.0 * quarters))
+    c, s = ((c, s), (-s, c), (-c, -s), (s, -c))[quarters % 4]
     rest = 1.0 - c
     matrix = np.eye(4)
     matrix[0, :3] = x * x * rest + c, x * y * rest - z * s, x * z * rest + y * s
@@ -216,14 +219,6 @@ def unit(v: Sequence[float]) -> Vector:
     x, y, z = (math.ldexp(c, exponent) for c in v)
     length = math.hypot(x, y, z)
     return x / length, y / length, z / length
-
-
-def _cos_sin(degrees: float) -> tuple[float, float]:
-    rest = math.remainder(degrees, 360.0)  # exact, like the next two lines
-    quarters = round(rest / 90.0)
-    angle = math.radians(rest - 90.0 * quarters)
-    s, c = sine_and_cosine(angle)
-    return ((c, s), (-s, c), (-c, -s), (s, -c))[quarters % 4]
 
 
 # Sines, cosines, tangents and powers.

@@ -119,6 +119,17 @@ def _exponents(columns: Floats) -> Ints:
     return np.asarray(np.frexp(np.max(np.abs(columns), axis=0, initial=0.0))[1])
 
 
+def grid_faces(vertex: Ints) -> Ints:
+    """Two triangles for each cell of a grid of vertex numbers: (m, 3).
+
+    vertex: (rows, columns), or (n, rows, columns) for n grids. The triangles are counter-clockwise where columns run to
+    the right and rows upwards.
+    """
+    here, right = vertex[..., :-1, :-1], vertex[..., :-1, 1:]
+    above, opposite = vertex[..., 1:, :-1], vertex[..., 1:, 1:]
+    return np.stack((here, right, opposite, here, opposite, above), axis=-1).reshape(-1, 3)
+
+
 Indices = NDArray[np.int64]
 
 

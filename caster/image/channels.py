@@ -21,14 +21,11 @@ def aovs_to_channels(aovs: Aovs) -> dict[str, np.ndarray]:
             image = aovs[aov.NAME]
             planes = image[..., None] if image.ndim == 2 else image
             for c, channel in enumerate(aov.CHANNELS):
-                channels[channel] = _to_stored(planes[..., c])
+                plane = planes[..., c]
+                if np.issubdtype(plane.dtype, np.integer):
+                    plane = np.where(plane < 0, NO_ID, plane.astype(np.int64)).astype(np.uint32)
+                channels[channel] = plane
     return channels
-
-
-def _to_stored(plane: np.ndarray) -> np.ndarray:
-    if np.issubdtype(plane.dtype, np.integer):
-        return np.where(plane < 0, NO_ID, plane.astype(np.int64)).astype(np.uint32)
-    return plane
 
 
 def channels_to_aovs(channels: Mapping[str, np.ndarray]) -> Aovs:

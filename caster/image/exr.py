@@ -29,6 +29,7 @@ from caster.image.exr_validation import (
     merged_channel_names,
     merged_provenance,
     to_storable,
+    window_of,
 )
 from caster.system.atomic_files import OutputError, atomic_write
 
@@ -144,7 +145,7 @@ def read_exr(path: str | os.PathLike[str]) -> Exr:
     names = {part.name(): part.channels for part in read}
     called = merged_channel_names(path, names) if len(read) > 1 else {}
     header = read[0].header
-    window = _exclusive(header["dataWindow"])
+    window = window_of(header["dataWindow"])
     channels: dict[str, np.ndarray] = {}
     parts: list[Part] = []
     for part in read:
@@ -155,7 +156,7 @@ def read_exr(path: str | os.PathLike[str]) -> Exr:
         dict(sorted(channels.items())),
         merged_provenance(path, [part.header for part in read]),
         window,
-        _exclusive(header["displayWindow"]),
+        window_of(header["displayWindow"]),
         tuple(parts) if len(parts) > 1 else (),
     )
 
@@ -163,11 +164,6 @@ def read_exr(path: str | os.PathLike[str]) -> Exr:
 def _inclusive(window: Window) -> tuple[tuple[int, int], tuple[int, int]]:
     x0, y0, x1, y1 = window
     return (x0, y0), (x1 - 1, y1 - 1)
-
-
-def _exclusive(box: Any) -> Window:
-    (x0, y0), (x1, y1) = box
-    return int(x0), int(y0), int(x1) + 1, int(y1) + 1
 
 
 def _is_multi_part(path: Path) -> bool:
@@ -185,14 +181,14 @@ def _is_multi_part(path: Path) -> bool:
     if magic != MAGIC:
         raise UnreadableExr(f"{path}: expected an EXR image, got a file that starts with {start[:4]!r}")
     if flags & DEEP and not flags & MULTI_PART:
-        raise UnreadableExr(f"{path}: a deep EXR has many samples a pixel; write a flat one")
+        raise UnreadableExr(f"{path}: a deep EXR has many samples per pixel; write a flat one")
     return bool(flags & MULTI_PART)
 
 
 def _decode_multi_part(path: Path) -> list[Any]:
     """Decode all parts of a multi-part file, after checking that they are layers of one image."""
     headers = [part.header for part in _decode(path, header_only=True)]
-    check_parts(path, headers, _exclusive)
+    check_parts(path, headers)
     read = _decode(path)
     check_all_read(path, headers, [part.name() for part in read])
     return read

@@ -6,7 +6,7 @@ keeps its name; any other is prefixed by its part (`Z` of the part `depth` is `d
 
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -62,6 +62,12 @@ def checked_window(what: str, window: Window) -> Window:
     return x0, y0, x1, y1
 
 
+def window_of(box: Any) -> Window:
+    """A Window from the library's box, whose last pixel is inside."""
+    (x0, y0), (x1, y1) = box
+    return int(x0), int(y0), int(x1) + 1, int(y1) + 1
+
+
 def header_attributes(provenance: Mapping[str, str]) -> dict[str, str]:
     """Header attributes under caster/ of provenance. Raises SceneError for values that are no text."""
     attributes: dict[str, str] = {}
@@ -112,18 +118,17 @@ class Part(NamedTuple):
         return f"{self.name} ({', '.join(name.removeprefix(f'{self.name}.') for name in self.channels)})"
 
 
-def check_parts(path: Path, headers: Sequence[Mapping[str, Any]], window: Callable[[Any], Window]) -> None:
-    """Raise UnreadableExr, naming the parts, unless they are layers of one flat image.
-
-    headers: of all parts; window: converts the library's box to a Window.
-    """
+def check_parts(path: Path, headers: Sequence[Mapping[str, Any]]) -> None:
+    """Raise UnreadableExr, naming the parts, unless they are layers of one flat image. headers: of all parts."""
     deep = [_part_name(each) for each in headers if "deep" in str(each.get("type"))]
     if deep:
-        raise UnreadableExr(f"{path}: deep data, many samples a pixel, in part {_quoted_list(deep)}; write flat parts")
+        raise UnreadableExr(
+            f"{path}: deep data, many samples per pixel, in part {_quoted_list(deep)}; write flat parts"
+        )
     views = dict.fromkeys(str(each["view"]) for each in headers if each.get("view"))
     if len(views) > 1:
         raise UnreadableExr(f"{path}: images of {len(views)} views ({_quoted_list(views)}); write one of them")
-    windows = [window(each["dataWindow"]) for each in headers]
+    windows = [window_of(each["dataWindow"]) for each in headers]
     if len(set(windows)) > 1:
         shown = [f"'{_part_name(each)}' shows {box}" for each, box in zip(headers, windows, strict=True)]
         raise UnreadableExr(

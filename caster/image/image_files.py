@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,9 +13,6 @@ from caster.description.errors import SceneError, join_words
 from caster.system.atomic_files import write_bytes
 
 __all__ = ["encode_image"]
-
-if TYPE_CHECKING:
-    from PIL import ImageFont
 
 Array = np.ndarray[Any, np.dtype[Any]]
 
@@ -54,9 +51,9 @@ def encode_image(pixels: Array, kind: str, about: Mapping[str, str] = {}) -> byt
 
 def label_image(text: str, width: int, height: int) -> Array:
     """An image of one line of text, centred and shortened to fit, (height, width, 3) bytes."""
-    from PIL import Image, ImageDraw
+    from PIL import Image, ImageDraw, ImageFont
 
-    font = _font(round(0.7 * height))
+    font: Any = ImageFont.load_default(round(0.7 * height))  # with a size, Pillow's own TrueType font
     while len(text) > 1 and font.getlength(text) > width - 4:
         text = text.rstrip("…")[:-1] + "…"
     image = Image.new("RGB", (width, height), BACKGROUND)
@@ -65,11 +62,3 @@ def label_image(text: str, width: int, height: int) -> Array:
 
 
 BACKGROUND, TEXT_COLOR = (255, 255, 255), (30, 30, 30)
-
-
-def _font(size: int) -> ImageFont.FreeTypeFont:
-    from PIL import ImageFont
-
-    font = ImageFont.load_default(size)
-    assert isinstance(font, ImageFont.FreeTypeFont)  # with a size, Pillow returns its bundled TrueType font
-    return font

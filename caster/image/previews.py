@@ -29,12 +29,6 @@ COLORMAP_ANCHORS = np.reshape(
 GOLDEN_RATIO_CONJUGATE = 0.6180339887498949
 
 
-def srgb_encoded(linear: Array) -> Array:
-    """Linear light -> sRGB values, both 0..1, clipped (IEC 61966-2-1)."""
-    x = np.clip(linear, 0.0, 1.0)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1.0 / 2.4) - 0.055)
-
-
 def to_bytes(values: Array) -> Array:
     """0..1 -> 0..255, clipped and rounded."""
     return np.round(255.0 * np.clip(values, 0.0, 1.0)).astype(np.uint8)
@@ -152,8 +146,10 @@ def _reflectance(values: Array, shown: Array) -> Colored:
     return _srgb_bytes(values, shown), "0 to 1 on an sRGB screen"
 
 
-def _srgb_bytes(values: Array, shown: Array) -> Array:
-    return to_bytes(srgb_encoded(np.where(shown[..., None], values, 0.0)))
+def _srgb_bytes(linear: Array, shown: Array) -> Array:
+    """Linear light as sRGB bytes, clipped (IEC 61966-2-1)."""
+    x = np.clip(np.where(shown[..., None], linear, 0.0), 0.0, 1.0)
+    return to_bytes(np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1.0 / 2.4) - 0.055))
 
 
 def _mask(values: Array, shown: Array) -> Colored:
@@ -162,7 +158,7 @@ def _mask(values: Array, shown: Array) -> Colored:
 
 def _labels(values: Array, shown: Array) -> Colored:
     count = len(np.unique(values[shown]))
-    return label_colors(np.where(shown, values, 0)), f"a colour a number, {count} of them"
+    return label_colors(np.where(shown, values, 0)), f"one colour per number, {count} numbers"
 
 
 # By the PREVIEW that an AOV declares.

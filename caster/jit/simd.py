@@ -56,12 +56,12 @@ def splat(x: float) -> Vector:
 
 def larger(v: Vector, w: Vector) -> Vector:
     """v where it is greater, else w."""
-    return np.where(v > w, v, w).view(PlainVector)
+    return _chosen(v > w, v, w)
 
 
 def lesser(v: Vector, w: Vector) -> Vector:
     """v where it is less, else w."""
-    return np.where(v < w, v, w).view(PlainVector)
+    return _chosen(v < w, v, w)
 
 
 def bits_below(v: Vector, w: Vector) -> int:
@@ -80,7 +80,12 @@ def _packed(flags: Any) -> int:
 
 def select(bits: int, v: Vector, w: Vector) -> Vector:
     """v where the lane's bit is set, else w."""
-    return np.where([bits >> n & 1 for n in range(LANES)], v, w).view(PlainVector)
+    return _chosen([bits >> n & 1 for n in range(LANES)], v, w)
+
+
+def _chosen(flags: Any, v: Vector, w: Vector) -> Vector:
+    found: Any = np.where(flags, v, w)
+    return found.view(PlainVector)
 
 
 def least(v: Vector) -> float:

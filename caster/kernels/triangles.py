@@ -284,9 +284,9 @@ def triangle_normal_slow(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
 @implement(surface, Triangles)
 def _surface(prims: Any, k: int, o: Vec3, d: Vec3, t: float, wants_uv: bool) -> Any:
     a, b, c = corners_of(prims.vertices, prims.faces, k)
-    p, q, r = sub(a, o), sub(b, o), sub(c, o)
-    known, weights = fast_barycentrics(p, q, r, d)
-    weights = b0, b1, b2 = weights if known else barycentrics_edge_on(p, q, r, scaled(t, d))
+    corners = sub(a, o), sub(b, o), sub(c, o)
+    known, weights = fast_barycentrics(*corners, d)
+    weights = b0, b1, b2 = weights if known else barycentrics_edge_on(*corners, scaled(t, d))
     p = add(scaled(b0, a), add(scaled(b1, b), scaled(b2, c)))
     n = triangle_normal(a, b, c)
     sh_n = n

@@ -92,8 +92,7 @@ class RayHits:
         window = Window(0, 0, WIDTH, -(-count // WIDTH))
         images = {name: new_image(name, window, dtype) for name in aovs}
         planned, prim = plan(self.scene, aovs, "bvh"), self._prim_in_tile()
-        start = np.append(self.start, np.zeros(window.width * window.height - count))
-        start = start.reshape(window.height, window.width)
+        start = np.append(self.start, np.zeros(-count % WIDTH)).reshape(window.height, window.width)
         shader = TileShader(self.scene, self.packed, planned, images, start=start, exact_shadows=True)
 
         def begin() -> list[Command]:

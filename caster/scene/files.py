@@ -26,7 +26,7 @@ __all__ = ["film_pixels", "load_scene", "mesh_scene", "types_in_file", "validate
 
 
 def validated(data: Any, folders: MeshFolders) -> tuple[Scene | None, list[Diagnostic]]:
-    """The scene of parsed data and its meshes, None if it is invalid, and what is wrong with it."""
+    """Validate parsed data with its meshes: the scene, or None and the diagnostics of all errors."""
     try:
         scene = Scene.model_validate(data, context=folders)
     except ValidationError as error:

@@ -158,16 +158,6 @@ class Check(Description):
 Findings = Iterator[tuple[DataPath, str]]  # a path, and the message after its name
 
 
-def cross_element_errors(data: Any) -> Findings:
-    """Errors across elements: unknown materials, duplicate names, checks of unknown AOVs.
-
-    data: a Scene, or the input data of one, which may have other errors.
-    """
-    yield from _unknown_materials(data)
-    yield from _repeated_names(data)
-    yield from _unknown_checks(data)
-
-
 def _elements(data: Any, key: str) -> tuple[str, Any]:
     """(the spelling of the key in the data, its value)"""
     spelled = key if child_of(data, key) is not None else PLURAL[key]
@@ -257,8 +247,9 @@ class Scene(Description):
 
     @classmethod
     def problems_across(cls, data: Any) -> list[Diagnostic]:
-        """Diagnostics of `cross_element_errors` in a Scene or in input data."""
-        return [value_diagnostic(path, text, data, cls) for path, text in cross_element_errors(data)]
+        """Errors across elements of a Scene, or of the input data of one, which may have other errors."""
+        found = (*_unknown_materials(data), *_repeated_names(data), *_unknown_checks(data))
+        return [value_diagnostic(path, text, data, cls) for path, text in found]
 
     @property
     def derived(self) -> dict[str, Any]:

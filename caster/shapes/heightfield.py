@@ -10,7 +10,7 @@ from pydantic import Field
 
 from caster.description.fields import NonNegative, Positive
 from caster.description.transform import power, sine_and_cosine
-from caster.geometry.triangle_mesh import Floats, Ints, Mesh, normalize_rows
+from caster.geometry.triangle_mesh import Floats, Ints, Mesh, grid_faces, normalize_rows
 from caster.geometry.world_space import MeshShape
 from caster.kernels.math.angles import sinc_and_cos
 
@@ -32,16 +32,17 @@ def tessellate_heightfield(size: float, resolution: int, amplitude: float, waves
     Normals are the exact surface's; uv runs from (0, 0) to (1, 1).
     """
     side = resolution + 1
-    drawn = [_on_grid(wave, size, resolution) for wave in _draw(size, amplitude, waves, seed)]
+    drawn = _draw(size, resolution, amplitude, waves, seed)
     count = side * side
-    mesh = Mesh(np.empty((count, 3)), _faces(resolution), np.empty((count, 3)), np.empty((count, 2)))
+    faces = grid_faces(np.arange(count, dtype=np.int32).reshape(side, side))  # rows along y
+    mesh = Mesh(np.empty((count, 3)), faces, np.empty((count, 3)), np.empty((count, 2)))
     rows = max(1, VERTICES_PER_CHUNK // side)
     for first in range(0, side, rows):
         _fill(mesh, drawn, size, resolution, np.arange(first, min(first + rows, side), dtype=np.int32))
     return mesh
 
 
-def _fill(mesh: Mesh, waves: list["_GridWave"], size: float, resolution: int, rows: Ints) -> None:
+def _fill(mesh: Mesh, waves: list["_Wave"], size: float, resolution: int, rows: Ints) -> None:
     """Vertices, normals and uv of some rows along y."""
     u, v = (axis.ravel() for axis in np.meshgrid(np.arange(resolution + 1) / resolution, rows / resolution))
     z, normals = _surface(waves, slice(rows[0], rows[-1] + 1))
@@ -52,45 +53,39 @@ def _fill(mesh: Mesh, waves: list["_GridWave"], size: float, resolution: int, ro
 
 
 class _Wave(NamedTuple):
-    """The wave height * sin(kx x + ky y + phase)."""
+    """The wave height * sin(kx x + ky y + phase) on a grid.
+
+    columns, rows: sines and cosines of kx x for the columns and of ky y + phase for the rows.
+    """
 
     kx: float
     ky: float
-    phase: float
     height: float
-
-
-class _GridWave(NamedTuple):
-    """The sines and cosines that make a wave on a grid: of kx x for its columns, of ky y + phase for its rows."""
-
-    wave: _Wave
     columns: tuple[Floats, Floats]
     rows: tuple[Floats, Floats]
 
 
-def _on_grid(wave: _Wave, size: float, resolution: int) -> _GridWave:
-    place = (np.arange(resolution + 1) / resolution - 0.5) * size
-    return _GridWave(wave, _sines_and_cosines(wave.kx * place), _sines_and_cosines(wave.ky * place + wave.phase))
-
-
-def _draw(size: float, amplitude: float, waves: int, seed: int) -> list[_Wave]:
+def _draw(size: float, resolution: int, amplitude: float, waves: int, seed: int) -> list[_Wave]:
     """Random waves of about equal steepness: amplitudes are proportional to wavelengths and add up to `amplitude`."""
     draw = Random(seed).random  # unlike NumPy's generators, guaranteed never to change
     across = [MIN_PERIODS_ACROSS * power(MAX_PERIODS_ACROSS / MIN_PERIODS_ACROSS, draw()) for _ in range(waves)]
     scale = amplitude / sum(1.0 / n for n in across)
+    place = (np.arange(resolution + 1) / resolution - 0.5) * size
     result = []
     for n in across:
         k, (y, x) = 2.0 * math.pi * n / size, sine_and_cosine(2.0 * math.pi * draw())
         phase = 2.0 * math.pi * draw()
-        result.append(_Wave(k * x, k * y, phase, scale / n))
+        columns, rows = _sines_and_cosines(k * x * place), _sines_and_cosines(k * y * place + phase)
+        result.append(_Wave(k * x, k * y, scale / n, columns, rows))
     return result
 
 
-def _surface(waves: list[_GridWave], rows: slice) -> tuple[Floats, Floats]:
+def _surface(waves: list[_Wave], rows: slice) -> tuple[Floats, Floats]:
     """z and the unit normal, (-dz/dx, -dz/dy, 1) normalized, of some rows; by the sine and cosine of a sum."""
     z, slope_x, slope_y = np.zeros((3, rows.stop - rows.start, len(waves[0].columns[0])))
-    for wave, (sine_x, cosine_x), along in waves:
-        sine_y, cosine_y = (each[rows, None] for each in along)
+    for wave in waves:
+        sine_x, cosine_x = wave.columns
+        sine_y, cosine_y = (each[rows, None] for each in wave.rows)
         z += wave.height * (sine_x * cosine_y + cosine_x * sine_y)
         slope = wave.height * (cosine_x * cosine_y - sine_x * sine_y)
         slope_x += wave.kx * slope
@@ -111,17 +106,6 @@ def _sines_and_cosines(angles: Floats) -> tuple[Floats, Floats]:
     swap, place = quarters % 2.0, quarters % 4.0
     sine, cosine = swap * cosine + (1.0 - swap) * (h * sinc), swap * (h * sinc) + (1.0 - swap) * cosine
     return np.where(place >= 2.0, -sine, sine), np.where((place == 1.0) | (place == 2.0), -cosine, cosine)
-
-
-def _faces(resolution: int) -> Ints:
-    side = resolution + 1
-    number = np.arange(side * side, dtype=np.int32).reshape(side, side)  # rows along y
-    here, right = number[:-1, :-1], number[:-1, 1:]
-    above, opposite = number[1:, :-1], number[1:, 1:]
-    quads = np.empty((resolution, resolution, 6), np.int32)
-    for corner, numbers in enumerate((here, right, opposite, here, opposite, above)):
-        quads[:, :, corner] = numbers
-    return quads.reshape(-1, 3)
 
 
 class Heightfield(MeshShape):

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from caster.geometry.triangle_mesh import Floats, Ints, Mesh, normalize_rows
+from caster.geometry.triangle_mesh import Floats, Mesh, grid_faces, normalize_rows
 from caster.geometry.world_space import MeshShape
 
 __all__ = ["Teapot"]
@@ -134,8 +134,9 @@ def tessellate_teapot(subdivisions: int) -> Mesh:
     shape = points.shape[:3]
     keys = np.concatenate([np.broadcast_to(PARTS[:, None, None, None], (*shape, 1)), points], axis=3)
     _, first, vertex = np.unique(keys.reshape(-1, 4), axis=0, return_index=True, return_inverse=True)
-    faces = _faces(vertex.reshape(shape).astype(np.int32))
-    return Mesh(points.reshape(-1, 3)[first], faces, normalize_rows(normals.reshape(-1, 3)[first]))
+    faces = grid_faces(vertex.reshape(shape).astype(np.int32))
+    flat = (faces == np.roll(faces, 1, axis=1)).any(axis=1)  # one side of the cell is a pole
+    return Mesh(points.reshape(-1, 3)[first], faces[~flat], normalize_rows(normals.reshape(-1, 3)[first]))
 
 
 def _evaluate(nets: Floats, n: int) -> tuple[Floats, Floats]:
@@ -171,16 +172,6 @@ def _weigh(weights: Floats, nets: Floats, axis: int) -> Floats:
     w = weights.T.reshape(4, -1, *[1] * (nets.ndim - 1))
     total = (w[0] * p[0] + w[3] * p[3]) + (w[1] * p[1] + w[2] * p[2])
     return np.moveaxis(total, 0, axis)
-
-
-def _faces(vertex: Ints) -> Ints:
-    """Two triangles for each cell of (p, n + 1, n + 1) vertex numbers; one where a side is a pole."""
-    here, around = vertex[:, :-1, :-1], vertex[:, :-1, 1:]
-    along, opposite = vertex[:, 1:, :-1], vertex[:, 1:, 1:]
-    triangles = np.stack([here, around, opposite, here, opposite, along], axis=3).reshape(-1, 3)
-    flat = (triangles == np.roll(triangles, 1, axis=1)).any(axis=1)
-    kept: Ints = triangles[~flat].astype(np.int32)
-    return kept
 
 
 class Teapot(MeshShape):

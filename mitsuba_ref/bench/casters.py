@@ -1,11 +1,12 @@
 """The registry of timed ray casters, one for each row of the tables."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from mitsuba_ref.bench.drivers import ANY, AOVS, DEFAULT, FILM, NEAREST, ROBUST, Work
+from mitsuba_ref.bench.drivers import ANY, AOVS, DEFAULT, FILM, NEAREST, ROBUST
+from mitsuba_ref.bench.scenes import BenchScene
 from mitsuba_ref.reference import variants
 
 OURS, MITSUBA = "ours", "mitsuba"
@@ -37,11 +38,8 @@ class TimedCaster:
         works = not self.variant or self.variant in variants.usable_variants().names
         return "" if works else f"{self.variant} does not work here: {variants.usable_variants().why}"
 
-    def work(self, folder: str, workload: str, threads: int, aovs: Sequence[str]) -> Work:
-        return Work(folder, workload, self.threads or threads, self.driver, tuple(aovs), dict(self.options))
-
     def environment(self) -> dict[str, str]:
-        return variants.environment_for(self.variant) if self.variant else {}
+        return variants.environment_for(self.variant)
 
 
 def of_mitsuba(key: str, title: str, driver: str, mode: str, variant: str = variants.LLVM, **more: Any) -> TimedCaster:
@@ -66,10 +64,11 @@ CASTERS = (
 BY_KEY = {caster.key: caster for caster in CASTERS}
 
 
-def casters_for(workload: str, aovs: Sequence[str] = AOVS) -> list[TimedCaster]:
-    """The casters that give these AOVs in a workload."""
-    plain = set(aovs) <= set(AOVS)
-    return [each for each in CASTERS if workload in each.workloads and (plain or each.every_aov)]
+def casters_for(scene: BenchScene, candidate: TimedCaster | None = None) -> list[TimedCaster]:
+    """The casters that give a scene's AOVs in its workload."""
+    plain = set(scene.aovs) <= set(AOVS)
+    casters = [each for each in CASTERS if scene.workload in each.workloads and (plain or each.every_aov)]
+    return casters + ([candidate] if candidate and scene.aovs == AOVS else [])
 
 
 def candidate_caster(text: str, precision: str | None, *, served: bool) -> TimedCaster:

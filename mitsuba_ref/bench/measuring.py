@@ -14,7 +14,7 @@ import numpy as np
 
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.bench.casters import OURS, TimedCaster
-from mitsuba_ref.bench.drivers import FILM, Work
+from mitsuba_ref.bench.drivers import AOVS, FILM, Work
 from mitsuba_ref.bench.result import Row, SceneResult
 from mitsuba_ref.bench.scenes import BenchScene
 from mitsuba_ref.bench.scoring import ExactAnswers, write_scene
@@ -80,11 +80,10 @@ class Settings:
     seed: int = 0
 
 
-Start = Callable[[TimedCaster, str, BenchScene, int], CasterProcess]  # caster, folder, scene, threads
-
-
 def start_process(caster: TimedCaster, folder: str, scene: BenchScene, threads: int) -> CasterProcess:
-    work = caster.work(folder, scene.workload, threads, scene.aovs)
+    """Start the process of a caster. folder: as `write_scene` writes it; threads: unless the caster has its own."""
+    threads = caster.threads or threads
+    work = Work(folder, scene.workload, threads, caster.driver, scene.aovs, caster.options)
     return CasterProcess(work, caster.environment())
 
 
@@ -98,12 +97,12 @@ class CasterRun:
     seconds: list[float] = field(default_factory=list)
     row: dict[str, Any] = field(default_factory=dict)
 
-    def go(self, step: Callable[["CasterRun", CasterProcess], None]) -> None:
+    def go(self, step: Callable[..., None], *given: Any) -> None:
         """Run a step if the process is alive; the reason is recorded if the process ends."""
         if self.process is None or self.row.get("why"):
             return
         try:
-            step(self, self.process)
+            step(self, self.process, *given)
         except CasterEnded as end:
             self.row["why"] = str(end)
 
@@ -131,6 +130,12 @@ class CasterRun:
         """Peak memory, before any other rays are cast."""
         self.row["memory"] = process.request(do="memory")["bytes"]
 
+    def measure_errors(self, process: CasterProcess, truth: ExactAnswers, folder: Path) -> None:
+        rays, out = folder / "judged.npz", folder / f"{self.caster.key}.npy"
+        np.savez(rays, o=truth.o, d=truth.d)
+        process.request(do="answer", rays=str(rays), out=str(out))
+        self.row["score"] = truth.score(np.load(out), ours=self.caster.side == OURS)
+
     def result(self) -> Row:
         it = self.caster
         return Row(it.key, it.title, it.side, size=self.size, seconds=tuple(self.seconds), **self.row)
@@ -149,15 +154,14 @@ def time_scene(
     casters: Sequence[TimedCaster],
     settings: Settings,
     on_progress: Progress = lambda words: None,
-    start: Start = start_process,
-    *,
-    judged: bool = True,
+    start: Callable[..., CasterProcess] = start_process,
 ) -> SceneResult:
-    """Time all casters on a scene, in turns. judged: also measure their errors."""
+    """Time all casters on a scene, in turns, and measure their errors, unless other AOVs are asked for."""
     begun = time.perf_counter()
     with ScratchFolder() as name:
+        folder = Path(name)
         on_progress("making the scene")
-        ready = write_scene(scene, Path(name), settings.size)
+        ready = write_scene(scene, folder, settings.size)
         runs = [CasterRun(each, settings.size, row={"why": each.missing()}) for each in casters]
         try:
             on_progress("starting the casters")
@@ -176,9 +180,11 @@ def time_scene(
                     run.go(CasterRun.time_cast)
             for run in runs:
                 run.go(CasterRun.record_memory)
-            if judged:
+            if scene.aovs == AOVS:
                 on_progress("exact answers")
-                judge(runs, ExactAnswers(ready, scene.workload, settings.seed), Path(name))
+                truth = ExactAnswers(ready, scene.workload, settings.seed)
+                for run in runs:
+                    run.go(CasterRun.measure_errors, truth, folder)
         finally:
             for run in runs:
                 if run.process is not None:
@@ -187,16 +193,3 @@ def time_scene(
     aovs = scene.aovs if scene.workload == FILM else ()
     elapsed = time.perf_counter() - begun
     return SceneResult(scene.name, scene.title, scene.workload, ready.primitives, rows, elapsed, aovs)
-
-
-def judge(runs: Sequence[CasterRun], truth: ExactAnswers, folder: Path) -> None:
-    rays = folder / "judged.npz"
-    np.savez(rays, o=truth.o, d=truth.d)
-
-    def measure(run: CasterRun, process: CasterProcess) -> None:
-        out = folder / f"{run.caster.key}.npy"
-        process.request(do="answer", rays=str(rays), out=str(out))
-        run.row["score"] = truth.score(np.load(out), ours=run.caster.side == OURS)
-
-    for run in runs:
-        run.go(measure)

@@ -1,9 +1,9 @@
 """Mitsuba: its AOV integrator, and `ray_intersect` of arrays of rays."""
 
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -59,8 +59,18 @@ class Integrator(OfMitsuba):
     known = (*INTEGRATOR_AOVS, LIT)
 
     def build(self, size: int) -> None:
+        """Load the scene with a film of size x size pixels.
+
+        Light is computed by a nested `direct` integrator with one emitter sample and no BSDF sample.
+        """
         self.size = size
-        self.scene = mi.load_file(str(sized(self.xml, size, self.work.aovs)), optimize=False)
+        names = ",".join(f"{name}:{INTEGRATOR_AOVS[name]}" for name in self.work.aovs if name != LIT)
+        light = {"light": {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0}} if LIT in self.work.aovs else {}
+        self.integrator = mi.load_dict({"type": "aov", "aovs": names, **light})
+        text = re.sub(r'(<integer name="(?:width|height)" value=)"\d+"', rf'\1"{size}"', self.xml.read_text())
+        file = self.xml.with_name(f"scene-{size}.xml")
+        file.write_text(text)
+        self.scene = mi.load_file(str(file), optimize=False)
         if not self.scene.sensors():
             raise CannotRun("Mitsuba has no such sensor")
 
@@ -68,7 +78,7 @@ class Integrator(OfMitsuba):
         """Do nothing: the sensor creates the rays."""
 
     def cast(self) -> int:
-        image = mi.render(self.scene, spp=1)
+        image = mi.render(self.scene, integrator=self.integrator, spp=1)
         dr.eval(image)
         dr.sync_thread()
         return self.size * self.size
@@ -100,27 +110,3 @@ class RayIntersect(OfMitsuba):
             found = si.t
         dr.sync_thread()  # evaluation is asynchronous
         return found
-
-
-def sized(xml: Path, size: int, aovs: Sequence[str]) -> Path:
-    """The same scene with a film of size x size and an AOV integrator, in a file beside it.
-
-    Light is computed by a nested `direct` integrator with one emitter sample and no BSDF sample.
-    """
-    tree = ElementTree.parse(xml)
-    root = tree.getroot()
-    for element in root.findall("./integrator"):
-        root.remove(element)
-    names = ",".join(f"{name}:{INTEGRATOR_AOVS[name]}" for name in aovs if name != LIT)
-    integrator = ElementTree.SubElement(root, "integrator", type="aov")
-    ElementTree.SubElement(integrator, "string", name="aovs", value=names)
-    if LIT in aovs:
-        direct = ElementTree.SubElement(integrator, "integrator", type="direct", name="radiance")
-        ElementTree.SubElement(direct, "integer", name="emitter_samples", value="1")
-        ElementTree.SubElement(direct, "integer", name="bsdf_samples", value="0")
-    for name in ("width", "height"):
-        for element in tree.iterfind(f"./sensor/film/integer[@name='{name}']"):
-            element.set("value", str(size))
-    path = xml.with_name(f"scene-{size}.xml")
-    tree.write(path)
-    return path

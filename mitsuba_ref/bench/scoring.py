@@ -44,9 +44,9 @@ def rays_of(scene: BenchScene, made: Scene) -> Rays:
 def at_edges(rng: np.random.Generator, ready: PreparedScene, rows: np.ndarray) -> Rays:
     """Rays aimed at edges, rims and silhouettes, from the origins of these rays, or parallel to them."""
     o, d = ready.o[rows].astype(np.float64), ready.d[rows].astype(np.float64)
-    targets, parallel = Targets(ready.packed), ready.scene.camera.type == "orthographic"
-    picks = targets.pick(rng, len(rows))
-    p = targets.points(rng, picks, "edge").p
+    targets, parallel = Targets(ready.packed, rng), ready.scene.camera.type == "orthographic"
+    picks = targets.pick(len(rows))
+    p = targets.points(picks, "edge").p
     for shape, part in enumerate(ready.packed.parts):
         if isinstance(part, Spheres):
             of, k = np.flatnonzero(picks.shape == shape), picks.k[picks.shape == shape]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from caster.cli.shared_arguments import (
@@ -17,15 +18,14 @@ from caster.cli.shared_arguments import (
     positive_int,
 )
 from mitsuba_ref.cli.options import (
+    BUILTIN_SETS,
+    DEFAULT_SCENES,
     PRECISIONS,
+    REFERENCE_SECONDS,
     ScenePath,
     add_candidate,
-    add_reading,
-    add_report_files,
-    add_selection,
     add_skip_unsupported,
-    add_timeout,
-    add_verdict_files,
+    positive_seconds,
 )
 
 if TYPE_CHECKING:
@@ -39,6 +39,88 @@ NUMBERS = {
     "color_rtol": "of every channel that is not geometry, relative",
     "color_atol": "of every channel that is not geometry, absolute",
 }
+
+
+# ---- options of several commands ----
+
+
+def add_selection(parser: argparse.ArgumentParser) -> None:
+    """Add scenes, -k, -j, --size and --mesh-dir."""
+    add = parser.add_argument
+    add(
+        "scenes",
+        metavar="SCENE|MESH|DIR",
+        type=ScenePath,
+        nargs="*",
+        default=DEFAULT_SCENES,
+        help="scene files, mesh files (OBJ, PLY, STL, OFF, glTF), folders of scenes, builtin:NAME; default: the folder "
+        "scenes",
+    )
+    add(
+        "--builtin",
+        metavar="SET",
+        nargs="?",
+        const="all",
+        choices=BUILTIN_SETS,
+        help=f"scenes that are installed with the program: {', '.join(BUILTIN_SETS)}; without a word, all",
+    )
+    add(
+        "-k",
+        type=str,
+        metavar="EXPR",
+        dest="expression",
+        help="scenes whose name fits, such as 'mesh and not teapot'; type:mesh is true of those with such a shape or "
+        "camera, type:triangles of those with any made of triangles",
+    )
+    add("-j", metavar="N", dest="workers", type=positive_int, help="scenes at a time; default: one a core")
+    add("--size", nargs=2, type=int, metavar=("W", "H"), help="film in pixels, instead of the scenes' own")
+    add_mesh_dirs(parser)
+
+
+def add_timeout(parser: argparse.ArgumentParser) -> None:
+    """Add --timeout."""
+    parser.add_argument(
+        "--timeout",
+        metavar="S",
+        type=positive_seconds,
+        default=REFERENCE_SECONDS,
+        help=f"seconds that Mitsuba may take for one scene, or one band of a large film; default {REFERENCE_SECONDS:g}",
+    )
+
+
+def add_reading(parser: argparse.ArgumentParser, more: str = "") -> Callable[..., argparse.Action]:
+    """Add --map, --depth and --miss; the function that adds more options to their group."""
+    add = parser.add_argument_group("files of other programs (docs/candidates.md)" + more).add_argument
+    map_help = "a channel or group by its name there, such as depth=range or normal=facing; any number of them"
+    add("--map", type=str, action="append", default=[], metavar="OURS=THEIRS", help=map_help)
+    depths = ("distance", "z", "near")
+    depth_help = "what depth is: along the ray (default), along z, or along the ray from the near plane"
+    add("--depth", choices=depths, help=depth_help)
+    miss_help = "the depth of a miss, such as 0, 1e10 or FLT_MAX; default: a miss has alpha 0, no id, or depth inf"
+    add("--miss", type=str, metavar="VALUE", help=miss_help)
+    return add
+
+
+def add_report_files(parser: argparse.ArgumentParser) -> None:
+    """Add --out, --html, and the options of add_verdict_files."""
+    add = parser.add_argument
+    add(
+        "--out", metavar="DIR", type=OutputFolder, help="write verdict.json, EXR files and reproducers into this folder"
+    )
+    add("--html", metavar="DIR", type=OutputFolder, help="write a report for the browser into this folder: index.html")
+    add_verdict_files(parser)
+
+
+def add_verdict_files(parser: argparse.ArgumentParser) -> None:
+    """Add --json, --junit and --summary-md."""
+    add = parser.add_argument
+    add("--json", metavar="FILE", type=OutputFile, help="write the verdict as JSON")
+    add("--junit", metavar="FILE", type=OutputFile, help="write the verdict as JUnit XML")
+    help_ = "append a summary in Markdown to this file, such as $GITHUB_STEP_SUMMARY"
+    add("--summary-md", metavar="FILE", type=OutputFile, help=help_)
+
+
+# ---- commands ----
 
 
 def add_validate_arguments(parser: argparse.ArgumentParser) -> None:

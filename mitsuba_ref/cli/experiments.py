@@ -123,33 +123,33 @@ def run_bench(args: argparse.Namespace) -> int:
     options.check_json(args)
     from dataclasses import asdict
 
-    from mitsuba_ref.bench.casters import CANDIDATE, OURS, candidate_caster, processors
-    from mitsuba_ref.bench.measuring import Settings
+    from mitsuba_ref.bench import casters
+    from mitsuba_ref.bench.machine import machine_properties
+    from mitsuba_ref.bench.measuring import Settings, time_scene
     from mitsuba_ref.bench.result import Run, as_text
-    from mitsuba_ref.bench.run import machine_properties, timed_scenes
 
-    threads = args.threads or processors()
-    if threads > processors():
-        raise SceneError(f"--threads {threads}: this process may use {processors()}")
+    threads = args.threads or casters.processors()
+    if threads > casters.processors():
+        raise SceneError(f"--threads {threads}: this process may use {casters.processors()}")
     settings = Settings(args.size, args.alternations, threads, args.seed)
     caster = None
     if candidate:
         served = isinstance(args.candidate, options.ServedProgram)
-        caster = candidate_caster(str(args.candidate), args.candidate_precision, served=served)
+        caster = casters.candidate_caster(str(args.candidate), args.candidate_precision, served=served)
     recorded = asdict(settings) | {"candidate": caster.title if caster else ""}
     machine, requested = machine_properties(), tuple(scene.name for scene in scenes)
-    progress = options.Progress("bench")
     done: list[SceneResult] = []
     try:
-        for scene in timed_scenes(scenes, settings, caster, progress):
-            done.append(scene)
+        for i, scene in enumerate(scenes):
+            progress = options.Progress(f"bench: {i + 1}/{len(scenes)} {scene.name}")
+            done.append(time_scene(scene, casters.casters_for(scene, caster), settings, progress))
             progress.clear()
-            print(f"{as_text(scene)}\n", file=options.table_stream(args), flush=True)
+            print(f"{as_text(done[-1])}\n", file=options.table_stream(args), flush=True)
     finally:  # what is done is kept, whatever ends the work
         report_run(Run(recorded, machine, requested, tuple(done)), args)
-    rows = [row for scene in done for row in scene.rows]
-    ours_ran = all(row.ran for row in rows if row.side == OURS)
-    candidate_ran = any(row.ran for row in rows if row.key == CANDIDATE)  # whether it is right, `validate` says
+    rows = [row for result in done for row in result.rows]
+    ours_ran = all(row.ran for row in rows if row.side == casters.OURS)
+    candidate_ran = any(row.ran for row in rows if row.key == casters.CANDIDATE)  # whether it is right, `validate` says
     return OK if ours_ran and (candidate is None or candidate_ran) else DIFFERENCES
 
 

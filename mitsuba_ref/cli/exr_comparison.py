@@ -15,7 +15,8 @@ from caster.scene.files import load_scene
 from caster.system.atomic_files import check_folder
 from caster.system.process import DIFFERENCES, FILE, NOTHING_SELECTED, OK
 from mitsuba_ref.cli.arguments import NUMBERS
-from mitsuba_ref.cli.options import reading_of, selected_entries
+from mitsuba_ref.cli.options import reading_of
+from mitsuba_ref.cli.validate import selected_entries
 from mitsuba_ref.exr_compare.approved import ImageCheck, ImageChecks, Proposal, check_scene, propose, write_approved
 from mitsuba_ref.exr_compare.two_files import Tolerances, compare_exr
 from mitsuba_ref.reference import variants

@@ -16,7 +16,7 @@ from caster.system.terminal import StatusLine
 from mitsuba_ref.cli import options
 
 if TYPE_CHECKING:
-    from mitsuba_ref.fuzz.campaign import Campaign, Plan
+    from mitsuba_ref.fuzz.campaign import Campaign
 
 DEFAULT_SECONDS = 60.0
 UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
@@ -64,20 +64,20 @@ def run(args: argparse.Namespace) -> int:
     options.check_json(args)
     from caster.system.atomic_files import write_text
     from mitsuba_ref.fuzz import findings
-    from mitsuba_ref.fuzz.campaign import Campaign
 
-    plan = plan_of(args)
+    campaign = campaign_of(args)
     if args.examples is not None and not len(args.examples):
         print("nothing selected: --examples 0 selects no example", file=sys.stderr)
         return NOTHING_SELECTED
-    if plan.judge_every or args.candidate is not None:
+    if campaign.judge_every or args.candidate is not None:
         from mitsuba_ref.reference import variants
 
         variants.require_variants()  # a wrong choice of variant fails before any work
-    campaign, line = Campaign(plan), StatusLine()
-    finished = False
+    line, finished = StatusLine(), False
     try:
-        work_through(campaign, line)
+        for done in campaign.run():
+            total = done.total
+            line.show(f"{total.examples} examples, {total.rays} rays, {total.findings} findings, {done.seconds:.0f} s")
         finished = True
     finally:  # what is found is kept, whatever ends the work
         line.erase()
@@ -87,9 +87,9 @@ def run(args: argparse.Namespace) -> int:
     return OK if campaign.outcome.ok else DIFFERENCES
 
 
-def plan_of(args: argparse.Namespace) -> Plan:
-    """The campaign's parameters. Raises SceneError for an unknown family or candidate."""
-    from mitsuba_ref.fuzz.campaign import Plan
+def campaign_of(args: argparse.Namespace) -> Campaign:
+    """Raises SceneError for an unknown family or candidate."""
+    from mitsuba_ref.fuzz.campaign import Campaign
     from mitsuba_ref.hard import FAMILIES
     from mitsuba_ref.subjects.subject import OURS
 
@@ -98,13 +98,7 @@ def plan_of(args: argparse.Namespace) -> Plan:
     examples = itertools.count() if args.examples is None else args.examples
     subject = options.requested_candidate(args) or OURS
     kept = (Path(args.out), args.keep, args.judge_every, args.rays)
-    return Plan(args.seed, families, examples, limit, *kept, subject, options.candidate_words(args))
-
-
-def work_through(campaign: Campaign, line: StatusLine) -> None:
-    for outcome in campaign.run():
-        total = outcome.total
-        line.show(f"{total.examples} examples, {total.rays} rays, {total.findings} findings, {outcome.seconds:.0f} s")
+    return Campaign(args.seed, families, examples, limit, *kept, subject, options.candidate_words(args))
 
 
 def replay(args: argparse.Namespace) -> int:
@@ -120,6 +114,6 @@ def replay(args: argparse.Namespace) -> int:
         return NOTHING_SELECTED
     kept = [(str(file), read_kept(file)) for file in files]
     subject = options.requested_candidate(args) or OURS
-    replays = [(file, one.kind, find(one.case, one.kind, subject=subject)) for file, one in kept]
+    replays = [(file, kind, find(case, kind, subject=subject)) for file, (kind, case) in kept]
     print(replay_text(replays))
     return DIFFERENCES if any(findings for *_, findings in replays) else OK

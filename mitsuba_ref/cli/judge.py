@@ -68,14 +68,13 @@ def shadow_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.
 
 def aimed_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, None]:
     """Rays by an aim of the fuzzer, (n, 8). Raises SceneError for a scene without primitives."""
-    targets, rng = rays.Targets(packed_float32(scene)), np.random.default_rng(args.seed)
+    targets = rays.Targets(packed_float32(scene), np.random.default_rng(args.seed))
     if not targets.counts.sum():
         raise SceneError(f"--kind {args.kind}: {args.scene} has no primitive to aim at")
-    inside = targets.points(rng, targets.pick(rng, args.count), "inside").p
-    x, y, z = inside.mean(axis=0).tolist()
-    frame = rays.Frame(float(np.ptp(inside, axis=0).max()) or 1.0, (x, y, z))
+    inside = targets.points(args.count, "inside").p
+    targets.frame = rays.Frame(float(np.ptp(inside, axis=0).max()) or 1.0, inside.mean(axis=0))
     aims = {"features": rays.at_features, "silhouettes": rays.tangents, "surface": rays.from_surface}
-    o, d = aims.get(args.kind, rays.anywhere)(rng, targets, frame, args.count)
+    o, d = aims.get(args.kind, rays.anywhere)(targets, args.count)
     return np.column_stack([o, d, np.zeros(args.count), np.full(args.count, np.inf)]), None
 
 

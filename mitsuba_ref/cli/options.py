@@ -1,30 +1,19 @@
-"""Options that several commands share: selection of scenes, a candidate, report files, and those of experiments."""
+"""Options of a candidate, and those that fuzz, stress and bench share."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Protocol, Self, TextIO, TypeVar
 
-from caster.cli.shared_arguments import (
-    InputPath,
-    OutputFile,
-    OutputFolder,
-    add_mesh_dirs,
-    check_utf8_name,
-    display_names,
-    positive_int,
-    scene_files,
-)
-from caster.description.errors import SceneError, error_prefix, suggestion
+from caster.cli.shared_arguments import InputPath, OutputFile, check_utf8_name
+from caster.description.errors import SceneError, suggestion
 from caster.system.terminal import StatusLine
 from mitsuba_ref.report import builtin_scenes
 
 if TYPE_CHECKING:
     from mitsuba_ref.exr_compare.conventions import Reading
-    from mitsuba_ref.judge.verdict import Verdict
-    from mitsuba_ref.runner.many_scenes import SceneEntry
     from mitsuba_ref.subjects.subject import Subject
 
 # Copies, since the judge's modules load the kernels (tests/unit/test_cli_help.py compares them).
@@ -63,82 +52,6 @@ class ScenePath(InputPath):
 
     def __new__(cls, text: str) -> Self:
         return super().__new__(cls, builtin_scenes.scene_path(text))
-
-
-def add_selection(parser: argparse.ArgumentParser) -> None:
-    """Add scenes, -k, -j, --size and --mesh-dir."""
-    add = parser.add_argument
-    add(
-        "scenes",
-        metavar="SCENE|MESH|DIR",
-        type=ScenePath,
-        nargs="*",
-        default=DEFAULT_SCENES,
-        help="scene files, mesh files (OBJ, PLY, STL, OFF, glTF), folders of scenes, builtin:NAME; default: the folder "
-        "scenes",
-    )
-    add(
-        "--builtin",
-        metavar="SET",
-        nargs="?",
-        const="all",
-        choices=BUILTIN_SETS,
-        help=f"scenes that are installed with the program: {', '.join(BUILTIN_SETS)}; without a word, all",
-    )
-    add(
-        "-k",
-        type=str,
-        metavar="EXPR",
-        dest="expression",
-        help="scenes whose name fits, such as 'mesh and not teapot'; type:mesh is true of those with such a shape or "
-        "camera, type:triangles of those with any made of triangles",
-    )
-    add("-j", metavar="N", dest="workers", type=positive_int, help="scenes at a time; default: one a core")
-    add("--size", nargs=2, type=int, metavar=("W", "H"), help="film in pixels, instead of the scenes' own")
-    add_mesh_dirs(parser)
-
-
-def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
-    """The selected scenes, not loaded yet; prints a message if there are none. Raises SceneError."""
-    from caster.scene.files import types_in_file
-    from caster.scene.model import Film
-    from mitsuba_ref.runner.many_scenes import SceneEntry, matching
-
-    fits = matching(args.expression, types_in_file)
-    for folder in args.mesh_dir:
-        check_utf8_name(folder)
-    named = [] if args.builtin and args.scenes is DEFAULT_SCENES else args.scenes
-    places = [*builtin_folders(args.builtin), *named]
-    files = [file for file in scene_files(places) if fits(file)]
-    if args.size:
-        with error_prefix("--size", *args.size):
-            Film(width=args.size[0], height=args.size[1])
-    size, mesh_dirs, again = tuple(args.size) if args.size else None, tuple(args.mesh_dir), candidate_words(args)
-    names = display_names(files)
-    entries = [SceneEntry(name, file, size, mesh_dirs, again) for name, file in zip(names, files, strict=True)]
-    if not entries:
-        fitting = f" that fits -k {args.expression!r}" if args.expression else ""
-        print(f"nothing selected: no scene file{fitting} in {', '.join(places)}", file=sys.stderr)
-    return entries
-
-
-def builtin_folders(name: str | None) -> list[str]:
-    """Folders of a set of built-in scenes; none for None."""
-    if name is None:
-        return []
-    chosen = BUILTIN_SETS[:-1] if name == BUILTIN_SETS[-1] else (name,)
-    return [str(builtin_scenes.ROOT / each) for each in chosen]
-
-
-def add_timeout(parser: argparse.ArgumentParser) -> None:
-    """Add --timeout."""
-    parser.add_argument(
-        "--timeout",
-        metavar="S",
-        type=positive_seconds,
-        default=REFERENCE_SECONDS,
-        help=f"seconds that Mitsuba may take for one scene, or one band of a large film; default {REFERENCE_SECONDS:g}",
-    )
 
 
 # ---- a candidate ----
@@ -239,19 +152,6 @@ def given_words(args: argparse.Namespace, *names: str) -> tuple[str, ...]:
 # ---- files of other programs ----
 
 
-def add_reading(parser: argparse.ArgumentParser, more: str = "") -> Callable[..., argparse.Action]:
-    """Add --map, --depth and --miss; the function that adds more options to their group."""
-    add = parser.add_argument_group("files of other programs (docs/candidates.md)" + more).add_argument
-    map_help = "a channel or group by its name there, such as depth=range or normal=facing; any number of them"
-    add("--map", type=str, action="append", default=[], metavar="OURS=THEIRS", help=map_help)
-    depths = ("distance", "z", "near")
-    depth_help = "what depth is: along the ray (default), along z, or along the ray from the near plane"
-    add("--depth", choices=depths, help=depth_help)
-    miss_help = "the depth of a miss, such as 0, 1e10 or FLT_MAX; default: a miss has alpha 0, no id, or depth inf"
-    add("--miss", type=str, metavar="VALUE", help=miss_help)
-    return add
-
-
 def reading_of(args: argparse.Namespace) -> Reading:
     """The options of add_reading, the defaults where the command has none. Raises SceneError."""
     from mitsuba_ref.exr_compare.conventions import Reading
@@ -268,42 +168,6 @@ def add_skip_unsupported(parser: argparse.ArgumentParser, plural: str) -> None:
         help=f"do not fail by {plural} that the candidate declines (NotImplementedError, exit code 77); "
         "they are counted",
     )
-
-
-# ---- files of results ----
-
-
-def add_report_files(parser: argparse.ArgumentParser) -> None:
-    """Add --out, --html, and the options of add_verdict_files."""
-    add = parser.add_argument
-    add(
-        "--out", metavar="DIR", type=OutputFolder, help="write verdict.json, EXR files and reproducers into this folder"
-    )
-    add("--html", metavar="DIR", type=OutputFolder, help="write a report for the browser into this folder: index.html")
-    add_verdict_files(parser)
-
-
-def add_verdict_files(parser: argparse.ArgumentParser) -> None:
-    """Add --json, --junit and --summary-md."""
-    add = parser.add_argument
-    add("--json", metavar="FILE", type=OutputFile, help="write the verdict as JSON")
-    add("--junit", metavar="FILE", type=OutputFile, help="write the verdict as JUnit XML")
-    help_ = "append a summary in Markdown to this file, such as $GITHUB_STEP_SUMMARY"
-    add("--summary-md", metavar="FILE", type=OutputFile, help=help_)
-
-
-def write_verdict_files(verdict: Verdict, args: argparse.Namespace, seconds: float) -> None:
-    """Write --json, --junit and --summary-md. Raises OutputError."""
-    from caster.system.atomic_files import write_text
-    from mitsuba_ref.report.ci_summaries import append, junit
-    from mitsuba_ref.report.out_folder import verdict_json
-
-    if args.json:
-        write_text(args.json, verdict_json(verdict))
-    if args.junit:
-        write_text(args.junit, junit(verdict))
-    if args.summary_md:
-        append(args.summary_md, verdict, seconds)
 
 
 # ---- experiments: fuzz, stress, bench ----

@@ -9,20 +9,24 @@ from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 
-from caster.description.errors import SceneError
+from caster.cli.shared_arguments import check_utf8_name, display_names, scene_files
+from caster.description.errors import SceneError, error_prefix
+from caster.scene.files import types_in_file
+from caster.scene.model import Film
 from caster.system.atomic_files import OutputError, write_text
 from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
-from mitsuba_ref.cli.options import requested_candidate, selected_entries, write_verdict_files
+from mitsuba_ref.cli.options import BUILTIN_SETS, DEFAULT_SCENES, candidate_words, requested_candidate
 from mitsuba_ref.judge.verdict import UNSUPPORTED, Verdict
 from mitsuba_ref.reference import variants
-from mitsuba_ref.report.out_folder import OutFolder
+from mitsuba_ref.report import builtin_scenes
+from mitsuba_ref.report.ci_summaries import append, junit
+from mitsuba_ref.report.out_folder import OutFolder, verdict_json
 from mitsuba_ref.report.results import print_lines
 from mitsuba_ref.report.verdict_text import failures_text, summary_text, table_head, table_row
-from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry
+from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry, matching
 from mitsuba_ref.runner.shards import merge_verdicts
 from mitsuba_ref.runner.validation_run import RunOptions, ValidationRun, expected_toml, read_expected
 from mitsuba_ref.runner.verdict_files import read_verdict
-from mitsuba_ref.subjects.subject import Subject
 
 
 def run(args: argparse.Namespace) -> int:
@@ -34,7 +38,46 @@ def run(args: argparse.Namespace) -> int:
     candidate = requested_candidate(args)
     if args.thorough and candidate is not None:
         raise SceneError("--thorough: not with a candidate: it tests our own caster")
-    return judge_entries(args, entries, run_options(args, candidate), out)
+    options = RunOptions(
+        JudgeOptions(Path(args.out) if args.out else None, args.timeout, args.store, candidate, thorough=args.thorough),
+        args.workers,
+        args.maxfail,
+        args.html,
+        args.shard,
+        read_expected(args.expected) if args.expected else None,
+        args.skip_unsupported,
+        args.min_scenes,
+        whole_folders=not (args.expression or args.builtin) and all(Path(place).is_dir() for place in args.scenes),
+    )
+    return judge_entries(args, entries, options, out)
+
+
+def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
+    """The selected scenes, not loaded yet; prints a message if there are none. Raises SceneError."""
+    fits = matching(args.expression, types_in_file)
+    for folder in args.mesh_dir:
+        check_utf8_name(folder)
+    named = [] if args.builtin and args.scenes is DEFAULT_SCENES else args.scenes
+    places = [*builtin_folders(args.builtin), *named]
+    files = [file for file in scene_files(places) if fits(file)]
+    if args.size:
+        with error_prefix("--size", *args.size):
+            Film(width=args.size[0], height=args.size[1])
+    size, mesh_dirs, again = tuple(args.size) if args.size else None, tuple(args.mesh_dir), candidate_words(args)
+    names = display_names(files)
+    entries = [SceneEntry(name, file, size, mesh_dirs, again) for name, file in zip(names, files, strict=True)]
+    if not entries:
+        fitting = f" that fits -k {args.expression!r}" if args.expression else ""
+        print(f"nothing selected: no scene file{fitting} in {', '.join(places)}", file=sys.stderr)
+    return entries
+
+
+def builtin_folders(name: str | None) -> list[str]:
+    """Folders of a set of built-in scenes; none for None."""
+    if name is None:
+        return []
+    chosen = BUILTIN_SETS[:-1] if name == BUILTIN_SETS[-1] else (name,)
+    return [str(builtin_scenes.ROOT / each) for each in chosen]
 
 
 def without_earlier_results(args: argparse.Namespace) -> OutFolder | None:
@@ -84,23 +127,6 @@ def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:
     return min(codes) if codes and alone else DIFFERENCES
 
 
-def run_options(args: argparse.Namespace, candidate: Subject | None) -> RunOptions:
-
-    chosen = args.expression or args.builtin
-    out = Path(args.out) if args.out else None
-    return RunOptions(
-        JudgeOptions(out, args.timeout, args.store, candidate, thorough=args.thorough),
-        args.workers,
-        args.maxfail,
-        args.html,
-        args.shard,
-        read_expected(args.expected) if args.expected else None,
-        args.skip_unsupported,
-        args.min_scenes,
-        whole_folders=not chosen and all(Path(place).is_dir() for place in args.scenes),
-    )
-
-
 def print_rows(running: ValidationRun) -> None:
     """Print a row for each scene as soon as it and all scenes before it are done."""
     width = max((len(entry.name) for entry in running.entries), default=0)
@@ -125,6 +151,16 @@ def write_results(running: ValidationRun, args: argparse.Namespace, seconds: flo
     finally:
         for removed in filter(None, running.finish()):
             print(removed, file=sys.stderr)
+
+
+def write_verdict_files(verdict: Verdict, args: argparse.Namespace, seconds: float) -> None:
+    """Write --json, --junit and --summary-md. Raises OutputError."""
+    if args.json:
+        write_text(args.json, verdict_json(verdict))
+    if args.junit:
+        write_text(args.junit, junit(verdict))
+    if args.summary_md:
+        append(args.summary_md, verdict, seconds)
 
 
 def write_expected(verdict: Verdict, args: argparse.Namespace) -> None:

@@ -6,6 +6,7 @@ import time
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -35,21 +36,20 @@ SCENE_STREAM, AIM_STREAM, LIMIT_STREAM, MITSUBA_STREAM = range(4)
 
 @dataclass(frozen=True)
 class Example:
-    """Example `number` of a seed: a scene as a scene file describes it, and its rays; always the same."""
+    """Example `number` of a seed in a family: always the same scene and rays, whichever other families there are."""
 
     seed: int
     number: int
     family: Family
-    made: HardScene
 
-    @property
-    def options(self) -> list[str]:
-        """The options that reproduce it."""
-        return f"--seed {self.seed} --family {self.family.name} --examples {self.number}..{self.number}".split()
+    @cached_property
+    def made(self) -> HardScene:
+        rng, family = self.random(SCENE_STREAM), self.family
+        return family.make(rng, float(rng.choice(family.values)) if family.values else 0.0)
 
     def random(self, stream: int) -> Rng:
         """Random numbers of the example, independent for each stream."""
-        return random_numbers(self.seed, self.number, self.family, stream)
+        return np.random.default_rng([self.seed, self.number, zlib.crc32(self.family.name.encode()), stream])
 
     def rays(self, packed: Packed, count: int = RAYS_PER_EXAMPLE) -> RayBatch:
         return self.made.aim(self.random(AIM_STREAM), packed, count)
@@ -57,20 +57,12 @@ class Example:
 
 def example(seed: int, number: int, families: Sequence[Family]) -> Example:
     """Families take turns, so a family that is selected alone has other examples of the same numbers."""
-    family = families[number % len(families)]
-    rng = random_numbers(seed, number, family, SCENE_STREAM)
-    value = float(rng.choice(family.values)) if family.values else 0.0
-    return Example(seed, number, family, family.make(rng, value))
+    return Example(seed, number, families[number % len(families)])
 
 
-def random_numbers(seed: int, number: int, family: Family, stream: int) -> Rng:
-    """They stay the same when other families are added."""
-    return np.random.default_rng([seed, number, zlib.crc32(family.name.encode()), stream])
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Parameters of a campaign."""
+@dataclass
+class Campaign:
+    """Tries one example after another. `outcome` is complete at any moment: an interruption loses nothing."""
 
     seed: int = 0
     families: Sequence[Family] = FAMILIES
@@ -83,22 +75,19 @@ class Plan:
     subject: Subject = OURS  # a candidate is judged alone, by the comparison with Mitsuba and exact arithmetic
     options: tuple[str, ...] = ()  # of the command line that name the candidate, for replays
 
-
-class Campaign:
-    """Runs a plan. `outcome` is complete at any moment, so that an interruption loses nothing."""
-
-    def __init__(self, plan: Plan) -> None:
-        self.plan, self.outcome = plan, Outcome(plan.seed, candidate=plan.subject.name)
-        self.start = time.monotonic()
-        self.deadline = float("inf") if plan.seconds is None else self.start + plan.seconds
+    def __post_init__(self) -> None:
+        self.outcome = Outcome(self.seed, candidate=self.subject.name)
+        self.deadline = float("inf")
 
     def run(self) -> Iterator[Outcome]:
-        """One example after another; yields the outcome after each."""
-        for number in self.plan.numbers:
+        """Yield the outcome after each example."""
+        start = time.monotonic()
+        self.deadline = float("inf") if self.seconds is None else start + self.seconds
+        for number in self.numbers:
             if time.monotonic() >= self.deadline:
                 break
-            self._check(example(self.plan.seed, number, self.plan.families))
-            self.outcome.last, self.outcome.seconds = number, time.monotonic() - self.start
+            self._check(example(self.seed, number, self.families))
+            self.outcome.last, self.outcome.seconds = number, time.monotonic() - start
             yield self.outcome
 
     def _check(self, tried: Example) -> None:
@@ -109,40 +98,35 @@ class Campaign:
         self.outcome.families.setdefault(family, Tally()).add(tally)
         for finding in findings:
             kept = sum((each.kind, each.family) == (finding.kind, family) for each in self.outcome.failures)
-            if kept < self.plan.keep:
+            if kept < self.keep:
                 self._keep(tried, finding)
 
     def _findings(self, tried: Example, tally: Tally) -> list[Finding]:
-        if self.plan.subject is not OURS:
-            return candidate_findings(tried, self.plan.subject, tally, self.plan.rays)
-        every = self.plan.judge_every
-        drawn = every > 0 and (tried.family.always_judged or tried.random(MITSUBA_STREAM).random() * every < 1.0)
-        findings = check_example(tried, tally, self.plan.rays, thorough=drawn)
-        judged = drawn and tried.family.fits_float32
+        if self.subject is not OURS:
+            return candidate_findings(tried, self.subject, tally, self.rays)
+        every, family = self.judge_every, tried.family
+        drawn = every > 0 and (family.always_judged or tried.random(MITSUBA_STREAM).random() * every < 1.0)
+        findings = check_example(tried, tally, self.rays, thorough=drawn)
+        judged = drawn and family.fits_float32
         return findings + (find(case_of(tried.made.data), "judged", tally) if judged else [])
 
     def _keep(self, tried: Example, finding: Finding) -> None:
         """Shrink the scene and write it; an interruption leaves the smallest so far."""
         attempts = MITSUBA_SHRINK_ATTEMPTS if finding.kind in JUDGED_KINDS else SHRINK_ATTEMPTS
-        shrinker = Shrinker(
-            case_of(tried.made.data),
-            finding,
-            lambda case: find(case, finding.kind, subject=self.plan.subject),
-            attempts,
-            self.deadline + SHRINK_GRACE_S,
-        )
+        judge = partial(find, kind=finding.kind, subject=self.subject)
+        shrinker = Shrinker(case_of(tried.made.data), finding, judge, attempts, self.deadline + SHRINK_GRACE_S)
+        seed, number, family = str(tried.seed), tried.number, tried.family.name
+        again = ["--seed", seed, "--family", family, "--examples", f"{number}..{number}"]
+        again += [] if self.rays == RAYS_PER_EXAMPLE else ["--rays", str(self.rays)]
+        found_by = shlex.join([*again, *self.options])
         try:
             shrinker.run()
         finally:
-            self.outcome.failures.append(self._write(tried, shrinker))
-
-    def _write(self, tried: Example, shrunk: Shrinker) -> Failure:
-        finding, family, again = shrunk.finding, tried.family.name, self.plan.options
-        rays = [] if self.plan.rays == RAYS_PER_EXAMPLE else ["--rays", str(self.plan.rays)]
-        options = shlex.join([*tried.options, *rays, *again])
-        name = f"{finding.kind}-{family}-{tried.seed}-{tried.number}"
-        file = write_kept(self.plan.folder, name, finding, options, shrunk.case, again)
-        return Failure(finding.kind, finding.what, family, options, str(file), again)
+            smallest = shrinker.finding
+            name = f"{smallest.kind}-{family}-{seed}-{number}"
+            file = write_kept(self.folder, name, smallest, found_by, shrinker.case, self.options)
+            failure = Failure(smallest.kind, smallest.what, family, found_by, str(file), self.options)
+            self.outcome.failures.append(failure)
 
 
 def check_example(tried: Example, tally: Tally, count: int = RAYS_PER_EXAMPLE, thorough: bool = False) -> list[Finding]:
@@ -159,14 +143,10 @@ def check_example(tried: Example, tally: Tally, count: int = RAYS_PER_EXAMPLE, t
         of_rays = check_rays(prepared, rays, tally, tried.random(LIMIT_STREAM))
         return [*of_rays, *check_image(prepared, tally, thorough)]
     except Exception as error:
-        return [*raising_rays(tried, rays), exception_finding(error)]
-
-
-def raising_rays(tried: Example, rays: RayBatch) -> Iterator[Finding]:
-    """Findings of the rays that raise an exception when they are cast alone."""
-    for i in range(len(rays.t_min)):
-        ray = rays.taken(slice(i, i + 1))
-        yield from (replace(each, ray=ray) for each in find(case_of(tried.made.data, ray)) if each.kind == "error")
+        alone = [rays.taken(slice(i, i + 1)) for i in range(len(rays.o))]
+        found = [(ray, each) for ray in alone for each in find(case_of(tried.made.data, ray))]
+        raising = [replace(each, ray=ray) for ray, each in found if each.kind == "error"]
+        return [*raising, exception_finding(error)]
 
 
 def candidate_findings(tried: Example, subject: Subject, tally: Tally, count: int = RAYS_PER_EXAMPLE) -> list[Finding]:

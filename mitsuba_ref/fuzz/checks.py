@@ -24,7 +24,7 @@ from mitsuba_ref.judge.checks.knife_edges import (
     PreparedScene,
     cast_by_culling,
     concatenated,
-    nearest_of_hits,
+    nearest_hits,
     prepared_scene,
     t_text,
     with_limits,
@@ -49,7 +49,7 @@ def find(case: Case, kind: str = "", tally: Tally | None = None, subject: Subjec
         if kind in JUDGED_KINDS or subject is not OURS:
             return compare_with_mitsuba(scene, tally, subject)
         prepared, ray = prepared_scene(scene), ray_of(case)
-        return check_image(prepared, tally) if ray is None else check_rays(prepared, ray, tally)
+        return check_rays(prepared, ray, tally) if ray else check_image(prepared, tally, kind in ("", "check"))
     except SCENE_ERRORS:
         return []
     except Exception as error:
@@ -74,7 +74,7 @@ def check_rays(prepared: PreparedScene, rays: RayBatch, tally: Tally, rng: Rng |
     hits = cast(prepared.scene, rays.o, rays.d, t_min=rays.t_min, t_max=rays.t_max)
     return [
         *_differences(rays, ours, slow, "brute-force"),
-        *_differences(rays, ours, nearest_of_hits(hits, prepared.packed), "caster.cast"),
+        *_differences(rays, ours, nearest_hits(prepared.packed, hits.t, hits.shape_id, hits.prim_id), "caster.cast"),
         *check_surfaces(hits, rays),
         *adjudicate(prepared, rays, ours, tally),
     ]

@@ -9,6 +9,7 @@ import copy
 import math
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -29,19 +30,15 @@ DIGITS = (1, 2, 3, 5, 8, 12)  # significant decimal digits of a number, tried in
 MAX_EXPANDED_FACES = 2000  # faces of a mesh that is rewritten as triangles
 
 
+@dataclass
 class Shrinker:
     """Holds the smallest case that still fails in the mode of the finding, and the finding about it."""
 
-    def __init__(
-        self,
-        case: Case,
-        finding: Finding,
-        judge: Callable[[Case], list[Finding]],
-        attempts: int = SHRINK_ATTEMPTS,
-        until: float = math.inf,
-    ) -> None:
-        """judge: may get anything, and raises nothing; until: time.monotonic() after which no attempt is made."""
-        self.case, self.finding, self.judge, self.attempts, self.until = case, finding, judge, attempts, until
+    case: Case
+    finding: Finding
+    judge: Callable[[Case], list[Finding]]  # may get anything, and raises nothing
+    attempts: int = SHRINK_ATTEMPTS
+    until: float = math.inf  # time.monotonic() after which no attempt is made
 
     def accepts(self, case: Case) -> bool:
         """Whether this fails as well; then it replaces the case."""
@@ -55,16 +52,22 @@ class Shrinker:
         return True
 
     def run(self) -> None:
-        """All passes, repeated until none changes anything or the attempts are used up."""
+        """All passes, repeated until none changes anything or the attempts are used up.
+
+        Shapes are rewritten as primitives once: that adds the fields with a default that the next pass removes.
+        """
         if self.finding.ray is not None:
             self.accepts(case_of(self.case, self.finding.ray))
-        while any([self.crop(), self.expand(), self.remove(), self.simplify()]):
+        while self.crop():
+            pass
+        self.expand()
+        while any([self.crop(), self.remove(), self.simplify()]):
             pass
 
     def crop(self) -> bool:
         """Halve the film's window; cast the ray of a window of one pixel alone."""
         film = self.case["film"]
-        if "ray" in self.case or not film:
+        if "limits" in self.case or not film:
             return False
         scene = scene_of(scene_data(self.case))
         x0, y0, x1, y1 = scene.film.window
@@ -75,22 +78,20 @@ class Shrinker:
         halves = ([x0, y0, x, y1], [x, y0, x1, y1]) if x > x0 else ([x0, y0, x1, y], [x0, y, x1, y1])
         return any(self.accepts({**self.case, "film": {**film, "crop": half}}) for half in halves)
 
-    def expand(self) -> bool:
+    def expand(self) -> None:
         """Rewrite shapes as the primitives they pack to: triangles for a mesh, one matrix for a transform."""
-        changed = False
         for i in range(len(self.case["shape"]) - 1, -1, -1):
             shapes = self.case["shape"]
             plain = primitive_shapes(self.case, i)
             if plain and plain != [shapes[i]]:
-                changed |= self.accepts({**self.case, "shape": [*shapes[:i], *plain, *shapes[i + 1 :]]})
-        return changed
+                self.accepts({**self.case, "shape": [*shapes[:i], *plain, *shapes[i + 1 :]]})
 
     def remove(self) -> bool:
         """Remove shapes, fields with a default, and steps of transforms."""
         changed = False
         for path, value in reversed(list(walk(self.case))):
             is_part = isinstance(path[-1], str) or isinstance(value, dict)
-            if is_part and len(path) > 1 and path[0] not in ("film", "ray") and path[-1] != "type":
+            if is_part and len(path) > 1 and path[0] not in ("film", "limits") and path[-1] != "type":
                 changed |= self.accepts_at(path)
         return changed
 

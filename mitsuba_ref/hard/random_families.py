@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from mitsuba_ref import cameras
 from mitsuba_ref.hard import rays
 from mitsuba_ref.hard.family import Family, Fields, HardScene, scene_of
 from mitsuba_ref.hard.random_parts import (
-    FILM_SIZES,
     log_uniform,
-    matrix_rows,
-    random_camera,
+    matrix_step,
     random_frame,
     random_lattice_frame,
     random_rotation,
@@ -22,8 +21,6 @@ from mitsuba_ref.hard.random_parts import (
     random_view,
     shape_types,
     triangle_of,
-    vector,
-    view_from_within,
     with_options,
 )
 from mitsuba_ref.hard.rays import Aim, Frame, Targets, aimed_rays, perturbed_by_ulps
@@ -31,7 +28,8 @@ from mitsuba_ref.shapes.targets import Rng, coin_flip
 
 Shapes = list[Fields]
 Draw = Callable[[Rng, Frame], Shapes]
-Finish = Callable[[Rng, Frame, Fields], Fields]
+FILM_SIZES = ((5, 5), (6, 4), (4, 4), (7, 3))  # pixels; odd sides have a pixel in the centre of the view
+CAMERAS = {each.type_name: each for each in cameras.REFERENCES.values()}
 
 
 def random_family(
@@ -41,20 +39,22 @@ def random_family(
     draw: Draw,
     aims: Sequence[Aim] = rays.ALL_AIMS,
     *,
-    cameras: Sequence[str] = (),
+    cameras: Sequence[str] = tuple(CAMERAS),
     films: Sequence[tuple[int, int]] = FILM_SIZES,
-    view: Callable[[Rng, Frame], Fields] = random_view,
-    finish: Finish = lambda rng, frame, data: data,
+    finish: Callable[[Rng, Frame, Fields], Fields] = lambda rng, frame, data: data,
     **more: Any,
 ) -> Family:
-    """cameras: their types; (): all registered ones. finish: may change the whole scene."""
+    """cameras: their types. finish: may change the whole scene."""
 
     def make(rng: Rng, _: float) -> HardScene:
         frame = frame_of(rng)
         shapes = draw(rng, frame)
-        film, camera = random_camera(rng, frame, cameras, films, view)
-        data = finish(rng, frame, {"film": film, "camera": camera, "shape": shapes})
-        return HardScene(data, lambda rng, packed, count: aimed_rays(rng, Targets(packed), frame, count, aims))
+        kind = str(rng.choice(cameras))
+        width, height = films[int(rng.integers(len(films)))]
+        camera = CAMERAS[kind].random_fields(rng, frame.size, lambda: random_view(rng, frame))
+        film = {"width": width, "height": height}
+        data = finish(rng, frame, {"film": film, "camera": {"type": kind, **camera}, "shape": shapes})
+        return HardScene(data, lambda rng, packed, count: aimed_rays(Targets(packed, rng, frame), count, aims))
 
     return Family(name, title, make, **more)
 
@@ -68,51 +68,45 @@ def triangle_fan(rng: Rng, frame: Frame) -> Shapes:
     angles = 2.0 * np.pi * (np.arange(count) + rng.uniform(0.0, 0.8, count)) / count
     rim = np.column_stack([np.cos(angles), np.sin(angles), rng.uniform(-0.5, 0.5, count)])
     turn = np.eye(3) if frame.lattice else random_rotation(rng)
-    rim, tip = in_frame(rim @ turn.T, frame), in_frame(np.zeros((1, 3)), frame)[0]
+    rim, tip = frame.placed(rim @ turn.T), frame.placed(np.zeros(3))
     faces = [np.array([tip, rim[i], rim[(i + 1) % count]]) for i in range(count)]
     if rng.random() < 0.25:
         faces = [np.where(face == 0.0, 0.0, perturbed_by_ulps(rng, face, 1)) for face in faces]  # no denormals
     return [triangle_of(np.roll(face, int(rng.integers(3)), axis=0)) for face in faces]
 
 
-def in_frame(points: np.ndarray, frame: Frame) -> np.ndarray:
-    return frame.on_lattice(np.array(frame.center) + frame.size * points)
-
-
 def coincident_shapes(rng: Rng, frame: Frame) -> Shapes:
     """A few coincident shapes in random order, half of the time together with another shape."""
     shapes = COINCIDENT_GROUPS[rng.integers(len(COINCIDENT_GROUPS))](rng, frame)
     if rng.random() < 0.5:
-        shapes.append(random_shape(rng, str(rng.choice(shape_types())), frame))
+        shapes.append(random_shape(rng, frame, shape_types()))
     return [shapes[i] for i in rng.permutation(len(shapes))]
 
 
 def copies(rng: Rng, frame: Frame) -> Shapes:
     """The same shape two to six times."""
-    shape = random_shape(rng, str(rng.choice(shape_types())), frame)
+    shape = random_shape(rng, frame, shape_types())
     return [copy.deepcopy(shape) for _ in range(int(rng.integers(2, 7)))]
 
 
 def nearly_equal_spheres(rng: Rng, frame: Frame) -> Shapes:
     """Concentric spheres whose radii differ by one ulp or not at all."""
-    center = np.array(frame.center) + frame.size * frame.on_lattice(rng.uniform(-1.0, 1.0, 3))
-    radius = frame.size * float(rng.choice([1.0, 0.625, rng.uniform(0.1, 1.0)]))
-    return [
-        {"type": "sphere", "center": center.tolist(), "radius": abs(float(perturbed_by_ulps(rng, np.array(radius), 1)))}
-        for _ in range(int(rng.integers(2, 7)))
-    ]
+    center = (frame.center + frame.size * frame.on_lattice(rng.uniform(-1.0, 1.0, 3))).tolist()
+    radius = frame.size * rng.choice([1.0, 0.625, rng.uniform(0.1, 1.0)])
+    radii = [float(perturbed_by_ulps(rng, radius, 1)) for _ in range(int(rng.integers(2, 7)))]
+    return [{"type": "sphere", "center": center, "radius": each} for each in radii]
 
 
 def coincident_squares(rng: Rng, frame: Frame) -> Shapes:
     """The square [-1, 1]^2 as a rectangle, two triangles, a plane, the side of a cube, and with a disk in it."""
-    step = [{"scale": frame.size}, {"translate": list(frame.center)}]
-    below = [{"translate": [0.0, 0.0, -1.0]}, *step]
-    corners = np.array(frame.center) + frame.size * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    center = frame.center.tolist()
+    step = [{"scale": frame.size}, {"translate": center}]
+    corners = frame.center + frame.size * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     shapes: Shapes = [
         {"type": "rectangle", "to_world": step},
         {"type": "disk", "to_world": step},
-        {"type": "cube", "to_world": below},
-        {"type": "plane", "normal": [0.0, 0.0, 1.0], "point": list(frame.center)},
+        {"type": "cube", "to_world": [{"translate": [0.0, 0.0, -1.0]}, *step]},
+        {"type": "plane", "normal": [0.0, 0.0, 1.0], "point": center},
         {"type": "plane", "normal": [0.0, 0.0, -1.0], "point": corners[1].tolist()},
         triangle_of(corners[[0, 1, 2]]),
         triangle_of(corners[[3, 2, 0]]),
@@ -121,21 +115,19 @@ def coincident_squares(rng: Rng, frame: Frame) -> Shapes:
 
 
 def permuted_triangles(rng: Rng, frame: Frame) -> Shapes:
-    """A triangle with its corners in all six orders."""
-    corners = frame.on_lattice(np.array(frame.center) + frame.size * rng.uniform(-1.0, 1.0, (3, 3)))
+    """A triangle with its corners in random orders."""
+    corners = frame.placed(rng.uniform(-1.0, 1.0, (3, 3)))
     return [triangle_of(rng.permutation(corners)) for _ in range(int(rng.integers(2, 7)))]
 
 
 def touching_quadrics(rng: Rng, frame: Frame) -> Shapes:
     """A sphere, a cylinder of its radius and a disk in its equator: they touch in a circle and in points."""
-    step = [{"scale": frame.size}, {"translate": list(frame.center)}]
-    beside = [{"translate": [2.0, 0.0, 0.0]}, *step]
-    kinds = rng.permutation(["sphere", "cylinder", "disk"])
-    shapes: Shapes = [{"type": str(kind), "to_world": step} for kind in kinds]
-    return [*shapes, {"type": "sphere", "to_world": beside}]
+    step = [{"scale": frame.size}, {"translate": frame.center.tolist()}]
+    shapes: Shapes = [{"type": str(kind), "to_world": step} for kind in rng.permutation(["sphere", "cylinder", "disk"])]
+    return [*shapes, {"type": "sphere", "to_world": [{"translate": [2.0, 0.0, 0.0]}, *step]}]
 
 
-COINCIDENT_GROUPS: tuple[Callable[[Rng, Frame], Shapes], ...] = (
+COINCIDENT_GROUPS: tuple[Draw, ...] = (
     copies,
     nearly_equal_spheres,
     coincident_squares,
@@ -147,46 +139,32 @@ COINCIDENT_GROUPS: tuple[Callable[[Rng, Frame], Shapes], ...] = (
 # ---- families ----
 
 
-def shapes_of(group: str, at_most: int) -> Draw:
-    """One to at_most shapes of a group; "" for all registered shapes."""
-    return lambda rng, frame: random_shapes(rng, frame, shape_types(group), at_most)
+def shapes_of(group: str, most: int) -> Draw:
+    """One to `most` shapes of a group; "" for all registered shapes."""
+    return lambda rng, frame: random_shapes(rng, frame, shape_types(group), most)
 
 
 def shared_edges(rng: Rng, frame: Frame) -> Shapes:
-    if rng.random() < 0.5:
-        return triangle_fan(rng, frame)
-    return random_shapes(rng, frame, shape_types("mesh"), 2)
+    return triangle_fan(rng, frame) if rng.random() < 0.5 else shapes_of("mesh", 2)(rng, frame)
 
 
 def far_from_origin(rng: Rng) -> Frame:
     """1e3 to 1e9 sizes away."""
     size = log_uniform(rng, 1e-3, 1e3)
-    away = size * log_uniform(rng, 1e3, 1e9) * rng.normal(size=3)
-    return Frame(size, vector(away), 10.0)
-
-
-def small_on_film(rng: Rng) -> Frame:
-    """Bounded shapes, 0.25 in size or on a lattice; their family has larger films."""
-    return Frame(0.25, condition=10.0) if rng.random() < 0.6 else random_lattice_frame(rng)
-
-
-def crowded(rng: Rng) -> Frame:
-    return random_lattice_frame(rng) if rng.random() < 0.3 else Frame(condition=10.0)
+    return Frame(size, size * log_uniform(rng, 1e3, 1e9) * rng.normal(size=3), 10.0)
 
 
 def clutter(rng: Rng, frame: Frame) -> Shapes:
     """Many small primitives through each other: deep trees, crowded tiles."""
-    kinds = list(shape_types("small"))
+    kinds = shape_types("small")
     if rng.random() < 0.5:
-        kinds = [str(rng.choice(kinds))]  # so that its tree is deep
-    count = int(rng.integers(10, 30))
-    return [random_shape(rng, str(rng.choice(kinds)), frame) for _ in range(count)]
+        kinds = (rng.choice(kinds),)  # so that its tree is deep
+    return random_shapes(rng, frame, kinds, 29, 10)
 
 
 def surroundings(rng: Rng, frame: Frame) -> Shapes:
     """Eight to thirteen shapes, all but one of few primitives."""
-    kinds = [*rng.choice(shape_types("small"), int(rng.integers(7, 13))), rng.choice(shape_types("bounded"))]
-    return [random_shape(rng, str(kind), frame) for kind in kinds]
+    return [*random_shapes(rng, frame, shape_types("small"), 12, 7), random_shape(rng, frame, shape_types("bounded"))]
 
 
 def put_around_the_eye(rng: Rng, frame: Frame, data: Fields) -> Fields:
@@ -202,8 +180,8 @@ def put_around_the_eye(rng: Rng, frame: Frame, data: Fields) -> Fields:
     for shape, placed in zip(data["shape"], scene_of(data).shapes, strict=True):
         away = 4.0 * around[rng.integers(len(around))] + rng.integers(-4, 5, 3) / 8.0
         move = eye + frame.size * away - placed.matrix[:3, 3]
-        shapes.append(shape | {"to_world": [*shape.get("to_world", ()), {"translate": vector(move)}]})
-    walls: Shapes = [{"type": "sphere", "center": vector(eye), "radius": 8.0 * frame.size}]
+        shapes.append(shape | {"to_world": [*shape.get("to_world", ()), {"translate": move.tolist()}]})
+    walls: Shapes = [{"type": "sphere", "center": eye.tolist(), "radius": 8.0 * frame.size}]
     return data | {"shape": [*shapes, *(walls if coin_flip(rng) else [])]}
 
 
@@ -212,13 +190,12 @@ def nearly_similar(rng: Rng, frame: Frame) -> Shapes:
     shapes = []
     for shape in random_shapes(rng, frame, shape_types("quadric"), 3):
         off = rng.normal(size=(3, 3)) * 10.0 ** -float(rng.integers(1, 17))
-        off *= (np.eye(3), 1.0 - np.eye(3), np.ones((3, 3)))[int(rng.integers(3))]
+        off *= (np.eye(3), 1.0 - np.eye(3), 1.0)[int(rng.integers(3))]
         size = frame.size * float(rng.choice([1.0, 0.5, -0.25]))
         similar = size * (np.eye(3) if frame.lattice else random_rotation(rng))
-        move = frame.on_lattice(np.array(frame.center) + 1.5 * frame.size * rng.normal(size=3))
+        move = frame.on_lattice(frame.near(rng, 1.5))
         for share in (1.0, 1.0, 0.0)[: int(rng.integers(1, 4))]:
-            rows = matrix_rows(similar @ (np.eye(3) + share * off), move)
-            shapes.append({**shape, "to_world": [{"matrix": rows}]})
+            shapes.append({**shape, "to_world": [matrix_step(similar @ (np.eye(3) + share * off), move)]})
     return shapes
 
 
@@ -230,13 +207,13 @@ def any_magnitude(rng: Rng) -> Frame:
 
 def without_rejected_faces(rng: Rng, frame: Frame) -> Shapes:
     faces_rejected = frame.size > 2.0**LARGEST_EXPONENT_OF_FACES
-    return random_shapes(rng, frame, shape_types("quadric") if faces_rejected else shape_types("bounded"), 3)
+    return shapes_of("quadric" if faces_rejected else "bounded", 3)(rng, frame)
 
 
 def of_few_kinds(rng: Rng, frame: Frame) -> Shapes:
     """Shapes of at most two kinds in half of the scenes, so that most kinds occur twice."""
-    kinds = rng.choice(shape_types(), 2) if rng.random() < 0.5 else shape_types()
-    return [random_shape(rng, str(rng.choice(kinds)), frame) for _ in range(int(rng.integers(1, 5)))]
+    kinds = tuple(rng.choice(shape_types(), 2)) if rng.random() < 0.5 else shape_types()
+    return random_shapes(rng, frame, kinds, 4)
 
 
 # Products of three lengths stay below 2^1024 and, where they are not cancelled by 2^120, above 2^-1022. Faces with a
@@ -292,11 +269,16 @@ RANDOM: tuple[Family, ...] = (
         shapes_of("", 4),
         (rays.at_features, rays.from_afar, rays.anywhere),
     ),
-    random_family("clutter", "many primitives through each other", crowded, clutter),
+    random_family(
+        "clutter",
+        "many primitives through each other",
+        lambda rng: random_lattice_frame(rng) if rng.random() < 0.3 else Frame(condition=10.0),
+        clutter,
+    ),
     random_family(
         "pictures",
         "small shapes on larger films, by cameras that rasterize",
-        small_on_film,
+        lambda rng: Frame(0.25, condition=10.0) if rng.random() < 0.6 else random_lattice_frame(rng),
         shapes_of("bounded", 4),
         cameras=("pinhole", "orthographic"),
         films=((16, 12), (13, 13)),
@@ -308,7 +290,6 @@ RANDOM: tuple[Family, ...] = (
         surroundings,
         cameras=("panorama", "panorama", "fisheye", "parabolic"),
         films=((48, 8), (16, 16)),
-        view=view_from_within,
         finish=put_around_the_eye,
     ),
     random_family("similarities", "matrices within 10^-1 to 10^-16 of a similarity", random_frame, nearly_similar),

@@ -1,19 +1,16 @@
-"""Random frames, transforms, shapes and cameras of hard scenes; their options: films, crops, lights, materials."""
+"""Random frames, transforms, shapes and views of hard scenes; their options: films, crops, lights, materials."""
 
 import typing
 from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from caster.cameras import CAMERAS
-from mitsuba_ref import cameras
 from mitsuba_ref.hard.family import Fields
 from mitsuba_ref.hard.rays import Frame
 from mitsuba_ref.shapes import REFERENCES
 from mitsuba_ref.shapes.targets import LATTICE_STEPS, Rng, coin_flip, random_directions
-
-FILM_SIZES = ((5, 5), (6, 4), (4, 4), (7, 3))  # pixels; odd sides have a pixel in the centre of the view
 
 
 def log_uniform(rng: Rng, low: float, high: float) -> float:
@@ -34,19 +31,14 @@ def random_frame(rng: Rng, *, condition: float = 1e3, decades_of_size: float = 3
         return random_lattice_frame(rng)
     size = log_uniform(rng, 10.0**-decades_of_size, 10.0**decades_of_size) if rng.random() < 0.5 else 1.0
     away = size * log_uniform(rng, 1.0, 1e6) if rng.random() < 0.4 else 0.0
-    return Frame(size, vector(away * rng.normal(size=3)), condition)
+    return Frame(size, away * rng.normal(size=3), condition)
 
 
 def random_lattice_frame(rng: Rng) -> Frame:
     """A frame in which every coordinate is a small multiple of a power of two."""
     size = float(2.0 ** rng.integers(-3, 4))
-    center = vector(size * rng.integers(-4, 5, 3)) if rng.random() < 0.3 else (0.0, 0.0, 0.0)
+    center = size * rng.integers(-4, 5, 3) if rng.random() < 0.3 else np.zeros(3)
     return Frame(size, center, 1.0, lattice=True)
-
-
-def vector(numbers: np.ndarray) -> tuple[float, float, float]:
-    x, y, z = (float(number) for number in numbers)
-    return x, y, z
 
 
 def shape_types(group: str = "") -> tuple[str, ...]:
@@ -58,130 +50,98 @@ def shape_types(group: str = "") -> tuple[str, ...]:
     )
 
 
-def random_shape(rng: Rng, kind: str, frame: Frame) -> Fields:
-    """A shape of this type as a scene file describes it, with a random to_world."""
-    reference = next(each for each in REFERENCES.values() if each.type_name == kind)
+def random_shape(rng: Rng, frame: Frame, kinds: Sequence[str]) -> Fields:
+    """A shape of one of these types as a scene file describes it, with a random to_world."""
+    kind = str(rng.choice(kinds))
+    (reference,) = (each for each in REFERENCES.values() if each.type_name == kind)
     steps = random_to_world(rng, frame)
     fields = reference.random_fields(rng, frame.lattice)
     return {"type": kind, **fields} | ({"to_world": steps} if steps else {})
 
 
-def random_shapes(rng: Rng, frame: Frame, kinds: Sequence[str], at_most: int) -> list[Fields]:
-    return [random_shape(rng, str(rng.choice(kinds)), frame) for _ in range(int(rng.integers(1, at_most + 1)))]
+def random_shapes(rng: Rng, frame: Frame, kinds: Sequence[str], most: int, least: int = 1) -> list[Fields]:
+    return [random_shape(rng, frame, kinds) for _ in range(int(rng.integers(least, most + 1)))]
 
 
 def triangle_of(corners: np.ndarray) -> Fields:
     """A triangle with these corners (3, 3), in scene units."""
-    return {"type": "triangle", "vertices": np.asarray(corners, np.float64).tolist()}
-
-
-def random_camera(
-    rng: Rng, frame: Frame, kinds: Sequence[str], films: Sequence[tuple[int, int]], view: Callable[[Rng, Frame], Fields]
-) -> tuple[Fields, Fields]:
-    """(film, camera) as a scene file describes them; the camera of one of these types, or of any registered one.
-
-    view: draws eye, direction and up.
-    """
-    known = {each.type_name: each for each in cameras.REFERENCES.values()}
-    kind = str(rng.choice(kinds or tuple(known)))
-    width, height = films[int(rng.integers(len(films)))]
-    fields = known[kind].random_fields(rng, frame.size, lambda: view(rng, frame))
-    return {"width": width, "height": height}, {"type": kind, **fields}
+    return {"type": "triangle", "vertices": corners.tolist()}
 
 
 def random_view(rng: Rng, frame: Frame) -> Fields:
     """A view of the frame's centre, from within it up to far away; on the lattice along an axis."""
     if frame.lattice:
-        away = _random_axis(rng)
+        away = np.eye(3)[rng.integers(3)] * rng.choice([-1.0, 1.0])
         shift = rng.integers(-8, 9, 3) / 8.0
-        eye = np.array(frame.center) + frame.size * (int(rng.integers(0, 9)) * away + shift)
+        eye = frame.center + frame.size * (int(rng.integers(0, 9)) * away + shift)
     else:
         away = random_directions(rng, 1)[0]
-        distance = frame.size * log_uniform(rng, 0.1, 1e4 if rng.random() < 0.2 else 10.0)
-        eye = np.array(frame.center) + distance * away
-    return _view(eye, away)
-
-
-def view_from_within(rng: Rng, frame: Frame) -> Fields:
-    """A view along any direction from the frame's centre, or from near it; on the lattice along an axis."""
-    away = _random_axis(rng) if frame.lattice else random_directions(rng, 1)[0]
-    shift = rng.integers(-2, 3, 3) / 8.0 if coin_flip(rng) else np.zeros(3)
-    return _view(np.array(frame.center) + frame.size * shift, away)
-
-
-def _random_axis(rng: Rng) -> np.ndarray:
-    axis: np.ndarray = np.eye(3)[rng.integers(3)] * rng.choice([-1.0, 1.0])
-    return axis
-
-
-def _view(eye: np.ndarray, away: np.ndarray) -> Fields:
+        eye = frame.center + frame.size * log_uniform(rng, 0.1, 1e4 if rng.random() < 0.2 else 10.0) * away
     up = np.eye(3)[np.argmin(np.abs(away))]  # an axis that is not along the view
     return {"eye": eye.tolist(), "direction": (-away).tolist(), "up": up.tolist()}
 
 
-def random_to_world(rng: Rng, frame: Frame) -> list[dict[str, Any]]:
+def random_to_world(rng: Rng, frame: Frame) -> list[Fields]:
     """Random steps that place a shape of about unit size near the centre of the frame."""
     if frame.lattice:
         return _lattice_steps(rng, frame)
     if frame.condition == 1.0 or rng.random() < 0.3:
-        return _similarity_steps(rng, frame)
-    return [{"matrix": matrix_rows(_random_linear(rng, frame), _random_translation(rng, frame))}]
+        turn = {"axis": rng.normal(size=3).tolist(), "degrees": float(rng.uniform(0.0, 360.0))}
+        scale = frame.size * log_uniform(rng, 0.1, 1.0) * float(rng.choice([1.0, 1.0, -1.0]))
+        return [{"scale": scale}, {"rotate": turn}, {"translate": frame.near(rng, 1.5).tolist()}]
+    # singular values from 1 / condition to 1; sheared, and mirrored half of the time
+    condition = log_uniform(rng, 1.0, frame.condition)
+    values = rng.permutation([1.0, condition ** -rng.random(), 1.0 / condition]) * rng.choice([-1.0, 1.0], 3)
+    linear = frame.size * random_rotation(rng) @ np.diag(values) @ random_rotation(rng)
+    return [matrix_step(linear, frame.near(rng, 1.5))]
 
 
-def matrix_rows(linear: np.ndarray, move: np.ndarray) -> list[list[float]]:
-    """The 4 x 4 matrix as a scene file writes it."""
-    rows = np.column_stack([linear, move]).tolist()
-    return [*rows, [0.0, 0.0, 0.0, 1.0]]
+def matrix_step(linear: np.ndarray, move: np.ndarray) -> Fields:
+    """A step of to_world from a (3, 3) matrix and a translation."""
+    return {"matrix": [*np.column_stack([linear, move]).tolist(), [0.0, 0.0, 0.0, 1.0]]}
 
 
-def _random_translation(rng: Rng, frame: Frame) -> np.ndarray:
-    return np.array(frame.center) + 1.5 * frame.size * rng.normal(size=3)
-
-
-def _lattice_steps(rng: Rng, frame: Frame) -> list[dict[str, Any]]:
+def _lattice_steps(rng: Rng, frame: Frame) -> list[Fields]:
     """Quarter turns, mirror images and powers of two, all without rounding."""
-    steps: list[dict[str, Any]] = []
+    steps: list[Fields] = []
     if rng.random() < 0.4:
         axis = np.eye(3)[rng.integers(3)].tolist()
         steps.append({"rotate": {"axis": axis, "degrees": 90.0 * int(rng.integers(1, 4))}})
     factors = frame.size * rng.choice([1.0, 1.0, 1.0, -1.0], 3)
-    factors *= 2.0 ** rng.integers(-2, 3, 3) if rng.random() < 0.3 else np.ones(3)
+    factors *= 2.0 ** rng.integers(-2, 3, 3) if rng.random() < 0.3 else 1.0
     if not np.all(factors == 1.0):
         steps.append({"scale": factors.tolist()})
-    move = (
-        np.array(frame.center) + frame.size * rng.integers(-2 * LATTICE_STEPS, 2 * LATTICE_STEPS + 1, 3) / LATTICE_STEPS
-    )
+    move = frame.center + frame.size * rng.integers(-2 * LATTICE_STEPS, 2 * LATTICE_STEPS + 1, 3) / LATTICE_STEPS
     return [*steps, {"translate": move.tolist()}] if move.any() else steps
-
-
-def _similarity_steps(rng: Rng, frame: Frame) -> list[dict[str, Any]]:
-    axis = rng.normal(size=3)
-    turn = {"axis": axis.tolist(), "degrees": float(rng.uniform(0.0, 360.0))}
-    scale = frame.size * log_uniform(rng, 0.1, 1.0) * float(rng.choice([1.0, 1.0, -1.0]))
-    return [{"scale": scale}, {"rotate": turn}, {"translate": _random_translation(rng, frame).tolist()}]
-
-
-def _random_linear(rng: Rng, frame: Frame) -> np.ndarray:
-    """Singular values from 1 / condition to 1; sheared, and mirrored half of the time."""
-    condition = log_uniform(rng, 1.0, frame.condition)
-    values = np.array([1.0, condition ** -rng.random(), 1.0 / condition])
-    values = rng.permutation(values) * rng.choice([-1.0, 1.0], 3)
-    return frame.size * random_rotation(rng) @ np.diag(values) @ random_rotation(rng)
 
 
 # ---- options: everything that a scene file can say ----
 
 
-OPTION_FILMS = ((5, 3), (3, 5), (4, 4), (8, 2), (2, 8), (6, 5))  # pixels: landscape, portrait, square
+FILMS = ((5, 3), (3, 5), (4, 4), (8, 2), (2, 8), (6, 5))  # pixels: landscape, portrait, square
 MATERIALS = ("first", "second")
 MAX_LIGHTS_OF_A_KIND = 5
 CHECKED = ("depth", "diffuse")  # AOVs that a table `check` names
+LIGHT_FIELDS: dict[str, Callable[[Rng, Frame], Fields]] = {
+    "point": lambda rng, frame: {
+        "position": frame.near(rng, 4.0).tolist(),
+        "intensity": (frame.size**2 * rng.uniform(1.0, 30.0, 3)).tolist(),
+    },
+    "directional": lambda rng, frame: {
+        "direction": random_directions(rng, 1)[0].tolist(),
+        "irradiance": rng.uniform(0.1, 2.0, 3).tolist(),
+    },
+    "ambient": lambda rng, frame: {"radiance": rng.uniform(0.01, 0.5, 3).tolist()},
+}
 
 
-def with_options(rng: Rng, frame: Frame, data: dict[str, Any]) -> dict[str, Any]:
+def with_options(rng: Rng, frame: Frame, data: Fields) -> Fields:
     """The scene with a random choice of everything that a scene file can say."""
-    materials = {name: _material(rng) for name in MATERIALS[: int(rng.integers(3))]}
-    scene = {
+    materials: Fields = {
+        name: {"reflectance": rng.random(3).tolist()} | _sometimes(rng, {"two_sided": True})
+        for name in MATERIALS[: int(rng.integers(3))]
+    }
+    scene: Fields = {
         "film": _film(rng),
         "camera": _camera(rng, frame, data["camera"]),
         "shape": [_shape(rng, frame, i, shape, list(materials)) for i, shape in enumerate(data["shape"])],
@@ -190,17 +150,13 @@ def with_options(rng: Rng, frame: Frame, data: dict[str, Any]) -> dict[str, Any]
         "check": {name: _sometimes(rng, {"ratio": 2.0}, 0.3) for name in CHECKED[: int(rng.integers(3))]},
     }
     scene |= _sometimes(rng, {"shading": {"shadows": coin_flip(rng)}})
-    _add_twin(rng.spawn(1)[0], scene)
-    return scene
-
-
-def _add_twin(rng: Rng, scene: dict[str, Any]) -> None:
-    """Give half of the shapes of the first material a copy of it with the other two_sided."""
-    for shape in scene["shape"]:
-        if shape.get("material") == MATERIALS[0] and coin_flip(rng):
-            first = scene["material"][MATERIALS[0]]
-            scene["material"]["twin"] = {**first, "two_sided": not first.get("two_sided", False)}
+    more = rng.spawn(1)[0]
+    for shape in scene["shape"]:  # half of those of the first material get a copy of it with the other two_sided
+        if shape.get("material") == MATERIALS[0] and coin_flip(more):
+            first = materials[MATERIALS[0]]
+            materials["twin"] = {**first, "two_sided": not first.get("two_sided", False)}
             shape["material"] = "twin"
+    return scene
 
 
 def _lights(rng: Rng, frame: Frame, camera: Fields) -> list[Fields]:
@@ -219,11 +175,11 @@ def _lights(rng: Rng, frame: Frame, camera: Fields) -> list[Fields]:
 
 def _from_the_viewer(light: Fields, frame: Frame, camera: Fields) -> Fields:
     """The light, or its mirror image through the centre, whichever shines along the camera's direction."""
-    along, center = np.array(camera["direction"]), np.array(frame.center)
+    along = np.array(camera["direction"])
     if "direction" in light and np.dot(light["direction"], along) < 0.0:
         return light | {"direction": [-x for x in light["direction"]]}
-    if "position" in light and np.dot(np.array(light["position"]) - center, along) > 0.0:
-        return light | {"position": vector(2.0 * center - np.array(light["position"]))}
+    if "position" in light and np.dot(light["position"] - frame.center, along) > 0.0:
+        return light | {"position": (2.0 * frame.center - light["position"]).tolist()}
     return light
 
 
@@ -232,7 +188,7 @@ def _sometimes(rng: Rng, fields: Fields, share: float = 0.5) -> Fields:
 
 
 def _film(rng: Rng) -> Fields:
-    width, height = OPTION_FILMS[int(rng.integers(len(OPTION_FILMS)))]
+    width, height = FILMS[int(rng.integers(len(FILMS)))]
     x0, y0 = (int(rng.integers(2)) for _ in range(2))
     x1, y1 = (max(first + 1, side - int(rng.integers(2))) for first, side in ((x0, width), (y0, height)))
     return {"width": width, "height": height} | _sometimes(rng, {"crop": [x0, y0, x1, y1]}, 0.6)
@@ -246,18 +202,15 @@ def _camera(rng: Rng, frame: Frame, camera: Fields) -> Fields:
         for name, field in model.model_fields.items()
         if typing.get_origin(field.annotation) is Literal and name != "type"
     }
-    lengths = {"far": float(frame.size * rng.uniform(2.0, 20.0)), "t_max": log_uniform(rng, 1.0, 100.0)}
-    optional = {
-        "principal_point": rng.uniform(-0.3, 0.3, 2).tolist(),
-        **{name: length * (frame.size if name == "t_max" else 1.0) for name, length in lengths.items()},
-    }
+    far, t_max = float(frame.size * rng.uniform(2.0, 20.0)), frame.size * log_uniform(rng, 1.0, 100.0)
+    optional = {"principal_point": rng.uniform(-0.3, 0.3, 2).tolist(), "far": far, "t_max": t_max}
     given = {name: value for name, value in optional.items() if name in model.model_fields and coin_flip(rng)}
     out = {**camera, **choices, **given}
     if "fov" in out and rng.random() < 0.3:
         del out["fov"]
     if "look_at" in model.model_fields and coin_flip(rng):
         way = np.array(out.pop("direction"))
-        out["look_at"] = (np.array(out["eye"]) + frame.size * float(rng.uniform(1.0, 9.0)) * way).tolist()
+        out["look_at"] = (out["eye"] + frame.size * float(rng.uniform(1.0, 9.0)) * way).tolist()
     return out
 
 
@@ -266,43 +219,11 @@ def _shape(rng: Rng, frame: Frame, number: int, shape: Fields, materials: list[s
     if rng.random() < 0.3:
         out.pop("seed", None)
     if rng.random() < 0.4:
-        out["to_world"] = _steps(rng, frame)
-    if not out.get("to_world", True):
-        del out["to_world"]
+        out.pop("to_world", None)
+        if rng.random() >= 0.4:  # a scale and a look_at, with or without its own up
+            origin, target = frame.near(rng, 1.0), frame.size * rng.normal(size=3)
+            view = {"origin": origin.tolist(), "target": (origin + target).tolist()}
+            view |= _sometimes(rng, {"up": rng.normal(size=3).tolist()})
+            out["to_world"] = [{"scale": frame.size * float(rng.uniform(0.2, 1.0))}, {"look_at": view}]
     out |= _sometimes(rng, {"name": f"shape {number}"})
     return out | (_sometimes(rng, {"material": str(rng.choice(materials))}, 0.8) if materials else {})
-
-
-def _steps(rng: Rng, frame: Frame) -> list[Fields]:
-    """No step, or a scale and a look_at, with or without its own up."""
-    if rng.random() < 0.4:
-        return []
-    origin = np.array(frame.center) + frame.size * rng.normal(size=3)
-    view = {"origin": origin.tolist(), "target": (origin + frame.size * rng.normal(size=3)).tolist()}
-    up = _sometimes(rng, {"up": rng.normal(size=3).tolist()})
-    return [{"scale": frame.size * float(rng.uniform(0.2, 1.0))}, {"look_at": {**view, **up}}]
-
-
-def _material(rng: Rng) -> Fields:
-    return {"reflectance": rng.random(3).tolist()} | _sometimes(rng, {"two_sided": True})
-
-
-def _point(rng: Rng, frame: Frame) -> Fields:
-    position = np.array(frame.center) + 4.0 * frame.size * rng.normal(size=3)
-    intensity = frame.size**2 * rng.uniform(1.0, 30.0, 3)
-    return {"position": vector(position), "intensity": vector(intensity)}
-
-
-def _directional(rng: Rng, frame: Frame) -> Fields:
-    return {"direction": random_directions(rng, 1)[0].tolist(), "irradiance": vector(rng.uniform(0.1, 2.0, 3))}
-
-
-def _ambient(rng: Rng, frame: Frame) -> Fields:
-    return {"radiance": vector(rng.uniform(0.01, 0.5, 3))}
-
-
-LIGHT_FIELDS: dict[str, Callable[[Rng, Frame], Fields]] = {
-    "point": _point,
-    "directional": _directional,
-    "ambient": _ambient,
-}

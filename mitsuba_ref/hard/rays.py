@@ -1,7 +1,6 @@
 """Adversarial rays: aimed at corners, edges, rims and tangents of the primitives of a scene."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -11,12 +10,11 @@ from mitsuba_ref.shapes import kind_of
 from mitsuba_ref.shapes.targets import LATTICE_STEPS, POINT_KINDS, Rng, SurfacePoints, random_directions
 
 
-@dataclass(frozen=True)
-class Frame:
+class Frame(NamedTuple):
     """Frame of a random scene: size, position, condition of transforms, lattice or not."""
 
     size: float = 1.0  # of a shape, scene units; a power of two on the lattice
-    center: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    center: np.ndarray = np.zeros(3)
     condition: float = 1.0  # upper bound, of the linear parts of to_world
     lattice: bool = False
 
@@ -27,16 +25,28 @@ class Frame:
         step = self.size / LATTICE_STEPS
         return step * np.round(points / step)
 
+    def placed(self, points: np.ndarray) -> np.ndarray:
+        """Points around the origin, in sizes, moved into the frame."""
+        return self.on_lattice(self.center + self.size * points)
+
+    def near(self, rng: Rng, spread: float, *count: int) -> np.ndarray:
+        """(*count, 3) random points around the centre. spread: their standard deviation, in sizes."""
+        return self.center + spread * self.size * rng.normal(size=(*count, 3))
+
+
+AT_ORIGIN = Frame()
+
 
 def perturbed_by_ulps(rng: Rng, numbers: np.ndarray, ulps: int = 2) -> np.ndarray:
     """Move each number by up to this many units in the last place."""
-    steps = rng.integers(-ulps, ulps + 1, np.shape(numbers))
-    out = np.array(numbers, np.float64)
+    steps = rng.integers(-ulps, ulps + 1, numbers.shape)
     with np.errstate(over="ignore", under="ignore"):
         for step in range(1, ulps + 1):
-            beyond = np.nextafter(out, np.copysign(np.inf, steps))
-            out = np.where(np.abs(steps) >= step, beyond, out)
-    return out
+            numbers = np.where(np.abs(steps) >= step, np.nextafter(numbers, np.copysign(np.inf, steps)), numbers)
+    return numbers
+
+
+POINT_SHARES = (0.3, 0.3, 0.2, 0.2)  # of the POINT_KINDS
 
 
 class PrimitivePicks(NamedTuple):
@@ -47,36 +57,38 @@ class PrimitivePicks(NamedTuple):
 
 
 class Targets:
-    """Primitives of a packed scene to aim at."""
+    """Primitives of a packed scene to aim at, and the random numbers to do it with."""
 
-    def __init__(self, packed: Packed) -> None:
-        self.parts = packed.parts
+    def __init__(self, packed: Packed, rng: Rng, frame: Frame = AT_ORIGIN) -> None:
+        self.packed, self.rng, self.frame = packed, rng, frame
         self.counts = np.array([primitive_count(part) for part in packed.parts])
 
-    def pick(self, rng: Rng, count: int) -> PrimitivePicks:
+    def pick(self, count: int) -> PrimitivePicks:
         """Random primitives: a random shape, then one of its primitives."""
-        shape = rng.choice(np.flatnonzero(self.counts), count)
-        return PrimitivePicks(shape, rng.integers(self.counts[shape]))
+        shape = self.rng.choice(np.flatnonzero(self.counts), count)
+        return PrimitivePicks(shape, self.rng.integers(self.counts[shape]))
 
-    def points(self, rng: Rng, picks: PrimitivePicks, sort: str | None = None) -> SurfacePoints:
-        """A point on each of these primitives, of one kind of POINT_KINDS or of a random one."""
-        sorts = np.full(len(picks.k), sort) if sort else rng.choice(POINT_KINDS, len(picks.k), p=(0.3, 0.3, 0.2, 0.2))
+    def points(self, picks: PrimitivePicks | int, sort: str | None = None) -> SurfacePoints:
+        """A point on each of these primitives, or on so many random ones. sort: one of POINT_KINDS; None: random."""
+        if isinstance(picks, int):
+            picks = self.pick(picks)
+        sorts = np.full(len(picks.k), sort) if sort else self.rng.choice(POINT_KINDS, len(picks.k), p=POINT_SHARES)
         out = SurfacePoints(*np.zeros((3, len(picks.k), 3)))
         for shape in np.unique(picks.shape):
+            part = self.packed.parts[shape]
             for each in np.unique(sorts):
                 rows = np.flatnonzero((picks.shape == shape) & (sorts == each))
                 if len(rows):
-                    part = self.parts[shape]
-                    found = kind_of(part).surface_points(part, picks.k[rows], rng, str(each))
+                    found = kind_of(part).surface_points(part, picks.k[rows], self.rng, str(each))
                     for all_rows, some in zip(out, found, strict=True):
                         all_rows[rows] = some
         return out
 
 
-# Aims: functions of (random generator, targets, frame, count) that give origins and directions, (count, 3) both.
+# Aims: functions of (targets, count) that give origins and directions, (count, 3) both.
 
 OriginsAndDirections = tuple[np.ndarray, np.ndarray]
-Aim = Callable[[Rng, Targets, Frame, int], OriginsAndDirections]
+Aim = Callable[[Targets, int], OriginsAndDirections]
 
 
 class RayBatch(NamedTuple):
@@ -91,13 +103,18 @@ class RayBatch(NamedTuple):
         return RayBatch(*(a[rows] for a in self))
 
 
+def endless(o: np.ndarray, d: np.ndarray) -> RayBatch:
+    """Rays without limits."""
+    return RayBatch(o, d, np.zeros(len(o)), np.full(len(o), np.inf))
+
+
 def from_decades(low: float, high: float) -> Aim:
     """At corners, edges, rims and beside them, from 10^low to 10^high sizes away in any direction."""
 
-    def aim(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsAndDirections:
-        at = targets.points(rng, targets.pick(rng, count))
-        distance = frame.size * 10.0 ** rng.uniform(low, high, (count, 1))
-        o = frame.on_lattice(at.p + distance * random_directions(rng, count))
+    def aim(targets: Targets, count: int) -> OriginsAndDirections:
+        at, frame = targets.points(count), targets.frame
+        distance = frame.size * 10.0 ** targets.rng.uniform(low, high, (count, 1))
+        o = frame.on_lattice(at.p + distance * random_directions(targets.rng, count))
         return o, at.p - o
 
     return aim
@@ -106,57 +123,56 @@ def from_decades(low: float, high: float) -> Aim:
 at_features, from_afar = from_decades(-2.0, 1.5), from_decades(2.0, 8.0)
 
 
-def tangents(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsAndDirections:
+def tangents(targets: Targets, count: int) -> OriginsAndDirections:
     """Along a tangent of the surface, from some steps before its point."""
-    at = targets.points(rng, targets.pick(rng, count))
+    at, rng = targets.points(count), targets.rng
     steps = rng.integers(1, 5, (count, 1)) * rng.choice([-1.0, 1.0, 0.25, -16.0], (count, 1))
     return at.p - steps * at.along, np.copysign(1.0, steps) * at.along
 
 
-def through_two_points(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsAndDirections:
+def through_two_points(targets: Targets, count: int) -> OriginsAndDirections:
     """Through two points of one primitive: in the plane of a flat one, a chord of a curved one."""
-    picks = targets.pick(rng, count)
-    p, q = targets.points(rng, picks).p, targets.points(rng, picks).p
-    return p - rng.integers(0, 4, (count, 1)) * (q - p), q - p
+    picks = targets.pick(count)
+    p, q = targets.points(picks).p, targets.points(picks).p
+    return p - targets.rng.integers(0, 4, (count, 1)) * (q - p), q - p
 
 
-def between_two_points(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsAndDirections:
+def between_two_points(targets: Targets, count: int) -> OriginsAndDirections:
     """From a point on one primitive to a point on another."""
-    p, q = (targets.points(rng, targets.pick(rng, count)).p for _ in range(2))
+    p, q = targets.points(count).p, targets.points(count).p
     return p, q - p
 
 
-def from_surface(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsAndDirections:
+def from_surface(targets: Targets, count: int) -> OriginsAndDirections:
     """From a point on a surface in any direction, along a tangent or along the normal, out or in."""
-    at = targets.points(rng, targets.pick(rng, count))
-    ways = [random_directions(rng, count), at.along, at.n, -at.n]
-    return at.p, np.choose(rng.integers(4, size=(count, 1)), ways)
+    at = targets.points(count)
+    ways = [random_directions(targets.rng, count), at.along, at.n, -at.n]
+    return at.p, np.choose(targets.rng.integers(4, size=(count, 1)), ways)
 
 
-def along_axes(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsAndDirections:
+def along_axes(targets: Targets, count: int) -> OriginsAndDirections:
     """Mostly one component of d is not zero; zeros have either sign; o shares coordinates with surfaces."""
-    at = targets.points(rng, targets.pick(rng, count))
+    at, rng = targets.points(count), targets.rng
     zeros = rng.choice([0.0, -0.0], (count, 3))
     d = np.where(rng.random((count, 3)) < 0.2, rng.choice([1.0, -1.0, 2.0], (count, 3)), zeros)
     d[np.arange(count), rng.integers(3, size=count)] = rng.choice([-1.0, 1.0], count)
-    steps = frame.size * rng.integers(0, 5, (count, 1))
-    return at.p - steps * d, d
+    return at.p - targets.frame.size * rng.integers(0, 5, (count, 1)) * d, d
 
 
-def anywhere(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsAndDirections:
+def anywhere(targets: Targets, count: int) -> OriginsAndDirections:
     """From around the centre, towards a surface or past it."""
-    at = targets.points(rng, targets.pick(rng, count), "inside")
-    o = np.array(frame.center) + 2.0 * frame.size * rng.normal(size=(count, 3))
+    p, rng, frame = targets.points(count, "inside").p, targets.rng, targets.frame
+    o = frame.near(rng, 2.0, count)
     astray = frame.size * rng.choice([0.0, 1.0], (count, 1)) * rng.normal(size=(count, 3))
-    return o, at.p + astray - o
+    return o, p + astray - o
 
 
 def of_any_length(aim: Aim, exponent: int) -> Aim:
     """The same aim with directions scaled by 2^-exponent to 2^exponent."""
 
-    def longer(rng: Rng, targets: Targets, frame: Frame, count: int) -> OriginsAndDirections:
-        o, d = aim(rng, targets, frame, count)
-        return o, np.ldexp(d, rng.integers(-exponent, exponent + 1, (count, 1)))
+    def longer(targets: Targets, count: int) -> OriginsAndDirections:
+        o, d = aim(targets, count)
+        return o, np.ldexp(d, targets.rng.integers(-exponent, exponent + 1, (count, 1)))
 
     return longer
 
@@ -177,39 +193,21 @@ UNUSUAL_SHARE = 0.1  # share of rays whose direction gets an unusual length or a
 DENORMAL_AND_TINY = (-0.0, 0.0, 5e-324, -5e-324, 1e-310, -2.3e-308, 1e-200, 1e-30)
 
 
-def aimed_rays(rng: Rng, targets: Targets, frame: Frame, count: int, aims: Sequence[Aim] = ALL_AIMS) -> RayBatch:
-    """`count` rays, each by one of the aims; all finite, none without a direction."""
+@np.errstate(all="ignore")
+def aimed_rays(targets: Targets, count: int, aims: Sequence[Aim] = ALL_AIMS) -> RayBatch:
+    """`count` rays, each by one of the aims; some perturbed or unusual; all finite, none without a direction."""
+    rng = targets.rng
     which = rng.integers(len(aims), size=count)
     o, d = np.zeros((count, 3)), np.zeros((count, 3))
     for i, aim in enumerate(aims):
         rows = np.flatnonzero(which == i)
         if len(rows):
-            with np.errstate(all="ignore"):
-                o[rows], d[rows] = aim(rng, targets, frame, len(rows))
-    o, d = _perturb_some(rng, o, d)
-    d = _make_some_unusual(rng, d)
-    return finite_rays(RayBatch(o, d, np.zeros(count), np.full(count, np.inf)))
-
-
-def _perturb_some(rng: Rng, o: np.ndarray, d: np.ndarray) -> OriginsAndDirections:
-    count = len(o)
-    move_o = (rng.random((count, 1)) < PERTURBED_SHARE / 2) & (rng.random((count, 3)) < 0.5)
-    move_d = (rng.random((count, 1)) < PERTURBED_SHARE / 2) & (rng.random((count, 3)) < 0.5)
-    return np.where(move_o, perturbed_by_ulps(rng, o), o), np.where(move_d, perturbed_by_ulps(rng, d), d)
-
-
-def _make_some_unusual(rng: Rng, d: np.ndarray) -> np.ndarray:
-    count = len(d)
-    length = np.where(rng.random((count, 1)) < UNUSUAL_SHARE, 10.0 ** rng.uniform(-30.0, 30.0, (count, 1)), 1.0)
-    with np.errstate(all="ignore"):
-        d = d * length
+            o[rows], d[rows] = aim(targets, len(rows))
+    moved = [(rng.random((count, 1)) < PERTURBED_SHARE / 2) & (rng.random((count, 3)) < 0.5) for _ in "od"]
+    o, d = (np.where(some, perturbed_by_ulps(rng, a), a) for some, a in zip(moved, (o, d), strict=True))
+    d = d * np.where(rng.random((count, 1)) < UNUSUAL_SHARE, 10.0 ** rng.uniform(-30.0, 30.0, (count, 1)), 1.0)
     thin = (rng.random((count, 1)) < UNUSUAL_SHARE) & (np.arange(3) == rng.integers(3, size=(count, 1)))
-    return np.where(thin, rng.choice(DENORMAL_AND_TINY, (count, 1)), d)
-
-
-def finite_rays(rays: RayBatch) -> RayBatch:
-    """The same rays; those that are not finite or have no direction are replaced by one along z."""
-    bad = ~np.isfinite(rays.o).all(axis=1) | ~np.isfinite(rays.d).all(axis=1) | ~rays.d.any(axis=1)
-    o, d = rays.o.copy(), rays.d.copy()
+    d = np.where(thin, rng.choice(DENORMAL_AND_TINY, (count, 1)), d)
+    bad = ~np.isfinite(o).all(axis=1) | ~np.isfinite(d).all(axis=1) | ~d.any(axis=1)
     o[bad], d[bad] = (0.0, 0.0, -3.0), (0.0, -0.0, 1.0)
-    return rays._replace(o=np.ascontiguousarray(o), d=np.ascontiguousarray(d))
+    return endless(o, d)

@@ -9,10 +9,8 @@ from caster.geometry.packing import Packed
 from caster.rendering.casting import find_nearest
 from caster.rendering.hits import validated_rays
 from mitsuba_ref.hard.family import AimRays, Family, Fields, HardScene
-from mitsuba_ref.hard.rays import OriginsAndDirections, RayBatch, Targets
+from mitsuba_ref.hard.rays import Aim, OriginsAndDirections, RayBatch, Targets, endless
 from mitsuba_ref.shapes.targets import Rng, SurfacePoints
-
-Draw = Callable[[Rng, Targets, int], OriginsAndDirections]  # float32
 
 CANDIDATES_PER_RAY = 64  # at the extreme end of a sweep few rays go where they were aimed
 EYE_DISTANCE = 5.0  # sizes of the shape, from the shape to the rays' origins, unless stressed
@@ -22,10 +20,6 @@ NO_VIEW: Fields = {  # for rays alone: a camera without a Mitsuba sensor
     "film": {"width": 1, "height": 1},
     "camera": {"type": "fisheye", "eye": [0.0, 0.0, 0.0], "direction": [0.0, 0.0, 1.0]},
 }
-
-
-def hard_scene(aim: AimRays, shape: Fields) -> HardScene:
-    return HardScene({**NO_VIEW, "shape": [shape]}, aim)
 
 
 # ---- rays
@@ -51,60 +45,62 @@ def turn(rng: Rng) -> Fields:
     return {"rotate": {"axis": directions(rng, 1)[0].tolist(), "degrees": float(rng.uniform(20.0, 340.0))}}
 
 
-def somewhere(rng: Rng) -> list[float]:
-    """A point near the origin."""
-    found: list[float] = rng.normal(scale=0.3, size=3).tolist()
-    return found
+def near_origin(rng: Rng) -> np.ndarray:
+    return rng.normal(scale=0.3, size=3)
 
 
-def float32(a: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(a, np.float32)
+def rounded(a: np.ndarray) -> np.ndarray:
+    """The nearest float32 values, as float64."""
+    return a.astype(np.float32).astype(np.float64)
 
 
 def towards(o: np.ndarray, p: np.ndarray) -> OriginsAndDirections:
-    """float32 rays from o to p, d of about unit length, aimed from the rounded o."""
-    start = float32(o)
-    return start, float32(unit(p - start.astype(np.float64)))
+    """Rays from o to p, d of length 1, aimed from the rounded o."""
+    start = rounded(o)
+    return start, unit(p - start)
 
 
 def batch(o: np.ndarray, d: np.ndarray) -> RayBatch:
-    """The rays in float32 numbers."""
+    """The rays, rounded to float32 numbers."""
     with np.errstate(over="ignore"):
-        o, d = (float32(a).astype(np.float64) for a in (o, d))
-    return RayBatch(o, d, np.zeros(len(o)), np.full(len(o), np.inf))
+        return endless(rounded(o), rounded(d))
 
 
-def balanced(draw: Draw, candidates: int = CANDIDATES_PER_RAY) -> AimRays:
-    """An aim that chooses from the drawn rays, so that hits and misses are balanced.
+def balanced(draw: Aim, shape: Fields, candidates: int = CANDIDATES_PER_RAY) -> HardScene:
+    """A shape, and rays chosen from the drawn ones so that hits and misses are balanced.
 
     Our caster only chooses the rays; exact arithmetic decides later which of them hit.
     """
 
     def aim(rng: Rng, packed: Packed, count: int) -> RayBatch:
-        rays = batch(*draw(rng, Targets(packed), candidates * count))
+        rays = batch(*draw(Targets(packed, rng), candidates * count))
         hit = find_nearest(packed, validated_rays(rays.o, rays.d, 0.0, np.inf)).prim >= 0
         hits, misses = np.flatnonzero(hit), np.flatnonzero(~hit)
         few = min(len(misses), max(count - len(hits), round(TARGET_MISS_SHARE * count)))
         return rays.taken(np.sort(np.concatenate([hits[: count - few], misses[:few]])))
 
-    return aim
+    return hard_scene(aim, shape)
 
 
-def points_around(rng: Rng, targets: Targets, count: int) -> SurfacePoints:
+def hard_scene(aim: AimRays, shape: Fields) -> HardScene:
+    return HardScene({**NO_VIEW, "shape": [shape]}, aim)
+
+
+def points_around(targets: Targets, count: int) -> SurfacePoints:
     """Surface points, moved towards the centre or away from it: of a flat shape, within its plane."""
-    at = targets.points(rng, targets.pick(rng, count), "inside")
+    at = targets.points(count, "inside")
     center = at.p.mean(axis=0)
-    return at._replace(p=center + SPREAD * np.sqrt(rng.random((count, 1))) * (at.p - center))
+    return at._replace(p=center + SPREAD * np.sqrt(targets.rng.random((count, 1))) * (at.p - center))
 
 
-def from_distance(distance: float) -> Draw:
-    """Rays from all directions, at a distance."""
+def seen_from(distance: float, shape: Fields) -> HardScene:
+    """A shape, and rays from all directions at a distance."""
 
-    def draw(rng: Rng, targets: Targets, count: int) -> OriginsAndDirections:
-        p = points_around(rng, targets, count).p
-        return towards(p + distance * directions(rng, count), p)
+    def draw(targets: Targets, count: int) -> OriginsAndDirections:
+        p = points_around(targets, count).p
+        return towards(p + distance * directions(targets.rng, count), p)
 
-    return draw
+    return balanced(draw, shape)
 
 
 Round = Callable[[Rng, np.ndarray, float], Fields]  # a shape of this centre and radius
@@ -124,23 +120,22 @@ def icosphere(rng: Rng, center: np.ndarray, radius: float) -> Fields:
 
 
 def scaled(shape: Round, rng: Rng, scale: float) -> HardScene:
-    center = scale * rng.normal(scale=0.3, size=3)
-    return hard_scene(balanced(from_distance(EYE_DISTANCE * scale)), shape(rng, center, scale))
+    center = scale * near_origin(rng)
+    return seen_from(EYE_DISTANCE * scale, shape(rng, center, scale))
 
 
 def offset(shape: Round, rng: Rng, away: float) -> HardScene:
-    center = float32(away * directions(rng, 1)[0]).astype(np.float64)
-    return hard_scene(balanced(from_distance(EYE_DISTANCE)), shape(rng, center, 1.0))
+    return seen_from(EYE_DISTANCE, shape(rng, rounded(away * directions(rng, 1)[0]), 1.0))
 
 
 def distant_triangle(rng: Rng, distance: float) -> HardScene:
     """A triangle of about unit size, never the same."""
     corners = np.array([[1.0, 0.1, 0.2], [-0.6, 0.8, -0.3], [-0.4, -0.9, 0.1]]) + rng.normal(scale=0.1, size=(3, 3))
-    return hard_scene(balanced(from_distance(distance)), {"type": "triangle", "vertices": corners.tolist()})
+    return seen_from(distance, {"type": "triangle", "vertices": corners.tolist()})
 
 
 def distant_sphere(rng: Rng, distance: float) -> HardScene:
-    return hard_scene(balanced(from_distance(distance)), ball(rng, np.array(somewhere(rng)), 1.0))
+    return seen_from(distance, ball(rng, near_origin(rng), 1.0))
 
 
 def of_length(shape: Round, rng: Rng, length: float) -> HardScene:
@@ -157,20 +152,19 @@ def of_length(shape: Round, rng: Rng, length: float) -> HardScene:
 def grazing(kind: str, rng: Rng, angle: float) -> HardScene:
     """Rays to points of a flat shape and around it, at an angle to it."""
 
-    def draw(rng: Rng, targets: Targets, count: int) -> OriginsAndDirections:
-        p, _, across = points_around(rng, targets, count)
-        n = unit(across)
+    def draw(targets: Targets, count: int) -> OriginsAndDirections:
+        p, _, across = points_around(targets, count)
+        n, rng = unit(across), targets.rng
         back = np.cos(angle) * perpendicular(rng, n) + rng.choice([-1.0, 1.0], (count, 1)) * np.sin(angle) * n
         return towards(p + EYE_DISTANCE * back, p)
 
-    return hard_scene(balanced(draw), {"type": kind, "to_world": [turn(rng), {"translate": somewhere(rng)}]})
+    return balanced(draw, {"type": kind, "to_world": [turn(rng), {"translate": near_origin(rng).tolist()}]})
 
 
 def sliver(rng: Rng, aspect: float) -> HardScene:
     """aspect: height over a base of 1. Rotated, so that rounding moves its corners in all directions."""
     corners = [[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0], [float(rng.uniform(-0.2, 0.2)), aspect, 0.0]]
-    shape = {"type": "triangle", "vertices": corners, "to_world": [turn(rng)]}
-    return hard_scene(balanced(from_distance(EYE_DISTANCE)), shape)
+    return seen_from(EYE_DISTANCE, {"type": "triangle", "vertices": corners, "to_world": [turn(rng)]})
 
 
 # Rays that rounding moved further are dropped: half a decade to each side, where the next gap begins.
@@ -181,17 +175,16 @@ TANGENT_CANDIDATES_PER_RAY = 400  # at the narrowest gap one in fifty stays in i
 def tangency(rng: Rng, gap: float) -> HardScene:
     """Rays that pass the centre at r (1 - gap) or r (1 + gap)."""
 
-    def draw(rng: Rng, targets: Targets, count: int) -> OriginsAndDirections:
-        (part,), v = targets.parts, directions(rng, count)
-        center, r = part.center[0], part.radius[0]
+    def draw(targets: Targets, count: int) -> OriginsAndDirections:
+        (part,), rng = targets.packed.parts, targets.rng
+        center, r, v = part.center[0], part.radius[0], directions(rng, count)
         beside = center + r * (1.0 + gap * rng.choice([-1.0, 1.0], (count, 1))) * perpendicular(rng, v)
         o, d = towards(beside - EYE_DISTANCE * v, beside)
-        passed = np.linalg.norm(np.cross(center - o.astype(np.float64), unit(d.astype(np.float64))), axis=1)
-        off = np.abs(passed / r - 1.0)
+        off = np.abs(np.linalg.norm(np.cross(center - o, unit(rounded(d))), axis=1) / r - 1.0)
         kept = (off >= GAP_TOLERANCE[0] * gap) & (off <= GAP_TOLERANCE[1] * gap)
         return o[kept], d[kept]
 
-    return hard_scene(balanced(draw, TANGENT_CANDIDATES_PER_RAY), ball(rng, np.array(somewhere(rng)), 1.0))
+    return balanced(draw, ball(rng, near_origin(rng), 1.0), TANGENT_CANDIDATES_PER_RAY)
 
 
 LENGTH_TIMES_ANGLE = 4.0  # radii: a ray from the axis reaches the wall after a quarter of the cylinder
@@ -200,37 +193,37 @@ LENGTH_TIMES_ANGLE = 4.0  # radii: a ray from the axis reaches the wall after a 
 def along_cylinder(rng: Rng, angle: float) -> HardScene:
     """Rays inside a cylinder: half start far enough from its end to hit the wall, half leave by the end."""
 
-    def draw(rng: Rng, targets: Targets, count: int) -> OriginsAndDirections:
-        (part,) = targets.parts
+    def draw(targets: Targets, count: int) -> OriginsAndDirections:
+        (part,), rng = targets.packed.parts, targets.rng
         turned = rng.uniform(0.0, 2.0 * np.pi, count)
         height = np.where(rng.random(count) < 0.6, rng.uniform(0.05, 0.5, count), rng.uniform(0.7, 0.95, count))
         start = np.column_stack([*rng.uniform(-0.3, 0.3, (2, count)), height])
         lean = np.column_stack([np.cos(turned), np.sin(turned), np.full(count, 1.0 / LENGTH_TIMES_ANGLE)])
         matrix = part.to_world[0].T
-        return float32(part.center[0] + start @ matrix), float32(unit(lean @ matrix))
+        return part.center[0] + start @ matrix, unit(lean @ matrix)
 
     axis = perpendicular(rng, np.array([[0.3, 0.5, 0.8]]))[0] * (LENGTH_TIMES_ANGLE / angle)
     shape = {"type": "cylinder", "p0": (-0.5 * axis).tolist(), "p1": (0.5 * axis).tolist(), "radius": 1.0}
-    return hard_scene(balanced(draw), shape)
+    return balanced(draw, shape)
 
 
 def stretched_sphere(rng: Rng, condition: float) -> HardScene:
     """Half axes 1, condition^-1/2 and 1/condition, rotated; a second stretch keeps condition 1 an ellipsoid."""
     stretch = [{"scale": [1.0, condition**-0.5, 1.0 / condition]}, {"scale": [1.0, 1.0, 0.999]}]
-    place = [*stretch, turn(rng), {"translate": somewhere(rng)}]
-    return hard_scene(balanced(from_distance(EYE_DISTANCE)), {"type": "sphere", "to_world": place})
+    place = [*stretch, turn(rng), {"translate": near_origin(rng).tolist()}]
+    return seen_from(EYE_DISTANCE, {"type": "sphere", "to_world": place})
 
 
 def leaving(shape: Round, rng: Rng, away: float) -> HardScene:
     """Rays from p + away n on a surface: half outwards, half inwards."""
 
     def aim(rng: Rng, packed: Packed, count: int) -> RayBatch:
-        targets, d = Targets(packed), directions(rng, count)
-        p, _, across = targets.points(rng, targets.pick(rng, count), "inside")
+        d = directions(rng, count)
+        p, _, across = Targets(packed, rng).points(count, "inside")
         n, outwards = unit(across), np.where(np.arange(count) % 2 == 0, 1.0, -1.0)
         return batch(p + away * n, d * (np.sign(np.einsum("ij,ij->i", d, n)) * outwards)[:, None])
 
-    return hard_scene(aim, shape(rng, np.array(somewhere(rng)), 1.0))
+    return hard_scene(aim, shape(rng, near_origin(rng), 1.0))
 
 
 SUBDIVISIONS = 4  # 5,120 faces
@@ -248,9 +241,9 @@ def watertight(share: float, rng: Rng, away: float) -> HardScene:
     def aim(rng: Rng, packed: Packed, count: int) -> RayBatch:
         (part,), eyes = packed.parts, -(-count // RAYS_PER_EYE)
         within = MAX_EYE_RADIUS * rng.random((eyes, 1)) * directions(rng, eyes)
-        o = float32(np.repeat(move + within, RAYS_PER_EYE, axis=0)[:count])
+        o = rounded(np.repeat(move + within, RAYS_PER_EYE, axis=0)[:count])
         start, end, _ = part.vertices[rng.choice(part.faces, count)].swapaxes(0, 1)
-        d = start + share * rng.random((count, 1)) * (end - start) - o.astype(np.float64)
+        d = start + share * rng.random((count, 1)) * (end - start) - o
         d[1::2] = unit(d[1::2])
         return batch(o, d)
 

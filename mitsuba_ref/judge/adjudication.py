@@ -13,7 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from caster.geometry.packing import Packed
 from caster.scene.model import Scene
-from mitsuba_ref.error_model.bounds import nearest_root, reference_bounds, row_distance
+from mitsuba_ref.error_model.bounds import intersections_at, reference_bounds, row_distance
 from mitsuba_ref.error_model.bracket import ANY_SHAPE, CLAIMED_MISS, NOT_CLAIMED, Claims
 from mitsuba_ref.error_model.intersections import Intersections, norm
 from mitsuba_ref.error_model.scene_model import SceneModel
@@ -185,7 +185,7 @@ def claims_other_tie(
     ray = np.repeat(list(tied), [len(prims) for prims in tied.values()])
     prim = np.concatenate(list(tied.values()))
     t = np.array([np.nan if a is None or a.t is None else float(a.t) for a in answers])[ray]
-    at = nearest_root(model.intersect(prim, o[ray], d[ray], KU, ours=False), t)
+    at = intersections_at(model, prim, (o[ray], d[ray]), t, KU, ours=False)
     p = o[ray] + t[:, None] * d[ray]
     with np.errstate(invalid="ignore"):
         fits = (

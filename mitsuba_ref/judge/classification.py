@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from time import perf_counter
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -45,17 +46,7 @@ from mitsuba_ref.judge.comparison import (
 )
 from mitsuba_ref.judge.defect_lookup import defect_features, defect_of
 from mitsuba_ref.judge.diffuse import diffuse_within_float64, judge_diffuse, shading_points
-from mitsuba_ref.judge.verdict import (
-    AGREE,
-    CLASSES,
-    EXPLAINED,
-    JUDGED_WITHOUT_REFERENCE,
-    OUT_OF_DOMAIN,
-    REFERENCE_WRONG,
-    TIE,
-    UNDECIDED,
-    WRONG,
-)
+from mitsuba_ref.judge.verdict import CLASSES, JUDGED_WITHOUT_REFERENCE
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_request
@@ -65,6 +56,7 @@ from mitsuba_ref.subjects.requests import SubjectResponse, request_answer
 from mitsuba_ref.subjects.subject import OURS, Subject
 
 CLASS_CODE = {name: code for code, name in enumerate(CLASSES)}
+CODE = SimpleNamespace(**CLASS_CODE)  # CODE.wrong is that of the class `wrong`
 EXACT = "exact"  # the subject against exact arithmetic, beside the checks of judge/comparison.py
 
 # Agreeing pixels of a scene whose diffuse values are compared with float64's bracket as well: a tenth of a second.
@@ -216,17 +208,17 @@ class Judge:
         seconds = perf_counter() - start
 
         # Step 3: classes of disputed pixels, first where the subject is exactly right, then where it is not.
-        classes = np.where(agreeing, CLASS_CODE[AGREE], CLASS_CODE[UNDECIDED])
+        classes = np.where(agreeing, CODE.agree, CODE.undecided)
         # A pixel that fails only the scene's own stricter bounds is not disputed: nothing excuses it.
         disputed = ~agreeing & self.consistent & (loose | ~comparison.derived | ~fits)
         self._classify_reference(classes, disputed, loose, exact)
         other_tie = exact.right & disputed[exact.rows] & (~exact.of_first | self.hits_at_t_min[exact.rows])
-        classes[exact.rows[other_tie]] = CLASS_CODE[TIE]
+        classes[exact.rows[other_tie]] = CODE.tie
         for check in self.self_checks:
-            classes[check.fails & self.consistent] = CLASS_CODE[WRONG]
-        classes[exact.rows[~exact.answered]] = CLASS_CODE[UNDECIDED]
+            classes[check.fails & self.consistent] = CODE.wrong
+        classes[exact.rows[~exact.answered]] = CODE.undecided
         self._classify_inexact(classes, exact)
-        classes[broken | ((self.t_max < 0.0) & self.hit)] = CLASS_CODE[WRONG]
+        classes[broken | ((self.t_max < 0.0) & self.hit)] = CODE.wrong
 
         # Step 4: light, where the subject gives it.
         ratios = dict(comparison.ratios)
@@ -238,8 +230,8 @@ class Judge:
             ratios[name][where] = np.inf
         for ratio in ratios.values():
             ratio[broken] = np.inf
-        cases = self._known_cases(np.flatnonzero(classes == CLASS_CODE[REFERENCE_WRONG]), agreeing, exact)
-        left_out = ~agreeing & (classes == CLASS_CODE[UNDECIDED]) & (self.t_max >= 0.0)
+        cases = self._known_cases(np.flatnonzero(classes == CODE.reference_wrong), agreeing, exact)
+        left_out = ~agreeing & (classes == CODE.undecided) & (self.t_max >= 0.0)
         left_out[exact.rows] = False
         rows = np.flatnonzero(left_out & self.consistent)
         return Judgement(classes, ratios, comparison.allowed, exact, cases, seconds, rows)
@@ -334,22 +326,22 @@ class Judge:
         allowed = found.allowed & ((claims.shape < 0) | (claims.t > 0.0))
         at = self.bounds.at if self.names_prims else self.bounds.own
         useless = loose[rows] | (self.hit & (self.prim >= 0) & ~np.isfinite(at.t_error))[rows]
-        classes[rows] = CLASS_CODE[REFERENCE_WRONG]
-        classes[rows[(found.open & ~allowed) | (allowed & useless)]] = CLASS_CODE[OUT_OF_DOMAIN]
-        classes[rows[allowed & ~useless]] = CLASS_CODE[EXPLAINED]
+        classes[rows] = CODE.reference_wrong
+        classes[rows[(found.open & ~allowed) | (allowed & useless)]] = CODE.out_of_domain
+        classes[rows[allowed & ~useless]] = CODE.explained
         own_o, own_d = self.o[rows], self.d[rows]
         exponent = self.pair.rays.rows(rows).reference_exponent if self.pair.rays.is_list else np.zeros(len(rows), int)
         same = (o == own_o).all(axis=1) & (np.ldexp(d, exponent[:, None]) == own_d).all(axis=1)
         answers = [exact.of(int(row)) if alike else None for row, alike in zip(rows, same, strict=True)]
         tied = claims_other_tie(self.model, own_o, own_d, claims._replace(t=self.result.t[rows]), answers)
-        classes[rows[tied]] = CLASS_CODE[TIE]
+        classes[rows[tied]] = CODE.tie
 
     def _classify_inexact(self, classes: np.ndarray, exact: Adjudication) -> None:
         """Classify pixels where the subject is not exactly right: wrong, unless its own rounding allows the answer."""
         rows, (allowed, lost) = exact.rows[exact.wrong], self._within_rounding(exact)
-        classes[rows] = CLASS_CODE[WRONG]
-        classes[rows[lost]] = CLASS_CODE[OUT_OF_DOMAIN]
-        classes[rows[allowed]] = CLASS_CODE[EXPLAINED]
+        classes[rows] = CODE.wrong
+        classes[rows[lost]] = CODE.out_of_domain
+        classes[rows[allowed]] = CODE.explained
 
     def _within_rounding(self, exact: Adjudication) -> tuple[np.ndarray, np.ndarray]:
         """(m,) bool each, at the adjudicated rows where the subject is not exactly right.
@@ -376,22 +368,22 @@ class Judge:
 
     def _classify_diffuse(self, classes: np.ndarray, allowed: float) -> np.ndarray:
         """(n,) error over bound by Mitsuba's lights where geometry agrees, elsewhere by float64; changes classes."""
-        agreeing = np.flatnonzero((classes == CLASS_CODE[AGREE]) & self.hit)
+        agreeing = np.flatnonzero((classes == CODE.agree) & self.hit)
         brackets = self.bracket, self.reference_bracket
         diffuse = judge_diffuse(self.scene, self.pair, self.bounds, agreeing, brackets)
         beyond = diffuse.ratio > allowed
         disputed = beyond & (diffuse.ratio > 1.0) & ~diffuse.unresolvable & ~diffuse.explained
-        classes[beyond] = CLASS_CODE[UNDECIDED]
-        classes[beyond & (diffuse.ratio > 1.0) & diffuse.unresolvable] = CLASS_CODE[OUT_OF_DOMAIN]
-        classes[beyond & diffuse.explained] = CLASS_CODE[EXPLAINED]
+        classes[beyond] = CODE.undecided
+        classes[beyond & (diffuse.ratio > 1.0) & diffuse.unresolvable] = CODE.out_of_domain
+        classes[beyond & diffuse.explained] = CODE.explained
         testable = self.hit & np.isfinite(self.bounds.own.t_error)
         alone = np.flatnonzero((self._held_to_float64(classes) | disputed) & testable)
         if len(alone):
             values = aov_rows(self.pair.subject, "diffuse")[alone]
             own = shading_points(self.pair, self.bounds.own, alone)
             right = diffuse_within_float64(self.scene, own, self.prim[alone], values, self.bracket)
-            classes[alone[right & disputed[alone]]] = CLASS_CODE[REFERENCE_WRONG]
-            classes[alone[~right]] = CLASS_CODE[WRONG]
+            classes[alone[right & disputed[alone]]] = CODE.reference_wrong
+            classes[alone[~right]] = CODE.wrong
             diffuse.ratio[alone[~right]] = np.inf
         return diffuse.ratio
 
@@ -400,7 +392,7 @@ class Judge:
 
         The agreeing ones would show a subject that copies Mitsuba's coarse shadows.
         """
-        agreeing = np.flatnonzero(classes == CLASS_CODE[AGREE])
+        agreeing = np.flatnonzero(classes == CODE.agree)
         chosen = np.isin(classes, [CLASS_CODE[name] for name in JUDGED_WITHOUT_REFERENCE])
         count = min(AGREEING_PIXELS_SHADED, len(agreeing))
         chosen[np.random.default_rng(1).choice(agreeing, count, replace=False)] = True

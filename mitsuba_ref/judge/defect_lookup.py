@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mitsuba_ref.error_model.bounds import nearest_root
+from mitsuba_ref.error_model.bounds import intersections_at
 from mitsuba_ref.error_model.bracket import Bracket, Claims
 from mitsuba_ref.error_model.defect_conditions import (
     NAN_T,
@@ -99,12 +99,9 @@ def _with_normals(
     rows = np.flatnonzero((prims >= 0) & np.isnan(claims.n).any(axis=1) & np.isfinite(claims.t))
     normless = np.zeros(len(prims), bool)
     n, sh_n, p = claims.n.copy(), claims.sh_n.copy(), claims.p.copy()
-    if len(rows):
-        met = model.intersect(prims[rows], o[rows], d[rows], KU, ours=False)
-        at = nearest_root(met, claims.t[rows])
-        n[rows], sh_n[rows] = at.n, at.sh_n
-        p[rows] = o[rows] + at.t[:, None] * d[rows]
-        normless[rows] = at.n_error >= 1.0
+    at = intersections_at(model, prims[rows], (o[rows], d[rows]), claims.t[rows], KU, ours=False)
+    n[rows], sh_n[rows], normless[rows] = at.n, at.sh_n, at.n_error >= 1.0
+    p[rows] = o[rows] + at.t[:, None] * d[rows]
     return claims._replace(n=n, sh_n=sh_n, p=p), normless
 
 

@@ -313,9 +313,10 @@ MIN_SEPARATED_PIXELS = 8  # wrong pixels; of fewer, too many quantities are extr
 
 def separator_text(judge: Judge, judgement: Judgement, wrong: np.ndarray) -> str:
     """The property or threshold that separates these wrong rows from right ones; "" if none separates nearly all."""
-    prim = np.where(judge.result.hit, judge.reference_prim, -1).astype(np.int64)
-    for row, answer in zip(judgement.exact.rows, judgement.exact.answers, strict=True):
-        prim[row] = -1 if answer is None else answer.prim
+    if len(wrong) < MIN_SEPARATED_PIXELS:
+        return ""
+    prim = judge.reference_prim.astype(np.int64)
+    prim[judgement.exact.rows], _ = judgement.exact.first_hits(judgement.exact.rows)
     right = sample_rows(np.flatnonzero(~judgement.is_class(*FAILING) & (prim >= 0)), MAX_DIAGNOSED_PIXELS)
     wrong = sample_rows(wrong[prim[wrong] >= 0], MAX_DIAGNOSED_PIXELS)
     if min(len(wrong), len(right)) < MIN_SEPARATED_PIXELS:

@@ -187,14 +187,16 @@ def add_case(suite: XmlElement, scene: SceneVerdict) -> None:
     elif not scene.ok:
         text = failure_text(scene)
         kind = "error" if scene.problem else "failure"
-        found = SubElement(case, kind, message=printable(text.splitlines()[0]), type=what_fails(scene))
-        found.text = printable(text)
+        message = printable(text.splitlines()[0])
+        SubElement(case, kind, message=message, type=what_fails(scene)).text = printable(text)
     counts = " ".join(f"{name}={scene.counts[name]}" for name in CLASSES)
+    found = scene.statistics
+    errors = f"k_t={found.k_t.largest:.2f} k_normal={found.k_normal.largest:.2f} z={found.z:.1f} " if found else ""
     judged = f"candidate={scene.candidate} " if scene.candidate else ""
     kept = "kept from an earlier run, not judged now; " if scene.kept else ""
     SubElement(case, "system-out").text = printable(
         f"{kept}{judged}hit={scene.hit_pixels} {counts} adjudicated={scene.adjudicated} cases={scene.cases} "
-        f"{_errors(scene)}{scene.versions}{' (answered in an earlier run)' if scene.reference_stored else ''}"
+        f"{errors}{scene.versions}{' (answered in an earlier run)' if scene.reference_stored else ''}"
     )
 
 
@@ -216,8 +218,3 @@ def what_fails(scene: SceneVerdict) -> str:
     if scene.failures:
         return scene.failures[0].verdict
     return "check" if not scene.checks_pass else "no_evidence"
-
-
-def _errors(scene: SceneVerdict) -> str:
-    found = scene.statistics
-    return f"k_t={found.k_t.largest:.2f} k_normal={found.k_normal.largest:.2f} z={found.z:.1f} " if found else ""

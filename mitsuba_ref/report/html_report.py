@@ -4,7 +4,7 @@ import json
 import re
 import threading
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -51,7 +51,9 @@ class HtmlReport:
         if found is not None:
             about = {"verdict": verdict.to_dict(), **found.about}
             parts = {"about": script_json(about)} | {name: script_json(each) for name, each in found.layers.items()}
-            write_text(self.data / file_of(verdict.name), record_script(verdict.name, parts))
+            inside = ",\n".join(f"{script_json(part)}:{text}" for part, text in parts.items())
+            script = f"{RECORD_HEAD}{script_json(verdict.name)},{{\n{inside}\n}});\n"  # passes the record to the page
+            write_text(self.data / file_of(verdict.name), script)
             with self._lock:
                 self._thumbnails[verdict.name] = found.thumbnail
         return replace(verdict, seen=None)
@@ -116,12 +118,6 @@ def page_record(verdict: SceneVerdict) -> SceneRecord | None:
 def file_of(scene: str) -> str:
     """Name of a scene's record in the folder data."""
     return f"{quote(scene, safe=' ')}.js"
-
-
-def record_script(name: str, parts: Mapping[str, str]) -> str:
-    """A script that passes a scene's record to the page."""
-    inside = ",\n".join(f"{script_json(part)}:{text}" for part, text in parts.items())
-    return f"{RECORD_HEAD}{script_json(name)},{{\n{inside}\n}});\n"
 
 
 # ---- the page ----

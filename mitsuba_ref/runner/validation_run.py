@@ -154,7 +154,7 @@ def read_expected(path: str) -> ExpectedFailures:
     data = read_input(path, "file of known failures")
     try:
         return ExpectedFailures.model_validate(tomllib.loads(data.decode("utf-8")))
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise SceneError(f"{path}: expected TOML, as --write-expected writes it: {error}") from error
     except ValidationError as error:
 

@@ -2,20 +2,19 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from caster.geometry.packing import Packed
 from caster.rendering.hits import cast
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import intersections_at
 from mitsuba_ref.error_model.bracket import Bracket
 from mitsuba_ref.error_model.intersections import Intersections
-from mitsuba_ref.hard.family import Family, scene_of
-from mitsuba_ref.hard.swept_families import NO_VIEW
+from mitsuba_ref.hard.family import Family
 from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, claims_of, exact_ratios, prepare_scene
+from mitsuba_ref.judge.checks.knife_edges import NearestHits, nearest_hits, t_text
 from mitsuba_ref.reference.messages import Crash, TraceRequest
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request
 from mitsuba_ref.reference.shared_input import SharedRays, export, packed_float32, shape_ids
@@ -48,18 +47,6 @@ BESIDE_CANDIDATE = (CANDIDATE, OURS, REFERENCES[0])  # the casters of a candidat
 DEFAULT_RAYS, DEFAULT_CLOSED_RAYS = 400, 10_000
 
 
-class Observation(NamedTuple):
-    """Hits that one caster reports for the rays of a setting."""
-
-    t: np.ndarray  # (n,) float64, lengths of d, inf on a miss
-    prim: np.ndarray  # (n,) number of the primitive in the scene, -1 on a miss
-
-    @property
-    def hit(self) -> np.ndarray:
-        """(n,) bool. A NaN counts as a hit, so that it is noticed."""
-        return ~np.isposinf(self.t)
-
-
 @dataclass(frozen=True)
 class Absent:
     """The reason why a caster has no answer."""
@@ -77,10 +64,9 @@ class PreparedSetting(PreparedScene):
 
 
 def prepare_setting(family: Family, seed: int, x: float, rays: int | None = None) -> PreparedSetting:
-    """A setting of a family, with a camera that needs no export, as rays are given."""
+    """A setting of a family."""
     made, rng = family.at(seed, x)
-    scene = scene_of({**NO_VIEW, "shape": made.data["shape"]})
-    count = rays or (DEFAULT_CLOSED_RAYS if family.closed else DEFAULT_RAYS)
+    scene, count = made.scene(), rays or (DEFAULT_CLOSED_RAYS if family.closed else DEFAULT_RAYS)
     aimed = made.aim(rng, packed_float32(scene), count)
     ready = prepare_scene(scene, aimed.o.astype(np.float32), aimed.d.astype(np.float32))
     return PreparedSetting(**vars(ready), family=family, x=x)
@@ -89,36 +75,31 @@ def prepare_setting(family: Family, seed: int, x: float, rays: int | None = None
 # ---- answers
 
 
-def cast_by_bvh(ready: PreparedSetting) -> Observation:
+def cast_by_bvh(ready: PreparedSetting) -> NearestHits:
     """Cast by our public function, on the packed float32 geometry."""
     ready.scene.derived["packed"] = ready.packed
     hits = cast(ready.scene, ready.o, ready.d)
-    return Observation(hits.t, scene_prim_ids(ready.packed, hits.shape_id, hits.prim_id))
+    return nearest_hits(ready.packed, hits.t, hits.shape_id, hits.prim_id)
 
 
-def scene_prim_ids(packed: Packed, shape: np.ndarray, prim: np.ndarray) -> np.ndarray:
-    """Primitive numbers within the scene; -1 for shape -1."""
-    return np.where(shape < 0, -1, packed.first[np.maximum(shape, 0)] + np.maximum(prim, 0))
-
-
-def trace_by_reference(caster: Caster, ready: PreparedSetting) -> Observation | Absent:
+def trace_by_reference(caster: Caster, ready: PreparedSetting) -> NearestHits | Absent:
     """Trace the rays of a setting by one of Mitsuba's configurations."""
     found = usable_variants()
     if caster.variant not in found.names:
         return Absent("missing", found.why)
-    endless = np.full(len(ready.o), np.inf, np.float32)
+    t_max = np.full(len(ready.o), np.inf, np.float32)
     with ScratchFolder() as folder:
         xml = export(ready.scene, ready.model, robust=caster.robust).write(Path(folder))
         # Mitsuba warns of far milder things than these scenes, and takes a very large or small sphere for a stretched
         # one.
-        request = TraceRequest(xml, caster.variant, ready.o, ready.d, endless, lights=False, strict=False)
+        request = TraceRequest(xml, caster.variant, ready.o, ready.d, t_max, lights=False, strict=False)
         # A ray takes some ten microseconds, more on a busy machine.
         answer = send_request(request, DEFAULT_TIMEOUT + 1e-3 * len(ready.o))
     if isinstance(answer, Crash):
         return Absent("crash", f"{answer.kind} ({answer.exit}) {answer.headline}".strip())
     place = {name: index for index, name in enumerate(shape_ids(ready.scene))}
     shapes = np.array([*(place.get(name, -1) for name in answer.names), -1])
-    return Observation(answer.t.astype(np.float64), scene_prim_ids(ready.packed, shapes[answer.shape], answer.prim))
+    return nearest_hits(ready.packed, answer.t.astype(np.float64), shapes[answer.shape], answer.prim)
 
 
 def ask_candidate(subject: Subject, ready: PreparedSetting) -> Answer | Absent:
@@ -209,66 +190,59 @@ class Scorer:
         float32, float64 = (bound[rows] / self.unit[rows] for bound in (self.exact.float32, self.exact.float64))
         return Bound(largest(float32), largest(float64))
 
-    def score(self, found: Observation, *, ours: bool) -> Score:
+    def score(self, found: NearestHits, *, ours: bool) -> Score:
         """Score ours or Mitsuba: hits, misses and primitives have to be exact, errors within their bounds."""
         compared = self.exact.compare(found.t[self.rows], ours=ours, prim=found.prim[self.rows])
         wrong = found.hit != self.hit
         wrong[self.rows[compared.rows[compared.beyond | compared.other]]] = True
-        primitives, beyond = int(compared.other.sum()), int(compared.beyond.sum())
-        return self._score(found.hit, wrong, compared.rows, compared.errors, compared.ratio, primitives, beyond)
+        counts = {"wrong_primitives": int(compared.other.sum()), "beyond": int(compared.beyond.sum())}
+        return self._score(found.hit, wrong, compared.rows, compared.errors, compared.ratio, **counts)
 
     def score_candidate(self, answer: Answer) -> Score:
         """Score a candidate: an answer is wrong if it is neither exact nor allowed by rounding in its precision."""
-        exact, some, model = self.exact, answer.rows(self.rows), self.ready.model
+        exact, some, model, packed = self.exact, answer.rows(self.rows), self.ready.model, self.ready.packed
 
         def near(of: np.ndarray, prim: np.ndarray, t: np.ndarray) -> Intersections:
             return intersections_at(model, prim, (exact.o[of], exact.d[of]), t, answer.ku, ours=True)
 
-        ratio, _ = exact_ratios(exact.answers, some, near, self.ready.packed)
+        ratio, _ = exact_ratios(exact.answers, some, near, packed)
         inexact = np.flatnonzero(~(ratio <= 1.0) & ~some.is_broken)
-        claims = claims_of(some.rows(inexact), self.ready.packed)
-        endless = np.full(len(inexact), np.inf)
-        bracketed = Bracket(model, answer.ku, ours=True).judge(exact.o[inexact], exact.d[inexact], endless, claims)
+        claims, t_max = claims_of(some.rows(inexact), packed), np.full(len(inexact), np.inf)
+        bracketed = Bracket(model, answer.ku, ours=True).judge(exact.o[inexact], exact.d[inexact], t_max, claims)
         allowed = (bracketed.allowed & ~(claims.t <= 0.0)) | bracketed.open
         wrong = (answer.hit != self.hit) | answer.is_broken
         wrong[self.rows] = some.is_broken
         wrong[self.rows[inexact[~allowed]]] = True
         both = np.flatnonzero(exact.hit & np.isfinite(some.t))
-        errors, beyond = exact.errors(both, some.t[both]), int(np.sum(wrong & answer.hit & self.hit))
-        found = self._score(answer.hit, wrong, both, errors, ratio[both], 0, beyond)
-        example = self._ray_text(found.first_wrong[0], answer) if found.first_wrong else ""
-        return dataclasses.replace(found, excused=int(allowed.sum()), example=example)
+        return self._score(
+            answer.hit,
+            wrong,
+            both,
+            exact.errors(both, some.t[both]),
+            ratio[both],
+            wrong_primitives=0,
+            beyond=int(np.sum(wrong & answer.hit & self.hit)),
+            excused=int(allowed.sum()),
+            example=self._ray_text(int(np.argmax(wrong)), answer) if wrong.any() else "",
+        )
 
     def _score(
-        self,
-        hit: np.ndarray,
-        wrong: np.ndarray,
-        rows: np.ndarray,
-        errors: np.ndarray,
-        ratio: np.ndarray,
-        primitives: int,
-        beyond: int,
+        self, hit: np.ndarray, wrong: np.ndarray, rows: np.ndarray, errors: np.ndarray, ratio: np.ndarray, **more: Any
     ) -> Score:
         """hit, wrong: (n,) bool, of all rays; rows: (m,) adjudicated rays whose t was compared, errors and ratio."""
         return Score(
             false_hits=int(np.sum(wrong & hit & ~self.hit)),
             false_misses=int(np.sum(wrong & ~hit & self.hit)),
-            wrong_primitives=primitives,
-            beyond=beyond,
             compared=len(rows),
             worst=largest(ratio),
             error=largest(errors / self.unit[rows]),
             first_wrong=tuple(np.flatnonzero(wrong)[:WRONG_RAYS_LISTED].tolist()),
+            **more,
         )
 
     def _ray_text(self, ray: int, answer: Answer) -> str:
-        """A ray in hex floats, the candidate's answer to it and the exact one."""
+        """A ray in hex floats, the candidate's t along it and the exact one."""
         o, d = (" ".join(float(x).hex() for x in a[ray]) for a in (self.ready.o, self.ready.d))
         place = np.flatnonzero(self.rows == ray)
         exact = t_text(float(self.exact.t[place[0]])) if len(place) else "a hit, of a closed mesh"
-        return f"ray {ray}: o {o}, d {d}: the candidate has {t_text(float(answer.t[ray]))}, exactly it is {exact}"
-
-
-def t_text(t: float) -> str:
-    """A hit or a miss, in words."""
-    return "a miss" if np.isposinf(t) else f"a hit at t {t!r}"
+        return f"ray {ray}: o {o}, d {d}: t of the candidate is {t_text(float(answer.t[ray]))}, exactly it is {exact}"

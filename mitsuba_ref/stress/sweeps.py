@@ -8,6 +8,7 @@ from pydantic import computed_field
 from pydantic.dataclasses import dataclass
 
 from mitsuba_ref.hard.family import Family
+from mitsuba_ref.judge.checks.knife_edges import NearestHits
 from mitsuba_ref.report.results import NOTHING, aligned
 from mitsuba_ref.stress import score
 from mitsuba_ref.stress.score import (
@@ -18,7 +19,6 @@ from mitsuba_ref.stress.score import (
     Absent,
     Bound,
     Caster,
-    Observation,
     PreparedSetting,
     Score,
     Scorer,
@@ -28,7 +28,7 @@ from mitsuba_ref.subjects.subject import Answer, Subject
 JSON_FORMAT = 2  # goes up when a key changes its meaning or goes away
 
 Progress = Callable[[str], None]
-Answers = dict[str, Observation | Answer | Absent]  # by caster; an Answer of the candidate
+Answers = Mapping[str, NearestHits | Answer | Absent]  # by caster; an Answer of the candidate
 
 
 @dataclass(frozen=True)
@@ -97,30 +97,29 @@ class SweepResult:
         return [
             f"{self.name}, {self.quantity} {setting.x:g}: {problem}"
             for setting in self.settings
-            for problem in (*self._vacuous(setting), *self._wrong(setting))
+            for problem in self._problems_in(setting)
         ]
 
-    def _vacuous(self, setting: SettingResult) -> Iterator[str]:
+    def _problems_in(self, setting: SettingResult) -> Iterator[str]:
+        """A setting without hits or misses, and errors of the subject: the candidate, or ours without one."""
         counts = {"hits": setting.exact.hits} | ({"misses": setting.exact.misses} if self.misses else {})
         for name in (name for name, count in counts.items() if not count):
             yield (
                 f"exact arithmetic has no {name} of {setting.rays} rays, so the setting tests nothing; "
                 "more --rays may help"
             )
-
-    def _wrong(self, setting: SettingResult) -> Iterator[str]:
-        """Errors of the subject: the candidate, or ours without one."""
         key = self.casters[0].key
         score = setting.witnesses[key]
-        if isinstance(score, Score) and score.fails:
+        if isinstance(score, Absent):
+            if score.status == "crash":
+                yield f"{key}: no answer: {score.why}"
+        elif score.fails:
             primitives = f"{score.wrong_primitives} wrong primitives, " if key == OURS.key else ""
             yield (
                 f"{key}: {score.false_hits} false hits, {score.false_misses} false misses, "
                 f"{primitives}{score.beyond} hits beyond their bounds; rays {list(score.first_wrong)}"
                 f"{score.example and '; ' + score.example}"
             )
-        elif isinstance(score, Absent) and score.status == "crash":
-            yield f"{key}: no answer: {score.why}"
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -176,9 +175,11 @@ def sweep(
     start = time.perf_counter()
     on_progress("aiming")
     settings = [score.prepare_setting(family, seed, x, rays) for x in family.values]
+    casters: Sequence[Caster] = CASTERS
     answers: list[Answers] = [{} for _ in settings]
     if candidate:
         on_progress("candidate")
+        casters = BESIDE_CANDIDATE[1:]
         answers = [{CANDIDATE.key: score.ask_candidate(candidate, ready)} for ready in settings]
         found = [each[CANDIDATE.key] for each in answers]
         declined = [each.why for each in found if isinstance(each, Absent) and each.status == "not applicable"]
@@ -187,19 +188,15 @@ def sweep(
     results = []
     for i, (ready, given) in enumerate(zip(settings, answers, strict=True)):
         on_progress(f"{i + 1}/{len(settings)}")
-        results.append(score_setting(ready, given | observe(ready, BESIDE_CANDIDATE[1:] if candidate else CASTERS)))
+        results.append(score_setting(ready, casters, given))
     return SweepResult.of(family, results, time.perf_counter() - start)
 
 
-def observe(ready: PreparedSetting, casters: Sequence[Caster]) -> Answers:
-    """The hits of ours and of Mitsuba's configurations in a setting."""
-    return {
-        each.key: score.trace_by_reference(each, ready) if each.variant else score.cast_by_bvh(ready)
-        for each in casters
-    }
-
-
-def score_setting(ready: PreparedSetting, answers: Answers) -> SettingResult:
+def score_setting(ready: PreparedSetting, casters: Sequence[Caster], given: Answers | None = None) -> SettingResult:
+    """Trace a setting by ours and Mitsuba's configurations and score their answers, after the given ones."""
+    answers: dict[str, NearestHits | Answer | Absent] = dict(given or {})
+    for each in casters:
+        answers[each.key] = score.trace_by_reference(each, ready) if each.variant else score.cast_by_bvh(ready)
     missed = [~found.hit for found in answers.values() if not isinstance(found, Absent)]
     scorer = Scorer(ready, np.any(missed, axis=0))
     scores: dict[str, Score | Absent] = {}

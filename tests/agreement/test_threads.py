@@ -7,7 +7,7 @@ from random_scenes import VIEWS, name, random_scene
 from same_bits import assert_same_bits
 
 from caster.aovs import BY_NAME
-from caster.cameras import Panorama, Pinhole
+from caster.cameras import Pinhole
 from caster.kernels.raster.screen_bounds import Window
 from caster.rendering import rasterization
 from caster.rendering.casting import find_nearest
@@ -47,12 +47,6 @@ def test_threads_never_change_a_bit_of_any_ray():
             got = find_nearest(packed(scene), rays, threads=threads)
             assert_same_bits(expected._asdict(), got._asdict(), f"{family}, {threads} threads")
         assert (expected.prim >= 0).sum() >= 300
-
-
-@pytest.mark.parametrize("rows", [1, 2, 3])
-def test_a_film_of_fewer_rows_than_threads_is_the_same(rows):
-    scene = random_scene(np.random.default_rng([22, rows]), SHAPES, Panorama, count=2, film=(600, rows))
-    assert count_hits_where_threads_agree(scene) >= 50
 
 
 def test_parts_that_are_binned_in_another_order_are_in_the_same_places(monkeypatch):

@@ -1,4 +1,4 @@
-"""Edge cases, the caster against exact arithmetic: docs/edge-cases.md lists them, cases/ makes their rays.
+"""The caster against exact arithmetic in the edge cases of docs/edge-cases.md, whose rays are made in cases/.
 
 EDGE_CASE_RAYS=20 asks twenty times as many rays.
 """

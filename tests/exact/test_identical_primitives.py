@@ -1,4 +1,4 @@
-"""Piles of identical primitives: decided once, with the answers of deciding each."""
+"""Identical primitives are decided once, with the same answers as if each were decided."""
 
 import numpy as np
 import pytest
@@ -96,6 +96,14 @@ def test_faces_that_are_the_same_by_less_than_all_bits_are_noticed(monkeypatch):
 
 
 # ---- which rows are identical
+
+
+def test_faces_of_other_vertices_are_identical_unless_shading_that_differs_is_asked_for():
+    prims = triangles(np.tile(np.eye(3), (2, 1, 1)))
+    assert lowest_identical(prims, shading=True).tolist() == [0, 0]
+    prims.smooth[1] = True
+    assert lowest_identical(prims, shading=True) is None
+    assert lowest_identical(prims, shading=False).tolist() == [0, 0]
 
 
 # ---- brackets

@@ -1,4 +1,4 @@
-"""What is sorted out in float64 before any whole number is made: never anything that is met."""
+"""The oracle's float64 filter never rejects a primitive that a ray hits."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Each kind of primitive, one ray at a time: the oracle, textbook Fractions and ball arithmetic say the same."""
+"""The oracle agrees with textbook Fractions and ball arithmetic for each kind of primitive, one ray at a time."""
 
 import math
 from collections import Counter

@@ -1,4 +1,4 @@
-"""Parts of the oracle by themselves, against matrices of Fractions and lists: each number, not only who is hit."""
+"""Parts of the oracle against Fractions: every number, not only which primitive is hit."""
 
 from fractions import Fraction
 from types import SimpleNamespace

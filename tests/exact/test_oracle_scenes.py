@@ -1,4 +1,4 @@
-"""What a ray meets first among many: ties, spans, order, flags, and what is outside of the domain."""
+"""The first hit among many primitives: ties, ranges of t, order, flags, and inputs outside the oracle's domain."""
 
 import math
 from collections import Counter

@@ -1,4 +1,4 @@
-"""Candidates for the tests: ours by the interface of candidates, and common mistakes, one fault at a time."""
+"""Candidates for the tests: our caster by the interface of candidates, and the same with one fault each."""
 
 from collections.abc import Callable
 from typing import Any

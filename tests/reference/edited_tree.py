@@ -1,4 +1,4 @@
-"""A copy of both packages in which a few lines differ, and runs of the judge from it."""
+"""A copy of both packages with some lines edited, and commands that run in it."""
 
 import compileall
 import functools

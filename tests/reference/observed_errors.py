@@ -1,4 +1,4 @@
-"""Errors of Mitsuba's hits, in units of the rounding that the error models count."""
+"""Mitsuba's errors at its hits, in units of the rounding that the error models count."""
 
 from typing import NamedTuple
 

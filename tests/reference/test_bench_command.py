@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.bench import run, scenes
+from mitsuba_ref.bench import casters, scenes
 from mitsuba_ref.bench.casters import BY_KEY
 from mitsuba_ref.bench.measuring import Settings, time_scene
 from mitsuba_ref.bench.scoring import write_scene
@@ -21,8 +21,12 @@ ASKED = ("ours", "scalar-aov")
 SIDE = 32
 
 
+def only(monkeypatch, *keys):
+    monkeypatch.setattr(casters, "CASTERS", [BY_KEY[key] for key in keys])
+
+
 def test_a_small_image_is_timed_and_judged(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(run, "casters_for", lambda workload, aovs: [BY_KEY[key] for key in ASKED])
+    only(monkeypatch, *ASKED)
     file = tmp_path / "run.json"
     words = ["bench", "grazing-plane", "--size", str(SIDE), "--alternations", "1", "--json", str(file)]
     assert main(words) == 0
@@ -59,7 +63,7 @@ def test_mitsubas_llvm_variant_is_requested_what_is_timed(name, keys):
 
 
 def test_a_file_and_a_candidate_are_timed_and_judged_beside_ours(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(run, "casters_for", lambda workload, aovs: [BY_KEY["ours"]])
+    only(monkeypatch, "ours")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "box.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n")
     (tmp_path / "timed_caster.py").write_text(
@@ -82,7 +86,7 @@ def test_a_file_and_a_candidate_are_timed_and_judged_beside_ours(tmp_path, monke
 
 @pytest.mark.slow("times several processes")
 def test_a_candidate_that_cannot_be_timed_is_no_result(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(run, "casters_for", lambda workload, aovs: [BY_KEY["ours"]])
+    only(monkeypatch, "ours")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "untimed_caster.py").write_text("def cast(scene, o, d):\n    raise NotImplementedError('spheres')\n")
     words = ["bench", "one-sphere", "--size", "8", "--alternations", "1", "--candidate"]
@@ -105,7 +109,7 @@ for each in (ours, aov):
     each.build(64)
 images = ours.caster.render(ours.scene, aovs)
 hit = images.hit.ravel()
-drawn = np.array(mi.render(aov.scene, spp=1), float).reshape(64 * 64, -1)[hit]
+drawn = np.array(mi.render(aov.scene, integrator=aov.integrator, spp=1), float).reshape(64 * 64, -1)[hit]
 found = {"hit": float(hit.mean()), "lit": float((images["diffuse"] > 0.1).mean())}
 columns = {"depth": slice(4, 5), "normal": slice(5, 8), "shading_normal": slice(8, 11), "diffuse": slice(0, 3)}
 for name, column in columns.items():

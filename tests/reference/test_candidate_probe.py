@@ -1,4 +1,4 @@
-"""`mitsuba-ref probe --candidate` repeats the finding of validate at a pixel, with the size of its error."""
+"""`mitsuba-ref probe --candidate` reproduces what validate found at a pixel, with the size of the error."""
 
 import json
 import re

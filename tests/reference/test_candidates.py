@@ -1,4 +1,4 @@
-"""Right candidates pass; wrong ones fail, with the cause and the pixels."""
+"""A correct candidate passes; a wrong one fails with the place and the cause."""
 
 import importlib.util
 import json

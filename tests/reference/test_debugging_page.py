@@ -1,4 +1,4 @@
-"""docs/debugging-an-edge-case.md is up to date: its commands, run again in a copy with the same fault."""
+"""docs/debugging-an-edge-case.md is up to date: its commands run again in a copy with the same fault."""
 
 import importlib.util
 import re

@@ -1,4 +1,4 @@
-"""What the comparison with Mitsuba sees by itself, without float64's own bounds and without exact arithmetic.
+"""Faults that the comparison with Mitsuba detects without our own float64 bounds and without exact arithmetic.
 
 Faults are planted in what ours is traced from, or along which rays; the reference and the bounds get the right numbers.
 """

@@ -1,4 +1,4 @@
-"""Mitsuba is never farther off than the error models allow, under stress, by whichever instructions Embree takes.
+"""Mitsuba's errors stay within the error models in hard scenes, whichever instructions Embree uses.
 
 How far it is off differs from CPU to CPU; that it is no farther than K roundings does not. What is measured is printed
 (`-s`) and stands in docs/method.md, "Measured".

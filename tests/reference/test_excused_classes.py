@@ -1,4 +1,4 @@
-"""Limits of the classes explained and out_of_domain."""
+"""The classes explained and out_of_domain excuse rounding and nothing else."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""Mitsuba reads our EXR files as intended: each channel by name, layers as groups, bits unchanged."""
+"""Mitsuba reads our EXR files: every channel by its name, layers as groups, all bits unchanged."""
 
 import subprocess
 import sys

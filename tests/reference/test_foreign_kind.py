@@ -1,4 +1,4 @@
-"""A primitive kind and a camera from outside of the tree go through every command, and mistakes in it are found.
+"""A primitive kind and a camera of a plug-in work in every command, and faults in them are found.
 
 The coin's two sides are tests/unit/coin_plugin.py and coin_reference.py, which docs/adding-a-shape.md describes.
 """

@@ -1,4 +1,4 @@
-"""Mesh files as Mitsuba's own loader reads them, against the caster's reader: right ones, and each kind of error."""
+"""The caster's mesh readers against Mitsuba's own loader: valid files, and each kind of reading error."""
 
 import struct
 

@@ -1,4 +1,4 @@
-"""`mitsuba-ref probe`: every witness of a ray, who is right and by how much, as text and as JSON."""
+"""`mitsuba-ref probe` lists every answer for a ray with its error, as text and as JSON."""
 
 import json
 import re

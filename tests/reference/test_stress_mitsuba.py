@@ -20,7 +20,7 @@ def test_all_casters_agree_where_a_family_is_easiest():
     asked = ["scalar", *(["llvm", "llvm-robust"] if usable_variants().libllvm else [])]
     for family in SWEPT:
         ready = score.prepare_setting(family, 0, family.easiest, RAYS)
-        result = sweeps.score_setting(ready, sweeps.observe(ready, CASTERS))
+        result = sweeps.score_setting(ready, CASTERS)
         sweep = SweepResult.of(family, [result])
         assert sweep.ok, sweep.problems
         for key in asked:

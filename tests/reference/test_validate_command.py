@@ -1,4 +1,4 @@
-"""The command `mitsuba-ref` from outside: exit codes, output, files, and recovery from failures."""
+"""`mitsuba-ref validate` from outside: exit codes, output, files, and interruptions."""
 
 import json
 import os

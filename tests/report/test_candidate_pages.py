@@ -73,7 +73,7 @@ def test_what_is_not_given_is_stated_and_not_drawn(visit, report):
     page.wait_for_selector("#summary >> text=held to the bounds of float32")
     assert page.locator(".pane.ours .legend").inner_text() == ""
     page.click("[data-layer=shape_id]")
-    page.wait_for_selector(".pane.reference .legend >> text=a colour a number")
+    page.wait_for_selector(".pane.reference .legend >> text=one colour per number")
     assert page.locator(".pane.ours .legend").inner_text() == ""
     page.locator(".pane.ours canvas").click(position={"x": 60, "y": 60})
     words = page.inner_text("#pixel section:has-text('Not given')")

@@ -1,4 +1,4 @@
-"""Where rays meet primitives, in decimals of 60 digits: textbook formulas over arrays of m pairs.
+"""Intersections of rays and primitives in decimals of 60 digits, by textbook formulas over arrays of m pairs.
 
 Nothing is taken from the judge. Products of three float32 numbers take 72 bits, so signs of determinants are exact.
 Whoever calls these sets the context: `with localcontext(DIGITS)`.

@@ -1,4 +1,4 @@
-"""What scene files can say, derived from the scene's schema, and which of that some scenes say.
+"""All options of scene files, derived from the schema, and the options that given scenes use.
 
 An option is a line of text: a field with a default, and with something else; each value of an enumeration; both of a
 bool; none, one and two of a list or table; each kind of element, and two of it in one scene; each key of a step.
@@ -16,7 +16,6 @@ from pydantic.fields import FieldInfo
 
 from caster.scene.model import Scene
 
-SCALARS = (int, float, str)
 COUNTS = {0: "none", 1: "one", 2: "two or more"}
 
 

@@ -22,7 +22,7 @@ from mitsuba_ref.error_model.intersections import (
     single_group,
 )
 from mitsuba_ref.error_model.tolerances import LARGEST_Z, MIN_GROUPS
-from mitsuba_ref.judge.checks.bias import check_bias, group_sums, merged_groups, untied, z_of_groups
+from mitsuba_ref.judge.checks.bias import check_bias, group_sums, untied, z_of_groups
 from mitsuba_ref.judge.verdict import ErrorStatistics, Extremes, KindBias, SceneVerdict, Verdict
 from mitsuba_ref.report.ci_summaries import junit
 from mitsuba_ref.report.verdict_text import failure_text, summary_text
@@ -63,7 +63,7 @@ def test_a_group_that_has_pixels_in_several_windows_counts_once():
     rng = np.random.default_rng(2)
     key, error = rng.integers(0, 50, (3000, 2)), rng.normal(0.0, 1.0, 3000)
     parts = [group_sums(key[rows], error[rows]) for rows in np.split(np.arange(3000), [900, 901, 2500])]
-    whole, merged = group_sums(key, error), merged_groups(parts)
+    whole, merged = group_sums(key, error), group_sums(*map(np.concatenate, zip(*parts, strict=True)))
     assert np.array_equal(merged.keys, whole.keys) and np.array_equal(merged.counts, whole.counts)
     assert merged.counts.sum() == 3000 and len(merged.counts) < sum(len(part.counts) for part in parts)
     assert merged.errors == pytest.approx(whole.errors, abs=1e-12)

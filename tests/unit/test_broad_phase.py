@@ -1,4 +1,4 @@
-"""No primitive that a ray hits is left out of what is near it."""
+"""The broad phase of the error models never drops a primitive that a ray hits."""
 
 import numpy as np
 import pytest
@@ -54,6 +54,14 @@ def test_each_ray_is_in_one_piece_only(monkeypatch):
     assert sum(map(len, rays)) == len(set.union(*rays))
     for i in range(2):
         assert np.array_equal(np.concatenate([piece[i] for piece in pieces]), whole[0][i])
+
+
+def test_every_box_is_grown_by_the_margin_of_its_farthest_corner(monkeypatch):
+    monkeypatch.setattr(scene_model, "BOXES_PER_CHUNK", 8)
+    low = np.random.default_rng(114).uniform(-9.0, 9.0, (3, 20))
+    high = low + 1.0
+    margin = scene_model.BOX_MARGIN * np.maximum(np.abs(low), np.abs(high)).max(axis=0)
+    assert np.array_equal(scene_model.grown(low.copy(), high.copy()), (low - margin, high + margin))
 
 
 def test_most_of_what_a_ray_passes_by_is_left_out():

@@ -1,4 +1,4 @@
-"""Scenes that are installed with the judge, mesh files as scenes, and runs that fail by new failures alone."""
+"""Built-in scenes, mesh files as scenes, and runs that only new failures fail."""
 
 import tomllib
 from dataclasses import replace

@@ -1,6 +1,7 @@
-"""Every camera's formula is written twice; each fault of a camera that these tests plant is seen."""
+"""Camera rays against independent formulas and Mitsuba's sensors; planted faults of cameras are found."""
 
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from caster.rendering.images import camera_rays
 from caster.scene.model import Film, Scene
 from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.judge.checks import camera
-from mitsuba_ref.judge.checks.camera import check_camera, pixel_centers
+from mitsuba_ref.judge.checks.camera import check_camera, check_sensor, pixel_centers
 
 TYPES = [cls.model_fields["type"].default for cls in CAMERAS if issubclass(cls, Camera)]  # that look around
 every_camera = pytest.mark.parametrize("camera", TYPES)
@@ -167,3 +168,17 @@ def test_a_camera_that_covers_its_film_has_a_ray_through_every_position(camera):
         x, y = (side * rng.uniform(-0.1, 1.1, 500) for side in (scene.film.width, scene.film.height))
         missing += (reference_of_camera(scene.camera).rays(scene.camera, scene.film, x, y).t_max < 0.0).sum()
     assert reference_of_camera(scene.camera).covers_film == (missing == 0)
+
+
+@pytest.mark.parametrize("near", [0.3, 50.0])
+def test_a_sensor_whose_rays_start_aside_is_detected(near):
+    """Also where the near plane is farther from the eye than the eye is from the origin."""
+    pose = {"type": "pinhole", "eye": (0.5, 0.0, 0.0), "direction": (0.0, 0.6, 0.8), "near": near, "far": 90.0}
+    scene = Scene(film=Film(width=9, height=6), camera=pose)
+    ours = camera_rays(scene)
+    across = np.cross(ours.d, [1.0, 0.0, 0.0])  # so that only the lines differ, and no distance along them
+    for aside in (0.0, 0.01):
+        o = ours.o + ours.t_min[:, None] * ours.d + aside * across
+        sensor = np.column_stack([o, ours.d, ours.t_max - ours.t_min])
+        found = check_sensor(scene, SimpleNamespace(answer=SimpleNamespace(sensor=sensor)))
+        assert found.ok is (aside == 0.0), found

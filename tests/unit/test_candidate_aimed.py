@@ -1,6 +1,4 @@
-"""What a camera's rounding may do to a hit is held by the nine rays that the widened model looks along."""
-
-import math
+"""The widened bounds of uncertain rays hold for every ray that a camera's rounding may produce."""
 
 import numpy as np
 import pytest
@@ -79,26 +77,6 @@ def test_the_widened_bound_is_a_few_times_what_rays_need(kind):
     reach = (SHIFT + TURN * np.abs(wide.t) * norm(d))[rows]
     assert rows.sum() > 20
     assert np.median(wide.t_error[rows] * norm(d)[rows] * cosine / reach) < 2.5
-
-
-@pytest.mark.parametrize("refined", [False, True])
-def test_rays_around_a_ray_are_at_the_corners_of_polygons_around_their_circles(refined):
-    """Each polygon holds its circle; no corner is twice there, and they are equally far apart."""
-    model, _, _, d = cases("spheres", 0)
-    wide, d = aimed(model), d[:40] * np.linspace(0.1, 10.0, 40)[:, None]
-    wide = wide.refined() if refined else wide
-    corners = np.array(list(wide._around(d)))
-    per_ring, rings = (16, (0.4, 0.7, 1.0)) if refined else (8, (1.0,))
-    assert len(corners) == per_ring * len(rings)
-    assert np.abs(np.einsum("rij,ij->ri", corners, unit(d))).max() < 1e-15
-    for j, radius in enumerate(rings):
-        ring = corners[j * per_ring : (j + 1) * per_ring]
-        assert np.linalg.norm(ring, axis=2) == pytest.approx(radius / math.cos(math.pi / per_ring))
-        sides = np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=2)
-        assert sides == pytest.approx(2.0 * radius * math.tan(math.pi / per_ring))
-        middles = 0.5 * (ring + np.roll(ring, 1, axis=0))
-        assert np.linalg.norm(middles, axis=2) == pytest.approx(radius)
-    assert (wide.turn, wide.shift, wide.packed) == (TURN, SHIFT, model.packed)
 
 
 def test_a_primitive_is_lost_between_the_rays_where_it_is_eight_circles_large_or_less():

@@ -1,4 +1,4 @@
-"""JUnit XML as servers read it: Jenkins' schema in short, held against what is written."""
+"""JUnit XML fits a short form of Jenkins' schema."""
 
 from xml.etree import ElementTree
 

@@ -1,4 +1,4 @@
-"""docs/ci.md and the pages beside it: their YAML parses, and their commands are what the programs accept."""
+"""The YAML of docs/ci.md and the pages beside it parses, and the programs accept their commands."""
 
 import re
 import shlex

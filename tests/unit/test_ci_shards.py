@@ -1,4 +1,4 @@
-"""Shards: every scene in exactly one, alike every time, about as large; and put together, nothing may be missing."""
+"""Shards hold each scene once, are reproducible and of similar size; merging them notices missing scenes."""
 
 import json
 import random

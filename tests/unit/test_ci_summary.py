@@ -1,4 +1,4 @@
-"""The Markdown summary: what comes first, what is folded, what is escaped, and how long it may be."""
+"""The Markdown summary: order, folded parts, escaping and maximum length."""
 
 import html
 import re

@@ -1,4 +1,4 @@
-"""Bad input to `caster`: a sentence that says where and what, its exit code, and nothing left behind."""
+"""Bad input to `caster` gives a located message and an exit code, and leaves no file behind."""
 
 import pytest
 

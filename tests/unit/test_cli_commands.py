@@ -1,7 +1,6 @@
 """The commands as a whole: their help, small commands, and how they end."""
 
 import io
-import json
 import os
 import signal
 import subprocess
@@ -51,15 +50,6 @@ def test_help_of_every_command_loads_nothing_slow(module, program, commands, slo
 def test_version(capsys):
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"caster {caster.__version__}\n"
-
-
-def test_doctor_ends_with_4_where_something_needed_is_missing(capsys, monkeypatch):
-    from caster.cli import installation
-
-    missing = installation.Package("no-such-package", "no_such_package", "1", "nothing")
-    monkeypatch.setattr(installation, "PACKAGES", (*installation.PACKAGES, missing))
-    assert main(["doctor", "--json"]) == 4
-    assert json.loads(capsys.readouterr().out)["usable"] is False
 
 
 # ---- how a command ends ----

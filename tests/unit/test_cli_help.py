@@ -1,4 +1,4 @@
-"""What --help says without loading anything slow, compared with what there is."""
+"""Names and defaults in --help, which loads nothing slow, are those of the modules."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""`caster render`: what is written is what was computed, the same bytes every time, and whence it came."""
+"""`caster render` writes the same bytes every time, with their provenance."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Pages of docs/ and the README: every link and named place is there, and generated pages are up to date."""
+"""Links and named places in docs/ and the README exist, and generated pages are up to date."""
 
 import ast
 import importlib.util

@@ -1,4 +1,4 @@
-"""The doctor names what is missing, what it would add and the way out, and never dies of what it looks at."""
+"""The doctor names each missing package, its use and the way to install it, and survives broken ones."""
 
 import json
 import re

@@ -1,7 +1,6 @@
-"""Error bounds that kernels state, against inputs moved by as much as they are off; small parts by formula."""
+"""Error bounds of kernels hold for all inputs within their errors."""
 
 import math
-from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -58,31 +57,6 @@ def test_roots_of_a_sphere_hold_for_every_centre_and_direction_within_their_erro
                 off = np.abs(roots - [found.near, found.far])
                 assert (off <= np.array([found.near_error, found.far_error]) + SLACK * np.abs(roots).max()).all()
     assert min(said.values()) >= 60
-
-
-def test_a_sphere_is_hit_or_missed_at_its_rim_as_exact_arithmetic_decides():
-    """Lines that pass the centre at the radius, up to some units of float64: where rounding decides."""
-    rng, said = np.random.default_rng(163), {"met": 0, "missed": 0, "neither": 0}
-    for number in range(900):
-        f = rng.normal(size=3) * 10.0 ** rng.uniform(-1.0, 3.0)
-        d = rng.normal(size=3) * 10.0 ** rng.uniform(-2.0, 2.0)
-        aside = np.linalg.norm(np.cross(f, d)) / np.linalg.norm(d)
-        r = float(aside * (1.0 + rng.uniform(-1.0, 1.0) * 10.0 ** rng.uniform(-16.0, -12.0)))
-        f_error = 0.0 if number % 2 else r * 1e-13
-        found = quadric_roots(quadric_setup(tuple(f), r, f_error), tuple(d), 0.0)
-        fx, dx = ([Fraction(float(x)) for x in v] for v in (f, d))
-        a, b = sum(x * x for x in dx), sum(x * y for x, y in zip(fx, dx, strict=True))
-        inside = (Fraction(r) ** 2 - sum(x * x for x in fx)) * a + b * b  # a quarter of the discriminant
-        assert not (found.met and inside <= 0) and not (found.missed and inside >= 0)
-        away = abs(float(inside / a)) / (r * r)  # of the squared radius
-        if f_error == 0.0:
-            said["met"] += found.met
-            said["missed"] += found.missed
-            said["neither"] += not (found.met or found.missed)
-            assert found.met or found.missed or away < 1e-14 * (1.0 + (f @ f) / (r * r)) * 10.0
-        elif not (found.met or found.missed):
-            assert away < 1e-11 * (1.0 + np.linalg.norm(f) / r)
-    assert min(said.values()) > 40, said
 
 
 def test_a_disk_is_hit_or_missed_for_every_input_within_its_errors_and_both_occur():
@@ -222,22 +196,3 @@ def test_a_line_is_sure_to_miss_just_where_its_intersection_is_a_miss(name, leng
         assert not (missed and hits_exactly(prims, o, d))
         said[missed] += 1
     assert min(said.values()) > 60
-
-
-def test_a_disk_is_decided_at_its_rim_as_exact_arithmetic_decides_in_every_direction():
-    """Rays across it, up to some units of float64 from the rim: only what x^2 + y^2 - 1 rounds is in between."""
-    prims, rng, none = prims_of(Disk()), np.random.default_rng(174), (0.0, 0.0, 0.0)
-    rows, said = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), {"hit": 0, "missed": 0, "neither": 0}
-    for _ in range(6000):
-        x = float(rng.uniform(-0.7, 0.7))
-        y = math.copysign(math.sqrt(1.0 - x * x) + rng.integers(-12, 13) * 2.0**-53, rng.normal())
-        x, y = (x, y) if rng.random() < 0.5 else (y, x)
-        t, error = intersect(prims, (rows, (x, y, 1.0), none, none), (0.0, 0.0, -1.0), 0.0, math.inf)
-        beyond = Fraction(x) ** 2 + Fraction(y) ** 2 - 1
-        if error == math.inf:
-            said["neither"] += 1
-            assert abs(beyond) <= 16 * Fraction(2) ** -53
-        else:
-            said["missed" if t == math.inf else "hit"] += 1
-            assert (t == math.inf) == (beyond > 0)
-    assert min(said.values()) > 300, said

@@ -1,19 +1,20 @@
-"""The error models bound what they say they bound, and not much more: against decimals of 60 digits."""
+"""The bounds of the error models hold against decimals of 60 digits, and are nearly reached.
+
+That the bounds do not grow is held by stated_numbers.json.
+"""
 
 import itertools
 from collections.abc import Iterator
 from decimal import localcontext
-from typing import Any
 
 import numpy as np
 import pytest
 from aimed_rays import KINDS, Setting
 from decimal_intersections import DIGITS, Met, exactly, triangle
-from ray_primitive_pairs import Pairs, pose, rounding
+from ray_primitive_pairs import pose, rounding
 
 from mitsuba_ref.error_model.intersections import Intersections, norm
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS, U32
-from mitsuba_ref.shapes import plane
 from mitsuba_ref.shapes.cylinder import mitsuba_accepts_matrix
 from mitsuba_ref.shapes.plane import PATCH_FACES, _face_of_hit, as_triangles
 from mitsuba_ref.shapes.surface_errors import UNRESOLVABLE
@@ -130,78 +131,6 @@ def test_what_is_neither_certain_nor_impossible_is_near_an_edge(kind):
     if kind in ("triangles", "disks"):  # of a tube every other end is hidden behind its wall
         assert doubtful[0] >= 0.99
     assert doubtful[1] <= 0.01
-
-
-def planted(pairs: Pairs, fault: str) -> Intersections:
-    """What a caster with a small fault would say of the first root."""
-    (near, *_), prims = pairs.intersect(KU_OURS, ours=True), pairs.prims
-    if fault == "t by 3e-6":
-        return near._replace(t=near.t * (1.0 + 3e-6))
-    if fault == "normal by 3e-5":
-        sideways = np.cross(near.n, np.roll(near.n, 1, axis=1))
-        return near._replace(n=near.n + 3e-5 * sideways / norm(sideways)[:, None])
-    changed = moved(prims) if fault == "moved by 3e-5" else grown(prims, 1.0 + 1e-5)
-    faulty = Pairs(changed, pairs.k, pairs.o, pairs.d, pairs.model, changed)
-    return faulty.intersect(KU_OURS, ours=True)[0]
-
-
-def moved(prims: Any) -> Any:
-    if hasattr(prims, "normal"):
-        return prims._replace(point=prims.point + 3e-5 * prims.normal)
-    where = prims._fields[0]  # vertices or center
-    return prims._replace(**{where: getattr(prims, where) + 3e-5 * np.array([0.6, -0.48, 0.64])})
-
-
-def grown(prims: Any, factor: float) -> Any:
-    if hasattr(prims, "radius"):
-        return prims._replace(radius=prims.radius * factor)
-    if hasattr(prims, "vertices"):
-        return prims._replace(vertices=prims.vertices * factor)
-    if hasattr(prims, "normal"):
-        return prims
-    return prims._replace(to_world=prims.to_world * factor, to_object=prims.to_object / factor)
-
-
-# The least share of ordinary hits where a fault must be beyond the bound; the measured ones are a little larger.
-# A disk that grows within its plane is hit where it was, and a plane cannot grow.
-FAULTS = ("t by 3e-6", "normal by 3e-5", "moved by 3e-5", "grown by 1e-5")
-CAUGHT = {
-    "triangles": (0.95, 0.95, 0.8, 0.6),
-    "spheres": (0.95, 0.95, 0.95, 0.9),
-    "ellipsoids": (0.55, 0.15, 0.8, 0.3),
-    "disks": (0.95, 0.95, 0.95, 0.0),
-    "cylinders": (0.75, 0.35, 0.75, 0.25),
-    "stretched cylinders": (0.75, 0.3, 0.8, 0.25),
-    "planes": (0.15, 0.95, 0.6, 0.0),
-}
-
-
-@every_kind
-def test_a_fault_of_a_few_millionths_is_beyond_the_bound(kind):
-    pairs = pose(kind, Setting(distances=(3.0, 10.0), slopes=(0.3, 1.0), edges=0.0), [107])
-    bound = pairs.intersect(KU)[0]
-    sure = bound.certain
-    assert sure.sum() >= 200
-    for fault, least in zip(FAULTS, CAUGHT[kind], strict=True):
-        faulty = planted(pairs, fault)
-        beyond = (np.abs(faulty.t - bound.t) > bound.t_error) | (norm(faulty.n - bound.n) > bound.n_error)
-        caught = np.mean(beyond[sure])
-        print(f"{kind}: {fault} caught at {caught:.3f} of {sure.sum()}")
-        assert caught >= least, fault
-
-
-def test_the_least_height_around_a_face_of_a_patch_is_that_of_its_triangles():
-    """Of its own ring and of those within and around it; triangle by triangle."""
-    sizes = 0.5 * 2.0 ** np.arange(plane.PATCH_RINGS + 1)
-    corners = (sizes[:, None, None] * plane.SQUARE_CORNERS).reshape(-1, 2)
-    sides = corners[plane.PATCH_FACES]
-    (ax, ay), (bx, by) = (sides[:, 1] - sides[:, 0]).T, (sides[:, 2] - sides[:, 0]).T
-    longest = np.linalg.norm(sides - np.roll(sides, 1, axis=1), axis=2).max(axis=1)
-    heights = np.abs(ax * by - ay * bx) / longest
-    rings = np.array([0] * 2 + [1 + k // 8 for k in range(8 * plane.PATCH_RINGS)])
-    for face in range(0, len(rings), 2):
-        least = heights[np.abs(rings - rings[face]) <= 1].min()
-        assert plane._least_height(np.array([0.5]), np.array([face]))[0] == pytest.approx(least, rel=1e-12)
 
 
 STRETCHES = {

@@ -1,4 +1,4 @@
-"""What other comparing tools have let pass: `mitsuba-ref compare` must not, whatever tolerance it is given.
+"""Faulty images that other comparison tools have passed fail in `mitsuba-ref compare`, whatever the tolerances.
 
 idiff of OpenImageIO 3.2.2 passes all those with NaN or inf, the renamed layer, and a second part that is all NaN; FLIP
 and gates such as `abs(a - b).max() > tolerance` pass the NaN. Each canary is compared both ways round.

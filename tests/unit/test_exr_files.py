@@ -1,4 +1,4 @@
-"""What `caster render` writes is what `caster.render` gives, for each AOV, in crops as well.
+"""`caster render` writes the numbers of `caster.render`, for each AOV, also in crops.
 
 The file is read by the OpenEXR library, and each channel has the name that docs/exr.md gives it.
 """

@@ -1,4 +1,4 @@
-"""`mitsuba-ref compare` with files of other programs: names are recognised, what depth means is stated by options."""
+"""`mitsuba-ref compare` with files of other programs: names are recognised, and options state what depth means."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Multi-part EXR files, as other programs write them: all parts are one picture, or it is said why not."""
+"""Multi-part EXR files of other programs are read as one image, or refused with the reason."""
 
 from pathlib import Path
 
@@ -92,7 +92,7 @@ REFUSED = {
     "deep": (
         {"rgba": of("A"), "cloud": {"Z": deep()}},
         {"cloud": DEEP},
-        "deep data, many samples a pixel, in part 'cloud'; write flat parts",
+        "deep data, many samples per pixel, in part 'cloud'; write flat parts",
     ),
     "views": (
         {"rgba.left": of("A"), "rgba.right": of("A")},

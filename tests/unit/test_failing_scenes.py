@@ -1,18 +1,17 @@
 """Where many scenes fail: which shapes they have, and which scene is the simplest."""
 
-import json
 from dataclasses import replace
 from unittest.mock import Mock
 
+from pydantic import TypeAdapter
 from verdict_factory import scene as made
 from verdict_factory import verdict
 
 import caster
-from mitsuba_ref.judge.verdict import SceneStatistics
+from mitsuba_ref.judge.verdict import SceneStatistics, SceneVerdict
 from mitsuba_ref.report.ci_summaries import markdown
 from mitsuba_ref.report.verdict_text import failures_text, simplest_failing
 from mitsuba_ref.runner import many_scenes
-from mitsuba_ref.runner.verdict_files import scene_of
 
 
 def scene(name, shapes=("sphere",), *, ok=False, checks=("depth",), camera="pinhole", primitives=1, **more):
@@ -59,4 +58,4 @@ def test_a_verdict_has_the_composition_of_its_scene_also_without_comparison(monk
         monkeypatch.setattr(many_scenes, "validate_scene", Mock(return_value=found))
         judged = many_scenes.judge_entry(entry, many_scenes.JudgeOptions())
         assert judged.composition == SceneStatistics("pinhole", {"sphere": 1, "cube": 1}, 13)
-        assert scene_of(json.dumps(judged.to_dict())).composition == judged.composition
+        assert TypeAdapter(SceneVerdict).validate_python(judged.to_dict()).composition == judged.composition

@@ -14,7 +14,7 @@ from caster.scene.model import Scene
 from caster.shapes import SHAPES
 from mitsuba_ref.fuzz import cases, checks
 from mitsuba_ref.fuzz.campaign import check_example, example
-from mitsuba_ref.fuzz.cases import case_of, scene_data
+from mitsuba_ref.fuzz.cases import case_of, ray_of, scene_data
 from mitsuba_ref.fuzz.checks import SCENE_ERRORS, adjudicate, check_image, check_rays, check_surfaces
 from mitsuba_ref.fuzz.findings import Finding, Tally, first_of_each_kind
 from mitsuba_ref.fuzz.shrink import Shrinker, complexity, primitive_shapes, simpler_numbers, walk
@@ -196,11 +196,17 @@ points = st.lists(numbers, min_size=3, max_size=3)
 BALL = {"type": "sphere", "center": [0.1, 0.0, 5e-324], "radius": 1.0 / 3.0}
 VIEW = {"film": {"width": 2, "height": 1}, "camera": {"type": "pinhole", "eye": [0, 0, 3.0], "look_at": [0, 0, 0.0]}}
 FOUND_BY = "--seed 1 --family any --examples 2..2"
-ALONG_Z = {"o": [0.0] * 3, "d": [0.0, 0.0, 1.0], "t_min": 0.0, "t_max": np.inf}
+
+
+def ray_along(o, d, t_min=0.0, t_max=np.inf):
+    return RayBatch(*(np.array([value]) for value in (o, d, t_min, t_max)))
+
+
+ALONG_Z = ray_along([0.0] * 3, [0.0, 0.0, 1.0])
 
 
 def a_case(ray=None, shapes=(BALL,)):
-    return {**VIEW, "shape": list(shapes)} | ({"ray": ray} if ray else {})
+    return case_of({**VIEW, "shape": list(shapes)}, ray)
 
 
 def written(folder, case, kind="missed"):
@@ -210,18 +216,19 @@ def written(folder, case, kind="missed"):
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(points, points.filter(any), numbers.map(abs), st.one_of(st.just(np.inf), numbers.map(abs)))
 def test_a_ray_comes_back_to_the_bit(tmp_path, o, d, t_min, t_max):
-    case = a_case({"o": o, "d": d, "t_min": t_min, "t_max": max(t_min, t_max)})
+    case = a_case(ray_along(o, d, t_min, max(t_min, t_max)))
     kind, again = cases.read_kept(written(tmp_path, case))
-    assert kind == "missed" and repr(again["ray"]) == repr(case["ray"]) and again["shape"] == case["shape"]
+    assert kind == "missed" and repr(ray_of(again)) == repr(ray_of(case))
+    assert again["shape"] == case["shape"]
 
 
 def test_the_file_casts_the_very_ray_and_states_how_to_see_it_again(tmp_path):
-    ray = {"o": [0.1, -0.0, 2.5], "d": [1e-17, -0.0, -0.1], "t_min": 0.0, "t_max": 40.0}
+    ray = ray_along([0.1, -0.0, 2.5], [1e-17, -0.0, -0.1], t_max=40.0)
     file = written(tmp_path, a_case(ray))
     scene, text = load_scene(file), file.read_text()
     assert scene.camera.origin == (0.1, 0.0, 2.5) and scene.camera.direction == (1e-17, 0.0, -0.1)
     assert np.signbit(scene.camera.direction[1]) and scene.camera.t_max == 40.0
-    assert cast(scene, np.array([ray["o"]]), np.array([ray["d"]])).shape_id.tolist() == [0]
+    assert cast(scene, ray.o, ray.d).shape_id.tolist() == [0]
     assert f"# Found by mitsuba-ref fuzz {FOUND_BY}: by exact arithmetic the ray hits" in text
     assert "# ours misses, exactly it is hit\n" in text and "# Again: mitsuba-ref fuzz --replay name.toml" in text
 
@@ -229,8 +236,8 @@ def test_the_file_casts_the_very_ray_and_states_how_to_see_it_again(tmp_path):
 def test_an_image_keeps_its_camera_and_a_mesh_goes_along(tmp_path):
     mesh = [{"type": "mesh", "file": mesh_files()[0], "face_normals": True}]
     file = written(tmp_path / "new", a_case(shapes=mesh))
-    kept = cases.read_kept(file).case
-    assert "ray" not in kept and kept["camera"] == VIEW["camera"] and kept["film"] == VIEW["film"]
+    _, kept = cases.read_kept(file)
+    assert "limits" not in kept and kept["camera"] == VIEW["camera"] and kept["film"] == VIEW["film"]
     assert sorted(path.name for path in file.parent.iterdir()) == ["name.toml", "octahedron.obj"]
     assert load_scene(written(tmp_path / "new", kept)).shapes[0].mesh().faces.shape == (8, 3)
 
@@ -335,10 +342,10 @@ def corners(part, k):
 
 def hits_something(case):
     """For a fault: every ray that meets a shape is said to be wrong."""
-    if "ray" not in case or not loaded(case):
+    if not loaded(case) or (ray := ray_of(case)) is None:
         return []
     packed = pack(scene_of(scene_data(case)))
-    return [Finding("prim", "it is hit")] if Oracle(packed).first_hit(case["ray"]["o"], case["ray"]["d"]).hit else []
+    return [Finding("prim", "it is hit")] if Oracle(packed).first_hit(ray.o[0], ray.d[0]).hit else []
 
 
 @pytest.mark.parametrize("number", [0, 19])
@@ -362,10 +369,10 @@ def test_a_film_shrinks_to_one_pixel_and_that_to_its_ray():
 
     def differs(each):
         x0, y0, x1, y1 = each["film"].get("crop", (0, 0, 4, 4))
-        wrong = loaded(each) and x0 <= 3 < x1 and y0 <= 2 < y1 and (by_ray or "ray" not in each)
+        wrong = loaded(each) and x0 <= 3 < x1 and y0 <= 2 < y1 and (by_ray or "limits" not in each)
         return [Finding("check", "other bits")] if wrong else []
 
     for by_ray in (True, False):
         shrinker = Shrinker(case, Finding("check", "other bits"), differs)
         shrinker.run()
-        assert shrinker.case["film"]["crop"] == [3, 2, 4, 3] and ("ray" in shrinker.case) == by_ray
+        assert ("limits" in shrinker.case) == by_ray and (by_ray or shrinker.case["film"]["crop"] == [3, 2, 4, 3])

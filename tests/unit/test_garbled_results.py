@@ -1,4 +1,4 @@
-"""Files that the project wrote, garbled value by value: an error of the file, with its field, and never a traceback."""
+"""Result files with any one value garbled give an error that names the file and field, never a traceback."""
 
 import copy
 import json

@@ -29,6 +29,7 @@ KERNEL_LANGUAGE = (
     NUMBA_DOOR,
     "caster.jit.simd",
     "caster.jit.kernel_cache.COMPILED",
+    "caster.jit.command_list.Column",
 )
 
 # What descriptions are made of: the checks of fields, and transforms of geometry to world space.
@@ -36,7 +37,8 @@ DESCRIBING = ("caster.description", "caster.geometry", "pydantic")
 PLUGGED_IN = {"shapes": DESCRIBING, "cameras": DESCRIBING, "aovs": ()}
 
 # The names that make a kernel of a function; the counts of compiled kernels may be read anywhere.
-MAKE_KERNELS = tuple(f"{NUMBA_DOOR}.{name}" for name in ("generic", "generic_inlined", "implement", "inlined", "jit"))
+MADE_BY = ("generic", "generic_inlined", "implement", "inlined", "jit", "optional")
+MAKE_KERNELS = tuple(f"{NUMBA_DOOR}.{name}" for name in MADE_BY)
 
 # Both packages in the order of the flow of data: each imports what stands before it.
 FLOW = tuple(architecture.FLOW)

@@ -1,4 +1,4 @@
-"""The judge composes to_world a second time, and sees what goes wrong in composing it."""
+"""The judge composes to_world independently and detects errors in the caster's matrix."""
 
 import math
 from typing import Any
@@ -100,3 +100,11 @@ def test_normals_that_cancel_have_no_bound():
     both = np.array([[0, 1, 2], [0, 2, 1]])
     _, size = angle_weighted_normals(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), both)
     assert np.isinf(size).all()
+
+
+def test_a_face_without_area_changes_no_expected_normal():
+    """A vertex of such faces alone gets the x axis."""
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 2], [3, 3, 3]])
+    faces = [[0, 1, 2]], [[0, 1, 2], [0, 0, 1], [3, 3, 3]]
+    alone, beside = (angle_weighted_normals(corners, np.array(each))[0] for each in faces)
+    assert np.array_equal(alone, beside) and alone[3].tolist() == [1.0, 0.0, 0.0]

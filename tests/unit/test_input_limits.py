@@ -1,4 +1,4 @@
-"""Inputs that would block, have no end, or cost more than they hold: each is refused, by size or count."""
+"""Inputs that would block, never end or need more memory than they hold are refused."""
 
 import os
 import subprocess

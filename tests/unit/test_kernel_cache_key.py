@@ -1,4 +1,4 @@
-"""A kernel's file is named after all that its machine code depends on: the code that it reaches, types, target."""
+"""A kernel's file name depends on everything its machine code depends on: reachable code, types and target."""
 
 import os
 from typing import Any

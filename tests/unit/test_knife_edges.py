@@ -1,4 +1,4 @@
-"""Aimed rays of a scene check: every kind is aimed at, the same scene gives the same rays, and errors show."""
+"""The check knife_edges aims at every kind of primitive, is reproducible and finds errors."""
 
 from fractions import Fraction
 

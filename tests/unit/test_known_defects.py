@@ -1,4 +1,4 @@
-"""The known cases of Mitsuba's errors: each is named by what is measured at a pixel, and an ordinary pixel by none."""
+"""Each known defect of Mitsuba is recognised by measurements at a pixel, and an ordinary pixel matches none."""
 
 import math
 from dataclasses import replace

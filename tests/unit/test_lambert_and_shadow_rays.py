@@ -1,4 +1,4 @@
-"""What a light gives, from the textbook, one point at a time; and Mitsuba's shadow rays, from its constants."""
+"""The judge's radiance against the textbook, and Mitsuba's shadow rays against its constants."""
 
 import math
 from typing import Any

@@ -27,13 +27,6 @@ def mesh_of(**changes):
     return mesh._replace(**changes)
 
 
-def corner_with(vertex, y):
-    """The corner with another y of one vertex."""
-    vertices = CORNER.copy()
-    vertices[vertex, 1] = y
-    return vertices
-
-
 def obvious_normals(vertices, faces):
     """One corner after the other, with the textbook's angle."""
     total = np.zeros_like(vertices)
@@ -94,11 +87,6 @@ def test_unit_rows_keeps_zeros_and_spans_all_magnitudes():
     # 3e-320 has 13 bits only: its direction is off by 2^-13
     assert np.abs(rows - [(0, 0, 0), (0.6, 0.8, 0), (0, 0.6, 0.8), (0, 0, -1)]).max() <= 2.0**-12
     assert np.abs(np.linalg.norm(rows[1:], axis=1) - 1).max() <= ROUNDING
-
-
-def one_changed(rows, place, number):
-    rows[place] = number
-    return rows
 
 
 @pytest.mark.parametrize(

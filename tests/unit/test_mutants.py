@@ -1,4 +1,4 @@
-"""The tool that plants mutants: its operators, and the exact score of a module with planted mutants."""
+"""The mutation tool: its operators, and its score for a module with known mutants."""
 
 import ast
 import json
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from mutants.campaign import COMPILED_TESTS, END_TO_END, GROUPS, SMALL_AGREEMENT, SMALL_RAYS, TESTS, stale
 from mutants.operators import keys_of, mutants_of
-from mutants.page import interval, page, score
+from mutants.page import page, score
 
 ROOT = Path(__file__).resolve().parents[2]
 MODULE = b'''"""Docstring 1 + 1."""
@@ -154,9 +154,3 @@ def test_equivalent_mutants_whose_lines_have_changed_are_found(tmp_path):
     keys = [f"module.py {key}" for key in keys_of(MODULE, mutants_of(MODULE))]
     gone = ["module.py 0123456789ab", "gone.py 0123456789ab"]
     assert stale(dict.fromkeys([*keys, *gone], "a reason"), tmp_path) == gone
-
-
-def test_the_interval_of_a_score_is_wilsons():
-    low, high = interval(95, 100)  # 0.8882 to 0.9785, as published tables have it
-    assert low == pytest.approx(0.8882, abs=1e-4) and high == pytest.approx(0.9785, abs=1e-4)
-    assert interval(0, 0) == (0.0, 1.0)

@@ -1,4 +1,4 @@
-"""Where the programs run: nothing that only POSIX has is imported ahead, and elsewhere one sentence says what to do."""
+"""No module needs POSIX to be imported, and on other platforms a command says where it runs."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""The processor as results name it."""
+"""The description of the processor in results."""
 
 import sys
 
@@ -8,7 +8,6 @@ from caster.system import processor
 
 V2 = "fpu sse sse2 ssse3 cx16 sse4_1 sse4_2 popcnt lahf_lm"
 V3 = f"{V2} avx avx2 fma bmi1 bmi2 f16c movbe abm"
-V4 = f"{V3} avx512f avx512dq avx512cd avx512bw avx512vl"
 
 
 def cpuinfo(flags, vendor="GenuineIntel", model=142):

@@ -1,4 +1,4 @@
-"""Progress on standard error: on a terminal, into a pipe, and how much work it counts."""
+"""Progress on standard error, on a terminal and in a pipe, and the work that it counts."""
 
 import io
 import os

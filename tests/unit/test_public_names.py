@@ -1,4 +1,4 @@
-"""The names of `import caster`: few, complete, typed, and loaded when they are used."""
+"""The public names of caster: complete, typed and loaded on first use."""
 
 import os
 import re

@@ -1,13 +1,9 @@
-"""The camera `ray`: one ray to the bit, whatever the pixel."""
-
-import math
+"""The camera `ray` gives its one ray, to the bit, at every pixel."""
 
 import numpy as np
 import pytest
 
 from caster import Film, Ray, Scene, SceneError, Sphere, cast, render
-from caster.cameras import CAMERAS, Pinhole
-from caster.description.fields import Camera
 from caster.rendering.images import camera_rays
 from caster.rendering.plan import culling_for
 from caster.scene.files import scene_from_text
@@ -38,12 +34,6 @@ def test_a_direction_without_a_square_is_brought_to_one(length):
     assert depths[0] == depths[1] == pytest.approx(5 - np.sqrt(1 - 0.0625), abs=1e-14)
 
 
-@pytest.mark.parametrize(("written", "sign"), [("0", 1), ("0.0", 1), ("-0.0", -1), ('"0x0p0"', 1), ('"-0x0p0"', -1)])
-def test_zeros_keep_their_signs(written, sign):
-    ray = scene_from_text(LINE.format(o=f"[{written}, 0, 0]", d=f"[1, {written}, 0]")).camera
-    assert math.copysign(1.0, ray.origin[0]) == math.copysign(1.0, ray.direction[1]) == sign
-
-
 def test_it_sees_what_cast_sees():
     balls = [Sphere(center=(0.1, 0.2, -3.0)), Sphere(center=(0.1, 0.2, -6.0), radius=0.5)]
     o, d = (0.3, 0.1, 2.0), (-0.02, 0.01, -0.5)
@@ -71,18 +61,11 @@ def test_the_ray_ends_at_t_max(t_max, hit, length):
     ("lines", "says"),
     [
         ("origin = [0, 0, 0]\ndirection = [0, -0.0, 0]\n", "direction must be a direction, so not all zero"),
-        ("origin = [0, 0]\ndirection = [0, 0, 1]\n", "origin must be 3 numbers [x, y, z], got 2"),
-        ("origin = [0, 0, 0]\ndirection = [0, 0, nan]\n", "direction"),
         ("origin = [0, 0, 0]\ndirection = [0, 0, 1]\nt_max = 0\n", "t_max must be > 0, got 0"),
         ("origin = [0, 0, 0]\ndirection = [0, 0, 1]\nup = [0, 1, 0]\n", "up is an unknown key"),
-        ("direction = [0, 0, 1]\n", "origin"),
     ],
 )
 def test_a_ray_that_is_none_is_refused_with_its_line(lines, says):
     with pytest.raises(SceneError, match=r"scene:\d+:\d+: camera") as error:
         scene_from_text('[camera]\ntype = "ray"\n' + lines, origin="scene")
     assert says in str(error.value)
-
-
-def test_all_other_cameras_look_around():
-    assert [cls for cls in CAMERAS if not issubclass(cls, Camera)] == [Ray] and issubclass(Pinhole, Camera)

@@ -1,4 +1,4 @@
-"""What stands in one registry has what it needs in the others: shapes and cameras a reference, AOVs a check."""
+"""Every registered shape and camera has a reference, and every AOV a check."""
 
 from types import SimpleNamespace
 

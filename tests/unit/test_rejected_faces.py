@@ -1,4 +1,4 @@
-"""Faces that are never hit: left out as Embree does, counted, and no trouble to their neighbours."""
+"""Faces that are never hit are left out as in Embree and counted, without effect on their neighbours."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""`mitsuba-ref schema NAME`: what the commands write fits the schema that is published for it."""
+"""Results of the commands fit the schemas of `mitsuba-ref schema NAME`."""
 
 import json
 from dataclasses import replace

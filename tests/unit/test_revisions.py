@@ -1,4 +1,4 @@
-"""The guard against slower revisions decides by ratios: planted numbers, nothing is timed."""
+"""The guard against slower revisions decides by ratios of planted times."""
 
 import sys
 from pathlib import Path

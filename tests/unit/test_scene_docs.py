@@ -1,4 +1,4 @@
-"""docs/scene-format.md says what the code does: every key with its default, and examples that load."""
+"""docs/scene-format.md lists every key with its default, and its examples load."""
 
 import re
 from pathlib import Path

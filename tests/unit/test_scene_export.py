@@ -1,4 +1,4 @@
-"""Scenes as text: what is saved loads again as the same scene, to the bit."""
+"""Saved scenes load again as the same scene, to the bit."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Scene files on disk: what can be read, which meshes they may name, and who is told what else."""
+"""Scene files on disk: readable formats, permitted meshes, and error messages."""
 
 import pytest
 

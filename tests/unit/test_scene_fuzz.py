@@ -1,4 +1,4 @@
-"""Whatever stands in a scene file, the user gets a scene or a sentence: no traceback, no jargon."""
+"""Any scene file gives a scene or a plain message, without traceback or jargon."""
 
 import copy
 import json

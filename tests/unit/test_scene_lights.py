@@ -1,4 +1,4 @@
-"""What arrives from each light, in Mitsuba's units."""
+"""Irradiance from each light, in Mitsuba's units."""
 
 import math
 

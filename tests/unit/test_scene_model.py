@@ -1,4 +1,4 @@
-"""Scenes built in Python, and what a scene answers."""
+"""Scenes built in Python, their films, and data derived from them."""
 
 import pickle
 

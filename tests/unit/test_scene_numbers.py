@@ -1,4 +1,4 @@
-"""Numbers and vectors of descriptions: what is one, what is none, and in which words it is refused."""
+"""Numbers and vectors of descriptions: accepted spellings, and messages for the others."""
 
 import math
 from typing import Annotated

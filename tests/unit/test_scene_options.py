@@ -1,4 +1,4 @@
-"""Everything that a scene file can say is in a shipped scene or drawn by the fuzzer, so that a judge looks at it."""
+"""Every option of scene files is used by a shipped scene or drawn by the fuzzer, so that it is judged."""
 
 import functools
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The JSON Schema says of a scene what the model says, as far as a schema can."""
+"""The JSON Schema of scenes accepts and refuses the same as the model."""
 
 import json
 import tomllib

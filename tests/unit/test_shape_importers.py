@@ -1,4 +1,4 @@
-"""Importers of Mitsuba's shapes: their fields, and a note on each property that is not kept."""
+"""Importers of Mitsuba's shapes: fields, and notes on properties that are not kept."""
 
 from typing import Any
 

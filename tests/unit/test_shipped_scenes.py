@@ -1,4 +1,4 @@
-"""The scenes that come with the project: valid, small, and together a use of everything a scene can hold."""
+"""Shipped scenes are valid, small and show something."""
 
 import functools
 import tomllib

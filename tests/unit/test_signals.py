@@ -1,4 +1,4 @@
-"""Signals end every command in the same way, whatever it is doing, and leave nothing behind."""
+"""Signals end every command in the same way and leave nothing behind."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""Many spheres as one shape: the bits of single spheres, their files, and what is refused."""
+"""Sphere clouds: the bits of single spheres, files, and errors."""
 
 import pickle
 

@@ -1,4 +1,4 @@
-"""A verdict of the very same inputs is found in the store and says so; everything else is judged anew."""
+"""A verdict of identical inputs is taken from the store and marked; anything else is judged again."""
 
 import json
 import os

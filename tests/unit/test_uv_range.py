@@ -1,4 +1,4 @@
-"""A fraction of a turn lies in [0, 1): ours does, and the judge's space of uv has no room for another."""
+"""A fraction of a turn lies in [0, 1), and the judge accepts no other from us."""
 
 import math
 

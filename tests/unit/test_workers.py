@@ -1,4 +1,4 @@
-"""What ends the process of a scene is a row with its name; the other scenes are judged, and every file is written."""
+"""A scene whose process ends is a failing row; the other scenes are judged, and every file is written."""
 
 import ctypes
 import json

@@ -1,4 +1,4 @@
-"""Verdicts made up, for tests of what is written about them."""
+"""Made-up verdicts for tests of their output."""
 
 from mitsuba_ref.judge.verdict import CLASSES, Failure, SceneCheck, SceneVerdict, Verdict
 

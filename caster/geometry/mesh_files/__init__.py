@@ -21,13 +21,12 @@ import numpy as np
 from caster.description.errors import FileMissing, SceneError, field_error, format_value
 from caster.description.input_files import MAX_MESH_BYTES, read_input
 from caster.description.transform import compose, is_mirrored, scale, transform_points, translate
-from caster.geometry.mesh_files.obj import parse_obj, quote_bytes
+from caster.geometry.mesh_files.obj import parse_obj, quote_bytes, read_numbers
 from caster.geometry.mesh_files.ply import Points, parse_ply, parse_ply_points
 from caster.geometry.triangle_mesh import Mesh, check_mesh, normalize_rows, triangle_fans
 
 __all__ = ["MeshFolders", "load_points"]
 
-TRIMESH_SUFFIXES = (".stl", ".glb", ".gltf")
 MESH_SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 
 
@@ -40,7 +39,12 @@ def load_mesh(path: str | PathLike[str]) -> Mesh:
     Raises FileMissing for a file that cannot be read, SceneError for one that is not a usable mesh.
     """
     where = str(path)
-    parse = _parser_for(where)
+    ending = Path(where).suffix.lower()
+    readers = {".obj": parse_obj, ".ply": parse_ply, ".off": parse_off}
+    parse = readers.get(ending, _parse_by_trimesh if ending in MESH_SUFFIXES else None)
+    if parse is None:
+        expected = f"{', '.join(MESH_SUFFIXES[:-1])} or {MESH_SUFFIXES[-1]}"
+        raise SceneError(f"{where}: unknown mesh format '{Path(where).suffix}': expected {expected}; convert it first")
     data = read_input(where, "mesh file", MAX_MESH_BYTES)
     if not data:
         raise SceneError(f"{where}: the file is empty (0 bytes): expected a mesh; export or copy it again")
@@ -107,16 +111,6 @@ class MeshFolders(NamedTuple):
         return where
 
 
-def _parser_for(where: str) -> Callable[[bytes, str], Mesh]:
-    ending = Path(where).suffix.lower()
-    readers = {".obj": parse_obj, ".ply": parse_ply, ".off": parse_off}
-    parse = _parse_by_trimesh if ending in TRIMESH_SUFFIXES else readers.get(ending)
-    if parse is None:
-        expected = f"{', '.join(MESH_SUFFIXES[:-1])} or {MESH_SUFFIXES[-1]}"
-        raise SceneError(f"{where}: unknown mesh format '{Path(where).suffix}': expected {expected}; convert it first")
-    return parse
-
-
 def parse_off(data: bytes, where: str) -> Mesh:
     """Text of an OFF file -> Mesh; colours are ignored. Raises SceneError with `where`:line.
 
@@ -144,12 +138,9 @@ def parse_off(data: bytes, where: str) -> Mesh:
 
 def _numbers(line: int, words: list[bytes], kind: Callable[[bytes], Any], count: int, where: str) -> list[Any]:
     """The first numbers of a line."""
-    try:
-        if len(words) < count or b"_" in b"".join(words[:count]):  # Python accepts 1_000
-            raise ValueError
-        return [kind(word) for word in words[:count]]
-    except ValueError:
-        raise SceneError(f"{where}:{line}: expected {count} numbers, got {quote_bytes(b' '.join(words))}") from None
+    if len(words) < count:
+        raise SceneError(f"{where}:{line}: expected {count} numbers, got {quote_bytes(b' '.join(words))}")
+    return read_numbers(words[:count], f"{where}:{line}", kind)
 
 
 def _parse_by_trimesh(data: bytes, where: str) -> Mesh:

@@ -4,7 +4,8 @@ All objects and groups of a file become one mesh; materials, lines, points and f
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,12 +72,7 @@ def _statements(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
 def _numbers(words: list[bytes], place: str) -> list[float]:
     """The numbers of a statement v, vt or vn, as many as are kept."""
     keyword, least = words[0].decode(), LEAST[words[0]]
-    try:
-        numbers = list(map(float, words[1:]))
-        if b"_" in b"".join(words):  # Python accepts 1_000
-            raise ValueError
-    except ValueError:
-        raise SceneError(f"{place}: expected numbers, got {quote_bytes(b' '.join(words[1:]))}") from None
+    numbers = read_numbers(words[1:], place)
     if len(numbers) < least:
         raise SceneError(f"{place}: {keyword} needs {least} numbers, got {len(numbers)}")
     row = [*numbers, 0.0][:2] if keyword == "vt" else numbers[:3]  # vt may have one number
@@ -145,6 +141,16 @@ def _uv_of(used: NDArray[np.int64], uv: Floats) -> Floats | None:
     found = flipped[used[:, 1]]
     found[absent] = 0.0
     return found
+
+
+def read_numbers(words: list[bytes], place: str, kind: Callable[[bytes], Any] = float) -> list[Any]:
+    """Words as numbers. Raises SceneError with their place in the file."""
+    try:
+        if b"_" in b"".join(words):  # Python accepts 1_000
+            raise ValueError
+        return list(map(kind, words))
+    except ValueError:
+        raise SceneError(f"{place}: expected numbers, got {quote_bytes(b' '.join(words))}") from None
 
 
 def quote_bytes(text: bytes) -> str:

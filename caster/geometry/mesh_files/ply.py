@@ -4,13 +4,14 @@ The numbers of an ascii body are converted to float64 first, so that one reader 
 """
 
 import re
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from caster.description.errors import SceneError
-from caster.geometry.mesh_files.obj import quote_bytes
+from caster.geometry.mesh_files.obj import quote_bytes, read_numbers
 from caster.geometry.triangle_mesh import Floats, Mesh, format_row, triangle_fans
 
 # Type names of the format as NumPy codes without byte order.
@@ -30,9 +31,8 @@ FORMATS = "ascii, binary_little_endian or binary_big_endian, and 1.0"
 class Property(NamedTuple):
     """A number per row, or a list of numbers if `count_type` is set, the type of its length."""
 
-    name: str
     type: np.dtype[Any]
-    count_type: np.dtype[Any] | None = None
+    count_type: np.dtype[Any] | None
 
 
 class Element(NamedTuple):
@@ -43,17 +43,17 @@ class Element(NamedTuple):
     properties: dict[str, Property]
 
 
-class Lists(NamedTuple):
-    """A list property: number of values per row, and the values of all rows in one array."""
+class Column(NamedTuple):
+    """The values of a property in all rows in one array; of a list property also the number of values per row."""
 
-    sizes: NDArray[np.int64]
     values: NDArray[Any]
+    sizes: NDArray[np.int64] | None
 
 
 class Table(NamedTuple):
     """The columns of an element by name. lines: of the rows of an ascii file."""
 
-    columns: dict[str, NDArray[Any] | Lists]
+    columns: dict[str, Column]
     lines: list[int]
 
     def place(self, where: str, row: int) -> str:
@@ -107,19 +107,19 @@ def _add_header_line(words: list[str], formats: list[str], elements: dict[str, E
             element = next(reversed(elements.values()))
             if name in element.properties:
                 raise ValueError(f"expected each property of '{element.name}' once, got '{name}' again")
-            element.properties[name] = _property(name, types, formats[0])
+            element.properties[name] = _property(types, formats[0])
         case _:
             raise ValueError(f"expected element, property, comment or end_header, got '{' '.join(words)[:60]}'")
 
 
-def _property(name: str, types: list[str], encoding: str) -> Property:
+def _property(types: list[str], encoding: str) -> Property:
     of_list = types[:1] == ["list"]
     codes = [TYPES.get(word, "") for word in types[of_list:]]
     if len(codes) != 1 + of_list or "" in codes or (of_list and codes[0].startswith("f")):
         expected = f"a type ({', '.join(TYPES)}), or list, a whole-number type and a type"
         raise ValueError(f"expected {expected}, got '{' '.join(types)[:60]}'")
     dtypes = [np.dtype("<f8" if encoding == "ascii" else BYTE_ORDERS[encoding] + code) for code in codes]
-    return Property(name, dtypes[-1], dtypes[0] if of_list else None)
+    return Property(dtypes[-1], dtypes[0] if of_list else None)
 
 
 # ---- body ----
@@ -131,8 +131,8 @@ def _read_tables(data: bytes, where: str) -> dict[str, Table]:
     body = _ascii_body(data[at:], line, where) if encoding == "ascii" else _Body(data, at, where)
     tables = {name: body.read(element) for name, element in elements.items()}
     if body.at < len(body.data):
-        more = f"{len(body.lines)} more rows" if body.lines else f"{len(data) - body.at} more bytes"
-        raise SceneError(f"{body.place(0)}: expected the end of the file after the last element, got {more}")
+        more = f"{len(body.lines) - body.row} more rows" if body.lines else f"{len(data) - body.at} more bytes"
+        raise SceneError(f"{body.place()}: expected the end of the file after the last element, got {more}")
     return tables
 
 
@@ -140,14 +140,9 @@ def _ascii_body(text: bytes, first_line: int, where: str) -> "_Body":
     rows = [(n, words) for n, row in enumerate(text.splitlines(), first_line) if (words := row.split())]
     numbers: list[float] = []
     for line, words in rows:
-        try:
-            if b"_" in b"".join(words):  # Python accepts 1_000
-                raise ValueError
-            numbers += map(float, words)
-        except ValueError:
-            raise SceneError(f"{where}:{line}: expected numbers, got {quote_bytes(b' '.join(words))}") from None
+        numbers += read_numbers(words, f"{where}:{line}")
     body = _Body(np.array(numbers, "<f8").tobytes(), 0, where)
-    body.lines, body.widths = [line for line, _ in rows], [len(words) for _, words in rows]
+    body.lines, body.ends = [line for line, _ in rows], 8 * np.cumsum([len(words) for _, words in rows], dtype=np.int64)
     return body
 
 
@@ -156,92 +151,75 @@ class _Body:
 
     def __init__(self, data: bytes, at: int, where: str) -> None:
         self.data, self.at, self.where = data, at, where
-        self.lines: list[int] = []  # of an ascii file: of the rows that are left
-        self.widths: list[int] | None = None  # how many numbers each has
+        self.row = 0  # rows read so far
+        self.lines: list[int] = []  # of the rows of an ascii file
+        self.ends: NDArray[np.int64] | None = None  # where these rows end
 
     def read(self, element: Element) -> Table:
-        """The next element. Raises SceneError."""
-        if self.widths is not None and len(self.lines) < element.rows:
-            raise self._truncated(element, len(self.lines))
+        """The next element, in blocks of rows whose lists have the same lengths. Raises SceneError."""
         if element.rows and not element.properties:
             raise SceneError(f"{self.where}: PLY header: expected properties of element '{element.name}', got none")
-        columns = self._read_at_once(element) or self._read_rows(element)
-        table = Table(columns, self.lines[: element.rows])
-        self.lines = self.lines[element.rows :]
-        self.widths = self.widths and self.widths[element.rows :]
-        return table
-
-    def _read_at_once(self, element: Element) -> dict[str, NDArray[Any] | Lists]:
-        """All rows as one array; empty unless all lists have the lengths of those in the first row."""
-        sizes = self._row(element, 0)[1] if element.rows else [0] * len(element.properties)
-        fields: list[Any] = []
-        for k, p in enumerate(element.properties.values()):  # numbered, since properties may have any name
-            fields += [(f"size{k}", p.count_type)] if p.count_type else []
-            fields += [(f"value{k}", p.type, (sizes[k],) if p.count_type else ())]
-        layout = np.dtype(fields)
-        end = self.at + element.rows * layout.itemsize
-        if end > len(self.data) or any(8 * n != layout.itemsize for n in (self.widths or ())[: element.rows]):
-            return {}
-        rows = np.frombuffer(self.data[self.at : end], layout) if element.rows else np.empty(0, layout)
-        if any(
-            p.count_type and np.any(rows[f"size{k}"] != sizes[k]) for k, p in enumerate(element.properties.values())
-        ):
-            return {}
-        self.at = end
-        return {
-            p.name: _column(p, np.full(len(rows), sizes[k]), rows[f"value{k}"].ravel())
-            for k, p in enumerate(element.properties.values())
+        values: list[list[NDArray[Any]]] = [[np.empty(0, p.type)] for p in element.properties.values()]
+        lists = {k: [np.empty(0, np.int64)] for k, p in enumerate(element.properties.values()) if p.count_type}
+        first, stop, wanted = self.row, self.row + element.rows, 1
+        while self.row < stop:
+            sizes = self._sizes(element, self.row - first)
+            layout = _layout(tuple(element.properties.values()), sizes)
+            n = min(wanted, stop - self.row, (len(self.data) - self.at) // layout.itemsize)
+            rows = np.frombuffer(self.data, layout, n, self.at)
+            same = np.ones(n, bool)
+            for k in lists:
+                same &= rows[f"size{k}"] == sizes[k]
+            if self.ends is not None:  # each row of an ascii file is a line
+                same &= self.ends[self.row : self.row + n] == self.at + layout.itemsize * np.arange(1, n + 1)
+                if not same[0]:
+                    got = (self.ends[self.row] - self.at) // 8
+                    raise self._error(element, self.row - first, f"{layout.itemsize // 8} numbers, got {got}")
+            n, wanted = (n, 2 * wanted) if same.all() else (int(np.argmin(same)), 1)
+            for k, size in enumerate(sizes):
+                values[k].append(rows[f"value{k}"][:n].ravel())
+                if k in lists:
+                    lists[k].append(np.full(n, size))
+            self.row, self.at = self.row + n, self.at + n * layout.itemsize
+        columns = {
+            name: Column(np.concatenate(values[k]), np.concatenate(lists[k]) if k in lists else None)
+            for k, name in enumerate(element.properties)
         }
+        return Table(columns, self.lines[first:stop])
 
-    def _read_rows(self, element: Element) -> dict[str, NDArray[Any] | Lists]:
-        """Row by row: the length of a list determines the offset of the next property."""
-        chunks: list[list[bytes]] = [[] for _ in element.properties]
-        lengths: list[list[int]] = [[] for _ in element.properties]
-        for row in range(element.rows):
-            starts, sizes, end = self._row(element, row)
-            if self.widths is not None and end - self.at != 8 * self.widths[row]:
-                raise self._error(element, row, f"{(end - self.at) // 8} numbers, got {self.widths[row]}")
-            self.at = end
-            for k, p in enumerate(element.properties.values()):
-                chunks[k].append(self.data[starts[k] : starts[k] + sizes[k] * p.type.itemsize])
-                lengths[k].append(sizes[k])
-        return {
-            p.name: _column(p, np.array(lengths[k], np.int64), np.frombuffer(b"".join(chunks[k]), p.type))
-            for k, p in enumerate(element.properties.values())
-        }
-
-    def _row(self, element: Element, row: int) -> tuple[list[int], list[int], int]:
-        """(value offset of each property, its value count, end offset) of the row at self.at."""
-        starts, sizes, at = [], [], self.at
-        for p in element.properties.values():
-            size = 1
+    def _sizes(self, element: Element, row: int) -> tuple[int, ...]:
+        """The number of values of each property in the row at self.at. row: its number in the element, for errors."""
+        sizes, at = [], self.at
+        for name, p in element.properties.items():
+            sizes.append(1)
             if p.count_type:
-                if at + p.count_type.itemsize > len(self.data):
-                    raise self._truncated(element, row)
-                number = np.frombuffer(self.data, p.count_type, 1, at)[0]
-                if not (0 <= number < 2**32 and number == np.floor(number)):
-                    raise self._error(element, row, f"a length >= 0 of list '{p.name}', got {number:g}")
-                size, at = int(number), at + p.count_type.itemsize
-            starts.append(at)
-            sizes.append(size)
-            at += size * p.type.itemsize
+                if at + p.count_type.itemsize <= len(self.data):
+                    number = np.frombuffer(self.data, p.count_type, 1, at)[0]
+                    if not (0 <= number < 2**32 and number == np.floor(number)):
+                        raise self._error(element, row, f"a length >= 0 of list '{name}', got {number:g}")
+                    sizes[-1] = int(number)
+                at += p.count_type.itemsize
+            at += sizes[-1] * p.type.itemsize
         if at > len(self.data):
-            raise self._truncated(element, row)
-        return starts, sizes, at
-
-    def _truncated(self, element: Element, rows: int) -> SceneError:
-        expected = f"expected {element.rows} rows of element '{element.name}', got {rows} whole ones"
-        return SceneError(f"{self.place(rows)}: truncated: {expected} before the end of the file")
+            expected = f"expected {element.rows} rows of element '{element.name}', got {row} whole ones"
+            raise SceneError(f"{self.place()}: truncated: {expected} before the end of the file")
+        return tuple(sizes)
 
     def _error(self, element: Element, row: int, text: str) -> SceneError:
-        return SceneError(f"{self.place(row)}: row {row} of element '{element.name}': expected {text}")
+        return SceneError(f"{self.place()}: row {row} of element '{element.name}': expected {text}")
 
-    def place(self, row: int) -> str:
-        return f"{self.where}:{self.lines[row]}" if row < len(self.lines) else self.where
+    def place(self) -> str:
+        return f"{self.where}:{self.lines[self.row]}" if self.row < len(self.lines) else self.where
 
 
-def _column(p: Property, sizes: NDArray[np.int64], values: NDArray[Any]) -> NDArray[Any] | Lists:
-    return Lists(sizes, values) if p.count_type else values
+@lru_cache(maxsize=64)
+def _layout(properties: tuple[Property, ...], sizes: tuple[int, ...]) -> np.dtype[Any]:
+    """The layout of a row; fields are numbered, since properties may have any name."""
+    fields: list[Any] = []
+    for k, (p, size) in enumerate(zip(properties, sizes, strict=True)):
+        fields += [(f"size{k}", p.count_type)] if p.count_type else []
+        fields += [(f"value{k}", p.type, (size,))]
+    return np.dtype(fields)
 
 
 # ---- the elements as a mesh or points ----
@@ -284,7 +262,7 @@ def parse_ply_points(data: bytes, where: str) -> Points:
     Other elements and properties are ignored.
     """
     vertex = _read_tables(data, where).get("vertex")
-    if vertex is None or not len(next(iter(vertex.columns.values()), ())):
+    if vertex is None or not any(len(column.values) for column in vertex.columns.values()):
         raise SceneError(f"{where}: expected at least one row of an element 'vertex', got none")
     points = _floats(vertex, POSITION, where)
     _check_rows(points, np.isfinite(points).all(axis=1), "vertex {} must be finite numbers", vertex, where)
@@ -308,28 +286,27 @@ def _check_rows(rows: Floats, good: Any, text: str, table: Table, where: str) ->
 def _floats(table: Table, names: tuple[str, ...], where: str) -> Floats:
     """(n, len(names)) of the columns `names`, all required."""
     columns = [table.columns.get(name) for name in names]
-    scalars = [column for column in columns if isinstance(column, np.ndarray)]
+    scalars = [column.values for column in columns if column is not None and column.sizes is None]
     if len(scalars) < len(names):
-        got = [f"{name}, a list" if isinstance(column, Lists) else name for name, column in table.columns.items()]
+        got = [name if column.sizes is None else f"{name}, a list" for name, column in table.columns.items()]
         expected = f"the properties {', '.join(names)} of element 'vertex'"
         raise SceneError(f"{where}: expected {expected}, a number each, got {', '.join(got)}")
     return np.stack([np.asarray(column, np.float64) for column in scalars], axis=1)
 
 
 def _faces(face: Table, count: int, where: str) -> NDArray[np.int32]:
-    corners = next((c for name in CORNERS if isinstance(c := face.columns.get(name), Lists)), None)
-    if corners is None:
+    corners = next((face.columns[name] for name in CORNERS if name in face.columns), None)
+    if corners is None or corners.sizes is None:
         got = ", ".join(face.columns) or "none"
         raise SceneError(f"{where}: expected a list {' or '.join(CORNERS)} of element 'face', got {got}")
-    short = np.flatnonzero(corners.sizes < 3)
+    values, sizes = corners.values, corners.sizes
+    short = np.flatnonzero(sizes < 3)
     if len(short):
-        place, got = face.place(where, int(short[0])), corners.sizes[short[0]]
-        raise SceneError(f"{place}: face {short[0]} needs at least 3 vertices, got {got}")
-    values = corners.values
+        row, text = int(short[0]), f"needs at least 3 vertices, got {sizes[short[0]]}"
+        raise SceneError(f"{face.place(where, row)}: face {row} {text}")
     bad = np.flatnonzero(~((values >= 0) & (values < count) & (values == np.floor(values))))
     if len(bad):
-        row = int(np.searchsorted(np.cumsum(corners.sizes), bad[0], side="right"))
-        limits = f"0 to {count - 1} (the file has {count})"
-        place, got = face.place(where, row), f"{values[bad[0]]:g}"
-        raise SceneError(f"{place}: face {row} must join vertices {limits}, got {got}")
-    return values.astype(np.int32)[triangle_fans(corners.sizes)]
+        row = int(np.searchsorted(np.cumsum(sizes), bad[0], side="right"))
+        text = f"must join vertices 0 to {count - 1} (the file has {count}), got {values[bad[0]]:g}"
+        raise SceneError(f"{face.place(where, row)}: face {row} {text}")
+    return values.astype(np.int32)[triangle_fans(sizes)]

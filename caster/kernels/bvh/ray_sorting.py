@@ -99,22 +99,15 @@ def find_row(rays: Any, start: int, stop: int, jump: float, steps: Any, row: Any
     row[0], row[1] = (start + last) % length if even else 0, length if even else 0
 
 
-@inlined
-def first_projection(fan: Fan, a: Vec3) -> tuple[bool, float, float]:
-    """(whether the first fan has a ray, x, y in its projection) from the result of `in_front`."""
-    x, y, z = a
-    over = z if fan.perspective != 0.0 else 1.0
-    there = (over > 0.0) & ((fan.perspective == 0.0) | (max(abs(x), abs(y)) <= FAN_LIMIT * over))
-    over = over if there else 1.0
-    return there, x / over, y / over
-
-
 @jit
 def project_rays(fan: Any, rays: Any, outward: bool, points: Any) -> None:
     """points (n, 2): the projection of each ray by the first fan, NaN for a ray of another fan."""
     for i in range(len(points)):
-        there, x, y = first_projection(fan, in_front(fan, row(rays.o, i), row(rays.d, i), outward))
-        points[i, 0], points[i, 1] = x if there else math.nan, y if there else math.nan
+        x, y, z = in_front(fan, row(rays.o, i), row(rays.d, i), outward)
+        over = z if fan.perspective != 0.0 else 1.0
+        there = (over > 0.0) & ((fan.perspective == 0.0) | (max(abs(x), abs(y)) <= FAN_LIMIT * over))
+        over = over if there else 1.0
+        points[i, 0], points[i, 1] = x / over if there else math.nan, y / over if there else math.nan
 
 
 @inlined
@@ -135,12 +128,12 @@ def cell(x: float, low: float, scale: float, last: int) -> int:
 @inlined
 def projection_key(fan: Fan, a: Vec3, low: Any, scale: Any) -> int:
     """The key of a ray from the result of `in_front`."""
-    there, p, q = first_projection(fan, a)
-    if there:
-        last = (1 << HALF_BITS) - 1
-        i, j = cell(p, low[0], scale[0], last), cell(q, low[1], scale[1], last)
-        return (spread_bits(j) << 1) | spread_bits(i)
     x, y, z = a
+    over = z if fan.perspective != 0.0 else 1.0
+    if (over > 0.0) & ((fan.perspective == 0.0) | (max(abs(x), abs(y)) <= FAN_LIMIT * over)):
+        last = (1 << HALF_BITS) - 1
+        i, j = cell(x / over, low[0], scale[0], last), cell(y / over, low[1], scale[1], last)
+        return (spread_bits(j) << 1) | spread_bits(i)
     face, u, v, w = 0, x, y, z  # the side of a cube around the origin, and a point of it
     if (abs(x) >= abs(y)) & (abs(x) >= abs(z)):
         face, u, v, w = 2, y, z, x

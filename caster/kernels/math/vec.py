@@ -18,7 +18,7 @@ TINY = 2.0**-1020
 
 
 @jit
-def row(a: Any, k: int) -> Vec3:
+def row(a: Any, k: Any) -> Vec3:
     return a[k, 0], a[k, 1], a[k, 2]
 
 

@@ -68,23 +68,20 @@ def error_statistics(windows: Sequence[PixelErrors]) -> ErrorStatistics:
     biases = []
     for kind in dict.fromkeys(kind for window in windows for kind in window.kinds):
         found = [window.kinds[kind] for window in windows if kind in window.kinds]
-        ways = zip(*(errors.groups for errors in found), strict=True)
-        groups, z = zip(*(z_of_groups(merged_groups(way)) for way in ways), strict=True)
+        ways = zip(*(errors.groups for errors in found), strict=True)  # a group may have pixels in several windows
+        merged = (group_sums(*(np.concatenate(arrays) for arrays in zip(*way, strict=True))) for way in ways)
+        groups, z = zip(*map(z_of_groups, merged), strict=True)
         total, weight = np.sum([errors.t_sums for errors in found], axis=0)
         t_bias = float(total / weight) if weight > 0.0 else 0.0
         biases.append(KindBias(kind, min(groups), min(z, key=abs), found[0].quantity, t_bias))
-    return ErrorStatistics(len(t), extremes(t), extremes(normal), looseness(t), tuple(biases))
+    middle = float(np.median(t)) if len(t) else 0.0
+    looseness = K / middle if middle > 0.0 else float("inf")  # bound over error
+    return ErrorStatistics(len(t), extremes(t), extremes(normal), looseness, tuple(biases))
 
 
 def extremes(k: np.ndarray) -> Extremes:
     """The largest value and the 99th percentile; 0 if there is none."""
     return Extremes(*map(float, np.quantile(k, (1.0, 0.99)))) if len(k) else Extremes()
-
-
-def looseness(k: np.ndarray) -> float:
-    """Bound over error at the median."""
-    middle = float(np.median(k)) if len(k) else 0.0
-    return K / middle if middle > 0.0 else float("inf")
 
 
 def untied(prim: np.ndarray, kind: np.ndarray, tied: np.ndarray, tied_kind: np.ndarray) -> np.ndarray:
@@ -154,11 +151,6 @@ def group_sums(key: np.ndarray, error: np.ndarray, count: np.ndarray | None = No
     keys = np.empty((int(group.max(initial=-1)) + 1, key.shape[1]), key.dtype)
     keys[group] = key
     return GroupSums(keys, np.bincount(group, error), np.bincount(group, count))
-
-
-def merged_groups(sums: Sequence[GroupSums]) -> GroupSums:
-    """Sums over the groups of several windows; a group may have pixels in each."""
-    return group_sums(*(np.concatenate(arrays) for arrays in zip(*sums, strict=True)))
 
 
 def z_of_groups(sums: GroupSums) -> tuple[int, float]:

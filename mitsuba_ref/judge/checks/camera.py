@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from caster.description.fields import Camera
 from caster.rendering.images import camera_rays
 from caster.scene.model import Scene
 from mitsuba_ref.cameras import reference_of_camera
@@ -27,7 +26,9 @@ def check_camera(scene: Scene) -> SceneCheck:
         return SceneCheck("camera", np.inf, f"{len(ours.o)} rays, the window has {len(x)} pixels")
     expected = reference_of_camera(scene.camera).rays(scene.camera, scene.film, x, y)
     size = float(np.abs(expected.o).max(initial=np.finfo(np.float64).tiny))
-    rounding = CAMERA_ROUNDINGS * KU_OURS / _up_sine(scene.camera)
+    forward, up = camera_axes(scene.camera)[2], np.array(scene.camera.up, np.float64)
+    sine = np.linalg.norm(np.cross(forward, up)) / np.linalg.norm(up)  # rounding of the axes grows by its inverse
+    rounding = CAMERA_ROUNDINGS * KU_OURS / float(sine)
     seen = expected.t_max >= 0.0
     rim = np.zeros(len(x), bool) if reference_of_camera(scene.camera).covers_film else _on_rim(scene, x, y)
     shares = {
@@ -38,12 +39,6 @@ def check_camera(scene: Scene) -> SceneCheck:
         "far": _relative(ours.t_max, expected.t_max) / rounding,
     }
     return worst_pixel("camera", shares, (seen | (ours.t_max >= 0.0)) & ~rim, scene)
-
-
-def _up_sine(camera: Camera) -> float:
-    """The sine of the angle between view and up; rounding of the camera's axes grows by its inverse."""
-    forward, up = camera_axes(camera)[2], np.array(camera.up, np.float64)
-    return float(np.linalg.norm(np.cross(forward, up)) / np.linalg.norm(up))
 
 
 def _on_rim(scene: Scene, x: np.ndarray, y: np.ndarray) -> np.ndarray:

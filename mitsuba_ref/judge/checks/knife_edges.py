@@ -12,7 +12,7 @@ import numpy as np
 from caster.cameras.single_ray import Ray
 from caster.geometry.packing import Packed, packed
 from caster.rendering.casting import Culling, find_nearest
-from caster.rendering.hits import Hits, scaled_rays, validated_rays
+from caster.rendering.hits import scaled_rays, validated_rays
 from caster.rendering.images import camera_rays
 from caster.scene.model import Film, Scene
 from mitsuba_ref.error_model.bounds import error_over_bound as ratio_of
@@ -36,10 +36,16 @@ class NearestHits(NamedTuple):
     t: np.ndarray  # (n,) lengths of d, inf on a miss
     prim: np.ndarray  # (n,) number in the scene, -1 on a miss
 
+    @property
+    def hit(self) -> np.ndarray:
+        """(n,) bool. A NaN counts as a hit, so that it is noticed."""
+        return ~np.isposinf(self.t)
 
-def nearest_of_hits(hits: Hits, packed: Packed) -> NearestHits:
-    first = packed.first[np.maximum(hits.shape_id, 0)]
-    return NearestHits(hits.t, np.where(hits.shape_id < 0, -1, first + hits.prim_id).astype(np.int64))
+
+def nearest_hits(packed: Packed, t: np.ndarray, shape: np.ndarray, prim: np.ndarray) -> NearestHits:
+    """Hits by number of the shape, -1 on a miss, and of the primitive within it."""
+    within = packed.first[np.maximum(shape, 0)] + np.maximum(prim, 0)
+    return NearestHits(t, np.where(shape < 0, -1, within).astype(np.int64))
 
 
 def cast_by_culling(packed: Packed, rays: RayBatch, culling: Culling) -> NearestHits:
@@ -185,7 +191,7 @@ def knife_edges(scene: Scene) -> tuple[SceneCheck, tuple[AimedFailure, ...]]:
 def rays_at_edges(subject: PreparedScene) -> RayBatch:
     """Aimed rays, some of the camera's rays, and some of both with other limits; the same for the same scene."""
     rng = np.random.default_rng(content_seed(subject.packed))
-    targets = Targets(subject.packed)
+    targets = Targets(subject.packed, rng)
     aims = (*ALL_AIMS, _from_eye(np.array(subject.scene.camera.eye, np.float64)))
     film = camera_rays(subject.scene, threads=1)
     count = int(np.clip(len(film.o) // PIXELS_PER_AIMED_RAY, MIN_AIMED_RAYS, MAX_AIMED_RAYS))
@@ -193,7 +199,8 @@ def rays_at_edges(subject: PreparedScene) -> RayBatch:
     there = np.flatnonzero(film.t_max > 0.0)
     rows = np.sort(rng.choice(there, min(others, len(there)), replace=False))
     own = RayBatch(film.o, film.d, film.t_min, film.t_max).taken(rows)
-    rays = concatenated(own, aimed_rays(rng, targets, _frame(rng, targets), count, aims))
+    targets.frame = _frame(targets)
+    rays = concatenated(own, aimed_rays(targets, count, aims))
     first = cast_by_culling(subject.packed, rays, "bvh")
     return concatenated(rays, with_limits(rng, rays, first, others))
 
@@ -207,18 +214,17 @@ def content_seed(packed: Packed) -> int:
     return seed
 
 
-def _frame(rng: Rng, targets: Targets) -> Frame:
+def _frame(targets: Targets) -> Frame:
     """Centre and size of the scene: medians, so that a single far primitive does not count."""
-    p = targets.points(rng, targets.pick(rng, SIZE_SAMPLES), "inside").p
-    x, y, z = np.median(p, axis=0).tolist()
-    size = float(np.median(np.abs(p - (x, y, z)).max(axis=1)))
-    return Frame(size if size > 0.0 else 1.0, (x, y, z))
+    p = targets.points(SIZE_SAMPLES, "inside").p
+    center = np.median(p, axis=0)
+    size = float(np.median(np.abs(p - center).max(axis=1)))
+    return Frame(size if size > 0.0 else 1.0, center)
 
 
 def _from_eye(eye: np.ndarray) -> Aim:
-    def aim(rng: Rng, targets: Targets, frame: Frame, count: int) -> tuple[np.ndarray, np.ndarray]:
-        at = targets.points(rng, targets.pick(rng, count))
-        return np.tile(eye, (count, 1)), at.p - eye
+    def aim(targets: Targets, count: int) -> tuple[np.ndarray, np.ndarray]:
+        return np.tile(eye, (count, 1)), targets.points(count).p - eye
 
     return aim
 

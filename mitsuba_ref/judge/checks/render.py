@@ -10,7 +10,7 @@ from caster.geometry.packing import packed
 from caster.rendering.hits import RayHits, trace, trace_rays
 from caster.rendering.images import camera_rays, evaluate, film_window, render
 from caster.scene.model import Scene
-from mitsuba_ref.error_model.bounds import aov_rows, nearest_root
+from mitsuba_ref.error_model.bounds import aov_rows, intersections_at
 from mitsuba_ref.error_model.bracket import Bracket, Claims, RaySegments
 from mitsuba_ref.error_model.intersections import any_of_columns, norm
 from mitsuba_ref.error_model.lambert import ShadingPoints
@@ -100,7 +100,7 @@ def _within_float64(scene: Scene, ours: Aovs, rows: np.ndarray, rays: Any) -> np
     hit = np.flatnonzero(right & (shape >= 0))
     o, d, t, shape = rays.o[hit], rays.d[hit], t[hit], shape[hit]
     prim = model.packed.first[shape] + prim[hit]
-    at = nearest_root(model.intersect(prim, o, d, KU_OURS, ours=True), t)
+    at = intersections_at(model, prim, (o, d), t, KU_OURS, ours=True)
     right[hit] &= diffuse_within_float64(
         scene, ShadingPoints(o + t[:, None] * d, d, shape, at), prim, diffuse[hit], bracket
     )
