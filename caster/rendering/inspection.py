@@ -10,6 +10,7 @@ import numpy as np
 from caster.aovs import BY_NAME
 from caster.description.errors import SceneError
 from caster.description.transform import dot_rows, row_lengths
+from caster.geometry.edge_distances import EdgeDistance, edge_distances
 from caster.geometry.packing import Kind, Packed, rejected_faces
 from caster.kernels.nearest import Rays, intersect_each, nearest_of_candidates, no_hits
 from caster.rendering.bvh_construction import bvh_of, has_bvh, uses_bvh
@@ -27,11 +28,16 @@ class PrimitiveResult:
     prim_id: int  # within its shape
     t: float  # the exact first hit in range, rounded to float64; inf on a miss
     error: float  # error bound of t in float64; inf if float64 cannot decide
-    away: float  # the distance of its bounding sphere from the ray, by which misses are ordered; 0 without bounds
+    margins: tuple[EdgeDistance, ...]
 
     @property
     def decided_by(self) -> str:
         return "float64" if math.isfinite(self.error) else "integers"
+
+    @property
+    def away(self) -> float:
+        """The distance of the ray from the primitive's outline, by which misses are ordered."""
+        return max((-margin.inside for margin in self.margins), default=0.0)
 
 
 def intersect_each_primitive(packed: Packed, rays: Rays) -> tuple[PrimitiveResult, ...]:
@@ -62,7 +68,8 @@ def _try(packed: Packed, kind: Kind, rays: Rays) -> Iterator[PrimitiveResult]:
     ids = kind.ids[rows]
     shapes, numbers = packed.shape_of(ids), packed.index_in_shape(ids)
     for j, k in enumerate(rows.tolist()):
-        yield PrimitiveResult(int(shapes[j]), int(numbers[j]), float(t[j]), float(error[j]), float(away[k]))
+        edges = edge_distances(kind.prims, k, rays.o[0], rays.d[0])
+        yield PrimitiveResult(int(shapes[j]), int(numbers[j]), float(t[j]), float(error[j]), edges)
 
 
 def intersect_rows(kind: Kind, rows: np.ndarray, rays: Rays) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -137,34 +137,37 @@ class TileCaster:
         yield from (kind_command(kind, base, tile, False, self._any_hit, when) for kind, base in self._without_trees)
         if self._fans:
             yield command(begin_groups, groups)
-            yield command(group_rays, self._fans[0], tile, LINES, groups, self._outward, when=when)
-            some, others = (groups.counts, 0), (groups.counts, 1)
-            for n in range(len(self._kinds)):
-                yield command(cast_fan, *self._fan_arguments(0, n, tile, groups), when=some)
-            yield Command(self._other_fans(tile, groups), (COUNT,), others)
+            yield from self._fan_commands(0, tile, groups, when)
+            yield Command(self._other_fans(tile, groups), (COUNT,), (groups.counts, 1))
         yield from (kind_command(kind, base, tile, True, self._any_hit, when) for kind, base in self._too_many)
+
+    def _fan_commands(
+        self, number: int, tile: np.ndarray, groups: RayGroups, when: Condition | None = None
+    ) -> Iterator[Command]:
+        """Cast the rays that the fan of that number takes."""
+        fan = self._fans[number]
+        yield command(group_rays, fan, tile, LINES, groups, self._outward, when=when)
+        for n, (kind, base) in enumerate(self._kinds):
+            about = kind.prims, bvh_of(kind), self._bounds_of(number, n), base, tile, groups
+            yield command(cast_fan, fan, *about, self._outward, self._any_hit, when=(groups.counts, 0))
 
     def _other_fans(self, tile: np.ndarray, groups: RayGroups) -> Callable[[int], None]:
         """Casts rays that the first fan does not have, by the other ones, then through the tree."""
-        workspace, counts = new_workspace(), groups.counts
+        workspace, row = new_workspace(), np.zeros((1, TILE_NUMBERS), np.int64)
+        lists: dict[int, CommandList] = {}  # made when first needed, since kinds have to be projected for each
 
         def go(count: int) -> None:
+            row[0, LINES] = count // WIDTH
             for number in range(1, len(self._fans)):
-                group_rays(self._fans[number], tile, count // WIDTH, groups, self._outward)
-                for n in range(len(self._kinds) if counts[0] else 0):
-                    cast_fan(*self._fan_arguments(number, n, tile, groups))
-                if not counts[1]:
+                if number not in lists:
+                    lists[number] = CommandList(self._fan_commands(number, tile, groups), row)
+                lists[number].run(0, 1)
+                if not groups.counts[1]:
                     return
             for kind, base in self._kinds:
                 cast_packets(kind.prims, bvh_of(kind), base, count, tile, groups.taken, workspace, self._any_hit)
 
         return go
-
-    def _fan_arguments(self, number: int, n: int, tile: np.ndarray, groups: RayGroups) -> tuple[Any, ...]:
-        """Arguments of `cast_fan` for the fan of that number and kind n."""
-        kind, base = self._kinds[n]
-        about = kind.prims, bvh_of(kind), self._bounds_of(number, n), base, tile, groups
-        return self._fans[number], *about, self._outward, self._any_hit
 
     def _bounds_of(self, number: int, n: int, threads: int | None = 1) -> FanBounds:
         """Kind n as the fan of that number sees it, found when it is first needed."""

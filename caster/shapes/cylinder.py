@@ -1,6 +1,7 @@
 """Cylinder walls without caps."""
 
 import math
+from fractions import Fraction
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -8,6 +9,13 @@ from pydantic import model_validator
 
 from caster.description.fields import Positive, Shape, Vec3
 from caster.description.transform import product, transform_points
+from caster.geometry.edge_distances import (
+    UNIT_RADII,
+    EdgeDistance,
+    edge_distances,
+    exact_object_space_ray,
+    signed_distance,
+)
 from caster.geometry.triangle_mesh import normalize_rows
 from caster.geometry.world_space import AffineImages, Rounding, affine_arrays
 from caster.jit.decorators import implement, inlined
@@ -211,3 +219,14 @@ def _hull_size(prims: Any) -> int:
 def _hull_point(prims: Any, k: int, j: int) -> Any:
     corner = (1.0 - 2.0 * (j & 1), 1.0 - (j & 2), 0.25 * (j & 4))
     return add(row(prims.center, k), mat_vec(prims.to_world, k, corner))
+
+
+@edge_distances.register
+def _edge_distances(prims: Cylinders, k: int, o: np.ndarray, d: np.ndarray) -> tuple[EdgeDistance, ...]:
+    """The distance from the silhouette of the wall. Its ends bound t alone."""
+    f, e = exact_object_space_ray(prims, k, o, d)
+    across = e[0] * e[0] + e[1] * e[1]
+    if across == 0:
+        return (EdgeDistance("along the axis", 0.0, UNIT_RADII),)
+    off = f[0] * e[1] - f[1] * e[0]
+    return (signed_distance("silhouette", Fraction(1), off * off / across, UNIT_RADII),)

@@ -1,6 +1,7 @@
 """Spheres, one or many; with a non-uniform to_world, ellipsoids."""
 
 from collections.abc import Mapping
+from fractions import Fraction
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -9,6 +10,18 @@ from pydantic import field_validator, model_validator
 from caster.description.errors import SceneError
 from caster.description.fields import Lengths, Points, Positive, Shape, Vec3
 from caster.description.transform import inverse, transform_points
+from caster.geometry.edge_distances import (
+    SCENE_UNITS,
+    UNIT_RADII,
+    EdgeDistance,
+    cross,
+    edge_distances,
+    exact,
+    exact_object_space_ray,
+    minus,
+    signed_distance,
+    square,
+)
 from caster.geometry.mesh_files import load_once, load_points
 from caster.geometry.world_space import AffineImages, Rounding, is_similarity, similarity_scale
 from caster.jit.decorators import implement, jit
@@ -322,3 +335,17 @@ def _hull_size_ellipsoid(prims: Any) -> int:
 def _hull_point_ellipsoid(prims: Any, k: int, j: int) -> Any:
     corner = (1.0 - 2.0 * (j & 1), 1.0 - (j & 2), 1.0 - 0.5 * (j & 4))
     return add(row(prims.center, k), mat_vec(prims.to_world, k, corner))
+
+
+@edge_distances.register
+def _edge_distances(prims: Spheres, k: int, o: np.ndarray, d: np.ndarray) -> tuple[EdgeDistance, ...]:
+    """The radius minus the distance of the centre from the ray."""
+    direction = exact(d)
+    away = square(cross(minus(exact(o), exact(prims.center[k])), direction)) / square(direction)
+    return (signed_distance("silhouette", Fraction(float(prims.radius[k])), away, SCENE_UNITS),)
+
+
+@edge_distances.register
+def _edge_distances_ellipsoid(prims: Ellipsoids, k: int, o: np.ndarray, d: np.ndarray) -> tuple[EdgeDistance, ...]:
+    f, e = exact_object_space_ray(prims, k, o, d)
+    return (signed_distance("silhouette", Fraction(1), square(cross(f, e)) / square(e), UNIT_RADII),)

@@ -1,4 +1,4 @@
-"""Single triangles."""
+"""Single triangles, and the edge distances of the triangle kind."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
@@ -6,8 +6,22 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from caster.description.fields import UnitVec3, Vec2, Vec3
+from caster.geometry.edge_distances import (
+    EDGE_ON,
+    SCENE_UNITS,
+    EdgeDistance,
+    cross,
+    dot,
+    edge_distances,
+    exact,
+    minus,
+    nearest_float,
+    sqrt_fraction,
+    square,
+)
 from caster.geometry.triangle_mesh import Mesh
 from caster.geometry.world_space import TriangleShape
+from caster.kernels.triangles import Triangles
 
 __all__ = ["Triangle"]
 
@@ -31,3 +45,21 @@ class Triangle(TriangleShape):
 
     def is_flat(self) -> bool:
         return self.normals is None
+
+
+@edge_distances.register
+def _edge_distances(prims: Triangles, k: int, o: np.ndarray, d: np.ndarray) -> tuple[EdgeDistance, ...]:
+    """The distance of each edge from the ray, line to line."""
+    eye, direction = exact(o), exact(d)
+    corners = [minus(exact(prims.vertices[i]), eye) for i in prims.faces[k]]
+    sides = [minus(corners[(i + 1) % 3], corners[i]) for i in range(3)]
+    slope = dot(direction, cross(sides[0], minus(corners[2], corners[0])))
+    if slope == 0:
+        return (EdgeDistance(EDGE_ON, 0.0, SCENE_UNITS),)
+    found = []
+    for i, side in enumerate(sides):
+        j = (i + 1) % 3
+        volume = dot(direction, cross(corners[i], corners[j])) * (1 if slope > 0 else -1)
+        inside = nearest_float(volume / sqrt_fraction(square(cross(direction, side))))
+        found.append(EdgeDistance(f"edge {i}-{j}", inside, SCENE_UNITS))
+    return tuple(found)

@@ -76,26 +76,24 @@ COMMANDS = (
         "probe",
         starts_with="loading the judge and the scene",
     ),
-    Command(
+    _command(
         "fuzz",
         "random and adversarial scenes and rays; each failure is shrunk to a minimal scene file and kept",
-        f"{_HERE}.fuzz",
+        "fuzz",
         starts_with="loading the judge",
     ),
-    Command(
+    _command(
         "stress",
         "numerical stability: errors and wrong hits, against exact answers, along sweeps of growing difficulty",
-        f"{_HERE}.experiments",
-        run="run_stress",
-        arguments="add_stress_arguments",
+        "experiments",
+        "run_stress",
         starts_with="loading the judge",
     ),
-    Command(
+    _command(
         "bench",
         "run time against error: our caster beside Mitsuba and others, in alternating processes",
-        f"{_HERE}.experiments",
-        run="run_bench",
-        arguments="add_bench_arguments",
+        "experiments",
+        "run_bench",
         starts_with="loading the judge",
     ),
     Command(

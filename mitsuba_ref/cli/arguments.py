@@ -1,10 +1,11 @@
-"""The arguments of the commands that load slowly; their work is in the modules beside this one."""
+"""The arguments of all commands but init, schema and doctor; their work is in the modules beside this one."""
 
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from caster.cli.shared_arguments import (
     AOV_NAMES,
@@ -17,16 +18,7 @@ from caster.cli.shared_arguments import (
     add_scene,
     positive_int,
 )
-from mitsuba_ref.cli.options import (
-    BUILTIN_SETS,
-    DEFAULT_SCENES,
-    PRECISIONS,
-    REFERENCE_SECONDS,
-    ScenePath,
-    add_candidate,
-    add_skip_unsupported,
-    positive_seconds,
-)
+from mitsuba_ref.report import builtin_scenes
 
 if TYPE_CHECKING:
     from mitsuba_ref.runner.shards import Shard
@@ -39,6 +31,66 @@ NUMBERS = {
     "color_rtol": "of every channel that is not geometry, relative",
     "color_atol": "of every channel that is not geometry, absolute",
 }
+DEFAULT_SIZE, DEFAULT_ALTERNATIONS = 1024, 7  # of bench
+# Copies, since the judge's modules load the kernels (tests/unit/test_cli_help.py compares them).
+CANDIDATE_SECONDS = REFERENCE_SECONDS = 300.0
+MAX_SECONDS = 100_000.0  # about a day; the system's waits take milliseconds in 31 bits, and some are multiples of it
+BUILTIN_SETS = ("triangles", "spheres", "others", "all")  # folders of mitsuba_ref/runner/builtin, and all of them
+DEFAULT_SCENES = [InputPath("scenes")]
+PRECISIONS = ("float32", "float64")
+
+
+# ---- types of values ----
+
+
+def whole(text: str) -> int:
+    """Parse a whole number >= 0. Raises argparse.ArgumentTypeError."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"expected a whole number >= 0, got '{text}'")
+    return int(text)
+
+
+def positive_seconds(text: str) -> float:
+    """Parse a duration in seconds, > 0 and <= MAX_SECONDS. Raises argparse.ArgumentTypeError."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value <= MAX_SECONDS:
+        raise argparse.ArgumentTypeError(
+            f"expected a number of seconds > 0 and at most {MAX_SECONDS:,.0f}, got '{text}'"
+        )
+    return value
+
+
+class ScenePath(InputPath):
+    """A scene argument: a path, or builtin:NAME, whose path it is. Raises SceneError for an unknown name."""
+
+    def __new__(cls, text: str) -> Self:
+        return super().__new__(cls, builtin_scenes.scene_path(text))
+
+
+class ServedProgram(str):
+    """The command of --candidate-serve."""
+
+
+UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
+
+
+def seconds(text: str) -> float:
+    """Parse a time. Raises argparse.ArgumentTypeError."""
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([a-z]*)", text)
+    if match is None or match[2] not in UNITS:
+        raise argparse.ArgumentTypeError(f"expected a time such as 60s, 5m or 1h, got '{text}'")
+    return float(match[1]) * UNITS[match[2]]
+
+
+def numbers(text: str) -> range:
+    """Parse numbers of examples: N for the first N, A..B for A to B. Raises argparse.ArgumentTypeError."""
+    first, dots, last = text.partition("..")
+    if not first.isdecimal() or (dots and not last.isdecimal()) or (dots and int(first) > int(last)):
+        raise argparse.ArgumentTypeError(f"expected how many, such as 100, or from..to, such as 41..41, got '{text}'")
+    return range(int(first), int(last) + 1) if dots else range(int(first))
 
 
 # ---- options of several commands ----
@@ -118,6 +170,72 @@ def add_verdict_files(parser: argparse.ArgumentParser) -> None:
     add("--junit", metavar="FILE", type=OutputFile, help="write the verdict as JUnit XML")
     help_ = "append a summary in Markdown to this file, such as $GITHUB_STEP_SUMMARY"
     add("--summary-md", metavar="FILE", type=OutputFile, help=help_)
+
+
+def add_candidate(
+    parser: argparse.ArgumentParser, title: str = "another ray caster, judged in place of ours (docs/candidates.md)"
+) -> None:
+    """Add --candidate, its precision and its time limit."""
+    group = parser.add_argument_group(title)
+    one = group.add_mutually_exclusive_group()
+    one.add_argument(
+        "--candidate",
+        "--candidate-rays",
+        dest="candidate",
+        type=str,
+        metavar="X",
+        help="package.module:function, called as function(scene, o, d) -> (t, n); or a command that reads our scene "
+        "and writes an EXR file, such as 'my-renderer {xml} -o {exr}' ({toml}, {width}, {height}); or one that reads "
+        "rays and writes hits, such as 'my-caster {mesh} {rays} {hits}' (docs/rays-and-hits.md)",
+    )
+    one.add_argument(
+        "--candidate-serve",
+        dest="candidate",
+        type=ServedProgram,
+        metavar="PROG",
+        help="a program that is started once and answers over stdin and stdout (docs/rays-and-hits.md)",
+    )
+    group.add_argument(
+        "--candidate-precision",
+        metavar="P",
+        choices=PRECISIONS,
+        help="its arithmetic, from which its bounds follow; default: the type of what it returns",
+    )
+    group.add_argument(
+        "--candidate-timeout",
+        metavar="S",
+        type=positive_seconds,
+        help=f"seconds that a command may take for one scene; default {CANDIDATE_SECONDS:g}",
+    )
+
+
+def add_skip_unsupported(parser: argparse.ArgumentParser, plural: str) -> None:
+    """Add --skip-unsupported. plural: "scenes" or "families"."""
+    parser.add_argument(
+        "--skip-unsupported",
+        action="store_true",
+        help=f"do not fail by {plural} that the candidate declines (NotImplementedError, exit code 77); "
+        "they are counted",
+    )
+
+
+def add_item_selection(parser: argparse.ArgumentParser, what: str, words: str) -> None:
+    """Add the items by name, -k and --list. what: "family" or "scene"."""
+    plural = {"family": "families", "scene": "scenes"}[what]
+    add = parser.add_argument
+    add(plural, metavar=what.upper(), type=str, nargs="*", help=words)
+    example = "'scale and not mesh'" if what == "family" else "'mesh and not lit'"
+    add("-k", type=str, metavar="EXPR", dest="expression", help=f"{plural} whose name matches, such as {example}")
+    add("--list", action="store_true", help=f"list the {plural} and stop")
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--json",
+        type=OutputFile,
+        metavar="FILE",
+        help="write the result as JSON; - is standard output, which then holds nothing else",
+    )
 
 
 # ---- commands ----
@@ -288,3 +406,49 @@ def add_probe_arguments(parser: argparse.ArgumentParser) -> None:
     add_timeout(parser)
     add_candidate(parser, "another ray caster, whose answer is explained as well (docs/candidates.md)")
     add_reading(parser, "; with --candidate")
+
+
+def add_fuzz_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--time", metavar="T", type=seconds, help="stop after this time, such as 60s, 5m, 1h; default: 60s")
+    add("--examples", metavar="N|A..B", type=numbers, help="number of examples, or those from A to B")
+    add("--seed", metavar="S", type=whole, default=0, help="example i of seed S is always the same; default: 0")
+    help_ = "only this family of scenes; may be given several times"
+    add("--family", type=str, metavar="NAME", action="append", default=[], help=help_)
+    help_ = "where failing scenes are kept; default: fuzz-failures"
+    add("--out", type=OutputFolder, metavar="DIR", default="fuzz-failures", help=help_)
+    help_ = "findings of one kind in one family that are shrunk and kept; all are counted; default: 3"
+    add("--keep", metavar="N", type=whole, default=3, help=help_)
+    add("--json", metavar="FILE", type=OutputFile, help="write the result as JSON")
+    help_ = "one scene in N, on average, gets --thorough checks and is compared with Mitsuba; 0: none; default: 16"
+    add("--judge-every", metavar="N", type=whole, default=16, help=help_)
+    add("--replay", metavar="FILE|DIR", type=InputPath, help="check kept scenes again, and nothing else")
+    add("--rays", metavar="N", type=positive_int, default=40, help="rays aimed at each scene; default: 40")
+    add_candidate(parser, "another ray caster, judged in place of ours in each scene (docs/candidates.md)")
+
+
+def add_stress_arguments(parser: argparse.ArgumentParser) -> None:
+    add_item_selection(parser, "family", "such as tangency, or watertight for both; default: all")
+    add = parser.add_argument
+    add("--rays", metavar="N", type=positive_int, help="rays of each setting; default: 400, watertight 10000")
+    add("--seed", metavar="S", type=whole, default=0, help="of the rays; default: 0")
+    add_json(parser)
+    add_candidate(parser, "another ray caster, in place of ours: one that takes rays (docs/candidates.md)")
+    add_skip_unsupported(parser, "families")
+
+
+def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
+    add_item_selection(parser, "scene", "such as mesh-70k, or a scene or mesh file; default: all that --list names")
+    add = parser.add_argument
+    help_ = "AOVs of images, such as depth,normal,diffuse; again: another set. Default: depth,normal"
+    add("--aov", metavar="LIST", type=str, action="append", help=help_)
+    add("--size", metavar="N", type=positive_int, default=DEFAULT_SIZE, help=f"pixels a side; default: {DEFAULT_SIZE}")
+    help_ = f"turns of each; default: {DEFAULT_ALTERNATIONS}"
+    add("--alternations", metavar="N", type=positive_int, default=DEFAULT_ALTERNATIONS, help=help_)
+    add("--threads", metavar="N", type=positive_int, help="processors that each may use; default: all")
+    help_ = "of the rays that errors are measured on; default: 0"
+    add("--seed", metavar="S", type=whole, default=0, help=help_)
+    add_json(parser)
+    add_mesh_dirs(parser)
+    title = "another ray caster, timed and judged beside ours: one that takes rays (docs/candidates.md)"
+    add_candidate(parser, title)

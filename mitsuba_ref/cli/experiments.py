@@ -1,40 +1,32 @@
 """`mitsuba-ref stress` and `mitsuba-ref bench`: numerical stability in sweeps, and run time against error."""
 
-from __future__ import annotations
-
 import argparse
 import sys
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from caster.cli.shared_arguments import add_mesh_dirs, positive_int
 from caster.description.errors import SceneError
 from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
+from mitsuba_ref.bench import casters
+from mitsuba_ref.bench.drivers import AOVS, FILM
+from mitsuba_ref.bench.machine import machine_properties
+from mitsuba_ref.bench.measuring import Settings, time_scene
+from mitsuba_ref.bench.result import Run, SceneResult, as_text, overview_text, summary
+from mitsuba_ref.bench.scenes import SCENES, BenchScene, scene_of_file, with_aovs
 from mitsuba_ref.cli import options
-
-if TYPE_CHECKING:
-    from mitsuba_ref.bench.result import Run, SceneResult
-    from mitsuba_ref.bench.scenes import BenchScene
-    from mitsuba_ref.hard.family import Family
-    from mitsuba_ref.stress.sweeps import StressRun, SweepResult
+from mitsuba_ref.cli.arguments import ServedProgram
+from mitsuba_ref.hard.family import Family
+from mitsuba_ref.hard.swept_families import SWEPT
+from mitsuba_ref.reference import variants
+from mitsuba_ref.report.results import libllvm, versions, write_result
+from mitsuba_ref.stress import sweeps
+from mitsuba_ref.stress.sweeps import StressRun, SweepResult
 
 # ---- stress ----
 
 
-def add_stress_arguments(parser: argparse.ArgumentParser) -> None:
-    options.add_item_selection(parser, "family", "such as tangency, or watertight for both; default: all")
-    add = parser.add_argument
-    add("--rays", metavar="N", type=positive_int, help="rays of each setting; default: 400, watertight 10000")
-    add("--seed", metavar="S", type=options.whole, default=0, help="of the rays; default: 0")
-    options.add_json(parser)
-    options.add_candidate(parser, "another ray caster, in place of ours: one that takes rays (docs/candidates.md)")
-    options.add_skip_unsupported(parser, "families")
-
-
 def run_stress(args: argparse.Namespace) -> int:
     """Sweep the selected families; 0 right everywhere, 1 not, 5 nothing selected or judged, 130 interrupted."""
-    from mitsuba_ref.hard.swept_families import SWEPT
-
     families = options.select(SWEPT, "family", args.families, args.expression)
     if not families:
         print(f"nothing selected: no family matches -k {args.expression!r}", file=sys.stderr)
@@ -44,9 +36,6 @@ def run_stress(args: argparse.Namespace) -> int:
         return OK
     options.check_json(args)
     candidate = options.requested_candidate(args, takes_rays=True)
-    from mitsuba_ref.reference import variants
-    from mitsuba_ref.stress import sweeps
-
     variants.require_variants()  # without Mitsuba's columns a run would pass with its evidence missing
     done: list[SweepResult] = []
     try:
@@ -66,9 +55,6 @@ def run_stress(args: argparse.Namespace) -> int:
 
 def report_sweeps(done: list[SweepResult], families: list[Family], args: argparse.Namespace) -> StressRun:
     """Write the JSON file, if any, and print a last line; returns the result."""
-    from mitsuba_ref.report.results import libllvm, versions, write_result
-    from mitsuba_ref.stress.sweeps import StressRun
-
     installed = versions("mitsuba", "drjit", "numpy") | {"libllvm": libllvm()}
     requested = tuple(family.name for family in families)
     run = StressRun(args.seed, installed, requested, tuple(done), args.skip_unsupported)
@@ -87,27 +73,6 @@ def report_sweeps(done: list[SweepResult], families: list[Family], args: argpars
 
 # ---- bench ----
 
-DEFAULT_SIZE, DEFAULT_ALTERNATIONS = 1024, 7
-
-
-def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
-    options.add_item_selection(
-        parser, "scene", "such as mesh-70k, or a scene or mesh file; default: all that --list names"
-    )
-    add = parser.add_argument
-    help_ = "AOVs of images, such as depth,normal,diffuse; again: another set. Default: depth,normal"
-    add("--aov", metavar="LIST", type=str, action="append", help=help_)
-    add("--size", metavar="N", type=positive_int, default=DEFAULT_SIZE, help=f"pixels a side; default: {DEFAULT_SIZE}")
-    help_ = f"turns of each; default: {DEFAULT_ALTERNATIONS}"
-    add("--alternations", metavar="N", type=positive_int, default=DEFAULT_ALTERNATIONS, help=help_)
-    add("--threads", metavar="N", type=positive_int, help="processors that each may use; default: all")
-    help_ = "of the rays that errors are measured on; default: 0"
-    add("--seed", metavar="S", type=options.whole, default=0, help=help_)
-    options.add_json(parser)
-    add_mesh_dirs(parser)
-    title = "another ray caster, timed and judged beside ours: one that takes rays (docs/candidates.md)"
-    options.add_candidate(parser, title)
-
 
 def run_bench(args: argparse.Namespace) -> int:
     """Time the selected scenes; 0, 1 where ours did not run, 2 unknown scene, 5 nothing selected, 130 interrupted."""
@@ -121,20 +86,13 @@ def run_bench(args: argparse.Namespace) -> int:
         print("\n".join(f"{scene.name:{width}}{scene.title}" for scene in scenes))
         return OK
     options.check_json(args)
-    from dataclasses import asdict
-
-    from mitsuba_ref.bench import casters
-    from mitsuba_ref.bench.machine import machine_properties
-    from mitsuba_ref.bench.measuring import Settings, time_scene
-    from mitsuba_ref.bench.result import Run, as_text
-
     threads = args.threads or casters.processors()
     if threads > casters.processors():
         raise SceneError(f"--threads {threads}: this process may use {casters.processors()}")
     settings = Settings(args.size, args.alternations, threads, args.seed)
     caster = None
     if candidate:
-        served = isinstance(args.candidate, options.ServedProgram)
+        served = isinstance(args.candidate, ServedProgram)
         caster = casters.candidate_caster(str(args.candidate), args.candidate_precision, served=served)
     recorded = asdict(settings) | {"candidate": caster.title if caster else ""}
     machine, requested = machine_properties(), tuple(scene.name for scene in scenes)
@@ -155,9 +113,6 @@ def run_bench(args: argparse.Namespace) -> int:
 
 def requested_scenes(args: argparse.Namespace) -> list[BenchScene]:
     """Scenes of the standard set and of files, with the AOVs of --aov. Raises SceneError, FileMissing."""
-    from mitsuba_ref.bench.drivers import AOVS, FILM
-    from mitsuba_ref.bench.scenes import SCENES, scene_of_file, with_aovs
-
     files = [word for word in args.scenes if Path(word).suffix]
     named = [word for word in args.scenes if word not in files]
     chosen = options.select(SCENES, "scene", named, args.expression) if named or not files else []
@@ -173,9 +128,6 @@ def requested_scenes(args: argparse.Namespace) -> list[BenchScene]:
 
 def report_run(done: Run, args: argparse.Namespace) -> None:
     """Write the JSON file, if any, and print the overview table and a last line."""
-    from mitsuba_ref.bench.result import overview_text, summary
-    from mitsuba_ref.report.results import write_result
-
     if args.json:
         write_result(done, args.json)
     print(f"{overview_text(done)}\n\n{summary(done)}", file=options.table_stream(args))

@@ -15,7 +15,8 @@ from caster.scene.files import types_in_file
 from caster.scene.model import Film
 from caster.system.atomic_files import OutputError, write_text
 from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
-from mitsuba_ref.cli.options import BUILTIN_SETS, DEFAULT_SCENES, candidate_words, requested_candidate
+from mitsuba_ref.cli.arguments import BUILTIN_SETS, DEFAULT_SCENES
+from mitsuba_ref.cli.options import candidate_words, requested_candidate
 from mitsuba_ref.judge.verdict import UNSUPPORTED, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.report import builtin_scenes

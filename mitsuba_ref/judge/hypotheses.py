@@ -174,6 +174,7 @@ def mistakes(f: WrongPixels) -> Iterator[Mistake]:
         "distance in place of t, which counts in lengths of d",
         "divide the distance by |d|, or leave d as it is given",
         lambda g: (norm(g.d) * g.t, norm(g.d)),
+        single=True,
     )
     if camera.type != "ray":
         axis = camera_axes(camera)[2]
@@ -181,6 +182,7 @@ def mistakes(f: WrongPixels) -> Iterator[Mistake]:
             "depth along z, the view axis, in place of t along the ray",
             "divide by the cosine of the ray with the view axis; of an image: --depth z",
             lambda g: (unit(g.d) @ axis * g.t, unit(g.d) @ axis),
+            single=True,
         )
     yield from _fitted_quantities(f)
     if _claims_float64(f):
@@ -234,7 +236,7 @@ def _right_in_float32(g: WrongPixels) -> np.ndarray:
 Quantity = Callable[[WrongPixels], tuple[np.ndarray, np.ndarray | float]]  # (its values, its change with t)
 
 
-def _quantity(what: str, remedy: str, values: Quantity, claim: int = NOTHING, *, single: bool = True) -> Mistake:
+def _quantity(what: str, remedy: str, values: Quantity, claim: int = NOTHING, *, single: bool = False) -> Mistake:
     """Another quantity in place of t."""
 
     def predicts(g: WrongPixels) -> np.ndarray:
@@ -253,25 +255,15 @@ def _fitted_quantities(f: WrongPixels) -> Iterator[Mistake]:
     with np.errstate(all="ignore"):
         offset = float(np.median((f.given_t - f.t)[some]))
         scale = float(np.median((f.given_t / f.t)[some]))
-    far = abs(scale - 1.0) > DISTINCT_RTOL  # no chance meets such a scale
-    more = "large" if offset > 0 else "small"
-    rows: tuple[tuple[str, str, Quantity, int], ...] = (
-        (
-            f"t is {abs(offset):.3g} too {more} everywhere, a constant",
-            f"leave out the offset (an epsilon?) of {offset:.3g}",
-            lambda g: (g.t + offset, 1.0),
-            PIXELS,
-        ),
-        (
-            f"t is {scale:.7g} times what it should be",
-            "look for a wrong unit, a scale or a length that is not 1",
-            lambda g: (g.t * scale, scale),
-            NOTHING if far else PIXELS,
-        ),
-        ("the square of t in place of t", "return t itself", lambda g: (np.square(g.t), 1.0), NOTHING),
-        ("1 / t in place of t", "return t itself", lambda g: (np.reciprocal(g.t), 1.0), NOTHING),
-    )
-    yield from (_quantity(*row, single=False) for row in rows)
+    what = f"t is {abs(offset):.3g} too {'large' if offset > 0 else 'small'} everywhere, a constant"
+    remedy = f"leave out the offset (an epsilon?) of {offset:.3g}"
+    yield _quantity(what, remedy, lambda g: (g.t + offset, 1.0), PIXELS)
+    claim = NOTHING if abs(scale - 1.0) > DISTINCT_RTOL else PIXELS  # no chance meets a scale that is far from 1
+    what = f"t is {scale:.7g} times what it should be"
+    remedy = "look for a wrong unit, a scale or a length that is not 1"
+    yield _quantity(what, remedy, lambda g: (g.t * scale, scale), claim)
+    yield _quantity("the square of t in place of t", "return t itself", lambda g: (np.square(g.t), 1.0))
+    yield _quantity("1 / t in place of t", "return t itself", lambda g: (np.reciprocal(g.t), 1.0))
 
 
 # ---- pixels in other places

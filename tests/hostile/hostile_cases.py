@@ -15,7 +15,7 @@ import caster.cli
 import mitsuba_ref.cli
 from caster.cli.application import build_parser
 from caster.cli.shared_arguments import InputPath, OutputFile, OutputFolder, output_file_unless_number
-from mitsuba_ref.cli.options import ScenePath
+from mitsuba_ref.cli.arguments import ScenePath
 
 COMMANDS = {"caster": caster.cli.COMMANDS, "mitsuba-ref": mitsuba_ref.cli.COMMANDS}
 OUTPUTS = (OutputFile, OutputFolder, output_file_unless_number)

@@ -12,7 +12,7 @@ from hostile_cases import Case, cases, lines, parsers, split
 from hostile_runs import Bench
 
 from caster.cli.shared_arguments import InputPath
-from mitsuba_ref.cli.options import ScenePath
+from mitsuba_ref.cli.arguments import ScenePath
 
 HERE = Path(__file__).resolve().parent
 

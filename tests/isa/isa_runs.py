@@ -68,7 +68,7 @@ class LimitError(Exception):
 
 @dataclass(frozen=True)
 class Limit:
-    """An instruction set, and what a process has in its environment so that Mitsuba uses no newer one."""
+    """An instruction set, and the environment that keeps Mitsuba from using a newer one."""
 
     isa: str
     library: Path
@@ -202,7 +202,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def run_all(found: Mapping[str, Limit], out: Path, jobs: str) -> int:
-    """Print a line for each run; what each printed is in `out`."""
+    """Print a line for each run; outputs of the runs are files in `out`."""
     passed, counts = True, {}
     for isa, limit in found.items():
         ok, text, counts[isa] = validate(limit, "scenes", out / f"{isa}.json")
@@ -219,7 +219,7 @@ def run_all(found: Mapping[str, Limit], out: Path, jobs: str) -> int:
 
 
 def report(isa: str, what: str, ok: bool, text: str, out: Path) -> bool:
-    """Print the outcome of a run, and of one that fails what it printed."""
+    """Print the outcome of a run, and its output if it fails."""
     (out / f"{isa} {what}.txt").write_text(text)
     print(f"{'PASS' if ok else 'FAIL'}  {isa:<8}{what}", flush=True)
     if not ok:

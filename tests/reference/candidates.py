@@ -23,7 +23,7 @@ def ours_rounded(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
 
 
 def far_root(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
-    """Of the only ball."""
+    """The far hit of the only ball."""
     (ball,) = scene.shapes
     away = o - np.array(ball.center)
     b, c = (away * d).sum(axis=1), (away * away).sum(axis=1) - ball.radius**2
@@ -63,7 +63,7 @@ def t_off_by_a_ten_thousandth(scene: Scene, o: np.ndarray, d: np.ndarray) -> Giv
 
 
 def the_last_surface(scene: Scene, o: np.ndarray, d: np.ndarray) -> Given:
-    """What lies behind the first hit, where something does."""
+    """Return the second hit where there is one."""
     t, n = ours(scene, o, d)
     hit = np.flatnonzero(np.isfinite(t))
     behind = caster.cast(scene, o[hit] + 1.000001 * t[hit, None] * d[hit], d[hit])

@@ -32,7 +32,7 @@ def judged(send: SendRequest) -> Callable[[Scene], SceneVerdict]:
 
 @pytest.fixture(scope="session")
 def brought(send: SendRequest) -> Callable[[Scene], Judge]:
-    """A scene before the judge."""
+    """Make the judge of a scene, with Mitsuba's answer."""
 
     def bring(scene: Scene) -> Judge:
         judge = scene_judge(scene, send=send)

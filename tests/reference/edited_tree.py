@@ -21,7 +21,7 @@ SERVER = (sys.executable, "-P", str(Path(__file__).with_name("forked_runs.py")))
 
 @functools.cache
 def write_bytecode(tree: Path) -> None:
-    """Compile every module of a tree, so that no process which loads a copy of it has to."""
+    """Compile every module of a tree, so that processes that load a copy need not."""
     for package in PACKAGES:
         compileall.compile_dir(tree / package, quiet=2)
 
@@ -35,7 +35,7 @@ def copy_tree(folder: Path, source: Path = ROOT) -> Path:
 
 
 def edit(tree: Path, file: str, old: str, new: str) -> None:
-    """Replace text that is there exactly once, so that an edit which no longer fits is an error."""
+    """Replace a text that occurs exactly once; anything else is an error of the edit."""
     path = tree / file
     source = path.read_text(encoding="utf-8")
     assert source.count(old) == 1, f"{file}: expected once, found {source.count(old)} times: {old!r}"
@@ -69,7 +69,7 @@ NO_REMARKS = ("validating: ", "compiling ", "llvm_ad_rgb does not work here")
 
 
 def said_beside_progress(found: subprocess.CompletedProcess[str]) -> list[str]:
-    """Lines of stderr that are remarks, but for the first: what is loaded, or that there is no compiler."""
+    """Lines of stderr that are remarks, without the first, which says what is loaded or that there is no compiler."""
     return [line for line in found.stderr.splitlines()[1:] if not line.startswith(NO_REMARKS)]
 
 

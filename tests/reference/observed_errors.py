@@ -20,7 +20,7 @@ from mitsuba_ref.reference.shared_input import SharedRays, model_of
 
 
 class Observed(NamedTuple):
-    """One row a ray, unless it says otherwise."""
+    """One row for each ray, unless stated otherwise."""
 
     hit: np.ndarray  # Mitsuba's
     resolved: np.ndarray  # a hit whose primitive float32 resolves

@@ -59,7 +59,7 @@ PAST = caster.Ray(
 
 
 def starting_on_a_disk() -> Scene:
-    """Rays start in a window, and some of them on a disk that lies in it: Mitsuba says that they hit it at once."""
+    """Rays start in a window, some of them on a disk that lies in it: Mitsuba reports a hit at t = 0 for these."""
     camera = caster.Orthographic(eye=(0, 0, 3), direction=(0, 0, -1), width=4)
     small = caster.Disk(name="start", to_world=[{"scale": [0.4, 0.4, 1]}, {"translate": [0.4, 0.1, 3]}])
     return scene_of(small, caster.Plane(name="floor", normal=(0.1, 0, 1), offset=0), camera=camera)
@@ -164,7 +164,7 @@ def test_what_the_exporter_writes_is_right(judged):
 
 @pytest.mark.parametrize("what", EXPORTS)
 def test_a_broken_exporter_is_no_defect_of_mitsuba(judged, monkeypatch, what):
-    """Ours is right and the reference is wrong, in a minority of the pixels; but in no way that is known."""
+    """Ours is right and the reference is wrong in a minority of the pixels, but by no known defect."""
     scene = scene_of(WALL, BALL, LID)
     shape, change = EXPORTS[what]
     altered_export(monkeypatch, shape, change)
@@ -186,7 +186,7 @@ def one_cube(brought) -> Judge:
 
 @pytest.fixture
 def cube(one_cube) -> Judge:
-    """A judge whose pictures a test may alter."""
+    """A judge whose images a test may alter."""
     pair = one_cube.pair
     images = {name: image.copy() for name, image in pair.subject.items()}
     answer = replace(pair.answer, prim=pair.prim.copy())
@@ -233,7 +233,7 @@ def test_a_caster_that_misses_at_a_rim_is_wrong_whatever_mitsuba_states(monkeypa
 
 
 def test_light_is_reported_as_not_judged_where_the_surface_is_wrong_or_another(cube):
-    """A share of 0 would pass for agreement."""
+    """A share of 0 would look like agreement."""
     before = cube.judge()
     agree, tie = (int(np.flatnonzero(before.is_class(name))[0]) for name in ("agree", "tie"))
     assert not_judged(cube, before, agree) == {}

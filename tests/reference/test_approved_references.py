@@ -1,4 +1,4 @@
-"""Approved images: written once somebody has seen what is new, and refused once they are altered or stale."""
+"""Approved images: written after the differences were shown, and refused when altered or stale."""
 
 import json
 
@@ -64,7 +64,7 @@ def said(capsys, *words):
 
 
 def replaced(here, name, **planes):
-    """A reference with other pixels, as honestly approved."""
+    """Replace pixels of an approved image, with a valid digest."""
     path = here / f"refs/{name}.exr"
     before = load_approved(path)
     write_approved(path, before._replace(channels=before.channels | planes))
@@ -155,7 +155,7 @@ def test_ours_passes_against_its_references_without_mitsuba(here, capsys, monkey
     ],
 )
 def test_what_is_beyond_its_bound_fails(here, capsys, channel, factor, says):
-    """As if ours were off, the other way round."""
+    """The approved value is altered, which looks as if ours were off in the other direction."""
     before = load_approved(here / "refs/ball.exr")
     plane = before.channels[channel].copy()
     y, x = np.argwhere((before.channels["A"] != 0) & (plane != 0))[5]
@@ -166,7 +166,7 @@ def test_what_is_beyond_its_bound_fails(here, capsys, channel, factor, says):
 
 
 def test_a_reference_with_no_pixel_to_compare_is_no_pass(here, capsys):
-    """One pixel that may be compared is enough, and then it is."""
+    """A single comparable pixel is enough to compare."""
     before = load_approved(here / "refs/ball.exr")
     explained = np.full_like(before.channels[CLASS_CHANNEL], CLASSES.index("explained"))
     replaced(here, "ball", **{CLASS_CHANNEL: explained})
@@ -179,7 +179,7 @@ def test_a_reference_with_no_pixel_to_compare_is_no_pass(here, capsys):
 
 
 def test_a_reference_that_is_missing_is_a_missing_file_and_no_pass(here, capsys):
-    """Not a difference: none was found. Where one was, the code says so."""
+    """The exit code is that of a missing file; of a difference only where one was found."""
     (here / "refs/mesh.exr").unlink()
     code, out, _ = said(capsys, "check", "scenes")
     assert code == 4 and "FAIL  mesh  refs/mesh.exr: there is no approved image; nothing was checked" in out
@@ -255,7 +255,7 @@ OTHER = "GenuineIntel family 6 model 142 (x86-64-v3)"
 
 @pytest.mark.parametrize("recorded", [OTHER, None])
 def test_last_bits_of_another_processor_are_named_and_no_change(here, capsys, recorded):
-    """Also those of a reference that names none."""
+    """Also where the approved image names no processor."""
     before = load_approved(here / "refs/ball.exr")
     about = {key: words for key, words in before.provenance.items() if key != PROCESSOR}
     about |= {PROCESSOR: recorded} if recorded else {}

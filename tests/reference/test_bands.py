@@ -1,4 +1,4 @@
-"""Films judged in bands: the verdict of the whole film, in memory that does not grow with it."""
+"""Films judged in bands: the verdict is that of the whole film, and memory does not grow with it."""
 
 from pathlib import Path
 
@@ -21,7 +21,7 @@ SIZE, BAND = (60, 42), 420  # six bands of seven rows
 
 @pytest.fixture
 def small_bands(monkeypatch):
-    """Switches bands on: films of these tests are large."""
+    """A switch of bands, small enough for several in these films."""
 
     def switch(on: bool) -> None:
         monkeypatch.setattr(pipeline, "LARGEST_WHOLE_FILM", BAND if on else 1 << 20)
@@ -88,7 +88,7 @@ def test_rays_of_every_band_reach_mitsuba_once(small_bands, send):
 
 
 def with_wrong_normals_below(scene, o, d):
-    """Right but in the lower part of the film."""
+    """Right, except in the lower part of the film."""
     t, n = ours(scene, o, d)
     return t, np.where((d[:, 1] < -0.12 * np.abs(d[:, 2]))[:, None], -n, n)
 

@@ -52,7 +52,7 @@ def test_a_small_image_is_timed_and_judged(tmp_path, monkeypatch, capsys):
     "name, keys", [("overdraw-256", ("raw-robust", "aov-robust")), ("rays-shadow", ("raw-robust",))]
 )
 def test_mitsubas_llvm_variant_is_requested_what_is_timed(name, keys):
-    """A flag in the place of another one would be fast, and wrong about most rays."""
+    """A caster with a wrong flag could be fast and wrong for most rays."""
     found = time_scene(SCENES[name], [BY_KEY[key] for key in keys], Settings(16, 1))
     for row in found.rows:
         if not usable_variants().libllvm:
@@ -120,7 +120,7 @@ print(json.dumps(found))
 
 
 def test_mitsuba_is_timed_with_the_image_that_ours_is(tmp_path):
-    """A cosine or a shadow ray that is left out would be fast, and another image; pixels on edges may differ."""
+    """A caster without cosine or shadow rays would be fast and give another image. Pixels on edges may differ."""
     if not usable_variants().libllvm:
         return  # the rows are empty then, which the test above has
     made = SCENES["kinds-lit"].make()

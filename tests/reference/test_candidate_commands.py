@@ -1,4 +1,4 @@
-"""A candidate that is a program: what it reads, what it may write, and every way in which it may fail."""
+"""Candidates that are programs: their input, their output, and each way to fail."""
 
 import os
 import shlex
@@ -83,7 +83,7 @@ def test_a_program_that_reads_the_xml_passes(judged, tmp_path, name):
 
 
 class OwnCamera:
-    """Our render, which shoots its own rays, without a program."""
+    """Our own rendering, which casts rays of its own camera, without a program."""
 
     name, reads_xml, takes_rays = "own camera", False, False
 
@@ -167,7 +167,7 @@ def test_an_image_that_misses_everything_fails(judged, tmp_path):
 
 
 def test_an_image_whose_depth_is_off_by_a_hundred_thousandth_fails(judged, tmp_path):
-    """What its own camera excuses is far less."""
+    """Rounding of its own camera excuses far less."""
     (tmp_path / "program.py").write_text(
         "import sys\nfrom caster.__main__ import main\nfrom caster.image.exr import read_exr, write_exr\n"
         "assert main(['render', sys.argv[1], '-o', sys.argv[2], '--aov', 'depth,normal']) == 0\n"
@@ -210,7 +210,7 @@ def test_a_served_program_of_blanks_is_refused(blanks):
 
 
 def test_a_program_ends_with_the_run_that_started_it(judged, tmp_path):
-    """Ctrl-C reaches the judge alone: it stops what it has started."""
+    """Ctrl-C reaches the judge alone, which then ends the program."""
     (tmp_path / "program.py").write_text(f"open({str(tmp_path / 'started')!r}, 'w')\nimport time; time.sleep(60)")
     command = f"{PYTHON} {tmp_path / 'program.py'} {{exr}} {{toml}}"
     found: list[SceneVerdict] = []
@@ -272,7 +272,7 @@ def test_a_function_that_ends_the_process_after_the_verdict_does_not_change_it(t
 
 
 def test_a_program_that_leaves_another_behind_is_not_waited_for(tmp_path):
-    """The one that is left behind holds on to what the program printed to."""
+    """The second program keeps the output file open."""
     (tmp_path / "leaves.sh").write_text("sleep 600 &\necho said\nexit 3\n")
     with pytest.raises(NoAnswer, match=r"(?s)exit code 3.*said"):
         Program("leaves", ("sh", str(tmp_path / "leaves.sh")), None, 60.0).run({})

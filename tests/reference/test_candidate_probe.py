@@ -29,7 +29,7 @@ def small(name: str = "one-sphere") -> Scene:
 
 @pytest.fixture
 def at(brought):
-    """What becomes of a pixel, through Mitsuba's process that stays."""
+    """Probe a pixel, with the resident Mitsuba process."""
 
     def look(trace: candidates.Trace | Subject, pixel=HIT, scene: Scene | None = None) -> CandidatePixel:
         scene, (x, y) = scene or small(), pixel
@@ -41,7 +41,7 @@ def at(brought):
 
 
 def test_a_replay_that_is_pasted_shows_the_pixel_again(monkeypatch, capsys, tmp_path):
-    """With the size, the candidate and its options; and Mitsuba's answers are beside the candidate's."""
+    """The replay has film size, candidate and its options; Mitsuba's answers are shown beside the candidate's."""
     monkeypatch.chdir(ROOT)
     given = ["--size", "12", "9", "--candidate", "docs.candidates.textbook:trace"]
     given += ["--candidate-precision", "float32", "--candidate-timeout", "70"]
@@ -95,7 +95,7 @@ def test_a_normal_that_is_wrong_is_named_with_its_factor(at):
 
 @pytest.mark.parametrize("trace", [candidates.one_nan, candidates.far_root, candidates.one_missed_edge_pixel])
 def test_a_pixel_has_the_class_that_validate_gave_it(at, send, trace):
-    """Asked about the whole picture, or a fault at its seventh hit would not be seen again."""
+    """The candidate casts the whole film; otherwise a fault at its seventh hit would not recur."""
     scene = small()
     verdict = validate_scene(scene, "scene", subject=FunctionSubject(trace.__name__, trace), send=send)
     failure = verdict.failures[0]

@@ -45,7 +45,7 @@ def worked(name: str) -> object:
 
 @pytest.fixture(scope="module")
 def judged(send) -> Judged:
-    """What is found about a candidate; Mitsuba is asked about a scene once, however many candidates see it."""
+    """Judge a candidate; Mitsuba traces each scene once for all candidates."""
     known: dict[tuple, TraceResponse | Crash] = {}
 
     def remembered(job: TraceRequest, timeout: float) -> TraceResponse | Crash:
@@ -65,7 +65,7 @@ def judged(send) -> Judged:
 
 
 def supported(scene: Scene) -> bool:
-    """By docs/candidates/plain.py."""
+    """The hits of docs/candidates/plain.py."""
     shapes = scene.shapes
     flat = not any(shape.type in ("disk", "cylinder") for shape in shapes)
     return flat and not any(shape.type in ("sphere", "spheres") and shape.to_world for shape in shapes)
@@ -120,7 +120,7 @@ def test_a_surface_behind_the_first_is_named_so(judged):
 
 
 def scaled(roundings: int, dtype: type) -> candidates.Trace:
-    """Ours, rounded to dtype, with every t longer by so many roundings of it."""
+    """Our hits, rounded to dtype, with every t longer by a number of its roundings."""
     u = float(np.finfo(dtype).epsneg)
 
     def trace(scene: Scene, o: np.ndarray, d: np.ndarray) -> candidates.Given:
@@ -156,7 +156,7 @@ def test_one_shift_of_every_origin_is_rounding_and_no_factor(judged):
 
 @pytest.mark.parametrize("t", [0.0, 2.0], ids=["closed", "open"])
 def test_whether_a_ray_hits_the_surface_it_starts_on_is_the_candidates_choice(judged, t):
-    """Mitsuba reports a hit at t = 0 there."""
+    """Mitsuba reports a hit at t = 0 for these rays."""
     walls = [{"type": "triangle", "vertices": [(-4, -4, z), (8, -4, z), (-4, 8, z)]} for z in (0, 2)]
     camera = Ray(origin=(0.5, 0.25, 0.0), direction=(0.0, 0.0, 1.0))
     scene = Scene.model_validate({"camera": camera, "shape": walls}).with_film(width=1, height=1)
@@ -175,7 +175,7 @@ def all_misses_in_float32(scene, o, d):
 
 @pytest.mark.parametrize("name", ["shared-edges-icosphere", "shared-edges-cube"])
 def test_a_leak_at_an_edge_that_faces_share_is_no_rounding(judged, name):
-    """Pixel centres lie on edges, exactly: there no face is certain to be hit, yet one of two is."""
+    """Pixel centres lie exactly on edges: neither face is certain to be hit, but one of the two is."""
     scene = small(name, 25, 25)
     right = judged(candidates.ours_rounded, scene)
     assert right.ok and right.counts[EXPLAINED] + right.counts[TIE] > 5
@@ -188,7 +188,7 @@ def test_a_leak_at_an_edge_that_faces_share_is_no_rounding(judged, name):
 
 
 class Leaving:
-    """What ends the program where it is taken for an array, with an exit code that says success."""
+    """An array type that ends the program with exit code 0 when it is converted."""
 
     def __array__(self, dtype=None, copy=None):
         raise SystemExit(0)
@@ -212,7 +212,7 @@ def talkative(scene, o, d):
 
 
 def masked(scene, o, d):
-    """Right numbers, said not to be there."""
+    """Right numbers in a masked array."""
     t, n = candidates.ours(scene, o, d)
     return np.ma.masked_array(t, mask=np.isfinite(t)), n
 
@@ -250,7 +250,7 @@ def far_normals(scene, o, d):
 
 
 def odd_arrays(scene, o, d):
-    """Read-only, in Fortran's order, of the other order of bytes, and within each other."""
+    """Arrays that are read-only, in Fortran order, of swapped byte order, or views of one another."""
     t, n = candidates.ours(scene, o, d)
     both = np.asfortranarray(np.column_stack([t, n]).astype(">f8"))
     both.flags.writeable = False
@@ -258,7 +258,7 @@ def odd_arrays(scene, o, d):
 
 
 def leaving_things_behind(scene, o, d):
-    """Another folder, another way with errors; and something printed."""
+    """Change the working folder and NumPy's error state, and print something."""
     os.chdir("/")
     np.seterr(all="raise")
     print("not a result")
@@ -290,7 +290,7 @@ WILD = [(far_t, "t is off: behind what is hit"), (nonsense, "no answer: the norm
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(("trace", "says"), WILD, ids=[trace.__name__ for trace, _ in WILD])
 def test_wild_numbers_are_wrong_in_the_ordinary_way(send, trace, says, tmp_path):
-    """No warning, and pictures all the same: 1e308 is beyond what their files hold."""
+    """There is no warning, and images are written although 1e308 exceeds what they can hold."""
     candidate, scene = FunctionSubject(trace.__name__, trace), small("one-sphere", 12, 9)
     found = validate_scene(scene, "wild", "wild.toml", subject=candidate, send=send, folder=tmp_path, keep=True)
     assert not found.problem and found.counts[WRONG] > 20 and says in found.findings[0].what

@@ -21,7 +21,7 @@ def script():
 
 @pytest.fixture(scope="module")
 def story(tmp_path_factory):
-    """(the script, a tree with the fault, what `validate` and the replay say there)."""
+    """(the script, a tree with the fault, outputs of `validate` and of the replay there)."""
     module = script()
     tree = module.Tree(tmp_path_factory.mktemp("faulty"))
     failing = tree.run("mitsuba-ref validate scenes --size 15 15")
@@ -30,7 +30,7 @@ def story(tmp_path_factory):
 
 
 def on_the_page(text):
-    """Lines of an output that the page has to the letter."""
+    """Lines of an output that the page quotes literally."""
     return [line for line in text.splitlines() if line.strip() and line in PAGE]
 
 

@@ -62,7 +62,7 @@ class Asked:
         return trace_rays(self.scene, faulty, rays, self.rays.start)
 
     def grown(self, share: float) -> RayHits:
-        """Every ball larger by this share of its radius."""
+        """Hits of balls that are larger by this share of their radius."""
 
         def grow(prims: Any) -> None:
             prims.radius[:] *= 1.0 + share
@@ -79,7 +79,7 @@ class Asked:
 
     @cached_property
     def view(self) -> RayHits:
-        """Ours, as it is."""
+        """Hits of our caster, unaltered."""
         return cast_ours(self.scene, self.rays)
 
     def shifted(self, pixels: float) -> RayHits:
@@ -92,7 +92,7 @@ class Asked:
 
 
 def beyond(judge: Judge) -> np.ndarray:
-    """(hits,) bool: where both hit, that t alone is farther off than float32 may put the reference's."""
+    """(hits,) bool: whether t is beyond its bound, where both hit."""
     found: np.ndarray = compare(judge.pixels, {}).ratios["depth"][judge.pixels.both_hit] > 1.0
     return found
 
@@ -127,7 +127,7 @@ def test_a_radius_off_by_three_millionths_is_beyond_the_bound_at_every_hit(ball)
 @pytest.mark.parametrize(("share", "least"), [(1e-8, 10.0), (1e-7, 100.0)])
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_radius_off_by_less_than_float32_resolves_is_a_bias(ball, share, least, side):
-    """Of each pixel by itself nothing is to be seen."""
+    """No single pixel shows it."""
     view = ball.grown(side * share)
     found = errors(ball, view)
     print(f"\nradius {side * share:+.0e}: z {found.z:.1f}")
@@ -137,7 +137,7 @@ def test_a_radius_off_by_less_than_float32_resolves_is_a_bias(ball, share, least
 
 @pytest.mark.parametrize(("share", "biased"), [(0.0, False), (1e-7, True)])
 def test_spheres_at_the_same_place_are_no_bias_and_hide_none_of_another_sphere(send, share, biased):
-    """Of the two the reference names one by the sign of a rounding: what it leaves to the other is biased by itself."""
+    """The reference chooses one of the two by the sign of a rounding: pixels of the other are biased by selection."""
     (first,) = load_scene(ROOT / "scenes" / "one-sphere.toml").shapes
     x, y, z = first.center
     twin = first.model_copy(update={"name": "twin"})
@@ -175,7 +175,7 @@ def test_no_reciprocal_is_blamed_on_ours_and_faults_of_both_signs_are_found_all_
 
 @pytest.mark.parametrize("roundings", [-2.5, 1.0])
 def test_a_bias_of_mitsubas_t_of_triangles_is_recorded_and_no_failure(send, roundings):
-    """As an instruction set may have that is not at hand: nothing but the record changes."""
+    """Another instruction set may have such a bias: only the record changes."""
     asked = Asked(send, "torus-smooth", 160, 120)
     right = bias_of(asked.farther(0.0), "position")
     witness = replace(asked.witness, t=asked.witness.t * (1.0 + roundings * U32))

@@ -37,7 +37,7 @@ SHAPES = {"planes": 1, "meshes": 3}  # of a scene; 6 of the others
 
 @pytest.fixture(scope="module", params=KINDS)
 def observed(request: pytest.FixtureRequest, send: SendRequest) -> tuple[str, dict[str, Observed]]:
-    """A kind, and what was seen of it in each setting."""
+    """A primitive kind and its observed errors in each setting."""
     kind, shapes = request.param, SHAPES.get(request.param, 6)
     return kind, {
         name: observe(kind, setting, [200, number], shapes=shapes, count=COUNT, send=send)
@@ -60,7 +60,7 @@ def test_no_hit_is_farther_off_than_its_bound(observed):
 
 
 def test_every_hit_and_miss_is_one_that_rounding_allows(observed):
-    """Also where Mitsuba says the contrary of float64: the bracket explains all of it, or reports that it cannot."""
+    """Also where Mitsuba contradicts float64: the bracket explains it, or reports that it cannot."""
     kind, settings = observed
     differ, unclear, certain = 0, 0, 0
     for name, found in settings.items():

@@ -33,7 +33,7 @@ def shaded(brought) -> Judge:
 
 @pytest.fixture(scope="module")
 def first(shaded) -> Judgement:
-    """Its pixels as nobody has altered them."""
+    """The judgement of its unaltered pixels."""
     return shaded.judge()
 
 
@@ -67,7 +67,7 @@ def test_more_excuses_than_evidence_do_not_pass(judged):
 
 
 def test_a_plane_edge_on_excuses_neither_what_stands_before_it_nor_beside_it(judged, monkeypatch):
-    """The plane holds the rays up to rounding: nobody can say where they meet. The ball is another matter."""
+    """Rays lie in the plane up to rounding: intersections with it are undefined. The ball is judged as usual."""
     shapes = (caster.Sphere(), caster.Plane(normal=(0, 0.6, 0.8), offset=0))
     camera = caster.Orthographic(eye=(0, -4, 3), direction=(0, 0.8, -0.6), up=(0, 0, 1), width=1.5)
     scene = scene_of(*shapes, camera=camera)

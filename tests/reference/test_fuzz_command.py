@@ -1,4 +1,4 @@
-"""`mitsuba-ref fuzz` as it is typed: what it looks at, what it keeps, how it ends."""
+"""The command `mitsuba-ref fuzz`: coverage, stored findings and exit codes."""
 
 import json
 import time
@@ -183,7 +183,7 @@ def test_a_right_candidate_passes_on_films_and_on_aimed_rays(fuzz):
 
 @pytest.mark.slow("judges some hundred scenes")
 def test_a_wrong_candidate_is_shrunk_kept_and_replayed(fuzz, tmp_path, capsys):
-    """Ours misses what is nearer than t = 1e-4: only rays that begin at a surface show it."""
+    """Our caster misses hits nearer than t = 1e-4, which only rays that start on a surface show."""
     (tmp_path / "epsilon_caster.py").write_text(
         "import caster\n\n\ndef cast(scene, o, d):\n    hits = caster.cast(scene, o, d, t_min=1e-4)\n"
         "    return hits.t, hits.normal\n"

@@ -32,7 +32,7 @@ def cast(scene, o, d):
 
 @pytest.fixture(scope="module")
 def brought_candidate(send):
-    """A right candidate before the judge, once a scene."""
+    """The judge of a right candidate, one for each scene."""
     known: dict[tuple, Judge] = {}
 
     def bring(shapes=MIXED) -> Judge:
@@ -45,7 +45,7 @@ def brought_candidate(send):
 
 
 def answering(judge: Judge, t=None, n=None) -> Judge:
-    """The same, of another answer."""
+    """The same judge with another answer."""
     given = judge.answer
     answer = replace(given, t=given.t if t is None else t, n=given.n if n is None else n)
     return Judge(judge.scene, judge.model, pair_images(judge.scene, judge.pair.rays, answer, judge.result), judge.view)

@@ -264,7 +264,7 @@ Group { numObjects 1 MaterialIndex 0 Sphere { center 0 0 0 radius 1 } }
 
 
 def test_a_text_of_the_course_is_imported_too(tmp_path, capsys, monkeypatch):
-    """With its window moved back behind everything, which is told."""
+    """Its window is moved behind everything, and the import says so."""
     monkeypatch.chdir(tmp_path)
     Path("s.txt").write_text(COURSE)
     assert main(["import", "s.txt", "-o", "s.toml", "--size", "41", "21"]) == 0
@@ -286,7 +286,7 @@ EMITTERS = {
 
 @pytest.mark.parametrize("emitter", EMITTERS)
 def test_what_sends_no_light_is_not_reported_as_left_out_since_nothing_is(tmp_path, emitter):
-    """Mitsuba sees the same without it. One that sends light is told of, unless ours is the same."""
+    """Mitsuba renders the same without it. An emitter that sends light is reported, unless ours is the same."""
     path, found = tmp_path / "a.xml", {}
     for value in ("0", "1e-3"):
         inside = EMITTERS[emitter].format(value)

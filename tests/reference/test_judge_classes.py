@@ -245,7 +245,7 @@ def test_mitsubas_light_is_held_to_a_few_roundings(one, part):
 
 
 def miss(judge: Judge, rows: np.ndarray) -> None:
-    """Ours misses at these rows, in all that it gives."""
+    """Make all of our values at these rows those of a miss."""
     judge.answer.t[rows], judge.answer.prim[rows] = np.inf, -1
     for name in judge.pair.subject:
         aov_rows(judge.pair.subject, name)[rows] = {"depth": np.inf, "shape_id": -1, "prim_id": -1}.get(name, 0)
@@ -307,7 +307,7 @@ def test_another_hit_or_miss_is_the_fault_of_who_is_not_exact(one, first, fault)
 
 
 def name_another(judge: Judge, rows: np.ndarray) -> None:
-    """The next triangle of the same torus, in all that ours gives."""
+    """Make our values those of the next triangle of the same torus."""
     judge.answer.prim[rows] += 1
     aov_rows(judge.pair.subject, "prim_id")[rows] += 1
 

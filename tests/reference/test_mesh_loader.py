@@ -114,7 +114,7 @@ def split(mesh):
 
 
 def moved(rows, step):
-    """One number that float32 shows to be another."""
+    """Change one number by more than float32 rounding."""
     rows = rows.copy()
     rows[2, 1] += step * max(abs(rows[2, 1]), 1.0)
     return rows

@@ -144,7 +144,7 @@ class Naming:
 
 
 def farther_one(scene, o, d, hits):
-    """Those of the second hit, where there is one: as if a later test had overwritten them."""
+    """Numbers of the second hit, if there is one, as if a later test had overwritten the first."""
     beyond = np.where(np.isinf(hits.t), 0.0, hits.t * (1.0 + 1e-9))
     second = caster.cast(scene, o + beyond[:, None] * d, d)
     there = second.shape_id >= 0

@@ -1,4 +1,4 @@
-"""Whatever becomes of a Mitsuba process is a result, every request gets its answer, and nothing is left behind."""
+"""Every end of a Mitsuba process is a result, every request is answered, and nothing is left behind."""
 
 import os
 import signal
@@ -65,7 +65,7 @@ def crash(ball: TraceRequest, timeout: float = 60) -> Crash:
 
 
 def gone(pid: int) -> bool:
-    """Whether the process is no more; one that is dead and not yet collected is gone, too."""
+    """Whether a process has ended; a zombie has, too."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] in "ZX"
     except OSError:
@@ -274,7 +274,7 @@ def test_a_fault_amid_many_requests_loses_nothing(tmp_path, plant, alone, fault)
 
 
 def test_what_a_scene_makes_of_every_process_is_its_result(tmp_path, in_place_of_mitsuba, monkeypatch):
-    """A crash that the scene causes is that of the process of its own; a later scene is answered."""
+    """A crash caused by the scene is reported from the second process; a later scene is answered."""
     first, second = balls(tmp_path, 2)
     in_place_of_mitsuba("import os; print('LLVM ERROR: Cannot', flush=True); os.abort()")
     found = mitsuba_process.send_request(first, 60)
@@ -310,7 +310,7 @@ def test_output_beside_the_replies_stays_out(tmp_path, plant, alone, capfd):
 
 
 def test_a_fork_has_residents_of_its_own(tmp_path):
-    """It neither uses nor ends those of the process that it comes from."""
+    """It neither uses nor ends those of its parent."""
     requests = balls(tmp_path, 2)
     check_right([mitsuba_process.send_request(requests[0], 60)])
     (pid,) = subprocess_runner._running

@@ -1,4 +1,4 @@
-"""Responses of the Mitsuba session are those of Mitsuba itself: ids, hits, light and its own sensor's rays."""
+"""Responses of the child process equal Mitsuba's own results: ids, hits, light and sensor rays."""
 
 import subprocess
 import sys
@@ -36,7 +36,7 @@ SHAPES_APART = {  # where each shape's middle is: none covers another
 
 @pytest.fixture
 def asked(send: SendRequest) -> Callable[..., TraceResponse]:
-    """An answer to what mitsuba_scenes.job makes of the words given."""
+    """The response to a request by mitsuba_scenes.job."""
 
     def answered(*args: Any, **kwargs: Any) -> TraceResponse:
         answer = send(job(*args, **kwargs), 120.0)
@@ -222,7 +222,7 @@ else:
 
 @pytest.mark.parametrize("variant", HERE[-1:])
 def test_the_child_process_prints_nothing(tmp_path, variant):
-    """Its words would be taken for a command's result; one of its two scenes is refused."""
+    """Its output would be mixed with results of commands. One of the two scenes is refused."""
     round_one = write(tmp_path, shape("sphere", "ball", 0), "round.xml")
     stretched = write(tmp_path, shape("sphere", "ball", 0, stretch="2 1 1"), "stretched.xml")
     command = [sys.executable, "-c", PRINTS, round_one, stretched, variant]
@@ -233,7 +233,7 @@ def test_the_child_process_prints_nothing(tmp_path, variant):
 @pytest.mark.parametrize("variant", HERE)
 @pytest.mark.parametrize("stretch", [1.0, 0.8])
 def test_spheres_of_one_shape_answer_as_its_primitives(variant, stretch):
-    """Mitsuba has as many shapes, of ids with a number; names may hold what XML and formats give a meaning."""
+    """Each sphere is one Mitsuba shape with a numbered id; names may have special characters of XML and of formats."""
     rng = np.random.default_rng(4)
     placed = {"to_world": {"scale": [1, stretch, 1]}}
     names = ("a{1}", 'b "&<%d>', "c$x", "a", "shapes[0]{")

@@ -37,7 +37,7 @@ def test_one_pixel_does_not_cost_what_the_film_does():
 @pytest.mark.parametrize("words", [("probe", "0", "0"), ("approve", "--yes", "--references", "refs")])
 @pytest.mark.slow("waits for a time-out")
 def test_mitsuba_may_be_given_less_time(tmp_path, monkeypatch, capsys, words):
-    """A row that says so, exit code 1, and no folder."""
+    """A time-out is a row; the exit code is 1, and no folder is written."""
     (tmp_path / "edge.toml").write_text(EDGE)
     monkeypatch.chdir(tmp_path)
     command, *rest = words

@@ -1,4 +1,4 @@
-"""The pytest plug-in, run by pytest itself on small scenes: what is collected, judged how often, and shown."""
+"""The pytest plug-in, run by pytest on small scenes: collection, number of judgements, and output."""
 
 import re
 import tempfile
@@ -37,7 +37,7 @@ HEAVY = ("numba", "mitsuba", "numpy", "pydantic", "caster.scene", "mitsuba_ref.r
 
 @pytest.fixture
 def keep_modules(monkeypatch):
-    """pytester forgets what was imported inside; llvmlite does not bear to be imported twice in a process."""
+    """Keep imported modules, which pytester would remove: llvmlite cannot be imported twice in a process."""
 
     class Nothing:
         def __init__(self, preserve=None):
@@ -183,7 +183,7 @@ def pytest_configure():
 
 @pytest.mark.slow("starts several processes")
 def test_with_several_workers_each_scene_is_judged_once(folder, tmp_path, monkeypatch):
-    """The judge is made up here: what counts is how often it is asked, while workers share the tests of a scene."""
+    """The judge is replaced: the test counts its calls while workers share the tests of a scene."""
     monkeypatch.setenv("CI", "true")
     log = tmp_path / "judged"
     folder.makeconftest(MADE_UP.format(tests=str(ROOT / "tests/unit"), log=str(log)))

@@ -202,7 +202,7 @@ def test_a_mesh_stands_for_a_scene(folder):
 
 
 class Bomb:
-    """Whose unpickling would be noticed."""
+    """An object that leaves a trace if it is unpickled."""
 
     def __reduce__(self):
         return exec, ("raise SystemExit('unpickled')",)
@@ -283,7 +283,7 @@ def test_hits_that_are_none_give_a_clear_error(folder, tmp_path, capsys, which):
 
 @pytest.fixture(scope="module")
 def exr(folder):
-    """What our caster renders, and its channels."""
+    """An image by our caster, and its channels."""
     scene = caster.load_scene(folder / "scene.toml")
     aovs = caster.render(scene, ("hit", "depth", "normal", "position"))
     write_render(str(folder / "out.exr"), scene, aovs, "scene.toml")

@@ -1,4 +1,4 @@
-"""The store: the very same request is not asked twice; anything else, and anything damaged, is."""
+"""The store: an equal request is answered from it; other requests and damaged responses are sent to Mitsuba."""
 
 import os
 import signal
@@ -20,7 +20,7 @@ RAYS = 3
 
 
 def response_of(request: TraceRequest) -> TraceResponse:
-    """Nothing is hit, but by the first ray."""
+    """A response in which only the first ray hits."""
     sizes = {"rays": RAYS, "lights": 0, "pixels": 0, "faces": 0}
     rows = {
         name: np.zeros([sizes.get(size, size) for size in shape], kind)
@@ -49,7 +49,7 @@ def request_(tmp_path) -> TraceRequest:
 
 @pytest.fixture
 def asked(monkeypatch) -> list[TraceRequest]:
-    """Requests that reach Mitsuba, for which a made response stands in."""
+    """Requests that would reach Mitsuba; each gets a prepared response."""
     sent: list[TraceRequest] = []
 
     def send(request, timeout):
@@ -170,7 +170,7 @@ def test_what_is_damaged_or_of_another_name_is_requested_again(folder, request_,
 
 
 def test_a_response_to_other_rays_is_requested_again(folder, request_, asked):
-    """Whole by its digest, as a faulty store of several machines may hand it over."""
+    """Its digest is right, as from a faulty store that several machines share."""
     for content in (b"", b"{}\n", replace(response_of(request_), names=[]).to_bytes()):
         local_store().put(request_key(request_), content)
         assert not send_stored(request_).stored

@@ -16,7 +16,7 @@ RAYS = 16
 
 
 def test_all_casters_agree_where_a_family_is_easiest():
-    """So what breaks down later breaks down by what is stressed, and not by how it is asked."""
+    """So later failures come from the stress, not from the way of tracing."""
     asked = ["scalar", *(["llvm", "llvm-robust"] if usable_variants().libllvm else [])]
     for family in SWEPT:
         ready = score.prepare_setting(family, 0, family.easiest, RAYS)

@@ -29,7 +29,7 @@ ROW = re.compile(r"^(PASS|FAIL)  (\S+) +(\d+) +(\d+) +[\d.-]+ +(?:[\d.]+|kept)( 
 
 @pytest.fixture
 def ref(forks, unedited):
-    """`mitsuba-ref` with these words, in a fork that saves the start of Python; whatever comes, it is no traceback."""
+    """Run `mitsuba-ref` in a fork, which saves starting Python, and check that it prints no traceback."""
 
     def forked(*argv):
         return no_traceback(forks.run(unedited, *map(str, argv)))
@@ -236,7 +236,7 @@ def test_an_interruption_keeps_what_is_done_and_leaves_no_child(tmp_path):
 
 
 def running_with(mark: str) -> list[int]:
-    """Processes of ours that carry the mark in their environment."""
+    """Our processes that have the mark in their environment."""
     found = []
     for folder in Path("/proc").glob("[0-9]*"):
         try:

@@ -1,4 +1,4 @@
-"""Which variant is asked: what works here, found by trying, and remembered."""
+"""The choice of a variant: those that work are found by trying, and stored."""
 
 import os
 from pathlib import Path
@@ -27,7 +27,7 @@ def nothing_known(tmp_path, monkeypatch):
 
 @pytest.fixture
 def trials(monkeypatch):
-    """What the trials say instead of trying; returns the list of (variant, libLLVM) that were tried."""
+    """Replace the smoke test: `says` are its outcomes, `tried` the (variant, libLLVM) that were tried."""
     tried, says = [], {}
 
     def trial(variant, settings):
@@ -57,7 +57,7 @@ def libraries(tmp_path, monkeypatch):
 
 
 def forget(monkeypatch):
-    """As a new process would."""
+    """Forget outcomes, as a new process has none."""
     monkeypatch.setattr(variants, "_usable_by_key", {})
 
 
@@ -119,7 +119,7 @@ def planted_answer(t=(8.0, np.inf), normal=(0.0, 0.0, 1.0)) -> TraceResponse:
 
 
 def ulps(x: float, count: int) -> float:
-    """The float32 number so many places from x."""
+    """The float32 number `count` units in the last place from x."""
     return float((np.array([x], np.float32).view(np.int32) + count).view(np.float32)[0])
 
 
@@ -210,7 +210,7 @@ def test_without_mitsuba_no_library_is_tried_and_the_way_out_is_pip(libraries, t
 @pytest.mark.parametrize("problem", ["wrong answer: t [7.0, inf]", "signal (SIGILL)"])
 @pytest.mark.parametrize("variant", variants.VARIANT_NAMES)
 def test_what_would_end_alike_is_not_tried_again(libraries, trials, monkeypatch, variant, problem):
-    """Each process would try all libraries again, for seconds."""
+    """Otherwise each process would try all libraries again, which takes seconds."""
     trials.says.update({(variant, library): problem for library in (None, *libraries)})
     first = usable_variants()
     tried = len(trials.tried)

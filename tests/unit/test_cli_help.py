@@ -8,7 +8,7 @@ import pytest
 from caster.aovs import BY_NAME
 from caster.cli.shared_arguments import AOV_NAMES, DEFAULT_AOV_LIST
 from caster.rendering.images import DEFAULT_AOVS
-from mitsuba_ref.cli import options
+from mitsuba_ref.cli import arguments
 from mitsuba_ref.reference import mitsuba_process
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS
 from mitsuba_ref.subjects import subject
@@ -17,9 +17,9 @@ from mitsuba_ref.subjects import subject
 def test_names_and_defaults_in_help_are_those_of_the_modules_that_are_loaded_later():
     assert AOV_NAMES.split(", ") == list(REFERENCE_AOVS) == list(BY_NAME)
     assert ",".join(DEFAULT_AOVS) == DEFAULT_AOV_LIST
-    assert options.CANDIDATE_SECONDS == subject.DEFAULT_SECONDS
-    assert options.REFERENCE_SECONDS == mitsuba_process.DEFAULT_TIMEOUT
-    assert tuple(subject.PRECISIONS) == options.PRECISIONS
+    assert arguments.CANDIDATE_SECONDS == subject.DEFAULT_SECONDS
+    assert arguments.REFERENCE_SECONDS == mitsuba_process.DEFAULT_TIMEOUT
+    assert tuple(subject.PRECISIONS) == arguments.PRECISIONS
 
 
 @pytest.mark.parametrize("words", [["validate"], ["probe", "scene.toml", "1", "2"], ["fuzz"], ["bench"]], ids=" ".join)

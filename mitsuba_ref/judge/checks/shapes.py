@@ -58,19 +58,13 @@ def check_geometry(scene: Scene) -> SceneCheck:
 
 
 def _packing_shares(scene: Scene) -> Iterator[tuple[float, str]]:
-    latest: list[tuple[Shape, Shape]] = []  # the last shape with its copy; meshes of others are dropped
-
-    def described(shape: Shape) -> Shape:
-        if not latest or latest[0][0] is not shape:
-            latest[:] = [(shape, with_one_mesh(shape))]
-        return latest[0][1]
-
-    for precision in PRECISIONS:
-        parts = precision.packing(scene).parts
-        for name, shape, part in zip(scene.shape_names(), scene.shapes, parts, strict=True):
+    for number, (name, shape) in enumerate(zip(scene.shape_names(), scene.shapes, strict=True)):
+        described = with_one_mesh(shape)
+        for precision in PRECISIONS:
+            part = precision.packing(scene).parts[number]
             for field in unrounded_arrays(part, precision.name):
                 yield np.inf, f"{field} of {name} not rounded to {precision.name}"
-            for claim in reference_of(shape).expected(described(shape), part):
+            for claim in reference_of(shape).expected(described, part):
                 share = _packing_error_ratio(claim, precision.unit_roundoff, precision.smallest_normal)
                 yield share, f"{claim.what} of {name} ({precision.name})"
 

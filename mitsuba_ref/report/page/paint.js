@@ -90,7 +90,7 @@ function sideLegend(data) {
   if (layer.kind === "uv") return { words: "fractions of u and v as red and green" };
   if (layer.kind === "light") return { words: `radiance up to ${brief(range.bright / gain)}, gamma 2.2` };
   if (layer.kind === "mask") return { words: "white: hit" };
-  return { words: "a colour a number" };
+  return { words: "one colour per number" };
 }
 
 function paintDifference(record, data) {
