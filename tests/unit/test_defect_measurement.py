@@ -55,7 +55,8 @@ def test_sizes_are_those_of_the_box_of_what_is_involved():
     assert found.cosine == 1.0 and found.slenderness == pytest.approx(4.0 / 17.0)
     assert found.axis_angle == 1.0 and not found.nearly and not found.normless
     both = measured((1.0, 0.25, 8.0), (0.0, 0.0, -1.0), prim=BALL, t=6.0)
-    assert both.theirs == "Spheres" and both.offset == pytest.approx(5.5) and both.slenderness == pytest.approx(4.0 / 17.0)
+    assert both.theirs == "Spheres" and both.offset == pytest.approx(5.5)
+    assert both.slenderness == pytest.approx(4.0 / 17.0)
     away = np.linalg.norm([8.0, 0.0, 5.0]) / 2.0
     assert both.distance == pytest.approx(away)
     aside = measured((20.0, 0.25, 8.0), (-19.0, 0.0, -8.0))
