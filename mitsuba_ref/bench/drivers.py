@@ -154,9 +154,9 @@ class Candidate(Driver):
         self.trace(one)
 
     def prepare(self, o: np.ndarray, d: np.ndarray) -> Any:
-        from mitsuba_ref.reference.shared_input import SharedRays
+        from mitsuba_ref.reference.shared_input import endless_rays
 
-        return SharedRays(o, d, np.full(len(o), np.inf, np.float32), np.zeros(len(o)))
+        return endless_rays(o, d)
 
     def trace(self, rays: Any) -> Any:
         from mitsuba_ref.subjects.subject import NoAnswer

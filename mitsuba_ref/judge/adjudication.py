@@ -19,7 +19,7 @@ from mitsuba_ref.error_model.intersections import Intersections, norm
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain
-from mitsuba_ref.reference.shared_input import SharedRays, model_of, packed_float32
+from mitsuba_ref.reference.shared_input import endless_rays, model_of, packed_float32
 from mitsuba_ref.subjects.subject import Answer
 
 # Agreeing pixels away from edges that are compared with exact arithmetic as well: a tenth of a second a scene.
@@ -220,8 +220,7 @@ class PreparedScene:
 
 def prepare_scene(scene: Scene, o: np.ndarray, d: np.ndarray) -> PreparedScene:
     packed = packed_float32(scene)
-    rays = SharedRays(o, d, np.full(len(o), np.inf, np.float32), np.zeros(len(o)))
-    return PreparedScene(scene, packed, model_of(scene, packed, rays), o, d)
+    return PreparedScene(scene, packed, model_of(scene, packed, endless_rays(o, d)), o, d)
 
 
 class Compared(NamedTuple):

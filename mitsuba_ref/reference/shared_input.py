@@ -72,6 +72,11 @@ class SharedRays(NamedTuple):
         return t if not self.is_list else np.ldexp(t, -self.reference_exponent) + self.t_min
 
 
+def endless_rays(o: np.ndarray, d: np.ndarray) -> SharedRays:
+    """Rays from o (n, 3) along d without limits, in float32."""
+    return SharedRays(_float32(o), _float32(d), np.full(len(o), np.inf, np.float32), np.zeros(len(o)))
+
+
 def shared_rays(scene: Scene) -> SharedRays:
     """Camera rays of a scene. They start at the near plane, since Mitsuba has no t_min."""
     rays = camera_rays(scene)

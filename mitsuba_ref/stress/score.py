@@ -17,7 +17,7 @@ from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, claims_of, 
 from mitsuba_ref.judge.checks.knife_edges import NearestHits, nearest_hits, t_text
 from mitsuba_ref.reference.messages import Crash, TraceRequest
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request
-from mitsuba_ref.reference.shared_input import SharedRays, export, packed_float32, shape_ids
+from mitsuba_ref.reference.shared_input import endless_rays, export, packed_float32, shape_ids
 from mitsuba_ref.reference.variants import LLVM, SCALAR, usable_variants
 from mitsuba_ref.report.results import largest
 from mitsuba_ref.subjects.subject import Answer, CastRequest, NoAnswer, Subject, Unsupported
@@ -104,7 +104,7 @@ def trace_by_reference(caster: Caster, ready: PreparedSetting) -> NearestHits | 
 
 def ask_candidate(subject: Subject, ready: PreparedSetting) -> Answer | Absent:
     """A candidate's answer to the rays of a setting."""
-    rays = SharedRays(ready.o, ready.d, np.full(len(ready.o), np.inf, np.float32), np.zeros(len(ready.o)))
+    rays = endless_rays(ready.o, ready.d)
     with ScratchFolder() as folder:
         try:
             return subject.answer(CastRequest(ready.scene, ready.model, rays, Path(folder)))
@@ -244,5 +244,5 @@ class Scorer:
         """A ray in hex floats, the candidate's t along it and the exact one."""
         o, d = (" ".join(float(x).hex() for x in a[ray]) for a in (self.ready.o, self.ready.d))
         place = np.flatnonzero(self.rows == ray)
-        exact = t_text(float(self.exact.t[place[0]])) if len(place) else "a hit, of a closed mesh"
-        return f"ray {ray}: o {o}, d {d}: t of the candidate is {t_text(float(answer.t[ray]))}, exactly it is {exact}"
+        exact = t_text(float(self.exact.t[place[0]])) if len(place) else "finite, within a closed mesh"
+        return f"ray {ray}: o {o}, d {d}: t of the candidate: {t_text(float(answer.t[ray]))}; exact t: {exact}"

@@ -322,7 +322,7 @@ def test_a_wrong_candidate_fails_with_the_first_ray_that_shows_it(name, call, sa
     assert not sweep.ok and sweep.breakdowns["candidate"] and not sweep.breakdowns["ours"]
     assert all(" candidate: " in line for line in sweep.problems)
     first = sweep.problems[0]
-    assert says in first and ": t of the candidate is " in first
+    assert says in first and ": t of the candidate: " in first
     o, d = re.search(r": o (0x\S+|-0x\S+) .*?, d (\S+) ", first).groups()
     assert np.isfinite([float.fromhex(o), float.fromhex(d)]).all()
 

@@ -16,7 +16,7 @@ from mitsuba_ref.hard.rays import RayBatch
 from mitsuba_ref.judge.checks import CANDIDATE, check
 from mitsuba_ref.judge.checks.knife_edges import NearestHits, cast_by_culling
 from mitsuba_ref.judge.verdict import SceneCheck
-from mitsuba_ref.reference.shared_input import SharedRays, model_of, packed_float32, shared_rays
+from mitsuba_ref.reference.shared_input import SharedRays, endless_rays, model_of, packed_float32, shared_rays
 from mitsuba_ref.subjects.subject import CastRequest, NoAnswer, Subject, Unsupported
 
 NAME = "ray_conventions"
@@ -78,14 +78,14 @@ def _answer(subject: Subject, scene: Scene, o: np.ndarray, d: np.ndarray) -> np.
     A candidate that accepts only as many rays as the film has pixels gets whole films of them.
     """
     try:
-        return _answer_to(subject, scene, _without_limits(o, d))
+        return _answer_to(subject, scene, endless_rays(o, d))
     except Unsupported:
         raise
     except NoAnswer:
         x0, y0, x1, y1 = scene.film.window
         size = (x1 - x0) * (y1 - y0)
         films = (np.arange(-(-len(o) // size) * size) % len(o)).reshape(-1, size)
-        t = [_answer_to(subject, scene, _without_limits(o[rows], d[rows])) for rows in films]
+        t = [_answer_to(subject, scene, endless_rays(o[rows], d[rows])) for rows in films]
         return np.concatenate(t)[: len(o)]
 
 
@@ -93,10 +93,6 @@ def _answer_to(subject: Subject, scene: Scene, rays: SharedRays) -> np.ndarray:
     with ScratchFolder() as folder:
         model = model_of(scene, packed_float32(scene), rays)
         return subject.answer(CastRequest(scene, model, rays, Path(folder))).t
-
-
-def _without_limits(o: np.ndarray, d: np.ndarray) -> SharedRays:
-    return SharedRays(o.astype(np.float32), d.astype(np.float32), np.full(len(o), np.inf, np.float32), np.zeros(len(o)))
 
 
 def _cast(scene: Scene, o: np.ndarray, d: np.ndarray, t_min: float) -> NearestHits:
@@ -107,7 +103,7 @@ def _cast(scene: Scene, o: np.ndarray, d: np.ndarray, t_min: float) -> NearestHi
 def expected_t(scene: Scene, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """t (m,) of our caster, and the tolerance for others: MATCH_RTOL, or float32's bound if that is larger."""
     found = _cast(scene, o, d, 0.0)
-    model = model_of(scene, packed_float32(scene), _without_limits(o, d))
+    model = model_of(scene, packed_float32(scene), endless_rays(o, d))
     at = intersections_at(model, found.prim, (o, d), found.t, KU, ours=False)
     return found.t, np.where(found.prim < 0, 0.0, np.fmax(MATCH_RTOL * found.t, at.t_error))
 
@@ -147,7 +143,7 @@ def _check_limits(subject: Subject) -> SceneCheck:
     t_min, t_max = (np.array([each[end] for each in LIMITS]) for end in (0, 1))
     for shapes, at in ((TRIANGLES, (0.5, 0.25, 0.0)), (SPHERE, (0.0, 0.0, 0.0))):
         scene = Scene.model_validate({"camera": Ray(**Ray.MINIMAL), "shape": shapes})
-        rays = _without_limits(*(np.tile(v, (len(LIMITS), 1)) for v in (np.array(at), np.array([0.0, 0.0, 1.0]))))
+        rays = endless_rays(*(np.tile(v, (len(LIMITS), 1)) for v in (np.array(at), np.array([0.0, 0.0, 1.0]))))
         try:
             given = _answer_to(subject, scene, rays._replace(t_min=t_min, t_max=t_max.astype(np.float32))).tolist()
         except Unsupported:  # such as shapes that it does not have
