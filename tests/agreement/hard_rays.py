@@ -27,13 +27,11 @@ SHORT = 1e-100  # directions below are scaled, as `cast` does before it calls a 
 
 def hard_rays(packed: Packed, rng: Rng, count: int) -> dict[str, OD]:
     """`count` rays of every family; none is zero, not finite, or so short that squares vanish."""
-    targets = Targets(packed)
-    points = targets.points(rng, targets.pick(rng, 50), "inside").p
-    x, y, z = np.median(points, axis=0).tolist()
-    frame = Frame(float(np.median(np.ptp(points, axis=0))), (x, y, z))
+    points = Targets(packed, rng).points(50, "inside").p
+    targets = Targets(packed, rng, Frame(float(np.median(np.ptp(points, axis=0))), np.median(points, axis=0)))
     found = {}
     for name, aim in FAMILIES.items():
-        rays = Rays(*aimed_rays(rng, targets, frame, count, [aim]))
+        rays = Rays(*aimed_rays(targets, count, [aim]))
         short = np.abs(rays.d).max(axis=1, keepdims=True) < SHORT
         found[name] = rays.o, np.where(short, scaled_rays(rays)[0].d, rays.d)
     return found

@@ -54,7 +54,7 @@ def run(name: str, *places: int, **more: object) -> SweepResult:
 @pytest.fixture
 def only(monkeypatch):
     """Let some families be the only ones."""
-    return lambda *families: monkeypatch.setattr("mitsuba_ref.hard.swept_families.SWEPT", families)
+    return lambda *families: monkeypatch.setattr("mitsuba_ref.cli.experiments.SWEPT", families)
 
 
 @pytest.mark.parametrize("name", NAMES)
