@@ -43,7 +43,7 @@ PLAIN = {
         lanes wide_angle_cameras
     """,
     "tests/exact": """
-        edge_cases oracle_filter oracle_kinds oracle_roots oracle_scenes
+        box_tree edge_cases oracle_filter oracle_kinds oracle_roots oracle_scenes
     """,
     "tests/reference": """
         adjudication detection_power error_models_hold excused_classes
@@ -52,7 +52,7 @@ PLAIN = {
         pages records
     """,
     "tests/unit": """
-        added_aov bias bracket broad_phase builtin_scenes camera_references candidate_aimed
+        added_aov bias bracket builtin_scenes camera_references candidate_aimed
         error_bounds_of_kernels error_models exact_kernels explanations fuzz generated_meshes
         geometry_checked_in_both_precisions independent_transform judge_at_extremes knife_edges known_defects
         lambert_and_shadow_rays mesh_files mesh_normals plan primitive_properties quadric_normals ray_bounds
@@ -64,7 +64,7 @@ PLAIN = {
 # Of modules of the judge, for which the caster is compiled: what asks Mitsuba gets its stored answers.
 WITH_COMPILER = {
     "tests/unit": """
-        bias bracket broad_phase camera_references candidate_aimed candidate_scene check_list defect_measurement
+        bias bracket camera_references candidate_aimed candidate_scene check_list defect_measurement
         description_round_trip error_models exact_kernels explanations exr_compare exr_files fuzz
         generated_meshes geometry_checked_in_both_precisions independent_transform judge_at_extremes
         knife_edges known_defects lambert_and_shadow_rays pixel_explanations ray_camera ray_conventions
@@ -72,7 +72,7 @@ WITH_COMPILER = {
         shape_importers stated_numbers stress surface_targets verdict_rules
     """,
     "tests/exact": """
-        edge_cases identical_primitives oracle_filter oracle_kinds oracle_parts oracle_roots oracle_scenes
+        box_tree edge_cases identical_primitives oracle_filter oracle_kinds oracle_parts oracle_roots oracle_scenes
     """,
     "tests/reference": """
         adjudication bands candidate_probe candidates detection_power diagnosis error_models_hold
