@@ -26,7 +26,7 @@ KINDS = {
 }
 # Mitsuba's own abort is planted with it, where a machine has it.
 OLD_LLVM = Path("/usr/lib/x86_64-linux-gnu/libLLVM-15.so.1")
-NAMED_IN_HEADER = ("numba", "mitsuba", "variants", "libLLVM", "browser")
+NAMED_IN_HEADER = ("numba", "mitsuba", "variants", "libLLVM")
 
 # Of docs/candidates; the other worked examples need nothing and always run.
 PEERS = ("open3d", "embreex")
