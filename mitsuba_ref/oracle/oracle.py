@@ -99,7 +99,7 @@ class Oracle:
             flags |= contacts_before(contacts, span, best)
         if any(where == "tangent" for _, _, where in ties.values()):
             flags |= {"tangent"}
-        groups = [(where, part.identical.get(k, part.ids[k : k + 1])) for part, k, where in ties.values()]
+        groups = [(where, part.numbers(k)) for part, k, where in ties.values()]
         return ExactAnswer(best, tuple(groups), flags)
 
     def roots(self, prim: int, o: Iterable[float], d: Iterable[float]) -> tuple[ExactHit, ...]:
@@ -137,18 +137,8 @@ def part_of(prims: Any, ids: np.ndarray) -> PrimitiveArray:
             "and name it as `exact` in the ErrorModel of the kind, in mitsuba_ref/shapes, which has to be imported"
         )
     lowest = None if pieces else lowest_identical(prims, shading=False)  # pieces of one stand-in share a number
-    return PrimitiveArray(EXACT_KINDS[type(prims)], prims, ids, {}, *identical_groups(lowest, ids))
-
-
-def identical_groups(lowest: np.ndarray | None, ids: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray | None]:
-    """({row: ascending numbers of all primitives identical to it}, (n,) bool: identical to a lower row)."""
-    if lowest is None:
-        return {}, None
-    rows = np.flatnonzero(np.bincount(lowest, minlength=len(lowest))[lowest] > 1)
-    rows = rows[np.argsort(lowest[rows], kind="stable")]
-    starts = np.flatnonzero(np.diff(lowest[rows], prepend=-1))
-    groups = np.split(rows, starts[1:])
-    return {int(group[0]): np.sort(ids[group]) for group in groups}, lowest != np.arange(len(lowest))
+    order = None if lowest is None else np.lexsort((ids, lowest))
+    return PrimitiveArray(EXACT_KINDS[type(prims)], prims, ids, {}, lowest, order)
 
 
 # ---- the index of primitives ----
@@ -164,8 +154,16 @@ class PrimitiveArray(NamedTuple):
     prims: Any
     ids: np.ndarray  # (n,) the number of each in the scene
     ready: dict[int, Any]  # prepared primitives, by row
-    identical: dict[int, np.ndarray]  # row -> numbers of all primitives with the same bits, if there are several
-    repeated: np.ndarray | None  # (n,) bool: identical to a lower row, which is tested in its place; None: none is
+    lowest: np.ndarray | None  # (n,) the lowest row with the same bits, which is tested in its place; None: all differ
+    order: np.ndarray | None  # (n,) rows by their lowest one, and among its rows by their numbers
+
+    def numbers(self, k: int) -> np.ndarray:
+        """Ascending numbers of all primitives with the bits of row k, the lowest one."""
+        if self.lowest is None or self.order is None:
+            return self.ids[k : k + 1]
+        start, end = np.searchsorted(self.lowest, (k, k + 1), sorter=self.order)
+        numbers: np.ndarray = self.ids[self.order[start:end]]
+        return numbers
 
     def intersect(self, k: int, ray: IntegerRay) -> LineIntersections:
         if k not in self.ready:
@@ -194,8 +192,8 @@ class PrimitiveIndex:
         self.present = np.concatenate([np.zeros(0, bool), *present])
         tried = self.present.copy()  # one of identical primitives
         for part, first in zip(parts, self.first.tolist(), strict=False):
-            if part.repeated is not None:
-                tried[first : first + len(part.ids)] &= ~part.repeated
+            if part.lowest is not None:
+                tried[first : first + len(part.ids)] &= part.lowest == np.arange(len(part.ids))
         boxes = [part.kind.boxes(part.prims) for part in parts] or [(np.zeros((0, 3)), np.zeros((0, 3)))]
         low, high = map(np.concatenate, zip(*boxes, strict=True)) if len(boxes) > 1 else boxes[0]
         del boxes

@@ -1,7 +1,6 @@
 """One run of `mitsuba-ref validate`: the scenes of a shard, waived failures, and the files it writes."""
 
 import json
-import tomllib
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -12,8 +11,8 @@ from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
 from pydantic_core import ErrorDetails
 
 from caster.description.errors import SceneError
-from caster.description.input_files import read_input
-from caster.description.parsing import list_errors
+from caster.description.input_files import read_text
+from caster.description.parsing import list_errors, parse
 from caster.rendering.threads import core_count
 from caster.system.terminal import ProgressBar
 from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED, SceneVerdict, Verdict
@@ -151,11 +150,10 @@ class ExpectedFailures(BaseModel):
 
 def read_expected(path: str) -> ExpectedFailures:
     """The known failures of a file. Raises FileMissing, or SceneError with the first errors in the file."""
-    data = read_input(path, "file of known failures")
     try:
-        return ExpectedFailures.model_validate(tomllib.loads(data.decode("utf-8")))
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-        raise SceneError(f"{path}: expected TOML, as --write-expected writes it: {error}") from error
+        return ExpectedFailures.model_validate(parse(read_text(path, "file of known failures"), "toml", path))
+    except RecursionError as error:
+        raise SceneError(f"{path}: expected TOML, as --write-expected writes it: nested too deeply") from error
     except ValidationError as error:
 
         def problem(each: ErrorDetails) -> str:

@@ -8,7 +8,7 @@ from oracle_aims import triangles
 
 from caster.geometry.packing import Kind
 from caster.shapes.sphere import Spheres
-from mitsuba_ref.oracle.oracle import Oracle, identical_groups
+from mitsuba_ref.oracle.oracle import Oracle, part_of
 
 
 def test_the_roots_of_each_primitive_are_its_own_wherever_others_are_nowhere():
@@ -31,8 +31,8 @@ def test_the_roots_of_each_primitive_are_its_own_wherever_others_are_nowhere():
 
 
 def test_identical_rows_are_gathered_by_the_numbers_of_their_primitives():
-    lowest, ids = np.array([0, 1, 0, 3, 1, 5, 0, 3]), np.array([4, 8, 9, 2, 1, 7, 0, 5])
-    groups, repeated = identical_groups(lowest, ids)
-    assert {row: numbers.tolist() for row, numbers in groups.items()} == {0: [0, 4, 9], 1: [1, 8], 3: [2, 5]}
-    assert repeated.tolist() == [False, False, True, False, True, False, True, True]
-    assert identical_groups(None, ids) == ({}, None)
+    radius, ids = np.array([4.0, 1, 4, 3, 1, 5, 4, 3]), np.array([4, 8, 9, 2, 1, 7, 0, 5])
+    part = part_of(Spheres(np.zeros((8, 3)), radius, np.zeros((8, 3, 3))), ids)
+    assert {k: part.numbers(k).tolist() for k in (0, 1, 3, 5)} == {0: [0, 4, 9], 1: [1, 8], 3: [2, 5], 5: [7]}
+    other = part_of(Spheres(np.zeros((8, 3)), 1.0 + np.arange(8), np.zeros((8, 3, 3))), ids)
+    assert other.numbers(2).tolist() == [9]

@@ -154,7 +154,9 @@ def test_a_fixed_failure_is_named(tmp_path):
         ("failure = 3", "failure: input should be a valid list"),
         ('[[failure]]\nscene = "a"\nchecks = []\npixels = -1', "failure.0.pixels: input should be greater"),
         ('[[failure]]\nscene = "a"\nchecks = []\npixels = 1\nwhi = "x"', "failure.0.whi: extra inputs"),
-        ("nonsense", "expected TOML"),
+        ("nonsense", "not valid TOML: expected '='"),
+        ("a." * 99 + "a = 1", "expected keys of at most 32 parts"),
+        ("a = " + "[" * 9999 + "]" * 9999, "nested too deeply"),
     ],
 )
 def test_a_damaged_list_of_known_failures_is_an_error(tmp_path, text, message):
