@@ -18,7 +18,10 @@ FILE_NAME = re.compile(r"# (\w+\.py)\n")
 EXIT = re.compile(r"  # exit (\d+)$")
 MORE = "..."
 SECONDS = 600.0  # for one command
-UNSTABLE = re.compile(r"mitsuba-ref \w+: loading .*|validating: .*|compiling .*")  # how far a run is
+# How far a run is, and what earlier runs have left to it.
+UNSTABLE = re.compile(
+    r"mitsuba-ref \w+: loading .*|validating: .*|compiling .*|reference: .* answered in earlier runs.*"
+)
 
 
 def renewed(page: str, folder: Path) -> str:

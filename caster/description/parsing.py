@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple, TypeVar
 
 from caster.description.errors import Diagnostic, SceneError, error_prefix
 
-__all__ = ["Span", "format_excerpt", "list_errors"]
+__all__ = ["Span", "format_excerpt", "list_errors", "parse"]
 
 Error = TypeVar("Error")
 
