@@ -111,7 +111,7 @@ def adjudicate(prepared: PreparedScene, rays: RayBatch, found: NearestHits, tall
     hits = [answer for answer in verdicts.answers if answer.hit]
     tally.rays += len(verdicts.answers)
     tally.hits += len(hits)
-    tally.edges += sum(answer.ties[0].where != "inside" for answer in hits)
+    tally.edges += sum(answer.where != "inside" for answer in hits)
     tally.ties += sum(len(answer.prims) > 1 for answer in hits)
     tally.unbounded += int(np.isinf(verdicts.bounds).sum())
     tally.worst = max(tally.worst, float(verdicts.ratios[np.isfinite(verdicts.ratios)].max(initial=0.0)))

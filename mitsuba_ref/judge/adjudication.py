@@ -135,19 +135,23 @@ def exact_ratios(
     Of a subject with exact visibility, the first member alone is right; of others every member, and the best one
     counts. t is compared, and the normal and ids if they are given; where rounding cannot resolve t, these alone.
     """
-    hit, most = answer.hit, 1 if answer.exact_visibility else None
+    hit = answer.hit
     missed = np.array([exact is not None and exact.t is None for exact in answers], bool)
     best = np.where(missed & ~hit, 0.0, np.inf)
     first = best == 0.0
-    members = [(i, each) for i, exact in enumerate(answers) if exact and hit[i] for each in exact.ties[:most]]
+    members = [
+        (i, k, exact.t)
+        for i, exact in enumerate(answers)
+        if exact is not None and exact.t is not None and hit[i]
+        for k in ([exact.prim] if answer.exact_visibility else exact.prims.tolist())
+    ]
     if not members:
         return best, first
-    owner = np.array([i for i, _ in members], np.int64)
-    prim = np.array([each.prim for _, each in members])
-    at = near(owner, prim, np.array([float(each.t) for _, each in members]))
+    owner, prim = np.array([each[:2] for each in members], np.int64).T
+    at = near(owner, prim, np.array([float(t) for _, _, t in members]))
     rounding = np.broadcast_to(answer.t_rounding, answer.t.shape)[owner]
     pairs = zip(members, answer.t[owner].tolist(), strict=True)
-    error = np.array([each.t.off(t) if np.isfinite(t) else np.inf for (_, each), t in pairs], np.float64)
+    error = np.array([exact.off(t) if np.isfinite(t) else np.inf for (_, _, exact), t in pairs], np.float64)
     ratio = np.zeros(len(owner)) if answer.hits_only else _ratio(error, at.t_error + rounding)
     for _, ids, number in id_columns(answer, packed):
         ratio = np.where(ids[owner] == number(prim), ratio, np.inf)

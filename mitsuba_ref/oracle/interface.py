@@ -125,6 +125,11 @@ class ExactAnswer:
         return min((int(prims[0]) for _, prims in self.groups), default=-1)
 
     @property
+    def where(self) -> str:
+        """Where the lowest of them is hit, "" on a miss."""
+        return min(self.groups, key=lambda group: int(group[1][0]), default=("", None))[0]
+
+    @property
     def ties(self) -> list[ExactHit]:
         """All hits at exactly t, by prim."""
         assert self.t is not None or not self.groups

@@ -134,7 +134,7 @@ def _in_words(answer: ExactAnswer, t: float, prim: int) -> str:
     ours = f"ours hits primitive {prim} at t {t_text(t)}" if prim >= 0 else "ours misses"
     if answer.t is None:
         return f"{ours}, exactly it is a miss"
-    return f"{ours}, exactly primitive {answer.prim} ({answer.ties[0].where}) is hit at t {t_text(float(answer.t))}"
+    return f"{ours}, exactly primitive {answer.prim} ({answer.where}) is hit at t {t_text(float(answer.t))}"
 
 
 def t_text(t: float) -> str:
