@@ -14,7 +14,7 @@ from mitsuba_ref.bench.measuring import Settings, time_scene
 from mitsuba_ref.bench.result import Run, SceneResult, as_text, overview_text, summary
 from mitsuba_ref.bench.scenes import SCENES, BenchScene, scene_of_file, with_aovs
 from mitsuba_ref.cli import options
-from mitsuba_ref.cli.arguments import ServedProgram
+from mitsuba_ref.cli.arguments import ScenePath, ServedProgram
 from mitsuba_ref.hard.family import Family
 from mitsuba_ref.hard.swept_families import SWEPT
 from mitsuba_ref.reference import variants
@@ -113,8 +113,9 @@ def run_bench(args: argparse.Namespace) -> int:
 
 def requested_scenes(args: argparse.Namespace) -> list[BenchScene]:
     """Scenes of the standard set and of files, with the AOVs of --aov. Raises SceneError, FileMissing."""
-    files = [word for word in args.scenes if Path(word).suffix]
-    named = [word for word in args.scenes if word not in files]
+    words = list(map(ScenePath, args.scenes))
+    files = [word for word in words if Path(word).suffix]
+    named = [word for word in words if word not in files]
     chosen = options.select(SCENES, "scene", named, args.expression) if named or not files else []
     chosen += [scene_of_file(file, args.mesh_dir) for file in files]
     if args.candidate and not args.aov:  # it gives depth and normal

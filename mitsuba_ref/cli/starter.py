@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from pathlib import Path
 from typing import NamedTuple
 
@@ -50,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
         check_folder((folder / name).parent)
         write_text(folder / name, text)
         print(f"wrote {folder / name}")
-    go = f"cd {folder} && " if args.folder != "." else ""
+    go = f"cd {shlex.quote(str(folder))} && " if args.folder != "." else ""
     build = f"{language.build} && " if language.build else ""
     print(f"next: {go}{build}mitsuba-ref validate scene.toml {language.candidate}")
     return OK

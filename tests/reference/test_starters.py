@@ -37,6 +37,11 @@ def test_it_passes_as_written(name, tmp_path, monkeypatch, capsys):
     assert not re.search("BUILD|CANDIDATE|SOURCE", readme + " ".join(commands))
 
 
+def test_the_next_command_can_be_typed(tmp_path, capsys):
+    assert main(["init", "python", str(tmp_path / "of mine")]) == 0
+    assert f"next: cd '{tmp_path / 'of mine'}' && mitsuba-ref validate" in capsys.readouterr().out
+
+
 def test_an_existing_file_stays_and_nothing_is_written(tmp_path, capsys):
     (tmp_path / "README.md").write_text("mine")
     assert main(["init", "c", str(tmp_path)]) == 2
