@@ -89,12 +89,13 @@ class Worker:
     def close(self, number: int = signal.SIGTERM) -> list[str]:
         """End the worker and remove its files; returns the last Python calls before a crash."""
         self.connection.close()
-        if self.process.is_alive():
-            os.kill(self.process.pid, number)
+        pid = self.process.pid or 0
+        if self.process.is_alive() and pid:
+            os.kill(pid, number)
         self.process.join(STOP_SECONDS)
         self.process.kill()
         self.process.join()
-        kill_group(self.process.pid)
+        kill_group(pid)
         stack: list[str] = []
         with contextlib.suppress(OSError), Path(self.folder.name, STACK_FILE).open(errors="replace") as lines:
             stack = [line.strip() for line in lines if line.lstrip().startswith("File ")][:MAX_CALLS]
