@@ -186,14 +186,14 @@ def add_candidate(
         metavar="X",
         help="package.module:function, called as function(scene, o, d) -> (t, n); or a command that reads our scene "
         "and writes an EXR file, such as 'my-renderer {xml} -o {exr}' ({toml}, {width}, {height}); or one that reads "
-        "rays and writes hits, such as 'my-caster {mesh} {rays} {hits}' (docs/rays-and-hits.md)",
+        "rays and writes hits, such as 'my-caster {mesh} {rays} {hits}' (docs/candidates.md)",
     )
     one.add_argument(
         "--candidate-serve",
         dest="candidate",
         type=ServedProgram,
         metavar="PROG",
-        help="a program that is started once and answers over stdin and stdout (docs/rays-and-hits.md)",
+        help="a program that is started once and answers over stdin and stdout (docs/candidates.md)",
     )
     group.add_argument(
         "--candidate-precision",
@@ -294,7 +294,7 @@ def add_judge_arguments(parser: argparse.ArgumentParser) -> None:
     answers.add_argument("--hits", metavar="FILE", type=InputPath, help=help_)
     help_ = "an EXR file of depth.Z, normal.X/Y/Z, A, of the scene's camera"
     answers.add_argument("--exr", metavar="FILE", type=InputPath, help=help_)
-    help_ = ".npz of `rays`, or .npy, (n, 8): o, d, t_min, t_max (docs/rays-and-hits.md)"
+    help_ = ".npz of `rays`, or .npy, (n, 8): o, d, t_min, t_max (docs/candidates.md)"
     add("--rays", type=InputPath, metavar="FILE", help=help_)
     help_ = "the arithmetic of the answers, from which their bounds follow; default: the type of t and n"
     add("--precision", metavar="P", choices=PRECISIONS, help=help_)
