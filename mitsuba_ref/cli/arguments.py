@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Self
@@ -50,16 +51,26 @@ def whole(text: str) -> int:
     return int(text)
 
 
-def positive_seconds(text: str) -> float:
-    """Parse a duration in seconds, > 0 and <= MAX_SECONDS. Raises argparse.ArgumentTypeError."""
+UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
+
+
+def seconds(text: str) -> float:
+    """Parse a time > 0. Raises argparse.ArgumentTypeError."""
+    match = re.fullmatch(r"([\d.e+-]+)\s*([smh]?)", text)
     try:
-        value = float(text)
+        value = float(match[1]) * UNITS[match[2]] if match else 0.0
     except ValueError:
         value = 0.0
-    if not 0.0 < value <= MAX_SECONDS:
-        raise argparse.ArgumentTypeError(
-            f"expected a number of seconds > 0 and at most {MAX_SECONDS:,.0f}, got '{text}'"
-        )
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"expected a time such as 60s, 5m or 1h, got '{text}'")
+    return value
+
+
+def deadline(text: str) -> float:
+    """Parse a time > 0 and <= MAX_SECONDS. Raises argparse.ArgumentTypeError."""
+    value = seconds(text)
+    if value > MAX_SECONDS:
+        raise argparse.ArgumentTypeError(f"expected at most {MAX_SECONDS:,.0f} s, got '{text}'")
     return value
 
 
@@ -72,17 +83,6 @@ class ScenePath(InputPath):
 
 class ServedProgram(str):
     """The command of --candidate-serve."""
-
-
-UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
-
-
-def seconds(text: str) -> float:
-    """Parse a time. Raises argparse.ArgumentTypeError."""
-    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([a-z]*)", text)
-    if match is None or match[2] not in UNITS:
-        raise argparse.ArgumentTypeError(f"expected a time such as 60s, 5m or 1h, got '{text}'")
-    return float(match[1]) * UNITS[match[2]]
 
 
 def numbers(text: str) -> range:
@@ -134,7 +134,7 @@ def add_timeout(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--timeout",
         metavar="S",
-        type=positive_seconds,
+        type=deadline,
         default=REFERENCE_SECONDS,
         help=f"seconds that Mitsuba may take for one scene, or one band of a large film; default {REFERENCE_SECONDS:g}",
     )
@@ -204,7 +204,7 @@ def add_candidate(
     group.add_argument(
         "--candidate-timeout",
         metavar="S",
-        type=positive_seconds,
+        type=deadline,
         help=f"seconds that a command may take for one scene; default {CANDIDATE_SECONDS:g}",
     )
 
