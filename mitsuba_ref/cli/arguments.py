@@ -185,8 +185,9 @@ def add_candidate(
         type=str,
         metavar="X",
         help="package.module:function, called as function(scene, o, d) -> (t, n); or a command that reads our scene "
-        "and writes an EXR file, such as 'my-renderer {xml} -o {exr}' ({toml}, {width}, {height}); or one that reads "
-        "rays and writes hits, such as 'my-caster {mesh} {rays} {hits}' (docs/rays-and-hits.md)",
+        "and writes an EXR file, such as 'my-renderer {xml} -o {exr}' ({toml}, {width}, {height}); or an image of the "
+        "scene's camera, FILE.exr; or a command that reads rays and writes hits, such as 'my-caster {mesh} {rays} "
+        "{hits}' (docs/rays-and-hits.md)",
     )
     one.add_argument(
         "--candidate-serve",
@@ -289,13 +290,10 @@ def add_judge_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     help_ = "the scene that the rays were cast into: a scene file, or a mesh file (OBJ, PLY, STL, OFF, glTF)"
     add("--scene", metavar="SCENE", type=InputPath, required=True, help=help_)
-    answers = parser.add_mutually_exclusive_group(required=True)
     help_ = ".npz of t, and n, shape_id, prim_id, any_hit if given; or .npy of shape (n, 1), (n, 4), (n, 5)"
-    answers.add_argument("--hits", metavar="FILE", type=InputPath, help=help_)
-    help_ = "an EXR file of depth.Z, normal.X/Y/Z, A, of the scene's camera"
-    answers.add_argument("--exr", metavar="FILE", type=InputPath, help=help_)
+    add("--hits", metavar="FILE", type=InputPath, required=True, help=help_)
     help_ = ".npz of `rays`, or .npy, (n, 8): o, d, t_min, t_max (docs/rays-and-hits.md)"
-    add("--rays", type=InputPath, metavar="FILE", help=help_)
+    add("--rays", metavar="FILE", type=InputPath, required=True, help=help_)
     help_ = "the arithmetic of the answers, from which their bounds follow; default: the type of t and n"
     add("--precision", metavar="P", choices=PRECISIONS, help=help_)
     add("--rows", metavar="A:B", type=row_range, help="judge these rays alone: one, or from A up to B")
