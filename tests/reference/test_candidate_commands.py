@@ -23,7 +23,7 @@ from mitsuba_ref.judge.verdict import OUT_OF_DOMAIN, WRONG, SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.report.verdict_text import failure_text
-from mitsuba_ref.subjects.command import Program, answer_from_exr
+from mitsuba_ref.subjects.command import ExrFile, Program, answer_from_exr
 from mitsuba_ref.subjects.requests import parse_candidate
 from mitsuba_ref.subjects.subject import Answer, CastRequest, NoAnswer
 
@@ -92,7 +92,8 @@ class OwnCamera:
         aovs = caster.render(question.traced, aovs=("depth", "normal"))
         channels = {name: values.astype(np.float32) for name, values in aovs_to_channels(aovs).items()}
         window = question.scene.film.window
-        return answer_from_exr(Exr(channels, {}, window, window), question)
+        image = Exr(channels, {}, window, window)
+        return answer_from_exr(image, question, ExrFile("", image, None))
 
 
 @pytest.mark.parametrize(("size", "lost"), [(1e-3, True), (1.0, False)])
