@@ -88,6 +88,12 @@ class FileComparison(BaseModel):
     scene: tuple[str, ...] = ()
     diff: str = ""
 
+    def __str__(self) -> str:
+        return self.format_table()
+
+    def __repr__(self) -> str:
+        return f"<FileComparison: {'pass' if self.ok else 'differences' if self.width else 'not comparable'}>"
+
     @computed_field  # type: ignore[prop-decorator] # pydantic's way
     @property
     def ok(self) -> bool:
