@@ -96,7 +96,7 @@ def trace_by_reference(caster: Caster, ready: PreparedSetting) -> NearestHits | 
         # A ray takes some ten microseconds, more on a busy machine.
         answer = send_request(request, DEFAULT_TIMEOUT + 1e-3 * len(ready.o))
     if isinstance(answer, Crash):
-        return Absent("crash", f"{answer.kind} ({answer.exit}) {answer.headline}".strip())
+        return Absent("crash", answer.brief)
     place = {name: index for index, name in enumerate(shape_ids(ready.scene))}
     shapes = np.array([*(place.get(name, -1) for name in answer.names), -1])
     return nearest_hits(ready.packed, answer.t.astype(np.float64), shapes[answer.shape], answer.prim)
