@@ -58,8 +58,8 @@ from mitsuba_ref.shapes.shape_reference import (
 )
 from mitsuba_ref.shapes.surface_errors import MODEL
 from mitsuba_ref.shapes.targets import (
-    MESH_FILES,
     BESIDE_DECADES,
+    MESH_FILES,
     Rng,
     SurfacePoints,
     coin_flip,
