@@ -151,19 +151,19 @@ def exact_ratios(
     rounding = np.broadcast_to(answer.t_rounding, answer.t.shape)[owner]
     pairs = zip(members, answer.t[owner].tolist(), strict=True)
     error = np.array([exact.off(t) if np.isfinite(t) else np.inf for (_, _, exact), t in pairs], np.float64)
-    ratio = np.zeros(len(owner)) if answer.hits_only else _ratio(error, at.t_error + rounding)
+    ratio = np.zeros(len(owner)) if answer.hits_only else ratio_to_bound(error, at.t_error + rounding)
     for _, ids, number in id_columns(answer, packed):
         ratio = np.where(ids[owner] == number(prim), ratio, np.inf)
     if answer.n is not None:
         bound = np.minimum(at.n_error, LARGEST_USEFUL_NORMAL_ERROR)
-        ratio = np.maximum(ratio, _ratio(row_distance(answer.n[owner], at.n), bound))
+        ratio = np.maximum(ratio, ratio_to_bound(row_distance(answer.n[owner], at.n), bound))
     np.minimum.at(best, owner, ratio)
     begins = np.r_[True, np.diff(owner) != 0]
     first[owner[begins]] = ratio[begins] <= 1.0
     return best, first
 
 
-def _ratio(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
+def ratio_to_bound(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
     """error / bound; 0 where the bound is infinite, inf where the error is no number."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         ratio = np.where(error == 0.0, 0.0, error / bound)

@@ -1,19 +1,20 @@
 """A candidate at one pixel: it answers the whole image, as for `validate`, and is judged at this pixel only."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows, row_distance
+from mitsuba_ref.judge.adjudication import ratio_to_bound
 from mitsuba_ref.judge.classification import Judge, Judgement, judge_of
 from mitsuba_ref.judge.comparison import ImagePair
 from mitsuba_ref.judge.diagnosis import diagnose, marked_miss
 from mitsuba_ref.judge.explanations import exceeded_bounds, reason
 from mitsuba_ref.judge.verdict import CLASSES, FAILING, UNDECIDED, UNLISTED
-from mitsuba_ref.probe.witnesses import CANDIDATE, WitnessAnswer, in_ulps, ratio_to_bound
+from mitsuba_ref.probe.witnesses import CANDIDATE, WitnessAnswer, with_error_of_t
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.subjects.requests import request_answer
 from mitsuba_ref.subjects.subject import NoAnswer, Subject
@@ -88,23 +89,17 @@ def probe_candidate(candidate: Subject, scene: Scene, pixel: tuple[int, int], pa
 def as_witness(judge: Judge, judgement: Judgement) -> WitnessAnswer:
     """The candidate's row among the witnesses: errors of t and of the normal, from the exact hit that fits best."""
     exact, answer = judgement.exact.of(0), judge.answer
-    t, broken = float(answer.t[0]), [*answer.broken]
-    right = None if exact is None else bool(judgement.is_right(0) and not broken)
-    claimed = CANDIDATE, "a hit" if answer.hit[0] else "miss", -1, t  # it names no shape
-    found: dict[str, Any] = {"right": right, "format": answer.precision, "remark": ", ".join(broken)}
-    if exact is None or exact.t is None or not np.isfinite(t):
-        return WitnessAnswer(*claimed, **found)
-    prim = exact.prims
-    rows = np.zeros(len(prim), int)
-    at = judge.near(rows, prim, np.full(len(prim), float(exact.t)))
-    off = exact.t.off(t) * -exact.t.compare(t)
-    bounds = at.t_error + np.ravel(answer.t_rounding)[0]
-    found |= {"off": off, "ulps": in_ulps(off, exact, np.dtype(answer.precision))}
-    found["share"] = min(ratio_to_bound(abs(off), float(bound)) for bound in bounds)
-    if answer.n is not None and not broken:
-        turned = zip(row_distance(answer.n[rows], at.n), at.n_error, strict=True)
-        found["normal_share"] = min(ratio_to_bound(float(each), float(bound)) for each, bound in turned)
-    return WitnessAnswer(*claimed, **found)
+    what, broken = "a hit" if answer.hit[0] else "miss", [*answer.broken]  # it names no shape
+    claimed = WitnessAnswer(CANDIDATE, what, -1, float(answer.t[0]), format=answer.precision, remark=", ".join(broken))
+    if exact is None:
+        return claimed
+    rows = np.zeros(len(exact.prims), int)
+    at = judge.near(rows, exact.prims, np.full(len(rows), np.nan if exact.t is None else float(exact.t)))
+    found = with_error_of_t(claimed, exact, at.t_error + np.ravel(answer.t_rounding)[0])
+    if found.share is not None and answer.n is not None and not broken:
+        shares = ratio_to_bound(row_distance(answer.n[rows], at.n), at.n_error)
+        found = replace(found, normal_share=float(shares.min()))
+    return replace(found, right=bool(judgement.is_right(0) and not broken))
 
 
 def case_text(judgement: Judgement) -> str:
