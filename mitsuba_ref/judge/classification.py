@@ -446,23 +446,16 @@ def judge_of(
     *,
     timeout: float = DEFAULT_TIMEOUT,
     send: SendRequest = send_request,
-    known: ImagePair | None = None,
     with_files: bool = True,
 ) -> Judge | Crash:
-    """The judge of a subject's response.
-
-    known: an earlier answer of Mitsuba, used if its rays are the same; with_files: Mitsuba also reads the mesh files.
-    """
+    """The judge of a subject's response. with_files: Mitsuba also reads the mesh files."""
     scene, model, rays, answer = response.scene, response.model, response.rays, response.answer
     traced = rays.for_reference()
-    if known is not None and all(map(np.array_equal, rays, known.rays)):
-        result: ReferenceResult | Crash = known.result
-    else:
-        lights = answer.images is not None
-        with ScratchFolder() as folder:
-            files = files_of(scene) if with_files else ()
-            meshes = [for_mitsuba(file, Path(folder), i) for i, file in enumerate(files)]
-            result = trace_reference(scene, model, traced, lights=lights, mesh_files=meshes, timeout=timeout, send=send)
+    lights = answer.images is not None
+    with ScratchFolder() as folder:
+        files = files_of(scene) if with_files else ()
+        meshes = [for_mitsuba(file, Path(folder), i) for i, file in enumerate(files)]
+        result = trace_reference(scene, model, traced, lights=lights, mesh_files=meshes, timeout=timeout, send=send)
     if isinstance(result, Crash):
         return result
     if rays.is_list:
