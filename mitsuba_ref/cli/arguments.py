@@ -416,7 +416,7 @@ def add_fuzz_arguments(parser: argparse.ArgumentParser) -> None:
     add("--out", type=OutputFolder, metavar="DIR", default="fuzz-failures", help=help_)
     help_ = "findings of one kind in one family that are shrunk and kept; all are counted; default: 3"
     add("--keep", metavar="N", type=whole, default=3, help=help_)
-    add("--json", metavar="FILE", type=OutputFile, help="write the result as JSON")
+    add_json(parser)
     help_ = "one scene in N, on average, gets --thorough checks and is compared with Mitsuba; 0: none; default: 16"
     add("--judge-every", metavar="N", type=whole, default=16, help=help_)
     add("--replay", metavar="FILE|DIR", type=InputPath, help="check kept scenes again, and nothing else")

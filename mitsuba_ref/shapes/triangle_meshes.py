@@ -58,10 +58,10 @@ from mitsuba_ref.shapes.shape_reference import (
 from mitsuba_ref.shapes.surface_errors import MODEL
 from mitsuba_ref.shapes.targets import (
     BESIDE_DECADES,
+    MESH_FILES,
     Rng,
     SurfacePoints,
     coin_flip,
-    mesh_files,
     random_fractions,
     random_point,
 )
@@ -244,7 +244,7 @@ def random_triangle(rng: Rng, lattice: bool) -> Fields:
 
 
 def random_mesh(rng: Rng, lattice: bool) -> Fields:
-    return {"file": str(rng.choice(mesh_files())), "face_normals": coin_flip(rng)}
+    return {"file": str(rng.choice(MESH_FILES)), "face_normals": coin_flip(rng)}
 
 
 def random_icosphere(rng: Rng, lattice: bool) -> Fields:
