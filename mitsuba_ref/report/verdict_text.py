@@ -25,7 +25,6 @@ from mitsuba_ref.judge.verdict import (
 from mitsuba_ref.report.reproducers import replay
 from mitsuba_ref.report.results import percent
 
-MAX_PROBLEM_LINES = 12  # of the output of Mitsuba, where it ended without an answer
 
 TABLE_CHARACTERS = 80  # of a row; counts that do not fit go into a line of their own
 LEGEND = "pixels that hit and that agree; worst: their largest error, over its bound"
@@ -83,7 +82,7 @@ def failure_text(scene: SceneVerdict, report: str = "") -> str:
     notes = [f"      note:      {note}" for note in scene.notes]
     if scene.problem:
         first, *rest = scene.problem.splitlines()
-        lines += [f"FAIL  {scene.name}  {first}", *(f"      {line}" for line in rest[:MAX_PROBLEM_LINES])]
+        lines += [f"FAIL  {scene.name}  {first}", *(f"      {line}" for line in rest)]
         lines += [f"      replay:    {replay(scene)}"] if scene.candidate else []
     elif not scene.has_evidence and not scene.failing:
         lines += [f"FAIL  {scene.name}  {_lack_of_evidence(scene)}", *notes]
