@@ -124,7 +124,10 @@ def test_a_wrong_option_is_2_and_nothing_is_written(folder, capsys, options, mes
         (["render", "s.toml", "--colour"], "unrecognized arguments: --colour"),
         (["render", "s.toml", "--expl"], "unrecognized arguments: --expl"),
         (["probe", "s.toml", "1"], "the following arguments are required: Y"),
-        (["probe", "s.toml", "1", "1.5"], "argument Y: expected SCENE X Y in this order, such as scene.toml 160 120, with whole numbers; got '1.5'"),
+        (
+            ["probe", "s.toml", "1", "1.5"],
+            "argument Y: expected SCENE X Y in this order, such as scene.toml 160 120, with whole numbers; got '1.5'",
+        ),
         (["check"], "the following arguments are required: SCENE"),
     ],
     ids=" ".join,
