@@ -14,7 +14,7 @@ from caster.scene.files import load_scene
 from caster.system.atomic_files import check_folder
 from caster.system.process import DIFFERENCES, FILE, NOTHING_SELECTED, OK
 from mitsuba_ref.cli.arguments import NUMBERS
-from mitsuba_ref.cli.options import reading_of
+from mitsuba_ref.cli.options import reading_of, report_address
 from mitsuba_ref.cli.validate import selected_entries
 from mitsuba_ref.exr_compare.approved import ImageChecks, Proposal, check_scene, propose, write_approved
 from mitsuba_ref.exr_compare.comparison_result import FileComparison
@@ -32,8 +32,10 @@ def run_compare(args: argparse.Namespace) -> int:
     names = (*NUMBERS, "max_pixels", "other_scene")
     tolerances = Tolerances(**{name: getattr(args, name) for name in names}, ignore=tuple(args.ignore))
     reading = replace(reading_of(args), scene=load_scene(args.scene) if args.scene else None)
-    result = compare_exr(args.ours, args.reference, tolerances, diff=args.output, reading=reading)
+    result = compare_exr(args.ours, args.reference, tolerances, diff=args.output, html=args.html, reading=reading)
     print(result.model_dump_json(indent=2) if args.json else result.format_table())
+    if result.html and not args.json:
+        print(f"\n{report_address(result.html)}")
     return result.exit_code
 
 

@@ -16,7 +16,7 @@ from caster.scene.model import Film
 from caster.system.atomic_files import OutputError, write_text
 from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
 from mitsuba_ref.cli.arguments import BUILTIN_SETS, DEFAULT_SCENES
-from mitsuba_ref.cli.options import candidate_words, requested_candidate
+from mitsuba_ref.cli.options import candidate_words, report_address, requested_candidate
 from mitsuba_ref.judge.verdict import UNSUPPORTED, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.report import builtin_scenes
@@ -149,6 +149,8 @@ def write_results(running: ValidationRun, args: argparse.Namespace, seconds: flo
         if failures := failures_text(verdict, report):
             print_lines(f"\n{failures}")
         print_lines(f"\n{summary_text(verdict, seconds)}")
+        if args.html:
+            print_lines(report_address(args.html))
     finally:
         for removed in filter(None, running.finish()):
             print(removed, file=sys.stderr)

@@ -62,8 +62,8 @@ class FileComparison(BaseModel):
     ours, reference: file names, or names of what was compared. hit_*: pixel counts; hit_channel: the channel that shows
     the hits, "" if there is none and every pixel counts. differing_pixels counts a pixel once, however many groups
     differ in it. compared: how many channels were. stated: conventions that were applied to files of other programs.
-    reasons: why nothing was compared. scene: its file, if known, and further words of a replay. diff: the difference
-    image, if written.
+    reasons: why nothing was compared. scene: its file, if known, and further words of a replay. diff, html: the
+    difference image and the folder of a page, if written. measures: (what, value), for information.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -87,6 +87,8 @@ class FileComparison(BaseModel):
     hints: tuple[str, ...] = ()
     scene: tuple[str, ...] = ()
     diff: str = ""
+    html: str = ""
+    measures: tuple[tuple[str, str], ...] = ()
 
     @computed_field  # type: ignore[prop-decorator] # pydantic's way
     @property
@@ -156,7 +158,11 @@ class FileComparison(BaseModel):
             lines += [LEGEND, ""] if any("K u S" in group.bound for group in self.groups) else [""]
         if self.ignored:
             lines.append(f"not compared, by --ignore: {', '.join(self.ignored)}")
-        return "\n".join([*lines, *self.messages])
+        lines += self.messages
+        width = max((len(what) for what, _ in self.measures), default=0)
+        lines += ["", "for information:"] if self.measures else []
+        lines += [f"  {what:<{width}}  {value}" for what, value in self.measures]
+        return "\n".join(lines)
 
     def _failing(self) -> list[GroupResult]:
         return [group for group in self.groups if group.differ or group.non_finite]
