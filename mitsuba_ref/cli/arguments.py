@@ -193,14 +193,14 @@ def add_candidate(
         help="package.module:function, called as function(scene, o, d) -> (t, n); or a command that reads our scene "
         "and writes an EXR file, such as 'my-renderer {xml} -o {exr}' ({toml}, {width}, {height}); or an image of the "
         "scene's camera, FILE.exr; or a command that reads rays and writes hits, such as 'my-caster {mesh} {rays} "
-        "{hits}' (docs/rays-and-hits.md)",
+        "{hits}' (docs/candidates.md)",
     )
     one.add_argument(
         "--candidate-serve",
         dest="candidate",
         type=ServedProgram,
         metavar="COMMAND",
-        help="a program that is started once and answers over stdin and stdout (docs/rays-and-hits.md)",
+        help="a program that is started once and answers over stdin and stdout (docs/candidates.md)",
     )
     group.add_argument(
         "--candidate-precision",
@@ -295,7 +295,7 @@ def add_judge_arguments(parser: argparse.ArgumentParser) -> None:
     add("--scene", metavar="SCENE", type=InputPath, required=True, help=help_)
     help_ = ".npz of t, and n, shape_id, prim_id, any_hit if given; or .npy of shape (n, 1), (n, 4), (n, 5)"
     add("--hits", metavar="FILE", type=InputPath, required=True, help=help_)
-    help_ = ".npz of `rays`, or .npy, (n, 8): o, d, t_min, t_max (docs/rays-and-hits.md)"
+    help_ = ".npz of `rays`, or .npy, (n, 8): o, d, t_min, t_max (docs/candidates.md)"
     add("--rays", metavar="FILE", type=InputPath, required=True, help=help_)
     help_ = "the arithmetic of the answers, from which bounds follow: float32 or float64; default: the type of t and n"
     add("--precision", metavar="PRECISION", choices=PRECISIONS, help=help_)
@@ -423,7 +423,7 @@ def add_fuzz_arguments(parser: argparse.ArgumentParser) -> None:
     add("--out", type=OutputFolder, metavar="DIR", default="fuzz-failures", help=help_)
     help_ = "findings of one kind in one family that are shrunk and kept; all are counted; default: 3"
     add("--keep", metavar="N", type=whole, default=3, help=help_)
-    add("--json", metavar="FILE", type=OutputFile, help="write the result as JSON")
+    add_json(parser)
     help_ = "one scene in N, on average, gets --thorough checks and is compared with Mitsuba; 0: none; default: 16"
     add("--judge-every", metavar="N", type=whole, default=16, help=help_)
     add("--replay", metavar="FILE|DIR", type=InputPath, help="check kept scenes again, and nothing else")

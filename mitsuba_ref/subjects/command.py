@@ -237,7 +237,7 @@ def _mask(mask: np.ndarray, depth: np.ndarray, request: CastRequest) -> np.ndarr
     return covered
 
 
-# ---- rays in, hits out: one binary format in files and over stdin and stdout (docs/rays-and-hits.md) ----
+# ---- rays in, hits out: one binary format in files and over stdin and stdout (docs/candidates.md) ----
 
 
 def number_type(precision: str | None) -> np.dtype[Any]:
