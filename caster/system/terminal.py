@@ -92,7 +92,7 @@ def printable_streams() -> Iterator[None]:
 QUIET_SECONDS = 1.0  # work shorter than this draws nothing
 REFRESH_SECONDS = 0.1  # between two updates of the terminal
 TICK_SECONDS = 0.5  # after which a bar is drawn again though nothing was counted
-BAR_CHARACTERS = 12  # width of the bar; the whole line fits into 80 characters
+BAR_CHARACTERS = 10  # width of the bar; the whole line fits into 80 characters
 ERASE_LINE = "\r\x1b[K"  # another process may have drawn a bar there, which it will draw again
 DUMB_TERMINALS = ("dumb", "unknown")  # values of TERM without cursor movement
 
@@ -135,6 +135,11 @@ def _started_display(stream: TextIO) -> Live:
     return display
 
 
+# Held while a bar is drawn, and during a fork: the child would wait for ever for a stream that was being written to.
+_drawing = threading.RLock()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_drawing.acquire, after_in_parent=_drawing.release, after_in_child=_drawing.release)
+
 STAGE_BYTES = 24
 _stage: mmap.mmap | None = None  # what is being done, shared with forks; of the last progress bar
 
@@ -160,14 +165,14 @@ class ProgressBar:
         self.start = clock()
         self.next = self.start + QUIET_SECONDS
         self.done, self.extra = 0, ""
-        self.lock, self.closed = threading.Lock(), threading.Event()
+        self.closed = threading.Event()
         if self.line.live:
             _stage = mmap.mmap(-1, STAGE_BYTES)
             threading.Thread(target=self._keep_drawing, daemon=True).start()
 
     def add(self, count: int, extra: str = "") -> None:
         """Count work as done. extra: further text to show from now on, such as a count of scenes."""
-        with self.lock:
+        with _drawing:
             self.done += count
             self.extra = extra or self.extra
             self._draw()
@@ -181,20 +186,20 @@ class ProgressBar:
     def _keep_drawing(self) -> None:
         """Show the stage while nothing is counted."""
         while not self.closed.wait(TICK_SECONDS):
-            with self.lock:
+            with _drawing:
                 self._draw()
 
     @contextlib.contextmanager
     def aside(self) -> Iterator[None]:
         """Erase the bar while the body prints; the next `add` draws it again."""
-        with self.lock:
+        with _drawing:
             self.line.erase()
             yield
 
     def close(self) -> None:
         """Erase the bar."""
         self.closed.set()
-        with self.lock:
+        with _drawing:
             self.line.erase()
 
     def _text(self, seconds: float) -> str:

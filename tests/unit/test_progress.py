@@ -97,7 +97,7 @@ def test_a_terminal_gets_one_line_that_is_drawn_again_and_erased(terminal):
     bar.add(2)
     drawn = read()
     (line,) = screen(drawn)
-    assert line == f"validating {'#' * 6}{'-' * 6} 50 %, 1 of 2 scenes, 2 s left"
+    assert line == f"validating {'#' * 5}{'-' * 5} 50 %, 1 of 2 scenes, 2 s left"
     with bar.aside():
         drawn += read()
         assert screen(drawn) == []
@@ -127,7 +127,7 @@ def test_before_anything_is_counted_the_bar_says_what_a_fork_does(terminal, monk
     time.sleep(0.5)
     bar.close()
     drawn = read()
-    assert f"validating {'-' * 12} 0 %, asking Mitsuba" in drawn and screen(drawn) == []
+    assert f"validating {'-' * 10} 0 %, asking Mitsuba" in drawn and screen(drawn) == []
 
 
 @pytest.mark.parametrize("stream", [None, io.StringIO()], ids=["closed", "pipe"])
