@@ -188,7 +188,7 @@ def run_merge(args: argparse.Namespace) -> int:
         print_lines(f"{failures}\n")
     for name in verdict.not_judged:
         print_lines(f"FAIL  {name}  not judged")
-    print(summary_text(verdict, seconds))
+    print_lines(summary_text(verdict, seconds))
     if missing:
         print(f"{missing}; expected the verdict of every shard", file=sys.stderr)
     return OK if verdict.ok and not missing else DIFFERENCES
