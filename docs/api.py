@@ -23,6 +23,7 @@ GROUPS = (
     ),
     ("Scenes", ("Scene", "Film", "Shading", "Check", "Diffuse")),
 )
+PROGRAMS = Path(__file__).with_name("programs")
 REGISTRIES = (
     ("Shapes", "caster.shapes", "SHAPES"),
     ("Cameras", "caster.cameras", "CAMERAS"),
@@ -39,7 +40,13 @@ def page() -> str:
         parts += [f"### {title}\n", *(entry("caster", each.__name__, each) for each in entries)]
     parts += ["## mitsuba_ref\n", paragraphs(mitsuba_ref.__doc__)]
     parts += [entry("mitsuba_ref", name, getattr(mitsuba_ref, name)) for name in mitsuba_ref.__all__]
-    return "\n".join(parts)
+    return "\n".join([*parts, "## Programs\n", *map(program, sorted(PROGRAMS.glob("*.py")))])
+
+
+def program(path: Path) -> str:
+    """A whole program, under its first comment. They run in tests/unit/test_programs.py and tests/reference."""
+    title, _, text = path.read_text(encoding="utf-8").partition("\n")
+    return f"{title.removeprefix('# ')}\n\n```python\n{text}```\n"
 
 
 def entry(package: str, name: str, value: Any) -> str:

@@ -36,7 +36,6 @@ DEFAULT_SIZE, DEFAULT_ALTERNATIONS = 1024, 7  # of bench
 # Copies, since the judge's modules load the kernels (tests/unit/test_cli_help.py compares them).
 CANDIDATE_SECONDS = REFERENCE_SECONDS = 300.0
 MAX_SECONDS = 100_000.0  # about a day; the system's waits take milliseconds in 31 bits, and some are multiples of it
-BUILTIN_SETS = ("triangles", "spheres", "others", "all")  # folders of mitsuba_ref/runner/builtin, and all of them
 DEFAULT_SCENES = [InputPath("scenes")]
 PRECISIONS = ("float32", "float64")
 
@@ -114,8 +113,8 @@ def add_selection(parser: argparse.ArgumentParser) -> None:
         metavar="SET",
         nargs="?",
         const="all",
-        choices=BUILTIN_SETS,
-        help=f"scenes that are installed with the program: {', '.join(BUILTIN_SETS)}; without a word, all",
+        choices=(*builtin_scenes.SETS, builtin_scenes.ALL_SETS),
+        help=f"scenes that are installed with the program: {', '.join(builtin_scenes.SETS)}; without a word, all",
     )
     add(
         "-k",

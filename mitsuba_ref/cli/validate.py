@@ -15,7 +15,7 @@ from caster.scene.files import types_in_file
 from caster.scene.model import Film
 from caster.system.atomic_files import OutputError, write_text
 from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
-from mitsuba_ref.cli.arguments import BUILTIN_SETS, DEFAULT_SCENES
+from mitsuba_ref.cli.arguments import DEFAULT_SCENES
 from mitsuba_ref.cli.options import candidate_words, report_address, requested_candidate
 from mitsuba_ref.judge.verdict import UNSUPPORTED, Verdict
 from mitsuba_ref.reference import variants
@@ -59,7 +59,7 @@ def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
     for folder in args.mesh_dir:
         check_utf8_name(folder)
     named = [] if args.builtin and args.scenes is DEFAULT_SCENES else args.scenes
-    places = [*builtin_folders(args.builtin), *named]
+    places = [*builtin_scenes.folders_of(args.builtin), *named]
     files = [file for file in scene_files(places) if fits(file)]
     if args.size:
         with error_prefix("--size", *args.size):
@@ -71,14 +71,6 @@ def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
         fitting = f" that fits -k {args.expression!r}" if args.expression else ""
         print(f"nothing selected: no scene file{fitting} in {', '.join(places)}", file=sys.stderr)
     return entries
-
-
-def builtin_folders(name: str | None) -> list[str]:
-    """Folders of a set of built-in scenes; none for None."""
-    if name is None:
-        return []
-    chosen = BUILTIN_SETS[:-1] if name == BUILTIN_SETS[-1] else (name,)
-    return [str(builtin_scenes.ROOT / each) for each in chosen]
 
 
 def without_earlier_results(args: argparse.Namespace) -> OutFolder | None:

@@ -90,6 +90,12 @@ class FileComparison(BaseModel):
     html: str = ""
     measures: tuple[tuple[str, str], ...] = ()
 
+    def __str__(self) -> str:
+        return self.format_table()
+
+    def __repr__(self) -> str:
+        return f"<FileComparison: {'pass' if self.ok else 'differences' if self.width else 'not comparable'}>"
+
     @computed_field  # type: ignore[prop-decorator] # pydantic's way
     @property
     def ok(self) -> bool:

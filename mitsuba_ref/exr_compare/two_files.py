@@ -2,7 +2,7 @@
 
 import fnmatch
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -10,7 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from caster.aovs import Aovs
 from caster.description.errors import SceneError, error_prefix, suggestion
+from caster.image.channels import aovs_to_channels
 from caster.image.exr import Exr, read_exr, write_exr
 from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
 from mitsuba_ref.error_model.tolerances import Tolerances
@@ -32,6 +34,7 @@ from mitsuba_ref.report.evidence import clipped_to_float32
 __all__ = ["FileComparison", "Reading", "Tolerances", "compare_exr"]
 
 FileName = str | os.PathLike[str]
+Image = FileName | Exr | Mapping[str, np.ndarray]
 SIDES = ("ours", "the reference")
 SCENE = "caster/scene"  # provenance: the scene's path
 
@@ -46,16 +49,17 @@ class Judged(NamedTuple):
 
 
 def compare_exr(
-    ours: FileName,
-    reference: FileName,
+    ours: Image,
+    reference: Image,
     tolerances: Tolerances | None = None,
     *,
     diff: FileName | None = None,
     html: FileName | None = None,
     reading: Reading | None = None,
 ) -> FileComparison:
-    """Compare two EXR files pixel by pixel, matching channels by name.
+    """Compare two images pixel by pixel, matching channels by name.
 
+    Each is the path of an EXR file, an Exr, Aovs of `caster.render`, or arrays by the name of a channel or AOV.
     diff: where to write ours - reference under the same channel names, float32, and the uint32 channel
     `class.I` (codes in its provenance). html: a folder for a page that shows both images. Neither is written when the
     files are not comparable.
@@ -63,9 +67,13 @@ def compare_exr(
     Raises FileMissing or UnreadableExr for an input, OutputError for diff, Unclear for a file that can be read in two
     ways, SceneError for an `ignore` that matches no channel or a diff that would overwrite an input.
     """
-    reading, names = reading or Reading(), (str(ours), str(reference))
-    files = [read_exr(ours), read_exr(reference)]
-    if diff is not None and any(os.path.exists(diff) and os.path.samefile(diff, each) for each in (ours, reference)):
+    if html is not None:
+        _page().remove_page(Path(html))
+    reading, sources = reading or Reading(), (ours, reference)
+    paths = [each for each in sources if isinstance(each, str | os.PathLike)]
+    names = str(ours) if ours in paths else SIDES[0], str(reference) if reference in paths else SIDES[1]
+    files = [as_exr(each) for each in sources]
+    if diff is not None and any(os.path.exists(diff) and os.path.samefile(diff, path) for path in paths):
         raise SceneError(f"{diff}: expected another file for the difference: this is an image that is compared")
     check_maps(reading.maps, *(exr.channels for exr in files))
     converted, stated = list[Exr](), list[str]()
@@ -87,6 +95,32 @@ def compare_exr(
     return result.model_copy(update={"hints": tuple(more)})
 
 
+def as_exr(image: Image) -> Exr:
+    """The image of a file, or of arrays (h, w) or (h, w, c) by the name of a channel or AOV, floats as float32.
+
+    Raises as `read_exr`, and TypeError.
+    """
+    if isinstance(image, Exr):
+        return image
+    if isinstance(image, str | os.PathLike):
+        return read_exr(image)
+    if not isinstance(image, Mapping) or not image:
+        raise TypeError(f"expected the path of an EXR file, an Exr, or arrays by name, got {image!r:.60}")
+    found = aovs_to_channels(image) if isinstance(image, Aovs) else dict(_channels(image))
+    channels = {name: a.astype(np.float32) if a.dtype.kind == "f" else a for name, a in found.items()}
+    height, width = next(iter(channels.values())).shape
+    return Exr(channels, {}, (0, 0, width, height), (0, 0, width, height))
+
+
+def _channels(arrays: Mapping[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]:
+    for name, a in arrays.items():
+        if a.ndim == 2:
+            yield LAYERS.get(name, (name,))[0], a
+        else:
+            planes = np.moveaxis(a, -1, 0)
+            yield from zip(LAYERS.get(name) or [f"{name}.{c}" for c in "RGBA"[: len(planes)]], planes, strict=True)
+
+
 def compare_images(
     a: Exr,
     b: Exr,
@@ -100,8 +134,6 @@ def compare_images(
 ) -> FileComparison:
     """Judge every pixel of two images in our conventions. names: of the images; left_out: channels not compared."""
     tolerances = tolerances or Tolerances()
-    if html is not None:
-        _page().remove_page(Path(html))
     ignored = ignored_channels(a, b, tolerances.ignore)
     about: dict[str, Any] = {"ours": names[0], "reference": names[1], "ignored": ignored, "stated": stated}
     left_out = {*ignored, *left_out}
