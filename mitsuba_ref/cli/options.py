@@ -5,6 +5,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Protocol, TextIO, TypeVar
 
 from caster.cli.shared_arguments import check_utf8_name
@@ -77,6 +78,14 @@ def reading_of(args: argparse.Namespace) -> Reading:
     """The options of add_reading, the defaults where the command has none. Raises SceneError."""
     maps, depth, miss = (getattr(args, name, None) for name in READING_OPTIONS)
     return Reading(tuple(maps or ()), depth, miss)
+
+
+# ---- reports ----
+
+
+def report_address(folder: str) -> str:
+    """A line with the address of a report, for a browser."""
+    return f"report:     {(Path(folder).absolute() / 'index.html').as_uri()}"
 
 
 # ---- experiments: fuzz, stress, bench ----

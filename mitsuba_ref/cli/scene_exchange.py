@@ -18,6 +18,7 @@ from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.messages import MitsubaError
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS, render_reference
 from mitsuba_ref.reference.shared_input import export_scene, packed_float32
+from mitsuba_ref.report.results import folded
 from mitsuba_ref.subjects.subject import scene_as_traced
 
 COURSE_FILM = (256, 256)  # pixels; a scene text of the course has no film
@@ -40,7 +41,7 @@ def run_render(args: argparse.Namespace) -> int:
     write_render(args.output, scene, images, args.scene, more)
     height, width = images.hit.shape
     print(f"{args.output}: {width} x {height} pixels, {int(images.hit.sum())} hit; {', '.join(names)}")
-    print(", ".join(f"{name} {version}" for name, version in versions.items()))
+    print(folded(", ".join(f"{name} {version}" for name, version in versions.items())))
     return OK
 
 

@@ -16,7 +16,7 @@ from caster.scene.model import Film
 from caster.system.atomic_files import OutputError, write_text
 from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
 from mitsuba_ref.cli.arguments import DEFAULT_SCENES
-from mitsuba_ref.cli.options import candidate_words, requested_candidate
+from mitsuba_ref.cli.options import candidate_words, report_address, requested_candidate
 from mitsuba_ref.judge.verdict import UNSUPPORTED, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.report import builtin_scenes
@@ -150,6 +150,8 @@ def write_results(running: ValidationRun, args: argparse.Namespace, seconds: flo
         if failures := failures_text(verdict, report):
             print_lines(f"\n{failures}")
         print_lines(f"\n{summary_text(verdict, seconds)}")
+        if args.html:
+            print_lines(report_address(args.html))
     finally:
         for removed in filter(None, running.finish()):
             print(removed, file=sys.stderr)
@@ -187,7 +189,7 @@ def run_merge(args: argparse.Namespace) -> int:
         print_lines(f"{failures}\n")
     for name in verdict.not_judged:
         print_lines(f"FAIL  {name}  not judged")
-    print(summary_text(verdict, seconds))
+    print_lines(summary_text(verdict, seconds))
     if missing:
         print(f"{missing}; expected the verdict of every shard", file=sys.stderr)
     return OK if verdict.ok and not missing else DIFFERENCES

@@ -61,4 +61,4 @@ def test_with_the_line_put_right_everything_passes(story):
     tree.put(module.GOOD, instead_of=module.BAD)
     fixed = tree.run("mitsuba-ref validate scenes --size 15 15")
     tree.put(module.BAD, instead_of=module.GOOD)
-    assert fixed.code == 0 and "1 scenes: 1 pass, 0 fail" in fixed.text
+    assert fixed.code == 0 and "1 scene: 1 pass, 0 fail" in fixed.text

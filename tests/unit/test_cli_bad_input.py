@@ -111,7 +111,7 @@ def test_a_wrong_option_is_2_and_nothing_is_written(folder, capsys, options, mes
 @pytest.mark.parametrize(
     ("argv", "message"),
     [
-        ([], "the following arguments are required: COMMAND"),
+        ([], "render    render a scene to an EXR file"),
         (["rendr"], "invalid choice: 'rendr', did you mean 'render'? (choose from"),
         (["render", "s.toml", "--siz", "8", "8"], "unrecognized arguments: --siz 8 8, did you mean '--size'?"),
         (["probe", "1", "2", "s.toml"], "argument Y: expected SCENE X Y in this order"),
