@@ -1,12 +1,13 @@
 """The data of one scene on the report's page, in parts: verdict, findings of each pixel, and both images.
 
-Arrays are text: bytes of equal weight grouped, deflated, in base64; lossless. mitsuba_ref/report/page/arrays.js
-decodes them.
+Images are rounded to a 255th of their range, errors to powers of 2, and shares of bounds to those of its root. The
+numbers of some pixels, failing ones first, are stored without loss. Arrays are text: bytes of equal weight grouped,
+deflated, in base64; mitsuba_ref/report/page/arrays.js decodes them.
 """
 
 import base64
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,29 +20,27 @@ from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
 from mitsuba_ref.judge.explanations import constant_reasons, format_exact, reason
 from mitsuba_ref.judge.pipeline import Seen
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, REFERENCE_WRONG
-from mitsuba_ref.report.evidence import film_edges
+from mitsuba_ref.report.evidence import EDGE_UNITS, film_edges
 
 Part = dict[str, Any]
+Shape = tuple[int, int]  # height, width
 
 # ---- arrays ----
 
-ZLIB_LEVEL = 4  # takes 0.6 of the time of the default 6, for 1.02 of the size
-DROPPED_MANTISSA_BITS = 12  # of a float32 by `coarse`: a resolution of one part in 2^11 remains
+ZLIB_LEVEL = 9  # takes a tenth of a second more than the default for a scene of 256 x 256 pixels
 
 
 def packed(values: np.ndarray, like: np.ndarray | None = None) -> Part:
-    """Pack (n,) numbers, or (n, c) channel by channel, as {"type": "f4", "z": text}.
+    """Pack (n,) numbers, or (n, c) channel by channel, as {"type": "f4", "z": text}, without loss.
 
-    "xor": 1 if the bits are XORed with those of `like`, nearly equal floats of the same shape; "delta": 1 if they are
-    differences from the number before.
+    "xor": 1 if the bits are XORed with those of `like`, nearly equal floats of the same shape.
     """
     found = {"type": f"{values.dtype.kind}{values.itemsize}"}
     bits = _bits(values)
-    if like is not None:  # 0 for NaN, whose bits a conversion may change
-        base = np.where(np.isnan(like), 0.0, like).astype(values.dtype)
-        return found | {"xor": 1, "z": _deflated(bits ^ _bits(base))}
-    plain, delta = _deflated(bits), _deflated(np.diff(bits, prepend=bits.dtype.type(0)))
-    return found | ({"delta": 1, "z": delta} if len(delta) < len(plain) else {"z": plain})
+    if like is None:
+        return found | {"z": _deflated(bits)}
+    base = np.where(np.isnan(like), 0.0, like).astype(values.dtype)  # 0 for NaN, whose bits a conversion may change
+    return found | {"xor": 1, "z": _deflated(bits ^ _bits(base))}
 
 
 def _bits(values: np.ndarray) -> np.ndarray:
@@ -62,18 +61,6 @@ def narrowest(values: np.ndarray) -> np.ndarray:
     return single if np.array_equal(single, values, equal_nan=True) else values
 
 
-def coarse(values: np.ndarray) -> np.ndarray:
-    """Round ratios and bounds, >= 0, up to float32 with 11 bits; NaN becomes inf.
-
-    1 stays 1, and more than 1 stays more than 1.
-    """
-    with np.errstate(over="ignore"):
-        single = np.where(np.isnan(values), np.inf, values).astype(np.float32)
-    single = np.where(single < values, np.nextafter(single, np.float32(np.inf)), single)
-    step = np.uint32((1 << DROPPED_MANTISSA_BITS) - 1)
-    return ((single.view(np.uint32) + step) & ~step).view(np.float32)
-
-
 def numbered(texts: Iterable[str]) -> Part:
     """{"texts": distinct texts, "words": the number of each text among them}."""
     numbers: dict[str, int] = {}
@@ -81,9 +68,80 @@ def numbered(texts: Iterable[str]) -> Part:
     return {"words": packed(np.array(words, np.int32)), "texts": list(numbers)}
 
 
+# ---- images, rounded ----
+
+STEPS = 255  # of the range of an image, between the quantiles MOST
+MOST = (0.01, 0.99)
+LARGEST_CODE = 1 << 28  # of a number; beyond it, NaN and infinities
+NAN_CODE, INF_CODE = LARGEST_CODE + 1, LARGEST_CODE + 2
+STEPS_AN_OCTAVE = 2  # of shares of bounds; of errors one
+LEAST_SHARE = 4  # octaves below 1: smaller shares of a bound are 0
+ENTIRE = LEAST_SHARE * STEPS_AN_OCTAVE  # the code of a share of 1
+NO_BOUND = 255  # the code of an infinite share
+LEAST_ERROR = 5  # octaves below the 99th percentile: smaller errors are 0
+
+
+def image(codes: np.ndarray, shape: Shape) -> Part:
+    """Pack (n,) or (n, c) integers: folded to be >= 0, and if that is shorter ("plane": 1), as differences from the
+    plane through three neighbours, which are small where an image is smooth."""
+    planes = codes.reshape(*shape, -1).astype(np.int64)
+    smooth = np.diff(np.diff(planes, axis=0, prepend=0), axis=1, prepend=0)
+    found = []
+    for each in (planes, smooth):
+        folded = ((each << 1) ^ (each >> 63)).reshape(len(codes), -1)
+        found.append(packed(folded.astype(np.min_scalar_type(folded.max(initial=0)))))
+    plain, by_plane = found
+    return (by_plane | {"plane": 1} if len(by_plane["z"]) < len(plain["z"]) else plain) | {
+        "height": shape[0],
+        "width": shape[1],
+    }
+
+
+def value_codes(values: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """(n, c) multiples of a step, one a channel."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        codes = np.clip(np.nan_to_num(np.round(values / steps), nan=NAN_CODE), -INF_CODE, INF_CODE)
+        outside = np.isfinite(values) & (np.abs(codes) > LARGEST_CODE)
+    return np.where(outside, np.sign(codes) * LARGEST_CODE, codes).astype(np.int64)
+
+
+def value_steps(values: np.ndarray) -> np.ndarray:
+    """(c,) the steps of the channels of (n, c) values: a 255th of the range of most of them."""
+    channels = (column[np.isfinite(column)] for column in values.T)
+    ranges = [np.quantile(column, MOST) if len(column) else np.zeros(2) for column in channels]
+    spans = [high - low or abs(high) or 1.0 for low, high in ranges]
+    return np.array(spans) / STEPS
+
+
+def share_codes(shares: np.ndarray) -> np.ndarray:
+    """(n,) codes of shares of bounds, rounded up: a share of 1 is ENTIRE, and more than 1 is more."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        codes = np.ceil(STEPS_AN_OCTAVE * (np.log2(shares) + LEAST_SHARE))
+    codes = np.where(shares > 1.0, np.maximum(codes, ENTIRE + 1), codes)  # whose logarithm may round to 0
+    return np.where(np.isfinite(shares), np.clip(codes, 0, NO_BOUND - 1), NO_BOUND).astype(np.uint8)
+
+
+def error_codes(ours: np.ndarray, reference: np.ndarray) -> tuple[float, np.ndarray]:
+    """(unit, (n,) codes) of the signed difference of the channel that differs most; 1 is the unit."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        apart = np.where(ours == reference, 0.0, ours - reference)
+    sizes = np.where(np.isfinite(apart), np.abs(apart), 0.0)
+    channel = np.argmax(sizes, axis=1)[:, None]
+    error = np.take_along_axis(np.where(np.isfinite(apart), apart, 0.0), channel, 1)[:, 0]
+    some = np.abs(error[error != 0.0])
+    unit = float(np.quantile(some, MOST[1])) * 2.0**-LEAST_ERROR if len(some) else 0.0
+    if unit == 0.0:
+        return 0.0, np.zeros(len(error), np.int64)
+    with np.errstate(divide="ignore", over="ignore"):
+        codes = np.maximum(np.round(np.log2(np.abs(error) / unit)) + 1.0, 0.0)
+    return unit, (np.sign(error) * codes).astype(np.int64)
+
+
 # ---- the record ----
 
 MAX_PIXELS_WITH_REASON = 1 << 16  # of a scene, failing ones first: half a second of work
+MAX_PIXELS_WITHOUT_LOSS = {AGREE: 128, "": 4096}  # of those that agree, and of all others; 0.2 kB each
+WORST_WITHOUT_LOSS = 8  # of each check
 UNLISTED_CODE = len(CLASSES)  # a class of the page: the reference is wrong in no known way, which fails
 FLOAT_LAYERS = ("depth", "normal", "diffuse", "shading_normal", "position", "uv")
 ROUNDING = 1.0 + 4 * 2.0**-53  # a ratio that is computed in two ways is the same up to 4 roundings
@@ -101,28 +159,50 @@ def scene_record(seen: Seen) -> SceneRecord:
     """The record of a judged scene."""
     judge, judgement = seen.judge, seen.judgement
     ours, reference = judge.pair.subject, judge.pair.reference
-    classes = _classes(judgement)
+    classes, shape = _classes(judgement), judge.pair.shape
     hit = ours.hit.ravel() + 2 * reference.hit.ravel()
     others = [name for name in judgement.names if name not in FLOAT_LAYERS]
+    rows = rows_without_loss(seen, classes, hit)
     about = {
         "window": list(judge.scene.film.window),
         "shapes": list(judge.scene.shape_names()),
-        "class": packed(classes),
-        "hit": packed(hit.astype(np.uint8)),
+        "class": image(classes, shape),
+        "hit": image(hit, shape),
+        "rows": packed(rows.astype(np.int32)),
         "reasons": _reasons(seen, classes),
         "exact": _exact_answers(judge, judgement),
-        "shares": {name: packed(coarse(judgement.ratio(name))) for name in others},
+        "shares": {name: image(share_codes(judgement.ratio(name)), shape) for name in others},
+        "wrong_rays": [ray.what for ray in seen.wrong_rays],
     }
-    worst = np.max([judgement.ratio(name) for name in judgement.names], axis=0)
-    layers: dict[str, Part] = {"ids": _ids(judge), "ratio": {"ratio": packed(coarse(worst))}}
+    layers: dict[str, Part] = {"ids": _ids(judge, rows)}
     for name in FLOAT_LAYERS:
         if name in ours and name in reference:
-            both = _both_sides(aov_rows(ours, name), aov_rows(reference, name))
-            layers[name] = both | _bounds(judge, judgement, name)
+            mine, theirs = (aov_rows(each, name).reshape(len(hit), -1) for each in (ours, reference))
+            layers[name] = _images(mine, theirs, hit, shape) | {
+                "ratio": image(share_codes(judgement.ratio(name)), shape)
+            }
+            both = _both_sides(aov_rows(ours, name)[rows], aov_rows(reference, name)[rows])
+            bounds = {each: packed(narrowest(of[rows])) for each, of in _bounds(judge, judgement, name).items()}
+            layers[name]["exact"] = both | bounds
+    if "normal" in layers and layers["normal"] == layers.get("shading_normal"):
+        layers["shading_normal"] = {"same": "normal"}
     edges = film_edges(judge, judgement)
     if edges is not None:
-        layers["edges"] = {"segments": packed(edges)}
+        layers["edges"] = {"segments": packed(edges), "units": EDGE_UNITS}
     return SceneRecord(about, layers, thumbnail(ours))
+
+
+def rows_without_loss(seen: Seen, classes: np.ndarray, hit: np.ndarray) -> np.ndarray:
+    """(m,) pixels whose numbers are stored without loss: the first of each cause, the worst of each check, and of those
+    that agree and that do not some all over the image."""
+    judgement = seen.judgement
+    chosen = [rows[:1] for rows in seen.diagnosis.rows_of.values()]
+    chosen += [np.argsort(-judgement.ratio(name), kind="stable")[:WORST_WITHOUT_LOSS] for name in judgement.names]
+    agree = classes == CLASS_CODE[AGREE]
+    for among, most in zip((agree & (hit > 0), ~agree), MAX_PIXELS_WITHOUT_LOSS.values(), strict=True):
+        rows = np.flatnonzero(among)
+        chosen.append(rows[:: max(1, -(-len(rows) // most))])
+    return np.unique(np.concatenate(chosen).astype(np.int64))
 
 
 def _classes(judgement: Judgement) -> np.ndarray:
@@ -153,8 +233,25 @@ def _exact_answers(judge: Judge, judgement: Judgement) -> Part:
     return {
         "rows": packed(exact.rows.astype(np.int32)),
         "t": packed(np.array(t, np.float64)),
-        "share": packed(coarse(exact.ratio)),
+        "share": packed(share_codes(exact.ratio)),
         **numbered(format_exact(judge.scene, packed_scene, answer, with_t=False) for answer in exact.answers),
+    }
+
+
+def _images(ours: np.ndarray, reference: np.ndarray, hit: np.ndarray, shape: Shape) -> Part:
+    """Both sides, (n, c), as images, and the difference where both hit. hit: bit 1 for ours, 2 for the reference."""
+    steps = value_steps(reference[hit > 1] if (hit > 1).any() else ours)
+    theirs, mine = (
+        np.where((hit & bit)[:, None] > 0, value_codes(values, steps), 0) for bit, values in ((2, reference), (1, ours))
+    )
+    both = (hit == 3)[:, None]
+    unit, errors = error_codes(np.where(both, ours, 0.0), np.where(both, reference, 0.0))
+    return {
+        "steps": steps.tolist(),
+        "reference": image(theirs, shape),
+        "ours": image(mine - theirs, shape),
+        "unit": unit,
+        "difference": image(errors, shape),
     }
 
 
@@ -164,28 +261,27 @@ def _both_sides(ours: np.ndarray, reference: np.ndarray, prefix: str = "") -> Pa
     return {f"{prefix}reference": packed(base), f"{prefix}ours": packed(ours, base)}
 
 
-def _bounds(judge: Judge, judgement: Judgement, name: str) -> Part:
+def _bounds(judge: Judge, judgement: Judgement, name: str) -> Mapping[str, np.ndarray]:
     """The error-to-bound ratio of each pixel in one AOV, and its bounds; none for `diffuse`, which differ by light.
 
     "bound": on the difference between both sides; "alone": where the bound of the subject at its own surface decides
     instead; "own": of a candidate's arithmetic, on its distance from the surface of the reference.
     """
     pixels, ratio = judge.pixels, judgement.ratio(name)
-    found = {"ratio": packed(coarse(ratio))}
+    found = {"ratio": ratio}
     if not judge.names_prims:
         own = judge.bounds.own
         error = own.n_error if name == "normal" else (own.t_error + judge.answer.t_rounding) * pixels.length
-        return found | {"own": packed(coarse(np.where(pixels.both_hit, error, 0.0)))}
+        return found | {"own": np.where(pixels.both_hit, error, 0.0)}
     bound = pixels.allowed_distance.get(name)
     if bound is None:
         return found
     alone = pixels.both_hit & (ratio > error_over_bound(pixels.distance(name), bound) * ROUNDING)
-    bound = np.where(pixels.both_hit, bound, 0.0)
-    return found | {"bound": packed(coarse(bound)), "alone": packed(alone.astype(np.uint8))}
+    return found | {"bound": np.where(pixels.both_hit, bound, 0.0), "alone": alone.astype(np.float32)}
 
 
-def _ids(judge: Judge) -> Part:
-    """Numbers of shapes, and of primitives within them, -1 on a miss; of a candidate that names none, its t instead."""
+def _ids(judge: Judge, rows: np.ndarray) -> Part:
+    """Numbers of shapes, and of primitives within them, -1 on a miss; of a candidate that names none, some of its t."""
     pair, index = judge.pair, judge.model.packed.index_in_shape
     if judge.names_prims:
         numbers = {
@@ -197,8 +293,9 @@ def _ids(judge: Judge) -> Part:
         t = {}
     else:
         numbers = {"shape_reference": pair.result.shape_id, "prim_reference": index(judge.reference_prim)}
-        t = _both_sides(judge.answer.t, judge.result.t, "t_")  # in lengths of d, which depth does not show
-    return {name: packed(each.astype(np.int32)) for name, each in numbers.items()} | t
+        # in lengths of d, which depth does not show
+        t = {"exact": _both_sides(judge.answer.t[rows], judge.result.t[rows], "t_")}
+    return {name: image(each, pair.shape) for name, each in numbers.items()} | t
 
 
 # ---- thumbnails ----
