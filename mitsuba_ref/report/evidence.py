@@ -75,17 +75,16 @@ EDGE_UNITS = 64  # in a pixel, which is shown at 128 points at most
 STRAIGHT_CAMERAS = ("pinhole", "orthographic")  # in whose images the edges of a triangle are straight
 
 
-def film_edges(judge: Judge, judgement: Judgement) -> np.ndarray | None:
+def film_edges(judge: Judge, judgement: Judgement) -> np.ndarray:
     """(m, 4) int32 film coordinates x, y, x, y, in units of 1 / EDGE_UNITS pixel, of the edges of triangles that are
     hit, without those that reach behind the eye.
 
-    If these are too many, of those at pixels that do not agree. None for a list of rays, and for a camera that bends
-    edges.
+    If these are too many, of those at pixels that do not agree. None of them for a list of rays, and for a camera that
+    bends edges.
     """
-    scene, packed = judge.scene, judge.model.packed
+    scene, packed, hit = judge.scene, judge.model.packed, judge.reference_prim
     if judge.pair.rays.is_list or scene.camera.type not in STRAIGHT_CAMERAS:
-        return None
-    hit = judge.reference_prim
+        return np.zeros((0, 4), np.int32)
     prims = np.stack([hit, judge.pair.prim]) if judge.names_prims else hit[None]
     chosen = np.unique(prims[prims >= 0])
     if len(chosen) > MAX_TRIANGLES_DRAWN:

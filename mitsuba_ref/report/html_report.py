@@ -38,9 +38,9 @@ from mitsuba_ref.report.scene_record import (
     LEAST_SHARE,
     NAN_CODE,
     NO_BOUND,
+    SIDES,
     SceneRecord,
     image,
-    narrowest,
     packed,
     scene_record,
 )
@@ -104,8 +104,7 @@ class HtmlReport:
 
     def _facts(self, verdict: Verdict) -> list[tuple[str, str]]:
         """What judged, when and how long, for the head of the page."""
-        scenes = sum(scene.seconds for scene in verdict.scenes if not scene.kept)
-        took = max(time.monotonic() - self._started, scenes if len(verdict.scenes) == 1 else 0.0)
+        took = max([time.monotonic() - self._started, *(scene.seconds for scene in verdict.scenes if not scene.kept)])
         return [*self._about, ("duration", f"{took:.1f} s"), *(("reference", words) for words in verdict.versions)]
 
     def sweep(self, spared: Collection[str] = ()) -> str:
@@ -148,14 +147,10 @@ def run_facts() -> list[tuple[str, str]]:
 
 
 def commit() -> str:
-    """The commit that CI names, or of the current folder, with -dirty if files were changed; "" if there is none."""
-    named = os.environ.get("GITHUB_SHA") or os.environ.get("CI_COMMIT_SHA")
-    if named:
-        return named
+    """The commit of the current folder, with -dirty if files were changed; "" if there is none."""
+    asked = ["git", "describe", "--always", "--dirty", "--exclude=*"]
     with suppress(OSError, subprocess.TimeoutExpired):
-        asked = ["git", "describe", "--always", "--dirty", "--exclude=*"]
-        found = subprocess.run(asked, capture_output=True, text=True, timeout=GIT_SECONDS, check=False)
-        return found.stdout.strip()
+        return subprocess.run(asked, capture_output=True, text=True, timeout=GIT_SECONDS, check=False).stdout.strip()
     return ""
 
 
@@ -267,6 +262,9 @@ class ImagePair(NamedTuple):
     ratios: Mapping[str, np.ndarray] = MappingProxyType({})  # layer -> (h, w) error over bound, where there are bounds
 
 
+PAIR = "images"  # the name of their record
+
+
 def write_comparison(
     path: str | Path, pair: ImagePair, facts: Sequence[tuple[str, str]], *, ok: bool, text: str
 ) -> Path:
@@ -275,26 +273,23 @@ def write_comparison(
     facts: numbers about both, as information. text: the result in words.
     """
     index, data = report_folder(path)
-    (width, height), (x0, y0), name = pair.size, pair.origin, "images"
+    (width, height), (x0, y0), count = pair.size, pair.origin, pair.size[0] * pair.size[1]
     parts: dict[str, Any] = {}
     for layer, sides in pair.layers.items():
-        ours, reference = (narrowest(each.reshape(width * height, -1).astype(np.float64)) for each in sides)
-        wide = np.promote_types(ours.dtype, reference.dtype)
-        parts[layer] = {"reference": packed(reference), "ours": packed(ours.astype(wide), reference)}
+        parts[layer] = {side: packed(each.reshape(count, -1)) for side, each in zip(SIDES, sides, strict=False)}
         if layer in pair.ratios:
-            parts[layer]["ratio"] = packed(narrowest(pair.ratios[layer].ravel().astype(np.float64)))
+            parts[layer]["ratio"] = packed(pair.ratios[layer].ravel())
     about: dict[str, Any] = {
         "window": [x0, y0, x0 + width, y0 + height],
-        "layers": {layer: sides[0].size // (width * height) for layer, sides in pair.layers.items()},
+        "layers": {layer: sides[0].size // count for layer, sides in pair.layers.items()},
         "facts": facts,
         "text": text,
     }
     if pair.hit is not None:
         about["hit"] = image(pair.hit[0].ravel() + 2 * pair.hit[1].ravel(), (height, width))
-    write_record(data, name, {"about": about, **parts})
+    write_record(data, PAIR, {"about": about, **parts})
     mark = "PASS" if ok else "FAIL"
+    row = index_row(SceneVerdict(PAIR, ""), "") | {"ok": ok, "mark": mark, "failure": ""}
     run = {"names": pair.names, "facts": run_facts(), "summary": mark, "candidate": "", "requested": 1, "common": []}
-    row = {"name": name, "file": file_of(name), "mark": mark, "ok": ok, "failure": "", "ratios": {}, "failed_at": []}
-    counts = {"counts": {}, "unlisted": 0, "path": "", "replay": ""}
-    write_page(index, run | page_words() | {"classes": [], "colors": {}}, [row | counts])
+    write_page(index, run | page_words() | {"classes": [], "colors": {}}, [row])
     return index

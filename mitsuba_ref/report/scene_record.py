@@ -7,7 +7,7 @@ deflated, in base64; mitsuba_ref/report/page/arrays.js decodes them.
 
 import base64
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from caster.aovs import Aovs
 from caster.image.image_files import encode_image
 from caster.image.previews import aov_view
-from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound
+from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
 from mitsuba_ref.judge.explanations import constant_reasons, format_exact, reason
 from mitsuba_ref.judge.pipeline import Seen
@@ -30,35 +30,12 @@ Shape = tuple[int, int]  # height, width
 ZLIB_LEVEL = 9  # takes a tenth of a second more than the default for a scene of 256 x 256 pixels
 
 
-def packed(values: np.ndarray, like: np.ndarray | None = None) -> Part:
-    """Pack (n,) numbers, or (n, c) channel by channel, as {"type": "f4", "z": text}, without loss.
-
-    "xor": 1 if the bits are XORed with those of `like`, nearly equal floats of the same shape.
-    """
-    found = {"type": f"{values.dtype.kind}{values.itemsize}"}
-    bits = _bits(values)
-    if like is None:
-        return found | {"z": _deflated(bits)}
-    base = np.where(np.isnan(like), 0.0, like).astype(values.dtype)  # 0 for NaN, whose bits a conversion may change
-    return found | {"xor": 1, "z": _deflated(bits ^ _bits(base))}
-
-
-def _bits(values: np.ndarray) -> np.ndarray:
-    """The bits of the channels, one after another, as little-endian integers."""
+def packed(values: np.ndarray) -> Part:
+    """Pack (n,) numbers, or (n, c) channel by channel, as {"type": "f4", "z": text}, without loss."""
     flat = np.ascontiguousarray(values.T, values.dtype.newbyteorder("<")).ravel()
-    return flat.view(f"<u{flat.itemsize}")
-
-
-def _deflated(bits: np.ndarray) -> str:
-    planes = np.ascontiguousarray(bits).view(np.uint8).reshape(-1, bits.itemsize).T
-    return base64.b64encode(zlib.compress(planes.tobytes(), ZLIB_LEVEL)).decode("ascii")
-
-
-def narrowest(values: np.ndarray) -> np.ndarray:
-    """As float32 if that loses nothing, else unchanged."""
-    with np.errstate(over="ignore"):
-        single = values.astype(np.float32)
-    return single if np.array_equal(single, values, equal_nan=True) else values
+    planes = flat.view(np.uint8).reshape(-1, flat.itemsize).T
+    text = base64.b64encode(zlib.compress(planes.tobytes(), ZLIB_LEVEL)).decode("ascii")
+    return {"type": f"{values.dtype.kind}{values.itemsize}", "z": text}
 
 
 def numbered(texts: Iterable[str]) -> Part:
@@ -78,31 +55,27 @@ STEPS_AN_OCTAVE = 2  # of shares of bounds; of errors one
 LEAST_SHARE = 4  # octaves below 1: smaller shares of a bound are 0
 ENTIRE = LEAST_SHARE * STEPS_AN_OCTAVE  # the code of a share of 1
 NO_BOUND = 255  # the code of an infinite share
+SMALLEST = 2.0**-1074  # float64 above 0
 LEAST_ERROR = 5  # octaves below the 99th percentile: smaller errors are 0
 
 
-def image(codes: np.ndarray, shape: Shape) -> Part:
-    """Pack (n,) or (n, c) integers: folded to be >= 0, and if that is shorter ("plane": 1), as differences from the
-    plane through three neighbours, which are small where an image is smooth."""
+def image(codes: np.ndarray, shape: Shape, *, smooth: bool = True) -> Part:
+    """Pack (n,) or (n, c) integers, folded to be >= 0. smooth: as their differences from the plane through three
+    neighbours, which are small in a smooth image and large in noise."""
     planes = codes.reshape(*shape, -1).astype(np.int64)
-    smooth = np.diff(np.diff(planes, axis=0, prepend=0), axis=1, prepend=0)
-    found = []
-    for each in (planes, smooth):
-        folded = ((each << 1) ^ (each >> 63)).reshape(len(codes), -1)
-        found.append(packed(folded.astype(np.min_scalar_type(folded.max(initial=0)))))
-    plain, by_plane = found
-    return (by_plane | {"plane": 1} if len(by_plane["z"]) < len(plain["z"]) else plain) | {
-        "height": shape[0],
-        "width": shape[1],
-    }
+    if smooth:
+        planes = np.diff(np.diff(planes, axis=0, prepend=0), axis=1, prepend=0)
+    folded = ((planes << 1) ^ (planes >> 63)).reshape(len(codes), -1)
+    about = {"height": shape[0], "width": shape[1], "plane": int(smooth)}
+    return packed(folded.astype(np.min_scalar_type(folded.max(initial=0)))) | about
 
 
 def value_codes(values: np.ndarray, steps: np.ndarray) -> np.ndarray:
     """(n, c) multiples of a step, one a channel."""
     with np.errstate(invalid="ignore", over="ignore"):
-        codes = np.clip(np.nan_to_num(np.round(values / steps), nan=NAN_CODE), -INF_CODE, INF_CODE)
-        outside = np.isfinite(values) & (np.abs(codes) > LARGEST_CODE)
-    return np.where(outside, np.sign(codes) * LARGEST_CODE, codes).astype(np.int64)
+        most = np.where(np.isinf(values), INF_CODE, LARGEST_CODE)
+        codes = np.clip(np.round(values / steps), -most, most)
+    return np.where(np.isnan(values), NAN_CODE, codes).astype(np.int64)
 
 
 def value_steps(values: np.ndarray) -> np.ndarray:
@@ -121,30 +94,25 @@ def share_codes(shares: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(shares), np.clip(codes, 0, NO_BOUND - 1), NO_BOUND).astype(np.uint8)
 
 
-def error_codes(ours: np.ndarray, reference: np.ndarray) -> tuple[float, np.ndarray]:
-    """(unit, (n,) codes) of the signed difference of the channel that differs most; 1 is the unit."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        apart = np.where(ours == reference, 0.0, ours - reference)
-    sizes = np.where(np.isfinite(apart), np.abs(apart), 0.0)
-    channel = np.argmax(sizes, axis=1)[:, None]
-    error = np.take_along_axis(np.where(np.isfinite(apart), apart, 0.0), channel, 1)[:, 0]
+def error_codes(apart: np.ndarray) -> tuple[float, np.ndarray]:
+    """(unit, (n,) codes) of the largest of each row of (n, c) differences, with its sign; the code of a unit is 1."""
+    finite = np.where(np.isfinite(apart), apart, 0.0)
+    error = finite[np.arange(len(finite)), np.argmax(np.abs(finite), axis=1)]
     some = np.abs(error[error != 0.0])
-    unit = float(np.quantile(some, MOST[1])) * 2.0**-LEAST_ERROR if len(some) else 0.0
-    if unit == 0.0:
-        return 0.0, np.zeros(len(error), np.int64)
-    with np.errstate(divide="ignore", over="ignore"):
-        codes = np.maximum(np.round(np.log2(np.abs(error) / unit)) + 1.0, 0.0)
+    unit = max(float(np.quantile(some, MOST[1])) * 2.0**-LEAST_ERROR, SMALLEST) if len(some) else 1.0
+    with np.errstate(divide="ignore"):
+        codes = np.maximum(np.round(np.log2(np.abs(error)) - np.log2(unit)) + 1.0, 0.0)
     return unit, (np.sign(error) * codes).astype(np.int64)
 
 
 # ---- the record ----
 
 MAX_PIXELS_WITH_REASON = 1 << 16  # of a scene, failing ones first: half a second of work
-MAX_PIXELS_WITHOUT_LOSS = {AGREE: 128, "": 4096}  # of those that agree, and of all others; 0.2 kB each
-WORST_WITHOUT_LOSS = 8  # of each check
+MAX_AGREEING_WITHOUT_LOSS, MAX_OTHERS_WITHOUT_LOSS = 128, 4096  # 0.2 kB each
+WORST_WITHOUT_LOSS = 32
 UNLISTED_CODE = len(CLASSES)  # a class of the page: the reference is wrong in no known way, which fails
+SIDES = ("ours", "reference", "ratio")
 FLOAT_LAYERS = ("depth", "normal", "diffuse", "shading_normal", "position", "uv")
-ROUNDING = 1.0 + 4 * 2.0**-53  # a ratio that is computed in two ways is the same up to 4 roundings
 
 
 class SceneRecord(NamedTuple):
@@ -168,41 +136,39 @@ def scene_record(seen: Seen) -> SceneRecord:
         "shapes": list(judge.scene.shape_names()),
         "class": image(classes, shape),
         "hit": image(hit, shape),
-        "rows": packed(rows.astype(np.int32)),
+        "rows": packed(rows),
         "reasons": _reasons(seen, classes),
         "exact": _exact_answers(judge, judgement),
-        "shares": {name: image(share_codes(judgement.ratio(name)), shape) for name in others},
+        "shares": {name: image(share_codes(judgement.ratio(name)), shape, smooth=False) for name in others},
         "wrong_rays": [ray.what for ray in seen.wrong_rays],
     }
     layers: dict[str, Part] = {"ids": _ids(judge, rows)}
     for name in FLOAT_LAYERS:
         if name in ours and name in reference:
-            mine, theirs = (aov_rows(each, name).reshape(len(hit), -1) for each in (ours, reference))
-            layers[name] = _images(mine, theirs, hit, shape) | {
-                "ratio": image(share_codes(judgement.ratio(name)), shape)
+            ratio, sides = judgement.ratio(name), [aov_rows(each, name) for each in (ours, reference)]
+            layers[name] = _images(hit, shape, *(each.reshape(len(hit), -1) for each in sides)) | {
+                "ratio": image(share_codes(ratio), shape, smooth=False),
+                "exact": dict(zip(SIDES, (packed(each[rows]) for each in (*sides, ratio)), strict=True)),
             }
-            both = _both_sides(aov_rows(ours, name)[rows], aov_rows(reference, name)[rows])
-            bounds = {each: packed(narrowest(of[rows])) for each, of in _bounds(judge, judgement, name).items()}
-            layers[name]["exact"] = both | bounds
     if "normal" in layers and layers["normal"] == layers.get("shading_normal"):
         layers["shading_normal"] = {"same": "normal"}
-    edges = film_edges(judge, judgement)
-    if edges is not None:
-        layers["edges"] = {"segments": packed(edges), "units": EDGE_UNITS}
+    layers["edges"] = {"segments": packed(film_edges(judge, judgement)), "units": EDGE_UNITS}
     return SceneRecord(about, layers, thumbnail(ours))
 
 
 def rows_without_loss(seen: Seen, classes: np.ndarray, hit: np.ndarray) -> np.ndarray:
-    """(m,) pixels whose numbers are stored without loss: the first of each cause, the worst of each check, and of those
-    that agree and that do not some all over the image."""
-    judgement = seen.judgement
-    chosen = [rows[:1] for rows in seen.diagnosis.rows_of.values()]
-    chosen += [np.argsort(-judgement.ratio(name), kind="stable")[:WORST_WITHOUT_LOSS] for name in judgement.names]
+    """(m,) pixels whose numbers are stored without loss: the first of each cause, the worst of all, and some all over
+    the image, of those that agree and of those that do not."""
+    worst = np.max([seen.judgement.ratio(name) for name in seen.judgement.names], axis=0)
+    chosen = [
+        *(rows[:1] for rows in seen.diagnosis.rows_of.values()),
+        np.argsort(-worst, kind="stable")[:WORST_WITHOUT_LOSS],
+    ]
     agree = classes == CLASS_CODE[AGREE]
-    for among, most in zip((agree & (hit > 0), ~agree), MAX_PIXELS_WITHOUT_LOSS.values(), strict=True):
+    for among, most in ((agree & (hit > 0), MAX_AGREEING_WITHOUT_LOSS), (~agree, MAX_OTHERS_WITHOUT_LOSS)):
         rows = np.flatnonzero(among)
         chosen.append(rows[:: max(1, -(-len(rows) // most))])
-    return np.unique(np.concatenate(chosen).astype(np.int64))
+    return np.unique(np.concatenate(chosen).astype(np.int32))
 
 
 def _classes(judgement: Judgement) -> np.ndarray:
@@ -238,46 +204,19 @@ def _exact_answers(judge: Judge, judgement: Judgement) -> Part:
     }
 
 
-def _images(ours: np.ndarray, reference: np.ndarray, hit: np.ndarray, shape: Shape) -> Part:
+def _images(hit: np.ndarray, shape: Shape, ours: np.ndarray, reference: np.ndarray) -> Part:
     """Both sides, (n, c), as images, and the difference where both hit. hit: bit 1 for ours, 2 for the reference."""
     steps = value_steps(reference[hit > 1] if (hit > 1).any() else ours)
-    theirs, mine = (
-        np.where((hit & bit)[:, None] > 0, value_codes(values, steps), 0) for bit, values in ((2, reference), (1, ours))
-    )
-    both = (hit == 3)[:, None]
-    unit, errors = error_codes(np.where(both, ours, 0.0), np.where(both, reference, 0.0))
+    theirs, mine = (value_codes(each, steps) * (hit & bit > 0)[:, None] for bit, each in ((2, reference), (1, ours)))
+    with np.errstate(invalid="ignore", over="ignore"):
+        unit, errors = error_codes(np.where((hit == 3)[:, None], ours - reference, 0.0))
     return {
         "steps": steps.tolist(),
         "reference": image(theirs, shape),
         "ours": image(mine - theirs, shape),
         "unit": unit,
-        "difference": image(errors, shape),
+        "difference": image(errors, shape, smooth=False),
     }
-
-
-def _both_sides(ours: np.ndarray, reference: np.ndarray, prefix: str = "") -> Part:
-    """Both sides; ours is XORed with the reference."""
-    base = narrowest(reference)
-    return {f"{prefix}reference": packed(base), f"{prefix}ours": packed(ours, base)}
-
-
-def _bounds(judge: Judge, judgement: Judgement, name: str) -> Mapping[str, np.ndarray]:
-    """The error-to-bound ratio of each pixel in one AOV, and its bounds; none for `diffuse`, which differ by light.
-
-    "bound": on the difference between both sides; "alone": where the bound of the subject at its own surface decides
-    instead; "own": of a candidate's arithmetic, on its distance from the surface of the reference.
-    """
-    pixels, ratio = judge.pixels, judgement.ratio(name)
-    found = {"ratio": ratio}
-    if not judge.names_prims:
-        own = judge.bounds.own
-        error = own.n_error if name == "normal" else (own.t_error + judge.answer.t_rounding) * pixels.length
-        return found | {"own": np.where(pixels.both_hit, error, 0.0)}
-    bound = pixels.allowed_distance.get(name)
-    if bound is None:
-        return found
-    alone = pixels.both_hit & (ratio > error_over_bound(pixels.distance(name), bound) * ROUNDING)
-    return found | {"bound": np.where(pixels.both_hit, bound, 0.0), "alone": alone.astype(np.float32)}
 
 
 def _ids(judge: Judge, rows: np.ndarray) -> Part:
@@ -294,7 +233,7 @@ def _ids(judge: Judge, rows: np.ndarray) -> Part:
     else:
         numbers = {"shape_reference": pair.result.shape_id, "prim_reference": index(judge.reference_prim)}
         # in lengths of d, which depth does not show
-        t = {"exact": _both_sides(judge.answer.t[rows], judge.result.t[rows], "t_")}
+        t = {"exact": {"t_ours": packed(judge.answer.t[rows]), "t_reference": packed(judge.result.t[rows])}}
     return {name: image(each, pair.shape) for name, each in numbers.items()} | t
 
 

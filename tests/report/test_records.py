@@ -23,7 +23,6 @@ from mitsuba_ref.report.scene_record import (
     NO_BOUND,
     error_codes,
     image,
-    narrowest,
     packed,
     scene_record,
     share_codes,
@@ -33,18 +32,16 @@ from mitsuba_ref.report.scene_record import (
 from mitsuba_ref.report.validation import Validation
 
 
-def unpacked(array, like=None):
+def unpacked(array):
     """The way back, as mitsuba_ref/report/page/arrays.js has it, in a few lines of NumPy."""
     kind = np.dtype(array["type"])
     planes = np.frombuffer(zlib.decompress(base64.b64decode(array["z"])), np.uint8).reshape(kind.itemsize, -1)
     bits = np.ascontiguousarray(planes.T).view(f"u{kind.itemsize}").ravel()
-    if "xor" in array:
-        bits = bits ^ np.where(np.isnan(like), 0.0, like).astype(kind).view(bits.dtype)
     if "width" not in array:
         return bits.view(kind)
     folded = bits.astype(np.int64).reshape(-1, array["height"], array["width"])
     codes = (folded >> 1) ^ -(folded & 1)
-    return codes.cumsum(axis=1).cumsum(axis=2) if "plane" in array else codes
+    return codes.cumsum(axis=1).cumsum(axis=2) if array["plane"] else codes
 
 
 # ---- of a candidate
@@ -65,7 +62,7 @@ def test_t_is_what_the_function_returned_to_the_bit(judged, name):
     rows, exact = unpacked(record.about["rows"]), record.layers["ids"]["exact"]
     reference, expected = unpacked(exact["t_reference"]), textbook_pages.RETURNED[name][rows]
     assert np.array_equal(reference, seen.judge.result.t[rows])
-    assert np.array_equal(unpacked(exact["t_ours"], reference), expected)
+    assert np.array_equal(unpacked(exact["t_ours"]), expected)
     assert 0 < np.isfinite(expected).sum() < len(expected)
 
 
@@ -76,7 +73,7 @@ def test_what_is_no_answer_is_nan_and_never_zero():
     no_normal, no_t = map(planted.row_of, (textbook_pages.NO_NORMAL, textbook_pages.NO_T))
     for name, row in (("depth", no_t), ("normal", no_normal)):
         layer, place = found.layers[name], int(np.flatnonzero(rows == row)[0])
-        ours = unpacked(layer["exact"]["ours"], unpacked(layer["exact"]["reference"])).reshape(-1, len(rows))
+        ours = unpacked(layer["exact"]["ours"]).reshape(-1, len(rows))
         codes = unpacked(layer["ours"]) + unpacked(layer["reference"])
         assert np.isnan(ours[:, place]).all() and np.isnan(ours).any(axis=0).sum() == 1
         assert np.flatnonzero((codes == NAN_CODE).all(axis=0)).tolist() == [row]
@@ -95,27 +92,14 @@ def test_rows_and_pages_name_the_candidate(judged, tmp_path):
 
 # ---- arrays
 
-ODD = [0.0, -0.0, 1.5, -2.25, np.inf, -np.inf, np.nan, 5e-324, 1e-45, 3.4e38, np.pi]
-
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64, np.int32, np.uint8])
 def test_what_goes_in_comes_out_to_the_bit(dtype):
     numbers = np.random.default_rng(4).normal(0.0, 40.0, (300, 3))
     values = numbers.astype(dtype) if dtype != np.uint8 else np.abs(numbers).astype(dtype)
+    if values.dtype.kind == "f":
+        values[:6, 0] = [-0.0, np.inf, -np.inf, np.nan, 5e-324, 3e38]
     assert unpacked(packed(values)).tobytes() == np.ascontiguousarray(values.T).tobytes()
-
-
-def test_bits_are_taken_off_the_reference_and_put_back():
-    with np.errstate(over="ignore"):
-        reference = np.array(ODD, np.float64).astype(np.float32)
-    ours = np.array([*ODD[3:], *ODD[:3]], np.float64)
-    for mine, theirs in ((ours, reference), (ours, reference.astype(np.float64))):
-        assert unpacked(packed(mine, theirs), theirs).tobytes() == mine.tobytes()
-
-
-def test_float32_only_where_nothing_is_lost():
-    assert narrowest(np.array([1.5, np.nan, np.inf])).dtype == np.float32
-    assert narrowest(np.array([1.5, 0.1])).dtype == np.float64
 
 
 def test_an_image_comes_out_as_it_goes_in():
@@ -123,9 +107,8 @@ def test_an_image_comes_out_as_it_goes_in():
     y, x = np.mgrid[0:14, 0:20]
     smooth = np.stack([3 * x - 5 * y, (x * y) // 3, 40 * x], axis=-1).reshape(-1, 3)
     for codes in (smooth, rng.integers(-INF_CODE, INF_CODE + 1, (280, 1)), np.zeros((280, 2), np.int64)):
-        found = image(codes, (14, 20))
-        assert np.array_equal(unpacked(found).reshape(codes.shape[1], -1).T, codes)
-        assert ("plane" in found) == (codes is smooth)
+        for found in (image(codes, (14, 20)), image(codes, (14, 20), smooth=False)):
+            assert np.array_equal(unpacked(found).reshape(codes.shape[1], -1).T, codes)
 
 
 def test_values_are_rounded_to_a_step_and_what_is_no_number_stays_none():
@@ -148,12 +131,12 @@ def test_errors_keep_their_sign_and_their_size_within_the_root_of_2():
     rng = np.random.default_rng(4)
     reference = rng.normal(size=(4000, 3))
     ours = reference + np.array([1e-9, -3e-9, 2e-9]) * rng.lognormal(size=(4000, 1))
-    unit, codes = error_codes(ours, reference)
+    unit, codes = error_codes(ours - reference)
     error = (ours - reference)[:, 1]
     told = np.sign(codes) * unit * 2.0 ** (np.abs(codes) - 1.0)
     large = np.abs(error) > 2.0 * unit
     assert large.sum() > 2500 and np.all(np.abs(np.log2(told[large] / error[large])) < 0.501)
-    assert error_codes(reference, reference)[0] == 0.0
+    assert not error_codes(np.zeros((9, 3)))[1].any() and error_codes(np.array([[5e-324], [1.0]]))[1].tolist()[0] >= 0
 
 
 # ---- projected edges

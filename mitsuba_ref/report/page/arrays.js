@@ -2,12 +2,11 @@
 
 const KINDS = { f4: Float32Array, f8: Float64Array, i4: Int32Array, u1: Uint8Array, u2: Uint16Array, u4: Uint32Array };
 
-/** {type, z, xor?} -> typed array. like: the unpacked array with which its bits were XORed. */
-async function unpacked(packed, like) {
+/** {type, z} -> typed array; of an image, its codes. */
+async function unpacked(packed) {
   const kind = KINDS[packed.type];
-  const bytes = interleaved(await inflated(packed.z), kind.BYTES_PER_ELEMENT);
-  if (packed.xor) flip(bytes, new Uint8Array(base(like, kind).buffer));
-  return packed.width ? unfolded(new kind(bytes.buffer), packed) : new kind(bytes.buffer);
+  const numbers = new kind(interleaved(await inflated(packed.z), kind.BYTES_PER_ELEMENT).buffer);
+  return packed.width ? unfolded(numbers, packed) : numbers;
 }
 
 async function inflated(text) {
@@ -34,17 +33,6 @@ function unfolded(folded, { width, height, plane }) {
   for (let i = 0; i < codes.length; i++) if (i % width) codes[i] += codes[i - 1];
   for (let i = 0; i < codes.length; i++) if (i % (width * height) >= width) codes[i] += codes[i - width];
   return codes;
-}
-
-/** Converts numbers to floats of this kind; NaN becomes 0, since a conversion may change its bits. */
-function base(like, kind) {
-  const numbers = kind.from(like);
-  for (let i = 0; i < numbers.length; i++) if (Number.isNaN(like[i])) numbers[i] = 0;
-  return numbers;
-}
-
-function flip(bytes, others) {
-  for (let i = 0; i < bytes.length; i++) bytes[i] ^= others[i];
 }
 
 // What codes of images stand for.

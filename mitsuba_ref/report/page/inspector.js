@@ -118,19 +118,18 @@ function layerHtml(record, row, layer) {
 /** A rounded share is rounded up; below the least one that is stored, it is 0. */
 function atMost(share) {
   const least = 2 ** -RUN.codes.octaves;
-  return share === 0 ? `under ${brief(least)}` : `${brief(share)}\u00d7`;
+  return share === 0 ? `under ${brief(least)} \u00d7` : `${brief(share)} \u00d7`;
 }
 
 /** A rounded error: its size up to a factor of the root of 2; 0 if it is too small to be seen beside others. */
 const errorWords = (error) => (error === 0 ? "too small to be drawn" : `about ${error < 0 ? "\u2212" : ""}${Number(Math.abs(error).toPrecision(1))}`);
 
-/** The bound of a candidate is that of its own arithmetic, on its distance from the surface in float64. */
+/** The share of the bound; a candidate has that of its own arithmetic, on its distance from the surface in float64. */
 function boundHtml(record, data, row) {
   if (!data.ratio) return "";
-  const share = data.ratio[row], i = record.placeOf(row), { own, alone, bound } = data.exact;
-  const known = i < 0 ? "" : own ? `${record.verdict.precision}\u2019s bound ${brief(own[i])}`
-    : alone?.[i] ? "float64\u2019s bound" : bound ? `bound ${brief(bound[i])}` : "";
-  const used = i < 0 ? `${share === 0 ? "" : "at most "}${atMost(share)} its bound` : `${brief(share)} \u00d7 ${known || "its bound"}`;
+  const share = data.ratio[row], lossless = record.placeOf(row) >= 0;
+  const bound = RUN.candidate ? `${record.verdict.precision}\u2019s bound` : "its bound";
+  const used = lossless ? `${brief(share)} \u00d7 ${bound}` : `${share === 0 ? "" : "at most "}${atMost(share)} ${bound}`;
   return `<small class="${share > 1 ? "bad" : ""}">${share === Infinity ? "no bound holds" : used}</small>`;
 }
 

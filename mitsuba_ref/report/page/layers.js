@@ -83,7 +83,7 @@ async function layerData(record, layer) {
 async function wholeLayer(record, data) {
   const { name } = data.layer;
   data.reference = await record.array(name, "reference");
-  data.ours = await record.array(name, "ours", "reference");
+  data.ours = await record.array(name, "ours");
   if (record.part(name).ratio) data.ratio = await record.array(name, "ratio");
   data.difference = new Float64Array(data.count);
   for (let i = 0; i < data.count; i++) data.difference[i] = largestDifference(data, i);
@@ -98,7 +98,7 @@ async function roundedLayer(record, data) {
   data.ours = valuesOf(codes.map((code, i) => code + apart[i]), part.steps, RUN.codes);
   data.difference = errorsOf(await record.array(name, "difference"), part.unit);
   data.ratio = sharesOf(await record.array(name, "ratio"), RUN.codes);
-  for (const each of Object.keys(part.exact)) data.exact[each] = await record.array(`${name}/exact`, each, each === "ours" ? "reference" : undefined);
+  for (const each of Object.keys(part.exact)) data.exact[each] = await record.array(`${name}/exact`, each);
   const { exact } = data, among = record.withoutLoss.size;
   for (const [row, i] of record.withoutLoss) {
     for (let c = 0; c < data.channels; c++)

@@ -35,14 +35,12 @@ class SceneRecord {
     return this.parts[name];
   }
 
-  /** One array of a part. like: the name of the array with which its bits were XORed. */
-  array(part, name, like) {
+  /** One array of a part, unpacked once. */
+  array(part, name) {
     const key = `${part}/${name}`;
     if (!this.arrays.has(key)) {
       const from = part.split("/").reduce((place, step) => (place === this ? this.part(step) : place[step]), this);
-      const packed = from[name];
-      const found = like ? this.array(part, like).then((base) => unpacked(packed, base)) : unpacked(packed);
-      this.arrays.set(key, found);
+      this.arrays.set(key, unpacked(from[name]));
     }
     return this.arrays.get(key);
   }
@@ -62,7 +60,7 @@ class SceneRecord {
       for (const name of Object.keys(this.part("ids"))) if (name !== "exact") this[name] = await this.array("ids", name);
       if (this.part("ids").exact) {
         this.t_reference = await this.array("ids/exact", "t_reference");
-        this.t_ours = await this.array("ids/exact", "t_ours", "t_reference");
+        this.t_ours = await this.array("ids/exact", "t_ours");
       }
     }
     this.layers = layersOf(this);
