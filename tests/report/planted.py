@@ -109,6 +109,6 @@ def rounded_answer(asked: Scene, job: TraceRequest) -> TraceResponse:
         light_visible=np.zeros((0, count), bool),
         albedo=albedo,
         sensor=np.column_stack([rays.o, rays.d, rays.t_max]),
-        versions={"mitsuba": "none", "variant": "scalar, ours rounded"},
+        versions={"mitsuba": "none", "variant": "scalar, rounded"},
         seconds=0.0,
     )
