@@ -214,12 +214,13 @@ def waiver_lines(verdict: Verdict) -> Iterator[str]:
 
 def failures_text(verdict: Verdict, report: str = "") -> str:
     """What several failing scenes have in common, then each by itself; "" where none fails."""
-    texts, said = [], dict[frozenset[SceneCheck], str]()
+    texts, said = [], dict[str | frozenset[SceneCheck], str]()
     for scene in failing_scenes(verdict.scenes):
         broken = frozenset(check for check in scene.checks if not check.ok)
-        first = "" if scene.problem or scene.failures else said.setdefault(broken, scene.name)
-        alike = f"FAIL  {scene.name}  {', '.join(sorted(check.name for check in broken))}: as in {first}"
-        texts.append(alike if first and first != scene.name else failure_text(scene, report))
+        first = scene.name if scene.failures else said.setdefault(scene.problem or broken, scene.name)
+        words = scene.problem.partition("\n")[0] or ", ".join(sorted(check.name for check in broken))
+        alike = f"FAIL  {scene.name}  {words}: as in {first}"
+        texts.append(alike if first != scene.name else failure_text(scene, report))
     return "\n\n".join(filter(None, ["\n".join(group_lines(verdict.scenes)), *texts]))
 
 
