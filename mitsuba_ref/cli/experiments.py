@@ -89,6 +89,7 @@ def run_bench(args: argparse.Namespace) -> int:
     threads = args.threads or casters.processors()
     if threads > casters.processors():
         raise SceneError(f"--threads {threads}: this process may use {casters.processors()}")
+    variants.require_variants()
     settings = Settings(args.size, args.alternations, threads, args.seed)
     caster = None
     if candidate:

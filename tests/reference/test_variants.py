@@ -228,7 +228,10 @@ def test_curved_shapes_go_to_the_scalar_variant_unless_one_is_chosen(libraries, 
     ("chosen", "says"),
     [
         ("cuda_rgb", "^MITSUBA_REF_VARIANT 'cuda_rgb': expected scalar_rgb or llvm_ad_rgb$"),
-        ("llvm_ad_rgb", "'llvm_ad_rgb': it does not work here: .*libLLVM.so.21.1: abort; .*: abort; and 2 more libraries"),
+        (
+            "llvm_ad_rgb",
+            "'llvm_ad_rgb': it does not work here: .*libLLVM.so.21.1: abort; .*: abort; and 2 more libraries",
+        ),
     ],
 )
 def test_a_choice_that_is_unknown_or_does_not_work_is_an_error(libraries, trials, monkeypatch, chosen, says):
