@@ -41,7 +41,7 @@ class HtmlReport:
         refuse_page_of_others(self.index)
         self.data = check_folder(check_folder(self.path) / "data")
         self.verdicts: list[SceneVerdict] = []
-        self._thumbnails: dict[str, str] = {}  # of the scenes whose record is written
+        self.thumbnails: dict[str, str] = {}  # of the scenes whose record is written
         self._lock = threading.Lock()
         self._written = float("-inf")
 
@@ -55,7 +55,7 @@ class HtmlReport:
             script = f"{RECORD_HEAD}{script_json(verdict.name)},{{\n{inside}\n}});\n"  # passes the record to the page
             write_text(self.data / file_of(verdict.name), script)
             with self._lock:
-                self._thumbnails[verdict.name] = found.thumbnail
+                self.thumbnails[verdict.name] = found.thumbnail
         return replace(verdict, seen=None)
 
     def add(self, verdict: SceneVerdict) -> None:
@@ -76,12 +76,12 @@ class HtmlReport:
             "common": [" ".join(line.split()) for line in group_lines(self.verdicts)],
         }
         with atomic_write(self.index) as part, part.open("w", encoding="utf-8") as file:
-            file.writelines(page(run, [index_row(each, self._thumbnails.get(each.name)) for each in self.verdicts]))
+            file.writelines(page(run, [index_row(each, self.thumbnails.get(each.name)) for each in self.verdicts]))
         self._written = time.monotonic()
 
     def sweep(self, spared: Collection[str] = ()) -> str:
         """Remove scenes of earlier reports that this page does not list, except `spared`; a line on their number."""
-        listed = {file_of(name) for name in (*self._thumbnails, *spared)}
+        listed = {file_of(name) for name in (*self.thumbnails, *spared)}
         obsolete = [path for path in self.data.glob("*.js") if path.name not in listed and is_record(path)]
         for path in obsolete:
             path.unlink(missing_ok=True)
