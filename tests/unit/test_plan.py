@@ -69,7 +69,7 @@ def test_shadow_rays_are_those_of_hits_that_face_the_light():
     view = trace_film(a_scene)
     facing = 0
     for lamp in lamps:
-        p, n = view.surfaces.p[view.hit], view.surfaces.sh_n[view.hit]
+        p, n = view.position[view.hit], view.shading_normal[view.hit]
         to_light = np.array(lamp.position) - p if lamp.type == "point" else -np.array([lamp.direction])
         facing += int(((n * to_light).sum(axis=1) > 0.0).sum())
     what = told(a_scene, "diffuse")
@@ -173,7 +173,7 @@ bent = scene.model_copy(update={"camera": caster.Fisheye(eye=(0.0, 1.0, 6.0), lo
 for each in (scene, bent):
     caster.render(each, tuple(BY_NAME))
 rays = np.random.default_rng(5).normal(size=(2, 500, 3))
-caster.cast(scene, *rays).surface, caster.cast(scene, *rays).normal, caster.occluded(scene, *rays)
+caster.cast(scene, *rays).uv, caster.cast(scene, *rays).normal, caster.occluded(scene, *rays)
 print(machine_code.is_supported(), COMPILATION_LOG.slowly)
 """
 
