@@ -65,25 +65,19 @@ def _try(packed: Packed, kind: Kind, rays: Rays) -> Iterator[PrimitiveResult]:
     if kind.bounded:
         away = ray_box_distances(rays.o[0], rays.d[0], *kind.boxes())
     rows = np.sort(np.argsort(away, kind="stable")[:MAX_PRIMITIVES_PROBED])
-    t, error = intersect_rows(kind, rows, rays)
+    t, error = np.full(len(rows), np.inf), np.zeros(len(rows))
+    intersect_each(kind.prims, rows.astype(np.int64), rays, t, error, 0, len(rows))
+    undecided = np.flatnonzero(np.isinf(error))
+    if len(undecided):  # exactly
+        again = Rays(*(np.repeat(a, len(undecided), axis=0) for a in rays))
+        found, starts = no_hits(len(undecided)), np.arange(len(undecided) + 1)
+        nearest_of_candidates(kind.prims, again, starts, rows[undecided].astype(np.int32), found, 0, len(undecided))
+        t[undecided] = found.t
     ids = kind.ids[rows]
     shapes, numbers = packed.shape_of(ids), packed.index_in_shape(ids)
     for j, k in enumerate(rows.tolist()):
         edges = edge_distances(kind.prims, k, rays.o[0], rays.d[0])
         yield PrimitiveResult(int(shapes[j]), int(numbers[j]), float(t[j]), float(error[j]), edges)
-
-
-def intersect_rows(kind: Kind, rows: np.ndarray, rays: Rays) -> tuple[np.ndarray, np.ndarray]:
-    """(t, error) of some primitives of a kind: by float64, and t exactly where error is inf."""
-    t, error = np.full(len(rows), np.inf), np.zeros(len(rows))
-    intersect_each(kind.prims, rows.astype(np.int64), rays, t, error, 0, len(rows))
-    undecided = np.flatnonzero(np.isinf(error))
-    if len(undecided):
-        again = Rays(*(np.repeat(a, len(undecided), axis=0) for a in rays))
-        found, starts = no_hits(len(undecided)), np.arange(len(undecided) + 1)
-        nearest_of_candidates(kind.prims, again, starts, rows[undecided].astype(np.int32), found, 0, len(undecided))
-        t[undecided] = found.t
-    return t, error
 
 
 # One pixel: its ray, its hit, and the intersection with each primitive alone.
@@ -158,20 +152,3 @@ def _way(kind: Kind, culling: str) -> str:
     if culling == "raster":
         return "tested in the pixels of their screen bounds"
     return f"a BVH of {len(bvh_of(kind).links)} nodes" if uses_bvh(kind) else "too few for a tree"
-
-
-def explain(rendered: RenderResult, aovs: Sequence[str]) -> str:
-    """The same in words, a line for each part, for `caster render --explain`."""
-    return "\n".join(f"{_spaced(name):<16} {_words(part)}" for name, part in account(rendered, aovs).items())
-
-
-def _words(part: Any) -> str:
-    if isinstance(part, dict):
-        return ", ".join(f"{_spaced(name)} {_words(each)}" for name, each in part.items()) or "none"
-    if isinstance(part, list):
-        return ("; " if part and isinstance(part[0], dict) else " ").join(map(_words, part)) or "none"
-    return {True: "yes", False: "no"}[part] if isinstance(part, bool) else str(part)
-
-
-def _spaced(name: str) -> str:
-    return name.replace("_", " ")
