@@ -369,10 +369,10 @@ def test_polygons_of_an_off_file_are_fans_in_the_order_of_the_file(data):
     ("old", "new", "says"),
     [
         (b"OFF", b"BYU", "x.off: expected an OFF file in text"),
-        (b"5 2 0", b"5", "x.off:2: expected 2 numbers, got '5'"),
+        (b"5 2 0", b"5", "x.off:2: expected 2 numbers, got a line of 1: '5'"),
         (b"5 2 0", b"5 3 0", "x.off: expected lines of 5 vertices and 3 faces, got 7"),
         (b"1 1 0", b"1 one 0", "x.off:5: expected numbers, got '1 one 0'"),
-        (b"4 0 1 2 3", b"4 0 1 2", "x.off:9: expected 5 numbers, got '4 0 1 2'"),
+        (b"4 0 1 2 3", b"4 0 1 2", "x.off:9: expected 5 numbers, got a line of 4: '4 0 1 2'"),
         (b"3 0 3 4", b"2 0 3", "x.off:8: expected at least 3 of the vertices 0 to 4, got [0, 3]"),
         (b"3 0 3 4", b"3 0 3 5", "x.off:8: expected at least 3 of the vertices 0 to 4, got [0, 3, 5]"),
     ],
