@@ -145,7 +145,7 @@ READERS: dict[str, tuple[str, ...]] = {
         "caster preview FILE -o out/o.png",
         "mitsuba-ref compare FILE in/other.exr -o out/d.exr",
         "mitsuba-ref compare in/other.exr FILE --json",
-        "mitsuba-ref judge --scene in/scene.toml --exr FILE",
+        "mitsuba-ref validate in/scene.toml --candidate FILE",
     ),
     "in/foreign.exr": read_by(
         "mitsuba-ref compare in/image.exr FILE --map depth=depth.Z --depth distance --miss 0 --json",

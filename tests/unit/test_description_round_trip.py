@@ -1,6 +1,5 @@
 """Packed primitives come back as descriptions that pack to the same float32 numbers, for every kind there is."""
 
-import json
 from collections.abc import Iterator
 
 import numpy as np
@@ -14,7 +13,7 @@ from caster.geometry.world_space import as_float32
 from caster.scene.files import scene_from_text
 from caster.scene.model import Scene
 from caster.shapes import SHAPES
-from mitsuba_ref.report.reproducers import pack_one, with_hex_floats
+from mitsuba_ref.report.reproducers import pack_one
 from mitsuba_ref.shapes import kind_of
 from mitsuba_ref.shapes.shape_reference import unit_vector_rounding_to
 from mitsuba_ref.subjects.subject import packs_identically
@@ -66,9 +65,8 @@ AT = caster.Ray(origin=(0, 0, 0), direction=(0, 0, 1))
 
 
 def read_back(shape):
-    """Through the text of a scene file, numbers as hex floats."""
-    line = {"type": "ray", "origin": [0, 0, 0], "direction": [0, 0, 1]}
-    scene = scene_from_text(json.dumps({"camera": line, "shape": [with_hex_floats(shape)]}), "json")
+    """Through the text of a scene file, as reproducers write it."""
+    scene = scene_from_text(Scene(camera=AT, shapes=[shape]).to_toml(), "toml")
     return scene.shapes[0].model_dump(by_alias=True, exclude_none=True)
 
 
