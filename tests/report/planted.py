@@ -67,8 +67,8 @@ def plant(answer: TraceResponse) -> None:
     answer.p[row_of(INFINITE), 0] = -np.inf
 
 
-def judged(name: str, plant: Plant = lambda answer: None) -> SceneVerdict:
-    asked = scene()
+def judged(name: str, plant: Plant = lambda answer: None, size: tuple[int, int] = (WIDTH, HEIGHT)) -> SceneVerdict:
+    asked = scene().with_film(width=size[0], height=size[1])
 
     def send(job: TraceRequest, timeout: float) -> TraceResponse:
         answer = rounded_answer(asked, job)
