@@ -11,9 +11,7 @@ from caster.image.exr import NO_ID
 from mitsuba_ref.exr_compare.comparison_result import FileComparison
 from mitsuba_ref.exr_compare.flip import flip
 from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, Array, ExrPair
-from mitsuba_ref.report.html_report import ImagePair, refuse_page_of_others, write_comparison
-
-MAX_PIXELS = 1 << 21  # of a page; browsers run out of memory
+from mitsuba_ref.report.html_report import MAX_PIXELS, ImagePair, refuse_page_of_others, write_comparison
 
 
 class Layer(NamedTuple):
@@ -66,6 +64,12 @@ def remove_page(folder: Path) -> None:
     (folder / "index.html").unlink(missing_ok=True)
 
 
+def float32(values: Array) -> Array:
+    """Numbers of an EXR file, or ratios, as a page stores them."""
+    with np.errstate(over="ignore"):
+        return values.astype(np.float32)
+
+
 def write_page(folder: Path, result: FileComparison, pair: ExrPair, layers: Mapping[str, Layer]) -> None:
     """Write index.html and its data. Raises OutputError, and SceneError for images that are too large for a page."""
     if result.width * result.height > MAX_PIXELS:
@@ -75,8 +79,8 @@ def write_page(folder: Path, result: FileComparison, pair: ExrPair, layers: Mapp
         names=(result.ours, result.reference),
         size=(result.width, result.height),
         origin=pair.reference.data_window[:2],
-        layers={name: (layer.ours, layer.reference) for name, layer in layers.items()},
+        layers={name: (float32(layer.ours), float32(layer.reference)) for name, layer in layers.items()},
         hit=(pair.hit_ours, pair.hit_reference) if pair.mask_channel else None,
-        ratios={name: layer.ratio for name, layer in layers.items()},
+        ratios={name: float32(layer.ratio) for name, layer in layers.items()},
     )
     write_comparison(folder, images, result.measures, ok=result.ok, text=result.format_table())
