@@ -103,5 +103,6 @@ COMMANDS = (
         run="run_schema",
         arguments="add_schema_arguments",
     ),
+    Command("docs", "read a page of the documentation", f"{_HERE}.pages"),
     Command("doctor", "list what was found on this machine, and the effect of each missing part", f"{_HERE}.doctor"),
 )

@@ -142,7 +142,7 @@ def add_timeout(parser: argparse.ArgumentParser) -> None:
 
 def add_reading(parser: argparse.ArgumentParser, more: str = "") -> Callable[..., argparse.Action]:
     """Add --map, --depth and --miss; the function that adds more options to their group."""
-    add = parser.add_argument_group("files of other programs (docs/candidates.md)" + more).add_argument
+    add = parser.add_argument_group("files of other programs (mitsuba-ref docs candidates)" + more).add_argument
     map_help = "a channel or group by its name there, such as depth=range or normal=facing; any number of them"
     add("--map", type=str, action="append", default=[], metavar="OURS=THEIRS", help=map_help)
     depths = ("distance", "z", "near")
@@ -173,7 +173,8 @@ def add_verdict_files(parser: argparse.ArgumentParser) -> None:
 
 
 def add_candidate(
-    parser: argparse.ArgumentParser, title: str = "another ray caster, judged in place of ours (docs/candidates.md)"
+    parser: argparse.ArgumentParser,
+    title: str = "another ray caster, judged in place of ours (mitsuba-ref docs candidates)",
 ) -> None:
     """Add --candidate, its precision and its time limit."""
     group = parser.add_argument_group(title)
@@ -186,14 +187,14 @@ def add_candidate(
         metavar="X",
         help="package.module:function, called as function(scene, o, d) -> (t, n); or a command that reads our scene "
         "and writes an EXR file, such as 'my-renderer {xml} -o {exr}' ({toml}, {width}, {height}); or one that reads "
-        "rays and writes hits, such as 'my-caster {mesh} {rays} {hits}' (docs/candidates.md)",
+        "rays and writes hits, such as 'my-caster {mesh} {rays} {hits}' (mitsuba-ref docs candidates)",
     )
     one.add_argument(
         "--candidate-serve",
         dest="candidate",
         type=ServedProgram,
         metavar="PROG",
-        help="a program that is started once and answers over stdin and stdout (docs/candidates.md)",
+        help="a program that is started once and answers over stdin and stdout (mitsuba-ref docs candidates)",
     )
     group.add_argument(
         "--candidate-precision",
@@ -294,7 +295,7 @@ def add_judge_arguments(parser: argparse.ArgumentParser) -> None:
     answers.add_argument("--hits", metavar="FILE", type=InputPath, help=help_)
     help_ = "an EXR file of depth.Z, normal.X/Y/Z, A, of the scene's camera"
     answers.add_argument("--exr", metavar="FILE", type=InputPath, help=help_)
-    help_ = ".npz of `rays`, or .npy, (n, 8): o, d, t_min, t_max (docs/candidates.md)"
+    help_ = ".npz of `rays`, or .npy, (n, 8): o, d, t_min, t_max (mitsuba-ref docs candidates)"
     add("--rays", type=InputPath, metavar="FILE", help=help_)
     help_ = "the arithmetic of the answers, from which their bounds follow; default: the type of t and n"
     add("--precision", metavar="P", choices=PRECISIONS, help=help_)
@@ -404,7 +405,7 @@ def add_probe_arguments(parser: argparse.ArgumentParser) -> None:
         "--save", metavar="FILE", type=OutputFile, help="write this ray and what it may hit as a scene of its own"
     )
     add_timeout(parser)
-    add_candidate(parser, "another ray caster, whose answer is explained as well (docs/candidates.md)")
+    add_candidate(parser, "another ray caster, whose answer is explained as well (mitsuba-ref docs candidates)")
     add_reading(parser, "; with --candidate")
 
 
@@ -424,7 +425,7 @@ def add_fuzz_arguments(parser: argparse.ArgumentParser) -> None:
     add("--judge-every", metavar="N", type=whole, default=16, help=help_)
     add("--replay", metavar="FILE|DIR", type=InputPath, help="check kept scenes again, and nothing else")
     add("--rays", metavar="N", type=positive_int, default=40, help="rays aimed at each scene; default: 40")
-    add_candidate(parser, "another ray caster, judged in place of ours in each scene (docs/candidates.md)")
+    add_candidate(parser, "another ray caster, judged in place of ours in each scene (mitsuba-ref docs candidates)")
 
 
 def add_stress_arguments(parser: argparse.ArgumentParser) -> None:
@@ -433,7 +434,7 @@ def add_stress_arguments(parser: argparse.ArgumentParser) -> None:
     add("--rays", metavar="N", type=positive_int, help="rays of each setting; default: 400, watertight 10000")
     add("--seed", metavar="S", type=whole, default=0, help="of the rays; default: 0")
     add_json(parser)
-    add_candidate(parser, "another ray caster, in place of ours: one that takes rays (docs/candidates.md)")
+    add_candidate(parser, "another ray caster, in place of ours: one that takes rays (mitsuba-ref docs candidates)")
     add_skip_unsupported(parser, "families")
 
 
@@ -450,5 +451,5 @@ def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
     add("--seed", metavar="S", type=whole, default=0, help=help_)
     add_json(parser)
     add_mesh_dirs(parser)
-    title = "another ray caster, timed and judged beside ours: one that takes rays (docs/candidates.md)"
+    title = "another ray caster, timed and judged beside ours: one that takes rays (mitsuba-ref docs candidates)"
     add_candidate(parser, title)
