@@ -42,7 +42,7 @@ def validate(
     """Compare our caster with Mitsuba on one scene, given as a Scene or as the path of its file.
 
     candidate: another ray caster in place of ours: a function(scene, o, d) -> (t, n), or what --candidate takes
-    (mitsuba-ref docs candidates). Raises SceneError for a scene that is not valid, FileMissing where there is none,
+    (docs/candidates.md). Raises SceneError for a scene that is not valid, FileMissing where there is none,
     MissingReferenceError for a shape without a reference. A crash of Mitsuba is a verdict that does not pass. The
     verdict keeps both images, for its write_html.
     """
