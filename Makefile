@@ -73,6 +73,7 @@ wheel: $(INSTALLED) ## a wheel with object code of all kernels for x86-64-v3: di
 docs: $(INSTALLED) ## pages and pictures that are made from sources: API, packages, an edge case, every shape, scenes
 	@$(BIN)/python docs/api.py
 	@$(BIN)/python docs/architecture.py
+	@$(BIN)/python docs/method_pixel.py
 	@$(BIN)/python docs/debugging.py
 	@$(BIN)/caster sheet scenes -o docs/scenes.png --columns 9
 
