@@ -45,7 +45,7 @@ mutants: $(INSTALLED) ## plant small faults by rule, a sample of each group of m
 	@PYTHONPATH=benchmarks $(BIN)/python -P -m mutants --page docs/internals/mutants.md $(ARGS)
 
 hostile: $(INSTALLED) ## a thousand broken and hostile inputs to every command: none may crash, hang or leave anything
-	@PYTHONPATH=tests/hostile $(BIN)/python -P -m hostile_runs --count 1000 $(ARGS)
+	@PYTHONPATH=tests/hostile:tests $(BIN)/python -P -m hostile_runs --count 1000 $(ARGS)
 
 nightly: $(INSTALLED) slow faults isa hostile ## what make test has no time for: all faults, half an hour of hard rays, 12 million at edges and corners
 	@$(BIN)/mitsuba-ref fuzz --rays 2000 --time 30m

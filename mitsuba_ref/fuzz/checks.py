@@ -1,7 +1,7 @@
 """Checks of one scene: ours along rays and in its image, against itself and the oracle; any subject by the judge."""
 
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from caster import cast
 from caster.description.errors import SceneError
+from caster.geometry.packing import Packed
 from caster.rendering.images import camera_rays
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import UNIT_LENGTH_ATOL
@@ -32,22 +33,32 @@ from mitsuba_ref.judge.checks.knife_edges import (
 from mitsuba_ref.judge.verdict import UNDECIDED, WRONG, SceneVerdict
 from mitsuba_ref.oracle.oracle import OutsideDomain
 from mitsuba_ref.reference.mitsuba_process import send_request
-from mitsuba_ref.reference.shared_input import SharedRays
+from mitsuba_ref.reference.shared_input import SharedRays, packed_float32
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.shapes.targets import Rng
+from mitsuba_ref.subjects.ray_files import checked_rays, lay_out
 from mitsuba_ref.subjects.subject import OURS, Subject
 
 SCENE_ERRORS = (SceneError, ValidationError, OutsideDomain)  # raised by scenes that cannot be checked
 MITSUBA_TIMEOUT_S = 60.0  # seconds; a scene of a few dozen pixels takes a hundredth of one
 
 
-def find(case: Case, kind: str = "", tally: Tally | None = None, subject: Subject = OURS) -> list[Finding]:
-    """Findings about a case; none where it is no valid scene. kind: of the finding it was made for."""
+def find(
+    case: Case,
+    kind: str = "",
+    tally: Tally | None = None,
+    subject: Subject = OURS,
+    aim: Callable[[Packed], RayBatch] | None = None,
+) -> list[Finding]:
+    """Findings about a case; none where it is no valid scene.
+
+    kind: of the finding it was made for. aim: rays that are judged in place of the camera's.
+    """
     tally = tally or Tally()
     try:
         scene = scene_of(scene_data(case))
         if kind in JUDGED_KINDS or subject is not OURS:
-            return compare_with_mitsuba(scene, tally, subject)
+            return compare_with_mitsuba(scene, tally, subject, aim and aim(packed_float32(scene)))
         prepared, ray = prepared_scene(scene), ray_of(case)
         return check_rays(prepared, ray, tally) if ray else check_image(prepared, tally, kind in ("", "check"))
     except SCENE_ERRORS:
@@ -89,15 +100,15 @@ def _differences(rays: RayBatch, ours: NearestHits, other: NearestHits, name: st
 
 def check_surfaces(hits: Any, rays: RayBatch) -> Iterator[Finding]:
     """Findings about hits: positions and normals are finite, geometric normals of length 1, shading ones of 1 or 0."""
-    surface = hits.surface
-    length, shading = (np.sqrt((n * n).sum(axis=1)) for n in (surface.n, surface.sh_n))
+    p, n, sh_n, _ = hits.surfaces.values()
+    length, shading = (np.sqrt((v * v).sum(axis=1)) for v in (n, sh_n))
     unit = np.abs(length - 1.0) <= UNIT_LENGTH_ATOL
     shaded = (np.abs(shading - 1.0) <= UNIT_LENGTH_ATOL) | (shading == 0.0)  # vertex normals may cancel
     with np.errstate(over="ignore", invalid="ignore"):
         beyond = np.isinf(hits.t * np.abs(rays.d).max(axis=1))  # a position that float64 cannot represent
-    fine = (np.isfinite(surface.p).all(axis=1) | beyond) & unit & shaded
+    fine = (np.isfinite(p).all(axis=1) | beyond) & unit & shaded
     for i in np.flatnonzero((hits.shape_id >= 0) & ~fine):
-        what = f"p {surface.p[i].tolist()}, n {surface.n[i].tolist()}, sh_n {surface.sh_n[i].tolist()}"
+        what = f"p {p[i].tolist()}, n {n[i].tolist()}, sh_n {sh_n[i].tolist()}"
         yield Finding("surface", f"shape {hits.shape_id[i]} is hit with {what}", rays.taken(slice(i, i + 1)))
 
 
@@ -143,16 +154,21 @@ def check_image(prepared: PreparedScene, tally: Tally, thorough: bool = True) ->
 
 
 def compare_with_mitsuba(
-    scene: Scene, tally: Tally, subject: Subject = OURS, rays: SharedRays | None = None
+    scene: Scene, tally: Tally, subject: Subject = OURS, rays: RayBatch | None = None
 ) -> list[Finding]:
     """Findings of the judge about a scene. Vacuous scenes pass: images of a few pixels may hit nothing.
 
-    rays: of a list, laid out as the film. Of a candidate, only wrong pixels are findings.
+    rays: in place of the camera's. Of a candidate, only wrong pixels are findings.
     """
     options: dict[str, Any] = {"timeout": MITSUBA_TIMEOUT_S, "send": send_request}
+    shared = None
     try:
-        verdict = validate_scene(scene, "fuzz", subject=subject, rays=rays, **options)
-    except SceneError:  # numbers beyond float32
+        if rays is not None:
+            with np.errstate(over="ignore"):
+                numbers = np.column_stack(rays).astype(np.float32)
+            scene, shared = lay_out(scene, checked_rays(numbers, "rays"))
+        verdict = validate_scene(scene, "fuzz", subject=subject, rays=shared, **options)
+    except SCENE_ERRORS:  # numbers beyond float32
         tally.outside += 1
         return []
     if verdict.unsupported:
@@ -164,7 +180,7 @@ def compare_with_mitsuba(
         return [Finding("crash" if subject is OURS else "answer", verdict.problem)]
     if subject is not OURS and not (verdict.counts[WRONG] or verdict.counts[UNDECIDED]):
         return []
-    return [_finding_of(verdict, scene, rays)] if verdict.failing or not verdict.checks_pass else []
+    return [_finding_of(verdict, scene, shared)] if verdict.failing or not verdict.checks_pass else []
 
 
 def _finding_of(verdict: SceneVerdict, scene: Scene, rays: SharedRays | None) -> Finding:

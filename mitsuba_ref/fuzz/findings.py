@@ -1,11 +1,12 @@
 """Findings, tallies of what was checked, and the outcome of a run as text and as JSON."""
 
-import dataclasses
 import shlex
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+
+import pydantic.dataclasses
+from pydantic import computed_field
 
 from mitsuba_ref.hard.rays import RayBatch
 from mitsuba_ref.report.results import aligned
@@ -89,7 +90,7 @@ class Failure:
         return shlex.join(["mitsuba-ref", "fuzz", "--replay", self.file, *self.options])
 
 
-@dataclass
+@pydantic.dataclasses.dataclass
 class Outcome:
     """Tallies and failures of a run so far."""
 
@@ -97,9 +98,11 @@ class Outcome:
     families: dict[str, Tally] = field(default_factory=dict)
     failures: list[Failure] = field(default_factory=list)
     candidate: str = ""  # the name of who is judged; "": ours
-    last: int = -1  # number of the last finished example
+    last_example: int = -1  # the number of the last finished one
     seconds: float = 0.0
+    interrupted: bool = True  # until the run has ended by itself
 
+    @computed_field  # type: ignore[prop-decorator]
     @property
     def total(self) -> Tally:
         total = Tally()
@@ -107,24 +110,11 @@ class Outcome:
             total.add(tally)
         return total
 
+    @computed_field  # type: ignore[prop-decorator]
     @property
     def ok(self) -> bool:
         """Nothing found, and of a candidate, something judged."""
         return self.total.findings == 0 and (not self.candidate or self.total.judged > 0)
-
-    def to_dict(self, *, interrupted: bool) -> dict[str, Any]:
-        """The JSON of a run."""
-        return {
-            "ok": self.ok,
-            "interrupted": interrupted,
-            "seed": self.seed,
-            "candidate": self.candidate,
-            "last_example": self.last,
-            "seconds": round(self.seconds, 3),
-            "total": vars(self.total),
-            "families": {name: vars(tally) for name, tally in self.families.items()},
-            "failures": [dataclasses.asdict(failure) for failure in self.failures],
-        }
 
 
 COLUMNS = ("examples", "rays", "hits", "edges", "ties", "unbounded", "outside", "judged", "findings")

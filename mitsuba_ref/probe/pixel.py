@@ -118,7 +118,7 @@ def probe_with_evidence(
         return PixelVerdict(x, y, UNDECIDED, _ray(shared_rays(scene)), {}, {}, {}, {}, {}, (), {}, problem), judge
     pair, judgement = judge.pair, judge.judge()
     exact = exact_answer(judge, judgement, 0)
-    theirs = None if candidate is None else probe_candidate(candidate, asked_for, (x, y), pair)
+    theirs = None if candidate is None else probe_candidate(candidate, asked_for, (x, y), timeout)
     found_witnesses = witness_answers(judge, exact) if judge.t_max[0] >= 0.0 else ()
     left = not_judged(judge, judgement, 0)
     found = PixelVerdict(

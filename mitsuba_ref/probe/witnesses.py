@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import intersections_at
 from mitsuba_ref.error_model.tolerances import DISTINCT_RTOL, KU, KU_OURS
+from mitsuba_ref.judge.adjudication import ratio_to_bound
 from mitsuba_ref.judge.classification import Judge
 from mitsuba_ref.judge.explanations import decimal_and_hex
 from mitsuba_ref.oracle.oracle import ExactAnswer
@@ -98,35 +99,33 @@ def _of_mitsuba(who: str, found: TraceResponse | Crash | str, judge: Judge, exac
     first, last = (int(n) for n in judge.model.packed.first[place : place + 2])
     prim = int(found.prim[0])
     prim = prim if first + prim < last else 0  # a stand-in counts its triangles by itself
-    return compared_with_exact(
-        (who, judge.scene.shape_names()[place], prim, float(found.t[0])), judge, exact, np.float32
-    )
+    claimed = who, judge.scene.shape_names()[place], prim, float(found.t[0])
+    return compared_with_exact(claimed, judge, exact, np.float32)
 
 
 def compared_with_exact(
     claimed: tuple[str, str, int, float], judge: Judge, exact: ExactAnswer | None, kind: type
 ) -> WitnessAnswer:
     """An answer compared with the exact one. kind: the type that it was computed in."""
-    name = np.dtype(kind).name
+    witness = WitnessAnswer(*claimed, format=np.dtype(kind).name)
     if exact is None:
-        return WitnessAnswer(*claimed, format=name)
+        return witness
     surfaces = {surface_of(judge, int(prim)) for prim in exact.prims} or {("miss", -1)}
-    right = claimed[1:3] in surfaces
-    if not right or exact.t is None or not np.isfinite(claimed[3]):
-        return WitnessAnswer(*claimed, right=right, format=name)
-    off = exact.t.off(claimed[3]) * -exact.t.compare(claimed[3])
+    if claimed[1:3] not in surfaces:
+        return replace(witness, right=False)
     ours, prim, t = kind is np.float64, np.array([exact.prim]), np.array([claimed[3]])
     at = intersections_at(judge.model, prim, (judge.o, judge.d), t, KU_OURS if ours else KU, ours=ours)
-    share = ratio_to_bound(abs(off), float(at.t_error[0]))
-    ulps = in_ulps(off, exact, np.dtype(kind))
-    return WitnessAnswer(*claimed, right=share <= 1.0, off=off, ulps=ulps, format=name, share=share)
+    found = with_error_of_t(witness, exact, at.t_error)
+    return replace(found, right=found.share is None or found.share <= 1.0)
 
 
-def ratio_to_bound(error: float, bound: float) -> float:
-    """error / bound; 0 without an error or with an infinite bound, inf with a bound of 0."""
-    if error == 0.0 or (np.isposinf(bound) and np.isfinite(error)):
-        return 0.0
-    return error / bound if bound > 0.0 and np.isfinite(error) else np.inf
+def with_error_of_t(witness: WitnessAnswer, exact: ExactAnswer, bounds: np.ndarray) -> WitnessAnswer:
+    """The witness with the error of its t, as a share of the loosest bound; unchanged where either misses."""
+    if exact.t is None or not np.isfinite(witness.t):
+        return witness
+    off = exact.t.off(witness.t) * -exact.t.compare(witness.t)
+    share = float(ratio_to_bound(np.abs(off), bounds).min())
+    return replace(witness, off=off, ulps=in_ulps(off, exact, np.dtype(witness.format)), share=share)
 
 
 def in_ulps(off: float, exact: ExactAnswer, format: np.dtype[Any]) -> float | None:

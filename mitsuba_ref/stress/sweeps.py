@@ -8,14 +8,13 @@ from pydantic import computed_field
 from pydantic.dataclasses import dataclass
 
 from mitsuba_ref.hard.family import Family
-from mitsuba_ref.judge.checks.knife_edges import NearestHits
 from mitsuba_ref.report.results import NOTHING, aligned
 from mitsuba_ref.stress import score
 from mitsuba_ref.stress.score import (
     BESIDE_CANDIDATE,
     CANDIDATE,
     CASTERS,
-    OURS,
+    REFERENCES,
     Absent,
     Bound,
     Caster,
@@ -25,10 +24,10 @@ from mitsuba_ref.stress.score import (
 )
 from mitsuba_ref.subjects.subject import Answer, Subject
 
-JSON_FORMAT = 2  # goes up when a key changes its meaning or goes away
+JSON_FORMAT = 3  # goes up when a key changes its meaning or goes away
 
 Progress = Callable[[str], None]
-Answers = Mapping[str, NearestHits | Answer | Absent]  # by caster; an Answer of the candidate
+Answers = Mapping[str, Answer | Absent]  # by caster
 
 
 @dataclass(frozen=True)
@@ -113,12 +112,10 @@ class SweepResult:
         if isinstance(score, Absent):
             if score.status == "crash":
                 yield f"{key}: no answer: {score.why}"
-        elif score.fails:
-            primitives = f"{score.wrong_primitives} wrong primitives, " if key == OURS.key else ""
+        elif score.breaks:
             yield (
                 f"{key}: {score.false_hits} false hits, {score.false_misses} false misses, "
-                f"{primitives}{score.beyond} hits beyond their bounds; rays {list(score.first_wrong)}"
-                f"{score.example and '; ' + score.example}"
+                f"{score.beyond} hits beyond their bounds; rays {list(score.first_wrong)}; {score.example}"
             )
 
     @computed_field  # type: ignore[prop-decorator]
@@ -194,19 +191,18 @@ def sweep(
 
 def score_setting(ready: PreparedSetting, casters: Sequence[Caster], given: Answers | None = None) -> SettingResult:
     """Trace a setting by ours and Mitsuba's configurations and score their answers, after the given ones."""
-    answers: dict[str, NearestHits | Answer | Absent] = dict(given or {})
+    answers: dict[str, Answer | Absent] = dict(given or {})
     for each in casters:
         answers[each.key] = score.trace_by_reference(each, ready) if each.variant else score.cast_by_bvh(ready)
     missed = [~found.hit for found in answers.values() if not isinstance(found, Absent)]
     scorer = Scorer(ready, np.any(missed, axis=0))
-    scores: dict[str, Score | Absent] = {}
-    for key, found in answers.items():
-        if isinstance(found, Answer):
-            scores[key] = scorer.score_candidate(found)
-        else:
-            scores[key] = found if isinstance(found, Absent) else scorer.score(found, ours=key == OURS.key)
+    traced = {each.key for each in REFERENCES}
+    scores = {
+        key: found if isinstance(found, Absent) else scorer.score(found, reference=key in traced)
+        for key, found in answers.items()
+    }
     hits, count = int(scorer.hit.sum()), len(ready.o)
-    ties = sum(len(tied) > 1 for tied in scorer.exact.ties)
+    ties = sum(len(answer.prims) > 1 for answer in scorer.exact.answers)
     counts = ExactCounts(len(scorer.rows), hits, count - hits, ties)
     return SettingResult(ready.x, count, counts, scorer.bound, scores)
 
@@ -238,11 +234,10 @@ def rows(sweep: SweepResult) -> list[list[str]]:
 
 
 def _score_cells(score: Score | Absent) -> list[str]:
-    """Largest error, with a ! beyond its bound; wrong masks, and wrong primitives behind a +."""
+    """Largest error, with a ! where one is beyond its bound, and the number of wrong hits and misses."""
     if isinstance(score, Absent):
         return [score.status, NOTHING]
-    wrong = str(score.wrong_masks) + (f"+{score.wrong_primitives}" if score.wrong_primitives else "")
-    return [_number(score.error) + ("!" if score.beyond else ""), wrong]
+    return [_number(score.error) + ("!" if score.beyond else ""), str(score.wrong_masks)]
 
 
 def _number(value: float | None) -> str:

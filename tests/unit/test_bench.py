@@ -69,21 +69,25 @@ def test_exact_answers_are_right_and_errors_are_counted_as_what_they_are(truth):
     exact, hit = truth.exact, truth.exact.hit
     film = np.arange(len(hit)) < truth.film_rays
     right = np.where(hit, 0.0, np.inf) if truth.any else exact.t
-    score = truth.score(right, ours=True)
+    score = truth.score(right, "float64")
     assert (score.rays, score.edge_rays) == (80, 80)
     assert score.masks == score.beyond == score.edge_masks == score.edge_beyond == 0
-    lost = truth.score(np.full(len(hit), np.inf), ours=True)
+    lost = truth.score(np.full(len(hit), np.inf), "float64")
     assert (lost.masks, lost.edge_masks) == (hit[film].sum(), hit[~film].sum()) and lost.edge_masks > 0
     if truth.any:
         assert score.ulps is None
         return
     assert score.ulps < 1e-8 and 0.0 < score.bounds < 1.0  # half a unit of float64 is 2^-30 of one of float32
     off = np.nextafter(exact.t.astype(np.float32), np.float32(np.inf)).astype(np.float64)
-    assert 0.4 <= truth.score(off, ours=False).ulps <= 1.5 and truth.score(off, ours=False).beyond == 0
-    assert truth.score(off, ours=True).beyond == hit[film].sum()  # which float64 has no excuse for
-    nan = truth.score(np.where(np.arange(len(hit)) == np.argmax(hit), np.nan, right), ours=True)
+    assert (
+        0.4 <= truth.score(off, "float32", reference=True).ulps <= 1.5
+        and truth.score(off, "float32", reference=True).beyond == 0
+    )
+    assert truth.score(off, "float64").beyond == hit[film].sum()  # which float64 has no excuse for
+    assert truth.score(off, "float32").beyond == 0, "a candidate is held to its own precision"
+    nan = truth.score(np.where(np.arange(len(hit)) == np.argmax(hit), np.nan, right), "float64")
     assert (nan.masks, nan.beyond) == (0, 1)
-    phantom = truth.score(np.where(hit, right, 1.0), ours=True)
+    phantom = truth.score(np.where(hit, right, 1.0), "float64")
     assert phantom.masks == (~hit[film]).sum()
 
 
@@ -108,7 +112,7 @@ class Fake:
         if request["do"] == "answer":
             with np.load(request["rays"]) as rays:
                 np.save(request["out"], np.full(len(rays["o"]), np.inf))
-            return {}
+            return {"precision": "float64"}
         return {"seconds": 0.25} if request["do"] == "build" else {"bytes": 4096}
 
     def close(self) -> None:
