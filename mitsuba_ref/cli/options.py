@@ -36,7 +36,7 @@ def requested_candidate(args: argparse.Namespace, *, takes_rays: bool = False) -
     if takes_rays and not found.takes_rays:
         raise SceneError(
             f"--candidate {args.candidate!r}: expected one that casts rays it is given: package.module:function, "
-            "a command with {rays} and {hits}, or --candidate-serve (docs/candidates.md)"
+            "a command with {rays} and {hits}, or --candidate-serve (mitsuba-ref docs candidates)"
         )
     if isinstance(found, CommandSubject | ExrFile):
         return replace(found, convert=partial(candidate_image, reading=reading_of(args)))
