@@ -9,6 +9,7 @@ from typing import Any
 
 import caster
 import mitsuba_ref
+from mitsuba_ref import strategies
 
 HEAD = """# API
 
@@ -39,6 +40,8 @@ def page() -> str:
         parts += [f"### {title}\n", *(entry("caster", each.__name__, each) for each in entries)]
     parts += ["## mitsuba_ref\n", paragraphs(mitsuba_ref.__doc__)]
     parts += [entry("mitsuba_ref", name, getattr(mitsuba_ref, name)) for name in mitsuba_ref.__all__]
+    parts += ["## mitsuba_ref.strategies\n", paragraphs(strategies.__doc__)]
+    parts += [entry("mitsuba_ref.strategies", name, getattr(strategies, name)) for name in ("scenes", "rays")]
     return "\n".join(parts)
 
 
