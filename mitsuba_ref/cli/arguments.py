@@ -432,6 +432,8 @@ def add_stress_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--rays", metavar="N", type=positive_int, help="rays of each setting; default: 400, watertight 10000")
     add("--seed", metavar="S", type=whole, default=0, help="of the rays; default: 0")
+    help_ = "where the first wrong ray of each setting is kept, as a scene; default: stress-failures"
+    add("--out", type=OutputFolder, metavar="DIR", default="stress-failures", help=help_)
     add_json(parser)
     add_candidate(parser, "another ray caster, in place of ours: one that takes rays (docs/candidates.md)")
     add_skip_unsupported(parser, "families")
