@@ -399,6 +399,7 @@ def add_export_arguments(parser: argparse.ArgumentParser) -> None:
 def add_probe_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser, ScenePath)
     add_pixel(parser)
+    parser.add_argument("--brief", action="store_true", help="the verdict and who is right, without the numbers")
     parser.add_argument("--json", action="store_true", help="as JSON")
     parser.add_argument(
         "--save", metavar="FILE", type=OutputFile, help="write this ray and what it may hit as a scene of its own"
