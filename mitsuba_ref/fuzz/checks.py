@@ -199,19 +199,24 @@ def _finding_of(failure: Failure, verdict: SceneVerdict, scene: Scene, rays: Sha
     if rays is not None:
         at = [failure.y * scene.film.width + failure.x]
         ray = RayBatch(rays.o[at], rays.d[at], np.zeros(1), np.full(1, np.inf))
-    subject = "the candidate" if verdict.candidate else "ours"
-    sides = f"{subject} {failure.subject}; Mitsuba {failure.reference}; exactly {failure.exact}; {failure.reason}"
-    what = f"{failure.verdict}: {failure.check} {failure.ratio:.3g} times its bound; {sides}"
-    return Finding("judged", what, ray, detail=failure_mode(failure))
+    lines = (
+        f"{failure.reason}; {failure.check} {failure.ratio:.3g} times its bound",
+        f"{'candidate:' if verdict.candidate else 'ours:':<10} {failure.subject}",
+        f"reference: {failure.reference}",
+        f"exact:     {failure.exact}",
+    )
+    return Finding("judged", "\n      ".join(lines), ray, detail=failure_mode(failure))
 
 
-OF_PLACE = ("depth", "position", "on_surface", "shape_id", "uv", "exact")  # which of them is off most varies
+OF_PLACE = ("mask", "depth", "position", "on_surface", "shape_id", "uv", "exact")  # which of them is off most varies
 
 
 def failure_mode(failure: Failure) -> str:
     """The kind of a pixel's failure, which shrinking must preserve."""
-    if failure.check == "mask":
-        return "missed" if failure.subject.startswith("miss") else "phantom"
+    if failure.subject.startswith("miss"):
+        return "missed"
+    if failure.exact.startswith("miss"):
+        return "phantom"
     return "place" if failure.check in OF_PLACE else failure.check
 
 
