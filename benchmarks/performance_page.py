@@ -1,9 +1,9 @@
-"""docs/performance.md and its plot, from the JSON that `mitsuba-ref bench --json` wrote.
+"""docs/internals/performance.md and its plot, from the JSON that `mitsuba-ref bench --json` wrote.
 
     python benchmarks/performance_page.py RUN.json FOLDER
 
-`make bench` runs both. Every number on the page comes from the run. The table of README.md beside FOLDER is that of the
-run as well.
+`make bench` runs both. Every number on the page comes from the run. The table of README.md two
+folders above FOLDER is that of the run as well.
 """
 
 import io
@@ -56,7 +56,7 @@ READING = """## How to read it
 - **ulps**: the largest error of t on {sample:,} rays of the image, the same float32 rays for everybody, against exact
   arithmetic (`mitsuba_ref/oracle/oracle.py`), in float32 units in the last place of the exact t. **bounds**: in units
   of the bound that is derived for each ray, in the precision of the caster: float64 for ours, float32 for Mitsuba
-  ([method.md](method.md)). Ours is called through `caster.cast`, float64; no culling changes a bit, and images of
+  ([method.md](../method.md)). Ours is called through `caster.cast`, float64; no culling changes a bit, and images of
   float32 add half a unit. Mitsuba's AOV integrator takes no rays from outside, so `ray_intersect`, which it calls, is
   judged on the same scene.
 - **wrong** on those rays, **edges** on as many that are aimed at edges and silhouettes: hits where there is
@@ -90,7 +90,7 @@ def write_report(run: Run, folder: Path) -> None:
     """Write the page and its plot, and the table of the README. Raises OutputError."""
     scored = [scene for scene in run.scenes if points(scene)]
     write_page(folder, PAGE, lines(run), IMAGE_FOLDER, {"pareto.png": pareto(scored)})
-    readme = folder.parent / README
+    readme = folder.resolve().parents[1] / README
     if readme.exists():
         write_text(readme, with_tables(readme.read_text(encoding="utf-8"), run))
 

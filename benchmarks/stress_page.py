@@ -1,4 +1,4 @@
-"""docs/stress.md and its plots, from the JSON that `mitsuba-ref stress --json` wrote.
+"""docs/internals/stress.md and its plots, from the JSON that `mitsuba-ref stress --json` wrote.
 
     python benchmarks/stress_page.py RUN.json FOLDER
 
@@ -48,7 +48,7 @@ READING = """## How to read it
 
 - **Errors** are the largest of a setting, relative to the exact distance, or as the table's head states. A `!` means
   that some ray is beyond the bound of its own, which is worked out for each ray as in
-  [method.md](method.md); `bound 32` and `bound 64` are the largest bounds of a setting for Mitsuba and for ours.
+  [method.md](../method.md); `bound 32` and `bound 64` are the largest bounds of a setting for Mitsuba and for ours.
 - **Wrong** are hits where there is exactly none, and misses where there is exactly one. Ours also has to name the
   first of the primitives that are exactly nearest (`ties` counts rays that have several).
 - A caster **breaks down** at the first setting, on either side of the easiest one, where a hit or miss is wrong or an

@@ -83,7 +83,8 @@ def code(text: str) -> str:
 def member_lines(value: type) -> list[str]:
     """What a class has beside its fields: public properties and methods with docstrings of their own."""
     lines = []
-    for name, member in [*vars(value).items()]:  # the first use of a model adds to them
+    bases = [base for base in reversed(value.__mro__) if base.__module__ == value.__module__]
+    for name, member in [pair for base in bases for pair in vars(base).items()]:
         thing = member.fget if isinstance(member, property) else member
         thing = getattr(thing, "func", thing)  # a cached property
         if not name.startswith(("_", "model_")) and inspect.isfunction(thing) and thing.__doc__:

@@ -75,8 +75,6 @@ def _kernel(aov: Any) -> Any:
     """Compiled kernels are keyed by the classes of their arguments, so each AOV gets a class."""
     name, number = f"PerHit_{aov.NAME}", int if aov.DTYPE is np.int32 else float
     tag: Any = type(name, (PerHit,), {"__module__": aov.evaluate.__module__})
-    if tag.__module__ == __name__:
-        globals()[name] = tag  # Numba's cache finds it by its name
     evaluate = inlined(aov.evaluate)
 
     def body(aov: Any, hit: Any) -> Any:

@@ -1,9 +1,8 @@
 """Nearest hits of any rays: `cast`, `occluded`, and AOVs of what was hit."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,30 +11,20 @@ from caster.description.errors import SceneError
 from caster.geometry.packing import Packed, packed
 from caster.geometry.world_space import Rounding, as_given
 from caster.jit.command_list import Command
-from caster.kernels.nearest import OUT_OF_RANGE, Nearest, Rays, find_invalid_ray, new_rays
+from caster.kernels.nearest import OUT_OF_RANGE, Nearest, Rays, find_invalid_ray
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import BOX, PRIM, WIDTH, Box, T, load_rays, tile_rows
-from caster.kernels.surface.lighting import shadow_rays_of
 from caster.rendering.casting import find_any, find_nearest
 from caster.rendering.plan import plan
 from caster.rendering.rasterization import parallel_for_tiles
 from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, TileWorkspace, placed_kinds
 from caster.rendering.shading import TileShader, new_image
 from caster.rendering.threads import parallel_for, unwritten_array
-from caster.scene.model import Light, Scene
+from caster.scene.model import Scene
 
 __all__ = ["Hits", "RayHits", "cast", "occluded", "scaled_rays", "trace", "trace_rays", "validated_rays"]
 
 SMALLEST_NORMAL_FLOAT = 2.0**-1022
-
-
-class Surfaces(NamedTuple):
-    """The surface at each hit; zeros on a miss."""
-
-    p: np.ndarray  # (n, 3) float64
-    n: np.ndarray  # (n, 3) geometric normal
-    sh_n: np.ndarray  # (n, 3) shading normal
-    uv: np.ndarray  # (n, 2)
 
 
 @dataclass(frozen=True)
@@ -65,26 +54,29 @@ class RayHits:
         return self.packed.index_in_shape(self.nearest.prim)
 
     @cached_property
-    def surfaces(self) -> Surfaces:
-        """Position, normals and uv of every hit."""
-        names = ("position", "normal", "shading_normal", "uv")
-        return Surfaces(*self.evaluate(names).values())
+    def surfaces(self) -> dict[str, np.ndarray]:
+        """The AOVs position, normal, shading_normal and uv, computed together."""
+        return self.evaluate(("position", "normal", "shading_normal", "uv"))
 
     @cached_property
-    def normals(self) -> np.ndarray:
-        """(n, 3) geometric normals, 0 on a miss, without computing `surfaces`."""
+    def normal(self) -> np.ndarray:
+        """(n, 3) geometric normals of length 1, 0 on a miss; the other surface values are not computed for them."""
         return self.evaluate(("normal",))["normal"]
 
-    @cached_property
-    def reflectance(self) -> np.ndarray:
-        """(n, 3) diffuse reflectance of the material that was hit, 0 on a miss."""
-        return self.evaluate(("albedo",))["albedo"]
+    @property
+    def position(self) -> np.ndarray:
+        """(n, 3) points in world space, 0 on a miss."""
+        return self.surfaces["position"]
 
-    @cached_property
-    def two_sided(self) -> np.ndarray:
-        """(n,) bool: whether a two-sided material was hit."""
-        table = np.array([self.scene.material_of(shape).two_sided for shape in self.scene.shapes], bool)
-        return table[self.shape_id] & self.hit if len(table) else self.hit
+    @property
+    def shading_normal(self) -> np.ndarray:
+        """(n, 3) normals interpolated between the vertex normals of a mesh, of length 1, 0 on a miss."""
+        return self.surfaces["shading_normal"]
+
+    @property
+    def uv(self) -> np.ndarray:
+        """(n, 2) surface coordinates, 0 on a miss."""
+        return self.surfaces["uv"]
 
     def evaluate(self, aovs: Sequence[str], dtype: type[np.floating] = np.float64) -> dict[str, np.ndarray]:
         """AOVs by name, (n,) or (n, c) each. The rays are shaded as pixels of a film that is WIDTH wide."""
@@ -104,9 +96,9 @@ class RayHits:
                 numbers = np.arange(first, first + size, dtype=np.int32)
                 numbers[count - first :] = -1
                 load_rays(self.rays, numbers, tile, False, False)
-                for field, values in ((T, self.nearest.t), (PRIM, prim)):
+                for place, values in ((T, self.nearest.t), (PRIM, prim)):
                     here = values[first : first + size]
-                    tile[int(field) : int(field) + len(here)] = here
+                    tile[int(place) : int(place) + len(here)] = here
 
             return [Command(load, (BOX,)), *shader.commands(workspace)]
 
@@ -123,15 +115,6 @@ class RayHits:
         offset = np.array([base for _, base in placed_kinds(packed)], np.int64)[packed.kind_of[shape]]
         return np.where(self.hit, prim - packed.first[shape] + packed.start[shape] + offset, -1)
 
-    def lit(self, light: Light, where: np.ndarray) -> np.ndarray:
-        """Whether the light reaches the hits `where`; True in a scene without shadows."""
-        if not self.scene.shading.shadows:
-            return np.ones(len(where), bool)
-        out = new_rays(len(where))
-        extents = self.packed.shape_extents[self.shape_id]
-        shadow_rays_of(light.pack(), self.surfaces, self.rays, self.nearest.t, extents, where, out)
-        return ~find_any(self.packed, out, self.threads)
-
 
 def trace_rays(scene: Scene, packed: Packed, rays: Rays, start: np.ndarray, threads: int | None = None) -> RayHits:
     """Cast rays; start (n,): the t from which depth counts."""
@@ -139,53 +122,33 @@ def trace_rays(scene: Scene, packed: Packed, rays: Rays, start: np.ndarray, thre
 
 
 @dataclass(frozen=True)
-class Hits:
+class Hits(RayHits):
     """The nearest hit of each ray; all but t is computed on first use."""
 
-    t: np.ndarray  # (n,) float64, inf on a miss
-    view: RayHits
-
-    @property
-    def shape_id(self) -> np.ndarray:
-        """(n,) int32, -1 on a miss."""
-        return self.view.shape_id
-
-    @property
-    def prim_id(self) -> np.ndarray:
-        """(n,) int32 within the shape, -1 on a miss."""
-        return self.view.prim_id
-
-    @property
-    def normal(self) -> np.ndarray:
-        """(n, 3) geometric normals, 0 on a miss: `surface.n` without the rest."""
-        return self.view.normals
-
-    @property
-    def surface(self) -> Surfaces:
-        """Position p, normal n, shading normal sh_n and uv."""
-        return self.view.surfaces
+    t: np.ndarray = field(kw_only=True)  # (n,) float64, inf on a miss (see `cast`)
 
 
 def cast(scene: Scene, o: ArrayLike, d: ArrayLike, *, t_min: ArrayLike = 0.0, t_max: ArrayLike = np.inf) -> Hits:
     """Find the first surface along each ray.
 
-    o, d: (n, 3), scene units; d need not be of unit length, t counts in lengths of d, t_min < t <= t_max,
-    numbers or (n,) each. Equal t go to the earlier shape of the scene, then to the lower prim_id.
+    o, d: (n, 3), scene units; d need not be of unit length, t counts in lengths of d, t_min < t <= t_max, numbers or
+    (n,) each. Equal t go to the earlier shape of the scene, then to the lower prim_id. A hit whose t is beyond float64,
+    as lengths of a d below 1e-290 may be, has t = inf like a miss: `hit` tells them apart.
     Raises SceneError if a ray is not finite or has no direction, naming the first such ray.
     Source: docs/method.md, "Exact decisions"; slabs padded after Ize (2013).
     """
     given, plain = validated_rays_with_range(o, d, t_min, t_max)
-    if plain:
-        view = trace_rays(scene, packed(scene), given, np.zeros(len(given.t_min)))
-        return Hits(view.nearest.t, view)
-    rays, exponent = scaled_rays(given)
-    view = trace_rays(scene, packed(scene), rays, np.zeros(len(rays.t_min)))
-    with np.errstate(over="ignore", under="ignore"):
-        t = np.ldexp(view.nearest.t, -exponent)
-    short = np.flatnonzero((exponent < 0) & (view.nearest.t < SMALLEST_NORMAL_FLOAT))
-    if len(short):  # a denormal t has lost digits; in lengths of the shorter given d it is larger
-        t[short] = find_nearest(view.packed, Rays(*(a[short] for a in given))).t
-    return Hits(t, view)
+    rays, exponent = (given, np.zeros(0)) if plain else scaled_rays(given)
+    arrays = packed(scene)
+    nearest = find_nearest(arrays, rays)
+    t = nearest.t
+    if not plain:
+        with np.errstate(over="ignore", under="ignore"):
+            t = np.ldexp(nearest.t, -exponent)
+        short = np.flatnonzero((exponent < 0) & (nearest.t < SMALLEST_NORMAL_FLOAT))
+        if len(short):  # a denormal t has lost digits; in lengths of the shorter given d it is larger
+            t[short] = find_nearest(arrays, Rays(*(a[short] for a in given))).t
+    return Hits(scene, arrays, rays, nearest, np.zeros(len(t)), t=t)
 
 
 def occluded(

@@ -24,7 +24,7 @@ COMMANDS = (
     ),
     _command(
         "judge",
-        "judge answers that were computed elsewhere: hits of any rays, or an EXR file",
+        "judge hits of any rays that were computed elsewhere",
         "judge",
         starts_with="loading the judge and the rays",
     ),

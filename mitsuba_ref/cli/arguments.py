@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Self
@@ -50,16 +51,26 @@ def whole(text: str) -> int:
     return int(text)
 
 
-def positive_seconds(text: str) -> float:
-    """Parse a duration in seconds, > 0 and <= MAX_SECONDS. Raises argparse.ArgumentTypeError."""
+UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
+
+
+def seconds(text: str) -> float:
+    """Parse a time > 0. Raises argparse.ArgumentTypeError."""
+    match = re.fullmatch(r"([\d.e+-]+)\s*([smh]?)", text)
     try:
-        value = float(text)
+        value = float(match[1]) * UNITS[match[2]] if match else 0.0
     except ValueError:
         value = 0.0
-    if not 0.0 < value <= MAX_SECONDS:
-        raise argparse.ArgumentTypeError(
-            f"expected a number of seconds > 0 and at most {MAX_SECONDS:,.0f}, got '{text}'"
-        )
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"expected a time such as 60s, 5m or 1h, got '{text}'")
+    return value
+
+
+def deadline(text: str) -> float:
+    """Parse a time > 0 and <= MAX_SECONDS. Raises argparse.ArgumentTypeError."""
+    value = seconds(text)
+    if value > MAX_SECONDS:
+        raise argparse.ArgumentTypeError(f"expected at most {MAX_SECONDS:,.0f} s, got '{text}'")
     return value
 
 
@@ -72,17 +83,6 @@ class ScenePath(InputPath):
 
 class ServedProgram(str):
     """The command of --candidate-serve."""
-
-
-UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
-
-
-def seconds(text: str) -> float:
-    """Parse a time. Raises argparse.ArgumentTypeError."""
-    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([a-z]*)", text)
-    if match is None or match[2] not in UNITS:
-        raise argparse.ArgumentTypeError(f"expected a time such as 60s, 5m or 1h, got '{text}'")
-    return float(match[1]) * UNITS[match[2]]
 
 
 def numbers(text: str) -> range:
@@ -134,7 +134,7 @@ def add_timeout(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--timeout",
         metavar="S",
-        type=positive_seconds,
+        type=deadline,
         default=REFERENCE_SECONDS,
         help=f"seconds that Mitsuba may take for one scene, or one band of a large film; default {REFERENCE_SECONDS:g}",
     )
@@ -185,15 +185,16 @@ def add_candidate(
         type=str,
         metavar="X",
         help="package.module:function, called as function(scene, o, d) -> (t, n); or a command that reads our scene "
-        "and writes an EXR file, such as 'my-renderer {xml} -o {exr}' ({toml}, {width}, {height}); or one that reads "
-        "rays and writes hits, such as 'my-caster {mesh} {rays} {hits}' (docs/rays-and-hits.md)",
+        "and writes an EXR file, such as 'my-renderer {xml} -o {exr}' ({toml}, {width}, {height}); or an image of the "
+        "scene's camera, FILE.exr; or a command that reads rays and writes hits, such as 'my-caster {mesh} {rays} "
+        "{hits}' (docs/candidates.md)",
     )
     one.add_argument(
         "--candidate-serve",
         dest="candidate",
         type=ServedProgram,
         metavar="PROG",
-        help="a program that is started once and answers over stdin and stdout (docs/rays-and-hits.md)",
+        help="a program that is started once and answers over stdin and stdout (docs/candidates.md)",
     )
     group.add_argument(
         "--candidate-precision",
@@ -204,7 +205,7 @@ def add_candidate(
     group.add_argument(
         "--candidate-timeout",
         metavar="S",
-        type=positive_seconds,
+        type=deadline,
         help=f"seconds that a command may take for one scene; default {CANDIDATE_SECONDS:g}",
     )
 
@@ -289,13 +290,10 @@ def add_judge_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     help_ = "the scene that the rays were cast into: a scene file, or a mesh file (OBJ, PLY, STL, OFF, glTF)"
     add("--scene", metavar="SCENE", type=InputPath, required=True, help=help_)
-    answers = parser.add_mutually_exclusive_group(required=True)
     help_ = ".npz of t, and n, shape_id, prim_id, any_hit if given; or .npy of shape (n, 1), (n, 4), (n, 5)"
-    answers.add_argument("--hits", metavar="FILE", type=InputPath, help=help_)
-    help_ = "an EXR file of depth.Z, normal.X/Y/Z, A, of the scene's camera"
-    answers.add_argument("--exr", metavar="FILE", type=InputPath, help=help_)
-    help_ = ".npz of `rays`, or .npy, (n, 8): o, d, t_min, t_max (docs/rays-and-hits.md)"
-    add("--rays", type=InputPath, metavar="FILE", help=help_)
+    add("--hits", metavar="FILE", type=InputPath, required=True, help=help_)
+    help_ = ".npz of `rays`, or .npy, (n, 8): o, d, t_min, t_max (docs/candidates.md)"
+    add("--rays", metavar="FILE", type=InputPath, required=True, help=help_)
     help_ = "the arithmetic of the answers, from which their bounds follow; default: the type of t and n"
     add("--precision", metavar="P", choices=PRECISIONS, help=help_)
     add("--rows", metavar="A:B", type=row_range, help="judge these rays alone: one, or from A up to B")

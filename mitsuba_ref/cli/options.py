@@ -15,7 +15,7 @@ from mitsuba_ref.cli.arguments import CANDIDATE_SECONDS, ServedProgram
 from mitsuba_ref.exr_compare.conventions import Reading, candidate_image
 from mitsuba_ref.reference import variants
 from mitsuba_ref.runner.many_scenes import matching
-from mitsuba_ref.subjects.command import CommandSubject
+from mitsuba_ref.subjects.command import CommandSubject, ExrFile
 from mitsuba_ref.subjects.requests import parse_candidate
 from mitsuba_ref.subjects.subject import Subject
 
@@ -36,12 +36,14 @@ def requested_candidate(args: argparse.Namespace, *, takes_rays: bool = False) -
     if takes_rays and not found.takes_rays:
         raise SceneError(
             f"--candidate {args.candidate!r}: expected one that casts rays it is given: package.module:function, "
-            "a command with {rays} and {hits}, or --candidate-serve (docs/rays-and-hits.md)"
+            "a command with {rays} and {hits}, or --candidate-serve (docs/candidates.md)"
         )
-    if isinstance(found, CommandSubject):
+    if isinstance(found, CommandSubject | ExrFile):
         return replace(found, convert=partial(candidate_image, reading=reading_of(args)))
     for word in given_words(args, *READING_OPTIONS)[:1]:
-        raise SceneError(f"{word}: expected a --candidate with {{exr}} beside it, whose images it is about")
+        raise SceneError(
+            f"{word}: expected a --candidate with {{exr}} beside it, or an .exr file, whose image it is about"
+        )
     return found
 
 

@@ -14,6 +14,7 @@ from caster.image.exr import Exr
 from caster.image.exr_info import hit_mask
 from caster.image.exr_validation import PROVENANCE_PREFIX
 from caster.scene.model import Scene
+from caster.system.process import NOT_COMPARABLE
 from mitsuba_ref.cameras.camera_reference import camera_axes, clip_planes
 from mitsuba_ref.error_model.tolerances import NEARLY_ALL
 from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, Array, scene_in, stacked, view_of
@@ -45,8 +46,10 @@ COMPONENTS = ("XYZ", "xyz", "RGB", "rgb", "UV")
 HINT_RTOL = 1e-3
 
 
-class Unclear(Exception):  # noqa: N818 - a question to the user
+class Unclear(SceneError):  # noqa: N818 - a question to the user
     """A file can be read in two ways, or in none; str() says what is unclear and which option decides."""
+
+    exit_code = NOT_COMPARABLE
 
 
 @dataclass(frozen=True)
@@ -232,7 +235,7 @@ def candidate_image(exr: Exr, request: CastRequest, reading: Reading) -> tuple[E
     try:
         check_maps(reading.maps, exr.channels)
         exr, steps = to_our_conventions(exr, replace(reading, scene=request.scene))
-    except (Unclear, SceneError) as error:
+    except SceneError as error:
         raise NoAnswer(f"its image: {error}") from error
     return exr, tuple(steps)
 

@@ -2,18 +2,27 @@
 
 import fnmatch
 import os
-import shlex
 from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
 
-from caster.description.errors import SceneError, suggestion
+from caster.description.errors import SceneError, error_prefix, suggestion
 from caster.image.exr import Exr, read_exr, write_exr
 from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
 from mitsuba_ref.error_model.tolerances import Tolerances
-from mitsuba_ref.exr_compare.comparison_result import FileComparison, GroupResult, Worst, result_messages
-from mitsuba_ref.exr_compare.conventions import Reading, Unclear, check_maps, hints, to_our_conventions
+from mitsuba_ref.exr_compare.comparison_result import (
+    AGREE,
+    CLASSES,
+    DIFFER,
+    HIT_MISS,
+    MISS,
+    NON_FINITE,
+    FileComparison,
+    GroupResult,
+    Worst,
+)
+from mitsuba_ref.exr_compare.conventions import Reading, check_maps, hints, to_our_conventions
 from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, SCENE_HASH, Array, ExrPair, bound_of, scene_in
 from mitsuba_ref.report.evidence import clipped_to_float32
 
@@ -22,9 +31,6 @@ __all__ = ["FileComparison", "Reading", "Tolerances", "compare_exr"]
 FileName = str | os.PathLike[str]
 SIDES = ("ours", "the reference")
 SCENE = "caster/scene"  # provenance: the scene's path
-
-MISS, AGREE, DIFFER, HIT_MISS, NON_FINITE = range(5)
-CLASSES = "0 missed by both, 1 hit by both and agrees, 2 differs, 3 hit in one image only, 4 not finite"
 
 
 def compare_exr(
@@ -40,8 +46,8 @@ def compare_exr(
     diff: where to write ours - reference under the same channel names, float32, and the uint32 channel
     `class.I` (codes in its provenance); not written when the files are not comparable.
     reading: how to interpret files of other programs.
-    Raises FileMissing or UnreadableExr for an input, OutputError for diff, SceneError for an `ignore` that
-    matches no channel or a diff that would overwrite an input.
+    Raises FileMissing or UnreadableExr for an input, OutputError for diff, Unclear for a file that can be read in two
+    ways, SceneError for an `ignore` that matches no channel or a diff that would overwrite an input.
     """
     reading, names = reading or Reading(), (str(ours), str(reference))
     files = [read_exr(ours), read_exr(reference)]
@@ -50,11 +56,8 @@ def compare_exr(
     check_maps(reading.maps, *(exr.channels for exr in files))
     converted, stated = list[Exr](), list[str]()
     for who, exr, other in zip(SIDES, files, files[::-1], strict=True):
-        try:
+        with error_prefix(who):
             found, steps = to_our_conventions(exr, reading, [scene_in(other)])
-        except Unclear as question:
-            about = {"ours": names[0], "reference": names[1], "stated": tuple(stated)}
-            return _not_comparable(about, [f"{who}: {question}"])
         converted.append(found)
         stated += [f"{who}: {step}" for step in steps]
     a, b = converted
@@ -64,8 +67,8 @@ def compare_exr(
     result = compare_images(a, b, tolerances, names=names, stated=tuple(stated), left_out=alone, diff=diff)
     if result.exit_code != DIFFERENCES:
         return result
-    more = [f"hint:   {SIDES[i]}: {hint}" for i in foreign for hint in hints(converted[i], converted[1 - i], reading)]
-    return result.model_copy(update={"messages": (*result.messages, *more)})
+    more = (f"{SIDES[i]}: {hint}" for i in foreign for hint in hints(converted[i], converted[1 - i], reading))
+    return result.model_copy(update={"hints": tuple(more)})
 
 
 def compare_images(
@@ -83,8 +86,8 @@ def compare_images(
     ignored = ignored_channels(a, b, tolerances.ignore)
     about: dict[str, Any] = {"ours": names[0], "reference": names[1], "ignored": ignored, "stated": stated}
     left_out = {*ignored, *left_out}
-    if reasons := [*incompatibilities(a, b, left_out, other_scene=tolerances.other_scene)]:
-        return _not_comparable(about, reasons)
+    if reasons := tuple(incompatibilities(a, b, left_out, other_scene=tolerances.other_scene)):
+        return FileComparison(**about, reasons=reasons)
     pair = ExrPair.of(a, b, [name for name in a.channels if name not in left_out])
     judged = [judge(pair, group, channels, tolerances) for group, channels in present_groups(pair)]
     results, *masks = zip(*judged, strict=True)
@@ -94,7 +97,7 @@ def compare_images(
     bad = int((differ | broken).sum())
     failed = bool(broken.any()) or bad > tolerances.max_pixels
     height, width = differ.shape
-    result = FileComparison(
+    return FileComparison(
         **about,
         width=width,
         height=height,
@@ -104,17 +107,12 @@ def compare_images(
         hit_channel=pair.mask_channel,
         differing_pixels=bad,
         allowed_pixels=tolerances.max_pixels,
+        compared=len(pair.names),
         groups=results,
         exit_code=DIFFERENCES if failed else NOTHING_SELECTED if _is_empty(pair) else OK,
+        scene=tuple(filter(None, (exr.provenance.get(SCENE) for exr in (a, b))))[:1],
+        diff="" if diff is None else str(diff),
     )
-    scene = next(filter(None, (exr.provenance.get(SCENE) for exr in (a, b))), "")
-    look = f"{diff}, channel class.I ({CLASSES})" if diff is not None else ""
-    return result.model_copy(update={"messages": tuple(result_messages(result, len(pair.names), scene, look))})
-
-
-def _not_comparable(about: dict[str, Any], reasons: Iterable[str]) -> FileComparison:
-    look = f"next:   caster info {shlex.quote(about['ours'])}; caster info {shlex.quote(about['reference'])}"
-    return FileComparison(**about, messages=("NOT COMPARABLE", *(f"      {text}" for text in (*reasons, look))))
 
 
 def _is_empty(pair: ExrPair) -> bool:

@@ -103,15 +103,15 @@ def _differences(rays: RayBatch, ours: NearestHits, other: NearestHits, name: st
 
 def check_surfaces(hits: Any, rays: RayBatch) -> Iterator[Finding]:
     """Findings about hits: positions and normals are finite, geometric normals of length 1, shading ones of 1 or 0."""
-    surface = hits.surface
-    length, shading = (np.sqrt((n * n).sum(axis=1)) for n in (surface.n, surface.sh_n))
+    p, n, sh_n, _ = hits.surfaces.values()
+    length, shading = (np.sqrt((v * v).sum(axis=1)) for v in (n, sh_n))
     unit = np.abs(length - 1.0) <= UNIT_LENGTH_ATOL
     shaded = (np.abs(shading - 1.0) <= UNIT_LENGTH_ATOL) | (shading == 0.0)  # vertex normals may cancel
     with np.errstate(over="ignore", invalid="ignore"):
         beyond = np.isinf(hits.t * np.abs(rays.d).max(axis=1))  # a position that float64 cannot represent
-    fine = (np.isfinite(surface.p).all(axis=1) | beyond) & unit & shaded
+    fine = (np.isfinite(p).all(axis=1) | beyond) & unit & shaded
     for i in np.flatnonzero((hits.shape_id >= 0) & ~fine):
-        what = f"p {surface.p[i].tolist()}, n {surface.n[i].tolist()}, sh_n {surface.sh_n[i].tolist()}"
+        what = f"p {p[i].tolist()}, n {n[i].tolist()}, sh_n {sh_n[i].tolist()}"
         yield Finding("surface", f"shape {hits.shape_id[i]} is hit with {what}", rays.taken(slice(i, i + 1)))
 
 

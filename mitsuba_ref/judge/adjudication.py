@@ -14,9 +14,9 @@ from caster.geometry.packing import Packed
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import intersections_at, row_distance
 from mitsuba_ref.error_model.bracket import ANY_SHAPE, CLAIMED_MISS, NOT_CLAIMED, Claims
-from mitsuba_ref.error_model.intersections import Intersections, norm
+from mitsuba_ref.error_model.intersections import Intersections
 from mitsuba_ref.error_model.scene_model import SceneModel
-from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR
+from mitsuba_ref.error_model.tolerances import LARGEST_USEFUL_NORMAL_ERROR
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain
 from mitsuba_ref.reference.shared_input import endless_rays, model_of, packed_float32
 from mitsuba_ref.subjects.subject import Answer
@@ -171,36 +171,10 @@ def ratio_to_bound(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
     return np.where(np.isnan(ratio), np.inf, ratio)
 
 
-def claims_other_tie(
-    model: SceneModel, o: np.ndarray, d: np.ndarray, claims: Claims, answers: Sequence[ExactAnswer | None]
-) -> np.ndarray:
-    """(m,) bool: the claim fits another member of the exact tie set than the first, within its bounds.
-
-    Bounds on normals are cut to LARGEST_USEFUL_NORMAL_ERROR, since agreement within a looser bound would mean nothing.
-    """
-    tied = {i: prims[1:] for i, a in enumerate(answers) if a is not None and len(prims := a.prims) > 1}
-    taken = np.zeros(len(o), bool)
-    if not tied:
-        return taken
-    if model.identical is not None:  # what fits one of identical primitives fits each
-        tied = {i: np.unique(model.identical[prims]) for i, prims in tied.items()}
-    ray = np.repeat(list(tied), [len(prims) for prims in tied.values()])
-    prim = np.concatenate(list(tied.values()))
-    t = np.array([np.nan if a is None or a.t is None else float(a.t) for a in answers])[ray]
-    at = intersections_at(model, prim, (o[ray], d[ray]), t, KU, ours=False)
-    p = o[ray] + t[:, None] * d[ray]
-    with np.errstate(invalid="ignore"):
-        fits = (
-            (model.packed.shape_of(prim) == claims.shape[ray])
-            & (np.abs(claims.t[ray] - t) <= at.t_error)
-            & np.isfinite(at.t_error)
-            & (claims.t[ray] > 0.0)
-            & (norm(claims.n[ray] - at.n) <= np.minimum(at.n_error, LARGEST_USEFUL_NORMAL_ERROR))
-            & (norm(claims.sh_n[ray] - at.sh_n) <= np.minimum(at.sh_error, LARGEST_USEFUL_NORMAL_ERROR))
-            & (norm(claims.p[ray] - p) <= at.p_error)
-        )
-    taken[ray[fits]] = True
-    return taken
+def names_other_tie(packed: Packed, shape: np.ndarray, answers: Sequence[ExactAnswer | None]) -> np.ndarray:
+    """(m,) bool: shape[i] has a member of the exact tie set other than the first."""
+    named = zip(shape.tolist(), answers, strict=True)
+    return np.array([a is not None and each in packed.shape_of(a.prims[1:]) for each, a in named], bool)
 
 
 # ---- any float32 rays, for stress and bench

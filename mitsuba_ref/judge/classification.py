@@ -26,8 +26,8 @@ from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR, 
 from mitsuba_ref.judge.adjudication import (
     Adjudication,
     claims_of,
-    claims_other_tie,
     exact_ratios,
+    names_other_tie,
     needs_adjudication,
     oracle_answers,
     sample_rows,
@@ -329,11 +329,10 @@ class Judge:
         classes[rows] = CODE.reference_wrong
         classes[rows[(found.open & ~allowed) | (allowed & useless)]] = CODE.out_of_domain
         classes[rows[allowed & ~useless]] = CODE.explained
-        own_o, own_d = self.o[rows], self.d[rows]
         exponent = self.pair.rays.rows(rows).reference_exponent if self.pair.rays.is_list else np.zeros(len(rows), int)
-        same = (o == own_o).all(axis=1) & (np.ldexp(d, exponent[:, None]) == own_d).all(axis=1)
+        same = (o == self.o[rows]).all(axis=1) & (np.ldexp(d, exponent[:, None]) == self.d[rows]).all(axis=1)
         answers = [exact.of(int(row)) if alike else None for row, alike in zip(rows, same, strict=True)]
-        tied = claims_other_tie(self.model, own_o, own_d, claims._replace(t=self.result.t[rows]), answers)
+        tied = allowed & ~useless & names_other_tie(self.model.packed, claims.shape, answers)
         classes[rows[tied]] = CODE.tie
 
     def _classify_inexact(self, classes: np.ndarray, exact: Adjudication) -> None:

@@ -64,10 +64,6 @@ class HtmlReport:
         if time.monotonic() - self._written > SECONDS_BETWEEN_WRITES:
             self.write()
 
-    def rows(self) -> list[dict[str, Any]]:
-        """The rows of the list."""
-        return [index_row(verdict, self._thumbnails.get(verdict.name)) for verdict in self.verdicts]
-
     def write(self) -> None:
         """Write the page of all scenes added so far. Raises OutputError."""
         verdict = Verdict(tuple(self.verdicts), self.requested, requested_candidate=self.candidate)
@@ -80,7 +76,7 @@ class HtmlReport:
             "common": [" ".join(line.split()) for line in group_lines(self.verdicts)],
         }
         with atomic_write(self.index) as part, part.open("w", encoding="utf-8") as file:
-            file.writelines(page(run, self.rows()))
+            file.writelines(page(run, [index_row(each, self._thumbnails.get(each.name)) for each in self.verdicts]))
         self._written = time.monotonic()
 
     def sweep(self, spared: Collection[str] = ()) -> str:

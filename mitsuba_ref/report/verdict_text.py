@@ -5,7 +5,6 @@ from textwrap import wrap
 from urllib.parse import quote
 
 from caster.system.terminal import printable
-from mitsuba_ref.error_model.tolerances import LARGEST_Z, K
 from mitsuba_ref.judge.classification import EXACT
 from mitsuba_ref.judge.defect_lookup import defect_name
 from mitsuba_ref.judge.diagnosis import NOT_ADJUDICATED
@@ -30,36 +29,40 @@ MAX_PROBLEM_LINES = 12  # of the output of Mitsuba, where it ended without an an
 
 TABLE_CHARACTERS = 80  # of a row; counts that do not fit go into a line of their own
 LEGEND = "pixels that hit and that agree; worst: their largest error, over its bound"
-
+COLUMNS = ("hit", "agree", "worst", "s", "other pixels")
 
 INDENT = 6 * " "  # below the name of a scene
 
 
 def table_head(width: int) -> str:
     """A legend and the titles of the columns. width: of the longest scene name."""
-    return f"{LEGEND}\n{_cells('', 'scene', width, 'hit', 'agree', 'worst', 's', 'other pixels')}"
+    return f"{LEGEND}\n{_line('', 'scene', width, COLUMNS)}"
 
 
 def table_row(scene: SceneVerdict, width: int) -> str:
-    """The row of a scene: mark, pixels that hit and that agree, their largest error over its bound, seconds or "kept"
-    for a result of an earlier run, and the other classes that occur. A row is printed before later ones are known, so
-    these classes have no columns."""
+    """The row of a scene. It is printed before later ones are known, so other classes have no columns of their own."""
+    first = mark_of(scene), printable(scene.name, keep=""), width
+    cells = row_cells(scene)
+    row = _line(*first, cells)
+    if len(row) <= TABLE_CHARACTERS:
+        return row
+    lines = wrap(cells[-1], TABLE_CHARACTERS, initial_indent=INDENT, subsequent_indent=INDENT)
+    return "\n".join([_line(*first, cells[:-1]), *lines])
+
+
+def row_cells(scene: SceneVerdict) -> tuple[str, ...]:
+    """Pixels that hit and that agree, their largest error over its bound, seconds or "kept" for a result of an earlier
+    run, and the other classes that occur."""
     check, ratio = scene.worst
     worst = f"{ratio:.2f}" if check and scene.counts[AGREE] else "-"
     seconds = "kept" if scene.kept else f"{scene.seconds:.1f}"
     others = ", ".join(f"{scene.counts[name]} {class_text(name)}" for name in CLASSES[1:] if scene.counts[name])
-    first = mark_of(scene), printable(scene.name, keep=""), width
-    row = _cells(*first, scene.hit_pixels, scene.counts[AGREE], worst, seconds, others)
-    if len(row) <= TABLE_CHARACTERS:
-        return row
-    row = _cells(*first, scene.hit_pixels, scene.counts[AGREE], worst, seconds)
-    return "\n".join([row, *wrap(others, TABLE_CHARACTERS, initial_indent=INDENT, subsequent_indent=INDENT)])
+    return str(scene.hit_pixels), str(scene.counts[AGREE]), worst, seconds, others
 
 
-def _cells(
-    mark: str, name: str, width: int, hit: int | str, agree: int | str, worst: str, seconds: str, others: str = ""
-) -> str:
-    return f"{mark:<5} {name:<{width}} {hit:>6} {agree:>6} {worst:>5} {seconds:>5} {others}".rstrip()
+def _line(mark: str, name: str, width: int, cells: Sequence[str]) -> str:
+    numbers = "".join(f"{cell:>{wide}} " for cell, wide in zip(cells, (6, 6, 5, 5), strict=False))
+    return f"{mark:<5} {name:<{width}} {numbers}{''.join(cells[4:])}".rstrip()
 
 
 def class_text(name: str) -> str:
@@ -72,12 +75,6 @@ def mark_of(scene: SceneVerdict) -> str:
     if scene.waived:
         return "SKIP" if scene.waived == UNSUPPORTED else "KNOWN"
     return "PASS" if scene.ok else "FAIL"
-
-
-def worst_words(scene: SceneVerdict) -> str:
-    """The check with the largest error over its bound among agreeing pixels, as text."""
-    check, ratio = scene.worst
-    return f"{check} {ratio:.2f} of its bound" if check and scene.counts[AGREE] else "-"
 
 
 def failure_text(scene: SceneVerdict, report: str = "") -> str:
@@ -162,6 +159,18 @@ def _lack_of_evidence(scene: SceneVerdict) -> str:
 
 def summary_text(verdict: Verdict, seconds: float) -> str:
     """Summary of all scenes in a few lines."""
+    lines = [f"{outcome_text(verdict)}, in {seconds:.1f} s", *summary_lines(verdict)]
+    return "\n".join(each for line in lines for each in wrapped(line))
+
+
+def wrapped(line: str) -> list[str]:
+    """A line of a summary within the width of the table; words, such as paths, stay whole."""
+    indent = 12 * " "
+    return wrap(line, TABLE_CHARACTERS, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+
+
+def summary_lines(verdict: Verdict) -> Iterator[str]:
+    """What a summary says beyond the outcome, a line each."""
     counts = verdict.counts
     total = sum(counts.values()) or 1
     shares = [
@@ -170,17 +179,12 @@ def summary_text(verdict: Verdict, seconds: float) -> str:
         if counts[name] or name == AGREE
     ]
     exact_seconds = sum(scene.exact_seconds for scene in verdict.scenes if not scene.kept)
-    lines = [
-        f"{outcome_text(verdict)}, in {seconds:.1f} s",
-        *waiver_lines(verdict),
-        *wrap(f"hit pixels: {', '.join(shares)}", TABLE_CHARACTERS, subsequent_indent=12 * " "),
-        f"exact:      {verdict.adjudicated} pixels were adjudicated by exact arithmetic, in {exact_seconds:.1f} s",
-        *candidate_lines(verdict),
-        *_error_lines(verdict),
-        *_note_lines(verdict),
-        *(f"reference:  {versions}" for versions in verdict.versions),
-    ]
-    return "\n".join(lines)
+    yield from waiver_lines(verdict)
+    yield f"hit pixels: {', '.join(shares)}"
+    yield f"exact:      {verdict.adjudicated} pixels were adjudicated by exact arithmetic, in {exact_seconds:.1f} s"
+    yield from candidate_lines(verdict)
+    yield from _note_lines(verdict)
+    yield from (f"reference:  {versions}" for versions in verdict.versions)
 
 
 WAIVER_WORDS = {UNSUPPORTED: "declined by the candidate", EXPECTED: "known failures"}
@@ -231,18 +235,6 @@ def candidate_lines(verdict: Verdict) -> Iterator[str]:
         yield f"not judged: {', '.join(name.replace('_', ' ') for name in names)}"
     for note in dict.fromkeys(note for scene in verdict.scenes if scene.ok for note in scene.notes):
         yield f"note:       {note}"
-
-
-def _error_lines(verdict: Verdict) -> Iterator[str]:
-    """The largest error of t in roundings, and the largest bias."""
-    found = [(scene.name, scene.statistics) for scene in verdict.scenes if scene.statistics is not None]
-    if any(errors.pixels for _, errors in found):
-        name, largest = max(found, key=lambda item: item[1].k_t.largest)
-        biased, bias = max(found, key=lambda item: abs(item[1].z))
-        yield (
-            f"errors:     of t at most {largest.k_t.largest:.2f} of {K:g} roundings ({name}); "
-            f"bias at most |z| {abs(bias.z):.1f} of {LARGEST_Z:g} ({biased})"
-        )
 
 
 def _note_lines(verdict: Verdict) -> Iterator[str]:

@@ -2,7 +2,7 @@
 
 import json
 import re
-import threading
+from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import closing
@@ -73,11 +73,6 @@ class SceneEntry:
             return scene.with_film(width=width, height=height)
 
 
-# So many last scenes for each worker start with the largest: a large one at the very end would leave the other workers
-# idle. Earlier rows are not held up.
-REORDERED_PER_WORKER = 4
-
-
 def map_in_order(
     work: Callable[[SceneEntry], Result],
     entries: Sequence[SceneEntry],
@@ -88,29 +83,18 @@ def map_in_order(
 
     workers: at a time; None: one for each core. end_work: called at an interruption, to end the work in progress.
     """
-    stop = threading.Event()
-
-    def unless_stopped(entry: SceneEntry) -> Result | None:
-        return None if stop.is_set() else work(entry)
-
-    workers = workers or core_count()
-    pool = ThreadPoolExecutor(workers)
-    tail = max(0, len(entries) - REORDERED_PER_WORKER * workers)
-    last = sorted(range(tail, len(entries)), key=lambda place: -entries[place].pixels)
-    futures = {place: pool.submit(unless_stopped, entries[place]) for place in (*range(tail), *last)}
+    pool = ThreadPoolExecutor(workers or core_count())
+    futures = deque(pool.submit(work, entry) for entry in entries)
     try:
-        for place in range(len(entries)):
-            result = futures[place].result()
-            del futures[place]  # so that the result can be released once it is used
-            assert result is not None  # only after a stop, and then no result is read
-            yield result
+        while futures:
+            yield futures[0].result()
+            futures.popleft()  # so that the result can be released
     finally:
-        stop.set()
         pool.shutdown(wait=False, cancel_futures=True)
         subprocess_runner.kill_subprocesses()
         end_work()
         if process.interrupted.is_set():  # work in compiled code ends with the process
-            wait([each for each in futures.values() if each.running()], timeout=INTERRUPTED_SECONDS)
+            wait([each for each in futures if each.running()], timeout=INTERRUPTED_SECONDS)
         else:
             pool.shutdown(wait=True)
         subprocess_runner.allow_subprocesses()

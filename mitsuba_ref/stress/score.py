@@ -110,7 +110,7 @@ def trace_by_reference(caster: Caster, ready: PreparedSetting) -> Answer | Absen
         # A ray takes some ten microseconds, more on a busy machine.
         answer = send_request(request, DEFAULT_TIMEOUT + 1e-3 * len(ready.o))
     if isinstance(answer, Crash):
-        return Absent("crash", f"{answer.kind} ({answer.exit}) {answer.headline}".strip())
+        return Absent("crash", answer.brief)
     return Answer(answer.t.astype(np.float64), None, FLOAT32, {})
 
 

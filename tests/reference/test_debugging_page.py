@@ -1,4 +1,4 @@
-"""docs/debugging-an-edge-case.md is up to date: its commands run again in a copy with the same fault."""
+"""docs/debugging.md is up to date: its commands run again in a copy with the same fault."""
 
 import importlib.util
 import re
@@ -9,7 +9,7 @@ import pytest
 # The page in plain Python, which continuous integration runs with the other slow tests.
 pytestmark = pytest.mark.slow("a page of docs, in plain Python")
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = (ROOT / "docs/debugging-an-edge-case.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs/debugging.md").read_text(encoding="utf-8")
 
 
 def script():

@@ -9,10 +9,9 @@ import pytest
 import textbook_pages
 
 import caster
-from caster.geometry.packing import packed as pack_scene
+from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.judge.verdict import UNLISTED
-from mitsuba_ref.reference.shared_input import shared_rays
-from mitsuba_ref.report.evidence import film_projection, triangle_edges
+from mitsuba_ref.report.evidence import film_edges, project_points
 from mitsuba_ref.report.html_report import index_row
 from mitsuba_ref.report.scene_record import FLOAT_LAYERS, coarse, narrowest, packed, scene_record
 from mitsuba_ref.report.validation import Validation
@@ -111,34 +110,33 @@ def test_shares_are_never_reported_smaller_than_they_are():
 
 # ---- projected edges
 
-
-def rays_of(camera, width=20, height=14):
-    scene = caster.Scene(camera=camera, film=caster.Film(width=width, height=height), shapes=[caster.Sphere()])
-    rays = shared_rays(scene)
-    return scene, rays.o.astype(np.float64), rays.d.astype(np.float64)
-
-
+VIEW = {"eye": (1, 2, 5), "look_at": (0.3, 0, 0)}
 STRAIGHT = {
-    "pinhole": caster.Pinhole(eye=(1, 2, 5), look_at=(0.3, 0, 0), fov=50.0),
-    "shifted": caster.Pinhole(eye=(1, 2, 5), look_at=(0.3, 0, 0), principal_point=(0.2, -0.1)),
-    "upside down": caster.Pinhole(eye=(1, 2, 5), look_at=(0.3, 0, 0), up=(0, -1, 0.3), fov=100.0),
-    "orthographic": caster.Orthographic(eye=(1, 2, 5), look_at=(0.3, 0, 0), width=3.0),
+    "pinhole": caster.Pinhole(**VIEW, fov=50.0),
+    "shifted": caster.Pinhole(**VIEW, principal_point=(0.2, -0.1)),
+    "upside down": caster.Pinhole(**VIEW, up=(0, -1, 0.3), fov=100.0),
+    "orthographic": caster.Orthographic(**VIEW, width=3.0),
 }
 
 
 @pytest.mark.parametrize("camera", STRAIGHT.values(), ids=STRAIGHT)
 def test_a_point_on_a_ray_is_projected_to_the_centre_of_its_pixel(camera):
-    scene, o, d = rays_of(camera)
-    to_film = film_projection(scene, o, d)
-    assert to_film is not None
-    y, x = np.mgrid[0:14, 0:20] + 0.5
-    points = o + np.linspace(0.5, 70.0, len(o))[:, None] * d
-    assert np.abs(to_film(points) - np.column_stack([x.ravel(), y.ravel()])).max() < 0.001
-    behind = to_film(o - 9.0 * d)
+    film = caster.Film(width=20, height=14)
+    scene = caster.Scene(camera=camera, film=film, shapes=[caster.Sphere()])
+    y, x = np.mgrid[0:14, 0:20].reshape(2, -1) + 0.5
+    rays = reference_of_camera(camera).rays(camera, film, x, y)
+    points = rays.o + np.linspace(0.5, 70.0, len(x))[:, None] * rays.d
+    assert np.abs(project_points(scene, points) - np.column_stack([x, y])).max() < 1e-9
+    behind = project_points(scene, rays.o - 9.0 * rays.d)
     assert np.isnan(behind).all() == (camera.type != "orthographic")
 
 
-def test_edges_of_triangles_are_drawn():
-    scene = caster.Scene(shapes=[caster.Cube()], camera=STRAIGHT["pinhole"])
-    edges = triangle_edges(pack_scene(scene), np.arange(12))
-    assert edges.shape == (36, 2, 3) and len(np.unique(np.sort(edges, axis=1).reshape(36, 6), axis=0)) >= 18
+def test_edges_of_the_triangles_that_are_hit_are_drawn():
+    cube = caster.Scene(film=caster.Film(width=24, height=20), shapes=[caster.Cube()], camera=STRAIGHT["pinhole"])
+    verdict = planted.judged_candidate("cube", lambda scene, o, d: (np.full(len(o), np.inf), None), cube)
+    judge, judgement = verdict.seen.judge, verdict.seen.judgement
+    hit = np.unique(judge.reference_prim[judge.reference_prim >= 0])
+    edges = film_edges(judge, judgement)
+    assert len(hit) == 4 and edges.shape == (12, 4)
+    corners = project_points(cube, judge.model.packed.kinds[0].prims.vertices)
+    assert np.abs(edges.reshape(-1, 1, 2) - corners).max(axis=2).min(axis=1).max() < 1e-4

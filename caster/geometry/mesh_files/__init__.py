@@ -139,7 +139,8 @@ def parse_off(data: bytes, where: str) -> Mesh:
 def _numbers(line: int, words: list[bytes], kind: Callable[[bytes], Any], count: int, where: str) -> list[Any]:
     """The first numbers of a line."""
     if len(words) < count:
-        raise SceneError(f"{where}:{line}: expected {count} numbers, got {quote_bytes(b' '.join(words))}")
+        got = quote_bytes(b" ".join(words))
+        raise SceneError(f"{where}:{line}: expected {count} numbers, got a line of {len(words)}: {got}")
     return read_numbers(words[:count], f"{where}:{line}", kind)
 
 
