@@ -10,6 +10,7 @@ from typing import Any
 
 import caster
 import mitsuba_ref
+from mitsuba_ref import strategies
 
 HEAD = """# API
 
@@ -106,13 +107,15 @@ def page() -> str:
         parts += [entry("caster", each.__name__, each) for each in entries]
     parts += ["## mitsuba_ref\n", paragraphs(mitsuba_ref.__doc__)]
     parts += [entry("mitsuba_ref", name, getattr(mitsuba_ref, name)) for name in mitsuba_ref.__all__]
+    parts += ["## mitsuba_ref.strategies\n", paragraphs(strategies.__doc__)]
+    parts += [entry("mitsuba_ref.strategies", name, getattr(strategies, name)) for name in ("scenes", "rays")]
     return "\n".join([*parts, "## Programs\n", *map(program, sorted(PROGRAMS.glob("*.py")))])
 
 
 def program(path: Path) -> str:
-    """A whole program, under its first comment. They run in tests/unit/test_programs.py and tests/reference."""
+    """A whole program, under its first line. They run in tests/unit/test_programs.py and tests/reference."""
     title, _, text = path.read_text(encoding="utf-8").partition("\n")
-    return f"{title.removeprefix('# ')}\n\n```python\n{text}```\n"
+    return f"{title.strip('# \"')}\n\n```python\n{text.lstrip()}```\n"
 
 
 def entry(package: str, name: str, value: Any) -> str:

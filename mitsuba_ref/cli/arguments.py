@@ -403,6 +403,7 @@ def add_export_arguments(parser: argparse.ArgumentParser) -> None:
 def add_probe_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser, ScenePath)
     add_pixel(parser)
+    parser.add_argument("--brief", action="store_true", help="the verdict and who is right, without the numbers")
     parser.add_argument("--json", action="store_true", help="as JSON")
     parser.add_argument(
         "--save", metavar="FILE", type=OutputFile, help="write this ray and what it may hit as a scene of its own"
@@ -436,6 +437,8 @@ def add_stress_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--rays", metavar="N", type=positive_int, help="rays of each setting; default: 400, watertight 10000")
     add("--seed", metavar="SEED", type=whole, default=0, help="of the rays; default: 0")
+    help_ = "where the first wrong ray of each setting is kept, as a scene; default: stress-failures"
+    add("--out", type=OutputFolder, metavar="DIR", default="stress-failures", help=help_)
     add_json(parser)
     add_candidate(parser, "another ray caster, which takes rays (mitsuba-ref docs candidates)")
     add_skip_unsupported(add, "families")
