@@ -55,7 +55,7 @@ def shadow_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.
     rows, pixels = camera_rows(scene, args)
     hits = cast(scene, rows[:, :3], rows[:, 3:6])
     hit = np.isfinite(hits.t) & (hits.t <= rows[:, 7])
-    p = hits.surface.p[hit].astype(np.float32).astype(np.float64)
+    p = hits.position[hit].astype(np.float32).astype(np.float64)
     to_light, reach = direction_to_light(lights[args.light], p)
     some = hit.nonzero()[0]
     shadow = np.column_stack([p, to_light, np.full(len(p), SHADOW_T_MIN), reach])

@@ -1,6 +1,5 @@
 """`compare --html`: two images on the page of a report, with measures of other tools as information."""
 
-import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -9,24 +8,10 @@ import numpy as np
 
 from caster.description.errors import SceneError
 from caster.image.exr import NO_ID
-from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.exr_compare.comparison_result import FileComparison
+from mitsuba_ref.exr_compare.flip import flip
 from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, Array, ExrPair
-from mitsuba_ref.reference import subprocess_runner
-from mitsuba_ref.report.html_report import ImagePair, refuse_page_of_others, write_comparison
-
-MAX_PIXELS = 1 << 21  # of a page; browsers run out of memory
-
-# In a process of its own, since the library ends the process for images that it cannot judge, such as black ones.
-FLIP_PROGRAM = """
-import sys
-import numpy as np
-import flip_evaluator
-a, b = np.load(sys.argv[1]), np.load(sys.argv[2])
-print(flip_evaluator.evaluate(b, a, "HDR", applyMagma=False)[1])
-"""
-FLIP_SECONDS = 300.0
-FLIP_MISSING = "not computed; pip install flip-evaluator"
+from mitsuba_ref.report.html_report import MAX_PIXELS, ImagePair, refuse_page_of_others, write_comparison
 
 
 class Layer(NamedTuple):
@@ -73,25 +58,16 @@ def measures(pair: ExrPair, layers: Mapping[str, Layer]) -> Iterator[tuple[str, 
             yield f"{name}: FLIP, mean", flip(layer.ours, layer.reference)
 
 
-def flip(ours: Array, reference: Array) -> str:
-    """The mean of FLIP for linear colours (h, w, 3), or why it is not known."""
-    if not (np.isfinite(ours).all() and np.isfinite(reference).all()):
-        return "not computed: a value is not finite"
-    with ScratchFolder() as folder:
-        paths = [str(Path(folder) / name) for name in ("ours.npy", "reference.npy")]
-        for path, image in zip(paths, (ours, reference), strict=True):
-            np.save(path, np.maximum(image, 0.0).astype(np.float32))
-        end = subprocess_runner.run([sys.executable, "-c", FLIP_PROGRAM, *paths], FLIP_SECONDS)
-    words = end.output.strip().splitlines()[-1:] or [""]
-    if end.code == 0:
-        return f"{float(words[0]):.4g}"
-    return FLIP_MISSING if "No module named 'flip_evaluator'" in words[0] else f"not computed: {words[0]}"
-
-
 def remove_page(folder: Path) -> None:
     """Remove the page of an earlier run, which would be taken for this one's. Raises OutputError for others' files."""
     refuse_page_of_others(folder / "index.html")
     (folder / "index.html").unlink(missing_ok=True)
+
+
+def float32(values: Array) -> Array:
+    """Numbers of an EXR file, or ratios, as a page stores them."""
+    with np.errstate(over="ignore"):
+        return values.astype(np.float32)
 
 
 def write_page(folder: Path, result: FileComparison, pair: ExrPair, layers: Mapping[str, Layer]) -> None:
@@ -103,8 +79,8 @@ def write_page(folder: Path, result: FileComparison, pair: ExrPair, layers: Mapp
         names=(result.ours, result.reference),
         size=(result.width, result.height),
         origin=pair.reference.data_window[:2],
-        layers={name: (layer.ours, layer.reference) for name, layer in layers.items()},
+        layers={name: (float32(layer.ours), float32(layer.reference)) for name, layer in layers.items()},
         hit=(pair.hit_ours, pair.hit_reference) if pair.mask_channel else None,
-        ratios={name: layer.ratio for name, layer in layers.items()},
+        ratios={name: float32(layer.ratio) for name, layer in layers.items()},
     )
     write_comparison(folder, images, result.measures, ok=result.ok, text=result.format_table())

@@ -1,5 +1,6 @@
 """Verdicts for the terminal: one row per scene, failures with the next command, and a summary."""
 
+import re
 from collections.abc import Iterator, Sequence
 from math import isfinite
 from textwrap import wrap
@@ -24,7 +25,7 @@ from mitsuba_ref.judge.verdict import (
     Verdict,
 )
 from mitsuba_ref.report.reproducers import replay
-from mitsuba_ref.report.results import BELOW_NAME, LINE_CHARACTERS, percent, plural
+from mitsuba_ref.report.results import BELOW_NAME, LINE_CHARACTERS, folded, percent, plural
 
 LEGEND = "hit, agree: pixels; worst: the largest error as a share of its bound; s: seconds"
 COLUMNS = ("hit", "agree", "worst", "s", "other pixels")
@@ -222,6 +223,14 @@ def failures_text(verdict: Verdict, report: str = "") -> str:
         alike = f"FAIL  {scene.name}  {words}: as in {first}"
         texts.append(alike if first != scene.name else failure_text(scene, report))
     return "\n\n".join(filter(None, ["\n".join(group_lines(verdict.scenes)), *texts]))
+
+
+def short_text(verdict: Verdict) -> str:
+    """The outcome, the names of failing scenes, and the simplest of them, in some ten lines of 80 characters."""
+    failing = failing_scenes(verdict.scenes)
+    shown = failure_text(simplest_failing(verdict.scenes) or failing[0])
+    shown = re.sub(r" 0x[\w.+-]+|, along o .*", "", shown)  # bits and the ray, which the replay prints
+    return folded(f"{outcome_text(verdict)}: {', '.join(scene.name for scene in failing)}\n{shown}")
 
 
 def candidate_lines(verdict: Verdict) -> Iterator[str]:

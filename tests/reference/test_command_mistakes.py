@@ -55,7 +55,16 @@ JUDGE, CASTER = "mitsuba-ref", "caster"
 
 # Command line, exit code, and parts of the answer: the cause, what was expected, the way out.
 MISTAKES = [
-    ("mitsuba-ref validate typos.toml", 2, "'width'", "eye must be 3 numbers", "'look_at'", "'cube'", "radius", "'red'"),
+    (
+        "mitsuba-ref validate typos.toml",
+        2,
+        "'width'",
+        "eye must be 3 numbers",
+        "'look_at'",
+        "'cube'",
+        "radius",
+        "'red'",
+    ),
     ("caster check typos.toml", 2, "'width'", "eye must be 3 numbers", "'look_at'", "'cube'", "radius", "'red'"),
     ("caster render scene.toml -o a.exr --aov dept", 2, "unknown, did you mean 'depth'?", "hit, depth, normal"),
     ("mitsuba-ref render scene.toml -o a.exr --aov dept", 2, "unknown, did you mean 'depth'?", "hit, depth, normal"),
@@ -85,7 +94,7 @@ MISTAKES = [
     ("mitsuba-ref validate scene.toml --candidate './nosuch {xml} {exr}'", 2, "there is no program './nosuch' to run"),
     ("mitsuba-ref validate scene.toml --out /proc/x", 4, "/proc/x"),
     ("caster render scene.toml -o /proc/x/a.exr", 4, "cannot write", "/proc"),
-    ("mitsuba-ref validate mesh.toml", 4, "missing.ply", "No such file or directory"),
+    ("mitsuba-ref validate mesh.toml", 4, "missing.ply", "--mesh-dir"),
     ("mitsuba-ref validate", 4, "scenes: expected a scene file or a folder of them", "--builtin triangles"),
     ("mitsuba-ref validate empty", 5, "no scene file in empty", "--builtin triangles"),
     ("mitsuba-ref validat scene.toml", 2, "'validat', did you mean 'validate'?"),

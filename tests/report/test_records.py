@@ -83,6 +83,13 @@ def test_what_is_no_answer_is_nan_and_never_zero():
     ]
 
 
+def test_a_passing_scene_takes_a_few_bytes_a_pixel(tmp_path):
+    """Nine scenes of 256 x 256 pixels are to fit into 4 MB, 6.8 bytes a pixel."""
+    found = planted.judged("ball", size=(200, 180))
+    Validation((found,)).write_html(tmp_path)
+    assert 0 < (tmp_path / "data/ball.js").stat().st_size < 6.8 * 200 * 180 + 20_000  # and what any verdict takes
+
+
 def test_rows_and_pages_name_the_candidate(judged, tmp_path):
     assert "wrong" in index_row(judged["inside"], None)["counts"]
     index = Validation(tuple(judged.values())).write_html(tmp_path / "page")

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from ply_files import ply_mesh
 
 import caster
 from caster.geometry.mesh_files import load_mesh
@@ -39,11 +40,8 @@ def shapes_of(cls: type, folder) -> Iterator[caster.Sphere]:
 @pytest.fixture
 def folder(tmp_path):
     rng = np.random.default_rng(5)
-    corners = "".join(f"{x} {y} {z}\n" for x, y, z in rng.normal(size=(12, 3)))
-    header = "ply\nformat ascii 1.0\nelement vertex 12\nproperty float x\nproperty float y\nproperty float z\n"
-    faces = "element face 4\nproperty list uchar int vertex_indices\nend_header\n"
-    text = header + faces + corners + "".join(f"3 {i} {i + 1} {i + 2}\n" for i in (0, 3, 6, 9))
-    (tmp_path / "mesh.ply").write_text(text, encoding="utf-8")
+    faces = [(i, i + 1, i + 2) for i in (0, 3, 6, 9)]
+    (tmp_path / "mesh.ply").write_bytes(ply_mesh("ascii", rng.normal(size=(12, 3)).tolist(), faces))
     assert len(load_mesh(str(tmp_path / "mesh.ply")).faces) == 4
     return tmp_path
 

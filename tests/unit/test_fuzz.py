@@ -179,7 +179,7 @@ def test_a_failing_check_of_the_image_is_found(subject, monkeypatch):
 
 def test_a_normal_of_another_length_is_found(subject):
     hits = cast(subject.scene, rays().o, rays().d)
-    hits.surface.n[1] *= 1.0 + 2.0**-40
+    hits.surfaces["normal"][1] *= 1.0 + 2.0**-40
     (finding,) = check_surfaces(hits, rays())
     assert finding.kind == "surface" and np.array_equal(finding.ray.o[0], rays().o[1])
 

@@ -27,7 +27,7 @@ function kindsHtml(statistics) {
   const kinds = statistics?.biases ?? [], most = Math.max(6, ...kinds.map(({ z }) => Math.abs(z)));
   const bar = ({ kind, z, quantity, groups, enough_groups }) => `<tr><th scope="row">${escaped(kind)}</th>
 <td>${middleBar(z / most, enough_groups && Math.abs(z) > RUN.largest_z, RUN.largest_z / most)}</td>
-<td>${z.toFixed(1)}</td><td class="quiet">${quantity}, ${groups} groups${enough_groups ? "" : ": too few to tell"}</td></tr>`;
+<td>${z.toFixed(1)}</td><td class="quiet">${enough_groups ? `${quantity}, ${groups} groups` : "too few groups"}</td></tr>`;
   return `<h3>Mean error of each kind, in standard deviations; chance gives ${RUN.largest_z} at most</h3><table class="bars">${kinds.map(bar).join("")}</table>`;
 }
 

@@ -112,7 +112,7 @@ function layOut() {
   if (shownView !== state.v || !looking.panes.length) {
     looking.panes = names.map((name) => new Pane(name));
     box.replaceChildren(...looking.panes.map((pane) => pane.element), byId("summary"));
-    box.className = names.length > 1 ? "grid" : "single";
+    box.className = names.length > 3 ? "grid" : names.length > 1 ? "grid few" : "single";
     shownView = state.v;
   }
   byId("wiping").hidden = state.v !== "wipe";
