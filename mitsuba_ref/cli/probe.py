@@ -23,7 +23,7 @@ def run(args: argparse.Namespace) -> int:
     """Print the pixel's verdict and its evidence; 1 if nothing explains the pixel or the candidate's answer."""
     scene = load(args)
     candidate = requested_candidate(args)  # its errors come before any work
-    variants.require_variants()
+    variants.variant_for(has_quadrics=True)  # raises before any work without Mitsuba
     with error_prefix(args.scene):
         found, probed = probe_with_evidence(scene, args.x, args.y, candidate, args.timeout)
     try:
