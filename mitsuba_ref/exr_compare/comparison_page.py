@@ -24,7 +24,7 @@ class Layer(NamedTuple):
 
 
 def layers_of(pair: ExrPair, ratios: Mapping[str, Array]) -> dict[str, Layer]:
-    """The layers of a page, those farthest beyond their bound first. ratios: (h, w) error over bound of each channel."""
+    """The layers of a page, the farthest beyond its bound first. ratios: (h, w) error over bound of each channel."""
     names = {layer: channels for layer, channels in LAYERS.items() if set(channels) <= ratios.keys()}
     left = [name for name in pair.names if name in ratios and not any(name in channels for channels in names.values())]
     for name in left:
