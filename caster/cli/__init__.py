@@ -63,7 +63,7 @@ COMMANDS = (
     ),
     Command(
         "6837",
-        "render a scene file of MIT 6.837, with that course's options and images (docs/classroom.md)",
+        "render a scene file of MIT 6.837, with that course's options and images (mitsuba-ref docs classroom)",
         f"{_HERE}.course_6837",
         example="caster 6837 -input scene.txt -output out.png -size 200 200",
     ),

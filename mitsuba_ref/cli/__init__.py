@@ -128,6 +128,7 @@ COMMANDS = (
         arguments="add_schema_arguments",
         example="mitsuba-ref schema verdict",
     ),
+    Command("docs", "read a page of the documentation", f"{_HERE}.pages", example="mitsuba-ref docs candidates"),
     Command(
         "doctor",
         "list what was found on this machine, and the effect of each missing part",

@@ -143,7 +143,7 @@ def add_timeout(parser: argparse.ArgumentParser) -> None:
 
 def add_reading(parser: argparse.ArgumentParser, more: str = "") -> Callable[..., argparse.Action]:
     """Add --map, --depth and --miss; the function that adds more options to their group."""
-    add = parser.add_argument_group("files of other programs (docs/candidates.md)" + more).add_argument
+    add = parser.add_argument_group("files of other programs (mitsuba-ref docs candidates)" + more).add_argument
     map_help = "a channel or group by its name there, such as depth=range or normal=facing; any number of them"
     add("--map", type=str, action="append", default=[], metavar="OURS=THEIRS", help=map_help)
     depths = ("distance", "z", "near")
@@ -178,7 +178,8 @@ def add_verdict_files(parser: argparse.ArgumentParser) -> Callable[..., argparse
 
 
 def add_candidate(
-    parser: argparse.ArgumentParser, title: str = "another ray caster, judged in place of ours (docs/candidates.md)"
+    parser: argparse.ArgumentParser,
+    title: str = "another ray caster, judged in place of ours (mitsuba-ref docs candidates)",
 ) -> None:
     """Add --candidate, its precision and its time limit."""
     group = parser.add_argument_group(title)
@@ -192,14 +193,14 @@ def add_candidate(
         help="package.module:function, called as function(scene, o, d) -> (t, n); or a command that reads our scene "
         "and writes an EXR file, such as 'my-renderer {xml} -o {exr}' ({toml}, {width}, {height}); or an image of the "
         "scene's camera, FILE.exr; or a command that reads rays and writes hits, such as 'my-caster {mesh} {rays} "
-        "{hits}' (docs/candidates.md)",
+        "{hits}' (mitsuba-ref docs candidates)",
     )
     one.add_argument(
         "--candidate-serve",
         dest="candidate",
         type=ServedProgram,
         metavar="COMMAND",
-        help="a program that is started once and answers over stdin and stdout (docs/candidates.md)",
+        help="a program that is started once and answers over stdin and stdout (mitsuba-ref docs candidates)",
     )
     group.add_argument(
         "--candidate-precision",
@@ -294,7 +295,7 @@ def add_judge_arguments(parser: argparse.ArgumentParser) -> None:
     add("--scene", metavar="SCENE", type=InputPath, required=True, help=help_)
     help_ = ".npz of t, and n, shape_id, prim_id, any_hit if given; or .npy of shape (n, 1), (n, 4), (n, 5)"
     add("--hits", metavar="FILE", type=InputPath, required=True, help=help_)
-    help_ = ".npz of `rays`, or .npy, (n, 8): o, d, t_min, t_max (docs/candidates.md)"
+    help_ = ".npz of `rays`, or .npy, (n, 8): o, d, t_min, t_max (mitsuba-ref docs candidates)"
     add("--rays", metavar="FILE", type=InputPath, required=True, help=help_)
     help_ = "the arithmetic of the answers, from which bounds follow: float32 or float64; default: the type of t and n"
     add("--precision", metavar="PRECISION", choices=PRECISIONS, help=help_)
@@ -402,12 +403,13 @@ def add_export_arguments(parser: argparse.ArgumentParser) -> None:
 def add_probe_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser, ScenePath)
     add_pixel(parser)
+    parser.add_argument("--brief", action="store_true", help="the verdict and who is right, without the numbers")
     parser.add_argument("--json", action="store_true", help="as JSON")
     parser.add_argument(
         "--save", metavar="FILE", type=OutputFile, help="write this ray and what it may hit as a scene of its own"
     )
     add_timeout(parser)
-    add_candidate(parser, "another ray caster, whose answer is explained as well (docs/candidates.md)")
+    add_candidate(parser, "another ray caster, whose answer is explained as well (mitsuba-ref docs candidates)")
     add_reading(parser, "; with --candidate")
 
 
@@ -427,7 +429,7 @@ def add_fuzz_arguments(parser: argparse.ArgumentParser) -> None:
     add("--judge-every", metavar="N", type=whole, default=16, help=help_)
     add("--replay", metavar="FILE|DIR", type=InputPath, help="check kept scenes again, and nothing else")
     add("--rays", metavar="N", type=positive_int, default=40, help="rays aimed at each scene; default: 40")
-    add_candidate(parser, "another ray caster, judged in place of ours (docs/candidates.md)")
+    add_candidate(parser, "another ray caster, judged in place of ours (mitsuba-ref docs candidates)")
 
 
 def add_stress_arguments(parser: argparse.ArgumentParser) -> None:
@@ -435,8 +437,10 @@ def add_stress_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--rays", metavar="N", type=positive_int, help="rays of each setting; default: 400, watertight 10000")
     add("--seed", metavar="SEED", type=whole, default=0, help="of the rays; default: 0")
+    help_ = "where the first wrong ray of each setting is kept, as a scene; default: stress-failures"
+    add("--out", type=OutputFolder, metavar="DIR", default="stress-failures", help=help_)
     add_json(parser)
-    add_candidate(parser, "another ray caster, in place of ours: one that takes rays (docs/candidates.md)")
+    add_candidate(parser, "another ray caster, which takes rays (mitsuba-ref docs candidates)")
     add_skip_unsupported(add, "families")
 
 
@@ -453,5 +457,5 @@ def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
     add("--seed", metavar="SEED", type=whole, default=0, help=help_)
     add_json(parser)
     add_mesh_dirs(parser)
-    title = "another ray caster beside ours: one that takes rays (docs/candidates.md)"
+    title = "another ray caster, which takes rays (mitsuba-ref docs candidates)"
     add_candidate(parser, title)

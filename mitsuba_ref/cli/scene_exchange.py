@@ -98,7 +98,7 @@ def parameters(words: list[str]) -> dict[str, str]:
 
 def folders_beyond(scene: object, folder: Path) -> set[str]:
     """Folders of meshes that a scene file in `folder` may read only by --mesh-dir."""
-    files = [Path(shape.file) for shape in getattr(scene, "shapes", ()) if hasattr(shape, "file")]
+    files = [Path(shape.file) for shape in getattr(scene, "shapes", ()) if getattr(shape, "file", None)]
     return {str(file.parent) for file in files if not file.is_relative_to(folder)}
 
 
@@ -106,7 +106,7 @@ def run_export(args: argparse.Namespace) -> int:
     """Write the files and print their names. Raises SceneError, FileMissing, OutputError."""
     scene = load(args)
     exported = export_scene(scene)
-    inputs = [shape.file for shape in scene.shapes if hasattr(shape, "file")]
+    inputs = [file for shape in scene.shapes if (file := getattr(shape, "file", None))]
     for target in (os.path.join(args.output, name) for name in exported.meshes):
         if os.path.exists(target) and any(os.path.samefile(target, file) for file in inputs if os.path.exists(file)):
             raise SceneError(f"-o {args.output}: expected another folder: the scene reads {target}")

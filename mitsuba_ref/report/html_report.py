@@ -16,7 +16,6 @@ from dataclasses import replace
 from datetime import datetime
 from importlib import resources
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
@@ -32,18 +31,7 @@ from mitsuba_ref.judge.pipeline import Seen
 from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, SceneVerdict, Verdict, json_number
 from mitsuba_ref.report.evidence import CLASS_COLORS, UNLISTED_COLOR
 from mitsuba_ref.report.reproducers import replay, replay_around
-from mitsuba_ref.report.scene_record import (
-    ENTIRE,
-    LARGEST_CODE,
-    LEAST_SHARE,
-    NAN_CODE,
-    NO_BOUND,
-    SIDES,
-    SceneRecord,
-    image,
-    packed,
-    scene_record,
-)
+from mitsuba_ref.report.scene_record import CODES, SIDES, SceneRecord, image, packed, scene_record
 from mitsuba_ref.report.verdict_text import failing_checks, failure_text, group_lines, mark_of, outcome_text
 
 MAX_PIXELS = 1 << 21  # of a window that a page shows: 80 MB for half as many; browsers run out of memory
@@ -109,11 +97,8 @@ class HtmlReport:
 
     def sweep(self, spared: Collection[str] = ()) -> str:
         """Remove scenes of earlier reports that this page does not list, except `spared`; a line on their number."""
-        listed = {file_of(name) for name in (*self.thumbnails, *spared)}
-        obsolete = [path for path in self.data.glob("*.js") if path.name not in listed and is_record(path)]
-        for path in obsolete:
-            path.unlink(missing_ok=True)
-        return f"{self.index.parent}: removed {len(obsolete)} scenes of an earlier report" if obsolete else ""
+        obsolete = remove_records(self.data, {*self.thumbnails, *spared})
+        return f"{self.index.parent}: removed {obsolete} scenes of an earlier report" if obsolete else ""
 
 
 def report_folder(path: str | Path) -> tuple[Path, Path]:
@@ -164,6 +149,14 @@ def refuse_page_of_others(index: Path) -> None:
         raise OutputError(f"{index}: exists, and is no report of validate; choose another folder")
 
 
+def remove_records(data: Path, spared: Collection[str]) -> int:
+    """Remove the records of all scenes but some; the number of them. Files of others stay."""
+    obsolete = [path for path in data.glob("*.js") if path.name not in map(file_of, spared) and is_record(path)]
+    for path in obsolete:
+        path.unlink(missing_ok=True)
+    return len(obsolete)
+
+
 def is_record(path: Path) -> bool:
     """Whether a file was written by a report."""
     with path.open(encoding="utf-8", errors="replace") as file:
@@ -194,9 +187,8 @@ SCRIPTS = (
 
 def page_words() -> dict[str, Any]:
     """What the page needs to decode records, and the sentence of each scene check."""
-    codes = {"largest": LARGEST_CODE, "nan": NAN_CODE, "entire": ENTIRE, "octaves": LEAST_SHARE, "none": NO_BOUND}
     checks = {each.name: (inspect.getdoc(each.make) or "").partition("\n\n")[0] for each in all_checks()}
-    return {"codes": codes, "checks": checks, "largest_z": LARGEST_Z}
+    return {"codes": CODES, "checks": checks, "largest_z": LARGEST_Z}
 
 
 def write_page(index: Path, run: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:
@@ -259,7 +251,7 @@ class ImagePair(NamedTuple):
     layers: Mapping[str, tuple[np.ndarray, np.ndarray]]  # both sides, (h, w) or (h, w, c <= 4) floats
     origin: tuple[int, int] = (0, 0)  # of the pixels, on the film
     hit: tuple[np.ndarray, np.ndarray] | None = None  # (h, w) bool of both sides; None: every pixel
-    ratios: Mapping[str, np.ndarray] = MappingProxyType({})  # layer -> (h, w) error over bound, where there are bounds
+    ratios: Mapping[str, np.ndarray] | None = None  # layer -> (h, w) error over bound, where there are bounds
 
 
 PAIR = "images"  # the name of their record
@@ -277,7 +269,7 @@ def write_comparison(
     parts: dict[str, Any] = {}
     for layer, sides in pair.layers.items():
         parts[layer] = {side: packed(each.reshape(count, -1)) for side, each in zip(SIDES, sides, strict=False)}
-        if layer in pair.ratios:
+        if pair.ratios and layer in pair.ratios:
             parts[layer]["ratio"] = packed(pair.ratios[layer].ravel())
     about: dict[str, Any] = {
         "window": [x0, y0, x0 + width, y0 + height],
@@ -287,6 +279,7 @@ def write_comparison(
     }
     if pair.hit is not None:
         about["hit"] = image(pair.hit[0].ravel() + 2 * pair.hit[1].ravel(), (height, width))
+    remove_records(data, ())
     write_record(data, PAIR, {"about": about, **parts})
     mark = "PASS" if ok else "FAIL"
     row = index_row(SceneVerdict(PAIR, ""), "") | {"ok": ok, "mark": mark, "failure": ""}

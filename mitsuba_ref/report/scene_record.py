@@ -59,6 +59,15 @@ SMALLEST = 2.0**-1074  # float64 above 0
 LEAST_ERROR = 5  # octaves below the 99th percentile: smaller errors are 0
 
 
+CODES = {  # for the page
+    "largest": LARGEST_CODE,
+    "nan": NAN_CODE,
+    "entire": ENTIRE,
+    "octaves": LEAST_SHARE,
+    "none": NO_BOUND,
+}
+
+
 def image(codes: np.ndarray, shape: Shape, *, smooth: bool = True) -> Part:
     """Pack (n,) or (n, c) integers, folded to be >= 0. smooth: as their differences from the plane through three
     neighbours, which are small in a smooth image and large in noise."""
