@@ -50,7 +50,7 @@ class HtmlReport:
         self.requested, self.candidate = requested, candidate
         self.index, self.data = report_folder(path)
         self.verdicts: list[SceneVerdict] = []
-        self._thumbnails: dict[str, str] = {}  # of the scenes whose record is written
+        self.thumbnails: dict[str, str] = {}  # of the scenes whose record is written
         self._lock = threading.Lock()
         self._written = float("-inf")
         self._about, self._started = run_facts(), time.monotonic()
@@ -62,7 +62,7 @@ class HtmlReport:
             about = {"verdict": verdict.to_dict(), **found.about}
             write_record(self.data, verdict.name, {"about": about, **found.layers})
             with self._lock:
-                self._thumbnails[verdict.name] = found.thumbnail
+                self.thumbnails[verdict.name] = found.thumbnail
         return replace(verdict, seen=None)
 
     def add(self, verdict: SceneVerdict) -> None:
@@ -84,7 +84,7 @@ class HtmlReport:
             "colors": CLASS_COLORS | {UNLISTED: UNLISTED_COLOR},
             "common": [" ".join(line.split()) for line in group_lines(self.verdicts)],
         }
-        rows = [index_row(each, self._thumbnails.get(each.name)) for each in self.verdicts]
+        rows = [index_row(each, self.thumbnails.get(each.name)) for each in self.verdicts]
         write_page(self.index, run, rows)
         self._written = time.monotonic()
 
@@ -95,7 +95,7 @@ class HtmlReport:
 
     def sweep(self, spared: Collection[str] = ()) -> str:
         """Remove scenes of earlier reports that this page does not list, except `spared`; a line on their number."""
-        obsolete = remove_records(self.data, {*self._thumbnails, *spared})
+        obsolete = remove_records(self.data, {*self.thumbnails, *spared})
         return f"{self.index.parent}: removed {obsolete} scenes of an earlier report" if obsolete else ""
 
 

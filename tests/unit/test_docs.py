@@ -58,6 +58,17 @@ def test_the_map_names_every_page_and_at_most_twelve_for_users():
     assert len([page for page in there if "/" not in page]) <= 12
 
 
+def test_the_code_of_a_recipe_is_that_of_the_example_of_the_same_name():
+    examples = {path.name: path for path in (ROOT / "docs/candidates").rglob("*.*")}
+    shown = {}
+    for page in ROOT.glob("docs/recipes/*.md"):
+        for name, code in re.findall(
+            r"^```\w+\n(?:#|//) (\S+)\n(.*?)^```$", page.read_text(), re.DOTALL | re.MULTILINE
+        ):
+            shown[name] = code
+    assert len(shown) == 4 and shown == {name: examples[name].read_text() for name in shown}
+
+
 def program(name):
     """A program of docs/ as a module."""
     spec = importlib.util.spec_from_file_location(f"{name}_page", ROOT / f"docs/{name}.py")
