@@ -207,6 +207,12 @@ def add_candidate(
         type=positive_seconds,
         help=f"seconds that a command may take for one scene; default {CANDIDATE_SECONDS:g}",
     )
+    group.add_argument(
+        "--no-limits",
+        action="store_const",
+        const=True,
+        help="the program's interface has no t_min and t_max: a hit beyond t_max counts as a miss",
+    )
 
 
 def add_skip_unsupported(parser: argparse.ArgumentParser, plural: str) -> None:
@@ -393,6 +399,11 @@ def add_export_arguments(parser: argparse.ArgumentParser) -> None:
         type=OutputFolder,
         required=True,
         help="folder to write into, created if missing",
+    )
+    parser.add_argument(
+        "--toml",
+        action="store_true",
+        help="write scene.toml as well: our format, with the float32 values that are traced",
     )
 
 

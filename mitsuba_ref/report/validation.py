@@ -10,6 +10,7 @@ from caster.description.errors import SceneError
 from caster.rendering.warm_up import compile_for, warm_decisions
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
+from mitsuba_ref.judge.checks import run_checks
 from mitsuba_ref.judge.checks.render import check_render
 from mitsuba_ref.judge.pipeline import Seen, Task, judge_film
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
@@ -54,7 +55,7 @@ def validate(
         found = validate_scene(scene, "scene", **options)
     else:
         found = validate_scene(load_scene(scene), Path(scene).stem, str(scene), **options)
-    return Validation((with_replay(found),))
+    return Validation((with_replay(found),), checks=run_checks(None if subject is OURS else subject))
 
 
 def validate_scene(

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import pytest
 
 if TYPE_CHECKING:
-    from mitsuba_ref.judge.verdict import SceneVerdict
+    from mitsuba_ref.judge.verdict import SceneCheck, SceneVerdict
     from mitsuba_ref.subjects.subject import Subject
 
 OPTION = "--mitsuba-ref"
@@ -85,6 +85,7 @@ class ScenePlugin:
         self.mesh_dirs = tuple(map(str, config.getini("mitsuba_ref_mesh_dirs")))
         self.named = {Path(self.start, arg.split("::")[0]).resolve() for arg in config.args}
         self.verdicts: dict[Path, SceneVerdict | str] = {}
+        self.first: Path | None = None  # scene that was collected
 
     def pytest_collect_file(self, file_path: Path, parent: pytest.Collector) -> pytest.Collector | None:
         if file_path.suffix.lower() not in SUFFIXES:
@@ -136,7 +137,22 @@ class ScenePlugin:
         from mitsuba_ref.judge.classification import pixel_checks
 
         whose = CANDIDATE if self.candidate else OURS
-        return (*pixel_checks(ours=whose == OURS), *(check.name for check in checks_of(whose)))
+        return (*pixel_checks(ours=whose == OURS), *(check.name for check in checks_of(whose) if check.scope != "run"))
+
+    def run_names(self, path: Path) -> tuple[str, ...]:
+        """Names of the checks that are made once a run, with its first scene."""
+        from mitsuba_ref.judge.checks import CANDIDATE, checks_of
+
+        self.first = self.first or path
+        made = self.candidate and path == self.first
+        return tuple(check.name for check in checks_of(CANDIDATE, ["run"])) if made else ()
+
+    @cached_property
+    def run_checks(self) -> dict[str, SceneCheck]:
+        """The checks that are made once a run."""
+        from mitsuba_ref.judge.checks import run_checks
+
+        return {check.name: check for check in run_checks(self.subject)}
 
 
 def given(config: pytest.Config, name: str) -> Any:
@@ -175,7 +191,7 @@ class SceneFile(pytest.File):
     def collect(self) -> Iterator[CheckItem]:
         plugin = self.config.pluginmanager.get_plugin(PLUGIN)
         assert isinstance(plugin, ScenePlugin)  # it collected this file
-        for name in (VERDICT, *plugin.check_names()):
+        for name in (VERDICT, *plugin.check_names(), *plugin.run_names(self.path)):
             yield CheckItem.from_parent(self, name=name)
 
 
@@ -190,9 +206,15 @@ class CheckItem(pytest.Item):
         plugin = self.config.pluginmanager.get_plugin(PLUGIN)
         assert isinstance(plugin, ScenePlugin)  # it collected this item
         found = plugin.verdict_of(self.path)
-        if plugin.candidate and is_not_judged(found, self.name):
+        if self.name in plugin.run_names(self.path) and not (isinstance(found, str) or found.problem):
+            check = plugin.run_checks.get(self.name)
+            if check is None:
+                pytest.skip(f"not judged: {plugin.candidate} is given no limits")
+            if not check.ok:
+                raise CheckFailed(f"FAIL  {check.name}: {check.what}")
+        elif plugin.candidate and is_not_judged(found, self.name):
             pytest.skip(f"not judged: {plugin.candidate} does not give it, or it is no check of this scene")
-        if text := check_problem(found, self.name):
+        elif text := check_problem(found, self.name):
             from caster.system.terminal import printable
 
             raise CheckFailed(printable(text))

@@ -42,6 +42,7 @@ from mitsuba_ref.subjects.subject import (
     Unsupported,
     checked_answer,
     spread,
+    without_hits_beyond,
 )
 
 PLACEHOLDERS = ("xml", "toml", "exr", "width", "height")  # of a command that renders a scene
@@ -268,8 +269,13 @@ def mesh_bytes(packed: Packed) -> bytes:
     return np.array([len(vertices), len(corners)], "<i8").tobytes() + vertices.tobytes() + corners.tobytes()
 
 
-def answer_of_bytes(data: bytes, request: CastRequest, precision: str | None, where: str) -> Answer:
-    """The answer from rows of t; t, n; or t, n, prim, numbered through all triangles. Raises NoAnswer."""
+def answer_of_bytes(
+    data: bytes, request: CastRequest, precision: str | None, where: str, *, limits: bool = True
+) -> Answer:
+    """The answer from rows of t; t, n; or t, n, prim, numbered through all triangles. Raises NoAnswer.
+
+    limits: whether t_max is heeded, so that a hit beyond it is no answer.
+    """
     lengths, known = known_lengths(request, precision)
     if len(data) not in lengths:
         raise NoAnswer(f"{where}: expected bytes of {known}, without a header; got {len(data)}")
@@ -281,16 +287,28 @@ def answer_of_bytes(data: bytes, request: CastRequest, precision: str | None, wh
     if prim is not None and is_given(prim := spread(prim, there, -1), found.hit):
         known_prim = np.where(found.hit & (prim >= 0) & (prim < packed.first[-1]), prim, -1)
         found = replace(found, shape_id=packed.shape_of(known_prim), prim_id=packed.index_in_shape(known_prim))
-    late = found.hit & (found.t > request.rays.t_max.astype(np.float64))
+    t_max = request.rays.t_max.astype(np.float64)
+    if not limits:
+        return without_hits_beyond(found, t_max)
+    late = found.hit & (found.t > t_max)
     return replace(found, broken={**found.broken, **({"a hit beyond t_max": late} if late.any() else {})})
 
 
 @dataclass(frozen=True)
-class RayCommand(Program):
-    """A program that reads rays and writes hits."""
+class RayProgram(Program):
+    """A program that casts given rays."""
 
+    limits: bool = True  # its interface has t_min and t_max
     takes_rays: ClassVar[bool] = True
-    takes_limits: ClassVar[bool] = True
+
+    @property
+    def takes_limits(self) -> bool:
+        return self.limits
+
+
+@dataclass(frozen=True)
+class RayCommand(RayProgram):
+    """A program that reads rays and writes hits."""
 
     def answer(self, request: CastRequest) -> Answer:
         """Write rays and scene, run the program, read its hits. Raises NoAnswer."""
@@ -306,18 +324,16 @@ class RayCommand(Program):
             data = paths["hits"].read_bytes()
         except OSError as error:
             raise NoAnswer(f"the program ended well, but its hits cannot be read: {error}") from error
-        return answer_of_bytes(data, request, self.precision, "{hits}")
+        return answer_of_bytes(data, request, self.precision, "{hits}", limits=self.limits)
 
 
 DECLINED = -1  # in place of the length of a response: the program does not support the scene
 
 
 @dataclass(frozen=True)
-class ServedCommand(Program):
+class ServedCommand(RayProgram):
     """A program that is started once, reads meshes and rays from stdin and writes hits to stdout."""
 
-    takes_rays: ClassVar[bool] = True
-    takes_limits: ClassVar[bool] = True
     running: list[ResidentProcess] = field(default_factory=list, compare=False)  # at most one
     turn: Any = field(default_factory=threading.Lock, compare=False)  # scenes are judged several at a time
 
@@ -339,7 +355,7 @@ class ServedCommand(Program):
             reply = self._reply(b"".join(map(length_first, parts)), length_of)
         if int.from_bytes(reply[:HEAD_BYTES], "little", signed=True) == DECLINED:
             raise Unsupported("the program declined the scene")
-        return answer_of_bytes(reply[HEAD_BYTES:], request, self.precision, "its response")
+        return answer_of_bytes(reply[HEAD_BYTES:], request, self.precision, "its response", limits=self.limits)
 
     def _reply(self, data: bytes, length_of: Callable[[bytes], int]) -> bytes:
         try:

@@ -8,7 +8,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -24,6 +24,7 @@ from mitsuba_ref.subjects.subject import (
     Unsupported,
     checked_answer,
     exception_text,
+    without_hits_beyond,
 )
 
 # package.module:function
@@ -88,9 +89,7 @@ class FunctionSubject(Subject):
                 found = checked_answer(*_pair(returned), there, precision=self.precision)
             except NoAnswer as error:
                 raise NoAnswer(f"{self.name}: {error}") from error
-        beyond = found.t > rays.t_max.astype(np.float64)
-        n = None if found.n is None else np.where(beyond[:, None], 0.0, found.n)
-        return replace(found, t=np.where(beyond, np.inf, found.t), n=n)
+        return without_hits_beyond(found, rays.t_max.astype(np.float64))
 
     def _called(self, request: CastRequest, o: np.ndarray, d: np.ndarray) -> Any:
         try:
