@@ -1,6 +1,6 @@
 """Images of the course: colour, depth and normals of one cast, with orthographic rays that start at infinity."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -64,7 +64,7 @@ def render_course(course: CourseScene, threads: int | None = None) -> CourseImag
     window = film_window(scene)
     shape = (window.height, window.width)
     color = _colors(course, view).reshape(*shape, 3)
-    normals = view.normals.reshape(*shape, 3)
+    normals = view.normal.reshape(*shape, 3)
     return CourseImages(view.hit.reshape(shape), (view.nearest.t - back).reshape(shape), normals, color)
 
 
@@ -89,24 +89,25 @@ def _colors(course: CourseScene, view: RayHits) -> Array:
 
     Unlike in the AOV `diffuse`, lights fall off only as their file declares.
     """
-    front = np.sum(view.normals * view.rays.d, axis=1) <= 0.0
-    n = np.where(front[:, None], view.normals, -view.normals)
+    scene, normals, shapes = view.scene, view.normal, view.scene.shapes
+    front = np.sum(normals * view.rays.d, axis=1) <= 0.0
+    n = np.where(front[:, None], normals, -normals)
     total = np.zeros((len(view.hit), 3))
-    for k, light in enumerate(view.scene.lights):
+    for k, light in enumerate(scene.lights):
         if isinstance(light, Ambient):
             total += light.radiance
             continue
         if isinstance(light, Directional):
             brightness = -dot_rows(n, np.array(light.direction))
         else:
-            way = np.array(light.position) - view.surfaces.p
+            way = np.array(light.position) - view.position
             constant, linear, quadratic = course.lights[k][1] or (0.0, 0.0, 0.0)
             r = row_lengths(way)
             weight = r * (constant + linear * r + quadratic * r * r)  # 0 at the light itself, which gets no light
             brightness = np.divide(dot_rows(n, way), weight, out=np.zeros(len(r)), where=weight > 0.0)
-        brightness = np.where(view.hit, np.maximum(brightness, 0.0), 0.0)
-        lit = np.flatnonzero(brightness > 0.0)
-        brightness[lit[~view.lit(light, lit)]] = 0.0
-        total += np.outer(brightness, course.lights[k][0])
-    shaded = np.where((front | view.two_sided)[:, None], total * view.reflectance, 0.0)
+        alone = replace(view, scene=scene.model_copy(update={"lights": (light,)}))
+        lit = (alone.evaluate(("diffuse",))["diffuse"] > 0.0).any(axis=1)
+        total += np.outer(np.where(lit, np.maximum(brightness, 0.0), 0.0), course.lights[k][0])
+    two_sided = np.array([False, *(scene.material_of(shape).two_sided for shape in shapes)])[view.shape_id + 1]
+    shaded = np.where((front | two_sided)[:, None], total * view.evaluate(("albedo",))["albedo"], 0.0)
     return np.where(view.hit[:, None], shaded, course.background)

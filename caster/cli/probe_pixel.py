@@ -13,10 +13,11 @@ from caster.description.errors import error_prefix
 from caster.system.process import OK
 
 if TYPE_CHECKING:
-    from caster.rendering.inspection import PixelHit, PrimitiveResult, Probe
+    from caster.rendering.inspection import Probe
     from caster.scene.model import Scene
 
 MAX_LISTED = 8  # primitives in the text; --json lists more
+SURFACE = ("p", "n", "sh_n", "uv")  # names of RayHits.surfaces
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,26 +32,29 @@ def run(args: argparse.Namespace) -> int:
     from caster.rendering.inspection import probe
 
     with error_prefix(args.scene):
-        found = probe_to_json(probe(scene, args.x, args.y), args.scene)
+        found = probe_to_json(probe(scene, args.x, args.y), scene, args)
     print(json.dumps(found, indent=2) if args.json else "\n".join(text_lines(found, scene)))
     return OK
 
 
-def probe_to_json(found: Probe, path: str) -> dict[str, Any]:
+def probe_to_json(found: Probe, scene: Scene, args: argparse.Namespace) -> dict[str, Any]:
     """A probe for JSON, whose numbers are exact. null: no limit of t, or a miss."""
-    scene, film = found.scene, found.scene.film
-    ray = {"o": found.o.tolist(), "d": found.d.tolist(), "t_min": found.t_min, "t_max": _finite(found.t_max)}
-    surface = {name: value.tolist() for name, value in found.surface.items()}
+    view = found.view
+    o, d, t_min, t_max = (numbers[0].tolist() for numbers in view.rays)
+    hit = None
+    if view.hit[0]:
+        hit = _hit(scene, int(view.shape_id[0]), int(view.prim_id[0]), float(view.nearest.t[0]))
+        hit |= {name: rows[0].tolist() for name, rows in zip(SURFACE, view.surfaces.values(), strict=True)}
     return {
-        "scene": path,
-        "pixel": [found.x, found.y],
-        "film": [film.width, film.height],
-        "ray": ray if found.t_max >= 0.0 else None,
-        "hit": found.hit and {**_hit(found.hit, scene), **surface},
-        "tried": {"prims": found.prims, "shapes": len(scene.shapes)},
+        "scene": args.scene,
+        "pixel": [args.x, args.y],
+        "film": [scene.film.width, scene.film.height],
+        "ray": {"o": o, "d": d, "t_min": t_min, "t_max": _finite(t_max)} if t_max >= 0.0 else None,
+        "hit": hit,
+        "tried": {"prims": int(view.packed.first[-1]), "shapes": len(scene.shapes)},
         "near": [
             {
-                **_hit(tried, scene),
+                **_hit(scene, tried.shape_id, tried.prim_id, tried.t),
                 "decided_by": tried.decided_by,
                 "t_off": _finite(tried.error) if math.isfinite(tried.t) else None,
                 "margins": [margin._asdict() for margin in tried.margins],
@@ -60,10 +64,9 @@ def probe_to_json(found: Probe, path: str) -> dict[str, Any]:
     }
 
 
-def _hit(found: PixelHit | PrimitiveResult, scene: Scene) -> dict[str, Any]:
-    shape, name = scene.shapes[found.shape_id], scene.shape_names()[found.shape_id]
-    numbers = {"shape_id": found.shape_id, "prim_id": found.prim_id, "t": _finite(found.t)}
-    return {"shape": name, "type": shape.type, **numbers}
+def _hit(scene: Scene, shape_id: int, prim_id: int, t: float) -> dict[str, Any]:
+    name, kind = scene.shape_names()[shape_id], scene.shapes[shape_id].type
+    return {"shape": name, "type": kind, "shape_id": shape_id, "prim_id": prim_id, "t": _finite(t)}
 
 
 def _finite(number: float) -> float | None:
@@ -85,7 +88,7 @@ def text_lines(found: dict[str, Any], scene: Scene) -> Iterator[str]:
     else:
         yield f"hit    {_name(hit, scene)}"
         yield from _vector("       t", [hit["t"]])
-        for name in ("p", "n", "sh_n", "uv"):
+        for name in SURFACE:
             yield from _vector(f"       {name}", hit[name])
     if near := found["near"]:
         yield f"near   {len(near)} of {found['tried']['prims']} primitives, each tested alone; + is inside its outline"

@@ -44,9 +44,8 @@ def opened_input(path: str | os.PathLike[str], what: str) -> Iterator[IO[bytes]]
     name = os.fspath(path)
     if "\0" in str(name):
         raise FileMissing(f"{name!r}: cannot read this {what}: a NUL character in its name")
-    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
     try:
-        with os.fdopen(os.open(name, flags), "rb") as file:
+        with os.fdopen(os.open(name, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
             mode = os.fstat(file.fileno()).st_mode
             if not stat.S_ISREG(mode):
                 raise FileMissing(f"{name}: cannot read this {what}: expected a file, got {_kind(mode)}")

@@ -1,44 +1,33 @@
 """Nearest hits of any rays: `cast`, `occluded`, and AOVs of what was hit."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from caster.description.errors import SceneError
 from caster.geometry.packing import Packed, packed
 from caster.geometry.world_space import Rounding, as_given
 from caster.jit.command_list import Command
-from caster.kernels.nearest import OUT_OF_RANGE, Nearest, Rays, find_invalid_ray, new_rays
+from caster.kernels.nearest import OUT_OF_RANGE, Nearest, Rays, find_invalid_ray
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import BOX, PRIM, WIDTH, Box, T, load_rays, tile_rows
-from caster.kernels.surface.lighting import shadow_rays_of
 from caster.rendering.casting import find_any, find_nearest
 from caster.rendering.plan import plan
 from caster.rendering.rasterization import parallel_for_tiles
 from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, TileWorkspace, placed_kinds
 from caster.rendering.shading import TileShader, new_image
 from caster.rendering.threads import parallel_for, unwritten_array
-from caster.scene.model import Light, Scene
+from caster.scene.model import Scene
 
 __all__ = ["Hits", "RayHits", "cast", "occluded", "scaled_rays", "trace", "trace_rays", "validated_rays"]
 
 SMALLEST_NORMAL_FLOAT = 2.0**-1022
 
 
-class Surfaces(NamedTuple):
-    """The surface at each hit; zeros on a miss."""
-
-    p: np.ndarray  # (n, 3) float64
-    n: np.ndarray  # (n, 3) geometric normal
-    sh_n: np.ndarray  # (n, 3) shading normal
-    uv: np.ndarray  # (n, 2)
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RayHits:
     """Rays and their nearest hits in a scene. `start` is the t from which depth counts along each ray."""
 
@@ -49,42 +38,48 @@ class RayHits:
     start: np.ndarray  # (n,) float64
     threads: int | None = None
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(rays: {len(self.hit)}, hit: {int(self.hit.sum())})"
+
     @cached_property
-    def hit(self) -> np.ndarray:
-        """(n,) bool."""
+    def hit(self) -> NDArray[np.bool_]:
+        """(n,), whether each ray hits anything."""
         return self.nearest.prim >= 0
 
     @cached_property
-    def shape_id(self) -> np.ndarray:
-        """(n,) int32, -1 on a miss."""
+    def shape_id(self) -> NDArray[np.int32]:
+        """(n,), index of the shape in the scene, -1 on a miss."""
         return self.packed.shape_of(self.nearest.prim)
 
     @cached_property
-    def prim_id(self) -> np.ndarray:
-        """(n,) int32 within the shape, -1 on a miss."""
+    def prim_id(self) -> NDArray[np.int32]:
+        """(n,), index of the primitive in its shape, such as a face of a mesh, -1 on a miss."""
         return self.packed.index_in_shape(self.nearest.prim)
 
     @cached_property
-    def surfaces(self) -> Surfaces:
-        """Position, normals and uv of every hit."""
-        names = ("position", "normal", "shading_normal", "uv")
-        return Surfaces(*self.evaluate(names).values())
+    def surfaces(self) -> dict[str, np.ndarray]:
+        """The AOVs position, normal, shading_normal and uv, computed together."""
+        return self.evaluate(("position", "normal", "shading_normal", "uv"))
 
     @cached_property
-    def normals(self) -> np.ndarray:
-        """(n, 3) geometric normals, 0 on a miss, without computing `surfaces`."""
+    def normal(self) -> NDArray[np.float64]:
+        """(n, 3), geometric normals, outwards, of length 1, 0 on a miss; computed without the other surface values."""
         return self.evaluate(("normal",))["normal"]
 
-    @cached_property
-    def reflectance(self) -> np.ndarray:
-        """(n, 3) diffuse reflectance of the material that was hit, 0 on a miss."""
-        return self.evaluate(("albedo",))["albedo"]
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """(n, 3), scene units, in world space, 0 on a miss."""
+        return self.surfaces["position"]
 
-    @cached_property
-    def two_sided(self) -> np.ndarray:
-        """(n,) bool: whether a two-sided material was hit."""
-        table = np.array([self.scene.material_of(shape).two_sided for shape in self.scene.shapes], bool)
-        return table[self.shape_id] & self.hit if len(table) else self.hit
+    @property
+    def shading_normal(self) -> NDArray[np.float64]:
+        """(n, 3), normals between the vertex normals of a mesh, elsewhere geometric ones, of length 1, 0 on a miss."""
+        return self.surfaces["shading_normal"]
+
+    @property
+    def uv(self) -> NDArray[np.float64]:
+        """(n, 2), surface coordinates, 0 on a miss."""
+        return self.surfaces["uv"]
 
     def evaluate(self, aovs: Sequence[str], dtype: type[np.floating] = np.float64) -> dict[str, np.ndarray]:
         """AOVs by name, (n,) or (n, c) each. The rays are shaded as pixels of a film that is WIDTH wide."""
@@ -104,9 +99,9 @@ class RayHits:
                 numbers = np.arange(first, first + size, dtype=np.int32)
                 numbers[count - first :] = -1
                 load_rays(self.rays, numbers, tile, False, False)
-                for field, values in ((T, self.nearest.t), (PRIM, prim)):
+                for place, values in ((T, self.nearest.t), (PRIM, prim)):
                     here = values[first : first + size]
-                    tile[int(field) : int(field) + len(here)] = here
+                    tile[int(place) : int(place) + len(here)] = here
 
             return [Command(load, (BOX,)), *shader.commands(workspace)]
 
@@ -123,74 +118,45 @@ class RayHits:
         offset = np.array([base for _, base in placed_kinds(packed)], np.int64)[packed.kind_of[shape]]
         return np.where(self.hit, prim - packed.first[shape] + packed.start[shape] + offset, -1)
 
-    def lit(self, light: Light, where: np.ndarray) -> np.ndarray:
-        """Whether the light reaches the hits `where`; True in a scene without shadows."""
-        if not self.scene.shading.shadows:
-            return np.ones(len(where), bool)
-        out = new_rays(len(where))
-        extents = self.packed.shape_extents[self.shape_id]
-        shadow_rays_of(light.pack(), self.surfaces, self.rays, self.nearest.t, extents, where, out)
-        return ~find_any(self.packed, out, self.threads)
-
 
 def trace_rays(scene: Scene, packed: Packed, rays: Rays, start: np.ndarray, threads: int | None = None) -> RayHits:
     """Cast rays; start (n,): the t from which depth counts."""
     return RayHits(scene, packed, rays, find_nearest(packed, rays, threads=threads), start, threads)
 
 
-@dataclass(frozen=True)
-class Hits:
-    """The nearest hit of each ray; all but t is computed on first use."""
+@dataclass(frozen=True, repr=False)
+class Hits(RayHits):
+    """The nearest hit of each of n rays; all but t is computed on first use."""
 
-    t: np.ndarray  # (n,) float64, inf on a miss
-    view: RayHits
-
-    @property
-    def shape_id(self) -> np.ndarray:
-        """(n,) int32, -1 on a miss."""
-        return self.view.shape_id
-
-    @property
-    def prim_id(self) -> np.ndarray:
-        """(n,) int32 within the shape, -1 on a miss."""
-        return self.view.prim_id
-
-    @property
-    def normal(self) -> np.ndarray:
-        """(n, 3) geometric normals, 0 on a miss: `surface.n` without the rest."""
-        return self.view.normals
-
-    @property
-    def surface(self) -> Surfaces:
-        """Position p, normal n, shading normal sh_n and uv."""
-        return self.view.surfaces
+    t: NDArray[np.float64] = field(kw_only=True)  # (n,), in lengths of d, inf on a miss (see `cast`)
 
 
 def cast(scene: Scene, o: ArrayLike, d: ArrayLike, *, t_min: ArrayLike = 0.0, t_max: ArrayLike = np.inf) -> Hits:
     """Find the first surface along each ray.
 
-    o, d: (n, 3), scene units; d need not be of unit length, t counts in lengths of d, t_min < t <= t_max,
-    numbers or (n,) each. Equal t go to the earlier shape of the scene, then to the lower prim_id.
+    o, d: (n, 3), scene units, or (3,) for the same in all rays; d need not be of unit length, t counts in lengths of d.
+    t_min < t <= t_max, numbers or (n,) each. Equal t go to the earlier shape of the scene, then to the lower prim_id. A
+    hit whose t is beyond float64, as for a d below 1e-290, has t = inf like a miss: `hit` tells them apart.
     Raises SceneError if a ray is not finite or has no direction, naming the first such ray.
     Source: docs/method.md, "Exact decisions"; slabs padded after Ize (2013).
     """
     given, plain = validated_rays_with_range(o, d, t_min, t_max)
-    if plain:
-        view = trace_rays(scene, packed(scene), given, np.zeros(len(given.t_min)))
-        return Hits(view.nearest.t, view)
-    rays, exponent = scaled_rays(given)
-    view = trace_rays(scene, packed(scene), rays, np.zeros(len(rays.t_min)))
-    with np.errstate(over="ignore", under="ignore"):
-        t = np.ldexp(view.nearest.t, -exponent)
-    short = np.flatnonzero((exponent < 0) & (view.nearest.t < SMALLEST_NORMAL_FLOAT))
-    if len(short):  # a denormal t has lost digits; in lengths of the shorter given d it is larger
-        t[short] = find_nearest(view.packed, Rays(*(a[short] for a in given))).t
-    return Hits(t, view)
+    rays, exponent = (given, np.zeros(0)) if plain else scaled_rays(given)
+    arrays = packed(scene)
+    nearest = find_nearest(arrays, rays)
+    t = nearest.t
+    if not plain:
+        with np.errstate(over="ignore", under="ignore"):
+            t = np.ldexp(nearest.t, -exponent)
+        short = np.flatnonzero((exponent < 0) & (nearest.t < SMALLEST_NORMAL_FLOAT))
+        if len(short):  # a denormal t has lost digits; in lengths of the shorter given d it is larger
+            t[short] = find_nearest(arrays, Rays(*(a[short] for a in given))).t
+    return Hits(scene, arrays, rays, nearest, np.zeros(len(t)), t=t)
 
 
 def occluded(
     scene: Scene, o: ArrayLike, d: ArrayLike, t_max: ArrayLike = np.inf, *, t_min: ArrayLike = 0.0
-) -> np.ndarray:
+) -> NDArray[np.bool_]:
     """Whether anything lies on each ray with t_min < t <= t_max. (n,) bool; arguments as in `cast`.
 
     Faster than `cast`, since any hit ends the search.
@@ -219,8 +185,14 @@ def validated_rays(o: ArrayLike, d: ArrayLike, t_min: ArrayLike, t_max: ArrayLik
 def validated_rays_with_range(o: ArrayLike, d: ArrayLike, t_min: ArrayLike, t_max: ArrayLike) -> tuple[Rays, bool]:
     """`validated_rays`, and whether the squares of all directions neither overflow nor vanish."""
     origins, directions = _rows(o, "o"), _rows(d, "d")
+    count = max(len(origins), len(directions)) if len(origins) and len(directions) else 0
+    origins, directions = (
+        np.ascontiguousarray(np.broadcast_to(rows, (count, 3))) if len(rows) == 1 else rows
+        for rows in (origins, directions)
+    )
     if len(origins) != len(directions):
-        raise SceneError(f"rays: o and d must have equal lengths, got {len(origins)} and {len(directions)}")
+        got = f"{len(origins)} and {len(directions)}"
+        raise SceneError(f"rays: o and d must have equal lengths, or one of them be a single vector, got {got}")
     start, end = _limits(t_min, "t_min", len(origins)), _limits(t_max, "t_max", len(origins))
     if not np.all(start >= 0.0) or np.isnan(end).any():
         i = int(np.argmin((start >= 0.0) & ~np.isnan(end)))
@@ -274,8 +246,9 @@ def scaled_rays(rays: Rays) -> tuple[Rays, np.ndarray]:
 
 def _rows(a: ArrayLike, name: str) -> np.ndarray:
     given = a if isinstance(a, np.ndarray) and a.dtype.kind == "f" else _float64(a, name)
-    if given.ndim != 2 or given.shape[1] != 3:
-        raise SceneError(f"rays: {name} must have shape (n, 3), got {given.shape}")
+    if given.shape[-1:] != (3,) or given.ndim > 2:
+        raise SceneError(f"rays: {name} must have shape (n, 3) or (3,), got {given.shape}")
+    given = given.reshape(-1, 3)
     if given.dtype == np.float64 and given.flags.c_contiguous:
         return given
     rows = unwritten_array(given.shape, np.float64)

@@ -14,6 +14,7 @@ from caster.geometry.edge_distances import EdgeDistance, edge_distances
 from caster.geometry.packing import Kind, Packed, rejected_faces
 from caster.kernels.nearest import Rays, intersect_each, nearest_of_candidates, no_hits
 from caster.rendering.bvh_construction import bvh_of, has_bvh, uses_bvh
+from caster.rendering.hits import RayHits
 from caster.rendering.images import RenderResult, trace_film
 from caster.scene.model import Scene
 
@@ -64,7 +65,14 @@ def _try(packed: Packed, kind: Kind, rays: Rays) -> Iterator[PrimitiveResult]:
     if kind.bounded:
         away = ray_box_distances(rays.o[0], rays.d[0], *kind.boxes())
     rows = np.sort(np.argsort(away, kind="stable")[:MAX_PRIMITIVES_PROBED])
-    t, error = intersect_rows(kind, rows, rays)
+    t, error = np.full(len(rows), np.inf), np.zeros(len(rows))
+    intersect_each(kind.prims, rows.astype(np.int64), rays, t, error, 0, len(rows))
+    undecided = np.flatnonzero(np.isinf(error))
+    if len(undecided):  # exactly
+        again = Rays(*(np.repeat(a, len(undecided), axis=0) for a in rays))
+        found, starts = no_hits(len(undecided)), np.arange(len(undecided) + 1)
+        nearest_of_candidates(kind.prims, again, starts, rows[undecided].astype(np.int32), found, 0, len(undecided))
+        t[undecided] = found.t
     ids = kind.ids[rows]
     shapes, numbers = packed.shape_of(ids), packed.index_in_shape(ids)
     for j, k in enumerate(rows.tolist()):
@@ -72,44 +80,13 @@ def _try(packed: Packed, kind: Kind, rays: Rays) -> Iterator[PrimitiveResult]:
         yield PrimitiveResult(int(shapes[j]), int(numbers[j]), float(t[j]), float(error[j]), edges)
 
 
-def intersect_rows(kind: Kind, rows: np.ndarray, rays: Rays) -> tuple[np.ndarray, np.ndarray]:
-    """(t, error) of some primitives of a kind: by float64, and t exactly where error is inf."""
-    t, error = np.full(len(rows), np.inf), np.zeros(len(rows))
-    intersect_each(kind.prims, rows.astype(np.int64), rays, t, error, 0, len(rows))
-    undecided = np.flatnonzero(np.isinf(error))
-    if len(undecided):
-        again = Rays(*(np.repeat(a, len(undecided), axis=0) for a in rays))
-        found, starts = no_hits(len(undecided)), np.arange(len(undecided) + 1)
-        nearest_of_candidates(kind.prims, again, starts, rows[undecided].astype(np.int32), found, 0, len(undecided))
-        t[undecided] = found.t
-    return t, error
-
-
 # One pixel: its ray, its hit, and the intersection with each primitive alone.
 
 
-class PixelHit(NamedTuple):
-    """The first hit of a pixel's ray, as `render` finds it."""
+class Probe(NamedTuple):
+    """The ray through a pixel's centre and its hits."""
 
-    t: float
-    shape_id: int
-    prim_id: int  # within its shape
-
-
-@dataclass(frozen=True)
-class Probe:
-    """The ray through a pixel's centre and its hits. d has length 1."""
-
-    scene: Scene
-    x: int
-    y: int
-    o: np.ndarray  # (3,) float64
-    d: np.ndarray  # (3,) float64
-    t_min: float
-    t_max: float  # < 0: the camera has no ray here
-    hit: PixelHit | None
-    surface: dict[str, np.ndarray]  # p, n, sh_n (3,) and uv (2,); empty on a miss
-    prims: int  # number of primitives in the scene
+    view: RayHits  # the one ray, d of length 1, t_max < 0 where the camera has none; and its hit, as `render` finds it
     tried: tuple[PrimitiveResult, ...]  # hits by t, then misses by distance; of many primitives, the nearest
 
 
@@ -123,12 +100,7 @@ def probe(scene: Scene, x: int, y: int) -> Probe:
         inside = f"0 <= x < {film.width} and 0 <= y < {film.height}"
         raise SceneError(f"pixel ({x}, {y}): outside the film, expected {inside}")
     view = trace_film(scene.with_film(crop=(x, y, x + 1, y + 1)), threads=1)
-    rays, nearest = view.rays, view.nearest
-    hit = PixelHit(float(nearest.t[0]), int(view.shape_id[0]), int(view.prim_id[0])) if view.hit[0] else None
-    surface = {name: rows[0] for name, rows in view.surfaces._asdict().items()} if hit else {}
-    ends = float(rays.t_min[0]), float(rays.t_max[0])
-    tried = intersect_each_primitive(view.packed, rays)
-    return Probe(scene, x, y, rays.o[0], rays.d[0], *ends, hit, surface, int(view.packed.first[-1]), tried)
+    return Probe(view, intersect_each_primitive(view.packed, view.rays))
 
 
 # ---- the work of a render ----
@@ -180,20 +152,3 @@ def _way(kind: Kind, culling: str) -> str:
     if culling == "raster":
         return "tested in the pixels of their screen bounds"
     return f"a BVH of {len(bvh_of(kind).links)} nodes" if uses_bvh(kind) else "too few for a tree"
-
-
-def explain(rendered: RenderResult, aovs: Sequence[str]) -> str:
-    """The same in words, a line for each part, for `caster render --explain`."""
-    return "\n".join(f"{_spaced(name):<16} {_words(part)}" for name, part in account(rendered, aovs).items())
-
-
-def _words(part: Any) -> str:
-    if isinstance(part, dict):
-        return ", ".join(f"{_spaced(name)} {_words(each)}" for name, each in part.items()) or "none"
-    if isinstance(part, list):
-        return ("; " if part and isinstance(part[0], dict) else " ").join(map(_words, part)) or "none"
-    return {True: "yes", False: "no"}[part] if isinstance(part, bool) else str(part)
-
-
-def _spaced(name: str) -> str:
-    return name.replace("_", " ")

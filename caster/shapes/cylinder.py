@@ -2,6 +2,7 @@
 
 import math
 from fractions import Fraction
+from inspect import unwrap
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -189,9 +190,7 @@ def _surface(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> An
     return p, n, n, turn_fraction(y, x) if wants_uv else 0.0, z
 
 
-@implement(surface_setup, Cylinders)
-def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants: int) -> None:
-    put_affine_lanes(prims, k, start, stop, scratch)
+implement(surface_setup, Cylinders)(unwrap(put_affine_lanes))
 
 
 @implement(fast_surface, Cylinders)

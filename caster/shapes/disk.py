@@ -125,7 +125,7 @@ def _surface_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, want
     for x in range(start, stop):
         put_lane(scratch, LANE_MORE + x, n)
     if wants != NORMALS:
-        put_affine_lanes(prims, k, start, stop, scratch)
+        put_affine_lanes(prims, k, start, stop, scratch, wants)
 
 
 @implement(fast_surface, Disks)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from fractions import Fraction
+from inspect import unwrap
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -250,6 +251,7 @@ def _fast_uv(prims: Any, scratch: Any, x: Any, n: Any) -> Any:
     return spherical_uv(rows_times_vec(get_matrix(scratch, LANE_TURN + x), n))
 
 
+@implement(hull_size, Ellipsoids)
 @implement(hull_size, Spheres)
 def _hull_size(prims: Any) -> int:
     return 8
@@ -307,9 +309,7 @@ def _surface_ellipsoid(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: b
     return add(center, mat_vec(prims.to_world, k, q)), n, n, u, v
 
 
-@implement(surface_setup, Ellipsoids)
-def _ellipsoid_setup(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants: int) -> None:
-    put_affine_lanes(prims, k, start, stop, scratch)
+implement(surface_setup, Ellipsoids)(unwrap(put_affine_lanes))
 
 
 @implement(fast_surface, Ellipsoids)
@@ -324,11 +324,6 @@ def _fast_ellipsoid_surface(prims: Any, scratch: Any, x: Any, o: Any, d: Any, t:
 @implement(fast_uv, Ellipsoids)
 def _fast_ellipsoid_uv(prims: Any, scratch: Any, x: Any, q: Any) -> Any:
     return spherical_uv(q)
-
-
-@implement(hull_size, Ellipsoids)
-def _hull_size_ellipsoid(prims: Any) -> int:
-    return 8
 
 
 @implement(hull_point, Ellipsoids)

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from caster.description.fields import Positive
 from caster.description.transform import sine_and_cosine
-from caster.geometry.triangle_mesh import Floats, Ints, Mesh
+from caster.geometry.triangle_mesh import Floats, Ints, Mesh, grid_faces
 from caster.geometry.world_space import MeshShape
 
 __all__ = ["Torus"]
@@ -36,11 +36,9 @@ def _circle(parts: int) -> Floats:
 
 def _faces(segments: int, sides: int) -> Ints:
     """Two triangles for each of segments * sides quads; the last row and column join the first."""
-    number = np.arange(segments * sides).reshape(segments, sides)
-    here, on = number, np.roll(number, -1, axis=0)
-    up, on_up = np.roll(here, -1, axis=1), np.roll(on, -1, axis=1)
-    quads = np.stack([here, on, on_up, here, on_up, up], axis=2)
-    return quads.reshape(-1, 3).astype(np.int32)
+    number = np.arange(segments * sides, dtype=np.int32).reshape(segments, sides)
+    pairs = grid_faces(np.pad(number, (0, 1), "wrap")).reshape(-1, 2, 3)
+    return pairs[:, ::-1, [0, 2, 1]].reshape(-1, 3)  # rows run around z, columns up
 
 
 PartCount = Annotated[int, Field(strict=True, ge=3, le=4096)]  # 4096 * 4096 * 2 faces at most

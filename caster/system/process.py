@@ -133,7 +133,7 @@ def _escape_unencodable() -> None:
 
 GRACE_SECONDS = 4.0  # that an interrupted command has to write its results before the process ends
 CLEANUP_SECONDS = 1.0  # after that, for ending child processes and removing temporary files
-SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGALRM") if hasattr(signal, name))
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM)
 
 interrupted = threading.Event()  # set from the first signal to the end of the command
 _forced_exit_actions: list[Callable[[], None]] = [remove_temporaries]
@@ -151,7 +151,7 @@ def handled_signals() -> Iterator[None]:
     Python runs the handler when compiled code in the main thread returns. Signals that the process was started to
     ignore (nohup) stay ignored. Has no effect outside of the main thread.
     """
-    if os.name != "posix" or threading.current_thread() is not threading.main_thread():
+    if threading.current_thread() is not threading.main_thread():
         yield
         return
     handled = {each: before for each in SIGNALS if (before := signal.getsignal(each)) is not signal.SIG_IGN}

@@ -267,7 +267,7 @@ class Judge:
             agreeing = agreeing & ~self._may_hit()
         rows = needs_adjudication(agreeing, self.hit, certain, self.pair.shape)
         rows = rows[self.t_max[rows] >= 0.0]
-        return self._adjudicated(rows[~self._surely_wrong(rows[disputed[rows]], len(agreeing))[rows]])
+        return self.adjudicated(rows[~self._surely_wrong(rows[disputed[rows]], len(agreeing))[rows]])
 
     def _surely_wrong(self, rows: np.ndarray, count: int) -> np.ndarray:
         """(n,) bool: pixels that need no adjudication, since nearly all of a sample of their kind are wrong.
@@ -278,7 +278,7 @@ class Judge:
         for group in np.flatnonzero(np.bincount(kind) > WRONG_PIXELS_ADJUDICATED):
             members = rows[kind == group]
             sample = sample_rows(members, WRONG_PIXELS_ADJUDICATED)
-            exact = self._adjudicated(sample)
+            exact = self.adjudicated(sample)
             excused = np.any(self._within_rounding(exact), axis=0)
             if (~excused).sum() >= NEARLY_ALL * len(sample):
                 found[members] = True
@@ -290,7 +290,7 @@ class Judge:
         shape = self.result.shape_id[rows] if len(self.model.packed.parts) <= MAX_KINDS_OF_SHAPES else 0
         return row_groups(np.column_stack([np.broadcast_to(shape, len(rows)), self.result.hit[rows], self.hit[rows]]))
 
-    def _adjudicated(self, rows: np.ndarray) -> Adjudication:
+    def adjudicated(self, rows: np.ndarray) -> Adjudication:
         """Compare these rows of the image, ascending, with exact arithmetic."""
         answer = self.answer
         t_min = np.where(self.hits_at_t_min[rows], np.nextafter(self.t_min[rows], -np.inf), self.t_min[rows])
@@ -447,23 +447,16 @@ def judge_of(
     *,
     timeout: float = DEFAULT_TIMEOUT,
     send: SendRequest = send_request,
-    known: ImagePair | None = None,
     with_files: bool = True,
 ) -> Judge | Crash:
-    """The judge of a subject's response.
-
-    known: an earlier answer of Mitsuba, used if its rays are the same; with_files: Mitsuba also reads the mesh files.
-    """
+    """The judge of a subject's response. with_files: Mitsuba also reads the mesh files."""
     scene, model, rays, answer = response.scene, response.model, response.rays, response.answer
     traced = rays.for_reference()
-    if known is not None and all(map(np.array_equal, rays, known.rays)):
-        result: ReferenceResult | Crash = known.result
-    else:
-        lights = answer.images is not None
-        with ScratchFolder() as folder:
-            files = files_of(scene) if with_files else ()
-            meshes = [for_mitsuba(file, Path(folder), i) for i, file in enumerate(files)]
-            result = trace_reference(scene, model, traced, lights=lights, mesh_files=meshes, timeout=timeout, send=send)
+    lights = answer.images is not None
+    with ScratchFolder() as folder:
+        files = files_of(scene) if with_files else ()
+        meshes = [for_mitsuba(file, Path(folder), i) for i, file in enumerate(files)]
+        result = trace_reference(scene, model, traced, lights=lights, mesh_files=meshes, timeout=timeout, send=send)
     if isinstance(result, Crash):
         return result
     if rays.is_list:

@@ -17,7 +17,7 @@ from caster.geometry.world_space import LARGEST_COORDINATE
 from caster.shapes.cube import Cube
 from caster.shapes.heightfield import Heightfield
 from caster.shapes.icosphere import Icosphere
-from caster.shapes.mesh import MeshFile
+from caster.shapes.mesh import Mesh
 from caster.shapes.rectangle import Rectangle
 from caster.shapes.teapot import Teapot
 from caster.shapes.torus import Torus
@@ -58,10 +58,10 @@ from mitsuba_ref.shapes.shape_reference import (
 from mitsuba_ref.shapes.surface_errors import MODEL
 from mitsuba_ref.shapes.targets import (
     BESIDE_DECADES,
+    MESH_FILES,
     Rng,
     SurfacePoints,
     coin_flip,
-    mesh_files,
     random_fractions,
     random_point,
 )
@@ -244,7 +244,7 @@ def random_triangle(rng: Rng, lattice: bool) -> Fields:
 
 
 def random_mesh(rng: Rng, lattice: bool) -> Fields:
-    return {"file": str(rng.choice(mesh_files())), "face_normals": coin_flip(rng)}
+    return {"file": str(rng.choice(MESH_FILES)), "face_normals": coin_flip(rng)}
 
 
 def random_icosphere(rng: Rng, lattice: bool) -> Fields:
@@ -290,7 +290,7 @@ def triangle_mesh_reference(
 FLAT_AND_SMALL = frozenset({"flat", "small"})
 
 TRIANGLE = triangle_mesh_reference(Triangle, random_triangle, expected_triangle, FLAT_AND_SMALL)
-MESH = triangle_mesh_reference(MeshFile, random_mesh, importers={"obj": import_mesh, "ply": import_mesh})
+MESH = triangle_mesh_reference(Mesh, random_mesh, importers={"obj": import_mesh, "ply": import_mesh})
 RECTANGLE = triangle_mesh_reference(
     Rectangle, groups=FLAT_AND_SMALL, importers={"rectangle": unit_shape_importer("rectangle")}
 )

@@ -24,9 +24,9 @@ def count_hits_where_tree_agrees(scene: Scene, o: np.ndarray, d: np.ndarray, wha
     """Number of rays that hit; fails where `cast` or `occluded` differs from brute force."""
     hits = cast(scene, o, d)
     sooner = {"blocked": occluded(scene, o, d), "normal": hits.normal}
-    assert_same_bits({"blocked": hits.shape_id >= 0, "normal": hits.surface.n}, sooner, what)
+    assert_same_bits({"blocked": hits.shape_id >= 0, "normal": hits.surfaces["normal"]}, sooner, what)
     slow = find_nearest(packed(scene), validated_rays(o, d, 0.0, np.inf), "brute-force")
-    fast = {"t": hits.t, "prim": hits.view.nearest.prim}
+    fast = {"t": hits.t, "prim": hits.nearest.prim}
     assert_same_bits({"t": slow.t, "prim": slow.prim}, fast, what)
     assert np.isfinite(hits.t).sum() == (hits.prim_id >= 0).sum(), f"{what}: a hit without a finite t"
     return int((hits.prim_id >= 0).sum())

@@ -45,7 +45,6 @@ def kernel_differs(module: types.ModuleType, name: str) -> bool:
     compiled = jit(
         {
             "max_visible_t": lambda tile, box: inner(tile, box),
-            "min_t_per_depth": lambda tile, box, forward: inner(tile, box, forward),
             "bounds_in_tile": lambda pixels, k, box, c: inner(pixels, k, box)[c],
             "any_pixel_visible": lambda tile, rect, near: int(inner(tile, rect, near)),
             "packet_bounds": lambda tile, first, end, c: inner(tile, direction, lane(first))[end][c],
@@ -61,9 +60,6 @@ def _agrees(compiled: Callable[..., Any], name: str, rng: np.random.Generator) -
     reach = (field_of(tile, tiles.T) + field_of(tile, tiles.T_ERROR))[seen]
     if name == "max_visible_t":
         return bool(compiled(tile, box) == reach.max())
-    if name == "min_t_per_depth":
-        ahead = field_of(tile, tiles.DX) * 0.5 + field_of(tile, tiles.DY) * 0.25 + field_of(tile, tiles.DZ) * 2.0
-        return bool(compiled(tile, box, (0.5, 0.25, 2.0)) == 1.0 / ahead[seen].max())
     if name == "bounds_in_tile":
         pixels = np.array([[1000 + x0, 500 + y0, 1000 + x1, 500 + y1]])
         start, stop = whole_lanes(x0, x1)
@@ -82,7 +78,7 @@ def _agrees(compiled: Callable[..., Any], name: str, rng: np.random.Generator) -
 
 
 MODULES = {
-    **dict.fromkeys(("max_visible_t", "min_t_per_depth", "bounds_in_tile", "any_pixel_visible"), tile_casting),
+    **dict.fromkeys(("max_visible_t", "bounds_in_tile", "any_pixel_visible"), tile_casting),
     "packet_bounds": traversal,
 }
 

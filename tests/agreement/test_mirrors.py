@@ -29,7 +29,7 @@ def mirrored_scene(scene: Scene, mirror: np.ndarray) -> Scene:
 def what_is_cast(scene: Scene, o: np.ndarray, d: np.ndarray, mirror: np.ndarray) -> Arrays:
     """The hits of mirrored rays, mirrored back."""
     hits = cast(scene, o * mirror, d * mirror)
-    p, n = hits.surface.p * mirror, hits.surface.n * mirror
+    p, n = hits.position * mirror, hits.normal * mirror
     return without_signed_zeros({"t": hits.t, "shape": hits.shape_id, "prim": hits.prim_id, "p": p, "n": n})
 
 

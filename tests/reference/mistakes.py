@@ -144,7 +144,7 @@ def camera_normals(scene, o, d, t, n):
 def interpolated(scene, o, d, t, n):
     import caster
 
-    return t, caster.cast(scene, o, d).surface.sh_n
+    return t, caster.cast(scene, o, d).shading_normal
 
 
 def through_corners(scene, o, d):

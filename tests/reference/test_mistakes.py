@@ -26,7 +26,7 @@ LARGEST_CPU_SECONDS = 10.0
 def warm():
     """One mistake casts with ours, whose kernels may have to be compiled, which is no part of a judgement."""
     scene = mistakes.scene_of("torus-smooth", Path(), 2, 2)
-    assert caster.cast(scene, np.zeros((1, 3)), np.ones((1, 3))).surface.sh_n.shape == (1, 3)
+    assert caster.cast(scene, np.zeros((1, 3)), np.ones((1, 3))).shading_normal.shape == (1, 3)
 
 
 def judged(name, trace, scene):
@@ -139,7 +139,7 @@ class Naming:
         o, d = (v.astype(np.float64) for v in (request.rays.o, request.rays.d))
         hits = caster.cast(request.traced, o, d)
         shape_id, prim_id = self.change(request.traced, o, d, hits)
-        arrays = {"t": hits.t, "n": hits.surface.n, "shape_id": shape_id, "prim_id": prim_id}
+        arrays = {"t": hits.t, "n": hits.normal, "shape_id": shape_id, "prim_id": prim_id}
         return answer_of_hits(arrays, np.ones(len(o), bool), self.precision)
 
 

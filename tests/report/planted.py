@@ -67,8 +67,8 @@ def plant(answer: TraceResponse) -> None:
     answer.p[row_of(INFINITE), 0] = -np.inf
 
 
-def judged(name: str, plant: Plant = lambda answer: None) -> SceneVerdict:
-    asked = scene()
+def judged(name: str, plant: Plant = lambda answer: None, size: tuple[int, int] = (WIDTH, HEIGHT)) -> SceneVerdict:
+    asked = scene().with_film(width=size[0], height=size[1])
 
     def send(job: TraceRequest, timeout: float) -> TraceResponse:
         answer = rounded_answer(asked, job)
@@ -92,15 +92,15 @@ def rounded_answer(asked: Scene, job: TraceRequest) -> TraceResponse:
     """What Mitsuba would say if it did nothing but round."""
     rays = shared_rays(asked)
     view = cast_ours(asked, rays)
-    count, surfaces = len(view.hit), view.surfaces
-    single = {name: np.asarray(getattr(surfaces, name), np.float32) for name in ("p", "n", "sh_n")}
+    count = len(view.hit)
+    single = {name: np.asarray(rows, np.float32) for name, rows in view.surfaces.items()}
     albedo = np.array([[0.6, 0.1, 0.1], [0.5, 0.5, 0.5], [0.0, 0.0, 0.0]], np.float32)[view.shape_id]
     return TraceResponse(
         t=np.where(view.hit, view.nearest.t, np.inf).astype(np.float32),
-        n=single["n"],
-        sh_n=single["sh_n"],
-        p=single["p"],
-        uv=np.asarray(surfaces.uv, np.float32),
+        n=single["normal"],
+        sh_n=single["shading_normal"],
+        p=single["position"],
+        uv=single["uv"],
         prim_uv=np.zeros((count, 2), np.float32),
         shape=view.shape_id.astype(np.int32),
         prim=view.prim_id.astype(np.int32),
@@ -109,6 +109,6 @@ def rounded_answer(asked: Scene, job: TraceRequest) -> TraceResponse:
         light_visible=np.zeros((0, count), bool),
         albedo=albedo,
         sensor=np.column_stack([rays.o, rays.d, rays.t_max]),
-        versions={"mitsuba": "none", "variant": "scalar, ours rounded"},
+        versions={"mitsuba": "none", "variant": "scalar, rounded"},
         seconds=0.0,
     )

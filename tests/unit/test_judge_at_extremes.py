@@ -108,7 +108,7 @@ def test_our_position_on_a_small_triangle_seen_from_afar_is_within_its_bound():
     at = model.intersect(prim, o, d, KU_OURS, ours=True).at
     (bare,) = surface_errors.intersect(model.kinds[0], prim, o, d, KU_OURS)
     point = o + view.nearest.t[hit, None] * d
-    away = np.linalg.norm(view.surfaces.p[hit] - point, axis=1)
+    away = np.linalg.norm(view.position[hit] - point, axis=1)
     assert hit.sum() >= 50
     assert (away <= at.p_error).all()
     assert (away > bare.p_error).any()  # more than the corners and barycentrics are rounded by
@@ -138,7 +138,7 @@ def test_our_position_under_a_matrix_of_large_condition_is_within_its_bound(shap
     o, d, t = rays.o[hit].astype(float), rays.d[hit].astype(float), view.nearest.t[hit]
     prim = np.zeros(len(hit), int)
     at = nearest_root(model.intersect(prim, o, d, KU_OURS, ours=True), t)
-    away = np.linalg.norm(view.surfaces.p[hit] - (o + t[:, None] * d), axis=1)
+    away = np.linalg.norm(view.position[hit] - (o + t[:, None] * d), axis=1)
     assert len(hit) >= 150
     assert (away <= at.p_error).all()
     assert np.median(at.p_error) < 1e-9

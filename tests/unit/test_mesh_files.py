@@ -8,11 +8,12 @@ import struct
 
 import numpy as np
 import pytest
+from ply_files import ENCODINGS, INDICES, XYZ, ply, ply_mesh
 
 from caster.description.errors import FileMissing, SceneError
 from caster.geometry.mesh_files import GLB_HEADER, load_mesh, parse_off
 from caster.geometry.triangle_mesh import vertex_normals
-from caster.shapes.mesh import MeshFile
+from caster.shapes.mesh import Mesh
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -135,42 +136,10 @@ def test_a_broken_obj_is_an_error_with_its_line(load, text, words):
 
 TRIANGLES = [(0, 1, 2), (0, 2, 3)]
 POINTS = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 1.0, 0.5)]
-ENCODINGS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-CODES = {
-    **{"char": "b", "uchar": "B", "short": "h", "ushort": "H", "int": "i", "uint": "I"},
-    **{"int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i", "uint32": "I"},
-    **{"float": "f", "double": "d", "float32": "f", "float64": "d"},
-}
-XYZ = ["float x", "float y", "float z"]
-INDICES = ["list uchar int vertex_indices"]
-
-
-def ply(encoding, *elements, newline="\n", extra=()):
-    """A PLY file, spelt out value by value: elements are (name, properties, rows), lists are tuples."""
-    lines = ["ply", f"format {encoding} 1.0", *extra]
-    for name, properties, rows in elements:
-        lines += [f"element {name} {len(rows)}", *(f"property {p}" for p in properties)]
-    header = newline.join([*lines, "end_header", ""]).encode()
-    table = [
-        [cell for declared, value in zip(properties, row, strict=True) for cell in cells(declared.split(), value)]
-        for _, properties, rows in elements
-        for row in rows
-    ]
-    if encoding == "ascii":
-        return header + newline.join([*(" ".join(repr(value) for _, value in row) for row in table), ""]).encode()
-    return header + b"".join(struct.pack(ENCODINGS[encoding] + code, value) for row in table for code, value in row)
-
-
-def cells(words, value):
-    """[(struct code, number)] of one property of one row."""
-    if words[0] != "list":
-        return [(CODES[words[0]], value)]
-    return [(CODES[words[1]], len(value)), *((CODES[words[2]], item) for item in value)]
 
 
 def square(encoding="ascii", polygons=TRIANGLES, vertices=POINTS, **options):
-    faces = ("face", INDICES, [(polygon,) for polygon in polygons])
-    return ply(encoding, ("vertex", XYZ, vertices), faces, **options)
+    return ply_mesh(encoding, vertices, polygons, **options)
 
 
 @pytest.fixture(params=ENCODINGS)
@@ -369,10 +338,10 @@ def test_polygons_of_an_off_file_are_fans_in_the_order_of_the_file(data):
     ("old", "new", "says"),
     [
         (b"OFF", b"BYU", "x.off: expected an OFF file in text"),
-        (b"5 2 0", b"5", "x.off:2: expected 2 numbers, got '5'"),
+        (b"5 2 0", b"5", "x.off:2: expected 2 numbers, got a line of 1: '5'"),
         (b"5 2 0", b"5 3 0", "x.off: expected lines of 5 vertices and 3 faces, got 7"),
         (b"1 1 0", b"1 one 0", "x.off:5: expected numbers, got '1 one 0'"),
-        (b"4 0 1 2 3", b"4 0 1 2", "x.off:9: expected 5 numbers, got '4 0 1 2'"),
+        (b"4 0 1 2 3", b"4 0 1 2", "x.off:9: expected 5 numbers, got a line of 4: '4 0 1 2'"),
         (b"3 0 3 4", b"2 0 3", "x.off:8: expected at least 3 of the vertices 0 to 4, got [0, 3]"),
         (b"3 0 3 4", b"3 0 3 5", "x.off:8: expected at least 3 of the vertices 0 to 4, got [0, 3, 5]"),
     ],
@@ -509,7 +478,7 @@ def test_a_mesh_is_kept_until_its_file_has_another_time_or_size(tmp_path):
     def mesh_of(face, time):
         path.write_text(f"{SQUARE}f {face}\n")
         os.utime(path, ns=(time, time))
-        return MeshFile(file=str(path)).mesh()
+        return Mesh(file=str(path)).mesh()
 
     time = 1_700_000_000_000_000_000  # ns
     first = mesh_of("1 2 3", time)

@@ -44,7 +44,7 @@ def test_the_hull_of_a_primitive_holds_its_surface_and_touches_it(name):
     rng = np.random.default_rng([150, list(CONVEX).index(name)])
     aim = rng.uniform(low, high, (4 * HITS, 3))
     o = aim + 10.0 * rng.normal(size=aim.shape)
-    p = cast(scene, o, aim - o).surface.p
+    p = cast(scene, o, aim - o).position
     p = p[np.isfinite(p).all(axis=1) & (cast(scene, o, aim - o).shape_id >= 0)]
     assert len(p) >= HITS // 2
     size = np.linalg.norm(high - low)

@@ -43,7 +43,7 @@ def test_it_sees_what_cast_sees():
         aovs = render(scene, ("depth", "position", "shape_id"), culling=culling)
         assert aovs.hit.all() and (aovs["shape_id"] == hits.shape_id[0]).all()
         assert (aovs["depth"] == hits.t[0] * np.linalg.norm(d)).all()
-        assert (aovs["position"] == hits.surface.p[0]).all()
+        assert (aovs["position"] == hits.position[0]).all()
     assert culling_for(scene.camera.pack(2, 2))[0] == "bvh"
 
 

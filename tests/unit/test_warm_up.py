@@ -114,7 +114,7 @@ kernels = {k for module in modules for k in vars(module).values() if isinstance(
 print(len(kernels), *sorted(k.__name__ for k in kernels if not k._codes))
 """
 # Of pixels and rays that are looked at one by one: `caster probe`, the judge.
-ONE_BY_ONE = {"hit_precedes", "intersect_each", "shadow_rays_of"}
+ONE_BY_ONE = {"hit_precedes", "intersect_each"}
 
 
 @pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")

@@ -105,8 +105,8 @@ class MeshFolders(NamedTuple):
         except SceneError as error:
             text = f"cannot be used: {str(error).removeprefix(f'{where}: ').replace(where, file)}"
             missing = isinstance(error, FileMissing)
-            if missing and tried[1:]:
-                text += f"; tried {', '.join(map(str, tried))}"
+            if missing:
+                text += f"; tried {', '.join(map(str, tried))}: if it is elsewhere, add --mesh-dir FOLDER"
             raise field_error(text, missing_file=missing) from None
         return where
 
@@ -139,7 +139,8 @@ def parse_off(data: bytes, where: str) -> Mesh:
 def _numbers(line: int, words: list[bytes], kind: Callable[[bytes], Any], count: int, where: str) -> list[Any]:
     """The first numbers of a line."""
     if len(words) < count:
-        raise SceneError(f"{where}:{line}: expected {count} numbers, got {quote_bytes(b' '.join(words))}")
+        got = quote_bytes(b" ".join(words))
+        raise SceneError(f"{where}:{line}: expected {count} numbers, got a line of {len(words)}: {got}")
     return read_numbers(words[:count], f"{where}:{line}", kind)
 
 

@@ -4,6 +4,7 @@ The numbers of an ascii body are converted to float64 first, so that one reader 
 """
 
 import re
+import struct
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -14,13 +15,13 @@ from caster.description.errors import SceneError
 from caster.geometry.mesh_files.obj import quote_bytes, read_numbers
 from caster.geometry.triangle_mesh import Floats, Mesh, format_row, triangle_fans
 
-# Type names of the format as NumPy codes without byte order.
+# Type names of the format as codes of NumPy and struct, without byte order.
 TYPES = dict(
     re.findall(
         r"(\w+) (\w+)",
         """
-        char i1  uchar u1  short i2  ushort u2  int i4    uint u4    float f4    double f8
-        int8 i1  uint8 u1  int16 i2  uint16 u2  int32 i4  uint32 u4  float32 f4  float64 f8
+        char b  uchar B  short h  ushort H  int i    uint I    float f    double d
+        int8 b  uint8 B  int16 h  uint16 H  int32 i  uint32 I  float32 f  float64 d
         """,
     )
 )
@@ -29,10 +30,10 @@ FORMATS = "ascii, binary_little_endian or binary_big_endian, and 1.0"
 
 
 class Property(NamedTuple):
-    """A number per row, or a list of numbers if `count_type` is set, the type of its length."""
+    """A number per row, or a list of numbers if `length` is set, the format of its length."""
 
     type: np.dtype[Any]
-    count_type: np.dtype[Any] | None
+    length: struct.Struct | None
 
 
 class Element(NamedTuple):
@@ -115,11 +116,11 @@ def _add_header_line(words: list[str], formats: list[str], elements: dict[str, E
 def _property(types: list[str], encoding: str) -> Property:
     of_list = types[:1] == ["list"]
     codes = [TYPES.get(word, "") for word in types[of_list:]]
-    if len(codes) != 1 + of_list or "" in codes or (of_list and codes[0].startswith("f")):
+    if len(codes) != 1 + of_list or "" in codes or (of_list and codes[0] in "fd"):
         expected = f"a type ({', '.join(TYPES)}), or list, a whole-number type and a type"
         raise ValueError(f"expected {expected}, got '{' '.join(types)[:60]}'")
-    dtypes = [np.dtype("<f8" if encoding == "ascii" else BYTE_ORDERS[encoding] + code) for code in codes]
-    return Property(dtypes[-1], dtypes[0] if of_list else None)
+    forms = ["<d" if encoding == "ascii" else BYTE_ORDERS[encoding] + code for code in codes]
+    return Property(np.dtype(forms[-1]), struct.Struct(forms[0]) if of_list else None)
 
 
 # ---- body ----
@@ -156,57 +157,71 @@ class _Body:
         self.ends: NDArray[np.int64] | None = None  # where these rows end
 
     def read(self, element: Element) -> Table:
-        """The next element, in blocks of rows whose lists have the same lengths. Raises SceneError."""
-        if element.rows and not element.properties:
+        """The next element, at once if it is binary and its lists are equally long. Raises SceneError."""
+        if not element.properties and element.rows:
             raise SceneError(f"{self.where}: PLY header: expected properties of element '{element.name}', got none")
-        values: list[list[NDArray[Any]]] = [[np.empty(0, p.type)] for p in element.properties.values()]
-        lists = {k: [np.empty(0, np.int64)] for k, p in enumerate(element.properties.values()) if p.count_type}
-        first, stop, wanted = self.row, self.row + element.rows, 1
-        while self.row < stop:
-            sizes = self._sizes(element, self.row - first)
-            layout = _layout(tuple(element.properties.values()), sizes)
-            n = min(wanted, stop - self.row, (len(self.data) - self.at) // layout.itemsize)
-            rows = np.frombuffer(self.data, layout, n, self.at)
-            same = np.ones(n, bool)
-            for k in lists:
-                same &= rows[f"size{k}"] == sizes[k]
-            if self.ends is not None:  # each row of an ascii file is a line
-                same &= self.ends[self.row : self.row + n] == self.at + layout.itemsize * np.arange(1, n + 1)
-                if not same[0]:
-                    got = (self.ends[self.row] - self.at) // 8
-                    raise self._error(element, self.row - first, f"{layout.itemsize // 8} numbers, got {got}")
-            n, wanted = (n, 2 * wanted) if same.all() else (int(np.argmin(same)), 1)
-            for k, size in enumerate(sizes):
-                values[k].append(rows[f"value{k}"][:n].ravel())
-                if k in lists:
-                    lists[k].append(np.full(n, size))
-            self.row, self.at = self.row + n, self.at + n * layout.itemsize
+        if not element.properties:
+            return Table({}, [])
+        first, start, properties = self.row, self.at, tuple(element.properties.values())
+        sizes = self._next_row(element, first) if element.rows else (1,) * len(properties)
+        layout = _layout(properties, sizes)
+        number = min(element.rows, (len(self.data) - start) // layout.itemsize)
+        rows = np.frombuffer(self.data, layout, number, start)
+        values, lengths = (
+            [rows[f"value{k}"].ravel() for k in range(len(sizes))],
+            np.broadcast_to(sizes, (number, len(sizes))),
+        )
+        self.row, self.at = first + number, start + rows.nbytes
+        lists = [k for k, p in enumerate(properties) if p.length]
+        unlike = number < element.rows or any((rows[f"size{k}"] != sizes[k]).any() for k in lists)
+        if element.rows and (unlike or self.ends is not None):
+            self.row, self.at = first, start
+            values, lengths = self._row_by_row(element)
         columns = {
-            name: Column(np.concatenate(values[k]), np.concatenate(lists[k]) if k in lists else None)
-            for k, name in enumerate(element.properties)
+            name: Column(values[k], lengths[:, k] if k in lists else None) for k, name in enumerate(element.properties)
         }
-        return Table(columns, self.lines[first:stop])
+        return Table(columns, self.lines[first : self.row])
 
-    def _sizes(self, element: Element, row: int) -> tuple[int, ...]:
-        """The number of values of each property in the row at self.at. row: its number in the element, for errors."""
+    def _row_by_row(self, element: Element) -> tuple[list[NDArray[Any]], NDArray[np.int64]]:
+        """(the values of each property, their number in each row)."""
+        first, starts, sizes, properties = self.row, [], [], tuple(element.properties.values())
+        for _ in range(element.rows):
+            starts.append(self.at)
+            sizes.append(self._next_row(element, first))
+        data, places, lengths = np.frombuffer(self.data, np.uint8), np.array(starts), np.array(sizes)
+        ends = np.cumsum(lengths, axis=0)
+        values = [np.empty(total, p.type) for total, p in zip(ends[-1], properties, strict=True)]
+        for group in set(sizes):
+            here, layout = (lengths == group).all(axis=1), _layout(properties, group)
+            rows = np.stack([data[places[here] + i] for i in range(layout.itemsize)], axis=1).view(layout)[:, 0]
+            for k, size in enumerate(group):
+                values[k][(ends[here, k, None] - size) + np.arange(size)] = rows[f"value{k}"]
+        return values, lengths
+
+    def _next_row(self, element: Element, first: int) -> tuple[int, ...]:
+        """Skip a row and return the number of values of each property. first: of the element's rows, for errors."""
         sizes, at = [], self.at
         for name, p in element.properties.items():
-            sizes.append(1)
-            if p.count_type:
-                if at + p.count_type.itemsize <= len(self.data):
-                    number = np.frombuffer(self.data, p.count_type, 1, at)[0]
-                    if not (0 <= number < 2**32 and number == np.floor(number)):
-                        raise self._error(element, row, f"a length >= 0 of list '{name}', got {number:g}")
-                    sizes[-1] = int(number)
-                at += p.count_type.itemsize
+            size = 1
+            if p.length:
+                if at + p.length.size <= len(self.data):
+                    (size,) = p.length.unpack_from(self.data, at)
+                    if not (0 <= size < 2**32 and size == int(size)):
+                        raise self._error(element, first, f"a length >= 0 of list '{name}', got {size:g}")
+                at += p.length.size
+            sizes.append(int(size))
             at += sizes[-1] * p.type.itemsize
         if at > len(self.data):
-            expected = f"expected {element.rows} rows of element '{element.name}', got {row} whole ones"
+            expected = f"expected {element.rows} rows of element '{element.name}', got {self.row - first} whole ones"
             raise SceneError(f"{self.place()}: truncated: {expected} before the end of the file")
+        if self.ends is not None and self.ends[self.row] != at:
+            got = (self.ends[self.row] - self.at) // 8
+            raise self._error(element, first, f"{(at - self.at) // 8} numbers, got {got}")
+        self.row, self.at = self.row + 1, at
         return tuple(sizes)
 
-    def _error(self, element: Element, row: int, text: str) -> SceneError:
-        return SceneError(f"{self.place()}: row {row} of element '{element.name}': expected {text}")
+    def _error(self, element: Element, first: int, text: str) -> SceneError:
+        return SceneError(f"{self.place()}: row {self.row - first} of element '{element.name}': expected {text}")
 
     def place(self) -> str:
         return f"{self.where}:{self.lines[self.row]}" if self.row < len(self.lines) else self.where
@@ -217,7 +232,7 @@ def _layout(properties: tuple[Property, ...], sizes: tuple[int, ...]) -> np.dtyp
     """The layout of a row; fields are numbered, since properties may have any name."""
     fields: list[Any] = []
     for k, (p, size) in enumerate(zip(properties, sizes, strict=True)):
-        fields += [(f"size{k}", p.count_type)] if p.count_type else []
+        fields += [(f"size{k}", p.length.format)] if p.length else []
         fields += [(f"value{k}", p.type, (size,))]
     return np.dtype(fields)
 

@@ -47,7 +47,7 @@ ProjectedPoint = tuple[float, float, float, float]
 
 # No part of a primitive is nearer than the least depth of its points by more than the `slack` of its box: 24 u times
 # the largest coordinates (BOX_PADDING), since depth is off by some 12 u of them; and again as much for the hits
-# themselves. The factor is for the rounding of `min_t_per_depth`.
+# themselves. The factor is for a d that is longer than 1 by its rounding: t is at least the depth over its length.
 DEPTH_ROUNDING = 1.0 - 2.0**-40
 
 

@@ -286,8 +286,8 @@ LANE_CENTER, LANE_TO_OBJECT, LANE_TO_WORLD, LANE_MORE = (
 
 
 @inlined
-def put_affine_lanes(prims: Any, k: int, start: Any, stop: Any, scratch: Any) -> None:
-    """The centre and both matrices of primitive k into lanes start..stop."""
+def put_affine_lanes(prims: Any, k: int, start: Any, stop: Any, scratch: Any, wants: int) -> None:
+    """`surface_setup` for images of a unit shape: the centre and both matrices of primitive k."""
     center = prims.center[k, 0], prims.center[k, 1], prims.center[k, 2]
     for x in range(start, stop):
         put_lane(scratch, LANE_CENTER + x, center)

@@ -29,18 +29,6 @@ from caster.kernels.raster.tile import (
 
 
 @jit
-def min_t_per_depth(tile: Any, box: Box, forward: Any) -> float:
-    """The least t per depth of the rays of a tile: t d . forward = depth."""
-    most = splat(0.0)
-    for y in range(box[3] - box[1]):
-        for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0]), lane(LANES)):
-            dx, dy, dz = load_lanes(tile, DX + i), load_lanes(tile, DY + i), load_lanes(tile, DZ + i)
-            most = larger(most, dx * forward[0] + dy * forward[1] + dz * forward[2])
-    ahead = largest(most)
-    return 1.0 / ahead if ahead > 0.0 else 0.0
-
-
-@jit
 def max_visible_t(tile: Any, box: Box) -> float:
     """The largest visible t of a tile; inf if a pixel has no hit."""
     far = splat(0.0)
@@ -171,12 +159,12 @@ def cast_in_bounds(
     shares_origin: whether all rays start at one point; else they have one direction (an orthographic camera).
     """
     o = get(tile, OX)
-    far, tried, patience, stretch = math.inf, 0, PIXELS, 1.0
+    far, tried, patience = math.inf, 0, PIXELS
     looked, low, high = False, o, o
     for at in range(run[0], run[1]):
         k = order[at]
         prefetch_ahead(prims, order, at, run[1], bounds)
-        near, rect = max(bounds.near[k], 0.0) * stretch, bounds_in_tile(bounds.pixels, k, box)
+        near, rect = max(bounds.near[k], 0.0), bounds_in_tile(bounds.pixels, k, box)
         x_start, y_start, x_stop, y_stop = rect
         tries = (x_stop - x_start) * (y_stop - y_start)
         small = tries <= SINGLE_VISIBILITY_TEST_MAX_PIXELS
@@ -207,9 +195,6 @@ def cast_in_bounds(
                     cast_lanes(prims, prim, prim_number, tile, first, False)
         tried += tries
         if tried >= patience:
-            # bound what is hidden now, and by the tile's own directions
-            far, tried = max_visible_t(tile, box), 0
-            if far < math.inf:
-                stretch = max(stretch, min_t_per_depth(tile, box, bounds.forward))
-            else:
+            far, tried = max_visible_t(tile, box), 0  # what lies farther is hidden now
+            if far == math.inf:
                 patience *= 2

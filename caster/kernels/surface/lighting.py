@@ -117,19 +117,6 @@ def shadow_ray(
 
 
 @jit
-def shadow_rays_of(light: Any, surfaces: Any, rays: Any, t: Any, extents: Any, where: Any, out: Any) -> None:
-    """Write `shadow_ray` of the rays `where` to out. extents: those of the shape that each ray hits."""
-    for j in range(len(where)):
-        i = where[j]
-        o, d = row(rays.o, i), row(rays.d, i)
-        p, n = row(surfaces.p, i), row(surfaces.n, i)
-        start, way, near, reach = shadow_ray(light, p, n, o, d, t[i], extents[i])
-        for c in range(3):
-            out.o[j, c], out.d[j, c] = start[c], way[c]
-        out.t_min[j], out.t_max[j] = near, reach
-
-
-@jit
 def materials_in_tile(tile: Any, box: Box, materials: Any, reflectance: Any, two_sided: Any, buffer: Any) -> None:
     """Write ALBEDO and SIDES of the hits from tables by material, and RADIANCE 0; materials[prim]: a primitive's."""
     for y in range(box[3] - box[1]):

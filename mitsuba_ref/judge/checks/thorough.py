@@ -88,15 +88,12 @@ def _cast_differences(
     o, d = lines
     hits, alone = (cast(scene, o, d, t_min=limits[0], t_max=limits[1]) for _ in range(2))
     yield from different_bits({"normal": image["normal"]}, {"normal": alone.normal}, "cast(...).normal")
-    surface = hits.surface
     found = {
         "depth": hits.t * np.sqrt(d[:, 0] * d[:, 0] + d[:, 1] * d[:, 1] + d[:, 2] * d[:, 2]),
         "shape_id": hits.shape_id,
         "prim_id": hits.prim_id,
-        "normal": surface.n,
-        "shading_normal": surface.sh_n,
-        "position": surface.p,
-        "uv": surface.uv,
+        "normal": hits.surfaces["normal"],
+        **{name: getattr(hits, name) for name in ("shading_normal", "position", "uv")},
     }
     yield from different_bits({name: image[name] for name in found}, found, "cast")
     first = np.sort(hits.t[np.isfinite(hits.t)])

@@ -72,7 +72,7 @@ def tally(answers: list[ExactAnswer]) -> Counter[str]:
 
 
 def differences(question: Question, packed: Packed, hits: Hits, answers: list[ExactAnswer]) -> Iterator[str]:
-    nearest = hits.view.nearest
+    nearest = hits.nearest
     yield from of_masks(question, nearest.prim, answers)
     agreed = [i for i, answer in enumerate(answers) if answer.hit and answer.prim == nearest.prim[i]]
     if agreed:
@@ -90,7 +90,7 @@ def of_masks(question: Question, prim: np.ndarray, answers: list[ExactAnswer]) -
 
 def of_t(question: Question, packed: Packed, hits: Hits, answers: list[ExactAnswer], rows: np.ndarray) -> Iterator[str]:
     """t is within the caster's own bound, and within the judge's bound on float64."""
-    nearest, rays = hits.view.nearest, hits.view.rays
+    nearest, rays = hits.nearest, hits.rays
     # `cast` may shorten d by a power of two; the record of its hits counts in lengths of that.
     exponent = powers(question.d[rows]) - powers(rays.d[rows])
     with np.errstate(over="ignore", under="ignore"):  # as in `cast`
@@ -118,7 +118,7 @@ def powers(d: np.ndarray) -> np.ndarray:
 def of_normals(
     question: Question, packed: Packed, hits: Hits, answers: list[ExactAnswer], rows: np.ndarray
 ) -> Iterator[str]:
-    n = hits.surface.n[rows]
+    n = hits.normal[rows]
     length = np.sqrt((n * n).sum(axis=1))
     for j in np.flatnonzero(~(np.abs(length - 1.0) <= UNIT_ATOL)).tolist():
         yield f"the normal {n[j]} has length {float(length[j])!r}: {ray(question, int(rows[j]))}"
