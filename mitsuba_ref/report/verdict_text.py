@@ -106,7 +106,7 @@ def failure_text(scene: SceneVerdict, report: str = "") -> str:
         lines += (
             [f"FAIL  {scene.name}  {causes[0]}", f"      {counts}"] if causes else [f"FAIL  {scene.name}  {counts}"]
         )
-        for place, finding in enumerate(scene.findings) if len(scene.findings) > 1 or scene.not_adjudicated else ():
+        for place, finding in enumerate(scene.findings) if len(scene.findings) > 1 else ():
             alike = f" and {finding.alike} more ({SAME_SYMPTOM})" if finding.alike else ""
             at = f"      {finding.pixels} pixels{alike}, first {scene.place(finding.x, finding.y)}: "
             lines.append(at + (finding.what if place else "as above"))
