@@ -331,7 +331,7 @@ def test_the_command_line_has_exit_codes_files_and_a_precision(tmp_path, monkeyp
     assert "5 #ff0000" in classes.provenance["caster/class_colors"]
     assert main([*one, "docs.candidates.textbook:trace", "--candidate-precision", "float64"]) == 0
     assert main([*one[:1], "scenes/inside-sphere.toml", *one[2:], "docs.candidates.textbook:trace"]) == 1
-    assert "first root is behind the ray's origin" in capsys.readouterr().out
+    assert "first root is behind the ray's origin" in " ".join(capsys.readouterr().out.split())
     assert main([*one, "nothing"]) == 2
     assert "expected package.module:function, or a command" in capsys.readouterr().err
 
