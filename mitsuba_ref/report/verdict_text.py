@@ -104,7 +104,7 @@ def failure_text(scene: SceneVerdict, report: str = "") -> str:
         )
         for place, finding in enumerate(scene.findings) if len(scene.findings) > 1 else ():
             alike = f" and {finding.alike} more ({SAME_SYMPTOM})" if finding.alike else ""
-            at = f"      {finding.pixels} pixels, first {scene.place(finding.x, finding.y)}{alike}: "
+            at = f"      {finding.pixels} pixels{alike}, first {scene.place(finding.x, finding.y)}: "
             lines.append(at + (finding.what if place else "as above"))
             more = (finding.where, finding.remedy) if place else ()  # the first line has those of the first
             lines += [f"        {each}" for each in more if each]
