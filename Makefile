@@ -10,11 +10,12 @@ BIN := .venv/bin
 HERE := $(shell pwd -P | cksum | cut -d' ' -f1)
 LOCKED := .venv/locked-$(HERE)
 INSTALLED := .venv/installed-$(HERE)
+SITE_TOOLS := .venv/site-tools-$(HERE)
 
 # Without bytecode every process would compile every module that it loads: tests start hundreds.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 .DELETE_ON_ERROR:
-.PHONY: help install validate test slow lint docs stress bench guard wheel fuzz faults isa hostile mutants nightly clean
+.PHONY: help install validate test slow lint docs site stress bench guard wheel fuzz faults isa hostile mutants nightly clean
 
 help: ## this list
 	@echo 'make TARGET [PYTHON=python3.12] [JOBS=N] [ARGS="options of the command behind it"]'
@@ -40,11 +41,11 @@ faults: $(INSTALLED) ## plant every fault of tests/faults in a copy of the tree:
 isa: $(INSTALLED) ## scenes and tests with Mitsuba limited to SSE4.2, AVX and AVX2, as other machines have it; half an hour
 	@PYTHONPATH=tests/isa $(BIN)/python -P -m isa_runs --jobs $(JOBS) $(ARGS)
 
-mutants: $(INSTALLED) ## plant small faults by rule, a sample of each group of modules: writes docs/mutants.md; hours
-	@PYTHONPATH=benchmarks $(BIN)/python -P -m mutants --page docs/mutants.md $(ARGS)
+mutants: $(INSTALLED) ## plant small faults by rule, a sample of each group of modules: writes docs/internals/mutants.md; hours
+	@PYTHONPATH=benchmarks $(BIN)/python -P -m mutants --page docs/internals/mutants.md $(ARGS)
 
 hostile: $(INSTALLED) ## a thousand broken and hostile inputs to every command: none may crash, hang or leave anything
-	@PYTHONPATH=tests/hostile $(BIN)/python -P -m hostile_runs --count 1000 $(ARGS)
+	@PYTHONPATH=tests/hostile:tests $(BIN)/python -P -m hostile_runs --count 1000 $(ARGS)
 
 nightly: $(INSTALLED) slow faults isa hostile ## what make test has no time for: all faults, half an hour of hard rays, 12 million at edges and corners
 	@$(BIN)/mitsuba-ref fuzz --rays 2000 --time 30m
@@ -56,15 +57,15 @@ lint: $(INSTALLED) ## style, format and types: ruff, mypy
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
 
-stress: $(INSTALLED) ## sweeps of numerical stability: writes docs/stress.md and its pictures, in a few minutes
+stress: $(INSTALLED) ## sweeps of numerical stability: writes docs/internals/stress.md and its pictures, in a few minutes
 	@mkdir -p build
 	@$(BIN)/mitsuba-ref stress --json build/stress.json $(ARGS); code=$$?; \
-	  $(BIN)/python benchmarks/stress_page.py build/stress.json docs && exit $$code
+	  $(BIN)/python benchmarks/stress_page.py build/stress.json docs/internals && exit $$code
 
-bench: $(INSTALLED) ## run time against error: writes docs/performance.md and its plot
-	@mkdir -p docs/performance
-	@$(BIN)/mitsuba-ref bench --json docs/performance/run.json $(ARGS)
-	@$(BIN)/python benchmarks/performance_page.py docs/performance/run.json docs
+bench: $(INSTALLED) ## run time against error: writes docs/internals/performance.md and its plot
+	@mkdir -p docs/internals/performance
+	@$(BIN)/mitsuba-ref bench --json docs/internals/performance/run.json $(ARGS)
+	@$(BIN)/python benchmarks/performance_page.py docs/internals/performance/run.json docs/internals
 
 wheel: $(INSTALLED) ## a wheel with object code of all kernels for x86-64-v3: dist/, in some minutes
 	@$(BIN)/python .ci/wheel_with_kernels.py $(ARGS)
@@ -72,8 +73,12 @@ wheel: $(INSTALLED) ## a wheel with object code of all kernels for x86-64-v3: di
 docs: $(INSTALLED) ## pages and pictures that are made from sources: API, packages, an edge case, every shape, scenes
 	@$(BIN)/python docs/api.py
 	@$(BIN)/python docs/architecture.py
+	@$(BIN)/python docs/method_pixel.py
 	@$(BIN)/python docs/debugging.py
 	@$(BIN)/caster sheet scenes -o docs/scenes.png --columns 9
+
+site: $(SITE_TOOLS) ## docs/ as a site that can be searched, with a page a command and a report to try: build/site
+	@$(BIN)/python -P docs/build_site.py $(ARGS)
 
 guard: $(INSTALLED) ## whether this tree renders slower than commit BASE did: fails beyond 1.25 times as long
 	@test -n "$(BASE)" || { echo 'which commit? make guard BASE=HEAD~1' >&2; exit 2; }
@@ -95,4 +100,8 @@ $(LOCKED): requirements.lock
 
 $(INSTALLED): $(LOCKED) pyproject.toml
 	@$(BIN)/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+$(SITE_TOOLS): $(INSTALLED)
+	@$(BIN)/python -m pip install -q --disable-pip-version-check --no-build-isolation -e '.[site]'
 	@touch $@

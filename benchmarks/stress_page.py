@@ -1,4 +1,4 @@
-"""docs/stress.md and its plots, from the JSON that `mitsuba-ref stress --json` wrote.
+"""docs/internals/stress.md and its plots, from the JSON that `mitsuba-ref stress --json` wrote.
 
     python benchmarks/stress_page.py RUN.json FOLDER
 
@@ -48,10 +48,9 @@ READING = """## How to read it
 
 - **Errors** are the largest of a setting, relative to the exact distance, or as the table's head states. A `!` means
   that some ray is beyond the bound of its own, which is worked out for each ray as in
-  [method.md](method.md); `bound 32` and `bound 64` are the largest bounds of a setting for Mitsuba and for ours.
-- **Wrong** are hits where there is exactly none, and misses where there is exactly one; behind a `+`, hits of another
-  primitive than any of those that are exactly nearest (`ties` counts rays that have several), in a closed mesh of the
-  rays that exact arithmetic decided.
+  [method.md](../method.md); `bound 32` and `bound 64` are the largest bounds of a setting for Mitsuba and for ours.
+- **Wrong** are hits where there is exactly none, and misses where there is exactly one. Ours also has to name the
+  first of the primitives that are exactly nearest (`ties` counts rays that have several).
 - A caster **breaks down** at the first setting, on either side of the easiest one, where a hit or miss is wrong or an
   error beyond its bound. Not every breakdown is a mistake: beyond the reach of float32, a ray may come out either way.
 - Mitsuba runs in three configurations: its scalar variant with Embree's robust mode, which `validate` uses for
@@ -88,13 +87,13 @@ def outcome(run: StressRun) -> Iterator[str]:
     settings = [setting for sweep in run.families for setting in sweep.settings]
     rays, adjudicated = sum(each.rays for each in settings), sum(each.exact.adjudicated for each in settings)
     own = [score for each in settings if isinstance(score := each.witnesses[OURS.key], Score)]
-    counts = ("wrong_masks", "wrong_primitives", "beyond")
-    wrong, other, beyond = (sum(getattr(score, name) for score in own) for name in counts)
+    wrong, beyond = (sum(getattr(score, name) for score in own) for name in ("wrong_masks", "beyond"))
     worst = max((score.worst for score in own if score.worst is not None), default=0.0)
     yield textwrap.fill(
         f"In {len(run.families)} sweeps, {len(settings)} settings and {rays:,} rays, {adjudicated:,} of them "
-        f"decided by exact arithmetic, ours has **{wrong} wrong hits or misses, {other} wrong primitives and "
-        f"{beyond} errors beyond their bound**. Its largest error is {worst:.2f} of the bound of its ray.",
+        f"decided by exact arithmetic, ours has **{wrong} wrong hits or misses, and "
+        f"{beyond} hits of a wrong primitive or beyond their bound**. Its largest error is {worst:.2f} of the bound of "
+        "its ray.",
         WIDTH,
     )
     yield f"\nSeed {run.seed}; {', '.join(f'{name} {version}' for name, version in run.versions.items())}.\n"

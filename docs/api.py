@@ -10,6 +10,7 @@ from typing import Any
 
 import caster
 import mitsuba_ref
+from mitsuba_ref import strategies
 
 HEAD = """# API
 
@@ -24,6 +25,7 @@ GROUPS = (
     ),
     ("Scenes", ("Scene", "Film", "Shading", "Check", "Diffuse")),
 )
+PROGRAMS = Path(__file__).with_name("programs")
 REGISTRIES = (
     ("Shapes", "caster.shapes", "SHAPES"),
     ("Cameras", "caster.cameras", "CAMERAS"),
@@ -86,14 +88,9 @@ UNITS = {
 SHARED = {"Shape": "Every shape has", "Camera": "Every camera but `Ray` has"}
 
 
-def programs() -> str:
-    """The programs of docs/programs, as they are."""
-    files = sorted((Path(__file__).parent / "programs").glob("*.py"))
-    return "\n".join(f"```python\n{file.read_text(encoding='utf-8')}```\n" for file in files)
-
-
 def page() -> str:
-    parts = [HEAD, "## Programs\n", programs(), "## caster\n", paragraphs(caster.__doc__)]
+    parts = [HEAD, "## Programs\n", *map(program, sorted(PROGRAMS.glob("*.py")))]
+    parts += ["## caster\n", paragraphs(caster.__doc__)]
     for title, names in GROUPS:
         parts += [f"### {title}\n", *(entry("caster", name, getattr(caster, name)) for name in names)]
     for title, module, registry in REGISTRIES:
@@ -105,7 +102,16 @@ def page() -> str:
         parts += [entry("caster", each.__name__, each) for each in entries]
     parts += ["## mitsuba_ref\n", paragraphs(mitsuba_ref.__doc__)]
     parts += [entry("mitsuba_ref", name, getattr(mitsuba_ref, name)) for name in mitsuba_ref.__all__]
+    parts += ["## mitsuba_ref.strategies\n", paragraphs(strategies.__doc__)]
+    parts += [entry("mitsuba_ref.strategies", name, getattr(strategies, name)) for name in ("scenes", "rays")]
     return "\n".join(parts)
+
+
+def program(path: Path) -> str:
+    """A whole program, under its first line. They run in tests/unit/test_programs.py and tests/reference."""
+    title, _, text = path.read_text(encoding="utf-8").partition("\n")
+    title = title.strip('# "')
+    return f"{title}\n\n```python\n{text.lstrip()}```\n"
 
 
 def entry(package: str, name: str, value: Any) -> str:

@@ -1,4 +1,4 @@
-"""Figures of the import graph of caster and mitsuba_ref, and the picture of its packages in docs/ARCHITECTURE.md.
+"""Figures of the import graph of both packages, and its picture in docs/internals/architecture.md.
 
     python docs/architecture.py     # prints the figures and renews the picture
 
@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs/ARCHITECTURE.md"
+PAGE = ROOT / "docs/internals/architecture.md"
 ROOT_PACKAGES = ("caster", "mitsuba_ref")
 MODULES_OF_PACKAGE = 12  # beside sub-packages and __init__
 

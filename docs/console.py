@@ -1,8 +1,8 @@
 """Run the commands of pages, and put what they print below them: python docs/console.py PAGE...
 
-A ```python block whose first line is `# NAME.py` is that file, in a folder of the page's own. In a ```console block
-each line `$ COMMAND` is run there by sh; the lines below it are replaced by its output, and `$ COMMAND  # exit 1`
-states its exit code. An output that ends with `...` on the page keeps that many lines.
+A block of code whose first line is a comment with nothing but a file's name is that file, in a folder of the page's
+own. In a ```console block each line `$ COMMAND` is run there by sh; the lines below it are replaced by its output, and
+`$ COMMAND  # exit 1` states its exit code. An output that ends with `...` on the page keeps that many lines.
 """
 
 import os
@@ -13,8 +13,8 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-FENCED = re.compile(r"^```(python|console)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-FILE_NAME = re.compile(r"# (\w+\.py)\n")
+FENCED = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+FILE_NAME = re.compile(r"(?:#|//) ([\w-]+\.\w+)\n")
 EXIT = re.compile(r"  # exit (\d+)$")
 MORE = "..."
 SECONDS = 600.0  # for one command
@@ -32,9 +32,8 @@ def renewed(page: str, folder: Path) -> str:
 
     def block(found: re.Match[str]) -> str:
         kind, text = found.groups()
-        name = FILE_NAME.match(text)
-        if kind == "python":
-            if name:
+        if kind != "console":
+            if name := FILE_NAME.match(text):
                 (folder / name[1]).write_text(text, encoding="utf-8")
             return found[0]
         return "```console\n" + "".join(said_again(text, folder)) + "```"

@@ -1,4 +1,4 @@
-"""Make docs/debugging-an-edge-case.md: python docs/debugging.py
+"""Make docs/debugging.md: python docs/debugging.py
 
 A fault is planted in a copy of the tree and found there; every block of the page is what the commands print.
 """
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs/debugging-an-edge-case.md"
+PAGE = ROOT / "docs/debugging.md"
 FILE = "caster/kernels/exact/primitives.py"
 GOOD, BAD = "    if sign(u) * sign(v) < 0:\n", "    if sign(u) * sign(v) <= 0:\n"
 SCENE = "scenes/shared-edges-cube.toml"

@@ -51,6 +51,8 @@ class Driver:
     It is created with its Work. A method raises CannotRun where the caster has no such feature.
     """
 
+    precision = "float32"  # of its arithmetic
+
     def __init__(self, work: Work) -> None:
         self.work, self.any = work, work.workload == ANY
 
@@ -92,6 +94,8 @@ class Driver:
 
 class Ours(Driver):
     """Our caster. options: culling; default: the planned one."""
+
+    precision = "float64"
 
     def build(self, size: int) -> None:
         import caster
@@ -162,6 +166,8 @@ class Candidate(Driver):
         from mitsuba_ref.subjects.subject import NoAnswer
 
         try:
-            return self.subject.answer(self.request.with_rays(rays)).t
+            answer = self.subject.answer(self.request.with_rays(rays))
         except NoAnswer as error:
             raise CannotRun(str(error)) from error
+        self.precision = answer.precision
+        return answer.t

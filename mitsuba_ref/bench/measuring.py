@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from caster.system.atomic_files import ScratchFolder
-from mitsuba_ref.bench.casters import OURS, TimedCaster
+from mitsuba_ref.bench.casters import MITSUBA, TimedCaster
 from mitsuba_ref.bench.drivers import AOVS, FILM, Work
 from mitsuba_ref.bench.result import Row, SceneResult
 from mitsuba_ref.bench.scenes import BenchScene
@@ -133,8 +133,8 @@ class CasterRun:
     def measure_errors(self, process: CasterProcess, truth: ExactAnswers, folder: Path) -> None:
         rays, out = folder / "judged.npz", folder / f"{self.caster.key}.npy"
         np.savez(rays, o=truth.o, d=truth.d)
-        process.request(do="answer", rays=str(rays), out=str(out))
-        self.row["score"] = truth.score(np.load(out), ours=self.caster.side == OURS)
+        precision = process.request(do="answer", rays=str(rays), out=str(out))["precision"]
+        self.row["score"] = truth.score(np.load(out), precision, reference=self.caster.side == MITSUBA)
 
     def result(self) -> Row:
         it = self.caster

@@ -2,17 +2,18 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from caster.aovs import BY_NAME
-from caster.cameras import Fisheye, Orthographic, Pinhole
+from caster.cameras import Pinhole
 from caster.description.errors import SceneError, suggestion
 from caster.scene.files import load_scene
-from caster.scene.model import Ambient, Diffuse, Point, Scene
-from caster.shapes import Cylinder, Disk, Heightfield, Plane, Rectangle, Sphere, SphereCloud, Teapot, Torus
+from caster.scene.model import Scene
+from caster.shapes import Rectangle, SphereCloud
 from mitsuba_ref.bench.drivers import ANY, AOVS, FILM, NEAREST
 from mitsuba_ref.hard.swept_families import unit
 
@@ -34,16 +35,11 @@ class BenchScene:
     aovs: tuple[str, ...] = AOVS
 
 
-VIEW: dict[str, Any] = {"eye": (0.0, -4.0, 1.5), "look_at": (0.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0)}
-LIT: dict[str, Any] = {
-    "lights": [Point(position=(2.0, -3.0, 3.0), intensity=(40.0, 40.0, 40.0)), Ambient(radiance=(0.05, 0.05, 0.05))],
-    "materials": {"grey": Diffuse(reflectance=(0.5, 0.5, 0.5))},
-}
+STANDARD = Path(__file__).with_name("standard")  # scene files; films get a size later
 
 
-def from_front(*shapes: Any, camera: Any = None, **more: Any) -> Scene:
-    """A scene seen from the front, somewhat above; its film gets a size later."""
-    return Scene(camera=camera or Pinhole(**VIEW, fov=40.0), shapes=shapes, **more)
+def standard(name: str) -> Scene:
+    return load_scene(STANDARD / f"{name}.toml")
 
 
 def spheres(count: int) -> Scene:
@@ -51,17 +47,7 @@ def spheres(count: int) -> Scene:
     rng = np.random.default_rng(count)
     centers = rng.uniform(-1.0, 1.0, (count, 3))
     radii = rng.uniform(0.3, 1.0, count) * 0.8 * count ** (-1.0 / 3.0)
-    return from_front(SphereCloud(centers=centers, radii=radii))
-
-
-def ring(camera: Any = None) -> Scene:
-    """A closed torus of 70,224 triangles: silhouettes, and surface behind surface."""
-    return from_front(Torus(minor_radius=0.4, segments=264, sides=133, face_normals=True), camera=camera)
-
-
-def hills() -> Scene:
-    """A hilly square of side 2, of 2 * 707^2 triangles."""
-    return from_front(Heightfield(size=2.0, resolution=707, amplitude=0.2, waves=8, seed=0, face_normals=True))
+    return Scene(camera=standard("one-sphere").camera, shapes=[SphereCloud(centers=centers, radii=radii)])
 
 
 def layers() -> Scene:
@@ -71,27 +57,6 @@ def layers() -> Scene:
     order = np.random.default_rng(0).permutation(256)
     squares = [Rectangle(to_world=[{"translate": (0.0, 0.0, -place / 64.0)}]) for place in order]
     return Scene(camera=camera, shapes=squares)
-
-
-def grazing() -> Scene:
-    camera = Pinhole(eye=(0.0, -20.0, 0.01), direction=(0.0, 1.0, 0.0), up=(0.0, 0.0, 1.0), fov=40.0)
-    return Scene(camera=camera, shapes=[Rectangle(to_world=[{"scale": 1000.0}])])
-
-
-def several_kinds() -> Scene:
-    """A teapot, forty spheres, cylinders and disks on a plane, lit."""
-    rng = np.random.default_rng(4)
-    around = [(1.7 * np.cos(a), 1.7 * np.sin(a), z) for a, z in zip(*rng.uniform(0, 6, (2, 40)), strict=True)]
-    smaller = [{"scale": 0.45}, {"translate": (0.0, 0.0, -0.6)}]
-    shapes: list[Any] = [Teapot(subdivisions=10, to_world=smaller, material="grey")]
-    shapes += [Plane(point=(0.0, 0.0, -0.6), normal=(0.0, 0.0, 1.0), material="grey")]
-    shapes += [Sphere(center=(x, y, 0.15 * z - 0.5), radius=0.08, material="grey") for x, y, z in around]
-    for x, y, z in around[:8]:
-        ends = {"p0": (0.6 * x, 0.6 * y, -0.6), "p1": (0.6 * x, 0.6 * y, 0.1 * z)}
-        shapes.append(Cylinder(**ends, radius=0.05, material="grey"))
-        place = [{"scale": 0.12}, {"translate": (0.8 * x, 0.8 * y, 0.1 * z)}]
-        shapes.append(Disk(to_world=place, material="grey"))
-    return from_front(*shapes, **LIT)
 
 
 def incoherent(scene: Scene) -> Rays:
@@ -127,24 +92,25 @@ def with_aovs(scene: BenchScene, aovs: Sequence[str]) -> BenchScene:
     return scene if names == AOVS else replace(scene, name=f"{scene.name}:{','.join(names)}", aovs=names)
 
 
-MESH = "the mesh of 70,224 triangles"
+def of_file(name: str, title: str, *rest: Any, file: str = "", **more: Any) -> BenchScene:
+    """file: the name of a standard scene, that of this one unless given."""
+    return BenchScene(name, title, partial(standard, file or name), *rest, **more)
+
+
+RING, MESH = "mesh-70k", "the mesh of 70,224 triangles"
 SCENES = (
-    BenchScene("one-sphere", "one sphere", lambda: from_front(Sphere(center=(0.0, 0.0, 0.0), radius=1.0))),
+    of_file("one-sphere", "one sphere"),
     BenchScene("spheres-200", "200 spheres", lambda: spheres(200)),
     BenchScene("spheres-10k", "10,000 spheres", lambda: spheres(10_000)),
-    BenchScene("mesh-70k", "a closed mesh of 70,224 triangles", ring),
-    BenchScene("mesh-1m", "hills of 999,698 triangles", hills),
+    of_file(RING, "a closed mesh of 70,224 triangles"),
+    of_file("mesh-1m", "hills of 999,698 triangles"),
     BenchScene("overdraw-256", "256 squares behind each other", layers),
-    BenchScene("grazing-plane", "a square of two triangles, seen at half a thousandth of a radian", grazing),
-    BenchScene("orthographic", f"{MESH}, parallel rays", lambda: ring(Orthographic(**VIEW, width=3.0))),
-    BenchScene(
-        "fisheye",
-        f"{MESH}, a fisheye of 180 degrees",
-        lambda: ring(Fisheye(**VIEW | {"eye": (0.0, -1.0, 0.2)}, fov=180.0)),
-    ),
-    BenchScene("rays-coherent", f"the camera's rays at {MESH}, handed over", ring, NEAREST),
-    BenchScene("rays-incoherent", f"rays in any order at {MESH}", ring, NEAREST, incoherent),
-    BenchScene("rays-shadow", "whether anything lies between the mesh and a light", ring, ANY, shadow_rays_to_light),
-    BenchScene("kinds", "a teapot, spheres, cylinders and disks on a plane", several_kinds),
-    BenchScene("kinds-lit", "the same, lit by a point light with shadows", several_kinds, aovs=(*AOVS, "diffuse")),
+    of_file("grazing-plane", "a square of two triangles, seen at half a thousandth of a radian"),
+    of_file("orthographic", f"{MESH}, parallel rays"),
+    of_file("fisheye", f"{MESH}, a fisheye of 180 degrees"),
+    of_file("rays-coherent", f"the camera's rays at {MESH}, handed over", NEAREST, file=RING),
+    of_file("rays-incoherent", f"rays in any order at {MESH}", NEAREST, incoherent, file=RING),
+    of_file("rays-shadow", "whether anything lies between the mesh and a light", ANY, shadow_rays_to_light, file=RING),
+    of_file("kinds", "a teapot, spheres, cylinders and disks on a plane"),
+    of_file("kinds-lit", "the same, lit by a point light with shadows", aovs=(*AOVS, "diffuse"), file="kinds"),
 )

@@ -15,7 +15,7 @@ from mitsuba_ref.hard.swept_families import unit
 from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, prepare_scene
 from mitsuba_ref.reference.shared_input import export, packed_float32, shared_rays
 from mitsuba_ref.report.results import largest
-from mitsuba_ref.subjects.subject import scene_as_traced
+from mitsuba_ref.subjects.subject import Answer, scene_as_traced
 
 EXACT_RAYS_PER_SORT = 2000  # rays of the film, and as many aimed at edges
 
@@ -81,19 +81,22 @@ class ExactAnswers:
         self.film_rays, self.any = len(some), workload == ANY
         self.exact = ExactHits(ready, self.o, self.d, SHADOW_END if self.any else np.inf)
 
-    def score(self, t: np.ndarray, *, ours: bool) -> Score:
-        """t: (n,) of a caster along all rays, inf on a miss; a NaN counts as a hit."""
-        wrong = ~np.isposinf(t) != self.exact.hit
-        found = self.exact.compare(np.full(len(t), np.inf) if self.any else t, ours=ours)
-        on_film, beyond = found.rows < self.film_rays, found.rows[found.beyond]
-        spacing = np.spacing(np.abs(self.exact.t[found.rows]).astype(np.float32)).astype(np.float64)
+    def score(self, t: np.ndarray, precision: str, *, reference: bool = False) -> Score:
+        """t: (n,) of a caster along all rays, inf on a miss. reference: by the bounds of Mitsuba's own arithmetic."""
+        answer = Answer(t, None, precision, {}, hits_only=self.any)
+        ratio, hits = self.exact.ratios(answer, ours=not reference), answer.hit & self.exact.hit
+        masks, beyond = answer.hit != self.exact.hit, hits & ~(ratio <= 1.0)
+        compared = np.zeros_like(hits) if self.any else hits
+        errors = np.where(compared, self.exact.errors(t), np.nan)
+        spacing = np.spacing(np.abs(self.exact.t).astype(np.float32)).astype(np.float64)
+        film, edges = slice(self.film_rays), slice(self.film_rays, None)
         return Score(
             rays=self.film_rays,
-            ulps=largest((found.errors / spacing)[on_film]),
-            bounds=largest(found.ratio[on_film]),
-            masks=int(wrong[: self.film_rays].sum()),
-            beyond=int(np.sum(beyond < self.film_rays)),
+            ulps=largest((errors / spacing)[film]),
+            bounds=largest(ratio[film][compared[film]]),
+            masks=int(masks[film].sum()),
+            beyond=int(beyond[film].sum()),
             edge_rays=len(t) - self.film_rays,
-            edge_masks=int(wrong[self.film_rays :].sum()),
-            edge_beyond=int(np.sum(beyond >= self.film_rays)),
+            edge_masks=int(masks[edges].sum()),
+            edge_beyond=int(beyond[edges].sum()),
         )

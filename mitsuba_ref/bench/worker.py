@@ -62,7 +62,7 @@ class Worker:
         assert self.driver is not None
         with np.load(rays) as given:
             np.save(out, self.driver.answer(given["o"], given["d"]))
-        return {}
+        return {"precision": self.driver.precision}
 
     def memory(self) -> dict[str, Any]:
         return {"bytes": peak_memory()}

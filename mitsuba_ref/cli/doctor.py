@@ -90,6 +90,7 @@ RESULTS = {
     "check": "mitsuba_ref.exr_compare.approved:ImageChecks",
     "bench": "mitsuba_ref.bench.result:Run",
     "stress": "mitsuba_ref.stress.sweeps:StressRun",
+    "fuzz": "mitsuba_ref.fuzz.findings:Outcome",
 }
 
 

@@ -2,11 +2,9 @@
 
 import argparse
 import itertools
-import json
 import sys
 from pathlib import Path
 
-from caster.system.atomic_files import write_text
 from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
 from caster.system.terminal import StatusLine
 from mitsuba_ref.cli import options
@@ -17,6 +15,7 @@ from mitsuba_ref.fuzz.checks import find
 from mitsuba_ref.fuzz.findings import replay_text
 from mitsuba_ref.hard import FAMILIES
 from mitsuba_ref.reference import variants
+from mitsuba_ref.report.results import write_result
 from mitsuba_ref.subjects.subject import OURS
 
 DEFAULT_SECONDS = 60.0
@@ -33,17 +32,16 @@ def run(args: argparse.Namespace) -> int:
         return NOTHING_SELECTED
     if campaign.judge_every or args.candidate is not None:
         variants.require_variants()  # a wrong choice of variant fails before any work
-    line, finished = StatusLine(), False
+    line = StatusLine()
     try:
         for done in campaign.run():
             total = done.total
             line.show(f"{total.examples} examples, {total.rays} rays, {total.findings} findings, {done.seconds:.0f} s")
-        finished = True
     finally:  # what is found is kept, whatever ends the work
         line.erase()
-        print(findings.text(campaign.outcome))
+        print(findings.text(campaign.outcome), file=options.table_stream(args))
         if args.json:
-            write_text(args.json, json.dumps(campaign.outcome.to_dict(interrupted=not finished), indent=1) + "\n")
+            write_result(campaign.outcome, args.json)
     return OK if campaign.outcome.ok else DIFFERENCES
 
 

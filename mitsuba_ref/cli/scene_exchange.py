@@ -14,9 +14,10 @@ from caster.scene.model import Film
 from caster.system.atomic_files import write_text
 from caster.system.process import DIFFERENCES, OK
 from mitsuba_ref.importers.mitsuba_xml import ImportedScene, import_xml
-from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.reference.messages import MitsubaError
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS, render_reference
 from mitsuba_ref.reference.shared_input import export_scene
+from mitsuba_ref.report.results import folded
 
 COURSE_FILM = (256, 256)  # pixels; a scene text of the course has no film
 
@@ -28,16 +29,16 @@ def run_render(args: argparse.Namespace) -> int:
     for name in names:
         if name not in REFERENCE_AOVS:
             raise SceneError(f"--aov {name!r}: unknown{suggestion(name, REFERENCE_AOVS)}; known are {AOV_NAMES}")
-    rendered = render_reference(scene, names, timeout=args.timeout)
-    if isinstance(rendered, Crash):
-        print(f"{args.scene}: {rendered.message}")
+    try:
+        images, versions = render_reference(scene, names, timeout=args.timeout)
+    except MitsubaError as crash:
+        print(f"{args.scene}: {crash}")
         return DIFFERENCES
-    images, versions = rendered
     more = {f"caster/reference/{name}": version for name, version in versions.items()}
     write_render(args.output, scene, images, args.scene, more)
     height, width = images.hit.shape
     print(f"{args.output}: {width} x {height} pixels, {int(images.hit.sum())} hit; {', '.join(names)}")
-    print(", ".join(f"{name} {version}" for name, version in versions.items()))
+    print(folded(", ".join(f"{name} {version}" for name, version in versions.items())))
     return OK
 
 

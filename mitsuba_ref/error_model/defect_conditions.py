@@ -1,8 +1,8 @@
 """Conditions under which Mitsuba 3.9.1 is known to be wrong: measurements at a pixel, and thresholds on them.
 
 Each kind of primitive declares its own defects (`PrimitiveReference.known_defects`); those shared by several kinds are
-here. Their numbers are the rows of docs/edge-cases.md. The conditions are so tight that a wrong image of an ordinary
-surface meets none of them.
+here. Their numbers are the rows of docs/internals/edge-cases.md. The conditions are so tight that a wrong image of an
+ordinary surface meets none of them.
 """
 
 from collections.abc import Callable

@@ -3,13 +3,11 @@
 import hashlib
 import json
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from pydantic import computed_field
-from pydantic.dataclasses import dataclass
+from pydantic import BaseModel, ConfigDict, computed_field
 
 from caster import __version__
 from caster.aovs import Aovs
@@ -17,11 +15,12 @@ from caster.description.errors import FileMissing, SceneError
 from caster.image.channels import aovs_to_channels, channels_to_aovs, provenance
 from caster.image.exr import Exr, UnreadableExr, read_exr, write_exr
 from caster.scene.model import Scene
+from caster.system.process import DIFFERENCES, FILE
 from mitsuba_ref.error_model.bounds import aov_rows, reference_bounds
 from mitsuba_ref.error_model.lambert import ShadingPoints, light_contribution
 from mitsuba_ref.error_model.tolerances import COLOR_RTOL, KU, Tolerances
 from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, SCENE_HASH, SCENE_JSON
-from mitsuba_ref.exr_compare.two_files import FileComparison, compare_images
+from mitsuba_ref.exr_compare.two_files import SIDES, FileComparison, compare_images
 from mitsuba_ref.judge.classification import CLASS_CODE, judge_of
 from mitsuba_ref.judge.comparison import PixelPairs, compare
 from mitsuba_ref.judge.diffuse import materials_of
@@ -117,32 +116,12 @@ def _stored(channels: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 # ---- check: ours against an approved image
 
 
-@dataclass(frozen=True)
-class ImageCheck:
-    """Result of one scene. refused: the image has to be approved again, since it is missing, altered or stale.
+class ImageChecks(BaseModel):
+    """Results of all scenes: the JSON of `mitsuba-ref check --json`. `ours` of each is the scene's name."""
 
-    missing: there is none that can be read, so nothing was checked.
-    """
+    model_config = ConfigDict(frozen=True)
 
-    name: str
-    reference: str
-    ok: bool
-    words: tuple[str, ...]
-    refused: bool = False
-    missing: bool = False
-
-    def lines(self) -> Iterator[str]:
-        """For a terminal."""
-        head, *rest = self.words
-        yield f"{'PASS' if self.ok else 'FAIL'}  {self.name}  {head}"
-        yield from (f"      {line}" for line in rest)
-
-
-@dataclass(frozen=True)
-class ImageChecks:
-    """Results of all scenes: the JSON of `mitsuba-ref check --json`."""
-
-    scenes: tuple[ImageCheck, ...]
+    scenes: tuple[FileComparison, ...]
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -151,41 +130,42 @@ class ImageChecks:
         return all(scene.ok for scene in self.scenes)
 
 
-def check_scene(scene: Scene, name: str, path: Path) -> ImageCheck:
-    """Compare our render with the approved image at path."""
-    result = ImageCheck(name, str(path), False, (), refused=True)
+def check_scene(scene: Scene, name: str, path: Path) -> FileComparison:
+    """Compare our render with the approved image at path.
+
+    The exit code is 4 where no image can be read; it and an image that is altered or stale leave `groups` empty.
+    """
+    code = DIFFERENCES
     try:
         approved = load_approved(path)
         check_matches_scene(approved, scene)
+        return check_ours(scene, approved, (name, str(path)))
     except FileMissing as error:
         text = str(error) if isinstance(error, UnreadableExr) else f"{path}: there is no approved image"
-        return replace(result, words=(f"{text}; nothing was checked",), missing=True)
+        code, text = FILE, f"{text}; nothing was checked"
     except UnusableImage as error:
-        return replace(result, words=(f"{path}: {error}",))
-    ok, words = check_ours(scene, name, approved)
-    return replace(result, ok=ok, words=words, refused=False)
+        text = f"{path}: {error}"
+    return FileComparison(ours=name, reference=str(path), exit_code=code, reasons=(text,))
 
 
-def check_ours(scene: Scene, name: str, approved: Exr) -> tuple[bool, tuple[str, ...]]:
-    """Compare our render with an approved image within the bounds of `validate` or `compare`; (passes, lines).
+def check_ours(scene: Scene, approved: Exr, names: tuple[str, str]) -> FileComparison:
+    """Compare our render with an approved image within the bounds of `validate` or `compare`.
 
     Pixels where several answers were right on approval are not compared.
     """
     ambiguous, hit = _ambiguous(approved), approved.channels["A"] != 0.0
     if hit.any() and not (hit & ~ambiguous).any():
-        return False, (f"nothing to compare: more than one answer is right at all {hit.sum()} pixels that are hit",)
+        reason = f"nothing to compare: more than one answer is right at all {hit.sum()} pixels that are hit"
+        return FileComparison(ours=names[0], reference=names[1], exit_code=DIFFERENCES, reasons=(reason,))
     ours, geometry, light = within_bounds(scene, approved)
     shown = {CLASS_CHANNEL: approved.channels[CLASS_CHANNEL]}
     images = Aovs({name: ours[name] for name in AOVS}, ours.hit)
     for channel, plane in _stored(aovs_to_channels(images)).items():
         agrees = light if channel in LAYERS["diffuse"] else geometry
         shown[channel] = np.where(ambiguous | agrees, approved.channels[channel], plane)
-    tolerances, names = Tolerances(ignore=(CLASS_CHANNEL,)), (name, "the approved image")
-    result = compare_images(approved._replace(channels=shown), approved, tolerances, names=names)
-    head, *rest = (line.removeprefix("PASS  ").removeprefix("FAIL  ").strip() for line in result.messages)
-    if ambiguous.any():
-        head += f"; {ambiguous.sum()} pixels with more than one right answer not compared"
-    return result.ok, (head, *rest)
+    left_out = f"{ambiguous.sum()} pixels with more than one right answer not compared"
+    stated, tolerances = (left_out,) * bool(ambiguous.any()), Tolerances(ignore=(CLASS_CHANNEL,))
+    return compare_images(approved._replace(channels=shown), approved, tolerances, names=names, stated=stated)
 
 
 def within_bounds(scene: Scene, image: Exr) -> tuple[Aovs, np.ndarray, np.ndarray]:
@@ -243,22 +223,21 @@ def propose(scene: Scene, name: str, source: str, folder: Path, timeout: float) 
     if isinstance(fresh, Crash):
         why = f"Mitsuba ended without an answer ({fresh.exit}): {fresh.headline}"
         return Proposal(name, path, "failed", False, (why,))
-    if not path.exists():
-        hit = fresh.channels["A"] != 0.0
-        what = f"{hit.sum()} of {hit.size} pixels hit, {len(fresh.channels)} channels"
-        return Proposal(name, path, "missing", True, (what,), fresh)
     try:
         before = load_approved(path)
     except (UnusableImage, UnreadableExr) as error:
         return Proposal(name, path, "damaged", True, (str(error),), fresh)
+    except FileMissing:
+        hit = fresh.channels["A"] != 0.0
+        what = f"{hit.sum()} of {hit.size} pixels hit, {len(fresh.channels)} channels"
+        return Proposal(name, path, "missing", True, (what,), fresh)
     compared = compare_images(before, fresh, EXACT, names=("approved", "fresh"))
     found = tuple(changes(before, fresh, compared))
-    differing = {group.name for group in compared.groups if group.worst is not None}
-    same = bool(compared.groups) and differing <= {CLASS_CHANNEL}
-    if before.provenance.get(SCENE_HASH) != fresh.provenance[SCENE_HASH]:
-        stale = "the scene has changed, no pixel has" if same else "the scene has changed"
-        return Proposal(name, path, "stale", True, (stale, *found), fresh)
-    if same and not differing:
+    try:
+        check_matches_scene(before, scene)
+    except UnusableImage as error:
+        return Proposal(name, path, "stale", True, (str(error), *found), fresh)
+    if compared.groups and not compared.differing_pixels:
         return Proposal(name, path, "same", False, found)
     if compared.groups and differ_by_processor(scene, before, fresh):
         why = "but for last bits, which depend on the processor; both images pass `check`"
@@ -284,18 +263,13 @@ def differ_by_processor(scene: Scene, before: Exr, now: Exr) -> bool:
     """Whether the processor explains all differences between two comparable images of the same scene.
 
     The images have to name different processors, or one of them none, and the same versions and variant. Pixels that
-    miss have to be equal, and all others with one right answer within the bounds of `validate` in both.
+    miss have to be equal, and our render has to pass against both.
     """
     about = PROCESSOR, *VERSIONS, VARIANT
     if [key for key in about if before.provenance.get(key) != now.provenance.get(key)] != [PROCESSOR]:
         return False
-    ambiguous = _ambiguous(before) | _ambiguous(now)
-    misses = ~ambiguous & (now.channels["A"] == 0.0)
+    misses = ~(_ambiguous(before) | _ambiguous(now)) & (now.channels["A"] == 0.0)
     names = before.channels.keys() - {CLASS_CHANNEL}
     if not all(np.array_equal(before.channels[name][misses], now.channels[name][misses]) for name in names):
         return False
-    for each in (before, now):
-        _, geometry, light = within_bounds(scene, each)
-        if not (ambiguous | np.where(each.channels["A"] != 0.0, light, geometry)).all():
-            return False
-    return True
+    return all(check_ours(scene, each, SIDES).ok for each in (before, now))

@@ -6,12 +6,15 @@ from collections.abc import Iterator
 
 from pydantic import BaseModel, ConfigDict, computed_field
 
+from caster.system.process import DIFFERENCES, NOT_COMPARABLE, NOTHING_SELECTED, OK
 from mitsuba_ref.error_model.tolerances import K
 from mitsuba_ref.judge.verdict import JsonFloat
 from mitsuba_ref.report.results import aligned, percent
 
-LEGEND = f"u = 2^-24, K = {K:g}, S = |o| + t + |p| and cos = |n.d| of each pixel of the reference"
-TITLES = ("quantity", "agree", "differ", "not finite", "worst", "at", "bound")
+LEGEND = f"; where u = 2^-24, K = {K:g}, S = |o| + t + |p| and cos = |n.d| of each pixel of the reference"
+MISS, AGREE, DIFFER, HIT_MISS, NON_FINITE = range(5)  # values of the channel class.I of a difference image
+CLASSES = "0 missed by both, 1 hit by both and agrees, 2 differs, 3 hit in one image only, 4 not finite"
+TITLES = ("quantity", "agree", "differ", "not finite", "worst", "at")
 
 
 class Worst(BaseModel):
@@ -54,11 +57,13 @@ class GroupResult(BaseModel):
 
 
 class FileComparison(BaseModel):
-    """exit_code: 0 equal within the bounds, 1 differences, 3 not comparable, 5 nothing hit in either image.
+    """exit_code: 0 equal within the bounds, 1 differences, 3 not comparable, 4 missing, 5 nothing hit in either image.
 
-    hit_*: pixel counts; hit_channel: the channel that shows the hits, "" if there is none and every pixel counts.
-    differing_pixels counts a pixel once, however many groups differ in it. stated: conventions that were applied to
-    files of other programs.
+    ours, reference: file names, or names of what was compared. hit_*: pixel counts; hit_channel: the channel that shows
+    the hits, "" if there is none and every pixel counts. differing_pixels counts a pixel once, however many groups
+    differ in it. compared: how many channels were. stated: conventions that were applied to files of other programs.
+    reasons: why nothing was compared. scene: its file, if known, and further words of a replay. diff, html: the
+    difference image and the folder of a page, if written. measures: (what, value), for information.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -73,17 +78,29 @@ class FileComparison(BaseModel):
     hit_channel: str = ""
     differing_pixels: int = 0
     allowed_pixels: int = 0
+    compared: int = 0
     groups: tuple[GroupResult, ...] = ()
     ignored: tuple[str, ...] = ()
-    exit_code: int = 3
-    messages: tuple[str, ...] = ()
+    exit_code: int = NOT_COMPARABLE
+    reasons: tuple[str, ...] = ()
     stated: tuple[str, ...] = ()
+    hints: tuple[str, ...] = ()
+    scene: tuple[str, ...] = ()
+    diff: str = ""
+    html: str = ""
+    measures: tuple[tuple[str, str], ...] = ()
+
+    def __str__(self) -> str:
+        return self.format_table()
+
+    def __repr__(self) -> str:
+        return f"<FileComparison: {'pass' if self.ok else 'differences' if self.width else 'not comparable'}>"
 
     @computed_field  # type: ignore[prop-decorator] # pydantic's way
     @property
     def ok(self) -> bool:
         """Whether the files are equal within the bounds."""
-        return self.exit_code == 0
+        return self.exit_code == OK
 
     @computed_field  # type: ignore[prop-decorator] # pydantic's way
     @property
@@ -91,54 +108,75 @@ class FileComparison(BaseModel):
         """Of the pixels hit in either image; None if there are none."""
         return 100.0 * self.differing_pixels / self.hit_either if self.hit_either else None
 
+    @computed_field  # type: ignore[prop-decorator] # pydantic's way
+    @property
+    def messages(self) -> tuple[str, ...]:
+        """The lines below the table: pass or fail, how far, where to look."""
+        mark = {OK: "PASS  ", DIFFERENCES: "FAIL  ", NOTHING_SELECTED: "EMPTY  "}.get(self.exit_code, "      ")
+        found = [mark + line for line in self.findings()]
+        info = f"      next:   caster info {shlex.quote(self.ours)}"
+        if self.exit_code == NOT_COMPARABLE:
+            return "NOT COMPARABLE", *found, f"{info}; caster info {shlex.quote(self.reference)}"
+        if self.exit_code == DIFFERENCES and self.groups:
+            found += [f"      look:   {self.diff}, channel class.I ({CLASSES})"] if self.diff else []
+            found += [f"      {self.replay}" if self.replay else info]
+            found.append(
+                "      note:   rounding decides edges and shadow borders; see validate; --max-pixels N allows them"
+            )
+        return *found, *(f"hint:   {hint}" for hint in self.hints)
+
+    @property
+    def replay(self) -> str:
+        """The command about the first pixel that differs; "" if the scene's file is not known."""
+        failing = self._failing()
+        if not (failing and self.scene and self.scene[0].isprintable()):
+            return ""
+        worst = failing[0].worst
+        at = (str(worst.x), str(worst.y)) if worst else ("0", "0")
+        return "replay: " + shlex.join(["mitsuba-ref", "probe", self.scene[0], *at, *self.scene[1:]])
+
+    def findings(self) -> Iterator[str]:
+        """What was found, without the words PASS and FAIL."""
+        pixels = f"{self.hit_either} {'hit ' if self.hit_channel else ''}pixels"
+        if self.exit_code == NOTHING_SELECTED:
+            yield "neither image hits anything, so nothing was compared"
+        elif self.exit_code == DIFFERENCES:
+            yield from (_failure(group, self.hit_either, pixels) for group in self._failing())
+        elif self.differing_pixels:
+            yield f"{self.differing_pixels} pixels differ, {self.allowed_pixels} may"
+        elif self.ok:
+            ratio, name = max(((g.worst.ratio, g.name) for g in self.groups if g.worst), default=(0.0, ""))
+            nearest = f", worst {ratio:.2g}x its bound ({name})" if name else ""
+            yield f"{pixels} agree in {self.compared} channels{nearest}"
+        yield from self.reasons
+
     def format_table(self) -> str:
         """What `mitsuba-ref compare` prints: one line a group, then the verdict and the next command."""
-        lines = [f"ours       {self.ours}", f"reference  {self.reference}"]
-        lines += [f"reading    {line}" for line in self.stated]
+        lines = [f"ours:      {self.ours}", f"reference: {self.reference}"]
+        lines += [f"reading:   {line}" for line in self.stated]
         if self.groups:
             hits = f"hit: {self.hit_ours} in ours, {self.hit_reference} in the reference, {self.hit_either} in either"
             hits = hits if self.hit_channel else "hits unknown (no channel A, id.shape, id.prim or depth.Z)"
             lines += [f"{self.width} x {self.height} pixels, {hits}", ""]
-            rows = [TITLES, *map(_row, self.groups)]
-            table = aligned([row[:-1] for row in rows], left=1)
-            lines += [f"{line}  {row[-1]}" for line, row in zip(table, rows, strict=True)]
-            lines += [LEGEND, ""] if any("K u S" in group.bound for group in self.groups) else [""]
+            bounds = "; ".join(f"{group.name} {group.bound}" for group in self.groups)
+            legend = LEGEND if "K u S" in bounds else ""
+            lines += [*aligned([TITLES, *map(_row, self.groups)], left=1), f"bounds:    {bounds}{legend}", ""]
         if self.ignored:
             lines.append(f"not compared, by --ignore: {', '.join(self.ignored)}")
-        return "\n".join([*lines, *self.messages])
+        lines += self.messages
+        width = max((len(what) for what, _ in self.measures), default=0)
+        lines += ["", "for information:"] if self.measures else []
+        lines += [f"  {what:<{width}}  {value}" for what, value in self.measures]
+        return "\n".join(lines)
+
+    def _failing(self) -> list[GroupResult]:
+        return [group for group in self.groups if group.differ or group.non_finite]
 
 
 def _row(group: GroupResult) -> tuple[str, ...]:
     worst = group.worst
     ratio, at = (f"{worst.ratio:.2g}x", f"({worst.x}, {worst.y})") if worst else ("0x", "-")
-    return group.name, str(group.agree), str(group.differ), str(group.non_finite), ratio, at, group.bound
-
-
-def result_messages(result: FileComparison, channels: int, scene: str, look: str) -> Iterator[str]:
-    """The lines below the table: pass or fail, how far, where to look.
-
-    channels: how many were compared; scene: path of the scene's file, if known; look: the difference image, if written.
-    """
-    pixels = f"{result.hit_either} {'hit ' if result.hit_channel else ''}pixels"
-    if result.exit_code == 5:
-        yield "EMPTY  neither image hits anything, so nothing was compared"
-    elif result.exit_code == 1:
-        failing = [group for group in result.groups if group.differ or group.non_finite]
-        yield from (_failure(group, result.hit_either, pixels) for group in failing)
-        if look:
-            yield f"      look:   {look}"
-        worst = failing[0].worst
-        at = f"{worst.x} {worst.y}" if worst else "0 0"
-        replay = f"replay: mitsuba-ref probe {shlex.quote(scene)} {at}"
-        info = f"next:   caster info {shlex.quote(result.ours)}"
-        yield f"      {replay if scene and scene.isprintable() else info}"
-        yield "      note:   rounding decides edges and shadow borders; see validate; --max-pixels N allows them"
-    elif result.differing_pixels:
-        yield f"PASS  {result.differing_pixels} pixels differ, {result.allowed_pixels} may"
-    else:
-        ratio, name = max(((g.worst.ratio, g.name) for g in result.groups if g.worst), default=(0.0, ""))
-        nearest = f", worst {ratio:.2g}x its bound ({name})" if name else ""
-        yield f"PASS  {pixels} agree in {channels} channels{nearest}"
+    return group.name, str(group.agree), str(group.differ), str(group.non_finite), ratio, at
 
 
 def _failure(group: GroupResult, total: int, pixels: str) -> str:
@@ -146,7 +184,7 @@ def _failure(group: GroupResult, total: int, pixels: str) -> str:
     what = "are hit in one image only or differ in A" if group.name == "hit" else "beyond their bound"
     found = [f"{group.differ} of {pixels}{share} {what}"] if group.differ else []
     found += [f"{group.non_finite} pixels not finite"] if group.non_finite else []
-    text = f"FAIL  {group.name}: {', '.join(found)}"
+    text = f"{group.name}: {', '.join(found)}"
     if group.worst is None:
         return text
     w = group.worst

@@ -1,4 +1,4 @@
-"""Families in which one quantity gets extreme, in the order of docs/stress.md."""
+"""Families in which one quantity gets extreme, in the order of docs/internals/stress.md."""
 
 from collections.abc import Callable
 from functools import partial

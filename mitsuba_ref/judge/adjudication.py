@@ -5,19 +5,18 @@ Also gives exact answers for arbitrary float32 rays of a scene, with error bound
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import NamedTuple
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from caster.geometry.packing import Packed
 from caster.scene.model import Scene
-from mitsuba_ref.error_model.bounds import intersections_at, reference_bounds, row_distance
+from mitsuba_ref.error_model.bounds import intersections_at, row_distance
 from mitsuba_ref.error_model.bracket import ANY_SHAPE, CLAIMED_MISS, NOT_CLAIMED, Claims
-from mitsuba_ref.error_model.intersections import Intersections, norm
+from mitsuba_ref.error_model.intersections import Intersections
 from mitsuba_ref.error_model.scene_model import SceneModel
-from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR
+from mitsuba_ref.error_model.tolerances import LARGEST_USEFUL_NORMAL_ERROR
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain
 from mitsuba_ref.reference.shared_input import endless_rays, model_of, packed_float32
 from mitsuba_ref.subjects.subject import Answer
@@ -152,19 +151,19 @@ def exact_ratios(
     rounding = np.broadcast_to(answer.t_rounding, answer.t.shape)[owner]
     pairs = zip(members, answer.t[owner].tolist(), strict=True)
     error = np.array([exact.off(t) if np.isfinite(t) else np.inf for (_, _, exact), t in pairs], np.float64)
-    ratio = np.zeros(len(owner)) if answer.hits_only else _ratio(error, at.t_error + rounding)
+    ratio = np.zeros(len(owner)) if answer.hits_only else ratio_to_bound(error, at.t_error + rounding)
     for _, ids, number in id_columns(answer, packed):
         ratio = np.where(ids[owner] == number(prim), ratio, np.inf)
     if answer.n is not None:
         bound = np.minimum(at.n_error, LARGEST_USEFUL_NORMAL_ERROR)
-        ratio = np.maximum(ratio, _ratio(row_distance(answer.n[owner], at.n), bound))
+        ratio = np.maximum(ratio, ratio_to_bound(row_distance(answer.n[owner], at.n), bound))
     np.minimum.at(best, owner, ratio)
     begins = np.r_[True, np.diff(owner) != 0]
     first[owner[begins]] = ratio[begins] <= 1.0
     return best, first
 
 
-def _ratio(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
+def ratio_to_bound(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
     """error / bound; 0 where the bound is infinite, inf where the error is no number."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         ratio = np.where(error == 0.0, 0.0, error / bound)
@@ -172,36 +171,10 @@ def _ratio(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
     return np.where(np.isnan(ratio), np.inf, ratio)
 
 
-def claims_other_tie(
-    model: SceneModel, o: np.ndarray, d: np.ndarray, claims: Claims, answers: Sequence[ExactAnswer | None]
-) -> np.ndarray:
-    """(m,) bool: the claim fits another member of the exact tie set than the first, within its bounds.
-
-    Bounds on normals are cut to LARGEST_USEFUL_NORMAL_ERROR, since agreement within a looser bound would mean nothing.
-    """
-    tied = {i: prims[1:] for i, a in enumerate(answers) if a is not None and len(prims := a.prims) > 1}
-    taken = np.zeros(len(o), bool)
-    if not tied:
-        return taken
-    if model.identical is not None:  # what fits one of identical primitives fits each
-        tied = {i: np.unique(model.identical[prims]) for i, prims in tied.items()}
-    ray = np.repeat(list(tied), [len(prims) for prims in tied.values()])
-    prim = np.concatenate(list(tied.values()))
-    t = np.array([np.nan if a is None or a.t is None else float(a.t) for a in answers])[ray]
-    at = intersections_at(model, prim, (o[ray], d[ray]), t, KU, ours=False)
-    p = o[ray] + t[:, None] * d[ray]
-    with np.errstate(invalid="ignore"):
-        fits = (
-            (model.packed.shape_of(prim) == claims.shape[ray])
-            & (np.abs(claims.t[ray] - t) <= at.t_error)
-            & np.isfinite(at.t_error)
-            & (claims.t[ray] > 0.0)
-            & (norm(claims.n[ray] - at.n) <= np.minimum(at.n_error, LARGEST_USEFUL_NORMAL_ERROR))
-            & (norm(claims.sh_n[ray] - at.sh_n) <= np.minimum(at.sh_error, LARGEST_USEFUL_NORMAL_ERROR))
-            & (norm(claims.p[ray] - p) <= at.p_error)
-        )
-    taken[ray[fits]] = True
-    return taken
+def names_other_tie(packed: Packed, shape: np.ndarray, answers: Sequence[ExactAnswer | None]) -> np.ndarray:
+    """(m,) bool: shape[i] has a member of the exact tie set other than the first."""
+    named = zip(shape.tolist(), answers, strict=True)
+    return np.array([a is not None and each in packed.shape_of(a.prims[1:]) for each, a in named], bool)
 
 
 # ---- any float32 rays, for stress and bench
@@ -227,16 +200,6 @@ def prepare_scene(scene: Scene, o: np.ndarray, d: np.ndarray) -> PreparedScene:
     return PreparedScene(scene, packed, model_of(scene, packed, endless_rays(o, d)), o, d)
 
 
-class Compared(NamedTuple):
-    """Reported t against the exact ones, one row a ray that hits something by both."""
-
-    rows: np.ndarray  # (m,) numbers of the rays
-    errors: np.ndarray  # (m,) |t - exact t|, exactly rounded; NaN for a NaN
-    ratio: np.ndarray  # (m,) error over its bound
-    beyond: np.ndarray  # (m,) bool: not within the bound
-    other: np.ndarray  # (m,) bool: a primitive is named that is not exactly nearest
-
-
 class ExactHits:
     """Exact first hits of rays o + t d, 0 < t <= t_max; all arrays have one row a ray."""
 
@@ -245,40 +208,22 @@ class ExactHits:
         self.answers = tuple(Oracle(ready.packed).first_hits(self.o, self.d, t_max=t_max))
         self.hit = np.array([answer.hit for answer in self.answers], bool)
         self.t = np.array([np.inf if answer.t is None else float(answer.t) for answer in self.answers])
-        self.ties = [answer.prims for answer in self.answers]
-        ray = np.repeat(np.arange(len(self.answers)), [len(prims) for prims in self.ties])
-        prim = np.concatenate([np.zeros(0, np.int64), *self.ties])
-        # (n,) bounds on |t - exact t| in either arithmetic, at the most generous of the primitives that are exactly
-        # nearest; inf: unbounded, 0: a miss
-        self.float64, self.float32 = np.zeros((2, len(self.answers)))
-        for out, bound in zip((self.float64, self.float32), self.bounds(ray, prim), strict=True):
-            np.maximum.at(out, ray, bound)
 
-    def bounds(self, rows: np.ndarray, prim: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Bounds of t in (float64, float32) for ray rows[i] at primitive prim[i], at the root nearest to the hit."""
-        found = reference_bounds(self.ready.model, prim, self.o[rows], self.d[rows], self.t[rows])
-        own, at = (np.where(np.isnan(side.t_error), np.inf, side.t_error) for side in (found.own, found.at))
-        return own, at
+    def near(self, rows: np.ndarray, prim: np.ndarray, t: np.ndarray, ku: float, *, ours: bool) -> Intersections:
+        """Intersections of some rays with primitives, one each. ku, ours: as in SceneModel.intersect."""
+        return intersections_at(self.ready.model, prim, (self.o[rows], self.d[rows]), t, ku, ours=ours)
 
-    def compare(self, t: np.ndarray, *, ours: bool, prim: np.ndarray | None = None) -> Compared:
-        """t: (n,) along all rays, inf on a miss; a NaN counts as a hit. ours: bounds are those of float64.
+    def ratios(self, answer: Answer, *, ours: bool) -> np.ndarray:
+        """(n,) error over bound, as by `exact_ratios`. ours: False for the reference, as in SceneModel.intersect."""
+        near = partial(self.near, ku=answer.ku, ours=ours)
+        return exact_ratios(self.answers, answer, near, self.ready.packed)[0]
 
-        prim: (n,) primitives that are named, at which the bound may be larger.
-        """
-        rows = np.flatnonzero(self.hit & ~np.isposinf(t))
-        errors, other = self.errors(rows, t[rows]), np.zeros(len(rows), bool)
-        allowed = (self.float64 if ours else self.float32)[rows]
-        if prim is not None:
-            named = prim[rows]
-            other = np.array([k not in self.ties[i] for i, k in zip(rows, named, strict=True)], bool)
-            known = np.flatnonzero(other & (named >= 0) & (named < self.ready.primitives))
-            of_named = self.bounds(rows[known], named[known])[0 if ours else 1]
-            allowed[known] = np.maximum(allowed[known], of_named)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.where(errors > 0.0, errors / allowed, 0.0)
-        return Compared(rows, errors, ratio, ~(errors <= allowed), other)
+    def bounds(self, ku: float, *, ours: bool) -> np.ndarray:
+        """(n,) bounds on |t - exact t| at the first primitive that is hit; NaN on a miss."""
+        prim = np.array([answer.prim for answer in self.answers], np.int64)
+        return np.where(self.hit, self.near(np.arange(len(prim)), prim, self.t, ku, ours=ours).t_error, np.nan)
 
-    def errors(self, rows: Sequence[int] | np.ndarray, t: np.ndarray) -> np.ndarray:
-        """(m,) |t - exact t| of these rays, which hit, exactly rounded; NaN for a NaN."""
-        pairs = zip((self.answers[row].t for row in rows), t.tolist(), strict=True)
-        return np.array([np.nan if exact is None or np.isnan(x) else exact.off(x) for exact, x in pairs], np.float64)
+    def errors(self, t: np.ndarray) -> np.ndarray:
+        """(n,) |t - exact t|, exactly rounded; NaN where either is not finite."""
+        pairs = zip((answer.t for answer in self.answers), t.tolist(), strict=True)
+        return np.array([np.nan if exact is None or not np.isfinite(x) else exact.off(x) for exact, x in pairs])

@@ -26,8 +26,8 @@ from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR, 
 from mitsuba_ref.judge.adjudication import (
     Adjudication,
     claims_of,
-    claims_other_tie,
     exact_ratios,
+    names_other_tie,
     needs_adjudication,
     oracle_answers,
     sample_rows,
@@ -267,7 +267,7 @@ class Judge:
             agreeing = agreeing & ~self._may_hit()
         rows = needs_adjudication(agreeing, self.hit, certain, self.pair.shape)
         rows = rows[self.t_max[rows] >= 0.0]
-        return self._adjudicated(rows[~self._surely_wrong(rows[disputed[rows]], len(agreeing))[rows]])
+        return self.adjudicated(rows[~self._surely_wrong(rows[disputed[rows]], len(agreeing))[rows]])
 
     def _surely_wrong(self, rows: np.ndarray, count: int) -> np.ndarray:
         """(n,) bool: pixels that need no adjudication, since nearly all of a sample of their kind are wrong.
@@ -281,14 +281,14 @@ class Judge:
         for group in np.flatnonzero(np.bincount(kind) > WRONG_PIXELS_ADJUDICATED):
             members = rows[kind == group]
             sample = sample_rows(members, WRONG_PIXELS_ADJUDICATED)
-            exact = self._adjudicated(sample)
+            exact = self.adjudicated(sample)
             excused = np.any(self._within_rounding(exact), axis=0)
             if (~excused).sum() >= NEARLY_ALL * len(sample):
                 found[members] = True
                 found[sample] = False
         return found
 
-    def _adjudicated(self, rows: np.ndarray) -> Adjudication:
+    def adjudicated(self, rows: np.ndarray) -> Adjudication:
         """Compare these rows of the image, ascending, with exact arithmetic."""
         answer = self.answer
         t_min = np.where(self.hits_at_t_min[rows], np.nextafter(self.t_min[rows], -np.inf), self.t_min[rows])
@@ -329,11 +329,10 @@ class Judge:
         classes[rows] = CODE.reference_wrong
         classes[rows[(found.open & ~allowed) | (allowed & useless)]] = CODE.out_of_domain
         classes[rows[allowed & ~useless]] = CODE.explained
-        own_o, own_d = self.o[rows], self.d[rows]
         exponent = self.pair.rays.rows(rows).reference_exponent if self.pair.rays.is_list else np.zeros(len(rows), int)
-        same = (o == own_o).all(axis=1) & (np.ldexp(d, exponent[:, None]) == own_d).all(axis=1)
+        same = (o == self.o[rows]).all(axis=1) & (np.ldexp(d, exponent[:, None]) == self.d[rows]).all(axis=1)
         answers = [exact.of(int(row)) if alike else None for row, alike in zip(rows, same, strict=True)]
-        tied = claims_other_tie(self.model, own_o, own_d, claims._replace(t=self.result.t[rows]), answers)
+        tied = allowed & ~useless & names_other_tie(self.model.packed, claims.shape, answers)
         classes[rows[tied]] = CODE.tie
 
     def _classify_inexact(self, classes: np.ndarray, exact: Adjudication) -> None:
@@ -446,23 +445,16 @@ def judge_of(
     *,
     timeout: float = DEFAULT_TIMEOUT,
     send: SendRequest = send_request,
-    known: ImagePair | None = None,
     with_files: bool = True,
 ) -> Judge | Crash:
-    """The judge of a subject's response.
-
-    known: an earlier answer of Mitsuba, used if its rays are the same; with_files: Mitsuba also reads the mesh files.
-    """
+    """The judge of a subject's response. with_files: Mitsuba also reads the mesh files."""
     scene, model, rays, answer = response.scene, response.model, response.rays, response.answer
     traced = rays.for_reference()
-    if known is not None and all(map(np.array_equal, rays, known.rays)):
-        result: ReferenceResult | Crash = known.result
-    else:
-        lights = answer.images is not None
-        with ScratchFolder() as folder:
-            files = files_of(scene) if with_files else ()
-            meshes = [for_mitsuba(file, Path(folder), i) for i, file in enumerate(files)]
-            result = trace_reference(scene, model, traced, lights=lights, mesh_files=meshes, timeout=timeout, send=send)
+    lights = answer.images is not None
+    with ScratchFolder() as folder:
+        files = files_of(scene) if with_files else ()
+        meshes = [for_mitsuba(file, Path(folder), i) for i, file in enumerate(files)]
+        result = trace_reference(scene, model, traced, lights=lights, mesh_files=meshes, timeout=timeout, send=send)
     if isinstance(result, Crash):
         return result
     if rays.is_list:

@@ -191,17 +191,13 @@ def _pixels(judge: Judge, judgement: Judgement, rows: np.ndarray) -> WrongPixels
 
 
 def _explain_own_surface(causes: _Causes, rows: np.ndarray) -> None:
-    """Explain rows where the primitive and t are right: other quantities beyond float64's bounds."""
+    """Name the quantities beyond float64's bounds at rows where the primitive and t are right."""
     judge, ratios = causes.judge, causes.judgement.ratios
-    prim, at = judge.prim[rows].astype(np.int64), judge.bounds.own.take(rows)
-    g = WrongPixels(judge, rows, prim, judge.answer.t[rows], at)
-    causes.explain(g, _has_wrong_normal(g), normal_mistakes, _describe_normals)
     failing = {check.name: check.fails for check in judge.self_checks}
     if "diffuse" in ratios:
         failing["diffuse"] = ~(ratios["diffuse"] <= 1.0)
     for name, where in failing.items():
-        what = f"beyond what float64 rounding allows at the primitive that is hit, in {name}"
-        causes.take(what, rows[where[rows]])
+        causes.take(f"beyond what float64 rounding allows at the primitive that is hit, in {name}", rows[where[rows]])
 
 
 # ---- descriptions of wrong pixels that no mistake explains

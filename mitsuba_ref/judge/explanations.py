@@ -54,6 +54,8 @@ def reason(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str], row
         return f"{subject_name(judge)} is right, and Mitsuba's answer is beyond what float32 allows; {defect}"
     if row in diagnosed:
         return diagnosed[row]
+    if verdict == EXPLAINED and judgement.ratio("diffuse")[row] > 1.0:  # which is compared at the same surface alone
+        return "a shadow: both sides see the same point, and rounding allows a light to be visible there or not"
     return _reasons(judge, right=judge.answer.exact_visibility or judgement.is_right(row))[verdict]
 
 
@@ -258,7 +260,7 @@ def reproducer_header(judge: Judge, judgement: Judgement, row: int, source: str)
     yield f"origin:    {format_float32s(pair.rays.o[row])}"
     yield f"direction: {format_float32s(pair.rays.d[row])}"
     yield f"versions:  {', '.join(f'{name} {version}' for name, version in versions.items())}"
-    yield "All numbers below are float32 values, as hex floats. t counts in lengths of the direction."
+    yield "All numbers of the geometry are float32 values with all their digits. t counts in lengths of the direction."
     yield "See it:    mitsuba-ref probe THIS-FILE 0 0"
     yield "Mitsuba:   scene.ray_intersect; optimize=False; embree_use_robust_intersections=true"
     yield "           mitsuba-ref export THIS-FILE -o DIR writes the XML and the meshes"

@@ -1,20 +1,22 @@
-"""A candidate at one pixel: it answers the whole image, as for `validate`, and is judged at this pixel only."""
+"""A candidate at one pixel, in the words of `validate`: it answers the whole image, all of which is judged."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows, row_distance
+from mitsuba_ref.judge.adjudication import ratio_to_bound
 from mitsuba_ref.judge.classification import Judge, Judgement, judge_of
-from mitsuba_ref.judge.comparison import ImagePair
-from mitsuba_ref.judge.diagnosis import diagnose, marked_miss
+from mitsuba_ref.judge.diagnosis import diagnose
 from mitsuba_ref.judge.explanations import exceeded_bounds, reason
+from mitsuba_ref.judge.pipeline import Task
 from mitsuba_ref.judge.verdict import CLASSES, FAILING, UNDECIDED, UNLISTED
-from mitsuba_ref.probe.witnesses import CANDIDATE, WitnessAnswer, in_ulps, ratio_to_bound
+from mitsuba_ref.probe.witnesses import CANDIDATE, WitnessAnswer, with_error_of_t
 from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
 from mitsuba_ref.subjects.requests import request_answer
 from mitsuba_ref.subjects.subject import NoAnswer, Subject
 
@@ -43,80 +45,82 @@ class CandidatePixel:
         return found | {"ok": self.ok}
 
 
-def probe_candidate(candidate: Subject, scene: Scene, pixel: tuple[int, int], pair: ImagePair) -> CandidatePixel:
-    """Request the answer and judge it. pair: our answer and Mitsuba's along this pixel's ray. Raises SceneError."""
-    x, y = pixel
-    x0, y0, x1, y1 = scene.film.window
-    if not (x0 <= x < x1 and y0 <= y < y1):
-        x0, y0, x1, y1 = 0, 0, scene.film.width, scene.film.height
-        scene = scene.with_film(crop=(x0, y0, x1, y1))
-    row = (y - y0) * (x1 - x0) + x - x0
+def probe_candidate(
+    candidate: Subject,
+    scene: Scene,
+    pixel: tuple[int, int],
+    timeout: float = DEFAULT_TIMEOUT,
+    send: SendRequest = send_stored,
+) -> CandidatePixel:
+    """Request the answer and judge it. timeout, send: as for `validate`. Raises SceneError."""
+    window = window_of(candidate, scene, *pixel)
     try:
-        response = request_answer(candidate, scene)
+        response = request_answer(candidate, window)
     except NoAnswer as error:
         witness = WitnessAnswer(CANDIDATE, "", -1, np.nan, problem="no answer")
         return CandidatePixel(candidate.name, UNDECIDED, problem=str(error), witness=witness)
-    here = response._replace(
-        scene=response.scene.with_film(crop=(x, y, x + 1, y + 1)),
-        rays=response.rays.rows(slice(row, row + 1)),
-        answer=response.answer.rows(slice(row, row + 1)),
-    )
-    judge = judge_of(here, known=pair)
+    judge = judge_of(response, timeout=timeout, send=send, with_files=False)
     if isinstance(judge, Crash):
         return CandidatePixel(candidate.name, UNDECIDED, problem=judge.message)
-    judgement, answer = judge.judge(), judge.answer
-    witness, t = as_witness(judge, judgement), float(answer.t[0])
-    diagnosed = diagnose(judge, judgement).by_row()
-    if diagnosed and np.isfinite(t) and not judge.result.hit[0] and (response.answer.t == t).sum() > 1:
-        diagnosed[0] = marked_miss(t)  # other rays have the same number
-    shares = {"t": witness.share, "normal": witness.normal_share}
-    exceeded = {"mask": float(judgement.ratios["mask"][0])} if not answer.is_broken[0] else {}
-    exceeded |= {name: share for name, share in shares.items() if share is not None and exceeded}
-    why = reason(judge, judgement, diagnosed, 0), exceeded_bounds(exceeded)
+    x0, y0, x1, _ = window.film.window
+    row = (pixel[1] - y0) * (x1 - x0) + pixel[0] - x0
+    judgement, witness = judge.judge(), as_witness(judge, row)
+    shares = {"mask": float(judgement.ratios["mask"][row]), "t": witness.share, "normal": witness.normal_share}
+    exceeded = {name: share for name, share in shares.items() if share is not None and not witness.remark}
+    why = reason(judge, judgement, diagnose(judge, judgement).by_row(), row), exceeded_bounds(exceeded)
     return CandidatePixel(
         candidate.name,
-        CLASSES[int(judgement.classes[0])],
-        answer.precision,
+        CLASSES[int(judgement.classes[row])],
+        judge.answer.precision,
         "; ".join(filter(None, why)),
-        _answer_record(judge),
-        case_text(judgement),
-        (*answer.notes, *response.limits),
+        _answer_record(judge, row),
+        case_text(judgement, row),
+        (*judge.answer.notes, *response.limits),
         witness=witness,
     )
 
 
-def as_witness(judge: Judge, judgement: Judgement) -> WitnessAnswer:
+def window_of(candidate: Subject, scene: Scene, x: int, y: int) -> Scene:
+    """The scene with the window that `validate` judges this pixel in; with the whole film where the crop is without."""
+    whole = scene.with_film(crop=(0, 0, scene.film.width, scene.film.height))
+    windows = (window for film in (scene, whole) for window in Task(film, "", subject=candidate).windows())
+    for window in windows:
+        x0, y0, x1, y1 = window.film.window
+        if x0 <= x < x1 and y0 <= y < y1:
+            break
+    return window
+
+
+def as_witness(judge: Judge, row: int) -> WitnessAnswer:
     """The candidate's row among the witnesses: errors of t and of the normal, from the exact hit that fits best."""
-    exact, answer = judgement.exact.of(0), judge.answer
-    t, broken = float(answer.t[0]), [*answer.broken]
-    right = None if exact is None else bool(judgement.is_right(0) and not broken)
-    claimed = CANDIDATE, "a hit" if answer.hit[0] else "miss", -1, t  # it names no shape
-    found: dict[str, Any] = {"right": right, "format": answer.precision, "remark": ", ".join(broken)}
-    if exact is None or exact.t is None or not np.isfinite(t):
-        return WitnessAnswer(*claimed, **found)
-    prim = exact.prims
-    rows = np.zeros(len(prim), int)
-    at = judge.near(rows, prim, np.full(len(prim), float(exact.t)))
-    off = exact.t.off(t) * -exact.t.compare(t)
-    bounds = at.t_error + np.ravel(answer.t_rounding)[0]
-    found |= {"off": off, "ulps": in_ulps(off, exact, np.dtype(answer.precision))}
-    found["share"] = min(ratio_to_bound(abs(off), float(bound)) for bound in bounds)
-    if answer.n is not None and not broken:
-        turned = zip(row_distance(answer.n[rows], at.n), at.n_error, strict=True)
-        found["normal_share"] = min(ratio_to_bound(float(each), float(bound)) for each, bound in turned)
-    return WitnessAnswer(*claimed, **found)
+    answer = judge.answer.rows(np.array([row]))
+    what, t = "a hit" if answer.hit[0] else "miss", float(answer.t[0])  # it names no shape
+    claimed = WitnessAnswer(CANDIDATE, what, -1, t, format=answer.precision, remark=", ".join(answer.broken))
+    if judge.t_max[row] < 0.0:
+        return claimed
+    adjudicated = judge.adjudicated(np.array([row]))
+    (exact,) = adjudicated.answers
+    if exact is None:
+        return claimed
+    prims = exact.prims
+    at = judge.near(np.full(len(prims), row), prims, np.full(len(prims), np.nan if exact.t is None else float(exact.t)))
+    found = with_error_of_t(claimed, exact, at.t_error + answer.t_rounding)
+    if found.share is not None and answer.n is not None and not found.remark:
+        shares = ratio_to_bound(row_distance(answer.n.repeat(len(prims), axis=0), at.n), at.n_error)
+        found = replace(found, normal_share=float(shares.min()))
+    return replace(found, right=bool(adjudicated.right[0] and not found.remark))
 
 
-def case_text(judgement: Judgement) -> str:
+def case_text(judgement: Judgement, row: int = 0) -> str:
     """The number of the known defect where the reference is wrong, or "unlisted"; "" elsewhere."""
-    if 0 not in judgement.cases:
+    if row not in judgement.cases:
         return ""
-    case = judgement.cases[0]
+    case = judgement.cases[row]
     return UNLISTED if case is None else str(case)
 
 
-def _answer_record(judge: Judge) -> dict[str, Any]:
+def _answer_record(judge: Judge, row: int) -> dict[str, Any]:
     """The answer for JSON; the normal has length 1, or is NaN where it was not finite."""
-    aovs, hit, t = judge.pair.subject, bool(judge.answer.hit[0]), float(judge.answer.t[0])
+    aovs, hit, t = judge.pair.subject, bool(judge.answer.hit[row]), float(judge.answer.t[row])
     names = [name for name in ("depth", "normal") if name in aovs and (hit or name == "depth")]
-    return {"hit": hit, "t": t, "t_hex": t.hex()} | {name: aov_rows(aovs, name)[0].tolist() for name in names}
+    return {"hit": hit, "t": t, "t_hex": t.hex()} | {name: aov_rows(aovs, name)[row].tolist() for name in names}

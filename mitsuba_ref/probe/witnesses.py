@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import intersections_at
 from mitsuba_ref.error_model.tolerances import DISTINCT_RTOL, KU, KU_OURS
+from mitsuba_ref.judge.adjudication import ratio_to_bound
 from mitsuba_ref.judge.classification import Judge
 from mitsuba_ref.judge.explanations import decimal_and_hex
 from mitsuba_ref.oracle.oracle import ExactAnswer
@@ -19,7 +20,9 @@ from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.mitsuba_process import send_request
 from mitsuba_ref.reference.shared_input import export, shape_ids
 
-CANDIDATE = "candidate"
+CANDIDATE, EXACT = "candidate", "exact"
+WIDEST_NAME = 27  # characters, of Mitsuba's LLVM variant with its default mode
+MISSING = "does not work here"
 MODES = {"robust": True, "default": False}  # of Embree, by the scene's embree_use_robust_intersections
 
 
@@ -50,7 +53,7 @@ def witness_answers(judge: Judge, answer: ExactAnswer | None) -> tuple[WitnessAn
     rows = [compared_with_exact(ours, judge, answer, np.float64)]
     if answer is not None:
         t = np.inf if answer.t is None else float(answer.t)
-        rows.append(WitnessAnswer("exact", *surface_of(judge, answer.prim), t, right=True))
+        rows.append(WitnessAnswer(EXACT, *surface_of(judge, answer.prim), t, right=True))
     for variant in variants.VARIANT_NAMES:
         for mode in MODES:
             rows.append(_of_mitsuba(f"mitsuba {variant} {mode}", theirs[variant, mode], judge, answer))
@@ -61,7 +64,7 @@ def other_variant_answers(judge: Judge, variant: str) -> Iterator[tuple[tuple[st
     """Mitsuba's answers by (variant, mode), without the judge's own; each variant runs in its own process."""
     works = variants.usable_variants()
     for name in set(variants.VARIANT_NAMES) - set(works.names):
-        yield from (((name, mode), f"does not work here: {works.why}") for mode in MODES)
+        yield from (((name, mode), MISSING) for mode in MODES)
     wanted = {name: [m for m in MODES if (name, m) != (variant, "robust")] for name in works.names}
     with ScratchFolder() as folder, ThreadPoolExecutor() as pool:
         xml = {
@@ -98,35 +101,33 @@ def _of_mitsuba(who: str, found: TraceResponse | Crash | str, judge: Judge, exac
     first, last = (int(n) for n in judge.model.packed.first[place : place + 2])
     prim = int(found.prim[0])
     prim = prim if first + prim < last else 0  # a stand-in counts its triangles by itself
-    return compared_with_exact(
-        (who, judge.scene.shape_names()[place], prim, float(found.t[0])), judge, exact, np.float32
-    )
+    claimed = who, judge.scene.shape_names()[place], prim, float(found.t[0])
+    return compared_with_exact(claimed, judge, exact, np.float32)
 
 
 def compared_with_exact(
     claimed: tuple[str, str, int, float], judge: Judge, exact: ExactAnswer | None, kind: type
 ) -> WitnessAnswer:
     """An answer compared with the exact one. kind: the type that it was computed in."""
-    name = np.dtype(kind).name
+    witness = WitnessAnswer(*claimed, format=np.dtype(kind).name)
     if exact is None:
-        return WitnessAnswer(*claimed, format=name)
+        return witness
     surfaces = {surface_of(judge, int(prim)) for prim in exact.prims} or {("miss", -1)}
-    right = claimed[1:3] in surfaces
-    if not right or exact.t is None or not np.isfinite(claimed[3]):
-        return WitnessAnswer(*claimed, right=right, format=name)
-    off = exact.t.off(claimed[3]) * -exact.t.compare(claimed[3])
+    if claimed[1:3] not in surfaces:
+        return replace(witness, right=False)
     ours, prim, t = kind is np.float64, np.array([exact.prim]), np.array([claimed[3]])
     at = intersections_at(judge.model, prim, (judge.o, judge.d), t, KU_OURS if ours else KU, ours=ours)
-    share = ratio_to_bound(abs(off), float(at.t_error[0]))
-    ulps = in_ulps(off, exact, np.dtype(kind))
-    return WitnessAnswer(*claimed, right=share <= 1.0, off=off, ulps=ulps, format=name, share=share)
+    found = with_error_of_t(witness, exact, at.t_error)
+    return replace(found, right=found.share is None or found.share <= 1.0)
 
 
-def ratio_to_bound(error: float, bound: float) -> float:
-    """error / bound; 0 without an error or with an infinite bound, inf with a bound of 0."""
-    if error == 0.0 or (np.isposinf(bound) and np.isfinite(error)):
-        return 0.0
-    return error / bound if bound > 0.0 and np.isfinite(error) else np.inf
+def with_error_of_t(witness: WitnessAnswer, exact: ExactAnswer, bounds: np.ndarray) -> WitnessAnswer:
+    """The witness with the error of its t, as a share of the loosest bound; unchanged where either misses."""
+    if exact.t is None or not np.isfinite(witness.t):
+        return witness
+    off = exact.t.off(witness.t) * -exact.t.compare(witness.t)
+    share = float(ratio_to_bound(np.abs(off), bounds).min())
+    return replace(witness, off=off, ulps=in_ulps(off, exact, np.dtype(witness.format)), share=share)
 
 
 def in_ulps(off: float, exact: ExactAnswer, format: np.dtype[Any]) -> float | None:
@@ -138,18 +139,21 @@ def in_ulps(off: float, exact: ExactAnswer, format: np.dtype[Any]) -> float | No
 
 
 def witness_lines(found: tuple[WitnessAnswer, ...]) -> Iterator[str]:
-    """A table for a terminal; empty for a pixel without a ray."""
-    room = max((len(each.who) for each in found), default=0)
-    hit = max((len(_surface_text(each)) for each in found), default=0)
-    for i, each in enumerate(found):
-        head = f"{'witness' if i == 0 else '':<11}{each.who:<{room}}"
-        if each.problem:
-            yield f"{head}  {each.problem}"
-            continue
+    """A table for a terminal, without the exact answer; empty for a pixel without a ray."""
+    shown = [each for each in found if each.who != EXACT]
+    surface = max((len(_surface_text(each)) for each in shown), default=0)
+    for each in shown:
         verdict = {True: "right", False: "WRONG", None: "?"}[each.right]
         verdict = "allowed" if _is_loose(each) else verdict
-        t = f"t {decimal_and_hex(each.t)}" if np.isfinite(each.t) else ""
-        yield f"{head}  {verdict}  {_surface_text(each):<{hit}}  {t}{_error_text(each)}".rstrip()
+        answer = f"{verdict:<7}  {_surface_text(each):<{surface}}{_error_text(each)}"
+        yield f"  {each.who:<{WIDEST_NAME}}  {each.problem or answer}".rstrip()
+    if any(each.problem == MISSING for each in found):
+        yield f"  {MISSING}: {variants.usable_variants().why}"
+
+
+def t_lines(found: tuple[WitnessAnswer, ...]) -> Iterator[str]:
+    """t of each that hits, in decimal and to the bit."""
+    yield from (f"  {each.who:<{WIDEST_NAME}}  {decimal_and_hex(each.t)}" for each in found if np.isfinite(each.t))
 
 
 def _surface_text(each: WitnessAnswer) -> str:

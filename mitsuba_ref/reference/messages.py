@@ -5,7 +5,6 @@ Nothing is pickled, so that garbled bytes are an error and never code.
 
 import io
 import json
-import signal
 import sys
 import tempfile
 import zipfile
@@ -155,23 +154,23 @@ class LoadedMesh(NamedTuple):
     problem: str = ""  # the loader's message if it refused the file
 
 
+class MitsubaError(RuntimeError):
+    """Mitsuba ended without an answer; the text says how, with its output."""
+
+
 class Crash(ProcessEnd):
     """The end of a Mitsuba process without a whole response."""
-
-    @property
-    def kind(self) -> str:
-        """timeout, abort, signal, error (it refused), or garbage for exit code 0."""
-        if self.code is None:
-            return "timeout"
-        if self.code < 0:
-            return "abort" if self.code == -signal.SIGABRT else "signal"
-        return "error" if self.code else "garbage"
 
     @property
     def headline(self) -> str:
         """The first output line that contains "error", else the last line."""
         lines = [line.strip() for line in self.output.splitlines() if line.strip()]
         return next((line for line in lines if "error" in line.lower()), "".join(lines[-1:]))
+
+    @property
+    def brief(self) -> str:
+        """The exit and the headline."""
+        return f"{self.exit}: {self.headline}".removesuffix(": ")
 
     @property
     def message(self) -> str:

@@ -85,7 +85,7 @@ def kill_subprocesses() -> None:
     with _starting:
         _starts_refused.set()
         for group in list(_running):
-            _kill_group(group)
+            kill_group(group)
 
 
 at_forced_exit(kill_subprocesses)
@@ -325,12 +325,12 @@ def _start(
 
 
 def _kill_and_reap(child: subprocess.Popen[bytes]) -> None:
-    _kill_group(child.pid)
+    kill_group(child.pid)
     with contextlib.suppress(subprocess.TimeoutExpired):
         child.wait(REAP_SECONDS)
     _running.discard(child.pid)
 
 
-def _kill_group(group: int) -> None:
+def kill_group(group: int) -> None:
     with contextlib.suppress(ProcessLookupError, PermissionError):  # gone; macOS calls that a PermissionError
         os.killpg(group, signal.SIGKILL)

@@ -71,7 +71,7 @@ def smoke_test(variant: str, settings: Mapping[str, str]) -> str:
 
 def _response_problem(response: TraceResponse | Crash) -> str:
     if isinstance(response, Crash):
-        return f"{response.kind} ({response.exit}) {response.headline}".strip()
+        return response.brief
     (t, miss), normals = response.t.tolist(), response.sh_n.astype(np.float64)
     right = (
         abs(t - SMOKE_TEST_T) <= EXACT_T_ERROR * SMOKE_TEST_T
@@ -213,7 +213,7 @@ def _try_variants(candidates: list[str], key: str) -> Variants:
         problems.append(NO_LIBLLVM)
     found = Variants(not scalar, library, "; ".join(problems))
     # A Mitsuba that cannot be imported may be half installed; after the other two, a machine was busy or out of memory.
-    if not scalar.startswith("error") and not any(word in found.why for word in ("timeout", "SIGKILL")):
+    if not scalar.startswith("exit code") and not any(word in found.why for word in ("killed", "SIGKILL")):
         user_store().put(key, json.dumps(asdict(found)).encode())
     return found
 

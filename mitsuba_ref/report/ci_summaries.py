@@ -13,15 +13,14 @@ from caster.system.terminal import printable
 from mitsuba_ref.judge.verdict import CLASSES, SceneVerdict, Verdict
 from mitsuba_ref.report.reproducers import replay
 from mitsuba_ref.report.verdict_text import (
+    COLUMNS,
     WAIVER_WORDS,
-    candidate_lines,
-    class_text,
     failing_scenes,
     failure_text,
     group_lines,
     outcome_text,
-    waiver_lines,
-    worst_words,
+    row_cells,
+    summary_lines,
 )
 from mitsuba_ref.scene_xml.elements import XmlElement
 
@@ -48,14 +47,14 @@ def markdown(verdict: Verdict, seconds: float, limit: int = SUMMARY_LIMIT_BYTES)
     """The verdict, failing scenes with their worst pixel and replay first; no longer than limit bytes of UTF-8."""
     failing = failing_scenes(verdict.scenes)
     passing = [scene for scene in verdict.scenes if scene.ok]
-    failing_head, passing_head = _table_head("failure", "replay"), _table_head("closest")
+    failing_head, passing_head = _table_head("failure", "replay"), _table_head()
     not_judged_head = f"Not judged, {len(verdict.not_judged)} scenes:\n\n"
     folded = f"<details><summary>{len(passing)} scenes pass</summary>\n\n"
     sections = [  # what it lists, the text before, the items, and the text after
         ("failing scenes", failing_head, map(_failing_row, failing), "\n"),
         ("scenes not judged", not_judged_head, (f"- {escaped(name)}\n" for name in verdict.not_judged), "\n"),
         ("texts of failing scenes", "", map(_failing_text, failing), ""),
-        ("scenes that pass", folded + passing_head, map(_passing_row, passing), "\n</details>\n"),
+        ("scenes that pass", folded + passing_head, (_table_row(_cells(scene)) for scene in passing), "\n</details>\n"),
     ]
     text, left_out = _head(verdict, seconds), []
     for what, before, items, after in sections:
@@ -77,23 +76,15 @@ def utf8_size(text: str) -> int:
 
 
 def _head(verdict: Verdict, seconds: float) -> str:
-    counts = ", ".join(f"{verdict.counts[name]} {class_text(name)}" for name in CLASSES)
-    paragraphs = [
-        f"## {'PASS' if verdict.ok else 'FAIL'}: {outcome_text(verdict)}",
-        f"mitsuba-ref validate, {seconds:.1f} s. Hit pixels: {counts}.",
-    ]
-    if verdict.shard:
-        paragraphs.append(f"Shard {verdict.shard}.")
-    if kept := sum(scene.kept for scene in verdict.scenes):
-        paragraphs.append(f"Kept from an earlier run, not judged anew: {kept} scenes.")
-    lines = [*candidate_lines(verdict), *waiver_lines(verdict), *group_lines(verdict.scenes), *verdict.versions]
+    lines = [f"mitsuba-ref validate, {seconds:.1f} s", *group_lines(verdict.scenes), *summary_lines(verdict)]
     items = "\n".join(f"- {escaped(' '.join(line.split()))}" for line in lines)
-    return "\n\n".join([*paragraphs, items]) + "\n\n"
+    return f"## {'PASS' if verdict.ok else 'FAIL'}: {outcome_text(verdict)}\n\n{items}\n\n"
 
 
-def _table_head(*last: str) -> str:
-    names = ["scene", "hit", *map(class_text, CLASSES), *last]
-    alignment = ["---", *["---:"] * (1 + len(CLASSES)), *["---"] * len(last)]
+def _table_head(*more: str) -> str:
+    names = ("scene", *COLUMNS, *more)
+    numbers = len(COLUMNS) - 1
+    alignment = ["---", *["---:"] * numbers, *["---"] * (len(names) - numbers - 1)]
     return _table_row(names) + _table_row(alignment)
 
 
@@ -102,12 +93,7 @@ def _table_row(cells: Sequence[str]) -> str:
 
 
 def _cells(scene: SceneVerdict) -> list[str]:
-    name = escaped(scene.name) + (" (kept)" if scene.kept else "")
-    return [name, str(scene.hit_pixels), *(str(scene.counts[name]) for name in CLASSES)]
-
-
-def _passing_row(scene: SceneVerdict) -> str:
-    return _table_row([*_cells(scene), escaped(worst_words(scene))])
+    return [escaped(cell) for cell in (scene.name, *row_cells(scene))]
 
 
 def _failing_row(scene: SceneVerdict) -> str:
@@ -180,23 +166,18 @@ def add_case(suite: XmlElement, scene: SceneVerdict) -> None:
     if scene.path:
         about["file"] = printable(scene.path)
     case = SubElement(suite, "testcase", about)
-    if scene.waived:
-        text = failure_text(scene)
-        words = printable(f"{WAIVER_WORDS[scene.waived]}: {text.splitlines()[0]}")
-        SubElement(case, "skipped", message=words).text = printable(text)
-    elif not scene.ok:
-        text = failure_text(scene)
-        kind = "error" if scene.problem else "failure"
-        message = printable(text.splitlines()[0])
-        SubElement(case, kind, message=message, type=what_fails(scene)).text = printable(text)
+    if not scene.ok:
+        text = printable(failure_text(scene))
+        waived = f"{WAIVER_WORDS[scene.waived]}: " if scene.waived else ""
+        kind = {"message": waived + text.splitlines()[0]} | ({} if waived else {"type": what_fails(scene)})
+        tag = "skipped" if waived else "error" if scene.problem else "failure"
+        SubElement(case, tag, kind).text = text
     counts = " ".join(f"{name}={scene.counts[name]}" for name in CLASSES)
-    found = scene.statistics
-    errors = f"k_t={found.k_t.largest:.2f} k_normal={found.k_normal.largest:.2f} z={found.z:.1f} " if found else ""
     judged = f"candidate={scene.candidate} " if scene.candidate else ""
     kept = "kept from an earlier run, not judged now; " if scene.kept else ""
     SubElement(case, "system-out").text = printable(
         f"{kept}{judged}hit={scene.hit_pixels} {counts} adjudicated={scene.adjudicated} cases={scene.cases} "
-        f"{errors}{scene.versions}{' (answered in an earlier run)' if scene.reference_stored else ''}"
+        f"{scene.versions}{' (answered in an earlier run)' if scene.reference_stored else ''}"
     )
 
 

@@ -1,15 +1,14 @@
 """Evidence of a judged scene: EXR images of both sides, of classes and ratios, and edges projected onto the film."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from caster import __version__
-from caster.geometry.packing import Packed
 from caster.image.channels import aovs_to_channels, provenance
 from caster.image.exr import write_exr
 from caster.scene.model import Scene
+from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import camera_axes
 from mitsuba_ref.error_model.scene_model import kinds_of
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
@@ -71,66 +70,53 @@ def clipped_to_float32(values: np.ndarray) -> np.ndarray:
 
 # ---- edges projected onto the film, for the page ----
 
-MAX_TRIANGLES_DRAWN = 4096  # of a scene: some 200 kB
-LARGEST_PIXEL_OFFSET = 0.01  # of a fitted projection from the centre of a pixel; at 128 points a pixel, one point
+MAX_TRIANGLES_DRAWN = 4096  # of a scene: some 60 kB
+EDGE_UNITS = 64  # in a pixel, which is shown at 128 points at most
+STRAIGHT_CAMERAS = ("pinhole", "orthographic")  # in whose images the edges of a triangle are straight
 
 
-def film_edges(judge: Judge, judgement: Judgement) -> np.ndarray | None:
-    """(m, 4) film coordinates x, y, x, y of the edges of triangles that are hit, without those that reach behind the
-    eye.
+def film_edges(judge: Judge, judgement: Judgement) -> np.ndarray:
+    """(m, 4) int32 film coordinates x, y, x, y, in units of 1 / EDGE_UNITS pixel, of the edges of triangles that are
+    hit, without those that reach behind the eye.
 
-    If these are too many, of those at pixels that do not agree. None if rays do not go through pixel centres of a
-    rectilinear film.
+    If these are too many, of those at pixels that do not agree. None of them for a list of rays, and for a camera that
+    bends edges.
     """
-    to_film = film_projection(judge.scene, judge.o, judge.d)
-    if to_film is None:
-        return None
-    hit = judge.reference_prim
+    scene, packed, hit = judge.scene, judge.model.packed, judge.reference_prim
+    if judge.pair.rays.is_list or scene.camera.type not in STRAIGHT_CAMERAS:
+        return np.zeros((0, 4), np.int32)
     prims = np.stack([hit, judge.pair.prim]) if judge.names_prims else hit[None]
     chosen = np.unique(prims[prims >= 0])
     if len(chosen) > MAX_TRIANGLES_DRAWN:
         odd = prims[:, judgement.classes != CLASS_CODE[AGREE]]
         chosen = np.unique(odd[odd >= 0])[:MAX_TRIANGLES_DRAWN]
-    flat = to_film(triangle_edges(judge.model.packed, chosen)).reshape(-1, 4)
-    return flat[np.isfinite(flat).all(axis=1)].astype(np.float32)
-
-
-def film_projection(scene: Scene, o: np.ndarray, d: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
-    """The map of points (..., 3) to film coordinates (..., 2), NaN behind the eye; None if the film is not rectilinear.
-
-    Fitted to the rays o, d through the centres of the pixels: an affine map of view coordinates, divided by depth in a
-    perspective view.
-    """
-    x0, y0, x1, y1 = scene.film.window
-    y, x = np.mgrid[y0:y1, x0:x1] + 0.5
-    parallel = not np.ptp(d, axis=0).any()
-    one_eye = parallel or not np.ptp(o, axis=0).any()
-    if not hasattr(scene.camera, "up") or min(x.shape) < 2 or x.size != len(o) or not one_eye:
-        return None
-    axes = camera_axes(scene.camera)
-
-    def in_view(points: np.ndarray) -> np.ndarray:
-        """(..., 3) coordinates in the view, the last of them 1."""
-        view = (points if parallel else points - o[0]) @ axes.T
-        depth = np.where(view[..., 2:] > 0.0, view[..., 2:], np.nan)
-        flat = view[..., :2] if parallel else view[..., :2] / depth
-        return np.concatenate([flat, np.ones_like(depth)], axis=-1)
-
-    known, pixels = in_view(o if parallel else o + d), np.column_stack([x.ravel(), y.ravel()])
-    if not np.isfinite(known).all():
-        return None
-    affine = np.linalg.lstsq(known, pixels, rcond=None)[0]
-    fits = np.abs(known @ affine - pixels).max() <= LARGEST_PIXEL_OFFSET
-    return (lambda points: in_view(points) @ affine) if fits else None
-
-
-def triangle_edges(packed: Packed, prims: np.ndarray) -> np.ndarray:
-    """(m, 2, 3) edges in world space of the triangles among these primitives."""
-    kind, k = kinds_of(packed, prims)
-    found = [np.zeros((0, 2, 3))]
+    kind, k = kinds_of(packed, chosen)
+    found = [np.zeros((0, 4))]
     for place in np.unique(kind):
         of = packed.kinds[place].prims
         if hasattr(of, "faces"):
-            faces = of.faces[k[kind == place]]
-            found.append(of.vertices[np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])])
-    return np.concatenate(found)
+            ends = of.faces[k[kind == place]][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+            used, corners = np.unique(np.unique(np.sort(ends), axis=0), return_inverse=True)
+            found.append(project_points(scene, of.vertices[used])[corners].reshape(-1, 4))
+    flat = np.concatenate(found)
+    near = np.abs(flat * EDGE_UNITS).max(axis=1, initial=0.0) <= np.iinfo(np.int32).max  # and no NaN
+    return np.round(flat[near] * EDGE_UNITS).astype(np.int32)
+
+
+def project_points(scene: Scene, points: np.ndarray) -> np.ndarray:
+    """(n, 2) film coordinates of (n, 3) points in world space, NaN behind the eye: an affine map of coordinates in the
+    view, which three rays of the camera determine."""
+    camera, film = scene.camera, scene.film
+    axes, parallel = camera_axes(camera), camera.type == "orthographic"
+    corners = np.array([[0, 0], [film.width, 0], [0, film.height]], np.float64)
+    rays = reference_of_camera(camera).rays(camera, film, *corners.T)
+
+    def in_view(directions: np.ndarray) -> np.ndarray:
+        """(n, 3): two coordinates in the view, and 1."""
+        view = directions @ axes.T
+        view[:, 2] = 1.0 if parallel else np.where(view[:, 2] > 0.0, view[:, 2], np.nan)
+        return view / view[:, 2:]
+
+    if parallel:
+        return in_view(points) @ np.linalg.solve(in_view(rays.o), corners)
+    return in_view(points - rays.o[0]) @ np.linalg.solve(in_view(rays.d), corners)

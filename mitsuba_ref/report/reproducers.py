@@ -1,8 +1,6 @@
 """Reproducers: one pixel as a scene file of its own, exact to the bit; and replay commands."""
 
-import re
 import shlex
-import tomllib
 from collections.abc import Sequence
 from dataclasses import replace as with_fields
 from pathlib import Path
@@ -14,11 +12,10 @@ from caster.cameras.single_ray import Ray
 from caster.description.errors import SceneError
 from caster.geometry.packing import Packed, pack
 from caster.geometry.world_space import as_float32
-from caster.scene.export import SECTION_ORDER, format_toml
 from caster.scene.model import Film, Scene
 from caster.system.atomic_files import write_text
 from mitsuba_ref.error_model.lambert import direction_to_light
-from mitsuba_ref.judge.classification import EXACT, Judge, Judgement, scene_judge
+from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judge, Judgement, scene_judge
 from mitsuba_ref.judge.explanations import format_primitive, pixel_answers, reproducer_header
 from mitsuba_ref.judge.pipeline import Seen
 from mitsuba_ref.judge.verdict import CLASSES, REFERENCE_WRONG, UNLISTED, WRONG, Failure, SceneVerdict
@@ -27,8 +24,6 @@ from mitsuba_ref.reference.shared_input import pixel_of
 from mitsuba_ref.report.builtin_scenes import shown_path
 from mitsuba_ref.shapes import kind_of, reference_of
 from mitsuba_ref.subjects.subject import packs_identically
-
-TRAILING_ZEROS = re.compile(r"\.?0+(?=p)")  # of a hex float's digits behind the point, which there always is
 
 
 class Reproducer(NamedTuple):
@@ -42,16 +37,7 @@ class Reproducer(NamedTuple):
         """The scene file. head: comment lines at its beginning, first the purpose of the file."""
         lines = [*head, *(f"note: {note}" for note in self.notes)]
         comment = "".join(f"# {line}".rstrip() + "\n" for line in lines)
-        return comment + "\n" + format_toml(with_hex_floats(tomllib.loads(self.scene.to_toml())), SECTION_ORDER)
-
-
-def with_hex_floats(value: Any) -> Any:
-    """Replace floats by hex floats in nested lists and dictionaries."""
-    if isinstance(value, dict):
-        return {key: with_hex_floats(each) for key, each in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [with_hex_floats(each) for each in value]
-    return TRAILING_ZEROS.sub("", value.hex()) if isinstance(value, float) else value
+        return f"{comment}\n{self.scene.to_toml()}"
 
 
 def reproducer(judge: Judge, row: int, *, lit: bool = False) -> Reproducer:
@@ -169,12 +155,11 @@ def _by_case(judgement: Judgement) -> dict[str, list[int]]:
     """Pixels where the reference or ours is wrong by the label of their files, worst first."""
     found: dict[str, list[int]] = {}
     worst = np.max([judgement.excess(check) for check in judgement.names], axis=0)
-    for name in (REFERENCE_WRONG, WRONG):
-        rows = np.flatnonzero(judgement.is_class(name))
-        for row in rows[np.argsort(-worst[rows], kind="stable")].tolist():
-            case = judgement.cases.get(row)
-            label = WRONG if name == WRONG else UNLISTED if case is None else f"case-{case}"
-            found.setdefault(label, []).append(row)
+    rows = np.flatnonzero(judgement.is_class(REFERENCE_WRONG, WRONG))
+    for row in rows[np.argsort(-worst[rows], kind="stable")].tolist():
+        case = judgement.cases.get(row)
+        listed = UNLISTED if case is None else f"case-{case}"
+        found.setdefault(listed if judgement.classes[row] == CLASS_CODE[REFERENCE_WRONG] else WRONG, []).append(row)
     return found
 
 

@@ -1,11 +1,11 @@
 """Verdicts for the terminal: one row per scene, failures with the next command, and a summary."""
 
+import re
 from collections.abc import Iterator, Sequence
 from textwrap import wrap
 from urllib.parse import quote
 
 from caster.system.terminal import printable
-from mitsuba_ref.error_model.tolerances import LARGEST_Z, K
 from mitsuba_ref.judge.classification import EXACT
 from mitsuba_ref.judge.defect_lookup import defect_name
 from mitsuba_ref.judge.diagnosis import NOT_ADJUDICATED
@@ -24,42 +24,43 @@ from mitsuba_ref.judge.verdict import (
     Verdict,
 )
 from mitsuba_ref.report.reproducers import replay
-from mitsuba_ref.report.results import percent
+from mitsuba_ref.report.results import BELOW_NAME, LINE_CHARACTERS, folded, percent, plural
 
 MAX_PROBLEM_LINES = 12  # of the output of Mitsuba, where it ended without an answer
 
-TABLE_CHARACTERS = 80  # of a row; counts that do not fit go into a line of their own
-LEGEND = "pixels that hit and that agree; worst: their largest error, over its bound"
-
-
-INDENT = 6 * " "  # below the name of a scene
+LEGEND = "hit, agree: pixels; worst: the largest error as a share of its bound; s: seconds"
+COLUMNS = ("hit", "agree", "worst", "s", "other pixels")
 
 
 def table_head(width: int) -> str:
     """A legend and the titles of the columns. width: of the longest scene name."""
-    return f"{LEGEND}\n{_cells('', 'scene', width, 'hit', 'agree', 'worst', 's', 'other pixels')}"
+    return f"{LEGEND}\n{_line('', 'scene', width, COLUMNS)}"
 
 
 def table_row(scene: SceneVerdict, width: int) -> str:
-    """The row of a scene: mark, pixels that hit and that agree, their largest error over its bound, seconds or "kept"
-    for a result of an earlier run, and the other classes that occur. A row is printed before later ones are known, so
-    these classes have no columns."""
+    """The row of a scene. It is printed before later ones are known, so other classes have no columns of their own."""
+    first = mark_of(scene), printable(scene.name, keep=""), width
+    cells = row_cells(scene)
+    row = _line(*first, cells)
+    if len(row) <= LINE_CHARACTERS:
+        return row
+    lines = wrap(cells[-1], LINE_CHARACTERS, initial_indent=BELOW_NAME, subsequent_indent=BELOW_NAME)
+    return "\n".join([_line(*first, cells[:-1]), *lines])
+
+
+def row_cells(scene: SceneVerdict) -> tuple[str, ...]:
+    """Pixels that hit and that agree, their largest error over its bound, seconds or "kept" for a result of an earlier
+    run, and the other classes that occur."""
     check, ratio = scene.worst
     worst = f"{ratio:.2f}" if check and scene.counts[AGREE] else "-"
     seconds = "kept" if scene.kept else f"{scene.seconds:.1f}"
     others = ", ".join(f"{scene.counts[name]} {class_text(name)}" for name in CLASSES[1:] if scene.counts[name])
-    first = mark_of(scene), printable(scene.name, keep=""), width
-    row = _cells(*first, scene.hit_pixels, scene.counts[AGREE], worst, seconds, others)
-    if len(row) <= TABLE_CHARACTERS:
-        return row
-    row = _cells(*first, scene.hit_pixels, scene.counts[AGREE], worst, seconds)
-    return "\n".join([row, *wrap(others, TABLE_CHARACTERS, initial_indent=INDENT, subsequent_indent=INDENT)])
+    return str(scene.hit_pixels), str(scene.counts[AGREE]), worst, seconds, others
 
 
-def _cells(
-    mark: str, name: str, width: int, hit: int | str, agree: int | str, worst: str, seconds: str, others: str = ""
-) -> str:
-    return f"{mark:<5} {name:<{width}} {hit:>6} {agree:>6} {worst:>5} {seconds:>5} {others}".rstrip()
+def _line(mark: str, name: str, width: int, cells: Sequence[str]) -> str:
+    numbers = "".join(f"{cell:>{wide}} " for cell, wide in zip(cells, (6, 6, 5, 5), strict=False))
+    return f"{mark:<5} {name:<{width}} {numbers}{''.join(cells[4:])}".rstrip()
 
 
 def class_text(name: str) -> str:
@@ -72,12 +73,6 @@ def mark_of(scene: SceneVerdict) -> str:
     if scene.waived:
         return "SKIP" if scene.waived == UNSUPPORTED else "KNOWN"
     return "PASS" if scene.ok else "FAIL"
-
-
-def worst_words(scene: SceneVerdict) -> str:
-    """The check with the largest error over its bound among agreeing pixels, as text."""
-    check, ratio = scene.worst
-    return f"{check} {ratio:.2f} of its bound" if check and scene.counts[AGREE] else "-"
 
 
 def failure_text(scene: SceneVerdict, report: str = "") -> str:
@@ -101,11 +96,12 @@ def failure_text(scene: SceneVerdict, report: str = "") -> str:
         lines += (
             [f"FAIL  {scene.name}  {causes[0]}", f"      {counts}"] if causes else [f"FAIL  {scene.name}  {counts}"]
         )
-        for place, finding in enumerate(scene.findings):
-            lines.append(f"      {finding.pixels} pixels, first {scene.place(finding.x, finding.y)}: {finding.what}")
+        for place, finding in enumerate(scene.findings) if len(scene.findings) > 1 else ():
+            at = f"      {finding.pixels} pixels, first {scene.place(finding.x, finding.y)}: "
+            lines.append(at + (finding.what if place else "as above"))
             more = (finding.where, finding.remedy) if place else ()  # the first line has those of the first
             lines += [f"        {each}" for each in more if each]
-        lines += [*_answers(scene, worst, report), *notes]
+        lines += [*_answers(scene, worst, report, "".join(causes)), *notes]
     return "\n".join(lines)
 
 
@@ -126,12 +122,13 @@ def _ratio_and_place(scene: SceneVerdict, worst: Failure) -> str:
     return f"{worst.ratio:.3g}x its bound at {scene.place(worst.x, worst.y)}"
 
 
-def _answers(scene: SceneVerdict, worst: Failure, report: str = "") -> Iterator[str]:
-    """Every answer at a failing pixel, the reason for its class, where to look, and the next command."""
+def _answers(scene: SceneVerdict, worst: Failure, report: str = "", said: str = "") -> Iterator[str]:
+    """Every answer at a failing pixel, the reason for its class unless it was said, where to look, the next command."""
     yield f"      {'candidate:' if scene.candidate else 'ours:     '} {worst.subject}"
     yield f"      reference: {worst.reference}"
     yield f"      exact:     {worst.exact}"
-    yield f"      why:       {worst.reason}"
+    if worst.reason not in said:
+        yield f"      why:       {worst.reason}"
     if report:
         yield f"      look:      {report}#s={quote(scene.name)}&x={worst.x}&y={worst.y}"
     yield f"      replay:    {replay(scene, (worst.x, worst.y))}"
@@ -162,6 +159,11 @@ def _lack_of_evidence(scene: SceneVerdict) -> str:
 
 def summary_text(verdict: Verdict, seconds: float) -> str:
     """Summary of all scenes in a few lines."""
+    return "\n".join([f"{outcome_text(verdict)}, in {seconds:.1f} s", *summary_lines(verdict)])
+
+
+def summary_lines(verdict: Verdict) -> Iterator[str]:
+    """What a summary says beyond the outcome, a line each."""
     counts = verdict.counts
     total = sum(counts.values()) or 1
     shares = [
@@ -170,17 +172,12 @@ def summary_text(verdict: Verdict, seconds: float) -> str:
         if counts[name] or name == AGREE
     ]
     exact_seconds = sum(scene.exact_seconds for scene in verdict.scenes if not scene.kept)
-    lines = [
-        f"{outcome_text(verdict)}, in {seconds:.1f} s",
-        *waiver_lines(verdict),
-        *wrap(f"hit pixels: {', '.join(shares)}", TABLE_CHARACTERS, subsequent_indent=12 * " "),
-        f"exact:      {verdict.adjudicated} pixels were adjudicated by exact arithmetic, in {exact_seconds:.1f} s",
-        *candidate_lines(verdict),
-        *_error_lines(verdict),
-        *_note_lines(verdict),
-        *(f"reference:  {versions}" for versions in verdict.versions),
-    ]
-    return "\n".join(lines)
+    yield from waiver_lines(verdict)
+    yield f"hit pixels: {', '.join(shares)}"
+    yield f"exact:      {verdict.adjudicated} pixels were adjudicated by exact arithmetic, in {exact_seconds:.1f} s"
+    yield from candidate_lines(verdict)
+    yield from _note_lines(verdict)
+    yield from (f"reference:  {versions}" for versions in verdict.versions)
 
 
 WAIVER_WORDS = {UNSUPPORTED: "declined by the candidate", EXPECTED: "known failures"}
@@ -194,7 +191,8 @@ def failing_scenes(scenes: Sequence[SceneVerdict]) -> list[SceneVerdict]:
 def outcome_text(verdict: Verdict) -> str:
     """How many scenes pass, fail, are waived and were not judged."""
     passed, left = sum(scene.ok for scene in verdict.scenes), verdict.scene_count - len(verdict.scenes)
-    words = [f"{verdict.scene_count} scenes: {passed} pass", f"{len(failing_scenes(verdict.scenes))} fail"]
+    scenes = plural(verdict.scene_count, "scene")
+    words = [f"{scenes}: {passed} pass", f"{len(failing_scenes(verdict.scenes))} fail"]
     words += [f"{count} {WAIVER_WORDS[why]}" for why, count in verdict.waived.items()]
     return ", ".join([*words, f"{left} not judged"] if left else words)
 
@@ -219,6 +217,14 @@ def failures_text(verdict: Verdict, report: str = "") -> str:
     return "\n\n".join(filter(None, ["\n".join(group_lines(verdict.scenes)), *texts]))
 
 
+def short_text(verdict: Verdict) -> str:
+    """The outcome, the names of failing scenes, and the simplest of them, in some ten lines of 80 characters."""
+    failing = failing_scenes(verdict.scenes)
+    shown = failure_text(simplest_failing(verdict.scenes) or failing[0])
+    shown = re.sub(r" 0x[\w.+-]+|, along o .*", "", shown)  # bits and the ray, which the replay prints
+    return folded(f"{outcome_text(verdict)}: {', '.join(scene.name for scene in failing)}\n{shown}")
+
+
 def candidate_lines(verdict: Verdict) -> Iterator[str]:
     """The candidate, the precision of its bounds, and the quantities that it does not give."""
     if not verdict.candidate:
@@ -231,18 +237,6 @@ def candidate_lines(verdict: Verdict) -> Iterator[str]:
         yield f"not judged: {', '.join(name.replace('_', ' ') for name in names)}"
     for note in dict.fromkeys(note for scene in verdict.scenes if scene.ok for note in scene.notes):
         yield f"note:       {note}"
-
-
-def _error_lines(verdict: Verdict) -> Iterator[str]:
-    """The largest error of t in roundings, and the largest bias."""
-    found = [(scene.name, scene.statistics) for scene in verdict.scenes if scene.statistics is not None]
-    if any(errors.pixels for _, errors in found):
-        name, largest = max(found, key=lambda item: item[1].k_t.largest)
-        biased, bias = max(found, key=lambda item: abs(item[1].z))
-        yield (
-            f"errors:     of t at most {largest.k_t.largest:.2f} of {K:g} roundings ({name}); "
-            f"bias at most |z| {abs(bias.z):.1f} of {LARGEST_Z:g} ({biased})"
-        )
 
 
 def _note_lines(verdict: Verdict) -> Iterator[str]:

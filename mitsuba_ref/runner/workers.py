@@ -6,12 +6,14 @@ worker. Here each worker has its own pipe.
 
 import contextlib
 import faulthandler
+import math
 import multiprocessing
 import os
 import pickle
 import signal
 import tempfile
 import threading
+import time
 import traceback
 from collections.abc import Callable
 from multiprocessing.connection import Connection
@@ -21,13 +23,14 @@ from typing import Any, TypeVar
 from caster.system.atomic_files import ScratchFolder
 from caster.system.process import PARENT_VARIABLE, die_with_parent
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
-from mitsuba_ref.reference.subprocess_runner import exit_name, kill_subprocesses
+from mitsuba_ref.reference.subprocess_runner import exit_name, kill_group, kill_subprocesses
 
 Result = TypeVar("Result")
 
 # Compiling all kernels, our caster and two processes of Mitsuba may each take as long as one process of Mitsuba.
 CALL_TIMEOUTS = 4.0
 STOP_SECONDS = 2.0  # for a worker to remove its files after SIGTERM, before it is killed
+POLL_SECONDS = 0.2  # between looks at a worker that has not replied
 STACK_FILE, MAX_CALLS = "stack", 4  # innermost Python calls of a crash
 
 _forking = threading.Lock()  # a second fork at the same time would keep the first one's pipe open
@@ -40,20 +43,27 @@ class WorkerEnded(Exception):  # noqa: N818 - an event; str() is how the process
 class Worker:
     """One fork of this process."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, daemon: bool = True) -> None:
+        """daemon: False for one that may run a candidate, which may start processes of its own."""
         self.folder = ScratchFolder()  # all temporary files of the fork
         with _forking:
             self.connection, remote = multiprocessing.Pipe()
             context = multiprocessing.get_context("fork")
-            self.process = context.Process(target=_serve, args=(remote, self.connection, self.folder.name), daemon=True)
+            ends = remote, self.connection
+            self.process = context.Process(target=_serve, args=(*ends, self.folder.name), daemon=daemon)
             self.process.start()
             remote.close()
 
-    def call(self, seconds: float, function: Callable[..., Result], args: tuple[Any, ...]) -> Result:
-        """function(*args), with its exceptions. Raises WorkerEnded after closing the worker."""
-        try:
+    def call(self, seconds: float | None, function: Callable[..., Result], args: tuple[Any, ...]) -> Result:
+        """function(*args), with its exceptions, within `seconds`. Raises WorkerEnded after closing the worker."""
+        with contextlib.suppress(OSError):  # it has ended, which `reply` reports
             self.connection.send((function, args))
-            if not self.connection.poll(seconds):
+        return self.reply(seconds)
+
+    def reply(self, seconds: float | None) -> Any:
+        """The reply to a call. Raises as `call` does."""
+        try:
+            if not self._has_replied(seconds):
                 self.close(signal.SIGKILL)
                 raise WorkerEnded(f"killed after {seconds:g} s without an answer")
             result, error = self.connection.recv()
@@ -66,14 +76,26 @@ class Worker:
             raise error
         return result
 
+    def _has_replied(self, seconds: float | None) -> bool:
+        """Wait for a reply. Raises EOFError after the end of the worker, whose pipe another process may hold open."""
+        end = math.inf if seconds is None else time.monotonic() + seconds
+        while not self.connection.poll(POLL_SECONDS):
+            if not self.process.is_alive():
+                raise EOFError
+            if time.monotonic() > end:
+                return False
+        return True
+
     def close(self, number: int = signal.SIGTERM) -> list[str]:
         """End the worker and remove its files; returns the last Python calls before a crash."""
         self.connection.close()
-        if self.process.is_alive() and self.process.pid:
-            os.kill(self.process.pid, number)
+        pid = self.process.pid or 0
+        if self.process.is_alive() and pid:
+            os.kill(pid, number)
         self.process.join(STOP_SECONDS)
         self.process.kill()
         self.process.join()
+        kill_group(pid)
         stack: list[str] = []
         with contextlib.suppress(OSError), Path(self.folder.name, STACK_FILE).open(errors="replace") as lines:
             stack = [line.strip() for line in lines if line.lstrip().startswith("File ")][:MAX_CALLS]
@@ -84,6 +106,7 @@ class Worker:
 def _serve(calls: Connection, parents_end: Connection, folder: str) -> None:
     """Serve calls in the fork, until the parent closes the pipe."""
     parents_end.close()
+    os.setpgrp()  # so that Ctrl-C in the terminal comes through the parent
     for number in (signal.SIGINT, signal.SIGHUP):  # the parent passes them on as SIGTERM
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -104,9 +127,7 @@ def _serve(calls: Connection, parents_end: Connection, folder: str) -> None:
                 calls.send(reply)
             except (pickle.PicklingError, AttributeError, TypeError) as error:
                 calls.send((None, TypeError(f"{function}: its result has no pickle: {error}")))
-    except (EOFError, OSError):
-        os._exit(0)
-    except KeyboardInterrupt:  # SIGTERM
+    except (EOFError, OSError, KeyboardInterrupt):  # the last for SIGTERM
         kill_subprocesses()
         os._exit(0)
     except SystemExit as end:  # raised by the called function

@@ -90,23 +90,18 @@ def parse(text: str, file: str) -> Node:
     def here() -> SourcePosition:
         return SourcePosition(file, parser.CurrentLineNumber, parser.CurrentColumnNumber + 1)
 
+    def refusal(reason: str, position: SourcePosition) -> SceneError:
+        return SceneError(format_diagnostics([ImportDiagnostic(position, reason)], {file: text}))
+
     def begin(tag: str, attributes: dict[str, str]) -> None:
         if len(open_nodes) == MAX_ELEMENT_DEPTH:
-            raise SceneError(
-                format_diagnostics(
-                    [ImportDiagnostic(here(), f"elements are nested deeper than {MAX_ELEMENT_DEPTH}")], {file: text}
-                )
-            )
+            raise refusal(f"elements are nested deeper than {MAX_ELEMENT_DEPTH}", here())
         node = Node(tag, attributes, here())
         (open_nodes[-1].children if open_nodes else roots).append(node)
         open_nodes.append(node)
 
     def refuse(*_: object) -> None:
-        raise SceneError(
-            format_diagnostics(
-                [ImportDiagnostic(here(), "a document type is no part of a scene: remove it")], {file: text}
-            )
-        )
+        raise refusal("a document type is no part of a scene: remove it", here())
 
     parser.StartElementHandler = begin
     parser.EndElementHandler = lambda tag: open_nodes.pop()
@@ -114,11 +109,8 @@ def parse(text: str, file: str) -> Node:
     try:
         parser.Parse(text, True)
     except expat.ExpatError as error:
-        position = SourcePosition(file, error.lineno, error.offset + 1)
-        reason = expat.errors.messages[error.code]
-        raise SceneError(
-            format_diagnostics([ImportDiagnostic(position, f"not valid XML: {reason}")], {file: text})
-        ) from None
+        reason = f"not valid XML: {expat.errors.messages[error.code]}"
+        raise refusal(reason, SourcePosition(file, error.lineno, error.offset + 1)) from None
     return roots[0]
 
 

@@ -1,4 +1,4 @@
-"""Declarations of shapes and primitive kinds for the judge (docs/adding-a-shape.md).
+"""Declarations of shapes and primitive kinds for the judge (docs/internals/adding-a-shape.md).
 
 A shape is described by a scene file (`type = "disk"`); a primitive kind is the NamedTuple of arrays that shapes pack to
 (`Disks`). caster declares both in caster/shapes/<kind>.py. The judge, the fuzzer, reports and the importer need more:

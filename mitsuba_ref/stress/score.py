@@ -1,26 +1,28 @@
 """The casters of a sweep, and their scores in one setting: wrong hits and misses, wrong primitives, errors of t."""
 
 import dataclasses
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic.dataclasses import dataclass
 
 from caster.rendering.hits import cast
-from caster.system.atomic_files import ScratchFolder
-from mitsuba_ref.error_model.bounds import intersections_at
+from caster.scene.export import SECTION_ORDER, format_toml
+from caster.system.atomic_files import ScratchFolder, check_folder, write_text
 from mitsuba_ref.error_model.bracket import Bracket
-from mitsuba_ref.error_model.intersections import Intersections
-from mitsuba_ref.hard.family import Family
-from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, claims_of, exact_ratios, prepare_scene
-from mitsuba_ref.judge.checks.knife_edges import NearestHits, nearest_hits, t_text
+from mitsuba_ref.error_model.tolerances import KU, KU_OURS
+from mitsuba_ref.hard.family import Family, Fields
+from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, claims_of, prepare_scene
+from mitsuba_ref.judge.checks.knife_edges import nearest_hits, t_text
+from mitsuba_ref.judge.explanations import format_numbers
 from mitsuba_ref.reference.messages import Crash, TraceRequest
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request
-from mitsuba_ref.reference.shared_input import endless_rays, export, packed_float32, shape_ids
+from mitsuba_ref.reference.shared_input import endless_rays, export, packed_float32
 from mitsuba_ref.reference.variants import LLVM, SCALAR, usable_variants
 from mitsuba_ref.report.results import largest
-from mitsuba_ref.subjects.subject import Answer, CastRequest, NoAnswer, Subject, Unsupported
+from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64, Answer, CastRequest, NoAnswer, Subject, Unsupported
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,6 +63,17 @@ class PreparedSetting(PreparedScene):
 
     family: Family
     x: float
+    data: Fields  # of the scene, as a scene file gives them
+
+    def write_ray(self, folder: Path, ray: int) -> Path:
+        """Write the scene with one ray as its camera; returns the file. Raises OutputError."""
+        check_folder(folder)
+        o, d = (a[ray].tolist() for a in (self.o, self.d))
+        camera = {"type": "ray", "origin": o, "direction": d}
+        path = folder / f"{self.family.name}-{self.x:g}.toml"
+        head = f"# mitsuba-ref stress: ray {ray} of {self.family.name}, {self.family.quantity} {self.x:g}\n\n"
+        write_text(path, head + format_toml(self.data | {"camera": camera}, SECTION_ORDER))
+        return path
 
 
 def prepare_setting(family: Family, seed: int, x: float, rays: int | None = None) -> PreparedSetting:
@@ -69,20 +82,21 @@ def prepare_setting(family: Family, seed: int, x: float, rays: int | None = None
     scene, count = made.scene(), rays or (DEFAULT_CLOSED_RAYS if family.closed else DEFAULT_RAYS)
     aimed = made.aim(rng, packed_float32(scene), count)
     ready = prepare_scene(scene, aimed.o.astype(np.float32), aimed.d.astype(np.float32))
-    return PreparedSetting(**vars(ready), family=family, x=x)
+    return PreparedSetting(**vars(ready), family=family, x=x, data=made.data)
 
 
 # ---- answers
 
 
-def cast_by_bvh(ready: PreparedSetting) -> NearestHits:
+def cast_by_bvh(ready: PreparedSetting) -> Answer:
     """Cast by our public function, on the packed float32 geometry."""
     ready.scene.derived["packed"] = ready.packed
     hits = cast(ready.scene, ready.o, ready.d)
-    return nearest_hits(ready.packed, hits.t, hits.shape_id, hits.prim_id)
+    found = nearest_hits(ready.packed, hits.t, hits.shape_id, hits.prim_id)
+    return Answer(found.t, None, FLOAT64, {}, prim=found.prim, exact_visibility=True)
 
 
-def trace_by_reference(caster: Caster, ready: PreparedSetting) -> NearestHits | Absent:
+def trace_by_reference(caster: Caster, ready: PreparedSetting) -> Answer | Absent:
     """Trace the rays of a setting by one of Mitsuba's configurations."""
     found = usable_variants()
     if caster.variant not in found.names:
@@ -96,10 +110,8 @@ def trace_by_reference(caster: Caster, ready: PreparedSetting) -> NearestHits | 
         # A ray takes some ten microseconds, more on a busy machine.
         answer = send_request(request, DEFAULT_TIMEOUT + 1e-3 * len(ready.o))
     if isinstance(answer, Crash):
-        return Absent("crash", f"{answer.kind} ({answer.exit}) {answer.headline}".strip())
-    place = {name: index for index, name in enumerate(shape_ids(ready.scene))}
-    shapes = np.array([*(place.get(name, -1) for name in answer.names), -1])
-    return nearest_hits(ready.packed, answer.t.astype(np.float64), shapes[answer.shape], answer.prim)
+        return Absent("crash", answer.brief)
+    return Answer(answer.t.astype(np.float64), None, FLOAT32, {})
 
 
 def ask_candidate(subject: Subject, ready: PreparedSetting) -> Answer | Absent:
@@ -129,24 +141,18 @@ class Score:
 
     false_hits: int
     false_misses: int
-    wrong_primitives: int  # hits of another primitive than those that are hit first, exactly
-    beyond: int  # errors beyond the bound of their ray
+    beyond: int  # hits of another surface, or with t or the normal beyond the bound of their ray
     compared: int  # rays whose t was compared
     worst: float | None  # largest error over its bound
     error: float | None  # largest
     first_wrong: tuple[int, ...] = ()  # the first rays that are wrong in any of these ways
-    excused: int = 0  # of a candidate: other hits and misses than the exact ones, which its rounding allows
-    example: str = ""  # of a candidate: its first wrong ray
+    excused: int = 0  # other answers than the exact ones, which rounding allows
+    example: str = ""  # the first wrong ray
     status: Literal["ok"] = "ok"
 
     @property
     def wrong_masks(self) -> int:
         return self.false_hits + self.false_misses
-
-    @property
-    def fails(self) -> bool:
-        """Whether our caster would fail with this score."""
-        return bool(self.wrong_masks or self.wrong_primitives or self.beyond)
 
     @property
     def breaks(self) -> bool:
@@ -186,63 +192,48 @@ class Scorer:
 
     @property
     def bound(self) -> Bound:
-        rows = np.flatnonzero(self.exact.hit)
-        float32, float64 = (bound[rows] / self.unit[rows] for bound in (self.exact.float32, self.exact.float64))
-        return Bound(largest(float32), largest(float64))
+        sides = self.exact.bounds(KU, ours=False), self.exact.bounds(KU_OURS, ours=True)
+        return Bound(*(largest(bounds / self.unit) for bounds in sides))
 
-    def score(self, found: NearestHits, *, ours: bool) -> Score:
-        """Score ours or Mitsuba: hits, misses and primitives have to be exact, errors within their bounds."""
-        compared = self.exact.compare(found.t[self.rows], ours=ours, prim=found.prim[self.rows])
-        wrong = found.hit != self.hit
-        wrong[self.rows[compared.rows[compared.beyond | compared.other]]] = True
-        counts = {"wrong_primitives": int(compared.other.sum()), "beyond": int(compared.beyond.sum())}
-        return self._score(found.hit, wrong, compared.rows, compared.errors, compared.ratio, **counts)
+    def score(self, answer: Answer, *, reference: bool = False) -> Score:
+        """Score a caster: an answer is wrong if it is neither exact nor allowed by rounding in its precision.
 
-    def score_candidate(self, answer: Answer) -> Score:
-        """Score a candidate: an answer is wrong if it is neither exact nor allowed by rounding in its precision."""
-        exact, some, model, packed = self.exact, answer.rows(self.rows), self.ready.model, self.ready.packed
-
-        def near(of: np.ndarray, prim: np.ndarray, t: np.ndarray) -> Intersections:
-            return intersections_at(model, prim, (exact.o[of], exact.d[of]), t, answer.ku, ours=True)
-
-        ratio, _ = exact_ratios(exact.answers, some, near, packed)
-        inexact = np.flatnonzero(~(ratio <= 1.0) & ~some.is_broken)
+        Ours has to be exact. reference: by the bounds of its own arithmetic; no wrong hit or miss of it is excused.
+        """
+        exact, some, packed = self.exact, answer.rows(self.rows), self.ready.packed
+        ratio = exact.ratios(some, ours=not reference)
+        wrong = ~(ratio <= 1.0)
+        open_to_excuse = exact.hit & some.hit if reference else np.full(len(wrong), not answer.exact_visibility)
+        inexact = np.flatnonzero(wrong & open_to_excuse & ~some.is_broken)
         claims, t_max = claims_of(some.rows(inexact), packed), np.full(len(inexact), np.inf)
-        bracketed = Bracket(model, answer.ku, ours=True).judge(exact.o[inexact], exact.d[inexact], t_max, claims)
-        allowed = (bracketed.allowed & ~(claims.t <= 0.0)) | bracketed.open
-        wrong = (answer.hit != self.hit) | answer.is_broken
-        wrong[self.rows] = some.is_broken
-        wrong[self.rows[inexact[~allowed]]] = True
-        both = np.flatnonzero(exact.hit & np.isfinite(some.t))
-        return self._score(
-            answer.hit,
-            wrong,
-            both,
-            exact.errors(both, some.t[both]),
-            ratio[both],
-            wrong_primitives=0,
-            beyond=int(np.sum(wrong & answer.hit & self.hit)),
-            excused=int(allowed.sum()),
-            example=self._ray_text(int(np.argmax(wrong)), answer) if wrong.any() else "",
-        )
-
-    def _score(
-        self, hit: np.ndarray, wrong: np.ndarray, rows: np.ndarray, errors: np.ndarray, ratio: np.ndarray, **more: Any
-    ) -> Score:
-        """hit, wrong: (n,) bool, of all rays; rows: (m,) adjudicated rays whose t was compared, errors and ratio."""
+        bracket = Bracket(self.ready.model, answer.ku, ours=not reference)
+        bracketed = bracket.judge(exact.o[inexact], exact.d[inexact], t_max, claims)
+        excused = inexact[(bracketed.allowed & ~(claims.t <= 0.0)) | bracketed.open]
+        wrong[excused] = False
+        all_wrong = answer.hit != self.hit
+        all_wrong[self.rows] = wrong
+        errors = exact.errors(some.t)
         return Score(
-            false_hits=int(np.sum(wrong & hit & ~self.hit)),
-            false_misses=int(np.sum(wrong & ~hit & self.hit)),
-            compared=len(rows),
-            worst=largest(ratio),
-            error=largest(errors / self.unit[rows]),
-            first_wrong=tuple(np.flatnonzero(wrong)[:WRONG_RAYS_LISTED].tolist()),
-            **more,
+            false_hits=int(np.sum(all_wrong & answer.hit & ~self.hit)),
+            false_misses=int(np.sum(all_wrong & ~answer.hit & self.hit)),
+            beyond=int(np.sum(all_wrong & answer.hit & self.hit)),
+            compared=int(np.isfinite(errors).sum()),
+            worst=largest(ratio[np.isfinite(errors)]),
+            error=largest(errors / self.unit),
+            first_wrong=tuple(np.flatnonzero(all_wrong)[:WRONG_RAYS_LISTED].tolist()),
+            excused=len(excused),
+            example=self._ray_text(int(np.argmax(all_wrong)), answer) if all_wrong.any() else "",
         )
 
     def _ray_text(self, ray: int, answer: Answer) -> str:
-        """A ray in hex floats, the candidate's t along it and the exact one."""
-        o, d = (" ".join(float(x).hex() for x in a[ray]) for a in (self.ready.o, self.ready.d))
+        """The answer along a ray and the exact one: their normals where only these differ, else t."""
         place = np.flatnonzero(self.rows == ray)
-        exact = t_text(float(self.exact.t[place[0]])) if len(place) else "finite, within a closed mesh"
-        return f"ray {ray}: o {o}, d {d}: t of the candidate: {t_text(float(answer.t[ray]))}; exact t: {exact}"
+        if not len(place):
+            return f"ray {ray}: t of the answer: {t_text(float(answer.t[ray]))}; exact t: finite, within a closed mesh"
+        t, here = self.exact.t[place], answer.rows(self.rows)
+        if here.n is not None and self.exact.ratios(replace(here, n=None), ours=True)[place[0]] <= 1.0:
+            prim = np.array([self.exact.answers[place[0]].prim])
+            right = self.exact.near(place, prim, t, answer.ku, ours=True).n[0]
+            given, expected = (format_numbers(n) for n in (here.n[place[0]], right))
+            return f"ray {ray}: its t is right; normal of the answer: ({given}); expected: ({expected})"
+        return f"ray {ray}: t of the answer: {t_text(float(answer.t[ray]))}; exact t: {t_text(float(t[0]))}"

@@ -1,21 +1,23 @@
 """Stress sweeps: each family traced by several ray casters, and the scores, shown as tables, JSON and pages."""
 
+import shlex
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from pydantic import computed_field
 from pydantic.dataclasses import dataclass
 
 from mitsuba_ref.hard.family import Family
-from mitsuba_ref.judge.checks.knife_edges import NearestHits
 from mitsuba_ref.report.results import NOTHING, aligned
 from mitsuba_ref.stress import score
 from mitsuba_ref.stress.score import (
     BESIDE_CANDIDATE,
     CANDIDATE,
     CASTERS,
-    OURS,
+    REFERENCES,
     Absent,
     Bound,
     Caster,
@@ -25,10 +27,10 @@ from mitsuba_ref.stress.score import (
 )
 from mitsuba_ref.subjects.subject import Answer, Subject
 
-JSON_FORMAT = 2  # goes up when a key changes its meaning or goes away
+JSON_FORMAT = 3  # goes up when a key changes its meaning or goes away
 
 Progress = Callable[[str], None]
-Answers = Mapping[str, NearestHits | Answer | Absent]  # by caster; an Answer of the candidate
+Answers = Mapping[str, Answer | Absent]  # by caster
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,7 @@ class SettingResult:
     exact: ExactCounts
     bound: Bound
     witnesses: Mapping[str, Score | Absent]  # by caster
+    replay: str = ""  # the command that shows the first wrong ray of the subject
 
     def breaks(self, key: str) -> bool:
         """Whether a caster breaks down here; one that crashes does."""
@@ -113,12 +116,12 @@ class SweepResult:
         if isinstance(score, Absent):
             if score.status == "crash":
                 yield f"{key}: no answer: {score.why}"
-        elif score.fails:
-            primitives = f"{score.wrong_primitives} wrong primitives, " if key == OURS.key else ""
+        elif score.breaks:
             yield (
                 f"{key}: {score.false_hits} false hits, {score.false_misses} false misses, "
-                f"{primitives}{score.beyond} hits beyond their bounds; rays {list(score.first_wrong)}"
-                f"{score.example and '; ' + score.example}"
+                f"{score.beyond} hits beyond their bounds\n"
+                f"      rays {list(score.first_wrong)}; {score.example}\n"
+                f"      replay: {setting.replay}"
             )
 
     @computed_field  # type: ignore[prop-decorator]
@@ -167,10 +170,13 @@ def sweep(
     rays: int | None,
     on_progress: Progress = lambda words: None,
     candidate: Subject | None = None,
+    folder: Path = Path("stress-failures"),
+    words: Sequence[str] = (),
 ) -> SweepResult:
     """Sweep a family. The same seed and number of rays give the same result, except for the time.
 
-    candidate: one that takes rays, judged in place of our caster.
+    candidate: one that takes rays, judged in place of our caster. folder: for the first wrong ray of each setting;
+    words: options that name the candidate, for replays.
     """
     start = time.perf_counter()
     on_progress("aiming")
@@ -181,32 +187,36 @@ def sweep(
         on_progress("candidate")
         casters = BESIDE_CANDIDATE[1:]
         answers = [{CANDIDATE.key: score.ask_candidate(candidate, ready)} for ready in settings]
-        found = [each[CANDIDATE.key] for each in answers]
-        declined = [each.why for each in found if isinstance(each, Absent) and each.status == "not applicable"]
+        asked = [each[CANDIDATE.key] for each in answers]
+        declined = [each.why for each in asked if isinstance(each, Absent) and each.status == "not applicable"]
         if len(declined) == len(settings):
             return SweepResult.of(family, (), time.perf_counter() - start, declined[0])
     results = []
     for i, (ready, given) in enumerate(zip(settings, answers, strict=True)):
         on_progress(f"{i + 1}/{len(settings)}")
-        results.append(score_setting(ready, casters, given))
+        results.append(found := score_setting(ready, casters, given))
+        subject = found.witnesses[CANDIDATE.key if candidate else CASTERS[0].key]
+        if isinstance(subject, Score) and subject.breaks:
+            file = ready.write_ray(folder, subject.first_wrong[0])
+            replay = shlex.join(["mitsuba-ref", "probe", str(file), "0", "0", *words])
+            results[-1] = replace(found, replay=replay)
     return SweepResult.of(family, results, time.perf_counter() - start)
 
 
 def score_setting(ready: PreparedSetting, casters: Sequence[Caster], given: Answers | None = None) -> SettingResult:
     """Trace a setting by ours and Mitsuba's configurations and score their answers, after the given ones."""
-    answers: dict[str, NearestHits | Answer | Absent] = dict(given or {})
+    answers: dict[str, Answer | Absent] = dict(given or {})
     for each in casters:
         answers[each.key] = score.trace_by_reference(each, ready) if each.variant else score.cast_by_bvh(ready)
     missed = [~found.hit for found in answers.values() if not isinstance(found, Absent)]
     scorer = Scorer(ready, np.any(missed, axis=0))
-    scores: dict[str, Score | Absent] = {}
-    for key, found in answers.items():
-        if isinstance(found, Answer):
-            scores[key] = scorer.score_candidate(found)
-        else:
-            scores[key] = found if isinstance(found, Absent) else scorer.score(found, ours=key == OURS.key)
+    traced = {each.key for each in REFERENCES}
+    scores = {
+        key: found if isinstance(found, Absent) else scorer.score(found, reference=key in traced)
+        for key, found in answers.items()
+    }
     hits, count = int(scorer.hit.sum()), len(ready.o)
-    ties = sum(len(tied) > 1 for tied in scorer.exact.ties)
+    ties = sum(len(answer.prims) > 1 for answer in scorer.exact.answers)
     counts = ExactCounts(len(scorer.rows), hits, count - hits, ties)
     return SettingResult(ready.x, count, counts, scorer.bound, scores)
 
@@ -238,11 +248,10 @@ def rows(sweep: SweepResult) -> list[list[str]]:
 
 
 def _score_cells(score: Score | Absent) -> list[str]:
-    """Largest error, with a ! beyond its bound; wrong masks, and wrong primitives behind a +."""
+    """Largest error, with a ! where one is beyond its bound, and the number of wrong hits and misses."""
     if isinstance(score, Absent):
         return [score.status, NOTHING]
-    wrong = str(score.wrong_masks) + (f"+{score.wrong_primitives}" if score.wrong_primitives else "")
-    return [_number(score.error) + ("!" if score.beyond else ""), wrong]
+    return [_number(score.error) + ("!" if score.beyond else ""), str(score.wrong_masks)]
 
 
 def _number(value: float | None) -> str:
@@ -255,7 +264,7 @@ def footnotes(sweep: SweepResult) -> Iterator[str]:
     if not sweep.misses:
         yield leaks(sweep)
     for caster in sweep.casters:
-        if absent := sweep.absence(caster.key):
+        if (absent := sweep.absence(caster.key)) and absent.status != "missing":
             yield f"{caster.title}: {absent.status}: {absent.why}"
 
 

@@ -112,12 +112,15 @@ def _output_tail(words: str) -> str:
 # ---- a command that reads a scene and writes an EXR file ----
 
 
+# (image, request) -> the image with our names and conventions, and the steps taken; None: the image has them
+Convert = Callable[[Exr, CastRequest], tuple[Exr, tuple[str, ...]]]
+
+
 @dataclass(frozen=True)
 class CommandSubject(Program):
     """A program that reads a scene and writes an EXR file."""
 
-    # (image, request) -> the image with our names and conventions, and the steps taken; None: the image has them
-    convert: Callable[[Exr, CastRequest], tuple[Exr, tuple[str, ...]]] | None = None
+    convert: Convert | None = None
 
     @property
     def reads_xml(self) -> bool:
@@ -143,9 +146,7 @@ class CommandSubject(Program):
         except FileMissing as error:
             raise NoAnswer("the program ended well, but wrote no {exr}") from error
         check_window(exr, request.scene)
-        exr, steps = self.convert(exr, request) if self.convert else (exr, ())
-        found = answer_from_exr(exr, request, precision=self.precision, as_exported=self.reads_xml)
-        return replace(found, notes=(*found.notes, *steps))
+        return answer_from_exr(exr, request, self, as_exported=self.reads_xml)
 
 
 def write_toml(request: CastRequest) -> Path:
@@ -166,9 +167,11 @@ def check_window(exr: Exr, scene: Scene) -> None:
 
 
 def answer_from_exr(
-    exr: Exr, request: CastRequest, *, precision: str | None = None, as_exported: bool = False
+    exr: Exr, request: CastRequest, subject: "CommandSubject | ExrFile", *, as_exported: bool = False
 ) -> Answer:
-    """Answer from an EXR in our channels: depth along the ray from the eye, geometric normal, mask. Raises NoAnswer."""
+    """The answer from an image of the subject: depth along the ray from the eye, geometric normal, mask. Raises
+    NoAnswer."""
+    exr, steps = subject.convert(exr, request) if subject.convert else (exr, ())
     n = _normals(exr.channels)
     rays = request.rays
     depth = exr.channels[DEPTH].ravel().astype(np.float64)
@@ -181,8 +184,8 @@ def answer_from_exr(
     # The depth, which counts from the eye, was rounded to float32 when it was stored.
     with np.errstate(invalid="ignore"):
         stored = np.where(np.isfinite(depth), U32 * np.abs(depth) / length, 0.0)
-    more = {"as_exported": as_exported, "t_rounding": stored, "own_camera": True, "notes": (OWN_CAMERA_NOTE,)}
-    return checked_answer(t, n, np.ones(len(t), bool), precision=precision or FLOAT32, **more)
+    more = {"as_exported": as_exported, "t_rounding": stored, "own_camera": True, "notes": (OWN_CAMERA_NOTE, *steps)}
+    return checked_answer(t, n, np.ones(len(t), bool), precision=subject.precision or FLOAT32, **more)
 
 
 def camera_rounding(scene: Scene) -> tuple[float, float]:
@@ -198,11 +201,12 @@ class ExrFile(Subject):
 
     exr: Exr
     precision: str | None
+    convert: Convert | None = None
 
     def answer(self, request: CastRequest) -> Answer:
         """The answer from its channels. Raises NoAnswer."""
         check_window(self.exr, request.scene)
-        return replace(answer_from_exr(self.exr, request, precision=self.precision), own_geometry=True)
+        return replace(answer_from_exr(self.exr, request, self), own_geometry=True)
 
 
 def _normals(channels: Mapping[str, np.ndarray]) -> np.ndarray | None:
@@ -233,7 +237,7 @@ def _mask(mask: np.ndarray, depth: np.ndarray, request: CastRequest) -> np.ndarr
     return covered
 
 
-# ---- rays in, hits out: one binary format in files and over stdin and stdout (docs/rays-and-hits.md) ----
+# ---- rays in, hits out: one binary format in files and over stdin and stdout (docs/candidates.md) ----
 
 
 def number_type(precision: str | None) -> np.dtype[Any]:

@@ -7,6 +7,7 @@ import numpy as np
 
 from caster.description.errors import SceneError
 from caster.geometry.packing import Packed
+from caster.image.exr import read_exr
 from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.cameras.camera_reference import clip_planes
@@ -24,6 +25,7 @@ from mitsuba_ref.subjects.command import (
     PLACEHOLDERS,
     RAY_PLACEHOLDERS,
     CommandSubject,
+    ExrFile,
     RayCommand,
     ServedCommand,
     camera_rounding,
@@ -94,9 +96,11 @@ def with_far_plane(scene: Scene, packed: Packed) -> tuple[Scene, tuple[str, ...]
 def parse_candidate(
     text: str, precision: str | None = None, seconds: float = DEFAULT_SECONDS, *, served: bool = False
 ) -> Subject:
-    """A subject from package.module:function or a command with placeholders; served: a command without any.
+    """A subject from package.module:function, a command with placeholders, or an EXR file; served: a command without
+    any.
 
-    Raises SceneError for other texts, a function that cannot be imported, and a program that does not exist.
+    Raises SceneError for other texts, a function that cannot be imported, and a program that does not exist;
+    FileMissing or UnreadableExr for an image.
     """
     if precision not in (None, *PRECISIONS):
         raise SceneError(f"--candidate-precision: expected {' or '.join(PRECISIONS)}, got {precision!r}")
@@ -105,9 +109,11 @@ def parse_candidate(
     if FUNCTION_PATTERN.fullmatch(text):
         return import_function(text, precision)
     if not PLACEHOLDER.search(text):
+        if text.lower().endswith(".exr"):
+            return ExrFile(text, read_exr(text), precision)
         raise SceneError(
             f"--candidate {text!r}: expected package.module:function, or a command such as "
-            "'my-renderer {xml} -o {exr}' ({toml} in place of {xml} for our scene file)"
+            "'my-renderer {xml} -o {exr}' ({toml} in place of {xml} for our scene file), or an image, .exr"
         )
     words, named = split_command(text, (*PLACEHOLDERS, *RAY_PLACEHOLDERS))
     if named & {"rays", "hits", "mesh"}:

@@ -15,28 +15,13 @@ from caster.geometry.packing import packed
 from caster.kernels.bvh.build import EMPTY_LINK, LEAF_SIZE_BASE, Tree
 from caster.kernels.raster.screen_bounds import Window
 from caster.kernels.raster.tile import HEIGHT, WIDTH
-from caster.rendering import bvh_construction, rasterization, threads
+from caster.rendering import bvh_construction, rasterization
 from caster.rendering.bvh_construction import build_tree
 from caster.rendering.images import film_window
 from caster.rendering.rasterization import BinnedKind, bin_kinds
 from caster.scene.model import Scene
 
 THREADS = (1, 2, 3, 5, 7)
-
-
-def undone_parts(size: int) -> Iterator[str]:
-    """Indices below `size` that `parallel_for` leaves out, or passes twice."""
-    for number in THREADS:
-        for least in (1, 16):
-            times = np.zeros(size, np.int64)
-
-            def count(start: int, stop: int, times: np.ndarray = times) -> None:
-                times[start:stop] += 1
-
-            threads.parallel_for(count, size, number, least=least)
-            if (times != 1).any():
-                place = int(np.argmax(times != 1))
-                yield f"{number} threads do item {place} of {size} {times[place]} times"
 
 
 def wrong_tiles(found: BinnedKind, expected: np.ndarray, window: Window, threads: int) -> Iterator[str]:
@@ -116,9 +101,3 @@ def test_each_primitive_is_in_one_leaf(scene):
         said = "; ".join(wrong_leaves(tree, 320, f"the tree of {number} threads"))
         assert said == "", said
         assert all(map(np.array_equal, tree, trees[1])), f"the tree of {number} threads is another one"
-
-
-@pytest.mark.parametrize("size", [0, 1, 2, 97, 320])
-def test_each_part_of_the_work_is_done_once(size):
-    said = "; ".join(undone_parts(size))
-    assert said == "", said

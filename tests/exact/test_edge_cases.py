@@ -1,4 +1,4 @@
-"""The caster against exact arithmetic in the edge cases of docs/edge-cases.md, whose rays are made in cases/.
+"""The caster against exact arithmetic in the edge cases of docs/internals/edge-cases.md, whose rays are made in cases/.
 
 EDGE_CASE_RAYS=20 asks twenty times as many rays.
 """

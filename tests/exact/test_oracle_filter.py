@@ -61,32 +61,6 @@ def rays_at(corners: np.ndarray, rng, n: int) -> tuple[np.ndarray, np.ndarray]:
     return p - 4.0 * d, d
 
 
-def by_trying_all(oracle: Oracle, o, d):
-    """(t, prims) without boxes and without float64."""
-    (ray,) = integer_rays(o[None], d[None])
-    (part,) = oracle.primitives.parts
-    kind, found = part.kind, []
-    for k in range(len(part.ids)):
-        found += [(t, k) for t, _ in kind.intersect(kind.prepare(part.prims, k), ray).roots if t > 0]
-    best = min((t for t, _ in found), default=None)
-    return best, [k for t, k in found if t == best]
-
-
-@pytest.mark.parametrize(("rows", "columns", "rays"), [(187, 187, 3), (24, 25, 60)])
-def test_a_mesh_is_answered_as_by_trying_every_face(rows, columns, rays):
-    """70,000 faces with a few rays, 1200 with more."""
-    rng = np.random.default_rng(rows)
-    corners = bumpy(rows, columns)
-    oracle = Oracle(packed(triangles(corners)))
-    o, d = rays_at(corners, rng, rays)
-    answers = oracle.first_hits(o, d)
-    for i, answer in enumerate(answers):
-        best, prims = by_trying_all(oracle, o[i], d[i])
-        assert (answer.t, [hit.prim for hit in answer.ties]) == (best, prims)
-    assert sum(answer.hit for answer in answers) >= rays // 2
-    assert rays < 10 or sum(len(answer.ties) > 1 for answer in answers) >= 5
-
-
 def test_few_faces_are_left_for_whole_numbers():
     """Of 70,000 faces, at a ray that meets some: a handful, or an oracle that sorts out nothing would do as well."""
     corners = bumpy(187, 187)

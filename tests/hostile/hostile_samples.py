@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from ply_files import ply_mesh
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAD = """[film]
@@ -144,7 +145,7 @@ READERS: dict[str, tuple[str, ...]] = {
         "caster preview FILE -o out/o.png",
         "mitsuba-ref compare FILE in/other.exr -o out/d.exr",
         "mitsuba-ref compare in/other.exr FILE --json",
-        "mitsuba-ref judge --scene in/scene.toml --exr FILE",
+        "mitsuba-ref validate in/scene.toml --candidate FILE",
     ),
     "in/foreign.exr": read_by(
         "mitsuba-ref compare in/image.exr FILE --map depth=depth.Z --depth distance --miss 0 --json",
@@ -219,7 +220,9 @@ def write_samples(folder: Path, run: Callable[[str], int]) -> None:
         (source / name).write_text(text)
     (source / "kept" / "a.toml").write_text(files["kept.toml"])
     for name, encoding in (("ascii", "ascii"), ("little", "binary_little_endian"), ("big", "binary_big_endian")):
-        (source / f"{name}.ply").write_bytes(ply(encoding))
+        (source / f"{name}.ply").write_bytes(
+            ply_mesh(encoding, VERTICES, [(0, 1, 2, 3), (0, 1, 2)], extra=["comment c"])
+        )
 
     def succeed(line: str) -> None:
         assert run(line) == 0, line
@@ -249,18 +252,3 @@ def write_samples(folder: Path, run: Callable[[str], int]) -> None:
     (source / "shards" / "verdict.json").write_bytes(verdict)
     (folder / "out" / "references").mkdir()
     (folder / "out" / "references" / "scene.exr").write_bytes((source / "references" / "scene.exr").read_bytes())
-
-
-def ply(encoding: str) -> bytes:
-    """Four vertices and two faces."""
-    head = (
-        f"ply\nformat {encoding} 1.0\ncomment c\nelement vertex 4\nproperty float x\nproperty float y\n"
-        "property float z\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n"
-    ).encode()
-    faces = [(0, 1, 2, 3), (0, 1, 2)]
-    if encoding == "ascii":
-        rows = [" ".join(map(str, row)) for row in VERTICES] + [f"{len(f)} " + " ".join(map(str, f)) for f in faces]
-        return head + "\n".join(rows).encode() + b"\n"
-    order = "<" if "little" in encoding else ">"
-    lists = b"".join(bytes([len(f)]) + np.array(f, order + "i4").tobytes() for f in faces)
-    return head + np.array(VERTICES, order + "f4").tobytes() + lists

@@ -22,7 +22,7 @@ HERE = Path(__file__).resolve().parent
 def test_a_share_of_the_cases(seed, share):
     """Of other seeds than that of `make hostile`."""
     words = [sys.executable, "-P", "-m", "hostile_runs", "--seed", str(seed), "--count", str(share)]
-    path = os.pathsep.join([str(HERE), str(HERE.parents[1])])
+    path = os.pathsep.join([str(each) for each in (HERE, HERE.parent, HERE.parents[1])])
     done = subprocess.run(words, env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert f"{share} hostile inputs" in done.stdout

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from ply_files import ply_mesh
 
 from mitsuba_ref.reference.messages import TraceRequest, TraceResponse
 from mitsuba_ref.reference.variants import EXACT_T_ERROR
@@ -57,14 +58,8 @@ def random_mesh(path: Path, rng: np.random.Generator, triangles: int = 200) -> n
     """Triangles strewn over a cube of size 2 as a PLY without normals; returns (triangles, 3, 3) float32."""
     corners = rng.uniform(-1.0, 1.0, (triangles, 1, 3)) + rng.normal(0.0, 0.15, (triangles, 3, 3))
     corners = corners.astype(np.float32)
-    faces = np.zeros(triangles, [("count", "u1"), ("corners", "<i4", 3)])
-    faces["count"], faces["corners"] = 3, np.arange(3 * triangles).reshape(-1, 3)
-    names = "".join(f"property float {name}\n" for name in "xyz")
-    header = (
-        f"ply\nformat binary_little_endian 1.0\nelement vertex {3 * triangles}\n{names}"
-        f"element face {triangles}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    path.write_bytes(header.encode() + corners.astype("<f4").tobytes() + faces.tobytes())
+    faces = np.arange(3 * triangles).reshape(-1, 3).tolist()
+    path.write_bytes(ply_mesh("binary_little_endian", corners.reshape(-1, 3).tolist(), faces))
     return corners
 
 

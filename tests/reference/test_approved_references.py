@@ -141,7 +141,7 @@ def test_ours_passes_against_its_references_without_mitsuba(here, capsys, monkey
     assert code == 0 and "PASS  ball  " in out and "PASS  mesh  " in out and "2 scenes: 2 pass, 0 fail" in out
     code, out, _ = said(capsys, "check", "scenes", "--json")
     record = json.loads(out)
-    assert record["ok"] and [scene["name"] for scene in record["scenes"]] == ["ball", "mesh"]
+    assert record["ok"] and [scene["ours"] for scene in record["scenes"]] == ["ball", "mesh"]
 
 
 @pytest.mark.parametrize(
@@ -163,6 +163,7 @@ def test_what_is_beyond_its_bound_fails(here, capsys, channel, factor, says):
     replaced(here, "ball", **{channel: plane})
     code, out, _ = said(capsys, "check", "scenes")
     assert code == 1 and f"FAIL  ball  {says}: " in out and f"({x}, {y})" in out and "PASS  mesh" in out
+    assert f"replay: mitsuba-ref probe scenes/ball.toml {x} {y}\n" in out
 
 
 def test_a_reference_with_no_pixel_to_compare_is_no_pass(here, capsys):
@@ -186,7 +187,7 @@ def test_a_reference_that_is_missing_is_a_missing_file_and_no_pass(here, capsys)
     assert "2 scenes: 1 pass, 0 fail, 1 not checked: no image that can be read" in out
     assert "approve them: mitsuba-ref approve scenes --references refs\n" in out
     found = json.loads(said(capsys, "check", "scenes", "--json")[1])
-    assert not found["ok"] and [scene["missing"] for scene in found["scenes"]] == [False, True]
+    assert not found["ok"] and [scene["exit_code"] for scene in found["scenes"]] == [0, 4]
     (here / "scenes/ball.toml").write_text(BALL.replace("radius = 1.3", "radius = 1.31"))
     code, out, _ = said(capsys, "check", "scenes")
     assert code == 1 and "2 scenes: 0 pass, 1 fail, 1 not checked" in out

@@ -1,5 +1,6 @@
 """Candidates that are programs: their input, their output, and each way to fail."""
 
+import json
 import os
 import shlex
 import subprocess
@@ -22,7 +23,7 @@ from mitsuba_ref.judge.verdict import OUT_OF_DOMAIN, WRONG, SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.report.verdict_text import failure_text
-from mitsuba_ref.subjects.command import Program, answer_from_exr
+from mitsuba_ref.subjects.command import ExrFile, Program, answer_from_exr
 from mitsuba_ref.subjects.requests import parse_candidate
 from mitsuba_ref.subjects.subject import Answer, CastRequest, NoAnswer
 
@@ -91,7 +92,8 @@ class OwnCamera:
         aovs = caster.render(question.traced, aovs=("depth", "normal"))
         channels = {name: values.astype(np.float32) for name, values in aovs_to_channels(aovs).items()}
         window = question.scene.film.window
-        return answer_from_exr(Exr(channels, {}, window, window), question)
+        image = Exr(channels, {}, window, window)
+        return answer_from_exr(image, question, ExrFile("", image, None))
 
 
 @pytest.mark.parametrize(("size", "lost"), [(1e-3, True), (1.0, False)])
@@ -235,40 +237,70 @@ def test_a_program_is_not_run_by_a_shell(judged, tmp_path):
 ROOT = Path(__file__).resolve().parents[2]
 
 ENDS = """
-import atexit, ctypes, os
+import atexit, ctypes, multiprocessing, os, time
 import numpy as np
 def exits_in_c(scene, o, d):
     ctypes.CDLL(None).exit(0)
+def crashes(scene, o, d):
+    ctypes.string_at(0)
+def leaves_a_fork(scene, o, d):
+    if os.fork():
+        os._exit(3)
+    time.sleep(600)
 def exits_later(scene, o, d):
     atexit.register(os._exit, 0)
     return np.full(len(o), np.inf), o
+def starts_processes(scene, o, d):
+    os.write(1, b"printed in C")
+    child = multiprocessing.Process(target=print)
+    child.start()
+    child.join()
+    return np.full(len(o), np.inf), o
+def never_ends(scene, o, d):
+    print("sleeping", flush=True)
+    while True:
+        try:
+            time.sleep(600)
+        except BaseException:
+            pass
 """
 
 
-def test_a_function_that_ends_the_process_is_no_pass_and_leaves_no_earlier_verdict(tmp_path):
+SUPERVISED = {  # function -> exit code, a part of standard error
+    "exits_in_c": (1, "the candidate ended the process, and nothing is judged: exit code 0"),
+    "crashes": (1, "nothing is judged: SIGSEGV"),
+    "leaves_a_fork": (1, "nothing is judged: exit code 3"),
+    "exits_later": (1, ""),
+    "starts_processes": (1, "printed in C"),
+    "never_ends": (130, "interrupted"),
+}
+
+
+@pytest.mark.parametrize("function", SUPERVISED)
+def test_however_a_function_ends_the_process_it_is_no_pass_and_leaves_no_earlier_verdict(tmp_path, function):
     (tmp_path / "ends.py").write_text(ENDS)
     earlier = tmp_path / "verdict.json"
     earlier.write_text('{"ok": true}')
     os.utime(earlier, (0, 0))
     words = ["validate", str(ROOT / "scenes/one-sphere.toml"), "--size", "8", "8", "--json", str(earlier)]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(tmp_path)])}
-    done = subprocess.run(
-        [sys.executable, "-m", "mitsuba_ref", *words, "--candidate", "ends:exits_in_c"],
+    started = subprocess.Popen(
+        [sys.executable, "-m", "mitsuba_ref", *words, "--candidate", f"ends:{function}"],
         env=environment,
         cwd=tmp_path,
-        capture_output=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
         text=True,
     )
-    assert done.returncode == 1 and "the candidate ended the process, exit 0" in done.stderr
-    assert not earlier.exists()
-
-
-def test_a_function_that_ends_the_process_after_the_verdict_does_not_change_it(tmp_path):
-    (tmp_path / "ends.py").write_text(ENDS)
-    words = ["validate", str(ROOT / "scenes/one-sphere.toml"), "--size", "8", "8", "--candidate", "ends:exits_later"]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(tmp_path)])}
-    done = subprocess.run([sys.executable, "-m", "mitsuba_ref", *words], env=environment, cwd=tmp_path)
-    assert done.returncode == 1
+    if function == "never_ends":
+        for line in started.stderr:
+            if "sleeping" in line:
+                break
+        started.terminate()
+    out, said = started.communicate(timeout=60)
+    code, reason = SUPERVISED[function]
+    assert started.returncode == code and reason in said and "printed in C" not in out
+    assert not earlier.exists() or not json.loads(earlier.read_text())["ok"]
 
 
 def test_a_program_that_leaves_another_behind_is_not_waited_for(tmp_path):

@@ -1,6 +1,7 @@
 """A primitive kind and a camera of a plug-in work in every command, and faults in them are found.
 
-The coin's two sides are tests/unit/coin_plugin.py and coin_reference.py, which docs/adding-a-shape.md describes.
+The coin's two sides are tests/unit/coin_plugin.py and coin_reference.py; docs/internals/adding-a-shape.md describes
+them.
 """
 
 import json

@@ -4,6 +4,7 @@ import struct
 
 import numpy as np
 import pytest
+from ply_files import INDICES, ply
 
 import caster
 import mitsuba_ref
@@ -27,17 +28,12 @@ def obj(corner="{0}", before="") -> bytes:
     return (before + "\n".join(lines) + "\n").encode()
 
 
-def ply(encoding, faces, smooth=False) -> bytes:
+def polygons(encoding, faces, smooth=False) -> bytes:
     names = ["x", "y", "z", *(["nx", "ny", "nz", "u", "v"] if smooth else [])]
-    head = f"ply\nformat {encoding} 1.0\nelement vertex 7\n" + "".join(f"property double {name}\n" for name in names)
-    head += f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
     rows = [(*p, *n, 0.1 * i, 0.7) if smooth else p for i, (p, n) in enumerate(zip(POINTS, NORMALS, strict=True))]
-    if encoding == "ascii":
-        lines = [*map(" ".join, (map(str, row) for row in rows)), *(f"{len(f)} {' '.join(map(str, f))}" for f in faces)]
-        return (head + "\n".join(lines) + "\n").encode()
-    order = "<" if "little" in encoding else ">"
-    body = b"".join(struct.pack(f"{order}{len(names)}d", *row) for row in rows)
-    return head.encode() + body + b"".join(struct.pack(f"{order}B{len(f)}i", len(f), *f) for f in faces)
+    return ply(
+        encoding, ("vertex", [f"double {name}" for name in names], rows), ("face", INDICES, [(f,) for f in faces])
+    )
 
 
 def off() -> bytes:
@@ -69,9 +65,9 @@ FILES = {
     "obj, carriage returns": ("a.obj", obj().replace(b"\n", b"\r"), BARE),
     "obj, comments": ("a.obj", obj(before="# v 1 2 3 \\\nvp 1 2\ng f 1 2 3\n\n"), BARE),
     "obj, some uv": ("a.obj", obj("{0}/{0}/{0}").replace(b"f 2/2/2", b"f 2//2"), SOME),
-    "ply": ("a.ply", ply("ascii", TRIANGLES), BARE),
-    "ply, little": ("a.ply", ply("binary_little_endian", TRIANGLES, smooth=True), ALL),
-    "ply, big": ("a.ply", ply("binary_big_endian", TRIANGLES, smooth=True), ALL),
+    "ply": ("a.ply", polygons("ascii", TRIANGLES), BARE),
+    "ply, little": ("a.ply", polygons("binary_little_endian", TRIANGLES, smooth=True), ALL),
+    "ply, big": ("a.ply", polygons("binary_big_endian", TRIANGLES, smooth=True), ALL),
     "stl": ("a.stl", STL, BARE),
     "stl in text": ("a.stl", STL_TEXT.encode(), BARE),
     "off": ("a.off", off(), BARE),
@@ -99,7 +95,7 @@ def test_every_kind_of_file_is_read_alike(brought, tmp_path, kind):
     assert for_mitsuba(path, tmp_path, 0) != path or path.suffix in (".obj", ".ply")
 
 
-@pytest.mark.parametrize(("name", "data"), [("a.ply", ply("ascii", POLYGONS)), ("a.glb", None)])
+@pytest.mark.parametrize(("name", "data"), [("a.ply", polygons("ascii", POLYGONS)), ("a.glb", None)])
 def test_a_file_that_mitsuba_does_not_read_is_reported_as_not_compared(brought, tmp_path, name, data):
     if data is None:
         trimesh = pytest.importorskip("trimesh")

@@ -1,4 +1,4 @@
-"""A shape of a plug-in needs one file for each package, as shown in docs/adding-a-shape.md.
+"""A shape of a plug-in needs one file for each package, as shown in docs/internals/adding-a-shape.md.
 
 The code is taken from that page, so the page is right as long as this passes.
 """
@@ -10,7 +10,7 @@ from edited_tree import ROOT, run_with, said_beside_progress
 
 SENTENCE = (
     "Tetrahedron has no reference: write mitsuba_ref/shapes/tetrahedron.py and add its line to "
-    "mitsuba_ref/shapes/__init__.py (docs/adding-a-shape.md)"
+    "mitsuba_ref/shapes/__init__.py (mitsuba-ref docs adding-a-shape)"
 )
 SCENE = """
 [film]
@@ -41,7 +41,7 @@ to_world = [
 
 def as_documented(path: str) -> str:
     """The file `path` as the page on adding shapes shows it."""
-    page = (ROOT / "docs/adding-a-shape.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/internals/adding-a-shape.md").read_text(encoding="utf-8")
     (code,) = re.findall(rf"`{re.escape(path)}`:\n\n```python\n(.*?)```", page, re.DOTALL)
     return code
 

@@ -281,23 +281,15 @@ def test_hits_that_are_none_give_a_clear_error(folder, tmp_path, capsys, which):
     assert code == expected and words in text and "Traceback" not in text
 
 
-@pytest.fixture(scope="module")
-def exr(folder):
-    """An image by our caster, and its channels."""
-    scene = caster.load_scene(folder / "scene.toml")
-    aovs = caster.render(scene, ("hit", "depth", "normal", "position"))
-    write_render(str(folder / "out.exr"), scene, aovs, "scene.toml")
-    return read_exr(folder / "out.exr")
-
-
-def judged_exr(folder, tmp_path, exr, change=None):
+def judged_exr(folder, exr, change=None, *more):
+    """The verdict on an image, changed. more: options."""
     channels = {name: values.copy() for name, values in exr.channels.items()}
     if change:
         change(channels)
-    write_exr(tmp_path / "e.exr", channels, {})
-    words = ["--scene", str(folder / "scene.toml"), "--exr", str(tmp_path / "e.exr")]
-    code = main(["judge", *words, "--json", str(tmp_path / "v.json")])
-    return code, json.loads((tmp_path / "v.json").read_text())["scenes"]
+    write_exr(folder / "e.exr", channels, {})
+    words = [str(folder / "scene.toml"), "--candidate", str(folder / "e.exr"), *more]
+    code = main(["validate", *words, "--json", str(folder / "v.json")])
+    return code, json.loads((folder / "v.json").read_text())["scenes"]
 
 
 def scaled(name, factor):
@@ -350,7 +342,20 @@ def test_an_image_of_geometry_that_float32_rounds_is_judged_by_both(tmp_path, ch
     path.write_text(TORUS)
     scene = caster.load_scene(path)
     write_render(str(tmp_path / "out.exr"), scene, caster.render(scene, ("hit", "depth", "normal")), "scene.toml")
-    code, scenes = judged_exr(tmp_path, tmp_path, read_exr(tmp_path / "out.exr"), change)
+    image = read_exr(tmp_path / "out.exr")
+    code, scenes = judged_exr(tmp_path, image, change)
     assert code == (0 if passes else 1) and scenes[0]["hit_pixels"] > 75
     counts = scenes[0]["counts"]
     assert counts["wrong"] + counts["undecided"] == (0 if passes else 1), counts
+    if passes:  # the same with names of another program, which options state
+
+        def renamed(channels):
+            channels["range"] = channels.pop("depth.Z")
+
+        assert judged_exr(tmp_path, image, renamed)[0] == 1
+        assert judged_exr(tmp_path, image, renamed, "--map", "depth=range")[0] == 0
+
+
+def test_an_image_that_is_not_there_is_a_missing_file(folder, capsys):
+    assert main(["validate", str(folder / "scene.toml"), "--candidate", "gone.exr"]) == 4
+    assert "gone.exr: " in capsys.readouterr().err

@@ -84,7 +84,7 @@ def test_without_libllvm_there_is_the_scalar_variant(tmp_path, monkeypatch, miss
     answer = mitsuba_process.send_request(job(xml, variant_for(False), [[0, 0, 3]], [[0, 0, -1]]), 60)
     assert isinstance(answer, TraceResponse) and has_t(answer, 3.0)
     refused = mitsuba_process.send_request(job(xml, "llvm_ad_rgb", [[0, 0, 3]], [[0, 0, -1]]), 60)
-    assert isinstance(refused, Crash) and refused.kind == "error" and "LLVM" in refused.output
+    assert isinstance(refused, Crash) and refused.code == 1 and "LLVM" in refused.output
 
 
 @pytest.mark.skipif(not OLD_LLVM.exists(), reason=f"{OLD_LLVM} is not installed")
@@ -92,7 +92,7 @@ def test_an_old_libllvm_that_aborts_is_found_out(monkeypatch):
     monkeypatch.setenv(LIBLLVM_ENVIRONMENT_VARIABLE, str(OLD_LLVM))
     found = usable_variants()
     assert found.scalar and not found.libllvm
-    assert "abort (SIGABRT) LLVM ERROR" in found.why and "fminimum" in found.why
+    assert "SIGABRT: LLVM ERROR" in found.why and "fminimum" in found.why
 
 
 def test_each_trial_compiles_its_kernels_anew(monkeypatch):
@@ -105,7 +105,7 @@ def test_each_trial_compiles_its_kernels_anew(monkeypatch):
         return Crash(1, "no", 0.0)
 
     monkeypatch.setattr(messages, "run_request", put)
-    assert variants.smoke_test("llvm_ad_rgb", {}) == "error (exit code 1) no"
+    assert variants.smoke_test("llvm_ad_rgb", {}) == "exit code 1: no"
     variants.smoke_test("llvm_ad_rgb", {})
     assert folders[0] != folders[1] and not folders[0].exists()
 
@@ -189,9 +189,7 @@ def test_another_library_or_another_mitsuba_is_tried_again(libraries, trials, mo
     assert len(trials.tried) == 4
 
 
-@pytest.mark.parametrize(
-    "problem", ["timeout (killed after 60 s)", "error (exit code 1) no module mitsuba", "signal (SIGKILL)"]
-)
+@pytest.mark.parametrize("problem", ["killed after 60 s", "exit code 1: no module mitsuba", "SIGKILL"])
 def test_a_machine_that_was_only_busy_or_unfinished_is_tried_again(libraries, trials, monkeypatch, problem):
     trials.says["scalar_rgb", None] = problem
     assert not usable_variants().scalar
@@ -201,13 +199,13 @@ def test_a_machine_that_was_only_busy_or_unfinished_is_tried_again(libraries, tr
 
 
 def test_without_mitsuba_no_library_is_tried_and_the_way_out_is_pip(libraries, trials):
-    trials.says["scalar_rgb", None] = "error (exit code 1) No module named 'mitsuba'"
+    trials.says["scalar_rgb", None] = "exit code 1: No module named 'mitsuba'"
     with pytest.raises(VariantError, match=r"No module named 'mitsuba'; pip install '.*reference.*' installs Mitsuba$"):
         variants.require_variants()
     assert len(trials.tried) == 1
 
 
-@pytest.mark.parametrize("problem", ["wrong answer: t [7.0, inf]", "signal (SIGILL)"])
+@pytest.mark.parametrize("problem", ["wrong answer: t [7.0, inf]", "SIGILL"])
 @pytest.mark.parametrize("variant", variants.VARIANT_NAMES)
 def test_what_would_end_alike_is_not_tried_again(libraries, trials, monkeypatch, variant, problem):
     """Otherwise each process would try all libraries again, which takes seconds."""
@@ -257,7 +255,7 @@ def test_without_the_scalar_variant_no_sphere_is_traced(libraries, trials):
 def test_a_command_without_a_reference_fails_before_any_work(libraries, trials, monkeypatch, capsys, command):
     """`stress` would pass without Mitsuba's columns."""
     monkeypatch.chdir(ROOT)
-    trials.says.update({("llvm_ad_rgb", library): "abort (SIGABRT)" for library in libraries})
+    trials.says.update({("llvm_ad_rgb", library): "SIGABRT" for library in libraries})
     trials.says["scalar_rgb", None] = WRONG
     assert main([*command]) == 2
     printed = capsys.readouterr()
@@ -270,11 +268,11 @@ def test_a_libllvm_that_does_not_work_is_stated_once(libraries, trials, monkeypa
     assert capsys.readouterr().err == ""
     forget(monkeypatch)
     Path(libraries[0]).unlink()  # so that they are tried again
-    trials.says.update({("llvm_ad_rgb", library): "abort (SIGABRT)" for library in libraries})
+    trials.says.update({("llvm_ad_rgb", library): "SIGABRT" for library in libraries})
     variants.require_variants()
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("llvm_ad_rgb does not work here, scalar_rgb traces all scenes (`mitsuba-ref doctor` ")
-    assert f"{libraries[1]}: abort (SIGABRT); {libraries[2]}: abort" in line
+    assert f"{libraries[1]}: SIGABRT; {libraries[2]}: SIGABRT" in line
     monkeypatch.setenv(variants.VARIANT_ENVIRONMENT_VARIABLE, "scalar_rgb")
     variants.require_variants()
     assert capsys.readouterr().err == ""

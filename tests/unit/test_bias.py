@@ -24,8 +24,7 @@ from mitsuba_ref.error_model.intersections import (
 from mitsuba_ref.error_model.tolerances import LARGEST_Z, MIN_GROUPS
 from mitsuba_ref.judge.checks.bias import check_bias, group_sums, untied, z_of_groups
 from mitsuba_ref.judge.verdict import ErrorStatistics, Extremes, KindBias, SceneVerdict, Verdict
-from mitsuba_ref.report.ci_summaries import junit
-from mitsuba_ref.report.verdict_text import failure_text, summary_text
+from mitsuba_ref.report.verdict_text import failure_text
 from mitsuba_ref.shapes import KINDS
 
 SCENES = Path(__file__).parents[2] / "scenes"
@@ -178,8 +177,6 @@ def test_the_verdict_reports_it():
         not scene.checks_pass
         and "bias: 3x its bound; t of Spheres is biased: z -15.0 of 900 groups" in failure_text(scene)
     )
-    assert "of t at most 1.25 of 4 roundings (ball); bias at most |z| 15.0 of 5 (ball)" in summary_text(verdict, 1.0)
-    assert "k_t=1.25 k_normal=0.75 z=-15.0" in junit(verdict)
 
 
 @pytest.mark.parametrize("t_bias", [-2.5, -0.125, 0.0])

@@ -1,4 +1,4 @@
-"""The YAML of docs/ci.md and the pages beside it parses, and the programs accept their commands."""
+"""The programs accept every command of the documentation, and the YAML of docs/ci.md parses."""
 
 import re
 import shlex
@@ -14,8 +14,7 @@ from mitsuba_ref.cli import COMMANDS as JUDGE
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs/ci.md").read_text(encoding="utf-8")
-YOURS = "".join((ROOT / f"docs/your-{name}.md").read_text(encoding="utf-8") for name in ("renderer", "ci"))
-STORY = (ROOT / "docs/debugging-an-edge-case.md").read_text(encoding="utf-8")
+PAGES = [ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("docs/recipes/*.md")]
 PARSERS = {
     "caster": application.build_parser("caster", "", CASTER, ()),
     "mitsuba-ref": application.build_parser("mitsuba-ref", "", JUDGE, ()),
@@ -23,33 +22,28 @@ PARSERS = {
 SECRET = re.compile(r"\$\{\{ *([\w.]+)[^}]*\}\}")  # an expression of GitHub's
 
 
-def workflow():
-    (text,) = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
-    return yaml.safe_load(text)
+def workflows():
+    """That of one job, and that of four shards."""
+    return [yaml.safe_load(text) for text in re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)]
 
 
-def steps():
-    return [step for job in workflow()["jobs"].values() for step in job["steps"]]
-
-
-def your_steps():
-    (text,) = re.findall(r"```yaml\n(.*?)```", YOURS, re.DOTALL)
-    return yaml.safe_load(text)["jobs"]["judge"]["steps"]
+def runs(workflow):
+    return [step["run"] for job in workflow["jobs"].values() for step in job["steps"] if "run" in step]
 
 
 def commands():
-    """Every line of the pages, and of the workflow, that begins with one of the programs."""
-    lines = [line.removeprefix("    ").removeprefix("$ ") for line in (PAGE + STORY + YOURS).splitlines()]
-    lines += [step["run"] for step in steps() if "run" in step]
-    lines += re.findall(r"`((?:caster|mitsuba-ref) [a-z]+ [^`]*)`", PAGE + YOURS)
-    lines += [step["run"] for step in your_steps() if "run" in step]
+    """Every line of code of the pages, and of the workflows, that begins with one of the programs."""
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    lines = re.findall(r"^(?:    |\$ )((?:caster|mitsuba-ref) [\w-].*?)(?: > .*)?$", text, re.MULTILINE)
+    lines += [command for workflow in workflows() for command in runs(workflow)]
+    lines += re.findall(r"`((?:caster|mitsuba-ref) [a-z]+ [^`]*)`", PAGE)
     found = dict.fromkeys(line for line in lines if line.split(" ")[0] in PARSERS)
     return [SECRET.sub("1", line) for line in found]
 
 
 @pytest.mark.parametrize("command", commands())
 def test_every_command_is_accepted(command, capsys):
-    program, *words = shlex.split(command)
+    program, *words = shlex.split(command, comments=True)
     if "COMMAND" in words or "--help" in words:
         return
     try:
@@ -59,12 +53,13 @@ def test_every_command_is_accepted(command, capsys):
 
 
 def test_the_workflow_hangs_together():
-    jobs = workflow()["jobs"]
+    one, four = workflows()
+    jobs = four["jobs"]
     assert jobs["verdict"]["needs"] == "validate" and jobs["verdict"]["if"] == "always()"
     shards = jobs["validate"]["strategy"]["matrix"]["shard"]
-    runs = [step["run"] for step in steps() if "run" in step]
     assert shards == list(range(1, len(shards) + 1))
-    assert any(f"--shard ${{{{ matrix.shard }}}}/{len(shards)} " in run for run in runs)
+    assert any(f"--shard ${{{{ matrix.shard }}}}/{len(shards)} " in run for run in runs(four))
+    assert len([run for run in runs(one) if run.startswith("mitsuba-ref validate ")]) == 1
 
 
 def test_every_exit_code_is_explained():

@@ -21,9 +21,9 @@ def test_the_verdict_comes_first_then_what_fails_with_its_replay_and_what_passes
     assert text.startswith("## FAIL: 2 scenes: 1 pass, 1 fail\n")
     bad = next(line for line in matrix_rows(text) if line.startswith("| bad "))
     cells = [html.unescape(cell) for cell in bad.strip("| ").split(" | ")]
-    assert cells[:9] == ["bad", "100", "99", "0", "0", "0", "0", "1", "0"]
+    assert cells[:6] == ["bad", "100", "99", "0.25", "1.2", "1 wrong"]
     failure = "depth: 1 wrong of 100 hit pixels, worst 41x its bound at (3, 4)"
-    assert cells[9:] == [failure, "<code>mitsuba-ref probe scenes/bad.toml 3 4</code>"]
+    assert cells[6:] == [failure, "<code>mitsuba-ref probe scenes/bad.toml 3 4</code>"]
     assert text.index("| bad ") < text.index("<details><summary>bad</summary>") < text.index("| good ")
     assert text.index("<details><summary>1 scenes pass</summary>") < text.index("| good ")
     assert "exact:     ball, prim 0 (inside)" in html.unescape(text)
@@ -35,7 +35,7 @@ def test_a_run_that_judged_a_candidate_or_was_about_to_names_it_and_never_ours()
     for done in (scene("good", **said), scene("bad", ok=False, **said)), ():
         text = html.unescape(markdown(verdict(*done, names=("left",), requested_candidate="mine:trace"), 1.0))
         assert "mine:trace" in text and "ours wrong" not in text
-        assert not done or ("| wrong |" in text and "float32" in text)
+        assert not done or ("| 1 wrong |" in text and "float32" in text)
         assert ("- not judged: diffuse" in text) is bool(done) and "not judged: \n" not in text
 
 
@@ -43,7 +43,7 @@ def test_scenes_that_were_not_judged_or_kept_are_named():
     text = markdown(verdict(scene("good"), scene("old", kept=True), names=("left|over",)), 1.0)
     assert text.startswith("## FAIL: 3 scenes: 2 pass, 0 fail, 1 not judged\n")
     assert "Not judged, 1 scenes:\n\n- left&#124;over\n" in text
-    assert "| old (kept) |" in text and "Kept from an earlier run, not judged anew: 1 scenes." in text
+    assert "| old | 100 | 100 | 0.25 | kept |" in text and "\n- kept: 1 scenes were not judged now" in text
 
 
 @pytest.mark.parametrize("ok", [True, False])

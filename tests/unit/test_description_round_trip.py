@@ -1,10 +1,10 @@
 """Packed primitives come back as descriptions that pack to the same float32 numbers, for every kind there is."""
 
-import json
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from ply_files import ply_mesh
 
 import caster
 from caster.geometry.mesh_files import load_mesh
@@ -13,7 +13,7 @@ from caster.geometry.world_space import as_float32
 from caster.scene.files import scene_from_text
 from caster.scene.model import Scene
 from caster.shapes import SHAPES
-from mitsuba_ref.report.reproducers import pack_one, with_hex_floats
+from mitsuba_ref.report.reproducers import pack_one
 from mitsuba_ref.shapes import kind_of
 from mitsuba_ref.shapes.shape_reference import unit_vector_rounding_to
 from mitsuba_ref.subjects.subject import packs_identically
@@ -40,11 +40,8 @@ def shapes_of(cls: type, folder) -> Iterator[caster.Sphere]:
 @pytest.fixture
 def folder(tmp_path):
     rng = np.random.default_rng(5)
-    corners = "".join(f"{x} {y} {z}\n" for x, y, z in rng.normal(size=(12, 3)))
-    header = "ply\nformat ascii 1.0\nelement vertex 12\nproperty float x\nproperty float y\nproperty float z\n"
-    faces = "element face 4\nproperty list uchar int vertex_indices\nend_header\n"
-    text = header + faces + corners + "".join(f"3 {i} {i + 1} {i + 2}\n" for i in (0, 3, 6, 9))
-    (tmp_path / "mesh.ply").write_text(text, encoding="utf-8")
+    faces = [(i, i + 1, i + 2) for i in (0, 3, 6, 9)]
+    (tmp_path / "mesh.ply").write_bytes(ply_mesh("ascii", rng.normal(size=(12, 3)).tolist(), faces))
     assert len(load_mesh(str(tmp_path / "mesh.ply")).faces) == 4
     return tmp_path
 
@@ -68,9 +65,8 @@ AT = caster.Ray(origin=(0, 0, 0), direction=(0, 0, 1))
 
 
 def read_back(shape):
-    """Through the text of a scene file, numbers as hex floats."""
-    line = {"type": "ray", "origin": [0, 0, 0], "direction": [0, 0, 1]}
-    scene = scene_from_text(json.dumps({"camera": line, "shape": [with_hex_floats(shape)]}), "json")
+    """Through the text of a scene file, as reproducers write it."""
+    scene = scene_from_text(Scene(camera=AT, shapes=[shape]).to_toml(), "toml")
     return scene.shapes[0].model_dump(by_alias=True, exclude_none=True)
 
 

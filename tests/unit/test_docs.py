@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = sorted([*ROOT.glob("docs/*.md"), ROOT / "README.md"])
+PAGES = sorted([*ROOT.glob("docs/**/*.md"), ROOT / "README.md"])
 LINK = re.compile(r"\]\(([^)#\s]+)(#[^)\s]*)?\)")
 
 
@@ -51,10 +51,22 @@ def test_every_link_and_every_named_place_exists():
     assert not exists("caster/gone.py") and not exists("caster/scene/model.py:gone")
 
 
-def test_the_index_names_every_page():
-    named = set(links_of(ROOT / "docs/README.md"))
-    there = {page.name for page in ROOT.glob("docs/*.md")} - {"README.md"}
-    assert named == there
+def test_the_map_names_every_page_and_at_most_twelve_for_users():
+    index = ROOT / "docs/README.md"
+    there = {page.relative_to(index.parent).as_posix() for page in ROOT.glob("docs/**/*.md")} - {"README.md"}
+    assert set(links_of(index)) == there
+    assert len([page for page in there if "/" not in page]) <= 12
+
+
+def test_the_code_of_a_recipe_is_that_of_the_example_of_the_same_name():
+    examples = {path.name: path for path in (ROOT / "docs/candidates").rglob("*.*")}
+    shown = {}
+    for page in ROOT.glob("docs/recipes/*.md"):
+        for name, code in re.findall(
+            r"^```\w+\n(?:#|//) (\S+)\n(.*?)^```$", page.read_text(), re.DOTALL | re.MULTILINE
+        ):
+            shown[name] = code
+    assert len(shown) == 4 and shown == {name: examples[name].read_text() for name in shown}
 
 
 def program(name):

@@ -106,7 +106,7 @@ def test_two_parts_that_hold_the_same_layers_never_pass(tmp_path, capsys, parts)
     for pair in (("good", "parts"), ("parts", "good"), ("parts", "parts")):
         names = [str(tmp_path / f"{each}.exr") for each in pair]
         assert main(["compare", *names, *WIDE_OPEN]) == NOT_COMPARABLE
-        assert "may both be the depth: --map depth=0.good.depth.Z" in capsys.readouterr().out
+        assert "may both be the depth: --map depth=0.good.depth.Z" in capsys.readouterr().err
 
 
 def test_the_image_itself_passes(tmp_path, capsys):

@@ -1,6 +1,6 @@
 """`caster render` writes the numbers of `caster.render`, for each AOV, also in crops.
 
-The file is read by the OpenEXR library, and each channel has the name that docs/exr.md gives it.
+The file is read by the OpenEXR library, and each channel has the name that docs/scene-format.md gives it.
 """
 
 from pathlib import Path
@@ -33,7 +33,7 @@ CHANNELS = {
 
 
 def stored_planes(images):
-    """The planes that docs/exr.md promises: ids as uint32, all else as float32."""
+    """The planes that docs/scene-format.md promises: ids as uint32, all else as float32."""
     planes = {"A": images.hit.astype(np.float32)}
     for name, image in images.items():
         layers = np.moveaxis(image.reshape(*images.hit.shape, -1), -1, 0)

@@ -13,6 +13,7 @@ from caster.image.channels import aovs_to_channels, provenance
 from caster.image.exr import write_exr
 from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import camera_axes
+from mitsuba_ref.exr_compare.conventions import Unclear
 from mitsuba_ref.exr_compare.two_files import FileComparison, Reading, compare_exr
 
 Channels = dict[str, np.ndarray]
@@ -108,9 +109,10 @@ def test_what_is_not_known_is_left_out_and_stated(tmp_path, ours):
 
 def test_two_channels_that_may_be_the_same_are_a_question_not_a_guess(tmp_path, ours):
     theirs = named(ours, depth="ViewLayer.Depth.Z") | named(ours, depth="Close.Depth.Z")
-    result = compared(tmp_path, ours, theirs)
-    assert result.exit_code == 3
-    assert "Close.Depth.Z and ViewLayer.Depth.Z may both be the depth: --map depth=Close.Depth.Z" in text(result)
+    with pytest.raises(
+        Unclear, match=r"^the reference: Close\.Depth\.Z and ViewLayer\.Depth\.Z may both be the depth: --map"
+    ):
+        compared(tmp_path, ours, theirs)
     said = compared(tmp_path, ours, theirs, maps=("depth=ViewLayer.Depth.Z",))
     assert said.ok, text(said)
 
@@ -205,8 +207,8 @@ def test_what_depth_measures_is_stated_by_an_option_and_hinted_at_without_it(tmp
 def test_without_a_camera_z_cannot_be_read_and_the_way_out_is_stated(tmp_path, ours):
     write_exr(tmp_path / "a.exr", ours, {"caster/version": "0"})
     OpenEXR.File({}, along_z(ours)).write(str(tmp_path / "b.exr"))
-    asked = compare_exr(tmp_path / "a.exr", tmp_path / "b.exr", reading=Reading(depth="z"))
-    assert asked.exit_code == 3 and "--depth z needs a camera: --scene SCENE" in text(asked)
+    with pytest.raises(Unclear, match="--depth z needs a camera: --scene SCENE"):
+        compare_exr(tmp_path / "a.exr", tmp_path / "b.exr", reading=Reading(depth="z"))
     assert compare_exr(tmp_path / "a.exr", tmp_path / "b.exr", reading=Reading(depth="z", scene=SCENE)).ok
 
 

@@ -26,7 +26,7 @@ from mitsuba_ref.judge.checks.knife_edges import NearestHits, cast_by_culling, p
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.shapes import KINDS
-from mitsuba_ref.shapes.targets import mesh_files
+from mitsuba_ref.shapes.targets import MESH_FILES
 
 FEW = 6  # examples of each family
 
@@ -234,7 +234,7 @@ def test_the_file_casts_the_very_ray_and_states_how_to_see_it_again(tmp_path):
 
 
 def test_an_image_keeps_its_camera_and_a_mesh_goes_along(tmp_path):
-    mesh = [{"type": "mesh", "file": mesh_files()[0], "face_normals": True}]
+    mesh = [{"type": "mesh", "file": MESH_FILES[0], "face_normals": True}]
     file = written(tmp_path / "new", a_case(shapes=mesh))
     _, kept = cases.read_kept(file)
     assert "limits" not in kept and kept["camera"] == VIEW["camera"] and kept["film"] == VIEW["film"]

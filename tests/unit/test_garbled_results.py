@@ -75,7 +75,7 @@ def test_a_garbled_verdict_is_an_error_of_the_file(tmp_path, capsys, record):
 
 
 def test_a_garbled_benchmark_is_an_error_of_the_file(tmp_path):
-    data = json.loads((ROOT / "docs/performance/run.json").read_text(encoding="utf-8"))
+    data = json.loads((ROOT / "docs/internals/performance/run.json").read_text(encoding="utf-8"))
     data["scenes"] = data["scenes"][:1]
     file, refused = tmp_path / "run.json", 0
     for content in places(data, GARBLED):

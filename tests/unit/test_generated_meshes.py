@@ -1,4 +1,4 @@
-"""Generated meshes against closed forms: icosphere, torus, heightfield, teapot, and uv of rectangle and cube.
+"""Generated meshes against closed forms: icosphere, torus, heightfield, teapot, rectangle and cube.
 
 A generated mesh reaches both sides of a comparison, so no pixel shows an error in it.
 """
@@ -173,6 +173,18 @@ def test_the_teapots_outside_is_outside_in_each_part():
         assert np.array_equal(mesh.normals[k], (0, 0, up)) and (mesh.faces == k).any(axis=1).sum() == 4 * 12
     mirrored = mesh.vertices * (1, -1, 1) + 0.0
     assert set(map(tuple, mesh.vertices.tolist())) == set(map(tuple, mirrored.tolist()))
+
+
+# ---- rectangle and cube
+
+
+@pytest.mark.parametrize(("shape", "depth"), [(caster.Rectangle, 0.0), (caster.Cube, 1.0)])
+def test_rectangle_and_cube_have_corners_at_one_and_faces_that_look_outwards(shape, depth):
+    mesh = shape().mesh()
+    doubled, middles = face_normals(mesh), mesh.vertices[mesh.faces].mean(axis=1)
+    assert (np.abs(mesh.vertices) == [1.0, 1.0, depth]).all()
+    assert ((doubled * (middles + np.array([0.0, 0.0, 1.0 - depth]))).sum(axis=1) > 0.0).all()
+    assert np.array_equal(0.5 * np.abs(doubled).sum(axis=0), [8.0 * depth, 8.0 * depth, 4.0 + 4.0 * depth])
 
 
 # ---- uv, parameters

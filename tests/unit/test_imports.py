@@ -239,7 +239,7 @@ def test_the_tree_stays_within_its_limits_and_the_page_shows_it(monkeypatch):
     assert found["files"] <= MAX_FILES, "fold a fragment into the file of its subject"
     assert found["package_layers"] <= MAX_PACKAGE_LAYERS
     assert len(found["one_importer"]) <= MAX_SINGLE_IMPORTERS, found["one_importer"]
-    page = (ROOT / "docs/ARCHITECTURE.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/internals/architecture.md").read_text(encoding="utf-8")
     assert page == architecture.with_picture(page), "run python docs/architecture.py"
     folders = re.findall(r"^\| `((?:caster|mitsuba_ref)/\w+)` \|", page, re.MULTILINE)
     assert [folder.replace("/", ".") for folder in folders] == list(FLOW)

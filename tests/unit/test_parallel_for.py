@@ -15,7 +15,7 @@ from caster.rendering.threads import (
 )
 
 
-@pytest.mark.parametrize("workers", [1, 2, 5])
+@pytest.mark.parametrize("workers", [1, 2, 3, 5])
 @pytest.mark.parametrize("count", [0, 1, 2, 97])
 def test_every_piece_is_done_once(workers, count):
     done: list[int] = []

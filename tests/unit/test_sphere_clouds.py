@@ -4,6 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
+from ply_files import ply
 
 import caster
 from caster.aovs import BY_NAME
@@ -32,15 +33,8 @@ def write_ply(path, centers, radii, kind: str = "ascii") -> str:
     """A PLY file with its properties in an unusual order, and another element in front."""
     names = ["id", "z", "x", "y"] + (["radius"] if radii is not None else [])
     columns = [np.arange(len(centers)), centers[:, 2], centers[:, 0], centers[:, 1], radii][: len(names)]
-    rows = np.column_stack(columns)
-    header = f"ply\nformat {kind} 1.0\nelement camera 1\nproperty double a\nelement vertex {len(rows)}\n"
-    header += "".join(f"property double {name}\n" for name in names) + "end_header\n"
-    if kind == "ascii":
-        body = ("7.5\n" + "".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist())).encode()
-    else:
-        order = "<f8" if "little" in kind else ">f8"
-        body = np.array([7.5], order).tobytes() + rows.astype(order).tobytes()
-    path.write_bytes(header.encode() + body)
+    vertices = "vertex", [f"double {name}" for name in names], np.column_stack(columns).tolist()
+    path.write_bytes(ply(kind, ("camera", ["double a"], [(7.5,)]), vertices))
     return str(path)
 
 

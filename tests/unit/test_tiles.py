@@ -1,15 +1,12 @@
-"""Rays that tiles load, and hits and AOVs that they store, at the pixels of their boxes."""
+"""Rays that tiles load, and hits that they keep and store."""
 
 import math
 
 import numpy as np
 import pytest
 
-import caster
-from caster.aovs import kernel_of
 from caster.kernels.nearest import KeepNearest, Rays, no_hits
-from caster.kernels.protocol import camera_ray, update_best
-from caster.kernels.raster.screen_bounds import Window
+from caster.kernels.protocol import update_best
 from caster.kernels.raster.tile import (
     DX,
     DY,
@@ -29,7 +26,6 @@ from caster.kernels.raster.tile import (
     UNCERTAIN,
     WIDTH,
     T,
-    generate_camera_rays,
     lane,
     load_rays,
     new_lanes,
@@ -39,25 +35,14 @@ from caster.kernels.raster.tile import (
     tile_rows,
     update_nearest,
 )
-from caster.kernels.surface.per_hit import NO_IDS, new_surface_buffer, store_hits, write_aov
 
 RAY_FIELDS = (OX, OY, OZ, DX, DY, DZ, T_MIN, T_MAX)
 BEGUN = {T: math.inf, T_ERROR: 0.0, PRIM: -1.0, UNCERTAIN: 0.0}
-BOX, WIDE, HIGH = (130, 65, 147, 70), 160, 75  # of a window so wide and so high
 
 
 def whole(tile, at):
     """A field as rows of the tile, which can be written."""
     return tile[int(at) : int(at) + PIXELS].reshape(HEIGHT, WIDTH)
-
-
-def in_box(tile, at):
-    return whole(tile, at)[: BOX[3] - BOX[1], : BOX[2] - BOX[0]]
-
-
-def rays_in(tile, rows, columns):
-    """(rows, columns, 8): o, d, t_min, t_max."""
-    return np.stack([whole(tile, at)[:rows, :columns] for at in RAY_FIELDS], axis=2)
 
 
 def some_rays(rng, count):
@@ -67,14 +52,6 @@ def some_rays(rng, count):
 def as_rows(rays):
     """(n, 8): o, d, t_min, t_max."""
     return np.column_stack([rays.o, rays.d, rays.t_min, rays.t_max])
-
-
-def assert_begun(tile, rows):
-    """Assert that the first rows have no hits, and no rays beside the box."""
-    for at, number in BEGUN.items():
-        assert (whole(tile, at)[:rows] == number).all()
-    beside = rays_in(tile, rows, WIDTH)[:, BOX[2] - BOX[0] :]
-    assert (beside == [0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, -1.0]).all()
 
 
 def used_tile():
@@ -114,18 +91,6 @@ def test_a_tile_takes_the_rays_it_is_given_and_gives_back_the_hit_of_each(one_or
     assert not blocked[others].any() and not uncertain[others].any()
 
 
-@pytest.mark.parametrize("camera", [caster.Pinhole, caster.Orthographic, caster.Fisheye])
-def test_the_tile_of_a_box_is_begun_with_the_rays_through_its_pixel_centres(camera):
-    packed, tile = camera(eye=(1, 2, 3), look_at=(0, 0, 0)).pack(400, 300), used_tile()
-    generate_camera_rays(packed, Window(20, 30, WIDE, HIGH), BOX, tile)
-    found = rays_in(tile, BOX[3] - BOX[1], BOX[2] - BOX[0])
-    for y, row in enumerate(found):
-        for x, ray in enumerate(row):
-            o, d, *limits = camera_ray(packed, 20 + BOX[0] + x + 0.5, 30 + BOX[1] + y + 0.5)
-            assert ray == pytest.approx([*o, *d, *limits], rel=1e-12, abs=1e-15)
-    assert_begun(tile, BOX[3] - BOX[1])
-
-
 def met(rng, tile, shape=(HEIGHT, WIDTH)):
     """Fill in random hits of primitives 0 to 3, or misses; returns the fields."""
     prim = rng.integers(-1, 4, shape)
@@ -134,44 +99,6 @@ def met(rng, tile, shape=(HEIGHT, WIDTH)):
     for at, numbers in values.items():
         whole(tile, at)[: shape[0], : shape[1]] = numbers
     return values
-
-
-def hit_box(rng):
-    """A tile of random rays with random hits and misses."""
-    tile = new_tile()
-    for at in RAY_FIELDS:
-        whole(tile, at)[:] = rng.normal(size=(HEIGHT, WIDTH))
-    met(rng, tile)
-    return tile
-
-
-@pytest.mark.parametrize("with_starts", [False, True])
-def test_an_aov_is_written_to_the_box_of_its_image_and_nowhere_else(with_starts):
-    """Depth, counted from the origins or from `start`."""
-    rng = np.random.default_rng(255)
-    tile, image = hit_box(rng), np.full((HIGH, WIDE), 7.0)
-    start = rng.random((HIGH, WIDE)) if with_starts else np.empty((0, 0))
-    write_aov(kernel_of("depth"), tile, BOX, new_surface_buffer(), NO_IDS, start, image)
-    length = np.sqrt(sum(in_box(tile, at) ** 2 for at in (DX, DY, DZ)))
-    depth = in_box(tile, T) * length
-    expected = np.full((HIGH, WIDE), 7.0)
-    box = expected[BOX[1] : BOX[3], BOX[0] : BOX[2]]
-    box[:] = np.where(in_box(tile, PRIM) < 0, math.inf, depth)
-    box += start[BOX[1] : BOX[3], BOX[0] : BOX[2]] if with_starts else 0.0
-    assert image == pytest.approx(expected, rel=1e-14)
-
-
-@pytest.mark.parametrize("unsure", [False, True])
-def test_hits_and_what_is_uncertain_are_stored_in_the_box_of_an_image(unsure):
-    tile = hit_box(np.random.default_rng(256))
-    if not unsure:
-        whole(tile, UNCERTAIN)[:] = 0.0
-    hit, uncertain = np.zeros((2, HIGH, WIDE), bool)
-    store_hits(tile, BOX, hit, uncertain)
-    expected = np.zeros((2, HIGH, WIDE), bool)
-    expected[0, BOX[1] : BOX[3], BOX[0] : BOX[2]] = in_box(tile, PRIM) >= 0
-    expected[1, BOX[1] : BOX[3], BOX[0] : BOX[2]] = in_box(tile, UNCERTAIN) == 1.0
-    assert np.array_equal(hit, expected[0]) and np.array_equal(uncertain, expected[1])
 
 
 @pytest.mark.parametrize("t", [math.inf, math.nan, 2.0, 2.25, 2.5, 3.0, 3.5, 3.75, 4.0, -1.0])

@@ -97,7 +97,7 @@ class Maker:
 class Case:
     """One edge case: questions, and checks of more than one ray at a time (each returns how often it looked)."""
 
-    number: int  # its row in docs/edge-cases.md
+    number: int  # its row in docs/internals/edge-cases.md
     name: str
     ours: str  # what is right, in a sentence
     questions: Callable[[Maker], Iterator[Question]]

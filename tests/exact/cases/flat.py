@@ -1,4 +1,4 @@
-"""Cases 42 to 52: rectangles, disks and planes."""
+"""Cases 44 to 52: rectangles, disks and planes."""
 
 from collections.abc import Iterator
 
@@ -7,28 +7,7 @@ import numpy as np
 from cases import integer_shapes
 from cases.case import Case, Maker, Question
 from cases.shapes import KINDS, Aim, rays_at, shape_of, turn
-from cases.triangles import grazing, in_the_plane
 from caster import Disk, Plane, Rectangle
-
-
-def in_or_above(make: Maker) -> Iterator[Question]:
-    """In the plane, and parallel to it at a distance: never a hit."""
-    yield from in_the_plane(make, (integer_shapes.rectangle, integer_shapes.disk, integer_shapes.plane))
-    for each in integer_shapes.each(
-        make.rng, (integer_shapes.rectangle, integer_shapes.disk, integer_shapes.plane, integer_shapes.triangle)
-    ):
-        rows = make.rng.integers(0, len(each.p), make.count(25))
-        d = each.tangent[rows] * integer_shapes.UNIT
-        above = (
-            each.p[rows]
-            - d
-            + each.n[rows] * integer_shapes.UNIT * 2.0**-6 * make.rng.choice([-1.0, 1.0], (len(rows), 1))
-        )
-        yield make.ask(f"above a {each.kind}", [each.shape], above, d, never=("hit",))
-
-
-def grazing_flat(make: Maker) -> Iterator[Question]:
-    yield from grazing(make, ("rectangle", "disk", "plane"))
 
 
 def borders(make: Maker) -> Iterator[Question]:
@@ -147,8 +126,6 @@ def reflected(make: Maker) -> Iterator[Question]:
 
 EXACT = "exact"
 CASES = (
-    Case(42, "in the plane of something flat, or parallel above it", "a miss, decided in integers", in_or_above),
-    Case(43, "grazing rectangles, disks and planes at 10^-1 to 10^-12 radians", EXACT, grazing_flat),
     Case(
         44,
         "borders, corners and diagonals, and one unit in the last place beside",

@@ -26,18 +26,6 @@ def at_t_max(make: Maker) -> Iterator[Question]:
         yield make.ask(f"{each.kind}, t_min 2", [each.shape], o, d, t_min=2.0)
 
 
-def at_t_min(make: Maker) -> Iterator[Question]:
-    """From a point of the surface, exactly: t = 0 is no hit, whatever the direction."""
-    for each in integer_shapes.each(make.rng, integer_shapes.FLAT):
-        rows = make.rng.integers(0, len(each.p), make.count(25))
-        d = (
-            make.rng.choice([-1.0, 1.0], (len(rows), 1)) * each.n[rows] * integer_shapes.UNIT
-            + each.tangent[rows] * integer_shapes.UNIT
-        )
-        never = ("hit",) if each.kind != "cube" else ()
-        yield make.ask(each.kind, [each.shape], each.p[rows], d, miss=5, exact=20, never=never)
-
-
 def odd_directions(make: Maker) -> Iterator[Question]:
     """Components of -0.0, 10^-19, 10^-30, 10^-45 and the smallest beside one that is not small."""
     small = np.array([0.0, -0.0, 1e-19, -1e-19, 1e-30, 1e-45, *(() if make.single else (1e-300, -(2.0**-1074)))])
@@ -131,7 +119,6 @@ CASES = (
         "the ray is t_min < t <= t_max, compared exactly: hit at t_max, and not at t_min",
         at_t_max,
     ),
-    Case(30, "a ray that starts on something flat", "t = 0 is no hit", at_t_min),
     Case(
         31,
         "directions with components of -0.0 and down to the smallest number",

@@ -182,17 +182,17 @@ def in_an_axis_line(make: Maker) -> Iterator[Question]:
         )
 
 
-def in_the_plane(
-    make: Maker,
-    makers: tuple = (integer_shapes.triangle, integer_shapes.rectangle, integer_shapes.disk, integer_shapes.plane),
-) -> Iterator[Question]:
-    """Along the surface, from a point of its plane: no hit, by the convention that edge-on is a miss."""
-    for each in integer_shapes.each(make.rng, makers, 2):
+def in_the_plane(make: Maker) -> Iterator[Question]:
+    """Along the surface, from a point of its plane or parallel above it: no hit, as edge-on is a miss by convention."""
+    flat = (integer_shapes.triangle, integer_shapes.rectangle, integer_shapes.disk, integer_shapes.plane)
+    for each in integer_shapes.each(make.rng, flat, 2):
         rows = make.rng.integers(0, len(each.p), make.count(25))
         d = each.tangent[rows] * integer_shapes.UNIT
         o = each.p[rows] - d * make.rng.integers(0, 3, (len(rows), 1))
         exact = 0 if each.kind in ("disk", "plane") else 12  # a product with 0 is seen to be 0 without integers
         yield make.ask(f"{each.kind}, turned", [each.shape], o, d, edge_on=12, exact=exact, never=("hit",))
+        above = each.n[rows] * integer_shapes.UNIT * 2.0**-6 * make.rng.choice([-1.0, 1.0], (len(rows), 1))
+        yield make.ask(f"above a {each.kind}", [each.shape], each.p[rows] - d + above, d, never=("hit",))
     cube = integer_shapes.cube(make.rng)
     d = cube.tangent * integer_shapes.UNIT
     yield make.ask("along a cube's sides", [cube.shape], cube.p - 3.0 * d, d, edge_on=20, exact=20)
@@ -206,12 +206,12 @@ def nearly_in_the_plane(make: Maker) -> Iterator[Question]:
         yield make.ask(kind, scene, o, d, miss=3, exact=0 if make.single else 8)
 
 
-GRAZED = ("triangle", "mesh", "cube", "heightfield", "icosphere")
+GRAZED = ("triangle", "mesh", "cube", "heightfield", "icosphere", "rectangle", "disk", "plane")
 
 
-def grazing(make: Maker, kinds: tuple[str, ...] = GRAZED) -> Iterator[Question]:
+def grazing(make: Maker) -> Iterator[Question]:
     """At 10^-1 to 10^-12 radians."""
-    for kind in kinds:
+    for kind in GRAZED:
         scene = make.scene([shape_of(kind, make.rng)])
         o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(60), aim=Aim((1.0, 10.0), (1e-12, 1e-1), 0.1))
         yield make.ask(kind, scene, o, d, hit=5)
@@ -270,9 +270,14 @@ CASES = (
         22, "three corners in a line but for rounding", "what is left of the area is there, exactly", nearly_in_a_line
     ),
     Case(23, "three corners on a line along an axis", "never hit", in_an_axis_line),
-    Case(24, "in the plane of something flat, exactly", "edge-on is a miss, decided in integers", in_the_plane),
+    Case(
+        24,
+        "in the plane of something flat, exactly, or parallel above it",
+        "edge-on is a miss, decided in integers",
+        in_the_plane,
+    ),
     Case(25, "in the plane but for rounding", EXACT, nearly_in_the_plane),
-    Case(26, "grazing triangles at 10^-1 to 10^-12 radians", EXACT, grazing),
+    Case(26, "grazing flat surfaces at 10^-1 to 10^-12 radians", EXACT, grazing),
     Case(
         27,
         "grazing across an axis, down to the smallest slope",
