@@ -59,7 +59,7 @@ def render(scene, width, height):
         time.sleep(0.1)
         session.UpdateStats()
     images = [np.zeros((height, width, 3), np.float32) for _ in range(2)]
-    for image, output in zip(images, (OUTPUTS.POSITION, OUTPUTS.GEOMETRY_NORMAL)):
+    for image, output in zip(images, (OUTPUTS.POSITION, OUTPUTS.GEOMETRY_NORMAL), strict=True):
         session.GetFilm().GetOutputFloat(output, image, 0)
     session.Stop()
     return images

@@ -1,7 +1,7 @@
 """A scene of triangles for a program without this package: python scene_arrays.py SCENE OUT.npz
 
-corners (m, 3, 3) float32, [triangle, corner, axis]; eye, ahead and up (3,) of a pinhole camera, half (2,) the half width
-and height of its image at distance 1; size (2,), width and height in pixels.
+corners (m, 3, 3) float32, [triangle, corner, axis]; eye, ahead and up (3,) of a pinhole camera, half (2,) the half
+width and height of its image at distance 1; size (2,), width and height in pixels.
 """
 
 import sys
