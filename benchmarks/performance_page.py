@@ -48,18 +48,18 @@ READING = """## How to read it
 - **ours, as planned** is `caster.render`: by rasterization for pinhole and orthographic cameras, by the BVH for others;
   for rays that are handed over, `caster.cast` with the surface of each hit. **by BVH** is the same image through it.
 - **diffuse** is light with shadows: the AOV integrator has `direct` inside. Ours adds ambient light to it.
-- **rays** of one cast: images of those who would take longer than {longest:g} s are made smaller.
+- A size behind a name: images of those who would take longer than {longest:g} s are made smaller.
 - **build**: milliseconds from the numbers to where rays can be cast, the second time it is done in a process; Mitsuba
   reads its own files, and for ours the numbers are in memory.
 - **ns/ray**: the median of all alternations; casts of less than {least:g} s are repeated within a turn, and their
-  median is the turn's. **x ours** is the median of the ratios of each alternation: above 1, ours is faster.
-- **t: ulps**: the largest error of t on {sample:,} rays of the image, the same float32 rays for everybody, against
-  exact arithmetic (`mitsuba_ref/oracle/oracle.py`), in float32 units in the last place of the exact t. **t: bounds**:
-  in units of the bound that is derived for each ray, that of float64 for ours and that of float32 for all others
+  median is the turn's. **times as fast** is ours as this row, by the median of the ratios of each alternation.
+- **ulps**: the largest error of t on {sample:,} rays of the image, the same float32 rays for everybody, against exact
+  arithmetic (`mitsuba_ref/oracle/oracle.py`), in float32 units in the last place of the exact t. **bounds**: in units
+  of the bound that is derived for each ray, in the precision of the caster: float64 for ours, float32 for Mitsuba
   ([method.md](../method.md)). Ours is called through `caster.cast`, float64; no culling changes a bit, and images of
   float32 add half a unit. Mitsuba's AOV integrator takes no rays from outside, so `ray_intersect`, which it calls, is
   judged on the same scene.
-- **wrong** on those rays, **wrong at edges** on as many that are aimed at edges and silhouettes: hits where there is
+- **wrong** on those rays, **edges** on as many that are aimed at edges and silhouettes: hits where there is
   exactly nothing and misses where there is something; behind a `+`, hits farther off than their bound, mostly those of
   another surface.
 - **MB**: the most memory that the process had (VmHWM), Python, all libraries and the rays included.
@@ -121,7 +121,7 @@ def lines(run: Run) -> Iterator[str]:
         yield f"\nNot timed: {', '.join(missing)}."
     yield "\n| machine | |\n|---|---|"
     yield from (f"| {name} | {value} |" for name, value in run.machine.items())
-    yield "\nMilliseconds of ours; the other columns are multiples of it.\n"
+    yield "\nMilliseconds of ours, and how many times as fast as each of the others it is.\n"
     yield table(run)
     yield f"\n![Error against time, for each scene]({IMAGE_FOLDER}/pareto.png)\n"
     for scene in run.scenes:

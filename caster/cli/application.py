@@ -5,14 +5,15 @@ from __future__ import annotations
 import argparse
 import contextlib
 import sys
+import textwrap
 from collections.abc import Sequence
 from importlib import import_module
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from caster import __version__
 from caster.cli.shared_arguments import checked_paths
 from caster.system import NOT_HERE, runs_here, terminal
-from caster.system.process import FILE, INTERRUPTED, end_process, exit_codes_help, run_command
+from caster.system.process import FILE, INTERRUPTED, USAGE, end_process, exit_codes_help, run_command
 
 __all__ = ["Command"]
 
@@ -27,6 +28,7 @@ class Command(NamedTuple):
     arguments: str = "add_arguments"  # "": it has none
     starts_with: str = ""  # the first status line of a command that loads slowly
     arguments_in: str = ""  # another module that has `arguments`, of a command that loads slowly
+    example: str = ""  # a command line, or several
 
     def load(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments to the parser of the command. The module of `run` is imported when it runs."""
@@ -46,6 +48,9 @@ def main(name: str, about: str, commands: Sequence[Command], codes: Sequence[int
 
     def run() -> int:
         words = sys.argv[1:] if argv is None else list(argv)
+        if not words:
+            build_parser(name, about, commands, codes, ()).print_help(sys.stderr)
+            return USAGE
         chosen = next((word for word in words if not word.startswith("-")), "")
         args = build_parser(name, about, commands, codes, (chosen,)).parse_args(words)
         with checked_paths(args):
@@ -78,14 +83,26 @@ def build_parser(
     name: str, about: str, commands: Sequence[Command], codes: Sequence[int], loaded: Sequence[str] | None = None
 ) -> argparse.ArgumentParser:
     """The parser of a program. loaded: the commands whose arguments it needs, default all."""
-    epilog = exit_codes_help(*codes)
-    top = _Parser(name, description=about, epilog=epilog, allow_abbrev=False)
+    shared: dict[str, Any] = {"allow_abbrev": False, "formatter_class": argparse.RawDescriptionHelpFormatter}
+    exit_codes = _filled(exit_codes_help(*codes))
+    top = _Parser(name, description=_filled(about), epilog=exit_codes, **shared)
     top.add_argument("--version", action="version", version=f"{name} {__version__}")
     group = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in commands:
-        parser = group.add_parser(
-            command.name, help=command.help, description=command.help, epilog=epilog, allow_abbrev=False
-        )
+        example = "\n".join(["example:", *(f"  {line}" for line in command.example.splitlines()), "", ""])
+        epilog = (example if command.example else "") + exit_codes
+        about = _filled(command.help)
+        parser = group.add_parser(command.name, help=command.help, description=about, epilog=epilog, **shared)
         if loaded is None or command.name in loaded:
             command.load(parser)
     return top
+
+
+HELP_CHARACTERS = 78  # of a line, as argparse has them on a terminal of 80
+
+
+def _filled(text: str) -> str:
+    """Text in lines, the later ones indented as far as what follows a label."""
+    label, colon, _ = text.partition(": ")
+    indent = " " * len(label + colon) if len(label) < HELP_CHARACTERS // 4 else ""
+    return textwrap.fill(text, HELP_CHARACTERS, subsequent_indent=indent if colon else "")

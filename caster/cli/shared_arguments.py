@@ -58,7 +58,7 @@ def add_scene(parser: argparse.ArgumentParser, kind: type[InputPath] | None = No
     )
 
 
-def add_mesh_dirs(parser: argparse.ArgumentParser) -> None:
+def add_mesh_dirs(parser: argparse._ActionsContainer) -> None:
     """Add --mesh-dir, which may be repeated."""
     parser.add_argument(
         "--mesh-dir",

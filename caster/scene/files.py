@@ -20,7 +20,7 @@ from caster.geometry.mesh_files import MESH_SUFFIXES, MeshFolders
 from caster.geometry.world_space import TriangleShape
 from caster.scene.model import Ambient, Diffuse, Directional, Film, Scene
 from caster.shapes import SHAPES
-from caster.shapes.mesh import MeshFile
+from caster.shapes.mesh import Mesh
 
 __all__ = ["film_pixels", "load_scene", "mesh_scene", "types_in_file", "validated"]
 
@@ -105,7 +105,7 @@ def mesh_scene(path: str | PathLike[str]) -> Scene:
     Raises FileMissing, SceneError for a file that is no usable mesh, and for a mesh without an extent.
     """
     where = os.path.abspath(path)
-    shape = MeshFile(file=where, name="mesh", material="mesh")
+    shape = Mesh(file=where, name="mesh", material="mesh")
     try:
         mesh = shape.mesh()
     except SceneError as error:

@@ -36,7 +36,7 @@ class TimedCaster:
     def missing(self) -> str:
         """The reason why it cannot run on this machine; "" if there is none."""
         works = not self.variant or self.variant in variants.usable_variants().names
-        return "" if works else f"{self.variant} does not work here: {variants.usable_variants().why}"
+        return "" if works else f"{self.variant} does not work here"
 
     def environment(self) -> dict[str, str]:
         return variants.environment_for(self.variant)

@@ -7,11 +7,11 @@ from typing import Any
 from pydantic import SerializerFunctionWrapHandler, computed_field, model_serializer
 from pydantic.dataclasses import dataclass
 
-from mitsuba_ref.bench.drivers import ANY, AOVS, FILM, NEAREST
+from mitsuba_ref.bench.drivers import ANY, AOVS, NEAREST
 from mitsuba_ref.report.results import NOTHING, aligned, number
 
 JSON_FORMAT = 1  # goes up when a key changes its meaning or goes away
-REFERENCE_ROW = "ours"  # the row that all ratios are to
+REFERENCE_ROW, CANDIDATE_ROW = "ours", "candidate"  # ratios are to the first, in tables to the second if there is one
 
 
 @dataclass(frozen=True)
@@ -76,16 +76,22 @@ class SceneResult:
     def row(self, key: str) -> Row | None:
         return next((row for row in self.rows if row.key == key), None)
 
-    def ratio(self, key: str) -> float | None:
-        """Time per ray as a multiple of ours; None where one of the two did not run.
+    def ratio(self, key: str, base: str = REFERENCE_ROW) -> float | None:
+        """Time per ray as a multiple of that of a base row, ours by default; None where one of the two did not run.
 
         It is the median of the ratios within each alternation, so that other load on the machine affects both alike.
         """
-        row, ours = self.row(key), self.row(REFERENCE_ROW)
-        if row is None or ours is None:
+        row, other = self.row(key), self.row(base)
+        if row is None or other is None:
             return None
-        found = [(a / row.rays) / (b / ours.rays) for a, b in zip(row.seconds, ours.seconds, strict=False)]
+        found = [(a / row.rays) / (b / other.rays) for a, b in zip(row.seconds, other.seconds, strict=False)]
         return median(found) if found else None
+
+    @property
+    def judged_row(self) -> str:
+        """The row that is compared with the others: the candidate, if it ran, or else ours."""
+        row = self.row(CANDIDATE_ROW)
+        return CANDIDATE_ROW if row and row.ran else REFERENCE_ROW
 
 
 @dataclass(frozen=True)
@@ -99,7 +105,7 @@ class Run:
     format: int = JSON_FORMAT
 
 
-COLUMNS = ("", "rays", "build ms", "ns/ray", "x ours", "t: ulps", "t: bounds", "wrong", "wrong at edges", "MB")
+COLUMNS = ("", "build ms", "ns/ray", "times as fast", "ulps", "bounds", "wrong", "edges", "MB")
 
 
 def rows(scene: SceneResult) -> list[list[str]]:
@@ -114,12 +120,13 @@ def _cells(scene: SceneResult, row: Row) -> list[str]:
     if score := row.score:
         wrong = _masks_text(score.masks, score.beyond), _masks_text(score.edge_masks, score.edge_beyond)
         errors = [number(score.ulps, 2), number(score.bounds, 2), *wrong]
+    smaller = f"{row.size}^2" if row.size < max(each.size for each in scene.rows) else ""
+    about = ", ".join(filter(None, [smaller, row.why]))
     return [
-        f"{row.title} ({row.why})" if row.why else row.title,
-        f"{row.size}^2" if scene.workload == FILM else f"{row.rays:,}",
+        f"{row.title} ({about})" if about else row.title,
         number(None if row.build is None else 1e3 * row.build, 1),
         number(row.ns, 2),
-        number(scene.ratio(row.key), 2),
+        number(scene.ratio(row.key, scene.judged_row), 2),
         *errors,
         NOTHING if row.memory is None else f"{row.memory / 2**20:.0f}",
     ]
@@ -130,33 +137,47 @@ def _masks_text(masks: int, beyond: int) -> str:
     return f"{masks}+{beyond}" if beyond else str(masks)
 
 
-# Columns of the table of all scenes: how many times as long as ours these take.
-OVERVIEW = {"raw-robust": "`ray_intersect`", "aov-robust": "AOV integrator", "candidate": "candidate"}
+# Columns of the table of all scenes.
+OVERVIEW = {
+    REFERENCE_ROW: "ours",
+    "raw-robust": "`ray_intersect`",
+    "aov-robust": "AOV integrator",
+    CANDIDATE_ROW: "candidate",
+}
 RAYS_OF = {NEAREST: "t, normal of any rays", ANY: "any rays: hit or not"}
 
 
+def judged_row(run: Run) -> str:
+    """The row that the overview compares with the others."""
+    return CANDIDATE_ROW if any(scene.judged_row == CANDIDATE_ROW for scene in run.scenes) else REFERENCE_ROW
+
+
 def overview(run: Run) -> list[list[str]]:
-    """The overview table: for each scene AOVs, our time in ms, and the others as multiples of it."""
-    scenes = [(scene, ours) for scene in run.scenes if (ours := scene.row(REFERENCE_ROW)) and ours.ran]
-    keys = [key for key in OVERVIEW if any(scene.ratio(key) is not None for scene, _ in scenes)]
-    found = [["scene", "AOVs", "ours, ms", *(OVERVIEW[key] for key in keys)]]
-    for scene, ours in scenes:
+    """The table of all scenes: AOVs, the time of the judged row, and how many times as fast as the others it is."""
+    base = judged_row(run)
+    scenes = [(scene, row) for scene in run.scenes if (row := scene.row(base)) and row.ran]
+    keys = [key for key in OVERVIEW if key != base and any(scene.ratio(key, base) is not None for scene, _ in scenes)]
+    found = [["scene", "AOVs", f"{OVERVIEW[base]}, ms", *(OVERVIEW[key] for key in keys)]]
+    for scene, row in scenes:
         what = RAYS_OF.get(scene.workload) or ", ".join(scene.aovs or AOVS)
-        ratios = [number(scene.ratio(key), 2) for key in keys]
-        found.append([scene.name, what, number(1e3 * median(ours.seconds), 1), *ratios])
+        ratios = [number(scene.ratio(key, base), 2) for key in keys]
+        found.append([scene.name, what, number(1e3 * median(row.seconds), 1), *ratios])
     return found
 
 
 def overview_text(run: Run) -> str:
     table = [[cell.replace("`", "") for cell in line] for line in overview(run)]
-    return "\n".join(["Our time in ms; the other columns are multiples of it", *aligned(table, left=2)])
+    name = OVERVIEW[judged_row(run)]
+    head = f"milliseconds of {name}, and how many times as fast as each of the others it is"
+    return "\n".join([head, *aligned(table, left=2)])
 
 
 def as_text(scene: SceneResult) -> str:
     """The table under a line with the scene."""
     aovs = f"; {', '.join(scene.aovs)}" if scene.aovs not in ((), AOVS) else ""
     head = f"{scene.name}: {scene.title} ({scene.primitives:,} primitives{aovs})"
-    return "\n".join([head, *(f"  {line}" for line in aligned(rows(scene), left=1))])
+    about = f"times as fast as this row: {OVERVIEW[scene.judged_row]}; errors of t; +: hits beyond their bound"
+    return "\n".join([head, *aligned(rows(scene), left=1), about])
 
 
 def summary(run: Run) -> str:

@@ -41,7 +41,8 @@ def run_stress(args: argparse.Namespace) -> int:
     try:
         for i, family in enumerate(families):
             progress = options.Progress(f"{i + 1}/{len(families)} {family.name}")
-            done.append(sweeps.sweep(family, args.seed, args.rays, progress, candidate))
+            kept = Path(args.out), options.candidate_words(args)
+            done.append(sweeps.sweep(family, args.seed, args.rays, progress, candidate, *kept))
             progress.clear()
             table = sweeps.as_text(done[-1], args.skip_unsupported)
             print(f"{table}\n", file=options.table_stream(args), flush=True)
@@ -67,7 +68,7 @@ def report_sweeps(done: list[SweepResult], families: list[Family], args: argpars
     if declined:
         waived = "" if args.skip_unsupported else "; they fail the run without --skip-unsupported"
         text += f"\n{len(declined)} declined by the candidate: {', '.join(declined)}{waived}"
-    print(text, file=options.table_stream(args))
+    print(f"{options.missing_variants()}{text}", file=options.table_stream(args))
     return run
 
 
@@ -131,4 +132,4 @@ def report_run(done: Run, args: argparse.Namespace) -> None:
     """Write the JSON file, if any, and print the overview table and a last line."""
     if args.json:
         write_result(done, args.json)
-    print(f"{overview_text(done)}\n\n{summary(done)}", file=options.table_stream(args))
+    print(f"{overview_text(done)}\n\n{options.missing_variants()}{summary(done)}", file=options.table_stream(args))

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Protocol, TextIO, TypeVar
 
 from caster.cli.shared_arguments import check_utf8_name
@@ -13,6 +14,7 @@ from caster.system.atomic_files import check_writable
 from caster.system.terminal import StatusLine
 from mitsuba_ref.cli.arguments import CANDIDATE_SECONDS, ServedProgram
 from mitsuba_ref.exr_compare.conventions import Reading, candidate_image
+from mitsuba_ref.reference import variants
 from mitsuba_ref.runner.many_scenes import matching
 from mitsuba_ref.subjects.command import CommandSubject, ExrFile
 from mitsuba_ref.subjects.requests import parse_candidate
@@ -72,6 +74,14 @@ def reading_of(args: argparse.Namespace) -> Reading:
     return Reading(tuple(maps or ()), depth, miss)
 
 
+# ---- reports ----
+
+
+def report_address(folder: str) -> str:
+    """A line with the address of a report, for a browser."""
+    return f"report:     {(Path(folder).absolute() / 'index.html').as_uri()}"
+
+
 # ---- experiments: fuzz, stress, bench ----
 
 
@@ -79,6 +89,13 @@ def check_json(args: argparse.Namespace) -> None:
     """Raise OutputError before any work if the file cannot be written."""
     if args.json and args.json != "-":
         check_writable(args.json)
+
+
+def missing_variants() -> str:
+    """A line on the variants of Mitsuba that do not work here; "" if all do."""
+    works = variants.usable_variants()
+    missing = [name for name in variants.VARIANT_NAMES if name not in works.names]
+    return f"{', '.join(missing)}: does not work here: {works.why}\n" if missing else ""
 
 
 def table_stream(args: argparse.Namespace) -> TextIO:

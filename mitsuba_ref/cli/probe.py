@@ -28,7 +28,8 @@ def run(args: argparse.Namespace) -> int:
         if args.save:
             save(args, probed, about_candidate(args, found))
     finally:  # last, since a reader of the pipe may close it early
-        print(json.dumps(found.to_dict(), indent=2) if args.json else as_text(found, shown_path(args.scene)))
+        text = as_text(found, shown_path(args.scene), brief=args.brief)
+        print(json.dumps(found.to_dict(), indent=2) if args.json else text)
     return OK if found.ok else DIFFERENCES
 
 

@@ -15,8 +15,8 @@ from caster.scene.files import types_in_file
 from caster.scene.model import Film
 from caster.system.atomic_files import OutputError, write_text
 from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
-from mitsuba_ref.cli.arguments import BUILTIN_SETS, DEFAULT_SCENES
-from mitsuba_ref.cli.options import candidate_words, requested_candidate
+from mitsuba_ref.cli.arguments import DEFAULT_SCENES
+from mitsuba_ref.cli.options import candidate_words, report_address, requested_candidate
 from mitsuba_ref.judge.verdict import UNSUPPORTED, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.report import builtin_scenes
@@ -59,7 +59,7 @@ def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
     for folder in args.mesh_dir:
         check_utf8_name(folder)
     named = [] if args.builtin and args.scenes is DEFAULT_SCENES else args.scenes
-    places = [*builtin_folders(args.builtin), *named]
+    places = [*builtin_scenes.folders_of(args.builtin), *named]
     files = [file for file in scene_files(places) if fits(file)]
     if args.size:
         with error_prefix("--size", *args.size):
@@ -71,14 +71,6 @@ def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
         fitting = f" that fits -k {args.expression!r}" if args.expression else ""
         print(f"nothing selected: no scene file{fitting} in {', '.join(places)}", file=sys.stderr)
     return entries
-
-
-def builtin_folders(name: str | None) -> list[str]:
-    """Folders of a set of built-in scenes; none for None."""
-    if name is None:
-        return []
-    chosen = BUILTIN_SETS[:-1] if name == BUILTIN_SETS[-1] else (name,)
-    return [str(builtin_scenes.ROOT / each) for each in chosen]
 
 
 def without_earlier_results(args: argparse.Namespace) -> OutFolder | None:
@@ -149,6 +141,8 @@ def write_results(running: ValidationRun, args: argparse.Namespace, seconds: flo
         if failures := failures_text(verdict, report):
             print_lines(f"\n{failures}")
         print_lines(f"\n{summary_text(verdict, seconds)}")
+        if args.html:
+            print_lines(report_address(args.html))
     finally:
         for removed in filter(None, running.finish()):
             print(removed, file=sys.stderr)
@@ -186,7 +180,7 @@ def run_merge(args: argparse.Namespace) -> int:
         print_lines(f"{failures}\n")
     for name in verdict.not_judged:
         print_lines(f"FAIL  {name}  not judged")
-    print(summary_text(verdict, seconds))
+    print_lines(summary_text(verdict, seconds))
     if missing:
         print(f"{missing}; expected the verdict of every shard", file=sys.stderr)
     return OK if verdict.ok and not missing else DIFFERENCES

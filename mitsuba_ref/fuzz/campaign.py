@@ -13,11 +13,12 @@ import numpy as np
 
 from caster.geometry.packing import Packed
 from mitsuba_ref.fuzz.cases import case_of, write_kept
-from mitsuba_ref.fuzz.checks import SCENE_ERRORS, check_image, check_rays, exception_finding, find
+from mitsuba_ref.fuzz.checks import SCENE_ERRORS, answered_types, check_image, check_rays, exception_finding, find
 from mitsuba_ref.fuzz.findings import JUDGED_KINDS, Failure, Finding, Outcome, Tally, first_of_each_kind
 from mitsuba_ref.fuzz.shrink import SHRINK_ATTEMPTS, Shrinker
 from mitsuba_ref.hard import FAMILIES
 from mitsuba_ref.hard.family import Family, HardScene
+from mitsuba_ref.hard.random_parts import shape_types
 from mitsuba_ref.hard.rays import RayBatch
 from mitsuba_ref.judge.checks.knife_edges import prepared_scene
 from mitsuba_ref.shapes.targets import Rng
@@ -39,11 +40,12 @@ class Example:
     seed: int
     number: int
     family: Family
+    types: tuple[str, ...] = shape_types()  # of the shapes that the scene keeps
 
     @cached_property
     def made(self) -> HardScene:
         rng, family = self.random(SCENE_STREAM), self.family
-        return family.make(rng, float(rng.choice(family.values)) if family.values else 0.0)
+        return family.make(rng, float(rng.choice(family.values)) if family.values else 0.0).of_types(self.types)
 
     def random(self, stream: int) -> Rng:
         """Random numbers of the example, independent for each stream."""
@@ -81,10 +83,14 @@ class Campaign:
         """Yield the outcome after each example."""
         start = time.monotonic()
         self.deadline = float("inf") if self.seconds is None else start + self.seconds
+        types = answered_types(self.subject)
+        self.outcome.left_out = tuple(each for each in shape_types() if each not in types)
         for number in self.numbers:
             if time.monotonic() >= self.deadline:
                 break
-            self._check(example(self.seed, number, self.families))
+            tried = replace(example(self.seed, number, self.families), types=types)
+            if self.subject is OURS or (tried.family.fits_float32 and tried.made.data["shape"]):
+                self._check(tried)
             self.outcome.last_example, self.outcome.seconds = number, time.monotonic() - start
             yield self.outcome
         self.outcome.interrupted = False
@@ -102,9 +108,6 @@ class Campaign:
 
     def _findings(self, tried: Example, tally: Tally) -> list[Finding]:
         every, family, case = self.judge_every, tried.family, case_of(tried.made.data)
-        if self.subject is not OURS and not family.fits_float32:
-            tally.outside += 1
-            return []
         if self.subject is not OURS:
             aims = (None, partial(tried.rays, count=self.rays)) if self.subject.takes_rays else (None,)
             return [found for aim in aims for found in find(case, "judged", tally, self.subject, aim)]
@@ -118,18 +121,20 @@ class Campaign:
         attempts = MITSUBA_SHRINK_ATTEMPTS if finding.kind in JUDGED_KINDS else SHRINK_ATTEMPTS
         judge = partial(find, kind=finding.kind, subject=self.subject)
         shrinker = Shrinker(case_of(tried.made.data), finding, judge, attempts, self.deadline + SHRINK_GRACE_S)
+        drawn = case_of(tried.made.data, finding.ray)
         seed, number, family = str(tried.seed), tried.number, tried.family.name
         again = ["--seed", seed, "--family", family, "--examples", f"{number}..{number}"]
         again += [] if self.rays == RAYS_PER_EXAMPLE else ["--rays", str(self.rays)]
         found_by = shlex.join([*again, *self.options])
+        name = f"{finding.kind}-{family}-{seed}-{number}"
+        unshrunk = write_kept(self.folder / "unshrunk", name, finding, found_by, drawn, self.options)
         try:
             shrinker.run()
         finally:
             smallest = shrinker.finding
-            name = f"{smallest.kind}-{family}-{seed}-{number}"
             file = write_kept(self.folder, name, smallest, found_by, shrinker.case, self.options)
-            failure = Failure(smallest.kind, smallest.what, family, found_by, str(file), self.options)
-            self.outcome.failures.append(failure)
+            files = str(file), str(unshrunk)
+            self.outcome.failures.append(Failure(finding.kind, smallest.what, family, found_by, *files, self.options))
 
 
 def check_example(tried: Example, tally: Tally, count: int = RAYS_PER_EXAMPLE, thorough: bool = False) -> list[Finding]:

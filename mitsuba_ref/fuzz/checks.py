@@ -17,7 +17,9 @@ from mitsuba_ref.error_model.bounds import UNIT_LENGTH_ATOL
 from mitsuba_ref.fuzz.cases import Case, ray_of, scene_data
 from mitsuba_ref.fuzz.findings import JUDGED_KINDS, Finding, Tally
 from mitsuba_ref.hard.family import scene_of
-from mitsuba_ref.hard.rays import RayBatch
+from mitsuba_ref.hard.random_parts import random_shape, shape_types
+from mitsuba_ref.hard.rays import Frame, RayBatch
+from mitsuba_ref.hard.swept_families import NO_VIEW
 from mitsuba_ref.judge import checks as registry
 from mitsuba_ref.judge.checks import knife_edges
 from mitsuba_ref.judge.checks.knife_edges import (
@@ -30,14 +32,15 @@ from mitsuba_ref.judge.checks.knife_edges import (
     t_text,
     with_limits,
 )
-from mitsuba_ref.judge.verdict import UNDECIDED, WRONG, SceneVerdict
+from mitsuba_ref.judge.verdict import UNDECIDED, WRONG, Failure, SceneVerdict
 from mitsuba_ref.oracle.oracle import OutsideDomain
 from mitsuba_ref.reference.mitsuba_process import send_request
 from mitsuba_ref.reference.shared_input import SharedRays, packed_float32
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.shapes.targets import Rng
 from mitsuba_ref.subjects.ray_files import checked_rays, lay_out
-from mitsuba_ref.subjects.subject import OURS, Subject
+from mitsuba_ref.subjects.requests import request_answer
+from mitsuba_ref.subjects.subject import OURS, NoAnswer, Subject, Unsupported
 
 SCENE_ERRORS = (SceneError, ValidationError, OutsideDomain)  # raised by scenes that cannot be checked
 MITSUBA_TIMEOUT_S = 60.0  # seconds; a scene of a few dozen pixels takes a hundredth of one
@@ -180,19 +183,60 @@ def compare_with_mitsuba(
         return [Finding("crash" if subject is OURS else "answer", verdict.problem)]
     if subject is not OURS and not (verdict.counts[WRONG] or verdict.counts[UNDECIDED]):
         return []
-    return [_finding_of(verdict, scene, shared)] if verdict.failing or not verdict.checks_pass else []
+    return _findings_of(verdict, scene, shared) if verdict.failing or not verdict.checks_pass else []
 
 
-def _finding_of(verdict: SceneVerdict, scene: Scene, rays: SharedRays | None) -> Finding:
-    for check in verdict.checks:
-        if not check.ok:
-            what = f"{check.name}: {check.ratio:.3g} times its bound; {check.what}"
-            return Finding("judged", what, detail=check.name)
-    first, ray = verdict.failures[0], None
+def _findings_of(verdict: SceneVerdict, scene: Scene, rays: SharedRays | None) -> list[Finding]:
+    """Failing checks, of our caster alone, and failing pixels."""
+    made = () if verdict.candidate else verdict.checks
+    texts = {each.name: f"{each.name}: {each.ratio:.3g} times its bound; {each.what}" for each in made if not each.ok}
+    checks = [Finding("judged", what, detail=name) for name, what in texts.items()]
+    return [*checks, *(_finding_of(each, verdict, scene, rays) for each in verdict.failures)]
+
+
+def _finding_of(failure: Failure, verdict: SceneVerdict, scene: Scene, rays: SharedRays | None) -> Finding:
+    ray = None
     if rays is not None:
-        at = [first.y * scene.film.width + first.x]
+        at = [failure.y * scene.film.width + failure.x]
         ray = RayBatch(rays.o[at], rays.d[at], np.zeros(1), np.full(1, np.inf))
-    subject = "the candidate" if verdict.candidate else "ours"
-    sides = f"{subject} {first.subject}; Mitsuba {first.reference}; exactly {first.exact}; {first.reason}"
-    what = f"{first.verdict}: {first.check} {first.ratio:.3g} times its bound; {sides}"
-    return Finding("judged", what, ray, detail=first.verdict)
+    lines = (
+        f"{failure.reason}; {failure.check} {failure.ratio:.3g} times its bound",
+        f"{'candidate:' if verdict.candidate else 'ours:':<10} {failure.subject}",
+        f"reference: {failure.reference}",
+        f"exact:     {failure.exact}",
+    )
+    return Finding("judged", "\n      ".join(lines), ray, detail=failure_mode(failure))
+
+
+OF_PLACE = ("mask", "depth", "position", "on_surface", "shape_id", "uv", "exact")  # which of them is off most varies
+
+
+def failure_mode(failure: Failure) -> str:
+    """The kind of a pixel's failure, which shrinking must preserve."""
+    if failure.subject.startswith("miss"):
+        return "missed"
+    if failure.exact.startswith("miss"):
+        return "phantom"
+    return "place" if failure.check in OF_PLACE else failure.check
+
+
+# ---- shapes that a candidate takes
+
+
+def answered_types(subject: Subject) -> tuple[str, ...]:
+    """Types of shapes that a subject does not decline; all of them if it declines each, or takes no rays."""
+    types = shape_types()
+    if subject is OURS or not subject.takes_rays:
+        return types
+    return tuple(each for each in types if _answers(subject, each)) or types
+
+
+def _answers(subject: Subject, shape_type: str) -> bool:
+    shape = random_shape(np.random.default_rng(0), Frame(), [shape_type])
+    try:
+        request_answer(subject, scene_of({**NO_VIEW, "shape": [shape]}))
+    except Unsupported:
+        return False
+    except NoAnswer:
+        return True  # which is a finding
+    return True

@@ -35,7 +35,7 @@ class Finding:
     kind: str
     what: str  # ours and the exact answer, in words
     ray: RayBatch | None = None  # one row
-    detail: str = ""  # the class of the pixel, or the check that fails
+    detail: str = ""  # the check that fails, or in which way a pixel does
 
     @property
     def mode(self) -> tuple[str, str]:
@@ -82,6 +82,7 @@ class Failure:
     family: str
     example: str  # the options that make the scene it was shrunk from
     file: str
+    unshrunk: str  # the file of the scene as it was drawn
     options: tuple[str, ...] = ()  # of a candidate, for a replay
 
     @property
@@ -101,6 +102,7 @@ class Outcome:
     last_example: int = -1  # the number of the last finished one
     seconds: float = 0.0
     interrupted: bool = True  # until the run has ended by itself
+    left_out: tuple[str, ...] = ()  # types of shapes that the candidate declines
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -119,6 +121,10 @@ class Outcome:
 
 COLUMNS = ("examples", "rays", "hits", "edges", "ties", "unbounded", "outside", "judged", "findings")
 CANDIDATE_COLUMNS = ("examples", "declined", "outside", "judged", "pixels", "findings")
+ABOUT_COLUMNS = """edges: hits on an edge, a rim or a tangent; ties: of several primitives at once;
+unbounded: t without a float64 bound; outside: rays that exact arithmetic does not take;
+judged: scenes compared with Mitsuba, too"""
+ABOUT_CANDIDATE_COLUMNS = """declined, judged: films and lists of rays; outside: those beyond float32"""
 
 
 def text(outcome: Outcome) -> str:
@@ -131,10 +137,12 @@ def text(outcome: Outcome) -> str:
         f"FAIL  {failure.kind}: {failure.what}\n"
         f"      scene:  {failure.file}\n"
         f"      replay: {failure.replay}\n"
-        f"      from:   mitsuba-ref fuzz {failure.example}"
+        f"      from:   mitsuba-ref fuzz {failure.example}\n"
+        f"              {failure.unshrunk}"
         for failure in outcome.failures
     ]
-    return "\n".join([*aligned([["family", *head], *rows], left=1), *failures, *_summary(outcome)])
+    about = ABOUT_CANDIDATE_COLUMNS if outcome.candidate else ABOUT_COLUMNS
+    return "\n".join([*aligned([["family", *head], *rows], left=1), about, *failures, *_summary(outcome)])
 
 
 def _summary(outcome: Outcome) -> Iterator[str]:
@@ -144,6 +152,8 @@ def _summary(outcome: Outcome) -> Iterator[str]:
         rays = total.pixels
         work = f"{rays} rays of {total.judged} films and lists judged against Mitsuba and exact arithmetic"
     yield f"seed {outcome.seed}: {total.examples} examples, {work}, in {outcome.seconds:.1f} s"
+    if outcome.left_out:
+        yield f"without shapes that it declines: {', '.join(outcome.left_out)}"
     if outcome.candidate and not total.judged:
         yield f"FAIL  nothing was judged: {outcome.candidate} declined every scene, or none fits float32"
     kinds = ", ".join(f"{number} {kind}" for kind, number in sorted(total.kinds.items()))

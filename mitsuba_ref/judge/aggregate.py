@@ -107,7 +107,7 @@ def failing_by_check(judgement: Judgement) -> dict[str, np.ndarray]:
 
 def failure_at(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str], row: int, check: str = "") -> Failure:
     """One pixel that fails. check: the check to report; "": the one with the largest excess."""
-    check = check or decisive_check(judgement, row)
+    check = check or decisive_checks(judgement, np.array([row]))[0]
     text = pixel_answers(judge, judgement, row, check)
     explain = full_reason if judge.names_prims else reason
     why = explain(judge, judgement, diagnosed, row)
@@ -116,11 +116,14 @@ def failure_at(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str],
     return Failure(x, y, verdict, check, ratio, text.subject, text.reference, text.exact, why)
 
 
-def decisive_check(judgement: Judgement, row: int) -> str:
-    """The check with the largest excess; `exact`, the least specific, only if no other fails."""
-    excess = {name: float(judgement.excess(name)[row]) for name in judgement.names}
-    beyond = {name: ratio for name, ratio in excess.items() if name != EXACT and not ratio <= 1.0}
-    return max(beyond or excess, key=lambda name: excess[name])
+def decisive_checks(judgement: Judgement, rows: np.ndarray) -> list[str]:
+    """The check with the largest excess of each row; `exact`, the least specific, only if no other fails."""
+    names = judgement.names
+    excess = np.stack([judgement.excess(name)[rows] for name in names])
+    excess = np.where(np.isnan(excess), np.inf, excess)
+    beyond = (excess > 1.0) & (np.array(names) != EXACT)[:, None]
+    ranked = np.where(beyond | ~beyond.any(axis=0), excess, -1.0)
+    return [names[i] for i in ranked.argmax(axis=0)]
 
 
 # ---- the windows of a large film, judged one after the other ----

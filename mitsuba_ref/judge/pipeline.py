@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 from caster.geometry.packing import forget_packed
 from caster.geometry.world_space import as_given
 from caster.scene.model import Scene
+from caster.system.terminal import report_stage
 from mitsuba_ref.judge.aggregate import (
     NEVER_GIVEN,
     class_counts,
@@ -149,15 +150,18 @@ def judge_window(
         forget_packed(task.scene, as_given, LARGE_SCENE)
 
     # Request: the subject's answer, then Mitsuba's along the same rays.
+    report_stage("casting rays" if task.ours else "asking the candidate")
     try:
         response = request_answer(task.subject, task.scene, rays=task.rays)
     except NoAnswer as error:
         return _no_comparison(task, made, str(error), isinstance(error, Unsupported)), None
+    report_stage("asking Mitsuba")
     judge = judge_of(response, timeout=task.timeout, send=task.send, with_files=whole_scene)
     if isinstance(judge, Crash):
         return _no_comparison(task, made, judge.message), None
 
     # Compare, adjudicate, classify; then find the causes of failing pixels.
+    report_stage("judging")
     judgement = judge.judge()
     diagnosis = diagnose(judge, judgement)
 

@@ -9,6 +9,7 @@ from collections import Counter
 from dataclasses import field
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import ConfigDict, Field, PlainSerializer, TypeAdapter, computed_field
 from pydantic.dataclasses import dataclass
 
@@ -198,6 +199,37 @@ class SceneVerdict:
     rays: tuple[int, int] = (0, 0)  # first and end of the rays judged of a list, which fill `size`; (0, 0): a film
     # the evidence, for the HTML report; None if it was not kept
     seen: Annotated[Any, Field(exclude=True)] = field(default=None, repr=False, compare=False)
+    film: Annotated[Any, Field(exclude=True)] = field(default=None, repr=False, compare=False)  # a JudgedFilm, likewise
+
+    def __repr__(self) -> str:
+        return f"<SceneVerdict {self.name}: {'pass' if self.ok else 'fail'}>"
+
+    @property
+    def classes(self) -> np.ndarray:
+        """(h, w) uint8, index into `mitsuba_ref.CLASSES` of each pixel of a verdict of `mitsuba_ref.validate`."""
+        classes: np.ndarray = self._judged_film.classes
+        return classes
+
+    @property
+    def images(self) -> dict[str, Any]:
+        """`images["ours"]["depth"]`: images of whoever was judged, ("ours") and of Mitsuba ("reference"), by AOV.
+
+        Of a verdict of `mitsuba_ref.validate`; (h, w) or (h, w, c) as from `caster.render`.
+        """
+        images: dict[str, Any] = self._judged_film.images
+        return images
+
+    def failing_pixels(self) -> tuple[Any, ...]:
+        """Every pixel that fails (`mitsuba_ref.FailingPixel`), row by row, of a verdict of `mitsuba_ref.validate`."""
+        failing: tuple[Any, ...] = self._judged_film.failing
+        return failing
+
+    @property
+    def _judged_film(self) -> Any:
+        if self.film is None:
+            reason = self.problem or "only a verdict of mitsuba_ref.validate keeps them"
+            raise ValueError(f"scene {self.name} has no images: {reason}")
+        return self.film
 
     @computed_field  # type: ignore[prop-decorator]
     @property

@@ -18,7 +18,7 @@ from mitsuba_ref.judge.explanations import MAX_TIES_SHOWN, exact_answer, full_re
 from mitsuba_ref.judge.verdict import CLASSES, FAILING, UNDECIDED, UNLISTED, json_number
 from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.probe.candidate_pixel import CandidatePixel, case_text, probe_candidate
-from mitsuba_ref.probe.witnesses import WitnessAnswer, witness_answers, witness_lines, witness_record
+from mitsuba_ref.probe.witnesses import WitnessAnswer, t_lines, witness_answers, witness_lines, witness_record
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.shared_input import SharedRays, shared_rays
@@ -57,6 +57,10 @@ class PixelVerdict:
     case: str = ""  # where the reference is wrong: the number of the known case, or "unlisted"
     witnesses: tuple[WitnessAnswer, ...] = ()  # a candidate, ours, exact, Mitsuba in each of its variants and modes
     candidate: CandidatePixel | None = None  # if one was requested
+
+    def __str__(self) -> str:
+        """The text of `mitsuba-ref probe`."""
+        return as_text(self, "the scene")
 
     @property
     def ok(self) -> bool:
@@ -189,36 +193,43 @@ def _json_safe(value: Any) -> Any:
 MAX_PRIMS_SHOWN = 12  # primitives; --json has all
 
 
-def as_text(found: PixelVerdict, path: str) -> str:
-    """The verdict as text for a terminal."""
-    return "\n".join(_lines(found, path))
+def as_text(found: PixelVerdict, path: str, *, brief: bool = False) -> str:
+    """The verdict as text for a terminal. brief: without the numbers behind it."""
+    return "\n".join(_lines(found, path, brief))
 
 
-def _lines(found: PixelVerdict, path: str) -> Iterator[str]:
+def _lines(found: PixelVerdict, path: str, brief: bool) -> Iterator[str]:
     yield from _head(found, path)
     if found.problem:
         yield found.problem
         return
-    for name, value in found.ray.items():
-        yield f"ray        {name:<16}{_decimal_and_hex(value)}"
+    yield "\nwho is right"
     yield from _exact_lines(found.exact)
     yield from witness_lines(found.witnesses)
-    for name in found.ours:
+    yield from (f"  note: {note}" for note in (found.candidate.notes if found.candidate else ()))
+    if brief:
+        return
+    yield "\nthe ray"
+    for name, value in found.ray.items():
+        yield from _value_lines(name, value)
+    yield "\nt, in lengths of d"
+    yield from t_lines(found.witnesses)
+    for name in [name for name in found.ours if name not in ("shape", "t")]:
+        yield f"\n{name}"
         for who, value in _sides(found, name).items():
-            yield f"{who:<11}{name if who == 'ours' else '':<16}{_decimal_and_hex(value)}"
-    yield from (f"note       {note}" for note in (found.candidate.notes if found.candidate else ()))
+            yield from _value_lines(who, value)
+    yield "\nshare of each bound that our error uses"
     for name, ratio in found.ratios.items():
-        used = f"{ratio:.3g} of it is used" if math.isfinite(ratio) else "no bound allows this"
-        yield f"bound      {name:<16}{used}"
+        yield f"  {name:<16}{ratio:.3g}" if math.isfinite(ratio) else f"  {name:<16}no bound allows this"
     for name, why in found.not_judged.items():
-        yield f"bound      {name:<16}not judged: {why}"
-    yield f"possible   {len(found.possible)} primitives, t and how far float32 may be off in it:"
+        yield f"  {name:<16}not judged: {why}"
+    yield "\nprimitives that may be hit in float32, t and how far it may be off"
     for each in found.possible[:MAX_PRIMS_SHOWN]:
         mark = "certain" if each.certain else ""
-        yield f"           {each.t!r:<22} +- {each.t_error:<10.3g} {each.shape}, prim {each.prim} {mark}".rstrip()
+        yield f"  {each.t!r:<22} +- {each.t_error:<10.3g} {each.shape}, prim {each.prim} {mark}".rstrip()
     if len(found.possible) > MAX_PRIMS_SHOWN:
-        yield f"           and {len(found.possible) - MAX_PRIMS_SHOWN} more (--json lists them)"
-    yield f"reference  {', '.join(f'{name} {version}' for name, version in found.versions.items())}"
+        yield f"  and {len(found.possible) - MAX_PRIMS_SHOWN} more (--json lists them)"
+    yield f"\nreference  {', '.join(f'{name} {version}' for name, version in found.versions.items())}"
 
 
 def _head(found: PixelVerdict, path: str) -> Iterator[str]:
@@ -242,30 +253,31 @@ def _sides(found: PixelVerdict, name: str) -> dict[str, Any]:
     """One quantity by each side."""
     theirs = found.candidate.says if found.candidate is not None else {}
     sides = {"ours": found.ours[name], "reference": found.reference[name]}
-    if name == "shape" and theirs:
-        sides["candidate"] = "a hit" if theirs["hit"] else "miss"
-    elif name in theirs:
-        sides["candidate"] = theirs[name]
-    return sides
+    return sides | ({"candidate": theirs[name]} if name in theirs else {})
 
 
 def _exact_lines(exact: dict[str, Any]) -> Iterator[str]:
-    """The exact answer: t, what is hit there, and the other intersections of the ray."""
+    """What is hit exactly, and the other intersections of the ray."""
     if not exact:
-        yield "exact      no answer"
+        yield "  exact: no answer"
         return
-    yield f"exact      t               {_decimal_and_hex(exact['t'])}" if exact["hit"] else "exact      miss"
+    yield f"  exact: t {_decimal_and_hex([exact['t']])}" if exact["hit"] else "  exact: miss"
     for tie in exact["ties"][:MAX_TIES_SHOWN]:
-        yield f"           hit             {tie['shape']}, prim {tie['prim']} ({tie['where']})"
+        yield f"         {tie['shape']}, prim {tie['prim']} ({tie['where']})"
     if len(exact["ties"]) > MAX_TIES_SHOWN:
-        yield f"           and {len(exact['ties']) - MAX_TIES_SHOWN} more at the same t (--json lists them)"
+        yield f"         and {len(exact['ties']) - MAX_TIES_SHOWN} more at the same t (--json lists them)"
     if exact["flags"]:
-        yield f"           on the way      {', '.join(exact['flags'])}"
+        yield f"         on the way: {', '.join(exact['flags'])}"
 
 
-def _decimal_and_hex(value: Any) -> str:
-    """Decimal, and hex to the bit."""
-    if isinstance(value, str):
-        return value
+def _value_lines(name: str, value: Any) -> Iterator[str]:
+    """Decimal, and hex to the bit, which has a line of its own unless there is just one number."""
     values = value if isinstance(value, list) else [value]
-    return f"{'  '.join(map(repr, values))}   {'  '.join(float(v).hex() for v in values)}"
+    lines = _decimal_and_hex(values).split("\n")
+    yield f"  {name:<11}{lines[0]}"
+    yield from (f"    {line}" for line in lines[1:])
+
+
+def _decimal_and_hex(values: list[float]) -> str:
+    gap = "  " if len(values) == 1 else "\n"
+    return f"{' '.join(map(repr, values))}{gap}{' '.join(float(v).hex() for v in values)}"

@@ -20,7 +20,9 @@ from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.mitsuba_process import send_request
 from mitsuba_ref.reference.shared_input import export, shape_ids
 
-CANDIDATE = "candidate"
+CANDIDATE, EXACT = "candidate", "exact"
+WIDEST_NAME = 27  # characters, of Mitsuba's LLVM variant with its default mode
+MISSING = "does not work here"
 MODES = {"robust": True, "default": False}  # of Embree, by the scene's embree_use_robust_intersections
 
 
@@ -51,7 +53,7 @@ def witness_answers(judge: Judge, answer: ExactAnswer | None) -> tuple[WitnessAn
     rows = [compared_with_exact(ours, judge, answer, np.float64)]
     if answer is not None:
         t = np.inf if answer.t is None else float(answer.t)
-        rows.append(WitnessAnswer("exact", *surface_of(judge, answer.prim), t, right=True))
+        rows.append(WitnessAnswer(EXACT, *surface_of(judge, answer.prim), t, right=True))
     for variant in variants.VARIANT_NAMES:
         for mode in MODES:
             rows.append(_of_mitsuba(f"mitsuba {variant} {mode}", theirs[variant, mode], judge, answer))
@@ -62,7 +64,7 @@ def other_variant_answers(judge: Judge, variant: str) -> Iterator[tuple[tuple[st
     """Mitsuba's answers by (variant, mode), without the judge's own; each variant runs in its own process."""
     works = variants.usable_variants()
     for name in set(variants.VARIANT_NAMES) - set(works.names):
-        yield from (((name, mode), f"does not work here: {works.why}") for mode in MODES)
+        yield from (((name, mode), MISSING) for mode in MODES)
     wanted = {name: [m for m in MODES if (name, m) != (variant, "robust")] for name in works.names}
     with ScratchFolder() as folder, ThreadPoolExecutor() as pool:
         xml = {
@@ -137,18 +139,21 @@ def in_ulps(off: float, exact: ExactAnswer, format: np.dtype[Any]) -> float | No
 
 
 def witness_lines(found: tuple[WitnessAnswer, ...]) -> Iterator[str]:
-    """A table for a terminal; empty for a pixel without a ray."""
-    room = max((len(each.who) for each in found), default=0)
-    hit = max((len(_surface_text(each)) for each in found), default=0)
-    for i, each in enumerate(found):
-        head = f"{'witness' if i == 0 else '':<11}{each.who:<{room}}"
-        if each.problem:
-            yield f"{head}  {each.problem}"
-            continue
+    """A table for a terminal, without the exact answer; empty for a pixel without a ray."""
+    shown = [each for each in found if each.who != EXACT]
+    surface = max((len(_surface_text(each)) for each in shown), default=0)
+    for each in shown:
         verdict = {True: "right", False: "WRONG", None: "?"}[each.right]
         verdict = "allowed" if _is_loose(each) else verdict
-        t = f"t {decimal_and_hex(each.t)}" if np.isfinite(each.t) else ""
-        yield f"{head}  {verdict}  {_surface_text(each):<{hit}}  {t}{_error_text(each)}".rstrip()
+        answer = f"{verdict:<7}  {_surface_text(each):<{surface}}{_error_text(each)}"
+        yield f"  {each.who:<{WIDEST_NAME}}  {each.problem or answer}".rstrip()
+    if any(each.problem == MISSING for each in found):
+        yield f"  {MISSING}: {variants.usable_variants().why}"
+
+
+def t_lines(found: tuple[WitnessAnswer, ...]) -> Iterator[str]:
+    """t of each that hits, in decimal and to the bit."""
+    yield from (f"  {each.who:<{WIDEST_NAME}}  {decimal_and_hex(each.t)}" for each in found if np.isfinite(each.t))
 
 
 def _surface_text(each: WitnessAnswer) -> str:

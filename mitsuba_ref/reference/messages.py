@@ -154,6 +154,10 @@ class LoadedMesh(NamedTuple):
     problem: str = ""  # the loader's message if it refused the file
 
 
+class MitsubaError(RuntimeError):
+    """Mitsuba ended without an answer; the text says how, with its output."""
+
+
 class Crash(ProcessEnd):
     """The end of a Mitsuba process without a whole response."""
 

@@ -1,5 +1,6 @@
 """Verdicts for the terminal: one row per scene, failures with the next command, and a summary."""
 
+import re
 from collections.abc import Iterator, Sequence
 from textwrap import wrap
 from urllib.parse import quote
@@ -23,15 +24,12 @@ from mitsuba_ref.judge.verdict import (
     Verdict,
 )
 from mitsuba_ref.report.reproducers import replay
-from mitsuba_ref.report.results import percent
+from mitsuba_ref.report.results import BELOW_NAME, LINE_CHARACTERS, folded, percent, plural
 
 MAX_PROBLEM_LINES = 12  # of the output of Mitsuba, where it ended without an answer
 
-TABLE_CHARACTERS = 80  # of a row; counts that do not fit go into a line of their own
-LEGEND = "pixels that hit and that agree; worst: their largest error, over its bound"
+LEGEND = "hit, agree: pixels; worst: the largest error as a share of its bound; s: seconds"
 COLUMNS = ("hit", "agree", "worst", "s", "other pixels")
-
-INDENT = 6 * " "  # below the name of a scene
 
 
 def table_head(width: int) -> str:
@@ -44,9 +42,9 @@ def table_row(scene: SceneVerdict, width: int) -> str:
     first = mark_of(scene), printable(scene.name, keep=""), width
     cells = row_cells(scene)
     row = _line(*first, cells)
-    if len(row) <= TABLE_CHARACTERS:
+    if len(row) <= LINE_CHARACTERS:
         return row
-    lines = wrap(cells[-1], TABLE_CHARACTERS, initial_indent=INDENT, subsequent_indent=INDENT)
+    lines = wrap(cells[-1], LINE_CHARACTERS, initial_indent=BELOW_NAME, subsequent_indent=BELOW_NAME)
     return "\n".join([_line(*first, cells[:-1]), *lines])
 
 
@@ -98,11 +96,12 @@ def failure_text(scene: SceneVerdict, report: str = "") -> str:
         lines += (
             [f"FAIL  {scene.name}  {causes[0]}", f"      {counts}"] if causes else [f"FAIL  {scene.name}  {counts}"]
         )
-        for place, finding in enumerate(scene.findings):
-            lines.append(f"      {finding.pixels} pixels, first {scene.place(finding.x, finding.y)}: {finding.what}")
+        for place, finding in enumerate(scene.findings) if len(scene.findings) > 1 else ():
+            at = f"      {finding.pixels} pixels, first {scene.place(finding.x, finding.y)}: "
+            lines.append(at + (finding.what if place else "as above"))
             more = (finding.where, finding.remedy) if place else ()  # the first line has those of the first
             lines += [f"        {each}" for each in more if each]
-        lines += [*_answers(scene, worst, report), *notes]
+        lines += [*_answers(scene, worst, report, "".join(causes)), *notes]
     return "\n".join(lines)
 
 
@@ -123,12 +122,13 @@ def _ratio_and_place(scene: SceneVerdict, worst: Failure) -> str:
     return f"{worst.ratio:.3g}x its bound at {scene.place(worst.x, worst.y)}"
 
 
-def _answers(scene: SceneVerdict, worst: Failure, report: str = "") -> Iterator[str]:
-    """Every answer at a failing pixel, the reason for its class, where to look, and the next command."""
+def _answers(scene: SceneVerdict, worst: Failure, report: str = "", said: str = "") -> Iterator[str]:
+    """Every answer at a failing pixel, the reason for its class unless it was said, where to look, the next command."""
     yield f"      {'candidate:' if scene.candidate else 'ours:     '} {worst.subject}"
     yield f"      reference: {worst.reference}"
     yield f"      exact:     {worst.exact}"
-    yield f"      why:       {worst.reason}"
+    if worst.reason not in said:
+        yield f"      why:       {worst.reason}"
     if report:
         yield f"      look:      {report}#s={quote(scene.name)}&x={worst.x}&y={worst.y}"
     yield f"      replay:    {replay(scene, (worst.x, worst.y))}"
@@ -159,14 +159,7 @@ def _lack_of_evidence(scene: SceneVerdict) -> str:
 
 def summary_text(verdict: Verdict, seconds: float) -> str:
     """Summary of all scenes in a few lines."""
-    lines = [f"{outcome_text(verdict)}, in {seconds:.1f} s", *summary_lines(verdict)]
-    return "\n".join(each for line in lines for each in wrapped(line))
-
-
-def wrapped(line: str) -> list[str]:
-    """A line of a summary within the width of the table; words, such as paths, stay whole."""
-    indent = 12 * " "
-    return wrap(line, TABLE_CHARACTERS, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+    return "\n".join([f"{outcome_text(verdict)}, in {seconds:.1f} s", *summary_lines(verdict)])
 
 
 def summary_lines(verdict: Verdict) -> Iterator[str]:
@@ -198,7 +191,8 @@ def failing_scenes(scenes: Sequence[SceneVerdict]) -> list[SceneVerdict]:
 def outcome_text(verdict: Verdict) -> str:
     """How many scenes pass, fail, are waived and were not judged."""
     passed, left = sum(scene.ok for scene in verdict.scenes), verdict.scene_count - len(verdict.scenes)
-    words = [f"{verdict.scene_count} scenes: {passed} pass", f"{len(failing_scenes(verdict.scenes))} fail"]
+    scenes = plural(verdict.scene_count, "scene")
+    words = [f"{scenes}: {passed} pass", f"{len(failing_scenes(verdict.scenes))} fail"]
     words += [f"{count} {WAIVER_WORDS[why]}" for why, count in verdict.waived.items()]
     return ", ".join([*words, f"{left} not judged"] if left else words)
 
@@ -221,6 +215,14 @@ def failures_text(verdict: Verdict, report: str = "") -> str:
     """What several failing scenes have in common, then each by itself; "" where none fails."""
     texts = [failure_text(scene, report) for scene in failing_scenes(verdict.scenes)]
     return "\n\n".join(filter(None, ["\n".join(group_lines(verdict.scenes)), *texts]))
+
+
+def short_text(verdict: Verdict) -> str:
+    """The outcome, the names of failing scenes, and the simplest of them, in some ten lines of 80 characters."""
+    failing = failing_scenes(verdict.scenes)
+    shown = failure_text(simplest_failing(verdict.scenes) or failing[0])
+    shown = re.sub(r" 0x[\w.+-]+|, along o .*", "", shown)  # bits and the ray, which the replay prints
+    return folded(f"{outcome_text(verdict)}: {', '.join(scene.name for scene in failing)}\n{shown}")
 
 
 def candidate_lines(verdict: Verdict) -> Iterator[str]:

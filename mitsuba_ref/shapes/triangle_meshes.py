@@ -17,7 +17,7 @@ from caster.geometry.world_space import LARGEST_COORDINATE
 from caster.shapes.cube import Cube
 from caster.shapes.heightfield import Heightfield
 from caster.shapes.icosphere import Icosphere
-from caster.shapes.mesh import MeshFile
+from caster.shapes.mesh import Mesh
 from caster.shapes.rectangle import Rectangle
 from caster.shapes.teapot import Teapot
 from caster.shapes.torus import Torus
@@ -290,7 +290,7 @@ def triangle_mesh_reference(
 FLAT_AND_SMALL = frozenset({"flat", "small"})
 
 TRIANGLE = triangle_mesh_reference(Triangle, random_triangle, expected_triangle, FLAT_AND_SMALL)
-MESH = triangle_mesh_reference(MeshFile, random_mesh, importers={"obj": import_mesh, "ply": import_mesh})
+MESH = triangle_mesh_reference(Mesh, random_mesh, importers={"obj": import_mesh, "ply": import_mesh})
 RECTANGLE = triangle_mesh_reference(
     Rectangle, groups=FLAT_AND_SMALL, importers={"rectangle": unit_shape_importer("rectangle")}
 )

@@ -1,6 +1,7 @@
 """The casters of a sweep, and their scores in one setting: wrong hits and misses, wrong primitives, errors of t."""
 
 import dataclasses
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -8,12 +9,14 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from caster.rendering.hits import cast
-from caster.system.atomic_files import ScratchFolder
+from caster.scene.export import SECTION_ORDER, format_toml
+from caster.system.atomic_files import ScratchFolder, check_folder, write_text
 from mitsuba_ref.error_model.bracket import Bracket
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
-from mitsuba_ref.hard.family import Family
+from mitsuba_ref.hard.family import Family, Fields
 from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, claims_of, prepare_scene
 from mitsuba_ref.judge.checks.knife_edges import nearest_hits, t_text
+from mitsuba_ref.judge.explanations import format_numbers
 from mitsuba_ref.reference.messages import Crash, TraceRequest
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request
 from mitsuba_ref.reference.shared_input import endless_rays, export, packed_float32
@@ -60,6 +63,17 @@ class PreparedSetting(PreparedScene):
 
     family: Family
     x: float
+    data: Fields  # of the scene, as a scene file gives them
+
+    def write_ray(self, folder: Path, ray: int) -> Path:
+        """Write the scene with one ray as its camera; returns the file. Raises OutputError."""
+        check_folder(folder)
+        o, d = (a[ray].tolist() for a in (self.o, self.d))
+        camera = {"type": "ray", "origin": o, "direction": d}
+        path = folder / f"{self.family.name}-{self.x:g}.toml"
+        head = f"# mitsuba-ref stress: ray {ray} of {self.family.name}, {self.family.quantity} {self.x:g}\n\n"
+        write_text(path, head + format_toml(self.data | {"camera": camera}, SECTION_ORDER))
+        return path
 
 
 def prepare_setting(family: Family, seed: int, x: float, rays: int | None = None) -> PreparedSetting:
@@ -68,7 +82,7 @@ def prepare_setting(family: Family, seed: int, x: float, rays: int | None = None
     scene, count = made.scene(), rays or (DEFAULT_CLOSED_RAYS if family.closed else DEFAULT_RAYS)
     aimed = made.aim(rng, packed_float32(scene), count)
     ready = prepare_scene(scene, aimed.o.astype(np.float32), aimed.d.astype(np.float32))
-    return PreparedSetting(**vars(ready), family=family, x=x)
+    return PreparedSetting(**vars(ready), family=family, x=x, data=made.data)
 
 
 # ---- answers
@@ -212,8 +226,14 @@ class Scorer:
         )
 
     def _ray_text(self, ray: int, answer: Answer) -> str:
-        """A ray in hex floats, the t of an answer along it and the exact one."""
-        o, d = (" ".join(float(x).hex() for x in a[ray]) for a in (self.ready.o, self.ready.d))
+        """The answer along a ray and the exact one: their normals where only these differ, else t."""
         place = np.flatnonzero(self.rows == ray)
-        exact = t_text(float(self.exact.t[place[0]])) if len(place) else "finite, within a closed mesh"
-        return f"ray {ray}: o {o}, d {d}: t of the answer: {t_text(float(answer.t[ray]))}; exact t: {exact}"
+        if not len(place):
+            return f"ray {ray}: t of the answer: {t_text(float(answer.t[ray]))}; exact t: finite, within a closed mesh"
+        t, here = self.exact.t[place], answer.rows(self.rows)
+        if here.n is not None and self.exact.ratios(replace(here, n=None), ours=True)[place[0]] <= 1.0:
+            prim = np.array([self.exact.answers[place[0]].prim])
+            right = self.exact.near(place, prim, t, answer.ku, ours=True).n[0]
+            given, expected = (format_numbers(n) for n in (here.n[place[0]], right))
+            return f"ray {ray}: its t is right; normal of the answer: ({given}); expected: ({expected})"
+        return f"ray {ray}: t of the answer: {t_text(float(answer.t[ray]))}; exact t: {t_text(float(t[0]))}"

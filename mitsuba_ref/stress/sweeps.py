@@ -1,7 +1,10 @@
 """Stress sweeps: each family traced by several ray casters, and the scores, shown as tables, JSON and pages."""
 
+import shlex
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from pydantic import computed_field
@@ -49,6 +52,7 @@ class SettingResult:
     exact: ExactCounts
     bound: Bound
     witnesses: Mapping[str, Score | Absent]  # by caster
+    replay: str = ""  # the command that shows the first wrong ray of the subject
 
     def breaks(self, key: str) -> bool:
         """Whether a caster breaks down here; one that crashes does."""
@@ -115,7 +119,9 @@ class SweepResult:
         elif score.breaks:
             yield (
                 f"{key}: {score.false_hits} false hits, {score.false_misses} false misses, "
-                f"{score.beyond} hits beyond their bounds; rays {list(score.first_wrong)}; {score.example}"
+                f"{score.beyond} hits beyond their bounds\n"
+                f"      rays {list(score.first_wrong)}; {score.example}\n"
+                f"      replay: {setting.replay}"
             )
 
     @computed_field  # type: ignore[prop-decorator]
@@ -164,10 +170,13 @@ def sweep(
     rays: int | None,
     on_progress: Progress = lambda words: None,
     candidate: Subject | None = None,
+    folder: Path = Path("stress-failures"),
+    words: Sequence[str] = (),
 ) -> SweepResult:
     """Sweep a family. The same seed and number of rays give the same result, except for the time.
 
-    candidate: one that takes rays, judged in place of our caster.
+    candidate: one that takes rays, judged in place of our caster. folder: for the first wrong ray of each setting;
+    words: options that name the candidate, for replays.
     """
     start = time.perf_counter()
     on_progress("aiming")
@@ -178,14 +187,19 @@ def sweep(
         on_progress("candidate")
         casters = BESIDE_CANDIDATE[1:]
         answers = [{CANDIDATE.key: score.ask_candidate(candidate, ready)} for ready in settings]
-        found = [each[CANDIDATE.key] for each in answers]
-        declined = [each.why for each in found if isinstance(each, Absent) and each.status == "not applicable"]
+        asked = [each[CANDIDATE.key] for each in answers]
+        declined = [each.why for each in asked if isinstance(each, Absent) and each.status == "not applicable"]
         if len(declined) == len(settings):
             return SweepResult.of(family, (), time.perf_counter() - start, declined[0])
     results = []
     for i, (ready, given) in enumerate(zip(settings, answers, strict=True)):
         on_progress(f"{i + 1}/{len(settings)}")
-        results.append(score_setting(ready, casters, given))
+        results.append(found := score_setting(ready, casters, given))
+        subject = found.witnesses[CANDIDATE.key if candidate else CASTERS[0].key]
+        if isinstance(subject, Score) and subject.breaks:
+            file = ready.write_ray(folder, subject.first_wrong[0])
+            replay = shlex.join(["mitsuba-ref", "probe", str(file), "0", "0", *words])
+            results[-1] = replace(found, replay=replay)
     return SweepResult.of(family, results, time.perf_counter() - start)
 
 
@@ -250,7 +264,7 @@ def footnotes(sweep: SweepResult) -> Iterator[str]:
     if not sweep.misses:
         yield leaks(sweep)
     for caster in sweep.casters:
-        if absent := sweep.absence(caster.key):
+        if (absent := sweep.absence(caster.key)) and absent.status != "missing":
             yield f"{caster.title}: {absent.status}: {absent.why}"
 
 

@@ -1,7 +1,7 @@
 """Files of rays and of hits: reading and writing them, and hits from a file as a subject."""
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -172,6 +172,37 @@ class HitsFile(Subject):
     def answer(self, request: CastRequest) -> Answer:
         """The answer from its arrays. Raises NoAnswer."""
         return answer_of_hits(self.arrays, request.rays.t_max >= 0.0, self.precision, self.any_hit)
+
+
+def hits_subjects(
+    rays: RayList,
+    hits: Mapping[str, np.ndarray],
+    where: str,
+    precision: str | None = None,
+    rows: tuple[int, int | None] | None = None,
+) -> tuple[RayList, tuple[int, int], dict[str, HitsFile]]:
+    """(the rays to judge, the first and the end of them, the subjects by what their names end in).
+
+    One is about nearest hits, one about any-hit answers. where: the source of the hits, for messages. rows: the rays to
+    judge, not all. Raises SceneError.
+    """
+    count = len(rays.rows)
+    for name, values in hits.items():
+        if len(values.shape) == 0 or len(values) != count:
+            raise SceneError(
+                f"{where}: {name}: expected one row for each of the {count} rays, got shape {values.shape}"
+            )
+    if not {"t", "any_hit"} & hits.keys():
+        raise SceneError(f"{where}: expected an array t, or any_hit; got {', '.join(hits)}")
+    first, last = rows or (0, None)
+    last = count if last is None else min(last, count)
+    if first >= count:
+        raise SceneError(f"--rows {first}: expected a ray of 0 to {count - 1}")
+    width = rays.width if (first, last) == (0, count) else 0
+    arrays = {name: values[first:last] for name, values in hits.items()}
+    endings = [("t", ""), ("any_hit", " any-hit" if "t" in hits else "")]
+    found = {end: HitsFile(where, arrays, precision, name == "any_hit") for name, end in endings if name in hits}
+    return rays._replace(rows=rays.rows[first:last], width=width), (first, last), found
 
 
 def answer_of_hits(

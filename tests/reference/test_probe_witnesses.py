@@ -107,6 +107,18 @@ def test_a_witness_on_the_right_surface_at_a_wrong_distance_is_wrong(probed, kin
     assert ("WRONG" in line and "x its bound" in line) is not right
 
 
+def test_the_text_has_sections_within_80_columns_and_may_be_brief(probed, capsys):
+    main(["probe", str(probed / "edge.toml"), "0", "0"])
+    head, *sections = capsys.readouterr().out.split("\n\n")
+    titles = [section.partition("\n")[0] for section in sections]
+    assert head.startswith("pixel (0, 0) of ") and titles[:3] == ["who is right", "the ray", "t, in lengths of d"]
+    assert {"normal", "depth", "share of each bound that our error uses"} <= set(titles)
+    long = [line for section in sections[:-1] for line in section.splitlines() if len(line) > 80]
+    assert not long and "mitsuba scalar_rgb default   WRONG    miss\n" in sections[0] + "\n"
+    main(["probe", str(probed / "edge.toml"), "0", "0", "--brief"])
+    assert capsys.readouterr().out == f"{head}\n\n{sections[0]}\n"
+
+
 def test_the_reproducer_is_written(said, probed):
     assert "repro.toml: written; it " in said[2]
     alone = caster.load_scene(probed / "repro.toml")

@@ -111,7 +111,7 @@ def test_a_wrong_option_is_2_and_nothing_is_written(folder, capsys, options, mes
 @pytest.mark.parametrize(
     ("argv", "message"),
     [
-        ([], "the following arguments are required: COMMAND"),
+        ([], "render    render a scene to an EXR file"),
         (["rendr"], "invalid choice: 'rendr'"),
         (["render"], "the following arguments are required: SCENE"),
         (["render", "s.toml", "--size", "8"], "argument --size: expected 2 arguments"),

@@ -18,7 +18,7 @@ from caster import (
     Disk,
     Heightfield,
     Icosphere,
-    MeshFile,
+    Mesh,
     Plane,
     Rectangle,
     Sphere,
@@ -40,14 +40,14 @@ def folder() -> Path:
     return Path(path)
 
 
-def mesh_of(vertices: Any, faces: Any, **more: Any) -> MeshFile:
+def mesh_of(vertices: Any, faces: Any, **more: Any) -> Mesh:
     """Triangles from arrays (v, 3) and (n, 3), by way of a PLY file of doubles; flat."""
     v = np.ascontiguousarray(vertices, "<f8").reshape(-1, 3)
     content = ply_of(v, np.asarray(faces))
     path = folder() / f"{hashlib.sha256(content).hexdigest()[:16]}.ply"
     if not path.exists():
         path.write_bytes(content)
-    return MeshFile(file=str(path), **({"face_normals": True} | more))
+    return Mesh(file=str(path), **({"face_normals": True} | more))
 
 
 def ply_of(vertices: np.ndarray, faces: np.ndarray) -> bytes:
@@ -72,7 +72,7 @@ def place(rng: Rng, size: float, middle: Any, stretch: Any = 1.0) -> list[dict[s
     return [{"scale": size * np.asarray(stretch, float)}, turn(rng), {"translate": np.asarray(middle, float)}]
 
 
-def strewn(rng: Rng, count: int = 6) -> MeshFile:
+def strewn(rng: Rng, count: int = 6) -> Mesh:
     """A mesh file of triangles that do not meet."""
     corners = rng.uniform(-0.7, 0.7, (count, 1, 3)) + rng.normal(0.0, 0.3, (count, 3, 3))
     return mesh_of(corners, np.arange(3 * count).reshape(-1, 3))
