@@ -54,7 +54,10 @@ def configuration(commands: list[str]) -> str:
 
 
 def copy_pages() -> None:
-    """docs/ without its programs, and the notebook as a page. What a page names outside of docs/ is copied into the folder sources."""
+    """docs/ without its programs, and the notebook as a page.
+
+    What a page names outside of docs/ is copied into the folder sources.
+    """
     shutil.copytree(DOCS, PAGES, ignore=shutil.ignore_patterns("__pycache__"))
     for unwanted in (*PAGES.glob("*.py"), PAGES / "mkdocs.yml"):
         unwanted.unlink()
@@ -123,8 +126,7 @@ def parsers_of(program: str, commands: tuple[Command, ...]) -> dict[str, argpars
 def command_page(command: Command, parser: argparse.ArgumentParser) -> Iterator[str]:
     """What --help says, as Markdown."""
     yield from [f"# {parser.prog}", "", f"{command.help[0].upper()}{command.help[1:]}.", ""]
-    if examples := getattr(command, "example", ""):
-        yield from ["```console", *(f"$ {line}" for line in examples.splitlines()), "```", ""]
+    yield from ["```console", *(f"$ {line}" for line in command.example.splitlines()), "```", ""]
     yield from ["```", parser.format_usage().strip(), "```", ""]
     for group in parser._action_groups:
         actions = [each for each in group._group_actions if each.help != argparse.SUPPRESS]
