@@ -409,7 +409,7 @@ def add_probe_arguments(parser: argparse.ArgumentParser) -> None:
         "--save", metavar="FILE", type=OutputFile, help="write this ray and what it may hit as a scene of its own"
     )
     add_timeout(parser)
-    add_candidate(parser, "another ray caster, whose answer is explained as well (mitsuba-ref docs candidates)")
+    add_candidate(parser, "another ray caster, explained as well (mitsuba-ref docs candidates)")
     add_reading(parser, "; with --candidate")
 
 
