@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rich.live import Live
 
 
-__all__ = ["ProgressBar", "StatusLine", "compilation_reported", "printable", "unfiltered"]
+__all__ = ["ProgressBar", "StatusLine", "compilation_reported", "printable", "report_stage", "unfiltered"]
 
 
 def printable(text: str, keep: str = "\n\t") -> str:
