@@ -14,6 +14,7 @@ from caster.scene.model import Film
 from caster.system.atomic_files import write_text
 from caster.system.process import DIFFERENCES, OK
 from mitsuba_ref.importers.mitsuba_xml import ImportedScene, import_xml
+from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.messages import MitsubaError
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS, render_reference
 from mitsuba_ref.reference.shared_input import export_scene, packed_float32
@@ -30,6 +31,7 @@ def run_render(args: argparse.Namespace) -> int:
     for name in names:
         if name not in REFERENCE_AOVS:
             raise SceneError(f"--aov {name!r}: unknown{suggestion(name, REFERENCE_AOVS)}; known are {AOV_NAMES}")
+    variants.require_variants()
     try:
         images, versions = render_reference(scene, names, timeout=args.timeout)
     except MitsubaError as crash:

@@ -1,5 +1,6 @@
 """Verdicts for the terminal: one row per scene, failures with the next command, and a summary."""
 
+import math
 import re
 from collections.abc import Iterator, Sequence
 from math import isfinite
@@ -26,8 +27,6 @@ from mitsuba_ref.judge.verdict import (
 )
 from mitsuba_ref.report.reproducers import replay
 from mitsuba_ref.report.results import BELOW_NAME, LINE_CHARACTERS, folded, percent, plural
-
-MAX_PROBLEM_LINES = 12  # of the output of Mitsuba, where it ended without an answer
 
 LEGEND = "hit, agree: pixels; worst: the largest error as a share of its bound; s: seconds"
 COLUMNS = ("hit", "agree", "worst", "s", "other pixels")
@@ -91,17 +90,14 @@ def failure_text(scene: SceneVerdict, report: str = "") -> str:
     notes = [f"      note:      {note}" for note in scene.notes]
     if scene.problem:
         first, *rest = scene.problem.splitlines()
-        lines += [f"FAIL  {scene.name}  {first}", *(f"      {line}" for line in rest[:MAX_PROBLEM_LINES])]
+        lines += [f"FAIL  {scene.name}  {first}", *(f"      {line}" for line in rest)]
         lines += [f"      replay:    {replay(scene)}"] if scene.candidate else []
     elif not scene.has_evidence and not scene.failing:
         lines += [f"FAIL  {scene.name}  {_lack_of_evidence(scene)}", *notes]
     lines += [check_failure(scene, check) for check in scene.checks if not check.ok]
     if scene.failures:
         worst = scene.failures[0]
-        counts = (
-            f"{worst.check}: {_failing(scene)} of {scene.hit_pixels} hit pixels, "
-            f"{'' if scene.candidate else 'worst '}{_ratio_and_place(scene, worst)}"
-        )
+        counts = f"{worst.check}: {_failing(scene)} of {scene.hit_pixels} hit pixels, {_ratio_and_place(scene, worst)}"
         causes = [finding.text for finding in scene.findings[:1]]
         lines += (
             [f"FAIL  {scene.name}  {causes[0]}", f"      {counts}"] if causes else [f"FAIL  {scene.name}  {counts}"]
@@ -126,12 +122,13 @@ def check_failure(scene: SceneVerdict, check: SceneCheck) -> str:
 def pixel_failure(scene: SceneVerdict, check: str) -> str:
     """Text of the pixels that fail one check."""
     worst = scene.worst_by[check]
-    counts = f"{scene.failing_by[check]} of {scene.hit_pixels} hit pixels, worst {_ratio_and_place(scene, worst)}"
+    counts = f"{scene.failing_by[check]} of {scene.hit_pixels} hit pixels, {_ratio_and_place(scene, worst)}"
     return "\n".join([f"FAIL  {scene.name}  {check}: {counts}", *_answers(scene, worst)])
 
 
 def _ratio_and_place(scene: SceneVerdict, worst: Failure) -> str:
-    return f"{worst.ratio:.3g}x its bound at {scene.place(worst.x, worst.y)}"
+    far = f"{'' if scene.candidate else 'worst '}{worst.ratio:.3g}x its bound at"
+    return f"{far if math.isfinite(worst.ratio) else 'such as'} {scene.place(worst.x, worst.y)}"
 
 
 def _answers(scene: SceneVerdict, worst: Failure, report: str = "", said: str = "") -> Iterator[str]:
@@ -217,12 +214,13 @@ def waiver_lines(verdict: Verdict) -> Iterator[str]:
 
 def failures_text(verdict: Verdict, report: str = "") -> str:
     """What several failing scenes have in common, then each by itself; "" where none fails."""
-    texts, said = [], dict[frozenset[SceneCheck], str]()
+    texts, said = [], dict[str | frozenset[SceneCheck], str]()
     for scene in failing_scenes(verdict.scenes):
         broken = frozenset(check for check in scene.checks if not check.ok)
-        first = "" if scene.problem or scene.failures else said.setdefault(broken, scene.name)
-        alike = f"FAIL  {scene.name}  {', '.join(sorted(check.name for check in broken))}: as in {first}"
-        texts.append(alike if first and first != scene.name else failure_text(scene, report))
+        first = scene.name if scene.failures else said.setdefault(scene.problem or broken, scene.name)
+        words = scene.problem.partition("\n")[0] or ", ".join(sorted(check.name for check in broken))
+        alike = f"FAIL  {scene.name}  {words}: as in {first}"
+        texts.append(alike if first != scene.name else failure_text(scene, report))
     return "\n\n".join(filter(None, ["\n".join(group_lines(verdict.scenes)), *texts]))
 
 

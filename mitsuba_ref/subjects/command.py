@@ -30,7 +30,7 @@ from mitsuba_ref.reference.subprocess_runner import (
     length_first,
     run,
 )
-from mitsuba_ref.subjects.ray_files import HIT_COLUMNS, answer_of_hits, hit_columns, is_given
+from mitsuba_ref.subjects.ray_files import HIT_COLUMNS, answer_of_numbered_hits, hit_columns
 from mitsuba_ref.subjects.subject import (
     FLOAT32,
     FLOAT64,
@@ -41,8 +41,6 @@ from mitsuba_ref.subjects.subject import (
     Subject,
     Unsupported,
     checked_answer,
-    spread,
-    without_hits_beyond,
 )
 
 PLACEHOLDERS = ("xml", "toml", "exr", "width", "height")  # of a command that renders a scene
@@ -97,17 +95,19 @@ class Program(Subject):
 def raise_if_failed(end: ProcessEnd, seconds: float) -> None:
     """Raise NoAnswer for a program that was killed at its deadline or ended with a code other than 0."""
     if end.code is None:
-        raise NoAnswer(f"killed after {seconds:g} s{_output_tail(end.output)}")
+        raise NoAnswer(f"killed after {seconds:g} s{_last_words(end)}")
     if end.code == UNSUPPORTED_CODE:
-        raise Unsupported(f"the program declined the scene, exit {end.code}{_output_tail(end.output)}")
+        raise Unsupported(f"the program declined the scene, exit {end.code}{_last_words(end)}")
     if end.code:
         how = "ended with" if end.code > 0 else "was ended by"
-        raise NoAnswer(f"the program {how} {exit_name(end.code)}{_output_tail(end.output)}")
+        raise NoAnswer(f"the program {how} {exit_name(end.code)}{_last_words(end)}")
 
 
-def _output_tail(words: str) -> str:
-    words = printable(words).strip()
-    return f"; its last words:\n{words[-LAST_WORDS:]}" if words else "; it printed nothing"
+def _last_words(end: ProcessEnd) -> str:
+    """What a program said in one line, then the end of all that it said."""
+    headline, words = printable(end.headline), printable(end.output).strip()[-LAST_WORDS:]
+    more = f"\n{words}" if words != headline else ""
+    return f": {headline}{more}" if words else "; it printed nothing"
 
 
 # ---- a command that reads a scene and writes an EXR file ----
@@ -286,16 +286,7 @@ def answer_of_bytes(
     there, packed = request.rays.t_max >= 0.0, request.model.packed
     rows = np.frombuffer(data, number_type(precision)).reshape(int(there.sum()), lengths[len(data)])
     hits = hit_columns(rows, where)
-    prim = hits.pop("prim_id", None)
-    found = answer_of_hits(hits, there, precision)
-    if prim is not None and is_given(prim := spread(prim, there, -1), found.hit):
-        known_prim = np.where(found.hit & (prim >= 0) & (prim < packed.first[-1]), prim, -1)
-        found = replace(found, shape_id=packed.shape_of(known_prim), prim_id=packed.index_in_shape(known_prim))
-    t_max = request.rays.t_max.astype(np.float64)
-    if not limits:
-        return without_hits_beyond(found, t_max)
-    late = found.hit & (found.t > t_max)
-    return replace(found, broken={**found.broken, **({"a hit beyond t_max": late} if late.any() else {})})
+    return answer_of_numbered_hits(hits, request.rays, packed, precision, limits=limits)
 
 
 @dataclass(frozen=True)
@@ -373,4 +364,4 @@ class ServedCommand(RayProgram):
             raise NoAnswer(f"the program gave no answer to read: {error}") from error
         except ProcessEnded as ended:
             raise_if_failed(ended.end, self.seconds)
-            raise NoAnswer(f"the program ended before its response was whole{_output_tail(ended.end.output)}") from None
+            raise NoAnswer(f"the program ended before its response was whole{_last_words(ended.end)}") from None

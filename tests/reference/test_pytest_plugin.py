@@ -285,6 +285,6 @@ def test_a_caster_is_judged_in_any_test_and_the_message_has_ten_readable_lines(f
 
 def test_the_test_of_the_documentation_passes_as_written(folder):
     page = (ROOT / "docs/ci.md").read_text(encoding="utf-8")
-    (test,) = re.findall(r"```python\n(.*?judge_caster.*?)```", page, re.DOTALL)
-    folder.makepyfile(mine=CASTERS.replace("def right", "def trace"), test_it=test.replace("(48, 48)", "(6, 5)"))
-    run(folder, "test_it.py").assert_outcomes(passed=1)
+    (test,) = re.findall(r"```python\n((?:(?!```).)*judge_caster.*?)```", page, re.DOTALL)
+    folder.makepyfile(mine=CASTERS.replace("def right", "def trace"), test_page=test.replace("(48, 48)", "(6, 5)"))
+    run(folder, "test_page.py").assert_outcomes(passed=1)

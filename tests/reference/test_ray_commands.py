@@ -130,7 +130,7 @@ np.column_stack([hits.t, hits.normal]).tofile(sys.argv[3])
 """
 MISSES = "respond(struct.pack('<f', float('inf')) * n)"
 NO_RESPONSE = {
-    "crash": ("print('last words', file=sys.stderr); os.abort()", "SIGABRT; its last words:\nlast words"),
+    "crash": ("print('last words', file=sys.stderr); os.abort()", "SIGABRT: last words"),
     "end": ("sys.exit(0)", "ended before its response was whole"),
     "silence": ("time.sleep(60)", "killed after 2 s"),
     "words": ("print('12345678 rays read', flush=True)", "starts with the bytes b'12345678'"),

@@ -9,7 +9,7 @@ from mitsuba_ref.judge.aggregate import defect_counts, listed_failures
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judgement
 from mitsuba_ref.judge.comparison import SelfCheck
 from mitsuba_ref.judge.diagnosis import Cause, Diagnosis, failing_rows
-from mitsuba_ref.judge.explanations import error_ratios, format_exact, full_reason, tie_members
+from mitsuba_ref.judge.explanations import error_ratios, format_exact, full_reason, reason, tie_members
 
 INF = np.inf
 
@@ -52,6 +52,14 @@ def test_the_larger_error_of_both_sides_is_said():
     assert error_ratios(judge, judgement, 2) == {"depth": INF, "normal": 0.0, EXACT: 0.0}
     assert full_reason(judge, judgement, {0: "why"}, 0) == "why; beyond their bounds: depth 3x, normal"
     assert full_reason(judge, judgement, {1: "why"}, 1) == "why"
+
+
+def test_an_explained_pixel_is_a_shadow_where_light_is_compared_and_differs():
+    lit, shadow = (judgement_of("explained", ratios={"diffuse": [ratio]}, right=[0]) for ratio in (0.5, 2.0))
+    of_candidate = judgement_of("explained", right=[0])
+    assert "a shadow" in reason(subject(ours=True), shadow, {}, 0)
+    assert "a shadow" not in reason(subject(ours=True), lit, {}, 0)
+    assert "a shadow" not in reason(subject(ours=False), of_candidate, {}, 0)
 
 
 # ---- answers as text
