@@ -293,7 +293,7 @@ def test_hits_that_are_none_give_a_clear_error(folder, tmp_path, capsys, which):
     np.save(tmp_path / "rays.npy", np.array([RAY, RAY]))
     files = ["--rays", str(tmp_path / "rays.npy"), "--hits", str(tmp_path / "hits.npz")]
     code = main(["judge", "--scene", str(folder / "scene.toml"), *files])
-    text = "".join(capsys.readouterr())
+    text = " ".join("".join(capsys.readouterr()).split())
     assert code == expected and words in text and "Traceback" not in text
 
 
