@@ -110,8 +110,7 @@ def page() -> str:
 def program(path: Path) -> str:
     """A whole program, under its first line. They run in tests/unit/test_programs.py and tests/reference."""
     title, _, text = path.read_text(encoding="utf-8").partition("\n")
-    title = title.strip('# "')
-    return f"{title}\n\n```python\n{text.lstrip()}```\n"
+    return f"{title.removeprefix('# ')}\n\n```python\n{text}```\n"
 
 
 def entry(package: str, name: str, value: Any) -> str:

@@ -1,5 +1,4 @@
-"""AOVs as NumPy arrays."""
-
+# AOVs as NumPy arrays.
 import numpy as np
 
 import caster

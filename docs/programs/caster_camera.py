@@ -1,5 +1,4 @@
-"""Another camera, or the same one from elsewhere."""
-
+# Another camera, or the same one from elsewhere.
 import caster
 
 scene = caster.load_scene("scenes/teapot.toml")

@@ -1,5 +1,4 @@
-"""A scene built in Python, with a mesh from arrays."""
-
+# A scene built in Python, with a mesh from arrays.
 import numpy as np
 
 import caster

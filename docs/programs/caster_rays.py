@@ -1,5 +1,4 @@
-"""Rays of one's own: one origin, many directions."""
-
+# Rays of one's own: one origin, many directions.
 import numpy as np
 
 import caster

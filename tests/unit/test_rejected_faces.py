@@ -88,6 +88,6 @@ def test_the_count_is_reported(tmp_path, capsys, monkeypatch):
     words = "shape-0: 1 with a corner that is not finite, 1 without area"
     assert main(["check", "s.toml"]) == 0
     assert words in capsys.readouterr().out
-    assert main(["render", "s.toml", "-o", "s.exr", "--json"]) == 0
-    assert '"never_hit": {\n    "shape-0": 2\n  }' in capsys.readouterr().out
+    assert main(["render", "s.toml", "-o", "s.exr", "--explain"]) == 0
+    assert "never hit        shape-0 2\n" in capsys.readouterr().out
     assert caster.read_exr("s.exr").provenance["caster/faces_never_hit"] == words
