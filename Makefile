@@ -10,11 +10,12 @@ BIN := .venv/bin
 HERE := $(shell pwd -P | cksum | cut -d' ' -f1)
 LOCKED := .venv/locked-$(HERE)
 INSTALLED := .venv/installed-$(HERE)
+SITE_TOOLS := .venv/site-tools-$(HERE)
 
 # Without bytecode every process would compile every module that it loads: tests start hundreds.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 .DELETE_ON_ERROR:
-.PHONY: help install validate test slow lint docs stress bench guard wheel fuzz faults isa hostile mutants nightly clean
+.PHONY: help install validate test slow lint docs site stress bench guard wheel fuzz faults isa hostile mutants nightly clean
 
 help: ## this list
 	@echo 'make TARGET [PYTHON=python3.12] [JOBS=N] [ARGS="options of the command behind it"]'
@@ -72,8 +73,12 @@ wheel: $(INSTALLED) ## a wheel with object code of all kernels for x86-64-v3: di
 docs: $(INSTALLED) ## pages and pictures that are made from sources: API, packages, an edge case, every shape, scenes
 	@$(BIN)/python docs/api.py
 	@$(BIN)/python docs/architecture.py
-	@$(BIN)/python docs/debugging.py
+	@$(BIN)/python docs/method_pixel.py
+	@$(BIN)/python docs/console.py docs/quick-start.md docs/debugging.md
 	@$(BIN)/caster sheet scenes -o docs/scenes.png --columns 9
+
+site: $(SITE_TOOLS) ## docs/ as a site that can be searched, with a page a command and a report to try: build/site
+	@$(BIN)/python -P docs/build_site.py $(ARGS)
 
 guard: $(INSTALLED) ## whether this tree renders slower than commit BASE did: fails beyond 1.25 times as long
 	@test -n "$(BASE)" || { echo 'which commit? make guard BASE=HEAD~1' >&2; exit 2; }
@@ -95,4 +100,8 @@ $(LOCKED): requirements.lock
 
 $(INSTALLED): $(LOCKED) pyproject.toml
 	@$(BIN)/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+$(SITE_TOOLS): $(INSTALLED)
+	@$(BIN)/python -m pip install -q --disable-pip-version-check --no-build-isolation -e '.[site]'
 	@touch $@

@@ -11,8 +11,10 @@ from caster.system import NOT_HERE as _NOT_HERE
 from caster.system import runs_here as _runs_here
 
 if TYPE_CHECKING:
+    from caster.aovs import Aovs as Aovs
     from caster.cameras import *  # noqa: F403 - a registry, whatever is in it
     from caster.description.errors import SceneError as SceneError
+    from caster.image.exr import Exr as Exr
     from caster.image.exr import read_exr as read_exr
     from caster.image.exr import write_exr as write_exr
     from caster.rendering.hits import Hits as Hits
@@ -40,6 +42,8 @@ _HOMES = {
     "cast": "caster.rendering.hits",
     "occluded": "caster.rendering.hits",
     "Hits": "caster.rendering.hits",
+    "Aovs": "caster.aovs",
+    "Exr": "caster.image.exr",
     "read_exr": "caster.image.exr",
     "write_exr": "caster.image.exr",
     "Film": "caster.scene.model",

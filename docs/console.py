@@ -1,8 +1,9 @@
 """Run the commands of pages, and put what they print below them: python docs/console.py PAGE...
 
-A ```python block whose first line is `# NAME.py` is that file, in a folder of the page's own. In a ```console block
-each line `$ COMMAND` is run there by sh; the lines below it are replaced by its output, and `$ COMMAND  # exit 1`
-states its exit code. An output that ends with `...` on the page keeps that many lines.
+A block of code whose first line is a comment with nothing but a file's name is that file, in a folder of the page's
+own. In a ```console block each line `$ COMMAND` is run there by sh; the lines below it are replaced by its output, and
+`$ COMMAND  # exit 1` states its exit code. An output that ends with `...` on the page keeps that many lines. Modules
+are found in the folder first, so that a page may change a copy of the packages; $CLONE is this tree.
 """
 
 import os
@@ -13,8 +14,9 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-FENCED = re.compile(r"^```(python|console)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-FILE_NAME = re.compile(r"# (\w+\.py)\n")
+FENCED = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+FILE_NAME = re.compile(r"(?:#|//) ([\w-]+\.\w+)\n")
+ROOT = Path(__file__).resolve().parents[1]
 EXIT = re.compile(r"  # exit (\d+)$")
 MORE = "..."
 SECONDS = 600.0  # for one command
@@ -32,9 +34,8 @@ def renewed(page: str, folder: Path) -> str:
 
     def block(found: re.Match[str]) -> str:
         kind, text = found.groups()
-        name = FILE_NAME.match(text)
-        if kind == "python":
-            if name:
+        if kind != "console":
+            if name := FILE_NAME.match(text):
                 (folder / name[1]).write_text(text, encoding="utf-8")
             return found[0]
         return "```console\n" + "".join(said_again(text, folder)) + "```"
@@ -61,14 +62,14 @@ def output(command: str, code: int, folder: Path) -> list[str]:
         command,
         shell=True,
         cwd=folder,
-        env=os.environ | {"PATH": path, "NO_COLOR": "1"},
+        env=os.environ | {"PATH": path, "NO_COLOR": "1", "PYTHONPATH": str(folder), "CLONE": str(ROOT)},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
         timeout=SECONDS,
     )
     assert found.returncode == code, f"{command}: exit code {found.returncode}, expected {code}\n{found.stdout}"
-    lines = found.stdout.replace(f"{folder}/", "").splitlines()
+    lines = found.stdout.replace(f"{folder}/", "").replace(str(ROOT), "$CLONE").splitlines()
     return [line.rstrip() for line in lines if not UNSTABLE.fullmatch(line)]
 
 

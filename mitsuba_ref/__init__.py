@@ -11,31 +11,49 @@ from caster.system import runs_here as _runs_here
 
 if TYPE_CHECKING:
     from mitsuba_ref.exr_compare.two_files import Reading, Tolerances, compare_exr
-    from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
+    from mitsuba_ref.importers.mitsuba_xml import import_xml
+    from mitsuba_ref.judge.film import FailingPixel
+    from mitsuba_ref.judge.verdict import CLASSES, SceneVerdict, Verdict
+    from mitsuba_ref.python_api import export_xml, judge_hits, probe_pixel, validate
+    from mitsuba_ref.reference.messages import MitsubaError
     from mitsuba_ref.reference.rendering import render_reference
-    from mitsuba_ref.report.validation import Validation, validate
+    from mitsuba_ref.report.validation import Validation
+
+_HOMES = {
+    "CLASSES": "judge.verdict",
+    "FailingPixel": "judge.film",
+    "Reading": "exr_compare.two_files",
+    "MitsubaError": "reference.messages",
+    "SceneVerdict": "judge.verdict",
+    "Tolerances": "exr_compare.two_files",
+    "Validation": "report.validation",
+    "Verdict": "judge.verdict",
+    "compare_exr": "exr_compare.two_files",
+    "export_xml": "python_api",
+    "import_xml": "importers.mitsuba_xml",
+    "judge_hits": "python_api",
+    "probe_pixel": "python_api",
+    "render_reference": "reference.rendering",
+    "validate": "python_api",
+}
 
 __all__ = [
+    "CLASSES",
+    "FailingPixel",
+    "MitsubaError",
     "Reading",
     "SceneVerdict",
     "Tolerances",
     "Validation",
     "Verdict",
     "compare_exr",
+    "export_xml",
+    "import_xml",
+    "judge_hits",
+    "probe_pixel",
     "render_reference",
     "validate",
 ]
-
-_HOMES = {
-    "Reading": "exr_compare.two_files",
-    "SceneVerdict": "judge.verdict",
-    "Tolerances": "exr_compare.two_files",
-    "Validation": "report.validation",
-    "Verdict": "judge.verdict",
-    "compare_exr": "exr_compare.two_files",
-    "render_reference": "reference.rendering",
-    "validate": "report.validation",
-}
 
 
 if not TYPE_CHECKING:  # a type checker has to find misspelt names

@@ -2,9 +2,11 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, NamedTuple
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from caster.jit.decorators import implement, inlined
 from caster.kernels.protocol import Vec3
@@ -25,12 +27,40 @@ class Aov(NamedTuple):
     evaluate: Callable[[Any], Any]  # the per-hit kernel: a number, or a tuple with one for each channel
 
 
-class Aovs(dict[str, np.ndarray]):
-    """Images by AOV name, (h, w) or (h, w, c) each. `hit` is always there."""
+class Aovs(dict[str, NDArray[Any]]):
+    """Images by AOV name; `aovs.depth` is `aovs["depth"]`, if that was rendered.
 
-    def __init__(self, images: Mapping[str, np.ndarray], hit: np.ndarray):
+    Floats are float64, or float32 on request. What misses has depth inf, ids -1 and 0 everywhere else.
+    """
+
+    hit: NDArray[np.bool_]  # (h, w), always there; aovs["hit"] is the same as 0.0 and 1.0
+    depth: NDArray[np.float64]  # (h, w), scene units from the eye along the ray
+    normal: NDArray[np.float64]  # (h, w, 3), geometric, outwards, of length 1
+    shading_normal: NDArray[np.float64]  # (h, w, 3), between the vertex normals of a mesh, of length 1
+    position: NDArray[np.float64]  # (h, w, 3), scene units, in world space
+    uv: NDArray[np.float64]  # (h, w, 2), surface coordinates
+    albedo: NDArray[np.float64]  # (h, w, 3), diffuse reflectance, 0 to 1
+    diffuse: NDArray[np.float64]  # (h, w, 3), reflected radiance, W/(m^2 sr)
+    shape_id: NDArray[np.int32]  # (h, w), index of the shape in the scene
+    prim_id: NDArray[np.int32]  # (h, w), index of the primitive in its shape
+
+    def __init__(self, images: Mapping[str, NDArray[Any]], hit: NDArray[np.bool_]):
         super().__init__(images)
-        self.hit = hit  # (h, w) bool
+        self.hit = hit
+
+    if not TYPE_CHECKING:  # so that type checkers report misspelt names
+
+        def __getattr__(self, name: str) -> NDArray[Any]:
+            if name in self:
+                return self[name]
+            close = get_close_matches(name, BY_NAME, n=1)
+            hint = f", did you mean '{close[0]}'?" if close else ""
+            hint = f": render it, aovs=({name!r}, ...)" if name in BY_NAME else hint
+            raise AttributeError(f"no '{name}' among these AOVs ({', '.join(self)}){hint}")
+
+    def __repr__(self) -> str:
+        height, width = self.hit.shape
+        return f"Aovs({', '.join(self)}: {width} x {height} pixels, {int(self.hit.sum())} hit)"
 
 
 class PerHit(NamedTuple):

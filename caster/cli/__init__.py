@@ -9,11 +9,17 @@ from caster.cli.application import Command
 _HERE = "caster.cli"
 
 COMMANDS = (
-    Command("render", "render a scene to an EXR file", f"{_HERE}.scene_commands"),
+    Command(
+        "render",
+        "render a scene to an EXR file",
+        f"{_HERE}.scene_commands",
+        example="caster render scene.toml --aov depth,normal -o ours.exr",
+    ),
     Command(
         "probe",
         "one pixel: its ray, its hit and the intersections of each shape, in decimal and hex",
         f"{_HERE}.probe_pixel",
+        example="caster probe scene.toml 160 110",
     ),
     Command(
         "check",
@@ -21,6 +27,7 @@ COMMANDS = (
         f"{_HERE}.scene_commands",
         run="run_check",
         arguments="add_check_arguments",
+        example="caster check scenes/*.toml",
     ),
     Command(
         "schema",
@@ -28,6 +35,7 @@ COMMANDS = (
         f"{_HERE}.scene_commands",
         run="print_schema",
         arguments="",
+        example="caster schema > scene.schema.json",
     ),
     Command(
         "info",
@@ -35,6 +43,7 @@ COMMANDS = (
         f"{_HERE}.viewing",
         run="info",
         arguments="add_info_arguments",
+        example="caster info ours.exr",
     ),
     Command(
         "preview",
@@ -42,6 +51,7 @@ COMMANDS = (
         f"{_HERE}.viewing",
         run="preview",
         arguments="add_preview_arguments",
+        example="caster preview ours.exr --aov depth,normal -o ours.png",
     ),
     Command(
         "sheet",
@@ -49,13 +59,18 @@ COMMANDS = (
         f"{_HERE}.viewing",
         run="sheet",
         arguments="add_sheet_arguments",
+        example="caster sheet scenes -o sheet.png --columns 9",
     ),
     Command(
         "6837",
-        "render a scene file of MIT 6.837, with that course's options and images (docs/classroom.md)",
+        "render a scene file of MIT 6.837, with that course's options and images (mitsuba-ref docs classroom)",
         f"{_HERE}.course_6837",
+        example="caster 6837 -input scene.txt -output out.png -size 200 200",
     ),
     Command(
-        "doctor", "list the packages found on this machine, and the use of each missing one", f"{_HERE}.installation"
+        "doctor",
+        "list the packages found on this machine, and the use of each missing one",
+        f"{_HERE}.installation",
+        example="caster doctor --warm",
     ),
 )

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import re
 import sys
+import textwrap
 from collections.abc import Sequence
 from importlib import import_module
-from typing import NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 from caster import __version__
 from caster.cli.shared_arguments import checked_paths
+from caster.description.errors import suggestion
 from caster.system import NOT_HERE, runs_here, terminal
-from caster.system.process import FILE, INTERRUPTED, end_process, exit_codes_help, run_command
+from caster.system.process import FILE, INTERRUPTED, USAGE, end_process, exit_codes_help, run_command
 
 __all__ = ["Command"]
 
@@ -27,6 +30,7 @@ class Command(NamedTuple):
     arguments: str = "add_arguments"  # "": it has none
     starts_with: str = ""  # the first status line of a command that loads slowly
     arguments_in: str = ""  # another module that has `arguments`, of a command that loads slowly
+    example: str = ""  # a command line, or several
 
     def load(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments to the parser of the command. The module of `run` is imported when it runs."""
@@ -46,6 +50,9 @@ def main(name: str, about: str, commands: Sequence[Command], codes: Sequence[int
 
     def run() -> int:
         words = sys.argv[1:] if argv is None else list(argv)
+        if not words:
+            build_parser(name, about, commands, codes, ()).print_help(sys.stderr)
+            return USAGE
         chosen = next((word for word in words if not word.startswith("-")), "")
         args = build_parser(name, about, commands, codes, (chosen,)).parse_args(words)
         with checked_paths(args):
@@ -69,23 +76,54 @@ def announce(name: str, commands: Sequence[Command], chosen: str) -> None:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser without the colours of Python 3.14, whose escapes `printable` would show."""
+    """A parser that suggests what a misspelt word may mean.
+
+    It has no colours of Python 3.14, whose escapes `printable` would show.
+    """
 
     color = False
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """As in argparse; a command's parser, not the program's, reports options that it does not know."""
+        found, extra = super().parse_known_args(args, namespace)
+        if extra and self._subparsers is None:
+            options = self._option_string_actions
+            hints = (suggestion(word.partition("=")[0], options) for word in extra if word.startswith("-"))
+            self.error(f"unrecognized arguments: {' '.join(extra)}{next(filter(None, hints), '')}")
+        return found, extra
+
+    def error(self, message: str) -> NoReturn:
+        """Exit with 2 after the usage and the message, with a suggestion for a choice that does not exist."""
+        if choice := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
+            known = re.findall(r"[^\s,']+", choice[2])
+            message = message.replace(f"'{choice[1]}' (", f"'{choice[1]}'{suggestion(choice[1], known)} (", 1)
+        super().error(message)
 
 
 def build_parser(
     name: str, about: str, commands: Sequence[Command], codes: Sequence[int], loaded: Sequence[str] | None = None
 ) -> argparse.ArgumentParser:
     """The parser of a program. loaded: the commands whose arguments it needs, default all."""
-    epilog = exit_codes_help(*codes)
-    top = _Parser(name, description=about, epilog=epilog, allow_abbrev=False)
+    shared: dict[str, Any] = {"allow_abbrev": False, "formatter_class": argparse.RawDescriptionHelpFormatter}
+    exit_codes = _filled(exit_codes_help(*codes))
+    top = _Parser(name, description=_filled(about), epilog=exit_codes, **shared)
     top.add_argument("--version", action="version", version=f"{name} {__version__}")
     group = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in commands:
-        parser = group.add_parser(
-            command.name, help=command.help, description=command.help, epilog=epilog, allow_abbrev=False
-        )
+        example = "\n".join(["example:", *(f"  {line}" for line in command.example.splitlines()), "", ""])
+        epilog = (example if command.example else "") + exit_codes
+        about = _filled(command.help)
+        parser = group.add_parser(command.name, help=command.help, description=about, epilog=epilog, **shared)
         if loaded is None or command.name in loaded:
             command.load(parser)
     return top
+
+
+HELP_CHARACTERS = 78  # of a line, as argparse has them on a terminal of 80
+
+
+def _filled(text: str) -> str:
+    """Text in lines, the later ones indented as far as what follows a label."""
+    label, colon, _ = text.partition(": ")
+    indent = " " * len(label + colon) if len(label) < HELP_CHARACTERS // 4 else ""
+    return textwrap.fill(text, HELP_CHARACTERS, subsequent_indent=indent if colon else "")

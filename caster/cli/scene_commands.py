@@ -36,7 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     help_ = "render these pixels only; X1 and Y1 are exclusive"
     add("--crop", nargs=4, type=int, metavar=("X0", "Y0", "X1", "Y1"), help=help_)
     add_threads(parser)
-    add("--json", action="store_true", help="print how the image was computed and what was skipped, with counts")
+    add("--explain", action="store_true", help="print how the image was computed, and what was skipped")
+    add("--json", action="store_true", help="print the same as JSON, with counts of the work done")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -70,6 +71,10 @@ def run(args: argparse.Namespace) -> int:
         kernels = {"compiled": COMPILATION_LOG.compiled, "loaded": COMPILATION_LOG.loaded}
         print(json.dumps({"output": output, **account(rendered, aovs), "kernels": kernels}, indent=2))
         return OK
+    if args.explain:
+        from caster.rendering.inspection import explain
+
+        print(explain(rendered, aovs))
     hit = rendered.aovs.hit
     print(f"{output}: {x1 - x0} x {y1 - y0} pixels, {int(hit.sum())} hit; {', '.join(aovs)}")
     return OK

@@ -4,13 +4,14 @@ import contextlib
 import math
 import numbers
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
-from typing import Annotated, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -71,6 +72,12 @@ def _as_float(value: Any) -> float:
     raise expectation_error("a finite number", value, hint=hint)
 
 
+def _as_whole(value: Any) -> int:
+    if type(value) is not int:
+        raise expectation_error("a whole number", value)
+    return value
+
+
 def _is_quoted_number(value: Any) -> bool:
     try:
         return isinstance(value, str) and math.isfinite(float(value))
@@ -78,54 +85,85 @@ def _is_quoted_number(value: Any) -> bool:
         return False
 
 
+class FixedArray(np.ndarray):
+    """A read-only array of numbers, equal to another if all numbers are."""
+
+    def __eq__(self, other: object) -> Any:
+        return other is not None and np.array_equal(np.asarray(self), np.asarray(other))
+
+    def __hash__(self) -> int:  # type: ignore[override]  # other arrays have none
+        return hash(self.tobytes())
+
+
 @dataclass(frozen=True)
 class NumberList:
-    """A list of many numbers, or of rows of numbers, validated as one array and kept as tuples.
+    """A list of many numbers, or of rows of numbers, kept as a FixedArray.
 
-    what: the contents, in messages; least: numbers must be larger; width: numbers in a row, 0 for plain numbers.
+    what: the contents, in messages; least: numbers must be larger; width: numbers in a row, 0 for plain numbers;
+    whole: numbers below 2^31 without a point.
     """
 
     what: str
     least: float = -math.inf
     width: int = 0
+    whole: bool = False
 
-    def read(self, value: Any) -> tuple[Any, ...]:
-        """Parse a list; the error gives the index of the first bad item."""
-        items = value.tolist() if isinstance(value, np.ndarray) else value
-        if not isinstance(items, (list, tuple)) or not items:
+    def read(self, value: Any) -> FixedArray:
+        """Parse a list or an array; the error gives the index of the first bad item."""
+        if not isinstance(value, (list, tuple, np.ndarray)) or not len(value):
             raise expectation_error(f"a list of {self.what}", value)
-        if self._are_plain(items):
-            with contextlib.suppress(OverflowError):  # a whole number beyond float64
-                array = np.array(items, np.float64) + 0.0  # as _as_float
-                if np.isfinite(array).all() and (array > self.least).all():
-                    rows = array.tolist()
-                    return tuple(map(tuple, rows)) if self.width else tuple(rows)
-        return tuple(self._item(items, i) for i in range(len(items)))
+        array = self._array(value)
+        if array is None:
+            array = np.array([self._item(value, i) for i in range(len(value))])
+        array.flags.writeable = False
+        return array.view(FixedArray)
+
+    def _array(self, value: Any) -> Any:
+        """An array of good numbers, or None."""
+        if isinstance(value, np.ndarray):
+            plain = value.dtype.kind in ("iu" if self.whole else "iuf") and value.shape[1:] == (self.width,) * (
+                self.width > 0
+            )
+        else:
+            plain = self._are_plain(value)
+        with contextlib.suppress(OverflowError):  # a whole number beyond float64
+            if plain:
+                array = np.array(value, np.int64 if self.whole else np.float64) + 0  # as _as_float
+                if (array > self.least).all() and (array < self._end).all():
+                    return array
+        return None
 
     def _are_plain(self, items: Sequence[Any]) -> bool:
         """Whether these are rows of the right length of Python's own numbers, no strings, no booleans."""
+        numbers = {int} if self.whole else {int, float}
         if not self.width:
-            return set(map(type, items)) <= {int, float}
+            return set(map(type, items)) <= numbers
         if not set(map(type, items)) <= {list, tuple} or set(map(len, items)) != {self.width}:
             return False
-        return set(map(type, chain.from_iterable(items))) <= {int, float}
+        return set(map(type, chain.from_iterable(items))) <= numbers
 
-    def _item(self, items: Sequence[Any], i: int) -> Any:
-        value = items[i].tolist() if isinstance(items[i], np.ndarray) else items[i]
+    @property
+    def _end(self) -> float:
+        return 2.0**31 if self.whole else math.inf
+
+    def _item(self, items: Any, i: int) -> Any:
+        value = _plain(items[i])
         row = value if self.width else (value,)
         with contextlib.suppress(PydanticCustomError):  # the message below describes the whole list
             if isinstance(row, (list, tuple)) and len(row) == (self.width or 1):
-                found = tuple(map(_as_float, row))
-                if all(self.least < x < math.inf for x in found):
+                found = tuple(map(_as_whole if self.whole else _as_float, row))
+                if all(self.least < x < self._end for x in found):
                     return found if self.width else found[0]
         raise field_error(f"must be a list of {self.what}, got {format_value(value)} as number {i}")
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_before_validator_function(self.read, core_schema.any_schema())
+        as_list = core_schema.plain_serializer_function_ser_schema(np.ndarray.tolist)
+        return core_schema.no_info_plain_validator_function(self.read, serialization=as_list)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:
-        number = {"type": "number"} if math.isinf(self.least) else {"type": "number", "exclusiveMinimum": self.least}
-        item: dict[str, Any] = {"anyOf": [number, {"type": "string", "pattern": HEX_FLOAT}]}
+        number = {} if math.isinf(self.least) else {"exclusiveMinimum": self.least}
+        item: dict[str, Any] = {"anyOf": [{"type": "number"} | number, {"type": "string", "pattern": HEX_FLOAT}]}
+        item = {"type": "integer"} | number if self.whole else item
         if self.width:
             item = {"type": "array", "items": item, "minItems": self.width, "maxItems": self.width}
         return {"type": "array", "items": item, "minItems": 1}
@@ -160,8 +198,10 @@ FieldOfView = Annotated[float, Quantity(gt=0.0, lt=180.0)]  # degrees
 WideFieldOfView = Annotated[float, Quantity(gt=0.0, le=360.0)]  # degrees
 Flag = Annotated[bool, Field(strict=True)]
 
-Points = Annotated[tuple[tuple[float, float, float], ...], NumberList("points [x, y, z] of finite numbers", width=3)]
-Lengths = Annotated[tuple[float, ...], NumberList("lengths > 0", least=0.0)]
+Points = Annotated[NDArray[np.float64], NumberList("points [x, y, z] of finite numbers", width=3)]
+UVs = Annotated[NDArray[np.float64], NumberList("pairs [u, v] of finite numbers", width=2)]
+Faces = Annotated[NDArray[np.int64], NumberList("faces [i, j, k] of whole numbers", -1, width=3, whole=True)]
+Lengths = Annotated[NDArray[np.float64], NumberList("lengths > 0", least=0.0)]
 Vec2 = Annotated[tuple[Number, Number], BeforeValidator(row(2, "2 numbers [x, y]"))]
 Vec3 = Annotated[tuple[Number, Number, Number], BeforeValidator(row(3, "3 numbers [x, y, z]"))]
 UnitVec3 = Annotated[Vec3, AfterValidator(_unit)]
@@ -179,6 +219,9 @@ def _plain(value: Any) -> Any:
     return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
 
 
+MAX_ITEMS_SHOWN = 8  # of a list in a repr
+
+
 class Description(BaseModel):
     """Base class of all elements of a scene: immutable; unknown keys are errors.
 
@@ -189,14 +232,32 @@ class Description(BaseModel):
 
     # Number of path steps that name an element in messages: two for shapes[3], one for camera.
     ELEMENTS: ClassVar[Mapping[str, int]] = {}
+    ARRAYS: ClassVar[tuple[str, ...]] = ()  # fields of many numbers
+    COPY: ClassVar[str] = "model_copy(update={{'{}': ...}})"  # how to change a field
 
     def __init__(self, **data: Any) -> None:
-        data = {key: _plain(value) for key, value in data.items()}
+        data = {key: value if key in self.ARRAYS else _plain(value) for key, value in data.items()}
         try:
             super().__init__(**data)
         except ValidationError as error:
             problems = diagnostics_of(error, data, type(self))
             raise SceneError("\n".join(problem.text for problem in problems)) from None
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not name.startswith("_"):
+            way_out = f"use a copy with another value: {self.COPY.format(name)}"
+            raise AttributeError(f"{type(self).__name__}.{name}: descriptions are immutable; {way_out}")
+        super().__setattr__(name, value)
+
+    def __eq__(self, other: object) -> bool:
+        """Equality of all fields; cached data does not count."""
+        return type(self) is type(other) and all(getattr(self, n) == getattr(other, n) for n in type(self).model_fields)
+
+    def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
+        """The fields; long lists, such as a mesh's, by their length."""
+        for name, value in super().__repr_args__():
+            long = isinstance(value, (tuple, dict, np.ndarray)) and len(value) > MAX_ITEMS_SHOWN
+            yield name, f"<{len(value)} items>" if long else value
 
     # Nested descriptions are validated without __init__, so that Pydantic collects all errors.
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # on a function
@@ -335,7 +396,9 @@ def _invertible(steps: tuple[Step, ...]) -> tuple[Step, ...]:
     return steps
 
 
-Transform = Annotated[tuple[Step, ...], BeforeValidator(_as_list), AfterValidator(_invertible), _OrOneStep()]
+Transform: TypeAlias = Any  # for type checkers: a step, a list of steps, or their descriptions
+if not TYPE_CHECKING:
+    Transform = Annotated[tuple[Step, ...], BeforeValidator(_as_list), AfterValidator(_invertible), _OrOneStep()]
 
 
 def _printable(name: str) -> str:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from caster.description.errors import FileMissing, SceneError
 from caster.description.input_files import opened_input
@@ -44,21 +45,18 @@ CHUNK_ROWS = 16  # of ZIP compression
 
 
 class Exr(NamedTuple):
-    """An EXR image. channels: name -> (h, w) float32, float16 or uint32, as stored. provenance: `caster/version` etc.
+    """An EXR image."""
 
-    parts: the parts of a multi-part file with their channels; empty for a single-part file.
-    """
-
-    channels: dict[str, np.ndarray]
-    provenance: dict[str, str]
-    data_window: Window
-    display_window: Window
-    parts: tuple[Part, ...] = ()
+    channels: dict[str, NDArray[Any]]  # by name: (h, w), float32, float16 or uint32, as stored
+    provenance: dict[str, str]  # string attributes, by names that begin with caster/
+    data_window: Window  # x0, y0, x1, y1, pixels of the film that the channels hold; x1 and y1 are outside
+    display_window: Window  # the whole film, in the same way
+    parts: tuple[Part, ...] = ()  # the parts of a multi-part file with their channels
 
 
 def write_exr(
     path: str | os.PathLike[str],
-    channels: Mapping[str, np.ndarray],
+    channels: Mapping[str, NDArray[Any]],
     provenance: Mapping[str, str] = {},
     *,
     data_window: Window | None = None,

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from caster.description.errors import SceneError
 from caster.geometry.packing import Packed, packed
@@ -27,7 +27,7 @@ __all__ = ["Hits", "RayHits", "cast", "occluded", "scaled_rays", "trace", "trace
 SMALLEST_NORMAL_FLOAT = 2.0**-1022
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RayHits:
     """Rays and their nearest hits in a scene. `start` is the t from which depth counts along each ray."""
 
@@ -38,19 +38,22 @@ class RayHits:
     start: np.ndarray  # (n,) float64
     threads: int | None = None
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(rays: {len(self.hit)}, hit: {int(self.hit.sum())})"
+
     @cached_property
-    def hit(self) -> np.ndarray:
-        """(n,) bool."""
+    def hit(self) -> NDArray[np.bool_]:
+        """(n,), whether each ray hits anything."""
         return self.nearest.prim >= 0
 
     @cached_property
-    def shape_id(self) -> np.ndarray:
-        """(n,) int32, -1 on a miss."""
+    def shape_id(self) -> NDArray[np.int32]:
+        """(n,), index of the shape in the scene, -1 on a miss."""
         return self.packed.shape_of(self.nearest.prim)
 
     @cached_property
-    def prim_id(self) -> np.ndarray:
-        """(n,) int32 within the shape, -1 on a miss."""
+    def prim_id(self) -> NDArray[np.int32]:
+        """(n,), index of the primitive in its shape, such as a face of a mesh, -1 on a miss."""
         return self.packed.index_in_shape(self.nearest.prim)
 
     @cached_property
@@ -59,23 +62,23 @@ class RayHits:
         return self.evaluate(("position", "normal", "shading_normal", "uv"))
 
     @cached_property
-    def normal(self) -> np.ndarray:
-        """(n, 3) geometric normals of length 1, 0 on a miss; the other surface values are not computed for them."""
+    def normal(self) -> NDArray[np.float64]:
+        """(n, 3), geometric normals, outwards, of length 1, 0 on a miss; computed without the other surface values."""
         return self.evaluate(("normal",))["normal"]
 
     @property
-    def position(self) -> np.ndarray:
-        """(n, 3) points in world space, 0 on a miss."""
+    def position(self) -> NDArray[np.float64]:
+        """(n, 3), scene units, in world space, 0 on a miss."""
         return self.surfaces["position"]
 
     @property
-    def shading_normal(self) -> np.ndarray:
-        """(n, 3) normals interpolated between the vertex normals of a mesh, of length 1, 0 on a miss."""
+    def shading_normal(self) -> NDArray[np.float64]:
+        """(n, 3), normals between the vertex normals of a mesh, elsewhere geometric ones, of length 1, 0 on a miss."""
         return self.surfaces["shading_normal"]
 
     @property
-    def uv(self) -> np.ndarray:
-        """(n, 2) surface coordinates, 0 on a miss."""
+    def uv(self) -> NDArray[np.float64]:
+        """(n, 2), surface coordinates, 0 on a miss."""
         return self.surfaces["uv"]
 
     def evaluate(self, aovs: Sequence[str], dtype: type[np.floating] = np.float64) -> dict[str, np.ndarray]:
@@ -121,19 +124,19 @@ def trace_rays(scene: Scene, packed: Packed, rays: Rays, start: np.ndarray, thre
     return RayHits(scene, packed, rays, find_nearest(packed, rays, threads=threads), start, threads)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Hits(RayHits):
-    """The nearest hit of each ray; all but t is computed on first use."""
+    """The nearest hit of each of n rays; all but t is computed on first use."""
 
-    t: np.ndarray = field(kw_only=True)  # (n,) float64, inf on a miss (see `cast`)
+    t: NDArray[np.float64] = field(kw_only=True)  # (n,), in lengths of d, inf on a miss (see `cast`)
 
 
 def cast(scene: Scene, o: ArrayLike, d: ArrayLike, *, t_min: ArrayLike = 0.0, t_max: ArrayLike = np.inf) -> Hits:
     """Find the first surface along each ray.
 
-    o, d: (n, 3), scene units; d need not be of unit length, t counts in lengths of d, t_min < t <= t_max, numbers or
-    (n,) each. Equal t go to the earlier shape of the scene, then to the lower prim_id. A hit whose t is beyond float64,
-    as lengths of a d below 1e-290 may be, has t = inf like a miss: `hit` tells them apart.
+    o, d: (n, 3), scene units, or (3,) for the same in all rays; d need not be of unit length, t counts in lengths of d.
+    t_min < t <= t_max, numbers or (n,) each. Equal t go to the earlier shape of the scene, then to the lower prim_id. A
+    hit whose t is beyond float64, as for a d below 1e-290, has t = inf like a miss: `hit` tells them apart.
     Raises SceneError if a ray is not finite or has no direction, naming the first such ray.
     Source: docs/method.md, "Exact decisions"; slabs padded after Ize (2013).
     """
@@ -153,7 +156,7 @@ def cast(scene: Scene, o: ArrayLike, d: ArrayLike, *, t_min: ArrayLike = 0.0, t_
 
 def occluded(
     scene: Scene, o: ArrayLike, d: ArrayLike, t_max: ArrayLike = np.inf, *, t_min: ArrayLike = 0.0
-) -> np.ndarray:
+) -> NDArray[np.bool_]:
     """Whether anything lies on each ray with t_min < t <= t_max. (n,) bool; arguments as in `cast`.
 
     Faster than `cast`, since any hit ends the search.
@@ -182,8 +185,14 @@ def validated_rays(o: ArrayLike, d: ArrayLike, t_min: ArrayLike, t_max: ArrayLik
 def validated_rays_with_range(o: ArrayLike, d: ArrayLike, t_min: ArrayLike, t_max: ArrayLike) -> tuple[Rays, bool]:
     """`validated_rays`, and whether the squares of all directions neither overflow nor vanish."""
     origins, directions = _rows(o, "o"), _rows(d, "d")
+    count = max(len(origins), len(directions)) if len(origins) and len(directions) else 0
+    origins, directions = (
+        np.ascontiguousarray(np.broadcast_to(rows, (count, 3))) if len(rows) == 1 else rows
+        for rows in (origins, directions)
+    )
     if len(origins) != len(directions):
-        raise SceneError(f"rays: o and d must have equal lengths, got {len(origins)} and {len(directions)}")
+        got = f"{len(origins)} and {len(directions)}"
+        raise SceneError(f"rays: o and d must have equal lengths, or one of them be a single vector, got {got}")
     start, end = _limits(t_min, "t_min", len(origins)), _limits(t_max, "t_max", len(origins))
     if not np.all(start >= 0.0) or np.isnan(end).any():
         i = int(np.argmin((start >= 0.0) & ~np.isnan(end)))
@@ -237,8 +246,9 @@ def scaled_rays(rays: Rays) -> tuple[Rays, np.ndarray]:
 
 def _rows(a: ArrayLike, name: str) -> np.ndarray:
     given = a if isinstance(a, np.ndarray) and a.dtype.kind == "f" else _float64(a, name)
-    if given.ndim != 2 or given.shape[1] != 3:
-        raise SceneError(f"rays: {name} must have shape (n, 3), got {given.shape}")
+    if given.shape[-1:] != (3,) or given.ndim > 2:
+        raise SceneError(f"rays: {name} must have shape (n, 3) or (3,), got {given.shape}")
+    given = given.reshape(-1, 3)
     if given.dtype == np.float64 and given.flags.c_contiguous:
         return given
     rows = unwritten_array(given.shape, np.float64)

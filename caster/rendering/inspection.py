@@ -152,3 +152,20 @@ def _way(kind: Kind, culling: str) -> str:
     if culling == "raster":
         return "tested in the pixels of their screen bounds"
     return f"a BVH of {len(bvh_of(kind).links)} nodes" if uses_bvh(kind) else "too few for a tree"
+
+
+def explain(rendered: RenderResult, aovs: Sequence[str]) -> str:
+    """The account in words, a line for each part, for `caster render --explain`."""
+    return "\n".join(f"{_spaced(name):<16} {_words(part)}" for name, part in account(rendered, aovs).items())
+
+
+def _words(part: Any) -> str:
+    if isinstance(part, dict):
+        return ", ".join(f"{_spaced(name)} {_words(each)}" for name, each in part.items()) or "none"
+    if isinstance(part, list):
+        return ("; " if part and isinstance(part[0], dict) else " ").join(map(_words, part)) or "none"
+    return {True: "yes", False: "no"}[part] if isinstance(part, bool) else str(part)
+
+
+def _spaced(name: str) -> str:
+    return name.replace("_", " ")

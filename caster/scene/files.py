@@ -20,7 +20,7 @@ from caster.geometry.mesh_files import MESH_SUFFIXES, MeshFolders
 from caster.geometry.world_space import TriangleShape
 from caster.scene.model import Ambient, Diffuse, Directional, Film, Scene
 from caster.shapes import SHAPES
-from caster.shapes.mesh import MeshFile
+from caster.shapes.mesh import Mesh
 
 __all__ = ["film_pixels", "load_scene", "mesh_scene", "types_in_file", "validated"]
 
@@ -39,7 +39,7 @@ SCENE_FORMATS: dict[str, SceneFormat] = {".toml": "toml", ".json": "json"}
 
 
 def load_scene(path: str | PathLike[str], mesh_dirs: Iterable[str | PathLike[str]] = ()) -> Scene:
-    """Read a scene file, .toml or .json, and its meshes; or a mesh file as a scene, by `mesh_scene`.
+    """Read a scene file, .toml or .json, and its meshes; or a mesh file as a scene, with a camera that sees all of it.
 
     Meshes are found relative to the scene file, or to one of mesh_dirs; each lies in or below one of these folders.
     Raises FileMissing for a file that cannot be read, SceneError with every error and its line for the rest.
@@ -105,7 +105,7 @@ def mesh_scene(path: str | PathLike[str]) -> Scene:
     Raises FileMissing, SceneError for a file that is no usable mesh, and for a mesh without an extent.
     """
     where = os.path.abspath(path)
-    shape = MeshFile(file=where, name="mesh", material="mesh")
+    shape = Mesh(file=where, name="mesh", material="mesh")
     try:
         mesh = shape.mesh()
     except SceneError as error:

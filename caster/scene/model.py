@@ -1,14 +1,15 @@
 """The scene model: lights, materials, film, shading, checks, and validation across elements."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeAlias, Union
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, PrivateAttr, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from caster.cameras import CAMERAS
+from caster.cameras import CAMERAS, Ray
 from caster.description import fields
 from caster.description.errors import (
     CROSS_ELEMENT_ERROR,
@@ -226,6 +227,8 @@ class Scene(Description):
         **dict.fromkeys((*PLURAL, *SINGULAR), 2),
     }
 
+    COPY: ClassVar[str] = "with_camera(...), with_film(...) or model_copy(update={{'{}': ...}})"
+
     film: Film = Film()
     camera: AnyCamera
     lights: tuple[AnyLight, ...] = Field(default=(), alias="light")
@@ -236,6 +239,26 @@ class Scene(Description):
 
     _folder: Path | None = PrivateAttr(None)
     _derived: dict[str, Any] = PrivateAttr(default_factory=dict)
+
+    if TYPE_CHECKING:  # type checkers know one spelling of a field
+
+        def __init__(
+            self,
+            *,
+            camera: Camera | Ray,
+            film: Film = ...,
+            shapes: Iterable[Shape | dict[str, Any]] = (),
+            lights: Iterable[Light] = (),
+            materials: Mapping[str, Diffuse] = ...,
+            shading: Shading = ...,
+            checks: Mapping[str, Check] = ...,
+        ) -> None: ...
+
+    @field_validator("lights", "shapes", mode="before")
+    @classmethod
+    def _listed(cls, value: Any) -> Any:
+        """A list; in Python, a single shape or light will do."""
+        return (value,) if isinstance(value, Description) else value
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -264,7 +287,7 @@ class Scene(Description):
         """The name of each shape, shape-<index> if it has none."""
         return [shape.name or f"shape-{i}" for i, shape in enumerate(self.shapes)]
 
-    def triangles(self) -> np.ndarray:
+    def triangles(self) -> NDArray[np.float64]:
         """Corners of all triangles in world space, (n, 3, 3) float64: [triangle, corner, axis], shape after shape.
 
         Raises NotImplementedError for a shape that is not made of triangles, SceneError for numbers that overflow.
@@ -284,9 +307,24 @@ class Scene(Description):
         film = self.film.resized(
             self.film.width if width is None else width, self.film.height if height is None else height
         )
-        copy = self.model_copy(update={"film": film if crop is None else film.cropped(crop)})
-        copy._derived = self._derived  # packed shapes, which do not depend on the film
+        return self._seen_anew(film=film if crop is None else film.cropped(crop))
+
+    def with_camera(self, camera: Camera | Ray | None = None, **changes: Any) -> Self:
+        """A copy with another camera, or with other fields of its own one: `scene.with_camera(eye=(0, 0, 9))`."""
+        view: Any = self.camera if camera is None else camera
+        return self._seen_anew(camera=view.model_copy(update=changes))
+
+    def _seen_anew(self, **update: Any) -> Self:
+        copy = self.model_copy(update=update)
+        copy._derived = self._derived  # packed shapes, which depend on neither film nor camera
         return copy
+
+    def __repr__(self) -> str:
+        film, lights, shapes = self.film, len(self.lights), len(self.shapes)
+        counts = f"{shapes} shape{'s' * (shapes != 1)}, {lights} light{'s' * (lights != 1)}"
+        return f"Scene({film.width} x {film.height} pixels, {self.camera.type} camera, {counts})"
+
+    __str__ = __repr__
 
     def canonical_json(self) -> str:
         """JSON with defaults, sorted keys and exact numbers: equal scenes have equal text. It can be loaded again.
@@ -311,12 +349,6 @@ class Scene(Description):
         copy = super().model_copy(update=update, deep=deep)
         copy._folder = self._folder
         return copy
-
-    def __eq__(self, other: object) -> bool:
-        """Equality of all fields; the folder and cached data do not count."""
-        if not isinstance(other, Scene):
-            return NotImplemented
-        return all(getattr(self, name) == getattr(other, name) for name in type(self).model_fields)
 
     __hash__ = None  # type: ignore[assignment]  # materials are a dict; sha256() identifies scenes
 

@@ -7,7 +7,7 @@ from caster.shapes.cylinder import Cylinder
 from caster.shapes.disk import Disk
 from caster.shapes.heightfield import Heightfield
 from caster.shapes.icosphere import Icosphere
-from caster.shapes.mesh import MeshFile
+from caster.shapes.mesh import Mesh
 from caster.shapes.plane import Plane
 from caster.shapes.rectangle import Rectangle
 from caster.shapes.sphere import Sphere, SphereCloud
@@ -22,7 +22,7 @@ __all__ = [
     "Disk",
     "Heightfield",
     "Icosphere",
-    "MeshFile",
+    "Mesh",
     "Plane",
     "Rectangle",
     "Sphere",
@@ -33,17 +33,5 @@ __all__ = [
 ]
 
 SHAPES: Registry[Shape] = Registry(
-    Sphere,
-    Plane,
-    Triangle,
-    MeshFile,
-    Rectangle,
-    Disk,
-    Cube,
-    Cylinder,
-    Icosphere,
-    Torus,
-    Heightfield,
-    Teapot,
-    SphereCloud,
+    Sphere, Plane, Triangle, Mesh, Rectangle, Disk, Cube, Cylinder, Icosphere, Torus, Heightfield, Teapot, SphereCloud
 )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import mmap
 import os
 import sys
 import threading
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from rich.live import Live
 
 
-__all__ = ["ProgressBar", "StatusLine", "compilation_reported", "printable", "unfiltered"]
+__all__ = ["ProgressBar", "StatusLine", "compilation_reported", "printable", "report_stage", "unfiltered"]
 
 
 def printable(text: str, keep: str = "\n\t") -> str:
@@ -90,7 +91,8 @@ def printable_streams() -> Iterator[None]:
 
 QUIET_SECONDS = 1.0  # work shorter than this draws nothing
 REFRESH_SECONDS = 0.1  # between two updates of the terminal
-BAR_CHARACTERS = 24  # width of the bar
+TICK_SECONDS = 0.5  # after which a bar is drawn again though nothing was counted
+BAR_CHARACTERS = 10  # width of the bar; the whole line fits into 80 characters
 ERASE_LINE = "\r\x1b[K"  # another process may have drawn a bar there, which it will draw again
 DUMB_TERMINALS = ("dumb", "unknown")  # values of TERM without cursor movement
 
@@ -133,6 +135,21 @@ def _started_display(stream: TextIO) -> Live:
     return display
 
 
+# Held while a bar is drawn, and during a fork: the child would wait for ever for a stream that was being written to.
+_drawing = threading.RLock()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_drawing.acquire, after_in_parent=_drawing.release, after_in_child=_drawing.release)
+
+STAGE_BYTES = 24
+_stage: mmap.mmap | None = None  # what is being done, shared with forks; of the last progress bar
+
+
+def report_stage(words: str) -> None:
+    """Report what this process or a fork of it does now, at most STAGE_BYTES long, for the progress bar to show."""
+    if _stage is not None:
+        _stage[:] = words.encode().ljust(STAGE_BYTES)
+
+
 class ProgressBar:
     """A progress bar over counted work, on a terminal only.
 
@@ -142,40 +159,56 @@ class ProgressBar:
     def __init__(
         self, what: str, total: int, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic
     ) -> None:
+        global _stage
         self.what, self.total, self.clock = what, total, clock
         self.line = StatusLine(stream)
         self.start = clock()
         self.next = self.start + QUIET_SECONDS
         self.done, self.extra = 0, ""
-        self.lock = threading.Lock()
+        self.closed = threading.Event()
+        if self.line.live:
+            _stage = mmap.mmap(-1, STAGE_BYTES)
+            threading.Thread(target=self._keep_drawing, daemon=True).start()
 
     def add(self, count: int, extra: str = "") -> None:
         """Count work as done. extra: further text to show from now on, such as a count of scenes."""
-        with self.lock:
+        with _drawing:
             self.done += count
             self.extra = extra or self.extra
-            now = self.clock()
-            if now >= self.next and 0 < self.done < self.total:
-                self.next = now + REFRESH_SECONDS
-                self.line.show(self._text(now - self.start))
+            self._draw()
+
+    def _draw(self) -> None:
+        now = self.clock()
+        if now >= self.next and self.done < self.total and not self.closed.is_set():
+            self.next = now + REFRESH_SECONDS
+            self.line.show(self._text(now - self.start))
+
+    def _keep_drawing(self) -> None:
+        """Show the stage while nothing is counted."""
+        while not self.closed.wait(TICK_SECONDS):
+            with _drawing:
+                self._draw()
 
     @contextlib.contextmanager
     def aside(self) -> Iterator[None]:
         """Erase the bar while the body prints; the next `add` draws it again."""
-        with self.lock:
+        with _drawing:
             self.line.erase()
             yield
 
     def close(self) -> None:
         """Erase the bar."""
-        with self.lock:
+        self.closed.set()
+        with _drawing:
             self.line.erase()
 
     def _text(self, seconds: float) -> str:
         share = self.done / self.total
         filled = round(BAR_CHARACTERS * share)
         bar = f"{self.what} {'#' * filled}{'-' * (BAR_CHARACTERS - filled)} {100 * share:.0f} %"
-        return ", ".join([bar, *filter(None, [self.extra]), f"{seconds / share - seconds:.0f} s left"])
+        left = f"{seconds / share - seconds:.0f} s left" if share else ""
+        stage = _stage[:].strip(b" \0").decode() if _stage is not None else ""
+        return ", ".join([bar, *filter(None, [self.extra, left, stage])])
 
 
 class CompilationNotice:
@@ -183,8 +216,6 @@ class CompilationNotice:
 
     def __init__(self, stream: TextIO | None = None) -> None:
         """stream: default standard error, as it is when the line is written."""
-        import mmap
-
         self.stream = stream
         self._written = mmap.mmap(-1, 1)  # shared with forks; two that begin at the same moment may both write
 
@@ -193,6 +224,7 @@ class CompilationNotice:
         if self._written[0]:
             return
         self._written[0] = 1
+        report_stage("compiling kernels")
         line = StatusLine(self.stream)
         with contextlib.suppress(OSError):  # standard error may be closed
             text = "compiling kernels, once: some 20 to 60, in 10 to 40 s; `caster doctor --warm` does it ahead"

@@ -19,8 +19,11 @@ from playwright.sync_api import Browser, sync_playwright
 from caster import load_scene
 from caster.rendering.hits import RayHits
 from caster.rendering.threads import core_count
+from mitsuba_ref.reference.messages import TraceRequest, TraceResponse
+from mitsuba_ref.reference.mitsuba_process import send_stored
 from mitsuba_ref.reference.shared_input import pixel_of
 from mitsuba_ref.report.html_report import HtmlReport, page_record
+from mitsuba_ref.report.reproducers import with_replay
 from mitsuba_ref.report.validation import Validation, validate_scene
 from mitsuba_ref.runner import many_scenes
 from mitsuba_ref.subjects import subject
@@ -29,9 +32,10 @@ from mitsuba_ref.subjects.subject import cast_ours
 
 HERE = Path(__file__).parent
 SCENES = HERE.parents[1] / "scenes"
+BIASED = "biased-reference"  # one-sphere, with t of the reference too large by a last place at three of ten pixels
 FAULTY, PIXEL = "every-shape", (192, 174)  # there, t of the primitive at this pixel is off by 2^-20 of itself
 ONE_FILE_LIMIT_BYTES = 300_000  # of a picture
-WIDE, NARROW = {"width": 1280, "height": 800}, {"width": 420, "height": 800}
+WIDE, NARROW = {"width": 1440, "height": 900}, {"width": 390, "height": 844}
 
 Shot = tuple[str, str, dict[str, int], str, str]
 # Name, place in the report, screen, theme and keys.
@@ -41,6 +45,7 @@ SHOTS = (
     ("pixel", f"#s={FAULTY}&x=192&y=174&a=depth&v=class&z=24&cx=194&cy=174", WIDE, "dark", ""),
     ("wipe", "#s=cornell-box&a=diffuse&v=wipe&x=96&y=120", WIDE, "dark", ""),
     ("narrow", f"#s={FAULTY}&x=192&y=174&a=normal", NARROW, "light", ""),
+    ("bias", f"#s={BIASED}", {"width": 1240, "height": 775}, "light", "n"),
 )
 CANDIDATE, INSIDE = "docs.candidates.textbook:trace", "inside-sphere"
 OF_CANDIDATE = (
@@ -61,20 +66,33 @@ def main() -> None:
 
 
 def report_into(folder: Path) -> Path:
+    sys.argv = ["mitsuba-ref", "validate", "scenes", "--html", "report"]  # which the head of the page shows
     subject.cast_ours = faulty_view
     files = sorted(SCENES.glob("*.toml"))
     entries = [many_scenes.SceneEntry(file.stem, f"scenes/{file.name}", given=load_scene(file)) for file in files]
-    report = HtmlReport(folder, len(entries))
+    report = HtmlReport(folder, len(entries) + 1)
     options = many_scenes.JudgeOptions(page_of=page_record)
     for verdict in many_scenes.run(entries, options, core_count(), record=report.keep):
         report.add(verdict)
+    scene = load_scene(SCENES / "one-sphere.toml")
+    report.add(
+        report.keep(with_replay(validate_scene(scene, BIASED, "one-sphere.toml", send=biased_answer, keep=True)))
+    )
     report.write()
     return report.index
+
+
+def biased_answer(request: TraceRequest, timeout: float) -> TraceResponse:
+    answer = send_stored(request, timeout)
+    some = np.random.default_rng(0).random(answer.t.shape) < 0.3
+    answer.t[some] = np.nextafter(answer.t[some], np.float32(np.inf))
+    return answer
 
 
 def candidate_report_into(folder: Path) -> Path:
     """Run from the top of the tree, where the candidate is found."""
     path = f"scenes/{INSIDE}.toml"
+    sys.argv = ["mitsuba-ref", "validate", path, "--candidate", CANDIDATE, "--html", "report"]
     verdict = validate_scene(load_scene(path), INSIDE, path, subject=parse_candidate(CANDIDATE), keep=True)
     as_typed = replace(verdict, options=("--candidate", CANDIDATE))
     return Validation((as_typed,)).write_html(folder)
@@ -104,7 +122,8 @@ def shoot(index: Path, shots: Sequence[Shot] = SHOTS) -> None:
 def picture(browser: Browser, index: Path, name: str, place: str, size: dict[str, int], theme: str, keys: str) -> None:
     page = browser.new_page(viewport=size, color_scheme=theme)
     page.goto(f"{index.resolve().as_uri()}{place}")
-    page.wait_for_selector("#pixel section >> nth=2" if place else ".row")
+    page.wait_for_selector(".pane canvas" if place else ".row")
+    page.wait_for_timeout(1000)
     for key in keys:
         page.keyboard.press(key)
     page.wait_for_timeout(500)

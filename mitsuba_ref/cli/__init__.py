@@ -5,9 +5,10 @@ from caster.cli.application import Command
 _HERE = "mitsuba_ref.cli"
 
 
-def _command(name: str, about: str, module: str, run: str = "run", starts_with: str = "") -> Command:
-    """A command with arguments in cli/arguments.py."""
-    return Command(name, about, f"{_HERE}.{module}", run, f"add_{name}_arguments", starts_with, f"{_HERE}.arguments")
+def _command(name: str, about: str, example: str, module: str, run: str = "run", starts_with: str = "") -> Command:
+    """A command with arguments in cli/arguments.py. example: without the name of the program."""
+    arguments = f"add_{name}_arguments", starts_with, f"{_HERE}.arguments"
+    return Command(name, about, f"{_HERE}.{module}", run, *arguments, f"mitsuba-ref {example}")
 
 
 COMMANDS = (
@@ -15,35 +16,47 @@ COMMANDS = (
         "init",
         "write a ray caster to begin with, in Python, C, Rust or JavaScript, and what judges it",
         f"{_HERE}.starter",
+        example="mitsuba-ref init c mine",
     ),
     _command(
         "validate",
         "compare our caster or a candidate with Mitsuba on scenes: every pixel gets a class",
+        "validate --builtin triangles --candidate mine:trace --html report",
         "validate",
         starts_with="loading the judge and the scenes",
     ),
     _command(
         "judge",
         "judge hits of any rays that were computed elsewhere",
+        "judge --scene scene.toml --rays rays.npz --hits hits.npz",
         "judge",
         starts_with="loading the judge and the rays",
     ),
     _command(
         "rays",
         "write rays of a scene to a file for `judge`: camera rays, shadow rays, random or aimed ones",
+        "rays bunny.ply --kind features --count 10000 -o rays.npz",
         "judge",
         "run_rays",
     ),
-    _command("merge", "merge the verdicts of all shards of a run; a missing one fails", "validate", "run_merge"),
+    _command(
+        "merge",
+        "merge the verdicts of all shards of a run; a missing one fails",
+        "merge shard-1 shard-2 --json verdict.json",
+        "validate",
+        "run_merge",
+    ),
     _command(
         "render",
         "render a scene with Mitsuba to an EXR file, along the rays that our caster traces",
+        "render scene.toml --aov depth,normal -o ref.exr",
         "scene_exchange",
         "run_render",
     ),
     _command(
         "approve",
         "render images with Mitsuba, show what changed in them, and write them once approved",
+        "approve scenes --references refs",
         "exr_comparison",
         "run_approve",
         starts_with="loading the renderer and the approved images",
@@ -51,40 +64,50 @@ COMMANDS = (
     _command(
         "check",
         "compare our render with approved images, without Mitsuba; stale or altered ones fail",
+        "check scenes --references refs",
         "exr_comparison",
         "run_check",
         starts_with="loading the renderer and the approved images",
     ),
     _command(
-        "export", "write a scene as Mitsuba XML with its meshes, for plain Mitsuba", "scene_exchange", "run_export"
+        "export",
+        "write a scene as Mitsuba XML with its meshes, for plain Mitsuba",
+        "export scene.toml -o exported",
+        "scene_exchange",
+        "run_export",
     ),
     _command(
         "import",
         "convert Mitsuba XML or a scene file of MIT 6.837 to a scene file, and list what was left out",
+        "import scene.xml -o scene.toml",
         "scene_exchange",
         "run_import",
     ),
     _command(
         "compare",
         "compare two EXR files; NaN, inf, another size or one missed pixel never pass",
+        "compare ours.exr reference.exr --html difference",
         "exr_comparison",
         "run_compare",
     ),
     _command(
         "probe",
         "explain one pixel: answers of our caster, Mitsuba, exact arithmetic and a candidate, with their bounds",
+        "probe builtin:scan 21 2 --size 48 48 --candidate mine:trace",
         "probe",
         starts_with="loading the judge and the scene",
     ),
     _command(
         "fuzz",
         "random and adversarial scenes and rays; each failure is shrunk to a minimal scene file and kept",
+        "fuzz --time 5m --candidate mine:trace",
         "fuzz",
         starts_with="loading the judge",
     ),
     _command(
         "stress",
         "numerical stability: errors and wrong hits, against exact answers, along sweeps of growing difficulty",
+        "stress sliver --candidate mine:trace",
         "experiments",
         "run_stress",
         starts_with="loading the judge",
@@ -92,6 +115,7 @@ COMMANDS = (
     _command(
         "bench",
         "run time against error: our caster beside Mitsuba and others, in alternating processes",
+        "bench bunny.ply --aov depth,normal --candidate mine:trace",
         "experiments",
         "run_bench",
         starts_with="loading the judge",
@@ -102,6 +126,13 @@ COMMANDS = (
         f"{_HERE}.doctor",
         run="run_schema",
         arguments="add_schema_arguments",
+        example="mitsuba-ref schema verdict",
     ),
-    Command("doctor", "list what was found on this machine, and the effect of each missing part", f"{_HERE}.doctor"),
+    Command("docs", "read a page of the documentation", f"{_HERE}.pages", example="mitsuba-ref docs candidates"),
+    Command(
+        "doctor",
+        "list what was found on this machine, and the effect of each missing part",
+        f"{_HERE}.doctor",
+        example="mitsuba-ref doctor",
+    ),
 )

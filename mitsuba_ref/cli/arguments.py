@@ -36,7 +36,6 @@ DEFAULT_SIZE, DEFAULT_ALTERNATIONS = 1024, 7  # of bench
 # Copies, since the judge's modules load the kernels (tests/unit/test_cli_help.py compares them).
 CANDIDATE_SECONDS = REFERENCE_SECONDS = 300.0
 MAX_SECONDS = 100_000.0  # about a day; the system's waits take milliseconds in 31 bits, and some are multiples of it
-BUILTIN_SETS = ("triangles", "spheres", "others", "all")  # folders of mitsuba_ref/runner/builtin, and all of them
 DEFAULT_SCENES = [InputPath("scenes")]
 PRECISIONS = ("float32", "float64")
 
@@ -97,8 +96,9 @@ def numbers(text: str) -> range:
 
 
 def add_selection(parser: argparse.ArgumentParser) -> None:
-    """Add scenes, -k, -j, --size and --mesh-dir."""
-    add = parser.add_argument
+    """Add scenes, -k, --size and --mesh-dir, and -j."""
+    group = parser.add_argument_group("scenes")
+    add = group.add_argument
     add(
         "scenes",
         metavar="SCENE|MESH|DIR",
@@ -113,36 +113,37 @@ def add_selection(parser: argparse.ArgumentParser) -> None:
         metavar="SET",
         nargs="?",
         const="all",
-        choices=BUILTIN_SETS,
-        help=f"scenes that are installed with the program: {', '.join(BUILTIN_SETS)}; without a word, all",
+        choices=(*builtin_scenes.SETS, builtin_scenes.ALL_SETS),
+        help=f"scenes that are installed with the program: {', '.join(builtin_scenes.SETS)}; without a word, all",
     )
     add(
         "-k",
         type=str,
-        metavar="EXPR",
+        metavar="EXPRESSION",
         dest="expression",
         help="scenes whose name fits, such as 'mesh and not teapot'; type:mesh is true of those with such a shape or "
         "camera, type:triangles of those with any made of triangles",
     )
-    add("-j", metavar="N", dest="workers", type=positive_int, help="scenes at a time; default: one a core")
     add("--size", nargs=2, type=int, metavar=("W", "H"), help="film in pixels, instead of the scenes' own")
-    add_mesh_dirs(parser)
+    add_mesh_dirs(group)
+    help_ = "scenes at a time; default: one a core"
+    parser.add_argument("-j", metavar="N", dest="workers", type=positive_int, help=help_)
 
 
 def add_timeout(parser: argparse.ArgumentParser) -> None:
     """Add --timeout."""
     parser.add_argument(
         "--timeout",
-        metavar="S",
+        metavar="TIME",
         type=deadline,
         default=REFERENCE_SECONDS,
-        help=f"seconds that Mitsuba may take for one scene, or one band of a large film; default {REFERENCE_SECONDS:g}",
+        help=f"time that Mitsuba may take for one scene, or one band of a large film; default {REFERENCE_SECONDS:g}s",
     )
 
 
 def add_reading(parser: argparse.ArgumentParser, more: str = "") -> Callable[..., argparse.Action]:
     """Add --map, --depth and --miss; the function that adds more options to their group."""
-    add = parser.add_argument_group("files of other programs (docs/candidates.md)" + more).add_argument
+    add = parser.add_argument_group("files of other programs (mitsuba-ref docs candidates)" + more).add_argument
     map_help = "a channel or group by its name there, such as depth=range or normal=facing; any number of them"
     add("--map", type=str, action="append", default=[], metavar="OURS=THEIRS", help=map_help)
     depths = ("distance", "z", "near")
@@ -155,25 +156,30 @@ def add_reading(parser: argparse.ArgumentParser, more: str = "") -> Callable[...
 
 def add_report_files(parser: argparse.ArgumentParser) -> None:
     """Add --out, --html, and the options of add_verdict_files."""
-    add = parser.add_argument
+    add = add_verdict_files(parser)
     add(
         "--out", metavar="DIR", type=OutputFolder, help="write verdict.json, EXR files and reproducers into this folder"
     )
+    add_html(add)
+
+
+def add_html(add: Callable[..., argparse.Action]) -> None:
     add("--html", metavar="DIR", type=OutputFolder, help="write a report for the browser into this folder: index.html")
-    add_verdict_files(parser)
 
 
-def add_verdict_files(parser: argparse.ArgumentParser) -> None:
-    """Add --json, --junit and --summary-md."""
-    add = parser.add_argument
+def add_verdict_files(parser: argparse.ArgumentParser) -> Callable[..., argparse.Action]:
+    """Add --json, --junit and --summary-md; the function that adds more options to their group."""
+    add = parser.add_argument_group("results").add_argument
     add("--json", metavar="FILE", type=OutputFile, help="write the verdict as JSON")
     add("--junit", metavar="FILE", type=OutputFile, help="write the verdict as JUnit XML")
     help_ = "append a summary in Markdown to this file, such as $GITHUB_STEP_SUMMARY"
     add("--summary-md", metavar="FILE", type=OutputFile, help=help_)
+    return add
 
 
 def add_candidate(
-    parser: argparse.ArgumentParser, title: str = "another ray caster, judged in place of ours (docs/candidates.md)"
+    parser: argparse.ArgumentParser,
+    title: str = "another ray caster, judged in place of ours (mitsuba-ref docs candidates)",
 ) -> None:
     """Add --candidate, its precision and its time limit."""
     group = parser.add_argument_group(title)
@@ -183,36 +189,42 @@ def add_candidate(
         "--candidate-rays",
         dest="candidate",
         type=str,
-        metavar="X",
+        metavar="CANDIDATE",
         help="package.module:function, called as function(scene, o, d) -> (t, n); or a command that reads our scene "
         "and writes an EXR file, such as 'my-renderer {xml} -o {exr}' ({toml}, {width}, {height}); or an image of the "
         "scene's camera, FILE.exr; or a command that reads rays and writes hits, such as 'my-caster {mesh} {rays} "
-        "{hits}' (docs/candidates.md)",
+        "{hits}' (mitsuba-ref docs candidates)",
     )
     one.add_argument(
         "--candidate-serve",
         dest="candidate",
         type=ServedProgram,
-        metavar="PROG",
-        help="a program that is started once and answers over stdin and stdout (docs/candidates.md)",
+        metavar="COMMAND",
+        help="a program that is started once and answers over stdin and stdout (mitsuba-ref docs candidates)",
     )
     group.add_argument(
         "--candidate-precision",
-        metavar="P",
+        metavar="PRECISION",
         choices=PRECISIONS,
-        help="its arithmetic, from which its bounds follow; default: the type of what it returns",
+        help="its arithmetic, from which its bounds follow: float32 or float64; default: the type of what it returns",
     )
     group.add_argument(
         "--candidate-timeout",
-        metavar="S",
+        metavar="TIME",
         type=deadline,
-        help=f"seconds that a command may take for one scene; default {CANDIDATE_SECONDS:g}",
+        help=f"time that a command may take for one scene; default {CANDIDATE_SECONDS:g}s",
+    )
+    group.add_argument(
+        "--no-limits",
+        action="store_const",
+        const=True,
+        help="the program's interface has no t_min and t_max: a hit beyond t_max counts as a miss",
     )
 
 
-def add_skip_unsupported(parser: argparse.ArgumentParser, plural: str) -> None:
+def add_skip_unsupported(add: Callable[..., argparse.Action], plural: str) -> None:
     """Add --skip-unsupported. plural: "scenes" or "families"."""
-    parser.add_argument(
+    add(
         "--skip-unsupported",
         action="store_true",
         help=f"do not fail by {plural} that the candidate declines (NotImplementedError, exit code 77); "
@@ -226,7 +238,7 @@ def add_item_selection(parser: argparse.ArgumentParser, what: str, words: str) -
     add = parser.add_argument
     add(plural, metavar=what.upper(), type=str, nargs="*", help=words)
     example = "'scale and not mesh'" if what == "family" else "'mesh and not lit'"
-    add("-k", type=str, metavar="EXPR", dest="expression", help=f"{plural} whose name matches, such as {example}")
+    add("-k", type=str, metavar="EXPRESSION", dest="expression", help=f"{plural} whose name matches, such as {example}")
     add("--list", action="store_true", help=f"list the {plural} and stop")
 
 
@@ -245,25 +257,22 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 def add_validate_arguments(parser: argparse.ArgumentParser) -> None:
     add_selection(parser)
     add = parser.add_argument
-    add_report_files(parser)
-    add(
-        "--expected",
-        metavar="FILE",
-        type=InputPath,
-        help="known failures, as --write-expected writes them: the run fails only by others, and names fixed ones",
-    )
-    help_ = "write the failures of this run as a file for --expected"
-    add("--write-expected", metavar="FILE", type=OutputFile, help=help_)
-    add_skip_unsupported(parser, "scenes")
-    help_ = "fail where fewer scenes are judged and not declined; default 1 with --skip-unsupported"
-    add("--min-scenes", metavar="N", type=positive_int, default=0, help=help_)
-    add("--maxfail", metavar="N", type=positive_int, help="stop after so many scenes that fail")
     add("--shard", metavar="I/N", type=shard, help="judge part I of N of the scenes, balanced by pixels")
     help_ = "also test our caster beyond the judged films: other routes, scales, brute force; compiles more kernels"
     add("--thorough", action="store_true", help=help_)
     add_timeout(parser)
     help_ = "judge every scene and ask Mitsuba, also where an earlier run has the result of the very same inputs"
     add("--no-store", dest="store", action="store_false", help=help_)
+    add_report_files(parser)
+    add = parser.add_argument_group("pass or fail").add_argument
+    help_ = "known failures, as --write-expected writes them: the run fails only by others, and names fixed ones"
+    add("--expected", metavar="FILE", type=InputPath, help=help_)
+    help_ = "write the failures of this run as a file for --expected"
+    add("--write-expected", metavar="FILE", type=OutputFile, help=help_)
+    add_skip_unsupported(add, "scenes")
+    help_ = "fail where fewer scenes are judged and not declined; default 1 with --skip-unsupported"
+    add("--min-scenes", metavar="N", type=positive_int, default=0, help=help_)
+    add("--maxfail", metavar="N", type=positive_int, help="stop after so many scenes that fail")
     add_candidate(parser)
     add_reading(parser, "; with --candidate")
 
@@ -292,10 +301,10 @@ def add_judge_arguments(parser: argparse.ArgumentParser) -> None:
     add("--scene", metavar="SCENE", type=InputPath, required=True, help=help_)
     help_ = ".npz of t, and n, shape_id, prim_id, any_hit if given; or .npy of shape (n, 1), (n, 4), (n, 5)"
     add("--hits", metavar="FILE", type=InputPath, required=True, help=help_)
-    help_ = ".npz of `rays`, or .npy, (n, 8): o, d, t_min, t_max (docs/candidates.md)"
+    help_ = ".npz of `rays`, or .npy, (n, 8): o, d, t_min, t_max (mitsuba-ref docs candidates)"
     add("--rays", metavar="FILE", type=InputPath, required=True, help=help_)
-    help_ = "the arithmetic of the answers, from which their bounds follow; default: the type of t and n"
-    add("--precision", metavar="P", choices=PRECISIONS, help=help_)
+    help_ = "the arithmetic of the answers, from which bounds follow: float32 or float64; default: the type of t and n"
+    add("--precision", metavar="PRECISION", choices=PRECISIONS, help=help_)
     add("--rows", metavar="A:B", type=row_range, help="judge these rays alone: one, or from A up to B")
     add_mesh_dirs(parser)
     add_report_files(parser)
@@ -317,26 +326,29 @@ def add_rays_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser, ScenePath)
     add = parser.add_argument
     add("-o", "--output", metavar="RAYS", type=OutputFile, required=True, help=".npz, or .npy for the rows alone")
-    help_ = "camera (default); aimed at features (corners, edges, rims), along silhouettes, from surfaces, at random; "
-    help_ += "shadow: from the camera's hits to a light"
-    add("--kind", choices=RAY_KINDS, default="camera", help=help_)
+    help_ = "camera (default), shadow (from the camera's hits to a light), or aimed: features (corners, edges, rims), "
+    help_ += "silhouettes, surface (from surfaces), random"
+    add("--kind", metavar="KIND", choices=RAY_KINDS, default="camera", help=help_)
     add("--count", metavar="N", type=positive_int, default=4096, help="of rays that are aimed; default 4096")
-    add("--seed", metavar="S", type=int, default=0, help="of random numbers; default 0")
-    add("--light", metavar="I", type=int, default=0, help="number of the light of shadow rays; default 0")
+    add("--seed", metavar="SEED", type=int, default=0, help="of random numbers; default 0")
+    add("--light", metavar="N", type=int, default=0, help="number of the light of shadow rays; default 0")
 
 
 def add_compare_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("ours", metavar="OURS.exr", type=InputPath)
     add("reference", metavar="REF.exr", type=InputPath)
-    add("-o", "--output", metavar="DIFF.exr", type=OutputFile, help="write the differences, and a class for each pixel")
-    for name, what in NUMBERS.items():
-        add(f"--{name.replace('_', '-')}", type=float, metavar="TOL", help=f"tolerance {what}")
-    add("--max-pixels", type=int, default=0, metavar="N", help="number of pixels that may differ (never by NaN or inf)")
     ignore = "leave a channel or group of them out"
     add("--ignore", type=str, action="append", default=[], metavar="CHANNEL", help=ignore)
     add("--other-scene", action="store_true", help="compare images of different scenes, too")
-    add("--json", action="store_true", help="as JSON")
+    add = parser.add_argument_group("results").add_argument
+    add("-o", "--output", metavar="DIFF.exr", type=OutputFile, help="write the differences, and a class for each pixel")
+    add_html(add)
+    add("--json", action="store_true", help="print the comparison as JSON")
+    add = parser.add_argument_group("tolerances").add_argument
+    for name, what in NUMBERS.items():
+        add(f"--{name.replace('_', '-')}", type=float, metavar="TOL", help=f"tolerance {what}")
+    add("--max-pixels", type=int, default=0, metavar="N", help="number of pixels that may differ (never by NaN or inf)")
     add = add_reading(parser)
     add("--scene", metavar="SCENE", type=InputPath, help="the scene whose camera rendered the images")
 
@@ -366,7 +378,7 @@ def add_render_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--aov",
         type=str,
-        metavar="A,B,...",
+        metavar="AOV,...",
         default=DEFAULT_AOV_LIST,
         help=f"of {AOV_NAMES}; default: {DEFAULT_AOV_LIST}",
     )
@@ -392,6 +404,11 @@ def add_export_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         help="folder to write into, created if missing",
     )
+    parser.add_argument(
+        "--toml",
+        action="store_true",
+        help="write scene.toml as well: our format, with the float32 values that are traced",
+    )
 
 
 def add_probe_arguments(parser: argparse.ArgumentParser) -> None:
@@ -403,15 +420,15 @@ def add_probe_arguments(parser: argparse.ArgumentParser) -> None:
         "--save", metavar="FILE", type=OutputFile, help="write this ray and what it may hit as a scene of its own"
     )
     add_timeout(parser)
-    add_candidate(parser, "another ray caster, whose answer is explained as well (docs/candidates.md)")
+    add_candidate(parser, "another ray caster, explained as well (mitsuba-ref docs candidates)")
     add_reading(parser, "; with --candidate")
 
 
 def add_fuzz_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("--time", metavar="T", type=seconds, help="stop after this time, such as 60s, 5m, 1h; default: 60s")
+    add("--time", metavar="TIME", type=seconds, help="stop after this time, such as 60s, 5m, 1h; default: 60s")
     add("--examples", metavar="N|A..B", type=numbers, help="number of examples, or those from A to B")
-    add("--seed", metavar="S", type=whole, default=0, help="example i of seed S is always the same; default: 0")
+    add("--seed", metavar="SEED", type=whole, default=0, help="example i of seed S is always the same; default: 0")
     help_ = "only this family of scenes; may be given several times"
     add("--family", type=str, metavar="NAME", action="append", default=[], help=help_)
     help_ = "where failing scenes are kept; default: fuzz-failures"
@@ -423,33 +440,33 @@ def add_fuzz_arguments(parser: argparse.ArgumentParser) -> None:
     add("--judge-every", metavar="N", type=whole, default=16, help=help_)
     add("--replay", metavar="FILE|DIR", type=InputPath, help="check kept scenes again, and nothing else")
     add("--rays", metavar="N", type=positive_int, default=40, help="rays aimed at each scene; default: 40")
-    add_candidate(parser, "another ray caster, judged in place of ours in each scene (docs/candidates.md)")
+    add_candidate(parser, "another ray caster, judged in place of ours (mitsuba-ref docs candidates)")
 
 
 def add_stress_arguments(parser: argparse.ArgumentParser) -> None:
     add_item_selection(parser, "family", "such as tangency, or watertight for both; default: all")
     add = parser.add_argument
     add("--rays", metavar="N", type=positive_int, help="rays of each setting; default: 400, watertight 10000")
-    add("--seed", metavar="S", type=whole, default=0, help="of the rays; default: 0")
+    add("--seed", metavar="SEED", type=whole, default=0, help="of the rays; default: 0")
     help_ = "where the first wrong ray of each setting is kept, as a scene; default: stress-failures"
     add("--out", type=OutputFolder, metavar="DIR", default="stress-failures", help=help_)
     add_json(parser)
-    add_candidate(parser, "another ray caster, in place of ours: one that takes rays (docs/candidates.md)")
-    add_skip_unsupported(parser, "families")
+    add_candidate(parser, "another ray caster, which takes rays (mitsuba-ref docs candidates)")
+    add_skip_unsupported(add, "families")
 
 
 def add_bench_arguments(parser: argparse.ArgumentParser) -> None:
     add_item_selection(parser, "scene", "such as mesh-70k, or a scene or mesh file; default: all that --list names")
     add = parser.add_argument
     help_ = "AOVs of images, such as depth,normal,diffuse; again: another set. Default: depth,normal"
-    add("--aov", metavar="LIST", type=str, action="append", help=help_)
+    add("--aov", metavar="AOV,...", type=str, action="append", help=help_)
     add("--size", metavar="N", type=positive_int, default=DEFAULT_SIZE, help=f"pixels a side; default: {DEFAULT_SIZE}")
     help_ = f"turns of each; default: {DEFAULT_ALTERNATIONS}"
     add("--alternations", metavar="N", type=positive_int, default=DEFAULT_ALTERNATIONS, help=help_)
     add("--threads", metavar="N", type=positive_int, help="processors that each may use; default: all")
     help_ = "of the rays that errors are measured on; default: 0"
-    add("--seed", metavar="S", type=whole, default=0, help=help_)
+    add("--seed", metavar="SEED", type=whole, default=0, help=help_)
     add_json(parser)
     add_mesh_dirs(parser)
-    title = "another ray caster, timed and judged beside ours: one that takes rays (docs/candidates.md)"
+    title = "another ray caster, which takes rays (mitsuba-ref docs candidates)"
     add_candidate(parser, title)

@@ -14,14 +14,14 @@ from caster.scene.files import load_scene
 from caster.system.atomic_files import check_folder
 from caster.system.process import DIFFERENCES, FILE, NOTHING_SELECTED, OK
 from mitsuba_ref.cli.arguments import NUMBERS
-from mitsuba_ref.cli.options import reading_of
+from mitsuba_ref.cli.options import reading_of, report_address
 from mitsuba_ref.cli.validate import selected_entries
 from mitsuba_ref.exr_compare.approved import ImageChecks, Proposal, check_scene, propose, write_approved
 from mitsuba_ref.exr_compare.comparison_result import FileComparison
 from mitsuba_ref.exr_compare.two_files import Tolerances, compare_exr
 from mitsuba_ref.reference import variants
 from mitsuba_ref.report.builtin_scenes import shown_path
-from mitsuba_ref.report.results import print_lines
+from mitsuba_ref.report.results import folded, plural, print_lines
 from mitsuba_ref.runner.many_scenes import SceneEntry, map_in_order, problem_of
 
 # ---- compare ----
@@ -32,8 +32,10 @@ def run_compare(args: argparse.Namespace) -> int:
     names = (*NUMBERS, "max_pixels", "other_scene")
     tolerances = Tolerances(**{name: getattr(args, name) for name in names}, ignore=tuple(args.ignore))
     reading = replace(reading_of(args), scene=load_scene(args.scene) if args.scene else None)
-    result = compare_exr(args.ours, args.reference, tolerances, diff=args.output, reading=reading)
-    print(result.model_dump_json(indent=2) if args.json else result.format_table())
+    result = compare_exr(args.ours, args.reference, tolerances, diff=args.output, html=args.html, reading=reading)
+    print(result.model_dump_json(indent=2) if args.json else folded(result.format_table()))
+    if result.html and not args.json:
+        print(f"\n{report_address(result.html)}")
     return result.exit_code
 
 
@@ -79,7 +81,8 @@ def run_approve(args: argparse.Namespace) -> int:
         return NOTHING_SELECTED
     wanted = [proposal for proposal in found if proposal.write]
     failed = sum(proposal.status == "failed" for proposal in found)
-    print(f"\n{len(found)} scenes: {len(wanted)} images to write, {failed} without an answer of Mitsuba")
+    counts = f"{plural(len(wanted), 'image')} to write, {failed} without an answer of Mitsuba"
+    print(f"\n{plural(len(found), 'scene')}: {counts}")
     if wanted and not args.yes:
         print("nothing was written: look at the changes above, then add --yes", file=sys.stderr)
         return DIFFERENCES
@@ -130,7 +133,7 @@ def run_check(args: argparse.Namespace) -> int:
     else:
         counts = f"{len(found) - len(failed)} pass, {len(failed) - missing} fail"
         unchecked = f", {missing} not checked: no image that can be read" if missing else ""
-        print(f"\n{len(found)} scenes: {counts}{unchecked}")
+        print(f"\n{plural(len(found), 'scene')}: {counts}{unchecked}")
         if any(not checked.groups for checked in failed):
             print(f"to look at the changes and approve them: {approve_command(args)}")
     if not failed:

@@ -2,7 +2,6 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,10 +16,9 @@ from mitsuba_ref.cli.validate import judge_entries, without_earlier_results
 from mitsuba_ref.error_model.lambert import direction_to_light
 from mitsuba_ref.hard import rays
 from mitsuba_ref.reference.shared_input import packed_float32, pixel_of, shared_rays
-from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry
+from mitsuba_ref.runner.many_scenes import JudgeOptions, entries_of_hits
 from mitsuba_ref.runner.validation_run import RunOptions
-from mitsuba_ref.subjects.ray_files import HitsFile, checked_rays, lay_out, read_hits, read_rays, write_rays
-from mitsuba_ref.subjects.subject import Subject
+from mitsuba_ref.subjects.ray_files import checked_rays, read_hits, read_rays, write_rays
 
 # ---- rays of a scene, as a file ----
 
@@ -82,37 +80,10 @@ def aimed_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, None
 def run(args: argparse.Namespace) -> int:
     """Judge the answers; 0 they pass, 1 they do not."""
     out = without_earlier_results(args)
-    entries = hits_entries(args)
+    scene, found, hits = load_scene(args.scene, args.mesh_dir), read_rays(args.rays), read_hits(args.hits)
+    options = given_words(args, "scene", "rays", "hits", "precision", "mesh_dir")
+    entries = entries_of_hits(
+        Path(args.scene).stem, args.scene, scene, found, hits, args.hits, args.precision, args.rows, options
+    )
     judge = JudgeOptions(Path(args.out) if args.out else None, subject=entries[0].subject)
     return judge_entries(args, entries, RunOptions(judge, html=args.html), out)
-
-
-def entry_of(args: argparse.Namespace, scene: Scene, more: str, subject: Subject, **about: Any) -> SceneEntry:
-    """A scene to judge, with the options of a replay. more: the end of its name."""
-    options = given_words(args, "scene", "rays", "hits", "precision", "mesh_dir")
-    name = Path(args.scene).stem + more
-    return SceneEntry(name, args.scene, options=options, given=scene, subject=subject, command="judge", **about)
-
-
-def hits_entries(args: argparse.Namespace) -> list[SceneEntry]:
-    """Scenes to judge: one for nearest hits, one for any-hit answers. Raises SceneError, FileMissing."""
-    scene, rays, hits = load_scene(args.scene, args.mesh_dir), read_rays(args.rays), read_hits(args.hits)
-    count = len(rays.rows)
-    for name, values in hits.items():
-        if len(values.shape) == 0 or len(values) != count:
-            raise SceneError(
-                f"{args.hits}: {name}: expected one row for each of the {count} rays, got shape {values.shape}"
-            )
-    if not {"t", "any_hit"} & hits.keys():
-        raise SceneError(f"{args.hits}: expected an array t, or any_hit; got {', '.join(hits)}")
-    first, end = args.rows or (0, count)
-    end = count if end is None else min(end, count)
-    if first >= count:
-        raise SceneError(f"--rows {first}: expected a ray of 0 to {count - 1}")
-    width = rays.width if (first, end) == (0, count) else 0
-    film_scene, shared = lay_out(scene, rays._replace(rows=rays.rows[first:end], width=width))
-    arrays = {name: values[first:end] for name, values in hits.items()}
-    more = {"t": "", "any_hit": " any-hit" if "t" in hits else ""}
-    subjects = {name: HitsFile(args.hits, arrays, args.precision, name == "any_hit") for name in more if name in hits}
-    about: dict[str, Any] = {"rays": shared, "ray_range": (first, end)}
-    return [entry_of(args, film_scene, more[name], subject, **about) for name, subject in subjects.items()]

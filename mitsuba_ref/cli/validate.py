@@ -10,13 +10,13 @@ from contextlib import closing
 from pathlib import Path
 
 from caster.cli.shared_arguments import check_utf8_name, display_names, scene_files
-from caster.description.errors import SceneError, error_prefix
+from caster.description.errors import FileMissing, SceneError, error_prefix
 from caster.scene.files import types_in_file
 from caster.scene.model import Film
 from caster.system.atomic_files import OutputError, write_text
 from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
-from mitsuba_ref.cli.arguments import BUILTIN_SETS, DEFAULT_SCENES
-from mitsuba_ref.cli.options import candidate_words, requested_candidate
+from mitsuba_ref.cli.arguments import DEFAULT_SCENES
+from mitsuba_ref.cli.options import candidate_words, report_address, requested_candidate
 from mitsuba_ref.judge.verdict import UNSUPPORTED, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.report import builtin_scenes
@@ -53,14 +53,22 @@ def run(args: argparse.Namespace) -> int:
     return judge_entries(args, entries, options, out)
 
 
+BUILTIN_HINT = "--builtin triangles takes scenes that are installed with the program"
+
+
 def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
     """The selected scenes, not loaded yet; prints a message if there are none. Raises SceneError."""
     fits = matching(args.expression, types_in_file)
     for folder in args.mesh_dir:
         check_utf8_name(folder)
     named = [] if args.builtin and args.scenes is DEFAULT_SCENES else args.scenes
-    places = [*builtin_folders(args.builtin), *named]
-    files = [file for file in scene_files(places) if fits(file)]
+    places = [*builtin_scenes.folders_of(args.builtin), *named]
+    try:
+        files = [file for file in scene_files(places) if fits(file)]
+    except FileMissing as error:
+        if args.scenes is not DEFAULT_SCENES:
+            raise
+        raise FileMissing(f"{error}; {BUILTIN_HINT}") from None
     if args.size:
         with error_prefix("--size", *args.size):
             Film(width=args.size[0], height=args.size[1])
@@ -69,16 +77,9 @@ def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
     entries = [SceneEntry(name, file, size, mesh_dirs, again) for name, file in zip(names, files, strict=True)]
     if not entries:
         fitting = f" that fits -k {args.expression!r}" if args.expression else ""
-        print(f"nothing selected: no scene file{fitting} in {', '.join(places)}", file=sys.stderr)
+        hint = "" if args.expression else f"; {BUILTIN_HINT}"
+        print(f"nothing selected: no scene file{fitting} in {', '.join(places)}{hint}", file=sys.stderr)
     return entries
-
-
-def builtin_folders(name: str | None) -> list[str]:
-    """Folders of a set of built-in scenes; none for None."""
-    if name is None:
-        return []
-    chosen = BUILTIN_SETS[:-1] if name == BUILTIN_SETS[-1] else (name,)
-    return [str(builtin_scenes.ROOT / each) for each in chosen]
 
 
 def without_earlier_results(args: argparse.Namespace) -> OutFolder | None:
@@ -149,6 +150,8 @@ def write_results(running: ValidationRun, args: argparse.Namespace, seconds: flo
         if failures := failures_text(verdict, report):
             print_lines(f"\n{failures}")
         print_lines(f"\n{summary_text(verdict, seconds)}")
+        if args.html:
+            print_lines(report_address(args.html))
     finally:
         for removed in filter(None, running.finish()):
             print(removed, file=sys.stderr)
@@ -186,7 +189,7 @@ def run_merge(args: argparse.Namespace) -> int:
         print_lines(f"{failures}\n")
     for name in verdict.not_judged:
         print_lines(f"FAIL  {name}  not judged")
-    print(summary_text(verdict, seconds))
+    print_lines(summary_text(verdict, seconds))
     if missing:
         print(f"{missing}; expected the verdict of every shard", file=sys.stderr)
     return OK if verdict.ok and not missing else DIFFERENCES

@@ -11,10 +11,10 @@ from mitsuba_ref.error_model.tolerances import K
 from mitsuba_ref.judge.verdict import JsonFloat
 from mitsuba_ref.report.results import aligned, percent
 
-LEGEND = f"u = 2^-24, K = {K:g}, S = |o| + t + |p| and cos = |n.d| of each pixel of the reference"
+LEGEND = f"; where u = 2^-24, K = {K:g}, S = |o| + t + |p| and cos = |n.d| of each pixel of the reference"
 MISS, AGREE, DIFFER, HIT_MISS, NON_FINITE = range(5)  # values of the channel class.I of a difference image
 CLASSES = "0 missed by both, 1 hit by both and agrees, 2 differs, 3 hit in one image only, 4 not finite"
-TITLES = ("quantity", "agree", "differ", "not finite", "worst", "at", "bound")
+TITLES = ("quantity", "agree", "differ", "not finite", "worst", "at")
 
 
 class Worst(BaseModel):
@@ -62,8 +62,8 @@ class FileComparison(BaseModel):
     ours, reference: file names, or names of what was compared. hit_*: pixel counts; hit_channel: the channel that shows
     the hits, "" if there is none and every pixel counts. differing_pixels counts a pixel once, however many groups
     differ in it. compared: how many channels were. stated: conventions that were applied to files of other programs.
-    reasons: why nothing was compared. scene: its file, if known, and further words of a replay. diff: the difference
-    image, if written.
+    reasons: why nothing was compared. scene: its file, if known, and further words of a replay. diff, html: the
+    difference image and the folder of a page, if written. measures: (what, value), for information.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -87,6 +87,14 @@ class FileComparison(BaseModel):
     hints: tuple[str, ...] = ()
     scene: tuple[str, ...] = ()
     diff: str = ""
+    html: str = ""
+    measures: tuple[tuple[str, str], ...] = ()
+
+    def __str__(self) -> str:
+        return self.format_table()
+
+    def __repr__(self) -> str:
+        return f"<FileComparison: {'pass' if self.ok else 'differences' if self.width else 'not comparable'}>"
 
     @computed_field  # type: ignore[prop-decorator] # pydantic's way
     @property
@@ -144,19 +152,22 @@ class FileComparison(BaseModel):
 
     def format_table(self) -> str:
         """What `mitsuba-ref compare` prints: one line a group, then the verdict and the next command."""
-        lines = [f"ours       {self.ours}", f"reference  {self.reference}"]
-        lines += [f"reading    {line}" for line in self.stated]
+        lines = [f"ours:      {self.ours}", f"reference: {self.reference}"]
+        lines += [f"reading:   {line}" for line in self.stated]
         if self.groups:
             hits = f"hit: {self.hit_ours} in ours, {self.hit_reference} in the reference, {self.hit_either} in either"
             hits = hits if self.hit_channel else "hits unknown (no channel A, id.shape, id.prim or depth.Z)"
             lines += [f"{self.width} x {self.height} pixels, {hits}", ""]
-            rows = [TITLES, *map(_row, self.groups)]
-            table = aligned([row[:-1] for row in rows], left=1)
-            lines += [f"{line}  {row[-1]}" for line, row in zip(table, rows, strict=True)]
-            lines += [LEGEND, ""] if any("K u S" in group.bound for group in self.groups) else [""]
+            bounds = "; ".join(f"{group.name} {group.bound}" for group in self.groups)
+            legend = LEGEND if "K u S" in bounds else ""
+            lines += [*aligned([TITLES, *map(_row, self.groups)], left=1), f"bounds:    {bounds}{legend}", ""]
         if self.ignored:
             lines.append(f"not compared, by --ignore: {', '.join(self.ignored)}")
-        return "\n".join([*lines, *self.messages])
+        lines += self.messages
+        width = max((len(what) for what, _ in self.measures), default=0)
+        lines += ["", "for information:"] if self.measures else []
+        lines += [f"  {what:<{width}}  {value}" for what, value in self.measures]
+        return "\n".join(lines)
 
     def _failing(self) -> list[GroupResult]:
         return [group for group in self.groups if group.differ or group.non_finite]
@@ -165,7 +176,7 @@ class FileComparison(BaseModel):
 def _row(group: GroupResult) -> tuple[str, ...]:
     worst = group.worst
     ratio, at = (f"{worst.ratio:.2g}x", f"({worst.x}, {worst.y})") if worst else ("0x", "-")
-    return group.name, str(group.agree), str(group.differ), str(group.non_finite), ratio, at, group.bound
+    return group.name, str(group.agree), str(group.differ), str(group.non_finite), ratio, at
 
 
 def _failure(group: GroupResult, total: int, pixels: str) -> str:

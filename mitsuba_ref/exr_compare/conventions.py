@@ -4,7 +4,7 @@ Channels are recognised by name. What depth measures and the depth of a miss are
 inferred; every step is reported.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -160,22 +160,30 @@ def check_maps(options: Sequence[str], *files: Iterable[str]) -> None:
 # ---- conversion
 
 
-def to_our_conventions(exr: Exr, reading: Reading, scenes: Sequence[Scene | None] = ()) -> tuple[Exr, list[str]]:
+def is_ours(exr: Exr) -> bool:
+    """Whether a file says that this project wrote it."""
+    return any(key.startswith(PROVENANCE_PREFIX) for key in exr.provenance)
+
+
+def to_our_conventions(
+    exr: Exr, reading: Reading, scenes: Sequence[Scene | None] = (), kept: Container[str] = ()
+) -> tuple[Exr, list[str]]:
     """Convert a file to our channel names and conventions; also returns the steps, a sentence each.
 
     A file with our provenance, or with our names alone, is returned unchanged, unless options of `reading` name its
-    channels or it has several parts. scenes: further scenes whose camera may fit. Raises Unclear.
+    channels or it has several parts. scenes: further scenes whose camera may fit. kept: channels that stay as they are
+    where nothing is known about them. Raises Unclear.
     """
     steps = [f"{len(exr.parts)} parts as one image: {', '.join(map(str, exr.parts))}"] if exr.parts else []
-    ours = any(key.startswith(PROVENANCE_PREFIX) for key in exr.provenance)
     maps = mapped(reading.maps, exr.channels)
-    if ours and not maps:
+    if is_ours(exr) and not maps:
         return exr, steps
     names = our_names(exr.channels, reading.maps)
     changed = [f"{theirs} is {our}" for our, theirs in names.items() if our != theirs]
     if not (changed or exr.parts or reading.depth or reading.miss):
         return exr, steps
     names = {our: theirs for our, theirs in names.items() if our not in LAYERS["diffuse"] or our in maps}
+    names |= {name: name for name in exr.channels.keys() - {*names, *names.values()} if name in kept}
     steps += [f"channels: {', '.join(changed)}"] if changed else []
     if left := sorted(exr.channels.keys() - set(names.values())):
         steps.append(f"not recognised, and left out: {', '.join(left)} (--map OURS=THEIRS)")

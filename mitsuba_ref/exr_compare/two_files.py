@@ -2,12 +2,17 @@
 
 import fnmatch
 import os
-from collections.abc import Iterable, Iterator
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from caster.aovs import Aovs
 from caster.description.errors import SceneError, error_prefix, suggestion
+from caster.image.channels import aovs_to_channels
 from caster.image.exr import Exr, read_exr, write_exr
 from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
 from mitsuba_ref.error_model.tolerances import Tolerances
@@ -22,53 +27,98 @@ from mitsuba_ref.exr_compare.comparison_result import (
     GroupResult,
     Worst,
 )
-from mitsuba_ref.exr_compare.conventions import Reading, check_maps, hints, to_our_conventions
+from mitsuba_ref.exr_compare.conventions import Reading, check_maps, hints, is_ours, to_our_conventions
 from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, SCENE_HASH, Array, ExrPair, bound_of, scene_in
 from mitsuba_ref.report.evidence import clipped_to_float32
 
 __all__ = ["FileComparison", "Reading", "Tolerances", "compare_exr"]
 
 FileName = str | os.PathLike[str]
+Image = FileName | Exr | Mapping[str, np.ndarray]
 SIDES = ("ours", "the reference")
 SCENE = "caster/scene"  # provenance: the scene's path
 
 
+class Judged(NamedTuple):
+    """One quantity, compared with its bound."""
+
+    result: GroupResult
+    differ: Array  # (h, w) bool
+    broken: Array  # (h, w) bool: a value should be finite and is not
+    ratio: Array  # (h, w) error over bound
+
+
 def compare_exr(
-    ours: FileName,
-    reference: FileName,
+    ours: Image,
+    reference: Image,
     tolerances: Tolerances | None = None,
     *,
     diff: FileName | None = None,
+    html: FileName | None = None,
     reading: Reading | None = None,
 ) -> FileComparison:
-    """Compare two EXR files pixel by pixel, matching channels by name.
+    """Compare two images pixel by pixel, matching channels by name.
 
+    Each is the path of an EXR file, an Exr, Aovs of `caster.render`, or arrays by the name of a channel or AOV.
     diff: where to write ours - reference under the same channel names, float32, and the uint32 channel
-    `class.I` (codes in its provenance); not written when the files are not comparable.
+    `class.I` (codes in its provenance). html: a folder for a page that shows both images. Neither is written when the
+    files are not comparable.
     reading: how to interpret files of other programs.
     Raises FileMissing or UnreadableExr for an input, OutputError for diff, Unclear for a file that can be read in two
     ways, SceneError for an `ignore` that matches no channel or a diff that would overwrite an input.
     """
-    reading, names = reading or Reading(), (str(ours), str(reference))
-    files = [read_exr(ours), read_exr(reference)]
-    if diff is not None and any(os.path.exists(diff) and os.path.samefile(diff, each) for each in (ours, reference)):
+    if html is not None:
+        _page().remove_page(Path(html))
+    reading, sources = reading or Reading(), (ours, reference)
+    paths = [each for each in sources if isinstance(each, str | os.PathLike)]
+    names = str(ours) if ours in paths else SIDES[0], str(reference) if reference in paths else SIDES[1]
+    files = [as_exr(each) for each in sources]
+    if diff is not None and any(os.path.exists(diff) and os.path.samefile(diff, path) for path in paths):
         raise SceneError(f"{diff}: expected another file for the difference: this is an image that is compared")
     check_maps(reading.maps, *(exr.channels for exr in files))
     converted, stated = list[Exr](), list[str]()
+    both_foreign = not any(map(is_ours, files))
     for who, exr, other in zip(SIDES, files, files[::-1], strict=True):
         with error_prefix(who):
-            found, steps = to_our_conventions(exr, reading, [scene_in(other)])
+            kept = other.channels if both_foreign else ()
+            found, steps = to_our_conventions(exr, reading, [scene_in(other)], kept)
         converted.append(found)
         stated += [f"{who}: {step}" for step in steps]
     a, b = converted
     foreign = [i for i in (0, 1) if converted[i] is not files[i]]
     alone = sorted(a.channels.keys() ^ b.channels.keys()) if foreign else []
     stated += [f"not compared, since only one file has them: {', '.join(alone)}"] if alone else []
-    result = compare_images(a, b, tolerances, names=names, stated=tuple(stated), left_out=alone, diff=diff)
+    result = compare_images(a, b, tolerances, names=names, stated=tuple(stated), left_out=alone, diff=diff, html=html)
     if result.exit_code != DIFFERENCES:
         return result
     more = (f"{SIDES[i]}: {hint}" for i in foreign for hint in hints(converted[i], converted[1 - i], reading))
     return result.model_copy(update={"hints": tuple(more)})
+
+
+def as_exr(image: Image) -> Exr:
+    """The image of a file, or of arrays (h, w) or (h, w, c) by the name of a channel or AOV, floats as float32.
+
+    Raises as `read_exr`, and TypeError.
+    """
+    if isinstance(image, Exr):
+        return image
+    if isinstance(image, str | os.PathLike):
+        return read_exr(image)
+    if not isinstance(image, Mapping) or not image:
+        raise TypeError(f"expected the path of an EXR file, an Exr, or arrays by name, got {image!r:.60}")
+    found = aovs_to_channels(image) if isinstance(image, Aovs) else dict(_channels(image))
+    channels = {name: a.astype(np.float32) if a.dtype.kind == "f" else a for name, a in found.items()}
+    height, width = next(iter(channels.values())).shape
+    return Exr(channels, {}, (0, 0, width, height), (0, 0, width, height))
+
+
+def _channels(arrays: Mapping[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]:
+    for name, a in arrays.items():
+        if a.ndim == 2:
+            yield LAYERS.get(name, (name,))[0], a
+        else:
+            planes = np.moveaxis(a, -1, 0)
+            yield from zip(LAYERS.get(name) or [f"{name}.{c}" for c in "RGBA"[: len(planes)]], planes, strict=True)
 
 
 def compare_images(
@@ -80,6 +130,7 @@ def compare_images(
     stated: tuple[str, ...] = (),
     left_out: Iterable[str] = (),
     diff: FileName | None = None,
+    html: FileName | None = None,
 ) -> FileComparison:
     """Judge every pixel of two images in our conventions. names: of the images; left_out: channels not compared."""
     tolerances = tolerances or Tolerances()
@@ -90,14 +141,14 @@ def compare_images(
         return FileComparison(**about, reasons=reasons)
     pair = ExrPair.of(a, b, [name for name in a.channels if name not in left_out])
     judged = [judge(pair, group, channels, tolerances) for group, channels in present_groups(pair)]
-    results, *masks = zip(*judged, strict=True)
-    differ, broken = (np.any(each, axis=0) for each in masks)
+    results, differing, breaking, _ = zip(*judged, strict=True)
+    differ, broken = (np.any(each, axis=0) for each in (differing, breaking))
     if diff is not None:
         write_difference(diff, pair, differ, broken, *names)
     bad = int((differ | broken).sum())
     failed = bool(broken.any()) or bad > tolerances.max_pixels
     height, width = differ.shape
-    return FileComparison(
+    result = FileComparison(
         **about,
         width=width,
         height=height,
@@ -113,6 +164,22 @@ def compare_images(
         scene=tuple(filter(None, (exr.provenance.get(SCENE) for exr in (a, b))))[:1],
         diff="" if diff is None else str(diff),
     )
+    return result if html is None else with_page(result, html, pair, judged)
+
+
+def with_page(result: FileComparison, html: FileName, pair: ExrPair, judged: Iterable[Judged]) -> FileComparison:
+    """The result with measures for information, and its page written. Raises OutputError."""
+    page = _page()
+    shown = (each for each in judged if each.result.name != "hit" or each.result.channels == LAYERS["hit"])
+    layers = page.layers_of(pair, {name: each.ratio for each in shown for name in each.result.channels})
+    result = result.model_copy(update={"measures": tuple(page.measures(pair, layers)), "html": str(html)})
+    page.write_page(Path(html), result, pair, layers)
+    return result
+
+
+def _page() -> ModuleType:
+    """The module of pages, which loads the report's."""
+    return import_module("mitsuba_ref.exr_compare.comparison_page")
 
 
 def _is_empty(pair: ExrPair) -> bool:
@@ -140,11 +207,11 @@ def ignored_channels(a: Exr, b: Exr, patterns: Iterable[str]) -> tuple[str, ...]
 
 def incompatibilities(a: Exr, b: Exr, left_out: set[str], *, other_scene: bool) -> Iterator[str]:
     """Why two images cannot be compared, a sentence each; none if they can."""
-    if not other_scene and len({exr.provenance.get(SCENE_HASH) for exr in (a, b)} - {None}) > 1:
-        yield f"the files are of different scenes, by their attributes ({SCENE_HASH}); --other-scene compares anyway"
     (x0, y0, x1, y1), (u0, v0, u1, v1) = a.data_window, b.data_window
     if (x1 - x0, y1 - y0) != (u1 - u0, v1 - v0):
-        yield f"size: ours is {x1 - x0} x {y1 - y0}, the reference {u1 - u0} x {v1 - v0}"
+        yield f"size: ours is {x1 - x0} x {y1 - y0}, the reference {u1 - u0} x {v1 - v0}; render both at one size"
+    elif not other_scene and len({exr.provenance.get(SCENE_HASH) for exr in (a, b)} - {None}) > 1:
+        yield f"the files are of different scenes, by their attributes ({SCENE_HASH}); --other-scene compares anyway"
     elif a.data_window != b.data_window:
         yield f"data window: ours shows pixels {a.data_window}, the reference {b.data_window}"
     ours, reference = a.channels.keys() - left_out, b.channels.keys() - left_out
@@ -172,12 +239,8 @@ def present_groups(pair: ExrPair) -> list[tuple[str, tuple[str, ...]]]:
 # ---- each quantity against its bound ----
 
 
-def judge(pair: ExrPair, group: str, names: tuple[str, ...], tol: Tolerances) -> tuple[GroupResult, Array, Array]:
-    """Compare one quantity with its bound: hits in every pixel, all else where both images hit or both miss.
-
-    Returns the result, (h, w) bool where the quantity differs, and (h, w) bool where a value should be finite and is
-    not.
-    """
+def judge(pair: ExrPair, group: str, names: tuple[str, ...], tol: Tolerances) -> Judged:
+    """Compare one quantity with its bound: hits in every pixel, all else where both images hit or both miss."""
     if group == "hit":
         masks = (mask[..., None].astype(np.float64) for mask in (pair.hit_ours, pair.hit_reference))
         a, b = pair.values(names) if names == LAYERS["hit"] else masks
@@ -193,25 +256,26 @@ def judge(pair: ExrPair, group: str, names: tuple[str, ...], tol: Tolerances) ->
     with np.errstate(invalid="ignore"):  # inf - inf and NaN: both are in `broken`, or both images miss
         within = (np.abs(a - b) <= bound) | (far_a & far_b)
     wrong = ~within & ~broken & where  # "not within", so that a NaN can never pass as "not beyond"
-    worst = _worst(pair, names, a, b, bound, (where & ~(far_a & far_b)) | broken)
+    with np.errstate(all="ignore"):
+        error = np.abs(a - b)
+        ratio = np.where(error == 0.0, 0.0, error / bound)
+    ratio = np.where((where & ~(far_a & far_b)) | broken, np.nan_to_num(ratio, nan=np.inf), 0.0)
+    worst = _worst(pair, names, ratio, {"ours": a, "reference": b, "error": error, "bound": bound})
     broken = broken.any(-1)
     differ = wrong.any(-1) & ~broken
     agree = pair.hit_ours & pair.hit_reference & ~differ & ~broken
     counts = {"agree": int(agree.sum()), "differ": int(differ.sum()), "non_finite": int(broken.sum())}
-    return GroupResult(name=group, channels=names, bound=text, worst=worst, **counts), differ, broken
+    result = GroupResult(name=group, channels=names, bound=text, worst=worst, **counts)
+    return Judged(result, differ, broken, ratio.max(-1))
 
 
-def _worst(pair: ExrPair, names: tuple[str, ...], a: Array, b: Array, bound: Array, eligible: Array) -> Worst | None:
-    with np.errstate(all="ignore"):
-        error = np.abs(a - b)
-        ratio = np.where(error == 0.0, 0.0, error / bound)
-    ratio = np.where(eligible, np.nan_to_num(ratio, nan=np.inf), 0.0)
-    among = np.where(ratio == ratio.max(), np.nan_to_num(error, nan=np.inf), -1.0)  # where no error is allowed: largest
+def _worst(pair: ExrPair, names: tuple[str, ...], ratio: Array, numbers: dict[str, Array]) -> Worst | None:
+    error = np.nan_to_num(numbers["error"], nan=np.inf)
+    among = np.where(ratio == ratio.max(), error, -1.0)  # where no error is allowed: largest
     at = y, x, c = np.unravel_index(int(among.argmax()), ratio.shape)
     if ratio[at] == 0.0:
         return None
     x0, y0 = pair.reference.data_window[:2]
-    numbers = {"ours": a, "reference": b, "error": error, "bound": bound}
     return Worst(
         channel=names[c], x=x0 + int(x), y=y0 + int(y), **{name: float(values[at]) for name, values in numbers.items()}
     )

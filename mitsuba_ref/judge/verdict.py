@@ -9,6 +9,7 @@ from collections import Counter
 from dataclasses import field
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import ConfigDict, Field, PlainSerializer, TypeAdapter, computed_field
 from pydantic.dataclasses import dataclass
 
@@ -134,13 +135,13 @@ class Finding:
     of: int = 0  # wrong pixels among which a hypothesis was tested; 0: it is a description
     remedy: str = ""  # of a hypothesis that explains the pixels
     where: str = ""  # a property that separates these pixels from right ones
+    alike: int = 0  # further pixels with the same symptom, which were not adjudicated
 
     @property
     def text(self) -> str:
         """Cause, evidence and remedy."""
-        if not self.remedy:
-            return f"{self.what}; {self.where}" if self.where else self.what
-        return f"{self.what}: {self.pixels} of {self.of} wrong pixels become right under it; {self.remedy}"
+        proof = f": {self.pixels} of {self.of} wrong pixels become right under it" if self.remedy else ""
+        return "; ".join(filter(None, [self.what + proof, self.where, self.remedy]))
 
 
 @dataclass(frozen=True, config=RESULT)
@@ -198,6 +199,37 @@ class SceneVerdict:
     rays: tuple[int, int] = (0, 0)  # first and end of the rays judged of a list, which fill `size`; (0, 0): a film
     # the evidence, for the HTML report; None if it was not kept
     seen: Annotated[Any, Field(exclude=True)] = field(default=None, repr=False, compare=False)
+    film: Annotated[Any, Field(exclude=True)] = field(default=None, repr=False, compare=False)  # a JudgedFilm, likewise
+
+    def __repr__(self) -> str:
+        return f"<SceneVerdict {self.name}: {'pass' if self.ok else 'fail'}>"
+
+    @property
+    def classes(self) -> np.ndarray:
+        """(h, w) uint8, index into `mitsuba_ref.CLASSES` of each pixel of a verdict of `mitsuba_ref.validate`."""
+        classes: np.ndarray = self._judged_film.classes
+        return classes
+
+    @property
+    def images(self) -> dict[str, Any]:
+        """`images["ours"]["depth"]`: images of whoever was judged, ("ours") and of Mitsuba ("reference"), by AOV.
+
+        Of a verdict of `mitsuba_ref.validate`; (h, w) or (h, w, c) as from `caster.render`.
+        """
+        images: dict[str, Any] = self._judged_film.images
+        return images
+
+    def failing_pixels(self) -> tuple[Any, ...]:
+        """Every pixel that fails (`mitsuba_ref.FailingPixel`), row by row, of a verdict of `mitsuba_ref.validate`."""
+        failing: tuple[Any, ...] = self._judged_film.failing
+        return failing
+
+    @property
+    def _judged_film(self) -> Any:
+        if self.film is None:
+            reason = self.problem or "only a verdict of mitsuba_ref.validate keeps them"
+            raise ValueError(f"scene {self.name} has no images: {reason}")
+        return self.film
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -266,12 +298,13 @@ class Verdict:
     min_scenes: int = 0  # the run passes only if at least so many scenes are judged and not declined
     fixed: tuple[str, ...] = ()  # scenes that --expected lists as failing, and that pass
     requested_candidate: str = ""  # the candidate that was requested, also if no scene is judged; "" for ours
+    checks: tuple[SceneCheck, ...] = ()  # of a candidate, made once, whatever the scenes
     format: int = VERDICT_FORMAT
 
     @computed_field  # type: ignore[prop-decorator]
     @property
     def ok(self) -> bool:
-        """Every requested scene was judged and passes or is waived, and there are enough of them.
+        """Every requested scene was judged and passes or is waived, as do `checks`, and there are enough of them.
 
         A run without scenes does not pass, except for an empty shard; `merge` counts the scenes of shards.
         """
@@ -281,6 +314,7 @@ class Verdict:
             some
             and enough
             and len(self.scenes) == self.scene_count
+            and all(check.ok for check in self.checks)
             and all(scene.ok or scene.waived for scene in self.scenes)
         )
 

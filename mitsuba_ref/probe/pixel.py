@@ -58,6 +58,10 @@ class PixelVerdict:
     witnesses: tuple[WitnessAnswer, ...] = ()  # a candidate, ours, exact, Mitsuba in each of its variants and modes
     candidate: CandidatePixel | None = None  # if one was requested
 
+    def __str__(self) -> str:
+        """The text of `mitsuba-ref probe`."""
+        return as_text(self, "the scene")
+
     @property
     def ok(self) -> bool:
         """Whether our answer, Mitsuba's and the candidate's, if there is one, are explained."""

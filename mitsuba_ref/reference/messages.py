@@ -154,14 +154,12 @@ class LoadedMesh(NamedTuple):
     problem: str = ""  # the loader's message if it refused the file
 
 
+class MitsubaError(RuntimeError):
+    """Mitsuba ended without an answer; the text says how, with its output."""
+
+
 class Crash(ProcessEnd):
     """The end of a Mitsuba process without a whole response."""
-
-    @property
-    def headline(self) -> str:
-        """The first output line that contains "error", else the last line."""
-        lines = [line.strip() for line in self.output.splitlines() if line.strip()]
-        return next((line for line in lines if "error" in line.lower()), "".join(lines[-1:]))
 
     @property
     def brief(self) -> str:

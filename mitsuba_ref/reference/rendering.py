@@ -13,7 +13,7 @@ from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.intersections import norm
 from mitsuba_ref.error_model.lambert import ambient_radiance
 from mitsuba_ref.error_model.scene_model import SceneModel
-from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
+from mitsuba_ref.reference.messages import Crash, MitsubaError, TraceRequest, TraceResponse
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_request
 from mitsuba_ref.reference.shared_input import SharedRays, export, model_of, packed_float32, shape_ids, shared_rays
 from mitsuba_ref.reference.variants import variant_for
@@ -127,13 +127,16 @@ def aovs_of(
 
 def render_reference(
     scene: Scene, aovs: Sequence[str] = REFERENCE_AOVS, *, variant: str | None = None, timeout: float = DEFAULT_TIMEOUT
-) -> tuple[Aovs, dict[str, str]] | Crash:
-    """Render a scene with Mitsuba: (images as from `caster.render`, versions), or its crash."""
+) -> tuple[Aovs, dict[str, str]]:
+    """Render a scene with Mitsuba: (images as from `caster.render`, versions). Raises MitsubaError.
+
+    aovs: of REFERENCE_AOVS. variant: of Mitsuba, default the one that works best here. timeout: in seconds.
+    """
     rays = shared_rays(scene)
     model = model_of(scene, packed_float32(scene), rays)
     lights = not {"diffuse", "albedo"}.isdisjoint(aovs)
     result = trace_reference(scene, model, rays, variant=variant, lights=lights, timeout=timeout)
     if isinstance(result, Crash):
-        return result
+        raise MitsubaError(result.message)
     window = film_window(scene)
     return aovs_of(result, rays, (window.height, window.width), aovs), result.answer.versions

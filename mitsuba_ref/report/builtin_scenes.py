@@ -4,6 +4,8 @@ from pathlib import Path
 
 from caster.description.errors import SceneError, suggestion
 
+SETS = ("triangles", "spheres", "others")
+ALL_SETS = "all"
 ROOT = Path(__file__).resolve().parents[1] / "runner" / "builtin"  # a folder for each set
 PREFIX = "builtin:"
 
@@ -17,6 +19,14 @@ def scene_path(name: str) -> str:
     if wanted not in files:
         raise SceneError(f"{name}: expected a built-in scene{suggestion(wanted, files)} (one of {', '.join(files)})")
     return files[wanted]
+
+
+def folders_of(name: str | None) -> list[str]:
+    """Folders of a set of built-in scenes, or of all; none for None. Raises SceneError for an unknown set."""
+    if name not in (None, ALL_SETS, *SETS):
+        known = (*SETS, ALL_SETS)
+        raise SceneError(f"builtin {name!r}: unknown{suggestion(str(name), known)} (known: {', '.join(known)})")
+    return [str(ROOT / each) for each in SETS if name in (each, ALL_SETS)]
 
 
 def shown_path(path: str) -> str:

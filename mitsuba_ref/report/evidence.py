@@ -70,21 +70,21 @@ def clipped_to_float32(values: np.ndarray) -> np.ndarray:
 
 # ---- edges projected onto the film, for the page ----
 
-MAX_TRIANGLES_DRAWN = 4096  # of a scene: some 200 kB
+MAX_TRIANGLES_DRAWN = 4096  # of a scene: some 60 kB
+EDGE_UNITS = 64  # in a pixel, which is shown at 128 points at most
 STRAIGHT_CAMERAS = ("pinhole", "orthographic")  # in whose images the edges of a triangle are straight
 
 
-def film_edges(judge: Judge, judgement: Judgement) -> np.ndarray | None:
-    """(m, 4) film coordinates x, y, x, y of the edges of triangles that are hit, without those that reach behind the
-    eye.
+def film_edges(judge: Judge, judgement: Judgement) -> np.ndarray:
+    """(m, 4) int32 film coordinates x, y, x, y, in units of 1 / EDGE_UNITS pixel, of the edges of triangles that are
+    hit, without those that reach behind the eye.
 
-    If these are too many, of those at pixels that do not agree. None for a list of rays, and for a camera that bends
-    edges.
+    If these are too many, of those at pixels that do not agree. None of them for a list of rays, and for a camera that
+    bends edges.
     """
-    scene, packed = judge.scene, judge.model.packed
+    scene, packed, hit = judge.scene, judge.model.packed, judge.reference_prim
     if judge.pair.rays.is_list or scene.camera.type not in STRAIGHT_CAMERAS:
-        return None
-    hit = judge.reference_prim
+        return np.zeros((0, 4), np.int32)
     prims = np.stack([hit, judge.pair.prim]) if judge.names_prims else hit[None]
     chosen = np.unique(prims[prims >= 0])
     if len(chosen) > MAX_TRIANGLES_DRAWN:
@@ -95,12 +95,12 @@ def film_edges(judge: Judge, judgement: Judgement) -> np.ndarray | None:
     for place in np.unique(kind):
         of = packed.kinds[place].prims
         if hasattr(of, "faces"):
-            faces = of.faces[k[kind == place]]
-            used, corners = np.unique(faces, return_inverse=True)
-            points = project_points(scene, of.vertices[used])[corners.reshape(faces.shape)]
-            found += [points[:, ends].reshape(-1, 4) for ends in ([0, 1], [1, 2], [2, 0])]
+            ends = of.faces[k[kind == place]][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+            used, corners = np.unique(np.unique(np.sort(ends), axis=0), return_inverse=True)
+            found.append(project_points(scene, of.vertices[used])[corners].reshape(-1, 4))
     flat = np.concatenate(found)
-    return flat[np.isfinite(flat).all(axis=1)].astype(np.float32)
+    near = np.abs(flat * EDGE_UNITS).max(axis=1, initial=0.0) <= np.iinfo(np.int32).max  # and no NaN
+    return np.round(flat[near] * EDGE_UNITS).astype(np.int32)
 
 
 def project_points(scene: Scene, points: np.ndarray) -> np.ndarray:

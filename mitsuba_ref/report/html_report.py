@@ -1,27 +1,40 @@
 """The HTML report, a folder that is written scene by scene."""
 
+import inspect
 import json
 import re
+import shlex
+import subprocess
+import sys
 import threading
 import time
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from datetime import datetime
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
+import numpy as np
+
+from caster import __version__
 from caster.description.input_files import opened_input
 from caster.system.atomic_files import OutputError, atomic_write, check_folder, write_text
+from mitsuba_ref.error_model.tolerances import LARGEST_Z
+from mitsuba_ref.judge.checks import all_checks
 from mitsuba_ref.judge.pipeline import Seen
 from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, SceneVerdict, Verdict, json_number
+from mitsuba_ref.reference.store import machine
 from mitsuba_ref.report.evidence import CLASS_COLORS, UNLISTED_COLOR
 from mitsuba_ref.report.reproducers import replay, replay_around
-from mitsuba_ref.report.scene_record import SceneRecord, scene_record
+from mitsuba_ref.report.scene_record import CODES, SIDES, SceneRecord, image, packed, scene_record
 from mitsuba_ref.report.verdict_text import failing_checks, failure_text, group_lines, mark_of, outcome_text
 
 MAX_PIXELS = 1 << 21  # of a window that a page shows: 80 MB for half as many; browsers run out of memory
 SECONDS_BETWEEN_WRITES = 2.0  # of the list, during a run
+GIT_SECONDS = 5.0  # that git may take to name the commit
 
 RECORD_HEAD = "ray_reference_scene("  # what the file of a scene begins with
 
@@ -34,28 +47,22 @@ class HtmlReport:
 
         Raises OutputError where nothing can be written, or where another page is there.
         """
-        self.path, self.requested, self.candidate = Path(path).absolute(), requested, candidate
-        self.index = self.path / "index.html"
-        if self.path.suffix.lower() == ".html":
-            raise OutputError(f"{path}: a report is a folder, expected a name such as {Path(path).with_suffix('')}")
-        refuse_page_of_others(self.index)
-        self.data = check_folder(check_folder(self.path) / "data")
+        self.requested, self.candidate = requested, candidate
+        self.index, self.data = report_folder(path)
         self.verdicts: list[SceneVerdict] = []
-        self._thumbnails: dict[str, str] = {}  # of the scenes whose record is written
+        self.thumbnails: dict[str, str] = {}  # of the scenes whose record is written
         self._lock = threading.Lock()
         self._written = float("-inf")
+        self._about, self._started = run_facts(), time.monotonic()
 
     def keep(self, verdict: SceneVerdict) -> SceneVerdict:
         """Write the evidence of a verdict, and return the verdict without it. Raises OutputError."""
         found = page_record(verdict) if isinstance(verdict.seen, Seen) else verdict.seen
         if found is not None:
             about = {"verdict": verdict.to_dict(), **found.about}
-            parts = {"about": script_json(about)} | {name: script_json(each) for name, each in found.layers.items()}
-            inside = ",\n".join(f"{script_json(part)}:{text}" for part, text in parts.items())
-            script = f"{RECORD_HEAD}{script_json(verdict.name)},{{\n{inside}\n}});\n"  # passes the record to the page
-            write_text(self.data / file_of(verdict.name), script)
+            write_record(self.data, verdict.name, {"about": about, **found.layers})
             with self._lock:
-                self._thumbnails[verdict.name] = found.thumbnail
+                self.thumbnails[verdict.name] = found.thumbnail
         return replace(verdict, seen=None)
 
     def add(self, verdict: SceneVerdict) -> None:
@@ -68,6 +75,8 @@ class HtmlReport:
         """Write the page of all scenes added so far. Raises OutputError."""
         verdict = Verdict(tuple(self.verdicts), self.requested, requested_candidate=self.candidate)
         run = {
+            **page_words(),
+            "facts": self._facts(verdict),
             "summary": outcome_text(verdict),
             "candidate": verdict.candidate,
             "requested": self.requested,
@@ -75,17 +84,56 @@ class HtmlReport:
             "colors": CLASS_COLORS | {UNLISTED: UNLISTED_COLOR},
             "common": [" ".join(line.split()) for line in group_lines(self.verdicts)],
         }
-        with atomic_write(self.index) as part, part.open("w", encoding="utf-8") as file:
-            file.writelines(page(run, [index_row(each, self._thumbnails.get(each.name)) for each in self.verdicts]))
+        rows = [index_row(each, self.thumbnails.get(each.name)) for each in self.verdicts]
+        write_page(self.index, run, rows)
         self._written = time.monotonic()
+
+    def _facts(self, verdict: Verdict) -> list[tuple[str, str]]:
+        """What judged, when and how long, for the head of the page."""
+        took = max([time.monotonic() - self._started, *(scene.seconds for scene in verdict.scenes if not scene.kept)])
+        return [*self._about, ("duration", f"{took:.1f} s"), *(("reference", words) for words in verdict.versions)]
 
     def sweep(self, spared: Collection[str] = ()) -> str:
         """Remove scenes of earlier reports that this page does not list, except `spared`; a line on their number."""
-        listed = {file_of(name) for name in (*self._thumbnails, *spared)}
-        obsolete = [path for path in self.data.glob("*.js") if path.name not in listed and is_record(path)]
-        for path in obsolete:
-            path.unlink(missing_ok=True)
-        return f"{self.path}: removed {len(obsolete)} scenes of an earlier report" if obsolete else ""
+        obsolete = remove_records(self.data, {*self.thumbnails, *spared})
+        return f"{self.index.parent}: removed {obsolete} scenes of an earlier report" if obsolete else ""
+
+
+def report_folder(path: str | Path) -> tuple[Path, Path]:
+    """The page of a report and its folder of data, which is made. Raises OutputError."""
+    folder = Path(path).absolute()
+    index = folder / "index.html"
+    if folder.suffix.lower() == ".html":
+        raise OutputError(f"{path}: a report is a folder, expected a name such as {Path(path).with_suffix('')}")
+    refuse_page_of_others(index)
+    return index, check_folder(check_folder(folder) / "data")
+
+
+def write_record(data: Path, name: str, parts: Mapping[str, Any]) -> None:
+    """Write the record of a scene as a script that passes it to the page. Raises OutputError."""
+    inside = ",\n".join(f"{script_json(part)}:{script_json(value)}" for part, value in parts.items())
+    write_text(data / file_of(name), f"{RECORD_HEAD}{script_json(name)},{{\n{inside}\n}});\n")
+
+
+def run_facts() -> list[tuple[str, str]]:
+    """Command, date, commit, versions and machine of this run."""
+    program, *options = sys.argv or [""]
+    name = "mitsuba-ref" if Path(program).name == "__main__.py" else Path(program).name
+    found = [
+        ("command", shlex.join([name, *options])),
+        ("date", datetime.now().astimezone().isoformat(" ", "seconds")),
+        ("commit", commit()),
+        ("versions", f"caster {__version__}, {', '.join(f'{name} {each}' for name, each in machine().items())}"),
+    ]
+    return [(term, words) for term, words in found if words]
+
+
+def commit() -> str:
+    """The commit of the current folder, with -dirty if files were changed; "" if there is none."""
+    asked = ["git", "describe", "--always", "--dirty", "--exclude=*"]
+    with suppress(OSError, subprocess.TimeoutExpired):
+        return subprocess.run(asked, capture_output=True, text=True, timeout=GIT_SECONDS, check=False).stdout.strip()
+    return ""
 
 
 def refuse_page_of_others(index: Path) -> None:
@@ -96,6 +144,14 @@ def refuse_page_of_others(index: Path) -> None:
         start = file.read(4096)
     if b"<title>ray-reference" not in start:
         raise OutputError(f"{index}: exists, and is no report of validate; choose another folder")
+
+
+def remove_records(data: Path, spared: Collection[str]) -> int:
+    """Remove the records of all scenes but some; the number of them. Files of others stay."""
+    obsolete = [path for path in data.glob("*.js") if path.name not in map(file_of, spared) and is_record(path)]
+    for path in obsolete:
+        path.unlink(missing_ok=True)
+    return len(obsolete)
 
 
 def is_record(path: Path) -> bool:
@@ -121,9 +177,21 @@ def file_of(scene: str) -> str:
 
 # Plain scripts of the folder `page`, in this order, in one scope: a page opened from a file may not load modules.
 SCRIPTS = (
-    "floats", "arrays", "colors", "record", "state", "layers", "paint", "legend", "rows", "list", "panes", "zoom",
-    "pointer", "inspector", "summary", "scene", "help", "keys", "start",
+    "floats", "arrays", "colors", "record", "words", "state", "layers", "paint", "legend", "rows", "list", "panes",
+    "zoom", "levels", "pointer", "inspector", "evidence", "summary", "scene", "help", "keys", "start",
 )  # fmt: skip
+
+
+def page_words() -> dict[str, Any]:
+    """What the page needs to decode records, and the sentence of each scene check."""
+    checks = {each.name: (inspect.getdoc(each.make) or "").partition("\n\n")[0] for each in all_checks()}
+    return {"codes": CODES, "checks": checks, "largest_z": LARGEST_Z}
+
+
+def write_page(index: Path, run: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:
+    """Write the page. Raises OutputError."""
+    with atomic_write(index) as part, part.open("w", encoding="utf-8") as file:
+        file.writelines(page(run, rows))
 
 
 def page(run: dict[str, Any], rows: Sequence[dict[str, Any]]) -> Iterator[str]:
@@ -150,7 +218,9 @@ SAME_AS_VERDICT = ("name", "path", "ok", "size", "hit_pixels", "counts", "failin
 
 def index_row(verdict: SceneVerdict, thumbnail: str | None) -> dict[str, Any]:
     """One scene of the index. thumbnail: None for a scene without a record in the folder data."""
-    check, ratio = (verdict.failures[0].check, verdict.failures[0].ratio) if verdict.failures else verdict.worst
+    broken = [(check.name, check.ratio) for check in verdict.checks if not check.ok]
+    failed = [(failure.check, failure.ratio) for failure in verdict.failures]
+    check, ratio = next(iter([*failed, *broken, verdict.worst]))
     return {name: getattr(verdict, name) for name in SAME_AS_VERDICT} | {
         "file": "" if thumbnail is None else file_of(verdict.name),
         "thumbnail": thumbnail or "",
@@ -165,3 +235,51 @@ def index_row(verdict: SceneVerdict, thumbnail: str | None) -> dict[str, Any]:
         "replay": replay(verdict),
         "replay_pixel": replay_around(verdict),
     }
+
+
+# ---- two images without a judge ----
+
+
+class ImagePair(NamedTuple):
+    """Two images of one size."""
+
+    names: tuple[str, str]  # captions
+    size: tuple[int, int]  # width, height
+    layers: Mapping[str, tuple[np.ndarray, np.ndarray]]  # both sides, (h, w) or (h, w, c <= 4) floats
+    origin: tuple[int, int] = (0, 0)  # of the pixels, on the film
+    hit: tuple[np.ndarray, np.ndarray] | None = None  # (h, w) bool of both sides; None: every pixel
+    ratios: Mapping[str, np.ndarray] | None = None  # layer -> (h, w) error over bound, where there are bounds
+
+
+PAIR = "images"  # the name of their record
+
+
+def write_comparison(
+    path: str | Path, pair: ImagePair, facts: Sequence[tuple[str, str]], *, ok: bool, text: str
+) -> Path:
+    """Write a page with two images, stored without loss; the file to open. Raises OutputError.
+
+    facts: numbers about both, as information. text: the result in words.
+    """
+    index, data = report_folder(path)
+    (width, height), (x0, y0), count = pair.size, pair.origin, pair.size[0] * pair.size[1]
+    parts: dict[str, Any] = {}
+    for layer, sides in pair.layers.items():
+        parts[layer] = {side: packed(each.reshape(count, -1)) for side, each in zip(SIDES, sides, strict=False)}
+        if pair.ratios and layer in pair.ratios:
+            parts[layer]["ratio"] = packed(pair.ratios[layer].ravel())
+    about: dict[str, Any] = {
+        "window": [x0, y0, x0 + width, y0 + height],
+        "layers": {layer: sides[0].size // count for layer, sides in pair.layers.items()},
+        "facts": facts,
+        "text": text,
+    }
+    if pair.hit is not None:
+        about["hit"] = image(pair.hit[0].ravel() + 2 * pair.hit[1].ravel(), (height, width))
+    remove_records(data, ())
+    write_record(data, PAIR, {"about": about, **parts})
+    mark = "PASS" if ok else "FAIL"
+    row = index_row(SceneVerdict(PAIR, ""), "") | {"ok": ok, "mark": mark, "failure": ""}
+    run = {"names": pair.names, "facts": run_facts(), "summary": mark, "candidate": "", "requested": 1, "common": []}
+    write_page(index, run | page_words() | {"classes": [], "colors": {}}, [row])
+    return index

@@ -11,6 +11,7 @@ import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import wrap
 from typing import Any, TextIO
 
 import numpy as np
@@ -61,10 +62,37 @@ def largest(values: np.ndarray) -> float | None:
 STATUS_COLORS = {"PASS": "32", "FAIL": "1;31", "SKIP": "33", "KNOWN": "33"}  # codes of ANSI terminals
 
 
+LINE_CHARACTERS = 80
+LABEL = re.compile(r" *[a-z][\w. ]{0,11}: +")  # such as "exact:      ", below which further lines begin
+COMMAND = re.compile(r" *(?:(?:replay|next|look|report): |mitsuba-ref |caster )")  # stays whole, to be copied
+POINTER = re.compile(r"[ |]*\^+ *$")  # below a place in a line of a scene file
+BELOW_NAME = 6 * " "  # of a scene
+
+
+def folded(text: str) -> str:
+    """The text in lines of at most LINE_CHARACTERS, but for commands, words such as paths, and lines marked below."""
+    lines = text.split("\n")
+    marked = [POINTER.match(line) is not None for line in (*lines[1:], "")]
+    return "\n".join(part for line, whole in zip(lines, marked, strict=True) for part in _folded(line, whole))
+
+
+def _folded(line: str, whole: bool) -> list[str]:
+    if whole or len(line) <= LINE_CHARACTERS or COMMAND.match(line):
+        return [line]
+    label = LABEL.match(line)
+    indent = " " * label.end() if label else BELOW_NAME
+    return wrap(line, LINE_CHARACTERS, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+
+
+def plural(count: int, noun: str) -> str:
+    """A count and its noun, such as "1 scene" or "2 scenes"."""
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
 def print_lines(text: str, stream: TextIO | None = None) -> None:
-    """Print text at once; on a terminal, the status at the start of a line in colour, unless NO_COLOR is set."""
+    """Print text at once, folded; on a terminal, the status at the start of a line in colour, but for NO_COLOR."""
     stream = stream or sys.stdout
-    text = printable(text)
+    text = folded(printable(text))
     if stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb":
         stream = unfiltered(stream)
         for status, color in STATUS_COLORS.items():

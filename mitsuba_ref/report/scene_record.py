@@ -1,7 +1,8 @@
 """The data of one scene on the report's page, in parts: verdict, findings of each pixel, and both images.
 
-Arrays are text: bytes of equal weight grouped, deflated, in base64; lossless. mitsuba_ref/report/page/arrays.js
-decodes them.
+Images are rounded to a 255th of their range, errors to powers of 2, and shares of bounds to those of its root. The
+numbers of some pixels, failing ones first, are stored without loss. Arrays are text: bytes of equal weight grouped,
+deflated, in base64; mitsuba_ref/report/page/arrays.js decodes them.
 """
 
 import base64
@@ -14,64 +15,27 @@ import numpy as np
 from caster.aovs import Aovs
 from caster.image.image_files import encode_image
 from caster.image.previews import aov_view
-from mitsuba_ref.error_model.bounds import aov_rows, error_over_bound
+from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
 from mitsuba_ref.judge.explanations import constant_reasons, format_exact, reason
 from mitsuba_ref.judge.pipeline import Seen
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, REFERENCE_WRONG
-from mitsuba_ref.report.evidence import film_edges
+from mitsuba_ref.report.evidence import EDGE_UNITS, film_edges
 
 Part = dict[str, Any]
+Shape = tuple[int, int]  # height, width
 
 # ---- arrays ----
 
-ZLIB_LEVEL = 4  # takes 0.6 of the time of the default 6, for 1.02 of the size
-DROPPED_MANTISSA_BITS = 12  # of a float32 by `coarse`: a resolution of one part in 2^11 remains
+ZLIB_LEVEL = 9  # takes a tenth of a second more than the default for a scene of 256 x 256 pixels
 
 
-def packed(values: np.ndarray, like: np.ndarray | None = None) -> Part:
-    """Pack (n,) numbers, or (n, c) channel by channel, as {"type": "f4", "z": text}.
-
-    "xor": 1 if the bits are XORed with those of `like`, nearly equal floats of the same shape; "delta": 1 if they are
-    differences from the number before.
-    """
-    found = {"type": f"{values.dtype.kind}{values.itemsize}"}
-    bits = _bits(values)
-    if like is not None:  # 0 for NaN, whose bits a conversion may change
-        base = np.where(np.isnan(like), 0.0, like).astype(values.dtype)
-        return found | {"xor": 1, "z": _deflated(bits ^ _bits(base))}
-    plain, delta = _deflated(bits), _deflated(np.diff(bits, prepend=bits.dtype.type(0)))
-    return found | ({"delta": 1, "z": delta} if len(delta) < len(plain) else {"z": plain})
-
-
-def _bits(values: np.ndarray) -> np.ndarray:
-    """The bits of the channels, one after another, as little-endian integers."""
+def packed(values: np.ndarray) -> Part:
+    """Pack (n,) numbers, or (n, c) channel by channel, as {"type": "f4", "z": text}, without loss."""
     flat = np.ascontiguousarray(values.T, values.dtype.newbyteorder("<")).ravel()
-    return flat.view(f"<u{flat.itemsize}")
-
-
-def _deflated(bits: np.ndarray) -> str:
-    planes = np.ascontiguousarray(bits).view(np.uint8).reshape(-1, bits.itemsize).T
-    return base64.b64encode(zlib.compress(planes.tobytes(), ZLIB_LEVEL)).decode("ascii")
-
-
-def narrowest(values: np.ndarray) -> np.ndarray:
-    """As float32 if that loses nothing, else unchanged."""
-    with np.errstate(over="ignore"):
-        single = values.astype(np.float32)
-    return single if np.array_equal(single, values, equal_nan=True) else values
-
-
-def coarse(values: np.ndarray) -> np.ndarray:
-    """Round ratios and bounds, >= 0, up to float32 with 11 bits; NaN becomes inf.
-
-    1 stays 1, and more than 1 stays more than 1.
-    """
-    with np.errstate(over="ignore"):
-        single = np.where(np.isnan(values), np.inf, values).astype(np.float32)
-    single = np.where(single < values, np.nextafter(single, np.float32(np.inf)), single)
-    step = np.uint32((1 << DROPPED_MANTISSA_BITS) - 1)
-    return ((single.view(np.uint32) + step) & ~step).view(np.float32)
+    planes = flat.view(np.uint8).reshape(-1, flat.itemsize).T
+    text = base64.b64encode(zlib.compress(planes.tobytes(), ZLIB_LEVEL)).decode("ascii")
+    return {"type": f"{values.dtype.kind}{values.itemsize}", "z": text}
 
 
 def numbered(texts: Iterable[str]) -> Part:
@@ -81,12 +45,83 @@ def numbered(texts: Iterable[str]) -> Part:
     return {"words": packed(np.array(words, np.int32)), "texts": list(numbers)}
 
 
+# ---- images, rounded ----
+
+STEPS = 255  # of the range of an image, between the quantiles MOST
+MOST = (0.01, 0.99)
+LARGEST_CODE = 1 << 28  # of a number; beyond it, NaN and infinities
+NAN_CODE, INF_CODE = LARGEST_CODE + 1, LARGEST_CODE + 2
+STEPS_AN_OCTAVE = 2  # of shares of bounds; of errors one
+LEAST_SHARE = 4  # octaves below 1: smaller shares of a bound are 0
+ENTIRE = LEAST_SHARE * STEPS_AN_OCTAVE  # the code of a share of 1
+NO_BOUND = 255  # the code of an infinite share
+SMALLEST = 2.0**-1074  # float64 above 0
+LEAST_ERROR = 5  # octaves below the 99th percentile: smaller errors are 0
+
+
+CODES = {  # for the page
+    "largest": LARGEST_CODE,
+    "nan": NAN_CODE,
+    "entire": ENTIRE,
+    "octaves": LEAST_SHARE,
+    "none": NO_BOUND,
+}
+
+
+def image(codes: np.ndarray, shape: Shape, *, smooth: bool = True) -> Part:
+    """Pack (n,) or (n, c) integers, folded to be >= 0. smooth: as their differences from the plane through three
+    neighbours, which are small in a smooth image and large in noise."""
+    planes = codes.reshape(*shape, -1).astype(np.int64)
+    if smooth:
+        planes = np.diff(np.diff(planes, axis=0, prepend=0), axis=1, prepend=0)
+    folded = ((planes << 1) ^ (planes >> 63)).reshape(len(codes), -1)
+    about = {"height": shape[0], "width": shape[1], "plane": int(smooth)}
+    return packed(folded.astype(np.min_scalar_type(folded.max(initial=0)))) | about
+
+
+def value_codes(values: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """(n, c) multiples of a step, one a channel."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        most = np.where(np.isinf(values), INF_CODE, LARGEST_CODE)
+        codes = np.clip(np.round(values / steps), -most, most)
+    return np.where(np.isnan(values), NAN_CODE, codes).astype(np.int64)
+
+
+def value_steps(values: np.ndarray) -> np.ndarray:
+    """(c,) the steps of the channels of (n, c) values: a 255th of the range of most of them."""
+    channels = (column[np.isfinite(column)] for column in values.T)
+    ranges = [np.quantile(column, MOST) if len(column) else np.zeros(2) for column in channels]
+    spans = [high - low or abs(high) or 1.0 for low, high in ranges]
+    return np.array(spans) / STEPS
+
+
+def share_codes(shares: np.ndarray) -> np.ndarray:
+    """(n,) codes of shares of bounds, rounded up: a share of 1 is ENTIRE, and more than 1 is more."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        codes = np.ceil(STEPS_AN_OCTAVE * (np.log2(shares) + LEAST_SHARE))
+    codes = np.where(shares > 1.0, np.maximum(codes, ENTIRE + 1), codes)  # whose logarithm may round to 0
+    return np.where(np.isfinite(shares), np.clip(codes, 0, NO_BOUND - 1), NO_BOUND).astype(np.uint8)
+
+
+def error_codes(apart: np.ndarray) -> tuple[float, np.ndarray]:
+    """(unit, (n,) codes) of the largest of each row of (n, c) differences, with its sign; the code of a unit is 1."""
+    finite = np.where(np.isfinite(apart), apart, 0.0)
+    error = finite[np.arange(len(finite)), np.argmax(np.abs(finite), axis=1)]
+    some = np.abs(error[error != 0.0])
+    unit = max(float(np.quantile(some, MOST[1])) * 2.0**-LEAST_ERROR, SMALLEST) if len(some) else 1.0
+    with np.errstate(divide="ignore"):
+        codes = np.maximum(np.round(np.log2(np.abs(error)) - np.log2(unit)) + 1.0, 0.0)
+    return unit, (np.sign(error) * codes).astype(np.int64)
+
+
 # ---- the record ----
 
 MAX_PIXELS_WITH_REASON = 1 << 16  # of a scene, failing ones first: half a second of work
+MAX_AGREEING_WITHOUT_LOSS, MAX_OTHERS_WITHOUT_LOSS = 128, 4096  # 0.2 kB each
+WORST_WITHOUT_LOSS = 32
 UNLISTED_CODE = len(CLASSES)  # a class of the page: the reference is wrong in no known way, which fails
+SIDES = ("ours", "reference", "ratio")
 FLOAT_LAYERS = ("depth", "normal", "diffuse", "shading_normal", "position", "uv")
-ROUNDING = 1.0 + 4 * 2.0**-53  # a ratio that is computed in two ways is the same up to 4 roundings
 
 
 class SceneRecord(NamedTuple):
@@ -101,28 +136,48 @@ def scene_record(seen: Seen) -> SceneRecord:
     """The record of a judged scene."""
     judge, judgement = seen.judge, seen.judgement
     ours, reference = judge.pair.subject, judge.pair.reference
-    classes = _classes(judgement)
+    classes, shape = _classes(judgement), judge.pair.shape
     hit = ours.hit.ravel() + 2 * reference.hit.ravel()
     others = [name for name in judgement.names if name not in FLOAT_LAYERS]
+    rows = rows_without_loss(seen, classes, hit)
     about = {
         "window": list(judge.scene.film.window),
         "shapes": list(judge.scene.shape_names()),
-        "class": packed(classes),
-        "hit": packed(hit.astype(np.uint8)),
+        "class": image(classes, shape),
+        "hit": image(hit, shape),
+        "rows": packed(rows),
         "reasons": _reasons(seen, classes),
         "exact": _exact_answers(judge, judgement),
-        "shares": {name: packed(coarse(judgement.ratio(name))) for name in others},
+        "shares": {name: image(share_codes(judgement.ratio(name)), shape, smooth=False) for name in others},
+        "wrong_rays": [ray.what for ray in seen.wrong_rays],
     }
-    worst = np.max([judgement.ratio(name) for name in judgement.names], axis=0)
-    layers: dict[str, Part] = {"ids": _ids(judge), "ratio": {"ratio": packed(coarse(worst))}}
+    layers: dict[str, Part] = {"ids": _ids(judge, rows)}
     for name in FLOAT_LAYERS:
         if name in ours and name in reference:
-            both = _both_sides(aov_rows(ours, name), aov_rows(reference, name))
-            layers[name] = both | _bounds(judge, judgement, name)
-    edges = film_edges(judge, judgement)
-    if edges is not None:
-        layers["edges"] = {"segments": packed(edges)}
+            ratio, sides = judgement.ratio(name), [aov_rows(each, name) for each in (ours, reference)]
+            layers[name] = _images(hit, shape, *(each.reshape(len(hit), -1) for each in sides)) | {
+                "ratio": image(share_codes(ratio), shape, smooth=False),
+                "exact": dict(zip(SIDES, (packed(each[rows]) for each in (*sides, ratio)), strict=True)),
+            }
+    if "normal" in layers and layers["normal"] == layers.get("shading_normal"):
+        layers["shading_normal"] = {"same": "normal"}
+    layers["edges"] = {"segments": packed(film_edges(judge, judgement)), "units": EDGE_UNITS}
     return SceneRecord(about, layers, thumbnail(ours))
+
+
+def rows_without_loss(seen: Seen, classes: np.ndarray, hit: np.ndarray) -> np.ndarray:
+    """(m,) pixels whose numbers are stored without loss: the first of each cause, the worst of all, and some all over
+    the image, of those that agree and of those that do not."""
+    worst = np.max([seen.judgement.ratio(name) for name in seen.judgement.names], axis=0)
+    chosen = [
+        *(rows[:1] for rows in seen.diagnosis.rows_of.values()),
+        np.argsort(-worst, kind="stable")[:WORST_WITHOUT_LOSS],
+    ]
+    agree = classes == CLASS_CODE[AGREE]
+    for among, most in ((agree & (hit > 0), MAX_AGREEING_WITHOUT_LOSS), (~agree, MAX_OTHERS_WITHOUT_LOSS)):
+        rows = np.flatnonzero(among)
+        chosen.append(rows[:: max(1, -(-len(rows) // most))])
+    return np.unique(np.concatenate(chosen).astype(np.int32))
 
 
 def _classes(judgement: Judgement) -> np.ndarray:
@@ -153,39 +208,27 @@ def _exact_answers(judge: Judge, judgement: Judgement) -> Part:
     return {
         "rows": packed(exact.rows.astype(np.int32)),
         "t": packed(np.array(t, np.float64)),
-        "share": packed(coarse(exact.ratio)),
         **numbered(format_exact(judge.scene, packed_scene, answer, with_t=False) for answer in exact.answers),
     }
 
 
-def _both_sides(ours: np.ndarray, reference: np.ndarray, prefix: str = "") -> Part:
-    """Both sides; ours is XORed with the reference."""
-    base = narrowest(reference)
-    return {f"{prefix}reference": packed(base), f"{prefix}ours": packed(ours, base)}
+def _images(hit: np.ndarray, shape: Shape, ours: np.ndarray, reference: np.ndarray) -> Part:
+    """Both sides, (n, c), as images, and the difference where both hit. hit: bit 1 for ours, 2 for the reference."""
+    steps = value_steps(reference[hit > 1] if (hit > 1).any() else ours)
+    theirs, mine = (value_codes(each, steps) * (hit & bit > 0)[:, None] for bit, each in ((2, reference), (1, ours)))
+    with np.errstate(invalid="ignore", over="ignore"):
+        unit, errors = error_codes(np.where((hit == 3)[:, None], ours - reference, 0.0))
+    return {
+        "steps": steps.tolist(),
+        "reference": image(theirs, shape),
+        "ours": image(mine - theirs, shape),
+        "unit": unit,
+        "difference": image(errors, shape, smooth=False),
+    }
 
 
-def _bounds(judge: Judge, judgement: Judgement, name: str) -> Part:
-    """The error-to-bound ratio of each pixel in one AOV, and its bounds; none for `diffuse`, which differ by light.
-
-    "bound": on the difference between both sides; "alone": where the bound of the subject at its own surface decides
-    instead; "own": of a candidate's arithmetic, on its distance from the surface of the reference.
-    """
-    pixels, ratio = judge.pixels, judgement.ratio(name)
-    found = {"ratio": packed(coarse(ratio))}
-    if not judge.names_prims:
-        own = judge.bounds.own
-        error = own.n_error if name == "normal" else (own.t_error + judge.answer.t_rounding) * pixels.length
-        return found | {"own": packed(coarse(np.where(pixels.both_hit, error, 0.0)))}
-    bound = pixels.allowed_distance.get(name)
-    if bound is None:
-        return found
-    alone = pixels.both_hit & (ratio > error_over_bound(pixels.distance(name), bound) * ROUNDING)
-    bound = np.where(pixels.both_hit, bound, 0.0)
-    return found | {"bound": packed(coarse(bound)), "alone": packed(alone.astype(np.uint8))}
-
-
-def _ids(judge: Judge) -> Part:
-    """Numbers of shapes, and of primitives within them, -1 on a miss; of a candidate that names none, its t instead."""
+def _ids(judge: Judge, rows: np.ndarray) -> Part:
+    """Numbers of shapes, and of primitives within them, -1 on a miss; of a candidate that names none, some of its t."""
     pair, index = judge.pair, judge.model.packed.index_in_shape
     if judge.names_prims:
         numbers = {
@@ -197,8 +240,9 @@ def _ids(judge: Judge) -> Part:
         t = {}
     else:
         numbers = {"shape_reference": pair.result.shape_id, "prim_reference": index(judge.reference_prim)}
-        t = _both_sides(judge.answer.t, judge.result.t, "t_")  # in lengths of d, which depth does not show
-    return {name: packed(each.astype(np.int32)) for name, each in numbers.items()} | t
+        # in lengths of d, which depth does not show
+        t = {"exact": {"t_ours": packed(judge.answer.t[rows]), "t_reference": packed(judge.result.t[rows])}}
+    return {name: image(each, pair.shape) for name, each in numbers.items()} | t
 
 
 # ---- thumbnails ----

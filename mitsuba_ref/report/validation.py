@@ -1,26 +1,26 @@
 """Validation of one scene: judgement by the pipeline, and the files of its verdict."""
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from caster.description.errors import SceneError
 from caster.rendering.warm_up import compile_for, warm_decisions
-from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref.judge.checks.render import check_render
+from mitsuba_ref.judge.film import JudgedFilm, joined, judged_film
 from mitsuba_ref.judge.pipeline import Seen, Task, judge_film
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
 from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.report.evidence import write_images
 from mitsuba_ref.report.html_report import HtmlReport
-from mitsuba_ref.report.reproducers import with_replay, write_reproducers
-from mitsuba_ref.subjects.function import function_subject
-from mitsuba_ref.subjects.requests import parse_candidate, request_answer
+from mitsuba_ref.report.reproducers import write_reproducers
+from mitsuba_ref.report.verdict_text import failing_scenes, failure_text, outcome_text, table_row
+from mitsuba_ref.subjects.requests import request_answer
 from mitsuba_ref.subjects.subject import OURS, Subject
+
+SCENES_IN_TEXT = 8  # rows of str(verdict)
 
 
 class Validation(Verdict):
@@ -35,26 +35,18 @@ class Validation(Verdict):
         report.sweep()
         return report.index
 
+    def __str__(self) -> str:
+        """The outcome, rows of scenes, and the first failure, as `mitsuba-ref validate` prints them."""
+        width = max((len(scene.name) for scene in self.scenes), default=0)
+        rows = [table_row(scene, width) for scene in self.scenes[:SCENES_IN_TEXT]]
+        more = len(self.scenes) - len(rows)
+        lines = [outcome_text(self), *rows, *([f"      and {more} more"] if more else [])]
+        return "\n".join([*lines, *(failure_text(scene) for scene in failing_scenes(self.scenes)[:1])])
 
-def validate(
-    scene: Scene | str | Path, *, candidate: str | Callable[..., Any] | None = None, timeout: float = DEFAULT_TIMEOUT
-) -> Validation:
-    """Compare our caster with Mitsuba on one scene, given as a Scene or as the path of its file.
-
-    candidate: another ray caster in place of ours: a function(scene, o, d) -> (t, n), or what --candidate takes
-    (docs/candidates.md). Raises SceneError for a scene that is not valid, FileMissing where there is none,
-    MissingReferenceError for a shape without a reference. A crash of Mitsuba is a verdict that does not pass. The
-    verdict keeps both images, for its write_html.
-    """
-    subject: Subject = OURS
-    if candidate is not None:
-        subject = parse_candidate(candidate) if isinstance(candidate, str) else function_subject(candidate)
-    options: dict[str, Any] = {"subject": subject, "timeout": timeout, "keep": True}
-    if isinstance(scene, Scene):
-        found = validate_scene(scene, "scene", **options)
-    else:
-        found = validate_scene(load_scene(scene), Path(scene).stem, str(scene), **options)
-    return Validation((with_replay(found),))
+    def __repr__(self) -> str:
+        """One line, since pytest cuts the representation of a message: `assert verdict.ok, str(verdict)` is whole."""
+        first = "".join(failure_text(scene).partition("\n")[0] for scene in failing_scenes(self.scenes)[:1])
+        return f"<Validation: {outcome_text(self)}{f'; {first:.120}' if first else ''}>"
 
 
 def validate_scene(
@@ -69,12 +61,14 @@ def validate_scene(
     timeout: float = DEFAULT_TIMEOUT,
     send: SendRequest = send_stored,
     keep: bool = False,
+    film: bool = False,
     thorough: bool = False,
 ) -> SceneVerdict:
     """The verdict of a loaded scene; faults of a candidate are in the verdict.
 
     rays: a list of rays, laid out as the film, in place of the camera's; first_ray: the number of the first one.
     folder: for the images of both sides. send: the connection to Mitsuba. keep: keep the evidence in the verdict.
+    film: keep the classes and images of the whole film.
     thorough: make the checks of our caster beyond the film as well.
     """
     start = time.perf_counter()
@@ -85,14 +79,18 @@ def validate_scene(
 
     def finish(verdict: SceneVerdict, images: str) -> SceneVerdict:
         seen = verdict.seen
+        if film and isinstance(seen, Seen):
+            bands.append(judged_film(seen.judge, seen.judgement))
         if folder is None or not isinstance(seen, Seen):
             return verdict
         write_images(folder, images, seen.judge, seen.judgement)
         files, left_out = write_reproducers(folder, name, path or name, seen, first_ray)
         return replace(verdict, reproducers=files, not_stored=left_out)
 
+    bands: list[JudgedFilm] = []
     verdict = judge_film(task, finish)
-    return replace(verdict, seen=verdict.seen if keep else None, seconds=time.perf_counter() - start)
+    whole = joined(bands) if bands and not verdict.problem else None
+    return replace(verdict, film=whole, seen=verdict.seen if keep else None, seconds=time.perf_counter() - start)
 
 
 def _cast_as_judged(scene: Scene) -> None:

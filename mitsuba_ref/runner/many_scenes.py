@@ -3,7 +3,7 @@
 import json
 import re
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -11,6 +11,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
+import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from caster.cameras import CAMERAS
@@ -33,6 +34,7 @@ from mitsuba_ref.report.reproducers import with_replay
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.runner.verdict_files import verdict_key
 from mitsuba_ref.runner.workers import CALL_TIMEOUTS, WorkerEnded, Workers
+from mitsuba_ref.subjects.ray_files import HitsFile, RayList, lay_out
 from mitsuba_ref.subjects.subject import OURS, Subject
 
 Result = TypeVar("Result")
@@ -71,6 +73,53 @@ class SceneEntry:
         width, height = self.size
         with error_prefix("--size", width, height):
             return scene.with_film(width=width, height=height)
+
+
+def entries_of_hits(
+    name: str,
+    path: str,
+    scene: Scene,
+    rays: RayList,
+    hits: Mapping[str, np.ndarray],
+    where: str,
+    precision: str | None = None,
+    rows: tuple[int, int | None] | None = None,
+    options: tuple[str, ...] = (),
+) -> list[SceneEntry]:
+    """Entries that judge given hits of rays: one for nearest hits, one for any-hit answers. Raises SceneError.
+
+    where: the source of the hits, for messages. rows: the first and the end of the rays to judge; None: all of them.
+    """
+    count = len(rays.rows)
+    for array, values in hits.items():
+        if len(values.shape) == 0 or len(values) != count:
+            raise SceneError(
+                f"{where}: {array}: expected one row for each of the {count} rays, got shape {values.shape}"
+            )
+    if not {"t", "any_hit"} & hits.keys():
+        raise SceneError(f"{where}: expected an array t, or any_hit; got {', '.join(hits)}")
+    first, last = rows or (0, None)
+    last = count if last is None else min(last, count)
+    if first >= count:
+        raise SceneError(f"--rows {first}: expected a ray of 0 to {count - 1}")
+    width = rays.width if (first, last) == (0, count) else 0
+    film, shared = lay_out(scene, rays._replace(rows=rays.rows[first:last], width=width))
+    arrays = {array: values[first:last] for array, values in hits.items()}
+    endings = [("t", ""), ("any_hit", " any-hit" if "t" in hits else "")]
+    return [
+        SceneEntry(
+            name + ending,
+            path,
+            options=options,
+            given=film,
+            subject=HitsFile(where, arrays, precision, array == "any_hit"),
+            rays=shared,
+            ray_range=(first, last),
+            command="judge",
+        )
+        for array, ending in endings
+        if array in hits
+    ]
 
 
 def map_in_order(
@@ -159,13 +208,15 @@ class JudgeOptions(NamedTuple):
     store: bool = True  # reuse verdicts and responses of Mitsuba that earlier runs stored for equal inputs
     subject: Subject | None = None  # in place of our caster, for entries without their own
     page_of: Callable[[SceneVerdict], Any] | None = None  # makes the report's record of a verdict and its evidence
-    threads: int | None = None  # of a worker
+    threads: int | None = None  # of a worker; None: the default of this process
+    film: bool = False  # keep the classes and images of whole films in verdicts
     thorough: bool = False  # make the checks of our caster beyond the films as well
 
 
 def judge_entry(entry: SceneEntry, options: JudgeOptions) -> SceneVerdict:
     """Load and judge one scene in this process, or find its verdict. Raises what loading and judging raise."""
-    set_default_threads(options.threads)
+    if options.threads:
+        set_default_threads(options.threads)
     scene = entry.load()
     folder, foreign = options.folder, entry.subject or options.subject
     store = local_store() if options.store and options.page_of is None and foreign is None else None
@@ -173,7 +224,13 @@ def judge_entry(entry: SceneEntry, options: JudgeOptions) -> SceneVerdict:
     key = verdict_key(scene, entry.path, **about) if store else ""
     if store and key and (found := _stored_verdict(store, key, folder)):
         return found
-    verdict = _judge_loaded(entry, scene, options)
+    try:
+        verdict = judge_loaded(entry, scene, options)
+    except OutputError:
+        raise
+    except SceneError as error:  # no reference for a shape, or numbers beyond float32
+        failed = SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem_of(error))
+        verdict = _completed(failed, entry, scene, options)
     if folder:
         verdict = replace(verdict, files=file_records(folder, verdict))
     if store and key and not verdict.problem:
@@ -197,26 +254,28 @@ def _stored_verdict(store: StoreFolder, key: str, folder: Path | None) -> SceneV
     return replace(found, kept=True)
 
 
-def _judge_loaded(entry: SceneEntry, scene: Scene, options: JudgeOptions) -> SceneVerdict:
+def judge_loaded(entry: SceneEntry, scene: Scene, options: JudgeOptions) -> SceneVerdict:
+    """The verdict of an entry's loaded scene. Raises SceneError for one that cannot be judged, OutputError."""
+    verdict = validate_scene(
+        scene,
+        entry.name,
+        entry.path,
+        subject=entry.subject or options.subject or OURS,
+        rays=entry.rays,
+        first_ray=entry.ray_range[0],
+        folder=options.folder,
+        timeout=options.timeout,
+        send=send_stored if options.store else send_request,
+        keep=options.page_of is not None,
+        film=options.film,
+        thorough=options.thorough,
+    )
+    return _completed(verdict, entry, scene, options)
+
+
+def _completed(verdict: SceneVerdict, entry: SceneEntry, scene: Scene, options: JudgeOptions) -> SceneVerdict:
+    """The verdict with everything that a replay and the report need."""
     subject = entry.subject or options.subject or OURS
-    try:
-        verdict = validate_scene(
-            scene,
-            entry.name,
-            entry.path,
-            subject=subject,
-            rays=entry.rays,
-            first_ray=entry.ray_range[0],
-            folder=options.folder,
-            timeout=options.timeout,
-            send=send_stored if options.store else send_request,
-            keep=options.page_of is not None,
-            thorough=options.thorough,
-        )
-    except OutputError:
-        raise
-    except SceneError as error:  # no reference for a shape, or numbers beyond float32
-        verdict = SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem_of(error))
     found = replace(
         verdict,
         candidate=verdict.candidate or subject.name,

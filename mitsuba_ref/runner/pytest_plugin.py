@@ -1,12 +1,15 @@
-"""pytest --mitsuba-ref scenes/: each check of each scene is a test. Without the option nothing is collected or loaded.
+"""pytest --mitsuba-ref scenes/: each check of each scene is a test; and a fixture that judges a caster in any test.
 
-Entry point `mitsuba-ref` of the group pytest11. The first test of a scene has it judged by
-mitsuba_ref/runner/many_scenes.py, and all tests of that scene show parts of this verdict.
+Without the option and the fixture, nothing is collected or loaded. Entry point `mitsuba-ref` of the group pytest11. The
+first test of a scene has it judged by mitsuba_ref/runner/many_scenes.py, and all tests of that scene show parts of this
+verdict.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import pickle
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -14,11 +17,13 @@ from typing import TYPE_CHECKING, Any, Literal
 import pytest
 
 if TYPE_CHECKING:
-    from mitsuba_ref.judge.verdict import SceneVerdict
+    from mitsuba_ref.judge.verdict import SceneCheck, SceneVerdict
+    from mitsuba_ref.report.html_report import HtmlReport
+    from mitsuba_ref.report.validation import Validation
     from mitsuba_ref.subjects.subject import Subject
 
 OPTION = "--mitsuba-ref"
-PLUGIN = "mitsuba-ref-scenes"
+PLUGIN, REPORT = "mitsuba-ref-scenes", "mitsuba-ref-report"
 
 VERDICT = "verdict"  # the scene as a whole: it loads, Mitsuba answers, and there is evidence
 SUFFIXES = (".toml", ".json")
@@ -29,19 +34,20 @@ OPTIONS: dict[str, tuple[str, dict[str, Any], Literal["args", "string"]]] = {
     "size": ("film in pixels, W H, instead of the scenes' own", {"nargs": 2, "metavar": ("W", "H")}, "args"),
     "candidate": (
         "another ray caster, judged in place of ours: package.module:function, or a command",
-        {"metavar": "X"},
+        {"metavar": "CANDIDATE"},
         "string",
     ),
     "candidate-serve": (
         "the same as a program that is started once and answers over stdin and stdout",
-        {"metavar": "PROG"},
+        {"metavar": "COMMAND"},
         "string",
     ),
     "candidate-precision": (
         "its arithmetic, float32 or float64; default: the type of what it returns",
-        {"metavar": "P"},
+        {"metavar": "PRECISION"},
         "string",
     ),
+    "html": ("write a report for the browser on all judged scenes into this folder", {"metavar": "DIR"}, "string"),
 }
 CANDIDATE_OPTIONS = tuple(name for name in OPTIONS if name.startswith("candidate"))
 
@@ -63,10 +69,71 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    if folder := given(config, "html"):
+        config.pluginmanager.register(Report(config, config.invocation_params.dir / folder), REPORT)
     if config.getoption("mitsuba_ref"):
         if getattr(config.option, "dist", "no") in ("load", "worksteal"):
             config.option.dist = "loadfile"  # xdist keeps the tests of a scene in the process that judges it
         config.pluginmanager.register(ScenePlugin(config), PLUGIN)
+
+
+@pytest.fixture
+def judge_caster(request: pytest.FixtureRequest) -> Callable[..., Validation]:
+    """judge_caster(trace, scene, ...): fails the test, with the cause, if Mitsuba and exact arithmetic find it wrong.
+
+    The arguments are those of mitsuba_ref.validate, such as builtin="triangles" or size=(64, 64); returns its verdict.
+    """
+
+    def judge(trace: Any, scene: Any = None, **options: Any) -> Validation:
+        import mitsuba_ref
+        from mitsuba_ref.report.verdict_text import short_text
+
+        verdict = mitsuba_ref.validate(scene, candidate=trace, **options)
+        if isinstance(report := request.config.pluginmanager.get_plugin(REPORT), Report):
+            for found in verdict.scenes:
+                report.add(found, f"{request.node.name} {found.name}")
+        if not verdict.ok:
+            pytest.fail(short_text(verdict), pytrace=False)
+        return verdict
+
+    return judge
+
+
+class Report:
+    """The HTML report of a session. A process of xdist hands its scenes to the one that started it."""
+
+    def __init__(self, config: pytest.Config, folder: Path) -> None:
+        self.config, self.folder = config, folder
+        self.to_starter: dict[str, Any] | None = getattr(config, "workeroutput", None)
+
+    @cached_property
+    def written(self) -> HtmlReport:
+        from mitsuba_ref.report.html_report import HtmlReport
+
+        return HtmlReport(self.folder, 0)
+
+    def add(self, verdict: SceneVerdict, name: str) -> None:
+        """Add a scene with its evidence. name: distinct in the session."""
+        self.written.verdicts.append(self.written.keep(replace(verdict, name=name)))
+
+    def pytest_sessionfinish(self) -> None:
+        if self.to_starter is not None:
+            self.to_starter[REPORT] = pickle.dumps((self.written.verdicts, self.written.thumbnails))
+        else:
+            self.written.requested = len(self.written.verdicts)
+            self.written.write()
+            self.written.sweep()
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_testnodedown(self, node: Any) -> None:
+        """Take the scenes of a process of xdist that has ended."""
+        if state := getattr(node, "workeroutput", {}).get(REPORT):
+            verdicts, thumbnails = pickle.loads(state)
+            self.written.verdicts += verdicts
+            self.written.thumbnails.update(thumbnails)
+
+    def pytest_terminal_summary(self, terminalreporter: Any) -> None:
+        terminalreporter.write_line(f"mitsuba-ref report: {self.written.index.as_uri()}")
 
 
 class ScenePlugin:
@@ -74,6 +141,7 @@ class ScenePlugin:
 
     def __init__(self, config: pytest.Config) -> None:
         config.addinivalue_line("markers", "mitsuba_ref: a check of a scene, by --mitsuba-ref")
+        self.config = config
         self.start = config.invocation_params.dir
         self.size = film_size(given(config, "size"))
         self.words = {name: given(config, name) or "" for name in CANDIDATE_OPTIONS}
@@ -85,11 +153,13 @@ class ScenePlugin:
         self.mesh_dirs = tuple(map(str, config.getini("mitsuba_ref_mesh_dirs")))
         self.named = {Path(self.start, arg.split("::")[0]).resolve() for arg in config.args}
         self.verdicts: dict[Path, SceneVerdict | str] = {}
+        self.files: list[Path] = []
 
     def pytest_collect_file(self, file_path: Path, parent: pytest.Collector) -> pytest.Collector | None:
         if file_path.suffix.lower() not in SUFFIXES:
             return None
         if file_path.resolve() in self.named or is_scene(file_path):
+            self.files.append(file_path)
             collector: pytest.Collector = SceneFile.from_parent(parent, path=file_path)
             return collector
         return None
@@ -106,18 +176,23 @@ class ScenePlugin:
         return self.verdicts[path]
 
     def _judge(self, path: Path) -> SceneVerdict | str:
+        from caster.cli.shared_arguments import display_names
         from caster.description.errors import SceneError
+        from mitsuba_ref.report.html_report import page_record
         from mitsuba_ref.runner import many_scenes
 
         named = str(path.relative_to(self.start)) if path.is_relative_to(self.start) else str(path)
         words = tuple(word for name, value in self.words.items() if value for word in (f"--{name}", value))
         entry = many_scenes.SceneEntry(path.stem, named, self.size, self.mesh_dirs, words)
         errors: list[Exception] = []
+        report = self.config.pluginmanager.get_plugin(REPORT)
         try:
-            options = many_scenes.JudgeOptions(subject=self.subject)
+            options = many_scenes.JudgeOptions(subject=self.subject, page_of=page_record if report else None)
         except SceneError as error:
             return str(error)
         (verdict,) = many_scenes.run([entry], options, workers=1, on_error=errors.append)
+        if isinstance(report, Report):
+            report.add(verdict, dict(zip(self.files, display_names(list(map(str, self.files))), strict=True))[path])
         return str(errors[0]) if errors and isinstance(errors[0], SceneError | MemoryError) else verdict
 
     @cached_property
@@ -136,7 +211,21 @@ class ScenePlugin:
         from mitsuba_ref.judge.classification import pixel_checks
 
         whose = CANDIDATE if self.candidate else OURS
-        return (*pixel_checks(ours=whose == OURS), *(check.name for check in checks_of(whose)))
+        return (*pixel_checks(ours=whose == OURS), *(check.name for check in checks_of(whose) if check.scope != "run"))
+
+    def run_names(self, path: Path) -> tuple[str, ...]:
+        """Names of the checks that are made once a run, with its first scene."""
+        from mitsuba_ref.judge.checks import CANDIDATE, checks_of
+
+        made = self.candidate and path in self.files[:1]
+        return tuple(check.name for check in checks_of(CANDIDATE, ["run"])) if made else ()
+
+    @cached_property
+    def run_checks(self) -> dict[str, SceneCheck]:
+        """The checks that are made once a run."""
+        from mitsuba_ref.judge.checks import run_checks
+
+        return {check.name: check for check in run_checks(self.subject)}
 
 
 def given(config: pytest.Config, name: str) -> Any:
@@ -175,7 +264,7 @@ class SceneFile(pytest.File):
     def collect(self) -> Iterator[CheckItem]:
         plugin = self.config.pluginmanager.get_plugin(PLUGIN)
         assert isinstance(plugin, ScenePlugin)  # it collected this file
-        for name in (VERDICT, *plugin.check_names()):
+        for name in (VERDICT, *plugin.check_names(), *plugin.run_names(self.path)):
             yield CheckItem.from_parent(self, name=name)
 
 
@@ -190,9 +279,15 @@ class CheckItem(pytest.Item):
         plugin = self.config.pluginmanager.get_plugin(PLUGIN)
         assert isinstance(plugin, ScenePlugin)  # it collected this item
         found = plugin.verdict_of(self.path)
-        if plugin.candidate and is_not_judged(found, self.name):
+        if self.name in plugin.run_names(self.path) and not (isinstance(found, str) or found.problem):
+            check = plugin.run_checks.get(self.name)
+            if check is None:
+                pytest.skip(f"not judged: {plugin.candidate} is given no limits")
+            if not check.ok:
+                raise CheckFailed(f"FAIL  {check.name}: {check.what}")
+        elif plugin.candidate and is_not_judged(found, self.name):
             pytest.skip(f"not judged: {plugin.candidate} does not give it, or it is no check of this scene")
-        if text := check_problem(found, self.name):
+        elif text := check_problem(found, self.name):
             from caster.system.terminal import printable
 
             raise CheckFailed(printable(text))

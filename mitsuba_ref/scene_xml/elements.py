@@ -23,7 +23,7 @@ class MissingReferenceError(SceneError, LookupError):
 def missing_reference(name: str, kind: str) -> str:
     return (
         f"{name} has no reference: write mitsuba_ref/{kind}/{name.lower()}.py and add its line to "
-        f"mitsuba_ref/{kind}/__init__.py (docs/internals/adding-a-shape.md)"
+        f"mitsuba_ref/{kind}/__init__.py (mitsuba-ref docs adding-a-shape)"
     )
 
 

@@ -32,7 +32,7 @@ def kind_of(part: Any) -> PrimitiveReference:
     if type(part) not in KINDS:
         raise LookupError(
             f"{type(part).__name__}: no primitive kind of that name is registered in mitsuba_ref.shapes "
-            "(docs/internals/adding-a-shape.md)"
+            "(mitsuba-ref docs adding-a-shape)"
         )
     return KINDS[type(part)]
 

@@ -17,7 +17,7 @@ from caster.geometry.world_space import LARGEST_COORDINATE
 from caster.shapes.cube import Cube
 from caster.shapes.heightfield import Heightfield
 from caster.shapes.icosphere import Icosphere
-from caster.shapes.mesh import MeshFile
+from caster.shapes.mesh import Mesh
 from caster.shapes.rectangle import Rectangle
 from caster.shapes.teapot import Teapot
 from caster.shapes.torus import Torus
@@ -229,11 +229,20 @@ def expected_mesh(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
 
 def expected_triangle(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
     """Corners, normals and uv in the order of the description, and the mesh in world space."""
+    if shape.normals is not None:
+        yield exactly("described normals", shape.mesh().normals, shape.normals)
+    yield from expected_arrays(shape, part, [[0, 1, 2]])
+
+
+def expected_file_or_arrays(shape: Any, part: Any) -> Iterator[ExpectedNumbers]:
+    """The mesh in world space; corners, faces and uv of arrays in their order. (Normals may have any length.)"""
+    return expected_mesh(shape, part) if shape.file is not None else expected_arrays(shape, part, shape.faces)
+
+
+def expected_arrays(shape: Any, part: Any, faces: Any) -> Iterator[ExpectedNumbers]:
     given = shape.mesh()
     yield exactly("corners", given.vertices, shape.vertices)
-    yield exactly("face", given.faces, [[0, 1, 2]])
-    if shape.normals is not None:
-        yield exactly("described normals", given.normals, shape.normals)
+    yield exactly("described faces", given.faces, faces)
     if shape.uv is not None:
         yield exactly("described uv", given.uv, shape.uv)
     yield from expected_mesh(shape, part)
@@ -244,7 +253,18 @@ def random_triangle(rng: Rng, lattice: bool) -> Fields:
 
 
 def random_mesh(rng: Rng, lattice: bool) -> Fields:
-    return {"file": str(rng.choice(MESH_FILES)), "face_normals": coin_flip(rng)}
+    """A file or, once in four times, arrays: a corner of a cube, with or without normals and uv."""
+    drawn = {"file": str(rng.choice(MESH_FILES)), "face_normals": coin_flip(rng)}
+    more = rng.spawn(1)[0]
+    if more.random() < 0.75:
+        return drawn
+    corners = [[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, 0.5]]
+    arrays: Fields = {"vertices": corners, "faces": [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]}
+    if coin_flip(more):
+        arrays["normals"] = [[-1.0, -1.0, -1.0], [2.0, -1.0, -1.0], [-1.0, 2.0, -1.0], [-1.0, -1.0, 2.0]]
+    if coin_flip(more):
+        arrays["uv"] = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]
+    return {"face_normals": drawn["face_normals"], **arrays}
 
 
 def random_icosphere(rng: Rng, lattice: bool) -> Fields:
@@ -290,7 +310,9 @@ def triangle_mesh_reference(
 FLAT_AND_SMALL = frozenset({"flat", "small"})
 
 TRIANGLE = triangle_mesh_reference(Triangle, random_triangle, expected_triangle, FLAT_AND_SMALL)
-MESH = triangle_mesh_reference(MeshFile, random_mesh, importers={"obj": import_mesh, "ply": import_mesh})
+MESH = triangle_mesh_reference(
+    Mesh, random_mesh, expected_file_or_arrays, importers={"obj": import_mesh, "ply": import_mesh}
+)
 RECTANGLE = triangle_mesh_reference(
     Rectangle, groups=FLAT_AND_SMALL, importers={"rectangle": unit_shape_importer("rectangle")}
 )

@@ -1,7 +1,7 @@
 """Files of rays and of hits: reading and writing them, and hits from a file as a subject."""
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,10 +11,19 @@ import numpy as np
 from caster.cameras.single_ray import Ray
 from caster.description.errors import FileMissing, SceneError
 from caster.description.input_files import opened_input
+from caster.geometry.packing import Packed
 from caster.scene.model import MAX_FILM_SIDE, Film, Scene
 from caster.system.atomic_files import write_bytes
 from mitsuba_ref.reference.shared_input import SharedRays
-from mitsuba_ref.subjects.subject import Answer, CastRequest, NoAnswer, Subject, checked_answer, spread
+from mitsuba_ref.subjects.subject import (
+    Answer,
+    CastRequest,
+    NoAnswer,
+    Subject,
+    checked_answer,
+    spread,
+    without_hits_beyond,
+)
 
 COLUMNS = 8  # of a ray: o (3), d (3), t_min, t_max
 NPY_MAGIC, ZIP_MAGIC = b"\x93NUMPY", b"PK"
@@ -175,7 +184,7 @@ class HitsFile(Subject):
 
 
 def answer_of_hits(
-    arrays: dict[str, np.ndarray], there: np.ndarray, precision: str | None = None, any_hit: bool = False
+    arrays: Mapping[str, Any], there: np.ndarray, precision: str | None = None, any_hit: bool = False
 ) -> Answer:
     """The answer from nearest hits, or from any-hit answers, one for each pixel in `there`. Raises NoAnswer."""
     names = ("any_hit",) if any_hit else ("shape_id", "prim_id")
@@ -191,6 +200,27 @@ def answer_of_hits(
     ids = {name: np.where(found.hit, spread(values, there, -1), -1) for name, values in numbers.items()}
     named: dict[str, Any] = {name: values for name, values in ids.items() if is_given(values, found.hit)}
     return replace(found, **named)
+
+
+def answer_of_numbered_hits(
+    hits: Mapping[str, Any], rays: SharedRays, packed: Packed, precision: str | None, *, limits: bool
+) -> Answer:
+    """The answer from nearest hits; prim_id without shape_id is numbered through the scene. Raises NoAnswer.
+
+    packed: the primitives as the subject numbers them. limits: whether it is given t_max, so that a hit beyond it is
+    no answer; else such a hit counts as a miss.
+    """
+    there, arrays = rays.t_max >= 0.0, dict(hits)
+    found = answer_of_hits(arrays, there, precision)
+    if found.shape_id is None and found.prim_id is not None:
+        inside = found.hit & (found.prim_id >= 0) & (found.prim_id < packed.first[-1])
+        known = np.where(inside, found.prim_id, -1)
+        found = replace(found, shape_id=packed.shape_of(known), prim_id=packed.index_in_shape(known))
+    t_max = rays.t_max.astype(np.float64)
+    if not limits:
+        return without_hits_beyond(found, t_max)
+    late = found.hit & (found.t > t_max)
+    return replace(found, broken={**found.broken, **({"a hit beyond t_max": late} if late.any() else {})})
 
 
 def is_given(ids: np.ndarray, hit: np.ndarray) -> bool:

@@ -100,7 +100,7 @@ def read_by(*lines: str) -> tuple[str, ...]:
 READERS: dict[str, tuple[str, ...]] = {
     "in/scene.toml": read_by(
         "caster check FILE",
-        "caster render FILE -o out/o.exr --json",
+        "caster render FILE -o out/o.exr --explain",
         "caster probe FILE 3 3 --json",
         "caster sheet FILE -o out/o.png --side 16",
         "mitsuba-ref rays FILE -o out/r.npz --kind features --count 20",
@@ -192,6 +192,7 @@ WITHOUT_FILES = (
     "mitsuba-ref doctor",
     "mitsuba-ref schema verdict",
     "mitsuba-ref init c out/start",
+    "mitsuba-ref docs jit",
     "mitsuba-ref stress --list --json out/s.json",
     "mitsuba-ref stress tangency --rays 2 --json out/s.json",
     "mitsuba-ref bench --list",

@@ -2,6 +2,7 @@
 
 import importlib.util
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,8 @@ import pytest
 from mitsuba_ref.reference.variants import usable_variants
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = ("quick-start",)
+# Page -> programs and modules that its commands need beside the product.
+PAGES = {"quick-start": (), "debugging": (), "recipes/embree": ("cc", "embreex"), "recipes/open3d": ("open3d",)}
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +31,8 @@ def essence(page):
 @pytest.mark.parametrize("name", PAGES)
 @pytest.mark.slow("a page of docs: a caster in NumPy, a minute")
 def test_the_outputs_on_a_page_are_those_of_today(console, tmp_path, name):
+    if missing := [each for each in PAGES[name] if not (shutil.which(each) or importlib.util.find_spec(each))]:
+        pytest.skip(f"not on this machine: {', '.join(missing)}")
     if usable_variants().libllvm is None:
         pytest.skip("pages show the answers of Mitsuba's LLVM variant: install libLLVM 17 or newer")
     page = (ROOT / f"docs/{name}.md").read_text(encoding="utf-8")

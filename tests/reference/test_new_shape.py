@@ -10,7 +10,7 @@ from edited_tree import ROOT, run_with, said_beside_progress
 
 SENTENCE = (
     "Tetrahedron has no reference: write mitsuba_ref/shapes/tetrahedron.py and add its line to "
-    "mitsuba_ref/shapes/__init__.py (docs/internals/adding-a-shape.md)"
+    "mitsuba_ref/shapes/__init__.py (mitsuba-ref docs adding-a-shape)"
 )
 SCENE = """
 [film]

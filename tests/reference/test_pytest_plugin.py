@@ -1,5 +1,6 @@
 """The pytest plug-in, run by pytest on small scenes: collection, number of judgements, and output."""
 
+import json
 import re
 import tempfile
 import tomllib
@@ -166,6 +167,12 @@ def test_meshes_may_lie_in_folders_that_the_ini_file_names(folder, crashing):
     assert len(crashing()) == 1  # the scene was loaded, and Mitsuba asked
 
 
+def scenes_of_page():
+    """The names of the scenes on the page of the folder page."""
+    index = re.search(r'id="index">(.*?)</script>', Path("page/index.html").read_text(encoding="utf-8"))[1]
+    return sorted(scene["name"] for scene in json.loads(index)["scenes"])
+
+
 MADE_UP = """
 import os, sys
 sys.path.insert(0, {tests!r})
@@ -188,7 +195,8 @@ def test_with_several_workers_each_scene_is_judged_once(folder, tmp_path, monkey
     log = tmp_path / "judged"
     folder.makeconftest(MADE_UP.format(tests=str(ROOT / "tests/unit"), log=str(log)))
     words = ("-p", "xdist.plugin", "-n", "2", "--dist", "load", "--mitsuba-ref", "scenes")
-    found = run(folder, *words, inside=False)
+    found = run(folder, *words, "--mitsuba-ref-html", "page", inside=False)
+    assert scenes_of_page() == ["good", "strict"]
     found.assert_outcomes(failed=1, passed=2 * len(NAMES) - 1)
     assert sorted(log.read_text().split()) == ["good", "strict"]
     assert "FAIL  strict  depth: 1 wrong" in found.stdout.str()
@@ -220,13 +228,13 @@ def test_a_candidate_is_judged_and_what_it_does_not_give_is_skipped(folder):
     folder.makepyfile(somebodys=CASTERS)
     words = ("--mitsuba-ref", "scenes/good.toml", "--mitsuba-ref-size", "8", "6", "-rs")
     found = run(folder, *words, "--mitsuba-ref-candidate", "somebodys:right")
-    found.assert_outcomes(passed=12, skipped=2)
+    found.assert_outcomes(passed=12, skipped=3)
     text = found.stdout.str()
     assert "films of 8 x 6, candidate somebodys:right" in text
     assert "not judged: somebodys:right does not give it" in text
     found = run(folder, *words, "--mitsuba-ref-candidate", "somebodys:turned")
     text = found.stdout.str()
-    found.assert_outcomes(passed=8, failed=3, skipped=3)
+    found.assert_outcomes(passed=8, failed=3, skipped=4)
     assert "the normal is turned round" in text and " good: normal " in text
     assert "probe scenes/good.toml" in text and " --candidate somebodys:turned" in text
 
@@ -236,7 +244,7 @@ def test_a_candidate_that_declines_or_is_not_there_fails_every_test(folder):
     words = ("--mitsuba-ref", "scenes/good.toml")
     for name, says in (("somebodys:declines", "no spheres"), ("nobodys:caster", "cannot import nobodys")):
         found = run(folder, *words, "--mitsuba-ref-candidate", name)
-        found.assert_outcomes(failed=14)
+        found.assert_outcomes(failed=15)
         assert says in found.stdout.str()
 
 
@@ -246,3 +254,37 @@ def test_options_of_a_candidate_that_contradict_each_other_are_refused(folder):
     assert "expected mitsuba_ref_candidate beside it" in found.stderr.str() + found.stdout.str()
     found = run(folder, *words, "--mitsuba-ref-candidate", "a:b", "--mitsuba-ref-candidate-serve", "c")
     assert "not together with" in found.stderr.str() + found.stdout.str()
+
+
+SCENES_IN_TEST = ("good", "touching-spheres")
+IN_TESTS = """
+import pytest
+from somebodys import right, turned
+
+
+@pytest.mark.parametrize("trace", [right, turned])
+def test_mine(judge_caster, trace):
+    assert judge_caster(trace, ["scenes/good.toml", "builtin:touching-spheres"], size=(8, 6)).ok
+"""
+
+
+def test_a_caster_is_judged_in_any_test_and_the_message_has_ten_readable_lines(folder):
+    folder.makepyfile(somebodys=CASTERS, test_it=IN_TESTS)
+    found = run(folder, "test_it.py", "--mitsuba-ref-html", "page")
+    found.assert_outcomes(passed=1, failed=1)
+    told = found.stdout.str()
+    shown = told[told.index("test_mine[turned]") :].partition("short test summary")[0].splitlines()[1:-1]
+    assert "2 scenes: 0 pass, 2 fail: good, touching-spheres" in shown[0] and "the normal is turned round" in told
+    assert any("replay:    mitsuba-ref probe " in line for line in shown) and len(shown) <= 12, shown
+    assert "Traceback" not in told and "judge_caster(" not in told
+    assert scenes_of_page() == [
+        f"test_mine[{name}] {scene}" for name in ("right", "turned") for scene in SCENES_IN_TEST
+    ]
+    assert f"mitsuba-ref report: {Path('page/index.html').absolute().as_uri()}" in told
+
+
+def test_the_test_of_the_documentation_passes_as_written(folder):
+    page = (ROOT / "docs/ci.md").read_text(encoding="utf-8")
+    (test,) = re.findall(r"```python\n((?:(?!```).)*judge_caster.*?)```", page, re.DOTALL)
+    folder.makepyfile(mine=CASTERS.replace("def right", "def trace"), test_page=test.replace("(48, 48)", "(6, 5)"))
+    run(folder, "test_page.py").assert_outcomes(passed=1)

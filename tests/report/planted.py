@@ -67,8 +67,8 @@ def plant(answer: TraceResponse) -> None:
     answer.p[row_of(INFINITE), 0] = -np.inf
 
 
-def judged(name: str, plant: Plant = lambda answer: None) -> SceneVerdict:
-    asked = scene()
+def judged(name: str, plant: Plant = lambda answer: None, size: tuple[int, int] = (WIDTH, HEIGHT)) -> SceneVerdict:
+    asked = scene().with_film(width=size[0], height=size[1])
 
     def send(job: TraceRequest, timeout: float) -> TraceResponse:
         answer = rounded_answer(asked, job)
@@ -109,6 +109,6 @@ def rounded_answer(asked: Scene, job: TraceRequest) -> TraceResponse:
         light_visible=np.zeros((0, count), bool),
         albedo=albedo,
         sensor=np.column_stack([rays.o, rays.d, rays.t_max]),
-        versions={"mitsuba": "none", "variant": "scalar, ours rounded"},
+        versions={"mitsuba": "none", "variant": "scalar, rounded"},
         seconds=0.0,
     )

@@ -6,9 +6,12 @@ from urllib.parse import parse_qs, quote
 
 import numpy as np
 import planted
+from test_records import unpacked
 
 from mitsuba_ref.error_model.bounds import aov_rows
-from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED
+from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED, KindBias, SceneCheck
+from mitsuba_ref.report.html_report import ImagePair, write_comparison
+from mitsuba_ref.report.scene_record import scene_record
 from mitsuba_ref.report.validation import Validation
 
 BAD = "bad & <worse>"
@@ -73,12 +76,14 @@ def test_a_scene_without_an_answer_has_its_words(visit, folder):
 
 
 def test_every_number_of_the_images_comes_back(visit, folder, verdicts):
-    """What the page unpacks, against the arrays: all pixels of all layers, both sides."""
+    """What the page unpacks, against the arrays: all layers, both sides, at pixels that are stored without loss."""
     page = visit(folder, at(planted.NAN, a="position", v="ours", z=96)).page
     ready(page)
     pair = verdicts["bad"].seen.judge.pair
     assert page.inner_text("#pixel .xy") == "8, 12" and "unlisted" in page.inner_text("#pixel .class")
-    for y, x in np.argwhere(pair.subject.hit)[::97]:
+    rows = unpacked(scene_record(verdicts["bad"].seen).about["rows"])
+    hits = rows[pair.subject.hit.ravel()[rows]]
+    for y, x in np.column_stack(np.divmod(hits, planted.WIDTH))[::31].tolist():
         page.evaluate(f"location.hash = '{at((x, y), a='position')}'")
         page.wait_for_selector(f"#pixel .xy:text-is('{x}, {y}')")
         row = planted.row_of((x, y))
@@ -199,3 +204,127 @@ def test_a_waived_scene_is_no_failure_and_is_counted(visit, verdicts, tmp_path):
     page.select_option("#status", "waived")
     assert page.locator(".row").count() == 2 and "FAIL" not in page.inner_text("#list")
     assert visit(index, "#s=known").page.inner_text("#scene-mark") == "KNOWN"
+
+
+def test_a_failing_scene_check_has_its_evidence_and_the_key_n_leads_there(visit, verdicts, tmp_path):
+    broken = SceneCheck("bias", 3.0, "t of Spheres is biased: z -15.0 of 900 groups")
+    kinds = (KindBias("Spheres", 900, -15.0), KindBias("Planes", 1, 1.0))
+    statistics = replace(verdicts["good"].statistics, biases=kinds)
+    leaning = replace(verdicts["good"], checks=(broken, *verdicts["good"].checks), statistics=statistics)
+    index = Validation((leaning,)).write_html(tmp_path / "report")
+    page = visit(index).page
+    assert "3\u00d7 bias" in page.locator(".row .worst").inner_text()
+    page.click(".row")
+    page.wait_for_selector("#bad:enabled >> text=evidence")
+    page.keyboard.press("n")
+    page.wait_for_selector("[data-view=difference][aria-pressed=true]")
+    words = page.inner_text("#pixel")
+    assert "have a mean that chance does not explain" in words and broken.what in words
+    bars = page.locator(".bars").first
+    assert bars.locator("rect.over").count() == 1 and "too few groups" in bars.inner_text()
+    assert page.locator(".signs rect").count() == 40 and "No pixel is pinned" in words
+
+
+def test_an_image_keeps_its_place_when_views_and_layers_change(visit, folder):
+    page = visit(folder, "#s=good&v=ours").page
+    page.wait_for_selector(".pane canvas")
+    places = set()
+    for key in ("o", "r", "d", "x", "l", "w", "b", "2", "6", "7"):
+        page.keyboard.press(key)
+        page.wait_for_timeout(80)
+        if page.locator(".pane").count() == 1:
+            places.add(str(page.locator(".pane canvas").bounding_box()))
+    assert len(places) == 1
+
+
+def test_levels_choose_what_is_drawn_dark_and_light(visit, folder):
+    opened = visit(folder, "#s=good&v=ours&a=depth")
+    page = opened.page
+    page.wait_for_selector("#low:enabled")
+    before = color_at(page, "ours", planted.OURS_WRONG)
+    page.fill("#low", "0")
+    page.fill("#high", "100")
+    page.press("#high", "Enter")
+    page.wait_for_selector(".legend >> text=100")
+    assert color_at(page, "ours", planted.OURS_WRONG) != before
+    assert hash_of(opened)["hi"] == "100"
+    page.fill("#offset", "0.5")
+    page.press("#offset", "Enter")
+    page.wait_for_timeout(80)
+    assert color_at(page, "ours", planted.OURS_WRONG)[0] < 200
+    page.keyboard.press("0")
+    page.wait_for_timeout(80)
+    assert color_at(page, "ours", planted.OURS_WRONG) == before
+    page.keyboard.press("2")
+    assert "hi" not in hash_of(opened)
+
+
+def test_every_pixel_is_reached_and_its_values_are_copied_by_keys_alone(visit, folder):
+    opened = visit(folder, "#s=good", permissions=["clipboard-read", "clipboard-write"])
+    page = opened.page
+    page.wait_for_selector("#pixel >> text=Classes of pixels here")
+    for key in ("ArrowLeft", "PageUp", "PageUp", "Home", "Home"):
+        page.keyboard.press(key)
+    assert (hash_of(opened)["x"], hash_of(opened)["y"]) == ("0", "0")
+    for key in ("PageDown", "PageDown", "End", "End"):
+        page.keyboard.press(key)
+    assert (hash_of(opened)["x"], hash_of(opened)["y"]) == (str(planted.WIDTH - 1), str(planted.HEIGHT - 1))
+    ready(page)
+    page.keyboard.press("v")
+    page.wait_for_selector("#status-line >> text=copied: values of pixel")
+    lines = page.evaluate("navigator.clipboard.readText()").splitlines()
+    assert lines[0].split("\t")[1:] == ["ours", "reference"] and any(line.startswith("depth\t") for line in lines)
+
+
+def test_the_sheet_of_a_narrow_screen_covers_no_image(visit, folder):
+    page = visit(folder, at(planted.NAN), viewport={"width": 390, "height": 844}).page
+    ready(page)
+    for _ in range(2):
+        images, sheet = (page.locator(each).bounding_box() for each in ("#stages", "#side"))
+        assert images["y"] + images["height"] <= sheet["y"] + 1 and sheet["y"] + sheet["height"] <= 845
+        page.click("#sheet")
+
+
+def test_the_head_and_the_words_of_the_page(visit, folder):
+    page = visit(folder).page
+    facts = page.inner_text("#facts")
+    assert all(term in facts for term in ("command", "date", "versions", "processor", "duration", "reference"))
+    page.click("#meaning summary")
+    assert "differs by less than the error bound" in page.inner_text("#legend")
+    page.keyboard.press("?")
+    assert "Decided by exact arithmetic" in page.inner_text("#terms")
+
+
+# ---- two images without a judge
+
+
+def test_two_images_without_a_judge_have_the_same_viewer(visit, tmp_path):
+    y, x = np.mgrid[0:12, 0:16].astype(np.float32)
+    ours = np.stack([x / 16, y / 12, 0 * x], axis=-1)
+    other = ours.copy()
+    other[5:7, 8:10] += 0.25
+    other[2, 3, 0] = np.nan
+    pair = ImagePair(("a.exr", "b <1>.exr"), (16, 12), {"beauty": (ours, other), "depth": (x + 1, x + 1)})
+    facts = [("MSE", "0.00123"), ("FLIP", "0.04")]
+    opened = visit(write_comparison(tmp_path / "report", pair, facts, ok=False, text="FAIL  beauty: 4 pixels differ"))
+    page = opened.page
+    page.wait_for_selector("#summary >> text=FLIP")
+    assert "0.00123" in page.inner_text("#summary") and "4 pixels differ" in page.inner_text("#summary")
+    assert page.locator("[data-layer]").all_inner_texts() == ["1\nbeauty", "2\ndepth"]
+    assert not page.locator("[data-view=class]").is_visible() and not page.locator("[data-do=back]").is_visible()
+    page.keyboard.press("n")
+    page.wait_for_selector("#pixel .xy")
+    seen = set()
+    for _ in range(5):
+        seen.add(page.inner_text("#pixel .xy"))
+        page.keyboard.press(".")
+        page.wait_for_timeout(60)
+    assert seen == {"3, 2", "8, 5", "9, 5", "8, 6", "9, 6"}
+    page.evaluate("location.hash = '#x=8&y=5&a=beauty'")
+    page.wait_for_selector("#pixel .xy:text-is('8, 5')")
+    expected = [float(value).hex() for value in np.column_stack([ours[5, 8], other[5, 8]]).ravel()]
+    assert NUMBERS.findall(section(page, "beauty").inner_text()) == expected
+    assert "b <1>.exr" in page.inner_text("#views")
+    page.keyboard.press("Escape")
+    page.keyboard.press("Escape")
+    assert page.locator("#scene").is_visible()

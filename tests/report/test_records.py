@@ -11,61 +11,83 @@ import textbook_pages
 import caster
 from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.judge.verdict import UNLISTED
-from mitsuba_ref.report.evidence import film_edges, project_points
+from mitsuba_ref.report.evidence import EDGE_UNITS, film_edges, project_points
 from mitsuba_ref.report.html_report import index_row
-from mitsuba_ref.report.scene_record import FLOAT_LAYERS, coarse, narrowest, packed, scene_record
+from mitsuba_ref.report.scene_record import (
+    ENTIRE,
+    FLOAT_LAYERS,
+    INF_CODE,
+    LARGEST_CODE,
+    LEAST_SHARE,
+    NAN_CODE,
+    NO_BOUND,
+    error_codes,
+    image,
+    packed,
+    scene_record,
+    share_codes,
+    value_codes,
+    value_steps,
+)
 from mitsuba_ref.report.validation import Validation
 
 
-def unpacked(array, like=None):
+def unpacked(array):
     """The way back, as mitsuba_ref/report/page/arrays.js has it, in a few lines of NumPy."""
     kind = np.dtype(array["type"])
     planes = np.frombuffer(zlib.decompress(base64.b64decode(array["z"])), np.uint8).reshape(kind.itemsize, -1)
     bits = np.ascontiguousarray(planes.T).view(f"u{kind.itemsize}").ravel()
-    if "delta" in array:
-        bits = np.cumsum(bits, dtype=bits.dtype)
-    if "xor" in array:
-        bits = bits ^ np.where(np.isnan(like), 0.0, like).astype(kind).view(bits.dtype)
-    return bits.view(kind)
+    if "width" not in array:
+        return bits.view(kind)
+    folded = bits.astype(np.int64).reshape(-1, array["height"], array["width"])
+    codes = (folded >> 1) ^ -(folded & 1)
+    return codes.cumsum(axis=1).cumsum(axis=2) if array["plane"] else codes
 
 
 # ---- of a candidate
 
 
 def test_a_record_has_what_the_candidate_gives_and_no_more(judged):
-    assert set(scene_record(judged["inside"].seen).layers) == {"ids", "ratio", "depth", "normal", "edges"}
-    assert set(scene_record(judged["single"].seen).layers) == {"ids", "ratio", "depth", "edges"}
+    assert set(scene_record(judged["inside"].seen).layers) == {"ids", "depth", "normal", "edges"}
+    assert set(scene_record(judged["single"].seen).layers) == {"ids", "depth", "edges"}
     ids = scene_record(judged["inside"].seen).layers["ids"]
-    assert set(ids) == {"shape_reference", "prim_reference", "t_reference", "t_ours"}
-    assert set(scene_record(judged["inside"].seen).layers) < {"ids", "ratio", *FLOAT_LAYERS, "edges"}
+    assert set(ids) == {"shape_reference", "prim_reference", "exact"}
+    assert set(scene_record(judged["inside"].seen).layers) < {"ids", *FLOAT_LAYERS, "edges"}
     assert judged["single"].unjudged == ("normal", "position", "shading_normal", "uv", "shape_id", "diffuse")
 
 
 @pytest.mark.parametrize("name", ["inside", "single"])
 def test_t_is_what_the_function_returned_to_the_bit(judged, name):
-    expected = textbook_pages.RETURNED[name]
-    ids = scene_record(judged[name].seen).layers["ids"]
-    reference = unpacked(ids["t_reference"])
-    assert np.array_equal(reference, judged[name].seen.judge.result.t)
-    assert np.array_equal(unpacked(ids["t_ours"], reference), expected)
+    record, seen = scene_record(judged[name].seen), judged[name].seen
+    rows, exact = unpacked(record.about["rows"]), record.layers["ids"]["exact"]
+    reference, expected = unpacked(exact["t_reference"]), textbook_pages.RETURNED[name][rows]
+    assert np.array_equal(reference, seen.judge.result.t[rows])
+    assert np.array_equal(unpacked(exact["t_ours"]), expected)
     assert 0 < np.isfinite(expected).sum() < len(expected)
 
 
 def test_what_is_no_answer_is_nan_and_never_zero():
     verdict = planted.judged_candidate("gaps", textbook_pages.trace_with_gaps, planted.scene())
     found = scene_record(verdict.seen)
-    sides = {}
-    for name, channels in (("depth", 1), ("normal", 3)):
-        layer = found.layers[name]
-        ours = unpacked(layer["ours"], unpacked(layer["reference"]))
-        sides[name] = ours.reshape(channels, -1)
+    rows = unpacked(found.about["rows"])
     no_normal, no_t = map(planted.row_of, (textbook_pages.NO_NORMAL, textbook_pages.NO_T))
-    assert np.isnan(sides["normal"][:, no_normal]).all() and np.isnan(sides["depth"][:, no_t]).all()
-    assert np.isnan(sides["normal"]).sum() == 3 and np.isnan(sides["depth"]).sum() == 1
+    for name, row in (("depth", no_t), ("normal", no_normal)):
+        layer, place = found.layers[name], int(np.flatnonzero(rows == row)[0])
+        ours = unpacked(layer["exact"]["ours"]).reshape(-1, len(rows))
+        codes = unpacked(layer["ours"]) + unpacked(layer["reference"])
+        assert np.isnan(ours[:, place]).all() and np.isnan(ours).any(axis=0).sum() == 1
+        assert np.flatnonzero((codes == NAN_CODE).all(axis=0)).tolist() == [row]
     assert [finding.what for finding in verdict.findings] == [
         "no answer: t is NaN",
         "no answer: the normal is not finite on a hit",
     ]
+
+
+def test_a_passing_scene_takes_a_few_bytes_a_pixel(tmp_path):
+    """Nine scenes of 256 x 256 pixels are to fit into 4 MB, 6.8 bytes a pixel."""
+    found = planted.judged("ball", size=(200, 180))
+    Validation((found,)).write_html(tmp_path)
+    assert 0 < (tmp_path / "data/ball.js").stat().st_size < 6.8 * 200 * 180 + 20_000  # and what any verdict takes
 
 
 def test_rows_and_pages_name_the_candidate(judged, tmp_path):
@@ -77,35 +99,51 @@ def test_rows_and_pages_name_the_candidate(judged, tmp_path):
 
 # ---- arrays
 
-ODD = [0.0, -0.0, 1.5, -2.25, np.inf, -np.inf, np.nan, 5e-324, 1e-45, 3.4e38, np.pi]
-
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64, np.int32, np.uint8])
 def test_what_goes_in_comes_out_to_the_bit(dtype):
     numbers = np.random.default_rng(4).normal(0.0, 40.0, (300, 3))
     values = numbers.astype(dtype) if dtype != np.uint8 else np.abs(numbers).astype(dtype)
+    if values.dtype.kind == "f":
+        values[:6, 0] = [-0.0, np.inf, -np.inf, np.nan, 5e-324, 3e38]
     assert unpacked(packed(values)).tobytes() == np.ascontiguousarray(values.T).tobytes()
 
 
-def test_bits_are_taken_off_the_reference_and_put_back():
-    with np.errstate(over="ignore"):
-        reference = np.array(ODD, np.float64).astype(np.float32)
-    ours = np.array([*ODD[3:], *ODD[:3]], np.float64)
-    for mine, theirs in ((ours, reference), (ours, reference.astype(np.float64))):
-        assert unpacked(packed(mine, theirs), theirs).tobytes() == mine.tobytes()
+def test_an_image_comes_out_as_it_goes_in():
+    rng = np.random.default_rng(4)
+    y, x = np.mgrid[0:14, 0:20]
+    smooth = np.stack([3 * x - 5 * y, (x * y) // 3, 40 * x], axis=-1).reshape(-1, 3)
+    for codes in (smooth, rng.integers(-INF_CODE, INF_CODE + 1, (280, 1)), np.zeros((280, 2), np.int64)):
+        for found in (image(codes, (14, 20)), image(codes, (14, 20), smooth=False)):
+            assert np.array_equal(unpacked(found).reshape(codes.shape[1], -1).T, codes)
 
 
-def test_float32_only_where_nothing_is_lost():
-    assert narrowest(np.array([1.5, np.nan, np.inf])).dtype == np.float32
-    assert narrowest(np.array([1.5, 0.1])).dtype == np.float64
+def test_values_are_rounded_to_a_step_and_what_is_no_number_stays_none():
+    values = np.array([[0.0, 1.0, -3.5, 1e300, -1e300, np.nan, np.inf, -np.inf]]).T
+    codes = value_codes(values, np.array([0.5]))[:, 0].tolist()
+    assert codes == [0, 2, -7, LARGEST_CODE, -LARGEST_CODE, NAN_CODE, INF_CODE, -INF_CODE]
+    assert value_steps(np.linspace(-1.0, 1.0, 10001)[:, None]) == pytest.approx(1.96 / 255)
 
 
 def test_shares_are_never_reported_smaller_than_they_are():
-    numbers = 10.0 ** np.random.default_rng(4).uniform(-50.0, 50.0, 5000)
-    told = coarse(numbers).astype(np.float64)
-    assert np.all(told >= numbers)
-    normal = (numbers > 2e-38) & (numbers < 3e38)
-    assert np.all(told[normal] <= numbers[normal] * (1.0 + 2.0**-11 + 2.0**-22))
+    shares = np.concatenate([10.0 ** np.random.default_rng(4).uniform(-3.0, 30.0, 5000), [0.0, 1.0]])
+    codes = share_codes(shares).astype(np.float64)
+    told = np.where(codes == 0, 2.0**-LEAST_SHARE, 2.0 ** ((codes - ENTIRE) / 2))
+    assert np.all(told >= shares * (1.0 - 2.0**-50)) and np.all((told <= shares * 1.42) | (codes == 0))
+    just = np.nextafter([1.0, 1.0], [0.0, 2.0])
+    assert share_codes(np.array([*just, np.inf, np.nan])).tolist() == [ENTIRE, ENTIRE + 1, NO_BOUND, NO_BOUND]
+
+
+def test_errors_keep_their_sign_and_their_size_within_the_root_of_2():
+    rng = np.random.default_rng(4)
+    reference = rng.normal(size=(4000, 3))
+    ours = reference + np.array([1e-9, -3e-9, 2e-9]) * rng.lognormal(size=(4000, 1))
+    unit, codes = error_codes(ours - reference)
+    error = (ours - reference)[:, 1]
+    told = np.sign(codes) * unit * 2.0 ** (np.abs(codes) - 1.0)
+    large = np.abs(error) > 2.0 * unit
+    assert large.sum() > 2500 and np.all(np.abs(np.log2(told[large] / error[large])) < 0.501)
+    assert not error_codes(np.zeros((9, 3)))[1].any() and error_codes(np.array([[5e-324], [1.0]]))[1].tolist()[0] >= 0
 
 
 # ---- projected edges
@@ -137,6 +175,6 @@ def test_edges_of_the_triangles_that_are_hit_are_drawn():
     judge, judgement = verdict.seen.judge, verdict.seen.judgement
     hit = np.unique(judge.reference_prim[judge.reference_prim >= 0])
     edges = film_edges(judge, judgement)
-    assert len(hit) == 4 and edges.shape == (12, 4)
+    assert len(hit) == 4 and edges.shape == (10, 4)
     corners = project_points(cube, judge.model.packed.kinds[0].prims.vertices)
-    assert np.abs(edges.reshape(-1, 1, 2) - corners).max(axis=2).min(axis=1).max() < 1e-4
+    assert np.abs(edges.reshape(-1, 1, 2) / EDGE_UNITS - corners).max(axis=2).min(axis=1).max() <= 0.5 / EDGE_UNITS

@@ -34,7 +34,7 @@ def runs(workflow):
 def commands():
     """Every line of code of the pages, and of the workflows, that begins with one of the programs."""
     text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
-    lines = re.findall(r"^(?:    |\$ )(.*)$", text, re.MULTILINE)
+    lines = re.findall(r"^(?:    |\$ )((?:caster|mitsuba-ref) [\w-].*?)(?: > .*)?$", text, re.MULTILINE)
     lines += [command for workflow in workflows() for command in runs(workflow)]
     lines += re.findall(r"`((?:caster|mitsuba-ref) [a-z]+ [^`]*)`", PAGE)
     found = dict.fromkeys(line for line in lines if line.split(" ")[0] in PARSERS)

@@ -83,7 +83,8 @@ def test_all_values_that_a_scene_refuses_are_reported_at_their_blocks(tmp_path):
     assert errors(tmp_path, text) == [
         "2:1: camera (pinhole): fov must be < 180, got 300",
         "11:9: shapes[0] (sphere): radius must be > 0, got -1",
-        "12:33: shapes[1] (mesh): file cannot be used: cannot read this mesh file: No such file or directory",
+        "12:33: shapes[1] (mesh): file cannot be used: cannot read this mesh file: No such file or directory; "
+        f"tried {tmp_path.resolve() / 'gone.obj'}: if it is elsewhere, add --mesh-dir FOLDER",
         "12:33: shapes[1] (mesh): to_world must be invertible, but its matrix is singular",
     ]
 

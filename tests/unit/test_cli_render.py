@@ -1,6 +1,5 @@
 """`caster render` writes the same bytes every time, with their provenance."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -91,24 +90,23 @@ def test_the_file_states_where_it_comes_from(folder):
     }
 
 
-def test_json_reports_what_was_done_and_what_was_left_out(folder, capsys):
+def test_explain_reports_what_was_done_and_what_was_left_out(folder, capsys):
     looking = 'type = "pinhole"\neye = [0.3, 0.4, 5]\nlook_at = [0, 0, 0]'
     one_ray = SCENE.replace(looking, 'type = "ray"\norigin = [1.2, 0.5, 5]\ndirection = [0, 0, -1]')
     (folder / "s.toml").write_text(one_ray + "[shading]\nshadows = false\n")
-    render("--json")
-    said = json.loads(capsys.readouterr().out)
+    render("--explain")
+    said = capsys.readouterr().out
     cube = next(kind for kind in packed(caster.load_scene("s.toml")).kinds if len(kind.ids) == 12)
     nodes = len(bvh_of(cube).links)
-    assert nodes >= 1 and said["culling"]["name"] == "bvh"
-    assert f"a BVH of {nodes} nodes" in [kind["way"] for kind in said["primitives"]]
-    assert said["surfaces"]["worked_out"] == ["position", "normals"]
-    assert said["trees"] == {"runs": True, "reason": "camera rays traverse them", "grown": 1}
-    assert said["shadow_rays"] == {"runs": False, "reason": "the scene switches shadows off", "cast": 0}
+    assert nodes >= 1 and "culling          name bvh, reason " in said and f"way a BVH of {nodes} nodes" in said
+    assert "worked out position normals, " in said
+    assert "trees            runs yes, reason camera rays traverse them, grown 1\n" in said
+    assert "shadow rays      runs no, reason the scene switches shadows off, cast 0\n" in said
 
 
 def test_an_empty_scene_is_a_image_of_misses(folder, capsys):
     (folder / "s.toml").write_text(SCENE.partition("[[shape]]")[0])
-    render("--aov", ALL, "--json")
-    assert json.loads(capsys.readouterr().out)["primitives"] == []
+    render("--aov", ALL, "--explain")
+    assert "primitives       none\n" in capsys.readouterr().out
     exr = caster.read_exr("s.exr")
     assert not exr.channels["A"].any() and (exr.channels["depth.Z"] == np.inf).all()

@@ -54,8 +54,19 @@ def test_every_link_and_every_named_place_exists():
 def test_the_map_names_every_page_and_at_most_twelve_for_users():
     index = ROOT / "docs/README.md"
     there = {page.relative_to(index.parent).as_posix() for page in ROOT.glob("docs/**/*.md")} - {"README.md"}
-    assert set(links_of(index)) == there
+    assert {link for link in links_of(index) if link.endswith(".md")} == there
     assert len([page for page in there if "/" not in page]) <= 12
+
+
+def test_the_code_of_a_recipe_is_that_of_the_example_of_the_same_name():
+    examples = {path.name: path for path in (ROOT / "docs/candidates").rglob("*.*")}
+    shown = {}
+    for page in ROOT.glob("docs/recipes/*.md"):
+        for name, code in re.findall(
+            r"^```\w+\n(?:#|//) (\S+)\n(.*?)^```$", page.read_text(), re.DOTALL | re.MULTILINE
+        ):
+            shown[name] = code
+    assert len(shown) == 4 and shown == {name: examples[name].read_text() for name in shown}
 
 
 def program(name):

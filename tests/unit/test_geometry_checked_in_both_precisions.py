@@ -15,19 +15,7 @@ from caster.description.fields import Shape
 from caster.geometry.packing import packed
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
-from caster.shapes import (
-    Cube,
-    Cylinder,
-    Disk,
-    Heightfield,
-    Icosphere,
-    MeshFile,
-    Plane,
-    Rectangle,
-    Sphere,
-    Torus,
-    Triangle,
-)
+from caster.shapes import Cube, Cylinder, Disk, Heightfield, Icosphere, Mesh, Plane, Rectangle, Sphere, Torus, Triangle
 from mitsuba_ref.judge.checks import shapes, worst_share
 from mitsuba_ref.judge.checks.shapes import PRECISIONS, Precision, check_geometry
 from mitsuba_ref.judge.verdict import SceneCheck
@@ -56,7 +44,7 @@ SHAPES: list[Shape] = [
         (Icosphere, {"subdivisions": 0}),
         (Heightfield, {"resolution": 2}),
         (Torus, {"segments": 3, "sides": 3}),
-        (MeshFile, {"file": str(GEM)}),
+        (Mesh, {"file": str(GEM)}),
     )
     for steps in ([TURNED, MOVED], [STRETCHED, TURNED, MOVED])
 ]
@@ -133,12 +121,12 @@ def test_what_stands_in_for_a_corner_beyond_use_is_no_fault(tmp_path, monkeypatc
     corners[4, 1] = bad
     lines = [f"v {x} {y} {z}" for x, y, z in corners.tolist()] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
     (tmp_path / "a.obj").write_text("\n".join(lines))
-    shape = MeshFile(file=str(tmp_path / "a.obj"), face_normals=face_normals, name="mesh")
+    shape = Mesh(file=str(tmp_path / "a.obj"), face_normals=face_normals, name="mesh")
     scene = Scene(camera=Pinhole(eye=(0.4, 0.5, 3.3), look_at=(0.3, 0.4, 0.0)), shapes=[shape]).with_film(
         width=9, height=7
     )
     assert check_geometry(scene).ok
-    pack = MeshFile.pack
+    pack = Mesh.pack
 
     def swapped(self, rounded):
         part = pack(self, rounded)
@@ -149,6 +137,6 @@ def test_what_stands_in_for_a_corner_beyond_use_is_no_fault(tmp_path, monkeypatc
         return part._replace(faces=np.concatenate([part.faces[:1] * 0, part.faces[1:]]))
 
     for wrong in (swapped, dropped):
-        monkeypatch.setattr(MeshFile, "pack", wrong)
+        monkeypatch.setattr(Mesh, "pack", wrong)
         found = check_geometry(scene.model_copy())
         assert not found.ok and found.what.startswith("faces of mesh")

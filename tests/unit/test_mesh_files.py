@@ -13,7 +13,7 @@ from ply_files import ENCODINGS, INDICES, XYZ, ply, ply_mesh
 from caster.description.errors import FileMissing, SceneError
 from caster.geometry.mesh_files import GLB_HEADER, load_mesh, parse_off
 from caster.geometry.triangle_mesh import vertex_normals
-from caster.shapes.mesh import MeshFile
+from caster.shapes.mesh import Mesh
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -478,7 +478,7 @@ def test_a_mesh_is_kept_until_its_file_has_another_time_or_size(tmp_path):
     def mesh_of(face, time):
         path.write_text(f"{SQUARE}f {face}\n")
         os.utime(path, ns=(time, time))
-        return MeshFile(file=str(path)).mesh()
+        return Mesh(file=str(path)).mesh()
 
     time = 1_700_000_000_000_000_000  # ns
     first = mesh_of("1 2 3", time)

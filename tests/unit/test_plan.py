@@ -115,7 +115,7 @@ def test_what_lies_behind_or_beside_is_not_looked_for(camera):
     assert kind["count"] == 36 and 4 <= kind["looked_for"] <= 12  # faces of the first cube; some show no pixel centre
 
 
-def test_the_account_is_printed_as_json(tmp_path, monkeypatch, capsys):
+def test_the_account_is_the_same_in_words_and_as_json(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     text = '[film]\nwidth = 8\nheight = 6\n[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n'
     (tmp_path / "s.toml").write_text(text + '[[shape]]\ntype = "sphere"\n')
@@ -123,6 +123,11 @@ def test_the_account_is_printed_as_json(tmp_path, monkeypatch, capsys):
     data = json.loads(capsys.readouterr().out)
     assert (tmp_path / data["output"]).exists() and data["camera_rays"]["cast"] == 48
     assert data["skipped_aovs"] == [name for name in BY_NAME if name not in ("depth", "normal")]
+    assert main(["render", "s.toml", "--aov", "depth,normal", "--explain"]) == 0
+    words = capsys.readouterr().out
+    assert f"culling          name {data['culling']['name']}, reason {data['culling']['reason']}\n" in words
+    assert f"surfaces         hits {data['surfaces']['hits']}, worked out normals, " in words
+    assert f"trees            runs no, reason {data['trees']['reason']}, grown 0\n" in words
 
 
 LONELY = """[film]

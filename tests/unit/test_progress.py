@@ -3,6 +3,7 @@
 import io
 import os
 import re
+import time
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 import caster
 from caster.__main__ import main
 from caster.rendering.images import render_film
+from caster.system import terminal as progress
 from caster.system.terminal import QUIET_SECONDS, REFRESH_SECONDS, ProgressBar, StatusLine
 from mitsuba_ref.cli import options
 
@@ -95,7 +97,7 @@ def test_a_terminal_gets_one_line_that_is_drawn_again_and_erased(terminal):
     bar.add(2)
     drawn = read()
     (line,) = screen(drawn)
-    assert line == f"validating {'#' * 12}{'-' * 12} 50 %, 1 of 2 scenes, 2 s left"
+    assert line == f"validating {'#' * 5}{'-' * 5} 50 %, 1 of 2 scenes, 2 s left"
     with bar.aside():
         drawn += read()
         assert screen(drawn) == []
@@ -111,6 +113,21 @@ def test_a_terminal_gets_one_line_that_is_drawn_again_and_erased(terminal):
     assert screen(drawn + erased) == ["a row"]
     bar.close()
     assert read() == ""
+
+
+def test_before_anything_is_counted_the_bar_says_what_a_fork_does(terminal, monkeypatch):
+    stream, read = terminal
+    monkeypatch.setattr(progress, "QUIET_SECONDS", 0.0)
+    monkeypatch.setattr(progress, "TICK_SECONDS", 0.02)
+    bar = ProgressBar("validating", 10, stream)
+    if not (child := os.fork()):
+        progress.report_stage("asking Mitsuba")
+        os._exit(0)
+    os.waitpid(child, 0)
+    time.sleep(0.5)
+    bar.close()
+    drawn = read()
+    assert f"validating {'-' * 10} 0 %, asking Mitsuba" in drawn and screen(drawn) == []
 
 
 @pytest.mark.parametrize("stream", [None, io.StringIO()], ids=["closed", "pipe"])

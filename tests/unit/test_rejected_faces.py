@@ -14,7 +14,7 @@ GOOD = "f 1 2 3\nf 1 3 4\n"
 
 def a_mesh(tmp_path, more, **fields):
     (tmp_path / "m.obj").write_text(QUAD + more + GOOD)
-    shape = caster.MeshFile(file=str(tmp_path / "m.obj"), **fields)
+    shape = caster.Mesh(file=str(tmp_path / "m.obj"), **fields)
     return caster.Scene(shapes=[shape], camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)))
 
 
@@ -62,7 +62,7 @@ def test_what_float32_makes_too_large_is_left_out_of_what_is_judged(tmp_path):
 
 def test_a_mesh_none_of_which_stays_finite_is_refused(tmp_path):
     (tmp_path / "m.obj").write_text("v 1e10 1e10 1e10\nv 1e11 -1e10 1e10\nv 1e10 1e10 -1e11\nf 1 2 3\n")
-    shape = caster.MeshFile(file=str(tmp_path / "m.obj"), to_world=({"scale": 1e305},))
+    shape = caster.Mesh(file=str(tmp_path / "m.obj"), to_world=({"scale": 1e305},))
     scene = caster.Scene(shapes=[shape], camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)))
     with pytest.raises(caster.SceneError, match=r"shapes\[0\] \(mesh\): must stay finite in world space"):
         caster.render(scene)
@@ -88,6 +88,6 @@ def test_the_count_is_reported(tmp_path, capsys, monkeypatch):
     words = "shape-0: 1 with a corner that is not finite, 1 without area"
     assert main(["check", "s.toml"]) == 0
     assert words in capsys.readouterr().out
-    assert main(["render", "s.toml", "-o", "s.exr", "--json"]) == 0
-    assert '"never_hit": {\n    "shape-0": 2\n  }' in capsys.readouterr().out
+    assert main(["render", "s.toml", "-o", "s.exr", "--explain"]) == 0
+    assert "never hit        shape-0 2\n" in capsys.readouterr().out
     assert caster.read_exr("s.exr").provenance["caster/faces_never_hit"] == words

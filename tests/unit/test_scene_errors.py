@@ -89,7 +89,11 @@ ONE_LINERS = [
         CAMERA + '\n  [[shape]]\ntype = "triangle"\n',
         "6:3: shapes[0] (triangle): needs the key 'vertices'",
     ),
-    ("missing file", CAMERA + '[[shape]]\ntype = "mesh"\n', "5:1: shapes[0] (mesh): needs the key 'file'"),
+    (
+        "missing file",
+        CAMERA + '[[shape]]\ntype = "mesh"\n',
+        "5:1: shapes[0] (mesh): needs file, or vertices and faces, got none",
+    ),
     ("no camera", "[film]\nwidth = 3\n", "1:1: scene: needs the key 'camera'"),
     ("an empty file", "", "1:1: scene: needs the key 'camera'"),
     (

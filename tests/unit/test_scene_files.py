@@ -96,7 +96,8 @@ def test_the_way_out_of_the_refusal_works(scenes):
 def test_a_missing_mesh_is_a_missing_file_at_its_line(scenes):
     said = refusal(FileMissing, scenes, mesh("no.obj"))
     assert said.startswith(
-        "x.toml:7:1: shapes[0] (mesh): file cannot be used: cannot read this mesh file: No such file or directory\n"
+        "x.toml:7:1: shapes[0] (mesh): file cannot be used: cannot read this mesh file: No such file or directory; "
+        f"tried {scenes.resolve() / 'no.obj'}: if it is elsewhere, add --mesh-dir FOLDER\n"
     )
 
 

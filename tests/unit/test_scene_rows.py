@@ -74,7 +74,7 @@ def test_any_error_is_a_row_and_the_verdict_is_written(folder, tmp_path, monkeyp
             raise ERRORS[entry.name][0]
         return passed(entry)
 
-    monkeypatch.setattr(many_scenes, "_judge_loaded", judge)
+    monkeypatch.setattr(many_scenes, "judge_loaded", judge)
     monkeypatch.setattr("mitsuba_ref.reference.variants.variant_for", lambda **_: "scalar_rgb")
     monkeypatch.setattr(validation_run, "run_identity", lambda *_: {})
     out = tmp_path / "verdict.json"
@@ -96,7 +96,7 @@ def test_work_is_in_proportion_to_scenes(folder):
 
 def test_a_worker_casts_on_its_share_of_threads(folder, monkeypatch):
     """The number that a worker is given is its default; this process keeps its own."""
-    monkeypatch.setattr(many_scenes, "_judge_loaded", lambda *_: SceneVerdict("threads", str(thread_count(None))))
+    monkeypatch.setattr(many_scenes, "judge_loaded", lambda *_: SceneVerdict("threads", str(thread_count(None))))
     source = SceneEntry("s00", str(folder / "s00.toml"))
     for threads in (1, 2):
         assert [found.path for found in run([source], JudgeOptions(threads=threads), 1)] == [str(threads)]

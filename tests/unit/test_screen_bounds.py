@@ -81,6 +81,26 @@ def test_the_box_of_a_sphere_holds_every_ray_that_hits_it_and_touches_some(name,
     assert np.quantile(found.min(axis=1), 0.1) < 0.05 and np.quantile(found, 0.05, axis=0).max() < 0.12
 
 
+def hits_exactly(o: Any, d: Any, center: Any, r: float) -> bool:
+    """Whether a line comes within r of a centre."""
+    f, d = [Fraction(c) - Fraction(x) for c, x in zip(center, o, strict=True)], [Fraction(x) for x in d]
+    across = sum((f[i - 1] * d[i] - f[i] * d[i - 1]) ** 2 for i in range(3))
+    return bool(across <= Fraction(r) ** 2 * sum(x * x for x in d))
+
+
+def test_the_box_of_a_sphere_allows_for_the_rounding_of_angles():
+    """Of a fisheye so narrow that the rounding of a direction is a share of a pixel."""
+    camera, hits = Fisheye(fov=1e-10, **(POSE | {"eye": (0.0, 0.0, 0.0)})).pack(WIDTH, HEIGHT), 0
+    for (x, y), center, r in met_balls(camera, np.random.default_rng(141), 1e-11):
+        o, d, *_ = camera_ray(camera, x, y)
+        if hits_exactly(o, d, center, r):
+            left, top, right, bottom, _, valid = project_bounding_sphere(camera, center, r)
+            inside = min(x - left, right - x, y - top, bottom - y)
+            assert valid and inside >= -BOUND_MARGIN_PIXELS
+            hits += 1
+    assert hits > COUNT // 8
+
+
 @pytest.mark.parametrize("name", ["fisheye", "narrow fisheye", "parabolic"])
 def test_spheres_that_no_ray_hits_are_nowhere(name):
     camera = CAMERAS[name].pack(WIDTH, HEIGHT)

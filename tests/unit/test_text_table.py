@@ -11,7 +11,7 @@ from verdict_factory import scene as made
 
 from caster.scene.files import load_scene
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, EXPLAINED, REFERENCE_WRONG, TIE, UNDECIDED, WRONG
-from mitsuba_ref.report.results import print_lines
+from mitsuba_ref.report.results import folded, print_lines
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.report.verdict_text import LEGEND, class_text, failure_text, table_head, table_row
 from mitsuba_ref.subjects.function import FunctionSubject
@@ -84,3 +84,30 @@ def test_a_scene_that_nothing_hits_says_where_its_shapes_are(tmp_path):
         validate_scene(away, "away", subject=FunctionSubject("none", lambda scene, o, d: (o[:, 0] + np.inf, 0 * o)))
     )
     assert "no pixel hits anything" in text and "the shapes lie between (" in text and "starts at (" in text
+
+
+def test_printed_lines_fit_80_columns_but_for_commands_and_paths_and_keep_every_word():
+    path, command = f"/{'long/' * 20}scene.toml", f"mitsuba-ref probe {'x' * 60} 21 2 --size 48 48"
+    text = "\n".join(
+        [
+            f"FAIL  ball  depth: {'beyond its bound ' * 9}",
+            f"      reference: {'hit at t 0.1234567890 ' * 7}",
+            f"reading:   {'a step of the conversion ' * 5}{path}",
+            f"      replay:    {command}",
+            f"            {command}",
+            f"      up = [{'0, ' * 40}1]",
+            "             ^",
+            "short",
+        ]
+    )
+    lines = folded(text).splitlines()
+    assert " ".join(folded(text).split()) == " ".join(text.split())
+    assert [line.strip() for line in lines if len(line) > 80] == [
+        path,
+        f"replay:    {command}",
+        command,
+        f"up = [{'0, ' * 40}1]",
+    ]
+    assert lines[-1] == "short"
+    below = [folded(line).splitlines()[1] for line in text.splitlines()[:3]]
+    assert [len(line) - len(line.lstrip()) for line in below] == [6, 17, 11]  # below the scene, or the label's text

@@ -105,8 +105,8 @@ class MeshFolders(NamedTuple):
         except SceneError as error:
             text = f"cannot be used: {str(error).removeprefix(f'{where}: ').replace(where, file)}"
             missing = isinstance(error, FileMissing)
-            if missing and tried[1:]:
-                text += f"; tried {', '.join(map(str, tried))}"
+            if missing:
+                text += f"; tried {', '.join(map(str, tried))}: if it is elsewhere, add --mesh-dir FOLDER"
             raise field_error(text, missing_file=missing) from None
         return where
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from caster.scene.model import Scene
-from caster.shapes.mesh import MeshFile
+from caster.shapes.mesh import Mesh
 from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.tolerances import FILE_NORMAL_ROUNDINGS, FILE_UV_ROUNDINGS, U32
 from mitsuba_ref.judge.checks import check, worst_share
@@ -29,7 +29,7 @@ from mitsuba_ref.reference.messages import LoadedMesh
 
 def files_of(scene: Scene) -> dict[Path, Any]:
     """The mesh files of a scene, each once, with the mesh that the caster reads."""
-    return {Path(each.file): each.mesh() for each in scene.shapes if isinstance(each, MeshFile)}
+    return {Path(each.file): each.mesh() for each in scene.shapes if isinstance(each, Mesh) and each.file}
 
 
 # ---- files for Mitsuba

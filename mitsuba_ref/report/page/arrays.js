@@ -1,14 +1,12 @@
-// Decodes arrays from text without loss; mitsuba_ref/report/scene_record.py encodes them.
+// Decodes arrays from text; mitsuba_ref/report/scene_record.py encodes them.
 
-const KINDS = { f4: Float32Array, f8: Float64Array, i4: Int32Array, u1: Uint8Array };
+const KINDS = { f4: Float32Array, f8: Float64Array, i4: Int32Array, u1: Uint8Array, u2: Uint16Array, u4: Uint32Array };
 
-/** {type, z, delta?, xor?} -> typed array. like: the unpacked array with which its bits were XORed. */
-async function unpacked(packed, like) {
-  const kind = KINDS[packed.type], size = kind.BYTES_PER_ELEMENT;
-  const bytes = interleaved(await inflated(packed.z), size);
-  if (packed.delta) addUp(bytes, size);
-  if (packed.xor) flip(bytes, new Uint8Array(base(like, kind).buffer));
-  return new kind(bytes.buffer);
+/** {type, z} -> typed array; of an image, its codes. */
+async function unpacked(packed) {
+  const kind = KINDS[packed.type];
+  const numbers = new kind(interleaved(await inflated(packed.z), kind.BYTES_PER_ELEMENT).buffer);
+  return packed.width ? unfolded(numbers, packed) : numbers;
 }
 
 async function inflated(text) {
@@ -28,20 +26,30 @@ function interleaved(planes, size) {
   return bytes;
 }
 
-/** Undoes the encoding of each number as its difference from the one before, modulo the size of its type. */
-function addUp(bytes, size) {
-  const whole = { 1: Uint8Array, 4: Uint32Array, 8: BigUint64Array }[size];
-  const numbers = new whole(bytes.buffer);
-  for (let i = 1; i < numbers.length; i++) numbers[i] += numbers[i - 1];
+/** Signed codes of an image, channel by channel: 0, -1, 1, -2, ... were folded to 0, 1, 2, 3, ... */
+function unfolded(folded, { width, height, plane }) {
+  const codes = Int32Array.from(folded, (each) => (each >>> 1) ^ -(each & 1));
+  if (!plane) return codes;
+  for (let i = 0; i < codes.length; i++) if (i % width) codes[i] += codes[i - 1];
+  for (let i = 0; i < codes.length; i++) if (i % (width * height) >= width) codes[i] += codes[i - width];
+  return codes;
 }
 
-/** Converts numbers to floats of this kind; NaN becomes 0, since a conversion may change its bits. */
-function base(like, kind) {
-  const numbers = kind.from(like);
-  for (let i = 0; i < numbers.length; i++) if (Number.isNaN(like[i])) numbers[i] = 0;
-  return numbers;
+// What codes of images stand for.
+
+/** Multiples of a step a channel; codes beyond the largest are NaN and infinities. */
+function valuesOf(codes, steps, { largest, nan }) {
+  const count = codes.length / steps.length;
+  return Float64Array.from(codes, (code, i) => {
+    if (code === nan) return NaN;
+    return Math.abs(code) > largest ? code * Infinity : code * steps[Math.floor(i / count)];
+  });
 }
 
-function flip(bytes, others) {
-  for (let i = 0; i < bytes.length; i++) bytes[i] ^= others[i];
+/** Shares of a bound, rounded up to a power of the root of 2. */
+function sharesOf(codes, { entire, octaves, none }) {
+  return Float64Array.from(codes, (code) => (code === none ? Infinity : code === 0 ? 0 : 2 ** ((code - entire) * (octaves / entire))));
 }
+
+/** Signed errors, powers of 2 of a unit. */
+const errorsOf = (codes, unit) => Float64Array.from(codes, (code) => Math.sign(code) * unit * 2 ** (Math.abs(code) - 1) * (code !== 0));

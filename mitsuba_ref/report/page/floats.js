@@ -66,6 +66,12 @@ function times(share) {
   return share === Infinity ? "differs, and no bound allows it" : `${brief(share)}\u00d7 its bound`;
 }
 
+/** A rounded number, with the digits that its step leaves. */
+function roundedTo(value, step) {
+  const digits = Math.max(1, Math.min(9, Math.ceil(Math.log10(Math.abs(value) / step))));
+  return brief(Number(value.toPrecision(digits)));
+}
+
 /** A count with thin groups of three. */
 function grouped(count) {
   return String(count).replace(/\B(?=(\d{3})+$)/g, "\u2009");

@@ -2,8 +2,8 @@
 
 const PICTURES = {
   ours: { words: JUDGED, paint: (record, data) => paintSide(record, data, "ours", 1) },
-  reference: { words: "reference", paint: (record, data) => paintSide(record, data, "reference", 2) },
-  difference: { words: `${JUDGED} \u2212 reference`, paint: paintDifference },
+  reference: { words: REFERENCE, paint: (record, data) => paintSide(record, data, "reference", 2) },
+  difference: { words: `${JUDGED} \u2212 ${REFERENCE}`, paint: paintDifference },
   ratio: { words: "difference over bound", paint: paintRatio },
   class: { words: "class", paint: paintClasses },
 };
@@ -59,38 +59,47 @@ function oddest(data, numbers, i) {
   return 0;
 }
 
+/** The ends of a channel's colours: as chosen, else those of most values. */
+function levelsOf(data, c) {
+  const { low, span } = data.range.each[c], chosen = (text, usual) => (text === "" ? usual : Number(text));
+  const from = chosen(state.lo, low), to = chosen(state.hi, low + span);
+  return { from, to, scale: 2 ** state.e / (to - from || Number.MIN_VALUE) };
+}
+
 function sideColors(data, numbers) {
-  const { count, layer, range } = data, gain = 2 ** state.e;
-  const three = (f) => (i) => [0, 1, 2].map((c) => 255 * Math.min(1, Math.max(0, f(numbers[c * count + i], c))));
-  if (layer.kind === "scalar") return (i) => mapped(GRAYS, 1 - ((numbers[i] - range.low) / range.span) * gain * 0.85);
-  if (layer.kind === "vector") return three((v) => 0.5 + 0.5 * v);
-  if (layer.kind === "place") return three((v, c) => ((v - range.each[c].low) / range.each[c].span) * gain);
-  if (layer.kind === "uv")
+  const { count, layer } = data;
+  if (layer.kind === "uv" || layer.kind === "two")
     return (i) => [0, 1].map((c) => 255 * fraction(numbers[c * count + i])).concat(0);
-  if (layer.kind === "light") return three((v) => ((v / (range.bright || 1)) * gain) ** (1 / 2.2));
   if (layer.kind === "mask") return (i) => mapped(GRAYS, numbers[i]);
-  return (i) => idColor(numbers[i]);
+  if (layer.kind === "id") return (i) => idColor(numbers[i]);
+  const levels = data.range.each.map((_, c) => levelsOf(data, c));
+  const share = (i, c) => (numbers[c * count + i] - levels[c].from) * levels[c].scale + state.of;
+  if (layer.kind === "scalar") return (i) => mapped(GRAYS, 1 - 0.85 * share(i, 0));
+  if (layer.kind === "value") return (i) => mapped(GRAYS, share(i, 0));
+  const power = layer.kind === "light" || layer.kind === "four" ? 1 / 2.2 : 1;
+  return (i) => [0, 1, 2].map((c) => 255 * Math.min(1, Math.max(0, share(i, c))) ** power);
 }
 
 /** 1 for the last of a range, whose next begins at 0. */
 const fraction = (value) => (value === 1 ? 1 : value - Math.floor(value));
 
 function sideLegend(data) {
-  const { layer, range } = data, gain = 2 ** state.e;
-  if (layer.kind === "scalar") {
-    const far = range.low + range.span / (0.85 * gain);
-    const [from, to] = ends(range.low, far);
-    return { colors: [...GRAYS].reverse(), ticks: [[0, from], [1, to]], words: "near is light" };
-  }
-  if (layer.kind === "vector") return { words: "x, y, z from \u22121 to 1 as red, green, blue" };
-  if (layer.kind === "place") {
-    const [x, y, z] = range.each.map(({ low, span }) => ends(low, low + span / gain).join(" to "));
-    return { words: `red x ${x}, green y ${y}, blue z ${z}` };
-  }
-  if (layer.kind === "uv") return { words: "fractions of u and v as red and green" };
-  if (layer.kind === "light") return { words: `radiance up to ${brief(range.bright / gain)}, gamma 2.2` };
+  const { layer } = data;
   if (layer.kind === "mask") return { words: "white: hit" };
-  return { words: "one colour per number" };
+  if (layer.kind === "id") return { words: "one colour per number" };
+  if (layer.kind === "uv" || layer.kind === "two") return { words: "fractions of both numbers as red and green" };
+  const shown = data.range.each.map((_, c) => { // the values that are drawn with no light, and with all of it
+    const { from, scale } = levelsOf(data, c);
+    return ends(from - state.of / scale, from + (1 - state.of) / scale);
+  });
+  if (layer.kind === "scalar" || layer.kind === "value") {
+    const colors = layer.kind === "scalar" ? [...GRAYS].reverse() : GRAYS;
+    return { colors, ticks: [[0, shown[0][0]], [1, shown[0][1]]], words: layer.kind === "scalar" ? "near is light" : "" };
+  }
+  const names = ["red", "green", "blue"].map((color, c) => `${color} ${CHANNELS[layer.kind][c]} ${shown[c].join(" to ")}`);
+  if (layer.kind === "place") return { words: names.join(", ") };
+  if (layer.kind === "vector") return { words: `x, y, z from ${shown[0].join(" to ")} as red, green, blue` };
+  return { words: `from ${shown[0].join(" to ")}, gamma 2.2` };
 }
 
 function paintDifference(record, data) {
@@ -101,9 +110,10 @@ function paintDifference(record, data) {
     if (sides === 0) canvas.category(i, "miss");
     else if (sides !== 3) canvas.category(i, "oneSide");
     else {
-      const d = largestDifference(data, i);
+      const finite = !isFloat(data.layer) || [data.ours, data.reference].every((side) => Number.isFinite(oddest(data, side, i)));
+      const d = finite ? data.difference?.[i] ?? Math.sign(data.ours[i] - data.reference[i]) : largestDifference(data, i);
       if (!Number.isFinite(d)) canvas.category(i, oddity(d));
-      else canvas.put(i, mapped(DIVERGING, 0.5 + (0.5 * (isFloat(data.layer) ? d : Math.sign(d))) / most));
+      else canvas.put(i, mapped(DIVERGING, 0.5 + (0.5 * d) / most));
     }
   }
   const ticks = [[0, `\u2212${brief(most)}`], [0.5, "0"], [1, brief(most)]];
@@ -113,7 +123,11 @@ function paintDifference(record, data) {
   return { image: canvas.image, legend: { ...legend, swatches: canvas.swatches() } };
 }
 
-const OCTAVES = 12; // of the logarithmic scale of shares: from 1/4096 of the bound to all of it
+const NOTABLE = 0.1; // of a bound: below, a share is grey, since rounding uses that much everywhere
+
+/** Shares from 0 to 1 over the first tenth of the scale in greys, then by their logarithm in colours. */
+const ratioPlace = (share) => (share < NOTABLE ? share / 0.8 : 0.125 + 0.875 * (1 + Math.log10(share)));
+const RATIOS = Array.from({ length: 256 }, (_, i) => (i < 32 ? GRAYS[40 + 2 * i] : SEQUENTIAL[Math.round(255 * (i - 32) / 223)]));
 
 function paintRatio(record, data) {
   if (!data.ratio) return null;
@@ -123,15 +137,16 @@ function paintRatio(record, data) {
     else if (ratio[i] > 1) canvas.category(i, "beyond");
     else if (record.hits[i] === 0) canvas.category(i, "miss");
     else if (record.hits[i] !== 3 && isFloat(data.layer)) canvas.category(i, "noShare");
-    else canvas.put(i, mapped(SEQUENTIAL, 1 + Math.log2(ratio[i]) / OCTAVES));
+    else canvas.put(i, mapped(RATIOS, ratioPlace(ratio[i])));
   }
-  const ticks = [0.001, 0.01, 0.1, 1].map((share) => [1 + Math.log2(share) / OCTAVES, String(share)]);
-  const words = data.layer.name === "all" ? "share of its bound that the worst check uses" : "share of the bound";
-  return { image: canvas.image, legend: { colors: SEQUENTIAL, ticks, words, swatches: canvas.swatches() } };
+  const ticks = [0, 0.1, 0.2, 0.5, 1].map((share) => [ratioPlace(share), String(share)]);
+  const words = data.layer.name === "all" ? "the worst check\u2019s share of its bound" : "share of the bound; grey: under a tenth";
+  return { image: canvas.image, legend: { colors: RATIOS, ticks, words, swatches: canvas.swatches() } };
 }
 
 /** Pixels that agree are light where ours is light, for orientation. */
 function paintClasses(record, data) {
+  if (COMPARED) return null;
   const canvas = new Canvas(record), counts = RUN.classes.map(() => 0);
   const colors = RUN.classes.map((name) => CLASS_COLORS[name]);
   const shown = data.ours ? sideColors(data, data.ours) : () => [128, 128, 128];

@@ -1,18 +1,18 @@
 // Panes: images side by side that zoom and pan together.
 
 const MAX_ZOOM = 128; // screen pixels a pixel
-const GRID_FROM = 12, NUMBERS_FROM = 60; // least zoom for lines between pixels, and for numbers in them
-const NUMBER_LINES = { 1: [17], 2: [-8, 17], 3: [-8, 16, 28] }; // baselines below the middle of a pixel, whose ray is there
+const GRID_FROM = 12, NUMBERS_FROM = 80; // least zoom for lines between pixels, and for numbers in them
+const NUMBER_LINES = { 1: [24], 2: [24, 37], 3: [24, 37, 50], 4: [-28, 24, 37, 50] }; // baselines below the middle of a pixel, whose ray is there
 const BLINK_MS = 600;
 
 const looking = { record: null, data: null, bitmaps: {}, panes: [], shift: false, phase: 0, under: -1, chosen: null, veil: null };
 
-/** The images of each view. */
-const VIEWS = {
-  all: ["ours", "reference", "difference", "ratio", "class"],
-  ours: ["ours"], reference: ["reference"], difference: ["difference"], ratio: ["ratio"], class: ["class"],
-  wipe: ["wipe"], blink: ["blink"],
-};
+/** The images of each view; those of shares and classes, which need a judge, only where a record has them. */
+function viewsOf(record) {
+  const judged = !COMPARED, shares = judged || record.layers.some((layer) => record.part(layer.name)?.ratio);
+  const all = ["ours", "reference", "difference", ...(shares ? ["ratio"] : []), ...(judged ? ["class"] : [])];
+  return { all, ...Object.fromEntries([...all, "wipe", "blink"].map((name) => [name, [name]])) };
+}
 
 /** A figure: caption, canvas, legend. */
 class Pane {
@@ -45,6 +45,7 @@ class Pane {
     this.caption.innerHTML = `${named(left)}${right ? ` | ${named(right)}` : ""} <span>${escaped(layer + held)}</span>`;
     this.canvas.setAttribute("aria-label", `${words}, ${layer} of ${looking.record.scene.name}`);
     const image = looking.bitmaps[left];
+    this.caption.title = this.caption.innerText;
     this.legend.innerHTML = image ? legendHtml(image.legend) : "";
     this.element.classList.toggle("turned", left === "reference" && this.which !== "reference");
   }
@@ -172,7 +173,8 @@ class Pane {
     for (let y = y0; y < y1; y++) for (let x = x0; x < x1; x++) {
       const row = record.row(x, y), [px, py] = this.place(x + 0.5, y + 0.5);
       for (let c = 0; c < data.channels; c++) {
-        const words = brief(Number(data[side][c * data.count + row]));
+        const value = Number(data[side][c * data.count + row]), exact = !data.steps || record.placeOf(row) >= 0;
+        const words = exact || !Number.isFinite(value) ? brief(value) : `\u2248${roundedTo(value, data.steps[c])}`;
         const down = py + NUMBER_LINES[data.channels][c];
         context.strokeStyle = "rgba(0,0,0,0.75)";
         context.lineWidth = 3;

@@ -8,10 +8,14 @@ const awaited = new Map(); // name -> function that receives the record from a s
 
 RUN.scenes.forEach((scene, i) => { scene.place = i; });
 
-// The subject: our own caster, or a candidate in its place. In the code, and in addresses, that side is "ours".
-const JUDGED = RUN.candidate ? "candidate" : "ours";
-const THE_JUDGED = RUN.candidate ? "the candidate" : "ours"; // in a sentence
-const sideName = (side) => (side === "ours" ? JUDGED : side);
+// The subject: our own caster, a candidate in its place, or the first of two images that are compared without a judge.
+// In the code, and in addresses, that side is "ours", and the other one "reference".
+const COMPARED = RUN.names; // names of two images; undefined for judged scenes
+const JUDGED = COMPARED ? COMPARED[0] : RUN.candidate ? "candidate" : "ours";
+const THE_JUDGED = !COMPARED && RUN.candidate ? "the candidate" : JUDGED; // in a sentence
+const REFERENCE = COMPARED ? COMPARED[1] : "reference";
+const THE_REFERENCE = COMPARED ? REFERENCE : "the reference";
+const sideName = (side) => ({ ours: JUDGED, reference: REFERENCE })[side] ?? side;
 
 window.ray_reference_scene = (name, parts) => awaited.get(name)?.(parts);
 
@@ -31,14 +35,12 @@ class SceneRecord {
     return this.parts[name];
   }
 
-  /** One array of a part. like: the name of the array with which its bits were XORed. */
-  array(part, name, like) {
+  /** One array of a part, unpacked once. */
+  array(part, name) {
     const key = `${part}/${name}`;
     if (!this.arrays.has(key)) {
       const from = part.split("/").reduce((place, step) => (place === this ? this.part(step) : place[step]), this);
-      const packed = from[name];
-      const found = like ? this.array(part, like).then((base) => unpacked(packed, base)) : unpacked(packed);
-      this.arrays.set(key, found);
+      this.arrays.set(key, unpacked(from[name]));
     }
     return this.arrays.get(key);
   }
@@ -48,19 +50,32 @@ class SceneRecord {
     const about = (this.about = this.part("about"));
     const [x0, y0, x1, y1] = about.window;
     Object.assign(this, { x0, y0, width: x1 - x0, height: y1 - y0, verdict: about.verdict });
-    this.classes = await this.array("about", "class");
-    this.hits = await this.array("about", "hit");
-    this.reasons = await byRow(this, "about/reasons", ["words"]);
-    this.exact = await byRow(this, "about/exact", ["t", "share", "words"]);
+    const count = this.width * this.height;
+    this.hits = about.hit ? Uint8Array.from(await this.array("about", "hit")) : new Uint8Array(count).fill(3);
+    this.classes = about.class ? Uint8Array.from(await this.array("about", "class")) : new Uint8Array(count);
+    this.withoutLoss = about.rows ? new Map(Array.from(await this.array("about", "rows"), (row, i) => [row, i])) : null;
+    this.reasons = about.reasons ? await byRow(this, "about/reasons", ["words"]) : new Map();
+    this.exact = about.exact ? await byRow(this, "about/exact", ["t", "words"]) : new Map();
     if (this.has("ids")) {
-      const like = { t_ours: "t_reference" };
-      for (const name of Object.keys(this.part("ids"))) this[name] = await this.array("ids", name, like[name]);
+      for (const name of Object.keys(this.part("ids"))) if (name !== "exact") this[name] = await this.array("ids", name);
+      if (this.part("ids").exact) {
+        this.t_reference = await this.array("ids/exact", "t_reference");
+        this.t_ours = await this.array("ids/exact", "t_ours");
+      }
     }
-    this.failing = rowsOf(this.classes, (code) => FAILING.has(RUN.classes[code]));
-    this.unlike = rowsOf(this.classes, (code) => code !== 0);
-    this.failingMarks = lonely(this, this.failing);
-    this.unlikeMarks = lonely(this, this.unlike);
+    this.layers = layersOf(this);
+    this.mark(rowsOf(this.classes, (code) => FAILING.has(RUN.classes[code])), rowsOf(this.classes, (code) => code !== 0));
     return this;
+  }
+
+  /** failing, unlike: rows that fail, and that do not agree, which the keys go to and rings show. */
+  mark(failing, unlike) {
+    Object.assign(this, { failing, unlike, failingMarks: lonely(this, failing), unlikeMarks: lonely(this, unlike), groupsKey: "" });
+  }
+
+  /** The place of a row among those that are stored without loss; -1 for others. */
+  placeOf(row) {
+    return this.withoutLoss ? this.withoutLoss.get(row) ?? -1 : row;
   }
 
   row(x, y) {
@@ -107,7 +122,7 @@ function rowsOf(classes, wanted) {
 /** Connected regions of rows with one cause and one shape, the largest first. Pixels that were not adjudicated, and so
  *  have no cause, belong to the region beside them. */
 function groupsOf(record, rows) {
-  const { texts } = record.about.reasons, left = new Map(), groups = [];
+  const texts = record.about.reasons?.texts ?? [], left = new Map(), groups = [];
   for (const row of rows) {
     const text = record.reasons.get(row)?.[0];
     left.set(row, [texts[text]?.startsWith("not adjudicated") ? "" : String(text), shapeAt(record, row)]);

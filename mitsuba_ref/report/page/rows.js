@@ -18,7 +18,7 @@ function rowHtml(scene, i, height) {
 <span class="time" role="cell">${scene.seconds.toFixed(1)} s</span></div>`;
 }
 
-const CLOSE = { a: "", x: -1, y: -1, z: 0, cx: -1, cy: -1, e: 0 };
+const CLOSE = { a: "", x: -1, y: -1, z: 0, cx: -1, cy: -1, e: 0, of: 0, lo: "", hi: "" };
 
 const firstWords = (scene) => scene.failure.split("\n")[0].replace(/^[A-Z]+\s+/, "").replace(scene.name, "").trim();
 
@@ -32,7 +32,7 @@ function markHtml(scene) {
 function classBar(scene) {
   const parts = countsOf(scene).filter(([, count]) => count);
   const bars = parts.map(([name, count]) =>
-    `<i style="flex-grow:${count};background:${css(CLASS_COLORS[name])}" title="${className(name)}: ${count}"></i>`);
+    `<i style="flex-grow:${count};background:${css(CLASS_COLORS[name])}" title="${className(name)}: ${count}. ${escaped(classWords(name))}"></i>`);
   return `<span class="classbar" aria-hidden="true">${bars.join("")}</span>`;
 }
 

@@ -23,13 +23,15 @@ function remember(key, value) {
 }
 
 function showAll() {
+  if (COMPARED) state.s = RUN.scenes[0].name;
+  for (const button of document.querySelectorAll("[data-do=back], [data-do=next], [data-do=previous]")) button.hidden = Boolean(COMPARED);
   const inScene = Boolean(state.s);
   byId("list").hidden = inScene;
   byId("scene").hidden = !inScene;
   if (!inScene) {
     turn++;
     looking.record = null;
-    document.title = "ray-reference report";
+    document.title = `ray-reference: ${RUN.summary}`;
     showList();
     const at = shownScenes.findIndex((scene) => scene.name === currentName);
     if (at >= 0) reveal(at), fillRows(), focusRow(currentName);
@@ -40,14 +42,12 @@ function showAll() {
 }
 
 function buildTools() {
-  byId("layers").innerHTML = LAYERS.map((layer) =>
-    `<button type="button" data-layer="${layer.name}"><kbd>${layer.key}</kbd>${layer.words}</button>`).join("");
   const views = {
-    all: ["g", "all"], ours: ["o", JUDGED], reference: ["r", "reference"], difference: ["d", "difference"],
+    all: ["g", "all"], ours: ["o", JUDGED], reference: ["r", REFERENCE], difference: ["d", "difference"],
     ratio: ["x", "over bound"], class: ["l", "class"], wipe: ["w", "wipe"], blink: ["b", "blink"],
   };
   byId("views").innerHTML = Object.entries(views).map(([name, [key, words]]) =>
-    `<button type="button" data-view="${name}"><kbd>${key}</kbd>${words}</button>`).join("");
+    `<button type="button" data-view="${name}"><kbd>${key}</kbd>${escaped(words)}</button>`).join("");
 }
 
 function buildFilters() {
@@ -61,7 +61,10 @@ function fillBanner() {
   byId("total").textContent = RUN.summary;
   byId("who").textContent = byId("who").title = RUN.candidate && `candidate ${RUN.candidate}`;
   byId("wiped").textContent = JUDGED;
-  byId("wipe").setAttribute("aria-label", `wipe between ${JUDGED} and reference`);
+  byId("wiped-to").textContent = REFERENCE;
+  byId("wipe").setAttribute("aria-label", `wipe between ${JUDGED} and ${REFERENCE}`);
+  byId("facts").innerHTML = RUN.facts.map(([term, words]) => `<div><dt>${escaped(term)}</dt><dd>${escaped(words)}</dd></div>`).join("");
+  byId("legend").innerHTML = legendOfClasses(RUN.classes.filter((name) => RUN.scenes.some((scene) => countsOf(scene).some(([each, count]) => each === name && count))));
   if (RUN.candidate) byId("status").querySelector("[value=crash]").textContent = "no answer";
   byId("total").className = RUN.scenes.length === RUN.requested && RUN.scenes.every((scene) => scene.ok || isWaived(scene)) ? "good" : "bad";
   const sums = {};
@@ -78,8 +81,8 @@ function fillBanner() {
 }
 
 const DOINGS = {
-  back: () => go({ s: "" }), next: () => stepInList(1), previous: () => stepInList(-1), help: toggleHelp,
-  theme: toggleTheme, copy: copyReplay, bad: () => nextGroup(1), sheet: toggleSheet, in: () => zoomBy(2), out: () => zoomBy(0.5), fit: fitAll,
+  back: goBack, next: () => stepInList(1), previous: () => stepInList(-1), help: toggleHelp,
+  theme: toggleTheme, copy: copyReplay, values: copyValues, evidence: () => showEvidence(looking.record), bad: () => nextGroup(1), sheet: toggleSheet, in: () => zoomBy(2), out: () => zoomBy(0.5), fit: fitAll,
   brighter: () => expose(0.5), darker: () => expose(-0.5), reset: () => expose(0),
 };
 
@@ -123,6 +126,8 @@ function start() {
   byId("find").addEventListener("input", (event) => filterBy({ q: event.target.value }));
   for (const [id, key] of [["status", "st"], ["check", "ck"], ["class", "cl"], ["order", "o"]])
     byId(id).addEventListener("change", (event) => filterBy({ [key]: event.target.value }));
+  for (const [id, key] of [["offset", "of"], ["low", "lo"], ["high", "hi"]])
+    byId(id).addEventListener("change", (event) => setLevel(key, event.target.value));
   byId("wipe").addEventListener("input", (event) => wipeTo(Number(event.target.value)));
   DARK.addEventListener("change", drawSoon);
   setInterval(blink, BLINK_MS);

@@ -1,7 +1,7 @@
 // State of the page, as the part of the address after #: a link shows the same view.
 
 const DEFAULTS = {
-  s: "", a: "", v: "all", x: -1, y: -1, z: 0, cx: -1, cy: -1, e: 0, w: 0.5, f: -1, // scene view
+  s: "", a: "", v: "all", x: -1, y: -1, z: 0, cx: -1, cy: -1, e: 0, of: 0, lo: "", hi: "", w: 0.5, f: -1, // scene view
   q: "", st: "", ck: "", cl: "", o: "", // list
 };
 const state = { ...DEFAULTS };

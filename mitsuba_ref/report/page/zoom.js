@@ -48,5 +48,7 @@ function drawNow() {
   drawing = 0;
   if (!looking.record || !looking.data) return;
   for (const pane of looking.panes) pane.draw();
+  const { scale } = looking.panes[0];
+  byId("zoom").textContent = `${state.z > 0 ? "" : "fit "}${scale >= 10 ? scale.toFixed(0) : scale.toFixed(1)}\u00d7`;
   showPixel();
 }

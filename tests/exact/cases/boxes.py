@@ -8,7 +8,7 @@ from aimed_rays import direction
 from cases import integer_shapes
 from cases.case import Case, Maker, Question
 from cases.shapes import mesh_of, rays_at, shape_of
-from caster import Cube, Icosphere, MeshFile
+from caster import Cube, Icosphere, Mesh
 
 
 def random_boxes(make: Maker, offsets: tuple[float, ...] = (0.0, 1e6)) -> Iterator[Question]:
@@ -31,7 +31,7 @@ def random_boxes(make: Maker, offsets: tuple[float, ...] = (0.0, 1e6)) -> Iterat
             yield make.ask(f"{'turned' if turned else 'upright'}, at {offset:g}", scene, o, aim - o, hit=30)
 
 
-def many_boxes(make: Maker) -> MeshFile:
+def many_boxes(make: Maker) -> Mesh:
     """A mesh of flat and thick boxes on a coarse grid, so that rays along axes lie in their planes."""
     unit = Cube().mesh()
     places = make.rng.integers(-4, 5, (12, 1, 3)) * 1.0

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cases.shapes import mesh_of
-from caster import Cube, Cylinder, Disk, MeshFile, Plane, Rectangle, Sphere, Triangle
+from caster import Cube, Cylinder, Disk, Mesh, Plane, Rectangle, Sphere, Triangle
 from caster.shapes.icosphere import tessellate_icosphere
 
 Rng = np.random.Generator
@@ -178,7 +178,7 @@ def ball(rng: Rng) -> Whole:
     p = np.einsum("wj,fjc->wfc", WEIGHTS, corners).reshape(-1, 3)
     n = np.rint(p / 64.0) + 0.0
     inside = np.repeat((WEIGHTS > 0).all(axis=1), len(faces))
-    shape: MeshFile = mesh_of(vertices * UNIT, faces)
+    shape: Mesh = mesh_of(vertices * UNIT, faces)
     return finished("mesh", shape, rng, p, n, inside)
 
 

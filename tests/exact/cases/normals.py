@@ -1,16 +1,14 @@
 """The normal where a ray meets a primitive, in whole numbers and fractions, and how far off a float64 may put it."""
 
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
 from oracle_aims import root_bracket
+from oracle_fractions import F, Vector, exactly, solved, sub
 
 from caster.geometry.packing import Packed
 from mitsuba_ref.oracle.exact_numbers import Root
 
-F = Fraction
-Exact = list[Fraction]
 U = 2.0**-53
 BITS = 240  # of t, behind the point of its own scale
 
@@ -22,42 +20,28 @@ UNIT_ATOL = 4 * U
 NORMAL_US = 64.0
 
 
-def exactly(v: Any) -> Exact:
-    return [F(float(x)) for x in v]
-
-
-def cross(a: Exact, b: Exact) -> Exact:
+def cross(a: Vector, b: Vector) -> Vector:
     return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 
-def sub(a: Exact, b: Exact) -> Exact:
-    return [x - y for x, y in zip(a, b, strict=True)]
+def inverse_times(m: list[Vector], v: Vector) -> Vector:
+    found = solved(m, v)
+    assert found is not None
+    return found[0]
 
 
-def unit(v: Exact) -> np.ndarray:
+def unit(v: Vector) -> np.ndarray:
     """v at length 1, within 4 u."""
     largest = max(abs(x) for x in v)
     scaled = np.array([float(x / largest) for x in v])
     return scaled / np.sqrt(np.dot(scaled, scaled))
 
 
-def point(o: Any, d: Any, t: Root) -> Exact:
+def point(o: Any, d: Any, t: Root) -> Vector:
     """o + t d; t to BITS more bits than its own size needs."""
     size = float(t)
     low, _ = root_bracket(t, BITS + max(0, t.e - int(np.frexp(size)[1])) + t.s.bit_length())
     return [p + low * q for p, q in zip(exactly(o), exactly(d), strict=True)]
-
-
-def adjugate(m: np.ndarray) -> tuple[list[Exact], int]:
-    """(rows of the inverse, but for the determinant; its sign)."""
-    x, y, z = (exactly(m[:, j]) for j in range(3))
-    rows = [cross(y, z), cross(z, x), cross(x, y)]
-    determinant = sum(a * b for a, b in zip(x, rows[0], strict=True))
-    return rows, 1 if determinant > 0 else -1
-
-
-def times(rows: list[Exact], v: Exact) -> Exact:
-    return [sum((a * b for a, b in zip(row, v, strict=True)), F(0)) for row in rows]
 
 
 def normal(packed: Packed, prim: int, o: Any, d: Any, t: Root) -> np.ndarray:
@@ -65,21 +49,18 @@ def normal(packed: Packed, prim: int, o: Any, d: Any, t: Root) -> np.ndarray:
     kind, k = packed.place_of(prim)
     prims, name = kind.prims, type(kind.prims).__name__
     if name == "Triangles":
-        a, b, c = (exactly(v) for v in prims.vertices[prims.faces[k]])
+        a, b, c = exactly(prims.vertices[prims.faces[k]])
         return unit(cross(sub(b, a), sub(c, a)))
     if name == "Planes":
         return unit(exactly(prims.normal[k]))
-    if name == "Disks":
-        rows, sign = adjugate(prims.to_world[k])
-        return unit([sign * x for x in rows[2]])
     away = sub(point(o, d, t), exactly(prims.center[k]))
     if name == "Spheres":
         return unit(away)
-    rows, _ = adjugate(prims.to_world[k])
-    q = times(rows, away)
+    rows = exactly(prims.to_world[k])
+    q = [F(0), F(0), F(1)] if name == "Disks" else inverse_times(rows, away)
     if name == "Cylinders":
         q[2] = F(0)
-    return unit(times([list(column) for column in zip(*rows, strict=True)], q))
+    return unit(inverse_times([list(column) for column in zip(*rows, strict=True)], q))
 
 
 def bound(packed: Packed, prim: int, o: np.ndarray, d: np.ndarray, t: float, off: float) -> float:

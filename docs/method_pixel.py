@@ -1,0 +1,154 @@
+"""The worked pixel of docs/method.md and its figure: python docs/method_pixel.py
+
+The formulas of the page, one after the other, and nothing of the judge's; a test compares the result with its bounds.
+"""
+
+import re
+from fractions import Fraction
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+import caster
+from mitsuba_ref.reference.shared_input import shared_rays
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE, FIGURE = ROOT / "docs/method.md", ROOT / "docs/method/pixel.svg"
+SCENE, PIXEL, SHAPE = "scenes/triangles.toml", (160, 120), 1
+BLOCK = re.compile(r"(?<=<!-- python docs/method_pixel.py -->\n\n```\n).*?(?=```)", re.DOTALL)
+MITSUBA = re.compile(r"^Mitsuba +t ([\d.]+)", re.MULTILINE)
+
+U, K = 2.0**-24, 4  # (1)
+KU = K * U
+
+
+class Bound(NamedTuple):
+    """The bound of t of one triangle and one ray, and what it is made of."""
+
+    t: float  # exact, rounded once
+    cosine: float  # |n.d|
+    displacement: float
+    lever: float
+    rho: float
+    t_error: float
+
+
+def ray_and_corners() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """o (3,), d (3,) and the corners (3, 3) of the triangle that the pixel shows, as both sides trace them."""
+    x, y = PIXEL
+    scene = caster.load_scene(ROOT / SCENE)
+    rays = shared_rays(scene.with_film(crop=[x, y, x + 1, y + 1]))
+    corners = np.float32(scene.shapes[SHAPE].vertices).astype(np.float64)
+    return rays.o[0].astype(np.float64), rays.d[0].astype(np.float64), corners
+
+
+def perm(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """The cross product of magnitudes, with additions in place of subtractions."""
+    p, q = np.abs(p), np.abs(q)
+    return np.roll(p, -1) * np.roll(q, -2) + np.roll(p, -2) * np.roll(q, -1)
+
+
+def exact_t(o: np.ndarray, d: np.ndarray, corners: np.ndarray) -> float:
+    """N.a / N.d in fractions."""
+
+    def minus(p: list[Fraction], q: list[Fraction]) -> list[Fraction]:
+        return [x - y for x, y in zip(p, q, strict=True)]
+
+    def dot(p: list[Fraction], q: list[Fraction]) -> Fraction:
+        return sum((x * y for x, y in zip(p, q, strict=True)), Fraction(0))
+
+    origin, along, a, b, c = ([Fraction(float(x)) for x in row] for row in (o, d, *corners))
+    (x, y, z), (u, v, w) = minus(b, a), minus(c, a)
+    normal = [y * w - z * v, z * u - x * w, x * v - y * u]
+    return float(dot(normal, minus(a, origin)) / dot(normal, along))
+
+
+def bound(o: np.ndarray, d: np.ndarray, corners: np.ndarray) -> Bound:
+    """Formulas (4) to (8)."""
+    a, b, c = corners - o
+    normal = np.cross(b - a, c - a)
+    n, spread = normal / np.linalg.norm(normal), perm(b - a, c - a) / np.linalg.norm(normal)
+    t, cosine = exact_t(o, d, corners), abs(n @ d)
+    w = np.array([d @ np.cross(c, b), d @ np.cross(a, c), d @ np.cross(b, a)])
+    w /= w.sum()
+    displacement = np.abs(n) @ (np.abs(w) @ np.abs([a, b, c]) + np.abs(a) + np.abs(t * d))
+    lever = np.abs(t * d - a) @ spread
+    opposite = ((a, b - c), (b, c - a), (c, a - b))
+    tilt = sum(np.abs(corner) @ np.abs(np.cross(edge, d)) for corner, edge in opposite)
+    rho = (KU * (np.abs(n) @ np.abs(d) + np.abs(d) @ spread) + U * tilt / np.linalg.norm(normal)) / cosine
+    t_error = KU * ((displacement + lever) / cosine + abs(t)) / (1 - rho)
+    return Bound(t, cosine, displacement, lever, rho, t_error)
+
+
+def block(it: Bound, mitsuba: float) -> str:
+    """The lines of the page."""
+    error = mitsuba - it.t
+    x, y = PIXEL
+    return (
+        f"pixel         ({x}, {y}) of {SCENE}: triangle `smooth`, |n.d| {it.cosine:.3f}\n"
+        f"exact         t {it.t!r}\n"
+        f"Mitsuba       t {mitsuba!r}, off by {error:.2e}\n"
+        f"displacement  {it.displacement:.2f}   lever {it.lever:.2f}   rho {it.rho:.1e}\n"
+        f"t_error       {KU:.2e} (({it.displacement:.2f} + {it.lever:.2f}) / {it.cosine:.3f} + {it.t:.2f})"
+        f" = {it.t_error:.2e}\n"
+        f"used          {abs(error):.2e} / {it.t_error:.2e} = {abs(error) / it.t_error:.3f} of the bound: agree\n"
+    )
+
+
+def figure(it: Bound, mitsuba: float) -> str:
+    """The bound as a bar of its three parts, above the error of Mitsuba."""
+    parts = [
+        ("rounded corners move the plane", KU * it.displacement / it.cosine, "#0072B2"),
+        ("the rounded normal tilts it", KU * it.lever / it.cosine, "#56B4E9"),
+        ("t itself is rounded", KU * abs(it.t), "#E69F00"),
+    ]
+    left, width = 20.0, 560.0
+    scale = width / (1.2 * it.t_error)
+    lines = [
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 600 190" font-family="sans-serif" font-size="13">',
+        "<title>The bound of t at one pixel, and what it is made of</title>",
+        '<rect width="600" height="190" fill="#ffffff"/>',
+        f'<text x="{left}" y="22" font-weight="bold">bound of t: {it.t_error:.2e}</text>',
+    ]
+    x = left
+    for row, (name, value, colour) in enumerate(parts):
+        y = 116 + 20 * row
+        lines += [
+            f'<rect x="{x:.1f}" y="32" width="{scale * value:.1f}" height="26" fill="{colour}"/>',
+            f'<rect x="{left}" y="{y - 10}" width="12" height="12" fill="{colour}"/>',
+            f'<text x="{left + 20}" y="{y}">{name}: {value:.2e}</text>',
+        ]
+        x += scale * value
+    error = abs(mitsuba - it.t)
+    lines += [
+        f'<path d="M{x:.1f} 26V92" stroke="#000000" stroke-dasharray="4 3"/>',
+        f'<text x="{x - 6:.1f}" y="83" text-anchor="end">beyond: exact arithmetic decides</text>',
+        f'<rect x="{left}" y="68" width="{scale * error:.1f}" height="20" fill="#009E73"/>',
+        f'<text x="{left + scale * error + 6:.1f}" y="83">error of Mitsuba: {error:.2e}</text>',
+        f'<text x="{left}" y="180" fill="#555555">The bound of t in float64 is 2^28 times narrower.</text>',
+        "</svg>",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def with_block(page: str) -> str:
+    """The page with the block of today; Mitsuba's t, whose last bits depend on the processor, is that of the page."""
+    (old,) = BLOCK.findall(page)
+    new = block(bound(*ray_and_corners()), mitsuba_t(page))
+    return page.replace(old, new)
+
+
+def mitsuba_t(page: str) -> float:
+    return float(MITSUBA.findall(page)[0])
+
+
+def main() -> None:
+    page = with_block(PAGE.read_text(encoding="utf-8"))
+    PAGE.write_text(page, encoding="utf-8")
+    FIGURE.parent.mkdir(exist_ok=True)
+    FIGURE.write_text(figure(bound(*ray_and_corners()), mitsuba_t(page)), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,89 @@
+"""`compare --html`: two images on the page of a report, with measures of other tools as information."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from caster.description.errors import SceneError
+from caster.image.exr import NO_ID
+from mitsuba_ref.exr_compare.comparison_result import FileComparison
+from mitsuba_ref.exr_compare.flip import flip
+from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, Array, ExrPair
+from mitsuba_ref.report.html_report import MAX_PIXELS, ImagePair, refuse_page_of_others, write_comparison
+
+
+class Layer(NamedTuple):
+    """An image of one to four channels on both sides, (h, w, c)."""
+
+    ours: Array
+    reference: Array
+    ratio: Array  # (h, w) error over bound
+    colors: bool  # red, green and blue
+
+
+def layers_of(pair: ExrPair, ratios: Mapping[str, Array]) -> dict[str, Layer]:
+    """The layers of a page, the farthest beyond its bound first. ratios: (h, w) error over bound of each channel."""
+    names = {layer: channels for layer, channels in LAYERS.items() if set(channels) <= ratios.keys()}
+    left = [name for name in pair.names if name in ratios and not any(name in channels for channels in names.values())]
+    for name in left:
+        color = tuple(name[:-1] + letter for letter in "RGB")
+        if set(color) <= set(left):
+            names[name[:-1].rstrip(".") or "color"] = color
+        elif not any(name in channels for channels in names.values()):
+            names[name] = (name,)
+    found = {}
+    for layer, channels in names.items():
+        ours, reference = pair.values(channels)
+        if pair.reference.channels[channels[0]].dtype == np.uint32:
+            ours, reference = (np.where(values == NO_ID, -1.0, values) for values in (ours, reference))
+        ratio = np.max([ratios[name] for name in channels], axis=0)
+        found[layer] = Layer(ours, reference, ratio, tuple(name[-1:] for name in channels) == tuple("RGB"))
+    return dict(sorted(found.items(), key=lambda item: (-item[1].ratio.max(), item[0] == "hit")))
+
+
+def measures(pair: ExrPair, layers: Mapping[str, Layer]) -> Iterator[tuple[str, str]]:
+    """(what, value) of each layer that differs: mean squared error and largest difference where both images hit, and
+    FLIP of colours."""
+    x0, y0 = pair.reference.data_window[:2]
+    both = (pair.hit_ours & pair.hit_reference)[..., None]
+    for name, layer in layers.items():
+        known = both & np.isfinite(layer.ours) & np.isfinite(layer.reference)
+        with np.errstate(invalid="ignore", over="ignore"):
+            apart = np.where(known, np.abs(layer.ours - layer.reference), 0.0)
+            if not apart.any() and known[both[..., 0]].all():
+                continue
+            yield f"{name}: mean squared error", f"{(apart**2).sum() / max(known.sum(), 1):.3g}"
+        y, x, _ = np.unravel_index(int(apart.argmax()), apart.shape)
+        yield f"{name}: largest difference", f"{apart.max():.3g} at ({x0 + x}, {y0 + y})"
+        if layer.colors:
+            yield f"{name}: FLIP, mean", flip(layer.ours, layer.reference)
+
+
+def remove_page(folder: Path) -> None:
+    """Remove the page of an earlier run, which would be taken for this one's. Raises OutputError for others' files."""
+    refuse_page_of_others(folder / "index.html")
+    (folder / "index.html").unlink(missing_ok=True)
+
+
+def float32(values: Array) -> Array:
+    """Numbers of an EXR file, or ratios, as a page stores them."""
+    with np.errstate(over="ignore"):
+        return values.astype(np.float32)
+
+
+def write_page(folder: Path, result: FileComparison, pair: ExrPair, layers: Mapping[str, Layer]) -> None:
+    """Write index.html and its data. Raises OutputError, and SceneError for images that are too large for a page."""
+    if result.width * result.height > MAX_PIXELS:
+        size = f"{result.width} x {result.height}"
+        raise SceneError(f"--html: {size} pixels, and a page shows at most {MAX_PIXELS}; compare a crop")
+    images = ImagePair(
+        names=(result.ours, result.reference),
+        size=(result.width, result.height),
+        origin=pair.reference.data_window[:2],
+        layers={name: (float32(layer.ours), float32(layer.reference)) for name, layer in layers.items()},
+        hit=(pair.hit_ours, pair.hit_reference) if pair.mask_channel else None,
+        ratios={name: float32(layer.ratio) for name, layer in layers.items()},
+    )
+    write_comparison(folder, images, result.measures, ok=result.ok, text=result.format_table())

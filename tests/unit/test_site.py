@@ -1,0 +1,47 @@
+"""The site of `make site`, without MkDocs: its pages, its map and a page for each command."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def site(tmp_path, monkeypatch):
+    """docs/build_site.py, which writes into a folder of the test."""
+    spec = importlib.util.spec_from_file_location("build_site", ROOT / "docs/build_site.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    monkeypatch.setattr(module, "PAGES", tmp_path / "pages")
+    return module
+
+
+def test_the_map_of_the_site_has_every_page_and_every_command(site):
+    site.copy_pages()
+    names = site.write_command_pages(site.PAGES / "commands")
+    named = re.findall(r"- (?:[\w ]+: )?(\S+\.md)$", site.configuration(names), re.MULTILINE)
+    assert sorted(named) == sorted(page.relative_to(site.PAGES).as_posix() for page in site.PAGES.rglob("*.md"))
+    assert {f"{program}-{each.name}" for program, commands in site.PROGRAMS.items() for each in commands} == {*names}
+
+
+def test_a_file_outside_of_docs_is_brought_along_and_a_folder_is_an_error(site):
+    site.copy_pages()
+    page = site.PAGES / "candidates.md"
+    target = site.within("../mitsuba_ref/starters/c/mine.c", page)
+    assert (page.parent / target).read_bytes() == (ROOT / "mitsuba_ref/starters/c/mine.c").read_bytes()
+    assert site.within("method.md", page) == "method.md"
+    for link in ("candidates", "../README.md"):
+        with pytest.raises(ValueError, match=f"candidates.md: {link}: expected a file, or a page of docs/"):
+            site.within(link, page)
+
+
+def test_the_page_of_a_command_has_every_option(site, tmp_path):
+    site.write_command_pages(tmp_path / "commands")
+    for program, commands in site.PROGRAMS.items():
+        for name, parser in site.parsers_of(program, commands).items():
+            page = (tmp_path / f"commands/{program}-{name}.md").read_text()
+            missing = [each for action in parser._actions for each in action.option_strings if f"`{each}" not in page]
+            assert not missing, f"{program} {name}"
