@@ -22,11 +22,11 @@ LARGEST_Z = 5.0
 MIN_GROUPS = int(LARGEST_Z**2) + 1  # with fewer groups, no bias could fail
 
 # Scene check `t_bias`: a candidate's t may be off by the same number of roundings u t on every ray, since estimated
-# reciprocals and roots are off to one side: of x86, by 1.5 2^-12 at most, which one Newton step makes at most 2.25 u (a
-# reciprocal, always below) and 3.375 u (the reciprocal root of a length, which makes t longer). A factor that is
-# rounded, such as the scale of a matrix, adds half a rounding. Honest casters need 2.6 at most (Embree without AVX-512,
-# where all denominators are alike), and 0.8 over the faces of a mesh.
-LARGEST_T_BIAS = 3.875
+# reciprocals and roots are off to one side. On x86 their relative error e is at most 1.5 2^-12, and one Newton step
+# makes it e^2 (a reciprocal) or 1.5 e^2 (the reciprocal of a root). Denominators that differ between faces are spread
+# over the table, within whose cells e is linear: a third of the largest e^2 on average, 0.75 u. Lengths of unit
+# directions are all near 1, where e is 2^-12: 1 u of a reciprocal, 1.5 u of a root. A rounded factor adds 0.5 u.
+LARGEST_T_BIAS = 0.75 + 1.0 + 1.5 + 0.5
 BIASED_PIXELS = 1 << 16  # of a film, evenly spaced, that are looked at
 
 # If the bound on a normal is larger than this (3.6 degrees), float32 says nothing useful about the pixel.

@@ -285,7 +285,9 @@ def _fitted_quantities(f: WrongPixels) -> Iterator[Mistake]:
         offset, more = float(np.median(given - t)), float(np.median((given - t) / t))
         left = [np.median(np.abs(given - fit) / f.at.t_error[some]) for fit in (t + offset, t + more * t)]
     constant = f"{abs(offset):.3g} too {'large' if offset > 0 else 'small'} everywhere, a constant"
-    times = f"{f'1 {more:+.3g}' if abs(more) < DISTINCT_RTOL else f'{1.0 + more:.7g}'} times what it should be"
+    sign = "+" if more > 0.0 else "-"
+    factor = f"(1 {sign} {abs(more):.3g})" if abs(more) < DISTINCT_RTOL else f"{1.0 + more:.7g}"
+    times = f"{factor} times what it should be"
     if np.ptp(t) <= DISTINCT_RTOL * np.abs(t).max():  # nothing tells them apart
         constant, times = f"{constant}, or {times}", f"{times}, or {constant}"
     moved = _quantity(

@@ -89,7 +89,7 @@ def beside(x: float, y: float):
 WHOLE = {
     "t is -2 times what it should be": lambda judge, t: -2.0 * t,
     "t is 1.005 times what it should be": lambda judge, t: 1.005 * t,
-    "t is 1 +2e-06 times what it should be": lambda judge, t: (1.0 + 2e-6) * t,
+    "t is (1 + 2e-06) times what it should be": lambda judge, t: (1.0 + 2e-6) * t,
     "t is 2e-06 too large everywhere, a constant": lambda judge, t: t + 2e-6,
     "t is 0, whatever is hit": lambda judge, t: 0.0 * t,
     **{
