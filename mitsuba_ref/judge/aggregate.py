@@ -87,13 +87,14 @@ def findings(judge: Judge, diagnosis: Diagnosis) -> tuple[Finding, ...]:
 
 
 def listed_failures(judge: Judge, judgement: Judgement, diagnosis: Diagnosis) -> tuple[Failure, ...]:
-    """Some of the pixels that fail: one of each diagnosis, then the worst of the others.
+    """Some of the pixels that fail: one of each diagnosis, then the worst of the others, first those looked at.
 
     The worst pixel of a diagnosis, or the first if the subject names no primitives, so that most have no factor.
     """
     by_row, rows = diagnosis.by_row(), failing_rows(judgement)
     excess = np.max([judgement.excess(name)[rows] for name in judgement.names], axis=0)
-    worst_first = rows[np.argsort(-excess, kind="stable")].tolist()
+    alike = np.isin(rows, np.concatenate([each.alike for each in diagnosis.causes])) if len(rows) else rows
+    worst_first = rows[np.lexsort([-excess, alike])].tolist()
     rank = {row: place for place, row in enumerate(worst_first if judge.names_prims else rows.tolist())}
     causes = sorted(diagnosis.rows_of.values(), key=lambda cause_rows: -len(cause_rows))
     leading = [min(cause_rows.tolist(), key=rank.__getitem__) for cause_rows in causes]

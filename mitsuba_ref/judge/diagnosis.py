@@ -338,6 +338,8 @@ def separator_text(judge: Judge, judgement: Judgement, wrong: np.ndarray, *, pri
     right = np.flatnonzero(~judgement.is_class(*FAILING) & (prim >= 0))
     wrong = wrong[prim[wrong] >= 0]
     few = _few_prims_text(judge, prim[wrong], prim[right])
+    if remainder := common_remainder(wrong):
+        few = few or f"where the ray's number is {remainder[1]} modulo {remainder[0]}: all {len(wrong)} wrong pixels"
     if (text := _numbers_text(judge, prim[wrong], prim[right])) or prims_only:
         return text or few
     right, wrong = (sample_rows(rows, MAX_DIAGNOSED_PIXELS) for rows in (right, wrong))
@@ -367,21 +369,26 @@ def separator_text(judge: Judge, judgement: Judgement, wrong: np.ndarray, *, pri
 
 
 def _numbers_text(judge: Judge, wrong: np.ndarray, right: np.ndarray) -> str:
-    """The numbers of the primitives that are wrong, if they are equal modulo another number. wrong, right: (m,) prims.
+    """The numbers of the primitives that are wrong, if they are equal modulo another one. wrong, right: (m,) prims."""
+    number_of, named = judge.model.packed.index_in_shape, np.unique(wrong)
+    if not (found := common_remainder(np.sort(number_of(named)))):
+        return ""
+    step, rest = found
+    same = int((number_of(right) % step == rest).sum())
+    if same > (1.0 - SEPARATES) * len(right):
+        return ""
+    where = f"where the primitive's number in its shape is {rest} modulo {step}"
+    return f"{where}: {len(wrong)} of {len(wrong)} wrong pixels, {same} of {len(right)} right ones"
 
-    k numbers that have nothing to do with each other all leave the same remainder with probability step^(1 - k).
+
+def common_remainder(numbers: np.ndarray) -> tuple[int, int] | None:
+    """(divisor, remainder) of ascending numbers; None if chance would do as well.
+
+    k numbers that have nothing to do with each other leave one remainder with probability divisor^(1 - k).
     """
-    packed, named = judge.model.packed, np.unique(wrong)
-    shapes, numbers = packed.shape_of(named), packed.index_in_shape(named)
-    step = int(np.gcd.reduce(np.diff(numbers))) if len(named) > 1 and np.ptp(shapes) == 0 else 0
-    if step < 2 or (1 - len(named)) * np.log(step) > np.log(SEPARATOR_CHANCE):
-        return ""
-    rest = int(numbers[0]) % step
-    same = (packed.shape_of(right) == shapes[0]) & (packed.index_in_shape(right) % step == rest)
-    if same.sum() > (1.0 - SEPARATES) * len(right):
-        return ""
-    where = f"where the primitive's number in {judge.scene.shape_names()[shapes[0]]} is {rest} modulo {step}"
-    return f"{where}: {len(wrong)} of {len(wrong)} wrong pixels, {same.sum()} of {len(right)} right ones"
+    step = int(np.gcd.reduce(np.diff(numbers))) if len(numbers) > 1 else 0
+    likely = step < 2 or (1 - len(numbers)) * np.log(step) > np.log(SEPARATOR_CHANCE)
+    return None if likely else (step, int(numbers[0]) % step)
 
 
 def _few_prims_text(judge: Judge, wrong: np.ndarray, right: np.ndarray) -> str:
@@ -507,7 +514,7 @@ def _quantities(judge: Judge, rows: np.ndarray, prim: np.ndarray) -> Iterator[tu
 
 # ---- further rays: what makes a caster miss that misses all of a kind
 
-TRIED_RAYS = 64
+TRIED_RAYS, TRIED_RTOL = 64, 0.1  # a start that is moved by an epsilon counts as right
 LONGER, FARTHER = 2.0**40, 1000.0  # a direction; a start, in distances from the hit
 TURN = 0.35  # radians
 
@@ -522,8 +529,8 @@ def tried_text(judge: Judge, prim: np.ndarray, t: np.ndarray, rows: np.ndarray, 
     if not len(chosen):
         return ""
     o, d, t = judge.o[rows[chosen]], judge.d[rows[chosen]], t[chosen, None]
-    p, s, c = o + t * d, np.sin(TURN), np.cos(TURN)
-    turned = d @ (np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]]))
+    p, axis = o + t * d, np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
+    turned = np.cos(TURN) * d + np.sin(TURN) * np.cross(axis, d) + (1.0 - np.cos(TURN)) * (d @ axis)[:, None] * axis
     determinants = np.abs(dot(d, area_vectors(triangle_corners(judge, prim[chosen]))))
     determinants = determinants[np.isfinite(determinants)]
     small = f"the determinants of {range_text(determinants)}" if len(determinants) else "such sizes"
@@ -537,7 +544,7 @@ def tried_text(judge: Judge, prim: np.ndarray, t: np.ndarray, rows: np.ndarray, 
     ):
         given, expected = cast(lines[0], lines[1]) or (NONE, NONE)
         there = np.isfinite(expected)
-        if there.any() and np.isclose(given[there], expected[there], rtol=DISTINCT_RTOL, atol=0.0).mean() >= NEARLY_ALL:
+        if there.any() and np.isclose(given[there], expected[there], rtol=TRIED_RTOL, atol=0.0).mean() >= NEARLY_ALL:
             return f"hit {changed}: {question}?"
     if judge.hit.any():
         return ""

@@ -5,7 +5,7 @@ Pixels that are right must not contradict it.
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import chain, permutations, product
 from typing import NamedTuple
 
@@ -36,6 +36,7 @@ from mitsuba_ref.judge.classification import Judge
 from mitsuba_ref.reference.shared_input import described_model, pixel_centers
 from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64
 
+MIN_SIGNED_PIXELS = 16  # of fewer, all may have one sign by chance
 SCREENED_PIXELS = 96  # at which a claim about the whole image is tried first
 
 
@@ -221,9 +222,14 @@ FLOAT32_REMEDY = "compute in float64, or state --candidate-precision float32"
 def _as_in_float32(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
     """(m,) bool: errors within float32's bounds, if most of them are as large as float32 makes them."""
     with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = error / bound
+        ratio = np.abs(error) / bound
         fits: np.ndarray = ratio <= 1.0
         return fits & bool(fits.any() and np.median(ratio[fits]) >= LEAST_FLOAT32_ERROR)
+
+
+def _is_of_both_signs(error: np.ndarray) -> bool:
+    """Whether errors (m,) may be rounding: of many, some are positive and some negative."""
+    return len(error) < MIN_SIGNED_PIXELS or bool(min((error > 0.0).mean(), (error < 0.0).mean()) >= 1.0 - NEARLY_ALL)
 
 
 def _other_numbers(f: WrongPixels) -> Iterator[Mistake]:
@@ -237,16 +243,18 @@ def _other_numbers(f: WrongPixels) -> Iterator[Mistake]:
     def of_points(g: WrongPixels) -> np.ndarray:
         length = norm(g.d)
         rounding = KU_OURS * (norm(g.o) + np.abs(g.t) * length) / length
-        return g.given_hit & g.hit & (np.abs(g.given_t - g.t) <= rounding + g.at.t_error)
+        error = g.given_t - g.t
+        return g.given_hit & g.hit & (np.abs(error) <= rounding + g.at.t_error) & _is_of_both_signs(error)
 
     def in_float32(g: WrongPixels) -> np.ndarray:
         bound = g.at.t_error * (KU / KU_OURS) + g.t_rounding
-        return g.given_hit & g.hit & _as_in_float32(np.abs(g.given_t - g.t), bound)
+        return g.given_hit & g.hit & _as_in_float32(g.given_t - g.t, bound)
 
-    if described:
+    if described and of_described(f).mean() > MAJORITY:  # the others differ by less than rounding
         what = "hits of the scene file's own numbers; the judge traces them rounded to float32"
         remedy = "compute hits of the scene that `mitsuba-ref export --toml` writes, and judge with that"
-        yield Mistake(what, remedy, of_described, same_surface=True)
+        yield Mistake(what, remedy, of_described, single=True, same_surface=True)
+        return
     what = "t has the rounding of a point's coordinates, as (p - o) . d / d . d has"
     remedy = "return the t of the intersection, not that of the hit point"
     yield Mistake(what, remedy, of_points, single=True, share=NEARLY_ALL, same_surface=True)
@@ -272,17 +280,24 @@ def _fitted_quantities(f: WrongPixels) -> Iterator[Mistake]:
     some = f.given_hit & f.hit & np.isfinite(f.given_t)
     if some.sum() < MIN_FITTED_PIXELS:
         return
+    given, t = f.given_t[some], f.t[some]
     with np.errstate(all="ignore"):
-        offset = float(np.median((f.given_t - f.t)[some]))
-        scale = float(np.median((f.given_t / f.t)[some]))
-    what = f"t is {abs(offset):.3g} too {'large' if offset > 0 else 'small'} everywhere, a constant"
-    remedy = f"leave out the offset (an epsilon?) of {offset:.3g}"
-    yield _quantity(what, remedy, lambda g: (g.t + offset, 1.0), PIXELS)
-    what = f"t is {scale:.7g} times what it should be" if scale else "t is 0, whatever is hit"
-    remedy = (
-        "look for a wrong unit, a scale or a length that is not 1" if scale else "return the t of the surface ahead"
+        offset, more = float(np.median(given - t)), float(np.median((given - t) / t))
+        left = [np.median(np.abs(given - fit) / f.at.t_error[some]) for fit in (t + offset, t + more * t)]
+    constant = f"{abs(offset):.3g} too {'large' if offset > 0 else 'small'} everywhere, a constant"
+    times = f"{f'1 {more:+.3g}' if abs(more) < DISTINCT_RTOL else f'{1.0 + more:.7g}'} times what it should be"
+    if np.ptp(t) <= DISTINCT_RTOL * np.abs(t).max():  # nothing tells them apart
+        constant, times = f"{constant}, or {times}", f"{times}, or {constant}"
+    moved = _quantity(
+        f"t is {constant}", f"leave out the offset (an epsilon?) of {offset:.3g}", lambda g: (g.t + offset, 1.0), PIXELS
     )
-    yield _quantity(what, remedy, lambda g: (g.t * scale, scale), PIXELS)
+    scaled = _quantity(
+        f"t is {times}" if more != -1.0 else "t is 0, whatever is hit",
+        "look for a wrong unit, a scale or a length that is not 1" if more != -1.0 else "return the t of what is ahead",
+        lambda g: (g.t + more * g.t, 1.0 + more),
+        PIXELS,
+    )
+    yield from (scaled, moved) if left[1] < left[0] else (moved, scaled)
     yield _quantity("the square of t in place of t", "return t itself", lambda g: (np.square(g.t), 1.0))
     yield _quantity("1 / t in place of t", "return t itself", lambda g: (np.reciprocal(g.t), 1.0))
 
@@ -489,8 +504,26 @@ def id_mistakes(f: WrongPixels) -> Iterator[Mistake]:
         who = "the same primitive is" if len(named) == 1 else f"no more than {len(named)} primitives are"
         remedy = "return the number of the primitive in the order of the scene, or leave the column out"
         yield Mistake(f"{who} named at all {hit.sum()} hits", remedy, lambda g: g.hit, same_surface=True)
+    if f.judge.answer.shape_id is not None and f.judge.answer.prim_id is not None:
+        for step, cure in ((1, "subtract"), (-1, "add")):
+            remedy = f"numbers count from 0: {cure} 1"
+            what = f"the primitive's number is off by one ({step:+d})"
+            yield Mistake(what, remedy, partial(_hits_beside, step=step), same_surface=True)
     for column in columns:
         yield from _column_mistakes(*column)
+
+
+def _hits_beside(g: WrongPixels, step: int) -> np.ndarray:
+    """(m,) bool: the primitive `step` before the named one, counted through all shapes, is hit at the given t."""
+    packed, answer = g.judge.model.packed, g.judge.answer
+    assert answer.shape_id is not None and answer.prim_id is not None
+    shape = answer.shape_id[g.rows]
+    known = (shape >= 0) & (shape < len(packed.parts))
+    prim = packed.first[np.where(known, shape, 0)] + answer.prim_id[g.rows] - step
+    there = known & (prim >= 0) & (prim < packed.first[-1])
+    at = g.judge.near(g.rows, np.where(there, prim, -1), g.given_t)
+    found: np.ndarray = there & at.possible & (np.abs(g.given_t - at.t) <= at.t_error + g.t_rounding)
+    return found
 
 
 def _column_mistakes(name: str, ids: np.ndarray, number: Callable[[np.ndarray], np.ndarray]) -> Iterator[Mistake]:

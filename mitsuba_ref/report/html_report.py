@@ -2,8 +2,6 @@
 
 import inspect
 import json
-import os
-import platform
 import re
 import shlex
 import subprocess
@@ -23,12 +21,12 @@ import numpy as np
 
 from caster import __version__
 from caster.description.input_files import opened_input
-from caster.system import processor
 from caster.system.atomic_files import OutputError, atomic_write, check_folder, write_text
 from mitsuba_ref.error_model.tolerances import LARGEST_Z
 from mitsuba_ref.judge.checks import all_checks
 from mitsuba_ref.judge.pipeline import Seen
 from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, SceneVerdict, Verdict, json_number
+from mitsuba_ref.reference.store import machine
 from mitsuba_ref.report.evidence import CLASS_COLORS, UNLISTED_COLOR
 from mitsuba_ref.report.reproducers import replay, replay_around
 from mitsuba_ref.report.scene_record import CODES, SIDES, SceneRecord, image, packed, scene_record
@@ -118,15 +116,14 @@ def write_record(data: Path, name: str, parts: Mapping[str, Any]) -> None:
 
 
 def run_facts() -> list[tuple[str, str]]:
-    """Command, date, commit and machine of this run."""
+    """Command, date, commit, versions and machine of this run."""
     program, *options = sys.argv or [""]
     name = "mitsuba-ref" if Path(program).name == "__main__.py" else Path(program).name
     found = [
         ("command", shlex.join([name, *options])),
         ("date", datetime.now().astimezone().isoformat(" ", "seconds")),
         ("commit", commit()),
-        ("caster", f"{__version__}, Python {platform.python_version()}, NumPy {np.__version__}"),
-        ("machine", f"{platform.system()}, {processor.description()}, {os.cpu_count()} cores"),
+        ("versions", f"caster {__version__}, {', '.join(f'{name} {each}' for name, each in machine().items())}"),
     ]
     return [(term, words) for term, words in found if words]
 

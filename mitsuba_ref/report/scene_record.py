@@ -208,7 +208,6 @@ def _exact_answers(judge: Judge, judgement: Judgement) -> Part:
     return {
         "rows": packed(exact.rows.astype(np.int32)),
         "t": packed(np.array(t, np.float64)),
-        "share": packed(share_codes(exact.ratio)),
         **numbered(format_exact(judge.scene, packed_scene, answer, with_t=False) for answer in exact.answers),
     }
 

@@ -1,5 +1,6 @@
 """Verdicts for the terminal: one row per scene, failures with the next command, and a summary."""
 
+import math
 import re
 from collections.abc import Iterator, Sequence
 from math import isfinite
@@ -96,17 +97,14 @@ def failure_text(scene: SceneVerdict, report: str = "") -> str:
     lines += [check_failure(scene, check) for check in scene.checks if not check.ok]
     if scene.failures:
         worst = scene.failures[0]
-        counts = (
-            f"{worst.check}: {_failing(scene)} of {scene.hit_pixels} hit pixels, "
-            f"{'' if scene.candidate else 'worst '}{_ratio_and_place(scene, worst)}"
-        )
+        counts = f"{worst.check}: {_failing(scene)} of {scene.hit_pixels} hit pixels, {_ratio_and_place(scene, worst)}"
         causes = [finding.text for finding in scene.findings[:1]]
         lines += (
             [f"FAIL  {scene.name}  {causes[0]}", f"      {counts}"] if causes else [f"FAIL  {scene.name}  {counts}"]
         )
         for place, finding in enumerate(scene.findings) if len(scene.findings) > 1 else ():
             alike = f" and {finding.alike} more ({SAME_SYMPTOM})" if finding.alike else ""
-            at = f"      {finding.pixels} pixels, first {scene.place(finding.x, finding.y)}{alike}: "
+            at = f"      {finding.pixels} pixels{alike}, first {scene.place(finding.x, finding.y)}: "
             lines.append(at + (finding.what if place else "as above"))
             more = (finding.where, finding.remedy) if place else ()  # the first line has those of the first
             lines += [f"        {each}" for each in more if each]
@@ -124,12 +122,13 @@ def check_failure(scene: SceneVerdict, check: SceneCheck) -> str:
 def pixel_failure(scene: SceneVerdict, check: str) -> str:
     """Text of the pixels that fail one check."""
     worst = scene.worst_by[check]
-    counts = f"{scene.failing_by[check]} of {scene.hit_pixels} hit pixels, worst {_ratio_and_place(scene, worst)}"
+    counts = f"{scene.failing_by[check]} of {scene.hit_pixels} hit pixels, {_ratio_and_place(scene, worst)}"
     return "\n".join([f"FAIL  {scene.name}  {check}: {counts}", *_answers(scene, worst)])
 
 
 def _ratio_and_place(scene: SceneVerdict, worst: Failure) -> str:
-    return f"{worst.ratio:.3g}x its bound at {scene.place(worst.x, worst.y)}"
+    far = f"{'' if scene.candidate else 'worst '}{worst.ratio:.3g}x its bound at"
+    return f"{far if math.isfinite(worst.ratio) else 'such as'} {scene.place(worst.x, worst.y)}"
 
 
 def _answers(scene: SceneVerdict, worst: Failure, report: str = "", said: str = "") -> Iterator[str]:

@@ -153,7 +153,6 @@ class ScenePlugin:
         self.mesh_dirs = tuple(map(str, config.getini("mitsuba_ref_mesh_dirs")))
         self.named = {Path(self.start, arg.split("::")[0]).resolve() for arg in config.args}
         self.verdicts: dict[Path, SceneVerdict | str] = {}
-        self.first: Path | None = None  # scene that was collected
         self.files: list[Path] = []
 
     def pytest_collect_file(self, file_path: Path, parent: pytest.Collector) -> pytest.Collector | None:
@@ -218,8 +217,7 @@ class ScenePlugin:
         """Names of the checks that are made once a run, with its first scene."""
         from mitsuba_ref.judge.checks import CANDIDATE, checks_of
 
-        self.first = self.first or path
-        made = self.candidate and path == self.first
+        made = self.candidate and path in self.files[:1]
         return tuple(check.name for check in checks_of(CANDIDATE, ["run"])) if made else ()
 
     @cached_property
@@ -281,7 +279,7 @@ class CheckItem(pytest.Item):
         plugin = self.config.pluginmanager.get_plugin(PLUGIN)
         assert isinstance(plugin, ScenePlugin)  # it collected this item
         found = plugin.verdict_of(self.path)
-        if self.name in plugin.run_names(self.path):
+        if self.name in plugin.run_names(self.path) and not (isinstance(found, str) or found.problem):
             check = plugin.run_checks.get(self.name)
             if check is None:
                 pytest.skip(f"not judged: {plugin.candidate} is given no limits")

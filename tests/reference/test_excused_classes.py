@@ -12,7 +12,9 @@ from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.classification import Judge, Judgement
+from mitsuba_ref.judge.explanations import reason
 from mitsuba_ref.judge.verdict import EXPLAINED, JUDGED_WITHOUT_REFERENCE
+from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.report.verdict_text import failure_text
 
 SCENES = Path(__file__).parents[2] / "scenes"
@@ -83,7 +85,7 @@ def test_a_plane_edge_on_excuses_neither_what_stands_before_it_nor_beside_it(jud
 
 
 @pytest.mark.parametrize("first", [True, False])
-def test_a_doubtful_shadow_counts_whichever_place_its_light_has(judged, first):
+def test_a_doubtful_shadow_counts_whichever_place_its_light_has(first):
     """Pixel centres lie on a shadow's border, exactly; six more lights are in no doubt."""
     others = [caster.Point(position=(i, 0.5, 9), intensity=(1, 1, 1)) for i in range(9)]
     sun = [caster.Directional(direction=(-1, -1, 0), irradiance=(1, 1, 1))]
@@ -97,8 +99,11 @@ def test_a_doubtful_shadow_counts_whichever_place_its_light_has(judged, first):
         film=caster.Film(width=32, height=32),
         lights=sun + others if first else others + sun,
     )
-    found = judged(scene)
+    found = validate_scene(scene, "shadow", keep=True)
     assert found.ok and found.counts["explained"] > 0, found
+    judge, judgement = found.seen.judge, found.seen.judgement
+    reasons = {reason(judge, judgement, {}, int(row)) for row in np.flatnonzero(judgement.is_class(EXPLAINED))}
+    assert any(each.startswith("a shadow: both sides see the same point") for each in reasons)
 
 
 @pytest.mark.parametrize("name", ["depth", "position", "normal", "shading_normal", "uv", "diffuse"])

@@ -288,7 +288,7 @@ def test_the_sheet_of_a_narrow_screen_covers_no_image(visit, folder):
 def test_the_head_and_the_words_of_the_page(visit, folder):
     page = visit(folder).page
     facts = page.inner_text("#facts")
-    assert all(term in facts for term in ("command", "date", "caster", "machine", "duration", "reference"))
+    assert all(term in facts for term in ("command", "date", "versions", "processor", "duration", "reference"))
     page.click("#meaning summary")
     assert "differs by less than the error bound" in page.inner_text("#legend")
     page.keyboard.press("?")

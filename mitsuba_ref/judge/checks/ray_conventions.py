@@ -145,7 +145,7 @@ def check_ray_limits(subject: Subject) -> SceneCheck | None:
     """
     if not subject.takes_limits:
         return None
-    why = "it hits neither of two triangles nor a sphere"
+    why = ""
     t_min, t_max = (np.array([each[end] for each in LIMITS]) for end in (0, 1))
     for shapes, at in ((TRIANGLES, (0.5, 0.25, 0.0)), (SPHERE, (0.0, 0.0, 0.0))):
         scene = Scene.model_validate({"camera": Ray(**Ray.MINIMAL), "shape": shapes})
@@ -153,9 +153,10 @@ def check_ray_limits(subject: Subject) -> SceneCheck | None:
         try:
             given = _answer_to(subject, scene, rays._replace(t_min=t_min, t_max=t_max.astype(np.float32))).tolist()
         except NoAnswer as error:  # such as shapes that it does not have
-            why = str(error)
+            why = why or str(error)
             continue
         if given[0] != LIMITS[0].t:
+            why = f"without limits it gives t = {given[0]:g} in place of {LIMITS[0].t:g}"
             continue
         for each, t in zip(LIMITS, given, strict=True):
             if t not in (each.t, each.other):

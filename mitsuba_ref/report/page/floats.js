@@ -68,7 +68,7 @@ function times(share) {
 
 /** A rounded number, with the digits that its step leaves. */
 function roundedTo(value, step) {
-  const digits = Math.max(1, Math.min(9, Math.ceil(Math.log10(Math.abs(value) / step + 1)) + 1));
+  const digits = Math.max(1, Math.min(9, Math.ceil(Math.log10(Math.abs(value) / step))));
   return brief(Number(value.toPrecision(digits)));
 }
 

@@ -60,7 +60,7 @@ function factsHtml(record, row) {
   const facts = [["ours", sideWords(record, row, "ours", 1)], ["reference", sideWords(record, row, "reference", 2)]];
   const answer = record.exact.get(row);
   if (answer) {
-    const [t, code, words] = answer, [share] = sharesOf([code], RUN.codes); const at = Number.isFinite(t) ? `<br>t ${numberHtml(t)}` : "";
+    const [t, words] = answer, share = inspected.get("share exact")?.[row] ?? 0, at = Number.isFinite(t) ? `<br>t ${numberHtml(t)}` : "";
     const text = escaped(record.about.exact.texts[words]);
     const how = Number.isNaN(t) ? "" : share === Infinity ? `no bound allows ${RUN.candidate ? "the candidate's answer" : "our answer"}`
       : `${JUDGED} uses ${atMost(share)} of its bound`;
@@ -68,7 +68,7 @@ function factsHtml(record, row) {
   } else {
     facts.push(["exact", isShadow(record, row) ? "not needed: the surface is the same, and light is compared in float64" : "not computed here"]);
   }
-  const others = ["mask", "shape_id", "on_surface", "exact"].map((name) => [name, inspected.get(`share ${name}`)?.[row]])
+  const others = ["mask", "shape_id", "on_surface"].map((name) => [name, inspected.get(`share ${name}`)?.[row]])
     .filter(([, share]) => share > 0);
   const used = ([name, share]) =>
     `<span class="${share > 1 ? "bad" : ""}">${spaced(name)} ${share === Infinity ? "fails" : atMost(share)}</span>`;

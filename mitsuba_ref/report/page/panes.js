@@ -173,7 +173,8 @@ class Pane {
     for (let y = y0; y < y1; y++) for (let x = x0; x < x1; x++) {
       const row = record.row(x, y), [px, py] = this.place(x + 0.5, y + 0.5);
       for (let c = 0; c < data.channels; c++) {
-        const words = brief(Number(data[side][c * data.count + row]));
+        const value = Number(data[side][c * data.count + row]), exact = !data.steps || record.placeOf(row) >= 0;
+        const words = exact || !Number.isFinite(value) ? brief(value) : `\u2248${roundedTo(value, data.steps[c])}`;
         const down = py + NUMBER_LINES[data.channels][c];
         context.strokeStyle = "rgba(0,0,0,0.75)";
         context.lineWidth = 3;

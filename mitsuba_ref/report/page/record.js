@@ -55,7 +55,7 @@ class SceneRecord {
     this.classes = about.class ? Uint8Array.from(await this.array("about", "class")) : new Uint8Array(count);
     this.withoutLoss = about.rows ? new Map(Array.from(await this.array("about", "rows"), (row, i) => [row, i])) : null;
     this.reasons = about.reasons ? await byRow(this, "about/reasons", ["words"]) : new Map();
-    this.exact = about.exact ? await byRow(this, "about/exact", ["t", "share", "words"]) : new Map();
+    this.exact = about.exact ? await byRow(this, "about/exact", ["t", "words"]) : new Map();
     if (this.has("ids")) {
       for (const name of Object.keys(this.part("ids"))) if (name !== "exact") this[name] = await this.array("ids", name);
       if (this.part("ids").exact) {
