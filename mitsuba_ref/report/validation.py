@@ -16,11 +16,9 @@ from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.report.evidence import write_images
 from mitsuba_ref.report.html_report import HtmlReport
 from mitsuba_ref.report.reproducers import write_reproducers
-from mitsuba_ref.report.verdict_text import failing_scenes, failure_text, outcome_text, table_row
+from mitsuba_ref.report.verdict_text import failing_scenes, failure_text, outcome_text, short_text
 from mitsuba_ref.subjects.requests import request_answer
 from mitsuba_ref.subjects.subject import OURS, Subject
-
-SCENES_IN_TEXT = 8  # rows of str(verdict)
 
 
 class Validation(Verdict):
@@ -36,12 +34,8 @@ class Validation(Verdict):
         return report.index
 
     def __str__(self) -> str:
-        """The outcome, rows of scenes, and the first failure, as `mitsuba-ref validate` prints them."""
-        width = max((len(scene.name) for scene in self.scenes), default=0)
-        rows = [table_row(scene, width) for scene in self.scenes[:SCENES_IN_TEXT]]
-        more = len(self.scenes) - len(rows)
-        lines = [outcome_text(self), *rows, *([f"      and {more} more"] if more else [])]
-        return "\n".join([*lines, *(failure_text(scene) for scene in failing_scenes(self.scenes)[:1])])
+        """The outcome; of a run that fails, the cause and one pixel in some ten lines."""
+        return short_text(self)
 
     def __repr__(self) -> str:
         """One line, since pytest cuts the representation of a message: `assert verdict.ok, str(verdict)` is whole."""

@@ -227,9 +227,12 @@ def failures_text(verdict: Verdict, report: str = "") -> str:
 def short_text(verdict: Verdict) -> str:
     """The outcome, the names of failing scenes, and the simplest of them, in some ten lines of 80 characters."""
     failing = failing_scenes(verdict.scenes)
-    shown = failure_text(simplest_failing(verdict.scenes) or failing[0])
-    shown = re.sub(r" 0x[\w.+-]+|, along o .*", "", shown)  # bits and the ray, which the replay prints
-    return folded(f"{outcome_text(verdict)}: {', '.join(scene.name for scene in failing)}\n{shown}")
+    lines = [f"{outcome_text(verdict)}{': ' if failing else ''}{', '.join(scene.name for scene in failing)}"]
+    lines += [f"FAIL  {check.name}: {check.what}" for check in verdict.checks if not check.ok]
+    for scene in [simplest_failing(verdict.scenes) or failing[0]] if failing else ():
+        # without bits and the ray, which the replay prints
+        lines.append(re.sub(r" 0x[\w.+-]+|, along o .*", "", failure_text(scene)))
+    return folded("\n".join(lines))
 
 
 def candidate_lines(verdict: Verdict) -> Iterator[str]:

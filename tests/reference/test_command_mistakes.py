@@ -161,4 +161,4 @@ def test_what_fails_alike_in_several_scenes_is_said_in_full_once(folder, capsys)
     Path("again.toml").write_text(SCENE)
     code, text = answer("mitsuba-ref validate scene.toml again.toml --candidate mine:raises", capsys)
     assert code == 1 and text.count("mine.py:4") == 1 and text.count("RuntimeError: no such shape") == 2
-    assert "FAIL again the candidate gave no answer to judge: raises raised RuntimeError: no such shape: as in" in text
+    assert text.count("no such shape: as in") == 1
