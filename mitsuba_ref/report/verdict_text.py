@@ -227,6 +227,8 @@ def failures_text(verdict: Verdict, report: str = "") -> str:
 def short_text(verdict: Verdict) -> str:
     """The outcome, the names of failing scenes, and the simplest of them, in some ten lines of 80 characters."""
     failing = failing_scenes(verdict.scenes)
+    if not failing:
+        return outcome_text(verdict)
     shown = failure_text(simplest_failing(verdict.scenes) or failing[0])
     shown = re.sub(r" 0x[\w.+-]+|, along o .*", "", shown)  # bits and the ray, which the replay prints
     return folded(f"{outcome_text(verdict)}: {', '.join(scene.name for scene in failing)}\n{shown}")
