@@ -18,7 +18,6 @@ import pytest
 
 if TYPE_CHECKING:
     from mitsuba_ref.judge.verdict import SceneCheck, SceneVerdict
-    from mitsuba_ref.report.html_report import HtmlReport
     from mitsuba_ref.report.validation import Validation
     from mitsuba_ref.subjects.subject import Subject
 
@@ -103,14 +102,15 @@ class Report:
     """The HTML report of a session. A process of xdist hands its scenes to the one that started it."""
 
     def __init__(self, config: pytest.Config, folder: Path) -> None:
-        self.config, self.folder = config, folder
-        self.to_starter: dict[str, Any] | None = getattr(config, "workeroutput", None)
-
-    @cached_property
-    def written(self) -> HtmlReport:
+        """Raises pytest.UsageError where nothing can be written, or where another page is there."""
+        from caster.system.atomic_files import OutputError
         from mitsuba_ref.report.html_report import HtmlReport
 
-        return HtmlReport(self.folder, 0)
+        self.to_starter: dict[str, Any] | None = getattr(config, "workeroutput", None)
+        try:
+            self.written = HtmlReport(folder, 0)
+        except OutputError as error:
+            raise pytest.UsageError(f"mitsuba_ref_html: {error}") from None
 
     def add(self, verdict: SceneVerdict, name: str) -> None:
         """Add a scene with its evidence. name: distinct in the session."""

@@ -288,3 +288,10 @@ def test_the_test_of_the_documentation_passes_as_written(folder):
     (test,) = re.findall(r"```python\n((?:(?!```).)*judge_caster.*?)```", page, re.DOTALL)
     folder.makepyfile(mine=CASTERS.replace("def right", "def trace"), test_page=test.replace("(48, 48)", "(6, 5)"))
     run(folder, "test_page.py").assert_outcomes(passed=1)
+
+
+def test_the_page_of_another_program_is_not_replaced(folder):
+    folder.mkdir("page").joinpath("index.html").write_text("<title>mine</title>")
+    found = run(folder, "--mitsuba-ref", "scenes", "--mitsuba-ref-html", "page")
+    assert "mitsuba_ref_html: " in found.stderr.str() and "Traceback" not in found.stderr.str()
+    assert Path("page/index.html").read_text() == "<title>mine</title>"

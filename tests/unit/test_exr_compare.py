@@ -352,6 +352,10 @@ def test_files_that_name_different_scenes_are_compared_only_on_demand(tmp_path):
     write_exr(b, EXACT, {"scene_sha256": "2"})
     refused = compare_exr(a, b)
     assert refused.exit_code == 3 and "different scenes" in text(refused)
+    write_exr(b, {name: values[:, 1:] for name, values in EXACT.items()}, {"scene_sha256": "2"})  # of the film, too
+    other_size = text(compare_exr(a, b, Tolerances(other_scene=True)))
+    assert other_size == text(compare_exr(a, b)) and "size: ours is 32 x 24, the reference 31 x 24" in other_size
+    write_exr(b, EXACT, {"scene_sha256": "2"})
     assert compare_exr(a, b, Tolerances(other_scene=True)).exit_code == 0
 
 
