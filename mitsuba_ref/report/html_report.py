@@ -280,6 +280,6 @@ def write_comparison(
     write_record(data, PAIR, {"about": about, **parts})
     mark = "PASS" if ok else "FAIL"
     row = index_row(SceneVerdict(PAIR, ""), "") | {"ok": ok, "mark": mark, "failure": ""}
-    run = {"names": pair.names, "facts": run_facts(), "summary": mark, "candidate": "", "requested": 1, "common": []}
-    write_page(index, run | page_words() | {"classes": [], "colors": {}}, [row])
+    run = {"names": pair.names, "facts": run_facts(), "summary": mark, "requested": 1}
+    write_page(index, run | page_words(), [row])
     return index
