@@ -90,9 +90,9 @@ def value_codes(values: np.ndarray, steps: np.ndarray) -> np.ndarray:
 def value_steps(values: np.ndarray) -> np.ndarray:
     """(c,) the steps of the channels of (n, c) values: a 255th of the range of most of them."""
     known = values[np.isfinite(values).all(axis=1)]
-    low, high = np.quantile(known, MOST, axis=0) if len(known) else np.zeros((2, values.shape[1]))
-    spans = np.where(high > low, high - low, np.abs(high))
-    return np.where(spans > 0.0, spans, 1.0) / STEPS
+    low, high = np.quantile(known / STEPS, MOST, axis=0) if len(known) else np.zeros((2, values.shape[1]))
+    steps = np.where(high > low, high - low, np.abs(high))
+    return np.where(steps > 0.0, steps, 1.0)
 
 
 def share_codes(shares: np.ndarray) -> np.ndarray:
