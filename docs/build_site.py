@@ -20,6 +20,10 @@ from mitsuba_ref.cli import COMMANDS as JUDGE
 ROOT = Path(__file__).resolve().parents[1]
 DOCS, PAGES, SITE = ROOT / "docs", ROOT / "build/site-pages", ROOT / "build/site"
 PROGRAMS = {"mitsuba-ref": JUDGE, "caster": CASTER}
+sys.path.append(str(DOCS))
+
+import notebook  # noqa: E402 - docs/notebook.py
+
 LINK = re.compile(r"(?<=\]\()([^)#\s:]+)(?=[)#])")
 FILE = re.compile(r"^```python\n(# mine\.py\n.*?)^```$", re.MULTILINE | re.DOTALL)
 DEMO = "validate --builtin triangles --size 64 64 --candidate mine:trace --html"
@@ -50,10 +54,15 @@ def configuration(commands: list[str]) -> str:
 
 
 def copy_pages() -> None:
-    """docs/ without its programs. What a page names outside of docs/ is copied into the folder sources."""
+    """docs/ without its programs, and the notebook as a page.
+
+    What a page names outside of docs/ is copied into the folder sources.
+    """
     shutil.copytree(DOCS, PAGES, ignore=shutil.ignore_patterns("__pycache__"))
     for unwanted in (*PAGES.glob("*.py"), PAGES / "mkdocs.yml"):
         unwanted.unlink()
+    tutorial = notebook.as_page(notebook.read(), PAGES / "tutorial")
+    (PAGES / "tutorial.md").write_text(tutorial, encoding="utf-8")
     for page in sorted(PAGES.rglob("*.md")):
         text = page.read_text(encoding="utf-8").replace("<details>", '<details markdown="1">')
         page.write_text(LINK.sub(lambda found, page=page: within(found[1], page), text), encoding="utf-8")
@@ -62,6 +71,8 @@ def copy_pages() -> None:
 def within(link: str, page: Path) -> str:
     """A link of a copied page to a file of the copy, to which a file outside of docs/ is added."""
     target = Path(os.path.normpath(DOCS / page.relative_to(PAGES).parent / link))
+    if link == "tutorial.ipynb":
+        return "tutorial.md"
     if target.is_dir() or (target.suffix == ".md" and not target.is_relative_to(DOCS)):
         raise ValueError(f"{page.relative_to(PAGES)}: {link}: expected a file, or a page of docs/")
     if target.is_relative_to(DOCS) or not target.exists():
@@ -115,8 +126,7 @@ def parsers_of(program: str, commands: tuple[Command, ...]) -> dict[str, argpars
 def command_page(command: Command, parser: argparse.ArgumentParser) -> Iterator[str]:
     """What --help says, as Markdown."""
     yield from [f"# {parser.prog}", "", f"{command.help[0].upper()}{command.help[1:]}.", ""]
-    if examples := getattr(command, "example", ""):
-        yield from ["```console", *(f"$ {line}" for line in examples.splitlines()), "```", ""]
+    yield from ["```console", *(f"$ {line}" for line in command.example.splitlines()), "```", ""]
     yield from ["```", parser.format_usage().strip(), "```", ""]
     for group in parser._action_groups:
         actions = [each for each in group._group_actions if each.help != argparse.SUPPRESS]

@@ -2,7 +2,8 @@
 
 A block of code whose first line is a comment with nothing but a file's name is that file, in a folder of the page's
 own. In a ```console block each line `$ COMMAND` is run there by sh; the lines below it are replaced by its output, and
-`$ COMMAND  # exit 1` states its exit code. An output that ends with `...` on the page keeps that many lines.
+`$ COMMAND  # exit 1` states its exit code. An output that ends with `...` on the page keeps that many lines. Modules
+are found in the folder first, so that a page may change a copy of the packages; $CLONE is this tree.
 """
 
 import os
@@ -15,6 +16,7 @@ from pathlib import Path
 
 FENCED = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 FILE_NAME = re.compile(r"(?:#|//) ([\w-]+\.\w+)\n")
+ROOT = Path(__file__).resolve().parents[1]
 EXIT = re.compile(r"  # exit (\d+)$")
 MORE = "..."
 SECONDS = 600.0  # for one command
@@ -60,14 +62,14 @@ def output(command: str, code: int, folder: Path) -> list[str]:
         command,
         shell=True,
         cwd=folder,
-        env=os.environ | {"PATH": path, "NO_COLOR": "1"},
+        env=os.environ | {"PATH": path, "NO_COLOR": "1", "PYTHONPATH": str(folder), "CLONE": str(ROOT)},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
         timeout=SECONDS,
     )
     assert found.returncode == code, f"{command}: exit code {found.returncode}, expected {code}\n{found.stdout}"
-    lines = found.stdout.replace(f"{folder}/", "").splitlines()
+    lines = found.stdout.replace(f"{folder}/", "").replace(str(ROOT), "$CLONE").splitlines()
     return [line.rstrip() for line in lines if not UNSTABLE.fullmatch(line)]
 
 

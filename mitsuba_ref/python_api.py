@@ -10,6 +10,7 @@ import numpy as np
 from caster.cli.shared_arguments import display_names, scene_files
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
+from mitsuba_ref.judge.checks import run_checks
 from mitsuba_ref.probe.pixel import PixelVerdict, probe_with_evidence
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
@@ -137,4 +138,5 @@ def _judged(entries: Sequence[SceneEntry], options: JudgeOptions) -> Validation:
     variants.require_variants()
     options = options._replace(page_of=lambda verdict: verdict.seen, film=True)
     verdicts = tuple(judge_loaded(entry, entry.load(), options) for entry in entries)
-    return Validation(verdicts, len(entries), tuple(entry.name for entry in entries))
+    names = tuple(entry.name for entry in entries)
+    return Validation(verdicts, len(entries), names, checks=run_checks(options.subject))

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import re
 import sys
 import textwrap
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 from caster import __version__
 from caster.cli.shared_arguments import checked_paths
+from caster.description.errors import suggestion
 from caster.system import NOT_HERE, runs_here, terminal
 from caster.system.process import FILE, INTERRUPTED, USAGE, end_process, exit_codes_help, run_command
 
@@ -74,9 +76,28 @@ def announce(name: str, commands: Sequence[Command], chosen: str) -> None:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser without the colours of Python 3.14, whose escapes `printable` would show."""
+    """A parser that suggests what a misspelt word may mean.
+
+    It has no colours of Python 3.14, whose escapes `printable` would show.
+    """
 
     color = False
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """As in argparse; a command's parser, not the program's, reports options that it does not know."""
+        found, extra = super().parse_known_args(args, namespace)
+        if extra and self._subparsers is None:
+            options = self._option_string_actions
+            hints = (suggestion(word.partition("=")[0], options) for word in extra if word.startswith("-"))
+            self.error(f"unrecognized arguments: {' '.join(extra)}{next(filter(None, hints), '')}")
+        return found, extra
+
+    def error(self, message: str) -> NoReturn:
+        """Exit with 2 after the usage and the message, with a suggestion for a choice that does not exist."""
+        if choice := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
+            known = re.findall(r"[^\s,']+", choice[2])
+            message = message.replace(f"'{choice[1]}' (", f"'{choice[1]}'{suggestion(choice[1], known)} (", 1)
+        super().error(message)
 
 
 def build_parser(

@@ -111,8 +111,17 @@ def check_exr_suffix(output: str) -> None:
 
 def add_pixel(parser: argparse.ArgumentParser) -> None:
     """Add X and Y."""
-    parser.add_argument("x", metavar="X", type=int, help="column of the pixel, 0 at the left")
-    parser.add_argument("y", metavar="Y", type=int, help="row of the pixel, 0 at the top")
+    parser.add_argument("x", metavar="X", type=coordinate, help="column of the pixel, 0 at the left")
+    parser.add_argument("y", metavar="Y", type=coordinate, help="row of the pixel, 0 at the top")
+
+
+def coordinate(text: str) -> int:
+    """Parse a column or row. Raises argparse.ArgumentTypeError."""
+    try:
+        return int(text)
+    except ValueError:
+        order = "expected SCENE X Y in this order, such as scene.toml 160 120"
+        raise argparse.ArgumentTypeError(f"{order}, with whole numbers; got '{text}'") from None
 
 
 def load(args: argparse.Namespace) -> Scene:

@@ -11,6 +11,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -84,9 +85,19 @@ def _is_quoted_number(value: Any) -> bool:
         return False
 
 
+class FixedArray(np.ndarray):
+    """A read-only array of numbers, equal to another if all numbers are."""
+
+    def __eq__(self, other: object) -> Any:
+        return other is not None and np.array_equal(np.asarray(self), np.asarray(other))
+
+    def __hash__(self) -> int:  # type: ignore[override]  # other arrays have none
+        return hash(self.tobytes())
+
+
 @dataclass(frozen=True)
 class NumberList:
-    """A list of many numbers, or of rows of numbers, validated as one array and kept as tuples.
+    """A list of many numbers, or of rows of numbers, kept as a FixedArray.
 
     what: the contents, in messages; least: numbers must be larger; width: numbers in a row, 0 for plain numbers;
     whole: numbers below 2^31 without a point.
@@ -97,18 +108,30 @@ class NumberList:
     width: int = 0
     whole: bool = False
 
-    def read(self, value: Any) -> tuple[Any, ...]:
-        """Parse a list; the error gives the index of the first bad item."""
-        items = value.tolist() if isinstance(value, np.ndarray) else value
-        if not isinstance(items, (list, tuple)) or not items:
+    def read(self, value: Any) -> FixedArray:
+        """Parse a list or an array; the error gives the index of the first bad item."""
+        if not isinstance(value, (list, tuple, np.ndarray)) or not len(value):
             raise expectation_error(f"a list of {self.what}", value)
-        if self._are_plain(items):
-            with contextlib.suppress(OverflowError):  # a whole number beyond float64
-                array = np.array(items, np.int64 if self.whole else np.float64) + 0  # as _as_float
+        array = self._array(value)
+        if array is None:
+            array = np.array([self._item(value, i) for i in range(len(value))])
+        array.flags.writeable = False
+        return array.view(FixedArray)
+
+    def _array(self, value: Any) -> Any:
+        """An array of good numbers, or None."""
+        if isinstance(value, np.ndarray):
+            plain = value.dtype.kind in ("iu" if self.whole else "iuf") and value.shape[1:] == (self.width,) * (
+                self.width > 0
+            )
+        else:
+            plain = self._are_plain(value)
+        with contextlib.suppress(OverflowError):  # a whole number beyond float64
+            if plain:
+                array = np.array(value, np.int64 if self.whole else np.float64) + 0  # as _as_float
                 if (array > self.least).all() and (array < self._end).all():
-                    rows = array.tolist()
-                    return tuple(map(tuple, rows)) if self.width else tuple(rows)
-        return tuple(self._item(items, i) for i in range(len(items)))
+                    return array
+        return None
 
     def _are_plain(self, items: Sequence[Any]) -> bool:
         """Whether these are rows of the right length of Python's own numbers, no strings, no booleans."""
@@ -123,8 +146,8 @@ class NumberList:
     def _end(self) -> float:
         return 2.0**31 if self.whole else math.inf
 
-    def _item(self, items: Sequence[Any], i: int) -> Any:
-        value = items[i].tolist() if isinstance(items[i], np.ndarray) else items[i]
+    def _item(self, items: Any, i: int) -> Any:
+        value = _plain(items[i])
         row = value if self.width else (value,)
         with contextlib.suppress(PydanticCustomError):  # the message below describes the whole list
             if isinstance(row, (list, tuple)) and len(row) == (self.width or 1):
@@ -134,7 +157,8 @@ class NumberList:
         raise field_error(f"must be a list of {self.what}, got {format_value(value)} as number {i}")
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_before_validator_function(self.read, core_schema.any_schema())
+        as_list = core_schema.plain_serializer_function_ser_schema(np.ndarray.tolist)
+        return core_schema.no_info_plain_validator_function(self.read, serialization=as_list)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:
         number = {} if math.isinf(self.least) else {"exclusiveMinimum": self.least}
@@ -174,12 +198,10 @@ FieldOfView = Annotated[float, Quantity(gt=0.0, lt=180.0)]  # degrees
 WideFieldOfView = Annotated[float, Quantity(gt=0.0, le=360.0)]  # degrees
 Flag = Annotated[bool, Field(strict=True)]
 
-Points = Annotated[tuple[tuple[float, float, float], ...], NumberList("points [x, y, z] of finite numbers", width=3)]
-UVs = Annotated[tuple[tuple[float, float], ...], NumberList("pairs [u, v] of finite numbers", width=2)]
-Faces = Annotated[
-    tuple[tuple[int, int, int], ...], NumberList("faces [i, j, k] of whole numbers", -1, width=3, whole=True)
-]
-Lengths = Annotated[tuple[float, ...], NumberList("lengths > 0", least=0.0)]
+Points = Annotated[NDArray[np.float64], NumberList("points [x, y, z] of finite numbers", width=3)]
+UVs = Annotated[NDArray[np.float64], NumberList("pairs [u, v] of finite numbers", width=2)]
+Faces = Annotated[NDArray[np.int64], NumberList("faces [i, j, k] of whole numbers", -1, width=3, whole=True)]
+Lengths = Annotated[NDArray[np.float64], NumberList("lengths > 0", least=0.0)]
 Vec2 = Annotated[tuple[Number, Number], BeforeValidator(row(2, "2 numbers [x, y]"))]
 Vec3 = Annotated[tuple[Number, Number, Number], BeforeValidator(row(3, "3 numbers [x, y, z]"))]
 UnitVec3 = Annotated[Vec3, AfterValidator(_unit)]
@@ -210,10 +232,11 @@ class Description(BaseModel):
 
     # Number of path steps that name an element in messages: two for shapes[3], one for camera.
     ELEMENTS: ClassVar[Mapping[str, int]] = {}
+    ARRAYS: ClassVar[tuple[str, ...]] = ()  # fields of many numbers
     COPY: ClassVar[str] = "model_copy(update={{'{}': ...}})"  # how to change a field
 
     def __init__(self, **data: Any) -> None:
-        data = {key: _plain(value) for key, value in data.items()}
+        data = {key: value if key in self.ARRAYS else _plain(value) for key, value in data.items()}
         try:
             super().__init__(**data)
         except ValidationError as error:
@@ -233,7 +256,7 @@ class Description(BaseModel):
     def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
         """The fields; long lists, such as a mesh's, by their length."""
         for name, value in super().__repr_args__():
-            long = isinstance(value, (tuple, dict)) and len(value) > MAX_ITEMS_SHOWN
+            long = isinstance(value, (tuple, dict, np.ndarray)) and len(value) > MAX_ITEMS_SHOWN
             yield name, f"<{len(value)} items>" if long else value
 
     # Nested descriptions are validated without __init__, so that Pydantic collects all errors.

@@ -44,7 +44,7 @@ def render(
 ) -> Aovs:
     """Render the film, or its crop window.
 
-    aovs: names from `caster.aovs.AOVS`. Returns images of `dtype` (ids int32); depth is inf and ids are -1 on a
+    aovs: names of `caster.Aovs`. Returns images of `dtype` (ids int32); depth is inf and ids are -1 on a
     miss, everything else 0. `culling` overrides the plan; no culling and no number of threads changes a bit.
     All is computed in float64; with dtype np.float32 numbers are rounded once at the end, those beyond it to inf.
     Raises SceneError for an AOV that does not exist.

@@ -39,7 +39,7 @@ SCENE_FORMATS: dict[str, SceneFormat] = {".toml": "toml", ".json": "json"}
 
 
 def load_scene(path: str | PathLike[str], mesh_dirs: Iterable[str | PathLike[str]] = ()) -> Scene:
-    """Read a scene file, .toml or .json, and its meshes; or a mesh file as a scene, by `mesh_scene`.
+    """Read a scene file, .toml or .json, and its meshes; or a mesh file as a scene, with a camera that sees all of it.
 
     Meshes are found relative to the scene file, or to one of mesh_dirs; each lies in or below one of these folders.
     Raises FileMissing for a file that cannot be read, SceneError with every error and its line for the rest.

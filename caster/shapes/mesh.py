@@ -1,7 +1,7 @@
 """Triangle meshes: a file (OBJ, PLY, STL, OFF or glTF), or arrays."""
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,17 +15,16 @@ from caster.geometry.world_space import MeshShape
 
 __all__ = ["Mesh"]
 
-ARRAYS = ("vertices", "faces", "normals", "uv")
-
 
 class Mesh(MeshShape):
     """Triangles from arrays or from a mesh file. Vertex normals are the given ones, or generated, unless face_normals.
 
     `vertices` (n, 3) and `faces` (m, 3), numbers of vertices, counter-clockwise seen from outside; `normals` (n, 3), of
-    any length, and `uv` (n, 2) may be None. Arrays are copied, and kept as tuples. Or `file`: a path.
+    any length, and `uv` (n, 2) may be None. Arrays are copied. Or `file`: a path.
     """
 
     type: Literal["mesh"] = "mesh"
+    ARRAYS: ClassVar[tuple[str, ...]] = ("vertices", "faces", "normals", "uv")
     vertices: Points | None = None
     faces: Faces | None = None
     normals: Points | None = None
@@ -51,7 +50,7 @@ class Mesh(MeshShape):
     else:
 
         def __init__(self, *arrays: ArrayLike | None, **fields: Any) -> None:
-            super().__init__(**dict(zip(ARRAYS[: len(arrays)], arrays, strict=True)), **fields)
+            super().__init__(**dict(zip(self.ARRAYS[: len(arrays)], arrays, strict=True)), **fields)
 
         __init__.__pydantic_base_init__ = True  # as of Description
 
@@ -67,7 +66,7 @@ class Mesh(MeshShape):
 
     @model_validator(mode="after")
     def _has_one_source(self) -> Self:
-        given = [name for name in ARRAYS if getattr(self, name) is not None]
+        given = [name for name in self.ARRAYS if getattr(self, name) is not None]
         if self.file is not None and given:
             raise ValueError(f"needs either file or arrays, got file and {join_words(given, 'and')}")
         if self.file is None:
@@ -84,9 +83,9 @@ class Mesh(MeshShape):
 
     @cached_property
     def _arrays(self) -> triangle_mesh.Mesh:
-        normals, uv = (None if each is None else np.array(each, np.float64) for each in (self.normals, self.uv))
-        normals = None if normals is None else triangle_mesh.normalize_rows(normals)
-        return triangle_mesh.Mesh(np.array(self.vertices, np.float64), np.array(self.faces, np.int32), normals, uv)
+        normals = None if self.normals is None else triangle_mesh.normalize_rows(np.asarray(self.normals))
+        uv = None if self.uv is None else np.asarray(self.uv)
+        return triangle_mesh.Mesh(np.asarray(self.vertices), np.array(self.faces, np.int32), normals, uv)
 
     def mesh(self) -> triangle_mesh.Mesh:
         """The arrays; those of a file are cached until it changes. Raises SceneError, FileMissing."""

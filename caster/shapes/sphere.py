@@ -121,6 +121,7 @@ class SphereCloud(Shape):
 
     type: Literal["spheres"] = "spheres"
     MINIMAL: ClassVar[Mapping[str, Any]] = {"centers": ((0.0, 0.0, 0.0),)}
+    ARRAYS: ClassVar[tuple[str, ...]] = ("centers", "radii")
     centers: Points | None = None
     radii: Lengths | None = None
     radius: Positive | None = None
@@ -137,7 +138,7 @@ class SphereCloud(Shape):
         if (self.file is None) == (self.centers is None):
             raise ValueError(f"needs either file or centers, got {'both' if self.file else 'neither'}")
         if self.radii is not None and (self.centers is None or len(self.radii) != len(self.centers)):
-            count = len(self.centers or ())
+            count = 0 if self.centers is None else len(self.centers)
             raise ValueError(f"needs as many radii as centers, got {len(self.radii)} radii and {count} centers")
         if self.radii is not None and self.radius is not None:
             raise ValueError("needs either radii or radius, got both")

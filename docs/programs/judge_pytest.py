@@ -8,4 +8,4 @@ import mitsuba_ref
 @pytest.mark.parametrize("scene", ["scene.toml", "builtin:needles"])
 def test_my_caster(scene: str) -> None:
     verdict = mitsuba_ref.validate(scene, candidate=trace, size=(16, 16))
-    assert verdict.ok, verdict
+    assert verdict.ok, str(verdict)

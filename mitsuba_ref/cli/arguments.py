@@ -214,6 +214,12 @@ def add_candidate(
         type=deadline,
         help=f"time that a command may take for one scene; default {CANDIDATE_SECONDS:g}s",
     )
+    group.add_argument(
+        "--no-limits",
+        action="store_const",
+        const=True,
+        help="the program's interface has no t_min and t_max: a hit beyond t_max counts as a miss",
+    )
 
 
 def add_skip_unsupported(add: Callable[..., argparse.Action], plural: str) -> None:
@@ -397,6 +403,11 @@ def add_export_arguments(parser: argparse.ArgumentParser) -> None:
         type=OutputFolder,
         required=True,
         help="folder to write into, created if missing",
+    )
+    parser.add_argument(
+        "--toml",
+        action="store_true",
+        help="write scene.toml as well: our format, with the float32 values that are traced",
     )
 
 

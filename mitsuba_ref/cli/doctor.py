@@ -45,9 +45,10 @@ def _variants(missing: Sequence[str]) -> list[Finding]:
         detail = f"needs {' and '.join(missing)} first"
         return [Finding("variants", False, True, detail, adds), Finding("libLLVM", False, False, detail, llvm_adds)]
     found = usable_variants()
+    reasons = found.details or found.why
     detail = ", ".join(found.names) or "no variant of Mitsuba works"
-    why = f"; {found.why}" if found.why and not found.scalar else ""
-    without = "none that Mitsuba's LLVM variant works with" + (f": {found.why}" if found.why else "")
+    why = f"; {reasons}" if reasons and not found.scalar else ""
+    without = "none that Mitsuba's LLVM variant works with" + (f": {reasons}" if reasons else "")
     way_out = "" if found.libllvm else "apt install libllvm19"
     return [
         Finding("variants", found.scalar, True, detail + why, adds),  # spheres need the scalar one

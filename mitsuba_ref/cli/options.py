@@ -16,7 +16,7 @@ from mitsuba_ref.cli.arguments import CANDIDATE_SECONDS, ServedProgram
 from mitsuba_ref.exr_compare.conventions import Reading, candidate_image
 from mitsuba_ref.reference import variants
 from mitsuba_ref.runner.many_scenes import matching
-from mitsuba_ref.subjects.command import CommandSubject, ExrFile
+from mitsuba_ref.subjects.command import CommandSubject, ExrFile, RayProgram
 from mitsuba_ref.subjects.requests import parse_candidate
 from mitsuba_ref.subjects.subject import Subject
 
@@ -29,7 +29,7 @@ def requested_candidate(args: argparse.Namespace, *, takes_rays: bool = False) -
     takes_rays: one that renders images of its own camera cannot.
     """
     if args.candidate is None:
-        for word in given_words(args, "candidate_precision", "candidate_timeout", *READING_OPTIONS)[:1]:
+        for word in given_words(args, "candidate_precision", "candidate_timeout", "no_limits", *READING_OPTIONS)[:1]:
             raise SceneError(f"{word}: expected --candidate X beside it, whose answers it is about")
         return None
     served, seconds = isinstance(args.candidate, ServedProgram), args.candidate_timeout or CANDIDATE_SECONDS
@@ -39,6 +39,10 @@ def requested_candidate(args: argparse.Namespace, *, takes_rays: bool = False) -
             f"--candidate {args.candidate!r}: expected one that casts rays it is given: package.module:function, "
             "a command with {rays} and {hits}, or --candidate-serve (mitsuba-ref docs candidates)"
         )
+    if args.no_limits and not isinstance(found, RayProgram):
+        raise SceneError("--no-limits: expected a program that reads rays with limits: {rays} or --candidate-serve")
+    if isinstance(found, RayProgram):
+        return replace(found, limits=not args.no_limits)
     if isinstance(found, CommandSubject | ExrFile):
         return replace(found, convert=partial(candidate_image, reading=reading_of(args)))
     for word in given_words(args, *READING_OPTIONS)[:1]:
@@ -53,7 +57,7 @@ READING_OPTIONS = ("map", "depth", "miss")  # of add_reading
 
 def candidate_words(args: argparse.Namespace) -> tuple[str, ...]:
     """The options of the candidate, for a replay with the same one; () without one."""
-    return given_words(args, "candidate", "candidate_precision", "candidate_timeout", *READING_OPTIONS)
+    return given_words(args, "candidate", "candidate_precision", "candidate_timeout", "no_limits", *READING_OPTIONS)
 
 
 def given_words(args: argparse.Namespace, *names: str) -> tuple[str, ...]:
@@ -62,6 +66,9 @@ def given_words(args: argparse.Namespace, *names: str) -> tuple[str, ...]:
     for name in names:
         value = getattr(args, name, None)
         option = "--candidate-serve" if isinstance(value, ServedProgram) else f"--{name.replace('_', '-')}"
+        if value is True:
+            words.append(option)
+            continue
         for each in value if isinstance(value, list) else [] if value is None else [value]:
             words += [option, repr(each).removesuffix(".0") if isinstance(each, float) else str(each)]
             check_utf8_name(words[-1])

@@ -46,9 +46,8 @@ def full_name(page: str) -> str:
     if wanted in names:
         return wanted
     if wanted not in short:
-        known = sorted(names - {MAP})
-        hint = suggestion(wanted, [*known, *short])
-        raise SceneError(f"docs: there is no page {page!r}{hint}; the pages are {', '.join(known)}")
+        hint = suggestion(wanted, [*sorted(names - {MAP}), *short])
+        raise SceneError(f"docs: there is no page {page!r} (mitsuba-ref docs lists all){hint}")
     return short[wanted]
 
 

@@ -13,6 +13,7 @@ from caster.system.process import DIFFERENCES, OK
 from caster.system.terminal import printable
 from mitsuba_ref.cli.options import candidate_words, requested_candidate
 from mitsuba_ref.probe.pixel import PixelVerdict, ProbeEvidence, as_text, probe_with_evidence
+from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.report.builtin_scenes import shown_path
 from mitsuba_ref.report.reproducers import write_reproducer
@@ -22,6 +23,7 @@ def run(args: argparse.Namespace) -> int:
     """Print the pixel's verdict and its evidence; 1 if nothing explains the pixel or the candidate's answer."""
     scene = load(args)
     candidate = requested_candidate(args)  # its errors come before any work
+    variants.variant_for(has_quadrics=True)  # raises before any work without Mitsuba
     with error_prefix(args.scene):
         found, probed = probe_with_evidence(scene, args.x, args.y, candidate, args.timeout)
     try:

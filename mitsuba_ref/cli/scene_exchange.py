@@ -14,10 +14,12 @@ from caster.scene.model import Film
 from caster.system.atomic_files import write_text
 from caster.system.process import DIFFERENCES, OK
 from mitsuba_ref.importers.mitsuba_xml import ImportedScene, import_xml
+from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.messages import MitsubaError
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS, render_reference
-from mitsuba_ref.reference.shared_input import export_scene
+from mitsuba_ref.reference.shared_input import export_scene, packed_float32
 from mitsuba_ref.report.results import folded
+from mitsuba_ref.subjects.subject import scene_as_traced
 
 COURSE_FILM = (256, 256)  # pixels; a scene text of the course has no film
 
@@ -29,6 +31,7 @@ def run_render(args: argparse.Namespace) -> int:
     for name in names:
         if name not in REFERENCE_AOVS:
             raise SceneError(f"--aov {name!r}: unknown{suggestion(name, REFERENCE_AOVS)}; known are {AOV_NAMES}")
+    variants.require_variants()
     try:
         images, versions = render_reference(scene, names, timeout=args.timeout)
     except MitsubaError as crash:
@@ -110,8 +113,13 @@ def run_export(args: argparse.Namespace) -> int:
     for target in (os.path.join(args.output, name) for name in exported.meshes):
         if os.path.exists(target) and any(os.path.samefile(target, file) for file in inputs if os.path.exists(file)):
             raise SceneError(f"-o {args.output}: expected another folder: the scene reads {target}")
-    path = exported.write(Path(args.output))
+    folder = Path(args.output)
+    path = exported.write(folder)
     print(f"{path}: {len(scene.shapes)} shapes, {len(exported.meshes)} mesh files")
+    if args.toml:
+        traced = scene_as_traced(scene, packed_float32(scene), folder)
+        write_text(folder / "scene.toml", to_toml(traced, folder.resolve()))
+        print(f"{folder / 'scene.toml'}: the same with the float32 values that are traced")
     for note in exported.notes:
         print(f"note: {note}")
     return OK

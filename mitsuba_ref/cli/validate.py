@@ -10,7 +10,7 @@ from contextlib import closing
 from pathlib import Path
 
 from caster.cli.shared_arguments import check_utf8_name, display_names, scene_files
-from caster.description.errors import SceneError, error_prefix
+from caster.description.errors import FileMissing, SceneError, error_prefix
 from caster.scene.files import types_in_file
 from caster.scene.model import Film
 from caster.system.atomic_files import OutputError, write_text
@@ -53,6 +53,9 @@ def run(args: argparse.Namespace) -> int:
     return judge_entries(args, entries, options, out)
 
 
+BUILTIN_HINT = "--builtin triangles takes scenes that are installed with the program"
+
+
 def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
     """The selected scenes, not loaded yet; prints a message if there are none. Raises SceneError."""
     fits = matching(args.expression, types_in_file)
@@ -60,7 +63,12 @@ def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
         check_utf8_name(folder)
     named = [] if args.builtin and args.scenes is DEFAULT_SCENES else args.scenes
     places = [*builtin_scenes.folders_of(args.builtin), *named]
-    files = [file for file in scene_files(places) if fits(file)]
+    try:
+        files = [file for file in scene_files(places) if fits(file)]
+    except FileMissing as error:
+        if args.scenes is not DEFAULT_SCENES:
+            raise
+        raise FileMissing(f"{error}; {BUILTIN_HINT}") from None
     if args.size:
         with error_prefix("--size", *args.size):
             Film(width=args.size[0], height=args.size[1])
@@ -69,7 +77,8 @@ def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
     entries = [SceneEntry(name, file, size, mesh_dirs, again) for name, file in zip(names, files, strict=True)]
     if not entries:
         fitting = f" that fits -k {args.expression!r}" if args.expression else ""
-        print(f"nothing selected: no scene file{fitting} in {', '.join(places)}", file=sys.stderr)
+        hint = "" if args.expression else f"; {BUILTIN_HINT}"
+        print(f"nothing selected: no scene file{fitting} in {', '.join(places)}{hint}", file=sys.stderr)
     return entries
 
 

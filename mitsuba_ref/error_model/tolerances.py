@@ -21,10 +21,12 @@ KU_OURS = 2.0 * K * 2.0**-53
 LARGEST_Z = 5.0
 MIN_GROUPS = int(LARGEST_Z**2) + 1  # with fewer groups, no bias could fail
 
-# Scene check `t_bias`: a candidate's t may be off by the same number of roundings u t on every ray. A reciprocal or a
-# root that is estimated and refined by one Newton step is never above the true one: Embree's, without AVX-512, by 2.6 u
-# at most. t may contain two of them (one of a normalised direction), and a matrix whose entries are rounded.
-LARGEST_T_BIAS = 6.0
+# Scene check `t_bias`: a candidate's t may be off by the same number of roundings u t on every ray, since estimated
+# reciprocals and roots are off to one side: of x86, by 1.5 2^-12 at most, which one Newton step makes at most 2.25 u (a
+# reciprocal, always below) and 3.375 u (the reciprocal root of a length, which makes t longer). A factor that is
+# rounded, such as the scale of a matrix, adds half a rounding. Honest casters need 2.6 at most (Embree without AVX-512,
+# where all denominators are alike), and 0.8 over the faces of a mesh.
+LARGEST_T_BIAS = 3.875
 BIASED_PIXELS = 1 << 16  # of a film, evenly spaced, that are looked at
 
 # If the bound on a normal is larger than this (3.6 degrees), float32 says nothing useful about the pixel.
@@ -43,6 +45,9 @@ MAJORITY = 0.5  # a statement about all wrong t must hold for a larger fraction 
 # pixel passes or fails by these.
 FIT_FACTOR, LARGEST_RESIDUAL = 2.0, 0.01
 NEARLY_ALL = 0.9  # a hypothesis that explains this fraction of the wrong pixels is the cause; no other is tried
+# Rounding in float32 makes errors of 0.02 to 0.2 of its bound, and rounding in float64 of 2^-29 of these. A caster
+# computes in float32 if the median is above this.
+LEAST_FLOAT32_ERROR = 2.0**-10
 MIN_FITTED_PIXELS = 3  # to fit a constant: one pixel always fits, and two may be alike
 
 # A separator is a threshold with this fraction of the wrong pixels on one side, and of the right ones on the other.

@@ -24,7 +24,7 @@ class Layer(NamedTuple):
 
 
 def layers_of(pair: ExrPair, ratios: Mapping[str, Array]) -> dict[str, Layer]:
-    """The layers of a page. ratios: (h, w) error over bound of each channel."""
+    """The layers of a page, the farthest beyond its bound first. ratios: (h, w) error over bound of each channel."""
     names = {layer: channels for layer, channels in LAYERS.items() if set(channels) <= ratios.keys()}
     left = [name for name in pair.names if name in ratios and not any(name in channels for channels in names.values())]
     for name in left:
@@ -40,17 +40,20 @@ def layers_of(pair: ExrPair, ratios: Mapping[str, Array]) -> dict[str, Layer]:
             ours, reference = (np.where(values == NO_ID, -1.0, values) for values in (ours, reference))
         ratio = np.max([ratios[name] for name in channels], axis=0)
         found[layer] = Layer(ours, reference, ratio, tuple(name[-1:] for name in channels) == tuple("RGB"))
-    return found
+    return dict(sorted(found.items(), key=lambda item: (-item[1].ratio.max(), item[0] == "hit")))
 
 
 def measures(pair: ExrPair, layers: Mapping[str, Layer]) -> Iterator[tuple[str, str]]:
-    """(what, value) of each layer: mean squared error and largest difference where both images hit; FLIP of colours."""
+    """(what, value) of each layer that differs: mean squared error and largest difference where both images hit, and
+    FLIP of colours."""
     x0, y0 = pair.reference.data_window[:2]
     both = (pair.hit_ours & pair.hit_reference)[..., None]
     for name, layer in layers.items():
         known = both & np.isfinite(layer.ours) & np.isfinite(layer.reference)
         with np.errstate(invalid="ignore", over="ignore"):
             apart = np.where(known, np.abs(layer.ours - layer.reference), 0.0)
+            if not apart.any() and known[both[..., 0]].all():
+                continue
             yield f"{name}: mean squared error", f"{(apart**2).sum() / max(known.sum(), 1):.3g}"
         y, x, _ = np.unravel_index(int(apart.argmax()), apart.shape)
         yield f"{name}: largest difference", f"{apart.max():.3g} at ({x0 + x}, {y0 + y})"

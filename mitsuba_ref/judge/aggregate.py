@@ -12,7 +12,7 @@ from caster.description.errors import SceneError
 from caster.geometry.packing import packed
 from caster.scene.model import Scene
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judge, Judgement
-from mitsuba_ref.judge.diagnosis import NOT_ADJUDICATED, Diagnosis, failing_rows
+from mitsuba_ref.judge.diagnosis import Diagnosis, failing_rows
 from mitsuba_ref.judge.explanations import full_reason, pixel_answers, reason
 from mitsuba_ref.judge.verdict import (
     AGREE,
@@ -70,27 +70,34 @@ def scene_statistics(scene: Scene) -> SceneStatistics:
 
 
 def findings(judge: Judge, diagnosis: Diagnosis) -> tuple[Finding, ...]:
-    """Each cause once, most pixels first; second causes of the same pixels and pixels not adjudicated at the end."""
-    ordered = sorted(diagnosis.causes, key=lambda each: (each.what == NOT_ADJUDICATED, each.second, -len(each.rows)))
+    """Each cause once, most pixels first; second causes of the same pixels at the end."""
+    ordered = sorted(diagnosis.causes, key=lambda each: (each.second, -len(each.rows)))
     return tuple(
         Finding(
-            len(cause.rows), cause.what, *pixel_of(judge.scene, int(cause.rows[0])), cause.of, cause.remedy, cause.where
+            len(each.rows),
+            each.what,
+            *pixel_of(judge.scene, int(each.rows[0])),
+            each.of,
+            each.remedy,
+            each.where,
+            len(each.alike),
         )
-        for cause in ordered
+        for each in ordered
     )
 
 
 def listed_failures(judge: Judge, judgement: Judgement, diagnosis: Diagnosis) -> tuple[Failure, ...]:
-    """Some of the pixels that fail: one of each diagnosis, then the worst of the others.
+    """Some of the pixels that fail: one of each diagnosis, then the worst of the others, first those looked at.
 
     The worst pixel of a diagnosis, or the first if the subject names no primitives, so that most have no factor.
     """
     by_row, rows = diagnosis.by_row(), failing_rows(judgement)
     excess = np.max([judgement.excess(name)[rows] for name in judgement.names], axis=0)
-    worst_first = rows[np.argsort(-excess, kind="stable")].tolist()
+    alike = np.isin(rows, np.concatenate([each.alike for each in diagnosis.causes])) if len(rows) else rows
+    worst_first = rows[np.lexsort([-excess, alike])].tolist()
     rank = {row: place for place, row in enumerate(worst_first if judge.names_prims else rows.tolist())}
-    causes = sorted(diagnosis.rows_of.items(), key=lambda item: (item[0] == NOT_ADJUDICATED, -len(item[1])))
-    leading = [min(cause_rows.tolist(), key=rank.__getitem__) for _, cause_rows in causes]
+    causes = sorted(diagnosis.rows_of.values(), key=lambda cause_rows: -len(cause_rows))
+    leading = [min(cause_rows.tolist(), key=rank.__getitem__) for cause_rows in causes]
     chosen = list(dict.fromkeys([*leading, *worst_first]))[:MAX_LISTED_FAILURES]
     return tuple(failure_at(judge, judgement, by_row, row) for row in chosen)
 
@@ -199,7 +206,7 @@ def _leading(failures: Sequence[Failure]) -> tuple[Failure, ...]:
 def _merged_findings(windows: Sequence[SceneVerdict]) -> tuple[Finding, ...]:
     """Each diagnosis once, most pixels first."""
     every = [finding for window in windows for finding in window.findings]
-    pixels, of = (_added([{each.what: getattr(each, name)} for each in every]) for name in ("pixels", "of"))
-    first = {finding.what: finding for finding in reversed(every)}
-    merged = [replace(first[what], pixels=n, of=of.get(what, 0)) for what, n in pixels.items()]
-    return tuple(sorted(merged, key=lambda each: (each.what == NOT_ADJUDICATED, -each.pixels)))
+    sums = {name: _added([{each.what: getattr(each, name)} for each in every]) for name in ("pixels", "of", "alike")}
+    first: dict[str, Any] = {finding.what: finding for finding in reversed(every)}
+    merged = [replace(first[what], **{name: each[what] for name, each in sums.items()}) for what in sums["pixels"]]
+    return tuple(sorted(merged, key=lambda each: -each.pixels))

@@ -272,12 +272,9 @@ class Judge:
     def _surely_wrong(self, rows: np.ndarray, count: int) -> np.ndarray:
         """(n,) bool: pixels that need no adjudication, since nearly all of a sample of their kind are wrong.
 
-        rows: the pixels that disagree. A kind is the shape that Mitsuba hits, and whether each side hits. These pixels
-        stay undecided, which fails as well.
+        rows: the pixels that disagree. These pixels stay undecided, which fails as well.
         """
-        found = np.zeros(count, bool)
-        shape = self.result.shape_id[rows] if len(self.model.packed.parts) <= MAX_KINDS_OF_SHAPES else 0
-        kind = row_groups(np.column_stack([np.broadcast_to(shape, len(rows)), self.result.hit[rows], self.hit[rows]]))
+        found, kind = np.zeros(count, bool), self.kinds_of_pixels(rows)
         for group in np.flatnonzero(np.bincount(kind) > WRONG_PIXELS_ADJUDICATED):
             members = rows[kind == group]
             sample = sample_rows(members, WRONG_PIXELS_ADJUDICATED)
@@ -287,6 +284,11 @@ class Judge:
                 found[members] = True
                 found[sample] = False
         return found
+
+    def kinds_of_pixels(self, rows: np.ndarray) -> np.ndarray:
+        """(m,) groups of rows: by the shape that Mitsuba hits, and by whether each side hits."""
+        shape = self.result.shape_id[rows] if len(self.model.packed.parts) <= MAX_KINDS_OF_SHAPES else 0
+        return row_groups(np.column_stack([np.broadcast_to(shape, len(rows)), self.result.hit[rows], self.hit[rows]]))
 
     def adjudicated(self, rows: np.ndarray) -> Adjudication:
         """Compare these rows of the image, ascending, with exact arithmetic."""

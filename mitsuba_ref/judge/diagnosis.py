@@ -4,7 +4,7 @@ It describes pixels that fail; it never decides whether a pixel passes.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -16,7 +16,6 @@ from mitsuba_ref.error_model.tolerances import (
     DISTINCT_RTOL,
     FIT_FACTOR,
     KU,
-    LARGEST_USEFUL_NORMAL_ERROR,
     MAJORITY,
     MATCH_RTOL,
     NEARLY_ALL,
@@ -31,6 +30,7 @@ from mitsuba_ref.judge.hypotheses import (
     WrongPixels,
     area_vectors,
     explanations,
+    has_wrong_normal,
     id_mistakes,
     mistakes,
     normal_mistakes,
@@ -40,10 +40,11 @@ from mitsuba_ref.judge.hypotheses import (
 from mitsuba_ref.judge.verdict import FAILING, REFERENCE_WRONG, UNDECIDED, WRONG
 from mitsuba_ref.shapes import kind_of
 
-NOT_ADJUDICATED = "not adjudicated: like others, of which exact arithmetic found nearly all to be wrong"
+SAME_SYMPTOM = "same symptom, not looked at"
 OTHER_PRIMITIVE = "another primitive than the first one, at the same t"
 MAX_DIAGNOSED_PIXELS = 4096  # wrong pixels at which the tables of mistakes are tried
 RIGHT_PIXELS = 512  # that have to stay right under a mistake
+NONE = np.zeros(0, np.int64)
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,7 @@ class Cause:
     remedy: str = ""  # of a mistake that explains the rows
     where: str = ""  # a property that separates these pixels from right ones
     second: bool = False  # independent of another cause of the same rows
+    alike: np.ndarray = field(default_factory=lambda: NONE)  # rows with the same symptom that were not adjudicated
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,7 @@ class Diagnosis:
         for cause in sorted(self.causes, key=lambda cause: cause.second):
             for row in map(int, cause.rows):
                 found[row] = f"{found[row]}; and {cause.what}" if cause.second else cause.what
+            found |= {int(row): f"{cause.what} ({SAME_SYMPTOM})" for row in cause.alike}
         return found
 
 
@@ -84,6 +87,8 @@ def failing_rows(judgement: Judgement) -> np.ndarray:
     return np.union1d(np.flatnonzero(judgement.is_class(*FAILING)), unlisted)
 
 
+# (o, d) (m, 3) -> (the subject's t, the right t) along further rays; None: it gave no answer
+CastRays = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray] | None]
 Table = Callable[[WrongPixels], Iterator[Mistake]]
 Describe = Callable[[WrongPixels], Iterator[tuple[str, np.ndarray]]]  # (description, (m,) bool: its pixels)
 
@@ -91,8 +96,8 @@ Describe = Callable[[WrongPixels], Iterator[tuple[str, np.ndarray]]]  # (descrip
 class _Causes:
     """Collects causes; a row belongs to the first cause that takes it."""
 
-    def __init__(self, judge: Judge, judgement: Judgement):
-        self.judge, self.judgement = judge, judgement
+    def __init__(self, judge: Judge, judgement: Judgement, cast: CastRays | None):
+        self.judge, self.judgement, self.cast = judge, judgement, cast
         self.found: dict[tuple[str, bool], Cause] = {}
         self.left = np.zeros(len(judge.t_max), bool)
         self.left[failing_rows(judgement)] = True
@@ -106,10 +111,28 @@ class _Causes:
         """
         mine = rows[self.left[rows]]
         self.left[mine] = False
-        self._add(Cause(what, mine, of, remedy, separator_text(self.judge, self.judgement, mine) if where else ""))
+        self._add(Cause(what, mine, of, remedy, self._where(mine, bool(remedy)) if where else ""))
         if second:
             first = self.found.get((what, False), Cause(what, mine)).rows
             self._add(Cause(what, np.setdiff1d(rows, first), of, remedy, second=True))
+
+    def _where(self, rows: np.ndarray, known: bool) -> str:
+        """What separates these rows from right ones; known: their cause is, so that only primitives are named."""
+        text = separator_text(self.judge, self.judgement, rows, prims_only=known)
+        missed = rows[~self.judge.hit[rows]]
+        if text or known or self.cast is None or len(missed) < NEARLY_ALL * len(rows):
+            return text
+        return tried_text(self.judge, *self.judgement.exact.first_hits(missed), missed, self.cast)
+
+    def take_alike(self, rows: np.ndarray) -> None:
+        """Assign pixels that were not adjudicated to the cause of most adjudicated ones of their kind."""
+        firsts = [key for key, cause in self.found.items() if not cause.second]
+        group = self.judge.kinds_of_pixels(np.arange(len(self.left)))
+        for kind in np.unique(group[rows]) if firsts else ():
+            members = rows[group[rows] == kind]
+            key = max(firsts, key=lambda key: int((group[self.found[key].rows] == kind).sum()))
+            self.found[key] = replace(self.found[key], alike=np.union1d(self.found[key].alike, members))
+            self.left[members] = False
 
     def _add(self, cause: Cause) -> None:
         if len(cause.rows):
@@ -126,7 +149,7 @@ class _Causes:
         f = g.take(places)
         left = np.ones(len(places), bool)
         for mistake, fits in explanations(f, self.right, table(f)):
-            self.take(mistake.what, f.rows[fits], len(places), mistake.remedy, second=True)
+            self.take(mistake.what, f.rows[fits], len(places), mistake.remedy, where=mistake.single, second=True)
             left &= ~fits
             on_surface[places[fits]] = mistake.same_surface
             if not mistake.same_surface and fits.sum() >= NEARLY_ALL * len(places) > NEARLY_ALL * MAJORITY * len(off):
@@ -146,9 +169,13 @@ class _Causes:
         return _pixels(self.judge, self.judgement, sample_rows(rows[self.judge.hit[rows]], RIGHT_PIXELS))
 
 
-def diagnose(judge: Judge, judgement: Judgement) -> Diagnosis:
-    """The causes of all failing pixels: invalid answers, then the tables of mistakes, then descriptions."""
-    causes, exact = _Causes(judge, judgement), judgement.exact
+@np.errstate(all="ignore")  # predictions overflow where a caster gives a t of 1e300
+def diagnose(judge: Judge, judgement: Judgement, cast: CastRays | None = None) -> Diagnosis:
+    """The causes of all failing pixels: invalid answers, then the tables of mistakes, then descriptions.
+
+    cast: asks the subject for further rays, by which it finds what makes it miss; None: it takes none.
+    """
+    causes, exact = _Causes(judge, judgement, cast), judgement.exact
     if not causes.left.any():
         return Diagnosis(())
     misses = np.flatnonzero(~judge.result.hit & (judge.t_max >= 0.0) & (not judge.answer.hits_only))
@@ -162,15 +189,18 @@ def diagnose(judge: Judge, judgement: Judgement) -> Diagnosis:
     causes.take(of_mitsuba, np.flatnonzero(judgement.is_class(REFERENCE_WRONG)))
     wrong = np.flatnonzero(causes.left & judgement.is_class(WRONG))
     inexact = np.intersect1d(wrong, exact.rows[exact.wrong])
+    if len(judge.hit) > 1 and not judge.hit.any():  # of one pixel, that means nothing
+        causes.take(f"{subject_name(judge)} misses everything", inexact, where=True)
+        inexact = inexact[causes.left[inexact]]
     if len(inexact):
         g = _pixels(judge, judgement, sample_rows(inexact, MAX_DIAGNOSED_PIXELS))
         g = causes.explain(g, g.off, mistakes, _describe_hits)
         g = g.take(g.hit & g.given_hit)
         g = causes.explain(g, _has_wrong_id(g), id_mistakes, lambda f: iter([(OTHER_PRIMITIVE, f.hit)]))
-        causes.explain(g, _has_wrong_normal(g), normal_mistakes, _describe_normals)
+        causes.explain(g, has_wrong_normal(g), normal_mistakes, _describe_normals)
         if len(inexact) > MAX_DIAGNOSED_PIXELS:
             causes.take("wrong, as the others are; the cause was looked for at some of them", inexact)
-    causes.take(NOT_ADJUDICATED, judgement.not_adjudicated)
+    causes.take_alike(judgement.not_adjudicated)
     for row in np.flatnonzero(causes.left & judgement.is_class(UNDECIDED)):
         causes.take(open_reason(judge, judgement, int(row)), np.array([row]))
     if judge.names_prims:
@@ -240,13 +270,6 @@ def _has_wrong_id(f: WrongPixels) -> np.ndarray:
     return found
 
 
-def _has_wrong_normal(f: WrongPixels) -> np.ndarray:
-    """(m,) bool."""
-    if f.judge.n is None:
-        return np.zeros(len(f.rows), bool)
-    return ~(row_distance(f.n, f.at.n) <= np.minimum(f.at.n_error, LARGEST_USEFUL_NORMAL_ERROR))
-
-
 def _describe_normals(f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
     error = row_distance(f.n, f.at.n)
     finite = np.isfinite(error)
@@ -304,19 +327,24 @@ def _outline(p: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 # ---- separators: the simplest quantity that differs between wrong and right pixels
 
+MAX_NAMED_PRIMS = 3  # that are wrong at each of their pixels
 MIN_SEPARATED_PIXELS = 8  # wrong pixels; of fewer, too many quantities are extreme by chance
 
 
-def separator_text(judge: Judge, judgement: Judgement, wrong: np.ndarray) -> str:
+def separator_text(judge: Judge, judgement: Judgement, wrong: np.ndarray, *, prims_only: bool = False) -> str:
     """The property or threshold that separates these wrong rows from right ones; "" if none separates nearly all."""
-    if len(wrong) < MIN_SEPARATED_PIXELS:
-        return ""
     prim = judge.reference_prim.astype(np.int64)
     prim[judgement.exact.rows], _ = judgement.exact.first_hits(judgement.exact.rows)
-    right = sample_rows(np.flatnonzero(~judgement.is_class(*FAILING) & (prim >= 0)), MAX_DIAGNOSED_PIXELS)
-    wrong = sample_rows(wrong[prim[wrong] >= 0], MAX_DIAGNOSED_PIXELS)
+    right = np.flatnonzero(~judgement.is_class(*FAILING) & (prim >= 0))
+    wrong = wrong[prim[wrong] >= 0]
+    few = _few_prims_text(judge, prim[wrong], prim[right])
+    if remainder := common_remainder(wrong):
+        few = few or f"where the ray's number is {remainder[1]} modulo {remainder[0]}: all {len(wrong)} wrong pixels"
+    if (text := _numbers_text(judge, prim[wrong], prim[right])) or prims_only:
+        return text or few
+    right, wrong = (sample_rows(rows, MAX_DIAGNOSED_PIXELS) for rows in (right, wrong))
     if min(len(wrong), len(right)) < MIN_SEPARATED_PIXELS:
-        return ""
+        return few
     rows = np.concatenate([wrong, right])
     is_wrong = np.arange(len(rows)) < len(wrong)
     properties, quantities = list(_properties(judge, rows, prim[rows])), list(_quantities(judge, rows, prim[rows]))
@@ -327,8 +355,10 @@ def separator_text(judge: Judge, judgement: Judgement, wrong: np.ndarray) -> str
     found = [
         *((name, split) for split, name, _ in by_property if split and split.side == "above"),
         *((negated, split) for split, _, negated in by_property if split and split.side == "below"),
-        *((f"{name} is {split.words}", split) for split, name in by_quantity if split),
     ]
+    if few and not found:
+        return few
+    found += [(f"{name} is {split.words}", split) for split, name in by_quantity if split]
     if found:
         name, split = found[0]
         return f"where {name}: {split.wrong} of {len(wrong)} wrong pixels, {split.right} of {len(right)} right ones"
@@ -336,6 +366,45 @@ def separator_text(judge: Judge, judgement: Judgement, wrong: np.ndarray) -> str
         if (share := necessary_share(flags, is_wrong, tried)) is not None:
             return f"only where {name}: all {len(wrong)} wrong pixels, {100.0 * share:.2g} % of the right ones"
     return ""
+
+
+def _numbers_text(judge: Judge, wrong: np.ndarray, right: np.ndarray) -> str:
+    """The numbers of the primitives that are wrong, if they are equal modulo another one. wrong, right: (m,) prims."""
+    number_of, named = judge.model.packed.index_in_shape, np.unique(wrong)
+    if not (found := common_remainder(np.sort(number_of(named)))):
+        return ""
+    step, rest = found
+    same = int((number_of(right) % step == rest).sum())
+    if same > (1.0 - SEPARATES) * len(right):
+        return ""
+    where = f"where the primitive's number in its shape is {rest} modulo {step}"
+    return f"{where}: {len(wrong)} of {len(wrong)} wrong pixels, {same} of {len(right)} right ones"
+
+
+def common_remainder(numbers: np.ndarray) -> tuple[int, int] | None:
+    """(divisor, remainder) of ascending numbers; None if chance would do as well.
+
+    k numbers that have nothing to do with each other leave one remainder with probability divisor^(1 - k).
+    """
+    step = int(np.gcd.reduce(np.diff(numbers))) if len(numbers) > 1 else 0
+    likely = step < 2 or (1 - len(numbers)) * np.log(step) > np.log(SEPARATOR_CHANCE)
+    return None if likely else (step, int(numbers[0]) % step)
+
+
+def _few_prims_text(judge: Judge, wrong: np.ndarray, right: np.ndarray) -> str:
+    """The primitives that are wrong at each pixel, if these are few. wrong, right: (m,) primitives.
+
+    If the m wrong ones of n pixels had nothing to do with primitives, a further pixel of a wrong primitive would be
+    wrong as well with probability m / n.
+    """
+    packed, named = judge.model.packed, np.unique(wrong)
+    share, more = len(wrong) / max(len(wrong) + len(right), 1), len(wrong) - len(named)
+    if not 0 < len(named) <= MAX_NAMED_PRIMS or share**more > SEPARATOR_CHANCE or np.isin(right, named).any():
+        return ""
+    names = judge.scene.shape_names()
+    numbers = zip(packed.shape_of(named), packed.index_in_shape(named), strict=True)
+    words = " or ".join(f"{names[shape]}, prim {number}," for shape, number in numbers)
+    return f"where {words} is hit: {len(wrong)} of {len(wrong)} wrong pixels, 0 of {len(right)} right ones"
 
 
 class Split(NamedTuple):
@@ -419,6 +488,9 @@ def _properties(judge: Judge, rows: np.ndarray, prim: np.ndarray) -> Iterator[tu
     yield "a component of d is 0", "no component of d is 0", (d == 0.0).any(axis=1)
     n = judge.near(rows, prim, judge.result.t[rows].astype(np.float64)).n
     yield "the surface is seen from behind", "the surface is not seen from behind", dot(n, d) > 0.0
+    for axis, values in zip("xyz", d.T, strict=True):
+        yield f"d.{axis} is positive", f"d.{axis} is not positive", values > 0.0
+        yield f"d.{axis} is negative", f"d.{axis} is not negative", values < 0.0
 
 
 def _quantities(judge: Judge, rows: np.ndarray, prim: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
@@ -438,3 +510,42 @@ def _quantities(judge: Judge, rows: np.ndarray, prim: np.ndarray) -> Iterator[tu
     if not judge.pair.rays.is_list:
         yield "the pixel's x", rows % width
         yield "the pixel's y", rows // width
+
+
+# ---- further rays: what makes a caster miss that misses all of a kind
+
+TRIED_RAYS, TRIED_RTOL = 64, 0.1  # a start that is moved by an epsilon counts as right
+LONGER, FARTHER = 2.0**40, 1000.0  # a direction; a start, in distances from the hit
+TURN = 0.35  # radians
+
+
+def tried_text(judge: Judge, prim: np.ndarray, t: np.ndarray, rows: np.ndarray, cast: CastRays) -> str:
+    """The first change of missed rays under which nearly all are right; a question if all rays of the film are missed.
+
+    rows: that are hit at t, exactly.
+    """
+    chosen = np.flatnonzero(prim >= 0)
+    chosen = chosen[sample_rows(np.arange(len(chosen)), TRIED_RAYS)]
+    if not len(chosen):
+        return ""
+    o, d, t = judge.o[rows[chosen]], judge.d[rows[chosen]], t[chosen, None]
+    p, axis = o + t * d, np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
+    turned = np.cos(TURN) * d + np.sin(TURN) * np.cross(axis, d) + (1.0 - np.cos(TURN)) * (d @ axis)[:, None] * axis
+    determinants = np.abs(dot(d, area_vectors(triangle_corners(judge, prim[chosen]))))
+    determinants = determinants[np.isfinite(determinants)]
+    small = f"the determinants of {range_text(determinants)}" if len(determinants) else "such sizes"
+    near = range_text(t * norm(d)[:, None])
+    for changed, question, *lines in (
+        ("alone", "does the number of rays matter", o, d),
+        ("along directions 2^40 times as long", f"is an epsilon larger than {small} here", o, LONGER * d),
+        (f"from {FARTHER:g} times as far", f"is what is nearer than {near} lost", p - FARTHER * t * d, d),
+        ("along directions turned by 20 degrees", "is a component of d that is 0 a divisor", p - t * turned, turned),
+        ("from the other side", "is one side culled, or a sign of d ignored", p + t * d, -d),
+    ):
+        given, expected = cast(lines[0], lines[1]) or (NONE, NONE)
+        there = np.isfinite(expected)
+        if there.any() and np.isclose(given[there], expected[there], rtol=TRIED_RTOL, atol=0.0).mean() >= NEARLY_ALL:
+            return f"hit {changed}: {question}?"
+    if judge.hit.any():
+        return ""
+    return f"is the scene read, do rays reach t = {t.max():.3g}, is every epsilon below {small} here?"

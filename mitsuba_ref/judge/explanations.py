@@ -54,7 +54,8 @@ def reason(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str], row
         return f"{subject_name(judge)} is right, and Mitsuba's answer is beyond what float32 allows; {defect}"
     if row in diagnosed:
         return diagnosed[row]
-    if verdict == EXPLAINED and judgement.ratio("diffuse")[row] > 1.0:  # which is compared at the same surface alone
+    light = judgement.ratios.get("diffuse")  # compared where both see the same surface; no candidate gives it
+    if verdict == EXPLAINED and light is not None and light[row] > 1.0:
         return "a shadow: both sides see the same point, and rounding allows a light to be visible there or not"
     return _reasons(judge, right=judge.answer.exact_visibility or judgement.is_right(row))[verdict]
 

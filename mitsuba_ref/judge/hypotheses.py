@@ -5,7 +5,7 @@ Pixels that are right must not contradict it.
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import chain, permutations, product
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ import numpy as np
 from caster.geometry.packing import Triangles
 from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import camera_axes
-from mitsuba_ref.error_model.bounds import row_distance
+from mitsuba_ref.error_model.bounds import intersections_at, row_distance
 from mitsuba_ref.error_model.bracket import RayIntersections
 from mitsuba_ref.error_model.intersections import Intersections, dot, norm, row_groups, unit
 from mitsuba_ref.error_model.scene_model import kinds_of
@@ -24,6 +24,8 @@ from mitsuba_ref.error_model.tolerances import (
     KU,
     KU_OURS,
     LARGEST_RESIDUAL,
+    LARGEST_USEFUL_NORMAL_ERROR,
+    LEAST_FLOAT32_ERROR,
     MAJORITY,
     MATCH_RTOL,
     MIN_FITTED_PIXELS,
@@ -31,10 +33,10 @@ from mitsuba_ref.error_model.tolerances import (
 )
 from mitsuba_ref.judge.adjudication import id_columns, sample_rows
 from mitsuba_ref.judge.classification import Judge
-from mitsuba_ref.judge.explanations import subject_name
-from mitsuba_ref.reference.shared_input import pixel_centers
+from mitsuba_ref.reference.shared_input import described_model, pixel_centers
 from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64
 
+MIN_SIGNED_PIXELS = 16  # of fewer, all may have one sign by chance
 SCREENED_PIXELS = 96  # at which a claim about the whole image is tried first
 
 
@@ -103,6 +105,7 @@ class Mistake(NamedTuple):
     predicts: Predicts
     claim: int = NOTHING
     single: bool = False  # one pixel is enough: nothing is fitted, and no pixel fits by chance
+    share: float = 0.0  # of the pixels left, which it has to explain if it is `single`
     same_surface: bool = False  # the right surface is hit, so that its normal is judged as well
 
 
@@ -120,7 +123,8 @@ def explanations(f: WrongPixels, right: WrongPixels, table: Iterable[Mistake]) -
         return
     for mistake, fits in _decisive_first(len(f.rows), _kept(f, right, table)):
         fits = fits & left
-        if fits.any() and (mistake.single or fits.sum() >= max(MAJORITY * left.sum(), MIN_FITTED_PIXELS)):
+        least = mistake.share * left.sum() if mistake.single else max(MAJORITY * left.sum(), MIN_FITTED_PIXELS)
+        if fits.any() and fits.sum() >= least:
             yield mistake, fits
             left &= ~fits
         if not left.any():
@@ -164,10 +168,6 @@ def _decisive_first(count: int, kept: Iterator[Explanation]) -> Iterator[Explana
 def mistakes(f: WrongPixels) -> Iterator[Mistake]:
     """The table of wrong hits, misses and t, the simplest first; numbers in it are fitted to the wrong pixels f."""
     answer, is_list, camera = f.judge.answer, f.judge.pair.rays.is_list, f.judge.scene.camera
-    if len(answer.t) > 1 and not f.judge.hit.any():  # of one pixel, that means nothing
-        farthest = f.t[~f.given_hit & f.hit].max(initial=0.0)
-        remedy = f"is the scene read, do rays reach t = {farthest:.3g}{_epsilon_text(f)}?"
-        yield Mistake(f"{subject_name(f.judge)} misses everything", remedy, lambda g: ~g.given_hit & g.hit, single=True)
     if is_list and not answer.hits_only:
         yield from OUT_OF_RANGE
     yield _quantity(
@@ -186,7 +186,7 @@ def mistakes(f: WrongPixels) -> Iterator[Mistake]:
         )
     yield from _fitted_quantities(f)
     if _claims_float64(f):
-        yield Mistake(IN_FLOAT32, FLOAT32_REMEDY, _right_in_float32, single=True, same_surface=True)
+        yield from _other_numbers(f)
     yield from _image_orders(f.judge.pair.shape, is_list)
     if not is_list:
         yield from BESIDE_CENTERS
@@ -210,27 +210,55 @@ OUT_OF_RANGE = (
 )
 
 
-def _epsilon_text(f: WrongPixels) -> str:
-    """A question about the determinants of the triangles that are hit; "" if none is."""
-    determinants = np.abs(dot(f.d, area_vectors(triangle_corners(f.judge, f.prim))))
-    some = determinants[f.hit & np.isfinite(determinants)]
-    return f", is every epsilon below the determinants of {range_text(some)} here" if len(some) else ""
+def _claims_float64(f: WrongPixels) -> bool:
+    """Of a candidate; ours is in float64."""
+    return f.judge.answer.precision == FLOAT64 and not f.judge.answer.exact_visibility
 
 
 IN_FLOAT32 = "computed in float32: right by float32's bounds, and given as float64"
 FLOAT32_REMEDY = "compute in float64, or state --candidate-precision float32"
 
 
-def _claims_float64(f: WrongPixels) -> bool:
-    """Of a candidate; ours is in float64."""
-    return f.judge.answer.precision == FLOAT64 and not f.judge.answer.exact_visibility
+def _as_in_float32(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
+    """(m,) bool: errors within float32's bounds, if most of them are as large as float32 makes them."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.abs(error) / bound
+        fits: np.ndarray = ratio <= 1.0
+        return fits & bool(fits.any() and np.median(ratio[fits]) >= LEAST_FLOAT32_ERROR)
 
 
-def _right_in_float32(g: WrongPixels) -> np.ndarray:
-    with np.errstate(invalid="ignore"):
-        near = np.abs(g.given_t - g.t) <= g.at.t_error * (KU / KU_OURS) + g.t_rounding
-    found: np.ndarray = g.given_hit & g.hit & near
-    return found
+def _is_of_both_signs(error: np.ndarray) -> bool:
+    """Whether errors (m,) may be rounding: of many, some are positive and some negative."""
+    return len(error) < MIN_SIGNED_PIXELS or bool(min((error > 0.0).mean(), (error < 0.0).mean()) >= 1.0 - NEARLY_ALL)
+
+
+def _other_numbers(f: WrongPixels) -> Iterator[Mistake]:
+    """t at the right surface, of other numbers than those that are traced, or with the rounding of others."""
+    described = described_model(f.judge.scene) if f.judge.pair.rays.is_list else None
+
+    def of_described(g: WrongPixels) -> np.ndarray:
+        at = intersections_at(described or g.judge.model, g.prim, (g.o, g.d), g.t, KU_OURS, ours=True)
+        return g.right_under(g.hit, at.t, at.t_error) & g.hit
+
+    def of_points(g: WrongPixels) -> np.ndarray:
+        length = norm(g.d)
+        rounding = KU_OURS * (norm(g.o) + np.abs(g.t) * length) / length
+        error = g.given_t - g.t
+        return g.given_hit & g.hit & (np.abs(error) <= rounding + g.at.t_error) & _is_of_both_signs(error)
+
+    def in_float32(g: WrongPixels) -> np.ndarray:
+        bound = g.at.t_error * (KU / KU_OURS) + g.t_rounding
+        return g.given_hit & g.hit & _as_in_float32(g.given_t - g.t, bound)
+
+    if described and of_described(f).mean() > MAJORITY:  # the others differ by less than rounding
+        what = "hits of the scene file's own numbers; the judge traces them rounded to float32"
+        remedy = "compute hits of the scene that `mitsuba-ref export --toml` writes, and judge with that"
+        yield Mistake(what, remedy, of_described, single=True, same_surface=True)
+        return
+    what = "t has the rounding of a point's coordinates, as (p - o) . d / d . d has"
+    remedy = "return the t of the intersection, not that of the hit point"
+    yield Mistake(what, remedy, of_points, single=True, share=NEARLY_ALL, same_surface=True)
+    yield Mistake(IN_FLOAT32, FLOAT32_REMEDY, in_float32, single=True, share=NEARLY_ALL, same_surface=True)
 
 
 Quantity = Callable[[WrongPixels], tuple[np.ndarray, np.ndarray | float]]  # (its values, its change with t)
@@ -252,16 +280,24 @@ def _fitted_quantities(f: WrongPixels) -> Iterator[Mistake]:
     some = f.given_hit & f.hit & np.isfinite(f.given_t)
     if some.sum() < MIN_FITTED_PIXELS:
         return
+    given, t = f.given_t[some], f.t[some]
     with np.errstate(all="ignore"):
-        offset = float(np.median((f.given_t - f.t)[some]))
-        scale = float(np.median((f.given_t / f.t)[some]))
-    what = f"t is {abs(offset):.3g} too {'large' if offset > 0 else 'small'} everywhere, a constant"
-    remedy = f"leave out the offset (an epsilon?) of {offset:.3g}"
-    yield _quantity(what, remedy, lambda g: (g.t + offset, 1.0), PIXELS)
-    claim = NOTHING if abs(scale - 1.0) > DISTINCT_RTOL else PIXELS  # no chance meets a scale that is far from 1
-    what = f"t is {scale:.7g} times what it should be"
-    remedy = "look for a wrong unit, a scale or a length that is not 1"
-    yield _quantity(what, remedy, lambda g: (g.t * scale, scale), claim)
+        offset, more = float(np.median(given - t)), float(np.median((given - t) / t))
+        left = [np.median(np.abs(given - fit) / f.at.t_error[some]) for fit in (t + offset, t + more * t)]
+    constant = f"{abs(offset):.3g} too {'large' if offset > 0 else 'small'} everywhere, a constant"
+    times = f"{f'1 {more:+.3g}' if abs(more) < DISTINCT_RTOL else f'{1.0 + more:.7g}'} times what it should be"
+    if np.ptp(t) <= DISTINCT_RTOL * np.abs(t).max():  # nothing tells them apart
+        constant, times = f"{constant}, or {times}", f"{times}, or {constant}"
+    moved = _quantity(
+        f"t is {constant}", f"leave out the offset (an epsilon?) of {offset:.3g}", lambda g: (g.t + offset, 1.0), PIXELS
+    )
+    scaled = _quantity(
+        f"t is {times}" if more != -1.0 else "t is 0, whatever is hit",
+        "look for a wrong unit, a scale or a length that is not 1" if more != -1.0 else "return the t of what is ahead",
+        lambda g: (g.t + more * g.t, 1.0 + more),
+        PIXELS,
+    )
+    yield from (scaled, moved) if left[1] < left[0] else (moved, scaled)
     yield _quantity("the square of t in place of t", "return t itself", lambda g: (np.square(g.t), 1.0))
     yield _quantity("1 / t in place of t", "return t itself", lambda g: (np.reciprocal(g.t), 1.0))
 
@@ -468,8 +504,26 @@ def id_mistakes(f: WrongPixels) -> Iterator[Mistake]:
         who = "the same primitive is" if len(named) == 1 else f"no more than {len(named)} primitives are"
         remedy = "return the number of the primitive in the order of the scene, or leave the column out"
         yield Mistake(f"{who} named at all {hit.sum()} hits", remedy, lambda g: g.hit, same_surface=True)
+    if f.judge.answer.shape_id is not None and f.judge.answer.prim_id is not None:
+        for step, cure in ((1, "subtract"), (-1, "add")):
+            remedy = f"numbers count from 0: {cure} 1"
+            what = f"the primitive's number is off by one ({step:+d})"
+            yield Mistake(what, remedy, partial(_hits_beside, step=step), same_surface=True)
     for column in columns:
         yield from _column_mistakes(*column)
+
+
+def _hits_beside(g: WrongPixels, step: int) -> np.ndarray:
+    """(m,) bool: the primitive `step` before the named one, counted through all shapes, is hit at the given t."""
+    packed, answer = g.judge.model.packed, g.judge.answer
+    assert answer.shape_id is not None and answer.prim_id is not None
+    shape = answer.shape_id[g.rows]
+    known = (shape >= 0) & (shape < len(packed.parts))
+    prim = packed.first[np.where(known, shape, 0)] + answer.prim_id[g.rows] - step
+    there = known & (prim >= 0) & (prim < packed.first[-1])
+    at = g.judge.near(g.rows, np.where(there, prim, -1), g.given_t)
+    found: np.ndarray = there & at.possible & (np.abs(g.given_t - at.t) <= at.t_error + g.t_rounding)
+    return found
 
 
 def _column_mistakes(name: str, ids: np.ndarray, number: Callable[[np.ndarray], np.ndarray]) -> Iterator[Mistake]:
@@ -504,17 +558,25 @@ def _names_another_hit(g: WrongPixels) -> np.ndarray:
 # ---- normals
 
 
-def _normal(what: str, remedy: str, predicted: Predicts, *, single: bool = False) -> Mistake:
+def has_wrong_normal(f: WrongPixels) -> np.ndarray:
+    """(m,) bool."""
+    if f.judge.n is None:
+        return np.zeros(len(f.rows), bool)
+    return ~(row_distance(f.n, f.at.n) <= np.minimum(f.at.n_error, LARGEST_USEFUL_NORMAL_ERROR))
+
+
+def _normal(what: str, remedy: str, predicted: Predicts, claim: int = NOTHING, *, single: bool = False) -> Mistake:
     """Other normals, predicted (m, 3), in place of the right ones. Unless `single`, those must not be all alike."""
 
     def predicts(g: WrongPixels) -> np.ndarray:
         with np.errstate(invalid="ignore"):
             n = predicted(g)
-        fits: np.ndarray = (row_distance(g.n, n) <= MATCH_RTOL) & (row_distance(n, g.at.n) > DISTINCT_RTOL)
+        fits: np.ndarray = row_distance(g.n, n) <= MATCH_RTOL
+        fits &= (row_distance(n, g.at.n) > DISTINCT_RTOL) | ~has_wrong_normal(g)
         some = g.at.n[fits]
         return fits & (single or bool(len(some) and np.ptp(some, axis=0).max() > DISTINCT_RTOL))
 
-    return Mistake(what, remedy, predicts, single=single, same_surface=True)
+    return Mistake(what, remedy, predicts, claim, single, same_surface=True)
 
 
 def _mapped_normal(what: str, remedy: str, matrix: np.ndarray) -> Mistake:
@@ -536,17 +598,19 @@ def normal_mistakes(f: WrongPixels) -> Iterator[Mistake]:
         remedy = "compute it from the edges of the face, or in float64"
         yield Mistake(what, remedy, _is_of_corners_seen_from_the_origin, same_surface=True)
     if _claims_float64(f):
-        near = KU / KU_OURS
-        yield Mistake(
-            IN_FLOAT32, FLOAT32_REMEDY, lambda g: row_distance(g.n, g.at.n) <= g.at.n_error * near, same_surface=True
-        )
+
+        def in_float32(g: WrongPixels) -> np.ndarray:
+            return _as_in_float32(row_distance(g.n, g.at.n), g.at.n_error * (KU / KU_OURS))
+
+        yield Mistake(IN_FLOAT32, FLOAT32_REMEDY, in_float32, single=True, share=NEARLY_ALL, same_surface=True)
 
 
 SINGLE_NORMALS = (
     _normal(
         "the normal is turned towards the ray; geometric normals point outside, whoever looks",
         "do not turn normals by the sign of n . d",
-        lambda g: np.where((dot(g.at.n, g.d) > 0.0)[:, None], -g.at.n, np.nan),
+        lambda g: np.where((dot(g.at.n, g.d) > 0.0)[:, None], -g.at.n, g.at.n),
+        SURFACES,
         single=True,
     ),
     _normal("the normal is turned round", "turn its sign: normals point outside", lambda g: -g.at.n, single=True),

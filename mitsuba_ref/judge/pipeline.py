@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 from caster.geometry.packing import forget_packed
@@ -20,10 +21,11 @@ from mitsuba_ref.judge.aggregate import (
     merge_windows,
     quantities_not_given,
 )
-from mitsuba_ref.judge.checks import CANDIDATE, Scope, checks_of, make_checks
+from mitsuba_ref.judge.checks import CANDIDATE, NOT_JUDGED, Scope, checks_of, make_checks
 from mitsuba_ref.judge.checks import OURS as OUR_CHECKS
 from mitsuba_ref.judge.checks.bias import PixelErrors, error_statistics, pixel_errors
 from mitsuba_ref.judge.checks.knife_edges import AimedFailure
+from mitsuba_ref.judge.checks.ray_conventions import cast_further
 from mitsuba_ref.judge.classification import Judge, Judgement, judge_of
 from mitsuba_ref.judge.diagnosis import Diagnosis, diagnose
 from mitsuba_ref.judge.verdict import AGREE, FAILING, TIE, SceneCheck, SceneVerdict
@@ -163,7 +165,8 @@ def judge_window(
     # Compare, adjudicate, classify; then find the causes of failing pixels.
     report_stage("judging")
     judgement = judge.judge()
-    diagnosis = diagnose(judge, judgement)
+    further = None if task.ours or not task.subject.takes_rays else partial(cast_further, task.subject, response.scene)
+    diagnosis = diagnose(judge, judgement, further)
 
     # Check whatever pixels do not show.
     inputs |= {
@@ -215,7 +218,11 @@ def _verdict(task: Task, response: SubjectResponse, seen: Seen, checks: tuple[Sc
         precision="" if task.ours else answer.precision,
         unjudged=quantities_not_given(answer),
         findings=findings(judge, diagnosis),
-        notes=(*_notes_on_hits(judge, judgement), *(() if task.ours else (*answer.notes, *response.limits))),
+        notes=(
+            *_notes_on_hits(judge, judgement),
+            *(() if task.ours else (*answer.notes, *response.limits)),
+            *(f"{each.name}: {each.what}" for each in checks if each.what.startswith(NOT_JUDGED)),
+        ),
         seen=seen,
     )
 

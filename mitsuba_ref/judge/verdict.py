@@ -135,13 +135,13 @@ class Finding:
     of: int = 0  # wrong pixels among which a hypothesis was tested; 0: it is a description
     remedy: str = ""  # of a hypothesis that explains the pixels
     where: str = ""  # a property that separates these pixels from right ones
+    alike: int = 0  # further pixels with the same symptom, which were not adjudicated
 
     @property
     def text(self) -> str:
         """Cause, evidence and remedy."""
-        if not self.remedy:
-            return f"{self.what}; {self.where}" if self.where else self.what
-        return f"{self.what}: {self.pixels} of {self.of} wrong pixels become right under it; {self.remedy}"
+        proof = f": {self.pixels} of {self.of} wrong pixels become right under it" if self.remedy else ""
+        return "; ".join(filter(None, [self.what + proof, self.where, self.remedy]))
 
 
 @dataclass(frozen=True, config=RESULT)
@@ -298,12 +298,13 @@ class Verdict:
     min_scenes: int = 0  # the run passes only if at least so many scenes are judged and not declined
     fixed: tuple[str, ...] = ()  # scenes that --expected lists as failing, and that pass
     requested_candidate: str = ""  # the candidate that was requested, also if no scene is judged; "" for ours
+    checks: tuple[SceneCheck, ...] = ()  # of a candidate, made once, whatever the scenes
     format: int = VERDICT_FORMAT
 
     @computed_field  # type: ignore[prop-decorator]
     @property
     def ok(self) -> bool:
-        """Every requested scene was judged and passes or is waived, and there are enough of them.
+        """Every requested scene was judged and passes or is waived, as do `checks`, and there are enough of them.
 
         A run without scenes does not pass, except for an empty shard; `merge` counts the scenes of shards.
         """
@@ -313,6 +314,7 @@ class Verdict:
             some
             and enough
             and len(self.scenes) == self.scene_count
+            and all(check.ok for check in self.checks)
             and all(scene.ok or scene.waived for scene in self.scenes)
         )
 

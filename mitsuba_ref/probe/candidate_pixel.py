@@ -13,7 +13,7 @@ from mitsuba_ref.judge.classification import Judge, Judgement, judge_of
 from mitsuba_ref.judge.diagnosis import diagnose
 from mitsuba_ref.judge.explanations import exceeded_bounds, reason
 from mitsuba_ref.judge.pipeline import Task
-from mitsuba_ref.judge.verdict import CLASSES, FAILING, UNDECIDED, UNLISTED
+from mitsuba_ref.judge.verdict import CLASSES, FAILING, UNDECIDED, UNLISTED, WRONG
 from mitsuba_ref.probe.witnesses import CANDIDATE, WitnessAnswer, with_error_of_t
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
@@ -68,9 +68,10 @@ def probe_candidate(
     shares = {"mask": float(judgement.ratios["mask"][row]), "t": witness.share, "normal": witness.normal_share}
     exceeded = {name: share for name, share in shares.items() if share is not None and not witness.remark}
     why = reason(judge, judgement, diagnose(judge, judgement).by_row(), row), exceeded_bounds(exceeded)
+    left_out = row in judgement.not_adjudicated and witness.right is False  # but here it is adjudicated
     return CandidatePixel(
         candidate.name,
-        CLASSES[int(judgement.classes[row])],
+        WRONG if left_out else CLASSES[int(judgement.classes[row])],
         judge.answer.precision,
         "; ".join(filter(None, why)),
         _answer_record(judge, row),

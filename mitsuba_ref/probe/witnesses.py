@@ -145,7 +145,7 @@ def witness_lines(found: tuple[WitnessAnswer, ...]) -> Iterator[str]:
     for each in shown:
         verdict = {True: "right", False: "WRONG", None: "?"}[each.right]
         verdict = "allowed" if _is_loose(each) else verdict
-        answer = f"{verdict:<7}  {_surface_text(each):<{surface}}{_error_text(each)}"
+        answer = f"{verdict:<7}  {_surface_text(each):<{surface}}  {_error_text(each)}"
         yield f"  {each.who:<{WIDEST_NAME}}  {each.problem or answer}".rstrip()
     if any(each.problem == MISSING for each in found):
         yield f"  {MISSING}: {variants.usable_variants().why}"
@@ -170,7 +170,7 @@ def _error_text(each: WitnessAnswer) -> str:
     for what, share in (("", each.share if each.right is False else None), ("normal ", each.normal_share)):
         if share is not None and not share <= 1.0:
             parts.append(f"{what}{share:.3g}x its bound")
-    return "".join(f", {words}" for words in (*parts, *filter(None, [each.remark])))
+    return ", ".join((*parts, *filter(None, [each.remark])))
 
 
 def _is_loose(each: WitnessAnswer) -> bool:

@@ -162,12 +162,6 @@ class Crash(ProcessEnd):
     """The end of a Mitsuba process without a whole response."""
 
     @property
-    def headline(self) -> str:
-        """The first output line that contains "error", else the last line."""
-        lines = [line.strip() for line in self.output.splitlines() if line.strip()]
-        return next((line for line in lines if "error" in line.lower()), "".join(lines[-1:]))
-
-    @property
     def brief(self) -> str:
         """The exit and the headline."""
         return f"{self.exit}: {self.headline}".removesuffix(": ")

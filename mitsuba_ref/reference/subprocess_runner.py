@@ -48,6 +48,12 @@ class ProcessEnd:
         """An exit code, a signal, or that it was killed at its deadline."""
         return f"killed after {round(self.seconds, 3):g} s" if self.code is None else exit_name(self.code)
 
+    @property
+    def headline(self) -> str:
+        """The first output line that contains "error", else the last line."""
+        lines = [line.strip() for line in self.output.splitlines() if line.strip()]
+        return next((line for line in lines if "error" in line.lower()), "".join(lines[-1:]))
+
 
 class ProcessEnded(Exception):  # noqa: N818 - an event, not necessarily an error
     """A resident process that no longer answers; `end` says why."""

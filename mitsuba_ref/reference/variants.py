@@ -108,11 +108,15 @@ class VariantError(SceneError):
 
 @dataclass(frozen=True)
 class Variants:
-    """The variants that work. libllvm: the library with which the LLVM variant does; why: why others do not work."""
+    """The variants that work. libllvm: the library with which the LLVM variant does; why: why others do not work.
+
+    why: one line; details: the same in full.
+    """
 
     scalar: bool
     libllvm: str | None
     why: str
+    details: str = ""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -149,12 +153,20 @@ def variant_for(has_quadrics: bool) -> str:
     raise VariantError(f"Mitsuba's {SCALAR} does not work here: {found.why}; {way_out}")
 
 
+_said: set[str] = set()  # lines that this process has printed
+
+
 def require_variants() -> None:
-    """Raise VariantError where spheres have no variant; print a line where no libLLVM works. Called before any work."""
+    """Raise VariantError where spheres have no variant; print a line where no libLLVM works, once a process.
+
+    Called before any work.
+    """
     chosen, found = variant_for(has_quadrics=True), usable_variants()
     broken = not found.libllvm and not found.why.endswith(NO_LIBLLVM)
-    if broken and not os.environ.get(VARIANT_ENVIRONMENT_VARIABLE):
-        print(f"{LLVM} does not work here, {chosen} traces all scenes ({WAY_OUT}): {found.why}", file=sys.stderr)
+    line = f"{LLVM} does not work here, {chosen} traces all scenes ({WAY_OUT}): {found.why}"
+    if broken and not os.environ.get(VARIANT_ENVIRONMENT_VARIABLE) and line not in _said:
+        _said.add(line)
+        print(line, file=sys.stderr)
 
 
 def environment_for(variant: str) -> dict[str, str]:
@@ -211,11 +223,22 @@ def _try_variants(candidates: list[str], key: str) -> Variants:
         problems.append(f"{path}: {problem}")
     if not candidates and not absent:
         problems.append(NO_LIBLLVM)
-    found = Variants(not scalar, library, "; ".join(problems))
+    found = Variants(not scalar, library, _brief(problems), "; ".join(problems))
     # A Mitsuba that cannot be imported may be half installed; after the other two, a machine was busy or out of memory.
-    if not scalar.startswith("exit code") and not any(word in found.why for word in ("killed", "SIGKILL")):
+    if not scalar.startswith("exit code") and not any(word in found.details for word in ("killed", "SIGKILL")):
         user_store().put(key, json.dumps(asdict(found)).encode())
     return found
+
+
+MAX_PROBLEM_CHARACTERS, MAX_PROBLEMS = 110, 2  # in one line
+
+
+def _brief(problems: list[str]) -> str:
+    """The first problems, each cut to one line."""
+    lines = (problem.partition("\n")[0] for problem in problems[:MAX_PROBLEMS])
+    shown = [line if len(line) <= MAX_PROBLEM_CHARACTERS else f"{line[:MAX_PROBLEM_CHARACTERS]} ..." for line in lines]
+    more = len(problems) - len(shown)
+    return "; ".join([*shown, *([f"and {more} more libraries"] if more else [])])
 
 
 def _load_cached(key: str, candidates: list[str]) -> Variants | None:

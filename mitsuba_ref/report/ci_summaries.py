@@ -135,9 +135,10 @@ def junit(verdict: Verdict) -> str:
     """
     failed = failing_scenes(verdict.scenes)
     errors = sum(bool(scene.problem) for scene in failed) + len(verdict.not_judged)
+    broken = [check for check in verdict.checks if not check.ok]
     counts = {
-        "tests": str(len(verdict.scenes) + len(verdict.not_judged)),
-        "failures": str(sum(not scene.problem for scene in failed)),
+        "tests": str(len(verdict.scenes) + len(verdict.not_judged) + len(broken)),
+        "failures": str(sum(not scene.problem for scene in failed) + len(broken)),
         "errors": str(errors),
         "skipped": str(sum(bool(scene.waived) for scene in verdict.scenes)),
         "time": f"{sum(spent(scene) for scene in verdict.scenes):.3f}",
@@ -150,6 +151,9 @@ def junit(verdict: Verdict) -> str:
         for name, value in about.items():
             if value:
                 SubElement(properties, "property", name=name, value=value)
+    for check in broken:
+        case = SubElement(suite, "testcase", classname="candidate", name=check.name, time="0.000")
+        SubElement(case, "failure", message=printable(check.what), type=check.name).text = printable(check.what)
     for scene in verdict.scenes:
         add_case(suite, scene)
     for name in verdict.not_judged:

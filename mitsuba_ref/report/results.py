@@ -65,16 +65,19 @@ STATUS_COLORS = {"PASS": "32", "FAIL": "1;31", "SKIP": "33", "KNOWN": "33"}  # c
 LINE_CHARACTERS = 80
 LABEL = re.compile(r" *[a-z][\w. ]{0,11}: +")  # such as "exact:      ", below which further lines begin
 COMMAND = re.compile(r" *(?:(?:replay|next|look|report): |mitsuba-ref |caster )")  # stays whole, to be copied
+POINTER = re.compile(r"[ |]*\^+ *$")  # below a place in a line of a scene file
 BELOW_NAME = 6 * " "  # of a scene
 
 
 def folded(text: str) -> str:
-    """The text in lines of at most LINE_CHARACTERS, but for commands and for words such as paths."""
-    return "\n".join(part for line in text.split("\n") for part in _folded(line))
+    """The text in lines of at most LINE_CHARACTERS, but for commands, words such as paths, and lines marked below."""
+    lines = text.split("\n")
+    marked = [POINTER.match(line) is not None for line in (*lines[1:], "")]
+    return "\n".join(part for line, whole in zip(lines, marked, strict=True) for part in _folded(line, whole))
 
 
-def _folded(line: str) -> list[str]:
-    if len(line) <= LINE_CHARACTERS or COMMAND.match(line):
+def _folded(line: str, whole: bool) -> list[str]:
+    if whole or len(line) <= LINE_CHARACTERS or COMMAND.match(line):
         return [line]
     label = LABEL.match(line)
     indent = " " * label.end() if label else BELOW_NAME

@@ -44,7 +44,9 @@ class Validation(Verdict):
         return "\n".join([*lines, *(failure_text(scene) for scene in failing_scenes(self.scenes)[:1])])
 
     def __repr__(self) -> str:
-        return f"<Validation: {outcome_text(self)}>"
+        """One line, since pytest cuts the representation of a message: `assert verdict.ok, str(verdict)` is whole."""
+        first = "".join(failure_text(scene).partition("\n")[0] for scene in failing_scenes(self.scenes)[:1])
+        return f"<Validation: {outcome_text(self)}{f'; {first:.120}' if first else ''}>"
 
 
 def validate_scene(

@@ -1,14 +1,16 @@
 """Verdicts for the terminal: one row per scene, failures with the next command, and a summary."""
 
+import math
 import re
 from collections.abc import Iterator, Sequence
+from math import isfinite
 from textwrap import wrap
 from urllib.parse import quote
 
 from caster.system.terminal import printable
 from mitsuba_ref.judge.classification import EXACT
 from mitsuba_ref.judge.defect_lookup import defect_name
-from mitsuba_ref.judge.diagnosis import NOT_ADJUDICATED
+from mitsuba_ref.judge.diagnosis import SAME_SYMPTOM
 from mitsuba_ref.judge.verdict import (
     AGREE,
     CLASSES,
@@ -25,8 +27,6 @@ from mitsuba_ref.judge.verdict import (
 )
 from mitsuba_ref.report.reproducers import replay
 from mitsuba_ref.report.results import BELOW_NAME, LINE_CHARACTERS, folded, percent, plural
-
-MAX_PROBLEM_LINES = 12  # of the output of Mitsuba, where it ended without an answer
 
 LEGEND = "hit, agree: pixels; worst: the largest error as a share of its bound; s: seconds"
 COLUMNS = ("hit", "agree", "worst", "s", "other pixels")
@@ -54,13 +54,22 @@ def row_cells(scene: SceneVerdict) -> tuple[str, ...]:
     check, ratio = scene.worst
     worst = f"{ratio:.2f}" if check and scene.counts[AGREE] else "-"
     seconds = "kept" if scene.kept else f"{scene.seconds:.1f}"
-    others = ", ".join(f"{scene.counts[name]} {class_text(name)}" for name in CLASSES[1:] if scene.counts[name])
+    others = ", ".join(f"{count} {name}" for name, count in spoken_counts(scene).items() if name != AGREE)
     return str(scene.hit_pixels), str(scene.counts[AGREE]), worst, seconds, others
 
 
 def _line(mark: str, name: str, width: int, cells: Sequence[str]) -> str:
     numbers = "".join(f"{cell:>{wide}} " for cell, wide in zip(cells, (6, 6, 5, 5), strict=False))
     return f"{mark:<5} {name:<{width}} {numbers}{''.join(cells[4:])}".rstrip()
+
+
+def spoken_counts(*scenes: SceneVerdict) -> dict[str, int]:
+    """Pixels of each class that occurs, for readers; those with the symptom of wrong ones are called wrong as well."""
+    counts = {class_text(name): sum(scene.counts[name] for scene in scenes) for name in CLASSES}
+    alike = sum(scene.not_adjudicated for scene in scenes)
+    undecided = counts.pop(UNDECIDED) - alike
+    counts |= {f"{WRONG} ({SAME_SYMPTOM})": alike, UNDECIDED: undecided}
+    return {name: count for name, count in counts.items() if count}
 
 
 def class_text(name: str) -> str:
@@ -81,23 +90,21 @@ def failure_text(scene: SceneVerdict, report: str = "") -> str:
     notes = [f"      note:      {note}" for note in scene.notes]
     if scene.problem:
         first, *rest = scene.problem.splitlines()
-        lines += [f"FAIL  {scene.name}  {first}", *(f"      {line}" for line in rest[:MAX_PROBLEM_LINES])]
+        lines += [f"FAIL  {scene.name}  {first}", *(f"      {line}" for line in rest)]
         lines += [f"      replay:    {replay(scene)}"] if scene.candidate else []
     elif not scene.has_evidence and not scene.failing:
         lines += [f"FAIL  {scene.name}  {_lack_of_evidence(scene)}", *notes]
     lines += [check_failure(scene, check) for check in scene.checks if not check.ok]
     if scene.failures:
         worst = scene.failures[0]
-        counts = (
-            f"{worst.check}: {_failing(scene)} of {scene.hit_pixels} hit pixels, "
-            f"{'' if scene.candidate else 'worst '}{_ratio_and_place(scene, worst)}"
-        )
+        counts = f"{worst.check}: {_failing(scene)} of {scene.hit_pixels} hit pixels, {_ratio_and_place(scene, worst)}"
         causes = [finding.text for finding in scene.findings[:1]]
         lines += (
             [f"FAIL  {scene.name}  {causes[0]}", f"      {counts}"] if causes else [f"FAIL  {scene.name}  {counts}"]
         )
         for place, finding in enumerate(scene.findings) if len(scene.findings) > 1 else ():
-            at = f"      {finding.pixels} pixels, first {scene.place(finding.x, finding.y)}: "
+            alike = f" and {finding.alike} more ({SAME_SYMPTOM})" if finding.alike else ""
+            at = f"      {finding.pixels} pixels{alike}, first {scene.place(finding.x, finding.y)}: "
             lines.append(at + (finding.what if place else "as above"))
             more = (finding.where, finding.remedy) if place else ()  # the first line has those of the first
             lines += [f"        {each}" for each in more if each]
@@ -107,19 +114,21 @@ def failure_text(scene: SceneVerdict, report: str = "") -> str:
 
 def check_failure(scene: SceneVerdict, check: SceneCheck) -> str:
     """Text of a scene check that fails."""
-    head = f"FAIL  {scene.name}  {check.name}: {check.ratio:.3g}x its bound; {check.what}"
+    beyond = f"{check.ratio:.3g}x its bound; " if isfinite(check.ratio) else ""
+    head = f"FAIL  {scene.name}  {check.name}: {beyond}{check.what}"
     return f"{head}\n      replay:    {replay(scene)}"
 
 
 def pixel_failure(scene: SceneVerdict, check: str) -> str:
     """Text of the pixels that fail one check."""
     worst = scene.worst_by[check]
-    counts = f"{scene.failing_by[check]} of {scene.hit_pixels} hit pixels, worst {_ratio_and_place(scene, worst)}"
+    counts = f"{scene.failing_by[check]} of {scene.hit_pixels} hit pixels, {_ratio_and_place(scene, worst)}"
     return "\n".join([f"FAIL  {scene.name}  {check}: {counts}", *_answers(scene, worst)])
 
 
 def _ratio_and_place(scene: SceneVerdict, worst: Failure) -> str:
-    return f"{worst.ratio:.3g}x its bound at {scene.place(worst.x, worst.y)}"
+    far = f"{'' if scene.candidate else 'worst '}{worst.ratio:.3g}x its bound at"
+    return f"{far if math.isfinite(worst.ratio) else 'such as'} {scene.place(worst.x, worst.y)}"
 
 
 def _answers(scene: SceneVerdict, worst: Failure, report: str = "", said: str = "") -> Iterator[str]:
@@ -136,13 +145,9 @@ def _answers(scene: SceneVerdict, worst: Failure, report: str = "", said: str = 
 
 def _failing(scene: SceneVerdict) -> str:
     """Failing pixels by class, as text."""
-    counts = {
-        WRONG: scene.counts[WRONG],
-        "not adjudicated": scene.not_adjudicated,
-        "undecided": scene.counts[UNDECIDED] - scene.not_adjudicated,
-        "reference wrong in no known way": scene.cases.get(UNLISTED, 0),
-    }
-    return ", ".join(f"{count} {what}" for what, count in counts.items() if count)
+    counts = spoken_counts(scene) | {"reference wrong in no known way": scene.cases.get(UNLISTED, 0)}
+    fails = (WRONG, UNDECIDED, "reference wrong in no")
+    return ", ".join(f"{count} {what}" for what, count in counts.items() if count and what.startswith(fails))
 
 
 def _lack_of_evidence(scene: SceneVerdict) -> str:
@@ -164,13 +169,9 @@ def summary_text(verdict: Verdict, seconds: float) -> str:
 
 def summary_lines(verdict: Verdict) -> Iterator[str]:
     """What a summary says beyond the outcome, a line each."""
-    counts = verdict.counts
+    counts = {AGREE: 0} | spoken_counts(*verdict.scenes)
     total = sum(counts.values()) or 1
-    shares = [
-        f"{counts[name]} {class_text(name)} ({percent(counts[name], total)})"
-        for name in CLASSES
-        if counts[name] or name == AGREE
-    ]
+    shares = [f"{count} {name} ({percent(count, total)})" for name, count in counts.items()]
     exact_seconds = sum(scene.exact_seconds for scene in verdict.scenes if not scene.kept)
     yield from waiver_lines(verdict)
     yield f"hit pixels: {', '.join(shares)}"
@@ -213,7 +214,13 @@ def waiver_lines(verdict: Verdict) -> Iterator[str]:
 
 def failures_text(verdict: Verdict, report: str = "") -> str:
     """What several failing scenes have in common, then each by itself; "" where none fails."""
-    texts = [failure_text(scene, report) for scene in failing_scenes(verdict.scenes)]
+    texts, said = [], dict[str | frozenset[SceneCheck], str]()
+    for scene in failing_scenes(verdict.scenes):
+        broken = frozenset(check for check in scene.checks if not check.ok)
+        first = scene.name if scene.failures else said.setdefault(scene.problem or broken, scene.name)
+        words = scene.problem.partition("\n")[0] or ", ".join(sorted(check.name for check in broken))
+        alike = f"FAIL  {scene.name}  {words}: as in {first}"
+        texts.append(alike if first != scene.name else failure_text(scene, report))
     return "\n\n".join(filter(None, ["\n".join(group_lines(verdict.scenes)), *texts]))
 
 
@@ -232,6 +239,9 @@ def candidate_lines(verdict: Verdict) -> Iterator[str]:
     precisions = sorted({scene.precision for scene in verdict.scenes} - {""})
     held = f", held to the bounds of {' and '.join(precisions)}" if precisions else ""
     yield f"candidate:  {verdict.candidate}{held}"
+    for check in verdict.checks:
+        mark = "note:" if check.ok else "FAIL"
+        yield f"{mark:<11} {check.name}: {check.what}"
     names = dict.fromkeys(name for scene in verdict.scenes for name in scene.unjudged)
     if names:
         yield f"not judged: {', '.join(name.replace('_', ' ') for name in names)}"
@@ -299,8 +309,10 @@ def group_lines(scenes: Sequence[SceneVerdict]) -> Iterator[str]:
     sharing: dict[str, list[SceneVerdict]] = {}
     for scene in failing:
         for finding in scene.findings:
-            if finding.what != NOT_ADJUDICATED:
-                sharing.setdefault(finding.what, []).append(scene)
+            sharing.setdefault(finding.what, []).append(scene)
+        for check in scene.checks:
+            if not check.ok:
+                sharing.setdefault(f"{check.name}: {check.what.splitlines()[0]}", []).append(scene)
     for what, those in sorted(sharing.items(), key=lambda item: -len(item[1])):
         if len(those) >= MIN_FAILING_SCENES:
             kinds = ", ".join(sorted({kind for scene in those for kind in scene.composition.shapes}))

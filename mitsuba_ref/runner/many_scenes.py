@@ -34,7 +34,7 @@ from mitsuba_ref.report.reproducers import with_replay
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.runner.verdict_files import verdict_key
 from mitsuba_ref.runner.workers import CALL_TIMEOUTS, WorkerEnded, Workers
-from mitsuba_ref.subjects.ray_files import RayList, hits_subjects, lay_out
+from mitsuba_ref.subjects.ray_files import HitsFile, RayList, lay_out
 from mitsuba_ref.subjects.subject import OURS, Subject
 
 Result = TypeVar("Result")
@@ -86,11 +86,40 @@ def entries_of_hits(
     rows: tuple[int, int | None] | None = None,
     options: tuple[str, ...] = (),
 ) -> list[SceneEntry]:
-    """Entries that judge given hits of rays. where, precision, rows: as for `hits_subjects`. Raises SceneError."""
-    rays, span, subjects = hits_subjects(rays, hits, where, precision, rows)
-    film, shared = lay_out(scene, rays)
-    about: dict[str, Any] = {"given": film, "rays": shared, "ray_range": span, "command": "judge", "options": options}
-    return [SceneEntry(name + end, path, subject=subject, **about) for end, subject in subjects.items()]
+    """Entries that judge given hits of rays: one for nearest hits, one for any-hit answers. Raises SceneError.
+
+    where: the source of the hits, for messages. rows: the first and the end of the rays to judge; None: all of them.
+    """
+    count = len(rays.rows)
+    for array, values in hits.items():
+        if len(values.shape) == 0 or len(values) != count:
+            raise SceneError(
+                f"{where}: {array}: expected one row for each of the {count} rays, got shape {values.shape}"
+            )
+    if not {"t", "any_hit"} & hits.keys():
+        raise SceneError(f"{where}: expected an array t, or any_hit; got {', '.join(hits)}")
+    first, last = rows or (0, None)
+    last = count if last is None else min(last, count)
+    if first >= count:
+        raise SceneError(f"--rows {first}: expected a ray of 0 to {count - 1}")
+    width = rays.width if (first, last) == (0, count) else 0
+    film, shared = lay_out(scene, rays._replace(rows=rays.rows[first:last], width=width))
+    arrays = {array: values[first:last] for array, values in hits.items()}
+    endings = [("t", ""), ("any_hit", " any-hit" if "t" in hits else "")]
+    return [
+        SceneEntry(
+            name + ending,
+            path,
+            options=options,
+            given=film,
+            subject=HitsFile(where, arrays, precision, array == "any_hit"),
+            rays=shared,
+            ray_range=(first, last),
+            command="judge",
+        )
+        for array, ending in endings
+        if array in hits
+    ]
 
 
 def map_in_order(

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import pytest
 
 if TYPE_CHECKING:
-    from mitsuba_ref.judge.verdict import SceneVerdict
+    from mitsuba_ref.judge.verdict import SceneCheck, SceneVerdict
     from mitsuba_ref.report.html_report import HtmlReport
     from mitsuba_ref.report.validation import Validation
     from mitsuba_ref.subjects.subject import Subject
@@ -211,7 +211,21 @@ class ScenePlugin:
         from mitsuba_ref.judge.classification import pixel_checks
 
         whose = CANDIDATE if self.candidate else OURS
-        return (*pixel_checks(ours=whose == OURS), *(check.name for check in checks_of(whose)))
+        return (*pixel_checks(ours=whose == OURS), *(check.name for check in checks_of(whose) if check.scope != "run"))
+
+    def run_names(self, path: Path) -> tuple[str, ...]:
+        """Names of the checks that are made once a run, with its first scene."""
+        from mitsuba_ref.judge.checks import CANDIDATE, checks_of
+
+        made = self.candidate and path in self.files[:1]
+        return tuple(check.name for check in checks_of(CANDIDATE, ["run"])) if made else ()
+
+    @cached_property
+    def run_checks(self) -> dict[str, SceneCheck]:
+        """The checks that are made once a run."""
+        from mitsuba_ref.judge.checks import run_checks
+
+        return {check.name: check for check in run_checks(self.subject)}
 
 
 def given(config: pytest.Config, name: str) -> Any:
@@ -250,7 +264,7 @@ class SceneFile(pytest.File):
     def collect(self) -> Iterator[CheckItem]:
         plugin = self.config.pluginmanager.get_plugin(PLUGIN)
         assert isinstance(plugin, ScenePlugin)  # it collected this file
-        for name in (VERDICT, *plugin.check_names()):
+        for name in (VERDICT, *plugin.check_names(), *plugin.run_names(self.path)):
             yield CheckItem.from_parent(self, name=name)
 
 
@@ -265,9 +279,15 @@ class CheckItem(pytest.Item):
         plugin = self.config.pluginmanager.get_plugin(PLUGIN)
         assert isinstance(plugin, ScenePlugin)  # it collected this item
         found = plugin.verdict_of(self.path)
-        if plugin.candidate and is_not_judged(found, self.name):
+        if self.name in plugin.run_names(self.path) and not (isinstance(found, str) or found.problem):
+            check = plugin.run_checks.get(self.name)
+            if check is None:
+                pytest.skip(f"not judged: {plugin.candidate} is given no limits")
+            if not check.ok:
+                raise CheckFailed(f"FAIL  {check.name}: {check.what}")
+        elif plugin.candidate and is_not_judged(found, self.name):
             pytest.skip(f"not judged: {plugin.candidate} does not give it, or it is no check of this scene")
-        if text := check_problem(found, self.name):
+        elif text := check_problem(found, self.name):
             from caster.system.terminal import printable
 
             raise CheckFailed(printable(text))

@@ -113,6 +113,7 @@ def merge_verdicts(parts: Sequence[tuple[str, Verdict]]) -> tuple[Verdict, str]:
         names=names,
         judged_with={**first.judged_with, PROCESSOR: " and ".join(processors)},
         fixed=tuple(name for _, part in parts for name in part.fixed),
+        checks=next((part.checks for _, part in parts if not all(each.ok for each in part.checks)), first.checks),
         scenes=tuple(scenes[name] for name in names if name in scenes),
     )
     count = next(iter(files)).parts

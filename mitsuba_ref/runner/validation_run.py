@@ -15,7 +15,8 @@ from caster.description.input_files import read_text
 from caster.description.parsing import list_errors, parse
 from caster.rendering.threads import core_count
 from caster.system.terminal import ProgressBar
-from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED, SceneVerdict, Verdict
+from mitsuba_ref.judge.checks import run_checks
+from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED, SceneCheck, SceneVerdict, Verdict
 from mitsuba_ref.report.html_report import HtmlReport, page_record
 from mitsuba_ref.report.out_folder import OutFolder
 from mitsuba_ref.report.verdict_text import failing_checks
@@ -49,12 +50,14 @@ class ValidationRun:
         self.candidate_name = options.judge.subject.name if options.judge.subject else ""
         self.done: list[SceneVerdict] = []
         self.errors: list[Exception] = []  # of scenes that could not be loaded, judged or written
+        self.checks: tuple[SceneCheck, ...] = ()
         self.out = out
         self.html = HtmlReport(options.html, len(self.entries), self.candidate_name) if options.html else None
 
     def verdicts(self) -> Generator[SceneVerdict, None, None]:
         """Verdicts in the order of the scenes, each as soon as it and those before it are done."""
         workers = self.options.workers or core_count()
+        self.checks = run_checks(self.options.judge.subject)
         # A thread for each core: more would wait for each other, a twentieth of the time.
         threads = None if self.candidate_name else max(1, core_count() // max(1, min(workers, len(self.entries))))
         judge = self.options.judge._replace(page_of=page_record if self.html else None, threads=threads)
@@ -88,6 +91,7 @@ class ValidationRun:
             scene_count=len(names),
             names=names,
             requested_candidate=self.candidate_name,
+            checks=self.checks,
             min_scenes=self.options.min_scenes,
             fixed=self.options.expected.fixed(self.done) if self.options.expected else (),
             **self._identity,

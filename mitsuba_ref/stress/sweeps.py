@@ -118,9 +118,9 @@ class SweepResult:
                 yield f"{key}: no answer: {score.why}"
         elif score.breaks:
             yield (
-                f"{key}: {score.false_hits} false hits, {score.false_misses} false misses, "
+                f"{key}:\n      {score.false_hits} false hits, {score.false_misses} false misses, "
                 f"{score.beyond} hits beyond their bounds\n"
-                f"      rays {list(score.first_wrong)}; {score.example}\n"
+                f"      rays {list(score.first_wrong)}\n      {score.example}\n"
                 f"      replay: {setting.replay}"
             )
 
@@ -230,9 +230,11 @@ def as_text(sweep: SweepResult, skip_unsupported: bool = False) -> str:
         mark, why = "SKIP" if skip_unsupported else "FAIL", sweep.declined.partition("\n")[0]
         return f"{mark}  {sweep.name}: {sweep.title}; the candidate declined every setting: {why}"
     mark = "PASS" if sweep.ok else "FAIL"
-    head = f"{mark}  {sweep.name}: {sweep.title}; {sweep.error}, wrong hits or misses   {sweep.seconds:.1f} s"
+    head = f"{mark}  {sweep.name}: {sweep.title}   {sweep.seconds:.1f} s"
+    about = f"x: {sweep.quantity}\nof each caster: {sweep.error}, !: beyond its bound; wrong hits and misses"
+    (_, *names), *settings = rows(sweep)
     problems = (f"FAIL  {line}" for line in sweep.problems)
-    return "\n".join([head, *aligned(rows(sweep)), *footnotes(sweep), *problems])
+    return "\n".join([head, about, *aligned([["x", *names], *settings]), *footnotes(sweep), *problems])
 
 
 def rows(sweep: SweepResult) -> list[list[str]]:

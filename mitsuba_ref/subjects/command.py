@@ -30,7 +30,7 @@ from mitsuba_ref.reference.subprocess_runner import (
     length_first,
     run,
 )
-from mitsuba_ref.subjects.ray_files import HIT_COLUMNS, answer_of_hits, hit_columns, is_given
+from mitsuba_ref.subjects.ray_files import HIT_COLUMNS, answer_of_numbered_hits, hit_columns
 from mitsuba_ref.subjects.subject import (
     FLOAT32,
     FLOAT64,
@@ -41,7 +41,6 @@ from mitsuba_ref.subjects.subject import (
     Subject,
     Unsupported,
     checked_answer,
-    spread,
 )
 
 PLACEHOLDERS = ("xml", "toml", "exr", "width", "height")  # of a command that renders a scene
@@ -96,17 +95,19 @@ class Program(Subject):
 def raise_if_failed(end: ProcessEnd, seconds: float) -> None:
     """Raise NoAnswer for a program that was killed at its deadline or ended with a code other than 0."""
     if end.code is None:
-        raise NoAnswer(f"killed after {seconds:g} s{_output_tail(end.output)}")
+        raise NoAnswer(f"killed after {seconds:g} s{_last_words(end)}")
     if end.code == UNSUPPORTED_CODE:
-        raise Unsupported(f"the program declined the scene, exit {end.code}{_output_tail(end.output)}")
+        raise Unsupported(f"the program declined the scene, exit {end.code}{_last_words(end)}")
     if end.code:
         how = "ended with" if end.code > 0 else "was ended by"
-        raise NoAnswer(f"the program {how} {exit_name(end.code)}{_output_tail(end.output)}")
+        raise NoAnswer(f"the program {how} {exit_name(end.code)}{_last_words(end)}")
 
 
-def _output_tail(words: str) -> str:
-    words = printable(words).strip()
-    return f"; its last words:\n{words[-LAST_WORDS:]}" if words else "; it printed nothing"
+def _last_words(end: ProcessEnd) -> str:
+    """What a program said in one line, then the end of all that it said."""
+    headline, words = printable(end.headline), printable(end.output).strip()[-LAST_WORDS:]
+    more = f"\n{words}" if words != headline else ""
+    return f": {headline}{more}" if words else "; it printed nothing"
 
 
 # ---- a command that reads a scene and writes an EXR file ----
@@ -272,29 +273,37 @@ def mesh_bytes(packed: Packed) -> bytes:
     return np.array([len(vertices), len(corners)], "<i8").tobytes() + vertices.tobytes() + corners.tobytes()
 
 
-def answer_of_bytes(data: bytes, request: CastRequest, precision: str | None, where: str) -> Answer:
-    """The answer from rows of t; t, n; or t, n, prim, numbered through all triangles. Raises NoAnswer."""
+def answer_of_bytes(
+    data: bytes, request: CastRequest, precision: str | None, where: str, *, limits: bool = True
+) -> Answer:
+    """The answer from rows of t; t, n; or t, n, prim, numbered through all triangles. Raises NoAnswer.
+
+    limits: whether t_max is heeded, so that a hit beyond it is no answer.
+    """
     lengths, known = known_lengths(request, precision)
     if len(data) not in lengths:
         raise NoAnswer(f"{where}: expected bytes of {known}, without a header; got {len(data)}")
     there, packed = request.rays.t_max >= 0.0, request.model.packed
     rows = np.frombuffer(data, number_type(precision)).reshape(int(there.sum()), lengths[len(data)])
     hits = hit_columns(rows, where)
-    prim = hits.pop("prim_id", None)
-    found = answer_of_hits(hits, there, precision)
-    if prim is not None and is_given(prim := spread(prim, there, -1), found.hit):
-        known_prim = np.where(found.hit & (prim >= 0) & (prim < packed.first[-1]), prim, -1)
-        found = replace(found, shape_id=packed.shape_of(known_prim), prim_id=packed.index_in_shape(known_prim))
-    late = found.hit & (found.t > request.rays.t_max.astype(np.float64))
-    return replace(found, broken={**found.broken, **({"a hit beyond t_max": late} if late.any() else {})})
+    return answer_of_numbered_hits(hits, request.rays, packed, precision, limits=limits)
 
 
 @dataclass(frozen=True)
-class RayCommand(Program):
-    """A program that reads rays and writes hits."""
+class RayProgram(Program):
+    """A program that casts given rays."""
 
+    limits: bool = True  # its interface has t_min and t_max
     takes_rays: ClassVar[bool] = True
-    takes_limits: ClassVar[bool] = True
+
+    @property
+    def takes_limits(self) -> bool:
+        return self.limits
+
+
+@dataclass(frozen=True)
+class RayCommand(RayProgram):
+    """A program that reads rays and writes hits."""
 
     def answer(self, request: CastRequest) -> Answer:
         """Write rays and scene, run the program, read its hits. Raises NoAnswer."""
@@ -310,18 +319,16 @@ class RayCommand(Program):
             data = paths["hits"].read_bytes()
         except OSError as error:
             raise NoAnswer(f"the program ended well, but its hits cannot be read: {error}") from error
-        return answer_of_bytes(data, request, self.precision, "{hits}")
+        return answer_of_bytes(data, request, self.precision, "{hits}", limits=self.limits)
 
 
 DECLINED = -1  # in place of the length of a response: the program does not support the scene
 
 
 @dataclass(frozen=True)
-class ServedCommand(Program):
+class ServedCommand(RayProgram):
     """A program that is started once, reads meshes and rays from stdin and writes hits to stdout."""
 
-    takes_rays: ClassVar[bool] = True
-    takes_limits: ClassVar[bool] = True
     running: list[ResidentProcess] = field(default_factory=list, compare=False)  # at most one
     turn: Any = field(default_factory=threading.Lock, compare=False)  # scenes are judged several at a time
 
@@ -343,7 +350,7 @@ class ServedCommand(Program):
             reply = self._reply(b"".join(map(length_first, parts)), length_of)
         if int.from_bytes(reply[:HEAD_BYTES], "little", signed=True) == DECLINED:
             raise Unsupported("the program declined the scene")
-        return answer_of_bytes(reply[HEAD_BYTES:], request, self.precision, "its response")
+        return answer_of_bytes(reply[HEAD_BYTES:], request, self.precision, "its response", limits=self.limits)
 
     def _reply(self, data: bytes, length_of: Callable[[bytes], int]) -> bytes:
         try:
@@ -357,4 +364,4 @@ class ServedCommand(Program):
             raise NoAnswer(f"the program gave no answer to read: {error}") from error
         except ProcessEnded as ended:
             raise_if_failed(ended.end, self.seconds)
-            raise NoAnswer(f"the program ended before its response was whole{_output_tail(ended.end.output)}") from None
+            raise NoAnswer(f"the program ended before its response was whole{_last_words(ended.end)}") from None

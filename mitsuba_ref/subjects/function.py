@@ -1,30 +1,25 @@
-"""A candidate that is a Python function: function(scene, o, d) -> (t, n)."""
+"""A candidate that is a Python function: function(scene, o, d) -> (t, n), or with limits and ids."""
 
 import contextlib
 import importlib
+import inspect
 import os
 import re
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
 from caster.description.errors import SceneError
-from mitsuba_ref.subjects.subject import (
-    PRECISIONS,
-    Answer,
-    CastRequest,
-    NoAnswer,
-    Subject,
-    Unsupported,
-    checked_answer,
-    exception_text,
-)
+from caster.scene.model import Scene
+from mitsuba_ref.reference.shared_input import packed_float32
+from mitsuba_ref.subjects.ray_files import HIT_ARRAYS, answer_of_numbered_hits
+from mitsuba_ref.subjects.subject import PRECISIONS, Answer, CastRequest, NoAnswer, Subject, Unsupported, exception_text
 
 # package.module:function
 FUNCTION_PATTERN = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*(\.[^\W\d]\w*)*")
@@ -46,6 +41,11 @@ def import_function(text: str, precision: str | None = None) -> "FunctionSubject
             found: Any = importlib.import_module(module)
     except KeyboardInterrupt:
         raise
+    except ModuleNotFoundError as error:
+        if error.name != module:
+            raise SceneError(f"--candidate {text}: cannot import {module}: {_exception_with_calls(error)}") from error
+        where = f"{here}, then among the installed packages and in PYTHONPATH"
+        raise SceneError(f"--candidate {text}: there is no module {module}: looked in {where}") from error
     except BaseException as error:  # also SystemExit, which would end the program with its own exit code
         raise SceneError(f"--candidate {text}: cannot import {module}: {_exception_with_calls(error)}") from error
     for name in path.split("."):
@@ -66,41 +66,52 @@ def function_subject(call: Callable[..., Any], name: str = "", precision: str | 
     return FunctionSubject(name, call, declared)
 
 
+CALLED = "it is called as function(scene, o, d), with o and d (n, 3) float64, and returns (t, n)"
+LIMITS = ("t_min", "t_max")  # further parameters that a function may have
+RETURNED = ("t", "n", "prim_id")  # of a tuple; a mapping may have shape_id as well
+
+
 @dataclass(frozen=True)
 class FunctionSubject(Subject):
     """A candidate that is a Python function."""
 
-    call: Callable[[Any, np.ndarray, np.ndarray], Any]
+    call: Callable[..., Any]
     precision: str | None = None  # None: that of the arrays it returns
     takes_rays: ClassVar[bool] = True
 
-    def answer(self, request: CastRequest) -> Answer:
-        """Call it with the rays of all pixels that have one, as float64; a hit beyond t_max counts as a miss.
+    @property
+    def takes_limits(self) -> bool:
+        """Whether it has parameters t_min and t_max."""
+        try:
+            return set(LIMITS) <= inspect.signature(self.call).parameters.keys()
+        except (TypeError, ValueError):  # of a built-in function
+            return False
 
-        Raises NoAnswer.
-        """
-        rays = request.rays
+    def answer(self, request: CastRequest) -> Answer:
+        """Call it with the rays of all pixels that have one, as float64. Raises NoAnswer."""
+        rays, traced = request.rays, request.traced
         there = rays.t_max >= 0.0
-        o, d = (a[there].astype(np.float64) for a in (rays.o, rays.d))
+        named = {"t_min": np.broadcast_to(rays.t_min, there.shape), "t_max": rays.t_max} if self.takes_limits else {}
+        o, d, *limits = (a[there].astype(np.float64) for a in (rays.o, rays.d, *named.values()))
         with _one_at_a_time, _isolated():
-            returned = self._called(request, o, d)
+            returned = self._called(traced, o, d, dict(zip(named, limits, strict=True)))
             try:
-                found = checked_answer(*_pair(returned), there, precision=self.precision)
+                hits = _hits(returned)
+                numbered = packed_float32(traced) if "prim_id" in hits else request.model.packed
+                return answer_of_numbered_hits(hits, rays, numbered, self.precision, limits=self.takes_limits)
             except NoAnswer as error:
                 raise NoAnswer(f"{self.name}: {error}") from error
-        beyond = found.t > rays.t_max.astype(np.float64)
-        n = None if found.n is None else np.where(beyond[:, None], 0.0, found.n)
-        return replace(found, t=np.where(beyond, np.inf, found.t), n=n)
 
-    def _called(self, request: CastRequest, o: np.ndarray, d: np.ndarray) -> Any:
+    def _called(self, scene: Scene, o: np.ndarray, d: np.ndarray, limits: Mapping[str, np.ndarray]) -> Any:
         try:
-            return self.call(request.traced, o, d)
+            return self.call(scene, o, d, **limits)
         except KeyboardInterrupt:
             raise
         except NotImplementedError as error:
             raise Unsupported(f"{self.name} raised {_exception_with_calls(error)}") from error
         except BaseException as error:
-            raise NoAnswer(f"{self.name} raised {_exception_with_calls(error)}") from error
+            hint = f"\n  {CALLED}" if isinstance(error, TypeError) else ""
+            raise NoAnswer(f"{self.name} raised {_exception_with_calls(error)}{hint}") from error
 
 
 @contextlib.contextmanager
@@ -114,15 +125,18 @@ def _isolated() -> Iterator[None]:
             os.chdir(here)
 
 
-def _pair(returned: Any) -> tuple[Any, Any]:
-    """(t, n). Raises NoAnswer."""
-    if isinstance(returned, tuple | list):
-        if len(returned) == 2:
-            return returned[0], returned[1]
-        got = f"{len(returned)} of them"
+def _hits(returned: Any) -> dict[str, Any]:
+    """Arrays by name, from (t, n), (t, n, prim_id), or a mapping. Raises NoAnswer."""
+    if isinstance(returned, Mapping) and "t" in returned:
+        found = {name: returned[name] for name in HIT_ARRAYS if name in returned}
+    elif isinstance(returned, tuple | list) and len(returned) in (2, 3):
+        found = dict(zip(RETURNED, returned, strict=False))
     else:
-        got = f"one array of shape {returned.shape}" if isinstance(returned, np.ndarray) else type(returned).__name__
-    raise NoAnswer(f"expected two arrays (t, n), got {got}")
+        got = f"{len(returned)} of them" if isinstance(returned, tuple | list) else type(returned).__name__
+        got = f"one array of shape {returned.shape}" if isinstance(returned, np.ndarray) else got
+        raise NoAnswer(f"expected two arrays (t, n), got {got}; {CALLED}")
+    ids = {name: np.asarray(found[name]) for name in ("shape_id", "prim_id") if found.get(name) is not None}
+    return {"t": found["t"], "n": found.get("n"), **ids}
 
 
 def _exception_with_calls(error: BaseException) -> str:

@@ -11,10 +11,19 @@ import numpy as np
 from caster.cameras.single_ray import Ray
 from caster.description.errors import FileMissing, SceneError
 from caster.description.input_files import opened_input
+from caster.geometry.packing import Packed
 from caster.scene.model import MAX_FILM_SIDE, Film, Scene
 from caster.system.atomic_files import write_bytes
 from mitsuba_ref.reference.shared_input import SharedRays
-from mitsuba_ref.subjects.subject import Answer, CastRequest, NoAnswer, Subject, checked_answer, spread
+from mitsuba_ref.subjects.subject import (
+    Answer,
+    CastRequest,
+    NoAnswer,
+    Subject,
+    checked_answer,
+    spread,
+    without_hits_beyond,
+)
 
 COLUMNS = 8  # of a ray: o (3), d (3), t_min, t_max
 NPY_MAGIC, ZIP_MAGIC = b"\x93NUMPY", b"PK"
@@ -174,39 +183,8 @@ class HitsFile(Subject):
         return answer_of_hits(self.arrays, request.rays.t_max >= 0.0, self.precision, self.any_hit)
 
 
-def hits_subjects(
-    rays: RayList,
-    hits: Mapping[str, np.ndarray],
-    where: str,
-    precision: str | None = None,
-    rows: tuple[int, int | None] | None = None,
-) -> tuple[RayList, tuple[int, int], dict[str, HitsFile]]:
-    """(the rays to judge, the first and the end of them, the subjects by what their names end in).
-
-    One is about nearest hits, one about any-hit answers. where: the source of the hits, for messages. rows: the rays to
-    judge, not all. Raises SceneError.
-    """
-    count = len(rays.rows)
-    for name, values in hits.items():
-        if len(values.shape) == 0 or len(values) != count:
-            raise SceneError(
-                f"{where}: {name}: expected one row for each of the {count} rays, got shape {values.shape}"
-            )
-    if not {"t", "any_hit"} & hits.keys():
-        raise SceneError(f"{where}: expected an array t, or any_hit; got {', '.join(hits)}")
-    first, last = rows or (0, None)
-    last = count if last is None else min(last, count)
-    if first >= count:
-        raise SceneError(f"--rows {first}: expected a ray of 0 to {count - 1}")
-    width = rays.width if (first, last) == (0, count) else 0
-    arrays = {name: values[first:last] for name, values in hits.items()}
-    endings = [("t", ""), ("any_hit", " any-hit" if "t" in hits else "")]
-    found = {end: HitsFile(where, arrays, precision, name == "any_hit") for name, end in endings if name in hits}
-    return rays._replace(rows=rays.rows[first:last], width=width), (first, last), found
-
-
 def answer_of_hits(
-    arrays: dict[str, np.ndarray], there: np.ndarray, precision: str | None = None, any_hit: bool = False
+    arrays: Mapping[str, Any], there: np.ndarray, precision: str | None = None, any_hit: bool = False
 ) -> Answer:
     """The answer from nearest hits, or from any-hit answers, one for each pixel in `there`. Raises NoAnswer."""
     names = ("any_hit",) if any_hit else ("shape_id", "prim_id")
@@ -222,6 +200,27 @@ def answer_of_hits(
     ids = {name: np.where(found.hit, spread(values, there, -1), -1) for name, values in numbers.items()}
     named: dict[str, Any] = {name: values for name, values in ids.items() if is_given(values, found.hit)}
     return replace(found, **named)
+
+
+def answer_of_numbered_hits(
+    hits: Mapping[str, Any], rays: SharedRays, packed: Packed, precision: str | None, *, limits: bool
+) -> Answer:
+    """The answer from nearest hits; prim_id without shape_id is numbered through the scene. Raises NoAnswer.
+
+    packed: the primitives as the subject numbers them. limits: whether it is given t_max, so that a hit beyond it is
+    no answer; else such a hit counts as a miss.
+    """
+    there, arrays = rays.t_max >= 0.0, dict(hits)
+    found = answer_of_hits(arrays, there, precision)
+    if found.shape_id is None and found.prim_id is not None:
+        inside = found.hit & (found.prim_id >= 0) & (found.prim_id < packed.first[-1])
+        known = np.where(inside, found.prim_id, -1)
+        found = replace(found, shape_id=packed.shape_of(known), prim_id=packed.index_in_shape(known))
+    t_max = rays.t_max.astype(np.float64)
+    if not limits:
+        return without_hits_beyond(found, t_max)
+    late = found.hit & (found.t > t_max)
+    return replace(found, broken={**found.broken, **({"a hit beyond t_max": late} if late.any() else {})})
 
 
 def is_given(ids: np.ndarray, hit: np.ndarray) -> bool:

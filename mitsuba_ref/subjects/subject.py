@@ -106,6 +106,18 @@ def checked_answer(t: Any, n: Any, there: np.ndarray, *, precision: str | None =
     return Answer(t, n, precision, {why: rows for why, rows in broken.items() if rows.any()}, **more)
 
 
+def without_hits_beyond(found: Answer, t_max: np.ndarray) -> Answer:
+    """The answer of a candidate without limits: a hit beyond t_max (n,) counts as a miss."""
+    beyond = found.hit & (found.t > t_max)
+    ids: dict[str, Any] = {
+        name: np.where(beyond, -1, values)
+        for name in ("shape_id", "prim_id")
+        if (values := getattr(found, name)) is not None
+    }
+    n = None if found.n is None else np.where(beyond[:, None], 0.0, found.n)
+    return replace(found, t=np.where(beyond, np.inf, found.t), n=n, **ids)
+
+
 def spread(values: np.ndarray, there: np.ndarray, nothing: float) -> np.ndarray:
     """The values as rows of the pixels in `there`, (m,) bool; `nothing` at the others."""
     found = np.full((len(there), *values.shape[1:]), nothing, values.dtype)
@@ -256,7 +268,11 @@ class Subject:
 
     name: str  # as the user named it; "" for ours
     takes_rays: ClassVar[bool] = False  # it casts given rays, so that it can be asked about some of them
-    takes_limits: ClassVar[bool] = False  # it is given t_min and t_max of each ray
+
+    @property
+    def takes_limits(self) -> bool:
+        """Whether it is given t_min and t_max of each ray, and heeds them."""
+        return False
 
     @property
     def reads_xml(self) -> bool:

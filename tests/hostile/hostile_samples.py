@@ -192,6 +192,7 @@ WITHOUT_FILES = (
     "mitsuba-ref doctor",
     "mitsuba-ref schema verdict",
     "mitsuba-ref init c out/start",
+    "mitsuba-ref docs jit",
     "mitsuba-ref stress --list --json out/s.json",
     "mitsuba-ref stress tangency --rays 2 --json out/s.json",
     "mitsuba-ref bench --list",

@@ -161,6 +161,17 @@ def in_float32(scene, o, d, t, n):
     return t.astype(np.float32).astype(np.float64), n
 
 
+def from_points(scene, o, d, t, n):
+    p = o + np.where(np.isinf(t), 0.0, t)[:, None] * d
+    return np.where(np.isinf(t), t, ((p - o) * d).sum(axis=1) / (d * d).sum(axis=1)), n
+
+
+def turned_at_some_faces(scene, o, d, t, n):
+    import caster
+
+    return t, np.where((caster.cast(scene, o, d).prim_id % 10 == 7)[:, None], -n, n)
+
+
 def facing(scene, o, d, t, n):
     return t, np.where(((n * d).sum(axis=1) > 0)[:, None], -n, n)
 
@@ -174,7 +185,11 @@ def scene_of(name: str, folder: Path, width: int = 24, height: int = 18) -> Scen
     if name not in MADE:
         return load_scene(Path(__file__).parents[2] / "scenes" / f"{name}.toml").with_film(width=width, height=height)
     camera = {"type": "pinhole", "eye": (0.3, 0.2, 5.0), "look_at": (0, 0, 0), "fov": 40}
+    if name == "from above":
+        camera = {"type": "orthographic", "eye": (0.3, 0.2, 5.0), "direction": (0, 0, -1), "width": 1}
     files = (folder / f"{name}-{i}.obj" for i in range(9))
+    if name == "far away":
+        camera |= {"eye": (4096.3, 0.2, 5.0), "look_at": (4096, 0, 0)}
     shapes = [mesh_file(next(files), *s) if isinstance(s, tuple) else s for s in MADE[name]]
     return Scene(film={"width": width, "height": height}, camera=camera, shapes=shapes)
 
@@ -185,10 +200,10 @@ def mesh_file(path: Path, vertices: Any, faces: Any) -> dict[str, Any]:
     return {"type": "mesh", "file": str(path)}
 
 
-def grid(z: Any, size: int = 8) -> tuple[Any, Any]:
-    """A mesh of squares over [-1.5, 1.5]^2 with heights z(x, y)."""
+def grid(z: Any, size: int = 8, x: float = 0.0) -> tuple[Any, Any]:
+    """A mesh of squares over [-1.5, 1.5]^2 with heights z(x, y), moved along x."""
     at = np.linspace(-1.5, 1.5, size + 1)
-    vertices = [(float(x), float(y), float(z(x, y))) for y in at for x in at]
+    vertices = [(float(x + across), float(y), float(z(across, y))) for y in at for across in at]
     faces = []
     for j in range(size):
         for i in range(size):
@@ -201,6 +216,8 @@ MADE = {
     "layers": [{"type": "sphere", "center": (0.2 * i, 0, -i), "radius": 1.0} for i in range(3)],
     "shuffled layers": [{"type": "sphere", "center": (0.2 * i, 0, -i), "radius": 1.0} for i in (0, 2, 1)],
     "one-triangle": [([(-1, -1, 0), (1, -1, 0.2), (0, 1, 0.1)], [(0, 1, 2)])],
+    "far away": [grid(lambda x, y: 0.3 * x * y + 0.1, x=4096.0)],
+    "from above": [grid(lambda x, y: 0.1 * x * y)],
     "mixed": [grid(lambda x, y: max(0.0, 0.3 * x)), grid(lambda x, y: 0.1 * x * y - 0.7)],
 }
 
@@ -310,6 +327,13 @@ MISTAKES = [
         SPHERE,
         "computed in float32",
     ),
+    Mistake("t of points", answering(from_points), "far away", "the rounding of a point's coordinates"),
+    Mistake(
+        "some normals turned",
+        answering(turned_at_some_faces),
+        "torus-smooth",
+        "the primitive's number in its shape is 7 modulo 10",
+    ),
     Mistake("everything missed", answering(lambda s, o, d, t, n: (t + np.inf, n)), SPHERE, "misses everything"),
 ]
 
@@ -334,7 +358,34 @@ DEFECTS = [
         "some faces lost",
         edited(faces=lambda self, s, f: f[np.arange(len(f)) % 3 > 0]),
         "torus-smooth",
-        "the first surface is missed, and what lies behind it is hit",
+        "where the primitive's number in its shape is 0 modulo 3",
+    ),
+    Mistake(
+        "one face lost",
+        edited(faces=lambda self, s, f: f[1:] if s is self.scene.shapes[0] else f),
+        FACES,
+        ", prim 0, is hit: ",
+    ),
+    Mistake(
+        "some rays lost",
+        answering(lambda s, o, d, t, n: (np.where(np.arange(len(t)) % 60 == 7, np.inf, t), n)),
+        FACES,
+        "where the ray's number is 7 modulo 60",
+    ),
+    Mistake("epsilon too large", edited(determinant_epsilon=5.0), "torus-smooth", "hit along directions 2^40 times"),
+    Mistake("near hits lost", edited(t_min=20.0), "torus-smooth", "hit from 1000 times as far"),
+    Mistake("one side hit", edited(seen=lambda self, det: det > 0), "one-triangle", "hit from the other side"),
+    Mistake(
+        "d along an axis",
+        answering(lambda s, o, d, t, n: (np.where((d == 0.0).any(axis=1), np.inf, t), n)),
+        "from above",
+        "hit along directions turned by 20 degrees",
+    ),
+    Mistake(
+        "too many rays",
+        answering(lambda s, o, d, t, n: (np.where(len(t) > 100, np.inf, t), n)),
+        "torus-smooth",
+        "hit alone: does the number of rays matter",
     ),
     Mistake("absolute t_min", edited(t_min=3.2), SPHERE, "t is below 3.2"),
     Mistake(

@@ -129,8 +129,8 @@ SAVE = "\nwrite_exr(exr, channels)\n"
 
 FAILING = [
     ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "the program was ended by SIGSEGV; it printed nothing"),
-    ("print('no licence'); raise SystemExit(3)", "ended with exit code 3; its last words:\nno licence"),
-    ("import time; print('slow', flush=True); time.sleep(60)", "killed after 1 s; its last words:\nslow"),
+    ("print('no licence'); raise SystemExit(3)", "ended with exit code 3: no licence"),
+    ("import time; print('slow', flush=True); time.sleep(60)", "killed after 1 s: slow"),
     ("pass", "ended well, but wrote no {exr}"),
     (WRITE + SAVE + "open(exr, 'r+').truncate(400)", "a damaged or truncated EXR"),
     (WRITE + "del channels['depth.Z']" + SAVE, "the image has no channel depth.Z"),
@@ -231,7 +231,7 @@ def test_a_program_ends_with_the_run_that_started_it(judged, tmp_path):
 def test_a_program_is_not_run_by_a_shell(judged, tmp_path):
     scene = small("one-sphere")
     found = judged(f"{PYTHON} -c 'import sys; sys.exit(sys.argv[1])' '$HOME;' {{exr}} {{toml}}", scene)
-    assert "its last words:\n$HOME;" in found.problem
+    assert "exit code 1: $HOME;" in found.problem
 
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -349,7 +349,7 @@ def test_depth_along_z_and_names_of_another_program_are_read_as_compare_reads_th
     assert blender(tmp_path, capsys, "--depth", "z", scene="one-sphere")[0] == 1  # of a miss, 1e10 is a hit
     assert blender(tmp_path, capsys, *stated, "--map", "depth=somewhere.V", depth="somewhere.V")[0] == 0
     code, out, _ = blender(tmp_path, capsys, *stated, depth="somewhere.V")
-    assert code == 1 and "has no channel depth.Z" in out
+    assert code == 1 and "has no channel depth.Z" in " ".join(out.split())
 
 
 @pytest.mark.slow("judges a film several times")

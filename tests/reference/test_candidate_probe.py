@@ -13,6 +13,7 @@ from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref import __main__
 from mitsuba_ref.__main__ import main
+from mitsuba_ref.judge.classification import scene_judge
 from mitsuba_ref.judge.verdict import WRONG
 from mitsuba_ref.probe.candidate_pixel import CandidatePixel, probe_candidate
 from mitsuba_ref.report.validation import validate_scene
@@ -100,6 +101,15 @@ def test_a_pixel_has_the_class_that_validate_gave_it(at, send, trace):
     found = at(trace, (failure.x, failure.y), scene)
     assert found.verdict == WRONG and failure.verdict == "wrong"
     assert found.why.startswith(failure.reason)
+
+
+def test_a_pixel_that_validate_left_out_is_adjudicated(at, send):
+    """Of hundreds of pixels that are wrong alike, validate looks at a sample."""
+    scene = load_scene(ROOT / "scenes" / "one-sphere.toml").with_film(width=60, height=60)
+    subject = FunctionSubject("off", candidates.t_off_by_a_ten_thousandth)
+    row = int(scene_judge(scene, subject, send=send).judge().not_adjudicated[-1])
+    found = at(subject, (row % 60, row // 60), scene)
+    assert found.verdict == WRONG and found.witness.right is False and found.witness.share > 1.0
 
 
 def a_miss_is_a_number(scene, o, d):

@@ -11,7 +11,7 @@ from mitsuba_ref.reference.variants import usable_variants
 
 ROOT = Path(__file__).resolve().parents[2]
 # Page -> programs and modules that its commands need beside the product.
-PAGES = {"quick-start": (), "recipes/embree": ("cc", "embreex"), "recipes/open3d": ("open3d",)}
+PAGES = {"quick-start": (), "debugging": (), "recipes/embree": ("cc", "embreex"), "recipes/open3d": ("open3d",)}
 
 
 @pytest.fixture(scope="module")

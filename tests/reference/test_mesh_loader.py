@@ -7,6 +7,7 @@ import pytest
 from ply_files import INDICES, ply
 
 import caster
+import mitsuba_ref
 from caster.geometry.mesh_files import load_mesh
 from caster.scene.model import Scene
 from mitsuba_ref.judge.checks.mesh_files import _errors, check_mesh_files, files_of, for_mitsuba
@@ -102,6 +103,20 @@ def test_a_file_that_mitsuba_does_not_read_is_reported_as_not_compared(brought, 
     path, theirs = loaded_by_mitsuba(brought, tmp_path, name, data)
     found = check_mesh_files(scene_of(path), (theirs,))
     assert found.ok and found.what.startswith("not compared, Mitsuba's loader says "), found
+
+
+def test_a_mesh_from_arrays_is_judged_without_a_file(tmp_path):
+    (tmp_path / "m.obj").write_bytes(obj("{0}//{0}"))
+    file = caster.Mesh(file=str(tmp_path / "m.obj"), name="file", to_world={"translate": (0, 0, -2)})
+    mesh = file.mesh()
+    scene = Scene(
+        camera=caster.Pinhole(eye=(2, 1, 9), look_at=(2, 1, 0)),
+        film=caster.Film(width=24, height=18),
+        shapes=[caster.Mesh(mesh.vertices, mesh.faces, mesh.normals, name="arrays"), file],
+    )
+    assert [path.name for path in files_of(scene)] == ["m.obj"]
+    verdict = mitsuba_ref.validate(scene)
+    assert verdict.ok and verdict.counts["agree"] > 100, verdict
 
 
 def split(mesh):

@@ -74,12 +74,12 @@ def test_ours_is_diagnosed_by_the_same_engine(monkeypatch):
 
     def moved(scene, rays):
         view = real(scene, rays)
-        view.nearest.t[:] *= 1.001
+        view.nearest.t[:] *= 1.005
         return view
 
     monkeypatch.setattr(subject, "cast_ours", moved)
     found = validate_scene(mistakes.scene_of("one-sphere", Path()), "scene")
-    assert hits and "t is 1.001 times what it should be" in found.findings[0].what
+    assert hits and "t is 1.005 times what it should be" in found.findings[0].what
 
 
 def test_a_cause_that_several_scenes_share_is_said_once_before_all():

@@ -228,13 +228,13 @@ def test_a_candidate_is_judged_and_what_it_does_not_give_is_skipped(folder):
     folder.makepyfile(somebodys=CASTERS)
     words = ("--mitsuba-ref", "scenes/good.toml", "--mitsuba-ref-size", "8", "6", "-rs")
     found = run(folder, *words, "--mitsuba-ref-candidate", "somebodys:right")
-    found.assert_outcomes(passed=12, skipped=2)
+    found.assert_outcomes(passed=12, skipped=3)
     text = found.stdout.str()
     assert "films of 8 x 6, candidate somebodys:right" in text
     assert "not judged: somebodys:right does not give it" in text
     found = run(folder, *words, "--mitsuba-ref-candidate", "somebodys:turned")
     text = found.stdout.str()
-    found.assert_outcomes(passed=8, failed=3, skipped=3)
+    found.assert_outcomes(passed=8, failed=3, skipped=4)
     assert "the normal is turned round" in text and " good: normal " in text
     assert "probe scenes/good.toml" in text and " --candidate somebodys:turned" in text
 
@@ -244,7 +244,7 @@ def test_a_candidate_that_declines_or_is_not_there_fails_every_test(folder):
     words = ("--mitsuba-ref", "scenes/good.toml")
     for name, says in (("somebodys:declines", "no spheres"), ("nobodys:caster", "cannot import nobodys")):
         found = run(folder, *words, "--mitsuba-ref-candidate", name)
-        found.assert_outcomes(failed=14)
+        found.assert_outcomes(failed=15)
         assert says in found.stdout.str()
 
 
@@ -285,6 +285,6 @@ def test_a_caster_is_judged_in_any_test_and_the_message_has_ten_readable_lines(f
 
 def test_the_test_of_the_documentation_passes_as_written(folder):
     page = (ROOT / "docs/ci.md").read_text(encoding="utf-8")
-    (test,) = re.findall(r"```python\n(.*?judge_caster.*?)```", page, re.DOTALL)
-    folder.makepyfile(mine=CASTERS.replace("def right", "def trace"), test_it=test.replace("(48, 48)", "(6, 5)"))
-    run(folder, "test_it.py").assert_outcomes(passed=1)
+    (test,) = re.findall(r"```python\n((?:(?!```).)*judge_caster.*?)```", page, re.DOTALL)
+    folder.makepyfile(mine=CASTERS.replace("def right", "def trace"), test_page=test.replace("(48, 48)", "(6, 5)"))
+    run(folder, "test_page.py").assert_outcomes(passed=1)

@@ -120,9 +120,17 @@ def served(tmp_path, source):
     return f"{sys.executable} {tmp_path / 'served.py'} {tmp_path / 'log'}"
 
 
+ENDLESS = """import sys
+import numpy as np
+from caster import cast, load_scene
+
+rays = np.fromfile(sys.argv[2], "<f8").reshape(-1, 8)
+hits = cast(load_scene(sys.argv[1]), rays[:, :3], rays[:, 3:6])
+np.column_stack([hits.t, hits.normal]).tofile(sys.argv[3])
+"""
 MISSES = "respond(struct.pack('<f', float('inf')) * n)"
 NO_RESPONSE = {
-    "crash": ("print('last words', file=sys.stderr); os.abort()", "SIGABRT; its last words:\nlast words"),
+    "crash": ("print('last words', file=sys.stderr); os.abort()", "SIGABRT: last words"),
     "end": ("sys.exit(0)", "ended before its response was whole"),
     "silence": ("time.sleep(60)", "killed after 2 s"),
     "words": ("print('12345678 rays read', flush=True)", "starts with the bytes b'12345678'"),
@@ -153,7 +161,31 @@ def test_one_process_answers_all_scenes_and_a_crash_starts_another(tmp_path):
     assert (tmp_path / "log").read_text().split() == ["started"]
     (tmp_path / "log").unlink()
     main(["validate", *files, "-j", "1", "--candidate-serve", served(tmp_path, "os.abort()")])
-    assert (tmp_path / "log").read_text().split() == ["started"] * 3
+    assert (tmp_path / "log").read_text().split() == ["started"] * 4  # for three scenes, and for its limits
+
+
+def test_limits_that_a_program_does_not_have_are_one_finding_of_the_run_and_can_be_stated(tmp_path, capsys):
+    """Its hits within the scenes' limits are right: the scenes pass, and so does the run once that is stated."""
+    program = tmp_path / "endless.py"
+    program.write_text(ENDLESS)
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.toml").write_text(SCENE)
+    words = ["validate", str(tmp_path / "a.toml"), str(tmp_path / "b.toml"), "--json", str(tmp_path / "v.json")]
+    words += [
+        "--junit",
+        str(tmp_path / "j.xml"),
+        "--candidate",
+        f"{sys.executable} {program} {{scene}} {{rays}} {{hits}}",
+    ]
+    assert main([*words, "--candidate-precision", "float64"]) == 1
+    found, out = json.loads((tmp_path / "v.json").read_text()), capsys.readouterr().out
+    assert [scene["ok"] for scene in found["scenes"]] == [True, True] and not found["ok"]
+    assert [(check["name"], check["ok"]) for check in found["checks"]] == [("ray_limits", False)]
+    assert out.count("expected t = inf, got 2; --no-limits states that") == 1 and "2 scenes: 2 pass, 0 fail" in out
+    assert (tmp_path / "j.xml").read_text().count("<failure") == 1
+    assert main([*words, "--candidate-precision", "float64", "--no-limits"]) == 0
+    found = json.loads((tmp_path / "v.json").read_text())
+    assert found["ok"] and found["checks"] == [] and "--no-limits" in found["scenes"][0]["replay"]
 
 
 # ---- the pages' glue around other libraries, and findings in them

@@ -112,7 +112,9 @@ def test_a_wrong_option_is_2_and_nothing_is_written(folder, capsys, options, mes
     ("argv", "message"),
     [
         ([], "render    render a scene to an EXR file"),
-        (["rendr"], "invalid choice: 'rendr'"),
+        (["rendr"], "invalid choice: 'rendr', did you mean 'render'? (choose from"),
+        (["render", "s.toml", "--siz", "8", "8"], "unrecognized arguments: --siz 8 8, did you mean '--size'?"),
+        (["probe", "1", "2", "s.toml"], "argument Y: expected SCENE X Y in this order"),
         (["render"], "the following arguments are required: SCENE"),
         (["render", "s.toml", "--size", "8"], "argument --size: expected 2 arguments"),
         (["render", "s.toml", "--size", "8", "x"], "argument --size: invalid int value: 'x'"),
@@ -122,7 +124,10 @@ def test_a_wrong_option_is_2_and_nothing_is_written(folder, capsys, options, mes
         (["render", "s.toml", "--colour"], "unrecognized arguments: --colour"),
         (["render", "s.toml", "--expl"], "unrecognized arguments: --expl"),
         (["probe", "s.toml", "1"], "the following arguments are required: Y"),
-        (["probe", "s.toml", "1", "1.5"], "argument Y: invalid int value: '1.5'"),
+        (
+            ["probe", "s.toml", "1", "1.5"],
+            "argument Y: expected SCENE X Y in this order, such as scene.toml 160 120, with whole numbers; got '1.5'",
+        ),
         (["check"], "the following arguments are required: SCENE"),
     ],
     ids=" ".join,

@@ -54,7 +54,7 @@ def test_every_link_and_every_named_place_exists():
 def test_the_map_names_every_page_and_at_most_twelve_for_users():
     index = ROOT / "docs/README.md"
     there = {page.relative_to(index.parent).as_posix() for page in ROOT.glob("docs/**/*.md")} - {"README.md"}
-    assert set(links_of(index)) == there
+    assert {link for link in links_of(index) if link.endswith(".md")} == there
     assert len([page for page in there if "/" not in page]) <= 12
 
 

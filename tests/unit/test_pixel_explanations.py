@@ -8,8 +8,8 @@ from mitsuba_ref.judge.adjudication import Adjudication
 from mitsuba_ref.judge.aggregate import defect_counts, listed_failures
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judgement
 from mitsuba_ref.judge.comparison import SelfCheck
-from mitsuba_ref.judge.diagnosis import NOT_ADJUDICATED, Cause, Diagnosis, failing_rows
-from mitsuba_ref.judge.explanations import error_ratios, format_exact, full_reason, tie_members
+from mitsuba_ref.judge.diagnosis import Cause, Diagnosis, failing_rows
+from mitsuba_ref.judge.explanations import error_ratios, format_exact, full_reason, reason, tie_members
 
 INF = np.inf
 
@@ -52,6 +52,14 @@ def test_the_larger_error_of_both_sides_is_said():
     assert error_ratios(judge, judgement, 2) == {"depth": INF, "normal": 0.0, EXACT: 0.0}
     assert full_reason(judge, judgement, {0: "why"}, 0) == "why; beyond their bounds: depth 3x, normal"
     assert full_reason(judge, judgement, {1: "why"}, 1) == "why"
+
+
+def test_an_explained_pixel_is_a_shadow_where_light_is_compared_and_differs():
+    lit, shadow = (judgement_of("explained", ratios={"diffuse": [ratio]}, right=[0]) for ratio in (0.5, 2.0))
+    of_candidate = judgement_of("explained", right=[0])
+    assert "a shadow" in reason(subject(ours=True), shadow, {}, 0)
+    assert "a shadow" not in reason(subject(ours=True), lit, {}, 0)
+    assert "a shadow" not in reason(subject(ours=False), of_candidate, {}, 0)
 
 
 # ---- answers as text
@@ -100,11 +108,12 @@ def test_listed_failures_begin_with_one_of_each_cause(monkeypatch):
     monkeypatch.setattr(aggregate, "failure_at", lambda judge, judgement, by_row, row: row)
     ratio = np.array([5.0, 9.0, 7.0, 8.0, 2.0, 3.0, 6.0, 4.0, 1.5, 1.25, 1.2, 1.1])
     judgement = judgement_of(*["wrong"] * 12, ratios={"depth": ratio})
-    causes = Diagnosis((Cause("a", np.array([0, 4, 5])), Cause("b", np.array([1, 2, 3, 6, 7])),
-                        Cause(NOT_ADJUDICATED, np.array([8, 9, 10, 11]))))  # fmt: skip
+    second = Cause("b", np.array([1, 2, 3, 6, 7]), alike=np.array([8, 9, 10, 11]))
+    causes = Diagnosis((Cause("a", np.array([0, 4, 5])), second))
+    assert causes.by_row()[9] == "b (same symptom, not looked at)"
     ours, theirs = SimpleNamespace(names_prims=True), SimpleNamespace(names_prims=False)
-    assert listed_failures(ours, judgement, causes) == (1, 0, 8, 3, 2, 6, 7, 5, 4, 9)
-    assert listed_failures(theirs, judgement, causes) == (1, 0, 8, 3, 2, 6, 7, 5, 4, 9)
+    assert listed_failures(ours, judgement, causes) == (1, 0, 3, 2, 6, 7, 5, 4, 8, 9)
+    assert listed_failures(theirs, judgement, causes) == (1, 0, 3, 2, 6, 7, 5, 4, 8, 9)
     ratio[:] = ratio[::-1].copy()
-    assert listed_failures(ours, judgement, causes)[:3] == (6, 5, 10)
-    assert listed_failures(theirs, judgement, causes)[:3] == (1, 0, 8)
+    assert listed_failures(ours, judgement, causes)[:3] == (6, 5, 4)
+    assert listed_failures(theirs, judgement, causes)[:3] == (1, 0, 5)

@@ -1,6 +1,7 @@
 """A candidate's conventions, from rays of other lengths and mirrored ones, which no image of unit directions shows."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import caster
 from caster.scene.files import load_scene
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.judge.checks import ray_conventions
-from mitsuba_ref.judge.checks.ray_conventions import LENGTHS, RAYS, check_ray_conventions
+from mitsuba_ref.judge.checks.ray_conventions import LENGTHS, LIMITS, RAYS, check_ray_conventions, check_ray_limits
 from mitsuba_ref.subjects.command import RayCommand
 from mitsuba_ref.subjects.function import FunctionSubject
 from mitsuba_ref.subjects.requests import parse_candidate
@@ -46,8 +47,10 @@ def only_of_unit_directions(scene, o, d):
     return right(scene, o, d)
 
 
-def declines(scene, o, d):
-    raise NotImplementedError("no such shape")
+def declines_other_directions(scene, o, d):
+    if not np.allclose(length(d), 1.0, atol=1e-5):
+        raise NotImplementedError("|d| has to be 1")
+    return right(scene, o, d)
 
 
 def checked(call, name="one-sphere"):
@@ -66,6 +69,7 @@ PLANTED = [
     (changed(lambda d, t: t / length(d)), "t is divided by |d| once too often"),
     (changed(lambda d, t: np.where(length(d) > 1.1, 0.9 * t, t)), "right for |d| = 1, wrong for |d| = 2, |d| = 7"),
     (only_of_unit_directions, "rays in other directions, |d| not 1: candidate raised ValueError"),
+    (declines_other_directions, "rays in other directions, |d| not 1: candidate raised NotImplementedError"),
 ]  # fmt: skip
 
 
@@ -79,7 +83,18 @@ def test_a_wrong_convention_is_named(call, says):
 def test_a_caster_of_one_side_is_wrong_along_mirrored_rays():
     """The camera of one-sphere looks along -z."""
     found = checked(changed(lambda d, t: np.where(d[:, 2] > 0.0, np.inf, t)))
-    assert not found.ok and found.what.endswith("wrong for rays mirrored in z"), found.what
+    assert not found.ok and found.what == "nothing is hit: right for |d| = 1, wrong for rays mirrored in z"
+
+
+def test_a_caster_that_culls_back_faces_is_named_where_mirrored_rays_alone_show_it():
+    def culled(scene, o, d):
+        hits = caster.cast(scene, o, d)
+        return np.where((hits.normal * d).sum(axis=1) > 0.0, np.inf, hits.t), None
+
+    wall = caster.Rectangle(to_world=[{"scale": 3}])
+    scene = caster.Scene(camera=caster.Pinhole(eye=(0.1, 0.2, 4), look_at=(0, 0, 0)), shapes=[wall])
+    found = check_ray_conventions(FunctionSubject("candidate", culled), scene.with_film(width=24, height=20))
+    assert not found.ok and found.what == "back faces are missed: right for |d| = 1, wrong for rays mirrored in z"
 
 
 @pytest.mark.parametrize("power", [0, 1], ids=["right", "t is a distance"])
@@ -123,9 +138,9 @@ def test_validate_names_the_broken_convention(tmp_path, monkeypatch, capsys):
 
 def test_what_fails_already_or_is_not_there_is_not_judged():
     assert check_ray_conventions(FunctionSubject("candidate", right), scene_of("one-sphere"), failing=True) is None
-    assert checked(declines).what == "declined"
     away = scene_of("one-sphere").model_copy(update={"shapes": ()})
-    assert check_ray_conventions(FunctionSubject("candidate", right), away).what == "no ray of the camera hits anything"
+    found = check_ray_conventions(FunctionSubject("candidate", right), away)
+    assert found.what == "not judged: no ray of the camera hits anything"
     assert not parse_candidate("true {xml} -o {exr}").takes_rays  # so that it is not asked
 
 
@@ -140,27 +155,22 @@ scene = load_scene(sys.argv[1])
 np.column_stack([hits.t, hits.normal]).tofile(sys.argv[3])
 """
 LIMITED = [
-    ("hits = cast(scene, o, d, t_min=t_min, t_max=t_max)", True, f"{7 * RAYS} rays"),
+    ("hits = cast(scene, o, d, t_min=t_min, t_max=t_max)", True, f"{len(LIMITS)} rays"),
     ("hits = cast(scene, o, d, t_min=t_min)", False, "a hit has t_min < t <= t_max: surfaces at t = 2 and 4, t_min 0"),
     ("hits = cast(scene, o, d, t_max=t_max)", False, "a hit has t_min < t <= t_max: "),
-    (
-        "hits = cast(scene, o, d, t_min=t_min, t_max=np.nextafter(t_max, 0))",
-        True,
-        f"{7 * RAYS} rays; a hit is missed at t_max",
-    ),
+    ("hits = cast(scene, o, d, t_min=t_min, t_max=np.nextafter(t_max, 0))", True, "a hit is missed at t_max"),
 ]
 
 
 @pytest.mark.parametrize(("body", "ok", "says"), LIMITED)
 def test_limits_of_t_that_a_program_is_given_are_heeded(tmp_path, body, ok, says):
-    """Also by one that has spheres alone: the two scenes take turns."""
-    name = ("one-sphere", "triangles")[[row[0] for row in LIMITED].index(body) % 2]
     program = tmp_path / "program.py"
     program.write_text(CASTER.format(body=body))
     words = sys.executable, str(program), "{scene}", "{rays}", "{hits}"
     subject = RayCommand("program", words, "float64", 60.0)
-    found = check_ray_conventions(subject, scene_of(name))
+    found = check_ray_limits(subject)
     assert found.ok is ok and found.what.startswith(says), found.what
+    assert check_ray_limits(replace(subject, limits=False)) is None
 
 
 def test_mirrored_rays_whose_t_float32_does_not_resolve_excuse_no_wrong_answer(monkeypatch):
@@ -168,9 +178,9 @@ def test_mirrored_rays_whose_t_float32_does_not_resolve_excuse_no_wrong_answer(m
     expected = ray_conventions.expected_t
 
     def some_unbounded(scene, o, d):
-        t, off = expected(scene, o, d)
+        t, off, slope = expected(scene, o, d)
         mirrored = np.arange(len(t)) >= len(LENGTHS) * RAYS
-        return t, np.where(mirrored & (np.arange(len(t)) % 3 > 0), np.inf, off)
+        return t, np.where(mirrored & (np.arange(len(t)) % 3 > 0), np.inf, off), slope
 
     monkeypatch.setattr(ray_conventions, "expected_t", some_unbounded)
     found = checked(changed(lambda d, t: np.where(d[:, 2] > 0.0, 1.5 * t, t)))

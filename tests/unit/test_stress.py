@@ -323,7 +323,7 @@ def test_a_wrong_candidate_fails_with_the_first_ray_that_shows_it(name, call, sa
     """As a scene of one ray."""
     sweep = of_candidate(name, call)
     assert not sweep.ok and sweep.breakdowns["candidate"] and not sweep.breakdowns["ours"]
-    assert all(" candidate: " in line for line in sweep.problems)
+    assert all(" candidate:\n" in line for line in sweep.problems)
     first = sweep.problems[0]
     assert says in first and (": t of the answer: " in first) != (name == "sliver")
     assert name != "sliver" or re.search(r"its t is right; normal of the answer: \(.+\); expected: \(.+\)", first)

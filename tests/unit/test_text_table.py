@@ -95,12 +95,19 @@ def test_printed_lines_fit_80_columns_but_for_commands_and_paths_and_keep_every_
             f"reading:   {'a step of the conversion ' * 5}{path}",
             f"      replay:    {command}",
             f"            {command}",
+            f"      up = [{'0, ' * 40}1]",
+            "             ^",
             "short",
         ]
     )
     lines = folded(text).splitlines()
     assert " ".join(folded(text).split()) == " ".join(text.split())
-    assert [line.strip() for line in lines if len(line) > 80] == [path, f"replay:    {command}", command]
+    assert [line.strip() for line in lines if len(line) > 80] == [
+        path,
+        f"replay:    {command}",
+        command,
+        f"up = [{'0, ' * 40}1]",
+    ]
     assert lines[-1] == "short"
     below = [folded(line).splitlines()[1] for line in text.splitlines()[:3]]
     assert [len(line) - len(line.lstrip()) for line in below] == [6, 17, 11]  # below the scene, or the label's text

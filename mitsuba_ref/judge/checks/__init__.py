@@ -18,8 +18,9 @@ from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.shared_input import pixel_of
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-Scope = Literal["scene", "window", "film"]
+Scope = Literal["run", "scene", "window", "film"]
 
+NOT_JUDGED = "not judged"  # begins the text of a check that could not be made, which becomes a note of the verdict
 OURS, CANDIDATE = "ours", "candidate"  # whose answers a check is made of
 ANSWERED = {"result", "loaded", "subject", "failing", "pair"}  # what there is once both sides have answered
 
@@ -31,7 +32,7 @@ class Check(NamedTuple):
     make: Callable[..., SceneCheck | None]
     needs: tuple[str, ...]
     of: tuple[str, ...]
-    scope: Scope  # made once a scene, for each window of a large film, or of all windows together
+    scope: Scope  # made once a run, once a scene, for each window of a large film, or of all windows together
     camera: bool  # needs the camera's rays: not made for a list of rays
     thorough: bool  # tests our caster beyond the judged film, by kernels that the film does not need
 
@@ -85,6 +86,11 @@ def make_checks(checks: Iterable[Check], inputs: Mapping[str, Any]) -> tuple[Sce
     """The results of the checks, except None."""
     found = (each.make(**{name: inputs[name] for name in each.needs}) for each in checks)
     return tuple(each for each in found if each is not None)
+
+
+def run_checks(subject: Any) -> tuple[SceneCheck, ...]:
+    """The checks of a candidate that are made once a run, whatever the scenes; none without a candidate."""
+    return make_checks(checks_of(CANDIDATE, ["run"]), {"subject": subject}) if subject is not None else ()
 
 
 # ---- what several checks share ----

@@ -208,7 +208,9 @@ def check_t_bias(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.ndar
         return SceneCheck("t_bias", 0.0, f"{fit.groups} primitives, too few to tell")
     ratio = min(abs(fit.roundings) / LARGEST_T_BIAS, abs(fit.z) / LARGEST_Z)
     if ratio > 1.0:
-        words += f"; estimated reciprocals explain at most {LARGEST_T_BIAS:g}: is every t scaled by a constant?"
+        words += (
+            f"; estimated reciprocals explain at most {LARGEST_T_BIAS:g}: is every t scaled or moved by a constant?"
+        )
     return SceneCheck("t_bias", ratio, words)
 
 

@@ -1,7 +1,6 @@
 """Conventions that a camera's rays do not show: directions of other lengths, mirrored rays, limits of t."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,15 +10,17 @@ from caster.cameras.single_ray import Ray
 from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import intersections_at
+from mitsuba_ref.error_model.intersections import dot
 from mitsuba_ref.error_model.tolerances import KU, MAJORITY, MATCH_RTOL, NEARLY_ALL
 from mitsuba_ref.hard.rays import RayBatch
-from mitsuba_ref.judge.checks import CANDIDATE, check
+from mitsuba_ref.judge.checks import CANDIDATE, NOT_JUDGED, check
 from mitsuba_ref.judge.checks.knife_edges import NearestHits, cast_by_culling
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.shared_input import SharedRays, endless_rays, model_of, packed_float32, shared_rays
-from mitsuba_ref.subjects.subject import CastRequest, NoAnswer, Subject, Unsupported
+from mitsuba_ref.subjects.subject import CastRequest, NoAnswer, Subject
 
 NAME = "ray_conventions"
+LIMITS_NAME = "ray_limits"
 LENGTHS = (1.0, 0.5, 2.0, 7.0)  # of d; two powers of two, and another number
 RAYS, RAYS_TRIED = 64, 1024  # rays that hit something, in each group; rays of the film, for those
 LARGEST_OFF = 0.1  # of t: if float32 resolves t no better, a factor of 2 may be rounding
@@ -27,40 +28,29 @@ LARGEST_OFF = 0.1  # of t: if float32 resolves t no better, a factor of 2 may be
 
 @check(of=(CANDIDATE,), camera=True)
 def check_ray_conventions(subject: Subject, scene: Scene, failing: bool = False) -> SceneCheck | None:
-    """A candidate that takes rays: t counts in lengths of d, any direction is traced alike, hits lie within the limits.
+    """A candidate that takes rays: t counts in lengths of d, and any direction is traced alike.
 
-    The result states how it treats hits exactly at the limits. None if pixels fail already, or it takes no rays.
+    None if pixels fail already, or it takes no rays. A group of rays is wrong if most of its t are off by more than
+    MATCH_RTOL, far more than rounding. Rays that are wrong at length 1 already, as they may be at edges, say nothing
+    about conventions and are left out.
     """
     if failing or not subject.takes_rays:
         return None
-    limits = _check_limits(subject) if subject.takes_limits else SceneCheck(NAME, 0.0, "")
-    found = _check_directions(subject, scene) if limits.ok else limits
-    return replace(found, what=f"{found.what}; {limits.what}") if limits.ok and limits.what and found.ok else found
-
-
-def _check_directions(subject: Subject, scene: Scene) -> SceneCheck:
-    """Rays of the camera, of other lengths and mirrored.
-
-    A group of rays is wrong if most of its t are off by more than MATCH_RTOL, far more than rounding. Rays that are
-    wrong at length 1 already, as they may be at edges, say nothing about conventions and are left out.
-    """
     o, d = _hitting_rays(scene)
     if not len(o):
-        return SceneCheck(NAME, 0.0, "no ray of the camera hits anything")
+        return SceneCheck(NAME, 0.0, f"{NOT_JUDGED}: no ray of the camera hits anything")
     groups = dict(_groups(o, d))
     o, d = (np.concatenate(each) for each in zip(*groups.values(), strict=True))
     try:
         given = _answer(subject, scene, o, d)
-    except Unsupported:
-        return SceneCheck(NAME, 0.0, "declined")
-    except NoAnswer as error:
-        return SceneCheck(NAME, np.inf, f"no answer to {len(o)} rays in other directions, |d| not 1: {error}")
+    except NoAnswer as error:  # or Unsupported: it has answered the rays of the film, whose lengths are near 1
+        return SceneCheck(NAME, np.inf, f"no answer to rays in other directions, |d| not 1: {error}")
     columns = given, *expected_t(scene, o, d), np.linalg.norm(d, axis=1)
-    given, t, off, length = (each.reshape(len(groups), -1) for each in columns)
+    given, t, off, slope, length = (each.reshape(len(groups), -1) for each in columns)
     tells = ~np.isfinite(t) | (off <= LARGEST_OFF * t)  # mirrored, a ray may graze
     right = _match(given, t, off)
     if not tells[0].any():
-        return SceneCheck(NAME, 0.0, "float32 resolves no t of the camera's rays")
+        return SceneCheck(NAME, 0.0, f"{NOT_JUDGED}: float32 resolves no t of the camera's rays")
     if not (right[0] & tells[0]).any():
         cause = _cause(given[0], t[0], off[0], length[0])
         return SceneCheck(NAME, np.inf, f"none of {tells[0].sum()} rays that hit is right for |d| = 1: {cause}")
@@ -69,7 +59,20 @@ def _check_directions(subject: Subject, scene: Scene) -> SceneCheck:
     if not len(wrong):
         return SceneCheck(NAME, 0.0, f"{len(groups) * tells[0].sum()} rays")
     cause = _cause(*(each[wrong][:, tells[0]] for each in (given, t, off, length)))
+    for side, words in ((1.0, "back faces are missed"), (-1.0, "front faces are missed")):
+        seen = tells & np.isfinite(t) & (side * slope > 0.0)
+        if (seen & right).sum() <= (1.0 - NEARLY_ALL) * seen.sum() < seen.sum() and (right | seen | ~tells).all():
+            cause = words
     return SceneCheck(NAME, np.inf, f"{cause}: right for |d| = 1, wrong for {', '.join(np.array([*groups])[wrong])}")
+
+
+def cast_further(subject: Subject, scene: Scene, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """(a candidate's t, the expected t) along further rays (m, 3), rounded to float32; None if it gives no answer."""
+    o, d = _rounded(o), _rounded(d)
+    try:
+        return _answer(subject, scene, o, d), expected_t(scene, o, d)[0]
+    except NoAnswer:
+        return None
 
 
 def _answer(subject: Subject, scene: Scene, o: np.ndarray, d: np.ndarray) -> np.ndarray:
@@ -79,8 +82,6 @@ def _answer(subject: Subject, scene: Scene, o: np.ndarray, d: np.ndarray) -> np.
     """
     try:
         return _answer_to(subject, scene, endless_rays(o, d))
-    except Unsupported:
-        raise
     except NoAnswer:
         x0, y0, x1, y1 = scene.film.window
         size = (x1 - x0) * (y1 - y0)
@@ -100,12 +101,13 @@ def _cast(scene: Scene, o: np.ndarray, d: np.ndarray, t_min: float) -> NearestHi
     return cast_by_culling(packed_float32(scene), rays, "bvh")
 
 
-def expected_t(scene: Scene, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """t (m,) of our caster, and the tolerance for others: MATCH_RTOL, or float32's bound if that is larger."""
+def expected_t(scene: Scene, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """t (m,) of our caster, the tolerance for others (MATCH_RTOL, or float32's bound if larger), and n . d."""
     found = _cast(scene, o, d, 0.0)
     model = model_of(scene, packed_float32(scene), endless_rays(o, d))
     at = intersections_at(model, found.prim, (o, d), found.t, KU, ours=False)
-    return found.t, np.where(found.prim < 0, 0.0, np.fmax(MATCH_RTOL * found.t, at.t_error))
+    hit = found.prim >= 0
+    return found.t, np.where(hit, np.fmax(MATCH_RTOL * found.t, at.t_error), 0.0), np.where(hit, dot(at.n, d), 0.0)
 
 
 # ---- limits of t, where every number is exact
@@ -135,33 +137,38 @@ TRIANGLES = [{"type": "triangle", "vertices": [(-4, -4, z), (8, -4, z), (-4, 8, 
 SPHERE = [{"type": "sphere", "center": (0.0, 0.0, 3.0), "radius": 1.0}]
 
 
-def _check_limits(subject: Subject) -> SceneCheck:
-    """t_min and t_max along rays whose hits have a t that all arithmetic is exact about.
+@check(of=(CANDIDATE,), scope="run")
+def check_ray_limits(subject: Subject) -> SceneCheck | None:
+    """t_min and t_max, along rays whose hits have a t that all arithmetic is exact about.
 
-    A subject that does not hit both surfaces without limits passes: the image shows what is wrong.
+    The result states how the candidate treats hits exactly at the limits. None if it is given no limits.
     """
+    if not subject.takes_limits:
+        return None
+    why = ""
     t_min, t_max = (np.array([each[end] for each in LIMITS]) for end in (0, 1))
     for shapes, at in ((TRIANGLES, (0.5, 0.25, 0.0)), (SPHERE, (0.0, 0.0, 0.0))):
         scene = Scene.model_validate({"camera": Ray(**Ray.MINIMAL), "shape": shapes})
         rays = endless_rays(*(np.tile(v, (len(LIMITS), 1)) for v in (np.array(at), np.array([0.0, 0.0, 1.0]))))
         try:
             given = _answer_to(subject, scene, rays._replace(t_min=t_min, t_max=t_max.astype(np.float32))).tolist()
-        except Unsupported:  # such as shapes that it does not have
+        except NoAnswer as error:  # such as shapes that it does not have
+            why = why or str(error)
             continue
-        except NoAnswer:
-            break
         if given[0] != LIMITS[0].t:
-            break
+            why = f"without limits it gives t = {given[0]:g} in place of {LIMITS[0].t:g}"
+            continue
         for each, t in zip(LIMITS, given, strict=True):
             if t not in (each.t, each.other):
                 what = (
                     f"a hit has t_min < t <= t_max: surfaces at t = 2 and 4, t_min {each.t_min:g}, "
-                    f"t_max {each.t_max:g}: expected t = {each.t:g}, got {t:g}"
+                    f"t_max {each.t_max:g}: expected t = {each.t:g}, got {t:g}; --no-limits states that the "
+                    "candidate's interface has none"
                 )
-                return SceneCheck(NAME, np.inf, what)
+                return SceneCheck(LIMITS_NAME, np.inf, what)
         notes = [each.note for each, t in zip(LIMITS, given, strict=True) if t == each.other]
-        return SceneCheck(NAME, 0.0, f"a hit {' and '.join(notes)}" if notes else "")
-    return SceneCheck(NAME, 0.0, "")
+        return SceneCheck(LIMITS_NAME, 0.0, f"a hit {' and '.join(notes)}" if notes else f"{len(LIMITS)} rays")
+    return SceneCheck(LIMITS_NAME, 0.0, f"{NOT_JUDGED}: {why}")
 
 
 # ---- lengths and directions

@@ -1,12 +1,6 @@
 """Shapes to aim at: of every kind of the registry at any size and place, and some whose surface points are exact."""
 
-import atexit
-import hashlib
-import shutil
-import tempfile
 from collections.abc import Iterator
-from functools import cache
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,35 +26,9 @@ from caster.description.fields import Shape
 Rng = np.random.Generator
 
 
-@cache
-def folder() -> Path:
-    """Where mesh files of this run are; it goes with the process."""
-    path = tempfile.mkdtemp(prefix="edge-cases-")
-    atexit.register(shutil.rmtree, path, ignore_errors=True)
-    return Path(path)
-
-
-def mesh_of(vertices: Any, faces: Any, **more: Any) -> Mesh:
-    """Triangles from arrays (v, 3) and (n, 3), by way of a PLY file of doubles; flat."""
-    v = np.ascontiguousarray(vertices, "<f8").reshape(-1, 3)
-    content = ply_of(v, np.asarray(faces))
-    path = folder() / f"{hashlib.sha256(content).hexdigest()[:16]}.ply"
-    if not path.exists():
-        path.write_bytes(content)
-    return Mesh(file=str(path), **({"face_normals": True} | more))
-
-
-def ply_of(vertices: np.ndarray, faces: np.ndarray) -> bytes:
-    """A PLY file of float64 corners (v, 3) and triangles (n, 3), whatever they hold."""
-    rows = np.zeros(len(faces), [("count", "u1"), ("corners", "<u4", 3)])
-    if len(faces):
-        rows["count"], rows["corners"] = 3, faces.astype(np.int64) & 0xFFFFFFFF
-    names = "".join(f"property double {name}\n" for name in "xyz")
-    header = (
-        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n{names}"
-        f"element face {len(faces)}\nproperty list uchar uint vertex_indices\nend_header\n"
-    )
-    return header.encode() + vertices.tobytes() + rows.tobytes()
+def mesh_of(vertices: Any, faces: Any) -> Mesh:
+    """Triangles from arrays (v, 3) and (n, 3), flat."""
+    return Mesh(np.reshape(vertices, (-1, 3)), faces, face_normals=True)
 
 
 def turn(rng: Rng) -> dict[str, Any]:

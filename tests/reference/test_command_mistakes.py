@@ -1,0 +1,157 @@
+"""Mistakes of a first hour: each is answered by its cause and a way out, with the right exit code, in few lines."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import caster
+from caster.__main__ import main as caster_main
+from caster.image.channels import write_render
+from mitsuba_ref.__main__ import main as judge_main
+from mitsuba_ref.reference import variants
+
+SCENE = """
+[film]
+width = 16
+height = 12
+[camera]
+type = "pinhole"
+eye = [0.5, 0.75, 4]
+look_at = [0, 0, 0]
+[[shape]]
+type = "cube"
+"""
+SIX_TYPOS = """
+[film]
+widht = 16
+[camera]
+type = "pinhole"
+eye = [0.5, 0.75]
+lookat = [0, 0, 0]
+[[shape]]
+type = "cubes"
+[[shape]]
+type = "sphere"
+radius = -1
+[[shape]]
+type = "sphere"
+material = "redd"
+[material.red]
+reflectance = [1, 0, 0]
+"""
+CANDIDATES = """
+import numpy as np
+def raises(scene, o, d):
+    raise RuntimeError("no such shape")
+def two(o, d):
+    return np.full(len(o), np.inf), None
+def one(scene, o, d):
+    return np.full(len(o), np.inf)
+def short(scene, o, d):
+    return np.full(3, np.inf), None
+"""
+JUDGE, CASTER = "mitsuba-ref", "caster"
+
+# Command line, exit code, and parts of the answer: the cause, what was expected, the way out.
+MISTAKES = [
+    (
+        "mitsuba-ref validate typos.toml",
+        2,
+        "'width'",
+        "eye must be 3 numbers",
+        "'look_at'",
+        "'cube'",
+        "radius",
+        "'red'",
+    ),
+    ("caster check typos.toml", 2, "'width'", "eye must be 3 numbers", "'look_at'", "'cube'", "radius", "'red'"),
+    ("caster render scene.toml -o a.exr --aov dept", 2, "unknown, did you mean 'depth'?", "hit, depth, normal"),
+    ("mitsuba-ref render scene.toml -o a.exr --aov dept", 2, "unknown, did you mean 'depth'?", "hit, depth, normal"),
+    ("mitsuba-ref stress watertigt", 2, "family 'watertigt': unknown, did you mean 'watertight"),
+    ("mitsuba-ref bench meshh", 2, "scene 'meshh': unknown, did you mean 'mesh"),
+    ("caster preview a.exr --aov deptth", 2, "did you mean 'depth'?"),
+    ("mitsuba-ref probe scene.toml 16 0", 2, "pixel (16, 0): outside the film, expected 0 <= x < 16"),
+    ("mitsuba-ref check scene.toml --references none", 4, "none/scene.exr", "mitsuba-ref approve"),
+    ("mitsuba-ref validate scene.toml -k 'tea and'", 2, "-k 'tea and': expected parts of names with and, or, not"),
+    ("mitsuba-ref compare scene.toml a.exr", 4, "scene.toml: expected an EXR image, got a file that starts with"),
+    ("mitsuba-ref compare a.png a.exr", 4, "a.png: expected an EXR image, got a file that starts with"),
+    ("mitsuba-ref compare a.exr small.exr", 3, "size: ours is 16 x 12, the reference 8 x 6", "render both at one size"),
+    (
+        "mitsuba-ref validate scene.toml --candidate mine:raises",
+        1,
+        "RuntimeError: no such shape",
+        "mine.py:4",
+        "replay:",
+    ),
+    ("mitsuba-ref validate scene.toml --candidate mine:two", 1, "2 positional arguments", "function(scene, o, d)"),
+    ("mitsuba-ref validate scene.toml --candidate mine:one", 1, "two arrays (t, n)", "one array of shape (192,)"),
+    ("mitsuba-ref validate scene.toml --candidate mine:short", 1, "t: expected shape (n,) = (192,), got (3,)"),
+    ("mitsuba-ref validate scene.toml --candidate numpy:trace", 1, "TypeError", "called as function(scene, o, d)"),
+    ("mitsuba-ref validate scene.toml --candidate nope:trace", 2, "no module nope", "looked in {here}", "PYTHONPATH"),
+    ("mitsuba-ref validate scene.toml --candidate mine:nope", 2, "mine has no 'nope'"),
+    ("mitsuba-ref validate scene.toml --candidate trace", 2, "expected package.module:function, or a command such as"),
+    ("mitsuba-ref validate scene.toml --candidate './nosuch {xml} {exr}'", 2, "there is no program './nosuch' to run"),
+    ("mitsuba-ref validate scene.toml --out /proc/x", 4, "/proc/x"),
+    ("caster render scene.toml -o /proc/x/a.exr", 4, "cannot write", "/proc"),
+    ("mitsuba-ref validate mesh.toml", 4, "missing.ply", "--mesh-dir"),
+    ("mitsuba-ref validate", 4, "scenes: expected a scene file or a folder of them", "--builtin triangles"),
+    ("mitsuba-ref validate empty", 5, "no scene file in empty", "--builtin triangles"),
+    ("mitsuba-ref validat scene.toml", 2, "'validat', did you mean 'validate'?"),
+    ("caster rendr scene.toml", 2, "'rendr', did you mean 'render'?"),
+    ("mitsuba-ref validate scene.toml --siz 8 8", 2, "unrecognized arguments: --siz 8 8, did you mean '--size'?"),
+    ("mitsuba-ref validate --builtin triangels", 2, "'triangels', did you mean 'triangles'?", "spheres"),
+    ("mitsuba-ref validate builtin:needels", 2, "builtin:needels", "did you mean 'needles'?"),
+    ("mitsuba-ref probe 8 6 scene.toml", 2, "expected SCENE X Y in this order, such as scene.toml 160 120"),
+]
+NEED_MITSUBA = [
+    "validate scene.toml",
+    "validate scene.toml --candidate mine:one",
+    "probe scene.toml 3 3",
+    "render scene.toml -o b.exr",
+    "approve scene.toml --references refs",
+    "stress scale --rays 4",
+    "fuzz --examples 1",
+    "bench one-sphere --size 16 --alternations 1",
+    "judge --scene scene.toml --rays rays.npy --hits hits.npy",
+]
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("empty").mkdir()
+    for name, text in (("scene.toml", SCENE), ("typos.toml", SIX_TYPOS), ("mine.py", CANDIDATES), ("a.png", "PNG")):
+        Path(name).write_text(text)
+    Path("mesh.toml").write_text(SCENE.replace('type = "cube"', 'type = "mesh"\nfile = "missing.ply"'))
+    np.save("rays.npy", np.array([[0, 0, 9, 0, 0, -1, 0, np.inf]]))
+    np.save("hits.npy", np.ones((1, 1)))
+    for name, size in (("a.exr", (16, 12)), ("small.exr", (8, 6))):
+        scene = caster.load_scene("scene.toml").with_film(width=size[0], height=size[1])
+        write_render(name, scene, caster.render(scene, ("depth",)), "scene.toml")
+    return tmp_path
+
+
+def answer(line: str, capsys) -> tuple[int, str]:
+    """The exit code of a command line, and its output with every run of blanks as one."""
+    import shlex
+
+    program, *words = shlex.split(line)
+    code = (caster_main if program == CASTER else judge_main)(words)
+    return code, " ".join("".join(capsys.readouterr()).split())
+
+
+@pytest.mark.parametrize(("line", "code", "parts"), [(line, code, parts) for line, code, *parts in MISTAKES])
+def test_a_mistake_is_answered_by_its_cause_and_a_way_out(folder, capsys, line, code, parts):
+    found, text = answer(line, capsys)
+    assert (found, [part for part in parts if part.format(here=folder) not in text]) == (code, []), text
+    assert "Traceback" not in text
+
+
+@pytest.mark.parametrize("line", NEED_MITSUBA)
+def test_without_mitsuba_each_command_says_so_before_any_work(folder, monkeypatch, capsys, line):
+    missing = variants.Variants(False, None, "scalar_rgb: exit code 1: No module named 'drjit'")
+    monkeypatch.setattr(variants, "usable_variants", lambda: missing)
+    code, text = answer(f"{JUDGE} {line}", capsys)
+    assert code == 2 and "No module named 'drjit'; pip install '.[reference]' installs Mitsuba" in text
+    assert "FAIL" not in text and "Traceback" not in text and len(text) < 250

@@ -1,0 +1,24 @@
+"""docs/tutorial.ipynb: its cells run, and what they print is what it shows."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from mitsuba_ref.reference.variants import usable_variants
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.append(str(ROOT / "docs"))
+
+import notebook  # noqa: E402 - docs/notebook.py, which runs the cells
+
+
+@pytest.mark.slow("a page of docs: three runs of a caster in NumPy")
+def test_the_cells_print_what_the_notebook_shows():
+    pytest.importorskip("matplotlib")
+    if usable_variants().libllvm is None:
+        pytest.skip("the notebook shows the answers of Mitsuba's LLVM variant: install libLLVM 17 or newer")
+    shown = notebook.read()
+    printed = notebook.printed(notebook.executed(shown))
+    stable = [line for line in printed.splitlines() if not line.strip().startswith(("FAIL", "reference"))]
+    assert [line for line in stable if line not in notebook.printed(shown)] == []
