@@ -32,7 +32,7 @@ from mitsuba_ref.report.reproducers import replay, replay_around
 from mitsuba_ref.report.scene_record import CODES, SIDES, SceneRecord, image, packed, scene_record
 from mitsuba_ref.report.verdict_text import failing_checks, failure_text, group_lines, mark_of, outcome_text
 
-MAX_PIXELS = 1 << 21  # of a window that a page shows: 80 MB for half as many; browsers run out of memory
+MAX_PIXELS = 1 << 21  # of a window that a page shows, each of which takes a third of a kB in the browser
 SECONDS_BETWEEN_WRITES = 2.0  # of the list, during a run
 GIT_SECONDS = 5.0  # that git may take to name the commit
 
@@ -280,6 +280,6 @@ def write_comparison(
     write_record(data, PAIR, {"about": about, **parts})
     mark = "PASS" if ok else "FAIL"
     row = index_row(SceneVerdict(PAIR, ""), "") | {"ok": ok, "mark": mark, "failure": ""}
-    run = {"names": pair.names, "facts": run_facts(), "summary": mark, "candidate": "", "requested": 1, "common": []}
-    write_page(index, run | page_words() | {"classes": [], "colors": {}}, [row])
+    run = {"names": pair.names, "facts": run_facts(), "summary": mark, "requested": 1}
+    write_page(index, run | page_words(), [row])
     return index

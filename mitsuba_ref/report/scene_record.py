@@ -89,10 +89,10 @@ def value_codes(values: np.ndarray, steps: np.ndarray) -> np.ndarray:
 
 def value_steps(values: np.ndarray) -> np.ndarray:
     """(c,) the steps of the channels of (n, c) values: a 255th of the range of most of them."""
-    channels = (column[np.isfinite(column)] for column in values.T)
-    ranges = [np.quantile(column, MOST) if len(column) else np.zeros(2) for column in channels]
-    spans = [high - low or abs(high) or 1.0 for low, high in ranges]
-    return np.array(spans) / STEPS
+    known = values[np.isfinite(values).all(axis=1)]
+    low, high = np.quantile(known / STEPS, MOST, axis=0) if len(known) else np.zeros((2, values.shape[1]))
+    steps = np.where(high > low, high - low, np.abs(high))
+    return np.where(steps > 0.0, steps, 1.0)
 
 
 def share_codes(shares: np.ndarray) -> np.ndarray:

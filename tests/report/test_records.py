@@ -123,6 +123,8 @@ def test_values_are_rounded_to_a_step_and_what_is_no_number_stays_none():
     codes = value_codes(values, np.array([0.5]))[:, 0].tolist()
     assert codes == [0, 2, -7, LARGEST_CODE, -LARGEST_CODE, NAN_CODE, INF_CODE, -INF_CODE]
     assert value_steps(np.linspace(-1.0, 1.0, 10001)[:, None]) == pytest.approx(1.96 / 255)
+    assert value_steps(np.zeros((9, 2))).tolist() == [1.0, 1.0]
+    assert np.isfinite(value_steps(np.array([[-1.7e308], [1.7e308], [np.inf]]))).all()
 
 
 def test_shares_are_never_reported_smaller_than_they_are():

@@ -32,7 +32,7 @@ function layersOf(record) {
 function layerToStart(record) {
   const failures = record.verdict?.failures ?? [];
   const failure = failures.find((each) => each.x === state.x && each.y === state.y) ?? failures[0];
-  return layerOfCheck(record, failure?.check)?.name ?? record.layers[0].name;
+  return layerOfCheck(record, failure?.check)?.name ?? (record.layers.find((layer) => layer.name !== "hit") ?? record.layers[0]).name;
 }
 
 const layerOfCheck = (record, check) => record.layers.find((layer) => layer.name === (OTHER_CHECKS[check] ?? check));
@@ -137,7 +137,7 @@ function rangesOf(record, data) {
 }
 
 function spread(low, high) {
-  return { low, span: high - low || Math.abs(high) || 1 };
+  return high > low ? { low, span: high - low } : { low: Math.min(0, low), span: Math.abs(low) || 1 };
 }
 
 function quantile(numbers, share) {

@@ -1,6 +1,8 @@
 // The list of scenes, which is in the page, and their records, which are loaded when a scene is opened.
 
-const RUN = JSON.parse(document.getElementById("index").textContent);
+// What a page of two images has not, it is without.
+const NOTHING = { candidate: "", classes: [], colors: {}, common: [] };
+const RUN = { ...NOTHING, ...JSON.parse(document.getElementById("index").textContent) };
 const CLASS_COLORS = RUN.colors; // class -> [r, g, b]
 const KEPT_SCENES = 3; // records that stay in memory
 const records = new Map(); // name -> Promise of a SceneRecord

@@ -112,7 +112,7 @@ function layOut() {
   if (shownView !== state.v || !looking.panes.length) {
     looking.panes = names.map((name) => new Pane(name));
     box.replaceChildren(...looking.panes.map((pane) => pane.element), byId("summary"));
-    box.className = names.length > 3 ? "grid" : names.length > 1 ? "grid few" : "single";
+    box.className = names.length > 3 ? `grid panes-${names.length}` : names.length > 1 ? "grid few" : "single";
     shownView = state.v;
   }
   byId("wiping").hidden = state.v !== "wipe";
@@ -140,7 +140,7 @@ function markTools() {
     button.hidden = !(button.dataset.view in viewsOf(record));
   }
   const [words, title] = goalOf(record);
-  byId("bad").innerHTML = `${words} <kbd>n</kbd>`;
+  byId("bad").innerHTML = words ? `${words} <kbd>n</kbd>` : title;
   byId("bad").title = `${title} (n)`;
   byId("bad").disabled = !words;
   byId("bad").classList.toggle("strong", record.failing.length > 0 || failedChecks(record).length > 0);
