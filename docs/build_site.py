@@ -26,7 +26,7 @@ import notebook  # noqa: E402 - docs/notebook.py
 
 LINK = re.compile(r"(?<=\]\()([^)#\s:]+)(?=[)#])")
 FILE = re.compile(r"^```python\n(# mine\.py\n.*?)^```$", re.MULTILINE | re.DOTALL)
-DEMO = "validate --builtin triangles --size 64 64 --candidate mine:trace --html"
+DEMO = "validate --builtin triangles --size 64 64 --candidate mine:trace --html report"
 
 
 def main() -> None:
@@ -89,10 +89,11 @@ def write_demo(folder: Path) -> None:
     work = ROOT / "build/site-demo"
     work.mkdir(parents=True, exist_ok=True)
     (work / "mine.py").write_text(mine, encoding="utf-8")
-    words = [sys.executable, "-m", "mitsuba_ref", *DEMO.split(), str(folder)]
+    words = [sys.executable, "-m", "mitsuba_ref", *DEMO.split()]
     found = subprocess.run(words, cwd=work, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
     if found.returncode != 1:
         raise RuntimeError(f"{DEMO}: exit code {found.returncode}, expected 1\n{found.stdout}{found.stderr}")
+    shutil.copytree(work / "report", folder)
 
 
 # --- commands

@@ -110,7 +110,7 @@ class NumberList:
 
     def read(self, value: Any) -> FixedArray:
         """Parse a list or an array; the error gives the index of the first bad item."""
-        if not isinstance(value, (list, tuple, np.ndarray)) or not len(value):
+        if not isinstance(value, (list, tuple, np.ndarray)) or not getattr(value, "ndim", 1) or not len(value):
             raise expectation_error(f"a list of {self.what}", value)
         array = self._array(value)
         if array is None:
@@ -121,9 +121,8 @@ class NumberList:
     def _array(self, value: Any) -> Any:
         """An array of good numbers, or None."""
         if isinstance(value, np.ndarray):
-            plain = value.dtype.kind in ("iu" if self.whole else "iuf") and value.shape[1:] == (self.width,) * (
-                self.width > 0
-            )
+            shape = (self.width,) if self.width else ()
+            plain = value.dtype.kind in ("iu" if self.whole else "iuf") and value.shape[1:] == shape
         else:
             plain = self._are_plain(value)
         with contextlib.suppress(OverflowError):  # a whole number beyond float64

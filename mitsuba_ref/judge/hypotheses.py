@@ -298,7 +298,6 @@ def _fitted_quantities(f: WrongPixels) -> Iterator[Mistake]:
         PIXELS,
     )
     yield from (scaled, moved) if left[1] < left[0] else (moved, scaled)
-    yield _quantity("the square of t in place of t", "return t itself", lambda g: (np.square(g.t), 1.0))
     yield _quantity("1 / t in place of t", "return t itself", lambda g: (np.reciprocal(g.t), 1.0))
 
 

@@ -253,12 +253,12 @@ def random_triangle(rng: Rng, lattice: bool) -> Fields:
 
 
 def random_mesh(rng: Rng, lattice: bool) -> Fields:
-    """A file or, once in four times, arrays: a corner of a cube, with or without normals and uv."""
+    """A file or, once in four times, arrays: a tetrahedron, with or without normals and uv."""
     drawn = {"file": str(rng.choice(MESH_FILES)), "face_normals": coin_flip(rng)}
     more = rng.spawn(1)[0]
     if more.random() < 0.75:
         return drawn
-    corners = [[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, 0.5]]
+    corners = [random_point(more, lattice) for _ in range(4)]
     arrays: Fields = {"vertices": corners, "faces": [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]}
     if coin_flip(more):
         arrays["normals"] = [[-1.0, -1.0, -1.0], [2.0, -1.0, -1.0], [-1.0, 2.0, -1.0], [-1.0, -1.0, 2.0]]

@@ -227,14 +227,14 @@ class Scorer:
 
     def _ray_text(self, ray: int, answer: Answer) -> str:
         """The answer along a ray and the exact one: their normals where only these differ, else t."""
+        given = f"ray {ray}: t of the answer: {t_text(float(answer.t[ray]))}\n      exact t: "
         place = np.flatnonzero(self.rows == ray)
         if not len(place):
-            given = t_text(float(answer.t[ray]))
-            return f"ray {ray}: t of the answer: {given}\n      exact t: finite, within a closed mesh"
+            return f"{given}finite, within a closed mesh"
         t, here = self.exact.t[place], answer.rows(self.rows)
         if here.n is not None and self.exact.ratios(replace(here, n=None), ours=True)[place[0]] <= 1.0:
             prim = np.array([self.exact.answers[place[0]].prim])
             right = self.exact.near(place, prim, t, answer.ku, ours=True).n[0]
             given, expected = (format_numbers(n) for n in (here.n[place[0]], right))
             return f"ray {ray}: its t is right; normal of the answer: ({given}); expected: ({expected})"
-        return f"ray {ray}: t of the answer: {t_text(float(answer.t[ray]))}\n      exact t: {t_text(float(t[0]))}"
+        return f"{given}{t_text(float(t[0]))}"

@@ -248,7 +248,6 @@ MISTAKES = [
     Mistake("z depth", answering(camera_z), SPHERE, "depth along z, the view axis"),
     Mistake("t scaled", answering(lambda s, o, d, t, n: (t * 100.0, n)), FACES, "t is 100 times what it should be"),
     Mistake("1 / t", answering(lambda s, o, d, t, n: (1.0 / t, n)), FACES, "1 / t in place of t"),
-    Mistake("t squared", answering(lambda s, o, d, t, n: (t * t, n)), FACES, "the square of t"),
     Mistake("float32 inside", answering(in_float32), FACES, "computed in float32"),
     Mistake(
         "misses are 0",

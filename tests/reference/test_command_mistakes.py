@@ -155,3 +155,10 @@ def test_without_mitsuba_each_command_says_so_before_any_work(folder, monkeypatc
     code, text = answer(f"{JUDGE} {line}", capsys)
     assert code == 2 and "No module named 'drjit'; pip install '.[reference]' installs Mitsuba" in text
     assert "FAIL" not in text and "Traceback" not in text and len(text) < 250
+
+
+def test_what_fails_alike_in_several_scenes_is_said_in_full_once(folder, capsys):
+    Path("again.toml").write_text(SCENE)
+    code, text = answer("mitsuba-ref validate scene.toml again.toml --candidate mine:raises", capsys)
+    assert code == 1 and text.count("mine.py:4") == 1 and text.count("RuntimeError: no such shape") == 2
+    assert "FAIL again the candidate gave no answer to judge: raises raised RuntimeError: no such shape: as in" in text

@@ -116,7 +116,7 @@ def test_a_mesh_from_arrays_is_judged_without_a_file(tmp_path):
     )
     assert [path.name for path in files_of(scene)] == ["m.obj"]
     verdict = mitsuba_ref.validate(scene)
-    assert verdict.ok and verdict.counts["agree"] > 100, verdict
+    assert verdict.ok and verdict.counts["agree"] > 50, verdict
 
 
 def split(mesh):

@@ -192,7 +192,7 @@ def test_files_of_a_failing_run_and_the_replay_of_one_ray(folder, given, tmp_pat
     wrong, _ = planted("flipped normal", rows, hits)
     out = ["--out", str(tmp_path / "out"), "--html", str(tmp_path / "r"), "--junit", str(tmp_path / "j.xml")]
     code, (scene,) = judge(folder, wrong, *out)
-    text = capsys.readouterr().out
+    text = " ".join(capsys.readouterr().out.split())
     row = int(np.flatnonzero(np.isfinite(hits["t"]))[7])
     assert code == 1 and f"at ray {row}" in text and f"--rows {row}" in scene["failures"][0]["replay"]
     files = {path.name for path in (tmp_path / "out").iterdir()}
@@ -293,7 +293,7 @@ def test_hits_that_are_none_give_a_clear_error(folder, tmp_path, capsys, which):
     np.save(tmp_path / "rays.npy", np.array([RAY, RAY]))
     files = ["--rays", str(tmp_path / "rays.npy"), "--hits", str(tmp_path / "hits.npz")]
     code = main(["judge", "--scene", str(folder / "scene.toml"), *files])
-    text = "".join(capsys.readouterr())
+    text = " ".join("".join(capsys.readouterr()).split())
     assert code == expected and words in text and "Traceback" not in text
 
 

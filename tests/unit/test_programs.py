@@ -11,7 +11,9 @@ import pytest
 from programs import FOLDER, MAX_LINES, ROOT, run_program
 
 PROGRAMS = {path.name: path for path in sorted(FOLDER.glob("*.py"))}
-OURS = [name for name in PROGRAMS if name.startswith("caster_")]  # those of the judge: tests/reference/test_programs.py
+OURS = [
+    name for name in PROGRAMS if name.startswith("caster_")
+]  # those of the judge: tests/reference/test_judge_programs.py
 
 
 @pytest.mark.parametrize("name", PROGRAMS)

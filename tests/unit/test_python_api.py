@@ -70,6 +70,7 @@ def test_a_mesh_of_trimesh_keeps_its_triangles_and_uv():
         ((CORNERS,), {}, "needs file, or vertices and faces, got vertices"),
         ((CORNERS, FACES), {"file": "m.obj"}, "needs either file or arrays, got file and vertices and faces"),
         ((CORNERS[:, :2], FACES), {}, r"vertices must be a list of points .*, got \[0.1, 0\] as number 0"),
+        ((np.array(5.0), FACES), {}, "vertices must be a list of points .*, got 5"),
         ((CORNERS + np.inf, FACES), {}, "vertices must be a list of points .* of finite numbers"),
         ((CORNERS, FACES / 2), {}, r"faces must be a list of faces .* of whole numbers, got \[0, 1, 0.5\] as number 0"),
         ((CORNERS, [(0, 1, 2), (0, 1, -1)]), {}, r"faces must be .*, got \[0, 1, -1\] as number 1"),

@@ -119,21 +119,21 @@ function rowsOf(classes, wanted) {
   return rows;
 }
 
-/** Connected regions of rows with one cause and one shape, the largest first. Pixels that were not adjudicated, and so
- *  have no cause, belong to the region beside them. */
+const SAME_SYMPTOM = " (same symptom, not looked at)"; // mitsuba_ref/judge/diagnosis.py
+
+/** Connected regions of rows with one cause and one shape, the largest first. */
 function groupsOf(record, rows) {
   const texts = record.about.reasons?.texts ?? [], left = new Map(), groups = [];
   for (const row of rows) {
-    const text = record.reasons.get(row)?.[0];
-    left.set(row, [texts[text]?.startsWith("not adjudicated") ? "" : String(text), shapeAt(record, row)]);
+    const text = texts[record.reasons.get(row)?.[0]] ?? "";
+    left.set(row, [text.replace(SAME_SYMPTOM, ""), shapeAt(record, row)]);
   }
-  const named = [...left].filter(([, [cause]]) => cause), others = [...left].filter(([, [cause]]) => !cause);
-  for (const [first, [cause, shape]] of [...named, ...others]) {
+  for (const [first, [cause, shape]] of left) {
     if (!left.delete(first)) continue;
     const group = [first];
     for (const row of group) for (const next of neighbours(record, row)) {
       const [its, of] = left.get(next) ?? [];
-      if (of === shape && (its === cause || its === "")) left.delete(next), group.push(next);
+      if (of === shape && its === cause) left.delete(next), group.push(next);
     }
     groups.push(group.sort((a, b) => a - b));
   }
