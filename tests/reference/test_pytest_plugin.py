@@ -242,7 +242,7 @@ def test_a_candidate_is_judged_and_what_it_does_not_give_is_skipped(folder):
 def test_a_candidate_that_declines_or_is_not_there_fails_every_test(folder):
     folder.makepyfile(somebodys=CASTERS)
     words = ("--mitsuba-ref", "scenes/good.toml")
-    for name, says in (("somebodys:declines", "no spheres"), ("nobodys:caster", "cannot import nobodys")):
+    for name, says in (("somebodys:declines", "no spheres"), ("nobodys:caster", "there is no module nobodys")):
         found = run(folder, *words, "--mitsuba-ref-candidate", name)
         found.assert_outcomes(failed=15)
         assert says in found.stdout.str()
