@@ -10,11 +10,7 @@ from typing import Any
 from caster.cli import installation as caster_doctor
 from caster.cli.installation import Finding, print_findings
 from caster.system.process import OK
-from mitsuba_ref.reference.variants import usable_variants
-
-# The versions whose arithmetic the bounds were derived for; Dr.Jit has to be the one Mitsuba was built with.
-PINNED = {"mitsuba": "3.9.1", "drjit": "1.5.0"}
-INSTALL_COMMAND = "pip install " + " ".join(f"{name}=={version}" for name, version in PINNED.items())
+from mitsuba_ref.reference.variants import INSTALL_COMMAND, PINNED, usable_variants
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -545,7 +545,7 @@ def tried_text(judge: Judge, prim: np.ndarray, t: np.ndarray, rows: np.ndarray, 
         given, expected = cast(lines[0], lines[1]) or (NONE, NONE)
         there = np.isfinite(expected)
         if there.any() and np.isclose(given[there], expected[there], rtol=TRIED_RTOL, atol=0.0).mean() >= NEARLY_ALL:
-            return f"hit {changed}: {question}?"
+            return f"{question}? The same rays hit {changed}"
     if judge.hit.any():
         return ""
     return f"is the scene read, do rays reach t = {t.max():.3g}, is every epsilon below {small} here?"

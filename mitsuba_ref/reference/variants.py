@@ -84,6 +84,9 @@ def _response_problem(response: TraceResponse | Crash) -> str:
 WRONG_ANSWER = "wrong answer"
 NO_LIBLLVM = "no libLLVM found"
 WAY_OUT = "`mitsuba-ref doctor` names a way out"
+# The versions whose arithmetic the bounds were derived for; Dr.Jit has to be the one Mitsuba was built with.
+PINNED = {"mitsuba": "3.9.1", "drjit": "1.5.0"}
+INSTALL_COMMAND = "pip install " + " ".join(f"{name}=={version}" for name, version in PINNED.items())
 SCALAR, LLVM = VARIANT_NAMES = ("scalar_rgb", "llvm_ad_rgb")
 VARIANT_ENVIRONMENT_VARIABLE = "MITSUBA_REF_VARIANT"  # use this one for every scene
 LIBLLVM_ENVIRONMENT_VARIABLE = "DRJIT_LIBLLVM_PATH"  # environment variable of Dr.Jit
@@ -149,8 +152,9 @@ def variant_for(has_quadrics: bool) -> str:
         return variant
     if chosen:
         raise VariantError(f"{VARIANT_ENVIRONMENT_VARIABLE} {chosen!r}: it does not work here: {found.why}")
-    way_out = "pip install '.[reference]' installs Mitsuba" if "No module named" in found.why else WAY_OUT
-    raise VariantError(f"Mitsuba's {SCALAR} does not work here: {found.why}; {way_out}")
+    if re.search("No module named '(mitsuba|drjit)'", found.why):
+        raise VariantError(f"Mitsuba is not installed: {INSTALL_COMMAND}")
+    raise VariantError(f"Mitsuba's {SCALAR} does not work here: {found.why}; {WAY_OUT}")
 
 
 _said: set[str] = set()  # lines that this process has printed

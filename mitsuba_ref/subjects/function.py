@@ -23,7 +23,11 @@ from mitsuba_ref.subjects.subject import PRECISIONS, Answer, CastRequest, NoAnsw
 
 # package.module:function
 FUNCTION_PATTERN = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*(\.[^\W\d]\w*)*")
-HIDDEN_FRAMES = (str(Path(__file__).parent), "<frozen importlib")  # files of frames that are not the candidate's
+HIDDEN_FRAMES = (
+    str(Path(__file__).parent),
+    "<frozen importlib",
+    str(Path(importlib.__file__).parent),
+)  # files of frames that are not the candidate's
 MAX_TRACEBACK_FRAMES = 4
 
 # Scenes are judged several at a time, but a candidate need not be thread-safe.

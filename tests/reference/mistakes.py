@@ -384,7 +384,7 @@ DEFECTS = [
         "too many rays",
         answering(lambda s, o, d, t, n: (np.where(len(t) > 100, np.inf, t), n)),
         "torus-smooth",
-        "hit alone: does the number of rays matter",
+        "does the number of rays matter? The same rays hit alone",
     ),
     Mistake("absolute t_min", edited(t_min=3.2), SPHERE, "t is below 3.2"),
     Mistake(
