@@ -93,11 +93,11 @@ class _Parser(argparse.ArgumentParser):
         return found, extra
 
     def error(self, message: str) -> NoReturn:
-        """Exit with 2 after the usage and the message, with a suggestion for a choice that does not exist."""
+        """Exit with 2 after the message, with a suggestion for a choice that does not exist, and where options are listed."""
         if choice := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
             known = re.findall(r"[^\s,']+", choice[2])
             message = message.replace(f"'{choice[1]}' (", f"'{choice[1]}'{suggestion(choice[1], known)} (", 1)
-        super().error(message)
+        self.exit(USAGE, f"{self.prog}: error: {message}\n{self.prog} --help lists what it takes\n")
 
 
 def build_parser(

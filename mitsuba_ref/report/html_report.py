@@ -29,6 +29,7 @@ from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, SceneVerdict, Verdict, 
 from mitsuba_ref.reference.store import machine
 from mitsuba_ref.report.evidence import CLASS_COLORS, UNLISTED_COLOR
 from mitsuba_ref.report.reproducers import replay, replay_around
+from mitsuba_ref.report.results import plural
 from mitsuba_ref.report.scene_record import CODES, SIDES, SceneRecord, image, packed, scene_record
 from mitsuba_ref.report.verdict_text import failing_checks, failure_text, group_lines, mark_of, outcome_text
 
@@ -96,7 +97,7 @@ class HtmlReport:
     def sweep(self, spared: Collection[str] = ()) -> str:
         """Remove scenes of earlier reports that this page does not list, except `spared`; a line on their number."""
         obsolete = remove_records(self.data, {*self.thumbnails, *spared})
-        return f"{self.index.parent}: removed {obsolete} scenes of an earlier report" if obsolete else ""
+        return f"{self.index.parent}: removed {plural(obsolete, 'scene')} of an earlier report" if obsolete else ""
 
 
 def report_folder(path: str | Path) -> tuple[Path, Path]:

@@ -134,7 +134,7 @@ def test_a_wrong_option_is_2_and_nothing_is_written(folder, capsys, options, mes
 )
 def test_wrong_usage_is_2_and_states_how_to_call_it(capsys, argv, message):
     said = refused(capsys, 2, *argv)
-    assert said.startswith("usage: caster") and message in said
+    assert message in said and (said.count("\n") == 2 or not argv)
 
 
 # ---- files that cannot be read or written ----
