@@ -93,7 +93,7 @@ class _Parser(argparse.ArgumentParser):
         return found, extra
 
     def error(self, message: str) -> NoReturn:
-        """Exit with 2 after the message, with a suggestion for a choice that does not exist; say where all are listed."""
+        """Exit with 2 after the message, with a suggestion for a choice that does not exist, and where to look."""
         if choice := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
             known = re.findall(r"[^\s,']+", choice[2])
             message = message.replace(f"'{choice[1]}' (", f"'{choice[1]}'{suggestion(choice[1], known)} (", 1)
