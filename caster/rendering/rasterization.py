@@ -30,9 +30,6 @@ from caster.rendering.threads import even_pieces, parallel_for, parallel_for_pie
 PARALLEL_MIN_PRIMITIVES = 4096
 
 
-ZERO_VECTOR = (0.0, 0.0, 0.0)
-
-
 @dataclass(frozen=True)
 class BinnedKind:
     """The primitives of a kind, and those of each tile of the window."""
@@ -96,9 +93,9 @@ def bin_kinds(
         points, corners = NO_HULLS if spheres else hulls_of(kind.prims, number)
         pixels, near = unwritten_array((number, 4), np.int32), unwritten_array((number,), np.float64)
         projected = unwritten_array((len(points), 4), np.float64)
-        # a rectilinear camera keeps edges straight, and its depth counts along one direction
+        # a rectilinear camera keeps edges straight
         faces = corners if rectilinear and triangles else NO_FACES
-        bounds = ScreenBounds(pixels, near, faces, projected, camera.forward if rectilinear else ZERO_VECTOR)
+        bounds = ScreenBounds(pixels, near, faces, projected)
         find = partial(project_vertices, points, camera, window, projected, reach)
         parallel_for(find, len(points), threads, least=PARALLEL_MIN_PRIMITIVES)
         if spheres:

@@ -4,11 +4,9 @@ The shared point, and whether fans are faster, is estimated from a sample of the
 those of single rays.
 """
 
-import itertools
 import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,23 +16,13 @@ from caster.geometry.packing import Packed
 from caster.jit.simd import LANES
 from caster.kernels.bvh.build import MAX_PRIMITIVES
 from caster.kernels.bvh.fans import BLOCKS_ACROSS, BLOCKS_DOWN, ROWS, RUNS_ACROSS, Fan
-from caster.kernels.bvh.ray_sorting import (
-    BUCKETS,
-    LOWER_CELLS,
-    count_other_ranges,
-    count_strays,
-    find_keys,
-    find_row,
-    project_rays,
-    scatter_to_buckets,
-    sort_buckets,
-)
+from caster.kernels.bvh.ray_sorting import KEYS, count_strays, find_keys, order_by_keys, project_rays
 from caster.kernels.nearest import Rays
 from caster.kernels.raster.tile import HEIGHT, PIXELS, WIDTH, tile_boxes
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
 from caster.rendering.bvh_construction import uses_bvh, vec3
 from caster.rendering.ray_tiles import MIN_SHADOW_RAYS_PER_PRIMITIVE, Piece, RayTiles, TileCaster, filled_up
-from caster.rendering.threads import CHUNKS_PER_THREAD, even_pieces, parallel_for, parallel_for_pieces, thread_count
+from caster.rendering.threads import even_pieces, parallel_for, parallel_for_pieces, thread_count
 
 __all__ = ["SAMPLED_RAYS", "find_rows"]
 
@@ -119,11 +107,18 @@ def find_rows(rays: Rays) -> RayRows | None:
     """
     count = len(rays.t_min)
     begin = max(0, count // 2 - LONGEST_ROW)
-    end = min(count, begin + 2 * LONGEST_ROW + 2)
-    found = np.zeros(2, np.int64)
-    find_row(rays, begin, end, ROW_JUMP, np.empty(end - begin), found)
-    first, width = found.tolist()
-    return RayRows(first, width, (count - first) // width) if width >= WIDTH // 2 else None
+    some = Rays(*(a[begin : begin + 2 * LONGEST_ROW + 2] for a in rays))
+    with np.errstate(all="ignore"):
+        x, y, z = np.abs(np.diff(some.d / row_lengths(some.d)[:, None], axis=0)).T
+        steps = np.maximum(np.maximum(x, y), z)
+    there = some.t_max >= 0.0  # where there is no ray, no end is seen
+    steps[~(there[1:] & there[:-1])] = 0.0
+    ends = np.flatnonzero(steps > ROW_JUMP * steps.sum() / max(np.count_nonzero(steps), 1)) + 1
+    width = int(np.diff(ends).min(initial=count))
+    if len(ends) < 2 or width < WIDTH // 2 or ((ends - ends[0]) % width).any():
+        return None
+    first = int(begin + ends[0]) % width
+    return RayRows(first, width, (count - first) // width)
 
 
 def fan_tiles(
@@ -158,17 +153,12 @@ def fan_tiles(
         return None
     if rows is not None:
         return _tiles_in_rows(caster, count, rows)
-    if _total(partial(count_strays, fan, rays, outward, deviation), count, threads) > 0:
+    strays: list[int] = []
+    parallel_for(lambda a, b: strays.append(count_strays(fan, rays, outward, deviation, a, b)), count, threads)
+    if any(strays):
         return None
-    one_range = _total(partial(count_other_ranges, rays), count, threads) == 0
+    one_range = all((limits == limits[0]).all() for limits in (rays.t_min, rays.t_max))
     return _sorted_tiles(caster, fan, rays, outward, sample.corners, one_range, threads)
-
-
-def _total(number: Callable[[int, int], int], count: int, threads: int | None) -> int:
-    """Sum of number(start, stop) over pieces of 0..count."""
-    found: list[int] = []
-    parallel_for(lambda start, stop: found.append(number(start, stop)), count, threads)
-    return sum(found)
 
 
 def _tiles_in_rows(caster: TileCaster, count: int, rows: RayRows) -> Iterator[RayTiles]:
@@ -213,7 +203,8 @@ def _sorted_tiles(
         yield RayTiles(caster, pieces, numbers, outward, one_range)
 
 
-MAX_RAYS_SORTED = 1 << 20  # at a time: 24 bytes each
+MAX_RAYS_SORTED = 1 << 20  # at a time
+MIN_RAYS_PER_COUNT = 1 << 15  # fewer rays of a thread take less time than to add up its counts of all keys
 
 SAMPLED_RUNS, RUN_LENGTH = 128, 8  # rays of the sample: neighbours, at even distances
 
@@ -261,24 +252,15 @@ def sort_rays(
     """Numbers of a range of rays, sorted by key (ray_sorting.py)."""
     first, stop = ray_range
     workers = thread_count(threads)
-    pieces = list(enumerate(even_pieces(first, stop, workers * CHUNKS_PER_THREAD)))
-    counts = np.zeros((len(pieces), BUCKETS), np.int64)
-    pairs, scattered = np.empty((2, stop - first), np.int64)
-    order = np.empty(stop - first, np.int32)
+    pieces = list(enumerate(even_pieces(first, stop, min(workers, -(-(stop - first) // MIN_RAYS_PER_COUNT)))))
+    counts = np.zeros((len(pieces), KEYS), np.int64)
+    keys, order = np.empty((2, stop - first), np.int32)
 
     def in_pieces(work: Callable[[int, tuple[int, int]], None]) -> None:
         parallel_for_pieces(lambda: lambda numbered: work(*numbered), pieces, workers)
 
-    in_pieces(lambda n, piece: find_keys(fan, rays, outward, corners, first, piece, pairs, counts[n]))
-    # each bucket has a part for each piece, in the order of the rays
-    places = (np.cumsum(counts.T.ravel()) - counts.T.ravel()).reshape(BUCKETS, len(pieces)).T.copy()
-    starts = np.append(places[0], stop - first)
-    in_pieces(lambda n, piece: scatter_to_buckets(pairs, places[n], piece[0] - first, piece[1] - first, scattered))
-
-    def sort(buckets: tuple[int, int]) -> None:
-        sort_buckets(scattered, starts, buckets, np.empty(LOWER_CELLS, np.int64), order)
-
-    shares = np.linspace(0, stop - first, len(pieces) + 1)
-    buckets = np.unique(np.concatenate([[0, BUCKETS], np.searchsorted(starts, shares[1:-1])])).tolist()
-    parallel_for_pieces(lambda: sort, list(itertools.pairwise(buckets)), workers)
+    in_pieces(lambda n, piece: find_keys(fan, rays, outward, corners, first, piece, keys, counts[n]))
+    # each key has a part for each piece, in the order of the rays
+    places = np.ascontiguousarray(np.cumsum(counts.T).reshape(KEYS, len(pieces)).T - counts)
+    in_pieces(lambda n, piece: order_by_keys(keys, places[n], first, piece, order))
     return order

@@ -22,7 +22,7 @@ from caster.rendering.casting import BVH_MIN_RAYS, Culling, exact_nearest, find_
 from caster.rendering.hits import validated_rays
 from caster.rendering.images import DEFAULT_AOVS, render_film
 from caster.rendering.plan import culling_for
-from caster.rendering.ray_fans import SAMPLED_RAYS, find_rows
+from caster.rendering.ray_fans import SAMPLED_RAYS
 from caster.rendering.ray_tiles import TileCaster, new_ray_groups
 from caster.rendering.threads import default_threads
 from caster.scene.model import Ambient, Directional, Point, Scene
@@ -143,7 +143,6 @@ def _warm_fans(packed: Packed) -> None:
         find_nearest(packed, rays, threads=1, always_fans=True)
         for always_fans in (False, True):
             find_any(packed, rays, threads=1, always_fans=always_fans)
-    find_rows(outward)
     validated_rays(origin, d, 0.0, math.inf)
 
 

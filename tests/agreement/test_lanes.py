@@ -12,7 +12,7 @@ from caster.jit import simd
 from caster.jit.decorators import jit
 from caster.jit.kernel_cache import COMPILED
 from caster.jit.simd import CHILDREN, LANES
-from caster.kernels.bvh.traversal import PacketBoxSetup, RayBoxSetup
+from caster.kernels.bvh.traversal import PacketAxis, RayAxis
 from caster.kernels.math import lanes
 from caster.kernels.math.vec import TINY
 from caster.kernels.protocol import surface
@@ -87,17 +87,27 @@ def some_boxes(rng):
 
 
 def one_view(rng):
-    near = tuple(int(c + 3 * rng.integers(2)) for c in range(3))
-    inverse, enter, leave = (tuple(rng.normal(size=3).tolist()) for _ in range(3))
+    near = [int(c + 3 * rng.integers(2)) for c in range(3)]
+    numbers = rng.normal(size=(3, 3))
     if rng.random() < 0.25:  # left half an ulp before it is entered: the padding decides
-        inverse, enter, leave = (0.0,) * 3, (1.0,) * 3, (1.0 - 2.0**-53,) * 3
-    return RayBoxSetup(near, tuple((3, 5, 7)[c] - near[c] for c in range(3)), inverse, enter, leave)
+        numbers[:] = 0.0, 1.0, 1.0 - 2.0**-53
+    return tuple(RayAxis(*each) for each in zip(near, *numbers.T.tolist(), strict=True))
 
 
 def several_views(rng):
-    one, most = one_view(rng), tuple(rng.normal(size=3).tolist())
-    enter = tuple(-np.inf if rng.random() < 0.1 else x for x in one.enter)
-    return PacketBoxSetup(one.near, one.far, one.inverse, most, enter, one.leave, 2.0 ** int(rng.integers(-3, 4)))
+    view, unit, most = one_view(rng), 2.0 ** int(rng.integers(-3, 4)), rng.normal(size=3).tolist()
+    enters = [-np.inf if rng.random() < 0.1 else axis.enter for axis in view]
+    return tuple(
+        PacketAxis(axis.near, axis.inverse, *more, axis.leave, unit)
+        for axis, *more in zip(view, most, enters, strict=True)
+    )
+
+
+def sides(boxes, node, view):
+    """Near and far sides (3, 8) of boxes, and the numbers of each axis but its rows (n, 3, 1)."""
+    near = [axis.near for axis in view]
+    far = [c + 3 if row < 3 else c for c, row in enumerate(near)]
+    return *(boxes[node, rows].astype(float) for rows in (near, far)), np.array(view).T[1:, :, None]
 
 
 PADDING = 1.0 + 6.0 * 2.0**-53 / (1.0 - 3.0 * 2.0**-53)  # 1 + 2 gamma_3, of Ize (2013)
@@ -111,15 +121,13 @@ def entered(enter, leave, t_min, t_max):
 
 
 def entered_by_one(boxes, node, view, *limits):
-    near, far = (boxes[node, list(rows)].astype(float) for rows in (view.near, view.far))
-    inverse, enter, leave = (np.array(numbers)[:, None] for numbers in (view.inverse, view.enter, view.leave))
+    near, far, (inverse, enter, leave) = sides(boxes, node, view)
     return entered(near * inverse + enter, far * inverse + leave, *limits)
 
 
 def entered_by_several(boxes, node, view, *limits):
-    near, far = (boxes[node, list(rows)].astype(float) * view.unit for rows in (view.near, view.far))
-    least, most, enter, leave = (np.array(each)[:, None] for each in (view.least, view.most, view.enter, view.leave))
-    begin, end = near + enter, far + leave
+    near, far, (least, most, enter, leave, unit) = sides(boxes, node, view)
+    begin, end = near * unit + enter, far * unit + leave
     with np.errstate(invalid="ignore"):
         return entered(np.fmin(begin * least, begin * most), np.fmax(end * least, end * most), *limits)
 

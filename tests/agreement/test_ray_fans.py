@@ -30,6 +30,7 @@ def taken(monkeypatch):
     """Cast as fans wherever possible; returns how many rays were."""
     numbers = []
     limits = {"MIN_RAYS_IN_ROWS": 64, "MIN_RAYS_SORTED": 64, "MAX_PATH_IN_ORDER": -1.0, "MIN_SHARE_IN_VIEW": 0.0}
+    limits["MIN_RAYS_PER_COUNT"] = 8
     for constant, value in limits.items():
         monkeypatch.setattr(ray_fans, constant, value)
     real = ray_fans.sort_rays

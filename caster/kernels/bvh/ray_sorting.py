@@ -1,7 +1,6 @@
 """The rays of a fan sorted by their projection: neighbours in a tile then meet much the same primitives.
 
-A key is the cell of a ray in the fan's projection (Morton order). Rays are sorted by keys in two passes: all of them by
-the upper bits into buckets, then each bucket by the lower bits. The order of rays in a tile changes no bit of a hit.
+A key is the cell of a ray in the fan's projection (Morton order). The order of rays in a tile changes no bit of a hit.
 """
 
 import math
@@ -13,11 +12,10 @@ from caster.kernels.math.vec import dot, max_norm, point_at, row, sub
 from caster.kernels.protocol import Vec3
 from caster.kernels.raster.tile import lane
 
-HALF_BITS = 10  # of a cell's number along x and along y, where the first fan has the ray
-LOWER_BITS = 10  # of a key, that the second pass sorts by
-BUCKETS, LOWER_CELLS = 1 << 12, 1 << LOWER_BITS
+HALF_BITS = 8  # of a cell's number along x and along y, where the first fan has the ray
 OTHER_FANS = 1 << (2 * HALF_BITS)  # least key of rays that one of the other five fans has
-MAX_SORTED_BY_INSERTION = 32  # rays of a bucket; clearing LOWER_CELLS counters takes longer for so few
+OTHER_HALF_BITS = HALF_BITS - 2
+KEYS = OTHER_FANS + (6 << (2 * OTHER_HALF_BITS))
 
 
 @inlined
@@ -56,47 +54,6 @@ def leads_there(fan: Fan, o: Vec3, d: Vec3, t_max: float, deviation: float) -> b
     off = max_norm(sub(point_at(o, t, d), fan.origin))
     beyond = (t_max - t) * max_norm(d)
     return (t > 0.0) & (off <= deviation) & (beyond <= deviation)
-
-
-@jit
-def count_other_ranges(rays: Any, start: int, stop: int) -> int:
-    """How many of rays start..stop have another t_min or t_max than ray 0."""
-    t_min, t_max = rays.t_min[0], rays.t_max[0]
-    differing = 0
-    for i in range(lane(start), lane(stop)):
-        differing += 1 if (rays.t_min[i] != t_min) | (rays.t_max[i] != t_max) else 0
-    return differing
-
-
-@jit
-def find_row(rays: Any, start: int, stop: int, jump: float, steps: Any, row: Any) -> None:
-    """Find rows of rays: row (2,) gets the ray that begins the first row and the rays of a row, or 0, 0 without rows.
-
-    A row ends where the directions of rays start..stop jump by more than `jump` times the average step. All ends have
-    to be multiples of the row length apart; at places without a ray no end is seen. steps: work space, (stop - start,).
-    """
-    total, number = 0.0, 0
-    x, y, z, ray = 0.0, 0.0, 0.0, False
-    for i in range(start, stop):
-        u, v, w = rays.d[i, 0], rays.d[i, 1], rays.d[i, 2]
-        over = math.sqrt(u * u + v * v + w * w)
-        u, v, w, there = u / over, v / over, w / over, rays.t_max[i] >= 0.0
-        step = max(abs(u - x), max(abs(v - y), abs(w - z)))
-        step = step if ray & there & (i > start) else 0.0
-        steps[i - start] = step
-        total += step
-        number += 1 if step > 0.0 else 0
-        x, y, z, ray = u, v, w, there
-    limit = jump * total / max(number, 1)
-    last, length = -1, stop
-    for n in range(stop - start):
-        if steps[n] > limit:
-            length = min(length, n - last) if last >= 0 else length
-            last = n
-    even = length < stop
-    for n in range(stop - start):
-        even = even & ((steps[n] <= limit) | ((last - n) % length == 0))
-    row[0], row[1] = (start + last) % length if even else 0, length if even else 0
 
 
 @jit
@@ -140,18 +97,15 @@ def projection_key(fan: Fan, a: Vec3, low: Any, scale: Any) -> int:
     elif abs(y) >= abs(z):
         face, u, v, w = 4, z, x, y
     face += 1 if w < 0.0 else 0
-    half = HALF_BITS - 2
     w = abs(w) if w != 0.0 else 1.0
-    last = (1 << half) - 1
+    last = (1 << OTHER_HALF_BITS) - 1
     i, j = cell(u / w, -1.0, 0.5 * (last + 1), last), cell(v / w, -1.0, 0.5 * (last + 1), last)
-    return OTHER_FANS + (face << (2 * half)) + ((spread_bits(j) << 1) | spread_bits(i))
+    return OTHER_FANS + (face << (2 * OTHER_HALF_BITS)) + ((spread_bits(j) << 1) | spread_bits(i))
 
 
 @jit
-def find_keys(
-    fan: Any, rays: Any, outward: bool, corners: Any, first: int, piece: Any, pairs: Any, counts: Any
-) -> None:
-    """pairs[i - first]: key << 32 | i of rays piece[0]..piece[1]; counts (BUCKETS,): how many are in each bucket.
+def find_keys(fan: Any, rays: Any, outward: bool, corners: Any, first: int, piece: Any, keys: Any, counts: Any) -> None:
+    """keys[i - first]: that of ray i, for rays piece[0]..piece[1]; counts (KEYS,): how many have each.
 
     corners: least x, y and largest x, y in the projection of the first fan; what lies outside is in the cells at its
     rim.
@@ -161,43 +115,14 @@ def find_keys(
     low, scale = (x0, y0), (cells / (x1 - x0) if x1 > x0 else 0.0, cells / (y1 - y0) if y1 > y0 else 0.0)
     for i in range(piece[0], piece[1]):
         key = projection_key(fan, in_front(fan, row(rays.o, i), row(rays.d, i), outward), low, scale)
-        pairs[i - first] = (key << 32) | i
-        counts[key >> LOWER_BITS] += 1
+        keys[i - first] = key
+        counts[key] += 1
 
 
 @jit
-def scatter_to_buckets(pairs: Any, places: Any, start: int, stop: int, sorted_pairs: Any) -> None:
-    """Write pairs start..stop to sorted_pairs[places[bucket]:], moving that place on."""
-    for n in range(start, stop):
-        bucket = pairs[n] >> (32 + LOWER_BITS)
-        sorted_pairs[places[bucket]] = pairs[n]
-        places[bucket] += 1
-
-
-@jit
-def sort_buckets(pairs: Any, edges: Any, buckets: Any, counts: Any, order: Any) -> None:
-    """Sort buckets buckets[0]..buckets[1] into order; edges: where each bucket begins in `pairs`."""
-    for bucket in range(buckets[0], buckets[1]):
-        start, stop = edges[bucket], edges[bucket + 1]
-        if stop - start <= MAX_SORTED_BY_INSERTION:
-            for n in range(start, stop):
-                pair, at = pairs[n], n
-                while at > start and pairs[at - 1] > pair:
-                    pairs[at] = pairs[at - 1]
-                    at -= 1
-                pairs[at] = pair
-            for n in range(start, stop):
-                order[n] = pairs[n] & 0xFFFFFFFF
-        else:
-            counts[:] = 0
-            for n in range(start, stop):
-                counts[(pairs[n] >> 32) & (LOWER_CELLS - 1)] += 1
-            at = start
-            for n in range(LOWER_CELLS):
-                number = counts[n]
-                counts[n] = at
-                at += number
-            for n in range(start, stop):
-                low = (pairs[n] >> 32) & (LOWER_CELLS - 1)
-                order[counts[low]] = pairs[n] & 0xFFFFFFFF
-                counts[low] += 1
+def order_by_keys(keys: Any, places: Any, first: int, piece: Any, order: Any) -> None:
+    """Write the numbers of rays piece[0]..piece[1] to order[places[key]:], moving that place on."""
+    for i in range(piece[0], piece[1]):
+        key = keys[i - first]
+        order[places[key]] = i
+        places[key] += 1

@@ -7,7 +7,7 @@ from caster.jit.decorators import inlined, jit
 from caster.jit.simd import LANES, lowest_bit
 from caster.kernels.bvh.build import LEAF_SIZE_BASE
 from caster.kernels.math.lanes import intersect_boxes, intersect_boxes_packet, lane_max, lane_max_of_sums, lane_min
-from caster.kernels.math.vec import l1_norm, max_norm, row, scaled
+from caster.kernels.math.vec import l1_norm, max_norm, row
 from caster.kernels.nearest import KeepNearest
 from caster.kernels.protocol import Vec3, intersect, load, prepare, surely_misses, update_best
 from caster.kernels.raster.tile import DX, OX, PRIM, STRIDE, T_ERROR, T_MAX, T_MIN, UNCERTAIN, T, cast_lanes, get, lane
@@ -17,14 +17,13 @@ from caster.kernels.raster.tile import DX, OX, PRIM, STRIDE, T_ERROR, T_MAX, T_M
 # what 1/d and the sum do is in FAR_PADDING.
 
 
-class RayBoxSetup(NamedTuple):
-    """A ray prepared for box tests: near and far sides by the sign bit of d, so that -0.0 goes backwards."""
+class RayAxis(NamedTuple):
+    """A ray along an axis, for box tests."""
 
-    near: tuple[int, int, int]  # rows of Tree.boxes[node]
-    far: tuple[int, int, int]
-    inverse: Vec3  # 1/d, times the tree's unit
-    enter: Vec3  # the tree's centre over d, less the pad
-    leave: Vec3  # more the pad
+    near: int  # row of Tree.boxes[node]: by the sign bit of d, so that -0.0 goes backwards
+    inverse: float  # 1/d, times the tree's unit
+    enter: float  # the tree's centre over d, less the pad
+    leave: float  # more the pad
 
 
 @inlined
@@ -40,20 +39,17 @@ def box_padding(tree: Any, o: Vec3) -> float:
 
 
 @inlined
-def ray_box_setup(tree: Any, o: Vec3, d: Vec3) -> RayBoxSetup:
+def ray_box_setup(tree: Any, o: Vec3, d: Vec3) -> tuple[RayAxis, RayAxis, RayAxis]:
     """Precomputed reciprocals and error bounds of a ray for box tests."""
-    x, y, z = safe_inverse(d[0], tree.flat), safe_inverse(d[1], tree.flat), safe_inverse(d[2], tree.flat)
-    a, b, c = tree.center[0] - o[0], tree.center[1] - o[1], tree.center[2] - o[2]
     pad = box_padding(tree, o)
-    near = 0 if x > 0.0 else 3, 1 if y > 0.0 else 4, 2 if z > 0.0 else 5
-    p, q, r = math.copysign(pad, x), math.copysign(pad, y), math.copysign(pad, z)
-    return RayBoxSetup(
-        near,
-        (3 - near[0], 5 - near[1], 7 - near[2]),
-        scaled(tree.unit, (x, y, z)),
-        ((a - p) * x, (b - q) * y, (c - r) * z),
-        ((a + p) * x, (b + q) * y, (c + r) * z),
-    )
+    return ray_axis(tree, o, d, pad, 0), ray_axis(tree, o, d, pad, 1), ray_axis(tree, o, d, pad, 2)
+
+
+@inlined
+def ray_axis(tree: Any, o: Vec3, d: Vec3, pad: float, axis: int) -> RayAxis:
+    x = safe_inverse(d[axis], tree.flat)
+    middle, ahead = tree.center[axis] - o[axis], math.copysign(pad, x)
+    return RayAxis(axis if x > 0.0 else axis + 3, tree.unit * x, (middle - ahead) * x, (middle + ahead) * x)
 
 
 @inlined
@@ -129,15 +125,14 @@ PACKET_SIZE = lane(LANES)
 Bounds3 = tuple[Vec3, Vec3]
 
 
-class PacketBoxSetup(NamedTuple):
-    """Slab-test constants of a packet of rays. An axis along which some go forwards, some backwards bounds nothing."""
+class PacketAxis(NamedTuple):
+    """A packet of rays along an axis. If some go forwards, some backwards, it bounds nothing."""
 
-    near: tuple[int, int, int]  # rows of Tree.boxes[node]
-    far: tuple[int, int, int]
-    least: Vec3  # of 1/d
-    most: Vec3
-    enter: Vec3  # the tree's centre relative to that origin from which the near side is nearest, less the pad
-    leave: Vec3  # the far side is farthest, more the pad
+    near: int  # row of Tree.boxes[node]
+    least: float  # of 1/d
+    most: float
+    enter: float  # the tree's centre relative to that origin from which the near side is nearest, less the pad
+    leave: float  # the far side is farthest, more the pad
     unit: float
 
 
@@ -171,40 +166,31 @@ def l1_extent(ends: Bounds3) -> float:
 
 
 @inlined
-def packet_box_setup(tree: Any, origins: Bounds3, directions: Bounds3) -> PacketBoxSetup:
+def packet_box_setup(tree: Any, origins: Bounds3, directions: Bounds3) -> tuple[PacketAxis, PacketAxis, PacketAxis]:
     """Slab-test constants of rays whose origins and directions lie within these bounds."""
     pad = max(box_padding(tree, origins[0]), box_padding(tree, origins[1]))
-    x, y = axis_setup(tree, origins, directions, pad, 0), axis_setup(tree, origins, directions, pad, 1)
-    z = axis_setup(tree, origins, directions, pad, 2)
-    near = 0 if x[4] else 3, 1 if y[4] else 4, 2 if z[4] else 5
-    return PacketBoxSetup(
-        near,
-        (3 - near[0], 5 - near[1], 7 - near[2]),
-        (x[0], y[0], z[0]),
-        (x[1], y[1], z[1]),
-        (x[2], y[2], z[2]),
-        (x[3], y[3], z[3]),
-        tree.unit,
+    return (
+        packet_axis(tree, origins, directions, pad, 0),
+        packet_axis(tree, origins, directions, pad, 1),
+        packet_axis(tree, origins, directions, pad, 2),
     )
 
 
 @inlined
-def axis_setup(
-    tree: Any, origins: Bounds3, directions: Bounds3, pad: float, axis: int
-) -> tuple[float, float, float, float, bool]:
-    """(least, most, enter, leave, whether the rays go forwards) along an axis."""
+def packet_axis(tree: Any, origins: Bounds3, directions: Bounds3, pad: float, axis: int) -> PacketAxis:
     low_d, high_d = directions[0][axis], directions[1][axis]
     mixed, forwards = (low_d < 0.0) & (high_d > 0.0), low_d >= 0.0
     low_d = max(low_d, tree.flat) if forwards else min(low_d, -tree.flat)
     high_d = max(high_d, tree.flat) if forwards else min(high_d, -tree.flat)
     low = tree.center[axis] - origins[1][axis] - pad
     high = tree.center[axis] - origins[0][axis] + pad
-    return (
+    return PacketAxis(
+        axis if forwards else axis + 3,
         1.0 if mixed else 1.0 / high_d,
         1.0 if mixed else 1.0 / low_d,
         -math.inf if mixed else (low if forwards else high),
         math.inf if mixed else (high if forwards else low),
-        forwards,
+        tree.unit,
     )
 
 
@@ -243,7 +229,7 @@ def cast_packets(
 
 @inlined
 def cast_packet(
-    prims: Any, tree: Any, base: int, tile: Any, first: Any, view: PacketBoxSetup, workspace: Any, any_hit: bool
+    prims: Any, tree: Any, base: int, tile: Any, first: Any, view: Any, workspace: Any, any_hit: bool
 ) -> None:
     """Nearest hits of a packet's rays together: `traverse` for boxes that any of them may enter."""
     stack, entries, near = workspace

@@ -73,58 +73,56 @@ LARGEST_T = float(np.finfo(np.float64).max)  # for boxes that are entered at a t
 
 SIDES = 6  # rows of a node's boxes
 
+Slab = tuple[Vector, Vector]  # where each box is entered and left along an axis
+
 
 @inlined
-def box_row(boxes: Any, node: int, row: int) -> Vector:
-    """One side of each of a node's boxes; boxes: (nodes, SIDES, CHILDREN)."""
-    return load_children(boxes, (node * SIDES + row) * CHILDREN)
+def sides(boxes: Any, node: int, axis: int, near: int) -> tuple[Vector, Vector]:
+    """The near and the far side of each of a node's boxes along an axis; near: row of the near one."""
+    far = 2 * axis + 3 - near
+    first = node * SIDES * CHILDREN
+    return load_children(boxes, first + near * CHILDREN), load_children(boxes, first + far * CHILDREN)
 
 
 @inlined
 def intersect_boxes(boxes: Any, node: int, view: Any, t_min: float, t_max: float, near: Any) -> int:
     """A bit for each of the node's boxes that a ray enters between t_min and t_max; near (8,) gets these t.
 
-    view: a traversal.RayBoxSetup.
+    boxes: (nodes, SIDES, CHILDREN). view: a traversal.RayAxis for each axis.
     """
-    x0, x1 = ray_slab(boxes, node, view, 0)
-    y0, y1 = ray_slab(boxes, node, view, 1)
-    z0, z1 = ray_slab(boxes, node, view, 2)
-    return entered(larger(larger(x0, y0), z0), lesser(lesser(x1, y1), z1), t_min, t_max, near)
+    x, y, z = ray_slab(boxes, node, view, 0), ray_slab(boxes, node, view, 1), ray_slab(boxes, node, view, 2)
+    return entered(x, y, z, t_min, t_max, near)
 
 
 @inlined
-def ray_slab(boxes: Any, node: int, view: Any, axis: int) -> Any:
-    """Where each box is entered and left along an axis: at b inverse + enter of a near side b, + leave of a far one."""
-    near, far, inverse = box_row(boxes, node, view.near[axis]), box_row(boxes, node, view.far[axis]), view.inverse[axis]
-    return near * inverse + view.enter[axis], far * inverse + view.leave[axis]
+def ray_slab(boxes: Any, node: int, view: Any, axis: int) -> Slab:
+    """At b inverse + enter of a near side b, + leave of a far one."""
+    near, far = sides(boxes, node, axis, view[axis].near)
+    return near * view[axis].inverse + view[axis].enter, far * view[axis].inverse + view[axis].leave
 
 
 @inlined
 def intersect_boxes_packet(boxes: Any, node: int, view: Any, t_min: float, t_max: float, near: Any) -> int:
-    """The same for boxes that any of several rays may enter; view: a traversal.PacketBoxSetup."""
-    x0, x1 = packet_slab(boxes, node, view, 0)
-    y0, y1 = packet_slab(boxes, node, view, 1)
-    z0, z1 = packet_slab(boxes, node, view, 2)
-    return entered(larger(larger(x0, y0), z0), lesser(lesser(x1, y1), z1), t_min, t_max, near)
+    """The same for boxes that any of several rays may enter; view: a traversal.PacketAxis for each axis."""
+    x, y, z = packet_slab(boxes, node, view, 0), packet_slab(boxes, node, view, 1), packet_slab(boxes, node, view, 2)
+    return entered(x, y, z, t_min, t_max, near)
 
 
 @inlined
-def packet_slab(boxes: Any, node: int, view: Any, axis: int) -> Any:
-    """Where each box is entered at the earliest and left at the latest along an axis.
-
-    A near side b is met at no less than (b unit + enter)/d, a far one at no more than (b unit + leave)/d.
+def packet_slab(boxes: Any, node: int, view: Any, axis: int) -> Slab:
+    """At the earliest and at the latest: a near side b is met at no less than (b unit + enter)/d, a far one at no more
+    than (b unit + leave)/d.
     """
-    begin = box_row(boxes, node, view.near[axis]) * view.unit + view.enter[axis]
-    end = box_row(boxes, node, view.far[axis]) * view.unit + view.leave[axis]
-    low, high = view.least[axis], view.most[axis]
-    return lesser(begin * low, begin * high), larger(end * low, end * high)
+    ray, (near, far) = view[axis], sides(boxes, node, axis, view[axis].near)
+    begin, end = near * ray.unit + ray.enter, far * ray.unit + ray.leave
+    return lesser(begin * ray.least, begin * ray.most), larger(end * ray.least, end * ray.most)
 
 
 @inlined
-def entered(enter: Vector, leave: Vector, t_min: float, t_max: float, near: Any) -> int:
+def entered(x: Slab, y: Slab, z: Slab, t_min: float, t_max: float, near: Any) -> int:
     """A bit for each box that is entered before it is left, within the ray's limits."""
-    enter = larger(enter, t_min)
-    leave = lesser(leave * FAR_PADDING, t_max)
+    enter = larger(larger(larger(x[0], y[0]), z[0]), t_min)
+    leave = lesser(lesser(lesser(x[1], y[1]), z[1]) * FAR_PADDING, t_max)
     store(lesser(enter, LARGEST_T), near, 0)
     return bits_up_to(enter, leave)
 

@@ -37,9 +37,6 @@ class ScreenBounds(NamedTuple):
     # (n, 3) int32: the corners in `projected` of triangles before a rectilinear camera; else (0, 3)
     faces: np.ndarray
     projected: np.ndarray  # (m, 4) float64, a projection each, in pixels of the window
-    # The direction along which depth is measured. 0: depth is the distance from the eye, since the camera is not
-    # rectilinear, so that depth bounds are looser.
-    forward: Vec3
 
 
 ProjectedPoint = tuple[float, float, float, float]

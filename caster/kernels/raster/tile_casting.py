@@ -6,7 +6,6 @@ from typing import Any
 from caster.jit.decorators import inlined, jit
 from caster.jit.simd import LANES, larger, largest, least, lesser, load_lanes, prefetch, splat
 from caster.kernels.math.lanes import any_sum_reaches
-from caster.kernels.math.vec import add, component_max, component_min, dot, l1_norm, scaled, sub
 from caster.kernels.protocol import Vec3, intersect, load, prefetch_numbers, prepare, t_lower_bound
 from caster.kernels.raster.screen_bounds import pixel_range, projected_corner
 from caster.kernels.raster.tile import (
@@ -41,34 +40,10 @@ def max_visible_t(tile: Any, box: Box) -> float:
 
 
 @inlined
-def direction_bounds(tile: Any, box: Box, forward: Vec3) -> tuple[Vec3, Vec3]:
+def direction_bounds(tile: Any, box: Box) -> tuple[Vec3, Vec3]:
     """(low, high): bounds of the components of all d of a tile."""
-    if l1_norm(forward) > 0.0:
-        return direction_bounds_from_corners(tile, box)
     x, y, z = field_bounds(tile, DX, box), field_bounds(tile, DY, box), field_bounds(tile, DZ, box)
     return (x[0], y[0], z[0]), (x[1], y[1], z[1])
-
-
-# Of the lengths of four d that are 1 within a few u, and of sums and quotients of them.
-UNIT_LENGTH_ATOL = 2.0**-45
-
-
-@inlined
-def direction_bounds_from_corners(tile: Any, box: Box) -> tuple[Vec3, Vec3]:
-    """The same where straight lines stay straight and |d| = 1: d = s / |s|, s between the d of a tile's corners.
-
-    With weights w_i that add up to 1, |sum w_i d_i|^2 = 1 - sum over i < j of w_i w_j |d_i - d_j|^2, and the products
-    of two of four weights are at most 3/8 together.
-    """
-    right, below = lane(box[2] - box[0] - 1), lane((box[3] - box[1] - 1) * WIDTH)
-    a, b = get(tile, DX + lane(0)), get(tile, DX + right)
-    c, d = get(tile, DX + below), get(tile, DX + below + right)
-    low = component_min(component_min(a, b), component_min(c, d))
-    high = component_max(component_max(a, b), component_max(c, d))
-    wide, off = sub(high, low), (UNIT_LENGTH_ATOL, UNIT_LENGTH_ATOL, UNIT_LENGTH_ATOL)
-    shrunk = 1.0 - 0.375 * dot(wide, wide)
-    longer = (1.0 / math.sqrt(shrunk) if shrunk > 0.0 else math.inf) + UNIT_LENGTH_ATOL
-    return sub(component_min(low, scaled(longer, low)), off), add(component_max(high, scaled(longer, high)), off)
 
 
 @inlined
@@ -175,7 +150,7 @@ def cast_in_bounds(
         if not small:
             if shares_origin:
                 if not looked:
-                    (low, high), looked = direction_bounds(tile, box, bounds.forward), True
+                    (low, high), looked = direction_bounds(tile, box), True
                 near = max(near, t_lower_bound(prims, pre, low, high))
                 if near > far or near == math.inf:
                     continue
