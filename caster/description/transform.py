@@ -140,9 +140,7 @@ def inverse(m: Matrix) -> Matrix:
     """The inverse of a 3x3 matrix, every entry rounded once. Raises LinAlgError if it does not exist in float64."""
     if not np.isfinite(m).all():
         raise np.linalg.LinAlgError("not finite")
-    rows, denominator = _integers(m)
-    cofactors = _cofactors(rows)
-    determinant = sum(rows[0][j] * cofactors[j][0] for j in range(3))
+    cofactors, determinant, denominator = _integer_inverse(m)
     if determinant == 0:
         raise np.linalg.LinAlgError("singular")
     try:
@@ -160,24 +158,23 @@ def inverse(m: Matrix) -> Matrix:
 
 def is_mirrored(linear: Matrix) -> bool:
     """Whether the determinant of a finite 3x3 matrix is negative, exactly."""
-    rows, _ = _integers(linear)
-    cofactors = _cofactors(rows)
-    return sum(rows[0][j] * cofactors[j][0] for j in range(3)) < 0
+    _, determinant, _ = _integer_inverse(linear)
+    return determinant < 0
 
 
-def _integers(m: Matrix) -> tuple[list[list[int]], int]:
-    """The entries scaled to integers by a power of two, and that power."""
+def _integer_inverse(m: Matrix) -> tuple[list[list[int]], int, int]:
+    """(cofactors, transposed; determinant; scale) of the entries, scaled to integers by a power of two.
+
+    The cofactors times the integers are the determinant times the identity.
+    """
     ratios = [[x.as_integer_ratio() for x in row] for row in m.tolist()]
-    common = max(q for row in ratios for _, q in row)
-    return [[p * (common // q) for p, q in row] for row in ratios], common
-
-
-def _cofactors(rows: list[list[int]]) -> list[list[int]]:
-    """The transposed matrix of cofactors: times the matrix, it is the determinant times the identity."""
-    return [
+    scale = max(q for row in ratios for _, q in row)
+    rows = [[p * (scale // q) for p, q in row] for row in ratios]
+    cofactors = [
         [rows[j - 2][i - 2] * rows[j - 1][i - 1] - rows[j - 2][i - 1] * rows[j - 1][i - 2] for j in range(3)]
         for i in range(3)
     ]
+    return cofactors, sum(rows[0][j] * cofactors[j][0] for j in range(3)), scale
 
 
 def frame(forward: Vector, up: Sequence[float]) -> tuple[Vector, Vector, Vector]:

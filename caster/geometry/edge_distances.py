@@ -33,8 +33,11 @@ def edge_distances(prims: Any, k: int, o: np.ndarray, d: np.ndarray) -> tuple[Ed
 
 
 def signed_distance(of: str, radius: Fraction, squared: Fraction, unit: str) -> EdgeDistance:
-    """The radius minus the square root of a squared distance, rounded once."""
-    return EdgeDistance(of, nearest_float(minus_sqrt(radius, squared)), unit)
+    """The radius minus the square root of a squared distance, rounded once.
+
+    By (r^2 - x) / (r + sqrt(x)): the sign is exact and no digit is lost.
+    """
+    return EdgeDistance(of, nearest_float((radius * radius - squared) / (radius + sqrt_fraction(squared))), unit)
 
 
 def exact_object_space_ray(prims: Any, k: int, o: np.ndarray, d: np.ndarray) -> tuple[Vector, Vector]:
@@ -76,11 +79,6 @@ def sqrt_fraction(x: Fraction) -> Fraction:
     """The square root within a factor of 1 + 2^-64."""
     size = math.isqrt((x.numerator * x.denominator) << (2 * SQRT_EXTRA_BITS))
     return Fraction(size, x.denominator << SQRT_EXTRA_BITS)
-
-
-def minus_sqrt(a: Fraction, x: Fraction) -> Fraction:
-    """a - sqrt(x), a > 0, by (a^2 - x) / (a + sqrt(x)): the sign is exact and no digit is lost."""
-    return (a * a - x) / (a + sqrt_fraction(x))
 
 
 def nearest_float(x: Fraction) -> float:

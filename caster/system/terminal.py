@@ -211,37 +211,29 @@ class ProgressBar:
         return ", ".join([bar, *filter(None, [self.extra, left, stage])])
 
 
-class CompilationNotice:
-    """One line on standard error when a command begins to compile kernels, in this process or in a fork of it."""
+@contextlib.contextmanager
+def compilation_reported(stream: TextIO | None = None) -> Iterator[None]:
+    """Report once that the body compiles kernels, in this process or in its forks; nothing if all are cached.
 
-    def __init__(self, stream: TextIO | None = None) -> None:
-        """stream: default standard error, as it is when the line is written."""
-        self.stream = stream
-        self._written = mmap.mmap(-1, 1)  # shared with forks; two that begin at the same moment may both write
+    stream: default standard error, as it is when the line is written.
+    """
+    from caster.jit.decorators import COMPILATION_LOG
 
-    def compiling(self, name: str) -> None:
-        """Write the line before the first kernel."""
-        if self._written[0]:
+    before = COMPILATION_LOG.compiling
+    written = mmap.mmap(-1, 1)  # shared with forks; two that begin at the same moment may both write
+
+    def compiling(name: str) -> None:
+        if written[0]:
             return
-        self._written[0] = 1
+        written[0] = 1
         report_stage("compiling kernels")
-        line = StatusLine(self.stream)
+        line = StatusLine(stream)
         with contextlib.suppress(OSError):  # standard error may be closed
             text = "compiling kernels, once: some 20 to 60, in 10 to 40 s; `caster doctor --warm` does it ahead"
             print(f"{ERASE_LINE if line.live else ''}{text}", file=line.stream, flush=True)
         report_refused_cache()
 
-
-@contextlib.contextmanager
-def compilation_reported(stream: TextIO | None = None) -> Iterator[None]:
-    """Report that the body compiles kernels, in this process or in its forks; nothing if all are cached.
-
-    stream: default standard error.
-    """
-    from caster.jit.decorators import COMPILATION_LOG
-
-    before = COMPILATION_LOG.compiling
-    COMPILATION_LOG.compiling = CompilationNotice(stream).compiling
+    COMPILATION_LOG.compiling = compiling
     try:
         yield
     finally:
