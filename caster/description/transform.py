@@ -8,7 +8,8 @@ of the C library's depends on the library and on the processor.
 import math
 from collections.abc import Iterable, Sequence
 from decimal import Context, Decimal
-from typing import Any
+from fractions import Fraction
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +18,7 @@ __all__ = ["dot_rows", "is_mirrored", "product", "row_lengths", "sine_and_cosine
 
 Matrix = NDArray[np.float64]
 Vector = tuple[float, float, float]
+Real = TypeVar("Real", float, Fraction)
 
 # The computed cross product of two unit vectors is off by at most 2 u per component from its products and
 # difference, and each unit vector by 2 u more: 8 u in all, u = 2^-53. The direction of anything shorter is unknown.
@@ -189,12 +191,12 @@ def frame(forward: Vector, up: Sequence[float]) -> tuple[Vector, Vector, Vector]
     return unit(cross(forward, new_up)), new_up, forward  # side itself is inexact where up is nearly along
 
 
-def cross(a: Sequence[float], b: Sequence[float]) -> Vector:
+def cross(a: Sequence[Real], b: Sequence[Real]) -> tuple[Real, Real, Real]:
     """Cross product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def subtract(a: Sequence[float], b: Sequence[float]) -> Vector:
+def subtract(a: Sequence[Real], b: Sequence[Real]) -> tuple[Real, Real, Real]:
     """Difference a - b; zero only if a equals b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 

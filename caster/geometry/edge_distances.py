@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from caster.description.transform import cross, subtract
+
 Vector = Sequence[Fraction]
 
 
@@ -45,7 +47,7 @@ def exact_object_space_ray(prims: Any, k: int, o: np.ndarray, d: np.ndarray) -> 
     columns = [exact(column) for column in prims.to_world[k].T]
     rows = [cross(columns[1], columns[2]), cross(columns[2], columns[0]), cross(columns[0], columns[1])]
     determinant = dot(columns[0], rows[0])
-    away = minus(exact(o), exact(prims.center[k]))
+    away = subtract(exact(o), exact(prims.center[k]))
     f, e = ([dot(row, v) / determinant for row in rows] for v in (away, exact(d)))
     return f, e
 
@@ -55,20 +57,12 @@ def exact(v: np.ndarray) -> Vector:
     return [Fraction(x) for x in v.tolist()]
 
 
-def minus(a: Vector, b: Vector) -> Vector:
-    return [x - y for x, y in zip(a, b, strict=True)]
-
-
 def dot(a: Vector, b: Vector) -> Fraction:
     return sum((x * y for x, y in zip(a, b, strict=True)), Fraction(0))
 
 
 def square(a: Vector) -> Fraction:
     return dot(a, a)
-
-
-def cross(a: Vector, b: Vector) -> Vector:
-    return [a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)]
 
 
 # Bits of a square root beyond those of its argument: only the final conversion to float64 rounds noticeably.

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.description.errors import SceneError, value_diagnostic
-from caster.geometry.edge_distances import cross, exact, minus
+from caster.description.transform import cross, subtract
+from caster.geometry.edge_distances import exact
 from caster.geometry.world_space import Rounding, ShapeCollection, as_float32, as_given, is_usable, world_vertices
 from caster.kernels.bvh.build import bound_hulls_in_space, hulls_of
 from caster.kernels.protocol import hull_size
@@ -244,7 +245,7 @@ def _count_degenerate(corners: np.ndarray) -> int:
 
 def _is_degenerate(face: np.ndarray) -> bool:
     a, b, c = map(exact, face)
-    return not any(cross(minus(b, a), minus(c, a)))
+    return not any(cross(subtract(b, a), subtract(c, a)))
 
 
 def in_words(scene: ShapeCollection) -> str:

@@ -74,8 +74,7 @@ def check_mesh(mesh: Mesh, where: str) -> None:
     if len(bad):
         limits, got = f"0 to {count - 1} (the mesh has {count})", format_row(mesh.faces[bad[0]])
         raise SceneError(f"{where}: face {bad[0]} must join vertices {limits}, got {got}")
-    if mesh.normals is not None and not mesh.normals.any(axis=1).all():
-        bad = np.flatnonzero(~mesh.normals.any(axis=1))
+    if mesh.normals is not None and len(bad := np.flatnonzero(~mesh.normals.any(axis=1))):
         hint = "leave the normals out to have them generated"
         raise SceneError(f"{where}: the normal of vertex {bad[0]} must have a direction, got (0, 0, 0); {hint}")
 

@@ -51,18 +51,17 @@ def as_float32(numbers: np.ndarray) -> np.ndarray:
     return np.asarray(numbers, np.float64).astype(np.float32).astype(np.float64)
 
 
-def is_similarity(linear: np.ndarray) -> bool:
-    """Whether a 3x3 matrix is a similarity: rotation, reflection and uniform scale."""
-    ratios = linear / np.abs(linear).max()  # squares neither overflow nor underflow
+def similarity_scale(linear: np.ndarray) -> float | None:
+    """The scale of a similarity: rotation, reflection and uniform scale; None for any other 3x3 matrix.
+
+    Exact for a pure scale, and homogeneous under powers of two.
+    """
+    largest = float(np.abs(linear).max())
+    ratios = linear / largest  # squares neither overflow nor underflow
     gram = product(ratios.T, ratios)
     size = np.trace(gram) / 3.0
-    return bool(np.all(np.abs(gram - size * np.eye(3)) <= SIMILARITY_RTOL * size))
-
-
-def similarity_scale(linear: np.ndarray) -> float:
-    """The scale of a similarity: exact for a pure scale, and homogeneous under powers of two."""
-    largest = float(np.abs(linear).max())
-    ratios = linear / largest
+    if not np.all(np.abs(gram - size * np.eye(3)) <= SIMILARITY_RTOL * size):
+        return None
     return largest * math.sqrt(float((ratios * ratios).sum()) / 3.0)
 
 

@@ -203,7 +203,7 @@ def _rotations_as_matrices(data: bytes, kind: str) -> bytes:
 
     A malformed file is returned unchanged, so that trimesh reports the error.
     """
-    if kind == "stl" or b'"rotation"' not in data:
+    if b'"rotation"' not in data:
         return data
     try:
         if kind == "gltf":
