@@ -146,21 +146,17 @@ def inverse(m: Matrix) -> Matrix:
     if determinant == 0:
         raise np.linalg.LinAlgError("singular")
     try:
-        rounded = [[denominator * x / determinant for x in row] for row in cofactors]
+        rounded = np.array([[denominator * x / determinant for x in row] for row in cofactors])
     except OverflowError:
         raise np.linalg.LinAlgError("too small to be inverted in float64") from None
-    if any(
-        x == 0.0 and exact != 0
-        for row, line in zip(rounded, cofactors, strict=True)
-        for x, exact in zip(row, line, strict=True)
-    ):
+    if np.any((rounded == 0.0) & (np.array(cofactors, object) != 0)):
         raise np.linalg.LinAlgError("too large to be inverted in float64")
-    return np.array(rounded)
+    return rounded
 
 
-def is_mirrored(linear: Matrix) -> bool:
-    """Whether the determinant of a finite 3x3 matrix is negative, exactly."""
-    _, determinant, _ = _integer_inverse(linear)
+def is_mirrored(matrix: Matrix) -> bool:
+    """Whether a finite affine matrix mirrors: its determinant is negative, exactly."""
+    _, determinant, _ = _integer_inverse(matrix[:3, :3])
     return determinant < 0
 
 

@@ -212,18 +212,18 @@ class RejectedFaces(NamedTuple):
         return ", ".join(f"{count} {what}" for count, what in zip(self, words, strict=True) if count)
 
 
-def rejected_faces(scene: ShapeCollection, rounded: Rounding = as_given) -> Mapping[str, RejectedFaces]:
+def rejected_faces(scene: ShapeCollection) -> Mapping[str, RejectedFaces]:
     """Counts by shape name, for shapes that have rejected faces."""
     counts = {
-        name: _count_rejected(shape.mesh(), shape.matrix, rounded)
+        name: _count_rejected(shape.mesh(), shape.matrix)
         for name, shape in zip(scene.shape_names(), scene.shapes, strict=True)
         if hasattr(shape, "mesh")
     }
     return {name: count for name, count in counts.items() if any(count)}
 
 
-def _count_rejected(mesh: Any, matrix: np.ndarray, rounded: Rounding) -> RejectedFaces:
-    vertices = world_vertices(mesh, matrix, rounded)
+def _count_rejected(mesh: Any, matrix: np.ndarray) -> RejectedFaces:
+    vertices = world_vertices(mesh, matrix, as_given)
     finite, usable = np.isfinite(vertices).all(axis=1), is_usable(vertices)
     total = np.zeros(3, np.int64)
     for start in range(0, len(mesh.faces), FACES_PER_CHUNK):

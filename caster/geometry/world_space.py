@@ -91,7 +91,7 @@ def transform_mesh(mesh: Mesh, matrix: np.ndarray, rounded: Rounding, face_norma
     vertices = world_vertices(mesh, matrix, rounded)
     if not np.isfinite(vertices).any():
         raise np.linalg.LinAlgError("no corner is finite")
-    faces = mesh.faces[:, [0, 2, 1]] if is_mirrored(matrix[:3, :3]) else mesh.faces
+    faces = mesh.faces[:, [0, 2, 1]] if is_mirrored(matrix) else mesh.faces
     vertices, faces = _collapse_rejected(vertices, faces)
     normals = np.zeros((len(vertices), 3))
     if not face_normals:

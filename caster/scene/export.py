@@ -3,7 +3,7 @@
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +11,14 @@ from pydantic import BaseModel
 
 from caster.description.errors import FileMissing
 
-__all__ = ["SECTION_ORDER", "format_toml", "to_toml"]
+__all__ = ["format_toml", "to_toml"]
 
 BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
-def format_toml(data: Mapping[str, Any], order: Iterable[str]) -> str:
-    """TOML of the tables named in `order`; floats round-trip exactly."""
-    return "\n".join(line for name in order if name in data for line in _tables(name, data[name]))
+def format_toml(data: Mapping[str, Any]) -> str:
+    """TOML of the tables of a scene; floats round-trip exactly."""
+    return "\n".join(line for name in SECTION_ORDER if name in data for line in _tables(name, data[name]))
 
 
 def _tables(name: str, value: Any) -> Iterator[str]:
@@ -83,7 +83,7 @@ def to_toml(scene: BaseModel, folder: Path | None) -> str:
     for key in {"camera", "light", "shape"} & brief.keys():
         for element, short in zip(_listed(data[key]), _listed(brief[key]), strict=True):
             short["type"] = element["type"]
-    return format_toml(_named_from(folder, brief), SECTION_ORDER)
+    return format_toml(_named_from(folder, brief))
 
 
 def _listed(value: Any) -> Sequence[Any]:

@@ -112,10 +112,16 @@ class StatusLine:
         """Replace the line. Text wider than the terminal is cropped, as a wrapped line could not be erased."""
         if not self.live:
             return
+        from rich.console import Console
+        from rich.live import Live
         from rich.text import Text
 
         if self._display is None:
-            self._display = _started_display(self.stream)
+            console = Console(file=self.stream, force_terminal=True, highlight=False)
+            self._display = Live(
+                console=console, auto_refresh=False, transient=True, redirect_stdout=False, redirect_stderr=False
+            )
+            self._display.start()
         self._display.update(Text(printable(content, keep=""), no_wrap=True, overflow="crop"), refresh=True)
 
     def erase(self) -> None:
@@ -123,16 +129,6 @@ class StatusLine:
         if self._display is not None:
             self._display.stop()
             self._display = None
-
-
-def _started_display(stream: TextIO) -> Live:
-    from rich.console import Console
-    from rich.live import Live
-
-    console = Console(file=stream, force_terminal=True, highlight=False)
-    display = Live(console=console, auto_refresh=False, transient=True, redirect_stdout=False, redirect_stderr=False)
-    display.start()
-    return display
 
 
 # Held while a bar is drawn, and during a fork: the child would wait for ever for a stream that was being written to.

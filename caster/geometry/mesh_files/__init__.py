@@ -190,7 +190,7 @@ def _placed(scene: Any, mesh_class: type[Any]) -> tuple[np.ndarray, np.ndarray]:
         matrix = compose(edges[step].get("matrix", np.eye(4)) for step in reversed(list(itertools.pairwise(path))))
         points = np.asarray(mesh.vertices, np.float64)
         vertices.append(points if np.array_equal(matrix, np.eye(4)) else transform_points(matrix, points))
-        faces.append(count + np.asarray(mesh.faces)[:, :: -1 if is_mirrored(matrix[:3, :3]) else 1])
+        faces.append(count + np.asarray(mesh.faces)[:, :: -1 if is_mirrored(matrix) else 1])
         count += len(points)
     return np.concatenate(vertices), np.concatenate(faces)
 
