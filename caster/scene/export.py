@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from caster.description.errors import FileMissing
+from caster.description.input_files import opened_input
 
 __all__ = ["format_toml", "to_toml"]
 
@@ -102,8 +102,5 @@ def _sorted_json(data: Any) -> str:
 
 
 def _sha256_of(file: str) -> str:
-    try:
-        with open(file, "rb") as stream:
-            return "sha256:" + hashlib.file_digest(stream, "sha256").hexdigest()
-    except OSError as error:
-        raise FileMissing(f"{file}: cannot read this mesh file: {error.strerror or error}") from error
+    with opened_input(file, "mesh file") as stream:
+        return "sha256:" + hashlib.file_digest(stream, "sha256").hexdigest()

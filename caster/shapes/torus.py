@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from caster.description.fields import Positive
 from caster.description.transform import sine_and_cosine
-from caster.geometry.triangle_mesh import Floats, Ints, Mesh, grid_faces
+from caster.geometry.triangle_mesh import Floats, Mesh, grid_faces
 from caster.geometry.world_space import MeshShape
 
 __all__ = ["Torus"]
@@ -18,13 +18,6 @@ def _circle(parts: int) -> Floats:
     """(2, parts) sines and cosines of the parts of a turn."""
     angles = 2.0 * math.pi * np.arange(parts) / parts
     return np.array([sine_and_cosine(angle) for angle in angles.tolist()]).T
-
-
-def _faces(segments: int, sides: int) -> Ints:
-    """Two triangles for each of segments * sides quads; the last row and column join the first."""
-    number = np.arange(segments * sides, dtype=np.int32).reshape(segments, sides)
-    pairs = grid_faces(np.pad(number, (0, 1), "wrap")).reshape(-1, 2, 3)
-    return pairs[:, ::-1, [0, 2, 1]].reshape(-1, 3)  # rows run around z, columns up
 
 
 PartCount = Annotated[int, Field(strict=True, ge=3, le=4096)]  # 4096 * 4096 * 2 faces at most
@@ -55,4 +48,7 @@ class Torus(MeshShape):
         normals = np.stack([x, y, np.broadcast_to(rise, x.shape)], axis=2)
         middle = np.stack([cosine, sine, np.zeros_like(sine)], axis=2)
         vertices = self.major_radius * middle + self.minor_radius * normals
-        return Mesh(vertices.reshape(-1, 3), _faces(self.segments, self.sides), normals.reshape(-1, 3))
+        number = np.arange(x.size, dtype=np.int32).reshape(x.shape)
+        pairs = grid_faces(np.pad(number, (0, 1), "wrap")).reshape(-1, 2, 3)  # the last row and column join the first
+        faces = pairs[:, ::-1, [0, 2, 1]].reshape(-1, 3)  # rows run around z, columns up
+        return Mesh(vertices.reshape(-1, 3), faces, normals.reshape(-1, 3))
