@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from caster.shapes.heightfield import tessellate_heightfield
+from caster.shapes.heightfield import Heightfield
 
 ROOT = Path(__file__).resolve().parents[1]
 VARIANTS = ("scalar_rgb", "llvm_ad_rgb")
@@ -91,7 +91,7 @@ def exported(scene: Path, folder: Path, size: int) -> Path:
 
 def mesh_scene(folder: Path) -> Path:
     """A landscape of 70 thousand triangles as a binary PLY file."""
-    mesh = tessellate_heightfield(2.0, 187, 0.2, 8, 1)
+    mesh = Heightfield(size=2.0, resolution=187, amplitude=0.2, waves=8, seed=1).mesh()
     head = (
         f"ply\nformat binary_little_endian 1.0\nelement vertex {len(mesh.vertices)}\nproperty float x\n"
         f"property float y\nproperty float z\nelement face {len(mesh.faces)}\n"

@@ -44,10 +44,9 @@ class Fisheye(Camera):
     fov: WideFieldOfView = 180.0
 
     def pack(self, width: int, height: int) -> FisheyeRays:
-        right, up, forward = self.frame
         half = math.radians(self.fov) / 2.0
         most = curvature_bound(half + MAX_HULL_ANGLE) if half + MAX_HULL_ANGLE < MAX_PROJECTED_ANGLE else math.inf
-        return FisheyeRays(self.eye, right, up, forward, film_circle(width, height), half, most)
+        return FisheyeRays(self.eye, *self.frame, film_circle(width, height), half, most)
 
 
 @implement(camera_ray, FisheyeRays)

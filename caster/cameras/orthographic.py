@@ -30,10 +30,9 @@ class Orthographic(ClippedCamera):
     width: Positive = 2.0
 
     def pack(self, width: int, height: int) -> OrthographicRays:
-        right, up, forward = self.frame
         half = (0.5 * self.width, 0.5 * self.width * height / width)
         size = (float(width), float(height))
-        return OrthographicRays(self.eye, right, up, forward, size, half, *self.clip)
+        return OrthographicRays(self.eye, *self.frame, size, half, *self.clip)
 
 
 @implement(camera_ray, OrthographicRays)

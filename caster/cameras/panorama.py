@@ -40,8 +40,7 @@ class Panorama(Camera):
     shares_origin: ClassVar[bool] = True
 
     def pack(self, width: int, height: int) -> PanoramaRays:
-        right, up, forward = self.frame
-        return PanoramaRays(self.eye, right, up, forward, (float(width), float(height)))
+        return PanoramaRays(self.eye, *self.frame, (float(width), float(height)))
 
 
 @implement(camera_ray, PanoramaRays)

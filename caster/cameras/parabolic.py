@@ -41,8 +41,7 @@ class Parabolic(Camera):
     shares_origin: ClassVar[bool] = True
 
     def pack(self, width: int, height: int) -> ParabolicRays:
-        right, up, forward = self.frame
-        return ParabolicRays(self.eye, right, up, forward, film_circle(width, height))
+        return ParabolicRays(self.eye, *self.frame, film_circle(width, height))
 
 
 @implement(camera_ray, ParabolicRays)

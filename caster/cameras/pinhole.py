@@ -59,10 +59,9 @@ class Pinhole(ClippedCamera):
         return x, x / aspect
 
     def pack(self, width: int, height: int) -> PinholeRays:
-        right, up, forward = self.frame
         half = self.half_extent(width, height)
         size = (float(width), float(height))
-        return PinholeRays(self.eye, right, up, forward, size, half, self.principal_point, *self.clip)
+        return PinholeRays(self.eye, *self.frame, size, half, self.principal_point, *self.clip)
 
 
 @implement(camera_ray, PinholeRays)

@@ -50,11 +50,12 @@ def main(name: str, about: str, commands: Sequence[Command], codes: Sequence[int
 
     def run() -> int:
         words = sys.argv[1:] if argv is None else list(argv)
-        if not words:
-            build_parser(name, about, commands, codes, ()).print_help(sys.stderr)
-            return USAGE
         chosen = next((word for word in words if not word.startswith("-")), "")
-        args = build_parser(name, about, commands, codes, (chosen,)).parse_args(words)
+        parser = build_parser(name, about, commands, codes, (chosen,))
+        if not words:
+            parser.print_help(sys.stderr)
+            return USAGE
+        args = parser.parse_args(words)
         with checked_paths(args):
             if argv is None:
                 announce(name, commands, chosen)

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
     from pydantic_core import PydanticCustomError
 
+    Model = type[BaseModel]
+
 
 class SceneError(Exception):
     """An invalid description, file or ray. str() is the complete message for the user."""
@@ -91,10 +93,6 @@ def expectation_error(expected: str, got: Any, *path: str, hint: str = "") -> Py
 
 
 DataPath = tuple[str | int, ...]
-if TYPE_CHECKING:
-    Model = type[BaseModel]
-else:
-    Model = type  # `--help` does not load Pydantic
 
 PLURAL = {"shape": "shapes", "light": "lights", "material": "materials", "check": "checks"}
 SINGULAR = {many: one for one, many in PLURAL.items()}

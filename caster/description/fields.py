@@ -42,17 +42,15 @@ __all__ = ["Camera", "Description", "Shape"]
 HEX_FLOAT = r"^[+-]?0[xX][0-9a-fA-F]+(\.[0-9a-fA-F]*)?([pP][+-]?[0-9]+)?$"
 
 
-@dataclass(frozen=True)
 class Quantity:
     """A finite float in a range. Hex-float strings ("0x1.8p-3") are accepted; other strings and booleans are not."""
 
-    gt: float | None = None
-    ge: float | None = None
-    lt: float | None = None
-    le: float | None = None
+    def __init__(self, **limits: Any) -> None:
+        """limits: of Pydantic's floats: gt, ge, lt, le."""
+        self.limits = limits
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
-        limits = core_schema.float_schema(allow_inf_nan=False, gt=self.gt, ge=self.ge, lt=self.lt, le=self.le)
+        limits = core_schema.float_schema(allow_inf_nan=False, **self.limits)
         return core_schema.no_info_before_validator_function(_as_float, limits)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:

@@ -4,7 +4,7 @@ import contextlib
 import os
 import stat
 from collections.abc import Iterator
-from typing import IO
+from io import BufferedReader
 
 from caster.description.errors import FileMissing, SceneError
 
@@ -35,7 +35,7 @@ def read_text(path: str | os.PathLike[str], what: str = "scene file") -> str:
 
 
 @contextlib.contextmanager
-def opened_input(path: str | os.PathLike[str], what: str) -> Iterator[IO[bytes]]:
+def opened_input(path: str | os.PathLike[str], what: str) -> Iterator[BufferedReader]:
     """An open regular file. what: what it should be, for messages, such as "scene file".
 
     Raises FileMissing for a missing or unreadable file, also while the body reads it, and for anything that is not a

@@ -7,13 +7,11 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Literal, NamedTuple, TypeVar
 
-from caster.description.errors import Diagnostic, SceneError, error_prefix
+from caster.description.errors import DataPath, Diagnostic, SceneError, error_prefix
 
 __all__ = ["Span", "format_excerpt", "list_errors", "parse"]
 
 Error = TypeVar("Error")
-
-DataPath = tuple[str | int, ...]
 
 
 class Span(NamedTuple):

@@ -8,7 +8,8 @@ of the C library's depends on the library and on the processor.
 import math
 from collections.abc import Iterable, Sequence
 from decimal import Context, Decimal
-from typing import Any
+from fractions import Fraction
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +18,7 @@ __all__ = ["dot_rows", "is_mirrored", "product", "row_lengths", "sine_and_cosine
 
 Matrix = NDArray[np.float64]
 Vector = tuple[float, float, float]
+Real = TypeVar("Real", float, Fraction)
 
 # The computed cross product of two unit vectors is off by at most 2 u per component from its products and
 # difference, and each unit vector by 2 u more: 8 u in all, u = 2^-53. The direction of anything shorter is unknown.
@@ -140,44 +142,37 @@ def inverse(m: Matrix) -> Matrix:
     """The inverse of a 3x3 matrix, every entry rounded once. Raises LinAlgError if it does not exist in float64."""
     if not np.isfinite(m).all():
         raise np.linalg.LinAlgError("not finite")
-    rows, denominator = _integers(m)
-    cofactors = _cofactors(rows)
-    determinant = sum(rows[0][j] * cofactors[j][0] for j in range(3))
+    cofactors, determinant, denominator = _integer_inverse(m)
     if determinant == 0:
         raise np.linalg.LinAlgError("singular")
     try:
-        rounded = [[denominator * x / determinant for x in row] for row in cofactors]
+        rounded = np.array([[denominator * x / determinant for x in row] for row in cofactors])
     except OverflowError:
         raise np.linalg.LinAlgError("too small to be inverted in float64") from None
-    if any(
-        x == 0.0 and exact != 0
-        for row, line in zip(rounded, cofactors, strict=True)
-        for x, exact in zip(row, line, strict=True)
-    ):
+    if np.any((rounded == 0.0) & (np.array(cofactors, object) != 0)):
         raise np.linalg.LinAlgError("too large to be inverted in float64")
-    return np.array(rounded)
+    return rounded
 
 
-def is_mirrored(linear: Matrix) -> bool:
-    """Whether the determinant of a finite 3x3 matrix is negative, exactly."""
-    rows, _ = _integers(linear)
-    cofactors = _cofactors(rows)
-    return sum(rows[0][j] * cofactors[j][0] for j in range(3)) < 0
+def is_mirrored(matrix: Matrix) -> bool:
+    """Whether a finite affine matrix mirrors: its determinant is negative, exactly."""
+    _, determinant, _ = _integer_inverse(matrix[:3, :3])
+    return determinant < 0
 
 
-def _integers(m: Matrix) -> tuple[list[list[int]], int]:
-    """The entries scaled to integers by a power of two, and that power."""
+def _integer_inverse(m: Matrix) -> tuple[list[list[int]], int, int]:
+    """(cofactors, transposed; determinant; scale) of the entries, scaled to integers by a power of two.
+
+    The cofactors times the integers are the determinant times the identity.
+    """
     ratios = [[x.as_integer_ratio() for x in row] for row in m.tolist()]
-    common = max(q for row in ratios for _, q in row)
-    return [[p * (common // q) for p, q in row] for row in ratios], common
-
-
-def _cofactors(rows: list[list[int]]) -> list[list[int]]:
-    """The transposed matrix of cofactors: times the matrix, it is the determinant times the identity."""
-    return [
+    scale = max(q for row in ratios for _, q in row)
+    rows = [[p * (scale // q) for p, q in row] for row in ratios]
+    cofactors = [
         [rows[j - 2][i - 2] * rows[j - 1][i - 1] - rows[j - 2][i - 1] * rows[j - 1][i - 2] for j in range(3)]
         for i in range(3)
     ]
+    return cofactors, sum(rows[0][j] * cofactors[j][0] for j in range(3)), scale
 
 
 def frame(forward: Vector, up: Sequence[float]) -> tuple[Vector, Vector, Vector]:
@@ -192,12 +187,12 @@ def frame(forward: Vector, up: Sequence[float]) -> tuple[Vector, Vector, Vector]
     return unit(cross(forward, new_up)), new_up, forward  # side itself is inexact where up is nearly along
 
 
-def cross(a: Sequence[float], b: Sequence[float]) -> Vector:
+def cross(a: Sequence[Real], b: Sequence[Real]) -> tuple[Real, Real, Real]:
     """Cross product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def subtract(a: Sequence[float], b: Sequence[float]) -> Vector:
+def subtract(a: Sequence[Real], b: Sequence[Real]) -> tuple[Real, Real, Real]:
     """Difference a - b; zero only if a equals b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 

@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from caster.description.transform import cross, subtract
+
 Vector = Sequence[Fraction]
 
 
@@ -33,8 +35,11 @@ def edge_distances(prims: Any, k: int, o: np.ndarray, d: np.ndarray) -> tuple[Ed
 
 
 def signed_distance(of: str, radius: Fraction, squared: Fraction, unit: str) -> EdgeDistance:
-    """The radius minus the square root of a squared distance, rounded once."""
-    return EdgeDistance(of, nearest_float(minus_sqrt(radius, squared)), unit)
+    """The radius minus the square root of a squared distance, rounded once.
+
+    By (r^2 - x) / (r + sqrt(x)): the sign is exact and no digit is lost.
+    """
+    return EdgeDistance(of, nearest_float((radius * radius - squared) / (radius + sqrt_fraction(squared))), unit)
 
 
 def exact_object_space_ray(prims: Any, k: int, o: np.ndarray, d: np.ndarray) -> tuple[Vector, Vector]:
@@ -42,7 +47,7 @@ def exact_object_space_ray(prims: Any, k: int, o: np.ndarray, d: np.ndarray) -> 
     columns = [exact(column) for column in prims.to_world[k].T]
     rows = [cross(columns[1], columns[2]), cross(columns[2], columns[0]), cross(columns[0], columns[1])]
     determinant = dot(columns[0], rows[0])
-    away = minus(exact(o), exact(prims.center[k]))
+    away = subtract(exact(o), exact(prims.center[k]))
     f, e = ([dot(row, v) / determinant for row in rows] for v in (away, exact(d)))
     return f, e
 
@@ -50,10 +55,6 @@ def exact_object_space_ray(prims: Any, k: int, o: np.ndarray, d: np.ndarray) -> 
 def exact(v: np.ndarray) -> Vector:
     """The components as fractions."""
     return [Fraction(x) for x in v.tolist()]
-
-
-def minus(a: Vector, b: Vector) -> Vector:
-    return [x - y for x, y in zip(a, b, strict=True)]
 
 
 def dot(a: Vector, b: Vector) -> Fraction:
@@ -64,10 +65,6 @@ def square(a: Vector) -> Fraction:
     return dot(a, a)
 
 
-def cross(a: Vector, b: Vector) -> Vector:
-    return [a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)]
-
-
 # Bits of a square root beyond those of its argument: only the final conversion to float64 rounds noticeably.
 SQRT_EXTRA_BITS = 64
 
@@ -76,11 +73,6 @@ def sqrt_fraction(x: Fraction) -> Fraction:
     """The square root within a factor of 1 + 2^-64."""
     size = math.isqrt((x.numerator * x.denominator) << (2 * SQRT_EXTRA_BITS))
     return Fraction(size, x.denominator << SQRT_EXTRA_BITS)
-
-
-def minus_sqrt(a: Fraction, x: Fraction) -> Fraction:
-    """a - sqrt(x), a > 0, by (a^2 - x) / (a + sqrt(x)): the sign is exact and no digit is lost."""
-    return (a * a - x) / (a + sqrt_fraction(x))
 
 
 def nearest_float(x: Fraction) -> float:

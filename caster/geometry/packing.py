@@ -3,13 +3,14 @@
 import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from fractions import Fraction
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from caster.description.errors import SceneError, value_diagnostic
+from caster.description.transform import cross, subtract
+from caster.geometry.edge_distances import exact
 from caster.geometry.world_space import Rounding, ShapeCollection, as_float32, as_given, is_usable, world_vertices
 from caster.kernels.bvh.build import bound_hulls_in_space, hulls_of
 from caster.kernels.protocol import hull_size
@@ -211,18 +212,18 @@ class RejectedFaces(NamedTuple):
         return ", ".join(f"{count} {what}" for count, what in zip(self, words, strict=True) if count)
 
 
-def rejected_faces(scene: ShapeCollection, rounded: Rounding = as_given) -> Mapping[str, RejectedFaces]:
+def rejected_faces(scene: ShapeCollection) -> Mapping[str, RejectedFaces]:
     """Counts by shape name, for shapes that have rejected faces."""
     counts = {
-        name: _count_rejected(shape.mesh(), shape.matrix, rounded)
+        name: _count_rejected(shape.mesh(), shape.matrix)
         for name, shape in zip(scene.shape_names(), scene.shapes, strict=True)
         if hasattr(shape, "mesh")
     }
     return {name: count for name, count in counts.items() if any(count)}
 
 
-def _count_rejected(mesh: Any, matrix: np.ndarray, rounded: Rounding) -> RejectedFaces:
-    vertices = world_vertices(mesh, matrix, rounded)
+def _count_rejected(mesh: Any, matrix: np.ndarray) -> RejectedFaces:
+    vertices = world_vertices(mesh, matrix, as_given)
     finite, usable = np.isfinite(vertices).all(axis=1), is_usable(vertices)
     total = np.zeros(3, np.int64)
     for start in range(0, len(mesh.faces), FACES_PER_CHUNK):
@@ -239,13 +240,12 @@ def _count_degenerate(corners: np.ndarray) -> int:
     e, f = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     terms = np.roll(e, -1, axis=1) * np.roll(f, 1, axis=1), np.roll(e, 1, axis=1) * np.roll(f, -1, axis=1)
     sure = np.abs(terms[0] - terms[1]) > CROSS_RELATIVE_ERROR * (np.abs(terms[0]) + np.abs(terms[1])) + CROSS_UNDERFLOW
-    return repeated + sum(_is_degenerate(face) for face in corners[~sure.any(axis=1)].tolist())
+    return repeated + sum(_is_degenerate(face) for face in corners[~sure.any(axis=1)])
 
 
-def _is_degenerate(face: list[list[float]]) -> bool:
-    a, b, c = ([Fraction(x) for x in corner] for corner in face)
-    e, f = [y - x for x, y in zip(a, b, strict=True)], [y - x for x, y in zip(a, c, strict=True)]
-    return all(e[i - 1] * f[i - 2] == e[i - 2] * f[i - 1] for i in range(3))
+def _is_degenerate(face: np.ndarray) -> bool:
+    a, b, c = map(exact, face)
+    return not any(cross(subtract(b, a), subtract(c, a)))
 
 
 def in_words(scene: ShapeCollection) -> str:

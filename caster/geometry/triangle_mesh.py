@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caster.description.errors import SceneError
+from caster.description.transform import dot_rows, row_lengths
 from caster.kernels.math.angles import eighths_and_rest
 
 Floats = NDArray[np.float64]
@@ -54,20 +55,11 @@ def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
 
 def normalize_rows(vectors: Floats) -> Floats:
     """Each row of (n, 3) normalized; rows of zeros stay zero."""
-    return _normalize(np.transpose(vectors)).T
-
-
-def _normalize(v: Floats) -> Floats:
-    """Each column of (3, n) normalized."""
-    scaled = np.ldexp(v, -_exponents(v))
-    length = np.sqrt(_dot(scaled, scaled))
-    unit: Floats = scaled / np.where(length == 0.0, 1.0, length)
+    columns = np.transpose(vectors)
+    scaled = np.ldexp(columns, -_exponents(columns))
+    length = row_lengths(scaled.T)
+    unit: Floats = (scaled / np.where(length == 0.0, 1.0, length)).T
     return unit
-
-
-def _dot(a: Floats, b: Floats) -> Floats:
-    """The products of the columns of (3, n), summed in the order of x, y, z."""
-    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
 
 
 def check_mesh(mesh: Mesh, where: str) -> None:
@@ -82,8 +74,7 @@ def check_mesh(mesh: Mesh, where: str) -> None:
     if len(bad):
         limits, got = f"0 to {count - 1} (the mesh has {count})", format_row(mesh.faces[bad[0]])
         raise SceneError(f"{where}: face {bad[0]} must join vertices {limits}, got {got}")
-    if mesh.normals is not None and not mesh.normals.any(axis=1).all():
-        bad = np.flatnonzero(~mesh.normals.any(axis=1))
+    if mesh.normals is not None and len(bad := np.flatnonzero(~mesh.normals.any(axis=1))):
         hint = "leave the normals out to have them generated"
         raise SceneError(f"{where}: the normal of vertex {bad[0]} must have a direction, got (0, 0, 0); {hint}")
 
@@ -104,12 +95,12 @@ def _weighted_normals(corners: Floats) -> Floats:
     edges = np.roll(at, -1, axis=0) - at  # edge i runs from corner i to the next one
     edges = np.ldexp(edges, -_exponents(edges.reshape(9, -1)))
     a, b = edges[0], edges[1]
-    cross = np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-    sine = np.sqrt(_dot(cross, cross))  # scaled by two edge lengths, like the cosine
-    unit = _normalize(cross)
+    cross = np.cross(a, b, axis=0)
+    sine = row_lengths(cross.T)  # scaled by two edge lengths, like the cosine
+    unit = normalize_rows(cross.T).T
     weighted = np.empty((3, len(corners), 3))
     for i in range(3):
-        eighths, rest = _angle_parts(sine, -_dot(edges[i], edges[i - 1]))
+        eighths, rest = _angle_parts(sine, -dot_rows(edges[i].T, edges[i - 1].T))
         weighted[:, :, i] = unit * (0.25 * math.pi * eighths + rest)
     return weighted
 

@@ -51,18 +51,17 @@ def as_float32(numbers: np.ndarray) -> np.ndarray:
     return np.asarray(numbers, np.float64).astype(np.float32).astype(np.float64)
 
 
-def is_similarity(linear: np.ndarray) -> bool:
-    """Whether a 3x3 matrix is a similarity: rotation, reflection and uniform scale."""
-    ratios = linear / np.abs(linear).max()  # squares neither overflow nor underflow
+def similarity_scale(linear: np.ndarray) -> float | None:
+    """The scale of a similarity: rotation, reflection and uniform scale; None for any other 3x3 matrix.
+
+    Exact for a pure scale, and homogeneous under powers of two.
+    """
+    largest = float(np.abs(linear).max())
+    ratios = linear / largest  # squares neither overflow nor underflow
     gram = product(ratios.T, ratios)
     size = np.trace(gram) / 3.0
-    return bool(np.all(np.abs(gram - size * np.eye(3)) <= SIMILARITY_RTOL * size))
-
-
-def similarity_scale(linear: np.ndarray) -> float:
-    """The scale of a similarity: exact for a pure scale, and homogeneous under powers of two."""
-    largest = float(np.abs(linear).max())
-    ratios = linear / largest
+    if not np.all(np.abs(gram - size * np.eye(3)) <= SIMILARITY_RTOL * size):
+        return None
     return largest * math.sqrt(float((ratios * ratios).sum()) / 3.0)
 
 
@@ -92,7 +91,7 @@ def transform_mesh(mesh: Mesh, matrix: np.ndarray, rounded: Rounding, face_norma
     vertices = world_vertices(mesh, matrix, rounded)
     if not np.isfinite(vertices).any():
         raise np.linalg.LinAlgError("no corner is finite")
-    faces = mesh.faces[:, [0, 2, 1]] if is_mirrored(matrix[:3, :3]) else mesh.faces
+    faces = mesh.faces[:, [0, 2, 1]] if is_mirrored(matrix) else mesh.faces
     vertices, faces = _collapse_rejected(vertices, faces)
     normals = np.zeros((len(vertices), 3))
     if not face_normals:

@@ -107,30 +107,28 @@ def checkerboard(shape: tuple[int, ...]) -> Array:
 def _depth(values: Array, shown: Array) -> Colored:
     """By the logarithm, which resolves near objects as well as a plane up to the horizon."""
     near, far = float(values[shown].min()), float(values[shown].max())
-    t = np.where(shown, values, far)
     if near > 0.0:
-        how, behind, span = "by its logarithm, ", np.log(t / near), math.log(far / near)
+        how, behind, span = "by its logarithm, ", np.log(values / near), math.log(far / near)
     else:
-        how, behind, span = "", t - near, far - near
-    scale = 1.0 - behind / span if span > 0.0 else np.ones(t.shape)
+        how, behind, span = "", values - near, far - near
+    scale = 1.0 - behind / span if span > 0.0 else np.ones(values.shape)
     return colormap_lookup(scale), f"{how}{near:.6g} (light) to {far:.6g} (dark)"
 
 
 def _direction(values: Array, shown: Array) -> Colored:
-    return to_bytes(0.5 + 0.5 * np.where(shown[..., None], values, 0.0)), "x, y, z from -1 to 1 as red, green, blue"
+    return to_bytes(0.5 + 0.5 * values), "x, y, z from -1 to 1 as red, green, blue"
 
 
 def _position(values: Array, shown: Array) -> Colored:
     low, high = values[shown].min(axis=0), values[shown].max(axis=0)
     t = (values - low) / np.where(high > low, high - low, 1.0)
     ranges = ", ".join(f"{axis} {a:.6g} to {b:.6g}" for axis, a, b in zip("xyz", low, high, strict=True))
-    return to_bytes(np.where(shown[..., None], t, 0.0)), f"{ranges} as red, green, blue"
+    return to_bytes(t), f"{ranges} as red, green, blue"
 
 
 def _uv(values: Array, shown: Array) -> Colored:
     inside = values[shown].min() >= 0.0 and values[shown].max() <= 1.0
     t = values if inside else values - np.floor(values)
-    t = np.where(shown[..., None], t, 0.0)
     how = "from 0 to 1" if inside else "modulo 1"
     return to_bytes(np.concatenate([t, np.zeros_like(t[..., :1])], axis=-1)), f"u, v {how} as red, green"
 
@@ -139,16 +137,16 @@ def _radiance(values: Array, shown: Array) -> Colored:
     lit = values[shown].max(axis=-1)
     white = float(np.quantile(lit[lit > 0.0], WHITE_QUANTILE)) if (lit > 0.0).any() else 1.0
     cut = int((lit > white).sum())
-    return _srgb_bytes(values / white, shown), f"0 to {white:.4g} on an sRGB screen, {cut} pixels are brighter"
+    return _srgb_bytes(values / white), f"0 to {white:.4g} on an sRGB screen, {cut} pixels are brighter"
 
 
 def _reflectance(values: Array, shown: Array) -> Colored:
-    return _srgb_bytes(values, shown), "0 to 1 on an sRGB screen"
+    return _srgb_bytes(values), "0 to 1 on an sRGB screen"
 
 
-def _srgb_bytes(linear: Array, shown: Array) -> Array:
+def _srgb_bytes(linear: Array) -> Array:
     """Linear light as sRGB bytes, clipped (IEC 61966-2-1)."""
-    x = np.clip(np.where(shown[..., None], linear, 0.0), 0.0, 1.0)
+    x = np.clip(linear, 0.0, 1.0)
     return to_bytes(np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1.0 / 2.4) - 0.055))
 
 
@@ -158,7 +156,7 @@ def _mask(values: Array, shown: Array) -> Colored:
 
 def _labels(values: Array, shown: Array) -> Colored:
     count = len(np.unique(values[shown]))
-    return label_colors(np.where(shown, values, 0)), f"one colour per number, {count} numbers"
+    return label_colors(values), f"one colour per number, {count} numbers"
 
 
 # By the PREVIEW that an AOV declares.

@@ -3,22 +3,22 @@
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel
 
-from caster.description.errors import FileMissing
+from caster.description.input_files import opened_input
 
-__all__ = ["SECTION_ORDER", "format_toml", "to_toml"]
+__all__ = ["format_toml", "to_toml"]
 
 BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
-def format_toml(data: Mapping[str, Any], order: Iterable[str]) -> str:
-    """TOML of the tables named in `order`; floats round-trip exactly."""
-    return "\n".join(line for name in order if name in data for line in _tables(name, data[name]))
+def format_toml(data: Mapping[str, Any]) -> str:
+    """TOML of the tables of a scene; floats round-trip exactly."""
+    return "\n".join(line for name in SECTION_ORDER if name in data for line in _tables(name, data[name]))
 
 
 def _tables(name: str, value: Any) -> Iterator[str]:
@@ -83,7 +83,7 @@ def to_toml(scene: BaseModel, folder: Path | None) -> str:
     for key in {"camera", "light", "shape"} & brief.keys():
         for element, short in zip(_listed(data[key]), _listed(brief[key]), strict=True):
             short["type"] = element["type"]
-    return format_toml(_named_from(folder, brief), SECTION_ORDER)
+    return format_toml(_named_from(folder, brief))
 
 
 def _listed(value: Any) -> Sequence[Any]:
@@ -102,8 +102,5 @@ def _sorted_json(data: Any) -> str:
 
 
 def _sha256_of(file: str) -> str:
-    try:
-        with open(file, "rb") as stream:
-            return "sha256:" + hashlib.file_digest(stream, "sha256").hexdigest()
-    except OSError as error:
-        raise FileMissing(f"{file}: cannot read this mesh file: {error.strerror or error}") from error
+    with opened_input(file, "mesh file") as stream:
+        return "sha256:" + hashlib.file_digest(stream, "sha256").hexdigest()

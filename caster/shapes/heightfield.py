@@ -10,11 +10,11 @@ from pydantic import Field
 
 from caster.description.fields import NonNegative, Positive
 from caster.description.transform import power, sine_and_cosine
-from caster.geometry.triangle_mesh import Floats, Ints, Mesh, grid_faces, normalize_rows
+from caster.geometry.triangle_mesh import Floats, Mesh, grid_faces, normalize_rows
 from caster.geometry.world_space import MeshShape
 from caster.kernels.math.angles import sinc_and_cos
 
-__all__ = ["Heightfield", "tessellate_heightfield"]
+__all__ = ["Heightfield"]
 
 VERTICES_PER_CHUNK = 1 << 16  # vertices; temporaries take some 200 bytes each
 
@@ -22,34 +22,6 @@ _series_of_arrays = inspect.unwrap(sinc_and_cos)
 
 # Periods across the square: fewer than one look flat, more than a dozen need a fine grid.
 MIN_PERIODS_ACROSS, MAX_PERIODS_ACROSS = 1.0, 12.0
-
-
-def tessellate_heightfield(size: float, resolution: int, amplitude: float, waves: int, seed: int) -> Mesh:
-    """2 * resolution^2 faces over the square [-size/2, size/2]^2 of the plane z = 0, seen from +z.
-
-    |z| <= amplitude. size, amplitude: scene units. resolution: cells along a side. waves: their count.
-    seed: a whole number >= 0 that draws direction, length and phase of each wave; the same on all machines.
-    Normals are the exact surface's; uv runs from (0, 0) to (1, 1).
-    """
-    side = resolution + 1
-    drawn = _draw(size, resolution, amplitude, waves, seed)
-    count = side * side
-    faces = grid_faces(np.arange(count, dtype=np.int32).reshape(side, side))  # rows along y
-    mesh = Mesh(np.empty((count, 3)), faces, np.empty((count, 3)), np.empty((count, 2)))
-    rows = max(1, VERTICES_PER_CHUNK // side)
-    for first in range(0, side, rows):
-        _fill(mesh, drawn, size, resolution, np.arange(first, min(first + rows, side), dtype=np.int32))
-    return mesh
-
-
-def _fill(mesh: Mesh, waves: list["_Wave"], size: float, resolution: int, rows: Ints) -> None:
-    """Vertices, normals and uv of some rows along y."""
-    u, v = (axis.ravel() for axis in np.meshgrid(np.arange(resolution + 1) / resolution, rows / resolution))
-    z, normals = _surface(waves, slice(rows[0], rows[-1] + 1))
-    band = slice(rows[0] * (resolution + 1), (rows[-1] + 1) * (resolution + 1))
-    mesh.vertices[band] = np.stack([(u - 0.5) * size, (v - 0.5) * size, z], axis=1)
-    if mesh.normals is not None and mesh.uv is not None:
-        mesh.normals[band], mesh.uv[band] = normals, np.stack([u, v], axis=1)
 
 
 class _Wave(NamedTuple):
@@ -119,4 +91,21 @@ class Heightfield(MeshShape):
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
 
     def mesh(self) -> Mesh:
-        return tessellate_heightfield(self.size, self.resolution, self.amplitude, self.waves, self.seed)
+        """2 * resolution^2 faces over the square [-size/2, size/2]^2 of the plane z = 0, seen from +z.
+
+        |z| <= amplitude. The seed draws direction, length and phase of each wave, the same on all machines. Normals are
+        the exact surface's; uv runs from (0, 0) to (1, 1).
+        """
+        side = self.resolution + 1
+        drawn = _draw(self.size, self.resolution, self.amplitude, self.waves, self.seed)
+        count, place = side * side, np.arange(side) / self.resolution
+        vertices, normals, uv = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 2))
+        rows = max(1, VERTICES_PER_CHUNK // side)
+        for first in range(0, side, rows):  # along y
+            some = slice(first, min(first + rows, side))
+            band = slice(some.start * side, some.stop * side)
+            u, v = (axis.ravel() for axis in np.meshgrid(place, place[some]))
+            z, normals[band] = _surface(drawn, some)
+            vertices[band] = np.stack([(u - 0.5) * self.size, (v - 0.5) * self.size, z], axis=1)
+            uv[band] = np.stack([u, v], axis=1)
+        return Mesh(vertices, grid_faces(np.arange(count, dtype=np.int32).reshape(side, side)), normals, uv)

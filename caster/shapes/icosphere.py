@@ -4,13 +4,12 @@ import math
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from caster.geometry.triangle_mesh import Floats, Ints, Mesh, normalize_rows
 from caster.geometry.world_space import MeshShape
 
-__all__ = ["Icosphere", "tessellate_icosphere"]
+__all__ = ["Icosphere"]
 
 GOLDEN = (1.0 + math.sqrt(5.0)) / 2.0
 
@@ -29,31 +28,15 @@ FACES = """
 """
 
 
-def tessellate_icosphere(subdivisions: int) -> Mesh:
-    """20 * 4^subdivisions faces on the unit sphere, with shared vertices; the normals are the positions.
-
-    subdivisions: 0 gives an icosahedron.
-    """
-    vertices = normalize_rows(np.array(CORNERS))
-    faces = np.array(FACES.split(), np.int32).reshape(-1, 3)
-    for _ in range(subdivisions):
-        vertices, faces = _split(vertices, faces)
-    return Mesh(vertices, faces, vertices.copy())
-
-
 def _split(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
     """Split each face in four; the two faces of an edge share its new midpoint."""
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
     edges, middle = np.unique(ends, axis=0, return_inverse=True)
     middles = normalize_rows(vertices[edges[:, 0]] + vertices[edges[:, 1]])
-    return np.concatenate([vertices, middles]), _quarters(faces, len(vertices) + middle.reshape(-1, 3))
-
-
-def _quarters(faces: Ints, middles: NDArray[np.int64]) -> Ints:
     a, b, c = faces.T
-    ab, bc, ca = middles.T
-    quarters = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-    return np.stack([np.stack(q, axis=1) for q in quarters], axis=1).reshape(-1, 3).astype(np.int32)
+    ab, bc, ca = (len(vertices) + middle.reshape(-1, 3)).T
+    quarters = np.transpose([(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)], (2, 0, 1))
+    return np.concatenate([vertices, middles]), quarters.reshape(-1, 3).astype(np.int32)
 
 
 class Icosphere(MeshShape):
@@ -63,4 +46,9 @@ class Icosphere(MeshShape):
     subdivisions: Annotated[int, Field(strict=True, ge=0, le=8)] = 3  # 1,310,720 faces at most
 
     def mesh(self) -> Mesh:
-        return tessellate_icosphere(self.subdivisions)
+        """20 * 4^subdivisions faces with shared vertices; the normals are the positions. 0 gives an icosahedron."""
+        vertices = normalize_rows(np.array(CORNERS))
+        faces = np.array(FACES.split(), np.int32).reshape(-1, 3)
+        for _ in range(self.subdivisions):
+            vertices, faces = _split(vertices, faces)
+        return Mesh(vertices, faces, vertices.copy())

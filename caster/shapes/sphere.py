@@ -10,21 +10,19 @@ from pydantic import field_validator, model_validator
 
 from caster.description.errors import SceneError
 from caster.description.fields import Lengths, Points, Positive, Shape, Vec3
-from caster.description.transform import inverse, transform_points
+from caster.description.transform import cross, inverse, subtract, transform_points
 from caster.geometry.edge_distances import (
     SCENE_UNITS,
     UNIT_RADII,
     EdgeDistance,
-    cross,
     edge_distances,
     exact,
     exact_object_space_ray,
-    minus,
     signed_distance,
     square,
 )
 from caster.geometry.mesh_files import load_once, load_points
-from caster.geometry.world_space import AffineImages, Rounding, is_similarity, similarity_scale
+from caster.geometry.world_space import AffineImages, Rounding, similarity_scale
 from caster.jit.decorators import implement, jit
 from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import exact_sphere, exact_unit_sphere, ray_in_object_space
@@ -167,11 +165,11 @@ def pack_spheres(centers: np.ndarray, radii: np.ndarray, matrix: np.ndarray, rou
     """Spheres with centers (n, 3) and radii (n,) under a matrix (4, 4), as arrays in world space."""
     linear = matrix[:3, :3]
     moved = rounded(transform_points(matrix, centers))
-    if not is_similarity(linear):
+    scale = similarity_scale(linear)
+    if scale is None:
         to_world = rounded(radii[:, None, None] * linear)
         _, first, same = np.unique(radii, return_index=True, return_inverse=True)  # an exact inverse takes 20 us
         return Ellipsoids(moved, to_world, np.stack([inverse(to_world[i]) for i in first])[same])
-    scale = similarity_scale(linear)
     turn = np.broadcast_to(rounded(linear.T / scale), (len(centers), 3, 3))
     return Spheres(moved, rounded(scale * radii), np.ascontiguousarray(turn))
 
@@ -337,7 +335,7 @@ def _hull_point_ellipsoid(prims: Any, k: int, j: int) -> Any:
 def _edge_distances(prims: Spheres, k: int, o: np.ndarray, d: np.ndarray) -> tuple[EdgeDistance, ...]:
     """The radius minus the distance of the centre from the ray."""
     direction = exact(d)
-    away = square(cross(minus(exact(o), exact(prims.center[k])), direction)) / square(direction)
+    away = square(cross(subtract(exact(o), exact(prims.center[k])), direction)) / square(direction)
     return (signed_distance("silhouette", Fraction(float(prims.radius[k])), away, SCENE_UNITS),)
 
 

@@ -124,24 +124,15 @@ def _halves(rings: Floats) -> list[Floats]:
     return [half, half[:, ::-1] * (1.0, -1.0, 1.0) + 0.0]
 
 
-def tessellate_teapot(subdivisions: int) -> Mesh:
-    """64 n^2 - 8 n faces for n subdivisions of each patch; z up, spout towards +x, about 6.4 by 4 by 3.15.
-
-    subdivisions: parts along either side of a patch. The normals are the exact surface's. Body,
-    handle, spout and lid are open surfaces that touch or pass through each other, as published.
-    """
-    points, normals = _evaluate(patches(), subdivisions)
-    shape = points.shape[:3]
-    keys = np.concatenate([np.broadcast_to(PARTS[:, None, None, None], (*shape, 1)), points], axis=3)
-    _, first, vertex = np.unique(keys.reshape(-1, 4), axis=0, return_index=True, return_inverse=True)
-    faces = grid_faces(vertex.reshape(shape).astype(np.int32))
-    flat = (faces == np.roll(faces, 1, axis=1)).any(axis=1)  # one side of the cell is a pole
-    return Mesh(points.reshape(-1, 3)[first], faces[~flat], normalize_rows(normals.reshape(-1, 3)[first]))
-
-
 def _evaluate(nets: Floats, n: int) -> tuple[Floats, Floats]:
     """Points and normals (of any length) of the patches on a grid: (p, n + 1, n + 1, 3) each."""
-    at, slope = _bernstein(n)
+    # (n + 1, 4) weights of the control points at 0, 1/n ... 1, for the value and for a third of the slope. Both are
+    # mirror images of themselves to the bit: patches that run along a shared border in opposite directions get the same
+    # points there.
+    t = np.arange(n + 1) / n
+    s = t[::-1]  # 1 - t, but rounded as t is
+    at = np.stack([s * s * s, 3.0 * (s * s) * t, 3.0 * (t * t) * s, t * t * t], axis=1)
+    slope = np.stack([-s * s, s * s - 2.0 * (s * t), 2.0 * (s * t) - t * t, t * t], axis=1)
     along_u, du = _weigh(at, nets, 1), _weigh(slope, nets, 1)
     along_v = _weigh(slope, along_u, 2)
     points = _weigh(at, along_u, 2)
@@ -151,19 +142,6 @@ def _evaluate(nets: Floats, n: int) -> tuple[Floats, Floats]:
     along_v[pole, 0] = _weigh(slope, du, 2)[pole, 0]
     points[pole, 0] = nets[pole, 0, :1]  # weights add up to 1 only nearly, which would make it several points
     return points, np.cross(along_v, _weigh(at, du, 2))
-
-
-def _bernstein(n: int) -> tuple[Floats, Floats]:
-    """(n + 1, 4) weights of the control points at 0, 1/n ... 1, for the value and for a third of the slope.
-
-    Both are mirror images of themselves to the bit: patches that run along a shared border in opposite
-    directions get the same points there.
-    """
-    t = np.arange(n + 1) / n
-    s = t[::-1]  # 1 - t, but rounded as t is
-    value = np.stack([s * s * s, 3.0 * (s * s) * t, 3.0 * (t * t) * s, t * t * t], axis=1)
-    slope = np.stack([-s * s, s * s - 2.0 * (s * t), 2.0 * (s * t) - t * t, t * t], axis=1)
-    return value, slope
 
 
 def _weigh(weights: Floats, nets: Floats, axis: int) -> Floats:
@@ -181,4 +159,15 @@ class Teapot(MeshShape):
     subdivisions: Annotated[int, Field(strict=True, ge=1, le=64)] = 8
 
     def mesh(self) -> Mesh:
-        return tessellate_teapot(self.subdivisions)
+        """64 n^2 - 8 n faces for n subdivisions; z up, spout towards +x, about 6.4 by 4 by 3.15.
+
+        The normals are the exact surface's. Body, handle, spout and lid are open surfaces that touch or pass through
+        each other, as published.
+        """
+        points, normals = _evaluate(patches(), self.subdivisions)
+        shape = points.shape[:3]
+        keys = np.concatenate([np.broadcast_to(PARTS[:, None, None, None], (*shape, 1)), points], axis=3)
+        _, first, vertex = np.unique(keys.reshape(-1, 4), axis=0, return_index=True, return_inverse=True)
+        faces = grid_faces(vertex.reshape(shape).astype(np.int32))
+        flat = (faces == np.roll(faces, 1, axis=1)).any(axis=1)  # one side of the cell is a pole
+        return Mesh(points.reshape(-1, 3)[first], faces[~flat], normalize_rows(normals.reshape(-1, 3)[first]))

@@ -8,24 +8,10 @@ from pydantic import Field, model_validator
 
 from caster.description.fields import Positive
 from caster.description.transform import sine_and_cosine
-from caster.geometry.triangle_mesh import Floats, Ints, Mesh, grid_faces
+from caster.geometry.triangle_mesh import Floats, Mesh, grid_faces
 from caster.geometry.world_space import MeshShape
 
 __all__ = ["Torus"]
-
-
-def tessellate_torus(major_radius: float, minor_radius: float, segments: int, sides: int) -> Mesh:
-    """2 * segments * sides faces on a torus around z, with shared vertices, no seam and no uv.
-
-    major_radius: from the origin to the middle of the tube; minor_radius: of the tube, smaller; scene units.
-    segments: parts around z; sides: parts around the tube; at least 3 each. The normals are the exact torus's.
-    """
-    (sine, cosine), (rise, level) = _circle(segments)[:, :, None], _circle(sides)[:, None, :]
-    x, y = cosine * level, sine * level
-    normals = np.stack([x, y, np.broadcast_to(rise, x.shape)], axis=2)
-    middle = np.stack([cosine, sine, np.zeros_like(sine)], axis=2)
-    vertices = major_radius * middle + minor_radius * normals
-    return Mesh(vertices.reshape(-1, 3), _faces(segments, sides), normals.reshape(-1, 3))
 
 
 def _circle(parts: int) -> Floats:
@@ -34,18 +20,14 @@ def _circle(parts: int) -> Floats:
     return np.array([sine_and_cosine(angle) for angle in angles.tolist()]).T
 
 
-def _faces(segments: int, sides: int) -> Ints:
-    """Two triangles for each of segments * sides quads; the last row and column join the first."""
-    number = np.arange(segments * sides, dtype=np.int32).reshape(segments, sides)
-    pairs = grid_faces(np.pad(number, (0, 1), "wrap")).reshape(-1, 2, 3)
-    return pairs[:, ::-1, [0, 2, 1]].reshape(-1, 3)  # rows run around z, columns up
-
-
 PartCount = Annotated[int, Field(strict=True, ge=3, le=4096)]  # 4096 * 4096 * 2 faces at most
 
 
 class Torus(MeshShape):
-    """The torus of tube radius minor_radius around a circle of radius major_radius in the plane z = 0."""
+    """The torus of tube radius minor_radius around a circle of radius major_radius in the plane z = 0.
+
+    segments: parts around z; sides: parts around the tube.
+    """
 
     type: Literal["torus"] = "torus"
     major_radius: Positive = 1.0
@@ -60,4 +42,13 @@ class Torus(MeshShape):
         return self
 
     def mesh(self) -> Mesh:
-        return tessellate_torus(self.major_radius, self.minor_radius, self.segments, self.sides)
+        """2 * segments * sides faces with shared vertices, no seam and no uv; the normals are the exact torus's."""
+        (sine, cosine), (rise, level) = _circle(self.segments)[:, :, None], _circle(self.sides)[:, None, :]
+        x, y = cosine * level, sine * level
+        normals = np.stack([x, y, np.broadcast_to(rise, x.shape)], axis=2)
+        middle = np.stack([cosine, sine, np.zeros_like(sine)], axis=2)
+        vertices = self.major_radius * middle + self.minor_radius * normals
+        number = np.arange(x.size, dtype=np.int32).reshape(x.shape)
+        pairs = grid_faces(np.pad(number, (0, 1), "wrap")).reshape(-1, 2, 3)  # the last row and column join the first
+        faces = pairs[:, ::-1, [0, 2, 1]].reshape(-1, 3)  # rows run around z, columns up
+        return Mesh(vertices.reshape(-1, 3), faces, normals.reshape(-1, 3))

@@ -6,15 +6,14 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from caster.description.fields import UnitVec3, Vec2, Vec3
+from caster.description.transform import cross, subtract
 from caster.geometry.edge_distances import (
     EDGE_ON,
     SCENE_UNITS,
     EdgeDistance,
-    cross,
     dot,
     edge_distances,
     exact,
-    minus,
     nearest_float,
     sqrt_fraction,
     square,
@@ -51,9 +50,9 @@ class Triangle(TriangleShape):
 def _edge_distances(prims: Triangles, k: int, o: np.ndarray, d: np.ndarray) -> tuple[EdgeDistance, ...]:
     """The distance of each edge from the ray, line to line."""
     eye, direction = exact(o), exact(d)
-    corners = [minus(exact(prims.vertices[i]), eye) for i in prims.faces[k]]
-    sides = [minus(corners[(i + 1) % 3], corners[i]) for i in range(3)]
-    slope = dot(direction, cross(sides[0], minus(corners[2], corners[0])))
+    corners = [subtract(exact(prims.vertices[i]), eye) for i in prims.faces[k]]
+    sides = [subtract(corners[(i + 1) % 3], corners[i]) for i in range(3)]
+    slope = dot(direction, cross(sides[0], subtract(corners[2], corners[0])))
     if slope == 0:
         return (EdgeDistance(EDGE_ON, 0.0, SCENE_UNITS),)
     found = []

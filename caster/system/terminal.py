@@ -112,10 +112,16 @@ class StatusLine:
         """Replace the line. Text wider than the terminal is cropped, as a wrapped line could not be erased."""
         if not self.live:
             return
+        from rich.console import Console
+        from rich.live import Live
         from rich.text import Text
 
         if self._display is None:
-            self._display = _started_display(self.stream)
+            console = Console(file=self.stream, force_terminal=True, highlight=False)
+            self._display = Live(
+                console=console, auto_refresh=False, transient=True, redirect_stdout=False, redirect_stderr=False
+            )
+            self._display.start()
         self._display.update(Text(printable(content, keep=""), no_wrap=True, overflow="crop"), refresh=True)
 
     def erase(self) -> None:
@@ -123,16 +129,6 @@ class StatusLine:
         if self._display is not None:
             self._display.stop()
             self._display = None
-
-
-def _started_display(stream: TextIO) -> Live:
-    from rich.console import Console
-    from rich.live import Live
-
-    console = Console(file=stream, force_terminal=True, highlight=False)
-    display = Live(console=console, auto_refresh=False, transient=True, redirect_stdout=False, redirect_stderr=False)
-    display.start()
-    return display
 
 
 # Held while a bar is drawn, and during a fork: the child would wait for ever for a stream that was being written to.
@@ -211,37 +207,29 @@ class ProgressBar:
         return ", ".join([bar, *filter(None, [self.extra, left, stage])])
 
 
-class CompilationNotice:
-    """One line on standard error when a command begins to compile kernels, in this process or in a fork of it."""
+@contextlib.contextmanager
+def compilation_reported(stream: TextIO | None = None) -> Iterator[None]:
+    """Report once that the body compiles kernels, in this process or in its forks; nothing if all are cached.
 
-    def __init__(self, stream: TextIO | None = None) -> None:
-        """stream: default standard error, as it is when the line is written."""
-        self.stream = stream
-        self._written = mmap.mmap(-1, 1)  # shared with forks; two that begin at the same moment may both write
+    stream: default standard error, as it is when the line is written.
+    """
+    from caster.jit.decorators import COMPILATION_LOG
 
-    def compiling(self, name: str) -> None:
-        """Write the line before the first kernel."""
-        if self._written[0]:
+    before = COMPILATION_LOG.compiling
+    written = mmap.mmap(-1, 1)  # shared with forks; two that begin at the same moment may both write
+
+    def compiling(name: str) -> None:
+        if written[0]:
             return
-        self._written[0] = 1
+        written[0] = 1
         report_stage("compiling kernels")
-        line = StatusLine(self.stream)
+        line = StatusLine(stream)
         with contextlib.suppress(OSError):  # standard error may be closed
             text = "compiling kernels, once: some 20 to 60, in 10 to 40 s; `caster doctor --warm` does it ahead"
             print(f"{ERASE_LINE if line.live else ''}{text}", file=line.stream, flush=True)
         report_refused_cache()
 
-
-@contextlib.contextmanager
-def compilation_reported(stream: TextIO | None = None) -> Iterator[None]:
-    """Report that the body compiles kernels, in this process or in its forks; nothing if all are cached.
-
-    stream: default standard error.
-    """
-    from caster.jit.decorators import COMPILATION_LOG
-
-    before = COMPILATION_LOG.compiling
-    COMPILATION_LOG.compiling = CompilationNotice(stream).compiling
+    COMPILATION_LOG.compiling = compiling
     try:
         yield
     finally:

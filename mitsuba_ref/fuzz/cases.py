@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from caster.description.errors import FileMissing, SceneError
-from caster.scene.export import SECTION_ORDER, format_toml
+from caster.scene.export import format_toml
 from caster.scene.files import load_scene
 from caster.system.atomic_files import check_folder, write_text
 from mitsuba_ref.fuzz.findings import FINDING_KINDS, Finding
@@ -77,7 +77,7 @@ def write_kept(
         record,
     ]
     path = folder / f"{name}.toml"
-    write_text(path, "\n".join([*head, "", format_toml(data, SECTION_ORDER)]))
+    write_text(path, "\n".join([*head, "", format_toml(data)]))
     return path
 
 

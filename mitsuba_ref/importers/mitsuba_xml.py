@@ -184,7 +184,7 @@ def _pose(out: SceneBuilder, node: Node, steps: list[Step], matrix: np.ndarray) 
     if len(steps) == 1 and "look_at" in steps[0]:
         look = steps[0]["look_at"]
         return {"eye": look["origin"], "look_at": look["target"], "up": look["up"]}
-    if is_mirrored(matrix[:3, :3]):
+    if is_mirrored(matrix):
         out.note(node, "the mirroring of its to_world: the image is flipped horizontally here")
     eye, up, view = matrix[:3, 3], matrix[:3, 1], matrix[:3, 2]
     return {"eye": eye.tolist(), "direction": view.tolist(), "up": up.tolist()}

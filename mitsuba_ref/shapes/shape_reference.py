@@ -67,7 +67,7 @@ def note_normal_side(xml: XmlShape, flipped: bool) -> None:
     matrix = xml.matrix
     if flipped:
         xml.note("flip_normals: the normal is not flipped here")
-    elif matrix is not None and is_mirrored(matrix[:3, :3]):
+    elif matrix is not None and is_mirrored(matrix):
         xml.note("the side of its normal: Mitsuba's mirrored geometric and shading normals point to different sides")
 
 

@@ -196,7 +196,7 @@ def import_sphere(xml: XmlShape) -> Fields:
     inward = xml.boolean("flip_normals") != (radius < 0.0)
     matrix = xml.matrix
     if matrix is not None and not xml.instanced:  # an instance keeps the orientation of the normal
-        inward ^= is_mirrored(matrix[:3, :3])
+        inward ^= is_mirrored(matrix)
     if inward:
         xml.note("its normal, which points inwards: normals point outwards here")
     shape = {"type": "sphere", "center": center, "radius": abs(radius)}

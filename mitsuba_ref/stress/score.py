@@ -9,7 +9,7 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from caster.rendering.hits import cast
-from caster.scene.export import SECTION_ORDER, format_toml
+from caster.scene.export import format_toml
 from caster.system.atomic_files import ScratchFolder, check_folder, write_text
 from mitsuba_ref.error_model.bracket import Bracket
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
@@ -72,7 +72,7 @@ class PreparedSetting(PreparedScene):
         camera = {"type": "ray", "origin": o, "direction": d}
         path = folder / f"{self.family.name}-{self.x:g}.toml"
         head = f"# mitsuba-ref stress: ray {ray} of {self.family.name}, {self.family.quantity} {self.x:g}\n\n"
-        write_text(path, head + format_toml(self.data | {"camera": camera}, SECTION_ORDER))
+        write_text(path, head + format_toml(self.data | {"camera": camera}))
         return path
 
 

@@ -13,24 +13,24 @@ import pytest
 import caster
 from caster.description.errors import SceneError
 from caster.geometry.triangle_mesh import check_mesh, normalize_rows, vertex_normals
-from caster.shapes.heightfield import tessellate_heightfield
-from caster.shapes.icosphere import tessellate_icosphere
-from caster.shapes.teapot import patches, tessellate_teapot
-from caster.shapes.torus import tessellate_torus
+from caster.shapes.heightfield import Heightfield
+from caster.shapes.icosphere import Icosphere
+from caster.shapes.teapot import Teapot, patches
+from caster.shapes.torus import Torus
 
 # A handful of roundings of u = 2^-53 each in a sine, a product and a sum.
 ROUNDING = 8 * 2.0**-53
 
 MESHES = {  # with the counts of faces and of edges that one face has alone
-    "icosahedron": (tessellate_icosphere(0), 20, 0),
-    "icosphere": (tessellate_icosphere(3), 20 * 4**3, 0),
-    "smallest torus": (tessellate_torus(1.0, 0.5, 3, 3), 18, 0),
-    "torus": (tessellate_torus(2.0, 0.3, 24, 17), 2 * 24 * 17, 0),
-    "one cell": (tessellate_heightfield(2.0, 1, 0.5, 3, 7), 2, 4),
-    "heightfield": (tessellate_heightfield(4.0, 64, 0.3, 8, 1), 2 * 64**2, 4 * 64),
+    "icosahedron": (Icosphere(subdivisions=0).mesh(), 20, 0),
+    "icosphere": (Icosphere(subdivisions=3).mesh(), 20 * 4**3, 0),
+    "smallest torus": (Torus(major_radius=1.0, minor_radius=0.5, segments=3, sides=3).mesh(), 18, 0),
+    "torus": (Torus(major_radius=2.0, minor_radius=0.3, segments=24, sides=17).mesh(), 2 * 24 * 17, 0),
+    "one cell": (Heightfield(size=2.0, resolution=1, amplitude=0.5, waves=3, seed=7).mesh(), 2, 4),
+    "heightfield": (Heightfield(size=4.0, resolution=64, amplitude=0.3, waves=8, seed=1).mesh(), 2 * 64**2, 4 * 64),
     # open are the teapot's inner rim, the lid's edge and both ends of handle and spout: 4 or 2 patches around
-    "coarse teapot": (tessellate_teapot(3), 64 * 3**2 - 8 * 3, 3 * 16),
-    "teapot": (tessellate_teapot(10), 64 * 10**2 - 8 * 10, 10 * 16),
+    "coarse teapot": (Teapot(subdivisions=3).mesh(), 64 * 3**2 - 8 * 3, 3 * 16),
+    "teapot": (Teapot(subdivisions=10).mesh(), 64 * 10**2 - 8 * 10, 10 * 16),
 }
 
 
@@ -63,17 +63,17 @@ def test_a_generated_mesh_is_closed_but_for_its_rims_and_looks_outwards(name):
 def test_an_icosphere_comes_close_to_the_sphere():
     """Splitting halves the edges, so a face is four times nearer to the sphere."""
     for n in range(5):
-        mesh = tessellate_icosphere(n)
+        mesh = Icosphere(subdivisions=n).mesh()
         assert len(mesh.faces) == 20 * 4**n and len(mesh.vertices) == 10 * 4**n + 2
         assert np.array_equal(mesh.normals, mesh.vertices)
-    missing = [4 / 3 * math.pi - signed_volume(tessellate_icosphere(n)) for n in (2, 3, 4)]
+    missing = [4 / 3 * math.pi - signed_volume(Icosphere(subdivisions=n).mesh()) for n in (2, 3, 4)]
     assert missing[0] / missing[1] == pytest.approx(4, rel=0.05)
     assert missing[1] / missing[2] == pytest.approx(4, rel=0.05)
 
 
 def test_vertices_and_normals_of_a_torus_satisfy_its_equation():
     major, minor = 2.0, 0.3
-    mesh = tessellate_torus(major, minor, 24, 17)
+    mesh = Torus(major_radius=major, minor_radius=minor, segments=24, sides=17).mesh()
     x, y, z = mesh.vertices.T
     assert np.abs(np.hypot(np.hypot(x, y) - major, z) - minor).max() <= major * ROUNDING
     middle = mesh.vertices - minor * mesh.normals
@@ -103,9 +103,11 @@ def test_the_hills_of_a_seed_are_known():
     corner = MESHES["one cell"][0].vertices[:, 2]
     # float64 sines of arguments below 100: 100 u = 1.1e-14 each
     assert np.abs(corner - HEIGHTS_OF_SEED_7).max() <= 1e-13
-    one, other = (tessellate_heightfield(4.0, 16, 0.3, 8, seed).vertices for seed in (1, 2))
+    one, other = (
+        Heightfield(size=4.0, resolution=16, amplitude=0.3, waves=8, seed=seed).mesh().vertices for seed in (1, 2)
+    )
     assert not np.array_equal(one, other)
-    flat = tessellate_heightfield(2.0, 4, 0.0, 3, 7)
+    flat = Heightfield(size=2.0, resolution=4, amplitude=0.0, waves=3, seed=7).mesh()
     assert not flat.vertices[:, 2].any() and np.array_equal(flat.normals, [(0, 0, 1)] * 25)
 
 
@@ -113,7 +115,7 @@ def test_normals_of_a_heightfield_are_those_of_the_surface():
     """Generated normals come closer to them at least as fast as the cells get small, here by 4."""
     errors = []
     for resolution in (128, 512):
-        mesh = tessellate_heightfield(4.0, resolution, 0.3, 8, 1)
+        mesh = Heightfield(size=4.0, resolution=resolution, amplitude=0.3, waves=8, seed=1).mesh()
         generated = vertex_normals(mesh.vertices, mesh.faces).reshape(resolution + 1, resolution + 1, 3)
         exact = mesh.normals.reshape(resolution + 1, resolution + 1, 3)
         errors.append(np.abs(generated - exact)[1:-1, 1:-1].max())  # border vertices lack faces
@@ -144,7 +146,7 @@ def test_control_points_of_the_teapot_are_the_published_ones():
 def test_vertices_and_normals_of_the_teapot_are_those_of_its_patches():
     """By de Casteljau's construction, which shares no formula with the weights, and by finite differences."""
     n, h = 6, 1e-6
-    mesh = tessellate_teapot(n)
+    mesh = Teapot(subdivisions=n).mesh()
     for net in patches():
         for i in range(n + 1):
             for j in range(n + 1):
@@ -160,7 +162,7 @@ def test_vertices_and_normals_of_the_teapot_are_those_of_its_patches():
 
 def test_the_teapots_outside_is_outside_in_each_part():
     """The pot's axis is z; a point within handle and spout is between their rings."""
-    mesh = tessellate_teapot(12)
+    mesh = Teapot(subdivisions=12).mesh()
     a, n = mesh.vertices[mesh.faces].mean(axis=1), face_normals(mesh)
     first = [0, *np.cumsum([2 * 12 * 12 - (12 if np.all(net[0] == net[0, 0]) else 0) for net in patches()])]
     foot = slice(first[8], first[12])
@@ -223,7 +225,7 @@ def test_parameters_of_no_mesh_are_refused(shape, fields, words):
 
 
 def test_the_coarsest_icosphere_is_regular():
-    mesh = tessellate_icosphere(0)
+    mesh = Icosphere(subdivisions=0).mesh()
     corners = mesh.vertices[mesh.faces]
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
     assert len(mesh.faces) == 20 and np.ptp(edges) < 1e-15

@@ -20,7 +20,7 @@ from caster.jit.kernel_cache import COMPILED
 from caster.kernels.protocol import intersect
 from caster.rendering import warm_up
 from caster.scene.model import LIGHTS
-from caster.system.terminal import CompilationNotice, compilation_reported
+from caster.system.terminal import compilation_reported
 from mitsuba_ref.runner.workers import Workers
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -65,9 +65,9 @@ def test_a_scene_that_is_not_there_is_reported_before_anything_is_compiled(capsy
 
 def test_a_command_reports_once_that_it_compiles():
     stream = io.StringIO()
-    notice = CompilationNotice(stream)
-    for _ in range(3):
-        notice.compiling("a kernel")
+    with compilation_reported(stream):
+        for _ in range(3):
+            decorators.COMPILATION_LOG.compiling("a kernel")
     assert stream.getvalue().startswith("compiling kernels, once: ") and "doctor --warm" in stream.getvalue()
     assert stream.getvalue().count("\n") == 1
 

@@ -154,8 +154,13 @@ def _parse_by_trimesh(data: bytes, where: str) -> Mesh:
             "or convert the file to PLY or OBJ"
         ) from None
     kind = Path(where).suffix[1:].lower()
-    if kind == "stl":
-        _check_stl_size(data, where)
+    if kind == "stl" and b"facet" not in data[:1024].lower():
+        facets = int.from_bytes(data[80:84], "little")
+        if len(data) != 84 + 50 * facets:  # of a binary file
+            raise SceneError(
+                f"{where}: binary STL: expected {84 + 50 * facets} bytes, 84 and 50 for each of {facets} facets, "
+                f"got {len(data)}; copy or export it again"
+            )
     beside = trimesh.resolvers.FilePathResolver(where) if kind == "gltf" else None
     try:
         scene = trimesh.load_scene(
@@ -190,7 +195,7 @@ def _placed(scene: Any, mesh_class: type[Any]) -> tuple[np.ndarray, np.ndarray]:
         matrix = compose(edges[step].get("matrix", np.eye(4)) for step in reversed(list(itertools.pairwise(path))))
         points = np.asarray(mesh.vertices, np.float64)
         vertices.append(points if np.array_equal(matrix, np.eye(4)) else transform_points(matrix, points))
-        faces.append(count + np.asarray(mesh.faces)[:, :: -1 if is_mirrored(matrix[:3, :3]) else 1])
+        faces.append(count + np.asarray(mesh.faces)[:, :: -1 if is_mirrored(matrix) else 1])
         count += len(points)
     return np.concatenate(vertices), np.concatenate(faces)
 
@@ -203,7 +208,7 @@ def _rotations_as_matrices(data: bytes, kind: str) -> bytes:
 
     A malformed file is returned unchanged, so that trimesh reports the error.
     """
-    if kind == "stl" or b'"rotation"' not in data:
+    if b'"rotation"' not in data:
         return data
     try:
         if kind == "gltf":
@@ -237,13 +242,3 @@ def _rotation_of(x: float, y: float, z: float, w: float) -> np.ndarray:
     matrix[1, :3] = x * y + z * w, 1.0 - x * x - z * z, y * z - x * w
     matrix[2, :3] = x * z - y * w, y * z + x * w, 1.0 - x * x - y * y
     return matrix
-
-
-def _check_stl_size(data: bytes, where: str) -> None:
-    """Raise SceneError for a binary STL file whose size does not match its count of facets."""
-    facets = int.from_bytes(data[80:84], "little")
-    if len(data) != 84 + 50 * facets and b"facet" not in data[:1024].lower():
-        raise SceneError(
-            f"{where}: binary STL: expected {84 + 50 * facets} bytes, 84 and 50 for each of {facets} facets, "
-            f"got {len(data)}; copy or export it again"
-        )

@@ -13,7 +13,7 @@ import numpy as np
 
 from cases.shapes import mesh_of
 from caster import Cube, Cylinder, Disk, Mesh, Plane, Rectangle, Sphere, Triangle
-from caster.shapes.icosphere import tessellate_icosphere
+from caster.shapes.icosphere import Icosphere
 
 Rng = np.random.Generator
 UNIT = 2.0**-5  # what "1" is
@@ -167,7 +167,7 @@ def plane(rng: Rng) -> Whole:
 def coarse_ball(rng: Rng, subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
     """(vertices, faces) of a turned icosphere, its corners at multiples of 4 up to 2048."""
     m, n = whole_turn(rng)
-    mesh = tessellate_icosphere(subdivisions)
+    mesh = Icosphere(subdivisions=subdivisions).mesh()
     return 4.0 * np.rint(500.0 / n * mesh.vertices @ m.T), mesh.faces
 
 

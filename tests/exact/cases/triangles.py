@@ -9,9 +9,7 @@ from aimed_rays import direction
 from cases import integer_shapes
 from cases.case import Case, Maker, Question
 from cases.shapes import Aim, mesh_of, rays_at, shape_of, turn
-from caster import Heightfield, Icosphere, Triangle
-from caster.shapes.icosphere import tessellate_icosphere
-from caster.shapes.torus import tessellate_torus
+from caster import Heightfield, Icosphere, Torus, Triangle
 
 SUBDIVISIONS = 4  # 5120 faces
 STEPS = 64  # of the grid in a radius, at least: four in an edge
@@ -23,7 +21,7 @@ def grid_ball(make: Maker, middle: Any) -> tuple[Any, np.ndarray, np.ndarray]:
 
     Its step leaves room for sums of a few corners, so that points of edges are exact.
     """
-    (m, n), ball = integer_shapes.whole_turn(make.rng), tessellate_icosphere(SUBDIVISIONS)
+    (m, n), ball = integer_shapes.whole_turn(make.rng), Icosphere(subdivisions=SUBDIVISIONS).mesh()
     digits, room = (22, 18) if make.single else (50, 44)
     step = max(2.0 ** (np.ceil(np.log2(np.abs(middle).max() + 1.0)) - digits), 2.0**-room)
     radius = max(1.0, STEPS * step)
@@ -54,7 +52,7 @@ def closed_edges(make: Maker) -> Iterator[Question]:
         yield make.ask(f"exact, at {middle[0]:g}", scene, o, first + share * (second - first), edge=80, never=("miss",))
         share = make.rng.random((len(rows), 1))
         yield make.ask(f"rounded, at {middle[0]:g}", scene, o, first + share * (second - first), never=("miss",))
-    ring = tessellate_torus(1.0, 0.3, 24, 12)
+    ring = Torus(major_radius=1.0, minor_radius=0.3, segments=24, sides=12).mesh()
     m, n = integer_shapes.whole_turn(make.rng)
     vertices = np.rint(ring.vertices @ m.T / n * 2.0**18) / 2.0**18
     pairs = edges_of(ring.faces)[make.rng.integers(0, 3 * 24 * 12, make.count(60))]
