@@ -42,7 +42,7 @@ def import_function(text: str, precision: str | None = None) -> "FunctionSubject
     except KeyboardInterrupt:
         raise
     except ModuleNotFoundError as error:
-        if error.name != module:
+        if not f"{module}.".startswith(f"{error.name}."):  # one that the module imports
             raise SceneError(f"--candidate {text}: cannot import {module}: {_exception_with_calls(error)}") from error
         where = f"{here}, then among the installed packages and in PYTHONPATH"
         raise SceneError(f"--candidate {text}: there is no module {module}: looked in {where}") from error

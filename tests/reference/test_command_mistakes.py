@@ -78,18 +78,18 @@ MISTAKES = [
     ("mitsuba-ref compare a.png a.exr", 4, "a.png: expected an EXR image, got a file that starts with"),
     ("mitsuba-ref compare a.exr small.exr", 3, "size: ours is 16 x 12, the reference 8 x 6", "render both at one size"),
     (
-        "mitsuba-ref validate scene.toml --candidate mine:raises",
+        "mitsuba-ref validate scene.toml --candidate beginners:raises",
         1,
         "RuntimeError: no such shape",
-        "mine.py:4",
+        "beginners.py:4",
         "replay:",
     ),
-    ("mitsuba-ref validate scene.toml --candidate mine:two", 1, "2 positional arguments", "function(scene, o, d)"),
-    ("mitsuba-ref validate scene.toml --candidate mine:one", 1, "two arrays (t, n)", "one array of shape (192,)"),
-    ("mitsuba-ref validate scene.toml --candidate mine:short", 1, "t: expected shape (n,) = (192,), got (3,)"),
+    ("mitsuba-ref validate scene.toml --candidate beginners:two", 1, "2 positional arguments", "function(scene, o, d)"),
+    ("mitsuba-ref validate scene.toml --candidate beginners:one", 1, "two arrays (t, n)", "one array of shape (192,)"),
+    ("mitsuba-ref validate scene.toml --candidate beginners:short", 1, "t: expected shape (n,) = (192,), got (3,)"),
     ("mitsuba-ref validate scene.toml --candidate numpy:trace", 1, "TypeError", "called as function(scene, o, d)"),
     ("mitsuba-ref validate scene.toml --candidate nope:trace", 2, "no module nope", "looked in {here}", "PYTHONPATH"),
-    ("mitsuba-ref validate scene.toml --candidate mine:nope", 2, "mine has no 'nope'"),
+    ("mitsuba-ref validate scene.toml --candidate beginners:nope", 2, "beginners has no 'nope'"),
     ("mitsuba-ref validate scene.toml --candidate trace", 2, "expected package.module:function, or a command such as"),
     ("mitsuba-ref validate scene.toml --candidate './nosuch {xml} {exr}'", 2, "there is no program './nosuch' to run"),
     ("mitsuba-ref validate scene.toml --out /proc/x", 4, "/proc/x"),
@@ -106,7 +106,7 @@ MISTAKES = [
 ]
 NEED_MITSUBA = [
     "validate scene.toml",
-    "validate scene.toml --candidate mine:one",
+    "validate scene.toml --candidate beginners:one",
     "probe scene.toml 3 3",
     "render scene.toml -o b.exr",
     "approve scene.toml --references refs",
@@ -121,7 +121,12 @@ NEED_MITSUBA = [
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("empty").mkdir()
-    for name, text in (("scene.toml", SCENE), ("typos.toml", SIX_TYPOS), ("mine.py", CANDIDATES), ("a.png", "PNG")):
+    for name, text in (
+        ("scene.toml", SCENE),
+        ("typos.toml", SIX_TYPOS),
+        ("beginners.py", CANDIDATES),
+        ("a.png", "PNG"),
+    ):
         Path(name).write_text(text)
     Path("mesh.toml").write_text(SCENE.replace('type = "cube"', 'type = "mesh"\nfile = "missing.ply"'))
     np.save("rays.npy", np.array([[0, 0, 9, 0, 0, -1, 0, np.inf]]))
@@ -159,6 +164,6 @@ def test_without_mitsuba_each_command_says_so_before_any_work(folder, monkeypatc
 
 def test_what_fails_alike_in_several_scenes_is_said_in_full_once(folder, capsys):
     Path("again.toml").write_text(SCENE)
-    code, text = answer("mitsuba-ref validate scene.toml again.toml --candidate mine:raises", capsys)
-    assert code == 1 and text.count("mine.py:4") == 1 and text.count("RuntimeError: no such shape") == 2
+    code, text = answer("mitsuba-ref validate scene.toml again.toml --candidate beginners:raises", capsys)
+    assert code == 1 and text.count("beginners.py:4") == 1 and text.count("RuntimeError: no such shape") == 2
     assert text.count("no such shape: as in") == 1
