@@ -80,8 +80,7 @@ def check_bound(judge: Judge, check: str) -> np.ndarray:
     if check == "normal":
         return own.n_error
     if check in ("depth", "on_surface"):
-        found: np.ndarray = (own.t_error + judge.answer.t_rounding) * pixels.length
-        return found
+        return (own.t_error + judge.answer.t_rounding) * pixels.length
     return np.full(len(judge.hit), np.nan)
 
 

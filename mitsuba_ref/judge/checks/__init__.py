@@ -103,8 +103,7 @@ def worst_share(name: str, shares: Iterable[tuple[float, str]], nothing: str = "
 
 def bits_differ(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Where two arrays of one shape and type have other bits, as bool."""
-    found: np.ndarray = np.ascontiguousarray(a).view(f"u{a.itemsize}") != np.ascontiguousarray(b).view(f"u{b.itemsize}")
-    return found
+    return np.ascontiguousarray(a).view(f"u{a.itemsize}") != np.ascontiguousarray(b).view(f"u{b.itemsize}")
 
 
 def worst_pixel(name: str, shares: dict[str, np.ndarray], among: np.ndarray, scene: Scene) -> SceneCheck:

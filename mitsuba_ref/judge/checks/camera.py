@@ -6,7 +6,7 @@ from caster.rendering.images import camera_rays
 from caster.scene.model import Scene
 from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import camera_axes, no_sensor
-from mitsuba_ref.error_model.intersections import dot, norm
+from mitsuba_ref.error_model.intersections import dot, norm, without_float_warnings
 from mitsuba_ref.error_model.tolerances import CAMERA_ROUNDINGS, KU, KU_OURS
 from mitsuba_ref.judge.checks import check, worst_pixel
 from mitsuba_ref.judge.verdict import SceneCheck
@@ -53,6 +53,7 @@ def _on_rim(scene: Scene, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 @check(scope="window", camera=True)
+@without_float_warnings
 def check_sensor(scene: Scene, result: ReferenceResult) -> SceneCheck:
     """Compare our rays with those of Mitsuba's own sensor: the same line, and depth that starts on the near plane."""
     sensor = result.answer.sensor.astype(np.float64)
@@ -73,12 +74,11 @@ def check_sensor(scene: Scene, result: ReferenceResult) -> SceneCheck:
         shares["near"] = np.abs(along - ours.t_min) / (bound * (size + ours.t_min))
     if getattr(scene.camera, "far", None) is not None:
         end = along + t_max
-        with np.errstate(invalid="ignore"):  # a far plane at infinity is beyond every bound
-            shares["far"] = np.abs(end - ours.t_max) / (bound * (size + ours.t_max))
+        shares["far"] = np.abs(end - ours.t_max) / (bound * (size + ours.t_max))
     return worst_pixel("sensor", shares, np.ones(len(d), bool), scene)
 
 
+@without_float_warnings
 def _relative(ours: np.ndarray, expected: np.ndarray) -> np.ndarray:
-    with np.errstate(invalid="ignore"):
-        error = np.abs(ours - expected) / np.maximum(np.abs(expected), np.finfo(np.float64).tiny)
+    error = np.abs(ours - expected) / np.maximum(np.abs(expected), np.finfo(np.float64).tiny)
     return np.where(ours == expected, 0.0, error)

@@ -10,7 +10,7 @@ from caster.cameras.single_ray import Ray
 from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import intersections_at
-from mitsuba_ref.error_model.intersections import dot
+from mitsuba_ref.error_model.intersections import dot, without_float_warnings
 from mitsuba_ref.error_model.tolerances import KU, MAJORITY, MATCH_RTOL, NEARLY_ALL
 from mitsuba_ref.hard.rays import RayBatch
 from mitsuba_ref.judge.checks import CANDIDATE, NOT_JUDGED, check
@@ -203,9 +203,9 @@ def _groups(o: np.ndarray, d: np.ndarray) -> Iterator[tuple[str, tuple[np.ndarra
         yield f"rays mirrored in {name}", (_rounded(np.where(sign < 0.0, 2.0 * middle - o, o)), sign * d)
 
 
+@without_float_warnings
 def _match(given: np.ndarray, t: np.ndarray, off: np.ndarray) -> np.ndarray:
-    with np.errstate(invalid="ignore"):
-        near = np.isfinite(t) & np.isfinite(given) & (np.abs(given - t) <= off)
+    near = np.isfinite(t) & np.isfinite(given) & (np.abs(given - t) <= off)
     return near | (np.isposinf(given) & np.isposinf(t))
 
 

@@ -68,8 +68,7 @@ def _differs(ours: Aovs, others: Aovs) -> np.ndarray:
     """(n,) bool: pixels where some AOV has other bits."""
     pixels = len(aov_rows(ours, "depth"))
     differs = [any_of_columns(bits_differ(ours[name], others[name]).reshape(pixels, -1)) for name in CHECKED_AOVS]
-    found: np.ndarray = np.any(differs, axis=0)
-    return found
+    return np.any(differs, axis=0)
 
 
 def _worst(scene: Scene, what: str, differs: np.ndarray) -> SceneCheck:

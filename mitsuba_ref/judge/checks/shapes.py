@@ -11,6 +11,7 @@ from caster.geometry.packing import Packed, packed
 from caster.scene.model import Diffuse, Scene
 from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, transform_error_ratio
+from mitsuba_ref.error_model.intersections import without_float_warnings
 from mitsuba_ref.error_model.tolerances import TRANSFORM_ROUNDINGS
 from mitsuba_ref.judge.checks import OURS, check, worst_share
 from mitsuba_ref.judge.verdict import SceneCheck
@@ -69,6 +70,7 @@ def _packing_shares(scene: Scene) -> Iterator[tuple[float, str]]:
                 yield share, f"{claim.what} of {name} ({precision.name})"
 
 
+@without_float_warnings
 def unrounded_arrays(part: Any, dtype: str) -> list[str]:
     """Arrays of a packed shape that hold numbers which were not rounded to a type.
 
@@ -76,8 +78,7 @@ def unrounded_arrays(part: Any, dtype: str) -> list[str]:
     """
     derived = kind_of(part).derived
     floats = {name: array for name, array in part._asdict().items() if array.dtype.kind == "f" and name not in derived}
-    with np.errstate(over="ignore"):
-        return [name for name, array in floats.items() if not np.array_equal(array, array.astype(dtype))]
+    return [name for name, array in floats.items() if not np.array_equal(array, array.astype(dtype))]
 
 
 def _packing_error_ratio(claim: ExpectedNumbers, rounding: float, normal: float) -> float:
