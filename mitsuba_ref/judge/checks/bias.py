@@ -10,9 +10,9 @@ from mitsuba_ref.error_model.bounds import Bounds, aov_rows, row_distance
 from mitsuba_ref.error_model.intersections import dot, row_groups, stacked_columns, without_float_warnings
 from mitsuba_ref.error_model.scene_model import kinds_of
 from mitsuba_ref.error_model.tolerances import BIASED_PIXELS, KU, LARGEST_T_BIAS, LARGEST_Z, MIN_GROUPS, U32, K
-from mitsuba_ref.judge.checks import CANDIDATE, OURS, check
+from mitsuba_ref.judge.checks import CANDIDATE, OURS, Found, check
 from mitsuba_ref.judge.comparison import ImagePair
-from mitsuba_ref.judge.verdict import BIAS_OF_POSITION, BIAS_OF_T, ErrorStatistics, Extremes, KindBias, SceneCheck
+from mitsuba_ref.judge.verdict import BIAS_OF_POSITION, BIAS_OF_T, ErrorStatistics, Extremes, KindBias
 from mitsuba_ref.shapes import kind_of
 from mitsuba_ref.shapes.shape_reference import PositionTerms
 from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64
@@ -164,7 +164,7 @@ def z_of_groups(sums: GroupSums) -> tuple[int, float]:
 
 
 @check(of=(OURS,), scope="film")
-def check_bias(statistics: ErrorStatistics) -> SceneCheck:
+def check_bias(statistics: ErrorStatistics) -> Found:
     """Fail if the errors of a kind with enough groups have a mean that chance does not explain."""
     words = [
         f"{bias.quantity} of {bias.kind} is biased: z {bias.z:.1f} of {bias.groups} groups, "
@@ -175,7 +175,7 @@ def check_bias(statistics: ErrorStatistics) -> SceneCheck:
         f"{bias.kind} z {bias.z:.1f} of {bias.groups} groups{'' if bias.enough_groups else ', too few to tell'}"
         for bias in statistics.biases
     ]
-    return SceneCheck("bias", abs(statistics.z) / LARGEST_Z, "; ".join(words) or "nothing to look at")
+    return abs(statistics.z) / LARGEST_Z, "; ".join(words) or "nothing to look at"
 
 
 # ---- a common factor on all t of a candidate, even within their bounds
@@ -193,7 +193,7 @@ class FactorFit(NamedTuple):
 
 
 @check(of=(CANDIDATE,), scope="window")
-def check_t_bias(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.ndarray) -> SceneCheck | None:
+def check_t_bias(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.ndarray) -> Found | None:
     """Fail if one factor explains the errors of t, and is larger than estimated reciprocals make it.
 
     None if t is not given, or if the candidate rounds rays or geometry itself.
@@ -204,13 +204,13 @@ def check_t_bias(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.ndar
     fit = fitted_factor(packed, pair, bounds, prims)
     words = f"t is off by {fit.roundings:+.1f} of its roundings on average, z {fit.z:.1f} of {fit.groups} primitives"
     if fit.groups < MIN_GROUPS:
-        return SceneCheck("t_bias", 0.0, f"{fit.groups} primitives, too few to tell")
+        return 0.0, f"{fit.groups} primitives, too few to tell"
     ratio = min(abs(fit.roundings) / LARGEST_T_BIAS, abs(fit.z) / LARGEST_Z)
     if ratio > 1.0:
         words += (
             f"; estimated reciprocals explain at most {LARGEST_T_BIAS:g}: is every t scaled or moved by a constant?"
         )
-    return SceneCheck("t_bias", ratio, words)
+    return ratio, words
 
 
 @without_float_warnings

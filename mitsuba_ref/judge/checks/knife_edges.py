@@ -19,8 +19,7 @@ from mitsuba_ref.error_model.bounds import error_over_bound as ratio_of
 from mitsuba_ref.error_model.bounds import t_bounds
 from mitsuba_ref.error_model.intersections import without_float_warnings
 from mitsuba_ref.hard.rays import ALL_AIMS, Aim, Frame, RayBatch, Targets, aimed_rays
-from mitsuba_ref.judge.checks import OURS, check
-from mitsuba_ref.judge.verdict import SceneCheck
+from mitsuba_ref.judge.checks import OURS, Found, check
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 from mitsuba_ref.reference.shared_input import own_model
 from mitsuba_ref.shapes.targets import Rng
@@ -160,21 +159,14 @@ class AimedFailure(NamedTuple):
 
 
 @check(of=(OURS,))
-def check_knife_edges(scene: Scene, wrong_rays: list[AimedFailure]) -> SceneCheck:
-    """Compare aimed rays with exact arithmetic; the scenes of some failing rays are appended to `wrong_rays`."""
-    found, failures = knife_edges(scene)
-    wrong_rays += failures
-    return found
-
-
-def knife_edges(scene: Scene) -> tuple[SceneCheck, tuple[AimedFailure, ...]]:
+def check_knife_edges(scene: Scene, wrong_rays: list[AimedFailure]) -> Found:
     """Compare first hits of aimed rays with exact arithmetic: the primitive, and t within its float64 bound.
 
-    Also returns some of the failing rays as scenes of one ray.
+    Some of the failing rays are appended to `wrong_rays` as scenes of one ray.
     """
     subject = prepared_scene(scene)
     if not subject.oracle.count:
-        return SceneCheck("knife_edges", 0.0, "no primitive to aim at"), ()
+        return 0.0, "no primitive to aim at"
     rays = rays_at_edges(subject)
     verdicts = adjudicate(subject, rays, cast_by_culling(subject.packed, rays, "bvh"))
     ratios, texts = ratio_of(verdicts.ratios, np.ones(1)), verdicts.texts
@@ -182,8 +174,8 @@ def knife_edges(scene: Scene) -> tuple[SceneCheck, tuple[AimedFailure, ...]]:
     if len(bad):
         o, d = (a[bad[0]].tolist() for a in (rays.o, rays.d))
         words = f"{len(bad)} of {words}, first from {o} along {d}: {texts[bad[0]]}"
-    found = tuple(AimedFailure(texts[i], _scene_of_ray(scene, rays, i)) for i in bad[:REPRODUCERS])
-    return SceneCheck("knife_edges", float(ratios.max()), words), found
+    wrong_rays += [AimedFailure(texts[i], _scene_of_ray(scene, rays, i)) for i in bad[:REPRODUCERS]]
+    return float(ratios.max()), words
 
 
 @np.errstate(all="ignore")  # of kernels in plain Python, on directions of 1e-30 and 1e30

@@ -23,8 +23,7 @@ from caster.shapes.mesh import Mesh
 from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.intersections import without_float_warnings
 from mitsuba_ref.error_model.tolerances import FILE_NORMAL_ROUNDINGS, FILE_UV_ROUNDINGS, U32
-from mitsuba_ref.judge.checks import check, worst_share
-from mitsuba_ref.judge.verdict import SceneCheck
+from mitsuba_ref.judge.checks import Found, check, worst_share
 from mitsuba_ref.reference.messages import LoadedMesh
 
 
@@ -105,18 +104,18 @@ REWRITE: dict[str, Callable[[bytes], bytes]] = {".obj": _plain_obj, ".stl": _stl
 
 
 @check()
-def check_mesh_files(scene: Scene, loaded: tuple[LoadedMesh, ...]) -> SceneCheck:
+def check_mesh_files(scene: Scene, loaded: tuple[LoadedMesh, ...]) -> Found:
     """Compare every mesh file of the scene. loaded: by Mitsuba, in the order of `files_of`."""
     files = files_of(scene)
     if len(loaded) != len(files):
-        return SceneCheck("mesh_files", np.inf, f"{len(files)} files, Mitsuba has read {len(loaded)}")
+        return np.inf, f"{len(files)} files, Mitsuba has read {len(loaded)}"
     names = [file.name for file in files]
     shares = (
         (share, f"{what} of {file.name if names.count(file.name) == 1 else file}")
         for (file, mesh), theirs in zip(files.items(), loaded, strict=True)
         for what, share in _errors(mesh, theirs, file).items()
     )
-    return worst_share("mesh_files", shares)
+    return worst_share(shares)
 
 
 @without_float_warnings
