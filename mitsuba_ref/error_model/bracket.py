@@ -88,7 +88,7 @@ class Bracket:
         o, d: (n, 3) float64. t_max: (n,); a hit has t_min < t <= t_max. also: (n,) a primitive to consider even if the
         ray misses its box; -1: none.
         """
-        line = RaySegments(o, d, np.broadcast_to(np.asarray(t_min, np.float64), t_max.shape), t_max)
+        line = RaySegments(o, d, np.broadcast_to(t_min, t_max.shape), t_max)
         allowed, untestable = np.ones(len(o), bool), np.zeros(len(o), bool)
         seen = np.zeros(len(o), bool)
         for ray, prim in self._pairs(o, d, also):
@@ -134,7 +134,7 @@ class Bracket:
         self, o: np.ndarray, d: np.ndarray, t_max: np.ndarray, t_min: float | np.ndarray = 0.0
     ) -> RayIntersections:
         """All possible intersections of the rays, in memory at once."""
-        line = RaySegments(o, d, np.broadcast_to(np.asarray(t_min, np.float64), t_max.shape), t_max)
+        line = RaySegments(o, d, np.broadcast_to(t_min, t_max.shape), t_max)
         found = [self._intersect_in_range(ray, prim, line) for _, ray, prim, _ in self.model.nearby.crossings(o, d)]
         if not found:
             return RayIntersections(np.zeros(0, int), np.zeros(0, int), no_intersections(0))

@@ -88,14 +88,6 @@ class Judgement:
     exact_seconds: float  # spent on exact arithmetic
     not_adjudicated: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))  # rows
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(self.ratios)
-
-    def ratio(self, name: str) -> np.ndarray:
-        """(n,) error over bound of a check."""
-        return self.ratios[name]
-
     def excess(self, name: str) -> np.ndarray:
         """(n,) error over what the scene allows of the bound."""
         return self.ratios[name] / self.allowed.get(name, 1.0)

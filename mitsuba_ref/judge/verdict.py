@@ -324,8 +324,7 @@ class Verdict:
     @property
     def waived(self) -> dict[str, int]:
         """Number of scenes that are not ok but do not make the run fail, by reason."""
-        reasons = [scene.waived for scene in self.scenes if scene.waived]
-        return {reason: reasons.count(reason) for reason in dict.fromkeys(reasons)}
+        return dict(Counter(scene.waived for scene in self.scenes if scene.waived))
 
     @computed_field  # type: ignore[prop-decorator]
     @property

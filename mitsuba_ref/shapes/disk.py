@@ -124,7 +124,7 @@ def import_disk(xml: XmlShape) -> Fields:
     return unit_shape_importer("disk")(xml)
 
 
-RIM = KnownDefect(45, "a ray through the rim of a disk, exactly", 8, "hit", lambda m: m.missed and "rim" in m.where)
+RIM = KnownDefect(45, "a ray through the rim of a disk, exactly", 8, "missed", lambda m: "rim" in m.where)
 FAR_FROM_ORIGIN = KnownDefect(
     47, "a disk far from the origin", 21, "either", lambda m: m.offset > FAR_IN_SIZES and m.nearly
 )

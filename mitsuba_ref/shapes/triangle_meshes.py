@@ -148,8 +148,8 @@ VERTEX = KnownDefect(
     16,
     "a ray exactly through the corner of a mesh: Embree's robust mode misses some",
     7,
-    "hit",
-    lambda m: m.missed and "vertex" in m.where,
+    "missed",
+    lambda m: "vertex" in m.where,
 )
 COLLINEAR = KnownDefect(
     22,
