@@ -79,8 +79,7 @@ class CameraReference:
     @property
     def type_name(self) -> str:
         """The `type` in scene files."""
-        name: str = self.describes.model_fields["type"].default
-        return name
+        return self.describes.model_fields["type"].default
 
 
 def camera_axes(camera: Camera) -> np.ndarray:

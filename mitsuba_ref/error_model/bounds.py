@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from caster.aovs import Aovs
-from mitsuba_ref.error_model.intersections import Intersections, no_intersections
+from mitsuba_ref.error_model.intersections import Intersections, no_intersections, without_float_warnings
 from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 
@@ -44,12 +44,12 @@ def intersections_at(
 PIXELS_PER_BATCH = 1 << 14  # pixels: temporary arrays of three numbers each stay in a cache
 
 
+@without_float_warnings
 def nearest_root(met: PairIntersections, t: np.ndarray) -> Intersections:
     """The intersection of each pair that is nearest to t (n,), in the order of the pairs."""
     if len(met.pair) == len(t) and (met.pair == np.arange(len(t))).all():
         return met.at
-    with np.errstate(invalid="ignore"):
-        away = np.abs(met.at.t - t[met.pair])
+    away = np.abs(met.at.t - t[met.pair])
     order = np.lexsort([np.where(np.isnan(away), np.inf, away), met.pair])
     first = order[np.r_[True, np.diff(met.pair[order]) != 0]] if len(order) else order
     return met.at.take(first)
@@ -57,25 +57,24 @@ def nearest_root(met: PairIntersections, t: np.ndarray) -> Intersections:
 
 def aov_rows(aovs: Aovs, name: str) -> np.ndarray:
     image = aovs[name]
-    rows: np.ndarray = image.reshape(-1, *image.shape[2:])
-    return rows
+    return image.reshape(-1, *image.shape[2:])
 
 
+@without_float_warnings
 def error_over_bound(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
     """error / bound; inf where either is not a finite number."""
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        share = np.where(error == 0.0, 0.0, error / bound)
+    share = np.where(error == 0.0, 0.0, error / bound)
     fine = np.isfinite(error) & np.isfinite(bound) & np.isfinite(share)
     return np.where(fine, share, np.inf)
 
 
+@without_float_warnings
 def row_distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Euclidean distance of rows (n, c); NaN where either is not finite."""
     squares, finite = np.zeros(len(a)), np.ones(len(a), bool)
-    with np.errstate(invalid="ignore", over="ignore"):
-        for one, other in zip(a.T, b.T, strict=True):  # a sum over an axis of three takes five times as long
-            squares += (one - other) ** 2
-            finite &= np.isfinite(one) & np.isfinite(other)
+    for one, other in zip(a.T, b.T, strict=True):  # a sum over an axis of three takes five times as long
+        squares += (one - other) ** 2
+        finite &= np.isfinite(one) & np.isfinite(other)
     return np.where(finite, np.sqrt(squares), np.nan)
 
 
@@ -94,6 +93,7 @@ UNDERFLOW_BOUND = 2.0**-1010
 UNIT_LENGTH_ATOL = 16 * 2.0**-53
 
 
+@without_float_warnings
 def t_bounds(model: SceneModel, hits: tuple[np.ndarray, np.ndarray], rays: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """(n,) bound on |t - exact t| of each hit; inf where float64 cannot resolve it, NaN on a miss.
 
@@ -103,9 +103,8 @@ def t_bounds(model: SceneModel, hits: tuple[np.ndarray, np.ndarray], rays: tuple
     """
     (t, prim), (o, d) = hits, rays
     exponent = np.frexp(np.abs(d).max(axis=1, initial=0.0))[1]  # so that no square of a direction overflows
-    with np.errstate(all="ignore"):
-        line = o, np.ldexp(d, -exponent[:, None])
-        errors = intersections_at(model, prim, line, np.ldexp(t, exponent), KU_OURS, ours=True).t_error
-        errors = np.where(np.isnan(errors), np.inf, np.ldexp(errors, -exponent))
-        bounds = errors + T_ROUNDING_ULPS * np.spacing(np.abs(t)) + UNDERFLOW_BOUND
+    line = o, np.ldexp(d, -exponent[:, None])
+    errors = intersections_at(model, prim, line, np.ldexp(t, exponent), KU_OURS, ours=True).t_error
+    errors = np.where(np.isnan(errors), np.inf, np.ldexp(errors, -exponent))
+    bounds = errors + T_ROUNDING_ULPS * np.spacing(np.abs(t)) + UNDERFLOW_BOUND
     return np.where(prim < 0, np.nan, bounds)

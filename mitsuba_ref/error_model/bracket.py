@@ -5,7 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mitsuba_ref.error_model.intersections import Intersections, dot, no_intersections, norm, row_groups
+from mitsuba_ref.error_model.intersections import (
+    Intersections,
+    dot,
+    no_intersections,
+    norm,
+    row_groups,
+    without_float_warnings,
+)
 from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel
 
 # docs/method.md, "Visibility". A primitive is possible if some numbers within the error bounds hit it, and certain if
@@ -81,7 +88,7 @@ class Bracket:
         o, d: (n, 3) float64. t_max: (n,); a hit has t_min < t <= t_max. also: (n,) a primitive to consider even if the
         ray misses its box; -1: none.
         """
-        line = RaySegments(o, d, np.broadcast_to(np.asarray(t_min, np.float64), t_max.shape), t_max)
+        line = RaySegments(o, d, np.broadcast_to(t_min, t_max.shape), t_max)
         allowed, untestable = np.ones(len(o), bool), np.zeros(len(o), bool)
         seen = np.zeros(len(o), bool)
         for ray, prim in self._pairs(o, d, also):
@@ -127,22 +134,23 @@ class Bracket:
         self, o: np.ndarray, d: np.ndarray, t_max: np.ndarray, t_min: float | np.ndarray = 0.0
     ) -> RayIntersections:
         """All possible intersections of the rays, in memory at once."""
-        line = RaySegments(o, d, np.broadcast_to(np.asarray(t_min, np.float64), t_max.shape), t_max)
+        line = RaySegments(o, d, np.broadcast_to(t_min, t_max.shape), t_max)
         found = [self._intersect_in_range(ray, prim, line) for _, ray, prim, _ in self.model.nearby.crossings(o, d)]
         if not found:
             return RayIntersections(np.zeros(0, int), np.zeros(0, int), no_intersections(0))
         at = Intersections(*(np.concatenate(a) for a in zip(*(f.at for f in found), strict=True)))
         return RayIntersections(np.concatenate([f.ray for f in found]), np.concatenate([f.prim for f in found]), at)
 
+    @without_float_warnings
     def _intersect_in_range(self, ray: np.ndarray, prim: np.ndarray, line: RaySegments) -> RayIntersections:
         met: PairIntersections = self.model.intersect(prim, line.o[ray], line.d[ray], self.ku, ours=self.ours)
         rays = ray[met.pair]
-        with np.errstate(invalid="ignore"):
-            error = np.where(np.isfinite(met.at.t_error), met.at.t_error, np.inf)
-            in_range = ~(met.at.t + error < line.t_min[rays]) & ~(met.at.t - error > line.t_max[rays])
+        error = np.where(np.isfinite(met.at.t_error), met.at.t_error, np.inf)
+        in_range = ~(met.at.t + error < line.t_min[rays]) & ~(met.at.t - error > line.t_max[rays])
         keep = met.at.possible & in_range & ~np.isnan(met.at.t)
         return RayIntersections(rays, prim[met.pair], met.at).take(keep)
 
+    @without_float_warnings
     def _allows(
         self, found: RayIntersections, claims: Claims, line: RaySegments, rays: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -156,13 +164,11 @@ class Bracket:
         if claims.prim is not None:
             named &= self._is_or_equals(claims.prim[ray], found.prim)
         without_t = np.isnan(claims.t[ray])
-        with np.errstate(invalid="ignore"):
-            named &= without_t | (claims.t[ray] <= latest[ray] + t_rounding)
+        named &= without_t | (claims.t[ray] <= latest[ray] + t_rounding)
         named &= within_error(claims.n, ray, at.n, at.n_error)
-        with np.errstate(invalid="ignore"):  # inf, of a claimed miss
-            matches = (named & np.isfinite(at.t_error) & (np.abs(claims.t[ray] - at.t) <= at.t_error + t_rounding)) | (
-                named & without_t
-            )
+        matches = (named & np.isfinite(at.t_error) & (np.abs(claims.t[ray] - at.t) <= at.t_error + t_rounding)) | (
+            named & without_t
+        )
         matches &= within_error(claims.sh_n, ray, at.sh_n, at.sh_error) & within_error(claims.p, ray, p, at.p_error)
         if len(claims.uv):
             rows = np.flatnonzero(matches)
@@ -178,8 +184,7 @@ class Bracket:
         """(m,) bool: number claimed[i] within the shape of prim[i] is prim[i], or a primitive identical to it."""
         packed, identical = self.model.packed, self.model.identical
         if identical is None:
-            named: np.ndarray = claimed == packed.index_in_shape(prim)
-            return named
+            return claimed == packed.index_in_shape(prim)
         shape = packed.shape_of(prim)
         number = packed.first[shape] + claimed
         there = (claimed >= 0) & (number < packed.first[shape + 1])
@@ -190,20 +195,19 @@ def within_error(claimed: np.ndarray, ray: np.ndarray, at: np.ndarray, error: np
     """(m,) bool: claimed (n, 3) is within `error` of `at` at each of m intersections; True where nothing is claimed."""
     if not len(claimed):
         return np.ones(len(ray), bool)
-    near: np.ndarray = norm(claimed[ray] - at) <= error
-    return near
+    return norm(claimed[ray] - at) <= error
 
 
+@without_float_warnings
 def latest_hits(found: RayIntersections, t_max: np.ndarray, t_min: np.ndarray | None = None) -> np.ndarray:
     """(m,) largest t that rounding allows for a certain hit; inf if the hit is not certain or not in range.
 
     t_min, t_max: (n,) limits of the rays; t_min is 0 if not given.
     """
     at = found.at
-    with np.errstate(invalid="ignore"):
-        earliest = 0.0 if t_min is None else t_min[found.ray]
-        in_range = (at.t - at.t_error > earliest) & (at.t + at.t_error <= t_max[found.ray])
-        latest = np.where(at.certain, at.t + at.t_error, _latest_at_edges(found))
+    earliest = 0.0 if t_min is None else t_min[found.ray]
+    in_range = (at.t - at.t_error > earliest) & (at.t + at.t_error <= t_max[found.ray])
+    latest = np.where(at.certain, at.t + at.t_error, _latest_at_edges(found))
     return np.where(in_range, latest, np.inf)
 
 
@@ -225,9 +229,9 @@ def _latest_at_edges(found: RayIntersections) -> np.ndarray:
     return latest
 
 
+@without_float_warnings
 def near_ray_start(found: RayIntersections, d: np.ndarray, off: np.ndarray) -> np.ndarray:
     """(m,) bool: intersections with surfaces no farther from the ray's start than `off` (n,), its uncertainty."""
-    with np.errstate(invalid="ignore"):
-        height = (np.abs(found.at.t) - found.at.t_error) * np.abs(dot(found.at.n, d[found.ray]))
+    height = (np.abs(found.at.t) - found.at.t_error) * np.abs(dot(found.at.n, d[found.ray]))
     near: np.ndarray = ~(height > off[found.ray])
     return near & (off[found.ray] > 0.0)

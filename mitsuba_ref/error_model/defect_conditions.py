@@ -62,11 +62,6 @@ class DefectFeatures:
     def kinds(self) -> frozenset[str]:
         return frozenset({self.ours, self.theirs} - {""})
 
-    @property
-    def missed(self) -> bool:
-        """The reference does not name the kind that is hit."""
-        return self.ours != "" and self.theirs != self.ours
-
 
 class KnownDefect(NamedTuple):
     """One way in which the reference is known to be wrong about a kind of primitive."""
@@ -74,12 +69,14 @@ class KnownDefect(NamedTuple):
     number: int
     name: str
     priority: int  # if several conditions hold, the defect with the lowest number here is reported
-    subject: Literal["hit", "named", "either"]  # whether the kind is hit exactly, named by the reference, or either
+    # whether the kind is hit exactly and another or none is named by the reference, or is named, or is hit or named
+    subject: Literal["missed", "named", "either"]
     condition: Callable[[DefectFeatures], bool]
 
     def applies(self, kind: str, features: DefectFeatures) -> bool:
         """Whether this defect, declared by `kind`, explains the pixel."""
-        kinds = {"hit": {features.ours}, "named": {features.theirs}, "either": features.kinds}[self.subject]
+        ours, theirs = {features.ours}, {features.theirs}
+        kinds = {"missed": ours - theirs, "named": theirs, "either": features.kinds}[self.subject]
         return kind in kinds and self.condition(features)
 
 

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.description.fields import Shape
-from mitsuba_ref.error_model.intersections import norm, unit
+from mitsuba_ref.error_model.intersections import norm, unit, without_float_warnings
 from mitsuba_ref.error_model.tolerances import K
 
 
@@ -98,6 +98,7 @@ def exactly(what: str, packed: Any, expected: Any) -> ExpectedNumbers:
     )
 
 
+@without_float_warnings
 def transformed_normals(matrix: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(normals (n, 3) in world space, size of their rounding): normals transform like cross products, by cofactors."""
     m = matrix[:3, :3] / np.abs(matrix[:3, :3]).max()
@@ -106,35 +107,33 @@ def transformed_normals(matrix: np.ndarray, normals: np.ndarray) -> tuple[np.nda
     turned = np.einsum("jk,ik->ij", cofactors, normals)
     columns = norm(m.T)
     sizes = np.array([columns[i - 2] * columns[i - 1] for i in range(3)])
-    with np.errstate(divide="ignore"):
-        size = np.abs(normals) @ sizes / norm(turned)
+    size = np.abs(normals) @ sizes / norm(turned)
     return unit(turned), size[:, None]
 
 
 NO_NORMAL = np.array([1.0, 0.0, 0.0])  # Mitsuba's normal of a vertex all of whose faces have no area
 
 
+@without_float_warnings
 def angle_weighted_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Vertex normals weighted by face angles, and the size of their rounding (inf where they cancel)."""
     p = np.ldexp(vertices, -np.frexp(np.abs(vertices).max())[1])  # exact: differences cancel no rounding
     total, weight = np.zeros_like(p), np.zeros(len(p))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for j in range(3):
-            corner, after, before = (faces[:, (j + step) % 3] for step in (0, 1, 2))
-            a, b = p[after] - p[corner], p[before] - p[corner]
-            across = np.cross(a, b)
-            area, lengths = norm(across), norm(a) * norm(b)
-            angle = 2.0 * np.arctan2(norm(_scaled(a, b) - _scaled(b, a)), norm(_scaled(a, b) + _scaled(b, a)))
-            real = area > 0.0
-            share = np.where(real[:, None], across / area[:, None] * angle[:, None], 0.0)
-            np.add.at(total, corner, share)
-            np.add.at(weight, corner, np.where(real, angle + lengths / area, 0.0))
-        size = np.bincount(faces.ravel(), minlength=len(p)) * weight / norm(total)
+    for j in range(3):
+        corner, after, before = (faces[:, (j + step) % 3] for step in (0, 1, 2))
+        a, b = p[after] - p[corner], p[before] - p[corner]
+        across = np.cross(a, b)
+        area, lengths = norm(across), norm(a) * norm(b)
+        angle = 2.0 * np.arctan2(norm(_scaled(a, b) - _scaled(b, a)), norm(_scaled(a, b) + _scaled(b, a)))
+        real = area > 0.0
+        share = np.where(real[:, None], across / area[:, None] * angle[:, None], 0.0)
+        np.add.at(total, corner, share)
+        np.add.at(weight, corner, np.where(real, angle + lengths / area, 0.0))
+    size = np.bincount(faces.ravel(), minlength=len(p)) * weight / norm(total)
     normals = np.where((weight > 0.0)[:, None], unit(total), NO_NORMAL)
     return normals, np.where(weight > 0.0, size, 1.0)[:, None]
 
 
 def _scaled(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """a scaled to |a| |b|: Kahan's formula for the angle needs vectors of equal lengths."""
-    scaled: np.ndarray = a * norm(b)[:, None]
-    return scaled
+    return a * norm(b)[:, None]

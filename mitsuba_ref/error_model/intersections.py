@@ -7,6 +7,9 @@ import numpy as np
 
 from mitsuba_ref.oracle.interface import ExactKind, ExpandStandIns
 
+# Decorates functions in which NaN, infinite numbers and overflow are answers like others, which comparisons sort out.
+without_float_warnings = np.errstate(all="ignore")
+
 # Embree drops a triangle with a coordinate beyond this, silently.
 LARGEST_COORDINATE = 1.844e18
 
@@ -194,14 +197,12 @@ GroupKey = Callable[[Any, np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.nd
 
 def by_normal(_prims: Any, _k: np.ndarray, n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
     """Group key of flat primitives: parallel planes, and mirror images of them, may be rounded alike."""
-    key: np.ndarray = np.sort(np.round(np.abs(n) / SAME_NORMAL_TOLERANCE), axis=1)
-    return key
+    return np.sort(np.round(np.abs(n) / SAME_NORMAL_TOLERANCE), axis=1)
 
 
 def by_matrix(prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
     """Group key of transformed primitives: abs(to_world), since mirror images round its inverse alike."""
-    key: np.ndarray = np.abs(prims.to_world[k].reshape(len(k), 9))
-    return key
+    return np.abs(prims.to_world[k].reshape(len(k), 9))
 
 
 def by_approach(prims: Any, k: np.ndarray, _n: np.ndarray, o: np.ndarray, d: np.ndarray) -> np.ndarray:
@@ -212,8 +213,7 @@ def by_approach(prims: Any, k: np.ndarray, _n: np.ndarray, o: np.ndarray, d: np.
 
 def by_center(prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:
     """Group key of spheres in the LLVM variant: float32 throughout, so the centre relative to the origin is rounded."""
-    center: np.ndarray = prims.center[k]
-    return center
+    return prims.center[k]
 
 
 def single_group(_prims: Any, k: np.ndarray, _n: np.ndarray, _o: np.ndarray, _d: np.ndarray) -> np.ndarray:

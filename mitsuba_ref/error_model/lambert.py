@@ -11,7 +11,7 @@ import numpy as np
 
 from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.bracket import Bracket
-from mitsuba_ref.error_model.intersections import Intersections, dot, largest_of_columns, norm
+from mitsuba_ref.error_model.intersections import Intersections, dot, largest_of_columns, norm, without_float_warnings
 from mitsuba_ref.error_model.tolerances import KU_OURS, U32
 
 # If the direction to a light is no better known than this, the light's value has no bound.
@@ -45,23 +45,23 @@ class LightContribution(NamedTuple):
     doubtful: np.ndarray  # (m,) bool: so near grazing that either face may be the visible one
 
 
+@without_float_warnings
 def light_contribution(materials: Materials, light: Any, hit: ShadingPoints, ku: float) -> LightContribution:
     """Radiance from `light`, with the error that follows from errors of the position and of the shading normal."""
     reflectance, two_sided = (each[hit.shape] for each in materials)
     to_light, reach = direction_to_light(light, hit.p)
     distance = norm(to_light)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        turn = np.where(np.isinf(reach), 0.0, 2.0 * hit.at.p_error / distance)
-        turn = np.where(turn < LARGEST_DIRECTION_ERROR, turn, np.inf)
-        cosine = dot(to_light, hit.at.sh_n) / distance
-        facing = -dot(hit.d, hit.at.sh_n) / norm(hit.d)
-        seen = np.where(two_sided, cosine * facing > 0.0, (cosine > 0.0) & (facing > 0.0))
-        cosine = np.abs(cosine)
-        flux = _flux(light, distance) * reflectance / np.pi
-        spread = 1.0 / np.maximum(1.0 - turn, 0.0) ** 2  # of 1 / distance^2, when p moves by its error
-        cosine_error = hit.at.sh_error + turn + ku
-        most = flux * (spread * (cosine + cosine_error))[:, None]
-        radiance = np.where(seen[:, None], flux * cosine[:, None], 0.0)
+    turn = np.where(np.isinf(reach), 0.0, 2.0 * hit.at.p_error / distance)
+    turn = np.where(turn < LARGEST_DIRECTION_ERROR, turn, np.inf)
+    cosine = dot(to_light, hit.at.sh_n) / distance
+    facing = -dot(hit.d, hit.at.sh_n) / norm(hit.d)
+    seen = np.where(two_sided, cosine * facing > 0.0, (cosine > 0.0) & (facing > 0.0))
+    cosine = np.abs(cosine)
+    flux = _flux(light, distance) * reflectance / np.pi
+    spread = 1.0 / np.maximum(1.0 - turn, 0.0) ** 2  # of 1 / distance^2, when p moves by its error
+    cosine_error = hit.at.sh_error + turn + ku
+    most = flux * (spread * (cosine + cosine_error))[:, None]
+    radiance = np.where(seen[:, None], flux * cosine[:, None], 0.0)
     error = np.where(seen[:, None], most - radiance, flux * (cosine_error * spread)[:, None]) + ku * radiance
     dark = ~seen & (cosine > cosine_error) & (np.abs(facing) > hit.at.sh_error + ku)
     error[dark] = 0.0
@@ -72,8 +72,7 @@ def light_contribution(materials: Materials, light: Any, hit: ShadingPoints, ku:
 
 def ambient_radiance(lights: Sequence[Any]) -> np.ndarray:
     """(3,) total radiance of the ambient lights."""
-    total: np.ndarray = sum((np.array(light.radiance) for light in lights if light.type == "ambient"), np.zeros(3))
-    return total
+    return sum((np.array(light.radiance) for light in lights if light.type == "ambient"), np.zeros(3))
 
 
 def direction_to_light(light: Any, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.geometry.packing import Packed
-from mitsuba_ref.error_model.intersections import ErrorModel, Intersections, no_intersections, norm, unit
+from mitsuba_ref.error_model.intersections import (
+    ErrorModel,
+    Intersections,
+    no_intersections,
+    norm,
+    unit,
+    without_float_warnings,
+)
 from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.oracle.boxes import BoxTree
 from mitsuba_ref.oracle.interface import lowest_identical
@@ -73,8 +80,7 @@ class SceneModel:
     def reference_has_uv(self, prim: np.ndarray) -> np.ndarray:
         """(n,) bool: the reference has uv of primitive prim[i] itself, not of a stand-in."""
         has = np.array([model.uv.reference is not None for model in self.models], bool)
-        found: np.ndarray = has[kinds_of(self.packed, np.maximum(prim, 0))[0]] if len(has) else prim >= 0
-        return found
+        return has[kinds_of(self.packed, np.maximum(prim, 0))[0]] if len(has) else prim >= 0
 
     @cached_property
     def boxes(self) -> tuple[np.ndarray, np.ndarray]:
@@ -173,13 +179,12 @@ class UncertainRaysModel(SceneModel):
         # A shift along the ray moves no point, but changes t.
         return PairIntersections(met.pair, enclosing_intersections(found, self.shift / norm(d)[met.pair]))
 
+    @without_float_warnings
     def is_unresolved(self, prim: np.ndarray, d: np.ndarray, t: np.ndarray) -> np.ndarray:
         """(m,) bool: prim[i] (-1: none) is so small at t[i] that the nine rays around d[i] may all miss it."""
         low, high = (corner[np.maximum(prim, 0)] for corner in self.boxes)
-        with np.errstate(invalid="ignore"):
-            circle = self.shift + self.turn * np.abs(t) * norm(d)
-            lost: np.ndarray = (prim >= 0) & (norm(high - low) <= UNRESOLVED_SIZE_IN_CIRCLES * circle)
-        return lost
+        circle = self.shift + self.turn * np.abs(t) * norm(d)
+        return (prim >= 0) & (norm(high - low) <= UNRESOLVED_SIZE_IN_CIRCLES * circle)
 
     def _turned(self, d: np.ndarray) -> np.ndarray:
         return (self.turn * norm(d))[:, None]
@@ -196,14 +201,14 @@ class UncertainRaysModel(SceneModel):
                 yield ring * out * (np.cos(angle) * right + np.sin(angle) * up)
 
 
+@without_float_warnings
 def enclosing_intersections(found: list[Intersections], along: np.ndarray) -> Intersections:
     """The first of several intersections of the same pairs, widened to enclose all. along: (m,) added to t_error."""
     middle = found[0]
-    with np.errstate(invalid="ignore"):
-        off = [np.abs(at.t - middle.t) + at.t_error + along for at in found]
-        t_error = np.max(np.where(np.isnan(off), np.inf, off), axis=0)
-        n_error = np.max([norm(at.n - middle.n) + at.n_error for at in found], axis=0)
-        sh_error = np.max([norm(at.sh_n - middle.sh_n) + at.sh_error for at in found], axis=0)
+    off = [np.abs(at.t - middle.t) + at.t_error + along for at in found]
+    t_error = np.max(np.where(np.isnan(off), np.inf, off), axis=0)
+    n_error = np.max([norm(at.n - middle.n) + at.n_error for at in found], axis=0)
+    sh_error = np.max([norm(at.sh_n - middle.sh_n) + at.sh_error for at in found], axis=0)
     possible = np.any([at.possible for at in found], axis=0)
     certain = np.all([at.certain for at in found], axis=0)
     edge, side = middle.edge.copy(), middle.side.copy()

@@ -14,7 +14,7 @@ from caster.geometry.packing import Packed
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import intersections_at, row_distance
 from mitsuba_ref.error_model.bracket import ANY_SHAPE, CLAIMED_MISS, NOT_CLAIMED, Claims
-from mitsuba_ref.error_model.intersections import Intersections
+from mitsuba_ref.error_model.intersections import Intersections, without_float_warnings
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import LARGEST_USEFUL_NORMAL_ERROR
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle, OutsideDomain
@@ -163,10 +163,10 @@ def exact_ratios(
     return best, first
 
 
+@without_float_warnings
 def ratio_to_bound(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
     """error / bound; 0 where the bound is infinite, inf where the error is no number."""
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        ratio = np.where(error == 0.0, 0.0, error / bound)
+    ratio = np.where(error == 0.0, 0.0, error / bound)
     ratio = np.where(np.isposinf(bound) & np.isfinite(error), 0.0, ratio)
     return np.where(np.isnan(ratio), np.inf, ratio)
 

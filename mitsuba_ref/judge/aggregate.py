@@ -51,7 +51,7 @@ def class_counts(judgement: Judgement, hit: np.ndarray) -> dict[str, int]:
 def largest_ratios(judgement: Judgement) -> dict[str, float]:
     """The largest ratio of each check among the pixels that agree."""
     agreeing = judgement.classes == CLASS_CODE[AGREE]
-    return {name: float(judgement.ratio(name)[agreeing].max(initial=0.0)) for name in judgement.names}
+    return {name: float(ratio[agreeing].max(initial=0.0)) for name, ratio in judgement.ratios.items()}
 
 
 def defect_counts(judgement: Judgement) -> dict[str, int]:
@@ -92,7 +92,7 @@ def listed_failures(judge: Judge, judgement: Judgement, diagnosis: Diagnosis) ->
     The worst pixel of a diagnosis, or the first if the subject names no primitives, so that most have no factor.
     """
     by_row, rows = diagnosis.by_row(), failing_rows(judgement)
-    excess = np.max([judgement.excess(name)[rows] for name in judgement.names], axis=0)
+    excess = np.max([judgement.excess(name)[rows] for name in judgement.ratios], axis=0)
     alike = np.isin(rows, np.concatenate([each.alike for each in diagnosis.causes])) if len(rows) else rows
     worst_first = rows[np.lexsort([-excess, alike])].tolist()
     rank = {row: place for place, row in enumerate(worst_first if judge.names_prims else rows.tolist())}
@@ -105,7 +105,7 @@ def listed_failures(judge: Judge, judgement: Judgement, diagnosis: Diagnosis) ->
 def failing_by_check(judgement: Judgement) -> dict[str, np.ndarray]:
     """Failing rows by each check that they fail, worst first; under `exact` if they fail none."""
     rows = failing_rows(judgement)
-    excess = {name: judgement.excess(name)[rows] for name in judgement.names}
+    excess = {name: judgement.excess(name)[rows] for name in judgement.ratios}
     beyond = {name: ~(ratio <= 1.0) for name, ratio in excess.items()}
     beyond[EXACT] |= ~np.any(list(beyond.values()), axis=0)
     worst_first = {name: np.argsort(-ratio, kind="stable") for name, ratio in excess.items()}
@@ -115,17 +115,17 @@ def failing_by_check(judgement: Judgement) -> dict[str, np.ndarray]:
 def failure_at(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str], row: int, check: str = "") -> Failure:
     """One pixel that fails. check: the check to report; "": the one with the largest excess."""
     check = check or decisive_checks(judgement, np.array([row]))[0]
-    text = pixel_answers(judge, judgement, row, check)
+    answers = pixel_answers(judge, judgement, row, check)
     explain = full_reason if judge.names_prims else reason
     why = explain(judge, judgement, diagnosed, row)
-    verdict, ratio = CLASSES[int(judgement.classes[row])], float(judgement.ratio(check)[row])
+    verdict, ratio = CLASSES[int(judgement.classes[row])], float(judgement.ratios[check][row])
     x, y = pixel_of(judge.scene, row)
-    return Failure(x, y, verdict, check, ratio, text.subject, text.reference, text.exact, why)
+    return Failure(x, y, verdict, check, ratio, *answers, why)
 
 
 def decisive_checks(judgement: Judgement, rows: np.ndarray) -> list[str]:
     """The check with the largest excess of each row; `exact`, the least specific, only if no other fails."""
-    names = judgement.names
+    names = list(judgement.ratios)
     excess = np.stack([judgement.excess(name)[rows] for name in names])
     excess = np.where(np.isnan(excess), np.inf, excess)
     beyond = (excess > 1.0) & (np.array(names) != EXACT)[:, None]

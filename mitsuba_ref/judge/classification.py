@@ -20,7 +20,7 @@ from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, intersections_at, row_distance
 from mitsuba_ref.error_model.bracket import CLAIMED_MISS, Bracket, Claims
-from mitsuba_ref.error_model.intersections import Intersections, row_groups
+from mitsuba_ref.error_model.intersections import Intersections, row_groups, without_float_warnings
 from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
 from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR, NEARLY_ALL
 from mitsuba_ref.judge.adjudication import (
@@ -87,14 +87,6 @@ class Judgement:
     cases: dict[int, int | None]  # pixel where the reference is wrong -> number of the known defect, if listed
     exact_seconds: float  # spent on exact arithmetic
     not_adjudicated: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))  # rows
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(self.ratios)
-
-    def ratio(self, name: str) -> np.ndarray:
-        """(n,) error over bound of a check."""
-        return self.ratios[name]
 
     def excess(self, name: str) -> np.ndarray:
         """(n,) error over what the scene allows of the bound."""
@@ -243,17 +235,18 @@ class Judge:
         loose = self.pixels.both_hit & ~(error <= LARGEST_USEFUL_NORMAL_ERROR)
         return loose & (not self.answer.hits_only)
 
+    @without_float_warnings
     def _reference_fits(self) -> np.ndarray:
         """(n,) bool: Mitsuba's answer lies on the primitive it names, so that a subject may be held to that one."""
         if self.names_prims:
             return np.ones(len(self.t_max), bool)
         at, result = self.bounds.at, self.result
-        with np.errstate(invalid="ignore"):
-            t = self.reference_t
-            fits = at.possible & (np.abs(t - at.t) <= at.t_error) & (t > 0.0)
-            fits &= row_distance(aov_rows(self.pair.reference, "normal"), at.n) <= at.n_error
+        t = self.reference_t
+        fits = at.possible & (np.abs(t - at.t) <= at.t_error) & (t > 0.0)
+        fits &= row_distance(aov_rows(self.pair.reference, "normal"), at.n) <= at.n_error
         return np.where(result.hit, fits, True)
 
+    @without_float_warnings
     def _adjudicate(self, agreeing: np.ndarray) -> Adjudication:
         """Compare the subject with exact arithmetic wherever that may matter."""
         disputed = ~agreeing
@@ -262,8 +255,7 @@ class Judge:
             certain = certain & self.bounds.own.certain
         if self.pair.rays.is_list:
             own = self.bounds.own  # rounding may move a hit beyond t_min or t_max
-            with np.errstate(invalid="ignore"):
-                certain = certain & (own.t - own.t_error > self.t_min) & (own.t + own.t_error <= self.t_max)
+            certain = certain & (own.t - own.t_error > self.t_min) & (own.t + own.t_error <= self.t_max)
             agreeing = agreeing & ~self._may_hit()
         rows = needs_adjudication(agreeing, self.hit, certain, self.pair.shape)
         rows = rows[self.t_max[rows] >= 0.0]

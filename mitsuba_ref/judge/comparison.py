@@ -18,7 +18,7 @@ from caster.geometry.packing import Packed
 from caster.rendering.images import film_window
 from caster.scene.model import Check, Scene
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, error_over_bound, row_distance
-from mitsuba_ref.error_model.intersections import all_of_columns, any_of_columns, norm
+from mitsuba_ref.error_model.intersections import all_of_columns, any_of_columns, norm, without_float_warnings
 from mitsuba_ref.error_model.tolerances import KU_OURS
 from mitsuba_ref.reference.rendering import ReferenceResult, aovs_of
 from mitsuba_ref.reference.shared_input import SharedRays
@@ -81,10 +81,10 @@ def pair_images(scene: Scene, rays: SharedRays, answer: Answer, result: Referenc
     return ImagePair(rays, answer, subject, aovs_of(result, rays, shape, names), result)
 
 
+@without_float_warnings
 def _images_of(answer: Answer, rays: SharedRays, shape: tuple[int, int]) -> Aovs:
     """t and n as images, with depth from the eye like the reference's. A normal that is not finite becomes NaN."""
-    with np.errstate(over="ignore"):
-        depth = rays.start + answer.t * norm(rays.d.astype(np.float64))
+    depth = rays.start + answer.t * norm(rays.d.astype(np.float64))
     images = {"depth": depth.reshape(shape)}
     if answer.n is not None:
         none = answer.broken.get(NOT_FINITE, np.zeros(len(answer.t), bool))
@@ -114,8 +114,7 @@ class SelfCheck(NamedTuple):
     @property
     def fails(self) -> np.ndarray:
         """(n,) bool."""
-        found: np.ndarray = self.counts & ~(self.error <= self.bound)
-        return found
+        return self.counts & ~(self.error <= self.bound)
 
 
 @dataclass(frozen=True)
@@ -141,6 +140,7 @@ class PixelPairs:
         return row_distance(*sides)
 
     @cached_property
+    @without_float_warnings
     def allowed_distance(self) -> dict[str, np.ndarray]:
         """(n,) bound on the distance of each AOV of a subject that names its primitives.
 
@@ -150,8 +150,7 @@ class PixelPairs:
         differs by far more than any bound.
         """
         at = self.bounds.at
-        with np.errstate(invalid="ignore"):
-            depth = at.t_error * self.length + KU_OURS * np.abs(aov_rows(self.subject, "depth"))
+        depth = at.t_error * self.length + KU_OURS * np.abs(aov_rows(self.subject, "depth"))
         found = {"depth": depth, "position": at.p_error, "normal": at.n_error, "shading_normal": at.sh_error}
         return found if self.uv is None else found | {"uv": self.uv.bound}
 
@@ -190,6 +189,7 @@ CHECKS = ("mask", "shape_id", "on_surface", "depth", "position", "normal", "shad
 SURFACE_CHECKS = ("mask", "depth", "normal", "shape_id", "prim_id")
 
 
+@without_float_warnings
 def check_ratios(pixels: PixelPairs) -> dict[str, np.ndarray]:
     """Error over bound of each check whose quantities are given, (n,) each; inf for another hit, shape or primitive."""
     answer, own, both = pixels.answer, pixels.bounds.own, pixels.both_hit
@@ -201,8 +201,7 @@ def check_ratios(pixels: PixelPairs) -> dict[str, np.ndarray]:
     found = {"mask": unequal(hit, pixels.reference.hit.ravel())}
     # |t - t computed anew at the primitive|; inf if the ray misses it. All other bounds belong to this primitive: if it
     # were the wrong one, they would be worthless.
-    with np.errstate(invalid="ignore"):
-        error = np.abs(answer.t - own.t)
+    error = np.abs(answer.t - own.t)
     ratio = np.where(own.possible, error_over_bound(error, own.t_error + answer.t_rounding), np.inf)
     on_surface = np.where(hit, ratio, 0.0)
     if answer.prim is None:  # the primitive that the reference names
@@ -249,6 +248,7 @@ def compare(pixels: PixelPairs, checks: Mapping[str, Check]) -> Comparison:
     return Comparison(ratios, {name: checks[name].ratio if name in checks else 1.0 for name in (*ratios, "diffuse")})
 
 
+@without_float_warnings
 def inconsistent_aovs(scene: Scene, packed: Packed, pair: ImagePair) -> dict[str, np.ndarray]:
     """Where the AOVs of a subject that names its primitives contradict its hits; (n,) bool, by check.
 
@@ -260,8 +260,7 @@ def inconsistent_aovs(scene: Scene, packed: Packed, pair: ImagePair) -> dict[str
     subject, hit = pair.subject, np.isfinite(pair.t)
     found = {name: ~_fits_mask(subject, name, hit) for name in COMPARED_AOVS}
     depth = pair.rays.start + pair.t * pair.length  # from the eye, up to three roundings
-    with np.errstate(invalid="ignore"):
-        found["depth"] |= hit & ~(np.abs(aov_rows(subject, "depth") - depth) <= KU_OURS * np.abs(depth))
+    found["depth"] |= hit & ~(np.abs(aov_rows(subject, "depth") - depth) <= KU_OURS * np.abs(depth))
     found["mask"] = (subject.hit.ravel() != hit) | (aov_rows(subject, "hit") != hit)
     shape = aov_rows(subject, "shape_id")
     prim_id = np.where(hit, pair.answer.prim - packed.first[np.maximum(shape, 0)], MISS_VALUES["prim_id"])

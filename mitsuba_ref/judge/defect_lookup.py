@@ -17,7 +17,7 @@ from mitsuba_ref.error_model.defect_conditions import (
     DefectView,
     KnownDefect,
 )
-from mitsuba_ref.error_model.intersections import norm
+from mitsuba_ref.error_model.intersections import norm, without_float_warnings
 from mitsuba_ref.error_model.scene_model import SceneModel, kinds_of
 from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
@@ -105,15 +105,15 @@ def _with_normals(
     return claims._replace(n=n, sh_n=sh_n, p=p), normless
 
 
+@without_float_warnings
 def _distance_and_offset(model: SceneModel, prims: np.ndarray, o: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(m,) distances of primitives from o and of their farthest corners from the origin, over their sizes; or 0."""
     low, high = (corner[prims] for corner in model.boxes)
-    with np.errstate(all="ignore"):
-        size = (high - low).max(axis=1)
-        away = norm(np.maximum(np.maximum(low - o, o - high), 0.0))
-        farthest = np.maximum(np.abs(low), np.abs(high)).max(axis=1)
-        sized = (prims >= 0) & np.isfinite(size) & (size > 0.0)
-        return np.where(sized, away / size, 0.0), np.where(sized, farthest / size, 0.0)
+    size = (high - low).max(axis=1)
+    away = norm(np.maximum(np.maximum(low - o, o - high), 0.0))
+    farthest = np.maximum(np.abs(low), np.abs(high)).max(axis=1)
+    sized = (prims >= 0) & np.isfinite(size) & (size > 0.0)
+    return np.where(sized, away / size, 0.0), np.where(sized, farthest / size, 0.0)
 
 
 def _place(model: SceneModel, prim: int) -> tuple[Any, int]:
@@ -126,13 +126,13 @@ def _kind(model: SceneModel, prim: int) -> str:
     return kind_of(_place(model, prim)[0]).name if prim >= 0 else ""
 
 
+@without_float_warnings
 def _view(model: SceneModel, prim: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
     """Measures of one primitive and the ray, by its kind."""
     if prim < 0:
         return DefectView()
     prims, k = _place(model, prim)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return kind_of(prims).defect_view(prims, k, o, d, t)
+    return kind_of(prims).defect_view(prims, k, o, d, t)
 
 
 def _is_at_zero(model: SceneModel, oracle: Oracle, shape: int, prim: int, o: np.ndarray, d: np.ndarray) -> bool:

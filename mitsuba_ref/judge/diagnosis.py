@@ -243,8 +243,7 @@ def _describe_hits(f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
     if beside.any():
         yield f"a hit; exact arithmetic misses{_outline_text(f.take(beside))}", beside
     both = f.given_hit & f.hit
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        share = np.where(both, f.given_t / f.t - 1.0, 0.0)
+    share = np.where(both, f.given_t / f.t - 1.0, 0.0)
     for some, word in ((share < 0.0, "before"), (share > 0.0, "behind")):
         if some.any():
             where = _outline_text(f.take(some)) if word == "before" else ""
@@ -258,16 +257,14 @@ def _is_behind_first(f: WrongPixels) -> np.ndarray:
     if f.judge.answer.hits_only or not f.given_hit.any():
         return behind
     t, at = f.given_t[f.roots.ray], f.roots.at
-    with np.errstate(invalid="ignore"):
-        behind[f.roots.ray[np.abs(t - at.t) <= np.maximum(at.t_error, MATCH_RTOL * np.abs(t))]] = True
-        return behind & f.given_hit & f.hit & (f.given_t > f.t * (1.0 + DISTINCT_RTOL))
+    behind[f.roots.ray[np.abs(t - at.t) <= np.maximum(at.t_error, MATCH_RTOL * np.abs(t))]] = True
+    return behind & f.given_hit & f.hit & (f.given_t > f.t * (1.0 + DISTINCT_RTOL))
 
 
 def _has_wrong_id(f: WrongPixels) -> np.ndarray:
     """(m,) bool: a shape or primitive is named that is not hit."""
     wrong = [ids[f.rows] != number(f.prim) for _, ids, number in id_columns(f.judge.answer, f.judge.model.packed)]
-    found: np.ndarray = np.any([np.zeros(len(f.rows), bool), *wrong], axis=0)
-    return found
+    return np.any([np.zeros(len(f.rows), bool), *wrong], axis=0)
 
 
 def _describe_normals(f: WrongPixels) -> Iterator[tuple[str, np.ndarray]]:
@@ -294,14 +291,13 @@ def _outline_text(f: WrongPixels) -> str:
     bound = np.where(few.hit, FIT_FACTOR * few.at.t_error, np.inf)
     for o, d, t, t_bound in zip(few.o, few.d, few.given_t, bound, strict=True):
         p = o + t * d
-        with np.errstate(invalid="ignore"):
-            away = norm(np.maximum(np.maximum(low - p, p - high), 0.0))
-            prims = np.argsort(away, kind="stable")[:NEAR_BOXES]
-            corners = triangle_corners(judge, prims)
-            n = unit(area_vectors(corners))
-            height = np.abs(dot(p - corners[:, 0], n))
-            on_plane = height <= DISTINCT_RTOL * norm(corners[:, 1] - corners[:, 0])
-            on_plane &= height <= t_bound * np.abs(n @ d)  # of a miss, beside a triangle along the ray
+        away = norm(np.maximum(np.maximum(low - p, p - high), 0.0))
+        prims = np.argsort(away, kind="stable")[:NEAR_BOXES]
+        corners = triangle_corners(judge, prims)
+        n = unit(area_vectors(corners))
+        height = np.abs(dot(p - corners[:, 0], n))
+        on_plane = height <= DISTINCT_RTOL * norm(corners[:, 1] - corners[:, 0])
+        on_plane &= height <= t_bound * np.abs(n @ d)  # of a miss, beside a triangle along the ray
         inside, distance = _outline(p, corners)
         if on_plane.any() and not (on_plane & inside).any():
             beyond = np.where(on_plane, distance, np.inf)
@@ -319,9 +315,8 @@ def _outline(p: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray
     """Whether p (3,) or (m, 3) lies inside each triangle (m, 3, 3) if projected, and its distance from the outline."""
     a, ab, n = corners, np.roll(corners, -1, axis=1) - corners, area_vectors(corners)
     ap = np.broadcast_to(p, n.shape)[:, None] - a
-    with np.errstate(divide="ignore", invalid="ignore"):
-        inside = (np.cross(ab, ap) @ n[:, :, None] >= 0.0).all(axis=(1, 2))
-        along = np.clip(np.nan_to_num((ap * ab).sum(axis=2) / (ab * ab).sum(axis=2)), 0.0, 1.0)
+    inside = (np.cross(ab, ap) @ n[:, :, None] >= 0.0).all(axis=(1, 2))
+    along = np.clip(np.nan_to_num((ap * ab).sum(axis=2) / (ab * ab).sum(axis=2)), 0.0, 1.0)
     return inside, np.linalg.norm(ap - along[:, :, None] * ab, axis=2).min(axis=1)
 
 
@@ -499,12 +494,11 @@ def _quantities(judge: Judge, rows: np.ndarray, prim: np.ndarray) -> Iterator[tu
     at = judge.near(rows, prim, judge.result.t[rows].astype(np.float64))
     corners = triangle_corners(judge, prim)
     low, high = (corner[prim] for corner in judge.model.boxes)
-    with np.errstate(all="ignore"):
-        yield "the determinant |d . (e1 x e2)|", np.abs(dot(d, area_vectors(corners)))
-        yield "t", at.t
-        yield "the cosine of ray and normal", np.abs(dot(at.n, unit(d)))
-        yield "the size of the primitive", norm(high - low)
-        yield "the distance to the triangle's outline", _outline(o + at.t[:, None] * d, corners)[1]
+    yield "the determinant |d . (e1 x e2)|", np.abs(dot(d, area_vectors(corners)))
+    yield "t", at.t
+    yield "the cosine of ray and normal", np.abs(dot(at.n, unit(d)))
+    yield "the size of the primitive", norm(high - low)
+    yield "the distance to the triangle's outline", _outline(o + at.t[:, None] * d, corners)[1]
     yield "the number of the primitive in its shape", judge.model.packed.index_in_shape(prim)
     yield "|d|", norm(d)
     if not judge.pair.rays.is_list:

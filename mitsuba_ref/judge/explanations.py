@@ -65,8 +65,8 @@ def open_reason(judge: Judge, judgement: Judgement, row: int) -> str:
     inconsistent = [name for name, where in judge.inconsistent.items() if where[row]]
     if inconsistent:
         return f"our image contradicts our own hit: {', '.join(inconsistent)}"
-    worst = max(judgement.names, key=lambda name: judgement.excess(name)[row])
-    if judgement.excess(worst)[row] > 1.0 >= judgement.ratio(worst)[row]:
+    worst = max(judgement.ratios, key=lambda name: judgement.excess(name)[row])
+    if judgement.excess(worst)[row] > 1.0 >= judgement.ratios[worst][row]:
         return f"beyond the share of the bound that [check.{worst}] allows"
     if judgement.exact.of(row) is None:
         return "exact arithmetic gave no answer"
@@ -88,7 +88,7 @@ def full_reason(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str]
 
 def error_ratios(judge: Judge, judgement: Judgement, row: int) -> dict[str, float]:
     """Error over bound of every quantity: the larger of those from Mitsuba and from the subject's own primitive."""
-    found = {name: float(judgement.ratio(name)[row]) for name in judgement.names}
+    found = {name: float(ratio[row]) for name, ratio in judgement.ratios.items()}
     for check in judge.self_checks:
         if check.fails[row]:
             error, bound = float(check.error[row]), float(check.bound[row])
@@ -124,7 +124,7 @@ def not_judged(judge: Judge, judgement: Judgement, row: int) -> dict[str, str]:
     if judgement.exact.of(row) is None:
         found[EXACT] = "there is no ray" if judge.t_max[row] < 0.0 else "exact arithmetic gave no answer"
     # A quantity that contradicts another is reported as beyond all bounds, although it was not compared.
-    return {name: why for name, why in found.items() if not judgement.ratio(name)[row] > 0.0}
+    return {name: why for name, why in found.items() if not judgement.ratios[name][row] > 0.0}
 
 
 # ---- answers of a pixel: shape and t, in decimal and to the bit ----
@@ -174,24 +174,19 @@ def exact_answer(judge: Judge, judgement: Judgement, row: int) -> ExactAnswer | 
     return judge.oracle.first_hit(judge.o[row], judge.d[row], float(judge.t_min[row]), float(judge.t_max[row]))
 
 
-class PixelText(NamedTuple):
-    """The answers at one pixel as text."""
+def pixel_answers(judge: Judge, judgement: Judgement, row: int, check: str) -> tuple[str, str, str]:
+    """The subject's, the reference's and the exact answer at one row of the image.
 
-    subject: str
-    reference: str
-    exact: str
-
-
-def pixel_answers(judge: Judge, judgement: Judgement, row: int, check: str) -> PixelText:
-    """All answers at one row of the image. check: whose values are shown of a subject that gives images."""
+    check: whose values are shown of a subject that gives images.
+    """
     exact = format_exact(judge.scene, judge.model.packed, exact_answer(judge, judgement, row))
     if judge.names_prims:
         sides = judge.pair.subject, judge.pair.reference
         subject, reference = (_aovs_text(judge.scene, aovs, check, row) for aovs in sides)
-        return PixelText(subject, reference, exact)
+        return subject, reference, exact
     ray = f"along o ({format_numbers(judge.o[row])}), d ({format_numbers(judge.d[row])})"
     subject = f"{format_answer(judge.answer, row)}, {ray}"
-    return PixelText(subject, _reference_text(judge, row), exact + _exact_normal_text(judge, judgement, row))
+    return subject, _reference_text(judge, row), exact + _exact_normal_text(judge, judgement, row)
 
 
 def _aovs_text(scene: Scene, aovs: Any, check: str, row: int) -> str:
@@ -255,7 +250,7 @@ def reproducer_header(judge: Judge, judgement: Judgement, row: int, source: str)
     yield f"exact:     {format_exact(judge.scene, judge.model.packed, exact_answer(judge, judgement, row))}"
     yield f"caster:    {format_primitive(judge, row, subject=True)}"
     yield f"Mitsuba:   {format_primitive(judge, row, subject=False)}"
-    if judgement.ratio("diffuse")[row] > 1.0:
+    if judgement.ratios["diffuse"][row] > 1.0:
         for name, aovs in (("caster", pair.subject), ("Mitsuba", pair.reference)):
             yield f"{name + ':':<11}diffuse {format_float32s(aov_rows(aovs, 'diffuse')[row])}"
     yield f"origin:    {format_float32s(pair.rays.o[row])}"

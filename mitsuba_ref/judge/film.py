@@ -52,10 +52,10 @@ def judged_film(judge: Judge, judgement: Judgement) -> JudgedFilm:
 
 
 def _failing(judge: Judge, judgement: Judgement) -> Iterator[FailingPixel]:
-    pair, bounds = judge.pair, {name: check_bound(judge, name) for name in judgement.names}
+    pair, bounds = judge.pair, {name: check_bound(judge, name) for name in judgement.ratios}
     rows = failing_rows(judgement)
     for row, check in zip(rows.tolist(), decisive_checks(judgement, rows), strict=True):
-        name, ratio = VALUES_OF.get(check, check), float(judgement.ratio(check)[row])
+        name, ratio = VALUES_OF.get(check, check), float(judgement.ratios[check][row])
         x, y = pixel_of(judge.scene, row)
         sides = (_value(aovs, name, row) for aovs in (pair.subject, pair.reference))
         yield FailingPixel(x, y, CLASSES[int(judgement.classes[row])], check, ratio, float(bounds[check][row]), *sides)
@@ -80,8 +80,7 @@ def check_bound(judge: Judge, check: str) -> np.ndarray:
     if check == "normal":
         return own.n_error
     if check in ("depth", "on_surface"):
-        found: np.ndarray = (own.t_error + judge.answer.t_rounding) * pixels.length
-        return found
+        return (own.t_error + judge.answer.t_rounding) * pixels.length
     return np.full(len(judge.hit), np.nan)
 
 

@@ -62,8 +62,7 @@ class WrongPixels:
         other = self.given_hit != self.hit
         if self.judge.answer.hits_only:
             return other
-        with np.errstate(invalid="ignore"):
-            wrong_t = ~(np.abs(self.given_t - self.t) <= self.at.t_error + self.t_rounding)
+        wrong_t = ~(np.abs(self.given_t - self.t) <= self.at.t_error + self.t_rounding)
         return other | (self.given_hit & self.hit & wrong_t)
 
     def right_under(self, hit: np.ndarray, t: np.ndarray, bound: np.ndarray) -> np.ndarray:
@@ -74,14 +73,13 @@ class WrongPixels:
         same: np.ndarray = self.given_hit == hit
         if self.judge.answer.hits_only:
             return same
-        with np.errstate(invalid="ignore", over="ignore"):
-            left = np.abs(self.given_t - t)
-            error = np.where(np.isfinite(self.t), np.abs(self.given_t - self.t), np.inf)
-            loose = np.minimum(LARGEST_RESIDUAL * error, MATCH_RTOL * np.abs(t))
-            bound = np.where(np.isfinite(bound), FIT_FACTOR * (bound + self.t_rounding), 0.0)
-            near = left <= np.maximum(bound, loose) + np.finfo(np.float64).tiny
-            better = self.off & (left <= MAJORITY * error)  # of two bounds, a third of one explains nothing
-            return same & (~hit | (near & (better | ~self.off)))
+        left = np.abs(self.given_t - t)
+        error = np.where(np.isfinite(self.t), np.abs(self.given_t - self.t), np.inf)
+        loose = np.minimum(LARGEST_RESIDUAL * error, MATCH_RTOL * np.abs(t))
+        bound = np.where(np.isfinite(bound), FIT_FACTOR * (bound + self.t_rounding), 0.0)
+        near = left <= np.maximum(bound, loose) + np.finfo(np.float64).tiny
+        better = self.off & (left <= MAJORITY * error)  # of two bounds, a third of one explains nothing
+        return same & (~hit | (near & (better | ~self.off)))
 
     @cached_property
     def roots(self) -> RayIntersections:
@@ -221,10 +219,9 @@ FLOAT32_REMEDY = "compute in float64, or state --candidate-precision float32"
 
 def _as_in_float32(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
     """(m,) bool: errors within float32's bounds, if most of them are as large as float32 makes them."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = np.abs(error) / bound
-        fits: np.ndarray = ratio <= 1.0
-        return fits & bool(fits.any() and np.median(ratio[fits]) >= LEAST_FLOAT32_ERROR)
+    ratio = np.abs(error) / bound
+    fits: np.ndarray = ratio <= 1.0
+    return fits & bool(fits.any() and np.median(ratio[fits]) >= LEAST_FLOAT32_ERROR)
 
 
 def _is_of_both_signs(error: np.ndarray) -> bool:
@@ -268,9 +265,8 @@ def _quantity(what: str, remedy: str, values: Quantity, claim: int = NOTHING, *,
     """Another quantity in place of t."""
 
     def predicts(g: WrongPixels) -> np.ndarray:
-        with np.errstate(all="ignore"):
-            t, slope = values(g)
-            return g.right_under(g.hit, t, g.at.t_error * np.abs(slope)) & g.hit
+        t, slope = values(g)
+        return g.right_under(g.hit, t, g.at.t_error * np.abs(slope)) & g.hit
 
     return Mistake(what, remedy, predicts, claim, single, same_surface=True)
 
@@ -281,9 +277,8 @@ def _fitted_quantities(f: WrongPixels) -> Iterator[Mistake]:
     if some.sum() < MIN_FITTED_PIXELS:
         return
     given, t = f.given_t[some], f.t[some]
-    with np.errstate(all="ignore"):
-        offset, more = float(np.median(given - t)), float(np.median((given - t) / t))
-        left = [np.median(np.abs(given - fit) / f.at.t_error[some]) for fit in (t + offset, t + more * t)]
+    offset, more = float(np.median(given - t)), float(np.median((given - t) / t))
+    left = [np.median(np.abs(given - fit) / f.at.t_error[some]) for fit in (t + offset, t + more * t)]
     constant = f"{abs(offset):.3g} too {'large' if offset > 0 else 'small'} everywhere, a constant"
     sign = "+" if more > 0.0 else "-"
     factor = f"(1 {sign} {abs(more):.3g})" if abs(more) < DISTINCT_RTOL else f"{1.0 + more:.7g}"
@@ -348,8 +343,7 @@ def _right_among(g: WrongPixels, roots: RayIntersections, *, last: bool = False,
     certain = ahead & roots.at.certain
     first = np.full(len(g.rows), np.inf)
     np.minimum.at(first, ray[certain], sign * t[certain])
-    with np.errstate(invalid="ignore"):
-        in_turn = sign * t <= first[ray] + bound
+    in_turn = sign * t <= first[ray] + bound
     each = g.take(ray)
     matches = ahead & in_turn & each.right_under(np.ones(len(t), bool), t, bound)
     found = ~g.given_hit
@@ -430,8 +424,7 @@ def _is_first_ahead(g: WrongPixels) -> np.ndarray:
     """(r,) bool: the first root of its primitive that is ahead of the origin."""
     t = g.roots.at.t
     ahead = np.where(t > g.judge.t_min[g.rows][g.roots.ray], t, np.inf)
-    found: np.ndarray = np.isfinite(ahead) & (t == _least(g.roots, ahead))
-    return found
+    return np.isfinite(ahead) & (t == _least(g.roots, ahead))
 
 
 def _is_last_prim(g: WrongPixels) -> np.ndarray:
@@ -439,15 +432,13 @@ def _is_last_prim(g: WrongPixels) -> np.ndarray:
     kept = _is_first_ahead(g)
     last = np.full(len(g.rows), -1)
     np.maximum.at(last, g.roots.ray[kept], g.roots.prim[kept])
-    found: np.ndarray = kept & (g.roots.prim == last[g.roots.ray])
-    return found
+    return kept & (g.roots.prim == last[g.roots.ray])
 
 
 def _is_tried_first(g: WrongPixels) -> np.ndarray:
     """(r,) bool: the first root of its primitive, or one whose first root is not behind the origin."""
     first = _least(g.roots, g.roots.at.t)
-    found: np.ndarray = (g.roots.at.t == first) | (first >= 0.0)
-    return found
+    return (g.roots.at.t == first) | (first >= 0.0)
 
 
 def _selection(what: str, remedy: str, kept: Predicts, *, last: bool = False, single: bool = False) -> Mistake:
@@ -523,8 +514,7 @@ def _hits_beside(g: WrongPixels, step: int) -> np.ndarray:
     prim = packed.first[np.where(known, shape, 0)] + answer.prim_id[g.rows] - step
     there = known & (prim >= 0) & (prim < packed.first[-1])
     at = g.judge.near(g.rows, np.where(there, prim, -1), g.given_t)
-    found: np.ndarray = there & at.possible & (np.abs(g.given_t - at.t) <= at.t_error + g.t_rounding)
-    return found
+    return there & at.possible & (np.abs(g.given_t - at.t) <= at.t_error + g.t_rounding)
 
 
 def _column_mistakes(name: str, ids: np.ndarray, number: Callable[[np.ndarray], np.ndarray]) -> Iterator[Mistake]:
@@ -570,8 +560,7 @@ def _normal(what: str, remedy: str, predicted: Predicts, claim: int = NOTHING, *
     """Other normals, predicted (m, 3), in place of the right ones. Unless `single`, those must not be all alike."""
 
     def predicts(g: WrongPixels) -> np.ndarray:
-        with np.errstate(invalid="ignore"):
-            n = predicted(g)
+        n = predicted(g)
         fits: np.ndarray = row_distance(g.n, n) <= MATCH_RTOL
         fits &= (row_distance(n, g.at.n) > DISTINCT_RTOL) | ~has_wrong_normal(g)
         some = g.at.n[fits]
@@ -647,11 +636,9 @@ MAX_SHARE_OF_ERROR_LEFT = 0.5
 def _is_of_corners_seen_from_the_origin(g: WrongPixels) -> np.ndarray:
     """(m,) bool: normals of triangles, right but for the rounding of corner - o to float32."""
     corners = triangle_corners(g.judge, g.prim)
-    with np.errstate(invalid="ignore", over="ignore"):
-        seen = (corners.astype(np.float32) - g.o.astype(np.float32)[:, None]).astype(np.float64)
-        left, error = row_distance(g.n, unit(area_vectors(seen))), row_distance(g.n, g.at.n)
-        found: np.ndarray = (left <= FIT_FACTOR * g.at.n_error) & (left < MAX_SHARE_OF_ERROR_LEFT * error)
-    return found
+    seen = (corners.astype(np.float32) - g.o.astype(np.float32)[:, None]).astype(np.float64)
+    left, error = row_distance(g.n, unit(area_vectors(seen))), row_distance(g.n, g.at.n)
+    return (left <= FIT_FACTOR * g.at.n_error) & (left < MAX_SHARE_OF_ERROR_LEFT * error)
 
 
 def triangle_corners(judge: Judge, prim: np.ndarray) -> np.ndarray:
@@ -668,8 +655,7 @@ def triangle_corners(judge: Judge, prim: np.ndarray) -> np.ndarray:
 
 def area_vectors(corners: np.ndarray) -> np.ndarray:
     """(m, 3) normals of triangles (m, 3, 3), twice as long as their area."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def range_text(sizes: np.ndarray) -> str:

@@ -207,8 +207,7 @@ class SceneVerdict:
     @property
     def classes(self) -> np.ndarray:
         """(h, w) uint8, index into `mitsuba_ref.CLASSES` of each pixel of a verdict of `mitsuba_ref.validate`."""
-        classes: np.ndarray = self._judged_film.classes
-        return classes
+        return self._judged_film.classes
 
     @property
     def images(self) -> dict[str, Any]:
@@ -216,13 +215,11 @@ class SceneVerdict:
 
         Of a verdict of `mitsuba_ref.validate`; (h, w) or (h, w, c) as from `caster.render`.
         """
-        images: dict[str, Any] = self._judged_film.images
-        return images
+        return self._judged_film.images
 
     def failing_pixels(self) -> tuple[Any, ...]:
         """Every pixel that fails (`mitsuba_ref.FailingPixel`), row by row, of a verdict of `mitsuba_ref.validate`."""
-        failing: tuple[Any, ...] = self._judged_film.failing
-        return failing
+        return self._judged_film.failing
 
     @property
     def _judged_film(self) -> Any:
@@ -280,8 +277,7 @@ class SceneVerdict:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values, as in verdict.json."""
-        record: dict[str, Any] = TypeAdapter(SceneVerdict).dump_python(self, mode="json")
-        return record
+        return TypeAdapter(SceneVerdict).dump_python(self, mode="json")
 
 
 @dataclass(frozen=True, config=RESULT)
@@ -328,8 +324,7 @@ class Verdict:
     @property
     def waived(self) -> dict[str, int]:
         """Number of scenes that are not ok but do not make the run fail, by reason."""
-        reasons = [scene.waived for scene in self.scenes if scene.waived]
-        return {reason: reasons.count(reason) for reason in dict.fromkeys(reasons)}
+        return dict(Counter(scene.waived for scene in self.scenes if scene.waived))
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -379,5 +374,4 @@ class Verdict:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values, as in verdict.json."""
-        record: dict[str, Any] = TypeAdapter(Verdict).dump_python(self, mode="json")
-        return record
+        return TypeAdapter(Verdict).dump_python(self, mode="json")

@@ -162,8 +162,7 @@ class PrimitiveArray(NamedTuple):
         if self.lowest is None or self.order is None:
             return self.ids[k : k + 1]
         start, end = np.searchsorted(self.lowest, (k, k + 1), sorter=self.order)
-        numbers: np.ndarray = self.ids[self.order[start:end]]
-        return numbers
+        return self.ids[self.order[start:end]]
 
     def intersect(self, k: int, ray: IntegerRay) -> LineIntersections:
         if k not in self.ready:

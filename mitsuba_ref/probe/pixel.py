@@ -134,7 +134,7 @@ def probe_with_evidence(
         _answer(scene, pair.subject, pair.t),
         _answer(scene, pair.reference, pair.result.t),
         _exact(judge, exact),
-        {name: float(judgement.ratio(name)[0]) for name in judgement.names if name not in left},
+        {name: float(judgement.ratios[name][0]) for name in judgement.ratios if name not in left},
         left,
         tuple(_possible(scene, judge)),
         pair.result.answer.versions,

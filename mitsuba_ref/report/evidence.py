@@ -40,7 +40,7 @@ def write_images(folder: Path, name: str, judge: Judge, judgement: Judgement) ->
     """Write NAME.ours.exr (or .candidate.exr), NAME.reference.exr and NAME.verdict.exr. Raises OutputError."""
     scene, pair = judge.scene, judge.pair
     classified = pair.any_hit | judgement.is_class(*FAILING)
-    ratio = np.max([judgement.ratio(check) for check in judgement.names], axis=0)
+    ratio = np.max([*judgement.ratios.values()], axis=0)
     verdict = {
         "A": classified.astype(np.float32),
         "class.I": judgement.classes.astype(np.uint32),

@@ -154,7 +154,7 @@ def write_reproducers(
 def _by_case(judgement: Judgement) -> dict[str, list[int]]:
     """Pixels where the reference or ours is wrong by the label of their files, worst first."""
     found: dict[str, list[int]] = {}
-    worst = np.max([judgement.excess(check) for check in judgement.names], axis=0)
+    worst = np.max([judgement.excess(check) for check in judgement.ratios], axis=0)
     rows = np.flatnonzero(judgement.is_class(REFERENCE_WRONG, WRONG))
     for row in rows[np.argsort(-worst[rows], kind="stable")].tolist():
         case = judgement.cases.get(row)
@@ -165,14 +165,14 @@ def _by_case(judgement: Judgement) -> dict[str, list[int]]:
 
 def _head_of_ray(judge: Judge, judgement: Judgement, row: int, what: str, source: str) -> list[str]:
     """Comment lines with the answers to a ray of a list."""
-    text = pixel_answers(judge, judgement, row, EXACT)
+    subject, reference, exact = pixel_answers(judge, judgement, row, EXACT)
     return [
         f"One ray that {judge.pair.answer.precision} answers were judged on: {what}.",
         "",
         f"from:      {source} of t_min {float(judge.t_min[row])!r}",
-        f"answer:    {text.subject}",
-        f"Mitsuba:   {text.reference}",
-        f"exact:     {text.exact}",
+        f"answer:    {subject}",
+        f"Mitsuba:   {reference}",
+        f"exact:     {exact}",
         "The ray below is Mitsuba's: in float32, from t_min on.",
     ]
 
@@ -184,7 +184,7 @@ def write_reproducer(
 
     Raises OutputError, SceneError.
     """
-    found = reproducer(judge, row, lit=bool(judgement.ratio("diffuse")[row] > 1.0))
+    found = reproducer(judge, row, lit=bool(judgement.ratios["diffuse"][row] > 1.0))
     same, words = reproduces(found, judge, judgement, row)
     write_text(path, found.text([*reproducer_header(judge, judgement, row, source), words, *more]))
     return same

@@ -138,7 +138,7 @@ def scene_record(seen: Seen) -> SceneRecord:
     ours, reference = judge.pair.subject, judge.pair.reference
     classes, shape = _classes(judgement), judge.pair.shape
     hit = ours.hit.ravel() + 2 * reference.hit.ravel()
-    others = [name for name in judgement.names if name not in FLOAT_LAYERS]
+    others = [name for name in judgement.ratios if name not in FLOAT_LAYERS]
     rows = rows_without_loss(seen, classes, hit)
     about = {
         "window": list(judge.scene.film.window),
@@ -148,13 +148,13 @@ def scene_record(seen: Seen) -> SceneRecord:
         "rows": packed(rows),
         "reasons": _reasons(seen, classes),
         "exact": _exact_answers(judge, judgement),
-        "shares": {name: image(share_codes(judgement.ratio(name)), shape, smooth=False) for name in others},
+        "shares": {name: image(share_codes(judgement.ratios[name]), shape, smooth=False) for name in others},
         "wrong_rays": [ray.what for ray in seen.wrong_rays],
     }
     layers: dict[str, Part] = {"ids": _ids(judge, rows)}
     for name in FLOAT_LAYERS:
         if name in ours and name in reference:
-            ratio, sides = judgement.ratio(name), [aov_rows(each, name) for each in (ours, reference)]
+            ratio, sides = judgement.ratios[name], [aov_rows(each, name) for each in (ours, reference)]
             layers[name] = _images(hit, shape, *(each.reshape(len(hit), -1) for each in sides)) | {
                 "ratio": image(share_codes(ratio), shape, smooth=False),
                 "exact": dict(zip(SIDES, (packed(each[rows]) for each in (*sides, ratio)), strict=True)),
@@ -168,7 +168,7 @@ def scene_record(seen: Seen) -> SceneRecord:
 def rows_without_loss(seen: Seen, classes: np.ndarray, hit: np.ndarray) -> np.ndarray:
     """(m,) pixels whose numbers are stored without loss: the first of each cause, the worst of all, and some all over
     the image, of those that agree and of those that do not."""
-    worst = np.max([seen.judgement.ratio(name) for name in seen.judgement.names], axis=0)
+    worst = np.max([*seen.judgement.ratios.values()], axis=0)
     chosen = [
         *(rows[:1] for rows in seen.diagnosis.rows_of.values()),
         np.argsort(-worst, kind="stable")[:WORST_WITHOUT_LOSS],

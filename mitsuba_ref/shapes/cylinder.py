@@ -133,9 +133,9 @@ def import_cylinder(xml: XmlShape) -> Fields:
 
 
 TANGENT = KnownDefect(
-    55, "a cylinder that a ray touches along its wall, exactly", 6, "hit", lambda m: m.missed and "tangent" in m.where
+    55, "a cylinder that a ray touches along its wall, exactly", 6, "missed", lambda m: "tangent" in m.where
 )
-RIM = KnownDefect(56, "a ray through the end of a cylinder, exactly", 9, "hit", lambda m: m.missed and "rim" in m.where)
+RIM = KnownDefect(56, "a ray through the end of a cylinder, exactly", 9, "missed", lambda m: "rim" in m.where)
 ALONG_AXIS = KnownDefect(
     53, "a ray nearly along the axis of a cylinder", 14, "either", lambda m: m.axis_angle < ALONG_AXIS_SINE and m.nearly
 )

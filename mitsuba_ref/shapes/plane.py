@@ -27,6 +27,7 @@ from mitsuba_ref.error_model.intersections import (
     position_error,
     unit,
     without_edges,
+    without_float_warnings,
 )
 from mitsuba_ref.oracle.exact_planar import PLANES as EXACT_PLANES
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
@@ -77,10 +78,10 @@ def _patch(normal: np.ndarray, point: np.ndarray, o: np.ndarray, d: np.ndarray) 
 SMALLEST_HALF_SIDE = 2.0**-60
 
 
+@without_float_warnings
 def _half_side(n: np.ndarray, point: np.ndarray, center: np.ndarray, o: np.ndarray, d: np.ndarray) -> float:
     """Half the side of the square: the distance within which the nearest tenth of all hits lie."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = dot_rows(point - o, n) / dot_rows(d, n)
+    t = dot_rows(point - o, n) / dot_rows(d, n)
     met = np.isfinite(t) & (t > 0.0)
     away = norm(o[met] + t[met, None] * d[met] - center)
     size = float(np.quantile(away, 0.1)) if len(away) else 1.0
@@ -119,6 +120,7 @@ def to_xml(out: ShapeWriter, shape: Plane, part: Patches) -> list[XmlElement]:
     return [out.mesh(shape, as_triangles(part))]
 
 
+@without_float_warnings
 def intersect(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
     """Intersections of ray i with plane k[i], with the bound of the triangle hit, and the rounding of its corners.
 
@@ -126,8 +128,7 @@ def intersect(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: f
     two triangles there, or in doubt at one edge only, which the other or a neighbour shares.
     """
     n, slope = prims.normal[k], dot(prims.normal[k], d)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = dot(n, prims.point[k] - o) / slope
+    t = dot(n, prims.point[k] - o) / slope
     face, within = _face_of_hit(prims, k, o, d, t)
     mesh = as_triangles(prims)
     first, second = (k * len(PATCH_FACES) + face + j for j in (0, 1))
@@ -135,12 +136,10 @@ def intersect(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: f
     corners, others = (mesh.vertices[mesh.faces[each]] for each in (first, second))
     moved = 0.25 * ku * dot(np.abs(n), np.abs(corners).max(axis=1))  # a single rounding: ku / K
     within_one = local.certain | other.certain
-    with np.errstate(invalid="ignore"):
-        met = np.minimum(_height(corners), _height(others))
+    met = np.minimum(_height(corners), _height(others))
     height = np.where(within_one, met, _least_height(prims.half[k], face))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t_error = local.t_error + 2.0 * moved / np.abs(slope)  # 2 = 1 / (1 - UNRESOLVABLE)
-        n_error = np.maximum(local.n_error, other.n_error) + 2.0 * moved / height
+    t_error = local.t_error + 2.0 * moved / np.abs(slope)  # 2 = 1 / (1 - UNRESOLVABLE)
+    n_error = np.maximum(local.n_error, other.n_error) + 2.0 * moved / height
     n_error = np.where(np.isnan(n_error), np.inf, n_error)  # corners that coincide in float32
     resolved = within & np.isfinite(t_error) & np.isfinite(t)
     t_error = np.where(resolved, t_error, np.inf)
@@ -169,22 +168,21 @@ def _uv(n: np.ndarray, q: np.ndarray, p_error: np.ndarray, ku: float) -> tuple[n
     return uv, p_error + (AXES_ERROR * ku + np.where(either, 2.0, 0.0)) * norm(q)
 
 
+@without_float_warnings
 def intersect_ours(prims: Patches, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
     """Intersections of ray i with plane k[i] itself, from two rounded dot products: height and slope."""
     n, point = prims.normal[k], prims.point[k]
     slope = dot(n, d)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = dot(n, point - o) / slope
-        rho = ku * dot(np.abs(n), np.abs(d)) / np.abs(slope)
-        reach = np.abs(point) + np.abs(o) + np.abs(t)[:, None] * np.abs(d)
-        t_error = ku * (dot(np.abs(n), reach) / np.abs(slope) + np.abs(t))
-        t_error = np.where(rho < surface_errors.UNRESOLVABLE, t_error / (1.0 - np.minimum(rho, 0.5)), np.inf)
+    t = dot(n, point - o) / slope
+    rho = ku * dot(np.abs(n), np.abs(d)) / np.abs(slope)
+    reach = np.abs(point) + np.abs(o) + np.abs(t)[:, None] * np.abs(d)
+    t_error = ku * (dot(np.abs(n), reach) / np.abs(slope) + np.abs(t))
+    t_error = np.where(rho < surface_errors.UNRESOLVABLE, t_error / (1.0 - np.minimum(rho, 0.5)), np.inf)
     t_error = np.where(np.isfinite(t), t_error, np.inf)
     t, everywhere, flat = finite_or_zero(t, t_error), np.ones(len(k), bool), np.full(len(k), ku)
     p_error = position_error(o, d, t, t_error, ku)
     certain = np.isfinite(t_error)
-    with np.errstate(invalid="ignore", over="ignore"):
-        uv, uv_error = _uv(n, o + t[:, None] * d - point, p_error + ku * norm(point), ku)
+    uv, uv_error = _uv(n, o + t[:, None] * d - point, p_error + ku * norm(point), ku)
     return (without_edges(t, t_error, n, flat, everywhere, certain, p_error, uv, uv_error),)
 
 

@@ -176,8 +176,7 @@ class ShapeReference:
     @property
     def type_name(self) -> str:
         """The `type` in scene files."""
-        name: str = self.describes.model_fields["type"].default
-        return name
+        return self.describes.model_fields["type"].default
 
 
 # ---- packed numbers back into the fields of a scene file, to the bit ----

@@ -213,8 +213,8 @@ TANGENT = KnownDefect(
     4,
     "a sphere that a ray touches in one point, exactly: Mitsuba misses it",
     5,
-    "hit",
-    lambda m: m.missed and "tangent" in m.where,
+    "missed",
+    lambda m: "tangent" in m.where,
 )
 SMALL_AND_FAR = KnownDefect(
     2, "a sphere that is small and far away", 17, "either", lambda m: m.distance > FAR_IN_SIZES and m.nearly

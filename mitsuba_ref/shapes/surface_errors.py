@@ -25,6 +25,7 @@ from mitsuba_ref.error_model.intersections import (
     stacked_columns,
     unit,
     without_edges,
+    without_float_warnings,
 )
 from mitsuba_ref.error_model.tolerances import K
 from mitsuba_ref.oracle.exact_planar import TRIANGLES
@@ -33,6 +34,7 @@ from mitsuba_ref.oracle.exact_planar import TRIANGLES
 UNRESOLVABLE = 0.5
 
 
+@without_float_warnings
 def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
     """Intersections of ray i with triangle k[i], from its plane and its three edge functions."""
     corners = [by_columns(prims.vertices[prims.faces[k, j]]) for j in range(3)]
@@ -40,22 +42,21 @@ def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
     a, b, c = (corner - o for corner in corners)
     across = cross(corners[1] - corners[0], corners[2] - corners[0])  # b - a would carry the rounding of o
     area = norm(across)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        edges, edge_errors = _edge_functions(a, b, c, d, ku)
-        total = edges.sum(axis=1)
-        weights = edges / total[:, None]
-        n = across / area[:, None]
-        t = dot(n, a) / dot(n, d)
-        t_error, resolvable = _t_error(n, across, area, (a, b, c), weights, t, d, ku)
-        n_error = ku * (norm(cross_permanent(b - a, c - a)) / area + 1.0)
-        traced = (area > 0.0) & _kept(corners)
-        possible = (np.all(edges >= -edge_errors, axis=1) | np.all(edges <= edge_errors, axis=1)) & traced
-        inside = edges * np.sign(total)[:, None] > edge_errors
-        sure = resolvable & possible & np.isfinite(t)
-        weight_errors = (edge_errors + np.abs(weights) * edge_errors.sum(axis=1)[:, None]) / np.abs(total)[:, None]
-        sh_n, sh_error = _shading(prims, k, n, n_error, weights, weight_errors, ku)
-        p_error = _barycentric_mean(corners, weights, weight_errors, ku)[1]
-        uv, uv_error = _uv(prims, k, weights, weight_errors, ku)
+    edges, edge_errors = _edge_functions(a, b, c, d, ku)
+    total = edges.sum(axis=1)
+    weights = edges / total[:, None]
+    n = across / area[:, None]
+    t = dot(n, a) / dot(n, d)
+    t_error, resolvable = _t_error(n, across, area, (a, b, c), weights, t, d, ku)
+    n_error = ku * (norm(cross_permanent(b - a, c - a)) / area + 1.0)
+    traced = (area > 0.0) & _kept(corners)
+    possible = (np.all(edges >= -edge_errors, axis=1) | np.all(edges <= edge_errors, axis=1)) & traced
+    inside = edges * np.sign(total)[:, None] > edge_errors
+    sure = resolvable & possible & np.isfinite(t)
+    weight_errors = (edge_errors + np.abs(weights) * edge_errors.sum(axis=1)[:, None]) / np.abs(total)[:, None]
+    sh_n, sh_error = _shading(prims, k, n, n_error, weights, weight_errors, ku)
+    p_error = _barycentric_mean(corners, weights, weight_errors, ku)[1]
+    uv, uv_error = _uv(prims, k, weights, weight_errors, ku)
     edge, side = _uncertain_edge(corners, inside, np.sign(total), sure)
     t_error = np.where(resolvable, t_error, np.inf)
     t = finite_or_zero(t, t_error)
@@ -65,11 +66,11 @@ def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float
     )
 
 
+@without_float_warnings
 def intersect_ours(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
     """The same for ours, whose position is compared with o + t d: far from the origin, that is rounded more."""
     (at,) = intersect(prims, k, o, d, ku)
-    with np.errstate(invalid="ignore"):  # a needle whose barycentrics are not resolved
-        return (at._replace(p_error=at.p_error + position_error(o, d, at.t, at.t_error, ku)),)
+    return (at._replace(p_error=at.p_error + position_error(o, d, at.t, at.t_error, ku)),)
 
 
 def _barycentric_mean(
@@ -260,6 +261,7 @@ def ours_through_object_space(
     return intersect_ours
 
 
+@without_float_warnings
 def half_chord_error(s: np.ndarray, r: np.ndarray, error: np.ndarray) -> np.ndarray:
     """Bound on the change of the half chord s if the radius r is off by `error`.
 
@@ -267,17 +269,16 @@ def half_chord_error(s: np.ndarray, r: np.ndarray, error: np.ndarray) -> np.ndar
     or vanish, and changes by at most sqrt(e).
     """
     change = error * (2.0 * r + error)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        left = np.sqrt(np.maximum(s * s - change, 0.0))
-        return np.where(s * s > change, change / (s + left), np.sqrt(change))
+    left = np.sqrt(np.maximum(s * s - change, 0.0))
+    return np.where(s * s > change, change / (s + left), np.sqrt(change))
 
 
+@without_float_warnings
 def sphere_roots(f: np.ndarray, d: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Roots of |f + t d| = r as (t of the closest approach, its distance from the centre, half chord; 0 if missed)."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        middle = -dot(f, d) / dot(d, d)
-        distance = norm(f + middle[:, None] * d)
-        return middle, distance, np.sqrt(np.maximum((r - distance) * (r + distance), 0.0))
+    middle = -dot(f, d) / dot(d, d)
+    distance = norm(f + middle[:, None] * d)
+    return middle, distance, np.sqrt(np.maximum((r - distance) * (r + distance), 0.0))
 
 
 def world_normal(to_object: np.ndarray, n: np.ndarray, n_error: np.ndarray, ku: float) -> tuple[np.ndarray, np.ndarray]:
@@ -288,6 +289,7 @@ def world_normal(to_object: np.ndarray, n: np.ndarray, n_error: np.ndarray, ku: 
     return world / length[:, None], size / length * (n_error + ku) + ku
 
 
+@without_float_warnings
 def intersect_round(
     prims: Any,
     k: np.ndarray,
@@ -310,33 +312,32 @@ def intersect_round(
     to_object = prims.to_object[k]
     rays = transformed(prims.center[k], to_object, o, d)
     used, one, found = np.array([1.0, 1.0, 0.0 if ends else 1.0]), np.ones(len(k)), []
-    with np.errstate(divide="ignore", invalid="ignore"):
-        middle, distance, s = sphere_roots(rays.o * used, rays.d * used, one)
-        size = norm(rays.d * used)
-        overshoot = 0.0 * size if ends else np.abs(middle) * size * np.maximum(size - 1.0, 0.0)
-        for side in (-1.0, 1.0):
-            t = middle + side * s / size
-            q, components = rays.o + t[:, None] * rays.d, rays.components(t)
-            error = ku * (components[:, 0] + components[:, 1] if ends else norm(components) + overshoot + 1.0)
-            t_error = half_chord_error(s, one, error) / size + ku * (np.abs(t) + overshoot / size)
-            out = q * used / np.maximum(distance, 1.0)[:, None]
-            across = np.abs(dot(out, rays.d))
-            slide = np.sqrt(np.maximum(size * size - across**2, 0.0))
-            moved = error + slide * t_error
-            n, n_error = world_normal(to_object, out, moved, ku)
-            possible, certain = distance - 1.0 <= error, 1.0 - distance > error
-            pull = norm(mat_vec_rows(prims.to_world[k], out))
-            if ends:
-                end_error = ku * components[:, 2] + np.abs(rays.d[:, 2]) * t_error
-                inside = np.minimum(q[:, 2], 1.0 - q[:, 2])
-                possible, certain = possible & (inside >= -end_error), certain & (inside > end_error)
-                pull = np.maximum(pull, 1.0)
-                uv, uv_error = np.column_stack([out[:, :2], q[:, 2]]), moved + end_error + TURN * ku
-            else:
-                uv, uv_error = sphere_uv(out, moved, ku)
-            away = error + across * t_error + 0.5 * (slide * t_error) ** 2
-            p_error = position_error(o, d, t, t_error, ku) + pull * away
-            found.append(without_edges(t, t_error, n, n_error, possible, certain, p_error, uv, uv_error))
+    middle, distance, s = sphere_roots(rays.o * used, rays.d * used, one)
+    size = norm(rays.d * used)
+    overshoot = 0.0 * size if ends else np.abs(middle) * size * np.maximum(size - 1.0, 0.0)
+    for side in (-1.0, 1.0):
+        t = middle + side * s / size
+        q, components = rays.o + t[:, None] * rays.d, rays.components(t)
+        error = ku * (components[:, 0] + components[:, 1] if ends else norm(components) + overshoot + 1.0)
+        t_error = half_chord_error(s, one, error) / size + ku * (np.abs(t) + overshoot / size)
+        out = q * used / np.maximum(distance, 1.0)[:, None]
+        across = np.abs(dot(out, rays.d))
+        slide = np.sqrt(np.maximum(size * size - across**2, 0.0))
+        moved = error + slide * t_error
+        n, n_error = world_normal(to_object, out, moved, ku)
+        possible, certain = distance - 1.0 <= error, 1.0 - distance > error
+        pull = norm(mat_vec_rows(prims.to_world[k], out))
+        if ends:
+            end_error = ku * components[:, 2] + np.abs(rays.d[:, 2]) * t_error
+            inside = np.minimum(q[:, 2], 1.0 - q[:, 2])
+            possible, certain = possible & (inside >= -end_error), certain & (inside > end_error)
+            pull = np.maximum(pull, 1.0)
+            uv, uv_error = np.column_stack([out[:, :2], q[:, 2]]), moved + end_error + TURN * ku
+        else:
+            uv, uv_error = sphere_uv(out, moved, ku)
+        away = error + across * t_error + 0.5 * (slide * t_error) ** 2
+        p_error = position_error(o, d, t, t_error, ku) + pull * away
+        found.append(without_edges(t, t_error, n, n_error, possible, certain, p_error, uv, uv_error))
     return tuple(found)
 
 
@@ -363,6 +364,7 @@ def sphere_uv_points(_prims: Any, _k: np.ndarray, uv: np.ndarray, whole_turn: bo
     return np.column_stack([np.sin(polar)[:, None] * on_circle(uv[:, 0], whole_turn), np.cos(polar)])
 
 
+@without_float_warnings
 def sphere_uv(q: np.ndarray, error: np.ndarray, ku: float) -> tuple[np.ndarray, np.ndarray]:
     """Points (m, 3) of the unit sphere for the uv of q, and their bound if q is off by `error`.
 
@@ -372,9 +374,8 @@ def sphere_uv(q: np.ndarray, error: np.ndarray, ku: float) -> tuple[np.ndarray, 
     """
     z, across = np.clip(q[:, 2], -1.0, 1.0), np.hypot(q[:, 0], q[:, 1])
     s = np.sqrt((1.0 - z) * (1.0 + z))
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        away = np.where(across[:, None] > 0.0, q[:, :2] / across[:, None], np.array([1.0, 0.0]))
-        turned = np.fmin(2.0, math.sqrt(2.0) * error / across)
+    away = np.where(across[:, None] > 0.0, q[:, :2] / across[:, None], np.array([1.0, 0.0]))
+    turned = np.fmin(2.0, math.sqrt(2.0) * error / across)
     risen = half_chord_error(s, np.ones(len(s)), error) + error
     return stacked_columns(*(s * away.T), z), s * turned + risen + TURN * ku
 

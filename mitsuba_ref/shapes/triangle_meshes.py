@@ -131,8 +131,7 @@ def numbers_of_triangle(part: Triangles, k: int) -> list[np.ndarray]:
 
 
 def corners_by_barycentrics(part: Triangles, k: np.ndarray, weights: np.ndarray, p: np.ndarray) -> np.ndarray:
-    terms: np.ndarray = np.einsum("ij,ijk->ik", np.abs(weights), np.abs(part.vertices[part.faces[k]]))
-    return terms
+    return np.einsum("ij,ijk->ik", np.abs(weights), np.abs(part.vertices[part.faces[k]]))
 
 
 NO_AREA = KnownDefect(
@@ -149,8 +148,8 @@ VERTEX = KnownDefect(
     16,
     "a ray exactly through the corner of a mesh: Embree's robust mode misses some",
     7,
-    "hit",
-    lambda m: m.missed and "vertex" in m.where,
+    "missed",
+    lambda m: "vertex" in m.where,
 )
 COLLINEAR = KnownDefect(
     22,

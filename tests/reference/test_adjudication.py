@@ -205,9 +205,9 @@ def test_ours_is_wrong_where_exact_arithmetic_states_it_though_both_agree(cube):
         cube.pair.prim[row] = other
         aov_rows(cube.pair.subject, "prim_id")[row] = other
     after = Judge(cube.scene, cube.model, cube.pair).judge()
-    assert all((after.ratio(name)[rows] <= 1.0).all() for name in after.names if name != "exact")
+    assert all((after.ratios[name][rows] <= 1.0).all() for name in after.ratios if name != "exact")
     assert after.is_class("wrong")[rows].all() and after.is_class("wrong").sum() == len(rows)
-    assert np.isinf(after.ratio("exact")[rows]).all()
+    assert np.isinf(after.ratios["exact"][rows]).all()
 
 
 RIM = caster.Ray(origin=(1, 0, 3), direction=(0, 0, -1))
@@ -242,7 +242,7 @@ def test_light_is_reported_as_not_judged_where_the_surface_is_wrong_or_another(c
     aov_rows(cube.pair.subject, "position")[agree] += 1.0
     wrong = Judge(cube.scene, cube.model, cube.pair)
     after = wrong.judge()
-    assert after.ratio("diffuse")[agree] == 0.0
+    assert after.ratios["diffuse"][agree] == 0.0
     assert list(not_judged(wrong, after, agree)) == ["diffuse"]
 
 

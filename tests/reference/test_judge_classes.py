@@ -52,9 +52,9 @@ def first(one) -> Judgement:
     found = one.judge()
     shapes = aov_rows(one.pair.subject, "shape_id")
     assert found.is_class("agree").all() and set(np.unique(shapes)) == {-1, 0, 1, 2, 3, 4}
-    assert all((found.ratio(name)[shapes < 0] == 0.0).all() for name in found.names)
+    assert all((found.ratios[name][shapes < 0] == 0.0).all() for name in found.ratios)
     assert all(
-        (found.ratio(name)[shapes >= 0] > 0.0).any() for name in ("depth", "position", "normal", "uv", "diffuse")
+        (found.ratios[name][shapes >= 0] > 0.0).any() for name in ("depth", "position", "normal", "uv", "diffuse")
     )
     return found
 
@@ -144,8 +144,8 @@ def test_mitsubas_value_may_be_off_by_its_bound_and_no_more(one, first, name):
     for judge, share in ((inside, INSIDE), (outside, OUTSIDE)):
         rows = move_reference(judge, name, share)
         found = again(judge).judge()
-        assert len(rows) > 200 and not set(np.flatnonzero(first.ratio(name) != found.ratio(name))) - set(rows)
-        assert found.ratio(name)[rows] == pytest.approx(np.full(len(rows), share), rel=0.01)
+        assert len(rows) > 200 and not set(np.flatnonzero(first.ratios[name] != found.ratios[name])) - set(rows)
+        assert found.ratios[name][rows] == pytest.approx(np.full(len(rows), share), rel=0.01)
         # Ours is exactly right, no rounding allows Mitsuba's answer, and no defect that is known is like it.
         expected = {"agree"} if share == INSIDE else {"reference_wrong"}
         assert classes_at(found, rows) == expected
@@ -177,15 +177,15 @@ def test_our_t_may_be_off_by_float64s_bound_and_no_more(one):
     judge = altered(one)
     rows = move_subject(judge, "depth", 0.5)
     found = again(judge).judge()
-    assert (found.ratio("exact") <= 1.0).all() and (found.ratio("on_surface") <= 0.8).all()
+    assert (found.ratios["exact"] <= 1.0).all() and (found.ratios["on_surface"] <= 0.8).all()
     judge = altered(one)
     move_subject(judge, "depth", 1.6)
     judge = again(judge)
     found = judge.judge()
     asked = np.intersect1d(rows, found.exact.rows)
     assert len(asked) == len(rows) and classes_at(found, rows) == {"wrong"}
-    assert (found.ratio("exact")[rows] > 1.0).all() and (found.ratio("on_surface")[rows] > 1.0).all()
-    assert (found.ratio("depth")[rows] < 1.0).all()  # float32 would not see it
+    assert (found.ratios["exact"][rows] > 1.0).all() and (found.ratios["on_surface"][rows] > 1.0).all()
+    assert (found.ratios["depth"][rows] < 1.0).all()  # float32 would not see it
 
 
 @pytest.mark.parametrize("side", ["subject", "reference"])
@@ -199,7 +199,7 @@ def test_light_is_wrong_where_float64_does_not_give_it_and_else_it_is_mitsubas(o
     found = again(judge).judge()
     lit = rows[aov_rows(one.pair.subject, "diffuse")[rows].any(axis=1)]
     assert len(lit) > 200 and classes_at(found, lit) == {"wrong" if side == "subject" else "reference_wrong"}
-    ratio = found.ratio("diffuse")[lit]
+    ratio = found.ratios["diffuse"][lit]
     assert np.isinf(ratio).all() if side == "subject" else ((ratio > 1.0) & np.isfinite(ratio)).all()
     rest = np.setdiff1d(np.arange(len(judge.hit)), lit)
     assert np.array_equal(found.classes[rest], first.classes[rest])
@@ -237,7 +237,7 @@ def test_mitsubas_light_is_held_to_a_few_roundings(one, part):
         rows = np.flatnonzero(judge.hit & (changed > 0.3 * share * total.max(axis=1)) & (total > 0.0).all(axis=1))
         found = again(judge).judge()
         assert len(rows) > 50 and classes_at(found, rows) == {expected}
-        assert (found.ratio("diffuse")[rows] > 0.0).all()
+        assert (found.ratios["diffuse"][rows] > 0.0).all()
 
 
 # ---- other hits
@@ -292,7 +292,7 @@ def test_another_hit_or_miss_is_the_fault_of_who_is_not_exact(one, first, fault)
     by = failing_by_check(found)
     assert set(by) == checks | {"exact"} - ({"exact"} if "exact" not in checks else set())
     assert all(sorted(each) == rows.tolist() for each in by.values())
-    assert all(np.isinf(found.ratio(name)[rows]).all() for name in checks)
+    assert all(np.isinf(found.ratios[name][rows]).all() for name in checks)
     diagnosis = diagnose(judge, found)
     assert all(what in cause.what for cause in diagnosis.causes)
     assert sorted(diagnosis.by_row()) == rows.tolist()
@@ -317,7 +317,7 @@ def test_another_primitive_than_the_one_that_is_hit_is_wrong(one):
     rows = rows[aov_rows(judge.pair.subject, "prim_id")[rows] < 88]
     name_another(judge, rows)
     found = again(judge).judge()
-    assert len(rows) >= 5 and classes_at(found, rows) == {"wrong"} and np.isinf(found.ratio("on_surface")[rows]).any()
+    assert len(rows) >= 5 and classes_at(found, rows) == {"wrong"} and np.isinf(found.ratios["on_surface"][rows]).any()
 
 
 # Our image contradicts our own hit: no rounding excuses it, and no exact answer makes it right.
@@ -355,7 +355,7 @@ def test_an_image_that_contradicts_its_hit_is_undecided(one, name, where):
     found = judge.judge()
     reported = REPORTED_AS.get(name, name)
     assert classes_at(found, rows) == {"undecided"}
-    assert np.isinf(found.ratio(reported)[rows]).all() and judge.inconsistent[reported][rows].all()
+    assert np.isinf(found.ratios[reported][rows]).all() and judge.inconsistent[reported][rows].all()
     assert sum(each.sum() for each in judge.inconsistent.values()) == len(rows)
     expected = f"our image contradicts our own hit: {reported}"
     assert {open_reason(judge, found, int(row)) for row in rows} == {expected}
@@ -392,7 +392,7 @@ def test_a_candidate_may_be_off_by_its_own_bound_and_no_more(candidate, what):
         else:
             judge.answer.n[rows] = own.n[rows] + share * own.n_error[rows, None] * directions(len(rows))
         found = again(judge).judge()
-        assert found.ratio(name)[rows] == pytest.approx(np.full(len(rows), share), rel=0.08)
+        assert found.ratios[name][rows] == pytest.approx(np.full(len(rows), share), rel=0.08)
         expected = {"agree"} if share < 1.0 else {"wrong"}
         assert classes_at(found, rows) <= expected | ({"explained"} if what == "t" else set())
         assert (classes_at(found, rows) & expected) == expected
@@ -416,8 +416,8 @@ def test_a_candidate_that_misses_or_hits_in_place_of_it_is_wrong(candidate, miss
     judge.answer.n[rows] = 0.0 if misses else (0.0, 0.0, 1.0)
     judge.pair.subject.hit.ravel()[rows] = not misses
     found = again(judge).judge()
-    assert classes_at(found, rows) == {"wrong"} and np.isinf(found.ratio("mask")[rows]).all()
-    assert np.isinf(found.ratio("exact")[rows]).all() and not found.is_right(int(rows[0]))
+    assert classes_at(found, rows) == {"wrong"} and np.isinf(found.ratios["mask"][rows]).all()
+    assert np.isinf(found.ratios["exact"][rows]).all() and not found.is_right(int(rows[0]))
 
 
 @pytest.mark.parametrize("side", ["shape_id", "prim_id"])
@@ -440,12 +440,12 @@ def test_a_number_that_a_candidate_names_has_to_be_that_of_what_is_hit(candidate
         return Judge(judge.scene, judge.model, pair, judge.view).judge()
 
     right = judged(numbers)
-    assert not right.is_class("wrong", "undecided").any() and right.ratio(side).max() == 0.0
+    assert not right.is_class("wrong", "undecided").any() and right.ratios[side].max() == 0.0
     wrong = numbers[side].copy()
     wrong[rows] += 1
     found = judged(numbers | {side: wrong})
     assert classes_at(found, rows) == {"wrong"} and found.is_class("wrong").sum() == len(rows)
-    assert np.isinf(found.ratio(side)[rows]).all()
+    assert np.isinf(found.ratios[side][rows]).all()
 
 
 def test_an_answer_that_is_none_is_wrong_everywhere_it_stands(candidate):
@@ -456,7 +456,7 @@ def test_an_answer_that_is_none_is_wrong_everywhere_it_stands(candidate):
     judge = Judge(judge.scene, judge.model, pair, judge.view)
     found = judge.judge()
     assert classes_at(found, rows) == {"wrong"} and found.is_class("wrong").sum() == len(rows)
-    assert all(np.isinf(found.ratio(name)[rows]).all() for name in found.names)
+    assert all(np.isinf(found.ratios[name][rows]).all() for name in found.ratios)
     assert [(cause.what, cause.rows.tolist()) for cause in diagnose(judge, found).causes] == [
         ("no answer: t is planted", rows.tolist())
     ]

@@ -7,7 +7,13 @@ import pytest
 
 from caster.scene.model import Scene
 from mitsuba_ref.judge.checks import knife_edges as module
-from mitsuba_ref.judge.checks.knife_edges import RayBatch, cast_by_culling, knife_edges, prepared_scene, rays_at_edges
+from mitsuba_ref.judge.checks.knife_edges import (
+    RayBatch,
+    cast_by_culling,
+    check_knife_edges,
+    prepared_scene,
+    rays_at_edges,
+)
 
 SHAPES = [
     {"type": "sphere", "center": [0.0, 0.0, 0.0], "radius": 0.5},
@@ -47,17 +53,17 @@ def test_many_rays_hit_edges_rims_and_tangents_of_every_shape():
     ],
 )
 def test_a_wrong_hit_fails_with_a_scene_of_its_ray(monkeypatch, spoil, words):
-    check, failures = knife_edges(scene_of())
-    assert check.ok and not failures
+    failures = []
+    assert check_knife_edges(scene_of(), failures).ok and not failures
     monkeypatch.setattr(module, "cast_by_culling", lambda *given: spoil(cast_by_culling(*given)))
-    check, failures = knife_edges(scene_of())
+    check = check_knife_edges(scene_of(), failures)
     assert not check.ok and words in check.what
     assert failures and all(failure.scene.camera.type == "ray" for failure in failures)
 
 
 def test_nothing_to_aim_at_is_no_failure():
-    check, failures = knife_edges(scene_of([]))
-    assert check.ok and check.what == "no primitive to aim at" and not failures
+    check = check_knife_edges(scene_of([]), [])
+    assert check.ok and check.what == "no primitive to aim at"
 
 
 def test_directions_too_short_or_long_to_square_give_the_bits_of_t_that_they_have_themselves():

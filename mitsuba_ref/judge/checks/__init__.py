@@ -5,10 +5,10 @@ The pipeline, the command line, the pytest plug-in and docs/method.md read names
 
 import inspect
 from collections.abc import Callable, Iterable, Mapping
-from functools import cache
+from functools import cache, wraps
 from importlib import import_module
 from pkgutil import iter_modules
-from typing import Any, Literal, NamedTuple, TypeVar, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -17,7 +17,8 @@ from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.shared_input import pixel_of
 
-Function = TypeVar("Function", bound=Callable[..., Any])
+Found = tuple[float, str]  # ratio and text of a SceneCheck
+Make = Callable[..., SceneCheck | None]
 Scope = Literal["run", "scene", "window", "film"]
 
 NOT_JUDGED = "not judged"  # begins the text of a check that could not be made, which becomes a note of the verdict
@@ -29,7 +30,7 @@ class Check(NamedTuple):
     """A registered check. Its parameters name the inputs that it needs (judge/pipeline.py); it may return None."""
 
     name: str  # in a verdict
-    make: Callable[..., SceneCheck | None]
+    make: Make
     needs: tuple[str, ...]
     of: tuple[str, ...]
     scope: Scope  # made once a run, once a scene, for each window of a large film, or of all windows together
@@ -47,14 +48,20 @@ _registered: dict[str, Check] = {}
 
 def check(
     *, of: tuple[str, ...] = (OURS, CANDIDATE), scope: Scope = "scene", camera: bool = False, thorough: bool = False
-) -> Callable[[Function], Function]:
-    """Register a function `check_NAME` as the check NAME."""
+) -> Callable[[Callable[..., Found | None]], Make]:
+    """Register a function `check_NAME` as the check NAME, which its result is given."""
 
-    def register(function: Function) -> Function:
+    def register(function: Callable[..., Found | None]) -> Make:
         name = function.__name__.removeprefix("check_")
         needs = tuple(inspect.signature(function).parameters)
-        _registered[name] = Check(name, function, needs, of, scope, camera, thorough)
-        return function
+
+        @wraps(function)
+        def make(*inputs: Any, **named: Any) -> SceneCheck | None:
+            found = function(*inputs, **named)
+            return found and SceneCheck(name, *found)
+
+        _registered[name] = Check(name, make, needs, of, scope, camera, thorough)
+        return make
 
     return register
 
@@ -96,21 +103,20 @@ def run_checks(subject: Any) -> tuple[SceneCheck, ...]:
 # ---- what several checks share ----
 
 
-def worst_share(name: str, shares: Iterable[tuple[float, str]], nothing: str = "nothing to look at") -> SceneCheck:
+def worst_share(shares: Iterable[tuple[float, str]], nothing: str = "nothing to look at") -> Found:
     """The largest of the errors over their bounds, NaN before all, and its place. nothing: the text without any."""
-    return SceneCheck(name, *max(shares, key=lambda share: (np.isnan(share[0]), share[0]), default=(0.0, nothing)))
+    return max(shares, key=lambda share: (np.isnan(share[0]), share[0]), default=(0.0, nothing))
 
 
 def bits_differ(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Where two arrays of one shape and type have other bits, as bool."""
-    found: np.ndarray = np.ascontiguousarray(a).view(f"u{a.itemsize}") != np.ascontiguousarray(b).view(f"u{b.itemsize}")
-    return found
+    return np.ascontiguousarray(a).view(f"u{a.itemsize}") != np.ascontiguousarray(b).view(f"u{b.itemsize}")
 
 
-def worst_pixel(name: str, shares: dict[str, np.ndarray], among: np.ndarray, scene: Scene) -> SceneCheck:
+def worst_pixel(shares: dict[str, np.ndarray], among: np.ndarray, scene: Scene) -> Found:
     """The largest of all shares, with its pixel."""
     table = np.array([np.where(among, error_over_bound(share, np.ones(1)), 0.0) for share in shares.values()])
     if not table.size:
-        return SceneCheck(name, 0.0, "nothing to look at")
+        return 0.0, "nothing to look at"
     part, pixel = np.unravel_index(int(np.argmax(table)), table.shape)
-    return SceneCheck(name, float(table[part, pixel]), f"{list(shares)[part]} at {pixel_of(scene, int(pixel))}")
+    return float(table[part, pixel]), f"{list(shares)[part]} at {pixel_of(scene, int(pixel))}"

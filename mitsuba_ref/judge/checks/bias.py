@@ -7,12 +7,12 @@ import numpy as np
 
 from caster.geometry.packing import Packed
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, row_distance
-from mitsuba_ref.error_model.intersections import dot, row_groups, stacked_columns
+from mitsuba_ref.error_model.intersections import dot, row_groups, stacked_columns, without_float_warnings
 from mitsuba_ref.error_model.scene_model import kinds_of
 from mitsuba_ref.error_model.tolerances import BIASED_PIXELS, KU, LARGEST_T_BIAS, LARGEST_Z, MIN_GROUPS, U32, K
-from mitsuba_ref.judge.checks import CANDIDATE, OURS, check
+from mitsuba_ref.judge.checks import CANDIDATE, OURS, Found, check
 from mitsuba_ref.judge.comparison import ImagePair
-from mitsuba_ref.judge.verdict import BIAS_OF_POSITION, BIAS_OF_T, ErrorStatistics, Extremes, KindBias, SceneCheck
+from mitsuba_ref.judge.verdict import BIAS_OF_POSITION, BIAS_OF_T, ErrorStatistics, Extremes, KindBias
 from mitsuba_ref.shapes import kind_of
 from mitsuba_ref.shapes.shape_reference import PositionTerms
 from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64
@@ -46,14 +46,14 @@ class PixelErrors(NamedTuple):
     kinds: Mapping[str, KindErrors]
 
 
+@without_float_warnings
 def pixel_errors(packed: Packed, pair: ImagePair, bounds: Bounds) -> PixelErrors:
     """Errors from both sides' answers and the reference's bounds alone, without float64 bounds or exact answers."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        error = pair.result.t - pair.t
-        share = np.where(error == 0.0, 0.0, error / bounds.at.t_error)
-        turned = row_distance(aov_rows(pair.subject, "normal"), aov_rows(pair.reference, "normal")) / bounds.at.n_error
-        same = aov_rows(pair.subject, "shape_id") == aov_rows(pair.reference, "shape_id")
-        near = (np.abs(share) <= 1.0) & np.isfinite(bounds.at.t_error)
+    error = pair.result.t - pair.t
+    share = np.where(error == 0.0, 0.0, error / bounds.at.t_error)
+    turned = row_distance(aov_rows(pair.subject, "normal"), aov_rows(pair.reference, "normal")) / bounds.at.n_error
+    same = aov_rows(pair.subject, "shape_id") == aov_rows(pair.reference, "shape_id")
+    near = (np.abs(share) <= 1.0) & np.isfinite(bounds.at.t_error)
     hit = (pair.prim >= 0) & pair.result.hit & near
     rows = np.flatnonzero(hit & same & (turned <= 1.0))
     tied = np.flatnonzero(hit & ~same)
@@ -92,8 +92,7 @@ def untied(prim: np.ndarray, kind: np.ndarray, tied: np.ndarray, tied_kind: np.n
     chance by sqrt(m): if j^2 > m, no primitive of that kind with tied pixels is evidence.
     """
     many = [each for each in np.unique(tied_kind) if np.sum(tied_kind == each) ** 2 > np.sum(kind == each)]
-    found: np.ndarray = ~(np.isin(kind, many) & np.isin(prim, tied))
-    return found
+    return ~(np.isin(kind, many) & np.isin(prim, tied))
 
 
 def _errors_of_kinds(
@@ -123,6 +122,7 @@ def _errors_of_kinds(
     return found
 
 
+@without_float_warnings
 def position_shares(
     terms: PositionTerms, prims: Any, k: np.ndarray, at: np.ndarray, pair: ImagePair, bounds: Bounds
 ) -> np.ndarray:
@@ -138,10 +138,9 @@ def position_shares(
     weights = stacked_columns(np.float32(1.0) - b1 - b2, b1, b2).astype(np.float64)  # the first as Mitsuba rounds it
     p, n = pair.result.answer.p[at].astype(np.float64), bounds.own.n[at]
     slope = dot(n, d)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        beyond = np.sign(slope) * dot(n, p / weights.sum(axis=1)[:, None] - o - t[:, None] * d)
-        rounding = KU * dot(np.abs(n), terms(prims, k, weights, p)) + np.abs(slope) * bounds.own.t_error[at]
-        share = np.clip(beyond / rounding, -1.0, 1.0)  # so that no pixel outweighs those that are within their bounds
+    beyond = np.sign(slope) * dot(n, p / weights.sum(axis=1)[:, None] - o - t[:, None] * d)
+    rounding = KU * dot(np.abs(n), terms(prims, k, weights, p)) + np.abs(slope) * bounds.own.t_error[at]
+    share = np.clip(beyond / rounding, -1.0, 1.0)  # so that no pixel outweighs those that are within their bounds
     return np.where(np.isnan(share), 0.0, share)  # a position that is no number fails its own check
 
 
@@ -165,7 +164,7 @@ def z_of_groups(sums: GroupSums) -> tuple[int, float]:
 
 
 @check(of=(OURS,), scope="film")
-def check_bias(statistics: ErrorStatistics) -> SceneCheck:
+def check_bias(statistics: ErrorStatistics) -> Found:
     """Fail if the errors of a kind with enough groups have a mean that chance does not explain."""
     words = [
         f"{bias.quantity} of {bias.kind} is biased: z {bias.z:.1f} of {bias.groups} groups, "
@@ -176,7 +175,7 @@ def check_bias(statistics: ErrorStatistics) -> SceneCheck:
         f"{bias.kind} z {bias.z:.1f} of {bias.groups} groups{'' if bias.enough_groups else ', too few to tell'}"
         for bias in statistics.biases
     ]
-    return SceneCheck("bias", abs(statistics.z) / LARGEST_Z, "; ".join(words) or "nothing to look at")
+    return abs(statistics.z) / LARGEST_Z, "; ".join(words) or "nothing to look at"
 
 
 # ---- a common factor on all t of a candidate, even within their bounds
@@ -194,7 +193,7 @@ class FactorFit(NamedTuple):
 
 
 @check(of=(CANDIDATE,), scope="window")
-def check_t_bias(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.ndarray) -> SceneCheck | None:
+def check_t_bias(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.ndarray) -> Found | None:
     """Fail if one factor explains the errors of t, and is larger than estimated reciprocals make it.
 
     None if t is not given, or if the candidate rounds rays or geometry itself.
@@ -205,15 +204,16 @@ def check_t_bias(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.ndar
     fit = fitted_factor(packed, pair, bounds, prims)
     words = f"t is off by {fit.roundings:+.1f} of its roundings on average, z {fit.z:.1f} of {fit.groups} primitives"
     if fit.groups < MIN_GROUPS:
-        return SceneCheck("t_bias", 0.0, f"{fit.groups} primitives, too few to tell")
+        return 0.0, f"{fit.groups} primitives, too few to tell"
     ratio = min(abs(fit.roundings) / LARGEST_T_BIAS, abs(fit.z) / LARGEST_Z)
     if ratio > 1.0:
         words += (
             f"; estimated reciprocals explain at most {LARGEST_T_BIAS:g}: is every t scaled or moved by a constant?"
         )
-    return SceneCheck("t_bias", ratio, words)
+    return ratio, words
 
 
+@without_float_warnings
 def fitted_factor(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.ndarray) -> FactorFit:
     """Fit one factor on t by least squares over pixels, weighted by their bounds.
 
@@ -221,12 +221,11 @@ def fitted_factor(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.nda
     changes t by s.n / d.n. So a shift of each shape is fitted first, and its part is removed from errors and factor.
     """
     answer, own = pair.answer, bounds.own
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        bound = own.t_error + answer.t_rounding
-        error = (answer.t - own.t) / bound
-        shift = own.n / (dot(own.n, pair.rays.d.astype(np.float64)) * bound)[:, None]
-        near = (prims >= 0) & answer.hit & (np.abs(error) <= 1.0) & np.isfinite(bound)
-        rows = np.flatnonzero(near & np.isfinite(shift).all(axis=1))
+    bound = own.t_error + answer.t_rounding
+    error = (answer.t - own.t) / bound
+    shift = own.n / (dot(own.n, pair.rays.d.astype(np.float64)) * bound)[:, None]
+    near = (prims >= 0) & answer.hit & (np.abs(error) <= 1.0) & np.isfinite(bound)
+    rows = np.flatnonzero(near & np.isfinite(shift).all(axis=1))
     rows = rows[:: max(1, -(-len(rows) // BIASED_PIXELS))]
     error, shift, prim = error[rows], shift[rows], prims[rows]
     factor = ROUNDOFF[answer.precision] * own.t[rows] / bound[rows]

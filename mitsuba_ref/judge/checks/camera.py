@@ -6,24 +6,23 @@ from caster.rendering.images import camera_rays
 from caster.scene.model import Scene
 from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import camera_axes, no_sensor
-from mitsuba_ref.error_model.intersections import dot, norm
+from mitsuba_ref.error_model.intersections import dot, norm, without_float_warnings
 from mitsuba_ref.error_model.tolerances import CAMERA_ROUNDINGS, KU, KU_OURS
-from mitsuba_ref.judge.checks import check, worst_pixel
-from mitsuba_ref.judge.verdict import SceneCheck
+from mitsuba_ref.judge.checks import Found, check, worst_pixel
 from mitsuba_ref.reference.rendering import ReferenceResult
 from mitsuba_ref.reference.shared_input import pixel_centers
 
 
 @check(scope="window", camera=True)
-def check_camera(scene: Scene) -> SceneCheck:
+def check_camera(scene: Scene) -> Found:
     """Compare our float64 rays with an independent implementation of the camera's formula."""
     x0, y0, x1, y1 = scene.film.crop or (0, 0, scene.film.width, scene.film.height)
     if scene.film.window != (x0, y0, x1, y1):
-        return SceneCheck("camera", np.inf, f"window {scene.film.window}, expected {(x0, y0, x1, y1)}")
+        return np.inf, f"window {scene.film.window}, expected {(x0, y0, x1, y1)}"
     ours = camera_rays(scene)
     x, y = pixel_centers(scene)
     if len(ours.o) != len(x):
-        return SceneCheck("camera", np.inf, f"{len(ours.o)} rays, the window has {len(x)} pixels")
+        return np.inf, f"{len(ours.o)} rays, the window has {len(x)} pixels"
     expected = reference_of_camera(scene.camera).rays(scene.camera, scene.film, x, y)
     size = float(np.abs(expected.o).max(initial=np.finfo(np.float64).tiny))
     forward, up = camera_axes(scene.camera)[2], np.array(scene.camera.up, np.float64)
@@ -38,7 +37,7 @@ def check_camera(scene: Scene) -> SceneCheck:
         "near": _relative(ours.t_min, expected.t_min) / rounding,
         "far": _relative(ours.t_max, expected.t_max) / rounding,
     }
-    return worst_pixel("camera", shares, (seen | (ours.t_max >= 0.0)) & ~rim, scene)
+    return worst_pixel(shares, (seen | (ours.t_max >= 0.0)) & ~rim, scene)
 
 
 def _on_rim(scene: Scene, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -53,17 +52,18 @@ def _on_rim(scene: Scene, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 @check(scope="window", camera=True)
-def check_sensor(scene: Scene, result: ReferenceResult) -> SceneCheck:
+@without_float_warnings
+def check_sensor(scene: Scene, result: ReferenceResult) -> Found:
     """Compare our rays with those of Mitsuba's own sensor: the same line, and depth that starts on the near plane."""
     sensor = result.answer.sensor.astype(np.float64)
     if not len(sensor):
         expected = reference_of_camera(scene.camera).to_xml is not no_sensor
         what = "the answer lacks its rays" if expected else f"Mitsuba has no {scene.camera.type} camera"
-        return SceneCheck("sensor", np.inf if expected else 0.0, what)
+        return np.inf if expected else 0.0, what
     ours, reference = camera_rays(scene), reference_of_camera(scene.camera)
     o, d, t_max = sensor[:, :3], sensor[:, 3:6], sensor[:, 6]
     if len(d) != len(ours.d):
-        return SceneCheck("sensor", np.inf, f"Mitsuba gives {len(d)} rays, we {len(ours.d)}")
+        return np.inf, f"Mitsuba gives {len(d)} rays, we {len(ours.d)}"
     bound = KU * reference.amplification(scene.camera, scene.film)
     along = dot(o - ours.o, ours.d)
     aside = norm(o - ours.o - along[:, None] * ours.d)
@@ -73,12 +73,11 @@ def check_sensor(scene: Scene, result: ReferenceResult) -> SceneCheck:
         shares["near"] = np.abs(along - ours.t_min) / (bound * (size + ours.t_min))
     if getattr(scene.camera, "far", None) is not None:
         end = along + t_max
-        with np.errstate(invalid="ignore"):  # a far plane at infinity is beyond every bound
-            shares["far"] = np.abs(end - ours.t_max) / (bound * (size + ours.t_max))
-    return worst_pixel("sensor", shares, np.ones(len(d), bool), scene)
+        shares["far"] = np.abs(end - ours.t_max) / (bound * (size + ours.t_max))
+    return worst_pixel(shares, np.ones(len(d), bool), scene)
 
 
+@without_float_warnings
 def _relative(ours: np.ndarray, expected: np.ndarray) -> np.ndarray:
-    with np.errstate(invalid="ignore"):
-        error = np.abs(ours - expected) / np.maximum(np.abs(expected), np.finfo(np.float64).tiny)
+    error = np.abs(ours - expected) / np.maximum(np.abs(expected), np.finfo(np.float64).tiny)
     return np.where(ours == expected, 0.0, error)

@@ -17,9 +17,9 @@ from caster.rendering.images import camera_rays
 from caster.scene.model import Film, Scene
 from mitsuba_ref.error_model.bounds import error_over_bound as ratio_of
 from mitsuba_ref.error_model.bounds import t_bounds
+from mitsuba_ref.error_model.intersections import without_float_warnings
 from mitsuba_ref.hard.rays import ALL_AIMS, Aim, Frame, RayBatch, Targets, aimed_rays
-from mitsuba_ref.judge.checks import OURS, check
-from mitsuba_ref.judge.verdict import SceneCheck
+from mitsuba_ref.judge.checks import OURS, Found, check
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 from mitsuba_ref.reference.shared_input import own_model
 from mitsuba_ref.shapes.targets import Rng
@@ -48,28 +48,28 @@ def nearest_hits(packed: Packed, t: np.ndarray, shape: np.ndarray, prim: np.ndar
     return NearestHits(t, np.where(shape < 0, -1, within).astype(np.int64))
 
 
+@without_float_warnings
 def cast_by_culling(packed: Packed, rays: RayBatch, culling: Culling) -> NearestHits:
     """Cast rays by a given culling, with directions scaled as caster.cast scales them."""
     given = validated_rays(rays.o, rays.d, 0.0, np.inf)._replace(t_min=rays.t_min, t_max=rays.t_max)
     scaled, exponent = scaled_rays(given)
     nearest = find_nearest(packed, scaled, culling, threads=1)
-    with np.errstate(over="ignore", under="ignore"):
-        found = NearestHits(np.ldexp(nearest.t, -exponent), nearest.prim.astype(np.int64))
+    found = NearestHits(np.ldexp(nearest.t, -exponent), nearest.prim.astype(np.int64))
     short = np.flatnonzero((exponent < 0) & (nearest.t < np.finfo(np.float64).tiny))  # t lost digits
     if len(short):
         found.t[short] = find_nearest(packed, type(given)(*(a[short] for a in given)), culling, threads=1).t
     return found
 
 
+@without_float_warnings
 def with_limits(rng: Rng, rays: RayBatch, found: NearestHits, most: int = LIMITED_RAYS) -> RayBatch:
     """Some of the rays that hit, with t_min or t_max just before, at or beyond the hit."""
     hits = np.flatnonzero((found.prim >= 0) & (found.t > 0.0) & np.isfinite(found.t))
     rows = rng.permutation(hits)[:most]
     t, n = found.t[rows], len(rows)
-    with np.errstate(over="ignore"):  # t may be the largest float64
-        before, after = np.nextafter(t, 0.0), np.nextafter(t, np.inf)
-        start = np.choose(rng.integers(6, size=n), [t, before, np.zeros(n), np.zeros(n), 0.5 * t, after])
-        end = np.choose(rng.integers(4, size=n), [t, before, np.full(n, np.inf), 2.0 * t])
+    before, after = np.nextafter(t, 0.0), np.nextafter(t, np.inf)
+    start = np.choose(rng.integers(6, size=n), [t, before, np.zeros(n), np.zeros(n), 0.5 * t, after])
+    end = np.choose(rng.integers(4, size=n), [t, before, np.full(n, np.inf), 2.0 * t])
     end = np.where(start > 0.0, np.where(end >= start, end, np.inf), np.minimum(end, t))
     return RayBatch(rays.o[rows], rays.d[rows], start, end)
 
@@ -159,21 +159,14 @@ class AimedFailure(NamedTuple):
 
 
 @check(of=(OURS,))
-def check_knife_edges(scene: Scene, wrong_rays: list[AimedFailure]) -> SceneCheck:
-    """Compare aimed rays with exact arithmetic; the scenes of some failing rays are appended to `wrong_rays`."""
-    found, failures = knife_edges(scene)
-    wrong_rays += failures
-    return found
-
-
-def knife_edges(scene: Scene) -> tuple[SceneCheck, tuple[AimedFailure, ...]]:
+def check_knife_edges(scene: Scene, wrong_rays: list[AimedFailure]) -> Found:
     """Compare first hits of aimed rays with exact arithmetic: the primitive, and t within its float64 bound.
 
-    Also returns some of the failing rays as scenes of one ray.
+    Some of the failing rays are appended to `wrong_rays` as scenes of one ray.
     """
     subject = prepared_scene(scene)
     if not subject.oracle.count:
-        return SceneCheck("knife_edges", 0.0, "no primitive to aim at"), ()
+        return 0.0, "no primitive to aim at"
     rays = rays_at_edges(subject)
     verdicts = adjudicate(subject, rays, cast_by_culling(subject.packed, rays, "bvh"))
     ratios, texts = ratio_of(verdicts.ratios, np.ones(1)), verdicts.texts
@@ -181,8 +174,8 @@ def knife_edges(scene: Scene) -> tuple[SceneCheck, tuple[AimedFailure, ...]]:
     if len(bad):
         o, d = (a[bad[0]].tolist() for a in (rays.o, rays.d))
         words = f"{len(bad)} of {words}, first from {o} along {d}: {texts[bad[0]]}"
-    found = tuple(AimedFailure(texts[i], _scene_of_ray(scene, rays, i)) for i in bad[:REPRODUCERS])
-    return SceneCheck("knife_edges", float(ratios.max()), words), found
+    wrong_rays += [AimedFailure(texts[i], _scene_of_ray(scene, rays, i)) for i in bad[:REPRODUCERS]]
+    return float(ratios.max()), words
 
 
 @np.errstate(all="ignore")  # of kernels in plain Python, on directions of 1e-30 and 1e30

@@ -21,9 +21,9 @@ import numpy as np
 from caster.scene.model import Scene
 from caster.shapes.mesh import Mesh
 from mitsuba_ref.error_model.bounds import error_over_bound
+from mitsuba_ref.error_model.intersections import without_float_warnings
 from mitsuba_ref.error_model.tolerances import FILE_NORMAL_ROUNDINGS, FILE_UV_ROUNDINGS, U32
-from mitsuba_ref.judge.checks import check, worst_share
-from mitsuba_ref.judge.verdict import SceneCheck
+from mitsuba_ref.judge.checks import Found, check, worst_share
 from mitsuba_ref.reference.messages import LoadedMesh
 
 
@@ -104,20 +104,21 @@ REWRITE: dict[str, Callable[[bytes], bytes]] = {".obj": _plain_obj, ".stl": _stl
 
 
 @check()
-def check_mesh_files(scene: Scene, loaded: tuple[LoadedMesh, ...]) -> SceneCheck:
+def check_mesh_files(scene: Scene, loaded: tuple[LoadedMesh, ...]) -> Found:
     """Compare every mesh file of the scene. loaded: by Mitsuba, in the order of `files_of`."""
     files = files_of(scene)
     if len(loaded) != len(files):
-        return SceneCheck("mesh_files", np.inf, f"{len(files)} files, Mitsuba has read {len(loaded)}")
+        return np.inf, f"{len(files)} files, Mitsuba has read {len(loaded)}"
     names = [file.name for file in files]
     shares = (
         (share, f"{what} of {file.name if names.count(file.name) == 1 else file}")
         for (file, mesh), theirs in zip(files.items(), loaded, strict=True)
         for what, share in _errors(mesh, theirs, file).items()
     )
-    return worst_share("mesh_files", shares)
+    return worst_share(shares)
 
 
+@without_float_warnings
 def _errors(mesh: Any, theirs: LoadedMesh, file: Path) -> dict[str, float]:
     """Errors over their bounds of positions, normals and uv at the corners of all faces."""
     if theirs.problem:
@@ -126,8 +127,7 @@ def _errors(mesh: Any, theirs: LoadedMesh, file: Path) -> dict[str, float]:
     if errors["corners"] != 0.0:
         return errors
     errors["shared vertices"] = _one_to_one(mesh.faces, theirs.vertices)
-    with np.errstate(all="ignore"):
-        unit = theirs.normals / np.linalg.norm(theirs.normals, axis=2, keepdims=True)
+    unit = theirs.normals / np.linalg.norm(theirs.normals, axis=2, keepdims=True)
     in_file = dict(zip(("uv", "normals"), _in_file(file), strict=True))
     for name, ours, expected, roundings in (
         ("uv", mesh.uv, theirs.uv, FILE_UV_ROUNDINGS * (1.0 + np.abs(theirs.uv))),
@@ -174,12 +174,12 @@ def _one_to_one(ours: np.ndarray, theirs: np.ndarray) -> float:
     return 0.0 if same else float("inf")
 
 
+@without_float_warnings
 def _same_in_float32(ours: np.ndarray, theirs: np.ndarray) -> float:
     """0 if theirs are ours rounded to float32, where a tie may go either way; else inf."""
     if ours.shape != theirs.shape:
         return float("inf")
-    with np.errstate(all="ignore"):
-        rounded = ours.astype(np.float32).astype(np.float64)
-        tie = np.abs(ours - theirs) == np.abs(ours - rounded)
+    rounded = ours.astype(np.float32).astype(np.float64)
+    tie = np.abs(ours - theirs) == np.abs(ours - rounded)
     same = (theirs == rounded) | (np.isnan(theirs) & np.isnan(rounded)) | tie
     return 0.0 if same.all() else float("inf")

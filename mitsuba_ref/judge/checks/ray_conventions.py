@@ -10,24 +10,21 @@ from caster.cameras.single_ray import Ray
 from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import intersections_at
-from mitsuba_ref.error_model.intersections import dot
+from mitsuba_ref.error_model.intersections import dot, without_float_warnings
 from mitsuba_ref.error_model.tolerances import KU, MAJORITY, MATCH_RTOL, NEARLY_ALL
 from mitsuba_ref.hard.rays import RayBatch
-from mitsuba_ref.judge.checks import CANDIDATE, NOT_JUDGED, check
+from mitsuba_ref.judge.checks import CANDIDATE, NOT_JUDGED, Found, check
 from mitsuba_ref.judge.checks.knife_edges import NearestHits, cast_by_culling
-from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.shared_input import SharedRays, endless_rays, model_of, packed_float32, shared_rays
 from mitsuba_ref.subjects.subject import CastRequest, NoAnswer, Subject
 
-NAME = "ray_conventions"
-LIMITS_NAME = "ray_limits"
 LENGTHS = (1.0, 0.5, 2.0, 7.0)  # of d; two powers of two, and another number
 RAYS, RAYS_TRIED = 64, 1024  # rays that hit something, in each group; rays of the film, for those
 LARGEST_OFF = 0.1  # of t: if float32 resolves t no better, a factor of 2 may be rounding
 
 
 @check(of=(CANDIDATE,), camera=True)
-def check_ray_conventions(subject: Subject, scene: Scene, failing: bool = False) -> SceneCheck | None:
+def check_ray_conventions(subject: Subject, scene: Scene, failing: bool = False) -> Found | None:
     """A candidate that takes rays: t counts in lengths of d, and any direction is traced alike.
 
     None if pixels fail already, or it takes no rays. A group of rays is wrong if most of its t are off by more than
@@ -38,32 +35,32 @@ def check_ray_conventions(subject: Subject, scene: Scene, failing: bool = False)
         return None
     o, d = _hitting_rays(scene)
     if not len(o):
-        return SceneCheck(NAME, 0.0, f"{NOT_JUDGED}: no ray of the camera hits anything")
+        return 0.0, f"{NOT_JUDGED}: no ray of the camera hits anything"
     groups = dict(_groups(o, d))
     o, d = (np.concatenate(each) for each in zip(*groups.values(), strict=True))
     try:
         given = _answer(subject, scene, o, d)
     except NoAnswer as error:  # or Unsupported: it has answered the rays of the film, whose lengths are near 1
-        return SceneCheck(NAME, np.inf, f"no answer to rays in other directions, |d| not 1: {error}")
+        return np.inf, f"no answer to rays in other directions, |d| not 1: {error}"
     columns = given, *expected_t(scene, o, d), np.linalg.norm(d, axis=1)
     given, t, off, slope, length = (each.reshape(len(groups), -1) for each in columns)
     tells = ~np.isfinite(t) | (off <= LARGEST_OFF * t)  # mirrored, a ray may graze
     right = _match(given, t, off)
     if not tells[0].any():
-        return SceneCheck(NAME, 0.0, f"{NOT_JUDGED}: float32 resolves no t of the camera's rays")
+        return 0.0, f"{NOT_JUDGED}: float32 resolves no t of the camera's rays"
     if not (right[0] & tells[0]).any():
         cause = _cause(given[0], t[0], off[0], length[0])
-        return SceneCheck(NAME, np.inf, f"none of {tells[0].sum()} rays that hit is right for |d| = 1: {cause}")
+        return np.inf, f"none of {tells[0].sum()} rays that hit is right for |d| = 1: {cause}"
     tells &= right[0] & tells[0]
     wrong = np.flatnonzero(right.sum(axis=1, where=tells) < MAJORITY * tells.sum(axis=1))
     if not len(wrong):
-        return SceneCheck(NAME, 0.0, f"{len(groups) * tells[0].sum()} rays")
+        return 0.0, f"{len(groups) * tells[0].sum()} rays"
     cause = _cause(*(each[wrong][:, tells[0]] for each in (given, t, off, length)))
     for side, words in ((1.0, "back faces are missed"), (-1.0, "front faces are missed")):
         seen = tells & np.isfinite(t) & (side * slope > 0.0)
         if (seen & right).sum() <= (1.0 - NEARLY_ALL) * seen.sum() < seen.sum() and (right | seen | ~tells).all():
             cause = words
-    return SceneCheck(NAME, np.inf, f"{cause}: right for |d| = 1, wrong for {', '.join(np.array([*groups])[wrong])}")
+    return np.inf, f"{cause}: right for |d| = 1, wrong for {', '.join(np.array([*groups])[wrong])}"
 
 
 def cast_further(subject: Subject, scene: Scene, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
@@ -138,7 +135,7 @@ SPHERE = [{"type": "sphere", "center": (0.0, 0.0, 3.0), "radius": 1.0}]
 
 
 @check(of=(CANDIDATE,), scope="run")
-def check_ray_limits(subject: Subject) -> SceneCheck | None:
+def check_ray_limits(subject: Subject) -> Found | None:
     """t_min and t_max, along rays whose hits have a t that all arithmetic is exact about.
 
     The result states how the candidate treats hits exactly at the limits. None if it is given no limits.
@@ -165,10 +162,10 @@ def check_ray_limits(subject: Subject) -> SceneCheck | None:
                     f"t_max {each.t_max:g}: expected t = {each.t:g}, got {t:g}; --no-limits states that the "
                     "candidate's interface has none"
                 )
-                return SceneCheck(LIMITS_NAME, np.inf, what)
+                return np.inf, what
         notes = [each.note for each, t in zip(LIMITS, given, strict=True) if t == each.other]
-        return SceneCheck(LIMITS_NAME, 0.0, f"a hit {' and '.join(notes)}" if notes else f"{len(LIMITS)} rays")
-    return SceneCheck(LIMITS_NAME, 0.0, f"{NOT_JUDGED}: {why}")
+        return 0.0, f"a hit {' and '.join(notes)}" if notes else f"{len(LIMITS)} rays"
+    return 0.0, f"{NOT_JUDGED}: {why}"
 
 
 # ---- lengths and directions
@@ -203,9 +200,9 @@ def _groups(o: np.ndarray, d: np.ndarray) -> Iterator[tuple[str, tuple[np.ndarra
         yield f"rays mirrored in {name}", (_rounded(np.where(sign < 0.0, 2.0 * middle - o, o)), sign * d)
 
 
+@without_float_warnings
 def _match(given: np.ndarray, t: np.ndarray, off: np.ndarray) -> np.ndarray:
-    with np.errstate(invalid="ignore"):
-        near = np.isfinite(t) & np.isfinite(given) & (np.abs(given - t) <= off)
+    near = np.isfinite(t) & np.isfinite(given) & (np.abs(given - t) <= off)
     return near | (np.isposinf(given) & np.isposinf(t))
 
 

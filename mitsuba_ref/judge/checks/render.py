@@ -15,9 +15,8 @@ from mitsuba_ref.error_model.bracket import Bracket, Claims, RaySegments
 from mitsuba_ref.error_model.intersections import any_of_columns, norm
 from mitsuba_ref.error_model.lambert import ShadingPoints
 from mitsuba_ref.error_model.tolerances import KU_OURS
-from mitsuba_ref.judge.checks import OURS, bits_differ, check, worst_pixel
+from mitsuba_ref.judge.checks import OURS, Found, bits_differ, check, worst_pixel
 from mitsuba_ref.judge.diffuse import diffuse_within_float64
-from mitsuba_ref.judge.verdict import SceneCheck
 from mitsuba_ref.reference.shared_input import SharedRays, model_of
 
 # `render`, which is what users get, against the rays that are judged.
@@ -37,7 +36,7 @@ UNMOVED_PIXELS_CHECKED = 1024
 
 
 @check(of=(OURS,), scope="window", camera=True)
-def check_render(scene: Scene) -> SceneCheck:
+def check_render(scene: Scene) -> Found:
     """Compare the image of `render` with the camera's rays cast through trees, and with the rays that are judged.
 
     The former have to give the same bits, the latter the same bits or values that float64's bounds allow.
@@ -59,21 +58,20 @@ def check_render(scene: Scene) -> SceneCheck:
         rows = np.random.default_rng(1).choice(rows, min(most, differing), replace=False)
         differs[:] = False
         differs[rows] = ~_within_float64(scene, ours, rows, rays)
-    found = _worst(scene, "pixel", differs)
+    ratio, what = _worst(scene, "pixel", differs)
     sampled = f"; {len(rows)} of {differing} pixels with other bits looked at" if len(rows) < differing else ""
-    return replace(found, what=found.what + sampled)
+    return ratio, what + sampled
 
 
 def _differs(ours: Aovs, others: Aovs) -> np.ndarray:
     """(n,) bool: pixels where some AOV has other bits."""
     pixels = len(aov_rows(ours, "depth"))
     differs = [any_of_columns(bits_differ(ours[name], others[name]).reshape(pixels, -1)) for name in CHECKED_AOVS]
-    found: np.ndarray = np.any(differs, axis=0)
-    return found
+    return np.any(differs, axis=0)
 
 
-def _worst(scene: Scene, what: str, differs: np.ndarray) -> SceneCheck:
-    return worst_pixel("render", {what: np.where(differs, np.inf, 0.0)}, np.ones(len(differs), bool), scene)
+def _worst(scene: Scene, what: str, differs: np.ndarray) -> Found:
+    return worst_pixel({what: np.where(differs, np.inf, 0.0)}, np.ones(len(differs), bool), scene)
 
 
 def _by_longer_rays(view: RayHits) -> RayHits:

@@ -11,19 +11,19 @@ from caster.geometry.packing import Packed, packed
 from caster.scene.model import Diffuse, Scene
 from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, transform_error_ratio
+from mitsuba_ref.error_model.intersections import without_float_warnings
 from mitsuba_ref.error_model.tolerances import TRANSFORM_ROUNDINGS
-from mitsuba_ref.judge.checks import OURS, check, worst_share
-from mitsuba_ref.judge.verdict import SceneCheck
+from mitsuba_ref.judge.checks import OURS, Found, check, worst_share
 from mitsuba_ref.reference.shared_input import packed_float32
 from mitsuba_ref.shapes import kind_of, reference_of
 
 
 @check()
-def check_placement(scene: Scene) -> SceneCheck:
+def check_placement(scene: Scene) -> Found:
     """Compare each shape's matrix with an independent composition of its steps."""
     placed = ((name, shape) for name, shape in zip(scene.shape_names(), scene.shapes, strict=True) if shape.to_world)
     shares = ((transform_error_ratio(shape), f"to_world of {name}") for name, shape in placed)
-    return worst_share("placement", shares, "no shape has a to_world")
+    return worst_share(shares, "no shape has a to_world")
 
 
 class Precision(NamedTuple):
@@ -52,9 +52,9 @@ def with_one_mesh(shape: Shape) -> Shape:
 
 
 @check()
-def check_geometry(scene: Scene) -> SceneCheck:
+def check_geometry(scene: Scene) -> Found:
     """Compare each shape's packed numbers, float64 and float32, with an independent computation."""
-    return worst_share("geometry", _packing_shares(scene))
+    return worst_share(_packing_shares(scene))
 
 
 def _packing_shares(scene: Scene) -> Iterator[tuple[float, str]]:
@@ -69,6 +69,7 @@ def _packing_shares(scene: Scene) -> Iterator[tuple[float, str]]:
                 yield share, f"{claim.what} of {name} ({precision.name})"
 
 
+@without_float_warnings
 def unrounded_arrays(part: Any, dtype: str) -> list[str]:
     """Arrays of a packed shape that hold numbers which were not rounded to a type.
 
@@ -76,8 +77,7 @@ def unrounded_arrays(part: Any, dtype: str) -> list[str]:
     """
     derived = kind_of(part).derived
     floats = {name: array for name, array in part._asdict().items() if array.dtype.kind == "f" and name not in derived}
-    with np.errstate(over="ignore"):
-        return [name for name, array in floats.items() if not np.array_equal(array, array.astype(dtype))]
+    return [name for name, array in floats.items() if not np.array_equal(array, array.astype(dtype))]
 
 
 def _packing_error_ratio(claim: ExpectedNumbers, rounding: float, normal: float) -> float:
@@ -92,11 +92,11 @@ def _packing_error_ratio(claim: ExpectedNumbers, rounding: float, normal: float)
 
 
 @check(of=(OURS,))
-def check_materials(scene: Scene) -> SceneCheck:
+def check_materials(scene: Scene) -> Found:
     """Check that each shape's material is the one it names; Mitsuba gets the material that the caster looks up."""
     described = [scene.materials[shape.material] if shape.material else Diffuse() for shape in scene.shapes]
     rows = zip(scene.shapes, described, scene.shape_names(), strict=True)
     shares = (
         (0.0 if scene.material_of(shape) == right else np.inf, f"material of {name}") for shape, right, name in rows
     )
-    return worst_share("materials", shares, "no shape")
+    return worst_share(shares, "no shape")

@@ -15,8 +15,7 @@ from caster.rendering.images import camera_rays, evaluate, film_window, render, 
 from caster.scene.model import Point, Scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.error_model.intersections import LARGEST_COORDINATE
-from mitsuba_ref.judge.checks import OURS, bits_differ, check
-from mitsuba_ref.judge.verdict import SceneCheck
+from mitsuba_ref.judge.checks import OURS, Found, bits_differ, check
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -44,18 +43,18 @@ def _whole_film(scene: Scene, width: int, height: int) -> Scene:
     return scene.with_film(width=width, height=height, crop=(0, 0, width, height))
 
 
-def _result(name: str, differences: Iterable[str], looked_at: str) -> SceneCheck:
+def _result(differences: Iterable[str], looked_at: str) -> Found:
     first = next(iter(differences), "")
-    return SceneCheck(name, np.inf if first else 0.0, first or looked_at)
+    return np.inf if first else 0.0, first or looked_at
 
 
 # ---- routes ----
 
 
 @check(of=(OURS,), camera=True, thorough=True)
-def check_routes(scene: Scene) -> SceneCheck:
+def check_routes(scene: Scene) -> Found:
     """Every public route to a pixel has to give the bits of the whole image: AOVs, threads, dtypes, crops, `cast`."""
-    return _result("routes", route_differences(scene), f"films of {SIDE} x {SIDE} and {WIDE[0]} x {WIDE[1]} pixels")
+    return _result(route_differences(scene), f"films of {SIDE} x {SIDE} and {WIDE[0]} x {WIDE[1]} pixels")
 
 
 def route_differences(scene: Scene) -> Iterator[str]:
@@ -121,11 +120,11 @@ def _cast_differences(
 
 
 @check(of=(OURS,), camera=True, thorough=True)
-def check_brute_force(scene: Scene) -> SceneCheck:
+def check_brute_force(scene: Scene) -> Found:
     """The planned culling of a film has to give the same bits as testing every primitive."""
     small = _whole_film(scene, SIDE, SIDE)
     found = different_bits(render(small, ALL, culling="brute-force"), render(small, ALL), "planned culling")
-    return _result("brute_force", found, f"a film of {SIDE} x {SIDE} pixels")
+    return _result(found, f"a film of {SIDE} x {SIDE} pixels")
 
 
 # ---- scaling ----
@@ -142,22 +141,22 @@ PACKED_LENGTHS = ("vertices", "center", "radius", "to_world", "point")
 
 
 @check(of=(OURS,), camera=True, thorough=True)
-def check_scaling(scene: Scene) -> SceneCheck:
+def check_scaling(scene: Scene) -> Found:
     """Scaling a scene by a power of two has to scale depth and position exactly and to keep all other bits.
 
     Products, sums, quotients, roots and matrix inverses round alike when their operands are multiplied by powers of
     two, short of overflow and underflow. A threshold in scene units shows as other bits.
     """
     if not {*type(scene.camera).model_fields} <= {*LENGTHS, *RATIOS}:
-        return SceneCheck("scaling", 0.0, "not compared: which fields of the camera are lengths is unknown")
+        return 0.0, "not compared: which fields of the camera are lengths is unknown"
     if not all(type(shape).__module__.startswith("caster.shapes.") for shape in scene.shapes):
-        return SceneCheck("scaling", 0.0, "not compared: whether shapes of plug-ins follow to_world is unknown")
+        return 0.0, "not compared: whether shapes of plug-ins follow to_world is unknown"
     powers = _powers_of(scene)
     words = f"2^{', 2^'.join(map(str, powers))} times as large" if powers else "not compared: lengths leave float64"
     try:
-        return _result("scaling", scaling_differences(scene, powers), words)
+        return _result(scaling_differences(scene, powers), words)
     except SceneError:  # a camera or a light
-        return SceneCheck("scaling", 0.0, "not compared: lengths leave float64")
+        return 0.0, "not compared: lengths leave float64"
 
 
 def _powers_of(scene: Scene) -> tuple[int, ...]:
