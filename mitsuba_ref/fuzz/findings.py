@@ -9,7 +9,7 @@ import pydantic.dataclasses
 from pydantic import computed_field
 
 from mitsuba_ref.hard.rays import RayBatch
-from mitsuba_ref.report.results import aligned
+from mitsuba_ref.report.results import aligned, folded
 
 # The kinds of findings, the most informative first.
 FINDING_KINDS = {
@@ -138,11 +138,11 @@ def text(outcome: Outcome) -> str:
         f"      scene:  {failure.file}\n"
         f"      replay: {failure.replay}\n"
         f"      from:   mitsuba-ref fuzz {failure.example}\n"
-        f"              {failure.unshrunk}"
+        f"      from:   {failure.unshrunk}"
         for failure in outcome.failures
     ]
     about = ABOUT_CANDIDATE_COLUMNS if outcome.candidate else ABOUT_COLUMNS
-    return "\n".join([*aligned([["family", *head], *rows], left=1), about, *failures, *_summary(outcome)])
+    return folded("\n".join([*aligned([["family", *head], *rows], left=1), about, *failures, *_summary(outcome)]))
 
 
 def _summary(outcome: Outcome) -> Iterator[str]:

@@ -22,6 +22,7 @@ from mitsuba_ref.probe.witnesses import WitnessAnswer, t_lines, witness_answers,
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.shared_input import SharedRays, shared_rays
+from mitsuba_ref.report.results import folded
 from mitsuba_ref.shapes import reference_of
 from mitsuba_ref.subjects.subject import COMPARED_AOVS, Subject
 
@@ -195,7 +196,7 @@ MAX_PRIMS_SHOWN = 12  # primitives; --json has all
 
 def as_text(found: PixelVerdict, path: str, *, brief: bool = False) -> str:
     """The verdict as text for a terminal. brief: without the numbers behind it."""
-    return "\n".join(_lines(found, path, brief))
+    return folded("\n".join(_lines(found, path, brief)))
 
 
 def _lines(found: PixelVerdict, path: str, brief: bool) -> Iterator[str]:
@@ -229,7 +230,7 @@ def _lines(found: PixelVerdict, path: str, brief: bool) -> Iterator[str]:
         yield f"  {each.t!r:<22} +- {each.t_error:<10.3g} {each.shape}, prim {each.prim} {mark}".rstrip()
     if len(found.possible) > MAX_PRIMS_SHOWN:
         yield f"  and {len(found.possible) - MAX_PRIMS_SHOWN} more (--json lists them)"
-    yield f"\nreference  {', '.join(f'{name} {version}' for name, version in found.versions.items())}"
+    yield f"\nreference: {', '.join(f'{name} {version}' for name, version in found.versions.items())}"
 
 
 def _head(found: PixelVerdict, path: str) -> Iterator[str]:
@@ -238,15 +239,15 @@ def _head(found: PixelVerdict, path: str) -> Iterator[str]:
     if theirs is None:
         yield f"{place}: {found.verdict}"
         if not found.problem:
-            yield f"why        {found.why}"
+            yield f"why:       {found.why}"
         return
     yield f"{place}: {theirs.verdict}"
     held = f", held to the bounds of {theirs.precision}" if theirs.precision else ""
-    yield f"candidate  {theirs.name}{held}"
+    yield f"candidate: {theirs.name}{held}"
     first, *rest = (theirs.problem or theirs.why).splitlines() or [""]
-    yield f"why        {first}"
+    yield f"why:       {first}"
     yield from (f"           {line}" for line in rest)
-    yield f"ours       {found.verdict}: {found.why}"
+    yield f"ours:      {found.verdict}: {found.why}"
 
 
 def _sides(found: PixelVerdict, name: str) -> dict[str, Any]:

@@ -64,7 +64,7 @@ STATUS_COLORS = {"PASS": "32", "FAIL": "1;31", "SKIP": "33", "KNOWN": "33"}  # c
 
 LINE_CHARACTERS = 80
 LABEL = re.compile(r" *[a-z][\w. ]{0,11}: +")  # such as "exact:      ", below which further lines begin
-COMMAND = re.compile(r" *(?:(?:replay|next|look|report): |mitsuba-ref |caster )")  # stays whole, to be copied
+COMMAND = re.compile(r" *(?:(?:replay|from|next|look|report): |mitsuba-ref |caster )")  # stays whole, to be copied
 POINTER = re.compile(r"[ |]*\^+ *$")  # below a place in a line of a scene file
 BELOW_NAME = 6 * " "  # of a scene
 

@@ -11,7 +11,7 @@ from pydantic import computed_field
 from pydantic.dataclasses import dataclass
 
 from mitsuba_ref.hard.family import Family
-from mitsuba_ref.report.results import NOTHING, aligned
+from mitsuba_ref.report.results import NOTHING, aligned, folded
 from mitsuba_ref.stress import score
 from mitsuba_ref.stress.score import (
     BESIDE_CANDIDATE,
@@ -233,7 +233,7 @@ def as_text(sweep: SweepResult, skip_unsupported: bool = False) -> str:
     head = f"{mark}  {sweep.name}: {sweep.title}   {sweep.seconds:.1f} s"
     about = f"x: {sweep.quantity}\nof each caster: {sweep.error}, !: beyond its bound; wrong hits and misses"
     (_, *names), *settings = rows(sweep)
-    problems = (f"FAIL  {line}" for line in sweep.problems)
+    problems = (folded(f"FAIL  {line}") for line in sweep.problems)
     return "\n".join([head, about, *aligned([["x", *names], *settings]), *footnotes(sweep), *problems])
 
 
