@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 
 from caster import __version__
-from mitsuba_ref.bench.casters import processors
+from caster.rendering.threads import core_count
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.reference.subprocess_runner import PACKAGE_PARENT
 from mitsuba_ref.report.results import libllvm, versions
@@ -21,7 +21,7 @@ def machine_properties() -> dict[str, str]:
     named = re.search(r"model name\s*: (.*)", CPU_INFO.read_text(errors="replace")) if CPU_INFO.exists() else None
     found = {
         "processor": named[1] if named else platform.machine(),
-        "processors used": f"{processors()} of {os.cpu_count() or 1}",
+        "processors used": f"{core_count()} of {os.cpu_count() or 1}",
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         "Python": platform.python_version(),
         "load before": f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown",

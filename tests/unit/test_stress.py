@@ -329,7 +329,7 @@ def test_a_wrong_candidate_fails_with_the_first_ray_that_shows_it(name, call, sa
     assert name != "sliver" or re.search(r"its t is right; normal of the answer: \(.+\); expected: \(.+\)", first)
     command = shlex.split(re.search(r"\n      replay: mitsuba-ref (.+)$", first)[1])
     assert [command[0], *command[2:]] == ["probe", "0", "0"]
-    setting = next(each for each in sweep.settings if each.breaks("candidate"))
+    setting = next(each for each in sweep.settings if each.witnesses["candidate"].breaks)
     (ray,) = setting.witnesses["candidate"].first_wrong[:1]
     ready, kept = score.prepare_setting(short(name), 0, setting.x, RAYS), caster.load_scene(command[1])
     assert np.array_equal(kept.camera.origin, ready.o[ray]) and np.array_equal(kept.camera.direction, ready.d[ray])
