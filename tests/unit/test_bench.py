@@ -15,7 +15,7 @@ from pages import read_result
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.bench import measuring
 from mitsuba_ref.bench.casters import BY_KEY
-from mitsuba_ref.bench.drivers import ANY, FILM, Work
+from mitsuba_ref.bench.drivers import FILM, Work
 from mitsuba_ref.bench.measuring import CasterEnded, CasterProcess, Settings, time_scene
 from mitsuba_ref.bench.result import COLUMNS, Row, Run, SceneResult, Score, as_text, overview, overview_text, rows
 from mitsuba_ref.bench.scenes import SCENES
@@ -268,7 +268,3 @@ def test_wrong_usage_is_reported(words, code, says, capsys):
 def test_scenes_are_listed(words, names, capsys):
     assert main(["bench", *words.split(), "--list"]) == 0
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == names.split()
-
-
-def test_every_workload_has_a_scene():
-    assert {scene.workload for scene in SCENES} == {"film", "nearest", ANY}
