@@ -163,14 +163,15 @@ def compare_with_mitsuba(
 
     rays: in place of the camera's. Of a candidate, only wrong pixels are findings.
     """
-    options: dict[str, Any] = {"timeout": MITSUBA_TIMEOUT_S, "send": send_request}
     shared = None
     try:
         if rays is not None:
             with np.errstate(over="ignore"):
                 numbers = np.column_stack(rays).astype(np.float32)
             scene, shared = lay_out(scene, checked_rays(numbers, "rays"))
-        verdict = validate_scene(scene, "fuzz", subject=subject, rays=shared, **options)
+        verdict = validate_scene(
+            scene, "fuzz", subject=subject, rays=shared, timeout=MITSUBA_TIMEOUT_S, send=send_request
+        )
     except SCENE_ERRORS:  # numbers beyond float32
         tally.outside += 1
         return []
@@ -189,8 +190,11 @@ def compare_with_mitsuba(
 def _findings_of(verdict: SceneVerdict, scene: Scene, rays: SharedRays | None) -> list[Finding]:
     """Failing checks, of our caster alone, and failing pixels."""
     made = () if verdict.candidate else verdict.checks
-    texts = {each.name: f"{each.name}: {each.ratio:.3g} times its bound; {each.what}" for each in made if not each.ok}
-    checks = [Finding("judged", what, detail=name) for name, what in texts.items()]
+    checks = [
+        Finding("judged", f"{each.name}: {each.ratio:.3g} times its bound; {each.what}", detail=each.name)
+        for each in made
+        if not each.ok
+    ]
     return [*checks, *(_finding_of(each, verdict, scene, rays) for each in verdict.failures)]
 
 

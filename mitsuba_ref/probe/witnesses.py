@@ -1,5 +1,6 @@
 """The witnesses of one ray: ours, exact arithmetic, and Mitsuba in each of its variants and modes."""
 
+import math
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -31,9 +32,9 @@ class WitnessAnswer:
     """One witness's answer for the ray, compared with exact arithmetic."""
 
     who: str  # ours, exact, a candidate, or a variant of Mitsuba with its mode
-    shape: str  # "miss" on a miss
-    prim: int  # within its shape, -1 on a miss
-    t: float
+    shape: str = ""  # "miss" on a miss
+    prim: int = -1  # within its shape, -1 on a miss
+    t: float = math.nan
     right: bool | None = None  # names a surface that is hit exactly, with t within its bound; None: undecided
     off: float | None = None  # t minus the exact t; None on a miss, or if another surface is hit
     ulps: float | None = None  # `off` in units of the last place of `format`
@@ -87,10 +88,9 @@ def surface_of(judge: Judge, prim: int) -> tuple[str, int]:
 
 
 def _of_mitsuba(who: str, found: TraceResponse | Crash | str, judge: Judge, exact: ExactAnswer | None) -> WitnessAnswer:
-    if isinstance(found, str):
-        return WitnessAnswer(who, "", -1, np.nan, problem=found)
-    if isinstance(found, Crash):
-        return WitnessAnswer(who, "", -1, np.nan, problem=f"no answer ({found.exit}): {found.headline}")
+    if not isinstance(found, TraceResponse):
+        problem = found if isinstance(found, str) else f"no answer ({found.exit}): {found.headline}"
+        return WitnessAnswer(who, problem=problem)
     shape = int(found.shape[0])
     if shape < 0:
         return compared_with_exact((who, "miss", -1, np.inf), judge, exact, np.float32)

@@ -122,16 +122,16 @@ class Fake:
 KEYS = ("ours", "raw-robust", "raw-default")
 
 
-def timed(dying: dict[str, int]) -> tuple[SceneResult, dict[str, Fake]]:
+def timed(monkeypatch, dying: dict[str, int]) -> tuple[SceneResult, dict[str, Fake]]:
     Fake.log = []
     fakes = {key: Fake(key, dying.get(key, 1000)) for key in KEYS}
     casters = [replace(BY_KEY[key], options={}, first=0) for key in KEYS]
-    start = lambda caster, *rest: fakes[caster.key]  # noqa: E731
-    return time_scene(BY_NAME["grazing-plane"], casters, Settings(16, 3), start=start), fakes
+    monkeypatch.setattr(measuring, "start_process", lambda caster, *rest: fakes[caster.key])
+    return time_scene(BY_NAME["grazing-plane"], casters, Settings(16, 3)), fakes
 
 
-def test_casters_take_turns_and_none_is_always_first():
-    found, fakes = timed({})
+def test_casters_take_turns_and_none_is_always_first(monkeypatch):
+    found, fakes = timed(monkeypatch, {})
     warm = len(KEYS) * (measuring.WARM_UP_CASTS + 1)
     assert Fake.log[warm:] == [*KEYS, "raw-robust", "raw-default", "ours", "raw-default", "ours", "raw-robust"]
     assert found.ratio("raw-default") == 2.0
@@ -140,8 +140,8 @@ def test_casters_take_turns_and_none_is_always_first():
     assert all(fake.closed for fake in fakes.values())
 
 
-def test_a_crash_of_one_caster_leaves_the_others_running():
-    found, fakes = timed({"raw-robust": measuring.WARM_UP_CASTS + 2, "raw-default": 0})
+def test_a_crash_of_one_caster_leaves_the_others_running(monkeypatch):
+    found, fakes = timed(monkeypatch, {"raw-robust": measuring.WARM_UP_CASTS + 2, "raw-default": 0})
     ours, raw, default = found.rows
     assert len(ours.seconds) == 3 and ours.why == ""
     assert len(raw.seconds) == 1 and raw.why == "died: SIGSEGV" and raw.score is None
@@ -164,9 +164,10 @@ ENDS = {
 
 
 @pytest.mark.parametrize("script", ENDS)
-def test_every_end_of_a_process_is_a_reason(script):
-    timeout = 0.5 if "sleep" in script else 30.0
-    process = CasterProcess(WORK, command=(sys.executable, "-c", script), timeout=timeout)
+def test_every_end_of_a_process_is_a_reason(script, monkeypatch):
+    monkeypatch.setattr(measuring, "REQUEST_TIMEOUT_S", 0.5 if "sleep" in script else 30.0)
+    monkeypatch.setattr(measuring, "WORKER", (sys.executable, "-c", script))
+    process = CasterProcess(WORK, {})
     with pytest.raises(CasterEnded) as end:
         process.request(do="build", size=4)
     assert str(end.value) == ENDS[script]
