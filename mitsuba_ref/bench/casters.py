@@ -38,9 +38,6 @@ class TimedCaster:
         works = not self.variant or self.variant in variants.usable_variants().names
         return "" if works else f"{self.variant} does not work here"
 
-    def environment(self) -> dict[str, str]:
-        return variants.environment_for(self.variant)
-
 
 def of_mitsuba(key: str, title: str, driver: str, mode: str, variant: str = variants.LLVM, **more: Any) -> TimedCaster:
     options = {"mode": mode, "variant": variant}

@@ -18,6 +18,7 @@ from mitsuba_ref.bench.drivers import AOVS, FILM, Work
 from mitsuba_ref.bench.result import Row, SceneResult
 from mitsuba_ref.bench.scenes import BenchScene
 from mitsuba_ref.bench.scoring import ExactAnswers, write_scene
+from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.subprocess_runner import ProcessEnded, ResidentProcess, exit_name, import_path
 
 LAST_WORDS = 300  # characters kept of a dead caster's output
@@ -77,7 +78,7 @@ def start_process(caster: TimedCaster, folder: str, scene: BenchScene, threads: 
     """Start the process of a caster. folder: as `write_scene` writes it; threads: unless the caster has its own."""
     threads = caster.threads or threads
     work = Work(folder, scene.workload, threads, caster.driver, scene.aovs, caster.options)
-    return CasterProcess(work, caster.environment())
+    return CasterProcess(work, variants.environment_for(caster.variant))
 
 
 @dataclass

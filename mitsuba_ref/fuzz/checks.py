@@ -83,22 +83,19 @@ def check_rays(prepared: PreparedScene, rays: RayBatch, tally: Tally, rng: Rng |
     """Findings about these rays; with a generator, some are cast again with other limits."""
     if rng is not None:
         rays = concatenated(rays, with_limits(rng, rays, cast_by_culling(prepared.packed, rays, "bvh")))
-    ours = cast_by_culling(prepared.packed, rays, "bvh")
-    slow = cast_by_culling(prepared.packed, rays, "brute-force")
     hits = cast(prepared.scene, rays.o, rays.d, t_min=rays.t_min, t_max=rays.t_max)
+    ours = nearest_hits(prepared.packed, hits.t, hits.shape_id, hits.prim_id)
     return [
-        *_differences(rays, ours, slow, "brute-force"),
-        *_differences(rays, ours, nearest_hits(prepared.packed, hits.t, hits.shape_id, hits.prim_id), "caster.cast"),
+        *_differences(rays, ours, cast_by_culling(prepared.packed, rays, "brute-force")),
         *check_surfaces(hits, rays),
         *adjudicate(prepared, rays, ours, tally),
     ]
 
 
-def _differences(rays: RayBatch, ours: NearestHits, other: NearestHits, name: str) -> Iterator[Finding]:
-    differs = (ours.t.view(np.int64) != other.t.view(np.int64)) | (ours.prim != other.prim)
-    for i in np.flatnonzero(differs):
-        one, two = (f"primitive {found.prim[i]} at t {t_text(found.t[i])}" for found in (ours, other))
-        yield Finding("culling", f"bvh: {one}; {name}: {two}", rays.taken(slice(i, i + 1)))
+def _differences(rays: RayBatch, ours: NearestHits, slow: NearestHits) -> Iterator[Finding]:
+    for i in np.flatnonzero(registry.bits_differ(ours.t, slow.t) | (ours.prim != slow.prim)):
+        one, two = (f"primitive {found.prim[i]} at t {t_text(found.t[i])}" for found in (ours, slow))
+        yield Finding("culling", f"caster.cast: {one}; brute-force: {two}", rays.taken(slice(i, i + 1)))
 
 
 def check_surfaces(hits: Any, rays: RayBatch) -> Iterator[Finding]:

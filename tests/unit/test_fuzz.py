@@ -38,18 +38,6 @@ def examples():
     return [Example(3, number, FAMILIES[number % len(FAMILIES)]) for number in range(FEW * len(FAMILIES))]
 
 
-def test_an_example_is_the_same_whenever_and_beside_whichever_families_it_is_made(examples):
-    for tried in examples[::3]:
-        alone = Example(tried.seed, tried.number, tried.family)
-        assert alone.made.data == tried.made.data
-        rays, same = (each.rays(pack(each.made.scene())) for each in (tried, alone))
-        assert all(np.array_equal(a, b) for a, b in zip(rays, same, strict=True))
-    others = [
-        repr(Example(seed, number, family).made.data) for seed in (1, 2) for number, family in enumerate(FAMILIES)
-    ]
-    assert len(set(others)) == len(others)
-
-
 def test_every_shape_camera_and_primitive_is_drawn(examples):
     shapes = {shape["type"] for each in examples for shape in each.made.data["shape"]}
     cameras = {each.made.data["camera"]["type"] for each in examples}
