@@ -6,7 +6,7 @@ import pytest
 
 from caster.jit.kernel_cache import COMPILED
 from caster.scene.files import load_scene
-from mitsuba_ref.fuzz.campaign import check_example, example
+from mitsuba_ref.fuzz.campaign import Example, check_example
 from mitsuba_ref.fuzz.findings import Tally
 from mitsuba_ref.hard.random_families import RANDOM as FAMILIES
 from mitsuba_ref.report.validation import validate_scene
@@ -27,7 +27,7 @@ SCENES = sorted(
 @pytest.mark.parametrize("family", FAMILIES, ids=lambda family: family.name)
 def test_fuzz_finds_nothing(family, group):
     for number in range(group * EXAMPLES, (group + 1) * EXAMPLES):
-        found = check_example(example(SEED, number, [family]), Tally())
+        found = check_example(Example(SEED, number, family), Tally())
         assert not found, found[0].what
 
 

@@ -25,7 +25,7 @@ from caster.rendering.shading import TileShader, new_image
 from caster.rendering.threads import parallel_for, unwritten_array
 from caster.scene.model import Scene
 
-__all__ = ["camera_rays", "evaluate", "film_window", "render", "trace_film"]
+__all__ = ["camera_rays", "check_names", "evaluate", "film_window", "render", "trace_film"]
 
 DEFAULT_AOVS = ("hit", "depth", "normal", "position", "diffuse")
 

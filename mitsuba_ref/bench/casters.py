@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mitsuba_ref.bench.drivers import ANY, AOVS, DEFAULT, FILM, NEAREST, ROBUST
+from mitsuba_ref.bench.result import CANDIDATE_ROW
 from mitsuba_ref.bench.scenes import BenchScene
 from mitsuba_ref.reference import variants
 
 OURS, MITSUBA = "ours", "mitsuba"
-CANDIDATE = "candidate"  # side and key of its row
 ALL_WORKLOADS = (FILM, NEAREST, ANY)
 
 
@@ -37,9 +37,6 @@ class TimedCaster:
         """The reason why it cannot run on this machine; "" if there is none."""
         works = not self.variant or self.variant in variants.usable_variants().names
         return "" if works else f"{self.variant} does not work here"
-
-    def environment(self) -> dict[str, str]:
-        return variants.environment_for(self.variant)
 
 
 def of_mitsuba(key: str, title: str, driver: str, mode: str, variant: str = variants.LLVM, **more: Any) -> TimedCaster:
@@ -74,9 +71,4 @@ def casters_for(scene: BenchScene, candidate: TimedCaster | None = None) -> list
 def candidate_caster(text: str, precision: str | None, *, served: bool) -> TimedCaster:
     """The row of a candidate; its film is made smaller until it is cast within MAX_CAST_S."""
     options = {"text": text, "precision": precision, "served": served, "folder": os.getcwd()}
-    return TimedCaster(CANDIDATE, text, CANDIDATE, "drivers:Candidate", options=options, first=32)
-
-
-def processors() -> int:
-    """Number of processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return TimedCaster(CANDIDATE_ROW, text, CANDIDATE_ROW, "drivers:Candidate", options=options, first=32)

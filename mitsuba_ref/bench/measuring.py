@@ -18,6 +18,7 @@ from mitsuba_ref.bench.drivers import AOVS, FILM, Work
 from mitsuba_ref.bench.result import Row, SceneResult
 from mitsuba_ref.bench.scenes import BenchScene
 from mitsuba_ref.bench.scoring import ExactAnswers, write_scene
+from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.subprocess_runner import ProcessEnded, ResidentProcess, exit_name, import_path
 
 LAST_WORDS = 300  # characters kept of a dead caster's output
@@ -38,28 +39,21 @@ class CasterEnded(Exception):  # noqa: N818 - an end, not always an error
 class CasterProcess:
     """A caster's process (worker.py), which may fail, crash or hang. It stays until it is closed."""
 
-    def __init__(
-        self,
-        work: Work,
-        environment: Mapping[str, str] | None = None,
-        command: Sequence[str] = WORKER,
-        timeout: float = REQUEST_TIMEOUT_S,
-    ) -> None:
-        settings, self.timeout = {**(environment or {}), "PYTHONPATH": import_path()}, timeout
+    def __init__(self, work: Work, environment: Mapping[str, str]) -> None:
         with os.fdopen(os.dup(2), "w") as notices:  # for what it compiles: all else that it says is captured
             fd = notices.fileno()
-            words = [*command, json.dumps(asdict(work)), str(fd)]
-            self.process = ResidentProcess(words, settings, pass_fds=(fd,))
+            words = [*WORKER, json.dumps(asdict(work)), str(fd)]
+            self.process = ResidentProcess(words, {**environment, "PYTHONPATH": import_path()}, pass_fds=(fd,))
 
     def request(self, **request: Any) -> Mapping[str, Any]:
         """The reply to {"do": ...}. Raises CasterEnded; the process is then gone, too."""
         try:
-            line = self.process.ask(json.dumps(request).encode(), self.timeout)
+            line = self.process.ask(json.dumps(request).encode(), REQUEST_TIMEOUT_S)
             reply: dict[str, Any] = json.loads(line)
         except ProcessEnded as ended:
             end = ended.end
             words = ["died", exit_name(end.code or 0), *end.output.splitlines()[-1:]]
-            why = f"no answer within {self.timeout:g} s" if end.code is None else ": ".join(words)[:LAST_WORDS]
+            why = f"no answer within {REQUEST_TIMEOUT_S:g} s" if end.code is None else ": ".join(words)[:LAST_WORDS]
             raise CasterEnded(why) from None
         except ValueError:
             reply = {"why": f"unexpected reply: {line[:LAST_WORDS]!r}"}
@@ -84,7 +78,7 @@ def start_process(caster: TimedCaster, folder: str, scene: BenchScene, threads: 
     """Start the process of a caster. folder: as `write_scene` writes it; threads: unless the caster has its own."""
     threads = caster.threads or threads
     work = Work(folder, scene.workload, threads, caster.driver, scene.aovs, caster.options)
-    return CasterProcess(work, caster.environment())
+    return CasterProcess(work, variants.environment_for(caster.variant))
 
 
 @dataclass
@@ -150,11 +144,7 @@ def fitting_size(first: int, seconds: float, most: int) -> int:
 
 
 def time_scene(
-    scene: BenchScene,
-    casters: Sequence[TimedCaster],
-    settings: Settings,
-    on_progress: Progress = lambda words: None,
-    start: Callable[..., CasterProcess] = start_process,
+    scene: BenchScene, casters: Sequence[TimedCaster], settings: Settings, on_progress: Progress = lambda words: None
 ) -> SceneResult:
     """Time all casters on a scene, in turns, and measure their errors, unless other AOVs are asked for."""
     begun = time.perf_counter()
@@ -167,7 +157,7 @@ def time_scene(
             on_progress("starting the casters")
             for run in runs:  # in this thread: where it ends, Linux ends what it started
                 if not run.row["why"]:
-                    run.process = start(run.caster, name, scene, settings.threads)
+                    run.process = start_process(run.caster, name, scene, settings.threads)
             with ThreadPoolExecutor(settings.threads) as pool:
                 list(pool.map(lambda run: run.go(CasterRun.compile), runs))
             for run in runs:

@@ -140,7 +140,7 @@ def _masks_text(masks: int, beyond: int) -> str:
 # Columns of the table of all scenes.
 OVERVIEW = {
     REFERENCE_ROW: "ours",
-    "raw-robust": "`ray_intersect`",
+    "raw-robust": "ray_intersect",
     "aov-robust": "AOV integrator",
     CANDIDATE_ROW: "candidate",
 }
@@ -166,10 +166,9 @@ def overview(run: Run) -> list[list[str]]:
 
 
 def overview_text(run: Run) -> str:
-    table = [[cell.replace("`", "") for cell in line] for line in overview(run)]
     name = OVERVIEW[judged_row(run)]
     head = f"milliseconds of {name}, and how many times as fast as each of the others it is"
-    return "\n".join([head, *aligned(table, left=2)])
+    return "\n".join([head, *aligned(overview(run), left=2)])
 
 
 def as_text(scene: SceneResult) -> str:

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from caster.aovs import BY_NAME
 from caster.cameras import Pinhole
-from caster.description.errors import SceneError, suggestion
+from caster.rendering.images import check_names
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from caster.shapes import Rectangle, SphereCloud
@@ -84,10 +83,7 @@ def scene_of_file(path: str, mesh_dirs: Sequence[str] = ()) -> BenchScene:
 
 def with_aovs(scene: BenchScene, aovs: Sequence[str]) -> BenchScene:
     """The same scene with other AOVs. Raises SceneError for an unknown name."""
-    for name in aovs:
-        if name not in BY_NAME:
-            hint = suggestion(name, BY_NAME)
-            raise SceneError(f"--aov {name}: unknown{hint} (known: {', '.join(BY_NAME)})")
+    check_names(aovs)
     names = tuple(aovs)
     return scene if names == AOVS else replace(scene, name=f"{scene.name}:{','.join(names)}", aovs=names)
 

@@ -65,22 +65,18 @@ class Worker:
         return {"precision": self.driver.precision}
 
     def memory(self) -> dict[str, Any]:
-        return {"bytes": peak_memory()}
+        """The largest resident size of this process.
 
+        On Linux it is VmHWM, since ru_maxrss includes the memory of the process that started this one.
+        """
+        import resource  # POSIX alone
 
-def peak_memory() -> int:
-    """The largest resident size of this process in bytes.
-
-    On Linux it is VmHWM, since ru_maxrss includes the memory of the process that started this one.
-    """
-    import resource  # POSIX alone
-
-    try:
-        status = Path("/proc/self/status").read_text()
-        return next(int(line.split()[1]) * 1024 for line in status.splitlines() if line.startswith("VmHWM"))
-    except (OSError, StopIteration):
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return peak if sys.platform == "darwin" else peak * 1024
+        try:
+            status = Path("/proc/self/status").read_text()
+            peak = next(int(line.split()[1]) * 1024 for line in status.splitlines() if line.startswith("VmHWM"))
+        except (OSError, StopIteration):
+            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+        return {"bytes": peak}
 
 
 def main(work: Work, notices: int) -> None:

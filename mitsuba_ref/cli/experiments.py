@@ -6,12 +6,13 @@ from dataclasses import asdict
 from pathlib import Path
 
 from caster.description.errors import SceneError
+from caster.rendering.threads import core_count
 from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
 from mitsuba_ref.bench import casters
 from mitsuba_ref.bench.drivers import AOVS, FILM
 from mitsuba_ref.bench.machine import machine_properties
 from mitsuba_ref.bench.measuring import Settings, time_scene
-from mitsuba_ref.bench.result import Run, SceneResult, as_text, overview_text, summary
+from mitsuba_ref.bench.result import CANDIDATE_ROW, Run, SceneResult, as_text, overview_text, summary
 from mitsuba_ref.bench.scenes import SCENES, BenchScene, scene_of_file, with_aovs
 from mitsuba_ref.cli import options
 from mitsuba_ref.cli.arguments import ScenePath, ServedProgram
@@ -87,9 +88,9 @@ def run_bench(args: argparse.Namespace) -> int:
         print("\n".join(f"{scene.name:{width}}{scene.title}" for scene in scenes))
         return OK
     options.check_json(args)
-    threads = args.threads or casters.processors()
-    if threads > casters.processors():
-        raise SceneError(f"--threads {threads}: this process may use {casters.processors()}")
+    threads = args.threads or core_count()
+    if threads > core_count():
+        raise SceneError(f"--threads {threads}: this process may use {core_count()}")
     variants.variant_for(has_quadrics=True)  # raises before any work without Mitsuba
     settings = Settings(args.size, args.alternations, threads, args.seed)
     caster = None
@@ -109,7 +110,7 @@ def run_bench(args: argparse.Namespace) -> int:
         report_run(Run(recorded, machine, requested, tuple(done)), args)
     rows = [row for result in done for row in result.rows]
     ours_ran = all(row.ran for row in rows if row.side == casters.OURS)
-    candidate_ran = any(row.ran for row in rows if row.key == casters.CANDIDATE)  # whether it is right, `validate` says
+    candidate_ran = any(row.ran for row in rows if row.key == CANDIDATE_ROW)  # whether it is right, `validate` says
     return OK if ours_ran and (candidate is None or candidate_ran) else DIFFERENCES
 
 

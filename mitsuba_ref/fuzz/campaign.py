@@ -55,11 +55,6 @@ class Example:
         return self.made.aim(self.random(AIM_STREAM), packed, count)
 
 
-def example(seed: int, number: int, families: Sequence[Family]) -> Example:
-    """Families take turns, so a family that is selected alone has other examples of the same numbers."""
-    return Example(seed, number, families[number % len(families)])
-
-
 @dataclass
 class Campaign:
     """Tries one example after another. `outcome` is complete at any moment: an interruption loses nothing."""
@@ -77,7 +72,6 @@ class Campaign:
 
     def __post_init__(self) -> None:
         self.outcome = Outcome(self.seed, candidate=self.subject.name)
-        self.deadline = float("inf")
 
     def run(self) -> Iterator[Outcome]:
         """Yield the outcome after each example."""
@@ -88,7 +82,7 @@ class Campaign:
         for number in self.numbers:
             if time.monotonic() >= self.deadline:
                 break
-            tried = replace(example(self.seed, number, self.families), types=types)
+            tried = Example(self.seed, number, self.families[number % len(self.families)], types)
             if self.subject is OURS or (tried.family.fits_float32 and tried.made.data["shape"]):
                 self._check(tried)
             self.outcome.last_example, self.outcome.seconds = number, time.monotonic() - start
@@ -122,7 +116,7 @@ class Campaign:
         judge = partial(find, kind=finding.kind, subject=self.subject)
         shrinker = Shrinker(case_of(tried.made.data), finding, judge, attempts, self.deadline + SHRINK_GRACE_S)
         drawn = case_of(tried.made.data, finding.ray)
-        seed, number, family = str(tried.seed), tried.number, tried.family.name
+        seed, number, family = str(self.seed), tried.number, tried.family.name
         again = ["--seed", seed, "--family", family, "--examples", f"{number}..{number}"]
         again += [] if self.rays == RAYS_PER_EXAMPLE else ["--rays", str(self.rays)]
         found_by = shlex.join([*again, *self.options])

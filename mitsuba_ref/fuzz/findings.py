@@ -119,17 +119,22 @@ class Outcome:
         return self.total.findings == 0 and (not self.candidate or self.total.judged > 0)
 
 
-COLUMNS = ("examples", "rays", "hits", "edges", "ties", "unbounded", "outside", "judged", "findings")
-CANDIDATE_COLUMNS = ("examples", "declined", "outside", "judged", "pixels", "findings")
-ABOUT_COLUMNS = """edges: hits on an edge, a rim or a tangent; ties: of several primitives at once;
+# Columns of the table, and the lines that explain them.
+COLUMNS = (
+    ("examples", "rays", "hits", "edges", "ties", "unbounded", "outside", "judged", "findings"),
+    """edges: hits on an edge, a rim or a tangent; ties: of several primitives at once;
 unbounded: t without a float64 bound; outside: rays that exact arithmetic does not take;
-judged: scenes compared with Mitsuba, too"""
-ABOUT_CANDIDATE_COLUMNS = """declined, judged: films and lists of rays; outside: those beyond float32"""
+judged: scenes compared with Mitsuba, too""",
+)
+CANDIDATE_COLUMNS = (
+    ("examples", "declined", "outside", "judged", "pixels", "findings"),
+    """declined, judged: films and lists of rays; outside: those beyond float32""",
+)
 
 
 def text(outcome: Outcome) -> str:
     """A table with a row per family, the failures, and a summary."""
-    columns = CANDIDATE_COLUMNS if outcome.candidate else COLUMNS
+    columns, about = CANDIDATE_COLUMNS if outcome.candidate else COLUMNS
     tallies = dict(outcome.families) | ({"all": outcome.total} if len(outcome.families) > 1 else {})
     rows = [[name, *(str(getattr(tally, column)) for column in columns)] for name, tally in tallies.items()]
     head = ["rays" if name == "pixels" else name for name in columns]
@@ -141,16 +146,14 @@ def text(outcome: Outcome) -> str:
         f"      from:   {failure.unshrunk}"
         for failure in outcome.failures
     ]
-    about = ABOUT_CANDIDATE_COLUMNS if outcome.candidate else ABOUT_COLUMNS
     return folded("\n".join([*aligned([["family", *head], *rows], left=1), about, *failures, *_summary(outcome)]))
 
 
 def _summary(outcome: Outcome) -> Iterator[str]:
-    total, rays = outcome.total, outcome.total.rays
-    work = f"{rays} rays adjudicated by exact arithmetic, {total.judged} scenes judged against Mitsuba"
+    total = outcome.total
+    work = f"{total.rays} rays adjudicated by exact arithmetic, {total.judged} scenes judged against Mitsuba"
     if outcome.candidate:
-        rays = total.pixels
-        work = f"{rays} rays of {total.judged} films and lists judged against Mitsuba and exact arithmetic"
+        work = f"{total.pixels} rays of {total.judged} films and lists judged against Mitsuba and exact arithmetic"
     yield f"seed {outcome.seed}: {total.examples} examples, {work}, in {outcome.seconds:.1f} s"
     if outcome.left_out:
         yield f"without shapes that it declines: {', '.join(outcome.left_out)}"

@@ -57,7 +57,7 @@ def probe_candidate(
     try:
         response = request_answer(candidate, window)
     except NoAnswer as error:
-        witness = WitnessAnswer(CANDIDATE, "", -1, np.nan, problem="no answer")
+        witness = WitnessAnswer(CANDIDATE, problem="no answer")
         return CandidatePixel(candidate.name, UNDECIDED, problem=str(error), witness=witness)
     judge = judge_of(response, timeout=timeout, send=send, with_files=False)
     if isinstance(judge, Crash):

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -80,11 +80,7 @@ class PixelVerdict:
         return plain
 
 
-class ProbeEvidence(NamedTuple):
-    """The judge and the judgement of an image of this one pixel."""
-
-    judge: Judge
-    judgement: Judgement
+ProbeEvidence = tuple[Judge, Judgement]  # of an image of this one pixel
 
 
 # Stand-ins are cut to the rays of the whole film, or for larger films to those of a smaller one with the same view, so
@@ -102,15 +98,13 @@ def stand_in_rays(scene: Scene) -> SharedRays | None:
     return shared_rays(scene.with_film(width=width, height=height, crop=(0, 0, width, height)))
 
 
-def probe(scene: Scene, x: int, y: int, candidate: Subject | None = None) -> PixelVerdict:
-    """Judge one pixel, also for a candidate if there is one. Raises SceneError for a pixel outside the film."""
-    return probe_with_evidence(scene, x, y, candidate)[0]
-
-
 def probe_with_evidence(
     scene: Scene, x: int, y: int, candidate: Subject | None = None, timeout: float = DEFAULT_TIMEOUT
 ) -> tuple[PixelVerdict, ProbeEvidence | Crash]:
-    """Judge one pixel and return the evidence as well. timeout: seconds for Mitsuba's answer."""
+    """Judge one pixel, also for a candidate if there is one, and return the evidence as well.
+
+    timeout: seconds for Mitsuba's answer. Raises SceneError for a pixel outside the film.
+    """
     film = scene.film
     if not (0 <= x < film.width and 0 <= y < film.height):
         inside = f"0 <= x < {film.width} and 0 <= y < {film.height}"
@@ -119,12 +113,12 @@ def probe_with_evidence(
     asked_for, scene = scene, scene.with_film(crop=(x, y, x + 1, y + 1))
     judge = scene_judge(scene, whole=whole, timeout=timeout)
     if isinstance(judge, Crash):
-        problem = judge.message
-        return PixelVerdict(x, y, UNDECIDED, _ray(shared_rays(scene)), {}, {}, {}, {}, {}, (), {}, problem), judge
+        ray = _ray(shared_rays(scene))
+        return PixelVerdict(x, y, UNDECIDED, ray, {}, {}, {}, {}, {}, (), {}, judge.message), judge
     pair, judgement = judge.pair, judge.judge()
     exact = exact_answer(judge, judgement, 0)
     theirs = None if candidate is None else probe_candidate(candidate, asked_for, (x, y), timeout)
-    found_witnesses = witness_answers(judge, exact) if judge.t_max[0] >= 0.0 else ()
+    witnesses = witness_answers(judge, exact) if judge.t_max[0] >= 0.0 else ()
     left = not_judged(judge, judgement, 0)
     found = PixelVerdict(
         x,
@@ -140,10 +134,10 @@ def probe_with_evidence(
         pair.result.answer.versions,
         why=full_reason(judge, judgement, diagnose(judge, judgement).by_row(), 0),
         case=case_text(judgement),
-        witnesses=found_witnesses if theirs is None or theirs.witness is None else (theirs.witness, *found_witnesses),
+        witnesses=witnesses if theirs is None or theirs.witness is None else (theirs.witness, *witnesses),
         candidate=theirs,
     )
-    return found, ProbeEvidence(judge, judgement)
+    return found, (judge, judgement)
 
 
 def _ray(rays: SharedRays) -> dict[str, Any]:
@@ -236,12 +230,11 @@ def _lines(found: PixelVerdict, path: str, brief: bool) -> Iterator[str]:
 def _head(found: PixelVerdict, path: str) -> Iterator[str]:
     """Classes with their reasons, the candidate's first if there is one."""
     place, theirs = f"pixel ({found.x}, {found.y}) of {path}", found.candidate
+    yield f"{place}: {(theirs or found).verdict}"
     if theirs is None:
-        yield f"{place}: {found.verdict}"
         if not found.problem:
             yield f"why:       {found.why}"
         return
-    yield f"{place}: {theirs.verdict}"
     held = f", held to the bounds of {theirs.precision}" if theirs.precision else ""
     yield f"candidate: {theirs.name}{held}"
     first, *rest = (theirs.problem or theirs.why).splitlines() or [""]
@@ -262,7 +255,7 @@ def _exact_lines(exact: dict[str, Any]) -> Iterator[str]:
     if not exact:
         yield "  exact: no answer"
         return
-    yield f"  exact: t {_decimal_and_hex([exact['t']])}" if exact["hit"] else "  exact: miss"
+    yield f"  exact: t {exact['t']!r}  {exact['t_hex']}" if exact["hit"] else "  exact: miss"
     for tie in exact["ties"][:MAX_TIES_SHOWN]:
         yield f"         {tie['shape']}, prim {tie['prim']} ({tie['where']})"
     if len(exact["ties"]) > MAX_TIES_SHOWN:
@@ -274,11 +267,6 @@ def _exact_lines(exact: dict[str, Any]) -> Iterator[str]:
 def _value_lines(name: str, value: Any) -> Iterator[str]:
     """Decimal, and hex to the bit, which has a line of its own unless there is just one number."""
     values = value if isinstance(value, list) else [value]
-    lines = _decimal_and_hex(values).split("\n")
-    yield f"  {name:<11}{lines[0]}"
-    yield from (f"    {line}" for line in lines[1:])
-
-
-def _decimal_and_hex(values: list[float]) -> str:
-    gap = "  " if len(values) == 1 else "\n"
-    return f"{' '.join(map(repr, values))}{gap}{' '.join(float(v).hex() for v in values)}"
+    decimals, bits = " ".join(map(repr, values)), " ".join(float(each).hex() for each in values)
+    gap = "  " if len(values) == 1 else "\n    "
+    yield f"  {name:<11}{decimals}{gap}{bits}"

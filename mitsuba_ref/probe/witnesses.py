@@ -1,5 +1,6 @@
 """The witnesses of one ray: ours, exact arithmetic, and Mitsuba in each of its variants and modes."""
 
+import math
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -31,9 +32,9 @@ class WitnessAnswer:
     """One witness's answer for the ray, compared with exact arithmetic."""
 
     who: str  # ours, exact, a candidate, or a variant of Mitsuba with its mode
-    shape: str  # "miss" on a miss
-    prim: int  # within its shape, -1 on a miss
-    t: float
+    shape: str = ""  # "miss" on a miss
+    prim: int = -1  # within its shape, -1 on a miss
+    t: float = math.nan
     right: bool | None = None  # names a surface that is hit exactly, with t within its bound; None: undecided
     off: float | None = None  # t minus the exact t; None on a miss, or if another surface is hit
     ulps: float | None = None  # `off` in units of the last place of `format`
@@ -46,39 +47,36 @@ class WitnessAnswer:
 
 def witness_answers(judge: Judge, answer: ExactAnswer | None) -> tuple[WitnessAnswer, ...]:
     """The answers of all witnesses. judge: of a window of one pixel."""
-    given = judge.pair.result.answer
-    theirs = dict(other_variant_answers(judge, given.versions["variant"]))
-    theirs[given.versions["variant"], "robust"] = given
     ours = ("ours", *surface_of(judge, int(judge.pair.prim[0])), float(judge.pair.t[0]))
     rows = [compared_with_exact(ours, judge, answer, np.float64)]
     if answer is not None:
         t = np.inf if answer.t is None else float(answer.t)
         rows.append(WitnessAnswer(EXACT, *surface_of(judge, answer.prim), t, right=True))
-    for variant in variants.VARIANT_NAMES:
-        for mode in MODES:
-            rows.append(_of_mitsuba(f"mitsuba {variant} {mode}", theirs[variant, mode], judge, answer))
+    rows += [_of_mitsuba(f"mitsuba {variant}", found, judge, answer) for variant, found in mitsuba_answers(judge)]
     return tuple(rows)
 
 
-def other_variant_answers(judge: Judge, variant: str) -> Iterator[tuple[tuple[str, str], TraceResponse | Crash | str]]:
-    """Mitsuba's answers by (variant, mode), without the judge's own; each variant runs in its own process."""
-    works = variants.usable_variants()
-    for name in set(variants.VARIANT_NAMES) - set(works.names):
-        yield from (((name, mode), MISSING) for mode in MODES)
-    wanted = {name: [m for m in MODES if (name, m) != (variant, "robust")] for name in works.names}
-    with ScratchFolder() as folder, ThreadPoolExecutor() as pool:
+def mitsuba_answers(judge: Judge) -> list[tuple[str, TraceResponse | Crash | str]]:
+    """Answers by variant with its mode, the judge's own among them; each variant runs in its own process."""
+    given, works, rays = judge.pair.result.answer, variants.usable_variants().names, judge.pair.rays
+    with ScratchFolder() as folder:
         xml = {
             mode: export(judge.scene, judge.model, robust=robust).write(Path(folder) / mode)
             for mode, robust in MODES.items()
         }
-        rays = judge.pair.rays
-        jobs = {
-            name: [TraceRequest(xml[mode], name, rays.o, rays.d, rays.t_max, lights=False) for mode in modes]
-            for name, modes in wanted.items()
-        }
-        answers = pool.map(lambda requests: [send_request(each) for each in requests], jobs.values())
-        for name, found in zip(jobs, answers, strict=True):
-            yield from (((name, mode), answer) for mode, answer in zip(wanted[name], found, strict=True))
+
+        def ask(variant: str, mode: str) -> TraceResponse | Crash | str:
+            if (variant, mode) == (given.versions["variant"], "robust"):
+                return given
+            if variant not in works:
+                return MISSING
+            return send_request(TraceRequest(xml[mode], variant, rays.o, rays.d, rays.t_max, lights=False))
+
+        with ThreadPoolExecutor() as pool:
+            found = pool.map(
+                lambda name: [(f"{name} {mode}", ask(name, mode)) for mode in MODES], variants.VARIANT_NAMES
+            )
+            return [answer for answers in found for answer in answers]
 
 
 def surface_of(judge: Judge, prim: int) -> tuple[str, int]:
@@ -90,10 +88,9 @@ def surface_of(judge: Judge, prim: int) -> tuple[str, int]:
 
 
 def _of_mitsuba(who: str, found: TraceResponse | Crash | str, judge: Judge, exact: ExactAnswer | None) -> WitnessAnswer:
-    if isinstance(found, str):
-        return WitnessAnswer(who, "", -1, np.nan, problem=found)
-    if isinstance(found, Crash):
-        return WitnessAnswer(who, "", -1, np.nan, problem=f"no answer ({found.exit}): {found.headline}")
+    if not isinstance(found, TraceResponse):
+        problem = found if isinstance(found, str) else f"no answer ({found.exit}): {found.headline}"
+        return WitnessAnswer(who, problem=problem)
     shape = int(found.shape[0])
     if shape < 0:
         return compared_with_exact((who, "miss", -1, np.inf), judge, exact, np.float32)

@@ -129,9 +129,9 @@ def run_facts() -> list[tuple[str, str]]:
     return [(term, words) for term, words in found if words]
 
 
-def commit() -> str:
-    """The commit of the current folder, with -dirty if files were changed; "" if there is none."""
-    asked = ["git", "describe", "--always", "--dirty", "--exclude=*"]
+def commit(folder: str = ".") -> str:
+    """The commit of a folder, with -dirty if files were changed; "" if there is none."""
+    asked = ["git", "-C", folder, "describe", "--always", "--dirty", "--exclude=*"]
     with suppress(OSError, subprocess.TimeoutExpired):
         return subprocess.run(asked, capture_output=True, text=True, timeout=GIT_SECONDS, check=False).stdout.strip()
     return ""

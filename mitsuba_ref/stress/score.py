@@ -56,6 +56,10 @@ class Absent:
     status: Literal["missing", "crash", "not applicable"]
     why: str
 
+    @property
+    def breaks(self) -> bool:
+        return self.status == "crash"
+
 
 @dataclasses.dataclass(frozen=True)
 class PreparedSetting(PreparedScene):

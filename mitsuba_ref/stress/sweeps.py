@@ -54,11 +54,6 @@ class SettingResult:
     witnesses: Mapping[str, Score | Absent]  # by caster
     replay: str = ""  # the command that shows the first wrong ray of the subject
 
-    def breaks(self, key: str) -> bool:
-        """Whether a caster breaks down here; one that crashes does."""
-        score = self.witnesses[key]
-        return score.breaks if isinstance(score, Score) else score.status == "crash"
-
 
 @dataclass(frozen=True)
 class SweepResult:
@@ -130,7 +125,7 @@ class SweepResult:
         """By caster, the first x at which it breaks down, on either side of where the family is easiest."""
         found = {}
         for caster in self.casters:
-            broken = [setting.x for setting in self.settings if setting.breaks(caster.key)]
+            broken = [setting.x for setting in self.settings if setting.witnesses[caster.key].breaks]
             below, above = ([x for x in broken if (x < self.easiest) == side] for side in (True, False))
             found[caster.key] = [*below[-1:], *above[:1]]
         return found

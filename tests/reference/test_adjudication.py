@@ -22,7 +22,7 @@ from mitsuba_ref.judge.classification import CLASS_CODE, Judge, scene_judge
 from mitsuba_ref.judge.explanations import full_reason, not_judged
 from mitsuba_ref.judge.verdict import FAILING, UNLISTED, Verdict
 from mitsuba_ref.oracle.oracle import Oracle, OutsideDomain
-from mitsuba_ref.probe.pixel import probe
+from mitsuba_ref.probe.pixel import probe_with_evidence
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.mitsuba_process import SendRequest
 from mitsuba_ref.reference.shared_input import shared_rays
@@ -216,7 +216,7 @@ RIM = caster.Ray(origin=(1, 0, 3), direction=(0, 0, -1))
 def test_a_caster_that_misses_at_a_rim_is_wrong_whatever_mitsuba_states(monkeypatch):
     """Float32 may miss the rim as well as hit it, and the bracket of float64 allows a miss, too."""
     scene = scene_of(caster.Disk(), camera=RIM, film=caster.Film(width=1, height=1), lights=[])
-    right = probe(scene, 0, 0)
+    right = probe_with_evidence(scene, 0, 0)[0]
     assert right.ok and right.exact["ties"] == [{"shape": "shape-0", "prim": 0, "where": "rim"}]
 
     def misses(scene, rays):
@@ -225,7 +225,7 @@ def test_a_caster_that_misses_at_a_rim_is_wrong_whatever_mitsuba_states(monkeypa
         return replace(view, nearest=nothing)
 
     monkeypatch.setattr(subject, "cast_ours", misses)
-    found = probe(scene, 0, 0)
+    found = probe_with_evidence(scene, 0, 0)[0]
     assert (found.verdict, found.ok, found.exact) == ("wrong", False, right.exact)
     assert found.why.startswith("missed; exact arithmetic hits; beyond their bounds: ")
     assert "same surface" in found.not_judged["diffuse"] and "diffuse" not in found.ratios
@@ -322,5 +322,5 @@ def test_the_command_validate_stores_a_few_and_states_of_how_many(tmp_path):
     left = verdict["cases"]["30"] - 2
     assert verdict["not_stored"] == left > 5
     assert f"stored:     2 scenes of one ray each; {left} more pixels are like them" in found.stdout
-    again = probe(load_scene(out / files[0]), 0, 0)
+    again = probe_with_evidence(load_scene(out / files[0]), 0, 0)[0]
     assert (again.verdict, again.case, again.ok) == ("reference_wrong", "30", True)

@@ -182,40 +182,38 @@ def test_a_right_candidate_passes_on_films_and_on_aimed_rays(fuzz):
 
 
 @pytest.mark.slow("judges some hundred scenes")
-def test_a_wrong_candidate_is_shrunk_kept_and_replayed(fuzz, tmp_path, capsys):
+def test_a_wrong_candidate_is_shrunk_kept_and_replayed(fuzz, tmp_path, monkeypatch, capsys):
     """Our caster misses hits nearer than t = 1e-4, which only rays that start on a surface show."""
     (tmp_path / "epsilon_caster.py").write_text(
         "import caster\n\n\ndef cast(scene, o, d):\n    hits = caster.cast(scene, o, d, t_min=1e-4)\n"
         "    return hits.t, hits.normal\n"
     )
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(tmp_path))
-        words = ["--candidate", "epsilon_caster:cast"]
-        code, out, _, told = fuzz("--family", "surfaces", "--examples", "1", *words)
-        assert code == 1 and told["total"]["kinds"] == {"judged": told["total"]["findings"]}
-        first = told["failures"][0]
-        assert "\n      candidate: " in first["what"] and first["options"] == words
-        assert f"replay: mitsuba-ref fuzz --replay {first['file']} --candidate epsilon_caster:cast" in out
-        text = Path(first["file"]).read_text()
-        assert "--candidate epsilon_caster:cast\n" in text and text.count("[[shape]]") == 1
-        assert "limits" in read_kept(Path(first["file"]))[1]
-        drawn = Path(first["unshrunk"]).read_text()
-        assert drawn.count("[[shape]]") > 1 and f"\n      from:   {first['unshrunk']}\n" in out
-        assert main(["fuzz", "--replay", first["file"], *words]) == 1
-        assert main(["fuzz", "--replay", first["file"], "--candidate", "candidates:ours"]) == 0
-        assert main(["fuzz", "--replay", first["file"]]) == 0
+    monkeypatch.syspath_prepend(tmp_path)
+    words = ["--candidate", "epsilon_caster:cast"]
+    code, out, _, told = fuzz("--family", "surfaces", "--examples", "1", *words)
+    assert code == 1 and told["total"]["kinds"] == {"judged": told["total"]["findings"]}
+    first = told["failures"][0]
+    assert "\n      candidate: " in first["what"] and first["options"] == words
+    assert f"replay: mitsuba-ref fuzz --replay {first['file']} --candidate epsilon_caster:cast" in out
+    text = Path(first["file"]).read_text()
+    assert "--candidate epsilon_caster:cast\n" in text and text.count("[[shape]]") == 1
+    assert "limits" in read_kept(Path(first["file"]))[1]
+    drawn = Path(first["unshrunk"]).read_text()
+    assert drawn.count("[[shape]]") > 1 and f"\n      from:   {first['unshrunk']}\n" in out
+    assert main(["fuzz", "--replay", first["file"], *words]) == 1
+    assert main(["fuzz", "--replay", first["file"], "--candidate", "candidates:ours"]) == 0
+    assert main(["fuzz", "--replay", first["file"]]) == 0
     capsys.readouterr()
 
 
-def test_a_candidate_of_triangles_gets_scenes_of_triangles(fuzz, tmp_path):
+def test_a_candidate_of_triangles_gets_scenes_of_triangles(fuzz, tmp_path, monkeypatch):
     (tmp_path / "meshes_alone.py").write_text(
         "import caster\n\n\ndef cast(scene, o, d):\n    if any(shape.type != 'mesh' for shape in scene.shapes):\n"
         "        raise NotImplementedError('triangles alone')\n    hits = caster.cast(scene, o, d)\n"
         "    return hits.t, hits.normal\n"
     )
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(tmp_path))
-        code, out, _, told = fuzz("--examples", "12", "--candidate", "meshes_alone:cast")
+    monkeypatch.syspath_prepend(tmp_path)
+    code, out, _, told = fuzz("--examples", "12", "--candidate", "meshes_alone:cast")
     assert code == 0, out
     assert told["total"]["declined"] == 0 and told["total"]["judged"] >= 12
     assert {"sphere", "disk", "plane"} <= set(told["left_out"]) and "mesh" not in told["left_out"]
@@ -237,16 +235,15 @@ def test_the_way_in_which_a_pixel_fails_is_what_shrinking_preserves(check, subje
     assert failure_mode(Failure(0, 0, "wrong", check, 2.0, subject, "", exact, "")) == mode
 
 
-def test_a_candidate_that_declines_or_cannot_answer_is_no_pass(fuzz, tmp_path):
+def test_a_candidate_that_declines_or_cannot_answer_is_no_pass(fuzz, tmp_path, monkeypatch):
     (tmp_path / "no_caster.py").write_text(
         "def declines(scene, o, d):\n    raise NotImplementedError('no shape at all')\n\n\n"
         "def raises(scene, o, d):\n    return 1 / 0\n"
     )
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(tmp_path))
-        patch.setattr("mitsuba_ref.fuzz.campaign.MITSUBA_SHRINK_ATTEMPTS", 2)
-        code, out, _, told = fuzz("--examples", "2", "--candidate", "no_caster:declines")
-        assert code == 1 and "FAIL  nothing was judged: no_caster:declines declined every scene" in out
-        assert told["total"]["declined"] >= 3 and not told["ok"]
-        code, out, _, told = fuzz("--examples", "1", "--candidate", "no_caster:raises")
-        assert code == 1 and told["total"]["kinds"] == {"answer": 1} and "ZeroDivisionError" in out
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr("mitsuba_ref.fuzz.campaign.MITSUBA_SHRINK_ATTEMPTS", 2)
+    code, out, _, told = fuzz("--examples", "2", "--candidate", "no_caster:declines")
+    assert code == 1 and "FAIL  nothing was judged: no_caster:declines declined every scene" in out
+    assert told["total"]["declined"] >= 3 and not told["ok"]
+    code, out, _, told = fuzz("--examples", "1", "--candidate", "no_caster:raises")
+    assert code == 1 and told["total"]["kinds"] == {"answer": 1} and "ZeroDivisionError" in out

@@ -8,7 +8,7 @@ from scene_options import aspects, demanded, demanded_aspects, exercised
 
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
-from mitsuba_ref.fuzz.campaign import example
+from mitsuba_ref.fuzz.campaign import Example
 from mitsuba_ref.hard import FAMILIES
 
 # Examples of each family, from the first of seed 0 on. Of `options` as many as `mitsuba-ref fuzz` checks within some
@@ -31,7 +31,7 @@ def shipped():
 @pytest.fixture(scope="module")
 def drawn():
     families = [family for family in FAMILIES if family.name != "options"]
-    scenes = (example(0, number, [family]).made.scene() for family in families for number in range(EXAMPLES))
+    scenes = (Example(0, number, family).made.scene() for family in families for number in range(EXAMPLES))
     return {option for scene in scenes for option in options_of(scene)}.union(*(each for _, each in of_family()))
 
 
@@ -39,7 +39,7 @@ def drawn():
 def of_family():
     """What `options` draws, with the options of each."""
     (family,) = (each for each in FAMILIES if each.name == "options")
-    scenes = [example(0, number, [family]).made.scene() for number in range(EXAMPLES_OF_OPTIONS)]
+    scenes = [Example(0, number, family).made.scene() for number in range(EXAMPLES_OF_OPTIONS)]
     return [(scene, options_of(scene)) for scene in scenes]
 
 
