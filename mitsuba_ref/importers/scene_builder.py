@@ -203,9 +203,9 @@ def material_of(out: SceneBuilder, shape: Node) -> str:
 def _material_name(out: SceneBuilder, node: Node) -> str:
     if id(node) not in out.materials:
         materials = out.data["material"]
-        taken = {*materials, *out.document.by_id}
+        unused = (new for new in map("material-{}".format, count(len(materials))) if new not in materials)
         name = node.id if node.id.isprintable() else ""
-        name = name or next(new for new in map("material-{}".format, count(len(materials))) if new not in taken)
+        name = name or next(new for new in unused if new not in out.document.by_id)
         out.materials[id(node)] = name
         materials[name] = _build_material(out, node)
         out.positions["material", name] = node.position
@@ -229,23 +229,19 @@ def _build_material(out: SceneBuilder, node: Node) -> dict[str, Any]:
             out.omit(node, f"{node.words()}: the inner bsdf is kept")
         out.omit_unread(node)
         return made
-    color = next((name for name in DIFFUSE_COLOR_NAMES if node.named(name) is not None), "")
-    made = {"reflectance": _color(out, node, color)} if color else {}
+    child = next((child for child in map(node.named, DIFFUSE_COLOR_NAMES) if child is not None), None)
+    made = {}
+    if child is not None:
+        out.consumed.add(id(child))
+        found = color_of(out, child)
+        if found is None:
+            out.omit(child, f"{child.words()} of {node.words()}: replaced by grey")
+        made["reflectance"] = found or DEFAULT_REFLECTANCE
     if node.kind != "diffuse":
-        kept = f"its {color} is" if color else "grey is"
+        kept = f"its {child.name} is" if child is not None else "grey is"
         out.omit(node, f"{node.words()}: materials are diffuse here; {kept} kept")
     out.omit_unread(node)
     return made
-
-
-def _color(out: SceneBuilder, node: Node, name: str) -> list[float]:
-    child = node.named(name)
-    assert child is not None
-    out.consumed.add(id(child))
-    found = color_of(out, child)
-    if found is None:
-        out.omit(child, f"{child.words()} of {node.words()}: replaced by grey")
-    return DEFAULT_REFLECTANCE if found is None else found
 
 
 def color_of(out: SceneBuilder, node: Node) -> list[float] | None:
