@@ -32,8 +32,8 @@ __all__ = [
     "comma_separated",
     "display_names",
     "load",
-    "mesh_dir_options",
     "positive_int",
+    "resized",
     "scene_files",
 ]
 
@@ -68,11 +68,6 @@ def add_mesh_dirs(parser: argparse._ActionsContainer) -> None:
         metavar="DIR",
         help="a folder beyond the scene's own in which its meshes are looked for; may be given several times",
     )
-
-
-def mesh_dir_options(args: argparse.Namespace) -> tuple[str, ...]:
-    """The options --mesh-dir again, for a command line about the same scene."""
-    return tuple(word for folder in args.mesh_dir for word in ("--mesh-dir", folder))
 
 
 def add_threads(parser: argparse.ArgumentParser) -> None:
@@ -128,11 +123,15 @@ def load(args: argparse.Namespace) -> Scene:
     """Load the scene of the arguments of `add_scene`, at the film size of --size."""
     from caster.scene.files import load_scene
 
-    scene = load_scene(args.scene, args.mesh_dir)
-    if args.size is None:
+    return resized(load_scene(args.scene, args.mesh_dir), args.size)
+
+
+def resized(scene: Scene, size: Sequence[int] | None) -> Scene:
+    """The scene with a film of this width and height, if they are given. Raises SceneError."""
+    if size is None:
         return scene
-    with error_prefix("--size", *args.size):
-        return scene.with_film(width=args.size[0], height=args.size[1])
+    with error_prefix("--size", *size):
+        return scene.with_film(width=size[0], height=size[1])
 
 
 def scene_files(paths: Iterable[str]) -> list[str]:

@@ -29,13 +29,8 @@ from mitsuba_ref.stress.sweeps import StressRun, SweepResult
 def run_stress(args: argparse.Namespace) -> int:
     """Sweep the selected families; 0 right everywhere, 1 not, 5 nothing selected or judged, 130 interrupted."""
     families = options.select(SWEPT, "family", args.families, args.expression)
-    if not families:
-        print(f"nothing selected: no family matches -k {args.expression!r}", file=sys.stderr)
-        return NOTHING_SELECTED
-    if args.list:
-        print("\n".join(f"{family.name:22}{family.title}" for family in families))
-        return OK
-    options.check_json(args)
+    if (code := options.listed(families, "family", args)) is not None:
+        return code
     candidate = options.requested_candidate(args, takes_rays=True)
     variants.variant_for(has_quadrics=True)  # without Mitsuba's columns a run would pass with its evidence missing
     done: list[SweepResult] = []
@@ -80,14 +75,8 @@ def run_bench(args: argparse.Namespace) -> int:
     """Time the selected scenes; 0, 1 where ours did not run, 2 unknown scene, 5 nothing selected, 130 interrupted."""
     scenes = requested_scenes(args)
     candidate = options.requested_candidate(args, takes_rays=True)
-    if not scenes:
-        print(f"nothing selected: no scene matches -k {args.expression!r}", file=sys.stderr)
-        return NOTHING_SELECTED
-    if args.list:
-        width = max(len(scene.name) for scene in scenes) + 2
-        print("\n".join(f"{scene.name:{width}}{scene.title}" for scene in scenes))
-        return OK
-    options.check_json(args)
+    if (code := options.listed(scenes, "scene", args)) is not None:
+        return code
     threads = args.threads or core_count()
     if threads > core_count():
         raise SceneError(f"--threads {threads}: this process may use {core_count()}")

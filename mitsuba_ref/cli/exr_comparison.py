@@ -6,15 +6,14 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TextIO, TypeVar
+from typing import TypeVar
 
-from caster.cli.shared_arguments import mesh_dir_options
 from caster.description.errors import SceneError
 from caster.scene.files import load_scene
 from caster.system.atomic_files import check_folder
 from caster.system.process import DIFFERENCES, FILE, NOTHING_SELECTED, OK
 from mitsuba_ref.cli.arguments import NUMBERS
-from mitsuba_ref.cli.options import reading_of, report_address
+from mitsuba_ref.cli.options import given_words, reading_of, report_address
 from mitsuba_ref.cli.validate import selected_entries
 from mitsuba_ref.exr_compare.approved import ImageChecks, Proposal, check_scene, propose, write_approved
 from mitsuba_ref.exr_compare.comparison_result import FileComparison
@@ -76,7 +75,11 @@ def run_approve(args: argparse.Namespace) -> int:
         lambda entry, lines: Proposal(entry.name, folder / f"{entry.name}.exr", "failed", False, lines),
     ):
         found.append(proposal)
-        print_proposal(proposal, out)
+        mark, lines = "->" if proposal.write else "  ", proposal.details or ("",)
+        print(f"{proposal.status:<8} {mark} {proposal.name}  {lines[0]}".rstrip(), file=out)
+        for line in lines[1:]:
+            print(f"            {line}", file=out)
+        out.flush()
     if not found:
         return NOTHING_SELECTED
     wanted = [proposal for proposal in found if proposal.write]
@@ -92,15 +95,6 @@ def run_approve(args: argparse.Namespace) -> int:
         write_approved(proposal.path, proposal.fresh)
         print(f"wrote    {proposal.path}")
     return DIFFERENCES if failed else OK
-
-
-def print_proposal(proposal: Proposal, out: TextIO) -> None:
-    mark = "->" if proposal.write else "  "
-    head, *rest = proposal.details or ("",)
-    print(f"{proposal.status:<8} {mark} {proposal.name}  {head}".rstrip(), file=out)
-    for line in rest:
-        print(f"            {line}", file=out)
-    out.flush()
 
 
 # ---- check ----
@@ -153,5 +147,5 @@ def approve_command(args: argparse.Namespace) -> str:
     """The command that shows the changes of the same scenes, and writes them once they are approved."""
     size = ["--size", *map(str, args.size)] if args.size else []
     chosen = ["-k", args.expression] if args.expression else []
-    words = [*args.scenes, "--references", args.references, *size, *chosen, *mesh_dir_options(args)]
+    words = [*args.scenes, "--references", args.references, *size, *chosen, *given_words(args, "mesh_dir")]
     return shlex.join(["mitsuba-ref", "approve", *words])

@@ -39,7 +39,7 @@ def run_rays(args: argparse.Namespace) -> int:
     return OK
 
 
-def camera_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.ndarray | None]:
+def camera_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.ndarray]:
     """(n, 8) the rays that `validate` shares with Mitsuba, and (n, 2) their pixels."""
     rays = shared_rays(scene)
     there = np.flatnonzero(rays.t_max >= 0.0)
@@ -47,7 +47,7 @@ def camera_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.
     return rows, np.array([pixel_of(scene, int(row)) for row in there], np.int32).reshape(-1, 2)
 
 
-def shadow_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.ndarray | None]:
+def shadow_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.ndarray]:
     """Rays from the camera's hits to a light; d reaches a point light at t = 1. Raises SceneError."""
     lights = [light for light in scene.lights if light.type != "ambient"]
     if not 0 <= args.light < len(lights):
@@ -57,9 +57,7 @@ def shadow_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, np.
     hit = np.isfinite(hits.t) & (hits.t <= rows[:, 7])
     p = hits.position[hit].astype(np.float32).astype(np.float64)
     to_light, reach = direction_to_light(lights[args.light], p)
-    some = hit.nonzero()[0]
-    shadow = np.column_stack([p, to_light, np.full(len(p), SHADOW_T_MIN), reach])
-    return shadow, None if pixels is None else pixels[some]
+    return np.column_stack([p, to_light, np.full(len(p), SHADOW_T_MIN), reach]), pixels[hit]
 
 
 def aimed_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, None]:

@@ -11,6 +11,7 @@ from typing import Protocol, TextIO, TypeVar
 from caster.cli.shared_arguments import check_utf8_name
 from caster.description.errors import SceneError, suggestion
 from caster.system.atomic_files import check_writable
+from caster.system.process import NOTHING_SELECTED, OK
 from caster.system.terminal import StatusLine
 from mitsuba_ref.cli.arguments import CANDIDATE_SECONDS, ServedProgram
 from mitsuba_ref.exr_compare.conventions import Reading, candidate_image
@@ -126,6 +127,8 @@ class Progress:
 class Named(Protocol):
     @property
     def name(self) -> str: ...
+    @property
+    def title(self) -> str: ...
 
 
 T = TypeVar("T", bound=Named)
@@ -144,3 +147,16 @@ def select(items: Sequence[T], what: str, words: Sequence[str], expression: str 
     matches = matching(expression)
     chosen = (item for item in items if not words or {item.name, item.name.partition("-")[0]} & set(words))
     return [item for item in chosen if matches(item.name)]
+
+
+def listed(items: Sequence[Named], what: str, args: argparse.Namespace) -> int | None:
+    """The exit code where nothing was selected, or after --list; None: there is work to do. Raises OutputError."""
+    if not items:
+        print(f"nothing selected: no {what} matches -k {args.expression!r}", file=sys.stderr)
+        return NOTHING_SELECTED
+    if args.list:
+        width = max(len(item.name) for item in items) + 2
+        print("\n".join(f"{item.name:{width}}{item.title}" for item in items))
+        return OK
+    check_json(args)
+    return None

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from caster.classroom.course_files import load_course_scene
 from caster.classroom.course_images import with_window_behind_scene
-from caster.cli.shared_arguments import AOV_NAMES, check_exr_suffix, comma_separated, load
+from caster.cli.shared_arguments import AOV_NAMES, check_exr_suffix, comma_separated, load, resized
 from caster.description.errors import SceneError, error_prefix, suggestion
 from caster.image.channels import write_render
 from caster.scene.export import to_toml
@@ -18,7 +18,7 @@ from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.messages import MitsubaError
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS, render_reference
 from mitsuba_ref.reference.shared_input import export_scene, packed_float32
-from mitsuba_ref.report.results import folded
+from mitsuba_ref.report.results import folded, plural
 from mitsuba_ref.subjects.subject import scene_as_traced
 
 COURSE_FILM = (256, 256)  # pixels; a scene text of the course has no film
@@ -52,26 +52,20 @@ def run_import(args: argparse.Namespace) -> int:
         raise SceneError(f"-o {args.output}: expected a name that ends in .toml")
     if suffix not in (".xml", ".txt"):
         raise SceneError(f"{args.file}: expected Mitsuba's .xml, or .txt of MIT 6.837")
-    found = from_xml(args) if suffix == ".xml" else from_course(args)
+    if suffix == ".xml":
+        found = import_xml(args.file, parameters(args.parameters), args.mesh_dir)
+        found = found._replace(scene=resized(found.scene, args.size))
+    else:
+        found = from_course(args)
     folder = Path(args.output).resolve().parent
     text = f"# {Path(args.file).name}, by `mitsuba-ref import`.\n" + to_toml(found.scene, folder)
     write_text(args.output, text)
     for line in found.left_out:
         print(line)
-    shapes = f"{len(found.scene.shapes)} shape{'s' * (len(found.scene.shapes) != 1)}"
-    print(f"{args.output}: {shapes}, {len(found.left_out)} left out or changed")
+    print(f"{args.output}: {plural(len(found.scene.shapes), 'shape')}, {len(found.left_out)} left out or changed")
     for outside in sorted(folders_beyond(found.scene, folder)):
         print(f"note: meshes are in {outside}: add --mesh-dir {outside} where the scene is used")
     return OK
-
-
-def from_xml(args: argparse.Namespace) -> ImportedScene:
-
-    found = import_xml(args.file, parameters(args.parameters), args.mesh_dir)
-    if args.size is None:
-        return found
-    with error_prefix("--size", *args.size):
-        return ImportedScene(found.scene.with_film(width=args.size[0], height=args.size[1]), found.left_out)
 
 
 def from_course(args: argparse.Namespace) -> ImportedScene:

@@ -9,14 +9,14 @@ from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 
-from caster.cli.shared_arguments import check_utf8_name, display_names, scene_files
+from caster.cli.shared_arguments import display_names, scene_files
 from caster.description.errors import FileMissing, SceneError, error_prefix
 from caster.scene.files import types_in_file
 from caster.scene.model import Film
 from caster.system.atomic_files import OutputError, write_text
 from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
 from mitsuba_ref.cli.arguments import DEFAULT_SCENES
-from mitsuba_ref.cli.options import candidate_words, report_address, requested_candidate
+from mitsuba_ref.cli.options import candidate_words, given_words, report_address, requested_candidate
 from mitsuba_ref.judge.verdict import UNSUPPORTED, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.report import builtin_scenes
@@ -59,8 +59,7 @@ BUILTIN_HINT = "--builtin triangles takes scenes that are installed with the pro
 def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
     """The selected scenes, not loaded yet; prints a message if there are none. Raises SceneError."""
     fits = matching(args.expression, types_in_file)
-    for folder in args.mesh_dir:
-        check_utf8_name(folder)
+    again = (*given_words(args, "mesh_dir"), *candidate_words(args))
     named = [] if args.builtin and args.scenes is DEFAULT_SCENES else args.scenes
     places = [*builtin_scenes.folders_of(args.builtin), *named]
     try:
@@ -72,9 +71,10 @@ def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
     if args.size:
         with error_prefix("--size", *args.size):
             Film(width=args.size[0], height=args.size[1])
-    size, mesh_dirs, again = tuple(args.size) if args.size else None, tuple(args.mesh_dir), candidate_words(args)
-    names = display_names(files)
-    entries = [SceneEntry(name, file, size, mesh_dirs, again) for name, file in zip(names, files, strict=True)]
+    size, names = tuple(args.size) if args.size else None, display_names(files)
+    entries = [
+        SceneEntry(name, file, size, tuple(args.mesh_dir), again) for name, file in zip(names, files, strict=True)
+    ]
     if not entries:
         fitting = f" that fits -k {args.expression!r}" if args.expression else ""
         hint = "" if args.expression else f"; {BUILTIN_HINT}"
@@ -105,7 +105,12 @@ def judge_entries(
     start = time.perf_counter()
     running = ValidationRun(entries, options, out)
     try:
-        print_rows(running)
+        width = max((len(entry.name) for entry in running.entries), default=0)
+        stream = sys.stdout  # itself: readers of EXR files in other threads replace sys.stdout while they read
+        print_lines(table_head(width), stream)
+        with closing(running.verdicts()) as verdicts:
+            for verdict in verdicts:  # as soon as it and all scenes before it are done
+                print_lines(table_row(verdict, width), stream)
     finally:  # whatever ends the work, the results so far are written
         write_results(running, args, time.perf_counter() - start)
     return exit_code(running.verdict(), running.errors)
@@ -127,17 +132,6 @@ def exit_code(verdict: Verdict, errors: Sequence[Exception]) -> int:
     codes = [error.exit_code if isinstance(error, SceneError) else USAGE for error in errors]
     alone = sum(not (scene.ok or scene.waived) for scene in verdict.scenes) + len(verdict.not_judged) == len(codes)
     return min(codes) if codes and alone else DIFFERENCES
-
-
-def print_rows(running: ValidationRun) -> None:
-    """Print a row for each scene as soon as it and all scenes before it are done."""
-    width = max((len(entry.name) for entry in running.entries), default=0)
-    # The stream itself: readers of EXR files in other threads replace sys.stdout while they read.
-    out = sys.stdout
-    print_lines(table_head(width), out)
-    with closing(running.verdicts()) as verdicts:
-        for verdict in verdicts:
-            print_lines(table_row(verdict, width), out)
 
 
 def write_results(running: ValidationRun, args: argparse.Namespace, seconds: float) -> None:

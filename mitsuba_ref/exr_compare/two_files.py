@@ -3,9 +3,7 @@
 import fnmatch
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +14,7 @@ from caster.image.channels import aovs_to_channels
 from caster.image.exr import Exr, read_exr, write_exr
 from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
 from mitsuba_ref.error_model.tolerances import Tolerances
+from mitsuba_ref.exr_compare import comparison_page
 from mitsuba_ref.exr_compare.comparison_result import (
     AGREE,
     CLASSES,
@@ -68,7 +67,7 @@ def compare_exr(
     ways, SceneError for an `ignore` that matches no channel or a diff that would overwrite an input.
     """
     if html is not None:
-        _page().remove_page(Path(html))
+        comparison_page.remove_page(Path(html))
     reading, sources = reading or Reading(), (ours, reference)
     paths = [each for each in sources if isinstance(each, str | os.PathLike)]
     names = str(ours) if ours in paths else SIDES[0], str(reference) if reference in paths else SIDES[1]
@@ -164,22 +163,13 @@ def compare_images(
         scene=tuple(filter(None, (exr.provenance.get(SCENE) for exr in (a, b))))[:1],
         diff="" if diff is None else str(diff),
     )
-    return result if html is None else with_page(result, html, pair, judged)
-
-
-def with_page(result: FileComparison, html: FileName, pair: ExrPair, judged: Iterable[Judged]) -> FileComparison:
-    """The result with measures for information, and its page written. Raises OutputError."""
-    page = _page()
+    if html is None:
+        return result
     shown = (each for each in judged if each.result.name != "hit" or each.result.channels == LAYERS["hit"])
-    layers = page.layers_of(pair, {name: each.ratio for each in shown for name in each.result.channels})
-    result = result.model_copy(update={"measures": tuple(page.measures(pair, layers)), "html": str(html)})
-    page.write_page(Path(html), result, pair, layers)
+    layers = comparison_page.layers_of(pair, {name: each.ratio for each in shown for name in each.result.channels})
+    result = result.model_copy(update={"measures": tuple(comparison_page.measures(pair, layers)), "html": str(html)})
+    comparison_page.write_page(Path(html), result, pair, layers)
     return result
-
-
-def _page() -> ModuleType:
-    """The module of pages, which loads the report's."""
-    return import_module("mitsuba_ref.exr_compare.comparison_page")
 
 
 def _is_empty(pair: ExrPair) -> bool:

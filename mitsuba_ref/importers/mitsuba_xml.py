@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,7 +31,6 @@ from mitsuba_ref.scene_xml.documents import (
     resolve_reference,
 )
 from mitsuba_ref.shapes import REFERENCES
-from mitsuba_ref.shapes.shape_reference import ImportShape
 
 MAX_SHAPES = 10_000  # with instances: of a few kilobytes of XML they make any number
 
@@ -46,7 +46,7 @@ def add_shape(out: SceneBuilder, node: Node, outer: tuple[Step, ...] = (), name:
         else:
             _add_instance(out, node)
         return
-    importers = shape_importers()
+    importers = {plugin: each for reference in REFERENCES.values() for plugin, each in reference.importers.items()}
     if node.kind not in importers:
         out.omit(node, f"{node.words()}: not supported (known: {', '.join(importers)}, instance)")
         return
@@ -96,35 +96,18 @@ class ShapeElement:
 
     def __init__(self, out: SceneBuilder, node: Node, steps: list[Step], instanced: bool) -> None:
         self.out, self.node, self.steps, self.instanced = out, node, steps, instanced
+        self.number, self.vector = partial(out.number, node), partial(out.vector, node)
+        self.boolean, self.text = partial(out.boolean, node), partial(out.text, node)
+        self.note = partial(out.note, node)
 
     @property
     def matrix(self) -> np.ndarray | None:
         return composed_matrix(self.steps)
 
-    def number(self, name: str, default: float) -> float:
-        return self.out.number(self.node, name, default)
-
-    def vector(self, name: str, default: tuple[float, ...]) -> list[float]:
-        return self.out.vector(self.node, name, default)
-
-    def boolean(self, name: str) -> bool:
-        return self.out.boolean(self.node, name)
-
-    def text(self, name: str) -> str:
-        return self.out.text(self.node, name)
-
     def required_text(self, name: str) -> str:
         if self.node.named(name) is None:
             self.out.error(self.node, f'{self.node.words()}: needs <string name="{name}" ...>')
         return self.text(name)
-
-    def note(self, text: str) -> None:
-        self.out.note(self.node, text)
-
-
-def shape_importers() -> dict[str, ImportShape]:
-    """Importers of all registered shapes, by the name of Mitsuba's plugin."""
-    return {plugin: each for reference in REFERENCES.values() for plugin, each in reference.importers.items()}
 
 
 CAMERA_KINDS = {"perspective": "pinhole", "thinlens": "pinhole", "orthographic": "orthographic"}
@@ -235,7 +218,12 @@ def import_xml(path: str, parameters: Mapping[str, str] = {}, mesh_dirs: Iterabl
     out = SceneBuilder(document)
     with np.errstate(over="ignore", invalid="ignore"):  # overflow is rejected when the scene is validated
         _add_all(out, path)
-        scene, missing = _scene_of(out, MeshFolders(document.folder, tuple(map(Path, mesh_dirs))))
+        # without a camera, any, so that other errors are found
+        anywhere = {"type": "pinhole", "eye": [0, 0, 0], "direction": [0, 0, 1]}
+        folders = MeshFolders(document.folder, tuple(map(Path, mesh_dirs)))
+        scene, problems = validated({"camera": anywhere} | out.data, folders)
+    document.errors += [_with_position(out, each) for each in problems if not each.missing]
+    missing = [_with_position(out, each) for each in problems if each.missing]
     if scene is None or document.errors:
         kind_of_error = FileMissing if missing and not document.errors else SceneError
         raise kind_of_error(format_diagnostics(sorted([*document.errors, *missing]), document.texts))
@@ -243,7 +231,10 @@ def import_xml(path: str, parameters: Mapping[str, str] = {}, mesh_dirs: Iterabl
 
 
 def _add_all(out: SceneBuilder, path: str) -> None:
-    """Convert the first sensor of a supported kind, then all shapes, lights and materials."""
+    """Convert the first sensor of a supported kind, then all shapes, lights and materials.
+
+    Area lights and materials count only where a shape refers to them.
+    """
     document = out.document
     sensors = [node for node in document.nodes if node.tag == "sensor"]
     usable = [node for node in sensors if node.kind in CAMERA_KINDS]
@@ -255,34 +246,15 @@ def _add_all(out: SceneBuilder, path: str) -> None:
         document.errors.append(
             ImportDiagnostic(position, f"needs a sensor of a supported kind: {join_words(CAMERA_KINDS)}{there}")
         )
-    _add_rest(out, usable[:1])
-
-
-def _add_rest(out: SceneBuilder, done: list[Node]) -> None:
-    """Convert all elements but the sensor. Area lights and materials count only where a shape refers to them."""
-    nodes = out.document.nodes
-    for node in nodes:
+    for node in document.nodes:
         if node.tag == "shape":
             add_shape(out, node)
         elif node.tag == "emitter" and node.kind != "area":
             add_emitter(out, node)
-    for node in nodes:
-        if id(node) not in out.consumed and node not in done and node.tag not in ("shape", "alias"):
+    for node in document.nodes:
+        if id(node) not in out.consumed and node not in usable[:1] and node.tag not in ("shape", "alias"):
             unused = ": no shape uses it" if node.tag in ("bsdf", "emitter") else ""
             out.omit(node, f"{node.words()}{unused}")
-
-
-def _scene_of(out: SceneBuilder, folders: MeshFolders) -> tuple[Scene | None, list[ImportDiagnostic]]:
-    """(the scene, None if invalid; missing meshes). Errors are added to the document."""
-    if "camera" not in out.data:
-        out.data["camera"] = {
-            "type": "pinhole",
-            "eye": [0, 0, 0],
-            "direction": [0, 0, 1],
-        }  # so that other errors are found
-    scene, problems = validated(out.data, folders)
-    out.document.errors += [_with_position(out, each) for each in problems if not each.missing]
-    return scene, [_with_position(out, each) for each in problems if each.missing]
 
 
 def _with_position(out: SceneBuilder, problem: Diagnostic) -> ImportDiagnostic:

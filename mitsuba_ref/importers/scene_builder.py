@@ -203,18 +203,13 @@ def material_of(out: SceneBuilder, shape: Node) -> str:
 def _material_name(out: SceneBuilder, node: Node) -> str:
     if id(node) not in out.materials:
         materials = out.data["material"]
-        name = node.id if node.id.isprintable() and node.id else _new_name(out)
+        unused = (new for new in map("material-{}".format, count(len(materials))) if new not in materials)
+        name = node.id if node.id.isprintable() else ""
+        name = name or next(new for new in unused if new not in out.document.by_id)
         out.materials[id(node)] = name
         materials[name] = _build_material(out, node)
         out.positions["material", name] = node.position
     return out.materials[id(node)]
-
-
-def _new_name(out: SceneBuilder) -> str:
-    """A name used by no material and no id."""
-    made, ids = out.data["material"], out.document.by_id
-    names = map("material-{}".format, count(len(made)))
-    return next(name for name in names if name not in made and name not in ids)
 
 
 def _build_material(out: SceneBuilder, node: Node) -> dict[str, Any]:
@@ -234,23 +229,19 @@ def _build_material(out: SceneBuilder, node: Node) -> dict[str, Any]:
             out.omit(node, f"{node.words()}: the inner bsdf is kept")
         out.omit_unread(node)
         return made
-    color = next((name for name in DIFFUSE_COLOR_NAMES if node.named(name) is not None), "")
-    made = {"reflectance": _color(out, node, color)} if color else {}
+    child = next((child for child in map(node.named, DIFFUSE_COLOR_NAMES) if child is not None), None)
+    made = {}
+    if child is not None:
+        out.consumed.add(id(child))
+        found = color_of(out, child)
+        if found is None:
+            out.omit(child, f"{child.words()} of {node.words()}: replaced by grey")
+        made["reflectance"] = found or DEFAULT_REFLECTANCE
     if node.kind != "diffuse":
-        kept = f"its {color} is" if color else "grey is"
+        kept = f"its {child.name} is" if child is not None else "grey is"
         out.omit(node, f"{node.words()}: materials are diffuse here; {kept} kept")
     out.omit_unread(node)
     return made
-
-
-def _color(out: SceneBuilder, node: Node, name: str) -> list[float]:
-    child = node.named(name)
-    assert child is not None
-    out.consumed.add(id(child))
-    found = color_of(out, child)
-    if found is None:
-        out.omit(child, f"{child.words()} of {node.words()}: replaced by grey")
-    return DEFAULT_REFLECTANCE if found is None else found
 
 
 def color_of(out: SceneBuilder, node: Node) -> list[float] | None:
@@ -265,63 +256,42 @@ def color_of(out: SceneBuilder, node: Node) -> list[float] | None:
 # ---- emitters ----
 
 DEFAULT_RADIANCE = [1.0, 1.0, 1.0]  # Mitsuba's default of every emitter
-RADIANCE_NAMES = ("radiance", "intensity", "irradiance")  # names of the radiometric quantity of emitters
+RADIANCE_OF = {"point": "intensity", "directional": "irradiance", "constant": "radiance"}  # its name, of each kind
 EXACT_KINDS = ("point", "directional")  # converted exactly, even if they emit nothing
 
 
 def is_dark(out: SceneBuilder, node: Node) -> bool:
     """Whether an emitter explicitly emits nothing, so that the image is the same without it."""
-    given = next((child for child in map(node.named, RADIANCE_NAMES) if child is not None), None)
+    given = next((child for child in map(node.named, RADIANCE_OF.values()) if child is not None), None)
     color = None if given is None else color_of(out, given)
     return color is not None and not any(color)
 
 
 def add_emitter(out: SceneBuilder, node: Node) -> None:
     """Add a point, directional or constant emitter; report any other."""
-    makers = {"point": _point, "directional": _directional, "constant": _constant}
     if node.kind not in EXACT_KINDS and is_dark(out, node):
         out.consumed.add(id(node))
         return
-    if node.kind not in makers:
+    if node.kind not in RADIANCE_OF:
         out.omit(node, f"{node.words()}: lights are point, directional or ambient here")
         return
-    light = makers[node.kind](out, node)
+    strength, light = RADIANCE_OF[node.kind], dict[str, Any](type=node.kind)
     out.consumed.add(id(node))
-    if light is not None:
-        out.positions["light", len(out.data["light"])] = node.position
-        out.data["light"].append(light)
-    out.omit_unread(node)
-
-
-def _point(out: SceneBuilder, node: Node) -> dict[str, Any] | None:
-    matrix = composed_matrix(transform_steps(out, node))
-    start = (0.0, 0.0, 0.0) if matrix is None else tuple(matrix[:3, 3].tolist())
-    return _with_color(out, node, "intensity", {"type": "point", "position": out.vector(node, "position", start)})
-
-
-def _directional(out: SceneBuilder, node: Node) -> dict[str, Any] | None:
-    matrix = composed_matrix(transform_steps(out, node))
-    along = np.array([0.0, 0.0, 1.0]) if matrix is None else matrix[:3, 2]
-    return _with_color(
-        out,
-        node,
-        "irradiance",
-        {"type": "directional", "direction": out.vector(node, "direction", tuple(along.tolist()))},
-    )
-
-
-def _constant(out: SceneBuilder, node: Node) -> dict[str, Any] | None:
-    out.note(node, "the occlusion of its light by shapes: ambient light is the same everywhere")
-    return _with_color(out, node, "radiance", {"type": "ambient"})
-
-
-def _with_color(out: SceneBuilder, node: Node, name: str, light: dict[str, Any]) -> dict[str, Any] | None:
-    """The light with its colour; None, and reported, if that is not an RGB colour."""
-    child = node.named(name)
+    if node.kind == "constant":
+        out.note(node, "the occlusion of its light by shapes: ambient light is the same everywhere")
+        light = {"type": "ambient"}
+    else:
+        matrix = composed_matrix(transform_steps(out, node))
+        to_world = np.eye(4) if matrix is None else matrix
+        place, column = ("position", 3) if node.kind == "point" else ("direction", 2)
+        light[place] = out.vector(node, place, tuple(to_world[:3, column].tolist()))
+    child = node.named(strength)
     color = DEFAULT_RADIANCE if child is None else color_of(out, child)
     if child is not None:
         out.consumed.add(id(child))
     if color is None:
-        out.omit(node, f"{node.words()}: its {name} is no colour of three numbers")
-        return None
-    return light | {name: color}
+        out.omit(node, f"{node.words()}: its {strength} is no colour of three numbers")
+    else:
+        out.positions["light", len(out.data["light"])] = node.position
+        out.data["light"].append(light | {strength: color})
+    out.omit_unread(node)

@@ -128,18 +128,14 @@ def respond(content: bytes) -> bytes:
 
 def is_large() -> bool:
     """Whether the memory of this process has grown so much that it has to be replaced."""
-    gc.collect()
-    return resident_bytes() > RESIDENT_BYTES
-
-
-def resident_bytes() -> int:
-    """Memory of this process; on systems that do not show it, the largest it ever had, or that of its parent."""
     import resource  # POSIX alone
 
+    gc.collect()
     try:
-        return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
-    except OSError:
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+        used = int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+    except OSError:  # where the system does not show it, the largest it ever had, or that of its parent
+        used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    return used > RESIDENT_BYTES
 
 
 def end_process(code: int) -> NoReturn:

@@ -1,6 +1,5 @@
 """The input of both sides: the caster's camera rays in float32, from the near plane on, and scenes as Mitsuba's XML."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -177,7 +176,16 @@ def export(scene: Scene, model: SceneModel, *, robust: bool = True) -> SceneExpo
     sensor = reference_of_camera(scene.camera).to_xml(scene.camera, scene.film, clip_range(scene, model))
     if sensor is None:
         out.notes.append(f"no sensor: Mitsuba has no {scene.camera.type} camera, so rays are handed over")
-    text = scene_document(scene, shapes, sensor, out.notes, robust=robust)
+    root: XmlElement = fromstring(DOCUMENT)
+    if not robust:
+        root[0].set("value", "false")
+    root[:0] = [Comment(f" {note.replace('--', '- -')} ") for note in out.notes]
+    if sensor is not None:
+        sensor.extend([film_element(scene), fromstring(SAMPLER)])
+        root.append(sensor)
+    root.extend([*map(light_element, scene.lights), *shapes])
+    indent(root, "    ")
+    text = tostring(root, encoding="unicode") + "\n"
     return SceneExport(text, out.meshes, shape_ids(scene), out.notes)
 
 
@@ -227,23 +235,6 @@ LIGHT = """<emitter type="{type}">
     <rgb name="{strength}" value="{rgb}"/>
 </emitter>"""
 LIGHT_FIELDS = {"point": ("point", "position", "intensity"), "directional": ("vector", "direction", "irradiance")}
-
-
-def scene_document(
-    scene: Scene, shapes: Sequence[XmlElement], sensor: XmlElement | None, notes: Sequence[str], *, robust: bool = True
-) -> str:
-    """The whole document. Without a sensor it renders no image. robust: Embree's mode of that name."""
-    root: XmlElement = fromstring(DOCUMENT)
-    if not robust:
-        root[0].set("value", "false")
-    root[:0] = [Comment(f" {note.replace('--', '- -')} ") for note in notes]
-    if sensor is not None:
-        sensor.extend([film_element(scene), fromstring(SAMPLER)])
-        root.append(sensor)
-    root.extend(map(light_element, scene.lights))
-    root.extend(shapes)
-    indent(root, "    ")
-    return tostring(root, encoding="unicode") + "\n"
 
 
 def bsdf_element(material: Diffuse) -> XmlElement:

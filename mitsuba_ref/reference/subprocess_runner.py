@@ -102,21 +102,15 @@ def allow_subprocesses() -> None:
     _starts_refused.clear()
 
 
-def run(
-    command: Sequence[str],
-    timeout: float,
-    *,
-    cwd: str | Path | None = None,
-    environment: Mapping[str, str] | None = None,
-) -> ProcessEnd:
-    """Run a command to its end, or kill it after `timeout` seconds. environment: added to that of this process.
+def run(command: Sequence[str], timeout: float) -> ProcessEnd:
+    """Run a command to its end, or kill it after `timeout` seconds.
 
     Raises OSError where the command cannot be started.
     """
     begin = time.monotonic()
     with tempfile.TemporaryFile() as output:
         try:
-            child = _start(command, output, stdin=subprocess.DEVNULL, cwd=cwd, environment=environment)
+            child = _start(command, output, stdin=subprocess.DEVNULL)
         except ProcessEnded as refused:
             return refused.end
         code: int | None = None
@@ -304,8 +298,8 @@ def _start(
     output: IO[bytes],
     *,
     stdin: int,
-    cwd: str | Path | None,
-    environment: Mapping[str, str] | None,
+    cwd: str | None = None,
+    environment: Mapping[str, str] | None = None,
     stdout: int | None = None,
     pass_fds: Sequence[int] = (),
 ) -> subprocess.Popen[bytes]:

@@ -15,7 +15,8 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from caster.cameras import CAMERAS
-from caster.description.errors import SceneError, error_prefix, suggestion
+from caster.cli.shared_arguments import resized
+from caster.description.errors import SceneError, suggestion
 from caster.description.registry import type_name
 from caster.rendering.threads import core_count, set_default_threads
 from caster.scene.files import film_pixels, load_scene
@@ -50,7 +51,7 @@ class SceneEntry:
     path: str
     size: tuple[int, int] | None = None  # of the film in place of the scene's own; a replay repeats it
     mesh_dirs: tuple[str, ...] = ()
-    options: tuple[str, ...] = ()  # other options that a replay repeats
+    options: tuple[str, ...] = ()  # all others that a replay repeats
     given: Scene | None = None  # in place of the file
     subject: Subject | None = None  # of this entry alone: answers that were computed beforehand
     rays: SharedRays | None = None  # of a list, which the film is filled with
@@ -67,12 +68,7 @@ class SceneEntry:
 
     def load(self) -> Scene:
         """The scene to judge, with the requested film. Raises SceneError, FileMissing."""
-        scene = load_scene(self.path, self.mesh_dirs) if self.given is None else self.given
-        if self.size is None:
-            return scene
-        width, height = self.size
-        with error_prefix("--size", width, height):
-            return scene.with_film(width=width, height=height)
+        return resized(load_scene(self.path, self.mesh_dirs) if self.given is None else self.given, self.size)
 
 
 def entries_of_hits(
@@ -220,7 +216,7 @@ def judge_entry(entry: SceneEntry, options: JudgeOptions) -> SceneVerdict:
     scene = entry.load()
     folder, foreign = options.folder, entry.subject or options.subject
     store = local_store() if options.store and options.page_of is None and foreign is None else None
-    about = {"size": entry.size, "options": replay_options(entry), "out": bool(folder), "thorough": options.thorough}
+    about = {"size": entry.size, "options": entry.options, "out": bool(folder), "thorough": options.thorough}
     key = verdict_key(scene, entry.path, **about) if store else ""
     if store and key and (found := _stored_verdict(store, key, folder)):
         return found
@@ -236,11 +232,6 @@ def judge_entry(entry: SceneEntry, options: JudgeOptions) -> SceneVerdict:
     if store and key and not verdict.problem:
         store.put(key, json.dumps(verdict.to_dict(), allow_nan=False).encode())
     return verdict
-
-
-def replay_options(entry: SceneEntry) -> tuple[str, ...]:
-    """The options beside --size that a replay of a scene repeats."""
-    return (*(word for folder in entry.mesh_dirs for word in ("--mesh-dir", folder)), *entry.options)
 
 
 def _stored_verdict(store: StoreFolder, key: str, folder: Path | None) -> SceneVerdict | None:
@@ -280,7 +271,7 @@ def _completed(verdict: SceneVerdict, entry: SceneEntry, scene: Scene, options: 
         verdict,
         candidate=verdict.candidate or subject.name,
         resized=entry.size is not None,
-        options=replay_options(entry),
+        options=entry.options,
         command=entry.command,
         thorough=options.thorough,
         rays=entry.ray_range,

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from mitsuba_ref.subjects.subject import Subject
 
 OPTION = "--mitsuba-ref"
-PLUGIN, REPORT = "mitsuba-ref-scenes", "mitsuba-ref-report"
+REPORT = "mitsuba-ref-report"
 
 VERDICT = "verdict"  # the scene as a whole: it loads, Mitsuba answers, and there is evidence
 SUFFIXES = (".toml", ".json")
@@ -73,7 +73,7 @@ def pytest_configure(config: pytest.Config) -> None:
     if config.getoption("mitsuba_ref"):
         if getattr(config.option, "dist", "no") in ("load", "worksteal"):
             config.option.dist = "loadfile"  # xdist keeps the tests of a scene in the process that judges it
-        config.pluginmanager.register(ScenePlugin(config), PLUGIN)
+        config.pluginmanager.register(ScenePlugin(config), "mitsuba-ref-scenes")
 
 
 @pytest.fixture
@@ -160,7 +160,8 @@ class ScenePlugin:
             return None
         if file_path.resolve() in self.named or is_scene(file_path):
             self.files.append(file_path)
-            collector: pytest.Collector = SceneFile.from_parent(parent, path=file_path)
+            collector: SceneFile = SceneFile.from_parent(parent, path=file_path)
+            collector.plugin = self
             return collector
         return None
 
@@ -182,7 +183,8 @@ class ScenePlugin:
         from mitsuba_ref.runner import many_scenes
 
         named = str(path.relative_to(self.start)) if path.is_relative_to(self.start) else str(path)
-        words = tuple(word for name, value in self.words.items() if value for word in (f"--{name}", value))
+        given_options = *(("mesh-dir", folder) for folder in self.mesh_dirs), *self.words.items()
+        words = tuple(word for name, value in given_options if value for word in (f"--{name}", value))
         entry = many_scenes.SceneEntry(path.stem, named, self.size, self.mesh_dirs, words)
         errors: list[Exception] = []
         report = self.config.pluginmanager.get_plugin(REPORT)
@@ -261,23 +263,23 @@ class CheckFailed(Exception):  # noqa: N818 - pytest shows its text alone
 class SceneFile(pytest.File):
     """One scene."""
 
+    plugin: ScenePlugin  # that collected it
+
     def collect(self) -> Iterator[CheckItem]:
-        plugin = self.config.pluginmanager.get_plugin(PLUGIN)
-        assert isinstance(plugin, ScenePlugin)  # it collected this file
-        for name in (VERDICT, *plugin.check_names(), *plugin.run_names(self.path)):
-            yield CheckItem.from_parent(self, name=name)
+        for name in (VERDICT, *self.plugin.check_names(), *self.plugin.run_names(self.path)):
+            yield CheckItem.from_parent(self, name=name, plugin=self.plugin)
 
 
 class CheckItem(pytest.Item):
     """One check of a scene."""
 
-    def __init__(self, **about: Any) -> None:
+    def __init__(self, plugin: ScenePlugin, **about: Any) -> None:
         super().__init__(**about)
+        self.plugin = plugin
         self.add_marker("mitsuba_ref")
 
     def runtest(self) -> None:
-        plugin = self.config.pluginmanager.get_plugin(PLUGIN)
-        assert isinstance(plugin, ScenePlugin)  # it collected this item
+        plugin = self.plugin
         found = plugin.verdict_of(self.path)
         if self.name in plugin.run_names(self.path) and not (isinstance(found, str) or found.problem):
             check = plugin.run_checks.get(self.name)

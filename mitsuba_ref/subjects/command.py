@@ -146,7 +146,6 @@ class CommandSubject(Program):
             raise NoAnswer(f"the program ended well, but its image cannot be read: {error}") from error
         except FileMissing as error:
             raise NoAnswer("the program ended well, but wrote no {exr}") from error
-        check_window(exr, request.scene)
         return answer_from_exr(exr, request, self, as_exported=self.reads_xml)
 
 
@@ -157,21 +156,19 @@ def write_toml(request: CastRequest) -> Path:
     return path
 
 
-def check_window(exr: Exr, scene: Scene) -> None:
-    """Raise NoAnswer if the pixels of an image are not those of the film."""
-    film, (x0, y0, x1, y1) = scene.film, scene.film.window
+def answer_from_exr(
+    exr: Exr, request: CastRequest, subject: "CommandSubject | ExrFile", *, as_exported: bool = False
+) -> Answer:
+    """The answer from an image of the subject: depth along the ray from the eye, geometric normal, mask.
+
+    Raises NoAnswer, also if its pixels are not those of the film.
+    """
+    film, (x0, y0, x1, y1) = request.scene.film, request.scene.film.window
     if exr.data_window not in ((x0, y0, x1, y1), (0, 0, x1 - x0, y1 - y0)):
         raise NoAnswer(
             f"the image shows pixels {exr.data_window}, expected {(x0, y0, x1, y1)} of the film of "
             f"{film.width} x {film.height}"
         )
-
-
-def answer_from_exr(
-    exr: Exr, request: CastRequest, subject: "CommandSubject | ExrFile", *, as_exported: bool = False
-) -> Answer:
-    """The answer from an image of the subject: depth along the ray from the eye, geometric normal, mask. Raises
-    NoAnswer."""
     exr, steps = subject.convert(exr, request) if subject.convert else (exr, ())
     n = _normals(exr.channels)
     rays = request.rays
@@ -206,7 +203,6 @@ class ExrFile(Subject):
 
     def answer(self, request: CastRequest) -> Answer:
         """The answer from its channels. Raises NoAnswer."""
-        check_window(self.exr, request.scene)
         return replace(answer_from_exr(self.exr, request, self), own_geometry=True)
 
 

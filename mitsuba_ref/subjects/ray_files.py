@@ -198,7 +198,10 @@ def answer_of_hits(
         return checked_answer(t, None, there, precision=precision or "float64", hits_only=True)
     found = checked_answer(arrays["t"], arrays.get("n"), there, precision=precision)
     ids = {name: np.where(found.hit, spread(values, there, -1), -1) for name, values in numbers.items()}
-    named: dict[str, Any] = {name: values for name, values in ids.items() if is_given(values, found.hit)}
+    # -1 at every hit means that ids are not given
+    named: dict[str, Any] = {
+        name: values for name, values in ids.items() if not found.hit.any() or (values[found.hit] != -1).any()
+    }
     return replace(found, **named)
 
 
@@ -221,11 +224,6 @@ def answer_of_numbered_hits(
         return without_hits_beyond(found, t_max)
     late = found.hit & (found.t > t_max)
     return replace(found, broken={**found.broken, **({"a hit beyond t_max": late} if late.any() else {})})
-
-
-def is_given(ids: np.ndarray, hit: np.ndarray) -> bool:
-    """Whether ids are given: -1 at every hit means that they are not."""
-    return not hit.any() or bool((ids[hit] != -1).any())
 
 
 def _integers(name: str, values: np.ndarray, there: np.ndarray) -> np.ndarray:
