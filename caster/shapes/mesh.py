@@ -1,6 +1,6 @@
 """Triangle meshes: a file (OBJ, PLY, STL, OFF or glTF), or arrays."""
 
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -14,8 +14,6 @@ from caster.geometry.mesh_files import load_mesh, load_once
 from caster.geometry.world_space import MeshShape
 
 __all__ = ["Mesh"]
-
-_load = partial(load_once, load_mesh)
 
 
 class Mesh(MeshShape):
@@ -92,3 +90,7 @@ class Mesh(MeshShape):
     def mesh(self) -> triangle_mesh.Mesh:
         """The arrays; those of a file are cached until it changes. Raises SceneError, FileMissing."""
         return self._arrays if self.file is None else _load(self.file)
+
+
+def _load(file: str) -> triangle_mesh.Mesh:
+    return load_once(load_mesh, file)

@@ -139,5 +139,5 @@ def test_without_mitsuba_there_is_an_exception_and_no_verdict(folder, monkeypatc
     monkeypatch.setattr(variants, "usable_variants", lambda: variants.Variants(False, None, "No module named 'drjit'"))
     calls = mitsuba_ref.validate, lambda scene: mitsuba_ref.probe_pixel(scene, 3, 3), mitsuba_ref.render_reference
     for call in calls:
-        with pytest.raises(caster.SceneError, match=r"pip install '.\[reference\]'"):
+        with pytest.raises(caster.SceneError, match="pip install mitsuba=="):
             call(caster.load_scene(folder / "scene.toml"))

@@ -151,7 +151,7 @@ def test_a_report_keeps_no_scene_that_its_page_does_not_lead_to(tmp_path):
     report(tmp_path, recorded("a"), recorded("b"), recorded("c"))
     (tmp_path / "data/mine.js").write_text("mine")
     html = report(tmp_path, recorded("a"))
-    assert html.sweep(spared=["c"]) == f"{tmp_path}: removed 1 scenes of an earlier report"
+    assert html.sweep(spared=["c"]) == f"{tmp_path}: removed 1 scene of an earlier report"
     assert sorted(path.name for path in (tmp_path / "data").iterdir()) == ["a.js", "c.js", "mine.js"]
     assert rows_of(html)[0]["file"] == "a.js" and rows_of(html)[0]["thumbnail"] == "data:thumbnail"
 
