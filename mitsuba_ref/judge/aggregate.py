@@ -37,7 +37,9 @@ NEVER_GIVEN = ("position", "shading_normal", "uv", "shape_id", "diffuse")
 def quantities_not_given(answer: Answer) -> tuple[str, ...]:
     """Quantities that the judge compares and this answer lacks."""
     given = {"depth": not answer.hits_only, "normal": answer.n is not None, "shape_id": answer.shape_id is not None}
-    names = ("depth", "normal", *NEVER_GIVEN) if answer.images is None else ()
+    if answer.images is not None:
+        return () if "diffuse" in answer.images else ("diffuse",)
+    names = ("depth", "normal", *NEVER_GIVEN)
     return tuple(name for name in names if not given.get(name))
 
 

@@ -250,7 +250,7 @@ def reproducer_header(judge: Judge, judgement: Judgement, row: int, source: str)
     yield f"exact:     {format_exact(judge.scene, judge.model.packed, exact_answer(judge, judgement, row))}"
     yield f"caster:    {format_primitive(judge, row, subject=True)}"
     yield f"Mitsuba:   {format_primitive(judge, row, subject=False)}"
-    if judgement.ratios["diffuse"][row] > 1.0:
+    if "diffuse" in judgement.ratios and judgement.ratios["diffuse"][row] > 1.0:
         for name, aovs in (("caster", pair.subject), ("Mitsuba", pair.reference)):
             yield f"{name + ':':<11}diffuse {format_float32s(aov_rows(aovs, 'diffuse')[row])}"
     yield f"origin:    {format_float32s(pair.rays.o[row])}"

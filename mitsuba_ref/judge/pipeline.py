@@ -31,6 +31,7 @@ from mitsuba_ref.judge.diagnosis import Diagnosis, diagnose
 from mitsuba_ref.judge.verdict import AGREE, FAILING, TIE, SceneCheck, SceneVerdict
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
+from mitsuba_ref.reference.originals import original_of
 from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.subjects.requests import SubjectResponse, request_answer
 from mitsuba_ref.subjects.subject import OURS, NoAnswer, Subject, Unsupported
@@ -144,7 +145,9 @@ def judge_window(
     """
     scopes: tuple[Scope, ...] = ("scene", "window") if whole_scene else ("window",)
     whose = OUR_CHECKS if task.ours else CANDIDATE
-    checks = checks_of(whose, scopes, thorough=task.thorough, camera=task.rays is None)
+    original = original_of(task.scene)
+    has_camera = task.rays is None and (original is None or original.has_camera)
+    checks = checks_of(whose, scopes, thorough=task.thorough, camera=has_camera)
     of_scene = [each for each in checks if not each.answered]
     inputs: dict[str, Any] = {"scene": task.scene, "subject": task.subject, "wrong_rays": []}
     made = make_checks(of_scene, inputs) if task.ours else ()
@@ -237,6 +240,7 @@ def _verdict_of(task: Task, checks: tuple[SceneCheck, ...], **found: Any) -> Sce
         checks=checks,
         size=(film.width, film.height),
         candidate=task.subject.name,
+        coverage=original.coverage if (original := original_of(task.scene)) else None,
         **found,
     )
 

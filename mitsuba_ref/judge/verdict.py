@@ -14,6 +14,7 @@ from pydantic import ConfigDict, Field, PlainSerializer, TypeAdapter, computed_f
 from pydantic.dataclasses import dataclass
 
 from mitsuba_ref.error_model.tolerances import MIN_GROUPS
+from mitsuba_ref.reference.coverage import Coverage
 
 # The classes of a pixel, for any subject; `wrong` means that the subject is wrong. The last two fail.
 CLASSES = ("agree", "explained", "tie", "reference_wrong", "out_of_domain", "wrong", "undecided")
@@ -191,6 +192,7 @@ class SceneVerdict:
     unjudged: tuple[str, ...] = ()  # quantities that the judge compares and this subject does not give
     findings: tuple[Finding, ...] = ()  # causes of the subject's errors, most pixels first
     notes: tuple[str, ...] = ()  # assumptions and limits of the verdict
+    coverage: Coverage | None = None  # of a Mitsuba file that is the reference
     unsupported: bool = False  # the candidate declined the scene, as `problem` states
     waived: str = ""  # why the run passes although the scene is not ok: UNSUPPORTED or EXPECTED
     options: tuple[str, ...] = ()  # options of the command line, beside --size, that a replay has to repeat

@@ -155,7 +155,7 @@ def _exact(judge: Judge, answer: ExactAnswer | None) -> dict[str, Any]:
 
 def _answer(scene: Scene, aovs: Aovs, t: np.ndarray) -> dict[str, Any]:
     shape = int(aov_rows(aovs, "shape_id")[0])
-    values = {name: _numbers(aov_rows(aovs, name)[0]) for name in COMPARED_AOVS if name != "shape_id"}
+    values = {name: _numbers(aov_rows(aovs, name)[0]) for name in COMPARED_AOVS if name != "shape_id" and name in aovs}
     return {"shape": scene.shape_names()[shape] if shape >= 0 else "miss", "t": _numbers(t[0]), **values}
 
 

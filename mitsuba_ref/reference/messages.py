@@ -29,6 +29,63 @@ Layout = dict[str, tuple[tuple[int | str, ...], type]]
 MALFORMED_ERRORS = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile)  # of malformed bytes
 
 
+@dataclass(frozen=True)
+class OpenRequest:
+    """A user's Mitsuba file, to be opened: as its geometry and its sensor's rays, or to trace rays through it."""
+
+    LAYOUT: ClassVar[Layout] = {}
+
+    file: str  # absolute
+    parameters: Mapping[str, str] = field(default_factory=dict)  # values of $names
+    sensor: int = 0
+    size: Sequence[int] | None = None  # of the film; None: the file's
+    folders: Sequence[str] = ()  # where else its files are looked for
+    robust: bool = True  # use Embree's mode that keeps meshes closed, whatever the file says
+    variant: str = "scalar_rgb"  # for scenes of triangles; others are opened in scalar_rgb
+    digest: str = ""  # of the contents of all its files, where these are known
+
+    def to_bytes(self) -> bytes:
+        return record_bytes(self)
+
+    def response(self, content: bytes) -> "OpenResponse":
+        """The response in a reply. Raises ValueError where it is cut short or malformed."""
+        try:
+            return OpenResponse(**record_of(content))
+        except MALFORMED_ERRORS as error:
+            raise ValueError(f"no whole answer: {type(error).__name__}: {error}") from error
+
+
+@dataclass(frozen=True, eq=False)
+class OpenResponse:
+    """What Mitsuba holds of a file: unique shapes, where they are placed, the sensor's rays, lights."""
+
+    LAYOUT: ClassVar[Layout] = {
+        "vertices": (("vertices", 8), np.float32),  # position, normal, uv
+        "faces": (("faces", 3), np.int32),
+        "rays": (("pixels", 7), np.float32),  # o, d, t_max through the pixel centres of the crop, row by row
+    }
+
+    vertices: np.ndarray = field(default_factory=lambda: np.zeros((0, 8), np.float32))
+    faces: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int32))
+    rays: np.ndarray = field(default_factory=lambda: np.zeros((0, 7), np.float32))
+    shapes: Sequence[dict[str, Any]] = ()  # reference/file_calls.py:_shape
+    placed: Sequence[Any] = ()  # Placements of reference/file_calls.py
+    size: Sequence[int] = (1, 1)  # of the film
+    crop: Sequence[int] = (0, 0, 1, 1)
+    camera: Mapping[str, Any] = field(default_factory=dict)  # the sensor's plugin and numbers
+    lights: Sequence[dict[str, Any]] = ()
+    unlit: Sequence[str] = ()  # lights and materials that the caster has not
+    dropped: Mapping[str, int] = field(default_factory=dict)  # left out before loading, with counts
+    files: Sequence[str] = ()  # that the answer depends on
+    variant: str = ""
+    hidden: int = 0  # rays without a judged answer, since they hit a shape that is left out
+    missing: Sequence[str] = ()  # files that cannot be read
+    problem: str = ""
+
+    def to_bytes(self) -> bytes:
+        return record_bytes(self)
+
+
 @dataclass(frozen=True, eq=False)
 class TraceRequest:
     """Rays through one exported scene, in the exact float32 values to trace; d need not be of unit length."""
@@ -48,6 +105,7 @@ class TraceRequest:
     sensor: bool = False  # whether to sample the rays of the scene's own sensor
     strict: bool = True  # whether a warning of Mitsuba's is an error
     mesh_files: tuple[Path, ...] = ()  # to be read by Mitsuba's own loader as well
+    original: Mapping[str, Any] | None = None  # of an OpenRequest: `xml` is a user's file, to be loaded as it says
 
     def __post_init__(self) -> None:
         _check_arrays(self, {"rays": len(self.o)})
@@ -63,6 +121,10 @@ class TraceRequest:
         record = record_of(content)
         meshes = tuple(Path(file) for file in record["mesh_files"])
         return cls(**(record | {"xml": Path(record["xml"]), "mesh_files": meshes}))
+
+    def response(self, content: bytes) -> "TraceResponse":
+        """The response in a reply. Raises ValueError where it is cut short or malformed."""
+        return TraceResponse.from_bytes(content, len(self.o))
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,13 +244,13 @@ def start(environment: Mapping[str, str], command: Sequence[str] = CHILD_COMMAND
 
 
 def run_request(
-    request: TraceRequest, timeout: float, environment: Mapping[str, str], command: Sequence[str] = CHILD_COMMAND
-) -> TraceResponse | Crash:
-    """Send one request to a new process, which ends afterwards. environment: added to that of this process."""
+    request: Any, timeout: float, environment: Mapping[str, str], command: Sequence[str] = CHILD_COMMAND
+) -> Any:
+    """The response or Crash of a new process, which ends after one request. environment: added to that of this one."""
     try:
         with start(environment, command) as process:
             reply = process.ask(request.to_bytes(), timeout)
-        return TraceResponse.from_bytes(reply, len(request.o))
+        return request.response(reply)
     except ProcessEnded as ended:
         return Crash(ended.end.code, ended.end.output, ended.end.seconds)
     except (UnexpectedReply, ValueError) as error:
@@ -212,6 +274,12 @@ def record_bytes(record: Any) -> bytes:
     file = io.BytesIO()
     np.savez(file, allow_pickle=False, record=np.frombuffer(json.dumps(rest, default=str).encode(), np.uint8), **arrays)
     return file.getvalue()
+
+
+def request_of(content: bytes) -> OpenRequest | TraceRequest:
+    """The inverse of a request's `to_bytes`."""
+    record = record_of(content)
+    return OpenRequest(**record) if "file" in record else TraceRequest.from_bytes(content)
 
 
 def record_of(content: bytes) -> dict[str, Any]:

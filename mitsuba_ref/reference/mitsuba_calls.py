@@ -15,8 +15,8 @@ import mitsuba
 import numpy as np
 
 from caster.system import processor
-from mitsuba_ref.reference import variants
-from mitsuba_ref.reference.messages import TraceRequest, TraceResponse
+from mitsuba_ref.reference import file_calls, variants
+from mitsuba_ref.reference.messages import OpenRequest, OpenResponse, TraceRequest, TraceResponse
 from mitsuba_ref.scene_xml.elements import shape_and_part
 
 SCALAR_RAYS_PER_CHUNK = 16384  # limits memory: a hit takes 500 bytes
@@ -27,8 +27,8 @@ mi: Any = mitsuba
 dr: Any = drjit
 
 
-def trace_request(request: TraceRequest) -> TraceResponse:
-    """Load the scene and trace the rays in this process. Prints nothing.
+def answer(request: TraceRequest | OpenRequest) -> TraceResponse | OpenResponse:
+    """The response to a request, computed in this process. Prints nothing.
 
     Raises RuntimeError with Mitsuba's message where it refuses the scene, or only warns and the request is strict, and
     ImportError where it refuses the variant.
@@ -36,17 +36,41 @@ def trace_request(request: TraceRequest) -> TraceResponse:
     mi.set_variant(request.variant)
     logger = mi.logger()
     logger.clear_appenders()  # stdout is for the results of commands
+    if isinstance(request, TraceRequest):
+        return _trace_request(request)
+    logger.set_error_level(mi.LogLevel.Error)
+    return file_calls.open_file(request, _sensor_rays, _shapes_hit)
+
+
+def _shapes_hit(scene: Any, request: TraceRequest) -> tuple[np.ndarray, list[str]]:
+    """(numbers of names, -1 on a miss; names) of the shapes that rays hit."""
+    arrays = _traced(scene, request)
+    return arrays["shape"], _names(scene, request, arrays)
+
+
+def _trace_request(request: TraceRequest) -> TraceResponse:
+    logger = mi.logger()
     logger.set_error_level(mi.LogLevel.Warn if request.strict else mi.LogLevel.Error)
     start = time.perf_counter()
-    scene = mi.load_file(str(request.xml), optimize=False)  # optimising merges meshes and loses their ids
+    if request.original:
+        scene = file_calls.load(OpenRequest(**request.original), request.variant)
+    else:
+        scene = mi.load_file(str(request.xml), optimize=False)  # optimising merges meshes and loses their ids
     arrays: dict[str, Any] = _traced(scene, request)
     if request.sensor and scene.sensors():
-        arrays["sensor"] = _sensor_rays(scene.sensors()[0], request)
+        number = request.original["sensor"] if request.original else 0
+        arrays["sensor"] = _sensor_rays(scene.sensors()[number], request.variant)
     logger.set_error_level(mi.LogLevel.Error)  # a warning about a mesh file is not one about the scene
     meshes = _meshes(request)
     seconds = time.perf_counter() - start
-    names = _in_scene_shapes([shape.id() for shape in scene.shapes()], arrays)
+    names = _names(scene, request, arrays)
     return TraceResponse(names=names, versions=_versions(request), seconds=seconds, **arrays, **meshes)
+
+
+def _names(scene: Any, request: TraceRequest, arrays: dict[str, Any]) -> list[str]:
+    """Names of the shapes that the arrays number."""
+    ids = arrays.pop("ids", None) or [shape.id() for shape in scene.shapes()]
+    return ids if request.original else _in_scene_shapes(ids, arrays)
 
 
 def _in_scene_shapes(ids: list[str], arrays: dict[str, Any]) -> list[str]:
@@ -92,11 +116,11 @@ def _vertices(mesh: Any) -> np.ndarray:
     return rows
 
 
-def _sensor_rays(sensor: Any, request: TraceRequest) -> np.ndarray:
+def _sensor_rays(sensor: Any, variant: str) -> np.ndarray:
     """(n, 7) o, d, t_max through the pixel centres of the crop window, row by row."""
     x, y = _pixel_centers(sensor.film())
     aperture, point = mi.Point2f(CENTER), mi.Point2f
-    if _is_vectorised(request):
+    if _is_vectorised(variant):
         ray, _ = sensor.sample_ray(0.0, 0.5, point(mi.Float(x), mi.Float(y)), aperture)
         return np.column_stack([_rows(values, len(x)) for values in (ray.o, ray.d, ray.maxt)])
     pairs = zip(x.tolist(), y.tolist(), strict=True)
@@ -119,7 +143,7 @@ def _centers(offset: int, size: int) -> np.ndarray:
 
 
 def _versions(request: TraceRequest) -> dict[str, str]:
-    library = os.environ.get(variants.LIBLLVM_ENVIRONMENT_VARIABLE) if _is_vectorised(request) else None
+    library = os.environ.get(variants.LIBLLVM_ENVIRONMENT_VARIABLE) if _is_vectorised(request.variant) else None
     return {
         "mitsuba": mi.__version__,
         "drjit": dr.__version__,
@@ -129,8 +153,8 @@ def _versions(request: TraceRequest) -> dict[str, str]:
     }
 
 
-def _is_vectorised(request: TraceRequest) -> bool:
-    return request.variant.startswith("llvm")
+def _is_vectorised(variant: str) -> bool:
+    return variant.startswith("llvm")
 
 
 # ---- hits
@@ -139,6 +163,8 @@ def _is_vectorised(request: TraceRequest) -> bool:
 def _traced(scene: Any, request: TraceRequest) -> dict[str, np.ndarray]:
     """The arrays of a TraceResponse with one row per ray, which only hits change."""
     emitters = scene.emitters() if request.lights else None
+    if emitters and request.original:
+        emitters = sorted(emitters, key=lambda emitter: int(emitter.id()))  # ids are numbers in the file's order
     sizes: dict[object, Any] = {"rays": len(request.o), "lights": len(emitters or ())}
     found: dict[str, np.ndarray] = {
         name: np.zeros([sizes.get(size, size) for size in shape], dtype)
@@ -150,8 +176,10 @@ def _traced(scene: Any, request: TraceRequest) -> dict[str, np.ndarray]:
     columns = dict(found)
     for k in range(sizes["lights"]):
         columns |= {_RGB % k: found["light_rgb"][k], _VISIBLE % k: found["light_visible"][k]}
-    hits = _llvm_hits if _is_vectorised(request) and len(request.o) else _scalar_hits  # LLVM takes no empty arrays
+    hits = _llvm_hits if _is_vectorised(request.variant) and len(request.o) else _scalar_hits  # LLVM takes no empty arrays
     for rows, values in hits(scene, emitters, request):
+        if "ids" in values:
+            found["ids"] = values.pop("ids")
         for name, column in values.items():
             columns[name][rows] = column
     return found
@@ -190,6 +218,14 @@ Hits = Iterator[tuple[Any, dict[str, np.ndarray]]]  # rows of rays that hit some
 
 def _scalar_hits(scene: Any, emitters: list[Any] | None, request: TraceRequest) -> Hits:
     index = {shape: i for i, shape in enumerate(scene.shapes())}
+    keys: dict[str, int] = {}  # of an original's shapes; in an instance, of the shape of its group
+
+    def number(si: Any) -> int:
+        if not request.original:
+            return index[si.instance or si.shape]
+        key = f"{si.instance.id()}/{si.shape.id()}" if si.instance else si.shape.id()
+        return keys.setdefault(key, len(keys))
+
     make_ray, intersect, flags = mi.Ray3f, scene.ray_intersect_preliminary, int(mi.RayFlags.All)
     for start in range(0, len(request.o), SCALAR_RAYS_PER_CHUNK):
         chunk = slice(start, start + SCALAR_RAYS_PER_CHUNK)
@@ -201,8 +237,10 @@ def _scalar_hits(scene: Any, emitters: list[Any] | None, request: TraceRequest) 
             if pi.is_valid():
                 si = pi.compute_surface_interaction(ray, flags)
                 rows.append(i)
-                hits.append(_values(scene, emitters, pi, si, True) | {"shape": index[si.instance or si.shape]})
+                hits.append(_values(scene, emitters, pi, si, True) | {"shape": number(si)})
         yield rows, {name: _array_of([hit[name] for hit in hits]) for name in (hits[0] if hits else ())}
+    if request.original:
+        yield [], {"ids": list(keys)}
 
 
 def _array_of(values: list[Any]) -> np.ndarray:

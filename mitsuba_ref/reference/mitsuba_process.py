@@ -13,10 +13,10 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from mitsuba_ref.reference import messages, variants
-from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
+from mitsuba_ref.reference.messages import Crash, OpenRequest, TraceRequest, TraceResponse
 from mitsuba_ref.reference.store import REFERENCE_SETTINGS, environment_settings, key_of, local_store, machine
 from mitsuba_ref.reference.subprocess_runner import ProcessEnded, ResidentProcess, UnexpectedReply, serve
 
@@ -25,12 +25,14 @@ DEFAULT_TIMEOUT = 300.0  # seconds; a scene of 256 x 256 pixels takes one to thr
 IDLE_SECONDS = 60.0  # without a request, after which a resident process ends by itself
 RESIDENT_BYTES = 1 << 30  # of memory, above which it is replaced; 200 MB are usual
 
+Request = TraceRequest | OpenRequest
+
 # A way to Mitsuba: (request, timeout in seconds) -> response
 SendRequest = Callable[[TraceRequest, float], TraceResponse | Crash]
 
 
-def send_request(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> TraceResponse | Crash:
-    """Trace rays through one scene, in a resident process that no other thread uses at the same time.
+def send_request(request: Request, timeout: float = DEFAULT_TIMEOUT) -> Any:
+    """The response to one request, or a Crash, of a resident process that no other thread uses at the same time.
 
     Resident processes belong to this process, not to its forks, and end with it or after IDLE_SECONDS. `timeout` holds
     for each of the two processes that may be needed.
@@ -39,7 +41,7 @@ def send_request(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> Tra
     return response or messages.run_request(request, timeout, variants.environment_for(request.variant))
 
 
-def ask_resident(request: TraceRequest, timeout: float) -> TraceResponse | None:
+def ask_resident(request: Request, timeout: float) -> Any:
     """The response of a resident process of the same variant and environment; None if it gave none and has ended."""
     environment = variants.environment_for(request.variant)
     key = f"{request.variant} {environment} {environment_settings(*REFERENCE_SETTINGS, 'PYTHONPATH')}"
@@ -51,7 +53,7 @@ def ask_resident(request: TraceRequest, timeout: float) -> TraceResponse | None:
             process.close()
             process = None
         process = process or messages.start(environment)
-        response = TraceResponse.from_bytes(process.ask(request.to_bytes(), timeout), len(request.o))
+        response = request.response(process.ask(request.to_bytes(), timeout))
     except (ProcessEnded, UnexpectedReply, ValueError):
         if process:
             process.close()
@@ -77,7 +79,7 @@ def send_stored(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> Trac
 
 
 # The child's side: an edit may change responses.
-SOURCES = (Path(messages.__file__).with_name("mitsuba_calls.py"), Path(messages.__file__))
+SOURCES = tuple(Path(__file__).with_name(name) for name in ("mitsuba_calls.py", "file_calls.py", "messages.py"))
 
 
 def request_key(request: TraceRequest) -> str:
@@ -93,7 +95,8 @@ def request_key(request: TraceRequest) -> str:
         messages.record_bytes(replace(request, xml=Path(request.xml.name), mesh_files=())),
         *(part for file in meshes for part in (f"mesh {file.name}", file.read_bytes())),
     ]
-    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+    exported = [] if request.original else folder.rglob("*")  # the files of an original are in its digest
+    for path in sorted(path for path in exported if path.is_file()):
         parts += [path.relative_to(folder).as_posix(), path.read_bytes()]
     return key_of(parts)
 
@@ -120,7 +123,7 @@ def respond(content: bytes) -> bytes:
     try:
         from mitsuba_ref.reference import mitsuba_calls
 
-        return mitsuba_calls.trace_request(TraceRequest.from_bytes(content)).to_bytes()
+        return mitsuba_calls.answer(messages.request_of(content)).to_bytes()
     except (RuntimeError, ImportError) as refusal:
         print(refusal, file=sys.stderr, flush=True)
         end_process(1)

@@ -15,6 +15,7 @@ from mitsuba_ref.error_model.lambert import ambient_radiance
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.reference.messages import Crash, MitsubaError, TraceRequest, TraceResponse
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_request
+from mitsuba_ref.reference.originals import original_of
 from mitsuba_ref.reference.shared_input import SharedRays, export, model_of, packed_float32, shape_ids, shared_rays
 from mitsuba_ref.reference.variants import variant_for
 from mitsuba_ref.shapes import reference_of
@@ -58,6 +59,8 @@ class ReferenceResult:
 
 def variant_of(scene: Scene) -> str:
     """The variant that traces this scene."""
+    if original := original_of(scene):
+        return original.variant
     return variant_for(any(reference_of(shape).analytic for shape in scene.shapes))
 
 
@@ -76,16 +79,20 @@ def trace_reference(
 
     mesh_files: also read by its own loader, for a check.
     """
+    original = original_of(scene)
     with ScratchFolder() as folder:
-        xml = export(scene, model).write(Path(folder))
-        chosen = variant or variant_of(scene)
-        request = TraceRequest(
-            xml, chosen, rays.o, rays.d, rays.t_max, lights=lights, sensor=True, mesh_files=tuple(mesh_files)
-        )
+        arrays = variant or variant_of(scene), rays.o, rays.d, rays.t_max
+        if original:
+            about = {"sensor": original.has_camera, "strict": False, "original": vars(original.request)}
+            lit = lights and not original.coverage.unlit
+            request = TraceRequest(Path(original.request.file), *arrays, lights=lit, **about)
+        else:
+            xml = export(scene, model).write(Path(folder))
+            request = TraceRequest(xml, *arrays, lights=lights, sensor=True, mesh_files=tuple(mesh_files))
         answer = send(request, timeout)
     if isinstance(answer, Crash):
         return answer
-    index_of = {name: index for index, name in enumerate(shape_ids(scene))}
+    index_of = {name: index for index, name in enumerate(original.keys if original else shape_ids(scene))}
     table = np.array([*(index_of.get(name, -1) for name in answer.names), -1], np.int32)
     visible = answer.light_visible if scene.shading.shadows else np.ones_like(answer.light_visible)
     return ReferenceResult(

@@ -16,6 +16,7 @@ from caster.system.atomic_files import check_folder, write_bytes, write_text
 from mitsuba_ref.cameras import ClipRange, reference_of_camera
 from mitsuba_ref.error_model.intersections import ceil_log2
 from mitsuba_ref.error_model.scene_model import SceneModel
+from mitsuba_ref.reference.originals import original_of
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement, format_floats
 from mitsuba_ref.shapes import kind_of, reference_of
 
@@ -77,7 +78,11 @@ def endless_rays(o: np.ndarray, d: np.ndarray) -> SharedRays:
 
 
 def shared_rays(scene: Scene) -> SharedRays:
-    """Camera rays of a scene. They start at the near plane, since Mitsuba has no t_min."""
+    """Camera rays of a scene, from the near plane on, since Mitsuba has no t_min; of a Mitsuba file, its sensor's."""
+    if original := original_of(scene):
+        rows = original.rows(scene.film)
+        numbers = np.ascontiguousarray(original.rays[rows])
+        return SharedRays(numbers[:, :3], numbers[:, 3:6], numbers[:, 6], original.start[rows])
     rays = camera_rays(scene)
     o = rays.o + rays.t_min[:, None] * rays.d
     left = np.where(rays.t_max < 0.0, -1.0, rays.t_max - rays.t_min)

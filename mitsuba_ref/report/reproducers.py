@@ -184,7 +184,7 @@ def write_reproducer(
 
     Raises OutputError, SceneError.
     """
-    found = reproducer(judge, row, lit=bool(judgement.ratios["diffuse"][row] > 1.0))
+    found = reproducer(judge, row, lit=bool("diffuse" in judgement.ratios and judgement.ratios["diffuse"][row] > 1.0))
     same, words = reproduces(found, judge, judgement, row)
     write_text(path, found.text([*reproducer_header(judge, judgement, row, source), words, *more]))
     return same

@@ -28,6 +28,7 @@ from mitsuba_ref.judge.aggregate import scene_statistics
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request, send_stored
+from mitsuba_ref.reference.original_files import Opening, is_original, open_scene
 from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.reference.store import StoreFolder, local_store
 from mitsuba_ref.report.out_folder import file_records, files_of
@@ -51,6 +52,7 @@ class SceneEntry:
     path: str
     size: tuple[int, int] | None = None  # of the film in place of the scene's own; a replay repeats it
     mesh_dirs: tuple[str, ...] = ()
+    opening: Opening = Opening()  # of a Mitsuba file
     options: tuple[str, ...] = ()  # all others that a replay repeats
     given: Scene | None = None  # in place of the file
     subject: Subject | None = None  # of this entry alone: answers that were computed beforehand
@@ -61,6 +63,9 @@ class SceneEntry:
     @cached_property
     def pixels(self) -> int:
         """Rays of the film window, for progress and shards."""
+        if self.given is None and is_original(self.path):  # until it is opened
+            width, height = self.size or (1, 1)
+            return width * height
         if self.given is None:
             return film_pixels(self.path, self.size)
         x0, y0, x1, y1 = self.given.film.window
@@ -68,6 +73,8 @@ class SceneEntry:
 
     def load(self) -> Scene:
         """The scene to judge, with the requested film. Raises SceneError, FileMissing."""
+        if self.given is None and is_original(self.path):
+            return open_scene(self.path, self.opening, size=self.size, mesh_dirs=self.mesh_dirs)
         return resized(load_scene(self.path, self.mesh_dirs) if self.given is None else self.given, self.size)
 
 

@@ -18,6 +18,7 @@ from caster.system.atomic_files import check_folder, write_bytes
 from caster.system.terminal import printable
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
+from mitsuba_ref.reference.originals import original_of
 from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.scene_xml.elements import ply_bytes, safe_name
 from mitsuba_ref.shapes import kind_of
@@ -314,7 +315,10 @@ class OurCaster(Subject):
 
     def answer(self, request: CastRequest) -> Answer:
         """Cast the request's rays."""
-        return answer_of_view(request.scene, cast_ours(request.scene, request.rays))
+        original, names = original_of(request.scene), (*COMPARED_AOVS, *DERIVED_AOVS)
+        if original and original.coverage.unlit:
+            names = tuple(name for name in names if name != "diffuse")
+        return answer_of_view(request.scene, cast_ours(request.scene, request.rays), names)
 
 
 OURS = OurCaster()

@@ -1,0 +1,372 @@
+"""A user's Mitsuba file, opened in the child process: its geometry and its sensor's rays as Mitsuba holds them.
+
+`mi.parser` reads the file with its includes, parameters, references and older versions. Nodes that do not concern
+geometry are replaced or dropped before anything is instantiated, so that their files need not exist; each is reported.
+"""
+
+import os
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import mitsuba
+import numpy as np
+
+from mitsuba_ref.reference.messages import OpenRequest, OpenResponse, TraceRequest
+
+mi: Any = mitsuba
+PLUGIN_FOLDERS = [str(folder) for folder in mi.file_resolver()]  # and the working folder
+
+DIFFUSE_LIGHTS = {"point": "intensity", "directional": "irradiance", "constant": "radiance"}
+FILM_SIZES = {"width": 768, "height": 576}  # Mitsuba's defaults
+FILM_CROPS = {"crop_offset_x": "width", "crop_offset_y": "height", "crop_width": "width", "crop_height": "height"}
+FILE_PROPERTIES = ("filename",)  # of shapes: a file that has to exist
+HELD = {"Sphere": "sphere", "Cylinder": "cylinder", "Disk": "disk"}  # class in Mitsuba -> shape type of the caster
+RANDOM_SENSORS = ("distant", "irradiancemeter", "thinlens")  # of whose rays one is chosen by the aperture's sample
+
+
+class Parsed(NamedTuple):
+    """A parsed file without whatever does not concern geometry."""
+
+    config: Any
+    state: Any
+    dropped: Counter[str]  # what was dropped or replaced
+    unlit: list[str]  # why diffuse cannot be compared
+    names: dict[int, str]  # ids in the file, by node
+    refers: dict[int, list[int]]  # nodes that a node refers to, in their order
+    materials: dict[int, dict[str, Any] | None]  # of each bsdf, as the caster has it
+
+    def instantiate(self) -> Any:
+        loaded = mi.parser.instantiate(self.config, self.state)
+        return loaded[0] if isinstance(loaded, list) else loaded
+
+    def nodes(self, *kinds: Any) -> Iterator[tuple[int, Any]]:
+        """(number, properties) of the nodes of these kinds."""
+        return ((i, node.props) for i, node in enumerate(self.state.nodes) if node.type in kinds)
+
+    def place(self, number: int) -> str:
+        """FILE:LINE:COLUMN of a node."""
+        where = str(mi.parser.file_location(self.state, self.state.nodes[number]))
+        return where.replace(" (line ", ":").replace(", col ", ":").removesuffix(")")
+
+    def children(self, number: int, *kinds: Any) -> list[int]:
+        """Numbers of the nodes of these kinds that a node refers to, in their order."""
+        return [to for to in self.refers[number] if self.state.nodes[to].type in kinds]
+
+
+# ---- parsing, and what does not concern geometry
+
+
+def parse(request: OpenRequest, variant: str) -> Parsed:
+    """Parse a file. Raises RuntimeError with Mitsuba's message where it is refused."""
+    mi.set_variant(variant)
+    resolver = mi.FileResolver()  # of this file alone: <path> adds folders to it
+    resolver.clear()
+    for folder in (*request.folders, *PLUGIN_FOLDERS):
+        resolver.append(folder)
+    resolver.prepend(os.path.dirname(request.file))
+    mi.set_file_resolver(resolver)
+    config = mi.parser.ParserConfig(variant)
+    config.merge_meshes = config.merge_equivalent = False  # would lose ids
+    state = mi.parser.parse_file(config, request.file, **request.parameters)
+    mi.parser.transform_upgrade(config, state)
+    mi.parser.transform_resolve(config, state)
+    names = {i: node.props.id() for i, node in enumerate(state.nodes)}
+    refers = {i: [to for _, to in _references(node.props)] for i, node in enumerate(state.nodes)}
+    parsed = Parsed(config, state, Counter(), [], names, refers, {})
+    _keep_geometry(parsed, request)
+    return parsed
+
+
+def _references(props: Any) -> list[tuple[str, int]]:
+    """(name, number of the node) of what a node refers to."""
+    kind = mi.Properties.Type.ResolvedReference
+    return [(name, props[name].index()) for name in props.keys() if props.type(name) == kind]  # noqa: SIM118
+
+
+def _keep_geometry(parsed: Parsed, request: OpenRequest) -> None:
+    kind = mi.ObjectType
+    kept = {
+        kind.Scene: (kind.Shape, kind.Sensor, kind.Emitter),
+        kind.Shape: (kind.Shape, kind.Sensor, kind.BSDF),
+        kind.Sensor: (kind.Shape, kind.Sensor, kind.Film, kind.Sampler),
+        kind.BSDF: (kind.BSDF,),
+    }
+    nodes = parsed.state.nodes
+    for i, node in enumerate(nodes):
+        props = node.props
+        if node.type == kind.Film:
+            parsed.dropped.update([] if props.plugin_name() == "hdrfilm" else [f"film {props.plugin_name()}"])
+            node.props = _film(props, request.size)
+            continue
+        for name, to in _references(props):
+            if nodes[to].type not in kept.get(node.type, ()) or not _is_kept(parsed, to):
+                props.remove_property(name)
+                parsed.refers[i].remove(to)
+                parsed.dropped[f"{str(nodes[to].type).rpartition('.')[2].lower()} {nodes[to].props.plugin_name()}"] += 1
+        if node.type == kind.Scene and request.robust:
+            props.remove_property(ROBUST)
+            props[ROBUST] = True
+        if node.type in (kind.Shape, kind.Emitter):
+            props.set_id(str(i))  # one each, by which loaded objects are found again
+        node.props = props
+    used = {bsdf for i, _ in parsed.nodes(kind.Shape) for bsdf in parsed.children(i, kind.BSDF)}
+    parsed.materials.update((i, material(parsed, i)) for i in sorted(used))
+    for i in (i for i, found in parsed.materials.items() if found is None):
+        plugin = nodes[i].props.plugin_name()
+        parsed.dropped[f"bsdf {plugin}"] += 1
+        parsed.unlit.append(f"{plugin} at {parsed.place(i)}")
+        nodes[i].props = mi.Properties("diffuse")
+
+
+ROBUST = "embree_use_robust_intersections"
+
+
+def _is_kept(parsed: Parsed, number: int) -> bool:
+    """Whether a node stays: lights only where the judge has them; ambient light is added apart."""
+    node = parsed.state.nodes[number]
+    if node.type != mi.ObjectType.Emitter:
+        return True
+    plugin = node.props.plugin_name()
+    if plugin in DIFFUSE_LIGHTS and color(node.props, DIFFUSE_LIGHTS[plugin]) is not None:
+        return bool(plugin != "constant")
+    if color(node.props, "radiance") != [0.0] * 3:
+        parsed.unlit.append(f"{plugin} at {parsed.place(number)}")
+    return False
+
+
+def _film(props: Any, size: Sequence[int] | None) -> Any:
+    """A film of the same pixels; of another size, with its crop scaled and rounded outwards."""
+    film = mi.Properties("hdrfilm")
+    old = {name: props.get(name, default) for name, default in FILM_SIZES.items()}
+    new = dict(zip(FILM_SIZES, size, strict=True)) if size else old
+    for name in FILM_SIZES:
+        film[name] = new[name]
+    for axis, side in (("x", "width"), ("y", "height")):
+        offset, crop = f"crop_offset_{axis}", f"crop_{side}"
+        if props.has_property(offset) or props.has_property(crop):
+            low = props.get(offset, 0)
+            high = low + props.get(crop, old[side] - low)
+            start, end = low * new[side] // old[side], -(-high * new[side] // old[side])
+            film[offset], film[crop] = start, end - start
+    return film
+
+
+def color(props: Any, name: str, default: float = 1.0) -> list[float] | None:
+    """r, g, b of a constant colour; None for a texture or a spectrum."""
+    if not props.has_property(name):
+        return [default] * 3
+    kind, value = props.type(name), props[name]
+    if kind == mi.Properties.Type.Float:
+        return [float(value)] * 3
+    if kind == mi.Properties.Type.Color:
+        return [float(each) for each in value]
+    return None
+
+
+def material(parsed: Parsed, number: int) -> dict[str, Any] | None:
+    """A diffuse material as the caster has it; None for any other."""
+    props = parsed.state.nodes[number].props
+    if props.plugin_name() == "twosided":
+        inner = parsed.children(number, mi.ObjectType.BSDF)
+        found = material(parsed, inner[0]) if len(inner) == 1 else None
+        return found and found | {"two_sided": True}
+    reflectance = color(props, "reflectance", 0.5) if props.plugin_name() == "diffuse" else None
+    return None if reflectance is None else {"reflectance": reflectance}
+
+
+# ---- what Mitsuba has loaded
+
+
+def load(request: OpenRequest, variant: str) -> Any:
+    """The scene of a file, for tracing."""
+    return parse(request, variant).instantiate()
+
+
+def open_file(request: OpenRequest, sensor_rays: Any, shapes_hit: Any) -> OpenResponse:
+    """Geometry, sensor and lights of a file. Raises RuntimeError with Mitsuba's message where it refuses the file."""
+    parsed = parse(request, "scalar_rgb")
+    missing = list(_missing_files(parsed))
+    if missing:
+        return OpenResponse(missing=missing)
+    kind = mi.ObjectType
+    variant = request.variant if _is_of_meshes(parsed) else "scalar_rgb"
+    if variant != "scalar_rgb":
+        parsed = parse(request, variant)
+    scene = parsed.instantiate()
+    sensors = scene.sensors()
+    if not sensors or request.sensor >= len(sensors):
+        return OpenResponse(missing=[], problem=f"sensor {request.sensor}: the file has {len(sensors)}, from 0 on")
+    loaded = {shape.id(): shape for shape in scene.shapes()} | _loaded_groups(parsed, request, variant)
+    shapes, vertices, faces = [], [np.zeros((0, 8), np.float32)], [np.zeros((0, 3), np.int32)]
+    number_of: dict[int, int] = {}
+    for i, props in parsed.nodes(kind.Shape):
+        if str(i) not in loaded or _is(props, "instance"):
+            continue
+        number_of[i] = len(shapes)
+        record, corners, triangles = _shape(loaded[str(i)], props)
+        of_bsdf = parsed.children(i, kind.BSDF)
+        about = {"node": i, "place": parsed.place(i), "material": parsed.materials[of_bsdf[0]] if of_bsdf else None}
+        name = parsed.names[of_bsdf[0]] or f"material-{of_bsdf[0]}" if of_bsdf else ""
+        shapes.append(record | about | {"id": parsed.names[i], "material_name": name})
+        vertices.append(corners)
+        faces.append(triangles)
+    placed = list(_placements(parsed, loaded, number_of))
+    rays = sensor_rays(sensors[request.sensor], variant)
+    left_out = {key for key, number, _, _ in placed if shapes[number]["reason"]}
+    hidden = 0
+    if left_out:
+        o, d, t_max = rays[:, :3], rays[:, 3:6], np.ascontiguousarray(rays[:, 6])
+        trace = TraceRequest(Path(request.file), variant, o.copy(), d.copy(), t_max, lights=False, original=vars(request))
+        found, names = shapes_hit(scene, trace)
+        behind = np.array([*(name in left_out for name in names), False])[found]
+        rays[behind, 6], hidden = -1.0, int(behind.sum())
+    film = sensors[request.sensor].film()
+    (x, y), (width, height) = film.crop_offset(), film.crop_size()
+    sensor_nodes = [(i, props) for i, props in parsed.nodes(kind.Sensor)]
+    camera = sensor_nodes[request.sensor] if request.sensor < len(sensor_nodes) else None
+    return OpenResponse(
+        vertices=np.concatenate(vertices),
+        faces=np.concatenate(faces),
+        rays=rays,
+        shapes=shapes,
+        placed=placed,
+        size=list(film.size()),
+        crop=[x, y, x + width, y + height],
+        camera=_camera(camera[1]) if camera else {"plugin": "perspective"},
+        lights=list(_lights(parsed)),
+        unlit=parsed.unlit,
+        dropped=dict(parsed.dropped),
+        files=_files(parsed),
+        variant=variant,
+        hidden=hidden,
+    )
+
+
+def _is(props: Any, plugin: str) -> bool:
+    return bool(props.plugin_name() == plugin)
+
+
+def _resolved(name: str) -> str:
+    return str(mi.file_resolver().resolve(name))
+
+
+def _file_names(parsed: Parsed) -> Iterator[tuple[int, str]]:
+    for i, props in parsed.nodes(mi.ObjectType.Shape):
+        for name in props.keys():  # noqa: SIM118
+            if props.type(name) == mi.Properties.Type.String and name in FILE_PROPERTIES:
+                yield i, props[name]
+
+
+def _missing_files(parsed: Parsed) -> Iterator[str]:
+    folders = [str(folder) for folder in mi.file_resolver()]
+    for i, name in _file_names(parsed):
+        if not os.path.isfile(_resolved(name)):
+            tried = ", ".join([name] if os.path.isabs(name) else [os.path.join(each, name) for each in folders])
+            yield f"{parsed.place(i)}: cannot read {name} (tried {tried})"
+
+
+def _files(parsed: Parsed) -> list[str]:
+    """Every file that the geometry depends on."""
+    return [*map(str, parsed.state.files), *(_resolved(name) for _, name in _file_names(parsed))]
+
+
+def _is_of_meshes(parsed: Parsed) -> bool:
+    """Whether there are triangles alone, known by the plugins."""
+    kinds = {props.plugin_name() for _, props in parsed.nodes(mi.ObjectType.Shape)}
+    return kinds <= {"ply", "obj", "serialized", "rectangle", "cube", "merge", "blender"}
+
+
+def _loaded_groups(parsed: Parsed, request: OpenRequest, variant: str) -> dict[str, Any]:
+    """The shapes of groups, which Mitsuba does not show, loaded by themselves."""
+    shape = mi.ObjectType.Shape
+    groups = [i for i, props in parsed.nodes(shape) if _is(props, "shapegroup")]
+    if not groups:
+        return {}
+    again, alone = parse(request, variant), mi.Properties("scene")
+    for child in dict.fromkeys(child for group in groups for child in parsed.children(group, shape)):
+        alone[f"_arg_{child}"] = mi.Properties.ResolvedReference(child)
+    again.state.nodes[0].props = alone
+    return {each.id(): each for each in again.instantiate().shapes()}
+
+
+def _leaves(parsed: Parsed, numbers: Iterable[int]) -> Iterator[int]:
+    """Shapes by number, with the children of a `merge` in its place."""
+    for number in numbers:
+        merged = _is(parsed.state.nodes[number].props, "merge")
+        yield from _leaves(parsed, parsed.children(number, mi.ObjectType.Shape)) if merged else [number]
+
+
+# Key in Mitsuba's answers, number of the shape, name, matrix of the instance
+Placement = tuple[str, int, str, list[list[float]] | None]
+
+
+def _placements(parsed: Parsed, loaded: dict[str, Any], number_of: dict[int, int]) -> Iterator[Placement]:
+    """Every shape of the scene; an instance has those of its group."""
+    shape = mi.ObjectType.Shape
+    for i in _leaves(parsed, parsed.children(0, shape)):
+        if i in number_of:
+            yield str(i), number_of[i], parsed.names[i], None
+        elif _is(parsed.state.nodes[i].props, "instance"):
+            matrix = _matrix(mi.traverse(loaded[str(i)])["to_world"])
+            for group in parsed.children(i, shape):
+                for child in _leaves(parsed, parsed.children(group, shape)):
+                    name = f"{parsed.names[i] or f'instance-{i}'}/{parsed.names[child] or child}"
+                    yield f"{i}/{child}", number_of[child], name, matrix
+
+
+def _matrix(transform: Any) -> list[list[float]]:
+    values = np.array(transform.matrix, np.float64)
+    return values.reshape(4, 4).tolist()  # type: ignore[no-any-return]
+
+
+def _shape(shape: Any, props: Any) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+    """(record, vertices (n, 8) with normals and uv, faces (m, 3)) of a loaded shape."""
+    nothing = np.zeros((0, 8), np.float32), np.zeros((0, 3), np.int32)
+    record = {"plugin": props.plugin_name(), "kind": HELD.get(shape.class_name(), ""), "reason": "", "vertices": 0}
+    record["faces"] = 0
+    flipped = bool(props.get("flip_normals", False)) if props.has_property("flip_normals") else False
+    if shape.is_mesh():
+        count = int(shape.vertex_count())
+        vertices = np.zeros((count, 8), np.float32)
+        smooth = bool(shape.has_vertex_normals() and not shape.has_face_normals())
+        for there, buffer, columns in (
+            (True, "vertex_positions_buffer", slice(0, 3)),
+            (smooth, "vertex_normals_buffer", slice(3, 6)),
+            (shape.has_vertex_texcoords(), "vertex_texcoords_buffer", slice(6, 8)),
+        ):
+            if there:
+                vertices[:, columns] = np.array(getattr(shape, buffer)()).reshape(count, -1)
+        faces = np.array(shape.faces_buffer(), np.int32).reshape(-1, 3)
+        about = {"smooth": smooth, "textured": bool(shape.has_vertex_texcoords())}
+        about["flipped"] = bool(shape.has_flipped_normals())
+        return record | about | {"kind": "mesh", "vertices": count, "faces": len(faces)}, vertices, faces
+    if not record["kind"]:
+        record["reason"] = f"{props.plugin_name()} is no shape of the caster"
+        return record, *nothing
+    return record | {"matrix": _matrix(mi.traverse(shape)["to_world"]), "flipped": flipped}, *nothing
+
+
+def _camera(props: Any) -> dict[str, Any]:
+    """Numbers of a sensor by name, beside its plugin and its matrix."""
+    kinds = mi.Properties.Type
+    plain = (kinds.Float, kinds.Integer, kinds.String)
+    numbers = {name: props[name] for name in props.keys() if props.type(name) in plain}  # noqa: SIM118
+    matrix = _matrix(props["to_world"]) if props.has_property("to_world") else np.eye(4).tolist()
+    return {**numbers, "plugin": props.plugin_name(), "to_world": matrix}
+
+
+def _lights(parsed: Parsed) -> Iterator[dict[str, Any]]:
+    """Lights that the caster has, in the order of the file."""
+    for _, props in parsed.nodes(mi.ObjectType.Emitter):
+        plugin = props.plugin_name()
+        if plugin not in DIFFUSE_LIGHTS or (strength := color(props, DIFFUSE_LIGHTS[plugin])) is None:
+            continue
+        matrix = np.array(_matrix(props["to_world"])) if props.has_property("to_world") else np.eye(4)
+        if plugin == "constant":
+            yield {"type": "ambient", "radiance": strength}
+            continue
+        place, column = ("position", 3) if plugin == "point" else ("direction", 2)
+        where = [float(x) for x in props[place]] if props.has_property(place) else matrix[:3, column].tolist()
+        yield {"type": plugin, place: where, DIFFUSE_LIGHTS[plugin]: strength}

@@ -1,0 +1,56 @@
+"""Scenes whose reference is a user's own Mitsuba file."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import PrivateAttr
+
+from caster.scene.model import Film, Scene
+from mitsuba_ref.reference.coverage import Coverage
+from mitsuba_ref.reference.messages import OpenRequest
+
+
+@dataclass(frozen=True, eq=False)
+class Original:
+    """The file that is the reference of a scene, as opened."""
+
+    request: OpenRequest  # with the digest of its files
+    variant: str
+    film: Film
+    rays: np.ndarray  # (pixels, 7) float32: the sensor's o, d, t_max, row by row
+    start: np.ndarray  # (pixels,) float64, distance from the eye to o; 0 where the caster has no such camera
+    keys: tuple[str, ...]  # by which Mitsuba's answers name the scene's shapes
+    has_camera: bool  # whether the scene's camera is that sensor
+    coverage: Coverage
+
+    def rows(self, film: Film) -> np.ndarray:
+        """(n,) numbers of the rays in the window of a film of the same size."""
+        x0, y0, x1, y1 = self.film.window
+        a0, b0, a1, b1 = film.window
+        if (film.width, film.height) != (self.film.width, self.film.height) or (a0 < x0 or b0 < y0 or a1 > x1 or b1 > y1):
+            raise ValueError(f"the file was opened with a window {self.film.window}, expected one around {film.window}")
+        y, x = np.meshgrid(np.arange(b0, b1) - y0, np.arange(a0, a1) - x0, indexing="ij")
+        return (y * (x1 - x0) + x).ravel()
+
+
+class MitsubaScene(Scene):
+    """A scene of the shapes that Mitsuba holds of a file, which is its reference."""
+
+    _original: Original | None = PrivateAttr(None)
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> "MitsubaScene":
+        """A copy about the same file."""
+        copy = super().model_copy(update=update, deep=deep)
+        copy._original = self._original
+        return copy
+
+    def sha256(self) -> str:
+        """A hash of the contents of the file and all files that it names, and of how it was opened."""
+        return repr((original_of(self), self.film)) if self._original is None else self._original.request.digest
+
+
+def original_of(scene: Scene) -> Original | None:
+    """The file that is the scene's reference; None where the scene itself is exported."""
+    return scene._original if isinstance(scene, MitsubaScene) else None
