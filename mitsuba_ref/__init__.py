@@ -11,11 +11,11 @@ from caster.system import runs_here as _runs_here
 
 if TYPE_CHECKING:
     from mitsuba_ref.exr_compare.two_files import Reading, Tolerances, compare_exr
-    from mitsuba_ref.importers.mitsuba_xml import import_xml
     from mitsuba_ref.judge.film import FailingPixel
     from mitsuba_ref.judge.verdict import CLASSES, SceneVerdict, Verdict
     from mitsuba_ref.python_api import export_xml, judge_hits, probe_pixel, validate
     from mitsuba_ref.reference.messages import MitsubaError
+    from mitsuba_ref.reference.original_files import import_xml
     from mitsuba_ref.reference.rendering import render_reference
     from mitsuba_ref.report.validation import Validation
 
@@ -30,7 +30,7 @@ _HOMES = {
     "Verdict": "judge.verdict",
     "compare_exr": "exr_compare.two_files",
     "export_xml": "python_api",
-    "import_xml": "importers.mitsuba_xml",
+    "import_xml": "reference.original_files",
     "judge_hits": "python_api",
     "probe_pixel": "python_api",
     "render_reference": "reference.rendering",

@@ -8,7 +8,6 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from caster.cli.shared_arguments import display_names, scene_files
-from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from mitsuba_ref.judge.checks import run_checks
 from mitsuba_ref.probe.pixel import PixelVerdict, probe_with_evidence
@@ -103,9 +102,7 @@ def probe_pixel(
     Raises SceneError, also for a pixel outside the film, and FileMissing.
     """
     variants.require_variants()
-    loaded = _loaded(scene)
-    sized = loaded if size is None else loaded.with_film(width=size[0], height=size[1])
-    return probe_with_evidence(sized, x, y, _subject(candidate, precision), timeout)[0]
+    return probe_with_evidence(_loaded(scene, size), x, y, _subject(candidate, precision), timeout)[0]
 
 
 def export_xml(scene: Scene | ScenePath, folder: ScenePath) -> Path:
@@ -116,8 +113,10 @@ def export_xml(scene: Scene | ScenePath, folder: ScenePath) -> Path:
     return export_scene(_loaded(scene)).write(Path(folder))
 
 
-def _loaded(scene: Scene | ScenePath) -> Scene:
-    return scene if isinstance(scene, Scene) else load_scene(builtin_scenes.scene_path(os.fspath(scene)))
+def _loaded(scene: Scene | ScenePath, size: tuple[int, int] | None = None) -> Scene:
+    if isinstance(scene, Scene):
+        return SceneEntry("", "", size, given=scene).load()
+    return SceneEntry("", builtin_scenes.scene_path(os.fspath(scene)), size).load()
 
 
 def _subject(candidate: Candidate | None, precision: str | None) -> Subject | None:

@@ -114,8 +114,8 @@ def add_selection(parser: argparse.ArgumentParser) -> None:
     add(
         "scenes",
         ScenePath,
-        "scene files, mesh files (OBJ, PLY, STL, OFF, glTF), folders of scenes, builtin:NAME; default: the folder "
-        "scenes",
+        "scene files, mesh files (OBJ, PLY, STL, OFF, glTF), Mitsuba's own .xml, folders of scenes, builtin:NAME; "
+        "default: the folder scenes",
         metavar="SCENE|MESH|DIR",
         nargs="*",
         default=DEFAULT_SCENES,
@@ -141,6 +141,13 @@ def add_selection(parser: argparse.ArgumentParser) -> None:
     add_mesh_dirs(group)
     help_ = "scenes at a time; default: one a core"
     adder(parser)("-j", positive_int, help_, dest="workers")
+
+
+def add_opening(parser: argparse._ActionsContainer) -> None:
+    """Add -D and --sensor, of Mitsuba files."""
+    add = adder(parser)
+    add("-D --define", str, "a $NAME of a Mitsuba file", action="append", default=[], metavar="NAME=VALUE")
+    add("--sensor", whole, "the sensor of a Mitsuba file, counted from 0; default 0")
 
 
 def add_timeout(parser: argparse.ArgumentParser) -> None:
@@ -255,6 +262,7 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 
 def add_validate_arguments(parser: argparse.ArgumentParser) -> None:
     add_selection(parser)
+    add_opening(parser)
     add = adder(parser)
     add("--shard", shard, "judge part I of N of the scenes, balanced by pixels", metavar="I/N")
     help_ = "also test our caster beyond the judged films: other routes, scales, brute force; compiles more kernels"
@@ -269,6 +277,7 @@ def add_validate_arguments(parser: argparse.ArgumentParser) -> None:
     help_ = "write the failures of this run as a file for --expected"
     add("--write-expected", OutputFile, help_)
     add_skip_unsupported(add, "scenes")
+    add("--strict", bool, "fail a Mitsuba file of which not every shape is judged")
     help_ = "fail where fewer scenes are judged and not declined; default 1 with --skip-unsupported"
     add("--min-scenes", positive_int, help_, default=0)
     add("--maxfail", positive_int, "stop after so many scenes that fail")
@@ -368,6 +377,7 @@ def add_references(parser: argparse.ArgumentParser, folder: type[str]) -> None:
 
 def add_render_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser, ScenePath)
+    add_opening(parser)
     add = adder(parser)
     add("-o --output", OutputFile, metavar="REF.exr", required=True)
     add("--aov", str, f"of {AOV_NAMES}; default: {DEFAULT_AOV_LIST}", metavar="AOV,...", default=DEFAULT_AOV_LIST)
@@ -378,13 +388,14 @@ def add_import_arguments(parser: argparse.ArgumentParser) -> None:
     add = adder(parser)
     add("file", InputPath, "Mitsuba's .xml, or .txt of MIT 6.837", metavar="FILE")
     add("-o --output", OutputFile, "the scene file to write", metavar="SCENE.toml", required=True)
-    add("-D", str, "a $NAME of the XML", dest="parameters", action="append", default=[], metavar="NAME=VALUE")
+    add_opening(parser)
     add("--size", int, "film in pixels, instead of the file's own", nargs=2, metavar=("W", "H"))
     add_mesh_dirs(parser)
 
 
 def add_export_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser, ScenePath)
+    add_opening(parser)
     add = adder(parser)
     add("-o --output", OutputFolder, "folder to write into, created if missing", required=True)
     add("--toml", bool, "write scene.toml as well: our format, with the float32 values that are traced")
@@ -392,6 +403,7 @@ def add_export_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_probe_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser, ScenePath)
+    add_opening(parser)
     add_pixel(parser)
     add = adder(parser)
     add("--brief", bool, "the verdict and who is right, without the numbers")

@@ -5,13 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from caster.cli.shared_arguments import load
 from caster.description.errors import SceneError
 from caster.rendering.hits import cast
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from caster.system.process import OK
-from mitsuba_ref.cli.options import given_words
+from mitsuba_ref.cli.options import given_words, load_scene_or_original
 from mitsuba_ref.cli.validate import judge_entries, without_earlier_results
 from mitsuba_ref.error_model.lambert import direction_to_light
 from mitsuba_ref.hard import rays
@@ -27,7 +26,7 @@ SHADOW_T_MIN = 2.0**-10  # lengths of d, the way to a point light: a shadow ray 
 
 def run_rays(args: argparse.Namespace) -> int:
     """Write the rays and print their number."""
-    scene = load(args)
+    scene = load_scene_or_original(args)
     make = {"camera": camera_rows, "shadow": shadow_rows}.get(args.kind, aimed_rows)
     with np.errstate(over="ignore"):
         rows, pixels = make(scene, args)

@@ -8,18 +8,42 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol, TextIO, TypeVar
 
-from caster.cli.shared_arguments import check_utf8_name
+from caster.cli.shared_arguments import check_utf8_name, load
 from caster.description.errors import SceneError, suggestion
+from caster.scene.model import Scene
 from caster.system.atomic_files import check_writable
 from caster.system.process import NOTHING_SELECTED, OK
 from caster.system.terminal import StatusLine
 from mitsuba_ref.cli.arguments import CANDIDATE_SECONDS, ServedProgram
 from mitsuba_ref.exr_compare.conventions import Reading, candidate_image
 from mitsuba_ref.reference import variants
+from mitsuba_ref.reference.original_files import Opening, is_original, open_scene
 from mitsuba_ref.runner.many_scenes import matching
 from mitsuba_ref.subjects.command import CommandSubject, ExrFile, RayProgram
 from mitsuba_ref.subjects.requests import parse_candidate
 from mitsuba_ref.subjects.subject import Subject
+
+# ---- Mitsuba files ----
+
+OPENING_OPTIONS = ("define", "sensor", "strict")
+
+
+def opening_of(args: argparse.Namespace) -> Opening:
+    """How -D, --sensor and --strict open Mitsuba files. Raises SceneError for a word that is not NAME=VALUE."""
+    words = getattr(args, "define", [])
+    for word in words:
+        if "=" not in word:
+            raise SceneError(f"-D {word}: expected NAME=VALUE")
+    parameters = dict(word.split("=", 1) for word in words)
+    return Opening(parameters, getattr(args, "sensor", None) or 0, getattr(args, "strict", False))
+
+
+def load_scene_or_original(args: argparse.Namespace) -> Scene:
+    """The scene of add_scene, at the film size of --size; of a Mitsuba file, with that file as its reference."""
+    if is_original(args.scene):
+        return open_scene(args.scene, opening_of(args), size=args.size, mesh_dirs=args.mesh_dir)
+    return load(args)
+
 
 # ---- a candidate ----
 

@@ -7,11 +7,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from caster.cli.shared_arguments import load
 from caster.description.errors import error_prefix
 from caster.system.process import DIFFERENCES, OK
 from caster.system.terminal import printable
-from mitsuba_ref.cli.options import candidate_words, requested_candidate
+from mitsuba_ref.cli.options import candidate_words, load_scene_or_original, requested_candidate
 from mitsuba_ref.probe.pixel import PixelVerdict, ProbeEvidence, as_text, probe_with_evidence
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.messages import Crash
@@ -21,7 +20,7 @@ from mitsuba_ref.report.reproducers import write_reproducer
 
 def run(args: argparse.Namespace) -> int:
     """Print the pixel's verdict and its evidence; 1 if nothing explains the pixel or the candidate's answer."""
-    scene = load(args)
+    scene = load_scene_or_original(args)
     candidate = requested_candidate(args)  # its errors come before any work
     variants.variant_for(has_quadrics=True)  # raises before any work without Mitsuba
     with error_prefix(args.scene):

@@ -6,19 +6,23 @@ from pathlib import Path
 
 from caster.classroom.course_files import load_course_scene
 from caster.classroom.course_images import with_window_behind_scene
-from caster.cli.shared_arguments import AOV_NAMES, check_exr_suffix, comma_separated, load, resized
+from caster.cli.shared_arguments import AOV_NAMES, check_exr_suffix, comma_separated
 from caster.description.errors import SceneError, error_prefix, suggestion
 from caster.image.channels import write_render
 from caster.scene.export import to_toml
-from caster.scene.model import Film
-from caster.system.atomic_files import write_text
+from caster.scene.model import Film, Scene
+from caster.shapes import Mesh
+from caster.system.atomic_files import check_folder, write_bytes, write_text
 from caster.system.process import DIFFERENCES, OK
-from mitsuba_ref.importers.mitsuba_xml import ImportedScene, import_xml
+from caster.system.terminal import printable
+from mitsuba_ref.cli.options import load_scene_or_original, opening_of
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.messages import MitsubaError
+from mitsuba_ref.reference.original_files import ImportedScene, imported
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS, render_reference
 from mitsuba_ref.reference.shared_input import export_scene, packed_float32
 from mitsuba_ref.report.results import folded, plural
+from mitsuba_ref.scene_xml.elements import ply_bytes, safe_name
 from mitsuba_ref.subjects.subject import scene_as_traced
 
 COURSE_FILM = (256, 256)  # pixels; a scene text of the course has no film
@@ -27,7 +31,7 @@ COURSE_FILM = (256, 256)  # pixels; a scene text of the course has no film
 def run_render(args: argparse.Namespace) -> int:
     """Render with Mitsuba and write the file; 1 when Mitsuba ends without an answer."""
     check_exr_suffix(args.output)
-    scene, names = load(args), tuple(comma_separated(args.aov))
+    scene, names = load_scene_or_original(args), tuple(comma_separated(args.aov))
     for name in names:
         if name not in REFERENCE_AOVS:
             raise SceneError(f"--aov {name!r}: unknown{suggestion(name, REFERENCE_AOVS)}; known are {AOV_NAMES}")
@@ -52,14 +56,13 @@ def run_import(args: argparse.Namespace) -> int:
         raise SceneError(f"-o {args.output}: expected a name that ends in .toml")
     if suffix not in (".xml", ".txt"):
         raise SceneError(f"{args.file}: expected Mitsuba's .xml, or .txt of MIT 6.837")
-    if suffix == ".xml":
-        found = import_xml(args.file, parameters(args.parameters), args.mesh_dir)
-        found = found._replace(scene=resized(found.scene, args.size))
-    else:
-        found = from_course(args)
-    folder = Path(args.output).resolve().parent
-    text = f"# {Path(args.file).name}, by `mitsuba-ref import`.\n" + to_toml(found.scene, folder)
-    write_text(args.output, text)
+    of_mitsuba = suffix == ".xml"
+    found = imported(args.file, opening_of(args), args.size, args.mesh_dir) if of_mitsuba else from_course(args)
+    target = Path(args.output).resolve()
+    folder, scene = target.parent, with_mesh_files(found.scene, target.with_suffix(""))
+    head = [f"{Path(args.file).name}, by `mitsuba-ref import`.", *found.left_out]
+    comment = "".join(f"# {printable(line, keep='')}\n" for line in head)
+    write_text(args.output, comment + to_toml(scene, folder))
     for line in found.left_out:
         print(line)
     print(f"{args.output}: {plural(len(found.scene.shapes), 'shape')}, {len(found.left_out)} left out or changed")
@@ -68,10 +71,22 @@ def run_import(args: argparse.Namespace) -> int:
     return OK
 
 
+def with_mesh_files(scene: Scene, folder: Path) -> Scene:
+    """The scene with meshes of arrays as PLY files, which are written into a folder. Raises OutputError."""
+    shapes, packed = list(scene.shapes), packed_float32(scene)
+    for i, shape in enumerate(shapes):
+        if isinstance(shape, Mesh) and shape.file is None:
+            check_folder(folder)
+            path = folder / f"{i:04d}-{safe_name(shape.name)}.ply"
+            write_bytes(path, ply_bytes(packed.parts[i]))
+            shapes[i] = shape.model_copy(update=dict.fromkeys(Mesh.ARRAYS) | {"file": str(path), "to_world": ()})
+    return scene.model_copy(update={"shapes": shapes})
+
+
 def from_course(args: argparse.Namespace) -> ImportedScene:
     """Read a file of MIT 6.837. The window of an orthographic camera is moved back if something is behind it."""
-    if args.parameters:
-        raise SceneError(f"-D {args.parameters[0]}: a text of MIT 6.837 has no parameters")
+    if args.define:
+        raise SceneError(f"-D {args.define[0]}: a text of MIT 6.837 has no parameters")
     size = args.size or COURSE_FILM
     with error_prefix("--size", *size):
         Film(width=size[0], height=size[1])
@@ -85,14 +100,6 @@ def from_course(args: argparse.Namespace) -> ImportedScene:
     return ImportedScene(scene, (*course.left_out, *notes))
 
 
-def parameters(words: list[str]) -> dict[str, str]:
-    """Parse the words of -D. Raises SceneError for a word that is not NAME=VALUE."""
-    for word in words:
-        if "=" not in word:
-            raise SceneError(f"-D {word}: expected NAME=VALUE")
-    return dict(word.split("=", 1) for word in words)
-
-
 def folders_beyond(scene: object, folder: Path) -> set[str]:
     """Folders of meshes that a scene file in `folder` may read only by --mesh-dir."""
     files = [Path(shape.file) for shape in getattr(scene, "shapes", ()) if getattr(shape, "file", None)]
@@ -101,7 +108,7 @@ def folders_beyond(scene: object, folder: Path) -> set[str]:
 
 def run_export(args: argparse.Namespace) -> int:
     """Write the files and print their names. Raises SceneError, FileMissing, OutputError."""
-    scene = load(args)
+    scene = load_scene_or_original(args)
     exported = export_scene(scene)
     inputs = [file for shape in scene.shapes if (file := getattr(shape, "file", None))]
     for target in (os.path.join(args.output, name) for name in exported.meshes):

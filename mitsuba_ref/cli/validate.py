@@ -16,7 +16,14 @@ from caster.scene.model import Film
 from caster.system.atomic_files import OutputError, write_text
 from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
 from mitsuba_ref.cli.arguments import DEFAULT_SCENES
-from mitsuba_ref.cli.options import candidate_words, given_words, report_address, requested_candidate
+from mitsuba_ref.cli.options import (
+    OPENING_OPTIONS,
+    candidate_words,
+    given_words,
+    opening_of,
+    report_address,
+    requested_candidate,
+)
 from mitsuba_ref.judge.verdict import UNSUPPORTED, Verdict
 from mitsuba_ref.reference import variants
 from mitsuba_ref.report import builtin_scenes
@@ -59,7 +66,8 @@ BUILTIN_HINT = "--builtin triangles takes scenes that are installed with the pro
 def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
     """The selected scenes, not loaded yet; prints a message if there are none. Raises SceneError."""
     fits = matching(args.expression, types_in_file)
-    again = (*given_words(args, "mesh_dir"), *candidate_words(args))
+    again = (*given_words(args, "mesh_dir", *OPENING_OPTIONS), *candidate_words(args))
+    opening = opening_of(args)
     named = [] if args.builtin and args.scenes is DEFAULT_SCENES else args.scenes
     places = [*builtin_scenes.folders_of(args.builtin), *named]
     try:
@@ -73,7 +81,8 @@ def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
             Film(width=args.size[0], height=args.size[1])
     size, names = tuple(args.size) if args.size else None, display_names(files)
     entries = [
-        SceneEntry(name, file, size, tuple(args.mesh_dir), again) for name, file in zip(names, files, strict=True)
+        SceneEntry(name, file, size, tuple(args.mesh_dir), again, opening=opening)
+        for name, file in zip(names, files, strict=True)
     ]
     if not entries:
         fitting = f" that fits -k {args.expression!r}" if args.expression else ""

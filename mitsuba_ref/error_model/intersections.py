@@ -81,6 +81,7 @@ class UvSpace(NamedTuple):
 
     subject: UvPoints = plain_uv
     reference: UvPoints | None = plain_uv  # for the reference's uv; None: they belong to a stand-in, and mean nothing
+    loaded: UvPoints | None = None  # for the reference's uv of a Mitsuba file's shape; None: the same
 
 
 class ErrorModel(NamedTuple):

@@ -11,10 +11,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.geometry.packing import Packed
+from caster.geometry.packing import Packed, Triangles
 from mitsuba_ref.error_model.intersections import (
     ErrorModel,
     Intersections,
+    cross,
     no_intersections,
     norm,
     unit,
@@ -133,6 +134,52 @@ def kinds_of(packed: Packed, prim: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 # the edge, is 6 to 8 KU of that (mitsuba_ref/shapes/surface_errors.py); of a quadric 2 to 4. Primitives beyond it are
 # at best possible hits (the ray itself passes the box of a certain one); leaving them out excuses less on either side.
 BOX_MARGIN = 16 * KU
+
+
+@dataclass(frozen=True)
+class InstancedModel(SceneModel):
+    """The model of a reference that holds some shapes as instances of a group, which the scene has in world space.
+
+    Mitsuba transforms the ray into the group's space in float32. This error, taken back to world space, is that of the
+    plain shape times the condition number of the matrix, and adds to the error of the intersection there. Corners are
+    rounded in world space: a corner off by half a unit in the last place of each coordinate turns the normal of a
+    triangle of height h by up to 2 sqrt(3) u |corner| / h < K u |corner| / h.
+    """
+
+    condition: np.ndarray | None = None  # (shapes,) of the matrix of each instance, a power of two; 0: no instance
+
+    def intersect(self, prim: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float, *, ours: bool) -> PairIntersections:
+        """As SceneModel.intersect, with the errors of instances."""
+        if ours or self.condition is None:
+            return super().intersect(prim, o, d, ku, ours=ours)
+        condition, found = self.condition[self.packed.shape_of(prim)], []
+        for each in np.unique(condition):
+            rows = np.flatnonzero(condition == each)
+            pair, at = super().intersect(prim[rows], o[rows], d[rows], ku * (1.0 + each), ours=False)
+            if each:
+                turned = self._turned_normals(prim[rows[pair]], ku)
+                at = at._replace(n_error=at.n_error + turned, sh_error=at.sh_error + turned)
+            found.append(PairIntersections(rows[pair], at))
+        if not found:
+            return PairIntersections(np.zeros(0, int), no_intersections(0))
+        pairs, met = zip(*found, strict=True)
+        joined = (np.concatenate(arrays) for arrays in zip(*met, strict=True))
+        return PairIntersections(np.concatenate(pairs), Intersections(*joined))
+
+    @without_float_warnings
+    def _turned_normals(self, prim: np.ndarray, ku: float) -> np.ndarray:
+        """(m,) how far the rounding of corners turns normals; 0 for other kinds than triangles."""
+        turned = np.zeros(len(prim))
+        kind, k = kinds_of(self.packed, prim)
+        for place, arrays in enumerate(self.kinds):
+            rows = np.flatnonzero(kind == place)
+            if not isinstance(arrays, Triangles) or not len(rows):
+                continue
+            corners = arrays.vertices[arrays.faces[k[rows]]]
+            edges = np.roll(corners, -1, axis=1) - corners
+            height = norm(cross(edges[:, 0], edges[:, 1])) / np.linalg.norm(edges, axis=2).max(axis=1)
+            turned[rows] = ku * np.abs(corners).max(axis=(1, 2)) / height
+        return turned
 
 
 RAYS_PER_RING, RING_RADII = 8, (1.0,)

@@ -187,7 +187,8 @@ def judge_window(
     made += make_checks([each for each in checks if each.answered], inputs)
 
     seen = Seen(judge, judgement, diagnosis, inputs["wrong_rays"])
-    errors = pixel_errors(judge.model.packed, judge.pair, judge.bounds) if task.ours else None
+    shared = original.condition > 0.0 if original else None
+    errors = pixel_errors(judge.model.packed, judge.pair, judge.bounds, shared) if task.ours else None
     return _verdict(task, response, seen, made), errors
 
 
@@ -222,6 +223,7 @@ def _verdict(task: Task, response: SubjectResponse, seen: Seen, checks: tuple[Sc
         unjudged=quantities_not_given(answer),
         findings=findings(judge, diagnosis),
         notes=(
+            *(original.coverage.lines() if (original := original_of(task.scene)) else ()),
             *_notes_on_hits(judge, judgement),
             *(() if task.ours else (*answer.notes, *response.limits)),
             *(f"{each.name}: {each.what}" for each in checks if each.what.startswith(NOT_JUDGED)),

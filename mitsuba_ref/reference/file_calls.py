@@ -16,7 +16,7 @@ import numpy as np
 from mitsuba_ref.reference.messages import OpenRequest, OpenResponse, TraceRequest
 
 mi: Any = mitsuba
-PLUGIN_FOLDERS = [str(folder) for folder in mi.file_resolver()]  # and the working folder
+PLUGIN_FOLDER = str(list(mi.file_resolver())[-1])  # Mitsuba's own; the others are this process's
 
 DIFFUSE_LIGHTS = {"point": "intensity", "directional": "irradiance", "constant": "radiance"}
 FILM_SIZES = {"width": 768, "height": 576}  # Mitsuba's defaults
@@ -63,7 +63,7 @@ def parse(request: OpenRequest, variant: str) -> Parsed:
     mi.set_variant(variant)
     resolver = mi.FileResolver()  # of this file alone: <path> adds folders to it
     resolver.clear()
-    for folder in (*request.folders, *PLUGIN_FOLDERS):
+    for folder in (*request.folders, PLUGIN_FOLDER):
         resolver.append(folder)
     resolver.prepend(os.path.dirname(request.file))
     mi.set_file_resolver(resolver)
@@ -184,7 +184,7 @@ def load(request: OpenRequest, variant: str) -> Any:
     return parse(request, variant).instantiate()
 
 
-def open_file(request: OpenRequest, sensor_rays: Any, shapes_hit: Any) -> OpenResponse:
+def open_file(request: OpenRequest, sensor_rays: Any, traced: Any) -> OpenResponse:
     """Geometry, sensor and lights of a file. Raises RuntimeError with Mitsuba's message where it refuses the file."""
     parsed = parse(request, "scalar_rgb")
     missing = list(_missing_files(parsed))
@@ -197,9 +197,11 @@ def open_file(request: OpenRequest, sensor_rays: Any, shapes_hit: Any) -> OpenRe
     scene = parsed.instantiate()
     sensors = scene.sensors()
     if not sensors or request.sensor >= len(sensors):
-        return OpenResponse(missing=[], problem=f"sensor {request.sensor}: the file has {len(sensors)}, from 0 on")
+        there = f"the file has {len(sensors)}, counted from 0" if sensors else "the file has no sensor"
+        return OpenResponse(problem=f"sensor {request.sensor}: {there}")
     loaded = {shape.id(): shape for shape in scene.shapes()} | _loaded_groups(parsed, request, variant)
-    shapes, vertices, faces = [], [np.zeros((0, 8), np.float32)], [np.zeros((0, 3), np.int32)]
+    shapes: list[dict[str, Any]] = []
+    vertices, faces = [np.zeros((0, 8), np.float32)], [np.zeros((0, 3), np.int32)]
     number_of: dict[int, int] = {}
     for i, props in parsed.nodes(kind.Shape):
         if str(i) not in loaded or _is(props, "instance"):
@@ -217,10 +219,10 @@ def open_file(request: OpenRequest, sensor_rays: Any, shapes_hit: Any) -> OpenRe
     left_out = {key for key, number, _, _ in placed if shapes[number]["reason"]}
     hidden = 0
     if left_out:
-        o, d, t_max = rays[:, :3], rays[:, 3:6], np.ascontiguousarray(rays[:, 6])
-        trace = TraceRequest(Path(request.file), variant, o.copy(), d.copy(), t_max, lights=False, original=vars(request))
-        found, names = shapes_hit(scene, trace)
-        behind = np.array([*(name in left_out for name in names), False])[found]
+        o, d, t_max = map(np.ascontiguousarray, (rays[:, :3], rays[:, 3:6], rays[:, 6]))
+        trace = TraceRequest(Path(request.file), variant, o, d, t_max, lights=False, original=vars(request))
+        found, names = traced(scene, trace)
+        behind = np.array([*(name in left_out for name in names), False])[found["shape"]]
         rays[behind, 6], hidden = -1.0, int(behind.sum())
     film = sensors[request.sensor].film()
     (x, y), (width, height) = film.crop_offset(), film.crop_size()
@@ -260,7 +262,7 @@ def _file_names(parsed: Parsed) -> Iterator[tuple[int, str]]:
 
 
 def _missing_files(parsed: Parsed) -> Iterator[str]:
-    folders = [str(folder) for folder in mi.file_resolver()]
+    folders = [str(folder) for folder in mi.file_resolver()][:-1]
     for i, name in _file_names(parsed):
         if not os.path.isfile(_resolved(name)):
             tried = ", ".join([name] if os.path.isabs(name) else [os.path.join(each, name) for each in folders])
@@ -317,8 +319,8 @@ def _placements(parsed: Parsed, loaded: dict[str, Any], number_of: dict[int, int
 
 
 def _matrix(transform: Any) -> list[list[float]]:
-    values = np.array(transform.matrix, np.float64)
-    return values.reshape(4, 4).tolist()  # type: ignore[no-any-return]
+    rows: list[list[float]] = np.array(transform.matrix, np.float64).reshape(4, 4).tolist()
+    return rows
 
 
 def _shape(shape: Any, props: Any) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
@@ -345,7 +347,11 @@ def _shape(shape: Any, props: Any) -> tuple[dict[str, Any], np.ndarray, np.ndarr
     if not record["kind"]:
         record["reason"] = f"{props.plugin_name()} is no shape of the caster"
         return record, *nothing
-    return record | {"matrix": _matrix(mi.traverse(shape)["to_world"]), "flipped": flipped}, *nothing
+    matrix = _matrix(mi.traverse(shape)["to_world"])
+    if record["kind"] == "sphere":  # from its centre to its surface
+        ray = mi.Ray3f([row[3] for row in matrix[:3]], [1.0, 0.0, 0.0])
+        record["radius"] = float(shape.ray_intersect_preliminary(ray).t)
+    return record | {"matrix": matrix, "flipped": flipped}, *nothing
 
 
 def _camera(props: Any) -> dict[str, Any]:

@@ -39,13 +39,7 @@ def answer(request: TraceRequest | OpenRequest) -> TraceResponse | OpenResponse:
     if isinstance(request, TraceRequest):
         return _trace_request(request)
     logger.set_error_level(mi.LogLevel.Error)
-    return file_calls.open_file(request, _sensor_rays, _shapes_hit)
-
-
-def _shapes_hit(scene: Any, request: TraceRequest) -> tuple[np.ndarray, list[str]]:
-    """(numbers of names, -1 on a miss; names) of the shapes that rays hit."""
-    arrays = _traced(scene, request)
-    return arrays["shape"], _names(scene, request, arrays)
+    return file_calls.open_file(request, _sensor_rays, _traced)
 
 
 def _trace_request(request: TraceRequest) -> TraceResponse:
@@ -56,21 +50,16 @@ def _trace_request(request: TraceRequest) -> TraceResponse:
         scene = file_calls.load(OpenRequest(**request.original), request.variant)
     else:
         scene = mi.load_file(str(request.xml), optimize=False)  # optimising merges meshes and loses their ids
-    arrays: dict[str, Any] = _traced(scene, request)
+    arrays, names = _traced(scene, request)
     if request.sensor and scene.sensors():
         number = request.original["sensor"] if request.original else 0
         arrays["sensor"] = _sensor_rays(scene.sensors()[number], request.variant)
     logger.set_error_level(mi.LogLevel.Error)  # a warning about a mesh file is not one about the scene
     meshes = _meshes(request)
     seconds = time.perf_counter() - start
-    names = _names(scene, request, arrays)
+    if not request.original:
+        names = _in_scene_shapes(names, arrays)
     return TraceResponse(names=names, versions=_versions(request), seconds=seconds, **arrays, **meshes)
-
-
-def _names(scene: Any, request: TraceRequest, arrays: dict[str, Any]) -> list[str]:
-    """Names of the shapes that the arrays number."""
-    ids = arrays.pop("ids", None) or [shape.id() for shape in scene.shapes()]
-    return ids if request.original else _in_scene_shapes(ids, arrays)
 
 
 def _in_scene_shapes(ids: list[str], arrays: dict[str, Any]) -> list[str]:
@@ -160,8 +149,8 @@ def _is_vectorised(variant: str) -> bool:
 # ---- hits
 
 
-def _traced(scene: Any, request: TraceRequest) -> dict[str, np.ndarray]:
-    """The arrays of a TraceResponse with one row per ray, which only hits change."""
+def _traced(scene: Any, request: TraceRequest) -> tuple[dict[str, Any], list[str]]:
+    """(the arrays of a TraceResponse with one row per ray, which only hits change; the shapes that they number)."""
     emitters = scene.emitters() if request.lights else None
     if emitters and request.original:
         emitters = sorted(emitters, key=lambda emitter: int(emitter.id()))  # ids are numbers in the file's order
@@ -176,13 +165,13 @@ def _traced(scene: Any, request: TraceRequest) -> dict[str, np.ndarray]:
     columns = dict(found)
     for k in range(sizes["lights"]):
         columns |= {_RGB % k: found["light_rgb"][k], _VISIBLE % k: found["light_visible"][k]}
-    hits = _llvm_hits if _is_vectorised(request.variant) and len(request.o) else _scalar_hits  # LLVM takes no empty arrays
-    for rows, values in hits(scene, emitters, request):
-        if "ids" in values:
-            found["ids"] = values.pop("ids")
+    names = {shape.id(): i for i, shape in enumerate(scene.shapes())}
+    vectorised = _is_vectorised(request.variant) and len(request.o)  # LLVM takes no empty arrays
+    hits = _llvm_hits if vectorised else _scalar_hits
+    for rows, values in hits(scene, emitters, request, names):
         for name, column in values.items():
             columns[name][rows] = column
-    return found
+    return found, list(names)
 
 
 _RGB, _VISIBLE = "light_rgb %d", "light_visible %d"  # of one light
@@ -216,15 +205,12 @@ def _values(scene: Any, emitters: list[Any] | None, pi: Any, si: Any, active: An
 Hits = Iterator[tuple[Any, dict[str, np.ndarray]]]  # rows of rays that hit something, and the values there
 
 
-def _scalar_hits(scene: Any, emitters: list[Any] | None, request: TraceRequest) -> Hits:
-    index = {shape: i for i, shape in enumerate(scene.shapes())}
-    keys: dict[str, int] = {}  # of an original's shapes; in an instance, of the shape of its group
-
+def _scalar_hits(scene: Any, emitters: list[Any] | None, request: TraceRequest, names: dict[str, int]) -> Hits:
     def number(si: Any) -> int:
-        if not request.original:
-            return index[si.instance or si.shape]
-        key = f"{si.instance.id()}/{si.shape.id()}" if si.instance else si.shape.id()
-        return keys.setdefault(key, len(keys))
+        """The shape's number; in an instance of a user's file, that of the shape in its group, which gets a name."""
+        if si.instance and request.original:
+            return names.setdefault(f"{si.instance.id()}/{si.shape.id()}", len(names))
+        return names[(si.instance or si.shape).id()]
 
     make_ray, intersect, flags = mi.Ray3f, scene.ray_intersect_preliminary, int(mi.RayFlags.All)
     for start in range(0, len(request.o), SCALAR_RAYS_PER_CHUNK):
@@ -239,8 +225,6 @@ def _scalar_hits(scene: Any, emitters: list[Any] | None, request: TraceRequest) 
                 rows.append(i)
                 hits.append(_values(scene, emitters, pi, si, True) | {"shape": number(si)})
         yield rows, {name: _array_of([hit[name] for hit in hits]) for name in (hits[0] if hits else ())}
-    if request.original:
-        yield [], {"ids": list(keys)}
 
 
 def _array_of(values: list[Any]) -> np.ndarray:
@@ -250,7 +234,7 @@ def _array_of(values: list[Any]) -> np.ndarray:
     return np.fromiter(chain.from_iterable(values), np.float32).reshape(len(values), -1)
 
 
-def _llvm_hits(scene: Any, emitters: list[Any] | None, request: TraceRequest) -> Hits:
+def _llvm_hits(scene: Any, emitters: list[Any] | None, request: TraceRequest, names: dict[str, int]) -> Hits:
     count = len(request.o)
     o, d = ([mi.Float(np.ascontiguousarray(column)) for column in array.T] for array in (request.o, request.d))
     ray = mi.Ray3f(mi.Point3f(o), mi.Vector3f(d), mi.Float(request.t_max), mi.Float(0.0), mi.Color0f())

@@ -21,7 +21,7 @@ from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.coverage import Coverage
 from mitsuba_ref.reference.messages import Crash, OpenRequest, OpenResponse
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request
-from mitsuba_ref.reference.originals import MitsubaScene, Original
+from mitsuba_ref.reference.originals import MitsubaScene, Original, original_of
 from mitsuba_ref.reference.store import key_of
 
 SUFFIX = ".xml"
@@ -30,7 +30,7 @@ SUFFIX = ".xml"
 MAX_TRIANGLES = 10_000_000
 
 
-class NothingToJudge(SceneError):
+class NothingToJudgeError(SceneError):
     """A file has no shape that can be judged."""
 
     exit_code = NOTHING_SELECTED
@@ -39,10 +39,13 @@ class NothingToJudge(SceneError):
 class Opening(NamedTuple):
     """How a Mitsuba file is opened."""
 
-    parameters: Mapping[str, str] = {}  # values of $names
+    parameters: Mapping[str, str]  # values of $names
     sensor: int = 0
     strict: bool = False  # fail what is judged in part
     robust: bool = True  # Embree's robust mode, whatever the file says
+
+
+AS_IT_IS = Opening({})
 
 
 def is_original(path: str) -> bool:
@@ -51,11 +54,11 @@ def is_original(path: str) -> bool:
 
 
 def open_scene(
-    path: str, opening: Opening = Opening(), *, size: Sequence[int] | None = None, mesh_dirs: Iterable[str] = ()
+    path: str, opening: Opening = AS_IT_IS, *, size: Sequence[int] | None = None, mesh_dirs: Iterable[str] = ()
 ) -> MitsubaScene:
     """Open a Mitsuba file: a scene whose reference is that file. size: of the film, in place of its own.
 
-    Raises FileMissing, SceneError with Mitsuba's message where it refuses the file, NothingToJudge without shapes.
+    Raises FileMissing, SceneError with Mitsuba's message where it refuses the file, NothingToJudgeError without shapes.
     """
     read_input(path, "Mitsuba scene file")  # raises FileMissing
     if size is not None:
@@ -87,6 +90,7 @@ def _refusal(crash: Crash) -> str:
 def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -> MitsubaScene:
     shapes: list[Any] = []
     keys: list[str] = []
+    conditions: list[float] = []
     names: set[str] = set()
     left_out: list[str] = []
     materials: dict[str, Any] = {}
@@ -94,49 +98,54 @@ def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -
     parts = list(_parts(found))
     for key, number, label, matrix in found.placed:
         record = found.shapes[number]
-        triangles += record["faces"]
         name = _distinct(label, f"{record['plugin']}-{key.replace('/', '-')}", names)
-        too_many = f"{MAX_TRIANGLES:,} triangles are the most that a scene may have" if triangles > MAX_TRIANGLES else ""
-        made, reason = (None, record["reason"] or too_many) if record["reason"] or too_many else _shape(record, parts[number], matrix)
+        made, reason = _shape(record, parts[number], matrix)
+        if triangles + record["faces"] > MAX_TRIANGLES:
+            made, reason = None, f"{MAX_TRIANGLES:,} triangles are the most that a scene may have"
         if made is None:
-            triangles -= record["faces"]
             left_out.append(f"{record['plugin']} {name!r} at {record['place']}: {reason}")
             continue
+        triangles += record["faces"]
         names.add(name)
         keys.append(key)
-        more = {"name": name}
+        conditions.append(0.0 if matrix is None else _condition(np.array(matrix)[:3, :3]))
+        material = {}
         if record["material"] is not None:
-            more["material"] = record["material_name"]
+            material = {"material": record["material_name"]}
             materials[record["material_name"]] = record["material"]
-        shapes.append(made[0](**made[1], **more))
+        kind, fields = made
+        shapes.append(kind(**fields, **material, name=name))
     if not shapes:
         reasons = "".join(f"\n  {each}" for each in left_out)
-        raise NothingToJudge(f"{path}: none of its {len(found.placed)} shapes can be judged{reasons}")
+        there = f"none of its {len(found.placed)} shapes can be judged" if found.placed else "it has no shape"
+        raise NothingToJudgeError(f"{path}: {there}{reasons}")
     x0, y0, x1, y1 = found.crop
     whole = (x0, y0, x1, y1) == (0, 0, *found.size)
     film = Film(width=found.size[0], height=found.size[1], crop=None if whole else (x0, y0, x1, y1))
     camera, notes = camera_of(found.camera, found.size)
     o, d = found.rays[0, :3].tolist(), found.rays[0, 3:6].tolist()
     unlit = tuple(found.unlit) or (() if found.lights else ("the file has no light",))
-    hidden = (f"{len(left_out)} shapes are left out, whose shadows are missing",) if left_out else ()
-    coverage = Coverage(
-        len(found.placed), len(shapes), tuple(left_out), found.hidden, (*unlit, *hidden), dict(found.dropped), notes, strict
-    )
+    if left_out:
+        unlit = (*unlit, f"the shadows of the {len(left_out)} shapes that are left out are missing")
+    covered = len(found.placed), len(shapes), tuple(left_out), found.hidden, unlit, dict(found.dropped), notes, strict
     view = {"type": "pinhole", "eye": o, "direction": d, "up": _across(d)}  # for whatever needs some camera
-    scene = MitsubaScene(film=film, camera=camera or view, lights=tuple(found.lights), materials=materials, shapes=shapes)
+    lights = tuple(found.lights)
+    scene = MitsubaScene(film=film, camera=camera or view, lights=lights, materials=materials, shapes=shapes)
     start = np.zeros(len(found.rays))
-    if camera:
-        eye = np.array(scene.camera.eye)
-        start = row_lengths(found.rays[:, :3].astype(float) - eye) if camera["type"] == "pinhole" else start + camera["near"]
-    scene._original = Original(
-        request, found.variant, film, found.rays, start, tuple(keys), camera is not None, coverage
-    )
+    if camera and camera["type"] == "pinhole":
+        start = row_lengths(found.rays[:, :3].astype(float) - np.array(scene.camera.eye))
+    elif camera:
+        start += camera["near"]
+    named = tuple(keys), np.array(conditions)
+    coverage = Coverage(*covered)
+    scene._original = Original(request, found.variant, film, found.rays, start, *named, camera is not None, coverage)
     return scene
 
 
-def _across(d: Sequence[float]) -> list[float]:
+def _across(d: Sequence[float]) -> Sequence[float]:
     """A direction that is not parallel to d."""
-    return np.eye(3)[int(np.argmin(np.abs(d)))].tolist()  # type: ignore[no-any-return]
+    rows: list[list[float]] = np.eye(3).tolist()
+    return rows[int(np.argmin(np.abs(d)))]
 
 
 def _distinct(label: str, otherwise: str, taken: set[str]) -> str:
@@ -156,13 +165,16 @@ def _parts(found: OpenResponse) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         v, f = v + record["vertices"], f + record["faces"]
 
 
+# The columns of a sphere's matrix have equal lengths up to float32 rounding.
+UNIFORM_SCALE_RTOL = 8 * 2.0**-24
+
 Made = tuple[type[Any], dict[str, Any]]  # a shape class and its fields
 
 
-def _shape(
-    record: Mapping[str, Any], part: tuple[np.ndarray, np.ndarray], instance: Any
-) -> tuple[Made | None, str]:
+def _shape(record: Mapping[str, Any], part: tuple[np.ndarray, np.ndarray], instance: Any) -> tuple[Made | None, str]:
     """(class and fields of a shape, or None; why there is none). instance: its 4 x 4 matrix, or None."""
+    if record["reason"]:
+        return None, record["reason"]
     outer = np.eye(4) if instance is None else np.array(instance)
     if record["kind"] == "mesh":
         vertices, faces = part[0].astype(np.float64), part[1]
@@ -181,10 +193,12 @@ def _shape(
         return (Mesh, fields | _placed(outer)), ""
     matrix = np.array(record["matrix"])
     if record["kind"] == "sphere":
-        if record["flipped"]:
+        if record["flipped"] != is_mirrored(matrix):
             return None, "flip_normals: normals of a sphere point outwards"
-        turn, size, turn_back = np.linalg.svd(matrix[:3, :3])
-        matrix[:3, :3] = float(size.mean()) * (turn @ turn_back)  # uniform beyond the rounding to float32
+        turn, sizes, turn_back = np.linalg.svd(matrix[:3, :3])
+        if np.ptp(sizes) > UNIFORM_SCALE_RTOL * sizes[0]:
+            return None, "its matrix scales it non-uniformly, which Mitsuba's sphere does not follow"
+        matrix[:3, :3] = record["radius"] * (turn @ turn_back)
         return (Sphere, _placed(outer @ matrix)), ""
     if record["kind"] == "cylinder":
         if record["flipped"]:
@@ -192,6 +206,12 @@ def _shape(
         return (Cylinder, _placed(outer @ matrix)), ""
     side = np.diag([1.0, 1.0, -1.0 if record["flipped"] else 1.0, 1.0])
     return (Disk, _placed(outer @ matrix @ side)), ""
+
+
+def _condition(linear: np.ndarray) -> float:
+    """Condition number of an instance's matrix in the largest component, rounded up to a power of two."""
+    grown = np.abs(linear) @ np.abs(np.linalg.inv(linear))
+    return float(2.0 ** np.ceil(np.log2(grown.sum(axis=1).max())))
 
 
 def _placed(matrix: np.ndarray) -> dict[str, Any]:
@@ -222,9 +242,16 @@ def camera_of(about: Mapping[str, Any], size: Sequence[int]) -> tuple[dict[str, 
     if plugin == "orthographic":
         across, above, along = row_lengths(matrix[:3, :3].T)
         if abs(above - across) > SQUARE_PIXEL_RTOL * across:
-            return None, (f"pixels of the sensor are {above / across:g} times as high as wide: its rays are Mitsuba's",)
+            ratio = above / across
+            return None, (f"pixels of the sensor are {ratio:g} times as high as wide: its rays are Mitsuba's",)
         start = near * float(along)  # the scale along the view does not apply to the distance of the clip planes
-        return {"type": "orthographic", **pose, "width": 2.0 * float(across), "near": start, "far": start + far - near}, ()
+        return {
+            "type": "orthographic",
+            **pose,
+            "width": 2.0 * float(across),
+            "near": start,
+            "far": start + far - near,
+        }, ()
     camera = {"type": "pinhole", **pose, "near": near, "far": far, **_field_of_view(about)}
     shift = [about.get(f"principal_point_offset_{axis}", 0.0) for axis in "xy"]
     camera |= {"principal_point": shift} if any(shift) else {}
@@ -252,10 +279,15 @@ def import_xml(path: str, parameters: Mapping[str, str] = {}, mesh_dirs: Iterabl
     """Import a Mitsuba file, as Mitsuba loads it, into a scene of its own. parameters: values of $names.
 
     Raises FileMissing for files that cannot be read, SceneError where Mitsuba refuses the file or the caster has no
-    camera like its sensor, NothingToJudge where no shape can be imported.
+    camera like its sensor, NothingToJudgeError where no shape can be imported.
     """
-    opened = open_scene(path, Opening(parameters), mesh_dirs=mesh_dirs)
-    original = opened._original
+    return imported(path, Opening(parameters), None, mesh_dirs)
+
+
+def imported(path: str, opening: Opening, size: Sequence[int] | None, mesh_dirs: Iterable[str]) -> ImportedScene:
+    """As import_xml. size: of the film, in place of its own."""
+    opened = open_scene(path, opening, size=size, mesh_dirs=mesh_dirs)
+    original = original_of(opened)
     assert original is not None
     if not original.has_camera:
         raise SceneError(f"{path}: {original.coverage.notes[0]}; a scene of its own needs perspective or orthographic")

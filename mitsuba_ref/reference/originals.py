@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from pydantic import PrivateAttr
 
+from caster.description.errors import SceneError
 from caster.scene.model import Film, Scene
 from mitsuba_ref.reference.coverage import Coverage
 from mitsuba_ref.reference.messages import OpenRequest
@@ -22,6 +23,7 @@ class Original:
     rays: np.ndarray  # (pixels, 7) float32: the sensor's o, d, t_max, row by row
     start: np.ndarray  # (pixels,) float64, distance from the eye to o; 0 where the caster has no such camera
     keys: tuple[str, ...]  # by which Mitsuba's answers name the scene's shapes
+    condition: np.ndarray  # (shapes,) as in error_model.scene_model.InstancedModel
     has_camera: bool  # whether the scene's camera is that sensor
     coverage: Coverage
 
@@ -29,8 +31,9 @@ class Original:
         """(n,) numbers of the rays in the window of a film of the same size."""
         x0, y0, x1, y1 = self.film.window
         a0, b0, a1, b1 = film.window
-        if (film.width, film.height) != (self.film.width, self.film.height) or (a0 < x0 or b0 < y0 or a1 > x1 or b1 > y1):
-            raise ValueError(f"the file was opened with a window {self.film.window}, expected one around {film.window}")
+        size = self.film.width, self.film.height
+        if (film.width, film.height) != size or a0 < x0 or b0 < y0 or a1 > x1 or b1 > y1:
+            raise SceneError(f"film: expected a window of {self.film.window} of {size}, as the file was opened")
         y, x = np.meshgrid(np.arange(b0, b1) - y0, np.arange(a0, a1) - x0, indexing="ij")
         return (y * (x1 - x0) + x).ravel()
 

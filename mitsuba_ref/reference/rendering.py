@@ -1,7 +1,7 @@
 """Trace the shared rays with Mitsuba; name its outputs like the caster's AOVs."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -81,14 +81,15 @@ def trace_reference(
     """
     original = original_of(scene)
     with ScratchFolder() as folder:
-        arrays = variant or variant_of(scene), rays.o, rays.d, rays.t_max
-        if original:
-            about = {"sensor": original.has_camera, "strict": False, "original": vars(original.request)}
-            lit = lights and not original.coverage.unlit
-            request = TraceRequest(Path(original.request.file), *arrays, lights=lit, **about)
+        xml = Path(original.request.file) if original else export(scene, model).write(Path(folder))
+        request = TraceRequest(
+            xml, variant or variant_of(scene), rays.o, rays.d, rays.t_max, lights=lights, sensor=True
+        )
+        if original:  # loaded again, as the user wrote it
+            lit, about = lights and not original.coverage.unlit, vars(original.request)
+            request = replace(request, original=about, strict=False, lights=lit, sensor=original.has_camera)
         else:
-            xml = export(scene, model).write(Path(folder))
-            request = TraceRequest(xml, *arrays, lights=lights, sensor=True, mesh_files=tuple(mesh_files))
+            request = replace(request, mesh_files=tuple(mesh_files))
         answer = send(request, timeout)
     if isinstance(answer, Crash):
         return answer

@@ -15,7 +15,7 @@ from caster.scene.model import Diffuse, Scene
 from caster.system.atomic_files import check_folder, write_bytes, write_text
 from mitsuba_ref.cameras import ClipRange, reference_of_camera
 from mitsuba_ref.error_model.intersections import ceil_log2
-from mitsuba_ref.error_model.scene_model import SceneModel
+from mitsuba_ref.error_model.scene_model import InstancedModel, SceneModel
 from mitsuba_ref.reference.originals import original_of
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement, format_floats
 from mitsuba_ref.shapes import kind_of, reference_of
@@ -126,7 +126,13 @@ def model_of(scene: Scene, packed: Packed, rays: SharedRays) -> SceneModel:
     parts = tuple(reference.stand_in(part, o, d) for reference, part in zip(references, packed.parts, strict=True))
     members = [np.flatnonzero(packed.kind_of == place) for place in range(len(packed.kinds))]
     kinds = tuple(concatenate_parts([parts[s] for s in shapes]) for shapes in members)
-    return replace(own_model(packed), parts=parts, kinds=kinds)
+    model = replace(own_model(packed), parts=parts, kinds=kinds)
+    if original := original_of(scene):
+        models = tuple(
+            each._replace(uv=each.uv._replace(reference=each.uv.loaded or each.uv.reference)) for each in model.models
+        )
+        return InstancedModel(packed, parts, kinds, models, original.condition)
+    return model
 
 
 def described_model(scene: Scene) -> SceneModel | None:

@@ -178,9 +178,10 @@ def add_case(suite: XmlElement, scene: SceneVerdict) -> None:
         SubElement(case, tag, kind).text = text
     counts = " ".join(f"{name}={scene.counts[name]}" for name in CLASSES)
     judged = f"candidate={scene.candidate} " if scene.candidate else ""
+    covered = f"{scene.coverage.brief} " if scene.coverage and scene.coverage.partial else ""
     kept = "kept from an earlier run, not judged now; " if scene.kept else ""
     SubElement(case, "system-out").text = printable(
-        f"{kept}{judged}hit={scene.hit_pixels} {counts} adjudicated={scene.adjudicated} cases={scene.cases} "
+        f"{kept}{judged}{covered}hit={scene.hit_pixels} {counts} adjudicated={scene.adjudicated} cases={scene.cases} "
         f"{scene.versions}{' (answered in an earlier run)' if scene.reference_stored else ''}"
     )
 

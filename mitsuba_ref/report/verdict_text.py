@@ -54,7 +54,9 @@ def row_cells(scene: SceneVerdict) -> tuple[str, ...]:
     check, ratio = scene.worst
     worst = f"{ratio:.2f}" if check and scene.counts[AGREE] else "-"
     seconds = "kept" if scene.kept else f"{scene.seconds:.1f}"
-    others = ", ".join(f"{count} {name}" for name, count in spoken_counts(scene).items() if name != AGREE)
+    classes = [f"{count} {name}" for name, count in spoken_counts(scene).items() if name != AGREE]
+    covered = [scene.coverage.brief] if scene.coverage and scene.coverage.partial else []
+    others = ", ".join([*covered, *classes])
     return str(scene.hit_pixels), str(scene.counts[AGREE]), worst, seconds, others
 
 
@@ -181,6 +183,7 @@ def summary_lines(verdict: Verdict) -> Iterator[str]:
     yield from (f"reference:  {versions}" for versions in verdict.versions)
 
 
+MAX_COVERAGE_LINES = 6  # of one scene
 WAIVER_WORDS = {UNSUPPORTED: "declined by the candidate", EXPECTED: "known failures"}
 
 
@@ -277,6 +280,11 @@ def _note_lines(verdict: Verdict) -> Iterator[str]:
     if verdict.shard:
         yield f"shard:      {verdict.shard}, {verdict.scene_count} of {len(verdict.selected)} scenes"
     for scene in scenes:
+        if scene.coverage and scene.ok and not scene.candidate:
+            lines = scene.coverage.lines()
+            yield from (f"note:       {scene.name}: {line}" for line in lines[:MAX_COVERAGE_LINES])
+            if len(lines) > MAX_COVERAGE_LINES:
+                yield f"note:       {scene.name}: and {len(lines) - MAX_COVERAGE_LINES} more (verdict.json has all)"
         if scene.allowed:
             allowed = ", ".join(f"{share:g} of the bound of {name}" for name, share in scene.allowed.items())
             yield f"note:       {scene.name} allows {allowed}"

@@ -28,7 +28,7 @@ from mitsuba_ref.judge.aggregate import scene_statistics
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request, send_stored
-from mitsuba_ref.reference.original_files import Opening, is_original, open_scene
+from mitsuba_ref.reference.original_files import AS_IT_IS, Opening, is_original, open_scene
 from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.reference.store import StoreFolder, local_store
 from mitsuba_ref.report.out_folder import file_records, files_of
@@ -52,13 +52,13 @@ class SceneEntry:
     path: str
     size: tuple[int, int] | None = None  # of the film in place of the scene's own; a replay repeats it
     mesh_dirs: tuple[str, ...] = ()
-    opening: Opening = Opening()  # of a Mitsuba file
     options: tuple[str, ...] = ()  # all others that a replay repeats
     given: Scene | None = None  # in place of the file
     subject: Subject | None = None  # of this entry alone: answers that were computed beforehand
     rays: SharedRays | None = None  # of a list, which the film is filled with
     ray_range: tuple[int, int] = (0, 0)  # first and end of them in their list
     command: str = "validate"  # that judges it
+    opening: Opening = AS_IT_IS  # of a Mitsuba file
 
     @cached_property
     def pixels(self) -> int:

@@ -20,14 +20,7 @@ from mitsuba_ref.error_model.intersections import ErrorModel, UvSpace, by_matrix
 from mitsuba_ref.error_model.tolerances import U32
 from mitsuba_ref.oracle.exact_quadrics import CYLINDERS as EXACT_CYLINDERS
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
-from mitsuba_ref.shapes.shape_reference import (
-    Fields,
-    PrimitiveReference,
-    ShapeReference,
-    XmlShape,
-    describe_unit_shape,
-    to_world_fields,
-)
+from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference, describe_unit_shape
 from mitsuba_ref.shapes.surface_errors import intersect_round, on_circle, ours_through_object_space
 from mitsuba_ref.shapes.targets import (
     BESIDE_DECADES,
@@ -124,14 +117,6 @@ def view_cylinder(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) ->
     return DefectView(axis_angle=float(sine), stretch=float(np.linalg.norm(prims.to_object[k] @ d)))
 
 
-def import_cylinder(xml: XmlShape) -> Fields:
-    ends = xml.vector("p0", (0.0, 0.0, 0.0)), xml.vector("p1", (0.0, 0.0, 1.0))
-    radius = xml.number("radius", 1.0)
-    if xml.boolean("flip_normals"):
-        xml.note("its normal, which points inwards: normals point outwards here")
-    return {"type": "cylinder", "p0": ends[0], "p1": ends[1], "radius": radius} | to_world_fields(xml)
-
-
 TANGENT = KnownDefect(
     55, "a cylinder that a ray touches along its wall, exactly", 6, "missed", lambda m: "tangent" in m.where
 )
@@ -164,5 +149,4 @@ REFERENCE = ShapeReference(
     random_fields,
     groups=frozenset({"quadric", "small"}),
     analytic=True,
-    importers={"cylinder": import_cylinder},
 )

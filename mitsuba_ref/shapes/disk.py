@@ -29,15 +29,7 @@ from mitsuba_ref.error_model.intersections import (
 )
 from mitsuba_ref.oracle.exact_planar import DISKS as EXACT_DISKS
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
-from mitsuba_ref.shapes.shape_reference import (
-    MIRROR_Z,
-    Fields,
-    PrimitiveReference,
-    ShapeReference,
-    XmlShape,
-    describe_unit_shape,
-    unit_shape_importer,
-)
+from mitsuba_ref.shapes.shape_reference import PrimitiveReference, ShapeReference, describe_unit_shape
 from mitsuba_ref.shapes.surface_errors import (
     TURN,
     UNRESOLVABLE,
@@ -118,12 +110,6 @@ def view_disk(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> Def
     return DefectView(cosine=abs_cosine(prims.to_object[k][2], d))
 
 
-def import_disk(xml: XmlShape) -> Fields:
-    if xml.boolean("flip_normals"):
-        return {"type": "disk", "to_world": [MIRROR_Z, *xml.steps]}
-    return unit_shape_importer("disk")(xml)
-
-
 RIM = KnownDefect(45, "a ray through the rim of a disk, exactly", 8, "missed", lambda m: "rim" in m.where)
 FAR_FROM_ORIGIN = KnownDefect(
     47, "a disk far from the origin", 21, "either", lambda m: m.offset > FAR_IN_SIZES and m.nearly
@@ -140,11 +126,5 @@ DISKS = PrimitiveReference(
     defect_view=view_disk,
 )
 REFERENCE = ShapeReference(
-    Disk,
-    to_xml,
-    (DISKS,),
-    expected_disk,
-    groups=frozenset({"quadric", "flat", "small"}),
-    analytic=True,
-    importers={"disk": import_disk},
+    Disk, to_xml, (DISKS,), expected_disk, groups=frozenset({"quadric", "flat", "small"}), analytic=True
 )

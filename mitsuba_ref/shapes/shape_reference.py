@@ -1,75 +1,25 @@
 """Declarations of shapes and primitive kinds for the judge (docs/internals/adding-a-shape.md).
 
 A shape is described by a scene file (`type = "disk"`); a primitive kind is the NamedTuple of arrays that shapes pack to
-(`Disks`). caster declares both in caster/shapes/<kind>.py. The judge, the fuzzer, reports and the importer need more:
+(`Disks`). caster declares both in caster/shapes/<kind>.py. The judge, the fuzzer and reports need more:
 one `ShapeReference` for each shape and one `PrimitiveReference` for each kind, registered in
 mitsuba_ref/shapes/__init__.py.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from caster.description.fields import Shape
-from caster.description.transform import dot_rows, is_mirrored
+from caster.description.transform import dot_rows
 from mitsuba_ref.error_model.defect_conditions import DefectView, KnownDefect
 from mitsuba_ref.error_model.independent_transform import ExpectedPacking
 from mitsuba_ref.error_model.intersections import ErrorModel, GroupKey, single_group
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes.targets import Rng, SurfacePoints
-
-MIRROR_Z = {"scale": [1.0, 1.0, -1.0]}
-
-
-class XmlShape(Protocol):
-    """A <shape> to import, with the transforms of the instance that contains it."""
-
-    instanced: bool  # whether it is part of an instance
-    steps: list[dict[str, Any]]  # of its to_world: its own and the instance's
-
-    @property
-    def matrix(self) -> np.ndarray | None:
-        """4x4 product of the steps; None if they are invalid, which validation of the scene reports."""
-
-    def number(self, name: str, default: float) -> float: ...
-    def vector(self, name: str, default: tuple[float, ...]) -> list[float]: ...
-    def boolean(self, name: str) -> bool: ...
-    def text(self, name: str) -> str: ...
-
-    def required_text(self, name: str) -> str:
-        """A required text; "" and an error of the import if it is missing."""
-
-    def note(self, text: str) -> None:
-        """Report a property that is lost."""
-
-
-ImportShape = Callable[[XmlShape], dict[str, Any]]
-
-
-def to_world_fields(xml: XmlShape) -> dict[str, Any]:
-    return {"to_world": xml.steps} if xml.steps else {}
-
-
-def unit_shape_importer(type_name: str) -> ImportShape:
-    """Importer of a unit shape that is the same on both sides."""
-
-    def import_unit_shape(xml: XmlShape) -> dict[str, Any]:
-        note_normal_side(xml, xml.boolean("flip_normals"))
-        return {"type": type_name} | to_world_fields(xml)
-
-    return import_unit_shape
-
-
-def note_normal_side(xml: XmlShape, flipped: bool) -> None:
-    matrix = xml.matrix
-    if flipped:
-        xml.note("flip_normals: the normal is not flipped here")
-    elif matrix is not None and is_mirrored(matrix):
-        xml.note("the side of its normal: Mitsuba's mirrored geometric and shading normals point to different sides")
-
 
 Fields = dict[str, Any]  # of a shape, as a scene file gives them
 
@@ -144,7 +94,7 @@ class PrimitiveReference:
 
 @dataclass(frozen=True)
 class ShapeReference:
-    """A shape: its XML, the packed numbers expected of it, random instances, importers."""
+    """A shape: its XML, the packed numbers expected of it, random instances."""
 
     describes: type[Shape]
 
@@ -169,9 +119,6 @@ class ShapeReference:
     # (float32 arrays, rays o, d) -> stand-in that Mitsuba traces if it lacks the shape, and a remark about it
     stand_in: Callable[[Any, np.ndarray, np.ndarray], Any] = as_packed
     stand_in_note: str = ""
-
-    # name of a Mitsuba plugin -> importer of its <shape>
-    importers: Mapping[str, ImportShape] = field(default_factory=dict)
 
     @property
     def type_name(self) -> str:

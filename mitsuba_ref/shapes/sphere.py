@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from caster.description.transform import is_mirrored, row_lengths, transform_points
 from caster.geometry.mesh_files import load_points
 from caster.shapes.sphere import Ellipsoids, Sphere, SphereCloud, Spheres
 from caster.system.atomic_files import write_bytes
@@ -32,14 +31,7 @@ from mitsuba_ref.error_model.tolerances import SIMILARITY_ROUNDINGS, TRANSFORM_R
 from mitsuba_ref.oracle.exact_quadrics import ELLIPSOIDS as EXACT_ELLIPSOIDS
 from mitsuba_ref.oracle.exact_quadrics import SPHERES as EXACT_SPHERES
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
-from mitsuba_ref.shapes.shape_reference import (
-    Fields,
-    PrimitiveReference,
-    ShapeReference,
-    XmlShape,
-    describe_unit_shape,
-    to_world_fields,
-)
+from mitsuba_ref.shapes.shape_reference import Fields, PrimitiveReference, ShapeReference, describe_unit_shape
 from mitsuba_ref.shapes.surface_errors import (
     SPHERE_UV,
     half_chord_error,
@@ -99,6 +91,7 @@ def reference_uv_points(prims: Spheres, k: np.ndarray, uv: np.ndarray) -> np.nda
     return mat_vec_rows(prims.turn[k], sphere_uv_points(prims, k, uv, whole_turn=True))
 
 
+SPHERES_UV = UvSpace(sphere_uv_points, reference_uv_points, partial(sphere_uv_points, whole_turn=True))
 intersect_ellipsoid = partial(intersect_round, ends=False)
 
 
@@ -186,29 +179,6 @@ def numbers_of_sphere(part: Spheres, k: int) -> list[np.ndarray]:
     return [part.center[k], part.radius[k]]
 
 
-# The columns of a sphere's matrix have equal lengths up to float32 rounding.
-UNIFORM_SCALE_RTOL = 8 * 2.0**-24
-
-
-def import_sphere(xml: XmlShape) -> Fields:
-    """A sphere. Mitsuba applies its matrix to centre and radius only, unless an instance scales it non-uniformly."""
-    center, radius = xml.vector("center", (0.0, 0.0, 0.0)), xml.number("radius", 1.0)
-    inward = xml.boolean("flip_normals") != (radius < 0.0)
-    matrix = xml.matrix
-    if matrix is not None and not xml.instanced:  # an instance keeps the orientation of the normal
-        inward ^= is_mirrored(matrix)
-    if inward:
-        xml.note("its normal, which points inwards: normals point outwards here")
-    shape = {"type": "sphere", "center": center, "radius": abs(radius)}
-    if matrix is None or xml.instanced:
-        return shape | to_world_fields(xml)
-    sizes = row_lengths(matrix[:3, :3].T)
-    if np.ptp(sizes) > UNIFORM_SCALE_RTOL * sizes.max():
-        xml.note("the non-uniform scale, which Mitsuba ignores as well: the radius is that along x")
-    center = transform_points(matrix, np.array([center]))[0]
-    return {"type": "sphere", "center": center.tolist(), "radius": float(abs(radius) * sizes[0])}
-
-
 TANGENT = KnownDefect(
     4,
     "a sphere that a ray touches in one point, exactly: Mitsuba misses it",
@@ -230,7 +200,7 @@ DEFECTS = (STARTS_ON_CURVED, TANGENT, SMALL_AND_FAR, FAR_FROM_ORIGIN)
 
 SPHERES = PrimitiveReference(
     Spheres,
-    ErrorModel(intersect, EXACT_SPHERES, uv=UvSpace(sphere_uv_points, reference_uv_points)),
+    ErrorModel(intersect, EXACT_SPHERES, uv=SPHERES_UV),
     describe_sphere,
     on_spheres,
     describe_all=describe_spheres,
@@ -266,5 +236,4 @@ REFERENCE = ShapeReference(
     random_fields,
     groups=frozenset({"quadric", "small"}),
     analytic=True,
-    importers={"sphere": import_sphere},
 )

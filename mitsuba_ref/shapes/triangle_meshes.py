@@ -5,7 +5,7 @@ rectangles and cubes: Mitsuba's own take shading normals from the matrix, ours f
 differ far from the origin; and if mirrored, geometric normals of Mitsuba's own point inwards.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from fractions import Fraction
 from typing import Any
 
@@ -45,14 +45,9 @@ from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
 from mitsuba_ref.shapes.shape_reference import (
     Fields,
-    ImportShape,
     PrimitiveReference,
     ShapeReference,
-    XmlShape,
     no_fields,
-    note_normal_side,
-    to_world_fields,
-    unit_shape_importer,
     unit_vector_rounding_to,
 )
 from mitsuba_ref.shapes.surface_errors import MODEL
@@ -285,39 +280,22 @@ def random_teapot(rng: Rng, lattice: bool) -> Fields:
     return {"subdivisions": 1, "face_normals": coin_flip(rng)}
 
 
-def import_mesh(xml: XmlShape) -> Fields:
-    shape: Fields = {"type": "mesh", "file": xml.required_text("filename")}
-    if xml.boolean("face_normals"):
-        shape["face_normals"] = True
-    note_normal_side(xml, xml.boolean("flip_normals"))
-    return shape | to_world_fields(xml)
-
-
 def triangle_mesh_reference(
     describes: type[Shape],
     random_fields: Callable[[Rng, bool], Fields] = no_fields,
     expected: ExpectedPacking = expected_mesh,
     groups: frozenset[str] = frozenset({"mesh"}),
-    importers: Mapping[str, ImportShape] | None = None,
 ) -> ShapeReference:
     """Reference of a shape of triangles that Mitsuba reads from a PLY file."""
-    return ShapeReference(
-        describes, mesh_to_xml, (TRIANGLES,), expected, random_fields, groups, importers=importers or {}
-    )
+    return ShapeReference(describes, mesh_to_xml, (TRIANGLES,), expected, random_fields, groups)
 
 
 FLAT_AND_SMALL = frozenset({"flat", "small"})
 
 TRIANGLE = triangle_mesh_reference(Triangle, random_triangle, expected_triangle, FLAT_AND_SMALL)
-MESH = triangle_mesh_reference(
-    Mesh, random_mesh, expected_file_or_arrays, importers={"obj": import_mesh, "ply": import_mesh}
-)
-RECTANGLE = triangle_mesh_reference(
-    Rectangle, groups=FLAT_AND_SMALL, importers={"rectangle": unit_shape_importer("rectangle")}
-)
-CUBE = triangle_mesh_reference(
-    Cube, groups=frozenset({"flat", "mesh"}), importers={"cube": unit_shape_importer("cube")}
-)
+MESH = triangle_mesh_reference(Mesh, random_mesh, expected_file_or_arrays)
+RECTANGLE = triangle_mesh_reference(Rectangle, groups=FLAT_AND_SMALL)
+CUBE = triangle_mesh_reference(Cube, groups=frozenset({"flat", "mesh"}))
 ICOSPHERE = triangle_mesh_reference(Icosphere, random_icosphere)
 TORUS = triangle_mesh_reference(Torus, random_torus)
 HEIGHTFIELD = triangle_mesh_reference(Heightfield, random_heightfield)

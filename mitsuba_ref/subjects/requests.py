@@ -12,6 +12,7 @@ from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.cameras.camera_reference import clip_planes
 from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
+from mitsuba_ref.reference.originals import original_of
 from mitsuba_ref.reference.shared_input import (
     SharedRays,
     clip_range,
@@ -66,6 +67,9 @@ def request_answer(
     """
     packed = packed_float32(scene)
     scene, ends = with_far_plane(scene, packed) if subject.reads_xml else (scene, ())
+    original = original_of(scene)
+    if original and original.coverage.partial and rays is not None:
+        raise SceneError(f"a list of rays needs every shape: {original.coverage.brief} of the Mitsuba file are judged")
     rays = shared_rays(scene) if rays is None else rays
     model = model_of(scene, packed, rays if whole is None else whole)
     with ScratchFolder() as folder:

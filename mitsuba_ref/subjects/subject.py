@@ -315,9 +315,9 @@ class OurCaster(Subject):
 
     def answer(self, request: CastRequest) -> Answer:
         """Cast the request's rays."""
-        original, names = original_of(request.scene), (*COMPARED_AOVS, *DERIVED_AOVS)
+        original, names = original_of(request.scene), [*COMPARED_AOVS, *DERIVED_AOVS]
         if original and original.coverage.unlit:
-            names = tuple(name for name in names if name != "diffuse")
+            names.remove("diffuse")
         return answer_of_view(request.scene, cast_ours(request.scene, request.rays), names)
 
 

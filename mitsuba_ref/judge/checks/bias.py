@@ -47,14 +47,19 @@ class PixelErrors(NamedTuple):
 
 
 @without_float_warnings
-def pixel_errors(packed: Packed, pair: ImagePair, bounds: Bounds) -> PixelErrors:
-    """Errors from both sides' answers and the reference's bounds alone, without float64 bounds or exact answers."""
+def pixel_errors(packed: Packed, pair: ImagePair, bounds: Bounds, shared: np.ndarray | None = None) -> PixelErrors:
+    """Errors from both sides' answers and the reference's bounds alone, without float64 bounds or exact answers.
+
+    shared: (shapes,) bool, of instances in a Mitsuba file: the rounding of a matrix is shared by all their hits.
+    """
     error = pair.result.t - pair.t
     share = np.where(error == 0.0, 0.0, error / bounds.at.t_error)
     turned = row_distance(aov_rows(pair.subject, "normal"), aov_rows(pair.reference, "normal")) / bounds.at.n_error
     same = aov_rows(pair.subject, "shape_id") == aov_rows(pair.reference, "shape_id")
     near = (np.abs(share) <= 1.0) & np.isfinite(bounds.at.t_error)
     hit = (pair.prim >= 0) & pair.result.hit & near
+    if shared is not None:
+        hit[hit] = ~shared[packed.shape_of(pair.prim[hit])]
     rows = np.flatnonzero(hit & same & (turned <= 1.0))
     tied = np.flatnonzero(hit & ~same)
     kinds = _errors_of_kinds(packed, pair, bounds, share, rows, tied)
