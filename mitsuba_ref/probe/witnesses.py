@@ -17,9 +17,9 @@ from mitsuba_ref.judge.classification import Judge
 from mitsuba_ref.judge.explanations import decimal_and_hex
 from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.reference import variants
-from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
+from mitsuba_ref.reference.messages import Crash, TraceResponse
 from mitsuba_ref.reference.mitsuba_process import send_request
-from mitsuba_ref.reference.shared_input import export, shape_ids
+from mitsuba_ref.reference.rendering import reference_names, trace_request
 
 CANDIDATE, EXACT = "candidate", "exact"
 WIDEST_NAME = 27  # characters, of Mitsuba's LLVM variant with its default mode
@@ -60,17 +60,15 @@ def mitsuba_answers(judge: Judge) -> list[tuple[str, TraceResponse | Crash | str
     """Answers by variant with its mode, the judge's own among them; each variant runs in its own process."""
     given, works, rays = judge.pair.result.answer, variants.usable_variants().names, judge.pair.rays
     with ScratchFolder() as folder:
-        xml = {
-            mode: export(judge.scene, judge.model, robust=robust).write(Path(folder) / mode)
-            for mode, robust in MODES.items()
-        }
 
         def ask(variant: str, mode: str) -> TraceResponse | Crash | str:
             if (variant, mode) == (given.versions["variant"], "robust"):
                 return given
             if variant not in works:
                 return MISSING
-            return send_request(TraceRequest(xml[mode], variant, rays.o, rays.d, rays.t_max, lights=False))
+            place = Path(folder) / f"{variant}-{mode}"
+            about = judge.scene, judge.model, rays, place, variant
+            return send_request(trace_request(*about, lights=False, robust=MODES[mode]))
 
         with ThreadPoolExecutor() as pool:
             found = pool.map(
@@ -94,7 +92,7 @@ def _of_mitsuba(who: str, found: TraceResponse | Crash | str, judge: Judge, exac
     shape = int(found.shape[0])
     if shape < 0:
         return compared_with_exact((who, "miss", -1, np.inf), judge, exact, np.float32)
-    place = shape_ids(judge.scene).index(found.names[shape])
+    place = list(reference_names(judge.scene)).index(found.names[shape])
     first, last = (int(n) for n in judge.model.packed.first[place : place + 2])
     prim = int(found.prim[0])
     prim = prim if first + prim < last else 0  # a stand-in counts its triangles by itself

@@ -93,7 +93,7 @@ def _keep_geometry(parsed: Parsed, request: OpenRequest) -> None:
         kind.Sensor: (kind.Shape, kind.Sensor, kind.Film, kind.Sampler),
         kind.BSDF: (kind.BSDF,),
     }
-    nodes = parsed.state.nodes
+    nodes, without_film = parsed.state.nodes, []
     for i, node in enumerate(nodes):
         props = node.props
         if node.type == kind.Film:
@@ -105,12 +105,19 @@ def _keep_geometry(parsed: Parsed, request: OpenRequest) -> None:
                 props.remove_property(name)
                 parsed.refers[i].remove(to)
                 parsed.dropped[f"{str(nodes[to].type).rpartition('.')[2].lower()} {nodes[to].props.plugin_name()}"] += 1
+        if node.type == kind.Sensor and request.size and not parsed.children(i, kind.Film):
+            without_film.append(node)
         if node.type == kind.Scene and request.robust:
             props.remove_property(ROBUST)
             props[ROBUST] = True
         if node.type in (kind.Shape, kind.Emitter):
             props.set_id(str(i))  # one each, by which loaded objects are found again
         node.props = props
+    for sensor in without_film:
+        film = mi.parser.SceneNode()
+        film.type, film.props = kind.Film, _film(mi.Properties("hdrfilm"), request.size)
+        sensor.props["film"] = mi.Properties.ResolvedReference(len(nodes))
+        nodes.append(film)
     used = {bsdf for i, _ in parsed.nodes(kind.Shape) for bsdf in parsed.children(i, kind.BSDF)}
     parsed.materials.update((i, material(parsed, i)) for i in sorted(used))
     for i in (i for i, found in parsed.materials.items() if found is None):
@@ -181,7 +188,11 @@ def material(parsed: Parsed, number: int) -> dict[str, Any] | None:
 
 def load(request: OpenRequest, variant: str) -> Any:
     """The scene of a file, for tracing."""
-    return parse(request, variant).instantiate()
+    parsed = parse(request, variant)
+    instanced = any(_is(props, "instance") for _, props in parsed.nodes(mi.ObjectType.Shape))
+    if instanced and variant != "scalar_rgb":
+        raise RuntimeError("instances are traced by scalar_rgb alone: others do not name the shape of the group")
+    return parsed.instantiate()
 
 
 def open_file(request: OpenRequest, sensor_rays: Any, traced: Any) -> OpenResponse:

@@ -64,6 +64,28 @@ def variant_of(scene: Scene) -> str:
     return variant_for(any(reference_of(shape).analytic for shape in scene.shapes))
 
 
+def trace_request(
+    scene: Scene, model: SceneModel, rays: SharedRays, folder: Path, variant: str, *, lights: bool, robust: bool = True
+) -> TraceRequest:
+    """The request to trace these rays: through the scene exported into a folder, or the Mitsuba file as it is.
+
+    robust: use Embree's mode that keeps meshes closed.
+    """
+    original = original_of(scene)
+    xml = Path(original.request.file) if original else export(scene, model, robust=robust).write(folder)
+    request = TraceRequest(xml, variant, rays.o, rays.d, rays.t_max, lights=lights, sensor=True)
+    if original is None:
+        return request
+    lit, about = lights and not original.coverage.unlit, vars(original.request) | {"robust": robust}
+    return replace(request, original=about, strict=False, lights=lit, sensor=original.has_camera)
+
+
+def reference_names(scene: Scene) -> Sequence[str]:
+    """The name of each shape in Mitsuba's answers."""
+    original = original_of(scene)
+    return original.keys if original else shape_ids(scene)
+
+
 def trace_reference(
     scene: Scene,
     model: SceneModel,
@@ -79,21 +101,12 @@ def trace_reference(
 
     mesh_files: also read by its own loader, for a check.
     """
-    original = original_of(scene)
     with ScratchFolder() as folder:
-        xml = Path(original.request.file) if original else export(scene, model).write(Path(folder))
-        request = TraceRequest(
-            xml, variant or variant_of(scene), rays.o, rays.d, rays.t_max, lights=lights, sensor=True
-        )
-        if original:  # loaded again, as the user wrote it
-            lit, about = lights and not original.coverage.unlit, vars(original.request)
-            request = replace(request, original=about, strict=False, lights=lit, sensor=original.has_camera)
-        else:
-            request = replace(request, mesh_files=tuple(mesh_files))
-        answer = send(request, timeout)
+        request = trace_request(scene, model, rays, Path(folder), variant or variant_of(scene), lights=lights)
+        answer = send(request if request.original else replace(request, mesh_files=tuple(mesh_files)), timeout)
     if isinstance(answer, Crash):
         return answer
-    index_of = {name: index for index, name in enumerate(original.keys if original else shape_ids(scene))}
+    index_of = {name: index for index, name in enumerate(reference_names(scene))}
     table = np.array([*(index_of.get(name, -1) for name in answer.names), -1], np.int32)
     visible = answer.light_visible if scene.shading.shadows else np.ones_like(answer.light_visible)
     return ReferenceResult(
