@@ -277,7 +277,8 @@ def add_validate_arguments(parser: argparse.ArgumentParser) -> None:
     help_ = "write the failures of this run as a file for --expected"
     add("--write-expected", OutputFile, help_)
     add_skip_unsupported(add, "scenes")
-    add("--strict", bool, "fail a Mitsuba file of which not every shape is judged")
+    help_ = "fail a Mitsuba file of which not every shape is judged"
+    add("--strict", bool, help_, action="store_const", const=True)
     help_ = "fail where fewer scenes are judged and not declined; default 1 with --skip-unsupported"
     add("--min-scenes", positive_int, help_, default=0)
     add("--maxfail", positive_int, "stop after so many scenes that fail")

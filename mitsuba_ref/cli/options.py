@@ -35,7 +35,7 @@ def opening_of(args: argparse.Namespace) -> Opening:
         if "=" not in word:
             raise SceneError(f"-D {word}: expected NAME=VALUE")
     parameters = dict(word.split("=", 1) for word in words)
-    return Opening(parameters, getattr(args, "sensor", None) or 0, getattr(args, "strict", False))
+    return Opening(parameters, getattr(args, "sensor", None) or 0, bool(getattr(args, "strict", None)))
 
 
 def load_scene_or_original(args: argparse.Namespace) -> Scene:

@@ -146,8 +146,8 @@ def judge_window(
     scopes: tuple[Scope, ...] = ("scene", "window") if whole_scene else ("window",)
     whose = OUR_CHECKS if task.ours else CANDIDATE
     original = original_of(task.scene)
-    has_camera = task.rays is None and (original is None or original.has_camera)
-    checks = checks_of(whose, scopes, thorough=task.thorough, camera=has_camera)
+    camera = task.rays is None and (original is None or original.exact_camera)
+    checks = checks_of(whose, scopes, thorough=task.thorough, camera=camera)
     of_scene = [each for each in checks if not each.answered]
     inputs: dict[str, Any] = {"scene": task.scene, "subject": task.subject, "wrong_rays": []}
     made = make_checks(of_scene, inputs) if task.ours else ()

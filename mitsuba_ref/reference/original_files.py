@@ -122,7 +122,8 @@ def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -
     x0, y0, x1, y1 = found.crop
     whole = (x0, y0, x1, y1) == (0, 0, *found.size)
     film = Film(width=found.size[0], height=found.size[1], crop=None if whole else (x0, y0, x1, y1))
-    camera, notes = camera_of(found.camera, found.size)
+    camera, exact, note = camera_of(found.camera, found.size)
+    notes = (note,) if note else ()
     o, d = found.rays[0, :3].tolist(), found.rays[0, 3:6].tolist()
     unlit = tuple(found.unlit) or (() if found.lights else ("the file has no light",))
     if left_out:
@@ -138,7 +139,9 @@ def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -
         start += camera["near"]
     named = tuple(keys), np.array(conditions)
     coverage = Coverage(*covered)
-    scene._original = Original(request, found.variant, film, found.rays, start, *named, camera is not None, coverage)
+    scene._original = Original(
+        request, found.variant, film, found.rays, start, *named, camera is not None, exact, coverage
+    )
     return scene
 
 
@@ -204,8 +207,7 @@ def _shape(record: Mapping[str, Any], part: tuple[np.ndarray, np.ndarray], insta
         if record["flipped"]:
             return None, "flip_normals: normals of a cylinder point outwards"
         return (Cylinder, _placed(outer @ matrix)), ""
-    side = np.diag([1.0, 1.0, -1.0 if record["flipped"] else 1.0, 1.0])
-    return (Disk, _placed(outer @ matrix @ side)), ""
+    return (Disk, _placed(outer @ matrix)), ""  # whose matrix Mitsuba has flipped already
 
 
 def _condition(linear: np.ndarray) -> float:
@@ -225,37 +227,46 @@ DEFAULT_NEAR, DEFAULT_FAR = 0.01, 1e4  # clip planes; Mitsuba's defaults
 # Mitsuba accepts a sensor matrix with a scale of up to 5e-4, so smaller differences between axes are ignored here.
 SQUARE_PIXEL_RTOL = 5e-4
 
+SKEW_ATOL = 4 * 2.0**-24  # products of the axes of a rotation that was rounded to float32
+
 FILM_DIAGONAL_MM = math.hypot(36.0, 24.0)  # to which focal lengths refer
 
 
-def camera_of(about: Mapping[str, Any], size: Sequence[int]) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
-    """(a sensor as a camera of the caster, None where it has no such; notes). about: its numbers and its plugin."""
+class SensorCamera(NamedTuple):
+    """A sensor as a camera of the caster."""
+
+    camera: dict[str, Any] | None  # None: the caster has no such camera
+    exact: bool = False  # the camera has the sensor's rays, up to rounding
+    note: str = ""
+
+
+def camera_of(about: Mapping[str, Any], size: Sequence[int]) -> SensorCamera:
+    """The camera of a sensor. about: its numbers and its plugin."""
     plugin, matrix = about["plugin"], np.array(about["to_world"])
     near, far = about.get("near_clip", DEFAULT_NEAR), about.get("far_clip", DEFAULT_FAR)
+    its_rays = "its rays are Mitsuba's"
     if plugin not in ("perspective", "thinlens", "orthographic"):
-        random = ": the rays of its middle samples" if plugin in ("distant", "irradiancemeter") else ""
-        return None, (f"the rays are those of Mitsuba's sensor {plugin}{random}",)
+        random = ", for the middle of each sample" if plugin in ("distant", "irradiancemeter") else ""
+        return SensorCamera(None, note=f"sensor {plugin}: {its_rays}{random}")
     if is_mirrored(matrix):
-        return None, (f"the sensor {plugin} is mirrored: its rays are Mitsuba's",)
+        return SensorCamera(None, note=f"sensor {plugin}: it is mirrored, so {its_rays}")
+    across, above, along = row_lengths(matrix[:3, :3].T)
+    axes = matrix[:3, :3] / [across, above, along]
+    exact = bool(np.abs(axes.T @ axes - np.eye(3)).max() <= SKEW_ATOL)
+    note = "" if exact else f"sensor {plugin}: its axes are not perpendicular, so {its_rays}"
     eye, up, view = (matrix[:3, column].tolist() for column in (3, 1, 2))
     pose = {"eye": eye, "up": up, "direction": view}
     if plugin == "orthographic":
-        across, above, along = row_lengths(matrix[:3, :3].T)
         if abs(above - across) > SQUARE_PIXEL_RTOL * across:
-            ratio = above / across
-            return None, (f"pixels of the sensor are {ratio:g} times as high as wide: its rays are Mitsuba's",)
+            return SensorCamera(None, note=f"sensor {plugin}: its pixels are not square, so {its_rays}")
         start = near * float(along)  # the scale along the view does not apply to the distance of the clip planes
-        return {
-            "type": "orthographic",
-            **pose,
-            "width": 2.0 * float(across),
-            "near": start,
-            "far": start + far - near,
-        }, ()
+        planes = {"near": start, "far": start + far - near}
+        return SensorCamera({"type": "orthographic", **pose, "width": 2.0 * float(across), **planes}, exact, note)
     camera = {"type": "pinhole", **pose, "near": near, "far": far, **_field_of_view(about)}
     shift = [about.get(f"principal_point_offset_{axis}", 0.0) for axis in "xy"]
     camera |= {"principal_point": shift} if any(shift) else {}
-    return camera, ("thinlens: rays through the middle of the lens",) if plugin == "thinlens" else ()
+    lens = "sensor thinlens: rays through the middle of its lens" if plugin == "thinlens" else ""
+    return SensorCamera(camera, exact, "; ".join(filter(None, (note, lens))))
 
 
 def _field_of_view(about: Mapping[str, Any]) -> dict[str, Any]:

@@ -24,7 +24,8 @@ class Original:
     start: np.ndarray  # (pixels,) float64, distance from the eye to o; 0 where the caster has no such camera
     keys: tuple[str, ...]  # by which Mitsuba's answers name the scene's shapes
     condition: np.ndarray  # (shapes,) as in error_model.scene_model.InstancedModel
-    has_camera: bool  # whether the scene's camera is that sensor
+    has_camera: bool  # whether the caster has a camera like the sensor
+    exact_camera: bool  # whether that has the sensor's rays, up to rounding
     coverage: Coverage
 
     def rows(self, film: Film) -> np.ndarray:

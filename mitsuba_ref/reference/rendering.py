@@ -77,7 +77,7 @@ def trace_request(
     if original is None:
         return request
     lit, about = lights and not original.coverage.unlit, vars(original.request) | {"robust": robust}
-    return replace(request, original=about, strict=False, lights=lit, sensor=original.has_camera)
+    return replace(request, original=about, strict=False, lights=lit, sensor=original.exact_camera)
 
 
 def reference_names(scene: Scene) -> Sequence[str]:

@@ -70,6 +70,8 @@ def request_answer(
     original = original_of(scene)
     if original and original.coverage.partial and rays is not None:
         raise SceneError(f"a list of rays needs every shape: {original.coverage.brief} of the Mitsuba file are judged")
+    if original and not original.exact_camera and not subject.takes_rays:
+        raise NoAnswer(f"an image is of the scene's camera, which the caster has not ({original.coverage.notes[0]})")
     rays = shared_rays(scene) if rays is None else rays
     model = model_of(scene, packed, rays if whole is None else whole)
     with ScratchFolder() as folder:

@@ -41,7 +41,6 @@ PREVIEWS = "caster/image/previews.py"
 # The judge's modules whose numbers go to Mitsuba, or into scene files.
 JUDGE = (
     "mitsuba_ref/cameras/camera_reference.py",
-    "mitsuba_ref/importers/scene_builder.py",
     "mitsuba_ref/reference/*.py",
     "mitsuba_ref/scene_xml/*.py",
     "mitsuba_ref/shapes/plane.py",

@@ -1,0 +1,201 @@
+"""Mitsuba files as the reference: what is judged of them, their import, and what is refused."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import caster
+import mitsuba_ref
+from caster.description.errors import FileMissing, SceneError
+from caster.rendering.images import camera_rays, render
+from caster.scene.files import load_scene
+from mitsuba_ref.__main__ import main
+from mitsuba_ref.reference.original_files import Opening, import_xml, open_scene
+from mitsuba_ref.reference.originals import original_of
+from mitsuba_ref.reference.shared_input import export_scene, shared_rays
+
+ROOT = Path(__file__).resolve().parents[2]
+SENSOR = '<sensor type="perspective"><transform name="to_world"><translate z="-5"/></transform></sensor>'
+BALL = '<shape type="sphere" id="ball"/>'
+
+
+@pytest.fixture
+def folder(tmp_path):
+    shutil.copytree(ROOT / "tests/mitsuba_files", tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+def written(folder, content, name="scene.xml"):
+    path = folder / name
+    path.write_text(f'<scene version="3.0.0">{content}</scene>')
+    return str(path)
+
+
+def test_every_shape_is_judged_but_one_that_is_named(folder):
+    scene = mitsuba_ref.validate(folder / "every-plugin.xml").scenes[0]
+    assert scene.ok and scene.counts["agree"] > 1200 and not scene.counts["wrong"] + scene.counts["undecided"]
+    covered = scene.coverage
+    assert (covered.shapes, covered.judged) == (9, 8) and covered.hidden > 50
+    assert re.fullmatch(r"bsplinecurve 'hair' at \S+/every-plugin.xml:\d+:\d+: .*", covered.left_out[0])
+    assert covered.dropped["emitter envmap"] == 1 and covered.dropped["bsdf plastic"] == 1
+    assert "diffuse" in scene.unjudged and "diffuse" not in scene.images["ours"]
+    names = set(np.array(open_scene(str(folder / "every-plugin.xml")).shape_names()))
+    assert {"quad", "pair/pea", "ball", "tube", "lid", "box", "wall"} < names
+
+
+def test_light_is_compared_where_the_caster_has_the_same(folder):
+    scene = mitsuba_ref.validate(folder / "lit.xml").scenes[0]
+    assert scene.ok and "diffuse" in scene.ratios and scene.images["reference"]["diffuse"].max() > 0.1
+    assert not scene.unjudged and not scene.coverage.lines()
+
+
+# Together they hold every shape that is exported, ellipsoids as instances, crops, clip planes, lights.
+EXPORTED = ("every-shape", "ellipsoids", "crop-window", "orthographic-clip", "transforms", "lights-and-shadows")
+
+
+@pytest.mark.parametrize("name", EXPORTED)
+def test_an_exported_scene_passes_as_an_original(name, tmp_path):
+    """With its camera, compared with the sensor, as the check of the same name says."""
+    path = export_scene(load_scene(ROOT / f"scenes/{name}.toml").with_film(width=36, height=24)).write(tmp_path)
+    scene = mitsuba_ref.validate(path).scenes[0]
+    assert scene.ok and not scene.counts["wrong"] and {"sensor", "camera"} <= {check.name for check in scene.checks}
+    assert scene.coverage.judged == scene.coverage.shapes
+
+
+def test_an_imported_scene_hits_the_same_as_the_original(folder, capsys, monkeypatch):
+    """The scene that was written, cast along the original's rays and judged against the original."""
+    monkeypatch.chdir(folder)
+    (folder / "there").mkdir()
+    assert main(["import", "every-plugin.xml", "-o", "there/out.toml", "-D", "res=40"]) == 0
+    said = capsys.readouterr().out
+    assert "left out: bsplinecurve 'hair'" in said and "there/out.toml: 8 shapes, 4 left out or changed" in said
+    written = load_scene("there/out.toml")
+    assert written.film.width == 40 and "# left out: bsplinecurve 'hair'" in Path("there/out.toml").read_text()
+    verdict = mitsuba_ref.validate("every-plugin.xml", candidate=lambda scene, o, d: _cast(written, o, d))
+    counts = verdict.scenes[0].counts
+    assert verdict.ok and sum(counts.values()) == counts["agree"] + counts["explained"] + counts["tie"] > 1200
+
+
+def _cast(scene, o, d):
+    hits = caster.cast(scene, o, d)
+    return hits.t, hits.normal
+
+
+def test_rays_are_the_sensors_own(folder):
+    """Also of sensors that the caster has not, of another size, and of a crop."""
+    crop = '<film type="specfilm"><integer name="width" value="9"/><integer name="height" value="6"/>'
+    crop += '<integer name="crop_offset_x" value="3"/><integer name="crop_width" value="4"/></film>'
+    radius = f'<float name="aperture_radius" value="2"/>{crop}</sensor>'
+    path = written(folder, SENSOR.replace("perspective", "thinlens").replace("</sensor>", radius) + BALL)
+    scene = open_scene(path)
+    assert scene.film.window == (3, 0, 7, 6)
+    assert np.abs(shared_rays(scene).d - camera_rays(scene).d).max() < 1e-6  # through the middle of the lens
+    assert open_scene(path, size=(18, 12)).film.window == (6, 0, 14, 12)
+    meter = '<sensor type="radiancemeter"><point name="origin" value="0 0 3"/><vector name="direction" value="0 0 -1"/>'
+    meter += '<film type="hdrfilm"><integer name="width" value="1"/><integer name="height" value="1"/></film></sensor>'
+    path = written(folder, SENSOR + meter + BALL)
+    scene = mitsuba_ref.validate(open_scene(path, Opening({}, sensor=1))).scenes[0]
+    assert scene.ok and scene.hit_pixels == scene.pixels == 1 and "sensor radiancemeter" in scene.coverage.notes[0]
+    with pytest.raises(SceneError, match="perspective or orthographic"):
+        import_xml(written(folder, meter + BALL))
+
+
+def test_what_a_verdict_covers_is_shown_everywhere(folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    words = [
+        "validate",
+        "every-plugin.xml",
+        "--strict",
+        "--json",
+        "v.json",
+        "--junit",
+        "j.xml",
+        "--summary-md",
+        "s.md",
+        "--html",
+        "r",
+    ]
+    assert main(words) == 1
+    said = capsys.readouterr().out
+    assert re.search(r"^FAIL  every-plugin .* 8 of 9 shapes$", said, re.MULTILINE)
+    assert "coverage: 8 of 9 shapes; bsplinecurve 'hair'" in said and "--strict" in said
+    found = json.loads(Path("v.json").read_text())["scenes"][0]
+    assert found["coverage"]["shapes"] == 9 and found["options"] == ["--strict"]
+    assert all("8 of 9 shapes" in Path(file).read_text() for file in ("j.xml", "s.md"))
+    assert main(words[:2]) == 0
+    said = re.sub(r"\s+", " ", capsys.readouterr().out)
+    assert "not judged: " in said and "pixels, where Mitsuba hits a shape that is left out" in said
+
+
+def test_the_store_depends_on_the_contents_of_every_file(folder):
+    path = str(folder / "every-plugin.xml")
+
+    def digest(**parameters):
+        return original_of(open_scene(path, Opening(parameters))).request.digest
+
+    first = digest()
+    assert first == digest() != digest(res="40")
+    for file in ("parts/quad.obj", "parts/group.xml", "parts/hair.txt"):
+        (folder / file).write_text((folder / file).read_text() + "\n")
+        assert first != (first := digest()), file
+
+
+MISSING = '<shape type="obj"><string name="filename" value="no.obj"/></shape>'
+REFUSED = [
+    (
+        SENSOR + '<shape type="obj"><string name="filename" value="no.obj"/></shape>',
+        4,
+        r"scene.xml:1:\d+: cannot read no.obj \(tried ",
+    ),
+    (SENSOR, 5, "it has no shape"),
+    (SENSOR + '<shape type="sphere"><boolean name="flip_normals" value="true"/></shape>', 5, "none of its 1 shapes"),
+    (BALL, 2, "the file has no sensor"),
+    (SENSOR + BALL.replace("/>", '><float name="radius" value="$r"/></shape>'), 2, r"\$r; give it by -D NAME=VALUE"),
+    (SENSOR + BALL.replace("/>", '><float name="radus" value="1"/></shape>'), 2, r"(?s)line 1, col \d+.*radus"),
+]
+
+
+@pytest.mark.parametrize(("content", "code", "says"), REFUSED)
+def test_what_cannot_be_judged_is_refused_with_place_and_exit_code(folder, content, code, says):
+    with pytest.raises(SceneError, match=says) as caught:
+        open_scene(written(folder, content))
+    assert caught.value.exit_code == code and isinstance(caught.value, FileMissing) == (code == 4)
+
+
+COURSE = """
+OrthographicCamera { center 0 0 0 direction 0 0 -1 up 0 1 0 size 4 }
+Materials { numMaterials 1 Material { diffuseColor 1 0 0 } }
+Group { numObjects 1 MaterialIndex 0 Sphere { center 0 0 0 radius 1 } }
+"""
+
+
+def test_a_text_of_the_course_is_imported_too(tmp_path, capsys, monkeypatch):
+    """Its window is moved behind everything, and the import says so."""
+    monkeypatch.chdir(tmp_path)
+    Path("s.txt").write_text(COURSE)
+    assert main(["import", "s.txt", "-o", "s.toml", "--size", "41", "21"]) == 0
+    said = capsys.readouterr().out
+    assert "the window stands 3 farther back" in said and said.endswith("s.toml: 1 shape, 2 left out or changed\n")
+    depth = render(load_scene("s.toml"), ("depth",))["depth"]
+    assert depth.shape == (21, 41) and depth[10, 20] == 2.0
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "says"),
+    [
+        ("gone.xml -o s.toml", 4, "gone.xml: cannot read this Mitsuba scene file"),
+        ("s.obj -o s.toml", 2, "expected Mitsuba's .xml, or .txt of MIT 6.837"),
+        ("gone.xml -o s.json", 2, "expected a name that ends in .toml"),
+        ("gone.txt -o s.toml -D a=1", 2, "has no parameters"),
+        ("gone.xml -o s.toml -D a", 2, "-D a: expected NAME=VALUE"),
+        ("gone.txt -o s.toml --size 0 4", 2, "--size 0 4: "),
+    ],
+)
+def test_wrong_use_is_reported_with_its_exit_code(tmp_path, monkeypatch, capsys, words, code, says):
+    monkeypatch.chdir(tmp_path)
+    assert main(["import", *words.split()]) == code
+    assert says in capsys.readouterr().err and not list(tmp_path.iterdir())
