@@ -54,7 +54,6 @@ FLOW = {
     "mitsuba_ref.fuzz": "random scenes",
     "mitsuba_ref.stress": "hard numerics, in steps",
     "mitsuba_ref.bench": "speed",
-    "mitsuba_ref.importers": "Mitsuba XML to scenes",
     "mitsuba_ref.cli": "mitsuba-ref COMMAND",
 }
 

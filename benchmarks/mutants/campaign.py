@@ -69,14 +69,14 @@ WITH_COMPILER = {
         generated_meshes geometry_checked_in_both_precisions independent_transform judge_at_extremes
         knife_edges known_defects lambert_and_shadow_rays pixel_explanations ray_camera ray_conventions
         registries report_files result_schemas scene_fuzz scene_options scene_rows
-        shape_importers stated_numbers stress surface_targets verdict_rules
+        stated_numbers stress surface_targets verdict_rules
     """,
     "tests/exact": """
         box_tree edge_cases identical_primitives oracle_filter oracle_kinds oracle_parts oracle_roots oracle_scenes
     """,
     "tests/reference": """
         adjudication bands candidate_probe candidates detection_power diagnosis error_models_hold
-        excused_classes hypotheses import judge_classes mesh_loader mistakes new_shape probe_witnesses ray_lists
+        excused_classes hypotheses judge_classes mesh_loader mistakes mitsuba_files new_shape probe_witnesses ray_lists
     """,
     "tests/report": """
         pages records

@@ -14,7 +14,17 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["dot_rows", "is_mirrored", "product", "row_lengths", "sine_and_cosine", "transform_points"]
+__all__ = [
+    "cross",
+    "dot_rows",
+    "inverse",
+    "is_mirrored",
+    "product",
+    "row_lengths",
+    "sine_and_cosine",
+    "transform_points",
+    "unit",
+]
 
 Matrix = NDArray[np.float64]
 Vector = tuple[float, float, float]

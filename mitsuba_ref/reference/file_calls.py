@@ -7,23 +7,21 @@ geometry are replaced or dropped before anything is instantiated, so that their 
 import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import mitsuba
 import numpy as np
 
-from mitsuba_ref.reference.messages import OpenRequest, OpenResponse, TraceRequest
+from mitsuba_ref.reference.messages import OpenRequest, OpenResponse
 
 mi: Any = mitsuba
 PLUGIN_FOLDER = str(list(mi.file_resolver())[-1])  # Mitsuba's own; the others are this process's
 
 DIFFUSE_LIGHTS = {"point": "intensity", "directional": "irradiance", "constant": "radiance"}
 FILM_SIZES = {"width": 768, "height": 576}  # Mitsuba's defaults
-FILM_CROPS = {"crop_offset_x": "width", "crop_offset_y": "height", "crop_width": "width", "crop_height": "height"}
-FILE_PROPERTIES = ("filename",)  # of shapes: a file that has to exist
 HELD = {"Sphere": "sphere", "Cylinder": "cylinder", "Disk": "disk"}  # class in Mitsuba -> shape type of the caster
-RANDOM_SENSORS = ("distant", "irradiancemeter", "thinlens")  # of whose rays one is chosen by the aperture's sample
+MESHES = {"ply", "obj", "serialized", "rectangle", "cube", "merge"}  # plugins
+ROBUST = "embree_use_robust_intersections"
 
 
 class Parsed(NamedTuple):
@@ -110,7 +108,7 @@ def _keep_geometry(parsed: Parsed, request: OpenRequest) -> None:
         if node.type == kind.Scene and request.robust:
             props.remove_property(ROBUST)
             props[ROBUST] = True
-        if node.type in (kind.Shape, kind.Emitter):
+        if node.type in (kind.Shape, kind.Emitter, kind.Sensor):
             props.set_id(str(i))  # one each, by which loaded objects are found again
         node.props = props
     for sensor in without_film:
@@ -125,9 +123,6 @@ def _keep_geometry(parsed: Parsed, request: OpenRequest) -> None:
         parsed.dropped[f"bsdf {plugin}"] += 1
         parsed.unlit.append(f"{plugin} at {parsed.place(i)}")
         nodes[i].props = mi.Properties("diffuse")
-
-
-ROBUST = "embree_use_robust_intersections"
 
 
 def _is_kept(parsed: Parsed, number: int) -> bool:
@@ -195,100 +190,75 @@ def load(request: OpenRequest, variant: str) -> Any:
     return parsed.instantiate()
 
 
-def open_file(request: OpenRequest, sensor_rays: Any, traced: Any) -> OpenResponse:
+def open_file(request: OpenRequest, sensor_rays: Any) -> OpenResponse:
     """Geometry, sensor and lights of a file. Raises RuntimeError with Mitsuba's message where it refuses the file."""
-    parsed = parse(request, "scalar_rgb")
-    missing = list(_missing_files(parsed))
-    if missing:
+    parsed, kind = parse(request, "scalar_rgb"), mi.ObjectType
+    if missing := list(_missing_files(parsed)):
         return OpenResponse(missing=missing)
-    kind = mi.ObjectType
-    variant = request.variant if _is_of_meshes(parsed) else "scalar_rgb"
-    if variant != "scalar_rgb":
+    variant = "scalar_rgb"
+    if {props.plugin_name() for _, props in parsed.nodes(kind.Shape)} <= MESHES:
+        variant = request.variant
         parsed = parse(request, variant)
     scene = parsed.instantiate()
     sensors = scene.sensors()
-    if not sensors or request.sensor >= len(sensors):
+    if request.sensor >= len(sensors):
         there = f"the file has {len(sensors)}, counted from 0" if sensors else "the file has no sensor"
         return OpenResponse(problem=f"sensor {request.sensor}: {there}")
+    sensor = sensors[request.sensor]
     loaded = {shape.id(): shape for shape in scene.shapes()} | _loaded_groups(parsed, request, variant)
     shapes: list[dict[str, Any]] = []
     vertices, faces = [np.zeros((0, 8), np.float32)], [np.zeros((0, 3), np.int32)]
     number_of: dict[int, int] = {}
     for i, props in parsed.nodes(kind.Shape):
-        if str(i) not in loaded or _is(props, "instance"):
-            continue
-        number_of[i] = len(shapes)
-        record, corners, triangles = _shape(loaded[str(i)], props)
-        of_bsdf = parsed.children(i, kind.BSDF)
-        about = {"node": i, "place": parsed.place(i), "material": parsed.materials[of_bsdf[0]] if of_bsdf else None}
-        name = parsed.names[of_bsdf[0]] or f"material-{of_bsdf[0]}" if of_bsdf else ""
-        shapes.append(record | about | {"id": parsed.names[i], "material_name": name})
-        vertices.append(corners)
-        faces.append(triangles)
-    placed = list(_placements(parsed, loaded, number_of))
-    rays = sensor_rays(sensors[request.sensor], variant)
-    left_out = {key for key, number, _, _ in placed if shapes[number]["reason"]}
-    hidden = 0
-    if left_out:
-        o, d, t_max = map(np.ascontiguousarray, (rays[:, :3], rays[:, 3:6], rays[:, 6]))
-        trace = TraceRequest(Path(request.file), variant, o, d, t_max, lights=False, original=vars(request))
-        found, names = traced(scene, trace)
-        behind = np.array([*(name in left_out for name in names), False])[found["shape"]]
-        rays[behind, 6], hidden = -1.0, int(behind.sum())
-    film = sensors[request.sensor].film()
+        if str(i) in loaded and not _is(props, "instance"):
+            number_of[i] = len(shapes)
+            record, corners, triangles = _shape(loaded[str(i)], props)
+            shapes.append(record | {"place": parsed.place(i)} | _material_of(parsed, i))
+            vertices.append(corners)
+            faces.append(triangles)
+    film = sensor.film()
     (x, y), (width, height) = film.crop_offset(), film.crop_size()
-    sensor_nodes = [(i, props) for i, props in parsed.nodes(kind.Sensor)]
-    camera = sensor_nodes[request.sensor] if request.sensor < len(sensor_nodes) else None
     return OpenResponse(
         vertices=np.concatenate(vertices),
         faces=np.concatenate(faces),
-        rays=rays,
+        rays=sensor_rays(sensor, variant),
         shapes=shapes,
-        placed=placed,
+        placed=list(_placements(parsed, loaded, number_of)),
         size=list(film.size()),
         crop=[x, y, x + width, y + height],
-        camera=_camera(camera[1]) if camera else {"plugin": "perspective"},
+        camera=_camera(parsed.state.nodes[int(sensor.id())].props, sensor),
         lights=list(_lights(parsed)),
         unlit=parsed.unlit,
         dropped=dict(parsed.dropped),
-        files=_files(parsed),
+        files=[*map(str, parsed.state.files), *(file for _, _, file in _files(parsed))],
         variant=variant,
-        hidden=hidden,
     )
+
+
+def _material_of(parsed: Parsed, number: int) -> dict[str, Any]:
+    """The material of a shape, None where it is not the caster's, and its name, "" for the default."""
+    for bsdf in parsed.children(number, mi.ObjectType.BSDF):
+        return {"material": parsed.materials[bsdf], "material_name": parsed.names[bsdf] or f"material-{bsdf}"}
+    return {"material": None, "material_name": ""}
 
 
 def _is(props: Any, plugin: str) -> bool:
     return bool(props.plugin_name() == plugin)
 
 
-def _resolved(name: str) -> str:
-    return str(mi.file_resolver().resolve(name))
-
-
-def _file_names(parsed: Parsed) -> Iterator[tuple[int, str]]:
+def _files(parsed: Parsed) -> Iterator[tuple[int, str, str]]:
+    """(node, name in the file, path) of the file of each shape that has one."""
     for i, props in parsed.nodes(mi.ObjectType.Shape):
-        for name in props.keys():  # noqa: SIM118
-            if props.type(name) == mi.Properties.Type.String and name in FILE_PROPERTIES:
-                yield i, props[name]
+        if props.has_property("filename"):
+            yield i, props["filename"], str(mi.file_resolver().resolve(props["filename"]))
 
 
 def _missing_files(parsed: Parsed) -> Iterator[str]:
     folders = [str(folder) for folder in mi.file_resolver()][:-1]
-    for i, name in _file_names(parsed):
-        if not os.path.isfile(_resolved(name)):
-            tried = ", ".join([name] if os.path.isabs(name) else [os.path.join(each, name) for each in folders])
+    for i, name, file in _files(parsed):
+        if not os.path.isfile(file):
+            tried = ", ".join(dict.fromkeys(os.path.join(folder, name) for folder in folders))
             yield f"{parsed.place(i)}: cannot read {name} (tried {tried})"
-
-
-def _files(parsed: Parsed) -> list[str]:
-    """Every file that the geometry depends on."""
-    return [*map(str, parsed.state.files), *(_resolved(name) for _, name in _file_names(parsed))]
-
-
-def _is_of_meshes(parsed: Parsed) -> bool:
-    """Whether there are triangles alone, known by the plugins."""
-    kinds = {props.plugin_name() for _, props in parsed.nodes(mi.ObjectType.Shape)}
-    return kinds <= {"ply", "obj", "serialized", "rectangle", "cube", "merge", "blender"}
 
 
 def _loaded_groups(parsed: Parsed, request: OpenRequest, variant: str) -> dict[str, Any]:
@@ -318,7 +288,7 @@ Placement = tuple[str, int, str, list[list[float]] | None]
 def _placements(parsed: Parsed, loaded: dict[str, Any], number_of: dict[int, int]) -> Iterator[Placement]:
     """Every shape of the scene; an instance has those of its group."""
     shape = mi.ObjectType.Shape
-    for i in _leaves(parsed, parsed.children(0, shape)):
+    for i in dict.fromkeys(_leaves(parsed, parsed.children(0, shape))):
         if i in number_of:
             yield str(i), number_of[i], parsed.names[i], None
         elif _is(parsed.state.nodes[i].props, "instance"):
@@ -337,9 +307,8 @@ def _matrix(transform: Any) -> list[list[float]]:
 def _shape(shape: Any, props: Any) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
     """(record, vertices (n, 8) with normals and uv, faces (m, 3)) of a loaded shape."""
     nothing = np.zeros((0, 8), np.float32), np.zeros((0, 3), np.int32)
-    record = {"plugin": props.plugin_name(), "kind": HELD.get(shape.class_name(), ""), "reason": "", "vertices": 0}
-    record["faces"] = 0
-    flipped = bool(props.get("flip_normals", False)) if props.has_property("flip_normals") else False
+    kind = "mesh" if shape.is_mesh() else HELD.get(shape.class_name(), "")
+    record: dict[str, Any] = {"plugin": props.plugin_name(), "kind": kind, "vertices": 0, "faces": 0}
     if shape.is_mesh():
         count = int(shape.vertex_count())
         vertices = np.zeros((count, 8), np.float32)
@@ -352,26 +321,27 @@ def _shape(shape: Any, props: Any) -> tuple[dict[str, Any], np.ndarray, np.ndarr
             if there:
                 vertices[:, columns] = np.array(getattr(shape, buffer)()).reshape(count, -1)
         faces = np.array(shape.faces_buffer(), np.int32).reshape(-1, 3)
-        about = {"smooth": smooth, "textured": bool(shape.has_vertex_texcoords())}
-        about["flipped"] = bool(shape.has_flipped_normals())
-        return record | about | {"kind": "mesh", "vertices": count, "faces": len(faces)}, vertices, faces
-    if not record["kind"]:
-        record["reason"] = f"{props.plugin_name()} is no shape of the caster"
-        return record, *nothing
-    matrix = _matrix(mi.traverse(shape)["to_world"])
-    if record["kind"] == "sphere":  # from its centre to its surface
+        record |= {"vertices": count, "faces": len(faces), "smooth": smooth}
+        record |= {"textured": bool(shape.has_vertex_texcoords()), "flipped": bool(shape.has_flipped_normals())}
+        return record, vertices, faces
+    if kind:
+        matrix = _matrix(mi.traverse(shape)["to_world"])
+        record |= {"matrix": matrix, "flipped": bool(props.get("flip_normals", False))}
+    if kind == "sphere":  # from its centre to its surface
         ray = mi.Ray3f([row[3] for row in matrix[:3]], [1.0, 0.0, 0.0])
         record["radius"] = float(shape.ray_intersect_preliminary(ray).t)
-    return record | {"matrix": matrix, "flipped": flipped}, *nothing
+    return record, *nothing
 
 
-def _camera(props: Any) -> dict[str, Any]:
-    """Numbers of a sensor by name, beside its plugin and its matrix."""
+def _camera(props: Any, sensor: Any) -> dict[str, Any]:
+    """Numbers of a sensor by name, beside its plugin, its matrix and the field of view that Mitsuba computed."""
     kinds = mi.Properties.Type
     plain = (kinds.Float, kinds.Integer, kinds.String)
     numbers = {name: props[name] for name in props.keys() if props.type(name) in plain}  # noqa: SIM118
     matrix = _matrix(props["to_world"]) if props.has_property("to_world") else np.eye(4).tolist()
-    return {**numbers, "plugin": props.plugin_name(), "to_world": matrix}
+    loaded = mi.traverse(sensor)
+    computed = {"x_fov": float(np.array(loaded["x_fov"]).ravel()[0])} if "x_fov" in loaded else {}
+    return {**numbers, **computed, "plugin": props.plugin_name(), "to_world": matrix}
 
 
 def _lights(parsed: Parsed) -> Iterator[dict[str, Any]]:

@@ -78,7 +78,6 @@ class OpenResponse:
     dropped: Mapping[str, int] = field(default_factory=dict)  # left out before loading, with counts
     files: Sequence[str] = ()  # that the answer depends on
     variant: str = ""
-    hidden: int = 0  # rays without a judged answer, since they hit a shape that is left out
     missing: Sequence[str] = ()  # files that cannot be read
     problem: str = ""
 

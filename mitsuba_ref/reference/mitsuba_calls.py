@@ -39,7 +39,7 @@ def answer(request: TraceRequest | OpenRequest) -> TraceResponse | OpenResponse:
     if isinstance(request, TraceRequest):
         return _trace_request(request)
     logger.set_error_level(mi.LogLevel.Error)
-    return file_calls.open_file(request, _sensor_rays, _traced)
+    return file_calls.open_file(request, _sensor_rays)
 
 
 def _trace_request(request: TraceRequest) -> TraceResponse:

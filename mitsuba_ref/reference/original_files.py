@@ -3,7 +3,6 @@
 The file stays the reference (originals.py). `mitsuba-ref import` writes the same scene as TOML and PLY files.
 """
 
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,14 +12,15 @@ import numpy as np
 
 from caster.description.errors import FileMissing, SceneError, error_prefix
 from caster.description.input_files import read_input
-from caster.description.transform import is_mirrored, row_lengths
+from caster.description.transform import cross, inverse, is_mirrored, product, row_lengths, unit
 from caster.scene.model import Film, Scene
 from caster.shapes import Cylinder, Disk, Mesh, Sphere
 from caster.system.process import NOTHING_SELECTED
+from mitsuba_ref.error_model.intersections import ceil_log2
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.coverage import Coverage
-from mitsuba_ref.reference.messages import Crash, OpenRequest, OpenResponse
-from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request
+from mitsuba_ref.reference.messages import Crash, OpenRequest, OpenResponse, TraceRequest
+from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request, send_stored
 from mitsuba_ref.reference.originals import MitsubaScene, Original, original_of
 from mitsuba_ref.reference.store import key_of
 
@@ -87,15 +87,20 @@ def _refusal(crash: Crash) -> str:
     return f"{words}{hint}"
 
 
-def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -> MitsubaScene:
-    shapes: list[Any] = []
-    keys: list[str] = []
-    conditions: list[float] = []
+class JudgedShapes(NamedTuple):
+    """The shapes of a file that are judged, and the others."""
+
+    shapes: list[Any]
+    keys: list[str]  # their names in Mitsuba's answers
+    conditions: list[float]  # of the matrices of instances, 0 for other shapes
+    materials: dict[str, Any]
+    left_out: list[str]  # with their places and reasons
+
+
+def _judged_shapes(found: OpenResponse) -> JudgedShapes:
+    out = JudgedShapes([], [], [], {}, [])
     names: set[str] = set()
-    left_out: list[str] = []
-    materials: dict[str, Any] = {}
-    triangles = 0
-    parts = list(_parts(found))
+    triangles, parts = 0, list(_parts(found))
     for key, number, label, matrix in found.placed:
         record = found.shapes[number]
         name = _distinct(label, f"{record['plugin']}-{key.replace('/', '-')}", names)
@@ -103,46 +108,81 @@ def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -
         if triangles + record["faces"] > MAX_TRIANGLES:
             made, reason = None, f"{MAX_TRIANGLES:,} triangles are the most that a scene may have"
         if made is None:
-            left_out.append(f"{record['plugin']} {name!r} at {record['place']}: {reason}")
+            out.left_out.append(f"{record['plugin']} {name!r} at {record['place']}: {reason}")
             continue
         triangles += record["faces"]
         names.add(name)
-        keys.append(key)
-        conditions.append(0.0 if matrix is None else _condition(np.array(matrix)[:3, :3]))
-        material = {}
+        out.keys.append(key)
+        out.conditions.append(0.0 if matrix is None else _condition(np.array(matrix)[:3, :3]))
+        fields = {"name": name}
         if record["material"] is not None:
-            material = {"material": record["material_name"]}
-            materials[record["material_name"]] = record["material"]
-        kind, fields = made
-        shapes.append(kind(**fields, **material, name=name))
+            fields["material"] = record["material_name"]
+            out.materials[record["material_name"]] = record["material"]
+        out.shapes.append(made[0](**made[1], **fields))
+    return out
+
+
+def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -> MitsubaScene:
+    """The scene of an opened file. Raises NothingToJudgeError."""
+    shapes, keys, conditions, materials, left_out = _judged_shapes(found)
     if not shapes:
         reasons = "".join(f"\n  {each}" for each in left_out)
         there = f"none of its {len(found.placed)} shapes can be judged" if found.placed else "it has no shape"
         raise NothingToJudgeError(f"{path}: {there}{reasons}")
+    unlit = [*found.unlit] or ([] if found.lights else ["the file has no light"])
+    hidden = 0
+    if left_out:
+        unlit.append(f"the shadows of the {len(left_out)} shapes that are left out are missing")
+        hides = _hits_others(request, found, keys)
+        found.rays[hides, 6], hidden = -1.0, int(hides.sum())  # no ray, on either side
     x0, y0, x1, y1 = found.crop
     whole = (x0, y0, x1, y1) == (0, 0, *found.size)
     film = Film(width=found.size[0], height=found.size[1], crop=None if whole else (x0, y0, x1, y1))
-    camera, exact, note = camera_of(found.camera, found.size)
-    notes = (note,) if note else ()
+    camera, exact, note = camera_of(found.camera)
     o, d = found.rays[0, :3].tolist(), found.rays[0, 3:6].tolist()
-    unlit = tuple(found.unlit) or (() if found.lights else ("the file has no light",))
-    if left_out:
-        unlit = (*unlit, f"the shadows of the {len(left_out)} shapes that are left out are missing")
-    covered = len(found.placed), len(shapes), tuple(left_out), found.hidden, unlit, dict(found.dropped), notes, strict
     view = {"type": "pinhole", "eye": o, "direction": d, "up": _across(d)}  # for whatever needs some camera
-    lights = tuple(found.lights)
-    scene = MitsubaScene(film=film, camera=camera or view, lights=lights, materials=materials, shapes=shapes)
+    parts: dict[str, Any] = {"film": film, "camera": camera or view, "lights": tuple(found.lights)}
+    parts |= {"materials": materials, "shapes": shapes}
+    scene = MitsubaScene(**parts)
     start = np.zeros(len(found.rays))
     if camera and camera["type"] == "pinhole":
         start = row_lengths(found.rays[:, :3].astype(float) - np.array(scene.camera.eye))
     elif camera:
         start += camera["near"]
-    named = tuple(keys), np.array(conditions)
-    coverage = Coverage(*covered)
     scene._original = Original(
-        request, found.variant, film, found.rays, start, *named, camera is not None, exact, coverage
+        request,
+        found.variant,
+        film,
+        found.rays,
+        start,
+        tuple(keys),
+        np.array(conditions),
+        has_camera=camera is not None,
+        exact_camera=exact,
+        coverage=Coverage(
+            len(found.placed),
+            len(shapes),
+            tuple(left_out),
+            hidden,
+            tuple(unlit),
+            dict(found.dropped),
+            (note,) if note else (),
+            strict,
+        ),
     )
     return scene
+
+
+def _hits_others(request: OpenRequest, found: OpenResponse, keys: Sequence[str]) -> np.ndarray:
+    """(n,) bool: rays that hit a shape in Mitsuba which is not among the keys, those of judged shapes."""
+    o, d, t_max = (np.ascontiguousarray(found.rays[:, columns]) for columns in (slice(0, 3), slice(3, 6), 6))
+    trace = TraceRequest(Path(request.file), found.variant, o, d, t_max)
+    answer = send_stored(replace(trace, lights=False, strict=False, original=vars(request)), DEFAULT_TIMEOUT)
+    if isinstance(answer, Crash):
+        raise SceneError(f"{request.file}: {answer.message}")
+    judged = np.array([*(name in keys for name in answer.names), True])
+    others: np.ndarray = ~judged[answer.shape]
+    return others
 
 
 def _across(d: Sequence[float]) -> Sequence[float]:
@@ -168,16 +208,16 @@ def _parts(found: OpenResponse) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         v, f = v + record["vertices"], f + record["faces"]
 
 
-# The columns of a sphere's matrix have equal lengths up to float32 rounding.
-UNIFORM_SCALE_RTOL = 8 * 2.0**-24
+# Products of the columns of a sphere's matrix, of which each number was rounded to float32, over the squared radius.
+SIMILARITY_RTOL = 8 * 2.0**-24
 
 Made = tuple[type[Any], dict[str, Any]]  # a shape class and its fields
 
 
 def _shape(record: Mapping[str, Any], part: tuple[np.ndarray, np.ndarray], instance: Any) -> tuple[Made | None, str]:
     """(class and fields of a shape, or None; why there is none). instance: its 4 x 4 matrix, or None."""
-    if record["reason"]:
-        return None, record["reason"]
+    if not record["kind"]:
+        return None, f"the caster has no {record['plugin']}"
     outer = np.eye(4) if instance is None else np.array(instance)
     if record["kind"] == "mesh":
         vertices, faces = part[0].astype(np.float64), part[1]
@@ -198,22 +238,24 @@ def _shape(record: Mapping[str, Any], part: tuple[np.ndarray, np.ndarray], insta
     if record["kind"] == "sphere":
         if record["flipped"] != is_mirrored(matrix):
             return None, "flip_normals: normals of a sphere point outwards"
-        turn, sizes, turn_back = np.linalg.svd(matrix[:3, :3])
-        if np.ptp(sizes) > UNIFORM_SCALE_RTOL * sizes[0]:
+        gram, size = product(matrix[:3, :3].T, matrix[:3, :3]), record["radius"] * record["radius"]
+        if np.abs(gram - size * np.eye(3)).max() > SIMILARITY_RTOL * size:
             return None, "its matrix scales it non-uniformly, which Mitsuba's sphere does not follow"
-        matrix[:3, :3] = record["radius"] * (turn @ turn_back)
-        return (Sphere, _placed(outer @ matrix)), ""
+        x, y = (unit(matrix[:3, column].tolist()) for column in (0, 1))
+        z = unit(cross(x, y))
+        matrix[:3, :3] = record["radius"] * np.column_stack([x, cross(z, x), z])
+        return (Sphere, _placed(product(outer, matrix))), ""
     if record["kind"] == "cylinder":
         if record["flipped"]:
             return None, "flip_normals: normals of a cylinder point outwards"
-        return (Cylinder, _placed(outer @ matrix)), ""
-    return (Disk, _placed(outer @ matrix)), ""  # whose matrix Mitsuba has flipped already
+        return (Cylinder, _placed(product(outer, matrix))), ""
+    return (Disk, _placed(product(outer, matrix))), ""  # whose matrix Mitsuba has flipped already
 
 
 def _condition(linear: np.ndarray) -> float:
     """Condition number of an instance's matrix in the largest component, rounded up to a power of two."""
-    grown = np.abs(linear) @ np.abs(np.linalg.inv(linear))
-    return float(2.0 ** np.ceil(np.log2(grown.sum(axis=1).max())))
+    grown = product(np.abs(linear), np.abs(inverse(linear)))
+    return float(np.ldexp(1.0, int(ceil_log2(grown.sum(axis=1).max()))))
 
 
 def _placed(matrix: np.ndarray) -> dict[str, Any]:
@@ -229,8 +271,6 @@ SQUARE_PIXEL_RTOL = 5e-4
 
 SKEW_ATOL = 4 * 2.0**-24  # products of the axes of a rotation that was rounded to float32
 
-FILM_DIAGONAL_MM = math.hypot(36.0, 24.0)  # to which focal lengths refer
-
 
 class SensorCamera(NamedTuple):
     """A sensor as a camera of the caster."""
@@ -240,7 +280,7 @@ class SensorCamera(NamedTuple):
     note: str = ""
 
 
-def camera_of(about: Mapping[str, Any], size: Sequence[int]) -> SensorCamera:
+def camera_of(about: Mapping[str, Any]) -> SensorCamera:
     """The camera of a sensor. about: its numbers and its plugin."""
     plugin, matrix = about["plugin"], np.array(about["to_world"])
     near, far = about.get("near_clip", DEFAULT_NEAR), about.get("far_clip", DEFAULT_FAR)
@@ -252,7 +292,7 @@ def camera_of(about: Mapping[str, Any], size: Sequence[int]) -> SensorCamera:
         return SensorCamera(None, note=f"sensor {plugin}: it is mirrored, so {its_rays}")
     across, above, along = row_lengths(matrix[:3, :3].T)
     axes = matrix[:3, :3] / [across, above, along]
-    exact = bool(np.abs(axes.T @ axes - np.eye(3)).max() <= SKEW_ATOL)
+    exact = bool(np.abs(product(axes.T, axes) - np.eye(3)).max() <= SKEW_ATOL)
     note = "" if exact else f"sensor {plugin}: its axes are not perpendicular, so {its_rays}"
     eye, up, view = (matrix[:3, column].tolist() for column in (3, 1, 2))
     pose = {"eye": eye, "up": up, "direction": view}
@@ -262,18 +302,12 @@ def camera_of(about: Mapping[str, Any], size: Sequence[int]) -> SensorCamera:
         start = near * float(along)  # the scale along the view does not apply to the distance of the clip planes
         planes = {"near": start, "far": start + far - near}
         return SensorCamera({"type": "orthographic", **pose, "width": 2.0 * float(across), **planes}, exact, note)
-    camera = {"type": "pinhole", **pose, "near": near, "far": far, **_field_of_view(about)}
+    fov = {"fov": about["fov"], "fov_axis": about.get("fov_axis", "x")} if "fov" in about else {"fov": about["x_fov"]}
+    camera = {"type": "pinhole", **pose, "near": near, "far": far, **fov}
     shift = [about.get(f"principal_point_offset_{axis}", 0.0) for axis in "xy"]
     camera |= {"principal_point": shift} if any(shift) else {}
     lens = "sensor thinlens: rays through the middle of its lens" if plugin == "thinlens" else ""
     return SensorCamera(camera, exact, "; ".join(filter(None, (note, lens))))
-
-
-def _field_of_view(about: Mapping[str, Any]) -> dict[str, Any]:
-    if "fov" in about:
-        return {"fov": about["fov"], "fov_axis": about.get("fov_axis", "x")}
-    focal = float(str(about.get("focal_length", "50mm")).removesuffix("mm"))
-    return {"fov": math.degrees(2.0 * math.atan(0.5 * FILM_DIAGONAL_MM / focal)), "fov_axis": "diagonal"}
 
 
 # ---- import

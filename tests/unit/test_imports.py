@@ -93,9 +93,9 @@ RULES = (
     Rule("mitsuba_ref", "only caster imports OpenEXR and numba", never=("OpenEXR", "numba")),
     Rule(
         "mitsuba_ref",
-        "only mitsuba_ref/reference/mitsuba_calls.py imports Mitsuba",
+        "only mitsuba_ref/reference/mitsuba_calls.py and file_calls.py import Mitsuba",
         never=("mitsuba", "drjit"),
-        except_in=("mitsuba_ref.reference.mitsuba_calls",),
+        except_in=("mitsuba_ref.reference.mitsuba_calls", "mitsuba_ref.reference.file_calls"),
     ),
     Rule(
         "mitsuba_ref", "other ray casters are candidates: no module imports one", never=("open3d", "embreex", "trimesh")
