@@ -21,6 +21,7 @@ DIFFUSE_LIGHTS = {"point": "intensity", "directional": "irradiance", "constant":
 FILM_SIZES = {"width": 768, "height": 576}  # Mitsuba's defaults
 HELD = {"Sphere": "sphere", "Cylinder": "cylinder", "Disk": "disk"}  # class in Mitsuba -> shape type of the caster
 MESHES = {"ply", "obj", "serialized", "rectangle", "cube", "merge"}  # plugins
+VIEW, VIEW_FROM, VIEW_FOV, VIEW_SIZE = "no sensor", np.array([0.4417, 0.3571, 0.8231]), 41.3, (256, 256)
 ROBUST = "embree_use_robust_intersections"
 
 
@@ -201,10 +202,9 @@ def open_file(request: OpenRequest, sensor_rays: Any) -> OpenResponse:
         parsed = parse(request, variant)
     scene = parsed.instantiate()
     sensors = scene.sensors()
-    if request.sensor >= len(sensors):
-        there = f"the file has {len(sensors)}, counted from 0" if sensors else "the file has no sensor"
-        return OpenResponse(problem=f"sensor {request.sensor}: {there}")
-    sensor = sensors[request.sensor]
+    if request.sensor >= max(1, len(sensors)):
+        return OpenResponse(problem=f"sensor {request.sensor}: the file has {len(sensors)}, counted from 0")
+    sensor = sensors[request.sensor] if sensors else _view_of_all(scene, request.size)
     loaded = {shape.id(): shape for shape in scene.shapes()} | _loaded_groups(parsed, request, variant)
     shapes: list[dict[str, Any]] = []
     vertices, faces = [np.zeros((0, 8), np.float32)], [np.zeros((0, 3), np.int32)]
@@ -226,13 +226,23 @@ def open_file(request: OpenRequest, sensor_rays: Any) -> OpenResponse:
         placed=list(_placements(parsed, loaded, number_of)),
         size=list(film.size()),
         crop=[x, y, x + width, y + height],
-        camera=_camera(parsed.state.nodes[int(sensor.id())].props, sensor),
+        camera=_camera(parsed.state.nodes[int(sensor.id())].props if sensors else mi.Properties(VIEW), sensor),
         lights=list(_lights(parsed)),
         unlit=parsed.unlit,
         dropped=dict(parsed.dropped),
         files=[*map(str, parsed.state.files), *(file for _, _, file in _files(parsed))],
         variant=variant,
     )
+
+
+def _view_of_all(scene: Any, size: Sequence[int] | None) -> Any:
+    """A sensor that sees the whole scene, for a file without any."""
+    box = scene.bbox()
+    center, radius = np.array(box.center()), float(np.linalg.norm(np.array(box.extents()))) / 2.0 or 1.0
+    to_world = mi.ScalarTransform4f().look_at(center + 3.0 * radius * VIEW_FROM, center, [0.0, 1.0, 0.0])
+    film = dict(zip(FILM_SIZES, size or VIEW_SIZE, strict=True)) | {"type": "hdrfilm"}
+    planes = {"near_clip": radius, "far_clip": 5.0 * radius}
+    return mi.load_dict({"type": "perspective", "fov": VIEW_FOV, "to_world": to_world, "film": film, **planes})
 
 
 def _material_of(parsed: Parsed, number: int) -> dict[str, Any]:

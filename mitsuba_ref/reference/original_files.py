@@ -285,6 +285,8 @@ def camera_of(about: Mapping[str, Any]) -> SensorCamera:
     plugin, matrix = about["plugin"], np.array(about["to_world"])
     near, far = about.get("near_clip", DEFAULT_NEAR), about.get("far_clip", DEFAULT_FAR)
     its_rays = "its rays are Mitsuba's"
+    if plugin == "no sensor":
+        return SensorCamera(None, note="the file has no sensor: the view is of all its shapes")
     if plugin not in ("perspective", "thinlens", "orthographic"):
         random = ", for the middle of each sample" if plugin in ("distant", "irradiancemeter") else ""
         return SensorCamera(None, note=f"sensor {plugin}: {its_rays}{random}")

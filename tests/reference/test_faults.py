@@ -20,7 +20,7 @@ class Fault(NamedTuple):
     """One entry of a file in tests/faults."""
 
     name: str
-    run: str  # a command of mitsuba-ref, or pytest; {scenes}: the shipped scenes, {out}: an empty folder
+    run: str  # a command of mitsuba-ref, or pytest; {scenes}: shipped ones, {files}: Mitsuba's, {out}: an empty folder
     says: str  # a pattern of its output
     edit: list[dict[str, str]]  # file, old, new
     code: int = 1  # exit code
@@ -45,7 +45,8 @@ def obey(forks, coarse_scenes, tmp_path):
 
     def run(tree: Path, fault: Fault, says: str = ""):
         (tmp_path / "out").mkdir(exist_ok=True)
-        module, *words = shlex.split(fault.run.format(scenes=coarse_scenes, out=tmp_path / "out"))
+        places = {"scenes": coarse_scenes, "files": ROOT / "tests/mitsuba_files", "out": tmp_path / "out"}
+        module, *words = shlex.split(fault.run.format(**places))
         if module == "pytest":
             return run_tests(tree, tmp_path, *words, compiled=fault.compiled)
         without = [name for name in LONG_CHECKS if name not in says] if module == "validate" else ()

@@ -100,6 +100,10 @@ def test_rays_are_the_sensors_own(folder):
     path = written(folder, SENSOR + meter + BALL)
     scene = mitsuba_ref.validate(open_scene(path, Opening({}, sensor=1))).scenes[0]
     assert scene.ok and scene.hit_pixels == scene.pixels == 1 and "sensor radiancemeter" in scene.coverage.notes[0]
+    with pytest.raises(SceneError, match="sensor 2: the file has 2, counted from 0"):
+        open_scene(path, Opening({}, sensor=2))
+    scene = mitsuba_ref.validate(written(folder, BALL, "view.xml"), size=(20, 20)).scenes[0]
+    assert scene.ok and 50 < scene.hit_pixels < 350 and "no sensor" in scene.coverage.notes[0]
     with pytest.raises(SceneError, match="perspective or orthographic"):
         import_xml(written(folder, meter + BALL))
 
@@ -153,7 +157,6 @@ REFUSED = [
     ),
     (SENSOR, 5, "it has no shape"),
     (SENSOR + '<shape type="sphere"><boolean name="flip_normals" value="true"/></shape>', 5, "none of its 1 shapes"),
-    (BALL, 2, "the file has no sensor"),
     (SENSOR + BALL.replace("/>", '><float name="radius" value="$r"/></shape>'), 2, r"\$r; give it by -D NAME=VALUE"),
     (SENSOR + BALL.replace("/>", '><float name="radus" value="1"/></shape>'), 2, r"(?s)line 1, col \d+.*radus"),
 ]
