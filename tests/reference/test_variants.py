@@ -9,6 +9,7 @@ from mitsuba_scenes import has_t, job, shape, write
 
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.reference import messages, mitsuba_process, variants
+from mitsuba_ref.reference.interpreter import VARIANT_VARIABLE
 from mitsuba_ref.reference.messages import Crash, TraceResponse
 from mitsuba_ref.reference.store import user_store
 from mitsuba_ref.reference.variants import LIBLLVM_ENVIRONMENT_VARIABLE, VariantError, usable_variants, variant_for
@@ -21,7 +22,7 @@ OLD_LLVM = Path("/usr/lib/x86_64-linux-gnu/libLLVM-15.so.1")
 def nothing_known(tmp_path, monkeypatch):
     """An empty cache folder, nothing remembered, nothing chosen."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.delenv(variants.VARIANT_ENVIRONMENT_VARIABLE, raising=False)
+    monkeypatch.delenv(VARIANT_VARIABLE, raising=False)
     monkeypatch.setattr(variants, "_usable_by_key", {})
 
 
@@ -220,7 +221,7 @@ def test_what_would_end_alike_is_not_tried_again(libraries, trials, monkeypatch,
 def test_curved_shapes_go_to_the_scalar_variant_unless_one_is_chosen(libraries, trials, monkeypatch):
     assert [variant_for(has_quadrics) for has_quadrics in (False, True)] == ["llvm_ad_rgb", "scalar_rgb"]
     for chosen in variants.VARIANT_NAMES:
-        monkeypatch.setenv(variants.VARIANT_ENVIRONMENT_VARIABLE, chosen)
+        monkeypatch.setenv(VARIANT_VARIABLE, chosen)
         assert variant_for(False) == variant_for(True) == chosen
 
 
@@ -236,7 +237,7 @@ def test_curved_shapes_go_to_the_scalar_variant_unless_one_is_chosen(libraries, 
 )
 def test_a_choice_that_is_unknown_or_does_not_work_is_an_error(libraries, trials, monkeypatch, chosen, says):
     trials.says.update({("llvm_ad_rgb", library): "abort" for library in libraries})
-    monkeypatch.setenv(variants.VARIANT_ENVIRONMENT_VARIABLE, chosen)
+    monkeypatch.setenv(VARIANT_VARIABLE, chosen)
     with pytest.raises(VariantError, match=says):
         variant_for(False)
 
@@ -276,7 +277,7 @@ def test_a_libllvm_that_does_not_work_is_stated_once(libraries, trials, monkeypa
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("llvm_ad_rgb does not work here, scalar_rgb traces all scenes (`mitsuba-ref doctor` ")
     assert f"{libraries[1]}: SIGABRT; {libraries[2]}: SIGABRT" in line
-    monkeypatch.setenv(variants.VARIANT_ENVIRONMENT_VARIABLE, "scalar_rgb")
+    monkeypatch.setenv(VARIANT_VARIABLE, "scalar_rgb")
     variants.require_variants()
     assert capsys.readouterr().err == ""
 
