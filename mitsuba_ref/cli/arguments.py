@@ -109,7 +109,7 @@ def adder(place: argparse._ActionsContainer) -> Callable[..., argparse.Action]:
     return add
 
 
-def add_selection(parser: argparse.ArgumentParser) -> None:
+def add_selection(parser: argparse.ArgumentParser, *, workers: bool = True) -> None:
     """Add scenes, -k, --size and --mesh-dir, and -j."""
     group = parser.add_argument_group("scenes")
     add = adder(group)
@@ -141,8 +141,8 @@ def add_selection(parser: argparse.ArgumentParser) -> None:
     )
     add("--size", int, "film in pixels, instead of the scenes' own", nargs=2, metavar=("W", "H"))
     add_mesh_dirs(group)
-    help_ = "scenes at a time; default: one a core"
-    adder(parser)("-j", positive_int, help_, dest="workers")
+    if workers:
+        adder(parser)("-j", positive_int, "scenes at a time; default: one a core", dest="workers")
 
 
 def add_timeout(parser: argparse.ArgumentParser) -> None:
@@ -170,12 +170,16 @@ class SetVariable(argparse.Action):
 REFERENCE_OPTIONS = ("mitsuba", "variant", "as_in_file")  # of add_reference
 
 
-def add_reference(parser: argparse.ArgumentParser) -> None:
-    """Add --mitsuba, --variant, --as-in-file."""
+def add_reference(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
+    """Add --mitsuba, --variant, --as-in-file. several: --mitsuba any number of times."""
     add = adder(parser.add_argument_group("the reference (mitsuba-ref docs versions)"))
-    help_ = f"the Python interpreter whose Mitsuba (3.6 or later) is the reference; default: ${PYTHON_VARIABLE}, or this"
-    add("--mitsuba", str, help_, action=SetVariable, variable=PYTHON_VARIABLE, metavar="PYTHON")
-    help_ = f"the variant of Mitsuba, such as llvm_ad_rgb or cuda_ad_rgb; default: ${VARIANT_VARIABLE}, or by the shapes"
+    if several:
+        help_ = "a Python interpreter with Mitsuba 3.6 or later, twice; once: beside the installed Mitsuba"
+        add("--mitsuba", str, help_, action="append", dest="interpreters", metavar="PYTHON", required=True)
+    else:
+        help_ = f"a Python interpreter whose Mitsuba, 3.6 or later, is the reference; default: ${PYTHON_VARIABLE}"
+        add("--mitsuba", str, help_, action=SetVariable, variable=PYTHON_VARIABLE, metavar="PYTHON")
+    help_ = f"Mitsuba's variant, such as llvm_ad_rgb or cuda_ad_rgb; default: ${VARIANT_VARIABLE}, or by the shapes"
     add("--variant", str, help_, action=SetVariable, variable=VARIANT_VARIABLE, metavar="VARIANT")
     help_ = "Embree's robust mode only where the scene's own file requests it; else meshes are always closed"
     add("--as-in-file", str, help_, action=SetVariable, variable=AS_IN_FILE_VARIABLE, nargs=0)
@@ -310,6 +314,13 @@ def shard(text: str) -> Shard:
     from mitsuba_ref.runner.shards import parse_shard
 
     return parse_shard(text)
+
+
+def add_versions_arguments(parser: argparse.ArgumentParser) -> None:
+    add_selection(parser, workers=False)
+    add_reference(parser, several=True)
+    add_timeout(parser)
+    add_json(parser)
 
 
 def add_merge_arguments(parser: argparse.ArgumentParser) -> None:

@@ -19,6 +19,7 @@ from mitsuba_ref.cli.arguments import ScenePath, ServedProgram
 from mitsuba_ref.hard.family import Family
 from mitsuba_ref.hard.swept_families import SWEPT
 from mitsuba_ref.reference import variants
+from mitsuba_ref.reference.interpreter import PYTHON_VARIABLE, interpreter
 from mitsuba_ref.report.results import libllvm, versions, write_result
 from mitsuba_ref.stress import sweeps
 from mitsuba_ref.stress.sweeps import StressRun, SweepResult
@@ -80,6 +81,8 @@ def run_bench(args: argparse.Namespace) -> int:
     threads = args.threads or core_count()
     if threads > core_count():
         raise SceneError(f"--threads {threads}: this process may use {core_count()}")
+    if interpreter() != sys.executable:
+        raise SceneError(f"{PYTHON_VARIABLE}: bench times the Mitsuba that is installed beside it; unset it")
     variants.variant_for(has_quadrics=True)  # raises before any work without Mitsuba
     settings = Settings(args.size, args.alternations, threads, args.seed)
     caster = None

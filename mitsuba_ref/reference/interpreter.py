@@ -3,6 +3,7 @@
 The choice is an environment variable, so that it holds for all processes of a run.
 """
 
+import contextlib
 import hashlib
 import json
 import os
@@ -64,8 +65,23 @@ class Installation:
 
 
 def interpreter() -> str:
-    """The interpreter that runs Mitsuba."""
-    return os.environ.get(PYTHON_VARIABLE) or sys.executable
+    """The path of the interpreter that runs Mitsuba, or the given name where there is no such program."""
+    given = os.environ.get(PYTHON_VARIABLE)
+    program = shutil.which(given) if given else sys.executable
+    return os.path.abspath(program) if program else str(given)
+
+
+@contextlib.contextmanager
+def chosen(python: str) -> Iterator[None]:
+    """A context in which that interpreter runs Mitsuba; for one thread."""
+    before = os.environ.get(PYTHON_VARIABLE)
+    os.environ[PYTHON_VARIABLE] = python
+    try:
+        yield
+    finally:
+        del os.environ[PYTHON_VARIABLE]
+        if before is not None:
+            os.environ[PYTHON_VARIABLE] = before
 
 
 def child_command(module: str) -> list[str]:
@@ -73,13 +89,13 @@ def child_command(module: str) -> list[str]:
     return [interpreter(), "-P", "-c", RUN_MODULE, str(PACKAGE_PARENT), module]
 
 
-def installation(python: str | None = None) -> Installation:
-    """The Mitsuba of an interpreter, default the chosen one. Raises SceneError for one that cannot be used."""
-    return _installation(python or interpreter())
+def installation() -> Installation:
+    """The Mitsuba of the chosen interpreter. Raises SceneError for one that cannot be used."""
+    return installation_of(interpreter())
 
 
 @cache
-def _installation(python: str) -> Installation:
+def installation_of(python: str) -> Installation:
     found = _description(python)
     version = ".".join(map(str, found["python"]))
     if tuple(found["python"]) < LEAST_PYTHON:
@@ -98,13 +114,12 @@ def _installation(python: str) -> Installation:
 
 def _description(python: str) -> dict[str, Any]:
     """What DESCRIBE prints in that interpreter. Raises SceneError."""
-    program = shutil.which(python)
-    if program is None:
+    if shutil.which(python) is None:
         hint = f"; did you mean {python}/bin/python?" if os.path.isdir(python) else ""
         raise _unusable(python, f"is no program{hint}")
     with tempfile.TemporaryDirectory() as folder:
         try:
-            end = run([program, "-c", DESCRIBE], ANSWER_SECONDS, {"PYTHONPATH": user_import_path()}, folder)
+            end = run([python, "-c", DESCRIBE], ANSWER_SECONDS, {"PYTHONPATH": user_import_path()}, folder)
         except OSError as error:
             raise _unusable(python, f"cannot be started: {error.strerror}") from None
     _, mark, description = end.output.rpartition("DESCRIPTION")

@@ -157,8 +157,8 @@ def variant_for(has_quadrics: bool) -> str:
 def _checked(chosen: str) -> str:
     """A variant that the user has chosen. Raises VariantError unless it exists and works here."""
     if chosen not in VARIANT_NAMES and chosen not in (known := rgb_variants()):
-        hint = suggestion(chosen, known) or ": they compute light in rgb, which is compared"
-        raise VariantError(f"--variant {chosen!r}: expected {' or '.join(known)}{hint}")
+        rule = "whose light is in rgb, as it is compared"
+        raise VariantError(f"--variant {chosen!r}: expected {' or '.join(known)}, {rule}{suggestion(chosen, known)}")
     if why := why_not(chosen):
         raise VariantError(f"--variant {chosen!r}: it does not work here: {why}")
     return chosen
@@ -182,6 +182,8 @@ def why_not(variant: str) -> str:
     if stored is not None:
         return stored.decode()
     problem = _brief(list(filter(None, [smoke_test(variant, environment_for(variant))])))
+    if "the CUDA backend hasn't been initialized" in problem:
+        problem = "no CUDA device was found"
     if not _may_end_differently(problem):
         store.put(key, problem.encode())
     return problem

@@ -19,7 +19,7 @@ from pydantic import TypeAdapter
 
 from caster.system.atomic_files import write_text
 from caster.system.terminal import printable, unfiltered
-from mitsuba_ref.reference.store import installed_version
+from mitsuba_ref.reference.store import installed_version, machine
 from mitsuba_ref.reference.variants import usable_variants
 
 STANDARD_OUTPUT = "-"
@@ -41,8 +41,8 @@ def write_result(result: Any, file: str) -> None:
 
 
 def versions(*packages: str) -> dict[str, str]:
-    """Installed versions of packages; "none" where there is none."""
-    return {name: installed_version(name) for name in packages}
+    """Versions of packages, Mitsuba's of the chosen interpreter; "none" where there is none."""
+    return {name: machine().get(name) or installed_version(name) for name in packages}
 
 
 def libllvm() -> str:
@@ -122,10 +122,10 @@ def _line(row: Row, widths: Sequence[int], left: int) -> str:
     return "  ".join(cell.ljust(width) if i < left else cell.rjust(width) for i, (cell, width) in pairs)
 
 
-def percent(count: int, total: int) -> str:
-    """A percentage; 100 only for all, 0 only for none."""
+def percent(count: int, total: int, digits: int = 4) -> str:
+    """A percentage; 100 only for all, 0 only for none, but for its rounding to `digits`."""
     share = 100.0 * count / total
-    return f"{share:.4f} %" if 0 < count < total else f"{share:.0f} %"
+    return f"{share:.{digits}f} %" if 0 < count < total else f"{share:.0f} %"
 
 
 NOTHING = "-"

@@ -196,6 +196,7 @@ TRIANGLES = PrimitiveReference(
         GRAZED,
         SMALL_AND_FAR,
         FAR_FROM_ORIGIN,
+        LEAK,
     ),
     defect_view=view_triangle,
 )
