@@ -101,7 +101,8 @@ COMMANDS = (
         "versions",
         "judge scenes with two versions of Mitsuba: what changed in bits, and which one is nearer to exact",
         "versions scenes --mitsuba old/bin/python --mitsuba new/bin/python",
-        "versions",
+        "experiments",
+        "run_versions",
         starts_with="loading the judge and the scenes",
     ),
     _command(

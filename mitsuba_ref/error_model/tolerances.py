@@ -14,7 +14,7 @@ K = 4.0
 KU = K * U32
 
 # The arithmetic of 3.9.1 was read, and its errors and defects were measured. With the others every shipped scene and
-# the fuzzer's pass as well, within the same bounds (docs/versions.md). Others are judged, and named in the summary.
+# the fuzzer's pass as well, within the same bounds (docs/internals/versions.md). Others are judged, and named in the summary.
 MEASURED_FOR = {"mitsuba": ("3.6.4", "3.7.1", "3.8.0", "3.9.0", "3.9.1"), "variant": ("scalar_rgb", "llvm_ad_rgb")}
 
 # K u for a float64 caster such as ours; doubled, because its answer is compared with one computed in float64.

@@ -23,7 +23,8 @@ from mitsuba_ref.reference.subprocess_runner import PACKAGE_PARENT, run, user_im
 # The options --mitsuba, --variant and --as-in-file, as environment variables.
 PYTHON_VARIABLE, VARIANT_VARIABLE = "MITSUBA_REF_PYTHON", "MITSUBA_REF_VARIANT"
 AS_IN_FILE_VARIABLE = "MITSUBA_REF_AS_IN_FILE"
-LEAST_PYTHON, LEAST_MITSUBA = (3, 11), (3, 6)  # of our own code; the first Mitsuba with robust intersections
+LEAST_PYTHON, LEAST_MITSUBA = "3.11", "3.6"  # of our own code; the first Mitsuba with robust intersections
+BINARIES = (".so", ".dylib")
 ANSWER_SECONDS = 60.0  # for an interpreter to describe itself; it takes a third of one
 
 # Prints the description after a mark, in the syntax of any Python. The empty entry is the current folder.
@@ -31,7 +32,7 @@ DESCRIBE = """
 import sys
 sys.path[:] = [place for place in sys.path if place]
 import json, os
-found = {"python": list(sys.version_info[:3])}
+found = {"python": "%d.%d.%d" % sys.version_info[:3]}
 try:
     import numpy, drjit, mitsuba
     found["versions"] = {"mitsuba": mitsuba.__version__, "drjit": drjit.__version__}
@@ -97,18 +98,20 @@ def installation() -> Installation:
 @cache
 def installation_of(python: str) -> Installation:
     found = _description(python)
-    version = ".".join(map(str, found["python"]))
-    if tuple(found["python"]) < LEAST_PYTHON:
-        raise _unusable(python, f"is Python {version}; expected {_dotted(LEAST_PYTHON)} or newer")
+    if _numbers(found["python"]) < _numbers(LEAST_PYTHON):
+        raise _unusable(python, f"is Python {found['python']}; expected {LEAST_PYTHON} or newer")
     if "problem" in found:
-        way_out = f"{python} -m pip install numpy 'mitsuba>={_dotted(LEAST_MITSUBA)}'"
+        way_out = f"{python} -m pip install numpy 'mitsuba>={LEAST_MITSUBA}'"
         raise _unusable(python, f"cannot import Mitsuba and NumPy: {found['problem']} ({way_out})")
     mitsuba = found["versions"]["mitsuba"]
-    if _numbers(mitsuba) < LEAST_MITSUBA:
-        expected = f"expected {_dotted(LEAST_MITSUBA)} or later, which has robust intersections"
+    if _numbers(mitsuba) < _numbers(LEAST_MITSUBA):
+        expected = f"expected {LEAST_MITSUBA} or later, which has robust intersections"
         raise _unusable(python, f"has Mitsuba {mitsuba}; {expected}")
-    libraries = "".join(entry for folder in found["folders"] for entry in _libraries(Path(folder)))
-    build = hashlib.sha256(libraries.encode()).hexdigest()
+    libraries = [path for folder in found["folders"] for path in sorted(Path(folder).rglob("*"))]
+    stamps = [
+        f"{path} {path.stat().st_size} {path.stat().st_mtime_ns}" for path in libraries if path.suffix in BINARIES
+    ]
+    build = hashlib.sha256("\n".join(stamps).encode()).hexdigest()
     return Installation(found["versions"], tuple(found["variants"]), build)
 
 
@@ -129,18 +132,8 @@ def _description(python: str) -> dict[str, Any]:
     return found
 
 
-def _libraries(folder: Path) -> Iterator[str]:
-    for path in sorted([*folder.rglob("*.so"), *folder.rglob("*.dylib")]):
-        status = path.stat()
-        yield f"{path.name} {status.st_size} {status.st_mtime_ns}"
-
-
 def _unusable(python: str, why: str) -> SceneError:
     return SceneError(f"--mitsuba {python}: {why}")
-
-
-def _dotted(version: tuple[int, ...]) -> str:
-    return ".".join(map(str, version))
 
 
 def _numbers(version: str) -> tuple[int, ...]:

@@ -122,10 +122,10 @@ def _line(row: Row, widths: Sequence[int], left: int) -> str:
     return "  ".join(cell.ljust(width) if i < left else cell.rjust(width) for i, (cell, width) in pairs)
 
 
-def percent(count: int, total: int, digits: int = 4) -> str:
-    """A percentage; 100 only for all, 0 only for none, but for its rounding to `digits`."""
+def percent(count: int, total: int) -> str:
+    """A percentage; 100 only for all, 0 only for none."""
     share = 100.0 * count / total
-    return f"{share:.{digits}f} %" if 0 < count < total else f"{share:.0f} %"
+    return f"{share:.4f} %" if 0 < count < total else f"{share:.0f} %"
 
 
 NOTHING = "-"

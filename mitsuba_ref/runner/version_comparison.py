@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import field
-from typing import NamedTuple
 
 import numpy as np
 from pydantic import computed_field
@@ -13,9 +12,8 @@ from mitsuba_ref.error_model.bounds import row_distance
 from mitsuba_ref.judge.pipeline import Seen, Task, judge_film
 from mitsuba_ref.judge.verdict import AGREE, RESULT, JsonFloat, SceneVerdict
 from mitsuba_ref.reference.interpreter import chosen
-from mitsuba_ref.reference.mitsuba_process import SendRequest, send_stored
 from mitsuba_ref.reference.shared_input import pixel_of
-from mitsuba_ref.report.results import NOTHING, aligned, number, percent, plural
+from mitsuba_ref.report.results import NOTHING, aligned, number, plural
 from mitsuba_ref.report.verdict_text import mark_of
 
 QUANTITIES = ("depth", "position", "normal", "shading_normal", "uv", "diffuse")
@@ -31,7 +29,7 @@ class VersionErrors:
 
     rms: float
     p999: float  # 99.9 % of them are below
-    nearer: int  # pixels that changed, and where this version is the nearer one
+    nearer: int  # pixels where this version is the nearer one
 
 
 @dataclass(frozen=True, config=RESULT)
@@ -74,86 +72,66 @@ class VersionComparison:
         return all(scene.ok for scene in self.scenes)
 
 
-class _Window(NamedTuple):
-    """The evidence of one version in one window of the film: n pixels."""
-
-    pixels: np.ndarray  # (n, 2) x, y
-    agree: np.ndarray  # (n,) bool, the class of the pixel
-    hit: np.ndarray  # (n,) primitive, -1 on a miss
-    sides: dict[str, tuple[np.ndarray, np.ndarray]]  # quantity -> (n, c) ours, the reference's
+OURS, REFERENCE = "ours", "reference"
+Evidence = dict[str | tuple[str, str], np.ndarray]  # one row a pixel; of a quantity by (its name, the side)
 
 
-def _window_of(seen: Seen) -> _Window:
-    judge = seen.judge
-    sides = {name: judge.pixels.pair(name) for name in QUANTITIES}
-    if judge.pixels.uv:
-        sides["uv"] = judge.pixels.uv.subject, judge.pixels.uv.reference
-    count = len(judge.hit)
-    columns = {name: (one.reshape(count, -1), other.reshape(count, -1)) for name, (one, other) in sides.items()}
-    pixels = np.array([pixel_of(judge.scene, row) for row in range(count)], np.int32).reshape(-1, 2)
-    return _Window(pixels, seen.judgement.is_class(AGREE), judge.reference_prim, columns)
+def evidence_of(seen: Seen) -> Evidence:
+    """The evidence of a window with one version."""
+    judge, uv = seen.judge, seen.judge.pixels.uv
+    assert uv is not None  # our caster gives it
+    found: Evidence = {HIT: judge.reference_prim, AGREE: seen.judgement.is_class(AGREE)}
+    for name in QUANTITIES:
+        for side, values in zip((OURS, REFERENCE), uv if name == "uv" else judge.pixels.pair(name), strict=False):
+            found[name, side] = values.reshape(len(judge.hit), -1)
+    return found
 
 
-def judge_with(
-    python: str, scene: Scene, name: str, path: str, timeout: float, send: SendRequest
-) -> tuple[SceneVerdict, list[_Window]]:
-    """The verdict of a scene with the Mitsuba of an interpreter, and its evidence, window by window."""
-    windows: list[_Window] = []
+def judge_with(python: str, task: Task) -> tuple[SceneVerdict, Evidence]:
+    """The verdict of a scene with the Mitsuba of an interpreter, and its evidence, empty if there was no answer."""
+    windows: list[Evidence] = []
 
     def collect(verdict: SceneVerdict, images: str) -> SceneVerdict:
         if isinstance(verdict.seen, Seen):
-            windows.append(_window_of(verdict.seen))
+            windows.append(evidence_of(verdict.seen))
         return verdict
 
     with chosen(python):
-        return judge_film(Task(scene, name, path, timeout=timeout, send=send), collect), windows
+        verdict = judge_film(task, collect)
+    return verdict, {} if verdict.problem else {k: np.concatenate([each[k] for each in windows]) for k in windows[0]}
 
 
-def compare_scene(
-    pythons: Sequence[str], scene: Scene, name: str, path: str, timeout: float, send: SendRequest = send_stored
-) -> SceneComparison:
-    """A scene under the Mitsuba of two interpreters. Raises SceneError for a scene that cannot be judged."""
-    (first, a), (second, b) = (judge_with(python, scene, name, path, timeout, send) for python in pythons)
-    changes = () if first.problem or second.problem else tuple(_changes(_joined(a), _joined(b)))
-    return SceneComparison(name, (first, second), changes)
+def compare_scene(pythons: Sequence[str], task: Task) -> SceneComparison:
+    """A scene with the Mitsuba of two interpreters. Raises SceneError for a scene that cannot be judged."""
+    verdicts, (a, b) = zip(*(judge_with(python, task) for python in pythons), strict=True)
+    return SceneComparison(task.name, verdicts, tuple(_changes(task.scene, a, b)) if a and b else ())
 
 
-def _joined(windows: Sequence[_Window]) -> _Window:
-    pixels, agree, hit, sides = zip(*windows, strict=True)
-    whole = {
-        name: (np.concatenate([each[name][0] for each in sides]), np.concatenate([each[name][1] for each in sides]))
-        for name in QUANTITIES
-    }
-    return _Window(np.concatenate(pixels), np.concatenate(agree), np.concatenate(hit), whole)
-
-
-def _changes(a: _Window, b: _Window) -> Iterator[QuantityChange]:
-    same, agree = a.hit == b.hit, a.agree & b.agree & (a.hit >= 0)
+def _changes(scene: Scene, a: Evidence, b: Evidence) -> Iterator[QuantityChange]:
+    same, agree = a[HIT] == b[HIT], a[AGREE] & b[AGREE] & (a[HIT] >= 0)
     if not same.all():
-        yield QuantityChange(HIT, int((~same).sum()), 0.0, _listed(a.pixels, np.flatnonzero(~same)))
+        yield QuantityChange(HIT, int((~same).sum()), 0.0, _listed(scene, np.flatnonzero(~same)))
     for name in QUANTITIES:
-        exact, values = a.sides[name][0], (a.sides[name][1], b.sides[name][1])
+        values = [each[name, REFERENCE] for each in (a, b)]
         bits = [np.ascontiguousarray(each, np.float64).view(np.int64) for each in values]
         changed = (bits[0] != bits[1]).any(axis=1)
-        if not changed.any():
-            continue
-        change = np.where(changed & same, row_distance(*values), 0.0)  # NaN where a value is not finite
-        order = np.argsort(-np.nan_to_num(change, nan=np.inf), kind="stable")[: int(changed.sum())]
-        largest = float(np.nan_to_num(change, nan=np.inf).max())
-        errors = [row_distance(exact, each) for each in values]
-        nearer = [changed & agree & (one < other) for one, other in (errors, errors[::-1])]
-        found = [_errors(each[agree], int(rows.sum())) for each, rows in zip(errors, nearer, strict=True)]
-        yield QuantityChange(name, int(changed.sum()), largest, _listed(a.pixels, order), tuple(found))
+        if changed.any():
+            change = np.nan_to_num(np.where(changed & same, row_distance(*values), 0.0), nan=np.inf)
+            rows = np.argsort(-change, kind="stable")[: int(changed.sum())]
+            errors = [row_distance(a[name, OURS], each)[agree] for each in values]
+            found = tuple(map(_errors, errors, errors[::-1]))
+            yield QuantityChange(name, len(rows), float(change.max()), _listed(scene, rows), found)
 
 
-def _errors(errors: np.ndarray, nearer: int) -> VersionErrors:
+def _errors(errors: np.ndarray, others: np.ndarray) -> VersionErrors:
     if not len(errors):
-        return VersionErrors(0.0, 0.0, nearer)
-    return VersionErrors(float(np.sqrt(np.mean(errors**2))), float(np.quantile(errors, QUANTILE)), nearer)
+        return VersionErrors(0.0, 0.0, 0)
+    rms, p999 = float(np.sqrt(np.mean(errors**2))), float(np.quantile(errors, QUANTILE))
+    return VersionErrors(rms, p999, int((errors < others).sum()))
 
 
-def _listed(pixels: np.ndarray, rows: np.ndarray) -> tuple[tuple[int, int], ...]:
-    return tuple((int(x), int(y)) for x, y in pixels[rows[:MAX_LISTED_PIXELS]])
+def _listed(scene: Scene, rows: np.ndarray) -> tuple[tuple[int, int], ...]:
+    return tuple(pixel_of(scene, int(row)) for row in rows[:MAX_LISTED_PIXELS])
 
 
 # ---- text ----
@@ -181,7 +159,7 @@ def _row(change: QuantityChange) -> tuple[str, ...]:
     a, b = change.errors
     sizes = (number(value, 1) for value in (change.largest, a.rms, b.rms, a.p999, b.p999))
     decided = a.nearer + b.nearer
-    return change.quantity, str(change.changed), *sizes, percent(b.nearer, decided, 0) if decided else NOTHING
+    return change.quantity, str(change.changed), *sizes, f"{b.nearer / decided:.0%}" if decided else NOTHING
 
 
 def summary_text(run: VersionComparison) -> str:
