@@ -156,7 +156,7 @@ def run_versions(args: argparse.Namespace) -> int:
     for python in pythons:  # their errors come before any work
         with chosen(python):
             variants.require_variants()
-            found.append({name: machine()[name] for name in ("mitsuba", "drjit")})
+            found.append({name: machine()[name] for name in ("mitsuba", "drjit")} | {"python": interpreter()})
     out = options.table_stream(args)
     print(f"{LEGEND}\n", file=out)
     done: list[SceneComparison] = []
@@ -169,7 +169,7 @@ def run_versions(args: argparse.Namespace) -> int:
             progress.clear()
             print_lines(f"{scene_text(done[-1])}\n", out)
     finally:  # what is done is kept, whatever ends the work
-        result = VersionComparison(tuple(pythons), tuple(found), tuple(done))
+        result = VersionComparison(tuple(found), tuple(done))
         if args.json:
             write_result(result, args.json)
         print_lines(summary_text(result), out)

@@ -145,23 +145,18 @@ def variant_for(has_quadrics: bool) -> str:
     """
     found, chosen = usable_variants(), os.environ.get(VARIANT_VARIABLE)
     if chosen:
-        return _checked(chosen)
+        if chosen not in VARIANT_NAMES and chosen not in (known := rgb_variants()):
+            rule = f"whose light is in rgb, as it is compared{suggestion(chosen, known)}"
+            raise VariantError(f"--variant {chosen!r}: expected {' or '.join(known)}, {rule}")
+        if why := why_not(chosen):
+            raise VariantError(f"--variant {chosen!r}: it does not work here: {why}")
+        return chosen
     variant = LLVM if found.libllvm and not has_quadrics else SCALAR
     if variant in found.names:
         return variant
     if re.search("No module named '(mitsuba|drjit)'", found.why):
         raise VariantError(f"Mitsuba is not installed: {INSTALL_COMMAND}")
     raise VariantError(f"Mitsuba's {SCALAR} does not work here: {found.why}; {WAY_OUT}")
-
-
-def _checked(chosen: str) -> str:
-    """A variant that the user has chosen. Raises VariantError unless it exists and works here."""
-    if chosen not in VARIANT_NAMES and chosen not in (known := rgb_variants()):
-        rule = "whose light is in rgb, as it is compared"
-        raise VariantError(f"--variant {chosen!r}: expected {' or '.join(known)}, {rule}{suggestion(chosen, known)}")
-    if why := why_not(chosen):
-        raise VariantError(f"--variant {chosen!r}: it does not work here: {why}")
-    return chosen
 
 
 def rgb_variants() -> list[str]:
@@ -173,20 +168,19 @@ def rgb_variants() -> list[str]:
 
 
 def why_not(variant: str) -> str:
-    """Why a variant does not work here, in one line; "" if it does. Tried once, then stored."""
-    found = usable_variants()
+    """Why a variant does not work here, in one line; "" if it does. One that works is not tried again."""
+    found, key = usable_variants(), key_of([_cache_key(_candidates()), variant])
     if variant in VARIANT_NAMES:
         return "" if variant in found.names else found.why
-    key, store = key_of([_cache_key(_candidates()), variant]), user_store()
-    stored = store.get(key)
-    if stored is not None:
-        return stored.decode()
-    problem = _brief(list(filter(None, [smoke_test(variant, environment_for(variant))])))
-    if "the CUDA backend hasn't been initialized" in problem:
-        problem = "no CUDA device was found"
-    if not _may_end_differently(problem):
-        store.put(key, problem.encode())
-    return problem
+    if user_store().get(key) is not None:
+        return ""
+    if problem := smoke_test(variant, environment_for(variant)):
+        return "no CUDA device was found" if NO_CUDA in problem else _brief([problem])
+    user_store().put(key, b"works")
+    return ""
+
+
+NO_CUDA = "the CUDA backend hasn't been initialized"  # in Dr.Jit's message
 
 
 _said: set[str] = set()  # lines that this process has printed
@@ -260,15 +254,10 @@ def _try_variants(candidates: list[str], key: str) -> Variants:
     if not candidates and not absent:
         problems.append(NO_LIBLLVM)
     found = Variants(not scalar, library, _brief(problems), "; ".join(problems))
-    # A Mitsuba that cannot be imported may be half installed.
-    if not scalar.startswith("exit code") and not _may_end_differently(found.details):
+    # A Mitsuba that cannot be imported may be half installed; after the other two, a machine was busy or out of memory.
+    if not scalar.startswith("exit code") and not any(word in found.details for word in ("killed", "SIGKILL")):
         user_store().put(key, json.dumps(asdict(found)).encode())
     return found
-
-
-def _may_end_differently(problem: str) -> bool:
-    """Whether a machine was busy or out of memory."""
-    return any(word in problem for word in ("killed", "SIGKILL"))
 
 
 MAX_PROBLEM_CHARACTERS, MAX_PROBLEMS = 110, 2  # in one line

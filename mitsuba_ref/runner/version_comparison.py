@@ -1,7 +1,6 @@
 """The same scenes judged with two versions of Mitsuba: what changed in bits, by how much, who is nearer to exact."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import field
 
 import numpy as np
 from pydantic import computed_field
@@ -62,9 +61,8 @@ class SceneComparison:
 class VersionComparison:
     """All scenes under both versions."""
 
-    interpreters: tuple[str, ...]
-    versions: tuple[dict[str, str], ...]  # of both; empty before any answer
-    scenes: tuple[SceneComparison, ...] = field(default=())
+    versions: tuple[dict[str, str], ...]  # of A and B: mitsuba, drjit, python
+    scenes: tuple[SceneComparison, ...]
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -167,8 +165,8 @@ def summary_text(run: VersionComparison) -> str:
     scenes = run.scenes
     changed = sum(bool(scene.changes) for scene in scenes)
     lines = [f"{plural(len(scenes), 'scene')}: {changed} differ in bits"]
-    for i, (name, python) in enumerate(zip(NAMES, run.interpreters, strict=True)):
-        about = ", ".join(f"{key} {value}" for key, value in run.versions[i].items() if key in ("mitsuba", "drjit"))
-        lines.append(f"{name}: {sum(scene.verdicts[i].ok for scene in scenes)} pass; {about}, {python}")
+    for i, name in enumerate(NAMES):
+        about = ", ".join(f"{key} {value}" for key, value in run.versions[i].items())
+        lines.append(f"{name}: {sum(scene.verdicts[i].ok for scene in scenes)} pass; {about}")
     lines += [f"FAIL  {scene.name}: only one version passes" for scene in scenes if not scene.ok]
     return "\n".join(lines)
