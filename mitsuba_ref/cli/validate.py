@@ -15,7 +15,7 @@ from caster.scene.files import types_in_file
 from caster.scene.model import Film
 from caster.system.atomic_files import OutputError, write_text
 from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
-from mitsuba_ref.cli.arguments import DEFAULT_SCENES
+from mitsuba_ref.cli.arguments import DEFAULT_SCENES, REFERENCE_OPTIONS
 from mitsuba_ref.cli.options import (
     OPENING_OPTIONS,
     candidate_words,
@@ -66,7 +66,7 @@ BUILTIN_HINT = "--builtin triangles takes scenes that are installed with the pro
 def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
     """The selected scenes, not loaded yet; prints a message if there are none. Raises SceneError."""
     fits = matching(args.expression, types_in_file)
-    again = (*given_words(args, "mesh_dir", *OPENING_OPTIONS), *candidate_words(args))
+    again = (*given_words(args, "mesh_dir", *OPENING_OPTIONS, *REFERENCE_OPTIONS), *candidate_words(args))
     opening = opening_of(args)
     named = [] if args.builtin and args.scenes is DEFAULT_SCENES else args.scenes
     places = [*builtin_scenes.folders_of(args.builtin), *named]

@@ -15,7 +15,7 @@ import numpy as np
 from mitsuba_ref.reference.messages import OpenRequest, OpenResponse
 
 mi: Any = mitsuba
-PLUGIN_FOLDER = str(list(mi.file_resolver())[-1])  # Mitsuba's own; the others are this process's
+PLUGIN_FOLDER = str(list(mi.file_resolver())[-1]) if hasattr(mi, "file_resolver") else ""  # of 3.7 and later
 
 DIFFUSE_LIGHTS = {"point": "intensity", "directional": "irradiance", "constant": "radiance"}
 FILM_SIZES = {"width": 768, "height": 576}  # Mitsuba's defaults
@@ -60,6 +60,8 @@ class Parsed(NamedTuple):
 def parse(request: OpenRequest, variant: str) -> Parsed:
     """Parse a file. Raises RuntimeError with Mitsuba's message where it is refused."""
     mi.set_variant(variant)
+    if not hasattr(mi, "parser"):
+        raise RuntimeError(f"Mitsuba {mi.__version__} has no mi.parser: Mitsuba files need 3.7 or later")
     resolver = mi.FileResolver()  # of this file alone: <path> adds folders to it
     resolver.clear()
     for folder in (*request.folders, PLUGIN_FOLDER):
@@ -232,6 +234,7 @@ def open_file(request: OpenRequest, sensor_rays: Any) -> OpenResponse:
         dropped=dict(parsed.dropped),
         files=[*map(str, parsed.state.files), *(file for _, _, file in _files(parsed))],
         variant=variant,
+        robust=bool(parsed.state.nodes[0].props.get(ROBUST, False)),
     )
 
 

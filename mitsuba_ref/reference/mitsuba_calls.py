@@ -26,6 +26,9 @@ CENTER = (0.5, 0.5)  # sample of the aperture or of a light; for points it does 
 mi: Any = mitsuba
 dr: Any = drjit
 
+# Optimising, which came with the parser of 3.7, merges meshes and loses their ids.
+UNOPTIMISED = {"optimize": False} if hasattr(mi, "parser") else {}
+
 
 def answer(request: TraceRequest | OpenRequest) -> TraceResponse | OpenResponse:
     """The response to a request, computed in this process. Prints nothing.
@@ -34,22 +37,21 @@ def answer(request: TraceRequest | OpenRequest) -> TraceResponse | OpenResponse:
     ImportError where it refuses the variant.
     """
     mi.set_variant(request.variant)
-    logger = mi.logger()
+    logger = mi.logger() if hasattr(mi, "logger") else mi.Thread.thread().logger()  # before 3.7
     logger.clear_appenders()  # stdout is for the results of commands
     if isinstance(request, TraceRequest):
-        return _trace_request(request)
+        return _trace_request(request, logger)
     logger.set_error_level(mi.LogLevel.Error)
     return file_calls.open_file(request, _sensor_rays)
 
 
-def _trace_request(request: TraceRequest) -> TraceResponse:
-    logger = mi.logger()
+def _trace_request(request: TraceRequest, logger: Any) -> TraceResponse:
     logger.set_error_level(mi.LogLevel.Warn if request.strict else mi.LogLevel.Error)
     start = time.perf_counter()
     if request.original:
         scene = file_calls.load(OpenRequest(**request.original), request.variant)
     else:
-        scene = mi.load_file(str(request.xml), optimize=False)  # optimising merges meshes and loses their ids
+        scene = mi.load_file(str(request.xml), **UNOPTIMISED)
     arrays, names = _traced(scene, request)
     if request.sensor and scene.sensors():
         number = request.original["sensor"] if request.original else 0
@@ -132,7 +134,7 @@ def _centers(offset: int, size: int) -> np.ndarray:
 
 
 def _versions(request: TraceRequest) -> dict[str, str]:
-    library = os.environ.get(variants.LIBLLVM_ENVIRONMENT_VARIABLE) if _is_vectorised(request.variant) else None
+    library = os.environ.get(variants.LIBLLVM_ENVIRONMENT_VARIABLE) if request.variant.startswith("llvm") else None
     return {
         "mitsuba": mi.__version__,
         "drjit": dr.__version__,
@@ -143,7 +145,7 @@ def _versions(request: TraceRequest) -> dict[str, str]:
 
 
 def _is_vectorised(variant: str) -> bool:
-    return variant.startswith("llvm")
+    return not variant.startswith("scalar")
 
 
 # ---- hits

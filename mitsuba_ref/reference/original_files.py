@@ -19,6 +19,7 @@ from caster.system.process import NOTHING_SELECTED
 from mitsuba_ref.error_model.intersections import ceil_log2
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.coverage import Coverage
+from mitsuba_ref.reference.interpreter import as_in_file
 from mitsuba_ref.reference.messages import Crash, OpenRequest, OpenResponse, TraceRequest
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request, send_stored
 from mitsuba_ref.reference.originals import MitsubaScene, Original, original_of
@@ -42,7 +43,6 @@ class Opening(NamedTuple):
     parameters: Mapping[str, str]  # values of $names
     sensor: int = 0
     strict: bool = False  # fail what is judged in part
-    robust: bool = True  # Embree's robust mode, whatever the file says
 
 
 AS_IT_IS = Opening({})
@@ -65,10 +65,10 @@ def open_scene(
         with error_prefix("--size", *size):
             Film(width=size[0], height=size[1])
     folders = tuple(str(Path(folder).absolute()) for folder in mesh_dirs)
-    parameters, sensor, strict, robust = opening
+    parameters, sensor, strict = opening
     variant = variants.variant_for(has_quadrics=False)
     file = str(Path(path).absolute())
-    request = OpenRequest(file, dict(parameters), sensor, size and list(size), folders, robust, variant)
+    request = OpenRequest(file, dict(parameters), sensor, size and list(size), folders, not as_in_file(), variant)
     found = send_request(request, DEFAULT_TIMEOUT)
     if isinstance(found, Crash):
         raise SceneError(f"{path}: Mitsuba refuses it: {_refusal(found)}")
@@ -151,7 +151,8 @@ def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -
         start += camera["near"]
     scene._original = Original(
         request,
-        found.variant,
+        found.variant if found.variant == request.variant else variants.variant_for(has_quadrics=True),
+        found.robust,
         film,
         found.rays,
         start,

@@ -18,7 +18,8 @@ class Original:
     """The file that is the reference of a scene, as opened."""
 
     request: OpenRequest  # with the digest of its files
-    variant: str
+    variant: str  # that traces it
+    robust: bool  # Embree's mode
     film: Film
     rays: np.ndarray  # (pixels, 7) float32: the sensor's o, d, t_max, row by row
     start: np.ndarray  # (pixels,) float64, distance from the eye to o; 0 where the caster has no such camera

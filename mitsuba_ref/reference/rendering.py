@@ -13,6 +13,7 @@ from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.intersections import norm
 from mitsuba_ref.error_model.lambert import ambient_radiance
 from mitsuba_ref.error_model.scene_model import SceneModel
+from mitsuba_ref.reference.interpreter import as_in_file
 from mitsuba_ref.reference.messages import Crash, MitsubaError, TraceRequest, TraceResponse
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_request
 from mitsuba_ref.reference.originals import original_of
@@ -45,6 +46,7 @@ class ReferenceResult:
     unshadowed: np.ndarray  # (lights, n, 3) radiance from each light, without shadows
     visible: np.ndarray  # (lights, n) bool
     ambient: np.ndarray  # (n, 3)
+    robust: bool = True  # Embree's mode, which keeps meshes closed
 
     @property
     def hit(self) -> np.ndarray:
@@ -101,8 +103,10 @@ def trace_reference(
 
     mesh_files: also read by its own loader, for a check.
     """
+    robust = not as_in_file()  # our scenes do not request it
     with ScratchFolder() as folder:
-        request = trace_request(scene, model, rays, Path(folder), variant or variant_of(scene), lights=lights)
+        about = scene, model, rays, Path(folder), variant or variant_of(scene)
+        request = trace_request(*about, lights=lights, robust=robust)
         answer = send(request if request.original else replace(request, mesh_files=tuple(mesh_files)), timeout)
     if isinstance(answer, Crash):
         return answer
@@ -116,6 +120,7 @@ def trace_reference(
         answer.light_rgb.astype(np.float64),
         visible,
         answer.albedo.astype(np.float64) * ambient_radiance(scene.lights),
+        original.robust if (original := original_of(scene)) else robust,
     )
 
 
