@@ -14,7 +14,7 @@ from pydantic import ConfigDict, Field, PlainSerializer, TypeAdapter, computed_f
 from pydantic.dataclasses import dataclass
 
 from mitsuba_ref.error_model.tolerances import MEASURED_FOR, MIN_GROUPS
-from mitsuba_ref.reference.coverage import Coverage
+from mitsuba_ref.reference.messages import Coverage
 
 # The classes of a pixel, for any subject; `wrong` means that the subject is wrong. The last two fail.
 CLASSES = ("agree", "explained", "tie", "reference_wrong", "out_of_domain", "wrong", "undecided")

@@ -18,9 +18,8 @@ from caster.shapes import Cylinder, Disk, Mesh, Sphere
 from caster.system.process import NOTHING_SELECTED
 from mitsuba_ref.error_model.intersections import ceil_log2
 from mitsuba_ref.reference import variants
-from mitsuba_ref.reference.coverage import Coverage
 from mitsuba_ref.reference.interpreter import as_in_file
-from mitsuba_ref.reference.messages import Crash, OpenRequest, OpenResponse, TraceRequest
+from mitsuba_ref.reference.messages import Coverage, Crash, OpenRequest, OpenResponse, TraceRequest
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request, send_stored
 from mitsuba_ref.reference.originals import MitsubaScene, Original, original_of
 from mitsuba_ref.reference.store import key_of

@@ -9,8 +9,7 @@ from pydantic import PrivateAttr
 
 from caster.description.errors import SceneError
 from caster.scene.model import Film, Scene
-from mitsuba_ref.reference.coverage import Coverage
-from mitsuba_ref.reference.messages import OpenRequest
+from mitsuba_ref.reference.messages import Coverage, OpenRequest
 
 
 @dataclass(frozen=True, eq=False)
