@@ -54,6 +54,7 @@ class Bounce:
 
     number: int  # 1: from hits of camera rays
     parents: RayHits  # the rays of the bounce before, and their exact first hits
+    continues: NDArray[np.bool_]  # (parents,), false of rays that end their path: shadow rays
     rays: SecondaryRays
     left_out: dict[str, int]  # reason -> count of rays that rounding leaves undecided
 
@@ -109,7 +110,7 @@ def bounces(first: RayHits, depth: int, spawn: Spawn = spawn) -> Iterator[Bounce
         rays = SecondaryRays(*map(np.concatenate, zip(*found, strict=True)))
         if not len(rays.kind):
             return
-        yield Bounce(number, parents, rays, {why: count for why, count in left_out.items() if count})
+        yield Bounce(number, parents, ~ends, rays, {why: count for why, count in left_out.items() if count})
         pixel, ends = rays.pixel, rays.kind == SHADOW
         parents = first_hits(first.scene, first.packed, Rays(rays.o, rays.d, rays.t_min, rays.t_max))
 

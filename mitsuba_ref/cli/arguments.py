@@ -153,6 +153,11 @@ def add_timeout(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_bounces(add: Callable[..., argparse.Action], about: str) -> None:
+    """Add --bounces."""
+    add("--bounces", whole, f"{about} (materials mirror and glass; mitsuba-ref docs scene-format)", default=0)
+
+
 def add_reading(parser: argparse.ArgumentParser, more: str = "") -> Callable[..., argparse.Action]:
     """Add --map, --depth and --miss; the function that adds more options to their group."""
     add = adder(parser.add_argument_group("files of other programs (mitsuba-ref docs candidates)" + more))
@@ -259,6 +264,7 @@ def add_validate_arguments(parser: argparse.ArgumentParser) -> None:
     add("--shard", shard, "judge part I of N of the scenes, balanced by pixels", metavar="I/N")
     help_ = "also test our caster beyond the judged films: other routes, scales, brute force; compiles more kernels"
     add("--thorough", bool, help_)
+    add_bounces(add, "also judge reflected, refracted and shadow rays, to this depth")
     add_timeout(parser)
     help_ = "judge every scene and ask Mitsuba, also where an earlier run has the result of the very same inputs"
     add("--no-store", bool, help_, dest="store", action="store_false")

@@ -73,7 +73,16 @@ def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
             Film(width=args.size[0], height=args.size[1])
     size, names = tuple(args.size) if args.size else None, display_names(files)
     entries = [
-        SceneEntry(name, file, size, tuple(args.mesh_dir), again) for name, file in zip(names, files, strict=True)
+        SceneEntry(
+            f"{name}.bounce-{number}" if number else name,
+            file,
+            size,
+            tuple(args.mesh_dir),
+            (*again, *(("--bounces", str(number)) if number else ())),
+            bounce=number,
+        )
+        for name, file in zip(names, files, strict=True)
+        for number in range(getattr(args, "bounces", 0) + 1)
     ]
     if not entries:
         fitting = f" that fits -k {args.expression!r}" if args.expression else ""

@@ -57,6 +57,7 @@ class SceneEntry:
     rays: SharedRays | None = None  # of a list, which the film is filled with
     ray_range: tuple[int, int] = (0, 0)  # first and end of them in their list
     command: str = "validate"  # that judges it
+    bounce: int = 0  # of the secondary rays to judge; 0: the camera's rays
 
     @cached_property
     def pixels(self) -> int:
@@ -217,6 +218,7 @@ def judge_entry(entry: SceneEntry, options: JudgeOptions) -> SceneVerdict:
     folder, foreign = options.folder, entry.subject or options.subject
     store = local_store() if options.store and options.page_of is None and foreign is None else None
     about = {"size": entry.size, "options": entry.options, "out": bool(folder), "thorough": options.thorough}
+    about |= {"bounce": entry.bounce} if entry.bounce else {}
     key = verdict_key(scene, entry.path, **about) if store else ""
     if store and key and (found := _stored_verdict(store, key, folder)):
         return found
@@ -260,6 +262,7 @@ def judge_loaded(entry: SceneEntry, scene: Scene, options: JudgeOptions) -> Scen
         keep=options.page_of is not None,
         film=options.film,
         thorough=options.thorough,
+        bounce=entry.bounce,
     )
     return _completed(verdict, entry, scene, options)
 
