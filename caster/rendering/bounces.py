@@ -6,19 +6,17 @@ Directions follow the geometric normal, so that a reflected ray leaves the surfa
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from caster.geometry.packing import Packed
 from caster.geometry.world_space import as_float32
 from caster.kernels.nearest import Rays
-from caster.rendering.casting import find_nearest
-from caster.rendering.hits import RayHits
-from caster.scene.model import Scene
+from caster.rendering.hits import RayHits, trace_rays
+from caster.scene.model import Directional, Point
 
-__all__ = ["RAY_KINDS", "Bounce", "SecondaryRays", "bounces", "first_hits", "spawn"]
+__all__ = ["RAY_KINDS", "Bounce", "SecondaryRays", "bounces", "spawn"]
 
 RAY_KINDS = ("camera", "reflected", "refracted", "shadow")
 """Names of the numbers in `SecondaryRays.kind`."""
@@ -90,11 +88,6 @@ def spawn(points: np.ndarray, normals: np.ndarray, directions: np.ndarray, point
     return as_float32(points + (side * distance)[:, None] * normals)
 
 
-def first_hits(scene: Scene, packed: Packed, rays: Rays) -> RayHits:
-    """The exact first hits of rays that are float32 values."""
-    return RayHits(scene, packed, rays, find_nearest(packed, rays), np.zeros(len(rays.t_min)))
-
-
 def bounces(first: RayHits, depth: int, spawn: Spawn = spawn) -> Iterator[Bounce]:
     """The secondary rays of bounces 1 to `depth`; fewer where none are left.
 
@@ -112,7 +105,7 @@ def bounces(first: RayHits, depth: int, spawn: Spawn = spawn) -> Iterator[Bounce
             return
         yield Bounce(number, parents, ~ends, rays, {why: count for why, count in left_out.items() if count})
         pixel, ends = rays.pixel, rays.kind == SHADOW
-        parents = first_hits(first.scene, first.packed, Rays(rays.o, rays.d, rays.t_min, rays.t_max))
+        parents = trace_rays(first.scene, first.packed, Rays(*rays[:4]), np.zeros(len(ends)))
 
 
 class _Hits(NamedTuple):
@@ -146,7 +139,7 @@ class _Leaving(NamedTuple):
     hits: _Hits
     d: np.ndarray  # (m, 3)
     side: np.ndarray  # (m,) of the surface: the sign of d . n
-    target: Any = None  # where the rays end, a point of the scene
+    target: np.ndarray | None = None  # where the rays end, a point of the scene
 
 
 def _hits_of(parents: RayHits, wanted: np.ndarray) -> _Hits:
@@ -181,10 +174,11 @@ def _leaving(parents: RayHits, hits: _Hits, left_out: dict[str, int]) -> Iterato
 
     lit = hits.take(kind == "diffuse")
     for light in parents.scene.lights:
-        if light.type != "ambient":
-            target = np.array(light.position) if light.type == "point" else None
-            to_light = np.tile(-np.array(light.direction), (len(lit.p), 1)) if target is None else target - lit.p
-            yield _Leaving(SHADOW, lit, to_light, -np.sign(lit.cosine), target)
+        if isinstance(light, Point):
+            target = np.array(light.position)
+            yield _Leaving(SHADOW, lit, target - lit.p, -np.sign(lit.cosine), target)
+        elif isinstance(light, Directional):
+            yield _Leaving(SHADOW, lit, np.zeros_like(lit.p) - light.direction, -np.sign(lit.cosine))
 
     reflecting = hits.take(kind != "diffuse")
     yield _Leaving(REFLECTED, reflecting, reflected(reflecting.d, reflecting.n), -np.sign(reflecting.cosine))

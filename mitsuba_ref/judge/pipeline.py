@@ -239,7 +239,6 @@ def _verdict(task: Task, response: SubjectResponse, seen: Seen, checks: tuple[Sc
 def _verdict_of(task: Task, checks: tuple[SceneCheck, ...], **found: Any) -> SceneVerdict:
     film = task.scene.film
     x0, y0, x1, y1 = film.window
-    film_of = {"bounce": task.bounce.bounce.number, "view": task.bounce.place} if task.bounce else {}
     return SceneVerdict(
         task.name,
         task.path,
@@ -247,7 +246,8 @@ def _verdict_of(task: Task, checks: tuple[SceneCheck, ...], **found: Any) -> Sce
         checks=checks,
         size=(film.width, film.height),
         candidate=task.subject.name,
-        **film_of,
+        bounce=task.bounce.bounce.number if task.bounce else 0,
+        view=task.bounce.place if task.bounce else (0, 0, 0),
         **found,
     )
 

@@ -72,14 +72,11 @@ def validate_scene(
     task = Task(scene, name, path, subject, rays, timeout, send, thorough)
     if bounce:
         if not subject.takes_rays:
-            raise SceneError(
-                f"--bounces: {subject.name} renders the camera's rays; expected a candidate that takes rays"
-            )
-        film = bounce_film(scene, bounce)
-        if film is None:
-            none_left = f"bounce {bounce}: no rays are left"
-            return SceneVerdict(name, path, bounce=bounce, candidate=subject.name, notes=(none_left,))
-        task = task._replace(scene=film.scene, rays=film.rays, bounce=film)
+            raise SceneError(f"--bounces: expected a candidate that takes rays; {subject.name} renders images")
+        secondary = bounce_film(scene, bounce)
+        if secondary is None:
+            return SceneVerdict(name, path, bounce=bounce, candidate=subject.name, notes=("no rays are left",))
+        task = task._replace(scene=secondary.scene, rays=secondary.rays, bounce=secondary)
     check_memory(task.windows()[0])
     if task.ours:
         compile_for(scene, "validate", _cast_as_judged)

@@ -218,7 +218,6 @@ def judge_entry(entry: SceneEntry, options: JudgeOptions) -> SceneVerdict:
     folder, foreign = options.folder, entry.subject or options.subject
     store = local_store() if options.store and options.page_of is None and foreign is None else None
     about = {"size": entry.size, "options": entry.options, "out": bool(folder), "thorough": options.thorough}
-    about |= {"bounce": entry.bounce} if entry.bounce else {}
     key = verdict_key(scene, entry.path, **about) if store else ""
     if store and key and (found := _stored_verdict(store, key, folder)):
         return found
