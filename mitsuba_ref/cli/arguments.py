@@ -333,6 +333,7 @@ def add_rays_arguments(parser: argparse.ArgumentParser) -> None:
     add("--count", positive_int, "of rays that are aimed; default 4096", default=4096)
     add("--seed", int, "of random numbers; default 0", metavar="SEED", default=0)
     add("--light", int, "number of the light of shadow rays; default 0", metavar="N", default=0)
+    add_bounces(add, "write a folder: the camera's rays, and a file of the secondary ones of each bounce to this depth")
 
 
 def add_compare_arguments(parser: argparse.ArgumentParser) -> None:
@@ -403,6 +404,7 @@ def add_probe_arguments(parser: argparse.ArgumentParser) -> None:
     add("--brief", bool, "the verdict and who is right, without the numbers")
     add("--json", bool, "as JSON")
     add("--save", OutputFile, "write this ray and what it may hit as a scene of its own")
+    add_bounces(add, "follow the pixel's path of reflected, refracted and shadow rays, to this depth")
     add_timeout(parser)
     add_candidate(parser, "another ray caster, explained as well (mitsuba-ref docs candidates)")
     add_reading(parser, "; with --candidate")

@@ -58,7 +58,7 @@ def bounce_films(scene: Scene, depth: int) -> Iterator[BounceFilm]:
         pixels = views * width * height
         has_views = pixels <= max(LARGEST_VIEWS, VIEW_PIXELS_PER_RAY * len(path)) and views * height <= MAX_FILM_SIDE
         row = path * width * height + rays.pixel if has_views else np.arange(len(path))
-        listed = np.column_stack([rays.o, rays.d, rays.t_min, rays.t_max])
+        listed = np.column_stack(rays[:4])
         rows = np.zeros((pixels if has_views else len(path), listed.shape[1]))
         rows[:, 5], rows[:, 7] = 1.0, -1.0  # no ray
         rows[row] = listed
