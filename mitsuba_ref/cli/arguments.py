@@ -326,14 +326,14 @@ def row_range(text: str) -> tuple[int, int | None]:
 def add_rays_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser, ScenePath)
     add = adder(parser)
-    add("-o --output", OutputFile, ".npz, or .npy for the rows alone", metavar="RAYS", required=True)
+    add("-o --output", str, ".npz, or .npy for the rows alone; with --bounces a folder", metavar="RAYS", required=True)
     help_ = "camera (default), shadow (from the camera's hits to a light), or aimed: features (corners, edges, rims), "
     help_ += "silhouettes, surface (from surfaces), random"
     add("--kind", str, help_, metavar="KIND", choices=RAY_KINDS, default="camera")
     add("--count", positive_int, "of rays that are aimed; default 4096", default=4096)
     add("--seed", int, "of random numbers; default 0", metavar="SEED", default=0)
     add("--light", int, "number of the light of shadow rays; default 0", metavar="N", default=0)
-    add_bounces(add, "write a folder: the camera's rays, and a file of the secondary ones of each bounce to this depth")
+    add_bounces(add, "the camera's rays, and the secondary ones of each bounce to this depth, a file each")
 
 
 def add_compare_arguments(parser: argparse.ArgumentParser) -> None:

@@ -39,6 +39,8 @@ def run(args: argparse.Namespace) -> int:
     candidate = requested_candidate(args)
     if args.thorough and candidate is not None:
         raise SceneError("--thorough: not with a candidate: it tests our own caster")
+    if args.bounces and candidate is not None and not candidate.takes_rays:
+        raise SceneError(f"--bounces: expected a candidate that takes rays; {candidate.name} renders images")
     options = RunOptions(
         JudgeOptions(Path(args.out) if args.out else None, args.timeout, args.store, candidate, thorough=args.thorough),
         args.workers,
@@ -78,7 +80,7 @@ def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
             file,
             size,
             tuple(args.mesh_dir),
-            (*again, *(("--bounces", str(number)) if number else ())),
+            (*again, *secondary_words(args, number)),
             bounce=number,
         )
         for name, file in zip(names, files, strict=True)
@@ -89,6 +91,12 @@ def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
         hint = "" if args.expression else f"; {BUILTIN_HINT}"
         print(f"nothing selected: no scene file{fitting} in {', '.join(places)}{hint}", file=sys.stderr)
     return entries
+
+
+def secondary_words(args: argparse.Namespace, bounce: int) -> tuple[str, ...]:
+    """The options of a replay of this bounce; its film has a size of its own."""
+    size = ("--size", *map(str, args.size)) if args.size else ()
+    return (*size, "--bounces", str(bounce)) if bounce else ()
 
 
 def without_earlier_results(args: argparse.Namespace) -> OutFolder | None:

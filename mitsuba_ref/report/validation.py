@@ -71,8 +71,6 @@ def validate_scene(
     start = time.perf_counter()
     task = Task(scene, name, path, subject, rays, timeout, send, thorough)
     if bounce:
-        if not subject.takes_rays:
-            raise SceneError(f"--bounces: expected a candidate that takes rays; {subject.name} renders images")
         secondary = bounce_film(scene, bounce)
         if secondary is None:
             return SceneVerdict(name, path, bounce=bounce, candidate=subject.name, notes=("no rays are left",))

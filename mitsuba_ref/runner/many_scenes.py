@@ -272,7 +272,7 @@ def _completed(verdict: SceneVerdict, entry: SceneEntry, scene: Scene, options: 
     found = replace(
         verdict,
         candidate=verdict.candidate or subject.name,
-        resized=entry.size is not None,
+        resized=entry.size is not None and not entry.bounce,  # a bounce has a film of its own
         options=entry.options,
         command=entry.command,
         thorough=options.thorough,
