@@ -25,7 +25,6 @@ from mitsuba_ref.judge.verdict import (
     SceneCheck,
     SceneVerdict,
     Verdict,
-    kinds_text,
 )
 from mitsuba_ref.report.reproducers import replay
 from mitsuba_ref.report.results import BELOW_NAME, LINE_CHARACTERS, folded, percent, plural
@@ -43,7 +42,7 @@ def table_row(scene: SceneVerdict, width: int) -> str:
     """The row of a scene. It is printed before later ones are known, so other classes have no columns of their own."""
     first = mark_of(scene), printable(scene.name, keep=""), width
     cells = row_cells(scene)
-    row, below = _line(*first, cells), [kinds_text(scene.kinds)]
+    row, below = _line(*first, cells), [*scene.notes] if scene.bounce else []
     if len(row) > LINE_CHARACTERS:
         row, below = _line(*first, cells[:-1]), [cells[-1], *below]
     lines = (wrap(text, LINE_CHARACTERS, initial_indent=BELOW_NAME, subsequent_indent=BELOW_NAME) for text in below)

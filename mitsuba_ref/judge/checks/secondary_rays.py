@@ -13,6 +13,10 @@ from mitsuba_ref.error_model.tolerances import KU_OURS, U32
 from mitsuba_ref.judge.checks import OURS, Found, check, worst_share
 from mitsuba_ref.reference.shared_input import own_model
 
+# A ray may be left out whose cosine with the normal is within two roundings, of the direction before it and of its own,
+# and within the error of a normal that is known to half of float64's bits.
+LEFT_OUT = 4.0 * U32
+
 
 @check(of=(OURS,))
 def check_secondary_rays(bounce: Bounce, scene: Scene) -> Found:
@@ -33,11 +37,11 @@ def _shares(bounce: Bounce, scene: Scene, at: Intersections, hit: np.ndarray) ->
     ior = ior.astype(np.float32).astype(np.float64)
     d, n, n_error = unit(parents.rays.d), np.where(hit[:, None], at.n, 0.0), np.where(hit, at.n_error, 0.0) + KU_OURS
     cosine = dot(d, n)
-    seen = np.abs(cosine) > n_error + U32  # else a ray that leaves may graze the surface
+    seen = np.abs(cosine) > n_error + LEFT_OUT
     eta = np.where(cosine < 0.0, 1.0 / ior, ior)
     squared = 1.0 - eta * eta * (1.0 - cosine * cosine)
     error = 4.0 * ior * ior * n_error + KU_OURS
-    passes = np.sqrt(np.maximum(squared - error, 0.0)) > n_error + U32
+    passes = np.sqrt(np.maximum(squared - error - 4.0 * ior * ior * LEFT_OUT, 0.0)) > n_error + LEFT_OUT
 
     def counted(kind: str, may: np.ndarray, must: np.ndarray) -> tuple[float, str]:
         count = np.bincount(rays.parent[rays.kind == RAY_KINDS.index(kind)], minlength=len(hit))
@@ -66,7 +70,7 @@ def _shares(bounce: Bounce, scene: Scene, at: Intersections, hit: np.ndarray) ->
         nearest = np.fmin(nearest, np.where(ends & (dot(way, rays.d[mine]) > 0.0), off, np.inf))
         p = parents.rays.o + np.where(hit, at.t, 0.0)[:, None] * parents.rays.d
         way = direction_to_light(light, p)[0]
-        margin = n_error + U32 + 4.0 * (np.where(hit, at.p_error, 0.0) + U32 * norm(p)) / norm(way)
+        margin = n_error + LEFT_OUT + 4.0 * (np.where(hit, at.p_error, 0.0) + U32 * norm(p)) / norm(way)
         lit += seen & (-np.sign(cosine) * dot(unit(way), n) > margin)
     diffuse = material == "diffuse"
     yield counted("shadow", diffuse * len(lights), diffuse * lit)
