@@ -5,7 +5,6 @@ Directions follow the geometric normal, so that a reflected ray leaves the surfa
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -43,10 +42,6 @@ class SecondaryRays(NamedTuple):
     kind: NDArray[np.uint8]  # (n,), index into RAY_KINDS
     pixel: NDArray[np.int64]  # (n,), index of the camera ray that it comes from
 
-    def rows(self, rows: np.ndarray) -> "SecondaryRays":
-        """Some of them."""
-        return SecondaryRays(*(a[rows] for a in self))
-
 
 @dataclass(frozen=True)
 class Bounce:
@@ -58,17 +53,6 @@ class Bounce:
     rays: SecondaryRays
     left_out: dict[str, int]  # reason -> count of rays that rounding leaves undecided
 
-    @cached_property
-    def points(self) -> NDArray[np.float64]:
-        """(n, 3), the hit that each ray starts from, rounded to float64."""
-        hits = self.parents
-        return (hits.rays.o + hits.nearest.t[:, None] * hits.rays.d)[self.rays.parent]
-
-    @cached_property
-    def normals(self) -> NDArray[np.float64]:
-        """(n, 3), the geometric normals there, outwards."""
-        return self.parents.normal[self.rays.parent]
-
 
 # (points, normals, directions (n, 3), point_error (n, 3)) -> origins (n, 3), rounded to float32 afterwards
 Spawn = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -77,8 +61,8 @@ Spawn = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 def spawn(points: np.ndarray, normals: np.ndarray, directions: np.ndarray, point_error: np.ndarray) -> np.ndarray:
     """Origins of rays from points of a surface: float32 values beside it, on the side that the directions lead to.
 
-    points, normals (outwards, of length 1), directions: (n, 3) float64. point_error: (n, 3), the surface's tangent
-    plane passes the point within this box. Returns (n, 3) float64.
+    points, normals (outwards, of length 1), directions: (n, 3) float64. point_error: (n, 3), half the sides of
+    a box around the point that the surface's tangent plane crosses. Returns (n, 3) float64.
     With q the point moved by h along the normal n and then rounded, the tangent plane is passed if
     h > sum |n_i| (e_i + r_i), where r_i <= U32 |q_i| is the rounding of q. h itself adds U32 h to r at most.
     Source: "Robust Spawned Ray Origins" in Pharr, Jakob and Humphreys, Physically Based Rendering, section 6.8.6;
