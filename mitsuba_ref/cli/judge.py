@@ -13,6 +13,7 @@ from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from caster.system.atomic_files import check_folder
 from caster.system.process import OK
+from mitsuba_ref.cli.arguments import REFERENCE_OPTIONS
 from mitsuba_ref.cli.options import given_words
 from mitsuba_ref.cli.validate import judge_entries, without_earlier_results
 from mitsuba_ref.error_model.lambert import direction_to_light
@@ -100,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
     """Judge the answers; 0 they pass, 1 they do not."""
     out = without_earlier_results(args)
     scene, found, hits = load_scene(args.scene, args.mesh_dir), read_rays(args.rays), read_hits(args.hits)
-    options = given_words(args, "scene", "rays", "hits", "precision", "mesh_dir")
+    options = given_words(args, "scene", "rays", "hits", "precision", "mesh_dir", *REFERENCE_OPTIONS)
     entries = entries_of_hits(
         Path(args.scene).stem, args.scene, scene, found, hits, args.hits, args.precision, args.rows, options
     )

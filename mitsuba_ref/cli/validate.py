@@ -15,7 +15,7 @@ from caster.scene.files import types_in_file
 from caster.scene.model import Film
 from caster.system.atomic_files import OutputError, write_text
 from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
-from mitsuba_ref.cli.arguments import DEFAULT_SCENES
+from mitsuba_ref.cli.arguments import DEFAULT_SCENES, REFERENCE_OPTIONS
 from mitsuba_ref.cli.options import candidate_words, given_words, report_address, requested_candidate
 from mitsuba_ref.judge.verdict import UNSUPPORTED, Verdict
 from mitsuba_ref.reference import variants
@@ -61,7 +61,7 @@ BUILTIN_HINT = "--builtin triangles takes scenes that are installed with the pro
 def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
     """The selected scenes, not loaded yet; prints a message if there are none. Raises SceneError."""
     fits = matching(args.expression, types_in_file)
-    again = (*given_words(args, "mesh_dir"), *candidate_words(args))
+    again = (*given_words(args, "mesh_dir", *REFERENCE_OPTIONS), *candidate_words(args))
     named = [] if args.builtin and args.scenes is DEFAULT_SCENES else args.scenes
     places = [*builtin_scenes.folders_of(args.builtin), *named]
     try:

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, PlainSerializer, TypeAdapter, computed_field
 from pydantic.dataclasses import dataclass
 
-from mitsuba_ref.error_model.tolerances import MIN_GROUPS
+from mitsuba_ref.error_model.tolerances import MEASURED_FOR, MIN_GROUPS
 
 # The classes of a pixel, for any subject; `wrong` means that the subject is wrong. The last two fail.
 CLASSES = ("agree", "explained", "tie", "reference_wrong", "out_of_domain", "wrong", "undecided")
@@ -379,6 +379,18 @@ class Verdict:
     def references_stored(self) -> int:
         """Number of scenes whose reference answers came from the store."""
         return sum(scene.reference_stored for scene in self.scenes)
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def unmeasured(self) -> tuple[str, ...]:
+        """Versions and variants of the reference that bounds and known defects were not measured for."""
+        found = (
+            f"{what} {scene.versions[what]}"
+            for scene in self.scenes
+            for what, known in MEASURED_FOR.items()
+            if what in scene.versions and scene.versions[what] not in known
+        )
+        return tuple(dict.fromkeys(found))
 
     @property
     def versions(self) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from textwrap import wrap
 from urllib.parse import quote
 
 from caster.system.terminal import printable
+from mitsuba_ref.error_model.tolerances import MEASURED_FOR
 from mitsuba_ref.judge.classification import EXACT
 from mitsuba_ref.judge.defect_lookup import defect_name
 from mitsuba_ref.judge.diagnosis import SAME_SYMPTOM
@@ -263,6 +264,9 @@ def _note_lines(verdict: Verdict) -> Iterator[str]:
             )
         else:
             yield f"ref. wrong: {count} pixels of case {case}, {defect_name(int(case))}"
+    if verdict.unmeasured:
+        known = "; ".join(f"{what} {', '.join(names)}" for what, names in MEASURED_FOR.items())
+        yield f"unknown:    {', '.join(verdict.unmeasured)}: bounds and known defects were measured for {known}"
     scenes = verdict.scenes
     if any(not (scene.candidate or scene.thorough or scene.problem) for scene in scenes):
         yield "left out:   tests of our caster beyond the judged films, which --thorough makes"
