@@ -15,7 +15,10 @@ KU = K * U32
 
 # The arithmetic of 3.9.1 was read, and its errors and defects were measured. With the other versions all shipped scenes
 # and those of the fuzzer pass within the same bounds (docs/internals/versions.md). Any other is named in the summary.
-MEASURED_FOR = {"mitsuba": ("3.6.4", "3.7.1", "3.8.0", "3.9.0", "3.9.1"), "variant": ("scalar_rgb", "llvm_ad_rgb")}
+MEASURED_FOR = {
+    "mitsuba": ("3.6.0", "3.6.4", "3.7.0", "3.7.1", "3.8.0", "3.9.0", "3.9.1"),
+    "variant": ("scalar_rgb", "llvm_ad_rgb"),
+}
 
 # K u for a float64 caster such as ours; doubled, because its answer is compared with one computed in float64.
 KU_OURS = 2.0 * K * 2.0**-53

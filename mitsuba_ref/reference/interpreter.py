@@ -35,11 +35,16 @@ import json, os
 found = {"python": "%d.%d.%d" % sys.version_info[:3]}
 try:
     import numpy, drjit, mitsuba
-    found["versions"] = {"mitsuba": mitsuba.__version__, "drjit": drjit.__version__}
+    try:
+        version = mitsuba.__version__
+    except ImportError:  # 3.5 has none before a variant is set
+        from importlib.metadata import version as version_of
+        version = version_of("mitsuba")
+    found["versions"] = {"mitsuba": version, "drjit": drjit.__version__}
     found["folders"] = [os.path.dirname(module.__file__) for module in (mitsuba, drjit)]
     found["variants"] = list(mitsuba.variants())
 except Exception as problem:
-    found["problem"] = str(problem)
+    found["problem"] = str(problem).partition("\\n")[0]
 print("DESCRIPTION" + json.dumps(found))
 """
 

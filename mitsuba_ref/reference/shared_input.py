@@ -11,7 +11,7 @@ from caster.description.transform import row_lengths
 from caster.geometry.packing import Packed, concatenate_parts, packed
 from caster.geometry.world_space import as_float32
 from caster.rendering.images import camera_rays
-from caster.scene.model import Diffuse, Scene
+from caster.scene.model import Material, Scene
 from caster.system.atomic_files import check_folder, write_bytes, write_text
 from mitsuba_ref.cameras import ClipRange, reference_of_camera
 from mitsuba_ref.error_model.intersections import ceil_log2
@@ -248,7 +248,13 @@ LIGHT = """<emitter type="{type}">
 LIGHT_FIELDS = {"point": ("point", "position", "intensity"), "directional": ("vector", "direction", "irradiance")}
 
 
-def bsdf_element(material: Diffuse) -> XmlElement:
+def bsdf_element(material: Material) -> XmlElement:
+    if material.type == "mirror":
+        return fromstring('<bsdf type="conductor"><string name="material" value="none"/></bsdf>')
+    if material.type == "glass":
+        index = '<float name="{}" value="{}"/>'
+        indices = index.format("int_ior", repr(material.ior)) + index.format("ext_ior", "1")
+        return fromstring(f'<bsdf type="dielectric">{indices}</bsdf>')
     rgb = format_floats(material.reflectance)
     diffuse = f'<bsdf type="diffuse"><rgb name="reflectance" value="{rgb}"/></bsdf>'
     return fromstring(f'<bsdf type="twosided">{diffuse}</bsdf>' if material.two_sided else diffuse)
