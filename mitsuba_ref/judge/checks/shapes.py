@@ -1,4 +1,4 @@
-"""Checks of shapes by independent computations: placement, packed numbers, material."""
+"""Checks of shapes by independent computations: placement, packed numbers, material; which shapes are judged."""
 
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -14,6 +14,7 @@ from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, trans
 from mitsuba_ref.error_model.intersections import without_float_warnings
 from mitsuba_ref.error_model.tolerances import TRANSFORM_ROUNDINGS
 from mitsuba_ref.judge.checks import OURS, Found, check, worst_share
+from mitsuba_ref.reference.originals import original_of
 from mitsuba_ref.reference.shared_input import packed_float32
 from mitsuba_ref.shapes import kind_of, reference_of
 
@@ -100,3 +101,14 @@ def check_materials(scene: Scene) -> Found:
         (0.0 if scene.material_of(shape) == right else np.inf, f"material of {name}") for shape, right, name in rows
     )
     return worst_share(shares, "no shape")
+
+
+@check()
+def check_coverage(scene: Scene) -> Found | None:
+    """Require that every shape of a Mitsuba file is judged, if the run is strict."""
+    original = original_of(scene)
+    if original is None:
+        return None
+    covered = original.coverage
+    ratio = np.inf if covered.strict and covered.partial else 0.0
+    return ratio, "; ".join([covered.brief or f"all {covered.shapes} shapes", *covered.left_out])
