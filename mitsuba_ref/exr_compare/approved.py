@@ -179,7 +179,8 @@ def within_bounds(scene: Scene, image: Exr) -> tuple[Aovs, np.ndarray, np.ndarra
         point = o + answer.t[:, None] * d
     pixels = PixelPairs(ours, channels_to_aovs(image.channels), bounds, answer, np.linalg.norm(d, axis=1), point)
     geometry = compare(pixels, scene.checks).agrees
-    light = geometry & _lighting_agrees(scene, pixels, ShadingPoints(point, d, aov_rows(ours, "shape_id"), bounds.at))
+    hit = ShadingPoints(point, d, aov_rows(ours, "shape_id"), bounds.at, aov_rows(ours, "albedo"))
+    light = geometry & _lighting_agrees(scene, pixels, hit)
     return ours, geometry.reshape(ours.hit.shape), light.reshape(ours.hit.shape)
 
 
@@ -191,7 +192,8 @@ def _ambiguous(image: Exr) -> np.ndarray:
 def _lighting_agrees(scene: Scene, pixels: PixelPairs, hit: ShadingPoints) -> np.ndarray:
     """(n,) bool: both values of diffuse are within the error of all lights, whether in shadow or not."""
     rows = np.flatnonzero(pixels.both_hit)
-    there = ShadingPoints(hit.p[rows], hit.d[rows], hit.shape[rows], hit.at.take(rows))
+    assert hit.albedo is not None
+    there = ShadingPoints(hit.p[rows], hit.d[rows], hit.shape[rows], hit.at.take(rows), hit.albedo[rows])
     ours, theirs = (values[rows] for values in pixels.pair("diffuse"))
     off, materials = COLOR_RTOL * np.abs(theirs), materials_of(scene)
     for each in scene.lights:
