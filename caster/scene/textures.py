@@ -1,40 +1,40 @@
 """Textures: reflectances that depend on uv, their pictures, and the arrays of them that kernels read."""
 
 import io
+from collections.abc import Sequence
 from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Discriminator, Tag, field_validator, model_validator
-from pydantic_core import CoreSchema
 
-from caster.description.errors import SceneError, child_of, expectation_error
-from caster.description.fields import Description, FixedArray, Flag, NumberList, Reflectance, Transform, matrix_of
+from caster.description.errors import SceneError, child_of
+from caster.description.fields import Description, Flag, Reflectance, Transform, matrix_of
 from caster.description.input_files import read_input
 from caster.geometry.mesh_files import load_once
-from caster.kernels.surface.texturing import BILINEAR, CHECKERBOARD, NEAREST, NO_TEXTURE, Textures
+from caster.kernels.surface.texturing import BILINEAR, CLAMP, MIRROR, NEAREST, NO_TEXTURE, REPEAT, Textures
 
-__all__ = ["Bitmap", "Checkerboard", "Texture", "read_picture"]
+__all__ = ["Bitmap", "Checkerboard", "Texture"]
 
 MAX_TEXELS = 2**24  # 4096 x 4096; 24 bytes each
+FILTERS = {"nearest": NEAREST, "bilinear": BILINEAR}
+WRAPS = {"repeat": REPEAT, "mirror": MIRROR, "clamp": CLAMP}
 
 
 class Texture(Description):
-    """Base of textures. `to_uv` maps (u, v, 0) of the surface to the uv of the texture."""
+    """Base of textures: (h, w, 3) linear `texels` over the unit square of its uv; row 0 begins at v = 0.
+
+    `to_uv` maps (u, v, 0) of the surface to the uv of the texture.
+    """
 
     type: str
     to_uv: Transform = ()
+    filter: str
+    wrap: str = "repeat"
 
-    @property
+    @cached_property
     def texels(self) -> NDArray[np.float64]:
-        """(h, w, 3) linear reflectances; row 0 begins at v = 0."""
-        raise NotImplementedError
-
-    @property
-    def sampling(self) -> tuple[int, int]:
-        """How kernels read the texels: a filter, and an index into WRAPS."""
         raise NotImplementedError
 
     @cached_property
@@ -44,49 +44,25 @@ class Texture(Description):
 
 
 class Checkerboard(Texture):
-    """Squares of side 1/2 in uv: `color0` where both or neither of the fractions of u and v exceed 1/2."""
+    """Squares of side 1/2 in uv; the one at uv = 0 has `color0`."""
 
     type: Literal["checkerboard"] = "checkerboard"
+    filter: Literal["nearest"] = "nearest"
+    wrap: Literal["repeat"] = "repeat"
     color0: Reflectance = (0.4, 0.4, 0.4)
     color1: Reflectance = (0.2, 0.2, 0.2)
 
-    @property
+    @cached_property
     def texels(self) -> NDArray[np.float64]:
         return np.array([[self.color0, self.color1], [self.color1, self.color0]])
 
-    @property
-    def sampling(self) -> tuple[int, int]:
-        return CHECKERBOARD, 0
-
-
-class _Pixels(NumberList):
-    """Rows of pixels [r, g, b], kept as one array (h, w, 3)."""
-
-    def read(self, value: Any) -> FixedArray:
-        try:
-            array = np.array(value, np.float64) + 0.0
-        except (TypeError, ValueError):  # rows of different lengths, words
-            array = np.zeros(0)
-        if array.ndim != 3 or array.shape[2] != 3 or not array.size or not ((array >= 0.0) & (array <= 1.0)).all():
-            raise expectation_error(self.what, value)
-        array.flags.writeable = False
-        return array.view(FixedArray)
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:
-        return {"type": "array", "items": super().__get_pydantic_json_schema__(schema, handler), "minItems": 1}
-
-
-Pixels = Annotated[NDArray[np.float64], _Pixels("rows of pixels [r, g, b], each from 0 to 1", width=3)]
-WRAPS = ("repeat", "mirror", "clamp")
-
 
 class Bitmap(Texture):
-    """A picture over the unit square of uv: a PNG `file`, or linear `data` (h, w, 3). Row 0 begins at v = 0."""
+    """A picture: a PNG `file` with 8 bits a channel, in sRGB unless `raw`, or `data`, rows of linear [r, g, b]."""
 
     type: Literal["bitmap"] = "bitmap"
-    ARRAYS: ClassVar[tuple[str, ...]] = ("data",)
     file: str | None = None
-    data: Pixels | None = None
+    data: tuple[tuple[Reflectance, ...], ...] | None = None
     filter: Literal["bilinear", "nearest"] = "bilinear"
     wrap: Literal["repeat", "mirror", "clamp"] = "repeat"
     raw: Flag = False
@@ -99,19 +75,17 @@ class Bitmap(Texture):
     @model_validator(mode="after")
     def _has_one_source(self) -> Self:
         if (self.file is None) == (self.data is None):
-            raise ValueError(f"needs file or data, exactly one of the two, got {'both' if self.file else 'neither'}")
+            raise ValueError(f"needs either file or data, got {'both' if self.file else 'neither'}")
+        if self.data is not None and len(set(map(len, self.data)) - {0}) != 1:
+            raise ValueError(f"data must have rows of the same number of pixels, got {sorted(map(len, self.data))}")
         return self
 
-    @property
+    @cached_property
     def texels(self) -> NDArray[np.float64]:
         if self.file is None:
-            return np.asarray(self.data)
+            return np.array(self.data)
         values = _load_picture(self.file) / 255.0
         return values if self.raw else linear_of_srgb(values)
-
-    @property
-    def sampling(self) -> tuple[int, int]:
-        return NEAREST if self.filter == "nearest" else BILINEAR, WRAPS.index(self.wrap)
 
 
 def linear_of_srgb(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -124,33 +98,21 @@ def read_picture(path: str) -> NDArray[np.uint8]:
 
     Raises FileMissing for a file that cannot be read, SceneError for any other format and beyond MAX_TEXELS.
     """
-    from PIL import Image, UnidentifiedImageError  # deferred: most scenes have no picture
+    from PIL import Image  # deferred: most scenes have no picture
 
     data = read_input(path, "picture")
     try:
         with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
-            if image.width * image.height > MAX_TEXELS:
-                got = f"{image.width} x {image.height}"
-                raise SceneError(
-                    f"{path}: this picture is too large: expected at most {MAX_TEXELS:,} pixels, got {got}"
-                )
-            if image.mode.startswith("I"):
-                raise SceneError(f"{path}: expected 8 bits a channel, got 16: convert it")
+            if image.width * image.height > MAX_TEXELS or image.mode.startswith("I"):
+                got = f"{image.width} x {image.height}{' of 16 bits' if image.mode.startswith('I') else ''}"
+                raise SceneError(f"{path}: expected at most {MAX_TEXELS:,} pixels, of 8 bits a channel, got {got}")
             return np.asarray(image.convert("RGB"))
-    except UnidentifiedImageError:
-        got = Path(path).suffix or "another format"
-        raise SceneError(f"{path}: expected a PNG picture, got {got}: convert it") from None
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise SceneError(f"{path}: this picture is damaged: {error}") from None
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError):
+        raise SceneError(f"{path}: expected a PNG picture that is complete; convert or export it again") from None
 
 
 def _load_picture(path: str) -> NDArray[np.uint8]:
     return load_once(read_picture, path)
-
-
-def _kind_of_reflectance(value: Any) -> Any:
-    is_texture = isinstance(value, (dict, Texture))
-    return child_of(value, "type") if is_texture else "color"
 
 
 if TYPE_CHECKING:
@@ -160,20 +122,23 @@ else:
         Annotated[Reflectance, Tag("color")]
         | Annotated[Checkerboard, Tag("checkerboard")]
         | Annotated[Bitmap, Tag("bitmap")],
-        Discriminator(_kind_of_reflectance),
+        Discriminator(lambda value: child_of(value, "type") if isinstance(value, (dict, Texture)) else "color"),
     ]
 
 
-def texture_arrays(textures: list[Texture | None]) -> Textures:
-    """The textures of all shapes as kernels read them; equal ones share their texels."""
-    settings = np.zeros((len(textures), 5), np.int64)
-    settings[:, 0] = NO_TEXTURE
-    to_uv, texels, first = np.zeros((len(textures), 2, 3)), [np.zeros((0, 3))], dict[int, int]()
+def texture_arrays(textures: Sequence[Texture | None]) -> Textures:
+    """The textures of all shapes as kernels read them; a texture of several shapes has its texels once."""
+    settings, to_texels = np.full((len(textures), 5), NO_TEXTURE), np.zeros((len(textures), 2, 3))
+    texels, first, count = [np.zeros((0, 3))], dict[int, int](), 0
     for k, texture in enumerate(textures):
-        if texture is not None:
-            to_uv[k], picture = texture.uv_matrix, texture.texels
-            if id(texture) not in first:
-                first[id(texture)] = sum(map(len, texels))
-                texels.append(picture.reshape(-1, 3))
-            settings[k] = *texture.sampling, picture.shape[1], picture.shape[0], first[id(texture)]
-    return Textures(settings, to_uv, np.concatenate(texels))
+        if texture is None:
+            continue
+        height, width, _ = texture.texels.shape
+        if id(texture) not in first:
+            first[id(texture)] = count
+            texels.append(texture.texels.reshape(-1, 3))
+            count += height * width
+        settings[k] = FILTERS[texture.filter], WRAPS[texture.wrap], width, height, first[id(texture)]
+        to_texels[k] = texture.uv_matrix * [[width], [height]]
+        to_texels[k, :, 2] -= 0.5 if texture.filter == "bilinear" else 0.0  # texels have their values at their centres
+    return Textures(settings, to_texels, np.concatenate(texels))

@@ -31,30 +31,21 @@ def color_ratios(
 
 def _ratio(texture: Any, uv: np.ndarray, colors: np.ndarray, ku: float) -> np.ndarray:
     """As color_ratios; formulas (24) to (26)."""
-    texels = texels_of(texture)
-    size = np.array(texels.shape[1::-1])
-    blends = getattr(texture, "filter", "") == "bilinear"
-    linear, move = texture.uv_matrix[:, :2], texture.uv_matrix[:, 2]
+    texels, blends = texels_of(texture), texture.filter == "bilinear"
+    size, linear, move = texels.shape[1::-1], texture.uv_matrix[:, :2], texture.uv_matrix[:, 2]
     place = (uv @ linear.T + move) * size  # in texels from the corner of the picture
     off = 3.0 * ku * (np.abs(uv) @ np.abs(linear).T + np.abs(move)) * size
     low, high = place - off, place + off
-    bend = np.clip(np.floor(place) + 0.5, low, high) if blends else place  # where the slope may change
-    values = np.array(
-        [_lookup(texture, texels, x[:, 0], y[:, 1]) for x in (low, bend, high) for y in (low, bend, high)]
-    )
-    exact = _lookup(texture, texels, place[:, 0], place[:, 1])
+    bend = np.clip(np.floor(place) + 0.5, low, high)  # where the slope changes
+    values = [_lookup(texture, texels, x[:, 0], y[:, 1]) for x in (low, bend, high) for y in (low, bend, high)]
+    exact = _lookup(texture, texels, *place.T)
     decoding = SRGB_DECODING_ROUNDINGS * U32 if ku == KU and texture.type == "bitmap" and not texture.raw else 0.0
-    rounding = (3.0 * ku + decoding) * values
-    change = np.abs(values - exact).max(axis=0) if blends else np.zeros_like(exact)
+    rounding = (3.0 * ku + decoding) * np.max(values, axis=0)
+    change = np.max(np.abs(values - exact), axis=0) * blends
     change[(off >= 0.5).any(axis=1)] = np.ptp(texels, axis=(0, 1))  # any texel may be meant
-    ratio = largest_of_columns(error_over_bound(np.abs(colors - exact), change + rounding.max(axis=0)))
-    return ratio if blends else np.minimum(ratio, _nearest_ratio(colors, values, rounding))
-
-
-def _nearest_ratio(colors: np.ndarray, values: np.ndarray, rounding: np.ndarray) -> np.ndarray:
-    """(m,) smallest error over bound among the colours (9, m, 3) of the cells that may be meant."""
-    each = [largest_of_columns(error_over_bound(np.abs(colors - v), r)) for v, r in zip(values, rounding, strict=True)]
-    found: np.ndarray = np.min(each, axis=0)
+    allowed = [(exact, change + rounding)] if blends else [(value, change + rounding) for value in values]
+    ratios = [largest_of_columns(error_over_bound(np.abs(colors - value), bound)) for value, bound in allowed]
+    found: np.ndarray = np.min(ratios, axis=0)
     return found
 
 
@@ -63,7 +54,7 @@ def texels_of(texture: Any) -> np.ndarray:
     if texture.type == "checkerboard":
         return np.array([[texture.color0, texture.color1], [texture.color1, texture.color0]])
     if texture.file is None:
-        return np.asarray(texture.data)
+        return np.array(texture.data)
     return _decoded(texture.file, texture.raw, os.stat(texture.file).st_mtime_ns)
 
 
@@ -78,24 +69,44 @@ def _decoded(file: str, raw: bool, _changed: int) -> np.ndarray:
 
 def _lookup(texture: Any, texels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """(m, 3) reflectances at places in texels."""
-    wrap = getattr(texture, "wrap", "repeat")
-
-    def texel(column: np.ndarray, line: np.ndarray) -> np.ndarray:
-        height, width, _ = texels.shape
-        found: np.ndarray = texels[_wrapped(line, height, wrap), _wrapped(column, width, wrap)]
-        return found
-
-    if getattr(texture, "filter", "") != "bilinear":
-        return texel(np.floor(x), np.floor(y))
+    if texture.filter == "nearest":
+        return _texels_at(texture, texels, np.floor(x), np.floor(y))
     left, top = np.floor(x - 0.5), np.floor(y - 0.5)
-    a, b = (x - 0.5 - left)[:, None], (y - 0.5 - top)[:, None]
-    upper = texel(left, top) * (1.0 - a) + texel(left + 1.0, top) * a
-    return upper * (1.0 - b) + (texel(left, top + 1.0) * (1.0 - a) + texel(left + 1.0, top + 1.0) * a) * b
+    found = np.zeros((len(x), 3))
+    for column, line in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        share = (1.0 - np.abs(x - 0.5 - left - column)) * (1.0 - np.abs(y - 0.5 - top - line))
+        found += share[:, None] * _texels_at(texture, texels, left + column, top + line)
+    return found
 
 
-def _wrapped(i: np.ndarray, count: int, wrap: str) -> np.ndarray:
-    """The numbers of the texels in place of whole numbers; any for one that is not finite."""
-    if wrap != "clamp":
-        i = np.mod(i, 2 * count if wrap == "mirror" else count)
-        i = np.minimum(i, 2 * count - 1 - i) if wrap == "mirror" else i
-    return np.clip(np.nan_to_num(i), 0, count - 1).astype(np.int64)
+def _texels_at(texture: Any, texels: np.ndarray, *place: np.ndarray) -> np.ndarray:
+    """(m, 3) of columns and lines, whole numbers; any texel for one that is not finite."""
+    numbers = []
+    for i, count in zip(place, texels.shape[1::-1], strict=True):
+        if texture.wrap != "clamp":
+            i = np.mod(i, 2 * count if texture.wrap == "mirror" else count)
+        if texture.wrap == "mirror":
+            i = np.minimum(i, 2 * count - 1 - i)
+        numbers.append(np.clip(np.nan_to_num(i), 0, count - 1).astype(np.int64))
+    found: np.ndarray = texels[numbers[1], numbers[0]]
+    return found
+
+
+def mistake_of(texture: Any, uv: np.ndarray, colors: np.ndarray) -> str:
+    """What explains the reflectances (m, 3) that one side has at uv (m, 2); "" if nothing that is tried does."""
+    tried: dict[str, dict[str, Any]] = {
+        "v of the texture is flipped": {
+            "to_uv": [*texture.to_uv, {"scale": [1.0, -1.0, 1.0]}, {"translate": [0.0, 1.0, 0.0]}]
+        }
+    }
+    if texture.type == "bitmap":
+        tried |= {f"the texture is wrapped by {wrap}": {"wrap": wrap} for wrap in ("repeat", "mirror", "clamp")}
+        tried |= {f"the texture is filtered by {name}": {"filter": name} for name in ("nearest", "bilinear")}
+        tried["sRGB is taken as linear" if not texture.raw else "linear numbers are taken as sRGB"] = {
+            "raw": not texture.raw
+        }
+    for what, change in tried.items():
+        other = texture.model_copy(update=change)
+        if (color_ratios([other], np.zeros(len(uv)), uv, colors, KU) <= 1.0).all():
+            return what
+    return ""

@@ -10,7 +10,7 @@ from caster.kernels.protocol import Vec3
 from caster.kernels.raster.tile import ONE, PRIM, WIDTH, Box, lane, put
 from caster.kernels.surface.per_hit import ALBEDO, UV
 
-NO_TEXTURE, CHECKERBOARD, NEAREST, BILINEAR = range(4)
+NO_TEXTURE, NEAREST, BILINEAR = range(3)
 REPEAT, MIRROR, CLAMP = range(3)
 
 
@@ -18,7 +18,7 @@ class Textures(NamedTuple):
     """The textures of all shapes."""
 
     settings: np.ndarray  # (shapes, 5) int64: filter, wrap, width, height, the first texel
-    to_uv: np.ndarray  # (shapes, 2, 3) float64
+    to_texels: np.ndarray  # (shapes, 2, 3) float64: maps (u, v, 1) to columns and lines
     texels: np.ndarray  # (n, 3) float64, row by row
 
 
@@ -35,40 +35,36 @@ def textures_in_tile(tile: Any, box: Box, shapes: Any, textures: Any, buffer: An
 
 @jit
 def color_at(textures: Any, k: int, u: float, v: float) -> Vec3:
-    """The reflectance at uv of the surface."""
-    m, how = textures.to_uv[k], textures.settings[k, 0]
+    """The reflectance at uv of the surface: a texel, or a blend of four by the distances from their centres."""
+    m, blends = textures.to_texels[k], textures.settings[k, 0] == BILINEAR
     x, y = m[0, 0] * u + m[0, 1] * v + m[0, 2], m[1, 0] * u + m[1, 1] * v + m[1, 2]
-    if how == CHECKERBOARD:
-        differ = (x - np.floor(x) > 0.5) != (y - np.floor(y) > 0.5)
-        return texel(textures, k, 1.0 if differ else 0.0, 0.0)
-    x, y = x * textures.settings[k, 2], y * textures.settings[k, 3]
-    if how == NEAREST:
-        return texel(textures, k, np.floor(x), np.floor(y))
-    x, y = x - 0.5, y - 0.5  # texels have their values at their centres
     left, top = np.floor(x), np.floor(y)
-    a, b = x - left, y - top
-    upper = add(scaled(1.0 - a, texel(textures, k, left, top)), scaled(a, texel(textures, k, left + 1.0, top)))
-    lower = add(
-        scaled(1.0 - a, texel(textures, k, left, top + 1.0)), scaled(a, texel(textures, k, left + 1.0, top + 1.0))
-    )
-    return add(scaled(1.0 - b, upper), scaled(b, lower))
+    a, b = x - left if blends else 0.0, y - top if blends else 0.0
+    upper = blended(a, texel(textures, k, left, top), texel(textures, k, left + 1.0, top))
+    lower = blended(a, texel(textures, k, left, top + 1.0), texel(textures, k, left + 1.0, top + 1.0))
+    return blended(b, upper, lower)
+
+
+@jit
+def blended(share: float, first: Vec3, second: Vec3) -> Vec3:
+    """A mean of which `share` is the second."""
+    return add(scaled(1.0 - share, first), scaled(share, second))
 
 
 @jit
 def texel(textures: Any, k: int, column: float, line: float) -> Vec3:
     """The texel of a column and line, whole numbers that may lie beyond the picture."""
-    how, width, height = textures.settings[k, 1], textures.settings[k, 2], textures.settings[k, 3]
-    place = wrapped(line, height, how) * width + wrapped(column, width, how)
-    return row(textures.texels, textures.settings[k, 4] + place)
+    how = textures.settings[k]
+    return row(textures.texels, how[4] + wrapped(line, how[3], how[1]) * how[2] + wrapped(column, how[2], how[1]))
 
 
 @jit
-def wrapped(i: float, count: int, how: int) -> int:
+def wrapped(i: float, count: int, wrap: int) -> int:
     """The number of the texel in place of the whole number i, among `count`; 0 for NaN."""
-    if how != CLAMP:
-        period = float(2 * count if how == MIRROR else count)
+    if wrap != CLAMP:
+        period = 2.0 * count if wrap == MIRROR else 1.0 * count
         i -= period * np.floor(i / period)
-    if how == MIRROR and i >= count:
+    if wrap == MIRROR and i >= count:
         i = 2.0 * count - 1.0 - i
     i = min(max(i, 0.0), count - 1.0)
     return int(i) if i >= 0.0 else 0
