@@ -1,14 +1,17 @@
 """Textures against Mitsuba: what it evaluates at every pixel, and mistakes of ours and of its scene."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import caster
+from caster.description.errors import SceneError
 from caster.kernels.surface import texturing
 from caster.rendering import shading
-from caster.scene.files import load_scene
+from caster.scene.files import load_scene, scene_from_text
 from caster.scene.model import Scene
 from caster.scene.textures import FILTERS, WRAPS, Bitmap, Checkerboard, texture_arrays
 from mitsuba_ref.error_model.bounds import aov_rows
@@ -109,3 +112,25 @@ def test_a_textured_scene_round_trips(tmp_path):
     assert again == scene and again.sha256() == scene.sha256()
     changed = scene.model_copy(update={"materials": scene.materials | {"floor": caster.Diffuse()}})
     assert changed.sha256() != scene.sha256()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "expected"),
+    [
+        ("none.png", None, "reflectance.file cannot be used: cannot read this picture: No such file or directory"),
+        ("word.png", b"P6 1 1 255", "expected a PNG picture that is complete"),
+        ("cut.png", Path(SWATCH).read_bytes()[:70], "expected a PNG picture that is complete"),
+        ("deep.png", np.zeros((3, 4), np.uint16), "expected at most 16,777,216 pixels, of 8 bits a channel, got 4 x 3"),
+        ("large.png", np.zeros((4097, 4096), np.uint8), "expected at most 16,777,216 pixels, .* got 4096 x 4097"),
+    ],
+)
+def test_unusable_pictures(name, content, expected, tmp_path):
+    if isinstance(content, np.ndarray):
+        Image.fromarray(content).save(tmp_path / name)
+    elif content is not None:
+        (tmp_path / name).write_bytes(content)
+    camera = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n'
+    text = f'{camera}[material.m]\nreflectance = {{ type = "bitmap", file = "{name}" }}\n'
+    with pytest.raises(SceneError, match=expected) as caught:
+        scene_from_text(text, folder=tmp_path)
+    assert caught.value.exit_code == (4 if content is None else 2)
