@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from caster.scene.model import Point as Point
     from caster.scene.model import Scene as Scene
     from caster.scene.model import Shading as Shading
+    from caster.scene.textures import Bitmap as Bitmap
+    from caster.scene.textures import Checkerboard as Checkerboard
     from caster.shapes import *  # noqa: F403 - a registry, whatever is in it
 
 __version__ = "0.1.0"
@@ -50,6 +52,8 @@ _HOMES = {
     "Shading": "caster.scene.model",
     "Check": "caster.scene.model",
     "Diffuse": "caster.scene.model",
+    "Checkerboard": "caster.scene.textures",
+    "Bitmap": "caster.scene.textures",
 }
 _REGISTRIES = {"caster.shapes": "SHAPES", "caster.cameras": "CAMERAS", "caster.scene.model": "LIGHTS"}
 

@@ -3,7 +3,7 @@
 import io
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +30,6 @@ class Texture(Description):
 
     type: str
     to_uv: Transform = ()
-    filter: str
-    wrap: str = "repeat"
 
     @cached_property
     def texels(self) -> NDArray[np.float64]:
@@ -47,8 +45,8 @@ class Checkerboard(Texture):
     """Squares of side 1/2 in uv; the one at uv = 0 has `color0`."""
 
     type: Literal["checkerboard"] = "checkerboard"
-    filter: Literal["nearest"] = "nearest"
-    wrap: Literal["repeat"] = "repeat"
+    filter: ClassVar[str] = "nearest"
+    wrap: ClassVar[str] = "repeat"
     color0: Reflectance = (0.4, 0.4, 0.4)
     color1: Reflectance = (0.2, 0.2, 0.2)
 
@@ -126,8 +124,8 @@ else:
     ]
 
 
-def texture_arrays(textures: Sequence[Texture | None]) -> Textures:
-    """The textures of all shapes as kernels read them; a texture of several shapes has its texels once."""
+def texture_arrays(textures: Sequence[Any]) -> Textures:
+    """The textures of all shapes, or None, as kernels read them; one of several shapes has its texels once."""
     settings, to_texels = np.full((len(textures), 5), NO_TEXTURE), np.zeros((len(textures), 2, 3))
     texels, first, count = [np.zeros((0, 3))], dict[int, int](), 0
     for k, texture in enumerate(textures):

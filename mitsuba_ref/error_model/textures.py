@@ -39,7 +39,7 @@ def _ratio(texture: Any, uv: np.ndarray, colors: np.ndarray, ku: float) -> np.nd
     bend = np.clip(np.floor(place) + 0.5, low, high)  # where the slope changes
     values = [_lookup(texture, texels, x[:, 0], y[:, 1]) for x in (low, bend, high) for y in (low, bend, high)]
     exact = _lookup(texture, texels, *place.T)
-    decoding = SRGB_DECODING_ROUNDINGS * U32 if ku == KU and texture.type == "bitmap" and not texture.raw else 0.0
+    decoding = SRGB_DECODING_ROUNDINGS * U32 if ku == KU and getattr(texture, "file", None) and not texture.raw else 0.0
     rounding = (3.0 * ku + decoding) * np.max(values, axis=0)
     change = np.max(np.abs(values - exact), axis=0) * blends
     change[(off >= 0.5).any(axis=1)] = np.ptp(texels, axis=(0, 1))  # any texel may be meant
