@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from caster.scene.model import Point as Point
     from caster.scene.model import Scene as Scene
     from caster.scene.model import Shading as Shading
+    from caster.scene.textures import Bitmap as Bitmap
+    from caster.scene.textures import Checkerboard as Checkerboard
     from caster.shapes import *  # noqa: F403 - a registry, whatever is in it
 
 __version__ = "0.1.0"
@@ -54,6 +56,8 @@ _HOMES = {
     "Diffuse": "caster.scene.model",
     "Glass": "caster.scene.model",
     "Mirror": "caster.scene.model",
+    "Checkerboard": "caster.scene.textures",
+    "Bitmap": "caster.scene.textures",
 }
 _REGISTRIES = {"caster.shapes": "SHAPES", "caster.cameras": "CAMERAS", "caster.scene.model": "LIGHTS"}
 

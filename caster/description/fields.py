@@ -428,6 +428,10 @@ class Shape(Description):
         matrix.flags.writeable = False
         return matrix
 
+    def without_uv(self) -> str:
+        """Why the shape cannot have a texture; "" if it can."""
+        return ""
+
     def pack(self, rounded: Callable[[np.ndarray], np.ndarray]) -> Any:
         """World-space arrays for kernels; `rounded` is applied to each number that defines the geometry."""
         raise NotImplementedError

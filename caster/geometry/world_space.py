@@ -156,6 +156,9 @@ class TriangleShape(Shape):
         """Whether normals are those of the faces."""
         return True
 
+    def without_uv(self) -> str:
+        return "" if self.mesh().uv is not None else "its triangles have no uv"
+
     def pack(self, rounded: Rounding) -> Triangles:
         return transform_mesh(self.mesh(), self.matrix, rounded, self.is_flat())
 

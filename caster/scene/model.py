@@ -30,7 +30,6 @@ from caster.description.fields import (
     Flag,
     Name,
     Positive,
-    Reflectance,
     RefractiveIndex,
     Shape,
     UnitVec3,
@@ -40,6 +39,7 @@ from caster.description.fields import (
 from caster.description.registry import load_plugins
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
 from caster.scene.export import canonical_json, fingerprint, to_toml
+from caster.scene.textures import AnyReflectance, Texture
 from caster.shapes import SHAPES
 
 __all__ = ["MAX_FILM_SIDE", "Ambient", "Check", "Diffuse", "Film", "Glass", "Material", "Mirror", "Point", "Scene"]
@@ -82,21 +82,31 @@ LIGHTS = (Point, Directional, Ambient)
 
 
 class Diffuse(Description):
-    """A Lambertian surface that reflects the fraction `reflectance` of incident light.
+    """A Lambertian surface that reflects the fraction `reflectance` of incident light: a colour, or a texture.
 
     A one-sided surface is black where its shading normal points away from the viewer.
     """
 
     type: Literal["diffuse"] = "diffuse"
-    reflectance: Reflectance = (0.5, 0.5, 0.5)
+    reflectance: AnyReflectance = (0.5, 0.5, 0.5)
     two_sided: Flag = False
+
+    @property
+    def texture(self) -> Texture | None:
+        return self.reflectance if isinstance(self.reflectance, Texture) else None
+
+    @property
+    def color(self) -> tuple[float, float, float]:
+        """The reflectance; black in place of a texture."""
+        return (0.0, 0.0, 0.0) if isinstance(self.reflectance, Texture) else self.reflectance
 
 
 class Specular(Description):
     """A surface that reflects or refracts every ray in one direction, and so has no diffuse light: it is black."""
 
     model_config = ConfigDict(json_schema_extra={"required": ["type"]})
-    reflectance: ClassVar[tuple[float, float, float]] = (0.0, 0.0, 0.0)
+    color: ClassVar[tuple[float, float, float]] = (0.0, 0.0, 0.0)
+    texture: ClassVar[None] = None
     two_sided: ClassVar[bool] = False
 
 
@@ -297,6 +307,10 @@ class Scene(Description):
         if found:
             text = "\n".join(problem.text for problem in found)
             raise PydanticCustomError(CROSS_ELEMENT_ERROR, "{text}", {"text": text})
+        for i, (shape, texture) in enumerate(zip(self.shapes, self.textures, strict=True)):
+            if texture is not None and (reason := shape.without_uv()):
+                text = f"names a material with a texture, but {reason}: give it a colour, or use another shape"
+                raise field_error(text, "shape", i, "material")
         return self
 
     @classmethod
@@ -313,6 +327,11 @@ class Scene(Description):
     def material_of(self, shape: Shape) -> Material:
         """The material of a shape; the default material if it names none."""
         return self.materials[shape.material] if shape.material else DEFAULT_MATERIAL
+
+    @property
+    def textures(self) -> list[Texture | None]:
+        """The texture of each shape, None if it has none."""
+        return [self.material_of(shape).texture for shape in self.shapes]
 
     def shape_names(self) -> list[str]:
         """The name of each shape, shape-<index> if it has none."""

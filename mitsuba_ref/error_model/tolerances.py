@@ -23,6 +23,10 @@ MEASURED_FOR = {
 # K u for a float64 caster such as ours; doubled, because its answer is compared with one computed in float64.
 KU_OURS = 2.0 * K * 2.0**-53
 
+# Mitsuba 3.9.1 decodes the 256 bytes of sRGB by an approximation of the power 2.4, each off by at most 41.8 roundings
+# of its value; half as many more for processors with other fused operations.
+SRGB_DECODING_ROUNDINGS = 63.0
+
 # If the signs of group means are random, |z| >= x has a probability of at most 2 exp(-x^2 / 2), however many groups
 # there are and however large (Hoeffding): 7.5e-6 for x = 5. |z| is at most the square root of the number of groups.
 LARGEST_Z = 5.0
