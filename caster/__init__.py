@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from caster.scene.model import Diffuse as Diffuse
     from caster.scene.model import Directional as Directional
     from caster.scene.model import Film as Film
+    from caster.scene.model import Glass as Glass
+    from caster.scene.model import Mirror as Mirror
     from caster.scene.model import Point as Point
     from caster.scene.model import Scene as Scene
     from caster.scene.model import Shading as Shading
@@ -54,6 +56,8 @@ _HOMES = {
     "Diffuse": "caster.scene.model",
     "Checkerboard": "caster.scene.textures",
     "Bitmap": "caster.scene.textures",
+    "Glass": "caster.scene.model",
+    "Mirror": "caster.scene.model",
 }
 _REGISTRIES = {"caster.shapes": "SHAPES", "caster.cameras": "CAMERAS", "caster.scene.model": "LIGHTS"}
 

@@ -73,6 +73,12 @@ class AffineImages(NamedTuple):
     to_object: np.ndarray  # (n, 3, 3) float64, its inverse
 
 
+def largest_curvature(images: AffineImages) -> np.ndarray:
+    """(n,), a bound on the curvature of images of a unit sphere or cylinder: longest axis / shortest^2."""
+    stretch = np.linalg.svd(images.to_world, compute_uv=False)
+    return stretch[:, 0] / stretch[:, 2] ** 2
+
+
 def affine_arrays(
     center: np.ndarray, linear: np.ndarray, rounded: Rounding
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -41,7 +41,7 @@ from caster.rendering.casting import exact_nearest
 from caster.rendering.plan import Plan
 from caster.rendering.ray_tiles import TileCaster, TileWorkspace, placed_kinds
 from caster.rendering.threads import unwritten_array
-from caster.scene.model import Diffuse, Scene
+from caster.scene.model import Material, Scene
 from caster.scene.textures import texture_arrays
 
 NO_START = np.empty((0, 0))
@@ -178,7 +178,7 @@ def _primitive_ids(packed: Packed, needs: frozenset[str]) -> PrimitiveIds:
     return PrimitiveIds(shapes if "shape_id" in needs else NO_IDS.shape, numbers if "prim_id" in needs else NO_IDS.prim)
 
 
-def distinct_materials(scene: Scene) -> tuple[list[Diffuse], np.ndarray]:
+def distinct_materials(scene: Scene) -> tuple[list[Material], np.ndarray]:
     """(distinct materials, (shapes,) int32 number of each shape's material)."""
     named = {shape.material: scene.material_of(shape) for shape in scene.shapes}
     found = {(*material.color, material.two_sided): material for material in named.values()}

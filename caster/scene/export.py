@@ -85,6 +85,8 @@ def to_toml(scene: BaseModel, folder: Path | None) -> str:
     for name, material in brief.get("material", {}).items():
         if isinstance(texture := material.get("reflectance"), dict):
             material["reflectance"] = {"type": data["material"][name]["reflectance"]["type"]} | texture
+        kind = data["material"][name]["type"]
+        brief["material"][name] = material if kind == "diffuse" else {"type": kind, **material}
     return format_toml(_named_from(folder, brief))
 
 

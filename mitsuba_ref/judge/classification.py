@@ -410,7 +410,8 @@ class Judge:
             if self.pair.rays.is_list:  # along other numbers than the subject's
                 answers = self.oracle.first_hits(lines[0], lines[1], 0.0, lines[2])
             prims = self.reference_prim[rows].astype(np.int64)
-            features = defect_features(self.model, self.oracle, lines, self._reference_claims(rows), answers, prims)
+            claims, robust = self._reference_claims(rows), self.result.robust
+            features = defect_features(self.model, self.oracle, lines, claims, answers, prims, robust)
             cases |= {int(row): defect_of(each) for row, each in zip(rows, features, strict=True)}
         return cases
 

@@ -14,7 +14,7 @@ from caster.description.transform import row_lengths
 from caster.geometry.packing import Packed, concatenate_parts, packed
 from caster.geometry.world_space import as_float32
 from caster.rendering.images import camera_rays
-from caster.scene.model import Diffuse, Scene
+from caster.scene.model import Material, Scene
 from caster.scene.textures import Bitmap, Texture
 from caster.system.atomic_files import check_folder, write_bytes, write_text
 from mitsuba_ref.cameras import ClipRange, reference_of_camera
@@ -241,8 +241,14 @@ LIGHT = """<emitter type="{type}">
 LIGHT_FIELDS = {"point": ("point", "position", "intensity"), "directional": ("vector", "direction", "irradiance")}
 
 
-def bsdf_element(material: Diffuse, files: dict[str, bytes]) -> XmlElement:
+def bsdf_element(material: Material, files: dict[str, bytes]) -> XmlElement:
     """The <bsdf> of a material; pictures are added to `files`."""
+    if material.type == "mirror":
+        return fromstring('<bsdf type="conductor"><string name="material" value="none"/></bsdf>')
+    if material.type == "glass":
+        index = '<float name="{}" value="{}"/>'
+        indices = index.format("int_ior", repr(material.ior)) + index.format("ext_ior", "1")
+        return fromstring(f'<bsdf type="dielectric">{indices}</bsdf>')
     diffuse = Element("bsdf", type="diffuse")
     texture = material.texture
     diffuse.append(texture_element(texture, files) if texture else rgb_element("reflectance", material.color))
