@@ -54,10 +54,10 @@ _HOMES = {
     "Shading": "caster.scene.model",
     "Check": "caster.scene.model",
     "Diffuse": "caster.scene.model",
-    "Checkerboard": "caster.scene.textures",
-    "Bitmap": "caster.scene.textures",
     "Glass": "caster.scene.model",
     "Mirror": "caster.scene.model",
+    "Checkerboard": "caster.scene.textures",
+    "Bitmap": "caster.scene.textures",
 }
 _REGISTRIES = {"caster.shapes": "SHAPES", "caster.cameras": "CAMERAS", "caster.scene.model": "LIGHTS"}
 

@@ -83,10 +83,10 @@ def to_toml(scene: BaseModel, folder: Path | None) -> str:
         for element, short in zip(_listed(data[key]), _listed(brief[key]), strict=True):
             short["type"] = element["type"]
     for name, material in brief.get("material", {}).items():
-        if isinstance(texture := material.get("reflectance"), dict):
-            material["reflectance"] = {"type": data["material"][name]["reflectance"]["type"]} | texture
         kind = data["material"][name]["type"]
         brief["material"][name] = material if kind == "diffuse" else {"type": kind, **material}
+        if isinstance(texture := material.get("reflectance"), dict):
+            material["reflectance"] = {"type": data["material"][name]["reflectance"]["type"]} | texture
     return format_toml(_named_from(folder, brief))
 
 

@@ -105,8 +105,8 @@ class Specular(Description):
     """A surface that reflects or refracts every ray in one direction, and so has no diffuse light: it is black."""
 
     model_config = ConfigDict(json_schema_extra={"required": ["type"]})
-    texture: ClassVar[Texture | None] = None
     color: ClassVar[tuple[float, float, float]] = (0.0, 0.0, 0.0)
+    texture: ClassVar[None] = None
     two_sided: ClassVar[bool] = False
 
 
