@@ -199,6 +199,8 @@ Points = Annotated[NDArray[np.float64], NumberList("points [x, y, z] of finite n
 UVs = Annotated[NDArray[np.float64], NumberList("pairs [u, v] of finite numbers", width=2)]
 Faces = Annotated[NDArray[np.int64], NumberList("faces [i, j, k] of whole numbers", -1, width=3, whole=True)]
 Lengths = Annotated[NDArray[np.float64], NumberList("lengths > 0", least=0.0)]
+LengthTriples = Annotated[NDArray[np.float64], NumberList("triples [x, y, z] of lengths > 0", least=0.0, width=3)]
+Quaternions = Annotated[NDArray[np.float64], NumberList("quaternions [x, y, z, w] of finite numbers", width=4)]
 Vec2 = Annotated[tuple[Number, Number], BeforeValidator(row(2, "2 numbers [x, y]"))]
 Vec3 = Annotated[tuple[Number, Number, Number], BeforeValidator(row(3, "3 numbers [x, y, z]"))]
 UnitVec3 = Annotated[Vec3, AfterValidator(_unit)]

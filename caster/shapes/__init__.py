@@ -10,7 +10,7 @@ from caster.shapes.icosphere import Icosphere
 from caster.shapes.mesh import Mesh
 from caster.shapes.plane import Plane
 from caster.shapes.rectangle import Rectangle
-from caster.shapes.sphere import Sphere, SphereCloud
+from caster.shapes.sphere import EllipsoidCloud, Sphere, SphereCloud
 from caster.shapes.teapot import Teapot
 from caster.shapes.torus import Torus
 from caster.shapes.triangle import Triangle
@@ -20,6 +20,7 @@ __all__ = [
     "Cube",
     "Cylinder",
     "Disk",
+    "EllipsoidCloud",
     "Heightfield",
     "Icosphere",
     "Mesh",
@@ -33,5 +34,5 @@ __all__ = [
 ]
 
 SHAPES: Registry[Shape] = Registry(
-    Sphere, Plane, Triangle, Mesh, Rectangle, Disk, Cube, Cylinder, Icosphere, Torus, Heightfield, Teapot, SphereCloud
+    Sphere, Plane, Triangle, Mesh, Rectangle, Disk, Cube, Cylinder, Icosphere, Torus, Heightfield, Teapot, SphereCloud, EllipsoidCloud
 )

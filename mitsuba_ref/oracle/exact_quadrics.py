@@ -111,6 +111,12 @@ def intersect_ellipsoid(ellipsoid: Affine, ray: IntegerRay) -> LineIntersections
     return _closed(line_sphere_roots(*to_object_space(ellipsoid, ray)))
 
 
+def enter_ellipsoid(ellipsoid: Affine, ray: IntegerRay) -> LineIntersections:
+    """Where the line enters it."""
+    found = intersect_ellipsoid(ellipsoid, ray)
+    return found._replace(roots=found.roots[:1])
+
+
 def _closed(roots: list[Root]) -> LineIntersections:
     where = "tangent" if len(roots) == 1 else "inside"
     return LineIntersections(tuple((root, where) for root in roots))
@@ -160,4 +166,5 @@ def usable_sphere(prims: Any) -> np.ndarray:
 
 SPHERES = ExactKind(sphere_boxes, prepare_sphere, intersect_sphere, usable=usable_sphere)
 ELLIPSOIDS = ExactKind(affine_boxes, prepare_affine, intersect_ellipsoid, usable=usable_affine)
+OUTER_ELLIPSOIDS = ExactKind(affine_boxes, prepare_affine, enter_ellipsoid, usable=usable_affine)
 CYLINDERS = ExactKind(affine_boxes, prepare_affine, intersect_cylinder, usable=usable_affine)

@@ -39,6 +39,7 @@ def trace_request(request: TraceRequest) -> TraceResponse:
     logger.set_error_level(mi.LogLevel.Warn if request.strict else mi.LogLevel.Error)
     start = time.perf_counter()
     scene = mi.load_file(str(request.xml), optimize=False)  # optimising merges meshes and loses their ids
+    _restore_ellipsoids(scene)
     arrays: dict[str, Any] = _traced(scene, request)
     if request.sensor and scene.sensors():
         arrays["sensor"] = _sensor_rays(scene.sensors()[0], request)
@@ -47,6 +48,17 @@ def trace_request(request: TraceRequest) -> TraceResponse:
     seconds = time.perf_counter() - start
     names = _in_scene_shapes([shape.id() for shape in scene.shapes()], arrays)
     return TraceResponse(names=names, versions=_versions(request), seconds=seconds, **arrays, **meshes)
+
+
+def _restore_ellipsoids(scene: Any) -> None:
+    """Semi-axes and quaternions of exported ellipsoids as their attribute `exact` holds them (shapes/ellipsoids.py)."""
+    numbers = mi.traverse(scene)
+    for name in [key for key, _ in numbers if key.endswith(".exact")]:
+        key = name.removesuffix("exact") + "data"
+        data = np.array(numbers[key]).reshape(-1, 10)
+        data[:, 3:] = np.array(numbers[name]).reshape(-1, 7)
+        numbers[key] = type(numbers[key])(data.ravel())
+    numbers.update()
 
 
 def _in_scene_shapes(ids: list[str], arrays: dict[str, Any]) -> list[str]:
