@@ -7,6 +7,7 @@ from caster.shapes.cylinder import Cylinder
 from caster.shapes.disk import Disk
 from caster.shapes.heightfield import Heightfield
 from caster.shapes.icosphere import Icosphere
+from caster.shapes.linear_curve import LinearCurve
 from caster.shapes.mesh import Mesh
 from caster.shapes.plane import Plane
 from caster.shapes.rectangle import Rectangle
@@ -23,6 +24,7 @@ __all__ = [
     "EllipsoidCloud",
     "Heightfield",
     "Icosphere",
+    "LinearCurve",
     "Mesh",
     "Plane",
     "Rectangle",
@@ -34,5 +36,19 @@ __all__ = [
 ]
 
 SHAPES: Registry[Shape] = Registry(
-    Sphere, Plane, Triangle, Mesh, Rectangle, Disk, Cube, Cylinder, Icosphere, Torus, Heightfield, Teapot, SphereCloud, EllipsoidCloud
+    Sphere,
+    Plane,
+    Triangle,
+    Mesh,
+    Rectangle,
+    Disk,
+    Cube,
+    Cylinder,
+    Icosphere,
+    Torus,
+    Heightfield,
+    Teapot,
+    SphereCloud,
+    EllipsoidCloud,
+    LinearCurve,
 )

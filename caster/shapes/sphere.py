@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import field_validator, model_validator
 
 from caster.description.errors import SceneError
-from caster.description.fields import LengthTriples, Lengths, Points, Positive, Quaternions, Shape, Vec3
+from caster.description.fields import Lengths, LengthTriples, Points, Positive, Quaternions, Shape, Vec3
 from caster.description.transform import cross, inverse, subtract, transform_points, transform_vectors
 from caster.geometry.edge_distances import (
     SCENE_UNITS,
@@ -25,12 +25,7 @@ from caster.geometry.mesh_files import load_ellipsoids, load_once, load_points
 from caster.geometry.world_space import AffineImages, Rounding, similarity_scale
 from caster.jit.decorators import implement, jit
 from caster.kernels.exact.numbers import Root, is_within, no_root
-from caster.kernels.exact.primitives import (
-    exact_quadric_roots,
-    exact_sphere,
-    exact_unit_sphere,
-    ray_in_object_space,
-)
+from caster.kernels.exact.primitives import exact_quadric_roots, exact_sphere, exact_unit_sphere, ray_in_object_space
 from caster.kernels.math.angles import polar_fraction, turn_fraction
 from caster.kernels.math.quadric_roots import (
     closest_approach,
@@ -209,7 +204,9 @@ class EllipsoidCloud(Shape):
     @field_validator("file")
     @classmethod
     def _is_usable(cls, file: str | None, info: Any) -> str | None:
-        return info.context.resolve(file, lambda path: load_once(load_ellipsoids, path)) if file and info.context else file
+        return (
+            info.context.resolve(file, lambda path: load_once(load_ellipsoids, path)) if file and info.context else file
+        )
 
     @model_validator(mode="after")
     def _has_one_source(self) -> "EllipsoidCloud":
@@ -226,7 +223,9 @@ class EllipsoidCloud(Shape):
     def ellipsoids(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Centres (n, 3), semi-axes (n, 3) and quaternions (n, 4) in object space. Raises SceneError, FileMissing."""
         given = self.centers, self.scales, self.quaternions
-        centers, scales, quaternions = map(np.array, given if self.file is None else load_once(load_ellipsoids, self.file))
+        centers, scales, quaternions = map(
+            np.array, given if self.file is None else load_once(load_ellipsoids, self.file)
+        )
         return centers, self.extent * scales, quaternions
 
     def pack(self, rounded: Rounding) -> OuterEllipsoids:
@@ -369,9 +368,7 @@ def _intersect_ellipsoid(prims: Any, pre: Any, d: Any, t_min: float, t_max: floa
 def _intersect_outer(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tuple[float, float]:
     m, setup, d_error = pre
     roots = quadric_roots(setup, rows_times_vec(m, d), d_error * l1_norm(d))
-    return filter_result(
-        roots.met, roots.missed, *certain_in_range(roots.near, roots.near_error, t_min, t_max)
-    )
+    return filter_result(roots.met, roots.missed, *certain_in_range(roots.near, roots.near_error, t_min, t_max))
 
 
 @implement(surely_misses, OuterEllipsoids)

@@ -32,6 +32,7 @@ class DefectView(NamedTuple):
     stretch: float = 1.0  # length of the direction in object space
     beyond_corners: bool = False  # t is beyond the farthest corner of a triangle, or before the nearest
     without_area: bool = False  # a triangle has no area, exactly
+    starts_inside: bool = False  # the ray starts inside a curve
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,7 @@ class DefectFeatures:
     offset: float  # the primitive's largest coordinate, in its sizes
     axis_angle: float
     stretch: float  # the larger of both
+    starts_inside: bool  # of either
     nearly: bool  # bounds WIDENED_BOUNDS_FACTOR times as wide would allow the reference's answer
     # its normal is NaN where rounding allows one of length 0, and apart from that it is `nearly`
     normless: bool = False

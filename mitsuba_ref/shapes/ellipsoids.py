@@ -106,7 +106,12 @@ def random_fields(rng: Rng, lattice: bool) -> Fields:
 
 ELLIPSOIDS = PrimitiveReference(
     OuterEllipsoids,
-    ErrorModel(intersect, EXACT, ours_through_object_space(partial(intersect, float32=False)), uv=UvSpace(sphere_uv_points, None)),
+    ErrorModel(
+        intersect,
+        EXACT,
+        ours_through_object_space(partial(intersect, float32=False)),
+        uv=UvSpace(sphere_uv_points, None),
+    ),
     describe,
     on_unit_shape(unit_sphere_points),
     derived=("to_object",),
@@ -115,11 +120,5 @@ ELLIPSOIDS = PrimitiveReference(
     defect_view=view_ellipsoid,
 )
 REFERENCE = ShapeReference(
-    EllipsoidCloud,
-    to_xml,
-    (ELLIPSOIDS,),
-    expected,
-    random_fields,
-    analytic=True,
-    drawn_for="spheres",
+    EllipsoidCloud, to_xml, (ELLIPSOIDS,), expected, random_fields, analytic=True, drawn_for="spheres"
 )

@@ -268,10 +268,10 @@ def half_chord_error(s: np.ndarray, r: np.ndarray, error: np.ndarray) -> np.ndar
     The half chord changes from s to sqrt(s^2 +- e) with e = 2 r E + E^2. Near a tangent, where s^2 <= e, it may appear
     or vanish, and changes by at most sqrt(e).
     """
-    return _root_change(s, error * (2.0 * r + error))
+    return root_change(s, error * (2.0 * r + error))
 
 
-def _root_change(s: np.ndarray, change: np.ndarray) -> np.ndarray:
+def root_change(s: np.ndarray, change: np.ndarray) -> np.ndarray:
     """How far the root of s^2 changes if s^2 changes by `change`."""
     left = np.sqrt(np.maximum(s * s - change, 0.0))
     return np.where(s * s > change, change / (s + left), np.sqrt(change))
@@ -336,7 +336,7 @@ def intersect_round(
         change = error * (2.0 + error)
         if float32:
             change += QUADRATIC_ROUNDINGS * ku * (overshoot * overshoot + distance * distance + 1.0)
-        t_error = _root_change(s, change) / size + ku * (np.abs(t) + overshoot / size)
+        t_error = root_change(s, change) / size + ku * (np.abs(t) + overshoot / size)
         out = q * used / np.maximum(distance, 1.0)[:, None]
         across = np.abs(dot(out, rays.d))
         slide = np.sqrt(np.maximum(size * size - across**2, 0.0))

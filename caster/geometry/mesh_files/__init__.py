@@ -78,8 +78,36 @@ def load_ellipsoids(path: str | PathLike[str]) -> tuple[Any, Any, Any]:
     """
     rows = parse_ply_columns(_read_point_file(path), str(path), SPLAT)
     if not rows[:, 6:].any(axis=1).all():
-        raise SceneError(f"{path}: vertex {int(np.argmin(rows[:, 6:].any(axis=1)))}: expected a rotation, got 0, 0, 0, 0")
+        raise SceneError(
+            f"{path}: vertex {int(np.argmin(rows[:, 6:].any(axis=1)))}: expected a rotation, got 0, 0, 0, 0"
+        )
     return rows[:, :3], np.exp(rows[:, 3:6]), rows[:, 6:]
+
+
+def load_curves(path: str | PathLike[str]) -> tuple[Any, Any]:
+    """Read a text file of curves: rows x, y, z, radius (n, 4), and the number of rows of each curve (m,).
+
+    An empty line ends a curve, as in Mitsuba. Raises FileMissing for a file that cannot be read, SceneError with its
+    line for one that has something else.
+    """
+    rows: list[list[float]] = []
+    counts = [0]
+    for number, line in enumerate(read_input(str(path), "file of curves", MAX_MESH_BYTES).split(b"\n"), 1):
+        place = f"{path}:{number}"
+        words = line.split()
+        row = read_numbers(words, place)
+        if words and not (len(row) == 4 and np.isfinite(row).all() and row[3] > 0.0):
+            raise SceneError(f"{place}: expected x, y, z and a radius > 0, got {quote_bytes(line.strip())}")
+        if words:
+            rows.append(row)
+            counts[-1] += 1
+        elif counts[-1]:
+            counts.append(0)
+    sizes = np.array(counts if counts[-1] else counts[:-1])
+    if not len(sizes) or sizes.min() < 2:
+        got = f"one of {sizes.min()}, number {np.argmin(sizes)}" if len(sizes) else "none"
+        raise SceneError(f"{path}: expected curves of at least 2 points, got {got}")
+    return np.array(rows), sizes
 
 
 Loaded = TypeVar("Loaded")
