@@ -2,7 +2,7 @@
 
 from caster.description.fields import Shape
 from caster.description.registry import Registry
-from caster.shapes.cube import Cube
+from caster.shapes.cube import Cube, Rectangle
 from caster.shapes.cylinder import Cylinder
 from caster.shapes.disk import Disk
 from caster.shapes.heightfield import Heightfield
@@ -10,7 +10,6 @@ from caster.shapes.icosphere import Icosphere
 from caster.shapes.linear_curve import LinearCurve
 from caster.shapes.mesh import Mesh
 from caster.shapes.plane import Plane
-from caster.shapes.rectangle import Rectangle
 from caster.shapes.sphere import EllipsoidCloud, Sphere, SphereCloud
 from caster.shapes.teapot import Teapot
 from caster.shapes.torus import Torus

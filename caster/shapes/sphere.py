@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import field_validator, model_validator
 
 from caster.description.errors import SceneError
-from caster.description.fields import Lengths, LengthTriples, Points, Positive, Quaternions, Shape, Vec3
+from caster.description.fields import Flag, Lengths, LengthTriples, Points, Positive, Quaternions, Shape, Vec3
 from caster.description.transform import cross, inverse, subtract, transform_points, transform_vectors
 from caster.geometry.edge_distances import (
     SCENE_UNITS,
@@ -106,11 +106,15 @@ class OuterEllipsoids(AffineImages):
 
 
 class Sphere(Shape):
-    """All points at distance `radius` from `center`. The normal points outwards, under mirroring transforms as well."""
+    """All points at distance `radius` from `center`.
+
+    The normal points outwards, under mirroring transforms as well; inwards with `flip_normals`.
+    """
 
     type: Literal["sphere"] = "sphere"
     center: Vec3 = (0.0, 0.0, 0.0)
     radius: Positive = 1.0
+    flip_normals: Flag = False
 
     def pack(self, rounded: Rounding) -> Spheres | Ellipsoids:
         return pack_spheres(np.array([self.center]), np.array([self.radius]), self.matrix, rounded)

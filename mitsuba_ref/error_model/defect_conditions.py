@@ -55,10 +55,10 @@ class DefectFeatures:
     offset: float  # the primitive's largest coordinate, in its sizes
     axis_angle: float
     stretch: float  # the larger of both
-    starts_inside: bool  # of either
     nearly: bool  # bounds WIDENED_BOUNDS_FACTOR times as wide would allow the reference's answer
     # its normal is NaN where rounding allows one of length 0, and apart from that it is `nearly`
     normless: bool = False
+    starts_inside: bool = False  # of either
 
     @property
     def kinds(self) -> frozenset[str]:

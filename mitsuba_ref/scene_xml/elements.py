@@ -88,13 +88,13 @@ class ShapeWriter:
             bsdf.set("id", part_id(self.name, "material"))
             return self._include(bsdf, plugin, centers, linear)
         element = Element("shape", type=plugin, id=self.name)
-        element.extend([matrix_element(centers[0], linear[0]), bsdf])
+        element.extend([matrix_element(centers[0], linear[0]), bsdf, *_flips(shape)])
         return [element]
 
     def instances(self, shape: Shape, plugin: str, part: Any) -> list[XmlElement]:
         """Instances of a one-shape group, for stretched shapes whose plugin does not support scaling."""
         group = Element("shape", type="shapegroup", id=f"{self.name}.group")
-        SubElement(group, "shape", type=plugin, id=f"{self.name}.unit").append(self.material(shape))
+        SubElement(group, "shape", type=plugin, id=f"{self.name}.unit").extend([self.material(shape), *_flips(shape)])
         self.notes.append(f"{self.name}: an instance of a {plugin}, as Mitsuba's {plugin} cannot be stretched")
         if len(part.center) > 1:
             return self._include(group, "instance", part.center, part.to_world)
@@ -133,6 +133,10 @@ class ShapeWriter:
             SubElement(element, "boolean", name="face_normals", value="true")
         element.append(self.material(shape))
         return element
+
+
+def _flips(shape: Shape) -> list[XmlElement]:
+    return [Element("boolean", name="flip_normals", value="true")] if getattr(shape, "flip_normals", False) else []
 
 
 def format_floats(values: Sequence[float] | np.ndarray) -> str:

@@ -25,7 +25,7 @@ from caster.geometry.mesh_files.obj import parse_obj, quote_bytes, read_numbers
 from caster.geometry.mesh_files.ply import Points, parse_ply, parse_ply_columns, parse_ply_points
 from caster.geometry.triangle_mesh import Mesh, check_mesh, normalize_rows, triangle_fans
 
-__all__ = ["MeshFolders", "load_points"]
+__all__ = ["MeshFolders", "load_ellipsoids", "load_points"]
 
 MESH_SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 
