@@ -128,7 +128,8 @@ class LinearCurve(Shape):
     def pack(self, rounded: Rounding) -> RoundSegments:
         points, radii, counts = self.curves()
         linear = self.matrix[:3, :3]
-        scale = similarity_scale(linear) or np.cbrt(abs(np.linalg.det(linear)))
+        largest = np.abs(linear).max()  # a factor of two of to_world is one of radii, too
+        scale = similarity_scale(linear) or largest * np.cbrt(abs(np.linalg.det(linear / largest)))
         points, radii = rounded(transform_points(self.matrix, points)), rounded(scale * radii)
         first = np.delete(np.arange(len(points)), np.cumsum(counts) - 1)
         return RoundSegments(points[first], points[first + 1], np.stack([radii[first], radii[first + 1]], axis=1))
@@ -140,7 +141,10 @@ def _load(prims: Any, k: int) -> Any:
 
 
 class PreparedSegment(NamedTuple):
-    """A segment relative to the origin of a ray: with P = end - start and dr the difference of the radii."""
+    """A segment relative to the origin of a ray: P = end - start, and dr of the radii, over the size of P.
+
+    So all products are of moderate size, and scale with the scene.
+    """
 
     p: Vec3  # P
     f: Vec3  # the origin, relative to start
@@ -148,24 +152,28 @@ class PreparedSegment(NamedTuple):
     end: QuadricSetup
     r: float  # at start
     lift: float  # r dr: a point h from start has the height h.P + r dr above the circle there
-    g: float  # P.P - dr^2, the height of the circle at the end; the cone is g (h.h - r^2) = height^2
+    g: float  # P.P - dr^2; the cone is g (h.h - r^2) = height^2
     w: float  # its size: an upper bound of P.P + dr^2
-    p1: float  # size of P
+    top: float  # the height of the circle at the end: g times the size
+    top_error: float
 
 
 @implement(prepare, RoundSegments)
 def _prepare(prims: Any, prim: Any, o: Any) -> PreparedSegment:
     start, end, r0, r1 = prim
-    p, f, e, dr = sub(end, start), sub(o, start), sub(o, end), r1 - r0
-    p1 = l1_norm(p)
+    p, f, e = sub(end, start), sub(o, start), sub(o, end)
+    size = l1_norm(p)
+    over = 1.0 / (size if size > 0.0 else 1.0)
+    p, dr = scaled(over, p), over * (r1 - r0)
+    g, w = dot(p, p) - dr * dr, 1.0 + dr * dr
     setups = quadric_setup(f, r0, U * l1_norm(f)), quadric_setup(e, r1, U * l1_norm(e))
-    return PreparedSegment(p, f, *setups, r0, r0 * dr, dot(p, p) - dr * dr, p1 * p1 + dr * dr, p1)
+    return PreparedSegment(p, f, *setups, r0, r0 * dr, g, w, g * size, 2.0 * G_ERROR * w * size)
 
 
-# Error bounds, for P and dr rounded once, W >= |P|^2 + dr^2, and a point that is off by e and whose size with r is R.
-# A height h.P + r dr is off by 4 u |P||h| + |P| e + 3 u r |dr|, and |dr| < |P| where there is a cone; g by 7 u W.
-# A = g d.d - (d.P)^2 by 21 u W |d|^2; B = g h.d - (d.P) height by (22 u R + 2 e) W |d|; C by (24 u R + 6 e) R W.
-HEIGHT_ERROR, G_ERROR, A_ERROR, B_ERROR, C_ERROR = 8.0 * U, 8.0 * U, 40.0 * U, 40.0 * U, 80.0 * U
+# Error bounds, for P and dr off by 3 u, W >= |P|^2 + dr^2, |P| <= 1, and a point that is off by e and has the size R
+# with r. A height h.P + r dr is off by 7 u (|h| + r |dr|) + e, and |dr| < 1 where there is a cone; g by 10 u W.
+# A = g d.d - (d.P)^2 by 28 u W |d|^2; B = g h.d - (d.P) height by (29 u R + 2 e) W |d|; C by (32 u R + 6 e) R W.
+HEIGHT_ERROR, G_ERROR, A_ERROR, B_ERROR, C_ERROR = 8.0 * U, 16.0 * U, 40.0 * U, 40.0 * U, 80.0 * U
 
 
 @implement(intersect, RoundSegments)
@@ -174,7 +182,7 @@ def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tupl
     slope = dot(pre.p, d)
     passed, cone = _cone(pre, d, slope, t_min, t_max)
     first = _cap(pre, quadric_roots(pre.start, d, 0.0), d, slope, (-1.0, 0.0), t_min, t_max)
-    last = _cap(pre, quadric_roots(pre.end, d, 0.0), d, slope, (1.0, pre.g), t_min, t_max)
+    last = _cap(pre, quadric_roots(pre.end, d, 0.0), d, slope, (1.0, pre.top), t_min, t_max)
     t, error = min(min(cone[0], first[0]), last[0]), max(max(cone[1], first[1]), last[1])
     return filter_result((error < math.inf) & (t < math.inf), passed | ((error < math.inf) & (t == math.inf)), t, error)
 
@@ -219,8 +227,9 @@ def _cone(pre: Any, d: Any, slope: float, t_min: float, t_max: float) -> tuple[b
     t_error = 2.0 * (above_error + abs(t) * below_error) / abs(below) + 3.0 * U * abs(t)
     y = height + t * slope
     y_error = _height_error(pre, reach + abs(t) * d1, off) + abs(slope) * t_error
-    inside = (y > y_error) & (y < g - G_ERROR * w - y_error)
-    outside = (y < -y_error) | (y > g + G_ERROR * w + y_error)
+    y_error += pre.top_error
+    inside = (y > y_error) & (y < pre.top - y_error)
+    outside = (y < -y_error) | (y > pre.top + y_error)
     t_error += 2.0 * U * (abs(s) + abs(t))
     found = certain_in_range(s + t, t_error, t_min, t_max)
     inside &= found[0] + found[1] < math.inf
@@ -237,7 +246,7 @@ def _cap(
     t, error = roots.near, roots.near_error
     y = (dot(pre.p, pre.f) + pre.lift + t * slope - circle) * side
     y_error = _height_error(pre, pre.start.f1 + pre.r + abs(t) * l1_norm(d), pre.start.moved)
-    y_error += abs(slope) * error + G_ERROR * pre.w + TINY
+    y_error += abs(slope) * error + pre.top_error + TINY
     found = certain_in_range(t, error, t_min, t_max)
     misses = roots.missed | (roots.met & ((y < -y_error) | (found[0] == math.inf)))
     return filter_result(roots.met & (y > y_error) & (found[0] + found[1] < math.inf), misses, t, error)
@@ -245,7 +254,7 @@ def _cap(
 
 @inlined
 def _height_error(pre: Any, reach: float, off: float) -> float:
-    return pre.p1 * (HEIGHT_ERROR * reach + 2.0 * off) + HEIGHT_ERROR * abs(pre.lift) + TINY
+    return HEIGHT_ERROR * (reach + abs(pre.lift)) + 2.0 * off + TINY
 
 
 @implement(same_geometry, RoundSegments)

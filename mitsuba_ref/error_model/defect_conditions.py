@@ -32,7 +32,6 @@ class DefectView(NamedTuple):
     stretch: float = 1.0  # length of the direction in object space
     beyond_corners: bool = False  # t is beyond the farthest corner of a triangle, or before the nearest
     without_area: bool = False  # a triangle has no area, exactly
-    starts_inside: bool = False  # the ray starts inside a curve
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,6 @@ class DefectFeatures:
     nearly: bool  # bounds WIDENED_BOUNDS_FACTOR times as wide would allow the reference's answer
     # its normal is NaN where rounding allows one of length 0, and apart from that it is `nearly`
     normless: bool = False
-    starts_inside: bool = False  # of either
 
     @property
     def kinds(self) -> frozenset[str]:

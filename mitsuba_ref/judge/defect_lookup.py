@@ -84,7 +84,6 @@ def defect_features(
             offset=float(offset[i]),
             axis_angle=min(ours.axis_angle, theirs.axis_angle),
             stretch=max(ours.stretch, theirs.stretch),
-            starts_inside=ours.starts_inside or theirs.starts_inside,
             nearly=bool(nearly[i]),
             normless=bool(normless[i]),
         )

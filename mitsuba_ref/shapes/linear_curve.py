@@ -7,7 +7,6 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from caster.shapes.linear_curve import LinearCurve, RoundSegments
-from mitsuba_ref.error_model.defect_conditions import DefectView, KnownDefect
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers
 from mitsuba_ref.error_model.intersections import (
     ErrorModel,
@@ -129,7 +128,7 @@ def expected(shape: LinearCurve, part: RoundSegments) -> Iterator[ExpectedNumber
     sizes = scale * np.concatenate([np.column_stack([r[:-1], r[1:]]) for _, r in curves])
     reach = np.abs(ends) @ np.abs(linear).T + np.abs(move)
     yield ExpectedNumbers("ends", np.stack([part.start, part.end], axis=1), ends @ linear.T + move, reach)
-    yield ExpectedNumbers("radii", part.radius, sizes, sizes)
+    yield ExpectedNumbers("radii", part.radius, sizes, np.linalg.cond(linear) * sizes)
 
 
 def on_segments(prims: Any, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoints:
@@ -158,28 +157,7 @@ def random_fields(rng: Rng, lattice: bool) -> Fields:
     return out | {"radii": [0.5 * random_length(rng, lattice) for _ in range(count)]}
 
 
-def view_segment(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
-    """Whether the ray starts inside of any segment, or within the larger of its radii."""
-    axis = prims.end - prims.start
-    share = np.clip(dot(o - prims.start, axis) / np.maximum(dot(axis, axis), 1e-300), 0.0, 1.0)[:, None]
-    away = norm(o - prims.start - share * axis)
-    return DefectView(starts_inside=bool(np.any(away < prims.radius.max(axis=1))))
-
-
-STARTS_INSIDE = KnownDefect(
-    62,
-    "a ray that starts inside a curve: Mitsuba leaves out the parts of spheres that the next segment covers",
-    23,
-    "either",
-    lambda m: m.starts_inside,
-)
-
 SEGMENTS = PrimitiveReference(
-    RoundSegments,
-    ErrorModel(intersect, EXACT, intersect_ours, uv=UvSpace(reference=None)),
-    describe,
-    on_segments,
-    known_defects=(STARTS_INSIDE,),
-    defect_view=view_segment,
+    RoundSegments, ErrorModel(intersect, EXACT, intersect_ours, uv=UvSpace(reference=None)), describe, on_segments
 )
 REFERENCE = ShapeReference(LinearCurve, to_xml, (SEGMENTS,), expected, random_fields, drawn_for="cylinder")
