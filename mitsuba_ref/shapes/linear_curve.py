@@ -132,19 +132,21 @@ def expected(shape: LinearCurve, part: RoundSegments) -> Iterator[ExpectedNumber
 
 
 def on_segments(prims: Any, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoints:
-    """On the spheres that the segment is a union of; corners and edges are where a cone meets them."""
+    """Where cones touch spheres of the hull, those at their ends for corners and edges; half of "inside" on caps."""
     p, along, n = unit_sphere_points(rng, len(k), sort)
-    share = np.round(random_fractions(rng, len(k))) if sort in ("corner", "edge") else random_fractions(rng, len(k))
+    share, coin = random_fractions(rng, len(k)), rng.random((len(k), 1)) < 0.5
     axis, grow = prims.end[k] - prims.start[k], np.diff(prims.radius[k], axis=1)
+    end = np.round(share)
+    cap = (sort == "inside") & coin & ((2.0 * end - 1.0) * (dot(n, axis)[:, None] + grow) > 0.0)
+    share = np.where(cap | (sort in ("corner", "edge")), end, share)
     radius = prims.radius[k, :1] + share * grow
-    length = np.maximum(norm(axis), 1e-300)[:, None]
     around = unit(np.cross(axis, n))
-    out = np.cross(around, axis / length)
+    length = np.maximum(norm(axis), 1e-300)[:, None]
     tilt = np.clip(-grow / length, -1.0, 1.0)
-    on_circle = tilt * axis / length + np.sqrt(1.0 - tilt * tilt) * out
-    away = np.where((sort == "inside") & (rng.random((len(k), 1)) < 0.5), n, on_circle) * norm(p)[:, None]
-    along = np.where(rng.random((len(k), 1)) < 0.5, around, np.cross(around, on_circle))
-    return SurfacePoints(prims.start[k] + share * axis + radius * away, radius * along, away)
+    on_cone = tilt * axis / length + np.sqrt(1.0 - tilt * tilt) * np.cross(around, axis / length)
+    away = np.where(cap, n, on_cone)
+    along = np.where(cap, along, np.where(coin, around, np.cross(around, on_cone)))
+    return SurfacePoints(prims.start[k] + share * axis + radius * norm(p)[:, None] * away, radius * along, away)
 
 
 def random_fields(rng: Rng, lattice: bool) -> Fields:
