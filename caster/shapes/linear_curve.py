@@ -73,6 +73,12 @@ class RoundSegments(NamedTuple):
     end: np.ndarray  # (n, 3) float64
     radius: np.ndarray  # (n, 2) float64, at start and end
 
+    @property
+    def curvature(self) -> np.ndarray:
+        """(n,) the largest curvature of each."""
+        smallest: np.ndarray = self.radius.min(axis=1)
+        return 1.0 / smallest
+
 
 class LinearCurve(Shape):
     """Curves through `points` with the radius of each, or one `radius`; or a file with a line `x y z radius` for each.
