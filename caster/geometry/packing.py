@@ -62,6 +62,7 @@ class Packed:
     first: np.ndarray  # (shapes + 1,) int64, number of the first primitive of each shape
     kind_of: np.ndarray  # (shapes,) int64, index of the shape's kind in `kinds`
     start: np.ndarray  # (shapes,) int64, index of its first primitive within the kind
+    flipped: np.ndarray | None = None  # (shapes,) bool, whether its normals are reversed; None: none are
 
     def shape_of(self, prim: np.ndarray) -> np.ndarray:
         """Shape index of each primitive number, -1 for -1; int32."""
@@ -115,7 +116,8 @@ def pack(scene: ShapeCollection, rounded: Rounding = as_given) -> Packed:
         start[members] = np.concatenate([[0], np.cumsum(counts[members])[:-1]])
         ids = np.concatenate([np.arange(first[s], first[s + 1]) for s in members])
         kinds.append(Kind(concatenate_parts([parts[s] for s in members]), ids.astype(np.int32)))
-    return Packed(tuple(kinds), parts, first, kind_of, start)
+    flipped = np.array([getattr(shape, "flip_normals", False) for shape in scene.shapes], bool)
+    return Packed(tuple(kinds), parts, first, kind_of, start, flipped if flipped.any() else None)
 
 
 CACHED_AS: dict[Rounding, str] = {as_given: "packed", as_float32: "packed float32"}  # keys of ShapeCollection.derived

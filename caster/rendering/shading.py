@@ -35,7 +35,14 @@ from caster.kernels.raster.tile import (
     kind_numbers,
 )
 from caster.kernels.surface.lighting import add_ambient, add_light, materials_in_tile, shadow_rays_in_tile
-from caster.kernels.surface.per_hit import NO_IDS, PrimitiveIds, new_surface_buffer, surfaces_in_tile, write_aov
+from caster.kernels.surface.per_hit import (
+    NO_IDS,
+    PrimitiveIds,
+    flip_normals_in_tile,
+    new_surface_buffer,
+    surfaces_in_tile,
+    write_aov,
+)
 from caster.kernels.surface.texturing import textures_in_tile
 from caster.rendering.casting import exact_nearest
 from caster.rendering.plan import Plan
@@ -119,6 +126,8 @@ class TileShader:
             for k, (kind, first) in enumerate(placed_kinds(packed)):
                 about = kind.prims, (first, first + len(kind.ids)), ws.tile, BOX, ws.surface, ws.lanes
                 yield command(surfaces_in_tile, *about, wants, when=kind_numbers(k).present)
+            if packed.flipped is not None:
+                yield command(flip_normals_in_tile, ws.tile, BOX, packed.flipped[packed.prim_shapes], ws.surface)
         if self._materials is not None:
             yield command(materials_in_tile, ws.tile, BOX, *self._materials, ws.surface)
         if self._textures is not None:

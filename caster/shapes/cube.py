@@ -1,4 +1,4 @@
-"""The cube; with to_world a box or parallelepiped."""
+"""The square and the cube; with to_world rectangles, boxes and parallelepipeds."""
 
 from typing import Literal
 
@@ -7,7 +7,20 @@ import numpy as np
 from caster.geometry.triangle_mesh import Mesh
 from caster.geometry.world_space import TriangleShape
 
-__all__ = ["Cube"]
+__all__ = ["Cube", "Rectangle"]
+
+SQUARE = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+FACES = np.array([[0, 1, 3], [1, 2, 3]], np.int32)
+
+
+class Rectangle(TriangleShape):
+    """The square [-1, 1]^2 in the plane z = 0 with normal +z, as two triangles."""
+
+    type: Literal["rectangle"] = "rectangle"
+
+    def mesh(self) -> Mesh:
+        return Mesh(SQUARE, FACES, None, 0.5 * SQUARE[:, :2] + 0.5)
+
 
 # The four corners of each side, counter-clockwise from outside, by the signs of x, y, z. Sides, corners and
 # the diagonal between the first and third follow Mitsuba's cube: a prim_id means the same triangle there.

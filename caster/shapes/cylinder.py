@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from pydantic import model_validator
 
-from caster.description.fields import Positive, Shape, Vec3
+from caster.description.fields import Flag, Positive, Shape, Vec3
 from caster.description.transform import product, transform_points
 from caster.geometry.edge_distances import (
     UNIT_RADII,
@@ -86,13 +86,14 @@ class Cylinders(AffineImages):
 class Cylinder(Shape):
     """The wall of a cylinder around the axis p0-p1, without caps, visible from inside and outside.
 
-    The normal points away from the axis.
+    The normal points away from the axis, or with `flip_normals` towards it.
     """
 
     type: Literal["cylinder"] = "cylinder"
     p0: Vec3 = (0.0, 0.0, 0.0)
     p1: Vec3 = (0.0, 0.0, 1.0)
     radius: Positive = 1.0
+    flip_normals: Flag = False
 
     @model_validator(mode="after")
     def _has_an_axis(self) -> "Cylinder":

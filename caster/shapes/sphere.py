@@ -1,4 +1,4 @@
-"""Spheres, one or many; with a non-uniform to_world, ellipsoids."""
+"""Spheres, one or many; with a non-uniform to_world, ellipsoids; and ellipsoids that are met from outside only."""
 
 from collections.abc import Mapping
 from fractions import Fraction
@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import field_validator, model_validator
 
 from caster.description.errors import SceneError
-from caster.description.fields import Lengths, Points, Positive, Shape, Vec3
-from caster.description.transform import cross, inverse, subtract, transform_points
+from caster.description.fields import Flag, Lengths, LengthTriples, Points, Positive, Quaternions, Shape, Vec3
+from caster.description.transform import cross, inverse, subtract, transform_points, transform_vectors
 from caster.geometry.edge_distances import (
     SCENE_UNITS,
     UNIT_RADII,
@@ -21,11 +21,11 @@ from caster.geometry.edge_distances import (
     signed_distance,
     square,
 )
-from caster.geometry.mesh_files import load_once, load_points
+from caster.geometry.mesh_files import load_ellipsoids, load_once, load_points
 from caster.geometry.world_space import AffineImages, Rounding, largest_curvature, similarity_scale
 from caster.jit.decorators import implement, jit
-from caster.kernels.exact.numbers import Root
-from caster.kernels.exact.primitives import exact_sphere, exact_unit_sphere, ray_in_object_space
+from caster.kernels.exact.numbers import Root, is_within, no_root
+from caster.kernels.exact.primitives import exact_quadric_roots, exact_sphere, exact_unit_sphere, ray_in_object_space
 from caster.kernels.math.angles import polar_fraction, turn_fraction
 from caster.kernels.math.quadric_roots import (
     closest_approach,
@@ -40,7 +40,9 @@ from caster.kernels.math.vec import (
     TO_OBJECT_SPACE_ERROR,
     U,
     add,
+    certain_in_range,
     fast_normalize,
+    filter_result,
     l1_norm,
     mat_vec,
     matrix_rows,
@@ -84,7 +86,7 @@ from caster.kernels.raster.tile import (
     put_lane,
 )
 
-__all__ = ["Ellipsoids", "Sphere", "SphereCloud", "Spheres"]
+__all__ = ["EllipsoidCloud", "Ellipsoids", "OuterEllipsoids", "Sphere", "SphereCloud", "Spheres"]
 
 
 class Spheres(NamedTuple):
@@ -106,12 +108,22 @@ class Ellipsoids(AffineImages):
     curvature = property(largest_curvature)
 
 
+class OuterEllipsoids(AffineImages):
+    """The same, met where a ray enters them only: one that starts inside passes through."""
+
+    curvature = property(largest_curvature)
+
+
 class Sphere(Shape):
-    """All points at distance `radius` from `center`. The normal points outwards, under mirroring transforms as well."""
+    """All points at distance `radius` from `center`.
+
+    The normal points outwards, under mirroring transforms as well; inwards with `flip_normals`.
+    """
 
     type: Literal["sphere"] = "sphere"
     center: Vec3 = (0.0, 0.0, 0.0)
     radius: Positive = 1.0
+    flip_normals: Flag = False
 
     def pack(self, rounded: Rounding) -> Spheres | Ellipsoids:
         return pack_spheres(np.array([self.center]), np.array([self.radius]), self.matrix, rounded)
@@ -179,6 +191,75 @@ def pack_spheres(centers: np.ndarray, radii: np.ndarray, matrix: np.ndarray, rou
         return Ellipsoids(moved, to_world, np.stack([inverse(to_world[i]) for i in first])[same])
     turn = np.broadcast_to(rounded(linear.T / scale), (len(centers), 3, 3))
     return Spheres(moved, rounded(scale * radii), np.ascontiguousarray(turn))
+
+
+class EllipsoidCloud(Shape):
+    """Many ellipsoids as one shape, visible from outside only: `centers`, `scales` and `quaternions`, or a PLY file.
+
+    Semi-axes are `extent` times `scales`; quaternions [x, y, z, w] of any length rotate them. A file has the
+    properties of Gaussian splats, which Mitsuba reads: x, y, z, the logarithms scale_0 to scale_2, and the quaternion
+    rot_0 (w), rot_1 to rot_3. Primitives are numbered in the order of the list.
+    """
+
+    type: Literal["ellipsoids"] = "ellipsoids"
+    MINIMAL: ClassVar[Mapping[str, Any]] = {
+        "centers": ((0.0, 0.0, 0.0),),
+        "scales": ((1.0, 1.0, 1.0),),
+        "quaternions": ((0.0, 0.0, 0.0, 1.0),),
+    }
+    ARRAYS: ClassVar[tuple[str, ...]] = ("centers", "scales", "quaternions")
+    centers: Points | None = None
+    scales: LengthTriples | None = None
+    quaternions: Quaternions | None = None
+    extent: Positive = 1.0
+    file: str | None = None
+
+    @field_validator("file")
+    @classmethod
+    def _is_usable(cls, file: str | None, info: Any) -> str | None:
+        return (
+            info.context.resolve(file, lambda path: load_once(load_ellipsoids, path)) if file and info.context else file
+        )
+
+    @model_validator(mode="after")
+    def _has_one_source(self) -> "EllipsoidCloud":
+        counts = [0 if each is None else len(each) for each in (self.centers, self.scales, self.quaternions)]
+        if (self.file is None) != all(counts) or len({*counts}) != 1:
+            expected = "needs either file, or as many centers as scales and quaternions"
+            got = "{} centers, {} scales, {} quaternions".format(*counts)
+            raise ValueError(f"{expected}, got {got} and {'a' if self.file else 'no'} file")
+        if self.quaternions is not None and not self.quaternions.any(axis=1).all():
+            place = int(np.argmin(self.quaternions.any(axis=1)))
+            raise ValueError(f"needs quaternions other than 0, got 0 as number {place}")
+        return self
+
+    def ellipsoids(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Centres (n, 3), semi-axes (n, 3) and quaternions (n, 4) in object space. Raises SceneError, FileMissing."""
+        given = self.centers, self.scales, self.quaternions
+        centers, scales, quaternions = map(
+            np.array, given if self.file is None else load_once(load_ellipsoids, self.file)
+        )
+        return centers, self.extent * scales, quaternions
+
+    def pack(self, rounded: Rounding) -> OuterEllipsoids:
+        centers, radii, quaternions = self.ellipsoids()
+        axes = np.moveaxis(rotations(quaternions) * radii[:, None, :], 2, 0)
+        to_world = rounded(np.stack([transform_vectors(self.matrix[:3, :3], axis) for axis in axes], axis=2))
+        center = rounded(transform_points(self.matrix, centers))
+        return OuterEllipsoids(center, to_world, np.stack([*map(inverse, to_world)]))
+
+
+def rotations(quaternions: np.ndarray) -> np.ndarray:
+    """(n, 3, 3) rotation matrices of quaternions (n, 4) x, y, z, w of any length."""
+    x, y, z, w = np.transpose(quaternions / np.abs(quaternions).max(axis=1)[:, None])
+    norm = x * x + y * y + z * z + w * w
+    rows = [
+        [y * y + z * z, w * z - x * y, -w * y - x * z],
+        [-w * z - x * y, x * x + z * z, w * x - y * z],
+        [w * y - x * z, -w * x - y * z, x * x + y * y],
+    ]
+    found: np.ndarray = np.eye(3) - np.moveaxis(2.0 / norm * np.array(rows), 2, 0)
+    return found
 
 
 @jit
@@ -257,6 +338,7 @@ def _fast_uv(prims: Any, scratch: Any, x: Any, n: Any) -> Any:
     return spherical_uv(rows_times_vec(get_matrix(scratch, LANE_TURN + x), n))
 
 
+@implement(hull_size, OuterEllipsoids)
 @implement(hull_size, Ellipsoids)
 @implement(hull_size, Spheres)
 def _hull_size(prims: Any) -> int:
@@ -273,12 +355,14 @@ def _tight_sphere(prims: Any, k: int) -> Any:
     return row(prims.center, k), prims.radius[k]
 
 
+@implement(load, OuterEllipsoids)
 @implement(load, Ellipsoids)
 def _load_ellipsoid(prims: Any, k: int) -> Any:
     m = matrix_rows(prims.to_object, k)
     return row(prims.center, k), m, TO_OBJECT_SPACE_ERROR * l1_norm(row_max_norms(m))
 
 
+@implement(prepare, OuterEllipsoids)
 @implement(prepare, Ellipsoids)
 def _prepare_ellipsoid(prims: Any, prim: Any, o: Any) -> Any:
     """(to_object, QuadricSetup of the unit sphere, error of d in object space per l1 norm)."""
@@ -293,6 +377,14 @@ def _intersect_ellipsoid(prims: Any, pre: Any, d: Any, t_min: float, t_max: floa
     return first_root(quadric_roots(setup, rows_times_vec(m, d), d_error * l1_norm(d)), t_min, t_max)
 
 
+@implement(intersect, OuterEllipsoids)
+def _intersect_outer(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tuple[float, float]:
+    m, setup, d_error = pre
+    roots = quadric_roots(setup, rows_times_vec(m, d), d_error * l1_norm(d))
+    return filter_result(roots.met, roots.missed, *certain_in_range(roots.near, roots.near_error, t_min, t_max))
+
+
+@implement(surely_misses, OuterEllipsoids)
 @implement(surely_misses, Ellipsoids)
 def _surely_misses_ellipsoid(prims: Any, pre: Any, d: Any) -> bool:
     m, setup, d_error = pre
@@ -305,6 +397,14 @@ def _exact_intersect_ellipsoid(prims: Any, k: int, o: Any, d: Any, t_min: float,
     return exact_unit_sphere(f, e, h, unit, t_min, t_max)
 
 
+@implement(exact_intersect, OuterEllipsoids)
+def _exact_intersect_outer(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
+    f, e, h, unit = ray_in_object_space(row(prims.center, k), prims.to_world[k], o, d)
+    entry = exact_quadric_roots(f, e, h, unit)[0]
+    return entry if entry.hit and is_within(entry, t_min, t_max) else no_root()
+
+
+@implement(surface, OuterEllipsoids)
 @implement(surface, Ellipsoids)
 def _surface_ellipsoid(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
     center = row(prims.center, k)
@@ -316,8 +416,10 @@ def _surface_ellipsoid(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: b
 
 
 implement(surface_setup, Ellipsoids)(unwrap(put_affine_lanes))
+implement(surface_setup, OuterEllipsoids)(unwrap(put_affine_lanes))
 
 
+@implement(fast_surface, OuterEllipsoids)
 @implement(fast_surface, Ellipsoids)
 def _fast_ellipsoid_surface(prims: Any, scratch: Any, x: Any, o: Any, d: Any, t: float) -> Any:
     center, m = get_lane(scratch, LANE_CENTER + x), get_matrix(scratch, LANE_TO_OBJECT + x)
@@ -327,11 +429,13 @@ def _fast_ellipsoid_surface(prims: Any, scratch: Any, x: Any, o: Any, d: Any, t:
     return known & long, known & long, p, n, n, q
 
 
+@implement(fast_uv, OuterEllipsoids)
 @implement(fast_uv, Ellipsoids)
 def _fast_ellipsoid_uv(prims: Any, scratch: Any, x: Any, q: Any) -> Any:
     return spherical_uv(q)
 
 
+@implement(hull_point, OuterEllipsoids)
 @implement(hull_point, Ellipsoids)
 def _hull_point_ellipsoid(prims: Any, k: int, j: int) -> Any:
     corner = (1.0 - 2.0 * (j & 1), 1.0 - (j & 2), 1.0 - 0.5 * (j & 4))
@@ -346,7 +450,8 @@ def _edge_distances(prims: Spheres, k: int, o: np.ndarray, d: np.ndarray) -> tup
     return (signed_distance("silhouette", Fraction(float(prims.radius[k])), away, SCENE_UNITS),)
 
 
-@edge_distances.register
-def _edge_distances_ellipsoid(prims: Ellipsoids, k: int, o: np.ndarray, d: np.ndarray) -> tuple[EdgeDistance, ...]:
+@edge_distances.register(Ellipsoids)
+@edge_distances.register(OuterEllipsoids)
+def _edge_distances_ellipsoid(prims: Any, k: int, o: np.ndarray, d: np.ndarray) -> tuple[EdgeDistance, ...]:
     f, e = exact_object_space_ray(prims, k, o, d)
     return (signed_distance("silhouette", Fraction(1), square(cross(f, e)) / square(e), UNIT_RADII),)

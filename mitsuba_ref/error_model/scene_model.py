@@ -58,11 +58,14 @@ class SceneModel:
                     found.append(at)
         if not found:
             return PairIntersections(np.zeros(0, int), no_intersections(0))
-        if len(found) == 1:
-            return PairIntersections(pairs[0], found[0])
-        return PairIntersections(
-            np.concatenate(pairs), Intersections(*(np.concatenate(a) for a in zip(*found, strict=True)))
-        )
+        pair, at = pairs[0], found[0]
+        if len(found) > 1:
+            pair, at = np.concatenate(pairs), Intersections(*(np.concatenate(a) for a in zip(*found, strict=True)))
+        flipped = self.packed.flipped
+        if flipped is not None:
+            side = np.where(flipped[self.packed.shape_of(prim[pair])], -1.0, 1.0)[:, None]
+            at = at._replace(n=side * at.n, sh_n=side * at.sh_n)
+        return PairIntersections(pair, at)
 
     def uv_points(self, prim: np.ndarray, uv: np.ndarray, *, ours: bool) -> np.ndarray:
         """(n, 3) points that uv (n, 2) of primitive prim[i] map to in its kind's UvSpace.

@@ -1,5 +1,6 @@
 """Random frames, transforms, shapes and views of hard scenes; their options: films, crops, lights, materials."""
 
+import copy
 import typing
 from collections.abc import Callable, Sequence
 from typing import Literal
@@ -56,6 +57,10 @@ def random_shape(rng: Rng, frame: Frame, kinds: Sequence[str]) -> Fields:
     (reference,) = (each for each in REFERENCES.values() if each.type_name == kind)
     steps = random_to_world(rng, frame)
     fields = reference.random_fields(rng, frame.lattice)
+    more = copy.deepcopy(rng)  # so that all other draws stay the same
+    for each in REFERENCES.values():
+        if each.drawn_for == kind and more.random() < 0.25:
+            kind, fields = each.type_name, each.random_fields(more, frame.lattice)
     return {"type": kind, **fields} | ({"to_world": steps} if steps else {})
 
 

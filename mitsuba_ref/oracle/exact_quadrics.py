@@ -111,6 +111,12 @@ def intersect_ellipsoid(ellipsoid: Affine, ray: IntegerRay) -> LineIntersections
     return _closed(line_sphere_roots(*to_object_space(ellipsoid, ray)))
 
 
+def enter_ellipsoid(ellipsoid: Affine, ray: IntegerRay) -> LineIntersections:
+    """Where the line enters it."""
+    found = intersect_ellipsoid(ellipsoid, ray)
+    return found._replace(roots=found.roots[:1])
+
+
 def _closed(roots: list[Root]) -> LineIntersections:
     where = "tangent" if len(roots) == 1 else "inside"
     return LineIntersections(tuple((root, where) for root in roots))
@@ -139,6 +145,63 @@ def height(root: Root, o: int, d: int) -> int:
     return sign_with_root(root.s * o + root.p * d, root.q * d, root.r)
 
 
+class IntegerSegment(NamedTuple):
+    """The convex hull of the spheres around start and end with radii (at start, at end), all 2^-k."""
+
+    start: Integers3
+    end: Integers3
+    radii: tuple[int, int]
+    k: int
+
+
+def prepare_segment(prims: Any, k: int) -> IntegerSegment:
+    (*points, r, q), scale = scaled([*prims.start[k].tolist(), *prims.end[k].tolist(), *prims.radius[k].tolist()])
+    return IntegerSegment(tuple(points[:3]), tuple(points[3:]), (r, q), scale)  # type: ignore[arg-type]
+
+
+def enter_segment(segment: IntegerSegment, ray: IntegerRay) -> LineIntersections:
+    """Where the line enters the hull: of the cone and both spheres the one root that lies on it.
+
+    The hull is the union of spheres around start + v axis with radii r + v grow, 0 <= v <= 1. A point at s d is on the
+    sphere v that touches the cone there if size v = (o + s d) . axis + r grow, where size = axis^2 - grow^2; those
+    with v < 0 and v > 1 are on the spheres. With h = o + s d, the cone is
+    size (h^2 - r^2) = (h . axis + r grow)^2.
+    """
+    scale = max(segment.k, ray.ko)
+    more = scale - segment.k
+    start, end = shifted(segment.start, more), shifted(segment.end, more)
+    r, q = (radius << more for radius in segment.radii)
+    o, axis, grow, e = sub(shifted(ray.o, scale - ray.ko), start), sub(end, start), q - r, ray.kd - scale
+    size, lift, rise = dot(axis, axis) - grow * grow, dot(o, axis) + r * grow, dot(ray.d, axis)
+    at_start, at_end = line_sphere_roots(o, ray.d, r, e)[:1], line_sphere_roots(sub(o, axis), ray.d, q, e)[:1]
+    found = [root for root in at_start if height(root, lift, rise) < 0]
+    found += [root for root in at_end if height(root, lift - size, rise) > 0]
+    a = size * dot(ray.d, ray.d) - rise * rise
+    if size > 0:
+        on_cone = entering_roots(a, size * dot(o, ray.d) - lift * rise, size * (dot(o, o) - r * r) - lift * lift, e)
+        found += [root for root in on_cone if height(root, lift, rise) >= 0 >= height(root, lift - size, rise)]
+    return LineIntersections(tuple((root, "inside" if root.q or not a else "tangent") for root in found))
+
+
+def entering_roots(a: int, b: int, c: int, e: int) -> list[Root]:
+    """The t = s 2^e at which a s^2 + 2 b s + c is 0 and does not increase: at most one."""
+    if a == 0:
+        return [Root(-c, 0, 0, 2 * b, e)] if b < 0 else []
+    inside = b * b - a * c
+    return [Root(-b, -1, inside, a, e)] if inside >= 0 else []
+
+
+def segment_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
+    r = prims.radius
+    with np.errstate(over="ignore"):
+        low = np.minimum(prims.start - r[:, :1], prims.end - r[:, 1:])
+        return next_below(low), next_above(np.maximum(prims.start + r[:, :1], prims.end + r[:, 1:]))
+
+
+def usable_segment(prims: Any) -> np.ndarray:
+    return np.isfinite(prims.start + prims.end).all(axis=1) & np.isfinite(prims.radius).all(axis=1)
+
+
 def _along_cylinder_wall(ray: ObjectRay) -> LineIntersections:
     """A ray parallel to the axis is a miss; within the wall it has a contact from one end to the other."""
     (x, y, z), (_, _, slope), size, e = ray
@@ -160,4 +223,6 @@ def usable_sphere(prims: Any) -> np.ndarray:
 
 SPHERES = ExactKind(sphere_boxes, prepare_sphere, intersect_sphere, usable=usable_sphere)
 ELLIPSOIDS = ExactKind(affine_boxes, prepare_affine, intersect_ellipsoid, usable=usable_affine)
+OUTER_ELLIPSOIDS = ExactKind(affine_boxes, prepare_affine, enter_ellipsoid, usable=usable_affine)
+SEGMENTS = ExactKind(segment_boxes, prepare_segment, enter_segment, usable=usable_segment)
 CYLINDERS = ExactKind(affine_boxes, prepare_affine, intersect_cylinder, usable=usable_affine)

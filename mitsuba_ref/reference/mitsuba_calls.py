@@ -52,6 +52,7 @@ def _trace_request(request: TraceRequest, logger: Any) -> TraceResponse:
         scene = file_calls.load(OpenRequest(**request.original), request.variant)
     else:
         scene = mi.load_file(str(request.xml), **UNOPTIMISED)
+        _restore_ellipsoids(scene)
     arrays, names = _traced(scene, request)
     if request.sensor and scene.sensors():
         number = request.original["sensor"] if request.original else 0
@@ -62,6 +63,17 @@ def _trace_request(request: TraceRequest, logger: Any) -> TraceResponse:
     if not request.original:
         names = _in_scene_shapes(names, arrays)
     return TraceResponse(names=names, versions=_versions(request), seconds=seconds, **arrays, **meshes)
+
+
+def _restore_ellipsoids(scene: Any) -> None:
+    """Semi-axes and quaternions of exported ellipsoids as their attribute `exact` holds them (shapes/ellipsoids.py)."""
+    numbers = mi.traverse(scene)
+    for name in [key for key, _ in numbers if key.endswith(".exact")]:
+        key = name.removesuffix("exact") + "data"
+        data = np.array(numbers[key]).reshape(-1, 10)
+        data[:, 3:] = np.array(numbers[name]).reshape(-1, 7)
+        numbers[key] = type(numbers[key])(data.ravel())
+    numbers.update()
 
 
 def _in_scene_shapes(ids: list[str], arrays: dict[str, Any]) -> list[str]:

@@ -23,7 +23,7 @@ from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.shared_input import pixel_of
 from mitsuba_ref.report.builtin_scenes import shown_path
 from mitsuba_ref.shapes import kind_of, reference_of
-from mitsuba_ref.subjects.subject import packs_identically
+from mitsuba_ref.subjects.subject import kept_fields, packs_identically
 
 
 class Reproducer(NamedTuple):
@@ -106,7 +106,7 @@ def shape_of(judge: Judge, prim: int) -> tuple[dict[str, Any], list[str]]:
     notes = []
     if note := reference_of(whole).stand_in_note:
         notes.append(note)
-    return shape | {"name": name, "material": whole.material}, notes
+    return shape | {"name": name, **kept_fields(whole)}, notes
 
 
 def pack_one(shape: dict[str, Any]) -> Packed:

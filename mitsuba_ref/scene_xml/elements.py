@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeAlias
 from xml.etree.ElementTree import Element, SubElement, tostring
@@ -51,17 +51,18 @@ def ply_bytes(part: Any) -> bytes:
         columns |= {f"n{name}": part.normals[:, c] for c, name in enumerate("xyz")}
     if part.textured.any():
         columns |= {name: part.uv[:, c] for c, name in enumerate("uv")}
-    vertices = np.zeros(len(part.vertices), [(name, "<f4") for name in columns])
-    for name, values in columns.items():
-        vertices[name] = values
     faces = np.zeros(len(part.faces), [("count", "u1"), ("corners", "<i4", 3)])
     faces["count"], faces["corners"] = 3, part.faces
+    more = f"element face {len(faces)}\nproperty list uchar int vertex_indices\n"
+    return float_columns(columns, more) + faces.tobytes()
+
+
+def float_columns(columns: Mapping[str, np.ndarray], more: str = "") -> bytes:
+    """Binary PLY file of vertices with these properties (n,) in float32. more: the header's lines of other elements."""
+    vertices = np.stack([*columns.values()], axis=1).astype("<f4")
     properties = "".join(f"property float {name}\n" for name in columns)
-    header = (
-        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n{properties}"
-        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    return header.encode("ascii") + vertices.tobytes() + faces.tobytes()
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n{properties}{more}end_header\n"
+    return header.encode("ascii") + vertices.tobytes()
 
 
 # In typeshed, elements and comments have tags of different types; a document contains both.
@@ -87,13 +88,13 @@ class ShapeWriter:
             bsdf.set("id", part_id(self.name, "material"))
             return self._include(bsdf, plugin, centers, linear)
         element = Element("shape", type=plugin, id=self.name)
-        element.extend([matrix_element(centers[0], linear[0]), bsdf])
+        element.extend([matrix_element(centers[0], linear[0]), bsdf, *_flips(shape)])
         return [element]
 
     def instances(self, shape: Shape, plugin: str, part: Any) -> list[XmlElement]:
         """Instances of a one-shape group, for stretched shapes whose plugin does not support scaling."""
         group = Element("shape", type="shapegroup", id=f"{self.name}.group")
-        SubElement(group, "shape", type=plugin, id=f"{self.name}.unit").append(self.material(shape))
+        SubElement(group, "shape", type=plugin, id=f"{self.name}.unit").extend([self.material(shape), *_flips(shape)])
         self.notes.append(f"{self.name}: an instance of a {plugin}, as Mitsuba's {plugin} cannot be stretched")
         if len(part.center) > 1:
             return self._include(group, "instance", part.center, part.to_world)
@@ -113,21 +114,29 @@ class ShapeWriter:
         row = f'{shape}<transform name="to_world"><matrix value="{matrix} 0 0 0 1"/></transform></shape>'
         rows = np.concatenate([linear, centers[:, :, None]], axis=2).reshape(-1, 12).tolist()
         text = "\n".join([row % (i, *numbers) for i, numbers in enumerate(rows)])
-        file = f"meshes/{len(self.meshes):04d}-{safe_name(self.name)}.xml"
         first = tostring(shared, encoding="unicode")
-        self.meshes[file] = f'<scene version="3.0.0">\n{first}\n{text}\n</scene>\n'.encode()
+        file = self.file("xml", f'<scene version="3.0.0">\n{first}\n{text}\n</scene>\n'.encode())
         return [Element("include", filename=file)]
+
+    def file(self, suffix: str, content: bytes) -> str:
+        """Add a file of the current shape; returns its path, relative to the XML."""
+        file = f"meshes/{len(self.meshes):04d}-{safe_name(self.name)}.{suffix}"
+        self.meshes[file] = content
+        return file
 
     def mesh(self, shape: Shape, part: Any) -> XmlElement:
         """Triangles as a PLY file in world space."""
-        file = f"meshes/{len(self.meshes):04d}-{safe_name(self.name)}.ply"
-        self.meshes[file] = ply_bytes(part)
+        file = self.file("ply", ply_bytes(part))
         element = Element("shape", type="ply", id=self.name)
         SubElement(element, "string", name="filename", value=file)
         if not part.smooth.any():
             SubElement(element, "boolean", name="face_normals", value="true")
         element.append(self.material(shape))
         return element
+
+
+def _flips(shape: Shape) -> list[XmlElement]:
+    return [Element("boolean", name="flip_normals", value="true")] if getattr(shape, "flip_normals", False) else []
 
 
 def format_floats(values: Sequence[float] | np.ndarray) -> str:

@@ -113,6 +113,9 @@ class ShapeReference:
     # the groups that the fuzzer draws it in: "quadric", "flat", "mesh", "small" (few primitives)
     groups: frozenset[str] = frozenset()
 
+    # instead of being in a group: the type of a shape in whose place the fuzzer draws it once in four times
+    drawn_for: str = ""
+
     # Mitsuba intersects it analytically: in float64 in the scalar variant, in float32 in the LLVM variant
     analytic: bool = False
 

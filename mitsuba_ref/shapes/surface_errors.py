@@ -268,7 +268,11 @@ def half_chord_error(s: np.ndarray, r: np.ndarray, error: np.ndarray) -> np.ndar
     The half chord changes from s to sqrt(s^2 +- e) with e = 2 r E + E^2. Near a tangent, where s^2 <= e, it may appear
     or vanish, and changes by at most sqrt(e).
     """
-    change = error * (2.0 * r + error)
+    return root_change(s, error * (2.0 * r + error))
+
+
+def root_change(s: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """How far the root of s^2 changes if s^2 changes by `change`."""
     left = np.sqrt(np.maximum(s * s - change, 0.0))
     return np.where(s * s > change, change / (s + left), np.sqrt(change))
 
@@ -289,6 +293,10 @@ def world_normal(to_object: np.ndarray, n: np.ndarray, n_error: np.ndarray, ku: 
     return world / length[:, None], size / length * (n_error + ku) + ku
 
 
+# b^2 / a and c of a quadratic equation each take two products of three terms: twice K roundings of their size.
+QUADRATIC_ROUNDINGS = 2.0
+
+
 @without_float_warnings
 def intersect_round(
     prims: Any,
@@ -299,6 +307,7 @@ def intersect_round(
     transformed: RayTransform = rays_in_object_space,
     *,
     ends: bool,
+    float32: bool = False,
 ) -> tuple[Intersections, ...]:
     """Intersections of ray i with ellipsoid or cylinder k[i]: a unit sphere, or circle with two ends, in object space.
 
@@ -308,25 +317,38 @@ def intersect_round(
     longer in world space. It moves hits onto the wall of a cylinder by their distance from it in object space: along
     the radius there for an instance; otherwise along the normal by as many scene units, which moves points of thin
     cylinders far.
+
+    float32: as its `ellipsoids` do it, which solve a s^2 + 2 b s + c = 0 from there in float32: b^2 / a and c are
+    rounded by the square of the distance to the centre. It is far more than 1 for a small ellipsoid far away, since
+    they too take a distance for the parameter. Hits are not projected.
     """
     to_object = prims.to_object[k]
     rays = transformed(prims.center[k], to_object, o, d)
     used, one, found = np.array([1.0, 1.0, 0.0 if ends else 1.0]), np.ones(len(k)), []
     middle, distance, s = sphere_roots(rays.o * used, rays.d * used, one)
     size = norm(rays.d * used)
-    overshoot = 0.0 * size if ends else np.abs(middle) * size * np.maximum(size - 1.0, 0.0)
+    beyond = np.abs(size - 1.0) if float32 else np.maximum(size - 1.0, 0.0)
+    overshoot = 0.0 * size if ends else np.abs(middle) * size * beyond
     for side in (-1.0, 1.0):
         t = middle + side * s / size
         q, components = rays.o + t[:, None] * rays.d, rays.components(t)
         error = ku * (components[:, 0] + components[:, 1] if ends else norm(components) + overshoot + 1.0)
-        t_error = half_chord_error(s, one, error) / size + ku * (np.abs(t) + overshoot / size)
+        change = error * (2.0 + error)
+        if float32:
+            change += QUADRATIC_ROUNDINGS * ku * (overshoot * overshoot + distance * distance + 1.0)
+        t_error = root_change(s, change) / size + ku * (np.abs(t) + overshoot / size)
         out = q * used / np.maximum(distance, 1.0)[:, None]
         across = np.abs(dot(out, rays.d))
         slide = np.sqrt(np.maximum(size * size - across**2, 0.0))
         moved = error + slide * t_error
+        if float32:  # not projected: the exact tangent of its angle, as the displacement may be large
+            moved /= np.maximum(1.0 - across * t_error - error, ku)
         n, n_error = world_normal(to_object, out, moved, ku)
         possible, certain = distance - 1.0 <= error, 1.0 - distance > error
-        pull = norm(mat_vec_rows(prims.to_world[k], out))
+        if float32:
+            possible, certain = distance * distance - 1.0 <= change, s * s > change
+            n_error /= np.maximum(1.0 - n_error, ku)
+        pull = 0.0 * size if float32 else norm(mat_vec_rows(prims.to_world[k], out))
         if ends:
             end_error = ku * components[:, 2] + np.abs(rays.d[:, 2]) * t_error
             inside = np.minimum(q[:, 2], 1.0 - q[:, 2])

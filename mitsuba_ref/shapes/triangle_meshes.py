@@ -14,11 +14,10 @@ import numpy as np
 from caster.description.fields import Shape
 from caster.geometry.packing import Triangles
 from caster.geometry.world_space import LARGEST_COORDINATE
-from caster.shapes.cube import Cube
+from caster.shapes.cube import Cube, Rectangle
 from caster.shapes.heightfield import Heightfield
 from caster.shapes.icosphere import Icosphere
 from caster.shapes.mesh import Mesh
-from caster.shapes.rectangle import Rectangle
 from caster.shapes.teapot import Teapot
 from caster.shapes.torus import Torus
 from caster.shapes.triangle import Triangle

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from caster.aovs import Aovs
+from caster.description.fields import Shape
 from caster.geometry.packing import Packed, Triangles
 from caster.geometry.world_space import as_float32
 from caster.rendering.hits import RayHits, trace
@@ -190,6 +191,12 @@ def packs_identically(part: Any, k: int, packed: Packed) -> bool:
     return all(np.array_equal(a, b) for a, b in zip(there, here, strict=True))
 
 
+def kept_fields(shape: Shape) -> PrimitiveDescription:
+    """Fields that apply to each primitive of a shape, whatever it is described as."""
+    names = {"material", "flip_normals"} & {*type(shape).model_fields}
+    return {name: getattr(shape, name) for name in sorted(names) if getattr(shape, name)}
+
+
 def scene_as_traced(scene: Scene, packed: Packed, folder: Path) -> Scene:
     """The scene with its shapes described by the float32 values that are traced. packed: by as_float32.
 
@@ -208,7 +215,7 @@ def scene_as_traced(scene: Scene, packed: Packed, folder: Path) -> Scene:
 def _described(scene: Scene, packed: Packed, i: int, folder: Path) -> list[dict[str, Any]]:
     """The shape; where its primitives are described one by one, also the others."""
     part, name = packed.parts[i], scene.shape_names()[i]
-    named = {"name": name, "material": scene.shapes[i].material}
+    named = {"name": name, **kept_fields(scene.shapes[i])}
     path = folder / "meshes" / f"{i:04d}-{safe_name(name)}.ply"
     if isinstance(part, Triangles):
         write_bytes(path, ply_bytes(part))

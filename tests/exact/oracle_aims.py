@@ -13,12 +13,13 @@ import numpy as np
 from caster.geometry.packing import Kind, Packed, Triangles, primitive_count
 from caster.shapes.cylinder import Cylinders
 from caster.shapes.disk import Disks
+from caster.shapes.linear_curve import RoundSegments
 from caster.shapes.plane import Planes
-from caster.shapes.sphere import Ellipsoids, Spheres
+from caster.shapes.sphere import Ellipsoids, OuterEllipsoids, Spheres
 from mitsuba_ref.oracle.exact_numbers import Root
 
 Rng = np.random.Generator
-KINDS = ("Triangles", "Planes", "Spheres", "Ellipsoids", "Cylinders", "Disks")
+KINDS = ("Triangles", "Planes", "Spheres", "Ellipsoids", "Cylinders", "Disks", "OuterEllipsoids", "RoundSegments")
 
 # (scale of space, scale of d): exact ones, those that round, the range of float64, and denormal numbers
 SCALES = {
@@ -93,7 +94,7 @@ def aim(kind: str, scale: str, seed: int, n: int) -> Aimed:
 
 def scaled(prims: Any, by: float) -> Any:
     """Every length times `by`; normals keep theirs."""
-    lengths = {"vertices", "center", "radius", "to_world", "point"}
+    lengths = {"vertices", "center", "radius", "to_world", "point", "start", "end"}
     return prims._replace(**{name: getattr(prims, name) * by for name in lengths & set(prims._fields)})
 
 
@@ -165,6 +166,24 @@ def aim_at_ellipsoids(rng: Rng, n: int) -> tuple[Any, np.ndarray, np.ndarray]:
     return affine(Ellipsoids, center, m), center + through(m, q), through(m, d)
 
 
+def aim_at_outer_ellipsoids(rng: Rng, n: int) -> tuple[Any, np.ndarray, np.ndarray]:
+    prims, p, d = aim_at_ellipsoids(rng, n)
+    return OuterEllipsoids(*prims), p, d
+
+
+def aim_at_segments(rng: Rng, n: int) -> tuple[Any, np.ndarray, np.ndarray]:
+    """Half of them are cylinders with caps along z; at the ends, half-way and on the axis, tangent or anywhere."""
+    start, axis, radius = 5.0 * whole(rng, n, 3), 2.0 * whole(rng, n, 3), 5.0 * rng.integers(1, 20, (n, 2))
+    straight = rng.random(n) < 0.5
+    axis[straight, :2], radius[straight, 1] = 0.0, radius[straight, 0]
+    axis[rng.random(n) < 0.05] = 0.0
+    q, d = unit_aims(rng, n, CIRCLE, AROUND)
+    share = rng.choice([0.0, 0.5, 1.0, 1.6], (n, 1))
+    d = np.where(rng.random((n, 1)) < 0.1, 0.0, d) + rng.choice([0.0, 0.0, 1.0], (n, 1)) * [0.0, 0.0, 1.0]
+    p = start + share * axis + ((1.0 - share) * radius[:, :1] + share * radius[:, 1:]) * q
+    return RoundSegments(start, start + axis, radius.astype(np.float64)), np.rint(p), np.rint(5.0 * d)
+
+
 def aim_at_tubes(rng: Rng, n: int) -> tuple[Any, np.ndarray, np.ndarray]:
     """On the wall at, between and beyond the ends; directions across, along a tangent, parallel to the axis."""
     center, m = whole(rng, n, 3), matrices(rng, n)
@@ -188,4 +207,6 @@ AIMS = {
     "Ellipsoids": aim_at_ellipsoids,
     "Cylinders": aim_at_tubes,
     "Disks": aim_at_disks,
+    "OuterEllipsoids": aim_at_outer_ellipsoids,
+    "RoundSegments": aim_at_segments,
 }

@@ -171,6 +171,33 @@ def disk(prims: Any, k: int, o: Vector, d: Vector) -> Met:
     return [(linear(t, F(1)), "inside" if beyond else "rim")] if beyond <= 0 else []
 
 
+def segment(prims: Any, k: int, o: Vector, d: Vector) -> Met:
+    """The hull of two spheres, from the apex of the cone; where it is a cylinder, from the start."""
+    a, b = exactly(prims.start[k]), exactly(prims.end[k])
+    r, q = exactly(prims.radius[k])
+    p, grow = sub(b, a), q - r
+    size, from_apex = dot(p, p) - grow * grow, sub(o, a)
+    if grow:
+        from_apex = [x + y * r / grow for x, y in zip(from_apex, p, strict=True)]
+    slope, height = dot(d, p), dot(from_apex, p)
+    level = dot(sub(o, a), p) + r * grow  # from 0 to `size` on the cone
+
+    def side(root: Solution, end: Fraction) -> int:
+        return sgn(slope) * root.compare((end - level) / slope) if slope else sgn(level - end)
+
+    at_start, at_end = through_circle(sub(o, a), d, r)[:1], through_circle(sub(o, b), d, q)[:1]
+    found = [hit for hit in at_start if side(hit[0], F(0)) < 0] + [hit for hit in at_end if side(hit[0], size) > 0]
+    x, y = size * dot(d, d) - slope * slope, size * dot(from_apex, d) - slope * height
+    z = size * dot(from_apex, from_apex) - height * height - (0 if grow else r * r * size)
+    inside = y * y - x * z
+    if size > 0 and (inside >= 0 if x else y < 0):
+        sign = sgn(x)
+        root = Solution(x * sign, y * sign, z * sign, -sign if inside else 0) if x else linear(-z, 2 * y)
+        if side(root, F(0)) >= 0 >= side(root, size):
+            found.append((root, "inside" if inside or not x else "tangent"))
+    return found
+
+
 WITNESSES: dict[str, Callable[[Any, int, Vector, Vector], Met]] = {
     "Triangles": triangle,
     "Planes": plane,
@@ -178,6 +205,8 @@ WITNESSES: dict[str, Callable[[Any, int, Vector, Vector], Met]] = {
     "Ellipsoids": ellipsoid,
     "Cylinders": cylinder,
     "Disks": disk,
+    "OuterEllipsoids": lambda *given: ellipsoid(*given)[:1],
+    "RoundSegments": segment,
 }
 
 

@@ -19,6 +19,8 @@ WHERE = {
     "Ellipsoids": {"inside", "tangent"},
     "Cylinders": {"inside", "tangent", "rim"},
     "Disks": {"inside", "rim"},
+    "OuterEllipsoids": {"inside", "tangent"},
+    "RoundSegments": {"inside", "tangent"},
 }
 
 

@@ -31,6 +31,12 @@ def shapes_of(cls: type, folder) -> Iterator[caster.Sphere]:
         "mesh": {"file": str(folder / "mesh.ply")},
         "spheres": {"centers": [[0.1, 2, 3], [-1, 0.7, 0]], "radii": [0.3, 1.7]},
         "heightfield": {},
+        "ellipsoids": {
+            "centers": [[0.1, 2, 3], [-1, 0.7, 0]],
+            "scales": [[0.3, 1.7, 0.1], [1, 2, 3]],
+            "quaternions": [[0.1, 0.2, 0.3, 0.4], [-2, 0, 0, 1]],
+        },
+        "linear_curve": {"points": [[0.1, 2, 3], [-1, 0.7, 0], [0, 0, 1], [2, 1, 1]], "radii": [0.3, 1.7, 0.2, 0.2]},
     }.get(cls.model_fields["type"].default, {})
     yield from (cls(**own, to_world=place) for place in (TURN, STRETCH))
     if "normals" in own:

@@ -37,7 +37,7 @@ def everything(folder):
     shapes = []
     for shape in SHAPES:
         kind = shape.model_fields["type"].default
-        needs = dict(NEEDS.get(kind, {}))
+        needs = dict(NEEDS.get(kind, shape.MINIMAL))
         if kind == "mesh":
             needs["file"] = str(folder / needs["file"])
         shapes += [shape(**needs), shape(**needs, name=f'a "{kind}"\\', material="the red", to_world=STEPS)]

@@ -27,7 +27,14 @@ def test_triangles_alone_are_drawn_with_rays_that_can_be_cast(drawn):
 @FEW
 @given(scenes(families=["tangents"]))
 def test_a_family_can_be_chosen(scene):
-    assert {shape.type for shape in scene.shapes} <= {"sphere", "cylinder", "disk", "spheres"}
+    assert {shape.type for shape in scene.shapes} <= {
+        "sphere",
+        "cylinder",
+        "disk",
+        "spheres",
+        "ellipsoids",
+        "linear_curve",
+    }
 
 
 def test_an_unknown_family_is_an_error():

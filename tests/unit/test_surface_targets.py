@@ -14,8 +14,9 @@ from caster.geometry.packing import Triangles, pack
 from caster.scene.model import Scene
 from caster.shapes.cylinder import Cylinders
 from caster.shapes.disk import Disks
+from caster.shapes.linear_curve import RoundSegments
 from caster.shapes.plane import Planes
-from caster.shapes.sphere import Ellipsoids, Spheres
+from caster.shapes.sphere import Ellipsoids, OuterEllipsoids, Spheres
 from mitsuba_ref.shapes import KINDS, REFERENCES, targets
 from mitsuba_ref.shapes.triangle_meshes import view_triangle
 
@@ -24,6 +25,10 @@ PLACE = [{"matrix": [[2, 0.5, 0, 1], [0, 0.75, 0.25, 2], [0.125, 0, -1.5, 3], [0
 SHAPES: dict[type, tuple[Any, ...]] = {
     Spheres: (caster.SphereCloud(centers=((1, 2, 3), (-4, 0, 1)), radii=(0.5, 3.0)),),
     Ellipsoids: (caster.Sphere(to_world=PLACE), caster.Sphere(center=(3, 0, 1), radius=0.5, to_world=PLACE)),
+    OuterEllipsoids: (
+        caster.EllipsoidCloud(centers=((0, 1, 2), (3, 0, 1)), scales=((1, 2, 3),) * 2, quaternions=((1, 2, 3, 4),) * 2),
+    ),
+    RoundSegments: (caster.LinearCurve(points=((0, 1, 2), (4, 0, 1), (5, 5, 5)), radii=(1.0, 2.0, 0.5)),),
     Disks: (caster.Disk(to_world=PLACE), caster.Disk(to_world=[{"translate": [1, 2, 3]}])),
     Cylinders: (caster.Cylinder(to_world=PLACE), caster.Cylinder(p0=(1, 0, 0), p1=(4, 1, 1), radius=0.25)),
     Planes: (caster.Plane(point=(1, 2, 3), normal=(1, 2, 4)), caster.Plane(point=(0, 5, 0), normal=(0, -1, 0))),
@@ -32,6 +37,14 @@ SHAPES: dict[type, tuple[Any, ...]] = {
         for each in (((0, 0, 1), (4, 0, 2), (1, 3, 3)), ((1, 1, 1), (-2, 1, 0), (0, 2, 5)))
     ),
 }
+
+
+def on_hull(prims: Any, k: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """How far points are outside of the sphere of the hull that is nearest to them, in its radii."""
+    axis, grow, h = prims.end[k] - prims.start[k], np.diff(prims.radius[k], axis=1)[:, 0], p - prims.start[k]
+    height = (h * axis).sum(axis=1) + prims.radius[k, 0] * grow
+    share = np.clip(height / ((axis * axis).sum(axis=1) - grow * grow), 0.0, 1.0)
+    return np.linalg.norm(h - share[:, None] * axis, axis=1) / (prims.radius[k, 0] + share * grow) - 1.0
 
 
 def in_object_space(prims: Any, k: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -46,6 +59,8 @@ def outside(prims: Any, k: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.nd
         corners = prims.vertices[prims.faces[k]]
         weights = np.linalg.solve(np.swapaxes(corners - 9.0, 1, 2), (p - 9.0)[..., None])[..., 0]  # from another point
         return -weights.min(axis=1), np.abs(weights.sum(axis=1) - 1.0)
+    if isinstance(prims, RoundSegments):
+        return on_hull(prims, k, p), np.zeros(len(p))
     if isinstance(prims, Planes):
         return np.full(len(p), -1.0), np.abs(((p - prims.point[k]) * prims.normal[k]).sum(axis=1))
     q = in_object_space(prims, k, p)
@@ -82,7 +97,7 @@ def test_points_lie_on_a_surface_on_its_outline_or_just_outside(kind, sort):
         assert sort != "corner" or np.array_equal(points.p, prims.point[k])
     elif sort == "beside":
         assert decades_are_spread(beyond)
-    elif sort == "inside" and kind not in (Spheres, Ellipsoids):
+    elif sort == "inside" and kind not in (Spheres, Ellipsoids, OuterEllipsoids, RoundSegments):
         assert beyond.max() < 1e-12 and np.median(beyond) < -0.02
     elif kind is not Cylinders or sort == "corner":
         assert np.abs(beyond).max() < 1e-12

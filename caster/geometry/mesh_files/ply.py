@@ -289,6 +289,14 @@ def parse_ply_points(data: bytes, where: str) -> Points:
     return Points(points, radii[:, 0])
 
 
+def parse_ply_columns(data: bytes, where: str, names: tuple[str, ...]) -> Floats:
+    """Bytes of a PLY file -> these properties (n, len(names)) of element vertex, all finite. Raises SceneError."""
+    vertex = _read_tables(data, where).get("vertex", Table({}, []))
+    rows = _floats(vertex, names, where)
+    _check_rows(rows, np.isfinite(rows).all(axis=1), "vertex {} must have finite numbers", vertex, where)
+    return rows
+
+
 def _check_rows(rows: Floats, good: Any, text: str, table: Table, where: str) -> None:
     """Raise SceneError for the first row that is not good; text: with {} for its number."""
     bad = np.flatnonzero(~good)

@@ -8,7 +8,7 @@ import numpy as np
 from caster.jit.decorators import generic_inlined, implement, inlined, jit
 from caster.jit.simd import ALL_LANES, LANES
 from caster.kernels.math.lanes import lanes_in_range, numbers_in_range
-from caster.kernels.math.vec import dot
+from caster.kernels.math.vec import dot, scaled
 from caster.kernels.protocol import Vec3, fast_surface, fast_uv, setup_lanes, surface, surface_setup
 from caster.kernels.raster.tile import (
     CACHE_LINE,
@@ -37,6 +37,7 @@ from caster.kernels.raster.tile import (
     get_lane,
     lane,
     lane_count,
+    put,
     put_lane,
 )
 
@@ -115,6 +116,17 @@ def surfaces_in_tile(prims: Any, numbers: Any, tile: Any, box: Box, buffer: Any,
             if unsafe > 0:
                 recompute_unsafe(prims, numbers, tile, first, scratch, wants)
             keep_lanes(span, tile, first, scratch, buffer, (start // NEXT, stop // NEXT), shown == ALL_SHOWN)
+
+
+@jit
+def flip_normals_in_tile(tile: Any, box: Box, flipped: Any, buffer: Any) -> None:
+    """Reverse N and SH_N of the hits on primitives that are `flipped`, by the primitive's number in the tile."""
+    for y in range(box[3] - box[1]):
+        for i in range(lane(y * WIDTH), lane(y * WIDTH + box[2] - box[0])):
+            prim = tile[PRIM + i]
+            if prim >= 0.0 and flipped[lane(prim)]:
+                put(buffer, N + i, scaled(-1.0, get(buffer, N + i)))
+                put(buffer, SH_N + i, scaled(-1.0, get(buffer, SH_N + i)))
 
 
 ALL_SHOWN = (1 << SURFACE_LANES) - 1

@@ -137,7 +137,7 @@ SCALED_AOVS = ("hit", "depth", "position", "normal", "shading_normal", "albedo",
 POWERS = (-24, 24, 40, -150)
 # Products of three lengths have to be normal numbers, even where 2^-120 of them is left by cancellation.
 SMALLEST_SIZE_EXPONENT = -300
-PACKED_LENGTHS = ("vertices", "center", "radius", "to_world", "point")
+PACKED_LENGTHS = ("vertices", "center", "radius", "to_world", "point", "start", "end")
 
 
 @check(of=(OURS,), camera=True, thorough=True)
