@@ -88,9 +88,9 @@ class Cylinder(Shape):
     """
 
     type: Literal["cylinder"] = "cylinder"
-    p0: Vec3 = (0.0, 0.0, 0.0)
-    p1: Vec3 = (0.0, 0.0, 1.0)
-    radius: Positive = 1.0
+    p0: Vec3 = (0.0, 0.0, 0.0)  # scene units
+    p1: Vec3 = (0.0, 0.0, 1.0)  # scene units
+    radius: Positive = 1.0  # scene units
 
     @model_validator(mode="after")
     def _has_an_axis(self) -> "Cylinder":

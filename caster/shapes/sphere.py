@@ -103,8 +103,8 @@ class Sphere(Shape):
     """All points at distance `radius` from `center`. The normal points outwards, under mirroring transforms as well."""
 
     type: Literal["sphere"] = "sphere"
-    center: Vec3 = (0.0, 0.0, 0.0)
-    radius: Positive = 1.0
+    center: Vec3 = (0.0, 0.0, 0.0)  # scene units
+    radius: Positive = 1.0  # scene units
 
     def pack(self, rounded: Rounding) -> Spheres | Ellipsoids:
         return pack_spheres(np.array([self.center]), np.array([self.radius]), self.matrix, rounded)
@@ -120,9 +120,9 @@ class SphereCloud(Shape):
     type: Literal["spheres"] = "spheres"
     MINIMAL: ClassVar[Mapping[str, Any]] = {"centers": ((0.0, 0.0, 0.0),)}
     ARRAYS: ClassVar[tuple[str, ...]] = ("centers", "radii")
-    centers: Points | None = None
-    radii: Lengths | None = None
-    radius: Positive | None = None
+    centers: Points | None = None  # scene units
+    radii: Lengths | None = None  # scene units
+    radius: Positive | None = None  # scene units
     file: str | None = None
 
     @field_validator("file")

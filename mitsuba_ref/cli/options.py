@@ -12,7 +12,7 @@ from caster.cli.shared_arguments import check_utf8_name
 from caster.description.errors import SceneError, suggestion
 from caster.system.atomic_files import check_writable
 from caster.system.process import NOTHING_SELECTED, OK
-from caster.system.terminal import StatusLine
+from caster.system.terminal import StatusLine, folded
 from mitsuba_ref.cli.arguments import CANDIDATE_SECONDS, ServedProgram
 from mitsuba_ref.exr_compare.conventions import Reading, candidate_image
 from mitsuba_ref.reference import variants
@@ -103,7 +103,7 @@ def missing_variants() -> str:
     """A line on the variants of Mitsuba that do not work here; "" if all do."""
     works = variants.usable_variants()
     missing = [name for name in variants.VARIANT_NAMES if name not in works.names]
-    return f"{', '.join(missing)}: does not work here: {works.why}\n" if missing else ""
+    return folded(f"{', '.join(missing)}: does not work here: {works.why}\n") if missing else ""
 
 
 def table_stream(args: argparse.Namespace) -> TextIO:

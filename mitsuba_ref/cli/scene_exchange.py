@@ -13,12 +13,13 @@ from caster.scene.export import to_toml
 from caster.scene.model import Film
 from caster.system.atomic_files import write_text
 from caster.system.process import DIFFERENCES, OK
+from caster.system.terminal import folded
 from mitsuba_ref.importers.mitsuba_xml import ImportedScene, import_xml
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.messages import MitsubaError
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS, render_reference
 from mitsuba_ref.reference.shared_input import export_scene, packed_float32
-from mitsuba_ref.report.results import folded, plural
+from mitsuba_ref.report.results import plural
 from mitsuba_ref.subjects.subject import scene_as_traced
 
 COURSE_FILM = (256, 256)  # pixels; a scene text of the course has no film
@@ -35,7 +36,7 @@ def run_render(args: argparse.Namespace) -> int:
     try:
         images, versions = render_reference(scene, names, timeout=args.timeout)
     except MitsubaError as crash:
-        print(f"{args.scene}: {crash}")
+        print(folded(f"{args.scene}: {crash}"))
         return DIFFERENCES
     more = {f"caster/reference/{name}": version for name, version in versions.items()}
     write_render(args.output, scene, images, args.scene, more)
@@ -61,10 +62,10 @@ def run_import(args: argparse.Namespace) -> int:
     text = f"# {Path(args.file).name}, by `mitsuba-ref import`.\n" + to_toml(found.scene, folder)
     write_text(args.output, text)
     for line in found.left_out:
-        print(line)
+        print(folded(line))
     print(f"{args.output}: {plural(len(found.scene.shapes), 'shape')}, {len(found.left_out)} left out or changed")
     for outside in sorted(folders_beyond(found.scene, folder)):
-        print(f"note: meshes are in {outside}: add --mesh-dir {outside} where the scene is used")
+        print(folded(f"note: meshes are in {outside}: add --mesh-dir {outside} where the scene is used"))
     return OK
 
 
@@ -115,5 +116,5 @@ def run_export(args: argparse.Namespace) -> int:
         write_text(folder / "scene.toml", to_toml(traced, folder.resolve()))
         print(f"{folder / 'scene.toml'}: the same with the float32 values that are traced")
     for note in exported.notes:
-        print(f"note: {note}")
+        print(folded(f"note: {note}"))
     return OK

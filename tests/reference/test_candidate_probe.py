@@ -6,6 +6,7 @@ import shlex
 from pathlib import Path
 
 import candidates
+import mistakes
 import numpy as np
 import pytest
 
@@ -110,6 +111,13 @@ def test_a_pixel_that_validate_left_out_is_adjudicated(at, send):
     row = int(scene_judge(scene, subject, send=send).judge().not_adjudicated[-1])
     found = at(subject, (row % 60, row // 60), scene)
     assert found.verdict == WRONG and found.witness.right is False and found.witness.share > 1.0
+
+
+def test_the_question_that_validate_asks_is_repeated(at, tmp_path):
+    """Which epsilon it is, further rays show; and the separator of a cause that is none of a single pixel."""
+    scene = mistakes.scene_of("torus-smooth", tmp_path)
+    found = at(FunctionSubject("blind", mistakes.edited(determinant_epsilon=5.0)), (12, 9), scene)
+    assert found.verdict == WRONG and "\nis an epsilon larger than the determinants of" in found.why
 
 
 def a_miss_is_a_number(scene, o, d):

@@ -97,7 +97,7 @@ def test_every_command_reports_it(capsys, monkeypatch):
         parser.set_defaults(run=lambda args: decorators.COMPILATION_LOG.compiling("a kernel") or 0)
 
     monkeypatch.setattr(application.Command, "load", load)
-    assert application.main("program", "about", [application.Command("go", "", "")], [0], ["go"]) == 0
+    assert application.main("program", "about", [application.Command("go", "", "")], {}, ["go"]) == 0
     assert capsys.readouterr().err.startswith("compiling kernels, once")
 
 
