@@ -177,15 +177,11 @@ def _is_multi_part(path: Path) -> bool:
         raise UnreadableExr(f"{path}: expected an EXR image, the file is empty (0 bytes)")
     magic, flags = struct.unpack("<II", start.ljust(8, b"\0"))
     if magic != MAGIC:
-        raise UnreadableExr(f"{path}: expected an EXR image, got a file that starts with {_shown(start[:4])}")
+        text = start[:4].decode("latin-1").strip()
+        raise UnreadableExr(f"{path}: expected an EXR image, got a file that starts with '{text}'")
     if flags & DEEP and not flags & MULTI_PART:
         raise UnreadableExr(f"{path}: a deep EXR has many samples per pixel; write a flat one")
     return bool(flags & MULTI_PART)
-
-
-def _shown(start: bytes) -> str:
-    """Text as it is, other bytes in hexadecimal."""
-    return f"'{start.decode('ascii').strip()}'" if start.isascii() else f"the bytes {start.hex(' ')}"
 
 
 def _decode_multi_part(path: Path) -> list[Any]:

@@ -73,7 +73,7 @@ def _folded(line: str, whole: bool) -> list[str]:
     if whole or len(line) <= LINE_CHARACTERS or COMMAND.match(line):
         return [line]
     label = LABEL.match(line)
-    indent = " " * label.end() if label else BELOW_NAME
+    indent = " " * max(label.end() if label else len(line) - len(line.lstrip()), len(BELOW_NAME))
     return wrap(line, LINE_CHARACTERS, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 

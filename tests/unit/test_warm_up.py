@@ -68,7 +68,7 @@ def test_a_command_reports_once_that_it_compiles():
     with compilation_reported(stream):
         for _ in range(3):
             decorators.COMPILATION_LOG.compiling("a kernel")
-    assert stream.getvalue().startswith("compiling kernels, once: ") and "doctor --warm" in stream.getvalue()
+    assert stream.getvalue().startswith("compiling kernels, once, ") and "doctor --warm" in stream.getvalue()
     assert stream.getvalue().count("\n") == 1
 
 
