@@ -17,7 +17,7 @@ from caster.system.process import DIFFERENCES, INTERRUPTED, MEANINGS, NOTHING_SE
 from mitsuba_ref.cli import COMMANDS
 
 ABOUT = "A judge of ray casters: compares them with Mitsuba 3, ray by ray, within derived bounds."
-CODES = MEANINGS | {USAGE: f"{MEANINGS[USAGE]}, or no Mitsuba", NOTHING_SELECTED: "nothing selected or judged"}
+CODES = MEANINGS | {USAGE: "wrong usage, invalid scene or no Mitsuba", NOTHING_SELECTED: "nothing selected or judged"}
 
 
 # As in `caster`. NumPy starts OpenBLAS's threads when it is loaded; waiting for each other takes them longer than the

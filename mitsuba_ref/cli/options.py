@@ -126,6 +126,6 @@ def listed(items: Sequence[Any], what: str, args: argparse.Namespace) -> int | N
         return NOTHING_SELECTED
     if args.list:
         width = max(len(item.name) for item in items) + 2
-        print("\n".join(f"{item.name:{width}}{item.title}" for item in items))
+        print(folded("\n".join(f"{item.name:{width}}{item.title}" for item in items)))
         return OK
     return None

@@ -20,12 +20,7 @@ from caster.scene.model import Scene
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, intersections_at, row_distance
 from mitsuba_ref.error_model.bracket import CLAIMED_MISS, Bracket, Claims
-from mitsuba_ref.error_model.intersections import (
-    Intersections,
-    row_groups,
-    without_float_warnings,
-    without_overflow_warnings,
-)
+from mitsuba_ref.error_model.intersections import Intersections, row_groups, without_float_warnings
 from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
 from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR, NEARLY_ALL
 from mitsuba_ref.judge.adjudication import (
@@ -251,7 +246,7 @@ class Judge:
         fits &= row_distance(aov_rows(self.pair.reference, "normal"), at.n) <= at.n_error
         return np.where(result.hit, fits, True)
 
-    @without_overflow_warnings
+    @without_float_warnings
     def _adjudicate(self, agreeing: np.ndarray) -> Adjudication:
         """Compare the subject with exact arithmetic wherever that may matter."""
         disputed = ~agreeing

@@ -84,19 +84,21 @@ Row = Sequence[str]
 GAP = "  "  # between columns
 
 
-def aligned(rows: Sequence[Row], *, left: int = 0) -> list[str]:
+def aligned(rows: Sequence[Row], *, left: int = 0, step: int = 1) -> list[str]:
     """Lines with aligned columns, the first `left` of them left-aligned. A short row ends with free text.
 
-    Columns beyond LINE_CHARACTERS go into a table below, behind the first column again.
+    Columns beyond LINE_CHARACTERS go into a table below, behind the first column again; `step` of them, counted from
+    the last, stay together.
     """
     full = [row for row in rows if len(row) == len(rows[0])]
     widths = [max(map(len, column)) for column in zip(*full, strict=True)]
     widths[0] = max(len(row[0]) for row in rows)
     ends = [*accumulate(width + len(GAP) for width in widths)]
-    fit = max(2, sum(end - len(GAP) <= LINE_CHARACTERS for end in ends))
+    fit = max(1 + step, sum(end - len(GAP) <= LINE_CHARACTERS for end in ends))
+    fit -= (fit - len(widths)) % step
     lines = [_line(row if len(row) < len(widths) else row[:fit], widths[:fit], left) for row in rows]
     rest = [[row[0], *row[fit:]] for row in full]
-    return lines if fit >= len(widths) else [*lines, "", *aligned(rest, left=min(left, 1))]
+    return lines if fit >= len(widths) else [*lines, "", *aligned(rest, left=min(left, 1), step=step)]
 
 
 def _line(row: Row, widths: Sequence[int], left: int) -> str:

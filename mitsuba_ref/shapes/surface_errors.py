@@ -274,7 +274,7 @@ def half_chord_error(s: np.ndarray, r: np.ndarray, error: np.ndarray) -> np.ndar
     return np.where(s * s > change, change / (s + left), np.sqrt(change))
 
 
-@without_overflow_warnings
+@without_float_warnings
 def sphere_roots(f: np.ndarray, d: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Roots of |f + t d| = r as (t of the closest approach, its distance from the centre, half chord; 0 if missed)."""
     middle = -dot(f, d) / dot(d, d)
@@ -290,7 +290,7 @@ def world_normal(to_object: np.ndarray, n: np.ndarray, n_error: np.ndarray, ku: 
     return world / length[:, None], size / length * (n_error + ku) + ku
 
 
-@without_overflow_warnings
+@without_float_warnings
 def intersect_round(
     prims: Any,
     k: np.ndarray,

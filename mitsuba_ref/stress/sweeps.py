@@ -230,7 +230,7 @@ def as_text(sweep: SweepResult, skip_unsupported: bool = False) -> str:
     about = f"x: {sweep.quantity}\nof each caster: {sweep.error}, !: beyond its bound; wrong hits and misses"
     (_, *names), *settings = rows(sweep)
     problems = (f"FAIL  {line}" for line in sweep.problems)
-    return folded("\n".join([head, about, *aligned([["x", *names], *settings]), *footnotes(sweep), *problems]))
+    return folded("\n".join([head, about, *aligned([["x", *names], *settings], step=2), *footnotes(sweep), *problems]))
 
 
 def rows(sweep: SweepResult) -> list[list[str]]:
