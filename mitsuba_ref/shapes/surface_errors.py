@@ -26,7 +26,6 @@ from mitsuba_ref.error_model.intersections import (
     unit,
     without_edges,
     without_float_warnings,
-    without_overflow_warnings,
 )
 from mitsuba_ref.error_model.tolerances import K
 from mitsuba_ref.oracle.exact_planar import TRIANGLES
@@ -262,7 +261,7 @@ def ours_through_object_space(
     return intersect_ours
 
 
-@without_overflow_warnings
+@without_float_warnings
 def half_chord_error(s: np.ndarray, r: np.ndarray, error: np.ndarray) -> np.ndarray:
     """Bound on the change of the half chord s if the radius r is off by `error`.
 
