@@ -190,6 +190,7 @@ def _unit(v: tuple[float, float, float]) -> tuple[float, float, float]:
 Number = Annotated[float, Quantity()]  # a finite number
 Positive = Annotated[float, Quantity(gt=0.0)]  # a number > 0
 NonNegative = Annotated[float, Quantity(ge=0.0)]  # a number >= 0
+RefractiveIndex = Annotated[float, Quantity(ge=1.0, le=4.0)]  # a number from 1 to 4, which is germanium's
 Fraction01 = Annotated[float, Quantity(ge=0.0, le=1.0)]  # a number from 0 to 1
 FieldOfView = Annotated[float, Quantity(gt=0.0, lt=180.0)]  # degrees, 0 to 180, both excluded
 WideFieldOfView = Annotated[float, Quantity(gt=0.0, le=360.0)]  # degrees, 0 (excluded) to 360
@@ -434,6 +435,10 @@ class Shape(Description):
         matrix = matrix_of(self.to_world)
         matrix.flags.writeable = False
         return matrix
+
+    def without_uv(self) -> str:
+        """Why the shape cannot have a texture; "" if it can."""
+        return ""
 
     def pack(self, rounded: Callable[[np.ndarray], np.ndarray]) -> Any:
         """World-space arrays for kernels; `rounded` is applied to each number that defines the geometry."""
