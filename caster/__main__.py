@@ -9,7 +9,11 @@ from caster.cli import COMMANDS, application
 from caster.system import process
 
 ABOUT = "A ray caster in float64."
-CODES = (process.OK, process.USAGE, process.FILE, process.NOTHING_SELECTED, process.INTERNAL, process.INTERRUPTED)
+CODES = {
+    code: meaning
+    for code, meaning in process.MEANINGS.items()
+    if code not in (process.DIFFERENCES, process.NOT_COMPARABLE)
+}
 
 
 # Allocations between runs of the garbage collector: Python's 700 mean a hundred runs while modules load.

@@ -22,6 +22,7 @@ DOCS, PAGES, SITE = ROOT / "docs", ROOT / "build/site-pages", ROOT / "build/site
 PROGRAMS = {"mitsuba-ref": JUDGE, "caster": CASTER}
 sys.path.append(str(DOCS))
 
+import api  # noqa: E402 - docs/api.py
 import notebook  # noqa: E402 - docs/notebook.py
 
 LINK = re.compile(r"(?<=\]\()([^)#\s:]+)(?=[)#])")
@@ -38,7 +39,7 @@ def main() -> None:
     config.write_text(configuration(names), encoding="utf-8")
     environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}  # Material's advertisement
     words = [sys.executable, "-m", "mkdocs", "build", "--clean", "--strict", "-f", config]
-    if code := subprocess.run(words, env=environment).returncode:
+    if code := subprocess.run(words, env=environment, cwd=config.parent).returncode:
         sys.exit(code)
     print(f"open {(SITE / 'index.html').as_uri()}")
 
@@ -63,6 +64,7 @@ def copy_pages() -> None:
         unwanted.unlink()
     tutorial = notebook.as_page(notebook.read(), PAGES / "tutorial")
     (PAGES / "tutorial.md").write_text(tutorial, encoding="utf-8")
+    (PAGES / "api.md").write_text(api.reference(), encoding="utf-8")
     for page in sorted(PAGES.rglob("*.md")):
         text = page.read_text(encoding="utf-8").replace("<details>", '<details markdown="1">')
         page.write_text(LINK.sub(lambda found, page=page: within(found[1], page), text), encoding="utf-8")
@@ -119,7 +121,7 @@ def write_command_pages(folder: Path) -> list[str]:
 
 
 def parsers_of(program: str, commands: tuple[Command, ...]) -> dict[str, argparse.ArgumentParser]:
-    top = build_parser(program, "", commands, ())
+    top = build_parser(program, "", commands, {})
     (subparsers,) = [each for each in top._actions if isinstance(each, argparse._SubParsersAction)]
     return dict(subparsers.choices)
 

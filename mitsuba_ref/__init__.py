@@ -10,6 +10,7 @@ from caster.system import NOT_HERE as _NOT_HERE
 from caster.system import runs_here as _runs_here
 
 if TYPE_CHECKING:
+    from caster.description.errors import SceneError
     from mitsuba_ref.exr_compare.two_files import Reading, Tolerances, compare_exr
     from mitsuba_ref.judge.film import FailingPixel
     from mitsuba_ref.judge.verdict import CLASSES, SceneVerdict, Verdict
@@ -20,21 +21,22 @@ if TYPE_CHECKING:
     from mitsuba_ref.report.validation import Validation
 
 _HOMES = {
-    "CLASSES": "judge.verdict",
-    "FailingPixel": "judge.film",
-    "Reading": "exr_compare.two_files",
-    "MitsubaError": "reference.messages",
-    "SceneVerdict": "judge.verdict",
-    "Tolerances": "exr_compare.two_files",
-    "Validation": "report.validation",
-    "Verdict": "judge.verdict",
-    "compare_exr": "exr_compare.two_files",
-    "export_xml": "python_api",
-    "import_xml": "reference.original_files",
-    "judge_hits": "python_api",
-    "probe_pixel": "python_api",
-    "render_reference": "reference.rendering",
-    "validate": "python_api",
+    "CLASSES": ".judge.verdict",
+    "FailingPixel": ".judge.film",
+    "MitsubaError": ".reference.messages",
+    "Reading": ".exr_compare.two_files",
+    "SceneError": "caster.description.errors",
+    "SceneVerdict": ".judge.verdict",
+    "Tolerances": ".exr_compare.two_files",
+    "Validation": ".report.validation",
+    "Verdict": ".judge.verdict",
+    "compare_exr": ".exr_compare.two_files",
+    "export_xml": ".python_api",
+    "import_xml": ".reference.original_files",
+    "judge_hits": ".python_api",
+    "probe_pixel": ".python_api",
+    "render_reference": ".reference.rendering",
+    "validate": ".python_api",
 }
 
 __all__ = [
@@ -42,6 +44,7 @@ __all__ = [
     "FailingPixel",
     "MitsubaError",
     "Reading",
+    "SceneError",
     "SceneVerdict",
     "Tolerances",
     "Validation",
@@ -63,7 +66,7 @@ if not TYPE_CHECKING:  # a type checker has to find misspelt names
             raise AttributeError(f"module 'mitsuba_ref' has no attribute '{name}'")
         if not _runs_here():
             raise ImportError(_NOT_HERE)
-        value = globals()[name] = getattr(import_module(f"mitsuba_ref.{_HOMES[name]}"), name)
+        value = globals()[name] = getattr(import_module(_HOMES[name], "mitsuba_ref"), name)
         return value
 
 

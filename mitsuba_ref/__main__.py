@@ -13,11 +13,11 @@ import sys
 from collections.abc import Sequence
 
 from caster.cli import application
-from caster.system.process import DIFFERENCES, INTERRUPTED, MEANINGS, PIPE_CLOSED
+from caster.system.process import DIFFERENCES, INTERRUPTED, MEANINGS, NOTHING_SELECTED, USAGE
 from mitsuba_ref.cli import COMMANDS
 
 ABOUT = "A judge of ray casters: compares them with Mitsuba 3, ray by ray, within derived bounds."
-CODES = tuple(code for code in MEANINGS if code != PIPE_CLOSED)
+CODES = MEANINGS | {USAGE: "wrong usage, invalid scene or no Mitsuba", NOTHING_SELECTED: "nothing selected or judged"}
 
 
 # As in `caster`. NumPy starts OpenBLAS's threads when it is loaded; waiting for each other takes them longer than the

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from caster.__main__ import COLLECTION_THRESHOLDS
+from caster.system import process
 
 TESTS = Path(__file__).parent
 KINDS = {
@@ -103,3 +104,9 @@ def keep_some_cases(items: list[pytest.Item]) -> None:
         keep, every = (mark.kwargs.get(name, 0) for name in ("keep", "every"))
         if seen[test] <= keep or (every and seen[test] % every == 1):
             item.own_markers.remove(mark)
+
+
+@pytest.fixture(autouse=True)
+def whole_messages(monkeypatch):
+    """Errors in one line, so that tests match them whole; tests/reference/test_command_mistakes.py has them folded."""
+    monkeypatch.setattr(process, "folded", str)

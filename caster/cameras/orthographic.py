@@ -27,7 +27,7 @@ class Orthographic(ClippedCamera):
     """Parallel rays from a window `width` scene units wide around the eye; depth is the distance from the window."""
 
     type: Literal["orthographic"] = "orthographic"
-    width: Positive = 2.0
+    width: Positive = 2.0  # scene units
 
     def pack(self, width: int, height: int) -> OrthographicRays:
         half = (0.5 * self.width, 0.5 * self.width * height / width)

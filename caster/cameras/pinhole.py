@@ -44,7 +44,7 @@ class Pinhole(ClippedCamera):
     shares_origin: ClassVar[bool] = True
     fov: FieldOfView = 45.0
     fov_axis: Literal["x", "y", "diagonal", "smaller", "larger"] = "x"
-    principal_point: tuple[Number, Number] = (0.0, 0.0)
+    principal_point: tuple[Number, Number] = (0.0, 0.0)  # fractions of the film
 
     def half_extent(self, width: int, height: int) -> tuple[float, float]:
         """Half width and half height of the image plane at distance 1."""

@@ -34,9 +34,9 @@ class Ray(Description):
     """
 
     type: Literal["ray"] = "ray"
-    origin: Vec3
+    origin: Vec3  # scene units
     direction: Vec3
-    t_max: Annotated[Positive | None, Field(description="None: no limit")] = None
+    t_max: Annotated[Positive | None, Field(description="None: no limit")] = None  # lengths of direction
 
     shares_origin: ClassVar[bool] = True
     look_at: ClassVar[None] = None

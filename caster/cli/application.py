@@ -7,7 +7,7 @@ import contextlib
 import re
 import sys
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import Any, NamedTuple, NoReturn
 
@@ -15,7 +15,7 @@ from caster import __version__
 from caster.cli.shared_arguments import checked_paths
 from caster.description.errors import suggestion
 from caster.system import NOT_HERE, runs_here, terminal
-from caster.system.process import FILE, INTERRUPTED, USAGE, end_process, exit_codes_help, run_command
+from caster.system.process import FILE, INTERRUPTED, USAGE, end_process, exit_codes_help, report_error, run_command
 
 __all__ = ["Command"]
 
@@ -39,8 +39,10 @@ class Command(NamedTuple):
         parser.set_defaults(run=lambda args: getattr(import_module(self.module), self.run)(args))
 
 
-def main(name: str, about: str, commands: Sequence[Command], codes: Sequence[int], argv: Sequence[str] | None) -> int:
-    """Run one of the commands and return its exit code. codes: those that --help explains.
+def main(
+    name: str, about: str, commands: Sequence[Command], codes: Mapping[int, str], argv: Sequence[str] | None
+) -> int:
+    """Run one of the commands and return its exit code. codes: their meanings, for --help.
 
     argv: the words after the program's name, default those of this process. Only the command's own module is imported.
     """
@@ -89,7 +91,8 @@ class _Parser(argparse.ArgumentParser):
         found, extra = super().parse_known_args(args, namespace)
         if extra and self._subparsers is None:
             options = self._option_string_actions
-            hints = (suggestion(word.partition("=")[0], options) for word in extra if word.startswith("-"))
+            hints = [suggestion(word.partition("=")[0], options) for word in extra if word.startswith("-")]
+            hints += [f"; an output follows -o, as in -o {word}" for word in extra[:1] if not hints and "-o" in options]
             self.error(f"unrecognized arguments: {' '.join(extra)}{next(filter(None, hints), '')}")
         return found, extra
 
@@ -98,15 +101,15 @@ class _Parser(argparse.ArgumentParser):
         if choice := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
             known = re.findall(r"[^\s,']+", choice[2])
             message = message.replace(f"'{choice[1]}' (", f"'{choice[1]}'{suggestion(choice[1], known)} (", 1)
-        self.exit(USAGE, f"{self.prog}: error: {message}\n{self.prog} --help lists what it takes\n")
+        self.exit(report_error(f"{self.prog}: error: {message}\n{self.prog} --help lists what it takes", USAGE))
 
 
 def build_parser(
-    name: str, about: str, commands: Sequence[Command], codes: Sequence[int], loaded: Sequence[str] | None = None
+    name: str, about: str, commands: Sequence[Command], codes: Mapping[int, str], loaded: Sequence[str] | None = None
 ) -> argparse.ArgumentParser:
     """The parser of a program. loaded: the commands whose arguments it needs, default all."""
     shared: dict[str, Any] = {"allow_abbrev": False, "formatter_class": argparse.RawDescriptionHelpFormatter}
-    exit_codes = _filled(exit_codes_help(*codes))
+    exit_codes = _filled(exit_codes_help(codes))
     top = _Parser(name, description=_filled(about), epilog=exit_codes, **shared)
     top.add_argument("--version", action="version", version=f"{name} {__version__}")
     group = top.add_subparsers(title="commands", metavar="COMMAND", required=True)

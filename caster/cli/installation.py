@@ -15,6 +15,7 @@ from typing import NamedTuple
 from caster.cli.shared_arguments import InputPath
 from caster.system import processor
 from caster.system.process import FILE, OK
+from caster.system.terminal import folded
 
 __all__ = ["Finding", "Package", "find_package", "print_findings"]
 
@@ -108,7 +109,7 @@ def print_findings(findings: Sequence[Finding], as_json: bool) -> int:
     else:
         width = max(len(finding.name) for finding in findings)
         for finding in findings:
-            print(_line(finding, width))
+            print(folded(_line(finding, width)))
         verdict = f"Not usable without {', '.join(missing)}." if missing else "Usable: everything needed was found."
         print(f"\n{verdict}")
     return FILE if missing else OK

@@ -22,6 +22,7 @@ from caster.cli.shared_arguments import (
 )
 from caster.description.errors import SceneError, error_prefix
 from caster.system.process import FILE, OK, USAGE
+from caster.system.terminal import folded
 
 # ---- render: a scene file in, an EXR file out ----
 
@@ -105,7 +106,7 @@ def check_file(path: str, mesh_dirs: list[str]) -> int:
             pack(scene)  # some errors appear only in world space
             never_hit = in_words(scene)
     except SceneError as error:
-        print(error)
+        print(folded(str(error)))
         return error.exit_code
     print(f"{path}: ok, {len(scene.shapes)} shapes" + (f"; faces never hit: {never_hit}" if never_hit else ""))
     return OK

@@ -187,29 +187,39 @@ def _unit(v: tuple[float, float, float]) -> tuple[float, float, float]:
         raise expectation_error("a direction, so not all zero", v) from None
 
 
-Number = Annotated[float, Quantity()]
-Positive = Annotated[float, Quantity(gt=0.0)]
-NonNegative = Annotated[float, Quantity(ge=0.0)]
-RefractiveIndex = Annotated[float, Quantity(ge=1.0, le=4.0)]  # germanium's is 4
-Fraction01 = Annotated[float, Quantity(ge=0.0, le=1.0)]
-FieldOfView = Annotated[float, Quantity(gt=0.0, lt=180.0)]  # degrees
-WideFieldOfView = Annotated[float, Quantity(gt=0.0, le=360.0)]  # degrees
-Flag = Annotated[bool, Field(strict=True)]
+Number = Annotated[float, Quantity()]  # a finite number
+Positive = Annotated[float, Quantity(gt=0.0)]  # a number > 0
+NonNegative = Annotated[float, Quantity(ge=0.0)]  # a number >= 0
+RefractiveIndex = Annotated[float, Quantity(ge=1.0, le=4.0)]  # a number from 1 to 4, which is germanium's
+Fraction01 = Annotated[float, Quantity(ge=0.0, le=1.0)]  # a number from 0 to 1
+FieldOfView = Annotated[float, Quantity(gt=0.0, lt=180.0)]  # degrees, 0 to 180, both excluded
+WideFieldOfView = Annotated[float, Quantity(gt=0.0, le=360.0)]  # degrees, 0 (excluded) to 360
+Flag = Annotated[bool, Field(strict=True)]  # true or false
 
-Points = Annotated[NDArray[np.float64], NumberList("points [x, y, z] of finite numbers", width=3)]
-UVs = Annotated[NDArray[np.float64], NumberList("pairs [u, v] of finite numbers", width=2)]
-Faces = Annotated[NDArray[np.int64], NumberList("faces [i, j, k] of whole numbers", -1, width=3, whole=True)]
-Counts = Annotated[NDArray[np.int64], NumberList("whole numbers > 0", 0, whole=True)]
-Lengths = Annotated[NDArray[np.float64], NumberList("lengths > 0", least=0.0)]
-LengthTriples = Annotated[NDArray[np.float64], NumberList("triples [x, y, z] of lengths > 0", least=0.0, width=3)]
-Quaternions = Annotated[NDArray[np.float64], NumberList("quaternions [x, y, z, w] of finite numbers", width=4)]
-Vec2 = Annotated[tuple[Number, Number], BeforeValidator(row(2, "2 numbers [x, y]"))]
-Vec3 = Annotated[tuple[Number, Number, Number], BeforeValidator(row(3, "3 numbers [x, y, z]"))]
-UnitVec3 = Annotated[Vec3, AfterValidator(_unit)]
-
-_rgb = row(3, "3 numbers [r, g, b]")
-RGB = Annotated[tuple[NonNegative, NonNegative, NonNegative], BeforeValidator(_rgb)]
-Reflectance = Annotated[tuple[Fraction01, Fraction01, Fraction01], BeforeValidator(_rgb)]
+Points = Annotated[NDArray[np.float64], NumberList("points [x, y, z] of finite numbers", width=3)]  # (n, 3) float64
+UVs = Annotated[NDArray[np.float64], NumberList("pairs [u, v] of finite numbers", width=2)]  # (n, 2) float64
+Faces = Annotated[
+    NDArray[np.int64], NumberList("faces [i, j, k] of whole numbers", -1, width=3, whole=True)
+]  # (m, 3) int64
+Counts = Annotated[NDArray[np.int64], NumberList("whole numbers > 0", 0, whole=True)]  # (m,) int64 > 0
+Lengths = Annotated[NDArray[np.float64], NumberList("lengths > 0", least=0.0)]  # (n,) float64 > 0
+LengthTriples = Annotated[
+    NDArray[np.float64], NumberList("triples [x, y, z] of lengths > 0", least=0.0, width=3)
+]  # (n, 3) float64 > 0
+Quaternions = Annotated[
+    NDArray[np.float64], NumberList("quaternions [x, y, z, w] of finite numbers", width=4)
+]  # (n, 4) float64, x, y, z, w
+Vec2: TypeAlias = Any  # for type checkers: tuples, lists and arrays alike
+Vec3: TypeAlias = Any
+RGB: TypeAlias = Any
+Reflectance: TypeAlias = Any
+if not TYPE_CHECKING:
+    _rgb = row(3, "3 numbers [r, g, b]")
+    Vec2 = Annotated[tuple[Number, Number], BeforeValidator(row(2, "2 numbers [x, y]"))]  # 2 numbers
+    Vec3 = Annotated[tuple[Number, Number, Number], BeforeValidator(row(3, "3 numbers [x, y, z]"))]  # 3 numbers
+    RGB = Annotated[tuple[NonNegative, NonNegative, NonNegative], BeforeValidator(_rgb)]  # 3 numbers >= 0
+    Reflectance = Annotated[tuple[Fraction01, Fraction01, Fraction01], BeforeValidator(_rgb)]  # 3 numbers from 0 to 1
+UnitVec3 = Annotated[Vec3, AfterValidator(_unit)]  # 3 numbers, made unit length
 
 
 # ---- descriptions ----
@@ -330,9 +340,9 @@ def _three(value: Any) -> Any:
     return value if isinstance(value, (list, tuple, np.ndarray)) else (value, value, value)
 
 
-Row = Annotated[tuple[Number, Number, Number, Number], BeforeValidator(row(4, "4 numbers"))]
-Rows = Annotated[tuple[Row, Row, Row, Row], BeforeValidator(row(4, "4 rows of 4 numbers"))]
-Factors = Annotated[Vec3, BeforeValidator(_three), _OrNumber()]
+Row = Annotated[tuple[Number, Number, Number, Number], BeforeValidator(row(4, "4 numbers"))]  # 4 numbers
+Rows = Annotated[tuple[Row, Row, Row, Row], BeforeValidator(row(4, "4 rows of 4 numbers"))]  # 4 rows of 4 numbers
+Factors = Annotated[Vec3, BeforeValidator(_three), _OrNumber()]  # 3 numbers, or one for all three
 
 
 class Step(Description):
@@ -399,7 +409,9 @@ def _invertible(steps: tuple[Step, ...]) -> tuple[Step, ...]:
 
 Transform: TypeAlias = Any  # for type checkers: a step, a list of steps, or their descriptions
 if not TYPE_CHECKING:
-    Transform = Annotated[tuple[Step, ...], BeforeValidator(_as_list), AfterValidator(_invertible), _OrOneStep()]
+    Transform = Annotated[
+        tuple[Step, ...], BeforeValidator(_as_list), AfterValidator(_invertible), _OrOneStep()
+    ]  # a step or a list of steps: translate, rotate, scale, look_at, matrix
 
 
 def _printable(name: str) -> str:
@@ -408,7 +420,7 @@ def _printable(name: str) -> str:
     return name
 
 
-Name = Annotated[str, AfterValidator(_printable)]
+Name = Annotated[str, AfterValidator(_printable)]  # printable text
 
 
 # ---- shapes, cameras and lights ----
@@ -418,8 +430,8 @@ class Shape(Description):
     """Base of all shapes: name, material and transform."""
 
     type: str
-    name: Name = ""
-    material: str = ""
+    name: Name = ""  # in messages; by default its type and number
+    material: str = ""  # a name in Scene.materials
     to_world: Transform = ()
 
     MINIMAL: ClassVar[Mapping[str, Any]] = {}  # the required fields, for a smallest instance
@@ -444,10 +456,10 @@ class Camera(Description):
     """Base of all cameras: position and orientation."""
 
     type: str
-    eye: Vec3
-    look_at: Vec3 | None = None
-    direction: UnitVec3 | None = None
-    up: Vec3 = (0.0, 1.0, 0.0)
+    eye: Vec3  # scene units
+    look_at: Vec3 | None = None  # scene units
+    direction: UnitVec3 | None = None  # in place of look_at
+    up: Vec3 = (0.0, 1.0, 0.0)  # a direction across the view
 
     shares_origin: ClassVar[bool] = False  # whether all rays start at one point, which saves work
     MINIMAL: ClassVar[Mapping[str, Any]] = {"eye": (0.0, 0.0, 9.0), "look_at": (0.0, 0.0, 0.0)}
@@ -473,8 +485,8 @@ class Camera(Description):
 class ClippedCamera(Camera):
     """Base of cameras with clipping planes."""
 
-    near: NonNegative = 0.0
-    far: Annotated[Positive | None, Field(description="None: no limit")] = None
+    near: NonNegative = 0.0  # scene units
+    far: Annotated[Positive | None, Field(description="None: no limit")] = None  # scene units; None: no limit
 
     @model_validator(mode="after")
     def _near_is_nearer(self) -> Self:

@@ -177,7 +177,8 @@ def _is_multi_part(path: Path) -> bool:
         raise UnreadableExr(f"{path}: expected an EXR image, the file is empty (0 bytes)")
     magic, flags = struct.unpack("<II", start.ljust(8, b"\0"))
     if magic != MAGIC:
-        raise UnreadableExr(f"{path}: expected an EXR image, got a file that starts with {start[:4]!r}")
+        text = start[:4].decode("latin-1").strip()
+        raise UnreadableExr(f"{path}: expected an EXR image, got a file that starts with '{text}'")
     if flags & DEEP and not flags & MULTI_PART:
         raise UnreadableExr(f"{path}: a deep EXR has many samples per pixel; write a flat one")
     return bool(flags & MULTI_PART)

@@ -51,8 +51,8 @@ class Point(fields.Light):
     """An isotropic point light. `intensity` in power per solid angle (W/sr)."""
 
     type: Literal["point"] = "point"
-    position: Vec3
-    intensity: RGB
+    position: Vec3  # scene units
+    intensity: RGB  # W/sr
 
     def pack(self) -> PointLight:
         return PointLight(self.position, self.intensity)
@@ -63,7 +63,7 @@ class Directional(fields.Light):
 
     type: Literal["directional"] = "directional"
     direction: UnitVec3
-    irradiance: RGB
+    irradiance: RGB  # W/m^2
 
     def pack(self) -> DirectionalLight:
         x, y, z = self.direction
@@ -74,7 +74,7 @@ class Ambient(fields.Light):
     """Constant `radiance` from all directions (W/(m^2 sr)), without shadows."""
 
     type: Literal["ambient"] = "ambient"
-    radiance: RGB
+    radiance: RGB  # W/(m^2 sr)
 
 
 Light = Point | Directional | Ambient
@@ -132,18 +132,18 @@ DEFAULT_MATERIAL = Diffuse()
 
 MAX_FILM_SIDE = 65536  # pixels; one float32 channel of such a square takes 16 GiB
 
-Pixels = Annotated[int, Field(strict=True, ge=1, le=MAX_FILM_SIDE)]
+Pixels = Annotated[int, Field(strict=True, ge=1, le=MAX_FILM_SIDE)]  # a whole number from 1 to 65536
 Index = Annotated[int, Field(strict=True, ge=0)]
 _corners = row(4, "4 pixel indices [x0, y0, x1, y1]")
-Window = Annotated[tuple[Index, Index, Index, Index], BeforeValidator(_corners)]
+Window = Annotated[tuple[Index, Index, Index, Index], BeforeValidator(_corners)]  # 4 whole numbers
 
 
 class Film(Description):
     """Size of the image in pixels. `crop` = [x0, y0, x1, y1] is the window to render, x1 and y1 exclusive."""
 
-    width: Pixels = 256
-    height: Pixels = 256
-    crop: Window | None = None
+    width: Pixels = 256  # pixels
+    height: Pixels = 256  # pixels
+    crop: Window | None = None  # pixels: x0, y0, x1, y1
 
     @field_validator("crop")
     @classmethod
@@ -187,7 +187,7 @@ class Shading(Description):
 class Check(Description):
     """Tolerance of one AOV in comparisons with the reference, in multiples of the derived bound."""
 
-    ratio: Positive = 1.0
+    ratio: Positive = 1.0  # multiples of the bound
 
 
 Findings = Iterator[tuple[DataPath, str]]  # a path, and the message after its name

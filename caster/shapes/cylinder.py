@@ -90,9 +90,9 @@ class Cylinder(Shape):
     """
 
     type: Literal["cylinder"] = "cylinder"
-    p0: Vec3 = (0.0, 0.0, 0.0)
-    p1: Vec3 = (0.0, 0.0, 1.0)
-    radius: Positive = 1.0
+    p0: Vec3 = (0.0, 0.0, 0.0)  # scene units
+    p1: Vec3 = (0.0, 0.0, 1.0)  # scene units
+    radius: Positive = 1.0  # scene units
     flip_normals: Flag = False
 
     @model_validator(mode="after")

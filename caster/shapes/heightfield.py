@@ -84,9 +84,9 @@ class Heightfield(MeshShape):
     """A square terrain of side `size` around the origin, its height a seeded sum of sine waves."""
 
     type: Literal["heightfield"] = "heightfield"
-    size: Positive = 2.0
+    size: Positive = 2.0  # scene units
     resolution: Annotated[int, Field(strict=True, ge=1, le=4096)] = 64  # 33,554,432 faces at most
-    amplitude: NonNegative = 0.2
+    amplitude: NonNegative = 0.2  # scene units
     waves: Annotated[int, Field(strict=True, ge=1, le=64)] = 8
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
 

@@ -25,11 +25,11 @@ class Mesh(MeshShape):
 
     type: Literal["mesh"] = "mesh"
     ARRAYS: ClassVar[tuple[str, ...]] = ("vertices", "faces", "normals", "uv")
-    vertices: Points | None = None
+    vertices: Points | None = None  # scene units
     faces: Faces | None = None
     normals: Points | None = None
     uv: UVs | None = None
-    file: str | None = None
+    file: str | None = None  # OBJ, PLY, STL, OFF or glTF
 
     if TYPE_CHECKING:
 

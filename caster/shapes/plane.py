@@ -57,8 +57,8 @@ class Plane(Shape):
     type: Literal["plane"] = "plane"
     MINIMAL: ClassVar[Mapping[str, Any]] = {"offset": 0.0}
     normal: UnitVec3 = (0.0, 0.0, 1.0)
-    offset: Number | None = None
-    point: Vec3 | None = None
+    offset: Number | None = None  # scene units
+    point: Vec3 | None = None  # scene units
 
     @model_validator(mode="after")
     def _has_one_place(self) -> "Plane":

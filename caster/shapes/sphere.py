@@ -121,8 +121,8 @@ class Sphere(Shape):
     """
 
     type: Literal["sphere"] = "sphere"
-    center: Vec3 = (0.0, 0.0, 0.0)
-    radius: Positive = 1.0
+    center: Vec3 = (0.0, 0.0, 0.0)  # scene units
+    radius: Positive = 1.0  # scene units
     flip_normals: Flag = False
 
     def pack(self, rounded: Rounding) -> Spheres | Ellipsoids:
@@ -139,9 +139,9 @@ class SphereCloud(Shape):
     type: Literal["spheres"] = "spheres"
     MINIMAL: ClassVar[Mapping[str, Any]] = {"centers": ((0.0, 0.0, 0.0),)}
     ARRAYS: ClassVar[tuple[str, ...]] = ("centers", "radii")
-    centers: Points | None = None
-    radii: Lengths | None = None
-    radius: Positive | None = None
+    centers: Points | None = None  # scene units
+    radii: Lengths | None = None  # scene units
+    radius: Positive | None = None  # scene units
     file: str | None = None
 
     @field_validator("file")

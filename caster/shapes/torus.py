@@ -30,8 +30,8 @@ class Torus(MeshShape):
     """
 
     type: Literal["torus"] = "torus"
-    major_radius: Positive = 1.0
-    minor_radius: Positive = 0.3
+    major_radius: Positive = 1.0  # scene units
+    minor_radius: Positive = 0.3  # scene units
     segments: PartCount = 64
     sides: PartCount = 32
 

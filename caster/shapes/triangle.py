@@ -30,7 +30,7 @@ class Triangle(TriangleShape):
 
     type: Literal["triangle"] = "triangle"
     MINIMAL: ClassVar[Mapping[str, Any]] = {"vertices": ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))}
-    vertices: tuple[Vec3, Vec3, Vec3]
+    vertices: tuple[Vec3, Vec3, Vec3]  # scene units
     normals: tuple[UnitVec3, UnitVec3, UnitVec3] | None = None
     uv: tuple[Vec2, Vec2, Vec2] | None = None
 

@@ -13,12 +13,12 @@ import sys
 import tempfile
 import threading
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NoReturn
 
 from caster.description.errors import SceneError
 from caster.system.atomic_files import remove_temporaries
-from caster.system.terminal import printable_streams
+from caster.system.terminal import folded, printable_streams
 
 __all__ = [
     "DIFFERENCES",
@@ -35,6 +35,7 @@ __all__ = [
     "at_forced_exit",
     "die_with_parent",
     "interrupted",
+    "report_error",
 ]
 
 OK = 0
@@ -59,9 +60,9 @@ MEANINGS = {
 }
 
 
-def exit_codes_help(*codes: int) -> str:
+def exit_codes_help(meanings: Mapping[int, str]) -> str:
     """A line for --help with the meanings of exit codes."""
-    return "exit codes: " + ", ".join(f"{code} {MEANINGS[code]}" for code in codes)
+    return "exit codes: " + ", ".join(f"{code} {meaning}" for code, meaning in meanings.items())
 
 
 def run_command(command: Callable[[], int]) -> int:
@@ -80,7 +81,7 @@ def run_command(command: Callable[[], int]) -> int:
         except BrokenPipeError:
             return _discard_output(PIPE_CLOSED)
         except OSError as error:
-            return _discard_output(_report_error(_os_error_text(error), FILE))
+            return _discard_output(report_error(_os_error_text(error), FILE))
 
 
 def _os_error_text(error: OSError) -> str:
@@ -96,22 +97,23 @@ def _exit_code(command: Callable[[], int]) -> int:
     except SystemExit as stop:  # argparse has printed an error or its help
         return stop.code if isinstance(stop.code, int) else USAGE if stop.code else OK
     except SceneError as error:
-        return _report_error(str(error), error.exit_code)
+        return report_error(str(error), error.exit_code)
     except KeyboardInterrupt:
-        return _report_error("interrupted", INTERRUPTED)
+        return report_error("interrupted", INTERRUPTED)
     except MemoryError as error:
-        return _report_error(f"not enough memory{f': {error}' if str(error) else ''}", USAGE)
+        return report_error(f"not enough memory{f': {error}' if str(error) else ''}", USAGE)
     except OSError:
         raise
     except Exception as error:
         if type(error).__name__ == "BdbQuit":  # `q` in pdb, which catches it
             raise
         traceback.print_exc()
-        return _report_error(f"internal error, please report it: {type(error).__name__}: {error}", INTERNAL)
+        return report_error(f"internal error, please report it: {type(error).__name__}: {error}", INTERNAL)
 
 
-def _report_error(text: str, code: int) -> int:
-    print(text, file=sys.stderr)
+def report_error(text: str, code: int) -> int:
+    """Print a message on standard error, folded; the code."""
+    print(folded(text), file=sys.stderr)
     return code
 
 

@@ -10,18 +10,30 @@ import contextlib
 import io
 import mmap
 import os
+import re
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any, TextIO, cast
 
 if TYPE_CHECKING:
     from rich.live import Live
 
 
-__all__ = ["ProgressBar", "StatusLine", "compilation_reported", "printable", "report_stage", "unfiltered"]
+__all__ = [
+    "BELOW_NAME",
+    "LINE_CHARACTERS",
+    "ProgressBar",
+    "StatusLine",
+    "compilation_reported",
+    "folded",
+    "printable",
+    "report_stage",
+    "unfiltered",
+]
 
 
 def printable(text: str, keep: str = "\n\t") -> str:
@@ -37,6 +49,32 @@ def printable(text: str, keep: str = "\n\t") -> str:
 def _escape(character: str) -> str:
     units = character.encode("utf-16-be", "surrogatepass")
     return "".join(f"\\u{units[i]:02x}{units[i + 1]:02x}" for i in range(0, len(units), 2))
+
+
+# ---- lines ----
+
+LINE_CHARACTERS = 80
+LABEL = re.compile(r" *[a-z][\w. ]{0,11}: +")  # such as "exact:      ", below which further lines begin
+COMMAND = re.compile(
+    r" *(?:(?:replay|from|next|look|report): |mitsuba-ref |caster |pixel \()"
+)  # stays whole, to be copied
+POINTER = re.compile(r"[ |]*\^+ *$")  # below a place in a line of a scene file
+BELOW_NAME = 6 * " "  # of a scene, or of the first line of a message
+
+
+def folded(text: str) -> str:
+    """The text in lines of at most LINE_CHARACTERS, but for commands, words such as paths, and lines marked below."""
+    lines = text.split("\n")
+    marked = [POINTER.match(line) is not None for line in (*lines[1:], "")]
+    return "\n".join(part for line, whole in zip(lines, marked, strict=True) for part in _folded(line, whole))
+
+
+def _folded(line: str, whole: bool) -> list[str]:
+    if whole or len(line) <= LINE_CHARACTERS or COMMAND.match(line):
+        return [line]
+    label = LABEL.match(line)
+    indent = " " * max(label.end() if label else len(line) - len(line.lstrip()), len(BELOW_NAME))
+    return wrap(line, LINE_CHARACTERS, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 class PrintableStream:
@@ -123,6 +161,10 @@ class StatusLine:
             )
             self._display.start()
         self._display.update(Text(printable(content, keep=""), no_wrap=True, overflow="crop"), refresh=True)
+
+    def about(self, what: str) -> Callable[[str], None]:
+        """A function that shows words about something."""
+        return lambda words: self.show(f"{what}: {words}")
 
     def erase(self) -> None:
         """Remove the line from the terminal; a later `show` draws it again."""
@@ -225,7 +267,7 @@ def compilation_reported(stream: TextIO | None = None) -> Iterator[None]:
         report_stage("compiling kernels")
         line = StatusLine(stream)
         with contextlib.suppress(OSError):  # standard error may be closed
-            text = "compiling kernels, once: some 20 to 60, in 10 to 40 s; `caster doctor --warm` does it ahead"
+            text = "compiling kernels, once, in 10 to 40 s; `caster doctor --warm` does it ahead"
             print(f"{ERASE_LINE if line.live else ''}{text}", file=line.stream, flush=True)
         report_refused_cache()
 
@@ -244,4 +286,4 @@ def report_refused_cache() -> None:
     cache_folder()
     hint = "remove it, or name a folder of your own as XDG_CACHE_HOME"
     for refusal in refusals:
-        print(f"compiled kernels are not kept: {refusal}; {hint}", file=sys.stderr, flush=True)
+        print(folded(f"compiled kernels are not kept: {refusal}; {hint}"), file=sys.stderr, flush=True)

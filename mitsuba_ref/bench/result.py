@@ -7,6 +7,7 @@ from typing import Any
 from pydantic import SerializerFunctionWrapHandler, computed_field, model_serializer
 from pydantic.dataclasses import dataclass
 
+from caster.system.terminal import folded
 from mitsuba_ref.bench.drivers import ANY, AOVS, NEAREST
 from mitsuba_ref.report.results import NOTHING, aligned, number
 
@@ -168,7 +169,7 @@ def overview(run: Run) -> list[list[str]]:
 def overview_text(run: Run) -> str:
     name = OVERVIEW[judged_row(run)]
     head = f"milliseconds of {name}, and how many times as fast as each of the others it is"
-    return "\n".join([head, *aligned(overview(run), left=2)])
+    return folded("\n".join([head, *aligned(overview(run), left=2)]))
 
 
 def as_text(scene: SceneResult) -> str:
@@ -176,7 +177,7 @@ def as_text(scene: SceneResult) -> str:
     aovs = f"; {', '.join(scene.aovs)}" if scene.aovs not in ((), AOVS) else ""
     head = f"{scene.name}: {scene.title} ({scene.primitives:,} primitives{aovs})"
     about = f"times as fast as this row: {OVERVIEW[scene.judged_row]}; errors of t; +: hits beyond their bound"
-    return "\n".join([head, *aligned(rows(scene), left=1), about])
+    return folded("\n".join([head, *aligned(rows(scene), left=1), about]))
 
 
 def summary(run: Run) -> str:

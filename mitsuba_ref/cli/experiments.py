@@ -8,6 +8,7 @@ from pathlib import Path
 from caster.description.errors import SceneError
 from caster.rendering.threads import core_count
 from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
+from caster.system.terminal import StatusLine
 from mitsuba_ref.bench import casters
 from mitsuba_ref.bench.drivers import AOVS, FILM
 from mitsuba_ref.bench.machine import machine_properties
@@ -45,13 +46,13 @@ def run_stress(args: argparse.Namespace) -> int:
         return code
     candidate = options.requested_candidate(args, takes_rays=True)
     variants.variant_for(has_quadrics=True)  # without Mitsuba's columns a run would pass with its evidence missing
-    done: list[SweepResult] = []
+    done, line = list[SweepResult](), StatusLine()
     try:
         for i, family in enumerate(families):
-            progress = options.Progress(f"{i + 1}/{len(families)} {family.name}")
+            progress = line.about(f"{i + 1}/{len(families)} {family.name}")
             kept = Path(args.out), options.candidate_words(args)
             done.append(sweeps.sweep(family, args.seed, args.rays, progress, candidate, *kept))
-            progress.clear()
+            line.erase()
             table = sweeps.as_text(done[-1], args.skip_unsupported)
             print(f"{table}\n", file=options.table_stream(args), flush=True)
     finally:  # what is done is kept, whatever ends the work
@@ -102,12 +103,12 @@ def run_bench(args: argparse.Namespace) -> int:
         caster = casters.candidate_caster(str(args.candidate), args.candidate_precision, served=served)
     recorded = asdict(settings) | {"candidate": caster.title if caster else ""}
     machine, requested = machine_properties(), tuple(scene.name for scene in scenes)
-    done: list[SceneResult] = []
+    done, line = list[SceneResult](), StatusLine()
     try:
         for i, scene in enumerate(scenes):
-            progress = options.Progress(f"bench: {i + 1}/{len(scenes)} {scene.name}")
+            progress = line.about(f"bench: {i + 1}/{len(scenes)} {scene.name}")
             done.append(time_scene(scene, casters.casters_for(scene, caster), settings, progress))
-            progress.clear()
+            line.erase()
             print(f"{as_text(done[-1])}\n", file=options.table_stream(args), flush=True)
     finally:  # what is done is kept, whatever ends the work
         report_run(Run(recorded, machine, requested, tuple(done)), args)
@@ -151,7 +152,6 @@ def run_versions(args: argparse.Namespace) -> int:
     entries = selected_entries(args)
     if not entries:
         return NOTHING_SELECTED
-    options.check_json(args)
     found = []
     for python in pythons:  # their errors come before any work
         with chosen(python):
@@ -159,14 +159,13 @@ def run_versions(args: argparse.Namespace) -> int:
             found.append({name: machine()[name] for name in ("mitsuba", "drjit")} | {"python": interpreter()})
     out = options.table_stream(args)
     print(f"{LEGEND}\n", file=out)
-    done: list[SceneComparison] = []
+    done, line = list[SceneComparison](), StatusLine()
     try:
         for i, entry in enumerate(entries):
-            progress = options.Progress(f"versions: {i + 1}/{len(entries)} {entry.name}")
-            progress("judging")
+            line.show(f"versions: {i + 1}/{len(entries)} {entry.name}: judging")
             task = Task(entry.load(), entry.name, entry.path, timeout=args.timeout)
             done.append(compare_scene(pythons, task))
-            progress.clear()
+            line.erase()
             print_lines(f"{scene_text(done[-1])}\n", out)
     finally:  # what is done is kept, whatever ends the work
         result = VersionComparison(tuple(found), tuple(done))

@@ -12,6 +12,7 @@ from caster.description.errors import SceneError
 from caster.scene.files import load_scene
 from caster.system.atomic_files import check_folder
 from caster.system.process import DIFFERENCES, FILE, NOTHING_SELECTED, OK
+from caster.system.terminal import folded
 from mitsuba_ref.cli.arguments import NUMBERS
 from mitsuba_ref.cli.options import given_words, reading_of, report_address
 from mitsuba_ref.cli.validate import selected_entries
@@ -20,7 +21,7 @@ from mitsuba_ref.exr_compare.comparison_result import FileComparison
 from mitsuba_ref.exr_compare.two_files import Tolerances, compare_exr
 from mitsuba_ref.reference import variants
 from mitsuba_ref.report.builtin_scenes import shown_path
-from mitsuba_ref.report.results import folded, plural, print_lines
+from mitsuba_ref.report.results import plural, print_lines
 from mitsuba_ref.runner.many_scenes import SceneEntry, map_in_order, problem_of
 
 # ---- compare ----
@@ -33,8 +34,9 @@ def run_compare(args: argparse.Namespace) -> int:
     reading = replace(reading_of(args), scene=load_scene(args.scene) if args.scene else None)
     result = compare_exr(args.ours, args.reference, tolerances, diff=args.output, html=args.html, reading=reading)
     print(result.model_dump_json(indent=2) if args.json else folded(result.format_table()))
-    if result.html and not args.json:
-        print(f"\n{report_address(result.html)}")
+    if args.html and not args.json:
+        none = "report:     none, as nothing could be compared; an earlier one there is removed"
+        print(f"\n{report_address(result.html) if result.html else none}")
     return result.exit_code
 
 
@@ -129,7 +131,7 @@ def run_check(args: argparse.Namespace) -> int:
         unchecked = f", {missing} not checked: no image that can be read" if missing else ""
         print(f"\n{plural(len(found), 'scene')}: {counts}{unchecked}")
         if any(not checked.groups for checked in failed):
-            print(f"to look at the changes and approve them: {approve_command(args)}")
+            print(f"look at the changes and approve them:\n{approve_command(args)}")
     if not failed:
         return OK
     return FILE if len(failed) == missing else DIFFERENCES

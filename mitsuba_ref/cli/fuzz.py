@@ -25,7 +25,6 @@ def run(args: argparse.Namespace) -> int:
     """Run a campaign; 0 nothing found, 1 something found, 5 nothing selected, 130 interrupted."""
     if args.replay is not None:
         return replay(args)
-    options.check_json(args)
     campaign = campaign_of(args)
     if args.examples is not None and not len(args.examples):
         print("nothing selected: --examples 0 selects no example", file=sys.stderr)

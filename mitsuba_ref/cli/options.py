@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Protocol, TextIO, TypeVar
+from typing import Any, TextIO
 
 from caster.cli.shared_arguments import check_utf8_name, load
 from caster.description.errors import SceneError, suggestion
 from caster.scene.model import Scene
-from caster.system.atomic_files import check_writable
 from caster.system.process import NOTHING_SELECTED, OK
-from caster.system.terminal import StatusLine
+from caster.system.terminal import folded
 from mitsuba_ref.cli.arguments import CANDIDATE_SECONDS, ServedProgram
 from mitsuba_ref.exr_compare.conventions import Reading, candidate_image
 from mitsuba_ref.reference import variants
@@ -117,17 +116,11 @@ def report_address(folder: str) -> str:
 # ---- experiments: fuzz, stress, bench ----
 
 
-def check_json(args: argparse.Namespace) -> None:
-    """Raise OutputError before any work if the file cannot be written."""
-    if args.json and args.json != "-":
-        check_writable(args.json)
-
-
 def missing_variants() -> str:
     """A line on the variants of Mitsuba that do not work here; "" if all do."""
     works = variants.usable_variants()
     missing = [name for name in variants.VARIANT_NAMES if name not in works.names]
-    return f"{', '.join(missing)}: does not work here: {works.why}\n" if missing else ""
+    return folded(f"{', '.join(missing)}: does not work here: {works.why}\n") if missing else ""
 
 
 def table_stream(args: argparse.Namespace) -> TextIO:
@@ -135,31 +128,8 @@ def table_stream(args: argparse.Namespace) -> TextIO:
     return sys.stderr if args.json == "-" else sys.stdout
 
 
-class Progress:
-    """A line on a terminal's standard error that each call overwrites; nothing elsewhere."""
-
-    def __init__(self, what: str) -> None:
-        self.what, self.line = what, StatusLine()
-
-    def __call__(self, words: str) -> None:
-        self.line.show(f"{self.what}: {words}")
-
-    def clear(self) -> None:
-        self.line.erase()
-
-
-class Named(Protocol):
-    @property
-    def name(self) -> str: ...
-    @property
-    def title(self) -> str: ...
-
-
-T = TypeVar("T", bound=Named)
-
-
-def select(items: Sequence[T], what: str, words: Sequence[str], expression: str | None) -> list[T]:
-    """Select items by name or by its part before a dash, in the registry's order; all of them without words.
+def select(items: Sequence[Any], what: str, words: Sequence[str], expression: str | None) -> list[Any]:
+    """Select named items by name or by its part before a dash, in the order of the registry; all without words.
 
     what: "scene" or "family", for messages. Raises SceneError for an unknown word or an invalid expression.
     """
@@ -173,14 +143,13 @@ def select(items: Sequence[T], what: str, words: Sequence[str], expression: str 
     return [item for item in chosen if matches(item.name)]
 
 
-def listed(items: Sequence[Named], what: str, args: argparse.Namespace) -> int | None:
-    """The exit code where nothing was selected, or after --list; None: there is work to do. Raises OutputError."""
+def listed(items: Sequence[Any], what: str, args: argparse.Namespace) -> int | None:
+    """The exit code where nothing was selected, or after --list; None: there is work to do."""
     if not items:
         print(f"nothing selected: no {what} matches -k {args.expression!r}", file=sys.stderr)
         return NOTHING_SELECTED
     if args.list:
         width = max(len(item.name) for item in items) + 2
-        print("\n".join(f"{item.name:{width}}{item.title}" for item in items))
+        print(folded("\n".join(f"{item.name:{width}}{item.title}" for item in items)))
         return OK
-    check_json(args)
     return None

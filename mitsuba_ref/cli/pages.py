@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
-import io
 import os
 import shutil
 import signal
-import subprocess
 import sys
 import webbrowser
 from pathlib import Path
@@ -46,7 +43,8 @@ def full_name(page: str) -> str:
     if wanted in names:
         return wanted
     if wanted not in short:
-        hint = suggestion(wanted, [*sorted(names - {MAP}), *short])
+        below = ", ".join(sorted(name for name in names if name.startswith(f"{wanted.strip('/')}/")))
+        hint = f": in that folder are {below}" if below else suggestion(wanted, [*sorted(names - {MAP}), *short])
         raise SceneError(f"docs: there is no page {page!r} (mitsuba-ref docs lists all){hint}")
     return short[wanted]
 
@@ -71,23 +69,11 @@ def show(text: str) -> None:
     from rich.markdown import Markdown
 
     width = min(shutil.get_terminal_size().columns, LARGEST_WIDTH)
-    console = Console(file=io.StringIO(), force_terminal=True, width=width)
-    with console.capture() as formatted:
-        console.print(Markdown(text, hyperlinks=False))
-    page(formatted.get())
-
-
-def page(text: str) -> None:
-    """As git does: by $PAGER, or less, which ends by itself if the text fits; without either, print."""
-    pager = os.environ.get("PAGER", shutil.which("less") or "")
-    if not pager:
-        sys.stdout.write(text)
-        return
-    # Ctrl-C is the pager's: without this program the pager would lose the terminal.
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.environ.setdefault("LESS", "FRX")  # as git does: less ends by itself if the text fits
+    console = Console(force_terminal=True, width=width)
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the pager's
     try:
-        environment = {"LESS": "FRX", **os.environ}
-        with contextlib.suppress(BrokenPipeError):
-            subprocess.run(pager, shell=True, input=text.encode(), env=environment, check=False)
+        with console.pager(styles=True):
+            console.print(Markdown(text, hyperlinks=False))
     finally:
         signal.signal(signal.SIGINT, before)

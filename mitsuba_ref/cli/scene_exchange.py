@@ -14,14 +14,14 @@ from caster.scene.model import Film, Scene
 from caster.shapes import Mesh
 from caster.system.atomic_files import check_folder, write_bytes, write_text
 from caster.system.process import DIFFERENCES, OK
-from caster.system.terminal import printable
+from caster.system.terminal import folded, printable
 from mitsuba_ref.cli.options import load_scene_or_original, opening_of
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.messages import MitsubaError
 from mitsuba_ref.reference.original_files import ImportedScene, imported
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS, render_reference
 from mitsuba_ref.reference.shared_input import export_scene, packed_float32
-from mitsuba_ref.report.results import folded, plural
+from mitsuba_ref.report.results import plural
 from mitsuba_ref.scene_xml.elements import ply_bytes, safe_name
 from mitsuba_ref.subjects.subject import scene_as_traced
 
@@ -39,7 +39,7 @@ def run_render(args: argparse.Namespace) -> int:
     try:
         images, versions = render_reference(scene, names, timeout=args.timeout)
     except MitsubaError as crash:
-        print(f"{args.scene}: {crash}")
+        print(folded(f"{args.scene}: {crash}"))
         return DIFFERENCES
     more = {f"caster/reference/{name}": version for name, version in versions.items()}
     write_render(args.output, scene, images, args.scene, more)
@@ -64,10 +64,10 @@ def run_import(args: argparse.Namespace) -> int:
     comment = "".join(f"# {printable(line, keep='')}\n" for line in head)
     write_text(args.output, comment + to_toml(scene, folder))
     for line in found.left_out:
-        print(line)
+        print(folded(line))
     print(f"{args.output}: {plural(len(found.scene.shapes), 'shape')}, {len(found.left_out)} left out or changed")
     for outside in sorted(folders_beyond(found.scene, folder)):
-        print(f"note: meshes are in {outside}: add --mesh-dir {outside} where the scene is used")
+        print(folded(f"note: meshes are in {outside}: add --mesh-dir {outside} where the scene is used"))
     return OK
 
 
@@ -122,5 +122,5 @@ def run_export(args: argparse.Namespace) -> int:
         write_text(folder / "scene.toml", to_toml(traced, folder.resolve()))
         print(f"{folder / 'scene.toml'}: the same with the float32 values that are traced")
     for note in exported.notes:
-        print(f"note: {note}")
+        print(folded(f"note: {note}"))
     return OK

@@ -14,7 +14,7 @@ from caster.description.errors import FileMissing, SceneError, error_prefix
 from caster.scene.files import types_in_file
 from caster.scene.model import Film
 from caster.system.atomic_files import OutputError, write_text
-from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE
+from caster.system.process import DIFFERENCES, FILE, INTERNAL, NOTHING_SELECTED, OK, USAGE, report_error
 from mitsuba_ref.cli.arguments import DEFAULT_SCENES, REFERENCE_OPTIONS
 from mitsuba_ref.cli.options import (
     OPENING_OPTIONS,
@@ -74,10 +74,11 @@ def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
     places = [*builtin_scenes.folders_of(args.builtin), *named]
     try:
         files = [file for file in scene_files(places) if fits(file)]
-    except FileMissing as error:
+    except FileMissing:
         if args.scenes is not DEFAULT_SCENES:
             raise
-        raise FileMissing(f"{error}; {BUILTIN_HINT}") from None
+        where = f"expected a scene, a mesh file or a folder: none is named, and there is no folder '{places[-1]}' here"
+        raise FileMissing(f"{where}; {BUILTIN_HINT}") from None
     if args.size:
         with error_prefix("--size", *args.size):
             Film(width=args.size[0], height=args.size[1])
@@ -98,7 +99,7 @@ def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
     if not entries:
         fitting = f" that fits -k {args.expression!r}" if args.expression else ""
         hint = "" if args.expression else f"; {BUILTIN_HINT}"
-        print(f"nothing selected: no scene file{fitting} in {', '.join(places)}{hint}", file=sys.stderr)
+        report_error(f"nothing selected: no scene file{fitting} in {', '.join(places)}{hint}", NOTHING_SELECTED)
     return entries
 
 

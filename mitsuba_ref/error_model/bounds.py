@@ -5,7 +5,12 @@ from typing import NamedTuple
 import numpy as np
 
 from caster.aovs import Aovs
-from mitsuba_ref.error_model.intersections import Intersections, no_intersections, without_float_warnings
+from mitsuba_ref.error_model.intersections import (
+    Intersections,
+    no_intersections,
+    without_float_warnings,
+    without_overflow_warnings,
+)
 from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 
@@ -44,7 +49,7 @@ def intersections_at(
 PIXELS_PER_BATCH = 1 << 14  # pixels: temporary arrays of three numbers each stay in a cache
 
 
-@without_float_warnings
+@without_overflow_warnings
 def nearest_root(met: PairIntersections, t: np.ndarray) -> Intersections:
     """The intersection of each pair that is nearest to t (n,), in the order of the pairs."""
     if len(met.pair) == len(t) and (met.pair == np.arange(len(t))).all():
@@ -93,7 +98,7 @@ UNDERFLOW_BOUND = 2.0**-1010
 UNIT_LENGTH_ATOL = 16 * 2.0**-53
 
 
-@without_float_warnings
+@without_overflow_warnings
 def t_bounds(model: SceneModel, hits: tuple[np.ndarray, np.ndarray], rays: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """(n,) bound on |t - exact t| of each hit; inf where float64 cannot resolve it, NaN on a miss.
 

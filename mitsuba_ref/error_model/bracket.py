@@ -11,7 +11,7 @@ from mitsuba_ref.error_model.intersections import (
     no_intersections,
     norm,
     row_groups,
-    without_float_warnings,
+    without_overflow_warnings,
 )
 from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel
 
@@ -141,7 +141,7 @@ class Bracket:
         at = Intersections(*(np.concatenate(a) for a in zip(*(f.at for f in found), strict=True)))
         return RayIntersections(np.concatenate([f.ray for f in found]), np.concatenate([f.prim for f in found]), at)
 
-    @without_float_warnings
+    @without_overflow_warnings
     def _intersect_in_range(self, ray: np.ndarray, prim: np.ndarray, line: RaySegments) -> RayIntersections:
         met: PairIntersections = self.model.intersect(prim, line.o[ray], line.d[ray], self.ku, ours=self.ours)
         rays = ray[met.pair]
@@ -150,7 +150,7 @@ class Bracket:
         keep = met.at.possible & in_range & ~np.isnan(met.at.t)
         return RayIntersections(rays, prim[met.pair], met.at).take(keep)
 
-    @without_float_warnings
+    @without_overflow_warnings
     def _allows(
         self, found: RayIntersections, claims: Claims, line: RaySegments, rays: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -198,7 +198,7 @@ def within_error(claimed: np.ndarray, ray: np.ndarray, at: np.ndarray, error: np
     return norm(claimed[ray] - at) <= error
 
 
-@without_float_warnings
+@without_overflow_warnings
 def latest_hits(
     found: RayIntersections, t_max: np.ndarray, t_min: np.ndarray | None = None, *, closed: bool = True
 ) -> np.ndarray:
@@ -231,7 +231,7 @@ def _latest_at_edges(found: RayIntersections) -> np.ndarray:
     return latest
 
 
-@without_float_warnings
+@without_overflow_warnings
 def near_ray_start(found: RayIntersections, d: np.ndarray, off: np.ndarray) -> np.ndarray:
     """(m,) bool: intersections with surfaces no farther from the ray's start than `off` (n,), its uncertainty."""
     height = (np.abs(found.at.t) - found.at.t_error) * np.abs(dot(found.at.n, d[found.ray]))

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.description.fields import Shape
-from mitsuba_ref.error_model.intersections import norm, unit, without_float_warnings
+from mitsuba_ref.error_model.intersections import norm, unit, without_float_warnings, without_overflow_warnings
 from mitsuba_ref.error_model.tolerances import K
 
 
@@ -98,7 +98,7 @@ def exactly(what: str, packed: Any, expected: Any) -> ExpectedNumbers:
     )
 
 
-@without_float_warnings
+@without_overflow_warnings
 def transformed_normals(matrix: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(normals (n, 3) in world space, size of their rounding): normals transform like cross products, by cofactors."""
     m = matrix[:3, :3] / np.abs(matrix[:3, :3]).max()

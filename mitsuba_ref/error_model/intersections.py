@@ -7,8 +7,9 @@ import numpy as np
 
 from mitsuba_ref.oracle.interface import ExactKind, ExpandStandIns
 
-# Decorates functions in which NaN, infinite numbers and overflow are answers like others, which comparisons sort out.
-without_float_warnings = np.errstate(all="ignore")
+# Decorators of functions in which infinite numbers are answers like others, which comparisons sort out.
+without_float_warnings = np.errstate(all="ignore")  # where a NaN is an answer: of a miss, or of no answer
+without_overflow_warnings = np.errstate(over="ignore", divide="ignore")  # a NaN is a fault
 
 # Embree drops a triangle with a coordinate beyond this, silently.
 LARGEST_COORDINATE = 1.844e18

@@ -11,7 +11,13 @@ import numpy as np
 
 from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.bracket import Bracket
-from mitsuba_ref.error_model.intersections import Intersections, dot, largest_of_columns, norm, without_float_warnings
+from mitsuba_ref.error_model.intersections import (
+    Intersections,
+    dot,
+    largest_of_columns,
+    norm,
+    without_overflow_warnings,
+)
 from mitsuba_ref.error_model.tolerances import KU_OURS, U32
 
 # If the direction to a light is no better known than this, the light's value has no bound.
@@ -46,7 +52,7 @@ class LightContribution(NamedTuple):
     doubtful: np.ndarray  # (m,) bool: so near grazing that either face may be the visible one
 
 
-@without_float_warnings
+@without_overflow_warnings
 def light_contribution(materials: Materials, light: Any, hit: ShadingPoints, ku: float) -> LightContribution:
     """Radiance from `light`, with the error that follows from errors of the position and of the shading normal."""
     reflectance, two_sided = reflectance_at(materials, hit), materials.two_sided[hit.shape]

@@ -19,7 +19,7 @@ from mitsuba_ref.error_model.intersections import (
     no_intersections,
     norm,
     unit,
-    without_float_warnings,
+    without_overflow_warnings,
 )
 from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.oracle.boxes import BoxTree
@@ -169,7 +169,7 @@ class InstancedModel(SceneModel):
         joined = (np.concatenate(arrays) for arrays in zip(*met, strict=True))
         return PairIntersections(np.concatenate(pairs), Intersections(*joined))
 
-    @without_float_warnings
+    @without_overflow_warnings
     def _turned_normals(self, prim: np.ndarray, ku: float) -> np.ndarray:
         """(m,) how far the rounding of corners turns normals; 0 for other kinds than triangles."""
         turned = np.zeros(len(prim))
@@ -229,7 +229,7 @@ class UncertainRaysModel(SceneModel):
         # A shift along the ray moves no point, but changes t.
         return PairIntersections(met.pair, enclosing_intersections(found, self.shift / norm(d)[met.pair]))
 
-    @without_float_warnings
+    @without_overflow_warnings
     def is_unresolved(self, prim: np.ndarray, d: np.ndarray, t: np.ndarray) -> np.ndarray:
         """(m,) bool: prim[i] (-1: none) is so small at t[i] that the nine rays around d[i] may all miss it."""
         low, high = (corner[np.maximum(prim, 0)] for corner in self.boxes)
@@ -251,7 +251,7 @@ class UncertainRaysModel(SceneModel):
                 yield ring * out * (np.cos(angle) * right + np.sin(angle) * up)
 
 
-@without_float_warnings
+@without_overflow_warnings
 def enclosing_intersections(found: list[Intersections], along: np.ndarray) -> Intersections:
     """The first of several intersections of the same pairs, widened to enclose all. along: (m,) added to t_error."""
     middle = found[0]

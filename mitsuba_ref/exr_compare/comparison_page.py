@@ -11,7 +11,13 @@ from caster.image.exr import NO_ID
 from mitsuba_ref.exr_compare.comparison_result import FileComparison
 from mitsuba_ref.exr_compare.flip import flip
 from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, Array, ExrPair
-from mitsuba_ref.report.html_report import MAX_PIXELS, ImagePair, refuse_page_of_others, write_comparison
+from mitsuba_ref.report.html_report import (
+    MAX_PIXELS,
+    ImagePair,
+    refuse_page_of_others,
+    remove_records,
+    write_comparison,
+)
 
 
 class Layer(NamedTuple):
@@ -65,6 +71,7 @@ def remove_page(folder: Path) -> None:
     """Remove the page of an earlier run, which would be taken for this one's. Raises OutputError for others' files."""
     refuse_page_of_others(folder / "index.html")
     (folder / "index.html").unlink(missing_ok=True)
+    remove_records(folder / "data", ())
 
 
 def float32(values: Array) -> Array:

@@ -12,6 +12,7 @@ from mitsuba_ref.judge.verdict import JsonFloat
 from mitsuba_ref.report.results import aligned, percent
 
 LEGEND = f"; where u = 2^-24, K = {K:g}, S = |o| + t + |p| and cos = |n.d| of each pixel of the reference"
+LEGEND_OF_SLOPE = ", slope = its change per scene unit there"
 MISS, AGREE, DIFFER, HIT_MISS, NON_FINITE = range(5)  # values of the channel class.I of a difference image
 CLASSES = "0 missed by both, 1 hit by both and agrees, 2 differs, 3 hit in one image only, 4 not finite"
 TITLES = ("quantity", "agree", "differ", "not finite", "worst", "at")
@@ -159,7 +160,7 @@ class FileComparison(BaseModel):
             hits = hits if self.hit_channel else "hits unknown (no channel A, id.shape, id.prim or depth.Z)"
             lines += [f"{self.width} x {self.height} pixels, {hits}", ""]
             bounds = "; ".join(f"{group.name} {group.bound}" for group in self.groups)
-            legend = LEGEND if "K u S" in bounds else ""
+            legend = (LEGEND if "K*u*S" in bounds else "") + (LEGEND_OF_SLOPE if "slope" in bounds else "")
             lines += [*aligned([TITLES, *map(_row, self.groups)], left=1), f"bounds:    {bounds}{legend}", ""]
         if self.ignored:
             lines.append(f"not compared, by --ignore: {', '.join(self.ignored)}")
@@ -175,7 +176,7 @@ class FileComparison(BaseModel):
 
 def _row(group: GroupResult) -> tuple[str, ...]:
     worst = group.worst
-    ratio, at = (f"{worst.ratio:.2g}x", f"({worst.x}, {worst.y})") if worst else ("0x", "-")
+    ratio, at = (f"{worst.ratio:.2g}x", f"({worst.x}, {worst.y})") if worst else ("equal", "-")
     return group.name, str(group.agree), str(group.differ), str(group.non_finite), ratio, at
 
 

@@ -161,7 +161,7 @@ def _length_bound(pair: ExrPair, group: str, tol: Tolerances, stored: Array, b: 
         return plain, f"{DEPTH_RTOL:.2g} relative (per pixel with camera, depth, normal and position)"
     first_order = (condition.depth_error if group == "depth" else condition.position_error)[..., None]
     derived = np.where(first_order < LARGEST_FIRST_ORDER_SHARE * size, stored + first_order, plain)
-    return derived, "K u S / cos" if group == "depth" else "K u S (1 + 1/cos)"
+    return derived, "K*u*S/cos" if group == "depth" else "K*u*S*(1 + 1/cos)"
 
 
 def _surface_bound(pair: ExrPair, group: str, tol: Tolerances, stored: Array, b: Array) -> Bound:
@@ -180,7 +180,7 @@ def _surface_bound(pair: ExrPair, group: str, tol: Tolerances, stored: Array, b:
         return stored + plain, text
     lever = (_surface_slope(b, pair.condition) * pair.condition.position_error)[..., None]
     lever = np.where(lever < LARGEST_FIRST_ORDER_SHARE * scale, lever, 0.0)
-    return stored + plain + lever, f"{text} + slope K u S (1 + 1/cos)"
+    return stored + plain + lever, f"{text} + slope*K*u*S*(1 + 1/cos)"
 
 
 def _typical_magnitude(values: Array) -> float:

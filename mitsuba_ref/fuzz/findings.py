@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 import pydantic.dataclasses
 from pydantic import computed_field
 
+from caster.system.terminal import folded
 from mitsuba_ref.hard.rays import RayBatch
-from mitsuba_ref.report.results import aligned, folded
+from mitsuba_ref.report.results import aligned
 
 # The kinds of findings, the most informative first.
 FINDING_KINDS = {

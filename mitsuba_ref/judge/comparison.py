@@ -18,7 +18,13 @@ from caster.geometry.packing import Packed
 from caster.rendering.images import film_window
 from caster.scene.model import Check, Scene
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, error_over_bound, row_distance
-from mitsuba_ref.error_model.intersections import all_of_columns, any_of_columns, norm, without_float_warnings
+from mitsuba_ref.error_model.intersections import (
+    all_of_columns,
+    any_of_columns,
+    norm,
+    without_float_warnings,
+    without_overflow_warnings,
+)
 from mitsuba_ref.error_model.textures import color_ratios
 from mitsuba_ref.error_model.tolerances import KU_OURS
 from mitsuba_ref.reference.rendering import ReferenceResult, aovs_of
@@ -82,7 +88,7 @@ def pair_images(scene: Scene, rays: SharedRays, answer: Answer, result: Referenc
     return ImagePair(rays, answer, subject, aovs_of(result, rays, shape, names), result)
 
 
-@without_float_warnings
+@without_overflow_warnings
 def _images_of(answer: Answer, rays: SharedRays, shape: tuple[int, int]) -> Aovs:
     """t and n as images, with depth from the eye like the reference's. A normal that is not finite becomes NaN."""
     depth = rays.start + answer.t * norm(rays.d.astype(np.float64))
@@ -141,7 +147,7 @@ class PixelPairs:
         return row_distance(*sides)
 
     @cached_property
-    @without_float_warnings
+    @without_overflow_warnings
     def allowed_distance(self) -> dict[str, np.ndarray]:
         """(n,) bound on the distance of each AOV of a subject that names its primitives.
 

@@ -17,7 +17,7 @@ from mitsuba_ref.error_model.defect_conditions import (
     DefectView,
     KnownDefect,
 )
-from mitsuba_ref.error_model.intersections import norm, without_float_warnings
+from mitsuba_ref.error_model.intersections import norm, without_float_warnings, without_overflow_warnings
 from mitsuba_ref.error_model.scene_model import SceneModel, kinds_of
 from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
@@ -129,7 +129,7 @@ def _kind(model: SceneModel, prim: int) -> str:
     return kind_of(_place(model, prim)[0]).name if prim >= 0 else ""
 
 
-@without_float_warnings
+@without_overflow_warnings
 def _view(model: SceneModel, prim: int, o: np.ndarray, d: np.ndarray, t: float) -> DefectView:
     """Measures of one primitive and the ray, by its kind."""
     if prim < 0:

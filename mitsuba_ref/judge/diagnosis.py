@@ -80,6 +80,11 @@ class Diagnosis:
             found |= {int(row): f"{cause.what} ({SAME_SYMPTOM})" for row in cause.alike}
         return found
 
+    def evidence_at(self, row: int) -> list[str]:
+        """What separates the pixels of a row's causes, and their remedies."""
+        its = [cause for cause in self.causes if row in cause.rows or row in cause.alike]
+        return [text for cause in its for text in (cause.where, cause.remedy) if text]
+
 
 def failing_rows(judgement: Judgement) -> np.ndarray:
     """Rows of the image that fail by their class, or because the reference is wrong in an unknown way; ascending."""
@@ -333,7 +338,7 @@ def separator_text(judge: Judge, judgement: Judgement, wrong: np.ndarray, *, pri
     right = np.flatnonzero(~judgement.is_class(*FAILING) & (prim >= 0))
     wrong = wrong[prim[wrong] >= 0]
     few = _few_prims_text(judge, prim[wrong], prim[right])
-    if remainder := common_remainder(wrong):
+    if remainder := common_remainder((np.cumsum(judge.t_max >= 0.0) - 1)[wrong]):  # a pixel without a ray has no number
         few = few or f"where the ray's number is {remainder[1]} modulo {remainder[0]}: all {len(wrong)} wrong pixels"
     if (text := _numbers_text(judge, prim[wrong], prim[right])) or prims_only:
         return text or few

@@ -28,7 +28,7 @@ from mitsuba_ref.judge.checks.bias import PixelErrors, error_statistics, pixel_e
 from mitsuba_ref.judge.checks.knife_edges import AimedFailure
 from mitsuba_ref.judge.checks.ray_conventions import cast_further
 from mitsuba_ref.judge.classification import Judge, Judgement, judge_of
-from mitsuba_ref.judge.diagnosis import Diagnosis, diagnose
+from mitsuba_ref.judge.diagnosis import CastRays, Diagnosis, diagnose
 from mitsuba_ref.judge.verdict import AGREE, FAILING, TIE, SceneCheck, SceneVerdict, kinds_text
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
@@ -173,8 +173,7 @@ def judge_window(
     # Compare, adjudicate, classify; then find the causes of failing pixels.
     report_stage("judging")
     judgement = judge.judge()
-    further = None if task.ours or not task.subject.takes_rays else partial(cast_further, task.subject, response.scene)
-    diagnosis = diagnose(judge, judgement, further)
+    diagnosis = diagnose(judge, judgement, further_rays(task.subject, response.scene))
 
     # Check whatever pixels do not show.
     inputs |= {
@@ -195,6 +194,11 @@ def judge_window(
     shared = original.condition > 0.0 if original else None
     errors = pixel_errors(judge.model.packed, judge.pair, judge.bounds, shared) if task.ours else None
     return _verdict(task, response, seen, made), errors
+
+
+def further_rays(subject: Subject, scene: Scene) -> CastRays | None:
+    """How a diagnosis casts further rays by a candidate; None if it takes none, and for ours."""
+    return partial(cast_further, subject, scene) if subject.takes_rays and subject is not OURS else None
 
 
 def _no_comparison(task: Task, checks: tuple[SceneCheck, ...], problem: str, unsupported: bool = False) -> SceneVerdict:

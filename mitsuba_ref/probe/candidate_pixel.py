@@ -12,7 +12,7 @@ from mitsuba_ref.judge.adjudication import ratio_to_bound
 from mitsuba_ref.judge.classification import Judge, Judgement, judge_of
 from mitsuba_ref.judge.diagnosis import diagnose
 from mitsuba_ref.judge.explanations import exceeded_bounds, reason
-from mitsuba_ref.judge.pipeline import Task
+from mitsuba_ref.judge.pipeline import Task, further_rays
 from mitsuba_ref.judge.verdict import CLASSES, FAILING, UNDECIDED, UNLISTED, WRONG
 from mitsuba_ref.probe.witnesses import CANDIDATE, WitnessAnswer, with_error_of_t
 from mitsuba_ref.reference.messages import Crash
@@ -67,13 +67,14 @@ def probe_candidate(
     judgement, witness = judge.judge(), as_witness(judge, row)
     shares = {"mask": float(judgement.ratios["mask"][row]), "t": witness.share, "normal": witness.normal_share}
     exceeded = {name: share for name, share in shares.items() if share is not None and not witness.remark}
-    why = reason(judge, judgement, diagnose(judge, judgement).by_row(), row), exceeded_bounds(exceeded)
+    diagnosis = diagnose(judge, judgement, further_rays(candidate, response.scene))
+    why = filter(None, (reason(judge, judgement, diagnosis.by_row(), row), exceeded_bounds(exceeded)))
     left_out = row in judgement.not_adjudicated and witness.right is False  # but here it is adjudicated
     return CandidatePixel(
         candidate.name,
         WRONG if left_out else CLASSES[int(judgement.classes[row])],
         judge.answer.precision,
-        "; ".join(filter(None, why)),
+        "\n".join(["; ".join(why), *diagnosis.evidence_at(row)]),
         _answer_record(judge, row),
         case_text(judgement, row),
         (*judge.answer.notes, *response.limits),

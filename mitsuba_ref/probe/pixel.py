@@ -10,6 +10,7 @@ import numpy as np
 from caster.aovs import Aovs
 from caster.description.errors import SceneError
 from caster.scene.model import Scene
+from caster.system.terminal import folded
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.error_model.bracket import latest_hits
 from mitsuba_ref.judge.classification import Judge, Judgement, scene_judge
@@ -23,7 +24,6 @@ from mitsuba_ref.probe.witnesses import WitnessAnswer, t_lines, witness_answers,
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.shared_input import SharedRays, shared_rays
-from mitsuba_ref.report.results import folded
 from mitsuba_ref.shapes import reference_of
 from mitsuba_ref.subjects.subject import COMPARED_AOVS, OURS, Subject
 

@@ -253,7 +253,7 @@ class LoadedMesh(NamedTuple):
 
 
 class MitsubaError(RuntimeError):
-    """Mitsuba ended without an answer; the text says how, with its output."""
+    """Mitsuba is not here, or ended without an answer; the text says how, with its output."""
 
 
 class Crash(ProcessEnd):

@@ -14,6 +14,7 @@ import numpy as np
 
 from caster.description.errors import SceneError, suggestion
 from caster.system.atomic_files import ScratchFolder
+from caster.system.terminal import folded
 from mitsuba_ref.reference import messages
 from mitsuba_ref.reference.interpreter import VARIANT_VARIABLE, installation
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
@@ -104,7 +105,7 @@ LIBLLVM_PATTERNS = (
 )
 
 
-class VariantError(SceneError):
+class VariantError(SceneError, messages.MitsubaError):
     """A chosen variant does not exist or does not work here."""
 
 
@@ -196,7 +197,7 @@ def require_variants() -> None:
     line = f"{LLVM} does not work here, {chosen} traces all scenes ({WAY_OUT}): {found.why}"
     if broken and not os.environ.get(VARIANT_VARIABLE) and line not in _said:
         _said.add(line)
-        print(line, file=sys.stderr)
+        print(folded(line), file=sys.stderr)
 
 
 def environment_for(variant: str) -> dict[str, str]:

@@ -17,7 +17,8 @@ def scene_path(name: str) -> str:
     wanted = name.removeprefix(PREFIX)
     files = {file.stem: str(file) for file in sorted(ROOT.glob("*/*.toml"))}
     if wanted not in files:
-        raise SceneError(f"{name}: expected a built-in scene{suggestion(wanted, files)} (one of {', '.join(files)})")
+        hint = suggestion(wanted, files) or f"; they are {', '.join(files)}"
+        raise SceneError(f"{name}: expected a built-in scene{hint}")
     return files[wanted]
 
 

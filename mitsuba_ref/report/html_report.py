@@ -31,7 +31,14 @@ from mitsuba_ref.report.evidence import CLASS_COLORS, UNLISTED_COLOR
 from mitsuba_ref.report.reproducers import replay, replay_around
 from mitsuba_ref.report.results import plural
 from mitsuba_ref.report.scene_record import CODES, SIDES, SceneRecord, image, packed, scene_record
-from mitsuba_ref.report.verdict_text import failing_checks, failure_text, group_lines, mark_of, outcome_text
+from mitsuba_ref.report.verdict_text import (
+    counts_shown,
+    failing_checks,
+    failure_text,
+    group_lines,
+    mark_of,
+    outcome_text,
+)
 
 MAX_PIXELS = 1 << 21  # of a window that a page shows, each of which takes a third of a kB in the browser
 SECONDS_BETWEEN_WRITES = 2.0  # of the list, during a run
@@ -214,7 +221,7 @@ def _part(name: str) -> str:
     return (resources.files("mitsuba_ref.report") / "page" / name).read_text(encoding="utf-8")
 
 
-SAME_AS_VERDICT = ("name", "path", "ok", "size", "hit_pixels", "counts", "failing", "adjudicated")
+SAME_AS_VERDICT = ("name", "path", "ok", "size", "hit_pixels", "failing", "adjudicated")
 
 
 def index_row(verdict: SceneVerdict, thumbnail: str | None) -> dict[str, Any]:
@@ -226,6 +233,7 @@ def index_row(verdict: SceneVerdict, thumbnail: str | None) -> dict[str, Any]:
         "file": "" if thumbnail is None else file_of(verdict.name),
         "thumbnail": thumbnail or "",
         "mark": mark_of(verdict),
+        "counts": counts_shown(verdict),
         "crashed": bool(verdict.problem),
         "unlisted": verdict.cases.get(UNLISTED, 0),
         "worst": [check, json_number(ratio)],
@@ -279,7 +287,6 @@ def write_comparison(
     }
     if pair.hit is not None:
         about["hit"] = image(pair.hit[0].ravel() + 2 * pair.hit[1].ravel(), (height, width))
-    remove_records(data, ())
     write_record(data, PAIR, {"about": about, **parts})
     mark = "PASS" if ok else "FAIL"
     row = index_row(SceneVerdict(PAIR, ""), "") | {"ok": ok, "mark": mark, "failure": ""}

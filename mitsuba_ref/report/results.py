@@ -10,15 +10,15 @@ import os
 import re
 import sys
 from collections.abc import Sequence
+from itertools import accumulate
 from pathlib import Path
-from textwrap import wrap
 from typing import Any, TextIO
 
 import numpy as np
 from pydantic import TypeAdapter
 
 from caster.system.atomic_files import write_text
-from caster.system.terminal import printable, unfiltered
+from caster.system.terminal import LINE_CHARACTERS, folded, printable, unfiltered
 from mitsuba_ref.reference.store import installed_version, machine
 from mitsuba_ref.reference.variants import usable_variants
 
@@ -62,30 +62,6 @@ def largest(values: np.ndarray) -> float | None:
 STATUS_COLORS = {"PASS": "32", "FAIL": "1;31", "SKIP": "33", "KNOWN": "33"}  # codes of ANSI terminals
 
 
-LINE_CHARACTERS = 80
-LABEL = re.compile(r" *[a-z][\w. ]{0,11}: +")  # such as "exact:      ", below which further lines begin
-COMMAND = re.compile(
-    r" *(?:(?:replay|from|next|look|report): |mitsuba-ref |caster |pixel \()"
-)  # stays whole, to be copied
-POINTER = re.compile(r"[ |]*\^+ *$")  # below a place in a line of a scene file
-BELOW_NAME = 6 * " "  # of a scene
-
-
-def folded(text: str) -> str:
-    """The text in lines of at most LINE_CHARACTERS, but for commands, words such as paths, and lines marked below."""
-    lines = text.split("\n")
-    marked = [POINTER.match(line) is not None for line in (*lines[1:], "")]
-    return "\n".join(part for line, whole in zip(lines, marked, strict=True) for part in _folded(line, whole))
-
-
-def _folded(line: str, whole: bool) -> list[str]:
-    if whole or len(line) <= LINE_CHARACTERS or COMMAND.match(line):
-        return [line]
-    label = LABEL.match(line)
-    indent = " " * label.end() if label else BELOW_NAME
-    return wrap(line, LINE_CHARACTERS, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
-
-
 def plural(count: int, noun: str) -> str:
     """A count and its noun, such as "1 scene" or "2 scenes"."""
     return f"{count} {noun}{'s' * (count != 1)}"
@@ -105,21 +81,31 @@ def print_lines(text: str, stream: TextIO | None = None) -> None:
 # ---- tables ----
 
 Row = Sequence[str]
+GAP = "  "  # between columns
 
 
-def aligned(rows: Sequence[Row], *, left: int = 0) -> list[str]:
-    """Lines with aligned columns, the first `left` of them left-aligned. A short row ends with free text."""
+def aligned(rows: Sequence[Row], *, left: int = 0, step: int = 1) -> list[str]:
+    """Lines with aligned columns, the first `left` of them left-aligned. A short row ends with free text.
+
+    Columns beyond LINE_CHARACTERS go into a table below, behind the first column again; `step` of them, counted from
+    the last, stay together.
+    """
     full = [row for row in rows if len(row) == len(rows[0])]
     widths = [max(map(len, column)) for column in zip(*full, strict=True)]
     widths[0] = max(len(row[0]) for row in rows)
-    return [_line(row, widths, left) for row in rows]
+    ends = [*accumulate(width + len(GAP) for width in widths)]
+    fit = max(1 + step, sum(end - len(GAP) <= LINE_CHARACTERS for end in ends))
+    fit -= (fit - len(widths)) % step
+    lines = [_line(row if len(row) < len(widths) else row[:fit], widths[:fit], left) for row in rows]
+    rest = [[row[0], *row[fit:]] for row in full]
+    return lines if fit >= len(widths) else [*lines, "", *aligned(rest, left=min(left, 1), step=step)]
 
 
 def _line(row: Row, widths: Sequence[int], left: int) -> str:
     if len(row) < len(widths):
-        return f"{row[0]:<{widths[0]}}  {' '.join(row[1:])}"
+        return f"{row[0]:<{widths[0]}}{GAP}{' '.join(row[1:])}"
     pairs = enumerate(zip(row, widths, strict=True))
-    return "  ".join(cell.ljust(width) if i < left else cell.rjust(width) for i, (cell, width) in pairs)
+    return GAP.join(cell.ljust(width) if i < left else cell.rjust(width) for i, (cell, width) in pairs)
 
 
 def percent(count: int, total: int) -> str:

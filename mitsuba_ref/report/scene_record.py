@@ -19,7 +19,7 @@ from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
 from mitsuba_ref.judge.explanations import constant_reasons, format_exact, reason
 from mitsuba_ref.judge.pipeline import Seen
-from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, REFERENCE_WRONG
+from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, REFERENCE_WRONG, WRONG
 from mitsuba_ref.report.evidence import EDGE_UNITS, film_edges
 
 Part = dict[str, Any]
@@ -181,8 +181,12 @@ def rows_without_loss(seen: Seen, classes: np.ndarray, hit: np.ndarray) -> np.nd
 
 
 def _classes(judgement: Judgement) -> np.ndarray:
-    """(n,) uint8 class of each pixel; UNLISTED_CODE where the reference is wrong in no known way."""
+    """(n,) uint8 class of each pixel; UNLISTED_CODE where the reference is wrong in no known way.
+
+    Pixels with the symptom of wrong ones, which were not adjudicated, are wrong here.
+    """
     found = judgement.classes.astype(np.uint8)
+    found[judgement.not_adjudicated] = CLASS_CODE[WRONG]
     unlisted = [row for row, case in judgement.cases.items() if case is None]
     found[unlisted] = np.where(found[unlisted] == CLASS_CODE[REFERENCE_WRONG], UNLISTED_CODE, found[unlisted])
     return found

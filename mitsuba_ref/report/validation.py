@@ -3,6 +3,7 @@
 import time
 from dataclasses import replace
 from pathlib import Path
+from textwrap import shorten
 
 from caster.description.errors import SceneError
 from caster.rendering.warm_up import compile_for, warm_decisions
@@ -20,6 +21,8 @@ from mitsuba_ref.report.verdict_text import failing_scenes, failure_text, outcom
 from mitsuba_ref.subjects.bounce_films import BounceFilm, bounce_film
 from mitsuba_ref.subjects.requests import request_answer
 from mitsuba_ref.subjects.subject import OURS, Subject
+
+PYTEST_CHARACTERS, WHOLE = 240, " ...; print() shows all"  # to which pytest cuts the repr of a message
 
 
 class Validation(Verdict):
@@ -39,9 +42,10 @@ class Validation(Verdict):
         return short_text(self)
 
     def __repr__(self) -> str:
-        """One line, since pytest cuts the representation of a message: `assert verdict.ok, str(verdict)` is whole."""
-        first = "".join(failure_text(scene).partition("\n")[0] for scene in failing_scenes(self.scenes)[:1])
-        return f"<Validation: {outcome_text(self)}{f'; {first:.120}' if first else ''}>"
+        """One line of at most PYTEST_CHARACTERS: `assert verdict.ok, str(verdict)` is whole."""
+        first = [failure_text(scene).partition("\n")[0] for scene in failing_scenes(self.scenes)[:1]]
+        text = "; ".join([f"Validation: {outcome_text(self)}", *first])
+        return f"<{shorten(text, PYTEST_CHARACTERS - 2, placeholder=WHOLE)}>"
 
 
 def validate_scene(

@@ -8,7 +8,7 @@ from math import isfinite
 from textwrap import wrap
 from urllib.parse import quote
 
-from caster.system.terminal import printable
+from caster.system.terminal import BELOW_NAME, LINE_CHARACTERS, folded, printable
 from mitsuba_ref.error_model.tolerances import MEASURED_FOR
 from mitsuba_ref.judge.classification import EXACT
 from mitsuba_ref.judge.defect_lookup import defect_name
@@ -28,7 +28,7 @@ from mitsuba_ref.judge.verdict import (
     Verdict,
 )
 from mitsuba_ref.report.reproducers import replay
-from mitsuba_ref.report.results import BELOW_NAME, LINE_CHARACTERS, folded, percent, plural
+from mitsuba_ref.report.results import percent, plural
 
 LEGEND = "hit, agree: pixels; worst: the largest error as a share of its bound; s: seconds"
 COLUMNS = ("hit", "agree", "worst", "s", "other pixels")
@@ -59,7 +59,8 @@ def row_cells(scene: SceneVerdict) -> tuple[str, ...]:
     classes = [f"{count} {name}" for name, count in spoken_counts(scene).items() if name != AGREE]
     covered = [scene.coverage.brief] if scene.coverage and scene.coverage.partial else []
     others = ", ".join([*covered, *classes])
-    return str(scene.hit_pixels), str(scene.counts[AGREE]), worst, seconds, others
+    pixels = ("-", "-") if scene.problem else (str(scene.hit_pixels), str(scene.counts[AGREE]))
+    return *pixels, worst, seconds, others or ("no answer" if scene.problem else "")
 
 
 def _line(mark: str, name: str, width: int, cells: Sequence[str]) -> str:
@@ -69,11 +70,16 @@ def _line(mark: str, name: str, width: int, cells: Sequence[str]) -> str:
 
 def spoken_counts(*scenes: SceneVerdict) -> dict[str, int]:
     """Pixels of each class that occurs, for readers; those with the symptom of wrong ones are called wrong as well."""
-    counts = {class_text(name): sum(scene.counts[name] for scene in scenes) for name in CLASSES}
+    counts = {name: sum(counts_shown(scene)[name] for scene in scenes) for name in CLASSES}
     alike = sum(scene.not_adjudicated for scene in scenes)
-    undecided = counts.pop(UNDECIDED) - alike
-    counts |= {f"{WRONG} ({SAME_SYMPTOM})": alike, UNDECIDED: undecided}
-    return {name: count for name, count in counts.items() if count}
+    looked_at = f" ({counts[WRONG] - alike} of them looked at)" if alike else ""
+    return {f"{class_text(name)}{looked_at if name == WRONG else ''}": n for name, n in counts.items() if n}
+
+
+def counts_shown(scene: SceneVerdict) -> dict[str, int]:
+    """Pixels of each class; those with the symptom of wrong ones, which were not adjudicated, count as wrong."""
+    alike = scene.not_adjudicated
+    return scene.counts | {WRONG: scene.counts[WRONG] + alike, UNDECIDED: scene.counts[UNDECIDED] - alike}
 
 
 def class_text(name: str) -> str:
@@ -132,7 +138,7 @@ def pixel_failure(scene: SceneVerdict, check: str) -> str:
 
 def _ratio_and_place(scene: SceneVerdict, worst: Failure) -> str:
     far = f"{'' if scene.candidate else 'worst '}{worst.ratio:.3g}x its bound at"
-    return f"{far if math.isfinite(worst.ratio) else 'such as'} {scene.place(worst.x, worst.y)}"
+    return f"{far if 0.0 < worst.ratio < math.inf else 'such as'} {scene.place(worst.x, worst.y)}"
 
 
 def _answers(scene: SceneVerdict, worst: Failure, report: str = "", said: str = "") -> Iterator[str]:
@@ -178,8 +184,9 @@ def summary_lines(verdict: Verdict) -> Iterator[str]:
     shares = [f"{count} {name} ({percent(count, total)})" for name, count in counts.items()]
     exact_seconds = sum(scene.exact_seconds for scene in verdict.scenes if not scene.kept)
     yield from waiver_lines(verdict)
-    yield f"hit pixels: {', '.join(shares)}"
-    yield f"exact:      {verdict.adjudicated} pixels were adjudicated by exact arithmetic, in {exact_seconds:.1f} s"
+    if not all(scene.problem for scene in verdict.scenes):
+        yield f"hit pixels: {', '.join(shares)}"
+        yield f"exact:      {verdict.adjudicated} pixels were adjudicated by exact arithmetic, in {exact_seconds:.1f} s"
     yield from candidate_lines(verdict)
     yield from _note_lines(verdict)
     yield from (f"reference:  {versions}" for versions in verdict.versions)

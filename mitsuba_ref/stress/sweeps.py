@@ -10,8 +10,9 @@ import numpy as np
 from pydantic import computed_field
 from pydantic.dataclasses import dataclass
 
+from caster.system.terminal import folded
 from mitsuba_ref.hard.family import Family
-from mitsuba_ref.report.results import NOTHING, aligned, folded
+from mitsuba_ref.report.results import NOTHING, aligned
 from mitsuba_ref.stress import score
 from mitsuba_ref.stress.score import (
     BESIDE_CANDIDATE,
@@ -223,13 +224,13 @@ def as_text(sweep: SweepResult, skip_unsupported: bool = False) -> str:
     """The table of a sweep with breakdowns and failures; one line if everything was declined."""
     if sweep.declined:
         mark, why = "SKIP" if skip_unsupported else "FAIL", sweep.declined.partition("\n")[0]
-        return f"{mark}  {sweep.name}: {sweep.title}; the candidate declined every setting: {why}"
+        return folded(f"{mark}  {sweep.name}: {sweep.title}; the candidate declined every setting: {why}")
     mark = "PASS" if sweep.ok else "FAIL"
     head = f"{mark}  {sweep.name}: {sweep.title}   {sweep.seconds:.1f} s"
     about = f"x: {sweep.quantity}\nof each caster: {sweep.error}, !: beyond its bound; wrong hits and misses"
     (_, *names), *settings = rows(sweep)
-    problems = (folded(f"FAIL  {line}") for line in sweep.problems)
-    return "\n".join([head, about, *aligned([["x", *names], *settings]), *footnotes(sweep), *problems])
+    problems = (f"FAIL  {line}" for line in sweep.problems)
+    return folded("\n".join([head, about, *aligned([["x", *names], *settings], step=2), *footnotes(sweep), *problems]))
 
 
 def rows(sweep: SweepResult) -> list[list[str]]:

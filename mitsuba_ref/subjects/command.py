@@ -58,15 +58,15 @@ def split_command(text: str, placeholders: Sequence[str]) -> tuple[tuple[str, ..
     try:
         words = shlex.split(text)
     except ValueError as error:
-        raise SceneError(f"--candidate {text!r}: {error}") from error
+        raise SceneError(str(error)) from error
     if not words:
-        raise SceneError(f"--candidate {text!r}: expected a program and its arguments, got blanks alone")
+        raise SceneError("expected a program and its arguments, got blanks alone")
     named = frozenset(PLACEHOLDER.findall(text))
     if unknown := named - set(placeholders):
         known = ", ".join(f"{{{name}}}" for name in placeholders)
-        raise SceneError(f"--candidate {text!r}: {{{min(unknown)}}} stands for nothing; known are {known}")
+        raise SceneError(f"{{{min(unknown)}}} stands for nothing; known are {known}")
     if shutil.which(words[0]) is None:
-        raise SceneError(f"--candidate {text!r}: there is no program '{words[0]}' to run")
+        raise SceneError(f"there is no program '{words[0]}' to run")
     return tuple(words), named
 
 

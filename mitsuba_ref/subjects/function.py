@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from caster.description.errors import SceneError
+from caster.description.errors import SceneError, suggestion
 from caster.scene.model import Scene
 from mitsuba_ref.reference.shared_input import packed_float32
 from mitsuba_ref.subjects.ray_files import HIT_ARRAYS, answer_of_numbered_hits
@@ -47,17 +47,17 @@ def import_function(text: str, precision: str | None = None) -> "FunctionSubject
         raise
     except ModuleNotFoundError as error:
         if not f"{module}.".startswith(f"{error.name}."):  # one that the module imports
-            raise SceneError(f"--candidate {text}: cannot import {module}: {_exception_with_calls(error)}") from error
+            raise SceneError(f"cannot import {module}: {_exception_with_calls(error)}") from error
         where = f"{here}, then among the installed packages and in PYTHONPATH"
-        raise SceneError(f"--candidate {text}: there is no module {module}: looked in {where}") from error
+        raise SceneError(f"there is no module {module}: looked in {where}") from error
     except BaseException as error:  # also SystemExit, which would end the program with its own exit code
-        raise SceneError(f"--candidate {text}: cannot import {module}: {_exception_with_calls(error)}") from error
+        raise SceneError(f"cannot import {module}: {_exception_with_calls(error)}") from error
     for name in path.split("."):
         if not hasattr(found, name):
-            raise SceneError(f"--candidate {text}: {module} has no '{path}'")
+            raise SceneError(f"{module} has no '{path}'{suggestion(name, dir(found))}")
         found = getattr(found, name)
     if not callable(found):
-        raise SceneError(f"--candidate {text}: expected a function, got {type(found).__name__}")
+        raise SceneError(f"expected a function, got {type(found).__name__}")
     return function_subject(found, text, precision)
 
 

@@ -1,11 +1,12 @@
 """Requests to a subject: the rays of a scene, in the values that Mitsuba traces."""
 
+import re
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from caster.description.errors import SceneError
+from caster.description.errors import SceneError, error_prefix
 from caster.geometry.packing import Packed
 from caster.image.exr import read_exr
 from caster.scene.model import Scene
@@ -110,6 +111,11 @@ def parse_candidate(
     """
     if precision not in (None, *PRECISIONS):
         raise SceneError(f"--candidate-precision: expected {' or '.join(PRECISIONS)}, got {precision!r}")
+    with error_prefix(f"--candidate{'-serve' if served else ''} {text!r}"):
+        return _parsed(text, precision, seconds, served)
+
+
+def _parsed(text: str, precision: str | None, seconds: float, served: bool) -> Subject:
     if served:
         return ServedCommand(text, split_command(text, ())[0], precision, seconds)
     if FUNCTION_PATTERN.fullmatch(text):
@@ -118,19 +124,24 @@ def parse_candidate(
         if text.lower().endswith(".exr"):
             return ExrFile(text, read_exr(text), precision)
         raise SceneError(
-            f"--candidate {text!r}: expected package.module:function, or a command such as "
-            "'my-renderer {xml} -o {exr}' ({toml} in place of {xml} for our scene file), or an image, .exr"
+            f"expected package.module:function{_function_in(text)}, or a command such as 'my-renderer {{xml}} -o "
+            "{exr}' ({toml} in place of {xml} for our scene file), or an image, .exr"
         )
     words, named = split_command(text, (*PLACEHOLDERS, *RAY_PLACEHOLDERS))
     if named & {"rays", "hits", "mesh"}:
         if not {"rays", "hits"} <= named <= set(RAY_PLACEHOLDERS):
             raise SceneError(
-                f"--candidate {text!r}: expected {{rays}}, the file to read, {{hits}}, that to write, and at most "
-                "{mesh} and {scene} beside them"
+                "expected {rays}, the file to read, {hits}, that to write, and at most {mesh} and {scene} beside them"
             )
         return RayCommand(text, words, precision, seconds)
     if "exr" not in named or not named & {"xml", "toml"} or not named <= set(PLACEHOLDERS):
-        raise SceneError(
-            f"--candidate {text!r}: expected {{exr}}, the file to write, and {{xml}} or {{toml}}, the scene"
-        )
+        raise SceneError("expected {exr}, the file to write, and {xml} or {toml}, the scene")
     return CommandSubject(text, words, precision, seconds)
+
+
+def _function_in(text: str) -> str:
+    """The end of a message about the name of a module or its file: a function that is in it."""
+    file = Path(f"{text.removesuffix('.py').replace('.', '/')}.py")
+    functions = re.findall(r"^def (\w+)", file.read_text(errors="replace"), re.MULTILINE) if file.is_file() else []
+    name = "trace" if "trace" in functions else "".join(functions[-1:])
+    return f", did you mean '{'.'.join(file.with_suffix('').parts)}:{name}'?" if name else ""

@@ -116,7 +116,7 @@ def parsers() -> dict[tuple[str, str], argparse.ArgumentParser]:
     """Of all commands of both programs."""
     found = {}
     for program, commands in COMMANDS.items():
-        top = build_parser(program, "", commands, (0,))
+        top = build_parser(program, "", commands, {})
         (sub,) = (each for each in top._actions if isinstance(each, argparse._SubParsersAction))
         found |= {(program, name): parser for name, parser in sub.choices.items()}
     return found

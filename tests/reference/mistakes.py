@@ -188,6 +188,8 @@ def scene_of(name: str, folder: Path, width: int = 24, height: int = 18) -> Scen
     if name == "from above":
         camera = {"type": "orthographic", "eye": (0.3, 0.2, 5.0), "direction": (0, 0, -1), "width": 1}
     files = (folder / f"{name}-{i}.obj" for i in range(9))
+    if name == "sphere around":
+        camera = {"type": "fisheye", "eye": (0.3, 0.2, 0.5), "look_at": (0, 0, -9), "fov": 160}
     if name == "far away":
         camera |= {"eye": (4096.3, 0.2, 5.0), "look_at": (4096, 0, 0)}
     shapes = [mesh_file(next(files), *s) if isinstance(s, tuple) else s for s in MADE[name]]
@@ -215,6 +217,7 @@ def grid(z: Any, size: int = 8, x: float = 0.0) -> tuple[Any, Any]:
 MADE = {
     "layers": [{"type": "sphere", "center": (0.2 * i, 0, -i), "radius": 1.0} for i in range(3)],
     "shuffled layers": [{"type": "sphere", "center": (0.2 * i, 0, -i), "radius": 1.0} for i in (0, 2, 1)],
+    "sphere around": [{"type": "sphere", "radius": 3.0}],
     "one-triangle": [([(-1, -1, 0), (1, -1, 0.2), (0, 1, 0.1)], [(0, 1, 2)])],
     "far away": [grid(lambda x, y: 0.3 * x * y + 0.1, x=4096.0)],
     "from above": [grid(lambda x, y: 0.1 * x * y)],
@@ -370,6 +373,12 @@ DEFECTS = [
         answering(lambda s, o, d, t, n: (np.where(np.arange(len(t)) % 60 == 7, np.inf, t), n)),
         FACES,
         "where the ray's number is 7 modulo 60",
+    ),
+    Mistake(
+        "some of fewer rays than pixels lost",
+        answering(lambda s, o, d, t, n: (np.where(np.arange(len(t)) % 5 == 3, np.inf, t), n)),
+        "sphere around",
+        "where the ray's number is 3 modulo 5",
     ),
     Mistake("epsilon too large", edited(determinant_epsilon=5.0), "torus-smooth", "hit along directions 2^40 times"),
     Mistake("near hits lost", edited(t_min=20.0), "torus-smooth", "hit from 1000 times as far"),

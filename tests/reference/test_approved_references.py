@@ -185,7 +185,7 @@ def test_a_reference_that_is_missing_is_a_missing_file_and_no_pass(here, capsys)
     code, out, _ = said(capsys, "check", "scenes")
     assert code == 4 and "FAIL  mesh  refs/mesh.exr: there is no approved image; nothing was checked" in out
     assert "2 scenes: 1 pass, 0 fail, 1 not checked: no image that can be read" in out
-    assert "approve them: mitsuba-ref approve scenes --references refs\n" in out
+    assert "approve them:\nmitsuba-ref approve scenes --references refs\n" in out
     found = json.loads(said(capsys, "check", "scenes", "--json")[1])
     assert not found["ok"] and [scene["exit_code"] for scene in found["scenes"]] == [0, 4]
     (here / "scenes/ball.toml").write_text(BALL.replace("radius = 1.3", "radius = 1.31"))

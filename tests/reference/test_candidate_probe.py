@@ -6,6 +6,7 @@ import shlex
 from pathlib import Path
 
 import candidates
+import mistakes
 import numpy as np
 import pytest
 
@@ -82,7 +83,7 @@ def test_a_factor_on_t_is_reported_in_ulps_and_in_units_of_the_bound(at):
     t = found.says["t"] / (1.0 + 1e-4)
     assert found.witness.off == pytest.approx(1e-4 * t)
     assert found.witness.ulps == pytest.approx(1e-4 * t / np.spacing(t), rel=1e-3)
-    assert re.search(r"beyond its bound: t [\d.]+e\+\d+x$", found.why) and "normal" not in found.why
+    assert re.search(r"beyond its bound: t [\d.]+e\+\d+x\n", found.why) and "normal" not in found.why
     assert found.says["t_hex"] == found.says["t"].hex() and not found.witness.right
 
 
@@ -112,6 +113,13 @@ def test_a_pixel_that_validate_left_out_is_adjudicated(at, send):
     assert found.verdict == WRONG and found.witness.right is False and found.witness.share > 1.0
 
 
+def test_the_question_that_validate_asks_is_repeated(at, tmp_path):
+    """Which epsilon it is, further rays show; and the separator of a cause that is none of a single pixel."""
+    scene = mistakes.scene_of("torus-smooth", tmp_path)
+    found = at(FunctionSubject("blind", mistakes.edited(determinant_epsilon=5.0)), (12, 9), scene)
+    assert found.verdict == WRONG and "\nis an epsilon larger than the determinants of" in found.why
+
+
 def a_miss_is_a_number(scene, o, d):
     t, n = candidates.ours(scene, o, d)
     return np.where(np.isfinite(t), t, 1e30), n
@@ -119,7 +127,7 @@ def a_miss_is_a_number(scene, o, d):
 
 def test_a_number_in_the_place_of_a_miss_is_reported_by_the_other_rays(at):
     found = at(a_miss_is_a_number, MISS)
-    assert found.verdict == WRONG and found.why == "t is 1e+30 where nothing is hit; a miss has t inf"
+    assert found.verdict == WRONG and found.why.splitlines()[0] == "t is 1e+30 where nothing is hit; a miss has t inf"
     assert at(a_miss_is_a_number).ok
 
 

@@ -8,6 +8,7 @@ import pytest
 import caster
 from caster.__main__ import main as caster_main
 from caster.image.channels import write_render
+from caster.system.terminal import COMMAND
 from mitsuba_ref.__main__ import main as judge_main
 from mitsuba_ref.reference import variants
 
@@ -74,15 +75,18 @@ MISTAKES = [
     ("mitsuba-ref probe scene.toml 16 0", 2, "pixel (16, 0): outside the film, expected 0 <= x < 16"),
     ("mitsuba-ref check scene.toml --references none", 4, "none/scene.exr", "mitsuba-ref approve"),
     ("mitsuba-ref validate scene.toml -k 'tea and'", 2, "-k 'tea and': expected parts of names with and, or, not"),
-    ("mitsuba-ref compare scene.toml a.exr", 4, "scene.toml: expected an EXR image, got a file that starts with"),
-    ("mitsuba-ref compare a.png a.exr", 4, "a.png: expected an EXR image, got a file that starts with"),
+    ("mitsuba-ref compare scene.toml a.exr", 4, "scene.toml: expected an EXR image, got a file that starts with '[fi"),
+    ("mitsuba-ref compare a.png a.exr", 4, "a.png: expected an EXR image, got a file that starts with 'PNG'"),
+    ("caster render scene.toml b.exr", 2, "unrecognized arguments: b.exr; an output follows -o, as in -o b.exr"),
     ("mitsuba-ref compare a.exr small.exr", 3, "size: ours is 16 x 12, the reference 8 x 6", "render both at one size"),
+    ("mitsuba-ref compare a.exr small.exr --html page", 3, "report: none, as nothing could be compared"),
     (
         "mitsuba-ref validate scene.toml --candidate beginners:raises",
         1,
         "RuntimeError: no such shape",
         "beginners.py:4",
         "replay:",
+        "FAIL scene - - - 0.",
     ),
     ("mitsuba-ref validate scene.toml --candidate beginners:two", 1, "2 positional arguments", "function(scene, o, d)"),
     ("mitsuba-ref validate scene.toml --candidate beginners:one", 1, "two arrays (t, n)", "one array of shape (192,)"),
@@ -90,18 +94,23 @@ MISTAKES = [
     ("mitsuba-ref validate scene.toml --candidate numpy:trace", 1, "TypeError", "called as function(scene, o, d)"),
     ("mitsuba-ref validate scene.toml --candidate nope:trace", 2, "no module nope", "looked in {here}", "PYTHONPATH"),
     ("mitsuba-ref validate scene.toml --candidate beginners:nope", 2, "beginners has no 'nope'"),
+    ("mitsuba-ref validate scene.toml --candidate beginners:raise", 2, "no 'raise', did you mean 'raises'?"),
+    ("mitsuba-ref validate scene.toml --candidate beginners", 2, "module:function, did you mean 'beginners:short'?"),
+    ("mitsuba-ref validate scene.toml --candidate mine.py", 2, "module:function, did you mean 'mine:trace'?"),
     ("mitsuba-ref validate scene.toml --candidate trace", 2, "expected package.module:function, or a command such as"),
+    ("mitsuba-ref validate scene.toml --candidate-serve ./no", 2, "--candidate-serve './no': there is no program"),
     ("mitsuba-ref validate scene.toml --candidate './nosuch {xml} {exr}'", 2, "there is no program './nosuch' to run"),
     ("mitsuba-ref validate scene.toml --out /proc/x", 4, "/proc/x"),
     ("caster render scene.toml -o /proc/x/a.exr", 4, "cannot write", "/proc"),
     ("mitsuba-ref validate mesh.toml", 4, "missing.ply", "--mesh-dir"),
-    ("mitsuba-ref validate", 4, "scenes: expected a scene file or a folder of them", "--builtin triangles"),
+    ("mitsuba-ref validate", 4, "none is named, and there is no folder 'scenes' here", "--builtin triangles"),
     ("mitsuba-ref validate empty", 5, "no scene file in empty", "--builtin triangles"),
     ("mitsuba-ref validat scene.toml", 2, "'validat', did you mean 'validate'?"),
     ("caster rendr scene.toml", 2, "'rendr', did you mean 'render'?"),
     ("mitsuba-ref validate scene.toml --siz 8 8", 2, "unrecognized arguments: --siz 8 8, did you mean '--size'?"),
     ("mitsuba-ref validate --builtin triangels", 2, "'triangels', did you mean 'triangles'?", "spheres"),
     ("mitsuba-ref validate builtin:needels", 2, "builtin:needels", "did you mean 'needles'?"),
+    ("mitsuba-ref docs internals", 2, "no page 'internals'", "in that folder are internals/adding-a-shape, "),
     ("mitsuba-ref probe 8 6 scene.toml", 2, "expected SCENE X Y in this order, such as scene.toml 160 120"),
 ]
 NEED_MITSUBA = [
@@ -118,6 +127,11 @@ NEED_MITSUBA = [
 
 
 @pytest.fixture
+def whole_messages():
+    """Messages are folded here, as a user sees them."""
+
+
+@pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("empty").mkdir()
@@ -125,6 +139,7 @@ def folder(tmp_path, monkeypatch):
         ("scene.toml", SCENE),
         ("typos.toml", SIX_TYPOS),
         ("beginners.py", CANDIDATES),
+        ("mine.py", "def helper(): ...\ndef trace(scene, o, d): ...\n"),
         ("a.png", "PNG"),
     ):
         Path(name).write_text(text)
@@ -143,7 +158,10 @@ def answer(line: str, capsys) -> tuple[int, str]:
 
     program, *words = shlex.split(line)
     code = (caster_main if program == CASTER else judge_main)(words)
-    return code, " ".join("".join(capsys.readouterr()).split())
+    text = "".join(capsys.readouterr())
+    wide = [each for each in text.splitlines() if len(each) > 80 and len(each.split()) > 1]
+    assert [each for each in wide if not COMMAND.match(each) and each.strip() not in SCENE] == []
+    return code, " ".join(text.split())
 
 
 @pytest.mark.parametrize(("line", "code", "parts"), [(line, code, parts) for line, code, *parts in MISTAKES])

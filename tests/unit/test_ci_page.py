@@ -16,8 +16,8 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs/ci.md").read_text(encoding="utf-8")
 PAGES = [ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("docs/recipes/*.md")]
 PARSERS = {
-    "caster": application.build_parser("caster", "", CASTER, ()),
-    "mitsuba-ref": application.build_parser("mitsuba-ref", "", JUDGE, ()),
+    "caster": application.build_parser("caster", "", CASTER, {}),
+    "mitsuba-ref": application.build_parser("mitsuba-ref", "", JUDGE, {}),
 }
 SECRET = re.compile(r"\$\{\{ *([\w.]+)[^}]*\}\}")  # an expression of GitHub's
 

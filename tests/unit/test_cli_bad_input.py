@@ -66,7 +66,7 @@ def test_a_bad_scene_is_refused_with_its_line_by_every_command(folder, capsys, w
     said = refused(capsys, code, "render", "s.toml")
     assert said.startswith("s.toml" + message)
     assert refused(capsys, code, "probe", "s.toml", "0", "0") == said
-    assert main(["check", "s.toml"]) == code and capsys.readouterr().out == said
+    assert main(["check", "s.toml"]) == code and capsys.readouterr().out.split() == said.split()
     assert not (folder / "s.exr").exists()
 
 

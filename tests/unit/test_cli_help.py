@@ -41,7 +41,7 @@ def test_help_of_each_command_fits_a_terminal_and_has_an_example_that_it_accepts
         printed = capsys.readouterr().out.splitlines()
         assert max(map(len, printed)) <= 80 and f"  {command.example}" in printed
         name, *words = shlex.split(command.example.partition(" > ")[0])
-        parser = build_parser(program, "", commands, (), [command.name])
+        parser = build_parser(program, "", commands, {}, [command.name])
         assert name == program and parser.parse_args(words).run
 
 

@@ -17,7 +17,8 @@ DOCS = ROOT / "docs"
 @pytest.fixture
 def pager(tmp_path, monkeypatch):
     """A terminal of 60 columns, whose pager writes into this file."""
-    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    for stream in (sys.stdin, sys.stdout):
+        monkeypatch.setattr(stream, "isatty", lambda: True)
     monkeypatch.setenv("COLUMNS", "60")
     monkeypatch.setenv("PAGER", f"cat > '{tmp_path}/page'")
     return tmp_path / "page"
@@ -45,8 +46,8 @@ def test_a_terminal_gets_it_formatted_by_the_pager(pager, monkeypatch):
     assert max(map(len, text.splitlines())) == 60 and text != formatted
 
 
-def test_without_a_pager_it_is_printed(pager, monkeypatch, capsys):
-    monkeypatch.setenv("PAGER", "")
+def test_without_a_keyboard_for_a_pager_it_is_printed(pager, monkeypatch, capsys):
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: False)
     assert main(["docs", "concepts"]) == 0
     assert "From a difference to a class" in capsys.readouterr().out and not pager.exists()
 

@@ -209,8 +209,8 @@ def test_a_missing_file_is_file_missing(tmp_path):
     ("content", "words"),
     [
         (b"", "empty (0 bytes)"),
-        (b"P6 2 2 255\n............", "starts with b'P6 2'"),
-        (b"v/1", "starts with b'v/1'"),
+        (b"P6 2 2 255\n............", "starts with 'P6 2'"),
+        (b"v/1", "starts with 'v/1'"),
         (b"v/1\x01", "truncated"),
         (b"v/1\x01\x02\0\0\0", "truncated"),
         (b"v/1\x01\x02\x08\0\0channels", "deep"),

@@ -24,7 +24,7 @@ NUMBERS = {int, float}
 
 def parsers() -> Iterator[tuple[str, str, argparse.ArgumentParser]]:
     for program, (_, commands) in PROGRAMS.items():
-        top = build_parser(program, "", commands, (0,))
+        top = build_parser(program, "", commands, {})
         (sub,) = (each for each in top._actions if isinstance(each, argparse._SubParsersAction))
         yield from ((program, name, parser) for name, parser in sub.choices.items())
 

@@ -13,7 +13,6 @@ from caster.__main__ import main
 from caster.rendering.images import render_film
 from caster.system import terminal as progress
 from caster.system.terminal import QUIET_SECONDS, REFRESH_SECONDS, ProgressBar, StatusLine
-from mitsuba_ref.cli import options
 
 SCENE = """
 [film]
@@ -142,9 +141,9 @@ def test_without_a_terminal_work_goes_on_and_nothing_is_drawn(monkeypatch, strea
 
 
 def sweeping():
-    said = options.Progress("1/22 scale")
-    said("m" * 50)
-    return said.clear
+    line = StatusLine()
+    line.about("1/22 scale")("m" * 50)
+    return line.erase
 
 
 def fuzzing():

@@ -34,7 +34,7 @@ def run(args):
         finally:
             Path("kept").touch()
 sys.modules["command"] = sys.modules["__main__"]
-main("program", "", [Command("go", "", "command")], (0,), None)
+main("program", "", [Command("go", "", "command")], {}, None)
 """
 
 

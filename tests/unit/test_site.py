@@ -6,6 +6,9 @@ from pathlib import Path
 
 import pytest
 
+import caster
+import mitsuba_ref
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -45,3 +48,11 @@ def test_the_page_of_a_command_has_every_option(site, tmp_path):
             page = (tmp_path / f"commands/{program}-{name}.md").read_text()
             missing = [each for action in parser._actions for each in action.option_strings if f"`{each}" not in page]
             assert not missing, f"{program} {name}"
+
+
+def test_the_api_page_of_the_site_has_a_directive_for_each_public_name(site):
+    text = site.api.reference()
+    for package, names in (("caster", caster.__all__), ("mitsuba_ref", mitsuba_ref.__all__)):
+        missing = [name for name in names if f"{package}.{name}\n" not in text and not name.startswith("_")]
+        assert not missing, package
+    assert "- `Vec3`: 3 numbers\n" in text and "::: caster.rendering.hits.cast\n" in text

@@ -10,8 +10,9 @@ import pytest
 from verdict_factory import scene as made
 
 from caster.scene.files import load_scene
+from caster.system.terminal import folded
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, EXPLAINED, REFERENCE_WRONG, TIE, UNDECIDED, WRONG
-from mitsuba_ref.report.results import folded, print_lines
+from mitsuba_ref.report.results import aligned, print_lines
 from mitsuba_ref.report.validation import validate_scene
 from mitsuba_ref.report.verdict_text import LEGEND, class_text, failure_text, table_head, table_row
 from mitsuba_ref.subjects.function import FunctionSubject
@@ -111,3 +112,13 @@ def test_printed_lines_fit_80_columns_but_for_commands_and_paths_and_keep_every_
     assert lines[-1] == "short"
     below = [folded(line).splitlines()[1] for line in text.splitlines()[:3]]
     assert [len(line) - len(line.lstrip()) for line in below] == [6, 17, 11]  # below the scene, or the label's text
+
+
+def test_a_table_that_is_too_wide_continues_below_with_its_groups_of_columns_whole():
+    titles = ["x", *(f"{name}{i}" for i in range(7) for name in ("caster number ", "wrong "))]
+    lines = aligned([titles, ["1e-20", *map(str, range(14))], ["2", "did not run"]], step=2)
+    tables = "\n".join(lines).split("\n\n")
+    assert max(map(len, lines)) <= 80 and lines[2].split() == ["2", "did", "not", "run"] and len(tables) > 2
+    numbers = [row.split() for row in (each.splitlines()[1] for each in tables)]
+    assert {row[0] for row in numbers} == {"1e-20"} and all(len(row) % 2 for row in numbers)
+    assert [cell for row in numbers for cell in row[1:]] == [*map(str, range(14))]

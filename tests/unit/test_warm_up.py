@@ -68,7 +68,7 @@ def test_a_command_reports_once_that_it_compiles():
     with compilation_reported(stream):
         for _ in range(3):
             decorators.COMPILATION_LOG.compiling("a kernel")
-    assert stream.getvalue().startswith("compiling kernels, once: ") and "doctor --warm" in stream.getvalue()
+    assert stream.getvalue().startswith("compiling kernels, once, ") and "doctor --warm" in stream.getvalue()
     assert stream.getvalue().count("\n") == 1
 
 
@@ -97,7 +97,7 @@ def test_every_command_reports_it(capsys, monkeypatch):
         parser.set_defaults(run=lambda args: decorators.COMPILATION_LOG.compiling("a kernel") or 0)
 
     monkeypatch.setattr(application.Command, "load", load)
-    assert application.main("program", "about", [application.Command("go", "", "")], [0], ["go"]) == 0
+    assert application.main("program", "about", [application.Command("go", "", "")], {}, ["go"]) == 0
     assert capsys.readouterr().err.startswith("compiling kernels, once")
 
 

@@ -61,12 +61,6 @@ def scaled(s: float, a: Vec3) -> Vec3:
 
 
 @jit
-def component_min(a: Vec3, b: Vec3) -> Vec3:
-    """The minimum of each component."""
-    return min(a[0], b[0]), min(a[1], b[1]), min(a[2], b[2])
-
-
-@jit
 def component_max(a: Vec3, b: Vec3) -> Vec3:
     return max(a[0], b[0]), max(a[1], b[1]), max(a[2], b[2])
 

@@ -7,7 +7,13 @@ import numpy as np
 
 from caster.geometry.packing import Packed
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, row_distance
-from mitsuba_ref.error_model.intersections import dot, row_groups, stacked_columns, without_float_warnings
+from mitsuba_ref.error_model.intersections import (
+    dot,
+    row_groups,
+    stacked_columns,
+    without_float_warnings,
+    without_overflow_warnings,
+)
 from mitsuba_ref.error_model.scene_model import kinds_of
 from mitsuba_ref.error_model.tolerances import BIASED_PIXELS, KU, LARGEST_T_BIAS, LARGEST_Z, MIN_GROUPS, U32, K
 from mitsuba_ref.judge.checks import CANDIDATE, OURS, Found, check
@@ -127,7 +133,7 @@ def _errors_of_kinds(
     return found
 
 
-@without_float_warnings
+@without_overflow_warnings
 def position_shares(
     terms: PositionTerms, prims: Any, k: np.ndarray, at: np.ndarray, pair: ImagePair, bounds: Bounds
 ) -> np.ndarray:

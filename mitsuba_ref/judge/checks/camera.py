@@ -6,7 +6,7 @@ from caster.rendering.images import camera_rays
 from caster.scene.model import Scene
 from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import camera_axes, no_sensor
-from mitsuba_ref.error_model.intersections import dot, norm, without_float_warnings
+from mitsuba_ref.error_model.intersections import dot, norm, without_float_warnings, without_overflow_warnings
 from mitsuba_ref.error_model.tolerances import CAMERA_ROUNDINGS, KU, KU_OURS
 from mitsuba_ref.judge.checks import Found, check, worst_pixel
 from mitsuba_ref.reference.rendering import ReferenceResult
@@ -52,7 +52,7 @@ def _on_rim(scene: Scene, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 @check(scope="window", camera=True)
-@without_float_warnings
+@without_overflow_warnings
 def check_sensor(scene: Scene, result: ReferenceResult) -> Found:
     """Compare our rays with those of Mitsuba's own sensor: the same line, and depth that starts on the near plane."""
     sensor = result.answer.sensor.astype(np.float64)

@@ -17,7 +17,7 @@ from caster.rendering.images import camera_rays
 from caster.scene.model import Film, Scene
 from mitsuba_ref.error_model.bounds import error_over_bound as ratio_of
 from mitsuba_ref.error_model.bounds import t_bounds
-from mitsuba_ref.error_model.intersections import without_float_warnings
+from mitsuba_ref.error_model.intersections import without_overflow_warnings
 from mitsuba_ref.hard.rays import ALL_AIMS, Aim, Frame, RayBatch, Targets, aimed_rays
 from mitsuba_ref.judge.checks import OURS, Found, check
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
@@ -48,7 +48,7 @@ def nearest_hits(packed: Packed, t: np.ndarray, shape: np.ndarray, prim: np.ndar
     return NearestHits(t, np.where(shape < 0, -1, within).astype(np.int64))
 
 
-@without_float_warnings
+@without_overflow_warnings
 def cast_by_culling(packed: Packed, rays: RayBatch, culling: Culling) -> NearestHits:
     """Cast rays by a given culling, with directions scaled as caster.cast scales them."""
     given = validated_rays(rays.o, rays.d, 0.0, np.inf)._replace(t_min=rays.t_min, t_max=rays.t_max)
@@ -61,7 +61,7 @@ def cast_by_culling(packed: Packed, rays: RayBatch, culling: Culling) -> Nearest
     return found
 
 
-@without_float_warnings
+@without_overflow_warnings
 def with_limits(rng: Rng, rays: RayBatch, found: NearestHits, most: int = LIMITED_RAYS) -> RayBatch:
     """Some of the rays that hit, with t_min or t_max just before, at or beyond the hit."""
     hits = np.flatnonzero((found.prim >= 0) & (found.t > 0.0) & np.isfinite(found.t))

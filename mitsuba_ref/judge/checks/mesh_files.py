@@ -21,7 +21,7 @@ import numpy as np
 from caster.scene.model import Scene
 from caster.shapes.mesh import Mesh
 from mitsuba_ref.error_model.bounds import error_over_bound
-from mitsuba_ref.error_model.intersections import without_float_warnings
+from mitsuba_ref.error_model.intersections import without_float_warnings, without_overflow_warnings
 from mitsuba_ref.error_model.tolerances import FILE_NORMAL_ROUNDINGS, FILE_UV_ROUNDINGS, U32
 from mitsuba_ref.judge.checks import Found, check, worst_share
 from mitsuba_ref.reference.messages import LoadedMesh
@@ -174,7 +174,7 @@ def _one_to_one(ours: np.ndarray, theirs: np.ndarray) -> float:
     return 0.0 if same else float("inf")
 
 
-@without_float_warnings
+@without_overflow_warnings
 def _same_in_float32(ours: np.ndarray, theirs: np.ndarray) -> float:
     """0 if theirs are ours rounded to float32, where a tie may go either way; else inf."""
     if ours.shape != theirs.shape:

@@ -11,7 +11,7 @@ from caster.geometry.packing import Packed, packed
 from caster.scene.model import Diffuse, Scene
 from mitsuba_ref.error_model.bounds import error_over_bound
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers, transform_error_ratio
-from mitsuba_ref.error_model.intersections import without_float_warnings
+from mitsuba_ref.error_model.intersections import without_overflow_warnings
 from mitsuba_ref.error_model.tolerances import TRANSFORM_ROUNDINGS
 from mitsuba_ref.judge.checks import OURS, Found, check, worst_share
 from mitsuba_ref.reference.originals import original_of
@@ -70,7 +70,7 @@ def _packing_shares(scene: Scene) -> Iterator[tuple[float, str]]:
                 yield share, f"{claim.what} of {name} ({precision.name})"
 
 
-@without_float_warnings
+@without_overflow_warnings
 def unrounded_arrays(part: Any, dtype: str) -> list[str]:
     """Arrays of a packed shape that hold numbers which were not rounded to a type.
 

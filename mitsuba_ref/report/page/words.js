@@ -6,8 +6,8 @@ const CLASS_WORDS = {
   tie: "Several primitives are hit at exactly the same distance, and each side names one of them.",
   reference_wrong: `The reference is wrong by a known defect of its own, and exact arithmetic finds ${THE_JUDGED} right.`,
   out_of_domain: "The numbers are too far apart for float32 to resolve this pixel.",
-  wrong: `Exact arithmetic, or float64 at the surface that is hit, contradicts ${THE_JUDGED}: the scene fails.`,
-  undecided: "Both sides differ, and nothing shows who is right, or the same error was found wrong elsewhere: the scene fails.",
+  wrong: `Exact arithmetic, or float64 at the surface that is hit, contradicts ${THE_JUDGED}, here or at other pixels with the same symptom: the scene fails.`,
+  undecided: "Both sides differ, and nothing shows who is right: the scene fails.",
   unlisted: "The reference is wrong in a way that is no known defect: the scene fails, as its export may be at fault.",
 };
 
