@@ -27,9 +27,13 @@ if TYPE_CHECKING:
     from caster.scene.model import Diffuse as Diffuse
     from caster.scene.model import Directional as Directional
     from caster.scene.model import Film as Film
+    from caster.scene.model import Glass as Glass
+    from caster.scene.model import Mirror as Mirror
     from caster.scene.model import Point as Point
     from caster.scene.model import Scene as Scene
     from caster.scene.model import Shading as Shading
+    from caster.scene.textures import Bitmap as Bitmap
+    from caster.scene.textures import Checkerboard as Checkerboard
     from caster.shapes import *  # noqa: F403 - a registry, whatever is in it
 
 __version__ = "0.1.0"
@@ -50,6 +54,10 @@ _HOMES = {
     "Shading": "caster.scene.model",
     "Check": "caster.scene.model",
     "Diffuse": "caster.scene.model",
+    "Glass": "caster.scene.model",
+    "Mirror": "caster.scene.model",
+    "Checkerboard": "caster.scene.textures",
+    "Bitmap": "caster.scene.textures",
 }
 _REGISTRIES = {"caster.shapes": "SHAPES", "caster.cameras": "CAMERAS", "caster.scene.model": "LIGHTS"}
 

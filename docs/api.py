@@ -23,7 +23,7 @@ GROUPS = (
         "Casting and rendering",
         ("load_scene", "render", "Aovs", "cast", "occluded", "Hits", "read_exr", "Exr", "write_exr", "SceneError"),
     ),
-    ("Scenes", ("Scene", "Film", "Shading", "Check", "Diffuse")),
+    ("Scenes", ("Scene", "Film", "Shading", "Check", "Diffuse", "Checkerboard", "Bitmap")),
 )
 PROGRAMS = Path(__file__).with_name("programs")
 REGISTRIES = (
@@ -43,6 +43,8 @@ KINDS = {
     "NonNegative": "number >= 0",
     "RGB": "3 numbers >= 0",
     "Reflectance": "3 numbers from 0 to 1",
+    "AnyReflectance": "3 numbers from 0 to 1, `caster.Checkerboard` or `caster.Bitmap`",
+    "tuple[tuple[Reflectance, ...], ...]": "(h, w, 3) numbers from 0 to 1",
     "FieldOfView": "number, 0 to 180, both excluded",
     "WideFieldOfView": "number, 0 (excluded) to 360",
     "Flag": "bool",
@@ -65,7 +67,7 @@ KINDS = {
     "tuple[Vec2, Vec2, Vec2]": "3 pairs of numbers",
     "tuple[AnyLight, ...]": "lights",
     "tuple[AnyShape, ...]": "shapes",
-    "dict[Name, Diffuse]": "`caster.Diffuse` by name",
+    "dict[Name, AnyMaterial]": "`caster.Diffuse`, `caster.Mirror` or `caster.Glass` by name",
     "dict[str, Check]": "`caster.Check` by AOV",
 }
 LENGTHS, PIXELS, DEGREES = "scene units", "pixels", "degrees"

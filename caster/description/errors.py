@@ -76,7 +76,7 @@ def join_words(names: Iterable[str], last: str = "or") -> str:
     return f"{', '.join(most)} {last} {end}" if most else end
 
 
-def field_error(text: str, *path: str, missing_file: bool = False) -> PydanticCustomError:
+def field_error(text: str, *path: str | int, missing_file: bool = False) -> PydanticCustomError:
     """The error that a validator raises. The text continues after the field's name: 'must be ...'.
 
     path: to the field, where the validator is of the whole description. missing_file: a file is missing or unreadable.
@@ -180,12 +180,20 @@ def _path_of(finding: Any, data: Any) -> DataPath:
     """Pydantic's error location without steps that the data does not have, such as the `type` of each union member."""
     path: DataPath = ()
     here, element = data, None  # element: the path whose `type` was left out
+
+    def is_default(step: str | int, table: Any) -> bool:
+        """Whether the step is a `type` that the table leaves out, not one of its keys."""
+        return isinstance(table, Mapping) and isinstance(step, str) and step not in table
+
     for k, step in enumerate(finding["loc"]):
-        is_type = child_of(here, "type") == step and element != path
+        kind = child_of(here, "type")
+        is_type = (kind == step or (kind is None and k > 1 and is_default(step, here))) and element != path
         if is_type and (k < len(finding["loc"]) - 1 or finding["type"] != "extra_forbidden"):
             element = path
         elif isinstance(step, int) and isinstance(here, Mapping):
             continue  # a single table in place of a list
+        elif isinstance(step, str) and isinstance(here, (list, tuple)):
+            continue  # the name of a member of a union
         elif isinstance(here, (Mapping, list, tuple)) or hasattr(here, "model_fields_set"):
             path, here = (*path, step), child_of(here, step)
         else:  # a number in place of a vector: the rest is not in the file
@@ -226,7 +234,7 @@ def _diagnostic(
     if kind == "extra_forbidden":
         return value_diagnostic(path, _unknown_key(str(path[-1]), models_at(path[:-1])), data, model)
     if kind.startswith("union_tag"):
-        noun = SINGULAR.get(str(path[0]), str(path[0]))
+        noun = SINGULAR.get(str(path[0]), str(path[0])) if len(path) <= 2 else str(path[-1])
         text = _unknown_type(got, noun, models_at(path))
         return Diagnostic((*path, "type"), _message(path, text, data, model))
     return value_diagnostic(path, _text(kind, got, finding.get("ctx", {})), data, model)

@@ -190,6 +190,7 @@ def _unit(v: tuple[float, float, float]) -> tuple[float, float, float]:
 Number = Annotated[float, Quantity()]
 Positive = Annotated[float, Quantity(gt=0.0)]
 NonNegative = Annotated[float, Quantity(ge=0.0)]
+RefractiveIndex = Annotated[float, Quantity(ge=1.0, le=4.0)]  # germanium's is 4
 Fraction01 = Annotated[float, Quantity(ge=0.0, le=1.0)]
 FieldOfView = Annotated[float, Quantity(gt=0.0, lt=180.0)]  # degrees
 WideFieldOfView = Annotated[float, Quantity(gt=0.0, le=360.0)]  # degrees
@@ -426,6 +427,10 @@ class Shape(Description):
         matrix = matrix_of(self.to_world)
         matrix.flags.writeable = False
         return matrix
+
+    def without_uv(self) -> str:
+        """Why the shape cannot have a texture; "" if it can."""
+        return ""
 
     def pack(self, rounded: Callable[[np.ndarray], np.ndarray]) -> Any:
         """World-space arrays for kernels; `rounded` is applied to each number that defines the geometry."""

@@ -73,6 +73,12 @@ class AffineImages(NamedTuple):
     to_object: np.ndarray  # (n, 3, 3) float64, its inverse
 
 
+def largest_curvature(images: AffineImages) -> np.ndarray:
+    """(n,), a bound on the curvature of images of a unit sphere or cylinder: longest axis / shortest^2."""
+    stretch = np.linalg.svd(images.to_world, compute_uv=False)
+    return stretch[:, 0] / stretch[:, 2] ** 2
+
+
 def affine_arrays(
     center: np.ndarray, linear: np.ndarray, rounded: Rounding
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -149,6 +155,9 @@ class TriangleShape(Shape):
     def is_flat(self) -> bool:
         """Whether normals are those of the faces."""
         return True
+
+    def without_uv(self) -> str:
+        return "" if self.mesh().uv is not None else "its triangles have no uv"
 
     def pack(self, rounded: Rounding) -> Triangles:
         return transform_mesh(self.mesh(), self.matrix, rounded, self.is_flat())

@@ -1,4 +1,4 @@
-"""Reading and writing PNG and TGA files, and text labels. The only module of `caster` that imports Pillow."""
+"""Reading and writing PNG and TGA files, and text labels."""
 
 from __future__ import annotations
 

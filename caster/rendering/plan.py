@@ -50,7 +50,7 @@ def plan(scene: Scene, aovs: Sequence[str], culling: Culling | None = None) -> P
     trees = Step(shadows.runs, "shadow rays traverse them" if shadows.runs else "no ray needs one")
     if chosen == "bvh":
         trees = Step(True, "camera rays traverse them")
-    return Plan(chosen, reason, needs_of(aovs), *_surfaces(aovs, shading), shading, shadows, trees)
+    return Plan(chosen, reason, needs_of(aovs), *_surfaces(scene, aovs, shading), shading, shadows, trees)
 
 
 def culling_for(camera: Any) -> tuple[Culling, str]:
@@ -74,9 +74,11 @@ def _shading(scene: Scene, aovs: Sequence[str]) -> Step:
     return Step(True, f"{' and '.join(lit)} was requested, and {lights} lights come from somewhere")
 
 
-def _surfaces(aovs: Sequence[str], shading: Step) -> tuple[tuple[str, ...], str]:
+def _surfaces(scene: Scene, aovs: Sequence[str], shading: Step) -> tuple[tuple[str, ...], str]:
     """(computed fields, reason)."""
     needs = {aov.NAME: set(aov.NEEDS) for aov in AOVS if aov.NAME in aovs}
+    if any(scene.textures):
+        needs = {name: fields | {"uv"} if fields & {"albedo", "radiance"} else fields for name, fields in needs.items()}
     wanting = [
         name for name, fields in needs.items() if fields & SURFACE_FIELDS or ("normal" in fields and len(fields) > 1)
     ]

@@ -36,11 +36,13 @@ from caster.kernels.raster.tile import (
 )
 from caster.kernels.surface.lighting import add_ambient, add_light, materials_in_tile, shadow_rays_in_tile
 from caster.kernels.surface.per_hit import NO_IDS, PrimitiveIds, new_surface_buffer, surfaces_in_tile, write_aov
+from caster.kernels.surface.texturing import textures_in_tile
 from caster.rendering.casting import exact_nearest
 from caster.rendering.plan import Plan
 from caster.rendering.ray_tiles import TileCaster, TileWorkspace, placed_kinds
 from caster.rendering.threads import unwritten_array
-from caster.scene.model import Diffuse, Scene
+from caster.scene.model import Material, Scene
+from caster.scene.textures import texture_arrays
 
 NO_START = np.empty((0, 0))
 
@@ -78,6 +80,11 @@ class TileShader:
         self._ids = _primitive_ids(packed, plan.needs)
         shaded = packed.kinds and plan.needs & {"albedo", "radiance"}
         self._materials = material_tables(scene, packed) if shaded else None
+        self._textures = None
+        if shaded and any(scene.textures):
+            if "textures" not in scene.derived:
+                scene.derived["textures"] = texture_arrays(scene.textures)
+            self._textures = scene.derived["textures"]
         self._shadow_rays: list[np.ndarray] = []  # one a thread and light: threads only append
         lights = scene.lights if "radiance" in plan.needs and packed.kinds else ()
         pixels = max((math.prod(image.shape[:2]) for image in images.values()), default=0)
@@ -114,6 +121,8 @@ class TileShader:
                 yield command(surfaces_in_tile, *about, wants, when=kind_numbers(k).present)
         if self._materials is not None:
             yield command(materials_in_tile, ws.tile, BOX, *self._materials, ws.surface)
+        if self._textures is not None:
+            yield command(textures_in_tile, ws.tile, BOX, packed.prim_shapes, self._textures, ws.surface)
         for light, caster in self._lights:
             yield from self._add_light(light, caster, ws)
         if len(self._ambient):
@@ -169,12 +178,12 @@ def _primitive_ids(packed: Packed, needs: frozenset[str]) -> PrimitiveIds:
     return PrimitiveIds(shapes if "shape_id" in needs else NO_IDS.shape, numbers if "prim_id" in needs else NO_IDS.prim)
 
 
-def distinct_materials(scene: Scene) -> tuple[list[Diffuse], np.ndarray]:
+def distinct_materials(scene: Scene) -> tuple[list[Material], np.ndarray]:
     """(distinct materials, (shapes,) int32 number of each shape's material)."""
     named = {shape.material: scene.material_of(shape) for shape in scene.shapes}
-    found = {(*material.reflectance, material.two_sided): material for material in named.values()}
+    found = {(*material.color, material.two_sided): material for material in named.values()}
     rows = {key: row for row, key in enumerate(found)}
-    row_of = {name: rows[(*each.reflectance, each.two_sided)] for name, each in named.items()}
+    row_of = {name: rows[(*each.color, each.two_sided)] for name, each in named.items()}
     return list(found.values()), np.array([row_of[shape.material] for shape in scene.shapes], np.int32)
 
 
@@ -182,5 +191,5 @@ def material_tables(scene: Scene, packed: Packed) -> tuple[np.ndarray, np.ndarra
     """(material of each primitive, reflectance (n, 3) of the materials, whether both sides of each are lit (n,))."""
     materials, of_shapes = distinct_materials(scene)
     of_prims = of_shapes[packed.prim_shapes] if len(materials) > 1 else of_shapes[:1]  # which nobody reads
-    reflectance = np.array([material.reflectance for material in materials]).reshape(-1, 3)
+    reflectance = np.array([material.color for material in materials]).reshape(-1, 3)
     return of_prims, reflectance, np.array([material.two_sided for material in materials], bool)

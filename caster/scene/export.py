@@ -68,11 +68,10 @@ def canonical_json(scene: BaseModel, folder: Path | None) -> str:
 
 
 def fingerprint(scene: BaseModel) -> str:
-    """SHA-256 of the canonical JSON, with each mesh file replaced by the SHA-256 of its bytes."""
+    """SHA-256 of the canonical JSON, with each mesh or picture file replaced by the SHA-256 of its bytes."""
     data = scene.model_dump(by_alias=True, exclude_none=True)
-    for shape in data["shape"]:
-        if "file" in shape:
-            shape["file"] = _sha256_of(shape["file"])
+    for element in _with_files(data):
+        element["file"] = _sha256_of(element["file"])
     return hashlib.sha256(_sorted_json(data).encode()).hexdigest()
 
 
@@ -83,6 +82,11 @@ def to_toml(scene: BaseModel, folder: Path | None) -> str:
     for key in {"camera", "light", "shape"} & brief.keys():
         for element, short in zip(_listed(data[key]), _listed(brief[key]), strict=True):
             short["type"] = element["type"]
+    for name, material in brief.get("material", {}).items():
+        kind = data["material"][name]["type"]
+        brief["material"][name] = material if kind == "diffuse" else {"type": kind, **material}
+        if isinstance(texture := material.get("reflectance"), dict):
+            material["reflectance"] = {"type": data["material"][name]["reflectance"]["type"]} | texture
     return format_toml(_named_from(folder, brief))
 
 
@@ -91,10 +95,18 @@ def _listed(value: Any) -> Sequence[Any]:
 
 
 def _named_from(folder: Path | None, data: dict[str, Any]) -> dict[str, Any]:
-    for shape in data.get("shape", ()):
-        if folder is not None and "file" in shape and Path(shape["file"]).is_relative_to(folder):
-            shape["file"] = Path(shape["file"]).relative_to(folder).as_posix()
+    for element in _with_files(data):
+        if folder is not None and Path(element["file"]).is_relative_to(folder):
+            element["file"] = Path(element["file"]).relative_to(folder).as_posix()
     return data
+
+
+def _with_files(data: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """The shapes and textures that name a file."""
+    textures = (material.get("reflectance") for material in data.get("material", {}).values())
+    for element in (*data.get("shape", ()), *textures):
+        if isinstance(element, dict) and "file" in element:
+            yield element
 
 
 def _sorted_json(data: Any) -> str:

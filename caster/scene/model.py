@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeA
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field, PrivateAttr, field_validator, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, PrivateAttr, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from caster.cameras import CAMERAS, Ray
@@ -30,7 +30,7 @@ from caster.description.fields import (
     Flag,
     Name,
     Positive,
-    Reflectance,
+    RefractiveIndex,
     Shape,
     UnitVec3,
     Vec3,
@@ -39,9 +39,10 @@ from caster.description.fields import (
 from caster.description.registry import load_plugins
 from caster.kernels.surface.lighting import DirectionalLight, PointLight
 from caster.scene.export import canonical_json, fingerprint, to_toml
+from caster.scene.textures import AnyReflectance, Texture
 from caster.shapes import SHAPES
 
-__all__ = ["MAX_FILM_SIDE", "Ambient", "Check", "Diffuse", "Film", "Point", "Scene"]
+__all__ = ["MAX_FILM_SIDE", "Ambient", "Check", "Diffuse", "Film", "Glass", "Material", "Mirror", "Point", "Scene"]
 
 # ---- lights and materials ----
 
@@ -81,16 +82,49 @@ LIGHTS = (Point, Directional, Ambient)
 
 
 class Diffuse(Description):
-    """A Lambertian surface that reflects the fraction `reflectance` of incident light.
+    """A Lambertian surface that reflects the fraction `reflectance` of incident light: a colour, or a texture.
 
     A one-sided surface is black where its shading normal points away from the viewer.
     """
 
     type: Literal["diffuse"] = "diffuse"
-    reflectance: Reflectance = (0.5, 0.5, 0.5)
+    reflectance: AnyReflectance = (0.5, 0.5, 0.5)
     two_sided: Flag = False
 
+    @property
+    def texture(self) -> Texture | None:
+        return self.reflectance if isinstance(self.reflectance, Texture) else None
 
+    @property
+    def color(self) -> tuple[float, float, float]:
+        """The reflectance; black in place of a texture."""
+        return (0.0, 0.0, 0.0) if isinstance(self.reflectance, Texture) else self.reflectance
+
+
+class Specular(Description):
+    """A surface that reflects or refracts every ray in one direction, and so has no diffuse light: it is black."""
+
+    model_config = ConfigDict(json_schema_extra={"required": ["type"]})
+    color: ClassVar[tuple[float, float, float]] = (0.0, 0.0, 0.0)
+    texture: ClassVar[None] = None
+    two_sided: ClassVar[bool] = False
+
+
+class Mirror(Specular):
+    """A perfect mirror on both sides."""
+
+    type: Literal["mirror"] = "mirror"
+
+
+class Glass(Specular):
+    """The border of a body with refractive index `ior`, which the normals point out of; outside the index is 1."""
+
+    type: Literal["glass"] = "glass"
+    ior: RefractiveIndex = 1.5
+
+
+Material = Diffuse | Mirror | Glass
+MATERIALS = (Diffuse, Mirror, Glass)
 DEFAULT_MATERIAL = Diffuse()
 
 
@@ -207,12 +241,19 @@ def one_of(registry: Sequence[type[Description]]) -> Any:
     return Annotated[Union[tuple(registry)], Field(discriminator="type")]  # noqa: UP007 - a tuple has no |
 
 
+def _with_type(material: Any) -> Any:
+    """A material without a type is diffuse."""
+    return {"type": "diffuse", **material} if isinstance(material, Mapping) else material
+
+
 if TYPE_CHECKING:
     AnyShape: TypeAlias = Shape
     AnyCamera: TypeAlias = Camera
     AnyLight: TypeAlias = Light
+    AnyMaterial: TypeAlias = Material
 else:
     AnyShape, AnyCamera, AnyLight = one_of(SHAPES), one_of(CAMERAS), one_of(LIGHTS)
+    AnyMaterial = Annotated[one_of(MATERIALS), BeforeValidator(_with_type)]
 
 
 class Scene(Description):
@@ -232,7 +273,7 @@ class Scene(Description):
     film: Film = Film()
     camera: AnyCamera
     lights: tuple[AnyLight, ...] = Field(default=(), alias="light")
-    materials: dict[Name, Diffuse] = Field(default={}, alias="material")
+    materials: dict[Name, AnyMaterial] = Field(default={}, alias="material")
     shapes: tuple[AnyShape, ...] = Field(default=(), alias="shape")
     shading: Shading = Shading()
     checks: dict[str, Check] = Field(default={}, alias="check")
@@ -249,7 +290,7 @@ class Scene(Description):
             film: Film = ...,
             shapes: Iterable[Shape | dict[str, Any]] = (),
             lights: Iterable[Light] = (),
-            materials: Mapping[str, Diffuse] = ...,
+            materials: Mapping[str, Material] = ...,
             shading: Shading = ...,
             checks: Mapping[str, Check] = ...,
         ) -> None: ...
@@ -266,6 +307,10 @@ class Scene(Description):
         if found:
             text = "\n".join(problem.text for problem in found)
             raise PydanticCustomError(CROSS_ELEMENT_ERROR, "{text}", {"text": text})
+        for i, (shape, texture) in enumerate(zip(self.shapes, self.textures, strict=True)):
+            if texture is not None and (reason := shape.without_uv()):
+                text = f"names a material with a texture, but {reason}: give it a colour, or use another shape"
+                raise field_error(text, "shape", i, "material")
         return self
 
     @classmethod
@@ -279,9 +324,14 @@ class Scene(Description):
         """Cache of data computed from the scene, such as packed arrays; not part of the scene."""
         return self._derived
 
-    def material_of(self, shape: Shape) -> Diffuse:
+    def material_of(self, shape: Shape) -> Material:
         """The material of a shape; the default material if it names none."""
         return self.materials[shape.material] if shape.material else DEFAULT_MATERIAL
+
+    @property
+    def textures(self) -> list[Texture | None]:
+        """The texture of each shape, None if it has none."""
+        return [self.material_of(shape).texture for shape in self.shapes]
 
     def shape_names(self) -> list[str]:
         """The name of each shape, shape-<index> if it has none."""

@@ -18,7 +18,7 @@ from caster.geometry.edge_distances import (
     signed_distance,
 )
 from caster.geometry.triangle_mesh import normalize_rows
-from caster.geometry.world_space import AffineImages, Rounding, affine_arrays
+from caster.geometry.world_space import AffineImages, Rounding, affine_arrays, largest_curvature
 from caster.jit.decorators import implement, inlined
 from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import exact_unit_cylinder, ray_in_object_space
@@ -79,6 +79,8 @@ __all__ = ["Cylinder", "Cylinders"]
 
 class Cylinders(AffineImages):
     """Images of the unit cylinder x^2 + y^2 = 1, 0 <= z <= 1."""
+
+    curvature = property(largest_curvature)
 
 
 class Cylinder(Shape):

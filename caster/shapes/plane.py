@@ -67,6 +67,9 @@ class Plane(Shape):
             raise ValueError(f"needs either offset or point, got {got}")
         return self
 
+    def without_uv(self) -> str:
+        return "Mitsuba has no plane to compare it with"
+
     def pack(self, rounded: Rounding) -> Planes:
         n = np.array([self.normal])
         point = self.offset * n if self.point is None else np.array([self.point])

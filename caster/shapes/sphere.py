@@ -22,7 +22,7 @@ from caster.geometry.edge_distances import (
     square,
 )
 from caster.geometry.mesh_files import load_once, load_points
-from caster.geometry.world_space import AffineImages, Rounding, similarity_scale
+from caster.geometry.world_space import AffineImages, Rounding, largest_curvature, similarity_scale
 from caster.jit.decorators import implement, jit
 from caster.kernels.exact.numbers import Root
 from caster.kernels.exact.primitives import exact_sphere, exact_unit_sphere, ray_in_object_space
@@ -94,9 +94,16 @@ class Spheres(NamedTuple):
     radius: np.ndarray  # (n,) float64
     turn: np.ndarray  # (n, 3, 3) float64, rotation from world to object space, for uv
 
+    @property
+    def curvature(self) -> np.ndarray:
+        """(n,), 1 / radius."""
+        return 1.0 / self.radius
+
 
 class Ellipsoids(AffineImages):
     """Images of the unit sphere at the origin."""
+
+    curvature = property(largest_curvature)
 
 
 class Sphere(Shape):

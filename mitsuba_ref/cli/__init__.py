@@ -98,6 +98,14 @@ COMMANDS = (
         starts_with="loading the judge and the scene",
     ),
     _command(
+        "versions",
+        "judge scenes with two versions of Mitsuba: what changed in bits, and which one is nearer to exact",
+        "versions scenes --mitsuba old/bin/python --mitsuba new/bin/python",
+        "experiments",
+        "run_versions",
+        starts_with="loading the judge and the scenes",
+    ),
+    _command(
         "fuzz",
         "random and adversarial scenes and rays; each failure is shrunk to a minimal scene file and kept",
         "fuzz --time 5m --candidate mine:trace",

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Self
 
 from caster.cli.shared_arguments import (
@@ -19,6 +20,7 @@ from caster.cli.shared_arguments import (
     add_scene,
     positive_int,
 )
+from mitsuba_ref.reference.interpreter import AS_IN_FILE_VARIABLE, PYTHON_VARIABLE, VARIANT_VARIABLE
 from mitsuba_ref.report import builtin_scenes
 
 if TYPE_CHECKING:
@@ -107,7 +109,7 @@ def adder(place: argparse._ActionsContainer) -> Callable[..., argparse.Action]:
     return add
 
 
-def add_selection(parser: argparse.ArgumentParser) -> None:
+def add_selection(parser: argparse.ArgumentParser, *, workers: bool = True) -> None:
     """Add scenes, -k, --size and --mesh-dir, and -j."""
     group = parser.add_argument_group("scenes")
     add = adder(group)
@@ -139,8 +141,8 @@ def add_selection(parser: argparse.ArgumentParser) -> None:
     )
     add("--size", int, "film in pixels, instead of the scenes' own", nargs=2, metavar=("W", "H"))
     add_mesh_dirs(group)
-    help_ = "scenes at a time; default: one a core"
-    adder(parser)("-j", positive_int, help_, dest="workers")
+    if workers:
+        adder(parser)("-j", positive_int, "scenes at a time; default: one a core", dest="workers")
 
 
 def add_timeout(parser: argparse.ArgumentParser) -> None:
@@ -151,6 +153,41 @@ def add_timeout(parser: argparse.ArgumentParser) -> None:
         f"time that Mitsuba may take for one scene, or one band of a large film; default {REFERENCE_SECONDS:g}s",
         default=REFERENCE_SECONDS,
     )
+
+
+def add_bounces(add: Callable[..., argparse.Action], about: str) -> None:
+    """Add --bounces."""
+    add("--bounces", whole, f"{about} (materials mirror and glass; mitsuba-ref docs scene-format)", default=0)
+
+
+class SetVariable(argparse.Action):
+    """Stores an option, and sets an environment variable, for this process and its children."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, variable: str, **more: Any) -> None:
+        super().__init__(option_strings, dest, **more)
+        self.variable = variable
+
+    def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
+        setattr(namespace, self.dest, values or True)
+        os.environ[self.variable] = values or "1"
+
+
+REFERENCE_OPTIONS = ("mitsuba", "variant", "as_in_file")  # of add_reference
+
+
+def add_reference(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
+    """Add --mitsuba, --variant, --as-in-file. several: --mitsuba any number of times."""
+    add = adder(parser.add_argument_group("the reference (mitsuba-ref docs versions)"))
+    if several:
+        help_ = "a Python interpreter with Mitsuba 3.6 or later, twice; once: beside the installed Mitsuba"
+        add("--mitsuba", str, help_, action="append", dest="interpreters", metavar="PYTHON", required=True)
+    else:
+        help_ = f"a Python interpreter whose Mitsuba, 3.6 or later, is the reference; default: ${PYTHON_VARIABLE}"
+        add("--mitsuba", str, help_, action=SetVariable, variable=PYTHON_VARIABLE, metavar="PYTHON")
+    help_ = f"Mitsuba's variant, such as llvm_ad_rgb or cuda_ad_rgb; default: ${VARIANT_VARIABLE}, or by the shapes"
+    add("--variant", str, help_, action=SetVariable, variable=VARIANT_VARIABLE, metavar="VARIANT")
+    help_ = "Embree's robust mode only where the scene's own file requests it; else meshes are always closed"
+    add("--as-in-file", str, help_, action=SetVariable, variable=AS_IN_FILE_VARIABLE, nargs=0)
 
 
 def add_reading(parser: argparse.ArgumentParser, more: str = "") -> Callable[..., argparse.Action]:
@@ -259,10 +296,12 @@ def add_validate_arguments(parser: argparse.ArgumentParser) -> None:
     add("--shard", shard, "judge part I of N of the scenes, balanced by pixels", metavar="I/N")
     help_ = "also test our caster beyond the judged films: other routes, scales, brute force; compiles more kernels"
     add("--thorough", bool, help_)
+    add_bounces(add, "also judge reflected, refracted and shadow rays, to this depth")
     add_timeout(parser)
     help_ = "judge every scene and ask Mitsuba, also where an earlier run has the result of the very same inputs"
     add("--no-store", bool, help_, dest="store", action="store_false")
     add_report_files(parser)
+    add_reference(parser)
     add = adder(parser.add_argument_group("pass or fail"))
     help_ = "known failures, as --write-expected writes them: the run fails only by others, and names fixed ones"
     add("--expected", InputPath, help_, metavar="FILE")
@@ -281,6 +320,13 @@ def shard(text: str) -> Shard:
     from mitsuba_ref.runner.shards import parse_shard
 
     return parse_shard(text)
+
+
+def add_versions_arguments(parser: argparse.ArgumentParser) -> None:
+    add_selection(parser, workers=False)
+    add_reference(parser, several=True)
+    add_timeout(parser)
+    add_json(parser)
 
 
 def add_merge_arguments(parser: argparse.ArgumentParser) -> None:
@@ -302,6 +348,7 @@ def add_judge_arguments(parser: argparse.ArgumentParser) -> None:
     add("--precision", str, help_, metavar="PRECISION", choices=PRECISIONS)
     add("--rows", row_range, "judge these rays alone: one, or from A up to B", metavar="A:B")
     add_mesh_dirs(parser)
+    add_reference(parser)
     add_report_files(parser)
 
 
@@ -320,13 +367,14 @@ def row_range(text: str) -> tuple[int, int | None]:
 def add_rays_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser, ScenePath)
     add = adder(parser)
-    add("-o --output", OutputFile, ".npz, or .npy for the rows alone", metavar="RAYS", required=True)
+    add("-o --output", str, ".npz, or .npy for the rows alone; with --bounces a folder", metavar="RAYS", required=True)
     help_ = "camera (default), shadow (from the camera's hits to a light), or aimed: features (corners, edges, rims), "
     help_ += "silhouettes, surface (from surfaces), random"
     add("--kind", str, help_, metavar="KIND", choices=RAY_KINDS, default="camera")
     add("--count", positive_int, "of rays that are aimed; default 4096", default=4096)
     add("--seed", int, "of random numbers; default 0", metavar="SEED", default=0)
     add("--light", int, "number of the light of shadow rays; default 0", metavar="N", default=0)
+    add_bounces(add, "the camera's rays, and the secondary ones of each bounce to this depth, a file each")
 
 
 def add_compare_arguments(parser: argparse.ArgumentParser) -> None:
@@ -371,6 +419,7 @@ def add_render_arguments(parser: argparse.ArgumentParser) -> None:
     add = adder(parser)
     add("-o --output", OutputFile, metavar="REF.exr", required=True)
     add("--aov", str, f"of {AOV_NAMES}; default: {DEFAULT_AOV_LIST}", metavar="AOV,...", default=DEFAULT_AOV_LIST)
+    add_reference(parser)
     add_timeout(parser)
 
 
@@ -397,6 +446,8 @@ def add_probe_arguments(parser: argparse.ArgumentParser) -> None:
     add("--brief", bool, "the verdict and who is right, without the numbers")
     add("--json", bool, "as JSON")
     add("--save", OutputFile, "write this ray and what it may hit as a scene of its own")
+    add_bounces(add, "follow the pixel's path of reflected, refracted and shadow rays, to this depth")
+    add_reference(parser)
     add_timeout(parser)
     add_candidate(parser, "another ray caster, explained as well (mitsuba-ref docs candidates)")
     add_reading(parser, "; with --candidate")

@@ -1,16 +1,26 @@
 """`mitsuba-ref doctor`: the parts of the judge found on this machine, and the effect of missing ones; and `schema`."""
 
 import argparse
-import importlib.metadata
 import json
+import sys
 from collections.abc import Sequence
 from pkgutil import resolve_name
 from typing import Any
 
 from caster.cli import installation as caster_doctor
 from caster.cli.installation import Finding, print_findings
+from caster.description.errors import SceneError
 from caster.system.process import OK
-from mitsuba_ref.reference.variants import INSTALL_COMMAND, PINNED, usable_variants
+from mitsuba_ref.reference.interpreter import interpreter
+from mitsuba_ref.reference.store import OFF, STORE_VARIABLE, local_store, machine
+from mitsuba_ref.reference.variants import (
+    INSTALL_COMMAND,
+    PINNED,
+    VARIANT_NAMES,
+    rgb_variants,
+    usable_variants,
+    why_not,
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,9 +39,22 @@ def report() -> list[Finding]:
 
 def judge_findings() -> list[Finding]:
     """Find the parts that the judge uses in addition to the caster's."""
-    versions = [_pinned(name) for name in PINNED]
+    try:
+        versions = [_pinned(name) for name in PINNED]
+    except SceneError as error:
+        versions = [Finding("mitsuba", False, True, str(error), USES["mitsuba"])]
     missing = [finding.name for finding in versions if not finding.found]
-    return [*versions, *_variants(missing), kept_results()]
+    further = [] if missing else _further_variants()
+    return [*versions, *_variants(missing), *further, kept_results()]
+
+
+def _further_variants() -> list[Finding]:
+    """The variants that only --variant takes, each tried in a child process."""
+    problems = {name: why_not(name) for name in rgb_variants() if name not in VARIANT_NAMES}
+    return [
+        Finding(name, not why, False, why or "works", f"the reference in this variant: --variant {name}")
+        for name, why in problems.items()
+    ]
 
 
 def _variants(missing: Sequence[str]) -> list[Finding]:
@@ -54,8 +77,6 @@ def _variants(missing: Sequence[str]) -> list[Finding]:
 
 def kept_results() -> Finding:
     """Where results are kept between runs, how many and how large."""
-    from mitsuba_ref.reference.store import OFF, STORE_VARIABLE, local_store
-
     store, adds = local_store(), "`validate` without judging again what has not changed"
     if store is None:
         return Finding("store", False, False, f"{STORE_VARIABLE} is {OFF}", adds)
@@ -66,16 +87,19 @@ def kept_results() -> Finding:
     return Finding("store", True, False, detail, adds)
 
 
+USES = {"mitsuba": "the reference", "drjit": "the compiler Mitsuba is built on"}
+
+
 def _pinned(name: str) -> Finding:
-    uses = {"mitsuba": "the reference", "drjit": "the compiler Mitsuba is built on"}
-    try:
-        version = importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return Finding(name, False, True, "not installed", uses[name], INSTALL_COMMAND)
+    version, python = machine()[name], interpreter()
+    if version == "none":
+        return Finding(name, False, True, "not installed", USES[name], INSTALL_COMMAND)
+    if python != sys.executable:
+        return Finding(name, True, True, f"{version}, of {python}", USES[name])
     if version == PINNED[name]:
-        return Finding(name, True, True, version, uses[name])
+        return Finding(name, True, True, version, USES[name])
     detail = f"{version}; the bounds belong to {PINNED[name]}"
-    return Finding(name, name == "mitsuba", True, detail, uses[name], INSTALL_COMMAND)
+    return Finding(name, name == "mitsuba", True, detail, USES[name], INSTALL_COMMAND)
 
 
 # ---- mitsuba-ref schema ----
@@ -86,6 +110,7 @@ RESULTS = {
     "compare": "mitsuba_ref.exr_compare.comparison_result:FileComparison",
     "check": "mitsuba_ref.exr_compare.approved:ImageChecks",
     "bench": "mitsuba_ref.bench.result:Run",
+    "versions": "mitsuba_ref.runner.version_comparison:VersionComparison",
     "stress": "mitsuba_ref.stress.sweeps:StressRun",
     "fuzz": "mitsuba_ref.fuzz.findings:Outcome",
 }

@@ -1,4 +1,4 @@
-"""`mitsuba-ref stress` and `mitsuba-ref bench`: numerical stability in sweeps, and run time against error."""
+"""`mitsuba-ref stress`, `bench` and `versions`: errors in sweeps, run time against error, two versions of Mitsuba."""
 
 import argparse
 import sys
@@ -16,10 +16,22 @@ from mitsuba_ref.bench.result import CANDIDATE_ROW, Run, SceneResult, as_text, o
 from mitsuba_ref.bench.scenes import SCENES, BenchScene, scene_of_file, with_aovs
 from mitsuba_ref.cli import options
 from mitsuba_ref.cli.arguments import ScenePath, ServedProgram
+from mitsuba_ref.cli.validate import selected_entries
 from mitsuba_ref.hard.family import Family
 from mitsuba_ref.hard.swept_families import SWEPT
+from mitsuba_ref.judge.pipeline import Task
 from mitsuba_ref.reference import variants
-from mitsuba_ref.report.results import libllvm, versions, write_result
+from mitsuba_ref.reference.interpreter import PYTHON_VARIABLE, chosen, interpreter
+from mitsuba_ref.reference.store import machine
+from mitsuba_ref.report.results import libllvm, print_lines, versions, write_result
+from mitsuba_ref.runner.version_comparison import (
+    LEGEND,
+    SceneComparison,
+    VersionComparison,
+    compare_scene,
+    scene_text,
+    summary_text,
+)
 from mitsuba_ref.stress import sweeps
 from mitsuba_ref.stress.sweeps import StressRun, SweepResult
 
@@ -80,6 +92,8 @@ def run_bench(args: argparse.Namespace) -> int:
     threads = args.threads or core_count()
     if threads > core_count():
         raise SceneError(f"--threads {threads}: this process may use {core_count()}")
+    if interpreter() != sys.executable:
+        raise SceneError(f"{PYTHON_VARIABLE}: bench times the Mitsuba that is installed beside it; unset it")
     variants.variant_for(has_quadrics=True)  # raises before any work without Mitsuba
     settings = Settings(args.size, args.alternations, threads, args.seed)
     caster = None
@@ -124,3 +138,39 @@ def report_run(done: Run, args: argparse.Namespace) -> None:
     if args.json:
         write_result(done, args.json)
     print(f"{overview_text(done)}\n\n{options.missing_variants()}{summary(done)}", file=options.table_stream(args))
+
+
+# ---- versions ----
+
+
+def run_versions(args: argparse.Namespace) -> int:
+    """Print what changed; 1 if a scene passes with one version alone, 5 nothing was selected. Raises SceneError."""
+    pythons = args.interpreters if len(args.interpreters) == 2 else [interpreter(), *args.interpreters]
+    if len(pythons) != 2:
+        raise SceneError(f"--mitsuba: expected it once or twice, got {len(args.interpreters)}")
+    entries = selected_entries(args)
+    if not entries:
+        return NOTHING_SELECTED
+    options.check_json(args)
+    found = []
+    for python in pythons:  # their errors come before any work
+        with chosen(python):
+            variants.require_variants()
+            found.append({name: machine()[name] for name in ("mitsuba", "drjit")} | {"python": interpreter()})
+    out = options.table_stream(args)
+    print(f"{LEGEND}\n", file=out)
+    done: list[SceneComparison] = []
+    try:
+        for i, entry in enumerate(entries):
+            progress = options.Progress(f"versions: {i + 1}/{len(entries)} {entry.name}")
+            progress("judging")
+            task = Task(entry.load(), entry.name, entry.path, timeout=args.timeout)
+            done.append(compare_scene(pythons, task))
+            progress.clear()
+            print_lines(f"{scene_text(done[-1])}\n", out)
+    finally:  # what is done is kept, whatever ends the work
+        result = VersionComparison(tuple(found), tuple(done))
+        if args.json:
+            write_result(result, args.json)
+        print_lines(summary_text(result), out)
+    return OK if result.ok else DIFFERENCES

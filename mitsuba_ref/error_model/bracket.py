@@ -68,10 +68,10 @@ class RaySegments(NamedTuple):
 
 
 class Bracket:
-    """Tests claims about rays through one scene. ku, ours: as in SceneModel.intersect."""
+    """Tests claims about rays through one scene. ku, ours: as in SceneModel.intersect; closed: as in latest_hits."""
 
-    def __init__(self, model: SceneModel, ku: float, *, ours: bool):
-        self.model, self.ku, self.ours = model, ku, ours
+    def __init__(self, model: SceneModel, ku: float, *, ours: bool, closed: bool = True):
+        self.model, self.ku, self.ours, self.closed = model, ku, ours, closed
 
     def judge(
         self,
@@ -157,7 +157,7 @@ class Bracket:
         at, ray = found.at, found.ray
         p = line.o[ray] + at.t[:, None] * line.d[ray]
         latest = np.full(len(line.o), np.inf)
-        np.minimum.at(latest, ray, latest_hits(found, line.t_max, line.t_min))
+        np.minimum.at(latest, ray, latest_hits(found, line.t_max, line.t_min, closed=self.closed))
         t_rounding = np.broadcast_to(claims.t_rounding, claims.t.shape)[ray]
         shape = claims.shape[ray]
         named = (shape == ANY_SHAPE) | (self.model.packed.shape_of(found.prim) == shape)
@@ -199,15 +199,17 @@ def within_error(claimed: np.ndarray, ray: np.ndarray, at: np.ndarray, error: np
 
 
 @without_float_warnings
-def latest_hits(found: RayIntersections, t_max: np.ndarray, t_min: np.ndarray | None = None) -> np.ndarray:
+def latest_hits(
+    found: RayIntersections, t_max: np.ndarray, t_min: np.ndarray | None = None, *, closed: bool = True
+) -> np.ndarray:
     """(m,) largest t that rounding allows for a certain hit; inf if the hit is not certain or not in range.
 
-    t_min, t_max: (n,) limits of the rays; t_min is 0 if not given.
+    t_min, t_max: (n,) limits of the rays; t_min is 0 if not given. closed: no ray passes between two faces.
     """
     at = found.at
     earliest = 0.0 if t_min is None else t_min[found.ray]
     in_range = (at.t - at.t_error > earliest) & (at.t + at.t_error <= t_max[found.ray])
-    latest = np.where(at.certain, at.t + at.t_error, _latest_at_edges(found))
+    latest = np.where(at.certain, at.t + at.t_error, _latest_at_edges(found) if closed else np.inf)
     return np.where(in_range, latest, np.inf)
 
 

@@ -57,6 +57,7 @@ class DefectFeatures:
     nearly: bool  # bounds WIDENED_BOUNDS_FACTOR times as wide would allow the reference's answer
     # its normal is NaN where rounding allows one of length 0, and apart from that it is `nearly`
     normless: bool = False
+    robust: bool = True  # Embree's mode; without it, `nearly` allows a miss between two faces
 
     @property
     def kinds(self) -> frozenset[str]:

@@ -21,7 +21,7 @@ LARGEST_DIRECTION_ERROR = 0.5
 class Materials(NamedTuple):
     """Materials of all shapes."""
 
-    reflectance: np.ndarray  # (shapes, 3)
+    reflectance: np.ndarray  # (shapes, 3), NaN for a texture
     two_sided: np.ndarray  # (shapes,) bool
 
 
@@ -32,6 +32,7 @@ class ShadingPoints(NamedTuple):
     d: np.ndarray  # (m, 3)
     shape: np.ndarray  # (m,)
     at: Intersections
+    albedo: np.ndarray | None = None  # (m, 3) the subject's, which is used where a texture decides it
 
 
 class LightContribution(NamedTuple):
@@ -48,7 +49,7 @@ class LightContribution(NamedTuple):
 @without_float_warnings
 def light_contribution(materials: Materials, light: Any, hit: ShadingPoints, ku: float) -> LightContribution:
     """Radiance from `light`, with the error that follows from errors of the position and of the shading normal."""
-    reflectance, two_sided = (each[hit.shape] for each in materials)
+    reflectance, two_sided = reflectance_at(materials, hit), materials.two_sided[hit.shape]
     to_light, reach = direction_to_light(light, hit.p)
     distance = norm(to_light)
     turn = np.where(np.isinf(reach), 0.0, 2.0 * hit.at.p_error / distance)
@@ -68,6 +69,12 @@ def light_contribution(materials: Materials, light: Any, hit: ShadingPoints, ku:
     return LightContribution(
         radiance, error, flux * cosine[:, None], to_light, reach, np.abs(facing) <= hit.at.sh_error + ku
     )
+
+
+def reflectance_at(materials: Materials, hit: ShadingPoints) -> np.ndarray:
+    """(m, 3) of the material, or of its texture."""
+    found = materials.reflectance[hit.shape]
+    return found if hit.albedo is None else np.where(np.isnan(found), hit.albedo, found)
 
 
 def ambient_radiance(lights: Sequence[Any]) -> np.ndarray:

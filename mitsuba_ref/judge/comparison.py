@@ -19,6 +19,7 @@ from caster.rendering.images import film_window
 from caster.scene.model import Check, Scene
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, error_over_bound, row_distance
 from mitsuba_ref.error_model.intersections import all_of_columns, any_of_columns, norm, without_float_warnings
+from mitsuba_ref.error_model.textures import color_ratios
 from mitsuba_ref.error_model.tolerances import KU_OURS
 from mitsuba_ref.reference.rendering import ReferenceResult, aovs_of
 from mitsuba_ref.reference.shared_input import SharedRays
@@ -265,9 +266,13 @@ def inconsistent_aovs(scene: Scene, packed: Packed, pair: ImagePair) -> dict[str
     shape = aov_rows(subject, "shape_id")
     prim_id = np.where(hit, pair.answer.prim - packed.first[np.maximum(shape, 0)], MISS_VALUES["prim_id"])
     found["shape_id"] |= aov_rows(subject, "prim_id") != prim_id
-    colors = np.array([scene.material_of(each).reflectance for each in scene.shapes]).reshape(-1, 3)
-    albedo = np.where(hit[:, None], colors[shape], 0.0) if len(colors) else np.zeros((len(hit), 3))
-    found["diffuse"] |= any_of_columns(aov_rows(subject, "albedo") != albedo)
+    colors = np.array([scene.material_of(each).color for each in scene.shapes]).reshape(-1, 3)
+    albedo, textures = aov_rows(subject, "albedo"), scene.textures
+    expected = np.where(hit[:, None], colors[shape], 0.0) if len(colors) else np.zeros((len(hit), 3))
+    untextured = ~(hit & np.array([*(texture is not None for texture in textures), False])[shape])
+    found["diffuse"] |= untextured & any_of_columns(albedo != expected)
+    if any(textures):
+        found["diffuse"] |= color_ratios(textures, shape, aov_rows(subject, "uv"), albedo, KU_OURS) > 1.0
     return found
 
 

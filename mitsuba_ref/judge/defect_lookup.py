@@ -54,13 +54,15 @@ def defect_features(
     claims: Claims,
     answers: Sequence[ExactAnswer],
     named: np.ndarray,
+    robust: bool = True,
 ) -> Iterator[DefectFeatures]:
     """Features at m pixels of one scene.
 
-    lines: o (m, 3), d (m, 3), t_max (m,); claims: the reference's; named: (m,) its primitives, -1 on a miss.
+    lines: o (m, 3), d (m, 3), t_max (m,); claims: the reference's; named: (m,) its primitives, -1 on a miss; robust:
+    its mode.
     """
     o, d, _ = lines
-    wide = Bracket(model, WIDENED_BOUNDS_FACTOR * KU, ours=False)
+    wide = Bracket(model, WIDENED_BOUNDS_FACTOR * KU, ours=False, closed=robust)
     nearly = wide.judge(*lines, claims, also=named).allowed
     whole, normless = _with_normals(model, o, d, claims, named)
     normless &= wide.judge(*lines, whole, also=named).allowed
@@ -86,6 +88,7 @@ def defect_features(
             stretch=max(ours.stretch, theirs.stretch),
             nearly=bool(nearly[i]),
             normless=bool(normless[i]),
+            robust=robust,
         )
 
 

@@ -1,5 +1,6 @@
 """Comparison of the diffuse AOV with the sum of Mitsuba's lights, up to bounds and to shadows that may differ."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +9,7 @@ from caster.scene.model import Scene
 from mitsuba_ref.error_model import lambert
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows
 from mitsuba_ref.error_model.bracket import Bracket
-from mitsuba_ref.error_model.intersections import Intersections
+from mitsuba_ref.error_model.intersections import Intersections, without_float_warnings
 from mitsuba_ref.error_model.lambert import (
     LightChoices,
     LightContribution,
@@ -17,6 +18,7 @@ from mitsuba_ref.error_model.lambert import (
     certain_lights,
     smallest_error_ratio,
 )
+from mitsuba_ref.error_model.textures import color_ratios
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS
 from mitsuba_ref.judge.comparison import ImagePair
 
@@ -45,12 +47,20 @@ def judge_diffuse(
     count = len(pair.t)
     ratio, explained, unresolvable = np.zeros(count), np.zeros(count, bool), np.zeros(count, bool)
     lights = _lights(scene, shading_points(pair, bounds.at, rows), KU)
+    textures, reference_ratio = scene.textures, np.zeros(count)
+    if any(textures):
+        answer = pair.result.answer
+        seen = textures, pair.result.shape_id[rows], answer.uv[rows].astype(np.float64), answer.albedo[rows]
+        reference_ratio[rows] = color_ratios(*seen, KU)
+        pair = _for_our_albedo(scene, pair, rows, lights)
     ratio[rows] = _ratio(pair, rows, certain_lights(*_as_given(pair, lights, rows)))
+    ratio = np.maximum(ratio, reference_ratio)
     beyond = rows[ratio[rows] > 1.0]
     if len(beyond):
         hit = shading_points(pair, bounds.at, beyond)
         lights = _lights(scene, hit, KU)
         explained[beyond] = _ratio(pair, beyond, _choices(scene, pair, lights, hit, beyond, brackets)) <= 1.0
+        explained &= reference_ratio <= 1.0
         unresolvable[beyond] = ~np.isfinite(lights.error).all(axis=(0, 2))
     return DiffuseComparison(ratio, explained, unresolvable)
 
@@ -70,7 +80,7 @@ def diffuse_within_float64(
     first, error = (np.where(lit[..., None], each, 0.0) for each in (lights.radiance, lights.error))
     dark = np.zeros_like(first)
     choices = LightChoices(first, error, dark, dark, lit & (shaded | lights.doubtful))
-    ambient = materials_of(scene).reflectance[hit.shape] * lambert.ambient_radiance(scene.lights)
+    ambient = lambert.reflectance_at(materials_of(scene), hit) * lambert.ambient_radiance(scene.lights)
     return smallest_error_ratio(values, ambient, choices, KU_OURS) <= 1.0
 
 
@@ -78,14 +88,32 @@ def shading_points(pair: ImagePair, at: Intersections, rows: np.ndarray) -> Shad
     """Our hits at some pixels, with the bounds `at`."""
     d = pair.rays.d[rows].astype(np.float64)
     p = pair.rays.o[rows].astype(np.float64) + pair.t[rows, None] * d
-    return ShadingPoints(p, d, aov_rows(pair.subject, "shape_id")[rows], at.take(rows))
+    shape, albedo = (aov_rows(pair.subject, name)[rows] for name in ("shape_id", "albedo"))
+    return ShadingPoints(p, d, shape, at.take(rows), albedo)
 
 
 def materials_of(scene: Scene) -> Materials:
     """The material of each shape, as arrays."""
     found = [scene.material_of(shape) for shape in scene.shapes]
-    reflectance = np.array([material.reflectance for material in found]).reshape(-1, 3)
+    nothing = (np.nan,) * 3
+    reflectance = np.array([nothing if material.texture else material.color for material in found]).reshape(-1, 3)
     return Materials(reflectance, np.array([material.two_sided for material in found], bool))
+
+
+@without_float_warnings
+def _for_our_albedo(scene: Scene, pair: ImagePair, rows: np.ndarray, lights: Lights) -> ImagePair:
+    """The pair with Mitsuba's light reflected by our textures: the reflectances are compared by themselves.
+
+    Where Mitsuba's reflectance is 0, which hides its light, the light is that of the definitions.
+    """
+    result, ours = pair.result, aov_rows(pair.subject, "albedo")[rows]
+    theirs = result.answer.albedo[rows].astype(np.float64)
+    textured = np.array([texture is not None for texture in scene.textures])[aov_rows(pair.subject, "shape_id")[rows]]
+    unshadowed, ambient = result.unshadowed.copy(), result.ambient.copy()
+    light = np.where(theirs > 0.0, unshadowed[:, rows] * (ours / theirs), lights.radiance)
+    unshadowed[:, rows] = np.where(textured[:, None], light, unshadowed[:, rows])
+    ambient[rows] = np.where(textured[:, None], ours * lambert.ambient_radiance(scene.lights), ambient[rows])
+    return replace(pair, result=replace(result, unshadowed=unshadowed, ambient=ambient))
 
 
 def _lights(scene: Scene, hit: ShadingPoints, ku: float) -> Lights:

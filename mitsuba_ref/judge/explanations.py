@@ -64,6 +64,9 @@ def open_reason(judge: Judge, judgement: Judgement, row: int) -> str:
     """Why a row of the image is undecided."""
     inconsistent = [name for name, where in judge.inconsistent.items() if where[row]]
     if inconsistent:
+        shape = int(aov_rows(judge.pair.subject, "shape_id")[row])
+        if inconsistent == ["diffuse"] and (mistake := judge.texture_mistakes.get(shape)):
+            return mistake
         return f"our image contradicts our own hit: {', '.join(inconsistent)}"
     worst = max(judgement.ratios, key=lambda name: judgement.excess(name)[row])
     if judgement.excess(worst)[row] > 1.0 >= judgement.ratios[worst][row]:
@@ -258,7 +261,8 @@ def reproducer_header(judge: Judge, judgement: Judgement, row: int, source: str)
     yield f"versions:  {', '.join(f'{name} {version}' for name, version in versions.items())}"
     yield "All numbers of the geometry are float32 values with all their digits. t counts in lengths of the direction."
     yield "See it:    mitsuba-ref probe THIS-FILE 0 0"
-    yield "Mitsuba:   scene.ray_intersect; optimize=False; embree_use_robust_intersections=true"
+    mode = str(judge.result.robust).lower()
+    yield f"Mitsuba:   scene.ray_intersect; optimize=False; embree_use_robust_intersections={mode}"
     yield "           mitsuba-ref export THIS-FILE -o DIR writes the XML and the meshes"
     yield ""
 

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, PlainSerializer, TypeAdapter, computed_field
 from pydantic.dataclasses import dataclass
 
-from mitsuba_ref.error_model.tolerances import MIN_GROUPS
+from mitsuba_ref.error_model.tolerances import MEASURED_FOR, MIN_GROUPS
 
 # The classes of a pixel, for any subject; `wrong` means that the subject is wrong. The last two fail.
 CLASSES = ("agree", "explained", "tie", "reference_wrong", "out_of_domain", "wrong", "undecided")
@@ -32,6 +32,15 @@ MAX_LISTED_FAILURES = 10  # of one scene; all are counted
 def json_number(value: float) -> float | str:
     """A float, or "inf" or "nan", for which JSON has no number."""
     return float(value) if math.isfinite(value) else str(float(value))
+
+
+def kinds_text(kinds: dict[str, dict[str, int]]) -> str:
+    """Secondary rays of each kind, and those that do not agree: 120 reflected (2 explained), 80 shadow."""
+    words = []
+    for kind, counts in kinds.items():
+        others = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if name != AGREE)
+        words.append(f"{sum(counts.values())} {kind}{f' ({others})' if others else ''}")
+    return ", ".join(words)
 
 
 JsonFloat = Annotated[
@@ -122,6 +131,7 @@ class Failure:
     exact: str
     reason: str
     replay: str = ""  # the command that shows the pixel again
+    pixel: tuple[int, int] | None = None  # of the camera, for a secondary ray
 
 
 @dataclass(frozen=True, config=RESULT)
@@ -196,6 +206,10 @@ class SceneVerdict:
     options: tuple[str, ...] = ()  # options of the command line, beside --size, that a replay has to repeat
     replay: str = ""  # the command that shows the scene again
     command: str = "validate"  # the command that judged it: validate or judge
+    bounce: int = 0  # of the rays that were judged; 0: rays of the camera, or of a list
+    kinds: dict[str, dict[str, int]] = field(default_factory=dict)  # kind of secondary ray -> rays of each class
+    # of secondary rays: the camera's first pixel, x and y, and the rows of one view of its film; 0: there are no views
+    view: tuple[int, int, int] = (0, 0, 0)
     rays: tuple[int, int] = (0, 0)  # first and end of the rays judged of a list, which fill `size`; (0, 0): a film
     # the evidence, for the HTML report; None if it was not kept
     seen: Annotated[Any, Field(exclude=True)] = field(default=None, repr=False, compare=False)
@@ -253,8 +267,8 @@ class SceneVerdict:
 
     @property
     def evidence(self) -> int:
-        """Hit pixels where subject and reference were compared and are right."""
-        return sum(self.counts[name] for name in EVIDENCE)
+        """Hit pixels where subject and reference were compared and are right; misses as well of secondary rays."""
+        return sum(counts.get(name, 0) for counts in self.kinds.values() or [self.counts] for name in EVIDENCE)
 
     @property
     def excused(self) -> int:
@@ -263,8 +277,11 @@ class SceneVerdict:
 
     @property
     def has_evidence(self) -> bool:
-        """More hit pixels are evidence than are excused; false for a scene that hits nothing."""
-        return self.evidence > self.excused
+        """More hit pixels are evidence than are excused; false for a scene that hits nothing.
+
+        A bounce may have no rays.
+        """
+        return self.evidence > self.excused or bool(self.bounce and not self.kinds)
 
     @property
     def checks_pass(self) -> bool:
@@ -362,6 +379,18 @@ class Verdict:
     def references_stored(self) -> int:
         """Number of scenes whose reference answers came from the store."""
         return sum(scene.reference_stored for scene in self.scenes)
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def unmeasured(self) -> tuple[str, ...]:
+        """Versions and variants of the reference that bounds and known defects were not measured for."""
+        found = (
+            f"{what} {scene.versions[what]}"
+            for scene in self.scenes
+            for what, known in MEASURED_FOR.items()
+            if what in scene.versions and scene.versions[what] not in known
+        )
+        return tuple(dict.fromkeys(found))
 
     @property
     def versions(self) -> tuple[str, ...]:

@@ -58,7 +58,8 @@ def witness_answers(judge: Judge, answer: ExactAnswer | None) -> tuple[WitnessAn
 
 def mitsuba_answers(judge: Judge) -> list[tuple[str, TraceResponse | Crash | str]]:
     """Answers by variant with its mode, the judge's own among them; each variant runs in its own process."""
-    given, works, rays = judge.pair.result.answer, variants.usable_variants().names, judge.pair.rays
+    result, works, rays = judge.result, variants.usable_variants().names, judge.pair.rays
+    given, tried = result.answer.versions["variant"], dict.fromkeys(variants.VARIANT_NAMES)
     with ScratchFolder() as folder:
         xml = {
             mode: export(judge.scene, judge.model, robust=robust).write(Path(folder) / mode)
@@ -66,15 +67,15 @@ def mitsuba_answers(judge: Judge) -> list[tuple[str, TraceResponse | Crash | str
         }
 
         def ask(variant: str, mode: str) -> TraceResponse | Crash | str:
-            if (variant, mode) == (given.versions["variant"], "robust"):
-                return given
-            if variant not in works:
+            if (variant, MODES[mode]) == (given, result.robust):
+                return result.answer
+            if variant not in (*works, given):
                 return MISSING
             return send_request(TraceRequest(xml[mode], variant, rays.o, rays.d, rays.t_max, lights=False))
 
         with ThreadPoolExecutor() as pool:
             found = pool.map(
-                lambda name: [(f"{name} {mode}", ask(name, mode)) for mode in MODES], variants.VARIANT_NAMES
+                lambda name: [(f"{name} {mode}", ask(name, mode)) for mode in MODES], tried | {given: None}
             )
             return [answer for answers in found for answer in answers]
 

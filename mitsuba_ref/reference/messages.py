@@ -5,7 +5,6 @@ Nothing is pickled, so that garbled bytes are an error and never code.
 
 import io
 import json
-import sys
 import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -15,12 +14,13 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from mitsuba_ref.reference.interpreter import child_command
 from mitsuba_ref.reference.subprocess_runner import (
     ProcessEnd,
     ProcessEnded,
     ResidentProcess,
     UnexpectedReply,
-    import_path,
+    user_import_path,
 )
 
 # Field -> shape and dtype of its array. A size with a name is the same in all arrays.
@@ -172,17 +172,17 @@ class Crash(ProcessEnd):
         return f"Mitsuba ended without an answer ({self.exit}): {self.output}".strip()
 
 
-# -P, because `-m` would look in the user's folder first, which may hold a mitsuba.py.
-CHILD_COMMAND = (sys.executable, "-P", "-m", "mitsuba_ref.reference.mitsuba_process")
+CHILD_MODULE = "mitsuba_ref.reference.mitsuba_process"
 
 
-def start(environment: Mapping[str, str], command: Sequence[str] = CHILD_COMMAND) -> ResidentProcess:
+def start(environment: Mapping[str, str], command: Sequence[str] | None = None) -> ResidentProcess:
     """Start a process that answers requests. Raises ProcessEnded while starts are refused."""
-    return ResidentProcess(command, {**environment, "PYTHONPATH": import_path()}, cwd=tempfile.gettempdir())
+    path = {"PYTHONPATH": user_import_path()}
+    return ResidentProcess(command or child_command(CHILD_MODULE), {**environment, **path}, cwd=tempfile.gettempdir())
 
 
 def run_request(
-    request: TraceRequest, timeout: float, environment: Mapping[str, str], command: Sequence[str] = CHILD_COMMAND
+    request: TraceRequest, timeout: float, environment: Mapping[str, str], command: Sequence[str] | None = None
 ) -> TraceResponse | Crash:
     """Send one request to a new process, which ends afterwards. environment: added to that of this process."""
     try:

@@ -26,6 +26,9 @@ CENTER = (0.5, 0.5)  # sample of the aperture or of a light; for points it does 
 mi: Any = mitsuba
 dr: Any = drjit
 
+# Optimising, which came with the parser of 3.7, merges meshes and loses their ids.
+UNOPTIMISED = {"optimize": False} if hasattr(mi, "parser") else {}
+
 
 def trace_request(request: TraceRequest) -> TraceResponse:
     """Load the scene and trace the rays in this process. Prints nothing.
@@ -34,11 +37,11 @@ def trace_request(request: TraceRequest) -> TraceResponse:
     ImportError where it refuses the variant.
     """
     mi.set_variant(request.variant)
-    logger = mi.logger()
+    logger = mi.logger() if hasattr(mi, "logger") else mi.Thread.thread().logger()  # before 3.7
     logger.clear_appenders()  # stdout is for the results of commands
     logger.set_error_level(mi.LogLevel.Warn if request.strict else mi.LogLevel.Error)
     start = time.perf_counter()
-    scene = mi.load_file(str(request.xml), optimize=False)  # optimising merges meshes and loses their ids
+    scene = mi.load_file(str(request.xml), **UNOPTIMISED)
     arrays: dict[str, Any] = _traced(scene, request)
     if request.sensor and scene.sensors():
         arrays["sensor"] = _sensor_rays(scene.sensors()[0], request)
@@ -119,7 +122,7 @@ def _centers(offset: int, size: int) -> np.ndarray:
 
 
 def _versions(request: TraceRequest) -> dict[str, str]:
-    library = os.environ.get(variants.LIBLLVM_ENVIRONMENT_VARIABLE) if _is_vectorised(request) else None
+    library = os.environ.get(variants.LIBLLVM_ENVIRONMENT_VARIABLE) if request.variant.startswith("llvm") else None
     return {
         "mitsuba": mi.__version__,
         "drjit": dr.__version__,
@@ -130,7 +133,7 @@ def _versions(request: TraceRequest) -> dict[str, str]:
 
 
 def _is_vectorised(request: TraceRequest) -> bool:
-    return request.variant.startswith("llvm")
+    return not request.variant.startswith("scalar")
 
 
 # ---- hits

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from mitsuba_ref.reference import messages, variants
+from mitsuba_ref.reference.interpreter import PYTHON_VARIABLE
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.store import REFERENCE_SETTINGS, environment_settings, key_of, local_store, machine
 from mitsuba_ref.reference.subprocess_runner import ProcessEnded, ResidentProcess, UnexpectedReply, serve
@@ -42,7 +43,7 @@ def send_request(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> Tra
 def ask_resident(request: TraceRequest, timeout: float) -> TraceResponse | None:
     """The response of a resident process of the same variant and environment; None if it gave none and has ended."""
     environment = variants.environment_for(request.variant)
-    key = f"{request.variant} {environment} {environment_settings(*REFERENCE_SETTINGS, 'PYTHONPATH')}"
+    key = f"{request.variant} {environment} {environment_settings(*REFERENCE_SETTINGS, 'PYTHONPATH', PYTHON_VARIABLE)}"
     idle, process = _idle.setdefault(key, []), None
     with contextlib.suppress(IndexError):  # another thread may take the last one
         process = idle.pop()

@@ -13,6 +13,7 @@ from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.intersections import norm
 from mitsuba_ref.error_model.lambert import ambient_radiance
 from mitsuba_ref.error_model.scene_model import SceneModel
+from mitsuba_ref.reference.interpreter import as_in_file
 from mitsuba_ref.reference.messages import Crash, MitsubaError, TraceRequest, TraceResponse
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_request
 from mitsuba_ref.reference.shared_input import SharedRays, export, model_of, packed_float32, shape_ids, shared_rays
@@ -44,6 +45,7 @@ class ReferenceResult:
     unshadowed: np.ndarray  # (lights, n, 3) radiance from each light, without shadows
     visible: np.ndarray  # (lights, n) bool
     ambient: np.ndarray  # (n, 3)
+    robust: bool = True  # Embree's mode, which keeps meshes closed
 
     @property
     def hit(self) -> np.ndarray:
@@ -76,8 +78,9 @@ def trace_reference(
 
     mesh_files: also read by its own loader, for a check.
     """
+    robust = not as_in_file()  # our scenes do not request it
     with ScratchFolder() as folder:
-        xml = export(scene, model).write(Path(folder))
+        xml = export(scene, model, robust=robust).write(Path(folder))
         chosen = variant or variant_of(scene)
         request = TraceRequest(
             xml, chosen, rays.o, rays.d, rays.t_max, lights=lights, sensor=True, mesh_files=tuple(mesh_files)
@@ -95,6 +98,7 @@ def trace_reference(
         answer.light_rgb.astype(np.float64),
         visible,
         answer.albedo.astype(np.float64) * ambient_radiance(scene.lights),
+        robust,
     )
 
 

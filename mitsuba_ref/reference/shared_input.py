@@ -1,22 +1,26 @@
 """The input of both sides: the caster's camera rays in float32, from the near plane on, and scenes as Mitsuba's XML."""
 
+import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
-from xml.etree.ElementTree import Comment, fromstring, indent, tostring
+from xml.etree.ElementTree import Comment, Element, fromstring, indent, tostring
 
 import numpy as np
 
+from caster.description.input_files import read_input
 from caster.description.transform import row_lengths
 from caster.geometry.packing import Packed, concatenate_parts, packed
 from caster.geometry.world_space import as_float32
 from caster.rendering.images import camera_rays
-from caster.scene.model import Diffuse, Scene
+from caster.scene.model import Material, Scene
+from caster.scene.textures import Bitmap, Texture
 from caster.system.atomic_files import check_folder, write_bytes, write_text
 from mitsuba_ref.cameras import ClipRange, reference_of_camera
 from mitsuba_ref.error_model.intersections import ceil_log2
 from mitsuba_ref.error_model.scene_model import SceneModel
-from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement, format_floats
+from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement, format_floats, matrix_element
 from mitsuba_ref.shapes import kind_of, reference_of
 
 # ---- shared rays ----
@@ -144,7 +148,7 @@ def own_model(packed: Packed) -> SceneModel:
 
 @dataclass(frozen=True)
 class SceneExport:
-    """A scene for Mitsuba: XML, and mesh files beside it. notes: differences from the scene."""
+    """A scene for Mitsuba: XML, and files of meshes and pictures beside it. notes: differences from the scene."""
 
     xml: str
     meshes: dict[str, bytes]
@@ -168,7 +172,7 @@ def export_scene(scene: Scene) -> SceneExport:
 
 def export(scene: Scene, model: SceneModel, *, robust: bool = True) -> SceneExport:
     """XML and meshes of packed geometry. robust: use Embree's mode that keeps meshes closed."""
-    out = ShapeWriter(lambda shape: bsdf_element(scene.material_of(shape)))
+    out = ShapeWriter(lambda shape: bsdf_element(scene.material_of(shape), out.meshes))
     shapes = []
     for name, shape, part in zip(shape_ids(scene), scene.shapes, model.parts, strict=True):
         out.name = name
@@ -237,10 +241,64 @@ LIGHT = """<emitter type="{type}">
 LIGHT_FIELDS = {"point": ("point", "position", "intensity"), "directional": ("vector", "direction", "irradiance")}
 
 
-def bsdf_element(material: Diffuse) -> XmlElement:
-    rgb = format_floats(material.reflectance)
-    diffuse = f'<bsdf type="diffuse"><rgb name="reflectance" value="{rgb}"/></bsdf>'
-    return fromstring(f'<bsdf type="twosided">{diffuse}</bsdf>' if material.two_sided else diffuse)
+def bsdf_element(material: Material, files: dict[str, bytes]) -> XmlElement:
+    """The <bsdf> of a material; pictures are added to `files`."""
+    if material.type == "mirror":
+        return fromstring('<bsdf type="conductor"><string name="material" value="none"/></bsdf>')
+    if material.type == "glass":
+        index = '<float name="{}" value="{}"/>'
+        indices = index.format("int_ior", repr(material.ior)) + index.format("ext_ior", "1")
+        return fromstring(f'<bsdf type="dielectric">{indices}</bsdf>')
+    diffuse = Element("bsdf", type="diffuse")
+    texture = material.texture
+    diffuse.append(texture_element(texture, files) if texture else rgb_element("reflectance", material.color))
+    if not material.two_sided:
+        return diffuse
+    both = Element("bsdf", type="twosided")
+    both.append(diffuse)
+    return both
+
+
+def rgb_element(name: str, color: Sequence[float]) -> XmlElement:
+    return Element("rgb", name=name, value=format_floats(color))
+
+
+# Stored as 8 bits or looked up by the hardware of a GPU, texels would have other values between their centres.
+BITMAP = """<texture type="bitmap" name="reflectance">
+    <string name="filename" value="{file}"/>
+    <string name="filter_type" value="{filter}"/>
+    <string name="wrap_mode" value="{wrap}"/>
+    <boolean name="raw" value="{raw}"/>
+    <string name="format" value="variant"/>
+    <boolean name="accel" value="false"/>
+</texture>"""
+
+
+def texture_element(texture: Texture, files: dict[str, bytes]) -> XmlElement:
+    """A texture. A PNG file is handed over as it is, an array as a PFM file of float32 values."""
+    if isinstance(texture, Bitmap):
+        content, suffix, raw = _picture(texture)
+        file = f"textures/{hashlib.sha256(content).hexdigest()[:16]}{suffix}"
+        files[file] = content
+        text = BITMAP.format(file=file, filter=texture.filter, wrap=texture.wrap, raw=str(raw).lower())
+        element: XmlElement = fromstring(text)
+    else:
+        element = Element("texture", type="checkerboard", name="reflectance")
+        element.extend(rgb_element(name, getattr(texture, name)) for name in ("color0", "color1"))
+    linear, move = np.eye(3), np.zeros(3)
+    linear[:2, :2], move[:2] = texture.uv_matrix[:, :2], texture.uv_matrix[:, 2]
+    transform = matrix_element(move, linear)
+    transform.set("name", "to_uv")
+    element.append(transform)
+    return element
+
+
+def _picture(bitmap: Bitmap) -> tuple[bytes, str, bool]:
+    """(content of the file, its suffix, whether its numbers are linear)."""
+    if bitmap.file is not None:
+        return read_input(bitmap.file, "picture"), ".png", bitmap.raw
+    height, width, _ = bitmap.texels.shape  # rows from the last one on
+    return b"PF\n%d %d\n-1.0\n" % (width, height) + bitmap.texels[::-1].astype("<f4").tobytes(), ".pfm", True
 
 
 def light_element(light: Any) -> XmlElement:

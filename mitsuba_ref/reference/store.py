@@ -9,12 +9,14 @@ import hashlib
 import importlib.metadata
 import os
 import platform
+import sys
 from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
 from caster.system import processor
 from caster.system.atomic_files import distrust, read_sealed, write_sealed
+from mitsuba_ref.reference.interpreter import installation, interpreter
 
 STORE_VARIABLE = "MITSUBA_REF_STORE"  # a folder, or OFF
 LIMIT_VARIABLE = "MITSUBA_REF_STORE_MB"  # how large it may become, in 10^6 bytes
@@ -121,9 +123,23 @@ def environment_settings(*prefixes: str) -> str:
     return repr(sorted(item for item in os.environ.items() if item[0].startswith(prefixes)))
 
 
-@cache
 def machine() -> dict[str, str]:
-    """System, processor and versions of the libraries that results depend on."""
+    """System, processor and versions of the libraries that results depend on; Mitsuba's of the chosen interpreter.
+
+    Raises SceneError for an interpreter that cannot be used.
+    """
+    if interpreter() == sys.executable:
+        return this_machine()
+    chosen = installation()
+    return {**this_machine(), **chosen.versions, BUILD: chosen.build}
+
+
+BUILD = "build"  # of Mitsuba, where another interpreter runs it
+
+
+@cache
+def this_machine() -> dict[str, str]:
+    """The same for this interpreter."""
     return {
         "system": platform.system(),
         "machine": platform.machine(),

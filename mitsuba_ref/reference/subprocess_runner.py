@@ -102,15 +102,17 @@ def allow_subprocesses() -> None:
     _starts_refused.clear()
 
 
-def run(command: Sequence[str], timeout: float) -> ProcessEnd:
-    """Run a command to its end, or kill it after `timeout` seconds.
+def run(
+    command: Sequence[str], timeout: float, environment: Mapping[str, str] | None = None, cwd: str | None = None
+) -> ProcessEnd:
+    """Run a command to its end, or kill it after `timeout` seconds. environment: added to that of this process.
 
     Raises OSError where the command cannot be started.
     """
     begin = time.monotonic()
     with tempfile.TemporaryFile() as output:
         try:
-            child = _start(command, output, stdin=subprocess.DEVNULL)
+            child = _start(command, output, stdin=subprocess.DEVNULL, environment=environment, cwd=cwd)
         except ProcessEnded as refused:
             return refused.end
         code: int | None = None
@@ -275,11 +277,15 @@ def _read(file: IO[bytes], count: int) -> bytes:
 
 
 def import_path() -> str:
-    """PYTHONPATH for children: this package, then the user's entries, but not the current folder (an empty entry)."""
+    """PYTHONPATH for children: this package, then the user's entries."""
+    return os.pathsep.join(filter(None, [str(PACKAGE_PARENT), user_import_path()]))
+
+
+def user_import_path() -> str:
+    """The user's PYTHONPATH without the current folder (an empty entry)."""
     entries = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     here = Path.cwd()
-    kept = [entry for entry in map(os.path.abspath, filter(None, entries)) if Path(entry) != here]
-    return os.pathsep.join([str(PACKAGE_PARENT), *kept])
+    return os.pathsep.join(entry for entry in map(os.path.abspath, filter(None, entries)) if Path(entry) != here)
 
 
 def captured(output: IO[bytes]) -> str:

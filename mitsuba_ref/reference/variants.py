@@ -11,11 +11,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
 
-from caster.description.errors import SceneError
+from caster.description.errors import SceneError, suggestion
 from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.reference import messages
+from mitsuba_ref.reference.interpreter import VARIANT_VARIABLE, installation
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 from mitsuba_ref.reference.store import REFERENCE_SETTINGS, environment_settings, key_of, machine, user_store
 
@@ -88,7 +88,6 @@ WAY_OUT = "`mitsuba-ref doctor` names a way out"
 PINNED = {"mitsuba": "3.9.1", "drjit": "1.5.0"}
 INSTALL_COMMAND = "pip install " + " ".join(f"{name}=={version}" for name, version in PINNED.items())
 SCALAR, LLVM = VARIANT_NAMES = ("scalar_rgb", "llvm_ad_rgb")
-VARIANT_ENVIRONMENT_VARIABLE = "MITSUBA_REF_VARIANT"  # use this one for every scene
 LIBLLVM_ENVIRONMENT_VARIABLE = "DRJIT_LIBLLVM_PATH"  # environment variable of Dr.Jit
 
 # Dr.Jit takes the first it finds, whose code generator may abort; here the newest comes first.
@@ -141,20 +140,47 @@ def usable_variants() -> Variants:
 def variant_for(has_quadrics: bool) -> str:
     """The variant for a scene. With spheres, cylinders or disks, the scalar one, which computes them in float64.
 
-    Raises VariantError if it does not work here or MITSUBA_REF_VARIANT names an unknown one.
+    Raises VariantError if it does not work here or MITSUBA_REF_VARIANT (--variant) names an unknown one, SceneError
+    for an interpreter (--mitsuba) that cannot be used.
     """
-    chosen = os.environ.get(VARIANT_ENVIRONMENT_VARIABLE)
-    if chosen and chosen not in VARIANT_NAMES:
-        raise VariantError(f"{VARIANT_ENVIRONMENT_VARIABLE} {chosen!r}: expected {' or '.join(VARIANT_NAMES)}")
-    found = usable_variants()
-    variant = chosen or (LLVM if found.libllvm and not has_quadrics else SCALAR)
+    found, chosen = usable_variants(), os.environ.get(VARIANT_VARIABLE)
+    if chosen:
+        if chosen not in VARIANT_NAMES and chosen not in (known := rgb_variants()):
+            rule = f"whose light is in rgb, as it is compared{suggestion(chosen, known)}"
+            raise VariantError(f"--variant {chosen!r}: expected {' or '.join(known)}, {rule}")
+        if why := why_not(chosen):
+            raise VariantError(f"--variant {chosen!r}: it does not work here: {why}")
+        return chosen
+    variant = LLVM if found.libllvm and not has_quadrics else SCALAR
     if variant in found.names:
         return variant
-    if chosen:
-        raise VariantError(f"{VARIANT_ENVIRONMENT_VARIABLE} {chosen!r}: it does not work here: {found.why}")
     if re.search("No module named '(mitsuba|drjit)'", found.why):
         raise VariantError(f"Mitsuba is not installed: {INSTALL_COMMAND}")
     raise VariantError(f"Mitsuba's {SCALAR} does not work here: {found.why}; {WAY_OUT}")
+
+
+def rgb_variants() -> list[str]:
+    """The variants of the chosen Mitsuba, in float32 or float64, whose light is comparable: not spectra or luminance.
+
+    Raises SceneError.
+    """
+    return [name for name in installation().variants if re.fullmatch(r"\w+_rgb(_double)?", name)]
+
+
+def why_not(variant: str) -> str:
+    """Why a variant does not work here, in one line; "" if it does. One that works is not tried again."""
+    found, key = usable_variants(), key_of([_cache_key(_candidates()), variant])
+    if variant in VARIANT_NAMES:
+        return "" if variant in found.names else found.why
+    if user_store().get(key) is not None:
+        return ""
+    if problem := smoke_test(variant, environment_for(variant)):
+        return "no CUDA device was found" if NO_CUDA in problem else _brief([problem])
+    user_store().put(key, b"works")
+    return ""
+
+
+NO_CUDA = "the CUDA backend hasn't been initialized"  # in Dr.Jit's message
 
 
 _said: set[str] = set()  # lines that this process has printed
@@ -168,14 +194,14 @@ def require_variants() -> None:
     chosen, found = variant_for(has_quadrics=True), usable_variants()
     broken = not found.libllvm and not found.why.endswith(NO_LIBLLVM)
     line = f"{LLVM} does not work here, {chosen} traces all scenes ({WAY_OUT}): {found.why}"
-    if broken and not os.environ.get(VARIANT_ENVIRONMENT_VARIABLE) and line not in _said:
+    if broken and not os.environ.get(VARIANT_VARIABLE) and line not in _said:
         _said.add(line)
         print(line, file=sys.stderr)
 
 
 def environment_for(variant: str) -> dict[str, str]:
     """The environment variables with which a child process finds the libLLVM that works."""
-    library = usable_variants().libllvm if variant == LLVM else None
+    library = usable_variants().libllvm if variant.startswith("llvm") else None
     return {LIBLLVM_ENVIRONMENT_VARIABLE: library} if library else {}
 
 
@@ -250,6 +276,8 @@ def _load_cached(key: str, candidates: list[str]) -> Variants | None:
 
     Loading a library runs its code: a path that only the store names is not loaded.
     """
+    from pydantic import TypeAdapter, ValidationError  # not in the Mitsuba process: its interpreter may have none
+
     try:
         found = TypeAdapter(Variants).validate_json(user_store().get(key) or b"")
     except ValidationError:

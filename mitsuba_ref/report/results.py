@@ -19,7 +19,7 @@ from pydantic import TypeAdapter
 
 from caster.system.atomic_files import write_text
 from caster.system.terminal import printable, unfiltered
-from mitsuba_ref.reference.store import installed_version
+from mitsuba_ref.reference.store import installed_version, machine
 from mitsuba_ref.reference.variants import usable_variants
 
 STANDARD_OUTPUT = "-"
@@ -41,8 +41,8 @@ def write_result(result: Any, file: str) -> None:
 
 
 def versions(*packages: str) -> dict[str, str]:
-    """Installed versions of packages; "none" where there is none."""
-    return {name: installed_version(name) for name in packages}
+    """Versions of packages, Mitsuba's of the chosen interpreter; "none" where there is none."""
+    return {name: machine().get(name) or installed_version(name) for name in packages}
 
 
 def libllvm() -> str:

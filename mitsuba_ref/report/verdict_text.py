@@ -3,11 +3,13 @@
 import math
 import re
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from math import isfinite
 from textwrap import wrap
 from urllib.parse import quote
 
 from caster.system.terminal import printable
+from mitsuba_ref.error_model.tolerances import MEASURED_FOR
 from mitsuba_ref.judge.classification import EXACT
 from mitsuba_ref.judge.defect_lookup import defect_name
 from mitsuba_ref.judge.diagnosis import SAME_SYMPTOM
@@ -41,11 +43,11 @@ def table_row(scene: SceneVerdict, width: int) -> str:
     """The row of a scene. It is printed before later ones are known, so other classes have no columns of their own."""
     first = mark_of(scene), printable(scene.name, keep=""), width
     cells = row_cells(scene)
-    row = _line(*first, cells)
-    if len(row) <= LINE_CHARACTERS:
-        return row
-    lines = wrap(cells[-1], LINE_CHARACTERS, initial_indent=BELOW_NAME, subsequent_indent=BELOW_NAME)
-    return "\n".join([_line(*first, cells[:-1]), *lines])
+    row, below = _line(*first, cells), [*scene.notes] if scene.bounce else []
+    if len(row) > LINE_CHARACTERS:
+        row, below = _line(*first, cells[:-1]), [cells[-1], *below]
+    lines = (wrap(text, LINE_CHARACTERS, initial_indent=BELOW_NAME, subsequent_indent=BELOW_NAME) for text in below)
+    return "\n".join([row, *chain.from_iterable(lines)])
 
 
 def row_cells(scene: SceneVerdict) -> tuple[str, ...]:
@@ -262,6 +264,9 @@ def _note_lines(verdict: Verdict) -> Iterator[str]:
             )
         else:
             yield f"ref. wrong: {count} pixels of case {case}, {defect_name(int(case))}"
+    if verdict.unmeasured:
+        known = "; ".join(f"{what} {', '.join(names)}" for what, names in MEASURED_FOR.items())
+        yield f"unknown:    {', '.join(verdict.unmeasured)}: bounds and known defects were measured for {known}"
     scenes = verdict.scenes
     if any(not (scene.candidate or scene.thorough or scene.problem) for scene in scenes):
         yield "left out:   tests of our caster beyond the judged films, which --thorough makes"

@@ -11,7 +11,7 @@ from caster.description.errors import SceneError
 from caster.system.process import NOT_COMPARABLE
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.reference import variants
-from mitsuba_ref.reference.store import key_of, machine
+from mitsuba_ref.reference.store import BUILD, key_of, machine
 from mitsuba_ref.runner.many_scenes import SceneEntry
 from mitsuba_ref.runner.verdict_files import UnreadableVerdict, code_hash
 
@@ -22,7 +22,7 @@ def judged_with() -> dict[str, str]:
     """Versions, variants, architecture and processor of this run. Raises VariantError."""
     flat, quadrics = (variants.variant_for(has_quadrics=each) for each in (False, True))
     library = variants.usable_variants().libllvm if variants.LLVM in (flat, quadrics) else None
-    versions = {name: version for name, version in machine().items() if name not in ("system", "python")}
+    versions = {name: version for name, version in machine().items() if name not in ("system", "python", BUILD)}
     # libLLVM by the version in the name of its file, since folders differ between systems
     llvm = ".".join(re.findall(r"\d+", Path(library).name)) or library if library else "none"
     return {**versions, "variant of triangles": flat, "variant of quadrics": quadrics, "libLLVM": llvm}

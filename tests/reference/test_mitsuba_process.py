@@ -16,6 +16,7 @@ import pytest
 from mitsuba_scenes import job, shape, write
 
 from mitsuba_ref.reference import messages, mitsuba_process, subprocess_runner
+from mitsuba_ref.reference.interpreter import child_command
 from mitsuba_ref.reference.messages import Crash, TraceRequest, TraceResponse
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -227,7 +228,7 @@ def plant(monkeypatch):
     def planted(fault: str, at: int = 2) -> None:
         program = (sys.executable, "-c", FAULTY.format(fault=fault, at=at))
         start = messages.start
-        monkeypatch.setattr(messages, "start", lambda environment, command=program: start(environment, command))
+        monkeypatch.setattr(messages, "start", lambda environment, command=None: start(environment, command or program))
 
     return planted
 
@@ -240,7 +241,7 @@ def alone(monkeypatch) -> list[TraceRequest]:
 
     def noted(request, timeout, environment):
         sent.append(request)
-        return run(request, timeout, environment, messages.CHILD_COMMAND)
+        return run(request, timeout, environment, child_command(messages.CHILD_MODULE))
 
     monkeypatch.setattr(messages, "run_request", noted)
     return sent

@@ -101,7 +101,7 @@ def other_source(request, patch):
 def other_machine(module, name, value):
     def change(request, patch):
         patch.setattr(module, name, value)
-        store.machine.cache_clear()
+        store.this_machine.cache_clear()
         return request
 
     return change
@@ -137,7 +137,7 @@ def test_whatever_changes_is_requested_again(request_, monkeypatch, change):
     before = request_key(request_)
     with monkeypatch.context() as patch:
         changed = request_key(CHANGES[change](request_, patch))
-    store.machine.cache_clear()
+    store.this_machine.cache_clear()
     assert changed != before and changed
 
 

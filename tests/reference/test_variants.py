@@ -9,6 +9,7 @@ from mitsuba_scenes import has_t, job, shape, write
 
 from mitsuba_ref.__main__ import main
 from mitsuba_ref.reference import messages, mitsuba_process, variants
+from mitsuba_ref.reference.interpreter import VARIANT_VARIABLE, Installation
 from mitsuba_ref.reference.messages import Crash, TraceResponse
 from mitsuba_ref.reference.store import user_store
 from mitsuba_ref.reference.variants import LIBLLVM_ENVIRONMENT_VARIABLE, VariantError, usable_variants, variant_for
@@ -21,7 +22,7 @@ OLD_LLVM = Path("/usr/lib/x86_64-linux-gnu/libLLVM-15.so.1")
 def nothing_known(tmp_path, monkeypatch):
     """An empty cache folder, nothing remembered, nothing chosen."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.delenv(variants.VARIANT_ENVIRONMENT_VARIABLE, raising=False)
+    monkeypatch.delenv(VARIANT_VARIABLE, raising=False)
     monkeypatch.setattr(variants, "_usable_by_key", {})
 
 
@@ -220,14 +221,15 @@ def test_what_would_end_alike_is_not_tried_again(libraries, trials, monkeypatch,
 def test_curved_shapes_go_to_the_scalar_variant_unless_one_is_chosen(libraries, trials, monkeypatch):
     assert [variant_for(has_quadrics) for has_quadrics in (False, True)] == ["llvm_ad_rgb", "scalar_rgb"]
     for chosen in variants.VARIANT_NAMES:
-        monkeypatch.setenv(variants.VARIANT_ENVIRONMENT_VARIABLE, chosen)
+        monkeypatch.setenv(VARIANT_VARIABLE, chosen)
         assert variant_for(False) == variant_for(True) == chosen
 
 
 @pytest.mark.parametrize(
     ("chosen", "says"),
     [
-        ("cuda_rgb", "^MITSUBA_REF_VARIANT 'cuda_rgb': expected scalar_rgb or llvm_ad_rgb$"),
+        ("cuda_rgb", "^--variant 'cuda_rgb': expected scalar_rgb or .*cuda_ad_rgb, whose light is in rgb, as it is co"),
+        ("scalar_spectral", "^--variant 'scalar_spectral': expected scalar_rgb or "),
         (
             "llvm_ad_rgb",
             "'llvm_ad_rgb': it does not work here: .*libLLVM.so.21.1: abort; .*: abort; and 2 more libraries",
@@ -236,7 +238,7 @@ def test_curved_shapes_go_to_the_scalar_variant_unless_one_is_chosen(libraries, 
 )
 def test_a_choice_that_is_unknown_or_does_not_work_is_an_error(libraries, trials, monkeypatch, chosen, says):
     trials.says.update({("llvm_ad_rgb", library): "abort" for library in libraries})
-    monkeypatch.setenv(variants.VARIANT_ENVIRONMENT_VARIABLE, chosen)
+    monkeypatch.setenv(VARIANT_VARIABLE, chosen)
     with pytest.raises(VariantError, match=says):
         variant_for(False)
 
@@ -276,7 +278,7 @@ def test_a_libllvm_that_does_not_work_is_stated_once(libraries, trials, monkeypa
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("llvm_ad_rgb does not work here, scalar_rgb traces all scenes (`mitsuba-ref doctor` ")
     assert f"{libraries[1]}: SIGABRT; {libraries[2]}: SIGABRT" in line
-    monkeypatch.setenv(variants.VARIANT_ENVIRONMENT_VARIABLE, "scalar_rgb")
+    monkeypatch.setenv(VARIANT_VARIABLE, "scalar_rgb")
     variants.require_variants()
     assert capsys.readouterr().err == ""
 
@@ -289,3 +291,17 @@ def test_a_damaged_outcome_is_found_out_again(libraries, trials, monkeypatch, co
     forget(monkeypatch)
     trials.tried.clear()
     assert usable_variants() == before and trials.tried
+
+
+def test_any_rgb_variant_that_works_is_taken_and_tried_once(libraries, trials, monkeypatch):
+    """CUDA, or float64 where the build has it; a GPU that is missing is said so."""
+    built = Installation({}, ("scalar_rgb", "cuda_ad_rgb", "scalar_rgb_double", "llvm_ad_rgb_double"), "")
+    monkeypatch.setattr(variants, "installation", lambda: built)
+    trials.says["cuda_ad_rgb", None] = "exit code 1: jit: the CUDA backend hasn't been initialized."
+    for chosen in built.variants[2:] * 2:
+        monkeypatch.setenv(VARIANT_VARIABLE, chosen)
+        assert variant_for(False) == variant_for(True) == chosen
+    assert trials.tried[-2:] == [("scalar_rgb_double", None), ("llvm_ad_rgb_double", libraries[0])]
+    monkeypatch.setenv(VARIANT_VARIABLE, "cuda_ad_rgb")
+    with pytest.raises(VariantError, match=r"^--variant 'cuda_ad_rgb': it does not work here: no CUDA device wa"):
+        variants.require_variants()

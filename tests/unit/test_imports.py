@@ -66,9 +66,9 @@ RULES = (
     Rule("caster", "only caster/image/exr.py imports OpenEXR", never=("OpenEXR",), except_in=("caster.image.exr",)),
     Rule(
         "caster",
-        "only caster/image/image_files.py imports Pillow",
+        "only caster/image/image_files.py and caster/scene/textures.py import Pillow",
         never=("PIL",),
-        except_in=("caster.image.image_files",),
+        except_in=("caster.image.image_files", "caster.scene.textures"),
     ),
     Rule(
         "caster", "only caster/jit imports numba and llvmlite", never=("numba", "llvmlite"), except_in=("caster.jit.*",)
@@ -226,7 +226,7 @@ def test_what_the_rules_name_is_there():
     assert {each for each in listed if each not in modules and each.rpartition(".")[0] not in modules} == set()
 
 
-MAX_FILES = 261
+MAX_FILES = 262
 MAX_PACKAGE_LAYERS = 12
 MAX_SINGLE_IMPORTERS = 40
 

@@ -53,6 +53,7 @@ EXAMPLES = {
     34: at("Triangles", offset=FAR),
     47: at("Disks", offset=FAR),
     61: at("Cylinders", offset=FAR),
+    15: at("Triangles", robust=False),
 }
 
 

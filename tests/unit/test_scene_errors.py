@@ -250,6 +250,31 @@ ONE_LINERS = [
         "6:22: materials.white: reflectance[2] must be <= 1, got 2",
     ),
     (
+        "an unknown texture",
+        CAMERA + '[material.m]\nreflectance = { type = "chekerboard" }\n',
+        "6:17: materials.m: reflectance unknown reflectance type \"chekerboard\", did you mean 'checkerboard'?",
+    ),
+    (
+        "an unknown filter",
+        CAMERA + '[material.m]\nreflectance = { type = "bitmap", data = [[[0, 0, 0]]], filter = "cubic" }\n',
+        '6:56: materials.m: reflectance.filter must be "bilinear" or "nearest", got "cubic"',
+    ),
+    (
+        "a bitmap without pixels",
+        CAMERA + '[material.m]\nreflectance = { type = "bitmap" }\n',
+        "6:1: materials.m: reflectance needs either file or data, got neither",
+    ),
+    (
+        "a ragged bitmap",
+        CAMERA + '[material.m]\nreflectance = { type = "bitmap", data = [[[0, 0, 0]], [[0, 0, 0], [1, 1, 1]]] }\n',
+        "6:1: materials.m: reflectance data must have rows of the same number of pixels, got [1, 2]",
+    ),
+    (
+        "a texture without uv",
+        shape("icosphere", 'material = "m"') + '[material.m]\nreflectance = { type = "checkerboard" }\n',
+        "7:1: shapes[0] (icosphere): material names a material with a texture, but its triangles have no uv: give it a",
+    ),
+    (
         "an unknown material",
         shape("cube", 'material = "rde"') + "[material.red]\n[material.blue]\n",
         "7:1: shapes[0] (cube): material must be one of the materials of this scene, got \"rde\", did you mean 'red'?",

@@ -70,7 +70,7 @@ def edit_scene(monkeypatch):
 def patched(where, name, value):
     def change(monkeypatch):
         monkeypatch.setattr(where, name, value)
-        store.machine.cache_clear()
+        store.this_machine.cache_clear()
 
     return change
 
@@ -95,7 +95,7 @@ def test_whatever_changes_is_another_key(tmp_path, monkeypatch, change):
     with monkeypatch.context() as patch:
         CHANGES[change](patch)
         after = verdict_files.verdict_key(load_scene("scene.toml"), "scene.toml")
-    store.machine.cache_clear()
+    store.this_machine.cache_clear()
     assert before == again != after and bool(after) == (change != "a kind of another package")
 
 

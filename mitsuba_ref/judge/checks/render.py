@@ -14,6 +14,7 @@ from mitsuba_ref.error_model.bounds import aov_rows, intersections_at
 from mitsuba_ref.error_model.bracket import Bracket, Claims, RaySegments
 from mitsuba_ref.error_model.intersections import any_of_columns, norm
 from mitsuba_ref.error_model.lambert import ShadingPoints
+from mitsuba_ref.error_model.textures import color_ratios
 from mitsuba_ref.error_model.tolerances import KU_OURS
 from mitsuba_ref.judge.checks import OURS, Found, bits_differ, check, worst_pixel
 from mitsuba_ref.judge.diffuse import diffuse_within_float64
@@ -29,7 +30,7 @@ from mitsuba_ref.reference.shared_input import SharedRays, model_of
 # with no room for the move.
 
 
-CHECKED_AOVS = ("depth", "normal", "shading_normal", "position", "uv", "shape_id", "diffuse", "prim_id")
+CHECKED_AOVS = ("depth", "normal", "shading_normal", "position", "uv", "shape_id", "diffuse", "prim_id", "albedo")
 RENDER_PIXELS_CHECKED = 4096  # pixels that are judged where bits may differ: a few tenths of a second
 # The same where no near plane moves the rays: 1024 pixels miss a fault of one pixel in a hundred with probability 3e-5.
 UNMOVED_PIXELS_CHECKED = 1024
@@ -88,18 +89,19 @@ def _by_longer_rays(view: RayHits) -> RayHits:
 def _within_float64(scene: Scene, ours: Aovs, rows: np.ndarray, rays: Any) -> np.ndarray:
     """(m,) bool: at these rows, geometry is in float64's bracket, and diffuse as the lights' definitions give it."""
     rays = RaySegments(*(each[rows] for each in rays[:4]))
-    depth, n, sh_n, p, uv, shape, diffuse, prim = (aov_rows(ours, name)[rows] for name in CHECKED_AOVS)
+    depth, n, sh_n, p, uv, shape, diffuse, prim, albedo = (aov_rows(ours, name)[rows] for name in CHECKED_AOVS)
     t = depth / norm(rays.d)
     model = model_of(scene, packed(scene), SharedRays(rays.o, rays.d, rays.t_max, np.zeros(len(t))))
     bracket = Bracket(model, KU_OURS, ours=True)
     claims = Claims(t, shape, n, sh_n, p, KU_OURS * t, uv=uv)
     found = bracket.judge(rays.o, rays.d, rays.t_max, claims, t_min=rays.t_min)
     right = found.allowed | found.open
+    right &= color_ratios(scene.textures, shape, uv, albedo, KU_OURS) <= 1.0
     hit = np.flatnonzero(right & (shape >= 0))
     o, d, t, shape = rays.o[hit], rays.d[hit], t[hit], shape[hit]
     prim = model.packed.first[shape] + prim[hit]
     at = intersections_at(model, prim, (o, d), t, KU_OURS, ours=True)
     right[hit] &= diffuse_within_float64(
-        scene, ShadingPoints(o + t[:, None] * d, d, shape, at), prim, diffuse[hit], bracket
+        scene, ShadingPoints(o + t[:, None] * d, d, shape, at, albedo[hit]), prim, diffuse[hit], bracket
     )
     return right

@@ -1,0 +1,142 @@
+"""Textures: reflectances that depend on uv, their pictures, and the arrays of them that kernels read."""
+
+import io
+from collections.abc import Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Discriminator, Tag, field_validator, model_validator
+
+from caster.description.errors import SceneError, child_of
+from caster.description.fields import Description, Flag, Reflectance, Transform, matrix_of
+from caster.description.input_files import read_input
+from caster.geometry.mesh_files import load_once
+from caster.kernels.surface.texturing import BILINEAR, CLAMP, MIRROR, NEAREST, NO_TEXTURE, REPEAT, Textures
+
+__all__ = ["Bitmap", "Checkerboard", "Texture"]
+
+MAX_TEXELS = 2**24  # 4096 x 4096; 24 bytes each
+FILTERS = {"nearest": NEAREST, "bilinear": BILINEAR}
+WRAPS = {"repeat": REPEAT, "mirror": MIRROR, "clamp": CLAMP}
+
+
+class Texture(Description):
+    """Base of textures: (h, w, 3) linear `texels` over the unit square of its uv; row 0 begins at v = 0.
+
+    `to_uv` maps (u, v, 0) of the surface to the uv of the texture.
+    """
+
+    type: str
+    to_uv: Transform = ()
+
+    @cached_property
+    def texels(self) -> NDArray[np.float64]:
+        raise NotImplementedError
+
+    @cached_property
+    def uv_matrix(self) -> NDArray[np.float64]:
+        """(2, 3): uv of the texture are its product with (u, v, 1)."""
+        return matrix_of(self.to_uv)[:2, [0, 1, 3]]
+
+
+class Checkerboard(Texture):
+    """Squares of side 1/2 in uv; the one at uv = 0 has `color0`."""
+
+    type: Literal["checkerboard"] = "checkerboard"
+    filter: ClassVar[str] = "nearest"
+    wrap: ClassVar[str] = "repeat"
+    color0: Reflectance = (0.4, 0.4, 0.4)
+    color1: Reflectance = (0.2, 0.2, 0.2)
+
+    @cached_property
+    def texels(self) -> NDArray[np.float64]:
+        return np.array([[self.color0, self.color1], [self.color1, self.color0]])
+
+
+class Bitmap(Texture):
+    """A picture: a PNG `file` with 8 bits a channel, in sRGB unless `raw`, or `data`, rows of linear [r, g, b]."""
+
+    type: Literal["bitmap"] = "bitmap"
+    file: str | None = None
+    data: tuple[tuple[Reflectance, ...], ...] | None = None
+    filter: Literal["bilinear", "nearest"] = "bilinear"
+    wrap: Literal["repeat", "mirror", "clamp"] = "repeat"
+    raw: Flag = False
+
+    @field_validator("file")
+    @classmethod
+    def _is_usable(cls, file: str | None, info: Any) -> str | None:
+        return info.context.resolve(file, _load_picture) if file is not None and info.context else file
+
+    @model_validator(mode="after")
+    def _has_one_source(self) -> Self:
+        if (self.file is None) == (self.data is None):
+            raise ValueError(f"needs either file or data, got {'both' if self.file else 'neither'}")
+        if self.data is not None and len(set(map(len, self.data)) - {0}) != 1:
+            raise ValueError(f"data must have rows of the same number of pixels, got {sorted(map(len, self.data))}")
+        return self
+
+    @cached_property
+    def texels(self) -> NDArray[np.float64]:
+        if self.file is None:
+            return np.array(self.data)
+        values = _load_picture(self.file) / 255.0
+        return values if self.raw else linear_of_srgb(values)
+
+
+def linear_of_srgb(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """sRGB values from 0 to 1 as linear ones. Source: IEC 61966-2-1."""
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+
+
+def read_picture(path: str) -> NDArray[np.uint8]:
+    """The pixels (h, w, 3) of a PNG file with 8 bits a channel; grey becomes three channels, alpha is ignored.
+
+    Raises FileMissing for a file that cannot be read, SceneError for any other format and beyond MAX_TEXELS.
+    """
+    from PIL import Image  # deferred: most scenes have no picture
+
+    data = read_input(path, "picture")
+    try:
+        with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
+            if image.width * image.height > MAX_TEXELS or image.mode.startswith("I"):
+                got = f"{image.width} x {image.height}{' of 16 bits' if image.mode.startswith('I') else ''}"
+                raise SceneError(f"{path}: expected at most {MAX_TEXELS:,} pixels, of 8 bits a channel, got {got}")
+            return np.asarray(image.convert("RGB"))
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError):
+        raise SceneError(f"{path}: expected a PNG picture that is complete; convert or export it again") from None
+
+
+def _load_picture(path: str) -> NDArray[np.uint8]:
+    return load_once(read_picture, path)
+
+
+if TYPE_CHECKING:
+    AnyReflectance = tuple[float, float, float] | Checkerboard | Bitmap
+else:
+    AnyReflectance = Annotated[
+        Annotated[Reflectance, Tag("color")]
+        | Annotated[Checkerboard, Tag("checkerboard")]
+        | Annotated[Bitmap, Tag("bitmap")],
+        Discriminator(lambda value: child_of(value, "type") if isinstance(value, (dict, Texture)) else "color"),
+    ]
+
+
+def texture_arrays(textures: Sequence[Any]) -> Textures:
+    """The textures of all shapes, or None, as kernels read them; one of several shapes has its texels once."""
+    settings, to_texels = np.full((len(textures), 5), NO_TEXTURE), np.zeros((len(textures), 2, 3))
+    texels, first, count = [np.zeros((0, 3))], dict[int, int](), 0
+    for k, texture in enumerate(textures):
+        if texture is None:
+            continue
+        height, width, _ = texture.texels.shape
+        if id(texture) not in first:
+            first[id(texture)] = count
+            texels.append(texture.texels.reshape(-1, 3))
+            count += height * width
+        settings[k] = FILTERS[texture.filter], WRAPS[texture.wrap], width, height, first[id(texture)]
+        to_texels[k] = texture.uv_matrix * [[width], [height]]
+        to_texels[k, :, 2] -= 0.5 if texture.filter == "bilinear" else 0.0  # texels have their values at their centres
+    return Textures(settings, to_texels, np.concatenate(texels))

@@ -1,0 +1,112 @@
+"""Colours of textures at uv in float64, and what errors of uv make of them (docs/method.md, "Textures").
+
+An independent implementation: pictures are decoded and looked up again.
+"""
+
+import os
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from mitsuba_ref.error_model.bounds import error_over_bound
+from mitsuba_ref.error_model.intersections import largest_of_columns, without_float_warnings
+from mitsuba_ref.error_model.tolerances import KU, SRGB_DECODING_ROUNDINGS, U32
+
+
+@without_float_warnings
+def color_ratios(
+    textures: Sequence[Any], shape: np.ndarray, uv: np.ndarray, colors: np.ndarray, ku: float
+) -> np.ndarray:
+    """(n,) error over bound of reflectances (n, 3) that one side computed at its own uv (n, 2); 0 without a texture."""
+    ratios = np.zeros(len(shape))
+    for k, texture in enumerate(textures):
+        rows = np.flatnonzero(shape == k) if texture is not None else ()
+        if len(rows):
+            ratios[rows] = _ratio(texture, uv[rows], colors[rows], ku)
+    return ratios
+
+
+def _ratio(texture: Any, uv: np.ndarray, colors: np.ndarray, ku: float) -> np.ndarray:
+    """As color_ratios; formulas (24) to (26)."""
+    texels, blends = texels_of(texture), texture.filter == "bilinear"
+    size, linear, move = texels.shape[1::-1], texture.uv_matrix[:, :2], texture.uv_matrix[:, 2]
+    place = (uv @ linear.T + move) * size  # in texels from the corner of the picture
+    off = 3.0 * ku * (np.abs(uv) @ np.abs(linear).T + np.abs(move)) * size
+    low, high = place - off, place + off
+    bend = np.clip(np.floor(place) + 0.5, low, high)  # where the slope changes
+    values = [_lookup(texture, texels, x[:, 0], y[:, 1]) for x in (low, bend, high) for y in (low, bend, high)]
+    exact = _lookup(texture, texels, *place.T)
+    decoding = SRGB_DECODING_ROUNDINGS * U32 if ku == KU and getattr(texture, "file", None) and not texture.raw else 0.0
+    rounding = (3.0 * ku + decoding) * np.max(values, axis=0)
+    change = np.max(np.abs(values - exact), axis=0) * blends
+    change[(off >= 0.5).any(axis=1)] = np.ptp(texels, axis=(0, 1))  # any texel may be meant
+    allowed = [(exact, change + rounding)] if blends else [(value, change + rounding) for value in values]
+    ratios = [largest_of_columns(error_over_bound(np.abs(colors - value), bound)) for value, bound in allowed]
+    found: np.ndarray = np.min(ratios, axis=0)
+    return found
+
+
+def texels_of(texture: Any) -> np.ndarray:
+    """(h, w, 3) linear reflectances."""
+    if texture.type == "checkerboard":
+        return np.array([[texture.color0, texture.color1], [texture.color1, texture.color0]])
+    if texture.file is None:
+        return np.array(texture.data)
+    return _decoded(texture.file, texture.raw, os.stat(texture.file).st_mtime_ns)
+
+
+@lru_cache(maxsize=4)
+def _decoded(file: str, raw: bool, _changed: int) -> np.ndarray:
+    """The texels of a PNG file, decoded from sRGB unless raw (IEC 61966-2-1)."""
+    with Image.open(file) as image:
+        encoded = np.asarray(image.convert("RGB")) / 255.0
+    low = encoded <= 0.04045
+    return encoded if raw else np.where(low, encoded / 12.92, np.power((encoded + 0.055) / 1.055, 2.4))
+
+
+def _lookup(texture: Any, texels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """(m, 3) reflectances at places in texels."""
+    if texture.filter == "nearest":
+        return _texels_at(texture, texels, np.floor(x), np.floor(y))
+    left, top = np.floor(x - 0.5), np.floor(y - 0.5)
+    found = np.zeros((len(x), 3))
+    for column, line in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        share = (1.0 - np.abs(x - 0.5 - left - column)) * (1.0 - np.abs(y - 0.5 - top - line))
+        found += share[:, None] * _texels_at(texture, texels, left + column, top + line)
+    return found
+
+
+def _texels_at(texture: Any, texels: np.ndarray, *place: np.ndarray) -> np.ndarray:
+    """(m, 3) of columns and lines, whole numbers; any texel for one that is not finite."""
+    numbers = []
+    for i, count in zip(place, texels.shape[1::-1], strict=True):
+        if texture.wrap != "clamp":
+            i = np.mod(i, 2 * count if texture.wrap == "mirror" else count)
+        if texture.wrap == "mirror":
+            i = np.minimum(i, 2 * count - 1 - i)
+        numbers.append(np.clip(np.nan_to_num(i), 0, count - 1).astype(np.int64))
+    found: np.ndarray = texels[numbers[1], numbers[0]]
+    return found
+
+
+def mistake_of(texture: Any, uv: np.ndarray, colors: np.ndarray) -> str:
+    """What explains the reflectances (m, 3) that one side has at uv (m, 2); "" if nothing that is tried does."""
+    tried: dict[str, dict[str, Any]] = {
+        "v of the texture is flipped": {
+            "to_uv": [*texture.to_uv, {"scale": [1.0, -1.0, 1.0]}, {"translate": [0.0, 1.0, 0.0]}]
+        }
+    }
+    if texture.type == "bitmap":
+        tried |= {f"the texture is wrapped by {wrap}": {"wrap": wrap} for wrap in ("repeat", "mirror", "clamp")}
+        tried |= {f"the texture is filtered by {name}": {"filter": name} for name in ("nearest", "bilinear")}
+        tried["sRGB is taken as linear" if not texture.raw else "linear numbers are taken as sRGB"] = {
+            "raw": not texture.raw
+        }
+    for what, change in tried.items():
+        other = texture.model_copy(update=change)
+        if (color_ratios([other], np.zeros(len(uv)), uv, colors, KU) <= 1.0).all():
+            return what
+    return ""

@@ -1,0 +1,150 @@
+"""The Python interpreter that runs the reference: this one, or another that has a Mitsuba of its own (--mitsuba).
+
+The choice is an environment variable, so that it holds for all processes of a run.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+import re
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from caster.description.errors import SceneError
+from mitsuba_ref.reference.subprocess_runner import PACKAGE_PARENT, run, user_import_path
+
+# The options --mitsuba, --variant and --as-in-file, as environment variables.
+PYTHON_VARIABLE, VARIANT_VARIABLE = "MITSUBA_REF_PYTHON", "MITSUBA_REF_VARIANT"
+AS_IN_FILE_VARIABLE = "MITSUBA_REF_AS_IN_FILE"
+LEAST_PYTHON, LEAST_MITSUBA = "3.11", "3.6"  # of our own code; the first Mitsuba with robust intersections
+BINARIES = (".so", ".dylib")
+ANSWER_SECONDS = 60.0  # for an interpreter to describe itself; it takes a third of one
+
+# Prints the description after a mark, in the syntax of any Python. The empty entry is the current folder.
+DESCRIBE = """
+import sys
+sys.path[:] = [place for place in sys.path if place]
+import json, os
+found = {"python": "%d.%d.%d" % sys.version_info[:3]}
+try:
+    import numpy, drjit, mitsuba
+    try:
+        version = mitsuba.__version__
+    except ImportError:  # 3.5 has none before a variant is set
+        from importlib.metadata import version as version_of
+        version = version_of("mitsuba")
+    found["versions"] = {"mitsuba": version, "drjit": drjit.__version__}
+    found["folders"] = [os.path.dirname(module.__file__) for module in (mitsuba, drjit)]
+    found["variants"] = list(mitsuba.variants())
+except Exception as problem:
+    found["problem"] = str(problem).partition("\\n")[0]
+print("DESCRIPTION" + json.dumps(found))
+"""
+
+# Our packages come from their own folder, which may be the site-packages of another interpreter.
+RUN_MODULE = """
+import importlib.util, runpy, sys
+root, module = sys.argv[1:]
+for name in ("caster", "mitsuba_ref"):
+    folder = root + "/" + name
+    spec = importlib.util.spec_from_file_location(name, folder + "/__init__.py", submodule_search_locations=[folder])
+    sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(sys.modules[name])
+runpy.run_module(module, run_name="__main__")
+"""
+
+
+@dataclass(frozen=True)
+class Installation:
+    """The Mitsuba that an interpreter imports."""
+
+    versions: dict[str, str]  # mitsuba, drjit
+    variants: tuple[str, ...]  # that it was built with
+    build: str  # a hash of its libraries' names, sizes and times: a new build may have the same version
+
+
+def interpreter() -> str:
+    """The path of the interpreter that runs Mitsuba, or the given name where there is no such program."""
+    given = os.environ.get(PYTHON_VARIABLE)
+    program = shutil.which(given) if given else sys.executable
+    return os.path.abspath(program) if program else str(given)
+
+
+@contextlib.contextmanager
+def chosen(python: str) -> Iterator[None]:
+    """A context in which that interpreter runs Mitsuba; for one thread."""
+    before = os.environ.get(PYTHON_VARIABLE)
+    os.environ[PYTHON_VARIABLE] = python
+    try:
+        yield
+    finally:
+        del os.environ[PYTHON_VARIABLE]
+        if before is not None:
+            os.environ[PYTHON_VARIABLE] = before
+
+
+def child_command(module: str) -> list[str]:
+    """The command that runs one of our modules in that interpreter, without the current folder on its path."""
+    return [interpreter(), "-P", "-c", RUN_MODULE, str(PACKAGE_PARENT), module]
+
+
+def installation() -> Installation:
+    """The Mitsuba of the chosen interpreter. Raises SceneError for one that cannot be used."""
+    return installation_of(interpreter())
+
+
+@cache
+def installation_of(python: str) -> Installation:
+    found = _description(python)
+    if _numbers(found["python"]) < _numbers(LEAST_PYTHON):
+        raise _unusable(python, f"is Python {found['python']}; expected {LEAST_PYTHON} or newer")
+    if "problem" in found:
+        way_out = f"{python} -m pip install numpy 'mitsuba>={LEAST_MITSUBA}'"
+        raise _unusable(python, f"cannot import Mitsuba and NumPy: {found['problem']} ({way_out})")
+    mitsuba = found["versions"]["mitsuba"]
+    if _numbers(mitsuba) < _numbers(LEAST_MITSUBA):
+        expected = f"expected {LEAST_MITSUBA} or later, which has robust intersections"
+        raise _unusable(python, f"has Mitsuba {mitsuba}; {expected}")
+    libraries = [path for folder in found["folders"] for path in sorted(Path(folder).rglob("*"))]
+    stamps = [
+        f"{path} {path.stat().st_size} {path.stat().st_mtime_ns}" for path in libraries if path.suffix in BINARIES
+    ]
+    build = hashlib.sha256("\n".join(stamps).encode()).hexdigest()
+    return Installation(found["versions"], tuple(found["variants"]), build)
+
+
+def _description(python: str) -> dict[str, Any]:
+    """What DESCRIBE prints in that interpreter. Raises SceneError."""
+    if shutil.which(python) is None:
+        hint = f"; did you mean {python}/bin/python?" if os.path.isdir(python) else ""
+        raise _unusable(python, f"is no program{hint}")
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            end = run([python, "-c", DESCRIBE], ANSWER_SECONDS, {"PYTHONPATH": user_import_path()}, folder)
+        except OSError as error:
+            raise _unusable(python, f"cannot be started: {error.strerror}") from None
+    _, mark, description = end.output.rpartition("DESCRIPTION")
+    if not mark or end.code != 0:
+        raise _unusable(python, f"does not answer as a Python does: {f'{end.exit} {end.headline}'.strip()}")
+    found: dict[str, Any] = json.loads(description)
+    return found
+
+
+def _unusable(python: str, why: str) -> SceneError:
+    return SceneError(f"--mitsuba {python}: {why}")
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    return tuple(int(number) for number in re.findall(r"\d+", version)[:2])
+
+
+def as_in_file() -> bool:
+    """Whether Embree's robust mode is used only where the file of the scene requests it; else it always is."""
+    return os.environ.get(AS_IN_FILE_VARIABLE, "") not in ("", "0")

@@ -1,0 +1,136 @@
+"""Textures against Mitsuba: what it evaluates at every pixel, and mistakes of ours and of its scene."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import caster
+from caster.description.errors import SceneError
+from caster.kernels.surface import texturing
+from caster.rendering import shading
+from caster.scene.files import load_scene, scene_from_text
+from caster.scene.model import Scene
+from caster.scene.textures import FILTERS, WRAPS, Bitmap, Checkerboard, texture_arrays
+from mitsuba_ref.error_model.bounds import aov_rows
+from mitsuba_ref.judge.classification import scene_judge
+from mitsuba_ref.judge.diagnosis import diagnose
+from mitsuba_ref.reference import shared_input
+
+SWATCH = "scenes/pictures/swatch.png"
+SMALL = {"scale": [2.6, 2.2, 1]}, {"translate": [-0.4, -0.7, 0]}
+
+
+def wall(texture: Any) -> Scene:
+    """A square that fills a film of 24 x 18 pixels, turned a little."""
+    turned = [{"scale": 1.5}, {"rotate": {"axis": [0.3, 1, 0.2], "degrees": 17}}]
+    return Scene(
+        film=caster.Film(width=24, height=18),
+        camera=caster.Pinhole(eye=(0.1, 0.2, 4), look_at=(0, 0, 0), fov=32),
+        lights=[caster.Point(position=(1, 2, 3), intensity=(9, 9, 9)), caster.Ambient(radiance=(0.1, 0.2, 0.3))],
+        materials={"m": {"reflectance": texture, "two_sided": True}},
+        shapes=[caster.Rectangle(material="m", to_world=turned)],
+    )
+
+
+@pytest.mark.parametrize("variant", ["scalar_rgb", "llvm_ad_rgb"])
+@pytest.mark.parametrize(
+    "texture",
+    [
+        Checkerboard(color0=(0, 0, 0), color1=(1, 1, 1), to_uv={"scale": 9}),
+        *(Bitmap(file=SWATCH, filter=f, wrap=w, to_uv=SMALL) for f in FILTERS for w in WRAPS),
+        Bitmap(file=SWATCH, raw=True),
+        Bitmap(data=[[[0.9, 0.1, 0], [0.2, 1, 0.3]], [[0, 0, 0], [1, 1, 1]]], wrap="clamp", filter="nearest"),
+    ],
+    ids=lambda texture: "-".join(map(str, (texture.type, texture.filter, texture.wrap))),
+)
+def test_every_pixel_agrees(texture, variant, monkeypatch):
+    monkeypatch.setenv("MITSUBA_REF_VARIANT", variant)
+    judge = scene_judge(wall(texture))
+    found = judge.judge()
+    assert judge.result.answer.versions["variant"] == variant
+    assert found.is_class("agree", "explained").all() and found.is_class("agree").mean() > 0.98
+    assert len(np.unique(aov_rows(judge.pair.subject, "albedo"), axis=0)) > 1
+
+
+def arrays_with(**changes: Any) -> Any:
+    """`texture_arrays` of textures that are changed in our caster alone."""
+    return lambda textures: texture_arrays([texture.model_copy(update=changes) for texture in textures])
+
+
+def shifted(textures: Any) -> Any:
+    """A thousandth of a texel to the left."""
+    made = texture_arrays(textures)
+    made.to_texels[:, 0, 2] += 0.001
+    return made
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (shifted, "contradicts our own hit: diffuse"),
+        (arrays_with(to_uv=[*SMALL, {"scale": [1, -1, 1]}, {"translate": [0, 1, 0]}]), "v of the texture is flipped"),
+        (arrays_with(wrap="repeat"), "the texture is wrapped by repeat"),
+        (arrays_with(filter="nearest"), "the texture is filtered by nearest"),
+        (arrays_with(raw=True), "sRGB is taken as linear"),
+    ],
+    ids=["shifted", "flipped", "wrapped", "filtered", "raw"],
+)
+def test_a_mistake_of_ours_is_found_and_named(change, named, monkeypatch):
+    monkeypatch.setattr(shading, "texture_arrays", change)
+    judge = scene_judge(wall(Bitmap(file=SWATCH, wrap="mirror", to_uv=SMALL)))
+    judgement = judge.judge()
+    failing = judgement.is_class("undecided", "wrong")
+    assert failing.mean() > (0.9 if change is shifted else 0.3)
+    assert all(named in cause.what for cause in diagnose(judge, judgement).causes)
+
+
+def test_a_shift_by_a_thousandth_of_a_texel_in_mitsubas_scene_is_found(monkeypatch):
+    export = shared_input.texture_element
+
+    def off(texture: Any, files: Any) -> Any:
+        return export(texture.model_copy(update={"to_uv": [*texture.to_uv, {"translate": [0.001 / 16, 0, 0]}]}), files)
+
+    monkeypatch.setattr(shared_input, "texture_element", off)
+    judgement = scene_judge(wall(Bitmap(file=SWATCH, to_uv=SMALL))).judge()
+    assert judgement.is_class("reference_wrong").mean() > 0.9
+
+
+def test_lookups_compiled_and_at_numbers_beyond_any_picture():
+    """Whole numbers in place of infinite ones; cells begin at their upper left corner."""
+    made = texture_arrays([Checkerboard(color0=(0, 0, 0), color1=(1, 1, 1))])
+    at = [texturing.color_at(made, 0, u, v)[0] for u, v in ((0, 0), (0.5, 0), (0.75, 0.75), (-1e-9, 0), (1e300, 0))]
+    assert at[:4] == [0.0, 1.0, 0.0, 1.0] and at[4] in (0.0, 1.0)
+
+
+def test_a_textured_scene_round_trips(tmp_path):
+    scene = load_scene("scenes/textures.toml")
+    (tmp_path / "again.toml").write_text(scene.to_toml())
+    again = load_scene(tmp_path / "again.toml", mesh_dirs=["scenes"])
+    assert again == scene and again.sha256() == scene.sha256()
+    changed = scene.model_copy(update={"materials": scene.materials | {"floor": caster.Diffuse()}})
+    assert changed.sha256() != scene.sha256()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "expected"),
+    [
+        ("none.png", None, "reflectance.file cannot be used: cannot read this picture: No such file or directory"),
+        ("word.png", b"P6 1 1 255", "expected a PNG picture that is complete"),
+        ("cut.png", Path(SWATCH).read_bytes()[:70], "expected a PNG picture that is complete"),
+        ("deep.png", np.zeros((3, 4), np.uint16), "expected at most 16,777,216 pixels, of 8 bits a channel, got 4 x 3"),
+        ("large.png", np.zeros((4097, 4096), np.uint8), "expected at most 16,777,216 pixels, .* got 4096 x 4097"),
+    ],
+)
+def test_unusable_pictures(name, content, expected, tmp_path):
+    if isinstance(content, np.ndarray):
+        Image.fromarray(content).save(tmp_path / name)
+    elif content is not None:
+        (tmp_path / name).write_bytes(content)
+    camera = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n'
+    text = f'{camera}[material.m]\nreflectance = {{ type = "bitmap", file = "{name}" }}\n'
+    with pytest.raises(SceneError, match=expected) as caught:
+        scene_from_text(text, folder=tmp_path)
+    assert caught.value.exit_code == (4 if content is None else 2)
