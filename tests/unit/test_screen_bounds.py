@@ -19,11 +19,11 @@ from caster.kernels.protocol import (
     project_bounding_sphere,
     t_lower_bound,
 )
-from caster.kernels.raster.screen_bounds import Window
-from caster.kernels.raster.tile import DX, DY, DZ, generate_camera_rays, new_tile
+from caster.kernels.raster.screen_bounds import PROJECTION_MARGIN, ScreenBounds, Window, bound_hulls, project_vertices
+from caster.kernels.raster.tile import DX, DY, DZ, PRIM, T_ERROR, UNCERTAIN, T, generate_camera_rays, new_tile
 from caster.kernels.raster.tile import HEIGHT as TILE_HEIGHT
 from caster.kernels.raster.tile import WIDTH as TILE_WIDTH
-from caster.kernels.raster.tile_casting import direction_bounds
+from caster.kernels.raster.tile_casting import cast_in_bounds, direction_bounds
 from caster.kernels.triangles import Triangles
 
 WIDTH, HEIGHT = 300, 200
@@ -159,6 +159,42 @@ def test_the_distortion_bound_holds_for_edges(name):
     assert max(found) > 0.06  # 5 / 8 for a line, less since angles are taken from pictures that stretch them
 
 
+@pytest.mark.parametrize("name", BENDING)
+def test_the_pixels_of_a_triangle_hold_its_curved_edges_on_every_side(name):
+    """Edges bend out of the box of their corners by more than a pixel, to each side, and none leaves its pixels."""
+    size = 50 * WIDTH, 50 * HEIGHT
+    camera, rng, count = CAMERAS[name].pack(*size), np.random.default_rng(148), 400
+    corners, inside = [], []
+    while len(corners) < count:
+        at = rng.uniform(0.2, 0.8, 2) * size
+        half = rng.choice([(0, 1), (1, 0)]) * rng.uniform(0.02, 0.1) * size[1]  # the edge is upright or level
+        rays = [camera_ray(camera, *each) for each in (at, at - half, at + half)]
+        if min(t_max for *_, t_max in rays) >= 0.0:
+            middle, start, end = (np.array(o) + 3.0 * np.array(d) for o, d, *_ in rays)
+            corners.append([start, end, middle + 1e-3 * rng.normal(size=3)])
+    points = np.array(corners).reshape(-1, 3)
+    faces = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+    window, reach = Window(0, 0, *size), (0.0, PROJECTION_MARGIN)
+    bounds = ScreenBounds(np.zeros((count, 4), np.int32), np.zeros(count), faces, np.zeros((3 * count, 4)))
+    project_vertices(points, camera, window, bounds.projected, reach, 0, 3 * count)
+    bound_hulls(points, faces, camera, window, bounds, reach, 0, count)
+    beyond = np.zeros(4, int)  # left, top, right, bottom
+    for k in range(count):
+        a, b = points[3 * k : 3 * k + 2]
+        seen = np.array([project(camera, tuple(a + s * (b - a))) for s in np.linspace(0.0, 1.0, 17)])
+        if not seen[:, 4].all() or np.abs(np.diff(seen[:, :2], axis=0)).max() > min(size) / 4:  # around the seam
+            continue
+        low, high = np.clip(seen[:, :2].min(axis=0), 0, size), np.clip(seen[:, :2].max(axis=0), 0, size)
+        pixels = bounds.pixels[k]
+        # pixels whose centres the edge passes
+        assert (np.ceil(low - 0.5) >= pixels[:2]).all() and (np.floor(high + 0.5) <= pixels[2:]).all()
+        box = bounds.projected[3 * k : 3 * k + 3, :2]
+        beyond += [*(box.min(axis=0) - low > 1.0), *(high - box.max(axis=0) > 1.0)]
+        inside.append(np.prod(pixels[2:] - pixels[:2]) < np.prod(size) / 16)
+    curved = beyond[1::2] if name == "panorama" else beyond  # which draws upright lines straight
+    assert curved.min() >= 10 and np.mean(inside) > 0.5, (beyond, np.mean(inside))
+
+
 def random_triangle(rng: np.random.Generator) -> Triangles:
     corners = rng.normal(size=(3, 3)) * 10.0 ** rng.uniform(-1, 1) + rng.normal(size=3)
     none = np.zeros((3, 3)), np.zeros((3, 2)), np.zeros(1, bool), np.zeros(1, bool)
@@ -181,6 +217,39 @@ def test_no_ray_of_a_packet_hits_a_triangle_before_its_lower_bound_of_t():
         near.extend(t / least for t in met if wide < 0.01)
     assert hits > 2000 and never > 100
     assert np.median(near) < 1.05  # it says something
+
+
+def test_what_a_tile_has_covered_hides_what_lies_behind_and_changes_no_hit():
+    """A wall at depth 1 is hit everywhere, and another at depth 2 is as many tries as make the tile look at it.
+
+    Then come triangles of a few pixels: before the first wall, just behind it, on both sides of it, and far behind.
+    """
+    camera = Pinhole(fov=40.0, eye=(0.0, 0.0, 0.0), direction=(0.0, 0.0, 1.0)).pack(TILE_WIDTH, TILE_HEIGHT)
+    window, box = Window(0, 0, TILE_WIDTH, TILE_HEIGHT), (0, 0, TILE_WIDTH, TILE_HEIGHT)
+    small = [(8, 8, 24, 16), (40, 40, 56, 48), (64, 16, 80, 24), (104, 48, 120, 56), (0, 56, 16, 64)]
+    depths = [(0.99,) * 3, (1.001,) * 3, (0.9, 1.1, 0.9), (1.02,) * 3, (1.9, 1.1, 1.3)]
+    points = [(-9.0, -9.0, 2.0), (9.0, -9.0, 2.0), (0.0, 18.0, 2.0)]
+    for (x0, y0, x1, y1), at in zip(small, depths, strict=True):
+        for x, y, depth in zip((x0, x1, x0), (y0, y0, y1), at, strict=True):
+            d = np.array(camera_ray(camera, float(x), float(y))[1])
+            points.append(tuple(depth * d / d[2]))
+    count = len(points) // 3
+    faces = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+    none = np.zeros((3 * count, 3)), np.zeros((3 * count, 2)), np.zeros(count, bool), np.zeros(count, bool)
+    prims, pixels = Triangles(np.array(points), faces, *none), np.array([box, *small], np.int32)
+    near, unused = (np.array([2.0, *(min(at) for at in depths)]), (np.zeros((0, 3), np.int32), np.zeros((0, 4))))
+    bounds = ScreenBounds(pixels, near, *unused)
+    found = []
+    for first in (0, 1):  # with the second wall and without it
+        tile = new_tile()
+        generate_camera_rays(camera, window, box, tile)
+        at_wall = slice(int(T), int(T) + TILE_WIDTH * TILE_HEIGHT)
+        tile[at_wall] = 1.0 / tile[int(DZ) : int(DZ) + TILE_WIDTH * TILE_HEIGHT]
+        order = np.arange(count, dtype=np.int32)
+        cast_in_bounds(prims, order, (first, count), bounds, 10, box, tile, True)
+        found.append([fields(tile, box, field) for field in (T, T_ERROR, PRIM, UNCERTAIN)])
+    assert np.array_equal(*found)
+    assert np.unique(found[0][2]).tolist() == [-1.0, 11.0, 13.0]  # nothing but the wall, and what is before it
 
 
 @pytest.mark.parametrize("name", CAMERAS)
