@@ -1,8 +1,12 @@
 """Runs the programs of docs/programs."""
 
+import contextlib
+import io
 import os
+import runpy
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -12,9 +16,22 @@ MAX_LINES = 12  # without the comment on top, which says what the program does
 
 def run_program(path: Path, folder: Path) -> str:
     """What the program prints in `folder`; it has to end with exit code 0."""
-    command = ["-m", "pytest", "-q", "-p", "no:cacheprovider"] if "import pytest" in path.read_text() else []
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(folder)])}
-    words = [sys.executable, *command, str(path)]
-    done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, f"{path.name}:\n{done.stdout}{done.stderr}"
-    return done.stdout
+    if "import pytest" in path.read_text():
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(folder)])}
+        words = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(path)]
+        done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True)
+        assert done.returncode == 0, f"{path.name}:\n{done.stdout}{done.stderr}"
+        return done.stdout
+    modules, out = set(sys.modules), io.StringIO()
+    sys.path.insert(0, str(folder))
+    try:
+        with contextlib.chdir(folder), contextlib.redirect_stdout(out), warnings.catch_warnings(action="default"):
+            runpy.run_path(str(path), run_name="__main__")
+    except SystemExit as end:
+        assert not end.code, f"{path.name}: {end.code}\n{out.getvalue()}"
+    finally:
+        sys.path.remove(str(folder))
+        for name in set(sys.modules) - modules:
+            if str(getattr(sys.modules[name], "__file__", "")).startswith(str(folder)):
+                del sys.modules[name]
+    return out.getvalue()

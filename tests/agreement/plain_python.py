@@ -33,8 +33,8 @@ from caster.shapes import SHAPES
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE = 3600  # seconds; takes about 10 where nothing is compiled, and minutes where everything is
 
-FILM = (13, 9)
-RAYS = 12  # of each family
+FILM = (11, 6)
+RAYS = 8  # of each family
 
 Arrays = dict[str, np.ndarray]
 

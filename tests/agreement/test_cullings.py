@@ -90,6 +90,7 @@ def test_the_screen_is_compared_for_some_cameras_and_not_for_others():
 
 @pytest.mark.parametrize("camera", [Pinhole, Orthographic], ids=name)
 @pytest.mark.parametrize("size", [1e-300, 1e-160, 1e100, 1e154, 1e200, 1e300])
+@pytest.mark.slow("each size before both cameras", every=2)
 def test_sizes_that_have_no_squares_change_nothing(size, camera):
     """Spheres and triangles that overlap, off centre and partly off the film."""
     across = {"width": 4.0 * size} if camera is Orthographic else {}

@@ -1,4 +1,4 @@
-"""Vector operations agree with NumPy, and surfaces of several hits at once with those of single hits, to the bit."""
+"""Vector operations agree with NumPy to the bit."""
 
 from typing import Any
 
@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from same_bits import bits
 
-import caster
-from caster.geometry.packing import pack
 from caster.jit import simd
 from caster.jit.decorators import jit
 from caster.jit.kernel_cache import COMPILED
@@ -15,17 +13,10 @@ from caster.jit.simd import CHILDREN, LANES
 from caster.kernels.bvh.traversal import PacketAxis, RayAxis
 from caster.kernels.math import lanes
 from caster.kernels.math.vec import TINY
-from caster.kernels.protocol import surface
-from caster.kernels.raster import tile as tiles
-from caster.kernels.raster.tile import NORMALS, SURFACES, SURFACES_WITH_UV, new_lanes
-from caster.kernels.surface.per_hit import STRIDE, new_surface_buffer, surfaces_in_tile
-from caster.kernels.triangles import Triangles
-from caster.shapes.sphere import Spheres
 
 # NumPy's scalars warn of an overflow, machine code does not
 pytestmark = [] if COMPILED else pytest.mark.filterwarnings("ignore::RuntimeWarning")
 compiled_only = pytest.mark.skipif(not COMPILED, reason="without Numba there is only the plain text")
-ROWS = tiles.HEIGHT if COMPILED else 6  # of a tile that are looked at
 
 
 def wide(rng, *shape):
@@ -161,12 +152,6 @@ def a_plane(rng):
     return tuple(tuple(rng.normal(size=3).tolist()) for _ in range(2)), tuple((0.3 * rng.random(3)).tolist())
 
 
-def reach(lines, x0, x1, y0, y1):
-    """Whether boxes -x1..x0 have a point beyond no line."""
-    found = [max(a * x0, -a * x1) + np.maximum(b * y0, -b * y1) + c >= 0.0 for a, b, c in lines]
-    return np.all(found, axis=0)
-
-
 @jit
 def sum_reaches(numbers: Any, first: int, second: int, limit: float) -> int:
     return int(lanes.any_sum_reaches(numbers, first, second, limit))
@@ -241,124 +226,3 @@ def test_corners_of_faces_are_gathered_coordinate_by_coordinate():
         expected[into : into + 9 * LANES] = rows[faces[chosen]].transpose(1, 2, 0).ravel()
         corners_of(rows, faces, out, numbers, into, LANES)
         assert np.array_equal(bits(out), bits(expected))
-
-
-# ---- surfaces ----
-
-SIZES = 10.0 ** np.array([0.0, 0.0, 0.0, 3.0, -9.0, 120.0, 152.0, -152.0, -200.0])
-
-
-def hard_triangles(rng, count):
-    """Triangles of all sizes; some thin, some points, some with vertex normals that cancel or are 0."""
-    corners = rng.normal(size=(count, 3, 3)) + rng.normal(size=(count, 1, 3))
-    thin, point = rng.random(count) < 0.2, rng.random(count) < 0.05
-    between = corners[:, 0] + rng.random((count, 1)) * (corners[:, 1] - corners[:, 0])
-    corners[thin, 2] = between[thin] + rng.choice([0.0, 1e-13, 1e-9], (count, 1))[thin] * corners[thin, 2]
-    corners[point, 1:] = corners[point, :1]
-    vertices = (corners * rng.choice(SIZES, (count, 1, 1))).reshape(-1, 3)
-    normals = rng.normal(size=(3 * count, 3)) * rng.choice(SIZES, (3 * count, 1))
-    normals[rng.random(3 * count) < 0.1] = 0.0
-    faces = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
-    smooth, textured = rng.random((2, count)) < 0.6
-    return Triangles(vertices, faces, normals, rng.random((3 * count, 2)), smooth, textured)
-
-
-def hard_spheres(rng, count):
-    radius = 10.0 ** rng.uniform(-3.0, 3.0, count) * rng.choice([1.0, 1.0, 1e-40, 1e40], count)
-    center = rng.normal(size=(count, 3)) * np.abs(radius)[:, None] * 10.0 ** rng.integers(-2, 3, (count, 1))
-    return Spheres(center, radius, np.linalg.qr(rng.normal(size=(count, 3, 3)))[0])
-
-
-def placed(shape):
-    """Some of a shape that packs to images of a unit shape, stretched by little and by 10^90."""
-
-    def some(rng, count):
-        camera = caster.Pinhole(eye=(0, 0, 9), look_at=(0, 0, 0))
-        shapes = []
-        for n in range(count):
-            size = rng.uniform(0.2, 2.0, 3) * (1e90 if n % 9 == 8 else 1.0)
-            turn = {"axis": rng.normal(size=3).tolist(), "degrees": float(rng.uniform(0.0, 360.0))}
-            place = {"translate": rng.normal(size=3).tolist()}
-            shapes.append(shape(to_world=[{"scale": size.tolist()}, {"rotate": turn}, place]))
-        return pack(caster.Scene(camera=camera, shapes=shapes)).kinds[0].prims
-
-    return some
-
-
-SOME = {"triangles": hard_triangles, "spheres": hard_spheres}
-SOME |= {"ellipsoids": placed(caster.Sphere), "cylinders": placed(caster.Cylinder)}
-
-
-def aims(rng, prims, hit):
-    """(points (n, 3) that rays lead to, about how large what they hit is (n, 1))."""
-    k, count = np.maximum(hit, 0), len(hit)
-    if isinstance(prims, Triangles):
-        corners = prims.vertices.reshape(-1, 3, 3)[k]
-        weights = rng.dirichlet((1, 1, 1), count)[:, :, None]
-        return (corners * weights).sum(axis=1), np.abs(corners).max(axis=(1, 2))[:, None] + 1e-300
-    out = rng.normal(size=(count, 3))
-    out /= np.linalg.norm(out, axis=1, keepdims=True)
-    if isinstance(prims, Spheres):
-        return prims.center[k] + prims.radius[k][:, None] * out, prims.radius[k][:, None]
-    m = prims.to_world[k]
-    return prims.center[k] + np.einsum("nij,nj->ni", m, out), np.abs(m).max(axis=(1, 2))[:, None]
-
-
-def hit_tile(rng, prims, count, longest_run):
-    """A tile of rays with hits in runs; nine in ten d have length 1, and t of misses is infinite."""
-    tile, pixels = tiles.new_tile(), tiles.PIXELS
-    hit = np.repeat(rng.integers(-1, count, pixels), rng.integers(1, longest_run, pixels))[:pixels]
-    p, size = aims(rng, prims, hit)
-    d = rng.normal(size=(pixels, 3))
-    d /= np.linalg.norm(d, axis=1, keepdims=True)
-    d[rng.random(pixels) < 0.1] *= 3.0
-    if isinstance(prims, Triangles):
-        corners = prims.vertices.reshape(-1, 3, 3)[np.maximum(hit, 0)]
-        d = np.where(rng.random((pixels, 1)) < 0.1, (corners[:, 1] - corners[:, 0]) / size, d)  # along the plane
-    t = size[:, 0] * 10.0 ** rng.uniform(-1.0, 0.5, pixels)
-    fields = [(tiles.T, np.where(hit < 0, np.inf, t)), (tiles.PRIM, hit)]
-    fields += [(at, (p - t[:, None] * d)[:, c]) for c, at in enumerate((tiles.OX, tiles.OY, tiles.OZ))]
-    fields += [(at, d[:, c]) for c, at in enumerate((tiles.DX, tiles.DY, tiles.DZ))]
-    for at, values in fields:
-        tile[int(at) : int(at) + pixels] = values
-    return tile
-
-
-@jit
-def one_at_a_time(prims: Any, numbers: Any, tile: Any, out: Any) -> None:
-    """out (pixels, 11): p, n, sh_n, u, v of the hits on a kind."""
-    for i in range(len(out)):
-        at = tiles.lane(i)
-        prim = int(tile[tiles.PRIM + at])
-        if numbers[0] <= prim < numbers[1]:
-            o = tile[tiles.OX + at], tile[tiles.OY + at], tile[tiles.OZ + at]
-            d = tile[tiles.DX + at], tile[tiles.DY + at], tile[tiles.DZ + at]
-            p, n, sh_n, u, v = surface(prims, prim - numbers[0], o, d, tile[tiles.T + at], True)
-            for c in range(3):
-                out[i, c], out[i, 3 + c], out[i, 6 + c] = p[c], n[c], sh_n[c]
-            out[i, 9], out[i, 10] = u, v
-
-
-FIELDS = {NORMALS: range(3, 6), SURFACES: range(9), SURFACES_WITH_UV: range(11)}
-
-
-@pytest.mark.parametrize("longest_run", [4, 40], ids=["short runs", "long runs"])
-@pytest.mark.parametrize("kind", SOME)
-def test_surfaces_of_several_hits_are_those_of_one_at_a_time(kind, longest_run):
-    rng, count, box = np.random.default_rng([7, longest_run]), 60, (0, 0, 101, ROWS)
-    prims = SOME[kind](rng, count)
-    tile = hit_tile(rng, prims, count, longest_run)
-    prim = tile[int(tiles.PRIM) : int(tiles.PRIM) + tiles.PIXELS]
-    y, x = np.divmod(np.arange(tiles.PIXELS), tiles.WIDTH)
-    for numbers in ((0, count), (20, 20 + count)):  # the second: others are of another kind, and keep what they have
-        expected, mine = np.full((tiles.PIXELS, 11), 7.0), (x < box[2]) & (y < box[3])
-        one_at_a_time(prims, numbers, tile, expected[: ROWS * tiles.WIDTH])
-        mine &= (prim >= numbers[0]) & (prim < numbers[1])
-        for wants, fields in FIELDS.items():
-            buffer = new_surface_buffer()
-            buffer[:] = 7.0
-            surfaces_in_tile(prims, numbers, tile, box, buffer, new_lanes(), wants)
-            for field in fields:
-                found = buffer[field * STRIDE : field * STRIDE + tiles.PIXELS]
-                assert np.array_equal(bits(found[mine]), bits(expected[mine, field])), (wants, field)
-                assert (found[~mine & (y < ROWS) & (x < 96)] == 7.0).all()

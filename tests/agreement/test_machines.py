@@ -48,26 +48,41 @@ def assert_ours_alike(found, expected, what):
 
 
 @pytest.mark.skipif(not X86, reason="the features are those of x86-64")
-@pytest.mark.parametrize(
-    ("variables", "share"), [(OLDEST, 0), (OLDEST, 3), (SANDYBRIDGE, 0), (HASWELL, 0), (SKYLAKE_X, 0)]
-)
-@pytest.mark.slow("more of the same in plain Python", keep=1)
+@pytest.mark.parametrize(("variables", "share"), [(OLDEST, 3), (SANDYBRIDGE, 0), (HASWELL, 0), (SKYLAKE_X, 0)])
+@pytest.mark.slow("more of what the oldest processor's settings show, in plain Python")
 def test_bits_do_not_depend_on_libraries(variables, share, plain, tmp_path):
     if variables is SKYLAKE_X and "v4" not in processor.description():
         pytest.skip("this processor cannot run code for AVX-512")
     given, expected = plain(share)
     found = elsewhere(tmp_path, given, CASTER_JIT="0", **variables)
-    if variables is OLDEST and "v4" in processor.description():
-        for name in LIBRARIES:  # or the variables had no effect, and the comparison no meaning
-            assert not np.array_equal(found[name], expected[name]), name
+    if variables is OLDEST:
+        assert_libraries_differ(found, expected)
     assert_ours_alike(found, expected, f"{variables} against this machine")
 
 
+def assert_libraries_differ(found, expected):
+    """Or the variables had no effect, and the comparison no meaning."""
+    if "v4" in processor.description():
+        for name in LIBRARIES:
+            assert not np.array_equal(found[name], expected[name]), name
+
+
+@pytest.mark.skipif(not X86, reason="the features and the targets are those of x86-64")
+def test_bits_are_those_of_the_oldest_processor(plain, tmp_path):
+    """Its libraries and its machine code at once; the tests beside this one vary one of them."""
+    given, expected = plain(0)
+    oldest = OLDEST | {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+    found = elsewhere(tmp_path, given, CASTER_JIT="1", **oldest)
+    assert found["compiled"]
+    assert_libraries_differ(found, expected)
+    assert_ours_alike(found, expected, "the oldest processor against this machine")
+
+
 @pytest.mark.skipif(not X86, reason="the targets are those of x86-64")
-@pytest.mark.parametrize(("target", "share"), [("generic", 0), *((target, 3) for target in NUMBA_TARGETS)])
-@pytest.mark.slow("compiles all kernels for another processor", keep=1)
-def test_bits_do_not_depend_on_what_numba_compiles_for(target, share, plain, tmp_path):
-    given, expected = plain(share)
+@pytest.mark.parametrize("target", NUMBA_TARGETS)
+@pytest.mark.slow("compiles all kernels for another processor")
+def test_bits_do_not_depend_on_what_numba_compiles_for(target, plain, tmp_path):
+    given, expected = plain(3)
     found = elsewhere(tmp_path, given, CASTER_JIT="1", NUMBA_CPU_NAME=target, NUMBA_CPU_FEATURES="")
     assert found["compiled"]
     assert_ours_alike(found, expected, f"Numba for {target} against plain Python")

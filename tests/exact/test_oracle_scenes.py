@@ -115,22 +115,6 @@ def test_what_is_sorted_out_changes_no_answer_and_no_flag(monkeypatch):
     assert min(flags[flag] for flag in ("edge_on", "degenerate", "tangent", "dropped")) >= 5, flags
 
 
-def test_faces_around_a_corner_tie_and_the_lowest_is_named():
-    """A fan of eight faces, each twice: through its middle all 16, through a spoke 4, inside of one 2."""
-    spokes = np.array([[2, 0, 1], [2, 2, 1], [0, 2, 1], [-2, 2, 0], [-2, 0, 1], [-2, -2, 1], [0, -2, 1], [2, -2, 1]])
-    corners = np.vstack([[0, 0, 2], spokes])
-    fan = np.array([[0, 1 + i, 1 + (i + 1) % 8] for i in range(8)])
-    oracle = Oracle(packed(triangles(corners, np.vstack([fan, fan[:, [1, 2, 0]]]))))
-    middle = oracle.first_hit((0, 0, 5), (0, 0, -1))
-    assert (middle.t, middle.prim, len(middle.ties)) == (3, 0, 16)
-    assert {hit.where for hit in middle.ties} == {"vertex"}
-    spoke = oracle.first_hit((1, 1, 5), (0, 0, -1))
-    assert spoke.t == 3.5 and [hit.prim for hit in spoke.ties] == [0, 1, 8, 9] and spoke.ties[0].where == "edge"
-    within = oracle.first_hit((1, 0.5, 5), (0, 0, -1))
-    assert [(hit.prim, hit.where) for hit in within.ties] == [(0, "inside"), (8, "inside")]
-    assert oracle.first_hit((3, 0, 5), (0, 0, -1)).prim == -1
-
-
 def test_spans_are_open_at_t_min_and_closed_at_t_max():
     oracle = Oracle(packed(spheres((0, 0, 0, 1))))
     line = (-3, 0, 0), (1, 0, 0)

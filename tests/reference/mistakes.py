@@ -381,8 +381,8 @@ DEFECTS = [
         "where the ray's number is 3 modulo 5",
     ),
     Mistake("epsilon too large", edited(determinant_epsilon=5.0), "torus-smooth", "hit along directions 2^40 times"),
-    Mistake("near hits lost", edited(t_min=20.0), "torus-smooth", "hit from 1000 times as far"),
     Mistake("one side hit", edited(seen=lambda self, det: det > 0), "one-triangle", "hit from the other side"),
+    Mistake("near hits lost", edited(t_min=20.0), "torus-smooth", "hit from 1000 times as far"),
     Mistake(
         "d along an axis",
         answering(lambda s, o, d, t, n: (np.where((d == 0.0).any(axis=1), np.inf, t), n)),

@@ -75,7 +75,7 @@ def supported(scene: Scene) -> bool:
 
 
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
-@pytest.mark.slow("every shipped scene, twice", every=4)
+@pytest.mark.slow("every shipped scene, twice", every=7)
 def test_ours_as_a_candidate_and_a_plain_float32_caster_pass(judged, path):
     scene = small(path.stem, 16, 12)
     tried = [candidates.ours, candidates.ours_rounded]

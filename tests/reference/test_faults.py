@@ -83,7 +83,7 @@ RIGHT = {fault.run: fault for fault in CHOSEN if not fault.run.startswith("pytes
 
 
 @pytest.mark.parametrize("run", RIGHT)
-@pytest.mark.slow("each runs in plain Python", keep=3)
+@pytest.mark.slow("each runs in plain Python", keep=1)
 def test_without_a_fault_nothing_is_found(obey, unedited, run):
     found = obey(unedited, RIGHT[run])
     assert (found.returncode, said_beside_progress(found)) == (0, []), found.stdout

@@ -265,7 +265,7 @@ def check_right(responses) -> None:
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-@pytest.mark.slow("each starts Mitsuba three times", keep=2)
+@pytest.mark.slow("each starts Mitsuba three times", keep=1)
 def test_a_fault_amid_many_requests_loses_nothing(tmp_path, plant, alone, fault):
     plant(FAULTS[fault])
     requests = balls(tmp_path, 3)

@@ -183,6 +183,7 @@ def test_limits_that_a_program_does_not_have_are_one_finding_of_the_run_and_can_
     assert [(check["name"], check["ok"]) for check in found["checks"]] == [("ray_limits", False)]
     assert out.count("expected t = inf, got 2; --no-limits states that") == 1 and "2 scenes: 2 pass, 0 fail" in out
     assert (tmp_path / "j.xml").read_text().count("<failure") == 1
+    words.remove(str(tmp_path / "b.toml"))
     assert main([*words, "--candidate-precision", "float64", "--no-limits"]) == 0
     found = json.loads((tmp_path / "v.json").read_text())
     assert found["ok"] and found["checks"] == [] and "--no-limits" in found["scenes"][0]["replay"]

@@ -154,11 +154,3 @@ def test_an_aov_is_an_attribute_if_it_was_rendered():
     ):
         with pytest.raises(AttributeError, match=says):
             getattr(aovs, name)
-
-
-def test_reprs_are_one_short_line():
-    scene = scene_of(caster.Icosphere(), caster.Mesh(np.tile(CORNERS, (5, 1)), np.tile(FACES, (5, 1))))
-    assert repr(scene) == str(scene) == "Scene(24 x 18 pixels, pinhole camera, 2 shapes, 0 lights)"
-    assert repr(caster.render(scene, ("depth", "uv"))).startswith("Aovs(depth, uv: 24 x 18 pixels, ")
-    assert repr(caster.cast(scene, (0, 0, 9), [(0, 0, -1), (0, 0, 1)])) == "Hits(rays: 2, hit: 1)"
-    assert "vertices='<20 items>', faces='<20 items>'" in repr(scene.shapes[1])

@@ -95,11 +95,10 @@ class Maker:
 
 @dataclass(frozen=True)
 class Case:
-    """One edge case: questions, and checks of more than one ray at a time (each returns how often it looked)."""
+    """One edge case and its questions."""
 
     number: int  # its row in docs/internals/edge-cases.md
     name: str
     ours: str  # what is right, in a sentence
     questions: Callable[[Maker], Iterator[Question]]
-    checks: Mapping[str, Callable[[], int]] | None = None
     every_shape: bool = False  # whether it is asked of every shape of the registry

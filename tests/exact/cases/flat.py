@@ -6,7 +6,7 @@ import numpy as np
 
 from cases import integer_shapes
 from cases.case import Case, Maker, Question
-from cases.shapes import KINDS, Aim, rays_at, shape_of, turn
+from cases.shapes import turn
 from caster import Disk, Plane, Rectangle
 
 
@@ -50,14 +50,6 @@ def rims(make: Maker) -> Iterator[Question]:
             yield make.ask(f"turned, step {step}", [each.shape], make.beside(each.p[rows] - d, step), d, hit=1, miss=1)
 
 
-def mixed_scales(make: Maker) -> Iterator[Question]:
-    for factors in ((1e3, 1, 1), (1e3, 1e-3, 1), (1, 1, 1e6), (1, 1, 1e-6)):
-        for kind in ("rectangle", "disk", "cube", "sphere", "cylinder"):
-            scene = make.scene([shape_of(kind, make.rng, 1.0, stretch=factors)])
-            o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(25))
-            yield make.ask(f"{kind} scaled by {factors}", scene, o, d, hit=5)
-
-
 def horizon(make: Maker) -> Iterator[Question]:
     """From 1 above, dipping by 10^-2 to 10^-8, and 10^-15 in float64."""
     dips = make.rounded(10.0 ** -np.arange(2.0, 9.0 if make.single else 16.0))
@@ -75,55 +67,6 @@ def horizon(make: Maker) -> Iterator[Question]:
             yield make.ask(f"{name}, {'turned' if turned else 'upright'}", [shape], o, d, hit=1)
 
 
-def coplanar(make: Maker) -> Iterator[Question]:
-    """Two in one plane: the same twice, and one turned within it; the lower number where both are."""
-    c, s = 3.0 / 5.0, 4.0 / 5.0
-    spin = np.array([[3.0, -4.0, 0.0], [4.0, 3.0, 0.0], [0.0, 0.0, 5.0]])
-    assert c * c + s * s == 1.0
-    for kind in (Rectangle, Disk):
-        m, _ = integer_shapes.whole_turn(make.rng)
-        center = integer_shapes.whole(make.rng, 3)
-        first = kind(to_world=integer_shapes.matrix_steps(20.0 * m, center))
-        second = kind(to_world=integer_shapes.matrix_steps(4.0 * m @ spin, center))
-        count = make.count(60)
-        p = center + 2.0 * np.column_stack([make.rng.integers(-12, 13, (count, 2)), np.zeros(count)]) @ m.T
-        o = center + integer_shapes.whole(make.rng, count, 3) + 40.0 * m[:, 2]
-        for name, pair in {
-            "the same": [first, first],
-            "turned": [first, second],
-            "turned, the other first": [second, first],
-        }.items():
-            named = [shape.model_copy(update={"name": f"s{i}"}) for i, shape in enumerate(pair)]
-            yield make.ask(
-                f"{kind.__name__.lower()}s, {name}",
-                named,
-                o * integer_shapes.UNIT,
-                (p - o) * integer_shapes.UNIT,
-                tie=20,
-                exact=20,
-            )
-    plane = Plane(normal=(0, 0, 1), offset=-2.0)
-    o = make.rng.uniform(1.0, 3.0, (make.count(30), 3))
-    o[:, 2] += 2.0
-    planes = [plane.model_copy(update={"name": n}) for n in "ab"]
-    yield make.ask("planes", planes, o, make.rng.normal(size=(len(o), 3)) - [0, 0, 4], tie=20)
-    turned = Rectangle(to_world=[turn(make.rng)])
-    again = Rectangle(to_world=[{"rotate": {"axis": [0, 0, 1], "degrees": 17}}, *turned.to_world])
-    scene = make.scene([turned, again])
-    o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(60), aim=Aim(edges=0.0))
-    yield make.ask("rectangles, turned by 17 degrees and rounded", scene, o, d, hit=40)
-
-
-def reflected(make: Maker) -> Iterator[Question]:
-    for kind in KINDS:
-        if kind == "plane":
-            continue
-        for mirror in ((-1.0, 1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, -1.0, -1.0)):
-            scene = make.scene([shape_of(kind, make.rng, 1.0, make.rng.normal(size=3), mirror)])
-            o, d = rays_at(make, scene.derived["packed"].parts[0], make.count(12))
-            yield make.ask(f"{kind} mirrored by {mirror}", scene, o, d, hit=2)
-
-
 EXACT = "exact"
 CASES = (
     Case(
@@ -133,13 +76,10 @@ CASES = (
         borders,
     ),
     Case(45, "rims of disks, and one unit in the last place beside", "closed, decided in integers", rims),
-    Case(46, "matrices that mix scales", "the exact inverse of the matrix counts", mixed_scales),
     Case(
         50,
         "the horizon: a plane from 1 above it",
         "a plane has no end; t is rounded a few times, however far it is",
         horizon,
     ),
-    Case(51, "two in one plane", "where both are, exactly, the first of the scene; else the one in front", coplanar),
-    Case(52, "mirrored shapes", "outside stays outside, for every shape", reflected),
 )

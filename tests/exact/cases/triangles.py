@@ -1,7 +1,6 @@
 """Cases 15 to 28: triangles, closed meshes, slivers, and rays nearly edge-on."""
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 from aimed_rays import direction
@@ -9,76 +8,7 @@ from aimed_rays import direction
 from cases import integer_shapes
 from cases.case import Case, Maker, Question
 from cases.shapes import Aim, mesh_of, rays_at, shape_of, turn
-from caster import Heightfield, Icosphere, Torus, Triangle
-
-SUBDIVISIONS = 4  # 5120 faces
-STEPS = 64  # of the grid in a radius, at least: four in an edge
-OFFSETS = ((0.0, 0.0, 0.0), (1e3, 1e3, 1e3), (148376.0, 1234.0, -223423.0), (1e6, 1e6, 1e6))
-
-
-def grid_ball(make: Maker, middle: Any) -> tuple[Any, np.ndarray, np.ndarray]:
-    """(mesh, vertices, faces): a turned icosphere around `middle`, corners on a grid so fine that no pattern is left.
-
-    Its step leaves room for sums of a few corners, so that points of edges are exact.
-    """
-    (m, n), ball = integer_shapes.whole_turn(make.rng), Icosphere(subdivisions=SUBDIVISIONS).mesh()
-    digits, room = (22, 18) if make.single else (50, 44)
-    step = max(2.0 ** (np.ceil(np.log2(np.abs(middle).max() + 1.0)) - digits), 2.0**-room)
-    radius = max(1.0, STEPS * step)
-    vertices = np.rint((radius * ball.vertices @ m.T / n + middle) / step) * step
-    return mesh_of(vertices, ball.faces), vertices, ball.faces
-
-
-def inside_of(vertices: np.ndarray) -> np.ndarray:
-    """Halfway between a corner and the one farthest from it: near the middle, and on the grid's half steps."""
-    away = np.abs(vertices - vertices[0]).sum(axis=1)
-    return 0.5 * vertices[0] + 0.5 * vertices[away.argmax()]
-
-
-def edges_of(faces: np.ndarray) -> np.ndarray:
-    pairs = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    return np.unique(pairs, axis=0)
-
-
-def closed_edges(make: Maker) -> Iterator[Question]:
-    """From inside a closed mesh at points of its edges, exact and rounded: nothing leaks."""
-    for middle in OFFSETS:
-        mesh, vertices, faces = grid_ball(make, middle)
-        scene, o = make.scene([mesh]), inside_of(vertices)
-        pairs = edges_of(faces)
-        rows = pairs[make.rng.integers(0, len(pairs), make.count(120))]
-        share = make.rng.choice([0.25, 0.5, 0.75], (len(rows), 1))
-        first, second = vertices[rows[:, 0]] - o, vertices[rows[:, 1]] - o
-        yield make.ask(f"exact, at {middle[0]:g}", scene, o, first + share * (second - first), edge=80, never=("miss",))
-        share = make.rng.random((len(rows), 1))
-        yield make.ask(f"rounded, at {middle[0]:g}", scene, o, first + share * (second - first), never=("miss",))
-    ring = Torus(major_radius=1.0, minor_radius=0.3, segments=24, sides=12).mesh()
-    m, n = integer_shapes.whole_turn(make.rng)
-    vertices = np.rint(ring.vertices @ m.T / n * 2.0**18) / 2.0**18
-    pairs = edges_of(ring.faces)[make.rng.integers(0, 3 * 24 * 12, make.count(60))]
-    o = make.rounded(vertices[pairs[:, 0]] + direction(make.rng, len(pairs)))
-    o = np.rint(o * 2.0**18) / 2.0**18
-    yield make.ask(
-        "a torus",
-        [mesh_of(vertices, ring.faces)],
-        o,
-        0.5 * (vertices[pairs[:, 0]] + vertices[pairs[:, 1]]) - o,
-        edge=8,
-        hit=60,
-    )
-
-
-def closed_corners(make: Maker) -> Iterator[Question]:
-    for middle in OFFSETS:
-        mesh, vertices, _ = grid_ball(make, middle)
-        o = inside_of(vertices)
-        rows = make.rng.integers(0, len(vertices), make.count(150))
-        yield make.ask(f"at {middle[0]:g}", [mesh], o, vertices[rows] - o, vertex=140, tie=140, never=("miss",))
-    shape = Icosphere(subdivisions=2, to_world=[turn(make.rng)])
-    scene = make.scene([shape])
-    vertices = scene.derived["packed"].parts[0].vertices
-    o = make.rounded(0.3 * direction(make.rng, len(vertices)))
-    yield make.ask("rounded", scene, o, vertices - o, never=("miss",))
+from caster import Heightfield, Triangle
 
 
 def lattice(make: Maker) -> Iterator[Question]:
@@ -253,13 +183,6 @@ def skinny(make: Maker) -> Iterator[Question]:
 
 EXACT = "exact: edge functions whose sign float64 does not resolve are decided in integers"
 CASES = (
-    Case(15, "from inside a closed mesh, at its edges", f"{EXACT}; nothing leaks, at any offset", closed_edges),
-    Case(
-        16,
-        "from inside a closed mesh, at its corners",
-        f"{EXACT}; the lowest of the faces around a corner is hit",
-        closed_corners,
-    ),
     Case(17, "a lattice of eighths, on which float arithmetic is exact", EXACT, lattice),
     Case(19, "slivers, turned", EXACT, slivers),
     Case(20, "slivers along an axis", EXACT, upright_slivers),
