@@ -15,7 +15,7 @@ SITE_TOOLS := .venv/site-tools-$(HERE)
 # Without bytecode every process would compile every module that it loads: tests start hundreds.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 .DELETE_ON_ERROR:
-.PHONY: help install validate test slow lint docs site stress bench guard wheel fuzz faults isa hostile nightly clean
+.PHONY: help install validate test slow lint docs site stress bench guard wheel fuzz faults isa hostile mutants nightly clean
 
 help: ## this list
 	@echo 'make TARGET [PYTHON=python3.12] [JOBS=N] [ARGS="options of the command behind it"]'
@@ -41,12 +41,16 @@ faults: $(INSTALLED) ## plant every fault of tests/faults in a copy of the tree:
 isa: $(INSTALLED) ## scenes and tests with Mitsuba limited to SSE4.2, AVX and AVX2, as other machines have it; half an hour
 	@PYTHONPATH=tests/isa $(BIN)/python -P -m isa_runs --jobs $(JOBS) $(ARGS)
 
+mutants: $(INSTALLED) ## plant small faults by rule, a sample of each group of modules: writes docs/internals/mutants.md; hours
+	@PYTHONPATH=benchmarks $(BIN)/python -P -m mutants --page docs/internals/mutants.md $(ARGS)
+
 hostile: $(INSTALLED) ## a thousand broken and hostile inputs to every command: none may crash, hang or leave anything
 	@PYTHONPATH=tests/hostile:tests $(BIN)/python -P -m hostile_runs --count 1000 $(ARGS)
 
 nightly: $(INSTALLED) slow faults isa hostile ## what make test has no time for: all faults, half an hour of hard rays, 12 million at edges and corners
 	@$(BIN)/mitsuba-ref fuzz --rays 2000 --time 30m
 	@$(BIN)/mitsuba-ref stress watertight --rays 1000000
+	@PYTHONPATH=benchmarks $(BIN)/python -P -m mutants --seed $$(date +%j) --out build/mutants-nightly
 
 lint: $(INSTALLED) ## style, format and types: ruff, mypy
 	@$(BIN)/ruff check .

@@ -16,6 +16,9 @@ PLACE = re.compile(r"`((?:benchmarks|caster|docs|mitsuba_ref|scenes|tests)/[\w/.
 NO_PLACES = re.compile(r"[A-Z]{4}|caster/(?:classes|faces_never_hit|jit/object_code)")
 
 
+RECORDS = {"mutants.md"}  # places of the tree that was measured
+
+
 def prose_of(page: Path) -> str:
     return re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
 
@@ -42,7 +45,7 @@ def test_every_link_and_every_named_place_exists():
     for page in PAGES:
         places = {place for place in PLACE.findall(prose_of(page)) if not NO_PLACES.search(place)}
         gone += [f"{page.name}: {target}" for target in links_of(page) if not (page.parent / target).exists()]
-        gone += [f"{page.name}: {place}" for place in sorted(places) if not exists(place)]
+        gone += [f"{page.name}: {place}" for place in sorted(places) if page.name not in RECORDS and not exists(place)]
         count += len(places)
     assert not gone and count > 100
     assert not exists("caster/gone.py") and not exists("caster/scene/model.py:gone")
