@@ -65,7 +65,7 @@ KINDS = {
     "tuple[Vec2, Vec2, Vec2]": "3 pairs of numbers",
     "tuple[AnyLight, ...]": "lights",
     "tuple[AnyShape, ...]": "shapes",
-    "dict[Name, Diffuse]": "`caster.Diffuse` by name",
+    "dict[Name, AnyMaterial]": "`caster.Diffuse`, `caster.Mirror` or `caster.Glass` by name",
     "dict[str, Check]": "`caster.Check` by AOV",
 }
 LENGTHS, PIXELS, DEGREES = "scene units", "pixels", "degrees"

@@ -13,7 +13,7 @@ from caster.description.errors import error_prefix
 from caster.system.process import OK
 
 if TYPE_CHECKING:
-    from caster.rendering.inspection import Probe
+    from caster.cli.inspection import Probe
     from caster.scene.model import Scene
 
 MAX_LISTED = 8  # primitives in the text; --json lists more
@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print the intersections of the pixel's ray. Raises SceneError for a pixel outside the film."""
     scene = load(args)
-    from caster.rendering.inspection import probe
+    from caster.cli.inspection import probe
 
     with error_prefix(args.scene):
         found = probe_to_json(probe(scene, args.x, args.y), scene, args)

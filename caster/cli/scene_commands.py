@@ -65,14 +65,14 @@ def run(args: argparse.Namespace) -> int:
             rendered = render_film(scene, aovs, threads=args.threads, on_progress=bar.add)
     write_render(output, scene, rendered.aovs, args.scene, threads=thread_count(args.threads))
     if args.json:
+        from caster.cli.inspection import account
         from caster.jit.decorators import COMPILATION_LOG
-        from caster.rendering.inspection import account
 
         kernels = {"compiled": COMPILATION_LOG.compiled, "loaded": COMPILATION_LOG.loaded}
         print(json.dumps({"output": output, **account(rendered, aovs), "kernels": kernels}, indent=2))
         return OK
     if args.explain:
-        from caster.rendering.inspection import explain
+        from caster.cli.inspection import explain
 
         print(explain(rendered, aovs))
     hit = rendered.aovs.hit

@@ -180,8 +180,14 @@ def _path_of(finding: Any, data: Any) -> DataPath:
     """Pydantic's error location without steps that the data does not have, such as the `type` of each union member."""
     path: DataPath = ()
     here, element = data, None  # element: the path whose `type` was left out
+
+    def is_default(step: str | int, table: Any) -> bool:
+        """Whether the step is a `type` that the table leaves out, not one of its keys."""
+        return isinstance(table, Mapping) and isinstance(step, str) and step not in table
+
     for k, step in enumerate(finding["loc"]):
-        is_type = child_of(here, "type") == step and element != path
+        kind = child_of(here, "type")
+        is_type = (kind == step or (kind is None and k > 1 and is_default(step, here))) and element != path
         if is_type and (k < len(finding["loc"]) - 1 or finding["type"] != "extra_forbidden"):
             element = path
         elif isinstance(step, int) and isinstance(here, Mapping):

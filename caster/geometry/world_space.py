@@ -74,7 +74,7 @@ class AffineImages(NamedTuple):
 
 
 def largest_curvature(images: AffineImages) -> np.ndarray:
-    """(n,), a bound on the curvature of images of a unit sphere or cylinder: longest half-axis over shortest squared."""
+    """(n,), a bound on the curvature of images of a unit sphere or cylinder: longest axis / shortest^2."""
     stretch = np.linalg.svd(images.to_world, compute_uv=False)
     return stretch[:, 0] / stretch[:, 2] ** 2
 

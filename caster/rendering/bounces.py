@@ -6,23 +6,23 @@ Directions follow the geometric normal, so that a reflected ray leaves the surfa
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from caster.geometry.packing import Packed
 from caster.geometry.world_space import as_float32
 from caster.kernels.nearest import Rays
-from caster.rendering.casting import find_nearest
-from caster.rendering.hits import RayHits
-from caster.scene.model import Scene
+from caster.rendering.hits import RayHits, trace_rays
+from caster.scene.model import Directional, Point
 
-__all__ = ["RAY_KINDS", "Bounce", "SecondaryRays", "bounces", "first_hits", "spawn"]
+__all__ = ["RAY_KINDS", "Bounce", "SecondaryRays", "bounces", "spawn"]
 
 RAY_KINDS = ("camera", "reflected", "refracted", "shadow")
 """Names of the numbers in `SecondaryRays.kind`."""
 REFLECTED, REFRACTED, SHADOW = 1, 2, 3
+NOWHERE = np.full(3, np.inf)  # the end of a ray without one
+GRAZING, CRITICAL, TOO_FAR = "grazing their surface", "near the critical angle", "starting beyond float32"
 
 # Unit round-offs of float32 and float64; half the spacing of the smallest float32 numbers.
 U32, U64, HALF_OF_DENORMALS = 2.0**-24, 2.0**-53, 2.0**-150
@@ -54,6 +54,7 @@ class Bounce:
 
     number: int  # 1: from hits of camera rays
     parents: RayHits  # the rays of the bounce before, and their exact first hits
+    continues: NDArray[np.bool_]  # (parents,), false of rays that end their path: shadow rays
     rays: SecondaryRays
     left_out: dict[str, int]  # reason -> count of rays that rounding leaves undecided
 
@@ -89,11 +90,6 @@ def spawn(points: np.ndarray, normals: np.ndarray, directions: np.ndarray, point
     return as_float32(points + (side * distance)[:, None] * normals)
 
 
-def first_hits(scene: Scene, packed: Packed, rays: Rays) -> RayHits:
-    """The exact first hits of rays that are float32 values."""
-    return RayHits(scene, packed, rays, find_nearest(packed, rays), np.zeros(len(rays.t_min)))
-
-
 def bounces(first: RayHits, depth: int, spawn: Spawn = spawn) -> Iterator[Bounce]:
     """The secondary rays of bounces 1 to `depth`; fewer where none are left.
 
@@ -101,63 +97,68 @@ def bounces(first: RayHits, depth: int, spawn: Spawn = spawn) -> Iterator[Bounce
     reflects, glass reflects and refracts. Shadow rays are the last of their path.
     """
     parents, pixel = first, np.arange(len(first.hit))
-    ends = np.zeros(len(first.hit), bool)
+    continues = np.ones(len(first.hit), bool)
     for number in range(1, depth + 1):
-        left_out: dict[str, int] = {}
-        leaving = list(_leaving(parents, _hits_of(parents, ~ends), left_out))
-        found = [_started(each, pixel, spawn, left_out) for each in leaving]
-        rays = SecondaryRays(*map(np.concatenate, zip(*found, strict=True)))
-        if not len(rays.kind):
+        bounce = _bounce(number, parents, continues, pixel, spawn)
+        if not len(bounce.rays.kind):
             return
-        yield Bounce(number, parents, rays, {why: count for why, count in left_out.items() if count})
-        pixel, ends = rays.pixel, rays.kind == SHADOW
-        parents = first_hits(first.scene, first.packed, Rays(rays.o, rays.d, rays.t_min, rays.t_max))
+        yield bounce
+        rays = bounce.rays
+        pixel, continues = rays.pixel, rays.kind != SHADOW
+        parents = trace_rays(first.scene, first.packed, Rays(*rays[:4]), np.zeros(len(pixel)))
 
 
-class _Hits(NamedTuple):
-    """Hits that send out rays."""
-
-    row: np.ndarray  # (m,) int64, of the ray
-    d: np.ndarray  # (m, 3) direction of the ray, of length 1
-    p: np.ndarray  # (m, 3)
-    p_error: np.ndarray  # (m, 3), the tangent plane passes p within this box
-    n: np.ndarray  # (m, 3) outwards, of length 1
-    n_error: np.ndarray  # (m,)
-
-    @property
-    def cosine(self) -> np.ndarray:
-        """(m,), of d and n; its error is within `margin`."""
-        return _dot(self.d, self.n)
-
-    @property
-    def margin(self) -> np.ndarray:
-        """(m,), error of the cosine of n and a direction that is known up to some roundings."""
-        return self.n_error + 16.0 * U64
-
-    def take(self, rows: np.ndarray) -> "_Hits":
-        return _Hits(*(a[rows] for a in self))
-
-
-class _Leaving(NamedTuple):
-    """Directions in which rays of one kind leave hits."""
-
-    kind: int
-    hits: _Hits
-    d: np.ndarray  # (m, 3)
-    side: np.ndarray  # (m,) of the surface: the sign of d . n
-    target: Any = None  # where the rays end, a point of the scene
-
-
-def _hits_of(parents: RayHits, wanted: np.ndarray) -> _Hits:
-    row = np.flatnonzero(parents.hit & wanted)
-    o, d, t = parents.rays.o[row], parents.rays.d[row], parents.nearest.t[row][:, None]
-    p, curvature = o + t * d, _curvature(parents, row)
-    error = np.abs(d) * parents.nearest.error[row][:, None] + 2.0 * U64 * (np.abs(t * d) + np.abs(p))
+def _bounce(number: int, parents: RayHits, continues: np.ndarray, pixel: np.ndarray, spawn: Spawn) -> Bounce:
+    row = np.flatnonzero(parents.hit & continues)
+    along, t = parents.rays.d[row], parents.nearest.t[row][:, None]
+    p, d, n = parents.rays.o[row] + t * along, along / _length(along)[:, None], parents.normal[row]
+    error = np.abs(along) * parents.nearest.error[row][:, None] + 2.0 * U64 * (np.abs(t * along) + np.abs(p))
+    curvature = _curvature(parents, row)
+    n_error = NORMAL_ERROR + curvature * _length(error)
     # Rounding moves the origin sideways, at most so far; there the surface has left its tangent plane.
-    aside = np.linalg.norm(error + U32 * np.abs(p) + HALF_OF_DENORMALS, axis=1)
-    n, n_error = parents.normal[row], NORMAL_ERROR + curvature * np.linalg.norm(error, axis=1)
+    aside = _length(error + U32 * np.abs(p) + HALF_OF_DENORMALS)
     error = error + (aside * (n_error + 2.0 * curvature * aside))[:, None] * np.abs(n)
-    return _Hits(row, d / np.linalg.norm(d, axis=1, keepdims=True), p, error, n, n_error)
+    margin = n_error + 16.0 * U64  # error of a cosine with n
+    cosine = _dot(d, n)
+    side = np.where(np.abs(cosine) <= margin, 0.0, np.sign(cosine))  # 0: unknown
+
+    materials, shape = [parents.scene.material_of(each) for each in parents.scene.shapes], parents.shape_id[row]
+    material = np.array([*(each.type for each in materials), ""])[shape]
+    index = as_float32(np.array([*(getattr(each, "ior", 1.0) for each in materials), 1.0]))[shape]
+    refraction, squared = refracted(d, n, np.where(cosine < 0.0, 1.0 / index, index))
+    uncertain = np.abs(squared) <= 2.0 * index * index * margin  # squared is 1 - eta^2 (1 - cosine^2)
+    glass, diffuse = material == "glass", material == "diffuse"
+
+    leaving = [
+        (REFLECTED, ~diffuse, reflected(d, n), -side, NOWHERE),
+        (REFRACTED, glass & ~uncertain & (squared > 0.0), refraction, side, NOWHERE),
+    ]
+    for light in parents.scene.lights:
+        if isinstance(light, Point):
+            leaving.append((SHADOW, diffuse, np.array(light.position) - p, -side, np.array(light.position)))
+        elif isinstance(light, Directional):
+            leaving.append((SHADOW, diffuse, np.zeros_like(p) - light.direction, -side, NOWHERE))
+
+    found, left_out = [], {CRITICAL: int((glass & uncertain).sum()), GRAZING: 0, TOO_FAR: 0}
+    for kind, wanted, way, to_side, target in leaving:
+        k = np.flatnonzero(wanted)
+        with np.errstate(over="ignore", invalid="ignore"):
+            o = as_float32(spawn(p[k], n[k], way[k], error[k]))
+            way = np.where(np.isfinite(target), target - o, way[k])
+            t_max = as_float32(_length(way)) if np.isfinite(target).all() else np.full(len(k), np.inf)
+            way = as_float32(way / _length(way)[:, None])
+            away = to_side[k] * _dot(way, n[k])
+        here = np.isfinite(o).all(axis=1)
+        left_out[TOO_FAR] += int((~here).sum())
+        left_out[GRAZING] += int((here & (np.abs(away) <= margin[k])).sum())
+        good = here & (away > margin[k])  # the others of shadow rays lead behind their surface
+        parent = row[k[good]]
+        names = np.full(len(parent), kind, np.uint8)
+        found.append(
+            SecondaryRays(o[good], way[good], np.zeros(len(parent)), t_max[good], parent, names, pixel[parent])
+        )
+    rays = SecondaryRays(*map(np.concatenate, zip(*found, strict=True)))
+    return Bounce(number, parents, continues, rays, {why: count for why, count in left_out.items() if count})
 
 
 def _curvature(hits: RayHits, row: np.ndarray) -> np.ndarray:
@@ -168,36 +169,6 @@ def _curvature(hits: RayHits, row: np.ndarray) -> np.ndarray:
             here = shape == i
             found[here] = part.curvature[prim[here]]
     return found
-
-
-def _leaving(parents: RayHits, hits: _Hits, left_out: dict[str, int]) -> Iterator[_Leaving]:
-    """All directions in which rays leave the hits. left_out: counts hits whose rays rounding leaves undecided."""
-    seen_edge_on = np.abs(hits.cosine) <= hits.margin
-    left_out[GRAZING] = int(seen_edge_on.sum())
-    hits = hits.take(~seen_edge_on)
-    materials, shape = [parents.scene.material_of(each) for each in parents.scene.shapes], parents.shape_id[hits.row]
-    kind = np.array([material.type for material in materials])[shape] if len(shape) else np.zeros(0, str)
-
-    lit = hits.take(kind == "diffuse")
-    for light in parents.scene.lights:
-        if light.type != "ambient":
-            target = np.array(light.position) if light.type == "point" else None
-            to_light = np.tile(-np.array(light.direction), (len(lit.p), 1)) if target is None else target - lit.p
-            yield _Leaving(SHADOW, lit, to_light, -np.sign(lit.cosine), target)
-
-    reflecting = hits.take(kind != "diffuse")
-    yield _Leaving(REFLECTED, reflecting, reflected(reflecting.d, reflecting.n), -np.sign(reflecting.cosine))
-
-    inside = hits.take(kind == "glass")
-    ior = as_float32(np.array([getattr(material, "ior", 1.0) for material in materials]))[shape[kind == "glass"]]
-    d, excess = refracted(inside.d, inside.n, np.where(inside.cosine < 0.0, 1.0 / ior, ior))
-    error = 2.0 * ior * ior * inside.margin  # of the excess, which is 1 - eta^2 (1 - cosine^2)
-    left_out[CRITICAL] = int((np.abs(excess) <= error).sum())
-    passes = excess > error
-    yield _Leaving(REFRACTED, inside.take(passes), d[passes], np.sign(inside.cosine[passes]))
-
-
-GRAZING, CRITICAL, TOO_FAR = "grazing their surface", "near the critical angle", "starting beyond float32"
 
 
 def reflected(d: np.ndarray, n: np.ndarray) -> np.ndarray:
@@ -217,27 +188,9 @@ def refracted(d: np.ndarray, n: np.ndarray, eta: np.ndarray) -> tuple[np.ndarray
     return eta[:, None] * d + along[:, None] * n, squared
 
 
-def _started(leaving: _Leaving, pixel: np.ndarray, spawn: Spawn, left_out: dict[str, int]) -> SecondaryRays:
-    """The rays in float32 values that leave their surface on the right side. left_out: counts others."""
-    kind, hits, d, side, target = leaving
-    with np.errstate(over="ignore"):
-        o = as_float32(spawn(hits.p, hits.n, d, hits.p_error))
-    finite = np.isfinite(o).all(axis=1)
-    left_out[TOO_FAR] = left_out.get(TOO_FAR, 0) + int((~finite).sum())
-    if target is not None:
-        d = target - o
-    length = np.linalg.norm(d, axis=1)
-    d = as_float32(d / length[:, None])
-    away = side * _dot(d, hits.n)
-    if kind != SHADOW:  # of shadow rays, those to lights behind the surface are none
-        left_out[GRAZING] += int((finite & (away <= hits.margin)).sum())
-    row = np.flatnonzero(finite & (away > hits.margin))
-    t_max = np.full(len(length), np.inf) if target is None else as_float32(length)
-    parent = hits.row[row]
-    return SecondaryRays(
-        o[row], d[row], np.zeros(len(row)), t_max[row], parent, np.full(len(row), kind, np.uint8), pixel[parent]
-    )
-
-
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.einsum("ij,ij->i", a, b)
+
+
+def _length(a: np.ndarray) -> np.ndarray:
+    return np.sqrt(_dot(a, a))

@@ -83,6 +83,9 @@ def to_toml(scene: BaseModel, folder: Path | None) -> str:
     for key in {"camera", "light", "shape"} & brief.keys():
         for element, short in zip(_listed(data[key]), _listed(brief[key]), strict=True):
             short["type"] = element["type"]
+    for name, material in brief.get("material", {}).items():
+        kind = data["material"][name]["type"]
+        brief["material"][name] = material if kind == "diffuse" else {"type": kind, **material}
     return format_toml(_named_from(folder, brief))
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeA
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field, PrivateAttr, field_validator, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, PrivateAttr, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from caster.cameras import CAMERAS, Ray
@@ -42,7 +42,7 @@ from caster.kernels.surface.lighting import DirectionalLight, PointLight
 from caster.scene.export import canonical_json, fingerprint, to_toml
 from caster.shapes import SHAPES
 
-__all__ = ["MAX_FILM_SIDE", "Ambient", "Check", "Diffuse", "Film", "Glass", "Mirror", "Point", "Scene"]
+__all__ = ["MAX_FILM_SIDE", "Ambient", "Check", "Diffuse", "Film", "Glass", "Material", "Mirror", "Point", "Scene"]
 
 # ---- lights and materials ----
 
@@ -95,6 +95,7 @@ class Diffuse(Description):
 class Specular(Description):
     """A surface that reflects or refracts every ray in one direction, and so has no diffuse light: it is black."""
 
+    model_config = ConfigDict(json_schema_extra={"required": ["type"]})
     reflectance: ClassVar[tuple[float, float, float]] = (0.0, 0.0, 0.0)
     two_sided: ClassVar[bool] = False
 

@@ -153,6 +153,11 @@ def add_timeout(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_bounces(add: Callable[..., argparse.Action], about: str) -> None:
+    """Add --bounces."""
+    add("--bounces", whole, f"{about} (materials mirror and glass; mitsuba-ref docs scene-format)", default=0)
+
+
 def add_reading(parser: argparse.ArgumentParser, more: str = "") -> Callable[..., argparse.Action]:
     """Add --map, --depth and --miss; the function that adds more options to their group."""
     add = adder(parser.add_argument_group("files of other programs (mitsuba-ref docs candidates)" + more))
@@ -259,6 +264,7 @@ def add_validate_arguments(parser: argparse.ArgumentParser) -> None:
     add("--shard", shard, "judge part I of N of the scenes, balanced by pixels", metavar="I/N")
     help_ = "also test our caster beyond the judged films: other routes, scales, brute force; compiles more kernels"
     add("--thorough", bool, help_)
+    add_bounces(add, "also judge reflected, refracted and shadow rays, to this depth")
     add_timeout(parser)
     help_ = "judge every scene and ask Mitsuba, also where an earlier run has the result of the very same inputs"
     add("--no-store", bool, help_, dest="store", action="store_false")
@@ -320,13 +326,14 @@ def row_range(text: str) -> tuple[int, int | None]:
 def add_rays_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser, ScenePath)
     add = adder(parser)
-    add("-o --output", OutputFile, ".npz, or .npy for the rows alone", metavar="RAYS", required=True)
+    add("-o --output", str, ".npz, or .npy for the rows alone; with --bounces a folder", metavar="RAYS", required=True)
     help_ = "camera (default), shadow (from the camera's hits to a light), or aimed: features (corners, edges, rims), "
     help_ += "silhouettes, surface (from surfaces), random"
     add("--kind", str, help_, metavar="KIND", choices=RAY_KINDS, default="camera")
     add("--count", positive_int, "of rays that are aimed; default 4096", default=4096)
     add("--seed", int, "of random numbers; default 0", metavar="SEED", default=0)
     add("--light", int, "number of the light of shadow rays; default 0", metavar="N", default=0)
+    add_bounces(add, "the camera's rays, and the secondary ones of each bounce to this depth, a file each")
 
 
 def add_compare_arguments(parser: argparse.ArgumentParser) -> None:
@@ -397,6 +404,7 @@ def add_probe_arguments(parser: argparse.ArgumentParser) -> None:
     add("--brief", bool, "the verdict and who is right, without the numbers")
     add("--json", bool, "as JSON")
     add("--save", OutputFile, "write this ray and what it may hit as a scene of its own")
+    add_bounces(add, "follow the pixel's path of reflected, refracted and shadow rays, to this depth")
     add_timeout(parser)
     add_candidate(parser, "another ray caster, explained as well (mitsuba-ref docs candidates)")
     add_reading(parser, "; with --candidate")

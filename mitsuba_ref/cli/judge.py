@@ -7,9 +7,11 @@ import numpy as np
 
 from caster.cli.shared_arguments import load
 from caster.description.errors import SceneError
-from caster.rendering.hits import cast
+from caster.rendering.bounces import bounces
+from caster.rendering.hits import cast, trace_rays, validated_rays
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
+from caster.system.atomic_files import check_folder
 from caster.system.process import OK
 from mitsuba_ref.cli.options import given_words
 from mitsuba_ref.cli.validate import judge_entries, without_earlier_results
@@ -18,7 +20,7 @@ from mitsuba_ref.hard import rays
 from mitsuba_ref.reference.shared_input import packed_float32, pixel_of, shared_rays
 from mitsuba_ref.runner.many_scenes import JudgeOptions, entries_of_hits
 from mitsuba_ref.runner.validation_run import RunOptions
-from mitsuba_ref.subjects.ray_files import checked_rays, read_hits, read_rays, write_rays
+from mitsuba_ref.subjects.ray_files import RayList, checked_rays, read_hits, read_rays, write_rays
 
 # ---- rays of a scene, as a file ----
 
@@ -28,6 +30,8 @@ SHADOW_T_MIN = 2.0**-10  # lengths of d, the way to a point light: a shadow ray 
 def run_rays(args: argparse.Namespace) -> int:
     """Write the rays and print their number."""
     scene = load(args)
+    if args.bounces:
+        return write_bounces(scene, args)
     make = {"camera": camera_rows, "shadow": shadow_rows}.get(args.kind, aimed_rows)
     with np.errstate(over="ignore"):
         rows, pixels = make(scene, args)
@@ -36,6 +40,23 @@ def run_rays(args: argparse.Namespace) -> int:
     rays = checked_rays(rows, args.output, scene.film.width if whole else 0)
     write_rays(args.output, rays, **({} if pixels is None else {"pixels": pixels}))
     print(f"{args.output}: {len(rows)} rays")
+    return OK
+
+
+def write_bounces(scene: Scene, args: argparse.Namespace) -> int:
+    """Write bounce-0.npz, the camera's rays, and bounce-1.npz ..., whose `parent` counts in the file before."""
+    folder = check_folder(args.output)
+    rows, pixels = camera_rows(scene, args)
+    first = trace_rays(
+        scene, packed_float32(scene), validated_rays(rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7]), rows[:, 6]
+    )
+    write_rays(folder / "bounce-0.npz", RayList(rows.astype(np.float32)), pixels=pixels)
+    for bounce in bounces(first, args.bounces):
+        rays = bounce.rays
+        listed = RayList(np.column_stack(rays[:4]).astype(np.float32))
+        path = folder / f"bounce-{bounce.number}.npz"
+        write_rays(path, listed, parent=rays.parent, kind=rays.kind, pixels=pixels[rays.pixel])
+        print(f"{path}: {len(rays.kind)} rays")
     return OK
 
 

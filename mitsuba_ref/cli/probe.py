@@ -25,7 +25,7 @@ def run(args: argparse.Namespace) -> int:
     candidate = requested_candidate(args)  # its errors come before any work
     variants.variant_for(has_quadrics=True)  # raises before any work without Mitsuba
     with error_prefix(args.scene):
-        found, probed = probe_with_evidence(scene, args.x, args.y, candidate, args.timeout)
+        found, probed = probe_with_evidence(scene, args.x, args.y, candidate, args.timeout, args.bounces)
     try:
         if args.save:
             save(args, probed, about_candidate(args, found))

@@ -39,6 +39,8 @@ def run(args: argparse.Namespace) -> int:
     candidate = requested_candidate(args)
     if args.thorough and candidate is not None:
         raise SceneError("--thorough: not with a candidate: it tests our own caster")
+    if args.bounces and candidate is not None and not candidate.takes_rays:
+        raise SceneError(f"--bounces: expected a candidate that takes rays; {candidate.name} renders images")
     options = RunOptions(
         JudgeOptions(Path(args.out) if args.out else None, args.timeout, args.store, candidate, thorough=args.thorough),
         args.workers,
@@ -73,13 +75,28 @@ def selected_entries(args: argparse.Namespace) -> list[SceneEntry]:
             Film(width=args.size[0], height=args.size[1])
     size, names = tuple(args.size) if args.size else None, display_names(files)
     entries = [
-        SceneEntry(name, file, size, tuple(args.mesh_dir), again) for name, file in zip(names, files, strict=True)
+        SceneEntry(
+            f"{name}.bounce-{number}" if number else name,
+            file,
+            size,
+            tuple(args.mesh_dir),
+            (*again, *secondary_words(args, number)),
+            bounce=number,
+        )
+        for name, file in zip(names, files, strict=True)
+        for number in range(getattr(args, "bounces", 0) + 1)
     ]
     if not entries:
         fitting = f" that fits -k {args.expression!r}" if args.expression else ""
         hint = "" if args.expression else f"; {BUILTIN_HINT}"
         print(f"nothing selected: no scene file{fitting} in {', '.join(places)}{hint}", file=sys.stderr)
     return entries
+
+
+def secondary_words(args: argparse.Namespace, bounce: int) -> tuple[str, ...]:
+    """The options of a replay of this bounce; its film has a size of its own."""
+    size = ("--size", *map(str, args.size)) if args.size else ()
+    return (*size, "--bounces", str(bounce)) if bounce else ()
 
 
 def without_earlier_results(args: argparse.Namespace) -> OutFolder | None:

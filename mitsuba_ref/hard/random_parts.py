@@ -121,6 +121,13 @@ def _lattice_steps(rng: Rng, frame: Frame) -> list[Fields]:
 FILMS = ((5, 3), (3, 5), (4, 4), (8, 2), (2, 8), (6, 5))  # pixels: landscape, portrait, square
 MATERIALS = ("first", "second")
 MAX_LIGHTS_OF_A_KIND = 5
+SPECULAR: dict[str, Fields] = {
+    "mirror": {"type": "mirror"},
+    "steel": {"type": "mirror"},
+    "glass": {"type": "glass"},
+    "water": {"type": "glass", "ior": 1.33},
+}
+SPECULAR_SHAPES = 0.1  # fraction of the shapes that are of these materials
 CHECKED = ("depth", "diffuse")  # AOVs that a table `check` names
 LIGHT_FIELDS: dict[str, Callable[[Rng, Frame], Fields]] = {
     "point": lambda rng, frame: {
@@ -156,6 +163,10 @@ def with_options(rng: Rng, frame: Frame, data: Fields) -> Fields:
             first = materials[MATERIALS[0]]
             materials["twin"] = {**first, "two_sided": not first.get("two_sided", False)}
             shape["material"] = "twin"
+    for shape in scene["shape"]:
+        if more.random() < SPECULAR_SHAPES:
+            shape["material"] = str(more.choice(list(SPECULAR)))
+            materials[shape["material"]] = SPECULAR[shape["material"]]
     return scene
 
 

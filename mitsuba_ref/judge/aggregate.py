@@ -26,6 +26,7 @@ from mitsuba_ref.judge.verdict import (
     SceneVerdict,
 )
 from mitsuba_ref.reference.shared_input import pixel_of
+from mitsuba_ref.subjects.bounce_films import BounceFilm
 from mitsuba_ref.subjects.subject import Answer
 
 T = TypeVar("T")
@@ -46,6 +47,14 @@ def class_counts(judgement: Judgement, hit: np.ndarray) -> dict[str, int]:
     counted = hit | judgement.is_class(*FAILING)
     numbers = np.bincount(judgement.classes[counted], minlength=len(CLASSES))
     return dict(zip(CLASSES, map(int, numbers), strict=True))
+
+
+def kind_counts(judgement: Judgement, film: BounceFilm) -> dict[str, dict[str, int]]:
+    """Rays of each class that occurs, by their kind; misses included."""
+    return {
+        kind: {name: count for name, count in zip(CLASSES, np.bincount(classes).tolist(), strict=False) if count}
+        for kind, classes in film.by_kind(judgement.classes).items()
+    }
 
 
 def largest_ratios(judgement: Judgement) -> dict[str, float]:

@@ -16,6 +16,7 @@ from mitsuba_ref.judge.aggregate import (
     failing_by_check,
     failure_at,
     findings,
+    kind_counts,
     largest_ratios,
     listed_failures,
     merge_windows,
@@ -28,10 +29,11 @@ from mitsuba_ref.judge.checks.knife_edges import AimedFailure
 from mitsuba_ref.judge.checks.ray_conventions import cast_further
 from mitsuba_ref.judge.classification import Judge, Judgement, judge_of
 from mitsuba_ref.judge.diagnosis import Diagnosis, diagnose
-from mitsuba_ref.judge.verdict import AGREE, FAILING, TIE, SceneCheck, SceneVerdict
+from mitsuba_ref.judge.verdict import AGREE, FAILING, TIE, SceneCheck, SceneVerdict, kinds_text
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
 from mitsuba_ref.reference.shared_input import SharedRays
+from mitsuba_ref.subjects.bounce_films import BounceFilm
 from mitsuba_ref.subjects.requests import SubjectResponse, request_answer
 from mitsuba_ref.subjects.subject import OURS, NoAnswer, Subject, Unsupported
 
@@ -47,6 +49,7 @@ class Task(NamedTuple):
     timeout: float = DEFAULT_TIMEOUT
     send: SendRequest = send_stored  # the way to Mitsuba
     thorough: bool = False  # make the checks of our caster beyond the film as well
+    bounce: BounceFilm | None = None  # where the rays come from, if they are secondary ones
 
     @property
     def ours(self) -> bool:
@@ -144,9 +147,13 @@ def judge_window(
     """
     scopes: tuple[Scope, ...] = ("scene", "window") if whole_scene else ("window",)
     whose = OUR_CHECKS if task.ours else CANDIDATE
-    checks = checks_of(whose, scopes, thorough=task.thorough, camera=task.rays is None)
+    checks = checks_of(
+        whose, scopes, thorough=task.thorough, camera=task.rays is None, secondary=task.bounce is not None
+    )
     of_scene = [each for each in checks if not each.answered]
     inputs: dict[str, Any] = {"scene": task.scene, "subject": task.subject, "wrong_rays": []}
+    if task.bounce:
+        inputs["bounce"] = task.bounce.bounce
     made = make_checks(of_scene, inputs) if task.ours else ()
     if whole_film:  # the rest is in float32; for ten million triangles, both packings take a gigabyte more
         forget_packed(task.scene, as_given, LARGE_SCENE)
@@ -197,12 +204,14 @@ def _no_comparison(task: Task, checks: tuple[SceneCheck, ...], problem: str, uns
 def _verdict(task: Task, response: SubjectResponse, seen: Seen, checks: tuple[SceneCheck, ...]) -> SceneVerdict:
     judge, judgement, diagnosis, _ = seen
     pair, answer = judge.pair, judge.answer
+    kinds = kind_counts(judgement, task.bounce) if task.bounce else {}
     by_check, by_row = failing_by_check(judgement), diagnosis.by_row()
     return _verdict_of(
         task,
         checks,
         hit_pixels=int(pair.any_hit.sum()),
         counts=class_counts(judgement, pair.any_hit),
+        kinds=kinds,
         ratios=largest_ratios(judgement),
         failures=listed_failures(judge, judgement, diagnosis),
         versions=pair.result.answer.versions,
@@ -219,7 +228,7 @@ def _verdict(task: Task, response: SubjectResponse, seen: Seen, checks: tuple[Sc
         unjudged=quantities_not_given(answer),
         findings=findings(judge, diagnosis),
         notes=(
-            *_notes_on_hits(judge, judgement),
+            *(notes_on_bounce(task.bounce, kinds) if task.bounce else _notes_on_hits(judge, judgement)),
             *(() if task.ours else (*answer.notes, *response.limits)),
             *(f"{each.name}: {each.what}" for each in checks if each.what.startswith(NOT_JUDGED)),
         ),
@@ -237,8 +246,17 @@ def _verdict_of(task: Task, checks: tuple[SceneCheck, ...], **found: Any) -> Sce
         checks=checks,
         size=(film.width, film.height),
         candidate=task.subject.name,
+        bounce=task.bounce.bounce.number if task.bounce else 0,
+        view=task.bounce.place if task.bounce else (0, 0, 0),
         **found,
     )
+
+
+def notes_on_bounce(film: BounceFilm, kinds: dict[str, dict[str, int]]) -> Iterator[str]:
+    """The rays of each kind, and how many are not judged."""
+    yield f"rays: {kinds_text(kinds)}"
+    for why, count in film.bounce.left_out.items():
+        yield f"{NOT_JUDGED}: {count} rays {why}, whose way depends on rounding"
 
 
 def _notes_on_hits(judge: Judge, judgement: Judgement) -> Iterator[str]:

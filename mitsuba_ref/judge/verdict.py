@@ -34,6 +34,15 @@ def json_number(value: float) -> float | str:
     return float(value) if math.isfinite(value) else str(float(value))
 
 
+def kinds_text(kinds: dict[str, dict[str, int]]) -> str:
+    """Secondary rays of each kind, and those that do not agree: 120 reflected (2 explained), 80 shadow."""
+    words = []
+    for kind, counts in kinds.items():
+        others = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if name != AGREE)
+        words.append(f"{sum(counts.values())} {kind}{f' ({others})' if others else ''}")
+    return ", ".join(words)
+
+
 JsonFloat = Annotated[
     float,
     PlainSerializer(json_number, return_type=float | str, when_used="json"),
@@ -122,6 +131,7 @@ class Failure:
     exact: str
     reason: str
     replay: str = ""  # the command that shows the pixel again
+    pixel: tuple[int, int] | None = None  # of the camera, for a secondary ray
 
 
 @dataclass(frozen=True, config=RESULT)
@@ -196,6 +206,10 @@ class SceneVerdict:
     options: tuple[str, ...] = ()  # options of the command line, beside --size, that a replay has to repeat
     replay: str = ""  # the command that shows the scene again
     command: str = "validate"  # the command that judged it: validate or judge
+    bounce: int = 0  # of the rays that were judged; 0: rays of the camera, or of a list
+    kinds: dict[str, dict[str, int]] = field(default_factory=dict)  # kind of secondary ray -> rays of each class
+    # of secondary rays: the camera's first pixel, x and y, and the rows of one view of its film; 0: there are no views
+    view: tuple[int, int, int] = (0, 0, 0)
     rays: tuple[int, int] = (0, 0)  # first and end of the rays judged of a list, which fill `size`; (0, 0): a film
     # the evidence, for the HTML report; None if it was not kept
     seen: Annotated[Any, Field(exclude=True)] = field(default=None, repr=False, compare=False)
@@ -263,8 +277,11 @@ class SceneVerdict:
 
     @property
     def has_evidence(self) -> bool:
-        """More hit pixels are evidence than are excused; false for a scene that hits nothing."""
-        return self.evidence > self.excused
+        """More hit pixels are evidence than are excused; false for a scene that hits nothing.
+
+        Secondary rays may all miss, or there may be none.
+        """
+        return self.evidence > self.excused or bool(self.bounce and not self.excused)
 
     @property
     def checks_pass(self) -> bool:

@@ -18,13 +18,14 @@ from mitsuba_ref.judge.explanations import MAX_TIES_SHOWN, exact_answer, full_re
 from mitsuba_ref.judge.verdict import CLASSES, FAILING, UNDECIDED, UNLISTED, json_number
 from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.probe.candidate_pixel import CandidatePixel, case_text, probe_candidate
+from mitsuba_ref.probe.path import PathRay, follow_path, path_lines
 from mitsuba_ref.probe.witnesses import WitnessAnswer, t_lines, witness_answers, witness_lines, witness_record
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.shared_input import SharedRays, shared_rays
 from mitsuba_ref.report.results import folded
 from mitsuba_ref.shapes import reference_of
-from mitsuba_ref.subjects.subject import COMPARED_AOVS, Subject
+from mitsuba_ref.subjects.subject import COMPARED_AOVS, OURS, Subject
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,7 @@ class PixelVerdict:
     case: str = ""  # where the reference is wrong: the number of the known case, or "unlisted"
     witnesses: tuple[WitnessAnswer, ...] = ()  # a candidate, ours, exact, Mitsuba in each of its variants and modes
     candidate: CandidatePixel | None = None  # if one was requested
+    path: tuple[PathRay, ...] | None = None  # its secondary rays, if they were requested
 
     def __str__(self) -> str:
         """The text of `mitsuba-ref probe`."""
@@ -67,12 +69,14 @@ class PixelVerdict:
     def ok(self) -> bool:
         """Whether our answer, Mitsuba's and the candidate's, if there is one, are explained."""
         explained = not self.problem and self.verdict not in FAILING and self.case != UNLISTED
+        explained = explained and all(each.ok for each in self.path or ())
         return explained and (self.candidate is None or self.candidate.ok)
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON; infinite numbers become text."""
         witnesses = [witness_record(each) for each in self.witnesses]
-        found = {**asdict(self), "witnesses": witnesses, "ok": self.ok}
+        path = [each._asdict() for each in self.path or ()]
+        found = {**asdict(self), "witnesses": witnesses, "path": path, "ok": self.ok}
         del found["candidate"]
         if self.candidate is not None:
             found["candidate"] = self.candidate.to_dict()
@@ -99,11 +103,12 @@ def stand_in_rays(scene: Scene) -> SharedRays | None:
 
 
 def probe_with_evidence(
-    scene: Scene, x: int, y: int, candidate: Subject | None = None, timeout: float = DEFAULT_TIMEOUT
+    scene: Scene, x: int, y: int, candidate: Subject | None = None, timeout: float = DEFAULT_TIMEOUT, bounces: int = 0
 ) -> tuple[PixelVerdict, ProbeEvidence | Crash]:
     """Judge one pixel, also for a candidate if there is one, and return the evidence as well.
 
-    timeout: seconds for Mitsuba's answer. Raises SceneError for a pixel outside the film.
+    timeout: seconds for Mitsuba's answer. bounces: also judge its secondary rays, to this depth.
+    Raises SceneError for a pixel outside the film.
     """
     film = scene.film
     if not (0 <= x < film.width and 0 <= y < film.height):
@@ -136,6 +141,7 @@ def probe_with_evidence(
         case=case_text(judgement),
         witnesses=witnesses if theirs is None or theirs.witness is None else (theirs.witness, *witnesses),
         candidate=theirs,
+        path=tuple(follow_path(scene, bounces, candidate or OURS, timeout)) if bounces else None,
     )
     return found, (judge, judgement)
 
@@ -202,6 +208,8 @@ def _lines(found: PixelVerdict, path: str, brief: bool) -> Iterator[str]:
     yield from _exact_lines(found.exact)
     yield from witness_lines(found.witnesses)
     yield from (f"  note: {note}" for note in (found.candidate.notes if found.candidate else ()))
+    if found.path is not None:
+        yield from path_lines(found.path)
     if brief:
         return
     yield "\nthe ray"

@@ -235,6 +235,8 @@ def index_row(verdict: SceneVerdict, thumbnail: str | None) -> dict[str, Any]:
         "failure": "" if verdict.ok else re.sub("^FAIL", mark_of(verdict), failure_text(verdict), flags=re.MULTILINE),
         "replay": replay(verdict),
         "replay_pixel": replay_around(verdict),
+        "bounce": verdict.bounce,
+        "view": verdict.view,
     }
 
 

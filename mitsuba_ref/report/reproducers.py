@@ -210,7 +210,7 @@ def with_replay(scene: SceneVerdict) -> SceneVerdict:
     """Add the commands that show the scene and each of its failures again."""
 
     def shown(failure: Failure) -> Failure:
-        return with_fields(failure, replay=replay(scene, (failure.x, failure.y)))
+        return with_fields(failure, replay=replay(scene, failure.pixel or (failure.x, failure.y)))
 
     return with_fields(
         scene,

@@ -10,13 +10,14 @@ from caster.scene.model import Scene
 from mitsuba_ref.judge.checks.render import check_render
 from mitsuba_ref.judge.film import JudgedFilm, joined, judged_film
 from mitsuba_ref.judge.pipeline import Seen, Task, judge_film
-from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
+from mitsuba_ref.judge.verdict import Failure, SceneVerdict, Verdict
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
 from mitsuba_ref.reference.shared_input import SharedRays
 from mitsuba_ref.report.evidence import write_images
 from mitsuba_ref.report.html_report import HtmlReport
 from mitsuba_ref.report.reproducers import write_reproducers
 from mitsuba_ref.report.verdict_text import failing_scenes, failure_text, outcome_text, short_text
+from mitsuba_ref.subjects.bounce_films import BounceFilm, bounce_film
 from mitsuba_ref.subjects.requests import request_answer
 from mitsuba_ref.subjects.subject import OURS, Subject
 
@@ -57,6 +58,7 @@ def validate_scene(
     keep: bool = False,
     film: bool = False,
     thorough: bool = False,
+    bounce: int = 0,
 ) -> SceneVerdict:
     """The verdict of a loaded scene; faults of a candidate are in the verdict.
 
@@ -64,9 +66,15 @@ def validate_scene(
     folder: for the images of both sides. send: the connection to Mitsuba. keep: keep the evidence in the verdict.
     film: keep the classes and images of the whole film.
     thorough: make the checks of our caster beyond the film as well.
+    bounce: judge the secondary rays of this bounce, in place of the camera's.
     """
     start = time.perf_counter()
     task = Task(scene, name, path, subject, rays, timeout, send, thorough)
+    if bounce:
+        secondary = bounce_film(scene, bounce)
+        if secondary is None:
+            return SceneVerdict(name, path, bounce=bounce, candidate=subject.name, notes=("no rays are left",))
+        task = task._replace(scene=secondary.scene, rays=secondary.rays, bounce=secondary)
     check_memory(task.windows()[0])
     if task.ours:
         compile_for(scene, "validate", _cast_as_judged)
@@ -83,8 +91,20 @@ def validate_scene(
 
     bands: list[JudgedFilm] = []
     verdict = judge_film(task, finish)
+    if task.bounce:
+        verdict = _with_camera_pixels(verdict, task.bounce)
     whole = joined(bands) if bands and not verdict.problem else None
     return replace(verdict, film=whole, seen=verdict.seen if keep else None, seconds=time.perf_counter() - start)
+
+
+def _with_camera_pixels(verdict: SceneVerdict, film: BounceFilm) -> SceneVerdict:
+    """The verdict of secondary rays with the camera's pixel of each failing one."""
+
+    def placed(failure: Failure) -> Failure:
+        return replace(failure, pixel=film.pixel(failure.x, failure.y))
+
+    worst = {check: placed(failure) for check, failure in verdict.worst_by.items()}
+    return replace(verdict, failures=tuple(map(placed, verdict.failures)), worst_by=worst)
 
 
 def _cast_as_judged(scene: Scene) -> None:

@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from math import isfinite
 from textwrap import wrap
 from urllib.parse import quote
@@ -24,6 +25,7 @@ from mitsuba_ref.judge.verdict import (
     SceneCheck,
     SceneVerdict,
     Verdict,
+    kinds_text,
 )
 from mitsuba_ref.report.reproducers import replay
 from mitsuba_ref.report.results import BELOW_NAME, LINE_CHARACTERS, folded, percent, plural
@@ -41,11 +43,11 @@ def table_row(scene: SceneVerdict, width: int) -> str:
     """The row of a scene. It is printed before later ones are known, so other classes have no columns of their own."""
     first = mark_of(scene), printable(scene.name, keep=""), width
     cells = row_cells(scene)
-    row = _line(*first, cells)
-    if len(row) <= LINE_CHARACTERS:
-        return row
-    lines = wrap(cells[-1], LINE_CHARACTERS, initial_indent=BELOW_NAME, subsequent_indent=BELOW_NAME)
-    return "\n".join([_line(*first, cells[:-1]), *lines])
+    row, below = _line(*first, cells), [kinds_text(scene.kinds)]
+    if len(row) > LINE_CHARACTERS:
+        row, below = _line(*first, cells[:-1]), [cells[-1], *below]
+    lines = (wrap(text, LINE_CHARACTERS, initial_indent=BELOW_NAME, subsequent_indent=BELOW_NAME) for text in below)
+    return "\n".join([row, *chain.from_iterable(lines)])
 
 
 def row_cells(scene: SceneVerdict) -> tuple[str, ...]:

@@ -57,6 +57,7 @@ class SceneEntry:
     rays: SharedRays | None = None  # of a list, which the film is filled with
     ray_range: tuple[int, int] = (0, 0)  # first and end of them in their list
     command: str = "validate"  # that judges it
+    bounce: int = 0  # of the secondary rays to judge; 0: the camera's rays
 
     @cached_property
     def pixels(self) -> int:
@@ -260,6 +261,7 @@ def judge_loaded(entry: SceneEntry, scene: Scene, options: JudgeOptions) -> Scen
         keep=options.page_of is not None,
         film=options.film,
         thorough=options.thorough,
+        bounce=entry.bounce,
     )
     return _completed(verdict, entry, scene, options)
 
@@ -270,7 +272,7 @@ def _completed(verdict: SceneVerdict, entry: SceneEntry, scene: Scene, options: 
     found = replace(
         verdict,
         candidate=verdict.candidate or subject.name,
-        resized=entry.size is not None,
+        resized=entry.size is not None and not entry.bounce,  # a bounce has a film of its own
         options=entry.options,
         command=entry.command,
         thorough=options.thorough,

@@ -8,9 +8,9 @@ import pytest
 
 import caster
 from caster.__main__ import main
+from caster.cli.inspection import probe
 from caster.geometry.packing import pack
 from caster.kernels.triangles import Triangles
-from caster.rendering.inspection import probe
 
 SCENE = """
 [film]

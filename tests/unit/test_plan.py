@@ -13,9 +13,9 @@ from caster import Cube, Fisheye, Icosphere, Orthographic, Panorama, Parabolic, 
 from caster.__main__ import main
 from caster.aovs import BY_NAME
 from caster.cameras import Ray
+from caster.cli.inspection import account
 from caster.jit.kernel_cache import COMPILED
 from caster.rendering.images import render_film, trace_film
-from caster.rendering.inspection import account
 from caster.scene.model import Ambient, Directional, Point
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -10,7 +10,7 @@ from caster.cameras import CAMERAS
 from caster.description.errors import format_value
 from caster.description.fields import Camera, Shape
 from caster.scene.files import load_scene, scene_from_text
-from caster.scene.model import LIGHTS, MAX_FILM_SIDE, Check, Diffuse, Film, Shading
+from caster.scene.model import LIGHTS, MAX_FILM_SIDE, Check, Diffuse, Film, Glass, Mirror, Shading
 from caster.shapes import SHAPES
 
 DOCUMENT = (Path(__file__).parents[2] / "docs/scene-format.md").read_text()
@@ -37,7 +37,7 @@ def own_fields(description):
     return {name: field for name, field in description.model_fields.items() if name not in known}
 
 
-KINDS = [(kind.model_fields["type"].default, kind) for kind in (*SHAPES, *CAMERAS, *LIGHTS)]
+KINDS = [(kind.model_fields["type"].default, kind) for kind in (*SHAPES, *CAMERAS, *LIGHTS, Mirror, Glass)]
 TABLES = [("[film]", Film), ("[shading]", Shading), ("[check.AOV]", Check), ("[material.NAME]", Diffuse)]
 
 

@@ -76,16 +76,26 @@ def all_checks() -> tuple[Check, ...]:
 
 
 def checks_of(
-    whose: str, scopes: Iterable[Scope] = get_args(Scope), *, thorough: bool = False, camera: bool = True
+    whose: str,
+    scopes: Iterable[Scope] = get_args(Scope),
+    *,
+    thorough: bool = False,
+    camera: bool = True,
+    secondary: bool = False,
 ) -> tuple[Check, ...]:
     """The checks of OURS or a CANDIDATE.
 
-    thorough: include those beyond the judged film; camera: include those that need the camera's rays.
+    thorough: include those beyond the judged film; camera: include those that need the camera's rays. secondary: those
+    of the rays of a bounce, and no others.
     """
     return tuple(
         each
         for each in all_checks()
-        if whose in each.of and (thorough or not each.thorough) and each.scope in scopes and (camera or not each.camera)
+        if whose in each.of
+        and (thorough or not each.thorough)
+        and each.scope in scopes
+        and (camera or not each.camera)
+        and secondary == ("bounce" in each.needs)
     )
 
 

@@ -159,8 +159,10 @@ function apartWords(ours, reference) {
 
 /** The command that replays this pixel. */
 function replayOf(record, x, y) {
-  const [before, after] = record.scene.replay_pixel;
-  return `${before}${x} ${y}${after}`;
+  const { bounce, view, replay, replay_pixel: [before, after] } = record.scene;
+  if (!bounce) return `${before}${x} ${y}${after}`;
+  const [x0, y0, rows] = view;
+  return rows ? `${before}${x0 + x} ${y0 + y % rows}${after}` : replay;
 }
 
 function copyReplay() {
