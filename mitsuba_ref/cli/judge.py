@@ -14,6 +14,7 @@ from caster.scene.model import Scene
 from caster.system.atomic_files import check_folder
 from caster.system.process import OK
 from mitsuba_ref.cli.options import given_words
+from mitsuba_ref.cli.spawned import run_spawned
 from mitsuba_ref.cli.validate import judge_entries, without_earlier_results
 from mitsuba_ref.error_model.lambert import direction_to_light
 from mitsuba_ref.hard import rays
@@ -98,6 +99,10 @@ def aimed_rows(scene: Scene, args: argparse.Namespace) -> tuple[np.ndarray, None
 
 def run(args: argparse.Namespace) -> int:
     """Judge the answers; 0 they pass, 1 they do not."""
+    if args.spawned:
+        return run_spawned(args)
+    if not args.hits or args.spawn:
+        raise SceneError("judge: expected --hits, or --spawned with or without --spawn")
     out = without_earlier_results(args)
     scene, found, hits = load_scene(args.scene, args.mesh_dir), read_rays(args.rays), read_hits(args.hits)
     options = given_words(args, "scene", "rays", "hits", "precision", "mesh_dir")

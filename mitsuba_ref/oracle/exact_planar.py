@@ -206,10 +206,5 @@ def triangle_surface(prims: Any, k: Any, vector: AsVector) -> ImplicitSurface:
 
 
 TRIANGLES = ExactKind(
-    triangle_boxes,
-    prepare_triangle,
-    intersect_triangle,
-    may_intersect,
-    present=finite_faces,
-    surface=triangle_surface,
+    triangle_boxes, prepare_triangle, intersect_triangle, may_intersect, present=finite_faces, surface=triangle_surface
 )

@@ -31,6 +31,10 @@ LARGEST_POINT_ERROR = BOX_MARGIN / 4.0
 
 NEIGHBOUR_STEPS = 3  # spacings of float32, in each coordinate
 
+# An origin this close to p, relative to the largest coordinate, is at most two spacings of float32 from it: surfaces
+# between them are closer than float32 points can be told apart from.
+FLOAT32_RESOLUTION = 4.0 * 2.0**-24
+
 
 class Departures(NamedTuple):
     """Rays that leave the hits of parent rays, one a row; all numbers are exact as they are given."""
@@ -49,6 +53,12 @@ class Departures(NamedTuple):
     def point(self) -> Vector:
         """p as approximate numbers."""
         return tuple(map(Approximate, np.ascontiguousarray(self.p.T), np.ascontiguousarray(self.p_error.T)))
+
+    @property
+    def unresolved(self) -> np.ndarray:
+        """(n,) bool: q is as close to p as float32 can tell."""
+        off, size = (np.abs(a).max(axis=-1) for a in (self.q - self.p, self.p))
+        return np.asarray(off <= FLOAT32_RESOLUTION * size)
 
     def rows(self, rows: Any) -> "Departures":
         return Departures(*(a[rows] for a in self))
@@ -165,9 +175,7 @@ class OriginJudge:
         found |= (SKIPPED if between >= 0 else 0) | (UNDECIDED if undecided else 0)
         return (found if not found & WRONG else found & WRONG), between
 
-    def _between(
-        self, p: Vector, ray: Departures, line: IntegerRay, members: set[tuple[int, int]]
-    ) -> tuple[int, bool]:
+    def _between(self, p: Vector, ray: Departures, line: IntegerRay, members: set[tuple[int, int]]) -> tuple[int, bool]:
         """(a primitive other than the members that meets the way from q to p, or -1; whether one lies along it)."""
         way = sub(p, exact_vector(ray.q))
         scale = math.lcm(*(x.denominator for x in way))
@@ -182,8 +190,9 @@ class OriginJudge:
             if (id(part), k) not in members:
                 crossed = part.intersect(k, line)
                 found += [int(part.numbers(k)[0]) for t, _ in crossed.roots if 0 <= t < at_p]
-                contacts += [each for each in crossed.contacts if each.last is not None and each.last >= 0]
-        return min(found, default=-1), any(each.first < at_p for each in contacts)
+                contacts += [(each.first, each.last) for each in crossed.contacts]
+        along = any(first and last and first < at_p and last >= 0 for first, last in contacts)
+        return min(found, default=-1), along
 
     def right_origin_exists(self, ray: Departures) -> bool:
         """Whether any of the float32 points nearest to p is a right origin, NEIGHBOUR_STEPS on either side of it."""
@@ -199,8 +208,8 @@ class OriginJudge:
 def _edge_side(surface: ImplicitSurface, corner: int, q: Vector, back: Vector) -> np.ndarray:
     """Sign of the edge function of one edge of a triangle along a line through q."""
     a, b = sub(surface.corners[corner], q), sub(surface.corners[corner - 1], q)
-    sign_along: np.ndarray = dot(cross(a, b), back).sign()
-    return sign_along
+    along: Any = dot(cross(a, b), back)
+    return np.asarray(along.sign())
 
 
 def _own_surface(part: PrimitiveArray, k: int, t: Root, ray: Departures, line: IntegerRay) -> int:

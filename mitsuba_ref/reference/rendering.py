@@ -1,7 +1,7 @@
 """Trace the shared rays with Mitsuba; name its outputs like the caster's AOVs."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -71,10 +71,12 @@ def trace_reference(
     mesh_files: Sequence[Path] = (),
     timeout: float = DEFAULT_TIMEOUT,
     send: SendRequest = send_request,
+    leaving: np.ndarray | None = None,
 ) -> ReferenceResult | Crash:
     """Trace these rays with Mitsuba, in the process that `send` reaches. A crash is a result, too.
 
-    mesh_files: also read by its own loader, for a check.
+    mesh_files: also read by its own loader, for a check. leaving: (n, 3) directions in which
+    it is to spawn a ray at each hit.
     """
     with ScratchFolder() as folder:
         xml = export(scene, model).write(Path(folder))
@@ -82,6 +84,8 @@ def trace_reference(
         request = TraceRequest(
             xml, chosen, rays.o, rays.d, rays.t_max, lights=lights, sensor=True, mesh_files=tuple(mesh_files)
         )
+        if leaving is not None:
+            request = replace(request, sensor=False, strict=False, leaving=leaving.astype(np.float32))
         answer = send(request, timeout)
     if isinstance(answer, Crash):
         return answer

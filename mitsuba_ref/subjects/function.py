@@ -35,7 +35,12 @@ _one_at_a_time = threading.Lock()
 
 
 def import_function(text: str, precision: str | None = None) -> "FunctionSubject":
-    """Import a function; the current folder comes first, as for `python -m`. Raises SceneError."""
+    """Import a function as a candidate. Raises SceneError."""
+    return function_subject(imported(text, "--candidate"), text, precision)
+
+
+def imported(text: str, option: str) -> Callable[..., Any]:
+    """The function MODULE:NAME; the current folder comes first, as for `python -m`. Raises SceneError."""
     module, _, path = text.partition(":")
     here = str(Path.cwd())
     if here not in sys.path:
@@ -47,18 +52,39 @@ def import_function(text: str, precision: str | None = None) -> "FunctionSubject
         raise
     except ModuleNotFoundError as error:
         if not f"{module}.".startswith(f"{error.name}."):  # one that the module imports
-            raise SceneError(f"--candidate {text}: cannot import {module}: {_exception_with_calls(error)}") from error
+            raise SceneError(f"{option} {text}: cannot import {module}: {_exception_with_calls(error)}") from error
         where = f"{here}, then among the installed packages and in PYTHONPATH"
-        raise SceneError(f"--candidate {text}: there is no module {module}: looked in {where}") from error
+        raise SceneError(f"{option} {text}: there is no module {module}: looked in {where}") from error
     except BaseException as error:  # also SystemExit, which would end the program with its own exit code
-        raise SceneError(f"--candidate {text}: cannot import {module}: {_exception_with_calls(error)}") from error
+        raise SceneError(f"{option} {text}: cannot import {module}: {_exception_with_calls(error)}") from error
     for name in path.split("."):
         if not hasattr(found, name):
-            raise SceneError(f"--candidate {text}: {module} has no '{path}'")
+            raise SceneError(f"{option} {text}: {module} has no '{path}'")
         found = getattr(found, name)
     if not callable(found):
-        raise SceneError(f"--candidate {text}: expected a function, got {type(found).__name__}")
-    return function_subject(found, text, precision)
+        raise SceneError(f"{option} {text}: expected a function, got {type(found).__name__}")
+    call: Callable[..., Any] = found
+    return call
+
+
+def spawn_rule(text: str) -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
+    """A candidate's rule for origins, function(points, normals, directions), which raises NoAnswer. Raises SceneError.
+
+    Arrays are (n, 3) float64: normals of length 1 outwards, and it returns the origins.
+    """
+    call = imported(text, "--spawn")
+
+    def spawn(points: np.ndarray, normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        with _one_at_a_time, _isolated():
+            try:
+                origins = np.asarray(call(points, normals, directions), np.float64)
+            except Exception as error:
+                raise NoAnswer(f"{text} raised {_exception_with_calls(error)}") from error
+        if origins.shape != points.shape:
+            raise NoAnswer(f"{text}: expected origins of shape {points.shape}, got {origins.shape}")
+        return origins
+
+    return spawn
 
 
 def function_subject(call: Callable[..., Any], name: str = "", precision: str | None = None) -> "FunctionSubject":
