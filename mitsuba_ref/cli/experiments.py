@@ -46,14 +46,14 @@ def run_stress(args: argparse.Namespace) -> int:
             progress = options.Progress(f"{i + 1}/{len(families)} {family.name}")
             if family.spawns:
                 progress("judging origins")
-                done.append(origins.sweep_origins(family, args.seed, args.rays, Path(args.out), spawn))
-                progress.clear()
-                print(f"{origins.as_text(done[-1])}\n", file=options.table_stream(args), flush=True)
-                continue
-            kept = Path(args.out), options.candidate_words(args)
-            done.append(sweeps.sweep(family, args.seed, args.rays, progress, candidate, *kept))
+                found = origins.sweep_origins(family, args.seed, args.rays, Path(args.out), spawn)
+                table = origins.as_text(found)
+                done.append(found)
+            else:
+                kept = Path(args.out), options.candidate_words(args)
+                done.append(swept := sweeps.sweep(family, args.seed, args.rays, progress, candidate, *kept))
+                table = sweeps.as_text(swept, args.skip_unsupported)
             progress.clear()
-            table = sweeps.as_text(done[-1], args.skip_unsupported)
             print(f"{table}\n", file=options.table_stream(args), flush=True)
     finally:  # what is done is kept, whatever ends the work
         run = report_sweeps(done, families, args)

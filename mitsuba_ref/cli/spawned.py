@@ -16,7 +16,7 @@ from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.oracle.spawned_origins import UNDECIDED
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.shared_input import packed_float32
-from mitsuba_ref.report.results import write_result
+from mitsuba_ref.report.results import folded, write_result
 from mitsuba_ref.subjects.function import spawn_rule
 from mitsuba_ref.subjects.ray_files import UnreadableArray, checked_rays, read_arrays, read_rays
 from mitsuba_ref.subjects.subject import NoAnswer
@@ -44,7 +44,7 @@ def run_spawned(args: argparse.Namespace) -> int:
     lines = [f"{'FAIL' if len(found.wrong) else 'PASS'}  {found.text()}"]
     if len(found.wrong):
         row = int(found.wrong[0])
-        lines.append(f"      ray {row}: {found.example(row)}")
+        lines.append(folded(f"      ray {row}: {found.example(row)}"))
         if args.out:
             path = check_folder(args.out) / f"{Path(args.scene).stem}.spawned-origin.{row}.toml"
             head = f"# The parent of ray {row} of {args.spawned}.\n# {found.example(row)}\n\n"
@@ -66,10 +66,8 @@ def listed_rays(args: argparse.Namespace) -> LeavingRays:
             f"{args.spawned}: parent: expected {len(rows)} whole numbers, got {parent.shape} {parent.dtype}"
         )
     if len(bad := np.flatnonzero((parent < 0) | (parent >= len(parents)))):
-        got = int(parent[bad[0]])
-        raise SceneError(
-            f"{args.spawned}: parent[{bad[0]}]: expected a ray of {args.rays}, 0 to {len(parents) - 1}, got {got}"
-        )
+        known = f"a ray of {args.rays}, 0 to {len(parents) - 1}"
+        raise SceneError(f"{args.spawned}: parent[{bad[0]}]: expected {known}, got {int(parent[bad[0]])}")
     packed = packed_float32(scene)
     used, of = np.unique(parent, return_inverse=True)
     o, d, t_min, t_max = parents[used, :3], parents[used, 3:6], parents[used, 6], parents[used, 7]

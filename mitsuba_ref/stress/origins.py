@@ -24,7 +24,7 @@ from mitsuba_ref.judge.origin_rules import (
     reference_rays,
 )
 from mitsuba_ref.oracle.oracle import Oracle
-from mitsuba_ref.oracle.spawned_origins import OriginJudge
+from mitsuba_ref.oracle.spawned_origins import FINDINGS, OriginJudge
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import send_request
 from mitsuba_ref.reference.shared_input import packed_float32
@@ -113,10 +113,10 @@ class OriginSweep:
             elif isinstance(score, Absent):
                 yield f"{where}: {self.subject}: no answer: {score.why}"
             elif score.wrong > score.unresolved:
-                counts = (
-                    f"{score.self_hits} self-hits, {score.skipped} skipped surfaces, {score.wrong_side} wrong sides"
-                )
-                yield f"{where}: {self.subject}:\n      {counts}\n      {score.example}\n      parent ray: {setting.file}"
+                counts = (score.self_hits, score.skipped, score.wrong_side)
+                words = ", ".join(f"{count} {name}" for count, name in zip(counts, FINDINGS, strict=False) if count)
+                lines = (f"{where}: {self.subject}:", words, score.example, f"parent ray: {setting.file}")
+                yield "\n      ".join(lines)
 
 
 def sweep_origins(family: Family, seed: int, rays: int | None, folder: Path, spawn: Rule | None = None) -> OriginSweep:
