@@ -1,6 +1,7 @@
 """Judge the origins of many secondary rays: ours, and of one in SHARE those of Mitsuba and of two rules of textbooks.
 
-python benchmarks/spawned_origins.py [RAYS]: prints a table for docs/method.md; 1e7 rays of ours by default.
+python benchmarks/spawned_origins.py [RAYS [FIRST]]: prints a table for docs/method.md, of about RAYS of ours (1e7 by default) from
+band FIRST of the film on, so that a long run can be made in pieces.
 """
 
 import sys
@@ -23,10 +24,10 @@ SCENE = Path(__file__).parent.parent / "scenes" / "glass-and-mirror.toml"
 DEPTH, ROWS, SHARE = 6, 8, 20
 
 
-def main(wanted: float) -> None:
+def main(wanted: float, first: int = 0) -> None:
     counts: dict[str, Counter[str]] = {name: Counter() for name in ("ours", "mitsuba", *RULES)}
     scene, width = load_scene(SCENE), 2048
-    height, row = 3 * width // 4, 0
+    height, row = 3 * width // 4, first
     judge = OriginJudge(Oracle(packed_float32(scene)))
     while counts["ours"]["rays"] < wanted and row < height // ROWS:
         band = row * 37 % (height // ROWS)  # spread over the film
@@ -59,4 +60,4 @@ def tally(counts: Counter[str], leaving: LeavingRays, judge: OriginJudge) -> Non
 
 
 if __name__ == "__main__":
-    main(float(sys.argv[1]) if len(sys.argv) > 1 else 1e7)
+    main(float(sys.argv[1]) if len(sys.argv) > 1 else 1e7, int(sys.argv[2]) if len(sys.argv) > 2 else 0)

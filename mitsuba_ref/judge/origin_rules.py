@@ -38,10 +38,11 @@ def along_normal(points: np.ndarray, normals: np.ndarray, directions: np.ndarray
 def pbrt_rule(points: np.ndarray, normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """An error box of the float32 point, projected on the normal; then every coordinate moves on by one float32.
 
+    A point does not tell the magnitude of the vertices that it was computed from: its largest coordinate stands for it.
     Source: Pharr, Jakob and Humphreys, Physically Based Rendering, 4th edition, section 6.8.6.
     """
     p, n = points.astype(np.float32), normals.astype(np.float32)
-    distance = dot(np.abs(n), np.float32(PBRT_ROUNDINGS * U32) * np.abs(p))
+    distance = np.float32(PBRT_ROUNDINGS * U32) * np.abs(p).max(axis=1) * np.abs(n).sum(axis=1)
     step = np.where(dot(normals, directions) < 0.0, -distance, distance)[:, None].astype(np.float32) * n
     return np.where(step == 0.0, p, np.nextafter(p + step, np.copysign(np.float32(np.inf), step))).astype(np.float64)
 
