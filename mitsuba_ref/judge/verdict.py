@@ -267,8 +267,8 @@ class SceneVerdict:
 
     @property
     def evidence(self) -> int:
-        """Hit pixels where subject and reference were compared and are right."""
-        return sum(self.counts[name] for name in EVIDENCE)
+        """Hit pixels where subject and reference were compared and are right; misses as well of secondary rays."""
+        return sum(counts.get(name, 0) for counts in self.kinds.values() or [self.counts] for name in EVIDENCE)
 
     @property
     def excused(self) -> int:
@@ -279,9 +279,9 @@ class SceneVerdict:
     def has_evidence(self) -> bool:
         """More hit pixels are evidence than are excused; false for a scene that hits nothing.
 
-        Secondary rays may all miss, or there may be none.
+        A bounce may have no rays.
         """
-        return self.evidence > self.excused or bool(self.bounce and not self.excused)
+        return self.evidence > self.excused or bool(self.bounce and not self.kinds)
 
     @property
     def checks_pass(self) -> bool:

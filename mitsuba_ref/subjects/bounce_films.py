@@ -45,24 +45,21 @@ class BounceFilm(NamedTuple):
 def bounce_films(scene: Scene, depth: int) -> Iterator[BounceFilm]:
     """The films of bounces 1 to `depth`; fewer where no rays are left.
 
-    Rays of the same path, such as those reflected once and then refracted, make up a view of the camera's film. Views
+    Each view has the camera's film and one ray of each pixel at most: the first one, the second one, and so on. Views
     are one below the other, unless they are mostly empty.
     """
     x0, y0, x1, y1 = scene.film.window
     width, height = x1 - x0, y1 - y0
-    path = np.zeros(width * height, np.int64)
     for bounce in bounces(cast_ours(scene, shared_rays(scene)), depth):
         rays = bounce.rays
-        path = _paths(path[rays.parent], rays.parent, rays.kind)
-        views = int(path.max()) + 1
-        pixels = views * width * height
-        has_views = pixels <= max(LARGEST_VIEWS, VIEW_PIXELS_PER_RAY * len(path)) and views * height <= MAX_FILM_SIDE
-        row = path * width * height + rays.pixel if has_views else np.arange(len(path))
-        listed = np.column_stack(rays[:4])
-        rows = np.zeros((pixels if has_views else len(path), listed.shape[1]))
-        rows[:, 5], rows[:, 7] = 1.0, -1.0  # no ray
-        rows[row] = listed
-        film, shared = lay_out(scene, RayList(rows, width if has_views else 0))
+        view = _places(rays.pixel)
+        rows, pixels = (int(view.max()) + 1) * height, (int(view.max()) + 1) * height * width
+        has_views = pixels <= max(LARGEST_VIEWS, VIEW_PIXELS_PER_RAY * len(view)) and rows <= MAX_FILM_SIDE
+        row = view * width * height + rays.pixel if has_views else np.arange(len(view))
+        listed = np.zeros((pixels if has_views else len(view), 8))
+        listed[:, 5], listed[:, 7] = 1.0, -1.0  # no ray
+        listed[row] = np.column_stack(rays[:4])
+        film, shared = lay_out(scene, RayList(listed, width if has_views else 0))
         yield BounceFilm(film, shared, bounce, row, scene, has_views)
 
 
@@ -71,12 +68,9 @@ def bounce_film(scene: Scene, number: int) -> BounceFilm | None:
     return next((film for film in bounce_films(scene, number) if film.bounce.number == number), None)
 
 
-def _paths(of_parent: np.ndarray, parent: np.ndarray, kind: np.ndarray) -> np.ndarray:
-    """(n,) number of each ray's path: of its parent's, its kind, and its place among the parent's rays of that kind."""
-    order = np.lexsort((kind, parent))
-    same = np.r_[False, (np.diff(parent[order]) == 0) & (np.diff(kind[order].astype(int)) == 0)]
-    first = np.maximum.accumulate(np.where(same, 0, np.arange(len(order))))
-    place = np.empty(len(order), np.int64)
-    place[order] = np.arange(len(order)) - first
-    key = (of_parent * len(RAY_KINDS) + kind) * (place.max(initial=0) + 1) + place
-    return np.unique(key, return_inverse=True)[1]
+def _places(pixel: np.ndarray) -> np.ndarray:
+    """(n,) how many rays before each one come from the same pixel."""
+    order = np.argsort(pixel, kind="stable")
+    place = np.empty(len(pixel), np.int64)
+    place[order] = np.arange(len(pixel)) - np.searchsorted(pixel[order], pixel[order])
+    return place

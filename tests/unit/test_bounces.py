@@ -85,7 +85,7 @@ def test_no_offset_is_added_where_nothing_is_rounded():
     assert (q[:, :2] == p[:, :2]).all() and -1e-44 < q[0, 2] < 0.0
 
 
-def test_views_show_each_path_at_its_pixel_and_long_lists_have_none(monkeypatch):
+def test_views_show_each_ray_at_its_pixel_and_long_lists_have_none(monkeypatch):
     scene = scene_of(Sphere(material="glass"), lights=[Point(position=(0, 9, 0), intensity=(1, 1, 1))])
     scene = scene.with_film(width=12, height=10, crop=(2, 1, 10, 8)).with_camera(eye=(0, 0, 1.5))
     for has_views in (True, False):

@@ -113,8 +113,8 @@ modules = [importlib.import_module(f"caster.rendering.{module.name}") for module
 kernels = {k for module in modules for k in vars(module).values() if isinstance(k, Kernel)}
 print(len(kernels), *sorted(k.__name__ for k in kernels if not k._codes))
 """
-# Of pixels and rays that are looked at one by one: `caster probe`, the judge.
-ONE_BY_ONE = {"hit_precedes", "intersect_each"}
+# Of rays that are looked at one by one, where the first of several hits is in doubt.
+ONE_BY_ONE = {"hit_precedes"}
 
 
 @pytest.mark.skipif(not COMPILED, reason="without Numba nothing is compiled")
