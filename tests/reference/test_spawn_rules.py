@@ -1,4 +1,4 @@
-"""Origins of spawned rays by Mitsuba, by ours and by a candidate: mitsuba3 issue 1871, and the commands that judge it."""
+"""Origins of rays by Mitsuba, by ours and by a candidate: mitsuba3 issue 1871, and the commands that judge it."""
 
 import json
 from pathlib import Path
