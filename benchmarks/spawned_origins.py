@@ -15,7 +15,7 @@ import numpy as np
 
 from caster.rendering.bounces import bounces
 from caster.scene.model import Scene
-from mitsuba_ref.judge.origin_rules import RULES, LeavingRays, judge_origins, rays_of_bounce, reference_rays
+from mitsuba_ref.judge.checks.spawned_origins import RULES, LeavingRays, judge_origins, rays_of_bounce, reference_rays
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.oracle.spawned_origins import OriginJudge
 from mitsuba_ref.reference.messages import Crash

@@ -8,12 +8,11 @@ import numpy as np
 from pydantic import computed_field
 from pydantic.dataclasses import dataclass
 
-from caster.kernels.nearest import Rays
 from caster.rendering.bounces import bounces
-from caster.rendering.hits import trace_rays
+from caster.rendering.hits import trace_rays, validated_rays
 from caster.system.atomic_files import check_folder, write_text
 from mitsuba_ref.hard.family import Family
-from mitsuba_ref.judge.origin_rules import (
+from mitsuba_ref.judge.checks.spawned_origins import (
     MOST_SEARCHED,
     RULES,
     LeavingRays,
@@ -157,7 +156,7 @@ def leaving_of(family: Family, seed: int, x: float, count: int | None) -> Leavin
     scene = made.scene()
     packed = packed_float32(scene)
     aimed = made.aim(rng, packed, count or DEFAULT_RAYS)
-    first = trace_rays(scene, packed, Rays(*aimed), np.zeros(len(aimed.o)))
+    first = trace_rays(scene, packed, validated_rays(*aimed), np.zeros(len(aimed.o)))
     return next(map(rays_of_bounce, bounces(first, 1)), None)
 
 
@@ -172,17 +171,24 @@ def write_parent(folder: Path, family: Family, x: float, found: OriginFindings, 
 
 def as_text(sweep: OriginSweep) -> str:
     """The table of a sweep, with its failures."""
+    (_, *names), *settings = rows(sweep)
+    head = f"{'PASS' if sweep.ok else 'FAIL'}  {sweep.name}: {sweep.title}   {sweep.seconds:.1f} s"
+    about = f"""x: {sweep.quantity}
+of each rule: rays with self-hit/skipped surface/wrong side
+unresolved: rays of {sweep.subject} with surfaces closer than float32 resolves;
+no origin: of the first {MOST_SEARCHED} wrong rays, those without any right float32 origin"""
+    problems = (folded(f"FAIL  {line}") for line in sweep.problems)
+    return "\n".join([folded(head), about, *aligned([["x", *names], *settings]), *problems])
+
+
+def rows(sweep: OriginSweep) -> list[list[str]]:
+    """The head and one row a setting."""
     names = list(sweep.settings[0].rules) if sweep.settings else []
-    rows = [["x", "rays", *names, "unresolved", "no origin"]]
+    found = [[sweep.quantity, "rays", *names, "unresolved", "no origin"]]
     for setting in sweep.settings:
         scores = [setting.rules.get(name) for name in names]
         cells = [each.cell if isinstance(each, OriginScore) else getattr(each, "status", NOTHING) for each in scores]
         first = scores[0]
         excused = [first.unresolved, first.no_origin] if isinstance(first, OriginScore) else [NOTHING, NOTHING]
-        rows.append([f"{setting.x:.4g}", str(setting.rays), *cells, *map(str, excused)])
-    head = f"{'PASS' if sweep.ok else 'FAIL'}  {sweep.name}: {sweep.title}   {sweep.seconds:.1f} s"
-    about = f"x: {sweep.quantity}\nof each rule: rays with self-hit/skipped surface/wrong side\n"
-    about += f"unresolved, no origin: of {sweep.subject}, with surfaces closer than float32 resolves, and without any\n"
-    about += f"right float32 origin (of the first {MOST_SEARCHED} wrong rays)"
-    problems = (folded(f"FAIL  {line}") for line in sweep.problems)
-    return "\n".join([head, about, *aligned(rows), *problems])
+        found.append([f"{setting.x:.4g}", str(setting.rays), *cells, *map(str, excused)])
+    return found
