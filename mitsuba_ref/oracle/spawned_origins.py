@@ -31,7 +31,7 @@ LARGEST_POINT_ERROR = BOX_MARGIN / 4.0
 
 NEIGHBOUR_STEPS = 3  # spacings of float32, in each coordinate
 
-# An origin this close to p, relative to the largest coordinate, is at most two spacings of float32 from it: surfaces
+# An origin this close to p, relative to the largest coordinate, is at most four spacings of float32 from it: surfaces
 # between them are closer than float32 points can be told apart from.
 FLOAT32_RESOLUTION = 4.0 * 2.0**-24
 

@@ -16,7 +16,7 @@ from mitsuba_ref.error_model.tolerances import KU, KU_OURS, U32
 from mitsuba_ref.judge.checks import NOT_JUDGED, OURS, Found, check
 from mitsuba_ref.judge.checks.knife_edges import AimedFailure
 from mitsuba_ref.oracle.oracle import Oracle
-from mitsuba_ref.oracle.spawned_origins import FINDINGS, Departures, Judged, OriginJudge
+from mitsuba_ref.oracle.spawned_origins import FINDINGS, SKIPPED, Departures, Judged, OriginJudge
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
 from mitsuba_ref.reference.rendering import trace_reference
@@ -109,8 +109,12 @@ class OriginFindings(NamedTuple):
 
     @property
     def avoidable(self) -> np.ndarray:
-        """Rows of the wrong origins that are farther from the exact point than the resolution of float32."""
-        return self.wrong[~self.leaving.rays.unresolved[self.wrong]]
+        """Rows of the wrong origins, but for those that only skip a surface closer than float32 resolves.
+
+        A rule knows the surface that the ray leaves, so nothing excuses a self-hit or the wrong side of it.
+        """
+        excused = self.leaving.rays.unresolved & (self.judged.found == SKIPPED)
+        return self.wrong[~excused[self.wrong]]
 
     def without_right_origin(self) -> int:
         """Of the first MOST_SEARCHED wrong rays, those for which no float32 point nearby is a right origin."""
