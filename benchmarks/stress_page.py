@@ -18,7 +18,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from pages import WIDTH, markdown, read_result, write_page
 
-from mitsuba_ref.stress import sweeps
+from mitsuba_ref.stress import origins, sweeps
+from mitsuba_ref.stress.origins import OriginSweep
 from mitsuba_ref.stress.score import CASTERS, OURS, Score
 from mitsuba_ref.stress.sweeps import SettingResult, StressRun, SweepResult
 
@@ -70,8 +71,13 @@ def main() -> None:
 
 def write_report(run: StressRun, folder: Path) -> None:
     """Write stress.md and its plots. Raises OutputError."""
-    plots = {f"{sweep.name}.svg": plot(sweep) for sweep in run.families}
+    plots = {f"{sweep.name}.svg": plot(sweep) for sweep in casts(run)}
     write_page(folder, PAGE, lines(run), IMAGE_FOLDER, plots)
+
+
+def casts(run: StressRun) -> list[SweepResult]:
+    """The sweeps of ray casters."""
+    return [sweep for sweep in run.families if isinstance(sweep, SweepResult)]
 
 
 def lines(run: StressRun) -> Iterator[str]:
@@ -79,18 +85,23 @@ def lines(run: StressRun) -> Iterator[str]:
     yield from outcome(run)
     yield from summary(run)
     yield READING
-    for sweep in run.families:
+    for sweep in casts(run):
         yield from section(sweep)
+    for sweep in run.families:
+        if isinstance(sweep, OriginSweep):
+            yield f"## {sweep.name}\n\n{sweep.title[0].upper()}{sweep.title[1:]}. Of the rays that leave surfaces, the"
+            yield "self-hits/skipped surfaces/wrong sides ([method.md](../method.md#origins-of-secondary-rays)).\n"
+            yield f"{markdown(origins.rows(sweep))}\n"
 
 
 def outcome(run: StressRun) -> Iterator[str]:
-    settings = [setting for sweep in run.families for setting in sweep.settings]
+    settings = [setting for sweep in casts(run) for setting in sweep.settings]
     rays, adjudicated = sum(each.rays for each in settings), sum(each.exact.adjudicated for each in settings)
     own = [score for each in settings if isinstance(score := each.witnesses[OURS.key], Score)]
     wrong, beyond = (sum(getattr(score, name) for score in own) for name in ("wrong_masks", "beyond"))
     worst = max((score.worst for score in own if score.worst is not None), default=0.0)
     yield textwrap.fill(
-        f"In {len(run.families)} sweeps, {len(settings)} settings and {rays:,} rays, {adjudicated:,} of them "
+        f"In {len(casts(run))} sweeps, {len(settings)} settings and {rays:,} rays, {adjudicated:,} of them "
         f"decided by exact arithmetic, ours has **{wrong} wrong hits or misses, and "
         f"{beyond} hits of a wrong primitive or beyond their bound**. Its largest error is {worst:.2f} of the bound of "
         "its ray.",
@@ -102,7 +113,7 @@ def outcome(run: StressRun) -> Iterator[str]:
 def summary(run: StressRun) -> Iterator[str]:
     yield "## Where each breaks down\n"
     rows = [["sweep", "stressed quantity", *(caster.title for caster in CASTERS)]]
-    for sweep in run.families:
+    for sweep in casts(run):
         found = [sweeps.breakdown(sweep, caster.key) for caster in CASTERS]
         rows.append([f"[{sweep.name}](#{sweep.name})", sweep.quantity, *found])
     yield markdown(rows)

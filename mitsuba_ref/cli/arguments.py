@@ -351,9 +351,15 @@ def add_judge_arguments(parser: argparse.ArgumentParser) -> None:
     help_ = "the scene that the rays were cast into: a scene file, or a mesh file (OBJ, PLY, STL, OFF, glTF)"
     add("--scene", InputPath, help_, metavar="SCENE", required=True)
     help_ = ".npz of t, and n, shape_id, prim_id, any_hit if given; or .npy of shape (n, 1), (n, 4), (n, 5)"
-    add("--hits", InputPath, help_, metavar="FILE", required=True)
+    add("--hits", InputPath, help_, metavar="FILE")
     help_ = ".npz of `rays`, or .npy, (n, 8): o, d, t_min, t_max (mitsuba-ref docs candidates)"
     add("--rays", InputPath, help_, metavar="FILE", required=True)
+    help_ = "judge where these rays start, in place of hits: .npz of `rays` and of `parent`, the rows of --rays after "
+    help_ += "whose hits they go on"
+    add("--spawned", InputPath, help_, metavar="FILE")
+    help_ = "let the rays of --spawned start where a rule says: MODULE:FUNCTION of (points, normals, directions), or "
+    help_ += "mitsuba, pbrt, constant"
+    add("--spawn", str, help_, metavar="RULE")
     help_ = "the arithmetic of the answers, from which bounds follow: float32 or float64; default: the type of t and n"
     add("--precision", str, help_, metavar="PRECISION", choices=PRECISIONS)
     add("--rows", row_range, "judge these rays alone: one, or from A up to B", metavar="A:B")
@@ -494,6 +500,8 @@ def add_stress_arguments(parser: argparse.ArgumentParser) -> None:
     add("--out", OutputFolder, help_, default="stress-failures")
     add_json(parser)
     add_candidate(parser, "another ray caster, which takes rays (mitsuba-ref docs candidates)")
+    help_ = "in place of ray casters, judge a rule of where rays start: of (points, normals, directions)"
+    add("--spawn", str, help_, metavar="MODULE:FUNCTION")
     add_skip_unsupported(add, "families")
 
 

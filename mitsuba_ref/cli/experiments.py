@@ -19,6 +19,7 @@ from mitsuba_ref.cli import options
 from mitsuba_ref.cli.arguments import ScenePath, ServedProgram
 from mitsuba_ref.cli.validate import selected_entries
 from mitsuba_ref.hard.family import Family
+from mitsuba_ref.hard.spawned_families import SPAWNED
 from mitsuba_ref.hard.swept_families import SWEPT
 from mitsuba_ref.judge.pipeline import Task
 from mitsuba_ref.reference import variants
@@ -33,27 +34,39 @@ from mitsuba_ref.runner.version_comparison import (
     scene_text,
     summary_text,
 )
-from mitsuba_ref.stress import sweeps
+from mitsuba_ref.stress import origins, sweeps
+from mitsuba_ref.stress.origins import OriginSweep
 from mitsuba_ref.stress.sweeps import StressRun, SweepResult
+from mitsuba_ref.subjects.function import spawn_rule
 
 # ---- stress ----
 
 
 def run_stress(args: argparse.Namespace) -> int:
     """Sweep the selected families; 0 right everywhere, 1 not, 5 nothing selected or judged, 130 interrupted."""
-    families = options.select(SWEPT, "family", args.families, args.expression)
+    if args.spawn and args.candidate:
+        raise SceneError("--spawn: not together with --candidate: a rule of origins is no ray caster")
+    known = SPAWNED if args.spawn else SWEPT if args.candidate else (*SWEPT, *SPAWNED)
+    families = options.select(known, "family", args.families, args.expression)
     if (code := options.listed(families, "family", args)) is not None:
         return code
     candidate = options.requested_candidate(args, takes_rays=True)
     variants.variant_for(has_quadrics=True)  # without Mitsuba's columns a run would pass with its evidence missing
-    done, line = list[SweepResult](), StatusLine()
+    spawn = spawn_rule(args.spawn) if args.spawn else None
+    done, line = list[SweepResult | OriginSweep](), StatusLine()
     try:
         for i, family in enumerate(families):
             progress = line.about(f"{i + 1}/{len(families)} {family.name}")
-            kept = Path(args.out), options.candidate_words(args)
-            done.append(sweeps.sweep(family, args.seed, args.rays, progress, candidate, *kept))
+            if family.spawns:
+                progress("judging origins")
+                found = origins.sweep_origins(family, args.seed, args.rays, Path(args.out), spawn)
+                table = origins.as_text(found)
+                done.append(found)
+            else:
+                kept = Path(args.out), options.candidate_words(args)
+                done.append(swept := sweeps.sweep(family, args.seed, args.rays, progress, candidate, *kept))
+                table = sweeps.as_text(swept, args.skip_unsupported)
             line.erase()
-            table = sweeps.as_text(done[-1], args.skip_unsupported)
             print(f"{table}\n", file=options.table_stream(args), flush=True)
     finally:  # what is done is kept, whatever ends the work
         run = report_sweeps(done, families, args)
@@ -63,7 +76,7 @@ def run_stress(args: argparse.Namespace) -> int:
     return OK if run.ok else DIFFERENCES
 
 
-def report_sweeps(done: list[SweepResult], families: list[Family], args: argparse.Namespace) -> StressRun:
+def report_sweeps(done: list[SweepResult | OriginSweep], families: list[Family], args: argparse.Namespace) -> StressRun:
     """Write the JSON file, if any, and print a last line; returns the result."""
     installed = versions("mitsuba", "drjit", "numpy") | {"libllvm": libllvm()}
     requested = tuple(family.name for family in families)

@@ -153,6 +153,7 @@ def judge_window(
     checks = checks_of(whose, scopes, thorough=task.thorough, camera=camera, secondary=secondary)
     of_scene = [each for each in checks if not each.answered]
     inputs: dict[str, Any] = {"scene": task.scene, "subject": task.subject, "wrong_rays": []}
+    inputs |= {"send": task.send, "timeout": task.timeout}
     if task.bounce:
         inputs["bounce"] = task.bounce.bounce
     made = make_checks(of_scene, inputs) if task.ours else ()

@@ -73,7 +73,7 @@ Number = Union["Root", int, float, Fraction]
 FIRST_BITS = 64  # fractional bits of a square root; doubled until both ends round to the same float
 
 
-def sign(x: int) -> int:
+def sign(x: int | Fraction) -> int:
     return (x > 0) - (x < 0)
 
 

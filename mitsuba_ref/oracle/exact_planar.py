@@ -8,6 +8,7 @@ import numpy as np
 from mitsuba_ref.oracle import exact_quadrics
 from mitsuba_ref.oracle.exact_numbers import IntegerRay, Integers3, Root, cross, dot, scaled, shifted, sub
 from mitsuba_ref.oracle.exact_quadrics import DEGENERATE, Affine, line_sphere_roots
+from mitsuba_ref.oracle.implicit_surfaces import AsVector, ImplicitSurface
 from mitsuba_ref.oracle.interface import NO_INTERSECTION, Contact, ExactKind, LineIntersections
 
 LINE_IN_PLANE = LineIntersections((), (Contact("edge_on", None, None),))
@@ -67,9 +68,17 @@ def usable_plane(prims: Any) -> np.ndarray:
     return np.isfinite(prims.normal).all(axis=1) & np.isfinite(prims.point).all(axis=1)
 
 
-PLANES = ExactKind(infinite_boxes, prepare_plane, intersect_plane, usable=usable_plane)
+def plane_surface(prims: Any, k: Any, vector: AsVector) -> ImplicitSurface:
+    return ImplicitSurface(vector(prims.point[k]), (vector(prims.normal[k]),))
+
+
+PLANES = ExactKind(infinite_boxes, prepare_plane, intersect_plane, usable=usable_plane, surface=plane_surface)
 DISKS = ExactKind(
-    exact_quadrics.affine_boxes, exact_quadrics.prepare_affine, intersect_disk, usable=exact_quadrics.usable_affine
+    exact_quadrics.affine_boxes,
+    exact_quadrics.prepare_affine,
+    intersect_disk,
+    usable=exact_quadrics.usable_affine,
+    surface=exact_quadrics.disk_surface,
 )
 
 
@@ -191,4 +200,11 @@ def _edge_function(p: np.ndarray, q: np.ndarray, d: np.ndarray) -> tuple[np.ndar
     return edge, size
 
 
-TRIANGLES = ExactKind(triangle_boxes, prepare_triangle, intersect_triangle, may_intersect, present=finite_faces)
+def triangle_surface(prims: Any, k: Any, vector: AsVector) -> ImplicitSurface:
+    a, b, c = (vector(prims.vertices[prims.faces[k][..., corner]]) for corner in range(3))
+    return ImplicitSurface(a, (cross(sub(b, a), sub(c, a)),), corners=(a, b, c))
+
+
+TRIANGLES = ExactKind(
+    triangle_boxes, prepare_triangle, intersect_triangle, may_intersect, present=finite_faces, surface=triangle_surface
+)

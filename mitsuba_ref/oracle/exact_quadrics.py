@@ -15,6 +15,7 @@ from mitsuba_ref.oracle.exact_numbers import (
     sign_with_root,
     sub,
 )
+from mitsuba_ref.oracle.implicit_surfaces import AsVector, ImplicitSurface
 from mitsuba_ref.oracle.interface import NO_INTERSECTION, Contact, ExactKind, LineIntersections, next_above, next_below
 
 
@@ -221,8 +222,32 @@ def usable_sphere(prims: Any) -> np.ndarray:
     return np.isfinite(prims.center).all(axis=1) & np.isfinite(prims.radius) & (prims.radius >= 0.0)
 
 
-SPHERES = ExactKind(sphere_boxes, prepare_sphere, intersect_sphere, usable=usable_sphere)
-ELLIPSOIDS = ExactKind(affine_boxes, prepare_affine, intersect_ellipsoid, usable=usable_affine)
+def sphere_surface(prims: Any, k: Any, vector: AsVector) -> ImplicitSurface:
+    (radius,) = vector(prims.radius[k][..., None])
+    return ImplicitSurface(vector(prims.center[k]), size=radius)
+
+
+def ellipsoid_surface(prims: Any, k: Any, vector: AsVector) -> ImplicitSurface:
+    """In object space scaled by the determinant; the rows are those of the adjugate."""
+    a, b, c = (vector(prims.to_world[k][..., column]) for column in range(3))
+    rows = cross(b, c), cross(c, a), cross(a, b)
+    return ImplicitSurface(vector(prims.center[k]), rows, dot(a, rows[0]))
+
+
+def cylinder_surface(prims: Any, k: Any, vector: AsVector) -> ImplicitSurface:
+    around = ellipsoid_surface(prims, k, vector)
+    return around._replace(rows=around.rows[:2])
+
+
+def disk_surface(prims: Any, k: Any, vector: AsVector) -> ImplicitSurface:
+    around = ellipsoid_surface(prims, k, vector)
+    return ImplicitSurface(around.origin, around.rows[2:])
+
+
+SPHERES = ExactKind(sphere_boxes, prepare_sphere, intersect_sphere, usable=usable_sphere, surface=sphere_surface)
+ELLIPSOIDS = ExactKind(
+    affine_boxes, prepare_affine, intersect_ellipsoid, usable=usable_affine, surface=ellipsoid_surface
+)
 OUTER_ELLIPSOIDS = ExactKind(affine_boxes, prepare_affine, enter_ellipsoid, usable=usable_affine)
 SEGMENTS = ExactKind(segment_boxes, prepare_segment, enter_segment, usable=usable_segment)
-CYLINDERS = ExactKind(affine_boxes, prepare_affine, intersect_cylinder, usable=usable_affine)
+CYLINDERS = ExactKind(affine_boxes, prepare_affine, intersect_cylinder, usable=usable_affine, surface=cylinder_surface)

@@ -60,6 +60,9 @@ class ExactKind(NamedTuple):
     # prims -> (n,) bool: False for primitives that are never hit, such as faces with a corner that is not finite
     present: Callable[[Any], np.ndarray] = all_true
 
+    # (prims, k, AsVector) -> the ImplicitSurface that primitive k lies in; None: which side a point is on is not known
+    surface: Callable[[Any, Any, Any], Any] | None = None
+
 
 EXACT_KINDS: dict[type, ExactKind] = {}  # by the class of the arrays; filled by mitsuba_ref.shapes
 STAND_INS: dict[type, ExpandStandIns] = {}  # by the class of the stand-in's arrays

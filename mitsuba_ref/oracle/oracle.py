@@ -181,7 +181,7 @@ class CandidatePrimitive(NamedTuple):
 class PrimitiveIndex:
     """All primitives of a scene, array after array; an index counts through all of them."""
 
-    def __init__(self, parts: Sequence[PrimitiveArray]) -> None:
+    def __init__(self, parts: Sequence[PrimitiveArray], margin: float = BOX_MARGIN) -> None:
         """Raises OutsideDomain for primitives with numbers that are outside the domain."""
         for part in parts:
             check_usable(part)
@@ -198,7 +198,7 @@ class PrimitiveIndex:
         del boxes
         if not tried.all():
             low, high = low[tried], high[tried]
-        self.tree = BoxTree(low, high, BOX_MARGIN, np.flatnonzero(tried))
+        self.tree = BoxTree(low, high, margin, np.flatnonzero(tried))
 
     def numbered(self, prim: int) -> Iterator[tuple[PrimitiveArray, int]]:
         """All pieces of primitive number `prim`, as (array, row); none for a face with a corner that is not finite."""

@@ -130,6 +130,7 @@ class TraceRequest:
         "o": (("rays", 3), np.float32),
         "d": (("rays", 3), np.float32),
         "t_max": (("rays",), np.float32),
+        "leaving": (("origins", 3), np.float32),
     }
 
     xml: Path
@@ -142,9 +143,11 @@ class TraceRequest:
     strict: bool = True  # whether a warning of Mitsuba's is an error
     mesh_files: tuple[Path, ...] = ()  # to be read by Mitsuba's own loader as well
     original: Mapping[str, Any] | None = None  # of an OpenRequest: `xml` is a user's file, to be loaded as it says
+    # (n, 3) float32, direction in which a ray leaves each hit, for spawn_ray; or none
+    leaving: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.float32))
 
     def __post_init__(self) -> None:
-        _check_arrays(self, {"rays": len(self.o)})
+        _check_arrays(self, {"rays": len(self.o), "origins": len(self.o) if len(self.leaving) else 0})
 
     def to_bytes(self) -> bytes:
         """The request with absolute paths: the child runs in another folder."""
@@ -182,6 +185,7 @@ class TraceResponse:
         "sensor": (("pixels", 7), np.float32),
         "mesh_corners": (("faces", 3, 8), np.float32),
         "mesh_vertices": (("faces", 3), np.int32),
+        "origin": (("origins", 3), np.float32),
     }
 
     t: np.ndarray  # (n,) float32, lengths of d
@@ -204,6 +208,8 @@ class TraceResponse:
     # (f, 3, 8) float32: position, normal and uv at the corners of all faces of the mesh files
     mesh_corners: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 8), np.float32))
     mesh_vertices: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int32))  # (f, 3) indices
+    # (n, 3) float32: the origin of the ray that leaves each hit, by spawn_ray, where these were requested
+    origin: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.float32))
     mesh_faces: Sequence[int] = ()  # face count of each file
     mesh_problems: Sequence[str] = ()  # for each file, why Mitsuba's loader refused it; "" if it did not
 
@@ -234,7 +240,8 @@ class TraceResponse:
     def check(self, rays: int) -> None:
         """Raise ValueError unless every array has its length, dtype and range."""
         lights, pixels, faces = len(self.light_rgb), len(self.sensor), sum(self.mesh_faces)
-        _check_arrays(self, {"rays": rays, "lights": lights, "pixels": pixels, "faces": faces})
+        origins = rays if len(self.origin) else 0
+        _check_arrays(self, {"rays": rays, "lights": lights, "pixels": pixels, "faces": faces, "origins": origins})
         if len(self.mesh_faces) != len(self.mesh_problems):
             raise ValueError("mesh_problems: expected one for each mesh file")
         known = (self.shape >= 0) & (self.shape < len(self.names))

@@ -176,6 +176,8 @@ def _traced(scene: Any, request: TraceRequest) -> tuple[dict[str, Any], list[str
     }
     found["t"][:] = np.inf
     found["shape"][:] = found["prim"][:] = -1
+    if len(request.leaving):
+        found["origin"] = np.zeros_like(request.leaving)
     columns = dict(found)
     for k in range(sizes["lights"]):
         columns |= {_RGB % k: found["light_rgb"][k], _VISIBLE % k: found["light_visible"][k]}
@@ -191,10 +193,12 @@ def _traced(scene: Any, request: TraceRequest) -> tuple[dict[str, Any], list[str
 _RGB, _VISIBLE = "light_rgb %d", "light_visible %d"  # of one light
 
 
-def _values(scene: Any, emitters: list[Any] | None, pi: Any, si: Any, active: Any) -> dict[str, Any]:
+def _values(
+    scene: Any, emitters: list[Any] | None, pi: Any, si: Any, active: Any, leaving: Any = None
+) -> dict[str, Any]:
     """Values at one hit, or at those of all rays, of which the `active` ones hit something.
 
-    emitters: None where no light is wanted.
+    emitters: None where no light is wanted. leaving: direction of a ray from there, if it is wanted.
     """
     values = {
         "t": si.t,
@@ -205,6 +209,8 @@ def _values(scene: Any, emitters: list[Any] | None, pi: Any, si: Any, active: An
         "prim_uv": pi.prim_uv,
         "prim": si.prim_index,
     }
+    if leaving is not None:
+        values["origin"] = si.spawn_ray(leaving).o
     if emitters is not None:
         values["albedo"] = si.bsdf().eval_diffuse_reflectance(si, active)
     # The terms that Mitsuba's `direct` integrator sums, with its shadow test kept separate.
@@ -231,13 +237,15 @@ def _scalar_hits(scene: Any, emitters: list[Any] | None, request: TraceRequest, 
         chunk = slice(start, start + SCALAR_RAYS_PER_CHUNK)
         numbers = (array[chunk].tolist() for array in (request.o, request.d, request.t_max))
         rows, hits = [], []
+        leaving = request.leaving[chunk].tolist()
         for i, (o, d, t_max) in enumerate(zip(*numbers, strict=True), start):
             ray = make_ray(o, d, t_max, 0.0, [])
             pi = intersect(ray)
             if pi.is_valid():
                 si = pi.compute_surface_interaction(ray, flags)
                 rows.append(i)
-                hits.append(_values(scene, emitters, pi, si, True) | {"shape": number(si)})
+                w = mi.Vector3f(leaving[i - start]) if leaving else None
+                hits.append(_values(scene, emitters, pi, si, True, w) | {"shape": number(si)})
         yield rows, {name: _array_of([hit[name] for hit in hits]) for name in (hits[0] if hits else ())}
 
 
@@ -255,7 +263,8 @@ def _llvm_hits(scene: Any, emitters: list[Any] | None, request: TraceRequest, na
     pi = scene.ray_intersect_preliminary(ray, coherent=True)  # a hint that changes no bit
     si = pi.compute_surface_interaction(ray, int(mi.RayFlags.All))
     hit = si.is_valid()
-    values = _values(scene, emitters, pi, si, hit)
+    away = [mi.Float(np.ascontiguousarray(column)) for column in request.leaving.T] if len(request.leaving) else None
+    values = _values(scene, emitters, pi, si, hit, away and mi.Vector3f(away))
     dr.eval(pi, si, hit, values)
     rows = np.flatnonzero(_rows(hit, count))
     found = {name: _rows(each, count)[rows] for name, each in values.items()}

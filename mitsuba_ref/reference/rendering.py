@@ -18,7 +18,7 @@ from mitsuba_ref.reference.messages import Crash, MitsubaError, TraceRequest, Tr
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_request
 from mitsuba_ref.reference.originals import original_of
 from mitsuba_ref.reference.shared_input import SharedRays, export, model_of, packed_float32, shape_ids, shared_rays
-from mitsuba_ref.reference.variants import variant_for
+from mitsuba_ref.reference.variants import SCALAR, variant_for
 from mitsuba_ref.shapes import reference_of
 
 # AOVs that the reference can give.
@@ -62,7 +62,7 @@ class ReferenceResult:
 def variant_of(scene: Scene) -> str:
     """The variant that traces this scene."""
     if original := original_of(scene):
-        return original.variant
+        return variant_for(original.variant == SCALAR)  # by the shapes, unless one is chosen
     return variant_for(any(reference_of(shape).analytic for shape in scene.shapes))
 
 
@@ -98,16 +98,22 @@ def trace_reference(
     mesh_files: Sequence[Path] = (),
     timeout: float = DEFAULT_TIMEOUT,
     send: SendRequest = send_request,
+    leaving: np.ndarray | None = None,
 ) -> ReferenceResult | Crash:
     """Trace these rays with Mitsuba, in the process that `send` reaches. A crash is a result, too.
 
-    mesh_files: also read by its own loader, for a check.
+    mesh_files: also read by its own loader, for a check. leaving: (n, 3) directions in which
+    it is to spawn a ray at each hit.
     """
     robust = not as_in_file()  # our scenes do not request it
     with ScratchFolder() as folder:
         about = scene, model, rays, Path(folder), variant or variant_of(scene)
         request = trace_request(*about, lights=lights, robust=robust)
-        answer = send(request if request.original else replace(request, mesh_files=tuple(mesh_files)), timeout)
+        if not request.original:
+            request = replace(request, mesh_files=tuple(mesh_files))
+        if leaving is not None:
+            request = replace(request, sensor=False, strict=False, leaving=leaving.astype(np.float32))
+        answer = send(request, timeout)
     if isinstance(answer, Crash):
         return answer
     index_of = {name: index for index, name in enumerate(reference_names(scene))}

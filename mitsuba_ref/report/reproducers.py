@@ -144,8 +144,8 @@ def write_reproducers(
             else:
                 write_reproducer(path, judge, judgement, row, f"{source}, pixel ({x}, {y})")
     left_out = sum(map(len, groups.values())) - len(files)
-    for number, failure in enumerate(() if is_list else seen.wrong_rays):
-        files.append(f"{name}.knife-edge.{number}.toml")
+    for number, failure in enumerate(seen.wrong_rays):
+        files.append(f"{name}.{failure.label}.{number}.toml")
         head = [f"A ray aimed at {source}, in float64.", f"Wrong:     {failure.what}"]
         write_text(folder / files[-1], Reproducer(failure.scene, (), ()).text(head))
     return tuple(files), left_out

@@ -14,6 +14,7 @@ from caster.system.terminal import folded
 from mitsuba_ref.hard.family import Family
 from mitsuba_ref.report.results import NOTHING, aligned
 from mitsuba_ref.stress import score
+from mitsuba_ref.stress.origins import OriginSweep
 from mitsuba_ref.stress.score import (
     BESIDE_CANDIDATE,
     CANDIDATE,
@@ -145,12 +146,12 @@ class StressRun:
     seed: int
     versions: Mapping[str, str]
     requested: tuple[str, ...]
-    families: tuple[SweepResult, ...]
+    families: tuple[SweepResult | OriginSweep, ...]
     skip_unsupported: bool = False  # families that the candidate declined do not fail the run, others being judged
     format: int = JSON_FORMAT
 
     @property
-    def judged(self) -> list[SweepResult]:
+    def judged(self) -> list[SweepResult | OriginSweep]:
         return [sweep for sweep in self.families if not (self.skip_unsupported and sweep.declined)]
 
     @computed_field  # type: ignore[prop-decorator]

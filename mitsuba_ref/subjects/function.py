@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from caster.description.errors import SceneError, suggestion
+from caster.description.errors import SceneError, error_prefix, suggestion
 from caster.scene.model import Scene
 from mitsuba_ref.reference.shared_input import packed_float32
 from mitsuba_ref.subjects.ray_files import HIT_ARRAYS, answer_of_numbered_hits
@@ -35,7 +35,12 @@ _one_at_a_time = threading.Lock()
 
 
 def import_function(text: str, precision: str | None = None) -> "FunctionSubject":
-    """Import a function; the current folder comes first, as for `python -m`. Raises SceneError."""
+    """Import a function as a candidate. Raises SceneError."""
+    return function_subject(imported(text), text, precision)
+
+
+def imported(text: str) -> Callable[..., Any]:
+    """The function MODULE:NAME; the current folder comes first, as for `python -m`. Raises SceneError."""
     module, _, path = text.partition(":")
     here = str(Path.cwd())
     if here not in sys.path:
@@ -58,7 +63,29 @@ def import_function(text: str, precision: str | None = None) -> "FunctionSubject
         found = getattr(found, name)
     if not callable(found):
         raise SceneError(f"expected a function, got {type(found).__name__}")
-    return function_subject(found, text, precision)
+    call: Callable[..., Any] = found
+    return call
+
+
+def spawn_rule(text: str) -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
+    """A candidate's rule for origins, function(points, normals, directions), which raises NoAnswer. Raises SceneError.
+
+    Arrays are (n, 3) float64: normals of length 1 outwards, and it returns the origins.
+    """
+    with error_prefix(f"--spawn {text}"):
+        call = imported(text)
+
+    def spawn(points: np.ndarray, normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        with _one_at_a_time, _isolated():
+            try:
+                origins = np.asarray(call(points, normals, directions), np.float64)
+            except Exception as error:
+                raise NoAnswer(f"{text} raised {_exception_with_calls(error)}") from error
+        if origins.shape != points.shape:
+            raise NoAnswer(f"{text}: expected origins of shape {points.shape}, got {origins.shape}")
+        return origins
+
+    return spawn
 
 
 def function_subject(call: Callable[..., Any], name: str = "", precision: str | None = None) -> "FunctionSubject":

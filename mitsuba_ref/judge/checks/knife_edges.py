@@ -152,10 +152,11 @@ REPRODUCERS = 2  # files for one scene
 
 
 class AimedFailure(NamedTuple):
-    """One ray whose first hit or t is wrong by exact arithmetic."""
+    """One ray whose first hit or t, or the origin of a ray after it, is wrong by exact arithmetic."""
 
     what: str
     scene: Scene  # of one pixel, with this ray
+    label: str = "knife-edge"  # of its file
 
 
 @check(of=(OURS,))

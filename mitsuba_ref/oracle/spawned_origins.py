@@ -1,0 +1,253 @@
+"""Where the next ray starts: origins of rays that leave a surface, judged in exact arithmetic (docs/method.md).
+
+A parent ray hits the exact point p; a ray is to leave p along w, and starts at q instead, since p is no float32 point.
+That is an error if the ray from q meets the surface of p again, which the one from p does not (self-hit), if another
+surface lies between p and q (skipped), or if q is not on the side of the surface that w leads to (wrong side).
+"""
+
+import math
+from collections.abc import Iterator
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mitsuba_ref.oracle.exact_numbers import IntegerRay, Root, cross, dot, integer_rays, sign, sub
+from mitsuba_ref.oracle.implicit_surfaces import Approximate, ImplicitSurface, Vector, approximate_vector, exact_vector
+from mitsuba_ref.oracle.interface import OutsideDomain
+from mitsuba_ref.oracle.oracle import Oracle, PrimitiveArray, PrimitiveIndex
+
+FINDINGS = ("self-hit", "skipped surface", "wrong side", "undecided")
+SELF_HIT, SKIPPED, WRONG_SIDE, UNDECIDED = 1, 2, 4, 8
+WRONG = SELF_HIT | SKIPPED | WRONG_SIDE
+
+# An irrational t is enclosed by two fractions that are this much apart in relation to it, and p by two points. What
+# holds at both is taken to hold at p: a difference between them leaves the ray undecided.
+ENCLOSURE_BITS = 256
+
+# Growth of boxes, as a fraction of |p| + their farthest corner; a quarter of it covers the error of p in float64.
+BOX_MARGIN = 2.0**-36
+LARGEST_POINT_ERROR = BOX_MARGIN / 4.0
+
+NEIGHBOUR_STEPS = 3  # spacings of float32, in each coordinate
+
+# An origin this close to p, relative to the largest coordinate, is at most four spacings of float32 from it: surfaces
+# between them are closer than float32 points can be told apart from.
+FLOAT32_RESOLUTION = 4.0 * 2.0**-24
+
+
+class Departures(NamedTuple):
+    """Rays that leave the hits of parent rays, one a row; all numbers are exact as they are given."""
+
+    o: np.ndarray  # (n, 3) float64, of the parent
+    d: np.ndarray  # (n, 3)
+    t_min: np.ndarray  # (n,)
+    t_max: np.ndarray  # (n,)
+    prim: np.ndarray  # (n,) the primitive that it hits first, -1: none
+    p: np.ndarray  # (n, 3) the point where, rounded
+    p_error: np.ndarray  # (n, 3) bound on its error; inf: not known
+    w: np.ndarray  # (n, 3) direction of the ray
+    q: np.ndarray  # (n, 3) its origin
+
+    @property
+    def point(self) -> Vector:
+        """p as approximate numbers."""
+        return tuple(map(Approximate, np.ascontiguousarray(self.p.T), np.ascontiguousarray(self.p_error.T)))
+
+    @property
+    def unresolved(self) -> np.ndarray:
+        """(n,) bool: q is as close to p as float32 can tell."""
+        off, size = (np.abs(a).max(axis=-1) for a in (self.q - self.p, self.p))
+        return np.asarray(off <= FLOAT32_RESOLUTION * size)
+
+    def rows(self, rows: Any) -> "Departures":
+        return Departures(*(a[rows] for a in self))
+
+
+class Judged(NamedTuple):
+    """The findings on n origins."""
+
+    found: np.ndarray  # (n,) uint8, a sum of SELF_HIT, SKIPPED, WRONG_SIDE, UNDECIDED
+    between: np.ndarray  # (n,) int64, number of a skipped primitive, -1
+
+    @property
+    def wrong(self) -> np.ndarray:
+        """(n,) bool."""
+        return self.found & WRONG != 0
+
+    def counts(self) -> dict[str, int]:
+        """Rays by finding."""
+        return {name: int(np.sum(self.found & (1 << i) != 0)) for i, name in enumerate(FINDINGS)}
+
+
+class OriginJudge:
+    """Judges origins of rays on the primitives of an oracle."""
+
+    def __init__(self, oracle: Oracle) -> None:
+        self.oracle, self.index = oracle, PrimitiveIndex(oracle.primitives.parts, BOX_MARGIN)
+        # by number of a primitive, its index among all rows, or that of the lowest row with the same bits
+        self.row_of = np.full(max(oracle.count, 1), -1, np.int64)
+        for part, first in zip(self.index.parts, self.index.first.tolist(), strict=False):
+            self.row_of[part.ids] = first + (np.arange(len(part.ids)) if part.lowest is None else part.lowest)
+
+    def judge(self, rays: Departures) -> Judged:
+        """The findings on each origin: by float64 where its error bounds decide, else exactly."""
+        found, between = np.zeros(len(rays.q), np.uint8), np.full(len(rays.q), -1)
+        for row in np.flatnonzero(~self.certainly_right(rays)).tolist():
+            found[row], between[row] = self.judge_exactly(rays.rows(row))
+        return Judged(found, between)
+
+    # ---- float64
+
+    def certainly_right(self, rays: Departures) -> np.ndarray:
+        """(n,) bool: the error bounds of float64 exclude all errors."""
+        with np.errstate(all="ignore"):
+            right, _ = self._sides(rays)
+            nearby = np.abs(rays.p).max(axis=1) * LARGEST_POINT_ERROR
+            right &= np.isfinite(rays.q).all(axis=1) & (rays.p_error.max(axis=1) <= nearby)
+            rows = np.flatnonzero(right)
+            some, last = rays.rows(rows), np.ones(len(rows))
+            for _, ray, box, _ in self.index.tree.crossings(some.p, some.q - some.p, 0.0, last):
+                others = box != self.row_of[some.prim[ray]]
+                ray, box = ray[others], box[others]
+                right[rows[ray[~self._clear(some.rows(ray), box)]]] = False
+        return right
+
+    def _sides(self, rays: Departures) -> tuple[np.ndarray, np.ndarray]:
+        """(n,) bool twice: the ray certainly starts on the side that it leads to and stays there; or on the other."""
+        own = np.where(rays.prim >= 0, self.row_of[rays.prim], -1)
+        right, other = np.zeros((2, len(own)), bool)
+        for rows, surface in self._surfaces(own):
+            some = rays.rows(rows)
+            p, w, q = some.point, approximate_vector(some.w), approximate_vector(some.q)
+            side, wanted = surface.value(q).sign(), surface.slope(p, w).sign()
+            right[rows], other[rows] = side * wanted > 0, side * wanted < 0
+            if surface.curved:  # and convex: outside, a distance that grows at q along w never falls again
+                right[rows] &= (wanted < 0) | (surface.slope(q, w).sign() > 0)
+        return right, other
+
+    def _clear(self, rays: Departures, other: np.ndarray) -> np.ndarray:
+        """(m,) bool: primitive other[i], an index among all rows, certainly does not cross the way from p to q."""
+        clear = np.zeros(len(other), bool)
+        for rows, surface in self._surfaces(other):
+            some = rays.rows(rows)
+            p, q = some.point, approximate_vector(some.q)
+            here, there, back = surface.value(p).sign(), surface.value(q).sign(), sub(p, q)
+            same = here * there > 0
+            if surface.curved:
+                leaving = (surface.slope(q, back).sign() > 0) | (surface.slope(p, back).sign() < 0)
+                same &= (here < 0) | leaving
+            elif surface.corners:
+                edges = [_edge_side(surface, corner, q, back) for corner in range(3)]
+                same |= (np.max(edges, axis=0) > 0) & (np.min(edges, axis=0) < 0)
+            clear[rows] = same
+        return clear
+
+    def _surfaces(self, index: np.ndarray) -> Iterator[tuple[np.ndarray, ImplicitSurface]]:
+        """(rows of index, their surfaces) for each array of primitives that has them."""
+        for part, first, end in zip(self.index.parts, self.index.first, self.index.first[1:], strict=False):
+            rows = np.flatnonzero((index >= first) & (index < end))
+            if len(rows) and part.kind.surface is not None:
+                yield rows, part.kind.surface(part.prims, index[rows] - first, approximate_vector)
+
+    # ---- exactly
+
+    def judge_exactly(self, ray: Departures) -> tuple[int, int]:
+        """(finding, skipped primitive) of one ray, a row of Departures."""
+        try:
+            answer = self.oracle.first_hit(ray.o, ray.d, float(ray.t_min), float(ray.t_max))
+        except OutsideDomain:
+            return UNDECIDED, -1
+        prims = answer.prims.tolist()
+        if answer.t is None or ray.prim not in prims or not np.isfinite(ray.q).all():
+            return UNDECIDED, -1
+        (line,) = integer_rays(ray.q[None], ray.w[None])
+        found, members = 0, set()
+        for prim in prims:
+            for part, k in self.index.numbered(prim):
+                members.add((id(part), k if part.lowest is None else int(part.lowest[k])))
+                of_member = _own_surface(part, k, answer.t, ray, line)
+                found |= of_member if prim == ray.prim or not of_member else UNDECIDED
+        crossed = [self._between(p, ray, line, members) for p in points_at(answer.t, ray)]
+        if crossed[0] != crossed[-1]:
+            return found | UNDECIDED, -1
+        between, undecided = crossed[0]
+        found |= (SKIPPED if between >= 0 else 0) | (UNDECIDED if undecided else 0)
+        return (found if not found & WRONG else found & WRONG), between
+
+    def _between(self, p: Vector, ray: Departures, line: IntegerRay, members: set[tuple[int, int]]) -> tuple[int, bool]:
+        """(a primitive other than the members that meets the way from q to p, or -1; whether one lies along it)."""
+        way = sub(p, exact_vector(ray.q))
+        scale = math.lcm(*(x.denominator for x in way))
+        x, y, z = (int(scale * each) for each in way)
+        if not (x or y or z):
+            return -1, False
+        at_p, line = Fraction(1, scale), IntegerRay(line.o, line.ko, (x, y, z), 0)
+        start = np.array([[float(each) for each in p]])
+        (near,) = self.index.candidates(start, ray.q - start, np.zeros(1), np.ones(1))
+        found, contacts = [], []
+        for part, k, _ in near:
+            if (id(part), k) not in members:
+                crossed = part.intersect(k, line)
+                found += [int(part.numbers(k)[0]) for t, _ in crossed.roots if 0 <= t < at_p]
+                contacts += [(each.first, each.last) for each in crossed.contacts]
+        along = any(first and last and first < at_p and last >= 0 for first, last in contacts)
+        return min(found, default=-1), along
+
+    def right_origin_exists(self, ray: Departures) -> bool:
+        """Whether any of the float32 points nearest to p is a right origin, NEIGHBOUR_STEPS on either side of it."""
+        grid = nearby_float32(ray.p)
+        rays = Departures(*(np.broadcast_to(a, (len(grid), *np.shape(a))) for a in ray))._replace(q=grid)
+        if self.certainly_right(rays).any():
+            return True
+        with np.errstate(all="ignore"):
+            open_ones = np.flatnonzero(~self._sides(rays)[1])
+        return any(self.judge_exactly(rays.rows(row))[0] == 0 for row in open_ones.tolist())
+
+
+def _edge_side(surface: ImplicitSurface, corner: int, q: Vector, back: Vector) -> np.ndarray:
+    """Sign of the edge function of one edge of a triangle along a line through q."""
+    a, b = sub(surface.corners[corner], q), sub(surface.corners[corner - 1], q)
+    along: Any = dot(cross(a, b), back)
+    return np.asarray(along.sign())
+
+
+def _own_surface(part: PrimitiveArray, k: int, t: Root, ray: Departures, line: IntegerRay) -> int:
+    """The finding of self-hit and side for one primitive that passes through p."""
+    if part.kind.surface is None:
+        return UNDECIDED
+    surface: ImplicitSurface = part.kind.surface(part.prims, k, exact_vector)
+    o, d, w, q = map(exact_vector, (ray.o, ray.d, ray.w, ray.q))
+    # The slope along w is linear in t.
+    at_start, ahead = surface.slope(o, w), surface.slope(tuple(map(sum, zip(o, d, strict=True))), w)
+    wanted = linear_sign(at_start, ahead - at_start, t)
+    if not wanted:
+        return UNDECIDED
+    side = sign(surface.value(q))
+    stays_inside = surface.curved and side == wanted == -1  # it may leave the surface on the far side
+    hits_itself = not stays_inside and any(at >= 0 for at, _ in part.intersect(k, line).roots)
+    return (SELF_HIT if hits_itself else 0) | (WRONG_SIDE if side != wanted else 0)
+
+
+def linear_sign(a: Fraction, b: Fraction, t: Root) -> int:
+    """The sign of a + b t."""
+    return sign(b) * t.compare(-a / b) if b else sign(a)
+
+
+def points_at(t: Root, ray: Departures) -> list[Vector]:
+    """The exact point o + t d of the parent ray, or two points that enclose it."""
+    bits = ENCLOSURE_BITS + abs(t.p).bit_length() if t.q else 0
+    scale = Fraction(2) ** (t.e - bits) / t.s
+    pairs = list(zip(exact_vector(ray.o), exact_vector(ray.d), strict=True))
+    return [tuple(o + n * scale * d for o, d in pairs) for n in dict.fromkeys(t.numerators(bits))]
+
+
+def nearby_float32(p: np.ndarray) -> np.ndarray:
+    """(m, 3) the float32 points around p (3,), as float64."""
+    nearest = p.astype(np.float32)
+    above, below = [nearest], [nearest]
+    for _ in range(NEIGHBOUR_STEPS):
+        above.append(np.nextafter(above[-1], np.float32(np.inf)))
+        below.append(np.nextafter(below[-1], np.float32(-np.inf)))
+    columns = np.array([*below[:0:-1], *above], np.float64).T
+    return np.stack(np.meshgrid(*columns, indexing="ij"), axis=-1).reshape(-1, 3)

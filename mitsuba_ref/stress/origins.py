@@ -1,0 +1,195 @@
+"""Sweeps of origins: the errors of several rules that place the origins of rays leaving a surface."""
+
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+from pydantic import computed_field
+from pydantic.dataclasses import dataclass
+
+from caster.rendering.bounces import bounces
+from caster.rendering.hits import trace_rays, validated_rays
+from caster.system.atomic_files import check_folder, write_text
+from caster.system.terminal import folded
+from mitsuba_ref.hard.family import Family
+from mitsuba_ref.judge.checks.spawned_origins import (
+    MOST_SEARCHED,
+    RULES,
+    LeavingRays,
+    OriginFindings,
+    Rule,
+    judge_origins,
+    rays_of_bounce,
+    reference_rays,
+)
+from mitsuba_ref.oracle.oracle import Oracle
+from mitsuba_ref.oracle.spawned_origins import FINDINGS, OriginJudge
+from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.reference.mitsuba_process import send_request
+from mitsuba_ref.reference.shared_input import packed_float32
+from mitsuba_ref.report.results import NOTHING, aligned
+from mitsuba_ref.stress.score import DEFAULT_RAYS, Absent
+from mitsuba_ref.subjects.subject import NoAnswer
+
+OURS, MITSUBA, CANDIDATE = "ours", "mitsuba", "candidate"
+
+
+@dataclass(frozen=True)
+class OriginScore:
+    """Counts of origins by finding, in one setting."""
+
+    rays: int
+    self_hits: int
+    skipped: int
+    wrong_side: int
+    undecided: int
+    wrong: int  # with any of the three errors
+    unresolved: int  # of those, origins as close to the surface as float32 can tell
+    no_origin: int = 0  # of some of those, rays without a right float32 origin; searched for the subject alone
+    example: str = ""
+    status: str = "ok"
+
+    @classmethod
+    def of(cls, found: OriginFindings, no_origin: int = 0) -> "OriginScore":
+        self_hits, skipped, wrong_side, undecided = found.judged.counts().values()
+        wrong, avoidable = found.wrong, found.avoidable
+        return cls(
+            rays=len(found.leaving.rays.q),
+            self_hits=self_hits,
+            skipped=skipped,
+            wrong_side=wrong_side,
+            undecided=undecided,
+            wrong=len(wrong),
+            unresolved=len(wrong) - len(avoidable),
+            no_origin=no_origin,
+            example=found.example(int([*avoidable, *wrong][0])) if len(wrong) else "",
+        )
+
+    @property
+    def cell(self) -> str:
+        """Self-hits, skipped surfaces and wrong sides of a table."""
+        return f"{self.self_hits}/{self.skipped}/{self.wrong_side}" if self.wrong else "0"
+
+
+@dataclass(frozen=True)
+class OriginSetting:
+    """Scores of all rules in one setting."""
+
+    x: float
+    rays: int
+    rules: Mapping[str, OriginScore | Absent]
+    file: str = ""  # the scene with the parent of the subject's first wrong ray
+
+
+@dataclass(frozen=True)
+class OriginSweep:
+    """The results of one family."""
+
+    name: str
+    title: str
+    quantity: str
+    subject: str
+    settings: tuple[OriginSetting, ...]
+    seconds: float = 0.0
+    declined: str = ""  # always empty: a rule answers every setting
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def ok(self) -> bool:
+        return bool(self.settings) and not self.problems
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def problems(self) -> list[str]:
+        """Why the sweep fails, in lines: settings without rays, and avoidable errors of the subject."""
+        return list(self._problems())
+
+    def _problems(self) -> Iterator[str]:
+        for setting in self.settings:
+            where, score = f"{self.name}, {self.quantity} {setting.x:g}", setting.rules[self.subject]
+            if not setting.rays:
+                yield f"{where}: no ray leaves a surface, so the setting tests nothing; more --rays may help"
+            elif isinstance(score, Absent):
+                yield f"{where}: {self.subject}: no answer: {score.why}"
+            elif score.wrong > score.unresolved:
+                counts = (score.self_hits, score.skipped, score.wrong_side)
+                words = ", ".join(f"{count} {name}" for count, name in zip(counts, FINDINGS, strict=False) if count)
+                lines = (f"{where}: {self.subject}:", words, score.example, f"parent ray: {setting.file}")
+                yield "\n      ".join(lines)
+
+
+def sweep_origins(family: Family, seed: int, rays: int | None, folder: Path, spawn: Rule | None = None) -> OriginSweep:
+    """Sweep a family. spawn: a candidate's rule, judged in place of ours. folder: for the parents of wrong rays."""
+    start, subject = time.perf_counter(), CANDIDATE if spawn else OURS
+    settings = []
+    for x in family.values:
+        leaving = leaving_of(family, seed, x, rays)
+        settings.append(OriginSetting(x, 0, {subject: Absent("missing", "no rays")}))
+        if leaving is not None:
+            judge = OriginJudge(Oracle(leaving.packed))
+            scores: dict[str, OriginScore | Absent] = {}
+            file = ""
+            try:
+                mine = judge_origins(leaving.by(spawn) if spawn else leaving, judge)
+                scores[subject] = OriginScore.of(mine, mine.without_right_origin())
+                if len(mine.avoidable):
+                    file = write_parent(folder, family, x, mine, int(mine.avoidable[0]))
+            except NoAnswer as error:
+                scores[subject] = Absent("crash", str(error))
+            if spawn:
+                scores[OURS] = OriginScore.of(judge_origins(leaving, judge))
+            by_mitsuba = reference_rays(leaving, send_request)
+            scores[MITSUBA] = (
+                Absent("crash", by_mitsuba.brief)
+                if isinstance(by_mitsuba, Crash)
+                else OriginScore.of(judge_origins(by_mitsuba, judge))
+            )
+            scores |= {name: OriginScore.of(judge_origins(leaving.by(rule), judge)) for name, rule in RULES.items()}
+            settings[-1] = OriginSetting(x, len(leaving.rays.q), scores, file)
+    seconds = round(time.perf_counter() - start, 3)
+    return OriginSweep(family.name, family.title, family.quantity, subject, tuple(settings), seconds)
+
+
+def leaving_of(family: Family, seed: int, x: float, count: int | None) -> LeavingRays | None:
+    """The rays that leave what the rays of a setting hit; None without any."""
+    made, rng = family.at(seed, x)
+    scene = made.scene()
+    packed = packed_float32(scene)
+    aimed = made.aim(rng, packed, count or DEFAULT_RAYS)
+    first = trace_rays(scene, packed, validated_rays(*aimed), np.zeros(len(aimed.o)))
+    return next(map(rays_of_bounce, bounces(first, 1)), None)
+
+
+def write_parent(folder: Path, family: Family, x: float, found: OriginFindings, row: int) -> str:
+    """Write the scene of one wrong ray with its parent as the camera's ray; returns the file. Raises OutputError."""
+    check_folder(folder)
+    path = folder / f"{family.name}-{x:g}.toml"
+    head = f"# mitsuba-ref stress: {family.name}, {family.quantity} {x:g}\n# {found.example(row)}\n\n"
+    write_text(path, head + found.scene_of(row).to_toml())
+    return str(path)
+
+
+def as_text(sweep: OriginSweep) -> str:
+    """The table of a sweep, with its failures."""
+    (_, *names), *settings = rows(sweep)
+    head = f"{'PASS' if sweep.ok else 'FAIL'}  {sweep.name}: {sweep.title}   {sweep.seconds:.1f} s"
+    about = f"""x: {sweep.quantity}
+of each rule: rays with self-hit/skipped surface/wrong side
+unresolved: rays of {sweep.subject} with surfaces closer than float32 resolves;
+no origin: of the first {MOST_SEARCHED} wrong rays, those without any right float32 origin"""
+    problems = (folded(f"FAIL  {line}") for line in sweep.problems)
+    return "\n".join([folded(head), about, *aligned([["x", *names], *settings]), *problems])
+
+
+def rows(sweep: OriginSweep) -> list[list[str]]:
+    """The head and one row a setting."""
+    names = list(sweep.settings[0].rules) if sweep.settings else []
+    found = [[sweep.quantity, "rays", *names, "unresolved", "no origin"]]
+    for setting in sweep.settings:
+        scores = [setting.rules.get(name) for name in names]
+        cells = [each.cell if isinstance(each, OriginScore) else getattr(each, "status", NOTHING) for each in scores]
+        first = scores[0]
+        excused = [first.unresolved, first.no_origin] if isinstance(first, OriginScore) else [NOTHING, NOTHING]
+        found.append([f"{setting.x:.4g}", str(setting.rays), *cells, *map(str, excused)])
+    return found
