@@ -74,9 +74,12 @@ class AffineImages(NamedTuple):
 
 
 def largest_curvature(images: AffineImages) -> np.ndarray:
-    """(n,), a bound on the curvature of images of a unit sphere or cylinder: longest axis / shortest^2."""
-    stretch = np.linalg.svd(images.to_world, compute_uv=False)
-    return stretch[:, 0] / stretch[:, 2] ** 2
+    """(n,), a bound on the curvature of images of a unit sphere or cylinder: longest axis / shortest^2.
+
+    The Frobenius norm of a matrix is at least its longest axis, that of the inverse at least 1 / the shortest.
+    """
+    longest, inverse_of_shortest = (np.sqrt((m * m).sum(axis=(1, 2))) for m in (images.to_world, images.to_object))
+    return np.asarray(longest * inverse_of_shortest * inverse_of_shortest)
 
 
 def affine_arrays(

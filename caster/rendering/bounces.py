@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from caster.description.transform import dot_rows, row_lengths
 from caster.geometry.world_space import as_float32
 from caster.kernels.nearest import Rays
 from caster.rendering.hits import RayHits, trace_rays
@@ -95,15 +96,15 @@ def bounces(first: RayHits, depth: int, spawn: Spawn = spawn) -> Iterator[Bounce
 def _bounce(number: int, parents: RayHits, continues: np.ndarray, pixel: np.ndarray, spawn: Spawn) -> Bounce:
     row = np.flatnonzero(parents.hit & continues)
     along, t = parents.rays.d[row], parents.nearest.t[row][:, None]
-    p, d, n = parents.rays.o[row] + t * along, along / _length(along)[:, None], parents.normal[row]
+    p, d, n = parents.rays.o[row] + t * along, along / row_lengths(along)[:, None], parents.normal[row]
     error = np.abs(along) * parents.nearest.error[row][:, None] + 2.0 * U64 * (np.abs(t * along) + np.abs(p))
     curvature = _curvature(parents, row)
-    n_error = NORMAL_ERROR + curvature * _length(error)
+    n_error = NORMAL_ERROR + curvature * row_lengths(error)
     # Rounding moves the origin sideways, at most so far; there the surface has left its tangent plane.
-    aside = _length(error + U32 * np.abs(p) + HALF_OF_DENORMALS)
+    aside = row_lengths(error + U32 * np.abs(p) + HALF_OF_DENORMALS)
     error = error + (aside * (n_error + 2.0 * curvature * aside))[:, None] * np.abs(n)
     margin = n_error + 16.0 * U64  # error of a cosine with n
-    cosine = _dot(d, n)
+    cosine = dot_rows(d, n)
     side = np.where(np.abs(cosine) <= margin, 0.0, np.sign(cosine))  # 0: unknown
 
     materials, shape = [parents.scene.material_of(each) for each in parents.scene.shapes], parents.shape_id[row]
@@ -129,9 +130,9 @@ def _bounce(number: int, parents: RayHits, continues: np.ndarray, pixel: np.ndar
         with np.errstate(over="ignore", invalid="ignore"):
             o = as_float32(spawn(p[k], n[k], way[k], error[k]))
             way = np.where(np.isfinite(target), target - o, way[k])
-            t_max = as_float32(_length(way)) if np.isfinite(target).all() else np.full(len(k), np.inf)
-            way = as_float32(way / _length(way)[:, None])
-            away = to_side[k] * _dot(way, n[k])
+            t_max = as_float32(row_lengths(way)) if np.isfinite(target).all() else np.full(len(k), np.inf)
+            way = as_float32(way / row_lengths(way)[:, None])
+            away = to_side[k] * dot_rows(way, n[k])
         here = np.isfinite(o).all(axis=1)
         left_out[TOO_FAR] += int((~here).sum())
         left_out[GRAZING] += int((here & (np.abs(away) <= margin[k])).sum())
@@ -157,7 +158,7 @@ def _curvature(hits: RayHits, row: np.ndarray) -> np.ndarray:
 
 def reflected(d: np.ndarray, n: np.ndarray) -> np.ndarray:
     """Directions d (m, 3) mirrored in planes with unit normals n (m, 3): d - 2 (d . n) n."""
-    return d - 2.0 * _dot(d, n)[:, None] * n
+    return d - 2.0 * dot_rows(d, n)[:, None] * n
 
 
 def refracted(d: np.ndarray, n: np.ndarray, eta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -166,15 +167,7 @@ def refracted(d: np.ndarray, n: np.ndarray, eta: np.ndarray) -> tuple[np.ndarray
     d: (m, 3) of length 1. n: (m, 3) unit normals, on either side. eta: (m,) refractive index on d's side over that on
     the other. Source: Snell's law, eta n x d = n x d'.
     """
-    cosine = _dot(d, n)
+    cosine = dot_rows(d, n)
     squared = 1.0 - eta * eta * (1.0 - cosine * cosine)
     along = np.copysign(np.sqrt(np.maximum(squared, 0.0)), cosine) - eta * cosine
     return eta[:, None] * d + along[:, None] * n, squared
-
-
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.einsum("ij,ij->i", a, b)
-
-
-def _length(a: np.ndarray) -> np.ndarray:
-    return np.sqrt(_dot(a, a))

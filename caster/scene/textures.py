@@ -12,6 +12,7 @@ from pydantic import Discriminator, Tag, field_validator, model_validator
 from caster.description.errors import SceneError, child_of
 from caster.description.fields import Description, Flag, Reflectance, Transform, matrix_of
 from caster.description.input_files import read_input
+from caster.description.transform import power
 from caster.geometry.mesh_files import load_once
 from caster.kernels.surface.texturing import BILINEAR, CLAMP, MIRROR, NEAREST, NO_TEXTURE, REPEAT, Textures
 
@@ -82,13 +83,16 @@ class Bitmap(Texture):
     def texels(self) -> NDArray[np.float64]:
         if self.file is None:
             return np.array(self.data)
-        values = _load_picture(self.file) / 255.0
-        return values if self.raw else linear_of_srgb(values)
+        picture = _load_picture(self.file)
+        return picture / 255.0 if self.raw else LINEAR_OF_SRGB[picture]
 
 
-def linear_of_srgb(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """sRGB values from 0 to 1 as linear ones. Source: IEC 61966-2-1."""
-    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+def linear_of_srgb(value: float) -> float:
+    """An sRGB value from 0 to 1 as a linear one. Source: IEC 61966-2-1."""
+    return value / 12.92 if value <= 0.04045 else power((value + 0.055) / 1.055, 2.4)
+
+
+LINEAR_OF_SRGB = np.array([linear_of_srgb(byte / 255.0) for byte in range(256)])
 
 
 def read_picture(path: str) -> NDArray[np.uint8]:

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import field_validator, model_validator
 
 from caster.description.fields import Counts, Lengths, Points, Positive, Shape
-from caster.description.transform import transform_points
+from caster.description.transform import cross, power, transform_points
 from caster.geometry.mesh_files import load_curves, load_once
 from caster.geometry.world_space import Rounding, similarity_scale
 from caster.jit.decorators import implement, inlined, jit
@@ -135,10 +135,15 @@ class LinearCurve(Shape):
         points, radii, counts = self.curves()
         linear = self.matrix[:3, :3]
         largest = np.abs(linear).max()  # a factor of two of to_world is one of radii, too
-        scale = similarity_scale(linear) or largest * np.cbrt(abs(np.linalg.det(linear / largest)))
+        scale = similarity_scale(linear) or largest * power(abs(_determinant(linear / largest)), 1.0 / 3.0)
         points, radii = rounded(transform_points(self.matrix, points)), rounded(scale * radii)
         first = np.delete(np.arange(len(points)), np.cumsum(counts) - 1)
         return RoundSegments(points[first], points[first + 1], np.stack([radii[first], radii[first + 1]], axis=1))
+
+
+def _determinant(m: np.ndarray) -> float:
+    a, b, c = m.tolist()
+    return float(sum(x * y for x, y in zip(a, cross(b, c), strict=True)))
 
 
 @implement(load, RoundSegments)

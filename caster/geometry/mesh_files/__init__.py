@@ -20,7 +20,7 @@ import numpy as np
 
 from caster.description.errors import FileMissing, SceneError, field_error, format_value
 from caster.description.input_files import MAX_MESH_BYTES, read_input
-from caster.description.transform import compose, is_mirrored, scale, transform_points, translate
+from caster.description.transform import compose, exponentials, is_mirrored, scale, transform_points, translate
 from caster.geometry.mesh_files.obj import parse_obj, quote_bytes, read_numbers
 from caster.geometry.mesh_files.ply import Points, parse_ply, parse_ply_columns, parse_ply_points
 from caster.geometry.triangle_mesh import Mesh, check_mesh, normalize_rows, triangle_fans
@@ -81,7 +81,7 @@ def load_ellipsoids(path: str | PathLike[str]) -> tuple[Any, Any, Any]:
         raise SceneError(
             f"{path}: vertex {int(np.argmin(rows[:, 6:].any(axis=1)))}: expected a rotation, got 0, 0, 0, 0"
         )
-    return rows[:, :3], np.exp(rows[:, 3:6]), rows[:, 6:]
+    return rows[:, :3], exponentials(rows[:, 3:6]), rows[:, 6:]
 
 
 def load_curves(path: str | PathLike[str]) -> tuple[Any, Any]:
