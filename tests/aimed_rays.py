@@ -119,6 +119,13 @@ def spots(part: Any, rng: Rng, count: int, edges: float) -> Spots:
     on_edge = rng.random(count) < edges
     if hasattr(part, "faces"):
         return spots_of_triangles(part, rng, on_edge)
+    if hasattr(part, "start"):  # segments of curves: near their surface
+        k, along = rng.integers(0, len(part.start), count), rng.random(count)[:, None]
+        axis, q = part.end[k] - part.start[k], direction(rng, count)
+        q -= (q * axis).sum(axis=1, keepdims=True) / (axis * axis).sum(axis=1, keepdims=True) * axis
+        q /= np.linalg.norm(q, axis=1, keepdims=True)
+        radius = part.radius[k, :1] + along * (part.radius[k, 1:] - part.radius[k, :1])
+        return Spots(part.start[k] + along * axis + radius * q, q)
     if hasattr(part, "radius"):
         q = direction(rng, count)
         return Spots(part.center[0] + part.radius[0] * q, q)
@@ -146,7 +153,7 @@ def spots_of_unit(kind: str, rng: Rng, on_edge: np.ndarray) -> tuple[np.ndarray,
     count = len(on_edge)
     angle = rng.uniform(0.0, 2.0 * np.pi, count)
     round_, zero = np.column_stack([np.cos(angle), np.sin(angle)]), np.zeros(count)
-    if kind == "Ellipsoids":
+    if kind in ("Ellipsoids", "OuterEllipsoids"):
         q = direction(rng, count)
         return q, q
     if kind == "Disks":

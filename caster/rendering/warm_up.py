@@ -25,8 +25,9 @@ from caster.rendering.plan import culling_for
 from caster.rendering.ray_fans import SAMPLED_RAYS
 from caster.rendering.ray_tiles import TileCaster, new_ray_groups
 from caster.rendering.threads import default_threads
-from caster.scene.model import Ambient, Directional, Point, Scene
-from caster.shapes import SHAPES
+from caster.scene.model import Ambient, Diffuse, Directional, Point, Scene
+from caster.scene.textures import Checkerboard
+from caster.shapes import SHAPES, Sphere
 from caster.shapes.triangle import Triangle
 
 __all__ = ["compile_for", "warm_decisions", "warm_up", "warm_up_scenes"]
@@ -110,7 +111,7 @@ def _few_of_each_kind() -> dict[type, list[Any]]:
         return [rotated, {"translate": (0.0071 * i, 0.0053 * i, 0.0037 * i)}]
 
     for shape in SHAPES:
-        if "file" in shape.model_fields or (hasattr(shape, "mesh") and shape is not Triangle):
+        if "file" in shape.MINIMAL or (hasattr(shape, "mesh") and shape is not Triangle):
             continue
         for placed in ([], [STRETCHED]):
             few = [shape(**shape.MINIMAL, to_world=[*placed, *turned()]) for _ in range(LEAF_SIZE + 1)]
@@ -156,7 +157,12 @@ LAMPS = (
 
 
 def warm_up_scenes() -> Iterator[tuple[str, Scene]]:
-    """All kinds of primitives before each camera."""
+    """All kinds of primitives before each camera, with a texture and with normals that point inwards."""
     shapes = [shape for few in _few_of_each_kind().values() for shape in few]
+    shapes += [Sphere(center=(9.0, 9.0, 9.0), flip_normals=True, material="squares")]
+    materials = {"squares": Diffuse(reflectance=Checkerboard())}
     for camera in CAMERAS:
-        yield type_name(camera), Scene(camera=camera(**camera.MINIMAL), shapes=shapes, lights=LAMPS)
+        yield (
+            type_name(camera),
+            Scene(camera=camera(**camera.MINIMAL), shapes=shapes, lights=LAMPS, materials=materials),
+        )

@@ -11,6 +11,7 @@ from mitsuba_ref.error_model.intersections import (
     no_intersections,
     norm,
     row_groups,
+    without_float_warnings,
     without_overflow_warnings,
 )
 from mitsuba_ref.error_model.scene_model import PairIntersections, SceneModel
@@ -231,7 +232,7 @@ def _latest_at_edges(found: RayIntersections) -> np.ndarray:
     return latest
 
 
-@without_overflow_warnings
+@without_float_warnings
 def near_ray_start(found: RayIntersections, d: np.ndarray, off: np.ndarray) -> np.ndarray:
     """(m,) bool: intersections with surfaces no farther from the ray's start than `off` (n,), its uncertainty."""
     height = (np.abs(found.at.t) - found.at.t_error) * np.abs(dot(found.at.n, d[found.ray]))

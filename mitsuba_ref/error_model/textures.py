@@ -30,7 +30,7 @@ def color_ratios(
 
 
 def _ratio(texture: Any, uv: np.ndarray, colors: np.ndarray, ku: float) -> np.ndarray:
-    """As color_ratios; formulas (24) to (26)."""
+    """As color_ratios; formulas (21) to (23)."""
     texels, blends = texels_of(texture), texture.filter == "bilinear"
     size, linear, move = texels.shape[1::-1], texture.uv_matrix[:, :2], texture.uv_matrix[:, 2]
     place = (uv @ linear.T + move) * size  # in texels from the corner of the picture

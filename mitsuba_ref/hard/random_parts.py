@@ -133,6 +133,8 @@ SPECULAR: dict[str, Fields] = {
     "water": {"type": "glass", "ior": 1.33},
 }
 SPECULAR_SHAPES = 0.1  # fraction of the shapes that are of these materials
+TEXTURED = ("rectangle", "disk", "sphere", "cylinder")  # kinds that have uv, whatever their fields
+TEXTURED_SHAPES = 0.3  # fraction of these that have a texture
 CHECKED = ("depth", "diffuse")  # AOVs that a table `check` names
 LIGHT_FIELDS: dict[str, Callable[[Rng, Frame], Fields]] = {
     "point": lambda rng, frame: {
@@ -172,7 +174,30 @@ def with_options(rng: Rng, frame: Frame, data: Fields) -> Fields:
         if more.random() < SPECULAR_SHAPES:
             shape["material"] = str(more.choice(list(SPECULAR)))
             materials[shape["material"]] = SPECULAR[shape["material"]]
+    more = rng.spawn(1)[0]
+    for i, shape in enumerate(scene["shape"]):
+        if shape["type"] in TEXTURED and more.random() < TEXTURED_SHAPES:
+            shape["material"] = f"texture-{i}"
+            materials[shape["material"]] = {"reflectance": _texture(more)}
+        if shape["type"] in ("sphere", "cylinder"):
+            shape |= _sometimes(more, {"flip_normals": True})
     return scene
+
+
+def _texture(rng: Rng) -> Fields:
+    """A checkerboard, or a bitmap of a few pixels, over some units of uv."""
+    steps = [{"scale": [*rng.uniform(0.5, 5.0, 2).tolist(), 1.0]}, {"translate": [*rng.random(2).tolist(), 0.0]}]
+    placed = {"to_uv": steps[: int(rng.integers(3))]}
+    if coin_flip(rng):
+        colors = (_sometimes(rng, {name: rng.random(3).tolist()}) for name in ("color0", "color1"))
+        return {"type": "checkerboard"} | placed | next(colors) | next(colors)
+    return {
+        "type": "bitmap",
+        "data": rng.random((*rng.integers(1, 4, 2), 3)).tolist(),
+        "filter": str(rng.choice(["bilinear", "nearest"])),
+        "wrap": str(rng.choice(["repeat", "mirror", "clamp"])),
+        "raw": coin_flip(rng),
+    } | placed
 
 
 def _lights(rng: Rng, frame: Frame, camera: Fields) -> list[Fields]:

@@ -181,9 +181,9 @@ from mitsuba_ref.reference import mitsuba_calls
 from mitsuba_ref.reference.messages import TraceRequest
 o = np.zeros((1, 3), np.float32)
 answered, refused = (Path(path) for path in sys.argv[1:3])
-mitsuba_calls.trace_request(TraceRequest(answered, sys.argv[3], o, o + 1, o[:, 0] + 9, sensor=True))
+mitsuba_calls.answer(TraceRequest(answered, sys.argv[3], o, o + 1, o[:, 0] + 9, sensor=True))
 try:
-    mitsuba_calls.trace_request(TraceRequest(refused, sys.argv[3], o, o + 1, o[:, 0] + 9, sensor=True))
+    mitsuba_calls.answer(TraceRequest(refused, sys.argv[3], o, o + 1, o[:, 0] + 9, sensor=True))
 except RuntimeError as refusal:
     assert "non-uniform" in str(refusal)
 else:

@@ -228,7 +228,7 @@ def test_a_candidate_is_judged_and_what_it_does_not_give_is_skipped(folder):
     folder.makepyfile(somebodys=CASTERS)
     words = ("--mitsuba-ref", "scenes/good.toml", "--mitsuba-ref-size", "8", "6", "-rs")
     found = run(folder, *words, "--mitsuba-ref-candidate", "somebodys:right")
-    found.assert_outcomes(passed=12, skipped=3)
+    found.assert_outcomes(passed=12, skipped=4)
     text = found.stdout.str()
     assert "films of 8 x 6, candidate somebodys:right" in text
     assert "not judged: somebodys:right does not give it" in text
@@ -244,7 +244,7 @@ def test_a_candidate_that_declines_or_is_not_there_fails_every_test(folder):
     words = ("--mitsuba-ref", "scenes/good.toml")
     for name, says in (("somebodys:declines", "no spheres"), ("nobodys:caster", "there is no module nobodys")):
         found = run(folder, *words, "--mitsuba-ref-candidate", name)
-        found.assert_outcomes(failed=15)
+        found.assert_outcomes(failed=16)
         assert says in found.stdout.str()
 
 

@@ -21,7 +21,7 @@ RAYS = 3
 
 def response_of(request: TraceRequest) -> TraceResponse:
     """A response in which only the first ray hits."""
-    sizes = {"rays": RAYS, "lights": 0, "pixels": 0, "faces": 0}
+    sizes = {"rays": RAYS, "lights": 0, "pixels": 0, "faces": 0, "origins": 0}
     rows = {
         name: np.zeros([sizes.get(size, size) for size in shape], kind)
         for name, (shape, kind) in TraceResponse.LAYOUT.items()

@@ -12,6 +12,7 @@ from caster.geometry.packing import pack
 from caster.geometry.world_space import as_float32
 from caster.scene.files import load_scene
 from caster.shapes import SHAPES
+from caster.shapes.linear_curve import RoundSegments
 from caster.shapes.sphere import Spheres
 from mitsuba_ref.error_model.intersections import (
     SAME_NORMAL_TOLERANCE,
@@ -95,11 +96,15 @@ def groups(key: np.ndarray) -> int:
 
 
 def test_every_kind_of_primitive_has_its_groups():
-    scenes = [load_scene(SCENES / f"{name}.toml") for name in ("every-shape", "ellipsoids", "sphere-clouds")]
+    scenes = [
+        load_scene(SCENES / f"{name}.toml")
+        for name in ("every-shape", "ellipsoids", "sphere-clouds", "ellipsoid-clouds", "linear-curves")
+    ]
     assert {type(shape) for scene in scenes for shape in scene.shapes} == set(SHAPES)
     kinds = {type(kind.prims) for scene in scenes for kind in pack(scene, as_float32).kinds}
     assert kinds == set(KINDS)
-    assert all(single_group not in kind.rounding_groups for kind in KINDS.values())
+    # of segments, whose roundings are not analysed that far, all hits are one: they are no evidence of a bias
+    assert {name for name, kind in KINDS.items() if single_group in kind.rounding_groups} == {RoundSegments}
 
 
 def test_parallel_faces_and_mirror_images_are_one_group():

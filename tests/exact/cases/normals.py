@@ -53,6 +53,11 @@ def normal(packed: Packed, prim: int, o: Any, d: Any, t: Root) -> np.ndarray:
         return unit(cross(sub(b, a), sub(c, a)))
     if name == "Planes":
         return unit(exactly(prims.normal[k]))
+    if name == "RoundSegments":
+        away, axis = sub(point(o, d, t), exactly(prims.start[k])), sub(exactly(prims.end[k]), exactly(prims.start[k]))
+        return unit(
+            [x - share_along(away, axis, exactly(prims.radius[k])) * y for x, y in zip(away, axis, strict=True)]
+        )
     away = sub(point(o, d, t), exactly(prims.center[k]))
     if name == "Spheres":
         return unit(away)
@@ -61,6 +66,15 @@ def normal(packed: Packed, prim: int, o: Any, d: Any, t: Root) -> np.ndarray:
     if name == "Cylinders":
         q[2] = F(0)
     return unit(inverse_times([list(column) for column in zip(*rows, strict=True)], q))
+
+
+def share_along(away: Any, axis: Any, radii: Any) -> Any:
+    """Where along a segment the sphere lies that touches the hull in the point `away` from the start."""
+    change, length_squared = radii[1] - radii[0], sum(y * y for y in axis)
+    share = (sum(x * y for x, y in zip(away, axis, strict=True)) + radii[0] * change) / (
+        length_squared - change * change
+    )
+    return min(max(share, 0), 1)
 
 
 def bound(packed: Packed, prim: int, o: np.ndarray, d: np.ndarray, t: float, off: float) -> float:
@@ -119,11 +133,22 @@ def _cylinder(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float, off: f
     return _through_matrix(prims, k, o, d, t, off, True)
 
 
+def _segment(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float, off: float) -> float:
+    """The point's error over the radius there; it moves the touching sphere along the segment as well."""
+    away, axis, radii = o - prims.start[k], prims.end[k] - prims.start[k], prims.radius[k]
+    share, change, length_squared = share_along(away + t * d, axis, radii), radii[1] - radii[0], np.dot(axis, axis)
+    radius = radii[0] + share * change
+    moved = np.abs(away).sum() + np.abs(t * d).sum() + np.linalg.norm(axis) + np.linalg.norm(d) * off / U
+    return moved / radius * (1.0 + length_squared / (length_squared - change * change)) + 1.0
+
+
 BOUNDS = {
     "Triangles": _triangle,
     "Planes": _flat,
     "Disks": _flat,
     "Spheres": _sphere,
     "Ellipsoids": _ellipsoid,
+    "OuterEllipsoids": _ellipsoid,
+    "RoundSegments": _segment,
     "Cylinders": _cylinder,
 }

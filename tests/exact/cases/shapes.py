@@ -10,8 +10,10 @@ from caster import (
     Cube,
     Cylinder,
     Disk,
+    EllipsoidCloud,
     Heightfield,
     Icosphere,
+    LinearCurve,
     Mesh,
     Plane,
     Rectangle,
@@ -71,6 +73,10 @@ CLOUD_CENTERS, CLOUD_RADII = ((-0.5, 0.1, 0.0), (0.6, -0.3, 0.2), (0.1, 0.5, -0.
 PLAIN = {
     "sphere": lambda steps: Sphere(to_world=steps),
     "spheres": lambda steps: SphereCloud(centers=CLOUD_CENTERS, radii=CLOUD_RADII, to_world=steps),
+    "ellipsoids": lambda steps: EllipsoidCloud(
+        centers=CLOUD_CENTERS, scales=((0.4, 0.3, 0.5),) * 3, quaternions=((0.1, 0.2, 0.3, 0.9),) * 3, to_world=steps
+    ),
+    "linear_curve": lambda steps: LinearCurve(points=CLOUD_CENTERS, radii=CLOUD_RADII, to_world=steps),
     "rectangle": lambda steps: Rectangle(to_world=steps),
     "disk": lambda steps: Disk(to_world=steps),
     "cube": lambda steps: Cube(to_world=steps),
