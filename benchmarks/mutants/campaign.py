@@ -68,7 +68,7 @@ WITH_COMPILER = {
         description_round_trip error_models exact_kernels explanations exr_compare exr_files fuzz
         generated_meshes geometry_checked_in_both_precisions independent_transform judge_at_extremes
         knife_edges known_defects lambert_and_shadow_rays pixel_explanations ray_camera ray_conventions
-        registries report_files result_schemas scene_fuzz scene_options scene_rows
+        registries report_files result_schemas scene_options scene_rows
         stated_numbers stress surface_targets verdict_rules
     """,
     "tests/exact": """

@@ -112,6 +112,8 @@ READERS: dict[str, tuple[str, ...]] = {
         "mitsuba-ref approve FILE --references out/references --yes",
         "mitsuba-ref check FILE --references in/references",
         "mitsuba-ref judge --scene FILE --rays in/rays.npz --hits in/hits.npz --out out/j",
+        "mitsuba-ref judge --scene FILE --rays in/rays.npz --spawned in/rays.npz",
+        "mitsuba-ref versions FILE --mitsuba in/no-python",
     ),
     "in/scene.json": read_by(
         "caster check FILE", "caster render FILE -o out/o.exr", "caster doctor --warm FILE", "mitsuba-ref validate FILE"
