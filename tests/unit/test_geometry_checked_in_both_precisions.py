@@ -98,7 +98,7 @@ def test_one_claim_that_is_off_in_one_precision_is_found(monkeypatch, shape, wha
 
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
 def test_shipped_scenes_keep_far_within_the_bound(path):
-    # The squares of the axes of ellipsoids are compared: products of rounded matrices on both sides, with more roundings.
+    # Of ellipsoids the squares of the axes are compared: products of rounded matrices, with more roundings.
     assert check_geometry(load_scene(path)).ratio <= (0.75 if path.stem == "ellipsoid-clouds" else 0.25)
 
 
