@@ -60,12 +60,12 @@ class OpenResponse:
     """What Mitsuba holds of a file: unique shapes, where they are placed, the sensor's rays, lights."""
 
     LAYOUT: ClassVar[Layout] = {
-        "vertices": (("vertices", 8), np.float32),  # position, normal, uv
+        "numbers": (("numbers",), np.float32),  # rows of all shapes (reference/file_calls.py:_shape)
         "faces": (("faces", 3), np.int32),
         "rays": (("pixels", 7), np.float32),  # o, d, t_max through the pixel centres of the crop, row by row
     }
 
-    vertices: np.ndarray = field(default_factory=lambda: np.zeros((0, 8), np.float32))
+    numbers: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
     faces: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int32))
     rays: np.ndarray = field(default_factory=lambda: np.zeros((0, 7), np.float32))
     shapes: Sequence[dict[str, Any]] = ()  # reference/file_calls.py:_shape
