@@ -98,9 +98,9 @@ def _keep_geometry(parsed: Parsed, request: OpenRequest) -> None:
         kind.Sensor: (kind.Shape, kind.Sensor, kind.Film, kind.Sampler),
         kind.BSDF: (kind.BSDF,),
     }
-    nodes, without_film = parsed.state.nodes, []
-    for i, node in enumerate(nodes):
-        props = node.props
+    nodes = parsed.state.nodes
+    for i in range(len(nodes)):
+        node, props = nodes[i], nodes[i].props
         if node.type == kind.Film:
             parsed.dropped.update([] if props.plugin_name() == "hdrfilm" else [f"film {props.plugin_name()}"])
             node.props = _film(props, request.size)
@@ -111,18 +111,17 @@ def _keep_geometry(parsed: Parsed, request: OpenRequest) -> None:
                 parsed.refers[i].remove(to)
                 parsed.dropped[f"{str(nodes[to].type).rpartition('.')[2].lower()} {nodes[to].props.plugin_name()}"] += 1
         if node.type == kind.Sensor and request.size and not parsed.children(i, kind.Film):
-            without_film.append(node)
+            film = mi.parser.SceneNode()
+            film.type, film.props = kind.Film, _film(mi.Properties("hdrfilm"), request.size)
+            props["film"] = mi.Properties.ResolvedReference(len(nodes))
+            nodes.append(film)
+            node = nodes[i]  # where it lies now
         if node.type == kind.Scene and request.robust:
             props.remove_property(ROBUST)
             props[ROBUST] = True
         if node.type in (kind.Shape, kind.Emitter, kind.Sensor):
             props.set_id(str(i))  # one each, by which loaded objects are found again
         node.props = props
-    for sensor in without_film:
-        film = mi.parser.SceneNode()
-        film.type, film.props = kind.Film, _film(mi.Properties("hdrfilm"), request.size)
-        sensor.props["film"] = mi.Properties.ResolvedReference(len(nodes))
-        nodes.append(film)
     used = {bsdf for i, _ in parsed.nodes(kind.Shape) for bsdf in parsed.children(i, kind.BSDF)}
     parsed.materials.update((i, material(parsed, i)) for i in sorted(used))
     for i in (i for i, found in parsed.materials.items() if found is None):
@@ -356,14 +355,15 @@ def _shape(shape: Any) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
     Rows: vertices as vertices_of; control points with their radii; centres, scales and quaternions of ellipsoids.
     """
     kind = "mesh" if shape.is_mesh() else HELD.get(shape.class_name(), "")
-    record: dict[str, Any] = {"kind": kind, "flipped": bool(shape.has_flipped_normals())}
+    record: dict[str, Any] = {"kind": kind}
     if not kind:
         return record, np.zeros((0, 1), np.float32), NO_FACES
-    numbers = mi.traverse(shape)
+    record["flipped"] = bool(shape.has_flipped_normals())
     if kind == "mesh":
         record["smooth"] = bool(shape.has_vertex_normals() and not shape.has_face_normals())
         record["textured"] = bool(shape.has_vertex_texcoords())
-        return record, vertices_of(numbers), np.array(numbers["faces"], np.int32).reshape(-1, 3)
+        return record, vertices_of(shape), np.array(shape.faces_buffer(), np.int32).reshape(-1, 3)
+    numbers = mi.traverse(shape)
     if kind == "linear_curve":
         rows = np.array(numbers["control_points"], np.float32).reshape(-1, 4)
         ends = np.setdiff1d(np.arange(len(rows)), np.array(numbers["segment_indices"]))  # where no segment starts
@@ -379,10 +379,10 @@ def _shape(shape: Any) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
 
 
 def vertices_of(mesh: Any) -> np.ndarray:
-    """(n, 8) float32: position, normal and uv of each vertex of a mesh's numbers; missing ones are 0."""
-    rows = np.zeros((np.array(mesh["vertex_positions"]).size // 3, 8), np.float32)
+    """(n, 8) float32: position, normal and uv of each vertex; missing ones are 0."""
+    rows = np.zeros((mesh.vertex_count(), 8), np.float32)
     for name, columns in (("positions", slice(0, 3)), ("normals", slice(3, 6)), ("texcoords", slice(6, 8))):
-        values = np.array(mesh[f"vertex_{name}"], np.float32)
+        values = np.array(getattr(mesh, f"vertex_{name}_buffer")(), np.float32)
         if values.size:
             rows[:, columns] = values.reshape(len(rows), -1)
     return rows

@@ -93,8 +93,8 @@ def _meshes(request: TraceRequest) -> dict[str, Any]:
     corners, faces, problems = [np.zeros((0, 3, 8), np.float32)], [np.zeros((0, 3), np.int32)], []
     for file in request.mesh_files:
         try:
-            mesh = mi.traverse(mi.load_dict({"type": file.suffix[1:].lower(), "filename": str(file)}))
-            faces.append(np.array(mesh["faces"], np.int32).reshape(-1, 3))
+            mesh = mi.load_dict({"type": file.suffix[1:].lower(), "filename": str(file)})
+            faces.append(np.array(mesh.faces_buffer(), np.int32).reshape(-1, 3))
             corners.append(file_calls.vertices_of(mesh)[faces[-1]])
             problems.append("")
         except RuntimeError as error:

@@ -151,10 +151,8 @@ def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -
         start += camera["near"]
     scene._original = Original(
         request,
-        found.variant,
-        found.robust,
+        found,
         film,
-        found.rays,
         start,
         keys,
         np.array(conditions),
@@ -208,10 +206,9 @@ SIMILARITY_RTOL = 8 * 2.0**-24
 def _shape(record: Mapping[str, Any], numbers: np.ndarray, faces: np.ndarray, instance: Any, named: Any) -> Shape:
     """A shape of the caster. instance: its matrix, or None. named: more fields. Raises SceneError with the reason."""
     outer = np.eye(4) if instance is None else np.array(instance)
-    kind, flipped = record["kind"], record["flipped"]
-    rows = numbers.reshape(-1, record["columns"]).astype(np.float64)
-    if not kind:
+    if not (kind := record["kind"]):
         raise SceneError(f"the caster has no {record['plugin']}")
+    rows, flipped = numbers.reshape(-1, record["columns"]).astype(np.float64), record["flipped"]
     if kind == "mesh":
         fields: dict[str, Any] = {
             "vertices": rows[:, :3],
@@ -265,26 +262,21 @@ SQUARE_PIXEL_RTOL = 5e-4
 SKEW_ATOL = 4 * 2.0**-24  # products of the axes of a rotation that was rounded to float32
 
 
-class SensorCamera(NamedTuple):
-    """A sensor as a camera of the caster."""
+def camera_of(about: Mapping[str, Any]) -> tuple[dict[str, Any] | None, bool, str]:
+    """(camera like a sensor, or None; whether it has the sensor's rays, up to rounding; a note on it).
 
-    camera: dict[str, Any] | None  # None: the caster has no such camera
-    exact: bool = False  # the camera has the sensor's rays, up to rounding
-    note: str = ""
-
-
-def camera_of(about: Mapping[str, Any]) -> SensorCamera:
-    """The camera of a sensor. about: its numbers and its plugin."""
+    about: the sensor's numbers and its plugin.
+    """
     plugin, matrix = about["plugin"], np.array(about["to_world"])
     near, far = about.get("near_clip", DEFAULT_NEAR), about.get("far_clip", DEFAULT_FAR)
     its_rays = "its rays are Mitsuba's"
     if plugin == "no sensor":
-        return SensorCamera(None, note="the file has no sensor: the view is of all its shapes")
+        return None, False, "the file has no sensor: the view is of all its shapes"
     if plugin not in ("perspective", "thinlens", "orthographic"):
         random = ", for the middle of each sample" if plugin in ("distant", "irradiancemeter") else ""
-        return SensorCamera(None, note=f"sensor {plugin}: {its_rays}{random}")
+        return None, False, f"sensor {plugin}: {its_rays}{random}"
     if is_mirrored(matrix):
-        return SensorCamera(None, note=f"sensor {plugin}: it is mirrored, so {its_rays}")
+        return None, False, f"sensor {plugin}: it is mirrored, so {its_rays}"
     across, above, along = row_lengths(matrix[:3, :3].T)
     axes = matrix[:3, :3] / [across, above, along]
     exact = bool(np.abs(product(axes.T, axes) - np.eye(3)).max() <= SKEW_ATOL)
@@ -293,16 +285,16 @@ def camera_of(about: Mapping[str, Any]) -> SensorCamera:
     pose = {"eye": eye, "up": up, "direction": view}
     if plugin == "orthographic":
         if abs(above - across) > SQUARE_PIXEL_RTOL * across:
-            return SensorCamera(None, note=f"sensor {plugin}: its pixels are not square, so {its_rays}")
+            return None, False, f"sensor {plugin}: its pixels are not square, so {its_rays}"
         start = near * float(along)  # the scale along the view does not apply to the distance of the clip planes
         planes = {"near": start, "far": start + far - near}
-        return SensorCamera({"type": "orthographic", **pose, "width": 2.0 * float(across), **planes}, exact, note)
+        return {"type": "orthographic", **pose, "width": 2.0 * float(across), **planes}, exact, note
     fov = {"fov": about["fov"], "fov_axis": about.get("fov_axis", "x")} if "fov" in about else {"fov": about["x_fov"]}
     camera = {"type": "pinhole", **pose, "near": near, "far": far, **fov}
     shift = [about.get(f"principal_point_offset_{axis}", 0.0) for axis in "xy"]
     camera |= {"principal_point": shift} if any(shift) else {}
     lens = "sensor thinlens: rays through the middle of its lens" if plugin == "thinlens" else ""
-    return SensorCamera(camera, exact, "; ".join(filter(None, (note, lens))))
+    return camera, exact, "; ".join(filter(None, (note, lens)))
 
 
 # ---- import
