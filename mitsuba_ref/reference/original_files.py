@@ -307,18 +307,22 @@ class ImportedScene(NamedTuple):
     left_out: tuple[str, ...]
 
 
-def import_xml(path: str, parameters: Mapping[str, str] = {}, mesh_dirs: Iterable[str] = ()) -> ImportedScene:
+def import_xml(
+    path: str,
+    parameters: Mapping[str, str] = {},
+    mesh_dirs: Iterable[str] = (),
+    *,
+    sensor: int = 0,
+    size: Sequence[int] | None = None,
+) -> ImportedScene:
     """Import a Mitsuba file, as Mitsuba loads it, into a scene of its own. parameters: values of $names.
+
+    sensor: its number. size: width and height of the film, in place of its own.
 
     Raises FileMissing for files that cannot be read, SceneError where Mitsuba refuses the file or the caster has no
     camera like its sensor, NothingToJudgeError where no shape can be imported.
     """
-    return imported(path, Opening(parameters), None, mesh_dirs)
-
-
-def imported(path: str, opening: Opening, size: Sequence[int] | None, mesh_dirs: Iterable[str]) -> ImportedScene:
-    """As import_xml. size: of the film, in place of its own."""
-    opened = open_scene(path, opening, size=size, mesh_dirs=mesh_dirs)
+    opened = open_scene(path, Opening(parameters, sensor), size=size, mesh_dirs=mesh_dirs)
     original = original_of(opened)
     assert original is not None
     if not original.has_camera:
