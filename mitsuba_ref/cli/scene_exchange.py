@@ -18,7 +18,7 @@ from caster.system.terminal import folded, printable
 from mitsuba_ref.cli.options import load_scene_or_original, opening_of
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.messages import MitsubaError
-from mitsuba_ref.reference.original_files import ImportedScene, imported
+from mitsuba_ref.reference.original_files import ImportedScene, import_xml
 from mitsuba_ref.reference.rendering import REFERENCE_AOVS, render_reference
 from mitsuba_ref.reference.shared_input import export_scene, packed_float32
 from mitsuba_ref.report.results import plural
@@ -56,8 +56,11 @@ def run_import(args: argparse.Namespace) -> int:
         raise SceneError(f"-o {args.output}: expected a name that ends in .toml")
     if suffix not in (".xml", ".txt"):
         raise SceneError(f"{args.file}: expected Mitsuba's .xml, or .txt of MIT 6.837")
-    of_mitsuba = suffix == ".xml"
-    found = imported(args.file, opening_of(args), args.size, args.mesh_dir) if of_mitsuba else from_course(args)
+    if suffix == ".xml":
+        parameters, sensor, _ = opening_of(args)
+        found = import_xml(args.file, parameters, args.mesh_dir, sensor=sensor, size=args.size)
+    else:
+        found = from_course(args)
     target = Path(args.output).resolve()
     folder, scene = target.parent, with_mesh_files(found.scene, target.with_suffix(""))
     head = [f"{Path(args.file).name}, by `mitsuba-ref import`.", *found.left_out]

@@ -20,7 +20,11 @@ PLUGIN_FOLDER = str(list(mi.file_resolver())[-1]) if hasattr(mi, "file_resolver"
 
 DIFFUSE_LIGHTS = {"point": "intensity", "directional": "irradiance", "constant": "radiance"}
 FILM_SIZES = {"width": 768, "height": 576}  # Mitsuba's defaults
-HELD = {"Sphere": "sphere", "Cylinder": "cylinder", "Disk": "disk"}  # class in Mitsuba -> shape type of the caster
+# class in Mitsuba -> shape type of the caster
+HELD = {
+    **{"Sphere": "sphere", "Cylinder": "cylinder", "Disk": "disk"},
+    **{"LinearCurve": "linear_curve", "Ellipsoids": "ellipsoids"},
+}
 MESHES = {"ply", "obj", "serialized", "rectangle", "cube", "merge"}  # plugins
 VIEW, VIEW_FROM, VIEW_FOV, VIEW_SIZE = "no sensor", np.array([0.4417, 0.3571, 0.8231]), 41.3, (256, 256)
 ROBUST = "embree_use_robust_intersections"
@@ -95,9 +99,9 @@ def _keep_geometry(parsed: Parsed, request: OpenRequest) -> None:
         kind.Sensor: (kind.Shape, kind.Sensor, kind.Film, kind.Sampler),
         kind.BSDF: (kind.BSDF,),
     }
-    nodes, without_film = parsed.state.nodes, []
-    for i, node in enumerate(nodes):
-        props = node.props
+    nodes = parsed.state.nodes
+    for i in range(len(nodes)):
+        node, props = nodes[i], nodes[i].props
         if node.type == kind.Film:
             parsed.dropped.update([] if props.plugin_name() == "hdrfilm" else [f"film {props.plugin_name()}"])
             node.props = _film(props, request.size)
@@ -108,18 +112,17 @@ def _keep_geometry(parsed: Parsed, request: OpenRequest) -> None:
                 parsed.refers[i].remove(to)
                 parsed.dropped[f"{str(nodes[to].type).rpartition('.')[2].lower()} {nodes[to].props.plugin_name()}"] += 1
         if node.type == kind.Sensor and request.size and not parsed.children(i, kind.Film):
-            without_film.append(node)
+            film = mi.parser.SceneNode()
+            film.type, film.props = kind.Film, _film(mi.Properties("hdrfilm"), request.size)
+            props["film"] = mi.Properties.ResolvedReference(len(nodes))
+            nodes.append(film)
+            node = nodes[i]  # where it lies now
         if node.type == kind.Scene and request.robust:
             props.remove_property(ROBUST)
             props[ROBUST] = True
         if node.type in (kind.Shape, kind.Emitter, kind.Sensor):
             props.set_id(str(i))  # one each, by which loaded objects are found again
         node.props = props
-    for sensor in without_film:
-        film = mi.parser.SceneNode()
-        film.type, film.props = kind.Film, _film(mi.Properties("hdrfilm"), request.size)
-        sensor.props["film"] = mi.Properties.ResolvedReference(len(nodes))
-        nodes.append(film)
     used = {bsdf for i, _ in parsed.nodes(kind.Shape) for bsdf in parsed.children(i, kind.BSDF)}
     parsed.materials.update((i, material(parsed, i)) for i in sorted(used))
     for i in (i for i, found in parsed.materials.items() if found is None):
@@ -134,11 +137,10 @@ def _is_kept(parsed: Parsed, number: int) -> bool:
     node = parsed.state.nodes[number]
     if node.type != mi.ObjectType.Emitter:
         return True
-    plugin = node.props.plugin_name()
-    if plugin in DIFFUSE_LIGHTS and color(node.props, DIFFUSE_LIGHTS[plugin]) is not None:
-        return bool(plugin != "constant")
+    if found := light(node.props):
+        return bool(found["type"] != "ambient")
     if color(node.props, "radiance") != [0.0] * 3:
-        parsed.unlit.append(f"{plugin} at {parsed.place(number)}")
+        parsed.unlit.append(f"{node.props.plugin_name()} at {parsed.place(number)}")
     return False
 
 
@@ -172,14 +174,34 @@ def color(props: Any, name: str, default: float = 1.0) -> list[float] | None:
 
 
 def material(parsed: Parsed, number: int) -> dict[str, Any] | None:
-    """A diffuse material as the caster has it; None for any other."""
+    """A material as the caster has it; None for any other."""
     props = parsed.state.nodes[number].props
-    if props.plugin_name() == "twosided":
+    plugin = props.plugin_name()
+    if plugin == "twosided":
         inner = parsed.children(number, mi.ObjectType.BSDF)
         found = material(parsed, inner[0]) if len(inner) == 1 else None
-        return found and found | {"two_sided": True}
-    reflectance = color(props, "reflectance", 0.5) if props.plugin_name() == "diffuse" else None
-    return None if reflectance is None else {"reflectance": reflectance}
+        return found | {"two_sided": True} if found and "reflectance" in found else None
+    if plugin == "diffuse" and (reflectance := color(props, "reflectance", 0.5)):
+        return {"reflectance": reflectance}
+    if plugin == "conductor" and props.get("material", "") == "none":
+        return {"type": "mirror"}
+    if plugin == "dielectric":
+        indices = {name: props[name] for name in ("int_ior", "ext_ior") if props.has_property(name)}
+        return {"type": "glass", "ior": _number(mi.traverse(mi.load_dict({"type": plugin, **indices}))["eta"])}
+    return None
+
+
+def light(props: Any) -> dict[str, Any] | None:
+    """A light as the caster has it; None for any other."""
+    plugin = props.plugin_name()
+    if plugin not in DIFFUSE_LIGHTS or (strength := color(props, DIFFUSE_LIGHTS[plugin])) is None:
+        return None
+    if plugin == "constant":
+        return {"type": "ambient", "radiance": strength}
+    matrix = np.array(_matrix(props["to_world"])) if props.has_property("to_world") else np.eye(4)
+    place, column = ("position", 3) if plugin == "point" else ("direction", 2)
+    where = [float(x) for x in props[place]] if props.has_property(place) else matrix[:3, column].tolist()
+    return {"type": plugin, place: where, DIFFUSE_LIGHTS[plugin]: strength}
 
 
 # ---- what Mitsuba has loaded
@@ -210,19 +232,21 @@ def open_file(request: OpenRequest, sensor_rays: Any) -> OpenResponse:
     sensor = sensors[request.sensor] if sensors else _view_of_all(scene, request.size)
     loaded = {shape.id(): shape for shape in scene.shapes()} | _loaded_groups(parsed, request, variant)
     shapes: list[dict[str, Any]] = []
-    vertices, faces = [np.zeros((0, 8), np.float32)], [np.zeros((0, 3), np.int32)]
+    numbers, faces = [np.zeros(0, np.float32)], [NO_FACES]
     number_of: dict[int, int] = {}
     for i, props in parsed.nodes(kind.Shape):
         if str(i) in loaded and not _is(props, "instance"):
             number_of[i] = len(shapes)
-            record, corners, triangles = _shape(loaded[str(i)], props)
-            shapes.append(record | {"place": parsed.place(i)} | _material_of(parsed, i))
-            vertices.append(corners)
+            record, rows, triangles = _shape(loaded[str(i)])
+            sizes = {"numbers": rows.size, "columns": rows.shape[1], "faces": len(triangles)}
+            about = {"plugin": props.plugin_name(), "place": parsed.place(i)}
+            shapes.append(record | sizes | about | _material_of(parsed, i))
+            numbers.append(rows.ravel())
             faces.append(triangles)
     film = sensor.film()
     (x, y), (width, height) = film.crop_offset(), film.crop_size()
     return OpenResponse(
-        vertices=np.concatenate(vertices),
+        numbers=np.concatenate(numbers),
         faces=np.concatenate(faces),
         rays=sensor_rays(sensor, variant),
         shapes=shapes,
@@ -230,7 +254,7 @@ def open_file(request: OpenRequest, sensor_rays: Any) -> OpenResponse:
         size=list(film.size()),
         crop=[x, y, x + width, y + height],
         camera=_camera(parsed.state.nodes[int(sensor.id())].props if sensors else mi.Properties(VIEW), sensor),
-        lights=list(_lights(parsed)),
+        lights=[found for _, props in parsed.nodes(kind.Emitter) if (found := light(props))],
         unlit=parsed.unlit,
         dropped=dict(parsed.dropped),
         files=[*map(str, parsed.state.files), *(file for _, _, file in _files(parsed))],
@@ -318,33 +342,51 @@ def _matrix(transform: Any) -> list[list[float]]:
     return rows
 
 
-def _shape(shape: Any, props: Any) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
-    """(record, vertices (n, 8) with normals and uv, faces (m, 3)) of a loaded shape."""
-    nothing = np.zeros((0, 8), np.float32), np.zeros((0, 3), np.int32)
+def _number(value: Any) -> float:
+    """A number of Mitsuba, in any variant."""
+    return float(np.array(value).ravel()[0])
+
+
+NO_FACES = np.zeros((0, 3), np.int32)
+
+
+def _shape(shape: Any) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+    """(record, rows (n, columns) float32, faces (m, 3)) of a loaded shape.
+
+    Rows: vertices as vertices_of; control points with their radii; centres, scales and quaternions of ellipsoids.
+    """
     kind = "mesh" if shape.is_mesh() else HELD.get(shape.class_name(), "")
-    record: dict[str, Any] = {"plugin": props.plugin_name(), "kind": kind, "vertices": 0, "faces": 0}
-    if shape.is_mesh():
-        count = int(shape.vertex_count())
-        vertices = np.zeros((count, 8), np.float32)
-        smooth = bool(shape.has_vertex_normals() and not shape.has_face_normals())
-        for there, buffer, columns in (
-            (True, "vertex_positions_buffer", slice(0, 3)),
-            (smooth, "vertex_normals_buffer", slice(3, 6)),
-            (shape.has_vertex_texcoords(), "vertex_texcoords_buffer", slice(6, 8)),
-        ):
-            if there:
-                vertices[:, columns] = np.array(getattr(shape, buffer)()).reshape(count, -1)
-        faces = np.array(shape.faces_buffer(), np.int32).reshape(-1, 3)
-        record |= {"vertices": count, "faces": len(faces), "smooth": smooth}
-        record |= {"textured": bool(shape.has_vertex_texcoords()), "flipped": bool(shape.has_flipped_normals())}
-        return record, vertices, faces
-    if kind:
-        matrix = _matrix(mi.traverse(shape)["to_world"])
-        record |= {"matrix": matrix, "flipped": bool(props.get("flip_normals", False))}
+    record: dict[str, Any] = {"kind": kind}
+    if not kind:
+        return record, np.zeros((0, 1), np.float32), NO_FACES
+    record["flipped"] = bool(shape.has_flipped_normals())
+    if kind == "mesh":
+        record["smooth"] = bool(shape.has_vertex_normals() and not shape.has_face_normals())
+        record["textured"] = bool(shape.has_vertex_texcoords())
+        return record, vertices_of(shape), np.array(shape.faces_buffer(), np.int32).reshape(-1, 3)
+    numbers = mi.traverse(shape)
+    if kind == "linear_curve":
+        rows = np.array(numbers["control_points"], np.float32).reshape(-1, 4)
+        ends = np.setdiff1d(np.arange(len(rows)), np.array(numbers["segment_indices"]))  # where no segment starts
+        return record | {"counts": np.diff(ends, prepend=-1).tolist()}, rows, NO_FACES
+    if kind == "ellipsoids":
+        record |= {"extent": _number(numbers["extent"]), "clamped": bool(numbers["extent_adaptive_clamping"])}
+        return record, np.array(numbers["data"], np.float32).reshape(-1, 10), NO_FACES
+    record["matrix"] = matrix = _matrix(numbers["to_world"])
     if kind == "sphere":  # from its centre to its surface
         ray = mi.Ray3f([row[3] for row in matrix[:3]], [1.0, 0.0, 0.0])
         record["radius"] = float(shape.ray_intersect_preliminary(ray).t)
-    return record, *nothing
+    return record, np.zeros((0, 1), np.float32), NO_FACES
+
+
+def vertices_of(mesh: Any) -> np.ndarray:
+    """(n, 8) float32: position, normal and uv of each vertex; missing ones are 0."""
+    rows = np.zeros((mesh.vertex_count(), 8), np.float32)
+    for name, columns in (("positions", slice(0, 3)), ("normals", slice(3, 6)), ("texcoords", slice(6, 8))):
+        values = np.array(getattr(mesh, f"vertex_{name}_buffer")(), np.float32)
+        if values.size:
+            rows[:, columns] = values.reshape(len(rows), -1)
+    return rows
 
 
 def _camera(props: Any, sensor: Any) -> dict[str, Any]:
@@ -354,20 +396,5 @@ def _camera(props: Any, sensor: Any) -> dict[str, Any]:
     numbers = {name: props[name] for name in props.keys() if props.type(name) in plain}  # noqa: SIM118
     matrix = _matrix(props["to_world"]) if props.has_property("to_world") else np.eye(4).tolist()
     loaded = mi.traverse(sensor)
-    computed = {"x_fov": float(np.array(loaded["x_fov"]).ravel()[0])} if "x_fov" in loaded else {}
+    computed = {"x_fov": _number(loaded["x_fov"])} if "x_fov" in loaded else {}
     return {**numbers, **computed, "plugin": props.plugin_name(), "to_world": matrix}
-
-
-def _lights(parsed: Parsed) -> Iterator[dict[str, Any]]:
-    """Lights that the caster has, in the order of the file."""
-    for _, props in parsed.nodes(mi.ObjectType.Emitter):
-        plugin = props.plugin_name()
-        if plugin not in DIFFUSE_LIGHTS or (strength := color(props, DIFFUSE_LIGHTS[plugin])) is None:
-            continue
-        matrix = np.array(_matrix(props["to_world"])) if props.has_property("to_world") else np.eye(4)
-        if plugin == "constant":
-            yield {"type": "ambient", "radiance": strength}
-            continue
-        place, column = ("position", 3) if plugin == "point" else ("direction", 2)
-        where = [float(x) for x in props[place]] if props.has_property(place) else matrix[:3, column].tolist()
-        yield {"type": plugin, place: where, DIFFUSE_LIGHTS[plugin]: strength}

@@ -29,11 +29,19 @@ Layout = dict[str, tuple[tuple[int | str, ...], type]]
 MALFORMED_ERRORS = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile)  # of malformed bytes
 
 
-@dataclass(frozen=True)
-class OpenRequest:
-    """A user's Mitsuba file, to be opened: as its geometry and its sensor's rays, or to trace rays through it."""
+class Message:
+    """A record that is sent, with its arrays."""
 
     LAYOUT: ClassVar[Layout] = {}
+
+    def to_bytes(self) -> bytes:
+        """The fields, equal for equal ones."""
+        return record_bytes(self)
+
+
+@dataclass(frozen=True)
+class OpenRequest(Message):
+    """A user's Mitsuba file, to be opened: as its geometry and its sensor's rays, or to trace rays through it."""
 
     file: str  # absolute
     parameters: Mapping[str, str] = field(default_factory=dict)  # values of $names
@@ -44,28 +52,23 @@ class OpenRequest:
     variant: str = "scalar_rgb"  # for scenes of triangles; others are opened in scalar_rgb
     digest: str = ""  # of the contents of all its files, where these are known
 
-    def to_bytes(self) -> bytes:
-        return record_bytes(self)
-
     def response(self, content: bytes) -> "OpenResponse":
         """The response in a reply. Raises ValueError where it is cut short or malformed."""
-        try:
-            return OpenResponse(**record_of(content))
-        except MALFORMED_ERRORS as error:
-            raise ValueError(f"no whole answer: {type(error).__name__}: {error}") from error
+        response: OpenResponse = whole(OpenResponse, content)
+        return response
 
 
 @dataclass(frozen=True, eq=False)
-class OpenResponse:
+class OpenResponse(Message):
     """What Mitsuba holds of a file: unique shapes, where they are placed, the sensor's rays, lights."""
 
     LAYOUT: ClassVar[Layout] = {
-        "vertices": (("vertices", 8), np.float32),  # position, normal, uv
+        "numbers": (("numbers",), np.float32),  # rows of all shapes (reference/file_calls.py:_shape)
         "faces": (("faces", 3), np.int32),
         "rays": (("pixels", 7), np.float32),  # o, d, t_max through the pixel centres of the crop, row by row
     }
 
-    vertices: np.ndarray = field(default_factory=lambda: np.zeros((0, 8), np.float32))
+    numbers: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
     faces: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int32))
     rays: np.ndarray = field(default_factory=lambda: np.zeros((0, 7), np.float32))
     shapes: Sequence[dict[str, Any]] = ()  # reference/file_calls.py:_shape
@@ -81,9 +84,6 @@ class OpenResponse:
     robust: bool = True  # Embree's mode, as requested or as the file says
     missing: Sequence[str] = ()  # files that cannot be read
     problem: str = ""
-
-    def to_bytes(self) -> bytes:
-        return record_bytes(self)
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ class Coverage:
 
 
 @dataclass(frozen=True, eq=False)
-class TraceRequest:
+class TraceRequest(Message):
     """Rays through one exported scene, in the exact float32 values to trace; d need not be of unit length."""
 
     LAYOUT: ClassVar[Layout] = {
@@ -167,7 +167,7 @@ class TraceRequest:
 
 
 @dataclass(frozen=True, eq=False)
-class TraceResponse:
+class TraceResponse(Message):
     """Intersections of n rays by Mitsuba. On a miss: t inf, shape and prim -1, everything else 0."""
 
     LAYOUT: ClassVar[Layout] = {
@@ -224,16 +224,10 @@ class TraceResponse:
         rows = zip(corners, vertices, self.mesh_problems, strict=True)
         return tuple(LoadedMesh(c[..., :3], c[..., 3:6], c[..., 6:], v, problem) for c, v, problem in rows)
 
-    def to_bytes(self) -> bytes:
-        return record_bytes(self)
-
     @classmethod
     def from_bytes(cls, content: bytes, rays: int) -> "TraceResponse":
         """The response to a request of `rays` rays. Raises ValueError where it is cut short or malformed."""
-        try:
-            response = cls(**record_of(content))
-        except MALFORMED_ERRORS as error:
-            raise ValueError(f"no whole answer: {type(error).__name__}: {error}") from error
+        response: TraceResponse = whole(cls, content)
         response.check(rays)
         return response
 
@@ -323,6 +317,14 @@ def request_of(content: bytes) -> OpenRequest | TraceRequest:
     """The inverse of a request's `to_bytes`."""
     record = record_of(content)
     return OpenRequest(**record) if "file" in record else TraceRequest.from_bytes(content)
+
+
+def whole(kind: Any, content: bytes) -> Any:
+    """A response of this kind. Raises ValueError where it is cut short or malformed."""
+    try:
+        return kind(**record_of(content))
+    except MALFORMED_ERRORS as error:
+        raise ValueError(f"no whole answer: {type(error).__name__}: {error}") from error
 
 
 def record_of(content: bytes) -> dict[str, Any]:

@@ -93,9 +93,9 @@ def _meshes(request: TraceRequest) -> dict[str, Any]:
     corners, faces, problems = [np.zeros((0, 3, 8), np.float32)], [np.zeros((0, 3), np.int32)], []
     for file in request.mesh_files:
         try:
-            mesh = mi.traverse(mi.load_dict({"type": file.suffix[1:].lower(), "filename": str(file)}))
-            faces.append(np.array(mesh["faces"], np.int32).reshape(-1, 3))
-            corners.append(_vertices(mesh)[faces[-1]])
+            mesh = mi.load_dict({"type": file.suffix[1:].lower(), "filename": str(file)})
+            faces.append(np.array(mesh.faces_buffer(), np.int32).reshape(-1, 3))
+            corners.append(file_calls.vertices_of(mesh)[faces[-1]])
             problems.append("")
         except RuntimeError as error:
             faces.append(faces[0])
@@ -107,16 +107,6 @@ def _meshes(request: TraceRequest) -> dict[str, Any]:
         "mesh_faces": [len(each) for each in corners[1:]],
         "mesh_problems": problems,
     }
-
-
-def _vertices(mesh: Any) -> np.ndarray:
-    """(n, 8) position, normal and uv of each vertex; missing ones are 0."""
-    rows = np.zeros((np.array(mesh["vertex_positions"]).size // 3, 8), np.float32)
-    for name, columns in (("positions", slice(0, 3)), ("normals", slice(3, 6)), ("texcoords", slice(6, 8))):
-        values = np.array(mesh[f"vertex_{name}"], np.float32)
-        if values.size:
-            rows[:, columns] = values.reshape(len(rows), -1)
-    return rows
 
 
 def _sensor_rays(sensor: Any, variant: str) -> np.ndarray:
@@ -228,6 +218,8 @@ Hits = Iterator[tuple[Any, dict[str, np.ndarray]]]  # rows of rays that hit some
 def _scalar_hits(scene: Any, emitters: list[Any] | None, request: TraceRequest, names: dict[str, int]) -> Hits:
     def number(si: Any) -> int:
         """The shape's number; in an instance of a user's file, that of the shape in its group, which gets a name."""
+        if not si.shape:  # of curves in groups Mitsuba finds hits, but no shape
+            return names.setdefault("", len(names))
         if si.instance and request.original:
             return names.setdefault(f"{si.instance.id()}/{si.shape.id()}", len(names))
         return names[(si.instance or si.shape).id()]
@@ -245,7 +237,9 @@ def _scalar_hits(scene: Any, emitters: list[Any] | None, request: TraceRequest, 
                 si = pi.compute_surface_interaction(ray, flags)
                 rows.append(i)
                 w = mi.Vector3f(leaving[i - start]) if leaving else None
-                hits.append(_values(scene, emitters, pi, si, True, w) | {"shape": number(si)})
+                hits.append(
+                    _values(scene, emitters, pi, si, True, w) | {"shape": number(si), "t": si.t if si.shape else pi.t}
+                )
         yield rows, {name: _array_of([hit[name] for hit in hits]) for name in (hits[0] if hits else ())}
 
 

@@ -3,7 +3,7 @@
 The file stays the reference (originals.py). `mitsuba-ref import` writes the same scene as TOML and PLY files.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,10 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caster.description.errors import FileMissing, SceneError, error_prefix
+from caster.description.fields import Shape
 from caster.description.input_files import read_input
 from caster.description.transform import cross, inverse, is_mirrored, product, row_lengths, unit
 from caster.scene.model import Film, Scene
-from caster.shapes import Cylinder, Disk, Mesh, Sphere
+from caster.shapes import Cylinder, Disk, EllipsoidCloud, LinearCurve, Mesh, Sphere
 from caster.system.process import NOTHING_SELECTED
 from mitsuba_ref.error_model.intersections import ceil_log2
 from mitsuba_ref.reference import variants
@@ -86,48 +87,47 @@ def _refusal(crash: Crash) -> str:
     return f"{words}{hint}"
 
 
-class JudgedShapes(NamedTuple):
-    """The shapes of a file that are judged, and the others."""
-
-    shapes: list[Any]
-    keys: list[str]  # their names in Mitsuba's answers
-    conditions: list[float]  # of the matrices of instances, 0 for other shapes
-    materials: dict[str, Any]
-    left_out: list[str]  # with their places and reasons
+Placed = tuple[Shape, str, float]  # a shape, its name in Mitsuba's answers, its condition (originals.Original)
 
 
-def _judged_shapes(found: OpenResponse) -> JudgedShapes:
-    out = JudgedShapes([], [], [], {}, [])
-    names: set[str] = set()
-    triangles, parts = 0, list(_parts(found))
+def _judged_shapes(found: OpenResponse) -> tuple[list[Placed], list[str]]:
+    """The shapes that are judged, and the others, with their places and reasons."""
+    numbers, faces = _pieces(found, "numbers"), _pieces(found, "faces")
+    judged: list[Placed] = []
+    left_out, names = [], set[str]()
+    triangles = 0
     for key, number, label, matrix in found.placed:
         record = found.shapes[number]
         name = _distinct(label, f"{record['plugin']}-{key.replace('/', '-')}", names)
-        made, reason = _shape(record, parts[number], matrix)
-        if triangles + record["faces"] > MAX_TRIANGLES:
-            made, reason = None, f"{MAX_TRIANGLES:,} triangles are the most that a scene may have"
-        if made is None:
-            out.left_out.append(f"{record['plugin']} {name!r} at {record['place']}: {reason}")
+        fields = {"name": name} | ({} if record["material"] is None else {"material": record["material_name"]})
+        try:
+            if triangles + record["faces"] > MAX_TRIANGLES:
+                raise SceneError(f"{MAX_TRIANGLES:,} triangles are the most that a scene may have")
+            shape = _shape(record, numbers[number], faces[number], matrix, fields)
+        except SceneError as reason:
+            why = "; ".join(str(reason).splitlines())
+            left_out.append(f"{record['plugin']} {name!r} at {record['place']}: {why}")
             continue
         triangles += record["faces"]
         names.add(name)
-        out.keys.append(key)
-        out.conditions.append(0.0 if matrix is None else _condition(np.array(matrix)[:3, :3]))
-        fields = {"name": name}
-        if record["material"] is not None:
-            fields["material"] = record["material_name"]
-            out.materials[record["material_name"]] = record["material"]
-        out.shapes.append(made[0](**made[1], **fields))
-    return out
+        judged.append((shape, key, 0.0 if matrix is None else _condition(np.array(matrix)[:3, :3])))
+    return judged, left_out
+
+
+def _pieces(found: OpenResponse, name: str) -> list[np.ndarray]:
+    """The numbers or faces of each shape."""
+    sizes = [record[name] for record in found.shapes]
+    return np.split(getattr(found, name), np.cumsum(sizes, dtype=int)[:-1])
 
 
 def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -> MitsubaScene:
     """The scene of an opened file. Raises NothingToJudgeError."""
-    shapes, keys, conditions, materials, left_out = _judged_shapes(found)
-    if not shapes:
+    judged, left_out = _judged_shapes(found)
+    if not judged:
         reasons = "".join(f"\n  {each}" for each in left_out)
         there = f"none of its {len(found.placed)} shapes can be judged" if found.placed else "it has no shape"
         raise NothingToJudgeError(f"{path}: {there}{reasons}")
+    shapes, keys, conditions = zip(*judged, strict=True)
     unlit = [*found.unlit] or ([] if found.lights else ["the file has no light"])
     hidden = 0
     if left_out:
@@ -141,7 +141,8 @@ def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -
     o, d = found.rays[0, :3].tolist(), found.rays[0, 3:6].tolist()
     view = {"type": "pinhole", "eye": o, "direction": d, "up": _across(d)}  # for whatever needs some camera
     parts: dict[str, Any] = {"film": film, "camera": camera or view, "lights": tuple(found.lights)}
-    parts |= {"materials": materials, "shapes": shapes}
+    named = [record for record in found.shapes if record["material"] is not None]
+    parts |= {"materials": {record["material_name"]: record["material"] for record in named}, "shapes": shapes}
     scene = MitsubaScene(**parts)
     start = np.zeros(len(found.rays))
     if camera and camera["type"] == "pinhole":
@@ -150,12 +151,10 @@ def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -
         start += camera["near"]
     scene._original = Original(
         request,
-        found.variant if found.variant == request.variant else variants.variant_for(has_quadrics=True),
-        found.robust,
+        found,
         film,
-        found.rays,
         start,
-        tuple(keys),
+        keys,
         np.array(conditions),
         has_camera=camera is not None,
         exact_camera=exact,
@@ -200,56 +199,47 @@ def _distinct(label: str, otherwise: str, taken: set[str]) -> str:
 # ---- shapes
 
 
-def _parts(found: OpenResponse) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Vertices and faces of each shape."""
-    v = f = 0
-    for record in found.shapes:
-        yield found.vertices[v : v + record["vertices"]], found.faces[f : f + record["faces"]]
-        v, f = v + record["vertices"], f + record["faces"]
-
-
 # Products of the columns of a sphere's matrix, of which each number was rounded to float32, over the squared radius.
 SIMILARITY_RTOL = 8 * 2.0**-24
 
-Made = tuple[type[Any], dict[str, Any]]  # a shape class and its fields
 
-
-def _shape(record: Mapping[str, Any], part: tuple[np.ndarray, np.ndarray], instance: Any) -> tuple[Made | None, str]:
-    """(class and fields of a shape, or None; why there is none). instance: its 4 x 4 matrix, or None."""
-    if not record["kind"]:
-        return None, f"the caster has no {record['plugin']}"
+def _shape(record: Mapping[str, Any], numbers: np.ndarray, faces: np.ndarray, instance: Any, named: Any) -> Shape:
+    """A shape of the caster. instance: its matrix, or None. named: more fields. Raises SceneError with the reason."""
     outer = np.eye(4) if instance is None else np.array(instance)
-    if record["kind"] == "mesh":
-        vertices, faces = part[0].astype(np.float64), part[1]
-        if not np.isfinite(vertices).all():
-            return None, "its vertices contain values that are not finite"
-        if not len(faces):
-            return None, "it has no triangles"
-        sign = -1.0 if record["flipped"] else 1.0
-        fields = {
-            "vertices": vertices[:, :3],
-            "faces": faces[:, [0, 2, 1]] if record["flipped"] else faces,
-            "normals": sign * vertices[:, 3:6] if record["smooth"] else None,
-            "uv": vertices[:, 6:8] if record["textured"] else None,
+    if not (kind := record["kind"]):
+        raise SceneError(f"the caster has no {record['plugin']}")
+    rows, flipped = numbers.reshape(-1, record["columns"]).astype(np.float64), record["flipped"]
+    if kind == "mesh":
+        fields: dict[str, Any] = {
+            "vertices": rows[:, :3],
+            "faces": faces[:, [0, 2, 1]] if flipped else faces,
+            "normals": (-1.0 if flipped else 1.0) * rows[:, 3:6] if record["smooth"] else None,
+            "uv": rows[:, 6:8] if record["textured"] else None,
             "face_normals": not record["smooth"],
         }
-        return (Mesh, fields | _placed(outer)), ""
+        return Mesh(**fields, **_placed(outer), **named)
+    if kind in ("linear_curve", "ellipsoids") and instance is not None:
+        raise SceneError(f"Mitsuba places hits on {record['plugin']} in an instance elsewhere")
+    if kind == "linear_curve":
+        return LinearCurve(points=rows[:, :3], radii=rows[:, 3], counts=record["counts"], **named)
+    if kind == "ellipsoids":
+        if record["clamped"]:
+            raise SceneError("extent_adaptive_clamping: its semi-axes depend on opacities")
+        axes = {"centers": rows[:, :3], "scales": rows[:, 3:6], "quaternions": rows[:, 6:]}
+        return EllipsoidCloud(**axes, extent=record["extent"], **named)
     matrix = np.array(record["matrix"])
-    if record["kind"] == "sphere":
-        if record["flipped"] != is_mirrored(matrix):
-            return None, "flip_normals: normals of a sphere point outwards"
-        gram, size = product(matrix[:3, :3].T, matrix[:3, :3]), record["radius"] * record["radius"]
-        if np.abs(gram - size * np.eye(3)).max() > SIMILARITY_RTOL * size:
-            return None, "its matrix scales it non-uniformly, which Mitsuba's sphere does not follow"
-        x, y = (unit(matrix[:3, column].tolist()) for column in (0, 1))
-        z = unit(cross(x, y))
-        matrix[:3, :3] = record["radius"] * np.column_stack([x, cross(z, x), z])
-        return (Sphere, _placed(product(outer, matrix))), ""
-    if record["kind"] == "cylinder":
-        if record["flipped"]:
-            return None, "flip_normals: normals of a cylinder point outwards"
-        return (Cylinder, _placed(product(outer, matrix))), ""
-    return (Disk, _placed(product(outer, matrix))), ""  # whose matrix Mitsuba has flipped already
+    if kind == "disk":  # whose matrix Mitsuba has flipped already
+        return Disk(**_placed(product(outer, matrix)), **named)
+    mirrored = is_mirrored(matrix)
+    if kind == "cylinder":
+        return Cylinder(flip_normals=flipped != mirrored, **_placed(product(outer, matrix)), **named)
+    gram, size = product(matrix[:3, :3].T, matrix[:3, :3]), record["radius"] * record["radius"]
+    if np.abs(gram - size * np.eye(3)).max() > SIMILARITY_RTOL * size:
+        raise SceneError("its matrix scales it non-uniformly, which Mitsuba's sphere does not follow")
+    x, y = (unit(matrix[:3, column].tolist()) for column in (0, 1))
+    z = unit(cross(x, y))
+    matrix[:3, :3] = record["radius"] * np.column_stack([x, cross(z, x), z]) * [1.0, 1.0, -1.0 if mirrored else 1.0]
+    return Sphere(flip_normals=flipped, **_placed(product(outer, matrix)), **named)
 
 
 def _condition(linear: np.ndarray) -> float:
@@ -272,26 +262,21 @@ SQUARE_PIXEL_RTOL = 5e-4
 SKEW_ATOL = 4 * 2.0**-24  # products of the axes of a rotation that was rounded to float32
 
 
-class SensorCamera(NamedTuple):
-    """A sensor as a camera of the caster."""
+def camera_of(about: Mapping[str, Any]) -> tuple[dict[str, Any] | None, bool, str]:
+    """(camera like a sensor, or None; whether it has the sensor's rays, up to rounding; a note on it).
 
-    camera: dict[str, Any] | None  # None: the caster has no such camera
-    exact: bool = False  # the camera has the sensor's rays, up to rounding
-    note: str = ""
-
-
-def camera_of(about: Mapping[str, Any]) -> SensorCamera:
-    """The camera of a sensor. about: its numbers and its plugin."""
+    about: the sensor's numbers and its plugin.
+    """
     plugin, matrix = about["plugin"], np.array(about["to_world"])
     near, far = about.get("near_clip", DEFAULT_NEAR), about.get("far_clip", DEFAULT_FAR)
     its_rays = "its rays are Mitsuba's"
     if plugin == "no sensor":
-        return SensorCamera(None, note="the file has no sensor: the view is of all its shapes")
+        return None, False, "the file has no sensor: the view is of all its shapes"
     if plugin not in ("perspective", "thinlens", "orthographic"):
         random = ", for the middle of each sample" if plugin in ("distant", "irradiancemeter") else ""
-        return SensorCamera(None, note=f"sensor {plugin}: {its_rays}{random}")
+        return None, False, f"sensor {plugin}: {its_rays}{random}"
     if is_mirrored(matrix):
-        return SensorCamera(None, note=f"sensor {plugin}: it is mirrored, so {its_rays}")
+        return None, False, f"sensor {plugin}: it is mirrored, so {its_rays}"
     across, above, along = row_lengths(matrix[:3, :3].T)
     axes = matrix[:3, :3] / [across, above, along]
     exact = bool(np.abs(product(axes.T, axes) - np.eye(3)).max() <= SKEW_ATOL)
@@ -300,16 +285,16 @@ def camera_of(about: Mapping[str, Any]) -> SensorCamera:
     pose = {"eye": eye, "up": up, "direction": view}
     if plugin == "orthographic":
         if abs(above - across) > SQUARE_PIXEL_RTOL * across:
-            return SensorCamera(None, note=f"sensor {plugin}: its pixels are not square, so {its_rays}")
+            return None, False, f"sensor {plugin}: its pixels are not square, so {its_rays}"
         start = near * float(along)  # the scale along the view does not apply to the distance of the clip planes
         planes = {"near": start, "far": start + far - near}
-        return SensorCamera({"type": "orthographic", **pose, "width": 2.0 * float(across), **planes}, exact, note)
+        return {"type": "orthographic", **pose, "width": 2.0 * float(across), **planes}, exact, note
     fov = {"fov": about["fov"], "fov_axis": about.get("fov_axis", "x")} if "fov" in about else {"fov": about["x_fov"]}
     camera = {"type": "pinhole", **pose, "near": near, "far": far, **fov}
     shift = [about.get(f"principal_point_offset_{axis}", 0.0) for axis in "xy"]
     camera |= {"principal_point": shift} if any(shift) else {}
     lens = "sensor thinlens: rays through the middle of its lens" if plugin == "thinlens" else ""
-    return SensorCamera(camera, exact, "; ".join(filter(None, (note, lens))))
+    return camera, exact, "; ".join(filter(None, (note, lens)))
 
 
 # ---- import
@@ -322,18 +307,22 @@ class ImportedScene(NamedTuple):
     left_out: tuple[str, ...]
 
 
-def import_xml(path: str, parameters: Mapping[str, str] = {}, mesh_dirs: Iterable[str] = ()) -> ImportedScene:
+def import_xml(
+    path: str,
+    parameters: Mapping[str, str] = {},
+    mesh_dirs: Iterable[str] = (),
+    *,
+    sensor: int = 0,
+    size: Sequence[int] | None = None,
+) -> ImportedScene:
     """Import a Mitsuba file, as Mitsuba loads it, into a scene of its own. parameters: values of $names.
+
+    sensor: its number. size: width and height of the film, in place of its own.
 
     Raises FileMissing for files that cannot be read, SceneError where Mitsuba refuses the file or the caster has no
     camera like its sensor, NothingToJudgeError where no shape can be imported.
     """
-    return imported(path, Opening(parameters), None, mesh_dirs)
-
-
-def imported(path: str, opening: Opening, size: Sequence[int] | None, mesh_dirs: Iterable[str]) -> ImportedScene:
-    """As import_xml. size: of the film, in place of its own."""
-    opened = open_scene(path, opening, size=size, mesh_dirs=mesh_dirs)
+    opened = open_scene(path, Opening(parameters, sensor), size=size, mesh_dirs=mesh_dirs)
     original = original_of(opened)
     assert original is not None
     if not original.has_camera:

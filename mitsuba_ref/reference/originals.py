@@ -9,7 +9,7 @@ from pydantic import PrivateAttr
 
 from caster.description.errors import SceneError
 from caster.scene.model import Film, Scene
-from mitsuba_ref.reference.messages import Coverage, OpenRequest
+from mitsuba_ref.reference.messages import Coverage, OpenRequest, OpenResponse
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,10 +17,8 @@ class Original:
     """The file that is the reference of a scene, as opened."""
 
     request: OpenRequest  # with the digest of its files
-    variant: str  # that traces it
-    robust: bool  # Embree's mode
+    opened: OpenResponse
     film: Film
-    rays: np.ndarray  # (pixels, 7) float32: the sensor's o, d, t_max, row by row
     start: np.ndarray  # (pixels,) float64, distance from the eye to o; 0 where the caster has no such camera
     keys: tuple[str, ...]  # by which Mitsuba's answers name the scene's shapes
     condition: np.ndarray  # (shapes,) as in error_model.scene_model.InstancedModel

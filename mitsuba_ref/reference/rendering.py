@@ -62,7 +62,7 @@ class ReferenceResult:
 def variant_of(scene: Scene) -> str:
     """The variant that traces this scene."""
     if original := original_of(scene):
-        return variant_for(original.variant == SCALAR)  # by the shapes, unless one is chosen
+        return variant_for(original.opened.variant == SCALAR)  # by the shapes, unless one is chosen
     return variant_for(any(reference_of(shape).analytic for shape in scene.shapes))
 
 
@@ -126,7 +126,7 @@ def trace_reference(
         answer.light_rgb.astype(np.float64),
         visible,
         answer.albedo.astype(np.float64) * ambient_radiance(scene.lights),
-        original.robust if (original := original_of(scene)) else robust,
+        original.opened.robust if (original := original_of(scene)) else robust,
     )
 
 

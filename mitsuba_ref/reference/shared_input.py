@@ -85,7 +85,7 @@ def shared_rays(scene: Scene) -> SharedRays:
     """Camera rays of a scene, from the near plane on, since Mitsuba has no t_min; of a Mitsuba file, its sensor's."""
     if original := original_of(scene):
         rows = original.rows(scene.film)
-        numbers = np.ascontiguousarray(original.rays[rows])
+        numbers = np.ascontiguousarray(original.opened.rays[rows])
         return SharedRays(numbers[:, :3], numbers[:, 3:6], numbers[:, 6], original.start[rows])
     rays = camera_rays(scene)
     o = rays.o + rays.t_min[:, None] * rays.d

@@ -53,6 +53,23 @@ def test_light_is_compared_where_the_caster_has_the_same(folder):
     assert not scene.unjudged and not scene.coverage.lines()
 
 
+def test_curves_ellipsoids_flipped_quadrics_and_specular_materials_are_judged(folder):
+    """Mitsuba itself finds wrong hits, or none at all, on curves and ellipsoids in an instance."""
+    scene = mitsuba_ref.validate(folder / "quadrics.xml").scenes[0]
+    assert scene.ok and scene.counts["agree"] > 300 and not scene.counts["wrong"] + scene.counts["undecided"]
+    assert scene.coverage.judged == 6 and not scene.coverage.lines() and {"diffuse", "uv"} <= {*scene.ratios}
+    assert {each.type for each in open_scene(str(folder / "quadrics.xml")).materials.values()} == {
+        *("diffuse", "glass", "mirror")
+    }
+    (folder / "dot.txt").write_text("0 0 0 0\n1 0 0 1\n")
+    curve = '<shape type="linearcurve" id="{}"><string name="filename" value="{}.txt"/></shape>'
+    group = f'<shape type="shapegroup" id="g">{curve.format("c", "parts/strands")}</shape>'
+    group += f'<shape type="instance">{STRETCHED}<ref id="g"/></shape>'
+    scene = mitsuba_ref.validate(written(folder, SENSOR + BALL + group + curve.format("thin", "dot")), size=(20, 20))
+    zero, instanced = sorted(scene.scenes[0].coverage.left_out, key=lambda each: "instance" in each)
+    assert scene.ok and "radii must be a list of lengths > 0, got 0" in zero and "in an instance" in instanced
+
+
 # Together they hold every shape that is exported, ellipsoids as instances, crops, clip planes, lights.
 EXPORTED = ("every-shape", "ellipsoids", "crop-window", "orthographic-clip", "transforms", "lights-and-shadows")
 
@@ -149,6 +166,7 @@ def test_the_store_depends_on_the_contents_of_every_file(folder):
 
 
 MISSING = '<shape type="obj"><string name="filename" value="no.obj"/></shape>'
+STRETCHED = '<transform name="to_world"><scale x="2"/></transform>'
 REFUSED = [
     (
         SENSOR + '<shape type="obj"><string name="filename" value="no.obj"/></shape>',
@@ -156,7 +174,7 @@ REFUSED = [
         r"scene.xml:1:\d+: cannot read no.obj \(tried ",
     ),
     (SENSOR, 5, "it has no shape"),
-    (SENSOR + '<shape type="sphere"><boolean name="flip_normals" value="true"/></shape>', 5, "none of its 1 shapes"),
+    (SENSOR + BALL.replace("/>", f">{STRETCHED}</shape>"), 5, "none of its 1 shapes"),
     (SENSOR + BALL.replace("/>", '><float name="radius" value="$r"/></shape>'), 2, r"\$r; give it by -D NAME=VALUE"),
     (SENSOR + BALL.replace("/>", '><float name="radus" value="1"/></shape>'), 2, r"(?s)line 1, col \d+.*radus"),
 ]
