@@ -10,7 +10,7 @@ from pydantic import model_validator
 from caster.description.fields import Counts, Lengths, Points, Positive, Shape
 from caster.description.transform import transform_points
 from caster.geometry.mesh_files import load_curves, load_once, readable
-from caster.geometry.world_space import Rounding, similarity_scale
+from caster.geometry.world_space import Rounding
 from caster.jit.decorators import implement, inlined, jit
 from caster.kernels.exact.numbers import (
     Integer,
@@ -61,6 +61,7 @@ from caster.kernels.protocol import (
     same_geometry,
     surface,
 )
+from caster.shapes.sphere import cube_corner
 
 __all__ = ["LinearCurve", "RoundSegments"]
 
@@ -100,20 +101,20 @@ class LinearCurve(Shape):
     def _has_one_source(self) -> "LinearCurve":
         if (self.file is None) == (self.points is None):
             raise ValueError(f"needs either file or points, got {'both' if self.file else 'neither'}")
-        count = 0 if self.points is None else len(self.points)
-        given = [self.radii, self.radius, self.counts]
-        if self.points is None and any(each is not None for each in given):
-            raise ValueError("needs points for radii, radius and counts: a file has its own")
+        if self.points is None:
+            if any(each is not None for each in (self.radii, self.radius, self.counts)):
+                raise ValueError("needs points for radii, radius and counts: a file has its own")
+            return self
+        count = len(self.points)
         if self.radii is not None and (self.radius is not None or len(self.radii) != count):
             raise ValueError(
                 f"needs either radius, or as many radii as points, got {len(self.radii)} and {count} points"
             )
-        if self.points is not None and (self.counts if self.counts is not None else np.array([count])).min() < 2:
+        _, _, counts = self.curves()
+        if counts.min() < 2:
             raise ValueError("needs at least 2 points for each curve")
-        if self.counts is not None and self.counts.sum() != count:
-            raise ValueError(
-                f"needs counts that sum to the number of points, got {self.counts.sum()} and {count} points"
-            )
+        if counts.sum() != count:
+            raise ValueError(f"needs counts that sum to the number of points, got {counts.sum()} and {count} points")
         return self
 
     def curves(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -129,7 +130,7 @@ class LinearCurve(Shape):
         points, radii, counts = self.curves()
         linear = self.matrix[:3, :3]
         largest = np.abs(linear).max()  # a factor of two of to_world is one of radii, too
-        scale = similarity_scale(linear) or largest * np.cbrt(abs(np.linalg.det(linear / largest)))
+        scale = largest * np.cbrt(abs(np.linalg.det(linear / largest)))
         points, radii = rounded(transform_points(self.matrix, points)), rounded(scale * radii)
         first = np.delete(np.arange(len(points)), np.cumsum(counts) - 1)
         return RoundSegments(points[first], points[first + 1], np.stack([radii[first], radii[first + 1]], axis=1))
@@ -316,7 +317,5 @@ def _hull_size(prims: Any) -> int:
 
 @implement(hull_point, RoundSegments)
 def _hull_point(prims: Any, k: int, j: int) -> Any:
-    corner = (1.0 - 2.0 * (j & 1), 1.0 - (j & 2), 1.0 - 0.5 * (j & 4))
-    if j < 8:
-        return point_at(row(prims.start, k), prims.radius[k, 0], corner)
-    return point_at(row(prims.end, k), prims.radius[k, 1], corner)
+    center = row(prims.start, k) if j < 8 else row(prims.end, k)
+    return point_at(center, prims.radius[k, j // 8], cube_corner(j))

@@ -231,16 +231,16 @@ class EllipsoidCloud(Shape):
         return self
 
     def ellipsoids(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Centres (n, 3), semi-axes (n, 3) and quaternions (n, 4) in object space. Raises SceneError, FileMissing."""
+        """Centres (n, 3), scales (n, 3) and quaternions (n, 4) in object space. Raises SceneError, FileMissing."""
         given = self.centers, self.scales, self.quaternions
         centers, scales, quaternions = map(
             np.array, given if self.file is None else load_once(load_ellipsoids, self.file)
         )
-        return centers, self.extent * scales, quaternions
+        return centers, scales, quaternions
 
     def pack(self, rounded: Rounding) -> OuterEllipsoids:
-        centers, radii, quaternions = self.ellipsoids()
-        axes = np.moveaxis(rotations(quaternions) * radii[:, None, :], 2, 0)
+        centers, scales, quaternions = self.ellipsoids()
+        axes = np.moveaxis(rotations(quaternions) * (self.extent * scales)[:, None, :], 2, 0)
         to_world = rounded(np.stack([transform_vectors(self.matrix[:3, :3], axis) for axis in axes], axis=2))
         center = rounded(transform_points(self.matrix, centers))
         return OuterEllipsoids(center, to_world, np.stack([*map(inverse, to_world)]))
@@ -342,9 +342,15 @@ def _hull_size(prims: Any) -> int:
     return 8
 
 
+@jit
+def cube_corner(j: int) -> tuple[float, float, float]:
+    """Corner j of [-1, 1]^3, by the three lowest bits."""
+    return 1.0 - 2.0 * (j & 1), 1.0 - (j & 2), 1.0 - 0.5 * (j & 4)
+
+
 @implement(hull_point, Spheres)
 def _hull_point(prims: Any, k: int, j: int) -> Any:
-    return point_at(row(prims.center, k), prims.radius[k], (1.0 - 2.0 * (j & 1), 1.0 - (j & 2), 1.0 - 0.5 * (j & 4)))
+    return point_at(row(prims.center, k), prims.radius[k], cube_corner(j))
 
 
 @implement(tight_sphere, Spheres)
@@ -434,8 +440,7 @@ def _fast_ellipsoid_uv(prims: Any, scratch: Any, x: Any, q: Any) -> Any:
 @implement(hull_point, OuterEllipsoids)
 @implement(hull_point, Ellipsoids)
 def _hull_point_ellipsoid(prims: Any, k: int, j: int) -> Any:
-    corner = (1.0 - 2.0 * (j & 1), 1.0 - (j & 2), 1.0 - 0.5 * (j & 4))
-    return add(row(prims.center, k), mat_vec(prims.to_world, k, corner))
+    return add(row(prims.center, k), mat_vec(prims.to_world, k, cube_corner(j)))
 
 
 @edge_distances.register

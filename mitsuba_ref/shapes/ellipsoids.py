@@ -7,7 +7,6 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from caster.geometry.mesh_files import load_ellipsoids
 from caster.shapes.sphere import EllipsoidCloud, OuterEllipsoids
 from mitsuba_ref.error_model.defect_conditions import STRETCHED
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers
@@ -71,10 +70,7 @@ def describe(part: OuterEllipsoids, k: int) -> Fields:
 
 def expected(shape: EllipsoidCloud, part: OuterEllipsoids) -> Iterator[ExpectedNumbers]:
     """Centres, and A A^T, the ellipsoid itself: it is the same for mirrored axes or in another order."""
-    if shape.file is None:
-        centers, scales, quaternions = (np.array(x) for x in (shape.centers, shape.scales, shape.quaternions))
-    else:
-        centers, scales, quaternions = load_ellipsoids(shape.file)
+    centers, scales, quaternions = shape.ellipsoids()
     linear, move = shape.matrix[:3, :3], shape.matrix[:3, 3]
     size = np.abs(centers) @ np.abs(linear).T + np.abs(move)
     yield ExpectedNumbers("center", part.center, centers @ linear.T + move, size)
