@@ -2,15 +2,15 @@
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from pydantic import field_validator, model_validator
+from pydantic import model_validator
 
 from caster.description.fields import Counts, Lengths, Points, Positive, Shape
 from caster.description.transform import cross, power, transform_points
-from caster.geometry.mesh_files import load_curves, load_once
-from caster.geometry.world_space import Rounding, similarity_scale
+from caster.geometry.mesh_files import load_curves, load_once, readable
+from caster.geometry.world_space import Rounding
 from caster.jit.decorators import implement, inlined, jit
 from caster.kernels.exact.numbers import (
     Integer,
@@ -25,11 +25,10 @@ from caster.kernels.exact.numbers import (
     no_root,
     plus,
     sign,
-    sign_of_surd,
     signed,
     times,
 )
-from caster.kernels.exact.primitives import exact_quadric_roots
+from caster.kernels.exact.primitives import exact_quadric_roots, height_sign, is_between_caps, root_in_range
 from caster.kernels.math.quadric_roots import (
     MAX_SQUARED_DIRECTION,
     MIN_SQUARED_DIRECTION,
@@ -62,6 +61,7 @@ from caster.kernels.protocol import (
     same_geometry,
     surface,
 )
+from caster.shapes.sphere import cube_corner
 
 __all__ = ["LinearCurve", "RoundSegments"]
 
@@ -95,31 +95,26 @@ class LinearCurve(Shape):
     radii: Lengths | None = None
     radius: Positive | None = None
     counts: Counts | None = None
-    file: str | None = None
-
-    @field_validator("file")
-    @classmethod
-    def _is_usable(cls, file: str | None, info: Any) -> str | None:
-        return info.context.resolve(file, lambda path: load_once(load_curves, path)) if file and info.context else file
+    file: Annotated[str | None, readable(load_curves)] = None
 
     @model_validator(mode="after")
     def _has_one_source(self) -> "LinearCurve":
         if (self.file is None) == (self.points is None):
             raise ValueError(f"needs either file or points, got {'both' if self.file else 'neither'}")
-        count = 0 if self.points is None else len(self.points)
-        given = [self.radii, self.radius, self.counts]
-        if self.points is None and any(each is not None for each in given):
-            raise ValueError("needs points for radii, radius and counts: a file has its own")
+        if self.points is None:
+            if any(each is not None for each in (self.radii, self.radius, self.counts)):
+                raise ValueError("needs points for radii, radius and counts: a file has its own")
+            return self
+        count = len(self.points)
         if self.radii is not None and (self.radius is not None or len(self.radii) != count):
             raise ValueError(
                 f"needs either radius, or as many radii as points, got {len(self.radii)} and {count} points"
             )
-        if self.points is not None and (self.counts if self.counts is not None else np.array([count])).min() < 2:
+        _, _, counts = self.curves()
+        if counts.min() < 2:
             raise ValueError("needs at least 2 points for each curve")
-        if self.counts is not None and self.counts.sum() != count:
-            raise ValueError(
-                f"needs counts that sum to the number of points, got {self.counts.sum()} and {count} points"
-            )
+        if counts.sum() != count:
+            raise ValueError(f"needs counts that sum to the number of points, got {counts.sum()} and {count} points")
         return self
 
     def curves(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -135,7 +130,7 @@ class LinearCurve(Shape):
         points, radii, counts = self.curves()
         linear = self.matrix[:3, :3]
         largest = np.abs(linear).max()  # a factor of two of to_world is one of radii, too
-        scale = similarity_scale(linear) or largest * power(abs(_determinant(linear / largest)), 1.0 / 3.0)
+        scale = largest * power(abs(_determinant(linear / largest)), 1.0 / 3.0)
         points, radii = rounded(transform_points(self.matrix, points)), rounded(scale * radii)
         first = np.delete(np.arange(len(points)), np.cumsum(counts) - 1)
         return RoundSegments(points[first], points[first + 1], np.stack([radii[first], radii[first + 1]], axis=1))
@@ -191,16 +186,16 @@ HEIGHT_ERROR, G_ERROR, A_ERROR, B_ERROR, C_ERROR = 8.0 * U, 16.0 * U, 40.0 * U, 
 def _intersect(prims: Any, pre: Any, d: Any, t_min: float, t_max: float) -> tuple[float, float]:
     """The hull is convex and entered at most once: on the cone, or beyond its circles on one of the spheres."""
     slope = dot(pre.p, d)
-    passed, cone = _cone(pre, d, slope, t_min, t_max)
+    cone = _cone(pre, d, slope, t_min, t_max)
     first = _cap(pre, quadric_roots(pre.start, d, 0.0), d, slope, (-1.0, 0.0), t_min, t_max)
     last = _cap(pre, quadric_roots(pre.end, d, 0.0), d, slope, (1.0, pre.top), t_min, t_max)
     t, error = min(min(cone[0], first[0]), last[0]), max(max(cone[1], first[1]), last[1])
-    return filter_result((error < math.inf) & (t < math.inf), passed | ((error < math.inf) & (t == math.inf)), t, error)
+    return t, error
 
 
 @inlined
-def _cone(pre: Any, d: Any, slope: float, t_min: float, t_max: float) -> tuple[bool, tuple[float, float]]:
-    """(whether the line certainly passes the whole double cone, and so the segment; the hit between the circles).
+def _cone(pre: Any, d: Any, slope: float, t_min: float, t_max: float) -> tuple[float, float]:
+    """The hit between the circles.
 
     From the closest approach to start, h from it, the line is on the cone where A t^2 + 2 B t + C = 0, and enters it
     where that decreases: at t = (-B - sqrt(B^2 - A C)) / A, for either sign of A. Where dr^2 > P.P, one sphere
@@ -224,7 +219,6 @@ def _cone(pre: Any, d: Any, slope: float, t_min: float, t_max: float) -> tuple[b
         (2.0 * abs(qb) + b_error) * b_error + abs(qa) * c_error + a_error * (abs(qc) + c_error) + 4.0 * U * size + TINY
     )
     narrow, none = g > G_ERROR * w + TINY, g < -G_ERROR * w - TINY
-    passed = steady & narrow & (within < -error)
     met = steady & narrow & (within > 2.0 * error) & (within > MIN_SQUARED_DIRECTION)
     root = math.sqrt(within if met else 1.0)
     late = qb >= 0.0
@@ -244,8 +238,8 @@ def _cone(pre: Any, d: Any, slope: float, t_min: float, t_max: float) -> tuple[b
     t_error += 2.0 * U * (abs(s) + abs(t))
     found = certain_in_range(s + t, t_error, t_min, t_max)
     inside &= found[0] + found[1] < math.inf
-    misses = none | passed | (met & (outside | (found[0] == math.inf)))
-    return passed, filter_result(met & inside, misses, s + t, t_error)
+    misses = none | (steady & narrow & (within < -error)) | (met & (outside | (found[0] == math.inf)))
+    return filter_result(met & inside, misses, s + t, t_error)
 
 
 @inlined
@@ -295,14 +289,7 @@ def _exact_intersect(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: fl
     qb = minus(times(g, dot_integer(f, along)), times(slope, height))
     qc = minus(times(g, minus(dot_integer(f, f), times(r, r))), times(height, height))
     entry = entering_root(qa, qb, qc, unit - step)
-    between = entry.hit and height_sign(entry, height, slope) >= 0 and height_sign(entry, minus(height, g), slope) <= 0
-    return entry if between and is_within(entry, t_min, t_max) else no_root()
-
-
-@jit
-def height_sign(root: Root, height: Integer, slope: Integer) -> int:
-    """The sign of height + t slope at a root t in their units."""
-    return sign_of_surd(plus(times(root.q, height), times(root.p, slope)), signed(root.s, slope), root.r)
+    return root_in_range(entry, t_min, t_max) if is_between_caps(entry, height, slope, g) else no_root()
 
 
 @jit
@@ -335,7 +322,5 @@ def _hull_size(prims: Any) -> int:
 
 @implement(hull_point, RoundSegments)
 def _hull_point(prims: Any, k: int, j: int) -> Any:
-    corner = (1.0 - 2.0 * (j & 1), 1.0 - (j & 2), 1.0 - 0.5 * (j & 4))
-    if j < 8:
-        return point_at(row(prims.start, k), prims.radius[k, 0], corner)
-    return point_at(row(prims.end, k), prims.radius[k, 1], corner)
+    center = row(prims.start, k) if j < 8 else row(prims.end, k)
+    return point_at(center, prims.radius[k, j // 8], cube_corner(j))

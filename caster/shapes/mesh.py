@@ -1,16 +1,16 @@
 """Triangle meshes: a file (OBJ, PLY, STL, OFF or glTF), or arrays."""
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import field_validator, model_validator
+from pydantic import model_validator
 
 from caster.description.errors import SceneError, join_words
 from caster.description.fields import Faces, Points, UVs
 from caster.geometry import triangle_mesh
-from caster.geometry.mesh_files import load_mesh, load_once
+from caster.geometry.mesh_files import load_mesh, load_once, readable
 from caster.geometry.world_space import MeshShape
 
 __all__ = ["Mesh"]
@@ -29,7 +29,7 @@ class Mesh(MeshShape):
     faces: Faces | None = None
     normals: Points | None = None
     uv: UVs | None = None
-    file: str | None = None  # OBJ, PLY, STL, OFF or glTF
+    file: Annotated[str | None, readable(load_mesh)] = None  # OBJ, PLY, STL, OFF or glTF
 
     if TYPE_CHECKING:
 
@@ -59,11 +59,6 @@ class Mesh(MeshShape):
         """The triangles of a `trimesh.Trimesh` with its uv, if any; normals are generated. fields: as of Mesh."""
         return cls(mesh.vertices, mesh.faces, uv=getattr(mesh.visual, "uv", None), **fields)
 
-    @field_validator("file")
-    @classmethod
-    def _is_usable(cls, file: str | None, info: Any) -> str | None:
-        return info.context.resolve(file, _load) if file is not None and info.context else file
-
     @model_validator(mode="after")
     def _has_one_source(self) -> Self:
         given = [name for name in self.ARRAYS if getattr(self, name) is not None]
@@ -89,8 +84,4 @@ class Mesh(MeshShape):
 
     def mesh(self) -> triangle_mesh.Mesh:
         """The arrays; those of a file are cached until it changes. Raises SceneError, FileMissing."""
-        return self._arrays if self.file is None else _load(self.file)
-
-
-def _load(file: str) -> triangle_mesh.Mesh:
-    return load_once(load_mesh, file)
+        return self._arrays if self.file is None else load_once(load_mesh, self.file)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from fractions import Fraction
 from inspect import unwrap
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import field_validator, model_validator
@@ -21,11 +21,17 @@ from caster.geometry.edge_distances import (
     signed_distance,
     square,
 )
-from caster.geometry.mesh_files import load_ellipsoids, load_once, load_points
+from caster.geometry.mesh_files import load_ellipsoids, load_once, load_points, readable
 from caster.geometry.world_space import AffineImages, Rounding, largest_curvature, similarity_scale
 from caster.jit.decorators import implement, jit
-from caster.kernels.exact.numbers import Root, is_within, no_root
-from caster.kernels.exact.primitives import exact_quadric_roots, exact_sphere, exact_unit_sphere, ray_in_object_space
+from caster.kernels.exact.numbers import Root
+from caster.kernels.exact.primitives import (
+    exact_quadric_roots,
+    exact_sphere,
+    exact_unit_sphere,
+    ray_in_object_space,
+    root_in_range,
+)
 from caster.kernels.math.angles import polar_fraction, turn_fraction
 from caster.kernels.math.quadric_roots import (
     closest_approach,
@@ -108,10 +114,8 @@ class Ellipsoids(AffineImages):
     curvature = property(largest_curvature)
 
 
-class OuterEllipsoids(AffineImages):
+class OuterEllipsoids(Ellipsoids):
     """The same, met where a ray enters them only: one that starts inside passes through."""
-
-    curvature = property(largest_curvature)
 
 
 class Sphere(Shape):
@@ -212,14 +216,7 @@ class EllipsoidCloud(Shape):
     scales: LengthTriples | None = None
     quaternions: Quaternions | None = None
     extent: Positive = 1.0
-    file: str | None = None
-
-    @field_validator("file")
-    @classmethod
-    def _is_usable(cls, file: str | None, info: Any) -> str | None:
-        return (
-            info.context.resolve(file, lambda path: load_once(load_ellipsoids, path)) if file and info.context else file
-        )
+    file: Annotated[str | None, readable(load_ellipsoids)] = None
 
     @model_validator(mode="after")
     def _has_one_source(self) -> "EllipsoidCloud":
@@ -234,16 +231,16 @@ class EllipsoidCloud(Shape):
         return self
 
     def ellipsoids(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Centres (n, 3), semi-axes (n, 3) and quaternions (n, 4) in object space. Raises SceneError, FileMissing."""
+        """Centres (n, 3), scales (n, 3) and quaternions (n, 4) in object space. Raises SceneError, FileMissing."""
         given = self.centers, self.scales, self.quaternions
         centers, scales, quaternions = map(
             np.array, given if self.file is None else load_once(load_ellipsoids, self.file)
         )
-        return centers, self.extent * scales, quaternions
+        return centers, scales, quaternions
 
     def pack(self, rounded: Rounding) -> OuterEllipsoids:
-        centers, radii, quaternions = self.ellipsoids()
-        axes = np.moveaxis(rotations(quaternions) * radii[:, None, :], 2, 0)
+        centers, scales, quaternions = self.ellipsoids()
+        axes = np.moveaxis(rotations(quaternions) * (self.extent * scales)[:, None, :], 2, 0)
         to_world = rounded(np.stack([transform_vectors(self.matrix[:3, :3], axis) for axis in axes], axis=2))
         center = rounded(transform_points(self.matrix, centers))
         return OuterEllipsoids(center, to_world, np.stack([*map(inverse, to_world)]))
@@ -345,9 +342,15 @@ def _hull_size(prims: Any) -> int:
     return 8
 
 
+@jit
+def cube_corner(j: int) -> tuple[float, float, float]:
+    """Corner j of [-1, 1]^3, by the three lowest bits."""
+    return 1.0 - 2.0 * (j & 1), 1.0 - (j & 2), 1.0 - 0.5 * (j & 4)
+
+
 @implement(hull_point, Spheres)
 def _hull_point(prims: Any, k: int, j: int) -> Any:
-    return point_at(row(prims.center, k), prims.radius[k], (1.0 - 2.0 * (j & 1), 1.0 - (j & 2), 1.0 - 0.5 * (j & 4)))
+    return point_at(row(prims.center, k), prims.radius[k], cube_corner(j))
 
 
 @implement(tight_sphere, Spheres)
@@ -400,8 +403,7 @@ def _exact_intersect_ellipsoid(prims: Any, k: int, o: Any, d: Any, t_min: float,
 @implement(exact_intersect, OuterEllipsoids)
 def _exact_intersect_outer(prims: Any, k: int, o: Any, d: Any, t_min: float, t_max: float) -> Root:
     f, e, h, unit = ray_in_object_space(row(prims.center, k), prims.to_world[k], o, d)
-    entry = exact_quadric_roots(f, e, h, unit)[0]
-    return entry if entry.hit and is_within(entry, t_min, t_max) else no_root()
+    return root_in_range(exact_quadric_roots(f, e, h, unit)[0], t_min, t_max)
 
 
 @implement(surface, OuterEllipsoids)
@@ -438,8 +440,7 @@ def _fast_ellipsoid_uv(prims: Any, scratch: Any, x: Any, q: Any) -> Any:
 @implement(hull_point, OuterEllipsoids)
 @implement(hull_point, Ellipsoids)
 def _hull_point_ellipsoid(prims: Any, k: int, j: int) -> Any:
-    corner = (1.0 - 2.0 * (j & 1), 1.0 - (j & 2), 1.0 - 0.5 * (j & 4))
-    return add(row(prims.center, k), mat_vec(prims.to_world, k, corner))
+    return add(row(prims.center, k), mat_vec(prims.to_world, k, cube_corner(j)))
 
 
 @edge_distances.register
@@ -450,8 +451,7 @@ def _edge_distances(prims: Spheres, k: int, o: np.ndarray, d: np.ndarray) -> tup
     return (signed_distance("silhouette", Fraction(float(prims.radius[k])), away, SCENE_UNITS),)
 
 
-@edge_distances.register(Ellipsoids)
-@edge_distances.register(OuterEllipsoids)
-def _edge_distances_ellipsoid(prims: Any, k: int, o: np.ndarray, d: np.ndarray) -> tuple[EdgeDistance, ...]:
+@edge_distances.register
+def _edge_distances_ellipsoid(prims: Ellipsoids, k: int, o: np.ndarray, d: np.ndarray) -> tuple[EdgeDistance, ...]:
     f, e = exact_object_space_ray(prims, k, o, d)
     return (signed_distance("silhouette", Fraction(1), square(cross(f, e)) / square(e), UNIT_RADII),)

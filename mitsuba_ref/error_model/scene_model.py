@@ -54,6 +54,8 @@ class SceneModel:
             if len(rows):
                 intersect = (ours and model.intersect_ours) or model.intersect
                 for at in intersect(self.kinds[place], k[rows], o[rows], d[rows], ku):
+                    if not (ours or model.uv.reference):
+                        at = at._replace(uv=np.zeros_like(at.uv), uv_error=np.zeros_like(at.t))
                     pairs.append(rows)
                     found.append(at)
         if not found:

@@ -248,6 +248,7 @@ SPHERES = ExactKind(sphere_boxes, prepare_sphere, intersect_sphere, usable=usabl
 ELLIPSOIDS = ExactKind(
     affine_boxes, prepare_affine, intersect_ellipsoid, usable=usable_affine, surface=ellipsoid_surface
 )
-OUTER_ELLIPSOIDS = ExactKind(affine_boxes, prepare_affine, enter_ellipsoid, usable=usable_affine)
+OUTER_ELLIPSOIDS = ELLIPSOIDS._replace(intersect=enter_ellipsoid)
+# Without a surface: a hull is one of three by where p is on it, no zero of one polynomial.
 SEGMENTS = ExactKind(segment_boxes, prepare_segment, enter_segment, usable=usable_segment)
 CYLINDERS = ExactKind(affine_boxes, prepare_affine, intersect_cylinder, usable=usable_affine, surface=cylinder_surface)

@@ -177,21 +177,22 @@ class OriginJudge:
 
     def _between(self, p: Vector, ray: Departures, line: IntegerRay, members: set[tuple[int, int]]) -> tuple[int, bool]:
         """(a primitive other than the members that meets the way from q to p, or -1; whether one lies along it)."""
-        way = sub(p, exact_vector(ray.q))
+        way = sub(exact_vector(ray.q), p)
         scale = math.lcm(*(x.denominator for x in way))
         x, y, z = (int(scale * each) for each in way)
         if not (x or y or z):
             return -1, False
-        at_p, line = Fraction(1, scale), IntegerRay(line.o, line.ko, (x, y, z), 0)
+        # From p to q, so that what rays meet from outside only counts as they would meet it.
+        at_p, line = Fraction(-1, scale), IntegerRay(line.o, line.ko, (x, y, z), 0)
         start = np.array([[float(each) for each in p]])
         (near,) = self.index.candidates(start, ray.q - start, np.zeros(1), np.ones(1))
         found, contacts = [], []
         for part, k, _ in near:
             if (id(part), k) not in members:
                 crossed = part.intersect(k, line)
-                found += [int(part.numbers(k)[0]) for t, _ in crossed.roots if 0 <= t < at_p]
+                found += [int(part.numbers(k)[0]) for t, _ in crossed.roots if at_p < t <= 0]
                 contacts += [(each.first, each.last) for each in crossed.contacts]
-        along = any(first and last and first < at_p and last >= 0 for first, last in contacts)
+        along = any(first and last and first <= 0 and last > at_p for first, last in contacts)
         return min(found, default=-1), along
 
     def right_origin_exists(self, ray: Departures) -> bool:

@@ -7,7 +7,6 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from caster.geometry.mesh_files import load_ellipsoids
 from caster.shapes.sphere import EllipsoidCloud, OuterEllipsoids
 from mitsuba_ref.error_model.defect_conditions import STRETCHED
 from mitsuba_ref.error_model.independent_transform import ExpectedNumbers
@@ -47,23 +46,19 @@ def to_xml(out: ShapeWriter, shape: EllipsoidCloud, part: OuterEllipsoids) -> li
 def as_quaternions(turn: np.ndarray) -> np.ndarray:
     """(n, 4) unit quaternions x, y, z, w of rotation matrices (n, 3, 3)."""
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(turn, 0, 2)
-    # four times the outer product of the quaternion with itself; its longest row loses no digits
+    # four times the outer product of the quaternion with itself
     rows = [
         [1.0 + xx - yy - zz, xy + yx, xz + zx, zy - yz],
         [xy + yx, 1.0 - xx + yy - zz, yz + zy, xz - zx],
         [xz + zx, yz + zy, 1.0 - xx - yy + zz, yx - xy],
         [zy - yz, xz - zx, yx - xy, 1.0 + xx + yy + zz],
     ]
-    outer = np.moveaxis(np.array(rows), 2, 0)
-    longest = outer[np.arange(len(outer)), np.argmax(np.einsum("nii->ni", outer), axis=1)]
-    found: np.ndarray = longest / np.linalg.norm(longest, axis=1)[:, None]
-    return found
+    return np.asarray(np.linalg.eigh(np.moveaxis(np.array(rows), 2, 0))[1][:, :, -1])
 
 
 def intersect(*arguments: Any, float32: bool = True) -> tuple[Intersections, ...]:
-    """Where ray i enters ellipsoid k[i]. float32: as Mitsuba computes it, which gives no uv."""
-    entry, _ = intersect_round(*arguments, ends=False, float32=float32)
-    return (entry._replace(uv=np.zeros_like(entry.uv)) if float32 else entry,)
+    """Where ray i enters ellipsoid k[i]. float32: as Mitsuba computes it."""
+    return intersect_round(*arguments, ends=False, float32=float32)[:1]
 
 
 def describe(part: OuterEllipsoids, k: int) -> Fields:
@@ -75,10 +70,7 @@ def describe(part: OuterEllipsoids, k: int) -> Fields:
 
 def expected(shape: EllipsoidCloud, part: OuterEllipsoids) -> Iterator[ExpectedNumbers]:
     """Centres, and A A^T, the ellipsoid itself: it is the same for mirrored axes or in another order."""
-    if shape.file is None:
-        centers, scales, quaternions = (np.array(x) for x in (shape.centers, shape.scales, shape.quaternions))
-    else:
-        centers, scales, quaternions = load_ellipsoids(shape.file)
+    centers, scales, quaternions = shape.ellipsoids()
     linear, move = shape.matrix[:3, :3], shape.matrix[:3, 3]
     size = np.abs(centers) @ np.abs(linear).T + np.abs(move)
     yield ExpectedNumbers("center", part.center, centers @ linear.T + move, size)

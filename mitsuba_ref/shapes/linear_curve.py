@@ -1,7 +1,7 @@
 """Linear curves: Mitsuba's `linearcurve`, Embree's round linear curves; error model and targets."""
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
@@ -43,14 +43,8 @@ def to_xml(out: ShapeWriter, shape: LinearCurve, part: RoundSegments) -> list[Xm
     return [element]
 
 
-def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
-    """Where ray i enters segment k[i] in Mitsuba, whose uv are not compared."""
-    none = np.zeros((len(k), 3))
-    return tuple(at._replace(uv=none, uv_error=none[:, 0]) for at in intersect_ours(prims, k, o, d, ku))
-
-
 @without_float_warnings
-def intersect_ours(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
+def intersect(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: float) -> tuple[Intersections, ...]:
     """Where ray i enters segment k[i]: on its cone, on the sphere at its start, on that at its end.
 
     Embree solves A t^2 + 2 B t + C = 0 as it stands, from h, the point of the ray that is nearest to the middle of the
@@ -77,7 +71,8 @@ def intersect_ours(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: 
     t = np.where(qb >= 0.0, (-qb - root) / qa, qc / (root - qb))
     t_error = (qb_error + root_change(root, change) + np.abs(t) * qa_error) / np.maximum(np.abs(qa) - qa_error, 0.0)
     crosses, resolved = within >= -change, (within > change) & (np.abs(qa) > qa_error) & cone
-    found = [_Piece(t, t_error, crosses & cone, resolved & np.isfinite(t_error))]
+    # t from the middle, its error, whether it is possible and certain: on the cone, then on the spheres
+    found = [(t, t_error, crosses & cone, resolved & np.isfinite(t_error))]
     for center, r in ((a, r0), (b, r1)):
         f = near - center
         away, slide = norm(f) + r, dot(f, d)
@@ -85,7 +80,7 @@ def intersect_ours(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: 
         half = np.sqrt(np.maximum(inside, 0.0))
         error = (root_change(half, change) + length * (ku * away + off)) / dd
         possible = (crosses | ~cone) & (inside >= -change)
-        found.append(_Piece((-slide - half) / dd, error, possible, resolved & (inside > change)))
+        found.append(((-slide - half) / dd, error, possible, resolved & (inside > change)))
     out = []
     for place, (t, t_error, possible, certain) in enumerate(found):
         height = lift + t * slope
@@ -102,15 +97,6 @@ def intersect_ours(prims: Any, k: np.ndarray, o: np.ndarray, d: np.ndarray, ku: 
         uv = stacked_columns(0.0 * share, share, 0.0 * share)
         out.append(without_edges(middle + t, t_error, n, n_error, possible, certain, p_error, uv, share_error + ku))
     return tuple(out)
-
-
-class _Piece(NamedTuple):
-    """A root for each ray, from the middle of the segment."""
-
-    t: np.ndarray
-    t_error: np.ndarray
-    possible: np.ndarray
-    certain: np.ndarray
 
 
 def describe(part: RoundSegments, k: int) -> Fields:
@@ -136,8 +122,7 @@ def on_segments(prims: Any, k: np.ndarray, rng: Rng, sort: str) -> SurfacePoints
     p, along, n = unit_sphere_points(rng, len(k), sort)
     share, coin = random_fractions(rng, len(k)), rng.random((len(k), 1)) < 0.5
     axis, grow = prims.end[k] - prims.start[k], np.diff(prims.radius[k], axis=1)
-    end = np.round(share)
-    cap = (sort == "inside") & coin & ((2.0 * end - 1.0) * (dot(n, axis)[:, None] + grow) > 0.0)
+    cap, end = (sort == "inside") & coin, dot(n, axis)[:, None] + grow > 0.0
     share = np.where(cap | (sort in ("corner", "edge")), end, share)
     radius = prims.radius[k, :1] + share * grow
     around = unit(np.cross(axis, n))
@@ -160,6 +145,6 @@ def random_fields(rng: Rng, lattice: bool) -> Fields:
 
 
 SEGMENTS = PrimitiveReference(
-    RoundSegments, ErrorModel(intersect, EXACT, intersect_ours, uv=UvSpace(reference=None)), describe, on_segments
+    RoundSegments, ErrorModel(intersect, EXACT, uv=UvSpace(reference=None)), describe, on_segments
 )
 REFERENCE = ShapeReference(LinearCurve, to_xml, (SEGMENTS,), expected, random_fields, drawn_for="cylinder")

@@ -344,9 +344,8 @@ def intersect_round(
         if float32:  # not projected: the exact tangent of its angle, as the displacement may be large
             moved /= np.maximum(1.0 - across * t_error - error, ku)
         n, n_error = world_normal(to_object, out, moved, ku)
-        possible, certain = distance - 1.0 <= error, 1.0 - distance > error
+        possible, certain = distance * distance - 1.0 <= change, s * s > change
         if float32:
-            possible, certain = distance * distance - 1.0 <= change, s * s > change
             n_error /= np.maximum(1.0 - n_error, ku)
         pull = 0.0 * size if float32 else norm(mat_vec_rows(prims.to_world[k], out))
         if ends:

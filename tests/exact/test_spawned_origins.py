@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from caster import Cylinder, Disk, Plane, Rectangle, Scene, Sphere
+from caster import Cylinder, Disk, EllipsoidCloud, LinearCurve, Plane, Rectangle, Scene, Sphere
 from caster.cameras.single_ray import Ray
 from mitsuba_ref.hard.rays import Targets
 from mitsuba_ref.judge.checks.spawned_origins import judge_origins, leaving_rays
@@ -18,6 +18,11 @@ CAMERA = Ray(origin=(0, 0, 9), direction=(0, 0, -1))
 FLOOR = Plane(point=(0, 0, 0), normal=(0, 0, 1))
 BALL = Sphere(center=(0, 0, -1), radius=1)
 TINY = 2.0**-20
+
+
+def outer(z, radius):
+    """A ball that rays meet from outside only."""
+    return EllipsoidCloud(centers=[(0, 0, z)], scales=[(radius,) * 3], quaternions=[(0, 0, 0, 1)])
 
 
 def leaving(shapes, o, d, w, q):
@@ -52,6 +57,11 @@ def leaving(shapes, o, d, w, q):
         ([BALL, Sphere(center=(0, 0, -1), radius=1 - TINY)], (0, 0, -1), (0, 0, -4 * TINY), SKIPPED),
         ([BALL, Sphere(center=(0, 0, -1), radius=1 - TINY)], (0, 0, -1), (0, 0, -TINY / 4), 0),
         ([BALL, BALL], (0, 0, -1), (0, 0, -TINY), 0),
+        ([outer(-1, 1)], (0, 0, 1), (0, 0, TINY), 0),
+        ([outer(-1, 1)], (0, 0, 1), (0, 0, -TINY), WRONG_SIDE),
+        ([BALL, outer(-1, 1 - TINY)], (0, 0, -1), (0, 0, -4 * TINY), SKIPPED),
+        ([FLOOR, outer(9, 9 + 4 * TINY)], (0, 0, -1), (0, 0, -8 * TINY), 0),  # which p is within
+        ([LinearCurve(points=[(-1, 0, -1), (1, 0, -1)])], (0, 0, 1), (0, 0, TINY), UNDECIDED),
         ([Disk(), Sphere(center=(0, 0, -3))], (0, 0, 1), (0, 0, np.inf), UNDECIDED),
     ],
 )

@@ -11,12 +11,13 @@ import os
 import re
 import struct
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
+from pydantic import AfterValidator
 
 from caster.description.errors import FileMissing, SceneError, field_error, format_value
 from caster.description.input_files import MAX_MESH_BYTES, read_input
@@ -125,6 +126,15 @@ def load_once(load: Callable[[str], Loaded], path: str) -> Loaded:
 @lru_cache(maxsize=16)
 def _loaded(load: Callable[[str], Any], path: str, changed: int, size: int) -> Any:
     return load(path)
+
+
+def readable(load: Callable[[str], Any]) -> AfterValidator:
+    """For a field that is the path of a file, if any: resolves it where there are folders to be in; `load` reads it."""
+
+    def resolved(file: str | None, info: Any) -> str | None:
+        return info.context.resolve(file, partial(load_once, load)) if file is not None and info.context else file
+
+    return AfterValidator(resolved)
 
 
 class MeshFolders(NamedTuple):

@@ -77,10 +77,13 @@ def exact_unit_cylinder(f: Integer3, d: Integer3, h: Integer, e: int, t_min: flo
 @jit
 def is_between_caps(root: Root, f: Integer, d: Integer, h: Integer) -> bool:
     """Whether 0 <= f + t d <= h, e left out: all of f, d, h are in the units that t was found in."""
-    z, slope = plus(times(root.q, f), times(root.p, d)), signed(root.s, d)
-    if sign_of_surd(z, slope, root.r) < 0:
-        return False
-    return sign_of_surd(minus(z, times(root.q, h)), slope, root.r) <= 0
+    return height_sign(root, f, d) >= 0 and height_sign(root, minus(f, h), d) <= 0
+
+
+@jit
+def height_sign(root: Root, f: Integer, d: Integer) -> int:
+    """The sign of f + t d at a root t, in its units."""
+    return sign_of_surd(plus(times(root.q, f), times(root.p, d)), signed(root.s, d), root.r)
 
 
 @jit
