@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from caster.description.errors import SceneError
-from caster.kernels.nearest import Rays
 from caster.rendering.bounces import bounces
 from caster.rendering.hits import cast, trace_rays, validated_rays
 from caster.scene.files import load_scene
@@ -177,8 +176,8 @@ def listed_rays(args: argparse.Namespace) -> LeavingRays:
         raise SceneError(f"{args.spawned}: parent[{bad[0]}]: expected {known}, got {int(parent[bad[0]])}")
     packed = packed_float32(scene)
     used, of = np.unique(parent, return_inverse=True)
-    lines = Rays(parents[used, :3], parents[used, 3:6], parents[used, 6], parents[used, 7])
+    lines = rays.RayBatch(parents[used, :3], parents[used, 3:6], parents[used, 6], parents[used, 7])
     answers = Oracle(packed).first_hits(*lines)
     prim = np.array([answer.prim for answer in answers], np.int64)
     t = np.array([np.inf if answer.t is None else float(answer.t) for answer in answers])
-    return leaving_rays(scene, packed, Rays(*(a[of] for a in lines)), prim[of], t[of], rows[:, 3:6], rows[:, :3])
+    return leaving_rays(scene, packed, lines.taken(of), prim[of], t[of], rows[:, 3:6], rows[:, :3])

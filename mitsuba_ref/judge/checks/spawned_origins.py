@@ -8,12 +8,12 @@ import numpy as np
 from caster.cameras.single_ray import Ray
 from caster.geometry.packing import Packed
 from caster.geometry.world_space import as_float32
-from caster.kernels.nearest import Rays
 from caster.rendering.bounces import Bounce
 from caster.scene.model import Film, Scene
 from mitsuba_ref.error_model.bounds import intersections_at
 from mitsuba_ref.error_model.intersections import dot
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS, U32
+from mitsuba_ref.hard.rays import RayBatch
 from mitsuba_ref.judge.checks import NOT_JUDGED, OURS, Found, check
 from mitsuba_ref.judge.checks.knife_edges import AimedFailure
 from mitsuba_ref.oracle.oracle import Oracle
@@ -66,7 +66,7 @@ class LeavingRays(NamedTuple):
 
 
 def leaving_rays(
-    scene: Scene, packed: Packed, parents: Rays, prim: np.ndarray, t: np.ndarray, w: np.ndarray, q: np.ndarray
+    scene: Scene, packed: Packed, parents: RayBatch, prim: np.ndarray, t: np.ndarray, w: np.ndarray, q: np.ndarray
 ) -> LeavingRays:
     """Rays from q along w (n, 3) after the hits of their parents: primitive, -1 on a miss, and t, (n,) each."""
     o, d = parents.o, parents.d
@@ -81,7 +81,7 @@ def leaving_rays(
 def rays_of_bounce(bounce: Bounce) -> LeavingRays:
     """The secondary rays with their own origins."""
     of, hits = bounce.rays.parent, bounce.parents
-    parents, nearest = Rays(*(a[of] for a in hits.rays)), hits.nearest
+    parents, nearest = RayBatch(*(a[of] for a in hits.rays)), hits.nearest
     return leaving_rays(hits.scene, hits.packed, parents, nearest.prim[of], nearest.t[of], bounce.rays.d, bounce.rays.o)
 
 
