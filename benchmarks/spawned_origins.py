@@ -15,10 +15,9 @@ import numpy as np
 
 from caster.rendering.bounces import bounces
 from caster.scene.model import Scene
-from mitsuba_ref.judge.checks.spawned_origins import RULES, LeavingRays, judge_origins, rays_of_bounce, reference_rays
+from mitsuba_ref.judge.checks.spawned_origins import MITSUBA, RULES, LeavingRays, by_rule, judge_origins, rays_of_bounce
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.oracle.spawned_origins import OriginJudge
-from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import send_request
 from mitsuba_ref.reference.shared_input import packed_float32, shared_rays
 from mitsuba_ref.subjects.subject import cast_ours
@@ -63,7 +62,7 @@ def main(wanted: float) -> None:
 
 def counts_in(scene: Scene, wanted: float) -> dict[str, Counter[str]]:
     """Counts by rule of about so many rays of ours, in bands of the film that are spread over it."""
-    counts: dict[str, Counter[str]] = {name: Counter() for name in ("ours", "mitsuba", *RULES)}
+    counts: dict[str, Counter[str]] = {name: Counter() for name in ("ours", MITSUBA, *RULES)}
     judge, bands = OriginJudge(Oracle(packed_float32(scene))), HEIGHT // ROWS
     for number in range(bands):
         first = number * 37 % bands * ROWS
@@ -72,24 +71,19 @@ def counts_in(scene: Scene, wanted: float) -> dict[str, Counter[str]]:
             leaving = rays_of_bounce(bounce)
             few = every(leaving, SHARE)
             tally(counts["ours"], leaving, judge)
-            if isinstance(by_mitsuba := reference_rays(few, send_request), Crash):
-                raise SystemExit(by_mitsuba.message)
-            tally(counts["mitsuba"], by_mitsuba, judge)
-            for name, rule in RULES.items():
-                tally(counts[name], few.by(rule), judge)
+            for name in (MITSUBA, *RULES):
+                tally(counts[name], by_rule(few, name, send_request), judge)
         if counts["ours"]["rays"] >= wanted:
             break
     return counts
 
 
 def every(leaving: LeavingRays, share: int) -> LeavingRays:
-    rows = np.arange(0, len(leaving.t), share)
-    return leaving._replace(rays=leaving.rays.rows(rows), t=leaving.t[rows], normals=leaving.normals[rows])
+    return leaving._replace(rays=leaving.rays.rows(slice(None, None, share)))
 
 
 def tally(counts: Counter[str], leaving: LeavingRays, judge: OriginJudge) -> None:
-    found = judge_origins(leaving, judge)
-    counts.update({"rays": len(leaving.t), **found.judged.counts()})
+    counts.update(judge_origins(leaving, judge).counts())
 
 
 if __name__ == "__main__":

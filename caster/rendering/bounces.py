@@ -3,7 +3,7 @@
 Directions follow the geometric normal, so that a reflected ray leaves the surface on the side that it came from.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -55,10 +55,6 @@ class Bounce:
     left_out: dict[str, int]  # reason -> count of rays that rounding leaves undecided
 
 
-# (points, normals, directions (n, 3), point_error (n, 3)) -> origins (n, 3), rounded to float32 afterwards
-Spawn = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-
-
 def spawn(points: np.ndarray, normals: np.ndarray, directions: np.ndarray, point_error: np.ndarray) -> np.ndarray:
     """Origins of rays from points of a surface: float32 values beside it, on the side that the directions lead to.
 
@@ -75,7 +71,7 @@ def spawn(points: np.ndarray, normals: np.ndarray, directions: np.ndarray, point
     return as_float32(points + (side * distance)[:, None] * normals)
 
 
-def bounces(first: RayHits, depth: int, spawn: Spawn = spawn) -> Iterator[Bounce]:
+def bounces(first: RayHits, depth: int) -> Iterator[Bounce]:
     """The secondary rays of bounces 1 to `depth`; fewer where none are left.
 
     first: the hits of the camera rays. A diffuse surface sends a shadow ray to each light in front of it, a mirror
@@ -84,7 +80,7 @@ def bounces(first: RayHits, depth: int, spawn: Spawn = spawn) -> Iterator[Bounce
     parents, pixel = first, np.arange(len(first.hit))
     continues = np.ones(len(first.hit), bool)
     for number in range(1, depth + 1):
-        bounce = _bounce(number, parents, continues, pixel, spawn)
+        bounce = _bounce(number, parents, continues, pixel)
         if not len(bounce.rays.kind):
             return
         yield bounce
@@ -93,7 +89,7 @@ def bounces(first: RayHits, depth: int, spawn: Spawn = spawn) -> Iterator[Bounce
         parents = trace_rays(first.scene, first.packed, Rays(*rays[:4]), np.zeros(len(pixel)))
 
 
-def _bounce(number: int, parents: RayHits, continues: np.ndarray, pixel: np.ndarray, spawn: Spawn) -> Bounce:
+def _bounce(number: int, parents: RayHits, continues: np.ndarray, pixel: np.ndarray) -> Bounce:
     row = np.flatnonzero(parents.hit & continues)
     along, t = parents.rays.d[row], parents.nearest.t[row][:, None]
     p, d, n = parents.rays.o[row] + t * along, along / row_lengths(along)[:, None], parents.normal[row]
@@ -128,7 +124,7 @@ def _bounce(number: int, parents: RayHits, continues: np.ndarray, pixel: np.ndar
     for kind, wanted, way, to_side, target in leaving:
         k = np.flatnonzero(wanted)
         with np.errstate(over="ignore", invalid="ignore"):
-            o = as_float32(spawn(p[k], n[k], way[k], error[k]))
+            o = spawn(p[k], n[k], way[k], error[k])
             way = np.where(np.isfinite(target), target - o, way[k])
             t_max = as_float32(row_lengths(way)) if np.isfinite(target).all() else np.full(len(k), np.inf)
             way = as_float32(way / row_lengths(way)[:, None])

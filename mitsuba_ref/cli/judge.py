@@ -11,7 +11,7 @@ from caster.rendering.bounces import bounces
 from caster.rendering.hits import cast, trace_rays, validated_rays
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
-from caster.system.atomic_files import check_folder, write_text
+from caster.system.atomic_files import check_folder
 from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
 from caster.system.terminal import folded
 from mitsuba_ref.cli.arguments import REFERENCE_OPTIONS
@@ -19,14 +19,14 @@ from mitsuba_ref.cli.options import given_words, load_scene_or_original
 from mitsuba_ref.cli.validate import judge_entries, without_earlier_results
 from mitsuba_ref.error_model.lambert import direction_to_light
 from mitsuba_ref.hard import rays
-from mitsuba_ref.judge.checks.spawned_origins import RULES, LeavingRays, judge_origins, leaving_rays, reference_rays
+from mitsuba_ref.judge.checks.spawned_origins import MITSUBA, RULES, LeavingRays, by_rule, judge_origins, leaving_rays
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.oracle.spawned_origins import UNDECIDED
-from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.shared_input import packed_float32, pixel_of, shared_rays
 from mitsuba_ref.report.results import write_result
 from mitsuba_ref.runner.many_scenes import JudgeOptions, entries_of_hits
 from mitsuba_ref.runner.validation_run import RunOptions
+from mitsuba_ref.stress.origins import write_parent
 from mitsuba_ref.subjects.function import spawn_rule
 from mitsuba_ref.subjects.ray_files import (
     RayList,
@@ -131,8 +131,6 @@ def run(args: argparse.Namespace) -> int:
 
 # ---- origins of rays that leave surfaces ----
 
-MITSUBA = "mitsuba"
-
 
 def run_spawned(args: argparse.Namespace) -> int:
     """Judge the origins and print their errors; 0 none, 1 some or no answer, 5 nothing to judge."""
@@ -140,15 +138,14 @@ def run_spawned(args: argparse.Namespace) -> int:
         if getattr(args, name) is not None:
             raise SceneError(f"--{name.replace('_', '-')}: not together with --spawned")
     try:
-        leaving = by_rule(listed_rays(args), args.spawn)
+        named = args.spawn in (None, MITSUBA, *RULES)
+        found = judge_origins(by_rule(listed_rays(args), args.spawn if named else spawn_rule(args.spawn)))
     except NoAnswer as error:
         print(f"FAIL  {error}", file=sys.stderr)
         return DIFFERENCES
-    found = judge_origins(leaving)
-    judged = int(np.sum(found.judged.found != UNDECIDED))
     if args.json:
-        write_result({"rays": len(leaving.rays.q), **found.judged.counts(), "wrong": found.wrong.tolist()}, args.json)
-    if not judged:
+        write_result({**found.counts(), "wrong": found.wrong.tolist()}, args.json)
+    if (found.found == UNDECIDED).all():
         print(f"nothing judged: {found.text()}: their parents hit nothing, or graze it", file=sys.stderr)
         return NOTHING_SELECTED
     lines = [f"{'FAIL' if len(found.wrong) else 'PASS'}  {found.text()}"]
@@ -156,10 +153,9 @@ def run_spawned(args: argparse.Namespace) -> int:
         row = int(found.wrong[0])
         lines.append(folded(f"      ray {row}: {found.example(row)}"))
         if args.out:
-            path = check_folder(args.out) / f"{Path(args.scene).stem}.spawned-origin.{row}.toml"
-            head = f"# The parent of ray {row} of {args.spawned}.\n# {found.example(row)}\n\n"
-            write_text(path, head + found.scene_of(row).to_toml())
-            lines.append(f"      parent ray: {path}")
+            path = Path(args.out) / f"{Path(args.scene).stem}.spawned-origin.{row}.toml"
+            about = f"The parent of ray {row} of {args.spawned}."
+            lines.append(f"      parent ray: {write_parent(path, about, found, row)}")
     print("\n".join(lines))
     return DIFFERENCES if len(found.wrong) else OK
 
@@ -180,21 +176,8 @@ def listed_rays(args: argparse.Namespace) -> LeavingRays:
         raise SceneError(f"{args.spawned}: parent[{bad[0]}]: expected {known}, got {int(parent[bad[0]])}")
     packed = packed_float32(scene)
     used, of = np.unique(parent, return_inverse=True)
-    o, d, t_min, t_max = parents[used, :3], parents[used, 3:6], parents[used, 6], parents[used, 7]
-    answers = Oracle(packed).first_hits(o, d, t_min, t_max)
+    lines = rays.RayBatch(parents[used, :3], parents[used, 3:6], parents[used, 6], parents[used, 7])
+    answers = Oracle(packed).first_hits(*lines)
     prim = np.array([answer.prim for answer in answers], np.int64)
     t = np.array([np.inf if answer.t is None else float(answer.t) for answer in answers])
-    lines = o[of], d[of], t_min[of], t_max[of]
-    return leaving_rays(scene, packed, lines, (prim[of], t[of]), rows[:, 3:6], rows[:, :3])
-
-
-def by_rule(leaving: LeavingRays, rule: str | None) -> LeavingRays:
-    """The rays from where a rule lets them start; None: from where they do. Raises SceneError, NoAnswer."""
-    if rule is None:
-        return leaving
-    if rule != MITSUBA:
-        return leaving.by(RULES[rule] if rule in RULES else spawn_rule(rule))
-    found = reference_rays(leaving)
-    if isinstance(found, Crash):
-        raise NoAnswer(found.message)
-    return found
+    return leaving_rays(scene, packed, lines.taken(of), prim[of], t[of], rows[:, 3:6], rows[:, :3])

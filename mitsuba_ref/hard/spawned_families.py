@@ -36,8 +36,10 @@ def leaving_scene(shapes: list[Fields], distance: float, angle: float = 0.0) -> 
 
     def aim(rng: Rng, packed: Packed, count: int) -> RayBatch:
         p, _, across = Targets(packed, rng).points(count, "inside")
-        n = unit(across)
-        back = np.cos(angle) * perpendicular(rng, n) + np.sin(angle) * n if angle else directions(rng, count)
+        back = directions(rng, count)
+        if angle:
+            n = unit(across)
+            back = np.cos(angle) * perpendicular(rng, n) + np.sin(angle) * n
         return batch(*towards(p + distance * back, p))
 
     return HardScene({**NO_VIEW, "material": MATERIALS, "shape": shapes}, aim)

@@ -44,7 +44,9 @@ class Departures(NamedTuple):
     t_min: np.ndarray  # (n,)
     t_max: np.ndarray  # (n,)
     prim: np.ndarray  # (n,) the primitive that it hits first, -1: none
-    p: np.ndarray  # (n, 3) the point where, rounded
+    t: np.ndarray  # (n,) where, rounded, like the next two
+    n: np.ndarray  # (n, 3) the normal there, outwards
+    p: np.ndarray  # (n, 3) the point
     p_error: np.ndarray  # (n, 3) bound on its error; inf: not known
     w: np.ndarray  # (n, 3) direction of the ray
     q: np.ndarray  # (n, 3) its origin
@@ -64,22 +66,6 @@ class Departures(NamedTuple):
         return Departures(*(a[rows] for a in self))
 
 
-class Judged(NamedTuple):
-    """The findings on n origins."""
-
-    found: np.ndarray  # (n,) uint8, a sum of SELF_HIT, SKIPPED, WRONG_SIDE, UNDECIDED
-    between: np.ndarray  # (n,) int64, number of a skipped primitive, -1
-
-    @property
-    def wrong(self) -> np.ndarray:
-        """(n,) bool."""
-        return self.found & WRONG != 0
-
-    def counts(self) -> dict[str, int]:
-        """Rays by finding."""
-        return {name: int(np.sum(self.found & (1 << i) != 0)) for i, name in enumerate(FINDINGS)}
-
-
 class OriginJudge:
     """Judges origins of rays on the primitives of an oracle."""
 
@@ -90,12 +76,12 @@ class OriginJudge:
         for part, first in zip(self.index.parts, self.index.first.tolist(), strict=False):
             self.row_of[part.ids] = first + (np.arange(len(part.ids)) if part.lowest is None else part.lowest)
 
-    def judge(self, rays: Departures) -> Judged:
-        """The findings on each origin: by float64 where its error bounds decide, else exactly."""
+    def judge(self, rays: Departures) -> tuple[np.ndarray, np.ndarray]:
+        """On each origin (sum of findings, number of a skipped primitive or -1), exact where float64 is unsure."""
         found, between = np.zeros(len(rays.q), np.uint8), np.full(len(rays.q), -1)
         for row in np.flatnonzero(~self.certainly_right(rays)).tolist():
             found[row], between[row] = self.judge_exactly(rays.rows(row))
-        return Judged(found, between)
+        return found, between
 
     # ---- float64
 

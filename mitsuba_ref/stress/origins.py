@@ -14,62 +14,47 @@ from caster.system.atomic_files import check_folder, write_text
 from caster.system.terminal import folded
 from mitsuba_ref.hard.family import Family
 from mitsuba_ref.judge.checks.spawned_origins import (
+    MITSUBA,
     MOST_SEARCHED,
     RULES,
     LeavingRays,
     OriginFindings,
     Rule,
+    by_rule,
     judge_origins,
     rays_of_bounce,
-    reference_rays,
 )
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.oracle.spawned_origins import FINDINGS, OriginJudge
-from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import send_request
 from mitsuba_ref.reference.shared_input import packed_float32
 from mitsuba_ref.report.results import NOTHING, aligned
 from mitsuba_ref.stress.score import DEFAULT_RAYS, Absent
 from mitsuba_ref.subjects.subject import NoAnswer
 
-OURS, MITSUBA, CANDIDATE = "ours", "mitsuba", "candidate"
+OURS, CANDIDATE = "ours", "candidate"
 
 
 @dataclass(frozen=True)
 class OriginScore:
-    """Counts of origins by finding, in one setting."""
+    """Counts of origins in one setting."""
 
-    rays: int
-    self_hits: int
-    skipped: int
-    wrong_side: int
-    undecided: int
+    counts: Mapping[str, int]  # of all rays, and by finding
     wrong: int  # with any of the three errors
     unresolved: int  # of those, origins as close to the surface as float32 can tell
     no_origin: int = 0  # of some of those, rays without a right float32 origin; searched for the subject alone
     example: str = ""
     status: str = "ok"
 
-    @classmethod
-    def of(cls, found: OriginFindings, no_origin: int = 0) -> "OriginScore":
-        self_hits, skipped, wrong_side, undecided = found.judged.counts().values()
-        wrong, avoidable = found.wrong, found.avoidable
-        return cls(
-            rays=len(found.leaving.rays.q),
-            self_hits=self_hits,
-            skipped=skipped,
-            wrong_side=wrong_side,
-            undecided=undecided,
-            wrong=len(wrong),
-            unresolved=len(wrong) - len(avoidable),
-            no_origin=no_origin,
-            example=found.example(int([*avoidable, *wrong][0])) if len(wrong) else "",
-        )
+    @property
+    def errors(self) -> dict[str, int]:
+        """Self-hits, skipped surfaces and wrong sides."""
+        return {name: self.counts[name] for name in FINDINGS[:-1]}
 
     @property
     def cell(self) -> str:
-        """Self-hits, skipped surfaces and wrong sides of a table."""
-        return f"{self.self_hits}/{self.skipped}/{self.wrong_side}" if self.wrong else "0"
+        """The errors in a table."""
+        return "/".join(map(str, self.errors.values())) if self.wrong else "0"
 
 
 @dataclass(frozen=True)
@@ -113,40 +98,36 @@ class OriginSweep:
             elif isinstance(score, Absent):
                 yield f"{where}: {self.subject}: no answer: {score.why}"
             elif score.wrong > score.unresolved:
-                counts = (score.self_hits, score.skipped, score.wrong_side)
-                words = ", ".join(f"{count} {name}" for count, name in zip(counts, FINDINGS, strict=False) if count)
+                words = ", ".join(f"{count} {name}" for name, count in score.errors.items() if count)
                 lines = (f"{where}: {self.subject}:", words, score.example, f"parent ray: {setting.file}")
                 yield "\n      ".join(lines)
 
 
 def sweep_origins(family: Family, seed: int, rays: int | None, folder: Path, spawn: Rule | None = None) -> OriginSweep:
     """Sweep a family. spawn: a candidate's rule, judged in place of ours. folder: for the parents of wrong rays."""
-    start, subject = time.perf_counter(), CANDIDATE if spawn else OURS
-    settings = []
+    start, named = time.perf_counter(), {CANDIDATE: spawn} if spawn else {}
+    rules: dict[str, Rule | str | None] = {**named, OURS: None, **{name: name for name in (MITSUBA, *RULES)}}
+    (subject, *_), settings = rules, []
     for x in family.values:
         leaving = leaving_of(family, seed, x, rays)
-        settings.append(OriginSetting(x, 0, {subject: Absent("missing", "no rays")}))
+        scores, count, file = dict[str, OriginScore | Absent]({subject: Absent("missing", "no rays")}), 0, ""
         if leaving is not None:
-            judge = OriginJudge(Oracle(leaving.packed))
-            scores: dict[str, OriginScore | Absent] = {}
-            file = ""
-            try:
-                mine = judge_origins(leaving.by(spawn) if spawn else leaving, judge)
-                scores[subject] = OriginScore.of(mine, mine.without_right_origin())
-                if len(mine.avoidable):
-                    file = write_parent(folder, family, x, mine, int(mine.avoidable[0]))
-            except NoAnswer as error:
-                scores[subject] = Absent("crash", str(error))
-            if spawn:
-                scores[OURS] = OriginScore.of(judge_origins(leaving, judge))
-            by_mitsuba = reference_rays(leaving, send_request)
-            scores[MITSUBA] = (
-                Absent("crash", by_mitsuba.brief)
-                if isinstance(by_mitsuba, Crash)
-                else OriginScore.of(judge_origins(by_mitsuba, judge))
-            )
-            scores |= {name: OriginScore.of(judge_origins(leaving.by(rule), judge)) for name, rule in RULES.items()}
-            settings[-1] = OriginSetting(x, len(leaving.rays.q), scores, file)
+            judge, count = OriginJudge(Oracle(leaving.packed)), len(leaving.rays.q)
+            for name, rule in rules.items():
+                try:
+                    found = judge_origins(by_rule(leaving, rule, send_request), judge)
+                except NoAnswer as error:
+                    scores[name] = Absent("crash", str(error))
+                    continue
+                wrong, avoidable, mine = found.wrong, found.avoidable, name == subject
+                example = found.example(int([*avoidable, *wrong][0])) if len(wrong) else ""
+                none = found.without_right_origin() if mine else 0
+                excused = len(wrong) - len(avoidable)
+                scores[name] = OriginScore(found.counts(), len(wrong), excused, none, example)
+                if mine and len(avoidable):
+                    about = f"mitsuba-ref stress: {family.name}, {family.quantity} {x:g}"
+                    file = write_parent(folder / f"{family.name}-{x:g}.toml", about, found, int(avoidable[0]))
+        settings.append(OriginSetting(x, count, scores, file))
     seconds = round(time.perf_counter() - start, 3)
     return OriginSweep(family.name, family.title, family.quantity, subject, tuple(settings), seconds)
 
@@ -161,12 +142,10 @@ def leaving_of(family: Family, seed: int, x: float, count: int | None) -> Leavin
     return next(map(rays_of_bounce, bounces(first, 1)), None)
 
 
-def write_parent(folder: Path, family: Family, x: float, found: OriginFindings, row: int) -> str:
+def write_parent(path: Path, about: str, found: OriginFindings, row: int) -> str:
     """Write the scene of one wrong ray with its parent as the camera's ray; returns the file. Raises OutputError."""
-    check_folder(folder)
-    path = folder / f"{family.name}-{x:g}.toml"
-    head = f"# mitsuba-ref stress: {family.name}, {family.quantity} {x:g}\n# {found.example(row)}\n\n"
-    write_text(path, head + found.scene_of(row).to_toml())
+    check_folder(path.parent)
+    write_text(path, f"# {about}\n# {found.example(row)}\n\n{found.scene_of(row).to_toml()}")
     return str(path)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from caster import Cylinder, Disk, EllipsoidCloud, LinearCurve, Plane, Rectangle, Scene, Sphere
 from caster.cameras.single_ray import Ray
-from mitsuba_ref.hard.rays import Targets
+from mitsuba_ref.hard.rays import RayBatch, Targets
 from mitsuba_ref.judge.checks.spawned_origins import judge_origins, leaving_rays
 from mitsuba_ref.oracle.implicit_surfaces import Approximate
 from mitsuba_ref.oracle.oracle import Oracle
@@ -33,7 +33,7 @@ def leaving(shapes, o, d, w, q):
     answers = Oracle(packed).first_hits(o, d)
     prim = np.array([answer.prim for answer in answers])
     t = np.array([np.inf if answer.t is None else float(answer.t) for answer in answers])
-    return leaving_rays(scene, packed, (o, d, np.zeros(len(o)), np.full(len(o), np.inf)), (prim, t), w, q)
+    return leaving_rays(scene, packed, RayBatch(o, d, np.zeros(len(o)), np.full(len(o), np.inf)), prim, t, w, q)
 
 
 @pytest.mark.parametrize(
@@ -67,14 +67,14 @@ def leaving(shapes, o, d, w, q):
 )
 def test_known_origins(shapes, w, q, finding):
     found = judge_origins(leaving(shapes, (0, 0, 9), (0, 0, -1), w, q))
-    assert found.judged.found.tolist() == [finding]
-    assert found.judged.between.tolist() == [1 if finding & SKIPPED else -1]
+    assert found.found.tolist() == [finding]
+    assert found.between.tolist() == [1 if finding & SKIPPED else -1]
 
 
 def test_a_parent_that_hits_nothing_or_another_surface_leaves_its_ray_undecided():
     rays = leaving([FLOOR], [(0, 0, 9)] * 2, [(0, 0, 1), (0, 0, -1)], [(0, 0, 1)] * 2, [(0, 0, TINY)] * 2)
     other = rays._replace(rays=rays.rays._replace(prim=np.array([-1, 1])))
-    assert OriginJudge(Oracle(rays.packed)).judge(rays.rays).found.tolist() == [UNDECIDED, 0]
+    assert OriginJudge(Oracle(rays.packed)).judge(rays.rays)[0].tolist() == [UNDECIDED, 0]
     assert OriginJudge(Oracle(rays.packed)).judge_exactly(other.rays.rows(0))[0] == UNDECIDED
 
 
@@ -84,7 +84,7 @@ def test_a_right_float32_origin_is_found_between_surfaces_or_there_is_none():
         shapes = [Plane(point=(0, 0, 3), normal=(0, 0, 1)), Plane(point=(0, 0, 3 - gap), normal=(0, 0, 1))]
         rays = leaving(shapes, (0, 0, 9), (0, 0, -1), (0, 0, -1), (0, 0, 2))
         found = judge_origins(rays)
-        assert found.judged.found.tolist() == [SKIPPED] and found.without_right_origin() == (not exists)
+        assert found.found.tolist() == [SKIPPED] and found.without_right_origin() == (not exists)
 
 
 def test_the_float64_filter_agrees_with_exact_arithmetic():
@@ -103,8 +103,8 @@ def test_the_float64_filter_agrees_with_exact_arithmetic():
     p = Targets(packed_float32(scene), rng).points(count, "inside").p
     o, w = p + rng.normal(size=(count, 3)), rng.normal(size=(count, 3))
     rays = leaving(shapes, o, p - o, w, p)
-    side = np.where((rays.normals * w).sum(axis=1) < 0, -1, 1)[:, None]
-    off = 10.0 ** rng.uniform(-17, 0, (count, 1)) * (side * rays.normals + 0.3 * rng.normal(size=(count, 3)))
+    side = np.where((rays.rays.n * w).sum(axis=1) < 0, -1, 1)[:, None]
+    off = 10.0 ** rng.uniform(-17, 0, (count, 1)) * (side * rays.rays.n + 0.3 * rng.normal(size=(count, 3)))
     rays = rays.at(rays.rays.p + off)
     judge = OriginJudge(Oracle(rays.packed))
     sure = judge.certainly_right(rays.rays)

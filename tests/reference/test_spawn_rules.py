@@ -112,7 +112,8 @@ def test_a_sweep_counts_the_errors_of_every_rule(judged, tmp_path, capsys):
     assert main(["stress", "spawn-gap", "--rays", "8", "--json", "sweep.json"]) == 0
     (sweep,) = json.loads((tmp_path / "sweep.json").read_text())["families"]
     rules = {setting["x"]: setting["rules"] for setting in sweep["settings"]}
-    assert rules[4e-5]["mitsuba"]["skipped"] == rules[4e-5]["constant"]["skipped"] == rules[4e-5]["ours"]["rays"] / 2
+    skipped = [rules[4e-5][name]["counts"]["skipped surface"] for name in ("mitsuba", "constant")]
+    assert skipped == [rules[4e-5]["ours"]["counts"]["rays"] / 2] * 2
     assert rules[4e-5]["ours"]["wrong"] == rules[0.1]["mitsuba"]["wrong"] == 0
     assert main(["stress", "spawn-gap", "--rays", "4", "--spawn", "origins_of_mine:far", "--out", "kept"]) == 1
     assert "candidate: 4 skipped surface" in " ".join(capsys.readouterr().out.split()) and list(Path("kept").iterdir())

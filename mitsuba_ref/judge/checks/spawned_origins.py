@@ -13,14 +13,16 @@ from caster.scene.model import Film, Scene
 from mitsuba_ref.error_model.bounds import intersections_at
 from mitsuba_ref.error_model.intersections import dot
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS, U32
+from mitsuba_ref.hard.rays import RayBatch
 from mitsuba_ref.judge.checks import NOT_JUDGED, OURS, Found, check
 from mitsuba_ref.judge.checks.knife_edges import AimedFailure
 from mitsuba_ref.oracle.oracle import Oracle
-from mitsuba_ref.oracle.spawned_origins import FINDINGS, SKIPPED, Departures, Judged, OriginJudge
+from mitsuba_ref.oracle.spawned_origins import FINDINGS, SKIPPED, WRONG, Departures, OriginJudge
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
 from mitsuba_ref.reference.rendering import trace_reference
 from mitsuba_ref.reference.shared_input import SharedRays, model_of, own_model, packed_float32
+from mitsuba_ref.subjects.subject import NoAnswer
 
 # (points, normals, directions (n, 3) float64) -> origins (n, 3)
 Rule = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -49,6 +51,7 @@ def pbrt_rule(points: np.ndarray, normals: np.ndarray, directions: np.ndarray) -
 
 
 RULES: dict[str, Rule] = {"pbrt": pbrt_rule, "constant": along_normal}
+MITSUBA = "mitsuba"  # names its spawn_ray where a rule may be given
 
 
 class LeavingRays(NamedTuple):
@@ -57,42 +60,29 @@ class LeavingRays(NamedTuple):
     scene: Scene
     packed: Packed
     rays: Departures
-    t: np.ndarray  # (n,) of the parents' hits
-    normals: np.ndarray  # (n, 3) geometric, outwards
-
-    def by(self, rule: Rule) -> "LeavingRays":
-        """The rays with the origins of a rule, in float32."""
-        with np.errstate(all="ignore"):
-            origins = as_float32(rule(self.rays.p, self.normals, self.rays.w))
-        return self.at(origins)
 
     def at(self, origins: np.ndarray) -> "LeavingRays":
         return self._replace(rays=self.rays._replace(q=origins))
 
 
-Lines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # o, d (n, 3), t_min, t_max (n,)
-
-
 def leaving_rays(
-    scene: Scene, packed: Packed, parents: Lines, hits: tuple[np.ndarray, np.ndarray], w: np.ndarray, q: np.ndarray
+    scene: Scene, packed: Packed, parents: RayBatch, prim: np.ndarray, t: np.ndarray, w: np.ndarray, q: np.ndarray
 ) -> LeavingRays:
-    """Rays from q along w (n, 3) after the hits of their parents: (primitive, -1 on a miss; t), (n,) each."""
-    o, d, t_min, t_max = parents
-    prim, t = hits
+    """Rays from q along w (n, 3) after the hits of their parents: primitive, -1 on a miss, and t, (n,) each."""
+    o, d = parents.o, parents.d
     at = intersections_at(own_model(packed), prim, (o, d), t, KU_OURS, ours=True)
     with np.errstate(all="ignore"):
         way = at.t[:, None] * d
         p = o + way
         error = np.abs(d) * at.t_error[:, None] + KU_OURS * (np.abs(p) + np.abs(way))
-    return LeavingRays(scene, packed, Departures(o, d, t_min, t_max, prim, p, error, w, q), at.t, at.n)
+    return LeavingRays(scene, packed, Departures(*parents, prim, at.t, at.n, p, error, w, q))
 
 
 def rays_of_bounce(bounce: Bounce) -> LeavingRays:
     """The secondary rays with their own origins."""
     of, hits = bounce.rays.parent, bounce.parents
-    o, d, t_min, t_max = (a[of] for a in hits.rays)
-    nearest = hits.nearest.prim[of], hits.nearest.t[of]
-    return leaving_rays(hits.scene, hits.packed, (o, d, t_min, t_max), nearest, bounce.rays.d, bounce.rays.o)
+    parents, nearest = RayBatch(*(a[of] for a in hits.rays)), hits.nearest
+    return leaving_rays(hits.scene, hits.packed, parents, nearest.prim[of], nearest.t[of], bounce.rays.d, bounce.rays.o)
 
 
 class OriginFindings(NamedTuple):
@@ -100,12 +90,13 @@ class OriginFindings(NamedTuple):
 
     judge: OriginJudge
     leaving: LeavingRays
-    judged: Judged
+    found: np.ndarray  # (n,) uint8, a sum of SELF_HIT, SKIPPED, WRONG_SIDE, UNDECIDED
+    between: np.ndarray  # (n,) int64, number of a skipped primitive, -1
 
     @property
     def wrong(self) -> np.ndarray:
         """Rows of the wrong origins."""
-        return np.flatnonzero(self.judged.wrong)
+        return np.flatnonzero(self.found & WRONG)
 
     @property
     def avoidable(self) -> np.ndarray:
@@ -113,7 +104,7 @@ class OriginFindings(NamedTuple):
 
         A rule knows the surface that the ray leaves, so nothing excuses a self-hit or the wrong side of it.
         """
-        excused = self.leaving.rays.unresolved & (self.judged.found == SKIPPED)
+        excused = self.leaving.rays.unresolved & (self.found == SKIPPED)
         return self.wrong[~excused[self.wrong]]
 
     def without_right_origin(self) -> int:
@@ -121,16 +112,21 @@ class OriginFindings(NamedTuple):
         rays = (self.leaving.rays.rows(row) for row in self.wrong[:MOST_SEARCHED].tolist())
         return sum(not self.judge.right_origin_exists(ray) for ray in rays)
 
+    def counts(self) -> dict[str, int]:
+        """All rays, and those of each finding."""
+        of = {name: int(np.sum(self.found & (1 << i) != 0)) for i, name in enumerate(FINDINGS)}
+        return {"rays": len(self.found), **of}
+
     def text(self) -> str:
         """Counts, such as "2512 rays: 2512 skipped surface"."""
-        counts = [f"{count} {name}" for name, count in self.judged.counts().items() if count]
-        return f"{len(self.leaving.rays.q)} rays: {', '.join(counts) or 'no error'}"
+        rays, *counts = (f"{count} {name}" for name, count in self.counts().items() if count or name == "rays")
+        return f"{rays}: {', '.join(counts) or 'no error'}"
 
     def scene_of(self, row: int) -> Scene:
         """A scene of one pixel whose ray is the parent, with the shapes that the finding is about."""
         ray, scene = self.leaving.rays.rows(row), self.leaving.scene
         t_max = float(ray.t_max) if np.isfinite(ray.t_max) else None
-        prims = [prim for prim in (int(ray.prim), int(self.judged.between[row])) if prim >= 0]
+        prims = [prim for prim in (int(ray.prim), int(self.between[row])) if prim >= 0]
         shapes = np.unique(self.leaving.packed.shape_of(np.array(prims))).tolist()
         camera = Ray(origin=tuple(ray.o.tolist()), direction=tuple(ray.d.tolist()), t_max=t_max)
         chosen = {"shapes": tuple(scene.shapes[i] for i in shapes), "film": Film(width=1, height=1), "camera": camera}
@@ -138,8 +134,8 @@ class OriginFindings(NamedTuple):
 
     def example(self, row: int) -> str:
         """One wrong ray in words."""
-        names = [name for i, name in enumerate(FINDINGS) if self.judged.found[row] & (1 << i)]
-        between, ray, packed = self.judged.between[row : row + 1], self.leaving.rays.rows(row), self.leaving.packed
+        names = [name for i, name in enumerate(FINDINGS) if self.found[row] & (1 << i)]
+        between, ray, packed = self.between[row : row + 1], self.leaving.rays.rows(row), self.leaving.packed
         p, w, q = (", ".join(map(repr, each.tolist())) for each in (ray.p, ray.w, ray.q))
         shape, prim = (int(of(between)[0]) for of in (packed.shape_of, packed.index_in_shape))
         skipped = f" ({self.leaving.scene.shape_names()[shape]}, prim {prim})" if between[0] >= 0 else ""
@@ -149,26 +145,39 @@ class OriginFindings(NamedTuple):
 def judge_origins(leaving: LeavingRays, judge: OriginJudge | None = None) -> OriginFindings:
     """Judge the origins of rays; `judge` may serve several rules of one scene."""
     judge = judge or OriginJudge(Oracle(leaving.packed))
-    return OriginFindings(judge, leaving, judge.judge(leaving.rays))
+    return OriginFindings(judge, leaving, *judge.judge(leaving.rays))
+
+
+def by_rule(leaving: LeavingRays, rule: Rule | str | None, send: SendRequest = send_stored) -> LeavingRays:
+    """The rays from where a rule, or one of RULES and MITSUBA, lets them start; None: as they are. Raises NoAnswer."""
+    if rule is None:
+        return leaving
+    if rule == MITSUBA:
+        return reference_rays(leaving, send)
+    place = RULES[rule] if isinstance(rule, str) else rule
+    with np.errstate(all="ignore"):
+        return leaving.at(as_float32(place(leaving.rays.p, leaving.rays.n, leaving.rays.w)))
 
 
 def reference_rays(
     leaving: LeavingRays, send: SendRequest = send_stored, timeout: float = DEFAULT_TIMEOUT
-) -> LeavingRays | Crash:
-    """The same rays from where Mitsuba's spawn_ray puts them, of those whose parent hits the same point in Mitsuba."""
+) -> LeavingRays:
+    """The same rays from where Mitsuba's spawn_ray puts them, of those whose parent hits the same point in Mitsuba.
+
+    Raises NoAnswer.
+    """
     rays, scene = leaving.rays, leaving.scene
     listed = SharedRays(rays.o, rays.d, rays.t_max, np.zeros(len(rays.o)), rays.t_min)
     parents = listed.for_reference()
     model = model_of(scene, packed_float32(scene), parents)
     found = trace_reference(scene, model, parents, lights=False, timeout=timeout, send=send, leaving=rays.w)
     if isinstance(found, Crash):
-        return found
-    expected = intersections_at(model, rays.prim, (rays.o, rays.d), leaving.t, KU, ours=False)
+        raise NoAnswer(found.message)
+    expected = intersections_at(model, rays.prim, (rays.o, rays.d), rays.t, KU, ours=False)
     with np.errstate(all="ignore"):
         near = np.abs(listed.t_of_reference(found.t) - expected.t) <= expected.t_error
     same = np.flatnonzero(near & found.hit & (found.shape_id == leaving.packed.shape_of(rays.prim)))
-    some = rays.rows(same)._replace(q=found.answer.origin[same].astype(np.float64))
-    return leaving._replace(rays=some, t=leaving.t[same], normals=leaving.normals[same])
+    return leaving._replace(rays=rays.rows(same)._replace(q=found.answer.origin[same].astype(np.float64)))
 
 
 # ---- the checks of a bounce
@@ -183,11 +192,10 @@ def check_spawned_origins(bounce: Bounce, wrong_rays: WhyWrong) -> Found:
     The parent of a failing ray is appended to `wrong_rays` as a scene of one ray.
     """
     found = judge_origins(rays_of_bounce(bounce))
-    if not len(found.wrong):
-        return 0.0, found.text()
-    if not len(found.avoidable):
-        return 0.0, f"{found.text()}, all where float32 cannot resolve the surfaces"
-    return np.inf, f"{found.text()}; {_kept(found, int(found.avoidable[0]), 'spawned-origin', wrong_rays)}"
+    if len(found.avoidable):
+        return np.inf, _kept(found, found.avoidable, "spawned-origin", wrong_rays)
+    excuse = ", all where float32 cannot resolve the surfaces" if len(found.wrong) else ""
+    return 0.0, f"{found.text()}{excuse}"
 
 
 @check(of=(OURS,))
@@ -196,18 +204,19 @@ def check_reference_origins(bounce: Bounce, send: SendRequest, timeout: float, w
 
     The parent of the first one is appended to `wrong_rays` as a scene of one ray.
     """
-    leaving = reference_rays(rays_of_bounce(bounce), send, timeout)
-    if isinstance(leaving, Crash):
-        return np.inf, leaving.message
+    try:
+        leaving = reference_rays(rays_of_bounce(bounce), send, timeout)
+    except NoAnswer as error:
+        return np.inf, str(error)
     if not len(leaving.rays.q):
         return 0.0, f"{NOT_JUDGED}: Mitsuba hits no surface that rays leave"
     found = judge_origins(leaving)
-    if not len(found.wrong):
-        return 0.0, found.text()
-    return 0.0, f"{found.text()}; {_kept(found, int(found.wrong[0]), 'spawn-ray', wrong_rays)}"
+    return 0.0, _kept(found, found.wrong, "spawn-ray", wrong_rays)
 
 
-def _kept(found: OriginFindings, row: int, label: str, wrong_rays: WhyWrong) -> str:
-    """The example at a row, which is appended to `wrong_rays`."""
-    wrong_rays.append(AimedFailure(found.example(row), found.scene_of(row), label))
-    return wrong_rays[-1].what
+def _kept(found: OriginFindings, rows: np.ndarray, label: str, wrong_rays: WhyWrong) -> str:
+    """The counts with an example, the first of the rows, if any, which is appended to `wrong_rays`."""
+    for row in rows[:1].tolist():
+        wrong_rays.append(AimedFailure(found.example(row), found.scene_of(row), label))
+        return f"{found.text()}; {found.example(row)}"
+    return found.text()
