@@ -41,6 +41,7 @@ from caster.kernels.math.vec import (
     U,
     add,
     certain_in_range,
+    cube_corner,
     dot,
     filter_result,
     l1_norm,
@@ -61,7 +62,6 @@ from caster.kernels.protocol import (
     same_geometry,
     surface,
 )
-from caster.shapes.sphere import cube_corner
 
 __all__ = ["LinearCurve", "RoundSegments"]
 

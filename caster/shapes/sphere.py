@@ -47,6 +47,7 @@ from caster.kernels.math.vec import (
     U,
     add,
     certain_in_range,
+    cube_corner,
     fast_normalize,
     filter_result,
     l1_norm,
@@ -340,12 +341,6 @@ def _fast_uv(prims: Any, scratch: Any, x: Any, n: Any) -> Any:
 @implement(hull_size, Spheres)
 def _hull_size(prims: Any) -> int:
     return 8
-
-
-@jit
-def cube_corner(j: int) -> tuple[float, float, float]:
-    """Corner j of [-1, 1]^3, by the three lowest bits."""
-    return 1.0 - 2.0 * (j & 1), 1.0 - (j & 2), 1.0 - 0.5 * (j & 4)
 
 
 @implement(hull_point, Spheres)

@@ -237,9 +237,8 @@ def _scalar_hits(scene: Any, emitters: list[Any] | None, request: TraceRequest, 
                 si = pi.compute_surface_interaction(ray, flags)
                 rows.append(i)
                 w = mi.Vector3f(leaving[i - start]) if leaving else None
-                hits.append(
-                    _values(scene, emitters, pi, si, True, w) | {"shape": number(si), "t": si.t if si.shape else pi.t}
-                )
+                hit = _values(scene, emitters, pi, si, True, w) | {"shape": number(si)}
+                hits.append(hit if si.shape else hit | {"t": pi.t})
         yield rows, {name: _array_of([hit[name] for hit in hits]) for name in (hits[0] if hits else ())}
 
 

@@ -286,3 +286,9 @@ def cross_of_edges(a: Vec3, b: Vec3, c: Vec3) -> Vec3:
         determinant((z1, r1), (x1, p1), (z2, r2), (x2, p2)),
         determinant((x1, p1), (y1, q1), (x2, p2), (y2, q2)),
     )
+
+
+@jit
+def cube_corner(j: int) -> tuple[float, float, float]:
+    """Corner j of [-1, 1]^3, by the three lowest bits."""
+    return 1.0 - 2.0 * (j & 1), 1.0 - (j & 2), 1.0 - 0.5 * (j & 4)
