@@ -28,7 +28,6 @@ from mitsuba_ref.error_model.intersections import (
     unit,
     without_edges,
     without_float_warnings,
-    without_overflow_warnings,
 )
 from mitsuba_ref.oracle.exact_planar import PLANES as EXACT_PLANES
 from mitsuba_ref.scene_xml.elements import ShapeWriter, XmlElement
@@ -79,7 +78,7 @@ def _patch(normal: np.ndarray, point: np.ndarray, o: np.ndarray, d: np.ndarray) 
 SMALLEST_HALF_SIDE = 2.0**-60
 
 
-@without_overflow_warnings
+@without_float_warnings
 def _half_side(n: np.ndarray, point: np.ndarray, center: np.ndarray, o: np.ndarray, d: np.ndarray) -> float:
     """Half the side of the square: the distance within which the nearest tenth of all hits lie."""
     t = dot_rows(point - o, n) / dot_rows(d, n)
