@@ -122,7 +122,7 @@ def spots(part: Any, rng: Rng, count: int, edges: float) -> Spots:
     if hasattr(part, "start"):  # segments of curves: near their surface
         k, along = rng.integers(0, len(part.start), count), rng.random(count)[:, None]
         axis, q = part.end[k] - part.start[k], direction(rng, count)
-        q -= (q * axis).sum(axis=1, keepdims=True) / (axis * axis).sum(axis=1, keepdims=True) * axis
+        q -= (q * axis).sum(axis=1, keepdims=True) / np.maximum((axis * axis).sum(axis=1, keepdims=True), 1e-300) * axis
         q /= np.linalg.norm(q, axis=1, keepdims=True)
         radius = part.radius[k, :1] + along * (part.radius[k, 1:] - part.radius[k, :1])
         return Spots(part.start[k] + along * axis + radius * q, q)
