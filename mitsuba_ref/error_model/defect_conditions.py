@@ -32,6 +32,7 @@ class DefectView(NamedTuple):
     stretch: float = 1.0  # length of the direction in object space
     beyond_corners: bool = False  # t is beyond the farthest corner of a triangle, or before the nearest
     without_area: bool = False  # a triangle has no area, exactly
+    starts_inside: bool = False  # the ray starts within a curve of the scene, or up to rounding on it
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,7 @@ class DefectFeatures:
     # its normal is NaN where rounding allows one of length 0, and apart from that it is `nearly`
     normless: bool = False
     robust: bool = True  # Embree's mode; without it, `nearly` allows a miss between two faces
+    starts_inside: bool = False  # of either
 
     @property
     def kinds(self) -> frozenset[str]:

@@ -89,6 +89,7 @@ def defect_features(
             nearly=bool(nearly[i]),
             normless=bool(normless[i]),
             robust=robust,
+            starts_inside=ours.starts_inside or theirs.starts_inside,
         )
 
 

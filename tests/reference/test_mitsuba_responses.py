@@ -11,6 +11,7 @@ import pytest
 from mitsuba_scenes import VARIANTS, film, has_t, job, point_light, random_mesh, shape, sun, write
 
 import caster
+import mitsuba_ref
 from mitsuba_ref.reference import mitsuba_process, variants
 from mitsuba_ref.reference.messages import Crash, TraceResponse
 from mitsuba_ref.reference.mitsuba_process import SendRequest
@@ -224,3 +225,16 @@ def test_spheres_of_one_shape_answer_as_its_primitives(variant, stretch):
     theirs, ours = found[0], caster.render(scene, ("hit", "shape_id", "prim_id"))
     assert all(np.array_equal(theirs[name], ours[name]) for name in ("hit", "shape_id", "prim_id"))
     assert len(np.unique(ours["shape_id"] * 10 + ours["prim_id"])) == 27
+
+
+def test_what_mitsuba_leaves_out_within_a_curve_is_a_known_defect():
+    rng = np.random.default_rng(7)
+    points, radii = rng.normal(0.0, 0.7, (8, 3)).cumsum(axis=0), rng.uniform(0.2, 0.5, 8)
+    points, radii = (a.astype(np.float32).astype(np.float64) for a in (points, radii))
+    camera = caster.Pinhole(eye=(0, 0, 9), look_at=(0, 0, 0))
+    scene = caster.Scene(camera=camera, shapes=[caster.LinearCurve(points=points, radii=radii)])
+    k = rng.integers(0, 7, 200)
+    o, d = (a.astype(np.float32).astype(np.float64) for a in (points[k], rng.normal(size=(200, 3))))
+    rays = np.hstack([o, d, np.tile([0.0, np.inf], (200, 1))])
+    (verdict,) = mitsuba_ref.judge_hits(scene, rays, {"t": caster.cast(scene, o, d).t}).scenes
+    assert not verdict.failing and set(verdict.cases) == {"78"} and verdict.counts["agree"] > 20

@@ -7,10 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from caster.shapes.linear_curve import RoundSegments
 from mitsuba_ref.error_model import defect_conditions
 from mitsuba_ref.error_model.defect_conditions import DefectFeatures, DefectView
 from mitsuba_ref.judge.defect_lookup import defect_name, defect_of, known_defects
 from mitsuba_ref.shapes import KINDS as KINDS_OF_PRIMITIVES
+from mitsuba_ref.shapes.linear_curve import view_segment
 
 INSIDE = frozenset({"inside"})
 ORDINARY = DefectFeatures(
@@ -21,7 +23,7 @@ FAR, EDGE_ON, ALONG = (
     0.5 * defect_conditions.NEARLY_EDGE_ON_COSINE,
     0.5 * defect_conditions.ALONG_AXIS_SINE,
 )
-KINDS = ("Triangles", "Planes", "Disks", "Spheres", "Ellipsoids", "Cylinders")
+KINDS = ("Triangles", "Planes", "Disks", "Spheres", "Ellipsoids", "Cylinders", "RoundSegments")
 
 
 def at(kind, where="inside", **more):
@@ -54,6 +56,7 @@ EXAMPLES = {
     47: at("Disks", offset=FAR),
     61: at("Cylinders", offset=FAR),
     15: at("Triangles", robust=False),
+    78: at("RoundSegments", starts_inside=True),
 }
 
 
@@ -124,3 +127,22 @@ def test_each_kind_measures_what_its_cases_depend_on():
         if kind.name in views:
             assert kind.defect_view(affine, 1, o, d, 1.0) == DefectView(**views.pop(kind.name))
     assert not views
+
+
+@pytest.mark.parametrize(
+    ("o", "inside"),
+    [
+        ((2.0, 0.0, 1.3), True),  # the cone's radius is 1.5 / cos there
+        ((2.0, 0.0, 1.8), False),
+        ((-0.9, 0.0, 0.0), True),
+        ((-1.1, 0.0, 0.0), False),
+        ((0.0, 0.0, 31.1), True),  # on the second segment, up to rounding
+        ((0.0, 0.0, 31.2), False),
+        ((0.3, 0.0, 30.0), True),  # in a sphere that holds the other end
+    ],
+)
+def test_a_ray_from_within_any_segment_is_told_from_one_beside_it(o, inside):
+    start, end = np.array([[0.0, 0, 0], [0, 0, 30], [0, 0, 30]]), np.array([[4.0, 0, 0], [0, 0, 31], [0.1, 0, 30]])
+    prims = RoundSegments(start, end, np.array([[1.0, 2.0], [0.1, 0.1], [0.5, 0.01]]))
+    for k in range(3):
+        assert view_segment(prims, k, np.array(o), np.ones(3), 1.0) == DefectView(starts_inside=inside)
