@@ -157,8 +157,14 @@ def as_text(sweep: OriginSweep) -> str:
 of each rule: rays with self-hit/skipped surface/wrong side
 unresolved: rays of {sweep.subject} with surfaces closer than float32 resolves;
 no origin: of the first {MOST_SEARCHED} wrong rays, those without any right float32 origin"""
-    problems = (folded(f"FAIL  {line}") for line in sweep.problems)
-    return "\n".join([folded(head), about, *aligned([["x", *names], *settings]), *problems])
+    absent = {
+        f"{name}: {score.status}: {score.why}": None
+        for setting in sweep.settings
+        for name, score in setting.rules.items()
+        if isinstance(score, Absent)
+    }
+    ends = (folded(line) for line in (*absent, *(f"FAIL  {line}" for line in sweep.problems)))
+    return "\n".join([folded(head), about, *aligned([["x", *names], *settings]), *ends])
 
 
 def rows(sweep: OriginSweep) -> list[list[str]]:
