@@ -260,7 +260,7 @@ def candidate_lines(verdict: Verdict) -> Iterator[str]:
     names = dict.fromkeys(name for scene in verdict.scenes for name in scene.unjudged)
     if names:
         yield f"not judged: {', '.join(name.replace('_', ' ') for name in names)}"
-    for note in dict.fromkeys(note for scene in verdict.scenes if scene.ok for note in scene.notes):
+    for note in dict.fromkeys(note for scene in verdict.scenes if scene.ok and not scene.bounce for note in scene.notes):
         yield f"note:       {note}"
 
 
