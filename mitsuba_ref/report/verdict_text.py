@@ -260,7 +260,10 @@ def candidate_lines(verdict: Verdict) -> Iterator[str]:
     names = dict.fromkeys(name for scene in verdict.scenes for name in scene.unjudged)
     if names:
         yield f"not judged: {', '.join(name.replace('_', ' ') for name in names)}"
-    for note in dict.fromkeys(note for scene in verdict.scenes if scene.ok and not scene.bounce for note in scene.notes):
+    judged = (
+        scene for scene in verdict.scenes if scene.ok and not scene.bounce
+    )  # notes on bounces are below their rows
+    for note in dict.fromkeys(note for scene in judged for note in scene.notes):
         yield f"note:       {note}"
 
 
