@@ -262,7 +262,7 @@ def candidate_lines(verdict: Verdict) -> Iterator[str]:
         yield f"not judged: {', '.join(name.replace('_', ' ') for name in names)}"
     judged = (
         scene for scene in verdict.scenes if scene.ok and not scene.bounce
-    )  # notes on bounces are below their rows
+    )  # a bounce has its notes below its row
     for note in dict.fromkeys(note for scene in judged for note in scene.notes):
         yield f"note:       {note}"
 
