@@ -28,9 +28,9 @@ from caster.kernels.math.quadric_roots import (
     closest_approach,
     fast_unit_normal,
     first_hit,
-    outward_normal,
     quadric_roots,
     quadric_setup,
+    unit_normal,
 )
 from caster.kernels.math.vec import (
     TINY,
@@ -186,7 +186,7 @@ def _surface(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> An
     """u is the angle as a fraction of a turn, v the height along the axis from 0 to 1."""
     f = mat_vec(prims.to_object, k, sub(o, row(prims.center, k)))
     e = mat_vec(prims.to_object, k, d)
-    x, y, _ = outward_normal((f[0], f[1], 0.0), (e[0], e[1], 0.0), t, 1.0)
+    x, y, _ = unit_normal((f[0], f[1], 0.0), (e[0], e[1], 0.0), t)
     z = f[2] + t * e[2]
     n = normalize(transposed_mat_vec(prims.to_object, k, (x, y, 0.0)))
     p = add(row(prims.center, k), mat_vec(prims.to_world, k, (x, y, z)))

@@ -41,6 +41,7 @@ from caster.kernels.math.quadric_roots import (
     outward_normal,
     quadric_roots,
     quadric_setup,
+    unit_normal,
 )
 from caster.kernels.math.vec import (
     TO_OBJECT_SPACE_ERROR,
@@ -406,7 +407,7 @@ def _exact_intersect_outer(prims: Any, k: int, o: Any, d: Any, t_min: float, t_m
 def _surface_ellipsoid(prims: Any, k: int, o: Any, d: Any, t: float, wants_uv: bool) -> Any:
     center = row(prims.center, k)
     f = mat_vec(prims.to_object, k, sub(o, center))
-    q = outward_normal(f, mat_vec(prims.to_object, k, d), t, 1.0)
+    q = unit_normal(f, mat_vec(prims.to_object, k, d), t)
     n = normalize(transposed_mat_vec(prims.to_object, k, q))
     u, v = spherical_uv(q) if wants_uv else (0.0, 0.0)
     return add(center, mat_vec(prims.to_world, k, q)), n, n, u, v

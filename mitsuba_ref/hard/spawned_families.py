@@ -92,7 +92,14 @@ SPAWNED: tuple[Family, ...] = (
         spawns=True,
     ),
     Family(
-        "spawn-scale", "the size of a scene that rays leave", of_size, "radius, scene units", SIZES, 1.0, spawns=True
+        "spawn-scale",
+        "the size of a scene that rays leave",
+        of_size,
+        "radius, scene units",
+        SIZES,
+        1.0,
+        fits_float32=False,  # Mitsuba takes a sphere of radius 5e-13 for a stretched one
+        spawns=True,
     ),
     Family("spawn-offset", "how far from the origin rays leave", away, OFFSET, TENFOLD, 1.0, spawns=True),
     Family(

@@ -70,7 +70,7 @@ def judged(send) -> Judged:
 def supported(scene: Scene) -> bool:
     """The hits of docs/candidates/plain.py."""
     shapes = scene.shapes
-    flat = not any(shape.type in ("disk", "cylinder") for shape in shapes)
+    flat = not any(shape.type in ("disk", "cylinder", "ellipsoids", "linear_curve") for shape in shapes)
     return flat and not any(shape.type in ("sphere", "spheres") and shape.to_world for shape in shapes)
 
 

@@ -190,7 +190,7 @@ def test_a_wrong_candidate_is_shrunk_kept_and_replayed(fuzz, tmp_path, monkeypat
     )
     monkeypatch.syspath_prepend(tmp_path)
     words = ["--candidate", "epsilon_caster:cast"]
-    code, out, _, told = fuzz("--family", "surfaces", "--examples", "1", *words)
+    code, out, _, told = fuzz("--family", "surfaces", "--examples", "1..1", *words)
     assert code == 1 and told["total"]["kinds"] == {"judged": told["total"]["findings"]}
     first = told["failures"][0]
     assert "\n      candidate: " in first["what"] and first["options"] == words

@@ -15,6 +15,7 @@ from caster.kernels.math.vec import (
     filter_result,
     l1_norm,
     max_norm,
+    normalize,
     point_at,
     scaled,
     scaled_near_one,
@@ -139,7 +140,18 @@ def quadric_roots(setup: Any, d: Vec3, d_error: float) -> QuadricRoots:
 def outward_normal(f: Vec3, d: Vec3, t: float, r: float) -> Vec3:
     """The unit vector from the centre of |p| = r to where f + t d meets it."""
     along_d = unit_direction(d)
-    reach = t * dot(d, along_d)
+    return _normal_at_reach(f, along_d, t * dot(d, along_d), r)
+
+
+@jit
+def unit_normal(f: Vec3, d: Vec3, t: float) -> Vec3:
+    """The same for r = 1 in object space, where every d is made unit length: a scene of any scale has the same bits."""
+    along_d = normalize(d)
+    return _normal_at_reach(f, along_d, t * dot(d, along_d), 1.0)
+
+
+@jit
+def _normal_at_reach(f: Vec3, along_d: Vec3, reach: float, r: float) -> Vec3:
     if not _is_in_range(f, r):
         e = min(
             -math.frexp(r)[1], MAX_SQUARABLE_EXPONENT - math.frexp(max_norm(f))[1]
@@ -165,10 +177,8 @@ def fast_outward_normal(f: Vec3, d: Vec3, t: float, r: float) -> tuple[bool, Vec
 
 @inlined
 def fast_unit_normal(f: Vec3, d: Vec3, t: float) -> tuple[bool, Vec3]:
-    """The same for r = 1 and a d of any length."""
+    """(whether this is `unit_normal(f, d, t)`, that normal), without a branch."""
     long, along_d = fast_normalize(d)
-    unit = abs(dot(d, d) - 1.0) <= UNIT_SQUARE_ATOL
-    along_d = select(unit, d, along_d)
     known = _is_in_range(f, 1.0) & long
     return known, _normal_where(known, f, along_d, t * dot(d, along_d), 1.0)
 
