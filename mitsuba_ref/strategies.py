@@ -72,8 +72,9 @@ def _drawn(draw: Callable[..., Any], types: tuple[str, ...], names: tuple[str, .
     name = draw(st.sampled_from(_families_with(types, names)))
     made = Example(0, draw(SEEDS), BY_NAME[name], types).made
     shapes, seeds = made.data["shape"], draw(st.lists(SEEDS, min_size=1, max_size=most))
-    if draw(st.integers(0, 3)) == 0:  # then some of the shapes: an example shrinks to this, and to few of them
-        shapes = [each for each in shapes if draw(st.booleans())] or shapes[-1:]
+    some, chosen = draw(st.integers(0, 3)) == 0, [draw(st.booleans()) for _ in shapes]  # whether `some` or not, so that
+    if some:  # an example can shrink to this, and to few shapes, without further choices
+        shapes = [each for each, kept in zip(shapes, chosen, strict=True) if kept] or shapes[-1:]
     try:
         scene, whole = scene_of({**made.data, "shape": shapes}), packed(made.scene())
     except SCENE_ERRORS:
