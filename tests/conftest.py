@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from caster.__main__ import COLLECTION_THRESHOLDS
 from caster.system import process
@@ -40,6 +41,8 @@ NO_CHROMIUM = "no Chromium: tests/report is skipped where it opens pages (apt in
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    settings.register_profile("same examples", derandomize=True, deadline=None)  # a red run can be repeated
+    settings.load_profile("same examples")
     os.environ["MITSUBA_REF_STORE"] = "off"  # answers of other runs are no evidence here
     # Without bytecode each of some hundred processes that tests start would compile every module that it loads.
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)

@@ -203,7 +203,7 @@ def written(folder, case, kind="missed"):
     return cases.write_kept(folder, "name", Finding(kind, "ours misses,\nexactly it is hit"), FOUND_BY, case)
 
 
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(points, points.filter(any), numbers.map(abs), st.one_of(st.just(np.inf), numbers.map(abs)))
 def test_a_ray_comes_back_to_the_bit(tmp_path, o, d, t_min, t_max):
     case = a_case(ray_along(o, d, t_min, max(t_min, t_max)))

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from caster.cameras import CAMERAS, Fisheye, Pinhole
@@ -72,7 +72,6 @@ def test_every_camera_survives_both(camera):
     assert scene_from_text(scene.to_toml()) == scene == scene_from_text(scene.canonical_json(), "json")
 
 
-@settings(derandomize=True, deadline=None)
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=3, max_size=3))
 def test_every_number_survives_both(center):
     scene = Scene(camera=Fisheye(eye=center, direction=[0, 0, 1]), shapes=[Sphere(center=center)])

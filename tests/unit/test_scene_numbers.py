@@ -5,15 +5,13 @@ from typing import Annotated
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
 
 from caster.description import fields
 from caster.description.errors import SceneError
 from caster.description.fields import Description
-
-seeded = settings(derandomize=True, deadline=None)  # the same examples in every run
 
 
 class Thing(Description):
@@ -32,7 +30,6 @@ class Thing(Description):
     word: str = ""
 
 
-@seeded
 @given(st.floats(allow_nan=False, allow_infinity=False))
 def test_a_hex_float_string_is_the_number_to_the_bit(x):
     assert Thing(number=x.hex()).number == x
