@@ -3,14 +3,22 @@
 import io
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Discriminator, Tag, field_validator, model_validator
+from pydantic import (
+    Discriminator,
+    PlainSerializer,
+    Tag,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    field_validator,
+    model_validator,
+)
 
-from caster.description.errors import SceneError, child_of
-from caster.description.fields import Description, Flag, Reflectance, Transform, matrix_of
+from caster.description.errors import SceneError, child_of, expectation_error
+from caster.description.fields import Description, FixedArray, Flag, Reflectance, Transform, matrix_of
 from caster.description.input_files import read_input
 from caster.description.transform import power
 from caster.geometry.mesh_files import load_once
@@ -19,6 +27,7 @@ from caster.kernels.surface.texturing import BILINEAR, CLAMP, MIRROR, NEAREST, N
 __all__ = ["Bitmap", "Checkerboard", "Texture"]
 
 MAX_TEXELS = 2**24  # 4096 x 4096; 24 bytes each
+FLOAT32_DECODING = 1e-6  # differences of one sRGB level, decoded in float32 and in float64; two levels differ by 3e-4
 FILTERS = {"nearest": NEAREST, "bilinear": BILINEAR}
 WRAPS = {"repeat": REPEAT, "mirror": MIRROR, "clamp": CLAMP}
 
@@ -56,12 +65,32 @@ class Checkerboard(Texture):
         return np.array([[self.color0, self.color1], [self.color1, self.color0]])
 
 
+def _as_texels(value: Any, validated: ValidatorFunctionWrapHandler) -> NDArray[np.float64]:
+    """(h, w, 3) of an array or of rows of colors."""
+    if isinstance(value, np.ndarray) and value.dtype.kind == "f" and value.ndim == 3 and value.shape[2:] == (3,):
+        if not value.size or not (value.min() >= 0.0 and value.max() <= 1.0):
+            raise expectation_error("an array (h, w, 3) of numbers from 0 to 1", value.shape)
+        return value.astype(np.float64).view(FixedArray)
+    rows = validated(value)
+    if len(set(map(len, rows)) - {0}) != 1:
+        raise ValueError(f"data must have rows of the same number of pixels, got {sorted(map(len, rows))}")
+    return np.array(rows, np.float64).view(FixedArray)
+
+
+if TYPE_CHECKING:
+    Texels = NDArray[np.float64]
+else:
+    Texels = Annotated[
+        tuple[tuple[Reflectance, ...], ...], WrapValidator(_as_texels), PlainSerializer(np.ndarray.tolist)
+    ]
+
+
 class Bitmap(Texture):
     """A picture: a PNG `file` with 8 bits a channel, in sRGB unless `raw`, or `data`, rows of linear [r, g, b]."""
 
     type: Literal["bitmap"] = "bitmap"
     file: str | None = None
-    data: tuple[tuple[Reflectance, ...], ...] | None = None
+    data: Texels | None = None
     filter: Literal["bilinear", "nearest"] = "bilinear"
     wrap: Literal["repeat", "mirror", "clamp"] = "repeat"
     raw: Flag = False
@@ -75,16 +104,34 @@ class Bitmap(Texture):
     def _has_one_source(self) -> Self:
         if (self.file is None) == (self.data is None):
             raise ValueError(f"needs either file or data, got {'both' if self.file else 'neither'}")
-        if self.data is not None and len(set(map(len, self.data)) - {0}) != 1:
-            raise ValueError(f"data must have rows of the same number of pixels, got {sorted(map(len, self.data))}")
         return self
 
     @cached_property
     def texels(self) -> NDArray[np.float64]:
         if self.file is None:
-            return np.array(self.data)
+            return np.asarray(self.data)
         picture = _load_picture(self.file)
         return picture / 255.0 if self.raw else LINEAR_OF_SRGB[picture]
+
+    def as_png(self) -> "Png | None":
+        """A PNG file with 8 bits a channel of the same texels, up to float32; None where none has them."""
+        from PIL import Image  # deferred: most scenes have no picture
+
+        for raw, levels in ((False, LINEAR_OF_SRGB), (True, np.arange(256) / 255.0)):
+            middles = (levels[1:] + levels[:-1]) / 2.0
+            bytes_of = np.searchsorted(middles, self.texels)
+            if np.abs(levels[bytes_of] - self.texels).max() <= FLOAT32_DECODING:
+                content = io.BytesIO()
+                Image.fromarray(bytes_of.astype(np.uint8)).save(content, "PNG")
+                return Png(content.getvalue(), raw)
+        return None
+
+
+class Png(NamedTuple):
+    """A PNG file, and whether its numbers are linear."""
+
+    content: bytes
+    raw: bool
 
 
 def linear_of_srgb(value: float) -> float:

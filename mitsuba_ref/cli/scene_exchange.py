@@ -11,6 +11,7 @@ from caster.description.errors import SceneError, error_prefix, suggestion
 from caster.image.channels import write_render
 from caster.scene.export import to_toml
 from caster.scene.model import Film, Scene
+from caster.scene.textures import Bitmap
 from caster.shapes import Mesh
 from caster.system.atomic_files import check_folder, write_bytes, write_text
 from caster.system.process import DIFFERENCES, OK
@@ -62,7 +63,8 @@ def run_import(args: argparse.Namespace) -> int:
     else:
         found = from_course(args)
     target = Path(args.output).resolve()
-    folder, scene = target.parent, with_mesh_files(found.scene, target.with_suffix(""))
+    beside = target.with_suffix("")
+    folder, scene = target.parent, with_pictures(with_mesh_files(found.scene, beside), beside)
     head = [f"{Path(args.file).name}, by `mitsuba-ref import`.", *found.left_out]
     comment = "".join(f"# {printable(line, keep='')}\n" for line in head)
     write_text(args.output, comment + to_toml(scene, folder))
@@ -84,6 +86,20 @@ def with_mesh_files(scene: Scene, folder: Path) -> Scene:
             write_bytes(path, ply_bytes(packed.parts[i]))
             shapes[i] = shape.model_copy(update=dict.fromkeys(Mesh.ARRAYS) | {"file": str(path), "to_world": ()})
     return scene.model_copy(update={"shapes": shapes})
+
+
+def with_pictures(scene: Scene, folder: Path) -> Scene:
+    """The scene with bitmaps of 8 bits a channel as PNG files, which are written into a folder. Raises OutputError."""
+    materials = dict(scene.materials)
+    for i, (name, material) in enumerate(materials.items()):
+        texture = material.texture
+        if isinstance(texture, Bitmap) and texture.file is None and (png := texture.as_png()):
+            check_folder(folder)
+            path = folder / f"{i:04d}-{safe_name(name)}.png"
+            write_bytes(path, png.content)
+            change = {"file": str(path), "data": None, "raw": png.raw}
+            materials[name] = material.model_copy(update={"reflectance": texture.model_copy(update=change)})
+    return scene.model_copy(update={"materials": materials})
 
 
 def from_course(args: argparse.Namespace) -> ImportedScene:

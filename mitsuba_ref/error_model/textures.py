@@ -54,7 +54,7 @@ def texels_of(texture: Any) -> np.ndarray:
     if texture.type == "checkerboard":
         return np.array([[texture.color0, texture.color1], [texture.color1, texture.color0]])
     if texture.file is None:
-        return np.array(texture.data)
+        return np.asarray(texture.data)
     return _decoded(texture.file, texture.raw, os.stat(texture.file).st_mtime_ns)
 
 

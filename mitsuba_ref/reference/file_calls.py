@@ -19,6 +19,7 @@ mi: Any = mitsuba
 PLUGIN_FOLDER = str(list(mi.file_resolver())[-1]) if hasattr(mi, "file_resolver") else ""  # of 3.7 and later
 
 DIFFUSE_LIGHTS = {"point": "intensity", "directional": "irradiance", "constant": "radiance"}
+CHECKERBOARD = {"color0": 0.4, "color1": 0.2}  # Mitsuba's defaults
 FILM_SIZES = {"width": 768, "height": 576}  # Mitsuba's defaults
 # class in Mitsuba -> shape type of the caster
 HELD = {
@@ -28,6 +29,7 @@ HELD = {
 MESHES = {"ply", "obj", "serialized", "rectangle", "cube", "merge"}  # plugins
 VIEW, VIEW_FROM, VIEW_FOV, VIEW_SIZE = "no sensor", np.array([0.4417, 0.3571, 0.8231]), 41.3, (256, 256)
 ROBUST = "embree_use_robust_intersections"
+EXACT_TEXELS = {"format": "variant", "accel": False}  # not of 8 or 16 bits, nor filtered by the hardware of a GPU
 
 
 class Parsed(NamedTuple):
@@ -97,7 +99,7 @@ def _keep_geometry(parsed: Parsed, request: OpenRequest) -> None:
         kind.Scene: (kind.Shape, kind.Sensor, kind.Emitter),
         kind.Shape: (kind.Shape, kind.Sensor, kind.BSDF),
         kind.Sensor: (kind.Shape, kind.Sensor, kind.Film, kind.Sampler),
-        kind.BSDF: (kind.BSDF,),
+        kind.BSDF: (kind.BSDF, kind.Texture),
     }
     nodes = parsed.state.nodes
     for i in range(len(nodes)):
@@ -110,7 +112,9 @@ def _keep_geometry(parsed: Parsed, request: OpenRequest) -> None:
             if nodes[to].type not in kept.get(node.type, ()) or not _is_kept(parsed, to):
                 props.remove_property(name)
                 parsed.refers[i].remove(to)
-                parsed.dropped[f"{str(nodes[to].type).rpartition('.')[2].lower()} {nodes[to].props.plugin_name()}"] += 1
+                if node.type != kind.Scene or nodes[to].type not in (kind.BSDF, kind.Texture):  # definitions
+                    what = str(nodes[to].type).rpartition(".")[2].lower()
+                    parsed.dropped[f"{what} {nodes[to].props.plugin_name()}"] += 1
         if node.type == kind.Sensor and request.size and not parsed.children(i, kind.Film):
             film = mi.parser.SceneNode()
             film.type, film.props = kind.Film, _film(mi.Properties("hdrfilm"), request.size)
@@ -120,6 +124,10 @@ def _keep_geometry(parsed: Parsed, request: OpenRequest) -> None:
         if node.type == kind.Scene and request.robust:
             props.remove_property(ROBUST)
             props[ROBUST] = True
+        if node.type == kind.Texture and props.plugin_name() == "bitmap":
+            for name, value in EXACT_TEXELS.items():
+                props.remove_property(name)
+                props[name] = value
         if node.type in (kind.Shape, kind.Emitter, kind.Sensor):
             props.set_id(str(i))  # one each, by which loaded objects are found again
         node.props = props
@@ -133,8 +141,10 @@ def _keep_geometry(parsed: Parsed, request: OpenRequest) -> None:
 
 
 def _is_kept(parsed: Parsed, number: int) -> bool:
-    """Whether a node stays: lights only where the judge has them; ambient light is added apart."""
+    """Whether a node stays: lights and textures only where the judge has them; ambient light is added apart."""
     node = parsed.state.nodes[number]
+    if node.type == mi.ObjectType.Texture:
+        return texture(parsed, number) is not None
     if node.type != mi.ObjectType.Emitter:
         return True
     if found := light(node.props):
@@ -181,13 +191,33 @@ def material(parsed: Parsed, number: int) -> dict[str, Any] | None:
         inner = parsed.children(number, mi.ObjectType.BSDF)
         found = material(parsed, inner[0]) if len(inner) == 1 else None
         return found | {"two_sided": True} if found and "reflectance" in found else None
-    if plugin == "diffuse" and (reflectance := color(props, "reflectance", 0.5)):
-        return {"reflectance": reflectance}
+    if plugin == "diffuse":
+        pictures = parsed.children(number, mi.ObjectType.Texture)
+        reflectance = texture(parsed, pictures[0]) if pictures else color(props, "reflectance", 0.5)
+        return {"reflectance": reflectance} if reflectance else None
     if plugin == "conductor" and props.get("material", "") == "none":
         return {"type": "mirror"}
     if plugin == "dielectric":
         indices = {name: props[name] for name in ("int_ior", "ext_ior") if props.has_property(name)}
         return {"type": "glass", "ior": _number(mi.traverse(mi.load_dict({"type": plugin, **indices}))["eta"])}
+    return None
+
+
+def texture(parsed: Parsed, number: int) -> dict[str, Any] | None:
+    """A texture as the caster has it, a bitmap without its texels; None, with a reason in `unlit`, for any other."""
+    props = parsed.state.nodes[number].props
+    plugin, to_uv = props.plugin_name(), {}
+    if props.has_property("to_uv"):
+        to_uv["to_uv"] = [{"matrix": _matrix(props["to_uv"])}]
+    if plugin == "checkerboard":
+        colors = {name: color(props, name, default) for name, default in CHECKERBOARD.items()}
+        if all(colors.values()):
+            return {"type": plugin, **colors, **to_uv}
+    if plugin == "bitmap" and os.path.isfile(_path(props)):
+        filtering, wrap = props.get("filter_type", "bilinear"), props.get("wrap_mode", "repeat")
+        return {"type": plugin, "filter": filtering, "wrap": wrap, **to_uv}
+    missing = f"{props['filename']} is missing, of " if props.has_property("filename") else ""
+    parsed.unlit.append(f"{missing}texture {plugin} at {parsed.place(number)}")
     return None
 
 
@@ -232,7 +262,7 @@ def open_file(request: OpenRequest, sensor_rays: Any) -> OpenResponse:
     sensor = sensors[request.sensor] if sensors else _view_of_all(scene, request.size)
     loaded = {shape.id(): shape for shape in scene.shapes()} | _loaded_groups(parsed, request, variant)
     shapes: list[dict[str, Any]] = []
-    numbers, faces = [np.zeros(0, np.float32)], [NO_FACES]
+    numbers, faces, texels = [np.zeros(0, np.float32)], [NO_FACES], [np.zeros((0, 3), np.float32)]
     number_of: dict[int, int] = {}
     for i, props in parsed.nodes(kind.Shape):
         if str(i) in loaded and not _is(props, "instance"):
@@ -240,14 +270,18 @@ def open_file(request: OpenRequest, sensor_rays: Any) -> OpenResponse:
             record, rows, triangles = _shape(loaded[str(i)])
             sizes = {"numbers": rows.size, "columns": rows.shape[1], "faces": len(triangles)}
             about = {"plugin": props.plugin_name(), "place": parsed.place(i)}
+            for bsdf in parsed.children(i, kind.BSDF):
+                _add_texels(parsed, bsdf, loaded[str(i)], texels)
             shapes.append(record | sizes | about | _material_of(parsed, i))
             numbers.append(rows.ravel())
             faces.append(triangles)
+    paths = [path for _, _, path in _files(parsed, kind.Shape, kind.Texture)]
     film = sensor.film()
     (x, y), (width, height) = film.crop_offset(), film.crop_size()
     return OpenResponse(
         numbers=np.concatenate(numbers),
         faces=np.concatenate(faces),
+        texels=np.concatenate(texels),
         rays=sensor_rays(sensor, variant),
         shapes=shapes,
         placed=list(_placements(parsed, loaded, number_of)),
@@ -257,7 +291,7 @@ def open_file(request: OpenRequest, sensor_rays: Any) -> OpenResponse:
         lights=[found for _, props in parsed.nodes(kind.Emitter) if (found := light(props))],
         unlit=parsed.unlit,
         dropped=dict(parsed.dropped),
-        files=[*map(str, parsed.state.files), *(file for _, _, file in _files(parsed))],
+        files=[*map(str, parsed.state.files), *(path for path in paths if os.path.isfile(path))],
         variant=variant,
         robust=bool(parsed.state.nodes[0].props.get(ROBUST, False)),
     )
@@ -273,6 +307,21 @@ def _view_of_all(scene: Any, size: Sequence[int] | None) -> Any:
     return mi.load_dict({"type": "perspective", "fov": VIEW_FOV, "to_world": to_world, "film": film, **planes})
 
 
+def _add_texels(parsed: Parsed, bsdf: int, shape: Any, texels: list[np.ndarray]) -> None:
+    """Add the texels of a material's bitmap (n, 3) and their place among all; without colours it has no material."""
+    picture = (parsed.materials[bsdf] or {}).get("reflectance")
+    if not isinstance(picture, dict) or picture["type"] != "bitmap" or "texels" in picture:
+        return
+    (data,) = (value for name, value in mi.traverse(shape.bsdf()) if name.endswith("reflectance.data"))
+    found = np.array(data, np.float32)
+    if found.size and found.min() >= 0.0 and found.max() <= 1.0:
+        picture["texels"] = [sum(map(len, texels)), *found.shape[:2]]
+        texels.append(np.broadcast_to(found, (*found.shape[:2], 3)).reshape(-1, 3))
+    else:
+        parsed.materials[bsdf] = None
+        parsed.unlit.append(f"bitmap at {parsed.place(bsdf)}: a texel is not from 0 to 1")
+
+
 def _material_of(parsed: Parsed, number: int) -> dict[str, Any]:
     """The material of a shape, None where it is not the caster's, and its name, "" for the default."""
     for bsdf in parsed.children(number, mi.ObjectType.BSDF):
@@ -284,16 +333,21 @@ def _is(props: Any, plugin: str) -> bool:
     return bool(props.plugin_name() == plugin)
 
 
-def _files(parsed: Parsed) -> Iterator[tuple[int, str, str]]:
-    """(node, name in the file, path) of the file of each shape that has one."""
-    for i, props in parsed.nodes(mi.ObjectType.Shape):
+def _path(props: Any) -> str:
+    """Where the file of a node is, or its name if it is nowhere."""
+    return str(mi.file_resolver().resolve(props.get("filename", "")))
+
+
+def _files(parsed: Parsed, *kinds: Any) -> Iterator[tuple[int, str, str]]:
+    """(node, name in the file, path) of the file of each shape and picture that has one."""
+    for i, props in parsed.nodes(*kinds):
         if props.has_property("filename"):
-            yield i, props["filename"], str(mi.file_resolver().resolve(props["filename"]))
+            yield i, props["filename"], _path(props)
 
 
 def _missing_files(parsed: Parsed) -> Iterator[str]:
     folders = [str(folder) for folder in mi.file_resolver()][:-1]
-    for i, name, file in _files(parsed):
+    for i, name, file in _files(parsed, mi.ObjectType.Shape):
         if not os.path.isfile(file):
             tried = ", ".join(dict.fromkeys(os.path.join(folder, name) for folder in folders))
             yield f"{parsed.place(i)}: cannot read {name} (tried {tried})"

@@ -65,11 +65,13 @@ class OpenResponse(Message):
     LAYOUT: ClassVar[Layout] = {
         "numbers": (("numbers",), np.float32),  # rows of all shapes (reference/file_calls.py:_shape)
         "faces": (("faces", 3), np.int32),
+        "texels": (("texels", 3), np.float32),  # of all bitmaps, row by row
         "rays": (("pixels", 7), np.float32),  # o, d, t_max through the pixel centres of the crop, row by row
     }
 
     numbers: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
     faces: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int32))
+    texels: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.float32))
     rays: np.ndarray = field(default_factory=lambda: np.zeros((0, 7), np.float32))
     shapes: Sequence[dict[str, Any]] = ()  # reference/file_calls.py:_shape
     placed: Sequence[Any] = ()  # Placements of reference/file_calls.py

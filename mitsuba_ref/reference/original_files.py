@@ -141,8 +141,9 @@ def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -
     o, d = found.rays[0, :3].tolist(), found.rays[0, 3:6].tolist()
     view = {"type": "pinhole", "eye": o, "direction": d, "up": _across(d)}  # for whatever needs some camera
     parts: dict[str, Any] = {"film": film, "camera": camera or view, "lights": tuple(found.lights)}
-    named = [record for record in found.shapes if record["material"] is not None]
-    parts |= {"materials": {record["material_name"]: record["material"] for record in named}, "shapes": shapes}
+    materials = {each["material_name"]: each["material"] for each in found.shapes if each["material"] is not None}
+    parts |= {"materials": {name: _with_texels(material, found) for name, material in materials.items()}}
+    parts["shapes"] = shapes
     scene = MitsubaScene(**parts)
     start = np.zeros(len(found.rays))
     if camera and camera["type"] == "pinhole":
@@ -170,6 +171,17 @@ def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -
         ),
     )
     return scene
+
+
+def _with_texels(material: Mapping[str, Any], found: OpenResponse) -> Mapping[str, Any]:
+    """A material with the texels of its bitmap, if it has one."""
+    picture = material.get("reflectance")
+    if not isinstance(picture, Mapping) or "texels" not in picture:
+        return material
+    first, height, width = picture["texels"]
+    data = found.texels[first : first + height * width].reshape(height, width, 3)
+    rest = {name: value for name, value in picture.items() if name != "texels"}
+    return {**material, "reflectance": rest | {"data": data}}
 
 
 def _hits_others(request: OpenRequest, found: OpenResponse, keys: Sequence[str]) -> np.ndarray:

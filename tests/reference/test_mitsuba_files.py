@@ -53,6 +53,35 @@ def test_light_is_compared_where_the_caster_has_the_same(folder):
     assert not scene.unjudged and not scene.coverage.lines()
 
 
+PICTURE = """<texture type="bitmap" name="reflectance"><string name="filename" value="swatch.png"/>
+<string name="wrap_mode" value="mirror"/><transform name="to_uv"><scale x="2.6" y="1.7"/></transform></texture>"""
+BOARD = '<texture type="checkerboard" name="reflectance"><rgb name="color0" value="0.1 0.9 0.2"/></texture>'
+WITHIN = '<bsdf type="twosided" id="{}"><bsdf type="diffuse">{}</bsdf></bsdf>'
+LAMP = '<emitter type="point"><point name="position" value="0 0 -9"/><rgb name="intensity" value="50 40 30"/></emitter>'
+
+
+def test_textures_are_compared_where_their_files_are(folder, capsys, monkeypatch):
+    """The texels that Mitsuba holds; `import` writes them as a picture."""
+    monkeypatch.chdir(folder)
+    shutil.copy(ROOT / "scenes/pictures/swatch.png", folder)
+    shapes = BALL.replace("/>", f">{WITHIN.format('green', BOARD)}</shape>")
+    wall = f'<transform name="to_world"><scale value="9"/></transform>{WITHIN.format("wall", PICTURE)}'
+    path = written(folder, f'{SENSOR}{LAMP}{shapes}<shape type="rectangle">{wall}</shape>')
+    scene = mitsuba_ref.validate(path, size=(36, 24)).scenes[0]
+    assert scene.ok and "diffuse" in scene.ratios and not scene.coverage.lines()
+    assert len(np.unique(scene.images["reference"]["diffuse"].reshape(-1, 3), axis=0)) > 500
+    assert main(["import", path, "-o", "out.toml", "--size", "36", "24"]) == 0
+    again = mitsuba_ref.validate("out.toml").scenes[0]
+    assert again.ok and again.counts == scene.counts and Path("out").joinpath("0001-wall.png").exists()
+    ours, theirs = (each.images["ours"]["diffuse"] for each in (again, scene))
+    assert np.abs(ours - theirs).max() < 1e-5 * theirs.max()
+    Path("swatch.png").unlink()
+    capsys.readouterr()
+    assert main(["validate", path, "--size", "9", "6"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert re.search(r"diffuse is not compared: swatch.png is missing, of texture bitmap at \S+:1:\d+", said)
+
+
 def test_curves_ellipsoids_flipped_quadrics_and_specular_materials_are_judged(folder):
     """Mitsuba itself finds wrong hits, or none at all, on curves and ellipsoids in an instance."""
     scene = mitsuba_ref.validate(folder / "quadrics.xml").scenes[0]
