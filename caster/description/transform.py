@@ -20,6 +20,7 @@ __all__ = [
     "inverse",
     "is_mirrored",
     "product",
+    "rotations",
     "row_lengths",
     "sine_and_cosine",
     "transform_points",
@@ -70,6 +71,19 @@ def rotate(axis: Sequence[float], degrees: float) -> Matrix:
     matrix[1, :3] = x * y * rest + z * s, y * y * rest + c, y * z * rest - x * s
     matrix[2, :3] = x * z * rest - y * s, y * z * rest + x * s, z * z * rest + c
     return matrix
+
+
+def rotations(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 3, 3) rotation matrices of quaternions (n, 4) x, y, z, w of any length but 0. Source: Shoemake 1985."""
+    x, y, z, w = np.transpose(quaternions / np.abs(quaternions).max(axis=1)[:, None])
+    norm = x * x + y * y + z * z + w * w
+    rows = [
+        [y * y + z * z, w * z - x * y, -w * y - x * z],
+        [-w * z - x * y, x * x + z * z, w * x - y * z],
+        [w * y - x * z, -w * x - y * z, x * x + y * y],
+    ]
+    found: NDArray[np.float64] = np.eye(3) - np.moveaxis(2.0 / norm * np.array(rows), 2, 0)
+    return found
 
 
 def look_at(origin: Sequence[float], target: Sequence[float], up: Sequence[float]) -> Matrix:

@@ -11,7 +11,8 @@ import pytest
 from ply_files import ENCODINGS, INDICES, XYZ, ply, ply_mesh
 
 from caster.description.errors import FileMissing, SceneError
-from caster.geometry.mesh_files import GLB_HEADER, load_mesh, parse_off
+from caster.geometry.mesh_files import GLB_HEADER, load_mesh
+from caster.geometry.mesh_files.ply import parse_off
 from caster.geometry.triangle_mesh import vertex_normals
 from caster.shapes.mesh import Mesh
 
@@ -338,12 +339,12 @@ def test_polygons_of_an_off_file_are_fans_in_the_order_of_the_file(data):
     ("old", "new", "says"),
     [
         (b"OFF", b"BYU", "x.off: expected an OFF file in text"),
-        (b"5 2 0", b"5", "x.off:2: expected 2 numbers, got a line of 1: '5'"),
-        (b"5 2 0", b"5 3 0", "x.off: expected lines of 5 vertices and 3 faces, got 7"),
+        (b"5 2 0", b"5", "x.off:2: expected numbers of vertices and faces, got '5'"),
+        (b"5 2 0", b"5 3 0", "x.off: truncated: expected 3 rows of element 'face', got 2 whole ones"),
         (b"1 1 0", b"1 one 0", "x.off:5: expected numbers, got '1 one 0'"),
-        (b"4 0 1 2 3", b"4 0 1 2", "x.off:9: expected 5 numbers, got a line of 4: '4 0 1 2'"),
-        (b"3 0 3 4", b"2 0 3", "x.off:8: expected at least 3 of the vertices 0 to 4, got [0, 3]"),
-        (b"3 0 3 4", b"3 0 3 5", "x.off:8: expected at least 3 of the vertices 0 to 4, got [0, 3, 5]"),
+        (b"4 0 1 2 3", b"4 0 1 2", "x.off:9: truncated: expected 2 rows of element 'face', got 1"),
+        (b"3 0 3 4", b"2 0 3", "x.off:8: face 0 needs at least 3 vertices, got 2"),
+        (b"3 0 3 4", b"3 0 3 5", "x.off:8: face 0 must join vertices 0 to 4 (the file has 5), got 5"),
     ],
 )
 def test_a_broken_off_file_is_refused_with_its_line(old, new, says):

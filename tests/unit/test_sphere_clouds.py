@@ -132,7 +132,7 @@ def test_a_bad_vertex_is_named_with_its_number(tmp_path, kind, radius):
     )
     centers[7, 1] = np.inf
     where = write_ply(tmp_path / "b.ply", centers, None, kind)
-    with pytest.raises(SceneError, match=r"vertex 7 must be finite numbers, got \(.*inf.*\(1 of 9 are wrong\)"):
+    with pytest.raises(SceneError, match=r"x, y, z of vertex 7 must be finite numbers, got \(.*inf.*\(1 of 9 are wrong\)"):
         caster.SphereCloud(file=where).spheres()
 
 
