@@ -4,10 +4,9 @@ import contextlib
 import math
 import numbers
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import chain
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, TypeAlias
 
 import numpy as np
@@ -17,13 +16,15 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    FailFast,
     Field,
     GetCoreSchemaHandler,
     ValidationError,
+    ValidatorFunctionWrapHandler,
     field_validator,
     model_validator,
 )
-from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+from pydantic_core import CoreSchema, core_schema
 
 from caster.description import transform
 from caster.description.errors import (
@@ -70,12 +71,6 @@ def _as_float(value: Any) -> float:
     raise expectation_error("a finite number", value, hint=hint)
 
 
-def _as_whole(value: Any) -> int:
-    if type(value) is not int:
-        raise expectation_error("a whole number", value)
-    return value
-
-
 def _is_quoted_number(value: Any) -> bool:
     try:
         return isinstance(value, str) and math.isfinite(float(value))
@@ -94,83 +89,42 @@ class FixedArray(np.ndarray):
 
 
 @dataclass(frozen=True)
-class NumberList:
-    """A list of many numbers, or of rows of numbers, kept as a FixedArray.
+class ArrayOf:
+    """A list of many items, numbers or rows of them, kept as a FixedArray of a dtype. Arrays are copied."""
 
-    what: the contents, in messages; least: numbers must be larger; width: numbers in a row, 0 for plain numbers;
-    whole: numbers below 2^31 without a point.
-    """
+    item: Any
+    dtype: type[np.generic] = np.float64
 
-    what: str
-    least: float = -math.inf
-    width: int = 0
-    whole: bool = False
+    def _read(self, value: Any, validate: ValidatorFunctionWrapHandler) -> FixedArray:
+        if isinstance(value, np.ndarray):
+            with contextlib.suppress(ValidationError):  # the limits of all items, if those of their extremes
+                if value.dtype.kind in "iuf" and value.size:
+                    validate([value.min(axis=0).tolist(), value.max(axis=0).tolist()])
+                    return self._kept(value)
+            value = value.tolist()
+        return self._kept(validate(value))
 
-    def read(self, value: Any) -> FixedArray:
-        """Parse a list or an array; the error gives the index of the first bad item."""
-        if not isinstance(value, (list, tuple, np.ndarray)) or not getattr(value, "ndim", 1) or not len(value):
-            raise expectation_error(f"a list of {self.what}", value)
-        array = self._array(value)
-        if array is None:
-            array = np.array([self._item(value, i) for i in range(len(value))])
+    def _kept(self, items: Any) -> FixedArray:
+        array = np.array(items, self.dtype) + 0  # as _as_float
         array.flags.writeable = False
         return array.view(FixedArray)
 
-    def _array(self, value: Any) -> Any:
-        """An array of good numbers, or None."""
-        if isinstance(value, np.ndarray):
-            shape = (self.width,) if self.width else ()
-            plain = value.dtype.kind in ("iu" if self.whole else "iuf") and value.shape[1:] == shape
-        else:
-            plain = self._are_plain(value)
-        with contextlib.suppress(OverflowError):  # a whole number beyond float64
-            if plain:
-                array = np.array(value, np.int64 if self.whole else np.float64) + 0  # as _as_float
-                if (array > self.least).all() and (array < self._end).all():
-                    return array
-        return None
-
-    def _are_plain(self, items: Sequence[Any]) -> bool:
-        """Whether these are rows of the right length of Python's own numbers, no strings, no booleans."""
-        numbers = {int} if self.whole else {int, float}
-        if not self.width:
-            return set(map(type, items)) <= numbers
-        if not set(map(type, items)) <= {list, tuple} or set(map(len, items)) != {self.width}:
-            return False
-        return set(map(type, chain.from_iterable(items))) <= numbers
-
-    @property
-    def _end(self) -> float:
-        return 2.0**31 if self.whole else math.inf
-
-    def _item(self, items: Any, i: int) -> Any:
-        value = _plain(items[i])
-        row = value if self.width else (value,)
-        with contextlib.suppress(PydanticCustomError):  # the message below describes the whole list
-            if isinstance(row, (list, tuple)) and len(row) == (self.width or 1):
-                found = tuple(map(_as_whole if self.whole else _as_float, row))
-                if all(self.least < x < self._end for x in found):
-                    return found if self.width else found[0]
-        raise field_error(f"must be a list of {self.what}, got {format_value(value)} as number {i}")
-
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        items = handler.generate_schema(Annotated[list[self.item], FailFast(), Field(min_length=1)])  # type: ignore[name-defined]
         as_list = core_schema.plain_serializer_function_ser_schema(np.ndarray.tolist)
-        return core_schema.no_info_plain_validator_function(self.read, serialization=as_list)
+        return core_schema.no_info_wrap_validator_function(self._read, items, serialization=as_list)
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:
-        number = {} if math.isinf(self.least) else {"exclusiveMinimum": self.least}
-        item: dict[str, Any] = {"anyOf": [{"type": "number"} | number, {"type": "string", "pattern": HEX_FLOAT}]}
-        item = {"type": "integer"} | number if self.whole else item
-        if self.width:
-            item = {"type": "array", "items": item, "minItems": self.width, "maxItems": self.width}
-        return {"type": "array", "items": item, "minItems": 1}
+
+def plain(value: Any) -> Any:
+    """An array as lists of numbers; anything else unchanged."""
+    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 def row(count: int, what: str) -> Callable[[Any], Any]:
     """A validator for a list of `count` items, which are validated afterwards."""
 
     def check(value: Any) -> Any:
-        items = value.tolist() if isinstance(value, np.ndarray) else value
+        items = plain(value)
         if not isinstance(items, (list, tuple)):
             raise expectation_error(what, value)
         if len(items) != count:
@@ -196,19 +150,6 @@ FieldOfView = Annotated[float, Quantity(gt=0.0, lt=180.0)]  # degrees, 0 to 180,
 WideFieldOfView = Annotated[float, Quantity(gt=0.0, le=360.0)]  # degrees, 0 (excluded) to 360
 Flag = Annotated[bool, Field(strict=True)]  # true or false
 
-Points = Annotated[NDArray[np.float64], NumberList("points [x, y, z] of finite numbers", width=3)]  # (n, 3) float64
-UVs = Annotated[NDArray[np.float64], NumberList("pairs [u, v] of finite numbers", width=2)]  # (n, 2) float64
-Faces = Annotated[
-    NDArray[np.int64], NumberList("faces [i, j, k] of whole numbers", -1, width=3, whole=True)
-]  # (m, 3) int64
-Counts = Annotated[NDArray[np.int64], NumberList("whole numbers > 0", 0, whole=True)]  # (m,) int64 > 0
-Lengths = Annotated[NDArray[np.float64], NumberList("lengths > 0", least=0.0)]  # (n,) float64 > 0
-LengthTriples = Annotated[
-    NDArray[np.float64], NumberList("triples [x, y, z] of lengths > 0", least=0.0, width=3)
-]  # (n, 3) float64 > 0
-Quaternions = Annotated[
-    NDArray[np.float64], NumberList("quaternions [x, y, z, w] of finite numbers", width=4)
-]  # (n, 4) float64, x, y, z, w
 Vec2: TypeAlias = Any  # for type checkers: tuples, lists and arrays alike
 Vec3: TypeAlias = Any
 RGB: TypeAlias = Any
@@ -221,13 +162,22 @@ if not TYPE_CHECKING:
     Reflectance = Annotated[tuple[Fraction01, Fraction01, Fraction01], BeforeValidator(_rgb)]  # 3 numbers from 0 to 1
 UnitVec3 = Annotated[Vec3, AfterValidator(_unit)]  # 3 numbers, made unit length
 
+Row = Annotated[tuple[Number, Number, Number, Number], BeforeValidator(row(4, "4 numbers"))]  # 4 numbers
+Count = Annotated[int, Field(strict=True, gt=0, lt=2**31)]  # a whole number > 0
+Index = Annotated[int, Field(strict=True, ge=0, lt=2**31)]  # a whole number >= 0
+Face = Annotated[tuple[Index, Index, Index], BeforeValidator(row(3, "3 vertex numbers [i, j, k]"))]
+Scales = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(row(3, "3 lengths [x, y, z]"))]
+
+Points = Annotated[NDArray[np.float64], ArrayOf(Vec3)]  # (n, 3) float64
+UVs = Annotated[NDArray[np.float64], ArrayOf(Vec2)]  # (n, 2) float64
+Faces = Annotated[NDArray[np.int64], ArrayOf(Face, np.int64)]  # (m, 3) int64
+Counts = Annotated[NDArray[np.int64], ArrayOf(Count, np.int64)]  # (m,) int64 > 0
+Lengths = Annotated[NDArray[np.float64], ArrayOf(Positive)]  # (n,) float64 > 0
+LengthTriples = Annotated[NDArray[np.float64], ArrayOf(Scales)]  # (n, 3) float64 > 0
+Quaternions = Annotated[NDArray[np.float64], ArrayOf(Row)]  # (n, 4) float64, x, y, z, w
+
 
 # ---- descriptions ----
-
-
-def _plain(value: Any) -> Any:
-    """NumPy arrays and scalars as lists and Python scalars."""
-    return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
 
 
 MAX_ITEMS_SHOWN = 8  # of a list in a repr
@@ -243,15 +193,14 @@ class Description(BaseModel):
 
     # Number of path steps that name an element in messages: two for shapes[3], one for camera.
     ELEMENTS: ClassVar[Mapping[str, int]] = {}
-    ARRAYS: ClassVar[tuple[str, ...]] = ()  # fields of many numbers
     COPY: ClassVar[str] = "model_copy(update={{'{}': ...}})"  # how to change a field
 
     def __init__(self, **data: Any) -> None:
-        data = {key: value if key in self.ARRAYS else _plain(value) for key, value in data.items()}
+        data = {key: value.item() if isinstance(value, np.generic) else value for key, value in data.items()}
         try:
             super().__init__(**data)
         except ValidationError as error:
-            problems = diagnostics_of(error, data, type(self))
+            problems = diagnostics_of(error, {key: plain(value) for key, value in data.items()}, type(self))
             raise SceneError("\n".join(problem.text for problem in problems)) from None
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -340,7 +289,6 @@ def _three(value: Any) -> Any:
     return value if isinstance(value, (list, tuple, np.ndarray)) else (value, value, value)
 
 
-Row = Annotated[tuple[Number, Number, Number, Number], BeforeValidator(row(4, "4 numbers"))]  # 4 numbers
 Rows = Annotated[tuple[Row, Row, Row, Row], BeforeValidator(row(4, "4 rows of 4 numbers"))]  # 4 rows of 4 numbers
 Factors = Annotated[Vec3, BeforeValidator(_three), _OrNumber()]  # 3 numbers, or one for all three
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Discriminator, Tag, field_validator, model_validator
+from pydantic import BeforeValidator, Discriminator, Tag, field_validator, model_validator
 
 from caster.description.errors import SceneError, child_of
-from caster.description.fields import Description, Flag, Reflectance, Transform, matrix_of
+from caster.description.fields import Description, Flag, Reflectance, Transform, matrix_of, plain
 from caster.description.input_files import read_input
 from caster.description.transform import power
 from caster.geometry.mesh_files import load_once
@@ -61,7 +61,7 @@ class Bitmap(Texture):
 
     type: Literal["bitmap"] = "bitmap"
     file: str | None = None
-    data: tuple[tuple[Reflectance, ...], ...] | None = None
+    data: Annotated[tuple[tuple[Reflectance, ...], ...] | None, BeforeValidator(plain)] = None
     filter: Literal["bilinear", "nearest"] = "bilinear"
     wrap: Literal["repeat", "mirror", "clamp"] = "repeat"
     raw: Flag = False

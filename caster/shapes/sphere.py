@@ -144,7 +144,6 @@ class SphereCloud(Shape):
 
     type: Literal["spheres"] = "spheres"
     MINIMAL: ClassVar[Mapping[str, Any]] = {"centers": ((0.0, 0.0, 0.0),)}
-    ARRAYS: ClassVar[tuple[str, ...]] = ("centers", "radii")
     centers: Points | None = None  # scene units
     radii: Lengths | None = None  # scene units
     radius: Positive | None = None  # scene units
@@ -213,7 +212,6 @@ class EllipsoidCloud(Shape):
         "scales": ((1.0, 1.0, 1.0),),
         "quaternions": ((0.0, 0.0, 0.0, 1.0),),
     }
-    ARRAYS: ClassVar[tuple[str, ...]] = ("centers", "scales", "quaternions")
     centers: Points | None = None
     scales: LengthTriples | None = None
     quaternions: Quaternions | None = None
