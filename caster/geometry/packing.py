@@ -1,17 +1,17 @@
 """Packing: a scene as one NamedTuple of arrays per primitive kind, its numbering, and counts of rejected faces."""
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from caster.description.errors import SceneError, value_diagnostic
 from caster.description.transform import cross, subtract
 from caster.geometry.edge_distances import exact
-from caster.geometry.world_space import Rounding, ShapeCollection, as_float32, as_given, is_usable, world_vertices
+from caster.geometry.world_space import Rounding, ShapeCollection, as_float32, as_given
 from caster.kernels.bvh.build import bound_hulls_in_space, hulls_of
 from caster.kernels.protocol import hull_size
 from caster.kernels.triangles import Triangles as Triangles
@@ -202,37 +202,17 @@ CROSS_RELATIVE_ERROR, CROSS_UNDERFLOW = 5.0 * 2.0**-53, 2.0**-1000
 FACES_PER_CHUNK = 1 << 16  # faces; temporaries take some 300 bytes each, and there may be millions
 
 
-class RejectedFaces(NamedTuple):
-    """Rejected faces of one shape; each face counts once, in the first category that applies."""
-
-    not_finite: int  # a vertex is not finite
-    too_large: int  # a coordinate is world_space.LARGEST_COORDINATE or more
-    without_area: int  # exactly: its vertices are collinear
-
-    def __str__(self) -> str:
-        words = ("with a corner that is not finite", "too far out", "without area")
-        return ", ".join(f"{count} {what}" for count, what in zip(self, words, strict=True) if count)
-
-
-def rejected_faces(scene: ShapeCollection) -> Mapping[str, RejectedFaces]:
-    """Counts by shape name, for shapes that have rejected faces."""
+def rejected_faces(scene: ShapeCollection) -> dict[str, int]:
+    """Counts of degenerate faces by shape name, where there are any; packing makes degenerate what else it rejects."""
     counts = {
-        name: _count_rejected(shape.mesh(), shape.matrix)
-        for name, shape in zip(scene.shape_names(), scene.shapes, strict=True)
-        if hasattr(shape, "mesh")
+        name: sum(
+            _count_degenerate(part.vertices[part.faces[start : start + FACES_PER_CHUNK]])
+            for start in range(0, len(part.faces), FACES_PER_CHUNK)
+        )
+        for name, part in zip(scene.shape_names(), packed(scene).parts, strict=True)
+        if isinstance(part, Triangles)
     }
-    return {name: count for name, count in counts.items() if any(count)}
-
-
-def _count_rejected(mesh: Any, matrix: np.ndarray) -> RejectedFaces:
-    vertices = world_vertices(mesh, matrix, as_given)
-    finite, usable = np.isfinite(vertices).all(axis=1), is_usable(vertices)
-    total = np.zeros(3, np.int64)
-    for start in range(0, len(mesh.faces), FACES_PER_CHUNK):
-        faces = mesh.faces[start : start + FACES_PER_CHUNK]
-        sound, good = finite[faces].all(axis=1), usable[faces].all(axis=1)
-        total += (~sound).sum(), (sound & ~good).sum(), _count_degenerate(vertices[faces[good]])
-    return RejectedFaces(*total.tolist())
+    return {name: count for name, count in counts.items() if count}
 
 
 def _count_degenerate(corners: np.ndarray) -> int:
@@ -252,4 +232,4 @@ def _is_degenerate(face: np.ndarray) -> bool:
 
 def in_words(scene: ShapeCollection) -> str:
     """The counts as text; "" if there are none."""
-    return "; ".join(f"{name}: {count}" for name, count in rejected_faces(scene).items())
+    return ", ".join(f"{count} of {name}" for name, count in rejected_faces(scene).items())
