@@ -19,9 +19,11 @@ from pydantic import (
     FailFast,
     Field,
     GetCoreSchemaHandler,
+    SerializerFunctionWrapHandler,
     ValidationError,
     ValidatorFunctionWrapHandler,
     field_validator,
+    model_serializer,
     model_validator,
 )
 from pydantic_core import CoreSchema, core_schema
@@ -221,6 +223,12 @@ class Description(BaseModel):
 
     # Nested descriptions are validated without __init__, so that Pydantic collects all errors.
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # on a function
+
+    @model_serializer(mode="wrap")
+    def _with_type(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """The fields; also without defaults, the `type` that selects the class."""
+        fields: dict[str, Any] = handler(self)
+        return {"type": kind, **fields} if (kind := getattr(self, "type", None)) else fields
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """A validated copy with other values. Cached properties are not copied."""
