@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from caster.description.errors import suggestion
 from caster.jit.decorators import implement, inlined
 from caster.kernels.protocol import Vec3
 from caster.kernels.surface.per_hit import NEEDED_FIELDS, Hit, length, per_hit
@@ -16,7 +16,7 @@ __all__ = ["AOVS", "BY_NAME", "Aov", "Aovs", "kernel_of", "needs_of", "register"
 
 
 class Aov(NamedTuple):
-    """The declaration of an AOV. Anything else with these attributes will do, such as a module."""
+    """The declaration of an AOV."""
 
     NAME: str
     CHANNELS: tuple[str, ...]  # in an EXR file; with one channel images are (h, w), with more (h, w, c)
@@ -53,9 +53,7 @@ class Aovs(dict[str, NDArray[Any]]):
         def __getattr__(self, name: str) -> NDArray[Any]:
             if name in self:
                 return self[name]
-            close = get_close_matches(name, BY_NAME, n=1)
-            hint = f", did you mean '{close[0]}'?" if close else ""
-            hint = f": render it, aovs=({name!r}, ...)" if name in BY_NAME else hint
+            hint = f": render it, aovs=({name!r}, ...)" if name in BY_NAME else suggestion(name, BY_NAME)
             raise AttributeError(f"no '{name}' among these AOVs ({', '.join(self)}){hint}")
 
     def __repr__(self) -> str:
@@ -75,11 +73,8 @@ BY_NAME: dict[str, Aov] = {}
 _KERNELS: dict[str, Any] = {}
 
 
-def register(aov: Any) -> None:
-    """Add an AOV. Raises ValueError for a declaration that is incomplete or clashes with another."""
-    missing = [name for name in Aov._fields if not hasattr(aov, name)]
-    if missing:
-        raise ValueError(f"aov {getattr(aov, 'NAME', aov)!r}: does not declare {', '.join(missing)}")
+def register(aov: Aov) -> None:
+    """Add an AOV. Raises ValueError for one that is invalid or clashes with another."""
     if aov.NAME in BY_NAME or {channel for other in AOVS for channel in other.CHANNELS} & set(aov.CHANNELS):
         raise ValueError(f"aov {aov.NAME!r}: this name or one of its channels {aov.CHANNELS} is taken")
     if unknown := set(aov.NEEDS) - set(NEEDED_FIELDS):
@@ -101,7 +96,7 @@ def needs_of(names: Iterable[str]) -> frozenset[str]:
     return frozenset(field for name in names for field in BY_NAME[name].NEEDS)
 
 
-def _kernel(aov: Any) -> Any:
+def _kernel(aov: Aov) -> Any:
     """Compiled kernels are keyed by the classes of their arguments, so each AOV gets a class."""
     name, number = f"PerHit_{aov.NAME}", int if aov.DTYPE is np.int32 else float
     tag: Any = type(name, (PerHit,), {"__module__": aov.evaluate.__module__})

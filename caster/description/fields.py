@@ -4,7 +4,7 @@ import contextlib
 import math
 import numbers
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, TypeAlias
@@ -45,32 +45,35 @@ __all__ = ["Camera", "Description", "Shape"]
 HEX_FLOAT = r"^[+-]?0[xX][0-9a-fA-F]+(\.[0-9a-fA-F]*)?([pP][+-]?[0-9]+)?$"
 
 
-class Quantity:
-    """A finite float in a range. Hex-float strings ("0x1.8p-3") are accepted; other strings and booleans are not."""
-
-    def __init__(self, **limits: Any) -> None:
-        """limits: of Pydantic's floats: gt, ge, lt, le."""
-        self.limits = limits
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
-        limits = core_schema.float_schema(allow_inf_nan=False, **self.limits)
-        return core_schema.no_info_before_validator_function(_as_float, limits)
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:
-        return {"anyOf": [handler(schema), {"type": "string", "pattern": HEX_FLOAT}]}
-
-
 def _as_float(value: Any) -> float:
-    """A number as a float. -0.0 becomes 0.0, so that equal scenes have equal text."""
+    """A number as a float, with the sign of a zero."""
     try:
         if isinstance(value, str) and re.match(HEX_FLOAT, value):
-            return float.fromhex(value) + 0.0
+            return float.fromhex(value)
         if not isinstance(value, bool) and isinstance(value, numbers.Real):
-            return float(value) + 0.0
+            return float(value)
     except OverflowError:
         pass
     hint = ": leave out the quotes" if _is_quoted_number(value) else ""
     raise expectation_error("a finite number", value, hint=hint)
+
+
+def _as_unsigned_zero(value: Any) -> float:
+    """A number as a float. -0.0 becomes 0.0, so that equal scenes have equal text."""
+    return _as_float(value) + 0.0
+
+
+class Quantity:
+    """A finite float in a range. Hex-float strings ("0x1.8p-3") are accepted; other strings and booleans are not."""
+
+    def __init__(self, parse: Callable[[Any], float] = _as_unsigned_zero, **limits: Any) -> None:
+        """limits: of Pydantic's floats: gt, ge, lt, le."""
+        self.parse, self.limits = parse, limits
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        number = core_schema.float_schema(allow_inf_nan=False, **self.limits)
+        written = core_schema.union_schema([number, core_schema.str_schema(pattern=HEX_FLOAT)])
+        return core_schema.no_info_before_validator_function(self.parse, number, json_schema_input_schema=written)
 
 
 def _is_quoted_number(value: Any) -> bool:
@@ -144,6 +147,7 @@ def _unit(v: tuple[float, float, float]) -> tuple[float, float, float]:
 
 
 Number = Annotated[float, Quantity()]  # a finite number
+SignedNumber = Annotated[float, Quantity(_as_float)]  # a finite number; zeros keep their signs
 Positive = Annotated[float, Quantity(gt=0.0)]  # a number > 0
 NonNegative = Annotated[float, Quantity(ge=0.0)]  # a number >= 0
 RefractiveIndex = Annotated[float, Quantity(ge=1.0, le=4.0)]  # a number from 1 to 4, which is germanium's
@@ -154,12 +158,15 @@ Flag = Annotated[bool, Field(strict=True)]  # true or false
 
 Vec2: TypeAlias = Any  # for type checkers: tuples, lists and arrays alike
 Vec3: TypeAlias = Any
+SignedVec3: TypeAlias = Any
 RGB: TypeAlias = Any
 Reflectance: TypeAlias = Any
 if not TYPE_CHECKING:
     _rgb = row(3, "3 numbers [r, g, b]")
     Vec2 = Annotated[tuple[Number, Number], BeforeValidator(row(2, "2 numbers [x, y]"))]  # 2 numbers
-    Vec3 = Annotated[tuple[Number, Number, Number], BeforeValidator(row(3, "3 numbers [x, y, z]"))]  # 3 numbers
+    _xyz = BeforeValidator(row(3, "3 numbers [x, y, z]"))
+    Vec3 = Annotated[tuple[Number, Number, Number], _xyz]  # 3 numbers
+    SignedVec3 = Annotated[tuple[SignedNumber, SignedNumber, SignedNumber], _xyz]  # 3 numbers, zeros with their signs
     RGB = Annotated[tuple[NonNegative, NonNegative, NonNegative], BeforeValidator(_rgb)]  # 3 numbers >= 0
     Reflectance = Annotated[tuple[Fraction01, Fraction01, Fraction01], BeforeValidator(_rgb)]  # 3 numbers from 0 to 1
 UnitVec3 = Annotated[Vec3, AfterValidator(_unit)]  # 3 numbers, made unit length
@@ -182,9 +189,6 @@ Quaternions = Annotated[NDArray[np.float64], ArrayOf(Row)]  # (n, 4) float64, x,
 # ---- descriptions ----
 
 
-MAX_ITEMS_SHOWN = 8  # of a list in a repr
-
-
 class Description(BaseModel):
     """Base class of all elements of a scene: immutable; unknown keys are errors.
 
@@ -195,7 +199,6 @@ class Description(BaseModel):
 
     # Number of path steps that name an element in messages: two for shapes[3], one for camera.
     ELEMENTS: ClassVar[Mapping[str, int]] = {}
-    COPY: ClassVar[str] = "model_copy(update={{'{}': ...}})"  # how to change a field
 
     def __init__(self, **data: Any) -> None:
         data = {key: value.item() if isinstance(value, np.generic) else value for key, value in data.items()}
@@ -207,19 +210,13 @@ class Description(BaseModel):
 
     def __setattr__(self, name: str, value: Any) -> None:
         if not name.startswith("_"):
-            way_out = f"use a copy with another value: {self.COPY.format(name)}"
+            way_out = f"use a copy with another value: model_copy(update={{'{name}': ...}})"
             raise AttributeError(f"{type(self).__name__}.{name}: descriptions are immutable; {way_out}")
         super().__setattr__(name, value)
 
     def __eq__(self, other: object) -> bool:
         """Equality of all fields; cached data does not count."""
         return type(self) is type(other) and all(getattr(self, n) == getattr(other, n) for n in type(self).model_fields)
-
-    def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
-        """The fields; long lists, such as a mesh's, by their length."""
-        for name, value in super().__repr_args__():
-            long = isinstance(value, (tuple, dict, np.ndarray)) and len(value) > MAX_ITEMS_SHOWN
-            yield name, f"<{len(value)} items>" if long else value
 
     # Nested descriptions are validated without __init__, so that Pydantic collects all errors.
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # on a function
@@ -278,27 +275,16 @@ def checked_frame(view: Any, start: str, target: str) -> tuple[transform.Vector,
         raise expectation_error(across, up, "up") from None
 
 
-class _OrNumber:
-    """JSON Schema: a number is accepted in place of a vector."""
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:
-        return {"anyOf": [{"type": "number"}, {"type": "string", "pattern": HEX_FLOAT}, handler(schema)]}
-
-
-class _OrOneStep:
-    """JSON Schema: a single step is accepted in place of a list."""
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:
-        steps = handler(schema)
-        return {"anyOf": [steps["items"], steps]}
-
-
 def _three(value: Any) -> Any:
     return value if isinstance(value, (list, tuple, np.ndarray)) else (value, value, value)
 
 
 Rows = Annotated[tuple[Row, Row, Row, Row], BeforeValidator(row(4, "4 rows of 4 numbers"))]  # 4 rows of 4 numbers
-Factors = Annotated[Vec3, BeforeValidator(_three), _OrNumber()]  # 3 numbers, or one for all three
+Factors: TypeAlias = Any
+if not TYPE_CHECKING:
+    Factors = Annotated[
+        Vec3, BeforeValidator(_three, json_schema_input_type=Number | Vec3)
+    ]  # 3 numbers, or one for all three
 
 
 class Step(Description):
@@ -365,8 +351,9 @@ def _invertible(steps: tuple[Step, ...]) -> tuple[Step, ...]:
 
 Transform: TypeAlias = Any  # for type checkers: a step, a list of steps, or their descriptions
 if not TYPE_CHECKING:
+    _steps = BeforeValidator(_as_list, json_schema_input_type=Step | tuple[Step, ...])
     Transform = Annotated[
-        tuple[Step, ...], BeforeValidator(_as_list), AfterValidator(_invertible), _OrOneStep()
+        tuple[Step, ...], _steps, AfterValidator(_invertible)
     ]  # a step or a list of steps: translate, rotate, scale, look_at, matrix
 
 

@@ -268,8 +268,6 @@ class Scene(Description):
         **dict.fromkeys((*PLURAL, *SINGULAR), 2),
     }
 
-    COPY: ClassVar[str] = "with_camera(...), with_film(...) or model_copy(update={{'{}': ...}})"
-
     film: Film = Film()
     camera: AnyCamera
     lights: tuple[AnyLight, ...] = Field(default=(), alias="light")

@@ -127,11 +127,7 @@ def test_another_camera_shares_the_packed_shapes():
 @pytest.mark.parametrize(
     ("thing", "name", "says"),
     [
-        (
-            scene_of(),
-            "camera",
-            r"Scene.camera: .* immutable; use a copy .*: with_camera\(...\), with_film\(...\) or model_copy",
-        ),
+        (scene_of(), "camera", r"Scene.camera: .* immutable; use a copy .*: model_copy"),
         (
             CAMERA,
             "fov",

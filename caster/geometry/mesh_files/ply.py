@@ -28,9 +28,21 @@ TYPES = dict(
         """,
     )
 )
-BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+BYTE_ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 NUMBER_OF_TEXT = "<d"
-FORMATS = "ascii, binary_little_endian or binary_big_endian, and 1.0"
+HEADER_LINE = re.compile(
+    rf"""
+    (?:comment|obj_info)\b.*|
+    format\ (?P<encoding>{"|".join(BYTE_ORDERS)})\ 1\.0|
+    element\ (?P<element>\S+)\ (?P<rows>\d{{1,18}})|
+    property\ (?:list\ (?P<length>{"|".join(name for name, code in TYPES.items() if code not in "fd")})\ )?
+        (?P<type>{"|".join(TYPES)})\ (?P<property>\S+)|
+    (?P<end>end_header)|
+    """,
+    re.VERBOSE | re.ASCII,
+)
+HEADER_LINES = "format ascii, binary_little_endian or binary_big_endian 1.0; element NAME ROWS; property TYPE NAME; "
+HEADER_LINES += f"property list WHOLE-NUMBER-TYPE TYPE NAME; comment or end_header (types: {', '.join(TYPES)})"
 
 
 class Property(NamedTuple):
@@ -71,61 +83,43 @@ class Table(NamedTuple):
 
 
 def _parse_header(data: bytes, where: str) -> tuple[str, dict[str, Element], int, int]:
-    """(byte order, elements, offset of the body, its first line). Raises SceneError with `where`:line."""
+    """(encoding, elements, offset of the body, its first line). Raises SceneError with `where`:line."""
     magic = re.match(rb"ply[ \t]*(\r\n|\n|\r)", data)
     if magic is None:
         raise SceneError(f"{where}:1: PLY header: expected the line 'ply', got {quote_bytes(data[:8])}")
     newline = magic[1][-1:]  # the carriage return of \r\n counts as space
-    formats: list[str] = []
-    elements: dict[str, Element] = {}
+    encoding, elements = "", dict[str, Element]()
     start, line = magic.end(), 1
     while (stop := data.find(newline, start)) >= 0:
         line += 1
-        words = data[start:stop].decode("ascii", "backslashreplace").split()
+        text = " ".join(data[start:stop].decode("ascii", "backslashreplace").split())
         start = stop + 1
-        if words == ["end_header"]:
-            return (formats or ["ascii"])[0], elements, start, line + 1
-        try:
-            _add_header_line(words, formats, elements)
-        except ValueError as error:
-            raise SceneError(f"{where}:{line}: PLY header: {error}") from error
+        found = HEADER_LINE.fullmatch(text)
+        if found is not None and found["end"]:
+            return encoding or "ascii", elements, start, line + 1
+        expected = _add_header_line(found, encoding, elements) if found else HEADER_LINES
+        if expected:
+            raise SceneError(f"{where}:{line}: PLY header: expected {expected}, got '{text[:60]}'")
+        encoding = (found and found["encoding"]) or encoding
     raise SceneError(f"{where}:{line}: PLY header: truncated: expected 'end_header', got the end of the file")
 
 
-def _add_header_line(words: list[str], formats: list[str], elements: dict[str, Element]) -> None:
-    """Read one line of the header. Raises ValueError with expected and got."""
-    match words:
-        case [] | ["comment" | "obj_info", *_]:
-            pass
-        case ["format", encoding, "1.0"] if encoding in BYTE_ORDERS and not formats:
-            formats.append(encoding)
-        case ["format", *_]:
-            raise ValueError(f"expected one format, {FORMATS}, got '{' '.join(words)[:60]}'")
-        case ["element" | "property", *_] if not formats:
-            raise ValueError(f"expected a format line ({FORMATS}) first, got '{' '.join(words)[:60]}'")
-        case ["element", name, count]:
-            if not (count.isascii() and count.isdigit() and len(count) < 19):  # 19 digits may pass 2^63
-                raise ValueError(f"expected a number of rows of element '{name}', got '{count[:60]}'")
-            if name in elements:
-                raise ValueError(f"expected each element once, got '{name}' again")
-            elements[name] = Element(name, int(count), {})
-        case ["property", *types, name] if elements:
-            element = next(reversed(elements.values()))
-            if name in element.properties:
-                raise ValueError(f"expected each property of '{element.name}' once, got '{name}' again")
-            element.properties[name] = _property(types, formats[0])
-        case _:
-            raise ValueError(f"expected element, property, comment or end_header, got '{' '.join(words)[:60]}'")
-
-
-def _property(types: list[str], encoding: str) -> Property:
-    of_list = types[:1] == ["list"]
-    codes = [TYPES.get(word, "") for word in types[of_list:]]
-    if len(codes) != 1 + of_list or "" in codes or (of_list and codes[0] in "fd"):
-        expected = f"a type ({', '.join(TYPES)}), or list, a whole-number type and a type"
-        raise ValueError(f"expected {expected}, got '{' '.join(types)[:60]}'")
-    forms = [NUMBER_OF_TEXT if encoding == "ascii" else BYTE_ORDERS[encoding] + code for code in codes]
-    return Property(forms[-1], forms[0] if of_list else "")
+def _add_header_line(line: re.Match[str], encoding: str, elements: dict[str, Element]) -> str:
+    """Add an element or a property; what is expected instead, if it may not stand here."""
+    if line.lastgroup and bool(encoding) == bool(line["encoding"]):
+        return "one line with the format, before all elements"
+    if line["element"] in elements or (line["property"] and not elements):
+        return "each element once, and before its properties"
+    if line["element"]:
+        elements[line["element"]] = Element(line["element"], int(line["rows"]), {})
+    elif line["property"]:
+        properties = elements[next(reversed(elements))].properties
+        if line["property"] in properties:
+            return "each property of an element once"
+        types = [line["type"], *([line["length"]] if line["length"] else [])]
+        binary = [BYTE_ORDERS[encoding] + TYPES[each] for each in types]
+        properties[line["property"]] = Property(*([NUMBER_OF_TEXT] * len(types) if encoding == "ascii" else binary))
+    return ""
 
 
 # ---- body ----
