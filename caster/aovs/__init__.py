@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from caster.description.errors import suggestion
 from caster.jit.decorators import implement, inlined
 from caster.kernels.protocol import Vec3
 from caster.kernels.surface.per_hit import NEEDED_FIELDS, Hit, length, per_hit
@@ -53,7 +53,9 @@ class Aovs(dict[str, NDArray[Any]]):
         def __getattr__(self, name: str) -> NDArray[Any]:
             if name in self:
                 return self[name]
-            hint = f": render it, aovs=({name!r}, ...)" if name in BY_NAME else suggestion(name, BY_NAME)
+            close = get_close_matches(name, BY_NAME, n=1)
+            hint = f", did you mean '{close[0]}'?" if close else ""
+            hint = f": render it, aovs=({name!r}, ...)" if name in BY_NAME else hint
             raise AttributeError(f"no '{name}' among these AOVs ({', '.join(self)}){hint}")
 
     def __repr__(self) -> str:

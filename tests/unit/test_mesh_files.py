@@ -289,11 +289,7 @@ BROKEN_PLY = [
     (b"ply\n", b"plx\n", ":1: PLY header: expected the line 'ply'"),
     (b"format ascii 1.0", b"format utf8 1.0", ":2: PLY header: expected format ascii, .* got 'format utf8"),
     (b"element vertex", b"format ascii 1.0\nelement vertex", ":3: PLY header: expected one line with the format"),
-    (
-        b"format ascii 1.0\n",
-        b"",
-        ":2: PLY header: expected one line with the format, before all elements",
-    ),
+    (b"format ascii 1.0\n", b"", ":2: PLY header: expected one line with the format, before all elements"),
     (b"vertex 4", b"vertex -4", ":3: PLY header: expected .*element NAME ROWS.*got 'element vertex -4'"),
     (b"vertex 4\n", b"vertex 4\nelement vertex 4\n", ":4: PLY header: expected each element once"),
     (b"float y", b"float x", ":5: PLY header: expected each property of an element once, got 'property float x'"),
