@@ -16,7 +16,7 @@ __all__ = ["AOVS", "BY_NAME", "Aov", "Aovs", "kernel_of", "needs_of", "register"
 
 
 class Aov(NamedTuple):
-    """The declaration of an AOV. Anything else with these attributes will do, such as a module."""
+    """The declaration of an AOV."""
 
     NAME: str
     CHANNELS: tuple[str, ...]  # in an EXR file; with one channel images are (h, w), with more (h, w, c)
@@ -75,11 +75,8 @@ BY_NAME: dict[str, Aov] = {}
 _KERNELS: dict[str, Any] = {}
 
 
-def register(aov: Any) -> None:
-    """Add an AOV. Raises ValueError for a declaration that is incomplete or clashes with another."""
-    missing = [name for name in Aov._fields if not hasattr(aov, name)]
-    if missing:
-        raise ValueError(f"aov {getattr(aov, 'NAME', aov)!r}: does not declare {', '.join(missing)}")
+def register(aov: Aov) -> None:
+    """Add an AOV. Raises ValueError for one that is invalid or clashes with another."""
     if aov.NAME in BY_NAME or {channel for other in AOVS for channel in other.CHANNELS} & set(aov.CHANNELS):
         raise ValueError(f"aov {aov.NAME!r}: this name or one of its channels {aov.CHANNELS} is taken")
     if unknown := set(aov.NEEDS) - set(NEEDED_FIELDS):
@@ -101,7 +98,7 @@ def needs_of(names: Iterable[str]) -> frozenset[str]:
     return frozenset(field for name in names for field in BY_NAME[name].NEEDS)
 
 
-def _kernel(aov: Any) -> Any:
+def _kernel(aov: Aov) -> Any:
     """Compiled kernels are keyed by the classes of their arguments, so each AOV gets a class."""
     name, number = f"PerHit_{aov.NAME}", int if aov.DTYPE is np.int32 else float
     tag: Any = type(name, (PerHit,), {"__module__": aov.evaluate.__module__})

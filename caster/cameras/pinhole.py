@@ -3,7 +3,7 @@
 import math
 from typing import Any, ClassVar, Literal, NamedTuple
 
-from caster.description.fields import ClippedCamera, FieldOfView, Number
+from caster.description.fields import ClippedCamera, FieldOfView, Vec2
 from caster.description.transform import tangent
 from caster.jit.decorators import implement, inlined
 from caster.kernels.math.vec import U, add, dot, l1_norm, scaled, sub
@@ -44,7 +44,7 @@ class Pinhole(ClippedCamera):
     shares_origin: ClassVar[bool] = True
     fov: FieldOfView = 45.0
     fov_axis: Literal["x", "y", "diagonal", "smaller", "larger"] = "x"
-    principal_point: tuple[Number, Number] = (0.0, 0.0)  # fractions of the film
+    principal_point: Vec2 = (0.0, 0.0)  # fractions of the film
 
     def half_extent(self, width: int, height: int) -> tuple[float, float]:
         """Half width and half height of the image plane at distance 1."""

@@ -1,14 +1,14 @@
 """A single ray for every pixel, exact to the bit, for reproducers."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field, field_validator
 
 from caster.description.errors import expectation_error
-from caster.description.fields import Description, Positive, Vec3
+from caster.description.fields import Description, Positive, SignedVec3
 from caster.jit.decorators import implement
 from caster.kernels.protocol import camera_ray
 
@@ -34,19 +34,13 @@ class Ray(Description):
     """
 
     type: Literal["ray"] = "ray"
-    origin: Vec3  # scene units
-    direction: Vec3
+    origin: SignedVec3  # scene units
+    direction: SignedVec3
     t_max: Annotated[Positive | None, Field(description="None: no limit")] = None  # lengths of direction
 
     shares_origin: ClassVar[bool] = True
     look_at: ClassVar[None] = None
     MINIMAL: ClassVar[Mapping[str, Any]] = {"origin": (0.0, 0.0, 9.0), "direction": (0.0, 0.0, -1.0)}
-
-    @field_validator("origin", "direction", mode="wrap")
-    @classmethod
-    def _keeps_signs(cls, value: Any, handler: Callable[[Any], Any]) -> Any:
-        numbers = handler(value)
-        return tuple(-0.0 if x == 0.0 and _is_negative(v) else x for x, v in zip(numbers, value, strict=True))
 
     @field_validator("direction")
     @classmethod
@@ -76,13 +70,6 @@ class Ray(Description):
                 d, t_max = np.ldexp(d, -exponent), float(np.ldexp(t_max, exponent))
         x, y, z = d.tolist()
         return SingleRay(self.origin, (x, y, z), t_max)
-
-
-def _is_negative(written: Any) -> bool:
-    """Whether a zero is negative, as a number or as a hex float."""
-    if isinstance(written, str):
-        return written.startswith("-")
-    return math.copysign(1.0, float(written)) < 0.0
 
 
 @implement(camera_ray, SingleRay)

@@ -129,7 +129,7 @@ def account(rendered: RenderResult, aovs: Sequence[str]) -> dict[str, Any]:
             }
             for i, kind in enumerate(kinds)
         ],
-        "never_hit": {name: sum(found) for name, found in rejected_faces(scene).items()},
+        "never_hit": rejected_faces(scene),
         "trees": {**plan.trees._asdict(), "grown": sum(has_bvh(kind) for kind in kinds)},
         "decided_exactly": rendered.decided_exactly,
         "surfaces": {

@@ -97,14 +97,13 @@ def run_check(args: argparse.Namespace) -> int:
 
 def check_file(path: str, mesh_dirs: list[str]) -> int:
     """Validate one scene file with its meshes and print the outcome; its exit code."""
-    from caster.geometry.packing import in_words, pack
+    from caster.geometry.packing import in_words
     from caster.scene.files import load_scene
 
     try:
         scene = load_scene(path, mesh_dirs)
         with error_prefix(path):
-            pack(scene)  # some errors appear only in world space
-            never_hit = in_words(scene)
+            never_hit = in_words(scene)  # of packed shapes: some errors appear only in world space
     except SceneError as error:
         print(folded(str(error)))
         return error.exit_code

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
-from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 __all__ = ["Diagnostic", "FileMissing", "SceneError", "error_prefix", "join_words", "suggestion"]
@@ -162,43 +161,26 @@ CROSS_ELEMENT_ERROR = "cross_element"  # type of the error of a check across sev
 def diagnostics_of(error: ValidationError, data: Any, model: Model) -> list[Diagnostic]:
     """All errors of a validation as diagnostics, and those of checks across elements."""
     found: dict[Any, Diagnostic] = {}
-
-    @cache  # of one table there may be thousands of errors
-    def models_at(path: DataPath) -> tuple[Model, ...]:
-        return _models_at(path, data, model)
-
     for finding in error.errors(include_url=False):
         if finding["type"] != CROSS_ELEMENT_ERROR:  # repeated below on the input data
-            path = (*_path_of(finding, data), *finding.get("ctx", {}).get("path", ()))
-            problem = _diagnostic(finding, path, data, model, models_at)
-            problem = problem._replace(missing=finding["type"] == "missing_file")
-            found[problem.path, finding["type"]] = problem  # Pydantic reports a list too short by two twice
+            problem = _diagnostic(finding, data, model)
+            found[problem.path, finding["type"]] = problem  # Pydantic may report one twice
     return [*found.values(), *getattr(model, "problems_across", lambda _: [])(data)]
 
 
 def _path_of(finding: Any, data: Any) -> DataPath:
     """Pydantic's error location without steps that the data does not have, such as the `type` of each union member."""
     path: DataPath = ()
-    here, element = data, None  # element: the path whose `type` was left out
-
-    def is_default(step: str | int, table: Any) -> bool:
-        """Whether the step is a `type` that the table leaves out, not one of its keys."""
-        return isinstance(table, Mapping) and isinstance(step, str) and step not in table
-
-    for k, step in enumerate(finding["loc"]):
-        kind = child_of(here, "type")
-        is_type = (kind == step or (kind is None and k > 1 and is_default(step, here))) and element != path
-        if is_type and (k < len(finding["loc"]) - 1 or finding["type"] != "extra_forbidden"):
-            element = path
-        elif isinstance(step, int) and isinstance(here, Mapping):
-            continue  # a single table in place of a list
-        elif isinstance(step, str) and isinstance(here, (list, tuple)):
-            continue  # the name of a member of a union
-        elif isinstance(here, (Mapping, list, tuple)) or hasattr(here, "model_fields_set"):
-            path, here = (*path, step), child_of(here, step)
-        else:  # a number in place of a vector: the rest is not in the file
-            break
-    return path
+    here = data
+    for step in finding["loc"]:
+        if isinstance(here, Mapping):
+            found = step in here and step != here.get("type")
+        else:
+            found = isinstance(here, (list, tuple)) and isinstance(step, int)
+        path, here = ((*path, step), child_of(here, step)) if found else (path, here)
+    if finding["type"] in ("missing", "extra_forbidden") and path[-1:] != finding["loc"][-1:]:
+        path = (*path, finding["loc"][-1])
+    return (*path, *finding.get("ctx", {}).get("path", ()))
 
 
 def _models_at(path: DataPath, data: Any, model: Model) -> tuple[Model, ...]:
@@ -222,22 +204,19 @@ def _models_in(annotation: Any) -> tuple[Model, ...]:
     return tuple(found for part in get_args(annotation) for found in _models_in(part))
 
 
-def _diagnostic(
-    finding: Any, path: DataPath, data: Any, model: Model, models_at: Callable[[DataPath], tuple[Model, ...]]
-) -> Diagnostic:
-    kind, got = finding["type"], finding["input"]
-    if kind == "missing" and isinstance(path[-1], int):
-        text = f"must be {path[-1] + 1} items, got {len(got)}: {format_value(got)}"
-        return value_diagnostic(path[:-1], text, data, model)
+def _diagnostic(finding: Any, data: Any, model: Model) -> Diagnostic:
+    kind, got, path = finding["type"], finding["input"], _path_of(finding, data)
     if kind == "missing":
         return Diagnostic(path, _message(path[:-1], f"needs the key '{path[-1]}'", data, model))
     if kind == "extra_forbidden":
-        return value_diagnostic(path, _unknown_key(str(path[-1]), models_at(path[:-1])), data, model)
-    if kind.startswith("union_tag"):
+        text = _unknown_key(str(path[-1]), _models_at(path[:-1], data, model))
+    elif kind.startswith("union_tag"):
         noun = SINGULAR.get(str(path[0]), str(path[0])) if len(path) <= 2 else str(path[-1])
-        text = _unknown_type(got, noun, models_at(path))
+        text = _unknown_type(got, noun, _models_at(path, data, model))
         return Diagnostic((*path, "type"), _message(path, text, data, model))
-    return value_diagnostic(path, _text(kind, got, finding.get("ctx", {})), data, model)
+    else:
+        text = _text(kind, got, finding.get("ctx", {}))
+    return Diagnostic(path, _message(path, text, data, model), kind == "missing_file")
 
 
 def _unknown_key(key: str, models: Sequence[Model]) -> str:
@@ -261,8 +240,6 @@ def _text(kind: str, got: Any, ctx: Mapping[str, Any]) -> str:
         return str(ctx["text"])
     if kind == "value_error":  # raised by a validator of the whole description
         return str(ctx["error"])
-    if kind == "too_long":
-        return f"must be {ctx['max_length']} items, got {ctx['actual_length']}: {format_value(got)}"
     if kind == "literal_error":
         words = str(ctx["expected"]).replace(" or ", ", ").replace("'", "").split(", ")
         expected = join_words(map(format_value, words))
@@ -286,6 +263,8 @@ EXPECTED_TYPES = {
     "string_type": "a string",
     "string_unicode": "a string of Unicode characters",
     "tuple_type": "a list",
+    "list_type": "a list",
+    "too_short": "a list that is not empty",
     "dict_type": "a table",
     "model_type": "a table",
     "model_attributes_type": "a table",

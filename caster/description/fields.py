@@ -4,10 +4,9 @@ import contextlib
 import math
 import numbers
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import chain
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, TypeAlias
 
 import numpy as np
@@ -17,13 +16,17 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    FailFast,
     Field,
     GetCoreSchemaHandler,
+    SerializerFunctionWrapHandler,
     ValidationError,
+    ValidatorFunctionWrapHandler,
     field_validator,
+    model_serializer,
     model_validator,
 )
-from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+from pydantic_core import CoreSchema, core_schema
 
 from caster.description import transform
 from caster.description.errors import (
@@ -42,38 +45,35 @@ __all__ = ["Camera", "Description", "Shape"]
 HEX_FLOAT = r"^[+-]?0[xX][0-9a-fA-F]+(\.[0-9a-fA-F]*)?([pP][+-]?[0-9]+)?$"
 
 
-class Quantity:
-    """A finite float in a range. Hex-float strings ("0x1.8p-3") are accepted; other strings and booleans are not."""
-
-    def __init__(self, **limits: Any) -> None:
-        """limits: of Pydantic's floats: gt, ge, lt, le."""
-        self.limits = limits
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
-        limits = core_schema.float_schema(allow_inf_nan=False, **self.limits)
-        return core_schema.no_info_before_validator_function(_as_float, limits)
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:
-        return {"anyOf": [handler(schema), {"type": "string", "pattern": HEX_FLOAT}]}
-
-
 def _as_float(value: Any) -> float:
-    """A number as a float. -0.0 becomes 0.0, so that equal scenes have equal text."""
+    """A number as a float, with the sign of a zero."""
     try:
         if isinstance(value, str) and re.match(HEX_FLOAT, value):
-            return float.fromhex(value) + 0.0
+            return float.fromhex(value)
         if not isinstance(value, bool) and isinstance(value, numbers.Real):
-            return float(value) + 0.0
+            return float(value)
     except OverflowError:
         pass
     hint = ": leave out the quotes" if _is_quoted_number(value) else ""
     raise expectation_error("a finite number", value, hint=hint)
 
 
-def _as_whole(value: Any) -> int:
-    if type(value) is not int:
-        raise expectation_error("a whole number", value)
-    return value
+def _as_unsigned_zero(value: Any) -> float:
+    """A number as a float. -0.0 becomes 0.0, so that equal scenes have equal text."""
+    return _as_float(value) + 0.0
+
+
+class Quantity:
+    """A finite float in a range. Hex-float strings ("0x1.8p-3") are accepted; other strings and booleans are not."""
+
+    def __init__(self, parse: Callable[[Any], float] = _as_unsigned_zero, **limits: Any) -> None:
+        """limits: of Pydantic's floats: gt, ge, lt, le."""
+        self.parse, self.limits = parse, limits
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        number = core_schema.float_schema(allow_inf_nan=False, **self.limits)
+        written = core_schema.union_schema([number, core_schema.str_schema(pattern=HEX_FLOAT)])
+        return core_schema.no_info_before_validator_function(self.parse, number, json_schema_input_schema=written)
 
 
 def _is_quoted_number(value: Any) -> bool:
@@ -94,83 +94,42 @@ class FixedArray(np.ndarray):
 
 
 @dataclass(frozen=True)
-class NumberList:
-    """A list of many numbers, or of rows of numbers, kept as a FixedArray.
+class ArrayOf:
+    """A list of many items, numbers or rows of them, kept as a FixedArray of a dtype. Arrays are copied."""
 
-    what: the contents, in messages; least: numbers must be larger; width: numbers in a row, 0 for plain numbers;
-    whole: numbers below 2^31 without a point.
-    """
+    item: Any
+    dtype: type[np.generic] = np.float64
 
-    what: str
-    least: float = -math.inf
-    width: int = 0
-    whole: bool = False
+    def _read(self, value: Any, validate: ValidatorFunctionWrapHandler) -> FixedArray:
+        if isinstance(value, np.ndarray):
+            with contextlib.suppress(ValidationError):  # the limits of all items, if those of their extremes
+                if value.dtype.kind in "iuf" and value.size:
+                    validate([value.min(axis=0).tolist(), value.max(axis=0).tolist()])
+                    return self._kept(value)
+            value = value.tolist()
+        return self._kept(validate(value))
 
-    def read(self, value: Any) -> FixedArray:
-        """Parse a list or an array; the error gives the index of the first bad item."""
-        if not isinstance(value, (list, tuple, np.ndarray)) or not getattr(value, "ndim", 1) or not len(value):
-            raise expectation_error(f"a list of {self.what}", value)
-        array = self._array(value)
-        if array is None:
-            array = np.array([self._item(value, i) for i in range(len(value))])
+    def _kept(self, items: Any) -> FixedArray:
+        array = np.array(items, self.dtype) + 0  # as _as_float
         array.flags.writeable = False
         return array.view(FixedArray)
 
-    def _array(self, value: Any) -> Any:
-        """An array of good numbers, or None."""
-        if isinstance(value, np.ndarray):
-            shape = (self.width,) if self.width else ()
-            plain = value.dtype.kind in ("iu" if self.whole else "iuf") and value.shape[1:] == shape
-        else:
-            plain = self._are_plain(value)
-        with contextlib.suppress(OverflowError):  # a whole number beyond float64
-            if plain:
-                array = np.array(value, np.int64 if self.whole else np.float64) + 0  # as _as_float
-                if (array > self.least).all() and (array < self._end).all():
-                    return array
-        return None
-
-    def _are_plain(self, items: Sequence[Any]) -> bool:
-        """Whether these are rows of the right length of Python's own numbers, no strings, no booleans."""
-        numbers = {int} if self.whole else {int, float}
-        if not self.width:
-            return set(map(type, items)) <= numbers
-        if not set(map(type, items)) <= {list, tuple} or set(map(len, items)) != {self.width}:
-            return False
-        return set(map(type, chain.from_iterable(items))) <= numbers
-
-    @property
-    def _end(self) -> float:
-        return 2.0**31 if self.whole else math.inf
-
-    def _item(self, items: Any, i: int) -> Any:
-        value = _plain(items[i])
-        row = value if self.width else (value,)
-        with contextlib.suppress(PydanticCustomError):  # the message below describes the whole list
-            if isinstance(row, (list, tuple)) and len(row) == (self.width or 1):
-                found = tuple(map(_as_whole if self.whole else _as_float, row))
-                if all(self.least < x < self._end for x in found):
-                    return found if self.width else found[0]
-        raise field_error(f"must be a list of {self.what}, got {format_value(value)} as number {i}")
-
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        items = handler.generate_schema(Annotated[list[self.item], FailFast(), Field(min_length=1)])  # type: ignore[name-defined]
         as_list = core_schema.plain_serializer_function_ser_schema(np.ndarray.tolist)
-        return core_schema.no_info_plain_validator_function(self.read, serialization=as_list)
+        return core_schema.no_info_wrap_validator_function(self._read, items, serialization=as_list)
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:
-        number = {} if math.isinf(self.least) else {"exclusiveMinimum": self.least}
-        item: dict[str, Any] = {"anyOf": [{"type": "number"} | number, {"type": "string", "pattern": HEX_FLOAT}]}
-        item = {"type": "integer"} | number if self.whole else item
-        if self.width:
-            item = {"type": "array", "items": item, "minItems": self.width, "maxItems": self.width}
-        return {"type": "array", "items": item, "minItems": 1}
+
+def plain(value: Any) -> Any:
+    """An array as lists of numbers; anything else unchanged."""
+    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 def row(count: int, what: str) -> Callable[[Any], Any]:
     """A validator for a list of `count` items, which are validated afterwards."""
 
     def check(value: Any) -> Any:
-        items = value.tolist() if isinstance(value, np.ndarray) else value
+        items = plain(value)
         if not isinstance(items, (list, tuple)):
             raise expectation_error(what, value)
         if len(items) != count:
@@ -188,6 +147,7 @@ def _unit(v: tuple[float, float, float]) -> tuple[float, float, float]:
 
 
 Number = Annotated[float, Quantity()]  # a finite number
+SignedNumber = Annotated[float, Quantity(_as_float)]  # a finite number; zeros keep their signs
 Positive = Annotated[float, Quantity(gt=0.0)]  # a number > 0
 NonNegative = Annotated[float, Quantity(ge=0.0)]  # a number >= 0
 RefractiveIndex = Annotated[float, Quantity(ge=1.0, le=4.0)]  # a number from 1 to 4, which is germanium's
@@ -196,41 +156,37 @@ FieldOfView = Annotated[float, Quantity(gt=0.0, lt=180.0)]  # degrees, 0 to 180,
 WideFieldOfView = Annotated[float, Quantity(gt=0.0, le=360.0)]  # degrees, 0 (excluded) to 360
 Flag = Annotated[bool, Field(strict=True)]  # true or false
 
-Points = Annotated[NDArray[np.float64], NumberList("points [x, y, z] of finite numbers", width=3)]  # (n, 3) float64
-UVs = Annotated[NDArray[np.float64], NumberList("pairs [u, v] of finite numbers", width=2)]  # (n, 2) float64
-Faces = Annotated[
-    NDArray[np.int64], NumberList("faces [i, j, k] of whole numbers", -1, width=3, whole=True)
-]  # (m, 3) int64
-Counts = Annotated[NDArray[np.int64], NumberList("whole numbers > 0", 0, whole=True)]  # (m,) int64 > 0
-Lengths = Annotated[NDArray[np.float64], NumberList("lengths > 0", least=0.0)]  # (n,) float64 > 0
-LengthTriples = Annotated[
-    NDArray[np.float64], NumberList("triples [x, y, z] of lengths > 0", least=0.0, width=3)
-]  # (n, 3) float64 > 0
-Quaternions = Annotated[
-    NDArray[np.float64], NumberList("quaternions [x, y, z, w] of finite numbers", width=4)
-]  # (n, 4) float64, x, y, z, w
 Vec2: TypeAlias = Any  # for type checkers: tuples, lists and arrays alike
 Vec3: TypeAlias = Any
+SignedVec3: TypeAlias = Any
 RGB: TypeAlias = Any
 Reflectance: TypeAlias = Any
 if not TYPE_CHECKING:
     _rgb = row(3, "3 numbers [r, g, b]")
     Vec2 = Annotated[tuple[Number, Number], BeforeValidator(row(2, "2 numbers [x, y]"))]  # 2 numbers
-    Vec3 = Annotated[tuple[Number, Number, Number], BeforeValidator(row(3, "3 numbers [x, y, z]"))]  # 3 numbers
+    _xyz = BeforeValidator(row(3, "3 numbers [x, y, z]"))
+    Vec3 = Annotated[tuple[Number, Number, Number], _xyz]  # 3 numbers
+    SignedVec3 = Annotated[tuple[SignedNumber, SignedNumber, SignedNumber], _xyz]  # 3 numbers, zeros with their signs
     RGB = Annotated[tuple[NonNegative, NonNegative, NonNegative], BeforeValidator(_rgb)]  # 3 numbers >= 0
     Reflectance = Annotated[tuple[Fraction01, Fraction01, Fraction01], BeforeValidator(_rgb)]  # 3 numbers from 0 to 1
 UnitVec3 = Annotated[Vec3, AfterValidator(_unit)]  # 3 numbers, made unit length
 
+Row = Annotated[tuple[Number, Number, Number, Number], BeforeValidator(row(4, "4 numbers"))]  # 4 numbers
+Count = Annotated[int, Field(strict=True, gt=0, lt=2**31)]  # a whole number > 0
+Index = Annotated[int, Field(strict=True, ge=0, lt=2**31)]  # a whole number >= 0
+Face = Annotated[tuple[Index, Index, Index], BeforeValidator(row(3, "3 vertex numbers [i, j, k]"))]
+Scales = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(row(3, "3 lengths [x, y, z]"))]
+
+Points = Annotated[NDArray[np.float64], ArrayOf(Vec3)]  # (n, 3) float64
+UVs = Annotated[NDArray[np.float64], ArrayOf(Vec2)]  # (n, 2) float64
+Faces = Annotated[NDArray[np.int64], ArrayOf(Face, np.int64)]  # (m, 3) int64
+Counts = Annotated[NDArray[np.int64], ArrayOf(Count, np.int64)]  # (m,) int64 > 0
+Lengths = Annotated[NDArray[np.float64], ArrayOf(Positive)]  # (n,) float64 > 0
+LengthTriples = Annotated[NDArray[np.float64], ArrayOf(Scales)]  # (n, 3) float64 > 0
+Quaternions = Annotated[NDArray[np.float64], ArrayOf(Row)]  # (n, 4) float64, x, y, z, w
+
 
 # ---- descriptions ----
-
-
-def _plain(value: Any) -> Any:
-    """NumPy arrays and scalars as lists and Python scalars."""
-    return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
-
-
-MAX_ITEMS_SHOWN = 8  # of a list in a repr
 
 
 class Description(BaseModel):
@@ -243,20 +199,18 @@ class Description(BaseModel):
 
     # Number of path steps that name an element in messages: two for shapes[3], one for camera.
     ELEMENTS: ClassVar[Mapping[str, int]] = {}
-    ARRAYS: ClassVar[tuple[str, ...]] = ()  # fields of many numbers
-    COPY: ClassVar[str] = "model_copy(update={{'{}': ...}})"  # how to change a field
 
     def __init__(self, **data: Any) -> None:
-        data = {key: value if key in self.ARRAYS else _plain(value) for key, value in data.items()}
+        data = {key: value.item() if isinstance(value, np.generic) else value for key, value in data.items()}
         try:
             super().__init__(**data)
         except ValidationError as error:
-            problems = diagnostics_of(error, data, type(self))
+            problems = diagnostics_of(error, {key: plain(value) for key, value in data.items()}, type(self))
             raise SceneError("\n".join(problem.text for problem in problems)) from None
 
     def __setattr__(self, name: str, value: Any) -> None:
         if not name.startswith("_"):
-            way_out = f"use a copy with another value: {self.COPY.format(name)}"
+            way_out = f"use a copy with another value: model_copy(update={{'{name}': ...}})"
             raise AttributeError(f"{type(self).__name__}.{name}: descriptions are immutable; {way_out}")
         super().__setattr__(name, value)
 
@@ -264,14 +218,14 @@ class Description(BaseModel):
         """Equality of all fields; cached data does not count."""
         return type(self) is type(other) and all(getattr(self, n) == getattr(other, n) for n in type(self).model_fields)
 
-    def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
-        """The fields; long lists, such as a mesh's, by their length."""
-        for name, value in super().__repr_args__():
-            long = isinstance(value, (tuple, dict, np.ndarray)) and len(value) > MAX_ITEMS_SHOWN
-            yield name, f"<{len(value)} items>" if long else value
-
     # Nested descriptions are validated without __init__, so that Pydantic collects all errors.
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # on a function
+
+    @model_serializer(mode="wrap")
+    def _with_type(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """The fields; also without defaults, the `type` that selects the class."""
+        fields: dict[str, Any] = handler(self)
+        return {"type": kind, **fields} if (kind := getattr(self, "type", None)) else fields
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """A validated copy with other values. Cached properties are not copied."""
@@ -321,28 +275,16 @@ def checked_frame(view: Any, start: str, target: str) -> tuple[transform.Vector,
         raise expectation_error(across, up, "up") from None
 
 
-class _OrNumber:
-    """JSON Schema: a number is accepted in place of a vector."""
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:
-        return {"anyOf": [{"type": "number"}, {"type": "string", "pattern": HEX_FLOAT}, handler(schema)]}
-
-
-class _OrOneStep:
-    """JSON Schema: a single step is accepted in place of a list."""
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:
-        steps = handler(schema)
-        return {"anyOf": [steps["items"], steps]}
-
-
 def _three(value: Any) -> Any:
     return value if isinstance(value, (list, tuple, np.ndarray)) else (value, value, value)
 
 
-Row = Annotated[tuple[Number, Number, Number, Number], BeforeValidator(row(4, "4 numbers"))]  # 4 numbers
 Rows = Annotated[tuple[Row, Row, Row, Row], BeforeValidator(row(4, "4 rows of 4 numbers"))]  # 4 rows of 4 numbers
-Factors = Annotated[Vec3, BeforeValidator(_three), _OrNumber()]  # 3 numbers, or one for all three
+Factors: TypeAlias = Any
+if not TYPE_CHECKING:
+    Factors = Annotated[
+        Vec3, BeforeValidator(_three, json_schema_input_type=Number | Vec3)
+    ]  # 3 numbers, or one for all three
 
 
 class Step(Description):
@@ -409,8 +351,9 @@ def _invertible(steps: tuple[Step, ...]) -> tuple[Step, ...]:
 
 Transform: TypeAlias = Any  # for type checkers: a step, a list of steps, or their descriptions
 if not TYPE_CHECKING:
+    _steps = BeforeValidator(_as_list, json_schema_input_type=Step | tuple[Step, ...])
     Transform = Annotated[
-        tuple[Step, ...], BeforeValidator(_as_list), AfterValidator(_invertible), _OrOneStep()
+        tuple[Step, ...], _steps, AfterValidator(_invertible)
     ]  # a step or a list of steps: translate, rotate, scale, look_at, matrix
 
 

@@ -20,6 +20,7 @@ __all__ = [
     "inverse",
     "is_mirrored",
     "product",
+    "rotations",
     "row_lengths",
     "sine_and_cosine",
     "transform_points",
@@ -64,12 +65,23 @@ def rotate(axis: Sequence[float], degrees: float) -> Matrix:
     quarters = round(turn / 90.0)
     s, c = sine_and_cosine(math.radians(turn - 90.0 * quarters))
     c, s = ((c, s), (-s, c), (-c, -s), (s, -c))[quarters % 4]
-    rest = 1.0 - c
+    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # maps a vector to its product with the axis
     matrix = np.eye(4)
-    matrix[0, :3] = x * x * rest + c, x * y * rest - z * s, x * z * rest + y * s
-    matrix[1, :3] = x * y * rest + z * s, y * y * rest + c, y * z * rest - x * s
-    matrix[2, :3] = x * z * rest - y * s, y * z * rest + x * s, z * z * rest + c
+    matrix[:3, :3] = np.outer((x, y, z), (x, y, z)) * (1.0 - c) + c * np.eye(3) + s * across
     return matrix
+
+
+def rotations(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 3, 3) rotation matrices of quaternions (n, 4) x, y, z, w of any length but 0. Source: Shoemake 1985."""
+    x, y, z, w = np.transpose(quaternions / np.abs(quaternions).max(axis=1)[:, None])
+    norm = x * x + y * y + z * z + w * w
+    rows = [
+        [y * y + z * z, w * z - x * y, -w * y - x * z],
+        [-w * z - x * y, x * x + z * z, w * x - y * z],
+        [w * y - x * z, -w * x - y * z, x * x + y * y],
+    ]
+    found: NDArray[np.float64] = np.eye(3) - np.moveaxis(2.0 / norm * np.array(rows), 2, 0)
+    return found
 
 
 def look_at(origin: Sequence[float], target: Sequence[float], up: Sequence[float]) -> Matrix:
@@ -103,9 +115,6 @@ def product(a: Matrix, b: Matrix) -> Matrix:
     return total
 
 
-ROWS_PER_CHUNK = 1 << 11  # temporaries stay in the cache of a core
-
-
 def transform_points(matrix: Matrix, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Points (n, 3) under an affine matrix (4, 4): ((m0 x + m1 y) + m2 z) + m3 for each coordinate."""
     moved = transform_vectors(matrix[:3, :3], points)
@@ -115,12 +124,7 @@ def transform_points(matrix: Matrix, points: NDArray[np.float64]) -> NDArray[np.
 
 def transform_vectors(linear: Matrix, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Vectors (n, 3) under a matrix (3, 3): (m0 x + m1 y) + m2 z for each coordinate."""
-    turned = np.empty((len(vectors), 3))
-    for start in range(0, len(vectors), ROWS_PER_CHUNK):
-        x, y, z = np.ascontiguousarray(vectors[start : start + ROWS_PER_CHUNK].T, np.float64)
-        for i, (a, b, c) in enumerate(linear.tolist()):
-            turned[start : start + ROWS_PER_CHUNK, i] = (a * x + b * y) + c * z
-    return turned
+    return product(vectors, linear.T)
 
 
 def dot_rows(vectors: NDArray[np.float64], v: Any) -> NDArray[np.float64]:

@@ -1,17 +1,17 @@
 """Packing: a scene as one NamedTuple of arrays per primitive kind, its numbering, and counts of rejected faces."""
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from caster.description.errors import SceneError, value_diagnostic
 from caster.description.transform import cross, subtract
 from caster.geometry.edge_distances import exact
-from caster.geometry.world_space import Rounding, ShapeCollection, as_float32, as_given, is_usable, world_vertices
+from caster.geometry.world_space import Rounding, ShapeCollection, as_float32, as_given
 from caster.kernels.bvh.build import bound_hulls_in_space, hulls_of
 from caster.kernels.protocol import hull_size
 from caster.kernels.triangles import Triangles as Triangles
@@ -39,7 +39,7 @@ class Kind:
 
     @cached_property
     def bounded(self) -> bool:
-        return bool(hull_size(self.prims) > 0)
+        return is_bounded(self.prims)
 
     def boxes(self) -> tuple[np.ndarray, np.ndarray]:
         """Bounding boxes as (low, high) corners, (n, 3) each; not cached, since there may be millions."""
@@ -60,8 +60,6 @@ class Packed:
     kinds: tuple[Kind, ...]
     parts: tuple[Any, ...]  # the arrays of each shape, before concatenation by kind
     first: np.ndarray  # (shapes + 1,) int64, number of the first primitive of each shape
-    kind_of: np.ndarray  # (shapes,) int64, index of the shape's kind in `kinds`
-    start: np.ndarray  # (shapes,) int64, index of its first primitive within the kind
     flipped: np.ndarray | None = None  # (shapes,) bool, whether its normals are reversed; None: none are
 
     def shape_of(self, prim: np.ndarray) -> np.ndarray:
@@ -77,6 +75,13 @@ class Packed:
         return ids[0] if len(ids) == 1 else np.concatenate([*ids, np.zeros(0, np.int32)])
 
     @cached_property
+    def places(self) -> np.ndarray:
+        """(n,) int32, where each primitive stands in `prim_ids`."""
+        places = np.empty_like(self.prim_ids)
+        places[self.prim_ids] = np.arange(len(places))
+        return places
+
+    @cached_property
     def prim_shapes(self) -> np.ndarray:
         """(n,) int32, shape of each primitive, kind by kind."""
         return self.shape_of(self.prim_ids)
@@ -84,15 +89,18 @@ class Packed:
     @cached_property
     def shape_extents(self) -> np.ndarray:
         """(shapes,) float64: the largest |coordinate| of the bounding boxes of each shape; 0 if it is unbounded."""
-        bounded = np.array([kind.bounded for kind in self.kinds], bool)[self.kind_of]
-        return np.array(
-            [largest_coordinate(part) if has else 0.0 for part, has in zip(self.parts, bounded, strict=True)]
-        )
+        return np.array([largest_coordinate(part) if is_bounded(part) else 0.0 for part in self.parts])
 
     def place_of(self, prim: int) -> tuple[Kind, int]:
         """The kind of a primitive, and its index within the kind."""
-        shape = int(self.shape_of(np.array(prim)))
-        return self.kinds[self.kind_of[shape]], int(prim - self.first[shape] + self.start[shape])
+        kind, k = self.kinds_of(np.array(prim))
+        return self.kinds[int(kind)], int(k)
+
+    def kinds_of(self, prim: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(index of the kind, index within the kind) of each primitive number."""
+        place, ends = self.places[prim], np.cumsum([0, *(len(kind.ids) for kind in self.kinds)])
+        kind = np.searchsorted(ends, place, side="right") - 1
+        return kind, place - ends[kind]
 
     def index_in_shape(self, prim: np.ndarray) -> np.ndarray:
         """Index within its shape of each primitive number, -1 for -1; int32."""
@@ -106,18 +114,14 @@ def pack(scene: ShapeCollection, rounded: Rounding = as_given) -> Packed:
     Raises SceneError for a shape whose numbers do not stay finite.
     """
     parts = tuple(pack_shape(scene, i, rounded) for i in range(len(scene.shapes)))
-    counts = np.array([primitive_count(part) for part in parts], np.int64)
-    first = np.concatenate([[0], np.cumsum(counts)])
-    classes = list(dict.fromkeys(type(part) for part in parts))
-    kind_of = np.array([classes.index(type(part)) for part in parts], np.int64)
-    kinds, start = [], np.zeros(len(parts), np.int64)
-    for place in range(len(classes)):
-        members = np.flatnonzero(kind_of == place)
-        start[members] = np.concatenate([[0], np.cumsum(counts[members])[:-1]])
-        ids = np.concatenate([np.arange(first[s], first[s + 1]) for s in members])
-        kinds.append(Kind(concatenate_parts([parts[s] for s in members]), ids.astype(np.int32)))
+    first = np.cumsum([0, *map(primitive_count, parts)])
+    kinds = []
+    for cls in dict.fromkeys(map(type, parts)):
+        members = [s for s, part in enumerate(parts) if type(part) is cls]
+        ids = np.concatenate([np.arange(first[s], first[s + 1], dtype=np.int32) for s in members])
+        kinds.append(Kind(concatenate_parts([parts[s] for s in members]), ids))
     flipped = np.array([getattr(shape, "flip_normals", False) for shape in scene.shapes], bool)
-    return Packed(tuple(kinds), parts, first, kind_of, start, flipped if flipped.any() else None)
+    return Packed(tuple(kinds), parts, first, flipped if flipped.any() else None)
 
 
 CACHED_AS: dict[Rounding, str] = {as_given: "packed", as_float32: "packed float32"}  # keys of ShapeCollection.derived
@@ -163,6 +167,11 @@ def _check_lengths(part: Triangles, shape: str) -> None:
             raise ValueError(f"{shape}.pack: {name} must have {expected} rows, got {found}; fill up with zeros")
 
 
+def is_bounded(prims: Any) -> bool:
+    """Whether primitives have bounding boxes; all of a kind do, or none."""
+    return bool(hull_size(prims) > 0)
+
+
 def largest_coordinate(prims: Any) -> float:
     """The largest |coordinate| of the bounding boxes of primitives; 0 without primitives."""
     if isinstance(prims, Triangles):  # from vertices: boxes of millions of triangles take seconds and hundreds of MB
@@ -202,37 +211,17 @@ CROSS_RELATIVE_ERROR, CROSS_UNDERFLOW = 5.0 * 2.0**-53, 2.0**-1000
 FACES_PER_CHUNK = 1 << 16  # faces; temporaries take some 300 bytes each, and there may be millions
 
 
-class RejectedFaces(NamedTuple):
-    """Rejected faces of one shape; each face counts once, in the first category that applies."""
-
-    not_finite: int  # a vertex is not finite
-    too_large: int  # a coordinate is world_space.LARGEST_COORDINATE or more
-    without_area: int  # exactly: its vertices are collinear
-
-    def __str__(self) -> str:
-        words = ("with a corner that is not finite", "too far out", "without area")
-        return ", ".join(f"{count} {what}" for count, what in zip(self, words, strict=True) if count)
-
-
-def rejected_faces(scene: ShapeCollection) -> Mapping[str, RejectedFaces]:
-    """Counts by shape name, for shapes that have rejected faces."""
+def rejected_faces(scene: ShapeCollection) -> dict[str, int]:
+    """Counts of degenerate faces by shape name, where there are any; packing makes degenerate what else it rejects."""
     counts = {
-        name: _count_rejected(shape.mesh(), shape.matrix)
-        for name, shape in zip(scene.shape_names(), scene.shapes, strict=True)
-        if hasattr(shape, "mesh")
+        name: sum(
+            _count_degenerate(part.vertices[part.faces[start : start + FACES_PER_CHUNK]])
+            for start in range(0, len(part.faces), FACES_PER_CHUNK)
+        )
+        for name, part in zip(scene.shape_names(), packed(scene).parts, strict=True)
+        if isinstance(part, Triangles)
     }
-    return {name: count for name, count in counts.items() if any(count)}
-
-
-def _count_rejected(mesh: Any, matrix: np.ndarray) -> RejectedFaces:
-    vertices = world_vertices(mesh, matrix, as_given)
-    finite, usable = np.isfinite(vertices).all(axis=1), is_usable(vertices)
-    total = np.zeros(3, np.int64)
-    for start in range(0, len(mesh.faces), FACES_PER_CHUNK):
-        faces = mesh.faces[start : start + FACES_PER_CHUNK]
-        sound, good = finite[faces].all(axis=1), usable[faces].all(axis=1)
-        total += (~sound).sum(), (sound & ~good).sum(), _count_degenerate(vertices[faces[good]])
-    return RejectedFaces(*total.tolist())
+    return {name: count for name, count in counts.items() if count}
 
 
 def _count_degenerate(corners: np.ndarray) -> int:
@@ -252,4 +241,4 @@ def _is_degenerate(face: np.ndarray) -> bool:
 
 def in_words(scene: ShapeCollection) -> str:
     """The counts as text; "" if there are none."""
-    return "; ".join(f"{name}: {count}" for name, count in rejected_faces(scene).items())
+    return ", ".join(f"{count} of {name}" for name, count in rejected_faces(scene).items())

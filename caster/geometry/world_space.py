@@ -16,7 +16,7 @@ from caster.description.transform import inverse, is_mirrored, product, row_leng
 from caster.geometry.triangle_mesh import Mesh, vertex_normals
 from caster.kernels.triangles import Triangles
 
-__all__ = ["LARGEST_COORDINATE", "Rounding", "as_float32", "as_given"]
+__all__ = ["LARGEST_COORDINATE", "Rounding", "TriangleShape", "as_float32", "as_given", "is_usable", "world_vertices"]
 
 Rounding = Callable[[np.ndarray], np.ndarray]
 

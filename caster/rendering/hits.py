@@ -17,7 +17,7 @@ from caster.kernels.raster.tile import BOX, PRIM, WIDTH, Box, T, load_rays, tile
 from caster.rendering.casting import find_any, find_nearest
 from caster.rendering.plan import plan
 from caster.rendering.rasterization import parallel_for_tiles
-from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, TileWorkspace, placed_kinds
+from caster.rendering.ray_tiles import MIN_RAYS_PER_THREAD, TileWorkspace
 from caster.rendering.shading import TileShader, new_image
 from caster.rendering.threads import parallel_for, unwritten_array
 from caster.scene.model import Scene
@@ -111,12 +111,8 @@ class RayHits:
 
     def _prim_in_tile(self) -> np.ndarray:
         """(n,) number of the primitive that each ray hits, counted kind by kind, -1 on a miss."""
-        packed, prim = self.packed, self.nearest.prim
-        if len(packed.parts) <= 1:
-            return prim
-        shape = np.maximum(self.shape_id, 0)
-        offset = np.array([base for _, base in placed_kinds(packed)], np.int64)[packed.kind_of[shape]]
-        return np.where(self.hit, prim - packed.first[shape] + packed.start[shape] + offset, -1)
+        prim = self.nearest.prim
+        return prim if len(self.packed.kinds) <= 1 else np.where(self.hit, self.packed.places[prim], -1)
 
 
 def trace_rays(scene: Scene, packed: Packed, rays: Rays, start: np.ndarray, threads: int | None = None) -> RayHits:

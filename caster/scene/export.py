@@ -3,7 +3,7 @@
 import hashlib
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +34,7 @@ def _tables(name: str, value: Any) -> Iterator[str]:
 
 def _section(header: str, values: Mapping[str, Any]) -> Iterator[str]:
     yield header
-    type_first = sorted(values.items(), key=lambda pair: pair[0] != "type")
-    yield from (f"{_key(key)} = {_value(value)}" for key, value in type_first)
+    yield from (f"{_key(key)} = {_value(value)}" for key, value in values.items())
     yield ""
 
 
@@ -77,21 +76,8 @@ def fingerprint(scene: BaseModel) -> str:
 
 def to_toml(scene: BaseModel, folder: Path | None) -> str:
     """The scene as TOML without default values. Paths of files in `folder` are relative to it."""
-    data = scene.model_dump(by_alias=True, exclude_none=True)
-    brief = scene.model_dump(by_alias=True, exclude_none=True, exclude_defaults=True)
-    for key in {"camera", "light", "shape"} & brief.keys():
-        for element, short in zip(_listed(data[key]), _listed(brief[key]), strict=True):
-            short["type"] = element["type"]
-    for name, material in brief.get("material", {}).items():
-        kind = data["material"][name]["type"]
-        brief["material"][name] = material if kind == "diffuse" else {"type": kind, **material}
-        if isinstance(texture := material.get("reflectance"), dict):
-            material["reflectance"] = {"type": data["material"][name]["reflectance"]["type"]} | texture
-    return format_toml(_named_from(folder, brief))
-
-
-def _listed(value: Any) -> Sequence[Any]:
-    return value if isinstance(value, (list, tuple)) else [value]
+    data = scene.model_dump(by_alias=True, exclude_none=True, exclude_defaults=True)
+    return format_toml(_named_from(folder, data))
 
 
 def _named_from(folder: Path | None, data: dict[str, Any]) -> dict[str, Any]:

@@ -28,6 +28,7 @@ from caster.description.fields import (
     Camera,
     Description,
     Flag,
+    Index,
     Name,
     Positive,
     RefractiveIndex,
@@ -133,7 +134,6 @@ DEFAULT_MATERIAL = Diffuse()
 MAX_FILM_SIDE = 65536  # pixels; one float32 channel of such a square takes 16 GiB
 
 Pixels = Annotated[int, Field(strict=True, ge=1, le=MAX_FILM_SIDE)]  # a whole number from 1 to 65536
-Index = Annotated[int, Field(strict=True, ge=0)]
 _corners = row(4, "4 pixel indices [x0, y0, x1, y1]")
 Window = Annotated[tuple[Index, Index, Index, Index], BeforeValidator(_corners)]  # 4 whole numbers
 
@@ -267,8 +267,6 @@ class Scene(Description):
         **dict.fromkeys(("film", "camera", "shading"), 1),
         **dict.fromkeys((*PLURAL, *SINGULAR), 2),
     }
-
-    COPY: ClassVar[str] = "with_camera(...), with_film(...) or model_copy(update={{'{}': ...}})"
 
     film: Film = Film()
     camera: AnyCamera

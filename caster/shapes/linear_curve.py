@@ -90,7 +90,6 @@ class LinearCurve(Shape):
 
     type: Literal["linear_curve"] = "linear_curve"
     MINIMAL: ClassVar[Mapping[str, Any]] = {"points": ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))}
-    ARRAYS: ClassVar[tuple[str, ...]] = ("points", "radii", "counts")
     points: Points | None = None
     radii: Lengths | None = None
     radius: Positive | None = None

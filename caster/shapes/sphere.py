@@ -10,7 +10,7 @@ from pydantic import field_validator, model_validator
 
 from caster.description.errors import SceneError
 from caster.description.fields import Flag, Lengths, LengthTriples, Points, Positive, Quaternions, Shape, Vec3
-from caster.description.transform import cross, inverse, subtract, transform_points, transform_vectors
+from caster.description.transform import cross, inverse, rotations, subtract, transform_points, transform_vectors
 from caster.geometry.edge_distances import (
     SCENE_UNITS,
     UNIT_RADII,
@@ -144,7 +144,6 @@ class SphereCloud(Shape):
 
     type: Literal["spheres"] = "spheres"
     MINIMAL: ClassVar[Mapping[str, Any]] = {"centers": ((0.0, 0.0, 0.0),)}
-    ARRAYS: ClassVar[tuple[str, ...]] = ("centers", "radii")
     centers: Points | None = None  # scene units
     radii: Lengths | None = None  # scene units
     radius: Positive | None = None  # scene units
@@ -179,11 +178,11 @@ class SphereCloud(Shape):
 
 def _load_file(file: str, radius: float | None) -> tuple[np.ndarray, np.ndarray | None]:
     """Centres (n, 3) and radii (n,) of a file, cached until it changes. radius: the key of the shape."""
-    points = load_once(load_points, file)
-    if points.radii is not None and radius is not None:
+    centers, radii = load_once(load_points, file)
+    if radii is not None and radius is not None:
         expected = "expected vertices without a property radius, since the shape has the key 'radius'"
         raise SceneError(f"{file}: {expected}, got one: leave out one of the two")
-    return points
+    return centers, radii
 
 
 def pack_spheres(centers: np.ndarray, radii: np.ndarray, matrix: np.ndarray, rounded: Rounding) -> Spheres | Ellipsoids:
@@ -213,7 +212,6 @@ class EllipsoidCloud(Shape):
         "scales": ((1.0, 1.0, 1.0),),
         "quaternions": ((0.0, 0.0, 0.0, 1.0),),
     }
-    ARRAYS: ClassVar[tuple[str, ...]] = ("centers", "scales", "quaternions")
     centers: Points | None = None
     scales: LengthTriples | None = None
     quaternions: Quaternions | None = None
@@ -246,19 +244,6 @@ class EllipsoidCloud(Shape):
         to_world = rounded(np.stack([transform_vectors(self.matrix[:3, :3], axis) for axis in axes], axis=2))
         center = rounded(transform_points(self.matrix, centers))
         return OuterEllipsoids(center, to_world, np.stack([*map(inverse, to_world)]))
-
-
-def rotations(quaternions: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) rotation matrices of quaternions (n, 4) x, y, z, w of any length."""
-    x, y, z, w = np.transpose(quaternions / np.abs(quaternions).max(axis=1)[:, None])
-    norm = x * x + y * y + z * z + w * w
-    rows = [
-        [y * y + z * z, w * z - x * y, -w * y - x * z],
-        [-w * z - x * y, x * x + z * z, w * x - y * z],
-        [w * y - x * z, -w * x - y * z, x * x + y * y],
-    ]
-    found: np.ndarray = np.eye(3) - np.moveaxis(2.0 / norm * np.array(rows), 2, 0)
-    return found
 
 
 @jit

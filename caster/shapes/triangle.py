@@ -1,11 +1,12 @@
 """Single triangles, and the edge distances of the triangle kind."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
+from pydantic import BeforeValidator
 
-from caster.description.fields import UnitVec3, Vec2, Vec3
+from caster.description.fields import UnitVec3, Vec2, Vec3, row
 from caster.description.transform import cross, subtract
 from caster.geometry.edge_distances import (
     EDGE_ON,
@@ -30,9 +31,9 @@ class Triangle(TriangleShape):
 
     type: Literal["triangle"] = "triangle"
     MINIMAL: ClassVar[Mapping[str, Any]] = {"vertices": ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))}
-    vertices: tuple[Vec3, Vec3, Vec3]  # scene units
-    normals: tuple[UnitVec3, UnitVec3, UnitVec3] | None = None
-    uv: tuple[Vec2, Vec2, Vec2] | None = None
+    vertices: Annotated[tuple[Vec3, Vec3, Vec3], BeforeValidator(row(3, "3 points"))]  # scene units
+    normals: Annotated[tuple[UnitVec3, UnitVec3, UnitVec3], BeforeValidator(row(3, "3 directions"))] | None = None
+    uv: Annotated[tuple[Vec2, Vec2, Vec2], BeforeValidator(row(3, "3 pairs [u, v]"))] | None = None
 
     def mesh(self) -> Mesh:
         return Mesh(

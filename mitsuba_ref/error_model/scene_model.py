@@ -47,7 +47,7 @@ class SceneModel:
 
         ku: K times the unit round-off. ours: of our own primitives, not of stand-ins.
         """
-        kind, k = kinds_of(self.packed, prim)
+        kind, k = self.packed.kinds_of(prim)
         pairs, found = [], []
         for place, model in enumerate(self.models):
             rows = np.flatnonzero(kind == place)
@@ -75,7 +75,7 @@ class SceneModel:
         ours: uv of the subject, not of the reference. 0 where prim is -1, or where the reference traces a stand-in.
         """
         points, hits = np.zeros((len(prim), 3)), np.flatnonzero(prim >= 0)
-        kind, k = kinds_of(self.packed, prim[hits])
+        kind, k = self.packed.kinds_of(prim[hits])
         for place, model in enumerate(self.models):
             rows = np.flatnonzero(kind == place)
             space = model.uv.subject if ours else model.uv.reference
@@ -86,7 +86,7 @@ class SceneModel:
     def reference_has_uv(self, prim: np.ndarray) -> np.ndarray:
         """(n,) bool: the reference has uv of primitive prim[i] itself, not of a stand-in."""
         has = np.array([model.uv.reference is not None for model in self.models], bool)
-        return has[kinds_of(self.packed, np.maximum(prim, 0))[0]] if len(has) else prim >= 0
+        return has[self.packed.kinds_of(np.maximum(prim, 0))[0]] if len(has) else prim >= 0
 
     @cached_property
     def boxes(self) -> tuple[np.ndarray, np.ndarray]:
@@ -129,12 +129,6 @@ class SceneModel:
         return several[self.identical[prim]]
 
 
-def kinds_of(packed: Packed, prim: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(kind (m,), row in the kind's arrays (m,)) of primitives, by their numbers in the scene."""
-    shape = packed.shape_of(prim)
-    return packed.kind_of[shape], prim - packed.first[shape] + packed.start[shape]
-
-
 # Growth of boxes, as a fraction of |o| + their farthest corner. The bound of an edge function, divided by the length of
 # the edge, is 6 to 8 KU of that (mitsuba_ref/shapes/surface_errors.py); of a quadric 2 to 4. Primitives beyond it are
 # at best possible hits (the ray itself passes the box of a certain one); leaving them out excuses less on either side.
@@ -175,7 +169,7 @@ class InstancedModel(SceneModel):
     def _turned_normals(self, prim: np.ndarray, ku: float) -> np.ndarray:
         """(m,) how far the rounding of corners turns normals; 0 for other kinds than triangles."""
         turned = np.zeros(len(prim))
-        kind, k = kinds_of(self.packed, prim)
+        kind, k = self.packed.kinds_of(prim)
         for place, arrays in enumerate(self.kinds):
             rows = np.flatnonzero(kind == place)
             if not isinstance(arrays, Triangles) or not len(rows):

@@ -18,7 +18,7 @@ from mitsuba_ref.error_model.defect_conditions import (
     KnownDefect,
 )
 from mitsuba_ref.error_model.intersections import norm, without_float_warnings, without_overflow_warnings
-from mitsuba_ref.error_model.scene_model import SceneModel, kinds_of
+from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 from mitsuba_ref.shapes import KINDS, kind_of
@@ -122,7 +122,7 @@ def _distance_and_offset(model: SceneModel, prims: np.ndarray, o: np.ndarray) ->
 
 def _place(model: SceneModel, prim: int) -> tuple[Any, int]:
     """(arrays of its kind, its row there)."""
-    kind, k = kinds_of(model.packed, np.array([prim]))
+    kind, k = model.packed.kinds_of(np.array([prim]))
     return model.packed.kinds[int(kind[0])].prims, int(k[0])
 
 

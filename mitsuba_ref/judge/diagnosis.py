@@ -477,7 +477,7 @@ def _properties(judge: Judge, rows: np.ndarray, prim: np.ndarray) -> Iterator[tu
     """(sentence, its negation, (n,) bool) of rays and the primitives they hit, the simplest first."""
     packed, d = judge.model.packed, judge.d[rows]
     shape, names = packed.shape_of(prim), judge.scene.shape_names()
-    kinds = np.array([kind_of(kind.prims).name for kind in packed.kinds])[packed.kind_of[shape]]
+    kinds = np.array([kind_of(kind.prims).name for kind in packed.kinds])[packed.kinds_of(prim)[0]]
     for kind in np.unique(kinds) if len(packed.kinds) > 1 else ():
         yield f"one of the {kind.lower()} is hit", f"none of the {kind.lower()} is hit", kinds == kind
     for number in np.unique(shape) if len(names) > 1 else ():

@@ -17,7 +17,6 @@ from mitsuba_ref.cameras.camera_reference import camera_axes
 from mitsuba_ref.error_model.bounds import intersections_at, row_distance
 from mitsuba_ref.error_model.bracket import RayIntersections
 from mitsuba_ref.error_model.intersections import Intersections, dot, norm, row_groups, unit
-from mitsuba_ref.error_model.scene_model import kinds_of
 from mitsuba_ref.error_model.tolerances import (
     DISTINCT_RTOL,
     FIT_FACTOR,
@@ -645,7 +644,7 @@ def triangle_corners(judge: Judge, prim: np.ndarray) -> np.ndarray:
     """(m, 3, 3) corners of primitives; NaN for those that are no triangles."""
     packed = judge.model.packed
     corners = np.full((len(prim), 3, 3), np.nan)
-    place, k = kinds_of(packed, prim)
+    place, k = packed.kinds_of(prim)
     for number, kind in enumerate(packed.kinds):
         if isinstance(kind.prims, Triangles):
             rows = np.flatnonzero((place == number) & (prim >= 0))

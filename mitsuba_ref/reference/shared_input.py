@@ -128,8 +128,11 @@ def model_of(scene: Scene, packed: Packed, rays: SharedRays) -> SceneModel:
     real = rays.t_max >= 0.0
     o, d = rays.o[real].astype(np.float64), rays.d[real].astype(np.float64)
     parts = tuple(reference.stand_in(part, o, d) for reference, part in zip(references, packed.parts, strict=True))
-    members = [np.flatnonzero(packed.kind_of == place) for place in range(len(packed.kinds))]
-    kinds = tuple(concatenate_parts([parts[s] for s in shapes]) for shapes in members)
+    like = [
+        [part for part, own in zip(parts, packed.parts, strict=True) if type(own) is type(kind.prims)]
+        for kind in packed.kinds
+    ]
+    kinds = tuple(map(concatenate_parts, like))
     model = replace(own_model(packed), parts=parts, kinds=kinds)
     if original := original_of(scene):
         models = tuple(

@@ -10,7 +10,6 @@ from caster.image.exr import write_exr
 from caster.scene.model import Scene
 from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.cameras.camera_reference import camera_axes
-from mitsuba_ref.error_model.scene_model import kinds_of
 from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING
 
@@ -90,7 +89,7 @@ def film_edges(judge: Judge, judgement: Judgement) -> np.ndarray:
     if len(chosen) > MAX_TRIANGLES_DRAWN:
         odd = prims[:, judgement.classes != CLASS_CODE[AGREE]]
         chosen = np.unique(odd[odd >= 0])[:MAX_TRIANGLES_DRAWN]
-    kind, k = kinds_of(packed, chosen)
+    kind, k = packed.kinds_of(chosen)
     found = [np.zeros((0, 4))]
     for place in np.unique(kind):
         of = packed.kinds[place].prims

@@ -11,7 +11,8 @@ import pytest
 from ply_files import ENCODINGS, INDICES, XYZ, ply, ply_mesh
 
 from caster.description.errors import FileMissing, SceneError
-from caster.geometry.mesh_files import GLB_HEADER, load_mesh, parse_off
+from caster.geometry.mesh_files import GLB_HEADER, load_mesh
+from caster.geometry.mesh_files.ply import parse_off
 from caster.geometry.triangle_mesh import vertex_normals
 from caster.shapes.mesh import Mesh
 
@@ -286,15 +287,15 @@ def test_a_vertex_that_is_not_finite_is_kept_for_its_faces_to_be_left_out(load, 
 
 BROKEN_PLY = [
     (b"ply\n", b"plx\n", ":1: PLY header: expected the line 'ply'"),
-    (b"format ascii 1.0", b"format utf8 1.0", ":2: PLY header: expected one format, .* got 'format utf8"),
-    (b"element vertex", b"format ascii 1.0\nelement vertex", ":3: PLY header: expected one format"),
-    (b"format ascii 1.0\n", b"", ":2: PLY header: expected a format line .* first, got 'element"),
-    (b"vertex 4", b"vertex -4", ":3: PLY header: expected a number of rows .*got '-4'"),
+    (b"format ascii 1.0", b"format utf8 1.0", ":2: PLY header: expected format ascii, .* got 'format utf8"),
+    (b"element vertex", b"format ascii 1.0\nelement vertex", ":3: PLY header: expected one line with the format"),
+    (b"format ascii 1.0\n", b"", ":2: PLY header: expected one line with the format, before all elements"),
+    (b"vertex 4", b"vertex -4", ":3: PLY header: expected .*element NAME ROWS.*got 'element vertex -4'"),
     (b"vertex 4\n", b"vertex 4\nelement vertex 4\n", ":4: PLY header: expected each element once"),
-    (b"float y", b"float x", ":5: PLY header: expected each property of 'vertex' once, got 'x' again"),
-    (b"list uchar int", b"list float int", ":8: PLY header: expected a type .*got 'list float int'"),
+    (b"float y", b"float x", ":5: PLY header: expected each property of an element once, got 'property float x'"),
+    (b"list uchar int", b"list float int", ":8: PLY header: expected .*got 'property list float int"),
     (b"element face", b"element bare 2\nelement face", ": PLY header: expected properties of element 'bare'"),
-    (b"end_header", b"end", ":9: PLY header: expected element"),
+    (b"end_header", b"end", ":9: PLY header: expected .* or end_header .*got 'end'"),
     (b"1.0 1.0 0.0", b"1.0 1.0 O.0", ":12: expected numbers, got '1.0 1.0 O.0'"),
     (b"1.0 1.0 0.0", b"1.0 1.0", ":12: row 2 of element 'vertex': expected 3 numbers, got 2"),
     (b"3 0 2 3", b"3 0 2", ":15: truncated"),
@@ -338,12 +339,12 @@ def test_polygons_of_an_off_file_are_fans_in_the_order_of_the_file(data):
     ("old", "new", "says"),
     [
         (b"OFF", b"BYU", "x.off: expected an OFF file in text"),
-        (b"5 2 0", b"5", "x.off:2: expected 2 numbers, got a line of 1: '5'"),
-        (b"5 2 0", b"5 3 0", "x.off: expected lines of 5 vertices and 3 faces, got 7"),
+        (b"5 2 0", b"5", "x.off:2: expected numbers of vertices and faces, got '5'"),
+        (b"5 2 0", b"5 3 0", "x.off: truncated: expected 3 rows of element 'face', got 2 whole ones"),
         (b"1 1 0", b"1 one 0", "x.off:5: expected numbers, got '1 one 0'"),
-        (b"4 0 1 2 3", b"4 0 1 2", "x.off:9: expected 5 numbers, got a line of 4: '4 0 1 2'"),
-        (b"3 0 3 4", b"2 0 3", "x.off:8: expected at least 3 of the vertices 0 to 4, got [0, 3]"),
-        (b"3 0 3 4", b"3 0 3 5", "x.off:8: expected at least 3 of the vertices 0 to 4, got [0, 3, 5]"),
+        (b"4 0 1 2 3", b"4 0 1 2", "x.off:9: truncated: expected 2 rows of element 'face', got 1"),
+        (b"3 0 3 4", b"2 0 3", "x.off:8: face 0 needs at least 3 vertices, got 2"),
+        (b"3 0 3 4", b"3 0 3 5", "x.off:8: face 0 must join vertices 0 to 4 (the file has 5), got 5"),
     ],
 )
 def test_a_broken_off_file_is_refused_with_its_line(old, new, says):

@@ -69,13 +69,13 @@ def test_a_mesh_of_trimesh_keeps_its_triangles_and_uv():
         ((), {}, "needs file, or vertices and faces, got none"),
         ((CORNERS,), {}, "needs file, or vertices and faces, got vertices"),
         ((CORNERS, FACES), {"file": "m.obj"}, "needs either file or arrays, got file and vertices and faces"),
-        ((CORNERS[:, :2], FACES), {}, r"vertices must be a list of points .*, got \[0.1, 0\] as number 0"),
-        ((np.array(5.0), FACES), {}, "vertices must be a list of points .*, got 5"),
-        ((CORNERS + np.inf, FACES), {}, "vertices must be a list of points .* of finite numbers"),
-        ((CORNERS, FACES / 2), {}, r"faces must be a list of faces .* of whole numbers, got \[0, 1, 0.5\] as number 0"),
-        ((CORNERS, [(0, 1, 2), (0, 1, -1)]), {}, r"faces must be .*, got \[0, 1, -1\] as number 1"),
-        ((CORNERS, [(0, 1, 2**40)]), {}, "faces must be a list of faces"),
-        ((CORNERS, [(0, 1, True)]), {}, "faces must be a list of faces"),
+        ((CORNERS[:, :2], FACES), {}, r"vertices\[0\] must be 3 numbers \[x, y, z\], got 2: \[0.1, 0\]"),
+        ((np.array(5.0), FACES), {}, "vertices must be a list, got 5"),
+        ((CORNERS + np.inf, FACES), {}, r"vertices\[0\]\[0\] must be a finite number, got inf"),
+        ((CORNERS, FACES / 2), {}, r"faces\[0\]\[0\] must be a whole number, got 0"),
+        ((CORNERS, [(0, 1, 2), (0, 1, -1)]), {}, r"faces\[1\]\[2\] must be >= 0, got -1"),
+        ((CORNERS, [(0, 1, 2**40)]), {}, r"faces\[0\]\[2\] must be < 2147483648, got"),
+        ((CORNERS, [(0, 1, True)]), {}, r"faces\[0\]\[2\] must be a whole number, got true"),
         ((CORNERS, [(0, 1, 4)]), {}, r"face 0 must join vertices 0 to 3 \(the mesh has 4\), got \(0, 1, 4\)"),
         ((CORNERS, FACES, NORMALS[:3]), {}, "normals must have 4 rows, one a vertex, got 3"),
         ((CORNERS, FACES, None, UV[:1]), {}, "uv must have 4 rows, one a vertex, got 1"),
@@ -127,11 +127,7 @@ def test_another_camera_shares_the_packed_shapes():
 @pytest.mark.parametrize(
     ("thing", "name", "says"),
     [
-        (
-            scene_of(),
-            "camera",
-            r"Scene.camera: .* immutable; use a copy .*: with_camera\(...\), with_film\(...\) or model_copy",
-        ),
+        (scene_of(), "camera", r"Scene.camera: .* immutable; use a copy .*: model_copy"),
         (
             CAMERA,
             "fov",

@@ -77,12 +77,12 @@ ONE_LINERS = [
     (
         "too few",
         shape("triangle", "vertices = [[0, 0, 0]]"),
-        "7:1: shapes[0] (triangle): vertices must be 3 items, got 1: [[0, 0, 0]]",
+        "7:1: shapes[0] (triangle): vertices must be 3 points, got 1: [[0, 0, 0]]",
     ),
     (
         "too many",
         shape("triangle", "vertices = [[0,0,0],[1,0,0],[0,1,0],[0,0,1]]"),
-        "7:1: shapes[0] (triangle): vertices must be 3 items, got 4: [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]",
+        "7:1: shapes[0] (triangle): vertices must be 3 points, got 4: [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]",
     ),
     (
         "a missing key is told at the header",

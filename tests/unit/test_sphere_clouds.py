@@ -90,12 +90,12 @@ def test_clouds_survive_text_and_pickle(tmp_path):
 REFUSED = {
     "{}": "needs either file or centers, got neither",
     '{file = "a.ply", centers = [[0, 0, 0]]}': "needs either file or centers, got both",
-    "{centers = []}": "centers must be a list of points [x, y, z] of finite numbers, got []",
-    "{centers = [[0, 0, 0], [1, 2]]}": "of finite numbers, got [1, 2] as number 1",
-    "{centers = [[0, 0, true]]}": "of finite numbers, got [0, 0, true] as number 0",
-    "{centers = [[0, 0, 0], [0, inf, 0]]}": "of finite numbers, got [0, inf, 0] as number 1",
-    '{centers = [[0, 0, 0], [0, "1", 0]]}': 'of finite numbers, got [0, "1", 0] as number 1',
-    "{centers = [[0, 0, 0]], radii = [-1]}": "radii must be a list of lengths > 0, got -1 as number 0",
+    "{centers = []}": "centers must be a list that is not empty, got []",
+    "{centers = [[0, 0, 0], [1, 2]]}": "centers[1] must be 3 numbers [x, y, z], got 2: [1, 2]",
+    "{centers = [[0, 0, true]]}": "centers[0][2] must be a finite number, got true",
+    "{centers = [[0, 0, 0], [0, inf, 0]]}": "centers[1][1] must be a finite number, got inf",
+    '{centers = [[0, 0, 0], [0, "1", 0]]}': 'centers[1][1] must be a finite number, got "1"',
+    "{centers = [[0, 0, 0]], radii = [-1]}": "radii[0] must be > 0, got -1",
     "{centers = [[0, 0, 0]], radii = [1, 2]}": "needs as many radii as centers, got 2 radii and 1 centers",
     '{file = "a.ply", radii = [1]}': "needs as many radii as centers, got 1 radii and 0 centers",
     "{centers = [[0, 0, 0]], radii = [1], radius = 2}": "needs either radii or radius, got both",
@@ -132,7 +132,7 @@ def test_a_bad_vertex_is_named_with_its_number(tmp_path, kind, radius):
     )
     centers[7, 1] = np.inf
     where = write_ply(tmp_path / "b.ply", centers, None, kind)
-    with pytest.raises(SceneError, match=r"vertex 7 must be finite numbers, got \(.*inf.*\(1 of 9 are wrong\)"):
+    with pytest.raises(SceneError, match=r"of vertex 7 must be finite numbers, got \(.*inf.*\(1 of 9 are wrong\)"):
         caster.SphereCloud(file=where).spheres()
 
 

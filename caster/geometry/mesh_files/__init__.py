@@ -6,9 +6,7 @@ The readers are strict: a face that is dropped silently would be a wrong image.
 import io
 import itertools
 import json
-import math
 import os
-import re
 import struct
 from collections.abc import Callable
 from functools import lru_cache, partial
@@ -21,10 +19,18 @@ from pydantic import AfterValidator
 
 from caster.description.errors import FileMissing, SceneError, field_error, format_value
 from caster.description.input_files import MAX_MESH_BYTES, read_input
-from caster.description.transform import compose, exponentials, is_mirrored, scale, transform_points, translate
+from caster.description.transform import (
+    compose,
+    exponentials,
+    is_mirrored,
+    rotations,
+    scale,
+    transform_points,
+    translate,
+)
 from caster.geometry.mesh_files.obj import parse_obj, quote_bytes, read_numbers
-from caster.geometry.mesh_files.ply import Points, parse_ply, parse_ply_columns, parse_ply_points
-from caster.geometry.triangle_mesh import Mesh, check_mesh, normalize_rows, triangle_fans
+from caster.geometry.mesh_files.ply import POSITION, parse_off, parse_ply, parse_ply_vertices
+from caster.geometry.triangle_mesh import Mesh, check_mesh, normalize_rows
 
 __all__ = ["MeshFolders", "load_ellipsoids", "load_points"]
 
@@ -54,12 +60,13 @@ def load_mesh(path: str | PathLike[str]) -> Mesh:
     return mesh if mesh.normals is None else mesh._replace(normals=normalize_rows(mesh.normals))
 
 
-def load_points(path: str | PathLike[str]) -> Points:
-    """Read the vertices of a PLY file as spheres, with their radii if it has the property `radius`.
+def load_points(path: str | PathLike[str]) -> tuple[Any, Any]:
+    """Read the vertices of a PLY file as spheres: centres (n, 3), and radii (n,) if it has the property `radius`.
 
     Raises FileMissing for a file that cannot be read, SceneError that names the first vertex that is not a sphere.
     """
-    return parse_ply_points(_read_point_file(path), str(path))
+    rows = parse_ply_vertices(_read_point_file(path), str(path), POSITION, "radius")
+    return rows[:, :3], rows[:, 3] if rows.shape[1] > 3 else None
 
 
 def _read_point_file(path: str | PathLike[str]) -> bytes:
@@ -68,7 +75,7 @@ def _read_point_file(path: str | PathLike[str]) -> bytes:
     return read_input(str(path), "file of points", MAX_MESH_BYTES)
 
 
-SPLAT = ("x", "y", "z", "scale_0", "scale_1", "scale_2", "rot_1", "rot_2", "rot_3", "rot_0")
+SPLAT = (*POSITION, "scale_0", "scale_1", "scale_2", "rot_1", "rot_2", "rot_3", "rot_0")
 
 
 def load_ellipsoids(path: str | PathLike[str]) -> tuple[Any, Any, Any]:
@@ -77,11 +84,10 @@ def load_ellipsoids(path: str | PathLike[str]) -> tuple[Any, Any, Any]:
     Scales are stored as logarithms, as for Gaussian splats. Raises FileMissing for a file that cannot be read,
     SceneError for one without these properties.
     """
-    rows = parse_ply_columns(_read_point_file(path), str(path), SPLAT)
-    if not rows[:, 6:].any(axis=1).all():
-        raise SceneError(
-            f"{path}: vertex {int(np.argmin(rows[:, 6:].any(axis=1)))}: expected a rotation, got 0, 0, 0, 0"
-        )
+    rows = parse_ply_vertices(_read_point_file(path), str(path), SPLAT)
+    turned = rows[:, 6:].any(axis=1)
+    if not turned.all():
+        raise SceneError(f"{path}: vertex {int(np.argmin(turned))}: expected a rotation, got 0, 0, 0, 0")
     return rows[:, :3], exponentials(rows[:, 3:6]), rows[:, 6:]
 
 
@@ -167,39 +173,6 @@ class MeshFolders(NamedTuple):
         return where
 
 
-def parse_off(data: bytes, where: str) -> Mesh:
-    """Text of an OFF file -> Mesh; colours are ignored. Raises SceneError with `where`:line.
-
-    trimesh is not used, since it sorts polygons by their number of corners.
-    """
-    rows = [(n, words) for n, line in enumerate(data.splitlines(), 1) if (words := line.split(b"#")[0].split())]
-    if not rows or not re.fullmatch(rb"(ST)?C?N?OFF", rows[0][1].pop(0)) or b"BINARY" in rows[0][1]:
-        raise SceneError(f"{where}: expected an OFF file in text, which begins with OFF, COFF, NOFF or STOFF")
-    rows = rows if rows[0][1] else rows[1:]
-    vertices, faces = _numbers(*rows[0], int, 2, where) if rows else (0, 0)
-    if len(rows) - 1 < vertices + faces or min(vertices, faces) < 0:
-        raise SceneError(f"{where}: expected lines of {vertices} vertices and {faces} faces, got {len(rows) - 1}")
-    points = [_numbers(line, words, float, 3, where) for line, words in rows[1 : 1 + vertices]]
-    polygons = []
-    for line, words in rows[1 + vertices : 1 + vertices + faces]:
-        size, *polygon = _numbers(line, words, int, 1 + int(words[0]) if words[0].isdigit() else 1, where)
-        if size < 3 or min(polygon) < 0 or max(polygon) >= vertices:
-            limits = f"at least 3 of the vertices 0 to {vertices - 1}"
-            raise SceneError(f"{where}:{line}: expected {limits}, got {polygon}")
-        polygons.append(polygon)
-    corners = np.array([i for polygon in polygons for i in polygon], np.int32)
-    fans = triangle_fans(np.array([len(polygon) for polygon in polygons], np.int64))
-    return Mesh(np.array(points, np.float64).reshape(-1, 3), corners[fans])
-
-
-def _numbers(line: int, words: list[bytes], kind: Callable[[bytes], Any], count: int, where: str) -> list[Any]:
-    """The first numbers of a line."""
-    if len(words) < count:
-        got = quote_bytes(b" ".join(words))
-        raise SceneError(f"{where}:{line}: expected {count} numbers, got a line of {len(words)}: {got}")
-    return read_numbers(words[:count], f"{where}:{line}", kind)
-
-
 def _parse_by_trimesh(data: bytes, where: str) -> Mesh:
     """Read triangles by trimesh, without merging, reordering or repairing anything. Raises SceneError."""
     try:
@@ -283,18 +256,9 @@ def _rewritten(text: bytes) -> bytes:
     content = json.loads(text)
     for node in content["nodes"]:
         if "rotation" in node and "matrix" not in node:
-            move, size = node.pop("translation", (0.0, 0.0, 0.0)), node.pop("scale", (1.0, 1.0, 1.0))
-            steps = scale(size), _rotation_of(*node.pop("rotation")), translate(move)
+            turn = np.eye(4)
+            with np.errstate(all="raise"):
+                turn[:3, :3] = rotations(np.array([node.pop("rotation")], np.float64))[0]
+            steps = scale(node.pop("scale", 1.0)), turn, translate(node.pop("translation", (0.0, 0.0, 0.0)))
             node["matrix"] = compose(steps).T.ravel().tolist()  # column by column
     return json.dumps(content).encode()
-
-
-def _rotation_of(x: float, y: float, z: float, w: float) -> np.ndarray:
-    """The rotation of a quaternion of any length but 0. Source: glTF 2.0; Shoemake 1985."""
-    share = math.sqrt(2.0 / (w * w + x * x + y * y + z * z))
-    x, y, z, w = share * x, share * y, share * z, share * w
-    matrix = np.eye(4)
-    matrix[0, :3] = 1.0 - y * y - z * z, x * y - z * w, x * z + y * w
-    matrix[1, :3] = x * y + z * w, 1.0 - x * x - z * z, y * z - x * w
-    matrix[2, :3] = x * z - y * w, y * z + x * w, 1.0 - x * x - y * y
-    return matrix

@@ -1,12 +1,15 @@
 """Reader of PLY files, binary and ascii: the elements `vertex` and `face` become a mesh; others are ignored.
 
-The numbers of an ascii body are converted to float64 first, so that one reader serves both kinds.
+The numbers of a text are converted to float64 first, so that one reader serves both kinds. The rows of an OFF
+file are read as the same elements.
 """
 
 import re
 import struct
-from functools import lru_cache
-from typing import Any, NamedTuple
+from array import array
+from collections.abc import Iterable, Sequence
+from itertools import chain
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,15 +28,28 @@ TYPES = dict(
         """,
     )
 )
-BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-FORMATS = "ascii, binary_little_endian or binary_big_endian, and 1.0"
+BYTE_ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
+NUMBER_OF_TEXT = "<d"
+HEADER_LINE = re.compile(
+    rf"""
+    (?:comment|obj_info)\b.*|
+    format\ (?P<encoding>{"|".join(BYTE_ORDERS)})\ 1\.0|
+    element\ (?P<element>\S+)\ (?P<rows>\d{{1,18}})|
+    property\ (?:list\ (?P<length>{"|".join(name for name, code in TYPES.items() if code not in "fd")})\ )?
+        (?P<type>{"|".join(TYPES)})\ (?P<property>\S+)|
+    (?P<end>end_header)|
+    """,
+    re.VERBOSE | re.ASCII,
+)
+HEADER_LINES = "format ascii, binary_little_endian or binary_big_endian 1.0; element NAME ROWS; property TYPE NAME; "
+HEADER_LINES += f"property list WHOLE-NUMBER-TYPE TYPE NAME; comment or end_header (types: {', '.join(TYPES)})"
 
 
 class Property(NamedTuple):
-    """A number per row, or a list of numbers if `length` is set, the format of its length."""
+    """A number per row, or a list of numbers if `length` is set: the types of numbers and lengths, as of struct."""
 
-    type: np.dtype[Any]
-    length: struct.Struct | None
+    type: str
+    length: str = ""
 
 
 class Element(NamedTuple):
@@ -52,75 +68,58 @@ class Column(NamedTuple):
 
 
 class Table(NamedTuple):
-    """The columns of an element by name. lines: of the rows of an ascii file."""
+    """The columns of an element by name."""
 
+    where: str
     columns: dict[str, Column]
-    lines: list[int]
+    lines: Sequence[int] = ()  # of the rows of a text
 
-    def place(self, where: str, row: int) -> str:
-        """The position of a row for an error message."""
-        return f"{where}:{self.lines[row]}" if self.lines else where
+    def error(self, row: int, text: str) -> SceneError:
+        """The error of a row."""
+        return SceneError(f"{self.where}:{self.lines[row]}: {text}" if self.lines else f"{self.where}: {text}")
 
 
 # ---- header ----
 
 
 def _parse_header(data: bytes, where: str) -> tuple[str, dict[str, Element], int, int]:
-    """(byte order, elements, offset of the body, its first line). Raises SceneError with `where`:line."""
+    """(encoding, elements, offset of the body, its first line). Raises SceneError with `where`:line."""
     magic = re.match(rb"ply[ \t]*(\r\n|\n|\r)", data)
     if magic is None:
         raise SceneError(f"{where}:1: PLY header: expected the line 'ply', got {quote_bytes(data[:8])}")
     newline = magic[1][-1:]  # the carriage return of \r\n counts as space
-    formats: list[str] = []
-    elements: dict[str, Element] = {}
+    encoding, elements = "", dict[str, Element]()
     start, line = magic.end(), 1
     while (stop := data.find(newline, start)) >= 0:
         line += 1
-        words = data[start:stop].decode("ascii", "backslashreplace").split()
+        text = " ".join(data[start:stop].decode("ascii", "backslashreplace").split())
         start = stop + 1
-        if words == ["end_header"]:
-            return (formats or ["ascii"])[0], elements, start, line + 1
-        try:
-            _add_header_line(words, formats, elements)
-        except ValueError as error:
-            raise SceneError(f"{where}:{line}: PLY header: {error}") from error
+        found = HEADER_LINE.fullmatch(text)
+        if found is not None and found["end"]:
+            return encoding or "ascii", elements, start, line + 1
+        expected = _add_header_line(found, encoding, elements) if found else HEADER_LINES
+        if expected:
+            raise SceneError(f"{where}:{line}: PLY header: expected {expected}, got '{text[:60]}'")
+        encoding = (found and found["encoding"]) or encoding
     raise SceneError(f"{where}:{line}: PLY header: truncated: expected 'end_header', got the end of the file")
 
 
-def _add_header_line(words: list[str], formats: list[str], elements: dict[str, Element]) -> None:
-    """Read one line of the header. Raises ValueError with expected and got."""
-    match words:
-        case [] | ["comment" | "obj_info", *_]:
-            pass
-        case ["format", encoding, "1.0"] if encoding in BYTE_ORDERS and not formats:
-            formats.append(encoding)
-        case ["format", *_]:
-            raise ValueError(f"expected one format, {FORMATS}, got '{' '.join(words)[:60]}'")
-        case ["element" | "property", *_] if not formats:
-            raise ValueError(f"expected a format line ({FORMATS}) first, got '{' '.join(words)[:60]}'")
-        case ["element", name, count]:
-            if not (count.isascii() and count.isdigit() and len(count) < 19):  # 19 digits may pass 2^63
-                raise ValueError(f"expected a number of rows of element '{name}', got '{count[:60]}'")
-            if name in elements:
-                raise ValueError(f"expected each element once, got '{name}' again")
-            elements[name] = Element(name, int(count), {})
-        case ["property", *types, name] if elements:
-            element = next(reversed(elements.values()))
-            if name in element.properties:
-                raise ValueError(f"expected each property of '{element.name}' once, got '{name}' again")
-            element.properties[name] = _property(types, formats[0])
-        case _:
-            raise ValueError(f"expected element, property, comment or end_header, got '{' '.join(words)[:60]}'")
-
-
-def _property(types: list[str], encoding: str) -> Property:
-    of_list = types[:1] == ["list"]
-    codes = [TYPES.get(word, "") for word in types[of_list:]]
-    if len(codes) != 1 + of_list or "" in codes or (of_list and codes[0] in "fd"):
-        expected = f"a type ({', '.join(TYPES)}), or list, a whole-number type and a type"
-        raise ValueError(f"expected {expected}, got '{' '.join(types)[:60]}'")
-    forms = ["<d" if encoding == "ascii" else BYTE_ORDERS[encoding] + code for code in codes]
-    return Property(np.dtype(forms[-1]), struct.Struct(forms[0]) if of_list else None)
+def _add_header_line(line: re.Match[str], encoding: str, elements: dict[str, Element]) -> str:
+    """Add an element or a property; what is expected instead, if it may not stand here."""
+    if line.lastgroup and bool(encoding) == bool(line["encoding"]):
+        return "one line with the format, before all elements"
+    if line["element"] in elements or (line["property"] and not elements):
+        return "each element once, and before its properties"
+    if line["element"]:
+        elements[line["element"]] = Element(line["element"], int(line["rows"]), {})
+    elif line["property"]:
+        properties = elements[next(reversed(elements))].properties
+        if line["property"] in properties:
+            return "each property of an element once"
+        types = [line["type"], *([line["length"]] if line["length"] else [])]
+        binary = [BYTE_ORDERS[encoding] + TYPES[each] for each in types]
+        properties[line["property"]] = Property(*([NUMBER_OF_TEXT] * len(types) if encoding == "ascii" else binary))
+    return ""
 
 
 # ---- body ----
@@ -128,116 +127,115 @@ def _property(types: list[str], encoding: str) -> Property:
 
 def _read_tables(data: bytes, where: str) -> dict[str, Table]:
     """The tables of all elements. Raises SceneError."""
-    encoding, elements, at, line = _parse_header(data, where)
-    body = _ascii_body(data[at:], line, where) if encoding == "ascii" else _Body(data, at, where)
-    tables = {name: body.read(element) for name, element in elements.items()}
-    if body.at < len(body.data):
-        more = f"{len(body.lines) - body.row} more rows" if body.lines else f"{len(data) - body.at} more bytes"
-        raise SceneError(f"{body.place()}: expected the end of the file after the last element, got {more}")
-    return tables
-
-
-def _ascii_body(text: bytes, first_line: int, where: str) -> "_Body":
-    rows = [(n, words) for n, row in enumerate(text.splitlines(), first_line) if (words := row.split())]
-    numbers: list[float] = []
-    for line, words in rows:
-        numbers += read_numbers(words, f"{where}:{line}")
-    body = _Body(np.array(numbers, "<f8").tobytes(), 0, where)
-    body.lines, body.ends = [line for line, _ in rows], 8 * np.cumsum([len(words) for _, words in rows], dtype=np.int64)
-    return body
+    encoding, elements, start, line = _parse_header(data, where)
+    if encoding != "ascii":
+        return _Body(data, start, where).read_all(elements.values())
+    lines = ((n, words) for n, row in enumerate(data[start:].splitlines(), line) if (words := row.split()))
+    rows = [(n, read_numbers(words, f"{where}:{n}")) for n, words in lines]
+    return _Body.of_text(rows, where).read_all(elements.values())
 
 
 class _Body:
     """The numbers of a file as bytes, read element by element."""
 
-    def __init__(self, data: bytes, at: int, where: str) -> None:
-        self.data, self.at, self.where = data, at, where
+    def __init__(self, data: bytes, start: int, where: str) -> None:
+        self.data, self.at, self.where = data, start, where
         self.row = 0  # rows read so far
-        self.lines: list[int] = []  # of the rows of an ascii file
+        self.lines: list[int] = []  # of the rows of a text
         self.ends: NDArray[np.int64] | None = None  # where these rows end
 
-    def read(self, element: Element) -> Table:
-        """The next element, at once if it is binary and its lists are equally long. Raises SceneError."""
+    @classmethod
+    def of_text(cls, rows: list[tuple[int, list[float]]], where: str) -> Self:
+        """The body of rows of numbers, each with its line."""
+        numbers = np.fromiter(chain.from_iterable(row for _, row in rows), NUMBER_OF_TEXT)
+        body = cls(numbers.tobytes(), 0, where)
+        body.lines = [line for line, _ in rows]
+        body.ends = numbers.itemsize * np.cumsum([len(row) for _, row in rows], dtype=np.int64)
+        return body
+
+    def read_all(self, elements: Iterable[Element]) -> dict[str, Table]:
+        """The tables of all elements, which end where the file does. Raises SceneError."""
+        tables = {element.name: self._read(element) for element in elements}
+        if self.at < len(self.data):
+            unread = len(self.data) - self.at
+            more = f"{len(self.lines) - self.row} more rows" if self.lines else f"{unread} more bytes"
+            raise SceneError(f"{self._place()}: expected the end of the file after the last element, got {more}")
+        return tables
+
+    def _read(self, element: Element) -> Table:
+        """The next element, at once if all rows have the layout of the first. Raises SceneError."""
         if not element.properties and element.rows:
             raise SceneError(f"{self.where}: PLY header: expected properties of element '{element.name}', got none")
         if not element.properties:
-            return Table({}, [])
-        first, start, properties = self.row, self.at, tuple(element.properties.values())
-        sizes = self._next_row(element, first) if element.rows else (1,) * len(properties)
+            return Table(self.where, {})
+        self.element, self.first, start = element, self.row, self.at
+        numbers, properties = range(len(element.properties)), list(element.properties.values())
+        sizes = [len(values) for values in self._next_row()] if element.rows else [1] * len(properties)
         layout = _layout(properties, sizes)
-        number = min(element.rows, (len(self.data) - start) // layout.itemsize)
-        rows = np.frombuffer(self.data, layout, number, start)
-        values, lengths = (
-            [rows[f"value{k}"].ravel() for k in range(len(sizes))],
-            np.broadcast_to(sizes, (number, len(sizes))),
-        )
-        self.row, self.at = first + number, start + rows.nbytes
-        lists = [k for k, p in enumerate(properties) if p.length]
-        unlike = number < element.rows or any((rows[f"size{k}"] != sizes[k]).any() for k in lists)
-        if element.rows and (unlike or self.ends is not None):
-            self.row, self.at = first, start
-            values, lengths = self._row_by_row(element)
+        count = min(element.rows, (len(self.data) - start) // layout.itemsize)
+        rows = np.frombuffer(self.data, layout, count, start)
+        ends = start + layout.itemsize * np.arange(1, count + 1)
+        self.row, self.at = self.first + count, start + rows.nbytes
+        values: list[Any] = [rows[f"value{k}"].ravel() for k in numbers]
+        counts: list[Any] = [np.full(count, size) for size in sizes]
+        if (
+            count < element.rows
+            or any((rows[f"size{k}"] != sizes[k]).any() for k in numbers if properties[k].length)
+            or not (self.ends is None or np.array_equal(ends, self.ends[self.first : self.row]))
+        ):
+            self.row, self.at = self.first, start
+            values, counts = [array("d") for _ in numbers], [array("q") for _ in numbers]
+            for _ in range(element.rows):
+                for k, found in enumerate(self._next_row()):
+                    values[k].extend(found)
+                    counts[k].append(len(found))
         columns = {
-            name: Column(values[k], lengths[:, k] if k in lists else None) for k, name in enumerate(element.properties)
+            name: Column(np.asarray(values[k]), np.asarray(counts[k]) if properties[k].length else None)
+            for k, name in enumerate(element.properties)
         }
-        return Table(columns, self.lines[first : self.row])
+        return Table(self.where, columns, self.lines[self.first : self.row])
 
-    def _row_by_row(self, element: Element) -> tuple[list[NDArray[Any]], NDArray[np.int64]]:
-        """(the values of each property, their number in each row)."""
-        first, starts, sizes, properties = self.row, [], [], tuple(element.properties.values())
-        for _ in range(element.rows):
-            starts.append(self.at)
-            sizes.append(self._next_row(element, first))
-        data, places, lengths = np.frombuffer(self.data, np.uint8), np.array(starts), np.array(sizes)
-        ends = np.cumsum(lengths, axis=0)
-        values = [np.empty(total, p.type) for total, p in zip(ends[-1], properties, strict=True)]
-        for group in set(sizes):
-            here, layout = (lengths == group).all(axis=1), _layout(properties, group)
-            rows = np.stack([data[places[here] + i] for i in range(layout.itemsize)], axis=1).view(layout)[:, 0]
-            for k, size in enumerate(group):
-                values[k][(ends[here, k, None] - size) + np.arange(size)] = rows[f"value{k}"]
-        return values, lengths
-
-    def _next_row(self, element: Element, first: int) -> tuple[int, ...]:
-        """Skip a row and return the number of values of each property. first: of the element's rows, for errors."""
-        sizes, at = [], self.at
-        for name, p in element.properties.items():
-            size = 1
-            if p.length:
-                if at + p.length.size <= len(self.data):
-                    (size,) = p.length.unpack_from(self.data, at)
+    def _next_row(self) -> list[tuple[float, ...]]:
+        """Read the values of each property in a row of the element."""
+        row, at = [], self.at
+        try:
+            for name, p in self.element.properties.items():
+                size = 1
+                if p.length:
+                    (size,) = struct.unpack_from(p.length, self.data, at)
+                    at += struct.calcsize(p.length)
                     if not (0 <= size < 2**32 and size == int(size)):
-                        raise self._error(element, first, f"a length >= 0 of list '{name}', got {size:g}")
-                at += p.length.size
-            sizes.append(int(size))
-            at += sizes[-1] * p.type.itemsize
-        if at > len(self.data):
-            expected = f"expected {element.rows} rows of element '{element.name}', got {self.row - first} whole ones"
-            raise SceneError(f"{self.place()}: truncated: {expected} before the end of the file")
+                        raise self._error(f"a length >= 0 of list '{name}', got {size:g}")
+                numbers = f"{p.type[0]}{int(size)}{p.type[1]}"
+                row.append(struct.unpack_from(numbers, self.data, at))
+                at += struct.calcsize(numbers)
+        except struct.error:
+            name, rows, whole = self.element.name, self.element.rows, self.row - self.first
+            expected = f"expected {rows} rows of element '{name}', got {whole} whole ones"
+            raise SceneError(f"{self._place()}: truncated: {expected} before the end of the file") from None
         if self.ends is not None and self.ends[self.row] != at:
-            got = (self.ends[self.row] - self.at) // 8
-            raise self._error(element, first, f"{(at - self.at) // 8} numbers, got {got}")
+            raise self._error(f"{(at - self.at) // 8} numbers, got {(self.ends[self.row] - self.at) // 8}")
         self.row, self.at = self.row + 1, at
-        return tuple(sizes)
+        return row
 
-    def _error(self, element: Element, first: int, text: str) -> SceneError:
-        return SceneError(f"{self.place()}: row {self.row - first} of element '{element.name}': expected {text}")
+    def _error(self, text: str) -> SceneError:
+        row = f"row {self.row - self.first} of element '{self.element.name}'"
+        return SceneError(f"{self._place()}: {row}: expected {text}")
 
-    def place(self) -> str:
+    def _place(self) -> str:
         return f"{self.where}:{self.lines[self.row]}" if self.row < len(self.lines) else self.where
 
 
-@lru_cache(maxsize=64)
-def _layout(properties: tuple[Property, ...], sizes: tuple[int, ...]) -> np.dtype[Any]:
+def _layout(properties: list[Property], sizes: list[int]) -> np.dtype[Any]:
     """The layout of a row; fields are numbered, since properties may have any name."""
     fields: list[Any] = []
     for k, (p, size) in enumerate(zip(properties, sizes, strict=True)):
-        fields += [(f"size{k}", p.length.format)] if p.length else []
+        fields += [(f"size{k}", p.length)] if p.length else []
         fields += [(f"value{k}", p.type, (size,))]
     return np.dtype(fields)
 
 
-# ---- the elements as a mesh or points ----
+# ---- the elements as a mesh or vertices ----
 
 POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")
@@ -245,91 +243,99 @@ UV = (("u", "v"), ("s", "t"), ("texture_u", "texture_v"))
 CORNERS = ("vertex_indices", "vertex_index")
 
 
-class Points(NamedTuple):
-    """Vertices of a file as centres of spheres."""
-
-    centers: Floats  # (n, 3)
-    radii: Floats | None  # (n,); None: the file has none
-
-
 def parse_ply(data: bytes, where: str) -> Mesh:
     """Bytes of a PLY file -> Mesh, with the file's vertices in its order. Raises SceneError with `where`."""
-    tables = _read_tables(data, where)
+    return _mesh_of(_read_tables(data, where), where)
+
+
+def _mesh_of(tables: dict[str, Table], where: str) -> Mesh:
     for name in ("vertex", "face"):
         if name not in tables:
             got = ", ".join(tables) or "none"
             raise SceneError(f"{where}: expected elements vertex and face, got no '{name}' (but: {got})")
     vertex = tables["vertex"]
-    vertices = _floats(vertex, POSITION, where)  # faces with a vertex that is not finite are rejected later
-    normals = _floats(vertex, NORMAL, where) if any(name in vertex.columns for name in NORMAL) else None
+    vertices = _floats(vertex, POSITION)  # faces with a vertex that is not finite are rejected later
+    normals = _finite(vertex, NORMAL) if any(name in vertex.columns for name in NORMAL) else None
     names = next((pair for pair in UV if all(name in vertex.columns for name in pair)), None)
-    uv = _floats(vertex, names, where) if names else None
-    for columns, rows in ((NORMAL, normals), (names or (), uv)):
-        if rows is not None:
-            good = np.isfinite(rows).all(axis=1)
-            _check_rows(rows, good, f"{', '.join(columns)} of vertex {{}} must be finite numbers", vertex, where)
-    return Mesh(vertices, _faces(tables["face"], len(vertices), where), normals, uv)
+    return Mesh(vertices, _faces(tables["face"], len(vertices)), normals, _finite(vertex, names) if names else None)
 
 
-def parse_ply_points(data: bytes, where: str) -> Points:
-    """Bytes of a PLY file -> its vertices, and their property `radius`, if any. Raises SceneError with `where`.
+def parse_ply_vertices(data: bytes, where: str, names: tuple[str, ...], length: str = "") -> Floats:
+    """Bytes of a PLY file -> finite properties of its vertices, (n, len(names)). Raises SceneError with `where`.
 
-    Other elements and properties are ignored.
+    length: a property > 0, a further column if the file has it. Other elements and properties are ignored.
     """
-    vertex = _read_tables(data, where).get("vertex")
-    if vertex is None or not any(len(column.values) for column in vertex.columns.values()):
+    vertex = _read_tables(data, where).get("vertex", Table(where, {}))
+    rows = _finite(vertex, names)
+    if not len(rows):
         raise SceneError(f"{where}: expected at least one row of an element 'vertex', got none")
-    points = _floats(vertex, POSITION, where)
-    _check_rows(points, np.isfinite(points).all(axis=1), "vertex {} must be finite numbers", vertex, where)
-    if "radius" not in vertex.columns:
-        return Points(points, None)
-    radii = _floats(vertex, ("radius",), where)
-    good = (np.isfinite(radii) & (radii > 0.0)).all(axis=1)
-    _check_rows(radii, good, "radius of vertex {} must be a length > 0", vertex, where)
-    return Points(points, radii[:, 0])
+    if length not in vertex.columns:
+        return rows
+    lengths = _floats(vertex, (length,))
+    good = (np.isfinite(lengths) & (lengths > 0.0))[:, 0]
+    _check_rows(vertex, lengths, good, f"{length} of vertex {{}} must be a length > 0")
+    return np.hstack([rows, lengths])
 
 
-def parse_ply_columns(data: bytes, where: str, names: tuple[str, ...]) -> Floats:
-    """Bytes of a PLY file -> these properties (n, len(names)) of element vertex, all finite. Raises SceneError."""
-    vertex = _read_tables(data, where).get("vertex", Table({}, []))
-    rows = _floats(vertex, names, where)
-    _check_rows(rows, np.isfinite(rows).all(axis=1), "vertex {} must have finite numbers", vertex, where)
-    return rows
-
-
-def _check_rows(rows: Floats, good: Any, text: str, table: Table, where: str) -> None:
-    """Raise SceneError for the first row that is not good; text: with {} for its number."""
-    bad = np.flatnonzero(~good)
-    if len(bad):
-        got = format_row(rows[bad[0]]) if rows.shape[1] > 1 else f"{rows[bad[0], 0]:g}"
-        place = table.place(where, int(bad[0]))
-        raise SceneError(f"{place}: {text.format(bad[0])}, got {got} ({len(bad)} of {len(rows)} are wrong)")
-
-
-def _floats(table: Table, names: tuple[str, ...], where: str) -> Floats:
+def _floats(table: Table, names: tuple[str, ...]) -> Floats:
     """(n, len(names)) of the columns `names`, all required."""
     columns = [table.columns.get(name) for name in names]
     scalars = [column.values for column in columns if column is not None and column.sizes is None]
     if len(scalars) < len(names):
         got = [name if column.sizes is None else f"{name}, a list" for name, column in table.columns.items()]
         expected = f"the properties {', '.join(names)} of element 'vertex'"
-        raise SceneError(f"{where}: expected {expected}, a number each, got {', '.join(got)}")
+        raise SceneError(f"{table.where}: expected {expected}, a number each, got {', '.join(got) or 'none'}")
     return np.stack([np.asarray(column, np.float64) for column in scalars], axis=1)
 
 
-def _faces(face: Table, count: int, where: str) -> NDArray[np.int32]:
+def _finite(table: Table, names: tuple[str, ...]) -> Floats:
+    rows = _floats(table, names)
+    _check_rows(table, rows, np.isfinite(rows).all(axis=1), f"{', '.join(names)} of vertex {{}} must be finite numbers")
+    return rows
+
+
+def _check_rows(table: Table, rows: Floats, good: Any, text: str) -> None:
+    """Raise SceneError for the first row that is not good; text: with {} for its number."""
+    bad = np.flatnonzero(~good)
+    if len(bad):
+        got = format_row(rows[bad[0]]) if rows.shape[1] > 1 else f"{rows[bad[0], 0]:g}"
+        raise table.error(bad[0], f"{text.format(bad[0])}, got {got} ({len(bad)} of {len(rows)} are wrong)")
+
+
+def _faces(face: Table, count: int) -> NDArray[np.int32]:
     corners = next((face.columns[name] for name in CORNERS if name in face.columns), None)
     if corners is None or corners.sizes is None:
         got = ", ".join(face.columns) or "none"
-        raise SceneError(f"{where}: expected a list {' or '.join(CORNERS)} of element 'face', got {got}")
+        raise SceneError(f"{face.where}: expected a list {' or '.join(CORNERS)} of element 'face', got {got}")
     values, sizes = corners.values, corners.sizes
-    short = np.flatnonzero(sizes < 3)
-    if len(short):
-        row, text = int(short[0]), f"needs at least 3 vertices, got {sizes[short[0]]}"
-        raise SceneError(f"{face.place(where, row)}: face {row} {text}")
-    bad = np.flatnonzero(~((values >= 0) & (values < count) & (values == np.floor(values))))
-    if len(bad):
-        row = int(np.searchsorted(np.cumsum(sizes), bad[0], side="right"))
-        text = f"must join vertices 0 to {count - 1} (the file has {count}), got {values[bad[0]]:g}"
-        raise SceneError(f"{face.place(where, row)}: face {row} {text}")
+    for row in np.flatnonzero(sizes < 3)[:1]:
+        raise face.error(row, f"face {row} needs at least 3 vertices, got {sizes[row]}")
+    for bad in np.flatnonzero(~((values >= 0) & (values < count) & (values == np.floor(values))))[:1]:
+        row = int(np.searchsorted(np.cumsum(sizes), bad, side="right"))
+        limits = f"vertices 0 to {count - 1} (the file has {count})"
+        raise face.error(row, f"face {row} must join {limits}, got {values[bad]:g}")
     return values.astype(np.int32)[triangle_fans(sizes)]
+
+
+# ---- OFF ----
+
+
+def parse_off(data: bytes, where: str) -> Mesh:
+    """Text of an OFF file -> Mesh; colours and normals are ignored. Raises SceneError with `where`:line.
+
+    trimesh is not used, since it sorts polygons by their number of corners.
+    """
+    rows = [(n, words) for n, line in enumerate(data.splitlines(), 1) if (words := line.split(b"#")[0].split())]
+    if not rows or not re.fullmatch(rb"(ST)?C?N?OFF", rows[0][1].pop(0)) or b"BINARY" in rows[0][1]:
+        raise SceneError(f"{where}: expected an OFF file in text, which begins with OFF, COFF, NOFF or STOFF")
+    (line, head), *rows = (rows if rows[0][1] else rows[1:]) or [(1, [])]
+    counts = read_numbers(head[:2], f"{where}:{line}", int)
+    if len(counts) < 2 or min(counts) < 0:
+        raise SceneError(f"{where}:{line}: expected numbers of vertices and faces, got {quote_bytes(b' '.join(head))}")
+    vertices, faces = counts
+    numbers = [(line, read_numbers(words, f"{where}:{line}")) for line, words in rows[: vertices + faces]]
+    points = [(line, row[:3]) for line, row in numbers[:vertices]]
+    polygons = [(line, row[: 1 + int(row[0])] if 0 <= row[0] < len(row) else row) for line, row in numbers[vertices:]]
+    vertex = Element("vertex", vertices, dict.fromkeys(POSITION, Property(NUMBER_OF_TEXT)))
+    face = Element("face", faces, {CORNERS[0]: Property(NUMBER_OF_TEXT, NUMBER_OF_TEXT)})
+    return _mesh_of(_Body.of_text([*points, *polygons], where).read_all([vertex, face]), where)

@@ -14,7 +14,6 @@ from mitsuba_ref.error_model.intersections import (
     without_float_warnings,
     without_overflow_warnings,
 )
-from mitsuba_ref.error_model.scene_model import kinds_of
 from mitsuba_ref.error_model.tolerances import BIASED_PIXELS, KU, LARGEST_T_BIAS, LARGEST_Z, MIN_GROUPS, U32, K
 from mitsuba_ref.judge.checks import CANDIDATE, OURS, Found, check
 from mitsuba_ref.judge.comparison import ImagePair
@@ -111,8 +110,8 @@ def _errors_of_kinds(
 ) -> dict[str, KindErrors]:
     """Errors of each kind hit at these rows. tied: rows where the reference names another shape at the same t."""
     prim = pair.prim[rows]
-    kind, k = kinds_of(packed, prim)
-    evidence = untied(prim, kind, pair.prim[tied], packed.kind_of[packed.shape_of(pair.prim[tied])])
+    kind, k = packed.kinds_of(prim)
+    evidence = untied(prim, kind, pair.prim[tied], packed.kinds_of(pair.prim[tied])[0])
     scalar = pair.result.answer.versions["variant"].startswith("scalar")
     found = {}
     for place in np.unique(kind):

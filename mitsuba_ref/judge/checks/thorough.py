@@ -9,7 +9,8 @@ import numpy as np
 
 from caster.aovs import BY_NAME
 from caster.description.errors import SceneError
-from caster.geometry.packing import packed, rejected_faces
+from caster.geometry.packing import packed
+from caster.geometry.world_space import TriangleShape, as_given, is_usable, world_vertices
 from caster.rendering.hits import cast, occluded
 from caster.rendering.images import camera_rays, evaluate, film_window, render, trace_film
 from caster.scene.model import Point, Scene
@@ -165,8 +166,9 @@ def _powers_of(scene: Scene) -> tuple[int, ...]:
     sizes = [float(np.abs(array).max(initial=0.0, where=np.isfinite(array))) for array in arrays]
     exponents = [math.frexp(size)[1] for size in sizes if size > 0.0] or [0]
     least = SMALLEST_SIZE_EXPONENT - min(exponents)
-    if any(each.too_large for each in rejected_faces(scene).values()):
-        least = 0  # smaller, such faces are hit
+    meshes = [shape for shape in scene.shapes if isinstance(shape, TriangleShape)]
+    if not all(is_usable(world_vertices(shape.mesh(), shape.matrix, as_given)).all() for shape in meshes):
+        least = 0  # smaller, faces that are too large now are hit
     most = math.frexp(LARGEST_COORDINATE)[1] - 2 - max(exponents)
     return tuple(power for power in POWERS if least <= power <= most)
 
