@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caster.description.errors import SceneError, error_type, suggestion
+from caster.description.errors import SceneError, suggestion
 from caster.description.input_files import read_text
-from caster.description.parsing import Span, format_excerpt, list_errors
+from caster.description.parsing import Span, format_excerpt, located_error
 from caster.geometry.mesh_files import MeshFolders
 from caster.scene.files import validated
 from caster.scene.model import Scene
@@ -321,8 +321,7 @@ def load_course_scene(
         raise SceneError(format_excerpt(at, said, text, origin)) from None
     scene, problems = validated(draft.data, MeshFolders(Path(path).parent, tuple(map(Path, mesh_dirs))))
     if scene is None:
-        at = [draft.places.get(p.path[:2]) or draft.places.get(p.path[:1], START) for p in problems]
-        listed = sorted(zip(at, (p.text for p in problems), strict=True))
-        raise error_type(problems)(list_errors(listed, lambda each: format_excerpt(*each, text, origin), origin))
+        places = draft.places
+        raise located_error(problems, lambda path: places.get(path[:2]) or places.get(path[:1], START), text, origin)
     left_out = [f"{origin}:{span.line}:{span.column}: left out: {note}" for span, note in sorted(draft.left_out)]
     return CourseScene(scene, sections["Background"].get("color", [0.5] * 3), draft.lights, left_out)

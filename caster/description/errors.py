@@ -105,11 +105,6 @@ class Diagnostic(NamedTuple):
     missing: bool = False  # a file is missing or unreadable
 
 
-def error_type(problems: Iterable[Diagnostic]) -> type[SceneError]:
-    """The exception for these problems: FileMissing if nothing else is wrong."""
-    return FileMissing if all(problem.missing for problem in problems) else SceneError
-
-
 def value_diagnostic(path: DataPath, text: str, data: Any, model: Model) -> Diagnostic:
     """Diagnostic of one value: 'shapes[3] (disk "lid"): radius must be ...'; `text` follows the value's name."""
     return Diagnostic(path, _message(path, text, data, model))
@@ -221,8 +216,6 @@ def _diagnostic(finding: Any, data: Any, model: Model) -> Diagnostic:
 
 def _unknown_key(key: str, models: Sequence[Model]) -> str:
     known = [field.alias or name for model in models for name, field in model.model_fields.items()]
-    if SINGULAR.get(key) in known:  # either spelling is valid, but not both
-        return f"is a second '{SINGULAR[key]}': write one of them only"
     return f"is an unknown key{suggestion(key, known)}"
 
 

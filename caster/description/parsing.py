@@ -5,11 +5,11 @@ import re
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
-from caster.description.errors import DataPath, Diagnostic, SceneError, error_prefix
+from caster.description.errors import DataPath, Diagnostic, FileMissing, SceneError, error_prefix
 
-__all__ = ["Span", "format_excerpt", "list_errors", "parse"]
+__all__ = ["Span", "format_excerpt", "list_errors", "located_error", "parse"]
 
 Error = TypeVar("Error")
 
@@ -128,7 +128,6 @@ def _inside(value: Any, path: DataPath) -> LocatedNodes:
             yield from _inside(item, (*path, i))
 
 
-SceneFormat = Literal["toml", "json"]
 MAX_LINE_CHARACTERS = 100  # of a line in an excerpt
 MAX_ERRORS_LISTED = 50  # the others are only counted
 
@@ -138,7 +137,7 @@ _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
 LONG_KEY = re.compile(rf"(?m)^[ \t\[]*+{_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MAX_KEY_PARTS}}}")
 
 
-def parse(text: str, kind: SceneFormat, origin: str) -> Any:
+def parse(text: str, kind: str, origin: str) -> Any:
     """Parse TOML or JSON. Raises SceneError."""
     long_key = LONG_KEY.search(text) if kind == "toml" else None
     if long_key:
@@ -164,11 +163,13 @@ def _table(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return table
 
 
-def format_diagnostics(problems: Sequence[Diagnostic], text: str, kind: SceneFormat, origin: str) -> str:
-    """All diagnostics ordered by position, each with an excerpt of its line."""
-    positions = Positions(text, kind)
-    located = sorted(((positions.of(each.path), each.text) for each in problems), key=lambda found: found[0][:2])
-    return list_errors(located, lambda found: format_excerpt(found[0], found[1], text, origin), origin)
+def located_error(
+    problems: Sequence[Diagnostic], place: Callable[[DataPath], Span], text: str, origin: str
+) -> SceneError:
+    """All diagnostics ordered by position, each with an excerpt of its line; FileMissing if nothing else is wrong."""
+    located = sorted((place(each.path), each.text) for each in problems)
+    kind = FileMissing if all(each.missing for each in problems) else SceneError
+    return kind(list_errors(located, lambda found: format_excerpt(*found, text, origin), origin))
 
 
 def list_errors(errors: Sequence[Error], format_error: Callable[[Error], str], origin: str) -> str:
@@ -179,7 +180,7 @@ def list_errors(errors: Sequence[Error], format_error: Callable[[Error], str], o
     return "\n".join(listed)
 
 
-def _syntax_error(error: ValueError, text: str, kind: SceneFormat, origin: str) -> str:
+def _syntax_error(error: ValueError, text: str, kind: str, origin: str) -> str:
     line, column, message = _error_position(error, text)
     span = Span(line, column, 1)
     rest = text.split("\n")[line - 1][column - 1 :]

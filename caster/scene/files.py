@@ -11,9 +11,9 @@ import numpy as np
 from pydantic import ValidationError
 
 from caster.cameras.pinhole import Pinhole
-from caster.description.errors import Diagnostic, SceneError, child_of, diagnostics_of, error_type
+from caster.description.errors import Diagnostic, SceneError, child_of, diagnostics_of
 from caster.description.input_files import read_text
-from caster.description.parsing import SceneFormat, format_diagnostics, parse
+from caster.description.parsing import Positions, located_error, parse
 from caster.description.registry import type_name
 from caster.description.transform import sine_and_cosine
 from caster.geometry.mesh_files import MESH_SUFFIXES, MeshFolders
@@ -35,7 +35,7 @@ def validated(data: Any, folders: MeshFolders) -> tuple[Scene | None, list[Diagn
     return scene, []
 
 
-SCENE_FORMATS: dict[str, SceneFormat] = {".toml": "toml", ".json": "json"}
+SCENE_SUFFIXES = (".toml", ".json")
 
 
 def load_scene(path: str | PathLike[str], mesh_dirs: Iterable[str | PathLike[str]] = ()) -> Scene:
@@ -48,13 +48,12 @@ def load_scene(path: str | PathLike[str], mesh_dirs: Iterable[str | PathLike[str
     suffix = Path(where).suffix.lower()
     if suffix in MESH_SUFFIXES:
         return mesh_scene(where)
-    kind = SCENE_FORMATS.get(suffix)
-    if kind is None:
+    if suffix not in SCENE_SUFFIXES:
         raise SceneError(
-            f"{where}: unknown scene format: expected a file ending in {' or '.join(SCENE_FORMATS)}, "
+            f"{where}: unknown scene format: expected a file ending in {' or '.join(SCENE_SUFFIXES)}, "
             f"or a mesh: {', '.join(MESH_SUFFIXES)}"
         )
-    return scene_from_text(read_text(where), kind, where, folder=Path(where).parent, mesh_dirs=mesh_dirs)
+    return scene_from_text(read_text(where), suffix[1:], where, folder=Path(where).parent, mesh_dirs=mesh_dirs)
 
 
 def _unchecked(path: str | PathLike[str]) -> dict[str, Any]:
@@ -63,8 +62,8 @@ def _unchecked(path: str | PathLike[str]) -> dict[str, Any]:
     if suffix in MESH_SUFFIXES:
         return {"shape": [{"type": "mesh"}], "camera": {"type": "pinhole"}}
     try:
-        data = parse(read_text(path), SCENE_FORMATS[suffix], "")
-    except (SceneError, MemoryError, KeyError, RecursionError):
+        data = parse(read_text(path), suffix[1:], "")
+    except (SceneError, MemoryError, RecursionError):
         return {}
     return data if isinstance(data, dict) else {}
 
@@ -135,7 +134,7 @@ def mesh_scene(path: str | PathLike[str]) -> Scene:
 
 def scene_from_text(
     text: str,
-    kind: SceneFormat = "toml",
+    kind: str = "toml",
     origin: str = "<string>",
     *,
     folder: str | PathLike[str] = ".",
@@ -146,7 +145,7 @@ def scene_from_text(
         data = parse(text, kind, origin)
         scene, problems = validated(data, MeshFolders(Path(folder), tuple(map(Path, mesh_dirs))))
         if scene is None:
-            raise error_type(problems)(format_diagnostics(problems, text, kind, origin))
+            raise located_error(problems, Positions(text, kind).of, text, origin)
     except RecursionError:
         raise SceneError(f"{origin}: not a scene: lists or tables are nested too deeply to be read") from None
     return scene

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeA
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, ConfigDict, Field, PrivateAttr, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, PrivateAttr, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from caster.cameras import CAMERAS, Ray
@@ -190,6 +190,15 @@ class Check(Description):
     ratio: Positive = 1.0  # multiples of the bound
 
 
+def _is_aov(name: str) -> str:
+    from caster.aovs import BY_NAME  # deferred: most scenes have no checks
+
+    if name not in BY_NAME:
+        raise field_error(f"unknown AOV{suggestion(name, BY_NAME)} (known: {', '.join(BY_NAME)})")
+    return name
+
+
+AovName = Annotated[str, AfterValidator(_is_aov)]
 Findings = Iterator[tuple[DataPath, str]]  # a path, and the message after its name
 
 
@@ -223,17 +232,6 @@ def _repeated_names(data: Any) -> Findings:
         if name in first:
             yield path, f"must differ from that of shapes[{first[name]}], got {format_value(name)} again"
         first.setdefault(name, i)
-
-
-def _unknown_checks(data: Any) -> Findings:
-    spelled, checks = _elements(data, "check")
-    if not isinstance(checks, Mapping) or not checks:
-        return
-    from caster.aovs import BY_NAME
-
-    for name in map(str, checks):
-        if name not in BY_NAME:
-            yield (spelled, name), f"unknown AOV{suggestion(name, BY_NAME)} (known: {', '.join(BY_NAME)})"
 
 
 def one_of(registry: Sequence[type[Description]]) -> Any:
@@ -274,7 +272,7 @@ class Scene(Description):
     materials: dict[Name, AnyMaterial] = Field(default={}, alias="material")
     shapes: tuple[AnyShape, ...] = Field(default=(), alias="shape")
     shading: Shading = Shading()
-    checks: dict[str, Check] = Field(default={}, alias="check")
+    checks: dict[AovName, Check] = Field(default={}, alias="check")
 
     _folder: Path | None = PrivateAttr(None)
     _derived: dict[str, Any] = PrivateAttr(default_factory=dict)
@@ -314,7 +312,7 @@ class Scene(Description):
     @classmethod
     def problems_across(cls, data: Any) -> list[Diagnostic]:
         """Errors across elements of a Scene, or of the input data of one, which may have other errors."""
-        found = (*_unknown_materials(data), *_repeated_names(data), *_unknown_checks(data))
+        found = (*_unknown_materials(data), *_repeated_names(data))
         return [value_diagnostic(path, text, data, cls) for path, text in found]
 
     @property

@@ -43,7 +43,7 @@ ONE_LINERS = [
     ("no idea", shape("sphere", "qqq = 1"), "7:1: shapes[0] (sphere): qqq is an unknown key"),
     ("top level", CAMERA + "[flim]\n", "5:1: scene: flim is an unknown key, did you mean 'film'?"),
     ("plural", CAMERA + "[lihgts]\n", "5:1: scene: lihgts is an unknown key, did you mean 'light'?"),
-    ("both spellings", shape("cube", "[[shapes]]"), "7:1: scene: shapes is a second 'shape': write one of them only"),
+    ("both spellings", shape("cube", "[[shapes]]"), "7:1: scene: shapes is an unknown key, did you mean 'shape'?"),
     (
         "no axis",
         shape("cylinder", "p0 = [1, 2, 3]\np1 = [1, 2, 3]"),
