@@ -8,6 +8,7 @@ import numpy as np
 from mitsuba_ref.error_model.intersections import (
     Intersections,
     dot,
+    joined,
     no_intersections,
     norm,
     row_groups,
@@ -90,25 +91,23 @@ class Bracket:
         ray misses its box; -1: none.
         """
         line = RaySegments(o, d, np.broadcast_to(t_min, t_max.shape), t_max)
-        allowed, untestable = np.ones(len(o), bool), np.zeros(len(o), bool)
-        seen = np.zeros(len(o), bool)
-        for ray, prim in self._pairs(o, d, also):
-            found = self._intersect_in_range(ray, prim, line)
-            rays = np.unique(ray)
-            seen[rays] = True
-            allowed[rays], untestable[rays] = self._allows(found, claims, line, rays)
-        allowed[~seen] = claims.shape[~seen] == CLAIMED_MISS
-        return BracketResult(allowed, untestable)
+        latest = np.full(len(o), np.inf)
+        fits, untestable = np.zeros((2, len(o)), bool)
+        for found in self._batches(line, also):
+            np.minimum.at(latest, found.ray, latest_hits(found, line.t_max, line.t_min, closed=self.closed))
+            named, matches = self._fits(found, claims, line, latest[found.ray])
+            fits[found.ray[matches]] = True
+            untestable[found.ray[named & ~np.isfinite(found.at.t_error)]] = True
+        return BracketResult(np.where(claims.shape == CLAIMED_MISS, np.isinf(latest), fits), untestable)
 
-    def _pairs(self, o: np.ndarray, d: np.ndarray, also: np.ndarray | None) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Pairs of a ray and a primitive near it or named in `also`, in batches; each ray is in one batch only."""
-        if also is None:
-            yield from ((near.ray, near.box) for near in self.model.distinct.crossings(o, d))
-            return
-        named = np.flatnonzero(also >= 0)
-        pieces = [np.stack([near.ray, near.box]) for near in self.model.distinct.crossings(o, d)]
-        together = np.unique(np.hstack([*pieces, np.stack([named, also[named]])]), axis=1)
-        yield together[0], together[1]
+    def _batches(self, line: RaySegments, also: np.ndarray | None = None) -> Iterator[RayIntersections]:
+        """Possible intersections of the rays, all of a ray in one batch. also: as in `judge`."""
+        near: Iterator[np.ndarray] = (np.stack(pairs[1:3]) for pairs in self.model.nearby.crossings(line.o, line.d))
+        if also is not None:
+            named = np.flatnonzero(also >= 0)
+            near = iter([np.unique(np.hstack([*near, np.stack([named, also[named]])]), axis=1)])
+        for ray, prim in near:
+            yield self._intersect_in_range(ray, prim, line)
 
     def blocked(
         self, o: np.ndarray, d: np.ndarray, t_max: np.ndarray, leaving: tuple[np.ndarray, np.ndarray] | None = None
@@ -121,11 +120,9 @@ class Bracket:
         prim, off = leaving if leaving else (np.full(len(o), -1), np.zeros(len(o)))
         line = RaySegments(o, d, np.zeros(len(o)), t_max)
         possible, certain = np.zeros(len(o), bool), np.zeros(len(o), bool)
-        for _, ray, each, _ in self.model.distinct.crossings(o, d):
-            found = self._intersect_in_range(ray, each, line)
+        for found in self._batches(line):
             near = near_ray_start(found, d, off)
-            # A primitive identical to the one that the ray leaves is just as near, and does count.
-            kept = ~(near & (found.prim == prim[found.ray]) & ~self.model.has_twins(found.prim))
+            kept = ~(near & (found.prim == prim[found.ray]))
             found, near = found.take(kept), near[kept]
             possible[found.ray] = True
             certain[found.ray[np.isfinite(latest_hits(found, t_max)) & ~near]] = True
@@ -136,11 +133,9 @@ class Bracket:
     ) -> RayIntersections:
         """All possible intersections of the rays, in memory at once."""
         line = RaySegments(o, d, np.broadcast_to(t_min, t_max.shape), t_max)
-        found = [self._intersect_in_range(ray, prim, line) for _, ray, prim, _ in self.model.nearby.crossings(o, d)]
-        if not found:
-            return RayIntersections(np.zeros(0, int), np.zeros(0, int), no_intersections(0))
-        at = Intersections(*(np.concatenate(a) for a in zip(*(f.at for f in found), strict=True)))
-        return RayIntersections(np.concatenate([f.ray for f in found]), np.concatenate([f.prim for f in found]), at)
+        none = RayIntersections(np.zeros(0, int), np.zeros(0, int), no_intersections(0))
+        ray, prim, at = zip(none, *self._batches(line), strict=True)
+        return RayIntersections(np.concatenate(ray), np.concatenate(prim), joined(at))
 
     @without_overflow_warnings
     def _intersect_in_range(self, ray: np.ndarray, prim: np.ndarray, line: RaySegments) -> RayIntersections:
@@ -152,20 +147,22 @@ class Bracket:
         return RayIntersections(rays, prim[met.pair], met.at).take(keep)
 
     @without_overflow_warnings
-    def _allows(
-        self, found: RayIntersections, claims: Claims, line: RaySegments, rays: np.ndarray
+    def _fits(
+        self, found: RayIntersections, claims: Claims, line: RaySegments, latest: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
+        """(m,) bool twice: an intersection may be the claimed one, but for its t; and all that is claimed fits.
+
+        latest: (m,) the latest t that the first hit of the ray may have.
+        """
         at, ray = found.at, found.ray
         p = line.o[ray] + at.t[:, None] * line.d[ray]
-        latest = np.full(len(line.o), np.inf)
-        np.minimum.at(latest, ray, latest_hits(found, line.t_max, line.t_min, closed=self.closed))
         t_rounding = np.broadcast_to(claims.t_rounding, claims.t.shape)[ray]
         shape = claims.shape[ray]
         named = (shape == ANY_SHAPE) | (self.model.packed.shape_of(found.prim) == shape)
         if claims.prim is not None:
-            named &= self._is_or_equals(claims.prim[ray], found.prim)
+            named &= claims.prim[ray] == self.model.packed.index_in_shape(found.prim)
         without_t = np.isnan(claims.t[ray])
-        named &= without_t | (claims.t[ray] <= latest[ray] + t_rounding)
+        named &= without_t | (claims.t[ray] <= latest + t_rounding)
         named &= within_error(claims.n, ray, at.n, at.n_error)
         matches = (named & np.isfinite(at.t_error) & (np.abs(claims.t[ray] - at.t) <= at.t_error + t_rounding)) | (
             named & without_t
@@ -175,21 +172,7 @@ class Bracket:
             rows = np.flatnonzero(matches)
             uv = self.model.uv_points(found.prim[rows], claims.uv[ray[rows]], ours=self.ours)
             matches[rows] = within_error(uv, np.arange(len(rows)), at.uv[rows], at.uv_error[rows])
-        has_match, untestable = np.zeros(len(line.o), bool), np.zeros(len(line.o), bool)
-        has_match[ray[matches]] = True
-        untestable[ray[named & ~np.isfinite(at.t_error)]] = True
-        missed = claims.shape[rays] == CLAIMED_MISS
-        return np.where(missed, np.isinf(latest[rays]), has_match[rays]), untestable[rays]
-
-    def _is_or_equals(self, claimed: np.ndarray, prim: np.ndarray) -> np.ndarray:
-        """(m,) bool: number claimed[i] within the shape of prim[i] is prim[i], or a primitive identical to it."""
-        packed, identical = self.model.packed, self.model.identical
-        if identical is None:
-            return claimed == packed.index_in_shape(prim)
-        shape = packed.shape_of(prim)
-        number = packed.first[shape] + claimed
-        there = (claimed >= 0) & (number < packed.first[shape + 1])
-        return there & (identical[np.where(there, number, 0)] == identical[prim])
+        return named, matches
 
 
 def within_error(claimed: np.ndarray, ray: np.ndarray, at: np.ndarray, error: np.ndarray) -> np.ndarray:

@@ -1,11 +1,11 @@
 """Predicted intersections with error bounds, the interface of error models, and groups of pixels by rounding."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from mitsuba_ref.oracle.interface import ExactKind, ExpandStandIns
+from mitsuba_ref.oracle.interface import ExactKind
 
 # Decorators of functions in which infinite numbers are answers like others, which comparisons sort out.
 without_float_warnings = np.errstate(all="ignore")  # where a NaN is an answer: of a miss, or of no answer
@@ -59,6 +59,11 @@ def no_intersections(count: int) -> Intersections:
     return Intersections(*(a.copy() for a in without_edges(far, far, rows, far, none, none, far, rows, far)))
 
 
+def joined(parts: Sequence[Intersections]) -> Intersections:
+    """One after the other."""
+    return Intersections(*map(np.concatenate, zip(*parts, strict=True)))
+
+
 # (prims, k (m,), o (m, 3), d (m, 3), ku) -> for each root, the intersections of primitive k[i] with ray i.
 # ku is K times the unit round-off of the judged side: KU for the reference, KU_OURS for a float64 caster.
 IntersectFunction = Callable[[Any, np.ndarray, np.ndarray, np.ndarray, float], tuple[Intersections, ...]]
@@ -91,8 +96,6 @@ class ErrorModel(NamedTuple):
     intersect: IntersectFunction  # the reference's primitive, or its stand-in
     exact: ExactKind  # exact arithmetic on our own primitive, for the oracle; boxes, also of stand-ins
     intersect_ours: IntersectFunction | None = None  # our own primitive, where the reference's is a stand-in
-    # class of stand-in arrays -> function that expands them into primitives with an `exact`
-    unfold: Mapping[type, ExpandStandIns] | None = None
     uv: UvSpace = UvSpace()
 
 

@@ -16,6 +16,7 @@ from mitsuba_ref.error_model.intersections import (
     ErrorModel,
     Intersections,
     cross,
+    joined,
     no_intersections,
     norm,
     unit,
@@ -23,7 +24,6 @@ from mitsuba_ref.error_model.intersections import (
 )
 from mitsuba_ref.error_model.tolerances import KU
 from mitsuba_ref.oracle.boxes import BoxTree
-from mitsuba_ref.oracle.interface import lowest_identical
 
 
 class PairIntersections(NamedTuple):
@@ -62,7 +62,7 @@ class SceneModel:
             return PairIntersections(np.zeros(0, int), no_intersections(0))
         pair, at = pairs[0], found[0]
         if len(found) > 1:
-            pair, at = np.concatenate(pairs), Intersections(*(np.concatenate(a) for a in zip(*found, strict=True)))
+            pair, at = np.concatenate(pairs), joined(found)
         flipped = self.packed.flipped
         if flipped is not None:
             side = np.where(flipped[self.packed.shape_of(prim[pair])], -1.0, 1.0)[:, None]
@@ -101,33 +101,6 @@ class SceneModel:
         """Boxes of all primitives, shared by all brackets of the model."""
         return BoxTree(*self.boxes, BOX_MARGIN)
 
-    @cached_property
-    def identical(self) -> np.ndarray | None:
-        """(n,) lowest primitive of the same shape with the same bits, shading included; None if all differ."""
-        found, different = np.arange(self.packed.first[-1]), True
-        for place, kind in enumerate(self.packed.kinds):
-            shape = self.packed.shape_of(kind.ids)
-            lowest = lowest_identical(self.kinds[place], [shape], shading=True)
-            if lowest is not None:
-                found[kind.ids], different = kind.ids[lowest], False
-        return None if different else found
-
-    @cached_property
-    def distinct(self) -> BoxTree:
-        """Boxes of one of each set of identical primitives, which stands for the others."""
-        if self.identical is None:
-            return self.nearby
-        rows = np.flatnonzero(self.identical == np.arange(len(self.identical)))
-        low, high = self.boxes
-        return BoxTree(low[rows], high[rows], BOX_MARGIN, rows)
-
-    def has_twins(self, prim: np.ndarray) -> np.ndarray:
-        """(m,) bool: the shape of prim[i] has another primitive identical to it."""
-        if self.identical is None:
-            return np.zeros(len(prim), bool)
-        several: np.ndarray = np.bincount(self.identical, minlength=len(self.identical)) > 1
-        return several[self.identical[prim]]
-
 
 # Growth of boxes, as a fraction of |o| + their farthest corner. The bound of an edge function, divided by the length of
 # the edge, is 6 to 8 KU of that (mitsuba_ref/shapes/surface_errors.py); of a quadric 2 to 4. Primitives beyond it are
@@ -162,8 +135,7 @@ class InstancedModel(SceneModel):
         if not found:
             return PairIntersections(np.zeros(0, int), no_intersections(0))
         pairs, met = zip(*found, strict=True)
-        joined = (np.concatenate(arrays) for arrays in zip(*met, strict=True))
-        return PairIntersections(np.concatenate(pairs), Intersections(*joined))
+        return PairIntersections(np.concatenate(pairs), joined(met))
 
     @without_overflow_warnings
     def _turned_normals(self, prim: np.ndarray, ku: float) -> np.ndarray:

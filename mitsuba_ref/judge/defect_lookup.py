@@ -44,7 +44,7 @@ def defect_of(features: DefectFeatures) -> int | None:
     return min(found, key=lambda defect: defect.priority).number if found else None
 
 
-MAX_PRIMS_TESTED_AT_ZERO = 64  # primitives of the named shape, nearest first, that are tested for a hit at t = 0
+LEAST_FLOAT64 = 2.0**-1074
 
 
 def defect_features(
@@ -74,7 +74,7 @@ def defect_features(
         yield DefectFeatures(
             _kind(model, int(hit[i])),
             _kind(model, prim),
-            where=frozenset(where for where, _ in answer.groups),
+            where=frozenset(hit.where for hit in answer.ties),
             flags=answer.flags,
             t=t,
             at_zero=t == 0.0 and _is_at_zero(model, oracle, int(claims.shape[i]), prim, o[i], d[i]),
@@ -145,12 +145,8 @@ def _is_at_zero(model: SceneModel, oracle: Oracle, shape: int, prim: int, o: np.
         return False
     if prim >= 0:
         at = model.intersect(np.array([prim]), o[None], d[None], KU, ours=False).at
-        near = bool((np.isfinite(at.t_error) & (np.abs(at.t) <= at.t_error)).any())
-        if near or kind_of(_place(model, prim)[0]).model.unfold is not None:
-            return near
-    first, last = (int(n) for n in model.packed.first[shape : shape + 2])
-    low, high = (corner[first:last] for corner in model.boxes)
-    away = np.maximum(np.maximum(low - o, o - high), 0.0).max(axis=1)
-    nearest = first + np.argsort(away, kind="stable")[:MAX_PRIMS_TESTED_AT_ZERO]
-    tested = dict.fromkeys([prim, *nearest.tolist()])
-    return any(hit.t == 0 for each in tested for hit in oracle.roots(each, o, d))
+        if (np.isfinite(at.t_error) & (np.abs(at.t) <= at.t_error)).any():
+            return True
+    first, end = model.packed.first[shape : shape + 2]
+    answer = oracle.first_hit(o, d, -LEAST_FLOAT64, 0.0)
+    return answer.t == 0 and bool(((answer.prims >= first) & (answer.prims < end)).any())

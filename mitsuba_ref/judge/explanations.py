@@ -146,8 +146,7 @@ class TieMember(NamedTuple):
 
 def tie_members(scene: Scene, packed: Packed, answer: ExactAnswer) -> list[TieMember]:
     """The exact tie set in the scene's own names."""
-    prims = np.array([hit.prim for hit in answer.ties], np.int64)
-    shapes, numbers = packed.shape_of(prims), packed.index_in_shape(prims)
+    shapes, numbers = packed.shape_of(answer.prims), packed.index_in_shape(answer.prims)
     names = scene.shape_names()
     return [
         TieMember(names[shape], int(number), hit.where)

@@ -33,22 +33,18 @@ def scaled(numbers: Iterable[float]) -> Scaled:
     return Scaled(tuple(above << (k + 1 - below.bit_length()) for above, below in ratios), k)
 
 
+def scaled_vectors(rows: np.ndarray) -> tuple[list[Integers3], int]:
+    """Finite vectors (n, 3) or (3,), scaled together: (integers, k)."""
+    n, k = scaled(rows.ravel().tolist())
+    return list(zip(n[::3], n[1::3], n[2::3], strict=True)), k
+
+
 def integer_rays(o: np.ndarray, d: np.ndarray) -> Iterator[IntegerRay]:
     """The rays o, d (n, 3), finite, in integers."""
-    for (x, ko), (y, kd) in zip(_scaled_rows(o), _scaled_rows(d), strict=True):
+    for origin, direction in zip(o, d, strict=True):
+        (x,), ko = scaled_vectors(origin)
+        (y,), kd = scaled_vectors(direction)
         yield IntegerRay(x, ko, y, kd)
-
-
-def _scaled_rows(rows: np.ndarray) -> Iterator[tuple[Integers3, int]]:
-    """`scaled` for each row (n, 3), four times as fast: odd integers, shifted to the power of two of their row."""
-    significand, exponent = np.frexp(rows)
-    whole = (significand * 2.0**53).astype(np.int64)
-    zeros = np.frexp((whole & -whole).astype(np.float64))[1] - 1  # trailing zeros; -1 for 0
-    lowest = np.where(whole == 0, 0, exponent - 53 + zeros)
-    k = np.maximum(-lowest.min(axis=1, initial=0), 0)
-    odd, shift = whole >> np.maximum(zeros, 0), np.where(whole == 0, 0, lowest + k[:, None])
-    for (a, b, c), (left, middle, right), bits in zip(odd.tolist(), shift.tolist(), k.tolist(), strict=True):
-        yield (a << left, b << middle, c << right), bits
 
 
 def dot(a: Integers3, b: Integers3) -> int:

@@ -1,4 +1,4 @@
-"""Exact intersection with spheres, ellipsoids and cylinders; unit shapes by the exact inverse of their matrix."""
+"""Exact intersection with spheres, round segments, and unit shapes under a matrix, by its exact inverse."""
 
 from typing import Any, NamedTuple
 
@@ -11,16 +11,25 @@ from mitsuba_ref.oracle.exact_numbers import (
     cross,
     dot,
     scaled,
+    scaled_vectors,
     shifted,
     sign_with_root,
     sub,
 )
 from mitsuba_ref.oracle.implicit_surfaces import AsVector, ImplicitSurface
-from mitsuba_ref.oracle.interface import NO_INTERSECTION, Contact, ExactKind, LineIntersections, next_above, next_below
+from mitsuba_ref.oracle.interface import (
+    DEGENERATE,
+    NO_INTERSECTION,
+    ExactKind,
+    LineIntersections,
+    contact,
+    next_above,
+    next_below,
+)
 
 
 class Affine(NamedTuple):
-    """Centre 2^-k and the rows of adj(to_world 2^k), negated if needed so that the determinant is >= 0."""
+    """Centre 2^-k, and the rows of adj(to_world 2^k) with the determinant."""
 
     center: Integers3
     adjugate: tuple[Integers3, Integers3, Integers3]
@@ -33,19 +42,19 @@ class ObjectRay(NamedTuple):
 
     o: Integers3
     d: Integers3
-    size: int  # > 0
+    size: int  # not 0
     e: int
 
 
-def prepare_affine(prims: Any, k: int) -> Affine:
-    numbers = [*prims.center[k].tolist(), *prims.to_world[k].T.ravel().tolist()]
-    (x, y, z, ax, ay, az, bx, by, bz, cx, cy, cz), scale = scaled(numbers)
-    a, b, c = (ax, ay, az), (bx, by, bz), (cx, cy, cz)  # columns
+def cofactors(a: Any, b: Any, c: Any) -> tuple[Any, Any]:
+    """(rows of the adjugate, determinant) of the matrix with these columns, in any numbers."""
     rows = cross(b, c), cross(c, a), cross(a, b)
-    determinant = dot(a, rows[0])
-    if determinant < 0:
-        rows = (sub((0, 0, 0), rows[0]), sub((0, 0, 0), rows[1]), sub((0, 0, 0), rows[2]))
-    return Affine((x, y, z), rows, abs(determinant), scale)
+    return rows, dot(a, rows[0])
+
+
+def prepare_affine(prims: Any, k: int) -> Affine:
+    (center, *columns), scale = scaled_vectors(np.vstack([prims.center[k], prims.to_world[k].T]))
+    return Affine(center, *cofactors(*columns), scale)
 
 
 def to_object_space(by: Affine, ray: IntegerRay) -> ObjectRay:
@@ -66,13 +75,6 @@ def affine_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
     with np.errstate(over="ignore"):
         reach = np.abs(prims.to_world).sum(axis=2) * ROUNDED_UP
         return next_below(prims.center - reach), next_above(prims.center + reach)
-
-
-def usable_affine(prims: Any) -> np.ndarray:
-    return np.isfinite(prims.center).all(axis=1) & np.isfinite(prims.to_world).all(axis=(1, 2))
-
-
-DEGENERATE = LineIntersections((), (Contact("degenerate", None, None),))
 
 
 class IntegerSphere(NamedTuple):
@@ -124,21 +126,40 @@ def _closed(roots: list[Root]) -> LineIntersections:
 
 
 def intersect_cylinder(cylinder: Affine, ray: IntegerRay) -> LineIntersections:
-    """Roots of the circle in x and y that have 0 <= z <= size."""
+    """Roots of the circle in x and y that have z between 0 and size."""
     if not cylinder.determinant:
         return DEGENERATE
     o, d, size, e = local = to_object_space(cylinder, ray)
     if not (d[0] or d[1]):
         return _along_cylinder_wall(local)
-    roots = line_sphere_roots((o[0], o[1], 0), (d[0], d[1], 0), size, e)
-    where = "tangent" if len(roots) == 1 else "inside"
     found = []
-    for root in roots:
-        from_bottom, from_top = height(root, o[2], d[2]), height(root, o[2] - size, d[2])
-        if from_bottom >= 0 >= from_top:
-            rim = where == "inside" and 0 in (from_bottom, from_top)
-            found.append((root, "rim" if rim else where))
+    for root, where in _closed(line_sphere_roots((o[0], o[1], 0), (d[0], d[1], 0), size, e)).roots:
+        from_ends = height(root, o[2], d[2]) * height(root, o[2] - size, d[2])
+        if from_ends <= 0:
+            found.append((root, where if from_ends or where == "tangent" else "rim"))
     return LineIntersections(tuple(found))
+
+
+def _along_cylinder_wall(ray: ObjectRay) -> LineIntersections:
+    """A ray parallel to the axis is a miss; within the wall it has a contact from one end to the other."""
+    (x, y, z), (_, _, slope), size, e = ray
+    if x * x + y * y != size * size:
+        return NO_INTERSECTION
+    return contact("edge_on", [Root(-z, 0, 0, slope, e), Root(size - z, 0, 0, slope, e)])
+
+
+def intersect_disk(disk: Affine, ray: IntegerRay) -> LineIntersections:
+    """z is 0 at s = -o.z / d.z; x^2 + y^2 there is compared with size^2, both times d.z^2."""
+    if not disk.determinant:
+        return DEGENERATE
+    (ox, oy, oz), (dx, dy, dz), size, e = to_object_space(disk, ray)
+    if not dz:  # within the plane: from where it enters the circle to where it leaves
+        return NO_INTERSECTION if oz else contact("edge_on", line_sphere_roots((ox, oy, 0), (dx, dy, 0), size, e))
+    x, y = ox * dz - oz * dx, oy * dz - oz * dy
+    beyond = x * x + y * y - (size * dz) ** 2
+    if beyond > 0:
+        return NO_INTERSECTION
+    return LineIntersections(((Root(-oz, 0, 0, dz, e), "inside" if beyond else "rim"),))
 
 
 def height(root: Root, o: int, d: int) -> int:
@@ -156,8 +177,8 @@ class IntegerSegment(NamedTuple):
 
 
 def prepare_segment(prims: Any, k: int) -> IntegerSegment:
-    (*points, r, q), scale = scaled([*prims.start[k].tolist(), *prims.end[k].tolist(), *prims.radius[k].tolist()])
-    return IntegerSegment(tuple(points[:3]), tuple(points[3:]), (r, q), scale)  # type: ignore[arg-type]
+    (start, end, radii), scale = scaled_vectors(np.stack([prims.start[k], prims.end[k], [*prims.radius[k], 0.0]]))
+    return IntegerSegment(start, end, radii[:2], scale)
 
 
 def enter_segment(segment: IntegerSegment, ray: IntegerRay) -> LineIntersections:
@@ -199,27 +220,10 @@ def segment_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
         return next_below(low), next_above(np.maximum(prims.start + r[:, :1], prims.end + r[:, 1:]))
 
 
-def usable_segment(prims: Any) -> np.ndarray:
-    return np.isfinite(prims.start + prims.end).all(axis=1) & np.isfinite(prims.radius).all(axis=1)
-
-
-def _along_cylinder_wall(ray: ObjectRay) -> LineIntersections:
-    """A ray parallel to the axis is a miss; within the wall it has a contact from one end to the other."""
-    (x, y, z), (_, _, slope), size, e = ray
-    if x * x + y * y != size * size:
-        return NO_INTERSECTION
-    ends = [Root(-z, 0, 0, slope, e), Root(size - z, 0, 0, slope, e)]
-    return LineIntersections((), (Contact("edge_on", min(ends), max(ends)),))
-
-
 def sphere_boxes(prims: Any) -> tuple[np.ndarray, np.ndarray]:
     r = prims.radius[:, None]
     with np.errstate(over="ignore"):
         return next_below(prims.center - r), next_above(prims.center + r)
-
-
-def usable_sphere(prims: Any) -> np.ndarray:
-    return np.isfinite(prims.center).all(axis=1) & np.isfinite(prims.radius) & (prims.radius >= 0.0)
 
 
 def sphere_surface(prims: Any, k: Any, vector: AsVector) -> ImplicitSurface:
@@ -229,9 +233,8 @@ def sphere_surface(prims: Any, k: Any, vector: AsVector) -> ImplicitSurface:
 
 def ellipsoid_surface(prims: Any, k: Any, vector: AsVector) -> ImplicitSurface:
     """In object space scaled by the determinant; the rows are those of the adjugate."""
-    a, b, c = (vector(prims.to_world[k][..., column]) for column in range(3))
-    rows = cross(b, c), cross(c, a), cross(a, b)
-    return ImplicitSurface(vector(prims.center[k]), rows, dot(a, rows[0]))
+    columns = (vector(prims.to_world[k][..., column]) for column in range(3))
+    return ImplicitSurface(vector(prims.center[k]), *cofactors(*columns))
 
 
 def cylinder_surface(prims: Any, k: Any, vector: AsVector) -> ImplicitSurface:
@@ -244,11 +247,12 @@ def disk_surface(prims: Any, k: Any, vector: AsVector) -> ImplicitSurface:
     return ImplicitSurface(around.origin, around.rows[2:])
 
 
-SPHERES = ExactKind(sphere_boxes, prepare_sphere, intersect_sphere, usable=usable_sphere, surface=sphere_surface)
+SPHERES = ExactKind(sphere_boxes, prepare_sphere, intersect_sphere, ("center", "radius"), surface=sphere_surface)
+# Without a surface: a hull is one of three by where p is on it, no zero of one polynomial.
+SEGMENTS = ExactKind(segment_boxes, prepare_segment, enter_segment, ("start", "end", "radius"))
 ELLIPSOIDS = ExactKind(
-    affine_boxes, prepare_affine, intersect_ellipsoid, usable=usable_affine, surface=ellipsoid_surface
+    affine_boxes, prepare_affine, intersect_ellipsoid, ("center", "to_world"), surface=ellipsoid_surface
 )
 OUTER_ELLIPSOIDS = ELLIPSOIDS._replace(intersect=enter_ellipsoid)
-# Without a surface: a hull is one of three by where p is on it, no zero of one polynomial.
-SEGMENTS = ExactKind(segment_boxes, prepare_segment, enter_segment, usable=usable_segment)
-CYLINDERS = ExactKind(affine_boxes, prepare_affine, intersect_cylinder, usable=usable_affine, surface=cylinder_surface)
+CYLINDERS = ELLIPSOIDS._replace(intersect=intersect_cylinder, surface=cylinder_surface)
+DISKS = ELLIPSOIDS._replace(intersect=intersect_disk, surface=disk_surface)

@@ -15,7 +15,7 @@ import numpy as np
 from mitsuba_ref.oracle.exact_numbers import IntegerRay, Root, cross, dot, integer_rays, sign, sub
 from mitsuba_ref.oracle.implicit_surfaces import Approximate, ImplicitSurface, Vector, approximate_vector, exact_vector
 from mitsuba_ref.oracle.interface import OutsideDomain
-from mitsuba_ref.oracle.oracle import Oracle, PrimitiveArray, PrimitiveIndex
+from mitsuba_ref.oracle.oracle import BOX_MARGIN, Oracle, PrimitiveArray
 
 FINDINGS = ("self-hit", "skipped surface", "wrong side", "undecided")
 SELF_HIT, SKIPPED, WRONG_SIDE, UNDECIDED = 1, 2, 4, 8
@@ -25,8 +25,7 @@ WRONG = SELF_HIT | SKIPPED | WRONG_SIDE
 # holds at both is taken to hold at p: a difference between them leaves the ray undecided.
 ENCLOSURE_BITS = 256
 
-# Growth of boxes, as a fraction of |p| + their farthest corner; a quarter of it covers the error of p in float64.
-BOX_MARGIN = 2.0**-36
+# A quarter of the growth of boxes covers the error of p in float64.
 LARGEST_POINT_ERROR = BOX_MARGIN / 4.0
 
 NEIGHBOUR_STEPS = 3  # spacings of float32, in each coordinate
@@ -70,11 +69,9 @@ class OriginJudge:
     """Judges origins of rays on the primitives of an oracle."""
 
     def __init__(self, oracle: Oracle) -> None:
-        self.oracle, self.index = oracle, PrimitiveIndex(oracle.primitives.parts, BOX_MARGIN)
-        # by number of a primitive, its index among all rows, or that of the lowest row with the same bits
-        self.row_of = np.full(max(oracle.count, 1), -1, np.int64)
-        for part, first in zip(self.index.parts, self.index.first.tolist(), strict=False):
-            self.row_of[part.ids] = first + (np.arange(len(part.ids)) if part.lowest is None else part.lowest)
+        self.oracle, self.index = oracle, oracle.primitives
+        numbers = np.concatenate([np.zeros(0, np.int64), *(part.ids for part in self.index.parts)])
+        self.row_of = np.append(np.argsort(numbers), -1)  # by number of a primitive, its index among all rows
 
     def judge(self, rays: Departures) -> tuple[np.ndarray, np.ndarray]:
         """On each origin (sum of findings, number of a skipped primitive or -1), exact where float64 is unsure."""
@@ -101,9 +98,8 @@ class OriginJudge:
 
     def _sides(self, rays: Departures) -> tuple[np.ndarray, np.ndarray]:
         """(n,) bool twice: the ray certainly starts on the side that it leads to and stays there; or on the other."""
-        own = np.where(rays.prim >= 0, self.row_of[rays.prim], -1)
-        right, other = np.zeros((2, len(own)), bool)
-        for rows, surface in self._surfaces(own):
+        right, other = np.zeros((2, len(rays.prim)), bool)
+        for rows, surface in self._surfaces(self.row_of[rays.prim]):
             some = rays.rows(rows)
             p, w, q = some.point, approximate_vector(some.w), approximate_vector(some.q)
             side, wanted = surface.value(q).sign(), surface.slope(p, w).sign()
@@ -131,10 +127,9 @@ class OriginJudge:
 
     def _surfaces(self, index: np.ndarray) -> Iterator[tuple[np.ndarray, ImplicitSurface]]:
         """(rows of index, their surfaces) for each array of primitives that has them."""
-        for part, first, end in zip(self.index.parts, self.index.first, self.index.first[1:], strict=False):
-            rows = np.flatnonzero((index >= first) & (index < end))
-            if len(rows) and part.kind.surface is not None:
-                yield rows, part.kind.surface(part.prims, index[rows] - first, approximate_vector)
+        for part, rows, k in self.index.by_part(index):
+            if part.kind.surface is not None:
+                yield rows, part.kind.surface(part.prims, k, approximate_vector)
 
     # ---- exactly
 
@@ -148,20 +143,19 @@ class OriginJudge:
         if answer.t is None or ray.prim not in prims or not np.isfinite(ray.q).all():
             return UNDECIDED, -1
         (line,) = integer_rays(ray.q[None], ray.w[None])
-        found, members = 0, set()
-        for prim in prims:
-            for part, k in self.index.numbered(prim):
-                members.add((id(part), k if part.lowest is None else int(part.lowest[k])))
+        found = 0
+        for part, _, rows in self.index.by_part(self.row_of[prims]):
+            for k in rows.tolist():
                 of_member = _own_surface(part, k, answer.t, ray, line)
-                found |= of_member if prim == ray.prim or not of_member else UNDECIDED
-        crossed = [self._between(p, ray, line, members) for p in points_at(answer.t, ray)]
+                found |= of_member if part.ids[k] == ray.prim or not of_member else UNDECIDED
+        crossed = [self._between(p, ray, line, prims) for p in points_at(answer.t, ray)]
         if crossed[0] != crossed[-1]:
             return found | UNDECIDED, -1
         between, undecided = crossed[0]
         found |= (SKIPPED if between >= 0 else 0) | (UNDECIDED if undecided else 0)
         return (found if not found & WRONG else found & WRONG), between
 
-    def _between(self, p: Vector, ray: Departures, line: IntegerRay, members: set[tuple[int, int]]) -> tuple[int, bool]:
+    def _between(self, p: Vector, ray: Departures, line: IntegerRay, members: list[int]) -> tuple[int, bool]:
         """(a primitive other than the members that meets the way from q to p, or -1; whether one lies along it)."""
         way = sub(exact_vector(ray.q), p)
         scale = math.lcm(*(x.denominator for x in way))
@@ -174,9 +168,9 @@ class OriginJudge:
         (near,) = self.index.candidates(start, ray.q - start, np.zeros(1), np.ones(1))
         found, contacts = [], []
         for part, k, _ in near:
-            if (id(part), k) not in members:
+            if part.ids[k] not in members:
                 crossed = part.intersect(k, line)
-                found += [int(part.numbers(k)[0]) for t, _ in crossed.roots if at_p < t <= 0]
+                found += [int(part.ids[k]) for t, _ in crossed.roots if at_p < t <= 0]
                 contacts += [(each.first, each.last) for each in crossed.contacts]
         along = any(first and last and first <= 0 and last > at_p for first, last in contacts)
         return min(found, default=-1), along

@@ -8,7 +8,7 @@ from typing import Any
 
 from caster.description.fields import Shape
 from caster.description.registry import load_plugins
-from mitsuba_ref.oracle.interface import register_exact
+from mitsuba_ref.oracle.interface import EXACT_KINDS
 from mitsuba_ref.scene_xml.elements import MissingReferenceError, missing_reference
 from mitsuba_ref.shapes import cylinder, disk, ellipsoids, linear_curve, plane, sphere, triangle_meshes
 from mitsuba_ref.shapes.shape_reference import PrimitiveReference, ShapeReference
@@ -24,7 +24,7 @@ def register(reference: ShapeReference) -> None:
     REFERENCES[reference.describes] = reference
     for kind in reference.kinds:
         KINDS[kind.arrays] = kind
-        register_exact(kind.arrays, kind.model.exact, kind.model.unfold)
+        EXACT_KINDS[kind.arrays] = kind.model.exact
 
 
 def kind_of(part: Any) -> PrimitiveReference:

@@ -213,11 +213,6 @@ def _least_height(half: np.ndarray, face: np.ndarray) -> np.ndarray:
     return half * 2.0 ** np.maximum(ring - 2, 0) * 2.0 / np.sqrt(10.0)  # area h^2, longest edge sqrt(10) h
 
 
-def expand_patches(prims: Patches) -> tuple[Triangles, np.ndarray]:
-    """(triangles of all patches, the patch of each)."""
-    return as_triangles(prims), np.repeat(np.arange(len(prims.corners)), len(PATCH_FACES))
-
-
 def describe_plane(part: Planes, k: int) -> Fields:
     return {
         "type": "plane",
@@ -262,7 +257,7 @@ def view_plane(prims: Any, k: int, o: np.ndarray, d: np.ndarray, t: float) -> De
 
 PLANES = PrimitiveReference(
     Planes,
-    ErrorModel(intersect, EXACT_PLANES, intersect_ours, unfold={Patches: expand_patches}, uv=UvSpace(reference=None)),
+    ErrorModel(intersect, EXACT_PLANES, intersect_ours, uv=UvSpace(reference=None)),
     describe_plane,
     on_planes,
     describe_surface=describe_plane_surface,

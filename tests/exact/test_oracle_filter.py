@@ -1,4 +1,4 @@
-"""The oracle's float64 filter never rejects a primitive that a ray hits."""
+"""The oracle's boxes in float64 never reject a primitive that a ray hits."""
 
 import math
 
@@ -21,8 +21,6 @@ def lost(kind: str, scale: str, seed: int = 1) -> tuple[int, int, int]:
     for found in BoxTree(*arithmetic.boxes(prims), BOX_MARGIN).crossings(o, d, -math.inf):
         own = found.ray == found.box
         kept[found.ray[own]], near[found.ray[own]] = True, found.near[own]
-    if arithmetic.may_intersect is not None:
-        kept &= arithmetic.may_intersect(prims, np.arange(COUNT), o, d)
     wrong = meeting = 0
     for i, ray in enumerate(integer_rays(o, d)):
         met = arithmetic.intersect(arithmetic.prepare(prims, i), ray)
@@ -62,9 +60,9 @@ def rays_at(corners: np.ndarray, rng, n: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_few_faces_are_left_for_whole_numbers():
-    """Of 70,000 faces, at a ray that meets some: a handful, or an oracle that sorts out nothing would do as well."""
+    """Of 70,000 faces, at a ray that meets some: tens, or an oracle that sorts out nothing would do as well."""
     corners = bumpy(187, 187)
     oracle = Oracle(packed(triangles(corners)))
     o, d = rays_at(corners, np.random.default_rng(1), 300)
     left = [len(near) for near in oracle.primitives.candidates(o, d, np.zeros(300), np.full(300, math.inf))]
-    assert len(left) == 300 and 1.0 <= np.mean(left) <= 12.0 and max(left) <= 400, (np.mean(left), max(left))
+    assert len(left) == 300 and 1.0 <= np.mean(left) <= 30.0 and max(left) <= 600, (np.mean(left), max(left))

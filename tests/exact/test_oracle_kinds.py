@@ -9,7 +9,8 @@ import pytest
 from oracle_aims import KINDS, SCALES, aim, packed, root_bracket
 from oracle_fractions import Solution
 
-from mitsuba_ref.oracle.oracle import EXACT_KINDS, Oracle, Root
+from mitsuba_ref.oracle.exact_numbers import Root, integer_rays
+from mitsuba_ref.oracle.oracle import EXACT_KINDS, Oracle
 
 COUNT = 120  # pairs of a kind and a scale
 WHERE = {
@@ -35,17 +36,17 @@ def same(found: Root, expected: Solution) -> bool:
 
 
 def agrees(found, expected) -> bool:
-    return [hit.where for hit in found] == [where for _, where in expected] and all(
-        same(hit.t, solution) for hit, (solution, _) in zip(found, expected, strict=True)
+    return [where for _, where in found] == [where for _, where in expected] and all(
+        same(t, solution) for (t, _), (solution, _) in zip(found, expected, strict=True)
     )
 
 
 def disagreements(kind: str, scale: str, seen: Counter, seed: int = 1, count: int = COUNT) -> int:
     """Of `count` pairs, those where oracle and Fractions differ; counts what was met."""
     prims, o, d = aim(kind, scale, seed, count)
-    oracle, wrong = Oracle(packed(prims)), 0
-    for i in range(count):
-        found, expected = oracle.roots(i, o[i], d[i]), oracle_fractions.roots(prims, i, o[i], d[i])
+    (part,), wrong = Oracle(packed(prims)).primitives.parts, 0
+    for i, ray in enumerate(integer_rays(o, d)):
+        found, expected = part.intersect(i, ray).roots, oracle_fractions.roots(prims, i, o[i], d[i])
         wrong += not agrees(found, expected)
         seen.update([where for _, where in expected] or ["miss"])
     return wrong

@@ -166,7 +166,7 @@ def check_knife_edges(scene: Scene, wrong_rays: list[AimedFailure]) -> Found:
     Some of the failing rays are appended to `wrong_rays` as scenes of one ray.
     """
     subject = prepared_scene(scene)
-    if not subject.oracle.count:
+    if not subject.packed.first[-1]:
         return 0.0, "no primitive to aim at"
     rays = rays_at_edges(subject)
     verdicts = adjudicate(subject, rays, cast_by_culling(subject.packed, rays, "bvh"))
