@@ -161,7 +161,7 @@ COUNTS = ("counts", "cases", "failing_by")
 
 
 def merge_windows(windows: Sequence[SceneVerdict]) -> SceneVerdict:
-    """The verdict of a film from those of its windows, without statistics and bias.
+    """The verdict of a film from those of its windows, with the statistics of the first.
 
     Numbers are added up, and the largest ratios are kept; failures of the first window are listed first. A window
     without a comparison is a problem of the whole film.

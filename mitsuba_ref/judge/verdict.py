@@ -26,7 +26,7 @@ FAILING = (WRONG, UNDECIDED)
 BIAS_OF_T, BIAS_OF_POSITION = "t", "position"
 UNLISTED = "unlisted"  # the case of a pixel where the reference is wrong in no known way (judge/defect_lookup.py)
 UNSUPPORTED, EXPECTED = "unsupported", "expected"  # a scene that is waived: declined, or a known failure
-VERDICT_FORMAT = 4  # of verdict.json: raised when a name in it changes its meaning or goes away
+VERDICT_FORMAT = 5  # of verdict.json: raised when a name in it changes its meaning or goes away
 MAX_LISTED_FAILURES = 10  # of one scene; all are counted
 
 
@@ -77,14 +77,6 @@ class SceneCheck:
 
 
 @dataclass(frozen=True, config=RESULT)
-class Extremes:
-    """The largest and the 99th percentile of a set of numbers."""
-
-    largest: float = 0.0
-    p99: float = 0.0  # 99 % of them are below
-
-
-@dataclass(frozen=True, config=RESULT)
 class KindBias:
     """Bias of the reference's errors at the primitives of one kind (docs/method.md, "Bias")."""
 
@@ -103,12 +95,9 @@ class KindBias:
 
 @dataclass(frozen=True, config=RESULT)
 class ErrorStatistics:
-    """Errors where both sides name the same surface within its bounds, as K times error over bound."""
+    """Errors where both sides name the same surface within its bounds."""
 
     pixels: int
-    k_t: Extremes
-    k_normal: Extremes
-    looseness: JsonFloat  # median of the bound of t over its error; inf where most are exact
     biases: tuple[KindBias, ...] = ()
 
     @computed_field  # type: ignore[prop-decorator]
