@@ -81,8 +81,8 @@ def scene_statistics(scene: Scene) -> SceneStatistics:
 
 
 def findings(judge: Judge, diagnosis: Diagnosis) -> tuple[Finding, ...]:
-    """Each cause once, most pixels first; second causes of the same pixels at the end."""
-    ordered = sorted(diagnosis.causes, key=lambda each: (each.second, -len(each.rows)))
+    """Each cause once, most pixels first."""
+    ordered = sorted(diagnosis.causes, key=lambda each: -len(each.rows))
     return tuple(
         Finding(
             len(each.rows),

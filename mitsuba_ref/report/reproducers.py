@@ -143,7 +143,8 @@ def write_reproducers(
                 write_text(path, reproducer(judge, row).text(head))
             else:
                 write_reproducer(path, judge, judgement, row, f"{source}, pixel ({x}, {y})")
-    left_out = sum(map(len, groups.values())) - len(files)
+    files = list(dict.fromkeys(files))  # a ray may have two causes
+    left_out = len(set().union(*groups.values())) - len(files)
     for number, failure in enumerate(seen.wrong_rays):
         files.append(f"{name}.{failure.label}.{number}.toml")
         head = [f"A ray aimed at {source}, in float64.", f"Wrong:     {failure.what}"]
