@@ -64,9 +64,6 @@ def open_reason(judge: Judge, judgement: Judgement, row: int) -> str:
     """Why a row of the image is undecided."""
     inconsistent = [name for name, where in judge.inconsistent.items() if where[row]]
     if inconsistent:
-        shape = int(aov_rows(judge.pair.subject, "shape_id")[row])
-        if inconsistent == ["diffuse"] and (mistake := judge.texture_mistakes.get(shape)):
-            return mistake
         return f"our image contradicts our own hit: {', '.join(inconsistent)}"
     worst = max(judgement.ratios, key=lambda name: judgement.excess(name)[row])
     if judgement.excess(worst)[row] > 1.0 >= judgement.ratios[worst][row]:

@@ -5,7 +5,7 @@ Pixels that are right must not contradict it.
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import chain, permutations, product
 from typing import NamedTuple
 
@@ -496,25 +496,8 @@ def id_mistakes(f: WrongPixels) -> Iterator[Mistake]:
         who = "the same primitive is" if len(named) == 1 else f"no more than {len(named)} primitives are"
         remedy = "return the number of the primitive in the order of the scene, or leave the column out"
         yield Mistake(f"{who} named at all {hit.sum()} hits", remedy, lambda g: g.hit, same_surface=True)
-    if f.judge.answer.shape_id is not None and f.judge.answer.prim_id is not None:
-        for step, cure in ((1, "subtract"), (-1, "add")):
-            remedy = f"numbers count from 0: {cure} 1"
-            what = f"the primitive's number is off by one ({step:+d})"
-            yield Mistake(what, remedy, partial(_hits_beside, step=step), same_surface=True)
     for column in columns:
         yield from _column_mistakes(*column)
-
-
-def _hits_beside(g: WrongPixels, step: int) -> np.ndarray:
-    """(m,) bool: the primitive `step` before the named one, counted through all shapes, is hit at the given t."""
-    packed, answer = g.judge.model.packed, g.judge.answer
-    assert answer.shape_id is not None and answer.prim_id is not None
-    shape = answer.shape_id[g.rows]
-    known = (shape >= 0) & (shape < len(packed.parts))
-    prim = packed.first[np.where(known, shape, 0)] + answer.prim_id[g.rows] - step
-    there = known & (prim >= 0) & (prim < packed.first[-1])
-    at = g.judge.near(g.rows, np.where(there, prim, -1), g.given_t)
-    return there & at.possible & (np.abs(g.given_t - at.t) <= at.t_error + g.t_rounding)
 
 
 def _column_mistakes(name: str, ids: np.ndarray, number: Callable[[np.ndarray], np.ndarray]) -> Iterator[Mistake]:

@@ -24,7 +24,7 @@ from mitsuba_ref.judge.aggregate import (
 )
 from mitsuba_ref.judge.checks import CANDIDATE, NOT_JUDGED, Scope, checks_of, make_checks
 from mitsuba_ref.judge.checks import OURS as OUR_CHECKS
-from mitsuba_ref.judge.checks.bias import error_statistics
+from mitsuba_ref.judge.checks.bias import kind_biases
 from mitsuba_ref.judge.checks.knife_edges import AimedFailure
 from mitsuba_ref.judge.checks.ray_conventions import cast_further
 from mitsuba_ref.judge.classification import Judge, Judgement, judge_of
@@ -178,14 +178,14 @@ def judge_window(task: Task, *, whole_scene: bool = True, whole_film: bool = Tru
         "packed": judge.model.packed,
         "bounds": judge.bounds,
         "prims": judge.prim,
-        "statistics": error_statistics(judge.model.packed, judge.pair, judge.bounds, shared) if task.ours else None,
+        "biases": tuple(kind_biases(judge.model.packed, judge.pair, judge.bounds, shared)) if task.ours else (),
     }
     if not task.ours:
         made = make_checks(of_scene, inputs)
     made += make_checks([each for each in checks if each.answered], inputs)
 
     seen = Seen(judge, judgement, diagnosis, inputs["wrong_rays"])
-    return replace(_verdict(task, response, seen, made), statistics=inputs["statistics"])
+    return replace(_verdict(task, response, seen, made), biases=inputs["biases"])
 
 
 def further_rays(subject: Subject, scene: Scene) -> CastRays | None:
@@ -213,7 +213,6 @@ def _verdict(task: Task, response: SubjectResponse, seen: Seen, checks: tuple[Sc
         ratios=largest_ratios(judgement),
         failures=listed_failures(judge, judgement, diagnosis),
         versions=pair.result.answer.versions,
-        reference_seconds=pair.result.answer.seconds,
         reference_stored=pair.result.answer.stored,
         allowed={name: check.ratio for name, check in task.scene.checks.items()} if task.ours else {},
         adjudicated=len(judgement.exact.rows),

@@ -94,20 +94,6 @@ class KindBias:
 
 
 @dataclass(frozen=True, config=RESULT)
-class ErrorStatistics:
-    """Errors where both sides name the same surface within its bounds."""
-
-    pixels: int
-    biases: tuple[KindBias, ...] = ()
-
-    @computed_field  # type: ignore[prop-decorator]
-    @property
-    def z(self) -> float:
-        """Largest bias among the kinds with enough groups; 0 if there is none."""
-        return max((bias.z for bias in self.biases if bias.enough_groups), key=abs, default=0.0)
-
-
-@dataclass(frozen=True, config=RESULT)
 class Failure:
     """One pixel that fails its scene."""
 
@@ -166,7 +152,6 @@ class SceneVerdict:
     failures: tuple[Failure, ...] = ()
     versions: dict[str, str] = field(default_factory=dict)
     seconds: Seconds = 0.0
-    reference_seconds: Seconds = 0.0
     reference_stored: bool = False  # Mitsuba's answer was taken from an earlier run
     problem: str = ""  # why there is no comparison, such as a crash of the reference with its output
     size: tuple[int, int] = (0, 0)  # of the film
@@ -178,7 +163,7 @@ class SceneVerdict:
     exact_seconds: Seconds = 0.0  # share of `seconds` spent on exact arithmetic
     cases: dict[str, int] = field(default_factory=dict)  # pixels where the reference is wrong, by known case
     reproducers: tuple[str, ...] = ()  # files, one ray each
-    statistics: ErrorStatistics | None = None  # None without an answer
+    biases: tuple[KindBias, ...] = ()  # of each kind that is hit, of our caster
     not_stored: int = 0  # pixels without a reproducer, since enough of their kind have one
     failing_by: dict[str, int] = field(default_factory=dict)  # pixels that fail, by each check they fail
     worst_by: dict[str, Failure] = field(default_factory=dict)  # the worst of them

@@ -7,7 +7,6 @@ import pytest
 from candidates import ours
 
 import caster
-from mitsuba_ref.error_model.tolerances import LARGEST_Z
 from mitsuba_ref.judge import classification, pipeline
 from mitsuba_ref.judge.pipeline import bands_of
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, WRONG
@@ -67,9 +66,6 @@ def test_the_verdict_is_that_of_the_whole_film(small_bands, send, name):
     assert [check.name for check in bands.checks] == [check.name for check in whole.checks]
     assert {"render", "sensor", "bias", "geometry", "knife_edges"} <= {c.name for c in bands.checks}
     assert bands.notes[0].startswith("judged in ") and not whole.notes
-    one, other = whole.statistics, bands.statistics
-    assert one is not None and other is not None and one.pixels > other.pixels > 0
-    assert abs(other.z) < LARGEST_Z
 
 
 def test_rays_of_every_band_reach_mitsuba_once(small_bands, send):

@@ -23,7 +23,7 @@ Scope = Literal["run", "scene", "window"]
 
 NOT_JUDGED = "not judged"  # begins the text of a check that could not be made, which becomes a note of the verdict
 OURS, CANDIDATE = "ours", "candidate"  # whose answers a check is made of
-ANSWERED = {"result", "loaded", "subject", "failing", "pair", "statistics"}  # known once both sides have answered
+ANSWERED = {"result", "loaded", "subject", "failing", "pair", "biases"}  # known once both sides have answered
 
 
 class Check(NamedTuple):

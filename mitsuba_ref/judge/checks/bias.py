@@ -1,6 +1,6 @@
 """Bias (docs/method.md, "Bias"): systematic errors of the reference by kind, and a factor on all t of a candidate."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +18,7 @@ from mitsuba_ref.error_model.scene_model import kinds_of
 from mitsuba_ref.error_model.tolerances import BIASED_PIXELS, KU, LARGEST_T_BIAS, LARGEST_Z, MIN_GROUPS, U32
 from mitsuba_ref.judge.checks import CANDIDATE, OURS, Found, check
 from mitsuba_ref.judge.comparison import ImagePair
-from mitsuba_ref.judge.verdict import BIAS_OF_POSITION, BIAS_OF_T, ErrorStatistics, KindBias
+from mitsuba_ref.judge.verdict import BIAS_OF_POSITION, BIAS_OF_T, KindBias
 from mitsuba_ref.shapes import kind_of
 from mitsuba_ref.shapes.shape_reference import PositionTerms
 from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64
@@ -29,9 +29,7 @@ from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64
 
 
 @without_float_warnings
-def error_statistics(
-    packed: Packed, pair: ImagePair, bounds: Bounds, shared: np.ndarray | None = None
-) -> ErrorStatistics:
+def kind_biases(packed: Packed, pair: ImagePair, bounds: Bounds, shared: np.ndarray | None = None) -> list[KindBias]:
     """Bias of each kind, from both sides' answers and the reference's bounds, without float64 bounds or exact answers.
 
     shared: (shapes,) bool, of instances in a Mitsuba file: the rounding of a matrix is shared by all their hits.
@@ -46,7 +44,7 @@ def error_statistics(
         hit[hit] = ~shared[packed.shape_of(pair.prim[hit])]
     rows = np.flatnonzero(hit & same & (turned <= 1.0))
     tied = np.flatnonzero(hit & ~same)
-    return ErrorStatistics(len(rows), tuple(_biases(packed, pair, bounds, share, rows, tied)))
+    return list(_biases(packed, pair, bounds, share, rows, tied))
 
 
 def untied(prim: np.ndarray, kind: np.ndarray, tied: np.ndarray, tied_kind: np.ndarray) -> np.ndarray:
@@ -125,18 +123,19 @@ def z_of(values: np.ndarray) -> float:
 
 
 @check(of=(OURS,), scope="window")
-def check_bias(statistics: ErrorStatistics) -> Found:
+def check_bias(biases: Sequence[KindBias]) -> Found:
     """Fail if the errors of a kind with enough groups have a mean that chance does not explain."""
+    shares = [abs(bias.z) / LARGEST_Z if bias.enough_groups else 0.0 for bias in biases]
     words = [
         f"{bias.quantity} of {bias.kind} is biased: z {bias.z:.1f} of {bias.groups} groups, "
         f"{LARGEST_Z:g} at most by chance"
-        for bias in statistics.biases
-        if bias.enough_groups and not abs(bias.z) <= LARGEST_Z
+        for bias, share in zip(biases, shares, strict=True)
+        if not share <= 1.0
     ] or [
         f"{bias.kind} z {bias.z:.1f} of {bias.groups} groups{'' if bias.enough_groups else ', too few to tell'}"
-        for bias in statistics.biases
+        for bias in biases
     ]
-    return abs(statistics.z) / LARGEST_Z, "; ".join(words) or "nothing to look at"
+    return float(np.max(shares, initial=0.0)), "; ".join(words) or "nothing to look at"
 
 
 # ---- a common factor on all t of a candidate, even within their bounds
