@@ -177,7 +177,8 @@ def diagnose(judge: Judge, judgement: Judgement, cast: CastRays | None = None) -
     misses = np.flatnonzero(~judge.result.hit & (judge.t_max >= 0.0) & (not judge.answer.hits_only))
     t = judge.answer.t[misses]
     if len(t) > 1 and np.isfinite(t[0]) and np.allclose(t, t[0], rtol=KU, atol=0.0):
-        causes.take(marked_miss(float(t[0])), misses, len(t), "a miss is t = inf; of an image: --miss VALUE")
+        marked = f"t is {t[0]:.7g} where nothing is hit; a miss has t inf"
+        causes.take(marked, misses, len(t), "a miss is t = inf; of an image: --miss VALUE")
     for why, broken in judge.answer.broken.items():
         causes.take(f"no answer: {why}", np.flatnonzero(broken))
     causes.take("a hit where the camera has no ray", np.flatnonzero((judge.t_max < 0.0) & judge.hit))
@@ -189,41 +190,24 @@ def diagnose(judge: Judge, judgement: Judgement, cast: CastRays | None = None) -
         causes.take(f"{subject_name(judge)} misses everything", inexact, where=True)
         inexact = inexact[causes.left[inexact]]
     if len(inexact):
-        g = _pixels(judge, judgement, sample_rows(inexact, MAX_DIAGNOSED_PIXELS))
+        looked_at = sample_rows(inexact, MAX_DIAGNOSED_PIXELS)
+        g = _pixels(judge, judgement, looked_at)
         g = causes.explain(g, g.off, mistakes, _describe_hits)
         g = g.take(g.hit & g.given_hit)
         g = causes.explain(g, _has_wrong_id(g), id_mistakes, lambda f: iter([(OTHER_PRIMITIVE, f.hit)]))
         causes.explain(g, has_wrong_normal(g), normal_mistakes, _describe_normals)
-        if len(inexact) > MAX_DIAGNOSED_PIXELS:
-            causes.take("wrong, as the others are; the cause was looked for at some of them", inexact)
-    causes.take_alike(judgement.not_adjudicated)
+        inexact = np.setdiff1d(inexact, looked_at)
+    causes.take_alike(np.union1d(judgement.not_adjudicated, inexact))
     for row in np.flatnonzero(causes.left & judgement.is_class(UNDECIDED)):
         causes.take(open_reason(judge, judgement, int(row)), np.array([row]))
-    if judge.names_prims:
-        _explain_own_surface(causes, wrong[causes.left[wrong]])
     causes.take("wrong in no way that is recognised", np.flatnonzero(causes.left))
     return Diagnosis(tuple(causes.found.values()))
-
-
-def marked_miss(t: float) -> str:
-    """The sentence about a number in place of inf."""
-    return f"t is {t:.7g} where nothing is hit; a miss has t inf"
 
 
 def _pixels(judge: Judge, judgement: Judgement, rows: np.ndarray) -> WrongPixels:
     """These adjudicated rows of the image with the exact answers there."""
     prim, t = judgement.exact.first_hits(rows)
     return WrongPixels(judge, rows, prim, t, judge.near(rows, prim, t))
-
-
-def _explain_own_surface(causes: _Causes, rows: np.ndarray) -> None:
-    """Name the quantities beyond float64's bounds at rows where the primitive and t are right."""
-    judge, ratios = causes.judge, causes.judgement.ratios
-    failing = {check.name: check.fails for check in judge.self_checks}
-    if "diffuse" in ratios:
-        failing["diffuse"] = ~(ratios["diffuse"] <= 1.0)
-    for name, where in failing.items():
-        causes.take(f"beyond what float64 rounding allows at the primitive that is hit, in {name}", rows[where[rows]])
 
 
 # ---- descriptions of wrong pixels that no mistake explains

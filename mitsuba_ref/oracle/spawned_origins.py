@@ -29,7 +29,6 @@ ENCLOSURE_BITS = 256
 BOX_MARGIN = 2.0**-36
 LARGEST_POINT_ERROR = BOX_MARGIN / 4.0
 
-NEIGHBOUR_STEPS = 3  # spacings of float32, in each coordinate
 
 # An origin this close to p, relative to the largest coordinate, is at most four spacings of float32 from it: surfaces
 # between them are closer than float32 points can be told apart from.
@@ -181,16 +180,6 @@ class OriginJudge:
         along = any(first and last and first <= 0 and last > at_p for first, last in contacts)
         return min(found, default=-1), along
 
-    def right_origin_exists(self, ray: Departures) -> bool:
-        """Whether any of the float32 points nearest to p is a right origin, NEIGHBOUR_STEPS on either side of it."""
-        grid = nearby_float32(ray.p)
-        rays = Departures(*(np.broadcast_to(a, (len(grid), *np.shape(a))) for a in ray))._replace(q=grid)
-        if self.certainly_right(rays).any():
-            return True
-        with np.errstate(all="ignore"):
-            open_ones = np.flatnonzero(~self._sides(rays)[1])
-        return any(self.judge_exactly(rays.rows(row))[0] == 0 for row in open_ones.tolist())
-
 
 def _edge_side(surface: ImplicitSurface, corner: int, q: Vector, back: Vector) -> np.ndarray:
     """Sign of the edge function of one edge of a triangle along a line through q."""
@@ -227,14 +216,3 @@ def points_at(t: Root, ray: Departures) -> list[Vector]:
     scale = Fraction(2) ** (t.e - bits) / t.s
     pairs = list(zip(exact_vector(ray.o), exact_vector(ray.d), strict=True))
     return [tuple(o + n * scale * d for o, d in pairs) for n in dict.fromkeys(t.numerators(bits))]
-
-
-def nearby_float32(p: np.ndarray) -> np.ndarray:
-    """(m, 3) the float32 points around p (3,), as float64."""
-    nearest = p.astype(np.float32)
-    above, below = [nearest], [nearest]
-    for _ in range(NEIGHBOUR_STEPS):
-        above.append(np.nextafter(above[-1], np.float32(np.inf)))
-        below.append(np.nextafter(below[-1], np.float32(-np.inf)))
-    columns = np.array([*below[:0:-1], *above], np.float64).T
-    return np.stack(np.meshgrid(*columns, indexing="ij"), axis=-1).reshape(-1, 3)

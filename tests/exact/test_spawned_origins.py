@@ -78,15 +78,6 @@ def test_a_parent_that_hits_nothing_or_another_surface_leaves_its_ray_undecided(
     assert OriginJudge(Oracle(rays.packed)).judge_exactly(other.rays.rows(0))[0] == UNDECIDED
 
 
-def test_a_right_float32_origin_is_found_between_surfaces_or_there_is_none():
-    """At a height of 3 the spacing of float32 is 2^-22."""
-    for gap, exists in ((2.0**-22, False), (2.0**-21, True)):
-        shapes = [Plane(point=(0, 0, 3), normal=(0, 0, 1)), Plane(point=(0, 0, 3 - gap), normal=(0, 0, 1))]
-        rays = leaving(shapes, (0, 0, 9), (0, 0, -1), (0, 0, -1), (0, 0, 2))
-        found = judge_origins(rays)
-        assert found.found.tolist() == [SKIPPED] and found.without_right_origin() == (not exists)
-
-
 def test_the_float64_filter_agrees_with_exact_arithmetic():
     rng = np.random.default_rng(5)
     turn = {"rotate": {"axis": [1, 2, 3], "degrees": 40}}
