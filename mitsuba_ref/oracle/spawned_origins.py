@@ -87,7 +87,7 @@ class OriginJudge:
     def certainly_right(self, rays: Departures) -> np.ndarray:
         """(n,) bool: the error bounds of float64 exclude all errors."""
         with np.errstate(all="ignore"):
-            right, _ = self._sides(rays)
+            right = self._on_right_side(rays)
             nearby = np.abs(rays.p).max(axis=1) * LARGEST_POINT_ERROR
             right &= np.isfinite(rays.q).all(axis=1) & (rays.p_error.max(axis=1) <= nearby)
             rows = np.flatnonzero(right)
@@ -98,18 +98,18 @@ class OriginJudge:
                 right[rows[ray[~self._clear(some.rows(ray), box)]]] = False
         return right
 
-    def _sides(self, rays: Departures) -> tuple[np.ndarray, np.ndarray]:
-        """(n,) bool twice: the ray certainly starts on the side that it leads to and stays there; or on the other."""
+    def _on_right_side(self, rays: Departures) -> np.ndarray:
+        """(n,) bool: the ray certainly starts on the side that it leads to, and stays there."""
         own = np.where(rays.prim >= 0, self.row_of[rays.prim], -1)
-        right, other = np.zeros((2, len(own)), bool)
+        right = np.zeros(len(own), bool)
         for rows, surface in self._surfaces(own):
             some = rays.rows(rows)
             p, w, q = some.point, approximate_vector(some.w), approximate_vector(some.q)
             side, wanted = surface.value(q).sign(), surface.slope(p, w).sign()
-            right[rows], other[rows] = side * wanted > 0, side * wanted < 0
+            right[rows] = side * wanted > 0
             if surface.curved:  # and convex: outside, a distance that grows at q along w never falls again
                 right[rows] &= (wanted < 0) | (surface.slope(q, w).sign() > 0)
-        return right, other
+        return right
 
     def _clear(self, rays: Departures, other: np.ndarray) -> np.ndarray:
         """(m,) bool: primitive other[i], an index among all rows, certainly does not cross the way from p to q."""
