@@ -90,23 +90,3 @@ def _texels_at(texture: Any, texels: np.ndarray, *place: np.ndarray) -> np.ndarr
         numbers.append(np.clip(np.nan_to_num(i), 0, count - 1).astype(np.int64))
     found: np.ndarray = texels[numbers[1], numbers[0]]
     return found
-
-
-def mistake_of(texture: Any, uv: np.ndarray, colors: np.ndarray) -> str:
-    """What explains the reflectances (m, 3) that one side has at uv (m, 2); "" if nothing that is tried does."""
-    tried: dict[str, dict[str, Any]] = {
-        "v of the texture is flipped": {
-            "to_uv": [*texture.to_uv, {"scale": [1.0, -1.0, 1.0]}, {"translate": [0.0, 1.0, 0.0]}]
-        }
-    }
-    if texture.type == "bitmap":
-        tried |= {f"the texture is wrapped by {wrap}": {"wrap": wrap} for wrap in ("repeat", "mirror", "clamp")}
-        tried |= {f"the texture is filtered by {name}": {"filter": name} for name in ("nearest", "bilinear")}
-        tried["sRGB is taken as linear" if not texture.raw else "linear numbers are taken as sRGB"] = {
-            "raw": not texture.raw
-        }
-    for what, change in tried.items():
-        other = texture.model_copy(update=change)
-        if (color_ratios([other], np.zeros(len(uv)), uv, colors, KU) <= 1.0).all():
-            return what
-    return ""

@@ -81,8 +81,8 @@ def scene_statistics(scene: Scene) -> SceneStatistics:
 
 
 def findings(judge: Judge, diagnosis: Diagnosis) -> tuple[Finding, ...]:
-    """Each cause once, most pixels first; second causes of the same pixels at the end."""
-    ordered = sorted(diagnosis.causes, key=lambda each: (each.second, -len(each.rows)))
+    """Each cause once, most pixels first."""
+    ordered = sorted(diagnosis.causes, key=lambda each: -len(each.rows))
     return tuple(
         Finding(
             len(each.rows),
@@ -147,21 +147,12 @@ def decisive_checks(judgement: Judgement, rows: np.ndarray) -> list[str]:
 # ---- the windows of a large film, judged one after the other ----
 
 
-SUMS = (
-    "pixels",
-    "hit_pixels",
-    "seconds",
-    "reference_seconds",
-    "adjudicated",
-    "not_adjudicated",
-    "exact_seconds",
-    "not_stored",
-)
+SUMS = ("pixels", "hit_pixels", "seconds", "adjudicated", "not_adjudicated", "exact_seconds", "not_stored")
 COUNTS = ("counts", "cases", "failing_by")
 
 
 def merge_windows(windows: Sequence[SceneVerdict]) -> SceneVerdict:
-    """The verdict of a film from those of its windows, without statistics and bias.
+    """The verdict of a film from those of its windows, with the biases of the first.
 
     Numbers are added up, and the largest ratios are kept; failures of the first window are listed first. A window
     without a comparison is a problem of the whole film.

@@ -22,7 +22,6 @@ from mitsuba_ref.error_model.bounds import Bounds, aov_rows, intersections_at, r
 from mitsuba_ref.error_model.bracket import CLAIMED_MISS, Bracket, Claims
 from mitsuba_ref.error_model.intersections import Intersections, row_groups, without_float_warnings
 from mitsuba_ref.error_model.scene_model import SceneModel, UncertainRaysModel
-from mitsuba_ref.error_model.textures import mistake_of
 from mitsuba_ref.error_model.tolerances import KU, LARGEST_USEFUL_NORMAL_ERROR, NEARLY_ALL
 from mitsuba_ref.judge.adjudication import (
     Adjudication,
@@ -181,14 +180,6 @@ class Judge:
     @cached_property
     def oracle(self) -> Oracle:
         return Oracle(self.model.packed)
-
-    @cached_property
-    def texture_mistakes(self) -> Mapping[int, str]:
-        """What explains the wrong reflectances of each shape with a texture, if anything does."""
-        shape, uv, albedo = (aov_rows(self.pair.subject, name) for name in ("shape_id", "uv", "albedo"))
-        wrong = self.inconsistent["diffuse"] & self.hit
-        groups = {k: wrong & (shape == k) for k in np.unique(shape[wrong]).tolist() if self.scene.textures[k]}
-        return {k: mistake_of(self.scene.textures[k], uv[rows], albedo[rows]) for k, rows in groups.items()}
 
     @property
     def self_checks(self) -> tuple[SelfCheck, ...]:

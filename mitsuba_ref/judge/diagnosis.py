@@ -6,7 +6,6 @@ It describes pixels that fail; it never decides whether a pixel passes.
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -56,28 +55,27 @@ class Cause:
     of: int = 0  # wrong pixels among which it was looked for; 0: a description
     remedy: str = ""  # of a mistake that explains the rows
     where: str = ""  # a property that separates these pixels from right ones
-    second: bool = False  # independent of another cause of the same rows
     alike: np.ndarray = field(default_factory=lambda: NONE)  # rows with the same symptom that were not adjudicated
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All causes; each failing row has exactly one that is not `second`."""
+    """All causes; each failing row has at least one."""
 
     causes: tuple[Cause, ...]
 
     @property
     def rows_of(self) -> Mapping[str, np.ndarray]:
-        """The rows of each first cause."""
-        return {cause.what: cause.rows for cause in self.causes if not cause.second}
+        """The rows of each cause."""
+        return {cause.what: cause.rows for cause in self.causes}
 
     def by_row(self) -> dict[int, str]:
         """The sentence about each row."""
         found: dict[int, str] = {}
-        for cause in sorted(self.causes, key=lambda cause: cause.second):
-            for row in map(int, cause.rows):
-                found[row] = f"{found[row]}; and {cause.what}" if cause.second else cause.what
-            found |= {int(row): f"{cause.what} ({SAME_SYMPTOM})" for row in cause.alike}
+        for cause in self.causes:
+            for row in cause.rows.tolist():
+                found[row] = f"{found[row]}; and {cause.what}" if row in found else cause.what
+            found |= dict.fromkeys(cause.alike.tolist(), f"{cause.what} ({SAME_SYMPTOM})")
         return found
 
     def evidence_at(self, row: int) -> list[str]:
@@ -99,27 +97,27 @@ Describe = Callable[[WrongPixels], Iterator[tuple[str, np.ndarray]]]  # (descrip
 
 
 class _Causes:
-    """Collects causes; a row belongs to the first cause that takes it."""
+    """Collects causes."""
 
     def __init__(self, judge: Judge, judgement: Judgement, cast: CastRays | None):
         self.judge, self.judgement, self.cast = judge, judgement, cast
-        self.found: dict[tuple[str, bool], Cause] = {}
-        self.left = np.zeros(len(judge.t_max), bool)
+        self.found: dict[str, Cause] = {}
+        self.left = np.zeros(len(judge.t_max), bool)  # rows that fail and have no cause yet
         self.left[failing_rows(judgement)] = True
 
-    def take(
-        self, what: str, rows: np.ndarray, of: int = 0, remedy: str = "", *, where: bool = False, second: bool = False
-    ) -> None:
-        """Assign a cause to the rows that have none yet.
+    def take(self, what: str, rows: np.ndarray, of: int = 0, remedy: str = "", *, where: bool = False) -> None:
+        """Assign a cause to those of the rows that have none yet. where: look for a separator."""
+        self.add(what, rows[self.left[rows]], of, remedy, where=where)
 
-        where: look for a separator; second: add the cause to the rows that have another one.
-        """
-        mine = rows[self.left[rows]]
-        self.left[mine] = False
-        self._add(Cause(what, mine, of, remedy, self._where(mine, bool(remedy)) if where else ""))
-        if second:
-            first = self.found.get((what, False), Cause(what, mine)).rows
-            self._add(Cause(what, np.setdiff1d(rows, first), of, remedy, second=True))
+    def add(self, what: str, rows: np.ndarray, of: int = 0, remedy: str = "", *, where: bool = False) -> None:
+        """Assign a cause to rows, beside others that they may have."""
+        if not len(rows):
+            return
+        self.left[rows] = False
+        before = self.found.get(what)
+        separator = (self._where(rows, bool(remedy)) if where else "") or (before.where if before else "")
+        every = np.union1d(before.rows, rows) if before else rows
+        self.found[what] = Cause(what, every, of, remedy, separator)
 
     def _where(self, rows: np.ndarray, known: bool) -> str:
         """What separates these rows from right ones; known: their cause is, so that only primitives are named."""
@@ -131,19 +129,12 @@ class _Causes:
 
     def take_alike(self, rows: np.ndarray) -> None:
         """Assign pixels that were not adjudicated to the cause of most adjudicated ones of their kind."""
-        firsts = [key for key, cause in self.found.items() if not cause.second]
         group = self.judge.kinds_of_pixels(np.arange(len(self.left)))
-        for kind in np.unique(group[rows]) if firsts else ():
+        for kind in np.unique(group[rows]) if self.found else ():
             members = rows[group[rows] == kind]
-            key = max(firsts, key=lambda key: int((group[self.found[key].rows] == kind).sum()))
-            self.found[key] = replace(self.found[key], alike=np.union1d(self.found[key].alike, members))
+            cause = max(self.found.values(), key=lambda cause: int((group[cause.rows] == kind).sum()))
+            self.found[cause.what] = replace(cause, alike=np.union1d(cause.alike, members))
             self.left[members] = False
-
-    def _add(self, cause: Cause) -> None:
-        if len(cause.rows):
-            before = self.found.get((cause.what, cause.second), cause)
-            rows, where = np.union1d(before.rows, cause.rows), cause.where or before.where
-            self.found[cause.what, cause.second] = replace(cause, rows=rows, where=where)
 
     def explain(self, g: WrongPixels, off: np.ndarray, table: Table, describe: Describe) -> WrongPixels:
         """Assign mistakes and descriptions to the pixels of g that are off, (m,) bool.
@@ -154,7 +145,7 @@ class _Causes:
         f = g.take(places)
         left = np.ones(len(places), bool)
         for mistake, fits in explanations(f, self.right, table(f)):
-            self.take(mistake.what, f.rows[fits], len(places), mistake.remedy, where=mistake.single, second=True)
+            self.add(mistake.what, f.rows[fits], len(places), mistake.remedy, where=mistake.single)
             left &= ~fits
             on_surface[places[fits]] = mistake.same_surface
             if not mistake.same_surface and fits.sum() >= NEARLY_ALL * len(places) > NEARLY_ALL * MAJORITY * len(off):
@@ -162,7 +153,7 @@ class _Causes:
         f = f.take(left)
         left = np.ones(len(f.rows), bool)
         for what, fits in describe(f):
-            self.take(what, f.rows[fits & left], where=True, second=True)
+            self.add(what, f.rows[fits & left], where=True)
             left &= ~fits
         return g.take(on_surface)
 
@@ -186,7 +177,8 @@ def diagnose(judge: Judge, judgement: Judgement, cast: CastRays | None = None) -
     misses = np.flatnonzero(~judge.result.hit & (judge.t_max >= 0.0) & (not judge.answer.hits_only))
     t = judge.answer.t[misses]
     if len(t) > 1 and np.isfinite(t[0]) and np.allclose(t, t[0], rtol=KU, atol=0.0):
-        causes.take(marked_miss(float(t[0])), misses, len(t), "a miss is t = inf; of an image: --miss VALUE")
+        marked = f"t is {t[0]:.7g} where nothing is hit; a miss has t inf"
+        causes.take(marked, misses, len(t), "a miss is t = inf; of an image: --miss VALUE")
     for why, broken in judge.answer.broken.items():
         causes.take(f"no answer: {why}", np.flatnonzero(broken))
     causes.take("a hit where the camera has no ray", np.flatnonzero((judge.t_max < 0.0) & judge.hit))
@@ -198,41 +190,24 @@ def diagnose(judge: Judge, judgement: Judgement, cast: CastRays | None = None) -
         causes.take(f"{subject_name(judge)} misses everything", inexact, where=True)
         inexact = inexact[causes.left[inexact]]
     if len(inexact):
-        g = _pixels(judge, judgement, sample_rows(inexact, MAX_DIAGNOSED_PIXELS))
+        looked_at = sample_rows(inexact, MAX_DIAGNOSED_PIXELS)
+        g = _pixels(judge, judgement, looked_at)
         g = causes.explain(g, g.off, mistakes, _describe_hits)
         g = g.take(g.hit & g.given_hit)
         g = causes.explain(g, _has_wrong_id(g), id_mistakes, lambda f: iter([(OTHER_PRIMITIVE, f.hit)]))
         causes.explain(g, has_wrong_normal(g), normal_mistakes, _describe_normals)
-        if len(inexact) > MAX_DIAGNOSED_PIXELS:
-            causes.take("wrong, as the others are; the cause was looked for at some of them", inexact)
-    causes.take_alike(judgement.not_adjudicated)
+        inexact = np.setdiff1d(inexact, looked_at)
+    causes.take_alike(np.union1d(judgement.not_adjudicated, inexact))
     for row in np.flatnonzero(causes.left & judgement.is_class(UNDECIDED)):
         causes.take(open_reason(judge, judgement, int(row)), np.array([row]))
-    if judge.names_prims:
-        _explain_own_surface(causes, wrong[causes.left[wrong]])
     causes.take("wrong in no way that is recognised", np.flatnonzero(causes.left))
     return Diagnosis(tuple(causes.found.values()))
-
-
-def marked_miss(t: float) -> str:
-    """The sentence about a number in place of inf."""
-    return f"t is {t:.7g} where nothing is hit; a miss has t inf"
 
 
 def _pixels(judge: Judge, judgement: Judgement, rows: np.ndarray) -> WrongPixels:
     """These adjudicated rows of the image with the exact answers there."""
     prim, t = judgement.exact.first_hits(rows)
     return WrongPixels(judge, rows, prim, t, judge.near(rows, prim, t))
-
-
-def _explain_own_surface(causes: _Causes, rows: np.ndarray) -> None:
-    """Name the quantities beyond float64's bounds at rows where the primitive and t are right."""
-    judge, ratios = causes.judge, causes.judgement.ratios
-    failing = {check.name: check.fails for check in judge.self_checks}
-    if "diffuse" in ratios:
-        failing["diffuse"] = ~(ratios["diffuse"] <= 1.0)
-    for name, where in failing.items():
-        causes.take(f"beyond what float64 rounding allows at the primitive that is hit, in {name}", rows[where[rows]])
 
 
 # ---- descriptions of wrong pixels that no mistake explains
@@ -330,55 +305,69 @@ def _outline(p: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray
 MAX_NAMED_PRIMS = 3  # that are wrong at each of their pixels
 MIN_SEPARATED_PIXELS = 8  # wrong pixels; of fewer, too many quantities are extreme by chance
 
+Property = tuple[str, np.ndarray]  # a sentence, and (n,) bool
+
 
 def separator_text(judge: Judge, judgement: Judgement, wrong: np.ndarray, *, prims_only: bool = False) -> str:
     """The property or threshold that separates these wrong rows from right ones; "" if none separates nearly all."""
     prim = judge.reference_prim.astype(np.int64)
     prim[judgement.exact.rows], _ = judgement.exact.first_hits(judgement.exact.rows)
     right = np.flatnonzero(~judgement.is_class(*FAILING) & (prim >= 0))
-    wrong = wrong[prim[wrong] >= 0]
-    few = _few_prims_text(judge, prim[wrong], prim[right])
-    if remainder := common_remainder((np.cumsum(judge.t_max >= 0.0) - 1)[wrong]):  # a pixel without a ray has no number
-        few = few or f"where the ray's number is {remainder[1]} modulo {remainder[0]}: all {len(wrong)} wrong pixels"
-    if (text := _numbers_text(judge, prim[wrong], prim[right])) or prims_only:
-        return text or few
-    right, wrong = (sample_rows(rows, MAX_DIAGNOSED_PIXELS) for rows in (right, wrong))
-    if min(len(wrong), len(right)) < MIN_SEPARATED_PIXELS:
-        return few
-    rows = np.concatenate([wrong, right])
-    is_wrong = np.arange(len(rows)) < len(wrong)
-    properties, quantities = list(_properties(judge, rows, prim[rows])), list(_quantities(judge, rows, prim[rows]))
+    return next(_separators(judge, prim, wrong[prim[wrong] >= 0], right, prims_only), "")
+
+
+def _separators(
+    judge: Judge, prim: np.ndarray, wrong: np.ndarray, right: np.ndarray, prims_only: bool
+) -> Iterator[str]:
+    """What separates rows, the simplest first. prim: (n,) what each ray hits."""
+    rows, is_wrong = np.concatenate([wrong, right]), np.repeat([True, False], [len(wrong), len(right)])
+    yield from _by_remainder(
+        "the primitive's number in its shape", judge.model.packed.index_in_shape(prim[rows]), is_wrong
+    )
+    named = list(_by_prims(judge, prim[rows], is_wrong))
+    if prims_only:
+        yield from named
+        return
+    numbers = (np.cumsum(judge.t_max >= 0.0) - 1)[rows]  # a pixel without a ray has no number
+    named += _by_remainder("the ray's number", numbers, is_wrong)
+    some = [sample_rows(each, MAX_DIAGNOSED_PIXELS) for each in (wrong, right)]
+    if min(map(len, some)) < MIN_SEPARATED_PIXELS:
+        yield from named
+        return
+    rows, is_wrong = np.concatenate(some), np.repeat([True, False], [*map(len, some)])
+    properties, quantities = _features(judge, rows, prim[rows])
     tried = len(properties) + len(quantities)
-
-    by_property = [(best_split(flags, is_wrong, tried), name, negated) for name, negated, flags in properties]
-    by_quantity = [(best_split(values, is_wrong, tried), name) for name, values in quantities]
-    found = [
-        *((name, split) for split, name, _ in by_property if split and split.side == "above"),
-        *((negated, split) for split, _, negated in by_property if split and split.side == "below"),
-    ]
-    if few and not found:
-        return few
-    found += [(f"{name} is {split.words}", split) for split, name in by_quantity if split]
-    if found:
-        name, split = found[0]
-        return f"where {name}: {split.wrong} of {len(wrong)} wrong pixels, {split.right} of {len(right)} right ones"
-    for name, _, flags in properties:
+    for sentence, flags in (*properties, *((_negated(sentence), ~flags) for sentence, flags in properties)):
+        if _separates(flags, is_wrong, tried):
+            yield _where_text(sentence, flags, is_wrong)
+    yield from named
+    for name, values in quantities:
+        if (found := best_threshold(values, is_wrong, tried)) is not None:
+            words, flags = found
+            yield _where_text(f"{name} is {words}", flags, is_wrong)
+    for sentence, flags in properties:
         if (share := necessary_share(flags, is_wrong, tried)) is not None:
-            return f"only where {name}: all {len(wrong)} wrong pixels, {100.0 * share:.2g} % of the right ones"
-    return ""
+            yield f"only where {sentence}: all {is_wrong.sum()} wrong pixels, {100.0 * share:.2g} % of the right ones"
 
 
-def _numbers_text(judge: Judge, wrong: np.ndarray, right: np.ndarray) -> str:
-    """The numbers of the primitives that are wrong, if they are equal modulo another one. wrong, right: (m,) prims."""
-    number_of, named = judge.model.packed.index_in_shape, np.unique(wrong)
-    if not (found := common_remainder(np.sort(number_of(named)))):
-        return ""
-    step, rest = found
-    same = int((number_of(right) % step == rest).sum())
-    if same > (1.0 - SEPARATES) * len(right):
-        return ""
-    where = f"where the primitive's number in its shape is {rest} modulo {step}"
-    return f"{where}: {len(wrong)} of {len(wrong)} wrong pixels, {same} of {len(right)} right ones"
+def _where_text(sentence: str, flags: np.ndarray, wrong: np.ndarray) -> str:
+    counts = (flags & wrong).sum(), wrong.sum(), (flags & ~wrong).sum(), (~wrong).sum()
+    return "where {}: {} of {} wrong pixels, {} of {} right ones".format(sentence, *counts)
+
+
+def _negated(sentence: str) -> str:
+    """Of a sentence about what is."""
+    what, _, rest = sentence.rpartition(" is ")
+    return f"{what} is not {rest}"
+
+
+def _by_remainder(what: str, numbers: np.ndarray, wrong: np.ndarray) -> Iterator[str]:
+    """The numbers (n,) of wrong pixels, if they are equal modulo another one."""
+    if found := common_remainder(np.unique(numbers[wrong])):
+        step, rest = found
+        flags = numbers % step == rest
+        if (flags & ~wrong).sum() <= (1.0 - SEPARATES) * (~wrong).sum():
+            yield _where_text(f"{what} is {rest} modulo {step}", flags, wrong)
 
 
 def common_remainder(numbers: np.ndarray) -> tuple[int, int] | None:
@@ -391,55 +380,47 @@ def common_remainder(numbers: np.ndarray) -> tuple[int, int] | None:
     return None if likely else (step, int(numbers[0]) % step)
 
 
-def _few_prims_text(judge: Judge, wrong: np.ndarray, right: np.ndarray) -> str:
-    """The primitives that are wrong at each pixel, if these are few. wrong, right: (m,) primitives.
+def _by_prims(judge: Judge, prim: np.ndarray, wrong: np.ndarray) -> Iterator[str]:
+    """The primitives that are wrong at each pixel, if these are few. prim: (n,).
 
     If the m wrong ones of n pixels had nothing to do with primitives, a further pixel of a wrong primitive would be
     wrong as well with probability m / n.
     """
-    packed, named = judge.model.packed, np.unique(wrong)
-    share, more = len(wrong) / max(len(wrong) + len(right), 1), len(wrong) - len(named)
-    if not 0 < len(named) <= MAX_NAMED_PRIMS or share**more > SEPARATOR_CHANCE or np.isin(right, named).any():
-        return ""
-    names = judge.scene.shape_names()
-    numbers = zip(packed.shape_of(named), packed.index_in_shape(named), strict=True)
-    words = " or ".join(f"{names[shape]}, prim {number}," for shape, number in numbers)
-    return f"where {words} is hit: {len(wrong)} of {len(wrong)} wrong pixels, 0 of {len(right)} right ones"
+    packed, named = judge.model.packed, np.unique(prim[wrong])
+    flags, further = np.isin(prim, named), int(wrong.sum()) - len(named)
+    if 0 < len(named) <= MAX_NAMED_PRIMS and wrong.mean() ** further <= SEPARATOR_CHANCE and not (flags & ~wrong).any():
+        names = judge.scene.shape_names()
+        numbers = zip(packed.shape_of(named), packed.index_in_shape(named), strict=True)
+        words = " or ".join(f"{names[shape]}, prim {number}," for shape, number in numbers)
+        yield _where_text(f"{words} is hit", flags, wrong)
 
 
-class Split(NamedTuple):
-    """A threshold, and the numbers of pixels on one side of it."""
-
-    side: str  # below or above
-    words: str  # such as "below 1e-06"
-    wrong: int
-    right: int
+def _separates(flags: np.ndarray, wrong: np.ndarray, tried: int) -> bool:
+    """Whether nearly all wrong pixels have a property, few others, and chance would not do as well; (n,) bool each."""
+    share = min(flags[wrong].mean(), 1.0 - flags[~wrong].mean())
+    return bool(share >= SEPARATES) and _is_significant(flags, wrong, tried)
 
 
-def best_split(values: np.ndarray, wrong: np.ndarray, tried: int) -> Split | None:
-    """The threshold of values (n,) that has nearly all of the wrong (n,) bool on one side, and few others.
+def best_threshold(values: np.ndarray, wrong: np.ndarray, tried: int) -> tuple[str, np.ndarray] | None:
+    """(such as "below 1e-06", (n,) bool) of the threshold that separates the wrong (n,) bool best; None if none does.
 
-    None if SEPARATES is not reached on both sides, or chance would do as well. tried: features, as a union bound.
+    tried: features, as a union bound.
     """
-    some = np.isfinite(values)
-    m, n = int(wrong.sum()), len(values)
-    if (some & wrong).sum() < SEPARATES * m:
-        return None
-    order = np.argsort(values[some], kind="stable")
-    v, w = values[some][order], wrong[some][order]
-    last = np.flatnonzero(np.r_[v[1:] > v[:-1], False])  # thresholds lie between different values
+    rows = np.flatnonzero(np.isfinite(values))
+    rows = rows[np.argsort(values[rows], kind="stable")]
+    v, w = values[rows], wrong[rows]
+    last = np.flatnonzero(np.diff(v) > 0.0)  # thresholds lie between different values
     if not len(last):
         return None
-    below_wrong, below = np.cumsum(w)[last], last + 1
-    found: list[tuple[float, Split]] = []
-    for k, j, side in ((below_wrong, below, "below"), (w.sum() - below_wrong, len(v) - below, "above")):
-        share = np.minimum(k / m, 1.0 - (j - k) / (n - m))
-        i = int(share.argmax())
-        words = f"{side} {_simplest_between(float(v[last[i]]), float(v[last[i] + 1])):.7g}"
-        found.append((float(share[i]), Split(side, words, int(k[i]), int(j[i] - k[i]))))
-    share_best, split = max(found, key=lambda each: each[0])
-    significant = _is_significant(split.wrong, split.wrong + split.right, m, n, 2.0 * tried * len(last))
-    return split if share_best >= SEPARATES and significant else None
+    below, right_below = np.cumsum(w)[last], np.cumsum(~w)[last]
+    m, n = wrong.sum(), (~wrong).sum()
+    above, right_above = w.sum() - below, (~w).sum() - right_below
+    shares = np.minimum([below / m, above / m], 1.0 - np.array([right_below / n, right_above / n]))
+    side, place = np.unravel_index(int(shares.argmax()), shares.shape)
+    flags = np.zeros(len(wrong), bool)
+    flags[rows[last[place] + 1 :] if side else rows[: last[place] + 1]] = True
+    words = f"{'above' if side else 'below'} {_simplest_between(float(v[last[place]]), float(v[last[place] + 1])):.7g}"
+    return (words, flags) if _separates(flags, wrong, 2 * tried * len(last)) else None
 
 
 def necessary_share(flags: np.ndarray, wrong: np.ndarray, tried: int) -> float | None:
@@ -447,18 +428,16 @@ def necessary_share(flags: np.ndarray, wrong: np.ndarray, tried: int) -> float |
 
     None if a wrong one lacks it, nearly all right ones have it, or chance would do as well.
     """
-    m, n, right = int(wrong.sum()), len(wrong), int((flags & ~wrong).sum())
-    share = right / (n - m)
-    if not flags[wrong].all() or share > NEARLY_ALL:
-        return None
-    return share if _is_significant(m, m + right, m, n, tried) else None
+    share = float(flags[~wrong].mean())
+    necessary = flags[wrong].all() and share <= NEARLY_ALL and _is_significant(flags, wrong, tried)
+    return share if necessary else None
 
 
-def _is_significant(k: int, j: int, m: int, n: int, tried: float) -> bool:
-    """Whether chance does not find k of the m wrong pixels among j of all n in so many tries."""
-    p, q = k / max(j, 1), m / n
+def _is_significant(flags: np.ndarray, wrong: np.ndarray, tried: float) -> bool:
+    """Whether chance does not find so many of the wrong pixels among those with a property in so many tries."""
+    p, q = (flags & wrong).sum() / max(flags.sum(), 1), wrong.mean()
     divergence = sum(a * np.log(a / b) for a, b in ((p, q), (1.0 - p, 1.0 - q)) if a > 0.0)
-    return bool(np.log(tried) - j * divergence < np.log(SEPARATOR_CHANCE))
+    return bool(np.log(tried) - flags.sum() * divergence < np.log(SEPARATOR_CHANCE))
 
 
 def _simplest_between(low: float, high: float) -> float:
@@ -473,42 +452,43 @@ def _simplest_between(low: float, high: float) -> float:
     return high
 
 
-def _properties(judge: Judge, rows: np.ndarray, prim: np.ndarray) -> Iterator[tuple[str, str, np.ndarray]]:
-    """(sentence, its negation, (n,) bool) of rays and the primitives they hit, the simplest first."""
-    packed, d = judge.model.packed, judge.d[rows]
-    shape, names = packed.shape_of(prim), judge.scene.shape_names()
-    kinds = np.array([kind_of(kind.prims).name for kind in packed.kinds])[packed.kinds_of(prim)[0]]
-    for kind in np.unique(kinds) if len(packed.kinds) > 1 else ():
-        yield f"one of the {kind.lower()} is hit", f"none of the {kind.lower()} is hit", kinds == kind
-    for number in np.unique(shape) if len(names) > 1 else ():
-        yield f"{names[number]} is hit", f"{names[number]} is not hit", shape == number
-    low, high = (corner[prim] for corner in judge.model.boxes)
-    box = "the box of the primitive has"
-    yield f"{box} no thickness", f"{box} some thickness", (high == low).any(axis=1)
-    yield "a component of d is 0", "no component of d is 0", (d == 0.0).any(axis=1)
-    n = judge.near(rows, prim, judge.result.t[rows].astype(np.float64)).n
-    yield "the surface is seen from behind", "the surface is not seen from behind", dot(n, d) > 0.0
-    for axis, values in zip("xyz", d.T, strict=True):
-        yield f"d.{axis} is positive", f"d.{axis} is not positive", values > 0.0
-        yield f"d.{axis} is negative", f"d.{axis} is not negative", values < 0.0
-
-
-def _quantities(judge: Judge, rows: np.ndarray, prim: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    """(name, (n,) values) of rays and the primitives they hit, the simplest first."""
-    o, d, width = judge.o[rows], judge.d[rows], judge.pair.shape[1]
+def _features(judge: Judge, rows: np.ndarray, prim: np.ndarray) -> tuple[list[Property], list[Property]]:
+    """(sentence, (n,) bool) and (name, (n,) values) of rays and the primitives they hit, the simplest first."""
+    packed, o, d = judge.model.packed, judge.o[rows], judge.d[rows]
     at = judge.near(rows, prim, judge.result.t[rows].astype(np.float64))
-    corners = triangle_corners(judge, prim)
     low, high = (corner[prim] for corner in judge.model.boxes)
-    yield "the determinant |d . (e1 x e2)|", np.abs(dot(d, area_vectors(corners)))
-    yield "t", at.t
-    yield "the cosine of ray and normal", np.abs(dot(at.n, unit(d)))
-    yield "the size of the primitive", norm(high - low)
-    yield "the distance to the triangle's outline", _outline(o + at.t[:, None] * d, corners)[1]
-    yield "the number of the primitive in its shape", judge.model.packed.index_in_shape(prim)
-    yield "|d|", norm(d)
+    corners = triangle_corners(judge, prim)
+    shape, names = packed.shape_of(prim), judge.scene.shape_names()
+    kinds = np.array([kind_of(kind.prims).name.lower() for kind in packed.kinds])[packed.kinds_of(prim)[0]]
+    parts = [(f"what is hit is one of the {kind}", kinds == kind) for kind in np.unique(kinds)]
+    parts = [
+        *parts[len(parts) == 1 :],
+        *((f"{names[k]} is hit", shape == k) for k in np.unique(shape) if len(names) > 1),
+    ]
+    properties = [
+        *parts,
+        ("the box of the primitive is flat", (high == low).any(axis=1)),
+        ("a component of d is 0", (d == 0.0).any(axis=1)),
+        ("the surface is seen from behind", dot(at.n, d) > 0.0),
+        *(
+            (f"d.{axis} is {word}", sign * values > 0.0)
+            for axis, values in zip("xyz", d.T, strict=True)
+            for word, sign in (("positive", 1.0), ("negative", -1.0))
+        ),
+    ]
+    quantities = [
+        ("the determinant |d . (e1 x e2)|", np.abs(dot(d, area_vectors(corners)))),
+        ("t", at.t),
+        ("the cosine of ray and normal", np.abs(dot(at.n, unit(d)))),
+        ("the size of the primitive", norm(high - low)),
+        ("the distance to the triangle's outline", _outline(o + at.t[:, None] * d, corners)[1]),
+        ("the number of the primitive in its shape", packed.index_in_shape(prim)),
+        ("|d|", norm(d)),
+    ]
     if not judge.pair.rays.is_list:
-        yield "the pixel's x", rows % width
-        yield "the pixel's y", rows // width
+        y, x = np.divmod(rows, judge.pair.shape[1])
+        quantities += [("the pixel's x", x), ("the pixel's y", y)]
+    return properties, quantities
 
 
 # ---- further rays: what makes a caster miss that misses all of a kind

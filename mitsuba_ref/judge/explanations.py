@@ -64,9 +64,6 @@ def open_reason(judge: Judge, judgement: Judgement, row: int) -> str:
     """Why a row of the image is undecided."""
     inconsistent = [name for name, where in judge.inconsistent.items() if where[row]]
     if inconsistent:
-        shape = int(aov_rows(judge.pair.subject, "shape_id")[row])
-        if inconsistent == ["diffuse"] and (mistake := judge.texture_mistakes.get(shape)):
-            return mistake
         return f"our image contradicts our own hit: {', '.join(inconsistent)}"
     worst = max(judgement.ratios, key=lambda name: judgement.excess(name)[row])
     if judgement.excess(worst)[row] > 1.0 >= judgement.ratios[worst][row]:
@@ -228,36 +225,18 @@ def _exact_normal_text(judge: Judge, judgement: Judgement, row: int) -> str:
     return f", n ({format_numbers(judge.near(rows, prim, t).n[0])})" if prim[0] >= 0 and judge.n is not None else ""
 
 
-def format_primitive(judge: Judge, row: int, *, subject: bool) -> str:
-    """The primitive that one side names, and its t, without AOVs."""
-    pair, packed = judge.pair, judge.model.packed
-    prim = int(pair.prim[row] if subject else judge.reference_prim[row])
-    if prim < 0:
-        return "miss"
-    t = float(pair.t[row] if subject else pair.result.t[row])
-    which = np.array([prim])
-    shape = judge.scene.shape_names()[int(packed.shape_of(which)[0])]
-    return f"{shape}, prim {int(packed.index_in_shape(which)[0])} at t {decimal_and_hex(t)}"
-
-
-def reproducer_header(judge: Judge, judgement: Judgement, row: int, source: str) -> Iterator[str]:
+def reproducer_header(judge: Judge, judgement: Judgement, row: int, what: str, source: str) -> Iterator[str]:
     """Comment lines of a reproducer: every answer at a row of the image, and how to see it again."""
-    pair, verdict = judge.pair, CLASSES[int(judgement.classes[row])]
-    versions = pair.result.answer.versions
-    yield f"One ray that caster and Mitsuba {versions.get('mitsuba', '')} were judged on: {verdict}."
+    light = judgement.ratios.get("diffuse")
+    check = "diffuse" if light is not None and light[row] > 1.0 else EXACT
+    subject, reference, exact = pixel_answers(judge, judgement, row, check)
+    yield f"One ray that was judged: {what}."
     yield ""
     yield f"from:      {source}"
-    defect = f", {format_defect(judgement.cases.get(row))}" if verdict == REFERENCE_WRONG else ""
-    yield f"class:     {verdict}{defect}"
-    yield f"exact:     {format_exact(judge.scene, judge.model.packed, exact_answer(judge, judgement, row))}"
-    yield f"caster:    {format_primitive(judge, row, subject=True)}"
-    yield f"Mitsuba:   {format_primitive(judge, row, subject=False)}"
-    if "diffuse" in judgement.ratios and judgement.ratios["diffuse"][row] > 1.0:
-        for name, aovs in (("caster", pair.subject), ("Mitsuba", pair.reference)):
-            yield f"{name + ':':<11}diffuse {format_float32s(aov_rows(aovs, 'diffuse')[row])}"
-    yield f"origin:    {format_float32s(pair.rays.o[row])}"
-    yield f"direction: {format_float32s(pair.rays.d[row])}"
-    yield f"versions:  {', '.join(f'{name} {version}' for name, version in versions.items())}"
+    yield f"exact:     {exact}"
+    yield f"answer:    {subject}"
+    yield f"Mitsuba:   {reference}"
+    yield f"versions:  {', '.join(f'{name} {version}' for name, version in judge.result.answer.versions.items())}"
     yield "All numbers of the geometry are float32 values with all their digits. t counts in lengths of the direction."
     yield "See it:    mitsuba-ref probe THIS-FILE 0 0"
     mode = str(judge.result.robust).lower()
@@ -268,11 +247,6 @@ def reproducer_header(judge: Judge, judgement: Judgement, row: int, source: str)
 
 def decimal_and_hex(value: float) -> str:
     return f"{value!r} {value.hex()}"
-
-
-def format_float32s(values: Any) -> str:
-    """Decimals, in float32's shortest digits, of a few numbers."""
-    return "  ".join(str(np.float32(value)) for value in values)
 
 
 def format_numbers(values: np.ndarray) -> str:

@@ -5,7 +5,7 @@ Pixels that are right must not contradict it.
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import chain, permutations, product
 from typing import NamedTuple
 
@@ -35,7 +35,6 @@ from mitsuba_ref.judge.classification import Judge
 from mitsuba_ref.reference.shared_input import described_model, pixel_centers
 from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64
 
-MIN_SIGNED_PIXELS = 16  # of fewer, all may have one sign by chance
 SCREENED_PIXELS = 96  # at which a claim about the whole image is tried first
 
 
@@ -102,7 +101,6 @@ class Mistake(NamedTuple):
     predicts: Predicts
     claim: int = NOTHING
     single: bool = False  # one pixel is enough: nothing is fitted, and no pixel fits by chance
-    share: float = 0.0  # of the pixels left, which it has to explain if it is `single`
     same_surface: bool = False  # the right surface is hit, so that its normal is judged as well
 
 
@@ -120,8 +118,7 @@ def explanations(f: WrongPixels, right: WrongPixels, table: Iterable[Mistake]) -
         return
     for mistake, fits in _decisive_first(len(f.rows), _kept(f, right, table)):
         fits = fits & left
-        least = mistake.share * left.sum() if mistake.single else max(MAJORITY * left.sum(), MIN_FITTED_PIXELS)
-        if fits.any() and fits.sum() >= least:
+        if fits.sum() >= (1 if mistake.single else max(MAJORITY * left.sum(), MIN_FITTED_PIXELS)):
             yield mistake, fits
             left &= ~fits
         if not left.any():
@@ -216,16 +213,16 @@ IN_FLOAT32 = "computed in float32: right by float32's bounds, and given as float
 FLOAT32_REMEDY = "compute in float64, or state --candidate-precision float32"
 
 
+def _of_nearly_all(fits: np.ndarray) -> np.ndarray:
+    """(m,) bool: the pixels that a mistake fits, if these are nearly all."""
+    return fits & (fits.mean() >= NEARLY_ALL)
+
+
 def _as_in_float32(error: np.ndarray, bound: np.ndarray) -> np.ndarray:
     """(m,) bool: errors within float32's bounds, if most of them are as large as float32 makes them."""
     ratio = np.abs(error) / bound
-    fits: np.ndarray = ratio <= 1.0
+    fits = _of_nearly_all(ratio <= 1.0)
     return fits & bool(fits.any() and np.median(ratio[fits]) >= LEAST_FLOAT32_ERROR)
-
-
-def _is_of_both_signs(error: np.ndarray) -> bool:
-    """Whether errors (m,) may be rounding: of many, some are positive and some negative."""
-    return len(error) < MIN_SIGNED_PIXELS or bool(min((error > 0.0).mean(), (error < 0.0).mean()) >= 1.0 - NEARLY_ALL)
 
 
 def _other_numbers(f: WrongPixels) -> Iterator[Mistake]:
@@ -239,12 +236,12 @@ def _other_numbers(f: WrongPixels) -> Iterator[Mistake]:
     def of_points(g: WrongPixels) -> np.ndarray:
         length = norm(g.d)
         rounding = KU_OURS * (norm(g.o) + np.abs(g.t) * length) / length
-        error = g.given_t - g.t
-        return g.given_hit & g.hit & (np.abs(error) <= rounding + g.at.t_error) & _is_of_both_signs(error)
+        near = np.abs(g.given_t - g.t) <= rounding + g.at.t_error
+        return _of_nearly_all(g.given_hit & g.hit & near)
 
     def in_float32(g: WrongPixels) -> np.ndarray:
         bound = g.at.t_error * (KU / KU_OURS) + g.t_rounding
-        return g.given_hit & g.hit & _as_in_float32(g.given_t - g.t, bound)
+        return _as_in_float32(np.where(g.given_hit & g.hit, g.given_t - g.t, np.inf), bound)
 
     if described and of_described(f).mean() > MAJORITY:  # the others differ by less than rounding
         what = "hits of the scene file's own numbers; the judge traces them rounded to float32"
@@ -253,8 +250,8 @@ def _other_numbers(f: WrongPixels) -> Iterator[Mistake]:
         return
     what = "t has the rounding of a point's coordinates, as (p - o) . d / d . d has"
     remedy = "return the t of the intersection, not that of the hit point"
-    yield Mistake(what, remedy, of_points, single=True, share=NEARLY_ALL, same_surface=True)
-    yield Mistake(IN_FLOAT32, FLOAT32_REMEDY, in_float32, single=True, share=NEARLY_ALL, same_surface=True)
+    yield Mistake(what, remedy, of_points, single=True, same_surface=True)
+    yield Mistake(IN_FLOAT32, FLOAT32_REMEDY, in_float32, single=True, same_surface=True)
 
 
 Quantity = Callable[[WrongPixels], tuple[np.ndarray, np.ndarray | float]]  # (its values, its change with t)
@@ -495,25 +492,8 @@ def id_mistakes(f: WrongPixels) -> Iterator[Mistake]:
         who = "the same primitive is" if len(named) == 1 else f"no more than {len(named)} primitives are"
         remedy = "return the number of the primitive in the order of the scene, or leave the column out"
         yield Mistake(f"{who} named at all {hit.sum()} hits", remedy, lambda g: g.hit, same_surface=True)
-    if f.judge.answer.shape_id is not None and f.judge.answer.prim_id is not None:
-        for step, cure in ((1, "subtract"), (-1, "add")):
-            remedy = f"numbers count from 0: {cure} 1"
-            what = f"the primitive's number is off by one ({step:+d})"
-            yield Mistake(what, remedy, partial(_hits_beside, step=step), same_surface=True)
     for column in columns:
         yield from _column_mistakes(*column)
-
-
-def _hits_beside(g: WrongPixels, step: int) -> np.ndarray:
-    """(m,) bool: the primitive `step` before the named one, counted through all shapes, is hit at the given t."""
-    packed, answer = g.judge.model.packed, g.judge.answer
-    assert answer.shape_id is not None and answer.prim_id is not None
-    shape = answer.shape_id[g.rows]
-    known = (shape >= 0) & (shape < len(packed.parts))
-    prim = packed.first[np.where(known, shape, 0)] + answer.prim_id[g.rows] - step
-    there = known & (prim >= 0) & (prim < packed.first[-1])
-    at = g.judge.near(g.rows, np.where(there, prim, -1), g.given_t)
-    return there & at.possible & (np.abs(g.given_t - at.t) <= at.t_error + g.t_rounding)
 
 
 def _column_mistakes(name: str, ids: np.ndarray, number: Callable[[np.ndarray], np.ndarray]) -> Iterator[Mistake]:
@@ -591,7 +571,7 @@ def normal_mistakes(f: WrongPixels) -> Iterator[Mistake]:
         def in_float32(g: WrongPixels) -> np.ndarray:
             return _as_in_float32(row_distance(g.n, g.at.n), g.at.n_error * (KU / KU_OURS))
 
-        yield Mistake(IN_FLOAT32, FLOAT32_REMEDY, in_float32, single=True, share=NEARLY_ALL, same_surface=True)
+        yield Mistake(IN_FLOAT32, FLOAT32_REMEDY, in_float32, single=True, same_surface=True)
 
 
 SINGLE_NORMALS = (

@@ -24,7 +24,7 @@ from mitsuba_ref.judge.aggregate import (
 )
 from mitsuba_ref.judge.checks import CANDIDATE, NOT_JUDGED, Scope, checks_of, make_checks
 from mitsuba_ref.judge.checks import OURS as OUR_CHECKS
-from mitsuba_ref.judge.checks.bias import PixelErrors, error_statistics, pixel_errors
+from mitsuba_ref.judge.checks.bias import kind_biases
 from mitsuba_ref.judge.checks.knife_edges import AimedFailure
 from mitsuba_ref.judge.checks.ray_conventions import cast_further
 from mitsuba_ref.judge.classification import Judge, Judgement, judge_of
@@ -95,25 +95,18 @@ def judge_film(task: Task, finish: Finish = lambda verdict, images: verdict) -> 
     """The verdict of all bands, with the evidence of the one with most failures, or else of the middle one."""
     bands = task.windows()
     verdicts: list[SceneVerdict] = []
-    errors: list[PixelErrors] = []
     best, shown, seen = (-1, False, False), 0, None
     for number, band in enumerate(bands):
         middle, rows = number == len(bands) // 2, _rows(band)
-        found, of_band = judge_window(task._replace(scene=band), whole_scene=middle, whole_film=len(bands) == 1)
+        found = judge_window(task._replace(scene=band), whole_scene=middle, whole_film=len(bands) == 1)
         found = finish(found, task.name if len(bands) == 1 else f"{task.name}.rows-{rows[0]:05}-{rows[1]:05}")
         rank = found.failing, not found.checks_pass, middle
         if rank > best:
             best, shown, seen = rank, number, found.seen
         verdicts.append(replace(found, seen=None))
-        errors += [of_band] if of_band else []
         if found.problem:
             break
-    merged = _merged(bands, verdicts, shown, seen) if len(bands) > 1 else replace(verdicts[0], seen=seen)
-    if not errors or merged.problem:
-        return merged
-    statistics = error_statistics(errors)
-    made = make_checks(checks_of(OUR_CHECKS, ["film"]), {"statistics": statistics})
-    return replace(merged, checks=(*merged.checks, *made), statistics=statistics)
+    return _merged(bands, verdicts, shown, seen) if len(bands) > 1 else replace(verdicts[0], seen=seen)
 
 
 def _rows(band: Scene) -> tuple[int, int]:
@@ -139,10 +132,8 @@ def _merged(bands: Sequence[Scene], verdicts: list[SceneVerdict], shown: int, se
 # ---- one window ----
 
 
-def judge_window(
-    task: Task, *, whole_scene: bool = True, whole_film: bool = True
-) -> tuple[SceneVerdict, PixelErrors | None]:
-    """The verdict of the film's window without statistics and bias, and the errors for these.
+def judge_window(task: Task, *, whole_scene: bool = True, whole_film: bool = True) -> SceneVerdict:
+    """The verdict of the film's window.
 
     whole_scene: make also the checks that do not depend on the window; whole_film: no other window follows.
     """
@@ -165,11 +156,11 @@ def judge_window(
     try:
         response = request_answer(task.subject, task.scene, rays=task.rays)
     except NoAnswer as error:
-        return _no_comparison(task, made, str(error), isinstance(error, Unsupported)), None
+        return _no_comparison(task, made, str(error), isinstance(error, Unsupported))
     report_stage("asking Mitsuba")
     judge = judge_of(response, timeout=task.timeout, send=task.send, with_files=whole_scene)
     if isinstance(judge, Crash):
-        return _no_comparison(task, made, judge.message), None
+        return _no_comparison(task, made, judge.message)
 
     # Compare, adjudicate, classify; then find the causes of failing pixels.
     report_stage("judging")
@@ -177,6 +168,7 @@ def judge_window(
     diagnosis = diagnose(judge, judgement, further_rays(task.subject, response.scene))
 
     # Check whatever pixels do not show.
+    shared = original.condition > 0.0 if original else None
     inputs |= {
         "scene": response.scene,
         "result": judge.result,
@@ -186,15 +178,14 @@ def judge_window(
         "packed": judge.model.packed,
         "bounds": judge.bounds,
         "prims": judge.prim,
+        "biases": tuple(kind_biases(judge.model.packed, judge.pair, judge.bounds, shared)) if task.ours else (),
     }
     if not task.ours:
         made = make_checks(of_scene, inputs)
     made += make_checks([each for each in checks if each.answered], inputs)
 
     seen = Seen(judge, judgement, diagnosis, inputs["wrong_rays"])
-    shared = original.condition > 0.0 if original else None
-    errors = pixel_errors(judge.model.packed, judge.pair, judge.bounds, shared) if task.ours else None
-    return _verdict(task, response, seen, made), errors
+    return replace(_verdict(task, response, seen, made), biases=inputs["biases"])
 
 
 def further_rays(subject: Subject, scene: Scene) -> CastRays | None:
@@ -222,7 +213,6 @@ def _verdict(task: Task, response: SubjectResponse, seen: Seen, checks: tuple[Sc
         ratios=largest_ratios(judgement),
         failures=listed_failures(judge, judgement, diagnosis),
         versions=pair.result.answer.versions,
-        reference_seconds=pair.result.answer.seconds,
         reference_stored=pair.result.answer.stored,
         allowed={name: check.ratio for name, check in task.scene.checks.items()} if task.ours else {},
         adjudicated=len(judgement.exact.rows),

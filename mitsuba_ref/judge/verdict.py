@@ -26,7 +26,7 @@ FAILING = (WRONG, UNDECIDED)
 BIAS_OF_T, BIAS_OF_POSITION = "t", "position"
 UNLISTED = "unlisted"  # the case of a pixel where the reference is wrong in no known way (judge/defect_lookup.py)
 UNSUPPORTED, EXPECTED = "unsupported", "expected"  # a scene that is waived: declined, or a known failure
-VERDICT_FORMAT = 4  # of verdict.json: raised when a name in it changes its meaning or goes away
+VERDICT_FORMAT = 5  # of verdict.json: raised when a name in it changes its meaning or goes away
 MAX_LISTED_FAILURES = 10  # of one scene; all are counted
 
 
@@ -77,14 +77,6 @@ class SceneCheck:
 
 
 @dataclass(frozen=True, config=RESULT)
-class Extremes:
-    """The largest and the 99th percentile of a set of numbers."""
-
-    largest: float = 0.0
-    p99: float = 0.0  # 99 % of them are below
-
-
-@dataclass(frozen=True, config=RESULT)
 class KindBias:
     """Bias of the reference's errors at the primitives of one kind (docs/method.md, "Bias")."""
 
@@ -99,23 +91,6 @@ class KindBias:
     def enough_groups(self) -> bool:
         """Whether there are enough groups to fail by."""
         return self.groups >= MIN_GROUPS
-
-
-@dataclass(frozen=True, config=RESULT)
-class ErrorStatistics:
-    """Errors where both sides name the same surface within its bounds, as K times error over bound."""
-
-    pixels: int
-    k_t: Extremes
-    k_normal: Extremes
-    looseness: JsonFloat  # median of the bound of t over its error; inf where most are exact
-    biases: tuple[KindBias, ...] = ()
-
-    @computed_field  # type: ignore[prop-decorator]
-    @property
-    def z(self) -> float:
-        """Largest bias among the kinds with enough groups; 0 if there is none."""
-        return max((bias.z for bias in self.biases if bias.enough_groups), key=abs, default=0.0)
 
 
 @dataclass(frozen=True, config=RESULT)
@@ -177,7 +152,6 @@ class SceneVerdict:
     failures: tuple[Failure, ...] = ()
     versions: dict[str, str] = field(default_factory=dict)
     seconds: Seconds = 0.0
-    reference_seconds: Seconds = 0.0
     reference_stored: bool = False  # Mitsuba's answer was taken from an earlier run
     problem: str = ""  # why there is no comparison, such as a crash of the reference with its output
     size: tuple[int, int] = (0, 0)  # of the film
@@ -189,7 +163,7 @@ class SceneVerdict:
     exact_seconds: Seconds = 0.0  # share of `seconds` spent on exact arithmetic
     cases: dict[str, int] = field(default_factory=dict)  # pixels where the reference is wrong, by known case
     reproducers: tuple[str, ...] = ()  # files, one ray each
-    statistics: ErrorStatistics | None = None  # None without an answer
+    biases: tuple[KindBias, ...] = ()  # of each kind that is hit, of our caster
     not_stored: int = 0  # pixels without a reproducer, since enough of their kind have one
     failing_by: dict[str, int] = field(default_factory=dict)  # pixels that fail, by each check they fail
     worst_by: dict[str, Failure] = field(default_factory=dict)  # the worst of them

@@ -28,7 +28,6 @@ ENCLOSURE_BITS = 256
 # A quarter of the growth of boxes covers the error of p in float64.
 LARGEST_POINT_ERROR = BOX_MARGIN / 4.0
 
-NEIGHBOUR_STEPS = 3  # spacings of float32, in each coordinate
 
 # An origin this close to p, relative to the largest coordinate, is at most four spacings of float32 from it: surfaces
 # between them are closer than float32 points can be told apart from.
@@ -85,7 +84,7 @@ class OriginJudge:
     def certainly_right(self, rays: Departures) -> np.ndarray:
         """(n,) bool: the error bounds of float64 exclude all errors."""
         with np.errstate(all="ignore"):
-            right, _ = self._sides(rays)
+            right = self._on_right_side(rays)
             nearby = np.abs(rays.p).max(axis=1) * LARGEST_POINT_ERROR
             right &= np.isfinite(rays.q).all(axis=1) & (rays.p_error.max(axis=1) <= nearby)
             rows = np.flatnonzero(right)
@@ -96,17 +95,18 @@ class OriginJudge:
                 right[rows[ray[~self._clear(some.rows(ray), box)]]] = False
         return right
 
-    def _sides(self, rays: Departures) -> tuple[np.ndarray, np.ndarray]:
-        """(n,) bool twice: the ray certainly starts on the side that it leads to and stays there; or on the other."""
-        right, other = np.zeros((2, len(rays.prim)), bool)
-        for rows, surface in self._surfaces(self.row_of[rays.prim]):
+    def _on_right_side(self, rays: Departures) -> np.ndarray:
+        """(n,) bool: the ray certainly starts on the side that it leads to, and stays there."""
+        own = self.row_of[rays.prim]
+        right = np.zeros(len(own), bool)
+        for rows, surface in self._surfaces(own):
             some = rays.rows(rows)
             p, w, q = some.point, approximate_vector(some.w), approximate_vector(some.q)
             side, wanted = surface.value(q).sign(), surface.slope(p, w).sign()
-            right[rows], other[rows] = side * wanted > 0, side * wanted < 0
+            right[rows] = side * wanted > 0
             if surface.curved:  # and convex: outside, a distance that grows at q along w never falls again
                 right[rows] &= (wanted < 0) | (surface.slope(q, w).sign() > 0)
-        return right, other
+        return right
 
     def _clear(self, rays: Departures, other: np.ndarray) -> np.ndarray:
         """(m,) bool: primitive other[i], an index among all rows, certainly does not cross the way from p to q."""
@@ -175,16 +175,6 @@ class OriginJudge:
         along = any(first and last and first <= 0 and last > at_p for first, last in contacts)
         return min(found, default=-1), along
 
-    def right_origin_exists(self, ray: Departures) -> bool:
-        """Whether any of the float32 points nearest to p is a right origin, NEIGHBOUR_STEPS on either side of it."""
-        grid = nearby_float32(ray.p)
-        rays = Departures(*(np.broadcast_to(a, (len(grid), *np.shape(a))) for a in ray))._replace(q=grid)
-        if self.certainly_right(rays).any():
-            return True
-        with np.errstate(all="ignore"):
-            open_ones = np.flatnonzero(~self._sides(rays)[1])
-        return any(self.judge_exactly(rays.rows(row))[0] == 0 for row in open_ones.tolist())
-
 
 def _edge_side(surface: ImplicitSurface, corner: int, q: Vector, back: Vector) -> np.ndarray:
     """Sign of the edge function of one edge of a triangle along a line through q."""
@@ -221,14 +211,3 @@ def points_at(t: Root, ray: Departures) -> list[Vector]:
     scale = Fraction(2) ** (t.e - bits) / t.s
     pairs = list(zip(exact_vector(ray.o), exact_vector(ray.d), strict=True))
     return [tuple(o + n * scale * d for o, d in pairs) for n in dict.fromkeys(t.numerators(bits))]
-
-
-def nearby_float32(p: np.ndarray) -> np.ndarray:
-    """(m, 3) the float32 points around p (3,), as float64."""
-    nearest = p.astype(np.float32)
-    above, below = [nearest], [nearest]
-    for _ in range(NEIGHBOUR_STEPS):
-        above.append(np.nextafter(above[-1], np.float32(np.inf)))
-        below.append(np.nextafter(below[-1], np.float32(-np.inf)))
-    columns = np.array([*below[:0:-1], *above], np.float64).T
-    return np.stack(np.meshgrid(*columns, indexing="ij"), axis=-1).reshape(-1, 3)

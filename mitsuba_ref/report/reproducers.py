@@ -15,8 +15,8 @@ from caster.geometry.world_space import as_float32
 from caster.scene.model import Film, Scene
 from caster.system.atomic_files import write_text
 from mitsuba_ref.error_model.lambert import direction_to_light
-from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judge, Judgement, scene_judge
-from mitsuba_ref.judge.explanations import format_primitive, pixel_answers, reproducer_header
+from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement, scene_judge
+from mitsuba_ref.judge.explanations import format_defect, reproducer_header
 from mitsuba_ref.judge.pipeline import Seen
 from mitsuba_ref.judge.verdict import CLASSES, REFERENCE_WRONG, UNLISTED, WRONG, Failure, SceneVerdict
 from mitsuba_ref.reference.messages import Crash
@@ -139,11 +139,14 @@ def write_reproducers(
             files.append(f"{name}.wrong.{first_ray + row}.toml" if is_list else f"{name}.{label}.{x}-{y}.toml")
             path = folder / files[-1]
             if is_list:
-                head = _head_of_ray(judge, judgement, row, label, f"{name}, ray {first_ray + row}")
-                write_text(path, reproducer(judge, row).text(head))
+                place = (
+                    f"{name}, ray {first_ray + row} of t_min {float(judge.t_min[row])!r}; below in float32, from t_min"
+                )
+                write_text(path, reproducer(judge, row).text([*reproducer_header(judge, judgement, row, label, place)]))
             else:
                 write_reproducer(path, judge, judgement, row, f"{source}, pixel ({x}, {y})")
-    left_out = sum(map(len, groups.values())) - len(files)
+    files = list(dict.fromkeys(files))  # a ray may have two causes
+    left_out = len(set().union(*groups.values())) - len(files)
     for number, failure in enumerate(seen.wrong_rays):
         files.append(f"{name}.{failure.label}.{number}.toml")
         head = [f"A ray aimed at {source}, in float64.", f"Wrong:     {failure.what}"]
@@ -163,20 +166,6 @@ def _by_case(judgement: Judgement) -> dict[str, list[int]]:
     return found
 
 
-def _head_of_ray(judge: Judge, judgement: Judgement, row: int, what: str, source: str) -> list[str]:
-    """Comment lines with the answers to a ray of a list."""
-    subject, reference, exact = pixel_answers(judge, judgement, row, EXACT)
-    return [
-        f"One ray that {judge.pair.answer.precision} answers were judged on: {what}.",
-        "",
-        f"from:      {source} of t_min {float(judge.t_min[row])!r}",
-        f"answer:    {subject}",
-        f"Mitsuba:   {reference}",
-        f"exact:     {exact}",
-        "The ray below is Mitsuba's: in float32, from t_min on.",
-    ]
-
-
 def write_reproducer(
     path: Path, judge: Judge, judgement: Judgement, row: int, source: str, more: Sequence[str] = ()
 ) -> bool:
@@ -186,7 +175,9 @@ def write_reproducer(
     """
     found = reproducer(judge, row, lit=bool("diffuse" in judgement.ratios and judgement.ratios["diffuse"][row] > 1.0))
     same, words = reproduces(found, judge, judgement, row)
-    write_text(path, found.text([*reproducer_header(judge, judgement, row, source), words, *more]))
+    verdict = CLASSES[int(judgement.classes[row])]
+    what = f"{verdict}, {format_defect(judgement.cases.get(row))}" if verdict == REFERENCE_WRONG else verdict
+    write_text(path, found.text([*reproducer_header(judge, judgement, row, what, source), words, *more]))
     return same
 
 
@@ -199,7 +190,7 @@ def reproduces(found: Reproducer, judge: Judge, judgement: Judgement, row: int) 
     t, t_before = float(again.pair.result.t[0]), float(judge.pair.result.t[row])
     if verdict == before and (t == t_before or (np.isnan(t) and np.isnan(t_before))):
         return True, "Checked:   this file alone gives the same class, and the same t of Mitsuba."
-    differs = f"class {verdict}, Mitsuba: {format_primitive(again, 0, subject=False)}"
+    differs = f"class {verdict}, t of Mitsuba {t!r}"
     return (False, f"Checked:   NOT THE SAME from this file alone, so what else is in the scene matters: {differs}.")
 
 

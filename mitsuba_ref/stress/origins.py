@@ -15,7 +15,6 @@ from caster.system.terminal import folded
 from mitsuba_ref.hard.family import Family
 from mitsuba_ref.judge.checks.spawned_origins import (
     MITSUBA,
-    MOST_SEARCHED,
     RULES,
     LeavingRays,
     OriginFindings,
@@ -42,7 +41,6 @@ class OriginScore:
     counts: Mapping[str, int]  # of all rays, and by finding
     wrong: int  # with any of the three errors
     unresolved: int  # of those, origins as close to the surface as float32 can tell
-    no_origin: int = 0  # of some of those, rays without a right float32 origin; searched for the subject alone
     example: str = ""
     status: str = "ok"
 
@@ -121,9 +119,8 @@ def sweep_origins(family: Family, seed: int, rays: int | None, folder: Path, spa
                     continue
                 wrong, avoidable, mine = found.wrong, found.avoidable, name == subject
                 example = found.example(int([*avoidable, *wrong][0])) if len(wrong) else ""
-                none = found.without_right_origin() if mine else 0
                 excused = len(wrong) - len(avoidable)
-                scores[name] = OriginScore(found.counts(), len(wrong), excused, none, example)
+                scores[name] = OriginScore(found.counts(), len(wrong), excused, example)
                 if mine and len(avoidable):
                     about = f"mitsuba-ref stress: {family.name}, {family.quantity} {x:g}"
                     file = write_parent(folder / f"{family.name}-{x:g}.toml", about, found, int(avoidable[0]))
@@ -155,8 +152,7 @@ def as_text(sweep: OriginSweep) -> str:
     head = f"{'PASS' if sweep.ok else 'FAIL'}  {sweep.name}: {sweep.title}   {sweep.seconds:.1f} s"
     about = f"""x: {sweep.quantity}
 of each rule: rays with self-hit/skipped surface/wrong side
-unresolved: rays of {sweep.subject} with surfaces closer than float32 resolves;
-no origin: of the first {MOST_SEARCHED} wrong rays, those without any right float32 origin"""
+unresolved: rays of {sweep.subject} with surfaces closer than float32 resolves"""
     absent = {
         f"{name}: {score.status}: {score.why}": None
         for setting in sweep.settings
@@ -170,11 +166,11 @@ no origin: of the first {MOST_SEARCHED} wrong rays, those without any right floa
 def rows(sweep: OriginSweep) -> list[list[str]]:
     """The head and one row a setting."""
     names = list(sweep.settings[0].rules) if sweep.settings else []
-    found = [[sweep.quantity, "rays", *names, "unresolved", "no origin"]]
+    found = [[sweep.quantity, "rays", *names, "unresolved"]]
     for setting in sweep.settings:
         scores = [setting.rules.get(name) for name in names]
         cells = [each.cell if isinstance(each, OriginScore) else getattr(each, "status", NOTHING) for each in scores]
         first = scores[0]
-        excused = [first.unresolved, first.no_origin] if isinstance(first, OriginScore) else [NOTHING, NOTHING]
-        found.append([f"{setting.x:.4g}", str(setting.rays), *cells, *map(str, excused)])
+        excused = first.unresolved if isinstance(first, OriginScore) else NOTHING
+        found.append([f"{setting.x:.4g}", str(setting.rays), *cells, str(excused)])
     return found

@@ -78,15 +78,6 @@ def test_a_parent_that_hits_nothing_or_another_surface_leaves_its_ray_undecided(
     assert OriginJudge(Oracle(rays.packed)).judge_exactly(other.rays.rows(0))[0] == UNDECIDED
 
 
-def test_a_right_float32_origin_is_found_between_surfaces_or_there_is_none():
-    """At a height of 3 the spacing of float32 is 2^-22."""
-    for gap, exists in ((2.0**-22, False), (2.0**-21, True)):
-        shapes = [Plane(point=(0, 0, 3), normal=(0, 0, 1)), Plane(point=(0, 0, 3 - gap), normal=(0, 0, 1))]
-        rays = leaving(shapes, (0, 0, 9), (0, 0, -1), (0, 0, -1), (0, 0, 2))
-        found = judge_origins(rays)
-        assert found.found.tolist() == [SKIPPED] and found.without_right_origin() == (not exists)
-
-
 def test_the_float64_filter_agrees_with_exact_arithmetic():
     rng = np.random.default_rng(5)
     turn = {"rotate": {"axis": [1, 2, 3], "degrees": 40}}
@@ -105,6 +96,7 @@ def test_the_float64_filter_agrees_with_exact_arithmetic():
     rays = leaving(shapes, o, p - o, w, p)
     side = np.where((rays.rays.n * w).sum(axis=1) < 0, -1, 1)[:, None]
     off = 10.0 ** rng.uniform(-17, 0, (count, 1)) * (side * rays.rays.n + 0.3 * rng.normal(size=(count, 3)))
+    off *= rng.choice([1.0, 1.0, -1.0], (count, 1))  # some start on the other side
     rays = rays.at(rays.rays.p + off)
     judge = OriginJudge(Oracle(rays.packed))
     sure = judge.certainly_right(rays.rays)

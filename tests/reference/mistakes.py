@@ -348,13 +348,16 @@ DEFECTS = [
         "the determinant |d . (e1 x e2)| is below",
     ),
     Mistake(
-        "flat boxes", edited(thick=lambda self, *abc: (np.ptp(abc, axis=0) > 0).all()), "mixed", "has no thickness"
+        "flat boxes",
+        edited(thick=lambda self, *abc: (np.ptp(abc, axis=0) > 0).all()),
+        "mixed",
+        "the box of the primitive is flat",
     ),
     Mistake(
         "flat boxes at times",
         edited(thick=lambda self, *abc: (np.ptp(abc, axis=0) > 0).all() or abc[0][0] % 0.75 == 0.0),
         "mixed",
-        "only where the box of the primitive has no thickness",
+        "only where the box of the primitive is flat",
     ),
     Mistake(
         "some faces lost",

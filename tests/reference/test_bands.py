@@ -7,7 +7,6 @@ import pytest
 from candidates import ours
 
 import caster
-from mitsuba_ref.error_model.tolerances import LARGEST_Z, K
 from mitsuba_ref.judge import classification, pipeline
 from mitsuba_ref.judge.pipeline import bands_of
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, WRONG
@@ -67,12 +66,6 @@ def test_the_verdict_is_that_of_the_whole_film(small_bands, send, name):
     assert [check.name for check in bands.checks] == [check.name for check in whole.checks]
     assert {"render", "sensor", "bias", "geometry", "knife_edges"} <= {c.name for c in bands.checks}
     assert bands.notes[0].startswith("judged in ") and not whole.notes
-    one, other = whole.statistics, bands.statistics
-    assert one is not None and other is not None and other.pixels == one.pixels > 0
-    assert {bias.kind for bias in other.biases} == {bias.kind for bias in one.biases}
-    assert abs(other.z) < LARGEST_Z
-    planes = any(shape.type == "plane" for shape in scene(name).shapes)  # their stand-ins are cut to the band's rays
-    assert other.k_t.largest < K if planes else (other.k_t, other.k_normal) == (one.k_t, one.k_normal)
 
 
 def test_rays_of_every_band_reach_mitsuba_once(small_bands, send):
@@ -124,4 +117,4 @@ def test_a_crash_in_one_band_is_the_problem_of_the_scene(small_bands, send):
     small_bands(True)
     found = validate_scene(scene("one-sphere"), "s", send=crashing)
     assert not found.ok and found.problem.startswith("rows 14 to 20: ") and "LLVM ERROR" in found.problem
-    assert found.statistics is None and len(calls) == 3
+    assert len(calls) == 3

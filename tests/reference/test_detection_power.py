@@ -22,10 +22,10 @@ from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import reference_bounds
 from mitsuba_ref.error_model.scene_model import SceneModel
 from mitsuba_ref.error_model.tolerances import LARGEST_Z, MIN_GROUPS, U32
-from mitsuba_ref.judge.checks.bias import check_bias, error_statistics, pixel_errors
+from mitsuba_ref.judge.checks.bias import check_bias, kind_biases
 from mitsuba_ref.judge.classification import Judge
 from mitsuba_ref.judge.comparison import compare, pair_images
-from mitsuba_ref.judge.verdict import ErrorStatistics, KindBias
+from mitsuba_ref.judge.verdict import KindBias
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import SendRequest
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
@@ -69,13 +69,13 @@ class Asked:
 
         return self.altered(grow)
 
-    def farther(self, share: float, witness: ReferenceResult | None = None) -> ErrorStatistics:
+    def farther(self, share: float, witness: ReferenceResult | None = None) -> list[KindBias]:
         """Of our t as they are, but larger by this share of themselves, and of another answer of Mitsuba's if given."""
         answer = answer_of_view(self.scene, self.view)
         answer = replace(answer, t=answer.t * (1.0 + share))
         pair = pair_images(self.scene, self.rays, answer, witness or self.witness)
         bounds = reference_bounds(self.model, answer.prim, *(a.astype(np.float64) for a in self.rays[:2]), answer.t)
-        return error_statistics([pixel_errors(self.packed, pair, bounds)])
+        return kind_biases(self.packed, pair, bounds)
 
     @cached_property
     def view(self) -> RayHits:
@@ -97,9 +97,14 @@ def beyond(judge: Judge) -> np.ndarray:
     return found
 
 
-def errors(asked: Asked, view: RayHits) -> ErrorStatistics:
+def errors(asked: Asked, view: RayHits) -> list[KindBias]:
     judge = asked.judge(view)
-    return error_statistics([pixel_errors(asked.packed, judge.pair, judge.bounds)])
+    return kind_biases(asked.packed, judge.pair, judge.bounds)
+
+
+def z_of(found: list[KindBias]) -> float:
+    """The largest bias of the kinds with enough groups."""
+    return max((each.z for each in found if each.enough_groups), key=abs, default=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -110,13 +115,9 @@ def ball(send) -> Asked:
 def test_the_right_caster_is_within_every_bound_and_not_biased(ball):
     view = cast_ours(ball.scene, ball.rays)
     found = errors(ball, view)
-    print(f"\nright: z {found.z:.1f}, k of t {found.k_t.largest:.2f} {found.k_t.p99:.2f}")
+    print(f"\nright: z {z_of(found):.1f}")
     assert not beyond(ball.judge(view)).any()
-    assert abs(found.z) < LARGEST_Z and check_bias(found).ok
-    assert found.pixels == view.hit.sum() >= 30_000
-    # Regression numbers: 0.50 and 0.40 of t, 0.31 and 0.22 of the normal, when this was written.
-    assert 0.4 <= found.k_t.largest <= 0.6 and 0.3 <= found.k_t.p99 <= 0.5
-    assert 0.2 <= found.k_normal.largest <= 0.4 and 0.15 <= found.k_normal.p99 <= 0.3
+    assert abs(z_of(found)) < LARGEST_Z and check_bias(found).ok
 
 
 def test_a_radius_off_by_three_millionths_is_beyond_the_bound_at_every_hit(ball):
@@ -130,9 +131,9 @@ def test_a_radius_off_by_less_than_float32_resolves_is_a_bias(ball, share, least
     """No single pixel shows it."""
     view = ball.grown(side * share)
     found = errors(ball, view)
-    print(f"\nradius {side * share:+.0e}: z {found.z:.1f}")
+    print(f"\nradius {side * share:+.0e}: z {z_of(found):.1f}")
     assert not beyond(ball.judge(view)).any()
-    assert side * found.z > least and not check_bias(found).ok
+    assert side * z_of(found) > least and not check_bias(found).ok
 
 
 @pytest.mark.parametrize(("share", "biased"), [(0.0, False), (1e-7, True)])
@@ -147,9 +148,9 @@ def test_spheres_at_the_same_place_are_no_bias_and_hide_none_of_another_sphere(s
     names = [images["shape_id"].ravel() for images in (judge.pair.subject, judge.pair.reference)]
     assert np.sum(names[0] != names[1]) >= 1000  # many are tied
     found = errors(asked, asked.grown(share))
-    print(f"\ntwo at one place and another, larger by {share:g}: {found.biases}")
-    assert [bias.enough_groups for bias in found.biases] == [True]
-    assert check_bias(found).ok is not biased and (abs(found.z) > 2.0 * LARGEST_Z) is biased
+    print(f"\ntwo at one place and another, larger by {share:g}: {found}")
+    assert [bias.enough_groups for bias in found] == [True]
+    assert check_bias(found).ok is not biased and (abs(z_of(found)) > 2.0 * LARGEST_Z) is biased
 
 
 def test_pixel_centres_off_by_a_thousandth_are_beyond_the_bound_at_most_hits(ball):
@@ -158,9 +159,9 @@ def test_pixel_centres_off_by_a_thousandth_are_beyond_the_bound_at_most_hits(bal
     assert found.mean() > 0.5 and len(found) >= 30_000
 
 
-def bias_of(found: ErrorStatistics, quantity: str) -> KindBias | None:
+def bias_of(found: list[KindBias], quantity: str) -> KindBias | None:
     """Of the kind that is traced as triangles, or of one whose t is tested; None if it has too few groups."""
-    return next((each for each in found.biases if each.quantity == quantity and each.enough_groups), None)
+    return next((each for each in found if each.quantity == quantity and each.enough_groups), None)
 
 
 def test_no_reciprocal_is_blamed_on_ours_and_faults_of_both_signs_are_found_all_the_same(send):
@@ -205,7 +206,7 @@ def test_ours_off_by_a_hundred_millionth_is_a_bias_and_right_it_is_none(send, na
     asked = Asked(send, name, scene.film.width, scene.film.height)
     found = [asked.farther(share) for share in (0.0, 1e-8, -1e-8)]
     right, farther, nearer = (bias_of(each, "position") for each in found)
-    assert abs(found[0].z) < UNFAULTED_Z, found[0].biases
+    assert abs(z_of(found[0])) < UNFAULTED_Z, found[0]
     if right is not None and farther is not None and nearer is not None:
         print(f"\n{name}: z {right.z:.1f}, {farther.z:.1f}, {nearer.z:.1f} of {right.groups}; t {right.t_bias:+.3f}")
         if right.groups >= GROUPS_THAT_TELL and name != ROUNDED_TOO_COARSELY:
@@ -222,7 +223,7 @@ def test_a_mesh_that_is_nearer_by_less_than_float32_resolves_is_a_bias(send, sha
         prims.vertices[:] += share * (eye - prims.vertices)
 
     judge = asked.judge(asked.altered(pull))
-    found = error_statistics([pixel_errors(asked.packed, judge.pair, judge.bounds)])
-    print(f"\nmesh nearer by {share:g}: z {found.z:.1f} of {found.biases}")
-    assert [bias.enough_groups for bias in found.biases] == [True] and found.pixels >= 2000
-    assert check_bias(found).ok is not biased and (found.z > 2.0 * LARGEST_Z) is biased
+    found = kind_biases(asked.packed, judge.pair, judge.bounds)
+    print(f"\nmesh nearer by {share:g}: z {z_of(found):.1f} of {found}")
+    assert [bias.enough_groups for bias in found] == [True]
+    assert check_bias(found).ok is not biased and (z_of(found) > 2.0 * LARGEST_Z) is biased

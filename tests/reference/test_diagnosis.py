@@ -51,8 +51,6 @@ def causes_of(judge: Judge):
     judgement = judge.judge()
     found = diagnose(judge, judgement)
     assert sorted(found.by_row()) == failing_rows(judgement).tolist()
-    firsts = [row for cause in found.causes if not cause.second for row in cause.rows.tolist()]
-    assert len(firsts) == len(set(firsts))  # a row has one first cause
     assert all(np.array_equal(cause.rows, np.unique(cause.rows)) for cause in found.causes)
     return found.causes
 
@@ -163,8 +161,8 @@ def test_a_threshold_of_one_quantity_is_found(right, agreed, feature, side):
 
 
 PROPERTIES = {
-    "one of the spheres is hit": lambda judge: shape_of(judge) < 2,
-    "one of the triangles is hit": lambda judge: shape_of(judge) >= 2,
+    "what is hit is one of the spheres": lambda judge: shape_of(judge) < 2,
+    "what is hit is one of the triangles": lambda judge: shape_of(judge) >= 2,
     "ring is hit": lambda judge: shape_of(judge) == 2,
     "ball is hit": lambda judge: shape_of(judge) == 1,
     "room is not hit": lambda judge: shape_of(judge) != 0,

@@ -58,7 +58,7 @@ def test_a_foreign_kind_is_judged_reported_and_probed(coins):
     assert (found.returncode, said_beside_progress(found)) == (0, []), found.stdout
     assert "PASS  coins" in found.stdout and (coins / "report/index.html").stat().st_size > 10_000
     (scene,) = json.loads((coins / "verdict.json").read_text())["scenes"]
-    assert scene["statistics"]["biases"][0]["kind"] == "Coins"
+    assert scene["biases"][0]["kind"] == "Coins"
     probed = run_with(coins, "probe", str(coins / "coins.toml"), "6", "4")
     assert (probed.returncode, said_beside_progress(probed)) == (0, [])
     assert "coins.toml: agree" in probed.stdout and "shape-1" in probed.stdout

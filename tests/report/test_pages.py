@@ -209,8 +209,7 @@ def test_a_waived_scene_is_no_failure_and_is_counted(visit, verdicts, tmp_path):
 def test_a_failing_scene_check_has_its_evidence_and_the_key_n_leads_there(visit, verdicts, tmp_path):
     broken = SceneCheck("bias", 3.0, "t of Spheres is biased: z -15.0 of 900 groups")
     kinds = (KindBias("Spheres", 900, -15.0), KindBias("Planes", 1, 1.0))
-    statistics = replace(verdicts["good"].statistics, biases=kinds)
-    leaning = replace(verdicts["good"], checks=(broken, *verdicts["good"].checks), statistics=statistics)
+    leaning = replace(verdicts["good"], checks=(broken, *verdicts["good"].checks), biases=kinds)
     index = Validation((leaning,)).write_html(tmp_path / "report")
     page = visit(index).page
     assert "3\u00d7 bias" in page.locator(".row .worst").inner_text()

@@ -19,11 +19,11 @@ from mitsuba_ref.reference.shared_input import pixel_of
 
 Found = tuple[float, str]  # ratio and text of a SceneCheck
 Make = Callable[..., SceneCheck | None]
-Scope = Literal["run", "scene", "window", "film"]
+Scope = Literal["run", "scene", "window"]
 
 NOT_JUDGED = "not judged"  # begins the text of a check that could not be made, which becomes a note of the verdict
 OURS, CANDIDATE = "ours", "candidate"  # whose answers a check is made of
-ANSWERED = {"result", "loaded", "subject", "failing", "pair"}  # what there is once both sides have answered
+ANSWERED = {"result", "loaded", "subject", "failing", "pair", "biases"}  # known once both sides have answered
 
 
 class Check(NamedTuple):
@@ -33,7 +33,7 @@ class Check(NamedTuple):
     make: Make
     needs: tuple[str, ...]
     of: tuple[str, ...]
-    scope: Scope  # made once a run, once a scene, for each window of a large film, or of all windows together
+    scope: Scope  # made once a run, once a scene, or for each window of a large film
     camera: bool  # needs the camera's rays: not made for a list of rays
     thorough: bool  # tests our caster beyond the judged film, by kernels that the film does not need
 
@@ -68,10 +68,10 @@ def check(
 
 @cache
 def all_checks() -> tuple[Check, ...]:
-    """Every check in the order of execution: of the scene alone, of the answers, of the whole film."""
+    """Every check in the order of execution: of the scene alone, then of the answers."""
     for module in iter_modules(__path__):
         import_module(f"{__name__}.{module.name}")
-    stage = {name: (each.scope == "film", each.answered, each.make.__module__) for name, each in _registered.items()}
+    stage = {name: (each.answered, each.make.__module__) for name, each in _registered.items()}
     return tuple(sorted(_registered.values(), key=lambda each: stage[each.name]))
 
 

@@ -1,6 +1,6 @@
 """Bias (docs/method.md, "Bias"): systematic errors of the reference by kind, and a factor on all t of a candidate."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,10 +14,10 @@ from mitsuba_ref.error_model.intersections import (
     without_float_warnings,
     without_overflow_warnings,
 )
-from mitsuba_ref.error_model.tolerances import BIASED_PIXELS, KU, LARGEST_T_BIAS, LARGEST_Z, MIN_GROUPS, U32, K
+from mitsuba_ref.error_model.tolerances import BIASED_PIXELS, KU, LARGEST_T_BIAS, LARGEST_Z, MIN_GROUPS, U32
 from mitsuba_ref.judge.checks import CANDIDATE, OURS, Found, check
 from mitsuba_ref.judge.comparison import ImagePair
-from mitsuba_ref.judge.verdict import BIAS_OF_POSITION, BIAS_OF_T, ErrorStatistics, Extremes, KindBias
+from mitsuba_ref.judge.verdict import BIAS_OF_POSITION, BIAS_OF_T, KindBias
 from mitsuba_ref.shapes import kind_of
 from mitsuba_ref.shapes.shape_reference import PositionTerms
 from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64
@@ -27,33 +27,9 @@ from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64
 # *groups* of pixels count, and no two groups share a rounded number. See docs/method.md, "Bias".
 
 
-class GroupSums(NamedTuple):
-    """Errors in groups of pixels that share no rounded number."""
-
-    keys: np.ndarray  # (g, c), distinct
-    errors: np.ndarray  # (g,) sums of signed shares of bounds
-    counts: np.ndarray  # (g,) pixels
-
-
-class KindErrors(NamedTuple):
-    """Errors at the primitives of one kind."""
-
-    quantity: str  # BIAS_OF_T or BIAS_OF_POSITION
-    groups: tuple[GroupSums, ...]  # one for each way to group
-    t_sums: np.ndarray  # (2,) of errors of t in roundings, and of their weights
-
-
-class PixelErrors(NamedTuple):
-    """Errors of one window of a film; those of several windows are joined into one statistic."""
-
-    k_t: np.ndarray  # (m,) K times the error over its bound
-    k_normal: np.ndarray  # (m,)
-    kinds: Mapping[str, KindErrors]
-
-
 @without_float_warnings
-def pixel_errors(packed: Packed, pair: ImagePair, bounds: Bounds, shared: np.ndarray | None = None) -> PixelErrors:
-    """Errors from both sides' answers and the reference's bounds alone, without float64 bounds or exact answers.
+def kind_biases(packed: Packed, pair: ImagePair, bounds: Bounds, shared: np.ndarray | None = None) -> list[KindBias]:
+    """Bias of each kind, from both sides' answers and the reference's bounds, without float64 bounds or exact answers.
 
     shared: (shapes,) bool, of instances in a Mitsuba file: the rounding of a matrix is shared by all their hits.
     """
@@ -67,31 +43,7 @@ def pixel_errors(packed: Packed, pair: ImagePair, bounds: Bounds, shared: np.nda
         hit[hit] = ~shared[packed.shape_of(pair.prim[hit])]
     rows = np.flatnonzero(hit & same & (turned <= 1.0))
     tied = np.flatnonzero(hit & ~same)
-    kinds = _errors_of_kinds(packed, pair, bounds, share, rows, tied)
-    return PixelErrors(K * np.abs(share[rows]), K * turned[rows], kinds)
-
-
-def error_statistics(windows: Sequence[PixelErrors]) -> ErrorStatistics:
-    """Statistics of all windows of one scene's film."""
-    t = np.concatenate([window.k_t for window in windows])
-    normal = np.concatenate([window.k_normal for window in windows])
-    biases = []
-    for kind in dict.fromkeys(kind for window in windows for kind in window.kinds):
-        found = [window.kinds[kind] for window in windows if kind in window.kinds]
-        ways = zip(*(errors.groups for errors in found), strict=True)  # a group may have pixels in several windows
-        merged = (group_sums(*(np.concatenate(arrays) for arrays in zip(*way, strict=True))) for way in ways)
-        groups, z = zip(*map(z_of_groups, merged), strict=True)
-        total, weight = np.sum([errors.t_sums for errors in found], axis=0)
-        t_bias = float(total / weight) if weight > 0.0 else 0.0
-        biases.append(KindBias(kind, min(groups), min(z, key=abs), found[0].quantity, t_bias))
-    middle = float(np.median(t)) if len(t) else 0.0
-    looseness = K / middle if middle > 0.0 else float("inf")  # bound over error
-    return ErrorStatistics(len(t), extremes(t), extremes(normal), looseness, tuple(biases))
-
-
-def extremes(k: np.ndarray) -> Extremes:
-    """The largest value and the 99th percentile; 0 if there is none."""
-    return Extremes(*map(float, np.quantile(k, (1.0, 0.99)))) if len(k) else Extremes()
+    return list(_biases(packed, pair, bounds, share, rows, tied))
 
 
 def untied(prim: np.ndarray, kind: np.ndarray, tied: np.ndarray, tied_kind: np.ndarray) -> np.ndarray:
@@ -105,15 +57,14 @@ def untied(prim: np.ndarray, kind: np.ndarray, tied: np.ndarray, tied_kind: np.n
     return ~(np.isin(kind, many) & np.isin(prim, tied))
 
 
-def _errors_of_kinds(
+def _biases(
     packed: Packed, pair: ImagePair, bounds: Bounds, share: np.ndarray, rows: np.ndarray, tied: np.ndarray
-) -> dict[str, KindErrors]:
-    """Errors of each kind hit at these rows. tied: rows where the reference names another shape at the same t."""
+) -> Iterator[KindBias]:
+    """Of each kind hit at these rows. tied: rows where the reference names another shape at the same t."""
     prim = pair.prim[rows]
     kind, k = packed.kinds_of(prim)
     evidence = untied(prim, kind, pair.prim[tied], packed.kinds_of(pair.prim[tied])[0])
     scalar = pair.result.answer.versions["variant"].startswith("scalar")
-    found = {}
     for place in np.unique(kind):
         prims, here = packed.kinds[place].prims, (kind == place) & evidence
         at, reference = rows[here], kind_of(prims)
@@ -125,11 +76,11 @@ def _errors_of_kinds(
             quantity = BIAS_OF_POSITION
             errors = position_shares(reference.position_terms, prims, k[here], at, pair, bounds)
             keys.append(pair.result.answer.prim_uv[at])  # a corner's products with the same number are rounded alike
-        groups = tuple(group_sums(key, errors) for key in keys)
+        groups, z = zip(*(z_of_groups(key, errors) for key in keys), strict=True)
         resolution = U32 * pair.t[at] / bounds.at.t_error[at]  # how well each t is resolved, its weight
-        t_sums = np.array([share[at] @ resolution, resolution @ resolution])
-        found[reference.name] = KindErrors(quantity, groups, t_sums)
-    return found
+        weight = float(resolution @ resolution)
+        t_bias = float(share[at] @ resolution) / weight if weight > 0.0 else 0.0
+        yield KindBias(reference.name, min(groups), min(z, key=abs), quantity, t_bias)
 
 
 @without_overflow_warnings
@@ -154,38 +105,36 @@ def position_shares(
     return np.where(np.isnan(share), 0.0, share)  # a position that is no number fails its own check
 
 
-def group_sums(key: np.ndarray, error: np.ndarray, count: np.ndarray | None = None) -> GroupSums:
-    """Sums over groups. key: (m, c), equal in a group; error: (m,) signed; count: (m,) pixels, one each if None."""
+def z_of_groups(key: np.ndarray, error: np.ndarray) -> tuple[int, float]:
+    """(number of groups, z of their means). key: (m, c), equal in a group; error: (m,) signed."""
     group = row_groups(key)
-    keys = np.empty((int(group.max(initial=-1)) + 1, key.shape[1]), key.dtype)
-    keys[group] = key
-    return GroupSums(keys, np.bincount(group, error), np.bincount(group, count))
+    means = np.bincount(group, error) / np.bincount(group)
+    return len(means), z_of(means)
 
 
-def z_of_groups(sums: GroupSums) -> tuple[int, float]:
-    """(number of groups, z).
+def z_of(values: np.ndarray) -> float:
+    """Their sum over the root of the sum of their squares.
 
-    z is the sum of the groups' means over the root of the sum of their squares: mean / (std / sqrt(n)), with the
-    spread about 0, which is where the mean has to be, and not about the mean that was found.
+    That is mean / (std / sqrt(n)) with the spread about 0, where the mean has to be, and not about the mean found.
     """
-    means = sums.errors / sums.counts
-    spread = float(np.sqrt(np.sum(means**2)))
-    return len(means), float(means.sum()) / spread if spread > 0.0 else 0.0
+    spread = float(np.sqrt(np.sum(values**2)))
+    return float(values.sum()) / spread if spread > 0.0 else 0.0
 
 
-@check(of=(OURS,), scope="film")
-def check_bias(statistics: ErrorStatistics) -> Found:
+@check(of=(OURS,), scope="window")
+def check_bias(biases: Sequence[KindBias]) -> Found:
     """Fail if the errors of a kind with enough groups have a mean that chance does not explain."""
+    shares = [abs(bias.z) / LARGEST_Z if bias.enough_groups else 0.0 for bias in biases]
     words = [
         f"{bias.quantity} of {bias.kind} is biased: z {bias.z:.1f} of {bias.groups} groups, "
         f"{LARGEST_Z:g} at most by chance"
-        for bias in statistics.biases
-        if bias.enough_groups and not abs(bias.z) <= LARGEST_Z
+        for bias, share in zip(biases, shares, strict=True)
+        if not share <= 1.0
     ] or [
         f"{bias.kind} z {bias.z:.1f} of {bias.groups} groups{'' if bias.enough_groups else ', too few to tell'}"
-        for bias in statistics.biases
+        for bias in biases
     ]
-    return abs(statistics.z) / LARGEST_Z, "; ".join(words) or "nothing to look at"
+    return float(np.max(shares, initial=0.0)), "; ".join(words) or "nothing to look at"
 
 
 # ---- a common factor on all t of a candidate, even within their bounds
@@ -247,8 +196,6 @@ def fitted_factor(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.nda
         tells = np.linalg.norm(left[:, 1]) > FIT_ROUNDING * np.linalg.norm(both[:, 1])
         error[here], factor[here] = left.T if tells else np.zeros((2, 1))  # at a plane, a shift explains any factor
     tells = factor != 0.0
-    sums = group_sums(prim[tells, None], error[tells] * factor[tells]).errors
-    weight, spread = float(factor @ factor), float(np.sqrt(sums @ sums))
-    if weight == 0.0 or spread == 0.0:
-        return FactorFit(0.0, 0.0, len(sums))
-    return FactorFit(float(error @ factor) / weight, float(sums.sum()) / spread, len(sums))
+    sums = np.bincount(row_groups(prim[tells, None]), error[tells] * factor[tells])
+    weight = float(factor @ factor)
+    return FactorFit(float(error @ factor) / weight if weight > 0.0 else 0.0, z_of(sums), len(sums))

@@ -29,7 +29,6 @@ Rule = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 PBRT_ROUNDINGS = 7  # of a point on a triangle, in units of U32: gamma(7) of its coordinates
 CONSTANT_OFFSET = 1e-3  # scene units
-MOST_SEARCHED = 64  # wrong rays for which a right origin is searched
 
 
 def along_normal(points: np.ndarray, normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
@@ -106,11 +105,6 @@ class OriginFindings(NamedTuple):
         """
         excused = self.leaving.rays.unresolved & (self.found == SKIPPED)
         return self.wrong[~excused[self.wrong]]
-
-    def without_right_origin(self) -> int:
-        """Of the first MOST_SEARCHED wrong rays, those for which no float32 point nearby is a right origin."""
-        rays = (self.leaving.rays.rows(row) for row in self.wrong[:MOST_SEARCHED].tolist())
-        return sum(not self.judge.right_origin_exists(ray) for ray in rays)
 
     def counts(self) -> dict[str, int]:
         """All rays, and those of each finding."""

@@ -86,16 +86,13 @@ def _cast_differences(
 ) -> Iterator[str]:
     """Between the image and its rays cast one by one, and between limits for all rays and for each."""
     o, d = lines
-    hits, alone = (cast(scene, o, d, t_min=limits[0], t_max=limits[1]) for _ in range(2))
-    yield from different_bits({"normal": image["normal"]}, {"normal": alone.normal}, "cast(...).normal")
+    hits = cast(scene, o, d, t_min=limits[0], t_max=limits[1])
     found = {
-        "depth": hits.t * np.sqrt(d[:, 0] * d[:, 0] + d[:, 1] * d[:, 1] + d[:, 2] * d[:, 2]),
-        "shape_id": hits.shape_id,
-        "prim_id": hits.prim_id,
-        "normal": hits.surfaces["normal"],
-        **{name: getattr(hits, name) for name in ("shading_normal", "position", "uv")},
+        name: getattr(hits, name) for name in ("normal", "shape_id", "prim_id", "position", "shading_normal", "uv")
     }
-    yield from different_bits({name: image[name] for name in found}, found, "cast")
+    found["depth"] = hits.t * np.sqrt(d[:, 0] * d[:, 0] + d[:, 1] * d[:, 1] + d[:, 2] * d[:, 2])
+    for arrays in (found, hits.surfaces):
+        yield from different_bits({name: image[name] for name in arrays}, arrays, "cast")
     first = np.sort(hits.t[np.isfinite(hits.t)])
     if not len(first):
         return

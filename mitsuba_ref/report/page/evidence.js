@@ -18,13 +18,13 @@ function evidenceHtml(record) {
   return failedChecks(record).map((check) => `<section class="evidence">
 <h2>${spaced(check.name)} <span class="bad">${times(numberOf(check.ratio))}</span></h2>
 <p>${escaped(RUN.checks[check.name] ?? "")}</p><p class="bad">${escaped(check.what)}</p>
-${check.name === "bias" ? kindsHtml(record.verdict.statistics) : ""}${BIASES.has(check.name) ? signsHtml(record) : ""}
+${check.name === "bias" ? kindsHtml(record.verdict.biases) : ""}${BIASES.has(check.name) ? signsHtml(record) : ""}
 ${check.name === "knife_edges" ? raysHtml(record) : ""}</section>`).join("") + (failedChecks(record).length ? checksHtml(record) : "");
 }
 
 /** A bar from the middle for each kind of shape: how far its mean error is from 0, in standard deviations. */
-function kindsHtml(statistics) {
-  const kinds = statistics?.biases ?? [], most = Math.max(6, ...kinds.map(({ z }) => Math.abs(z)));
+function kindsHtml(kinds) {
+  const most = Math.max(6, ...kinds.map(({ z }) => Math.abs(z)));
   const bar = ({ kind, z, quantity, groups, enough_groups }) => `<tr><th scope="row">${escaped(kind)}</th>
 <td>${middleBar(z / most, enough_groups && Math.abs(z) > RUN.largest_z, RUN.largest_z / most)}</td>
 <td>${z.toFixed(1)}</td><td class="quiet">${enough_groups ? `${quantity}, ${groups} groups` : "too few groups"}</td></tr>`;
