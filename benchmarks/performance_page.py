@@ -23,7 +23,7 @@ from caster.system.atomic_files import write_text
 from mitsuba_ref.bench.casters import BY_KEY
 from mitsuba_ref.bench.measuring import MAX_CAST_S, MIN_TURN_S
 from mitsuba_ref.bench.result import COLUMNS, Run, SceneResult, overview, rows
-from mitsuba_ref.bench.scoring import EXACT_RAYS_PER_SORT
+from mitsuba_ref.bench.scoring import EXACT_RAYS
 
 PAGE, IMAGE_FOLDER = "performance.md", "performance"
 README, README_SECTION = "README.md", "## How fast\n"  # whose table has these scenes of the run
@@ -41,10 +41,9 @@ bounds our times, and what was tried: [notes](performance-notes.md).
 READING = """## How to read it
 
 - **What is timed**: an image of some AOVs, depth and normal unless others are named, delivered as float32 arrays in
-  memory; or t and normal along rays that were on hand, or whether anything lies on them. All have loaded the scene and
+  memory; or t and normal along rays that were on hand. All have loaded the scene and
   built what they build before, and everything is compiled; ours makes the rays and sorts the primitives onto the film
-  in every image, while for `ray_intersect` the rays were made before, too. Shadow rays go through
-  `caster.occluded` and Mitsuba's `ray_test`.
+  in every image, while for `ray_intersect` the rays were made before, too.
 - **ours, as planned** is `caster.render`: by rasterization for pinhole and orthographic cameras, by the BVH for others;
   for rays that are handed over, `caster.cast` with the surface of each hit. **by BVH** is the same image through it.
 - **diffuse** is light with shadows: the AOV integrator has `direct` inside. Ours adds ambient light to it.
@@ -59,10 +58,8 @@ READING = """## How to read it
   ([method.md](../method.md)). Ours is called through `caster.cast`, float64; no culling changes a bit, and images of
   float32 add half a unit. Mitsuba's AOV integrator takes no rays from outside, so `ray_intersect`, which it calls, is
   judged on the same scene.
-- **wrong** on those rays, **edges** on as many that are aimed at edges and silhouettes: hits where there is
-  exactly nothing and misses where there is something; behind a `+`, hits farther off than their bound, mostly those of
-  another surface.
-- **MB**: the most memory that the process had (VmHWM), Python, all libraries and the rays included.
+- **wrong** on those rays: hits where there is exactly nothing and misses where there is something; behind a `+`, hits
+  farther off than their bound, mostly those of another surface. At edges and silhouettes: [stress](stress.md).
 """
 
 # Colours after Okabe and Ito (2008), which people of any colour vision tell apart; markers differ as well.
@@ -129,7 +126,7 @@ def lines(run: Run) -> Iterator[str]:
         aovs = f"; {', '.join(scene.aovs)}" if scene.aovs else ""
         yield f"{scene.title[0].upper()}{scene.title[1:]}; {scene.primitives:,} primitives{aovs}.\n"
         yield markdown(rows(scene), rule="|---|" + "---:|" * (len(COLUMNS) - 1)) + "\n"
-    yield READING.format(least=MIN_TURN_S, longest=MAX_CAST_S, sample=EXACT_RAYS_PER_SORT)
+    yield READING.format(least=MIN_TURN_S, longest=MAX_CAST_S, sample=EXACT_RAYS)
 
 
 def pareto(scenes: Sequence[SceneResult]) -> bytes:

@@ -5,13 +5,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from mitsuba_ref.bench.drivers import ANY, AOVS, DEFAULT, FILM, NEAREST, ROBUST
+from mitsuba_ref.bench.drivers import AOVS, DEFAULT, FILM, NEAREST, ROBUST
 from mitsuba_ref.bench.result import CANDIDATE_ROW
 from mitsuba_ref.bench.scenes import BenchScene
 from mitsuba_ref.reference import variants
 
 OURS, MITSUBA = "ours", "mitsuba"
-ALL_WORKLOADS = (FILM, NEAREST, ANY)
 
 
 @dataclass(frozen=True)
@@ -22,7 +21,7 @@ class TimedCaster:
     title: str
     side: str
     driver: str  # as in Work
-    workloads: tuple[str, ...] = ALL_WORKLOADS
+    workloads: tuple[str, ...] = (FILM, NEAREST)
     options: Mapping[str, Any] = field(default_factory=dict)
     threads: int | None = None  # instead of those of the run
     first: int = 0  # pixels a side of the first cast, where the whole film may take too long; 0: the whole film

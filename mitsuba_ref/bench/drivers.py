@@ -1,7 +1,7 @@
 """Drivers of the timed ray casters: their task, what they share, ours and a candidate (mitsuba_drivers.py: Mitsuba).
 
-A task is a folder with the scene in every form that some ray caster reads, and what to compute. This module is light to
-import, since everything that a process loads beside the ray caster counts as its memory.
+A task is a folder with the scene in every form that some ray caster reads, and what to compute. The compiler of ours is
+not loaded where Mitsuba runs.
 """
 
 from __future__ import annotations
@@ -18,14 +18,13 @@ import numpy as np
 if TYPE_CHECKING:
     import caster
 
-# Workloads: an image of some AOVs; t and normal along given rays; whether given rays hit anything.
-FILM, NEAREST, ANY = "film", "nearest", "any"
+# Workloads: an image of some AOVs; t and normal along given rays.
+FILM, NEAREST = "film", "nearest"
 AOVS = ("depth", "normal")  # of a film, unless others are asked for
 
 SCENE_FILE, RAYS_FILE = "scene.pickle", "rays.npz"  # files of a folder
 ROBUST, DEFAULT = "robust", "default"  # folders within: a scene for Mitsuba in Embree's two modes
 FIRST_RAY = (np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))  # for trees that are built on the first ray
-SHADOW_END = 1.0  # t_max of shadow rays: t = 1 is the light
 WARM_UP_SIDE = 8  # pixels: enough to make everything that is made before rays are cast
 
 
@@ -54,7 +53,7 @@ class Driver:
     precision = "float32"  # of its arithmetic
 
     def __init__(self, work: Work) -> None:
-        self.work, self.any = work, work.workload == ANY
+        self.work = work
 
     def build(self, size: int) -> None:
         """Build everything that is needed to cast size x size rays. Called once, and timed."""
@@ -65,7 +64,7 @@ class Driver:
         raise NotImplementedError
 
     def trace(self, rays: Any) -> Any:
-        """Cast rays; returns an array of t, or for shadow rays of whether each hits anything."""
+        """Cast rays; returns an array of t, inf on a miss."""
         raise NotImplementedError
 
     def take_rays(self, size: int) -> None:
@@ -82,10 +81,8 @@ class Driver:
         return self.count
 
     def answer(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
-        """(n,) float64 t of rays (n, 3) float32, inf on a miss; for shadow rays 0 on any hit."""
-        found = self.trace(self.prepare(o, d))
-        t = np.broadcast_to(found.numpy() if hasattr(found, "numpy") else found, (len(o),))
-        return np.where(t, 0.0, np.inf) if self.any else t.astype(np.float64)
+        """(n,) float64 t of rays (n, 3) float32, inf on a miss."""
+        return np.array(self.trace(self.prepare(o, d)), np.float64)
 
     @property
     def scene_file(self) -> Path:
@@ -110,10 +107,7 @@ class Ours(Driver):
         return o.astype(np.float64), d.astype(np.float64)
 
     def trace(self, rays: Any) -> Any:
-        o, d = rays
-        if self.any:
-            return self.caster.occluded(self.scene, o, d, SHADOW_END)
-        hits = self.caster.cast(self.scene, o, d)
+        hits = self.caster.cast(self.scene, *rays)
         hits.normal  # noqa: B018 - computed on access
         return hits.t
 
@@ -136,8 +130,6 @@ class Candidate(Driver):
         from mitsuba_ref.subjects.requests import parse_candidate
 
         super().__init__(work)
-        if self.any:
-            raise CannotRun("a candidate gives nearest hits")
         options = work.options
         os.chdir(options["folder"])
         try:

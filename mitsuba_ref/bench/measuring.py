@@ -120,10 +120,6 @@ class CasterRun:
         self.row["rays"] = found["rays"]
         self.seconds.append(found["seconds"])
 
-    def record_memory(self, process: CasterProcess) -> None:
-        """Peak memory, before any other rays are cast."""
-        self.row["memory"] = process.request(do="memory")["bytes"]
-
     def measure_errors(self, process: CasterProcess, truth: ExactAnswers, folder: Path) -> None:
         rays, out = folder / "judged.npz", folder / f"{self.caster.key}.npy"
         np.savez(rays, o=truth.o, d=truth.d)
@@ -168,11 +164,9 @@ def time_scene(
                 first = turn % len(runs)  # so that none always follows the same
                 for run in [*runs[first:], *runs[:first]]:
                     run.go(CasterRun.time_cast)
-            for run in runs:
-                run.go(CasterRun.record_memory)
             if scene.aovs == AOVS:
                 on_progress("exact answers")
-                truth = ExactAnswers(ready, scene.workload, settings.seed)
+                truth = ExactAnswers(ready, settings.seed)
                 for run in runs:
                     run.go(CasterRun.measure_errors, truth, folder)
         finally:

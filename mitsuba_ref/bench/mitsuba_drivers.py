@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mitsuba_ref.bench.drivers import SHADOW_END, CannotRun, Driver, Work
+from mitsuba_ref.bench.drivers import CannotRun, Driver, Work
 from mitsuba_ref.reference.mitsuba_calls import dr, mi
 
 # Our AOVs: as one of its interactions has them, and by the names of its AOV integrator.
@@ -42,11 +42,10 @@ class OfMitsuba(Driver):
 
     def prepare(self, o: np.ndarray, d: np.ndarray) -> Any:
         """A ray of arrays, or a list of rays for the scalar variant."""
-        end = SHADOW_END if self.any else np.inf
         if self.work.options["variant"].startswith("scalar"):
-            return [mi.Ray3f(a, b, end, 0.0, []) for a, b in zip(o.tolist(), d.tolist(), strict=True)]
+            return [mi.Ray3f(a, b, np.inf, 0.0, []) for a, b in zip(o.tolist(), d.tolist(), strict=True)]
         points, vectors = ([mi.Float(np.ascontiguousarray(c)) for c in a.T] for a in (o, d))
-        t_max = mi.Float(np.full(len(o), end, np.float32))
+        t_max = mi.Float(np.full(len(o), np.inf, np.float32))
         rays = mi.Ray3f(mi.Point3f(points), mi.Vector3f(vectors), t_max, mi.Float(0.0), mi.Color0f())
         dr.eval(rays)
         dr.sync_thread()
@@ -91,7 +90,7 @@ class Integrator(OfMitsuba):
 
 
 class RayIntersect(OfMitsuba):
-    """`ray_intersect` and `ray_test` of the LLVM variant."""
+    """`ray_intersect` of the LLVM variant."""
 
     known = tuple(OF_INTERACTION)
 
@@ -101,12 +100,7 @@ class RayIntersect(OfMitsuba):
 
     def trace(self, rays: Any) -> Any:
         """Cast rays, and evaluate the requested AOVs only."""
-        if self.any:
-            found = self.scene.ray_test(rays, coherent=True)
-            dr.eval(found)
-        else:
-            si = self.scene.ray_intersect(rays, int(mi.RayFlags.All), coherent=True)
-            dr.eval(*(OF_INTERACTION[name](si) for name in self.work.aovs))
-            found = si.t
+        si = self.scene.ray_intersect(rays, int(mi.RayFlags.All), coherent=True)
+        dr.eval(*(OF_INTERACTION[name](si) for name in self.work.aovs))
         dr.sync_thread()  # evaluation is asynchronous
-        return found
+        return si.t

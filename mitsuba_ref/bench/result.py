@@ -8,25 +8,22 @@ from pydantic import SerializerFunctionWrapHandler, computed_field, model_serial
 from pydantic.dataclasses import dataclass
 
 from caster.system.terminal import folded
-from mitsuba_ref.bench.drivers import ANY, AOVS, NEAREST
+from mitsuba_ref.bench.drivers import AOVS, NEAREST
 from mitsuba_ref.report.results import NOTHING, aligned, number
 
-JSON_FORMAT = 1  # goes up when a key changes its meaning or goes away
-REFERENCE_ROW, CANDIDATE_ROW = "ours", "candidate"  # ratios are to the first, in tables to the second if there is one
+JSON_FORMAT = 2  # goes up when a key changes its meaning or goes away
+REFERENCE_ROW, CANDIDATE_ROW = "ours", "candidate"  # ratios are to the first
 
 
 @dataclass(frozen=True)
 class Score:
-    """Errors of t on sampled rays of the film, and on the same number of rays aimed at edges."""
+    """Errors of t on sampled rays."""
 
     rays: int
     ulps: float | None  # largest |t - exact t| in float32 ulps of the exact t; None: nothing to compare
     bounds: float | None  # largest error in units of the bound of its ray
     masks: int  # rays that hit where there is exactly nothing, or miss where there is something
     beyond: int  # hits whose t is beyond its bound, or not a number: another surface, or none
-    edge_rays: int
-    edge_masks: int
-    edge_beyond: int
 
 
 @dataclass(frozen=True)
@@ -40,7 +37,6 @@ class Row:
     size: int = 0  # pixels a side, or the square root of the number of rays
     build: float | None = None  # seconds
     seconds: tuple[float, ...] = ()  # of one cast, alternation by alternation
-    memory: int | None = None  # bytes, the most that its process had
     score: Score | None = None
     why: str = ""
 
@@ -77,22 +73,16 @@ class SceneResult:
     def row(self, key: str) -> Row | None:
         return next((row for row in self.rows if row.key == key), None)
 
-    def ratio(self, key: str, base: str = REFERENCE_ROW) -> float | None:
-        """Time per ray as a multiple of that of a base row, ours by default; None where one of the two did not run.
+    def ratio(self, key: str) -> float | None:
+        """Time per ray as a multiple of that of ours; None where one of the two did not run.
 
         It is the median of the ratios within each alternation, so that other load on the machine affects both alike.
         """
-        row, other = self.row(key), self.row(base)
+        row, other = self.row(key), self.row(REFERENCE_ROW)
         if row is None or other is None:
             return None
         found = [(a / row.rays) / (b / other.rays) for a, b in zip(row.seconds, other.seconds, strict=False)]
         return median(found) if found else None
-
-    @property
-    def judged_row(self) -> str:
-        """The row that is compared with the others: the candidate, if it ran, or else ours."""
-        row = self.row(CANDIDATE_ROW)
-        return CANDIDATE_ROW if row and row.ran else REFERENCE_ROW
 
 
 @dataclass(frozen=True)
@@ -106,7 +96,7 @@ class Run:
     format: int = JSON_FORMAT
 
 
-COLUMNS = ("", "build ms", "ns/ray", "times as fast", "ulps", "bounds", "wrong", "edges", "MB")
+COLUMNS = ("", "build ms", "ns/ray", "times as fast", "ulps", "bounds", "wrong")
 
 
 def rows(scene: SceneResult) -> list[list[str]]:
@@ -117,58 +107,39 @@ def rows(scene: SceneResult) -> list[list[str]]:
 def _cells(scene: SceneResult, row: Row) -> list[str]:
     if not row.ran:
         return [row.title, row.why or "did not run"]
-    errors = [NOTHING] * 4
+    errors = [NOTHING] * 3
     if score := row.score:
-        wrong = _masks_text(score.masks, score.beyond), _masks_text(score.edge_masks, score.edge_beyond)
-        errors = [number(score.ulps, 2), number(score.bounds, 2), *wrong]
+        wrong = f"{score.masks}+{score.beyond}" if score.beyond else str(score.masks)
+        errors = [number(score.ulps, 2), number(score.bounds, 2), wrong]
     smaller = f"{row.size}^2" if row.size < max(each.size for each in scene.rows) else ""
     about = ", ".join(filter(None, [smaller, row.why]))
     return [
         f"{row.title} ({about})" if about else row.title,
         number(None if row.build is None else 1e3 * row.build, 1),
         number(row.ns, 2),
-        number(scene.ratio(row.key, scene.judged_row), 2),
+        number(scene.ratio(row.key), 2),
         *errors,
-        NOTHING if row.memory is None else f"{row.memory / 2**20:.0f}",
     ]
 
 
-def _masks_text(masks: int, beyond: int) -> str:
-    """The number of wrong hits and misses, then after a + that of hits of another surface."""
-    return f"{masks}+{beyond}" if beyond else str(masks)
-
-
 # Columns of the table of all scenes.
-OVERVIEW = {
-    REFERENCE_ROW: "ours",
-    "raw-robust": "ray_intersect",
-    "aov-robust": "AOV integrator",
-    CANDIDATE_ROW: "candidate",
-}
-RAYS_OF = {NEAREST: "t, normal of any rays", ANY: "any rays: hit or not"}
-
-
-def judged_row(run: Run) -> str:
-    """The row that the overview compares with the others."""
-    return CANDIDATE_ROW if any(scene.judged_row == CANDIDATE_ROW for scene in run.scenes) else REFERENCE_ROW
+OVERVIEW = {"raw-robust": "ray_intersect", "aov-robust": "AOV integrator", CANDIDATE_ROW: "candidate"}
 
 
 def overview(run: Run) -> list[list[str]]:
-    """The table of all scenes: AOVs, the time of the judged row, and how many times as fast as the others it is."""
-    base = judged_row(run)
-    scenes = [(scene, row) for scene in run.scenes if (row := scene.row(base)) and row.ran]
-    keys = [key for key in OVERVIEW if key != base and any(scene.ratio(key, base) is not None for scene, _ in scenes)]
-    found = [["scene", "AOVs", f"{OVERVIEW[base]}, ms", *(OVERVIEW[key] for key in keys)]]
+    """The table of all scenes: AOVs, the time of ours, and how many times as fast as the others it is."""
+    scenes = [(scene, row) for scene in run.scenes if (row := scene.row(REFERENCE_ROW)) and row.ran]
+    keys = [key for key in OVERVIEW if any(scene.ratio(key) is not None for scene, _ in scenes)]
+    found = [["scene", "AOVs", "ours, ms", *(OVERVIEW[key] for key in keys)]]
     for scene, row in scenes:
-        what = RAYS_OF.get(scene.workload) or ", ".join(scene.aovs or AOVS)
-        ratios = [number(scene.ratio(key, base), 2) for key in keys]
+        what = "t, normal of any rays" if scene.workload == NEAREST else ", ".join(scene.aovs)
+        ratios = [number(scene.ratio(key), 2) for key in keys]
         found.append([scene.name, what, number(1e3 * median(row.seconds), 1), *ratios])
     return found
 
 
 def overview_text(run: Run) -> str:
-    name = OVERVIEW[judged_row(run)]
-    head = f"milliseconds of {name}, and how many times as fast as each of the others it is"
+    head = "milliseconds of ours, and how many times as fast as each of the others it is"
     return folded("\n".join([head, *aligned(overview(run), left=2)]))
 
 
@@ -176,7 +147,7 @@ def as_text(scene: SceneResult) -> str:
     """The table under a line with the scene."""
     aovs = f"; {', '.join(scene.aovs)}" if scene.aovs not in ((), AOVS) else ""
     head = f"{scene.name}: {scene.title} ({scene.primitives:,} primitives{aovs})"
-    about = f"times as fast as this row: {OVERVIEW[scene.judged_row]}; errors of t; +: hits beyond their bound"
+    about = "times as fast as this row: ours; errors of t; wrong hits and misses, +: hits beyond their bound"
     return folded("\n".join([head, *aligned(rows(scene), left=1), about]))
 
 

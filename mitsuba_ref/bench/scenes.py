@@ -13,7 +13,7 @@ from caster.rendering.images import check_names
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from caster.shapes import Rectangle, SphereCloud
-from mitsuba_ref.bench.drivers import ANY, AOVS, FILM, NEAREST
+from mitsuba_ref.bench.drivers import AOVS, FILM, NEAREST
 from mitsuba_ref.hard.swept_families import unit
 
 Rays = tuple[np.ndarray, np.ndarray]  # o, d: (n, 3) float32 each
@@ -23,7 +23,7 @@ Rays = tuple[np.ndarray, np.ndarray]  # o, d: (n, 3) float32 each
 class BenchScene:
     """One scene of the benchmark.
 
-    workload: FILM, an image of `aovs`; NEAREST, t and normals along given rays; ANY, whether given rays hit anything.
+    workload: FILM, an image of `aovs`; NEAREST, t and normals along given rays.
     """
 
     name: str
@@ -66,15 +66,6 @@ def incoherent(scene: Scene) -> Rays:
     return start, unit(p - start).astype(np.float32)
 
 
-def shadow_rays_to_light(scene: Scene) -> Rays:
-    """Shadow rays from points near the surface to one light, which is at t = 1."""
-    rng, count = np.random.default_rng(2), scene.film.width * scene.film.height
-    u, v = 2.0 * np.pi * rng.random((2, count))
-    tube = 1.0 + 0.41 * np.cos(v)
-    o = np.column_stack([tube * np.cos(u), tube * np.sin(u), 0.41 * np.sin(v)]).astype(np.float32)
-    return o, (np.array([2.0, -3.0, 3.0]) - o).astype(np.float32)
-
-
 def scene_of_file(path: str, mesh_dirs: Sequence[str] = ()) -> BenchScene:
     """The scene of a scene or mesh file. Raises SceneError, FileMissing."""
     scene = load_scene(path, mesh_dirs)
@@ -106,7 +97,6 @@ SCENES = (
     of_file("fisheye", f"{MESH}, a fisheye of 180 degrees"),
     of_file("rays-coherent", f"the camera's rays at {MESH}, handed over", NEAREST, file=RING),
     of_file("rays-incoherent", f"rays in any order at {MESH}", NEAREST, incoherent, file=RING),
-    of_file("rays-shadow", "whether anything lies between the mesh and a light", ANY, shadow_rays_to_light, file=RING),
     of_file("kinds", "a teapot, spheres, cylinders and disks on a plane"),
     of_file("kinds-lit", "the same, lit by a point light with shadows", aovs=(*AOVS, "diffuse"), file="kinds"),
 )

@@ -6,18 +6,15 @@ from pathlib import Path
 import numpy as np
 
 from caster.scene.model import Scene
-from caster.shapes.sphere import Spheres
-from mitsuba_ref.bench.drivers import ANY, DEFAULT, RAYS_FILE, ROBUST, SCENE_FILE, SHADOW_END
+from mitsuba_ref.bench.drivers import DEFAULT, RAYS_FILE, ROBUST, SCENE_FILE
 from mitsuba_ref.bench.result import Score
 from mitsuba_ref.bench.scenes import BenchScene, Rays
-from mitsuba_ref.hard.rays import Targets
-from mitsuba_ref.hard.swept_families import unit
 from mitsuba_ref.judge.adjudication import ExactHits, PreparedScene, prepare_scene
 from mitsuba_ref.reference.shared_input import export, packed_float32, shared_rays
 from mitsuba_ref.report.results import largest
 from mitsuba_ref.subjects.subject import Answer, scene_as_traced
 
-EXACT_RAYS_PER_SORT = 2000  # rays of the film, and as many aimed at edges
+EXACT_RAYS = 2000  # rays of a scene whose exact answers are computed
 
 
 def write_scene(scene: BenchScene, folder: Path, size: int) -> PreparedScene:
@@ -41,62 +38,24 @@ def rays_of(scene: BenchScene, made: Scene) -> Rays:
     return shared.o[real], shared.d[real]
 
 
-def at_edges(rng: np.random.Generator, ready: PreparedScene, rows: np.ndarray) -> Rays:
-    """Rays aimed at edges, rims and silhouettes, from the origins of these rays, or parallel to them."""
-    o, d = ready.o[rows].astype(np.float64), ready.d[rows].astype(np.float64)
-    targets, parallel = Targets(ready.packed, rng), ready.scene.camera.type == "orthographic"
-    picks = targets.pick(len(rows))
-    p = targets.points(picks, "edge").p
-    for shape, part in enumerate(ready.packed.parts):
-        if isinstance(part, Spheres):
-            of, k = np.flatnonzero(picks.shape == shape), picks.k[picks.shape == shape]
-            p[of] = on_silhouettes(rng, part.center[k], part.radius[k][:, None], o[of], d[of] if parallel else None)
-    if parallel:
-        return (p - 4.0 * d).astype(np.float32), ready.d[rows]
-    # Of length 1, as renderers make them: Mitsuba's LLVM variant is farther off on spheres along longer ones.
-    return ready.o[rows], unit(p - o).astype(np.float32)
-
-
-def on_silhouettes(
-    rng: np.random.Generator, center: np.ndarray, r: np.ndarray, o: np.ndarray, d: np.ndarray | None
-) -> np.ndarray:
-    """Points in which tangents from o, or along d, touch spheres."""
-    away = o - center
-    distance = np.linalg.norm(away, axis=1, keepdims=True)
-    axis = away / distance if d is None else d
-    across = unit(np.cross(axis, rng.normal(size=axis.shape)))
-    cosine = np.minimum(r / distance, 1.0) if d is None else np.zeros_like(r)  # of the angle at the centre
-    points: np.ndarray = center + r * (cosine * axis + np.sqrt(1.0 - cosine**2) * across)
-    return points
-
-
 class ExactAnswers:
-    """Sampled rays of the film and rays aimed at edges, with their exact answers."""
+    """Sampled rays with their exact answers."""
 
-    def __init__(self, ready: PreparedScene, workload: str, seed: int, sample: int = EXACT_RAYS_PER_SORT) -> None:
-        rng = np.random.default_rng([seed, 7])
-        some = np.sort(rng.choice(len(ready.o), min(sample, len(ready.o)), replace=False))
-        pairs = zip((ready.o[some], ready.d[some]), at_edges(rng, ready, some), strict=True)
-        self.o, self.d = (np.concatenate(pair) for pair in pairs)
-        self.film_rays, self.any = len(some), workload == ANY
-        self.exact = ExactHits(ready, self.o, self.d, SHADOW_END if self.any else np.inf)
+    def __init__(self, ready: PreparedScene, seed: int, sample: int = EXACT_RAYS) -> None:
+        rng, count = np.random.default_rng([seed, 7]), len(ready.o)
+        some = np.sort(rng.choice(count, min(sample, count), replace=False))
+        self.o, self.d = ready.o[some], ready.d[some]
+        self.exact = ExactHits(ready, self.o, self.d)
 
     def score(self, t: np.ndarray, precision: str, *, reference: bool = False) -> Score:
         """t: (n,) of a caster along all rays, inf on a miss. reference: by the bounds of Mitsuba's own arithmetic."""
-        answer = Answer(t, None, precision, {}, hits_only=self.any)
-        ratio, hits = self.exact.ratios(answer, ours=not reference), answer.hit & self.exact.hit
-        masks, beyond = answer.hit != self.exact.hit, hits & ~(ratio <= 1.0)
-        compared = np.zeros_like(hits) if self.any else hits
-        errors = np.where(compared, self.exact.errors(t), np.nan)
-        spacing = np.spacing(np.abs(self.exact.t).astype(np.float32)).astype(np.float64)
-        film, edges = slice(self.film_rays), slice(self.film_rays, None)
+        answer, exact = Answer(t, None, precision, {}), self.exact
+        ratio, hits = exact.ratios(answer, ours=not reference), answer.hit & exact.hit
+        spacing = np.spacing(np.abs(exact.t).astype(np.float32)).astype(np.float64)
         return Score(
-            rays=self.film_rays,
-            ulps=largest((errors / spacing)[film]),
-            bounds=largest(ratio[film][compared[film]]),
-            masks=int(masks[film].sum()),
-            beyond=int(beyond[film].sum()),
-            edge_rays=len(t) - self.film_rays,
-            edge_masks=int(masks[edges].sum()),
-            edge_beyond=int(beyond[edges].sum()),
+            rays=len(t),
+            ulps=largest(exact.errors(t) / spacing),
+            bounds=largest(ratio[hits]),
+            masks=int(np.sum(answer.hit != exact.hit)),
+            beyond=int(np.sum(hits & ~(ratio <= 1.0))),
         )

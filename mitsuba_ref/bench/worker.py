@@ -12,7 +12,6 @@ import statistics
 import sys
 import time
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from mitsuba_ref.reference.subprocess_runner import serve
 
 
 class Worker:
-    """Replies to the requests build, cast, answer and memory."""
+    """Replies to the requests build, cast and answer."""
 
     def __init__(self, work: Work) -> None:
         self.work = work
@@ -63,20 +62,6 @@ class Worker:
         with np.load(rays) as given:
             np.save(out, self.driver.answer(given["o"], given["d"]))
         return {"precision": self.driver.precision}
-
-    def memory(self) -> dict[str, Any]:
-        """The largest resident size of this process.
-
-        On Linux it is VmHWM, since ru_maxrss includes the memory of the process that started this one.
-        """
-        import resource  # POSIX alone
-
-        try:
-            status = Path("/proc/self/status").read_text()
-            peak = next(int(line.split()[1]) * 1024 for line in status.splitlines() if line.startswith("VmHWM"))
-        except (OSError, StopIteration):
-            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-        return {"bytes": peak}
 
 
 def main(work: Work, notices: int) -> None:

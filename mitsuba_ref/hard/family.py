@@ -1,5 +1,6 @@
 """Families of hard scenes: a name, at most one parameter, and a function that makes a scene with rays for it."""
 
+import json
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -31,9 +32,15 @@ class HardScene(NamedTuple):
         )
 
 
+def plain(data: Fields) -> Fields:
+    """The same data, arrays of NumPy as lists, as a scene file has them; a copy."""
+    copied: Fields = json.loads(json.dumps(data, default=lambda array: array.tolist()))
+    return copied
+
+
 def scene_of(data: Fields) -> Scene:
     """The described scene. Raises SceneError or pydantic's ValidationError."""
-    scene: Scene = Scene.model_validate(data)
+    scene: Scene = Scene.model_validate(plain(data))
     return scene
 
 

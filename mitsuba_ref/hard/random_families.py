@@ -9,7 +9,7 @@ import numpy as np
 
 from mitsuba_ref import cameras
 from mitsuba_ref.hard import rays
-from mitsuba_ref.hard.family import Family, Fields, HardScene, scene_of
+from mitsuba_ref.hard.family import Family, Fields, HardScene, plain, scene_of
 from mitsuba_ref.hard.random_parts import (
     log_uniform,
     matrix_step,
@@ -54,7 +54,7 @@ def random_family(
         camera = CAMERAS[kind].random_fields(rng, frame.size, lambda: random_view(rng, frame))
         film = {"width": width, "height": height}
         data = finish(rng, frame, {"film": film, "camera": {"type": kind, **camera}, "shape": shapes})
-        return HardScene(data, lambda rng, packed, count: aimed_rays(Targets(packed, rng, frame), count, aims))
+        return HardScene(plain(data), lambda rng, packed, count: aimed_rays(Targets(packed, rng, frame), count, aims))
 
     return Family(name, title, make, **more)
 
@@ -64,7 +64,7 @@ def random_family(
 
 def triangle_fan(rng: Rng, frame: Frame) -> Shapes:
     """A closed fan of 3 to 8 triangles; in a quarter of them the corners of triangles differ by an ulp."""
-    count = int(rng.integers(3, 9))
+    count = rng.integers(3, 9)
     angles = 2.0 * np.pi * (np.arange(count) + rng.uniform(0.0, 0.8, count)) / count
     rim = np.column_stack([np.cos(angles), np.sin(angles), rng.uniform(-0.5, 0.5, count)])
     turn = np.eye(3) if frame.lattice else random_rotation(rng)
@@ -72,7 +72,7 @@ def triangle_fan(rng: Rng, frame: Frame) -> Shapes:
     faces = [np.array([tip, rim[i], rim[(i + 1) % count]]) for i in range(count)]
     if rng.random() < 0.25:
         faces = [np.where(face == 0.0, 0.0, perturbed_by_ulps(rng, face, 1)) for face in faces]  # no denormals
-    return [triangle_of(np.roll(face, int(rng.integers(3)), axis=0)) for face in faces]
+    return [triangle_of(np.roll(face, rng.integers(3), axis=0)) for face in faces]
 
 
 def coincident_shapes(rng: Rng, frame: Frame) -> Shapes:
@@ -86,20 +86,20 @@ def coincident_shapes(rng: Rng, frame: Frame) -> Shapes:
 def copies(rng: Rng, frame: Frame) -> Shapes:
     """The same shape two to six times."""
     shape = random_shape(rng, frame, shape_types())
-    return [copy.deepcopy(shape) for _ in range(int(rng.integers(2, 7)))]
+    return [copy.deepcopy(shape) for _ in range(rng.integers(2, 7))]
 
 
 def nearly_equal_spheres(rng: Rng, frame: Frame) -> Shapes:
     """Concentric spheres whose radii differ by one ulp or not at all."""
-    center = (frame.center + frame.size * frame.on_lattice(rng.uniform(-1.0, 1.0, 3))).tolist()
+    center = frame.center + frame.size * frame.on_lattice(rng.uniform(-1.0, 1.0, 3))
     radius = frame.size * rng.choice([1.0, 0.625, rng.uniform(0.1, 1.0)])
-    radii = [float(perturbed_by_ulps(rng, radius, 1)) for _ in range(int(rng.integers(2, 7)))]
+    radii = [float(perturbed_by_ulps(rng, radius, 1)) for _ in range(rng.integers(2, 7))]
     return [{"type": "sphere", "center": center, "radius": each} for each in radii]
 
 
 def coincident_squares(rng: Rng, frame: Frame) -> Shapes:
     """The square [-1, 1]^2 as a rectangle, two triangles, a plane, the side of a cube, and with a disk in it."""
-    center = frame.center.tolist()
+    center = frame.center
     step = [{"scale": frame.size}, {"translate": center}]
     corners = frame.center + frame.size * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     shapes: Shapes = [
@@ -107,22 +107,22 @@ def coincident_squares(rng: Rng, frame: Frame) -> Shapes:
         {"type": "disk", "to_world": step},
         {"type": "cube", "to_world": [{"translate": [0.0, 0.0, -1.0]}, *step]},
         {"type": "plane", "normal": [0.0, 0.0, 1.0], "point": center},
-        {"type": "plane", "normal": [0.0, 0.0, -1.0], "point": corners[1].tolist()},
+        {"type": "plane", "normal": [0.0, 0.0, -1.0], "point": corners[1]},
         triangle_of(corners[[0, 1, 2]]),
         triangle_of(corners[[3, 2, 0]]),
     ]
-    return [shapes[i] for i in rng.choice(len(shapes), int(rng.integers(2, 6)), replace=False)]
+    return [shapes[i] for i in rng.choice(len(shapes), rng.integers(2, 6), replace=False)]
 
 
 def permuted_triangles(rng: Rng, frame: Frame) -> Shapes:
     """A triangle with its corners in random orders."""
     corners = frame.placed(rng.uniform(-1.0, 1.0, (3, 3)))
-    return [triangle_of(rng.permutation(corners)) for _ in range(int(rng.integers(2, 7)))]
+    return [triangle_of(rng.permutation(corners)) for _ in range(rng.integers(2, 7))]
 
 
 def touching_quadrics(rng: Rng, frame: Frame) -> Shapes:
     """A sphere, a cylinder of its radius and a disk in its equator: they touch in a circle and in points."""
-    step = [{"scale": frame.size}, {"translate": frame.center.tolist()}]
+    step = [{"scale": frame.size}, {"translate": frame.center}]
     shapes: Shapes = [{"type": str(kind), "to_world": step} for kind in rng.permutation(["sphere", "cylinder", "disk"])]
     return [*shapes, {"type": "sphere", "to_world": [{"translate": [2.0, 0.0, 0.0]}, *step]}]
 
@@ -180,8 +180,8 @@ def put_around_the_eye(rng: Rng, frame: Frame, data: Fields) -> Fields:
     for shape, placed in zip(data["shape"], scene_of(data).shapes, strict=True):
         away = 4.0 * around[rng.integers(len(around))] + rng.integers(-4, 5, 3) / 8.0
         move = eye + frame.size * away - placed.matrix[:3, 3]
-        shapes.append(shape | {"to_world": [*shape.get("to_world", ()), {"translate": move.tolist()}]})
-    walls: Shapes = [{"type": "sphere", "center": eye.tolist(), "radius": 8.0 * frame.size}]
+        shapes.append(shape | {"to_world": [*shape.get("to_world", ()), {"translate": move}]})
+    walls: Shapes = [{"type": "sphere", "center": eye, "radius": 8.0 * frame.size}]
     return data | {"shape": [*shapes, *(walls if coin_flip(rng) else [])]}
 
 
@@ -190,11 +190,11 @@ def nearly_similar(rng: Rng, frame: Frame) -> Shapes:
     shapes = []
     for shape in random_shapes(rng, frame, shape_types("quadric"), 3):
         off = rng.normal(size=(3, 3)) * 10.0 ** -float(rng.integers(1, 17))
-        off *= (np.eye(3), 1.0 - np.eye(3), 1.0)[int(rng.integers(3))]
-        size = frame.size * float(rng.choice([1.0, 0.5, -0.25]))
+        off *= (np.eye(3), 1.0 - np.eye(3), 1.0)[rng.integers(3)]
+        size = frame.size * rng.choice([1.0, 0.5, -0.25])
         similar = size * (np.eye(3) if frame.lattice else random_rotation(rng))
         move = frame.on_lattice(frame.near(rng, 1.5))
-        for share in (1.0, 1.0, 0.0)[: int(rng.integers(1, 4))]:
+        for share in (1.0, 1.0, 0.0)[: rng.integers(1, 4)]:
             shapes.append({**shape, "to_world": [matrix_step(similar @ (np.eye(3) + share * off), move)]})
     return shapes
 

@@ -65,12 +65,12 @@ def random_shape(rng: Rng, frame: Frame, kinds: Sequence[str]) -> Fields:
 
 
 def random_shapes(rng: Rng, frame: Frame, kinds: Sequence[str], most: int, least: int = 1) -> list[Fields]:
-    return [random_shape(rng, frame, kinds) for _ in range(int(rng.integers(least, most + 1)))]
+    return [random_shape(rng, frame, kinds) for _ in range(rng.integers(least, most + 1))]
 
 
 def triangle_of(corners: np.ndarray) -> Fields:
     """A triangle with these corners (3, 3), in scene units."""
-    return {"type": "triangle", "vertices": corners.tolist()}
+    return {"type": "triangle", "vertices": corners}
 
 
 def random_view(rng: Rng, frame: Frame) -> Fields:
@@ -78,12 +78,12 @@ def random_view(rng: Rng, frame: Frame) -> Fields:
     if frame.lattice:
         away = np.eye(3)[rng.integers(3)] * rng.choice([-1.0, 1.0])
         shift = rng.integers(-8, 9, 3) / 8.0
-        eye = frame.center + frame.size * (int(rng.integers(0, 9)) * away + shift)
+        eye = frame.center + frame.size * (rng.integers(0, 9) * away + shift)
     else:
         away = random_directions(rng, 1)[0]
         eye = frame.center + frame.size * log_uniform(rng, 0.1, 1e4 if rng.random() < 0.2 else 10.0) * away
     up = np.eye(3)[np.argmin(np.abs(away))]  # an axis that is not along the view
-    return {"eye": eye.tolist(), "direction": (-away).tolist(), "up": up.tolist()}
+    return {"eye": eye, "direction": -away, "up": up}
 
 
 def random_to_world(rng: Rng, frame: Frame) -> list[Fields]:
@@ -91,9 +91,9 @@ def random_to_world(rng: Rng, frame: Frame) -> list[Fields]:
     if frame.lattice:
         return _lattice_steps(rng, frame)
     if frame.condition == 1.0 or rng.random() < 0.3:
-        turn = {"axis": rng.normal(size=3).tolist(), "degrees": float(rng.uniform(0.0, 360.0))}
-        scale = frame.size * log_uniform(rng, 0.1, 1.0) * float(rng.choice([1.0, 1.0, -1.0]))
-        return [{"scale": scale}, {"rotate": turn}, {"translate": frame.near(rng, 1.5).tolist()}]
+        turn = {"axis": rng.normal(size=3), "degrees": rng.uniform(0.0, 360.0)}
+        scale = frame.size * log_uniform(rng, 0.1, 1.0) * rng.choice([1.0, 1.0, -1.0])
+        return [{"scale": scale}, {"rotate": turn}, {"translate": frame.near(rng, 1.5)}]
     # singular values from 1 / condition to 1; sheared, and mirrored half of the time
     condition = log_uniform(rng, 1.0, frame.condition)
     values = rng.permutation([1.0, condition ** -rng.random(), 1.0 / condition]) * rng.choice([-1.0, 1.0], 3)
@@ -103,21 +103,21 @@ def random_to_world(rng: Rng, frame: Frame) -> list[Fields]:
 
 def matrix_step(linear: np.ndarray, move: np.ndarray) -> Fields:
     """A step of to_world from a (3, 3) matrix and a translation."""
-    return {"matrix": [*np.column_stack([linear, move]).tolist(), [0.0, 0.0, 0.0, 1.0]]}
+    return {"matrix": [*np.column_stack([linear, move]), [0.0, 0.0, 0.0, 1.0]]}
 
 
 def _lattice_steps(rng: Rng, frame: Frame) -> list[Fields]:
     """Quarter turns, mirror images and powers of two, all without rounding."""
     steps: list[Fields] = []
     if rng.random() < 0.4:
-        axis = np.eye(3)[rng.integers(3)].tolist()
-        steps.append({"rotate": {"axis": axis, "degrees": 90.0 * int(rng.integers(1, 4))}})
+        axis = np.eye(3)[rng.integers(3)]
+        steps.append({"rotate": {"axis": axis, "degrees": 90.0 * rng.integers(1, 4)}})
     factors = frame.size * rng.choice([1.0, 1.0, 1.0, -1.0], 3)
     factors *= 2.0 ** rng.integers(-2, 3, 3) if rng.random() < 0.3 else 1.0
     if not np.all(factors == 1.0):
-        steps.append({"scale": factors.tolist()})
+        steps.append({"scale": factors})
     move = frame.center + frame.size * rng.integers(-2 * LATTICE_STEPS, 2 * LATTICE_STEPS + 1, 3) / LATTICE_STEPS
-    return [*steps, {"translate": move.tolist()}] if move.any() else steps
+    return [*steps, {"translate": move}] if move.any() else steps
 
 
 # ---- options: everything that a scene file can say ----
@@ -138,22 +138,22 @@ TEXTURED_SHAPES = 0.3  # fraction of these that have a texture
 CHECKED = ("depth", "diffuse")  # AOVs that a table `check` names
 LIGHT_FIELDS: dict[str, Callable[[Rng, Frame], Fields]] = {
     "point": lambda rng, frame: {
-        "position": frame.near(rng, 4.0).tolist(),
-        "intensity": (frame.size**2 * rng.uniform(1.0, 30.0, 3)).tolist(),
+        "position": frame.near(rng, 4.0),
+        "intensity": frame.size**2 * rng.uniform(1.0, 30.0, 3),
     },
     "directional": lambda rng, frame: {
-        "direction": random_directions(rng, 1)[0].tolist(),
-        "irradiance": rng.uniform(0.1, 2.0, 3).tolist(),
+        "direction": random_directions(rng, 1)[0],
+        "irradiance": rng.uniform(0.1, 2.0, 3),
     },
-    "ambient": lambda rng, frame: {"radiance": rng.uniform(0.01, 0.5, 3).tolist()},
+    "ambient": lambda rng, frame: {"radiance": rng.uniform(0.01, 0.5, 3)},
 }
 
 
 def with_options(rng: Rng, frame: Frame, data: Fields) -> Fields:
     """The scene with a random choice of everything that a scene file can say."""
     materials: Fields = {
-        name: {"reflectance": rng.random(3).tolist()} | _sometimes(rng, {"two_sided": True})
-        for name in MATERIALS[: int(rng.integers(3))]
+        name: {"reflectance": rng.random(3)} | _sometimes(rng, {"two_sided": True})
+        for name in MATERIALS[: rng.integers(3)]
     }
     scene: Fields = {
         "film": _film(rng),
@@ -161,7 +161,7 @@ def with_options(rng: Rng, frame: Frame, data: Fields) -> Fields:
         "shape": [_shape(rng, frame, i, shape, list(materials)) for i, shape in enumerate(data["shape"])],
         "light": _lights(rng, frame, data["camera"]),
         "material": materials,
-        "check": {name: _sometimes(rng, {"ratio": 2.0}, 0.3) for name in CHECKED[: int(rng.integers(3))]},
+        "check": {name: _sometimes(rng, {"ratio": 2.0}, 0.3) for name in CHECKED[: rng.integers(3)]},
     }
     scene |= _sometimes(rng, {"shading": {"shadows": coin_flip(rng)}})
     more = rng.spawn(1)[0]
@@ -186,14 +186,14 @@ def with_options(rng: Rng, frame: Frame, data: Fields) -> Fields:
 
 def _texture(rng: Rng) -> Fields:
     """A checkerboard, or a bitmap of a few pixels, over some units of uv."""
-    steps = [{"scale": [*rng.uniform(0.5, 5.0, 2).tolist(), 1.0]}, {"translate": [*rng.random(2).tolist(), 0.0]}]
-    placed = {"to_uv": steps[: int(rng.integers(3))]}
+    steps = [{"scale": [*rng.uniform(0.5, 5.0, 2), 1.0]}, {"translate": [*rng.random(2), 0.0]}]
+    placed = {"to_uv": steps[: rng.integers(3)]}
     if coin_flip(rng):
-        colors = (_sometimes(rng, {name: rng.random(3).tolist()}) for name in ("color0", "color1"))
+        colors = (_sometimes(rng, {name: rng.random(3)}) for name in ("color0", "color1"))
         return {"type": "checkerboard"} | placed | next(colors) | next(colors)
     return {
         "type": "bitmap",
-        "data": rng.random((*rng.integers(1, 4, 2), 3)).tolist(),
+        "data": rng.random((*rng.integers(1, 4, 2), 3)),
         "filter": str(rng.choice(["bilinear", "nearest"])),
         "wrap": str(rng.choice(["repeat", "mirror", "clamp"])),
         "raw": coin_flip(rng),
@@ -207,7 +207,7 @@ def _lights(rng: Rng, frame: Frame, camera: Fields) -> list[Fields]:
     """
     lights, more = [], rng.spawn(1)[0]
     for kind, fields in LIGHT_FIELDS.items():
-        drawn = [{"type": kind, **fields(rng, frame)} for _ in range(int(rng.integers(3)))]
+        drawn = [{"type": kind, **fields(rng, frame)} for _ in range(rng.integers(3))]
         if drawn and more.random() < 0.1:
             drawn[:0] = [{"type": kind, **fields(more, frame)} for _ in range(MAX_LIGHTS_OF_A_KIND - len(drawn))]
         lights += [*drawn[:-1], *(_from_the_viewer(light, frame, camera) for light in drawn[-1:])]
@@ -218,9 +218,9 @@ def _from_the_viewer(light: Fields, frame: Frame, camera: Fields) -> Fields:
     """The light, or its mirror image through the centre, whichever shines along the camera's direction."""
     along = np.array(camera["direction"])
     if "direction" in light and np.dot(light["direction"], along) < 0.0:
-        return light | {"direction": [-x for x in light["direction"]]}
+        return light | {"direction": -light["direction"]}
     if "position" in light and np.dot(light["position"] - frame.center, along) > 0.0:
-        return light | {"position": (2.0 * frame.center - light["position"]).tolist()}
+        return light | {"position": 2.0 * frame.center - light["position"]}
     return light
 
 
@@ -229,9 +229,9 @@ def _sometimes(rng: Rng, fields: Fields, share: float = 0.5) -> Fields:
 
 
 def _film(rng: Rng) -> Fields:
-    width, height = FILMS[int(rng.integers(len(FILMS)))]
-    x0, y0 = (int(rng.integers(2)) for _ in range(2))
-    x1, y1 = (max(first + 1, side - int(rng.integers(2))) for first, side in ((x0, width), (y0, height)))
+    width, height = FILMS[rng.integers(len(FILMS))]
+    x0, y0 = (rng.integers(2) for _ in range(2))
+    x1, y1 = (max(first + 1, side - rng.integers(2)) for first, side in ((x0, width), (y0, height)))
     return {"width": width, "height": height} | _sometimes(rng, {"crop": [x0, y0, x1, y1]}, 0.6)
 
 
@@ -244,14 +244,14 @@ def _camera(rng: Rng, frame: Frame, camera: Fields) -> Fields:
         if typing.get_origin(field.annotation) is Literal and name != "type"
     }
     far, t_max = float(frame.size * rng.uniform(2.0, 20.0)), frame.size * log_uniform(rng, 1.0, 100.0)
-    optional = {"principal_point": rng.uniform(-0.3, 0.3, 2).tolist(), "far": far, "t_max": t_max}
+    optional = {"principal_point": rng.uniform(-0.3, 0.3, 2), "far": far, "t_max": t_max}
     given = {name: value for name, value in optional.items() if name in model.model_fields and coin_flip(rng)}
     out = {**camera, **choices, **given}
     if "fov" in out and rng.random() < 0.3:
         del out["fov"]
     if "look_at" in model.model_fields and coin_flip(rng):
         way = np.array(out.pop("direction"))
-        out["look_at"] = (out["eye"] + frame.size * float(rng.uniform(1.0, 9.0)) * way).tolist()
+        out["look_at"] = out["eye"] + frame.size * rng.uniform(1.0, 9.0) * way
     return out
 
 
@@ -263,8 +263,8 @@ def _shape(rng: Rng, frame: Frame, number: int, shape: Fields, materials: list[s
         out.pop("to_world", None)
         if rng.random() >= 0.4:  # a scale and a look_at, with or without its own up
             origin, target = frame.near(rng, 1.0), frame.size * rng.normal(size=3)
-            view = {"origin": origin.tolist(), "target": (origin + target).tolist()}
-            view |= _sometimes(rng, {"up": rng.normal(size=3).tolist()})
-            out["to_world"] = [{"scale": frame.size * float(rng.uniform(0.2, 1.0))}, {"look_at": view}]
+            view = {"origin": origin, "target": origin + target}
+            view |= _sometimes(rng, {"up": rng.normal(size=3)})
+            out["to_world"] = [{"scale": frame.size * rng.uniform(0.2, 1.0)}, {"look_at": view}]
     out |= _sometimes(rng, {"name": f"shape {number}"})
     return out | (_sometimes(rng, {"material": str(rng.choice(materials))}, 0.8) if materials else {})

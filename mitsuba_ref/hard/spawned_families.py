@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from caster.geometry.packing import Packed
-from mitsuba_ref.hard.family import Family, Fields, HardScene
+from mitsuba_ref.hard.family import Family, Fields, HardScene, plain
 from mitsuba_ref.hard.rays import RayBatch, Targets
 from mitsuba_ref.hard.swept_families import (
     ANGLE,
@@ -42,12 +42,12 @@ def leaving_scene(shapes: list[Fields], distance: float, angle: float = 0.0) -> 
             back = np.cos(angle) * perpendicular(rng, n) + np.sin(angle) * n
         return batch(*towards(p + distance * back, p))
 
-    return HardScene({**NO_VIEW, "material": MATERIALS, "shape": shapes}, aim)
+    return HardScene(plain({**NO_VIEW, "material": MATERIALS, "shape": shapes}), aim)
 
 
 def nested(center: np.ndarray, radius: float, inner: float) -> list[Fields]:
     """A sphere of glass within another one."""
-    sphere: dict[str, Any] = {"type": "sphere", "center": rounded(center).tolist(), "material": "glass"}
+    sphere: dict[str, Any] = {"type": "sphere", "center": rounded(center), "material": "glass"}
     return [sphere | {"radius": radius}, sphere | {"radius": inner}]
 
 
@@ -71,7 +71,7 @@ def away(rng: Rng, offset: float) -> HardScene:
 
 def grazing_mirrors(rng: Rng, angle: float) -> HardScene:
     """A sphere and two triangles that do not hide each other."""
-    place = [turn(rng), {"translate": near_origin(rng).tolist()}]
+    place = [turn(rng), {"translate": near_origin(rng)}]
     shapes: list[Fields] = [{"type": kind, "material": "mirror"} for kind in ("sphere", "rectangle")]
     steps = [place, [*place, {"translate": [100.0, 0.0, 0.0]}]]
     return leaving_scene(

@@ -8,7 +8,7 @@ import numpy as np
 from caster.geometry.packing import Packed
 from caster.rendering.casting import find_nearest
 from caster.rendering.hits import validated_rays
-from mitsuba_ref.hard.family import AimRays, Family, Fields, HardScene
+from mitsuba_ref.hard.family import AimRays, Family, Fields, HardScene, plain
 from mitsuba_ref.hard.rays import Aim, OriginsAndDirections, RayBatch, Targets, endless
 from mitsuba_ref.shapes.targets import Rng, SurfacePoints
 
@@ -42,7 +42,7 @@ def perpendicular(rng: Rng, n: np.ndarray) -> np.ndarray:
 
 def turn(rng: Rng) -> Fields:
     """A random rotation step of to_world, so that no coordinate is a round number."""
-    return {"rotate": {"axis": directions(rng, 1)[0].tolist(), "degrees": float(rng.uniform(20.0, 340.0))}}
+    return {"rotate": {"axis": directions(rng, 1)[0], "degrees": rng.uniform(20.0, 340.0)}}
 
 
 def near_origin(rng: Rng) -> np.ndarray:
@@ -83,7 +83,7 @@ def balanced(draw: Aim, shape: Fields, candidates: int = CANDIDATES_PER_RAY) -> 
 
 
 def hard_scene(aim: AimRays, shape: Fields) -> HardScene:
-    return HardScene({**NO_VIEW, "shape": [shape]}, aim)
+    return HardScene(plain({**NO_VIEW, "shape": [shape]}), aim)
 
 
 def points_around(targets: Targets, count: int) -> SurfacePoints:
@@ -107,12 +107,12 @@ Round = Callable[[Rng, np.ndarray, float], Fields]  # a shape of this centre and
 
 
 def ball(rng: Rng, center: np.ndarray, radius: float) -> Fields:
-    return {"type": "sphere", "center": center.tolist(), "radius": radius}
+    return {"type": "sphere", "center": center, "radius": radius}
 
 
 def icosphere(rng: Rng, center: np.ndarray, radius: float) -> Fields:
     """80 triangles, rotated."""
-    place = [{"scale": radius}, turn(rng), {"translate": center.tolist()}]
+    place = [{"scale": radius}, turn(rng), {"translate": center}]
     return {"type": "icosphere", "subdivisions": 1, "face_normals": True, "to_world": place}
 
 
@@ -131,7 +131,7 @@ def offset(shape: Round, rng: Rng, away: float) -> HardScene:
 def distant_triangle(rng: Rng, distance: float) -> HardScene:
     """A triangle of about unit size, never the same."""
     corners = np.array([[1.0, 0.1, 0.2], [-0.6, 0.8, -0.3], [-0.4, -0.9, 0.1]]) + rng.normal(scale=0.1, size=(3, 3))
-    return seen_from(distance, {"type": "triangle", "vertices": corners.tolist()})
+    return seen_from(distance, {"type": "triangle", "vertices": corners})
 
 
 def distant_sphere(rng: Rng, distance: float) -> HardScene:
@@ -158,12 +158,12 @@ def grazing(kind: str, rng: Rng, angle: float) -> HardScene:
         back = np.cos(angle) * perpendicular(rng, n) + rng.choice([-1.0, 1.0], (count, 1)) * np.sin(angle) * n
         return towards(p + EYE_DISTANCE * back, p)
 
-    return balanced(draw, {"type": kind, "to_world": [turn(rng), {"translate": near_origin(rng).tolist()}]})
+    return balanced(draw, {"type": kind, "to_world": [turn(rng), {"translate": near_origin(rng)}]})
 
 
 def sliver(rng: Rng, aspect: float) -> HardScene:
     """aspect: height over a base of 1. Rotated, so that rounding moves its corners in all directions."""
-    corners = [[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0], [float(rng.uniform(-0.2, 0.2)), aspect, 0.0]]
+    corners = [[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0], [rng.uniform(-0.2, 0.2), aspect, 0.0]]
     return seen_from(EYE_DISTANCE, {"type": "triangle", "vertices": corners, "to_world": [turn(rng)]})
 
 
@@ -203,14 +203,14 @@ def along_cylinder(rng: Rng, angle: float) -> HardScene:
         return part.center[0] + start @ matrix, unit(lean @ matrix)
 
     axis = perpendicular(rng, np.array([[0.3, 0.5, 0.8]]))[0] * (LENGTH_TIMES_ANGLE / angle)
-    shape = {"type": "cylinder", "p0": (-0.5 * axis).tolist(), "p1": (0.5 * axis).tolist(), "radius": 1.0}
+    shape = {"type": "cylinder", "p0": -0.5 * axis, "p1": 0.5 * axis, "radius": 1.0}
     return balanced(draw, shape)
 
 
 def stretched_sphere(rng: Rng, condition: float) -> HardScene:
     """Half axes 1, condition^-1/2 and 1/condition, rotated; a second stretch keeps condition 1 an ellipsoid."""
     stretch = [{"scale": [1.0, condition**-0.5, 1.0 / condition]}, {"scale": [1.0, 1.0, 0.999]}]
-    place = [*stretch, turn(rng), {"translate": near_origin(rng).tolist()}]
+    place = [*stretch, turn(rng), {"translate": near_origin(rng)}]
     return seen_from(EYE_DISTANCE, {"type": "sphere", "to_world": place})
 
 
@@ -247,7 +247,7 @@ def watertight(share: float, rng: Rng, away: float) -> HardScene:
         d[1::2] = unit(d[1::2])
         return batch(o, d)
 
-    place = [turn(rng), {"translate": move.tolist()}]
+    place = [turn(rng), {"translate": move}]
     mesh = {"type": "icosphere", "subdivisions": SUBDIVISIONS, "face_normals": True, "to_world": place}
     return hard_scene(aim, mesh)
 

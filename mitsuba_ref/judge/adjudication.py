@@ -201,11 +201,11 @@ def prepare_scene(scene: Scene, o: np.ndarray, d: np.ndarray) -> PreparedScene:
 
 
 class ExactHits:
-    """Exact first hits of rays o + t d, 0 < t <= t_max; all arrays have one row a ray."""
+    """Exact first hits of rays o + t d, t > 0; all arrays have one row a ray."""
 
-    def __init__(self, ready: PreparedScene, o: np.ndarray, d: np.ndarray, t_max: float = np.inf) -> None:
+    def __init__(self, ready: PreparedScene, o: np.ndarray, d: np.ndarray) -> None:
         self.ready, self.o, self.d = ready, o.astype(np.float64), d.astype(np.float64)
-        self.answers = tuple(Oracle(ready.packed).first_hits(self.o, self.d, t_max=t_max))
+        self.answers = tuple(Oracle(ready.packed).first_hits(self.o, self.d))
         self.hit = np.array([answer.hit for answer in self.answers], bool)
         self.t = np.array([np.inf if answer.t is None else float(answer.t) for answer in self.answers])
 

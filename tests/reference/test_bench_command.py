@@ -39,17 +39,16 @@ def test_a_small_image_is_timed_and_judged(tmp_path, monkeypatch, capsys):
         assert row["why"] == "", key
         assert len(row["seconds"]) == 1 and row["rays"] == row["size"] ** 2 and row["size"] <= SIDE
         assert row["ns"] > 0.0 and row["ratio"] > 0.0 and row["build"] > 0.0
-        assert 2**24 < row["memory"] < 2**36
         assert row["score"]["masks"] == row["score"]["beyond"] == 0
     ours, scalar = rows["ours"]["score"], rows["scalar-aov"]["score"]
-    assert ours["edge_masks"] == ours["edge_beyond"] == 0 and ours["ulps"] < 1e-6
+    assert ours["ulps"] < 1e-6
     assert 1e-2 < scalar["ulps"] < 100.0 and scalar["bounds"] < 1.0
     out = capsys.readouterr().out
     assert "Mitsuba scalar, robust, AOV integrator" in out and "1 of 1 scenes, 2 rows, 0 without numbers" in out
 
 
 @pytest.mark.parametrize(
-    "name, keys", [("overdraw-256", ("raw-robust", "aov-robust")), ("rays-shadow", ("raw-robust",))]
+    "name, keys", [("overdraw-256", ("raw-robust", "aov-robust")), ("rays-incoherent", ("raw-robust",))]
 )
 def test_mitsubas_llvm_variant_is_requested_what_is_timed(name, keys):
     """A caster with a wrong flag could be fast and wrong for most rays."""
@@ -59,7 +58,6 @@ def test_mitsubas_llvm_variant_is_requested_what_is_timed(name, keys):
             assert row.why.startswith("llvm_ad_rgb does not work here"), row
             continue
         assert row.why == "" and row.rays == 256 and row.score.masks == row.score.beyond == 0, row
-        assert row.score.edge_masks < row.score.edge_rays // 10
 
 
 def test_a_file_and_a_candidate_are_timed_and_judged_beside_ours(tmp_path, monkeypatch, capsys):
@@ -80,7 +78,7 @@ def test_a_file_and_a_candidate_are_timed_and_judged_beside_ours(tmp_path, monke
     ours, candidate = scene["rows"]
     assert (candidate["key"], candidate["title"], candidate["why"]) == ("candidate", "timed_caster:cast", "")
     assert candidate["rays"] == 32**2 == ours["rays"] and candidate["ratio"] > 0.0
-    assert candidate["score"]["masks"] == candidate["score"]["edge_masks"] == 0 == ours["score"]["masks"]
+    assert candidate["score"]["masks"] == ours["score"]["masks"] == 0
     assert "timed_caster:cast" in capsys.readouterr().out
 
 
