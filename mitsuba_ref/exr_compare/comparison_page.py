@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,13 +11,20 @@ from caster.image.exr import NO_ID
 from mitsuba_ref.exr_compare.comparison_result import FileComparison
 from mitsuba_ref.exr_compare.flip import flip
 from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, Array, ExrPair
+from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.report.html_report import (
     MAX_PIXELS,
-    ImagePair,
+    index_row,
+    page_words,
     refuse_page_of_others,
-    remove_records,
-    write_comparison,
+    report_folder,
+    run_facts,
+    write_page,
+    write_record,
 )
+from mitsuba_ref.report.scene_record import SIDES, image, packed
+
+RECORD = "images"  # the name of the record of both
 
 
 class Layer(NamedTuple):
@@ -25,7 +32,7 @@ class Layer(NamedTuple):
 
     ours: Array
     reference: Array
-    ratio: Array  # (h, w) error over bound
+    ratio: Array  # (h, w) error over bound, of the worst channel
     colors: bool  # red, green and blue
 
 
@@ -71,26 +78,32 @@ def remove_page(folder: Path) -> None:
     """Remove the page of an earlier run, which would be taken for this one's. Raises OutputError for others' files."""
     refuse_page_of_others(folder / "index.html")
     (folder / "index.html").unlink(missing_ok=True)
-    remove_records(folder / "data", ())
 
 
-def float32(values: Array) -> Array:
-    """Numbers of an EXR file, or ratios, as a page stores them."""
-    with np.errstate(over="ignore"):
-        return values.astype(np.float32)
-
-
-def write_page(folder: Path, result: FileComparison, pair: ExrPair, layers: Mapping[str, Layer]) -> None:
-    """Write index.html and its data. Raises OutputError, and SceneError for images that are too large for a page."""
-    if result.width * result.height > MAX_PIXELS:
+def write_comparison(folder: Path, result: FileComparison, pair: ExrPair, layers: Mapping[str, Layer]) -> None:
+    """Write index.html and its data, without loss. Raises OutputError, and SceneError for too large images."""
+    count = result.width * result.height
+    if count > MAX_PIXELS:
         size = f"{result.width} x {result.height}"
         raise SceneError(f"--html: {size} pixels, and a page shows at most {MAX_PIXELS}; compare a crop")
-    images = ImagePair(
-        names=(result.ours, result.reference),
-        size=(result.width, result.height),
-        origin=pair.reference.data_window[:2],
-        layers={name: (float32(layer.ours), float32(layer.reference)) for name, layer in layers.items()},
-        hit=(pair.hit_ours, pair.hit_reference) if pair.mask_channel else None,
-        ratios={name: float32(layer.ratio) for name, layer in layers.items()},
-    )
-    write_comparison(folder, images, result.measures, ok=result.ok, text=result.format_table())
+    about: dict[str, Any] = {
+        "window": pair.reference.data_window,
+        "layers": {name: layer.ours.shape[-1] for name, layer in layers.items()},
+        "facts": result.measures,
+        "text": result.format_table(),
+    }
+    if pair.mask_channel:
+        about["hit"] = image(pair.hit_ours.ravel() + 2 * pair.hit_reference.ravel(), (result.height, result.width))
+    index, data = report_folder(folder)
+    with np.errstate(over="ignore"):  # ratios beyond float32
+        parts = {
+            name: dict(
+                zip(SIDES, (packed(each.astype(np.float32).reshape(count, -1)) for each in layer[:3]), strict=True)
+            )
+            for name, layer in layers.items()
+        }
+    write_record(data, RECORD, {"about": about, **parts})
+    mark = "PASS" if result.ok else "FAIL"
+    row = index_row(SceneVerdict(RECORD, ""), "") | {"ok": result.ok, "mark": mark, "failure": ""}
+    run = {"names": (result.ours, result.reference), "facts": run_facts(), "summary": mark, "requested": 1}
+    write_page(index, run | page_words(), [row])

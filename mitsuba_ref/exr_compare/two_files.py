@@ -168,7 +168,7 @@ def compare_images(
     shown = (each for each in judged if each.result.name != "hit" or each.result.channels == LAYERS["hit"])
     layers = comparison_page.layers_of(pair, {name: each.ratio for each in shown for name in each.result.channels})
     result = result.model_copy(update={"measures": tuple(comparison_page.measures(pair, layers)), "html": str(html)})
-    comparison_page.write_page(Path(html), result, pair, layers)
+    comparison_page.write_comparison(Path(html), result, pair, layers)
     return result
 
 
