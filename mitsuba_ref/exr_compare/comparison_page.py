@@ -22,7 +22,7 @@ from mitsuba_ref.report.html_report import (
     write_page,
     write_record,
 )
-from mitsuba_ref.report.scene_record import SIDES, image, packed
+from mitsuba_ref.report.scene_record import image, packed
 
 RECORD = "images"  # the name of the record of both
 
@@ -94,14 +94,16 @@ def write_comparison(folder: Path, result: FileComparison, pair: ExrPair, layers
     }
     if pair.mask_channel:
         about["hit"] = image(pair.hit_ours.ravel() + 2 * pair.hit_reference.ravel(), (result.height, result.width))
+
+    def stored(values: Array) -> dict[str, Any]:
+        with np.errstate(over="ignore"):  # ratios beyond float32
+            return packed(values.astype(np.float32).reshape(count, -1))
+
     index, data = report_folder(folder)
-    with np.errstate(over="ignore"):  # ratios beyond float32
-        parts = {
-            name: dict(
-                zip(SIDES, (packed(each.astype(np.float32).reshape(count, -1)) for each in layer[:3]), strict=True)
-            )
-            for name, layer in layers.items()
-        }
+    parts = {
+        name: {"ours": stored(layer.ours), "reference": stored(layer.reference), "ratio": stored(layer.ratio)}
+        for name, layer in layers.items()
+    }
     write_record(data, RECORD, {"about": about, **parts})
     mark = "PASS" if result.ok else "FAIL"
     row = index_row(SceneVerdict(RECORD, ""), "") | {"ok": result.ok, "mark": mark, "failure": ""}
