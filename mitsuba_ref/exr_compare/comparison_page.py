@@ -1,6 +1,6 @@
 """`compare --html`: two images on the page of a report, with measures of other tools as information."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -8,9 +8,9 @@ import numpy as np
 
 from caster.description.errors import SceneError
 from caster.image.exr import NO_ID
-from mitsuba_ref.exr_compare.comparison_result import FileComparison
+from mitsuba_ref.exr_compare.comparison_result import FileComparison, GroupResult
 from mitsuba_ref.exr_compare.flip import flip
-from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, Array, ExrPair
+from mitsuba_ref.exr_compare.pixel_bounds import Array, ExrPair
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.report.html_report import (
     MAX_PIXELS,
@@ -36,23 +36,15 @@ class Layer(NamedTuple):
     colors: bool  # red, green and blue
 
 
-def layers_of(pair: ExrPair, ratios: Mapping[str, Array]) -> dict[str, Layer]:
-    """The layers of a page, the farthest beyond its bound first. ratios: (h, w) error over bound of each channel."""
-    names = {layer: channels for layer, channels in LAYERS.items() if set(channels) <= ratios.keys()}
-    left = [name for name in pair.names if name in ratios and not any(name in channels for channels in names.values())]
-    for name in left:
-        color = tuple(name[:-1] + letter for letter in "RGB")
-        if set(color) <= set(left):
-            names[name[:-1].rstrip(".") or "color"] = color
-        elif not any(name in channels for channels in names.values()):
-            names[name] = (name,)
+def layers_of(pair: ExrPair, groups: Iterable[tuple[GroupResult, Array]]) -> dict[str, Layer]:
+    """The layers of a page, the farthest beyond its bound first. groups: each with its (h, w) error over bound."""
     found = {}
-    for layer, channels in names.items():
-        ours, reference = pair.values(channels)
-        if pair.reference.channels[channels[0]].dtype == np.uint32:
+    for group, ratio in groups:
+        ours, reference = pair.values(group.channels)
+        if pair.reference.channels[group.channels[0]].dtype == np.uint32:
             ours, reference = (np.where(values == NO_ID, -1.0, values) for values in (ours, reference))
-        ratio = np.max([ratios[name] for name in channels], axis=0)
-        found[layer] = Layer(ours, reference, ratio, tuple(name[-1:] for name in channels) == tuple("RGB"))
+        colors = "".join(name[-1] for name in group.channels) == "RGB"
+        found[group.name] = Layer(ours, reference, ratio, colors)
     return dict(sorted(found.items(), key=lambda item: (-item[1].ratio.max(), item[0] == "hit")))
 
 
