@@ -313,7 +313,7 @@ def test_two_images_without_a_judge_have_the_same_viewer(visit, tmp_path):
     page = opened.page
     page.wait_for_selector("#summary >> text=FLIP")
     assert "largest difference" in page.inner_text("#summary") and "beyond their bound" in page.inner_text("#summary")
-    assert page.locator("[data-layer]").all_inner_texts() == ["1\nbeauty", "2\nlevel"]
+    assert page.locator("[data-layer]").all_inner_texts() == ["1\nbeauty.RGB", "2\nlevel"]
     assert not page.locator("[data-view=class]").is_visible() and not page.locator("[data-do=back]").is_visible()
     page.keyboard.press("n")
     page.wait_for_selector("#pixel .xy")
@@ -323,10 +323,10 @@ def test_two_images_without_a_judge_have_the_same_viewer(visit, tmp_path):
         page.keyboard.press(".")
         page.wait_for_timeout(60)
     assert seen == {"3, 2", "8, 5", "9, 5", "8, 6", "9, 6"}
-    page.evaluate("location.hash = '#x=8&y=5&a=beauty'")
+    page.evaluate("location.hash = '#x=8&y=5&a=beauty.RGB'")
     page.wait_for_selector("#pixel .xy:text-is('8, 5')")
     expected = [float(value).hex() for value in np.column_stack([ours[5, 8], other[5, 8]]).ravel()]
-    assert NUMBERS.findall(section(page, "beauty").inner_text()) == expected
+    assert NUMBERS.findall(section(page, "beauty.RGB").inner_text()) == expected
     assert "b <1>.exr" in page.inner_text("#views")
     page.keyboard.press("Escape")
     page.keyboard.press("Escape")
