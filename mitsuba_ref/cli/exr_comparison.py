@@ -74,17 +74,17 @@ def run_approve(args: argparse.Namespace) -> int:
     for proposal in each_scene(
         args,
         lambda entry: propose(entry.load(), entry.name, entry.path, folder, args.timeout),
-        lambda entry, lines: Proposal(entry.name, folder / f"{entry.name}.exr", "failed", False, lines),
+        lambda entry, lines: Proposal(entry.name, folder / f"{entry.name}.exr", "failed", lines),
     ):
         found.append(proposal)
-        mark, lines = "->" if proposal.write else "  ", proposal.details or ("",)
+        mark, lines = "  " if proposal.fresh is None else "->", proposal.details or ("",)
         print(f"{proposal.status:<8} {mark} {proposal.name}  {lines[0]}".rstrip(), file=out)
         for line in lines[1:]:
             print(f"            {line}", file=out)
         out.flush()
     if not found:
         return NOTHING_SELECTED
-    wanted = [proposal for proposal in found if proposal.write]
+    wanted = [(proposal.path, proposal.fresh) for proposal in found if proposal.fresh is not None]
     failed = sum(proposal.status == "failed" for proposal in found)
     counts = f"{plural(len(wanted), 'image')} to write, {failed} without an answer of Mitsuba"
     print(f"\n{plural(len(found), 'scene')}: {counts}")
@@ -92,10 +92,9 @@ def run_approve(args: argparse.Namespace) -> int:
         print("nothing was written: look at the changes above, then add --yes", file=sys.stderr)
         return DIFFERENCES
     check_folder(folder)
-    for proposal in wanted:
-        assert proposal.fresh is not None  # whatever is to be written was rendered
-        write_approved(proposal.path, proposal.fresh)
-        print(f"wrote    {proposal.path}")
+    for path, image in wanted:
+        write_approved(path, image)
+        print(f"wrote    {path}")
     return DIFFERENCES if failed else OK
 
 

@@ -57,7 +57,6 @@ def run(args: argparse.Namespace) -> int:
         read_expected(args.expected) if args.expected else None,
         args.skip_unsupported,
         args.min_scenes,
-        whole_folders=not (args.expression or args.builtin) and all(Path(place).is_dir() for place in args.scenes),
     )
     return judge_entries(args, entries, options, out)
 
@@ -118,10 +117,7 @@ def without_earlier_results(args: argparse.Namespace) -> OutFolder | None:
     for path in (args.json, args.junit):
         if path and os.path.isfile(path) and not os.path.islink(path):  # /dev/stdout is a link
             os.unlink(path)
-    out = OutFolder(Path(args.out)) if args.out else None
-    if out is not None:
-        out.begin()
-    return out
+    return OutFolder(Path(args.out)) if args.out else None
 
 
 def judge_entries(
@@ -174,7 +170,7 @@ def write_results(running: ValidationRun, args: argparse.Namespace, seconds: flo
         if args.html:
             print_lines(report_address(args.html))
     finally:
-        for removed in filter(None, running.finish()):
+        if removed := running.finish():
             print(removed, file=sys.stderr)
 
 

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -40,7 +40,7 @@ AOVS = ("hit", "depth", "normal", "shading_normal", "position", "diffuse", "shap
 
 PREFIX = "caster/reference/"
 DIGEST, VARIANT, PROCESSOR = PREFIX + "sha256", PREFIX + "variant", PREFIX + "processor"
-VERSIONS = ("caster/version", PREFIX + "mitsuba", PREFIX + "drjit", PREFIX + "libllvm")
+REFERENCE = ("caster/version", *(PREFIX + each for each in ("mitsuba", "drjit", "libllvm")), VARIANT, PROCESSOR)
 EXACT = Tolerances(0.0, 0.0, 0.0, 0.0, 0.0, other_scene=True)
 
 
@@ -214,9 +214,8 @@ class Proposal(NamedTuple):
     name: str
     path: Path
     status: str  # missing, changed, stale, damaged, same, failed
-    write: bool
     details: tuple[str, ...] = ()
-    fresh: Exr | None = None
+    fresh: Exr | None = None  # to be written
 
 
 def propose(scene: Scene, name: str, source: str, folder: Path, timeout: float) -> Proposal:
@@ -224,55 +223,36 @@ def propose(scene: Scene, name: str, source: str, folder: Path, timeout: float) 
     path = folder / f"{name}.exr"
     fresh = render_fresh(scene, source, timeout)
     if isinstance(fresh, Crash):
-        why = f"Mitsuba ended without an answer ({fresh.exit}): {fresh.headline}"
-        return Proposal(name, path, "failed", False, (why,))
+        return Proposal(name, path, "failed", (f"Mitsuba ended without an answer ({fresh.exit}): {fresh.headline}",))
     try:
         before = load_approved(path)
     except (UnusableImage, UnreadableExr) as error:
-        return Proposal(name, path, "damaged", True, (str(error),), fresh)
+        return Proposal(name, path, "damaged", (str(error),), fresh)
     except FileMissing:
         hit = fresh.channels["A"] != 0.0
         what = f"{hit.sum()} of {hit.size} pixels hit, {len(fresh.channels)} channels"
-        return Proposal(name, path, "missing", True, (what,), fresh)
+        return Proposal(name, path, "missing", (what,), fresh)
     compared = compare_images(before, fresh, EXACT, names=("approved", "fresh"))
-    found = tuple(changes(before, fresh, compared))
+    about = {key: (before.provenance.get(key, "none"), fresh.provenance.get(key, "none")) for key in REFERENCE}
+    changed = {key: values for key, values in about.items() if values[0] != values[1]}
+    found = tuple(changes(changed, compared))
     try:
         check_matches_scene(before, scene)
     except UnusableImage as error:
-        return Proposal(name, path, "stale", True, (str(error), *found), fresh)
+        return Proposal(name, path, "stale", (str(error), *found), fresh)
     if compared.groups and not compared.differing_pixels:
-        return Proposal(name, path, "same", False, found)
-    if compared.groups and differ_by_processor(scene, before, fresh):
+        return Proposal(name, path, "same", found)
+    if [*changed] == [PROCESSOR] and all(check_ours(scene, each, SIDES).ok for each in (before, fresh)):
         why = "but for last bits, which depend on the processor; both images pass `check`"
-        return Proposal(name, path, "same", False, (why, *found))
-    return Proposal(name, path, "changed", True, found, fresh)
+        return Proposal(name, path, "same", (why, *found))
+    return Proposal(name, path, "changed", found, fresh)
 
 
-def changes(before: Exr, now: Exr, compared: FileComparison) -> Iterator[str]:
+def changes(about: Mapping[str, tuple[str, str]], compared: FileComparison) -> Iterator[str]:
     """Lines for a terminal: versions, processor, and the channels that differ."""
-    for key in (*VERSIONS, VARIANT, PROCESSOR):
-        old, new = before.provenance.get(key, "none"), now.provenance.get(key, "none")
-        if old != new:
-            yield f"{key.removeprefix(PREFIX).removeprefix('caster/')}: {old} -> {new}"
-    if not compared.groups:
-        yield from (f"another film or other channels: {line.strip()}" for line in compared.messages[1:-1])
+    yield from (f"{key.rpartition('/')[2]}: {old} -> {new}" for key, (old, new) in about.items())
+    yield from (f"another film or other channels: {reason}" for reason in compared.reasons)
     for group in compared.groups:
         if group.worst is not None:
             count, at = group.differ + group.non_finite, f"({group.worst.x}, {group.worst.y})"
             yield f"{group.worst.channel}: {count} pixels differ, by at most {group.worst.error:.9g}, at {at}"
-
-
-def differ_by_processor(scene: Scene, before: Exr, now: Exr) -> bool:
-    """Whether the processor explains all differences between two comparable images of the same scene.
-
-    The images have to name different processors, or one of them none, and the same versions and variant. Pixels that
-    miss have to be equal, and our render has to pass against both.
-    """
-    about = PROCESSOR, *VERSIONS, VARIANT
-    if [key for key in about if before.provenance.get(key) != now.provenance.get(key)] != [PROCESSOR]:
-        return False
-    misses = ~(_ambiguous(before) | _ambiguous(now)) & (now.channels["A"] == 0.0)
-    names = before.channels.keys() - {CLASS_CHANNEL}
-    if not all(np.array_equal(before.channels[name][misses], now.channels[name][misses]) for name in names):
-        return False
-    return all(check_ours(scene, each, SIDES).ok for each in (before, now))

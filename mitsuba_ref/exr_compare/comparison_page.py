@@ -1,23 +1,30 @@
 """`compare --html`: two images on the page of a report, with measures of other tools as information."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from caster.description.errors import SceneError
 from caster.image.exr import NO_ID
-from mitsuba_ref.exr_compare.comparison_result import FileComparison
+from mitsuba_ref.exr_compare.comparison_result import FileComparison, GroupResult
 from mitsuba_ref.exr_compare.flip import flip
-from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, Array, ExrPair
+from mitsuba_ref.exr_compare.pixel_bounds import Array, ExrPair
+from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.report.html_report import (
     MAX_PIXELS,
-    ImagePair,
+    index_row,
+    page_words,
     refuse_page_of_others,
-    remove_records,
-    write_comparison,
+    report_folder,
+    run_facts,
+    write_page,
+    write_record,
 )
+from mitsuba_ref.report.scene_record import image, packed
+
+RECORD = "images"  # the name of the record of both
 
 
 class Layer(NamedTuple):
@@ -25,27 +32,19 @@ class Layer(NamedTuple):
 
     ours: Array
     reference: Array
-    ratio: Array  # (h, w) error over bound
+    ratio: Array  # (h, w) error over bound, of the worst channel
     colors: bool  # red, green and blue
 
 
-def layers_of(pair: ExrPair, ratios: Mapping[str, Array]) -> dict[str, Layer]:
-    """The layers of a page, the farthest beyond its bound first. ratios: (h, w) error over bound of each channel."""
-    names = {layer: channels for layer, channels in LAYERS.items() if set(channels) <= ratios.keys()}
-    left = [name for name in pair.names if name in ratios and not any(name in channels for channels in names.values())]
-    for name in left:
-        color = tuple(name[:-1] + letter for letter in "RGB")
-        if set(color) <= set(left):
-            names[name[:-1].rstrip(".") or "color"] = color
-        elif not any(name in channels for channels in names.values()):
-            names[name] = (name,)
+def layers_of(pair: ExrPair, groups: Iterable[tuple[GroupResult, Array]]) -> dict[str, Layer]:
+    """The layers of a page, the farthest beyond its bound first. groups: each with its (h, w) error over bound."""
     found = {}
-    for layer, channels in names.items():
-        ours, reference = pair.values(channels)
-        if pair.reference.channels[channels[0]].dtype == np.uint32:
+    for group, ratio in groups:
+        ours, reference = pair.values(group.channels)
+        if pair.reference.channels[group.channels[0]].dtype == np.uint32:
             ours, reference = (np.where(values == NO_ID, -1.0, values) for values in (ours, reference))
-        ratio = np.max([ratios[name] for name in channels], axis=0)
-        found[layer] = Layer(ours, reference, ratio, tuple(name[-1:] for name in channels) == tuple("RGB"))
+        colors = "".join(name[-1] for name in group.channels) == "RGB"
+        found[group.name] = Layer(ours, reference, ratio, colors)
     return dict(sorted(found.items(), key=lambda item: (-item[1].ratio.max(), item[0] == "hit")))
 
 
@@ -71,26 +70,34 @@ def remove_page(folder: Path) -> None:
     """Remove the page of an earlier run, which would be taken for this one's. Raises OutputError for others' files."""
     refuse_page_of_others(folder / "index.html")
     (folder / "index.html").unlink(missing_ok=True)
-    remove_records(folder / "data", ())
 
 
-def float32(values: Array) -> Array:
-    """Numbers of an EXR file, or ratios, as a page stores them."""
-    with np.errstate(over="ignore"):
-        return values.astype(np.float32)
-
-
-def write_page(folder: Path, result: FileComparison, pair: ExrPair, layers: Mapping[str, Layer]) -> None:
-    """Write index.html and its data. Raises OutputError, and SceneError for images that are too large for a page."""
-    if result.width * result.height > MAX_PIXELS:
+def write_comparison(folder: Path, result: FileComparison, pair: ExrPair, layers: Mapping[str, Layer]) -> None:
+    """Write index.html and its data, without loss. Raises OutputError, and SceneError for too large images."""
+    count = result.width * result.height
+    if count > MAX_PIXELS:
         size = f"{result.width} x {result.height}"
         raise SceneError(f"--html: {size} pixels, and a page shows at most {MAX_PIXELS}; compare a crop")
-    images = ImagePair(
-        names=(result.ours, result.reference),
-        size=(result.width, result.height),
-        origin=pair.reference.data_window[:2],
-        layers={name: (float32(layer.ours), float32(layer.reference)) for name, layer in layers.items()},
-        hit=(pair.hit_ours, pair.hit_reference) if pair.mask_channel else None,
-        ratios={name: float32(layer.ratio) for name, layer in layers.items()},
-    )
-    write_comparison(folder, images, result.measures, ok=result.ok, text=result.format_table())
+    about: dict[str, Any] = {
+        "window": pair.reference.data_window,
+        "layers": {name: layer.ours.shape[-1] for name, layer in layers.items()},
+        "facts": result.measures,
+        "text": result.format_table(),
+    }
+    if pair.mask_channel:
+        about["hit"] = image(pair.hit_ours.ravel() + 2 * pair.hit_reference.ravel(), (result.height, result.width))
+
+    def stored(values: Array) -> dict[str, Any]:
+        with np.errstate(over="ignore"):  # ratios beyond float32
+            return packed(values.astype(np.float32).reshape(count, -1))
+
+    index, data = report_folder(folder)
+    parts = {
+        name: {"ours": stored(layer.ours), "reference": stored(layer.reference), "ratio": stored(layer.ratio)}
+        for name, layer in layers.items()
+    }
+    write_record(data, RECORD, {"about": about, **parts})
+    mark = "PASS" if result.ok else "FAIL"
+    row = index_row(SceneVerdict(RECORD, ""), "") | {"ok": result.ok, "mark": mark, "failure": ""}
+    run = {"names": (result.ours, result.reference), "facts": run_facts(), "summary": mark, "requested": 1}
+    write_page(index, run | page_words(), [row])

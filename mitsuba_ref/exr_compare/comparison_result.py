@@ -105,12 +105,6 @@ class FileComparison(BaseModel):
 
     @computed_field  # type: ignore[prop-decorator] # pydantic's way
     @property
-    def differing_percent(self) -> float | None:
-        """Of the pixels hit in either image; None if there are none."""
-        return 100.0 * self.differing_pixels / self.hit_either if self.hit_either else None
-
-    @computed_field  # type: ignore[prop-decorator] # pydantic's way
-    @property
     def messages(self) -> tuple[str, ...]:
         """The lines below the table: pass or fail, how far, where to look."""
         mark = {OK: "PASS  ", DIFFERENCES: "FAIL  ", NOTHING_SELECTED: "EMPTY  "}.get(self.exit_code, "      ")

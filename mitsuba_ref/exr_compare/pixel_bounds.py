@@ -39,7 +39,7 @@ from mitsuba_ref.reference.shared_input import pixel_centers
 Array = np.ndarray
 Bound = tuple[Array, str]  # (h, w, c), and the text that states it
 
-# Group -> channels. Any other channel is a group of its own, judged like a colour, or exactly if uint.
+# Group -> channels. Other channels are judged like colours, or exactly if uint.
 LAYERS: Mapping[str, tuple[str, ...]] = {aov.NAME: aov.CHANNELS for aov in AOVS}
 
 SCENE_JSON = "caster/scene_json"  # provenance: the scene, with its camera

@@ -165,10 +165,10 @@ def compare_images(
     )
     if html is None:
         return result
-    shown = (each for each in judged if each.result.name != "hit" or each.result.channels == LAYERS["hit"])
-    layers = comparison_page.layers_of(pair, {name: each.ratio for each in shown for name in each.result.channels})
+    shown = [each for each in judged if each.result.name != "hit" or each.result.channels == LAYERS["hit"]]
+    layers = comparison_page.layers_of(pair, ((each.result, each.ratio) for each in shown))
     result = result.model_copy(update={"measures": tuple(comparison_page.measures(pair, layers)), "html": str(html)})
-    comparison_page.write_page(Path(html), result, pair, layers)
+    comparison_page.write_comparison(Path(html), result, pair, layers)
     return result
 
 
@@ -219,9 +219,15 @@ def incompatibilities(a: Exr, b: Exr, left_out: set[str], *, other_scene: bool) 
 
 
 def present_groups(pair: ExrPair) -> list[tuple[str, tuple[str, ...]]]:
-    """Hits, the groups that are present in the order of LAYERS, then every other channel by itself."""
+    """Hits, the groups that are present in the order of LAYERS, other colours, then every other channel by itself."""
     groups = {group: tuple(n for n in layer if n in pair.names) for group, layer in LAYERS.items()}
-    groups |= {n: (n,) for n in pair.names if not any(n in layer for layer in LAYERS.values())}
+    others = [n for n in pair.names if not any(n in layer for layer in LAYERS.values())]
+    for name in others:
+        color = tuple(name[:-1] + letter for letter in "RGB")
+        if name in color and set(color) <= set(others):
+            groups[f"{name[:-1]}RGB"] = color
+        else:
+            groups[name] = (name,)
     groups["hit"] = (pair.mask_channel,) if pair.mask_channel else ()
     return [(group, channels) for group, channels in groups.items() if channels]
 

@@ -21,28 +21,29 @@ from mitsuba_ref.subjects.requests import request_answer
 from mitsuba_ref.subjects.subject import NoAnswer, Subject
 
 
-@dataclass(frozen=True)
-class CandidatePixel:
-    """The verdict on one pixel of a candidate, and why."""
+@dataclass(frozen=True, kw_only=True)
+class Explained:
+    """The class of one ray, and why."""
 
-    name: str
     verdict: str
-    precision: str = ""  # by whose bounds it is judged
     why: str = ""
-    says: Mapping[str, Any] = field(default_factory=dict)  # hit, t, depth, normal, if given
     case: str = ""  # where the reference is wrong: the number of the known case, or "unlisted"
-    notes: tuple[str, ...] = ()
     problem: str = ""  # why there is nothing to judge
-    witness: WitnessAnswer | None = None  # its row among the witnesses
 
     @property
     def ok(self) -> bool:
         return not self.problem and self.verdict not in FAILING and self.case != UNLISTED
 
-    def to_dict(self) -> dict[str, Any]:
-        """For JSON, except that numbers may be infinite."""
-        found = {name: value for name, value in vars(self).items() if name != "witness"}
-        return found | {"ok": self.ok}
+
+@dataclass(frozen=True, kw_only=True)
+class CandidatePixel(Explained):
+    """The verdict on one pixel of a candidate."""
+
+    name: str
+    precision: str = ""  # by whose bounds it is judged
+    says: Mapping[str, Any] = field(default_factory=dict)  # hit, t, depth, normal, if given
+    notes: tuple[str, ...] = ()
+    witness: WitnessAnswer | None = None  # its row among the witnesses
 
 
 def probe_candidate(
@@ -58,10 +59,10 @@ def probe_candidate(
         response = request_answer(candidate, window)
     except NoAnswer as error:
         witness = WitnessAnswer(CANDIDATE, problem="no answer")
-        return CandidatePixel(candidate.name, UNDECIDED, problem=str(error), witness=witness)
+        return CandidatePixel(name=candidate.name, verdict=UNDECIDED, problem=str(error), witness=witness)
     judge = judge_of(response, timeout=timeout, send=send, with_files=False)
     if isinstance(judge, Crash):
-        return CandidatePixel(candidate.name, UNDECIDED, problem=judge.message)
+        return CandidatePixel(name=candidate.name, verdict=UNDECIDED, problem=judge.message)
     x0, y0, x1, _ = window.film.window
     row = (pixel[1] - y0) * (x1 - x0) + pixel[0] - x0
     judgement, witness = judge.judge(), as_witness(judge, row)
@@ -71,13 +72,13 @@ def probe_candidate(
     why = filter(None, (reason(judge, judgement, diagnosis.by_row(), row), exceeded_bounds(exceeded)))
     left_out = row in judgement.not_adjudicated and witness.right is False  # but here it is adjudicated
     return CandidatePixel(
-        candidate.name,
-        WRONG if left_out else CLASSES[int(judgement.classes[row])],
-        judge.answer.precision,
-        "\n".join(["; ".join(why), *diagnosis.evidence_at(row)]),
-        _answer_record(judge, row),
-        case_text(judgement, row),
-        (*judge.answer.notes, *response.limits),
+        name=candidate.name,
+        verdict=WRONG if left_out else CLASSES[int(judgement.classes[row])],
+        precision=judge.answer.precision,
+        why="\n".join(["; ".join(why), *diagnosis.evidence_at(row)]),
+        says=_answer_record(judge, row),
+        case=case_text(judgement, row),
+        notes=(*judge.answer.notes, *response.limits),
         witness=witness,
     )
 
@@ -125,4 +126,4 @@ def _answer_record(judge: Judge, row: int) -> dict[str, Any]:
     """The answer for JSON; the normal has length 1, or is NaN where it was not finite."""
     aovs, hit, t = judge.pair.subject, bool(judge.answer.hit[row]), float(judge.answer.t[row])
     names = [name for name in ("depth", "normal") if name in aovs and (hit or name == "depth")]
-    return {"hit": hit, "t": t, "t_hex": t.hex()} | {name: aov_rows(aovs, name)[row].tolist() for name in names}
+    return {"hit": hit, "t": t} | {name: aov_rows(aovs, name)[row].tolist() for name in names}

@@ -1,15 +1,15 @@
 """The secondary rays of one pixel, each with its class and every answer."""
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 from caster.rendering.bounces import RAY_KINDS
 from caster.scene.model import Scene
 from mitsuba_ref.judge.classification import EXACT, judge_of
 from mitsuba_ref.judge.diagnosis import diagnose
 from mitsuba_ref.judge.explanations import pixel_answers, reason
-from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, UNDECIDED, UNLISTED
-from mitsuba_ref.probe.candidate_pixel import case_text
+from mitsuba_ref.judge.verdict import AGREE, CLASSES, UNDECIDED
+from mitsuba_ref.probe.candidate_pixel import Explained, case_text
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.subjects.bounce_films import bounce_films
 from mitsuba_ref.subjects.requests import request_answer
@@ -19,20 +19,12 @@ LETTERS = dict(zip(RAY_KINDS, ("", "R", "T", "S"), strict=True))
 LEGEND = "\nsecondary rays by their paths: R reflected, T refracted, S to a light"
 
 
-class PathRay(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class PathRay(Explained):
     """One secondary ray and its verdict."""
 
     path: str  # a letter for each bounce, such as RTS
-    verdict: str  # its class
-    subject: str = ""  # its answer as text, like the next two
-    reference: str = ""
-    exact: str = ""
-    why: str = ""
-    case: str = ""  # where the reference is wrong: the number of the known case, or "unlisted"
-
-    @property
-    def ok(self) -> bool:
-        return self.verdict not in FAILING and self.case != UNLISTED
+    answers: tuple[str, ...] = ()  # as text: the subject's, the reference's, the exact one
 
 
 def follow_path(scene: Scene, depth: int, subject: Subject, timeout: float) -> Iterator[PathRay]:
@@ -43,15 +35,18 @@ def follow_path(scene: Scene, depth: int, subject: Subject, timeout: float) -> I
         paths = [paths[parent] + LETTERS[RAY_KINDS[kind]] for parent, kind in zip(rays.parent, rays.kind, strict=True)]
         judge = judge_of(request_answer(subject, film.scene, rays=film.rays), timeout=timeout)
         if isinstance(judge, Crash):
-            yield PathRay(paths[0], UNDECIDED, why=judge.message)
+            yield PathRay(path=paths[0], verdict=UNDECIDED, problem=judge.message)
             return
         judgement = judge.judge()
         diagnosed = diagnose(judge, judgement).by_row()
         for path, row in zip(paths, film.row.tolist(), strict=True):
-            verdict = CLASSES[int(judgement.classes[row])]
-            answers = pixel_answers(judge, judgement, row, EXACT)
-            why = reason(judge, judgement, diagnosed, row)
-            yield PathRay(path, verdict, *answers, why, case_text(judgement, row))
+            yield PathRay(
+                path=path,
+                verdict=CLASSES[int(judgement.classes[row])],
+                why=reason(judge, judgement, diagnosed, row),
+                case=case_text(judgement, row),
+                answers=pixel_answers(judge, judgement, row, EXACT),
+            )
 
 
 def path_lines(rays: Sequence[PathRay]) -> Iterator[str]:
@@ -59,8 +54,8 @@ def path_lines(rays: Sequence[PathRay]) -> Iterator[str]:
     yield LEGEND if rays else "\nno secondary rays"
     width = max((len(each.path) for each in rays), default=0)
     for each in rays:
-        yield f"  {each.path:<{width}}  {each.verdict.replace('_', ' ')}: {each.subject}"
+        answer, *others = *each.answers, each.problem or each.why
+        yield f"  {each.path:<{width}}  {each.verdict.replace('_', ' ')}: {answer}"
         if each.verdict != AGREE:
-            yield f"  {'':<{width}}    Mitsuba: {each.reference}"
-            yield f"  {'':<{width}}    exact:   {each.exact}"
-            yield f"  {'':<{width}}    why:     {each.why}"
+            names = ("Mitsuba:", "exact:", "why:")
+            yield from (f"  {'':<{width}}    {name:<8} {words}" for name, words in zip(names, others, strict=False))

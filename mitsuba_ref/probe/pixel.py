@@ -1,8 +1,8 @@
 """One pixel: both answers, the bound of each quantity, every primitive that may be hit; as text for a terminal."""
 
 import math
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
 import numpy as np
@@ -16,11 +16,11 @@ from mitsuba_ref.error_model.bracket import latest_hits
 from mitsuba_ref.judge.classification import Judge, Judgement, scene_judge
 from mitsuba_ref.judge.diagnosis import diagnose
 from mitsuba_ref.judge.explanations import MAX_TIES_SHOWN, exact_answer, full_reason, not_judged, tie_members
-from mitsuba_ref.judge.verdict import CLASSES, FAILING, UNDECIDED, UNLISTED, json_number
+from mitsuba_ref.judge.verdict import CLASSES, UNDECIDED, json_number
 from mitsuba_ref.oracle.oracle import ExactAnswer
-from mitsuba_ref.probe.candidate_pixel import CandidatePixel, case_text, probe_candidate
+from mitsuba_ref.probe.candidate_pixel import CandidatePixel, Explained, case_text, probe_candidate
 from mitsuba_ref.probe.path import PathRay, follow_path, path_lines
-from mitsuba_ref.probe.witnesses import WitnessAnswer, t_lines, witness_answers, witness_lines, witness_record
+from mitsuba_ref.probe.witnesses import WitnessAnswer, t_lines, witness_answers, witness_lines
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.shared_input import SharedRays, shared_rays
@@ -39,24 +39,20 @@ class PossibleHit:
     certain: bool
 
 
-@dataclass(frozen=True)
-class PixelVerdict:
+@dataclass(frozen=True, kw_only=True)
+class PixelVerdict(Explained):
     """The verdict on one pixel, and its reasons."""
 
     x: int
     y: int
-    verdict: str
     ray: dict[str, Any]
-    ours: dict[str, Any]
-    reference: dict[str, Any]
-    exact: dict[str, Any]
-    ratios: dict[str, float]  # error over bound, of what was judged
-    not_judged: dict[str, str]  # the rest, and why
-    possible: tuple[PossibleHit, ...]
-    versions: dict[str, str]
-    problem: str = ""
-    why: str = ""
-    case: str = ""  # where the reference is wrong: the number of the known case, or "unlisted"
+    ours: dict[str, Any] = field(default_factory=dict)
+    reference: dict[str, Any] = field(default_factory=dict)
+    exact: dict[str, Any] = field(default_factory=dict)
+    ratios: dict[str, float] = field(default_factory=dict)  # error over bound, of what was judged
+    not_judged: dict[str, str] = field(default_factory=dict)  # the rest, and why
+    possible: tuple[PossibleHit, ...] = ()
+    versions: dict[str, str] = field(default_factory=dict)
     witnesses: tuple[WitnessAnswer, ...] = ()  # a candidate, ours, exact, Mitsuba in each of its variants and modes
     candidate: CandidatePixel | None = None  # if one was requested
     path: tuple[PathRay, ...] | None = None  # its secondary rays, if they were requested
@@ -68,19 +64,11 @@ class PixelVerdict:
     @property
     def ok(self) -> bool:
         """Whether our answer, Mitsuba's and the candidate's, if there is one, are explained."""
-        explained = not self.problem and self.verdict not in FAILING and self.case != UNLISTED
-        explained = explained and all(each.ok for each in self.path or ())
-        return explained and (self.candidate is None or self.candidate.ok)
+        return super().ok and all(each.ok for each in (self.candidate, *(self.path or ())) if each is not None)
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON; infinite numbers become text."""
-        witnesses = [witness_record(each) for each in self.witnesses]
-        path = [each._asdict() for each in self.path or ()]
-        found = {**asdict(self), "witnesses": witnesses, "path": path, "ok": self.ok}
-        del found["candidate"]
-        if self.candidate is not None:
-            found["candidate"] = self.candidate.to_dict()
-        plain: dict[str, Any] = _json_safe(found)
+        plain: dict[str, Any] = _json_value(self)
         return plain
 
 
@@ -118,27 +106,27 @@ def probe_with_evidence(
     asked_for, scene = scene, scene.with_film(crop=(x, y, x + 1, y + 1))
     judge = scene_judge(scene, whole=whole, timeout=timeout)
     if isinstance(judge, Crash):
-        ray = _ray(shared_rays(scene))
-        return PixelVerdict(x, y, UNDECIDED, ray, {}, {}, {}, {}, {}, (), {}, judge.message), judge
+        crash = PixelVerdict(x=x, y=y, verdict=UNDECIDED, ray=_ray(shared_rays(scene)), problem=judge.message)
+        return crash, judge
     pair, judgement = judge.pair, judge.judge()
     exact = exact_answer(judge, judgement, 0)
     theirs = None if candidate is None else probe_candidate(candidate, asked_for, (x, y), timeout)
     witnesses = witness_answers(judge, exact) if judge.t_max[0] >= 0.0 else ()
     left = not_judged(judge, judgement, 0)
     found = PixelVerdict(
-        x,
-        y,
-        CLASSES[int(judgement.classes[0])],
-        _ray(pair.rays),
-        _answer(scene, pair.subject, pair.t),
-        _answer(scene, pair.reference, pair.result.t),
-        _exact(judge, exact),
-        {name: float(judgement.ratios[name][0]) for name in judgement.ratios if name not in left},
-        left,
-        tuple(_possible(scene, judge)),
-        pair.result.answer.versions,
+        x=x,
+        y=y,
+        verdict=CLASSES[int(judgement.classes[0])],
         why=full_reason(judge, judgement, diagnose(judge, judgement).by_row(), 0),
         case=case_text(judgement),
+        ray=_ray(pair.rays),
+        ours=_answer(scene, pair.subject, pair.t),
+        reference=_answer(scene, pair.reference, pair.result.t),
+        exact=_exact(judge, exact),
+        ratios={name: float(judgement.ratios[name][0]) for name in judgement.ratios if name not in left},
+        not_judged=left,
+        possible=tuple(_possible(scene, judge)),
+        versions=pair.result.answer.versions,
         witnesses=witnesses if theirs is None or theirs.witness is None else (theirs.witness, *witnesses),
         candidate=theirs,
         path=tuple(follow_path(scene, bounces, candidate or OURS, timeout)) if bounces else None,
@@ -156,7 +144,7 @@ def _exact(judge: Judge, answer: ExactAnswer | None) -> dict[str, Any]:
         return {}
     ties = [each._asdict() for each in tie_members(judge.scene, judge.model.packed, answer)]
     t = np.inf if answer.t is None else float(answer.t)
-    return {"hit": answer.hit, "t": t, "t_hex": t.hex(), "ties": ties, "flags": sorted(answer.flags)}
+    return {"hit": answer.hit, "t": t, "ties": ties, "flags": sorted(answer.flags)}
 
 
 def _answer(scene: Scene, aovs: Aovs, t: np.ndarray) -> dict[str, Any]:
@@ -183,11 +171,14 @@ def _numbers(values: Any) -> Any:
     return np.asarray(values, np.float64).tolist()
 
 
-def _json_safe(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _json_safe(each) for key, each in value.items()}
+def _json_value(value: Any) -> Any:
+    if is_dataclass(value):
+        found = {each.name: getattr(value, each.name) for each in fields(value)}
+        value = found | {"ok": value.ok} if isinstance(value, Explained) else found
+    if isinstance(value, Mapping):
+        return {key: _json_value(each) for key, each in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_json_safe(each) for each in value]
+        return [_json_value(each) for each in value]
     return json_number(value) if isinstance(value, float) else value
 
 
@@ -263,7 +254,7 @@ def _exact_lines(exact: dict[str, Any]) -> Iterator[str]:
     if not exact:
         yield "  exact: no answer"
         return
-    yield f"  exact: t {exact['t']!r}  {exact['t_hex']}" if exact["hit"] else "  exact: miss"
+    yield f"  exact: t {exact['t']!r}  {exact['t'].hex()}" if exact["hit"] else "  exact: miss"
     for tie in exact["ties"][:MAX_TIES_SHOWN]:
         yield f"         {tie['shape']}, prim {tie['prim']} ({tie['where']})"
     if len(exact["ties"]) > MAX_TIES_SHOWN:

@@ -4,22 +4,20 @@ import math
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from pathlib import Path
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
-from caster.system.atomic_files import ScratchFolder
 from mitsuba_ref.error_model.bounds import intersections_at
 from mitsuba_ref.error_model.tolerances import DISTINCT_RTOL, KU, KU_OURS
 from mitsuba_ref.judge.adjudication import ratio_to_bound
-from mitsuba_ref.judge.classification import Judge
+from mitsuba_ref.judge.classification import Judge, reference_prims
 from mitsuba_ref.judge.explanations import decimal_and_hex
 from mitsuba_ref.oracle.oracle import ExactAnswer
 from mitsuba_ref.reference import variants
-from mitsuba_ref.reference.messages import Crash, TraceResponse
-from mitsuba_ref.reference.mitsuba_process import send_request
-from mitsuba_ref.reference.rendering import reference_names, trace_request
+from mitsuba_ref.reference.messages import Crash
+from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
 
 CANDIDATE, EXACT = "candidate", "exact"
 WIDEST_NAME = 27  # characters, of Mitsuba's LLVM variant with its default mode
@@ -56,26 +54,27 @@ def witness_answers(judge: Judge, answer: ExactAnswer | None) -> tuple[WitnessAn
     return tuple(rows)
 
 
-def mitsuba_answers(judge: Judge) -> list[tuple[str, TraceResponse | Crash | str]]:
+def mitsuba_answers(judge: Judge) -> list[tuple[str, ReferenceResult | Crash | str]]:
     """Answers by variant with its mode, the judge's own among them; each variant runs in its own process."""
-    result, works, rays = judge.result, variants.usable_variants().names, judge.pair.rays
-    given, tried = result.answer.versions["variant"], dict.fromkeys(variants.VARIANT_NAMES)
-    with ScratchFolder() as folder:
+    result, given = judge.result, judge.result.answer.versions["variant"]
+    works = {*variants.usable_variants().names, given}
 
-        def ask(variant: str, mode: str) -> TraceResponse | Crash | str:
-            if (variant, MODES[mode]) == (given, result.robust):
-                return result.answer
-            if variant not in (*works, given):
-                return MISSING
-            place = Path(folder) / f"{variant}-{mode}"
-            about = judge.scene, judge.model, rays, place, variant
-            return send_request(trace_request(*about, lights=False, robust=MODES[mode]))
+    def ask(variant: str) -> list[tuple[str, ReferenceResult | Crash | str]]:
+        answers: dict[str, ReferenceResult | Crash | str] = {}
+        for mode, robust in MODES.items():
+            if (variant, robust) == (given, result.robust):
+                answers[mode] = result
+            elif variant in works:
+                rays = judge.pair.rays
+                answers[mode] = trace_reference(
+                    judge.scene, judge.model, rays, variant=variant, lights=False, robust=robust
+                )
+            else:
+                answers[mode] = MISSING
+        return [(f"{variant} {mode}", answer) for mode, answer in answers.items()]
 
-        with ThreadPoolExecutor() as pool:
-            found = pool.map(
-                lambda name: [(f"{name} {mode}", ask(name, mode)) for mode in MODES], tried | {given: None}
-            )
-            return [answer for answers in found for answer in answers]
+    with ThreadPoolExecutor() as pool:
+        return list(chain.from_iterable(pool.map(ask, dict.fromkeys((*variants.VARIANT_NAMES, given)))))
 
 
 def surface_of(judge: Judge, prim: int) -> tuple[str, int]:
@@ -86,19 +85,14 @@ def surface_of(judge: Judge, prim: int) -> tuple[str, int]:
     return judge.scene.shape_names()[int(packed.shape_of(which)[0])], int(packed.index_in_shape(which)[0])
 
 
-def _of_mitsuba(who: str, found: TraceResponse | Crash | str, judge: Judge, exact: ExactAnswer | None) -> WitnessAnswer:
-    if not isinstance(found, TraceResponse):
+def _of_mitsuba(
+    who: str, found: ReferenceResult | Crash | str, judge: Judge, exact: ExactAnswer | None
+) -> WitnessAnswer:
+    if not isinstance(found, ReferenceResult):
         problem = found if isinstance(found, str) else f"no answer ({found.exit}): {found.headline}"
         return WitnessAnswer(who, problem=problem)
-    shape = int(found.shape[0])
-    if shape < 0:
-        return compared_with_exact((who, "miss", -1, np.inf), judge, exact, np.float32)
-    place = list(reference_names(judge.scene)).index(found.names[shape])
-    first, last = (int(n) for n in judge.model.packed.first[place : place + 2])
-    prim = int(found.prim[0])
-    prim = prim if first + prim < last else 0  # a stand-in counts its triangles by itself
-    claimed = who, judge.scene.shape_names()[place], prim, float(found.t[0])
-    return compared_with_exact(claimed, judge, exact, np.float32)
+    surface = surface_of(judge, int(reference_prims(found, judge.model)[0]))
+    return compared_with_exact((who, *surface, float(found.t[0])), judge, exact, np.float32)
 
 
 def compared_with_exact(
@@ -172,12 +166,3 @@ def _error_text(each: WitnessAnswer) -> str:
 def _is_loose(each: WitnessAnswer) -> bool:
     """Whether t is right only because its bound is loose."""
     return bool(each.right and each.off and abs(each.off) > DISTINCT_RTOL * abs(each.t))
-
-
-def witness_record(each: WitnessAnswer) -> dict[str, Any]:
-    """For JSON: t is null on a miss, and only a candidate has `normal_share` and `remark`."""
-    there = bool(np.isfinite(each.t))
-    claimed = dict(vars(each))
-    if each.who != CANDIDATE:
-        del claimed["normal_share"], claimed["remark"]
-    return claimed | {"t": each.t if there else None, "t_hex": each.t.hex() if there else None}

@@ -95,6 +95,7 @@ def trace_reference(
     *,
     variant: str | None = None,
     lights: bool = True,
+    robust: bool | None = None,
     mesh_files: Sequence[Path] = (),
     timeout: float = DEFAULT_TIMEOUT,
     send: SendRequest = send_request,
@@ -102,10 +103,10 @@ def trace_reference(
 ) -> ReferenceResult | Crash:
     """Trace these rays with Mitsuba, in the process that `send` reaches. A crash is a result, too.
 
-    mesh_files: also read by its own loader, for a check. leaving: (n, 3) directions in which
-    it is to spawn a ray at each hit.
+    robust: Embree's mode that keeps meshes closed; None: unless --as-in-file is given. mesh_files: also read by its own
+    loader, for a check. leaving: (n, 3) directions in which it is to spawn a ray at each hit.
     """
-    robust = not as_in_file()  # our scenes do not request it
+    robust = not as_in_file() if robust is None else robust  # our scenes do not request it
     with ScratchFolder() as folder:
         about = scene, model, rays, Path(folder), variant or variant_of(scene)
         request = trace_request(*about, lights=lights, robust=robust)

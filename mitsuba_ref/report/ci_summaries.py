@@ -1,6 +1,5 @@
 """A verdict for continuous integration: Markdown for the summary page of a step, and JUnit XML for servers."""
 
-import html
 import os
 import re
 from collections.abc import Sequence
@@ -10,7 +9,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from caster.system.atomic_files import append_text
 from caster.system.terminal import printable
-from mitsuba_ref.judge.verdict import CLASSES, SceneVerdict, Verdict
+from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.report.reproducers import replay
 from mitsuba_ref.report.verdict_text import (
     COLUMNS,
@@ -21,6 +20,8 @@ from mitsuba_ref.report.verdict_text import (
     outcome_text,
     row_cells,
     summary_lines,
+    table_head,
+    table_row,
 )
 from mitsuba_ref.scene_xml.elements import XmlElement
 
@@ -44,7 +45,7 @@ def append(path: str | os.PathLike[str], verdict: Verdict, seconds: float, limit
 
 
 def markdown(verdict: Verdict, seconds: float, limit: int = SUMMARY_LIMIT_BYTES) -> str:
-    """The verdict, failing scenes with their worst pixel and replay first; no longer than limit bytes of UTF-8."""
+    """The verdict, failing scenes with their worst pixel and replay first; at most `limit` bytes of UTF-8."""
     failing = failing_scenes(verdict.scenes)
     passing = [scene for scene in verdict.scenes if scene.ok]
     failing_head, passing_head = _table_head("failure", "replay"), _table_head()
@@ -53,7 +54,6 @@ def markdown(verdict: Verdict, seconds: float, limit: int = SUMMARY_LIMIT_BYTES)
     sections = [  # what it lists, the text before, the items, and the text after
         ("failing scenes", failing_head, map(_failing_row, failing), "\n"),
         ("scenes not judged", not_judged_head, (f"- {escaped(name)}\n" for name in verdict.not_judged), "\n"),
-        ("texts of failing scenes", "", map(_failing_text, failing), ""),
         ("scenes that pass", folded + passing_head, (_table_row(_cells(scene)) for scene in passing), "\n</details>\n"),
     ]
     text, left_out = _head(verdict, seconds), []
@@ -104,23 +104,11 @@ def _failing_row(scene: SceneVerdict) -> str:
 
 
 MAX_FAILURE_CHARACTERS = 200  # of a row
-SCENE_TEXT_LIMIT_BYTES = 16384  # of one scene: the output of Mitsuba may be long
-
-
-def _failing_text(scene: SceneVerdict) -> str:
-    """The text for the terminal, folded. Within <pre>, only HTML's own characters need escapes."""
-    words = html.escape(printable(failure_text(scene)))
-    words = words.encode()[:SCENE_TEXT_LIMIT_BYTES].decode(errors="ignore")
-    return f"<details><summary>{html.escape(one_line(scene.name))}</summary>\n\n<pre>\n{words}\n</pre>\n</details>\n\n"
-
-
-def one_line(text: str) -> str:
-    return printable(text, keep="")
 
 
 def escaped(text: str) -> str:
     """One line that Markdown and HTML show unchanged: special characters become numeric references."""
-    return "".join(c if PLAIN.match(c) else f"&#{ord(c)};" for c in one_line(text))
+    return "".join(c if PLAIN.match(c) else f"&#{ord(c)};" for c in printable(text, keep=""))
 
 
 # ---- JUnit XML ----
@@ -133,57 +121,55 @@ def junit(verdict: Verdict) -> str:
 
     A missing answer is an error, and so is a scene that was requested and not judged.
     """
-    failed = failing_scenes(verdict.scenes)
-    errors = sum(bool(scene.problem) for scene in failed) + len(verdict.not_judged)
-    broken = [check for check in verdict.checks if not check.ok]
-    counts = {
-        "tests": str(len(verdict.scenes) + len(verdict.not_judged) + len(broken)),
-        "failures": str(sum(not scene.problem for scene in failed) + len(broken)),
-        "errors": str(errors),
-        "skipped": str(sum(bool(scene.waived) for scene in verdict.scenes)),
-        "time": f"{sum(spent(scene) for scene in verdict.scenes):.3f}",
-    }
-    top = Element("testsuites", {"name": NAME, **counts})
-    suite = SubElement(top, "testsuite", {"name": NAME, **counts})
+    top = Element("testsuites", name=NAME)
+    suite = SubElement(top, "testsuite", name=NAME)
     about = {"shard": verdict.shard, "candidate": printable(verdict.candidate)}
     if any(about.values()):
         properties = SubElement(suite, "properties")
         for name, value in about.items():
             if value:
                 SubElement(properties, "property", name=name, value=value)
-    for check in broken:
-        case = SubElement(suite, "testcase", classname="candidate", name=check.name, time="0.000")
-        SubElement(case, "failure", message=printable(check.what), type=check.name).text = printable(check.what)
+    for check in verdict.checks:
+        if not check.ok:
+            add_case(suite, "candidate", check.name, "failure", check.what, check.name)
     for scene in verdict.scenes:
-        add_case(suite, scene)
+        add_scene(suite, scene)
     for name in verdict.not_judged:
-        case = SubElement(suite, "testcase", classname="scenes", name=printable(name), time="0.000")
-        words = f"{name}: not judged: the run ended earlier"
-        SubElement(case, "error", message=printable(words), type="not_judged").text = printable(words)
+        add_case(suite, "scenes", name, "error", f"{name}: not judged: the run ended earlier", "not_judged")
+    for counted, tag in (("tests", "testcase"), ("failures", "failure"), ("errors", "error"), ("skipped", "skipped")):
+        for element in (top, suite):
+            element.set(counted, str(len(list(suite.iter(tag)))))
+    for element in (top, suite):
+        element.set("time", f"{sum(spent(scene) for scene in verdict.scenes):.3f}")
     indent(top)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + tostring(top, encoding="unicode") + "\n"
 
 
-def add_case(suite: XmlElement, scene: SceneVerdict) -> None:
-    """Add a scene. GitLab and others read the place of a test from `file`."""
-    about = {"classname": class_name(scene), "name": printable(scene.name), "time": f"{spent(scene):.3f}"}
-    if scene.path:
-        about["file"] = printable(scene.path)
-    case = SubElement(suite, "testcase", about)
-    if not scene.ok:
-        text = printable(failure_text(scene))
-        waived = f"{WAIVER_WORDS[scene.waived]}: " if scene.waived else ""
-        kind = {"message": waived + text.splitlines()[0]} | ({} if waived else {"type": what_fails(scene)})
-        tag = "skipped" if waived else "error" if scene.problem else "failure"
-        SubElement(case, tag, kind).text = text
-    counts = " ".join(f"{name}={scene.counts[name]}" for name in CLASSES)
-    judged = f"candidate={scene.candidate} " if scene.candidate else ""
-    covered = f"{scene.coverage.brief} " if scene.coverage and scene.coverage.partial else ""
-    kept = "kept from an earlier run, not judged now; " if scene.kept else ""
-    SubElement(case, "system-out").text = printable(
-        f"{kept}{judged}{covered}hit={scene.hit_pixels} {counts} adjudicated={scene.adjudicated} cases={scene.cases} "
-        f"{scene.versions}{' (answered in an earlier run)' if scene.reference_stored else ''}"
-    )
+def add_case(
+    suite: XmlElement, folder: str, name: str, outcome: str = "", text: str = "", kind: str = "", **more: str
+) -> XmlElement:
+    """Add a test case. outcome: failure, error or skipped, with its text and kind; "" for one that passes."""
+    case = SubElement(suite, "testcase", {"classname": folder, "name": printable(name), "time": "0.000"} | more)
+    if outcome:
+        text = printable(text)
+        kinds = {"type": kind} if kind else {}
+        SubElement(case, outcome, {"message": text.partition("\n")[0]} | kinds).text = text
+    return case
+
+
+def add_scene(suite: XmlElement, scene: SceneVerdict) -> None:
+    """Add a scene, with its row of the table. GitLab and others read the place of a test from `file`."""
+    outcome: tuple[str, ...] = ()
+    if scene.waived:
+        outcome = "skipped", f"{WAIVER_WORDS[scene.waived]}: {failure_text(scene)}"
+    elif scene.problem:
+        outcome = "error", failure_text(scene), "no_answer"
+    elif not scene.ok:
+        outcome = "failure", failure_text(scene), scene.failures[0].verdict if scene.failures else "check"
+    more = {"time": f"{spent(scene):.3f}"} | ({"file": printable(scene.path)} if scene.path else {})
+    case = add_case(suite, class_name(scene), scene.name, *outcome, **more)
+    width = len(printable(scene.name, keep=""))
+    SubElement(case, "system-out").text = printable(f"{table_head(width)}\n{table_row(scene, width)}")
 
 
 def spent(scene: SceneVerdict) -> float:
@@ -195,12 +181,3 @@ def class_name(scene: SceneVerdict) -> str:
     """The scene's folder with dots, such as tests.renders, by which servers group."""
     parts = [part for part in PurePath(scene.path).parent.parts if part not in ("/", ".", "..")]
     return printable(".".join(part.replace(".", "-") for part in parts[-2:])) or "scenes"
-
-
-def what_fails(scene: SceneVerdict) -> str:
-    """The kind of failure in one word."""
-    if scene.problem:
-        return "no_answer"
-    if scene.failures:
-        return scene.failures[0].verdict
-    return "check" if not scene.checks_pass else "no_evidence"

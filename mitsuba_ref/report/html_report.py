@@ -8,16 +8,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
 from importlib import resources
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from urllib.parse import quote
-
-import numpy as np
 
 from caster import __version__
 from caster.description.input_files import opened_input
@@ -29,8 +27,7 @@ from mitsuba_ref.judge.verdict import CLASSES, UNLISTED, SceneVerdict, Verdict, 
 from mitsuba_ref.reference.store import machine
 from mitsuba_ref.report.evidence import CLASS_COLORS, UNLISTED_COLOR
 from mitsuba_ref.report.reproducers import replay, replay_around
-from mitsuba_ref.report.results import plural
-from mitsuba_ref.report.scene_record import CODES, SIDES, SceneRecord, image, packed, scene_record
+from mitsuba_ref.report.scene_record import CODES, SceneRecord, scene_record
 from mitsuba_ref.report.verdict_text import (
     counts_shown,
     failing_checks,
@@ -43,8 +40,6 @@ from mitsuba_ref.report.verdict_text import (
 MAX_PIXELS = 1 << 21  # of a window that a page shows, each of which takes a third of a kB in the browser
 SECONDS_BETWEEN_WRITES = 2.0  # of the list, during a run
 GIT_SECONDS = 5.0  # that git may take to name the commit
-
-RECORD_HEAD = "ray_reference_scene("  # what the file of a scene begins with
 
 
 class HtmlReport:
@@ -101,11 +96,6 @@ class HtmlReport:
         took = max([time.monotonic() - self._started, *(scene.seconds for scene in verdict.scenes if not scene.kept)])
         return [*self._about, ("duration", f"{took:.1f} s"), *(("reference", words) for words in verdict.versions)]
 
-    def sweep(self, spared: Collection[str] = ()) -> str:
-        """Remove scenes of earlier reports that this page does not list, except `spared`; a line on their number."""
-        obsolete = remove_records(self.data, {*self.thumbnails, *spared})
-        return f"{self.index.parent}: removed {plural(obsolete, 'scene')} of an earlier report" if obsolete else ""
-
 
 def report_folder(path: str | Path) -> tuple[Path, Path]:
     """The page of a report and its folder of data, which is made. Raises OutputError."""
@@ -120,7 +110,7 @@ def report_folder(path: str | Path) -> tuple[Path, Path]:
 def write_record(data: Path, name: str, parts: Mapping[str, Any]) -> None:
     """Write the record of a scene as a script that passes it to the page. Raises OutputError."""
     inside = ",\n".join(f"{script_json(part)}:{script_json(value)}" for part, value in parts.items())
-    write_text(data / file_of(name), f"{RECORD_HEAD}{script_json(name)},{{\n{inside}\n}});\n")
+    write_text(data / file_of(name), f"ray_reference_scene({script_json(name)},{{\n{inside}\n}});\n")
 
 
 def run_facts() -> list[tuple[str, str]]:
@@ -152,20 +142,6 @@ def refuse_page_of_others(index: Path) -> None:
         start = file.read(4096)
     if b"<title>ray-reference" not in start:
         raise OutputError(f"{index}: exists, and is no report of validate; choose another folder")
-
-
-def remove_records(data: Path, spared: Collection[str]) -> int:
-    """Remove the records of all scenes but some; the number of them. Files of others stay."""
-    obsolete = [path for path in data.glob("*.js") if path.name not in map(file_of, spared) and is_record(path)]
-    for path in obsolete:
-        path.unlink(missing_ok=True)
-    return len(obsolete)
-
-
-def is_record(path: Path) -> bool:
-    """Whether a file was written by a report."""
-    with path.open(encoding="utf-8", errors="replace") as file:
-        return file.read(len(RECORD_HEAD)) == RECORD_HEAD
 
 
 def page_record(verdict: SceneVerdict) -> SceneRecord | None:
@@ -246,50 +222,3 @@ def index_row(verdict: SceneVerdict, thumbnail: str | None) -> dict[str, Any]:
         "bounce": verdict.bounce,
         "view": verdict.view,
     }
-
-
-# ---- two images without a judge ----
-
-
-class ImagePair(NamedTuple):
-    """Two images of one size."""
-
-    names: tuple[str, str]  # captions
-    size: tuple[int, int]  # width, height
-    layers: Mapping[str, tuple[np.ndarray, np.ndarray]]  # both sides, (h, w) or (h, w, c <= 4) floats
-    origin: tuple[int, int] = (0, 0)  # of the pixels, on the film
-    hit: tuple[np.ndarray, np.ndarray] | None = None  # (h, w) bool of both sides; None: every pixel
-    ratios: Mapping[str, np.ndarray] | None = None  # layer -> (h, w) error over bound, where there are bounds
-
-
-PAIR = "images"  # the name of their record
-
-
-def write_comparison(
-    path: str | Path, pair: ImagePair, facts: Sequence[tuple[str, str]], *, ok: bool, text: str
-) -> Path:
-    """Write a page with two images, stored without loss; the file to open. Raises OutputError.
-
-    facts: numbers about both, as information. text: the result in words.
-    """
-    index, data = report_folder(path)
-    (width, height), (x0, y0), count = pair.size, pair.origin, pair.size[0] * pair.size[1]
-    parts: dict[str, Any] = {}
-    for layer, sides in pair.layers.items():
-        parts[layer] = {side: packed(each.reshape(count, -1)) for side, each in zip(SIDES, sides, strict=False)}
-        if pair.ratios and layer in pair.ratios:
-            parts[layer]["ratio"] = packed(pair.ratios[layer].ravel())
-    about: dict[str, Any] = {
-        "window": [x0, y0, x0 + width, y0 + height],
-        "layers": {layer: sides[0].size // count for layer, sides in pair.layers.items()},
-        "facts": facts,
-        "text": text,
-    }
-    if pair.hit is not None:
-        about["hit"] = image(pair.hit[0].ravel() + 2 * pair.hit[1].ravel(), (height, width))
-    write_record(data, PAIR, {"about": about, **parts})
-    mark = "PASS" if ok else "FAIL"
-    row = index_row(SceneVerdict(PAIR, ""), "") | {"ok": ok, "mark": mark, "failure": ""}
-    run = {"names": pair.names, "facts": run_facts(), "summary": mark, "requested": 1}
-    write_page(index, run | page_words(), [row])
-    return index

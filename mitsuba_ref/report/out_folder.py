@@ -1,8 +1,7 @@
-"""The folder of --out: verdict.json, images and reproducers; obsolete files of earlier runs are removed."""
+"""The folder of --out: verdict.json, images and reproducers; obsolete files of the judged scenes are removed."""
 
 import hashlib
 import json
-from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from caster.description.errors import SceneError
 from caster.description.input_files import read_text
 from caster.system.atomic_files import OutputError, check_folder, write_text
 from mitsuba_ref.judge.verdict import FileRecord, SceneVerdict, Verdict
+from mitsuba_ref.report.results import plural
 
 IMAGES = ("ours", "reference", "verdict")
 VERDICT = "verdict.json"
@@ -51,37 +51,28 @@ class OutFolder:
     """The folder of --out during a run. Raises OutputError if it cannot be written."""
 
     def __init__(self, folder: Path) -> None:
+        """Removes the verdict of an earlier run, so that a killed run leaves none."""
         self.folder = check_folder(folder)
         self.earlier = dict(self._listed())  # scene -> its files, by the verdict.json of an earlier run
+        _remove(self.folder / VERDICT)
 
     def _listed(self) -> Any:
         with suppress(SceneError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
             for scene in json.loads(read_text(self.folder / VERDICT, "verdict"))["scenes"]:
                 yield scene["name"], {name: FileRecord(**record) for name, record in scene["files"].items()}
 
-    def begin(self) -> None:
-        """Remove the verdict of an earlier run, so that a killed run leaves none."""
-        _remove(self.folder / VERDICT)
-
-    def finish(self, verdict: Verdict, selected: Collection[str] | None) -> str:
-        """Write verdict.json and remove obsolete files of the earlier run; a sentence on their number.
-
-        Scenes that are not judged yet keep their files, and altered files stay. selected: names of the scenes of all
-        shards; None for a run of single scenes, which leaves others alone.
-        """
+    def finish(self, verdict: Verdict) -> str:
+        """Write verdict.json and remove obsolete files of the judged scenes, such as reproducers of pixels that are no
+        longer wrong; a sentence on their number. Files of other scenes and altered files stay."""
         write_text(self.folder / VERDICT, verdict_json(verdict))
-        judged = {scene.name: scene.files for scene in verdict.scenes}
         removed = 0
-        for scene, files in self.earlier.items():
-            if scene not in judged and (selected is None or scene in selected):
-                continue
-            for name in files.keys() - judged.get(scene, {}).keys():
-                if name == Path(name).name and record_of(self.folder / name) == files[name]:
-                    _remove(self.folder / name)
+        for scene in verdict.scenes:
+            for name, written in self.earlier.get(scene.name, {}).items():
+                path = self.folder / name
+                if name not in scene.files and name == path.name and record_of(path) == written:
+                    _remove(path)
                     removed += 1
-        plural = "file" if removed == 1 else "files"
-        words = f"{self.folder}: removed {removed} {plural} that an earlier run wrote and this one did not"
-        return words if removed else ""
+        return f"{self.folder}: removed {plural(removed, 'file')} of an earlier run, now obsolete" if removed else ""
 
 
 def _remove(path: Path) -> None:

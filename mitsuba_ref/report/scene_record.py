@@ -20,7 +20,6 @@ from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement
 from mitsuba_ref.judge.explanations import constant_reasons, format_exact, reason
 from mitsuba_ref.judge.pipeline import Seen
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, REFERENCE_WRONG, WRONG
-from mitsuba_ref.report.evidence import EDGE_UNITS, film_edges
 
 Part = dict[str, Any]
 Shape = tuple[int, int]  # height, width
@@ -161,7 +160,6 @@ def scene_record(seen: Seen) -> SceneRecord:
             }
     if "normal" in layers and layers["normal"] == layers.get("shading_normal"):
         layers["shading_normal"] = {"same": "normal"}
-    layers["edges"] = {"segments": packed(film_edges(judge, judgement)), "units": EDGE_UNITS}
     return SceneRecord(about, layers, thumbnail(ours))
 
 

@@ -34,7 +34,6 @@ class Validation(Verdict):
         for verdict in self.scenes:
             report.add(report.keep(verdict))
         report.write()
-        report.sweep()
         return report.index
 
     def __str__(self) -> str:

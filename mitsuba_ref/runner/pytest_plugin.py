@@ -122,7 +122,6 @@ class Report:
         else:
             self.written.requested = len(self.written.verdicts)
             self.written.write()
-            self.written.sweep()
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any) -> None:

@@ -1,7 +1,7 @@
 """One run of `mitsuba-ref validate`: the scenes of a shard, waived failures, and the files it writes."""
 
 import json
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -37,7 +37,6 @@ class RunOptions:
     expected: "ExpectedFailures | None" = None  # known failures, by which the run does not fail
     skip_unsupported: bool = False  # nor by scenes that the candidate declines
     min_scenes: int = 0  # that have to be judged for the run to pass
-    whole_folders: bool = False  # every scene of the folders was selected: files of other scenes are obsolete
 
 
 class ValidationRun:
@@ -101,17 +100,13 @@ class ValidationRun:
     def _identity(self) -> dict[str, Any]:
         return run_identity(self.every, self.options.shard)
 
-    def finish(self) -> Iterator[str]:
-        """Write verdict.json and the report; yields what was removed of earlier runs. Raises OutputError."""
-        verdict = self.verdict()
+    def finish(self) -> str:
+        """Write verdict.json and the report; what was removed of an earlier run. Raises OutputError."""
         try:
-            if self.out:
-                selected = tuple(entry.name for entry in self.every) if self.options.whole_folders else None
-                yield self.out.finish(verdict, selected)
+            return self.out.finish(self.verdict()) if self.out else ""
         finally:
             if self.html:
                 self.html.write()
-                yield self.html.sweep(verdict.not_judged)
 
 
 # ---- known failures ----

@@ -275,7 +275,6 @@ def test_last_bits_of_another_processor_are_named_and_no_change(here, capsys, re
         ("depth.Z", lambda plane, hit: np.where(hit, plane * (1 + 2.0**-16), plane), {}),
         ("normal.X", lambda plane, hit: np.where(hit, plane * (1 + 2.0**-9), plane), {}),
         ("R", lambda plane, hit: np.where(hit, plane * (1 + 2.0**-9), plane), {}),
-        ("R", lambda plane, hit: np.where(hit, plane, 2.0**-149), {}),
         ("A", lambda plane, hit: np.zeros_like(plane), {}),
         ("id.shape", lambda plane, hit: plane + 1, {}),
         ("depth.Z", one_bit_off, {"caster/reference/mitsuba": "3.9.0"}),

@@ -84,7 +84,7 @@ def test_a_factor_on_t_is_reported_in_ulps_and_in_units_of_the_bound(at):
     assert found.witness.off == pytest.approx(1e-4 * t)
     assert found.witness.ulps == pytest.approx(1e-4 * t / np.spacing(t), rel=1e-3)
     assert re.search(r"beyond its bound: t [\d.]+e\+\d+x\n", found.why) and "normal" not in found.why
-    assert found.says["t_hex"] == found.says["t"].hex() and not found.witness.right
+    assert not found.witness.right
 
 
 def test_a_normal_that_is_wrong_is_named_with_its_factor(at):

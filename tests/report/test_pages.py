@@ -8,9 +8,10 @@ import numpy as np
 import planted
 from test_records import unpacked
 
+from caster.image.exr import write_exr
 from mitsuba_ref.error_model.bounds import aov_rows
+from mitsuba_ref.exr_compare.two_files import compare_exr
 from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED, KindBias, SceneCheck
-from mitsuba_ref.report.html_report import ImagePair, write_comparison
 from mitsuba_ref.report.scene_record import scene_record
 from mitsuba_ref.report.validation import Validation
 
@@ -303,13 +304,15 @@ def test_two_images_without_a_judge_have_the_same_viewer(visit, tmp_path):
     other = ours.copy()
     other[5:7, 8:10] += 0.25
     other[2, 3, 0] = np.nan
-    pair = ImagePair(("a.exr", "b <1>.exr"), (16, 12), {"beauty": (ours, other), "depth": (x + 1, x + 1)})
-    facts = [("MSE", "0.00123"), ("FLIP", "0.04")]
-    opened = visit(write_comparison(tmp_path / "report", pair, facts, ok=False, text="FAIL  beauty: 4 pixels differ"))
+    files = [tmp_path / name for name in ("a.exr", "b <1>.exr")]
+    for file, colors in zip(files, (ours, other), strict=True):
+        write_exr(file, {f"beauty.{c}": colors[..., i] for i, c in enumerate("RGB")} | {"level": x + 1})
+    compare_exr(*files, html=tmp_path / "report")
+    opened = visit(tmp_path / "report/index.html")
     page = opened.page
     page.wait_for_selector("#summary >> text=FLIP")
-    assert "0.00123" in page.inner_text("#summary") and "4 pixels differ" in page.inner_text("#summary")
-    assert page.locator("[data-layer]").all_inner_texts() == ["1\nbeauty", "2\ndepth"]
+    assert "largest difference" in page.inner_text("#summary") and "beyond their bound" in page.inner_text("#summary")
+    assert page.locator("[data-layer]").all_inner_texts() == ["1\nbeauty.RGB", "2\nlevel"]
     assert not page.locator("[data-view=class]").is_visible() and not page.locator("[data-do=back]").is_visible()
     page.keyboard.press("n")
     page.wait_for_selector("#pixel .xy")
@@ -319,10 +322,10 @@ def test_two_images_without_a_judge_have_the_same_viewer(visit, tmp_path):
         page.keyboard.press(".")
         page.wait_for_timeout(60)
     assert seen == {"3, 2", "8, 5", "9, 5", "8, 6", "9, 6"}
-    page.evaluate("location.hash = '#x=8&y=5&a=beauty'")
+    page.evaluate("location.hash = '#x=8&y=5&a=beauty.RGB'")
     page.wait_for_selector("#pixel .xy:text-is('8, 5')")
     expected = [float(value).hex() for value in np.column_stack([ours[5, 8], other[5, 8]]).ravel()]
-    assert NUMBERS.findall(section(page, "beauty").inner_text()) == expected
+    assert NUMBERS.findall(section(page, "beauty.RGB").inner_text()) == expected
     assert "b <1>.exr" in page.inner_text("#views")
     page.keyboard.press("Escape")
     page.keyboard.press("Escape")

@@ -8,10 +8,7 @@ import planted
 import pytest
 import textbook_pages
 
-import caster
-from mitsuba_ref.cameras import reference_of_camera
 from mitsuba_ref.judge.verdict import UNLISTED
-from mitsuba_ref.report.evidence import EDGE_UNITS, film_edges, project_points
 from mitsuba_ref.report.html_report import index_row
 from mitsuba_ref.report.scene_record import (
     ENTIRE,
@@ -48,11 +45,11 @@ def unpacked(array):
 
 
 def test_a_record_has_what_the_candidate_gives_and_no_more(judged):
-    assert set(scene_record(judged["inside"].seen).layers) == {"ids", "depth", "normal", "edges"}
-    assert set(scene_record(judged["single"].seen).layers) == {"ids", "depth", "edges"}
+    assert set(scene_record(judged["inside"].seen).layers) == {"ids", "depth", "normal"}
+    assert set(scene_record(judged["single"].seen).layers) == {"ids", "depth"}
     ids = scene_record(judged["inside"].seen).layers["ids"]
     assert set(ids) == {"shape_reference", "prim_reference", "exact"}
-    assert set(scene_record(judged["inside"].seen).layers) < {"ids", *FLOAT_LAYERS, "edges"}
+    assert set(scene_record(judged["inside"].seen).layers) < {"ids", *FLOAT_LAYERS}
     assert judged["single"].unjudged == ("normal", "position", "shading_normal", "uv", "shape_id", "diffuse")
 
 
@@ -146,37 +143,3 @@ def test_errors_keep_their_sign_and_their_size_within_the_root_of_2():
     large = np.abs(error) > 2.0 * unit
     assert large.sum() > 2500 and np.all(np.abs(np.log2(told[large] / error[large])) < 0.501)
     assert not error_codes(np.zeros((9, 3)))[1].any() and error_codes(np.array([[5e-324], [1.0]]))[1].tolist()[0] >= 0
-
-
-# ---- projected edges
-
-VIEW = {"eye": (1, 2, 5), "look_at": (0.3, 0, 0)}
-STRAIGHT = {
-    "pinhole": caster.Pinhole(**VIEW, fov=50.0),
-    "shifted": caster.Pinhole(**VIEW, principal_point=(0.2, -0.1)),
-    "upside down": caster.Pinhole(**VIEW, up=(0, -1, 0.3), fov=100.0),
-    "orthographic": caster.Orthographic(**VIEW, width=3.0),
-}
-
-
-@pytest.mark.parametrize("camera", STRAIGHT.values(), ids=STRAIGHT)
-def test_a_point_on_a_ray_is_projected_to_the_centre_of_its_pixel(camera):
-    film = caster.Film(width=20, height=14)
-    scene = caster.Scene(camera=camera, film=film, shapes=[caster.Sphere()])
-    y, x = np.mgrid[0:14, 0:20].reshape(2, -1) + 0.5
-    rays = reference_of_camera(camera).rays(camera, film, x, y)
-    points = rays.o + np.linspace(0.5, 70.0, len(x))[:, None] * rays.d
-    assert np.abs(project_points(scene, points) - np.column_stack([x, y])).max() < 1e-9
-    behind = project_points(scene, rays.o - 9.0 * rays.d)
-    assert np.isnan(behind).all() == (camera.type != "orthographic")
-
-
-def test_edges_of_the_triangles_that_are_hit_are_drawn():
-    cube = caster.Scene(film=caster.Film(width=24, height=20), shapes=[caster.Cube()], camera=STRAIGHT["pinhole"])
-    verdict = planted.judged_candidate("cube", lambda scene, o, d: (np.full(len(o), np.inf), None), cube)
-    judge, judgement = verdict.seen.judge, verdict.seen.judgement
-    hit = np.unique(judge.reference_prim[judge.reference_prim >= 0])
-    edges = film_edges(judge, judgement)
-    assert len(hit) == 4 and edges.shape == (10, 4)
-    corners = project_points(cube, judge.model.packed.kinds[0].prims.vertices)
-    assert np.abs(edges.reshape(-1, 1, 2) / EDGE_UNITS - corners).max(axis=2).min(axis=1).max() <= 0.5 / EDGE_UNITS

@@ -24,10 +24,9 @@ def test_the_verdict_comes_first_then_what_fails_with_its_replay_and_what_passes
     assert cells[:6] == ["bad", "100", "99", "0.25", "1.2", "1 wrong"]
     failure = "depth: 1 wrong of 100 hit pixels, worst 41x its bound at (3, 4)"
     assert cells[6:] == [failure, "<code>mitsuba-ref probe scenes/bad.toml 3 4</code>"]
-    assert text.index("| bad ") < text.index("<details><summary>bad</summary>") < text.index("| good ")
     assert text.index("<details><summary>1 scenes pass</summary>") < text.index("| good ")
-    assert "exact:     ball, prim 0 (inside)" in html.unescape(text)
-    assert text.count("<details>") == text.count("</details>") == 2
+    assert text.index("| bad ") < text.index("| good ")
+    assert text.count("<details>") == text.count("</details>") == 1
 
 
 def test_a_run_that_judged_a_candidate_or_was_about_to_names_it_and_never_ours():
@@ -57,23 +56,21 @@ def test_any_name_stays_in_its_cell_and_means_nothing(name, ok):
     assert not re.search(r"[|<>`*_\[\]\\]", cell)
     assert html.unescape(cell) == name.replace("\n", "\\u000a")
     tags = re.findall(r"</?(\w+)", text)
-    assert set(tags) <= {"code", "details", "summary", "pre"}
+    assert set(tags) <= {"code", "details", "summary"}
 
 
 def test_what_does_not_fit_is_left_out_and_counted():
     many = verdict(*(scene(f"bad-{i}", ok=False) for i in range(40)), *(scene(f"good-{i}") for i in range(400)))
     whole = markdown(many, 1.0)
     assert "Left out" not in whole and len(whole) < SUMMARY_LIMIT_BYTES
-    for limit in (4096, 16384, 40000):
+    for limit in (4096, 16384, 24000):
         text = markdown(many, 1.0, limit)
         assert 0 < len(text.encode()) <= limit
         rows = sum(line.startswith("| bad-") for line in text.splitlines())
-        texts = len(re.findall(r"<summary>bad-", text))
-        assert rows == 40 or not texts  # the rows come before the texts
         good = sum(line.startswith("| good-") for line in text.splitlines())
         said = text.rpartition("Left out, for the size that a summary may have: ")[2].strip()
-        for count, what in ((40 - rows, "failing scenes"), (40 - texts, "texts of failing scenes")):
-            assert (f"{count} {what}" in said) == (count > 0)
+        assert rows == 40 or good == 0  # failing ones come first
+        assert (f"{40 - rows} failing scenes" in said) == (rows < 40)
         assert f"{400 - good} scenes that pass" in said and said.endswith("verdict.json has all.")
 
 

@@ -6,11 +6,9 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from caster.image.exr import read_exr, write_exr
+from caster.image.exr import write_exr
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.exr_compare import comparison_page
 from mitsuba_ref.exr_compare import flip as flip_module
-from mitsuba_ref.exr_compare.pixel_bounds import ExrPair
 from mitsuba_ref.exr_compare.two_files import compare_exr
 
 HEIGHT, WIDTH = 6, 9
@@ -78,9 +76,7 @@ def test_values_that_are_not_finite_are_no_part_of_a_measure(tmp_path):
     other = channels | {"R": np.array([[1.5, 1.0], [2.0, 9.0]], np.float32)}
     for name, image in (("a", channels), ("b", other)):
         write_exr(tmp_path / f"{name}.exr", image)
-    pair = ExrPair.of(*(read_exr(tmp_path / f"{name}.exr") for name in "ab"), [*channels])
-    zero = {name: np.zeros((2, 2)) for name in channels}
-    found = dict(comparison_page.measures(pair, comparison_page.layers_of(pair, zero)))
+    found = dict(compare_exr(tmp_path / "a.exr", tmp_path / "b.exr", html=tmp_path / "page").measures)
     assert found["diffuse: mean squared error"] == f"{0.25 / 6:.3g}"  # of the two pixels that both hit, finite
     assert found["diffuse: largest difference"] == "0.5 at (0, 0)"
     assert found["diffuse: FLIP, mean"] == "not computed: a value is not finite"

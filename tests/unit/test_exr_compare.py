@@ -247,7 +247,6 @@ def test_two_images_that_hit_nothing_are_nothing_to_compare(tmp_path):
     empty = channels(flat > 0, flat, vectors, vectors, flat, flat)
     result = compared(tmp_path, empty, empty)
     assert result.exit_code == 5 and not result.ok and "EMPTY" in text(result)
-    assert result.differing_percent is None
     broken = copy(empty)
     broken["normal.X"][1, 2] = np.nan
     assert compared(tmp_path, broken, empty).exit_code == 1
@@ -291,7 +290,6 @@ def test_max_pixels_counts_each_pixel_once(tmp_path):
     ours["G"][INSIDE[0], INSIDE[1] + 1] = 5.0
     result = compared(tmp_path, ours, EXACT, Tolerances(max_pixels=1))
     assert result.exit_code == 1 and result.differing_pixels == 2
-    assert result.differing_percent == pytest.approx(200 / HIT.sum())
     passed = compared(tmp_path, ours, EXACT, Tolerances(max_pixels=2))
     assert passed.ok and "PASS  2 pixels differ, 2 may" in text(passed)
 

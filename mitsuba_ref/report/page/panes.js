@@ -83,7 +83,6 @@ class Pane {
     this.drawImage(left, 0, wiped);
     if (right) this.drawImage(right, wiped, this.width), this.handle(wiped);
     if (this.scale >= GRID_FROM) this.grid();
-    if (this.scale >= GRID_FROM && looking.record.edges) this.edges();
     if (this.scale >= NUMBERS_FROM && (left === "ours" || left === "reference")) this.numbers(left);
     if (this.scale < GRID_FROM) this.rings();
     this.cursor();
@@ -138,31 +137,6 @@ class Pane {
     for (let x = x0; x <= x1; x++) line(this.place(x, 0)[0], top, this.place(x, 0)[0], bottom);
     for (let y = y0; y <= y1; y++) line(left, this.place(0, y)[1], right, this.place(0, y)[1]);
     context.stroke();
-  }
-
-  /** Edges of triangles, and the points that rays go through, where the record has them. */
-  edges() {
-    const { context } = this, { edges } = looking.record, count = edges.length / 4;
-    const [x0, y0, x1, y1] = this.visible(), at = (i, c) => edges[c * count + i];
-    context.beginPath();
-    for (let i = 0; i < count; i++) {
-      const [ax, ay, bx, by] = [at(i, 0), at(i, 1), at(i, 2), at(i, 3)];
-      if (Math.max(ax, bx) < x0 || Math.min(ax, bx) > x1 || Math.max(ay, by) < y0 || Math.min(ay, by) > y1) continue;
-      context.moveTo(...this.place(ax, ay));
-      context.lineTo(...this.place(bx, by));
-    }
-    for (const [color, width] of [["rgba(0,0,0,0.7)", 3], ["#fff", 1.2]]) {
-      [context.strokeStyle, context.lineWidth] = [color, width];
-      context.stroke();
-    }
-    [context.strokeStyle, context.lineWidth, context.fillStyle] = ["rgba(0,0,0,0.8)", 1, "#fff"];
-    const radius = this.scale >= NUMBERS_FROM ? 3 : 1.5;
-    for (let y = y0; y < y1; y++) for (let x = x0; x < x1; x++) {
-      context.beginPath();
-      context.arc(...this.place(x + 0.5, y + 0.5), radius, 0, 2 * Math.PI);
-      context.fill();
-      context.stroke();
-    }
   }
 
   numbers(side) {

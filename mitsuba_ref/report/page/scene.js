@@ -96,10 +96,6 @@ async function inspectAll(record, mine) {
     if (mine !== turn) return;
     drawSoon();
   }
-  if (record.has("edges") && !record.edges) {
-    const { units } = record.part("edges");
-    record.edges = Float64Array.from(await record.array("edges", "segments"), (each) => each / units);
-  }
   await loadShares(record);
   if (mine !== turn) return;
   shownPixel = ""; // which may have more to show now
