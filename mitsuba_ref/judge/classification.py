@@ -72,11 +72,6 @@ MAX_KINDS_OF_SHAPES = 64  # pixels of each shape are sampled separately in scene
 RAYS_PER_BATCH = 1 << 14  # rays of a list whose possible intersections are in memory at once
 
 
-def pixel_checks(*, ours: bool) -> tuple[str, ...]:
-    """Names of all checks of a pixel of our caster, or of a candidate that gives every quantity."""
-    return (*CHECKS, "diffuse", EXACT) if ours else (*SURFACE_CHECKS, EXACT)
-
-
 @dataclass(frozen=True)
 class Judgement:
     """One row a pixel."""
