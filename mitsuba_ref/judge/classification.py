@@ -35,8 +35,6 @@ from mitsuba_ref.judge.adjudication import (
 )
 from mitsuba_ref.judge.checks.mesh_files import files_of, for_mitsuba
 from mitsuba_ref.judge.comparison import (
-    CHECKS,
-    SURFACE_CHECKS,
     ImagePair,
     PixelPairs,
     SelfCheck,
