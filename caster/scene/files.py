@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -18,11 +18,11 @@ from caster.description.registry import type_name
 from caster.description.transform import sine_and_cosine
 from caster.geometry.mesh_files import MESH_SUFFIXES, MeshFolders
 from caster.geometry.world_space import TriangleShape
-from caster.scene.model import Ambient, Diffuse, Directional, Film, Scene
+from caster.scene.model import Ambient, Diffuse, Directional, Scene
 from caster.shapes import SHAPES
 from caster.shapes.mesh import Mesh
 
-__all__ = ["film_pixels", "load_scene", "mesh_scene", "types_in_file", "validated"]
+__all__ = ["load_scene", "mesh_scene", "types_in_file", "validated"]
 
 
 def validated(data: Any, folders: MeshFolders) -> tuple[Scene | None, list[Diagnostic]]:
@@ -66,20 +66,6 @@ def _unchecked(path: str | PathLike[str]) -> dict[str, Any]:
     except (SceneError, MemoryError, RecursionError):
         return {}
     return data if isinstance(data, dict) else {}
-
-
-def film_pixels(path: str | PathLike[str], size: Sequence[int] | None = None) -> int:
-    """Pixels of the window of a scene file, without reading its meshes; 1 where the file has no valid film.
-
-    size: width and height of the film instead of the scene's own.
-    """
-    data = _unchecked(path)
-    try:
-        film = Film.model_validate(data.get("film") or {})
-        x0, y0, x1, y1 = (film.resized(*size) if size else film).window
-    except (SceneError, ValidationError):
-        return 1
-    return (x1 - x0) * (y1 - y0) if data else 1
 
 
 def types_in_file(path: str | PathLike[str]) -> frozenset[str]:

@@ -301,7 +301,7 @@ def add_validate_arguments(parser: argparse.ArgumentParser) -> None:
     add_selection(parser)
     add_opening(parser)
     add = adder(parser)
-    add("--shard", shard, "judge part I of N of the scenes, balanced by pixels", metavar="I/N")
+    add("--shard", shard, "judge part I of N of the scenes", metavar="I/N")
     help_ = "also test our caster beyond the judged films: other routes, scales, brute force; compiles more kernels"
     add("--thorough", bool, help_)
     add_bounces(add, "also judge reflected, refracted and shadow rays, to this depth")

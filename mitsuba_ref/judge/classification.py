@@ -34,8 +34,6 @@ from mitsuba_ref.judge.adjudication import (
 )
 from mitsuba_ref.judge.checks.mesh_files import files_of, for_mitsuba
 from mitsuba_ref.judge.comparison import (
-    CHECKS,
-    SURFACE_CHECKS,
     ImagePair,
     PixelPairs,
     SelfCheck,
@@ -69,11 +67,6 @@ WRONG_PIXELS_ADJUDICATED = 512
 MAX_KINDS_OF_SHAPES = 64  # pixels of each shape are sampled separately in scenes of at most so many shapes
 
 RAYS_PER_BATCH = 1 << 14  # rays of a list whose possible intersections are in memory at once
-
-
-def pixel_checks(*, ours: bool) -> tuple[str, ...]:
-    """Names of all checks of a pixel of our caster, or of a candidate that gives every quantity."""
-    return (*CHECKS, "diffuse", EXACT) if ours else (*SURFACE_CHECKS, EXACT)
 
 
 @dataclass(frozen=True)

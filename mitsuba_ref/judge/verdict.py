@@ -184,7 +184,7 @@ class SceneVerdict:
     command: str = "validate"  # the command that judged it: validate or judge
     bounce: int = 0  # of the rays that were judged; 0: rays of the camera, or of a list
     kinds: dict[str, dict[str, int]] = field(default_factory=dict)  # kind of secondary ray -> rays of each class
-    # of secondary rays: the camera's first pixel, x and y, and the rows of one view of its film; 0: there are no views
+    # of secondary rays: the camera's first pixel, x and y, and how many rows of the film are its view
     view: tuple[int, int, int] = (0, 0, 0)
     rays: tuple[int, int] = (0, 0)  # first and end of the rays judged of a list, which fill `size`; (0, 0): a film
     # the evidence, for the HTML report; None if it was not kept

@@ -8,9 +8,9 @@ import json
 import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,20 +23,48 @@ from mitsuba_ref.reference.subprocess_runner import (
     user_import_path,
 )
 
-# Field -> shape and dtype of its array. A size with a name is the same in all arrays.
-Layout = dict[str, tuple[tuple[int | str, ...], type]]
+# Of malformed bytes.
+MALFORMED_ERRORS = (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile)
 
-MALFORMED_ERRORS = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile)  # of malformed bytes
+
+def array(*shape: int | str, dtype: type = np.float32, optional: bool = False) -> Any:
+    """A field of a message that is an array; a size with a name is the same in all arrays of the message.
+
+    optional: empty if it is not given.
+    """
+    empty = [0 if isinstance(size, str) else size for size in shape]
+    default: dict[str, Any] = {"default_factory": lambda: np.zeros(empty, dtype)} if optional else {}
+    return field(metadata={"array": (shape, dtype)}, **default)
 
 
 class Message:
     """A record that is sent, with its arrays."""
 
-    LAYOUT: ClassVar[Layout] = {}
+    @classmethod
+    def arrays(cls) -> dict[str, tuple[tuple[int | str, ...], type]]:
+        """Shape and type of each array by its name."""
+        return {each.name: each.metadata["array"] for each in fields(cls) if each.metadata}  # type: ignore[arg-type]
 
     def to_bytes(self) -> bytes:
-        """The fields, equal for equal ones."""
-        return record_bytes(self)
+        """The fields, equal for equal ones. Paths become text."""
+        rest: dict[str, Any] = {"kind": type(self).__name__} | vars(self)
+        arrays = {name: rest.pop(name) for name in self.arrays()}
+        record = np.frombuffer(json.dumps(rest, default=str).encode(), np.uint8)
+        file = io.BytesIO()
+        np.savez(file, allow_pickle=False, record=record, **arrays)
+        return file.getvalue()
+
+
+def message_of(content: bytes) -> Any:
+    """The inverse of `to_bytes`. Raises ValueError for bytes that are cut short or malformed."""
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as found:
+            values = {name: found[name] for name in found.files}
+        record = json.loads(values.pop("record").tobytes())
+        kind = {each.__name__: each for each in Message.__subclasses__()}[record.pop("kind")]
+        return kind(**record, **values)
+    except MALFORMED_ERRORS as error:
+        raise ValueError(f"no whole answer: {type(error).__name__}: {error}") from error
 
 
 @dataclass(frozen=True)
@@ -54,7 +82,7 @@ class OpenRequest(Message):
 
     def response(self, content: bytes) -> "OpenResponse":
         """The response in a reply. Raises ValueError where it is cut short or malformed."""
-        response: OpenResponse = whole(OpenResponse, content)
+        response: OpenResponse = message_of(content)
         return response
 
 
@@ -62,17 +90,10 @@ class OpenRequest(Message):
 class OpenResponse(Message):
     """What Mitsuba holds of a file: unique shapes, where they are placed, the sensor's rays, lights."""
 
-    LAYOUT: ClassVar[Layout] = {
-        "numbers": (("numbers",), np.float32),  # rows of all shapes (reference/file_calls.py:_shape)
-        "faces": (("faces", 3), np.int32),
-        "texels": (("texels", 3), np.float32),  # of all bitmaps, row by row
-        "rays": (("pixels", 7), np.float32),  # o, d, t_max through the pixel centres of the crop, row by row
-    }
-
-    numbers: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
-    faces: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int32))
-    texels: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.float32))
-    rays: np.ndarray = field(default_factory=lambda: np.zeros((0, 7), np.float32))
+    numbers: np.ndarray = array("numbers", optional=True)  # rows of all shapes (reference/file_calls.py:_shape)
+    faces: np.ndarray = array("faces", 3, dtype=np.int32, optional=True)
+    texels: np.ndarray = array("texels", 3, optional=True)  # of all bitmaps, row by row
+    rays: np.ndarray = array("pixels", 7, optional=True)  # o, d, t_max through the crop's pixel centres, row by row
     shapes: Sequence[dict[str, Any]] = ()  # reference/file_calls.py:_shape
     placed: Sequence[Any] = ()  # Placements of reference/file_calls.py
     size: Sequence[int] = (1, 1)  # of the film
@@ -128,90 +149,48 @@ class Coverage:
 class TraceRequest(Message):
     """Rays through one exported scene, in the exact float32 values to trace; d need not be of unit length."""
 
-    LAYOUT: ClassVar[Layout] = {
-        "o": (("rays", 3), np.float32),
-        "d": (("rays", 3), np.float32),
-        "t_max": (("rays",), np.float32),
-        "leaving": (("origins", 3), np.float32),
-    }
-
-    xml: Path
+    xml: Path  # absolute, as mesh_files: the child runs in another folder
     variant: str  # scalar_rgb or llvm_ad_rgb
-    o: np.ndarray  # (n, 3) float32
-    d: np.ndarray  # (n, 3) float32
-    t_max: np.ndarray  # (n,) float32, lengths of d; inf is no limit
+    o: np.ndarray = array("rays", 3)
+    d: np.ndarray = array("rays", 3)
+    t_max: np.ndarray = array("rays")  # lengths of d; inf is no limit
     lights: bool = True  # whether to compute light_rgb, light_visible and albedo
     sensor: bool = False  # whether to sample the rays of the scene's own sensor
     strict: bool = True  # whether a warning of Mitsuba's is an error
-    mesh_files: tuple[Path, ...] = ()  # to be read by Mitsuba's own loader as well
+    mesh_files: Sequence[Path] = ()  # to be read by Mitsuba's own loader as well
     original: Mapping[str, Any] | None = None  # of an OpenRequest: `xml` is a user's file, to be loaded as it says
-    # (n, 3) float32, direction in which a ray leaves each hit, for spawn_ray; or none
-    leaving: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.float32))
-
-    def __post_init__(self) -> None:
-        _check_arrays(self, {"rays": len(self.o), "origins": len(self.o) if len(self.leaving) else 0})
-
-    def to_bytes(self) -> bytes:
-        """The request with absolute paths: the child runs in another folder."""
-        meshes = tuple(file.absolute() for file in self.mesh_files)
-        return record_bytes(replace(self, xml=self.xml.absolute(), mesh_files=meshes))
-
-    @classmethod
-    def from_bytes(cls, content: bytes) -> "TraceRequest":
-        """The inverse of `to_bytes`."""
-        record = record_of(content)
-        meshes = tuple(Path(file) for file in record["mesh_files"])
-        return cls(**(record | {"xml": Path(record["xml"]), "mesh_files": meshes}))
+    leaving: np.ndarray = array("origins", 3, optional=True)  # direction of a ray from each hit, for spawn_ray
 
     def response(self, content: bytes) -> "TraceResponse":
         """The response in a reply. Raises ValueError where it is cut short or malformed."""
-        return TraceResponse.from_bytes(content, len(self.o))
+        response: TraceResponse = message_of(content)
+        response.check(len(self.o))
+        return response
 
 
 @dataclass(frozen=True, eq=False)
 class TraceResponse(Message):
     """Intersections of n rays by Mitsuba. On a miss: t inf, shape and prim -1, everything else 0."""
 
-    LAYOUT: ClassVar[Layout] = {
-        "t": (("rays",), np.float32),
-        "n": (("rays", 3), np.float32),
-        "sh_n": (("rays", 3), np.float32),
-        "p": (("rays", 3), np.float32),
-        "uv": (("rays", 2), np.float32),
-        "prim_uv": (("rays", 2), np.float32),
-        "shape": (("rays",), np.int32),
-        "prim": (("rays",), np.int32),
-        "albedo": (("rays", 3), np.float32),
-        "light_rgb": (("lights", "rays", 3), np.float32),
-        "light_visible": (("lights", "rays"), np.bool_),
-        "sensor": (("pixels", 7), np.float32),
-        "mesh_corners": (("faces", 3, 8), np.float32),
-        "mesh_vertices": (("faces", 3), np.int32),
-        "origin": (("origins", 3), np.float32),
-    }
-
-    t: np.ndarray  # (n,) float32, lengths of d
-    n: np.ndarray  # (n, 3) float32, geometric normal
-    sh_n: np.ndarray  # (n, 3) float32, shading normal
-    p: np.ndarray  # (n, 3) float32
-    uv: np.ndarray  # (n, 2) float32
-    prim_uv: np.ndarray  # (n, 2) float32, where on a triangle: barycentrics b1, b2, of which p is made
-    shape: np.ndarray  # (n,) int32, index into names; of the instance where an instance was hit
-    prim: np.ndarray  # (n,) int32
     names: list[str]  # ids of the shapes, as in the XML
-    light_rgb: np.ndarray  # (lights, n, 3) float32, radiance reflected from each light, unshadowed
-    light_visible: np.ndarray  # (lights, n) bool, Mitsuba's shadow test
-    albedo: np.ndarray  # (n, 3) float32
     versions: dict[str, str]  # mitsuba, drjit, variant, libllvm, processor
     seconds: float  # loading and tracing, without starting Python
+    t: np.ndarray = array("rays")  # lengths of d
+    n: np.ndarray = array("rays", 3)  # geometric normal
+    sh_n: np.ndarray = array("rays", 3)  # shading normal
+    p: np.ndarray = array("rays", 3)
+    uv: np.ndarray = array("rays", 2)
+    prim_uv: np.ndarray = array("rays", 2)  # where on a triangle: barycentrics b1, b2, of which p is made
+    shape: np.ndarray = array("rays", dtype=np.int32)  # index into names; of the instance where one was hit
+    prim: np.ndarray = array("rays", dtype=np.int32)
+    light_rgb: np.ndarray = array("lights", "rays", 3)  # radiance reflected from each light, unshadowed
+    light_visible: np.ndarray = array("lights", "rays", dtype=np.bool_)  # Mitsuba's shadow test
+    albedo: np.ndarray = array("rays", 3)
     stored: bool = False  # the stored response to an equal request; no Mitsuba ran, and `seconds` is 0
-    # (m, 7) float32: o, d, t_max of the sensor's rays through the pixel centres of the crop window, row by row
-    sensor: np.ndarray = field(default_factory=lambda: np.zeros((0, 7), np.float32))
-    # (f, 3, 8) float32: position, normal and uv at the corners of all faces of the mesh files
-    mesh_corners: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 8), np.float32))
-    mesh_vertices: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int32))  # (f, 3) indices
-    # (n, 3) float32: the origin of the ray that leaves each hit, by spawn_ray, where these were requested
-    origin: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.float32))
+    sensor: np.ndarray = array("pixels", 7, optional=True)  # o, d, t_max through the crop's pixel centres, row by row
+    mesh_corners: np.ndarray = array("faces", 3, 8, optional=True)  # position, normal, uv at corners of mesh files
+    mesh_vertices: np.ndarray = array("faces", 3, dtype=np.int32, optional=True)  # their indices
+    origin: np.ndarray = array("origins", 3, optional=True)  # of the ray that leaves each hit, by spawn_ray
     mesh_faces: Sequence[int] = ()  # face count of each file
     mesh_problems: Sequence[str] = ()  # for each file, why Mitsuba's loader refused it; "" if it did not
 
@@ -226,20 +205,17 @@ class TraceResponse(Message):
         rows = zip(corners, vertices, self.mesh_problems, strict=True)
         return tuple(LoadedMesh(c[..., :3], c[..., 3:6], c[..., 6:], v, problem) for c, v, problem in rows)
 
-    @classmethod
-    def from_bytes(cls, content: bytes, rays: int) -> "TraceResponse":
-        """The response to a request of `rays` rays. Raises ValueError where it is cut short or malformed."""
-        response: TraceResponse = whole(cls, content)
-        response.check(rays)
-        return response
-
     def check(self, rays: int) -> None:
-        """Raise ValueError unless every array has its length, dtype and range."""
-        lights, pixels, faces = len(self.light_rgb), len(self.sensor), sum(self.mesh_faces)
-        origins = rays if len(self.origin) else 0
-        _check_arrays(self, {"rays": rays, "lights": lights, "pixels": pixels, "faces": faces, "origins": origins})
-        if len(self.mesh_faces) != len(self.mesh_problems):
-            raise ValueError("mesh_problems: expected one for each mesh file")
+        """Raise ValueError unless every array has its length, type and range."""
+        sizes: dict[int | str, int] = {"rays": rays}
+        for name, (shape, dtype) in self.arrays().items():
+            found = getattr(self, name)
+            if found.ndim == len(shape):
+                sizes = dict(zip(shape, found.shape, strict=True)) | sizes
+            expected = tuple(sizes.get(size, size) for size in shape)
+            if found.shape != expected or found.dtype != dtype:
+                got = f"{found.dtype}{list(found.shape)}"
+                raise ValueError(f"{name}: expected {np.dtype(dtype)}{list(expected)}, got {got}")
         known = (self.shape >= 0) & (self.shape < len(self.names))
         if np.any(known != (self.t != np.inf)):
             raise ValueError("shape: expected one of the named where t is not inf and -1 elsewhere, got others")
@@ -291,45 +267,6 @@ def run_request(
             reply = process.ask(request.to_bytes(), timeout)
         return request.response(reply)
     except ProcessEnded as ended:
-        return Crash(ended.end.code, ended.end.output, ended.end.seconds)
+        return Crash(**vars(ended.end))
     except (UnexpectedReply, ValueError) as error:
         return Crash(0, str(error), 0.0)
-
-
-def _check_arrays(record: Any, sizes: dict[Any, int]) -> None:
-    """Raise ValueError unless every array fits its LAYOUT. sizes: by the names there."""
-    for name, (layout, dtype) in record.LAYOUT.items():
-        array, shape = getattr(record, name), tuple(sizes.get(size, size) for size in layout)
-        if not isinstance(array, np.ndarray) or array.shape != shape or array.dtype != dtype:
-            got = f"{array.dtype}{list(array.shape)}" if isinstance(array, np.ndarray) else type(array).__name__
-            raise ValueError(f"{name}: expected {np.dtype(dtype)}{list(shape)}, got {got}")
-
-
-def record_bytes(record: Any) -> bytes:
-    """The fields of a record, equal for equal ones."""
-    values = {field.name: getattr(record, field.name) for field in fields(record)}
-    arrays = {name: value for name, value in values.items() if name in record.LAYOUT}
-    rest = {name: value for name, value in values.items() if name not in arrays}
-    file = io.BytesIO()
-    np.savez(file, allow_pickle=False, record=np.frombuffer(json.dumps(rest, default=str).encode(), np.uint8), **arrays)
-    return file.getvalue()
-
-
-def request_of(content: bytes) -> OpenRequest | TraceRequest:
-    """The inverse of a request's `to_bytes`."""
-    record = record_of(content)
-    return OpenRequest(**record) if "file" in record else TraceRequest.from_bytes(content)
-
-
-def whole(kind: Any, content: bytes) -> Any:
-    """A response of this kind. Raises ValueError where it is cut short or malformed."""
-    try:
-        return kind(**record_of(content))
-    except MALFORMED_ERRORS as error:
-        raise ValueError(f"no whole answer: {type(error).__name__}: {error}") from error
-
-
-def record_of(content: bytes) -> dict[str, Any]:
-    with np.load(io.BytesIO(content), allow_pickle=False) as found:
-        values = {name: found[name] for name in found.files}
-    return json.loads(values.pop("record").tobytes()) | values

@@ -8,6 +8,7 @@ import os
 import time
 from collections.abc import Iterator
 from itertools import chain
+from pathlib import Path
 from typing import Any
 
 import drjit
@@ -91,7 +92,7 @@ def _in_scene_shapes(ids: list[str], arrays: dict[str, Any]) -> list[str]:
 def _meshes(request: TraceRequest) -> dict[str, Any]:
     """The request's mesh files as Mitsuba's loader reads them, corner by corner, or its message if it refuses one."""
     corners, faces, problems = [np.zeros((0, 3, 8), np.float32)], [np.zeros((0, 3), np.int32)], []
-    for file in request.mesh_files:
+    for file in map(Path, request.mesh_files):
         try:
             mesh = mi.load_dict({"type": file.suffix[1:].lower(), "filename": str(file)})
             faces.append(np.array(mesh.faces_buffer(), np.int32).reshape(-1, 3))
@@ -161,7 +162,7 @@ def _traced(scene: Any, request: TraceRequest) -> tuple[dict[str, Any], list[str
     sizes: dict[object, Any] = {"rays": len(request.o), "lights": len(emitters or ())}
     found: dict[str, np.ndarray] = {
         name: np.zeros([sizes.get(size, size) for size in shape], dtype)
-        for name, (shape, dtype) in TraceResponse.LAYOUT.items()
+        for name, (shape, dtype) in TraceResponse.arrays().items()
         if "rays" in shape
     }
     found["t"][:] = np.inf

@@ -72,7 +72,7 @@ def send_stored(request: TraceRequest, timeout: float = DEFAULT_TIMEOUT) -> Trac
     content = store.get(key)
     with contextlib.suppress(ValueError):
         if content is not None:
-            return replace(TraceResponse.from_bytes(content, len(request.o)), stored=True, seconds=0.0)
+            return replace(request.response(content), stored=True, seconds=0.0)
     response = send_request(request, timeout)
     if isinstance(response, TraceResponse):
         store.put(key, response.to_bytes())
@@ -93,7 +93,7 @@ def request_key(request: TraceRequest) -> str:
         environment_settings(*REFERENCE_SETTINGS),
         *(source.read_bytes() for source in SOURCES),
         f"{library} {size}",
-        messages.record_bytes(replace(request, xml=Path(request.xml.name), mesh_files=())),
+        replace(request, xml=Path(request.xml.name), mesh_files=()).to_bytes(),
         *(part for file in meshes for part in (f"mesh {file.name}", file.read_bytes())),
     ]
     exported = [] if request.original else folder.rglob("*")  # the files of an original are in its digest
@@ -124,7 +124,7 @@ def respond(content: bytes) -> bytes:
     try:
         from mitsuba_ref.reference import mitsuba_calls
 
-        return mitsuba_calls.answer(messages.request_of(content)).to_bytes()
+        return mitsuba_calls.answer(messages.message_of(content)).to_bytes()
     except (RuntimeError, ImportError) as refusal:
         print(refusal, file=sys.stderr, flush=True)
         end_process(1)

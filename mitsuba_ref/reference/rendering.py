@@ -111,7 +111,7 @@ def trace_reference(
         about = scene, model, rays, Path(folder), variant or variant_of(scene)
         request = trace_request(*about, lights=lights, robust=robust)
         if not request.original:
-            request = replace(request, mesh_files=tuple(mesh_files))
+            request = replace(request, mesh_files=[file.absolute() for file in mesh_files])
         if leaving is not None:
             request = replace(request, sensor=False, strict=False, leaving=leaving.astype(np.float32))
         answer = send(request, timeout)

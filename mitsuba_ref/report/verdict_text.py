@@ -104,7 +104,7 @@ def failure_text(scene: SceneVerdict, report: str = "") -> str:
         lines += [f"      replay:    {replay(scene)}"] if scene.candidate else []
     elif not scene.has_evidence and not scene.failing:
         lines += [f"FAIL  {scene.name}  {_lack_of_evidence(scene)}", *notes]
-    lines += [check_failure(scene, check) for check in scene.checks if not check.ok]
+    lines += [_check_failure(scene, check) for check in scene.checks if not check.ok]
     if scene.failures:
         worst = scene.failures[0]
         counts = f"{worst.check}: {_failing(scene)} of {scene.hit_pixels} hit pixels, {_ratio_and_place(scene, worst)}"
@@ -122,18 +122,11 @@ def failure_text(scene: SceneVerdict, report: str = "") -> str:
     return "\n".join(lines)
 
 
-def check_failure(scene: SceneVerdict, check: SceneCheck) -> str:
+def _check_failure(scene: SceneVerdict, check: SceneCheck) -> str:
     """Text of a scene check that fails."""
     beyond = f"{check.ratio:.3g}x its bound; " if isfinite(check.ratio) else ""
     head = f"FAIL  {scene.name}  {check.name}: {beyond}{check.what}"
     return f"{head}\n      replay:    {replay(scene)}"
-
-
-def pixel_failure(scene: SceneVerdict, check: str) -> str:
-    """Text of the pixels that fail one check."""
-    worst = scene.worst_by[check]
-    counts = f"{scene.failing_by[check]} of {scene.hit_pixels} hit pixels, {_ratio_and_place(scene, worst)}"
-    return "\n".join([f"FAIL  {scene.name}  {check}: {counts}", *_answers(scene, worst)])
 
 
 def _ratio_and_place(scene: SceneVerdict, worst: Failure) -> str:

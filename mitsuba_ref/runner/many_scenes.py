@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -19,7 +19,7 @@ from caster.cli.shared_arguments import resized
 from caster.description.errors import SceneError, suggestion
 from caster.description.registry import type_name
 from caster.rendering.threads import core_count, set_default_threads
-from caster.scene.files import film_pixels, load_scene
+from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from caster.shapes import SHAPES
 from caster.system import process
@@ -60,17 +60,6 @@ class SceneEntry:
     command: str = "validate"  # that judges it
     opening: Opening = AS_IT_IS  # of a Mitsuba file
     bounce: int = 0  # of the secondary rays to judge; 0: the camera's rays
-
-    @cached_property
-    def pixels(self) -> int:
-        """Rays of the film window, for progress and shards."""
-        if self.given is None and is_original(self.path):  # until it is opened
-            width, height = self.size or (1, 1)
-            return width * height
-        if self.given is None:
-            return film_pixels(self.path, self.size)
-        x0, y0, x1, y1 = self.given.film.window
-        return (x1 - x0) * (y1 - y0)
 
     def load(self) -> Scene:
         """The scene to judge, with the requested film. Raises SceneError, FileMissing."""
@@ -179,7 +168,7 @@ def run(
         except Exception as error:
             on_error(error)
             problem = problem_of(error)
-        failed = SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem)
+        failed = SceneVerdict(entry.name, entry.path, problem=problem)
         return with_replay(failed)
 
     failed = 0
@@ -233,7 +222,7 @@ def judge_entry(entry: SceneEntry, options: JudgeOptions) -> SceneVerdict:
     except OutputError:
         raise
     except SceneError as error:  # no reference for a shape, or numbers beyond float32
-        failed = SceneVerdict(entry.name, entry.path, entry.pixels, problem=problem_of(error))
+        failed = SceneVerdict(entry.name, entry.path, problem=problem_of(error))
         verdict = _completed(failed, entry, scene, options)
     if folder:
         verdict = replace(verdict, files=file_records(folder, verdict))

@@ -1,8 +1,6 @@
-"""pytest --mitsuba-ref scenes/: each check of each scene is a test; and a fixture that judges a caster in any test.
+"""pytest --mitsuba-ref scenes/: each scene is a test; and a fixture that judges a caster in any test.
 
-Without the option and the fixture, nothing is collected or loaded. Entry point `mitsuba-ref` of the group pytest11. The
-first test of a scene has it judged by mitsuba_ref/runner/many_scenes.py, and all tests of that scene show parts of this
-verdict.
+Without the option and the fixture, nothing is collected or loaded. Entry point `mitsuba-ref` of the group pytest11.
 """
 
 from __future__ import annotations
@@ -17,14 +15,14 @@ from typing import TYPE_CHECKING, Any, Literal
 import pytest
 
 if TYPE_CHECKING:
-    from mitsuba_ref.judge.verdict import SceneCheck, SceneVerdict
+    from mitsuba_ref.judge.verdict import SceneVerdict
     from mitsuba_ref.report.validation import Validation
     from mitsuba_ref.subjects.subject import Subject
 
 OPTION = "--mitsuba-ref"
 REPORT = "mitsuba-ref-report"
 
-VERDICT = "verdict"  # the scene as a whole: it loads, Mitsuba answers, and there is evidence
+VERDICT = "verdict"  # the name of a scene's test
 SUFFIXES = (".toml", ".json")
 SCENE_MARKERS = ("[camera]", "[[shape]]", '"camera"', '"shape"')  # a file without any of them is no scene
 
@@ -58,7 +56,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="store_true",
         default=False,
         dest="mitsuba_ref",
-        help="collect scene files, .toml and .json: a test for each check of each scene",
+        help="collect scene files, .toml and .json: each is a test",
     )
     for name, (what, option, kind) in OPTIONS.items():
         group.addoption(f"--mitsuba-ref-{name}", default=None, help=f"{what}; also an ini option", **option)
@@ -71,8 +69,6 @@ def pytest_configure(config: pytest.Config) -> None:
     if folder := given(config, "html"):
         config.pluginmanager.register(Report(config, config.invocation_params.dir / folder), REPORT)
     if config.getoption("mitsuba_ref"):
-        if getattr(config.option, "dist", "no") in ("load", "worksteal"):
-            config.option.dist = "loadfile"  # xdist keeps the tests of a scene in the process that judges it
         config.pluginmanager.register(ScenePlugin(config), "mitsuba-ref-scenes")
 
 
@@ -136,10 +132,10 @@ class Report:
 
 
 class ScenePlugin:
-    """Hooks of pytest, and the verdicts: each scene is judged once, whichever xdist worker runs its tests."""
+    """Hooks of pytest that collect scenes, and their verdicts."""
 
     def __init__(self, config: pytest.Config) -> None:
-        config.addinivalue_line("markers", "mitsuba_ref: a check of a scene, by --mitsuba-ref")
+        config.addinivalue_line("markers", "mitsuba_ref: a scene, by --mitsuba-ref")
         self.config = config
         self.start = config.invocation_params.dir
         self.size = film_size(given(config, "size"))
@@ -151,14 +147,9 @@ class ScenePlugin:
             raise pytest.UsageError("mitsuba_ref_candidate_precision: expected mitsuba_ref_candidate beside it")
         self.mesh_dirs = tuple(map(str, config.getini("mitsuba_ref_mesh_dirs")))
         self.named = {Path(self.start, arg.split("::")[0]).resolve() for arg in config.args}
-        self.verdicts: dict[Path, SceneVerdict | str] = {}
-        self.files: list[Path] = []
 
     def pytest_collect_file(self, file_path: Path, parent: pytest.Collector) -> pytest.Collector | None:
-        if file_path.suffix.lower() not in SUFFIXES:
-            return None
-        if file_path.resolve() in self.named or is_scene(file_path):
-            self.files.append(file_path)
+        if file_path.suffix.lower() in SUFFIXES and (file_path.resolve() in self.named or is_scene(file_path)):
             collector: SceneFile = SceneFile.from_parent(parent, path=file_path)
             collector.plugin = self
             return collector
@@ -169,32 +160,28 @@ class ScenePlugin:
         about = f", candidate {self.candidate}" if self.candidate else ""
         return f"mitsuba-ref: {film}{about}"
 
-    def verdict_of(self, path: Path) -> SceneVerdict | str:
-        """The verdict, or what is wrong with the scene file."""
-        if path not in self.verdicts:
-            self.verdicts[path] = self._judge(path)
-        return self.verdicts[path]
-
-    def _judge(self, path: Path) -> SceneVerdict | str:
-        from caster.cli.shared_arguments import display_names
+    def problem_of(self, path: Path) -> str:
+        """What is wrong with a scene or with the candidate, as `validate` prints it; "" if nothing is."""
         from caster.description.errors import SceneError
         from mitsuba_ref.report.html_report import page_record
+        from mitsuba_ref.report.verdict_text import failure_text
         from mitsuba_ref.runner import many_scenes
 
         named = str(path.relative_to(self.start)) if path.is_relative_to(self.start) else str(path)
-        given_options = *(("mesh-dir", folder) for folder in self.mesh_dirs), *self.words.items()
-        words = tuple(word for name, value in given_options if value for word in (f"--{name}", value))
+        options = *(("mesh-dir", folder) for folder in self.mesh_dirs), *self.words.items()
+        words = tuple(word for name, value in options if value for word in (f"--{name}", value))
         entry = many_scenes.SceneEntry(path.stem, named, self.size, self.mesh_dirs, words)
-        errors: list[Exception] = []
         report = self.config.pluginmanager.get_plugin(REPORT)
+        page_of = page_record if isinstance(report, Report) else None
         try:
-            options = many_scenes.JudgeOptions(subject=self.subject, page_of=page_record if report else None)
+            failing = self.failing_run_checks
+            judge = many_scenes.JudgeOptions(subject=self.subject, page_of=page_of)
         except SceneError as error:
             return str(error)
-        (verdict,) = many_scenes.run([entry], options, workers=1, on_error=errors.append)
+        (verdict,) = many_scenes.run([entry], judge, workers=1)
         if isinstance(report, Report):
-            report.add(verdict, dict(zip(self.files, display_names(list(map(str, self.files))), strict=True))[path])
-        return str(errors[0]) if errors and isinstance(errors[0], SceneError | MemoryError) else verdict
+            report.add(verdict, named)
+        return "\n".join([*([] if verdict.ok else [failure_text(verdict)]), *failing])
 
     @cached_property
     def subject(self) -> Subject | None:
@@ -206,27 +193,12 @@ class ScenePlugin:
         served = bool(self.words["candidate-serve"])
         return parse_candidate(self.candidate, self.words["candidate-precision"] or None, served=served)
 
-    def check_names(self) -> tuple[str, ...]:
-        """Names of the checks of pixels, then of the scene."""
-        from mitsuba_ref.judge.checks import CANDIDATE, OURS, checks_of
-        from mitsuba_ref.judge.classification import pixel_checks
-
-        whose = CANDIDATE if self.candidate else OURS
-        return (*pixel_checks(ours=whose == OURS), *(check.name for check in checks_of(whose) if check.scope != "run"))
-
-    def run_names(self, path: Path) -> tuple[str, ...]:
-        """Names of the checks that are made once a run, with its first scene."""
-        from mitsuba_ref.judge.checks import CANDIDATE, checks_of
-
-        made = self.candidate and path in self.files[:1]
-        return tuple(check.name for check in checks_of(CANDIDATE, ["run"])) if made else ()
-
     @cached_property
-    def run_checks(self) -> dict[str, SceneCheck]:
-        """The checks that are made once a run."""
+    def failing_run_checks(self) -> list[str]:
+        """Those of the checks that are made once a run, each as a line."""
         from mitsuba_ref.judge.checks import run_checks
 
-        return {check.name: check for check in run_checks(self.subject)}
+        return [f"FAIL  {check.name}: {check.what}" for check in run_checks(self.subject) if not check.ok]
 
 
 def given(config: pytest.Config, name: str) -> Any:
@@ -255,22 +227,17 @@ def is_scene(path: Path) -> bool:
     return any(mark in text for mark in SCENE_MARKERS)
 
 
-class CheckFailed(Exception):  # noqa: N818 - pytest shows its text alone
-    """A check of a scene failed; str() is what the terminal shows."""
-
-
 class SceneFile(pytest.File):
-    """One scene."""
+    """The file of a scene."""
 
     plugin: ScenePlugin  # that collected it
 
-    def collect(self) -> Iterator[CheckItem]:
-        for name in (VERDICT, *self.plugin.check_names(), *self.plugin.run_names(self.path)):
-            yield CheckItem.from_parent(self, name=name, plugin=self.plugin)
+    def collect(self) -> Iterator[SceneTest]:
+        yield SceneTest.from_parent(self, name=VERDICT, plugin=self.plugin)
 
 
-class CheckItem(pytest.Item):
-    """One check of a scene."""
+class SceneTest(pytest.Item):
+    """The test of one scene."""
 
     def __init__(self, plugin: ScenePlugin, **about: Any) -> None:
         super().__init__(**about)
@@ -278,62 +245,7 @@ class CheckItem(pytest.Item):
         self.add_marker("mitsuba_ref")
 
     def runtest(self) -> None:
-        plugin = self.plugin
-        found = plugin.verdict_of(self.path)
-        if self.name in plugin.run_names(self.path) and not (isinstance(found, str) or found.problem):
-            check = plugin.run_checks.get(self.name)
-            if check is None:
-                pytest.skip(f"not judged: {plugin.candidate} is given no limits")
-            if not check.ok:
-                raise CheckFailed(f"FAIL  {check.name}: {check.what}")
-        elif plugin.candidate and is_not_judged(found, self.name):
-            pytest.skip(f"not judged: {plugin.candidate} does not give it, or it is no check of this scene")
-        elif text := check_problem(found, self.name):
+        if problem := self.plugin.problem_of(self.path):
             from caster.system.terminal import printable
 
-            raise CheckFailed(printable(text))
-
-    def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
-        """The failure's text, its first line in the summary; a traceback only for unexpected exceptions."""
-        if not isinstance(excinfo.value, CheckFailed):
-            return super().repr_failure(excinfo, style)
-        shown: Any = excinfo.getrepr(style="value")
-        if shown.reprcrash is not None:
-            # the line of pytest's summary, which is not cut where CI is set
-            shown.reprcrash.message = str(excinfo.value).partition("\n")[0]
-        return shown
-
-    def reportinfo(self) -> tuple[Path, None, str]:
-        return self.path, None, f"{self.path.stem}: {self.name}"
-
-
-def check_problem(found: SceneVerdict | str, check: str) -> str:
-    """Why a check of a scene fails, as `validate` prints it; "" if it passes.
-
-    found: the verdict, or why there is none.
-    """
-    if isinstance(found, str):
-        return found if check == VERDICT else no_verdict(found)
-    if found.problem and check != VERDICT:
-        return no_verdict(f"FAIL  {found.name}  {found.problem}")
-    from mitsuba_ref.report.verdict_text import check_failure, failure_text, pixel_failure
-
-    if check == VERDICT:
-        return "" if found.ok else failure_text(found)
-    if not found.has_evidence and not found.failing:
-        return no_verdict(failure_text(found))
-    if found.failing_by.get(check):
-        return pixel_failure(found, check)
-    return "\n".join(check_failure(found, each) for each in found.checks if each.name == check and not each.ok)
-
-
-def is_not_judged(found: SceneVerdict | str, check: str) -> bool:
-    """Whether the verdict of a candidate leaves a check out; never if there is no verdict."""
-    if isinstance(found, str) or found.problem or check == VERDICT:
-        return False
-    return check not in found.ratios and all(each.name != check for each in found.checks)
-
-
-def no_verdict(why: str) -> str:
-    """A check without a verdict fails; otherwise a run of `-k depth` would pass."""
-    return f"{why.splitlines()[0]}\nThere is no verdict, so nothing was checked; the test {VERDICT} has the reason."
+            pytest.fail(printable(problem), pytrace=False)

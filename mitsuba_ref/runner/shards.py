@@ -47,13 +47,8 @@ def parse_shard(text: str) -> Shard:
 
 
 def scenes_of_shard(entries: Sequence[SceneEntry], shard: Shard) -> list[SceneEntry]:
-    """The entries of one shard, in their order. Each entry is in exactly one shard.
-
-    The largest are dealt first, so that two shards differ by at most the pixels of the largest scene. It depends only
-    on names and film sizes.
-    """
-    order = sorted(range(len(entries)), key=lambda i: (-entries[i].pixels, entries[i].name, i))
-    return [entries[i] for i in sorted(order[shard.part - 1 :: shard.parts])]
+    """The entries of one shard, dealt in their order. Each entry is in exactly one shard."""
+    return list(entries[shard.part - 1 :: shard.parts])
 
 
 def run_identity(entries: Sequence[SceneEntry], shard: Shard | None) -> dict[str, Any]:

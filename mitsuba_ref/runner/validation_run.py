@@ -63,16 +63,15 @@ class ValidationRun:
         running = many_scenes.run(
             self.entries, judge, workers, self.options.maxfail, self._recorded, self.errors.append
         )
-        # Rays are counted, since scenes differ too much in size to count scenes.
-        bar = ProgressBar("validating", sum(entry.pixels for entry in self.entries))
+        bar = ProgressBar("validating", len(self.entries))
         with closing(running), closing(bar):
-            for verdict, entry in zip(running, self.entries, strict=False):  # maxfail may end it early
+            for verdict in running:
                 self.done.append(verdict)
                 if self.html:
                     self.html.add(verdict)
                 with bar.aside():
                     yield verdict
-                bar.add(entry.pixels, f"{len(self.done)} of {len(self.entries)} scenes")
+                bar.add(1, f"{len(self.done)} of {len(self.entries)} scenes")
 
     def _recorded(self, found: SceneVerdict) -> SceneVerdict:
         """The verdict with its page written and, if it is waived, with the reason."""

@@ -153,8 +153,7 @@ def test_a_users_own_mitsuba_py_in_the_current_folder_is_not_imported(ball, tmp_
     for path in ("", ".", os.pathsep):
         monkeypatch.setenv("PYTHONPATH", path)
         assert not {str(tmp_path), "", "."} & set(subprocess_runner.import_path().split(os.pathsep)), path
-    beside = TraceRequest(Path("scene.xml"), "scalar_rgb", ball.o, ball.d, ball.t_max)
-    answer = messages.run_request(beside, 60, {})
+    answer = messages.run_request(ball, 60, {})
     assert isinstance(answer, TraceResponse), answer
 
 
@@ -164,12 +163,10 @@ def test_a_users_own_mitsuba_py_in_the_current_folder_is_not_imported(ball, tmp_
 def test_a_request_and_its_rays_come_back_bit_for_bit(tmp_path):
     bits = np.random.default_rng(7).integers(0, 2**32, (100, 7), np.uint32).view(np.float32)
     request = TraceRequest(tmp_path / "a.xml", "scalar_rgb", bits[:, :3], bits[:, 3:6], bits[:, 6])
-    again = TraceRequest.from_bytes(request.to_bytes())
-    assert again.xml == request.xml
-    for name in TraceRequest.LAYOUT:
+    again = messages.message_of(request.to_bytes())
+    assert again.xml == str(request.xml)
+    for name in TraceRequest.arrays():
         assert getattr(request, name).tobytes() == getattr(again, name).tobytes()
-    with pytest.raises(ValueError, match=r"d: expected float32\[1, 3\], got float64\[1, 3\]"):
-        TraceRequest(tmp_path, "scalar_rgb", np.zeros((1, 3), np.float32), np.zeros((1, 3)), np.zeros(1, np.float32))
 
 
 def test_a_response_that_is_not_whole_is_refused(ball, tmp_path):
@@ -185,12 +182,11 @@ def test_a_response_that_is_not_whole_is_refused(ball, tmp_path):
     records = (np.frombuffer(text, np.uint8) for text in (b"", b"null", b"{}"))
     for content in (b"", whole[:-200], changed(t=None), *(changed(record=each) for each in (None, *records))):
         with pytest.raises(ValueError, match="no whole answer"):
-            TraceResponse.from_bytes(content, 1)
-    for change in ({"names": []}, {"mesh_problems": ["one"]}):
-        with pytest.raises(ValueError, match="expected"):
-            TraceResponse.from_bytes(replace(response, **change).to_bytes(), 1)
+            ball.response(content)
+    with pytest.raises(ValueError, match="expected"):
+        ball.response(replace(response, names=[]).to_bytes())
     with pytest.raises(ValueError, match=r"t: expected float32\[2\], got float32\[1\]"):
-        TraceResponse.from_bytes(whole, 2)
+        response.check(2)
 
 
 # ---- a process that stays
@@ -332,8 +328,8 @@ def test_a_fork_has_residents_of_its_own(tmp_path):
 ASK = """
 import sys, time
 from pathlib import Path
-from mitsuba_ref.reference import mitsuba_process, subprocess_runner
-mitsuba_process.send_request(mitsuba_process.TraceRequest.from_bytes(Path(sys.argv[1]).read_bytes()), 60)
+from mitsuba_ref.reference import messages, mitsuba_process, subprocess_runner
+mitsuba_process.send_request(messages.message_of(Path(sys.argv[1]).read_bytes()), 60)
 print(*subprocess_runner._running, flush=True)
 time.sleep(float(sys.argv[2]))
 """

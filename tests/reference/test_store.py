@@ -24,7 +24,7 @@ def response_of(request: TraceRequest) -> TraceResponse:
     sizes = {"rays": RAYS, "lights": 0, "pixels": 0, "faces": 0, "origins": 0}
     rows = {
         name: np.zeros([sizes.get(size, size) for size in shape], kind)
-        for name, (shape, kind) in TraceResponse.LAYOUT.items()
+        for name, (shape, kind) in TraceResponse.arrays().items()
     }
     rows["t"][1:], rows["shape"][1:], rows["prim"][1:] = np.inf, -1, -1
     rows["t"][:1] = 4.0
@@ -66,7 +66,7 @@ def test_the_same_request_is_requested_once_and_states_it(folder, request_, aske
     second = send_stored(replace(request_, xml=moved / request_.xml.name))
     assert len(asked) == 1
     assert (first.stored, first.seconds, second.stored, second.seconds) == (False, 1.5, True, 0.0)
-    for name in TraceResponse.LAYOUT:
+    for name in TraceResponse.arrays():
         one, other = getattr(first, name), getattr(second, name)
         assert one.dtype == other.dtype and one.tobytes() == other.tobytes()
     assert (first.names, first.versions) == (second.names, second.versions)

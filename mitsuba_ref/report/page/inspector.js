@@ -162,7 +162,7 @@ function replayOf(record, x, y) {
   const { bounce, view, replay, replay_pixel: [before, after] } = record.scene;
   if (!bounce) return `${before}${x} ${y}${after}`;
   const [x0, y0, rows] = view;
-  return rows ? `${before}${x0 + x} ${y0 + y % rows}${after}` : replay;
+  return y < rows ? `${before}${x0 + x} ${y0 + y}${after}` : replay;
 }
 
 function copyReplay() {
