@@ -72,7 +72,7 @@ WITH_COMPILER = {
         stated_numbers stress surface_targets verdict_rules
     """,
     "tests/exact": """
-        box_tree edge_cases identical_primitives oracle_filter oracle_kinds oracle_parts oracle_roots oracle_scenes
+        box_tree edge_cases oracle_filter oracle_kinds oracle_roots oracle_scenes
     """,
     "tests/reference": """
         adjudication bands candidate_probe candidates detection_power diagnosis error_models_hold

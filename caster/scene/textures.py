@@ -73,7 +73,7 @@ def _as_texels(value: Any, validated: ValidatorFunctionWrapHandler) -> NDArray[n
         return value.astype(np.float64).view(FixedArray)
     rows = validated(value)
     if len(set(map(len, rows)) - {0}) != 1:
-        raise ValueError(f"data must have rows of the same number of pixels, got {sorted(map(len, rows))}")
+        raise ValueError(f"must have rows of the same number of pixels, got {sorted(map(len, rows))}")
     return np.array(rows, np.float64).view(FixedArray)
 
 

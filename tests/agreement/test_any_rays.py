@@ -101,9 +101,8 @@ def slivers(rng: np.random.Generator, count: int) -> Packed:
     corners = place + along * axis + across * side
     numbers, nothing = np.arange(3 * count, dtype=np.int32).reshape(-1, 3), np.zeros(count, bool)
     prims = Triangles(corners, numbers, np.zeros((3 * count, 3)), np.zeros((3 * count, 2)), nothing, nothing)
-    zero = np.zeros(1, np.int64)
     kind = Kind(prims, np.arange(count, dtype=np.int32))
-    return Packed((kind,), (prims,), np.array([0, count], np.int64), zero, zero)
+    return Packed((kind,), (prims,), np.array([0, count], np.int64))
 
 
 def test_a_tree_never_changes_a_hit_of_slivers_seen_edge_on():

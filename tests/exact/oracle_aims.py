@@ -54,8 +54,7 @@ def packed(*arrays: Any) -> Packed:
     counts = [primitive_count(prims) for prims in arrays]
     first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
     kinds = [Kind(a, np.arange(i, j, dtype=np.int32)) for a, i, j in zip(arrays, first, first[1:], strict=False)]
-    places = np.arange(len(arrays))
-    return Packed(tuple(kinds), arrays, first, places, np.zeros(len(arrays), np.int64))
+    return Packed(tuple(kinds), arrays, first)
 
 
 def whole(rng: Rng, *shape: int, size: int = 99) -> np.ndarray:

@@ -70,7 +70,7 @@ PACKED = SimpleNamespace(shape_of=lambda prim: prim // 10, index_in_shape=lambda
 
 def exact(*prims, t=1.5, flags=()) -> SimpleNamespace:
     ties = [SimpleNamespace(prim=prim, where="edge") for prim in prims]
-    return SimpleNamespace(ties=ties, t=t if prims else None, flags=frozenset(flags))
+    return SimpleNamespace(ties=ties, prims=np.array(prims), t=t if prims else None, flags=frozenset(flags))
 
 
 def test_exact_answers_on_one_line():
