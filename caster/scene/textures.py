@@ -17,7 +17,7 @@ from pydantic import (
     model_validator,
 )
 
-from caster.description.errors import SceneError, child_of, expectation_error
+from caster.description.errors import SceneError, child_of
 from caster.description.fields import Description, FixedArray, Flag, Reflectance, Transform, matrix_of
 from caster.description.input_files import read_input
 from caster.description.transform import power
@@ -28,6 +28,7 @@ __all__ = ["Bitmap", "Checkerboard", "Texture"]
 
 MAX_TEXELS = 2**24  # 4096 x 4096; 24 bytes each
 FLOAT32_DECODING = 1e-6  # differences of one sRGB level, decoded in float32 and in float64; two levels differ by 3e-4
+PNG_BITS = 24  # where a PNG file has the number of bits a channel
 FILTERS = {"nearest": NEAREST, "bilinear": BILINEAR}
 WRAPS = {"repeat": REPEAT, "mirror": MIRROR, "clamp": CLAMP}
 
@@ -67,14 +68,21 @@ class Checkerboard(Texture):
 
 def _as_texels(value: Any, validated: ValidatorFunctionWrapHandler) -> NDArray[np.float64]:
     """(h, w, 3) of an array or of rows of colors."""
-    if isinstance(value, np.ndarray) and value.dtype.kind == "f" and value.ndim == 3 and value.shape[2:] == (3,):
-        if not value.size or not (value.min() >= 0.0 and value.max() <= 1.0):
-            raise expectation_error("an array (h, w, 3) of numbers from 0 to 1", value.shape)
-        return value.astype(np.float64).view(FixedArray)
-    rows = validated(value)
+    if isinstance(value, np.ndarray):
+        right = value.dtype.kind == "f" and value.ndim == 3 and value.shape[2] == 3 and value.size
+        if not right or not (value.min() >= 0.0 and value.max() <= 1.0):
+            got = f"{value.dtype}{list(value.shape)}" + (f" from {value.min()} to {value.max()}" if right else "")
+            raise ValueError(f"must be an array (h, w, 3) of float numbers from 0 to 1, got {got}")
+        rows = value
+    else:
+        rows = validated(value)
     if len(set(map(len, rows)) - {0}) != 1:
         raise ValueError(f"must have rows of the same number of pixels, got {sorted(map(len, rows))}")
-    return np.array(rows, np.float64).view(FixedArray)
+    texels = np.array(rows, np.float64)
+    if texels.size > 3 * MAX_TEXELS:
+        raise ValueError(f"must have at most {MAX_TEXELS:,} pixels, got {texels.shape[1]} x {texels.shape[0]}")
+    texels.flags.writeable = False
+    return texels.view(FixedArray)
 
 
 if TYPE_CHECKING:
@@ -152,8 +160,9 @@ def read_picture(path: str) -> NDArray[np.uint8]:
     data = read_input(path, "picture")
     try:
         with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
-            if image.width * image.height > MAX_TEXELS or image.mode.startswith("I"):
-                got = f"{image.width} x {image.height}{' of 16 bits' if image.mode.startswith('I') else ''}"
+            deep = data[PNG_BITS] == 16
+            if image.width * image.height > MAX_TEXELS or deep:
+                got = f"{image.width} x {image.height}{' of 16 bits' if deep else ''}"
                 raise SceneError(f"{path}: expected at most {MAX_TEXELS:,} pixels, of 8 bits a channel, got {got}")
             return np.asarray(image.convert("RGB"))
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError):

@@ -152,7 +152,7 @@ COUNTS = ("counts", "cases", "failing_by")
 
 
 def merge_windows(windows: Sequence[SceneVerdict]) -> SceneVerdict:
-    """The verdict of a film from those of its windows, with the biases of the first.
+    """The verdict of a film from those of its windows, with the biases of the one that the report shows.
 
     Numbers are added up, and the largest ratios are kept; failures of the first window are listed first. A window
     without a comparison is a problem of the whole film.

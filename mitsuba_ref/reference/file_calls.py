@@ -29,6 +29,7 @@ HELD = {
 MESHES = {"ply", "obj", "serialized", "rectangle", "cube", "merge"}  # plugins
 VIEW, VIEW_FROM, VIEW_FOV, VIEW_SIZE = "no sensor", np.array([0.4417, 0.3571, 0.8231]), 41.3, (256, 256)
 ROBUST = "embree_use_robust_intersections"
+MAX_TEXELS = 2**24  # of all bitmaps, 12 bytes each
 EXACT_TEXELS = {"format": "variant", "accel": False}  # not of 8 or 16 bits, nor filtered by the hardware of a GPU
 
 
@@ -41,7 +42,8 @@ class Parsed(NamedTuple):
     unlit: list[str]  # why diffuse cannot be compared
     names: dict[int, str]  # ids in the file, by node
     refers: dict[int, list[int]]  # nodes that a node refers to, in their order
-    materials: dict[int, dict[str, Any] | None]  # of each bsdf, as the caster has it
+    materials: dict[int, dict[str, Any] | None]  # of each bsdf that a shape has, as the caster has it
+    textures: dict[int, dict[str, Any]]  # of these materials, by node
 
     def instantiate(self) -> Any:
         loaded = mi.parser.instantiate(self.config, self.state)
@@ -82,7 +84,7 @@ def parse(request: OpenRequest, variant: str) -> Parsed:
     mi.parser.transform_resolve(config, state)
     names = {i: node.props.id() for i, node in enumerate(state.nodes)}
     refers = {i: [to for _, to in _references(node.props)] for i, node in enumerate(state.nodes)}
-    parsed = Parsed(config, state, Counter(), [], names, refers, {})
+    parsed = Parsed(config, state, Counter(), [], names, refers, {}, {})
     _keep_geometry(parsed, request)
     return parsed
 
@@ -102,6 +104,8 @@ def _keep_geometry(parsed: Parsed, request: OpenRequest) -> None:
         kind.BSDF: (kind.BSDF, kind.Texture),
     }
     nodes = parsed.state.nodes
+    used = {bsdf for i, _ in parsed.nodes(kind.Shape) for bsdf in parsed.children(i, kind.BSDF)}
+    parsed.materials.update((i, material(parsed, i)) for i in sorted(used))
     for i in range(len(nodes)):
         node, props = nodes[i], nodes[i].props
         if node.type == kind.Film:
@@ -119,8 +123,9 @@ def _keep_geometry(parsed: Parsed, request: OpenRequest) -> None:
             film = mi.parser.SceneNode()
             film.type, film.props = kind.Film, _film(mi.Properties("hdrfilm"), request.size)
             props["film"] = mi.Properties.ResolvedReference(len(nodes))
+            node.props = props
             nodes.append(film)
-            node = nodes[i]  # where it lies now
+            node, props = nodes[i], nodes[i].props  # where they lie now
         if node.type == kind.Scene and request.robust:
             props.remove_property(ROBUST)
             props[ROBUST] = True
@@ -131,8 +136,6 @@ def _keep_geometry(parsed: Parsed, request: OpenRequest) -> None:
         if node.type in (kind.Shape, kind.Emitter, kind.Sensor):
             props.set_id(str(i))  # one each, by which loaded objects are found again
         node.props = props
-    used = {bsdf for i, _ in parsed.nodes(kind.Shape) for bsdf in parsed.children(i, kind.BSDF)}
-    parsed.materials.update((i, material(parsed, i)) for i in sorted(used))
     for i in (i for i, found in parsed.materials.items() if found is None):
         plugin = nodes[i].props.plugin_name()
         parsed.dropped[f"bsdf {plugin}"] += 1
@@ -144,7 +147,7 @@ def _is_kept(parsed: Parsed, number: int) -> bool:
     """Whether a node stays: lights and textures only where the judge has them; ambient light is added apart."""
     node = parsed.state.nodes[number]
     if node.type == mi.ObjectType.Texture:
-        return texture(parsed, number) is not None
+        return number in parsed.textures
     if node.type != mi.ObjectType.Emitter:
         return True
     if found := light(node.props):
@@ -206,19 +209,27 @@ def material(parsed: Parsed, number: int) -> dict[str, Any] | None:
 def texture(parsed: Parsed, number: int) -> dict[str, Any] | None:
     """A texture as the caster has it, a bitmap without its texels; None, with a reason in `unlit`, for any other."""
     props = parsed.state.nodes[number].props
-    plugin, to_uv = props.plugin_name(), {}
-    if props.has_property("to_uv"):
-        to_uv["to_uv"] = [{"matrix": _matrix(props["to_uv"])}]
+    plugin, found, matrix = props.plugin_name(), None, np.eye(4)
     if plugin == "checkerboard":
         colors = {name: color(props, name, default) for name, default in CHECKERBOARD.items()}
-        if all(colors.values()):
-            return {"type": plugin, **colors, **to_uv}
-    if plugin == "bitmap" and os.path.isfile(_path(props)):
-        filtering, wrap = props.get("filter_type", "bilinear"), props.get("wrap_mode", "repeat")
-        return {"type": plugin, "filter": filtering, "wrap": wrap, **to_uv}
-    missing = f"{props['filename']} is missing, of " if props.has_property("filename") else ""
-    parsed.unlit.append(f"{missing}texture {plugin} at {parsed.place(number)}")
+        found = colors if all(colors.values()) else None
+    elif plugin == "bitmap" and _is_picture(_path(props)):
+        found = {"filter": props.get("filter_type", "bilinear"), "wrap": props.get("wrap_mode", "repeat")}
+    if props.has_property("to_uv"):  # of which Mitsuba, too, takes no more than u and v
+        matrix[:2, [0, 1, 3]] = np.array(_matrix(props["to_uv"]))[:2, [0, 1, 3]]
+    if found and matrix[0, 0] * matrix[1, 1] != matrix[0, 1] * matrix[1, 0]:
+        parsed.textures[number] = {"type": plugin, **found, "to_uv": [{"matrix": matrix.tolist()}]}
+        return parsed.textures[number]
+    unread = f"cannot read {props.get('filename', 'the file')} of " if plugin == "bitmap" and found is None else ""
+    parsed.unlit.append(f"{unread}texture {plugin} at {parsed.place(number)}")
     return None
+
+
+def _is_picture(path: str) -> bool:
+    try:
+        return os.path.isfile(path) and bool(mi.Bitmap(path))
+    except RuntimeError:
+        return False
 
 
 def light(props: Any) -> dict[str, Any] | None:
@@ -314,12 +325,13 @@ def _add_texels(parsed: Parsed, bsdf: int, shape: Any, texels: list[np.ndarray])
         return
     (data,) = (value for name, value in mi.traverse(shape.bsdf()) if name.endswith("reflectance.data"))
     found = np.array(data, np.float32)
-    if found.size and found.min() >= 0.0 and found.max() <= 1.0:
-        picture["texels"] = [sum(map(len, texels)), *found.shape[:2]]
+    first = sum(map(len, texels))
+    if found.size and found.min() >= 0.0 and found.max() <= 1.0 and first + found[..., 0].size <= MAX_TEXELS:
+        picture["texels"] = [first, *found.shape[:2]]
         texels.append(np.broadcast_to(found, (*found.shape[:2], 3)).reshape(-1, 3))
     else:
         parsed.materials[bsdf] = None
-        parsed.unlit.append(f"bitmap at {parsed.place(bsdf)}: a texel is not from 0 to 1")
+        parsed.unlit.append(f"texels that are not from 0 to 1, or too many, in the bitmap of {parsed.place(bsdf)}")
 
 
 def _material_of(parsed: Parsed, number: int) -> dict[str, Any]:

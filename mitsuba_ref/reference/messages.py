@@ -207,11 +207,14 @@ class TraceResponse(Message):
 
     def check(self, rays: int) -> None:
         """Raise ValueError unless every array has its length, type and range."""
-        sizes: dict[int | str, int] = {"rays": rays}
+        sizes: dict[int | str, int] = {"rays": rays, "faces": sum(self.mesh_faces)}
+        if len(self.mesh_problems) != len(self.mesh_faces) or len(self.origin) not in (0, rays):
+            raise ValueError(f"expected a problem for each mesh file and 0 or {rays} origins, got others")
         for name, (shape, dtype) in self.arrays().items():
             found = getattr(self, name)
             if found.ndim == len(shape):
-                sizes = dict(zip(shape, found.shape, strict=True)) | sizes
+                named = zip(shape, found.shape, strict=True)
+                sizes = {**{size: count for size, count in named if isinstance(size, str)}, **sizes}
             expected = tuple(sizes.get(size, size) for size in shape)
             if found.shape != expected or found.dtype != dtype:
                 got = f"{found.dtype}{list(found.shape)}"

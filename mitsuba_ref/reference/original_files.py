@@ -90,11 +90,11 @@ def _refusal(crash: Crash) -> str:
 Placed = tuple[Shape, str, float]  # a shape, its name in Mitsuba's answers, its condition (originals.Original)
 
 
-def _judged_shapes(found: OpenResponse) -> tuple[list[Placed], list[str]]:
-    """The shapes that are judged, and the others, with their places and reasons."""
+def _judged_shapes(found: OpenResponse) -> tuple[list[Placed], list[str], list[str]]:
+    """The shapes that are judged, the others, with their places and reasons, and textures that have no uv."""
     numbers, faces = _pieces(found, "numbers"), _pieces(found, "faces")
     judged: list[Placed] = []
-    left_out, names = [], set[str]()
+    left_out, unlit, names = list[str](), list[str](), set[str]()
     triangles = 0
     for key, number, label, matrix in found.placed:
         record = found.shapes[number]
@@ -104,6 +104,9 @@ def _judged_shapes(found: OpenResponse) -> tuple[list[Placed], list[str]]:
             if triangles + record["faces"] > MAX_TRIANGLES:
                 raise SceneError(f"{MAX_TRIANGLES:,} triangles are the most that a scene may have")
             shape = _shape(record, numbers[number], faces[number], matrix, fields)
+            if isinstance((record["material"] or {}).get("reflectance"), dict) and (reason := shape.without_uv()):
+                unlit.append(f"the texture of {record['plugin']} {name!r} at {record['place']}: {reason}")
+                shape = _shape(record, numbers[number], faces[number], matrix, {"name": name})
         except SceneError as reason:
             why = "; ".join(str(reason).splitlines())
             left_out.append(f"{record['plugin']} {name!r} at {record['place']}: {why}")
@@ -111,7 +114,7 @@ def _judged_shapes(found: OpenResponse) -> tuple[list[Placed], list[str]]:
         triangles += record["faces"]
         names.add(name)
         judged.append((shape, key, 0.0 if matrix is None else _condition(np.array(matrix)[:3, :3])))
-    return judged, left_out
+    return judged, left_out, unlit
 
 
 def _pieces(found: OpenResponse, name: str) -> list[np.ndarray]:
@@ -122,13 +125,13 @@ def _pieces(found: OpenResponse, name: str) -> list[np.ndarray]:
 
 def _scene(path: str, request: OpenRequest, found: OpenResponse, strict: bool) -> MitsubaScene:
     """The scene of an opened file. Raises NothingToJudgeError."""
-    judged, left_out = _judged_shapes(found)
+    judged, left_out, without_uv = _judged_shapes(found)
     if not judged:
         reasons = "".join(f"\n  {each}" for each in left_out)
         there = f"none of its {len(found.placed)} shapes can be judged" if found.placed else "it has no shape"
         raise NothingToJudgeError(f"{path}: {there}{reasons}")
     shapes, keys, conditions = zip(*judged, strict=True)
-    unlit = [*found.unlit] or ([] if found.lights else ["the file has no light"])
+    unlit = [*found.unlit, *without_uv] or ([] if found.lights else ["the file has no light"])
     hidden = 0
     if left_out:
         unlit.append(f"the shadows of the {len(left_out)} shapes that are left out are missing")

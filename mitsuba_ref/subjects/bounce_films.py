@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from caster.rendering.bounces import RAY_KINDS, Bounce, bounces
-from caster.scene.model import Scene
+from caster.scene.model import MAX_FILM_SIDE, Scene
 from mitsuba_ref.reference.shared_input import SharedRays, pixel_of, shared_rays
 from mitsuba_ref.subjects.ray_files import RayList, lay_out
 from mitsuba_ref.subjects.subject import cast_ours
@@ -29,8 +29,8 @@ class BounceFilm(NamedTuple):
     @property
     def place(self) -> tuple[int, int, int]:
         """Column and row of the camera's first pixel, and how many rows of pixels its view has."""
-        x0, y0, _, y1 = self.view.film.window
-        return x0, y0, y1 - y0
+        x0, y0, x1, y1 = self.view.film.window
+        return x0, y0, y1 - y0 if self.scene.film.width == x1 - x0 else 0
 
     def by_kind(self, film: np.ndarray) -> dict[str, np.ndarray]:
         """The values of a film, (pixels,), at the rays of each kind that occurs."""
@@ -41,7 +41,8 @@ class BounceFilm(NamedTuple):
 def bounce_films(scene: Scene, depth: int) -> Iterator[BounceFilm]:
     """The films of bounces 1 to `depth`; fewer where no rays are left.
 
-    The first ray of each pixel is at that pixel of the camera's view; the others follow below it.
+    The first ray of each pixel is at that pixel of the camera's view, and the others follow below it, if a film can be
+    so high.
     """
     x0, y0, x1, y1 = scene.film.window
     width, count = x1 - x0, (x1 - x0) * (y1 - y0)
@@ -51,10 +52,11 @@ def bounce_films(scene: Scene, depth: int) -> Iterator[BounceFilm]:
         others = np.setdiff1d(np.arange(len(rays.pixel)), first)
         row = rays.pixel.astype(np.int64)
         row[others] = count + np.arange(len(others))
+        fits = count + len(others) <= width * MAX_FILM_SIDE
         listed = np.zeros((count + len(others), 8))
         listed[:, 5], listed[:, 7] = 1.0, -1.0  # no ray
         listed[row] = np.column_stack(rays[:4])
-        film, shared = lay_out(scene, RayList(listed, width))
+        film, shared = lay_out(scene, RayList(listed, width if fits else 0))
         yield BounceFilm(film, shared, bounce, row, scene)
 
 

@@ -75,11 +75,39 @@ def test_textures_are_compared_where_their_files_are(folder, capsys, monkeypatch
     assert again.ok and again.counts == scene.counts and Path("out").joinpath("0001-wall.png").exists()
     ours, theirs = (each.images["ours"]["diffuse"] for each in (again, scene))
     assert np.abs(ours - theirs).max() < 1e-5 * theirs.max()
-    Path("swatch.png").unlink()
-    capsys.readouterr()
-    assert main(["validate", path, "--size", "9", "6"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert re.search(r"diffuse is not compared: swatch.png is missing, of texture bitmap at \S+:1:\d+", said)
+    for content in (b"no picture", None):
+        Path("swatch.png").unlink() if content is None else Path("swatch.png").write_bytes(content)
+        capsys.readouterr()
+        assert main(["validate", path, "--size", "9", "6"]) == 0
+        said = " ".join(capsys.readouterr().out.split())
+        assert re.search(r"diffuse is not compared: cannot read swatch.png of texture bitmap at \S+:1:\d+", said)
+
+
+@pytest.mark.parametrize(
+    ("parts", "reason"),
+    [
+        (f"{BOARD.replace('<rgb', PICTURE.replace('reflectance', 'color1') + '<rgb')}", "texture checkerboard"),
+        (BOARD.replace("</", '<transform name="to_uv"><scale x="0"/></transform></'), "texture checkerboard"),
+        ('<texture type="mesh_attribute" name="reflectance"><string name="name" value="vertex_c"/></texture>', "mesh_"),
+    ],
+)
+def test_a_texture_that_the_caster_has_not_is_a_reason_not_to_compare_diffuse(folder, parts, reason):
+    """Also where it is defined apart; one of a material that no shape has is none."""
+    shutil.copy(ROOT / "scenes/pictures/swatch.png", folder)
+    apart = parts.replace('name="reflectance"', 'id="t"', 1)
+    within = WITHIN.format("m", '<ref id="t" name="reflectance"/>')
+    for scene, said in ((BALL.replace("/>", '><ref id="m"/></shape>'), reason), (BALL, "")):
+        path = written(folder, SENSOR + LAMP + apart + within + scene)
+        verdict = mitsuba_ref.validate(path, size=(20, 20)).scenes[0]
+        assert verdict.ok and ("diffuse" in verdict.ratios) != bool(said)
+        assert said in "".join(verdict.coverage.unlit) and bool(verdict.coverage.unlit) == bool(said)
+
+
+def test_a_mesh_without_uv_is_judged_without_its_texture(folder):
+    (folder / "flat.obj").write_text("v -1 -1 0\nv 1 -1 0\nv 0 1 0\nf 1 2 3\n")
+    mesh = f'<shape type="obj"><string name="filename" value="flat.obj"/>{WITHIN.format("m", BOARD)}</shape>'
+    scene = mitsuba_ref.validate(written(folder, SENSOR + LAMP + mesh), size=(20, 20)).scenes[0]
+    assert scene.ok and scene.hit_pixels > 20 and "no uv" in scene.coverage.unlit[0]
 
 
 def test_curves_ellipsoids_flipped_quadrics_and_specular_materials_are_judged(folder):
