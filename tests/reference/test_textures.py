@@ -1,5 +1,7 @@
 """Textures against Mitsuba: what it evaluates at every pixel, and mistakes of ours and of its scene."""
 
+import struct
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -114,12 +116,23 @@ def test_a_textured_scene_round_trips(tmp_path):
     assert changed.sha256() != scene.sha256()
 
 
+def png_of_16_bits() -> bytes:
+    """One red pixel; Pillow reads such files with 8 bits a channel."""
+    chunks = [(b"IHDR", struct.pack(">IIBBBBB", 1, 1, 16, 2, 0, 0, 0)), (b"IEND", b"")]
+    chunks.insert(1, (b"IDAT", zlib.compress(b"\0\xff\xff\0\0\0\0")))
+    parts = (
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data)) for name, data in chunks
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "expected"),
     [
         ("none.png", None, "reflectance.file cannot be used: cannot read this picture: No such file or directory"),
         ("word.png", b"P6 1 1 255", "expected a PNG picture that is complete"),
         ("cut.png", Path(SWATCH).read_bytes()[:70], "expected a PNG picture that is complete"),
+        ("rgb.png", png_of_16_bits(), "8 bits a channel, got 1 x 1 of 16 bits"),
         ("deep.png", np.zeros((3, 4), np.uint16), "expected at most 16,777,216 pixels, of 8 bits a channel, got 4 x 3"),
         ("large.png", np.zeros((4097, 4096), np.uint8), "expected at most 16,777,216 pixels, .* got 4096 x 4097"),
     ],
