@@ -310,7 +310,7 @@ def open_file(request: OpenRequest, sensor_rays: Any) -> OpenResponse:
 
 def _view_of_all(scene: Any, size: Sequence[int] | None) -> Any:
     """A sensor that sees the whole scene, for a file without any."""
-    box = scene.bbox()
+    box = scene.bbox() if scene.shapes() else mi.ScalarBoundingBox3f(0.0)
     center, radius = np.array(box.center()), math.hypot(*map(float, box.extents())) / 2.0 or 1.0
     to_world = mi.ScalarTransform4f().look_at(center + 3.0 * radius * VIEW_FROM, center, [0.0, 1.0, 0.0])
     film = dict(zip(FILM_SIZES, size or VIEW_SIZE, strict=True)) | {"type": "hdrfilm"}

@@ -231,6 +231,7 @@ REFUSED = [
         r"scene.xml:1:\d+: cannot read no.obj \(tried ",
     ),
     (SENSOR, 5, "it has no shape"),
+    (WITHIN.format("m", BOARD), 5, "it has no shape"),
     (SENSOR + BALL.replace("/>", f">{STRETCHED}</shape>"), 5, "none of its 1 shapes"),
     (SENSOR + BALL.replace("/>", '><float name="radius" value="$r"/></shape>'), 2, r"\$r; give it by -D NAME=VALUE"),
     (SENSOR + BALL.replace("/>", '><float name="radus" value="1"/></shape>'), 2, r"(?s)line 1, col \d+.*radus"),
