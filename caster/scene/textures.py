@@ -27,7 +27,7 @@ from caster.kernels.surface.texturing import BILINEAR, CLAMP, MIRROR, NEAREST, N
 __all__ = ["Bitmap", "Checkerboard", "Texture"]
 
 MAX_TEXELS = 2**24  # 4096 x 4096; 24 bytes each
-FLOAT32_DECODING = 1e-6  # differences of one sRGB level, decoded in float32 and in float64; two levels differ by 3e-4
+FLOAT32_DECODING = 1e-6  # levels of sRGB that were decoded in float32 are up to 3.4e-7 off; two levels differ by 3e-4
 PNG_BITS = 24  # where a PNG file has the number of bits a channel
 FILTERS = {"nearest": NEAREST, "bilinear": BILINEAR}
 WRAPS = {"repeat": REPEAT, "mirror": MIRROR, "clamp": CLAMP}
