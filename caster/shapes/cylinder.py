@@ -170,7 +170,7 @@ def clip_to_height(hit: tuple[float, float], axis: tuple[float, float, float, fl
     f, f_error, e, e_off = axis
     z = f + t * e
     # t e, its rounding and that of the sum are within 3 u of what TO_OBJECT_SPACE_ERROR is taken of
-    z_off = 2.0 * (f_error + abs(t) * e_off + abs(e) * error) + TINY
+    z_off = 2.0 * (f_error + abs(t) * e_off + (abs(e) + TINY) * error) + TINY  # error may be inf, and e zero
     inside = there & (z > z_off) & (z < 1.0 - z_off)
     return filter_result(inside, (z < -z_off) | (z > 1.0 + z_off) | (not there), t, error)
 

@@ -1,5 +1,9 @@
 """Compiled kernels and plain Python give the same bits."""
 
+import os
+import subprocess
+import sys
+
 import pytest
 from plain_python import elsewhere, everything, inputs
 from random_scenes import KINDS, VIEWS
@@ -22,3 +26,15 @@ def test_numba_and_plain_python_give_the_same_bits(share, shapes, tmp_path):
     for place in range(3):
         assert len({film[place] for film in films}) == (len(shapes), len(VIEWS), 2)[place]
     assert len(films) >= len(shapes) * len(VIEWS) // share
+
+
+TANGENT = """import caster
+scene = caster.Scene(camera=caster.Pinhole(eye=(0, 0, 5), look_at=(0, 0, 0)), shapes=[caster.Cylinder()])
+print(caster.cast(scene, [[1, 0, 0.5]], [[-1, 0, 0]]).t[0])"""
+
+
+def test_an_undecided_root_gives_no_warning():
+    """A ray across the axis that starts on the wall: 0 times an error of inf."""
+    command, plain = [sys.executable, "-W", "error", "-c", TANGENT], os.environ | {"CASTER_JIT": "0"}
+    run = subprocess.run(command, env=plain, capture_output=True, text=True, check=False)
+    assert run.stdout == "2.0\n", run.stderr
