@@ -53,7 +53,8 @@ def run_supervised(words: Sequence[str]) -> int:
 
     Ctrl-C, SIGTERM and SIGHUP interrupt the fork.
     """
-    from mitsuba_ref.runner.workers import Worker, WorkerEnded
+    from caster.system.cluster import CallEnded
+    from mitsuba_ref.runner.workers import Worker
 
     application.announce("mitsuba-ref", COMMANDS, words[0])
     for each in (signal.SIGTERM, signal.SIGHUP):
@@ -67,7 +68,7 @@ def run_supervised(words: Sequence[str]) -> int:
             interrupted = True
             fork.process.terminate()
         return fork.reply(INTERRUPT_GRACE_SECONDS)
-    except (WorkerEnded, KeyboardInterrupt) as ended:
+    except (CallEnded, KeyboardInterrupt) as ended:
         if not interrupted and fork.process.exitcode != INTERRUPTED:
             print(f"the candidate ended the process, and nothing is judged: {ended}", file=sys.stderr)
             return DIFFERENCES

@@ -302,6 +302,7 @@ def add_validate_arguments(parser: argparse.ArgumentParser) -> None:
     add_opening(parser)
     add = adder(parser)
     add("--shard", shard, "judge part I of N of the scenes", metavar="I/N")
+    add_engine(add)
     help_ = "also test our caster beyond the judged films: other routes, scales, brute force; compiles more kernels"
     add("--thorough", bool, help_)
     add_bounces(add, "also judge reflected, refracted and shadow rays, to this depth")
@@ -323,6 +324,21 @@ def add_validate_arguments(parser: argparse.ArgumentParser) -> None:
     add("--maxfail", positive_int, "stop after so many scenes that fail")
     add_candidate(parser)
     add_reading(parser, "; with --candidate")
+
+
+def add_engine(add: Callable[..., argparse.Action]) -> None:
+    """Add --engine."""
+    help_ = (
+        "what runs the work: local, the processes of this machine; dask, a Dask cluster started here; or dask:ADDRESS"
+    )
+    add("--engine", engine, help_, metavar="ENGINE", default="local")
+
+
+def engine(text: str) -> str:
+    """Parse the name of an engine, or raise argparse's error."""
+    if text in ("local", "dask") or re.fullmatch(r"dask:(tcp|tls)://.+:\d+", text):
+        return text
+    raise argparse.ArgumentTypeError(f"expected local, dask or dask:tcp://HOST:PORT, got '{text}'")
 
 
 def shard(text: str) -> Shard:

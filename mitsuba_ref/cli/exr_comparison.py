@@ -22,7 +22,8 @@ from mitsuba_ref.exr_compare.two_files import Tolerances, compare_exr
 from mitsuba_ref.reference import variants
 from mitsuba_ref.report.builtin_scenes import shown_path
 from mitsuba_ref.report.results import plural, print_lines
-from mitsuba_ref.runner.many_scenes import SceneEntry, map_in_order, problem_of
+from mitsuba_ref.runner.engine import map_in_order
+from mitsuba_ref.runner.many_scenes import SceneEntry, problem_of
 
 # ---- compare ----
 

@@ -51,6 +51,7 @@ def run(args: argparse.Namespace) -> int:
     options = RunOptions(
         JudgeOptions(Path(args.out) if args.out else None, args.timeout, args.store, candidate, thorough=args.thorough),
         args.workers,
+        args.engine,
         args.maxfail,
         args.html,
         args.shard,

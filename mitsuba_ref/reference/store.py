@@ -135,6 +135,7 @@ def machine() -> dict[str, str]:
 
 
 BUILD = "build"  # of Mitsuba, where another interpreter runs it
+PROCESSOR = "processor"
 
 
 @cache
@@ -143,7 +144,7 @@ def this_machine() -> dict[str, str]:
     return {
         "system": platform.system(),
         "machine": platform.machine(),
-        "processor": processor.description(),
+        PROCESSOR: processor.description(),
         "python": platform.python_version(),
         **{name: installed_version(name) for name in LIBRARIES},
     }

@@ -2,14 +2,12 @@
 
 import json
 import re
-from collections import deque
 from collections.abc import Callable, Generator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import closing
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
@@ -18,15 +16,14 @@ from caster.cameras import CAMERAS
 from caster.cli.shared_arguments import resized
 from caster.description.errors import SceneError, suggestion
 from caster.description.registry import type_name
-from caster.rendering.threads import core_count, set_default_threads
+from caster.rendering.threads import set_default_threads
 from caster.scene.files import load_scene
 from caster.scene.model import Scene
 from caster.shapes import SHAPES
-from caster.system import process
 from caster.system.atomic_files import OutputError
+from caster.system.cluster import CallEnded
 from mitsuba_ref.judge.aggregate import scene_statistics
 from mitsuba_ref.judge.verdict import SceneVerdict
-from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, send_request, send_stored
 from mitsuba_ref.reference.original_files import AS_IT_IS, Opening, is_original, open_scene
 from mitsuba_ref.reference.shared_input import SharedRays
@@ -34,14 +31,11 @@ from mitsuba_ref.reference.store import StoreFolder, local_store
 from mitsuba_ref.report.out_folder import file_records, files_of
 from mitsuba_ref.report.reproducers import with_replay
 from mitsuba_ref.report.validation import validate_scene
+from mitsuba_ref.runner.engine import LOCAL, Engine, opened
 from mitsuba_ref.runner.verdict_files import verdict_key
-from mitsuba_ref.runner.workers import CALL_TIMEOUTS, WorkerEnded, Workers
+from mitsuba_ref.runner.workers import CALL_TIMEOUTS
 from mitsuba_ref.subjects.ray_files import HitsFile, RayList, lay_out
 from mitsuba_ref.subjects.subject import OURS, Subject
-
-Result = TypeVar("Result")
-
-INTERRUPTED_SECONDS = 1.5  # given to scenes in progress to end after an interruption
 
 
 @dataclass(frozen=True)
@@ -115,65 +109,36 @@ def entries_of_hits(
     ]
 
 
-def map_in_order(
-    work: Callable[[SceneEntry], Result],
-    entries: Sequence[SceneEntry],
-    workers: int | None = None,
-    end_work: Callable[[], None] = lambda: None,
-) -> Generator[Result, None, None]:
-    """work(entry) for each, several at a time; results in order. No further work starts after an interruption.
-
-    workers: at a time; None: one for each core. end_work: called at an interruption, to end the work in progress.
-    """
-    pool = ThreadPoolExecutor(workers or core_count())
-    futures = deque(pool.submit(work, entry) for entry in entries)
-    try:
-        while futures:
-            yield futures[0].result()
-            futures.popleft()  # so that the result can be released
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
-        subprocess_runner.kill_subprocesses()
-        end_work()
-        if process.interrupted.is_set():  # work in compiled code ends with the process
-            wait([each for each in futures if each.running()], timeout=INTERRUPTED_SECONDS)
-        else:
-            pool.shutdown(wait=True)
-        subprocess_runner.allow_subprocesses()
+def engine_for(
+    entries: Sequence[SceneEntry], options: "JudgeOptions", name: str = LOCAL, workers: int | None = None
+) -> AbstractContextManager[Engine]:
+    """The engine that judges these entries: a candidate runs in this process. Raises ClusterError."""
+    ours = options.subject is None and all(entry.subject is None for entry in entries)
+    return opened(name, workers, CALL_TIMEOUTS * max(options.timeout, DEFAULT_TIMEOUT), forks=ours)
 
 
 def run(
     entries: Sequence[SceneEntry],
     options: "JudgeOptions",
-    workers: int,
+    engine: Engine,
     maxfail: int | None = None,
     record: Callable[[SceneVerdict], SceneVerdict] = lambda verdict: verdict,
     on_error: Callable[[Exception], None] = lambda error: None,
 ) -> Generator[SceneVerdict, None, None]:
     """Verdicts in the order of the entries; ends after maxfail failures.
 
-    record: called in the thread that receives a verdict with its page; returns it without the page, to keep memory
-    small. For a scene that cannot be loaded, judged or written, the verdict has the problem, and on_error gets the
-    exception.
+    record: called as soon as a verdict with its page is there; returns it without the page, to keep memory small. For
+    a scene that cannot be loaded, judged or written, the verdict has the problem, and on_error gets the exception.
     """
-    pool = Workers(CALL_TIMEOUTS * max(options.timeout, DEFAULT_TIMEOUT))
-
-    def work(entry: SceneEntry) -> SceneVerdict:
-        try:
-            if options.subject or entry.subject:
-                return record(judge_entry(entry, options))
-            return record(pool.call(judge_entry, entry, options))  # machine code may end the process that it runs in
-        except WorkerEnded as ended:
-            problem = f"the process that casts and judges ended: {ended}"
-        except Exception as error:
-            on_error(error)
-            problem = problem_of(error)
-        failed = SceneVerdict(entry.name, entry.path, problem=problem)
-        return with_replay(failed)
-
     failed = 0
-    with pool, closing(map_in_order(work, entries, workers, pool.stop)) as verdicts:
-        for verdict in verdicts:
+    calls = ((entry, options) for entry in entries)
+    with closing(engine.map(judge_entry, calls, record)) as outcomes:
+        for entry, outcome in zip(entries, outcomes, strict=True):
+            verdict = outcome.result
+            if outcome.error:
+                if not isinstance(outcome.error, CallEnded):
+                    on_error(outcome.error)
+                verdict = with_replay(SceneVerdict(entry.name, entry.path, problem=problem_of(outcome.error)))
             yield verdict
             failed += not (verdict.ok or verdict.waived)
             if maxfail is not None and failed >= maxfail:
@@ -182,6 +147,8 @@ def run(
 
 def problem_of(error: Exception) -> str:
     """The reason why a scene has no verdict."""
+    if isinstance(error, CallEnded):
+        return f"the process that casts and judges ended: {error}"
     if isinstance(error, OutputError):
         return f"cannot be written: {error}"
     if isinstance(error, SceneError):

@@ -178,7 +178,8 @@ class ScenePlugin:
             judge = many_scenes.JudgeOptions(subject=self.subject, page_of=page_of)
         except SceneError as error:
             return str(error)
-        (verdict,) = many_scenes.run([entry], judge, workers=1)
+        with many_scenes.engine_for([entry], judge, workers=1) as engine:
+            (verdict,) = many_scenes.run([entry], judge, engine)
         if isinstance(report, Report):
             report.add(verdict, named)
         return "\n".join([*([] if verdict.ok else [failure_text(verdict)]), *failing])

@@ -11,11 +11,9 @@ from caster.description.errors import SceneError
 from caster.system.process import NOT_COMPARABLE
 from mitsuba_ref.judge.verdict import SceneVerdict, Verdict
 from mitsuba_ref.reference import variants
-from mitsuba_ref.reference.store import BUILD, key_of, machine
+from mitsuba_ref.reference.store import BUILD, PROCESSOR, key_of, machine
 from mitsuba_ref.runner.many_scenes import SceneEntry
 from mitsuba_ref.runner.verdict_files import UnreadableVerdict, code_hash
-
-PROCESSOR = "processor"  # of `judged_with`; shards may run on different ones
 
 
 def judged_with() -> dict[str, str]:

@@ -17,10 +17,12 @@ from caster.rendering.threads import core_count
 from caster.system.terminal import ProgressBar
 from mitsuba_ref.judge.checks import run_checks
 from mitsuba_ref.judge.verdict import EXPECTED, UNSUPPORTED, SceneCheck, SceneVerdict, Verdict
+from mitsuba_ref.reference.store import PROCESSOR
 from mitsuba_ref.report.html_report import HtmlReport, page_record
 from mitsuba_ref.report.out_folder import OutFolder
 from mitsuba_ref.report.verdict_text import failing_checks
 from mitsuba_ref.runner import many_scenes
+from mitsuba_ref.runner.engine import LOCAL
 from mitsuba_ref.runner.many_scenes import JudgeOptions, SceneEntry
 from mitsuba_ref.runner.shards import Shard, run_identity, scenes_of_shard
 
@@ -31,6 +33,7 @@ class RunOptions:
 
     judge: JudgeOptions
     workers: int | None = None  # scenes at a time; None: one for each core
+    engine: str = LOCAL  # that judges them
     maxfail: int | None = None  # failing scenes after which the run ends
     html: str | None = None  # folder or file of the HTML report
     shard: Shard | None = None
@@ -48,6 +51,7 @@ class ValidationRun:
         self.entries = scenes_of_shard(entries, options.shard) if options.shard else list(entries)
         self.candidate_name = options.judge.subject.name if options.judge.subject else ""
         self.done: list[SceneVerdict] = []
+        self.processors = frozenset[str]()  # of the machines that judged
         self.errors: list[Exception] = []  # of scenes that could not be loaded, judged or written
         self.checks: tuple[SceneCheck, ...] = ()
         self.out = out
@@ -59,14 +63,18 @@ class ValidationRun:
         self.checks = run_checks(self.options.judge.subject)
         # A thread for each core: more would wait for each other, a twentieth of the time.
         threads = None if self.candidate_name else max(1, core_count() // max(1, min(workers, len(self.entries))))
+        threads = threads if self.options.engine == LOCAL else 1
         judge = self.options.judge._replace(page_of=page_record if self.html else None, threads=threads)
-        running = many_scenes.run(
-            self.entries, judge, workers, self.options.maxfail, self._recorded, self.errors.append
-        )
-        bar = ProgressBar("validating", len(self.entries))
-        with closing(running), closing(bar):
+        with (
+            many_scenes.engine_for(self.entries, judge, self.options.engine, workers) as engine,
+            closing(
+                many_scenes.run(self.entries, judge, engine, self.options.maxfail, self._recorded, self.errors.append)
+            ) as running,
+            closing(ProgressBar("validating", len(self.entries))) as bar,
+        ):
             for verdict in running:
                 self.done.append(verdict)
+                self.processors = engine.processors
                 if self.html:
                     self.html.add(verdict)
                 with bar.aside():
@@ -84,6 +92,7 @@ class ValidationRun:
     def verdict(self) -> Verdict:
         """The verdict of the scenes done so far."""
         names = tuple(entry.name for entry in self.entries)
+        judged_on = {PROCESSOR: " and ".join(sorted(self.processors))} if self.processors else {}
         return Verdict(
             tuple(self.done),
             scene_count=len(names),
@@ -92,7 +101,7 @@ class ValidationRun:
             checks=self.checks,
             min_scenes=self.options.min_scenes,
             fixed=self.options.expected.fixed(self.done) if self.options.expected else (),
-            **self._identity,
+            **self._identity | {"judged_with": self._identity["judged_with"] | judged_on},
         )
 
     @cached_property

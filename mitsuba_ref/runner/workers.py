@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from caster.system.atomic_files import ScratchFolder
+from caster.system.cluster import CallEnded
 from caster.system.process import PARENT_VARIABLE, die_with_parent
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.subprocess_runner import exit_name, kill_group, kill_subprocesses
@@ -34,10 +35,6 @@ POLL_SECONDS = 0.2  # between looks at a worker that has not replied
 STACK_FILE, MAX_CALLS = "stack", 4  # innermost Python calls of a crash
 
 _forking = threading.Lock()  # a second fork at the same time would keep the first one's pipe open
-
-
-class WorkerEnded(Exception):  # noqa: N818 - an event; str() is how the process ended, then the last Python calls
-    """A worker ended, or was killed at the deadline, before its call returned."""
 
 
 class Worker:
@@ -55,7 +52,7 @@ class Worker:
             remote.close()
 
     def call(self, seconds: float | None, function: Callable[..., Result], args: tuple[Any, ...]) -> Result:
-        """function(*args), with its exceptions, within `seconds`. Raises WorkerEnded after closing the worker."""
+        """function(*args), with its exceptions, within `seconds`. Raises CallEnded after closing the worker."""
         with contextlib.suppress(OSError):  # it has ended, which `reply` reports
             self.connection.send((function, args))
         return self.reply(seconds)
@@ -65,13 +62,13 @@ class Worker:
         try:
             if not self._has_replied(seconds):
                 self.close(signal.SIGKILL)
-                raise WorkerEnded(f"killed after {seconds:g} s without an answer")
+                raise CallEnded(f"killed after {seconds:g} s without an answer")
             result, error = self.connection.recv()
         except (EOFError, OSError):
             self.process.join(STOP_SECONDS)
             code = self.process.exitcode
             stack = self.close()
-            raise WorkerEnded("\n".join([exit_name(-signal.SIGKILL if code is None else code), *stack])) from None
+            raise CallEnded("\n".join([exit_name(-signal.SIGKILL if code is None else code), *stack])) from None
         if error is not None:
             raise error
         return result
@@ -154,17 +151,17 @@ class Workers:
             worker.close()
 
     def stop(self) -> None:
-        """End calls in progress, each with WorkerEnded, and refuse new ones: for Ctrl-C while threads wait."""
+        """End calls in progress, each with CallEnded, and refuse new ones: for Ctrl-C while threads wait."""
         with self._lock:
             self._stopped = True
             for worker in self._all:
                 worker.process.terminate()
 
     def call(self, function: Callable[..., Result], *args: Any) -> Result:
-        """function(*args) in the thread's worker. Raises WorkerEnded, and the function's own exceptions."""
+        """function(*args) in the thread's worker. Raises CallEnded, and the function's own exceptions."""
         with self._lock:
             if self._stopped:
-                raise WorkerEnded("stopped before it began")
+                raise CallEnded("stopped before it began")
             worker: Worker | None = getattr(self._of_thread, "worker", None)
             if worker is None or not worker.process.is_alive():  # after a crash, or killed from outside
                 worker = self._of_thread.worker = Worker()

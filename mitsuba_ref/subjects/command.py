@@ -6,7 +6,8 @@ import shlex
 import shutil
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -328,6 +329,10 @@ class ServedCommand(RayProgram):
     running: list[ResidentProcess] = field(default_factory=list, compare=False)  # at most one
     turn: Any = field(default_factory=threading.Lock, compare=False)  # scenes are judged several at a time
 
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+        """A process that reads pickles of it starts the program once."""
+        return served_command, tuple(getattr(self, each.name) for each in fields(self) if each.compare)
+
     def answer(self, request: CastRequest) -> Answer:
         """Send triangles and rays, read hits; restart a program that has ended. Raises NoAnswer."""
         parts = mesh_bytes(request.model.packed), ray_bytes(request, self.precision)
@@ -361,3 +366,9 @@ class ServedCommand(RayProgram):
         except ProcessEnded as ended:
             raise_if_failed(ended.end, self.seconds)
             raise NoAnswer(f"the program ended before its response was whole{_last_words(ended.end)}") from None
+
+
+@cache
+def served_command(*arguments: Any) -> ServedCommand:
+    """The one ServedCommand of these arguments in this process."""
+    return ServedCommand(*arguments)

@@ -110,6 +110,10 @@ class FunctionSubject(Subject):
     precision: str | None = None  # None: that of the arrays it returns
     takes_rays: ClassVar[bool] = True
 
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+        """A pickle names the function; the process that reads it imports the module."""
+        return import_function, (self.name, self.precision)
+
     @property
     def takes_limits(self) -> bool:
         """Whether it has parameters t_min and t_max."""

@@ -13,9 +13,11 @@ from xml.etree import ElementTree
 import pytest
 from verdict_factory import scene as made
 
+from caster.system.cluster import CallEnded
 from mitsuba_ref.__main__ import main
+from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.runner import many_scenes
-from mitsuba_ref.runner.workers import WorkerEnded, Workers
+from mitsuba_ref.runner.workers import Workers
 
 SCENE = '[camera]\ntype = "pinhole"\neye = [0, 0, 5]\nlook_at = [0, 0, 0]\n[[shape]]\ntype = "sphere"\n'
 
@@ -49,7 +51,7 @@ def test_every_end_is_a_row_and_the_rest_is_judged(tmp_path, monkeypatch, capsys
         return made(name)
 
     monkeypatch.setattr(many_scenes, "validate_scene", validate)
-    monkeypatch.setattr(many_scenes, "Workers", lambda seconds: Workers(1.0))
+    monkeypatch.setattr(many_scenes, "CALL_TIMEOUTS", 1.0 / DEFAULT_TIMEOUT)
     words = ["--json", "v.json", "--junit", "j.xml", "--html", "report"]
     assert main(["validate", "scenes", "-j", "3", *words]) == 1
     out = " ".join(capsys.readouterr().out.split())
@@ -72,7 +74,7 @@ def test_a_worker_serves_many_calls_and_a_dead_one_is_replaced():
         os.waitid(os.P_PID, first, os.WEXITED | os.WNOWAIT)
         second = pool.call(os.getpid)
         assert second not in (first, os.getpid())
-        with pytest.raises(WorkerEnded, match="SIGSEGV"):
+        with pytest.raises(CallEnded, match="SIGSEGV"):
             pool.call(crash)
         with pytest.raises(ZeroDivisionError):
             pool.call(divmod, 1, 0)
@@ -92,12 +94,12 @@ def leave_a_file():
 def test_nothing_is_left_behind_and_stopped_calls_end(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     with Workers() as pool:
-        with pytest.raises(WorkerEnded):
+        with pytest.raises(CallEnded):
             pool.call(leave_a_file)
         threading.Timer(0.5, pool.stop).start()
         begin = time.monotonic()
-        with pytest.raises(WorkerEnded):
+        with pytest.raises(CallEnded):
             pool.call(time.sleep, 60)
-        with pytest.raises(WorkerEnded, match="before it began"):
+        with pytest.raises(CallEnded, match="before it began"):
             pool.call(os.getpid)
     assert time.monotonic() - begin < 10 and list(tmp_path.iterdir()) == []

@@ -1,0 +1,197 @@
+"""Calls on a Dask cluster: results in order, each call by itself; one that ends its workers is one failure.
+
+Loaded for `--engine dask` alone. The cluster is started here, on loopback, or is one that runs at a given address.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import logging
+import os
+import pickle
+import threading
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+from caster.description.errors import SceneError
+from caster.system.process import interrupted
+
+__all__ = ["DASK", "CallEnded", "Cluster", "ClusterError", "Outcome"]
+
+DASK = "dask"  # the engine; "dask:ADDRESS" is a cluster that runs there
+TRIES = 2  # of a call whose worker ends: the first end may have had a reason outside of it, such as too little memory
+CALLS_PER_WORKER = 3  # submitted and not finished: one runs, the others hide the time of a message
+WAITING_RESULTS = 64  # finished calls that wait for an earlier one
+CONNECT_SECONDS = 20.0  # for a scheduler to answer, and to answer again
+POLL_SECONDS = 0.5  # between looks at interruptions and at the connection
+LOOPBACK = "127.0.0.1"
+INSTALL = "pip install 'ray-reference[cluster]'"
+
+
+class ClusterError(SceneError):
+    """A cluster cannot be used, or was lost."""
+
+
+class CallEnded(Exception):  # noqa: N818 - an event
+    """The process of a call ended, or was killed at the deadline, before it returned; str() is how."""
+
+
+class Outcome(NamedTuple):
+    """How a call ended."""
+
+    result: Any = None
+    error: Exception | None = None  # which the function raised; CallEnded
+    worker: Mapping[str, str] = {}  # what `identify` says of the process that ran it
+
+
+class _Call(NamedTuple):
+    """A call and its surroundings, as they are sent to a worker."""
+
+    function: Callable[..., Any]
+    args: bytes  # a pickle, read in `folder`: a candidate imports modules from there
+    folder: str  # the working folder, since paths are relative to it
+    identify: Callable[[], Mapping[str, str]]
+    expected: Mapping[str, str]
+    seconds: float | None
+
+    def __call__(self) -> Outcome:
+        """Run in the worker, which a call without an end kills."""
+        found = self.identify()
+        for name, value in self.expected.items():
+            if found.get(name) != value:
+                where = f"a worker on {os.uname().nodename}"
+                return Outcome(error=ClusterError(f"{where}: its {name} is {found.get(name)}, expected {value}"))
+        if self.seconds is not None:
+            faulthandler.dump_traceback_later(self.seconds, exit=True, file=_NOWHERE)  # also in machine code
+        try:
+            os.chdir(self.folder)
+            return Outcome(self.function(*pickle.loads(self.args)), worker=found)
+        except Exception as error:
+            error.add_note("".join(["In the worker:\n", *traceback.format_tb(error.__traceback__)]))
+            return Outcome(error=error, worker=found)
+        finally:
+            faulthandler.cancel_dump_traceback_later()
+
+
+_NOWHERE = os.open(os.devnull, os.O_WRONLY | os.O_CLOEXEC)  # for the traceback: workers have the terminal of the run
+
+
+class Cluster:
+    """A connection to a cluster. Use it as a context."""
+
+    def __init__(self, engine: str, workers: int, identify: Callable[[], Mapping[str, str]], *expected: str) -> None:
+        """engine: "dask", which starts `workers` processes of one thread each here, or "dask:ADDRESS".
+
+        identify: what a process is, by name; a worker that differs from this process in one of `expected` is refused.
+        Raises ClusterError.
+        """
+        try:
+            import dask
+            import distributed
+        except ImportError:
+            raise ClusterError(f"--engine {engine}: the package distributed is not installed: {INSTALL}") from None
+        self.engine, self.identify = engine, identify
+        own = identify()
+        self.expected = {name: own[name] for name in expected}
+        address = engine.removeprefix(DASK).removeprefix(":")
+        # A worker gets no call beyond the one that it runs, so that none is suspected of what another one did.
+        settings = {
+            "distributed.scheduler.allowed-failures": TRIES - 1,
+            "distributed.scheduler.worker-saturation": 1.0,
+            "distributed.comm.timeouts.connect": f"{CONNECT_SECONDS:g}s",
+            "distributed.worker.daemon": False,  # a candidate may start processes
+        }
+        self._ended = threading.Event()  # set at the end of each call
+        self._stack = contextlib.ExitStack()
+        self._stack.enter_context(dask.config.set(settings))
+        try:
+            start: Any = distributed.LocalCluster
+            connect: Any = distributed.Client
+            if not address:
+                cluster = start(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    host=LOOPBACK,
+                    dashboard_address=None,
+                    silence_logs=logging.CRITICAL,
+                )
+                address = self._stack.enter_context(cluster).scheduler_address
+            self.client = self._stack.enter_context(connect(address, timeout=CONNECT_SECONDS, set_as_default=False))
+        except (OSError, ValueError, RuntimeError) as error:  # TimeoutError is an OSError
+            self._stack.close()
+            raise ClusterError(
+                f"--engine {engine}: no scheduler answers there ({error or type(error).__name__}); "
+                "`dask scheduler` prints the address of the one that it starts"
+            ) from error
+
+    def __enter__(self) -> Cluster:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with contextlib.suppress(Exception):  # of a cluster that is lost already
+            self._stack.close()
+
+    def map(
+        self, function: Callable[..., Any], calls: Iterable[tuple[Any, ...]], seconds: float | None = None
+    ) -> Generator[Outcome, None, None]:
+        """function(*args) for each of the calls; outcomes in their order. The function is imported by the workers.
+
+        seconds: time limit of one call. Raises ClusterError for a lost cluster, and for a worker that differs.
+        """
+        futures: deque[Any] = deque()
+        try:
+            for args in calls:
+                while not self._has_room(futures):
+                    yield from self._finished(futures)
+                call = _Call(function, pickle.dumps(args), os.getcwd(), self.identify, self.expected, seconds)
+                futures.append(self.client.submit(call, pure=False))
+                futures[-1].add_done_callback(lambda _: self._ended.set())
+            while futures:
+                yield from self._finished(futures)
+        finally:
+            with contextlib.suppress(Exception):
+                self.client.cancel(list(futures), force=True)
+
+    def _has_room(self, futures: deque[Any]) -> bool:
+        unfinished = sum(not future.done() for future in futures)
+        workers = sum(each["nthreads"] for each in self.client.scheduler_info(n_workers=-1)["workers"].values())
+        return unfinished < CALLS_PER_WORKER * max(1, workers) and len(futures) - unfinished < WAITING_RESULTS
+
+    def _finished(self, futures: deque[Any]) -> Iterator[Outcome]:
+        """Wait for a call to finish, then take outcomes from the left as far as there are any."""
+        lost = time.monotonic() + CONNECT_SECONDS
+        while not any(future.done() for future in futures):
+            if interrupted.is_set():
+                raise KeyboardInterrupt
+            self._ended.wait(POLL_SECONDS)
+            self._ended.clear()
+            if self.client.status == "running":
+                lost = time.monotonic() + CONNECT_SECONDS
+            elif time.monotonic() > lost:
+                raise self._lost()
+        while futures and futures[0].done():
+            yield self._outcome(futures.popleft())
+
+    def _lost(self) -> ClusterError:
+        return ClusterError(f"--engine {self.engine}: the scheduler is gone; what is finished is kept")
+
+    def _outcome(self, future: Any) -> Outcome:
+        from distributed.scheduler import KilledWorker
+
+        try:
+            outcome: Outcome = future.result()
+        except KilledWorker:
+            return Outcome(error=CallEnded(f"its process ended, or ran out of time, {TRIES} times"))
+        except Exception as error:  # of Dask itself, such as a result without a pickle
+            if future.cancelled():
+                raise ClusterError(
+                    f"--engine {self.engine}: the scheduler is gone; what is finished is kept"
+                ) from error
+            return Outcome(error=error)
+        if isinstance(outcome.error, ClusterError):
+            raise outcome.error
+        return outcome

@@ -1,0 +1,148 @@
+"""Engines, which run the calls of a command: processes of this machine, or a Dask cluster (caster/system/cluster.py).
+
+Each call is one scene, example or sweep, from 0.1 s to some seconds of work, and takes and returns what has a pickle.
+Results are the same on every engine, since a call depends on its arguments alone.
+"""
+
+import contextlib
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import closing
+from typing import Any, Protocol, TypeVar
+
+from caster.rendering.threads import core_count
+from caster.system import process
+from caster.system.cluster import Cluster, Outcome
+from mitsuba_ref.reference import subprocess_runner
+from mitsuba_ref.reference.store import PROCESSOR, REFERENCE_SETTINGS, environment_settings, machine
+from mitsuba_ref.runner.verdict_files import OUR_SETTINGS, code_hash
+from mitsuba_ref.runner.workers import Workers
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+LOCAL = "local"
+INTERRUPTED_SECONDS = 1.5  # given to calls in progress to end after an interruption
+CALLS_AHEAD = 32  # of each worker, begun, waiting, or finished before an earlier one
+
+
+class Engine(Protocol):
+    """What runs calls."""
+
+    def map(
+        self,
+        function: Callable[..., Any],
+        calls: Iterable[tuple[Any, ...]],
+        then: Callable[[Any], Any] = lambda result: result,
+    ) -> Generator[Outcome, None, None]:
+        """function(*args) for each of the calls, several at a time; outcomes in their order.
+
+        then: makes the result in this process from what the function returned, as soon as it has.
+        """
+
+    @property
+    def processors(self) -> frozenset[str]:
+        """Of the machines that ran calls."""
+
+
+@contextlib.contextmanager
+def opened(name: str, workers: int | None, seconds: float, *, forks: bool = True) -> Iterator[Engine]:
+    """An engine by the words of --engine. Raises ClusterError.
+
+    workers: calls at a time on this machine; None: one a core. seconds: time limit of a call. forks: False for calls
+    that need this process, such as those of a Python function that is no module's.
+    """
+    count = workers or core_count()
+    if name == LOCAL:
+        with Workers(seconds) if forks else contextlib.nullcontext() as pool:
+            yield _Local(pool, count)
+    else:
+        with Cluster(name, count, worker_identity, *SAME_EVERYWHERE) as cluster:
+            yield _OnDask(cluster, seconds)
+
+
+class _Local:
+    """Forks of this process, or its own threads."""
+
+    def __init__(self, pool: Workers | None, workers: int) -> None:
+        self.pool, self.workers = pool, workers
+        self.processors = frozenset({machine()[PROCESSOR]})
+
+    def map(
+        self,
+        function: Callable[..., Any],
+        calls: Iterable[tuple[Any, ...]],
+        then: Callable[[Any], Any] = lambda result: result,
+    ) -> Generator[Outcome, None, None]:
+        def work(args: tuple[Any, ...]) -> Outcome:
+            try:
+                return Outcome(then(self.pool.call(function, *args) if self.pool else function(*args)))
+            except Exception as error:
+                return Outcome(error=error)
+
+        return map_in_order(work, calls, self.workers, self.pool.stop if self.pool else lambda: None)
+
+
+class _OnDask:
+    """A Dask cluster."""
+
+    def __init__(self, cluster: Cluster, seconds: float) -> None:
+        self.cluster, self.seconds = cluster, seconds
+        self.processors = frozenset[str]()
+
+    def map(
+        self,
+        function: Callable[..., Any],
+        calls: Iterable[tuple[Any, ...]],
+        then: Callable[[Any], Any] = lambda result: result,
+    ) -> Generator[Outcome, None, None]:
+        with closing(self.cluster.map(function, calls, self.seconds)) as outcomes:
+            for outcome in outcomes:
+                self.processors |= {outcome.worker[PROCESSOR]} if outcome.worker else set()
+                try:
+                    yield outcome if outcome.error else outcome._replace(result=then(outcome.result))
+                except OSError as error:  # of `then`, which writes files
+                    yield Outcome(error=error)
+
+
+SOURCES, SETTINGS = "source code", "environment"
+SAME_EVERYWHERE = (SOURCES, SETTINGS, "python", "mitsuba", "drjit", "numpy", "numba", "llvmlite", "OpenEXR", "pydantic")
+
+
+def worker_identity() -> Mapping[str, str]:
+    """All that results depend on, by name; the processor may differ, and verdicts name it."""
+    return {**machine(), SOURCES: code_hash(), SETTINGS: environment_settings(*OUR_SETTINGS, *REFERENCE_SETTINGS)}
+
+
+def map_in_order(
+    work: Callable[[Item], Result],
+    items: Iterable[Item],
+    workers: int | None = None,
+    end_work: Callable[[], None] = lambda: None,
+) -> Generator[Result, None, None]:
+    """work(item) for each, several at a time; results in order. No further work starts after an interruption.
+
+    workers: at a time; None: one for each core. end_work: called at an interruption, to end the work in progress.
+    """
+    workers = workers or core_count()
+    pool = ThreadPoolExecutor(workers)
+    futures = deque[Future[Result]]()
+    try:
+        for item in items:
+            futures.append(pool.submit(work, item))
+            if len(futures) >= CALLS_AHEAD * workers:
+                yield futures[0].result()
+                futures.popleft()  # so that the result can be released
+        while futures:
+            yield futures[0].result()
+            futures.popleft()
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+        subprocess_runner.kill_subprocesses()
+        end_work()
+        if process.interrupted.is_set():  # work in compiled code ends with the process
+            wait([each for each in futures if each.running()], timeout=INTERRUPTED_SECONDS)
+        else:
+            pool.shutdown(wait=True)
+        subprocess_runner.allow_subprocesses()
