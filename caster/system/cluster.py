@@ -47,6 +47,12 @@ class Outcome(NamedTuple):
     error: Exception | None = None  # which the function raised; CallEnded
     worker: Mapping[str, str] = {}  # what `identify` says of the process that ran it
 
+    def value(self) -> Any:
+        """The result. Raises the error."""
+        if self.error:
+            raise self.error
+        return self.result
+
 
 class _Call(NamedTuple):
     """A call and its surroundings, as they are sent to a worker."""

@@ -142,7 +142,7 @@ def add_selection(parser: argparse.ArgumentParser, *, workers: bool = True) -> N
     add("--size", int, "film in pixels, instead of the scenes' own", nargs=2, metavar=("W", "H"))
     add_mesh_dirs(group)
     if workers:
-        adder(parser)("-j", positive_int, "scenes at a time; default: one a core", dest="workers")
+        add_workers(adder(parser), "scenes")
 
 
 def add_opening(parser: argparse._ActionsContainer) -> None:
@@ -326,6 +326,11 @@ def add_validate_arguments(parser: argparse.ArgumentParser) -> None:
     add_reading(parser, "; with --candidate")
 
 
+def add_workers(add: Callable[..., argparse.Action], what: str) -> None:
+    """Add -j."""
+    add("-j", positive_int, f"{what} at a time; default: one a core", dest="workers")
+
+
 def add_engine(add: Callable[..., argparse.Action]) -> None:
     """Add --engine."""
     help_ = (
@@ -504,6 +509,8 @@ def add_fuzz_arguments(parser: argparse.ArgumentParser) -> None:
     add("--judge-every", whole, help_, default=16)
     add("--replay", InputPath, "check kept scenes again, and nothing else", metavar="FILE|DIR")
     add("--rays", positive_int, "rays aimed at each scene; default: 40", default=40)
+    add_workers(add, "calls of four examples")
+    add_engine(add)
     add_candidate(parser, "another ray caster, judged in place of ours (mitsuba-ref docs candidates)")
 
 
@@ -512,6 +519,8 @@ def add_stress_arguments(parser: argparse.ArgumentParser) -> None:
     add = adder(parser)
     add("--rays", positive_int, "rays of each setting; default: 400, watertight 10000")
     add("--seed", whole, "of the rays; default: 0", metavar="SEED", default=0)
+    add_workers(add, "families")
+    add_engine(add)
     help_ = "where the first wrong ray of each setting is kept, as a scene; default: stress-failures"
     add("--out", OutputFolder, help_, default="stress-failures")
     add_json(parser)

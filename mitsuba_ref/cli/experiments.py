@@ -2,11 +2,13 @@
 
 import argparse
 import sys
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 
 from caster.description.errors import SceneError
 from caster.rendering.threads import core_count
+from caster.system.cluster import CallEnded
 from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
 from caster.system.terminal import StatusLine
 from mitsuba_ref.bench import casters
@@ -24,8 +26,10 @@ from mitsuba_ref.hard.swept_families import SWEPT
 from mitsuba_ref.judge.pipeline import Task
 from mitsuba_ref.reference import variants
 from mitsuba_ref.reference.interpreter import PYTHON_VARIABLE, chosen, interpreter
+from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
 from mitsuba_ref.reference.store import machine
 from mitsuba_ref.report.results import libllvm, print_lines, versions, write_result
+from mitsuba_ref.runner.engine import LOCAL, opened
 from mitsuba_ref.runner.version_comparison import (
     LEGEND,
     SceneComparison,
@@ -34,10 +38,12 @@ from mitsuba_ref.runner.version_comparison import (
     scene_text,
     summary_text,
 )
+from mitsuba_ref.runner.workers import CALL_TIMEOUTS
 from mitsuba_ref.stress import origins, sweeps
 from mitsuba_ref.stress.origins import OriginSweep
 from mitsuba_ref.stress.sweeps import StressRun, SweepResult
 from mitsuba_ref.subjects.function import spawn_rule
+from mitsuba_ref.subjects.subject import Subject
 
 # ---- stress ----
 
@@ -52,28 +58,55 @@ def run_stress(args: argparse.Namespace) -> int:
         return code
     candidate = options.requested_candidate(args, takes_rays=True)
     variants.variant_for(has_quadrics=True)  # without Mitsuba's columns a run would pass with its evidence missing
-    spawn = spawn_rule(args.spawn) if args.spawn else None
+    if args.spawn:
+        spawn_rule(args.spawn)  # its errors come before any work
     done, line = list[SweepResult | OriginSweep](), StatusLine()
+    words = options.candidate_words(args)
+    about = args.seed, args.rays, args.out, candidate, words, args.spawn
+    calls = ((family.name, *about) for family in families)
+    here = args.engine == LOCAL and (candidate or args.spawn)  # it runs in this process, alone
+    limit = CALL_TIMEOUTS * DEFAULT_TIMEOUT
     try:
-        for i, family in enumerate(families):
-            progress = line.about(f"{i + 1}/{len(families)} {family.name}")
-            if family.spawns:
-                progress("judging origins")
-                found = origins.sweep_origins(family, args.seed, args.rays, Path(args.out), spawn)
-                table = origins.as_text(found)
-                done.append(found)
-            else:
-                kept = Path(args.out), options.candidate_words(args)
-                done.append(swept := sweeps.sweep(family, args.seed, args.rays, progress, candidate, *kept))
-                table = sweeps.as_text(swept, args.skip_unsupported)
-            line.erase()
-            print(f"{table}\n", file=options.table_stream(args), flush=True)
+        with (
+            opened(args.engine, 1 if here else args.workers, limit, forks=not here) as engine,
+            closing(engine.map(sweep_family, calls)) as outcomes,
+        ):
+            for i, family in enumerate(families):
+                line.show(f"stress: {i + 1}/{len(families)} {family.name}")
+                outcome = next(outcomes)
+                if isinstance(outcome.error, CallEnded):
+                    done.append(SweepResult.of(family, (), ended=str(outcome.error)))
+                else:
+                    done.append(outcome.value())
+                line.erase()
+                print(f"{sweep_text(done[-1], args.skip_unsupported)}\n", file=options.table_stream(args), flush=True)
     finally:  # what is done is kept, whatever ends the work
         run = report_sweeps(done, families, args)
     if not run.judged:
         print("nothing judged: the candidate declined every family", file=sys.stderr)
         return NOTHING_SELECTED
     return OK if run.ok else DIFFERENCES
+
+
+def sweep_family(
+    name: str,
+    seed: int,
+    rays: int | None,
+    folder: str,
+    candidate: Subject | None,
+    words: tuple[str, ...],
+    spawn: str | None,
+) -> SweepResult | OriginSweep:
+    """Sweep a family in this process."""
+    (family,) = (each for each in (*SWEPT, *SPAWNED) if each.name == name)
+    if family.spawns:
+        return origins.sweep_origins(family, seed, rays, Path(folder), spawn_rule(spawn) if spawn else None)
+    return sweeps.sweep(family, seed, rays, candidate, Path(folder), words)
+
+
+def sweep_text(found: SweepResult | OriginSweep, skip_unsupported: bool) -> str:
+    """The table of a sweep."""
+    return origins.as_text(found) if isinstance(found, OriginSweep) else sweeps.as_text(found, skip_unsupported)
 
 
 def report_sweeps(done: list[SweepResult | OriginSweep], families: list[Family], args: argparse.Namespace) -> StressRun:

@@ -9,7 +9,7 @@ from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
 from caster.system.terminal import StatusLine
 from mitsuba_ref.cli import options
 from mitsuba_ref.fuzz import findings
-from mitsuba_ref.fuzz.campaign import Campaign
+from mitsuba_ref.fuzz.campaign import Campaign, Drawing
 from mitsuba_ref.fuzz.cases import kept_files, read_kept
 from mitsuba_ref.fuzz.checks import find
 from mitsuba_ref.fuzz.findings import replay_text
@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
     if args.examples is not None and not len(args.examples):
         print("nothing selected: --examples 0 selects no example", file=sys.stderr)
         return NOTHING_SELECTED
-    if campaign.judge_every or args.candidate is not None:
+    if args.judge_every or args.candidate is not None:
         variants.require_variants()  # a wrong choice of variant fails before any work
     line = StatusLine()
     try:
@@ -49,9 +49,10 @@ def campaign_of(args: argparse.Namespace) -> Campaign:
     families = options.select(FAMILIES, "family", args.family, None) if args.family else FAMILIES
     limit = args.time if args.time is not None or args.examples is not None else DEFAULT_SECONDS
     examples = itertools.count() if args.examples is None else args.examples
-    subject = options.requested_candidate(args) or OURS
-    kept = (Path(args.out), args.keep, args.judge_every, args.rays)
-    return Campaign(args.seed, families, examples, limit, *kept, subject, options.candidate_words(args))
+    names, candidate = tuple(family.name for family in families), options.requested_candidate(args)
+    drawing = Drawing(args.seed, names, args.judge_every, args.rays, candidate)
+    about = Path(args.out), args.keep, options.candidate_words(args), args.engine, args.workers
+    return Campaign(drawing, examples, limit, *about)
 
 
 def replay(args: argparse.Namespace) -> int:

@@ -4,7 +4,9 @@ import itertools
 import shlex
 import time
 import zlib
+from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -12,6 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from caster.geometry.packing import Packed
+from caster.system.cluster import CallEnded
+from caster.system.cluster import Outcome as CallOutcome
 from mitsuba_ref.fuzz.cases import case_of, write_kept
 from mitsuba_ref.fuzz.checks import SCENE_ERRORS, answered_types, check_image, check_rays, exception_finding, find
 from mitsuba_ref.fuzz.findings import JUDGED_KINDS, Failure, Finding, Outcome, Tally, first_of_each_kind
@@ -21,13 +25,20 @@ from mitsuba_ref.hard.family import Family, HardScene
 from mitsuba_ref.hard.random_parts import shape_types
 from mitsuba_ref.hard.rays import RayBatch
 from mitsuba_ref.judge.checks.knife_edges import prepared_scene
+from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
+from mitsuba_ref.runner.engine import LOCAL, Engine, opened
+from mitsuba_ref.runner.workers import CALL_TIMEOUTS
 from mitsuba_ref.shapes.targets import Rng
 from mitsuba_ref.subjects.subject import OURS, Subject
 
 RAYS_PER_EXAMPLE = 40  # before those with limits
 KEPT_PER_KIND_AND_FAMILY = 3  # findings of one kind in one family that are shrunk and kept; all are counted
 SHRINK_GRACE_S = 5.0  # seconds that a finding may still be shrunk when the time is up
+EXAMPLES_A_CALL = 4  # 0.1 s of CPU each
+ENDED = "the process that casts and judges ended"
 MITSUBA_SHRINK_ATTEMPTS = SHRINK_ATTEMPTS // 10  # each traces the scene with Mitsuba
+
+FAMILY_OF = {family.name: family for family in FAMILIES}
 
 # Random numbers of an example are independent for each of these purposes.
 SCENE_STREAM, AIM_STREAM, LIMIT_STREAM, MITSUBA_STREAM = range(4)
@@ -55,60 +66,118 @@ class Example:
         return self.made.aim(self.random(AIM_STREAM), packed, count)
 
 
-@dataclass
-class Campaign:
-    """Tries one example after another. `outcome` is complete at any moment: an interruption loses nothing."""
+@dataclass(frozen=True)
+class Drawing:
+    """What all examples of a campaign have in common; each is tried by itself, in any process."""
 
     seed: int = 0
-    families: Sequence[Family] = FAMILIES
+    families: tuple[str, ...] = tuple(family.name for family in FAMILIES)
+    judge_every: int = 16  # one in so many, on average, gets the thorough checks and Mitsuba's comparison; 0: none
+    rays: int = RAYS_PER_EXAMPLE
+    candidate: Subject | None = None  # is judged alone, by the comparison with Mitsuba and exact arithmetic
+    types: tuple[str, ...] = shape_types()  # of the shapes that the scenes keep
+
+    def example(self, number: int) -> Example:
+        return Example(self.seed, number, FAMILY_OF[self.families[number % len(self.families)]], self.types)
+
+    def tried(self, number: int) -> tuple[Tally, list[Finding]]:
+        """What was checked of an example, and one finding of each kind."""
+        tried, tally = self.example(number), Tally(examples=1)
+        if self.candidate and not (tried.family.fits_float32 and tried.made.data["shape"]):
+            return Tally(), []
+        findings = first_of_each_kind(self._findings(tried, tally))
+        tally.findings = len(findings)
+        tally.kinds.update(finding.kind for finding in findings)
+        return tally, findings
+
+    def _findings(self, tried: Example, tally: Tally) -> list[Finding]:
+        every, family, case = self.judge_every, tried.family, case_of(tried.made.data)
+        if self.candidate:
+            aims = (None, partial(tried.rays, count=self.rays)) if self.candidate.takes_rays else (None,)
+            return [found for aim in aims for found in find(case, "judged", tally, self.candidate, aim)]
+        drawn = every > 0 and (family.always_judged or tried.random(MITSUBA_STREAM).random() * every < 1.0)
+        findings = check_example(tried, tally, self.rays, thorough=drawn)
+        judged = drawn and family.fits_float32
+        return findings + (find(case, "judged", tally) if judged else [])
+
+
+def try_examples(drawing: Drawing, numbers: Sequence[int]) -> list[tuple[Tally, list[Finding]]]:
+    """Try examples in this process, one after the other."""
+    return [drawing.tried(number) for number in numbers]
+
+
+@dataclass
+class Campaign:
+    """Tries many examples. `outcome` is complete at any moment: an interruption loses nothing."""
+
+    drawing: Drawing
     numbers: Iterable[int] = field(default_factory=itertools.count)
     seconds: float | None = None
     folder: Path = Path("fuzz-failures")
     keep: int = KEPT_PER_KIND_AND_FAMILY
-    judge_every: int = 16  # one in so many, on average, gets the thorough checks and Mitsuba's comparison; 0: none
-    rays: int = RAYS_PER_EXAMPLE
-    subject: Subject = OURS  # a candidate is judged alone, by the comparison with Mitsuba and exact arithmetic
     options: tuple[str, ...] = ()  # of the command line that name the candidate, for replays
+    engine: str = LOCAL
+    workers: int | None = None  # of the engine; None: one a core
 
     def __post_init__(self) -> None:
-        self.outcome = Outcome(self.seed, candidate=self.subject.name)
+        self.subject = self.drawing.candidate or OURS
+        self.outcome = Outcome(self.drawing.seed, candidate=self.subject.name)
 
     def run(self) -> Iterator[Outcome]:
-        """Yield the outcome after each example."""
+        """Yield the outcome after each example, in their order."""
         start = time.monotonic()
         self.deadline = float("inf") if self.seconds is None else start + self.seconds
         types = answered_types(self.subject)
+        self.drawing = replace(self.drawing, types=types)
         self.outcome.left_out = tuple(each for each in shape_types() if each not in types)
-        for number in self.numbers:
-            if time.monotonic() >= self.deadline:
-                break
-            tried = Example(self.seed, number, self.families[number % len(self.families)], types)
-            if self.subject is OURS or (tried.family.fits_float32 and tried.made.data["shape"]):
-                self._check(tried)
-            self.outcome.last_example, self.outcome.seconds = number, time.monotonic() - start
-            yield self.outcome
+        numbers = iter(self.numbers)
+        sent = deque[tuple[int, ...]]()
+
+        def batches() -> Iterator[tuple[Drawing, tuple[int, ...]]]:
+            while time.monotonic() < self.deadline and (batch := tuple(itertools.islice(numbers, EXAMPLES_A_CALL))):
+                sent.append(batch)
+                yield self.drawing, batch
+
+        with self._opened() as engine, closing(engine.map(try_examples, batches())) as outcomes:
+            for outcome in outcomes:
+                for number, tried in self._each(sent.popleft(), outcome):
+                    self._record(number, *tried)
+                    self.outcome.last_example, self.outcome.seconds = number, time.monotonic() - start
+                    yield self.outcome
+                    if time.monotonic() >= self.deadline:
+                        self.outcome.interrupted = False
+                        return
         self.outcome.interrupted = False
 
-    def _check(self, tried: Example) -> None:
-        tally, family = Tally(examples=1), tried.family.name
-        findings = first_of_each_kind(self._findings(tried, tally))
-        tally.findings = len(findings)
-        tally.kinds.update(finding.kind for finding in findings)
+    def _opened(self) -> AbstractContextManager[Engine]:
+        """The engine; a candidate, which may not bear forks or threads, runs in this process on its own."""
+        here = self.drawing.candidate is not None and self.engine == LOCAL
+        return opened(self.engine, 1 if here else self.workers, CALL_TIMEOUTS * DEFAULT_TIMEOUT, forks=not here)
+
+    def _each(self, numbers: Sequence[int], found: CallOutcome) -> Iterator[tuple[int, tuple[Tally, list[Finding]]]]:
+        """The examples of a call; where its process ended, each is tried again alone, to find the one that ends it."""
+        if not isinstance(found.error, CallEnded):
+            yield from zip(numbers, found.value(), strict=True)
+            return
+        for number in numbers:
+            with self._opened() as engine, closing(engine.map(try_examples, [(self.drawing, (number,))])) as again:
+                ended = next(again)
+            if not isinstance(ended.error, CallEnded):
+                yield number, ended.value()[0]
+                continue
+            finding = Finding("crash", f"{ENDED}: {ended.error}")
+            yield number, (Tally(examples=1, findings=1, kinds=Counter(["crash"])), [finding])
+
+    def _record(self, number: int, tally: Tally, findings: Sequence[Finding]) -> None:
+        if not tally.examples:
+            return
+        tried = self.drawing.example(number)
+        family = tried.family.name
         self.outcome.families.setdefault(family, Tally()).add(tally)
         for finding in findings:
             kept = sum((each.kind, each.family) == (finding.kind, family) for each in self.outcome.failures)
             if kept < self.keep:
                 self._keep(tried, finding)
-
-    def _findings(self, tried: Example, tally: Tally) -> list[Finding]:
-        every, family, case = self.judge_every, tried.family, case_of(tried.made.data)
-        if self.subject is not OURS:
-            aims = (None, partial(tried.rays, count=self.rays)) if self.subject.takes_rays else (None,)
-            return [found for aim in aims for found in find(case, "judged", tally, self.subject, aim)]
-        drawn = every > 0 and (family.always_judged or tried.random(MITSUBA_STREAM).random() * every < 1.0)
-        findings = check_example(tried, tally, self.rays, thorough=drawn)
-        judged = drawn and family.fits_float32
-        return findings + (find(case, "judged", tally) if judged else [])
 
     def _keep(self, tried: Example, finding: Finding) -> None:
         """Shrink the scene and write it; an interruption leaves the smallest so far."""
@@ -116,14 +185,16 @@ class Campaign:
         judge = partial(find, kind=finding.kind, subject=self.subject)
         shrinker = Shrinker(case_of(tried.made.data), finding, judge, attempts, self.deadline + SHRINK_GRACE_S)
         drawn = case_of(tried.made.data, finding.ray)
-        seed, number, family = str(self.seed), tried.number, tried.family.name
+        seed, number, family = str(tried.seed), tried.number, tried.family.name
         again = ["--seed", seed, "--family", family, "--examples", f"{number}..{number}"]
-        again += [] if self.rays == RAYS_PER_EXAMPLE else ["--rays", str(self.rays)]
+        rays = self.drawing.rays
+        again += [] if rays == RAYS_PER_EXAMPLE else ["--rays", str(rays)]
         found_by = shlex.join([*again, *self.options])
         name = f"{finding.kind}-{family}-{seed}-{number}"
         unshrunk = write_kept(self.folder / "unshrunk", name, finding, found_by, drawn, self.options)
         try:
-            shrinker.run()
+            if not finding.what.startswith(ENDED):  # which would end this process
+                shrinker.run()
         finally:
             smallest = shrinker.finding
             file = write_kept(self.folder, name, smallest, found_by, shrinker.case, self.options)

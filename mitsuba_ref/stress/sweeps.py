@@ -2,7 +2,7 @@
 
 import shlex
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,7 +31,6 @@ from mitsuba_ref.subjects.subject import Answer, Subject
 
 JSON_FORMAT = 3  # goes up when a key changes its meaning or goes away
 
-Progress = Callable[[str], None]
 Answers = Mapping[str, Answer | Absent]  # by caster
 
 
@@ -70,6 +69,7 @@ class SweepResult:
     settings: tuple[SettingResult, ...]
     seconds: float = 0.0
     declined: str = ""  # the candidate's own words, where it declined every setting
+    ended: str = ""  # how the process that traced the family ended, where it did
 
     @property
     def casters(self) -> tuple[Caster, ...]:
@@ -78,10 +78,15 @@ class SweepResult:
 
     @classmethod
     def of(
-        cls, family: Family, settings: Sequence[SettingResult], seconds: float = 0.0, declined: str = ""
+        cls,
+        family: Family,
+        settings: Sequence[SettingResult],
+        seconds: float = 0.0,
+        declined: str = "",
+        ended: str = "",
     ) -> "SweepResult":
         words = (family.name, family.title, family.quantity, family.error)
-        return cls(*words, family.easiest, not family.closed, tuple(settings), round(seconds, 3), declined)
+        return cls(*words, family.easiest, not family.closed, tuple(settings), round(seconds, 3), declined, ended)
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -92,6 +97,8 @@ class SweepResult:
     @property
     def problems(self) -> list[str]:
         """Why the sweep fails, in lines."""
+        if self.ended:
+            return [f"{self.name}: the process that casts and judges ended: {self.ended}"]
         if self.declined:
             return [f"{self.name}: the candidate declined every setting: {self.declined}"]
         return [
@@ -165,7 +172,6 @@ def sweep(
     family: Family,
     seed: int,
     rays: int | None,
-    on_progress: Progress = lambda words: None,
     candidate: Subject | None = None,
     folder: Path = Path("stress-failures"),
     words: Sequence[str] = (),
@@ -176,12 +182,10 @@ def sweep(
     words: options that name the candidate, for replays.
     """
     start = time.perf_counter()
-    on_progress("aiming")
     settings = [score.prepare_setting(family, seed, x, rays) for x in family.values]
     casters: Sequence[Caster] = CASTERS
     answers: list[Answers] = [{} for _ in settings]
     if candidate:
-        on_progress("candidate")
         casters = BESIDE_CANDIDATE[1:]
         answers = [{CANDIDATE.key: score.ask_candidate(candidate, ready)} for ready in settings]
         asked = [each[CANDIDATE.key] for each in answers]
@@ -189,8 +193,7 @@ def sweep(
         if len(declined) == len(settings):
             return SweepResult.of(family, (), time.perf_counter() - start, declined[0])
     results = []
-    for i, (ready, given) in enumerate(zip(settings, answers, strict=True)):
-        on_progress(f"{i + 1}/{len(settings)}")
+    for ready, given in zip(settings, answers, strict=True):
         results.append(found := score_setting(ready, casters, given))
         subject = found.witnesses[CANDIDATE.key if candidate else CASTERS[0].key]
         if isinstance(subject, Score) and subject.breaks:
