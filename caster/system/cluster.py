@@ -15,6 +15,7 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from caster.description.errors import SceneError
@@ -52,6 +53,14 @@ class Outcome(NamedTuple):
         if self.error:
             raise self.error
         return self.result
+
+
+@dataclass
+class _Sent:
+    """A submitted call."""
+
+    future: Any
+    outcome: Outcome | None = None  # once it is fetched
 
 
 class _Call(NamedTuple):
@@ -148,29 +157,33 @@ class Cluster:
 
         seconds: time limit of one call. Raises ClusterError for a lost cluster, and for a worker that differs.
         """
-        futures: deque[Any] = deque()
+        sent: deque[_Sent] = deque()
         try:
             for args in calls:
-                while not self._has_room(futures):
-                    yield from self._finished(futures)
+                while not self._has_room(sent):
+                    yield from self._finished(sent)
                 call = _Call(function, pickle.dumps(args), os.getcwd(), self.identify, self.expected, seconds)
-                futures.append(self.client.submit(call, pure=False))
-                futures[-1].add_done_callback(lambda _: self._ended.set())
-            while futures:
-                yield from self._finished(futures)
+                future = self.client.submit(call, pure=False)
+                future.add_done_callback(lambda _: self._ended.set())
+                sent.append(_Sent(future))
+            while sent:
+                yield from self._finished(sent)
         finally:
             with contextlib.suppress(Exception):
-                self.client.cancel(list(futures), force=True)
+                self.client.cancel([each.future for each in sent], force=True)
 
-    def _has_room(self, futures: deque[Any]) -> bool:
-        unfinished = sum(not future.done() for future in futures)
+    def _has_room(self, sent: deque[_Sent]) -> bool:
+        unfinished = sum(each.outcome is None for each in sent)
         workers = sum(each["nthreads"] for each in self.client.scheduler_info(n_workers=-1)["workers"].values())
-        return unfinished < CALLS_PER_WORKER * max(1, workers) and len(futures) - unfinished < WAITING_RESULTS
+        return unfinished < CALLS_PER_WORKER * max(1, workers) and len(sent) - unfinished < WAITING_RESULTS
 
-    def _finished(self, futures: deque[Any]) -> Iterator[Outcome]:
-        """Wait for a call to finish, then take outcomes from the left as far as there are any."""
+    def _finished(self, sent: deque[_Sent]) -> Iterator[Outcome]:
+        """Wait for a call to finish, then take outcomes from the left as far as there are any.
+
+        Every result is fetched at once: one that only a worker has is lost with it, and its call runs again.
+        """
         lost = time.monotonic() + CONNECT_SECONDS
-        while not any(future.done() for future in futures):
+        while not (ended := [each for each in sent if each.outcome is None and each.future.done()]):
             if interrupted.is_set():
                 raise KeyboardInterrupt
             self._ended.wait(POLL_SECONDS)
@@ -179,8 +192,11 @@ class Cluster:
                 lost = time.monotonic() + CONNECT_SECONDS
             elif time.monotonic() > lost:
                 raise self._lost()
-        while futures and futures[0].done():
-            yield self._outcome(futures.popleft())
+        for each in ended:
+            each.outcome = self._outcome(each.future)
+        while sent and (outcome := sent[0].outcome):
+            sent.popleft()
+            yield outcome
 
     def _lost(self) -> ClusterError:
         return ClusterError(f"--engine {self.engine}: the scheduler is gone; what is finished is kept")

@@ -144,9 +144,8 @@ class Campaign:
                     self._record(number, *tried)
                     self.outcome.last_example, self.outcome.seconds = number, time.monotonic() - start
                     yield self.outcome
-                    if time.monotonic() >= self.deadline:
-                        self.outcome.interrupted = False
-                        return
+                if time.monotonic() >= self.deadline:
+                    break
         self.outcome.interrupted = False
 
     def _opened(self) -> AbstractContextManager[Engine]:

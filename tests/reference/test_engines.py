@@ -1,0 +1,215 @@
+"""Dask as the engine: results equal to the local ones; lost workers, schedulers and calls."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import pytest
+
+from caster.system.cluster import CallEnded, Cluster, ClusterError
+from mitsuba_ref.__main__ import main
+
+pytest.importorskip("distributed", reason="the extra [cluster] is not installed")
+
+# Functions that workers import from a module beside the test.
+WORK = """\
+import ctypes, os, signal, time
+from pathlib import Path
+
+def what():
+    return {"same": os.environ.get("SAME", "1"), "processor": "test"}
+
+def work(folder, number):
+    Path(folder, f"{number}-{os.getpid()}-{time.monotonic_ns()}").touch()
+    if number == 3:
+        ctypes.string_at(0)
+    if number == 5:
+        time.sleep(60)
+    if number == 7:
+        raise ValueError("seven")
+    time.sleep(0.02)
+    return number * number
+"""
+
+
+@pytest.fixture
+def jobs(tmp_path, monkeypatch):
+    """The module that workers import, a folder for what they touch, and the working folder."""
+    (tmp_path / "cluster_jobs.py").write_text(WORK)
+    (tmp_path / "touched").mkdir()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield __import__("cluster_jobs")
+    del sys.modules["cluster_jobs"]
+
+
+def touched(number=None):
+    return [path.name for path in Path("touched").iterdir() if number is None or path.name.startswith(f"{number}-")]
+
+
+def outcomes_of(cluster, jobs, numbers, seconds=None):
+    with closing(cluster.map(jobs.work, (("touched", number) for number in numbers), seconds)) as outcomes:
+        yield from outcomes
+
+
+def test_each_call_ends_by_itself_and_outcomes_are_in_order(jobs):
+    with Cluster("dask", 2, jobs.what, "same") as cluster:
+        found = list(outcomes_of(cluster, jobs, range(40), seconds=2.0))
+    errors = {number: found[number].error for number in (3, 5, 7)}
+    assert isinstance(errors[3], CallEnded) and isinstance(errors[5], CallEnded)  # a crash, and a hang
+    assert "ended, or ran out of time, 2 times" in str(errors[5])
+    assert isinstance(errors[7], ValueError) and "cluster_jobs.py" in errors[7].__notes__[0]
+    assert [each.result for i, each in enumerate(found) if i not in errors] == [
+        i * i for i in range(40) if i not in errors
+    ]
+    assert len(touched(3)) == len(touched(5)) == 2  # bounded retries
+    # Four workers ended, each with at most the last two results, not fetched yet; these calls run again.
+    assert sum(len(touched(i)) - 1 for i in range(40) if i not in (3, 5)) <= 4 * 2
+
+
+def listening(pid):
+    """Addresses on which a process and its descendants listen, as /proc tells: hexadecimal IPv4 and IPv6."""
+    import psutil
+
+    family = [psutil.Process(pid), *psutil.Process(pid).children(recursive=True)]
+    return {each.laddr.ip for one in family for each in one.net_connections("inet") if each.status == "LISTEN"}
+
+
+def test_a_killed_worker_is_replaced_and_nothing_listens_beyond_loopback(jobs):
+    with Cluster("dask", 2, jobs.what, "same") as cluster:
+        assert listening(os.getpid()) == {"127.0.0.1"}
+        found, calls = [], outcomes_of(cluster, jobs, [10 + i for i in range(60)])
+        for outcome in calls:
+            found.append(outcome.result)
+            if len(found) == 10:
+                os.kill(int(touched(19)[0].split("-")[1]), signal.SIGKILL)
+    assert found == [(10 + i) ** 2 for i in range(60)]
+
+
+@contextmanager
+def scheduler(*, workers=1, **environment):
+    """A scheduler and its workers as processes of their own."""
+    command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0"]
+    file = Path("scheduler.json").resolve()
+    processes = [subprocess.Popen([*command, "--no-dashboard", "--scheduler-file", str(file)], stderr=-3)]
+    try:
+        while not file.exists():
+            time.sleep(0.05)
+        command = [
+            sys.executable,
+            "-m",
+            "distributed.cli.dask_worker",
+            "--scheduler-file",
+            str(file),
+            "--nthreads",
+            "1",
+        ]
+        for _ in range(workers):
+            processes.append(
+                subprocess.Popen(
+                    [*command, "--nthreads", "1", "--no-dashboard"], stderr=-3, env={**os.environ, **environment}
+                )
+            )
+        yield json.loads(file.read_text())["address"], processes[0]
+    finally:
+        for process in reversed(processes):
+            process.send_signal(signal.SIGCONT)
+            process.terminate()
+            process.wait()
+
+
+def test_a_killed_scheduler_ends_the_run_with_what_is_finished(jobs, monkeypatch):
+    monkeypatch.setattr("caster.system.cluster.CONNECT_SECONDS", 2.0)
+    with scheduler() as (address, process), Cluster(f"dask:{address}", 1, jobs.what, "same") as cluster:
+        found = []
+        with pytest.raises(ClusterError, match=r"the scheduler is gone; what is finished is kept"):
+            for outcome in outcomes_of(cluster, jobs, [10 + i for i in range(500)]):
+                found.append(outcome.result)
+                if len(found) == 20:
+                    process.kill()
+    assert found == [(10 + i) ** 2 for i in range(len(found))] and 20 <= len(found) < 500
+
+
+def test_a_worker_that_differs_is_refused(jobs):
+    with (
+        scheduler(SAME="2") as (address, _),
+        Cluster(f"dask:{address}", 1, jobs.what, "same") as cluster,
+        pytest.raises(ClusterError, match="its same is 2, expected 1"),
+    ):
+        list(outcomes_of(cluster, jobs, [1]))
+    assert touched() == []
+
+
+def test_no_scheduler_at_the_address(monkeypatch, capsys):
+    monkeypatch.setattr("caster.system.cluster.CONNECT_SECONDS", 0.5)
+    assert main(["validate", "--builtin", "spheres", "--engine", "dask:tcp://127.0.0.1:9"]) == 2
+    assert "--engine dask:tcp://127.0.0.1:9: no scheduler answers there" in " ".join(capsys.readouterr().err.split())
+
+
+def test_without_the_package(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert main(["validate", "--builtin", "spheres", "--engine", "dask"]) == 2
+    assert "pip install 'ray-reference[cluster]'" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize("name", ["ray", "dask:", "dask:127.0.0.1", "dask:http://h:1"])
+def test_a_name_that_is_no_engine(name, capsys):
+    assert main(["validate", "--builtin", "spheres", "--engine", name]) == 2
+    assert "expected local, dask or dask:tcp://HOST:PORT" in " ".join(capsys.readouterr().err.split())
+
+
+def without_times(record):
+    """A result without what differs from run to run."""
+    if isinstance(record, dict):
+        return {key: without_times(value) for key, value in record.items() if "seconds" not in key}
+    return [without_times(each) for each in record] if isinstance(record, list) else record
+
+
+CANDIDATE = """\
+import os, signal
+import numpy as np
+from caster import cast
+
+def trace(scene, o, d):
+    if len(scene.shapes) == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    hits = cast(scene, o, d)
+    return hits.t, hits.normal
+"""
+
+
+def test_dask_and_local_give_the_same_and_a_poisoned_scene_is_one_row(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MITSUBA_REF_STORE", "off")
+    sphere = '[[shape]]\ntype = "sphere"\n'
+    head = '[film]\nwidth = 24\nheight = 16\n[camera]\ntype = "pinhole"\neye = [0, 1, 5]\nlook_at = [0, 0, 0]\n'
+    Path("scenes").mkdir()
+    for name, shapes in {"a": 1, "b": 3, "poison": 2, "z": 1}.items():
+        Path(f"scenes/{name}.toml").write_text(head + sphere + "center = [1, 0, 0]\n" + sphere * (shapes - 1))
+    for engine in ("local", "dask"):
+        assert main(["validate", "scenes", "-j", "2", "--engine", engine, "--json", f"{engine}.json"]) == 0
+        assert (
+            main(["fuzz", "--examples", "6", "--judge-every", "0", "--engine", engine, "--json", f"f-{engine}.json"])
+            == 0
+        )
+        assert main(["stress", "tangency", "--rays", "9", "--engine", engine, "--json", f"s-{engine}.json"]) == 0
+    for prefix in ("", "f-", "s-"):
+        local, dask = (
+            without_times(json.loads(Path(f"{prefix}{name}.json").read_text())) for name in ("local", "dask")
+        )
+        assert local == dask
+    Path("mine.py").write_text(CANDIDATE)
+    words = ["validate", "scenes", "--candidate", "mine:trace", "--engine", "dask", "-j", "1", "--json", "c.json"]
+    assert main(words) == 1
+    found = {scene["name"]: scene for scene in json.loads(Path("c.json").read_text())["scenes"]}
+    assert [name for name, scene in found.items() if scene["problem"]] == ["poison"]
+    assert found["poison"]["problem"].startswith("the process that casts and judges ended: its process ended")
+    assert found["poison"]["replay"] and all(found[name]["ok"] for name in "abz")
+    assert threading.active_count() < 20 and not capsys.readouterr().err.count("Traceback")
