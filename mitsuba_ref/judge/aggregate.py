@@ -13,7 +13,7 @@ from caster.geometry.packing import packed
 from caster.scene.model import Scene
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judge, Judgement
 from mitsuba_ref.judge.diagnosis import Diagnosis, failing_rows
-from mitsuba_ref.judge.explanations import full_reason, pixel_answers, reason
+from mitsuba_ref.judge.explanations import full_reason, pixel_answers
 from mitsuba_ref.judge.verdict import (
     AGREE,
     CLASSES,
@@ -127,8 +127,7 @@ def failure_at(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str],
     """One pixel that fails. check: the check to report; "": the one with the largest excess."""
     check = check or decisive_checks(judgement, np.array([row]))[0]
     answers = pixel_answers(judge, judgement, row, check)
-    explain = full_reason if judge.names_prims else reason
-    why = explain(judge, judgement, diagnosed, row)
+    why = full_reason(judge, judgement, diagnosed, row)
     verdict, ratio = CLASSES[int(judgement.classes[row])], float(judgement.ratios[check][row])
     x, y = pixel_of(judge.scene, row)
     return Failure(x, y, verdict, check, ratio, *answers, why)

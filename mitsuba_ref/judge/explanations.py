@@ -81,8 +81,8 @@ def format_defect(case: int | None) -> str:
 
 
 def full_reason(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str], row: int) -> str:
-    """The reason, and the quantities beyond their bounds with their factors."""
-    exceeded = exceeded_bounds(error_ratios(judge, judgement, row))
+    """The reason; of a subject that names primitives, also the quantities beyond their bounds with their factors."""
+    exceeded = exceeded_bounds(error_ratios(judge, judgement, row)) if judge.names_prims else ""
     return "; ".join(filter(None, (reason(judge, judgement, diagnosed, row), exceeded)))
 
 

@@ -1,7 +1,7 @@
-"""One pixel: both answers, the bound of each quantity, every primitive that may be hit; as text for a terminal."""
+"""One pixel: all answers, the bound of each quantity, every primitive that may be hit; as text for a terminal."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
@@ -9,23 +9,66 @@ import numpy as np
 
 from caster.aovs import Aovs
 from caster.description.errors import SceneError
+from caster.rendering.bounces import RAY_KINDS
 from caster.scene.model import Scene
 from caster.system.terminal import folded
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.error_model.bracket import latest_hits
-from mitsuba_ref.judge.classification import Judge, Judgement, scene_judge
+from mitsuba_ref.judge.classification import EXACT, Judge, Judgement, judge_of, scene_judge
 from mitsuba_ref.judge.diagnosis import diagnose
-from mitsuba_ref.judge.explanations import MAX_TIES_SHOWN, exact_answer, full_reason, not_judged, tie_members
-from mitsuba_ref.judge.verdict import CLASSES, UNDECIDED, json_number
+from mitsuba_ref.judge.explanations import (
+    MAX_TIES_SHOWN,
+    exact_answer,
+    exceeded_bounds,
+    full_reason,
+    not_judged,
+    pixel_answers,
+    tie_members,
+)
+from mitsuba_ref.judge.pipeline import Task, further_rays
+from mitsuba_ref.judge.verdict import AGREE, CLASSES, FAILING, UNDECIDED, UNLISTED, WRONG, json_number
 from mitsuba_ref.oracle.oracle import ExactAnswer
-from mitsuba_ref.probe.candidate_pixel import CandidatePixel, Explained, case_text, probe_candidate
-from mitsuba_ref.probe.path import PathRay, follow_path, path_lines
-from mitsuba_ref.probe.witnesses import WitnessAnswer, t_lines, witness_answers, witness_lines
+from mitsuba_ref.probe.witnesses import CANDIDATE, WitnessAnswer, as_witness, t_lines, witness_answers, witness_lines
 from mitsuba_ref.reference.messages import Crash
-from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT
+from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_stored
 from mitsuba_ref.reference.shared_input import SharedRays, shared_rays
 from mitsuba_ref.shapes import reference_of
-from mitsuba_ref.subjects.subject import COMPARED_AOVS, OURS, Subject
+from mitsuba_ref.subjects.bounce_films import bounce_films
+from mitsuba_ref.subjects.requests import request_answer
+from mitsuba_ref.subjects.subject import COMPARED_AOVS, OURS, NoAnswer, Subject
+
+
+@dataclass(frozen=True, kw_only=True)
+class Explained:
+    """The class of one ray, and why."""
+
+    verdict: str
+    why: str = ""
+    case: str = ""  # where the reference is wrong: the number of the known case, or "unlisted"
+    problem: str = ""  # why there is nothing to judge
+
+    @property
+    def ok(self) -> bool:
+        return not self.problem and self.verdict not in FAILING and self.case != UNLISTED
+
+
+@dataclass(frozen=True, kw_only=True)
+class CandidatePixel(Explained):
+    """The verdict on one pixel of a candidate."""
+
+    name: str
+    precision: str = ""  # by whose bounds it is judged
+    says: Mapping[str, Any] = field(default_factory=dict)  # hit, t, depth, normal, if given
+    notes: tuple[str, ...] = ()
+    witness: WitnessAnswer | None = None  # its row among the witnesses
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathRay(Explained):
+    """One secondary ray and its verdict."""
+
+    path: str  # a letter for each bounce, such as RTS
+    answers: tuple[str, ...] = ()  # as text: the subject's, the reference's, the exact one
 
 
 @dataclass(frozen=True)
@@ -114,11 +157,9 @@ def probe_with_evidence(
     witnesses = witness_answers(judge, exact) if judge.t_max[0] >= 0.0 else ()
     left = not_judged(judge, judgement, 0)
     found = PixelVerdict(
+        **_class_of(judge, judgement, diagnose(judge, judgement).by_row()),
         x=x,
         y=y,
-        verdict=CLASSES[int(judgement.classes[0])],
-        why=full_reason(judge, judgement, diagnose(judge, judgement).by_row(), 0),
-        case=case_text(judgement),
         ray=_ray(pair.rays),
         ours=_answer(scene, pair.subject, pair.t),
         reference=_answer(scene, pair.reference, pair.result.t),
@@ -132,6 +173,110 @@ def probe_with_evidence(
         path=tuple(follow_path(scene, bounces, candidate or OURS, timeout)) if bounces else None,
     )
     return found, (judge, judgement)
+
+
+def _class_of(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str], row: int = 0) -> dict[str, str]:
+    """The fields of `Explained` for a row of the image."""
+    case = {row: UNLISTED if number is None else str(number) for row, number in judgement.cases.items()}.get(row, "")
+    why = full_reason(judge, judgement, diagnosed, row)
+    return {"verdict": CLASSES[int(judgement.classes[row])], "why": why, "case": case}
+
+
+# ---- a candidate, in the words of `validate`: it answers the whole image, all of which is judged
+
+
+def probe_candidate(
+    candidate: Subject,
+    scene: Scene,
+    pixel: tuple[int, int],
+    timeout: float = DEFAULT_TIMEOUT,
+    send: SendRequest = send_stored,
+) -> CandidatePixel:
+    """Request the answer and judge it. timeout, send: as for `validate`. Raises SceneError."""
+    window = window_of(candidate, scene, *pixel)
+    try:
+        response = request_answer(candidate, window)
+    except NoAnswer as error:
+        witness = WitnessAnswer(CANDIDATE, problem="no answer")
+        return CandidatePixel(name=candidate.name, verdict=UNDECIDED, problem=str(error), witness=witness)
+    judge = judge_of(response, timeout=timeout, send=send, with_files=False)
+    if isinstance(judge, Crash):
+        return CandidatePixel(name=candidate.name, verdict=UNDECIDED, problem=judge.message)
+    x0, y0, x1, _ = window.film.window
+    row = (pixel[1] - y0) * (x1 - x0) + pixel[0] - x0
+    judgement, witness = judge.judge(), as_witness(judge, row)
+    shares = {"mask": float(judgement.ratios["mask"][row]), "t": witness.share, "normal": witness.normal_share}
+    exceeded = {name: share for name, share in shares.items() if share is not None and not witness.remark}
+    diagnosis = diagnose(judge, judgement, further_rays(candidate, response.scene))
+    found = _class_of(judge, judgement, diagnosis.by_row(), row)
+    why = filter(None, (found["why"], exceeded_bounds(exceeded)))
+    found["why"] = "\n".join(["; ".join(why), *diagnosis.evidence_at(row)])
+    if row in judgement.not_adjudicated and witness.right is False:  # but here it is adjudicated
+        found["verdict"] = WRONG
+    return CandidatePixel(
+        **found,
+        name=candidate.name,
+        precision=judge.answer.precision,
+        says=_answer_record(judge, row),
+        notes=(*judge.answer.notes, *response.limits),
+        witness=witness,
+    )
+
+
+def window_of(candidate: Subject, scene: Scene, x: int, y: int) -> Scene:
+    """The scene with the window that `validate` judges this pixel in; with the whole film where the crop is without."""
+    whole = scene.with_film(crop=(0, 0, scene.film.width, scene.film.height))
+    windows = (window for film in (scene, whole) for window in Task(film, "", subject=candidate).windows())
+    for window in windows:
+        x0, y0, x1, y1 = window.film.window
+        if x0 <= x < x1 and y0 <= y < y1:
+            break
+    return window
+
+
+def _answer_record(judge: Judge, row: int) -> dict[str, Any]:
+    """The answer for JSON; the normal has length 1, or is NaN where it was not finite."""
+    aovs, hit, t = judge.pair.subject, bool(judge.answer.hit[row]), float(judge.answer.t[row])
+    names = [name for name in ("depth", "normal") if name in aovs and (hit or name == "depth")]
+    return {"hit": hit, "t": t} | {name: aov_rows(aovs, name)[row].tolist() for name in names}
+
+
+# ---- secondary rays
+
+LETTERS = dict(zip(RAY_KINDS, ("", "R", "T", "S"), strict=True))
+LEGEND = "\nsecondary rays by their paths: R reflected, T refracted, S to a light"
+
+
+def follow_path(scene: Scene, depth: int, subject: Subject, timeout: float) -> Iterator[PathRay]:
+    """All rays that come from the pixels of a film, which has one, bounce after bounce. Raises NoAnswer."""
+    paths = [""]
+    for film in bounce_films(scene, depth):
+        rays = film.bounce.rays
+        paths = [paths[parent] + LETTERS[RAY_KINDS[kind]] for parent, kind in zip(rays.parent, rays.kind, strict=True)]
+        judge = judge_of(request_answer(subject, film.scene, rays=film.rays), timeout=timeout)
+        if isinstance(judge, Crash):
+            yield PathRay(path=paths[0], verdict=UNDECIDED, problem=judge.message)
+            return
+        judgement = judge.judge()
+        diagnosed = diagnose(judge, judgement).by_row()
+        for path, row in zip(paths, film.row.tolist(), strict=True):
+            answers = pixel_answers(judge, judgement, row, EXACT)
+            yield PathRay(**_class_of(judge, judgement, diagnosed, row), path=path, answers=answers)
+
+
+def path_lines(rays: Sequence[PathRay]) -> Iterator[str]:
+    """A line for each ray; where the answers do not agree, all of them."""
+    yield LEGEND if rays else "\nno secondary rays"
+    width = max((len(each.path) for each in rays), default=0)
+    for each in rays:
+        answer, *others = *each.answers, each.problem or each.why
+        yield f"  {each.path:<{width}}  {each.verdict.replace('_', ' ')}: {answer}"
+        if each.verdict != AGREE:
+            names = ("Mitsuba:", "exact:", "why:")
+            yield from (f"  {'':<{width}}    {name:<8} {words}" for name, words in zip(names, others, strict=False))
+
+
+# ---- for JSON
 
 
 def _ray(rays: SharedRays) -> dict[str, Any]:
@@ -181,6 +326,8 @@ def _json_value(value: Any) -> Any:
         return [_json_value(each) for each in value]
     return json_number(value) if isinstance(value, float) else value
 
+
+# ---- for a terminal
 
 MAX_PRIMS_SHOWN = 12  # primitives; --json has all
 

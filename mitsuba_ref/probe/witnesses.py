@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mitsuba_ref.error_model.bounds import intersections_at
+from mitsuba_ref.error_model.bounds import intersections_at, row_distance
 from mitsuba_ref.error_model.tolerances import DISTINCT_RTOL, KU, KU_OURS
 from mitsuba_ref.judge.adjudication import ratio_to_bound
 from mitsuba_ref.judge.classification import Judge, reference_prims
@@ -109,6 +109,26 @@ def compared_with_exact(
     at = intersections_at(judge.model, prim, (judge.o, judge.d), t, KU_OURS if ours else KU, ours=ours)
     found = with_error_of_t(witness, exact, at.t_error)
     return replace(found, right=found.share is None or found.share <= 1.0)
+
+
+def as_witness(judge: Judge, row: int) -> WitnessAnswer:
+    """The candidate's row among the witnesses: errors of t and of the normal, from the exact hit that fits best."""
+    answer = judge.answer.rows(np.array([row]))
+    what, t = "a hit" if answer.hit[0] else "miss", float(answer.t[0])  # it names no shape
+    claimed = WitnessAnswer(CANDIDATE, what, -1, t, format=answer.precision, remark=", ".join(answer.broken))
+    if judge.t_max[row] < 0.0:
+        return claimed
+    adjudicated = judge.adjudicated(np.array([row]))
+    (exact,) = adjudicated.answers
+    if exact is None:
+        return claimed
+    prims = exact.prims
+    at = judge.near(np.full(len(prims), row), prims, np.full(len(prims), np.nan if exact.t is None else float(exact.t)))
+    found = with_error_of_t(claimed, exact, at.t_error + answer.t_rounding)
+    if found.share is not None and answer.n is not None and not found.remark:
+        shares = ratio_to_bound(row_distance(answer.n.repeat(len(prims), axis=0), at.n), at.n_error)
+        found = replace(found, normal_share=float(shares.min()))
+    return replace(found, right=bool(adjudicated.right[0] and not found.remark))
 
 
 def with_error_of_t(witness: WitnessAnswer, exact: ExactAnswer, bounds: np.ndarray) -> WitnessAnswer:
