@@ -156,7 +156,8 @@ def check_ours(scene: Scene, approved: Exr, names: tuple[str, str]) -> FileCompa
     if any(scene.textures):
         reason = "approved images have no uv to bound the colours of textures by; use validate"
         return FileComparison(ours=names[0], reference=names[1], reasons=(reason,))
-    ambiguous, hit = _ambiguous(approved), approved.channels["A"] != 0.0
+    ambiguous = np.isin(approved.channels[CLASS_CHANNEL], AMBIGUOUS_CLASSES)
+    hit = approved.channels["A"] != 0.0
     if hit.any() and not (hit & ~ambiguous).any():
         reason = f"nothing to compare: more than one answer is right at all {hit.sum()} pixels that are hit"
         return FileComparison(ours=names[0], reference=names[1], exit_code=DIFFERENCES, reasons=(reason,))
@@ -184,11 +185,6 @@ def within_bounds(scene: Scene, image: Exr) -> tuple[Aovs, np.ndarray, np.ndarra
     geometry = compare(pixels, scene.checks).agrees
     light = geometry & _lighting_agrees(scene, pixels, ShadingPoints(point, d, aov_rows(ours, "shape_id"), bounds.at))
     return ours, geometry.reshape(ours.hit.shape), light.reshape(ours.hit.shape)
-
-
-def _ambiguous(image: Exr) -> np.ndarray:
-    """(h, w) bool: where more than one answer was right on approval."""
-    return np.isin(image.channels[CLASS_CHANNEL], AMBIGUOUS_CLASSES)
 
 
 def _lighting_agrees(scene: Scene, pixels: PixelPairs, hit: ShadingPoints) -> np.ndarray:

@@ -337,7 +337,8 @@ def _separators(
     rows, is_wrong = np.concatenate(some), np.repeat([True, False], [*map(len, some)])
     properties, quantities = _features(judge, rows, prim[rows])
     tried = len(properties) + len(quantities)
-    for sentence, flags in (*properties, *((_negated(sentence), ~flags) for sentence, flags in properties)):
+    negated = ((" is not ".join(sentence.rsplit(" is ", 1)), ~flags) for sentence, flags in properties)
+    for sentence, flags in (*properties, *negated):
         if _separates(flags, is_wrong, tried):
             yield _where_text(sentence, flags, is_wrong)
     yield from named
@@ -353,12 +354,6 @@ def _separators(
 def _where_text(sentence: str, flags: np.ndarray, wrong: np.ndarray) -> str:
     counts = (flags & wrong).sum(), wrong.sum(), (flags & ~wrong).sum(), (~wrong).sum()
     return "where {}: {} of {} wrong pixels, {} of {} right ones".format(sentence, *counts)
-
-
-def _negated(sentence: str) -> str:
-    """Of a sentence about what is."""
-    what, _, rest = sentence.rpartition(" is ")
-    return f"{what} is not {rest}"
 
 
 def _by_remainder(what: str, numbers: np.ndarray, wrong: np.ndarray) -> Iterator[str]:

@@ -12,7 +12,6 @@ from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judge, Judgement
 from mitsuba_ref.judge.defect_lookup import defect_name
 from mitsuba_ref.judge.verdict import AGREE, CLASSES, EXPLAINED, OUT_OF_DOMAIN, REFERENCE_WRONG, TIE, UNLISTED
 from mitsuba_ref.oracle.oracle import ExactAnswer
-from mitsuba_ref.subjects.subject import Answer
 
 QUANTITY_NAMES = {EXACT: "t by exact arithmetic", "mask": "hit or miss", "shape_id": "the shape"}
 COMPARED_AT_HITS = ("depth", "position", "normal", "shading_normal", "uv")  # only where both sides hit
@@ -183,9 +182,21 @@ def pixel_answers(judge: Judge, judgement: Judgement, row: int, check: str) -> t
         sides = judge.pair.subject, judge.pair.reference
         subject, reference = (_aovs_text(judge.scene, aovs, check, row) for aovs in sides)
         return subject, reference, exact
+    answer, result, shape = judge.answer, judge.result, int(judge.result.shape_id[row])
+    parts = [f"t {decimal_and_hex(float(answer.t[row]))}" if answer.hit[row] else "miss"]
+    if answer.n is not None and answer.hit[row]:
+        parts.append(f"n ({format_numbers(answer.n[row])})")
+    parts += [why for why, rows in answer.broken.items() if rows[row]]
     ray = f"along o ({format_numbers(judge.o[row])}), d ({format_numbers(judge.d[row])})"
-    subject = f"{format_answer(judge.answer, row)}, {ray}"
-    return subject, _reference_text(judge, row), exact + _exact_normal_text(judge, judgement, row)
+    reference = "miss"
+    if shape >= 0:
+        n = format_numbers(aov_rows(judge.pair.reference, "normal")[row])
+        reference = f"{judge.scene.shape_names()[shape]} at t {decimal_and_hex(float(result.t[row]))}, n ({n})"
+    rows = np.array([row])
+    prim, t = judgement.exact.first_hits(rows)
+    if prim[0] >= 0 and judge.n is not None:  # in float64 at the surface that is hit: normals have no exact value
+        exact += f", n ({format_numbers(judge.near(rows, prim, t).n[0])})"
+    return ", ".join([*parts, ray]), reference, exact
 
 
 def _aovs_text(scene: Scene, aovs: Any, check: str, row: int) -> str:
@@ -198,31 +209,6 @@ def _aovs_text(scene: Scene, aovs: Any, check: str, row: int) -> str:
         value = ", ".join(f"{v:.9g}" if check != "position" else repr(float(v)) for v in values)
         text += f", {check} ({value})"
     return text
-
-
-def format_answer(answer: Answer, row: int) -> str:
-    """t to the bit, the normal, and why the answer is invalid if it is."""
-    parts = [f"t {decimal_and_hex(float(answer.t[row]))}" if answer.hit[row] else "miss"]
-    if answer.n is not None and answer.hit[row]:
-        parts.append(f"n ({format_numbers(answer.n[row])})")
-    parts += [why for why, rows in answer.broken.items() if rows[row]]
-    return ", ".join(parts)
-
-
-def _reference_text(judge: Judge, row: int) -> str:
-    result = judge.result
-    shape = int(result.shape_id[row])
-    if shape < 0:
-        return "miss"
-    n = format_numbers(aov_rows(judge.pair.reference, "normal")[row])
-    return f"{judge.scene.shape_names()[shape]} at t {decimal_and_hex(float(result.t[row]))}, n ({n})"
-
-
-def _exact_normal_text(judge: Judge, judgement: Judgement, row: int) -> str:
-    """The normal in float64 at the surface that is hit exactly: normals have no exact value."""
-    rows = np.array([row])
-    prim, t = judgement.exact.first_hits(rows)
-    return f", n ({format_numbers(judge.near(rows, prim, t).n[0])})" if prim[0] >= 0 and judge.n is not None else ""
 
 
 def reproducer_header(judge: Judge, judgement: Judgement, row: int, what: str, source: str) -> Iterator[str]:

@@ -34,11 +34,6 @@ MAX_TRACEBACK_FRAMES = 4
 _one_at_a_time = threading.Lock()
 
 
-def import_function(text: str, precision: str | None = None) -> "FunctionSubject":
-    """Import a function as a candidate. Raises SceneError."""
-    return function_subject(imported(text), text, precision)
-
-
 def imported(text: str) -> Callable[..., Any]:
     """The function MODULE:NAME; the current folder comes first, as for `python -m`. Raises SceneError."""
     module, _, path = text.partition(":")

@@ -8,7 +8,7 @@ import pytest
 
 from caster.image.exr import write_exr
 from mitsuba_ref.__main__ import main
-from mitsuba_ref.exr_compare import flip as flip_module
+from mitsuba_ref.exr_compare import comparison_page as flip_module
 from mitsuba_ref.exr_compare.two_files import compare_exr
 
 HEIGHT, WIDTH = 6, 9

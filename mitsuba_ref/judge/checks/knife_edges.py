@@ -5,7 +5,8 @@ bound of a kernel that is too small shows as a wrong first hit or a wrong t.
 """
 
 import zlib
-from typing import NamedTuple
+from itertools import chain
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from caster.scene.model import Film, Scene
 from mitsuba_ref.error_model.bounds import error_over_bound as ratio_of
 from mitsuba_ref.error_model.bounds import t_bounds
 from mitsuba_ref.error_model.intersections import without_overflow_warnings
-from mitsuba_ref.hard.rays import ALL_AIMS, Aim, Frame, RayBatch, Targets, aimed_rays
+from mitsuba_ref.hard.rays import ALL_AIMS, Frame, RayBatch, Targets, aimed_rays
 from mitsuba_ref.judge.checks import OURS, Found, check
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
 from mitsuba_ref.reference.shared_input import own_model
@@ -175,54 +176,41 @@ def check_knife_edges(scene: Scene, wrong_rays: list[AimedFailure]) -> Found:
     if len(bad):
         o, d = (a[bad[0]].tolist() for a in (rays.o, rays.d))
         words = f"{len(bad)} of {words}, first from {o} along {d}: {texts[bad[0]]}"
-    wrong_rays += [AimedFailure(texts[i], _scene_of_ray(scene, rays, i)) for i in bad[:REPRODUCERS]]
+    for i in bad[:REPRODUCERS]:
+        wrong_rays.append(AimedFailure(texts[i], scene_of_ray(scene, rays.o[i], rays.d[i], float(rays.t_max[i]))))
     return float(ratios.max()), words
 
 
 @np.errstate(all="ignore")  # of kernels in plain Python, on directions of 1e-30 and 1e30
 def rays_at_edges(subject: PreparedScene) -> RayBatch:
     """Aimed rays, some of the camera's rays, and some of both with other limits; the same for the same scene."""
-    rng = np.random.default_rng(content_seed(subject.packed))
+    seed = 0  # from the geometry in world space alone, not from names and files
+    for array in chain.from_iterable(subject.packed.parts):
+        seed = zlib.crc32(np.ascontiguousarray(array).view(np.uint8).data, seed)
+    rng = np.random.default_rng(seed)
     targets = Targets(subject.packed, rng)
-    aims = (*ALL_AIMS, _from_eye(np.array(subject.scene.camera.eye, np.float64)))
+    eye = np.array(subject.scene.camera.eye, np.float64)
+
+    def from_eye(targets: Targets, count: int) -> tuple[np.ndarray, np.ndarray]:
+        return np.tile(eye, (count, 1)), targets.points(count).p - eye
+
     film = camera_rays(subject.scene, threads=1)
     count = int(np.clip(len(film.o) // PIXELS_PER_AIMED_RAY, MIN_AIMED_RAYS, MAX_AIMED_RAYS))
     others = int(SHARE_OF_OTHERS * count)
     there = np.flatnonzero(film.t_max > 0.0)
     rows = np.sort(rng.choice(there, min(others, len(there)), replace=False))
     own = RayBatch(film.o, film.d, film.t_min, film.t_max).taken(rows)
-    targets.frame = _frame(targets)
-    rays = concatenated(own, aimed_rays(targets, count, aims))
+    p = targets.points(SIZE_SAMPLES, "inside").p
+    center = np.median(p, axis=0)  # medians, so that a single far primitive does not count
+    size = float(np.median(np.abs(p - center).max(axis=1)))
+    targets.frame = Frame(size if size > 0.0 else 1.0, center)
+    rays = concatenated(own, aimed_rays(targets, count, (*ALL_AIMS, from_eye)))
     first = cast_by_culling(subject.packed, rays, "bvh")
     return concatenated(rays, with_limits(rng, rays, first, others))
 
 
-def content_seed(packed: Packed) -> int:
-    """A seed that depends on the geometry in world space alone, not on names and files."""
-    seed = 0
-    for part in packed.parts:
-        for array in part:
-            seed = zlib.crc32(np.ascontiguousarray(array).view(np.uint8).data, seed)
-    return seed
-
-
-def _frame(targets: Targets) -> Frame:
-    """Centre and size of the scene: medians, so that a single far primitive does not count."""
-    p = targets.points(SIZE_SAMPLES, "inside").p
-    center = np.median(p, axis=0)
-    size = float(np.median(np.abs(p - center).max(axis=1)))
-    return Frame(size if size > 0.0 else 1.0, center)
-
-
-def _from_eye(eye: np.ndarray) -> Aim:
-    def aim(targets: Targets, count: int) -> tuple[np.ndarray, np.ndarray]:
-        return np.tile(eye, (count, 1)), targets.points(count).p - eye
-
-    return aim
-
-
-def _scene_of_ray(scene: Scene, rays: RayBatch, i: int) -> Scene:
-    """The scene with this ray as its camera."""
-    limit = float(rays.t_max[i])
-    camera = Ray(origin=rays.o[i], direction=rays.d[i], t_max=limit if 0.0 < limit < np.inf else None)
-    return scene.model_copy(update={"film": Film(width=1, height=1), "camera": camera, "lights": (), "checks": {}})
+def scene_of_ray(scene: Scene, o: np.ndarray, d: np.ndarray, t_max: float = np.inf, **parts: Any) -> Scene:
+    """The scene with this ray as its camera, and with these parts in place of its own; without lights."""
+    camera = Ray(origin=o, direction=d, t_max=t_max if 0.0 < t_max < np.inf else None)
+    film = Film(width=1, height=1)
+    return scene.model_copy(update={"film": film, "camera": camera, "lights": (), "checks": {}, **parts})

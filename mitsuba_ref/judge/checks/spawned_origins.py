@@ -5,17 +5,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from caster.cameras.single_ray import Ray
 from caster.geometry.packing import Packed
 from caster.geometry.world_space import as_float32
 from caster.rendering.bounces import Bounce
-from caster.scene.model import Film, Scene
+from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import intersections_at
 from mitsuba_ref.error_model.intersections import dot
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS, U32
 from mitsuba_ref.hard.rays import RayBatch
 from mitsuba_ref.judge.checks import NOT_JUDGED, OURS, Found, check
-from mitsuba_ref.judge.checks.knife_edges import AimedFailure
+from mitsuba_ref.judge.checks.knife_edges import AimedFailure, scene_of_ray
 from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.oracle.spawned_origins import FINDINGS, SKIPPED, WRONG, Departures, OriginJudge
 from mitsuba_ref.reference.messages import Crash
@@ -119,12 +118,9 @@ class OriginFindings(NamedTuple):
     def scene_of(self, row: int) -> Scene:
         """A scene of one pixel whose ray is the parent, with the shapes that the finding is about."""
         ray, scene = self.leaving.rays.rows(row), self.leaving.scene
-        t_max = float(ray.t_max) if np.isfinite(ray.t_max) else None
         prims = [prim for prim in (int(ray.prim), int(self.between[row])) if prim >= 0]
         shapes = np.unique(self.leaving.packed.shape_of(np.array(prims))).tolist()
-        camera = Ray(origin=tuple(ray.o.tolist()), direction=tuple(ray.d.tolist()), t_max=t_max)
-        chosen = {"shapes": tuple(scene.shapes[i] for i in shapes), "film": Film(width=1, height=1), "camera": camera}
-        return scene.model_copy(update=chosen)
+        return scene_of_ray(scene, ray.o, ray.d, float(ray.t_max), shapes=tuple(scene.shapes[i] for i in shapes))
 
     def example(self, row: int) -> str:
         """One wrong ray in words."""
