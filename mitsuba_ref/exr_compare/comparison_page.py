@@ -10,8 +10,9 @@ import numpy as np
 from caster.description.errors import SceneError
 from caster.image.exr import NO_ID
 from caster.system.atomic_files import ScratchFolder
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.exr_compare.comparison_result import FileComparison, GroupResult
-from mitsuba_ref.exr_compare.pixel_bounds import Array, ExrPair
+from mitsuba_ref.exr_compare.pixel_bounds import ExrPair
 from mitsuba_ref.judge.verdict import SceneVerdict
 from mitsuba_ref.reference import subprocess_runner
 from mitsuba_ref.report.html_report import (

@@ -16,8 +16,9 @@ from caster.image.exr_validation import PROVENANCE_PREFIX
 from caster.scene.model import Scene
 from caster.system.process import NOT_COMPARABLE
 from mitsuba_ref.cameras.camera_reference import camera_axes, clip_planes
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.error_model.tolerances import NEARLY_ALL
-from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, Array, scene_in, stacked, view_of
+from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, scene_in, stacked, view_of
 from mitsuba_ref.reference.shared_input import clip_range, model_of, packed_float32, shared_rays
 from mitsuba_ref.subjects.subject import CastRequest, NoAnswer
 

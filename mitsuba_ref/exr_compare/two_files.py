@@ -13,6 +13,7 @@ from caster.description.errors import SceneError, error_prefix, suggestion
 from caster.image.channels import aovs_to_channels
 from caster.image.exr import Exr, read_exr, write_exr
 from caster.system.process import DIFFERENCES, NOTHING_SELECTED, OK
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.error_model.tolerances import Tolerances
 from mitsuba_ref.exr_compare import comparison_page
 from mitsuba_ref.exr_compare.comparison_result import (
@@ -27,7 +28,7 @@ from mitsuba_ref.exr_compare.comparison_result import (
     Worst,
 )
 from mitsuba_ref.exr_compare.conventions import Reading, check_maps, hints, is_ours, to_our_conventions
-from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, SCENE_HASH, Array, ExrPair, bound_of, scene_in
+from mitsuba_ref.exr_compare.pixel_bounds import LAYERS, SCENE_HASH, ExrPair, bound_of, scene_in
 from mitsuba_ref.report.evidence import clipped_to_float32
 
 __all__ = ["FileComparison", "Reading", "Tolerances", "compare_exr"]

@@ -18,6 +18,7 @@ from caster.image.exr import Exr, UnreadableExr, read_exr
 from caster.scene.model import Scene
 from caster.system.terminal import printable
 from mitsuba_ref.cameras import reference_of_camera
+from mitsuba_ref.error_model.intersections import Array
 from mitsuba_ref.error_model.tolerances import KU, U32
 from mitsuba_ref.reference.shared_input import export, pixel_of
 from mitsuba_ref.reference.subprocess_runner import (
@@ -206,7 +207,7 @@ class ExrFile(Subject):
         return replace(answer_from_exr(self.exr, request, self), own_geometry=True)
 
 
-def _normals(channels: Mapping[str, np.ndarray]) -> np.ndarray | None:
+def _normals(channels: Mapping[str, Array]) -> Array | None:
     """(n, 3) normals, None if they are not given. Raises NoAnswer, also if depth is missing or not float32."""
     if DEPTH not in channels:
         has = ", ".join(channels) or "none"
@@ -220,9 +221,9 @@ def _normals(channels: Mapping[str, np.ndarray]) -> np.ndarray | None:
     return np.stack([channels[name].ravel() for name in some], axis=1) if some else None
 
 
-def _mask(mask: np.ndarray, depth: np.ndarray, request: CastRequest) -> np.ndarray:
+def _mask(mask: Array, depth: Array, request: CastRequest) -> Array:
     """(n,) bool: the hits. A miss may have depth 0 or inf. Raises NoAnswer where depth contradicts the mask."""
-    covered: np.ndarray = mask != 0
+    covered: Array = mask != 0
     missed = np.isposinf(depth) | (~covered & (depth == 0.0))
     contradicts = (covered == missed) | ~np.isfinite(mask)
     if contradicts.any():

@@ -8,6 +8,7 @@ import numpy as np
 from caster.geometry.packing import Packed
 from mitsuba_ref.error_model.bounds import Bounds, aov_rows, row_distance
 from mitsuba_ref.error_model.intersections import (
+    Array,
     dot,
     row_groups,
     stacked_columns,
@@ -28,7 +29,7 @@ from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64
 
 
 @without_float_warnings
-def kind_biases(packed: Packed, pair: ImagePair, bounds: Bounds, shared: np.ndarray | None = None) -> list[KindBias]:
+def kind_biases(packed: Packed, pair: ImagePair, bounds: Bounds, shared: Array | None = None) -> list[KindBias]:
     """Bias of each kind, from both sides' answers and the reference's bounds, without float64 bounds or exact answers.
 
     shared: (shapes,) bool, of instances in a Mitsuba file: the rounding of a matrix is shared by all their hits.
@@ -46,7 +47,7 @@ def kind_biases(packed: Packed, pair: ImagePair, bounds: Bounds, shared: np.ndar
     return list(_biases(packed, pair, bounds, share, rows, tied))
 
 
-def untied(prim: np.ndarray, kind: np.ndarray, tied: np.ndarray, tied_kind: np.ndarray) -> np.ndarray:
+def untied(prim: Array, kind: Array, tied: Array, tied_kind: Array) -> Array:
     """(m,) bool: pixels that are evidence of a bias. prim, kind: (m,) of each; tied, tied_kind: (j,) of tied pixels.
 
     If two shapes have the same t, the reference names either by the sign of a rounding, so that the remaining pixels of
@@ -58,7 +59,7 @@ def untied(prim: np.ndarray, kind: np.ndarray, tied: np.ndarray, tied_kind: np.n
 
 
 def _biases(
-    packed: Packed, pair: ImagePair, bounds: Bounds, share: np.ndarray, rows: np.ndarray, tied: np.ndarray
+    packed: Packed, pair: ImagePair, bounds: Bounds, share: Array, rows: Array, tied: Array
 ) -> Iterator[KindBias]:
     """Of each kind hit at these rows. tied: rows where the reference names another shape at the same t."""
     prim = pair.prim[rows]
@@ -84,9 +85,7 @@ def _biases(
 
 
 @without_overflow_warnings
-def position_shares(
-    terms: PositionTerms, prims: Any, k: np.ndarray, at: np.ndarray, pair: ImagePair, bounds: Bounds
-) -> np.ndarray:
+def position_shares(terms: PositionTerms, prims: Any, k: Array, at: Array, pair: ImagePair, bounds: Bounds) -> Array:
     """(m,) how far the reference's positions at these rows are beyond ours along the ray, over their roundings.
 
     A position is the sum of the corners by barycentrics 1 - b1 - b2, b1 and b2. They are biased as t is, by a
@@ -105,14 +104,14 @@ def position_shares(
     return np.where(np.isnan(share), 0.0, share)  # a position that is no number fails its own check
 
 
-def z_of_groups(key: np.ndarray, error: np.ndarray) -> tuple[int, float]:
+def z_of_groups(key: Array, error: Array) -> tuple[int, float]:
     """(number of groups, z of their means). key: (m, c), equal in a group; error: (m,) signed."""
     group = row_groups(key)
     means = np.bincount(group, error) / np.bincount(group)
     return len(means), z_of(means)
 
 
-def z_of(values: np.ndarray) -> float:
+def z_of(values: Array) -> float:
     """Their sum over the root of the sum of their squares.
 
     That is mean / (std / sqrt(n)) with the spread about 0, where the mean has to be, and not about the mean found.
@@ -152,7 +151,7 @@ class FactorFit(NamedTuple):
 
 
 @check(of=(CANDIDATE,), scope="window")
-def check_t_bias(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.ndarray) -> Found | None:
+def check_t_bias(packed: Packed, pair: ImagePair, bounds: Bounds, prims: Array) -> Found | None:
     """Fail if one factor explains the errors of t, and is larger than estimated reciprocals make it.
 
     None if t is not given, or if the candidate rounds rays or geometry itself.
@@ -173,7 +172,7 @@ def check_t_bias(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.ndar
 
 
 @without_float_warnings
-def fitted_factor(packed: Packed, pair: ImagePair, bounds: Bounds, prims: np.ndarray) -> FactorFit:
+def fitted_factor(packed: Packed, pair: ImagePair, bounds: Bounds, prims: Array) -> FactorFit:
     """Fit one factor on t by least squares over pixels, weighted by their bounds.
 
     A candidate may round the origin of its rays, or the place of a shape, once for all rays; a shift by the vector s

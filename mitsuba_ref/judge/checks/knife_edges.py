@@ -18,7 +18,7 @@ from caster.rendering.images import camera_rays
 from caster.scene.model import Film, Scene
 from mitsuba_ref.error_model.bounds import error_over_bound as ratio_of
 from mitsuba_ref.error_model.bounds import t_bounds
-from mitsuba_ref.error_model.intersections import without_overflow_warnings
+from mitsuba_ref.error_model.intersections import Array, without_overflow_warnings
 from mitsuba_ref.hard.rays import ALL_AIMS, Frame, RayBatch, Targets, aimed_rays
 from mitsuba_ref.judge.checks import OURS, Found, check
 from mitsuba_ref.oracle.oracle import ExactAnswer, Oracle
@@ -34,16 +34,16 @@ LARGEST_FLOAT64 = float(np.finfo(np.float64).max)  # a larger t may be returned 
 class NearestHits(NamedTuple):
     """The first hit of each ray."""
 
-    t: np.ndarray  # (n,) lengths of d, inf on a miss
-    prim: np.ndarray  # (n,) number in the scene, -1 on a miss
+    t: Array  # (n,) lengths of d, inf on a miss
+    prim: Array  # (n,) number in the scene, -1 on a miss
 
     @property
-    def hit(self) -> np.ndarray:
+    def hit(self) -> Array:
         """(n,) bool. A NaN counts as a hit, so that it is noticed."""
         return ~np.isposinf(self.t)
 
 
-def nearest_hits(packed: Packed, t: np.ndarray, shape: np.ndarray, prim: np.ndarray) -> NearestHits:
+def nearest_hits(packed: Packed, t: Array, shape: Array, prim: Array) -> NearestHits:
     """Hits by number of the shape, -1 on a miss, and of the primitive within it."""
     within = packed.first[np.maximum(shape, 0)] + np.maximum(prim, 0)
     return NearestHits(t, np.where(shape < 0, -1, within).astype(np.int64))
@@ -97,8 +97,8 @@ class Adjudicated(NamedTuple):
     """Hits compared with the exact answers, one row for each ray."""
 
     answers: list[ExactAnswer]
-    bounds: np.ndarray  # (n,) of t
-    ratios: np.ndarray  # (n,) the error of t over its bound; inf for another first hit
+    bounds: Array  # (n,) of t
+    ratios: Array  # (n,) the error of t over its bound; inf for another first hit
     kinds: list[str]  # "missed", "phantom", "prim" or "t"; "" if right
     texts: list[str]  # both hits in words; "" if right
 
@@ -191,7 +191,7 @@ def rays_at_edges(subject: PreparedScene) -> RayBatch:
     targets = Targets(subject.packed, rng)
     eye = np.array(subject.scene.camera.eye, np.float64)
 
-    def from_eye(targets: Targets, count: int) -> tuple[np.ndarray, np.ndarray]:
+    def from_eye(targets: Targets, count: int) -> tuple[Array, Array]:
         return np.tile(eye, (count, 1)), targets.points(count).p - eye
 
     film = camera_rays(subject.scene, threads=1)
@@ -209,7 +209,7 @@ def rays_at_edges(subject: PreparedScene) -> RayBatch:
     return concatenated(rays, with_limits(rng, rays, first, others))
 
 
-def scene_of_ray(scene: Scene, o: np.ndarray, d: np.ndarray, t_max: float = np.inf, **parts: Any) -> Scene:
+def scene_of_ray(scene: Scene, o: Array, d: Array, t_max: float = np.inf, **parts: Any) -> Scene:
     """The scene with this ray as its camera, and with these parts in place of its own; without lights."""
     camera = Ray(origin=o, direction=d, t_max=t_max if 0.0 < t_max < np.inf else None)
     film = Film(width=1, height=1)

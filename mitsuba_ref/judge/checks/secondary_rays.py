@@ -7,7 +7,7 @@ import numpy as np
 from caster.rendering.bounces import RAY_KINDS, Bounce
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import intersections_at
-from mitsuba_ref.error_model.intersections import Intersections, cross, dot, norm, unit
+from mitsuba_ref.error_model.intersections import Array, Intersections, cross, dot, norm, unit
 from mitsuba_ref.error_model.lambert import direction_to_light
 from mitsuba_ref.error_model.tolerances import KU_OURS, U32
 from mitsuba_ref.judge.checks import OURS, Found, check, worst_share
@@ -28,7 +28,7 @@ def check_secondary_rays(bounce: Bounce, scene: Scene) -> Found:
     return worst_share(_shares(bounce, scene, at, prim >= 0))
 
 
-def _shares(bounce: Bounce, scene: Scene, at: Intersections, hit: np.ndarray) -> Iterator[tuple[float, str]]:
+def _shares(bounce: Bounce, scene: Scene, at: Intersections, hit: Array) -> Iterator[tuple[float, str]]:
     """Shares of bounds, with what they are about. at: where the parents hit, if `hit`."""
     rays, parents = bounce.rays, bounce.parents
     materials = [scene.material_of(shape) for shape in scene.shapes]
@@ -43,7 +43,7 @@ def _shares(bounce: Bounce, scene: Scene, at: Intersections, hit: np.ndarray) ->
     error = 4.0 * ior * ior * n_error + KU_OURS
     passes = np.sqrt(np.maximum(squared - error - 4.0 * ior * ior * LEFT_OUT, 0.0)) > n_error + LEFT_OUT
 
-    def counted(kind: str, may: np.ndarray, must: np.ndarray) -> tuple[float, str]:
+    def counted(kind: str, may: Array, must: Array) -> tuple[float, str]:
         count = np.bincount(rays.parent[rays.kind == RAY_KINDS.index(kind)], minlength=len(hit))
         return _worst(np.where((count > may) | (count < must), np.inf, 0.0), f"hits with missing or extra {kind} rays")
 
@@ -77,6 +77,6 @@ def _shares(bounce: Bounce, scene: Scene, at: Intersections, hit: np.ndarray) ->
     yield _worst(nearest, "the way of shadow rays to a light")
 
 
-def _worst(shares: np.ndarray, what: str) -> tuple[float, str]:
+def _worst(shares: Array, what: str) -> tuple[float, str]:
     wrong = int((~(shares <= 1.0)).sum())
     return float(shares.max(initial=0.0)), f"{what}: {wrong} of {len(shares)}" if wrong else what

@@ -10,7 +10,7 @@ from caster.geometry.world_space import as_float32
 from caster.rendering.bounces import Bounce
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import intersections_at
-from mitsuba_ref.error_model.intersections import dot
+from mitsuba_ref.error_model.intersections import Array, dot
 from mitsuba_ref.error_model.tolerances import KU, KU_OURS, U32
 from mitsuba_ref.hard.rays import RayBatch
 from mitsuba_ref.judge.checks import NOT_JUDGED, OURS, Found, check
@@ -24,19 +24,19 @@ from mitsuba_ref.reference.shared_input import SharedRays, model_of, own_model, 
 from mitsuba_ref.subjects.subject import NoAnswer
 
 # (points, normals, directions (n, 3) float64) -> origins (n, 3)
-Rule = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+Rule = Callable[[Array, Array, Array], Array]
 
 PBRT_ROUNDINGS = 7  # of a point on a triangle, in units of U32: gamma(7) of its coordinates
 CONSTANT_OFFSET = 1e-3  # scene units
 
 
-def along_normal(points: np.ndarray, normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def along_normal(points: Array, normals: Array, directions: Array) -> Array:
     """A constant along the normal, in float32."""
     side = np.where(dot(normals, directions) < 0.0, -CONSTANT_OFFSET, CONSTANT_OFFSET)
     return as_float32(as_float32(points) + side[:, None] * normals)
 
 
-def pbrt_rule(points: np.ndarray, normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def pbrt_rule(points: Array, normals: Array, directions: Array) -> Array:
     """An error box of the float32 point, projected on the normal; then every coordinate moves on by one float32.
 
     A point does not tell the magnitude of the vertices that it was computed from: its largest coordinate stands for it.
@@ -59,12 +59,12 @@ class LeavingRays(NamedTuple):
     packed: Packed
     rays: Departures
 
-    def at(self, origins: np.ndarray) -> "LeavingRays":
+    def at(self, origins: Array) -> "LeavingRays":
         return self._replace(rays=self.rays._replace(q=origins))
 
 
 def leaving_rays(
-    scene: Scene, packed: Packed, parents: RayBatch, prim: np.ndarray, t: np.ndarray, w: np.ndarray, q: np.ndarray
+    scene: Scene, packed: Packed, parents: RayBatch, prim: Array, t: Array, w: Array, q: Array
 ) -> LeavingRays:
     """Rays from q along w (n, 3) after the hits of their parents: primitive, -1 on a miss, and t, (n,) each."""
     o, d = parents.o, parents.d
@@ -88,16 +88,16 @@ class OriginFindings(NamedTuple):
 
     judge: OriginJudge
     leaving: LeavingRays
-    found: np.ndarray  # (n,) uint8, a sum of SELF_HIT, SKIPPED, WRONG_SIDE, UNDECIDED
-    between: np.ndarray  # (n,) int64, number of a skipped primitive, -1
+    found: Array  # (n,) uint8, a sum of SELF_HIT, SKIPPED, WRONG_SIDE, UNDECIDED
+    between: Array  # (n,) int64, number of a skipped primitive, -1
 
     @property
-    def wrong(self) -> np.ndarray:
+    def wrong(self) -> Array:
         """Rows of the wrong origins."""
         return np.flatnonzero(self.found & WRONG)
 
     @property
-    def avoidable(self) -> np.ndarray:
+    def avoidable(self) -> Array:
         """Rows of the wrong origins, but for those that only skip a surface closer than float32 resolves.
 
         A rule knows the surface that the ray leaves, so nothing excuses a self-hit or the wrong side of it.
@@ -204,7 +204,7 @@ def check_reference_origins(bounce: Bounce, send: SendRequest, timeout: float, w
     return 0.0, _kept(found, found.wrong, "spawn-ray", wrong_rays)
 
 
-def _kept(found: OriginFindings, rows: np.ndarray, label: str, wrong_rays: WhyWrong) -> str:
+def _kept(found: OriginFindings, rows: Array, label: str, wrong_rays: WhyWrong) -> str:
     """The counts with an example, the first of the rows, if any, which is appended to `wrong_rays`."""
     for row in rows[:1].tolist():
         wrong_rays.append(AimedFailure(found.example(row), found.scene_of(row), label))
