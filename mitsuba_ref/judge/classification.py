@@ -33,15 +33,7 @@ from mitsuba_ref.judge.adjudication import (
     sample_rows,
 )
 from mitsuba_ref.judge.checks.mesh_files import files_of, for_mitsuba
-from mitsuba_ref.judge.comparison import (
-    ImagePair,
-    PixelPairs,
-    SelfCheck,
-    UvPair,
-    compare,
-    inconsistent_aovs,
-    pair_images,
-)
+from mitsuba_ref.judge.comparison import ImagePair, PixelPairs, UvPair, compare, inconsistent_aovs, pair_images
 from mitsuba_ref.judge.defect_lookup import defect_features, defect_of
 from mitsuba_ref.judge.diffuse import diffuse_within_float64, judge_diffuse, shading_points
 from mitsuba_ref.judge.verdict import CLASSES, JUDGED_WITHOUT_REFERENCE
@@ -174,11 +166,6 @@ class Judge:
     def oracle(self) -> Oracle:
         return Oracle(self.model.packed)
 
-    @property
-    def self_checks(self) -> tuple[SelfCheck, ...]:
-        """The subject's own quantities, held to float64."""
-        return tuple(self.pixels.self_checks.values())
-
     def judge(self) -> Judgement:
         """Judge the geometry, then the diffuse AOV. Raises SceneError for a [check] that has no effect."""
         comparison = compare(self.pixels, self.scene.checks if self.names_prims else {})
@@ -199,7 +186,7 @@ class Judge:
         self._classify_reference(classes, disputed, loose, exact)
         other_tie = exact.right & disputed[exact.rows] & (~exact.of_first | self.hits_at_t_min[exact.rows])
         classes[exact.rows[other_tie]] = CODE.tie
-        for check in self.self_checks:
+        for check in self.pixels.self_checks.values():
             classes[check.fails & self.consistent] = CODE.wrong
         classes[exact.rows[~exact.answered]] = CODE.undecided
         self._classify_inexact(classes, exact)
@@ -378,8 +365,7 @@ class Judge:
         """
         agreeing = np.flatnonzero(classes == CODE.agree)
         chosen = np.isin(classes, [CLASS_CODE[name] for name in JUDGED_WITHOUT_REFERENCE])
-        count = min(AGREEING_PIXELS_SHADED, len(agreeing))
-        chosen[np.random.default_rng(1).choice(agreeing, count, replace=False)] = True
+        chosen[sample_rows(agreeing, AGREEING_PIXELS_SHADED)] = True
         return chosen
 
     def _known_cases(self, rows: Array, agreeing: Array, exact: Adjudication) -> dict[int, int | None]:

@@ -114,7 +114,6 @@ class UvPair(NamedTuple):
 class SelfCheck(NamedTuple):
     """One quantity of the subject, compared in float64 with the primitive that it names."""
 
-    name: str
     error: Array  # (n,) distance from the primitive's own value
     bound: Array  # (n,) that float64 allows
     counts: Array  # (n,) bool: where it is compared
@@ -179,11 +178,11 @@ class PixelPairs:
             ("position", self.point, own.p_error, resolved),
         ]
         found = {
-            name: SelfCheck(name, row_distance(aov_rows(self.subject, name), value), bound, counts)
+            name: SelfCheck(row_distance(aov_rows(self.subject, name), value), bound, counts)
             for name, value, bound, counts in held
         }
         if self.uv is not None:
-            found["uv"] = SelfCheck("uv", row_distance(self.uv.subject, own.uv), own.uv_error, resolved)
+            found["uv"] = SelfCheck(row_distance(self.uv.subject, own.uv), own.uv_error, resolved)
         return found
 
     @property
@@ -221,11 +220,10 @@ def check_ratios(pixels: PixelPairs) -> dict[str, Array]:
         return found | {name: unequal(*pixels.pair(name)) for name, ids in given.items() if ids is not None}
     found |= {"shape_id": unequal(*pixels.pair("shape_id")), "on_surface": on_surface}
     for name, bound in pixels.allowed_distance.items():
-        ratio = error_over_bound(pixels.distance(name), bound)
-        if name in pixels.self_checks:
-            check = pixels.self_checks[name]
-            ratio = np.maximum(ratio, error_over_bound(check.error, check.bound))
-        found[name] = np.where(both, ratio, 0.0)
+        found[name] = np.where(both, error_over_bound(pixels.distance(name), bound), 0.0)
+        if check := pixels.self_checks.get(name):
+            own_ratio = np.where(both | check.fails, error_over_bound(check.error, check.bound), 0.0)
+            found[name] = np.maximum(found[name], own_ratio)
     return found
 
 

@@ -81,19 +81,10 @@ def format_defect(case: int | None) -> str:
 
 def full_reason(judge: Judge, judgement: Judgement, diagnosed: Mapping[int, str], row: int) -> str:
     """The reason; of a subject that names primitives, also the quantities beyond their bounds with their factors."""
-    exceeded = exceeded_bounds(error_ratios(judge, judgement, row)) if judge.names_prims else ""
-    return "; ".join(filter(None, (reason(judge, judgement, diagnosed, row), exceeded)))
-
-
-def error_ratios(judge: Judge, judgement: Judgement, row: int) -> dict[str, float]:
-    """Error over bound of every quantity: the larger of those from Mitsuba and from the subject's own primitive."""
-    found = {name: float(ratio[row]) for name, ratio in judgement.ratios.items()}
-    for check in judge.self_checks:
-        if check.fails[row]:
-            error, bound = float(check.error[row]), float(check.bound[row])
-            own = error / bound if bound > 0.0 and np.isfinite(error) else np.inf
-            found[check.name] = max(found[check.name], own)
-    return found
+    found = [reason(judge, judgement, diagnosed, row)]
+    if judge.names_prims:
+        found.append(exceeded_bounds({name: float(ratio[row]) for name, ratio in judgement.ratios.items()}))
+    return "; ".join(filter(None, found))
 
 
 def exceeded_bounds(ratios: Mapping[str, float]) -> str:

@@ -16,6 +16,7 @@ from mitsuba_ref.error_model.intersections import Array, any_of_columns, norm
 from mitsuba_ref.error_model.lambert import ShadingPoints
 from mitsuba_ref.error_model.textures import color_ratios
 from mitsuba_ref.error_model.tolerances import KU_OURS
+from mitsuba_ref.judge.adjudication import sample_rows
 from mitsuba_ref.judge.checks import OURS, Found, bits_differ, check, worst_pixel
 from mitsuba_ref.judge.diffuse import diffuse_within_float64
 from mitsuba_ref.reference.shared_input import SharedRays, model_of
@@ -54,9 +55,9 @@ def check_render(scene: Scene) -> Found:
         cast = trace(scene, rays.o + rays.t_min[:, None] * rays.d, rays.d, left, rays.t_min)
     differs = _differs(ours, evaluate(_by_longer_rays(cast), CHECKED_AOVS, window))
     rows = np.flatnonzero(differs)
-    differing, most = len(rows), RENDER_PIXELS_CHECKED if moved else UNMOVED_PIXELS_CHECKED
+    differing = len(rows)
     if differing:
-        rows = np.random.default_rng(1).choice(rows, min(most, differing), replace=False)
+        rows = sample_rows(rows, RENDER_PIXELS_CHECKED if moved else UNMOVED_PIXELS_CHECKED)
         differs[:] = False
         differs[rows] = ~_within_float64(scene, ours, rows, rays)
     ratio, what = _worst(scene, "pixel", differs)
