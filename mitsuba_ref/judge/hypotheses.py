@@ -244,13 +244,21 @@ def _other_numbers(f: WrongPixels) -> Iterator[Mistake]:
         return _as_in_float32(np.where(g.given_hit & g.hit, g.given_t - g.t, np.inf), bound)
 
     if described and of_described(f).mean() > MAJORITY:  # the others differ by less than rounding
-        what = "hits of the scene file's own numbers; the judge traces them rounded to float32"
-        remedy = "compute hits of the scene that `mitsuba-ref export --toml` writes, and judge with that"
-        yield Mistake(what, remedy, of_described, single=True, same_surface=True)
+        yield Mistake(
+            "hits of the scene file's own numbers; the judge traces them rounded to float32",
+            "compute hits of the scene that `mitsuba-ref export --toml` writes, and judge with that",
+            of_described,
+            single=True,
+            same_surface=True,
+        )
         return
-    what = "t has the rounding of a point's coordinates, as (p - o) . d / d . d has"
-    remedy = "return the t of the intersection, not that of the hit point"
-    yield Mistake(what, remedy, of_points, single=True, same_surface=True)
+    yield Mistake(
+        "t has the rounding of a point's coordinates, as (p - o) . d / d . d has",
+        "return the t of the intersection, not that of the hit point",
+        of_points,
+        single=True,
+        same_surface=True,
+    )
     yield Mistake(IN_FLOAT32, FLOAT32_REMEDY, in_float32, single=True, same_surface=True)
 
 
@@ -314,8 +322,9 @@ def _image_orders(shape: tuple[int, int], is_list: bool) -> Iterator[Mistake]:
 
     if is_list:
         for step in (1, -1):
-            what = f"the answers are moved by {step} ray"
-            yield order(what, "return them in the order of the rays", np.roll(rows, step))
+            yield order(
+                f"the answers are moved by {step} ray", "return them in the order of the rays", np.roll(rows, step)
+            )
         return
     yield order("the image is mirrored, left for right", "turn the sign of x", rows[:, ::-1])
     yield order("the image is upside down", "row 0 is the top one: turn the sign of y", rows[::-1])
@@ -324,8 +333,11 @@ def _image_orders(shape: tuple[int, int], is_list: bool) -> Iterator[Mistake]:
         yield order("the image is transposed, x for y", "rows come first: index y * width + x", there)
     for y, x in product((0, 1, -1), repeat=2):
         if x or y:
-            what = f"the image is moved by a whole pixel: {x:+d} to the right, {y:+d} down"
-            yield order(what, "look for an index that counts from 1", np.roll(rows, (y, x), (0, 1)))
+            yield order(
+                f"the image is moved by a whole pixel: {x:+d} to the right, {y:+d} down",
+                "look for an index that counts from 1",
+                np.roll(rows, (y, x), (0, 1)),
+            )
 
 
 # ---- other rays
@@ -370,8 +382,11 @@ def _beside_centers(x: float, y: float) -> Mistake:
         rays = reference_of_camera(scene.camera).rays(scene.camera, scene.film, *places)
         return rays.o + rays.t_min[:, None] * rays.d, rays.d
 
-    what = f"rays beside the pixel centres, by ({x:+.2f}, {y:+.2f}) of a pixel to the right and down"
-    return _recast(what, "the centre of pixel (x, y) is at (x + 0.5, y + 0.5)", lines)
+    return _recast(
+        f"rays beside the pixel centres, by ({x:+.2f}, {y:+.2f}) of a pixel to the right and down",
+        "the centre of pixel (x, y) is at (x + 0.5, y + 0.5)",
+        lines,
+    )
 
 
 BESIDE_CENTERS = tuple(_beside_centers(x, y) for x, y in product((-0.5, 0.0, 0.5), repeat=2) if x or y)
@@ -395,11 +410,15 @@ def _other_rays() -> Iterator[Mistake]:
         remedy = "use the same axes for rays and scene (y up or z up?)"
         yield _mapped(f"the axes of directions {what}", remedy, SAME, SAME[:, order])
         yield _mapped(f"the axes of rays {what}", remedy, SAME[:, order], SAME[:, order])
-    what = "the rays' origin is taken for (0, 0, 0)"
-    yield _mapped(what, "subtract, or add, the ray's origin", 0.0 * SAME, SAME)
+    yield _mapped("the rays' origin is taken for (0, 0, 0)", "subtract, or add, the ray's origin", 0.0 * SAME, SAME)
     for scale in (0.001, 0.01, 0.0254, 0.1, 0.5, 2.0, 10.0, 100.0, 1000.0):
-        what = f"the scene is {scale:g} times as large as it should be"
-        yield _mapped(what, "use vertices in the units of the rays", SAME / scale, SAME, scale)
+        yield _mapped(
+            f"the scene is {scale:g} times as large as it should be",
+            "use vertices in the units of the rays",
+            SAME / scale,
+            SAME,
+            scale,
+        )
 
 
 OTHER_RAYS = tuple(_other_rays())
@@ -448,8 +467,11 @@ def _selection(what: str, remedy: str, kept: Predicts, *, last: bool = False, si
 
 def _culled(what: str, sign: float) -> Mistake:
     """A caster that skips surfaces with sign n . d >= 0."""
-    remedy = "hit both sides: no test of the sign of the determinant or of n . d"
-    return _selection(what, remedy, lambda g: sign * dot(g.roots.at.n, g.d[g.roots.ray]) < 0.0)
+    return _selection(
+        what,
+        "hit both sides: no test of the sign of the determinant or of n . d",
+        lambda g: sign * dot(g.roots.at.n, g.d[g.roots.ray]) < 0.0,
+    )
 
 
 SELECTIONS = (
@@ -490,8 +512,12 @@ def id_mistakes(f: WrongPixels) -> Iterator[Mistake]:
     named = {tuple(numbers) for numbers in zip(*(ids[hit] for _, ids, _ in columns), strict=True)}
     if len(named) * MIN_FITTED_PIXELS <= len(np.unique(f.prim)):
         who = "the same primitive is" if len(named) == 1 else f"no more than {len(named)} primitives are"
-        remedy = "return the number of the primitive in the order of the scene, or leave the column out"
-        yield Mistake(f"{who} named at all {hit.sum()} hits", remedy, lambda g: g.hit, same_surface=True)
+        yield Mistake(
+            f"{who} named at all {hit.sum()} hits",
+            "return the number of the primitive in the order of the scene, or leave the column out",
+            lambda g: g.hit,
+            same_surface=True,
+        )
     for column in columns:
         yield from _column_mistakes(*column)
 
@@ -500,9 +526,13 @@ def _column_mistakes(name: str, ids: Array, number: Callable[[Array], Array]) ->
     """Of one column (judge/adjudication.py:id_columns)."""
 
     def off_by(step: int, cure: str) -> Mistake:
-        what = f"the {name}'s number is off by one ({step:+d})"
-        remedy = f"numbers count from 0: {cure} 1"
-        return Mistake(what, remedy, lambda g: ids[g.rows] == number(g.prim) + step, SURFACES, same_surface=True)
+        return Mistake(
+            f"the {name}'s number is off by one ({step:+d})",
+            f"numbers count from 0: {cure} 1",
+            lambda g: ids[g.rows] == number(g.prim) + step,
+            SURFACES,
+            same_surface=True,
+        )
 
     yield off_by(1, "subtract")
     yield off_by(-1, "add")
@@ -559,13 +589,19 @@ def normal_mistakes(f: WrongPixels) -> Iterator[Mistake]:
     if f.judge.scene.camera.type != "ray":
         axes = np.asarray(camera_axes(f.judge.scene.camera)).T
         for signs in product((1.0, -1.0), repeat=3):
-            what = "the normal is in the camera's axes in place of the world's"
-            yield _mapped_normal(what, "turn it by the camera's matrix", axes * signs)
+            yield _mapped_normal(
+                "the normal is in the camera's axes in place of the world's",
+                "turn it by the camera's matrix",
+                axes * signs,
+            )
     yield from OTHER_NORMALS
     if f.judge.answer.precision == FLOAT32:
-        what = "the normal is computed from corners minus the ray's origin, and lost digits there"
-        remedy = "compute it from the edges of the face, or in float64"
-        yield Mistake(what, remedy, _is_of_corners_seen_from_the_origin, same_surface=True)
+        yield Mistake(
+            "the normal is computed from corners minus the ray's origin, and lost digits there",
+            "compute it from the edges of the face, or in float64",
+            _is_of_corners_seen_from_the_origin,
+            same_surface=True,
+        )
     if _claims_float64(f):
 
         def in_float32(g: WrongPixels) -> Array:
@@ -596,14 +632,20 @@ def _other_normals() -> Iterator[Mistake]:
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         if order != (0, 1, 2) or len(set(signs)) > 1:
             names = ", ".join("-"[: s < 0] + "xyz"[i] for i, s in zip(order, signs, strict=True))
-            what = f"the normal's axes are permuted or signed: ({names}) in place of (x, y, z)"
-            yield _mapped_normal(what, "use the same axes for normals and scene", SAME[:, order] * signs)
-    what = "the normal is stored as a colour, (n + 1) / 2"
-    yield _normal(what, "return n itself, from -1 to 1", lambda g: unit(g.at.n + 1.0))
-    what = "the position in place of the normal"
-    yield _normal(what, "subtract the centre", lambda g: unit(g.o + g.t[:, None] * g.d))
-    what = "one normal everywhere"
-    yield _normal(what, "compute it for each hit", lambda g: np.broadcast_to(np.median(g.n, axis=0), g.n.shape))
+            yield _mapped_normal(
+                f"the normal's axes are permuted or signed: ({names}) in place of (x, y, z)",
+                "use the same axes for normals and scene",
+                SAME[:, order] * signs,
+            )
+    yield _normal(
+        "the normal is stored as a colour, (n + 1) / 2", "return n itself, from -1 to 1", lambda g: unit(g.at.n + 1.0)
+    )
+    yield _normal(
+        "the position in place of the normal", "subtract the centre", lambda g: unit(g.o + g.t[:, None] * g.d)
+    )
+    yield _normal(
+        "one normal everywhere", "compute it for each hit", lambda g: np.broadcast_to(np.median(g.n, axis=0), g.n.shape)
+    )
 
 
 OTHER_NORMALS = tuple(_other_normals())
