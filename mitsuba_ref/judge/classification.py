@@ -41,9 +41,7 @@ from mitsuba_ref.oracle.oracle import Oracle
 from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.mitsuba_process import DEFAULT_TIMEOUT, SendRequest, send_request
 from mitsuba_ref.reference.rendering import ReferenceResult, trace_reference
-from mitsuba_ref.reference.shared_input import SharedRays
-from mitsuba_ref.subjects.requests import SubjectResponse, request_answer
-from mitsuba_ref.subjects.subject import OURS, Subject
+from mitsuba_ref.subjects.requests import SubjectResponse
 
 CLASS_CODE = {name: code for code, name in enumerate(CLASSES)}
 CODE = SimpleNamespace(**CLASS_CODE)  # CODE.wrong is that of the class `wrong`
@@ -396,22 +394,6 @@ def reference_prims(result: ReferenceResult, model: SceneModel) -> Array:
     return np.where(result.hit & (shape >= 0), prim, -1).astype(np.int32)
 
 
-def scene_judge(
-    scene: Scene,
-    subject: Subject = OURS,
-    *,
-    whole: SharedRays | None = None,
-    timeout: float = DEFAULT_TIMEOUT,
-    send: SendRequest = send_request,
-) -> Judge | Crash:
-    """The judge of a subject in the film's window, or how Mitsuba ended without an answer.
-
-    whole: the rays that stand-ins are cut to, if other than the window's own. send: the way to Mitsuba.
-    Raises SceneError for a scene that cannot be judged, NoAnswer if the subject gives none.
-    """
-    return judge_of(request_answer(subject, scene, whole=whole), timeout=timeout, send=send)
-
-
 def judge_of(
     response: SubjectResponse,
     *,
@@ -419,7 +401,10 @@ def judge_of(
     send: SendRequest = send_request,
     with_files: bool = True,
 ) -> Judge | Crash:
-    """The judge of a subject's response. with_files: Mitsuba also reads the mesh files."""
+    """The judge of a subject's response, or how Mitsuba ended without an answer.
+
+    send: the way to Mitsuba. with_files: it also reads the mesh files. Raises SceneError for scenes that cannot be judged.
+    """
     scene, model, rays, answer = response.scene, response.model, response.rays, response.answer
     traced = rays.for_reference()
     lights = answer.images is not None

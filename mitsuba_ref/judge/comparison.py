@@ -191,11 +191,6 @@ class PixelPairs:
         return self.subject.hit.ravel() & self.reference.hit.ravel()
 
 
-# Checks of a subject that names its primitive, and of any other one that gives all quantities.
-CHECKS = ("mask", "shape_id", "on_surface", "depth", "position", "normal", "shading_normal", "uv")
-SURFACE_CHECKS = ("mask", "depth", "normal", "shape_id", "prim_id")
-
-
 @without_float_warnings
 def check_ratios(pixels: PixelPairs) -> dict[str, Array]:
     """Error over bound of each check whose quantities are given, (n,) each; inf for another hit, shape or primitive."""

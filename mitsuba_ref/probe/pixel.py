@@ -14,7 +14,7 @@ from caster.scene.model import Scene
 from caster.system.terminal import folded
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.error_model.bracket import latest_hits
-from mitsuba_ref.judge.classification import EXACT, Judge, Judgement, judge_of, scene_judge
+from mitsuba_ref.judge.classification import EXACT, Judge, Judgement, judge_of
 from mitsuba_ref.judge.diagnosis import diagnose
 from mitsuba_ref.judge.explanations import (
     MAX_TIES_SHOWN,
@@ -147,7 +147,7 @@ def probe_with_evidence(
         raise SceneError(f"pixel ({x}, {y}): outside the film, expected {inside}")
     whole = stand_in_rays(scene)
     asked_for, scene = scene, scene.with_film(crop=(x, y, x + 1, y + 1))
-    judge = scene_judge(scene, whole=whole, timeout=timeout)
+    judge = judge_of(request_answer(OURS, scene, whole=whole), timeout=timeout)
     if isinstance(judge, Crash):
         crash = PixelVerdict(x=x, y=y, verdict=UNDECIDED, ray=_ray(shared_rays(scene)), problem=judge.message)
         return crash, judge

@@ -16,7 +16,7 @@ from caster.scene.model import Scene
 from caster.system.atomic_files import write_text
 from mitsuba_ref.error_model.lambert import direction_to_light
 from mitsuba_ref.judge.checks.knife_edges import scene_of_ray
-from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement, scene_judge
+from mitsuba_ref.judge.classification import CLASS_CODE, Judge, Judgement, judge_of
 from mitsuba_ref.judge.explanations import format_defect, reproducer_header
 from mitsuba_ref.judge.pipeline import Seen
 from mitsuba_ref.judge.verdict import CLASSES, REFERENCE_WRONG, UNLISTED, WRONG, Failure, SceneVerdict
@@ -24,7 +24,8 @@ from mitsuba_ref.reference.messages import Crash
 from mitsuba_ref.reference.shared_input import pixel_of
 from mitsuba_ref.report.builtin_scenes import shown_path
 from mitsuba_ref.shapes import kind_of, reference_of
-from mitsuba_ref.subjects.subject import kept_fields, packs_identically
+from mitsuba_ref.subjects.requests import request_answer
+from mitsuba_ref.subjects.subject import OURS, kept_fields, packs_identically
 
 
 def write_scene(path: Path, scene: Scene, head: Iterable[str]) -> None:
@@ -178,7 +179,7 @@ def write_reproducer(
 
 def reproduces(alone: Scene, judge: Judge, judgement: Judgement, row: int) -> tuple[bool, str]:
     """(whether the scene alone gives the same class and the same answer of Mitsuba, the result as text)."""
-    again = scene_judge(alone)
+    again = judge_of(request_answer(OURS, alone))
     if isinstance(again, Crash):
         return False, f"Checked:   Mitsuba ended without an answer on this file ({again.exit})."
     verdict, before = (CLASSES[int(code)] for code in (again.judge().classes[0], judgement.classes[row]))

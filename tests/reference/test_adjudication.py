@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from edited_tree import ROOT, run
+from mitsuba_scenes import scene_judge
 
 import caster
 from caster.aovs import Aovs
@@ -18,7 +19,7 @@ from caster.scene.model import Scene
 from mitsuba_ref import shapes as judges_model
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.adjudication import AGREEING_PIXELS_ADJUDICATED
-from mitsuba_ref.judge.classification import CLASS_CODE, Judge, scene_judge
+from mitsuba_ref.judge.classification import CLASS_CODE, Judge
 from mitsuba_ref.judge.explanations import full_reason, not_judged
 from mitsuba_ref.judge.verdict import FAILING, UNLISTED, Verdict
 from mitsuba_ref.oracle.oracle import Oracle, OutsideDomain

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mitsuba_scenes import scene_judge
 
 import caster
 from caster.aovs import Aovs
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.aggregate import class_counts, defect_counts, failing_by_check, listed_failures
-from mitsuba_ref.judge.classification import Judge, Judgement, scene_judge
+from mitsuba_ref.judge.classification import Judge, Judgement
 from mitsuba_ref.judge.diagnosis import diagnose, failing_rows
 from mitsuba_ref.judge.explanations import open_reason
 from mitsuba_ref.judge.verdict import CLASSES
