@@ -403,7 +403,7 @@ def judge_of(
 ) -> Judge | Crash:
     """The judge of a subject's response, or how Mitsuba ended without an answer.
 
-    send: the way to Mitsuba. with_files: it also reads the mesh files. Raises SceneError for scenes that cannot be judged.
+    send: the way to Mitsuba. with_files: it also reads the mesh files. Raises SceneError.
     """
     scene, model, rays, answer = response.scene, response.model, response.rays, response.answer
     traced = rays.for_reference()

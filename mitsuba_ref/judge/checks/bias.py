@@ -1,7 +1,7 @@
 """Bias (docs/method.md, "Bias"): systematic errors of the reference by kind, and a factor on all t of a candidate."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +21,6 @@ from mitsuba_ref.judge.comparison import ImagePair
 from mitsuba_ref.judge.verdict import BIAS_OF_POSITION, BIAS_OF_T, KindBias
 from mitsuba_ref.shapes import kind_of
 from mitsuba_ref.shapes.shape_reference import PositionTerms
-from mitsuba_ref.subjects.subject import FLOAT32, FLOAT64
 
 # A defect of ours far below what float32 resolves moves no pixel beyond its bound, but it moves all of them the same
 # way. Rounding does so, too, within a primitive: its numbers are rounded once, for all rays. So only the means of
@@ -138,16 +137,7 @@ def check_bias(biases: Sequence[KindBias]) -> Found:
 
 # ---- a common factor on all t of a candidate, even within their bounds
 
-ROUNDOFF = {FLOAT32: U32, FLOAT64: 2.0**-53}  # u of a candidate's precision
 FIT_ROUNDING = 2.0**-20  # far above the residual of a column that a float64 least-squares fit explains fully
-
-
-class FactorFit(NamedTuple):
-    """The factor 1 + u `roundings` that fits all t best, beside a shift of each shape."""
-
-    roundings: float
-    z: float  # of the sums over primitives, whose signs are random without such a factor
-    groups: int  # primitives at which a factor differs from a shift
 
 
 @check(of=(CANDIDATE,), scope="window")
@@ -159,11 +149,11 @@ def check_t_bias(packed: Packed, pair: ImagePair, bounds: Bounds, prims: Array) 
     answer = pair.answer
     if answer.hits_only or answer.own_camera or answer.own_geometry:
         return None
-    fit = fitted_factor(packed, pair, bounds, prims)
-    words = f"t is off by {fit.roundings:+.1f} of its roundings on average, z {fit.z:.1f} of {fit.groups} primitives"
-    if fit.groups < MIN_GROUPS:
-        return 0.0, f"{fit.groups} primitives, too few to tell"
-    ratio = min(abs(fit.roundings) / LARGEST_T_BIAS, abs(fit.z) / LARGEST_Z)
+    roundings, z, groups = fitted_factor(packed, pair, bounds, prims)
+    words = f"t is off by {roundings:+.1f} of its roundings on average, z {z:.1f} of {groups} primitives"
+    if groups < MIN_GROUPS:
+        return 0.0, f"{groups} primitives, too few to tell"
+    ratio = min(abs(roundings) / LARGEST_T_BIAS, abs(z) / LARGEST_Z)
     if ratio > 1.0:
         words += (
             f"; estimated reciprocals explain at most {LARGEST_T_BIAS:g}: is every t scaled or moved by a constant?"
@@ -172,8 +162,11 @@ def check_t_bias(packed: Packed, pair: ImagePair, bounds: Bounds, prims: Array) 
 
 
 @without_float_warnings
-def fitted_factor(packed: Packed, pair: ImagePair, bounds: Bounds, prims: Array) -> FactorFit:
-    """Fit one factor on t by least squares over pixels, weighted by their bounds.
+def fitted_factor(packed: Packed, pair: ImagePair, bounds: Bounds, prims: Array) -> tuple[float, float, int]:
+    """Fit one factor 1 + u r on t by least squares over pixels, weighted by their bounds.
+
+    Returns r, the z of its sums over primitives, whose signs are random without such a factor, and the number of
+    primitives at which a factor differs from a shift.
 
     A candidate may round the origin of its rays, or the place of a shape, once for all rays; a shift by the vector s
     changes t by s.n / d.n. So a shift of each shape is fitted first, and its part is removed from errors and factor.
@@ -186,7 +179,7 @@ def fitted_factor(packed: Packed, pair: ImagePair, bounds: Bounds, prims: Array)
     rows = np.flatnonzero(near & np.isfinite(shift).all(axis=1))
     rows = rows[:: max(1, -(-len(rows) // BIASED_PIXELS))]
     error, shift, prim = error[rows], shift[rows], prims[rows]
-    factor = ROUNDOFF[answer.precision] * own.t[rows] / bound[rows]
+    factor = np.finfo(answer.precision).eps / 2.0 * own.t[rows] / bound[rows]
     of_shape = packed.shape_of(prim)
     for shape in np.unique(of_shape):
         here = np.flatnonzero(of_shape == shape)
@@ -197,4 +190,4 @@ def fitted_factor(packed: Packed, pair: ImagePair, bounds: Bounds, prims: Array)
     tells = factor != 0.0
     sums = np.bincount(row_groups(prim[tells, None]), error[tells] * factor[tells])
     weight = float(factor @ factor)
-    return FactorFit(float(error @ factor) / weight if weight > 0.0 else 0.0, z_of(sums), len(sums))
+    return float(error @ factor) / weight if weight > 0.0 else 0.0, z_of(sums), len(sums)

@@ -37,11 +37,6 @@ class NearestHits(NamedTuple):
     t: Array  # (n,) lengths of d, inf on a miss
     prim: Array  # (n,) number in the scene, -1 on a miss
 
-    @property
-    def hit(self) -> Array:
-        """(n,) bool. A NaN counts as a hit, so that it is noticed."""
-        return ~np.isposinf(self.t)
-
 
 def nearest_hits(packed: Packed, t: Array, shape: Array, prim: Array) -> NearestHits:
     """Hits by number of the shape, -1 on a miss, and of the primitive within it."""
