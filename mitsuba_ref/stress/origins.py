@@ -14,7 +14,7 @@ from caster.rendering.hits import trace_rays, validated_rays
 from caster.system.atomic_files import check_folder
 from caster.system.terminal import folded
 from mitsuba_ref.hard.family import Family
-from mitsuba_ref.judge.checks.spawned_origins import (
+from mitsuba_ref.judge.checks.secondary_rays import (
     MITSUBA,
     RULES,
     LeavingRays,
