@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from caster.aovs import Aovs
 from caster.description.errors import SceneError
 from caster.geometry.packing import packed
+from caster.rendering.bounces import RAY_KINDS
 from caster.scene.model import Scene
 from mitsuba_ref.error_model.bounds import aov_rows
 from mitsuba_ref.judge.classification import CLASS_CODE, EXACT, Judge, Judgement
@@ -56,10 +57,11 @@ def class_counts(judgement: Judgement, hit: np.ndarray) -> dict[str, int]:
 
 def kind_counts(judgement: Judgement, film: BounceFilm) -> dict[str, dict[str, int]]:
     """Rays of each class that occurs, by their kind; misses included."""
-    return {
-        kind: {name: count for name, count in zip(CLASSES, np.bincount(classes).tolist(), strict=False) if count}
-        for kind, classes in film.by_kind(judgement.classes).items()
-    }
+    kinds, classes, found = film.bounce.rays.kind, judgement.classes[film.row], {}
+    for kind in np.unique(kinds):
+        counts = zip(CLASSES, np.bincount(classes[kinds == kind]).tolist(), strict=False)
+        found[RAY_KINDS[kind]] = {name: count for name, count in counts if count}
+    return found
 
 
 def largest_ratios(judgement: Judgement) -> dict[str, float]:

@@ -63,14 +63,6 @@ class PreparedSetting(PreparedScene):
     family: Family
     x: float
 
-    def write_ray(self, folder: Path, ray: int) -> Path:
-        """Write the scene with one ray as its camera; returns the file. Raises OutputError."""
-        check_folder(folder)
-        path = folder / f"{self.family.name}-{self.x:g}.toml"
-        head = f"mitsuba-ref stress: ray {ray} of {self.family.name}, {self.family.quantity} {self.x:g}"
-        write_scene(path, scene_of_ray(self.scene, self.o[ray], self.d[ray]), [head])
-        return path
-
 
 def prepare_setting(family: Family, seed: int, x: float, rays: int | None = None) -> PreparedSetting:
     """A setting of a family."""
@@ -403,7 +395,9 @@ def sweep(
         results.append(found := score_setting(ready, casters, given))
         subject = found.witnesses[CANDIDATE.key if candidate else CASTERS[0].key]
         if isinstance(subject, Score) and subject.breaks:
-            file = ready.write_ray(folder, subject.first_wrong[0])
+            ray, file = subject.first_wrong[0], check_folder(folder) / f"{family.name}-{ready.x:g}.toml"
+            head = f"mitsuba-ref stress: ray {ray} of {family.name}, {family.quantity} {ready.x:g}"
+            write_scene(file, scene_of_ray(ready.scene, ready.o[ray], ready.d[ray]), [head])
             replay = shlex.join(["mitsuba-ref", "probe", str(file), "0", "0", *words])
             results[-1] = replace(found, replay=replay)
     return SweepResult.of(family, results, time.perf_counter() - start)
